@@ -1,0 +1,64 @@
+"""The ``dronevio`` command: picks the subcommand, and turns errors into one line and an exit code.
+
+Exit codes: 0 done, 1 a check failed, 2 bad input, 130 interrupted.
+"""
+
+import importlib
+import sys
+from collections.abc import Sequence
+
+from dronevio.models.errors import DronevioError
+
+COMMANDS: dict[str, str] = {
+    "run": "fly, estimate, score and report: the whole mission",
+    "fly": "fly a scenario and write what was sensed as an EuRoC folder",
+    "estimate": "estimate the motion of a recording",
+    "evaluate": "score an estimate against the truth",
+    "scenarios": "list what can be flown",
+    "view": "open a run's recording",
+    "book": "the experiments of the robotics book's chapter on visual SLAM",
+    "doctor": "say what this machine has and lacks",
+}
+"""The subcommands, each a module of this package with a ``main(arguments) -> int``, and what they do.
+
+Modules are imported when they are called: ``dronevio --help`` must not wait for MuJoCo."""
+
+
+def usage() -> str:
+    """Return the text of ``dronevio --help``."""
+    width = max(map(len, COMMANDS))
+    rows = "\n".join(f"  {name:<{width}}  {summary}" for name, summary in COMMANDS.items())
+    return (
+        "usage: dronevio COMMAND [OPTIONS]\n\n"
+        "Fly a simulated quadrotor, estimate its motion from camera and IMU, score the estimate.\n\n"
+        f"commands:\n{rows}\n\n"
+        "examples:\n"
+        "  dronevio run\n"
+        "  dronevio run --seed 3 --out runs/third\n"
+        "  dronevio COMMAND --help\n"
+    )
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run the command line and return its exit code."""
+    args = list(sys.argv[1:] if arguments is None else arguments)
+    if not args or args[0] in ("-h", "--help", "help"):
+        print(usage())
+        return 0
+    if args[0] in ("-V", "--version"):
+        from dronevio import __version__
+
+        print(__version__)
+        return 0
+    if args[0] not in COMMANDS:
+        print(f"dronevio: unknown command {args[0]!r}; expected one of {', '.join(COMMANDS)}", file=sys.stderr)
+        return 2
+    try:
+        command = importlib.import_module(f"dronevio.cli.{args[0]}")
+        return int(command.main(args[1:]))
+    except DronevioError as error:
+        print(f"dronevio: {error}", file=sys.stderr)
+        return 2
+    except KeyboardInterrupt:
+        print("dronevio: interrupted", file=sys.stderr)
+        return 130

@@ -1,0 +1,7 @@
+"""``python -m dronevio.cli``, the same as ``dronevio``."""
+
+import sys
+
+from dronevio.cli import main
+
+sys.exit(main())

@@ -1,0 +1,72 @@
+"""What every command shares at the terminal: arguments made from a dataclass, progress bars, tables, JSON."""
+
+import json
+import sys
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from typing import TypeVar
+
+import tyro
+from rich.console import Console
+from rich.progress import BarColumn, MofNCompleteColumn, TextColumn, TimeElapsedColumn, TimeRemainingColumn
+from rich.progress import Progress as RichProgress
+from rich.table import Table
+
+from dronevio.models.progress import Progress
+
+Command = TypeVar("Command")
+
+
+def parse(command: type[Command], arguments: Sequence[str], name: str) -> Command:
+    """Return the dataclass ``command`` filled from the command line; its docstring is the ``--help``.
+
+    A wrong argument prints what is wrong and exits with 2.
+    """
+    return tyro.cli(command, args=list(arguments), prog=f"dronevio {name}")
+
+
+@contextmanager
+def progress_bars(quiet: bool = False) -> Iterator["Bars"]:
+    """Show progress bars on the terminal (standard error) while the context lasts."""
+    with RichProgress(
+        TextColumn("{task.description:<12}"),
+        BarColumn(),
+        MofNCompleteColumn(),
+        TimeElapsedColumn(),
+        TimeRemainingColumn(),
+        console=Console(stderr=True),
+        disable=quiet,
+    ) as bars:
+        yield Bars(bars)
+
+
+class Bars:
+    """Makes a progress bar for each long piece of work."""
+
+    def __init__(self, bars: RichProgress) -> None:
+        self._bars = bars
+
+    def bar(self, description: str) -> Progress:
+        """Return a listener that draws a bar of its own."""
+        task = self._bars.add_task(description, total=None)
+
+        def advance(done: int, total: int) -> None:
+            self._bars.update(task, completed=done, total=total)
+
+        return advance
+
+
+def print_json(document: Mapping[str, object]) -> None:
+    """Print a document for machines on standard output."""
+    json.dump(document, sys.stdout, indent=2, allow_nan=False)
+    sys.stdout.write("\n")
+
+
+def print_table(title: str, columns: Sequence[str], rows: Sequence[Sequence[str]]) -> None:
+    """Print a table on standard output; the first column is left-aligned, the others right."""
+    table = Table(title=title, title_justify="left")
+    for i, column in enumerate(columns):
+        table.add_column(column, justify="left" if i == 0 else "right")
+    for row in rows:
+        table.add_row(*row)
+    Console().print(table)

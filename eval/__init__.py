@@ -1,0 +1,1 @@
+"""Scores estimates, and shows them: metrics, reports, rerun recordings."""

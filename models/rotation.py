@@ -1,0 +1,112 @@
+"""Rotations: the exponential map of SO(3), and quaternions that carry their order in their name.
+
+MuJoCo and EuRoC write quaternions wxyz; TUM files, scipy and rerun write them xyzw. Every conversion in the house is
+one of these functions. All of them broadcast over leading axes.
+
+Reference: Solà, Deray, Atchuthan, "A micro Lie theory for state estimation in robotics", 2018 (eq. 132 and 145).
+"""
+
+import numpy as np
+import numpy.typing as npt
+
+Array = npt.NDArray[np.float64]
+
+_SMALL_ANGLE_RAD = 1e-7  # below it the series' first terms are exact to double precision
+
+
+def skew(v: Array) -> Array:
+    """Return [v]× (…, 3, 3) of v (…, 3), so that [v]× u = v × u."""
+    x, y, z = v[..., 0], v[..., 1], v[..., 2]
+    o = np.zeros_like(x)
+    return np.stack([o, -z, y, z, o, -x, -y, x, o], axis=-1).reshape(*v.shape[:-1], 3, 3)
+
+
+def exp_so3(phi_rad: Array) -> Array:
+    """Return the rotation matrices (…, 3, 3) of rotation vectors (…, 3) [rad] (Rodrigues' formula)."""
+    phi = np.asarray(phi_rad, dtype=np.float64)
+    angle = np.linalg.norm(phi, axis=-1)[..., None, None]
+    safe = np.where(angle < _SMALL_ANGLE_RAD, 1.0, angle)
+    a = np.where(angle < _SMALL_ANGLE_RAD, 1.0 - angle**2 / 6.0, np.sin(safe) / safe)
+    b = np.where(angle < _SMALL_ANGLE_RAD, 0.5 - angle**2 / 24.0, (1.0 - np.cos(safe)) / safe**2)
+    K = skew(phi)
+    return np.asarray(np.eye(3) + a * K + b * (K @ K))
+
+
+def log_so3(R: Array) -> Array:
+    """Return the rotation vectors (…, 3) [rad], of length ≤ π, of rotation matrices (…, 3, 3)."""
+    q = quat_wxyz_from_matrix(R)
+    w, v = q[..., :1], q[..., 1:]
+    n = np.linalg.norm(v, axis=-1, keepdims=True)
+    # 2 atan2(|v|, w) / |v| → 2 / w as |v| → 0
+    scale = np.where(
+        n < _SMALL_ANGLE_RAD, 2.0 / np.where(w == 0.0, 1.0, w), 2.0 * np.arctan2(n, w) / np.where(n == 0.0, 1.0, n)
+    )
+    return np.asarray(scale * v)
+
+
+def quat_wxyz_from_matrix(R: Array) -> Array:
+    """Return unit quaternions (…, 4) with w ≥ 0 of rotation matrices (…, 3, 3).
+
+    Takes the best conditioned of Shepperd's four forms (1978).
+    """
+    R = np.asarray(R, dtype=np.float64)
+    m00, m11, m22 = R[..., 0, 0], R[..., 1, 1], R[..., 2, 2]
+    squares = np.stack([1 + m00 + m11 + m22, 1 + m00 - m11 - m22, 1 - m00 + m11 - m22, 1 - m00 - m11 + m22], axis=-1)
+    a, b, c = R[..., 2, 1] - R[..., 1, 2], R[..., 0, 2] - R[..., 2, 0], R[..., 1, 0] - R[..., 0, 1]
+    d, e, f = R[..., 1, 0] + R[..., 0, 1], R[..., 0, 2] + R[..., 2, 0], R[..., 2, 1] + R[..., 1, 2]
+    s0, s1, s2, s3 = (squares[..., k] for k in range(4))
+    forms = np.stack(
+        [
+            np.stack([s0, a, b, c], axis=-1),
+            np.stack([a, s1, d, e], axis=-1),
+            np.stack([b, d, s2, f], axis=-1),
+            np.stack([c, e, f, s3], axis=-1),
+        ],
+        axis=-2,
+    )
+    best = np.argmax(squares, axis=-1)[..., None, None]
+    q = np.take_along_axis(forms, best, axis=-2)[..., 0, :]
+    q = q / np.linalg.norm(q, axis=-1, keepdims=True)
+    return np.asarray(np.where(q[..., :1] < 0.0, -q, q))
+
+
+def matrix_from_quat_wxyz(quat_wxyz: Array) -> Array:
+    """Return the rotation matrices (…, 3, 3) of quaternions (…, 4), which are normalised first."""
+    q = np.asarray(quat_wxyz, dtype=np.float64)
+    q = q / np.linalg.norm(q, axis=-1, keepdims=True)
+    w, v = q[..., 0, None, None], q[..., 1:]
+    K = skew(v)
+    return np.asarray(np.eye(3) + 2.0 * (w * K + K @ K))
+
+
+def quat_xyzw_from_wxyz(quat_wxyz: Array) -> Array:
+    """Reorder quaternions (…, 4) from wxyz to xyzw."""
+    return np.roll(np.asarray(quat_wxyz), -1, axis=-1)
+
+
+def quat_wxyz_from_xyzw(quat_xyzw: Array) -> Array:
+    """Reorder quaternions (…, 4) from xyzw to wxyz."""
+    return np.roll(np.asarray(quat_xyzw), 1, axis=-1)
+
+
+def slerp_quat_wxyz(quat0_wxyz: Array, quat1_wxyz: Array, fraction: Array) -> Array:
+    """Interpolate between quaternions (…, 4) along the shorter arc; fraction (…) is 0 at the first, 1 at the second."""
+    R0 = matrix_from_quat_wxyz(quat0_wxyz)
+    R1 = matrix_from_quat_wxyz(quat1_wxyz)
+    step = log_so3(np.swapaxes(R0, -1, -2) @ R1)
+    return quat_wxyz_from_matrix(R0 @ exp_so3(np.asarray(fraction)[..., None] * step))
+
+
+def pose_matrix(R: Array, p: Array) -> Array:
+    """Return homogeneous poses (…, 4, 4) of rotations (…, 3, 3) and positions (…, 3)."""
+    T = np.zeros((*R.shape[:-2], 4, 4))
+    T[..., :3, :3] = R
+    T[..., :3, 3] = p
+    T[..., 3, 3] = 1.0
+    return T
+
+
+def inverse_pose(T: Array) -> Array:
+    """Return T_b_a (…, 4, 4) of T_a_b (…, 4, 4)."""
+    R_inv = np.swapaxes(T[..., :3, :3], -1, -2)
+    return pose_matrix(R_inv, -(R_inv @ T[..., :3, 3, None])[..., 0])

@@ -1,0 +1,1 @@
+"""Makes the drone fly and sense: MuJoCo lives here, and only here."""
