@@ -7,6 +7,7 @@ import numpy as np
 import numpy.typing as npt
 
 from dronevio.models.errors import ConfigError
+from dronevio.models.rotation import exp_so3
 
 Array = npt.NDArray[np.float64]
 Times = npt.NDArray[np.int64]
@@ -79,17 +80,17 @@ class ImuSamples:
     def increments(self) -> Self:
         """Return the same motion as means over the intervals between stamps.
 
-        Increments stay as they are. Points are averaged pairwise (the textbook midpoint rule); the interval before the
-        first point is unknown, so N points give N − 1 increments.
+        Increments stay as they are. Points are averaged pairwise (the midpoint rule), the later acceleration first turned
+        into the frame at the interval's start: left out, that turn costs ½ω × a, 4 cm/s² at 50 °/s and 200 Hz. The
+        interval before the first point is unknown, so N points give N − 1 increments.
         """
         if self.sampling == "increment":
             return self
-        return type(self)(
-            self.t_ns[1:],
-            0.5 * (self.gyro_rad_s[1:] + self.gyro_rad_s[:-1]),
-            0.5 * (self.accel_m_s2[1:] + self.accel_m_s2[:-1]),
-            "increment",
-        )
+        dt_s = (np.diff(self.t_ns) * 1e-9)[:, None]
+        gyro = 0.5 * (self.gyro_rad_s[1:] + self.gyro_rad_s[:-1])
+        R_start_end = exp_so3(gyro * dt_s)
+        accel_end = np.einsum("nij,nj->ni", R_start_end, self.accel_m_s2[1:])
+        return type(self)(self.t_ns[1:], gyro, 0.5 * (self.accel_m_s2[:-1] + accel_end), "increment")
 
 
 @dataclass(frozen=True)

@@ -1,0 +1,54 @@
+"""Covariances of the navigation state: GTSAM's order and ours, and their way through time without a camera.
+
+Ours is that of `NavState`: δθ (right perturbation, IMU frame), δp and δv (world), δb_gyro, δb_accel. GTSAM's is the pose
+(δθ, then the position in the IMU frame), the velocity (world), the accelerometer's and then the gyroscope's bias.
+"""
+
+import numpy as np
+import numpy.typing as npt
+
+from dronevio.models.imu import ImuModel
+from dronevio.models.rotation import skew
+
+Array = npt.NDArray[np.float64]
+
+_BIASES_SWAPPED = np.r_[0:9, 12:15, 9:12]
+
+
+def covariance_from_gtsam(P: Array, R_world_imu: Array) -> Array:
+    """Return the covariance (15, 15) in our order of one in GTSAM's."""
+    S = np.eye(15)
+    S[3:6, 3:6] = R_world_imu
+    return np.asarray((S @ P @ S.T)[np.ix_(_BIASES_SWAPPED, _BIASES_SWAPPED)])
+
+
+def covariance_to_gtsam(P: Array, R_world_imu: Array) -> Array:
+    """Return the covariance (15, 15) in GTSAM's order of one in ours."""
+    S = np.eye(15)
+    S[3:6, 3:6] = R_world_imu.T
+    return np.asarray(S @ P[np.ix_(_BIASES_SWAPPED, _BIASES_SWAPPED)] @ S.T)
+
+
+def propagate(P: Array, R_world_imu: Array, dR: Array, dp: Array, dv: Array, dt_s: float, imu: ImuModel) -> Array:
+    """Return the covariance (15, 15) after a stretch of dead reckoning.
+
+    First order in the biases and exact in the rest for a stretch of some tenths of a second (Forster et al. 2017,
+    eq. 44, in world coordinates).
+
+    Args:
+        P: (15, 15) At the start.
+        R_world_imu: (3, 3) Orientation at the start.
+        dR: (3, 3) Preintegrated rotation.
+        dp: (3,) Preintegrated position, in the frame at the start [m].
+        dv: (3,) Preintegrated velocity, in the frame at the start [m/s].
+        dt_s: Length of the stretch [s].
+        imu: Noise densities.
+    """
+    eye, t = np.eye(3), dt_s
+    F = np.eye(15)
+    F[0:3, 0:3], F[0:3, 9:12] = dR.T, -t * eye
+    F[3:6, 0:3], F[3:6, 6:9], F[3:6, 12:15] = -R_world_imu @ skew(dp), t * eye, -0.5 * t * t * R_world_imu
+    F[6:9, 0:3], F[6:9, 12:15] = -R_world_imu @ skew(dv), -t * R_world_imu
+    gyro, accel = imu.gyro_noise_density**2, imu.accel_noise_density**2
+    variances = [gyro * t, accel * t**3 / 3.0, accel * t, imu.gyro_random_walk**2 * t, imu.accel_random_walk**2 * t]
+    return np.asarray(F @ P @ F.T + np.diag(np.repeat(variances, 3)))

@@ -1,0 +1,158 @@
+"""The front end: follows image corners from frame to frame.
+
+Corners are spread over a grid, one a cell (Shi and Tomasi 1994), and followed by pyramidal Lucas-Kanade (Bouguet 2001)
+that starts where the gyroscope's rotation puts them.
+"""
+
+from dataclasses import dataclass
+from typing import Protocol
+
+import cv2
+import numpy as np
+import numpy.typing as npt
+
+from dronevio.estimator.epipolar import epipolar_inliers
+from dronevio.models.camera import CameraModel
+from dronevio.models.state import CameraFrame
+
+Array = npt.NDArray[np.float64]
+Image = npt.NDArray[np.uint8]
+
+
+@dataclass(frozen=True)
+class TrackerConfig:
+    """Settings of the feature tracker."""
+
+    cell_px: int = 44
+    """Side of the grid's cells [px]; each holds at most one new corner: 187 cells at 752×480."""
+    min_corner_score: float = 4e-4
+    """Smallest eigenvalue of the gradient matrix that makes a corner (image scaled to 0…1)."""
+    window_px: int = 21
+    """Side of the patch that is followed [px]."""
+    pyramid_levels: int = 3
+    """Pyramid levels above the image: the prediction may be off by about window/2 · 2^levels pixels."""
+    border_px: int = 12
+    """Corners nearer to the image's border are dropped [px]."""
+    ransac_px: float = 1.0
+    """Largest distance from the epipolar line [px]."""
+    seed: int = 0
+    """Seed of the random draws."""
+
+
+@dataclass(frozen=True, eq=False)
+class Observations:
+    """Where the tracked features are seen in one frame."""
+
+    ids: npt.NDArray[np.int64]
+    """(N,) Identities, in increasing order."""
+    pixels: Array
+    """(N, 2) In the image [px]."""
+    xy: Array
+    """(N, 2) Undistorted and normalised: at depth 1 in the camera frame."""
+    ages: npt.NDArray[np.int64]
+    """(N,) Number of frames in which each has been seen."""
+
+    def __len__(self) -> int:
+        return len(self.ids)
+
+
+class FrontEnd(Protocol):
+    """Turns frames into observations of features."""
+
+    def track(self, frame: CameraFrame, R_cur_prev: Array) -> Observations:
+        """Follow the features into a frame; R_cur_prev (3, 3) turns the previous camera frame into this one."""
+
+    def replenish(self) -> Observations:
+        """Look for new features in the last frame, and return all that are seen in it."""
+
+
+class FeatureTracker:
+    """Follows corners in the images of one camera."""
+
+    def __init__(self, camera: CameraModel, config: TrackerConfig) -> None:
+        self._camera = camera
+        self._config = config
+        self._rng = np.random.default_rng(config.seed)
+        self._image: Image | None = None
+        self._ids = np.zeros(0, np.int64)
+        self._ages = np.zeros(0, np.int64)
+        self._pixels = np.zeros((0, 2))
+        self._xy = np.zeros((0, 2))
+        self._next_id = 0
+
+    def track(self, frame: CameraFrame, R_cur_prev: Array) -> Observations:
+        """Follow the features into a frame.
+
+        Args:
+            frame: The new frame; the first of its images is used.
+            R_cur_prev: (3, 3) Rotation of the previous camera frame into this one, from the gyroscope.
+
+        Returns:
+            The features that are still seen and agree with one rigid motion.
+        """
+        previous, self._image = self._image, frame.images[0]
+        if previous is not None and len(self._ids):
+            self._follow(previous, self._image, R_cur_prev)
+        return self._observations()
+
+    def replenish(self) -> Observations:
+        """Take the best new corner of each grid cell that holds no feature, and return all features of the frame."""
+        if self._image is None:
+            return self._observations()
+        corners = self._new_corners(self._image)
+        n = len(corners)
+        self._ids = np.concatenate([self._ids, np.arange(self._next_id, self._next_id + n)])
+        self._ages = np.concatenate([self._ages, np.ones(n, np.int64)])
+        self._pixels = np.concatenate([self._pixels, corners])
+        self._xy = np.concatenate([self._xy, self._camera.normalise(corners)])
+        self._next_id += n
+        return self._observations()
+
+    def _observations(self) -> Observations:
+        return Observations(self._ids, self._pixels, self._xy, self._ages)
+
+    def _follow(self, previous: Image, image: Image, R_cur_prev: Array) -> None:
+        c = self._config
+        bearings = np.column_stack([self._xy, np.ones(len(self._xy))]) @ R_cur_prev.T
+        predicted = np.ascontiguousarray(np.nan_to_num(self._camera.project(bearings), nan=-1e4), dtype=np.float32)
+        moved, status, _ = cv2.calcOpticalFlowPyrLK(
+            previous,
+            image,
+            self._pixels.astype(np.float32),
+            predicted,
+            winSize=(c.window_px, c.window_px),
+            maxLevel=c.pyramid_levels,
+            criteria=(cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 30, 0.01),
+            flags=cv2.OPTFLOW_USE_INITIAL_FLOW,
+        )
+        pixels = moved.reshape(-1, 2).astype(np.float64)
+        height, width = image.shape
+        low, high = c.border_px, np.array([width, height]) - 1 - c.border_px
+        seen = (status[:, 0] == 1) & np.all((pixels >= low) & (pixels <= high), axis=1)
+        kept = np.flatnonzero(seen)
+        xy = self._camera.normalise(pixels[kept])
+        inliers = epipolar_inliers(self._xy[kept], xy, R_cur_prev, c.ransac_px / self._camera.fx, self._rng)
+        kept = kept[inliers]
+        self._ids, self._pixels, self._xy = self._ids[kept], pixels[kept], xy[inliers]
+        self._ages = self._ages[kept] + 1
+
+    def _new_corners(self, image: Image) -> Array:
+        """Return (N, 2) the best corner of each empty cell [px]."""
+        c = self._config
+        score = cv2.cornerMinEigenVal(image, blockSize=5, ksize=3)
+        rows, columns = image.shape[0] // c.cell_px, image.shape[1] // c.cell_px
+        score[: c.border_px] = score[-c.border_px :] = 0.0
+        score[:, : c.border_px] = score[:, -c.border_px :] = 0.0
+        for u, v in self._pixels.astype(int).tolist():
+            cv2.circle(score, (u, v), c.cell_px // 2, 0.0, -1)
+        # The grid is centred; a strip narrower than a cell is left at the borders.
+        top, left = (image.shape[0] - rows * c.cell_px) // 2, (image.shape[1] - columns * c.cell_px) // 2
+        cells = score[top : top + rows * c.cell_px, left : left + columns * c.cell_px]
+        cells = cells.reshape(rows, c.cell_px, columns, c.cell_px).transpose(0, 2, 1, 3).reshape(rows * columns, -1)
+        best = cells.argmax(axis=1)
+        good = np.take_along_axis(cells, best[:, None], axis=1)[:, 0] > c.min_corner_score
+        cell_row, cell_column = np.divmod(np.arange(rows * columns), columns)
+        v = top + cell_row * c.cell_px + best // c.cell_px
+        u = left + cell_column * c.cell_px + best % c.cell_px
+        # A cell's neighbour may hold a corner just across their border; KLT does not mind.
+        return np.stack([u, v], axis=1)[good].astype(np.float64)

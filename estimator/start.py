@@ -1,0 +1,46 @@
+"""The start from rest: gravity gives roll and pitch, the gyroscope's mean its bias."""
+
+from collections.abc import Sequence
+
+import numpy as np
+import numpy.typing as npt
+
+from dronevio.estimator.inertial import Increments
+from dronevio.models.rotation import pose_matrix
+from dronevio.models.state import NavState
+
+Array = npt.NDArray[np.float64]
+
+
+def start_from_rest(t_ns: int, rest: Sequence[Increments]) -> NavState:
+    """Return the state of an IMU that stands still, as the origin of position and yaw.
+
+    The accelerometer's bias cannot be told from tilt at rest; it is taken as zero, and the smoother sorts it out later.
+
+    Args:
+        t_ns: Time of the state.
+        rest: IMU increments of the rest, at least one.
+    """
+    dt_s = np.concatenate([r.dt_s for r in rest])[:, None]
+    gyro = np.concatenate([r.gyro_rad_s for r in rest])
+    accel = np.concatenate([r.accel_m_s2 for r in rest])
+    up_imu = (accel * dt_s).sum(axis=0)
+    return NavState(
+        t_ns,
+        pose_matrix(level_rotation(up_imu), np.zeros(3)),
+        np.zeros(3),
+        (gyro * dt_s).sum(axis=0) / dt_s.sum(),
+        np.zeros(3),
+    )
+
+
+def level_rotation(up_imu: Array) -> Array:
+    """Return R_world_imu (3, 3) with the world's z axis along ``up_imu`` (3,).
+
+    Yaw is free: the world's x axis is that IMU axis which lies flattest, seen from above.
+    """
+    z = up_imu / np.linalg.norm(up_imu)
+    flattest = np.eye(3)[int(np.argmin(np.abs(z)))]
+    x = flattest - z * (z @ flattest)
+    x /= np.linalg.norm(x)
+    return np.stack([x, np.cross(z, x), z])

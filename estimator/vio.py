@@ -1,0 +1,180 @@
+"""Visual-inertial odometry: one camera and an IMU in, where the IMU is out.
+
+The pipeline of a keyframe-based fixed-lag smoother (Leutenegger et al., IJRR 2015; Qin et al., T-RO 2018): corners are
+followed from frame to frame, the IMU is preintegrated between keyframes, and every keyframe adds a state to a window that
+GTSAM optimises. Between keyframes the newest state is carried forward by the IMU. What is returned for a frame is never
+revised.
+"""
+
+from dataclasses import dataclass, field
+
+import gtsam
+import numpy as np
+import numpy.typing as npt
+
+from dronevio.estimator.covariance import propagate
+from dronevio.estimator.frontend import FeatureTracker, FrontEnd, Observations, TrackerConfig
+from dronevio.estimator.inertial import ImuBuffer, Increments, InertialConfig, integrate, preintegration_params
+from dronevio.estimator.smoother import KeyframeSmoother, SmootherConfig
+from dronevio.estimator.start import start_from_rest
+from dronevio.estimator.stillness import StillnessConfig, StillnessDetector
+from dronevio.models.imu import ImuSamples
+from dronevio.models.rig import Rig
+from dronevio.models.state import CameraFrame, Estimate, FeatureTracks, Health, NavState
+
+Array = npt.NDArray[np.float64]
+
+MIN_FEATURES_AT_START = 60  # with fewer, new ones are looked for while waiting for a rest
+HALF_TICK_S = 0.001  # time stamps jitter; an interval of 0.2 s may come as 0.1999 s
+
+
+@dataclass(frozen=True)
+class KeyframeConfig:
+    """When a frame becomes a keyframe."""
+
+    interval_s: float = 0.2
+    """In motion, at the latest after this time [s]."""
+    still_interval_s: float = 0.5
+    """At rest, after this time [s]."""
+    min_tracked: float = 0.6
+    """Earlier, when less than this share of the last keyframe's features is left."""
+
+
+@dataclass(frozen=True)
+class VioConfig:
+    """Settings of the visual-inertial odometry."""
+
+    tracker: TrackerConfig = field(default_factory=TrackerConfig)
+    inertial: InertialConfig = field(default_factory=InertialConfig)
+    stillness: StillnessConfig = field(default_factory=StillnessConfig)
+    smoother: SmootherConfig = field(default_factory=SmootherConfig)
+    keyframe: KeyframeConfig = field(default_factory=KeyframeConfig)
+    rest_s: float = 0.8
+    """How long the drone must stand still before the start [s]."""
+    min_tracks: int = 8
+    """With fewer features, the estimate is called inertial-only."""
+
+
+class VisualInertialOdometry:
+    """Estimates the motion of a rig from what is pushed into it, in time order.
+
+    Example:
+        >>> vio = VisualInertialOdometry(rig)
+        >>> for measurement in measurements(recording):
+        ...     if isinstance(measurement, ImuSamples):
+        ...         vio.add_imu(measurement)
+        ...     else:
+        ...         estimate = vio.add_frame(measurement)
+    """
+
+    def __init__(self, rig: Rig, config: VioConfig | None = None, front_end: FrontEnd | None = None) -> None:
+        """Prepare for a rig, of which the first camera is used.
+
+        Args:
+            rig: The calibration.
+            config: Settings.
+            front_end: Where feature observations come from; by default the images.
+        """
+        self._config = config or VioConfig()
+        self._rig = rig
+        self._T_imu_cam = rig.cameras[0].T_imu_cam
+        self._front_end = front_end or FeatureTracker(rig.cameras[0].model, self._config.tracker)
+        self._buffer = ImuBuffer()
+        self._stillness = StillnessDetector(self._config.stillness)
+        self._params = preintegration_params(rig.imu, self._config.inertial)
+        self._rest: list[Increments] = []  # the IMU since the drone stands still, before the start
+        self._gyro_bias = np.zeros(3)
+        self._smoother: KeyframeSmoother | None = None
+
+    def add_imu(self, samples: ImuSamples) -> None:
+        """Take the IMU samples since the last call."""
+        self._buffer.add(samples)
+
+    def add_frame(self, frame: CameraFrame) -> Estimate:
+        """Take a frame and say where the IMU is."""
+        increments = self._buffer.take_until(frame.t_ns)
+        observations = self._front_end.track(frame, self._camera_rotation(increments))
+        self._stillness.update(frame.t_ns, observations, increments)
+        if self._smoother is None:
+            return self._start(frame.t_ns, observations, increments)
+        integrate(self._preintegrated, increments)
+        if not self._is_keyframe(observations):
+            return self._estimate(self._carried_forward(frame.t_ns), observations)
+        observations = self._front_end.replenish()
+        still = self._stillness.still_for_s >= self._preintegrated.deltaTij()
+        events = self._smoother.add_keyframe(frame.t_ns, self._preintegrated, observations, still)
+        self._begin_interval(observations)
+        return self._estimate(self._smoother.state, observations, ("keyframe", *events), self._smoother.landmarks()[1])
+
+    def _start(self, t_ns: int, observations: Observations, increments: Increments) -> Estimate:
+        """Wait until the drone has stood still for a while, and start the smoother at the beginning of that rest."""
+        still_for_s = self._stillness.still_for_s
+        self._rest = [*self._rest, increments] if still_for_s > 0.0 else []
+        if len(observations) < MIN_FEATURES_AT_START:
+            self._front_end.replenish()
+        if still_for_s < self._config.rest_s:
+            return Estimate(t_ns, Health.INITIALISING, None, _feature_tracks(observations))
+        start = start_from_rest(t_ns - round(still_for_s * 1e9), self._rest)
+        camera = self._rig.cameras[0]
+        self._smoother = KeyframeSmoother(camera.T_imu_cam, camera.model.fx, self._config.smoother, start)
+        self._begin_interval(observations)
+        for rest in self._rest:
+            integrate(self._preintegrated, rest)
+        self._smoother.add_keyframe(t_ns, self._preintegrated, observations, still=True)
+        self._begin_interval(observations)
+        return self._estimate(self._smoother.state, observations, ("initialised",))
+
+    def _begin_interval(self, observations: Observations) -> None:
+        """Start preintegration at the newest keyframe, with its biases."""
+        assert self._smoother is not None
+        self._preintegrated = gtsam.PreintegratedCombinedMeasurements(self._params, self._smoother.gtsam_state[1])
+        self._gyro_bias = self._smoother.state.gyro_bias_rad_s
+        self._keyframe_ids = observations.ids
+
+    def _is_keyframe(self, observations: Observations) -> bool:
+        c, elapsed_s = self._config.keyframe, self._preintegrated.deltaTij()
+        if self._stillness.still_for_s >= elapsed_s:
+            return elapsed_s >= c.still_interval_s - HALF_TICK_S
+        left = np.isin(self._keyframe_ids, observations.ids).mean() if len(self._keyframe_ids) else 0.0
+        return elapsed_s >= c.interval_s - HALF_TICK_S or left < c.min_tracked
+
+    def _camera_rotation(self, increments: Increments) -> Array:
+        """Return R_cur_prev (3, 3) of the camera over some increments."""
+        R_imu_cam = self._T_imu_cam[:3, :3]
+        return np.asarray(R_imu_cam.T @ increments.rotation(self._gyro_bias).T @ R_imu_cam)
+
+    def _carried_forward(self, t_ns: int) -> NavState:
+        """Return the newest keyframe's state, dead-reckoned to now."""
+        assert self._smoother is not None
+        start, pim = self._smoother.state, self._preintegrated
+        nav, bias = self._smoother.gtsam_state
+        now = pim.predict(nav, bias)
+        covariance = start.covariance
+        if covariance is not None:
+            covariance = propagate(
+                covariance,
+                start.T_world_imu[:3, :3],
+                pim.deltaRij().matrix(),
+                pim.deltaPij(),
+                pim.deltaVij(),
+                pim.deltaTij(),
+                self._rig.imu,
+            )
+        return NavState(
+            t_ns, now.pose().matrix(), now.velocity(), start.gyro_bias_rad_s, start.accel_bias_m_s2, covariance
+        )
+
+    def _estimate(
+        self,
+        state: NavState,
+        observations: Observations,
+        events: tuple[str, ...] = (),
+        landmarks_world: Array | None = None,
+    ) -> Estimate:
+        enough = len(observations) >= self._config.min_tracks
+        health = Health.TRACKING if enough else Health.INERTIAL_ONLY
+        return Estimate(state.t_ns, health, state, _feature_tracks(observations), landmarks_world, events)
+
+
+def _feature_tracks(observations: Observations) -> FeatureTracks:
+    return FeatureTracks(observations.ids, observations.pixels, observations.ages)
