@@ -1,0 +1,263 @@
+"""Flights as EuRoC folders (the ASL format): images, IMU, calibration and the true motion, in and out.
+
+The body frame is the IMU's, IMU samples are values at their time stamps, cameras are pinholes with radial-tangential
+distortion. Format: Burri et al., "The EuRoC micro aerial vehicle datasets", IJRR 2016.
+"""
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from functools import reduce
+from pathlib import Path
+from typing import Self
+
+import numpy as np
+import numpy.typing as npt
+
+from dronevio.models.errors import ConfigError, InputError
+from dronevio.models.imu import ImuSamples, Times
+from dronevio.models.recordings.euroc_calibration import calibration_files, count_cameras, read_rig
+from dronevio.models.recordings.files import read_text, write_text
+from dronevio.models.recordings.images import read_grey
+from dronevio.models.recordings.timed_table import (
+    TableFormat,
+    check_increasing,
+    check_unit_quaternions,
+    parse_integer_ns,
+    read_timed_table,
+)
+from dronevio.models.rig import Rig
+from dronevio.models.state import CameraFrame, Trajectory
+
+Array = npt.NDArray[np.float64]
+
+IMU_TABLE = TableFormat("an EuRoC IMU table", (7,), ",", parse_integer_ns, "whole nanoseconds")
+"""Time, angular velocity x y z [rad/s], specific force x y z [m/s²]."""
+GROUND_TRUTH_TABLE = TableFormat("an EuRoC ground truth", (17, 8), ",", parse_integer_ns, "whole nanoseconds")
+"""Time, position, quaternion wxyz, then optionally velocity and the biases of gyroscope and accelerometer."""
+
+_IMU_HEADER = (
+    "#timestamp [ns],w_RS_S_x [rad s^-1],w_RS_S_y [rad s^-1],w_RS_S_z [rad s^-1],"
+    "a_RS_S_x [m s^-2],a_RS_S_y [m s^-2],a_RS_S_z [m s^-2]\n"
+)
+_POSE_HEADER = "#timestamp, p_RS_R_x [m], p_RS_R_y [m], p_RS_R_z [m], q_RS_w [], q_RS_x [], q_RS_y [], q_RS_z []"
+_MOTION_HEADER = (
+    ", v_RS_R_x [m s^-1], v_RS_R_y [m s^-1], v_RS_R_z [m s^-1],"
+    " b_w_RS_S_x [rad s^-1], b_w_RS_S_y [rad s^-1], b_w_RS_S_z [rad s^-1],"
+    " b_a_RS_S_x [m s^-2], b_a_RS_S_y [m s^-2], b_a_RS_S_z [m s^-2]"
+)
+
+
+@dataclass(frozen=True, eq=False)
+class EurocRecording:
+    """A flight that was read from an EuRoC folder; satisfies the `Recording` protocol."""
+
+    name: str
+    """Name of the folder that holds ``mav0``."""
+    mav0: Path
+    """The folder ``mav0``."""
+    rig: Rig
+    """The calibration."""
+    imu: ImuSamples
+    """All IMU samples, point samples, in time order."""
+    frame_times_ns: Times
+    """(M,) Time stamps at which every camera has an image [ns], strictly increasing."""
+    image_files: tuple[tuple[Path, ...], ...]
+    """For each camera, the M image files."""
+    ground_truth: Trajectory | None
+    """The true motion of the IMU, where the folder has it."""
+
+    @classmethod
+    def open(cls, folder: Path | str, cameras: int | None = None) -> Self:
+        """Read everything but the images, which `frame` reads one by one.
+
+        Args:
+            folder: The folder ``mav0``, or the one that holds it.
+            cameras: Use only the first so many cameras; None for all that are there.
+
+        Raises:
+            InputError: Something is missing, damaged or not supported.
+        """
+        mav0 = find_mav0(folder)
+        used = count_cameras(mav0) if cameras is None else min(cameras, count_cameras(mav0))
+        lists = [_read_image_list(mav0 / f"cam{i}") for i in range(used)]
+        times = reduce(np.intersect1d, [t_ns for t_ns, _ in lists])
+        if not len(times):
+            raise InputError(
+                mav0, f"{used} cameras without a time stamp in common", "cameras that see at the same time"
+            )
+        truth = mav0 / "state_groundtruth_estimate0" / "data.csv"
+        return cls(
+            name=mav0.resolve().parent.name,
+            mav0=mav0,
+            rig=read_rig(mav0, used),
+            imu=read_imu(mav0 / "imu0" / "data.csv"),
+            frame_times_ns=times,
+            image_files=tuple(
+                tuple(files[row] for row in np.searchsorted(t_ns, times).tolist()) for t_ns, files in lists
+            ),
+            ground_truth=read_groundtruth(truth) if truth.exists() else None,
+        )
+
+    def frame(self, index: int) -> CameraFrame:
+        """Return the frame of the given index, 0 ≤ index < M.
+
+        Raises:
+            InputError: Its image is missing, damaged or not of the calibration's size.
+        """
+        models = [camera.model for camera in self.rig.cameras]
+        images = tuple(
+            read_grey(files[index], model.width, model.height)
+            for files, model in zip(self.image_files, models, strict=True)
+        )
+        return CameraFrame(int(self.frame_times_ns[index]), images)
+
+
+def find_mav0(folder: Path | str) -> Path:
+    """Return the folder ``mav0`` of a recording, given itself or the folder that holds it.
+
+    Raises:
+        InputError: There is none.
+    """
+    folder = Path(folder)
+    expected = "an EuRoC recording: a folder with mav0, or mav0 itself"
+    if not folder.exists():
+        raise InputError(folder, "no such folder", expected)
+    if not folder.is_dir():
+        raise InputError(folder, "a file", expected)
+    if (folder / "mav0").is_dir():
+        return folder / "mav0"
+    if (folder / "cam0").is_dir() or (folder / "imu0").is_dir():
+        return folder
+    raise InputError(folder, "neither mav0 nor cam0 in it", expected)
+
+
+def ground_truth_file(folder: Path | str) -> Path:
+    """Return the ground-truth table of a recording, given ``mav0`` or the folder that holds it.
+
+    Raises:
+        InputError: It has none.
+    """
+    path = find_mav0(folder) / "state_groundtruth_estimate0" / "data.csv"
+    if not path.exists():
+        raise InputError(path, "no such file", GROUND_TRUTH_TABLE.name)
+    return path
+
+
+def read_imu(path: Path | str) -> ImuSamples:
+    """Read an IMU table as point samples.
+
+    Raises:
+        InputError: It is missing, empty, cut off or not such a table, or time does not increase.
+    """
+    table = read_timed_table(Path(path), IMU_TABLE)
+    return ImuSamples(table.t_ns, _columns(table.values, 0, 3), _columns(table.values, 3, 6), "point")
+
+
+def read_groundtruth(path: Path | str) -> Trajectory:
+    """Read a ground-truth table: poses, and velocity and biases where it has all 17 columns.
+
+    Raises:
+        InputError: It is missing, empty, cut off or not such a table, or time does not increase.
+    """
+    table = read_timed_table(Path(path), GROUND_TRUTH_TABLE)
+    p, quat_wxyz = _columns(table.values, 0, 3), _columns(table.values, 3, 7)
+    check_unit_quaternions(table, quat_wxyz)
+    if table.values.shape[1] == 7:
+        return Trajectory(table.t_ns, p, quat_wxyz)
+    return Trajectory(
+        table.t_ns,
+        p,
+        quat_wxyz,
+        _columns(table.values, 7, 10),
+        _columns(table.values, 10, 13),
+        _columns(table.values, 13, 16),
+    )
+
+
+def read_frame_times(folder: Path | str) -> Times:
+    """Return the time stamps (M,) [ns] of the main camera's frames in a recording's folder.
+
+    Raises:
+        InputError: It has no ``cam0/data.csv``, or a damaged one.
+    """
+    return _read_image_list(find_mav0(folder) / "cam0")[0]
+
+
+def write_euroc(folder: Path, rig: Rig, imu: ImuSamples, truth: Trajectory, frame_times_ns: Times) -> None:
+    """Write a flight as an EuRoC folder, all but the images, so that it is read back to the bit.
+
+    The images belong into ``mav0/cam*/data/<t_ns>.png``. The truth is written with 17 columns where it has velocity and
+    both biases, else with 8.
+
+    Args:
+        folder: Where ``mav0`` is made.
+        rig: The calibration.
+        imu: Point samples.
+        truth: True motion of the IMU.
+        frame_times_ns: (M,) Time stamps of the frames [ns].
+
+    Raises:
+        ConfigError: The IMU samples are increments.
+        InputError: It cannot be written there.
+    """
+    if imu.sampling != "point":
+        raise ConfigError(f"IMU samples that are {imu.sampling}s; EuRoC folders hold point samples")
+    mav0 = Path(folder) / "mav0"
+    for name, text in calibration_files(rig).items():
+        write_text(mav0 / name, text)
+    images = "#timestamp [ns],filename\n" + "".join(f"{t},{t}.png\n" for t in frame_times_ns.tolist())
+    for i in range(len(rig.cameras)):
+        (mav0 / f"cam{i}" / "data").mkdir(parents=True, exist_ok=True)
+        write_text(mav0 / f"cam{i}" / "data.csv", images)
+    write_text(mav0 / "imu0" / "data.csv", _IMU_HEADER + _rows(imu.t_ns, [imu.gyro_rad_s, imu.accel_m_s2]))
+    motion = [a for a in (truth.velocity_m_s, truth.gyro_bias_rad_s, truth.accel_bias_m_s2) if a is not None]
+    whole = len(motion) == 3
+    header = f"{_POSE_HEADER}{_MOTION_HEADER if whole else ''}\n"
+    columns = [truth.p_world_imu, truth.quat_wxyz, *(motion if whole else [])]
+    write_text(mav0 / "state_groundtruth_estimate0" / "data.csv", header + _rows(truth.t_ns, columns))
+
+
+def _columns(values: Array, start: int, end: int) -> Array:
+    """Return the columns from start up to end, as an array of their own."""
+    return np.ascontiguousarray(values[:, start:end])
+
+
+def _rows(t_ns: Times, columns: Sequence[Array]) -> str:
+    """Return the rows of a table, every number with the digits that bring it back to the bit."""
+    rows = zip(t_ns.tolist(), np.hstack(columns).tolist(), strict=True)
+    return "".join(f"{t},{','.join(map(repr, row))}\n" for t, row in rows)
+
+
+def _read_image_list(camera: Path) -> tuple[Times, tuple[Path, ...]]:
+    """Return time stamps (M,) [ns] and image files of a camera's ``data.csv``, or raise InputError."""
+    path = camera / "data.csv"
+    text = read_text(path, "a list of images: rows of time stamp [ns], file name")
+    rows = list(_image_rows(path, text))
+    if not rows:
+        raise InputError(path, "no rows", "rows of time stamp [ns], file name")
+    if not text.endswith("\n"):
+        raise InputError(path, "a last row without a line end", "a whole file; this one seems cut off", rows[-1][0])
+    t_ns = np.array([t for _, t, _ in rows], dtype=np.int64)
+    check_increasing(path, t_ns, np.array([line for line, _, _ in rows]))
+    return t_ns, tuple(camera / "data" / name for _, _, name in rows)
+
+
+def _image_rows(path: Path, text: str) -> Iterator[tuple[int, int, str]]:
+    """Yield line, time stamp [ns] and file name of each image, or raise InputError."""
+    for line, raw in enumerate(text.split("\n"), 1):
+        row = raw.strip()
+        if not row or row[0] == "#":
+            continue
+        stamp, comma, name = (part.strip() for part in row.partition(","))
+        try:
+            t_ns = parse_integer_ns(stamp)
+        except ValueError:
+            raise InputError(path, f"time stamp {stamp[:40]!r}", "whole nanoseconds", line) from None
+        if not comma or not name or "," in name:
+            raise InputError(path, repr(row[:60]), "two columns: time stamp [ns], file name", line)
+        # A list must not make anyone read files outside its own folder.
+        if name in (".", "..") or any(character in name for character in "/\\\0"):
+            raise InputError(path, f"file name {name[:60]!r}", "the name of a file in the folder data", line)
+        if abs(t_ns) >= 2**63:
+            raise InputError(path, f"time stamp {stamp[:40]}", "nanoseconds that fit into 64 bits", line)
+        yield line, t_ns, name

@@ -1,0 +1,141 @@
+"""The calibration files of an EuRoC folder: cameras, IMU and body, in and out.
+
+Two facts of a `Rig` have no place in the format, so ``body.yaml`` carries them under keys of our own, which other
+readers pass over: ``T_vehicle_imu`` (pose of the IMU in the vehicle frame) and ``time_offset_s`` (t_imu − t_cam).
+``imu0/sensor.yaml`` likewise carries ``gyroscope_turn_on_bias`` and ``accelerometer_turn_on_bias``.
+"""
+
+from dataclasses import fields
+from pathlib import Path
+
+import numpy as np
+
+from dronevio.models.camera import CameraModel
+from dronevio.models.errors import InputError
+from dronevio.models.imu import ImuModel
+from dronevio.models.recordings.sensor_yaml import SensorYaml, pose_yaml, read_sensor_yaml, shown
+from dronevio.models.rig import Rig, RigCamera
+
+_RADTAN = ("radial-tangential", "radtan")
+_IMU_FIELDS = {
+    "rate_hz": "rate_hz",
+    "gyroscope_noise_density": "gyro_noise_density",
+    "gyroscope_random_walk": "gyro_random_walk",
+    "accelerometer_noise_density": "accel_noise_density",
+    "accelerometer_random_walk": "accel_random_walk",
+}
+_IMU_EXTRA_FIELDS = {
+    "gyroscope_turn_on_bias": "gyro_turn_on_bias_rad_s",
+    "accelerometer_turn_on_bias": "accel_turn_on_bias_m_s2",
+}
+_IMU_UNITS = {
+    "rate_hz": "Hz",
+    "gyroscope_noise_density": "rad / s / sqrt(Hz)",
+    "gyroscope_random_walk": "rad / s^2 / sqrt(Hz)",
+    "accelerometer_noise_density": "m / s^2 / sqrt(Hz)",
+    "accelerometer_random_walk": "m / s^3 / sqrt(Hz)",
+    "gyroscope_turn_on_bias": "rad / s, standard deviation",
+    "accelerometer_turn_on_bias": "m / s^2, standard deviation",
+}
+
+
+def read_rig(mav0: Path, cameras: int) -> Rig:
+    """Read the calibration of the IMU and the first ``cameras`` cameras of the folder ``mav0``.
+
+    Raises:
+        InputError: A file or field is missing or not what it should be, or a model is not supported.
+    """
+    body = read_sensor_yaml(mav0 / "body.yaml") if (mav0 / "body.yaml").exists() else SensorYaml(mav0, {}, {})
+    return Rig(
+        cameras=tuple(_read_camera(read_sensor_yaml(mav0 / f"cam{i}" / "sensor.yaml")) for i in range(cameras)),
+        imu=_read_imu(read_sensor_yaml(mav0 / "imu0" / "sensor.yaml")),
+        T_vehicle_imu=body.pose("T_vehicle_imu") if "T_vehicle_imu.data" in body else np.eye(4),
+        time_offset_s=body.number("time_offset_s") if "time_offset_s" in body else 0.0,
+    )
+
+
+def calibration_files(rig: Rig) -> dict[str, str]:
+    """Return the texts of the calibration files of a rig by their path below ``mav0``."""
+    texts = {f"cam{i}/sensor.yaml": _camera_yaml(camera) for i, camera in enumerate(rig.cameras)}
+    texts["imu0/sensor.yaml"] = _imu_yaml(rig.imu)
+    texts["state_groundtruth_estimate0/sensor.yaml"] = (
+        f"%YAML:1.0\nsensor_type: visual-inertial\ncomment: true motion of the body\n{pose_yaml('T_BS', np.eye(4))}"
+    )
+    texts["body.yaml"] = (
+        "%YAML:1.0\ncomment: the body frame is that of the IMU\n"
+        "# pose of the IMU in the vehicle: x forward, y left, z up, at the centre of mass\n"
+        f"{pose_yaml('T_vehicle_imu', rig.T_vehicle_imu)}"
+        f"# t_imu = t_cam + offset\ntime_offset_s: {shown(float(rig.time_offset_s))}\n"
+    )
+    return texts
+
+
+def _read_camera(yaml: SensorYaml) -> RigCamera:
+    """Return the camera that a ``sensor.yaml`` describes, or raise InputError."""
+    if yaml.word("camera_model") != "pinhole":
+        raise yaml.fault("camera_model", "pinhole, the only model supported")
+    if yaml.word("distortion_model") not in _RADTAN:
+        raise yaml.fault("distortion_model", f"{' or '.join(_RADTAN)}, the only model supported")
+    size = yaml.numbers("resolution", 2)
+    if any(side < 1 or side != int(side) for side in size):
+        raise yaml.fault("resolution", "width and height in whole pixels")
+    fx, fy, cx, cy = yaml.numbers("intrinsics", 4)
+    if min(fx, fy) <= 0.0:
+        raise yaml.fault("intrinsics", "fu, fv, cu, cv with focal lengths above zero")
+    k1, k2, p1, p2 = yaml.numbers("distortion_coefficients", 4)
+    model = CameraModel(int(size[0]), int(size[1]), fx, fy, cx, cy, (k1, k2, p1, p2))
+    return RigCamera(model, yaml.pose("T_BS"), yaml.positive("rate_hz"))
+
+
+def _read_imu(yaml: SensorYaml) -> ImuModel:
+    """Return the IMU that a ``sensor.yaml`` describes, or raise InputError.
+
+    A density of zero says that a sensor is perfect, and breaks whatever filter believes it: it is refused.
+    """
+    if "T_BS.data" in yaml and not np.array_equal(yaml.pose("T_BS"), np.eye(4)):
+        raise yaml.fault("T_BS.data", "the identity: the body frame is the IMU's")
+    defaults = {field.name: field.default for field in fields(ImuModel)}
+    values = {ours: yaml.positive(theirs) for theirs, ours in _IMU_FIELDS.items()}
+    for theirs, ours in _IMU_EXTRA_FIELDS.items():
+        values[ours] = yaml.number(theirs) if theirs in yaml else float(str(defaults[ours]))
+        if values[ours] < 0.0:
+            raise yaml.fault(theirs, "a standard deviation, zero or more")
+    return ImuModel(name=yaml.word("comment") if "comment" in yaml else "imu0", **values)
+
+
+def _camera_yaml(camera: RigCamera) -> str:
+    """Return the ``sensor.yaml`` of a camera."""
+    m = camera.model
+    return (
+        "%YAML:1.0\nsensor_type: camera\ncomment: pixel centres are whole numbers\n\n"
+        f"# pose of the camera (x right, y down, z forward) in the body frame\n{pose_yaml('T_BS', camera.T_imu_cam)}\n"
+        f"rate_hz: {shown(float(camera.rate_hz))}\n"
+        f"resolution: [{m.width}, {m.height}]\n"
+        "camera_model: pinhole\n"
+        f"intrinsics: {shown(tuple(map(float, (m.fx, m.fy, m.cx, m.cy))))} # fu, fv, cu, cv\n"
+        "distortion_model: radial-tangential\n"
+        f"distortion_coefficients: {shown(tuple(map(float, m.distortion)))}\n"
+    )
+
+
+def _imu_yaml(imu: ImuModel) -> str:
+    """Return the ``sensor.yaml`` of an IMU."""
+    numbers = "".join(
+        f"{theirs}: {shown(float(getattr(imu, ours)))} # [ {_IMU_UNITS[theirs]} ]\n"
+        for theirs, ours in (_IMU_FIELDS | _IMU_EXTRA_FIELDS).items()
+    )
+    return f"%YAML:1.0\nsensor_type: imu\ncomment: {shown(imu.name)}\n\n{pose_yaml('T_BS', np.eye(4))}\n{numbers}"
+
+
+def count_cameras(mav0: Path) -> int:
+    """Return how many cameras, cam0, cam1 and so on without a gap, the folder has.
+
+    Raises:
+        InputError: It has none.
+    """
+    count = 0
+    while (mav0 / f"cam{count}").is_dir():
+        count += 1
+    if count == 0:
+        raise InputError(mav0, "no folder cam0", "an EuRoC recording with cam0 and imu0")
+    return count

@@ -1,0 +1,70 @@
+"""Grey images from files, refused when they are damaged."""
+
+import zlib
+from pathlib import Path
+
+import numpy as np
+import numpy.typing as npt
+
+from dronevio.models.errors import InputError
+
+Image = npt.NDArray[np.uint8]
+
+_PNG = b"\x89PNG\r\n\x1a\n"
+_JPEG = b"\xff\xd8\xff"
+_JPEG_END = b"\xff\xd9"  # cannot occur inside compressed data, where every 0xff is followed by 0
+
+
+def read_grey(path: Path, width: int, height: int) -> Image:
+    """Return a grey (height, width) image.
+
+    Raises:
+        InputError: The file is missing, damaged, no image, or of another size.
+    """
+    import cv2  # only those who look at images pay for it
+
+    expected = f"an image of {width} × {height} px"
+    try:
+        data = path.read_bytes()
+    except FileNotFoundError:
+        raise InputError(path, "no such file", expected) from None
+    except OSError as error:
+        raise InputError(path, f"cannot be read ({error.strerror})", expected) from None
+    fault = _fault(data)
+    if fault:
+        raise InputError(path, fault, expected)
+    image = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_GRAYSCALE)
+    if image is None:
+        raise InputError(path, "no image that can be decoded", expected)
+    if image.shape != (height, width):
+        raise InputError(path, f"an image of {image.shape[1]} × {image.shape[0]} px", expected)
+    return np.asarray(image, dtype=np.uint8)
+
+
+def _fault(data: bytes) -> str | None:
+    """Return what is wrong with a file, as far as can be told without decoding it.
+
+    The decoders write to the terminal about damaged files, and libjpeg fills what is missing with grey.
+    """
+    if not data:
+        return "an empty file"
+    if data.startswith(_PNG):
+        return _png_fault(data)
+    if data.startswith(_JPEG) and _JPEG_END not in data:
+        return "a JPEG that is cut off"
+    return None
+
+
+def _png_fault(data: bytes) -> str | None:
+    """Return what is wrong with the chunks of a PNG: length, type, content, CRC of type and content."""
+    start = len(_PNG)
+    while start + 12 <= len(data):
+        end = start + 12 + int.from_bytes(data[start : start + 4], "big")
+        if end > len(data):
+            break
+        if zlib.crc32(data[start + 4 : end - 4]) != int.from_bytes(data[end - 4 : end], "big"):
+            return "a damaged PNG"
+        if data[start + 4 : start + 8] == b"IEND":
+            return None
+        start = end
+    return "a PNG that is cut off"

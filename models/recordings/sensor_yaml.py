@@ -1,0 +1,189 @@
+"""The YAML that describes a sensor in a recording: a strict reader of the little that such files use.
+
+The data sets' files begin with ``%YAML:1.0``, which OpenCV writes and which no YAML parser accepts. What follows is a
+small language: ``key: value`` with numbers, words and lists in brackets (over several lines if need be), and maps by
+indentation, as in ``T_BS``. Anything beyond that is refused with its line, never guessed.
+"""
+
+import json
+import re
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import numpy.typing as npt
+
+from dronevio.models.errors import InputError
+from dronevio.models.recordings.files import read_text
+
+Array = npt.NDArray[np.float64]
+Value = float | str | tuple[float | str, ...]
+
+_KEY = re.compile(r"( *)([A-Za-z_][\w.-]*) *:(?: +(.*))?", re.ASCII)
+_NUMBER = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?", re.ASCII)
+_PLAIN = re.compile(r"[A-Za-z][\w ()./+-]*(?<! )", re.ASCII)
+_ORTHONORMAL = 1e-4  # published extrinsics carry down to 5 digits
+
+
+@dataclass(frozen=True)
+class SensorYaml:
+    """A sensor's description: values by dotted key (``T_BS.data``), and the lines on which they stand."""
+
+    path: Path
+    """The file."""
+    values: dict[str, Value]
+    """Numbers, words and lists; nested keys are joined by dots."""
+    lines: dict[str, int]
+    """Line of each key, counted from 1."""
+
+    def __contains__(self, key: str) -> bool:
+        return key in self.values
+
+    def fault(self, key: str, expected: str) -> InputError:
+        """Return the error that says that a field is missing or not what it should be."""
+        if key not in self.values:
+            return InputError(self.path, f"no field {key}", f"{key}: {expected}")
+        return InputError(self.path, f"{key}: {shown(self.values[key])}", expected, self.lines[key])
+
+    def number(self, key: str) -> float:
+        """Return a number, or raise InputError."""
+        value = self.values.get(key)
+        if not isinstance(value, float):
+            raise self.fault(key, "a number")
+        return value
+
+    def positive(self, key: str) -> float:
+        """Return a number above zero, or raise InputError."""
+        value = self.values.get(key)
+        if not isinstance(value, float) or value <= 0.0:
+            raise self.fault(key, "a number above zero")
+        return value
+
+    def word(self, key: str) -> str:
+        """Return a text, or raise InputError."""
+        value = self.values.get(key)
+        if not isinstance(value, str):
+            raise self.fault(key, "a word")
+        return value
+
+    def numbers(self, key: str, count: int) -> tuple[float, ...]:
+        """Return a list of so many numbers, or raise InputError."""
+        value = self.values.get(key)
+        if not isinstance(value, tuple) or len(value) != count:
+            raise self.fault(key, f"a list of {count} numbers")
+        found = tuple(item for item in value if isinstance(item, float))
+        if len(found) != count:
+            raise self.fault(key, f"a list of {count} numbers")
+        return found
+
+    def pose(self, key: str) -> Array:
+        """Return the rigid transform (4, 4) that stands row by row in ``key.data``, or raise InputError."""
+        data = f"{key}.data"
+        T = np.array(self.numbers(data, 16)).reshape(4, 4)
+        R = T[:3, :3]
+        rigid = np.allclose(R @ R.T, np.eye(3), atol=_ORTHONORMAL) and np.linalg.det(R) > 0.0
+        if not rigid or not np.array_equal(T[3], [0.0, 0.0, 0.0, 1.0]):
+            raise self.fault(data, "a rigid transform, row by row, its rotation orthonormal and its last row 0 0 0 1")
+        return T
+
+
+def read_sensor_yaml(path: Path) -> SensorYaml:
+    """Read a sensor's description.
+
+    Raises:
+        InputError: The file is missing, or is not written in this subset of YAML.
+    """
+    values: dict[str, Value] = {}
+    lines: dict[str, int] = {}
+    parents: list[tuple[int, str]] = []  # indentation and dotted name of the maps that are open
+    for line, text in _statements(path):
+        match = _KEY.fullmatch(text)
+        if not match:
+            raise InputError(path, repr(text[:40]), "key: value", line)
+        indent, key, rest = len(match[1]), match[2], (match[3] or "").strip()
+        while parents and parents[-1][0] >= indent:
+            parents.pop()
+        if indent and not parents:
+            raise InputError(path, f"indented {key} outside a map", "key: value at the line's beginning", line)
+        name = f"{parents[-1][1]}.{key}" if parents else key
+        if name in lines:
+            raise InputError(path, f"{name} for the second time, after line {lines[name]}", "each field once", line)
+        lines[name] = line
+        if rest:
+            values[name] = _value(path, line, rest)
+        else:
+            parents.append((indent, name))
+    return SensorYaml(path, values, lines)
+
+
+def shown(value: Value) -> str:
+    """Return a value as this subset of YAML writes it, so that it is read back to the bit."""
+    if isinstance(value, tuple):
+        return f"[{', '.join(map(shown, value))}]"
+    if isinstance(value, float):
+        return repr(value)
+    return value if _PLAIN.fullmatch(value) else json.dumps(value)
+
+
+def pose_yaml(key: str, T: Array) -> str:
+    """Return the lines of a rigid transform (4, 4), to be read back to the bit."""
+    rows = ",\n         ".join(", ".join(map(repr, row)) for row in T.tolist())
+    return f"{key}:\n  cols: 4\n  rows: 4\n  data: [{rows}]\n"
+
+
+def _statements(path: Path) -> list[tuple[int, str]]:
+    """Return line number and text of each statement: comments gone, lists over several lines joined."""
+    statements: list[tuple[int, str]] = []
+    open_list = False
+    for line, raw in enumerate(read_text(path, "a sensor's description").split("\n"), 1):
+        text = _without_comment(raw).rstrip()
+        if not text.strip() or text == "---" or (text.startswith("%YAML") and not statements):
+            continue
+        if "\t" in text:
+            raise InputError(path, "a tab", "spaces", line)
+        if open_list:
+            statements[-1] = (statements[-1][0], f"{statements[-1][1]} {text.strip()}")
+        else:
+            statements.append((line, text))
+        whole = statements[-1][1]
+        open_list = '"' not in whole and whole.count("[") > whole.count("]")
+    if open_list:
+        raise InputError(path, "a list without its end", "]", statements[-1][0])
+    return statements
+
+
+def _without_comment(text: str) -> str:
+    """Return a line without its comment, which begins with # at the start or after a space, outside quotes."""
+    quoted = False
+    for i, character in enumerate(text):
+        if character == '"' and (i == 0 or text[i - 1] != "\\"):
+            quoted = not quoted
+        if character == "#" and not quoted and (i == 0 or text[i - 1] in " \t"):
+            return text[:i]
+    return text
+
+
+def _value(path: Path, line: int, text: str) -> Value:
+    """Return the value that a text writes, or raise InputError."""
+    if not text.startswith("["):
+        return _scalar(path, line, text)
+    if not text.endswith("]"):
+        raise InputError(path, repr(text[-40:]), "a list that ends with ]", line)
+    inside = text[1:-1].strip().removesuffix(",")
+    return tuple(_scalar(path, line, item.strip()) for item in inside.split(",")) if inside else ()
+
+
+def _scalar(path: Path, line: int, text: str) -> float | str:
+    """Return a number or a word, or raise InputError."""
+    if _NUMBER.fullmatch(text):
+        number = float(text)
+        if np.isfinite(number):
+            return number
+    elif text.startswith('"'):
+        try:
+            return str(json.loads(text))
+        except ValueError:
+            pass
+    elif text and text[0] not in "[]{}&*!|>'%@`,-?:#\"" and text.lower() not in (".nan", ".inf"):
+        return text
+    raise InputError(path, repr(text[:40]), "a finite number or a plain word", line)

@@ -1,0 +1,189 @@
+"""Tables of numbers over time: text files whose rows are a time stamp and a fixed count of numbers.
+
+The reader is strict, because a wrong number that is read silently costs more than one that is refused, and fast:
+numpy parses the whole table at once, and only when that fails does a second look, line by line, find the fault.
+"""
+
+import re
+from collections.abc import Callable
+from dataclasses import dataclass
+from decimal import Context, Decimal
+from pathlib import Path
+from typing import NoReturn
+
+import numpy as np
+import numpy.typing as npt
+
+from dronevio.models.errors import InputError
+from dronevio.models.imu import Times
+from dronevio.models.recordings.files import read_text
+
+Array = npt.NDArray[np.float64]
+
+_INTEGER = re.compile(r"[+-]?\d+", re.ASCII)
+_NUMBER = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?", re.ASCII)
+_SECONDS = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d{1,2})?", re.ASCII)
+_EXACT = Context(prec=200)
+_UNIT_TOLERANCE = 0.05  # rounding to two decimals stays below; a wrong order of columns does not
+_SHOWN = 40  # characters of a faulty text that a message shows
+
+
+@dataclass(frozen=True)
+class TableFormat:
+    """How the rows of a table are written."""
+
+    name: str
+    """What the table is, for messages: ``an IMU table``."""
+    columns: tuple[int, ...]
+    """The allowed numbers of columns, the time stamp included."""
+    delimiter: str | None
+    """What stands between two columns; None for any white space."""
+    parse_time: Callable[[str], int]
+    """Turns the text of a time stamp into ns, and raises ValueError where it is none."""
+    time_unit: str
+    """How time stamps are written, for messages: ``whole nanoseconds``."""
+
+    @property
+    def row(self) -> str:
+        """What a row should be, for messages."""
+        counts = " or ".join(map(str, self.columns))
+        between = "commas" if self.delimiter == "," else "spaces"
+        return f"{counts} numbers between {between}, first the time in {self.time_unit}"
+
+
+@dataclass(frozen=True, eq=False)
+class TimedTable:
+    """A table of numbers over time."""
+
+    path: Path
+    """Where it was read."""
+    t_ns: Times
+    """(N,) Time stamps [ns], strictly increasing."""
+    values: Array
+    """(N, C) The other columns, all finite."""
+    lines: npt.NDArray[np.int64]
+    """(N,) Line of the file, counted from 1, on which each row stands."""
+
+
+def parse_integer_ns(text: str) -> int:
+    """Return the time [ns] that is written as a whole number of nanoseconds.
+
+    Raises:
+        ValueError: It is not.
+    """
+    if not _INTEGER.fullmatch(text):
+        raise ValueError(f"{text!r} is no whole number")
+    return int(text)
+
+
+def parse_decimal_seconds(text: str) -> int:
+    """Return the time [ns] that is written in seconds, exactly, rounded to the nearest nanosecond.
+
+    A double has 53 bits and a time since 1970 in nanoseconds needs 61, so the text never goes through a float.
+
+    Raises:
+        ValueError: It is no number of seconds.
+    """
+    whole, point, fraction = text.partition(".")
+    if point and whole.isdecimal() and len(fraction) == 9 and fraction.isdecimal() and text.isascii():
+        return int(whole + fraction)  # the usual nine decimals, four times as fast
+    if not _SECONDS.fullmatch(text) or len(text) > 64:
+        raise ValueError(f"{text!r} is no number of seconds")
+    return int(Decimal(text).scaleb(9, _EXACT).to_integral_value(context=_EXACT))
+
+
+def read_timed_table(path: Path, form: TableFormat) -> TimedTable:
+    """Read a table of numbers over time; empty lines, and lines that begin with ``#``, are passed over.
+
+    Raises:
+        InputError: The file is missing, empty or cut off, has a row with too few or too many columns, something that
+            is not a finite number, or time stamps that do not increase.
+    """
+    text = read_text(path, form.name)
+    numbered = [(i, row) for i, line in enumerate(text.split("\n"), 1) if (row := line.strip()) and row[0] != "#"]
+    if not numbered:
+        raise InputError(path, "no rows", f"{form.name}: rows of {form.row}")
+    lines = np.array([i for i, _ in numbered])
+    rows = [row for _, row in numbered]
+    try:
+        t_ns, values = _parse(rows, form)
+    except (ValueError, OverflowError):
+        _raise_first_fault(path, numbered, form)
+    if not text.endswith("\n"):
+        raise InputError(path, "a last row without a line end", "a whole file; this one seems cut off", int(lines[-1]))
+    table = TimedTable(path, t_ns, values, lines)
+    _check_values(table, form)
+    return table
+
+
+def check_increasing(path: Path, t_ns: Times, lines: npt.NDArray[np.int64]) -> None:
+    """Check that time stamps (N,) [ns], which stand on the given lines (N,) of a file, increase.
+
+    Raises:
+        InputError: One does not.
+    """
+    wrong = np.flatnonzero(t_ns[1:] <= t_ns[:-1])
+    if wrong.size:
+        i = int(wrong[0]) + 1
+        found = f"time stamp {t_ns[i]} ns after {t_ns[i - 1]} ns"
+        raise InputError(path, found, "time stamps that increase from row to row", int(lines[i]))
+
+
+def check_unit_quaternions(table: TimedTable, quat_wxyz: Array) -> None:
+    """Check that the quaternions (N, 4) read from a table are of unit length.
+
+    Raises:
+        InputError: One is not.
+    """
+    norm = np.linalg.norm(quat_wxyz, axis=1)
+    wrong = np.flatnonzero(~(np.abs(norm - 1.0) < _UNIT_TOLERANCE))
+    if wrong.size:
+        found = f"a quaternion of length {norm[wrong[0]]:.3g}"
+        raise InputError(table.path, found, "one of length 1", int(table.lines[wrong[0]]))
+
+
+def _parse(rows: list[str], form: TableFormat) -> tuple[Times, Array]:
+    """Return time stamps (N,) and the other columns (N, C) of rows, or raise ValueError or OverflowError."""
+    parts = [row.split(form.delimiter, 1) for row in rows]
+    if min(map(len, parts)) < 2 or not all(part[1].strip() for part in parts):
+        raise ValueError("a row of one column")
+    t_ns = np.array([form.parse_time(part[0].strip()) for part in parts], dtype=np.int64)
+    values = np.loadtxt([part[1] for part in parts], delimiter=form.delimiter, comments=None, ndmin=2)
+    if values.shape[1] + 1 not in form.columns:
+        raise ValueError("a wrong number of columns")
+    return t_ns, values
+
+
+def _check_values(table: TimedTable, form: TableFormat) -> None:
+    """Raise InputError unless all values are finite and time increases."""
+    infinite = np.flatnonzero(~np.isfinite(table.values).all(axis=1))
+    if infinite.size:
+        raise InputError(table.path, "a number that is not finite", form.row, int(table.lines[infinite[0]]))
+    check_increasing(table.path, table.t_ns, table.lines)
+
+
+def _raise_first_fault(path: Path, numbered: list[tuple[int, str]], form: TableFormat) -> NoReturn:
+    """Find the first row that numpy could not read and raise InputError for it."""
+    columns: int | None = None
+    for line, row in numbered:
+        fields = [field.strip() for field in row.split(form.delimiter)]
+        if len(fields) not in form.columns or (columns is not None and len(fields) != columns):
+            what = f"{len(fields)} column{'s' if len(fields) > 1 else ''}"
+            if line == numbered[-1][0]:
+                what = f"a last row of {what} (a file cut off?)"
+            raise InputError(path, what, form.row if columns is None else f"{columns} columns, as above", line)
+        columns = len(fields)
+        try:
+            if abs(form.parse_time(fields[0])) >= 2**63:
+                raise ValueError
+        except ValueError:
+            raise InputError(path, f"time stamp {_shown(fields[0])}", form.time_unit, line) from None
+        for field in fields[1:]:
+            if not _NUMBER.fullmatch(field):
+                raise InputError(path, _shown(field), "a finite number", line)
+    raise InputError(path, "rows that are no numbers", form.row)
+
+
+def _shown(text: str) -> str:
+    """Return a text as a message can show it: quoted, on one line, not endless."""
+    return repr(text if len(text) <= _SHOWN else text[:_SHOWN] + "…")
