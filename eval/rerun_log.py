@@ -1,0 +1,277 @@
+"""A flight as a rerun recording: what the drone saw and felt, where it was, and where an estimator thought it was.
+
+Everything lies on one timeline, ``time``: seconds of flight since the first measurement. Rows go in as columns, because
+logging row by row costs a millisecond a call. The video is sent a keyframe interval at a time: when writing stops half-way,
+the file can be read up to there.
+"""
+
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+
+import numpy as np
+import numpy.typing as npt
+import rerun as rr
+
+from dronevio.eval import palette
+from dronevio.eval.comparison import Comparison, interpolate, transformed
+from dronevio.eval.rerun_blueprint import Entities, flight_blueprint
+from dronevio.eval.runs import EstimatorRun, tracks_of
+from dronevio.eval.video import VideoSample, VideoSettings, encode_av1
+from dronevio.models.imu import Times
+from dronevio.models.progress import Progress, silent
+from dronevio.models.protocols import Recording
+from dronevio.models.rotation import quat_wxyz_from_matrix, quat_xyzw_from_wxyz
+from dronevio.models.state import Trajectory
+
+Array = npt.NDArray[np.float64]
+
+APPLICATION = "dronevio"
+TIMELINE = "time"
+IMAGE_PLANE_M = 0.6  # how far before the camera its image hangs in the 3D view
+MS_PER_S = 1000.0
+
+
+def write_rrd(
+    path: Path,
+    recording: Recording,
+    run: EstimatorRun,
+    comparison: Comparison | None,
+    outline: Array | None = None,
+    progress: Progress = silent,
+    video: VideoSettings | None = None,
+) -> None:
+    """Write a flight to a rerun file, with a blueprint that lays it out.
+
+    Args:
+        path: File to write; ``.rrd``.
+        recording: What was measured.
+        run: What the estimator made of it.
+        comparison: The estimate beside the truth; None where there is no truth. The estimated path, its map and its
+            camera are shown in the truth's world, by the best fit of yaw and position: for the eye, not for the score.
+        outline: (L, 2, 3) Line segments of the surroundings [m], in the truth's world.
+        progress: Told how many frames are encoded.
+        video: Size and quality of the video.
+
+    Raises:
+        EvaluationError: The run does not belong to the recording.
+        InputError: An image cannot be read.
+    """
+    run.check_belongs_to(recording)
+    settings = video or VideoSettings()
+    outline = np.zeros((0, 2, 3)) if outline is None else outline
+    T_world_odom = np.eye(4) if comparison is None else comparison.T_world_odom
+    estimate = transformed(T_world_odom, run.trajectory)
+    with _recording_stream(path, recording.name, flight_blueprint(outline, estimate, recording.ground_truth)) as stream:
+        log = FlightLog(stream, origin_ns=_first_ns(recording))
+        log.surroundings(outline)
+        log.paths(recording.ground_truth, estimate)
+        log.camera(recording, estimate)
+        log.landmarks(run, T_world_odom)
+        log.tracks(run)
+        log.events(run)
+        log.imu(recording)
+        log.states(recording.ground_truth, estimate)
+        log.costs(run)
+        if comparison is not None:
+            log.errors(comparison)
+        log.video(recording, settings, progress)
+
+
+class FlightLog:
+    """Writes the parts of a flight to a rerun stream."""
+
+    def __init__(self, stream: rr.RecordingStream, origin_ns: int) -> None:
+        """Take the stream, and the time stamp [ns] that is zero on the timeline."""
+        self._stream = stream
+        self._origin_ns = origin_ns
+
+    def surroundings(self, outline: Array) -> None:
+        """Log the axes' meaning and the outline (L, 2, 3) [m] of the room."""
+        self._static("world", rr.ViewCoordinates.RIGHT_HAND_Z_UP)
+        if len(outline):
+            self._static(Entities.ROOM, rr.LineStrips3D(outline, colors=[*palette.rgb(palette.ROOM), 150], radii=0.006))
+
+    def paths(self, truth: Trajectory | None, estimate: Trajectory) -> None:
+        """Log each path twice: faint as a whole, and bright as far as it has been flown."""
+        for entity, path, colour in (
+            (Entities.TRUE_PATH, truth, palette.TRUTH),
+            (Entities.ESTIMATED_PATH, estimate, palette.ESTIMATE),
+        ):
+            if path is None or len(path) < 2:
+                continue
+            step = max(1, len(path) // 1500)  # the truth comes at 200 Hz: more than the eye needs
+            t_ns, p = path.t_ns[::step], path.p_world_imu[::step]
+            self._static(f"{entity}/whole", rr.LineStrips3D([p], colors=[*palette.rgb(colour), 60], radii=0.006))
+            self._static(f"{entity}/flown", rr.LineStrips3D.from_fields(colors=palette.rgb(colour), radii=0.014))
+            self._columns(
+                f"{entity}/flown", t_ns[1:], rr.LineStrips3D.columns(strips=np.stack([p[:-1], p[1:]], axis=1))
+            )
+
+    def camera(self, recording: Recording, estimate: Trajectory) -> None:
+        """Log the camera's model, and its pose: the true one where it is known, for the image is seen from there."""
+        camera = recording.rig.cameras[0]
+        body = recording.ground_truth or estimate
+        frames_ns = recording.frame_times_ns
+        if len(body) > 1:
+            known = frames_ns[(frames_ns >= body.t_ns[0]) & (frames_ns <= body.t_ns[-1])]
+            self._poses(Entities.CAMERA, known, interpolate(body, known).Ts_world_imu @ camera.T_imu_cam)
+        self._poses(Entities.ESTIMATED_BODY, estimate.t_ns, estimate.Ts_world_imu)
+        self._static(Entities.ESTIMATED_BODY, rr.TransformAxes3D(0.35))
+        self._static(
+            Entities.IMAGE,
+            rr.Pinhole(  # a viewer knows no lens distortion: the image is shown as it came
+                image_from_camera=camera.model.K,
+                resolution=[camera.model.width, camera.model.height],
+                camera_xyz=rr.ViewCoordinates.RDF,
+                image_plane_distance=IMAGE_PLANE_M,
+                color=palette.rgb(palette.TRUTH if recording.ground_truth else palette.ESTIMATE),
+                line_width=0.008,
+            ),
+        )
+
+    def landmarks(self, run: EstimatorRun, T_world_odom: Array) -> None:
+        """Log the map points of each frame that has some; the view gathers them up to the time cursor."""
+        found = [(e.t_ns, e.landmarks_world) for e in run.estimates if e.landmarks_world is not None]
+        points = [p @ T_world_odom[:3, :3].T + T_world_odom[:3, 3] for _, p in found]
+        if not points:
+            return
+        self._static(Entities.MAP, rr.Points3D.from_fields(colors=[235, 200, 90, 160], radii=rr.Radius.ui_points(1.2)))
+        columns = rr.Points3D.columns(positions=np.concatenate(points)).partition([len(p) for p in points])
+        self._columns(Entities.MAP, np.array([t for t, _ in found], dtype=np.int64), columns)
+
+    def tracks(self, run: EstimatorRun) -> None:
+        """Log the features followed into each frame, coloured by age."""
+        tracks = [tracks_of(estimate) for estimate in run.estimates]
+        ages = np.concatenate([track.ages for track in tracks])
+        columns = rr.Points2D.columns(
+            positions=np.concatenate([track.pixels for track in tracks]) + 0.5,  # rerun's pixels are centred at .5
+            colors=palette.age_colours(ages),
+        ).partition([len(track.ids) for track in tracks])
+        self._static(Entities.TRACKS, rr.Points2D.from_fields(radii=rr.Radius.ui_points(2.5)))
+        self._columns(Entities.TRACKS, run.t_ns, columns)
+
+    def events(self, run: EstimatorRun) -> None:
+        """Log what the estimator says that happened, and its health whenever it changes."""
+        rows = [(e.t_ns, text, "INFO") for e in run.estimates for text in e.events if text != "keyframe"]
+        for before, after in zip((None, *run.estimates), run.estimates, strict=False):
+            if before is None or before.health != after.health:
+                rows.append((after.t_ns, f"health: {after.health}", "WARN" if before is not None else "INFO"))
+        rows.sort(key=lambda row: row[0])
+        self._columns(
+            Entities.EVENTS,
+            np.array([t for t, _, _ in rows], dtype=np.int64),
+            rr.TextLog.columns(text=[text for _, text, _ in rows], level=[level for _, _, level in rows]),
+        )
+
+    def imu(self, recording: Recording) -> None:
+        """Log what the gyroscope [rad/s] and the accelerometer [m/s²] read."""
+        imu = recording.imu
+        self._series(Entities.GYRO, imu.t_ns, imu.gyro_rad_s, ("x", "y", "z"), palette.AXES)
+        self._series(Entities.ACCEL, imu.t_ns, imu.accel_m_s2, ("x", "y", "z"), palette.AXES)
+
+    def states(self, truth: Trajectory | None, estimate: Trajectory) -> None:
+        """Log speed [m/s] and biases, the estimated ones in full, the true ones thin."""
+        for who, trajectory, colours, width in (
+            ("estimated", estimate, palette.AXES, 1.5),
+            ("true", truth, palette.AXES_PALE, 1.0),
+        ):
+            if trajectory is None:
+                continue
+            colour = palette.ESTIMATE if who == "estimated" else palette.TRUTH
+            if (velocity := trajectory.velocity_m_s) is not None:
+                speed = np.linalg.norm(velocity, axis=1)
+                self._series(f"{Entities.SPEED}/{who}", trajectory.t_ns, speed[:, None], (who,), (colour,), 2.0)
+            for entity, bias in (
+                (Entities.GYRO_BIAS, trajectory.gyro_bias_rad_s),
+                (Entities.ACCEL_BIAS, trajectory.accel_bias_m_s2),
+            ):
+                if bias is not None:
+                    names = tuple(f"{axis} {who}" for axis in "xyz")
+                    self._series(f"{entity}/{who}", trajectory.t_ns, bias, names, colours, width)
+
+    def costs(self, run: EstimatorRun) -> None:
+        """Log what each frame cost [ms] and how many features it kept."""
+        self._series(Entities.COST, run.t_ns, run.cpu_ms[:, None], ("CPU ms a frame",), (palette.BAND,))
+        self._series(
+            Entities.TRACK_COUNT, run.t_ns, run.n_tracks[:, None].astype(float), ("tracks",), (palette.ESTIMATE,)
+        )
+
+    def errors(self, comparison: Comparison) -> None:
+        """Log the errors tied at the first pose, and the 3σ that the estimator claims for them."""
+        t_ns = comparison.truth.t_ns
+        for entity, error, sigma, unit in (
+            (Entities.POSITION_ERROR, comparison.anchored_position_error_m, comparison.position_sigma_m, 1.0),
+            (
+                Entities.ORIENTATION_ERROR,
+                comparison.anchored_orientation_error_rad,
+                comparison.orientation_sigma_rad,
+                180.0 / np.pi,
+            ),
+        ):
+            norm = np.linalg.norm(error, axis=1) * unit
+            self._series(f"{entity}/error", t_ns, norm[:, None], ("error",), (palette.ESTIMATE,), 2.0)
+            if sigma is not None:
+                self._series(f"{entity}/three_sigma", t_ns, 3.0 * sigma[:, None] * unit, ("3σ",), (palette.BAND,), 1.5)
+
+    def video(self, recording: Recording, settings: VideoSettings, progress: Progress) -> None:
+        """Encode and log every frame of the main camera, a keyframe interval at a time."""
+        t_ns = recording.frame_times_ns
+        self._static(Entities.IMAGE, rr.VideoStream(codec=rr.VideoCodec.AV1))
+        images = (recording.frame(index).images[0] for index in range(len(t_ns)))
+        done = 0
+        for group in _groups(encode_av1(images, recording.rig.cameras[0].rate_hz, settings)):
+            columns = rr.VideoStream.columns(
+                sample=[sample.data for sample in group], is_keyframe=[sample.is_keyframe for sample in group]
+            )
+            self._columns(Entities.IMAGE, t_ns[done : done + len(group)], columns)
+            done += len(group)
+            progress(done, len(t_ns))
+
+    def _static(self, entity: str, archetype: rr.AsComponents) -> None:
+        self._stream.log(entity, archetype, static=True, strict=True)
+
+    def _columns(self, entity: str, t_ns: Times, columns: rr.ComponentColumnList) -> None:
+        times = rr.TimeColumn(TIMELINE, duration=(t_ns - self._origin_ns).astype("timedelta64[ns]"))
+        self._stream.send_columns(entity, [times], columns, strict=True)
+
+    def _poses(self, entity: str, t_ns: Times, Ts: Array) -> None:
+        quat_xyzw = quat_xyzw_from_wxyz(quat_wxyz_from_matrix(Ts[:, :3, :3]))
+        self._columns(entity, t_ns, rr.Transform3D.columns(translation=Ts[:, :3, 3], quaternion=quat_xyzw))
+
+    def _series(
+        self, entity: str, t_ns: Times, values: Array, names: Sequence[str], colours: Sequence[str], width: float = 1.0
+    ) -> None:
+        """Log the columns of values (N, C) as the lines of a plot."""
+        style = rr.SeriesLines(names=list(names), colors=[palette.rgb(c) for c in colours], widths=[width] * len(names))
+        self._static(entity, style)
+        self._columns(entity, t_ns, rr.Scalars.columns(scalars=values))
+
+
+@contextmanager
+def _recording_stream(path: Path, name: str, blueprint: object) -> Iterator[rr.RecordingStream]:
+    """Open a rerun file; closing it writes the index that tools jump about with."""
+    stream = rr.RecordingStream(APPLICATION)
+    stream.save(path, default_blueprint=blueprint)
+    stream.send_recording_name(name)
+    try:
+        yield stream
+    finally:
+        stream.disconnect()
+
+
+def _groups(samples: Iterator[VideoSample]) -> Iterator[list[VideoSample]]:
+    """Gather samples into groups that each start with a keyframe."""
+    group: list[VideoSample] = []
+    for sample in samples:
+        if sample.is_keyframe and group:
+            yield group
+            group = []
+        group.append(sample)
+    if group:
+        yield group
+
+
+def _first_ns(recording: Recording) -> int:
+    """Return the time stamp of the first measurement [ns]."""
+    return min(int(recording.frame_times_ns[0]), *(int(t) for t in recording.imu.t_ns[:1]))

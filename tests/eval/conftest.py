@@ -1,0 +1,139 @@
+"""A flight made of formulas: a smooth path through a room, textured images, tracks of landmarks, a drifting estimate."""
+
+from dataclasses import dataclass, replace
+
+import cv2
+import numpy as np
+import numpy.typing as npt
+import pytest
+
+from dronevio.eval.runs import EstimatorRun
+from dronevio.models.camera import CameraModel
+from dronevio.models.imu import ImuSamples
+from dronevio.models.rig import EUROC_T_IMU_CAM0, Rig, RigCamera
+from dronevio.models.rotation import exp_so3, inverse_pose, pose_matrix, quat_wxyz_from_matrix
+from dronevio.models.state import CameraFrame, Estimate, FeatureTracks, Health, NavState, Trajectory
+
+ROOM_HALF_M = np.array([3.0, 2.5])
+ROOM_HEIGHT_M = 3.0
+
+
+@dataclass(frozen=True, eq=False)
+class SyntheticRecording:
+    """Implements the Recording protocol."""
+
+    name: str
+    rig: Rig
+    imu: ImuSamples
+    frame_times_ns: npt.NDArray[np.int64]
+    ground_truth: Trajectory | None
+    texture: npt.NDArray[np.uint8]
+
+    def frame(self, index: int) -> CameraFrame:
+        """Cut a moving window out of the texture, and add noise of the frame's own."""
+        model = self.rig.cameras[0].model
+        span = np.array(self.texture.shape) - [model.height, model.width]
+        row, column = (span * (0.5 + 0.5 * np.sin(0.05 * index + np.array([0.0, 1.0])))).astype(int)
+        window = self.texture[row : row + model.height, column : column + model.width]
+        noise = np.random.default_rng(index).normal(0.0, 2.0, window.shape)
+        return CameraFrame(int(self.frame_times_ns[index]), (np.clip(window + noise, 0, 255).astype(np.uint8),))
+
+
+@dataclass(frozen=True, eq=False)
+class SyntheticFlight:
+    """A recording, what an estimator made of it, and the room around it."""
+
+    recording: SyntheticRecording
+    run: EstimatorRun
+    outline: npt.NDArray[np.float64]
+
+
+def make_flight(duration_s: float = 6.0, size: tuple[int, int] = (376, 240), seed: int = 0) -> SyntheticFlight:
+    """Make a flight at 200 Hz IMU and 20 Hz camera; the estimate starts 0.5 s after the first frame."""
+    rng = np.random.default_rng(seed)
+    width, height = size
+    scale = width / 752
+    model = CameraModel(width, height, 458.0 * scale, 457.0 * scale, (width - 1) / 2, (height - 1) / 2)
+    rig = Rig(cameras=(RigCamera(model, EUROC_T_IMU_CAM0),))
+    truth = _truth(np.arange(0, int(duration_s * 200) + 1) * 5_000_000, rng)
+    frame_times_ns = truth.t_ns[::10]
+    texture = cv2.resize(rng.integers(0, 256, (60, 100), dtype=np.uint8), (width * 3, height * 3), interpolation=2)
+    imu = ImuSamples(truth.t_ns, rng.normal(0.0, 0.5, (len(truth), 3)), rng.normal(0, 1, (len(truth), 3)) + [9.81, 0, 0])
+    recording = SyntheticRecording("synthetic", rig, imu, frame_times_ns, truth, texture)
+    estimates = _estimates(truth[::10], rig, rng)
+    cpu_ms = rng.uniform(5.0, 15.0, len(estimates))
+    return SyntheticFlight(recording, EstimatorRun(estimates, cpu_ms, cpu_ms * 1.1), _outline())
+
+
+def _truth(t_ns: npt.NDArray[np.int64], rng: np.random.Generator) -> Trajectory:
+    """Fly a Lissajous figure, the camera along the motion; EuRoC's IMU has x up and z forward."""
+    t = t_ns * 1e-9
+    ramp = np.clip((t - 0.5) / 2.0, 0.0, 1.0) ** 2
+    phase = 0.9 * t
+    p = np.stack([2.0 * np.sin(phase), 1.5 * np.sin(2.0 * phase), 1.0 + 0.5 * np.sin(0.7 * phase)], axis=1) * ramp[:, None]
+    velocity = np.gradient(p, t, axis=0)
+    yaw = 0.5 * np.sin(0.6 * t)
+    R_world_level = exp_so3(np.stack([0 * yaw, 0 * yaw, yaw], axis=1))
+    R_vehicle_imu = np.array([[0.0, 0.0, 1.0], [0.0, -1.0, 0.0], [1.0, 0.0, 0.0]])
+    R = R_world_level @ exp_so3(np.stack([0.1 * np.sin(t), 0.1 * np.cos(t), 0 * t], axis=1)) @ R_vehicle_imu
+    walk = np.cumsum(rng.normal(0.0, 1.0, (len(t), 3)), axis=0)
+    return Trajectory(t_ns, p, quat_wxyz_from_matrix(R), velocity, 0.01 + 1e-5 * walk, 0.05 + 1e-4 * walk)
+
+
+def _estimates(truth: Trajectory, rig: Rig, rng: np.random.Generator) -> tuple[Estimate, ...]:
+    """Turn and shift the truth into an odometry frame, let it drift, and follow random landmarks."""
+    camera = rig.cameras[0]
+    landmarks = rng.uniform([-3.0, -2.5, 0.0], [6.0, 2.5, 3.0], (400, 3))
+    T_odom_world = pose_matrix(exp_so3(np.array([0.0, 0.0, 1.1])), np.array([1.0, -2.0, 0.3]))
+    drift_m = 0.03 * np.stack([np.sin(0.4 * truth.t_s), 0.5 * truth.t_s / 6.0, np.cos(0.5 * truth.t_s)], axis=1)
+    first_seen = np.full(len(landmarks), -1)
+    estimates = []
+    for i, T_world_imu in enumerate(truth.Ts_world_imu):
+        t_ns = int(truth.t_ns[i])
+        T_cam_world = inverse_pose(T_world_imu @ camera.T_imu_cam)
+        pixels = camera.model.project(landmarks @ T_cam_world[:3, :3].T + T_cam_world[:3, 3])
+        seen = np.all((pixels >= 0) & (pixels <= [camera.model.width - 1, camera.model.height - 1]), axis=1)
+        first_seen[~seen] = -1
+        first_seen[seen & (first_seen < 0)] = i
+        ids = np.flatnonzero(seen)
+        tracks = FeatureTracks(ids.astype(np.int64), pixels[ids], (i - first_seen[ids] + 1).astype(np.int64))
+        if i < 10:
+            estimates.append(Estimate(t_ns, Health.INITIALISING, None, tracks))
+            continue
+        T = T_odom_world @ T_world_imu
+        T[:3, 3] += drift_m[i] - drift_m[10]
+        age_s = (i - 10) * 0.05
+        sigmas = np.repeat([1e-3 + 1e-4 * age_s, 5e-3 + 8e-3 * age_s, 1e-2, 1e-3, 1e-2], 3)
+        state = NavState(
+            t_ns,
+            T,
+            T_odom_world[:3, :3] @ truth.velocity_m_s[i],
+            truth.gyro_bias_rad_s[i] + 1e-3,
+            truth.accel_bias_m_s2[i] + 1e-2,
+            np.diag(sigmas**2),
+        )
+        on_map = landmarks[ids] @ T_odom_world[:3, :3].T + T_odom_world[:3, 3] if i % 5 == 0 else None
+        events = ("initialised",) if i == 10 else ("keyframe",) if i % 5 == 0 else ()
+        estimates.append(Estimate(t_ns, Health.TRACKING, state, tracks, on_map, events))
+    return tuple(estimates)
+
+
+def _outline() -> npt.NDArray[np.float64]:
+    """Return the twelve edges of the room (12, 2, 3) [m]."""
+    (x, y), z = ROOM_HALF_M, ROOM_HEIGHT_M
+    floor = np.array([[-x, -y, 0.0], [x, -y, 0.0], [x, y, 0.0], [-x, y, 0.0]])
+    ceiling = floor + [0.0, 0.0, z]
+    around = [np.stack([ring, np.roll(ring, -1, axis=0)], axis=1) for ring in (floor, ceiling)]
+    return np.concatenate([*around, np.stack([floor, ceiling], axis=1)])
+
+
+@pytest.fixture(scope="session")
+def flight() -> SyntheticFlight:
+    """Six seconds of synthetic flight."""
+    return make_flight()
+
+
+@pytest.fixture(scope="session")
+def flight_without_truth(flight: SyntheticFlight) -> SyntheticFlight:
+    """The same, where nobody knows the truth."""
+    return replace(flight, recording=replace(flight.recording, ground_truth=None))
