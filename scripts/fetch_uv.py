@@ -32,7 +32,7 @@ def download(url: str) -> bytes:
     parts = urllib.parse.urlsplit(url)
     bare = parts._replace(netloc=parts.netloc.rpartition("@")[2]).geturl()
     certificates = os.environ.get("PIP_CERT") or None
-    handlers: "list[urllib.request.BaseHandler]" = [
+    handlers: list[urllib.request.BaseHandler] = [
         urllib.request.HTTPSHandler(context=ssl.create_default_context(cafile=certificates))
     ]
     if parts.username is not None:
@@ -50,7 +50,7 @@ class Links(HTMLParser):
     def __init__(self, page: str) -> None:
         """Read a page."""
         super().__init__()
-        self.addresses: "list[str]" = []
+        self.addresses: list[str] = []
         self.feed(page)
 
     def handle_starttag(self, tag: str, attrs: "list[tuple[str, str | None]]") -> None:
