@@ -1,0 +1,141 @@
+"""Alignment: the motion of the estimate's world that brings it closest to the truth.
+
+An odometry starts at a place and heading of its own choosing, so these are taken out before it is compared. Gravity
+shows a visual-inertial estimator which way is up and how large the world is: only yaw and position are free, and
+``yaw`` is the alignment to use. ``se3`` forgives a wrong vertical as well, ``sim3`` also a wrong scale.
+"""
+
+from dataclasses import dataclass, replace
+from typing import Literal, get_args
+
+import numpy as np
+import numpy.typing as npt
+
+from dronevio.models.errors import ConfigError, EvaluationError
+from dronevio.models.rotation import quat_wxyz_from_matrix
+from dronevio.models.state import Trajectory
+
+Array = npt.NDArray[np.float64]
+
+AlignmentMode = Literal["none", "yaw", "se3", "sim3"]
+"""What is taken out: nothing, yaw and position, rotation and position, or these and the scale."""
+
+_LINE = 1e-9  # squared width over squared length: below, a path counts as a line
+
+
+@dataclass(frozen=True, eq=False)
+class Alignment:
+    """A similarity that maps the estimate's world into the truth's: p_truth ≈ scale · R · p_estimate + t."""
+
+    R_truth_estimate: Array
+    """(3, 3) Rotation."""
+    t_m: Array
+    """(3,) Translation [m]."""
+    scale: float = 1.0
+    """Factor on the estimate's lengths."""
+
+    def positions(self, p: Array) -> Array:
+        """Return positions (…, 3) [m] of the estimate's world in the truth's."""
+        return np.asarray(self.scale * (p @ self.R_truth_estimate.T) + self.t_m)
+
+    def vectors(self, v: Array) -> Array:
+        """Return vectors (…, 3), such as velocities, of the estimate's world in the truth's."""
+        return np.asarray(self.scale * (v @ self.R_truth_estimate.T))
+
+    def orientations(self, quat_wxyz: Array) -> Array:
+        """Return orientations (…, 4) in the estimate's world as ones in the truth's."""
+        return quat_product_wxyz(quat_wxyz_from_matrix(self.R_truth_estimate), quat_wxyz)
+
+    def apply(self, estimate: Trajectory) -> Trajectory:
+        """Return a whole trajectory in the truth's world, velocities and covariances with it."""
+        velocity, covariance = estimate.velocity_m_s, estimate.covariance
+        if covariance is not None:
+            # δθ and the biases live in the IMU's frame; δp and δv turn with the world.
+            A = np.eye(15)
+            A[3:6, 3:6] = A[6:9, 6:9] = self.scale * self.R_truth_estimate
+            covariance = _congruent(A, covariance)
+        return replace(
+            estimate,
+            p_world_imu=self.positions(estimate.p_world_imu),
+            quat_wxyz=self.orientations(estimate.quat_wxyz),
+            velocity_m_s=None if velocity is None else self.vectors(velocity),
+            covariance=covariance,
+        )
+
+
+IDENTITY = Alignment(np.eye(3), np.zeros(3))
+"""The alignment that changes nothing."""
+
+
+def align(p_truth: Array, p_estimate: Array, mode: AlignmentMode = "yaw") -> Alignment:
+    """Return the alignment that minimises Σ |p_truth − aligned p_estimate|².
+
+    Args:
+        p_truth: (N, 3) True positions [m].
+        p_estimate: (N, 3) Estimated positions [m] at the same instants.
+        mode: What may be changed.
+
+    Raises:
+        ConfigError: There is no such mode.
+        EvaluationError: There are no positions, or they do not determine the alignment.
+    """
+    if mode not in get_args(AlignmentMode):
+        raise ConfigError(f"unknown alignment {mode!r}; expected one of {', '.join(get_args(AlignmentMode))}")
+    truth, estimate = np.asarray(p_truth, dtype=np.float64), np.asarray(p_estimate, dtype=np.float64)
+    if truth.shape != estimate.shape or truth.shape[1:] != (3,) or not len(truth):
+        raise EvaluationError(f"positions of shapes {truth.shape} and {estimate.shape}; expected (N, 3) twice, N > 0")
+    if mode == "none":
+        return IDENTITY
+    if mode == "yaw":
+        return _align_yaw(truth, estimate)
+    return umeyama(truth, estimate, with_scale=mode == "sim3")
+
+
+def umeyama(p_truth: Array, p_estimate: Array, with_scale: bool) -> Alignment:
+    """Return the best rotation, translation and, if wanted, scale (Umeyama, PAMI 1991, eq. 40 to 43).
+
+    Raises:
+        EvaluationError: One of the paths is a point or a straight line, about which it could be turned at will.
+    """
+    mean_truth, mean_estimate = p_truth.mean(axis=0), p_estimate.mean(axis=0)
+    a, b = p_truth - mean_truth, p_estimate - mean_estimate
+    U, D, Vt = np.linalg.svd(a.T @ b / len(a))
+    if not D[1] > _LINE * D[0] or not D[0] > np.finfo(float).tiny:
+        raise EvaluationError("a path that is a point or a straight line has no best rotation; align yaw only")
+    signs = np.array([1.0, 1.0, np.sign(np.linalg.det(U) * np.linalg.det(Vt))])  # a rotation, not a mirror
+    R = (U * signs) @ Vt
+    scale = float((D * signs).sum() / np.mean((b * b).sum(axis=1))) if with_scale else 1.0
+    return Alignment(R, mean_truth - scale * R @ mean_estimate, scale)
+
+
+def _align_yaw(p_truth: Array, p_estimate: Array) -> Alignment:
+    """Return the best rotation about z and translation.
+
+    The derivative of the squared error by the angle vanishes at
+    θ = atan2(Σ(bₓa_y − b_yaₓ), Σ(bₓaₓ + b_ya_y)) for centred truth a and estimate b; 0 where they leave it open.
+    """
+    mean_truth, mean_estimate = p_truth.mean(axis=0), p_estimate.mean(axis=0)
+    a, b = p_truth - mean_truth, p_estimate - mean_estimate
+    sine = np.sum(b[:, 0] * a[:, 1] - b[:, 1] * a[:, 0])
+    cosine = np.sum(b[:, 0] * a[:, 0] + b[:, 1] * a[:, 1])
+    R = yaw_matrix(float(np.arctan2(sine, cosine)))
+    return Alignment(R, mean_truth - R @ mean_estimate)
+
+
+def _congruent(A: Array, P: Array) -> Array:
+    """Return A P Aᵀ (N, k, k) of symmetric P (N, k, k), as two large products instead of 2 N small ones."""
+    half = (P.reshape(-1, P.shape[-1]) @ A.T).reshape(P.shape)
+    return np.asarray((np.swapaxes(half, -1, -2).reshape(-1, P.shape[-1]) @ A.T).reshape(P.shape))
+
+
+def yaw_matrix(yaw_rad: float) -> Array:
+    """Return the rotation (3, 3) about z by an angle [rad]."""
+    c, s = np.cos(yaw_rad), np.sin(yaw_rad)
+    return np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
+
+
+def quat_product_wxyz(q: Array, r: Array) -> Array:
+    """Return the products (…, 4) of quaternions (…, 4): first turned by r, then by q."""
+    qw, qv, rw, rv = q[..., :1], q[..., 1:], r[..., :1], r[..., 1:]
+    w = qw * rw - np.sum(qv * rv, axis=-1, keepdims=True)
+    return np.concatenate([w, qw * rv + rw * qv + np.cross(qv, rv)], axis=-1)

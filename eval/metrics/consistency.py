@@ -1,0 +1,102 @@
+"""Consistency: whether an estimator's errors are as large as it says they are.
+
+The squared error in units of the stated covariance (NEES) has a mean of 3 for position and 3 for orientation if the
+covariance is right; more means overconfident. The gauge (position and yaw, which no odometry can know) is fixed at the
+first pose, never by a best fit, which would take part of the error away.
+
+Reference: Bar-Shalom, Li, Kirubarajan, "Estimation with applications to tracking and navigation", 2001, section 5.4.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from dronevio.eval.metrics.alignment import Alignment, yaw_matrix
+from dronevio.models.errors import EvaluationError
+from dronevio.models.imu import Times
+from dronevio.models.rotation import log_so3
+from dronevio.models.state import Trajectory
+
+Array = npt.NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False)
+class Consistency:
+    """Errors and what the estimator says of them, at every pose but the first, where the gauge is fixed."""
+
+    t_ns: Times
+    """(N,) Time stamps [ns]."""
+    position_error_m: Array
+    """(N, 3) Truth minus estimate in the true world [m]."""
+    position_sigma_m: Array
+    """(N, 3) Stated standard deviation of it [m]."""
+    position_nees: Array
+    """(N,) Squared position error in units of the stated covariance; 3 expected."""
+    orientation_error_rad: Array
+    """(N, 3) Rotation from estimate to truth, in the IMU frame [rad]."""
+    orientation_sigma_rad: Array
+    """(N, 3) Stated standard deviation of it [rad]."""
+    orientation_nees: Array
+    """(N,) Squared orientation error in units of the stated covariance; 3 expected."""
+
+    @property
+    def position_exceedance(self) -> float:
+        """Share, 0 to 1, of position errors (every axis at every pose) beyond 3σ; 0.0027 expected."""
+        return float(np.mean(np.abs(self.position_error_m) > 3.0 * self.position_sigma_m))
+
+
+def anchor_first(truth: Trajectory, estimate: Trajectory) -> Alignment:
+    """Return the alignment of position and yaw that makes the first poses meet; roll and pitch stay as they are."""
+    R = truth.rotations[0] @ estimate.rotations[0].T
+    yaw = yaw_matrix(float(np.arctan2(R[1, 0] - R[0, 1], R[0, 0] + R[1, 1])))
+    return Alignment(yaw, truth.p_world_imu[0] - yaw @ estimate.p_world_imu[0])
+
+
+def consistency(truth: Trajectory, estimate: Trajectory) -> Consistency:
+    """Compare errors with stated covariances.
+
+    Args:
+        truth: N true poses, at the instants of the estimate.
+        estimate: N estimated poses, N > 1, with covariances, in a world of its own.
+
+    Raises:
+        EvaluationError: There are no covariances, or one is not positive definite.
+    """
+    if estimate.covariance is None or len(estimate) < 2 or len(truth) != len(estimate):
+        raise EvaluationError("an estimate without covariances or of one pose; expected two poses with covariances")
+    anchor = anchor_first(truth, estimate)
+    R = anchor.R_truth_estimate
+    truth, estimate, covariance = truth[1:], estimate[1:], estimate.covariance[1:]
+    position = truth.p_world_imu - anchor.positions(estimate.p_world_imu)
+    orientation = log_so3(np.swapaxes(estimate.rotations, -1, -2) @ R.T @ truth.rotations)
+    P_position, P_orientation = R @ covariance[:, 3:6, 3:6] @ R.T, covariance[:, :3, :3]
+    return Consistency(
+        estimate.t_ns,
+        position,
+        _sigma(P_position),
+        nees(position, P_position),
+        orientation,
+        _sigma(P_orientation),
+        nees(orientation, P_orientation),
+    )
+
+
+def nees(errors: Array, covariances: Array) -> Array:
+    """Return the normalised squared errors eᵀP⁻¹e (N,) of errors (N, k) with covariances (N, k, k).
+
+    Raises:
+        EvaluationError: A covariance is not positive definite.
+    """
+    try:
+        whitened = np.linalg.solve(np.linalg.cholesky(covariances), errors[..., None])[..., 0]
+    except np.linalg.LinAlgError:
+        raise EvaluationError("a covariance that is not positive definite") from None
+    if not np.isfinite(whitened).all():
+        raise EvaluationError("an error or a covariance that is not finite")
+    return np.asarray(np.sum(whitened * whitened, axis=-1))
+
+
+def _sigma(covariances: Array) -> Array:
+    """Return the standard deviations (N, k) of covariances (N, k, k)."""
+    return np.sqrt(np.diagonal(covariances, axis1=-2, axis2=-1))
