@@ -1,11 +1,11 @@
 # Everything happens in this folder: uv and the packages are brought into .uv/ and .venv/ when they are first needed.
 
-.PHONY: help setup run test check
+.PHONY: help setup run test check lint format types contracts
 
 help:
 	@echo "make run [ARGS='--seed 3']   fly, estimate, score and report"
 	@echo "make test [ARGS='-k imu']    run the tests"
-	@echo "make check                   lint, types and import contracts"
+	@echo "make check                   lint, format, types and import contracts"
 	@echo "make setup                   only set up; the others do it too"
 
 setup:
@@ -17,8 +17,16 @@ run: setup
 test: setup
 	.venv/bin/pytest $(ARGS)
 
-check: setup
+check: lint format types contracts
+
+lint: setup
 	.venv/bin/ruff check
+
+format: setup
 	.venv/bin/ruff format --check
+
+types: setup
 	.venv/bin/mypy
+
+contracts: setup
 	.venv/bin/lint-imports

@@ -1,0 +1,82 @@
+"""The door: quick to open, honest about what it does not know, and every command behind it explains itself."""
+
+import subprocess
+import sys
+import time
+
+import pytest
+
+from dronevio import __version__
+from dronevio.cli import COMMANDS, main
+
+HEAVY = ("cv2", "gtsam", "gymnasium", "matplotlib", "mujoco", "numpy", "rerun", "rich", "scipy", "tyro")
+
+
+def python(code: str) -> subprocess.CompletedProcess[str]:
+    return subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=60, check=False)
+
+
+def test_help_is_quick() -> None:
+    command = [sys.executable, "-m", "dronevio.cli", "--help"]
+    took_s = []
+    for _ in range(3):
+        start = time.perf_counter()
+        shown = subprocess.run(command, capture_output=True, text=True, timeout=60, check=True).stdout
+        took_s.append(time.perf_counter() - start)
+    assert min(took_s) < 0.5
+    assert all(name in shown and summary in shown for name, summary in COMMANDS.items())
+    assert "examples:" in shown
+
+
+@pytest.mark.parametrize("code", ["import dronevio", "from dronevio.cli import main; main(['--help'])"])
+def test_opening_the_door_loads_nothing_heavy(code: str) -> None:
+    loaded = python(f"{code}\nimport sys\nprint('loaded:', *sys.modules)")
+    assert loaded.returncode == 0, loaded.stderr
+    modules = {name.partition(".")[0] for name in loaded.stdout.partition("loaded:")[2].split()}
+    assert "dronevio" in modules
+    assert not modules & set(HEAVY)
+
+
+@pytest.mark.parametrize("arguments", [["sing"], ["--sing"], ["Run"]])
+def test_unknown_command_is_bad_input(arguments: list[str], capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(arguments) == 2
+    captured = capsys.readouterr()
+    assert captured.out == ""
+    assert captured.err.count("\n") == 1
+    assert repr(arguments[0]) in captured.err and "expected one of run, fly" in captured.err
+
+
+def test_version_is_that_of_the_package(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["--version"]) == 0
+    assert capsys.readouterr().out == f"{__version__}\n"
+
+
+@pytest.mark.parametrize("command", COMMANDS)
+def test_every_command_explains_itself(command: str, capsys: pytest.CaptureFixture[str]) -> None:
+    try:
+        status = main([command, "--help"])
+    except SystemExit as leaving:  # tyro leaves by itself
+        status = leaving.code
+    assert status in (0, None)
+    shown = capsys.readouterr().out.lower()
+    assert f"dronevio {command}" in shown
+    assert "example" in shown
+
+
+@pytest.mark.parametrize("command", [name for name in COMMANDS if name != "book"])
+def test_explaining_a_command_loads_no_simulator_and_no_solver(command: str) -> None:
+    code = f"from dronevio.cli import main\ntry:\n    main([{command!r}, '--help'])\nexcept SystemExit:\n    pass\n"
+    loaded = python(f"{code}import sys\nprint('loaded:', *sys.modules)")
+    assert loaded.returncode == 0, loaded.stderr
+    modules = {name.partition(".")[0] for name in loaded.stdout.partition("loaded:")[2].split()}
+    assert not modules & {"cv2", "gtsam", "gymnasium", "matplotlib", "mujoco", "rerun", "scipy"}
+
+
+@pytest.mark.parametrize("command", COMMANDS)
+def test_wrong_option_is_bad_input(command: str, capsys: pytest.CaptureFixture[str]) -> None:
+    try:
+        status = main([command, "--no-such-option"])
+    except SystemExit as leaving:
+        status = leaving.code
+    assert status == 2
+    assert "--no-such-option" in capsys.readouterr().err
