@@ -5,8 +5,9 @@ set -euo pipefail
 cd "$(dirname "${BASH_SOURCE[0]}")/.."
 unset VIRTUAL_ENV UV_PROJECT_ENVIRONMENT
 
-scratch="build/wheel-test"
+scratch="$PWD/build/wheel-test"
 rm -rf "$scratch" && mkdir -p "$scratch"
+trap 'rm -rf "$scratch"' EXIT
 
 scripts/uv build --quiet --out-dir "$scratch/dist"
 scripts/uv export --quiet --locked --no-emit-project --no-hashes --output-file "$scratch/locked.txt"
