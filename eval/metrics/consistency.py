@@ -63,11 +63,12 @@ def consistency(truth: Trajectory, estimate: Trajectory) -> Consistency:
     Raises:
         EvaluationError: There are no covariances, or one is not positive definite.
     """
-    if estimate.covariance is None or len(estimate) < 2 or len(truth) != len(estimate):
+    covariance = estimate.covariance
+    if covariance is None or len(estimate) < 2 or len(truth) != len(estimate):
         raise EvaluationError("an estimate without covariances or of one pose; expected two poses with covariances")
     anchor = anchor_first(truth, estimate)
     R = anchor.R_truth_estimate
-    truth, estimate, covariance = truth[1:], estimate[1:], estimate.covariance[1:]
+    truth, estimate, covariance = truth[1:], estimate[1:], covariance[1:]
     position = truth.p_world_imu - anchor.positions(estimate.p_world_imu)
     orientation = log_so3(np.swapaxes(estimate.rotations, -1, -2) @ R.T @ truth.rotations)
     P_position, P_orientation = R @ covariance[:, 3:6, 3:6] @ R.T, covariance[:, :3, :3]
