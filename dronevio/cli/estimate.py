@@ -1,0 +1,77 @@
+"""``dronevio estimate``: from a recording to a trajectory."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated
+
+import tyro
+
+from dronevio.cli.terminal import parse, print_json, print_table, progress_bars
+
+
+@dataclass(frozen=True)
+class EstimateCommand:
+    """Estimate the motion of a recording from its IMU and first camera.
+
+    The recording is any EuRoC (ASL) folder with a pinhole camera, with or without radial-tangential distortion. The
+    result is a TUM file: one pose of the IMU for each frame since the start, in a world whose z axis points up, each
+    computed from what was measured up to its frame.
+
+    Examples:
+      dronevio estimate recordings/room-0
+      dronevio estimate V1_01_easy --out v101.tum
+      dronevio evaluate V1_01_easy v101.tum
+    """
+
+    recording: Annotated[Path, tyro.conf.Positional]
+    """EuRoC folder: the one that holds mav0, or mav0 itself."""
+    out: Path = Path("estimate.tum")
+    """File to write."""
+    json: bool = False
+    """Print one JSON document instead of a table."""
+
+
+def main(arguments: Sequence[str]) -> int:
+    """Run the command."""
+    command = parse(EstimateCommand, arguments, "estimate")
+
+    from dronevio.estimation import estimate_recording, require_poses
+    from dronevio.estimator.vio import VisualInertialOdometry
+    from dronevio.models.recordings.euroc import EurocRecording
+    from dronevio.models.recordings.tum import write_tum
+
+    recording = EurocRecording.open(command.recording, cameras=1)
+    with progress_bars(quiet=command.json) as bars:
+        run = estimate_recording(recording, VisualInertialOdometry(recording.rig), bars.bar("estimating"))
+    trajectory = require_poses(run, recording)
+    write_tum(command.out, trajectory)
+    summary = {
+        "recording": str(command.recording),
+        "estimate": str(command.out),
+        "frames": len(run.estimates),
+        "poses": len(trajectory),
+        "first_pose_s": float((trajectory.t_ns[0] - run.t_ns[0]) * 1e-9),
+        "path_m": trajectory.length_m,
+        "cpu_ms_per_frame": float(run.cpu_ms.mean()),
+        "real_time_factor": run.real_time_factor,
+    }
+    if command.json:
+        print_json(summary)
+        return 0
+    print_table(
+        f"Estimate of {recording.name}",
+        ("", "value", "unit"),
+        (
+            ("frames", f"{len(run.estimates)}", ""),
+            ("poses", f"{len(trajectory)}", ""),
+            ("first pose after", f"{summary['first_pose_s']:.2f}", "s"),
+            ("path", f"{trajectory.length_m:.2f}", "m"),
+            ("processor time a frame", f"{run.cpu_ms.mean():.1f}", "ms"),
+            ("faster than real time", f"{run.real_time_factor:.1f}", "×"),
+        ),
+    )
+    print(f"wrote {command.out}")
+    if recording.ground_truth is not None:
+        print(f"score it:  dronevio evaluate {command.recording} {command.out}")
+    return 0

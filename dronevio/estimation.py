@@ -1,0 +1,56 @@
+"""The driver that pushes a recording through an estimator, frame by frame, and times it."""
+
+import time
+
+import cv2
+import numpy as np
+
+from dronevio.eval.runs import EstimatorRun
+from dronevio.models.errors import EvaluationError
+from dronevio.models.imu import ImuSamples
+from dronevio.models.progress import Progress, silent
+from dronevio.models.protocols import Estimator, Recording, measurements
+from dronevio.models.state import Estimate, Trajectory
+
+
+def estimate_recording(recording: Recording, estimator: Estimator, progress: Progress = silent) -> EstimatorRun:
+    """Push all measurements of a recording into an estimator, in time order, on one thread.
+
+    Each answer is taken before the next frame is read, so it is causal. Reading a frame from disk is not timed.
+
+    Raises:
+        InputError: A frame cannot be read.
+    """
+    cv2.setNumThreads(1)  # one core is what is promised, and threads would not add up in the same order every time
+    estimates: list[Estimate] = []
+    cpu_ms: list[float] = []
+    wall_ms: list[float] = []
+    total = len(recording.frame_times_ns)
+    stream = measurements(recording)
+    cpu_s, wall_s = 0.0, 0.0
+    for measurement in stream:
+        cpu_start, wall_start = time.process_time(), time.perf_counter()
+        if isinstance(measurement, ImuSamples):
+            estimator.add_imu(measurement)
+            cpu_s, wall_s = time.process_time() - cpu_start, time.perf_counter() - wall_start
+            continue
+        estimates.append(estimator.add_frame(measurement))
+        cpu_ms.append((cpu_s + time.process_time() - cpu_start) * 1e3)
+        wall_ms.append((wall_s + time.perf_counter() - wall_start) * 1e3)
+        progress(len(estimates), total)
+    return EstimatorRun(tuple(estimates), np.array(cpu_ms), np.array(wall_ms))
+
+
+def require_poses(run: EstimatorRun, recording: Recording) -> Trajectory:
+    """Return the trajectory of a run.
+
+    Raises:
+        EvaluationError: The estimator never got so far as a pose.
+    """
+    trajectory = run.trajectory
+    if len(trajectory) == 0:
+        raise EvaluationError(
+            f"{recording.name}: no pose after {len(run.estimates)} frames; expected a recording in which the drone"
+            " stands still for a second, or moves with parallax, before a textured scene"
+        )
+    return trajectory
