@@ -16,6 +16,8 @@ AXES = ("#d55e00", "#009e73", "#56b4e9")
 """x, y and z."""
 AXES_PALE = ("#e8a57a", "#7cc9b2", "#b0daf2")
 """x, y and z, for what stands behind."""
+MAP = "#f0e442"
+"""What the estimator found in space: yellow."""
 ROOM = "#8a8f98"
 """What stands around: grey."""
 

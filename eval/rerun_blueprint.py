@@ -8,6 +8,10 @@ from dronevio.models.state import Trajectory
 
 Array = npt.NDArray[np.float64]
 
+VIEWER_FIELD_OF_VIEW_RAD = np.radians(55.0)  # rerun's, from top to bottom
+VIEW_ASPECT = 1.6  # the 3D view's width by its height, a little less than in a 16:10 window
+MARGIN = 1.04
+
 
 class Entities:
     """Where in the recording things are."""
@@ -16,7 +20,8 @@ class Entities:
     TRUE_PATH = "world/true_path"
     ESTIMATED_PATH = "world/estimated_path"
     ESTIMATED_BODY = "world/estimated_imu"
-    MAP = "world/map"
+    MAP = "world/map/all"
+    MAP_IN_SIGHT = "world/map/in_sight"
     CAMERA = "world/camera"
     IMAGE = "world/camera/image"
     TRACKS = "world/camera/image/tracks"
@@ -34,9 +39,9 @@ class Entities:
 
 def flight_blueprint(outline: Array, estimate: Trajectory, truth: Trajectory | None) -> rrb.Blueprint:
     """Return the layout: the world on the left, what was seen and felt on the right."""
-    so_far = rrb.VisibleTimeRanges(
-        timeline="time", start=rrb.TimeRangeBoundary.infinite(), end=rrb.TimeRangeBoundary.cursor_relative()
-    )
+    beginning, end = rrb.TimeRangeBoundary.infinite(), rrb.TimeRangeBoundary.infinite()
+    so_far = rrb.VisibleTimeRanges(timeline="time", start=beginning, end=rrb.TimeRangeBoundary.cursor_relative())
+    always = rrb.VisibleTimeRanges(timeline="time", start=beginning, end=end)
     truth_is_known = truth is not None
     world = rrb.Spatial3DView(
         origin="world",
@@ -48,11 +53,11 @@ def flight_blueprint(outline: Array, estimate: Trajectory, truth: Trajectory | N
         overrides={
             f"{Entities.TRUE_PATH}/flown": so_far,
             f"{Entities.ESTIMATED_PATH}/flown": so_far,
-            Entities.MAP: so_far,
+            Entities.MAP: always,
         },
     )
     errors = rrb.Horizontal(
-        _plot("Position error, tied at the first pose [m]", Entities.POSITION_ERROR),
+        _plot("Position error [m]", Entities.POSITION_ERROR),
         _plot("Orientation error [°]", Entities.ORIENTATION_ERROR),
     )
     speed = _plot("Speed [m/s]", Entities.SPEED)
@@ -92,18 +97,33 @@ def _plot(name: str, origin: str) -> rrb.TimeSeriesView:
 
 
 def _eye(outline: Array, estimate: Trajectory, truth: Trajectory | None) -> rrb.EyeControls3D:
-    """Look at the middle of the scene from a corner above, from so far that all of it is in view."""
+    """Look at the scene from a corner above, from as near as lets all of it into the view."""
     points = [outline.reshape(-1, 3), estimate.p_world_imu, *([truth.p_world_imu] if truth is not None else [])]
     scene = np.concatenate(points)
     if len(scene) == 0:
         return rrb.EyeControls3D()
-    low, high = scene.min(axis=0), scene.max(axis=0)
-    target = 0.5 * (low + high)
-    distance_m = 0.95 * max(float(np.linalg.norm(high - low)), 1.0)
-    direction = np.array([-0.55, -0.62, 0.56])
-    return rrb.EyeControls3D(
-        kind=rrb.Eye3DKind.Orbital,
-        position=target + distance_m * direction,
-        look_target=target,
-        eye_up=[0.0, 0.0, 1.0],
-    )
+    position, target = look_at_all(scene)
+    return rrb.EyeControls3D(kind=rrb.Eye3DKind.Orbital, position=position, look_target=target, eye_up=[0.0, 0.0, 1.0])
+
+
+def look_at_all(points: Array, azimuth_deg: float = 40.0, elevation_deg: float = 38.0) -> tuple[Array, Array]:
+    """Return from where (3,) and whither (3,) to look, so that points (N, 3) fill the 3D view [m].
+
+    Seen from a distance D, a point h above the middle of the picture and d nearer to the eye than the middle is in view
+    if |h| ≤ (D − d) tan(fov / 2), and so for the width. The nearest eye is the least D that serves all points.
+    """
+    azimuth, elevation = np.radians([azimuth_deg, elevation_deg])
+    back = np.array([-np.cos(elevation) * np.cos(azimuth), -np.cos(elevation) * np.sin(azimuth), np.sin(elevation)])
+    right = np.array([np.sin(azimuth), -np.cos(azimuth), 0.0])
+    up = np.cross(back, right)
+    target = 0.5 * (points.min(axis=0) + points.max(axis=0))
+    relative = points - target
+    tangent = np.tan(0.5 * VIEWER_FIELD_OF_VIEW_RAD) * np.array([VIEW_ASPECT, 1.0])
+    for _ in range(10):  # what is near looks larger: move the picture's middle to the middle, look again
+        relative = points - target
+        across, depth = relative @ np.stack([right, up], axis=1), relative @ back
+        distance_m = max(1.0, MARGIN * float(np.max(np.abs(across) / tangent + depth[:, None])))
+        seen = across / (distance_m - depth[:, None])
+        middle = 0.5 * (seen.min(axis=0) + seen.max(axis=0)) * distance_m
+        target = target + middle @ np.stack([right, up])
+    return target + distance_m * back, target

@@ -1,8 +1,8 @@
 """A flight as a rerun recording: what the drone saw and felt, where it was, and where an estimator thought it was.
 
 Everything lies on one timeline, ``time``: seconds of flight since the first measurement. Rows go in as columns, because
-logging row by row costs a millisecond a call. The video is sent a keyframe interval at a time: when writing stops half-way,
-the file can be read up to there.
+logging row by row costs a millisecond a call. The video is sent a keyframe interval at a time: when writing stops
+half-way, the file can be read up to there.
 """
 
 from collections.abc import Iterator, Sequence
@@ -12,9 +12,10 @@ from pathlib import Path
 import numpy as np
 import numpy.typing as npt
 import rerun as rr
+import rerun.blueprint as rrb
 
 from dronevio.eval import palette
-from dronevio.eval.comparison import Comparison, interpolate, transformed
+from dronevio.eval.metrics import IDENTITY, Alignment, ScoredTrajectory, interpolate
 from dronevio.eval.rerun_blueprint import Entities, flight_blueprint
 from dronevio.eval.runs import EstimatorRun, tracks_of
 from dronevio.eval.video import VideoSample, VideoSettings, encode_av1
@@ -29,14 +30,15 @@ Array = npt.NDArray[np.float64]
 APPLICATION = "dronevio"
 TIMELINE = "time"
 IMAGE_PLANE_M = 0.6  # how far before the camera its image hangs in the 3D view
-MS_PER_S = 1000.0
+DEGREES = 180.0 / np.pi
 
 
 def write_rrd(
     path: Path,
     recording: Recording,
     run: EstimatorRun,
-    comparison: Comparison | None,
+    scored: ScoredTrajectory | None,
+    *,
     outline: Array | None = None,
     progress: Progress = silent,
     video: VideoSettings | None = None,
@@ -47,8 +49,8 @@ def write_rrd(
         path: File to write; ``.rrd``.
         recording: What was measured.
         run: What the estimator made of it.
-        comparison: The estimate beside the truth; None where there is no truth. The estimated path, its map and its
-            camera are shown in the truth's world, by the best fit of yaw and position: for the eye, not for the score.
+        scored: The run's trajectory beside the truth; None where there is no truth. The estimated path and map are
+            shown in the truth's world, by the alignment that was scored.
         outline: (L, 2, 3) Line segments of the surroundings [m], in the truth's world.
         progress: Told how many frames are encoded.
         video: Size and quality of the video.
@@ -60,21 +62,21 @@ def write_rrd(
     run.check_belongs_to(recording)
     settings = video or VideoSettings()
     outline = np.zeros((0, 2, 3)) if outline is None else outline
-    T_world_odom = np.eye(4) if comparison is None else comparison.T_world_odom
-    estimate = transformed(T_world_odom, run.trajectory)
+    alignment = IDENTITY if scored is None else scored.alignment
+    estimate = alignment.apply(run.trajectory)
     with _recording_stream(path, recording.name, flight_blueprint(outline, estimate, recording.ground_truth)) as stream:
         log = FlightLog(stream, origin_ns=_first_ns(recording))
         log.surroundings(outline)
         log.paths(recording.ground_truth, estimate)
         log.camera(recording, estimate)
-        log.landmarks(run, T_world_odom)
+        log.landmarks(run, alignment)
         log.tracks(run)
         log.events(run)
         log.imu(recording)
         log.states(recording.ground_truth, estimate)
         log.costs(run)
-        if comparison is not None:
-            log.errors(comparison)
+        if scored is not None:
+            log.errors(scored)
         log.video(recording, settings, progress)
 
 
@@ -90,7 +92,10 @@ class FlightLog:
         """Log the axes' meaning and the outline (L, 2, 3) [m] of the room."""
         self._static("world", rr.ViewCoordinates.RIGHT_HAND_Z_UP)
         if len(outline):
-            self._static(Entities.ROOM, rr.LineStrips3D(outline, colors=[*palette.rgb(palette.ROOM), 150], radii=0.006))
+            self._static(
+                Entities.ROOM,
+                rr.LineStrips3D(outline.astype(np.float32), colors=[*palette.rgb(palette.ROOM), 150], radii=0.006),
+            )
 
     def paths(self, truth: Trajectory | None, estimate: Trajectory) -> None:
         """Log each path twice: faint as a whole, and bright as far as it has been flown."""
@@ -102,8 +107,9 @@ class FlightLog:
                 continue
             step = max(1, len(path) // 1500)  # the truth comes at 200 Hz: more than the eye needs
             t_ns, p = path.t_ns[::step], path.p_world_imu[::step]
-            self._static(f"{entity}/whole", rr.LineStrips3D([p], colors=[*palette.rgb(colour), 60], radii=0.006))
-            self._static(f"{entity}/flown", rr.LineStrips3D.from_fields(colors=palette.rgb(colour), radii=0.014))
+            whole = rr.LineStrips3D([p.astype(np.float32)], colors=[*palette.rgb(colour), 130], radii=0.007)
+            self._static(f"{entity}/whole", whole)
+            self._static(f"{entity}/flown", rr.LineStrips3D.from_fields(colors=palette.rgb(colour), radii=0.016))
             self._columns(
                 f"{entity}/flown", t_ns[1:], rr.LineStrips3D.columns(strips=np.stack([p[:-1], p[1:]], axis=1))
             )
@@ -112,10 +118,9 @@ class FlightLog:
         """Log the camera's model, and its pose: the true one where it is known, for the image is seen from there."""
         camera = recording.rig.cameras[0]
         body = recording.ground_truth or estimate
-        frames_ns = recording.frame_times_ns
-        if len(body) > 1:
-            known = frames_ns[(frames_ns >= body.t_ns[0]) & (frames_ns <= body.t_ns[-1])]
-            self._poses(Entities.CAMERA, known, interpolate(body, known).Ts_world_imu @ camera.T_imu_cam)
+        if len(body):
+            at_frames, _ = interpolate(body, recording.frame_times_ns)
+            self._poses(Entities.CAMERA, at_frames.t_ns, at_frames.Ts_world_imu @ camera.T_imu_cam)
         self._poses(Entities.ESTIMATED_BODY, estimate.t_ns, estimate.Ts_world_imu)
         self._static(Entities.ESTIMATED_BODY, rr.TransformAxes3D(0.35))
         self._static(
@@ -130,15 +135,21 @@ class FlightLog:
             ),
         )
 
-    def landmarks(self, run: EstimatorRun, T_world_odom: Array) -> None:
-        """Log the map points of each frame that has some; the view gathers them up to the time cursor."""
-        found = [(e.t_ns, e.landmarks_world) for e in run.estimates if e.landmarks_world is not None]
-        points = [p @ T_world_odom[:3, :3].T + T_world_odom[:3, 3] for _, p in found]
-        if not points:
+    def landmarks(self, run: EstimatorRun, alignment: Alignment) -> None:
+        """Log the map points of each frame that has some; the view shows all of them, and those in sight brightly."""
+        found = [
+            (e.t_ns, alignment.positions(e.landmarks_world)) for e in run.estimates if e.landmarks_world is not None
+        ]
+        if not found:
             return
-        self._static(Entities.MAP, rr.Points3D.from_fields(colors=[235, 200, 90, 160], radii=rr.Radius.ui_points(1.2)))
-        columns = rr.Points3D.columns(positions=np.concatenate(points)).partition([len(p) for p in points])
-        self._columns(Entities.MAP, np.array([t for t, _ in found], dtype=np.int64), columns)
+        t_ns = np.array([t for t, _ in found], dtype=np.int64)
+        columns = rr.Points3D.columns(positions=np.concatenate([points for _, points in found]))
+        for entity, colour, radius in (
+            (Entities.MAP, [*palette.rgb(palette.MAP), 110], 1.0),
+            (Entities.MAP_IN_SIGHT, palette.rgb(palette.MAP), 2.2),
+        ):
+            self._static(entity, rr.Points3D.from_fields(colors=colour, radii=rr.Radius.ui_points(radius)))
+            self._columns(entity, t_ns, columns.partition([len(points) for _, points in found]))
 
     def tracks(self, run: EstimatorRun) -> None:
         """Log the features followed into each frame, coloured by age."""
@@ -167,52 +178,55 @@ class FlightLog:
     def imu(self, recording: Recording) -> None:
         """Log what the gyroscope [rad/s] and the accelerometer [m/s²] read."""
         imu = recording.imu
-        self._series(Entities.GYRO, imu.t_ns, imu.gyro_rad_s, ("x", "y", "z"), palette.AXES)
-        self._series(Entities.ACCEL, imu.t_ns, imu.accel_m_s2, ("x", "y", "z"), palette.AXES)
+        for entity, values in ((Entities.GYRO, imu.gyro_rad_s), (Entities.ACCEL, imu.accel_m_s2)):
+            self._series(entity, imu.t_ns, values, names="xyz", colours=palette.AXES)
 
     def states(self, truth: Trajectory | None, estimate: Trajectory) -> None:
-        """Log speed [m/s] and biases, the estimated ones in full, the true ones thin."""
-        for who, trajectory, colours, width in (
-            ("estimated", estimate, palette.AXES, 1.5),
-            ("true", truth, palette.AXES_PALE, 1.0),
+        """Log speed [m/s] and biases; what is true in pale colours."""
+        for who, trajectory, speed_colour, bias_colours in (
+            ("true", truth, palette.TRUTH, palette.AXES_PALE),
+            ("estimated", estimate, palette.ESTIMATE, palette.AXES),
         ):
             if trajectory is None:
                 continue
-            colour = palette.ESTIMATE if who == "estimated" else palette.TRUTH
             if (velocity := trajectory.velocity_m_s) is not None:
-                speed = np.linalg.norm(velocity, axis=1)
-                self._series(f"{Entities.SPEED}/{who}", trajectory.t_ns, speed[:, None], (who,), (colour,), 2.0)
+                speed = np.linalg.norm(velocity, axis=1)[:, None]
+                self._series(f"{Entities.SPEED}/{who}", trajectory.t_ns, speed, names=(who,), colours=(speed_colour,))
             for entity, bias in (
                 (Entities.GYRO_BIAS, trajectory.gyro_bias_rad_s),
                 (Entities.ACCEL_BIAS, trajectory.accel_bias_m_s2),
             ):
                 if bias is not None:
-                    names = tuple(f"{axis} {who}" for axis in "xyz")
-                    self._series(f"{entity}/{who}", trajectory.t_ns, bias, names, colours, width)
+                    names = [f"{axis} {who}" for axis in "xyz"]
+                    self._series(f"{entity}/{who}", trajectory.t_ns, bias, names=names, colours=bias_colours)
 
     def costs(self, run: EstimatorRun) -> None:
         """Log what each frame cost [ms] and how many features it kept."""
-        self._series(Entities.COST, run.t_ns, run.cpu_ms[:, None], ("CPU ms a frame",), (palette.BAND,))
-        self._series(
-            Entities.TRACK_COUNT, run.t_ns, run.n_tracks[:, None].astype(float), ("tracks",), (palette.ESTIMATE,)
-        )
+        cost, count = run.cpu_ms[:, None], run.n_tracks[:, None].astype(np.float64)
+        self._series(Entities.COST, run.t_ns, cost, names=("CPU",), colours=(palette.BAND,))
+        self._series(Entities.TRACK_COUNT, run.t_ns, count, names=("tracks",), colours=(palette.ESTIMATE,))
 
-    def errors(self, comparison: Comparison) -> None:
-        """Log the errors tied at the first pose, and the 3σ that the estimator claims for them."""
-        t_ns = comparison.truth.t_ns
-        for entity, error, sigma, unit in (
-            (Entities.POSITION_ERROR, comparison.anchored_position_error_m, comparison.position_sigma_m, 1.0),
-            (
-                Entities.ORIENTATION_ERROR,
-                comparison.anchored_orientation_error_rad,
-                comparison.orientation_sigma_rad,
-                180.0 / np.pi,
-            ),
+    def errors(self, scored: ScoredTrajectory) -> None:
+        """Log the errors after alignment, and those that 3σ speaks of: tied to the truth at the first pose."""
+        t_ns = scored.truth.t_ns
+        for entity, error, unit in (
+            (Entities.POSITION_ERROR, scored.translation_error_m, 1.0),
+            (Entities.ORIENTATION_ERROR, scored.rotation_error_rad, DEGREES),
         ):
-            norm = np.linalg.norm(error, axis=1) * unit
-            self._series(f"{entity}/error", t_ns, norm[:, None], ("error",), (palette.ESTIMATE,), 2.0)
-            if sigma is not None:
-                self._series(f"{entity}/three_sigma", t_ns, 3.0 * sigma[:, None] * unit, ("3σ",), (palette.BAND,), 1.5)
+            self._series(
+                f"{entity}/best_fit", t_ns, error[:, None] * unit, names=("best fit",), colours=(palette.ROOM,)
+            )
+        if (stated := scored.consistency) is None:
+            return
+        for entity, error, sigma, unit in (
+            (Entities.POSITION_ERROR, stated.position_error_m, stated.position_sigma_m, 1.0),
+            (Entities.ORIENTATION_ERROR, stated.orientation_error_rad, stated.orientation_sigma_rad, DEGREES),
+        ):
+            size, band = (np.linalg.norm(v, axis=1)[:, None] * unit for v in (error, 3.0 * sigma))
+            self._series(
+                f"{entity}/tied", stated.t_ns, size, names=("tied at first pose",), colours=(palette.ESTIMATE,)
+            )
+            self._series(f"{entity}/three_sigma", stated.t_ns, band, names=("3σ claimed",), colours=(palette.BAND,))
 
     def video(self, recording: Recording, settings: VideoSettings, progress: Progress) -> None:
         """Encode and log every frame of the main camera, a keyframe interval at a time."""
@@ -239,20 +253,18 @@ class FlightLog:
         quat_xyzw = quat_xyzw_from_wxyz(quat_wxyz_from_matrix(Ts[:, :3, :3]))
         self._columns(entity, t_ns, rr.Transform3D.columns(translation=Ts[:, :3, 3], quaternion=quat_xyzw))
 
-    def _series(
-        self, entity: str, t_ns: Times, values: Array, names: Sequence[str], colours: Sequence[str], width: float = 1.0
-    ) -> None:
+    def _series(self, entity: str, t_ns: Times, values: Array, *, names: Sequence[str], colours: Sequence[str]) -> None:
         """Log the columns of values (N, C) as the lines of a plot."""
-        style = rr.SeriesLines(names=list(names), colors=[palette.rgb(c) for c in colours], widths=[width] * len(names))
-        self._static(entity, style)
+        self._static(entity, rr.SeriesLines(names=list(names), colors=[palette.rgb(colour) for colour in colours]))
         self._columns(entity, t_ns, rr.Scalars.columns(scalars=values))
 
 
 @contextmanager
-def _recording_stream(path: Path, name: str, blueprint: object) -> Iterator[rr.RecordingStream]:
+def _recording_stream(path: Path, name: str, blueprint: rrb.Blueprint) -> Iterator[rr.RecordingStream]:
     """Open a rerun file; closing it writes the index that tools jump about with."""
     stream = rr.RecordingStream(APPLICATION)
-    stream.save(path, default_blueprint=blueprint)
+    stream.save(path)
+    stream.send_blueprint(blueprint)  # active, not only default: a viewer keeps the layout of the last flight otherwise
     stream.send_recording_name(name)
     try:
         yield stream
