@@ -142,9 +142,11 @@ def score_trajectory(
             pose [s]; None for 0.5 s and 0.01 s.
 
     Raises:
-        ConfigError: A choice that does not exist.
+        ConfigError: A choice that does not exist or makes no sense.
         EvaluationError: Truth and estimate have fewer than three instants in common, or cannot be aligned.
     """
+    if not 0.0 < rpe_delta_s < 1e6:
+        raise ConfigError(f"a relative error over {rpe_delta_s:g} s; expected a time above zero")
     true, estimated = associate(truth, estimate, association, max_gap_s)
     motion = align(true.p_world_imu, estimated.p_world_imu, alignment)
     aligned = motion.apply(estimated)
