@@ -1,7 +1,7 @@
 """Covariances of the navigation state: GTSAM's order and ours, and their way through time without a camera.
 
-Ours is that of `NavState`: δθ (right perturbation, IMU frame), δp and δv (world), δb_gyro, δb_accel. GTSAM's is the pose
-(δθ, then the position in the IMU frame), the velocity (world), the accelerometer's and then the gyroscope's bias.
+Ours is that of `NavState`: δθ (right perturbation, IMU frame), δp and δv (world), δb_gyro, δb_accel. GTSAM's is the
+pose (δθ, then the position in the IMU frame), the velocity (world), the accelerometer's and then the gyroscope's bias.
 """
 
 import numpy as np
@@ -29,7 +29,7 @@ def covariance_to_gtsam(P: Array, R_world_imu: Array) -> Array:
     return np.asarray(S @ P[np.ix_(_BIASES_SWAPPED, _BIASES_SWAPPED)] @ S.T)
 
 
-def propagate(P: Array, R_world_imu: Array, dR: Array, dp: Array, dv: Array, dt_s: float, imu: ImuModel) -> Array:
+def propagate(P: Array, R_world_imu: Array, *, dR: Array, dp: Array, dv: Array, dt_s: float, imu: ImuModel) -> Array:
     """Return the covariance (15, 15) after a stretch of dead reckoning.
 
     First order in the biases and exact in the rest for a stretch of some tenths of a second (Forster et al. 2017,

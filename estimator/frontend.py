@@ -27,13 +27,13 @@ class TrackerConfig:
     """Side of the grid's cells [px]; each holds at most one new corner: 187 cells at 752×480."""
     min_corner_score: float = 4e-4
     """Smallest eigenvalue of the gradient matrix that makes a corner (image scaled to 0…1)."""
-    window_px: int = 21
+    window_px: int = 11
     """Side of the patch that is followed [px]."""
     pyramid_levels: int = 3
     """Pyramid levels above the image: the prediction may be off by about window/2 · 2^levels pixels."""
     border_px: int = 12
     """Corners nearer to the image's border are dropped [px]."""
-    ransac_px: float = 1.0
+    ransac_px: float = 0.35
     """Largest distance from the epipolar line [px]."""
     seed: int = 0
     """Seed of the random draws."""
@@ -138,21 +138,22 @@ class FeatureTracker:
 
     def _new_corners(self, image: Image) -> Array:
         """Return (N, 2) the best corner of each empty cell [px]."""
-        c = self._config
+        side, border = self._config.cell_px, self._config.border_px
         score = cv2.cornerMinEigenVal(image, blockSize=5, ksize=3)
-        rows, columns = image.shape[0] // c.cell_px, image.shape[1] // c.cell_px
-        score[: c.border_px] = score[-c.border_px :] = 0.0
-        score[:, : c.border_px] = score[:, -c.border_px :] = 0.0
+        score[:border] = score[-border:] = 0.0
+        score[:, :border] = score[:, -border:] = 0.0
         for u, v in self._pixels.astype(int).tolist():
-            cv2.circle(score, (u, v), c.cell_px // 2, 0.0, -1)
-        # The grid is centred; a strip narrower than a cell is left at the borders.
-        top, left = (image.shape[0] - rows * c.cell_px) // 2, (image.shape[1] - columns * c.cell_px) // 2
-        cells = score[top : top + rows * c.cell_px, left : left + columns * c.cell_px]
-        cells = cells.reshape(rows, c.cell_px, columns, c.cell_px).transpose(0, 2, 1, 3).reshape(rows * columns, -1)
+            cv2.circle(score, (u, v), side // 2, 0.0, -1)
+        # The grid is centred; strips narrower than a cell are left at the image's borders.
+        rows, columns = image.shape[0] // side, image.shape[1] // side
+        top, left = (image.shape[0] - rows * side) // 2, (image.shape[1] - columns * side) // 2
+        cells = score[top : top + rows * side, left : left + columns * side]
+        cells = cells.reshape(rows, side, columns, side).transpose(0, 2, 1, 3).reshape(rows * columns, side * side)
         best = cells.argmax(axis=1)
-        good = np.take_along_axis(cells, best[:, None], axis=1)[:, 0] > c.min_corner_score
-        cell_row, cell_column = np.divmod(np.arange(rows * columns), columns)
-        v = top + cell_row * c.cell_px + best // c.cell_px
-        u = left + cell_column * c.cell_px + best % c.cell_px
-        # A cell's neighbour may hold a corner just across their border; KLT does not mind.
-        return np.stack([u, v], axis=1)[good].astype(np.float64)
+        strong = np.take_along_axis(cells, best[:, None], axis=1)[:, 0] > self._config.min_corner_score
+        occupied = np.zeros((rows, columns), dtype=np.bool_)
+        row, column = ((self._pixels[:, ::-1] - [top, left]) // side).astype(int).T
+        occupied[np.clip(row, 0, rows - 1), np.clip(column, 0, columns - 1)] = True
+        row, column = np.divmod(np.arange(rows * columns), columns)
+        corners = np.stack([left + column * side + best % side, top + row * side + best // side], axis=1)
+        return corners[strong & ~occupied.ravel()].astype(np.float64)

@@ -1,7 +1,7 @@
 """The inertial side: a buffer of IMU increments, and their preintegration between keyframes.
 
-Preintegration after Forster et al., "On-manifold preintegration for real-time visual-inertial odometry", T-RO 2017, with
-GTSAM's combined factor, which lets the biases walk.
+Preintegration after Forster et al., "On-manifold preintegration for real-time visual-inertial odometry", T-RO 2017,
+with GTSAM's combined factor, which lets the biases walk.
 """
 
 from dataclasses import dataclass

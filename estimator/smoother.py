@@ -1,9 +1,9 @@
 """The back end: a fixed-lag smoother over keyframes, with smart factors for the landmarks.
 
-Each keyframe has a pose, a velocity and biases. Consecutive ones are joined by the preintegrated IMU, and all that see a
-landmark by a smart factor, which eliminates the landmark itself (Carlone et al., "Eliminating conditionally independent
-sets in factor graphs", ICRA 2014). Keyframes older than the lag are marginalised into a prior. The solver is iSAM2
-(Kaess et al., IJRR 2012).
+Each keyframe has a pose, a velocity and biases. Consecutive ones are joined by the preintegrated IMU, and all that see
+a landmark by a smart factor, which eliminates the landmark itself (Carlone et al., "Eliminating conditionally
+independent sets in factor graphs", ICRA 2014). Keyframes older than the lag are marginalised into a prior. The
+solver is iSAM2 (Kaess et al., IJRR 2012).
 
 All image coordinates here are normalised (at depth 1 in the camera frame), so a pixel is 1/fx.
 """
@@ -37,7 +37,7 @@ class SmootherConfig:
     """Angle under which a landmark must have been seen [°]; below, its depth is not observable and iSAM2 fails."""
     max_distance_m: float = 60.0
     """Landmarks beyond are ignored [m]."""
-    max_reprojection_px: float = 4.0
+    max_reprojection_px: float = 6.0
     """A landmark that is seen further than this from where it should be is dropped [px]."""
     relinearise_threshold: float = 0.01
     """Change of a variable that makes iSAM2 linearise again."""
@@ -92,7 +92,16 @@ class KeyframeSmoother:
         self._smart.setRankTolerance(1e-3)
         self._smart.setLandmarkDistanceThreshold(config.max_distance_m)
         self._smart.setDynamicOutlierRejectionThreshold(config.max_reprojection_px / focal_px)
-        self._restart(start, None)
+        self._banned: set[int] = set()  # landmarks that were seen where they should not be
+        self._solver: gtsam.IncrementalFixedLagSmoother
+        self._tracks: dict[int, _Track]
+        self._condemned: list[int]  # slots of their factors, to be removed with the next update
+        self._k: int  # index of the newest keyframe since the last restart
+        self._nav: gtsam.NavState
+        self._bias: gtsam.imuBias.ConstantBias
+        self._covariance: Array  # (15, 15) of the newest keyframe, in the order of NavState
+        self._state: NavState
+        self._restart(start, rest_covariance(start.T_world_imu[:3, :3], config))
 
     @property
     def state(self) -> NavState:
@@ -147,9 +156,9 @@ class KeyframeSmoother:
         first_new = graph.size() - len(tracks)
         self._k = k
         try:
-            self._update(graph, values, {key(k): t_ns * 1e-9 for key in (X, V, B)}, removed)
+            self._solver.update(graph, values, {key(k): t_ns * 1e-9 for key in (X, V, B)}, removed)
         except RuntimeError as error:  # indeterminate linear system: too little parallax, or a wild outlier
-            self._restart(_nav_state(t_ns, predicted, self._bias), self._state.covariance)
+            self._restart(_nav_state(t_ns, predicted, self._bias), self._covariance)
             return (f"solver restored: {str(error).strip().splitlines()[0]}",)
         slots = self._solver.getISAM2Result().getNewFactorsIndices()
         for track, slot in zip(tracks, slots[first_new:], strict=True):
@@ -159,21 +168,20 @@ class KeyframeSmoother:
         self._reject(observations)
         return ()
 
-    def _restart(self, start: NavState, covariance: Array | None) -> None:
-        """Begin anew at a state, as sure of it as the covariance says, or as a start from rest is."""
+    def _restart(self, start: NavState, covariance: Array) -> None:
+        """Begin anew at a state, as sure of it as the covariance (15, 15) says."""
         c = self._config
         params = gtsam.ISAM2Params()
         params.setRelinearizeThreshold(c.relinearise_threshold)
         params.relinearizeSkip = 1
         params.findUnusedFactorSlots = True
         self._solver = gtsam.IncrementalFixedLagSmoother(c.lag_s, params)
-        self._tracks: dict[int, _Track] = {}
+        self._tracks = {}
+        self._condemned = []
         self._k = 0
         pose = gtsam.Pose3(start.T_world_imu)
         self._bias = gtsam.imuBias.ConstantBias(start.accel_bias_m_s2, start.gyro_bias_rad_s)
         self._nav = gtsam.NavState(pose, start.velocity_m_s)
-        if covariance is None:
-            covariance = rest_covariance(start.T_world_imu[:3, :3], c)
         graph, values = gtsam.NonlinearFactorGraph(), gtsam.Values()
         P = covariance_to_gtsam(covariance, start.T_world_imu[:3, :3])
         gaussian = gtsam.noiseModel.Gaussian.Covariance
@@ -183,13 +191,8 @@ class KeyframeSmoother:
         values.insert(X(0), pose)
         values.insert(V(0), start.velocity_m_s)
         values.insert(B(0), self._bias)
-        self._update(graph, values, {key(0): start.t_ns * 1e-9 for key in (X, V, B)}, [])
+        self._solver.update(graph, values, {key(0): start.t_ns * 1e-9 for key in (X, V, B)}, [])
         self._state = self._read_state(start.t_ns)
-
-    def _update(
-        self, graph: gtsam.NonlinearFactorGraph, values: gtsam.Values, stamps: dict[int, float], removed: list[int]
-    ) -> None:
-        self._solver.update(graph, values, stamps, removed)
 
     def _add_rest(self, graph: gtsam.NonlinearFactorGraph, previous: int, k: int) -> None:
         """Say that the drone stood still between two keyframes."""
@@ -209,6 +212,8 @@ class KeyframeSmoother:
         rays /= np.linalg.norm(rays, axis=1, keepdims=True)
         bearings = rays @ (R_world_imu @ self._T_imu_cam[:3, :3]).T
         for track_id, xy, bearing in zip(observations.ids.tolist(), observations.xy, bearings, strict=True):
+            if track_id in self._banned:
+                continue
             track = self._tracks.get(track_id)
             if track is None:
                 track = self._tracks[track_id] = _Track(first_bearing=bearing)
@@ -222,11 +227,12 @@ class KeyframeSmoother:
     ) -> tuple[list[_Track], list[int]]:
         """Add the smart factors of the tracks seen in this keyframe; return the tracks, and the slots they leave."""
         c = self._config
-        tracks, removed = [], []
+        tracks, removed = [], self._condemned
+        self._condemned = []
         min_parallax = np.radians(c.min_parallax_deg)
         for track_id in seen_ids.tolist():
-            track = self._tracks[track_id]
-            if len(track.keyframes) < c.min_views or track.parallax < min_parallax:
+            track = self._tracks.get(track_id)
+            if track is None or len(track.keyframes) < c.min_views or track.parallax < min_parallax:
                 continue
             if track.slot >= 0:
                 removed.append(track.slot)
@@ -267,7 +273,9 @@ class KeyframeSmoother:
         with np.errstate(divide="ignore", invalid="ignore"):
             error = np.linalg.norm(p[:, :2] / p[:, 2:] - observations.xy[j], axis=1)
         wrong = (p[:, 2] <= 0.0) | ~(error < self._config.max_reprojection_px / self._focal_px)
-        self.outliers = ids[i[wrong]]
+        for track_id in ids[i[wrong]].tolist():
+            self._condemned.append(self._tracks.pop(track_id).slot)
+            self._banned.add(track_id)
 
     def _read_state(self, t_ns: int) -> NavState:
         k = self._k
@@ -275,12 +283,9 @@ class KeyframeSmoother:
         velocity = self._solver.calculateEstimateVector(V(k))
         self._bias = self._solver.calculateEstimateConstantBias(B(k))
         self._nav = gtsam.NavState(pose, velocity)
-        return _nav_state(t_ns, self._nav, self._bias, self._covariance(k, pose.rotation().matrix()))
-
-    def _covariance(self, k: int, R_world_imu: Array) -> Array:
-        """Return the covariance (15, 15) of keyframe k in the order of `NavState`."""
         joint = self._solver.getISAM2().jointMarginalCovariance([X(k), V(k), B(k)])
-        return covariance_from_gtsam(joint.fullMatrix(), R_world_imu)
+        self._covariance = covariance_from_gtsam(joint.fullMatrix(), pose.rotation().matrix())
+        return _nav_state(t_ns, self._nav, self._bias, self._covariance)
 
 
 def _nav_state(

@@ -22,16 +22,22 @@ def start_from_rest(t_ns: int, rest: Sequence[Increments]) -> NavState:
         rest: IMU increments of the rest, at least one.
     """
     dt_s = np.concatenate([r.dt_s for r in rest])[:, None]
-    gyro = np.concatenate([r.gyro_rad_s for r in rest])
     accel = np.concatenate([r.accel_m_s2 for r in rest])
     up_imu = (accel * dt_s).sum(axis=0)
     return NavState(
         t_ns,
         pose_matrix(level_rotation(up_imu), np.zeros(3)),
         np.zeros(3),
-        (gyro * dt_s).sum(axis=0) / dt_s.sum(),
+        mean_gyro(rest),
         np.zeros(3),
     )
+
+
+def mean_gyro(rest: Sequence[Increments]) -> Array:
+    """Return the mean angular velocity (3,) over increments [rad/s]: at rest, the gyroscope's bias."""
+    dt_s = np.concatenate([r.dt_s for r in rest])
+    gyro = np.concatenate([r.gyro_rad_s for r in rest])
+    return np.asarray(dt_s @ gyro / dt_s.sum())
 
 
 def level_rotation(up_imu: Array) -> Array:

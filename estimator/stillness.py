@@ -18,7 +18,7 @@ class StillnessConfig:
 
     max_flow_px: float = 0.6
     """Largest median displacement of the features since the rest began [px]."""
-    min_features: int = 15
+    min_features: int = 10
     """Features that both ends of the rest must share: a dark image does not prove rest."""
     max_gyro_rad_s: float = 0.2
     """Largest mean turn rate between frames [rad/s], bias included."""

@@ -1,9 +1,9 @@
 """Visual-inertial odometry: one camera and an IMU in, where the IMU is out.
 
 The pipeline of a keyframe-based fixed-lag smoother (Leutenegger et al., IJRR 2015; Qin et al., T-RO 2018): corners are
-followed from frame to frame, the IMU is preintegrated between keyframes, and every keyframe adds a state to a window that
-GTSAM optimises. Between keyframes the newest state is carried forward by the IMU. What is returned for a frame is never
-revised.
+followed from frame to frame, the IMU is preintegrated between keyframes, and every keyframe adds a state to a window
+that GTSAM optimises. Between keyframes the newest state is carried forward by the IMU. What is returned for a frame is
+never revised.
 """
 
 from dataclasses import dataclass, field
@@ -16,7 +16,7 @@ from dronevio.estimator.covariance import propagate
 from dronevio.estimator.frontend import FeatureTracker, FrontEnd, Observations, TrackerConfig
 from dronevio.estimator.inertial import ImuBuffer, Increments, InertialConfig, integrate, preintegration_params
 from dronevio.estimator.smoother import KeyframeSmoother, SmootherConfig
-from dronevio.estimator.start import start_from_rest
+from dronevio.estimator.start import mean_gyro, start_from_rest
 from dronevio.estimator.stillness import StillnessConfig, StillnessDetector
 from dronevio.models.imu import ImuSamples
 from dronevio.models.rig import Rig
@@ -110,6 +110,8 @@ class VisualInertialOdometry:
         """Wait until the drone has stood still for a while, and start the smoother at the beginning of that rest."""
         still_for_s = self._stillness.still_for_s
         self._rest = [*self._rest, increments] if still_for_s > 0.0 else []
+        if self._rest:
+            self._gyro_bias = mean_gyro(self._rest)  # predicts the features until the smoother knows better
         if len(observations) < MIN_FEATURES_AT_START:
             self._front_end.replenish()
         if still_for_s < self._config.rest_s:
@@ -154,11 +156,11 @@ class VisualInertialOdometry:
             covariance = propagate(
                 covariance,
                 start.T_world_imu[:3, :3],
-                pim.deltaRij().matrix(),
-                pim.deltaPij(),
-                pim.deltaVij(),
-                pim.deltaTij(),
-                self._rig.imu,
+                dR=pim.deltaRij().matrix(),
+                dp=pim.deltaPij(),
+                dv=pim.deltaVij(),
+                dt_s=pim.deltaTij(),
+                imu=self._rig.imu,
             )
         return NavState(
             t_ns, now.pose().matrix(), now.velocity(), start.gyro_bias_rad_s, start.accel_bias_m_s2, covariance

@@ -6,6 +6,7 @@ import sys
 EXPERIMENTS: dict[str, str] = {
     "imu": "dead reckoning on a loop as a factor graph (section 7.4.1)",
     "sfm": "five photographs of a villa, bundle-adjusted (section 7.4.2)",
+    "eqvio": "a real flight, by our smoother and by GTSAM's equivariant filter",
 }
 """The experiments, each a module of this package with a ``main(arguments) -> int``, and what they do."""
 
