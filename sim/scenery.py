@@ -1,0 +1,124 @@
+"""From painted faces to what MuJoCo draws: one mesh a page, each face on its own part of the page's texture.
+
+``type="2d"`` textures smear over the sides of MuJoCo's boxes, and its lights know no soft shadow. A mesh with texture
+coordinates shows exactly what was painted, and few meshes are drawn faster than many boxes.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import cv2
+import mujoco
+import numpy as np
+import numpy.typing as npt
+
+from dronevio.sim.lightmap import Field, apply_light
+from dronevio.sim.solids import Face
+from dronevio.sim.textures import PIXELS_PER_M, Image
+
+Array = npt.NDArray[np.float64]
+
+_PAGE_WIDTH_PX = 4224
+_PAGE_HEIGHT_PX = 4096  # every OpenGL since 2010 takes 8192
+_GUTTER_PX = 8  # repeats each face's border, so that coarse mipmap levels do not mix neighbours
+_SMALLEST_PX = 6
+
+
+@dataclass(frozen=True, eq=False)
+class Page:
+    """A texture and the mesh that wears it."""
+
+    texture: Image
+    """(H, W, 3) RGB."""
+    vertices: Array
+    """(4 F, 3) Corners of the faces [m]."""
+    texture_coordinates: Array
+    """(4 F, 2) Where the corners lie on the texture, (0, 0) at its first row and column."""
+    normals: Array
+    """(4 F, 3) Unit normals."""
+
+    @property
+    def triangles(self) -> npt.NDArray[np.int32]:
+        """(2 F, 3) Corners of the triangles, anticlockwise as one looks at them."""
+        quads = np.arange(len(self.vertices), dtype=np.int32).reshape(-1, 4)
+        return np.concatenate([quads[:, [0, 2, 1]], quads[:, [0, 3, 2]]])
+
+
+def paint_pages(faces: Sequence[Face], light: Sequence[Field], rng: np.random.Generator) -> list[Page]:
+    """Paint the faces, light them, and lay them out on pages.
+
+    Args:
+        faces: What is seen.
+        light: Each face's brightness map.
+        rng: Draws the patterns.
+    """
+    sizes = [tuple(max(round(v * PIXELS_PER_M), _SMALLEST_PX) for v in face.size_m) for face in faces]
+    images = [
+        apply_light(face.paint(rng, height, width), brightness)
+        for face, (height, width), brightness in zip(faces, sizes, light, strict=True)
+    ]
+    pages = []
+    for slots, height in _shelves(sizes):
+        texture = np.zeros((height, _PAGE_WIDTH_PX, 3), np.uint8)
+        vertices, coordinates, normals = [], [], []
+        for index, row, column in slots:
+            face, image = faces[index], images[index]
+            padded = cv2.copyMakeBorder(image, *(_GUTTER_PX,) * 4, cv2.BORDER_REPLICATE)
+            texture[row : row + padded.shape[0], column : column + padded.shape[1]] = padded
+            corners = np.array([[0.0, 0.0], [1.0, 0.0], [1.0, 1.0], [0.0, 1.0]])  # right, down
+            vertices.append(face.corner + corners @ np.stack([face.right, face.down]))
+            origin, extent = np.array([column, row]) + _GUTTER_PX, np.array(image.shape[1::-1])
+            coordinates.append((origin + corners * extent) / [_PAGE_WIDTH_PX, height])
+            normals.append(np.broadcast_to(face.normal, (4, 3)))
+        pages.append(Page(texture, *(np.concatenate(parts) for parts in (vertices, coordinates, normals))))
+    return pages
+
+
+def _shelves(sizes: Sequence[tuple[int, ...]]) -> list[tuple[list[tuple[int, int, int]], int]]:
+    """Pack images of (height, width) in rows, tallest first.
+
+    Returns:
+        For each page its slots (index, row, column), gutter included, and its height.
+    """
+    pages: list[tuple[list[tuple[int, int, int]], int]] = []
+    slots: list[tuple[int, int, int]] = []
+    top = column = shelf = 0
+    for index in sorted(range(len(sizes)), key=lambda i: (-sizes[i][0], -sizes[i][1])):
+        height, width = (v + 2 * _GUTTER_PX for v in sizes[index])
+        if column + width > _PAGE_WIDTH_PX:
+            top, column, shelf = top + shelf, 0, 0
+        if top + height > _PAGE_HEIGHT_PX:
+            pages.append((slots, top))
+            slots, top, column, shelf = [], 0, 0, 0
+        slots.append((index, top, column))
+        column, shelf = column + width, max(shelf, height)
+    return [*pages, (slots, top + shelf)]
+
+
+def add_pages(spec: mujoco.MjSpec, pages: Sequence[Page]) -> None:
+    """Add the pages to a model as static geoms that are seen but not touched."""
+    for number, page in enumerate(pages):
+        name = f"scenery_{number}"
+        texture = spec.add_texture(name=name, type=mujoco.mjtTexture.mjTEXTURE_2D)
+        texture.height, texture.width, texture.nchannel = page.texture.shape
+        texture.data = page.texture.tobytes()
+        # The light is in the texture: let it glow at exactly its own brightness, and let the lamps that light a drone
+        # add nothing to it.
+        material = spec.add_material(name=name, rgba=[_DARK, _DARK, _DARK, 1.0], emission=1.0 / _DARK, specular=0.0)
+        material.textures[mujoco.mjtTextureRole.mjTEXROLE_RGB] = name
+        mesh = spec.add_mesh(name=name, inertia=mujoco.mjtMeshInertia.mjMESH_INERTIA_SHELL)
+        mesh.uservert = page.vertices.ravel()
+        mesh.usernormal = page.normals.ravel()
+        mesh.usertexcoord = page.texture_coordinates.ravel()
+        mesh.userface = mesh.userfacenormal = mesh.userfacetexcoord = page.triangles.ravel()
+        spec.worldbody.add_geom(
+            name=name,
+            type=mujoco.mjtGeom.mjGEOM_MESH,
+            meshname=name,
+            material=name,
+            contype=0,
+            conaffinity=0,
+        )
+
+
+_DARK = 1.0 / 256.0  # how much of the lamps' light the scenery reflects
