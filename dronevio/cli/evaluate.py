@@ -22,7 +22,7 @@ class EvaluateCommand:
     truth is interpolated at the estimate's time stamps, never extrapolated. Where the truth is a folder with images,
     the coverage tells how many frames have a pose.
 
-    examples:
+    For example:
       dronevio evaluate runs/room/groundtruth.tum runs/room/estimate.tum
       dronevio evaluate V1_02_medium estimate.tum --alignment se3
       dronevio evaluate truth.csv estimate.tum --json

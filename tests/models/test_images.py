@@ -1,0 +1,64 @@
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from dronevio.models.errors import InputError
+from dronevio.models.recordings.images import read_grey
+
+IMAGE = np.random.default_rng(0).integers(0, 256, (24, 32), dtype=np.uint8)
+PNG = cv2.imencode(".png", IMAGE)[1].tobytes()
+JPEG = cv2.imencode(".jpg", IMAGE)[1].tobytes()
+
+
+@pytest.fixture(scope="module")
+def scratch(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return tmp_path_factory.mktemp("images") / "image.png"
+
+
+def test_reads_the_pixels(scratch: Path) -> None:
+    scratch.write_bytes(PNG)
+    image = read_grey(scratch, 32, 24)
+    assert image.dtype == np.uint8
+    np.testing.assert_array_equal(image, IMAGE)
+    scratch.write_bytes(JPEG)
+    assert read_grey(scratch, 32, 24).shape == (24, 32)
+
+
+def test_turns_colour_into_grey(scratch: Path) -> None:
+    scratch.write_bytes(cv2.imencode(".png", cv2.cvtColor(IMAGE, cv2.COLOR_GRAY2BGR))[1].tobytes())
+    np.testing.assert_array_equal(read_grey(scratch, 32, 24), IMAGE)
+
+
+@pytest.mark.parametrize("content", [PNG, JPEG], ids=["png", "jpeg"])
+def test_refuses_a_file_that_is_cut_anywhere(scratch: Path, content: bytes, capfd: pytest.CaptureFixture[str]) -> None:
+    for end in [*range(0, len(content), 7), len(content) - 1]:
+        scratch.write_bytes(content[:end])
+        with pytest.raises(InputError, match="expected an image of 32 × 24 px"):
+            read_grey(scratch, 32, 24)
+    assert capfd.readouterr() == ("", "")  # no decoder wrote to the terminal
+
+
+@settings(max_examples=300, deadline=None)
+@given(st.integers(0, len(PNG) - 1), st.integers(1, 255))
+def test_refuses_a_png_with_a_wrong_byte(scratch: Path, where: int, change: int) -> None:
+    content = bytearray(PNG)
+    content[where] ^= change
+    scratch.write_bytes(content)
+    with pytest.raises(InputError):
+        read_grey(scratch, 32, 24)
+
+
+def test_refuses_what_is_no_such_image(scratch: Path, tmp_path: Path) -> None:
+    scratch.write_bytes(PNG)
+    with pytest.raises(InputError, match="an image of 32 × 24 px; expected an image of 24 × 32 px"):
+        read_grey(scratch, 24, 32)
+    scratch.write_text("no image")
+    with pytest.raises(InputError, match="no image that can be decoded"):
+        read_grey(scratch, 32, 24)
+    for path in (tmp_path, tmp_path / "missing.png"):
+        with pytest.raises(InputError):
+            read_grey(path, 32, 24)

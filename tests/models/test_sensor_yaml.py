@@ -1,0 +1,132 @@
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from dronevio.models.errors import InputError
+from dronevio.models.recordings.sensor_yaml import SensorYaml, Value, pose_yaml, read_sensor_yaml, shown
+from dronevio.models.rig import EUROC_T_IMU_CAM0
+
+CAMERA = """\
+%YAML:1.0
+# General sensor definitions.
+sensor_type: camera
+comment: VI-Sensor cam0 (MT9M034)
+
+# Sensor extrinsics wrt. the body-frame.
+T_BS:
+  cols: 4
+  rows: 4
+  data: [0.0148655429818, -0.999880929698, 0.00414029679422, -0.0216401454975,
+         0.999557249008, 0.0149672133247, 0.025715529948, -0.064676986768,  # the middle row
+        -0.0257744366974, 0.00375618835797, 0.999660727178, 0.00981073058949,
+         0.0, 0.0, 0.0, 1.0]
+
+rate_hz: 20
+resolution: [752, 480]
+intrinsics: [458.654, 457.296, 367.215, 248.375] #fu, fv, cu, cv
+"""
+
+
+@pytest.fixture(scope="module")
+def scratch(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return tmp_path_factory.mktemp("yaml") / "sensor.yaml"
+
+
+def read(path: Path, text: str) -> SensorYaml:
+    path.write_text(text)
+    return read_sensor_yaml(path)
+
+
+@pytest.mark.parametrize("text", [CAMERA, CAMERA.replace("\n", "\r\n")])
+def test_reads_the_file_of_the_data_set(scratch: Path, text: str) -> None:
+    yaml = read(scratch, text)
+    assert yaml.word("comment") == "VI-Sensor cam0 (MT9M034)"
+    assert yaml.number("rate_hz") == 20.0
+    assert yaml.numbers("resolution", 2) == (752.0, 480.0)
+    assert yaml.numbers("intrinsics", 4) == (458.654, 457.296, 367.215, 248.375)
+    np.testing.assert_array_equal(yaml.pose("T_BS"), EUROC_T_IMU_CAM0)
+    assert yaml.lines["rate_hz"] == 15
+
+
+words = st.one_of(st.from_regex(r"[A-Za-z][A-Za-z ()0-9-]{0,12}", fullmatch=True), st.text(max_size=12))
+scalars = st.one_of(st.floats(allow_nan=False, allow_infinity=False), words)
+values = st.one_of(scalars, st.lists(st.floats(allow_nan=False, allow_infinity=False), max_size=5).map(tuple))
+
+
+@settings(max_examples=300, deadline=None)
+@given(st.dictionaries(st.from_regex(r"[a-z_]{1,8}", fullmatch=True), values, max_size=5))
+def test_what_is_written_comes_back(scratch: Path, content: dict[str, Value]) -> None:
+    yaml = read(scratch, "".join(f"{key}: {shown(value)}\n" for key, value in content.items()))
+    assert yaml.values == content
+
+
+@settings(max_examples=100, deadline=None)
+@given(st.tuples(*[st.floats(-10, 10)] * 3), st.floats(-3, 3))
+def test_poses_come_back_to_the_bit(scratch: Path, p: tuple[float, float, float], angle: float) -> None:
+    T = np.eye(4)
+    T[:2, :2] = [[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]]
+    T[:3, 3] = p
+    np.testing.assert_array_equal(read(scratch, pose_yaml("T_BS", T)).pose("T_BS"), T)
+
+
+@pytest.mark.parametrize(
+    ("text", "line", "found"),
+    [
+        ("a: 1\nb 2\n", 2, "b 2"),
+        ("a: 1\na: 2\n", 2, "second time"),
+        ("a: [1, 2\n", 1, "list without its end"),
+        ("a: [1, [2, 3]]\n", 1, ""),
+        ("a: [1, 2] 3\n", 1, ""),
+        ("a: .nan\n", 1, ".nan"),
+        ("a: 1e999\n", 1, "1e999"),
+        ("a: 'x'\n", 1, "'x'"),
+        ('a: "x\n', 1, ""),
+        ("- a\n", 1, "- a"),
+        ("a: &x 1\n", 1, "&x"),
+        ("a: !!python/object:os.system x\n", 1, "!!python"),
+        ("a: |\n  text\n", 1, "|"),
+        ("  a: 1\n", 1, "outside a map"),
+        ("a:\n\tb: 1\n", 2, "a tab"),
+        ("a: 1\n%YAML:1.0\n", 2, "%YAML"),
+    ],
+)
+def test_refuses_what_it_does_not_know(scratch: Path, text: str, line: int, found: str) -> None:
+    with pytest.raises(InputError) as caught:
+        read(scratch, text)
+    assert caught.value.line == line and found in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "field"),
+    [
+        ("rate_hz: 20", "rate_hz: twenty", "rate_hz"),
+        ("rate_hz: 20", "rate_hz: 0", "rate_hz"),
+        ("rate_hz: 20", "", "rate_hz"),
+        ("[752, 480]", "[752]", "resolution"),
+        ("[752, 480]", "[752, high]", "resolution"),
+        ("0.0, 0.0, 0.0, 1.0]", "0.0, 0.0, 1.0]", "T_BS.data"),
+        ("0.0, 0.0, 0.0, 1.0]", "0.0, 0.0, 0.0, 2.0]", "T_BS.data"),
+        ("0.999660727178", "-0.999660727178", "T_BS.data"),
+        ("0.999557249008", "0.9", "T_BS.data"),
+    ],
+)
+def test_names_the_field(scratch: Path, old: str, new: str, field: str) -> None:
+    yaml = read(scratch, CAMERA.replace(old, new))
+    with pytest.raises(InputError, match=field):
+        _ = yaml.positive("rate_hz"), yaml.numbers("resolution", 2), yaml.pose("T_BS")
+
+
+@settings(max_examples=1000, deadline=None)
+@given(st.integers(0, len(CAMERA)), st.integers(0, 30), st.text("ab:[],# \n\t-%\"'0.1", max_size=5))
+def test_broken_text_is_refused_or_read(scratch: Path, start: int, length: int, inserted: str) -> None:
+    try:
+        yaml = read(scratch, CAMERA[:start] + inserted + CAMERA[start + length :])
+    except InputError as error:
+        assert str(error).startswith(str(scratch)) and "\n" not in str(error)
+    else:
+        for value in yaml.values.values():
+            json.dumps(value, allow_nan=False)
