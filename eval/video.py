@@ -42,8 +42,8 @@ def encode_av1(images: Iterable[Image], rate_hz: float, settings: VideoSettings 
     """Encode grey (H, W) images of one size; yields one sample a frame, in order, some frames behind the input.
 
     The stream has no frames that refer to later ones (``pred-struct=1``), so that each sample is one frame, known by
-    its place. ``rtc=1`` makes the fast presets search motion better: they are meant for video calls. The encoder runs in
-    threads of its own, beside whoever decodes the images.
+    its place. ``rtc=1`` makes the fast presets search motion better: they are made for video calls. The encoder runs
+    in threads of its own, beside whoever decodes the images.
     """
     settings = settings or VideoSettings()
     encoder: av.VideoCodecContext | None = None
