@@ -189,9 +189,7 @@ def _draw_band(ax: Axes, t_ns: npt.NDArray[np.int64], error: Array, sigma: Array
     seconds = t_ns * 1e-9
     band = 3.0 * np.linalg.norm(sigma, axis=1)
     ax.fill_between(seconds, 0.0, band, color=palette.BAND, alpha=0.25, linewidth=0.0, label="3σ, as claimed")
-    ax.plot(
-        seconds, np.linalg.norm(error, axis=1), color=palette.CLAIMED, linewidth=1.1, label="tied at the first pose"
-    )
+    ax.plot(seconds, np.linalg.norm(error, axis=1), color=INK, linewidth=0.9, label="tied at the first pose")
 
 
 def _label_times(ax: Axes, title: str, unit: str) -> None:
