@@ -10,6 +10,7 @@ import importlib
 import json
 import os
 import platform
+import signal
 import subprocess
 import sys
 from collections.abc import Mapping
@@ -47,6 +48,8 @@ class Backend:
     """``egl``, ``osmesa``, ``glfw`` or ``cgl``; empty where there is none."""
     problem: str = ""
     """Why there is none."""
+    advice: str = ""
+    """What to do about it."""
 
 
 @dataclass(frozen=True)
@@ -63,13 +66,8 @@ class GlReport:
     """Who made the driver."""
     problem: str = ""
     """Why it does not work."""
-
-    @property
-    def advice(self) -> str:
-        """What to do about it, in a few words."""
-        if platform.system() == "Linux":
-            return f"type: {INSTALL_COMMAND}"
-        return "unset MUJOCO_GL, or install the graphics driver"
+    advice: str = ""
+    """What to do about it."""
 
 
 def pick_backend(environment: Mapping[str, str], system: str) -> Backend:
@@ -85,17 +83,22 @@ def pick_backend(environment: Mapping[str, str], system: str) -> Backend:
     wish = environment.get("MUJOCO_GL", "").strip().lower()
     choices = _CHOICES.get(system, ("glfw",))
     if wish in _OFF:
-        return Backend("", f"MUJOCO_GL={wish} turns drawing off")
+        return Backend("", f"MUJOCO_GL={wish} turns drawing off", "type: unset MUJOCO_GL")
     if wish and wish not in choices:
-        return Backend("", f"MUJOCO_GL={wish} is unknown; expected {', '.join(choices)} or nothing")
+        return Backend("", f"MUJOCO_GL={wish} is not one of {', '.join(choices)}", "type: unset MUJOCO_GL")
     if wish and not _loads(wish):
-        return Backend("", f"MUJOCO_GL={wish}, but its library is not installed")
+        return Backend("", f"MUJOCO_GL={wish}, but its library is not installed", "type: unset MUJOCO_GL")
     if wish or system != "Linux":
         return Backend(wish or choices[0])
     for name in _LIBRARIES:
         if _loads(name):
             return Backend(name)
-    return Backend("", "neither EGL nor OSMesa is installed")
+    return Backend("", "neither EGL nor OSMesa is installed", _advice(system))
+
+
+def _advice(system: str) -> str:
+    """Return what to do where drawing fails."""
+    return f"type: {INSTALL_COMMAND}" if system == "Linux" else "install the graphics driver"
 
 
 def _loads(backend: str) -> bool:
@@ -130,13 +133,12 @@ def create_context(width: int, height: int) -> Context:
     """
     backend = choose_backend()
     if backend.problem:
-        raise GraphicsError(_failure(GlReport(False, "", problem=backend.problem)))
+        raise GraphicsError(_failure(_refused(backend)))
     try:
         context: Context = importlib.import_module(f"mujoco.{backend.name}").GLContext(width, height)
         context.make_current()
     except Exception as error:  # drivers and PyOpenGL raise anything from ImportError to AttributeError
-        problem = f"{type(error).__name__}: {error}"
-        raise GraphicsError(_failure(GlReport(False, backend.name, problem=problem))) from error
+        raise GraphicsError(_failure(_broken(backend, f"{type(error).__name__}: {error}"))) from error
     return context
 
 
@@ -167,8 +169,8 @@ def draw_one_frame() -> None:
     drawing.free()
     context.free()
     works = bool(image[size // 2, size // 2].min() > 200 and image[0, 0].max() < 50)
-    problem = "" if works else "the frame came out wrong"
-    print(json.dumps(asdict(GlReport(works, backend.name, renderer, vendor, problem))))  # noqa: T201
+    report = GlReport(True, backend.name, renderer, vendor) if works else _broken(backend, "the frame came out wrong")
+    print(json.dumps(asdict(report)))  # noqa: T201
 
 
 def _driver_names() -> tuple[str, str]:
@@ -184,7 +186,7 @@ def probe_gl() -> GlReport:
     """Draw one frame in a process of its own, so that a driver that crashes is survived, and say what came of it."""
     backend = choose_backend()
     if backend.problem:
-        return GlReport(False, "", problem=backend.problem)
+        return _refused(backend)
     try:
         ran = subprocess.run(
             [sys.executable, "-c", _PROBE],
@@ -195,14 +197,23 @@ def probe_gl() -> GlReport:
             env={**os.environ, "LP_NUM_THREADS": "1"},
         )
     except subprocess.TimeoutExpired:
-        return GlReport(False, backend.name, problem=f"no frame after {_PROBE_TIMEOUT_S:.0f} s")
+        return _broken(backend, f"no frame after {_PROBE_TIMEOUT_S:.0f} s")
     lines = ran.stdout.strip().splitlines()
     if ran.returncode == 0 and lines:
         return GlReport(**json.loads(lines[-1]))
     if ran.returncode < 0:
-        return GlReport(False, backend.name, problem=f"the driver crashed (signal {-ran.returncode})")
-    said = (ran.stderr.strip().splitlines() or ["it said nothing"])[-1]
-    return GlReport(False, backend.name, problem=said)
+        return _broken(backend, f"the driver crashed with {signal.Signals(-ran.returncode).name}")
+    return _broken(backend, (ran.stderr.strip().splitlines() or ["it said nothing"])[-1])
+
+
+def _refused(backend: Backend) -> GlReport:
+    """Return the report where no backend can be had."""
+    return GlReport(False, "", problem=backend.problem, advice=backend.advice)
+
+
+def _broken(backend: Backend, problem: str) -> GlReport:
+    """Return the report where a backend does not draw."""
+    return GlReport(False, backend.name, problem=problem, advice=_advice(platform.system()))
 
 
 def require_gl() -> GlReport:

@@ -1,0 +1,88 @@
+"""``dronevio fly``: from a scenario to a recording."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from dronevio.cli.terminal import parse, print_json, print_table, progress_bars
+
+if TYPE_CHECKING:
+    from dronevio.sim.flight import Flight
+
+
+@dataclass(frozen=True)
+class FlyCommand:
+    """Fly a scenario in simulation and record what its camera and IMU sensed, and the truth.
+
+    The recording is a folder of EuRoC's (ASL) layout: mav0/cam0 with the frames, mav0/imu0, the calibration, and the
+    true motion in mav0/state_groundtruth_estimate0. The same scenario and seed give the same bytes.
+
+    Examples:
+      dronevio fly
+      dronevio fly --scenario hover --seed 3 --out recordings/hover-3
+      dronevio fly && dronevio estimate recordings/room-0
+    """
+
+    scenario: str = "room"
+    """What to fly; `dronevio scenarios` lists them."""
+    seed: int = 0
+    """Draws the room, the way through it and the sensors' noise."""
+    out: Path | None = None
+    """Folder to make; recordings/SCENARIO-SEED by default."""
+    overwrite: bool = False
+    """Replace an earlier recording, once the new one is complete."""
+    json: bool = False
+    """Print one JSON document instead of a table."""
+
+
+def main(arguments: Sequence[str]) -> int:
+    """Run the command."""
+    command = parse(FlyCommand, arguments, "fly")
+
+    from dronevio.cli.folders import atomic_folder, size_mb
+    from dronevio.flying import record_flight
+    from dronevio.sim.gl import require_gl
+    from dronevio.sim.scenario import scenario
+
+    chosen = scenario(command.scenario, command.seed)
+    target = command.out or Path("recordings") / f"{chosen.name}-{chosen.seed}"
+    require_gl()
+    with atomic_folder(target, command.overwrite) as folder, progress_bars(quiet=command.json) as bars:
+        flight = record_flight(chosen, folder, bars.bar("simulating"), bars.bar("rendering"))
+    figures = flight_figures(flight)
+    if command.json:
+        print_json({"recording": str(target), "scenario": chosen.name, "seed": chosen.seed, **figures})
+        return 0
+    print_table(
+        f"Flight {chosen.name}, seed {chosen.seed}: {chosen.description}",
+        ("", "value", "unit"),
+        (
+            ("duration", f"{figures['duration_s']:.1f}", "s"),
+            ("path", f"{figures['path_m']:.1f}", "m"),
+            ("peak speed", f"{figures['peak_speed_m_s']:.2f}", "m/s"),
+            ("peak turn rate", f"{figures['peak_rate_deg_s']:.0f}", "°/s"),
+            ("frames", f"{figures['frames']:.0f}", ""),
+            ("IMU samples", f"{figures['imu_samples']:.0f}", ""),
+            ("size", f"{size_mb(target):.0f}", "MB"),
+        ),
+    )
+    print(f"wrote {target}")
+    print(f"estimate it:  dronevio estimate {target}")
+    return 0
+
+
+def flight_figures(flight: "Flight") -> dict[str, float]:
+    """Return a flight's length, speed and rates, by name and unit."""
+    import numpy as np
+
+    truth = flight.truth
+    assert truth.velocity_m_s is not None
+    return {
+        "duration_s": flight.scenario.duration_s,
+        "path_m": truth.length_m,
+        "peak_speed_m_s": float(np.linalg.norm(truth.velocity_m_s, axis=1).max()),
+        "peak_rate_deg_s": float(np.rad2deg(np.linalg.norm(flight.perfect_imu.gyro_rad_s, axis=1).max())),
+        "frames": len(flight.frame_times_ns),
+        "imu_samples": len(flight.imu),
+    }
