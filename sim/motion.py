@@ -1,0 +1,101 @@
+"""The true motion of the vehicle, and what a perfect IMU bolted to it reads.
+
+MuJoCo's Euler integrator is semi-implicit, that is leapfrog: the velocity that it shows beside a pose belongs half a
+step before it. Here every pose is moved back by that half step, so that positions, velocities and forces speak of the
+same instant to second order in the step; dead reckoning of the samples then follows the truth. All functions work on
+whole flights at once.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from dronevio.models.imu import GRAVITY_M_S2, ImuSamples, Times
+from dronevio.models.rotation import exp_so3, log_so3, matrix_from_quat_wxyz, quat_wxyz_from_matrix
+from dronevio.models.state import Trajectory
+
+Array = npt.NDArray[np.float64]
+
+_GRAVITY = np.array([0.0, 0.0, -GRAVITY_M_S2])
+
+
+@dataclass(frozen=True, eq=False)
+class Motion:
+    """The physics' state at the IMU's time stamps, and half-way between them.
+
+    Linear parts are in the world, angular velocities in the vehicle frame, as in MuJoCo's free joint.
+    """
+
+    t_ns: Times
+    """(N,) Time stamps [ns]."""
+    step_s: float
+    """The physics' time step [s]."""
+    pose: Array
+    """(N, 7) Position of the centre of mass [m], then orientation quat_wxyz of the vehicle."""
+    twist: Array
+    """(N, 6) Velocity [m/s], then angular velocity [rad/s]."""
+    pose_between: Array
+    """(N + 1, 7) The poses half an IMU interval before each time stamp, and after the last."""
+    twist_between: Array
+    """(N + 1, 6) The twists at those times."""
+
+    def trajectory(self, T_vehicle_sensor: Array) -> Trajectory:
+        """Return the path of a frame fixed to the vehicle, with its velocity in the world."""
+        R = _rotations(self.pose, self.twist, self.step_s)
+        lever = T_vehicle_sensor[:3, 3]
+        p = self.pose[:, :3] - 0.5 * self.step_s * self.twist[:, :3] + R @ lever
+        v = _velocity_of(lever, self.twist, R)
+        return Trajectory(self.t_ns, p, quat_wxyz_from_matrix(R @ T_vehicle_sensor[:3, :3]), velocity_m_s=v)
+
+    def angular_velocity_rad_s(self, T_vehicle_sensor: Array) -> Array:
+        """Return (N, 3) angular velocities in the frame of a sensor [rad/s]."""
+        return np.asarray(self.twist[:, 3:] @ T_vehicle_sensor[:3, :3])
+
+    def points(self, T_vehicle_imu: Array, interval_s: float) -> ImuSamples:
+        """Return what a perfect IMU reads at each time stamp.
+
+        The gyroscope reads the rate at the stamp. The accelerometer reads the mean over one interval centred on it, as
+        the filter in a real one does: the rotors' force jumps and a landing shock are over between two stamps, and an
+        instant's value would alias them into a velocity error that never heals. Averaging neighbours (the textbook
+        midpoint rule) then neither lags nor drifts.
+
+        Args:
+            T_vehicle_imu: (4, 4) Where the IMU is mounted.
+            interval_s: Time between the stamps [s].
+        """
+        lever = T_vehicle_imu[:3, 3]
+        between = _velocity_of(
+            lever, self.twist_between, _rotations(self.pose_between, self.twist_between, self.step_s)
+        )
+        R_imu = _rotations(self.pose, self.twist, self.step_s) @ T_vehicle_imu[:3, :3]
+        force = _rotate_back(R_imu, np.diff(between, axis=0) / interval_s - _GRAVITY)
+        return ImuSamples(self.t_ns, self.angular_velocity_rad_s(T_vehicle_imu), force, "point")
+
+    def increments(self, T_vehicle_imu: Array) -> ImuSamples:
+        """Return what a perfect integrating IMU reads over the N − 1 intervals between the time stamps.
+
+        Exact by construction: R₁ = R₀ exp(gyro · dt) and v₁ = v₀ + R₀ accel · dt + g dt to rounding.
+        """
+        R = _rotations(self.pose, self.twist, self.step_s)
+        v = _velocity_of(T_vehicle_imu[:3, 3], self.twist, R)
+        R_imu = R @ T_vehicle_imu[:3, :3]
+        dt_s = np.diff(self.t_ns)[:, None] * 1e-9
+        turn = log_so3(np.swapaxes(R_imu[:-1], 1, 2) @ R_imu[1:])
+        force = _rotate_back(R_imu[:-1], np.diff(v, axis=0) / dt_s - _GRAVITY)
+        return ImuSamples(self.t_ns[1:], turn / dt_s, force, "increment")
+
+
+def _rotations(pose: Array, twist: Array, step_s: float) -> Array:
+    """Return (N, 3, 3) orientations of the vehicle at the instants of the velocities."""
+    return np.asarray(matrix_from_quat_wxyz(pose[:, 3:]) @ exp_so3(-0.5 * step_s * twist[:, 3:]))
+
+
+def _velocity_of(lever: Array, twist: Array, R: Array) -> Array:
+    """Return (N, 3) world velocities of a point fixed to the vehicle."""
+    return np.asarray(twist[:, :3] + (R @ np.cross(twist[:, 3:], lever)[..., None])[..., 0])
+
+
+def _rotate_back(R: Array, v: Array) -> Array:
+    """Return (N, 3) Rᵀ v."""
+    return np.asarray(np.einsum("nji,nj->ni", R, v))
