@@ -19,6 +19,7 @@ from dronevio.models.recordings.euroc_calibration import calibration_files, coun
 from dronevio.models.recordings.files import read_text, write_text
 from dronevio.models.recordings.images import read_grey
 from dronevio.models.recordings.timed_table import (
+    TIME_LIMIT_NS,
     TableFormat,
     check_increasing,
     check_unit_quaternions,
@@ -258,6 +259,6 @@ def _image_rows(path: Path, text: str) -> Iterator[tuple[int, int, str]]:
         # A list must not make anyone read files outside its own folder.
         if name in (".", "..") or any(character in name for character in "/\\\0"):
             raise InputError(path, f"file name {name[:60]!r}", "the name of a file in the folder data", line)
-        if abs(t_ns) >= 2**63:
-            raise InputError(path, f"time stamp {stamp[:40]}", "nanoseconds that fit into 64 bits", line)
+        if abs(t_ns) >= TIME_LIMIT_NS:
+            raise InputError(path, f"time stamp {stamp[:40]}", "whole nanoseconds, below 2⁶² ns", line)
         yield line, t_ns, name

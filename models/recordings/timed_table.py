@@ -20,6 +20,9 @@ from dronevio.models.recordings.files import read_text
 
 Array = npt.NDArray[np.float64]
 
+TIME_LIMIT_NS = 2**62
+"""Time stamps stay below it, 146 years, so that differences of two fit into 64 bits [ns]."""
+
 _INTEGER = re.compile(r"[+-]?\d+", re.ASCII)
 _NUMBER = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?", re.ASCII)
 _SECONDS = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d{1,2})?", re.ASCII)
@@ -148,6 +151,8 @@ def _parse(rows: list[str], form: TableFormat) -> tuple[Times, Array]:
     if min(map(len, parts)) < 2 or not all(part[1].strip() for part in parts):
         raise ValueError("a row of one column")
     t_ns = np.array([form.parse_time(part[0].strip()) for part in parts], dtype=np.int64)
+    if t_ns.min() <= -TIME_LIMIT_NS or t_ns.max() >= TIME_LIMIT_NS:
+        raise OverflowError("a time stamp beyond the limit")
     values = np.loadtxt([part[1] for part in parts], delimiter=form.delimiter, comments=None, ndmin=2)
     if values.shape[1] + 1 not in form.columns:
         raise ValueError("a wrong number of columns")
@@ -174,10 +179,10 @@ def _raise_first_fault(path: Path, numbered: list[tuple[int, str]], form: TableF
             raise InputError(path, what, form.row if columns is None else f"{columns} columns, as above", line)
         columns = len(fields)
         try:
-            if abs(form.parse_time(fields[0])) >= 2**63:
+            if abs(form.parse_time(fields[0])) >= TIME_LIMIT_NS:
                 raise ValueError
         except ValueError:
-            raise InputError(path, f"time stamp {_shown(fields[0])}", form.time_unit, line) from None
+            raise InputError(path, f"time stamp {_shown(fields[0])}", f"{form.time_unit}, below 2⁶² ns", line) from None
         for field in fields[1:]:
             if not _NUMBER.fullmatch(field):
                 raise InputError(path, _shown(field), "a finite number", line)

@@ -18,7 +18,7 @@ def scratch(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @st.composite
 def trajectories(draw: st.DrawFn) -> Trajectory:
-    t_ns = np.array(sorted(draw(st.sets(st.integers(-(2**62), 2**62), min_size=1, max_size=8))), dtype=np.int64)
+    t_ns = np.array(sorted(draw(st.sets(st.integers(1 - 2**62, 2**62 - 1), min_size=1, max_size=8))), dtype=np.int64)
     n = len(t_ns)
     p = draw(hnp.arrays(np.float64, (n, 3), elements=st.floats(allow_nan=False, allow_infinity=False)))
     q = draw(hnp.arrays(np.float64, (n, 4), elements=st.floats(-1, 1)))
