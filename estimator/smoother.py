@@ -45,16 +45,6 @@ class SmootherConfig:
     """How surely the velocity is zero at rest [m/s]."""
     still_pose_sigma: float = 0.001
     """How surely the pose stays at rest, from one keyframe to the next [rad and m]."""
-    prior_tilt_sigma_rad: float = 0.1
-    """Uncertainty of roll and pitch at the start [rad]; the accelerometer's bias hides in it."""
-    prior_gauge_sigma: float = 1e-4
-    """Uncertainty of yaw and position at the start [rad and m]: by definition zero, but for the solver's comfort."""
-    prior_velocity_sigma: float = 0.05
-    """Uncertainty of the velocity at the start [m/s]."""
-    prior_gyro_bias_sigma: float = 0.005
-    """Uncertainty of the gyroscope's bias at the start, after averaging at rest [rad/s]."""
-    prior_accel_bias_sigma: float = 0.1
-    """Uncertainty of the accelerometer's bias at the start [m/s²]."""
 
 
 @dataclass
@@ -72,14 +62,24 @@ class _Track:
 class KeyframeSmoother:
     """Estimates the states of the last few seconds' keyframes."""
 
-    def __init__(self, T_imu_cam: Array, focal_px: float, config: SmootherConfig, start: NavState) -> None:
+    def __init__(
+        self,
+        T_imu_cam: Array,
+        focal_px: float,
+        config: SmootherConfig,
+        start: NavState,
+        covariance: Array,
+        observations: Observations,
+    ) -> None:
         """Begin with one keyframe.
 
         Args:
             T_imu_cam: (4, 4) Pose of the camera in the IMU frame.
             focal_px: Focal length, which turns pixels into normalised coordinates.
             config: Settings.
-            start: The first state; its pose is the origin of yaw and position.
+            start: The first state.
+            covariance: (15, 15) How sure it is, in the order of `NavState`.
+            observations: The features seen from it.
         """
         self._config = config
         self._T_imu_cam = T_imu_cam
@@ -101,7 +101,8 @@ class KeyframeSmoother:
         self._bias: gtsam.imuBias.ConstantBias
         self._covariance: Array  # (15, 15) of the newest keyframe, in the order of NavState
         self._state: NavState
-        self._restart(start, rest_covariance(start.T_world_imu[:3, :3], config))
+        self._restart(start, covariance)
+        self._observe(0, start.T_world_imu[:3, :3], observations)
 
     @property
     def state(self) -> NavState:
@@ -292,15 +293,3 @@ def _nav_state(
     t_ns: int, nav: gtsam.NavState, bias: gtsam.imuBias.ConstantBias, covariance: Array | None = None
 ) -> NavState:
     return NavState(t_ns, nav.pose().matrix(), nav.velocity(), bias.gyroscope(), bias.accelerometer(), covariance)
-
-
-def rest_covariance(R_world_imu: Array, config: SmootherConfig) -> Array:
-    """Return the covariance (15, 15), in the order of `NavState`, of a start from rest."""
-    c = config
-    tilt, gauge = c.prior_tilt_sigma_rad**2, c.prior_gauge_sigma**2
-    P = np.zeros((15, 15))
-    P[:3, :3] = R_world_imu.T @ np.diag([tilt, tilt, gauge]) @ R_world_imu
-    P[3:, 3:] = np.diag(
-        np.repeat([gauge, c.prior_velocity_sigma**2, c.prior_gyro_bias_sigma**2, c.prior_accel_bias_sigma**2], 3)
-    )
-    return P

@@ -1,6 +1,7 @@
-"""The start from rest: gravity gives roll and pitch, the gyroscope's mean its bias."""
+"""The start from rest: gravity gives roll and pitch, the gyroscope's mean its bias. And how sure a start is."""
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
@@ -10,6 +11,33 @@ from dronevio.models.rotation import pose_matrix
 from dronevio.models.state import NavState
 
 Array = npt.NDArray[np.float64]
+
+
+GAUGE_SIGMA = 1e-4
+"""Uncertainty of yaw and position at the start [rad and m]: zero by definition, but for the solver's comfort."""
+
+
+@dataclass(frozen=True)
+class StartSigmas:
+    """How sure a start is of its state: standard deviations."""
+
+    tilt_rad: float = 0.1
+    """Roll and pitch [rad]; at rest, the accelerometer's bias hides in them."""
+    velocity_m_s: float = 0.05
+    """Velocity [m/s]."""
+    gyro_bias_rad_s: float = 0.005
+    """Gyroscope bias [rad/s]."""
+    accel_bias_m_s2: float = 0.1
+    """Accelerometer bias [m/s²]."""
+
+    def covariance(self, R_world_imu: Array) -> Array:
+        """Return the covariance (15, 15), in the order of `NavState`, for an orientation (3, 3)."""
+        tilt, gauge = self.tilt_rad**2, GAUGE_SIGMA**2
+        P = np.zeros((15, 15))
+        P[:3, :3] = R_world_imu.T @ np.diag([tilt, tilt, gauge]) @ R_world_imu
+        variances = [gauge, self.velocity_m_s**2, self.gyro_bias_rad_s**2, self.accel_bias_m_s2**2]
+        P[3:, 3:] = np.diag(np.repeat(variances, 3))
+        return P
 
 
 def start_from_rest(t_ns: int, rest: Sequence[Increments]) -> NavState:

@@ -16,7 +16,8 @@ from dronevio.estimator.covariance import propagate
 from dronevio.estimator.frontend import FeatureTracker, FrontEnd, Observations, TrackerConfig
 from dronevio.estimator.inertial import ImuBuffer, Increments, InertialConfig, integrate, preintegration_params
 from dronevio.estimator.smoother import KeyframeSmoother, SmootherConfig
-from dronevio.estimator.start import mean_gyro, start_from_rest
+from dronevio.estimator.start import StartSigmas, mean_gyro, start_from_rest
+from dronevio.estimator.start_in_motion import MotionStartConfig, Sighting, start_in_motion
 from dronevio.estimator.stillness import StillnessConfig, StillnessDetector
 from dronevio.models.imu import ImuSamples
 from dronevio.models.rig import Rig
@@ -24,8 +25,8 @@ from dronevio.models.state import CameraFrame, Estimate, FeatureTracks, Health, 
 
 Array = npt.NDArray[np.float64]
 
-MIN_FEATURES_AT_START = 60  # with fewer, new ones are looked for while waiting for a rest
-HALF_TICK_S = 0.001  # time stamps jitter; an interval of 0.2 s may come as 0.1999 s
+MIN_FEATURES_AT_START = 100  # with fewer, new ones are looked for while waiting for a rest
+HALF_TICK_S, HALF_TICK_NS = 0.001, 1_000_000  # time stamps jitter; an interval of 0.2 s may come as 0.1999 s
 
 
 @dataclass(frozen=True)
@@ -50,7 +51,15 @@ class VioConfig:
     smoother: SmootherConfig = field(default_factory=SmootherConfig)
     keyframe: KeyframeConfig = field(default_factory=KeyframeConfig)
     rest_s: float = 0.8
-    """How long the drone must stand still before the start [s]."""
+    """How long the drone must stand still for a start from rest [s]."""
+    rest_sigmas: StartSigmas = field(default_factory=StartSigmas)
+    """How sure a start from rest is."""
+    motion: MotionStartConfig = field(default_factory=MotionStartConfig)
+    """When a start in motion is tried and believed."""
+    motion_sigmas: StartSigmas = field(
+        default_factory=lambda: StartSigmas(tilt_rad=0.05, velocity_m_s=0.3, gyro_bias_rad_s=0.02, accel_bias_m_s2=0.1)
+    )
+    """How sure a start in motion is."""
     min_tracks: int = 8
     """With fewer features, the estimate is called inertial-only."""
 
@@ -82,7 +91,8 @@ class VisualInertialOdometry:
         self._buffer = ImuBuffer()
         self._stillness = StillnessDetector(self._config.stillness)
         self._params = preintegration_params(rig.imu, self._config.inertial)
-        self._rest: list[Increments] = []  # the IMU since the drone stands still, before the start
+        self._window: list[Sighting] = []  # what was sensed lately, before the start
+        self._last_try_ns = 0
         self._gyro_bias = np.zeros(3)
         self._smoother: KeyframeSmoother | None = None
 
@@ -107,24 +117,52 @@ class VisualInertialOdometry:
         return self._estimate(self._smoother.state, observations, ("keyframe", *events), self._smoother.landmarks()[1])
 
     def _start(self, t_ns: int, observations: Observations, increments: Increments) -> Estimate:
-        """Wait until the drone has stood still for a while, and start the smoother at the beginning of that rest."""
-        still_for_s = self._stillness.still_for_s
-        self._rest = [*self._rest, increments] if still_for_s > 0.0 else []
-        if self._rest:
-            self._gyro_bias = mean_gyro(self._rest)  # predicts the features until the smoother knows better
+        """Wait until the drone stands still for a while, or moves so that its velocity can be told."""
+        c = self._config
+        self._window.append(Sighting(t_ns, increments, observations))
+        while t_ns - self._window[0].t_ns > max(c.rest_s, c.motion.window_s) * 1e9 + HALF_TICK_NS:
+            self._window.pop(0)
         if len(observations) < MIN_FEATURES_AT_START:
             self._front_end.replenish()
-        if still_for_s < self._config.rest_s:
-            return Estimate(t_ns, Health.INITIALISING, None, _feature_tracks(observations))
-        start = start_from_rest(t_ns - round(still_for_s * 1e9), self._rest)
+        still_for_s = self._stillness.still_for_s
+        if still_for_s > 0.0:
+            rest = self._since(t_ns, still_for_s)
+            self._gyro_bias = mean_gyro([s.increments for s in rest[1:]])  # predicts the features meanwhile
+            if still_for_s >= c.rest_s:
+                start = start_from_rest(rest[0].t_ns, [s.increments for s in rest[1:]])
+                return self._launch(start, c.rest_sigmas, rest, c.keyframe.still_interval_s)
+        elif t_ns - self._last_try_ns >= c.motion.every_s * 1e9:
+            window = self._since(t_ns, c.motion.window_s)
+            if t_ns - window[0].t_ns >= c.motion.window_s * 1e9 - HALF_TICK_NS:
+                self._last_try_ns = t_ns
+                found = start_in_motion(window, self._T_imu_cam, self._rig.cameras[0].model.fx, c.motion)
+                if found is not None:
+                    return self._launch(found, c.motion_sigmas, window, c.keyframe.interval_s)
+        return Estimate(t_ns, Health.INITIALISING, None, _feature_tracks(observations))
+
+    def _since(self, t_ns: int, span_s: float) -> list[Sighting]:
+        """Return the sightings of the last ``span_s`` seconds."""
+        return [s for s in self._window if t_ns - s.t_ns <= span_s * 1e9 + HALF_TICK_NS]
+
+    def _launch(
+        self, start: NavState, sigmas: StartSigmas, sightings: list[Sighting], keyframe_interval_s: float
+    ) -> Estimate:
+        """Start the smoother at the first of some sightings, and catch up with the last of them."""
+        covariance = sigmas.covariance(start.T_world_imu[:3, :3])
         camera = self._rig.cameras[0]
-        self._smoother = KeyframeSmoother(camera.T_imu_cam, camera.model.fx, self._config.smoother, start)
-        self._begin_interval(observations)
-        for rest in self._rest:
-            integrate(self._preintegrated, rest)
-        self._smoother.add_keyframe(t_ns, self._preintegrated, observations, still=True)
-        self._begin_interval(observations)
-        return self._estimate(self._smoother.state, observations, ("initialised",))
+        first, *later = sightings
+        self._smoother = KeyframeSmoother(
+            camera.T_imu_cam, camera.model.fx, self._config.smoother, start, covariance, first.observations
+        )
+        self._begin_interval(first.observations)
+        still = self._stillness.still_for_s > 0.0
+        for sighting in later:
+            integrate(self._preintegrated, sighting.increments)
+            if sighting is later[-1] or self._preintegrated.deltaTij() >= keyframe_interval_s - HALF_TICK_S:
+                self._smoother.add_keyframe(sighting.t_ns, self._preintegrated, sighting.observations, still)
+                self._begin_interval(sighting.observations)
+        self._window.clear()
+        return self._estimate(self._smoother.state, later[-1].observations, ("initialised",))
 
     def _begin_interval(self, observations: Observations) -> None:
         """Start preintegration at the newest keyframe, with its biases."""
