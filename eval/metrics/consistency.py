@@ -72,14 +72,15 @@ def consistency(truth: Trajectory, estimate: Trajectory) -> Consistency:
     position = truth.p_world_imu - anchor.positions(estimate.p_world_imu)
     orientation = log_so3(np.swapaxes(estimate.rotations, -1, -2) @ R.T @ truth.rotations)
     P_position, P_orientation = R @ covariance[:, 3:6, 3:6] @ R.T, covariance[:, :3, :3]
+    position_nees, orientation_nees = nees(position, P_position), nees(orientation, P_orientation)
     return Consistency(
         estimate.t_ns,
         position,
         _sigma(P_position),
-        nees(position, P_position),
+        position_nees,
         orientation,
         _sigma(P_orientation),
-        nees(orientation, P_orientation),
+        orientation_nees,
     )
 
 

@@ -1,0 +1,85 @@
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy.stats import chi2
+
+from dronevio.eval.metrics import anchor_first, consistency, nees
+from dronevio.eval.metrics.alignment import Alignment, yaw_matrix
+from dronevio.models.errors import EvaluationError
+from dronevio.models.rotation import exp_so3, quat_wxyz_from_matrix
+from dronevio.models.state import Trajectory
+
+
+def flight(n: int, seed: int, claimed: float = 1.0) -> tuple[Trajectory, Trajectory]:
+    """A truth, and an estimate whose errors are drawn from a covariance; it claims a multiple of that covariance."""
+    rng = np.random.default_rng(seed)
+    t_ns = 50_000_000 * np.arange(n)
+    p, R = np.cumsum(rng.normal(size=(n, 3)), axis=0), exp_so3(rng.normal(size=(n, 3)))
+    L = 1e-3 * rng.normal(size=(n, 15, 15))
+    error = (L @ rng.normal(size=(n, 15, 1)))[..., 0]
+    error[0] = 0.0  # the gauge is fixed there
+    truth = Trajectory(t_ns, p, quat_wxyz_from_matrix(R))
+    R_estimate = R @ np.swapaxes(exp_so3(error[:, :3]), -1, -2)  # truth = estimate · exp(δθ)
+    covariance = claimed * L @ np.swapaxes(L, -1, -2)
+    return truth, Trajectory(t_ns, p - error[:, 3:6], quat_wxyz_from_matrix(R_estimate), covariance=covariance)
+
+
+def test_an_honest_estimator_has_a_mean_of_three() -> None:
+    result = consistency(*flight(20_001, 0))
+    spread = 5 * np.sqrt(6 / 20_000)  # five standard errors of the mean of a χ² with 3 degrees of freedom
+    for values in (result.position_nees, result.orientation_nees):
+        assert len(values) == 20_000
+        assert abs(values.mean() - 3.0) < spread
+        assert np.mean(values > chi2.ppf(0.95, 3)) == pytest.approx(0.05, abs=0.01)
+    assert result.position_exceedance == pytest.approx(0.0027, abs=0.001)
+
+
+@pytest.mark.parametrize("claimed", [0.1, 10.0])
+def test_a_boaster_shows_and_so_does_a_coward(claimed: float) -> None:
+    result = consistency(*flight(20_001, 1, claimed))
+    assert result.position_nees.mean() == pytest.approx(3.0 / claimed, rel=0.1)
+    assert result.orientation_nees.mean() == pytest.approx(3.0 / claimed, rel=0.1)
+
+
+@settings(max_examples=30, deadline=None)
+@given(st.integers(0, 2**32 - 1), st.floats(-3.1, 3.1), st.tuples(*[st.floats(-50, 50)] * 3))
+def test_does_not_depend_on_the_gauge(seed: int, yaw: float, t: tuple[float, float, float]) -> None:
+    truth, estimate = flight(20, seed)
+    plain = consistency(truth, estimate)
+    moved = consistency(truth, Alignment(yaw_matrix(yaw), np.array(t)).apply(estimate))
+    np.testing.assert_allclose(moved.position_nees, plain.position_nees, rtol=1e-4)
+    np.testing.assert_allclose(moved.orientation_nees, plain.orientation_nees, rtol=1e-4)
+    np.testing.assert_allclose(moved.position_sigma_m, plain.position_sigma_m, rtol=1e-6)
+    np.testing.assert_allclose(moved.position_error_m, plain.position_error_m, atol=1e-8)
+
+
+def test_the_anchor_meets_the_first_pose_and_keeps_the_vertical() -> None:
+    truth, estimate = flight(5, 3)
+    tilted = Trajectory(
+        estimate.t_ns, estimate.p_world_imu, quat_wxyz_from_matrix(exp_so3(np.array([0.1, 0, 0])) @ truth.rotations)
+    )
+    anchor = anchor_first(truth, Alignment(yaw_matrix(2.0), np.array([1.0, 2.0, 3.0])).apply(tilted))
+    np.testing.assert_allclose(anchor.R_truth_estimate, yaw_matrix(-2.0), atol=1e-9)
+    np.testing.assert_allclose(
+        anchor.positions(yaw_matrix(2.0) @ estimate.p_world_imu[0] + [1, 2, 3]), truth.p_world_imu[0], atol=1e-9
+    )
+
+
+def test_nees_by_hand() -> None:
+    np.testing.assert_allclose(nees(np.array([[3.0, 4.0]]), np.diag([9.0, 4.0])[None]), [5.0])
+
+
+def test_refuses_what_is_no_covariance() -> None:
+    truth, estimate = flight(5, 0)
+    with pytest.raises(EvaluationError, match="without covariances"):
+        consistency(truth, truth)
+    with pytest.raises(EvaluationError, match="of one pose"):
+        consistency(truth[:1], estimate[:1])
+    assert estimate.covariance is not None
+    for wrong, message in ((-estimate.covariance, "positive definite"), (0 * estimate.covariance, "positive definite")):
+        broken = Trajectory(estimate.t_ns, estimate.p_world_imu, estimate.quat_wxyz, covariance=wrong)
+        with pytest.raises(EvaluationError, match=message):
+            consistency(truth, broken)
+    with pytest.raises(EvaluationError, match="not finite"):
+        nees(np.array([[np.nan]]), np.ones((1, 1, 1)))
