@@ -48,9 +48,10 @@ class Bars:
 
     def bar(self, description: str) -> Progress:
         """Return a listener that draws a bar of its own."""
-        task = self._bars.add_task(description, total=None)
+        task = self._bars.add_task(description, total=None, start=False)
 
         def advance(done: int, total: int) -> None:
+            self._bars.start_task(task)  # its clock runs from the first call on
             self._bars.update(task, completed=done, total=total)
 
         return advance

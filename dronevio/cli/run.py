@@ -1,0 +1,143 @@
+"""``dronevio run``: the whole mission, from physics to the report."""
+
+import json
+import shutil
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from dronevio.cli.terminal import Bars, parse, print_json, print_table, progress_bars
+
+if TYPE_CHECKING:
+    from dronevio.eval.metrics.scores import ScoredTrajectory
+    from dronevio.eval.runs import EstimatorRun
+    from dronevio.sim.scenario import Scenario
+
+
+@dataclass(frozen=True)
+class RunCommand:
+    """Fly a scenario in simulation, estimate the motion from camera and IMU, score it, and report.
+
+    Makes a folder with report.html, report.json, groundtruth.tum, estimate.tum, imu.csv, trajectory.png, run.rrd (open
+    it with `dronevio view`) and configuration.json. The same scenario and seed give the same flight and estimate.
+
+    Examples:
+      dronevio run
+      dronevio run --seed 3 --out runs/third
+      dronevio run --scenario hover --keep-recording
+      dronevio run --json > result.json
+    """
+
+    scenario: str = "room"
+    """What to fly; `dronevio scenarios` lists them."""
+    seed: int = 0
+    """Draws the room, the way through it and the sensors' noise."""
+    out: Path | None = None
+    """Folder to make; runs/SCENARIO-SEED by default, with a number behind it where that is taken."""
+    overwrite: bool = False
+    """Replace an earlier run, once the new one is complete."""
+    keep_recording: bool = False
+    """Keep the frames too, as an EuRoC folder named recording."""
+    json: bool = False
+    """Print one JSON document instead of a table."""
+
+
+def main(arguments: Sequence[str]) -> int:
+    """Run the command."""
+    command = parse(RunCommand, arguments, "run")
+
+    from dronevio.cli.folders import atomic_folder
+    from dronevio.sim.gl import require_gl
+    from dronevio.sim.scenario import scenario
+
+    chosen = scenario(command.scenario, command.seed)
+    target = command.out or _free_name(Path("runs") / f"{chosen.name}-{chosen.seed}")
+    require_gl()
+    with (
+        atomic_folder(target, command.overwrite, mark="report.json") as folder,
+        progress_bars(quiet=command.json) as bars,
+    ):
+        run, scored = _carry_out(chosen, folder, target, bars)
+        if not command.keep_recording:
+            shutil.rmtree(folder / "recording")
+    if command.json:
+        print_json({"run": str(target), **json.loads((target / "report.json").read_text(encoding="utf-8"))})
+        return 0
+    _print_scores(chosen, run, scored)
+    print(f"report:  {target}/report.html")
+    print(f"look:    dronevio view {target}")
+    return 0
+
+
+def _carry_out(scenario: "Scenario", folder: Path, target: Path, bars: Bars) -> "tuple[EstimatorRun, ScoredTrajectory]":
+    """Fly, estimate, score and log a scenario; everything that is left of it lies in ``folder``."""
+    from dronevio import __version__
+    from dronevio.estimation import estimate_recording, require_poses
+    from dronevio.estimator.vio import VioConfig, VisualInertialOdometry
+    from dronevio.eval.metrics.scores import score_trajectory
+    from dronevio.eval.provenance import RunInfo
+    from dronevio.eval.report import write_report
+    from dronevio.eval.rerun_log import write_rrd
+    from dronevio.flying import record_flight
+    from dronevio.models.configuration import to_plain
+    from dronevio.models.recordings.euroc import EurocRecording
+    from dronevio.models.recordings.tum import write_tum
+    from dronevio.sim.world import build_world
+
+    listeners = {name: bars.bar(name) for name in ("simulating", "rendering", "estimating", "logging")}
+    record_flight(scenario, folder / "recording", listeners["simulating"], listeners["rendering"])
+    recording = EurocRecording.open(folder / "recording")
+    config = VioConfig()
+    run = estimate_recording(recording, VisualInertialOdometry(recording.rig, config), listeners["estimating"])
+    trajectory = require_poses(run, recording)
+    truth = recording.ground_truth
+    assert truth is not None
+    scored = score_trajectory(truth, trajectory, recording.frame_times_ns)
+
+    write_tum(folder / "groundtruth.tum", truth)
+    write_tum(folder / "estimate.tum", trajectory)
+    shutil.copyfile(folder / "recording" / "mav0" / "imu0" / "data.csv", folder / "imu.csv")
+    configuration = {"dronevio": __version__, "scenario": to_plain(scenario), "estimator": to_plain(config)}
+    (folder / "configuration.json").write_text(json.dumps(configuration, indent=2) + "\n", encoding="utf-8")
+    outline = build_world(scenario.world, scenario.seed).outline
+    info = RunInfo(
+        title=f"{scenario.name}: {scenario.description}",
+        command=f"dronevio run --scenario {scenario.name} --seed {scenario.seed}",
+        open_command=f"dronevio view {target}",
+        seed=scenario.seed,
+        configuration=configuration,
+    )
+    write_rrd(folder / "run.rrd", recording, run, scored, outline=outline, progress=listeners["logging"])
+    write_report(folder, info, recording, run, scored, outline=outline)
+    return run, scored
+
+
+def _free_name(wanted: Path) -> Path:
+    """Return a path that is not there yet: the wanted one, or the first free one with a number behind it."""
+    candidate, number = wanted, 2
+    while candidate.exists():
+        candidate, number = wanted.with_name(f"{wanted.name}-{number}"), number + 1
+    return candidate
+
+
+def _print_scores(scenario: "Scenario", run: "EstimatorRun", scored: "ScoredTrajectory") -> None:
+    import numpy as np
+
+    s = scored.scores
+    shown: list[tuple[str, float | None, str, str]] = [
+        ("path", s.path_m, ".1f", "m"),
+        ("ATE, yaw and position aligned", s.ate_m.rmse, ".3f", "m"),
+        ("RPE over 1 s, translation", s.rpe_m.rmse if s.rpe_m else None, ".3f", "m"),
+        ("RPE over 1 s, rotation", s.rpe_deg.rmse if s.rpe_deg else None, ".2f", "°"),
+        ("scale error", s.scale_error_percent, "+.2f", "%"),
+        ("coverage", s.coverage_percent, ".1f", "%"),
+        ("processor time a frame, mean", float(run.cpu_ms.mean()), ".1f", "ms"),
+        ("processor time a frame, 99th percentile", float(np.percentile(run.cpu_ms, 99)), ".1f", "ms"),
+        ("faster than real time", run.real_time_factor, ".1f", "×"),
+    ]
+    print_table(
+        f"Run {scenario.name}, seed {scenario.seed}",
+        ("", "value", "unit"),
+        [(label, "–" if value is None else format(value, form), unit) for label, value, form, unit in shown],
+    )
