@@ -5,6 +5,7 @@ something to look at. Nothing touches matplotlib's global state but the style, a
 """
 
 import io
+import re
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -96,7 +97,7 @@ def as_svg(fig: Figure) -> str:
     with mpl.rc_context(_STYLE):
         fig.savefig(buffer, format="svg", transparent=True, metadata={"Date": None})
     text = buffer.getvalue()
-    return text[text.index("<svg") :]
+    return re.sub(r"<metadata>.*?</metadata>", "", text[text.index("<svg") :], flags=re.DOTALL)
 
 
 def save_png(fig: Figure, path: Path, dpi: int = 160) -> None:

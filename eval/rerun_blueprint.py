@@ -117,13 +117,15 @@ def look_at_all(points: Array, azimuth_deg: float = 40.0, elevation_deg: float =
     right = np.array([np.sin(azimuth), -np.cos(azimuth), 0.0])
     up = np.cross(back, right)
     target = 0.5 * (points.min(axis=0) + points.max(axis=0))
-    relative = points - target
     tangent = np.tan(0.5 * VIEWER_FIELD_OF_VIEW_RAD) * np.array([VIEW_ASPECT, 1.0])
+    axes = np.stack([right, up])
+
+    def nearest_m(across: Array, depth: Array) -> float:
+        return max(1.0, MARGIN * float(np.max(np.abs(across) / tangent + depth[:, None])))
+
     for _ in range(10):  # what is near looks larger: move the picture's middle to the middle, look again
-        relative = points - target
-        across, depth = relative @ np.stack([right, up], axis=1), relative @ back
-        distance_m = max(1.0, MARGIN * float(np.max(np.abs(across) / tangent + depth[:, None])))
+        across, depth = (points - target) @ axes.T, (points - target) @ back
+        distance_m = nearest_m(across, depth)
         seen = across / (distance_m - depth[:, None])
-        middle = 0.5 * (seen.min(axis=0) + seen.max(axis=0)) * distance_m
-        target = target + middle @ np.stack([right, up])
-    return target + distance_m * back, target
+        target = target + 0.5 * (seen.min(axis=0) + seen.max(axis=0)) * distance_m @ axes
+    return target + nearest_m((points - target) @ axes.T, (points - target) @ back) * back, target

@@ -1,4 +1,4 @@
-"""A flight made of formulas: a smooth path through a room, textured images, tracks of landmarks, a drifting estimate."""
+"""A flight made of formulas: a smooth path in a room, textured images, tracks of landmarks, a drifting estimate."""
 
 from dataclasses import dataclass, replace
 
@@ -58,7 +58,9 @@ def make_flight(duration_s: float = 6.0, size: tuple[int, int] = (376, 240), see
     truth = _truth(np.arange(0, int(duration_s * 200) + 1) * 5_000_000, rng)
     frame_times_ns = truth.t_ns[::10]
     texture = cv2.resize(rng.integers(0, 256, (60, 100), dtype=np.uint8), (width * 3, height * 3), interpolation=2)
-    imu = ImuSamples(truth.t_ns, rng.normal(0.0, 0.5, (len(truth), 3)), rng.normal(0, 1, (len(truth), 3)) + [9.81, 0, 0])
+    imu = ImuSamples(
+        truth.t_ns, rng.normal(0.0, 0.5, (len(truth), 3)), rng.normal(0, 1, (len(truth), 3)) + [9.81, 0, 0]
+    )
     recording = SyntheticRecording("synthetic", rig, imu, frame_times_ns, truth, texture)
     estimates = _estimates(truth[::10], rig, rng)
     cpu_ms = rng.uniform(5.0, 15.0, len(estimates))
@@ -70,7 +72,10 @@ def _truth(t_ns: npt.NDArray[np.int64], rng: np.random.Generator) -> Trajectory:
     t = t_ns * 1e-9
     ramp = np.clip((t - 0.5) / 2.0, 0.0, 1.0) ** 2
     phase = 0.9 * t
-    p = np.stack([2.0 * np.sin(phase), 1.5 * np.sin(2.0 * phase), 1.0 + 0.5 * np.sin(0.7 * phase)], axis=1) * ramp[:, None]
+    p = (
+        np.stack([2.0 * np.sin(phase), 1.5 * np.sin(2.0 * phase), 1.0 + 0.5 * np.sin(0.7 * phase)], axis=1)
+        * ramp[:, None]
+    )
     velocity = np.gradient(p, t, axis=0)
     yaw = 0.5 * np.sin(0.6 * t)
     R_world_level = exp_so3(np.stack([0 * yaw, 0 * yaw, yaw], axis=1))

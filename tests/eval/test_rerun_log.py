@@ -1,0 +1,235 @@
+import subprocess
+import sys
+from dataclasses import replace
+from importlib.util import find_spec
+from pathlib import Path
+
+import av
+import numpy as np
+import pyarrow as pa
+import pytest
+from rerun.chunk import RrdReader
+
+from dronevio.eval.metrics import score_trajectory
+from dronevio.eval.rerun_blueprint import VIEW_ASPECT, VIEWER_FIELD_OF_VIEW_RAD, Entities, look_at_all
+from dronevio.eval.rerun_log import write_rrd
+from dronevio.eval.runs import EstimatorRun, tracks_of
+from dronevio.models.errors import EvaluationError, InputError
+
+RERUN = str(Path(find_spec("rerun_cli").origin).with_name("rerun"))
+FRAMES = 121
+
+
+def read(path):
+    """Return the columns of each entity, the rows of all chunks together; times in ns under "time"."""
+    columns = {}
+    for chunk in RrdReader(path).stream():
+        batch = chunk.to_record_batch()
+        assert set(chunk.timeline_names) <= {"time"}, chunk.entity_path
+        for name, values in zip(batch.schema.names, batch.columns, strict=True):
+            if not name.startswith("rerun"):
+                columns.setdefault(chunk.entity_path.strip("/"), {}).setdefault(name, []).append(values)
+    return {
+        entity: {name.split(":")[-1]: pa.concat_arrays(parts) for name, parts in entity_columns.items()}
+        for entity, entity_columns in columns.items()
+    }
+
+
+def times_ns(columns):
+    return np.array(columns["time"].cast(pa.int64()))
+
+
+@pytest.fixture(scope="module")
+def rrd(flight, tmp_path_factory):
+    path = tmp_path_factory.mktemp("rerun") / "run.rrd"
+    calls = []
+    scored = score_trajectory(flight.recording.ground_truth, flight.run.trajectory)
+    write_rrd(
+        path,
+        flight.recording,
+        flight.run,
+        scored,
+        outline=flight.outline,
+        progress=lambda done, total: calls.append((done, total)),
+    )
+    assert calls[-1] == (FRAMES, FRAMES)
+    return path
+
+
+@pytest.fixture(scope="module")
+def columns(rrd):
+    return read(rrd)
+
+
+def test_the_file_verifies(rrd):
+    done = subprocess.run([RERUN, "rrd", "verify", str(rrd)], capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
+
+
+def test_every_frame_is_in_the_video(flight, columns):
+    image = columns[Entities.IMAGE]
+    assert times_ns(image).tolist() == (flight.recording.frame_times_ns - flight.recording.imu.t_ns[0]).tolist()
+    decoder = av.CodecContext.create("libdav1d", "r")
+    packets = [av.Packet(bytes(sample[0].values.to_numpy())) for sample in image["sample"]]
+    frames = [f.to_ndarray(format="gray") for packet in [*packets, None] for f in decoder.decode(packet)]
+    assert len(frames) == FRAMES
+    for index in (0, 60, FRAMES - 1):
+        original = flight.recording.frame(index).images[0]
+        assert frames[index].shape == original.shape
+        assert np.mean(np.abs(frames[index].astype(float) - original)) < 4.0
+
+
+def test_a_frame_is_small(rrd, flight):
+    pixels = flight.recording.rig.cameras[0].model.width * flight.recording.rig.cameras[0].model.height
+    assert rrd.stat().st_size / FRAMES < 50_000 * pixels / (752 * 480)  # 30 MB for 600 frames of 752 × 480
+
+
+def test_tracks_lie_where_they_were_seen(flight, columns):
+    tracks = columns[Entities.TRACKS]
+    assert times_ns(tracks).tolist() == flight.run.t_ns.tolist()
+    for index in (0, 50, FRAMES - 1):
+        expected = tracks_of(flight.run.estimates[index]).pixels + 0.5
+        assert np.allclose(np.array(tracks["positions"][index].as_py()), expected, atol=1e-3)
+        assert len(tracks["colors"][index]) == len(expected)
+
+
+def test_paths_are_whole_and_the_estimate_lies_on_the_truth(flight, columns):
+    truth = np.array(columns[f"{Entities.TRUE_PATH}/whole"]["strips"][0].as_py()[0])
+    estimate = np.array(columns[f"{Entities.ESTIMATED_PATH}/whole"]["strips"][0].as_py()[0])
+    assert np.allclose(truth[0], flight.recording.ground_truth.p_world_imu[0], atol=1e-5)
+    assert len(estimate) == len(flight.run.trajectory)
+    expected = flight.recording.ground_truth.p_world_imu[::10][10:]
+    assert np.linalg.norm(estimate - expected, axis=1).max() < 0.05  # it was turned by 1.1 rad before it was aligned
+    flown = columns[f"{Entities.ESTIMATED_PATH}/flown"]
+    assert times_ns(flown).tolist() == flight.run.trajectory.t_ns[1:].tolist()
+
+
+def test_the_camera_is_where_it_truly_was(flight, columns):
+    camera = columns[Entities.CAMERA]
+    index = 80
+    truth = flight.recording.ground_truth[::10]
+    expected = truth.Ts_world_imu[index] @ flight.recording.rig.cameras[0].T_imu_cam
+    assert np.allclose(np.array(camera["translation"][index].as_py()[0]), expected[:3, 3], atol=1e-5)
+
+
+def test_the_map_was_aligned_with_the_path(flight, columns):
+    points = np.array(columns[Entities.MAP_IN_SIGHT]["positions"][-1].as_py())
+    assert len(points) > 20
+    low, high = points.min(axis=0), points.max(axis=0)
+    assert np.all(low > np.array([-3.0, -2.5, 0.0]) - 0.2)
+    assert np.all(high < np.array([6.0, 2.5, 3.0]) + 0.2)
+
+
+def test_imu_biases_errors_and_events(flight, columns):
+    gyro = columns[Entities.GYRO]
+    assert np.allclose(np.array(gyro["scalars"].to_pylist()), flight.recording.imu.gyro_rad_s)
+    assert np.array(columns[f"{Entities.ACCEL_BIAS}/estimated"]["scalars"].to_pylist()).shape == (FRAMES - 10, 3)
+    error = np.array(columns[f"{Entities.POSITION_ERROR}/tied"]["scalars"].to_pylist())
+    band = np.array(columns[f"{Entities.POSITION_ERROR}/three_sigma"]["scalars"].to_pylist())
+    assert error.shape == band.shape == (FRAMES - 11, 1)  # all poses but the first
+    sigma_m = 5e-3 + 8e-3 * 0.05 * np.arange(1, FRAMES - 10)
+    assert np.allclose(band[:, 0], 3.0 * np.sqrt(3.0) * sigma_m)
+    texts = [row[0].as_py() for row in columns[Entities.EVENTS]["text"]]
+    assert texts == ["health: initialising", "initialised", "health: tracking"]
+
+
+def test_the_file_carries_its_layout(rrd):
+    blueprints = RrdReader(rrd).blueprints()
+    assert len(blueprints) >= 1
+    entities = {chunk.entity_path for chunk in RrdReader(rrd).stream(store=blueprints[0])}
+    assert sum("ViewContents" in entity for entity in entities) >= 11
+
+
+def test_without_truth_the_estimate_is_shown_as_it_is(flight_without_truth, tmp_path):
+    write_rrd(tmp_path / "run.rrd", flight_without_truth.recording, flight_without_truth.run, None)
+    columns = read(tmp_path / "run.rrd")
+    strip = np.array(columns[f"{Entities.ESTIMATED_PATH}/whole"]["strips"][0].as_py()[0])
+    assert np.allclose(strip, flight_without_truth.run.trajectory.p_world_imu, atol=1e-5)
+    assert Entities.ROOM not in columns
+    assert not any(entity.startswith("error") for entity in columns)
+
+
+def test_an_estimator_that_never_started(flight, tmp_path):
+    silent = tuple(replace(e, state=None, landmarks_world=None, tracks=None) for e in flight.run.estimates)
+    run = EstimatorRun(silent, flight.run.cpu_ms, flight.run.wall_ms)
+    write_rrd(tmp_path / "run.rrd", flight.recording, run, None)
+    columns = read(tmp_path / "run.rrd")
+    assert len(columns[Entities.IMAGE]["sample"]) == FRAMES
+    assert f"{Entities.ESTIMATED_PATH}/whole" not in columns
+
+
+def test_a_run_of_another_recording_is_refused(flight, tmp_path):
+    other = replace(flight.recording, frame_times_ns=flight.recording.frame_times_ns + 1)
+    with pytest.raises(EvaluationError):
+        write_rrd(tmp_path / "run.rrd", other, flight.run, None)
+    assert not (tmp_path / "run.rrd").exists()
+
+
+class Broken:
+    """A recording whose images cannot be read from some frame on."""
+
+    def __init__(self, recording, first_broken):
+        self._recording = recording
+        self._first_broken = first_broken
+
+    def __getattr__(self, name):
+        return getattr(self._recording, name)
+
+    def frame(self, index):
+        if index >= self._first_broken:
+            raise InputError("frame.png", "nothing", "an image")
+        return self._recording.frame(index)
+
+
+def test_what_was_written_before_an_unreadable_image_can_be_read(flight, tmp_path):
+    path = tmp_path / "run.rrd"
+    with pytest.raises(InputError):
+        write_rrd(path, Broken(flight.recording, 70), flight.run, None)
+    columns = read(path)
+    assert len(columns[Entities.IMAGE]["sample"]) == 60  # three keyframe intervals
+    assert len(columns[Entities.GYRO]["scalars"]) == len(flight.recording.imu)
+
+
+KILLED = """
+import os, sys
+sys.path.insert(0, {folder!r})
+import conftest
+from pathlib import Path
+from dronevio.eval.rerun_log import write_rrd
+
+class Killer:
+    def __init__(self, recording): self.recording = recording
+    def __getattr__(self, name): return getattr(self.recording, name)
+    def frame(self, index):
+        if index == 70:
+            import time; time.sleep(1.0)  # the writer flushes five times a second
+            os._exit(9)
+        return self.recording.frame(index)
+
+flight = conftest.make_flight()
+write_rrd(Path(sys.argv[1]), Killer(flight.recording), flight.run, None)
+"""
+
+
+@pytest.mark.filterwarnings("ignore:RRD file has no footer")
+def test_a_file_whose_writer_was_killed_can_be_read(tmp_path):
+    path = tmp_path / "run.rrd"
+    code = KILLED.format(folder=str(Path(__file__).parent))
+    assert subprocess.run([sys.executable, "-c", code, str(path)], check=False).returncode == 9
+    assert len(read(path)[Entities.IMAGE]["sample"]) == 60
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_the_eye_sees_everything_and_stands_no_further_than_it_must(seed):
+    points = np.random.default_rng(seed).uniform(-1.0, 1.0, (50, 3)) * [5.0, 3.0, 1.5] + [10.0, -4.0, 1.0]
+    position, target = look_at_all(points)
+    forward = (target - position) / np.linalg.norm(target - position)
+    right = np.cross(forward, [0.0, 0.0, 1.0])
+    right /= np.linalg.norm(right)
+    up = np.cross(right, forward)
+    depth = (points - position) @ forward
+    tangent = np.tan(0.5 * VIEWER_FIELD_OF_VIEW_RAD)
+    across = np.abs((points - position) @ right) / depth / tangent / VIEW_ASPECT
+    upwards = np.abs((points - position) @ up) / depth / tangent
+    assert np.all(depth > 0.0)
+    assert 0.85 < max(across.max(), upwards.max()) <= 1.0

@@ -1,0 +1,83 @@
+import av
+import cv2
+import numpy as np
+import pytest
+
+from dronevio.eval.video import VideoSettings, encode_av1
+
+RATE_HZ = 20.0
+
+
+def moving_images(count=45, width=376, height=240):
+    texture = cv2.resize(np.random.default_rng(0).integers(0, 256, (60, 90), dtype=np.uint8), (900, 600))
+    for i in range(count):
+        window = texture[2 * i : 2 * i + height, 5 * i : 5 * i + width]
+        noise = np.random.default_rng(i).normal(0.0, 2.0, window.shape)
+        yield np.clip(window + noise, 0, 255).astype(np.uint8)
+
+
+def decode(samples):
+    decoder = av.CodecContext.create("libdav1d", "r")
+    packets = [av.Packet(sample.data) for sample in samples]
+    frames = [frame for packet in [*packets, None] for frame in decoder.decode(packet)]
+    return [frame.to_ndarray(format="gray") for frame in frames]
+
+
+def psnr_db(a, b):
+    return 10.0 * np.log10(255.0**2 / np.mean((a.astype(float) - b.astype(float)) ** 2))
+
+
+@pytest.fixture(scope="module")
+def images():
+    return list(moving_images())
+
+
+@pytest.fixture(scope="module")
+def samples(images):
+    return list(encode_av1(iter(images), RATE_HZ))
+
+
+def test_every_image_comes_back_in_its_place(images, samples):
+    decoded = decode(samples)
+    assert len(samples) == len(decoded) == len(images)
+    assert min(psnr_db(a, b) for a, b in zip(decoded, images, strict=True)) > 33.0
+    # a frame is more like its own original than like its neighbour's
+    assert all(psnr_db(decoded[i], images[i]) > psnr_db(decoded[i], images[i + 1]) for i in range(len(images) - 1))
+
+
+def test_decoding_can_start_at_each_keyframe(images, samples):
+    keyframes = [i for i, sample in enumerate(samples) if sample.is_keyframe]
+    assert keyframes == [0, 20, 40]
+    for first in keyframes:
+        decoded = decode(samples[first : first + 3])
+        assert len(decoded) == 3
+        assert psnr_db(decoded[0], images[first]) > 33.0
+        assert samples[first].data[0] >> 3 & 0xF in (1, 2)  # a sequence header, after a temporal delimiter at most
+
+
+def test_samples_are_small(images, samples):
+    assert sum(len(sample.data) for sample in samples) < 0.1 * sum(image.nbytes for image in images)
+
+
+def test_lower_quality_is_smaller(images):
+    coarse = sum(len(sample.data) for sample in encode_av1(iter(images), RATE_HZ, VideoSettings(crf=50)))
+    fine = sum(len(sample.data) for sample in encode_av1(iter(images), RATE_HZ, VideoSettings(crf=25)))
+    assert coarse < 0.5 * fine
+
+
+def test_same_images_give_the_same_bytes(images, samples):
+    assert [sample.data for sample in encode_av1(iter(images), RATE_HZ)] == [sample.data for sample in samples]
+
+
+def test_no_images_give_no_samples():
+    assert list(encode_av1(iter([]), RATE_HZ)) == []
+
+
+def test_a_rate_that_is_no_integer():
+    assert len(list(encode_av1(moving_images(5), 29.97))) == 5
+
+
+def test_the_encoder_is_silent(capfd):
+    list(encode_av1(moving_images(3), RATE_HZ))
+    out, err = capfd.readouterr()
+    assert out == err == ""
