@@ -5,7 +5,7 @@ set -euo pipefail
 cd "$(dirname "${BASH_SOURCE[0]}")/.."
 
 stamp=".venv/.set-up"
-packages=(libegl1 libgl1-mesa-dri) # what Debian and Ubuntu need for off-screen OpenGL without a graphics card
+packages=(libegl1 libgl1-mesa-dri libopengl0) # off-screen OpenGL on Debian and Ubuntu, with no graphics card needed
 unset VIRTUAL_ENV UV_PROJECT_ENVIRONMENT # another environment may be active: ours is .venv
 
 say() { printf 'setup: %s\n' "$*" >&2; }
@@ -15,7 +15,7 @@ inputs() { # what the set-up depends on: where it is, and the files that define 
     cksum uv.lock pyproject.toml scripts/setup.sh
 }
 
-opengl_renders() { .venv/bin/dronevio doctor --quiet; }
+opengl_renders() { .venv/bin/dronevio doctor >/dev/null 2>&1; }
 
 install_opengl() { # with apt, where it may be used without asking anybody
     local as_root=()
@@ -24,10 +24,10 @@ install_opengl() { # with apt, where it may be used without asking anybody
         sudo -n true 2>/dev/null || return 1
         as_root=(sudo -n)
     fi
-    say "no off-screen OpenGL: installing ${packages[*]}"
+    say "no off-screen OpenGL: installing ${packages[*]} with apt"
     ${as_root[@]+"${as_root[@]}"} apt-get update -qq </dev/null >&2 &&
         ${as_root[@]+"${as_root[@]}"} env DEBIAN_FRONTEND=noninteractive \
-            apt-get install -qq -y --no-install-recommends "${packages[@]}" </dev/null >&2
+            apt-get install -qq -y --no-install-recommends "${packages[@]}" </dev/null >/dev/null
 }
 
 if [ -f "$stamp" ]; then
@@ -42,7 +42,8 @@ scripts/uv sync --locked --quiet </dev/null
 if ! opengl_renders; then
     install_opengl || true
     if ! opengl_renders; then
-        say "OpenGL does not render off-screen; please type: sudo apt-get install ${packages[*]}"
+        .venv/bin/dronevio doctor >&2 || true
+        command -v apt-get >/dev/null && say "please type: sudo apt-get install -y ${packages[*]}"
         exit 2
     fi
 fi
