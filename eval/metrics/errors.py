@@ -97,7 +97,7 @@ def pairs_after_distance(p_truth: Array, delta_m: float, tolerance_m: float | No
     way_m = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(p_truth, axis=0), axis=1))])
     wanted = way_m + delta_m
     after = np.clip(np.searchsorted(way_m, wanted), 0, len(way_m) - 1)
-    before = np.maximum(after - 1, 0)
+    before = np.searchsorted(way_m, way_m[np.maximum(after - 1, 0)])  # the first of those where it stood still
     second = np.where(wanted - way_m[before] <= np.abs(way_m[after] - wanted), before, after)
     tolerance_m = 0.1 * delta_m if tolerance_m is None else tolerance_m
     first = np.flatnonzero((np.abs(way_m[second] - wanted) <= tolerance_m) & (second > np.arange(len(way_m))))
