@@ -44,7 +44,7 @@ class NavState:
     covariance: Array | None = None
     """(15, 15) In the order δθ (right perturbation, IMU frame), δp, δv (world), δb_gyro, δb_accel; SI units."""
     angular_velocity_rad_s: Array | None = None
-    """(3,) Angular velocity in the IMU frame [rad/s], the bias removed; None where nobody asked. Controllers need it."""
+    """(3,) Angular velocity in the IMU frame [rad/s], its bias removed; a controller needs it."""
 
 
 class Health(StrEnum):

@@ -11,11 +11,12 @@ from dronevio.models.progress import Progress, silent
 from dronevio.models.rotation import matrix_from_quat_wxyz, pose_matrix, slerp_quat_wxyz
 from dronevio.models.state import Trajectory
 from dronevio.sim.controller import SE3Controller
-from dronevio.sim.imu import with_errors
+from dronevio.sim.imu import ImuErrors
 from dronevio.sim.path import Reference, plan_reference
 from dronevio.sim.plant import QuadrotorPlant
 from dronevio.sim.room import FREE_BOX_M
 from dronevio.sim.scenario import Scenario
+from dronevio.sim.world import WORLDS
 
 Array = npt.NDArray[np.float64]
 
@@ -43,7 +44,13 @@ class Flight:
 
 
 def reference_of(scenario: Scenario, plant: QuadrotorPlant) -> Reference:
-    """Return the path of a scenario on the plant's clock."""
+    """Return the path of a scenario on the plant's clock.
+
+    Raises:
+        ConfigError: There is no such world, or its free space is too small for the plan.
+    """
+    if scenario.world not in WORLDS:
+        raise ConfigError(f"unknown world {scenario.world!r}; expected one of {', '.join(WORLDS)}")
     return plan_reference(
         scenario.plan, FREE_BOX_M, plant.standing_height_m, plant.interval_ns, scenario.generator("path")
     )
@@ -58,6 +65,9 @@ def fly(scenario: Scenario, progress: Progress = silent) -> Flight:
 
     Returns:
         The flight; the same scenario gives the same bytes.
+
+    Raises:
+        ConfigError: The scenario does not fit together.
     """
     plant = QuadrotorPlant(scenario.rig, scenario.quadrotor)
     reference = reference_of(scenario, plant)
@@ -70,7 +80,7 @@ def fly(scenario: Scenario, progress: Progress = silent) -> Flight:
     progress(steps, steps)
     motion = plant.motion()
     perfect = motion.points(scenario.rig.T_vehicle_imu, plant.interval_s)
-    imu, gyro_bias, accel_bias = with_errors(perfect, scenario.rig.imu, scenario.generator("imu"))
+    imu, gyro_bias, accel_bias = ImuErrors(scenario.rig.imu, scenario.generator("imu")).add_to(perfect)
     truth = replace(
         motion.trajectory(scenario.rig.T_vehicle_imu), gyro_bias_rad_s=gyro_bias, accel_bias_m_s2=accel_bias
     )

@@ -8,39 +8,46 @@ from dronevio.models.imu import ImuModel, ImuSamples
 Array = npt.NDArray[np.float64]
 
 
-def with_errors(perfect: ImuSamples, model: ImuModel, rng: np.random.Generator) -> tuple[ImuSamples, Array, Array]:
-    """Return what a real IMU measures where a perfect one would measure ``perfect``.
+class ImuErrors:
+    """One IMU from switch-on: adds its errors to what a perfect one would read, batch after batch.
 
-    A continuous white noise of density σ, sampled at a rate f, has the standard deviation σ √f; a bias that is a
-    random walk of density σ_b grows by σ_b √dt a step (Crassidis, "Sigma-point Kalman filtering for integrated GPS and
-    inertial navigation", 2006; the conventions of Kalibr). Densities of zero give the perfect samples back.
-
-    Args:
-        perfect: N noise-free samples, points or increments.
-        model: Rate and densities.
-        rng: Source of the errors; the same state gives the same bytes.
-
-    Returns:
-        The noisy samples, the gyroscope's biases (N, 3) [rad/s] and the accelerometer's (N, 3) [m/s²].
+    A continuous white noise of density σ, sampled at a rate f, has the standard deviation σ √f; a bias that is a random
+    walk of density σ_b grows by σ_b √dt a step (Crassidis, "Sigma-point Kalman filtering for integrated GPS and
+    inertial navigation", 2006; the conventions of Kalibr). Densities of zero add nothing.
     """
-    n = len(perfect)
-    dt_s = np.diff(perfect.t_ns, prepend=perfect.t_ns[:1]) * 1e-9  # 0 for the first sample: no walk yet
-    gyro_bias = _bias(model.gyro_turn_on_bias_rad_s, model.gyro_random_walk, dt_s, rng)
-    accel_bias = _bias(model.accel_turn_on_bias_m_s2, model.accel_random_walk, dt_s, rng)
-    root_rate = np.sqrt(model.rate_hz)
-    gyro_noise = model.gyro_noise_density * root_rate * rng.standard_normal((n, 3))
-    accel_noise = model.accel_noise_density * root_rate * rng.standard_normal((n, 3))
-    noisy = ImuSamples(
-        perfect.t_ns,
-        perfect.gyro_rad_s + gyro_bias + gyro_noise,
-        perfect.accel_m_s2 + accel_bias + accel_noise,
-        perfect.sampling,
-    )
-    return noisy, gyro_bias, accel_bias
 
+    def __init__(self, model: ImuModel, rng: np.random.Generator) -> None:
+        """Switch the IMU on: draw its first biases.
 
-def _bias(turn_on: float, random_walk: float, dt_s: Array, rng: np.random.Generator) -> Array:
-    """Return (N, 3) biases: a constant drawn at switch-on plus a random walk."""
-    start = turn_on * rng.standard_normal(3)
-    steps = random_walk * np.sqrt(dt_s)[:, None] * rng.standard_normal((len(dt_s), 3))
-    return np.asarray(start + np.cumsum(steps, axis=0))
+        Args:
+            model: Rate and densities.
+            rng: Source of all errors; the same state and the same batches give the same bytes.
+        """
+        self._rng = rng
+        root_rate = np.sqrt(model.rate_hz)
+        self._noise = np.repeat([model.gyro_noise_density * root_rate, model.accel_noise_density * root_rate], 3)
+        self._walk = np.repeat([model.gyro_random_walk, model.accel_random_walk], 3)
+        turn_on = np.repeat([model.gyro_turn_on_bias_rad_s, model.accel_turn_on_bias_m_s2], 3)
+        self._bias = turn_on * rng.standard_normal(6)
+        self._t_ns: int | None = None
+
+    def add_to(self, perfect: ImuSamples) -> tuple[ImuSamples, Array, Array]:
+        """Return what this IMU measures where a perfect one would measure ``perfect``.
+
+        Args:
+            perfect: N noise-free samples, points or increments, later than those of the last call.
+
+        Returns:
+            The noisy samples, the gyroscope's biases (N, 3) [rad/s] and the accelerometer's (N, 3) [m/s²].
+        """
+        n = len(perfect)
+        if n == 0:
+            return perfect, np.zeros((0, 3)), np.zeros((0, 3))
+        last_ns = int(perfect.t_ns[0]) if self._t_ns is None else self._t_ns  # no walk before the first sample
+        dt_s = np.diff(perfect.t_ns, prepend=last_ns) * 1e-9
+        steps = self._walk * np.sqrt(dt_s)[:, None] * self._rng.standard_normal((n, 6))
+        bias = self._bias + np.cumsum(steps, axis=0)
+        errors = bias + self._noise * self._rng.standard_normal((n, 6))
+        self._bias, self._t_ns = bias[-1], int(perfect.t_ns[-1])
+        gyro, accel = perfect.gyro_rad_s + errors[:, :3], perfect.accel_m_s2 + errors[:, 3:]
+        return ImuSamples(perfect.t_ns, gyro, accel, perfect.sampling), bias[:, :3], bias[:, 3:]

@@ -56,7 +56,7 @@ class FlightPlan:
     @property
     def duration_s(self) -> float:
         """From the first to the last instant [s]."""
-        return self.rest_s + self.takeoff_s + self.tour_s + self.landing_s + self.stand_s
+        return round(self.rest_s + self.takeoff_s + self.tour_s + self.landing_s + self.stand_s, 9)
 
 
 @dataclass(frozen=True, eq=False)

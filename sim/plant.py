@@ -152,8 +152,16 @@ class QuadrotorPlant:
 
     def state(self) -> NavState:
         """Return the true state of the IMU now, with zero biases: what a perfect estimator would say."""
+        return self._state_of(self.rig.T_vehicle_imu)
+
+    def vehicle_state(self) -> NavState:
+        """Return the true state of the vehicle frame now, at the centre of mass."""
+        return self._state_of(np.eye(4))
+
+    def _state_of(self, T_vehicle_sensor: Array) -> NavState:
+        """Return the true state of a frame fixed to the vehicle."""
         now = self.motion(len(self._times) - 1)
-        truth = now.trajectory(self.rig.T_vehicle_imu)
+        truth = now.trajectory(T_vehicle_sensor)
         assert truth.velocity_m_s is not None
         return NavState(
             t_ns=self._t_ns,
@@ -161,7 +169,7 @@ class QuadrotorPlant:
             velocity_m_s=truth.velocity_m_s[0],
             gyro_bias_rad_s=np.zeros(3),
             accel_bias_m_s2=np.zeros(3),
-            angular_velocity_rad_s=now.angular_velocity_rad_s(self.rig.T_vehicle_imu)[0],
+            angular_velocity_rad_s=now.angular_velocity_rad_s(T_vehicle_sensor)[0],
         )
 
     def _row(self) -> Array:

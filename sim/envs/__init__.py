@@ -1,0 +1,1 @@
+"""Gymnasium environments, plain: ``import dronevio.envs`` gives them their names."""

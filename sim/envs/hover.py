@@ -1,0 +1,261 @@
+"""Hover: bring a disturbed quadrotor to a point in a room and keep it there."""
+
+from typing import Any, ClassVar, SupportsFloat
+
+import gymnasium
+import numpy as np
+import numpy.typing as npt
+from gymnasium import spaces
+
+from dronevio.models.errors import ConfigError
+from dronevio.models.imu import ImuSamples
+from dronevio.models.rig import euroc_rig
+from dronevio.models.rotation import exp_so3, pose_matrix, quat_wxyz_from_matrix
+from dronevio.models.state import NavState
+from dronevio.sim.envs.sight import Blind, Eye, Sight
+from dronevio.sim.imu import ImuErrors
+from dronevio.sim.onlooker import Onlooker
+from dronevio.sim.plant import QuadrotorPlant
+from dronevio.sim.room import FREE_BOX_M
+from dronevio.sim.world import build_world
+
+Array = npt.NDArray[np.float64]
+Observation = dict[str, npt.NDArray[Any]]
+
+TARGET_M = np.array([0.0, 0.0, 1.2])
+"""(3,) Where the centre of mass should be, in the world [m]."""
+STEPS_PER_S = 50
+"""Actions a second."""
+GYRO_RANGE_RAD_S = float(np.radians(1000.0))
+"""What the gyroscope can read [rad/s] (ADIS16448's data sheet); beyond, it saturates."""
+ACCEL_RANGE_M_S2 = 18.0 * 9.81
+"""What the accelerometer can read [m/s²] (ADIS16448's data sheet)."""
+
+_FARTHEST_M, _FASTEST_M_S = 5.0, 20.0  # bounds of the observation; episodes end long before
+_WORLD = "room"
+_CAMERA_SHARE = 0.25  # of the rig's camera's size
+_START_OFFSET_M, _START_SPEED_M_S, _START_TILT_RAD, _START_RATE_RAD_S = 0.5, 0.5, 0.2, 0.5
+_CRASH_HEIGHT_M = 0.03  # above the standing drone
+_REWARD_DISTANCE_M, _REWARD_RATE_RAD_S = 0.5, 5.0
+
+
+class Hover(gymnasium.Env[Observation, npt.NDArray[np.float32]]):
+    """Bring a disturbed quadrotor to a point 1.2 m above the floor, and keep it there.
+
+    ## Description
+    A 1.5 kg quadrotor (`dronevio.models.quadrotor.Quadrotor`) in MuJoCo, with rotors that lag their commands by 30 ms,
+    thrust and torque by the square of their speed, and drag. It starts in the air near the target, moving, tilted, its
+    rotors at hover speed. The agent commands the four rotors 50 times a second. It is told where it is, and what a real
+    IMU senses; with ``camera=True`` also what the camera sees, so that the position can be left out and found by sight.
+
+    ## Action space
+    ``Box(-1, 1, (4,), float32)``: the speed of each rotor. −1 is standstill, 0 the speed that carries the weight, 1 the
+    greatest; in between it is linear in the speed. The order is front right, rear left, front left, rear right; the
+    first two turn anticlockwise seen from above.
+
+    ## Observation space
+    A ``Dict`` of ``Box`` (flatten it with `gymnasium.wrappers.FlattenObservation`):
+
+    | key | shape | holds |
+    |---|---|---|
+    | ``position`` | (3,) float32 | centre of mass from the target, in the world [m] |
+    | ``orientation`` | (4,) float32 | quaternion wxyz, vehicle (x forward, y left, z up) to world, w ≥ 0 |
+    | ``velocity`` | (3,) float32 | of the centre of mass, in the world [m/s] |
+    | ``rotors`` | (4,) float32 | rotor speeds, as shares of the greatest |
+    | ``imu`` | (4, 6) float32 | the samples since the last action, at 200 Hz, in time order: angular velocity [rad/s] \
+and specific force [m/s²] in the IMU's frame, with noise and biases |
+    | ``image`` | (120, 188, 1) uint8 | grey image of the forward camera; only with ``camera=True`` |
+
+    State and rotors are true, the IMU is not. Its frame has x up, y right and z forward, as on EuRoC's drone. After a
+    reset all rows of ``imu`` hold the one sample of the start.
+
+    ## Reward
+    exp(−d / 0.5 m) · exp(−|ω| / 5 rad/s) a step, with d the distance from the target and ω the true angular velocity: 1
+    at perfect hover, and never below 0, so that it always pays to stay in the air.
+
+    ## Starting state
+    Uniform: position within ±0.5 m of the target and velocity within ±0.5 m/s on each axis, a rotation vector within
+    ±0.2 rad and an angular velocity within ±0.5 rad/s on each axis. IMU biases are drawn anew.
+
+    ## Episode end
+    Terminated when the drone comes within 3 cm of standing on the floor, leaves the room's free space (5.6 × 3.8 × 2.4
+    m), or tilts by more than 90°. Truncated after 500 steps, 10 s, by `gymnasium.make`.
+
+    ## Arguments
+    ``camera`` adds the image, which costs some 10 ms a step without a GPU. ``world_seed`` draws the room that images
+    and pictures show. ``render_mode="rgb_array"`` lets `render` return pictures (480, 640, 3) of the drone from
+    outside. Image and picture build the room at their first use, which takes seconds, and need an off-screen OpenGL
+    (``dronevio doctor`` says whether there is one).
+
+    ```python
+    import gymnasium
+
+    env = gymnasium.make("dronevio.envs:dronevio/Hover-v0")
+    observation, info = env.reset(seed=0)
+    observation, reward, terminated, truncated, info = env.step(env.action_space.sample())
+    ```
+
+    ``info`` has ``distance_m`` (from the target) and ``t_ns`` (time since the reset). The same seed and the same
+    actions give the same bytes.
+    """
+
+    metadata: ClassVar[dict[str, Any]] = {"render_modes": ["rgb_array"], "render_fps": STEPS_PER_S}
+
+    def __init__(self, render_mode: str | None = None, camera: bool = False, world_seed: int = 0) -> None:
+        """Build the physics; nothing that draws is built before it is needed.
+
+        Args:
+            render_mode: None or ``rgb_array``.
+            camera: Whether observations have an image.
+            world_seed: Draws the room.
+
+        Raises:
+            ConfigError: There is no such render mode.
+        """
+        if render_mode not in (None, *self.metadata["render_modes"]):
+            raise ConfigError(f"render mode {render_mode!r}; expected None or 'rgb_array'")
+        self.render_mode = render_mode
+        self._world_seed = world_seed
+        self._rig = euroc_rig()
+        self._plant = QuadrotorPlant(self._rig)
+        self._quadrotor = self._plant.quadrotor
+        self._interval_ns = round(1e9 / STEPS_PER_S)
+        self._samples = self._interval_ns // self._plant.interval_ns
+        self._errors = ImuErrors(self._rig.imu, self.np_random)
+        self._sight: Sight = Eye(self._rig.cameras[0], _CAMERA_SHARE, _WORLD, world_seed) if camera else Blind()
+        self._onlooker: Onlooker | None = None
+        self.action_space = spaces.Box(-1.0, 1.0, (4,), np.float32)
+        self.observation_space: spaces.Dict[Any] = spaces.Dict(
+            {**_sensed_spaces(self._samples), **self._sight.spaces()}
+        )
+
+    def reset(
+        self, *, seed: int | None = None, options: dict[str, Any] | None = None
+    ) -> tuple[Observation, dict[str, Any]]:
+        """Start an episode.
+
+        Args:
+            seed: Draws everything random from now on; without one, the draws go on.
+            options: Unused.
+
+        Returns:
+            The first observation, and info.
+        """
+        super().reset(seed=seed)
+        rng = self.np_random
+        position = TARGET_M + _START_OFFSET_M * rng.uniform(-1.0, 1.0, 3)
+        R = exp_so3(_START_TILT_RAD * rng.uniform(-1.0, 1.0, 3))
+        self._plant.reset(
+            pose_matrix(R, position),
+            _START_SPEED_M_S * rng.uniform(-1.0, 1.0, 3),
+            _START_RATE_RAD_S * rng.uniform(-1.0, 1.0, 3),
+            np.full(4, self._quadrotor.hover_speed_rad_s),
+        )
+        self._errors = ImuErrors(self._rig.imu, rng)
+        first, _, _ = self._errors.add_to(self._plant.step_until(0, np.zeros(4)))
+        state = self._plant.vehicle_state()
+        return self._observe(state, first), _info(state)
+
+    def step(self, action: npt.NDArray[np.float32]) -> tuple[Observation, SupportsFloat, bool, bool, dict[str, Any]]:
+        """Hold an action (4,) for 20 ms.
+
+        Returns:
+            Observation, reward, whether the episode ended, False (time limits are a wrapper's), info.
+
+        Raises:
+            ConfigError: The action is not four finite numbers.
+        """
+        command = self._rotor_speeds(np.asarray(action, dtype=np.float64))
+        samples, _, _ = self._errors.add_to(self._plant.step_until(self._plant.t_ns + self._interval_ns, command))
+        state = self._plant.vehicle_state()
+        return self._observe(state, samples), _reward(state), self._ended(state), False, _info(state)
+
+    def render(self) -> npt.NDArray[np.uint8] | None:
+        """Return a colour picture (480, 640, 3) of the drone from outside; None without a render mode.
+
+        Raises:
+            GraphicsError: No off-screen OpenGL.
+        """
+        if self.render_mode is None:
+            return None
+        if self._onlooker is None:
+            self._onlooker = Onlooker(build_world(_WORLD, self._world_seed), self._quadrotor, self._rig)
+        return self._onlooker.render(self._plant.vehicle_state().T_world_imu)
+
+    def close(self) -> None:
+        """Give the graphics memory back; more than once does no harm."""
+        self._sight.close()
+        if self._onlooker is not None:
+            self._onlooker.close()
+            self._onlooker = None
+
+    def _rotor_speeds(self, action: Array) -> Array:
+        """Return rotor speeds (4,) [rad/s] of an action (4,).
+
+        Raises:
+            ConfigError: It is not four finite numbers.
+        """
+        if action.shape != (4,) or not np.all(np.isfinite(action)):
+            raise ConfigError(f"action {action.tolist()}; expected four finite numbers")
+        hover, fastest = self._quadrotor.hover_speed_rad_s, self._quadrotor.rotor_speed_max_rad_s
+        return np.interp(action, [-1.0, 0.0, 1.0], [0.0, hover, fastest])
+
+    def _observe(self, state: NavState, samples: ImuSamples) -> Observation:
+        """Return the observation of a state and of the samples that led to it."""
+        imu = np.hstack([samples.gyro_rad_s, samples.accel_m_s2])
+        values: dict[str, Array] = {
+            "position": state.T_world_imu[:3, 3] - TARGET_M,
+            "orientation": quat_wxyz_from_matrix(state.T_world_imu[:3, :3]),
+            "velocity": state.velocity_m_s,
+            "rotors": self._plant.rotor_speeds_rad_s / self._quadrotor.rotor_speed_max_rad_s,
+            "imu": np.resize(imu, (self._samples, 6)),  # repeats the one sample of a reset
+        }
+        sensed = {key: np.clip(v, *_BOUNDS[key]).astype(np.float32) for key, v in values.items()}
+        return {**sensed, **self._sight.look(state.T_world_imu @ self._rig.T_vehicle_imu)}
+
+    def _ended(self, state: NavState) -> bool:
+        """Return whether the drone has crashed, left or fallen over."""
+        position, up = state.T_world_imu[:3, 3], state.T_world_imu[2, 2]
+        outside = np.any(position < FREE_BOX_M[0]) or np.any(position > FREE_BOX_M[1])
+        return bool(outside or up < 0.0 or position[2] < self._plant.standing_height_m + _CRASH_HEIGHT_M)
+
+
+_IMU_RANGE = np.repeat([GYRO_RANGE_RAD_S, ACCEL_RANGE_M_S2], 3)
+_BOUNDS: dict[str, tuple[float | Array, float | Array]] = {
+    "position": (-_FARTHEST_M, _FARTHEST_M),
+    "orientation": (-1.0, 1.0),
+    "velocity": (-_FASTEST_M_S, _FASTEST_M_S),
+    "rotors": (0.0, 1.0),
+    "imu": (-_IMU_RANGE, _IMU_RANGE),
+}
+
+
+def _sensed_spaces(samples: int) -> dict[str, spaces.Space[Any]]:
+    """Return the spaces of all but the image, for so many IMU samples a step."""
+    shapes = {"position": (3,), "orientation": (4,), "velocity": (3,), "rotors": (4,), "imu": (samples, 6)}
+    return {
+        key: spaces.Box(_filled(shape, _BOUNDS[key][0]), _filled(shape, _BOUNDS[key][1]), shape, np.float32)
+        for key, shape in shapes.items()
+    }
+
+
+def _filled(shape: tuple[int, ...], bound: float | Array) -> npt.NDArray[np.float32]:
+    """Return a bound in the shape of a space."""
+    return np.broadcast_to(bound, shape).astype(np.float32)
+
+
+def _distance_m(state: NavState) -> float:
+    """Return the distance of the vehicle from the target [m]."""
+    return float(np.linalg.norm(state.T_world_imu[:3, 3] - TARGET_M))
+
+
+def _reward(state: NavState) -> float:
+    """Return the reward of being in a state, in [0, 1]."""
+    assert state.angular_velocity_rad_s is not None
+    rate = float(np.linalg.norm(state.angular_velocity_rad_s))
+    return float(np.exp(-_distance_m(state) / _REWARD_DISTANCE_M - rate / _REWARD_RATE_RAD_S))
+
+
+def _info(state: NavState) -> dict[str, Any]:
+    """Return what is worth knowing about a step."""
+    return {"distance_m": _distance_m(state), "t_ns": state.t_ns}

@@ -1,0 +1,96 @@
+"""Sight: what an agent's camera adds to its observations, if it has one."""
+
+from dataclasses import replace
+from typing import Any, Protocol
+
+import numpy as np
+import numpy.typing as npt
+from gymnasium import spaces
+
+from dronevio.models.camera import CameraModel
+from dronevio.models.rig import RigCamera
+from dronevio.sim.camera import OffscreenCamera
+from dronevio.sim.world import build_world
+
+Array = npt.NDArray[np.float64]
+
+
+class Sight(Protocol):
+    """Adds entries to an observation."""
+
+    def spaces(self) -> dict[str, spaces.Space[Any]]:
+        """Return the spaces of the entries that `look` adds."""
+
+    def look(self, T_world_imu: Array) -> dict[str, npt.NDArray[np.uint8]]:
+        """Return what is seen from a pose (4, 4) of the IMU."""
+
+    def close(self) -> None:
+        """Give back what drawing took."""
+
+
+class Blind:
+    """No camera; implements `Sight`."""
+
+    def spaces(self) -> dict[str, spaces.Space[Any]]:
+        """Return nothing."""
+        return {}
+
+    def look(self, T_world_imu: Array) -> dict[str, npt.NDArray[np.uint8]]:
+        """Return nothing."""
+        return {}
+
+    def close(self) -> None:
+        """Do nothing."""
+
+
+class Eye:
+    """A rig's camera, with smaller images, in a room; implements `Sight`. The room is built at the first look."""
+
+    def __init__(self, mounted: RigCamera, scale: float, world: str, seed: int) -> None:
+        """Prepare to look.
+
+        Args:
+            mounted: The camera.
+            scale: Size of the images, relative to the camera's.
+            world: Where: a name that `build_world` knows.
+            seed: Draws the world.
+        """
+        self._model = scaled(mounted.model, scale)
+        self._T_imu_cam = mounted.T_imu_cam
+        self._world, self._seed = world, seed
+        self._camera: OffscreenCamera | None = None
+
+    def spaces(self) -> dict[str, spaces.Space[Any]]:
+        """Return the space of ``image``: grey, (H, W, 1)."""
+        return {"image": spaces.Box(0, 255, (self._model.height, self._model.width, 1), np.uint8)}
+
+    def look(self, T_world_imu: Array) -> dict[str, npt.NDArray[np.uint8]]:
+        """Return the ``image`` (H, W, 1) from a pose (4, 4) of the IMU.
+
+        Raises:
+            GraphicsError: No off-screen OpenGL.
+        """
+        if self._camera is None:
+            self._camera = OffscreenCamera(build_world(self._world, self._seed).spec.compile(), self._model)
+        return {"image": self._camera.render(T_world_imu @ self._T_imu_cam)[..., None]}
+
+    def close(self) -> None:
+        """Give the graphics memory back."""
+        if self._camera is not None:
+            self._camera.close()
+            self._camera = None
+
+
+def scaled(camera: CameraModel, scale: float) -> CameraModel:
+    """Return a camera with the same view and an image ``scale`` times as wide and high, rounded to whole pixels."""
+    width, height = round(camera.width * scale), round(camera.height * scale)
+    x, y = width / camera.width, height / camera.height
+    return replace(
+        camera,
+        width=width,
+        height=height,
+        fx=camera.fx * x,
+        fy=camera.fy * y,
+        cx=(camera.cx + 0.5) * x - 0.5,  # pixel centres are integers: the image starts at −0.5
+        cy=(camera.cy + 0.5) * y - 0.5,
+    )

@@ -1,0 +1,77 @@
+"""The onlooker: draws the drone in its world from outside, for people."""
+
+import mujoco
+import numpy as np
+import numpy.typing as npt
+
+from dronevio.models.errors import GraphicsError
+from dronevio.models.quadrotor import Quadrotor
+from dronevio.models.rig import Rig
+from dronevio.models.rotation import quat_wxyz_from_matrix
+from dronevio.sim.gl import Context, create_context
+from dronevio.sim.plant import quadrotor_spec
+from dronevio.sim.world import World
+
+Array = npt.NDArray[np.float64]
+
+_DISTANCE_M, _AZIMUTH_DEG, _ELEVATION_DEG = 1.7, 60.0, -20.0
+
+
+class Onlooker:
+    """A camera that looks at the drone from a constant distance and direction, off screen. Close it after use."""
+
+    def __init__(self, world: World, quadrotor: Quadrotor, rig: Rig, width: int = 640, height: int = 480) -> None:
+        """Prepare to draw.
+
+        Args:
+            world: Where the drone is; stays as it is.
+            quadrotor: The vehicle.
+            rig: What it carries.
+            width: Columns of the pictures [px].
+            height: Rows [px].
+
+        Raises:
+            GraphicsError: No off-screen OpenGL.
+        """
+        spec = world.spec.copy()
+        spec.visual.quality.offsamples = 4  # smooth edges: few pictures, and nothing learns from them
+        spec.attach(quadrotor_spec(quadrotor, rig), prefix="drone/", frame=spec.worldbody.add_frame())
+        self._model = spec.compile()
+        self._data = mujoco.MjData(self._model)
+        self._gl: Context | None = create_context(width, height)
+        self._drawing = mujoco.MjrContext(self._model, mujoco.mjtFontScale.mjFONTSCALE_100)
+        mujoco.mjr_resizeOffscreen(width, height, self._drawing)
+        mujoco.mjr_setBuffer(mujoco.mjtFramebuffer.mjFB_OFFSCREEN, self._drawing)
+        self._scene = mujoco.MjvScene(self._model, maxgeom=self._model.ngeom + 10)
+        self._options = mujoco.MjvOption()
+        self._view = mujoco.MjvCamera()
+        self._view.distance, self._view.azimuth, self._view.elevation = _DISTANCE_M, _AZIMUTH_DEG, _ELEVATION_DEG
+        self._rectangle = mujoco.MjrRect(0, 0, width, height)
+        self._picture = np.empty((height, width, 3), np.uint8)
+
+    def render(self, T_world_vehicle: Array) -> npt.NDArray[np.uint8]:
+        """Return a colour picture (H, W, 3) of the drone at a pose (4, 4).
+
+        Raises:
+            GraphicsError: The onlooker has been closed.
+        """
+        if self._gl is None:
+            raise GraphicsError("the onlooker has been closed")
+        self._gl.make_current()
+        self._data.qpos[:3] = T_world_vehicle[:3, 3]
+        self._data.qpos[3:7] = quat_wxyz_from_matrix(T_world_vehicle[:3, :3])
+        mujoco.mj_kinematics(self._model, self._data)
+        self._view.lookat = T_world_vehicle[:3, 3]
+        everything = mujoco.mjtCatBit.mjCAT_ALL
+        mujoco.mjv_updateScene(self._model, self._data, self._options, None, self._view, everything, self._scene)
+        mujoco.mjr_render(self._rectangle, self._scene, self._drawing)
+        mujoco.mjr_readPixels(self._picture, None, self._rectangle, self._drawing)
+        return self._picture[::-1].copy()  # OpenGL's first row is the lowest
+
+    def close(self) -> None:
+        """Give the graphics memory back; more than once does no harm."""
+        if self._gl is not None:
+            self._gl.make_current()
+            self._drawing.free()
+            self._gl.free()
+            self._gl = None
