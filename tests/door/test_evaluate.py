@@ -1,0 +1,206 @@
+import json
+import shutil
+import subprocess
+import sys
+from collections.abc import Callable
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+
+from dronevio.cli import main
+from dronevio.models.camera import CameraModel
+from dronevio.models.imu import ImuSamples
+from dronevio.models.recordings.euroc import write_euroc
+from dronevio.models.recordings.tum import write_tum
+from dronevio.models.rig import EUROC_T_IMU_CAM0, Rig, RigCamera
+from dronevio.models.rotation import exp_so3, quat_wxyz_from_matrix
+from dronevio.models.state import Trajectory
+
+START_NS = 1403715273262142976
+GROUND_TRUTH = Path("mav0") / "state_groundtruth_estimate0" / "data.csv"
+
+
+@pytest.fixture
+def flight(tmp_path: Path) -> Path:
+    """A folder with an EuRoC flight of 8 s, and an estimate that misses its first 4 s, is 5 % too large and tilted."""
+    t_ns = START_NS + 5_000_000 * np.arange(1601)
+    t = (t_ns - START_NS) * 1e-9
+    p = np.stack([2 * np.sin(t), np.sin(2 * t), 0.3 * np.sin(3 * t)], axis=1)
+    quat_wxyz = quat_wxyz_from_matrix(exp_so3(np.stack([0.1 * np.sin(t), 0 * t, 0.4 * t], axis=1)))
+    zeros = np.zeros_like(p)
+    truth = Trajectory(t_ns, p, quat_wxyz, zeros, zeros, zeros)
+    rig = Rig((RigCamera(CameraModel(32, 24, 20.0, 20.0, 15.5, 11.5), EUROC_T_IMU_CAM0),))
+    folder = tmp_path / "flight"
+    write_euroc(folder, rig, ImuSamples(t_ns, zeros, zeros + [9.81, 0.0, 0.0]), truth, t_ns[::10])
+    for stamp in t_ns[::10]:
+        cv2.imwrite(str(folder / "mav0" / "cam0" / "data" / f"{stamp}.png"), np.full((24, 32), 99, np.uint8))
+    late = truth[800::10]
+    tilted = 1.05 * late.p_world_imu @ exp_so3(np.array([0.05, 0.0, 0.0])) + 3.0
+    write_tum(tmp_path / "estimate.tum", Trajectory(late.t_ns, tilted, late.quat_wxyz))
+    write_tum(tmp_path / "truth.tum", truth)
+    return folder
+
+
+def test_scores_for_people(flight: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["evaluate", str(flight), str(flight.parent / "estimate.tum")]) == 0
+    out = capsys.readouterr().out
+    for text in (
+        "ATE, position (yaw aligned)",
+        "RPE, orientation, over 1 s",
+        "scale error",
+        "5.00",
+        "coverage",
+        "81 of 81",
+    ):
+        assert text in out
+
+
+def test_scores_for_machines_agree_whatever_the_format(flight: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    estimate = str(flight.parent / "estimate.tum")
+    documents = []
+    for truth in (flight, flight / "mav0", flight / GROUND_TRUTH, flight.parent / "truth.tum"):
+        assert main(["evaluate", str(truth), estimate, "--json"]) == 0
+        documents.append(json.loads(capsys.readouterr().out))
+    for document in documents:
+        assert document["ate_m"] == documents[0]["ate_m"] and document["rpe_m"] == documents[0]["rpe_m"]
+        assert document["scale_error_percent"] == pytest.approx(5.0)
+        assert document["n_poses"] == 81 and document["first_s"] == 4.0
+    # Of 161 frames 100 are later than 3 s after the first; only a folder knows them.
+    assert [document["coverage_percent"] for document in documents[2:]] == [None, None]
+    assert documents[0]["coverage_percent"] == documents[1]["coverage_percent"] == 81.0
+
+
+def test_takes_the_alignment_that_is_asked_for(flight: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    errors = {}
+    for mode in ("none", "yaw", "se3", "sim3"):
+        arguments = [str(flight), str(flight.parent / "estimate.tum"), "--alignment", mode, "--json"]
+        assert main(["evaluate", *arguments]) == 0
+        errors[mode] = json.loads(capsys.readouterr().out)["ate_m"]["rmse"]
+    assert errors["none"] == pytest.approx(3 * np.sqrt(3), rel=0.02)  # the shift by (3, 3, 3)
+    assert errors["none"] > errors["yaw"] > errors["se3"] > 0.01 > 1e-9 > errors["sim3"]
+
+
+def test_help_has_examples(capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(SystemExit) as caught:
+        main(["evaluate", "--help"])
+    assert caught.value.code == 0
+    out = capsys.readouterr().out
+    for text in ("dronevio evaluate V1_02_medium estimate.tum --alignment se3", "--json", "--alignment"):
+        assert text in out
+
+
+def test_starts_without_anything_heavy(flight: Path) -> None:
+    code = (
+        "import sys; from dronevio.cli import main; main(sys.argv[1:]);"
+        "print(*{name.split('.')[0] for name in sys.modules}, file=sys.stderr)"
+    )
+    command = [sys.executable, "-c", code, "evaluate", str(flight), str(flight.parent / "estimate.tum")]
+    loaded = subprocess.run(command, capture_output=True, text=True, check=True).stderr.split()
+    assert "numpy" in loaded
+    assert not {"scipy", "cv2", "mujoco", "gtsam", "rerun", "matplotlib", "gymnasium"} & set(loaded)
+
+
+def rewritten(path: Path, change: Callable[[bytes], bytes]) -> None:
+    content = path.read_bytes()
+    path.write_bytes(change(content))
+    assert path.read_bytes() != content
+
+
+def backwards(content: bytes) -> bytes:
+    lines = content.split(b"\n")
+    return b"\n".join([*lines[:20], lines[10], *lines[21:]])
+
+
+def spoil(flight: Path, fault: str) -> tuple[list[str], str]:
+    """Spoil a flight; return the command line that meets the fault, and what its message must say."""
+    estimate, truth = flight.parent / "estimate.tum", flight / GROUND_TRUTH
+    imu, image = flight / "mav0" / "imu0" / "data.csv", flight / "mav0" / "cam0" / "data" / f"{START_NS}.png"
+    evaluate = ["evaluate", str(flight), str(estimate), "--json"]
+    estimating = ["estimate", str(flight), "--out", str(flight.parent / "out.tum"), "--json"]
+    match fault:
+        case "missing folder":
+            shutil.rmtree(flight)
+            return evaluate, f"{flight}: no such file; expected"
+        case "missing recording":
+            shutil.rmtree(flight)
+            return estimating, f"{flight}: no such folder; expected an EuRoC recording"
+        case "missing estimate":
+            estimate.unlink()
+            return evaluate, f"{estimate}: no such file; expected"
+        case "empty truth":
+            rewritten(truth, lambda _: b"")
+            return evaluate, f"{truth}: no rows; expected"
+        case "empty IMU":
+            rewritten(imu, lambda content: content.split(b"\n")[0] + b"\n")
+            return estimating, f"{imu}: no rows; expected"
+        case "truncated estimate":
+            rewritten(estimate, lambda content: content[:-30])
+            return evaluate, f"{estimate}:82: a last row of"
+        case "truncated IMU":
+            rewritten(imu, lambda content: content[: len(content) // 2])
+            return estimating, "a last row"
+        case "time runs backwards in the truth":
+            rewritten(truth, backwards)
+            return (
+                evaluate,
+                f"{truth}:21: time stamp {START_NS + 45_000_000} ns after {START_NS + 90_000_000} ns; expected",
+            )
+        case "time runs backwards in the IMU":
+            rewritten(imu, backwards)
+            return (
+                estimating,
+                f"{imu}:21: time stamp {START_NS + 45_000_000} ns after {START_NS + 90_000_000} ns; expected",
+            )
+        case "image cut off":
+            rewritten(image, lambda content: content[:-10])
+            return estimating, f"{image}: a PNG that is cut off; expected an image of 32 × 24 px"
+        case "no image at all":
+            rewritten(image, lambda _: b"hello")
+            return estimating, f"{image}: no image that can be decoded; expected"
+        case "missing image":
+            image.unlink()
+            return estimating, f"{image}: no such file; expected"
+        case "no time in common":
+            rewritten(estimate, lambda content: content.replace(b"\n14037", b"\n15037"))
+            return evaluate, "0 poses in common; expected at least 3"
+    raise AssertionError(fault)
+
+
+@pytest.mark.parametrize(
+    "fault",
+    [
+        "missing folder",
+        "missing recording",
+        "missing estimate",
+        "empty truth",
+        "empty IMU",
+        "truncated estimate",
+        "truncated IMU",
+        "time runs backwards in the truth",
+        "time runs backwards in the IMU",
+        "image cut off",
+        "no image at all",
+        "missing image",
+        "no time in common",
+    ],
+)
+def test_bad_input_is_one_line_and_exit_code_2(flight: Path, fault: str, capfd: pytest.CaptureFixture[str]) -> None:
+    arguments, message = spoil(flight, fault)
+    before = sorted(flight.parent.rglob("*"))
+    assert main(arguments) == 2
+    out, err = capfd.readouterr()
+    assert out == ""
+    assert err.startswith("dronevio: ") and err.endswith("\n") and err.count("\n") == 1
+    assert message in err
+    assert sorted(flight.parent.rglob("*")) == before  # nothing half-written
+
+
+def test_unknown_choices_are_refused(flight: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    arguments = ["evaluate", str(flight), str(flight.parent / "estimate.tum")]
+    with pytest.raises(SystemExit) as caught:
+        main([*arguments, "--alignment", "affine"])
+    assert caught.value.code == 2
+    assert main([*arguments, "--rpe-delta-s", "0"]) == 2
+    assert "expected a time above zero" in capsys.readouterr().err
