@@ -98,10 +98,8 @@ def _score_tiles(scores: Mapping[str, object]) -> Iterator[Tile]:
 def _summary(numbers: Mapping[str, object]) -> str:
     flight = _part(numbers, "flight")
     seed = "" if numbers["seed"] is None else f", seed {numbers['seed']}"
-    return (
-        f"{flight['name']}{seed}: {flight['frames']} frames in {_number(flight['duration_s'], 1)} s,"
-        f" {_number(flight['path_m'], 1)} m flown"
-    )
+    duration_s, path_m = _number(flight["duration_s"], 1), _number(flight["path_m"], 1)
+    return f"{flight['frames']} frames in {duration_s} s, {path_m} m flown{seed}"
 
 
 def _figures(subject: Subject) -> Iterator[str]:

@@ -39,6 +39,7 @@ def write_rrd(
     run: EstimatorRun,
     scored: ScoredTrajectory | None,
     *,
+    name: str | None = None,
     outline: Array | None = None,
     progress: Progress = silent,
     video: VideoSettings | None = None,
@@ -51,6 +52,7 @@ def write_rrd(
         run: What the estimator made of it.
         scored: The run's trajectory beside the truth; None where there is no truth. The estimated path and map are
             shown in the truth's world, by the alignment that was scored.
+        name: What the viewer shall call it; the recording's name by default.
         outline: (L, 2, 3) Line segments of the surroundings [m], in the truth's world.
         progress: Told how many frames are encoded.
         video: Size and quality of the video.
@@ -64,7 +66,8 @@ def write_rrd(
     outline = np.zeros((0, 2, 3)) if outline is None else outline
     alignment = IDENTITY if scored is None else scored.alignment
     estimate = alignment.apply(run.trajectory)
-    with _recording_stream(path, recording.name, flight_blueprint(outline, estimate, recording.ground_truth)) as stream:
+    blueprint = flight_blueprint(outline, estimate, recording.ground_truth)
+    with _recording_stream(path, name or recording.name, blueprint) as stream:
         log = FlightLog(stream, origin_ns=_first_ns(recording))
         log.surroundings(outline)
         log.paths(recording.ground_truth, estimate)
@@ -107,9 +110,9 @@ class FlightLog:
                 continue
             step = max(1, len(path) // 1500)  # the truth comes at 200 Hz: more than the eye needs
             t_ns, p = path.t_ns[::step], path.p_world_imu[::step]
-            whole = rr.LineStrips3D([p.astype(np.float32)], colors=[*palette.rgb(colour), 130], radii=0.007)
+            whole = rr.LineStrips3D([p.astype(np.float32)], colors=[*palette.rgb(colour), 150], radii=0.010)
             self._static(f"{entity}/whole", whole)
-            self._static(f"{entity}/flown", rr.LineStrips3D.from_fields(colors=palette.rgb(colour), radii=0.016))
+            self._static(f"{entity}/flown", rr.LineStrips3D.from_fields(colors=palette.rgb(colour), radii=0.022))
             self._columns(
                 f"{entity}/flown", t_ns[1:], rr.LineStrips3D.columns(strips=np.stack([p[:-1], p[1:]], axis=1))
             )
@@ -145,8 +148,8 @@ class FlightLog:
         t_ns = np.array([t for t, _ in found], dtype=np.int64)
         columns = rr.Points3D.columns(positions=np.concatenate([points for _, points in found]))
         for entity, colour, radius in (
-            (Entities.MAP, [*palette.rgb(palette.MAP), 110], 1.0),
-            (Entities.MAP_IN_SIGHT, palette.rgb(palette.MAP), 2.2),
+            (Entities.MAP, [*palette.rgb(palette.MAP), 80], 0.8),
+            (Entities.MAP_IN_SIGHT, palette.rgb(palette.MAP), 1.3),
         ):
             self._static(entity, rr.Points3D.from_fields(colors=colour, radii=rr.Radius.ui_points(radius)))
             self._columns(entity, t_ns, columns.partition([len(points) for _, points in found]))
@@ -213,9 +216,7 @@ class FlightLog:
             (Entities.POSITION_ERROR, scored.translation_error_m, 1.0),
             (Entities.ORIENTATION_ERROR, scored.rotation_error_rad, DEGREES),
         ):
-            self._series(
-                f"{entity}/best_fit", t_ns, error[:, None] * unit, names=("best fit",), colours=(palette.ROOM,)
-            )
+            self._series(f"{entity}/aligned", t_ns, error[:, None] * unit, names=("aligned",), colours=(palette.ROOM,))
         if (stated := scored.consistency) is None:
             return
         for entity, error, sigma, unit in (
