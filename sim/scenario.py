@@ -69,8 +69,8 @@ _ROOM = FlightPlan(rest_s=2.0, takeoff_s=2.0, tour_s=21.2, landing_s=3.3, stand_
 SCENARIOS: dict[str, Scenario] = {
     scenario.name: scenario
     for scenario in (
-        Scenario("room", "take off, fly a lively tour through a furnished room, land", _ROOM),
-        Scenario("room-slow", "half of the same tour at walking pace", replace(_ROOM, waypoints=_TOUR[:8])),
+        Scenario("room", "a lively tour of a furnished room", _ROOM),
+        Scenario("room-slow", "half of that tour at walking pace", replace(_ROOM, waypoints=_TOUR[:8])),
         Scenario(
             "hover",
             "take off, hover on the spot, land",
@@ -78,7 +78,7 @@ SCENARIOS: dict[str, Scenario] = {
         ),
         Scenario(
             "short",
-            "a quick look: a hop around the pad",
+            "a quick look: one small hop",
             FlightPlan(
                 rest_s=1.5,
                 takeoff_s=0.9,

@@ -51,8 +51,8 @@ def main(arguments: Sequence[str]) -> int:
         print_json({"seed": command.seed, "scenarios": rows})
         return 0
     print_table(
-        f"Scenarios, as drawn from seed {command.seed}",
-        ("name", "world", "duration [s]", "peak speed [m/s]", "peak turn rate [°/s]", "what is flown"),
+        f"Scenarios drawn from seed {command.seed}: duration, peak speed and peak turn rate",
+        ("name", "world", "s", "m/s", "°/s", "what is flown"),
         [
             (
                 str(row["name"]),

@@ -1,6 +1,6 @@
 """Hover: bring a disturbed quadrotor to a point in a room and keep it there."""
 
-from typing import Any, ClassVar, SupportsFloat
+from typing import Any, SupportsFloat
 
 import gymnasium
 import numpy as np
@@ -99,7 +99,7 @@ and specific force [m/s²] in the IMU's frame, with noise and biases |
     actions give the same bytes.
     """
 
-    metadata: ClassVar[dict[str, Any]] = {"render_modes": ["rgb_array"], "render_fps": STEPS_PER_S}
+    metadata = {"render_modes": ["rgb_array"], "render_fps": STEPS_PER_S}  # noqa: RUF012 as Gymnasium declares it
 
     def __init__(self, render_mode: str | None = None, camera: bool = False, world_seed: int = 0) -> None:
         """Build the physics; nothing that draws is built before it is needed.
@@ -125,7 +125,7 @@ and specific force [m/s²] in the IMU's frame, with noise and biases |
         self._sight: Sight = Eye(self._rig.cameras[0], _CAMERA_SHARE, _WORLD, world_seed) if camera else Blind()
         self._onlooker: Onlooker | None = None
         self.action_space = spaces.Box(-1.0, 1.0, (4,), np.float32)
-        self.observation_space: spaces.Dict[Any] = spaces.Dict(
+        self.observation_space: spaces.Space[Observation] = spaces.Dict(  # type: ignore[assignment]
             {**_sensed_spaces(self._samples), **self._sight.spaces()}
         )
 
