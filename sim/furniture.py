@@ -238,14 +238,14 @@ def plant(rng: Random) -> Piece:
     stem = partial(textures.wood, colour=(96, 76, 50))
     tall = rng.uniform(0.7, 1.0)
     boxes = [_box(0.0, 0.35, 0.0, 0.34, 0.34, 0.34, pot), _box(0.0, 0.35, 0.34, 0.04, 0.04, tall - 0.1, stem)]
-    for k in range(18):
+    for k in range(26):
         leaf = partial(textures.foliage, colour=textures.vary(rng, LEAF, 0.15))
-        length = rng.uniform(0.2, 0.34)
-        blade = Box(np.array([0.0, 0.5 * length, 0.0]), np.array([0.06, 0.5 * length, 0.003]), leaf)
-        pitch = rng.uniform(-0.5, 0.9)
+        length = rng.uniform(0.2, 0.34) * (1.0 - 0.4 * k / 26.0)
+        blade = Box(np.array([0.0, 0.5 * length, 0.0]), np.array([0.28 * length, 0.5 * length, 0.003]), leaf)
+        pitch = rng.uniform(-0.3, 0.8)
         c, s = np.cos(pitch), np.sin(pitch)
         R = turn_z(2.4 * k + rng.uniform(-0.3, 0.3)) @ np.array([[1.0, 0.0, 0.0], [0.0, c, -s], [0.0, s, c]])
-        boxes.append(blade.moved(R, np.array([0.0, 0.35, 0.4 + tall * (k + 1) / 18.0])))
+        boxes.append(blade.moved(R, np.array([0.0, 0.35, 0.4 + tall * (k + 1) / 26.0])))
     return Piece(tuple(boxes), 0.72, 0.72, 0.5 + tall)
 
 
@@ -271,7 +271,7 @@ def window(rng: Random) -> Piece:
     fins = partial(textures.radiator, colour=WHITE)
     pot = _box(rng.uniform(-0.5, 0.5), 0.12, sill, 0.14, 0.14, 0.14, partial(textures.plain, colour=(160, 96, 70)))
     ledge = _box(0.0, 0.1, sill - 0.04, w + 0.1, 0.2, 0.04, white)
-    grid = np.array([[x, 0.06, sill + z] for x in (-0.55, 0.0, 0.55) for z in (0.35, 1.0)])
+    grid = np.array([[x, 0.06, sill + z] for x in (-0.4, 0.4) for z in (0.35, 1.0)])
     daylight = AreaLight(grid, 2.2, np.array([0.0, 1.0, 0.0]))
     boxes = (view, ledge, _box(0.0, 0.08, 0.12, 1.2, 0.1, 0.62, white, fins), pot)
     return Piece(boxes, w + 0.1, 0.2, sill + h, lights=(daylight,))

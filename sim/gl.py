@@ -135,10 +135,15 @@ def create_context(width: int, height: int) -> Context:
     if backend.problem:
         raise GraphicsError(_failure(_refused(backend)))
     try:
-        context: Context = importlib.import_module(f"mujoco.{backend.name}").GLContext(width, height)
-        context.make_current()
+        return _new_context(backend, width, height)
     except Exception as error:  # drivers and PyOpenGL raise anything from ImportError to AttributeError
         raise GraphicsError(_failure(_broken(backend, f"{type(error).__name__}: {error}"))) from error
+
+
+def _new_context(backend: Backend, width: int, height: int) -> Context:
+    """Return a new current context of a backend, or raise whatever the driver raises."""
+    context: Context = importlib.import_module(f"mujoco.{backend.name}").GLContext(width, height)
+    context.make_current()
     return context
 
 
@@ -155,7 +160,7 @@ def draw_one_frame() -> None:
     spec.visual.quality.shadowsize = 0
     spec.visual.quality.offsamples = 0
     model = spec.compile()
-    context = create_context(size, size)
+    context = _new_context(backend, size, size)
     drawing = mujoco.MjrContext(model, mujoco.mjtFontScale.mjFONTSCALE_100)
     mujoco.mjr_setBuffer(mujoco.mjtFramebuffer.mjFB_OFFSCREEN, drawing)
     scene, data, camera = mujoco.MjvScene(model, maxgeom=10), mujoco.MjData(model), mujoco.MjvCamera()

@@ -23,7 +23,7 @@ _OFFSET_M = 0.004  # rays start this far off their face, so as not to hit it
 _SMALLEST_SHADOW_M = 0.16  # half a diagonal: cups and books cast no shadow of their own
 _LAMP_SIZE_M2 = 0.3  # a lamp is no point: this keeps a surface close to it from burning out
 _AMBIENT, _DIRECT = 0.50, 0.55  # the shares of scattered light and of the lamps where the room is well lit
-_BRIGHTEST = 1.25
+_BRIGHTEST = 1.15
 
 
 @dataclass(frozen=True, eq=False)
@@ -94,9 +94,11 @@ def _direct_light(p: Field, n: Field, blockers: Sequence[Box], lights: Sequence[
                 arriving *= np.maximum(-(light.normal.astype(np.float32) @ ray) / distance, 0.0)
             strength = light.power / len(light.points) * arriving / (_LAMP_SIZE_M2 + distance**2)
             lit = np.flatnonzero(strength > 1e-3)
+            start, way = p[:, lit], ray[:, lit]
+            clear = np.ones(len(lit), np.bool_)
             for box in casting:
-                lit = lit[_entry(p[:, lit], ray[:, lit], box) >= 1.0]
-            total[lit] += strength[lit]
+                clear &= _entry(start, way, box) >= 1.0
+            total[lit] += strength[lit] * clear
     return total
 
 
@@ -125,6 +127,8 @@ def _openness(p: Field, n: Field, blockers: Sequence[Box]) -> Field:
         reach = float(np.linalg.norm(box.half)) + _SKY_REACH_M
         offset = p - box.centre.astype(np.float32)[:, None]
         near = np.flatnonzero(np.sum(offset * offset, axis=0) < reach**2)
+        if len(near) == 0:
+            continue
         rays = np.tile(sky.T * np.float32(_SKY_REACH_M), len(near))
         entry = _entry(np.repeat(p[:, near], len(sky), axis=1), rays, box).reshape(len(near), -1)
         covered[near] = np.maximum(covered[near], np.sqrt(1.0 - np.minimum(entry, 1.0)))

@@ -11,6 +11,9 @@ import numpy as np
 
 from dronevio.sim.textures import BOOK_COLOURS, Image, grain, shade, speckle, to_image, vary
 
+Picture = Callable[[np.random.Generator, int, int], Image]
+"""Draws an image of the given height and width [px]."""
+
 
 def landscape(rng: np.random.Generator, height: int, width: int) -> Image:
     """Return hills under a sky with a sun."""
@@ -76,7 +79,7 @@ def chart(rng: np.random.Generator, height: int, width: int) -> Image:
     return image
 
 
-PICTURES: tuple[Callable[[np.random.Generator, int, int], Image], ...] = (landscape, composition, circles, chart)
+PICTURES: tuple[Picture, ...] = (landscape, composition, circles, chart)
 """What hangs on walls."""
 
 

@@ -26,11 +26,11 @@ _WALLS = ("south", "east", "north", "west")
 _USABLE_M = {"south": 7.8, "east": 3.7, "north": 7.8, "west": 3.7}  # the long walls have the corners
 _TURNS = {"south": 0.0, "east": 0.5 * np.pi, "north": np.pi, "west": -0.5 * np.pi}
 _WALL_COLOURS: tuple[Colour, ...] = (
-    (206, 196, 168),
-    (172, 190, 180),
-    (196, 178, 160),
-    (180, 186, 202),
-    (212, 190, 150),
+    (188, 178, 152),
+    (158, 176, 166),
+    (182, 164, 146),
+    (164, 170, 186),
+    (194, 172, 136),
 )
 _WALL_PATTERNS: tuple[Pattern, ...] = (
     textures.wallpaper,

@@ -18,7 +18,7 @@ from dronevio.sim.textures import PIXELS_PER_M, Image
 
 Array = npt.NDArray[np.float64]
 
-_PAGE_WIDTH_PX = 4224
+_PAGE_WIDTH_PX = 4160
 _PAGE_HEIGHT_PX = 4096  # every OpenGL since 2010 takes 8192
 _GUTTER_PX = 8  # repeats each face's border, so that coarse mipmap levels do not mix neighbours
 _SMALLEST_PX = 6
@@ -52,13 +52,14 @@ def paint_pages(faces: Sequence[Face], light: Sequence[Field], rng: np.random.Ge
         light: Each face's brightness map.
         rng: Draws the patterns.
     """
-    sizes = [tuple(max(round(v * PIXELS_PER_M), _SMALLEST_PX) for v in face.size_m) for face in faces]
-    images = [
-        apply_light(face.paint(rng, height, width), brightness)
-        for face, (height, width), brightness in zip(faces, sizes, light, strict=True)
-    ]
+    images = []
+    for face, brightness in zip(faces, light, strict=True):
+        height, width = (max(round(v * PIXELS_PER_M), _SMALLEST_PX) for v in face.size_m)
+        images.append(apply_light(face.paint(rng, height, width), brightness))
+    lying = [image.shape[0] > image.shape[1] for image in images]  # tall ones are laid on their side to save space
+    images = [image.transpose(1, 0, 2) if lies else image for image, lies in zip(images, lying, strict=True)]
     pages = []
-    for slots, height in _shelves(sizes):
+    for slots, height in _shelves([(image.shape[0], image.shape[1]) for image in images]):
         texture = np.zeros((height, _PAGE_WIDTH_PX, 3), np.uint8)
         vertices, coordinates, normals = [], [], []
         for index, row, column in slots:
@@ -68,13 +69,14 @@ def paint_pages(faces: Sequence[Face], light: Sequence[Field], rng: np.random.Ge
             corners = np.array([[0.0, 0.0], [1.0, 0.0], [1.0, 1.0], [0.0, 1.0]])  # right, down
             vertices.append(face.corner + corners @ np.stack([face.right, face.down]))
             origin, extent = np.array([column, row]) + _GUTTER_PX, np.array(image.shape[1::-1])
-            coordinates.append((origin + corners * extent) / [_PAGE_WIDTH_PX, height])
+            on_page = corners[:, ::-1] if lying[index] else corners
+            coordinates.append((origin + on_page * extent) / [_PAGE_WIDTH_PX, height])
             normals.append(np.broadcast_to(face.normal, (4, 3)))
         pages.append(Page(texture, *(np.concatenate(parts) for parts in (vertices, coordinates, normals))))
     return pages
 
 
-def _shelves(sizes: Sequence[tuple[int, ...]]) -> list[tuple[list[tuple[int, int, int]], int]]:
+def _shelves(sizes: Sequence[tuple[int, int]]) -> list[tuple[list[tuple[int, int, int]], int]]:
     """Pack images of (height, width) in rows, tallest first.
 
     Returns:

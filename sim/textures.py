@@ -180,7 +180,7 @@ def rug(rng: np.random.Generator, height: int, width: int, colour: Colour) -> Im
     for inset, ink in ((0.03, 3), (0.05, 1), (0.14, 3), (0.155, 0)):
         border = int(inset * height)
         cv2.rectangle(image, (border, border), (width - border, height - border), palette[ink], -1)
-    step = int(0.095 * height)
+    step = max(int(0.095 * height), 4)
     for y in range(int(0.21 * height), int(0.82 * height), step):
         for x in range(int(0.21 * height), width - int(0.2 * height), step):
             outer, core = (palette[int(i)] for i in rng.choice([1, 2, 3], 2, replace=False))

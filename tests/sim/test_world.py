@@ -1,0 +1,205 @@
+"""Rooms: the same from the same seed, free in the middle, rich in corners."""
+
+import itertools
+
+import cv2
+import mujoco
+import numpy as np
+import numpy.typing as npt
+import pytest
+
+from dronevio.models.errors import ConfigError
+from dronevio.models.rig import EUROC_CAM0
+from dronevio.models.rotation import exp_so3, pose_matrix
+from dronevio.sim import pictures, textures
+from dronevio.sim.camera import OffscreenCamera
+from dronevio.sim.contact_sheet import contact_sheet, viewpoints
+from dronevio.sim.lightmap import AreaLight, bake
+from dronevio.sim.room import FREE_BOX_M, SIZE_M, Room, furnished_room
+from dronevio.sim.solids import Box, Face, turn_z
+from dronevio.sim.world import World, _painted_room, build_world
+
+Array = npt.NDArray[np.float64]
+
+COLOUR = (150.0, 120.0, 90.0)
+
+
+def extent(box: Box) -> Array:
+    """Return the least and greatest corner (2, 3) of the upright box around a box."""
+    reach = np.abs(box.R) @ box.half
+    return np.stack([box.centre - reach, box.centre + reach])
+
+
+def overlap_m(a: Array, b: Array) -> float:
+    """Return by how much two upright boxes (2, 3) overlap along the axis where they do least; negative if apart."""
+    return float(np.min(np.minimum(a[1], b[1]) - np.maximum(a[0], b[0])))
+
+
+@pytest.fixture(scope="module")
+def world() -> World:
+    return build_world("room", 0)
+
+
+@pytest.fixture(scope="module", params=range(6))
+def room(request: pytest.FixtureRequest) -> Room:
+    return furnished_room(np.random.default_rng(request.param))
+
+
+def test_nothing_reaches_into_the_free_box(room: Room) -> None:
+    for box in (*room.boxes, *room.obstacles):
+        assert overlap_m(extent(box), FREE_BOX_M) <= 0.0
+
+
+def test_everything_is_inside_the_room(room: Room) -> None:
+    low, high = np.array([-0.5, -0.5, 0.0]) * SIZE_M, np.array([0.5, 0.5, 1.0]) * SIZE_M
+    for box in room.boxes:
+        found = extent(box)
+        assert (found[0] > low - 0.001).all()
+        assert (found[1] < high + 0.001).all()
+
+
+def test_furniture_stands_apart(room: Room) -> None:
+    assert len(room.obstacles) >= 10
+    for a, b in itertools.combinations(room.obstacles, 2):
+        assert overlap_m(extent(a), extent(b)) <= 0.0
+
+
+def test_seeds_make_the_room() -> None:
+    def fingerprint(name: str, seed: int) -> tuple[bytes, bytes]:
+        model = build_world(name, seed).spec.compile()
+        return model.tex_data.tobytes(), model.geom_pos.tobytes()
+
+    first, other = fingerprint("room", 0), fingerprint("room", 5)
+    assert first[0] != other[0]
+    assert first[1] != other[1]
+    _painted_room.cache_clear()  # or the second would be the first
+    assert fingerprint("room", 0) == first
+
+
+def test_the_world_compiles_small(world: World) -> None:
+    model = world.spec.compile()
+    assert model.ngeom <= 150
+    seen = model.geom_group == 0
+    assert (model.geom_contype[seen] == 0).all()
+    assert (model.geom_contype[~seen] == 1).all()
+    assert model.vis.map.znear * model.stat.extent < 0.05
+    assert model.vis.map.zfar * model.stat.extent > np.linalg.norm(SIZE_M)
+
+
+def test_a_ball_comes_to_rest_inside(world: World) -> None:
+    spec = build_world("room", 0).spec
+    body = spec.worldbody.add_body(name="ball", pos=[0.0, 0.0, 1.0])
+    body.add_freejoint()
+    body.add_geom(type=mujoco.mjtGeom.mjGEOM_SPHERE, size=[0.1, 0.0, 0.0], mass=1.0)
+    model = spec.compile()
+    data = mujoco.MjData(model)
+    data.qvel[:3] = [3.0, -2.0, 0.0]
+    mujoco.mj_step(model, data, 3000)
+    assert np.abs(data.qpos[:2]).max() < 4.0
+    assert data.qpos[2] == pytest.approx(0.1, abs=0.01)
+
+
+def test_the_outline_is_the_room_s(world: World) -> None:
+    assert world.outline.shape[1:] == (2, 3)
+    np.testing.assert_allclose(world.outline.reshape(-1, 3).max(axis=0), [4.0, 3.0, 3.5])
+    np.testing.assert_allclose(world.outline.reshape(-1, 3).min(axis=0), [-4.0, -3.0, 0.0])
+
+
+def test_unknown_worlds_are_named() -> None:
+    with pytest.raises(ConfigError, match=r"moon.*expected.*room"):
+        build_world("moon", 0)
+
+
+def test_frames_are_rich_in_corners(world: World) -> None:
+    rng = np.random.default_rng(0)
+    R_level = np.array([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]])
+    counts, levels = [], []
+    with OffscreenCamera(world.spec.compile(), EUROC_CAM0, supersampling=1.0) as eye:
+        for _ in range(40):
+            R = turn_z(rng.uniform(-np.pi, np.pi)) @ R_level @ exp_so3(0.25 * rng.standard_normal(3))
+            image = eye.render(pose_matrix(R, rng.uniform(FREE_BOX_M[0] + 0.1, FREE_BOX_M[1])))
+            corners = cv2.goodFeaturesToTrack(image, 300, 0.01, 15.0)
+            counts.append(0 if corners is None else len(corners))
+            levels.append(float(image.mean()))
+    assert np.mean(np.array(counts) >= 150) >= 0.95
+    assert min(levels) > 60.0
+    assert max(levels) < 200.0
+
+
+def test_a_contact_sheet_shows_twelve_views(world: World) -> None:
+    small = EUROC_CAM0.__class__(width=80, height=50, fx=50.0, fy=50.0, cx=39.5, cy=24.5)
+    sheet = contact_sheet(world, small)
+    assert sheet.shape == (150, 320, 3)
+    poses = viewpoints(world.free_box)
+    assert ((poses[:, :3, 3] >= world.free_box[0]) & (poses[:, :3, 3] <= world.free_box[1])).all()
+
+
+@pytest.mark.parametrize(
+    "pattern",
+    [
+        textures.planks,
+        textures.parquet,
+        textures.bricks,
+        textures.wallpaper,
+        textures.stripes,
+        textures.plaster,
+        textures.rug,
+        textures.wood,
+        textures.fabric,
+        textures.plain,
+        textures.foliage,
+        textures.cardboard,
+        textures.drawers,
+        textures.door,
+        textures.radiator,
+        textures.lampshade,
+        textures.screen,
+    ],
+)
+def test_patterns_have_structure_at_any_size(pattern: textures.Pattern) -> None:
+    for height, width in ((300, 420), (6, 200), (200, 6)):
+        image = pattern(np.random.default_rng(0), height, width, COLOUR)
+        assert image.shape == (height, width, 3)
+        assert image.dtype == np.uint8
+        np.testing.assert_array_equal(image, pattern(np.random.default_rng(0), height, width, COLOUR))
+    large = pattern(np.random.default_rng(0), 300, 420, COLOUR).mean(axis=2)
+    assert large.std() > 4.0
+    assert cv2.goodFeaturesToTrack(large.astype(np.uint8), 100, 0.01, 10.0).shape[0] >= 25
+
+
+@pytest.mark.parametrize("picture", [*pictures.PICTURES, pictures.window_view, textures.books])
+def test_pictures_have_contrast(picture: pictures.Picture) -> None:
+    image = picture(np.random.default_rng(1), 180, 240)
+    assert image.shape == (180, 240, 3)
+    assert image.mean(axis=2).std() > 12.0
+
+
+def test_light_falls_off_and_is_blocked() -> None:
+    def paint(rng: np.random.Generator, height: int, width: int) -> textures.Image:
+        return np.zeros((height, width, 3), np.uint8)
+
+    floor = Face(np.array([-2.0, 2.0, 0.0]), np.array([4.0, 0.0, 0.0]), np.array([0.0, -4.0, 0.0]), paint)
+    lamp = AreaLight(np.array([[0.0, 0.0, 2.0]]), 1.0)
+    (bare,) = bake([floor], [], [lamp])
+    np.testing.assert_allclose(bare, bare[::-1, ::-1], atol=1e-5)
+    assert bare.max() == bare[13:15, 13:15].max()
+    table = Box(np.array([0.0, 0.0, 1.5]), np.array([0.4, 0.4, 0.02]), paint)
+    (shaded,) = bake([floor], [table], [lamp])
+    # by similar triangles the table of half width 0.4, half a metre below the lamp, shades 1.6 m either way
+    x = (np.arange(28) + 0.5) / 7.0 - 2.0
+    inside = (np.abs(x)[:, None] < 1.55) & (np.abs(x)[None] < 1.55)
+    outside = (np.abs(x)[:, None] > 1.65) | (np.abs(x)[None] > 1.65)
+    assert shaded[inside].max() < shaded[outside].min()
+    np.testing.assert_allclose(shaded[inside], shaded[inside][0], atol=1e-5)
+
+
+def test_corners_are_darker_where_nothing_shines() -> None:
+    def paint(rng: np.random.Generator, height: int, width: int) -> textures.Image:
+        return np.zeros((height, width, 3), np.uint8)
+
+    floor = Face(np.array([-2.0, 2.0, 0.0]), np.array([4.0, 0.0, 0.0]), np.array([0.0, -4.0, 0.0]), paint)
+    wall = Box(np.array([2.1, 0.0, 1.0]), np.array([0.1, 2.0, 1.0]), paint)
+    (light,) = bake([floor], [wall], [])
+    assert light[14, 0] == pytest.approx(light[14, 10])
+    assert light[14, -1] < 0.85 * light[14, 0]
+    assert (np.diff(light[14, -6:]) <= 1e-6).all()
