@@ -23,7 +23,7 @@ from dronevio.models.imu import Times
 from dronevio.models.progress import Progress, silent
 from dronevio.models.protocols import Recording
 from dronevio.models.rotation import quat_wxyz_from_matrix, quat_xyzw_from_wxyz
-from dronevio.models.state import Trajectory
+from dronevio.models.state import Health, Trajectory
 
 Array = npt.NDArray[np.float64]
 
@@ -168,9 +168,12 @@ class FlightLog:
     def events(self, run: EstimatorRun) -> None:
         """Log what the estimator says that happened, and its health whenever it changes."""
         rows = [(e.t_ns, text, "INFO") for e in run.estimates for text in e.events if text != "keyframe"]
-        for before, after in zip((None, *run.estimates), run.estimates, strict=False):
-            if before is None or before.health != after.health:
-                rows.append((after.t_ns, f"health: {after.health}", "WARN" if before is not None else "INFO"))
+        known = None
+        for estimate in run.estimates:
+            if estimate.health != known:
+                known = estimate.health
+                level = "INFO" if known in (Health.INITIALISING, Health.TRACKING) else "WARN"
+                rows.append((estimate.t_ns, f"health: {known}", level))
         rows.sort(key=lambda row: row[0])
         self._columns(
             Entities.EVENTS,

@@ -15,6 +15,7 @@ from dronevio.eval.rerun_blueprint import VIEW_ASPECT, VIEWER_FIELD_OF_VIEW_RAD,
 from dronevio.eval.rerun_log import write_rrd
 from dronevio.eval.runs import EstimatorRun, tracks_of
 from dronevio.models.errors import EvaluationError, InputError
+from dronevio.models.state import Health
 
 RERUN = str(Path(find_spec("rerun_cli").origin).with_name("rerun"))
 FRAMES = 121
@@ -131,6 +132,16 @@ def test_imu_biases_errors_and_events(flight, columns):
     assert np.allclose(band[:, 0], 3.0 * np.sqrt(3.0) * sigma_m)
     texts = [row[0].as_py() for row in columns[Entities.EVENTS]["text"]]
     assert texts == ["health: initialising", "initialised", "health: tracking"]
+
+
+def test_trouble_is_logged_as_a_warning(flight, tmp_path):
+    estimates = list(flight.run.estimates)
+    estimates[50:60] = [replace(e, health=Health.INERTIAL_ONLY) for e in estimates[50:60]]
+    write_rrd(tmp_path / "run.rrd", flight.recording, replace(flight.run, estimates=tuple(estimates)), None)
+    events = read(tmp_path / "run.rrd")[Entities.EVENTS]
+    rows = [(text[0].as_py(), level[0].as_py()) for text, level in zip(events["text"], events["level"], strict=True)]
+    assert rows[-2:] == [("health: inertial-only", "WARN"), ("health: tracking", "INFO")]
+    assert times_ns(events)[-2:].tolist() == [50 * 50_000_000, 60 * 50_000_000]
 
 
 def test_the_file_carries_its_layout(rrd):
