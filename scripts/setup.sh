@@ -42,9 +42,7 @@ scripts/uv sync --locked --quiet </dev/null
 if ! opengl_renders; then
     install_opengl || true
     if ! opengl_renders; then
-        .venv/bin/dronevio doctor >&2 || true
-        command -v apt-get >/dev/null && say "please type: sudo apt-get install -y ${packages[*]}"
-        exit 2
+        .venv/bin/dronevio doctor >&2 || exit 2 # its last line is the command to type
     fi
 fi
 

@@ -10,6 +10,7 @@ import mujoco
 import pytest
 
 import dronevio
+from dronevio.sim.gl import INSTALL_COMMAND
 
 ROOMS = ("estimator", "eval", "models", "sim")
 CHECKOUT = Path(__file__).resolve().parents[2]
@@ -64,3 +65,11 @@ def test_changelog_knows_this_version() -> None:
 def test_lint_bans_importing_a_room_by_its_bare_name() -> None:
     settings = tomllib.loads((CHECKOUT / "pyproject.toml").read_text(encoding="utf-8"))
     assert set(settings["tool"]["ruff"]["lint"]["flake8-tidy-imports"]["banned-api"]) == set(ROOMS)
+
+
+@in_checkout
+def test_set_up_installs_what_the_doctor_advises() -> None:
+    setup = (CHECKOUT / "scripts" / "setup.sh").read_text(encoding="utf-8")
+    installed = re.search(r"^packages=\((.+?)\)", setup, re.MULTILINE)
+    assert installed is not None
+    assert f"sudo apt-get install -y {installed[1]}" == INSTALL_COMMAND
