@@ -98,10 +98,9 @@ def render_frames(
     if Ts_world_cam.shape != (count, 4, 4):
         raise ConfigError(f"camera poses with shape {Ts_world_cam.shape}; expected ({count}, 4, 4)")
     folder.mkdir(parents=True, exist_ok=True)
-    model = build_world(scenario.world, scenario.seed).spec.compile()
     with tempfile.TemporaryDirectory(prefix="dronevio-") as scratch:
         model_path = Path(scratch) / "world.mjb"
-        mujoco.mj_saveModel(model, str(model_path), None)
+        mujoco.mj_saveModel(build_world(scenario.world, scenario.seed).spec.compile(), str(model_path), None)
         camera = scenario.rig.cameras[0].model
         indices = np.arange(count, dtype=np.int64)
         share = _Share(
