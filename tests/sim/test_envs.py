@@ -1,0 +1,205 @@
+from collections.abc import Iterator
+from typing import Any
+
+import gymnasium
+import numpy as np
+import pytest
+from gymnasium.utils.env_checker import check_env
+
+import dronevio.envs  # noqa: F401 registers
+from dronevio.models.camera import CameraModel
+from dronevio.models.errors import ConfigError
+from dronevio.models.rig import EUROC_CAM0, euroc_rig
+from dronevio.sim.envs.hover import TARGET_M, Hover
+from dronevio.sim.envs.sight import scaled
+
+ID = "dronevio/Hover-v0"
+
+
+@pytest.fixture(params=[{}, {"camera": True}], ids=["state", "camera"])
+def hover(request: pytest.FixtureRequest) -> Iterator[gymnasium.Env[Any, Any]]:
+    env = gymnasium.make(ID, render_mode="rgb_array", **request.param)
+    yield env
+    env.close()
+
+
+def rollout(env: gymnasium.Env[Any, Any], seed: int, steps: int) -> list[bytes]:
+    """Return everything that an agent with fixed habits gets to see."""
+    actions = np.random.default_rng(seed).uniform(-0.1, 0.1, (steps, 4)).astype(np.float32)
+    observation, _ = env.reset(seed=seed)
+    seen = [b"".join(v.tobytes() for v in observation.values())]
+    for action in actions:
+        observation, reward, *_ = env.step(action)
+        seen.append(b"".join(v.tobytes() for v in observation.values()) + np.float64(reward).tobytes())
+    return seen
+
+
+def test_gymnasiums_own_checks_find_nothing(hover: gymnasium.Env[Any, Any]) -> None:
+    check_env(hover.unwrapped)  # a warning is an error in these tests
+
+
+def test_rollouts_repeat_to_the_byte(hover: gymnasium.Env[Any, Any]) -> None:
+    first, again, other = rollout(hover, 3, 10), rollout(hover, 3, 10), rollout(hover, 4, 10)
+    assert first == again
+    assert all(a != b for a, b in zip(first, other, strict=True))
+
+
+def test_two_at_once_do_not_disturb_each_other(hover: gymnasium.Env[Any, Any]) -> None:
+    alone = rollout(hover, 3, 6)
+    other = gymnasium.make(ID, render_mode="rgb_array", camera=True, world_seed=0)
+    observation, _ = hover.reset(seed=3)
+    seen = [b"".join(v.tobytes() for v in observation.values())]
+    other.reset(seed=9)
+    for action in np.random.default_rng(3).uniform(-0.1, 0.1, (6, 4)).astype(np.float32):
+        other.step(-action)
+        other.render()
+        observation, reward, *_ = hover.step(action)
+        seen.append(b"".join(v.tobytes() for v in observation.values()) + np.float64(reward).tobytes())
+    other.close()
+    observation, *_ = hover.step(np.zeros(4, np.float32))  # the other's end is not this one's
+    assert seen == alone
+    assert observation in hover.observation_space
+
+
+def test_pictures_show_the_drone_move(hover: gymnasium.Env[Any, Any]) -> None:
+    hover.reset(seed=0)
+    before: Any = hover.render()
+    for _ in range(5):
+        hover.step(np.zeros(4, np.float32))
+    after: Any = hover.render()
+    assert before.shape == after.shape == (480, 640, 3)
+    assert before.std() > 20.0
+    assert not np.array_equal(before, after)
+
+
+def test_the_camera_sees_the_room() -> None:
+    with gymnasium.make(ID, camera=True) as env:
+        observation, _ = env.reset(seed=0)
+        assert observation["image"].shape == (120, 188, 1)
+        assert observation["image"].std() > 15.0
+
+
+def test_both_ways_of_making_it() -> None:
+    with gymnasium.make("dronevio.envs:dronevio/Hover-v0") as env:
+        assert isinstance(env.unwrapped, Hover)
+
+
+def test_no_action_holds_the_height_for_a_moment() -> None:
+    env = Hover()
+    observation, _ = env.reset(seed=1)
+    start = observation["position"].copy()
+    velocity = observation["velocity"].copy()
+    for _ in range(5):
+        observation, *_ = env.step(np.zeros(4, np.float32))
+    np.testing.assert_allclose(observation["position"], start + 0.1 * velocity, atol=0.02)
+    np.testing.assert_allclose(observation["rotors"], env.observation_space["rotors"].high * 0.656, atol=1e-3)
+
+
+@pytest.mark.parametrize(("action", "share"), [(-1.0, 0.0), (1.0, 1.0)])
+def test_full_and_no_throttle(action: float, share: float) -> None:
+    env = Hover()
+    env.reset(seed=0)
+    for _ in range(15):
+        observation, *_ = env.step(np.full(4, action, np.float32))
+    np.testing.assert_allclose(observation["rotors"], share, atol=1e-4)
+
+
+def test_imu_reports_every_sample_since_the_last_action() -> None:
+    env = Hover()
+    first, _ = env.reset(seed=0)
+    assert np.ptp(first["imu"], axis=0).max() == 0.0
+    second, *_ = env.step(np.zeros(4, np.float32))
+    assert second["imu"].shape == (4, 6)
+    assert np.all(np.ptp(second["imu"], axis=0) > 0.0)
+    assert np.linalg.norm(second["imu"][-1, 3:]) == pytest.approx(9.81, abs=1.5)
+
+
+def test_a_fall_ends_the_episode() -> None:
+    env = Hover()
+    env.reset(seed=0)
+    for step in range(60):
+        observation, reward, terminated, truncated, info = env.step(np.full(4, -1.0, np.float32))
+        if terminated:
+            break
+    assert terminated and not truncated
+    assert 0.3 < (step + 1) / 50 < 1.0  # 1.2 m take half a second
+    assert info["distance_m"] == pytest.approx(np.linalg.norm(observation["position"]), rel=1e-5)
+    assert 0.0 <= float(reward) < 0.2
+
+
+def test_rewards_are_best_at_the_target() -> None:
+    env = Hover()
+    rewards, distances = [], []
+    for seed in range(30):
+        env.reset(seed=seed)
+        _, reward, _, _, info = env.step(np.zeros(4, np.float32))
+        rewards.append(float(reward))
+        distances.append(info["distance_m"])
+    assert min(rewards) > 0.0 and max(rewards) < 1.0
+    assert np.corrcoef(rewards, distances)[0, 1] < -0.8
+
+
+def test_a_simple_controller_survives_until_the_time_limit() -> None:
+    """The state observation suffices to hover: tilt towards the target, damp, mix."""
+    env = gymnasium.make(ID)
+    observation, _ = env.reset(seed=2)
+    mix = np.array([[1, -1, -1, -1], [1, 1, 1, -1], [1, 1, -1, 1], [1, -1, 1, 1]], dtype=np.float64)
+    T_vehicle_imu = euroc_rig().T_vehicle_imu[:3, :3]
+    total, steps, truncated = 0.0, 0, False
+    while not truncated:
+        w, x, y, z = observation["orientation"].astype(float)
+        rate = T_vehicle_imu @ observation["imu"][-1, :3]
+        wish = -1.0 * observation["position"] - 1.2 * observation["velocity"]
+        yaw = 2.0 * np.arctan2(z, w)
+        ahead, left = wish[0] * np.cos(yaw) + wish[1] * np.sin(yaw), wish[1] * np.cos(yaw) - wish[0] * np.sin(yaw)
+        tilt = np.clip([-left / 9.81, ahead / 9.81], -0.3, 0.3) - 2.0 * np.array([x, y]) * np.sign(w)
+        torque = np.array([*(0.4 * tilt - 0.08 * rate[:2]), -0.2 * yaw - 0.2 * rate[2]])
+        action = np.clip(mix @ [0.1 * wish[2], *torque], -1.0, 1.0).astype(np.float32)
+        observation, reward, terminated, truncated, _ = env.step(action)
+        assert not terminated
+        total, steps = total + float(reward), steps + 1
+    assert steps == 500
+    assert total > 350.0
+    assert np.linalg.norm(observation["position"]) < 0.2
+
+
+def test_vector_environments_work() -> None:
+    envs = gymnasium.make_vec(ID, num_envs=2, vectorization_mode="sync")
+    observation, _ = envs.reset(seed=0)
+    assert observation["position"].shape == (2, 3)
+    assert not np.array_equal(observation["position"][0], observation["position"][1])
+    envs.close()
+
+
+@pytest.mark.parametrize("action", [np.full(4, np.nan), np.zeros(3)])
+def test_impossible_actions_are_refused(action: np.ndarray) -> None:
+    env = Hover()
+    env.reset(seed=0)
+    with pytest.raises(ConfigError, match="four finite numbers"):
+        env.step(action)
+
+
+def test_unknown_render_modes_are_refused() -> None:
+    with pytest.raises(ConfigError, match="human"):
+        Hover(render_mode="human")
+
+
+def test_closing_twice_does_no_harm() -> None:
+    env = Hover(render_mode="rgb_array", camera=True)
+    env.reset(seed=0)
+    env.render()
+    env.close()
+    env.close()
+
+
+def test_smaller_images_have_the_same_view() -> None:
+    small: CameraModel = scaled(EUROC_CAM0, 0.25)
+    assert (small.width, small.height) == (188, 120)
+    corners = np.array([[-0.5, -0.5], [751.5, 479.5]])
+    small_corners = np.array([[-0.5, -0.5], [187.5, 119.5]])
+    np.testing.assert_allclose(small.normalise(small_corners), EUROC_CAM0.normalise(corners), atol=1e-9)
+
+
+def test_the_target_is_where_the_docs_say() -> None:
+    np.testing.assert_array_equal(TARGET_M, [0.0, 0.0, 1.2])
+    assert "1.2 m above the floor" in (Hover.__doc__ or "")

@@ -1,0 +1,149 @@
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from dronevio.models.errors import ConfigError
+from dronevio.models.rig import euroc_rig
+from dronevio.sim.flight import Flight, fly
+from dronevio.sim.room import FREE_BOX_M
+from dronevio.sim.scenario import SCENARIOS, Scenario, scenario
+
+
+@pytest.fixture(scope="module", params=[0, 13])
+def room(request: pytest.FixtureRequest) -> Flight:
+    return fly(scenario("room", request.param))
+
+
+def vehicle_positions(flight: Flight) -> np.ndarray:
+    T = flight.scenario.rig.T_vehicle_imu
+    R = flight.truth.rotations @ T[:3, :3].T
+    return flight.truth.p_world_imu - R @ T[:3, 3]
+
+
+def test_the_default_flight_is_lively(room: Flight) -> None:
+    assert room.truth.velocity_m_s is not None
+    speed = np.linalg.norm(room.truth.velocity_m_s, axis=1)
+    rate = np.linalg.norm(room.perfect_imu.gyro_rad_s, axis=1)
+    assert speed.max() >= 2.0
+    assert np.degrees(rate.max()) >= 90.0
+    assert room.truth.length_m > 30.0
+
+
+def test_it_follows_its_reference(room: Flight) -> None:
+    error = np.linalg.norm(vehicle_positions(room) - room.reference.position_m, axis=1)
+    assert np.sqrt(np.mean(error**2)) < 0.03
+    assert error.max() < 0.10
+
+
+def test_it_stays_in_the_free_space(room: Flight) -> None:
+    position, radius = vehicle_positions(room), 0.33  # arm and propeller
+    assert np.all(position[:, :2] - radius > FREE_BOX_M[0, :2])
+    assert np.all(position + radius < FREE_BOX_M[1])
+    assert position[:, 2].min() > 0.10
+
+
+def test_it_stands_still_before_and_after(room: Flight) -> None:
+    t = room.truth.t_s
+    for still in (t < 2.0, t > 29.0):
+        accel = room.perfect_imu.accel_m_s2[still]
+        np.testing.assert_allclose(accel, np.tile([9.81, 0.0, 0.0], (len(accel), 1)), atol=2e-3)
+        np.testing.assert_allclose(room.perfect_imu.gyro_rad_s[still], 0.0, atol=1e-4)
+    np.testing.assert_allclose(vehicle_positions(room)[-1, :2], 0.0, atol=0.02)
+
+
+def test_it_lands_gently(room: Flight) -> None:
+    landing = room.truth.t_s > 25.0
+    assert np.linalg.norm(room.perfect_imu.accel_m_s2[landing], axis=1).max() < 2.5 * 9.81
+
+
+def test_time_stamps_are_whole_and_complete(room: Flight) -> None:
+    np.testing.assert_array_equal(room.imu.t_ns, np.arange(6001) * 5_000_000)
+    np.testing.assert_array_equal(room.truth.t_ns, room.imu.t_ns)
+    np.testing.assert_array_equal(room.frame_times_ns, np.arange(600) * 50_000_000)
+    assert room.Ts_world_cam.shape == (600, 4, 4)
+
+
+def test_cameras_ride_on_the_imu(room: Flight) -> None:
+    expected = room.truth.Ts_world_imu[:-1:10] @ room.scenario.rig.cameras[0].T_imu_cam
+    np.testing.assert_allclose(room.Ts_world_cam, expected, atol=1e-9)
+    assert room.Ts_world_cam[0, 0, 2] > 0.99  # at rest it looks along the world's x
+
+
+def test_imu_is_the_perfect_one_plus_its_errors(room: Flight) -> None:
+    assert room.truth.gyro_bias_rad_s is not None and room.truth.accel_bias_m_s2 is not None
+    model = room.scenario.rig.imu
+    gyro = room.imu.gyro_rad_s - room.perfect_imu.gyro_rad_s - room.truth.gyro_bias_rad_s
+    accel = room.imu.accel_m_s2 - room.perfect_imu.accel_m_s2 - room.truth.accel_bias_m_s2
+    np.testing.assert_allclose(gyro.std(), model.gyro_noise_density * np.sqrt(200.0), rtol=0.05)
+    np.testing.assert_allclose(accel.std(), model.accel_noise_density * np.sqrt(200.0), rtol=0.05)
+
+
+def sensed_bytes(flight: Flight) -> bytes:
+    return b"".join(
+        values.tobytes()
+        for values in (
+            flight.imu.gyro_rad_s,
+            flight.imu.accel_m_s2,
+            flight.truth.p_world_imu,
+            flight.truth.quat_wxyz,
+            flight.Ts_world_cam,
+        )
+    )
+
+
+def test_same_seed_same_bytes() -> None:
+    first, again, other = (fly(scenario("short", seed)) for seed in (5, 5, 6))
+    assert sensed_bytes(first) == sensed_bytes(again)
+    assert not np.array_equal(first.imu.gyro_rad_s, other.imu.gyro_rad_s)
+    assert np.abs(first.truth.p_world_imu - other.truth.p_world_imu).max() > 1e-3
+
+
+def test_path_does_not_depend_on_the_sensors_noise() -> None:
+    short = scenario("short")
+    noiseless = replace(short, rig=replace(short.rig, imu=replace(short.rig.imu, gyro_noise_density=0.0)))
+    np.testing.assert_array_equal(fly(short).truth.p_world_imu, fly(noiseless).truth.p_world_imu)
+
+
+@pytest.mark.parametrize("name", ["hover", "short", "room-slow"])
+def test_the_other_scenarios_fly_well(name: str) -> None:
+    flight = fly(scenario(name))
+    error = np.linalg.norm(vehicle_positions(flight) - flight.reference.position_m, axis=1)
+    assert error.max() < 0.10
+    assert flight.truth.t_s[-1] == pytest.approx(flight.scenario.duration_s)
+    assert vehicle_positions(flight)[:, 2].max() > 0.5
+    np.testing.assert_allclose(flight.perfect_imu.gyro_rad_s[-20:], 0.0, atol=1e-3)
+
+
+def test_a_camera_with_a_late_clock_is_taken_at_its_true_time() -> None:
+    short = scenario("short")
+    late = fly(replace(short, rig=replace(euroc_rig(), time_offset_s=0.0125)))
+    on_time = fly(short)
+    np.testing.assert_array_equal(late.frame_times_ns, on_time.frame_times_ns)
+    between = 0.5 * (on_time.truth.p_world_imu[2:1200:10] + on_time.truth.p_world_imu[3:1200:10])
+    offset = late.Ts_world_cam[:, :3, 3] - between
+    lever = np.linalg.norm(late.scenario.rig.cameras[0].T_imu_cam[:3, 3])
+    np.testing.assert_allclose(np.linalg.norm(offset, axis=1), lever, atol=1e-3)
+
+
+def test_progress_is_told_from_start_to_end() -> None:
+    heard: list[tuple[int, int]] = []
+    fly(scenario("short"), lambda done, total: heard.append((done, total)))
+    assert heard[0] == (0, 1200) and heard[-1] == (1200, 1200)
+    assert heard == sorted(heard)
+
+
+def test_unknown_names_and_seeds_are_refused() -> None:
+    with pytest.raises(ConfigError, match=r"'moon'.*room"):
+        scenario("moon")
+    with pytest.raises(ConfigError, match="-1"):
+        scenario("room", -1)
+    with pytest.raises(ConfigError, match="'moon'"):
+        fly(replace(scenario("short"), world="moon"))
+
+
+def test_subsystems_draw_from_streams_of_their_own() -> None:
+    one: Scenario = SCENARIOS["room"]
+    assert one.generator("path").random() != one.generator("imu").random()
+    assert one.generator("path").random() == one.generator("path").random()
+    assert one.generator("path").random() != replace(one, seed=1).generator("path").random()
