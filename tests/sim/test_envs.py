@@ -117,14 +117,27 @@ def test_imu_reports_every_sample_since_the_last_action() -> None:
 def test_a_fall_ends_the_episode() -> None:
     env = Hover()
     env.reset(seed=0)
-    for step in range(60):
+    for _ in range(60):
         observation, reward, terminated, truncated, info = env.step(np.full(4, -1.0, np.float32))
         if terminated:
             break
     assert terminated and not truncated
-    assert 0.3 < (step + 1) / 50 < 1.0  # 1.2 m take half a second
+    assert 0.3 < info["t_ns"] * 1e-9 < 1.0  # 1.2 m take half a second
     assert info["distance_m"] == pytest.approx(np.linalg.norm(observation["position"]), rel=1e-5)
     assert 0.0 <= float(reward) < 0.2
+
+
+def test_turning_over_ends_the_episode() -> None:
+    env = Hover()
+    env.reset(seed=0)
+    for _ in range(60):
+        observation, _, terminated, _, _ = env.step(np.array([-0.5, 0.5, 0.5, -0.5], np.float32))
+        if terminated:
+            break
+    _, x, y, _ = observation["orientation"]
+    assert terminated
+    assert 1.0 - 2.0 * (x**2 + y**2) < 0.0  # the vehicle's z axis points down
+    assert np.linalg.norm(observation["position"]) < 1.0
 
 
 def test_rewards_are_best_at_the_target() -> None:
