@@ -11,8 +11,6 @@ from dronevio.models.errors import InputError
 Image = npt.NDArray[np.uint8]
 
 _PNG = b"\x89PNG\r\n\x1a\n"
-_JPEG = b"\xff\xd8\xff"
-_JPEG_END = b"\xff\xd9"  # cannot occur inside compressed data, where every 0xff is followed by 0
 
 
 def read_grey(path: Path, width: int, height: int) -> Image:
@@ -42,17 +40,10 @@ def read_grey(path: Path, width: int, height: int) -> Image:
 
 
 def _fault(data: bytes) -> str | None:
-    """Return what is wrong with a file, as far as can be told without decoding it.
-
-    The decoders write to the terminal about damaged files, and libjpeg fills what is missing with grey.
-    """
+    """Return what is wrong with a file that OpenCV would complain of on the terminal, or raise for."""
     if not data:
         return "an empty file"
-    if data.startswith(_PNG):
-        return _png_fault(data)
-    if data.startswith(_JPEG) and _JPEG_END not in data:
-        return "a JPEG that is cut off"
-    return None
+    return _png_fault(data) if data.startswith(_PNG) else None
 
 
 def _png_fault(data: bytes) -> str | None:

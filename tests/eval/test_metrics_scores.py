@@ -123,6 +123,9 @@ def test_scores_covariances_where_there_are_any() -> None:
     assert scored.scores.nees_position == pytest.approx(3.0, abs=0.7)
     assert scored.scores.nees_orientation == pytest.approx(0.0, abs=1e-9)
     assert scored.scores.position_beyond_3_sigma_percent == pytest.approx(0.27, abs=0.5)
+    for mode in ("none", "se3", "sim3"):  # a best fit would take part of the error away
+        scores = score(truth, estimate, alignment=mode)  # type: ignore[arg-type]
+        assert scores.nees_position == scored.scores.nees_position
 
 
 def test_takes_the_nearest_pose_if_told_to() -> None:
