@@ -65,6 +65,9 @@ class FrontEnd(Protocol):
     def replenish(self) -> Observations:
         """Look for new features in the last frame, and return all that are seen in it."""
 
+    def discard(self, ids: npt.NDArray[np.int64]) -> None:
+        """Follow some features no further."""
+
 
 class FeatureTracker:
     """Follows corners in the images of one camera."""
@@ -107,6 +110,12 @@ class FeatureTracker:
         self._xy = np.concatenate([self._xy, self._camera.normalise(corners)])
         self._next_id += n
         return self._observations()
+
+    def discard(self, ids: npt.NDArray[np.int64]) -> None:
+        """Follow some features no further."""
+        kept = ~np.isin(self._ids, ids)
+        self._ids, self._ages = self._ids[kept], self._ages[kept]
+        self._pixels, self._xy = self._pixels[kept], self._xy[kept]
 
     def _observations(self) -> Observations:
         return Observations(self._ids, self._pixels, self._xy, self._ages)

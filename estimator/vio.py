@@ -15,6 +15,7 @@ import numpy.typing as npt
 from dronevio.estimator.covariance import propagate
 from dronevio.estimator.frontend import FeatureTracker, FrontEnd, Observations, TrackerConfig
 from dronevio.estimator.inertial import ImuBuffer, Increments, InertialConfig, integrate, preintegration_params
+from dronevio.estimator.landmarks import LandmarkConfig
 from dronevio.estimator.smoother import KeyframeSmoother, SmootherConfig
 from dronevio.estimator.start import StartSigmas, mean_gyro, start_from_rest
 from dronevio.estimator.start_in_motion import MotionStartConfig, Sighting, start_in_motion
@@ -49,6 +50,7 @@ class VioConfig:
     inertial: InertialConfig = field(default_factory=InertialConfig)
     stillness: StillnessConfig = field(default_factory=StillnessConfig)
     smoother: SmootherConfig = field(default_factory=SmootherConfig)
+    landmarks: LandmarkConfig = field(default_factory=LandmarkConfig)
     keyframe: KeyframeConfig = field(default_factory=KeyframeConfig)
     rest_s: float = 0.8
     """How long the drone must stand still for a start from rest [s]."""
@@ -112,9 +114,12 @@ class VisualInertialOdometry:
             return self._estimate(self._carried_forward(frame.t_ns), observations)
         observations = self._front_end.replenish()
         still = self._stillness.still_for_s >= self._preintegrated.deltaTij()
-        events = self._smoother.add_keyframe(frame.t_ns, self._preintegrated, observations, still)
+        result = self._smoother.add_keyframe(frame.t_ns, self._preintegrated, observations, still)
+        self._front_end.discard(result.rejected)
         self._begin_interval(observations)
-        return self._estimate(self._smoother.state, observations, ("keyframe", *events), self._smoother.landmarks()[1])
+        return self._estimate(
+            self._smoother.state, observations, ("keyframe", *result.events), self._smoother.landmarks
+        )
 
     def _start(self, t_ns: int, observations: Observations, increments: Increments) -> Estimate:
         """Wait until the drone stands still for a while, or moves so that its velocity can be told."""
@@ -152,7 +157,13 @@ class VisualInertialOdometry:
         camera = self._rig.cameras[0]
         first, *later = sightings
         self._smoother = KeyframeSmoother(
-            camera.T_imu_cam, camera.model.fx, self._config.smoother, start, covariance, first.observations
+            camera.T_imu_cam,
+            camera.model.fx,
+            self._config.smoother,
+            self._config.landmarks,
+            start,
+            covariance,
+            first.observations,
         )
         self._begin_interval(first.observations)
         still = self._stillness.still_for_s > 0.0

@@ -127,6 +127,10 @@ class ReplayedFeatures:
         """Return the last frame's features: the flight brings its new ones by itself."""
         return self._last
 
+    def discard(self, ids: npt.NDArray[np.int64]) -> None:
+        """Hand out some features no more."""
+        self._rejected.update(ids.tolist())
+
 
 @dataclass(frozen=True, eq=False)
 class FilteredPath:

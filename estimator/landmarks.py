@@ -1,0 +1,121 @@
+"""What the smoother's window knows of landmarks: which keyframes saw each, and how far it is to be trusted."""
+
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, field
+from itertools import chain
+
+import numpy as np
+import numpy.typing as npt
+
+from dronevio.estimator.frontend import Observations
+from dronevio.estimator.triangulation import triangulate
+
+Array = npt.NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class LandmarkConfig:
+    """When a landmark constrains the window, and how strongly."""
+
+    pixel_sigma: float = 1.0
+    """Standard deviation of an image measurement [px]: tracking error and what calibration leaves."""
+    min_views: int = 3
+    """Keyframes that must have seen a landmark before it constrains anything."""
+    min_parallax_deg: float = 1.5
+    """Angle under which a landmark must have been seen [°]; below, its depth is not observable and iSAM2 fails."""
+    max_reprojection_px: float = 6.0
+    """A landmark seen further than this from where it should be is given up [px] ..."""
+    max_over_median: float = 5.0
+    """... unless others are off too: then, further than so many times their median."""
+    chunk_s: float = 4.0
+    """A landmark that is seen for longer starts again as a new one [s]. Were it not shorter than the smoother's lag,
+    those that were first seen together would be absorbed into the prior together, and leave nothing to hold on to."""
+
+
+@dataclass(eq=False)
+class Track:
+    """The sightings of one landmark that share a factor."""
+
+    id: int
+    keyframes: list[int] = field(default_factory=list)
+    xy: list[Array] = field(default_factory=list)
+    sigma: float = 0.0  # of its sightings, normalised
+    point: Array | None = None  # (3,) position in the world, once triangulated
+    slot: int | None = None  # where its factor stands in the solver; None while there is none
+
+
+class LandmarkWindow:
+    """Keeps the tracks of a window of keyframes."""
+
+    def __init__(self, focal_px: float, config: LandmarkConfig) -> None:
+        self._config = config
+        self._focal_px = focal_px
+        self._tracks: dict[int, Track] = {}
+        self._times_s: dict[int, float] = {}
+
+    def observe(self, k: int, t_s: float, observations: Observations) -> None:
+        """Add the sightings of keyframe k."""
+        self._times_s[k] = t_s
+        for track_id, xy in zip(observations.ids.tolist(), observations.xy, strict=True):
+            track = self._tracks.get(track_id)
+            if track is None or t_s - self._times_s[track.keyframes[0]] > self._config.chunk_s:
+                track = self._tracks[track_id] = Track(track_id)
+            track.keyframes.append(k)
+            track.xy.append(xy)
+
+    def judge(self, k: int, cameras: Mapping[int, tuple[Array, Array]]) -> tuple[list[Track], list[Track]]:
+        """Triangulate what keyframe k sees, and say which tracks may constrain the window, and which are wrong.
+
+        The weight of a track falls with its reprojection error, as that of a residual does under Cauchy's robust loss:
+        factors are made anew with every keyframe, which makes this iteratively reweighted least squares.
+
+        Args:
+            k: The newest keyframe.
+            cameras: Orientation (3, 3) and position (3,) of the camera at each keyframe.
+        """
+        c = self._config
+        seen = [t for t in self._tracks.values() if t.keyframes[-1] == k and len(t.keyframes) >= c.min_views]
+        if not seen:
+            return [], []
+        counts = np.array([len(track.keyframes) for track in seen])
+        poses = [cameras[i] for i in chain.from_iterable(track.keyframes for track in seen)]
+        R, p = np.array([pose[0] for pose in poses]), np.array([pose[1] for pose in poses])
+        xy = np.array(list(chain.from_iterable(track.xy for track in seen)))
+        found = triangulate(np.concatenate([[0], np.cumsum(counts)[:-1]]), R, p, xy)
+
+        deep = found.parallax_rad > np.radians(c.min_parallax_deg)
+        typical = float(np.median(found.rms[deep])) if deep.any() else 0.0
+        limit = max(c.max_reprojection_px / self._focal_px, c.max_over_median * typical)
+        wrong = deep & (~found.in_front | (np.maximum(found.rms, found.newest) > limit))
+        sigma = c.pixel_sigma / self._focal_px
+        sigmas = sigma * np.sqrt(1.0 + (found.rms / max(sigma, 2.0 * typical)) ** 2)
+        for track, point, track_sigma in zip(seen, found.points, sigmas.tolist(), strict=True):
+            track.point, track.sigma = point, track_sigma
+        useful = [track for track, yes in zip(seen, (deep & ~wrong).tolist(), strict=True) if yes]
+        return useful, [track for track, yes in zip(seen, wrong.tolist(), strict=True) if yes]
+
+    def drop(self, tracks: Iterable[Track]) -> None:
+        """Let go of tracks."""
+        for track in tracks:
+            del self._tracks[track.id]
+
+    def forget_before(self, oldest: int, newest: int) -> None:
+        """Let go of the keyframes before ``oldest``.
+
+        A factor whose oldest keyframe was marginalised has been absorbed whole into the prior. Its track begins anew,
+        so that no sighting counts twice.
+        """
+        self._times_s = {k: t_s for k, t_s in self._times_s.items() if k >= oldest}
+        for track in list(self._tracks.values()):
+            if track.keyframes[0] >= oldest:
+                continue
+            kept = [i for i, k in enumerate(track.keyframes) if k >= oldest] if track.slot is None else []
+            track.keyframes, track.xy = [track.keyframes[i] for i in kept], [track.xy[i] for i in kept]
+            track.slot = None
+            if not kept or track.keyframes[-1] < newest:
+                del self._tracks[track.id]
+
+    def points(self) -> Array:
+        """Return the positions (N, 3) of the landmarks that constrain the window [m]."""
+        points = [track.point for track in self._tracks.values() if track.slot is not None and track.point is not None]
+        return np.array(points).reshape(-1, 3)
