@@ -1,0 +1,62 @@
+"""Settings as plain data."""
+
+import json
+from dataclasses import dataclass, field
+from enum import Enum, StrEnum
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from dronevio.models.configuration import to_plain
+from dronevio.models.rig import euroc_rig
+
+
+class Colour(StrEnum):
+    RED = "red"
+
+
+class Level(Enum):
+    HIGH = 3
+
+
+@dataclass(frozen=True)
+class Inner:
+    gains: tuple[float, ...] = (1.0, 2.5)
+    level: Level = Level.HIGH
+
+
+@dataclass(frozen=True)
+class Outer:
+    inner: Inner = field(default_factory=Inner)
+    colour: Colour = Colour.RED
+    out: Path = Path("runs/one")
+    matrix: np.ndarray = field(default_factory=lambda: np.arange(4.0).reshape(2, 2))
+    count: np.int64 = field(default_factory=lambda: np.int64(7))
+    table: dict[int, object] = field(default_factory=lambda: {1: None, 2: [True, np.float32(0.5)]})
+
+
+def test_nested_settings_become_what_json_holds() -> None:
+    plain = to_plain(Outer())
+    assert plain == {
+        "inner": {"gains": [1.0, 2.5], "level": 3},
+        "colour": "red",
+        "out": "runs/one",
+        "matrix": [[0.0, 1.0], [2.0, 3.0]],
+        "count": 7,
+        "table": {"1": None, "2": [True, 0.5]},
+    }
+    assert json.loads(json.dumps(plain, allow_nan=False)) == plain
+
+
+def test_a_rig_comes_through_to_the_bit() -> None:
+    rig = euroc_rig()
+    plain = json.loads(json.dumps(to_plain(rig)))
+    np.testing.assert_array_equal(plain["cameras"][0]["T_imu_cam"], rig.cameras[0].T_imu_cam)
+    assert plain["imu"]["gyro_noise_density"] == rig.imu.gyro_noise_density
+
+
+@pytest.mark.parametrize("value", [object(), {1, 2}, Outer, lambda: 0, b"bytes", 1j])
+def test_what_is_no_setting_is_refused(value: object) -> None:
+    with pytest.raises(TypeError, match="is no setting"):
+        to_plain({"deep": [value]})

@@ -1,0 +1,116 @@
+"""Rotations, held against scipy's and against the group's own laws."""
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy.linalg import expm
+from scipy.spatial.transform import Rotation
+
+from dronevio.models.rotation import (
+    exp_so3,
+    inverse_pose,
+    log_so3,
+    matrix_from_quat_wxyz,
+    pose_matrix,
+    quat_wxyz_from_matrix,
+    quat_wxyz_from_xyzw,
+    quat_xyzw_from_wxyz,
+    skew,
+    slerp_quat_wxyz,
+)
+
+RNG = np.random.default_rng(7)
+ANGLES_RAD = [0.0, 1e-12, 1e-8, 0.9e-7, 1.1e-7, 1e-6, 1e-4, 0.1, 1.0, 3.0, np.pi - 1e-3, np.pi - 1e-6]
+vectors = st.lists(st.floats(-3.0, 3.0), min_size=3, max_size=3).map(np.array)
+
+
+def directions(n: int) -> np.ndarray:
+    v = RNG.normal(size=(n, 3))
+    return v / np.linalg.norm(v, axis=1, keepdims=True)
+
+
+@given(vectors, vectors)
+@settings(max_examples=50, deadline=None)
+def test_skew_is_the_cross_product(a: np.ndarray, b: np.ndarray) -> None:
+    np.testing.assert_allclose(skew(a) @ b, np.cross(a, b), atol=1e-14)
+    np.testing.assert_array_equal(skew(a), -skew(a).T)
+
+
+@pytest.mark.parametrize("angle_rad", [*ANGLES_RAD, np.pi, 5.0, 20.0])
+def test_exponential_is_that_of_the_matrix_and_scipys(angle_rad: float) -> None:
+    phi = angle_rad * directions(20)
+    R = exp_so3(phi)
+    np.testing.assert_allclose(R, Rotation.from_rotvec(phi).as_matrix(), atol=1e-14)
+    np.testing.assert_allclose(R[0], expm(skew(phi[0])), atol=1e-13)
+    np.testing.assert_allclose(R @ np.swapaxes(R, 1, 2), np.broadcast_to(np.eye(3), R.shape), atol=1e-14)
+    np.testing.assert_allclose(np.linalg.det(R), 1.0, atol=1e-14)
+
+
+@pytest.mark.parametrize("angle_rad", ANGLES_RAD)
+def test_logarithm_undoes_the_exponential(angle_rad: float) -> None:
+    phi = angle_rad * directions(50)
+    np.testing.assert_allclose(log_so3(exp_so3(phi)), phi, rtol=1e-9, atol=1e-15)
+
+
+def test_half_a_turn_has_one_of_its_two_logarithms() -> None:
+    axes = np.vstack([np.eye(3), -np.eye(3), directions(50)])
+    found = log_so3(exp_so3(np.pi * axes))
+    np.testing.assert_allclose(np.abs(np.sum(found * axes, axis=1)), np.pi, atol=1e-7)
+    np.testing.assert_allclose(exp_so3(found), exp_so3(np.pi * axes), atol=1e-7)
+
+
+def test_logarithm_is_the_shorter_way_round() -> None:
+    phi = 5.0 * directions(20)
+    np.testing.assert_allclose(np.linalg.norm(log_so3(exp_so3(phi)), axis=1), 2.0 * np.pi - 5.0, atol=1e-12)
+
+
+def test_quaternions_of_all_four_forms_come_back() -> None:
+    turned = [Rotation.from_rotvec(3.1 * axis) for axis in np.eye(3)]  # each makes another of the forms the best
+    R = np.concatenate([Rotation.random(500, random_state=1).as_matrix(), [r.as_matrix() for r in turned], [np.eye(3)]])
+    q = quat_wxyz_from_matrix(R)
+    np.testing.assert_allclose(np.linalg.norm(q, axis=1), 1.0, atol=1e-14)
+    assert np.all(q[:, 0] >= 0.0)
+    np.testing.assert_allclose(matrix_from_quat_wxyz(q), R, atol=1e-13)
+    theirs = Rotation.from_matrix(R).as_quat(canonical=True)
+    np.testing.assert_allclose(quat_xyzw_from_wxyz(q), theirs, atol=1e-12)
+
+
+def test_matrices_do_not_mind_a_quaternions_length_or_sign() -> None:
+    q = quat_wxyz_from_matrix(Rotation.random(20, random_state=2).as_matrix())
+    np.testing.assert_allclose(matrix_from_quat_wxyz(-3.7 * q), matrix_from_quat_wxyz(q), atol=1e-14)
+
+
+def test_orders_are_reordered_and_back() -> None:
+    np.testing.assert_array_equal(quat_xyzw_from_wxyz(np.array([1.0, 2.0, 3.0, 4.0])), [2.0, 3.0, 4.0, 1.0])
+    q = RNG.normal(size=(5, 2, 4))
+    np.testing.assert_array_equal(quat_wxyz_from_xyzw(quat_xyzw_from_wxyz(q)), q)
+
+
+@given(st.floats(0.0, 1.0), st.integers(0, 1000))
+@settings(max_examples=100, deadline=None)
+def test_interpolation_turns_evenly_along_the_shorter_arc(fraction: float, seed: int) -> None:
+    R0, R1 = Rotation.random(2, random_state=seed).as_matrix()
+    q0, q1 = quat_wxyz_from_matrix(R0), quat_wxyz_from_matrix(R1)
+    step = log_so3(R0.T @ matrix_from_quat_wxyz(slerp_quat_wxyz(q0, q1, np.array(fraction))))
+    np.testing.assert_allclose(step, fraction * log_so3(R0.T @ R1), atol=1e-9)
+    flipped = slerp_quat_wxyz(q0, -q1, np.array(fraction))
+    np.testing.assert_allclose(flipped, slerp_quat_wxyz(q0, q1, np.array(fraction)), atol=1e-12)
+
+
+def test_poses_have_inverses() -> None:
+    T = pose_matrix(Rotation.random(30, random_state=3).as_matrix(), RNG.normal(size=(30, 3)))
+    np.testing.assert_array_equal(T[:, 3], np.tile([0.0, 0.0, 0.0, 1.0], (30, 1)))
+    np.testing.assert_allclose(inverse_pose(T), np.linalg.inv(T), atol=1e-13)
+    np.testing.assert_allclose(inverse_pose(T[4]) @ T[4], np.eye(4), atol=1e-14)
+
+
+def test_everything_broadcasts_over_leading_axes() -> None:
+    phi = RNG.normal(size=(2, 3, 3))
+    R = exp_so3(phi)
+    q = quat_wxyz_from_matrix(R)
+    for i, j in np.ndindex(2, 3):
+        np.testing.assert_array_equal(R[i, j], exp_so3(phi[i, j]))
+        np.testing.assert_array_equal(q[i, j], quat_wxyz_from_matrix(R[i, j]))
+        np.testing.assert_array_equal(log_so3(R)[i, j], log_so3(R[i, j]))
+        np.testing.assert_array_equal(matrix_from_quat_wxyz(q)[i, j], matrix_from_quat_wxyz(q[i, j]))
