@@ -42,12 +42,14 @@ def epipolar_inliers(
     moving = np.flatnonzero(flow > 2.0 * threshold)
     if len(moving) < MIN_MATCHES:
         return np.asarray(flow < 4.0 * threshold)
-    pairs = rng.integers(0, len(moving), (HYPOTHESES, 2))
-    t = np.cross(normals[moving[pairs[:, 0]]], normals[moving[pairs[:, 1]]])
+    first = rng.integers(0, len(moving), HYPOTHESES)
+    second = (first + rng.integers(1, len(moving), HYPOTHESES)) % len(moving)  # another one
+    t = np.cross(normals[moving[first]], normals[moving[second]])
     length = np.linalg.norm(t, axis=1, keepdims=True)
-    t = t / np.where(length < 1e-15, 1.0, length)
+    told = length > 1e-15  # parallel normals tell no direction, and all would agree with none
+    t = t / np.where(told, length, 1.0)
 
-    agree = _line_distance(t, normals, f0) < threshold
+    agree = (_line_distance(t, normals, f0) < threshold) & told
     best = int(np.argmax(agree.sum(axis=1)))
     # Refit on the consensus: the direction that is most nearly normal to all normals.
     support = normals[agree[best]]
