@@ -1,0 +1,266 @@
+"""A flight made of formulas: an analytic path, its IMU, and a front end that sees landmarks instead of images."""
+
+from collections.abc import Callable
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+
+import numpy as np
+import numpy.typing as npt
+import pytest
+
+from dronevio.estimator.frontend import Observations
+from dronevio.estimator.vio import VioConfig, VisualInertialOdometry
+from dronevio.models.imu import GRAVITY_M_S2, ImuSamples, Sampling
+from dronevio.models.protocols import measurements
+from dronevio.models.rig import Rig, euroc_rig
+from dronevio.models.rotation import exp_so3, inverse_pose, log_so3, pose_matrix, quat_wxyz_from_matrix
+from dronevio.models.state import CameraFrame, Estimate, Trajectory
+
+Array = npt.NDArray[np.float64]
+Times = npt.NDArray[np.int64]
+
+GRAVITY = np.array([0.0, 0.0, -GRAVITY_M_S2])
+START_NS = 1_403_715_273_000_000_000
+IMU_STEP_NS, FRAME_STEP_NS = 5_000_000, 50_000_000
+
+
+@dataclass(frozen=True, eq=False)
+class Kinematics:
+    """The motion of the IMU at N instants, in the world; the angular velocity is in the IMU frame."""
+
+    R: Array
+    p: Array
+    v: Array
+    a: Array
+    omega: Array
+
+
+@dataclass(frozen=True, eq=False)
+class Motion:
+    """Sums of sines for position and for yaw, pitch, roll, run by a clock that stands still at first."""
+
+    rest_s: float
+    """When the motion begins; negative for one that has long begun at t = 0."""
+    ramp_s: float = 1.5
+    """How long the clock takes to come up to speed."""
+    places_m: Array = field(default_factory=lambda: np.array([[1.5, 0.3], [1.3, 0.35], [0.5, 0.2]]))
+    place_rates: Array = field(default_factory=lambda: np.array([[0.7, 1.9], [0.9, 1.7], [0.8, 2.3]]))
+    angles_rad: Array = field(default_factory=lambda: np.array([[0.9, 0.15], [0.15, 0.08], [0.15, 0.08]]))
+    angle_rates: Array = field(default_factory=lambda: np.array([[0.5, 1.3], [1.1, 2.7], [0.9, 2.3]]))
+    phases: Array = field(default_factory=lambda: np.zeros((2, 3, 2)))
+    R_vehicle_imu: Array = field(default_factory=lambda: np.eye(3))
+
+    def at(self, t_s: Array) -> Kinematics:
+        """Return the motion at (N,) times."""
+        tau, rate, acceleration = self._clock(t_s)
+        rate, acceleration = rate[:, None], acceleration[:, None]
+        p, dp, ddp = _sines(tau, self.places_m, self.place_rates, self.phases[0])
+        angle, d_angle, _ = _sines(tau, self.angles_rad, self.angle_rates, self.phases[1])
+        yaw, pitch, roll = angle.T
+        d_yaw, d_pitch, d_roll = (d_angle * rate).T
+        z, y, x = np.eye(3)[::-1]
+        R = exp_so3(yaw[:, None] * z) @ exp_so3(pitch[:, None] * y) @ exp_so3(roll[:, None] * x)
+        omega = np.stack(
+            [
+                d_roll - d_yaw * np.sin(pitch),
+                d_pitch * np.cos(roll) + d_yaw * np.sin(roll) * np.cos(pitch),
+                -d_pitch * np.sin(roll) + d_yaw * np.cos(roll) * np.cos(pitch),
+            ],
+            axis=1,
+        )
+        B = self.R_vehicle_imu
+        return Kinematics(R @ B, p, dp * rate, ddp * rate**2 + dp * acceleration, omega @ B)
+
+    def _clock(self, t_s: Array) -> tuple[Array, Array, Array]:
+        s = t_s - self.rest_s
+        u = np.clip(s / self.ramp_s, 0.0, 1.0)
+        tau = self.ramp_s * (u**3 - 0.5 * u**4) + np.maximum(s - self.ramp_s, 0.0)
+        return tau, u * u * (3.0 - 2.0 * u), 6.0 * u * (1.0 - u) / self.ramp_s
+
+
+def _sines(tau: Array, amplitude: Array, rate: Array, phase: Array) -> tuple[Array, Array, Array]:
+    """Return sums of sines (N, 3) and their first two derivatives."""
+    x = rate * tau[:, None, None] + phase
+    return (
+        (amplitude * np.sin(x)).sum(axis=2),
+        (amplitude * rate * np.cos(x)).sum(axis=2),
+        -(amplitude * rate**2 * np.sin(x)).sum(axis=2),
+    )
+
+
+class SyntheticFrontEnd:
+    """Sees landmarks where they are, give or take some noise; a landmark that was lost comes back under a new id."""
+
+    def __init__(self, flight: "SyntheticFlight") -> None:
+        self._flight = flight
+        self._model = flight.rig.cameras[0].model
+        self._rng = np.random.default_rng([flight.seed, 2])
+        n = len(flight.landmarks)
+        self._ids, self._ages = np.full(n, -1), np.zeros(n, np.int64)
+        self._visible = np.zeros(n, dtype=np.bool_)
+        self._pixels = np.zeros((n, 2))
+        self._next_id = 0
+
+    def track(self, frame: CameraFrame, R_cur_prev: Array) -> Observations:
+        assert np.allclose(R_cur_prev @ R_cur_prev.T, np.eye(3), atol=1e-9)
+        flight = self._flight
+        T_cam_world = inverse_pose(flight.Ts_world_cam(np.array([frame.t_ns]))[0])
+        p = flight.landmarks_at(frame.t_ns) @ T_cam_world[:3, :3].T + T_cam_world[:3, 3]
+        pixels = self._model.project(p) + flight.pixel_noise * self._rng.normal(size=(len(p), 2))
+        with np.errstate(divide="ignore", invalid="ignore"):
+            near_axis = np.linalg.norm(p[:, :2] / p[:, 2:], axis=1) < 1.1  # the lens model folds back further out
+        inside = np.all((pixels > 12) & (pixels < [self._model.width - 13, self._model.height - 13]), axis=1)
+        self._visible = near_axis & inside & (p[:, 2] > 0.3) & (not flight.is_dark(frame.t_ns))
+        self._pixels = pixels
+        self._ids[~self._visible] = -1
+        self._ages = np.where(self._ids >= 0, self._ages + 1, 0)
+        return self._observations()
+
+    def replenish(self) -> Observations:
+        free = np.flatnonzero(self._visible & (self._ids < 0))
+        chosen = free[: max(self._flight.max_features - int((self._ids >= 0).sum()), 0)]
+        self._ids[chosen] = self._next_id + np.arange(len(chosen))
+        self._ages[chosen] = 1
+        self._next_id += len(chosen)
+        return self._observations()
+
+    def _observations(self) -> Observations:
+        rows = np.flatnonzero(self._ids >= 0)
+        rows = rows[np.argsort(self._ids[rows])]
+        pixels = self._pixels[rows]
+        return Observations(self._ids[rows], pixels, self._model.normalise(pixels), self._ages[rows])
+
+
+@dataclass(frozen=True, eq=False)
+class SyntheticFlight:
+    """A recording without images; satisfies the `Recording` protocol."""
+
+    motion: Motion
+    duration_s: float
+    seed: int
+    rig: Rig
+    landmarks: Array
+    imu_noise: float = 1.0
+    """Factor on the densities of the rig's IMU."""
+    pixel_noise: float = 0.2
+    max_features: int = 60
+    gyro_bias: Array = field(default_factory=lambda: np.zeros(3))
+    accel_bias: Array = field(default_factory=lambda: np.zeros(3))
+    sampling: Sampling = "point"
+    dark_s: tuple[float, float] = (0.0, 0.0)
+    moving_share: float = 0.0
+    """Share of the landmarks that are no landmarks: they move."""
+    name: str = "formulas"
+    ground_truth: Trajectory | None = None
+
+    @cached_property
+    def imu(self) -> ImuSamples:
+        """White noise is drawn in the vehicle frame, so that however the IMU is mounted it senses the same."""
+        n = int(self.duration_s * 1e9) // IMU_STEP_NS + 1
+        t_ns = START_NS + IMU_STEP_NS * np.arange(n)
+        k = self.motion.at((t_ns - START_NS) * 1e-9)
+        gyro, accel = k.omega, np.einsum("nji,nj->ni", k.R, k.a - GRAVITY)
+        if self.sampling == "increment":
+            dt = IMU_STEP_NS * 1e-9
+            before = self.motion.at((t_ns - START_NS) * 1e-9 - dt)
+            gyro = log_so3(np.swapaxes(before.R, 1, 2) @ k.R) / dt
+            accel = np.einsum("nji,nj->ni", before.R, (k.v - before.v) / dt - GRAVITY)
+        rng = np.random.default_rng([self.seed, 1])
+        B, model, root_rate = self.motion.R_vehicle_imu, self.rig.imu, np.sqrt(1e9 / IMU_STEP_NS)
+        gyro_noise = rng.normal(size=(n, 3)) * self.imu_noise * model.gyro_noise_density * root_rate
+        accel_noise = rng.normal(size=(n, 3)) * self.imu_noise * model.accel_noise_density * root_rate
+        return ImuSamples(
+            t_ns, gyro + (gyro_noise + self.gyro_bias) @ B, accel + (accel_noise + self.accel_bias) @ B, self.sampling
+        )
+
+    @cached_property
+    def frame_times_ns(self) -> Times:
+        return START_NS + FRAME_STEP_NS * np.arange(int(self.duration_s * 1e9) // FRAME_STEP_NS + 1)
+
+    def frame(self, index: int) -> CameraFrame:
+        return CameraFrame(int(self.frame_times_ns[index]), ())
+
+    def is_dark(self, t_ns: int) -> bool:
+        return self.dark_s[0] <= (t_ns - START_NS) * 1e-9 < self.dark_s[1]
+
+    def landmarks_at(self, t_ns: int) -> Array:
+        """Return the (L, 3) places of what the camera can see."""
+        n = len(self.landmarks)
+        moving = np.random.default_rng([self.seed, 3]).random(n) < self.moving_share
+        swing_m = 0.5 * np.sin((t_ns - START_NS) * 1e-9 + np.arange(n))
+        return self.landmarks + (moving * swing_m)[:, None]
+
+    def truth_at(self, t_ns: Times) -> Trajectory:
+        k = self.motion.at((t_ns - START_NS) * 1e-9)
+        n, B = len(t_ns), self.motion.R_vehicle_imu
+        biases = np.tile(self.gyro_bias @ B, (n, 1)), np.tile(self.accel_bias @ B, (n, 1))
+        return Trajectory(t_ns, k.p, quat_wxyz_from_matrix(k.R), k.v, *biases)
+
+    def Ts_world_cam(self, t_ns: Times) -> Array:
+        k = self.motion.at((t_ns - START_NS) * 1e-9)
+        return np.asarray(pose_matrix(k.R, k.p) @ self.rig.cameras[0].T_imu_cam)
+
+    def front_end(self) -> SyntheticFrontEnd:
+        return SyntheticFrontEnd(self)
+
+    def cut_after(self, frames: int) -> "SyntheticFlight":
+        """Return the same flight, ended after some frames; its noise is what it was."""
+        flight = replace(self, duration_s=(frames - 1) * FRAME_STEP_NS * 1e-9)
+        whole = self.imu.up_to(int(self.frame_times_ns[frames - 1]))
+        flight.__dict__.update(imu=whole, frame_times_ns=self.frame_times_ns[:frames])
+        return flight
+
+    def run(self, config: VioConfig | None = None) -> list[Estimate]:
+        """Push everything through the odometry; return one estimate a frame."""
+        vio = VisualInertialOdometry(self.rig, config, self.front_end())
+        estimates = []
+        for measurement in measurements(self):
+            if isinstance(measurement, ImuSamples):
+                vio.add_imu(measurement)
+            else:
+                estimates.append(vio.add_frame(measurement))
+        return estimates
+
+
+def room(rng: np.random.Generator, n: int = 1200) -> Array:
+    """Return landmarks (n, 3) on the six sides of a room of 9 × 9 × 5 m around the origin."""
+    half = np.array([4.5, 4.5, 2.5])
+    points = rng.uniform(-1.0, 1.0, (n, 3))
+    side = rng.integers(0, 3, n)
+    points[np.arange(n), side] = np.where(rng.random(n) < 0.5, -1.0, 1.0)
+    return np.asarray(points * half)
+
+
+@pytest.fixture(scope="session")
+def make_flight() -> Callable[..., SyntheticFlight]:
+    """Return a maker of flights; ``rest_s`` < 0 makes one that is in the air when the recording begins."""
+
+    def make(
+        seed: int = 0,
+        rest_s: float = 1.5,
+        duration_s: float = 12.0,
+        R_mount: Array | None = None,
+        noisy: bool = True,
+        motion: dict[str, object] | None = None,
+        **settings: object,
+    ) -> SyntheticFlight:
+        rng = np.random.default_rng(seed)
+        rig = euroc_rig()
+        if R_mount is not None:  # turn the IMU in its mount; camera and vehicle stay where they are
+            turn = pose_matrix(R_mount, np.zeros(3))
+            camera = replace(rig.cameras[0], T_imu_cam=inverse_pose(turn) @ rig.cameras[0].T_imu_cam)
+            rig = replace(rig, cameras=(camera,), T_vehicle_imu=rig.T_vehicle_imu @ turn)
+        phases = rng.uniform(0.0, 2.0 * np.pi, (2, 3, 2))
+        path = Motion(
+            rest_s,
+            **{"phases": phases, "R_vehicle_imu": rig.T_vehicle_imu[:3, :3], **(motion or {})},  # type: ignore[arg-type]
+        )
+        landmarks = room(rng)
+        biases = {
+            "gyro_bias": noisy * rig.imu.gyro_turn_on_bias_rad_s * rng.normal(size=3),
+            "accel_bias": noisy * rig.imu.accel_turn_on_bias_m_s2 * rng.normal(size=3),
+        }
+        noises = {"imu_noise": float(noisy), "pixel_noise": 0.2 * noisy}
+        return SyntheticFlight(path, duration_s, seed, rig, landmarks, **{**biases, **noises, **settings})  # type: ignore[arg-type]
+
+    return make
