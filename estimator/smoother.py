@@ -18,6 +18,7 @@ from gtsam.symbol_shorthand import B, V, X
 from dronevio.estimator.covariance import covariance_from_gtsam, covariance_to_gtsam
 from dronevio.estimator.frontend import Observations
 from dronevio.estimator.landmarks import LandmarkConfig, LandmarkWindow, Track
+from dronevio.estimator.start import GAUGE_SIGMA
 from dronevio.models.state import NavState
 
 Array = npt.NDArray[np.float64]
@@ -91,6 +92,7 @@ class KeyframeSmoother:
         self._poses: dict[int, tuple[Array, Array]]  # orientation and position of the camera at the window's keyframes
         self._nav: gtsam.NavState
         self._bias: gtsam.imuBias.ConstantBias
+        self._position_covariance: Array  # (3, 3) of the keyframe at which the solver started
         self._covariance: Array  # (15, 15) of the newest keyframe, in the order of NavState
         self._state: NavState
         self._restart(start, covariance)
@@ -161,7 +163,11 @@ class KeyframeSmoother:
         return KeyframeResult(rejected)
 
     def _restart(self, start: NavState, covariance: Array) -> None:
-        """Begin anew at a state, as sure of it as the covariance (15, 15) says."""
+        """Begin anew at a state, as sure of it as the covariance (15, 15) says.
+
+        Nothing observes the position, and metres of uncertainty in it leave the solver's linear systems without the
+        digits that they need. It gets a position that is known, and what was unsure is added to what it says later.
+        """
         c = self._config
         params = gtsam.ISAM2Params()
         params.setRelinearizeThreshold(c.relinearise_threshold)
@@ -175,7 +181,11 @@ class KeyframeSmoother:
         self._bias = gtsam.imuBias.ConstantBias(start.accel_bias_m_s2, start.gyro_bias_rad_s)
         self._nav = gtsam.NavState(pose, start.velocity_m_s)
         graph, values = gtsam.NonlinearFactorGraph(), gtsam.Values()
-        P = covariance_to_gtsam(covariance, start.T_world_imu[:3, :3])
+        self._position_covariance = covariance[3:6, 3:6]
+        anchored = covariance.copy()
+        anchored[3:6, :] = anchored[:, 3:6] = 0.0
+        anchored[3:6, 3:6] = GAUGE_SIGMA**2 * np.eye(3)
+        P = covariance_to_gtsam(anchored, start.T_world_imu[:3, :3])
         gaussian = gtsam.noiseModel.Gaussian.Covariance
         graph.add(gtsam.PriorFactorPose3(X(0), pose, gaussian(P[:6, :6])))
         graph.add(gtsam.PriorFactorVector(V(0), start.velocity_m_s, gaussian(P[6:9, 6:9])))
@@ -215,6 +225,7 @@ class KeyframeSmoother:
         self._nav = gtsam.NavState(poses[k], self._solver.calculateEstimateVector(V(k)))
         joint = self._solver.getISAM2().jointMarginalCovariance([X(k), V(k), B(k)])
         self._covariance = covariance_from_gtsam(joint.fullMatrix(), poses[k].rotation().matrix())
+        self._covariance[3:6, 3:6] += self._position_covariance
         self._state = _nav_state(t_ns, self._nav, self._bias, self._covariance)
 
     def _camera_pose(self, pose: gtsam.Pose3) -> tuple[Array, Array]:

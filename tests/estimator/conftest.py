@@ -124,6 +124,9 @@ class SyntheticFrontEnd:
         self._next_id += len(chosen)
         return self._observations()
 
+    def discard(self, ids: npt.NDArray[np.int64]) -> None:
+        self._ids[np.isin(self._ids, ids)] = -1  # it may come back, as in an image
+
     def _observations(self) -> Observations:
         rows = np.flatnonzero(self._ids >= 0)
         rows = rows[np.argsort(self._ids[rows])]
