@@ -26,18 +26,20 @@ def estimate_recording(recording: Recording, estimator: Estimator, progress: Pro
     cpu_ms: list[float] = []
     wall_ms: list[float] = []
     total = len(recording.frame_times_ns)
-    stream = measurements(recording)
     cpu_s, wall_s = 0.0, 0.0
-    for measurement in stream:
+    for measurement in measurements(recording):
         cpu_start, wall_start = time.process_time(), time.perf_counter()
         if isinstance(measurement, ImuSamples):
             estimator.add_imu(measurement)
-            cpu_s, wall_s = time.process_time() - cpu_start, time.perf_counter() - wall_start
-            continue
-        estimates.append(estimator.add_frame(measurement))
-        cpu_ms.append((cpu_s + time.process_time() - cpu_start) * 1e3)
-        wall_ms.append((wall_s + time.perf_counter() - wall_start) * 1e3)
-        progress(len(estimates), total)
+        else:
+            estimates.append(estimator.add_frame(measurement))
+        cpu_s += time.process_time() - cpu_start
+        wall_s += time.perf_counter() - wall_start
+        if len(estimates) > len(cpu_ms):  # a frame is done, with the IMU before it
+            cpu_ms.append(cpu_s * 1e3)
+            wall_ms.append(wall_s * 1e3)
+            cpu_s, wall_s = 0.0, 0.0
+            progress(len(estimates), total)
     return EstimatorRun(tuple(estimates), np.array(cpu_ms), np.array(wall_ms))
 
 

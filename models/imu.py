@@ -80,9 +80,9 @@ class ImuSamples:
     def increments(self) -> Self:
         """Return the same motion as means over the intervals between stamps.
 
-        Increments stay as they are. Points are averaged pairwise (the midpoint rule), the later acceleration first turned
-        into the frame at the interval's start: left out, that turn costs ½ω × a, 4 cm/s² at 50 °/s and 200 Hz. The
-        interval before the first point is unknown, so N points give N − 1 increments.
+        Increments stay as they are. Points are averaged pairwise (the midpoint rule), the later acceleration first
+        turned into the frame at the interval's start: left out, that turn costs ½ω × a, 2 cm/s² at 50 °/s and 200 Hz.
+        The interval before the first point is unknown, so N points give N − 1 increments.
         """
         if self.sampling == "increment":
             return self

@@ -20,7 +20,7 @@ from typing import Protocol
 
 from dronevio.models.errors import GraphicsError
 
-INSTALL_COMMAND = "sudo apt-get install -y libegl1 libgl1-mesa-dri"
+INSTALL_COMMAND = "sudo apt-get install -y libegl1 libgl1-mesa-dri libopengl0"
 """What brings an OpenGL that needs neither a display nor a GPU to Debian and Ubuntu."""
 
 _LIBRARIES = {"egl": ("libEGL.so.1",), "osmesa": ("libOSMesa.so.8", "libOSMesa.so.6", "libOSMesa.so")}

@@ -108,7 +108,8 @@ def _carry_out(scenario: "Scenario", folder: Path, target: Path, bars: Bars) -> 
         seed=scenario.seed,
         configuration=configuration,
     )
-    write_rrd(folder / "run.rrd", recording, run, scored, outline=outline, progress=listeners["logging"])
+    name = f"{scenario.name}, seed {scenario.seed}"
+    write_rrd(folder / "run.rrd", recording, run, scored, name=name, outline=outline, progress=listeners["logging"])
     write_report(folder, info, recording, run, scored, outline=outline)
     return run, scored
 

@@ -1,5 +1,6 @@
 """What every command shares at the terminal: arguments made from a dataclass, progress bars, tables, JSON."""
 
+import inspect
 import json
 import sys
 from collections.abc import Iterator, Mapping, Sequence
@@ -22,7 +23,9 @@ def parse(command: type[Command], arguments: Sequence[str], name: str) -> Comman
 
     A wrong argument prints what is wrong and exits with 2.
     """
-    return tyro.cli(command, args=list(arguments), prog=f"dronevio {name}")
+    # Left to itself, tyro takes the examples out of the docstring.
+    description = inspect.cleandoc(command.__doc__ or "")
+    return tyro.cli(command, args=list(arguments), prog=f"dronevio {name}", description=description)
 
 
 @contextmanager

@@ -112,8 +112,9 @@ def read_timed_table(path: Path, form: TableFormat) -> TimedTable:
         t_ns, values = _parse(rows, form)
     except (ValueError, OverflowError):
         _raise_first_fault(path, numbered, form)
-    if not text.endswith("\n"):
-        raise InputError(path, "a last row without a line end", "a whole file; this one seems cut off", int(lines[-1]))
+    if not text.endswith("\n") and _seems_cut(rows, form):
+        found = "a last number without a line end, shorter than all above it"
+        raise InputError(path, found, "a whole file; this one seems cut off", int(lines[-1]))
     table = TimedTable(path, t_ns, values, lines)
     _check_values(table, form)
     return table
@@ -143,6 +144,16 @@ def check_unit_quaternions(table: TimedTable, quat_wxyz: Array) -> None:
     if wrong.size:
         found = f"a quaternion of length {norm[wrong[0]]:.3g}"
         raise InputError(table.path, found, "one of length 1", int(table.lines[wrong[0]]))
+
+
+def _seems_cut(rows: list[str], form: TableFormat) -> bool:
+    """Say whether a table that ends without a line end ends within a number: its last is shorter than all above it.
+
+    Many programs leave out the last line end, so that alone proves nothing; but with a single row nothing else speaks
+    for it.
+    """
+    lengths = [len(row.split(form.delimiter)[-1].strip()) for row in rows]
+    return lengths[-1] < min(lengths[:-1], default=lengths[-1] + 1)
 
 
 def _parse(rows: list[str], form: TableFormat) -> tuple[Times, Array]:
