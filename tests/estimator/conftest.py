@@ -4,12 +4,14 @@ from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 
+import cv2
 import numpy as np
 import numpy.typing as npt
 import pytest
 
 from dronevio.estimator.frontend import Observations
 from dronevio.estimator.vio import VioConfig, VisualInertialOdometry
+from dronevio.models.camera import CameraModel
 from dronevio.models.imu import GRAVITY_M_S2, ImuSamples, Sampling
 from dronevio.models.protocols import measurements
 from dronevio.models.rig import Rig, euroc_rig
@@ -267,3 +269,33 @@ def make_flight() -> Callable[..., SyntheticFlight]:
         return SyntheticFlight(path, duration_s, seed, rig, landmarks, **{**biases, **noises, **settings})  # type: ignore[arg-type]
 
     return make
+
+
+WALL_M, TEXEL_M = 3.0, 0.006
+
+
+@pytest.fixture(scope="session")
+def see_wall() -> Callable[[CameraModel, Array], npt.NDArray[np.uint8]]:
+    """Return a camera on a textured wall across the world's z axis: (model, T_world_cam) to a grey picture."""
+    rng = np.random.default_rng(11)
+    shades = sum(
+        strength
+        * cv2.resize(rng.normal(size=(2000 // size, 2400 // size)), (2400, 2000), interpolation=cv2.INTER_CUBIC)
+        for size, strength in ((5, 0.7), (12, 1.0), (40, 1.0))
+    )
+    texture = np.clip(128.0 + 38.0 * shades, 0, 255).astype(np.float32)
+    rays: dict[CameraModel, Array] = {}
+
+    def see(model: CameraModel, T_world_cam: Array) -> npt.NDArray[np.uint8]:
+        if model not in rays:
+            pixels = np.stack(np.meshgrid(np.arange(model.width), np.arange(model.height)), axis=-1).astype(float)
+            rays[model] = model.unproject(pixels)
+        ray = rays[model] @ T_world_cam[:3, :3].T
+        depth = (WALL_M - T_world_cam[2, 3]) / ray[..., 2:]
+        texels = (T_world_cam[:2, 3] + ray[..., :2] * depth) / TEXEL_M + [1200.0, 1000.0]
+        grey = cv2.remap(
+            texture, *np.moveaxis(texels.astype(np.float32), 2, 0), cv2.INTER_CUBIC, borderMode=cv2.BORDER_REFLECT
+        )
+        return np.asarray(np.clip(np.rint(grey), 0, 255).astype(np.uint8))
+
+    return see
