@@ -33,7 +33,7 @@ class TrackerConfig:
     """Pyramid levels above the image: the prediction may be off by about window/2 · 2^levels pixels."""
     border_px: int = 12
     """Corners nearer to the image's border are dropped [px]."""
-    ransac_px: float = 0.35
+    ransac_px: float = 0.5
     """Largest distance from the epipolar line [px]."""
     seed: int = 0
     """Seed of the random draws."""
@@ -59,8 +59,14 @@ class Observations:
 class FrontEnd(Protocol):
     """Turns frames into observations of features."""
 
-    def track(self, frame: CameraFrame, R_cur_prev: Array) -> Observations:
-        """Follow the features into a frame; R_cur_prev (3, 3) turns the previous camera frame into this one."""
+    def track(self, frame: CameraFrame, R_cur_prev: Array, rotation_sigma_rad: float = 0.0) -> Observations:
+        """Follow the features into a frame.
+
+        Args:
+            frame: The new frame.
+            R_cur_prev: (3, 3) Rotation of the previous camera frame into this one, from the gyroscope.
+            rotation_sigma_rad: How far it may be off.
+        """
 
     def replenish(self) -> Observations:
         """Look for new features in the last frame, and return all that are seen in it."""
@@ -83,19 +89,22 @@ class FeatureTracker:
         self._xy = np.zeros((0, 2))
         self._next_id = 0
 
-    def track(self, frame: CameraFrame, R_cur_prev: Array) -> Observations:
+    def track(self, frame: CameraFrame, R_cur_prev: Array, rotation_sigma_rad: float = 0.0) -> Observations:
         """Follow the features into a frame.
 
         Args:
             frame: The new frame; the first of its images is used.
             R_cur_prev: (3, 3) Rotation of the previous camera frame into this one, from the gyroscope.
+            rotation_sigma_rad: How far it may be off.
 
         Returns:
             The features that are still seen and agree with one rigid motion.
         """
         previous, self._image = self._image, frame.images[0]
         if previous is not None and len(self._ids):
-            self._follow(previous, self._image, R_cur_prev)
+            self._follow(
+                previous, self._image, R_cur_prev, self._config.ransac_px / self._camera.fx + rotation_sigma_rad
+            )
         return self._observations()
 
     def replenish(self) -> Observations:
@@ -120,7 +129,7 @@ class FeatureTracker:
     def _observations(self) -> Observations:
         return Observations(self._ids, self._pixels, self._xy, self._ages)
 
-    def _follow(self, previous: Image, image: Image, R_cur_prev: Array) -> None:
+    def _follow(self, previous: Image, image: Image, R_cur_prev: Array, max_distance: float) -> None:
         c = self._config
         bearings = np.column_stack([self._xy, np.ones(len(self._xy))]) @ R_cur_prev.T
         predicted = np.ascontiguousarray(np.nan_to_num(self._camera.project(bearings), nan=-1e4), dtype=np.float32)
@@ -140,7 +149,7 @@ class FeatureTracker:
         seen = (status[:, 0] == 1) & np.all((pixels >= low) & (pixels <= high), axis=1)
         kept = np.flatnonzero(seen)
         xy = self._camera.normalise(pixels[kept])
-        inliers = epipolar_inliers(self._xy[kept], xy, R_cur_prev, c.ransac_px / self._camera.fx, self._rng)
+        inliers = epipolar_inliers(self._xy[kept], xy, R_cur_prev, max_distance, self._rng)
         kept = kept[inliers]
         self._ids, self._pixels, self._xy = self._ids[kept], pixels[kept], xy[inliers]
         self._ages = self._ages[kept] + 1

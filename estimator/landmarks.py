@@ -17,7 +17,7 @@ Array = npt.NDArray[np.float64]
 class LandmarkConfig:
     """When a landmark constrains the window, and how strongly."""
 
-    pixel_sigma: float = 1.0
+    pixel_sigma: float = 0.8
     """Standard deviation of an image measurement [px]: tracking error and what calibration leaves."""
     min_views: int = 3
     """Keyframes that must have seen a landmark before it constrains anything."""

@@ -36,6 +36,8 @@ class SmootherConfig:
     """Landmarks beyond are ignored [m]."""
     relinearise_threshold: float = 0.01
     """Change of a variable that makes iSAM2 linearise again."""
+    settle_iterations: int = 5
+    """Extra iterations after a start in motion."""
     still_velocity_sigma: float = 0.01
     """How surely the velocity is zero at rest [m/s]."""
     still_pose_sigma: float = 0.001
@@ -161,6 +163,12 @@ class KeyframeSmoother:
             track.slot = slot
         self._landmarks.forget_before(min(self._poses), k)
         return KeyframeResult(rejected)
+
+    def settle(self) -> None:
+        """Iterate until the window no longer changes much: worth its time after a start that was rough."""
+        for _ in range(self._config.settle_iterations):
+            self._solver.update()
+        self._read_states(self._state.t_ns)
 
     def _restart(self, start: NavState, covariance: Array) -> None:
         """Begin anew at a state, as sure of it as the covariance (15, 15) says.

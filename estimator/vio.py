@@ -62,6 +62,8 @@ class VioConfig:
         default_factory=lambda: StartSigmas(tilt_rad=0.05, velocity_m_s=0.3, gyro_bias_rad_s=0.02, accel_bias_m_s2=0.1)
     )
     """How sure a start in motion is."""
+    unknown_gyro_bias_sigma: float = 0.05
+    """How large the gyroscope's bias may be before anything is known of it [rad/s]; EuRoC's is 0.08."""
     min_tracks: int = 8
     """With fewer features, the estimate is called inertial-only."""
 
@@ -96,6 +98,7 @@ class VisualInertialOdometry:
         self._window: list[Sighting] = []  # what was sensed lately, before the start
         self._last_try_ns = 0
         self._gyro_bias = np.zeros(3)
+        self._gyro_bias_sigma = self._config.unknown_gyro_bias_sigma
         self._smoother: KeyframeSmoother | None = None
 
     def add_imu(self, samples: ImuSamples) -> None:
@@ -105,7 +108,8 @@ class VisualInertialOdometry:
     def add_frame(self, frame: CameraFrame) -> Estimate:
         """Take a frame and say where the IMU is."""
         increments = self._buffer.take_until(frame.t_ns)
-        observations = self._front_end.track(frame, self._camera_rotation(increments))
+        rotation_sigma_rad = self._gyro_bias_sigma * float(increments.dt_s.sum())
+        observations = self._front_end.track(frame, self._camera_rotation(increments), rotation_sigma_rad)
         self._stillness.update(frame.t_ns, observations, increments)
         if self._smoother is None:
             return self._start(frame.t_ns, observations, increments)
@@ -132,7 +136,7 @@ class VisualInertialOdometry:
         still_for_s = self._stillness.still_for_s
         if still_for_s > 0.0:
             rest = self._since(t_ns, still_for_s)
-            self._gyro_bias = mean_gyro([s.increments for s in rest[1:]])  # predicts the features meanwhile
+            self._gyro_bias, self._gyro_bias_sigma = mean_gyro([s.increments for s in rest[1:]]), 0.0
             if still_for_s >= c.rest_s:
                 start = start_from_rest(rest[0].t_ns, [s.increments for s in rest[1:]])
                 return self._launch(start, c.rest_sigmas, rest, c.keyframe.still_interval_s)
@@ -172,6 +176,8 @@ class VisualInertialOdometry:
             if sighting is later[-1] or self._preintegrated.deltaTij() >= keyframe_interval_s - HALF_TICK_S:
                 self._smoother.add_keyframe(sighting.t_ns, self._preintegrated, sighting.observations, still)
                 self._begin_interval(sighting.observations)
+        self._smoother.settle()
+        self._begin_interval(later[-1].observations)
         self._window.clear()
         return self._estimate(self._smoother.state, later[-1].observations, ("initialised",))
 
@@ -179,7 +185,7 @@ class VisualInertialOdometry:
         """Start preintegration at the newest keyframe, with its biases."""
         assert self._smoother is not None
         self._preintegrated = gtsam.PreintegratedCombinedMeasurements(self._params, self._smoother.gtsam_state[1])
-        self._gyro_bias = self._smoother.state.gyro_bias_rad_s
+        self._gyro_bias, self._gyro_bias_sigma = self._smoother.state.gyro_bias_rad_s, 0.0
         self._keyframe_ids = observations.ids
 
     def _is_keyframe(self, observations: Observations) -> bool:

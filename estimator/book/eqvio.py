@@ -106,13 +106,13 @@ class ReplayedFeatures:
         self._rejected: set[int] = set()
         self._last = Observations(np.zeros(0, np.int64), np.zeros((0, 2)), np.zeros((0, 2)), np.zeros(0, np.int64))
 
-    def track(self, frame: CameraFrame, R_cur_prev: Array) -> Observations:
+    def track(self, frame: CameraFrame, R_cur_prev: Array, rotation_sigma_rad: float = 0.0) -> Observations:
         """Return the features of a frame; one that was rejected once stays rejected."""
         ids, xy = self._features[self._index[frame.t_ns]]
         kept = ~np.isin(ids, list(self._rejected))
         ids, xy = ids[kept], xy[kept]
         _, i, j = np.intersect1d(self._last.ids, ids, assume_unique=True, return_indices=True)
-        threshold = self._config.ransac_px / self._camera.fx
+        threshold = self._config.ransac_px / self._camera.fx + rotation_sigma_rad
         inliers = epipolar_inliers(self._last.xy[i], xy[j], R_cur_prev, threshold, self._rng)
         self._rejected.update(ids[j[~inliers]].tolist())
         ages = np.ones(len(ids), np.int64)
