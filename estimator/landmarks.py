@@ -1,6 +1,6 @@
 """What the smoother's window knows of landmarks: which keyframes saw each, and how far it is to be trusted."""
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from itertools import chain
 
@@ -8,9 +8,10 @@ import numpy as np
 import numpy.typing as npt
 
 from dronevio.estimator.frontend import Observations
-from dronevio.estimator.triangulation import triangulate
+from dronevio.estimator.triangulation import Triangulation, triangulate
 
 Array = npt.NDArray[np.float64]
+Cameras = Mapping[int, tuple[Array, Array]]
 
 
 @dataclass(frozen=True)
@@ -63,26 +64,25 @@ class LandmarkWindow:
             track.keyframes.append(k)
             track.xy.append(xy)
 
-    def judge(self, k: int, cameras: Mapping[int, tuple[Array, Array]]) -> tuple[list[Track], list[Track]]:
-        """Triangulate what keyframe k sees, and say which tracks may constrain the window, and which are wrong.
+    def judge(self, cameras: Cameras, seen_from: int | None = None) -> tuple[list[Track], list[Track]]:
+        """Triangulate, and say which tracks may constrain the window, and which are wrong.
 
         The weight of a track falls with its reprojection error, as that of a residual does under Cauchy's robust loss:
         factors are made anew with every keyframe, which makes this iteratively reweighted least squares.
 
         Args:
-            k: The newest keyframe.
             cameras: Orientation (3, 3) and position (3,) of the camera at each keyframe.
+            seen_from: Only the tracks that this keyframe sees; None for all.
         """
         c = self._config
-        seen = [t for t in self._tracks.values() if t.keyframes[-1] == k and len(t.keyframes) >= c.min_views]
+        seen = [
+            track
+            for track in self._tracks.values()
+            if len(track.keyframes) >= c.min_views and seen_from in (None, track.keyframes[-1])
+        ]
         if not seen:
             return [], []
-        counts = np.array([len(track.keyframes) for track in seen])
-        poses = [cameras[i] for i in chain.from_iterable(track.keyframes for track in seen)]
-        R, p = np.array([pose[0] for pose in poses]), np.array([pose[1] for pose in poses])
-        xy = np.array(list(chain.from_iterable(track.xy for track in seen)))
-        found = triangulate(np.concatenate([[0], np.cumsum(counts)[:-1]]), R, p, xy)
-
+        found = _triangulate(seen, cameras)
         deep = found.parallax_rad > np.radians(c.min_parallax_deg)
         typical = float(np.median(found.rms[deep])) if deep.any() else 0.0
         limit = max(c.max_reprojection_px / self._focal_px, c.max_over_median * typical)
@@ -93,6 +93,11 @@ class LandmarkWindow:
             track.point, track.sigma = point, track_sigma
         useful = [track for track, yes in zip(seen, (deep & ~wrong).tolist(), strict=True) if yes]
         return useful, [track for track, yes in zip(seen, wrong.tolist(), strict=True) if yes]
+
+    def typical_error(self, cameras: Cameras) -> float:
+        """Return the median reprojection error of the tracks that constrain the window; infinite if none does."""
+        used = [track for track in self._tracks.values() if track.slot is not None]
+        return float(np.median(_triangulate(used, cameras).rms)) if used else float("inf")
 
     def drop(self, tracks: Iterable[Track]) -> None:
         """Let go of tracks."""
@@ -119,3 +124,11 @@ class LandmarkWindow:
         """Return the positions (N, 3) of the landmarks that constrain the window [m]."""
         points = [track.point for track in self._tracks.values() if track.slot is not None and track.point is not None]
         return np.array(points).reshape(-1, 3)
+
+
+def _triangulate(tracks: Sequence[Track], cameras: Cameras) -> Triangulation:
+    counts = np.array([len(track.keyframes) for track in tracks])
+    poses = [cameras[k] for k in chain.from_iterable(track.keyframes for track in tracks)]
+    xy = np.array(list(chain.from_iterable(track.xy for track in tracks)))
+    starts = np.concatenate([[0], np.cumsum(counts)[:-1]])
+    return triangulate(starts, np.array([pose[0] for pose in poses]), np.array([pose[1] for pose in poses]), xy)

@@ -8,6 +8,7 @@ solver is iSAM2 (Kaess et al., IJRR 2012).
 All image coordinates here are normalised (at depth 1 in the camera frame), so a pixel is 1/fx.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import gtsam
@@ -36,12 +37,26 @@ class SmootherConfig:
     """Landmarks beyond are ignored [m]."""
     relinearise_threshold: float = 0.01
     """Change of a variable that makes iSAM2 linearise again."""
-    settle_iterations: int = 5
-    """Extra iterations after a start in motion."""
+    launch_rounds: int = 2
+    """How often the first keyframes are optimised, the landmarks judged anew before each time."""
     still_velocity_sigma: float = 0.01
     """How surely the velocity is zero at rest [m/s]."""
     still_pose_sigma: float = 0.001
     """How surely the pose stays at rest, from one keyframe to the next [rad and m]."""
+
+
+@dataclass(frozen=True, eq=False)
+class Keyframe:
+    """What a keyframe adds to the window."""
+
+    t_ns: int
+    """Time of the keyframe."""
+    preintegrated: gtsam.PreintegratedCombinedMeasurements
+    """The IMU since the last keyframe."""
+    observations: Observations
+    """The features seen."""
+    still: bool
+    """Whether the drone has not moved since the last keyframe."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -94,6 +109,8 @@ class KeyframeSmoother:
         self._poses: dict[int, tuple[Array, Array]]  # orientation and position of the camera at the window's keyframes
         self._nav: gtsam.NavState
         self._bias: gtsam.imuBias.ConstantBias
+        self._prior: gtsam.NonlinearFactorGraph  # what was known at the last restart
+        self._first_values: gtsam.Values
         self._position_covariance: Array  # (3, 3) of the keyframe at which the solver started
         self._covariance: Array  # (15, 15) of the newest keyframe, in the order of NavState
         self._state: NavState
@@ -133,18 +150,14 @@ class KeyframeSmoother:
         Returns:
             What came of it. An exception in the solver ends no flight: it starts again at the predicted state.
         """
-        previous, k = self._k, self._k + 1
+        k = self._k + 1
         predicted = preintegrated.predict(self._nav, self._bias)
         graph, values = gtsam.NonlinearFactorGraph(), gtsam.Values()
-        values.insert(X(k), predicted.pose())
-        values.insert(V(k), predicted.velocity())
-        values.insert(B(k), self._bias)
-        graph.add(gtsam.CombinedImuFactor(X(previous), V(previous), X(k), V(k), B(previous), B(k), preintegrated))
-        if still:
-            self._add_rest(graph, previous, k)
+        _insert(values, k, predicted, self._bias)
+        self._add_motion(graph, k, preintegrated, still)
         self._landmarks.observe(k, t_ns * 1e-9, observations)
         self._poses[k] = self._camera_pose(predicted.pose())
-        tracks, wrong = self._landmarks.judge(k, self._poses)
+        tracks, wrong = self._landmarks.judge(self._poses, seen_from=k)
         removed = [track.slot for track in (*tracks, *wrong) if track.slot is not None]
         self._landmarks.drop(wrong)
         first_smart = graph.size()
@@ -164,11 +177,43 @@ class KeyframeSmoother:
         self._landmarks.forget_before(min(self._poses), k)
         return KeyframeResult(rejected)
 
-    def settle(self) -> None:
-        """Iterate until the window no longer changes much: worth its time after a start that was rough."""
-        for _ in range(self._config.settle_iterations):
-            self._solver.update()
-        self._read_states(self._state.t_ns)
+    def launch(self, keyframes: Sequence[Keyframe]) -> float:
+        """Add the first keyframes, all at once, and optimise them together by Levenberg-Marquardt.
+
+        A start in motion is off by a tenth of its velocity, too far for the single linear step that a keyframe gets
+        later.
+
+        Returns:
+            The landmarks' typical reprojection error [px]; infinite where there are no landmarks, or no solution.
+        """
+        graph, values = gtsam.NonlinearFactorGraph(self._prior), gtsam.Values(self._first_values)
+        nav, stamps = self._nav, {key(0): self._state.t_ns * 1e-9 for key in (X, V, B)}
+        for k, keyframe in enumerate(keyframes, 1):
+            nav = keyframe.preintegrated.predict(nav, self._bias)
+            self._add_motion(graph, k, keyframe.preintegrated, keyframe.still)
+            _insert(values, k, nav, self._bias)
+            stamps |= {key(k): keyframe.t_ns * 1e-9 for key in (X, V, B)}
+            self._landmarks.observe(k, keyframe.t_ns * 1e-9, keyframe.observations)
+        self._k = len(keyframes)
+        tracks: list[Track] = []
+        try:
+            for _ in range(self._config.launch_rounds):
+                self._poses = {k: self._camera_pose(values.atPose3(X(k))) for k in range(self._k + 1)}
+                tracks, wrong = self._landmarks.judge(self._poses)
+                self._landmarks.drop(wrong)
+                whole = gtsam.NonlinearFactorGraph(graph)
+                for track in tracks:
+                    whole.add(self._smart_factor(track))
+                values = gtsam.LevenbergMarquardtOptimizer(whole, values).optimize()
+            self._solver = self._new_solver()
+            self._solver.update(whole, values, stamps, [])
+            slots = self._solver.getISAM2Result().getNewFactorsIndices()
+            self._read_states(keyframes[-1].t_ns)
+        except RuntimeError:
+            return float("inf")
+        for track, slot in zip(tracks, slots[graph.size() :], strict=True):
+            track.slot = slot
+        return self._landmarks.typical_error(self._poses) * self._focal_px
 
     def _restart(self, start: NavState, covariance: Array) -> None:
         """Begin anew at a state, as sure of it as the covariance (15, 15) says.
@@ -176,45 +221,50 @@ class KeyframeSmoother:
         Nothing observes the position, and metres of uncertainty in it leave the solver's linear systems without the
         digits that they need. It gets a position that is known, and what was unsure is added to what it says later.
         """
-        c = self._config
-        params = gtsam.ISAM2Params()
-        params.setRelinearizeThreshold(c.relinearise_threshold)
-        params.relinearizeSkip = 1
-        params.findUnusedFactorSlots = True
-        self._solver = gtsam.IncrementalFixedLagSmoother(c.lag_s, params)
+        self._solver = self._new_solver()
         self._landmarks = LandmarkWindow(self._focal_px, self._landmark_config)
         self._poses = {}
         self._k = 0
         pose = gtsam.Pose3(start.T_world_imu)
         self._bias = gtsam.imuBias.ConstantBias(start.accel_bias_m_s2, start.gyro_bias_rad_s)
         self._nav = gtsam.NavState(pose, start.velocity_m_s)
-        graph, values = gtsam.NonlinearFactorGraph(), gtsam.Values()
+        self._prior, self._first_values = gtsam.NonlinearFactorGraph(), gtsam.Values()
         self._position_covariance = covariance[3:6, 3:6]
         anchored = covariance.copy()
         anchored[3:6, :] = anchored[:, 3:6] = 0.0
         anchored[3:6, 3:6] = GAUGE_SIGMA**2 * np.eye(3)
         P = covariance_to_gtsam(anchored, start.T_world_imu[:3, :3])
         gaussian = gtsam.noiseModel.Gaussian.Covariance
-        graph.add(gtsam.PriorFactorPose3(X(0), pose, gaussian(P[:6, :6])))
-        graph.add(gtsam.PriorFactorVector(V(0), start.velocity_m_s, gaussian(P[6:9, 6:9])))
-        graph.add(gtsam.PriorFactorConstantBias(B(0), self._bias, gaussian(P[9:, 9:])))
-        values.insert(X(0), pose)
-        values.insert(V(0), start.velocity_m_s)
-        values.insert(B(0), self._bias)
-        self._solver.update(graph, values, {key(0): start.t_ns * 1e-9 for key in (X, V, B)}, [])
+        self._prior.add(gtsam.PriorFactorPose3(X(0), pose, gaussian(P[:6, :6])))
+        self._prior.add(gtsam.PriorFactorVector(V(0), start.velocity_m_s, gaussian(P[6:9, 6:9])))
+        self._prior.add(gtsam.PriorFactorConstantBias(B(0), self._bias, gaussian(P[9:, 9:])))
+        _insert(self._first_values, 0, self._nav, self._bias)
+        stamps = {key(0): start.t_ns * 1e-9 for key in (X, V, B)}
+        self._solver.update(self._prior, self._first_values, stamps, [])
         self._read_states(start.t_ns)
 
-    def _add_rest(self, graph: gtsam.NonlinearFactorGraph, previous: int, k: int) -> None:
-        """Say that the drone stood still between two keyframes."""
-        c = self._config
-        graph.add(
-            gtsam.PriorFactorVector(V(k), np.zeros(3), gtsam.noiseModel.Isotropic.Sigma(3, c.still_velocity_sigma))
-        )
-        graph.add(
-            gtsam.BetweenFactorPose3(
-                X(previous), X(k), gtsam.Pose3(), gtsam.noiseModel.Isotropic.Sigma(6, c.still_pose_sigma)
-            )
-        )
+    def _new_solver(self) -> gtsam.IncrementalFixedLagSmoother:
+        params = gtsam.ISAM2Params()
+        params.setRelinearizeThreshold(self._config.relinearise_threshold)
+        params.relinearizeSkip = 1
+        params.findUnusedFactorSlots = True
+        return gtsam.IncrementalFixedLagSmoother(self._config.lag_s, params)
+
+    def _add_motion(
+        self,
+        graph: gtsam.NonlinearFactorGraph,
+        k: int,
+        preintegrated: gtsam.PreintegratedCombinedMeasurements,
+        still: bool,
+    ) -> None:
+        """Tie keyframe k to the one before: by the IMU, and if the drone stood still, by that."""
+        c, j = self._config, k - 1
+        graph.add(gtsam.CombinedImuFactor(X(j), V(j), X(k), V(k), B(j), B(k), preintegrated))
+        if still:
+            no_speed = gtsam.noiseModel.Isotropic.Sigma(3, c.still_velocity_sigma)
+            no_motion = gtsam.noiseModel.Isotropic.Sigma(6, c.still_pose_sigma)
+            graph.add(gtsam.PriorFactorVector(V(k), np.zeros(3), no_speed))
+            graph.add(gtsam.BetweenFactorPose3(X(j), X(k), gtsam.Pose3(), no_motion))
 
     def _smart_factor(self, track: Track) -> gtsam.SmartProjectionRigFactorPinholePoseCal3_S2:
         """Return the factor that ties all keyframes that saw a landmark."""
@@ -240,6 +290,12 @@ class KeyframeSmoother:
         """Return the orientation (3, 3) and position (3,) of the camera for a pose of the IMU."""
         T_world_cam = pose.matrix() @ self._T_imu_cam
         return T_world_cam[:3, :3], T_world_cam[:3, 3]
+
+
+def _insert(values: gtsam.Values, k: int, nav: gtsam.NavState, bias: gtsam.imuBias.ConstantBias) -> None:
+    values.insert(X(k), nav.pose())
+    values.insert(V(k), nav.velocity())
+    values.insert(B(k), bias)
 
 
 def _nav_state(

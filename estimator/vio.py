@@ -16,7 +16,7 @@ from dronevio.estimator.covariance import propagate
 from dronevio.estimator.frontend import FeatureTracker, FrontEnd, Observations, TrackerConfig
 from dronevio.estimator.inertial import ImuBuffer, Increments, InertialConfig, integrate, preintegration_params
 from dronevio.estimator.landmarks import LandmarkConfig
-from dronevio.estimator.smoother import KeyframeSmoother, SmootherConfig
+from dronevio.estimator.smoother import Keyframe, KeyframeSmoother, SmootherConfig
 from dronevio.estimator.start import StartSigmas, mean_gyro, start_from_rest
 from dronevio.estimator.start_in_motion import MotionStartConfig, Sighting, start_in_motion
 from dronevio.estimator.stillness import StillnessConfig, StillnessDetector
@@ -133,21 +133,29 @@ class VisualInertialOdometry:
             self._window.pop(0)
         if len(observations) < MIN_FEATURES_AT_START:
             self._front_end.replenish()
-        still_for_s = self._stillness.still_for_s
+        if self._try_start(t_ns):
+            assert self._smoother is not None
+            return self._estimate(self._smoother.state, observations, ("initialised",))
+        return Estimate(t_ns, Health.INITIALISING, None, _feature_tracks(observations))
+
+    def _try_start(self, t_ns: int) -> bool:
+        """Start from rest or in motion, where either is possible by now."""
+        c, still_for_s = self._config, self._stillness.still_for_s
         if still_for_s > 0.0:
             rest = self._since(t_ns, still_for_s)
-            self._gyro_bias, self._gyro_bias_sigma = mean_gyro([s.increments for s in rest[1:]]), 0.0
-            if still_for_s >= c.rest_s:
-                start = start_from_rest(rest[0].t_ns, [s.increments for s in rest[1:]])
-                return self._launch(start, c.rest_sigmas, rest, c.keyframe.still_interval_s)
-        elif t_ns - self._last_try_ns >= c.motion.every_s * 1e9:
-            window = self._since(t_ns, c.motion.window_s)
-            if t_ns - window[0].t_ns >= c.motion.window_s * 1e9 - HALF_TICK_NS:
-                self._last_try_ns = t_ns
-                found = start_in_motion(window, self._T_imu_cam, self._rig.cameras[0].model.fx, c.motion)
-                if found is not None:
-                    return self._launch(found, c.motion_sigmas, window, c.keyframe.interval_s)
-        return Estimate(t_ns, Health.INITIALISING, None, _feature_tracks(observations))
+            increments = [sighting.increments for sighting in rest[1:]]
+            self._gyro_bias, self._gyro_bias_sigma = mean_gyro(increments), 0.0
+            if still_for_s < c.rest_s:
+                return False
+            start = start_from_rest(rest[0].t_ns, increments)
+            return self._launch(start, c.rest_sigmas, rest, c.keyframe.still_interval_s)
+        window = self._since(t_ns, c.motion.window_s)
+        too_short = t_ns - window[0].t_ns < c.motion.window_s * 1e9 - HALF_TICK_NS
+        if too_short or t_ns - self._last_try_ns < c.motion.every_s * 1e9:
+            return False
+        self._last_try_ns = t_ns
+        found = start_in_motion(window, self._T_imu_cam, self._rig.cameras[0].model.fx, c.motion)
+        return found is not None and self._launch(found, c.motion_sigmas, window, c.keyframe.interval_s)
 
     def _since(self, t_ns: int, span_s: float) -> list[Sighting]:
         """Return the sightings of the last ``span_s`` seconds."""
@@ -155,36 +163,41 @@ class VisualInertialOdometry:
 
     def _launch(
         self, start: NavState, sigmas: StartSigmas, sightings: list[Sighting], keyframe_interval_s: float
-    ) -> Estimate:
-        """Start the smoother at the first of some sightings, and catch up with the last of them."""
-        covariance = sigmas.covariance(start.T_world_imu[:3, :3])
-        camera = self._rig.cameras[0]
+    ) -> bool:
+        """Start the smoother at the first of some sightings; say whether what came of it is to be believed."""
+        camera, still = self._rig.cameras[0], self._stillness.still_for_s > 0.0
         first, *later = sightings
-        self._smoother = KeyframeSmoother(
+        smoother = KeyframeSmoother(
             camera.T_imu_cam,
             camera.model.fx,
             self._config.smoother,
             self._config.landmarks,
             start,
-            covariance,
+            sigmas.covariance(start.T_world_imu[:3, :3]),
             first.observations,
         )
-        self._begin_interval(first.observations)
-        still = self._stillness.still_for_s > 0.0
+        keyframes: list[Keyframe] = []
+        preintegrated = self._new_preintegration(smoother)
         for sighting in later:
-            integrate(self._preintegrated, sighting.increments)
-            if sighting is later[-1] or self._preintegrated.deltaTij() >= keyframe_interval_s - HALF_TICK_S:
-                self._smoother.add_keyframe(sighting.t_ns, self._preintegrated, sighting.observations, still)
-                self._begin_interval(sighting.observations)
-        self._smoother.settle()
+            integrate(preintegrated, sighting.increments)
+            if sighting is later[-1] or preintegrated.deltaTij() >= keyframe_interval_s - HALF_TICK_S:
+                keyframes.append(Keyframe(sighting.t_ns, preintegrated, sighting.observations, still))
+                preintegrated = self._new_preintegration(smoother)
+        error_px = smoother.launch(keyframes)
+        if not still and error_px > self._config.motion.max_residual_px:
+            return False
+        self._smoother = smoother
         self._begin_interval(later[-1].observations)
         self._window.clear()
-        return self._estimate(self._smoother.state, later[-1].observations, ("initialised",))
+        return True
+
+    def _new_preintegration(self, smoother: KeyframeSmoother) -> gtsam.PreintegratedCombinedMeasurements:
+        return gtsam.PreintegratedCombinedMeasurements(self._params, smoother.gtsam_state[1])
 
     def _begin_interval(self, observations: Observations) -> None:
         """Start preintegration at the newest keyframe, with its biases."""
         assert self._smoother is not None
-        self._preintegrated = gtsam.PreintegratedCombinedMeasurements(self._params, self._smoother.gtsam_state[1])
+        self._preintegrated = self._new_preintegration(self._smoother)
         self._gyro_bias, self._gyro_bias_sigma = self._smoother.state.gyro_bias_rad_s, 0.0
         self._keyframe_ids = observations.ids
 
