@@ -47,6 +47,11 @@ class MotionStartConfig:
     """Share of the landmarks that must lie before the camera."""
     max_gyro_bias_rad_s: float = 0.2
     """Largest bias of the gyroscope that is believed [rad/s]."""
+    accel_bias_m_s2: float = 0.1
+    """How large the accelerometer's bias may be [m/s²] ..."""
+    min_bend: float = 3.0
+    """... and how many times more than it the acceleration must bend the path: at constant velocity, every scale
+    explains what is seen."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -114,7 +119,11 @@ def start_in_motion(
         return np.asarray(solution.residuals.ravel() * focal_px)
 
     found = least_squares(residuals_px, np.zeros(3), loss="soft_l1", x_scale=0.01, diff_step=1e-3, max_nfev=8)
-    solution = _solve(tracks, _sum_up(window, found.x, frames), T_imu_cam)
+    motion = _sum_up(window, found.x, frames)
+    solution = _solve(tracks, motion, T_imu_cam)
+    t_s = motion.t_s[:, None]
+    bend = _bend(motion.dp + 0.5 * solution.gravity * t_s**2, t_s)
+    bend_of_bias = _bend(0.5 * config.accel_bias_m_s2 * t_s**2, t_s)
     rms_px = float(np.sqrt(np.sum(found.fun**2) / (2 * tracks.seen.sum())))
     sigma = np.sqrt(np.trace(solution.velocity_covariance)) * max(rms_px, 0.3) / focal_px
     believed = (
@@ -122,6 +131,7 @@ def start_in_motion(
         and solution.in_front > config.min_in_front
         and sigma < config.max_velocity_sigma_m_s
         and float(np.linalg.norm(found.x)) < config.max_gyro_bias_rad_s
+        and bend > config.min_bend * bend_of_bias
     )
     if not believed:
         return None
@@ -158,6 +168,12 @@ def _sum_up(window: Sequence[Sighting], gyro_bias: Array, frames: npt.NDArray[np
     t = np.concatenate([[0.0], np.cumsum(dt_s)])
     rows = np.concatenate([[0], np.cumsum([len(step.dt_s) for step in steps])])[frames]
     return _Motion(t[rows], R[rows], p[rows])
+
+
+def _bend(places: Array, t_s: Array) -> float:
+    """Return the root mean square distance [m] of places (K, n) at times (K, 1) from the nearest constant velocity."""
+    velocity = (t_s * places).sum(axis=0) / np.sum(t_s**2)
+    return float(np.sqrt(np.sum((places - velocity * t_s) ** 2) / len(places)))
 
 
 def _parallax(tracks: _Tracks, motion: _Motion, T_imu_cam: Array) -> float:
