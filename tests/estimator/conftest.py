@@ -103,7 +103,7 @@ class SyntheticFrontEnd:
         self._pixels = np.zeros((n, 2))
         self._next_id = 0
 
-    def track(self, frame: CameraFrame, R_cur_prev: Array) -> Observations:
+    def track(self, frame: CameraFrame, R_cur_prev: Array, rotation_sigma_rad: float = 0.0) -> Observations:
         assert np.allclose(R_cur_prev @ R_cur_prev.T, np.eye(3), atol=1e-9)
         flight = self._flight
         T_cam_world = inverse_pose(flight.Ts_world_cam(np.array([frame.t_ns]))[0])
