@@ -1,0 +1,194 @@
+"""Triangulation of many landmarks at once, and the window that says which may be trusted."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy.optimize import least_squares
+
+from dronevio.estimator.frontend import Observations
+from dronevio.estimator.landmarks import LandmarkConfig, LandmarkWindow
+from dronevio.estimator.triangulation import Triangulation, triangulate
+from dronevio.models.rotation import exp_so3
+
+FOCAL_PX = 458.0
+PIXEL = 1.0 / FOCAL_PX
+
+
+class Scene:
+    """Cameras on a curve, landmarks ahead of them."""
+
+    def __init__(self, seed: int = 0, cameras: int = 12, landmarks: int = 30, depth_m: float = 5.0) -> None:
+        rng = np.random.default_rng(seed)
+        self.R = exp_so3(0.1 * rng.normal(size=(cameras, 3)))
+        self.p = np.linspace(0.0, 1.0, cameras)[:, None] * [1.0, 0.4, 0.3] + 0.02 * rng.normal(size=(cameras, 3))
+        self.points = rng.uniform([-2.0, -1.5, 0.7 * depth_m], [3.0, 1.5, 1.3 * depth_m], (landmarks, 3))
+        in_camera = np.einsum("kij,lki->klj", self.R, self.points[:, None] - self.p)
+        self.xy = in_camera[..., :2] / in_camera[..., 2:]  # (K, L, 2)
+
+    def poses(self) -> dict[int, tuple[np.ndarray, np.ndarray]]:
+        return {k: (self.R[k], self.p[k]) for k in range(len(self.p))}
+
+    def seen(self, k: int, noise: np.ndarray | float = 0.0) -> Observations:
+        n = len(self.points)
+        xy = self.xy[k] + noise
+        return Observations(np.arange(n), FOCAL_PX * xy, xy, np.full(n, k + 1))
+
+
+def flat(scene: Scene, views: np.ndarray, xy: np.ndarray) -> tuple[np.ndarray, ...]:
+    """Return the arguments for `triangulate`: landmark l is seen by its first views[l] cameras."""
+    keyframes = np.concatenate([np.arange(n) for n in views])
+    landmarks = np.repeat(np.arange(len(views)), views)
+    starts = np.concatenate([[0], np.cumsum(views)[:-1]])
+    return starts, scene.R[keyframes], scene.p[keyframes], xy[keyframes, landmarks]
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_exact_sightings_give_exact_points(seed: int) -> None:
+    scene = Scene(seed)
+    views = np.random.default_rng(seed).integers(3, 13, 30)
+    found = triangulate(*flat(scene, views, scene.xy))
+    np.testing.assert_allclose(found.points, scene.points, atol=1e-3)
+    assert found.in_front.all()
+    assert found.rms.max() < 1e-4 * PIXEL * 10 and found.newest.max() < 1e-4 * PIXEL * 10
+
+
+def test_noisy_sightings_give_the_points_of_least_reprojection_error() -> None:
+    scene = Scene(1)
+    noise = PIXEL * np.random.default_rng(0).normal(size=scene.xy.shape)
+    views = np.full(30, 12)
+    found = triangulate(*flat(scene, views, scene.xy + noise))
+
+    def residuals(point: np.ndarray, landmark: int) -> np.ndarray:
+        q = np.einsum("kij,ki->kj", scene.R, point - scene.p)
+        return (q[:, :2] / q[:, 2:] - (scene.xy + noise)[:, landmark]).ravel()
+
+    for landmark in range(30):
+        best = least_squares(residuals, scene.points[landmark], args=(landmark,), xtol=1e-12, ftol=1e-12, gtol=1e-14)
+        rms = np.sqrt(np.sum(best.fun**2) / 12)
+        assert found.rms[landmark] == pytest.approx(rms, rel=1e-3)
+        last = np.linalg.norm(residuals(found.points[landmark], landmark)[-2:])
+        assert found.newest[landmark] == pytest.approx(last, rel=1e-9)
+
+
+def test_landmarks_do_not_mind_their_neighbours() -> None:
+    scene = Scene(2)
+    views = np.random.default_rng(1).integers(2, 13, 30)
+    together = triangulate(*flat(scene, views, scene.xy))
+    for landmark in range(30):
+        rows = np.arange(views[landmark])
+        alone: Triangulation = triangulate(
+            np.array([0]), scene.R[rows], scene.p[rows], np.ascontiguousarray(scene.xy[rows, landmark])
+        )
+        for name in ("points", "in_front", "rms", "newest", "parallax_rad"):
+            np.testing.assert_allclose(getattr(alone, name)[0], getattr(together, name)[landmark], atol=1e-9)
+
+
+def test_parallax_is_the_largest_angle_to_the_first_ray() -> None:
+    R, p = np.tile(np.eye(3), (3, 1, 1)), np.array([[0.0, 0.0, 0.0], [1.0, 0.0, 0.0], [0.5, 0.0, 0.0]])
+    point = np.array([0.0, 0.0, 2.0])
+    q = point - p
+    found = triangulate(np.array([0]), R, p, q[:, :2] / q[:, 2:])
+    assert found.parallax_rad[0] == pytest.approx(np.arctan2(1.0, 2.0))
+
+
+def test_points_behind_a_camera_are_told() -> None:
+    """Rays that meet behind: the two cameras look apart."""
+    R, p = np.tile(np.eye(3), (2, 1, 1)), np.array([[0.0, 0.0, 0.0], [1.0, 0.0, 0.0]])
+    found = triangulate(np.array([0]), R, p, np.array([[-0.2, 0.0], [0.2, 0.0]]))
+    assert not found.in_front[0]
+
+
+def test_one_view_and_no_parallax_are_no_reason_to_fail() -> None:
+    scene = Scene(3)
+    R, p = scene.R[:1], scene.p[:1]
+    single = triangulate(np.array([0]), R, p, scene.xy[0, :1])
+    assert np.isfinite(single.points).all() and single.parallax_rad[0] < 1e-7
+    same_place = np.repeat(p, 4, axis=0), np.repeat(R, 4, axis=0)
+    found = triangulate(np.array([0]), same_place[1], same_place[0], np.repeat(scene.xy[0, :1], 4, axis=0))
+    assert np.isfinite(found.points).all() and found.parallax_rad[0] < 1e-7
+
+
+def window(scene: Scene, frames: int, config: LandmarkConfig | None = None, interval_s: float = 0.2) -> LandmarkWindow:
+    landmarks = LandmarkWindow(FOCAL_PX, config or LandmarkConfig())
+    for k in range(frames):
+        landmarks.observe(k, interval_s * k, scene.seen(k))
+    return landmarks
+
+
+def test_landmarks_seen_often_and_from_aside_are_useful() -> None:
+    scene = Scene()
+    useful, wrong = window(scene, 8).judge(scene.poses(), seen_from=7)
+    assert [track.id for track in useful] == list(range(30)) and wrong == []
+    np.testing.assert_allclose([track.point for track in useful], scene.points, atol=1e-3)
+    np.testing.assert_allclose([track.sigma for track in useful], LandmarkConfig().pixel_sigma * PIXEL, rtol=1e-3)
+
+
+def test_landmarks_seen_seldom_or_without_parallax_are_neither_useful_nor_wrong() -> None:
+    scene = Scene()
+    assert window(scene, 2).judge(scene.poses(), seen_from=1) == ([], [])
+    assert window(scene, 8, LandmarkConfig(min_parallax_deg=60.0)).judge(scene.poses(), seen_from=7) == ([], [])
+
+
+def test_landmarks_that_are_not_seen_now_are_left_alone() -> None:
+    scene = Scene()
+    landmarks = window(scene, 8)
+    nothing = Observations(np.zeros(0, np.int64), np.zeros((0, 2)), np.zeros((0, 2)), np.zeros(0, np.int64))
+    landmarks.observe(8, 1.6, nothing)
+    assert landmarks.judge(scene.poses(), seen_from=8) == ([], [])
+
+
+def test_wrong_ones_are_found() -> None:
+    scene = Scene()
+    landmarks = window(scene, 7)
+    jump = np.zeros((30, 2))
+    jump[:3] = [40.0 * PIXEL, -30.0 * PIXEL]
+    landmarks.observe(7, 1.4, scene.seen(7, jump))
+    useful, wrong = landmarks.judge(scene.poses(), seen_from=7)
+    assert [track.id for track in wrong] == [0, 1, 2]
+    assert [track.id for track in useful] == list(range(3, 30))
+
+
+def test_where_all_are_off_none_is_wrong() -> None:
+    """When the newest pose is off by 3°, it is the pose that is wrong."""
+    scene = Scene()
+    landmarks = window(scene, 8)
+    poses = scene.poses()
+    poses[7] = (poses[7][0] @ exp_so3(np.radians([3.0, 0.0, 0.0])), poses[7][1])
+    useful, wrong = landmarks.judge(poses, seen_from=7)
+    assert len(wrong) == 0 and len(useful) == 30
+
+
+def test_doubtful_ones_weigh_less() -> None:
+    scene = Scene()
+    landmarks = window(scene, 7)
+    shift = np.zeros((30, 2))
+    shift[0] = [4.0 * PIXEL, 0.0]
+    landmarks.observe(7, 1.4, scene.seen(7, shift))
+    useful, wrong = landmarks.judge(scene.poses(), seen_from=7)
+    assert wrong == []
+    sigmas = np.array([track.sigma for track in useful])
+    assert sigmas[0] > 1.15 * sigmas[1:].max()
+
+
+def test_dropped_and_forgotten_ones_are_gone() -> None:
+    scene = Scene()
+    landmarks = window(scene, 8)
+    useful, _ = landmarks.judge(scene.poses(), seen_from=7)
+    for track in useful[:20]:
+        track.slot = track.id
+    landmarks.drop(useful[:5])
+    assert len(landmarks.points()) == 15
+    landmarks.forget_before(3, 7)
+    # What had a factor is absorbed with it; what had none keeps its newer sightings.
+    assert len(landmarks.points()) == 0
+    left = landmarks._tracks
+    assert sorted(left) == list(range(20, 30))
+    assert all(track.keyframes == [3, 4, 5, 6, 7] and len(track.xy) == 5 for track in left.values())
+
+
+def test_long_tracks_are_cut_into_chunks() -> None:
+    scene = Scene()
+    config = replace(LandmarkConfig(), chunk_s=1.0)
+    tracks = window(scene, 12, config, interval_s=0.25)._tracks
+    assert all(track.keyframes == [10, 11] for track in tracks.values())  # 0 to 4, 5 to 9, 10 on
