@@ -19,7 +19,7 @@ from gtsam_unstable import eqvio
 
 from dronevio.estimator.epipolar import epipolar_inliers
 from dronevio.estimator.frontend import Observations, TrackerConfig
-from dronevio.models.errors import InputError
+from dronevio.models.errors import ConfigError, InputError
 from dronevio.models.imu import ImuSamples, Times
 from dronevio.models.progress import Progress, silent
 from dronevio.models.rig import EUROC_CAM0, Rig, RigCamera
@@ -27,6 +27,28 @@ from dronevio.models.rotation import matrix_from_quat_wxyz, pose_matrix
 from dronevio.models.state import CameraFrame, Trajectory
 
 Array = npt.NDArray[np.float64]
+
+_PARAMS = {
+    "initialPointDepth": "initial_point_depth",
+    "initialPointVariance": "initial_point_variance",
+    "outlierThresholdAbs": "outlier_threshold_abs_norm",
+    "featureRetention": "feature_retention",
+    "biasOmegaProcessVariance": "process_var_bias_omega",
+    "biasAccelProcessVariance": "process_var_bias_accel",
+    "attitudeProcessVariance": "process_var_attitude",
+    "positionProcessVariance": "process_var_position",
+    "velocityProcessVariance": "process_var_velocity",
+    "cameraAttitudeProcessVariance": "process_var_cam_attitude",
+    "cameraPositionProcessVariance": "process_var_cam_position",
+    "pointProcessVariance": "process_var_point",
+}  # the filter's attributes, and what the data call them
+_INPUTS = tuple(f"input_var_{key}" for key in ("gyr", "acc", "gyr_bias_walk", "acc_bias_walk"))
+_BLOCKS = tuple(
+    f"initial_var_{key}"
+    for key in ("bias_omega", "bias_accel", "attitude", "position", "velocity", "cam_attitude", "cam_position")
+)
+_MEASUREMENT_NOISE = "measurement_noise_variance_norm"
+_MOUNTING = tuple(f"T_ci_{key}" for key in ("qw", "qx", "qy", "qz", "tx", "ty", "tz"))
 
 
 @dataclass(frozen=True, eq=False)
@@ -78,18 +100,23 @@ def read_flight(path: Path | None = None) -> FeatureRecording:
                     case "vision_feature":
                         seen = (int(row["landmark_id"]), float(row["u_norm"]), float(row["v_norm"]))
                         frames.setdefault(_nanoseconds(row["t_abs"]), []).append(seen)
-    except (OSError, KeyError, ValueError, TypeError) as error:
+    except (OSError, KeyError, ValueError, TypeError, csv.Error) as error:
         raise InputError(path, f"cannot be read ({error})", "a table of IMU samples and image features") from None
     if not imu or not frames:
         raise InputError(path, f"{len(imu)} IMU samples and {len(frames)} frames", "some of both")
+    filter_settings = (*_PARAMS.values(), *_INPUTS, *_BLOCKS, _MEASUREMENT_NOISE)
+    missing = [key for key in (*_MOUNTING, *(f"eqf.{key}" for key in filter_settings)) if key not in settings]
+    if missing:
+        raise InputError(path, f"no setting {missing[0]}", "the camera's pose and the filter's settings")
     measured = np.array([rates for _, rates in imu])
-    samples = ImuSamples(np.array([t for t, _ in imu], dtype=np.int64), measured[:, :3], measured[:, 3:])
+    try:
+        samples = ImuSamples(np.array([t for t, _ in imu], dtype=np.int64), measured[:, :3], measured[:, 3:])
+    except ConfigError as error:
+        raise InputError(path, str(error), "IMU samples in time order") from None
     times = np.array(sorted(frames), dtype=np.int64)
     features = tuple(_columns(sorted(frames[t])) for t in times.tolist())
-    T_imu_cam = pose_matrix(
-        matrix_from_quat_wxyz(np.array([settings[f"T_ci_q{k}"] for k in "wxyz"])),
-        np.array([settings[f"T_ci_t{k}"] for k in "xyz"]),
-    )
+    mounting = np.array([settings[key] for key in _MOUNTING])
+    T_imu_cam = pose_matrix(matrix_from_quat_wxyz(mounting[:4]), mounting[4:])
     rig = Rig((RigCamera(EUROC_CAM0, T_imu_cam),))
     return FeatureRecording("V1_01, real IMU and features", rig, samples, times, features, settings)
 
@@ -148,7 +175,7 @@ def run_eqvio(flight: FeatureRecording, progress: Progress = silent) -> Filtered
     """Run GTSAM's equivariant filter over a flight, with the settings that come with it."""
     vio = _new_filter(flight)
     camera = gtsam.PinholeCameraCal3_S2(gtsam.Pose3(), gtsam.Cal3_S2())  # the features are normalised
-    noise_variance = flight.settings["eqf.measurement_noise_variance_norm"]
+    noise_variance = flight.settings[f"eqf.{_MEASUREMENT_NOISE}"]
     imu, done = flight.imu, 0
     positions, cpu_ms = [], []
     for t_ns, (ids, xy) in zip(flight.frame_times_ns.tolist(), flight.features, strict=True):
@@ -172,24 +199,12 @@ def _new_filter(flight: FeatureRecording) -> eqvio.EqVIOFilter:
     """
     s = {key.removeprefix("eqf."): value for key, value in flight.settings.items()}
     params = eqvio.EqVIOFilterParams()
-    params.initialPointDepth = s["initial_point_depth"]
-    params.initialPointVariance = s["initial_point_variance"]
-    params.outlierThresholdAbs = s["outlier_threshold_abs_norm"]
-    params.featureRetention = s["feature_retention"]
-    params.biasOmegaProcessVariance = s["process_var_bias_omega"]
-    params.biasAccelProcessVariance = s["process_var_bias_accel"]
-    params.attitudeProcessVariance = s["process_var_attitude"]
-    params.positionProcessVariance = s["process_var_position"]
-    params.velocityProcessVariance = s["process_var_velocity"]
-    params.cameraAttitudeProcessVariance = s["process_var_cam_attitude"]
-    params.cameraPositionProcessVariance = s["process_var_cam_position"]
-    params.pointProcessVariance = s["process_var_point"]
-    inputs = [s[f"input_var_{k}"] for k in ("gyr", "acc", "gyr_bias_walk", "acc_bias_walk")]
-    params.inputNoise = np.diag(np.repeat(inputs, 3))
+    for attribute, key in _PARAMS.items():
+        setattr(params, attribute, s[key])
+    params.inputNoise = np.diag(np.repeat([s[key] for key in _INPUTS], 3))
     state = eqvio.State()
     state.cameraOffset = gtsam.Pose3(flight.rig.cameras[0].T_imu_cam)
-    blocks = ("bias_omega", "bias_accel", "attitude", "position", "velocity", "cam_attitude", "cam_position")
-    sigma = np.diag(np.repeat([s[f"initial_var_{k}"] for k in blocks], 3))
+    sigma = np.diag(np.repeat([s[key] for key in _BLOCKS], 3))
     vio = eqvio.EqVIOFilter(state, sigma, [], params)
     vio.initializeFromIMU(_imu_input(flight.imu, 0))
     return vio
