@@ -120,6 +120,12 @@ class LandmarkWindow:
             if not kept or track.keyframes[-1] < newest:
                 del self._tracks[track.id]
 
+    def move_slots(self, new_slots: Mapping[int, int]) -> None:
+        """Follow factors to other places in the solver."""
+        for track in self._tracks.values():
+            if track.slot is not None:
+                track.slot = new_slots[track.slot]
+
     def points(self) -> Array:
         """Return the positions (N, 3) of the landmarks that constrain the window [m]."""
         points = [track.point for track in self._tracks.values() if track.slot is not None and track.point is not None]

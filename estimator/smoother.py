@@ -37,6 +37,8 @@ class SmootherConfig:
     """Landmarks beyond are ignored [m]."""
     relinearise_threshold: float = 0.01
     """Change of a variable that makes iSAM2 linearise again."""
+    max_linearisation_drift: float = 0.05
+    """Distance of a pose from where it was linearised beyond which the whole window is linearised anew [rad or m]."""
     launch_rounds: int = 2
     """How often the first keyframes are optimised, the landmarks judged anew before each time."""
     still_velocity_sigma: float = 0.01
@@ -175,6 +177,8 @@ class KeyframeSmoother:
         for track, slot in zip(tracks, slots[first_smart:], strict=True):
             track.slot = slot
         self._landmarks.forget_before(min(self._poses), k)
+        if self._drift_from_linearisation() > self._config.max_linearisation_drift:
+            self._linearise_anew()
         return KeyframeResult(rejected)
 
     def launch(self, keyframes: Sequence[Keyframe]) -> float:
@@ -214,6 +218,39 @@ class KeyframeSmoother:
         for track, slot in zip(tracks, slots[graph.size() :], strict=True):
             track.slot = slot
         return self._landmarks.typical_error(self._poses) * self._focal_px
+
+    def _drift_from_linearisation(self) -> float:
+        """Return how far the farthest pose of the window is from where it was linearised [rad or m]."""
+        delta = self._solver.getDelta()
+        return max(float(np.abs(delta.at(X(k))).max()) for k in self._poses)
+
+    def _linearise_anew(self) -> None:
+        """Put the window's factors into a new solver, linearised where the window is now.
+
+        iSAM2 never moves the linearisation of a variable that the marginal prior touches, and with smart factors it soon
+        touches most of the window. Where the estimate has moved far meanwhile, what it then marginalises is wrong. The
+        prior itself stays linear, about the point at which it was made.
+        """
+        old, origin = self._solver.getFactors(), self._solver.getLinearizationPoint()
+        values, stamps = self._solver.calculateEstimate(), self._solver.timestamps()
+        graph, places = gtsam.NonlinearFactorGraph(), {}
+        for slot in range(old.size()):
+            factor = old.at(slot)
+            if factor is None:
+                continue
+            if isinstance(factor, gtsam.LinearContainerFactor):
+                factor = gtsam.LinearContainerFactor(factor.factor(), _restricted(origin, factor.keys()))
+            places[slot] = graph.size()
+            graph.add(factor)
+        solver = self._new_solver()
+        try:
+            solver.update(graph, values, stamps, [])
+        except RuntimeError:  # keep the old one, which works
+            return
+        slots = solver.getISAM2Result().getNewFactorsIndices()
+        self._solver = solver
+        self._landmarks.move_slots({slot: slots[place] for slot, place in places.items()})
+        self._read_states(self._state.t_ns)
 
     def _restart(self, start: NavState, covariance: Array) -> None:
         """Begin anew at a state, as sure of it as the covariance (15, 15) says.
@@ -296,6 +333,20 @@ def _insert(values: gtsam.Values, k: int, nav: gtsam.NavState, bias: gtsam.imuBi
     values.insert(X(k), nav.pose())
     values.insert(V(k), nav.velocity())
     values.insert(B(k), bias)
+
+
+def _restricted(values: gtsam.Values, keys: Sequence[int]) -> gtsam.Values:
+    """Return the poses, velocities and biases of some keys alone."""
+    found = gtsam.Values()
+    for key in keys:
+        match chr(gtsam.symbolChr(key)):
+            case "x":
+                found.insert(key, values.atPose3(key))
+            case "v":
+                found.insert(key, values.atVector(key))
+            case _:
+                found.insert(key, values.atConstantBias(key))
+    return found
 
 
 def _nav_state(
