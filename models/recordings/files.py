@@ -1,5 +1,6 @@
 """Reading and writing text files, with errors that name them and without half-written ones."""
 
+from contextlib import suppress
 from pathlib import Path
 
 from dronevio.models.errors import InputError
@@ -58,4 +59,5 @@ def write_text(path: Path, text: str) -> None:
     except OSError as error:
         raise InputError(path, f"cannot be written ({error})", "a place to write a file") from None
     finally:
-        beside.unlink(missing_ok=True)
+        with suppress(OSError):  # such as that its folder is a file
+            beside.unlink(missing_ok=True)
