@@ -1,11 +1,13 @@
 # Everything happens in this folder: uv and the packages are brought into .uv/ and .venv/ when they are first needed.
 
-.PHONY: help setup run test check lint format types contracts
+.PHONY: help setup run test check lint format types contracts pictures seeds
 
 help:
 	@echo "make run [ARGS='--seed 3']   fly, estimate, score and report"
 	@echo "make test [ARGS='-k imu']    run the tests"
 	@echo "make check                   lint, format, types and import contracts"
+	@echo "make pictures                make the README's pictures anew"
+	@echo "make seeds                   fly seeds 0 to 9 and print the README's table"
 	@echo "make setup                   only set up; the others do it too"
 
 setup:
@@ -30,3 +32,9 @@ types: setup
 
 contracts: setup
 	.venv/bin/lint-imports
+
+pictures: setup
+	.venv/bin/python scripts/pictures.py
+
+seeds: setup
+	@.venv/bin/python scripts/seeds.py $(ARGS)

@@ -45,7 +45,7 @@ def main(arguments: Sequence[str]) -> int:
     command = parse(ViewCommand, arguments, "view")
     recording = find_recording(command.run)
     data_port = free_port(9876)
-    viewer = [*_viewer_program(), "--bind", HOST, "--port", str(data_port)]
+    viewer = [*viewer_program(), "--bind", HOST, "--port", str(data_port)]
     if command.web or not has_display(sys.platform, os.environ):
         web_port = free_port(command.port)
         viewer += ["--serve-web", "--web-viewer-port", str(web_port)]
@@ -98,7 +98,7 @@ def free_port(wanted: int) -> int:
     raise AssertionError("unreachable: port 0 is always free")
 
 
-def _viewer_program() -> list[str]:
+def viewer_program() -> list[str]:
     """Return how to start rerun's viewer: its program itself, else the module that looks for it."""
     module = find_spec("rerun_cli")
     program = Path((module and module.origin) or "").with_name("rerun")

@@ -1,0 +1,149 @@
+"""Make the pictures of the README anew, in docs/images: ``make pictures``.
+
+Flies the default scenario, and looks at what comes of it as people do: the report in a browser, the recording in
+rerun's viewer. Needs chromium, and a Vulkan driver for the viewer; without a graphics card both are had with
+``apt-get install chromium mesa-vulkan-drivers``.
+"""
+
+import shutil
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+import cv2
+import numpy as np
+import numpy.typing as npt
+from rerun.experimental import ViewerClient
+
+from dronevio.cli import main
+from dronevio.cli.view import HOST, free_port, viewer_program
+from dronevio.models.recordings.tum import read_tum
+from dronevio.models.rotation import inverse_pose
+from dronevio.sim.contact_sheet import contact_sheet
+from dronevio.sim.onlooker import Onlooker
+from dronevio.sim.scenario import scenario
+from dronevio.sim.world import build_world
+
+Picture = npt.NDArray[np.uint8]
+
+IMAGES = Path(__file__).resolve().parents[1] / "docs" / "images"
+BROWSERS = ("chromium", "chromium-browser", "google-chrome")
+REPORT_PX = (1200, 1172)  # down to where the error plots end
+RECORDING_PX = (1440, 900)
+RECORDING_TOP_PX = 38  # the viewer's own bar
+RECORDING_S = 17.0  # in the middle of the tour
+TAKE_OFF_S = 3.1
+TAKE_OFF_PX = (960, 600)
+ROOM_PX, ROOM_SHARE = (1504, 480), 2 / 3  # the two upper rows of the contact sheet: the third sees the floor
+PATIENCE_S = 60.0
+
+
+def save(name: str, picture: Picture) -> None:
+    """Write a picture (H, W, 3) RGB as JPEG, letters kept sharp."""
+    sharp = [cv2.IMWRITE_JPEG_QUALITY, 88, cv2.IMWRITE_JPEG_SAMPLING_FACTOR, cv2.IMWRITE_JPEG_SAMPLING_FACTOR_444]
+    path = IMAGES / name
+    cv2.imwrite(str(path), picture[..., ::-1], sharp)
+    print(f"{name}: {picture.shape[1]} × {picture.shape[0]} px, {path.stat().st_size * 1e-3:.0f} kB")
+
+
+def read(path: Path) -> Picture:
+    """Return a picture (H, W, 3) RGB."""
+    image = cv2.imread(str(path), cv2.IMREAD_COLOR)
+    if image is None:
+        sys.exit(f"pictures: {path} was not made")
+    return np.asarray(image[..., ::-1], dtype=np.uint8)
+
+
+def photograph_report(page: Path, scratch: Path) -> Picture:
+    """Return the head of a report as a browser shows it."""
+    browser = next(filter(None, map(shutil.which, BROWSERS)), None)
+    if browser is None:
+        sys.exit(f"pictures: no browser; expected one of {', '.join(BROWSERS)}")
+    size = ",".join(map(str, REPORT_PX))
+    flags = ["--headless=new", "--no-sandbox", "--disable-gpu", "--hide-scrollbars", f"--window-size={size}"]
+    shot = scratch / "report.png"
+    subprocess.run([browser, *flags, f"--screenshot={shot}", page.as_uri()], check=True, capture_output=True)
+    return read(shot)
+
+
+@contextmanager
+def viewer(recording: Path) -> Iterator[ViewerClient]:
+    """Show a recording in a viewer without a window while the context lasts."""
+    port = free_port(0)
+    size = "x".join(map(str, RECORDING_PX))
+    options = ["--headless", "--bind", HOST, "--port", str(port), "--window-size", size]
+    process = subprocess.Popen([*viewer_program(), *options, str(recording)], stderr=subprocess.DEVNULL)
+    try:
+        yield _connected(f"rerun+http://{HOST}:{port}/proxy")
+    finally:
+        process.terminate()
+        process.wait()
+
+
+def _connected(address: str) -> ViewerClient:
+    """Return a connection to a viewer that has loaded its recording."""
+    deadline = time.monotonic() + PATIENCE_S
+    while time.monotonic() < deadline:
+        try:
+            client = ViewerClient.connect(address)
+            state = client.get_state()
+            if state.views and not state.loading:
+                return client
+        except (RuntimeError, ConnectionError):  # it is still starting
+            pass
+        time.sleep(0.5)
+    sys.exit("pictures: the viewer did not load the recording; does it find a Vulkan driver?")
+
+
+def photograph_recording(recording: Path, scratch: Path) -> Picture:
+    """Return rerun's viewer in the middle of the flight, once two looks at it show the same."""
+    shot, before = scratch / "recording.png", b""
+    with viewer(recording) as client:
+        client.set_time("time", duration=RECORDING_S, play_state="paused")
+        while (now := client.take_screenshot()) != before:
+            before = now
+            time.sleep(2.0)
+    shot.write_bytes(now)
+    return read(shot)[RECORDING_TOP_PX:]
+
+
+def photograph_take_off(run: Path) -> Picture:
+    """Return the drone as somebody in the room sees it take off."""
+    flown = scenario("room", 0)
+    truth = read_tum(run / "groundtruth.tum")
+    T_world_imu = truth.Ts_world_imu[np.searchsorted(truth.t_s, TAKE_OFF_S)]
+    onlooker = Onlooker(build_world(flown.world, flown.seed), flown.quadrotor, flown.rig, *TAKE_OFF_PX)
+    try:
+        return onlooker.render(T_world_imu @ inverse_pose(flown.rig.T_vehicle_imu))
+    finally:
+        onlooker.close()
+
+
+def make_pictures(scratch: Path) -> None:
+    """Fly, look and save."""
+    run = scratch / "room-0"
+    for arguments in (
+        ["run", "--out", str(run)],
+        ["book", "imu", "--out", str(scratch / "imu")],
+        ["book", "eqvio", "--out", str(scratch / "eqvio")],
+    ):
+        if main(arguments) != 0:
+            sys.exit(f"pictures: dronevio {' '.join(arguments)} failed")
+    IMAGES.mkdir(parents=True, exist_ok=True)
+    save("recording.jpg", photograph_recording(run / "run.rrd", scratch))
+    save("report.jpg", photograph_report(run / "report.html", scratch))
+    save("take-off.jpg", photograph_take_off(run))
+    sheet = contact_sheet(build_world("room", 0))
+    rows = sheet[: int(ROOM_SHARE * len(sheet))]
+    save("room.jpg", np.asarray(cv2.resize(rows, ROOM_PX, interpolation=cv2.INTER_AREA), dtype=np.uint8))
+    save("book-imu.jpg", read(scratch / "imu" / "path.png"))
+    save("book-eqvio.jpg", read(scratch / "eqvio" / "paths.png"))
+
+
+if __name__ == "__main__":
+    with tempfile.TemporaryDirectory(prefix="dronevio-") as folder:
+        make_pictures(Path(folder))
