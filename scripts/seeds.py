@@ -12,7 +12,6 @@ import tempfile
 import time
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
-from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -45,6 +44,11 @@ class Cost:
     """The most memory that they held together [GB]."""
 
 
+def largest(values: Iterable[float]) -> float:
+    """Return the number farthest from zero."""
+    return max(values, key=abs)
+
+
 @dataclass(frozen=True)
 class Column:
     """One column of the table."""
@@ -55,7 +59,7 @@ class Column:
     """How a number is written."""
     value: Callable[[Mapping[str, Any], Cost], float]
     """Takes report and cost, returns the number."""
-    worst: Callable[[Iterable[float]], float] = partial(max, key=abs)
+    worst: Callable[[Iterable[float]], float] = largest
     """Picks the worst of several numbers."""
 
 
