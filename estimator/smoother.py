@@ -2,8 +2,7 @@
 
 Each keyframe has a pose, a velocity and biases. Consecutive ones are joined by the preintegrated IMU, and all that see
 a landmark by a smart factor, which eliminates the landmark itself (Carlone et al., "Eliminating conditionally
-independent sets in factor graphs", ICRA 2014). Keyframes older than the lag are marginalised into a prior. The
-solver is iSAM2 (Kaess et al., IJRR 2012).
+independent sets in factor graphs", ICRA 2014). Keyframes older than the lag are marginalised into a prior.
 
 All image coordinates here are normalised (at depth 1 in the camera frame), so a pixel is 1/fx.
 """
@@ -19,6 +18,7 @@ from gtsam.symbol_shorthand import B, V, X
 from dronevio.estimator.covariance import covariance_from_gtsam, covariance_to_gtsam
 from dronevio.estimator.frontend import Observations
 from dronevio.estimator.landmarks import LandmarkConfig, LandmarkWindow, Track
+from dronevio.estimator.solver import FixedLagSolver, insert_state, stamps_of
 from dronevio.estimator.start import GAUGE_SIGMA
 from dronevio.models.state import NavState
 
@@ -105,7 +105,7 @@ class KeyframeSmoother:
         self._smart.setDegeneracyMode(gtsam.DegeneracyMode.ZERO_ON_DEGENERACY)
         self._smart.setRankTolerance(TRIANGULATION_RANK_TOLERANCE)
         self._smart.setLandmarkDistanceThreshold(config.max_distance_m)
-        self._solver: gtsam.IncrementalFixedLagSmoother
+        self._solver: FixedLagSolver
         self._landmarks: LandmarkWindow
         self._k: int  # index of the newest keyframe since the last restart
         self._poses: dict[int, tuple[Array, Array]]  # orientation and position of the camera at the window's keyframes
@@ -155,7 +155,7 @@ class KeyframeSmoother:
         k = self._k + 1
         predicted = preintegrated.predict(self._nav, self._bias)
         graph, values = gtsam.NonlinearFactorGraph(), gtsam.Values()
-        _insert(values, k, predicted, self._bias)
+        insert_state(values, k, predicted, self._bias)
         self._add_motion(graph, k, preintegrated, still)
         self._landmarks.observe(k, t_ns * 1e-9, observations)
         self._poses[k] = self._camera_pose(predicted.pose())
@@ -168,8 +168,7 @@ class KeyframeSmoother:
         self._k = k
         rejected = np.array([track.id for track in wrong], dtype=np.int64)
         try:
-            self._solver.update(graph, values, {key(k): t_ns * 1e-9 for key in (X, V, B)}, removed)
-            slots = self._solver.getISAM2Result().getNewFactorsIndices()
+            slots = self._solver.update(graph, values, stamps_of(k, t_ns), removed)
             self._read_states(t_ns)
         except RuntimeError as error:  # an indeterminate linear system: too little parallax, or a wild outlier
             self._restart(_nav_state(t_ns, predicted, self._bias), self._covariance)
@@ -177,8 +176,7 @@ class KeyframeSmoother:
         for track, slot in zip(tracks, slots[first_smart:], strict=True):
             track.slot = slot
         self._landmarks.forget_before(min(self._poses), k)
-        if self._drift_from_linearisation() > self._config.max_linearisation_drift:
-            self._linearise_anew()
+        self._follow_linearisation()
         return KeyframeResult(rejected)
 
     def launch(self, keyframes: Sequence[Keyframe]) -> float:
@@ -191,12 +189,12 @@ class KeyframeSmoother:
             The landmarks' typical reprojection error [px]; infinite where there are no landmarks, or no solution.
         """
         graph, values = gtsam.NonlinearFactorGraph(self._prior), gtsam.Values(self._first_values)
-        nav, stamps = self._nav, {key(0): self._state.t_ns * 1e-9 for key in (X, V, B)}
+        nav, stamps = self._nav, stamps_of(0, self._state.t_ns)
         for k, keyframe in enumerate(keyframes, 1):
             nav = keyframe.preintegrated.predict(nav, self._bias)
             self._add_motion(graph, k, keyframe.preintegrated, keyframe.still)
-            _insert(values, k, nav, self._bias)
-            stamps |= {key(k): keyframe.t_ns * 1e-9 for key in (X, V, B)}
+            insert_state(values, k, nav, self._bias)
+            stamps |= stamps_of(k, keyframe.t_ns)
             self._landmarks.observe(k, keyframe.t_ns * 1e-9, keyframe.observations)
         self._k = len(keyframes)
         tracks: list[Track] = []
@@ -210,47 +208,13 @@ class KeyframeSmoother:
                     whole.add(self._smart_factor(track))
                 values = gtsam.LevenbergMarquardtOptimizer(whole, values).optimize()
             self._solver = self._new_solver()
-            self._solver.update(whole, values, stamps, [])
-            slots = self._solver.getISAM2Result().getNewFactorsIndices()
+            slots = self._solver.update(whole, values, stamps)
             self._read_states(keyframes[-1].t_ns)
         except RuntimeError:
             return float("inf")
         for track, slot in zip(tracks, slots[graph.size() :], strict=True):
             track.slot = slot
         return self._landmarks.typical_error(self._poses) * self._focal_px
-
-    def _drift_from_linearisation(self) -> float:
-        """Return how far the farthest pose of the window is from where it was linearised [rad or m]."""
-        delta = self._solver.getDelta()
-        return max(float(np.abs(delta.at(X(k))).max()) for k in self._poses)
-
-    def _linearise_anew(self) -> None:
-        """Put the window's factors into a new solver, linearised where the window is now.
-
-        iSAM2 never moves the linearisation of a variable that the marginal prior touches, and with smart factors it soon
-        touches most of the window. Where the estimate has moved far meanwhile, what it then marginalises is wrong. The
-        prior itself stays linear, about the point at which it was made.
-        """
-        old, origin = self._solver.getFactors(), self._solver.getLinearizationPoint()
-        values, stamps = self._solver.calculateEstimate(), self._solver.timestamps()
-        graph, places = gtsam.NonlinearFactorGraph(), {}
-        for slot in range(old.size()):
-            factor = old.at(slot)
-            if factor is None:
-                continue
-            if isinstance(factor, gtsam.LinearContainerFactor):
-                factor = gtsam.LinearContainerFactor(factor.factor(), _restricted(origin, factor.keys()))
-            places[slot] = graph.size()
-            graph.add(factor)
-        solver = self._new_solver()
-        try:
-            solver.update(graph, values, stamps, [])
-        except RuntimeError:  # keep the old one, which works
-            return
-        slots = solver.getISAM2Result().getNewFactorsIndices()
-        self._solver = solver
-        self._landmarks.move_slots({slot: slots[place] for slot, place in places.items()})
-        self._read_states(self._state.t_ns)
 
     def _restart(self, start: NavState, covariance: Array) -> None:
         """Begin anew at a state, as sure of it as the covariance (15, 15) says.
@@ -275,17 +239,12 @@ class KeyframeSmoother:
         self._prior.add(gtsam.PriorFactorPose3(X(0), pose, gaussian(P[:6, :6])))
         self._prior.add(gtsam.PriorFactorVector(V(0), start.velocity_m_s, gaussian(P[6:9, 6:9])))
         self._prior.add(gtsam.PriorFactorConstantBias(B(0), self._bias, gaussian(P[9:, 9:])))
-        _insert(self._first_values, 0, self._nav, self._bias)
-        stamps = {key(0): start.t_ns * 1e-9 for key in (X, V, B)}
-        self._solver.update(self._prior, self._first_values, stamps, [])
+        insert_state(self._first_values, 0, self._nav, self._bias)
+        self._solver.update(self._prior, self._first_values, stamps_of(0, start.t_ns))
         self._read_states(start.t_ns)
 
-    def _new_solver(self) -> gtsam.IncrementalFixedLagSmoother:
-        params = gtsam.ISAM2Params()
-        params.setRelinearizeThreshold(self._config.relinearise_threshold)
-        params.relinearizeSkip = 1
-        params.findUnusedFactorSlots = True
-        return gtsam.IncrementalFixedLagSmoother(self._config.lag_s, params)
+    def _new_solver(self) -> FixedLagSolver:
+        return FixedLagSolver(self._config.lag_s, self._config.relinearise_threshold)
 
     def _add_motion(
         self,
@@ -313,40 +272,28 @@ class KeyframeSmoother:
     def _read_states(self, t_ns: int) -> None:
         """Take over what the solver found: the newest state, and the poses of the window's keyframes."""
         k = self._k
-        window = sorted({gtsam.symbolIndex(key) for key in self._solver.timestamps()})
-        poses = {i: self._solver.calculateEstimatePose3(X(i)) for i in window}
+        poses = {i: self._solver.pose(i) for i in self._solver.keyframes}
         self._poses = {i: self._camera_pose(pose) for i, pose in poses.items()}
-        self._bias = self._solver.calculateEstimateConstantBias(B(k))
-        self._nav = gtsam.NavState(poses[k], self._solver.calculateEstimateVector(V(k)))
-        joint = self._solver.getISAM2().jointMarginalCovariance([X(k), V(k), B(k)])
-        self._covariance = covariance_from_gtsam(joint.fullMatrix(), poses[k].rotation().matrix())
+        self._bias = self._solver.bias(k)
+        self._nav = gtsam.NavState(poses[k], self._solver.velocity(k))
+        self._covariance = covariance_from_gtsam(self._solver.covariance(k), poses[k].rotation().matrix())
         self._covariance[3:6, 3:6] += self._position_covariance
         self._state = _nav_state(t_ns, self._nav, self._bias, self._covariance)
+
+    def _follow_linearisation(self) -> None:
+        """Linearise the window anew if it has moved far."""
+        if self._solver.drift_from_linearisation() <= self._config.max_linearisation_drift:
+            return
+        try:
+            self._landmarks.move_slots(self._solver.linearise_anew())
+            self._read_states(self._state.t_ns)
+        except RuntimeError:  # the solver as it was still works
+            return
 
     def _camera_pose(self, pose: gtsam.Pose3) -> tuple[Array, Array]:
         """Return the orientation (3, 3) and position (3,) of the camera for a pose of the IMU."""
         T_world_cam = pose.matrix() @ self._T_imu_cam
         return T_world_cam[:3, :3], T_world_cam[:3, 3]
-
-
-def _insert(values: gtsam.Values, k: int, nav: gtsam.NavState, bias: gtsam.imuBias.ConstantBias) -> None:
-    values.insert(X(k), nav.pose())
-    values.insert(V(k), nav.velocity())
-    values.insert(B(k), bias)
-
-
-def _restricted(values: gtsam.Values, keys: Sequence[int]) -> gtsam.Values:
-    """Return the poses, velocities and biases of some keys alone."""
-    found = gtsam.Values()
-    for key in keys:
-        match chr(gtsam.symbolChr(key)):
-            case "x":
-                found.insert(key, values.atPose3(key))
-            case "v":
-                found.insert(key, values.atVector(key))
-            case _:
-                found.insert(key, values.atConstantBias(key))
-    return found
 
 
 def _nav_state(
