@@ -10,7 +10,7 @@ import numpy.typing as npt
 import pytest
 
 from dronevio.estimator.frontend import Observations
-from dronevio.estimator.vio import VioConfig, VisualInertialOdometry
+from dronevio.estimator.vio import VisualInertialOdometry
 from dronevio.models.camera import CameraModel
 from dronevio.models.imu import GRAVITY_M_S2, ImuSamples, Sampling
 from dronevio.models.protocols import measurements
@@ -102,11 +102,19 @@ class SyntheticFrontEnd:
         self._visible = np.zeros(n, dtype=np.bool_)
         self._pixels = np.zeros((n, 2))
         self._next_id = 0
+        self._R_world_cam: Array | None = None
+        self.prediction_errors_rad: list[float] = []
+        """How far the rotations were off that it was told."""
 
     def track(self, frame: CameraFrame, R_cur_prev: Array, rotation_sigma_rad: float = 0.0) -> Observations:
         assert np.allclose(R_cur_prev @ R_cur_prev.T, np.eye(3), atol=1e-9)
         flight = self._flight
-        T_cam_world = inverse_pose(flight.Ts_world_cam(np.array([frame.t_ns]))[0])
+        T_world_cam = flight.Ts_world_cam(np.array([frame.t_ns]))[0]
+        if self._R_world_cam is not None:
+            error = log_so3(R_cur_prev.T @ T_world_cam[:3, :3].T @ self._R_world_cam)
+            self.prediction_errors_rad.append(float(np.linalg.norm(error)))
+        self._R_world_cam = T_world_cam[:3, :3]
+        T_cam_world = inverse_pose(T_world_cam)
         p = flight.landmarks_at(frame.t_ns) @ T_cam_world[:3, :3].T + T_cam_world[:3, 3]
         pixels = self._model.project(p) + flight.pixel_noise * self._rng.normal(size=(len(p), 2))
         with np.errstate(divide="ignore", invalid="ignore"):
@@ -215,9 +223,9 @@ class SyntheticFlight:
         flight.__dict__.update(imu=whole, frame_times_ns=self.frame_times_ns[:frames])
         return flight
 
-    def run(self, config: VioConfig | None = None) -> list[Estimate]:
+    def run(self, front_end: SyntheticFrontEnd | None = None) -> list[Estimate]:
         """Push everything through the odometry; return one estimate a frame."""
-        vio = VisualInertialOdometry(self.rig, config, self.front_end())
+        vio = VisualInertialOdometry(self.rig, front_end=front_end or self.front_end())
         estimates = []
         for measurement in measurements(self):
             if isinstance(measurement, ImuSamples):

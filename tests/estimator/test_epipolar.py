@@ -52,6 +52,13 @@ def test_planted_outliers_are_found(seed: int, share: float) -> None:
     assert right[kept].mean() > 0.95 - 0.1 * (share == 0.5)
 
 
+@pytest.mark.parametrize("seed", range(8))
+def test_matches_that_come_twice_do_not_make_everything_agree(seed: int) -> None:
+    xy0, xy1, R_1_0, right = (np.concatenate([part, part]) if len(part) > 3 else part for part in matches(seed, 60, 20))
+    kept = found(xy0, xy1, R_1_0, seed)
+    assert kept[right].mean() > 0.95 and kept[~right].mean() < 0.15
+
+
 def test_rotation_alone_keeps_all() -> None:
     xy0, xy1, R_1_0, _ = matches(1, step_m=np.zeros(3), noise_px=0.1)
     assert found(xy0, xy1, R_1_0).all()

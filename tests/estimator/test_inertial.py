@@ -193,6 +193,17 @@ def test_preintegration_follows_an_analytic_path(
     np.testing.assert_allclose(state.position(), truth.p_world_imu[-1], atol=5e-4)
 
 
+def test_steps_that_do_not_commute_are_taken_in_order(make_flight: Callable) -> None:
+    """A second of lively turning about all axes, of which the increments are exact."""
+    flight = make_flight(0, rest_s=-5.0, duration_s=2.0, noisy=False, sampling="increment")
+    buffer = ImuBuffer()
+    buffer.add(flight.imu)
+    times = flight.frame_times_ns[[5, 25]]
+    buffer.take_until(int(times[0]))
+    R0, R1 = flight.truth_at(times).rotations
+    np.testing.assert_allclose(buffer.take_until(int(times[1])).rotation(np.zeros(3)), R0.T @ R1, atol=1e-12)
+
+
 def test_at_rest_gravity_cancels() -> None:
     n = 200
     rest = Increments(np.full(n, 0.005), np.zeros((n, 3)), np.tile([0.0, 0.0, GRAVITY_M_S2], (n, 1)))

@@ -199,6 +199,20 @@ def test_imu_may_be_mounted_in_any_way(make_flight: Callable, flown: Callable, s
     np.testing.assert_allclose(fit.R_truth_estimate @ found.rotations @ R_mount.T, reference.rotations, atol=5e-3)
 
 
+@pytest.mark.parametrize("rest_s", [REST, AIR])
+def test_front_end_is_told_how_its_camera_turned(make_flight: Callable, rest_s: float) -> None:
+    """To a gyroscope's bias before the start, to a hundredth of a degree after it."""
+    flight = make_flight(2, rest_s=rest_s, R_mount=exp_so3(np.array([1.0, -2.0, 0.5])), duration_s=8.0)
+    front_end = flight.front_end()
+    estimates = flight.run(front_end)
+    started = next(k for k, e in enumerate(estimates) if e.state is not None)
+    errors = np.array(front_end.prediction_errors_rad)
+    assert len(errors) == len(estimates) - 1
+    assert errors.max() < 0.05 * 1.2 * np.linalg.norm(flight.gyro_bias) + 1e-3
+    assert np.degrees(np.median(errors[started:])) < 0.02
+    assert np.degrees(errors[started + 20 :].max()) < 0.05
+
+
 @pytest.mark.parametrize("sampling", ["point", "increment"])
 def test_both_kinds_of_samples_do(make_flight: Callable, sampling: str) -> None:
     flight = make_flight(3, rest_s=REST, sampling=sampling, duration_s=8.0)
