@@ -1,9 +1,10 @@
 """The ``dronevio`` command: picks the subcommand, and turns errors into one line and an exit code.
 
-Exit codes: 0 done, 1 a check failed, 2 bad input, 130 interrupted.
+Exit codes: 0 done, 1 a check failed, 2 bad input, 130 interrupted, 141 nobody reads what is printed.
 """
 
 import importlib
+import os
 import sys
 from collections.abc import Sequence
 
@@ -55,9 +56,18 @@ def main(arguments: Sequence[str] | None = None) -> int:
         return 2
     try:
         command = importlib.import_module(f"dronevio.cli.{args[0]}")
-        return int(command.main(args[1:]))
+        status = int(command.main(args[1:]))
+        sys.stdout.flush()
+        return status
     except DronevioError as error:
         print(f"dronevio: {error}", file=sys.stderr)
+        return 2
+    except BrokenPipeError:  # the reader has gone, as in `dronevio scenarios | head -3`
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())  # else Python complains when it ends
+        return 141
+    except OSError as error:  # a full disk, a file in the way: nothing that a traceback would explain
+        where = f"{error.filename}: " if error.filename else ""
+        print(f"dronevio: {where}{error.strerror or error}", file=sys.stderr)
         return 2
     except KeyboardInterrupt:
         print("dronevio: interrupted", file=sys.stderr)

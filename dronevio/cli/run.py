@@ -3,15 +3,14 @@
 import json
 import shutil
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from dronevio.cli.terminal import Bars, parse, print_json, print_table, progress_bars
+from dronevio.estimator.vio import VioConfig
 
 if TYPE_CHECKING:
-    from dronevio.eval.metrics.scores import ScoredTrajectory
-    from dronevio.eval.runs import EstimatorRun
     from dronevio.sim.scenario import Scenario
 
 
@@ -26,6 +25,7 @@ class RunCommand:
       dronevio run
       dronevio run --seed 3 --out runs/third
       dronevio run --scenario hover --keep-recording
+      dronevio run --estimator.smoother.lag-s 8
       dronevio run --json > result.json
     """
 
@@ -41,6 +41,8 @@ class RunCommand:
     """Keep the frames too, as an EuRoC folder named recording."""
     json: bool = False
     """Print one JSON document instead of a table."""
+    estimator: VioConfig = field(default_factory=VioConfig)
+    """Settings of the estimator."""
 
 
 def main(arguments: Sequence[str]) -> int:
@@ -58,23 +60,24 @@ def main(arguments: Sequence[str]) -> int:
         atomic_folder(target, command.overwrite, mark="report.json") as folder,
         progress_bars(quiet=command.json) as bars,
     ):
-        run, scored = _carry_out(chosen, folder, target, bars)
+        _carry_out(chosen, command.estimator, folder, target, bars)
         if not command.keep_recording:
             shutil.rmtree(folder / "recording")
+    report = json.loads((target / "report.json").read_text(encoding="utf-8"))
     if command.json:
-        print_json({"run": str(target), **json.loads((target / "report.json").read_text(encoding="utf-8"))})
+        print_json({"run": str(target), **report})
         return 0
-    _print_scores(chosen, run, scored)
+    _print_report(f"Run {chosen.name}, seed {chosen.seed}", report)
     print(f"report:  {target}/report.html")
     print(f"look:    dronevio view {target}")
     return 0
 
 
-def _carry_out(scenario: "Scenario", folder: Path, target: Path, bars: Bars) -> "tuple[EstimatorRun, ScoredTrajectory]":
+def _carry_out(scenario: "Scenario", folder: Path, target: Path, bars: Bars) -> None:
     """Fly, estimate, score and log a scenario; everything that is left of it lies in ``folder``."""
     from dronevio import __version__
     from dronevio.estimation import estimate_recording, require_poses
-    from dronevio.estimator.vio import VioConfig, VisualInertialOdometry
+    from dronevio.estimator.vio import VisualInertialOdometry
     from dronevio.eval.metrics.scores import score_trajectory
     from dronevio.eval.provenance import RunInfo
     from dronevio.eval.report import write_report
@@ -88,7 +91,6 @@ def _carry_out(scenario: "Scenario", folder: Path, target: Path, bars: Bars) -> 
     listeners = {name: bars.bar(name) for name in ("simulating", "rendering", "estimating", "logging")}
     record_flight(scenario, folder / "recording", listeners["simulating"], listeners["rendering"])
     recording = EurocRecording.open(folder / "recording")
-    config = VioConfig()
     run = estimate_recording(recording, VisualInertialOdometry(recording.rig, config), listeners["estimating"])
     trajectory = require_poses(run, recording)
     truth = recording.ground_truth
@@ -111,7 +113,6 @@ def _carry_out(scenario: "Scenario", folder: Path, target: Path, bars: Bars) -> 
     name = f"{scenario.name}, seed {scenario.seed}"
     write_rrd(folder / "run.rrd", recording, run, scored, name=name, outline=outline, progress=listeners["logging"])
     write_report(folder, info, recording, run, scored, outline=outline)
-    return run, scored
 
 
 def _free_name(wanted: Path) -> Path:
@@ -122,23 +123,23 @@ def _free_name(wanted: Path) -> Path:
     return candidate
 
 
-def _print_scores(scenario: "Scenario", run: "EstimatorRun", scored: "ScoredTrajectory") -> None:
-    import numpy as np
-
-    s = scored.scores
+def _print_report(title: str, report: dict[str, Any]) -> None:
+    """Print what matters most of a ``report.json``; a dash where a number is not known."""
+    scores, timing = report["scores"], report["timing"]
+    rpe_m, rpe_deg = scores["rpe_m"] or {"rmse": None}, scores["rpe_deg"] or {"rmse": None}
     shown: list[tuple[str, float | None, str, str]] = [
-        ("path", s.path_m, ".1f", "m"),
-        ("ATE, yaw and position aligned", s.ate_m.rmse, ".3f", "m"),
-        ("RPE over 1 s, translation", s.rpe_m.rmse if s.rpe_m else None, ".3f", "m"),
-        ("RPE over 1 s, rotation", s.rpe_deg.rmse if s.rpe_deg else None, ".2f", "°"),
-        ("scale error", s.scale_error_percent, "+.2f", "%"),
-        ("coverage", s.coverage_percent, ".1f", "%"),
-        ("processor time a frame, mean", float(run.cpu_ms.mean()), ".1f", "ms"),
-        ("processor time a frame, 99th percentile", float(np.percentile(run.cpu_ms, 99)), ".1f", "ms"),
-        ("faster than real time", run.real_time_factor, ".1f", "×"),
+        ("path", report["flight"]["path_m"], ".1f", "m"),
+        ("ATE, yaw and position aligned", scores["ate_m"]["rmse"], ".3f", "m"),
+        ("RPE over 1 s, translation", rpe_m["rmse"], ".3f", "m"),
+        ("RPE over 1 s, rotation", rpe_deg["rmse"], ".2f", "°"),
+        ("scale error", scores["scale_error_percent"], "+.2f", "%"),
+        ("coverage", scores["coverage_percent"], ".1f", "%"),
+        ("processor time a frame, mean", timing["cpu_ms_mean"], ".1f", "ms"),
+        ("processor time a frame, 99th percentile", timing["cpu_ms_p99"], ".1f", "ms"),
+        ("faster than real time", timing["real_time_factor"], ".1f", "×"),
     ]
     print_table(
-        f"Run {scenario.name}, seed {scenario.seed}",
+        title,
         ("", "value", "unit"),
         [(label, "–" if value is None else format(value, form), unit) for label, value, form, unit in shown],
     )

@@ -3,6 +3,7 @@
 import subprocess
 import sys
 import time
+from pathlib import Path
 
 import pytest
 
@@ -81,3 +82,21 @@ def test_wrong_option_is_bad_input(command: str, capsys: pytest.CaptureFixture[s
     assert status == 2
     captured = capsys.readouterr()
     assert captured.err and not captured.out
+
+
+def test_a_reader_that_has_gone_is_no_trouble() -> None:
+    command = [sys.executable, "-m", "dronevio.cli", "scenarios", "--json"]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as process:
+        assert process.stdout is not None
+        process.stdout.close()
+        _, said = process.communicate(timeout=60)
+    assert said == ""
+    assert process.returncode == 141  # 128 + SIGPIPE, as the shell calls it
+
+
+def test_what_the_system_refuses_is_one_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    (tmp_path / "file").write_text("in the way")
+    assert main(["book", "imu", "--out", str(tmp_path / "file")]) == 2
+    captured = capsys.readouterr()
+    assert captured.out == ""
+    assert captured.err == f"dronevio: {tmp_path / 'file'}: File exists\n"

@@ -1,0 +1,322 @@
+"""``dronevio run`` for real: it flies, estimates, scores and reports, and the steps apart give the same bytes."""
+
+import contextlib
+import io
+import json
+import os
+import re
+import shutil
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import psutil
+import pytest
+
+from dronevio.cli import main
+from dronevio.cli.view import viewer_program
+from dronevio.models.recordings.euroc import EurocRecording
+from dronevio.models.recordings.tum import read_tum
+from dronevio.sim.gl import INSTALL_COMMAND
+
+PROMISED = {
+    "configuration.json",
+    "estimate.tum",
+    "groundtruth.tum",
+    "imu.csv",
+    "report.html",
+    "report.json",
+    "run.rrd",
+    "trajectory.png",
+}
+CAMERA, IMU, TRUTH = (Path("mav0") / part for part in ("cam0", "imu0", "state_groundtruth_estimate0"))
+SCENARIO = ["--scenario", "short"]
+
+
+@dataclass(frozen=True)
+class Result:
+    """What a command left, and what it printed."""
+
+    folder: Path
+    out: str
+    err: str
+
+    @property
+    def document(self) -> dict[str, object]:
+        """What was printed, as JSON."""
+        return json.loads(self.out)
+
+
+def command(*arguments: str | Path) -> tuple[str, str]:
+    """Run a command that is expected to do well; return what it printed."""
+    with contextlib.redirect_stdout(io.StringIO()) as out, contextlib.redirect_stderr(io.StringIO()) as err:
+        status = main([str(argument) for argument in arguments])
+    assert status == 0, err.getvalue()
+    return out.getvalue(), err.getvalue()
+
+
+@pytest.fixture(scope="module")
+def place(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Where the flights of this module lie."""
+    return tmp_path_factory.mktemp("flights")
+
+
+@pytest.fixture(scope="module")
+def run(place: Path) -> Result:
+    """The short flight of seed 0, run over an earlier result, its recording kept."""
+    folder = place / "run"
+    folder.mkdir()
+    (folder / "report.json").write_text("{}")
+    (folder / "stale").write_text("from an earlier run")
+    out, err = command("run", *SCENARIO, "--out", folder, "--overwrite", "--keep-recording")
+    return Result(folder, out, err)
+
+
+@pytest.fixture(scope="module")
+def recording(place: Path) -> Path:
+    """The same flight, only flown."""
+    command("fly", *SCENARIO, "--out", place / "recording", "--json")
+    return place / "recording"
+
+
+@pytest.fixture(scope="module")
+def another_run(place: Path) -> Result:
+    """The short flight of seed 1, run where a result with its name is there already; printed as JSON."""
+    here = place / "elsewhere"
+    taken = here / "runs" / "short-1"
+    taken.mkdir(parents=True)
+    (taken / "report.json").write_text("{}")
+    with contextlib.chdir(here):
+        out, err = command("run", *SCENARIO, "--seed", "1", "--json")
+    return Result(here / "runs" / "short-1-2", out, err)
+
+
+def names(folder: Path) -> set[str]:
+    return {entry.name for entry in folder.iterdir()}
+
+
+def files(folder: Path) -> dict[str, bytes]:
+    return {str(file.relative_to(folder)): file.read_bytes() for file in folder.rglob("*") if file.is_file()}
+
+
+def test_a_run_leaves_what_it_promises_and_nothing_else(run: Result, another_run: Result, place: Path) -> None:
+    assert names(another_run.folder) == PROMISED
+    assert names(run.folder) == {*PROMISED, "recording"}  # nor what was there before
+    assert all(file.stat().st_size > 0 for file in run.folder.rglob("*") if file.is_file())
+    assert names(place) <= {"run", "recording", "elsewhere"}  # no hidden folders
+    assert names(another_run.folder.parent) == {"short-1", "short-1-2"}
+    assert names(another_run.folder.parent / "short-1") == {"report.json"}
+
+
+def test_the_table_shows_the_numbers_of_the_report(run: Result) -> None:
+    report = json.loads((run.folder / "report.json").read_text(encoding="utf-8"))
+    scores, timing = report["scores"], report["timing"]
+    shown = {line.split("│")[1].strip(): line.split("│")[2].strip() for line in run.out.splitlines() if "│" in line}
+    assert shown["path"] == f"{report['flight']['path_m']:.1f}"
+    assert shown["ATE, yaw and position aligned"] == f"{scores['ate_m']['rmse']:.3f}"
+    assert shown["RPE over 1 s, translation"] == f"{scores['rpe_m']['rmse']:.3f}"
+    assert shown["RPE over 1 s, rotation"] == f"{scores['rpe_deg']['rmse']:.2f}"
+    assert shown["scale error"] == f"{scores['scale_error_percent']:+.2f}"
+    assert shown["coverage"] == f"{scores['coverage_percent']:.1f}"
+    assert shown["processor time a frame, mean"] == f"{timing['cpu_ms_mean']:.1f}"
+    assert shown["faster than real time"] == f"{timing['real_time_factor']:.1f}"
+    assert f"dronevio view {run.folder}" in run.out
+    for work in ("simulating", "rendering", "estimating", "logging"):
+        assert work in run.err
+
+
+def test_machines_get_one_document(another_run: Result) -> None:
+    document = dict(another_run.document)
+    assert another_run.err == ""
+    assert document.pop("run") == "runs/short-1-2"
+    assert document == json.loads((another_run.folder / "report.json").read_text(encoding="utf-8"))
+    assert document["seed"] == 1
+    assert document["command"] == "dronevio run --scenario short --seed 1"
+
+
+@pytest.mark.parametrize("which", ["run", "another_run"])
+def test_the_estimate_is_good(which: str, request: pytest.FixtureRequest) -> None:
+    scores = json.loads((request.getfixturevalue(which).folder / "report.json").read_text(encoding="utf-8"))["scores"]
+    assert scores["ate_m"]["rmse"] < 0.03
+    assert scores["rpe_m"]["rmse"] < 0.02
+    assert abs(scores["scale_error_percent"]) < 2.0
+    assert scores["coverage_percent"] == 100.0
+
+
+def test_scoring_the_files_gives_the_numbers_of_the_report(run: Result) -> None:
+    report = json.loads((run.folder / "report.json").read_text(encoding="utf-8"))
+    estimate = run.folder / "estimate.tum"
+    printed = [
+        json.loads(command("evaluate", truth, estimate, "--json")[0])
+        for truth in (run.folder / "groundtruth.tum", run.folder / "recording")
+    ]
+    assert printed[0]["coverage_percent"] is None  # a TUM file knows of no frames
+    assert printed[1]["coverage_percent"] == report["scores"]["coverage_percent"]
+    for document in printed:
+        for name in ("ate_m", "ate_deg", "rpe_m", "rpe_deg"):
+            assert document[name] == pytest.approx(report["scores"][name], rel=1e-4, abs=1e-6)  # files round to 1e-9
+        for name in ("n_poses", "first_s", "last_s", "rpe_pairs"):
+            assert document[name] == report["scores"][name]
+
+
+def test_a_plain_calculation_gives_the_numbers_of_the_report(run: Result) -> None:
+    """Yaw and position by a search over angles, the truth taken at the very stamps: they are samples of the IMU."""
+    scores = json.loads((run.folder / "report.json").read_text(encoding="utf-8"))["scores"]
+    truth, estimate = read_tum(run.folder / "groundtruth.tum"), read_tum(run.folder / "estimate.tum")
+    rows = np.searchsorted(truth.t_ns, estimate.t_ns)
+    np.testing.assert_array_equal(truth.t_ns[rows], estimate.t_ns)
+    true_m, found_m = (p - p.mean(axis=0) for p in (truth.p_world_imu[rows], estimate.p_world_imu))
+
+    def rmse_m(yaw: float) -> float:
+        c, s = np.cos(yaw), np.sin(yaw)
+        turned = found_m @ np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]]).T
+        return float(np.sqrt(np.mean(np.sum((true_m - turned) ** 2, axis=1))))
+
+    best = min(np.linspace(-np.pi, np.pi, 361), key=rmse_m)
+    best = min(np.linspace(best - 0.02, best + 0.02, 2001), key=rmse_m)
+    assert scores["ate_m"]["rmse"] == pytest.approx(rmse_m(best), rel=1e-3)
+
+
+def test_poses_come_at_every_frame_since_the_start(run: Result) -> None:
+    frames = EurocRecording.open(run.folder / "recording").frame_times_ns
+    poses = read_tum(run.folder / "estimate.tum").t_ns
+    first = int(np.searchsorted(frames, poses[0]))
+    np.testing.assert_array_equal(poses, frames[first:])
+    assert poses[0] - frames[0] <= 1.5e9  # it stands still for as long
+
+
+def test_the_steps_apart_give_the_same_bytes(run: Result, recording: Path, tmp_path: Path) -> None:
+    assert files(recording) == files(run.folder / "recording")
+    assert len(files(recording / CAMERA / "data")) == 120
+    assert (run.folder / "imu.csv").read_bytes() == (recording / IMU / "data.csv").read_bytes()
+    command("estimate", recording, "--out", tmp_path / "estimate.tum", "--json")
+    assert (tmp_path / "estimate.tum").read_bytes() == (run.folder / "estimate.tum").read_bytes()
+    truth, written = EurocRecording.open(recording).ground_truth, read_tum(run.folder / "groundtruth.tum")
+    assert truth is not None
+    np.testing.assert_array_equal(written.t_ns, truth.t_ns)
+    np.testing.assert_allclose(written.p_world_imu, truth.p_world_imu, rtol=0, atol=1e-9)
+
+
+def test_another_seed_is_another_flight(run: Result, another_run: Result) -> None:
+    for name in ("imu.csv", "groundtruth.tum", "estimate.tum"):
+        assert (run.folder / name).read_bytes() != (another_run.folder / name).read_bytes()
+
+
+def test_the_estimator_sees_neither_the_truth_nor_the_future(run: Result, recording: Path, tmp_path: Path) -> None:
+    """Without the truth, and cut off in mid-flight, a recording gives the same poses up to there."""
+    kept = 80
+    beginning = tmp_path / "beginning"
+    shutil.copytree(recording, beginning, ignore=shutil.ignore_patterns(TRUTH.name))
+    times_ns = EurocRecording.open(recording).frame_times_ns
+    for t_ns in times_ns[kept:]:
+        (beginning / CAMERA / "data" / f"{t_ns}.png").unlink()
+    keep_rows(beginning / CAMERA / "data.csv", kept)
+    imu_rows = int(np.searchsorted(EurocRecording.open(recording).imu.t_ns, times_ns[kept - 1])) + 1
+    keep_rows(beginning / IMU / "data.csv", imu_rows)  # not a sample beyond the last frame
+    command("estimate", beginning, "--out", tmp_path / "estimate.tum", "--json")
+    poses = (tmp_path / "estimate.tum").read_text().splitlines()
+    whole = (run.folder / "estimate.tum").read_text().splitlines()
+    assert len(poses) > kept // 2
+    assert poses == whole[: len(poses)]
+
+
+def keep_rows(table: Path, rows: int) -> None:
+    """Cut a CSV with one heading off after some rows."""
+    lines = table.read_bytes().splitlines(keepends=True)
+    assert lines[0].startswith(b"#") and len(lines) > rows + 1
+    table.write_bytes(b"".join(lines[: rows + 1]))
+
+
+def test_the_recording_is_whole_and_small(run: Result) -> None:
+    rrd = run.folder / "run.rrd"
+    verified = subprocess.run(
+        [*viewer_program(), "rrd", "verify", str(rrd)], capture_output=True, text=True, check=False
+    )
+    assert verified.returncode == 0, verified.stderr
+    assert rrd.stat().st_size * 1e-6 < 30.0 * 120 / 600  # 30 MB for half a minute
+
+
+def test_the_configuration_is_all_that_was_set(another_run: Result) -> None:
+    configuration = json.loads((another_run.folder / "configuration.json").read_text(encoding="utf-8"))
+    assert configuration["scenario"]["name"] == "short" and configuration["scenario"]["seed"] == 1
+    assert configuration["scenario"]["rig"]["cameras"][0]["model"]["width"] == 752
+    assert configuration["estimator"]["keyframe"]["interval_s"] > 0.0
+    assert configuration == another_run.document["configuration"]
+
+
+@pytest.mark.parametrize("what", ["run", "fly"])
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (["--scenario", "moon"], r"unknown scenario 'moon'; expected one of room, .*short"),
+        ([*SCENARIO, "--seed", "-1"], r"seed -1; expected 0 or more"),
+        ([*SCENARIO, "--out", "taken"], r"taken: it exists already; expected a new name, or --overwrite"),
+        ([*SCENARIO, "--out", "taken", "--overwrite"], r"taken: it holds no \S+, so it is none of mine; expected"),
+        ([*SCENARIO, "--out", "taken/thesis.tex"], r"taken/thesis.tex: it is a file; expected the name of a folder"),
+        ([*SCENARIO, "--out", "taken/thesis.tex/x"], r"taken/thesis.tex/x: it cannot be made .*; expected"),
+    ],
+)
+def test_what_cannot_be_flown_is_said_at_once(
+    what: str,
+    arguments: Sequence[str],
+    message: str,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr("dronevio.sim.gl.require_gl", lambda: None)  # asked elsewhere, and it takes a second
+    Path("taken").mkdir()
+    Path("taken/thesis.tex").write_text("years of work")
+    assert main([what, *arguments]) == 2
+    out, err = capsys.readouterr()
+    assert out == ""
+    assert err.count("\n") == 1
+    assert re.search(message, err)
+    assert files(tmp_path) == {"taken/thesis.tex": b"years of work"}
+
+
+@pytest.mark.parametrize("what", ["run", "fly"])
+def test_without_opengl_there_is_one_line_and_no_folder(what: str, tmp_path: Path) -> None:
+    # As on a machine that has the libraries and no driver.
+    nothing = {"__EGL_VENDOR_LIBRARY_DIRS": str(tmp_path), "__EGL_VENDOR_LIBRARY_FILENAMES": str(tmp_path / "none")}
+    command = [sys.executable, "-m", "dronevio.cli", what, *SCENARIO, "--out", str(tmp_path / "out")]
+    ended = subprocess.run(
+        command, capture_output=True, text=True, check=False, env={**os.environ, "MUJOCO_GL": "egl", **nothing}
+    )
+    assert ended.returncode == 2
+    assert ended.stdout == ""
+    assert ended.stderr.startswith("dronevio: no off-screen OpenGL") and ended.stderr.count("\n") == 1
+    assert INSTALL_COMMAND in ended.stderr
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_an_interrupted_run_leaves_nothing(tmp_path: Path) -> None:
+    """Ctrl-C in the middle of the drawing, as a terminal sends it: to all processes of the group."""
+    command = [sys.executable, "-m", "dronevio.cli", "run", *SCENARIO, "--out", str(tmp_path / "out")]
+    with subprocess.Popen(command, stderr=subprocess.PIPE, text=True, start_new_session=True) as process:
+        try:
+            wait_until(lambda: sum(1 for _ in tmp_path.rglob("*.png")) > 5 or process.poll() is not None)
+            family = psutil.Process(process.pid).children(recursive=True)
+            assert family  # they draw
+            os.killpg(process.pid, signal.SIGINT)
+            said = process.communicate(timeout=30)[1]
+        finally:
+            process.kill()
+    assert process.returncode == 130
+    assert said.rstrip().endswith("dronevio: interrupted")
+    assert "Traceback" not in said
+    assert list(tmp_path.iterdir()) == []
+    assert not any(member.is_running() for member in family)
+
+
+def wait_until(happened: Callable[[], bool], patience_s: float = 60.0) -> None:
+    deadline = time.monotonic() + patience_s
+    while not happened():
+        assert time.monotonic() < deadline
+        time.sleep(0.05)
