@@ -43,7 +43,7 @@ class SmootherConfig:
     """How often the first keyframes are optimised, the landmarks judged anew before each time."""
     still_velocity_sigma: float = 0.01
     """How surely the velocity is zero at rest [m/s]."""
-    still_pose_sigma: float = 0.001
+    still_pose_sigma: float = 0.003
     """How surely the pose stays at rest, from one keyframe to the next [rad and m]."""
 
 

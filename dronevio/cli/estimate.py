@@ -1,13 +1,14 @@
 """``dronevio estimate``: from a recording to a trajectory."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Annotated
 
 import tyro
 
 from dronevio.cli.terminal import parse, print_json, print_table, progress_bars
+from dronevio.estimator.vio import VioConfig
 
 
 @dataclass(frozen=True)
@@ -21,6 +22,7 @@ class EstimateCommand:
     Examples:
       dronevio estimate recordings/room-0
       dronevio estimate V1_01_easy --out v101.tum
+      dronevio estimate V1_01_easy --estimator.tracker.cell-px 36
       dronevio evaluate V1_01_easy v101.tum
     """
 
@@ -30,6 +32,8 @@ class EstimateCommand:
     """File to write."""
     json: bool = False
     """Print one JSON document instead of a table."""
+    estimator: VioConfig = field(default_factory=VioConfig)
+    """Settings of the estimator."""
 
 
 def main(arguments: Sequence[str]) -> int:
@@ -43,7 +47,9 @@ def main(arguments: Sequence[str]) -> int:
 
     recording = EurocRecording.open(command.recording, cameras=1)
     with progress_bars(quiet=command.json) as bars:
-        run = estimate_recording(recording, VisualInertialOdometry(recording.rig), bars.bar("estimating"))
+        run = estimate_recording(
+            recording, VisualInertialOdometry(recording.rig, command.estimator), bars.bar("estimating")
+        )
     trajectory = require_poses(run, recording)
     write_tum(command.out, trajectory)
     summary = {

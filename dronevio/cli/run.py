@@ -73,7 +73,7 @@ def main(arguments: Sequence[str]) -> int:
     return 0
 
 
-def _carry_out(scenario: "Scenario", folder: Path, target: Path, bars: Bars) -> None:
+def _carry_out(scenario: "Scenario", config: VioConfig, folder: Path, target: Path, bars: Bars) -> None:
     """Fly, estimate, score and log a scenario; everything that is left of it lies in ``folder``."""
     from dronevio import __version__
     from dronevio.estimation import estimate_recording, require_poses
