@@ -57,7 +57,7 @@ def flight_blueprint(outline: Array, estimate: Trajectory, truth: Trajectory | N
         },
     )
     errors = rrb.Horizontal(
-        _plot("Position error [m]", Entities.POSITION_ERROR),
+        _plot("Position error [m]", Entities.POSITION_ERROR, rrb.Corner2D.LeftTop),  # it grows
         _plot("Orientation error [°]", Entities.ORIENTATION_ERROR),
     )
     speed = _plot("Speed [m/s]", Entities.SPEED)
@@ -92,8 +92,8 @@ def flight_blueprint(outline: Array, estimate: Trajectory, truth: Trajectory | N
     )
 
 
-def _plot(name: str, origin: str) -> rrb.TimeSeriesView:
-    return rrb.TimeSeriesView(origin=origin, name=name, plot_legend=rrb.PlotLegend(rrb.Corner2D.RightTop))
+def _plot(name: str, origin: str, legend: rrb.Corner2D = rrb.Corner2D.RightTop) -> rrb.TimeSeriesView:
+    return rrb.TimeSeriesView(origin=origin, name=name, plot_legend=rrb.PlotLegend(legend))
 
 
 def _eye(outline: Array, estimate: Trajectory, truth: Trajectory | None) -> rrb.EyeControls3D:
