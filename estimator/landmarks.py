@@ -22,7 +22,7 @@ class LandmarkConfig:
     """Standard deviation of an image measurement [px]: tracking error and what calibration leaves."""
     min_views: int = 3
     """Keyframes that must have seen a landmark before it constrains anything."""
-    min_parallax_deg: float = 1.5
+    min_parallax_deg: float = 0.5
     """Angle under which a landmark must have been seen [°]; below, its depth is not observable and iSAM2 fails."""
     max_reprojection_px: float = 6.0
     """A landmark seen further than this from where it should be is given up [px] ..."""

@@ -20,6 +20,7 @@ from dronevio.estimator.smoother import Keyframe, KeyframeSmoother, SmootherConf
 from dronevio.estimator.start import StartSigmas, mean_gyro, start_from_rest
 from dronevio.estimator.start_in_motion import MotionStartConfig, Sighting, start_in_motion
 from dronevio.estimator.stillness import StillnessConfig, StillnessDetector
+from dronevio.models.errors import ConfigError
 from dronevio.models.imu import ImuSamples
 from dronevio.models.rig import Rig
 from dronevio.models.state import CameraFrame, Estimate, FeatureTracks, Health, NavState
@@ -87,7 +88,14 @@ class VisualInertialOdometry:
             rig: The calibration.
             config: Settings.
             front_end: Where feature observations come from; by default the images.
+
+        Raises:
+            ConfigError: The rig has a time offset between camera and IMU, which is not supported.
         """
+        if rig.time_offset_s != 0.0:
+            raise ConfigError(
+                f"a rig with a time offset of {rig.time_offset_s:g} s; expected stamps on one clock, offset 0"
+            )
         self._config = config or VioConfig()
         self._rig = rig
         self._T_imu_cam = rig.cameras[0].T_imu_cam
