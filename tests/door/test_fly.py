@@ -1,40 +1,36 @@
 """dronevio fly, by its door."""
 
-import json
-from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 
 from dronevio.cli import main
-from dronevio.models.camera import CameraModel
 from dronevio.models.recordings.euroc import EurocRecording
-from dronevio.models.rig import EUROC_T_IMU_CAM0, RigCamera, euroc_rig
-from dronevio.sim.scenario import SCENARIOS
 
 
-def test_a_flight_is_a_recording(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
-) -> None:
-    small = CameraModel(width=188, height=120, fx=115.0, fy=115.0, cx=92.0, cy=62.0)
-    rig = replace(euroc_rig(), cameras=(RigCamera(small, EUROC_T_IMU_CAM0),))
-    monkeypatch.setitem(SCENARIOS, "short", replace(SCENARIOS["short"], rig=rig))  # small images are drawn sooner
-    target = tmp_path / "flight"
-    assert main(["fly", "--scenario", "short", "--seed", "2", "--out", str(target), "--json"]) == 0
-    said = json.loads(capsys.readouterr().out)
-    assert said["recording"] == str(target)
+def test_a_flight_is_a_recording(flown: Any) -> None:
+    said = flown.document
+    assert said["recording"] == str(flown.folder)
+    assert said["scenario"] == "short" and said["seed"] == 0
     assert said["frames"] == 120
     assert said["peak_speed_m_s"] > 0.5
-    recording = EurocRecording.open(target)
+    recording = EurocRecording.open(flown.folder)
     assert recording.ground_truth is not None
-    assert len(recording.frame_times_ns) == 120
-    assert recording.frame(119).images[0].shape == (120, 188)
+    assert recording.rig.imu.rate_hz == 200.0
+    assert len(recording.frame_times_ns) == 120 and len(recording.imu) == said["imu_samples"]
+    assert recording.frame(119).images[0].shape == (480, 752)
     assert recording.ground_truth.length_m == pytest.approx(said["path_m"], rel=1e-6)
     np.testing.assert_array_equal(np.diff(recording.frame_times_ns), 50_000_000)
-    assert main(["fly", "--scenario", "short", "--out", str(target)]) == 2
+    assert [entry.name for entry in flown.folder.parent.iterdir()] == ["flight"]
+    assert [entry.name for entry in flown.folder.iterdir()] == ["mav0"]
+
+
+def test_it_is_not_flown_over_unasked(flown: Any, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["fly", "--scenario", "short", "--out", str(flown.folder)]) == 2
     assert "--overwrite" in capsys.readouterr().err
-    assert [entry.name for entry in tmp_path.iterdir()] == ["flight"]
+    assert len(EurocRecording.open(flown.folder).frame_times_ns) == 120
 
 
 def test_unknown_scenarios_are_named(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
