@@ -22,8 +22,11 @@ class LandmarkConfig:
     """Standard deviation of an image measurement [px]: tracking error and what calibration leaves."""
     min_views: int = 3
     """Keyframes that must have seen a landmark before it constrains anything."""
-    min_parallax_deg: float = 0.5
+    min_parallax_deg: float = 0.3
     """Angle under which a landmark must have been seen [°]; below, its depth is not observable and iSAM2 fails."""
+    min_baseline_m: float = 0.02
+    """Distance from which a landmark must have been seen [m]; below, what looks like parallax of something near is
+    rather the tracker's drift."""
     max_reprojection_px: float = 6.0
     """A landmark seen further than this from where it should be is given up [px] ..."""
     max_over_median: float = 5.0
@@ -83,7 +86,7 @@ class LandmarkWindow:
         if not seen:
             return [], []
         found = _triangulate(seen, cameras)
-        deep = found.parallax_rad > np.radians(c.min_parallax_deg)
+        deep = (found.parallax_rad > np.radians(c.min_parallax_deg)) & (found.baseline_m > c.min_baseline_m)
         typical = float(np.median(found.rms[deep])) if deep.any() else 0.0
         limit = max(c.max_reprojection_px / self._focal_px, c.max_over_median * typical)
         wrong = deep & (~found.in_front | (np.maximum(found.rms, found.newest) > limit))

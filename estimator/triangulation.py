@@ -29,6 +29,8 @@ class Triangulation:
     """(L,) The same distance of its last sighting alone."""
     parallax_rad: Array
     """(L,) Largest angle between its first ray and the others [rad]."""
+    baseline_m: Array
+    """(L,) Largest distance between the first camera that saw it and the others [m]."""
 
 
 def triangulate(starts: npt.NDArray[np.int64], Rs_world_cam: Array, p_world_cam: Array, xy: Array) -> Triangulation:
@@ -51,12 +53,14 @@ def triangulate(starts: npt.NDArray[np.int64], Rs_world_cam: Array, p_world_cam:
     depth = p_cam[:, 2]
     error2 = np.sum((p_cam[:, :2] / np.maximum(depth, MIN_DEPTH_M)[:, None] - xy) ** 2, axis=1)
     cosines = np.sum(rays * np.repeat(rays[starts], counts, axis=0), axis=1)
+    baselines = np.linalg.norm(p_world_cam - np.repeat(p_world_cam[starts], counts, axis=0), axis=1)
     return Triangulation(
         points,
         np.minimum.reduceat(depth, starts) > MIN_DEPTH_M,
         np.sqrt(np.add.reduceat(error2, starts) / counts),
         np.sqrt(error2[starts + counts - 1]),
         np.arccos(np.clip(np.minimum.reduceat(cosines, starts), -1.0, 1.0)),
+        np.maximum.reduceat(baselines, starts),
     )
 
 
