@@ -192,3 +192,16 @@ def test_long_tracks_are_cut_into_chunks() -> None:
     config = replace(LandmarkConfig(), chunk_s=1.0)
     tracks = window(scene, 12, config, interval_s=0.25)._tracks
     assert all(track.keyframes == [10, 11] for track in tracks.values())  # 0 to 4, 5 to 9, 10 on
+
+
+def test_parallax_from_a_baseline_of_millimetres_is_not_believed() -> None:
+    """A track that drifts by some pixels, seen from one place, looks like something right before the lens."""
+    near, there = np.array([0.0, 0.0, 0.15]), {k: (np.eye(3), np.array([0.002 * k, 0.0, 0.0])) for k in range(4)}
+    for scale, useful in ((1.0, 0), (20.0, 1)):  # the same picture, twenty times as large
+        landmarks = LandmarkWindow(FOCAL_PX, LandmarkConfig())
+        cameras = {k: (R, scale * p) for k, (R, p) in there.items()}
+        for k, (_, p) in cameras.items():
+            ray = scale * near - p
+            xy = ray[None, :2] / ray[2]
+            landmarks.observe(k, 0.2 * k, Observations(np.array([7]), FOCAL_PX * xy, xy, np.array([k + 1])))
+        assert len(landmarks.judge(cameras)[0]) == useful
