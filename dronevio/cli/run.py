@@ -67,7 +67,7 @@ def main(arguments: Sequence[str]) -> int:
     if command.json:
         print_json({"run": str(target), **report})
         return 0
-    _print_report(f"Run {chosen.name}, seed {chosen.seed}", report)
+    print_report(f"Run {chosen.name}, seed {chosen.seed}", report)
     print(f"report:  {target}/report.html")
     print(f"look:    dronevio view {target}")
     return 0
@@ -123,7 +123,7 @@ def _free_name(wanted: Path) -> Path:
     return candidate
 
 
-def _print_report(title: str, report: dict[str, Any]) -> None:
+def print_report(title: str, report: dict[str, Any]) -> None:
     """Print what matters most of a ``report.json``; a dash where a number is not known."""
     scores, timing = report["scores"], report["timing"]
     rpe_m, rpe_deg = scores["rpe_m"] or {"rmse": None}, scores["rpe_deg"] or {"rmse": None}

@@ -18,6 +18,7 @@ import psutil
 import pytest
 
 from dronevio.cli import main
+from dronevio.cli.run import print_report
 from dronevio.cli.view import viewer_program
 from dronevio.models.recordings.euroc import EurocRecording
 from dronevio.models.recordings.tum import read_tum
@@ -99,6 +100,18 @@ def test_the_table_shows_the_numbers_of_the_report(run: Result) -> None:
     assert f"dronevio view {run.folder}" in run.out
     for work in ("simulating", "rendering", "estimating", "logging"):
         assert work in run.err
+
+
+def test_what_is_not_known_is_a_dash(capsys: pytest.CaptureFixture[str]) -> None:
+    nothing = {"ate_m": {"rmse": 0.25}, "rpe_m": None, "rpe_deg": None, "scale_error_percent": None}
+    timing = {"cpu_ms_mean": 4.0, "cpu_ms_p99": 9.0, "real_time_factor": None}
+    flight = {"path_m": 12.3}
+    scores = {**nothing, "coverage_percent": None, "path_m": 11.1}
+    print_report("A run too short for a relative error", {"flight": flight, "scores": scores, "timing": timing})
+    shown = [
+        [cell.strip() for cell in line.split("│")[1:3]] for line in capsys.readouterr().out.splitlines() if "│" in line
+    ]
+    assert [value for _, value in shown] == ["12.3", "0.250", "–", "–", "–", "–", "4.0", "9.0", "–"]
 
 
 def test_machines_get_one_document(another_run: Result) -> None:
