@@ -1,4 +1,4 @@
-"""Fly seeds 0 to 9 and print what came of it as Markdown, the table of the README: ``make seeds``.
+"""Fly seeds 0 to 9 and print what came of it as Markdown: ``make seeds``; ``ARGS=--write`` puts it into the README.
 
 Every seed is one ``dronevio run`` in a process of its own. Times are those of the whole command, from its start to its
 end; memory is the most that its processes together held at once, looked at ten times a second, pages that they share
@@ -20,6 +20,8 @@ import psutil
 import tyro
 
 LOOK_EVERY_S = 0.1
+README = Path(__file__).resolve().parents[1] / "README.md"
+BEGINNING, END = "<!-- seeds -->", "<!-- /seeds -->"
 
 
 @dataclass(frozen=True)
@@ -30,6 +32,8 @@ class Seeds:
     """Which seeds."""
     scenario: str = "room"
     """What to fly."""
+    write: bool = False
+    """Put the table into the README, too."""
 
 
 @dataclass(frozen=True)
@@ -116,8 +120,14 @@ def row(cells: Sequence[str]) -> str:
 
 def main(command: Seeds) -> None:
     """Fly, and print the table row by row."""
-    print(row(["seed", *(column.title for column in COLUMNS)]))
-    print(row(["---:"] * (len(COLUMNS) + 1)))
+    lines: list[str] = []
+
+    def say(line: str) -> None:
+        print(line, flush=True)
+        lines.append(line)
+
+    say(row(["seed", *(column.title for column in COLUMNS)]))
+    say(row(["---:"] * (len(COLUMNS) + 1)))
     values, report = [], {}
     with tempfile.TemporaryDirectory(prefix="dronevio-") as folder:
         for seed in command.seeds:
@@ -126,11 +136,15 @@ def main(command: Seeds) -> None:
             printed, cost = measure([sys.executable, "-m", "dronevio.cli", "run", *options])
             report = json.loads(printed)
             values.append([float(column.value(report, cost)) for column in COLUMNS])
-            print(row([f"{seed}", *written(values[-1])]), flush=True)
-    print(row(["mean", *written(np.mean(values, axis=0))]))
+            say(row([f"{seed}", *written(values[-1])]))
+    say(row(["mean", *written(np.mean(values, axis=0))]))
     worst = [column.worst(figures) for column, figures in zip(COLUMNS, zip(*values, strict=True), strict=True)]
-    print(row(["worst", *written(worst)]))
-    print(f"\n{described(report)}")
+    say(row(["worst", *written(worst)]))
+    say(f"\n{described(report)}")
+    if command.write:
+        before, _, rest = README.read_text(encoding="utf-8").partition(BEGINNING)
+        after = rest.partition(END)[2]
+        README.write_text("\n".join([before + BEGINNING, *lines, END]) + after, encoding="utf-8")
 
 
 def written(values: Sequence[float]) -> list[str]:
