@@ -144,7 +144,7 @@ def main(command: Seeds) -> None:
     if command.write:
         before, _, rest = README.read_text(encoding="utf-8").partition(BEGINNING)
         after = rest.partition(END)[2]
-        README.write_text("\n".join([before + BEGINNING, *lines, END]) + after, encoding="utf-8")
+        README.write_text("\n".join([before + BEGINNING, "", *lines, "", END]) + after, encoding="utf-8")
 
 
 def written(values: Sequence[float]) -> list[str]:
@@ -154,9 +154,10 @@ def written(values: Sequence[float]) -> list[str]:
 
 def described(report: Mapping[str, Any]) -> str:
     """Return which machine and which packages the numbers are from."""
-    machine = ", ".join(f"{value}" if key != "cores" else f"{value} cores" for key, value in report["machine"].items())
+    machine = report["machine"]
+    system = machine["system"].split()[0]
     packages = ", ".join(f"{name} {version}" for name, version in report["versions"].items())
-    return f"Machine: {machine}. Versions: {packages}."
+    return f"{machine['processor']}, {machine['cores']} cores, no GPU used; {system}; {packages}."
 
 
 if __name__ == "__main__":
