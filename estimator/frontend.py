@@ -13,10 +13,13 @@ import numpy.typing as npt
 
 from dronevio.estimator.epipolar import epipolar_inliers
 from dronevio.models.camera import CameraModel
+from dronevio.models.errors import ConfigError
 from dronevio.models.state import CameraFrame
 
 Array = npt.NDArray[np.float64]
 Image = npt.NDArray[np.uint8]
+
+OUTSIDE_PX = 1e4
 
 
 @dataclass(frozen=True)
@@ -99,13 +102,29 @@ class FeatureTracker:
 
         Returns:
             The features that are still seen and agree with one rigid motion.
+
+        Raises:
+            ConfigError: The image is not a grey one of the camera's size.
         """
-        previous, self._image = self._image, frame.images[0]
+        previous, self._image = self._image, self._checked(frame)
         if previous is not None and len(self._ids):
             self._follow(
                 previous, self._image, R_cur_prev, self._config.ransac_px / self._camera.fx + rotation_sigma_rad
             )
         return self._observations()
+
+    def _checked(self, frame: CameraFrame) -> Image:
+        """Return the frame's first image, which OpenCV would wait for for ever, were it none."""
+        image = frame.images[0] if frame.images else None
+        shape = (self._camera.height, self._camera.width)
+        if not isinstance(image, np.ndarray) or image.shape != shape or image.dtype != np.uint8:
+            found = (
+                f"{image.dtype} array of shape {image.shape}"
+                if isinstance(image, np.ndarray)
+                else f"{type(image).__name__}"
+            )
+            raise ConfigError(f"frame at {frame.t_ns} ns whose image is {found}; expected uint8 of shape {shape}")
+        return image
 
     def replenish(self) -> Observations:
         """Take the best new corner of each grid cell that holds no feature, and return all features of the frame."""
@@ -132,12 +151,13 @@ class FeatureTracker:
     def _follow(self, previous: Image, image: Image, R_cur_prev: Array, max_distance: float) -> None:
         c = self._config
         bearings = np.column_stack([self._xy, np.ones(len(self._xy))]) @ R_cur_prev.T
-        predicted = np.ascontiguousarray(np.nan_to_num(self._camera.project(bearings), nan=-1e4), dtype=np.float32)
+        # Far outside, and finite, is where OpenCV can be told to look for what is behind the camera.
+        predicted = np.nan_to_num(self._camera.project(bearings), nan=-OUTSIDE_PX).clip(-OUTSIDE_PX, OUTSIDE_PX)
         moved, status, _ = cv2.calcOpticalFlowPyrLK(
             previous,
             image,
             self._pixels.astype(np.float32),
-            predicted,
+            np.ascontiguousarray(predicted, dtype=np.float32),
             winSize=(c.window_px, c.window_px),
             maxLevel=c.pyramid_levels,
             criteria=(cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 30, 0.01),

@@ -105,6 +105,7 @@ class VisualInertialOdometry:
         self._params = preintegration_params(rig.imu, self._config.inertial)
         self._window: list[Sighting] = []  # what was sensed lately, before the start
         self._last_try_ns = 0
+        self._last_frame_ns: int | None = None
         self._gyro_bias = np.zeros(3)
         self._gyro_bias_sigma = self._config.unknown_gyro_bias_sigma
         self._smoother: KeyframeSmoother | None = None
@@ -114,7 +115,14 @@ class VisualInertialOdometry:
         self._buffer.add(samples)
 
     def add_frame(self, frame: CameraFrame) -> Estimate:
-        """Take a frame and say where the IMU is."""
+        """Take a frame and say where the IMU is.
+
+        Raises:
+            ConfigError: The frame is not later than the last one, or its image is not one of the rig's camera.
+        """
+        if self._last_frame_ns is not None and frame.t_ns <= self._last_frame_ns:
+            raise ConfigError(f"frame at {frame.t_ns} ns after one at {self._last_frame_ns} ns; expected a later one")
+        self._last_frame_ns = frame.t_ns
         increments = self._buffer.take_until(frame.t_ns)
         rotation_sigma_rad = self._gyro_bias_sigma * float(increments.dt_s.sum())
         observations = self._front_end.track(frame, self._camera_rotation(increments), rotation_sigma_rad)

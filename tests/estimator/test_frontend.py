@@ -9,6 +9,7 @@ import pytest
 
 from dronevio.estimator.frontend import FeatureTracker, FrontEnd, Observations, TrackerConfig
 from dronevio.models.camera import CameraModel
+from dronevio.models.errors import ConfigError
 from dronevio.models.rotation import exp_so3, pose_matrix
 from dronevio.models.state import CameraFrame
 
@@ -237,3 +238,17 @@ def test_observations_are_not_changed_afterwards(wall: Wall) -> None:
     tracker.discard(first.ids[:5])
     for values, copy in zip((first.ids, first.pixels, first.xy, first.ages), kept, strict=True):
         np.testing.assert_array_equal(values, copy)
+
+
+@pytest.mark.parametrize(
+    "images",
+    [(), (None,), (np.zeros((CAMERA.width, CAMERA.height), np.uint8),), (np.zeros((CAMERA.height, CAMERA.width)),)],
+    ids=["no image", "None", "turned", "floats"],
+)
+def test_refuses_what_is_no_image_of_the_camera(wall: Wall, images: tuple[object, ...]) -> None:
+    """OpenCV looks for ever for features in an image that is None."""
+    tracker = FeatureTracker(CAMERA, CONFIG)
+    tracker.track(wall.frame(np.eye(3)), np.eye(3))
+    tracker.replenish()
+    with pytest.raises(ConfigError, match="expected uint8 of shape"):
+        tracker.track(CameraFrame(2 * 10**18, images), np.eye(3))  # type: ignore[arg-type]

@@ -314,3 +314,12 @@ def test_events_tell_the_start_and_the_keyframes(flown: Callable) -> None:
 def test_refuses_a_time_offset_that_it_would_ignore() -> None:
     with pytest.raises(ConfigError, match="time offset"):
         VisualInertialOdometry(replace(euroc_rig(), time_offset_s=0.005))
+
+
+def test_refuses_a_frame_that_is_not_later(make_flight: Callable) -> None:
+    flight = make_flight(0, duration_s=1.0)
+    vio = VisualInertialOdometry(flight.rig, front_end=flight.front_end())
+    vio.add_frame(flight.frame(1))
+    for index in (1, 0):
+        with pytest.raises(ConfigError, match="expected a later one"):
+            vio.add_frame(flight.frame(index))
