@@ -33,7 +33,7 @@ from dronevio.sim.world import build_world
 Array = npt.NDArray[np.float64]
 
 _NOISE_STREAM = 20  # beside those of `dronevio.sim.scenario` and `dronevio.sim.world`
-_MOST_WORKERS = 8  # each holds the world's textures, some 300 MB
+_MOST_WORKERS = 4  # each holds the world's textures, some 350 MB
 _FRAMES_WORTH_A_WORKER = 15  # it takes a second to start
 _PNG_COMPRESSION = 1  # noise hardly compresses, so do not try for long
 _PARTIAL = ".partial"

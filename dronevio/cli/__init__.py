@@ -5,6 +5,7 @@ Exit codes: 0 done, 1 a check failed, 2 bad input, 130 interrupted, 141 nobody r
 
 import importlib
 import os
+import signal
 import sys
 from collections.abc import Sequence
 
@@ -43,6 +44,8 @@ def usage() -> str:
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the command line and return its exit code."""
     args = list(sys.argv[1:] if arguments is None else arguments)
+    if arguments is None:  # this process is the command's own
+        signal.signal(signal.SIGTERM, signal.default_int_handler)  # ends like Ctrl-C: nothing half-written stays
     if not args or args[0] in ("-h", "--help", "help"):
         print(usage())
         return 0

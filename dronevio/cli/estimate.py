@@ -43,8 +43,10 @@ def main(arguments: Sequence[str]) -> int:
     from dronevio.estimation import estimate_recording, require_poses
     from dronevio.estimator.vio import VisualInertialOdometry
     from dronevio.models.recordings.euroc import EurocRecording
+    from dronevio.models.recordings.files import check_place
     from dronevio.models.recordings.tum import write_tum
 
+    check_place(command.out)  # rather now than when the work is done
     recording = EurocRecording.open(command.recording, cameras=1)
     with progress_bars(quiet=command.json) as bars:
         run = estimate_recording(

@@ -3,7 +3,7 @@
 import json
 import shutil
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -90,7 +90,8 @@ def _carry_out(scenario: "Scenario", config: VioConfig, folder: Path, target: Pa
 
     listeners = {name: bars.bar(name) for name in ("simulating", "rendering", "estimating", "logging")}
     record_flight(scenario, folder / "recording", listeners["simulating"], listeners["rendering"])
-    recording = EurocRecording.open(folder / "recording")
+    name = f"{scenario.name}, seed {scenario.seed}"
+    recording = replace(EurocRecording.open(folder / "recording"), name=name)
     run = estimate_recording(recording, VisualInertialOdometry(recording.rig, config), listeners["estimating"])
     trajectory = require_poses(run, recording)
     truth = recording.ground_truth
@@ -110,8 +111,7 @@ def _carry_out(scenario: "Scenario", config: VioConfig, folder: Path, target: Pa
         seed=scenario.seed,
         configuration=configuration,
     )
-    name = f"{scenario.name}, seed {scenario.seed}"
-    write_rrd(folder / "run.rrd", recording, run, scored, name=name, outline=outline, progress=listeners["logging"])
+    write_rrd(folder / "run.rrd", recording, run, scored, outline=outline, progress=listeners["logging"])
     write_report(folder, info, recording, run, scored, outline=outline)
 
 

@@ -61,3 +61,16 @@ def write_text(path: Path, text: str) -> None:
     finally:
         with suppress(OSError):  # such as that its folder is a file
             beside.unlink(missing_ok=True)
+
+
+def check_place(path: Path) -> None:
+    """Check that a file can be written at a path, as far as can be told before.
+
+    Raises:
+        InputError: A folder is there, or a file where one of its folders should be.
+    """
+    if path.is_dir():
+        raise InputError(path, "a folder", "the name of a file to write")
+    for folder in path.absolute().parents:
+        if folder.exists() and not folder.is_dir():
+            raise InputError(path, f"{folder} is a file", "a folder to write to")

@@ -283,15 +283,20 @@ def test_without_opengl_there_is_one_line_and_no_folder(what: str, tmp_path: Pat
     assert list(tmp_path.iterdir()) == []
 
 
-def test_an_interrupted_run_leaves_nothing(tmp_path: Path) -> None:
-    """Ctrl-C in the middle of the drawing, as a terminal sends it: to all processes of the group."""
+@pytest.mark.parametrize(
+    "stop",
+    [lambda pid: os.killpg(pid, signal.SIGINT), lambda pid: os.kill(pid, signal.SIGTERM)],
+    ids=["Ctrl-C", "kill"],
+)
+def test_an_interrupted_run_leaves_nothing(tmp_path: Path, stop: Callable[[int], None]) -> None:
+    """In the middle of the drawing: a terminal tells all processes of the group, ``kill`` the command alone."""
     command = [sys.executable, "-m", "dronevio.cli", "run", *SCENARIO, "--out", str(tmp_path / "out")]
     with subprocess.Popen(command, stderr=subprocess.PIPE, text=True, start_new_session=True) as process:
         try:
             wait_until(lambda: sum(1 for _ in tmp_path.rglob("*.png")) > 5 or process.poll() is not None)
             family = psutil.Process(process.pid).children(recursive=True)
             assert family  # they draw
-            os.killpg(process.pid, signal.SIGINT)
+            stop(process.pid)
             said = process.communicate(timeout=30)[1]
         finally:
             process.kill()

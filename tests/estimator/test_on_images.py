@@ -163,6 +163,7 @@ def test_nowhere_to_write_is_bad_input(drawn: Drawn, tmp_path: Path, capfd: pyte
     (tmp_path / "file").write_text("in the way")
     message = refused(["estimate", str(drawn.folder), "--out", str(tmp_path / "file" / "e.tum"), "--json"], capfd)
     assert str(tmp_path / "file") in message
+    assert "a folder" in refused(["estimate", str(drawn.folder), "--out", str(tmp_path), "--json"], capfd)
 
 
 def test_estimator_of_a_rig_with_two_cameras_uses_the_first(drawn: Drawn, see_wall: Callable) -> None:
