@@ -10,7 +10,7 @@ import numpy.typing as npt
 
 from dronevio.models.errors import ConfigError
 from dronevio.models.imu import Times
-from dronevio.models.rotation import inverse_pose, matrix_from_quat_wxyz, pose_matrix, quat_wxyz_from_matrix
+from dronevio.models.rotation import matrix_from_quat_wxyz, pose_matrix, quat_wxyz_from_matrix
 
 Array = npt.NDArray[np.float64]
 
@@ -180,8 +180,3 @@ class Trajectory:
             np.stack([s.accel_bias_m_s2 for s in kept]),
             np.stack(covariances) if len(covariances) == len(kept) else None,
         )
-
-    def relative_to_first(self) -> Array:
-        """Return (N, 4, 4) poses as seen from the first one."""
-        T = self.Ts_world_imu
-        return np.asarray(inverse_pose(T[0]) @ T)

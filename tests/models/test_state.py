@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from dronevio.models.errors import ConfigError
-from dronevio.models.rotation import exp_so3, pose_matrix, quat_wxyz_from_matrix
+from dronevio.models.rotation import exp_so3, pose_matrix
 from dronevio.models.state import NavState, Trajectory
 
 RNG = np.random.default_rng(3)
@@ -64,12 +64,3 @@ def test_length_and_time_of_a_path() -> None:
     path = Trajectory(t_ns, corners, np.tile([1.0, 0.0, 0.0, 0.0], (4, 1)))
     assert path.length_m == pytest.approx(9.0)
     np.testing.assert_allclose(path.t_s, [0.0, 0.5, 1.0, 1.5])
-
-
-def test_relative_poses_do_not_depend_on_the_world() -> None:
-    trajectory = Trajectory.from_states(states(5))
-    moved_world = pose_matrix(exp_so3(np.array([0.3, -1.0, 2.0])), np.array([5.0, -3.0, 1.0]))
-    T = moved_world @ trajectory.Ts_world_imu
-    moved = Trajectory(trajectory.t_ns, T[:, :3, 3], quat_wxyz_from_matrix(T[:, :3, :3]))
-    np.testing.assert_allclose(trajectory.relative_to_first()[0], np.eye(4), atol=1e-14)
-    np.testing.assert_allclose(moved.relative_to_first(), trajectory.relative_to_first(), atol=1e-12)
