@@ -21,6 +21,9 @@ class RigCamera:
     """(4, 4) Pose of the camera (x right, y down, z forward) in the IMU frame."""
     rate_hz: float = 20.0
     """Frame rate [Hz]."""
+    readout_s: float = 0.0
+    """Time from the first row's middle of exposure to the last row's [s]: 0 for a global shutter. A frame is stamped at
+    the middle of the exposure of its middle row."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -1,5 +1,6 @@
 """Worlds to fly in: static, textured, lit, drawn from a seed."""
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import lru_cache
 
@@ -13,6 +14,7 @@ from dronevio.sim.lightmap import bake
 from dronevio.sim.room import FREE_BOX_M, SIZE_M, Room, furnished_room
 from dronevio.sim.scenery import Page, add_pages, paint_pages
 from dronevio.sim.solids import Box, visible_faces
+from dronevio.sim.space import Space
 
 Array = npt.NDArray[np.float64]
 
@@ -22,6 +24,19 @@ WORLDS: tuple[str, ...] = ("room",)
 _STREAMS = (10, 11)  # layout and paint, beside those of `dronevio.sim.scenario`
 _TOUCHED_GROUP = 3  # MuJoCo's viewers do not draw it unless asked
 _NEAR_M, _FAR_M = 0.03, 30.0
+_ROUTE_M = np.array(
+    [[0.0, 0.0, 1.2], [2.1, -1.2, 1.0], [2.1, 1.2, 1.7], [0.0, 0.2, 0.9], [-2.1, -1.2, 1.5], [-2.1, 1.2, 1.1]]
+)
+
+
+@dataclass(frozen=True, eq=False)
+class Mover:
+    """Something in a world that moves by itself, along a path that is known beforehand."""
+
+    body: str
+    """Name of its mocap body in the world's spec."""
+    poses: Callable[[Array], Array]
+    """Maps times (M,) since the start of the flight [s] to poses (M, 4, 4) in the world."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -38,6 +53,17 @@ class World:
     """(L, 2, 3) Line segments of the walls and the furniture, for drawing [m]."""
     free_box: Array
     """(2, 3) Least and greatest corner of the space free of obstacles [m]; the pad is under its middle."""
+    space: Space
+    """Shell and obstacles: where a drone may fly."""
+    pad: Array
+    """(3,) Middle of the landing pad, on the floor [m]."""
+    route: Array
+    """(R, 3) A tour through the whole world [m]: from above the pad, the straight legs between its points, and the one
+    from the last back to the first, keep 0.6 m clear of every surface."""
+    illumination: float = 1.0
+    """Light that falls in, relative to a well lit room; the images of 1 are exposed as painted."""
+    movers: tuple[Mover, ...] = ()
+    """What moves."""
 
 
 def build_world(name: str, seed: int) -> World:
@@ -60,7 +86,7 @@ def build_world(name: str, seed: int) -> World:
     add_pages(spec, pages)
     walls = Box(np.array([0.0, 0.0, 0.5 * SIZE_M[2]]), 0.5 * SIZE_M, room.obstacles[0].paint)
     outline = np.concatenate([_edges(box) for box in (walls, *room.obstacles)])
-    return World(name, seed, spec, outline, FREE_BOX_M.copy())
+    return World(name, seed, spec, outline, FREE_BOX_M.copy(), _space(room), np.zeros(3), _ROUTE_M.copy())
 
 
 @lru_cache(maxsize=2)
@@ -72,6 +98,17 @@ def _painted_room(seed: int) -> tuple[Room, tuple[Page, ...]]:
     faces = [*room.shell, *visible_faces(room.boxes, -corner, np.array([corner[0], corner[1], SIZE_M[2]]))]
     light = bake(faces, [box for box in room.boxes if box.glow == 0.0], room.lights)
     return room, tuple(paint_pages(faces, light, paint))
+
+
+def _space(room: Room) -> Space:
+    """Return the room's shell and its obstacles."""
+    corner = 0.5 * SIZE_M
+    centres, halves, rotations = (
+        np.array([getattr(box, part) for box in room.obstacles]) for part in ("centre", "half", "R")
+    )
+    return Space(
+        np.array([-corner[0], -corner[1], 0.0]), np.array([corner[0], corner[1], SIZE_M[2]]), centres, halves, rotations
+    )
 
 
 def _set_up_view(spec: mujoco.MjSpec) -> None:

@@ -1,0 +1,50 @@
+"""The space of a world: clearances that can be worked out by hand."""
+
+import numpy as np
+import pytest
+
+from dronevio.sim.solids import turn_z
+from dronevio.sim.space import Space
+from dronevio.sim.world import build_world
+
+
+def _hall(*boxes: tuple[list[float], list[float], float]) -> Space:
+    return Space(
+        np.array([-5.0, -5.0, 0.0]),
+        np.array([5.0, 5.0, 4.0]),
+        np.array([box[0] for box in boxes]).reshape(-1, 3),
+        np.array([box[1] for box in boxes]).reshape(-1, 3),
+        np.array([turn_z(box[2]) for box in boxes]).reshape(-1, 3, 3),
+    )
+
+
+def test_an_empty_space_is_bounded_by_its_shell() -> None:
+    space = _hall()
+    assert space.clearance(np.array([[0.0, 0.0, 1.0], [4.5, 0.0, 2.0], [6.0, 0.0, 2.0]])) == pytest.approx([1, 0.5, -1])
+
+
+def test_a_box_is_left_by_its_faces_and_its_corners() -> None:
+    space = _hall(([0.0, 0.0, 2.0], [1.0, 1.0, 1.0], 0.0))
+    beside, off_corner, within = space.clearance(np.array([[1.5, 0.0, 2.0], [1.3, 1.4, 2.0], [0.8, 0.0, 2.0]]))
+    assert beside == pytest.approx(0.5)
+    assert off_corner == pytest.approx(0.5)
+    assert within == pytest.approx(-0.2)
+
+
+def test_a_turned_box_turns_its_clearance() -> None:
+    space = _hall(([1.0, 0.0, 2.0], [1.0, 0.1, 1.0], np.pi / 2))
+    assert space.clearance(np.array([1.5, 0.0, 2.0])) == pytest.approx(0.4)
+
+
+def test_many_points_at_once_are_as_good_as_one_by_one() -> None:
+    space = _hall(([0.0, 0.0, 2.0], [1.0, 0.5, 1.0], 0.3), ([3.0, 1.0, 1.0], [0.5, 0.5, 1.0], 1.0))
+    points = np.random.default_rng(0).uniform([-5, -5, 0], [5, 5, 4], (10_000, 3))
+    assert space.clearance(points)[::1000] == pytest.approx([float(space.clearance(p)) for p in points[::1000]])
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_the_rooms_route_is_clear(seed: int) -> None:
+    world = build_world("room", seed)
+    legs = zip(world.route, np.roll(world.route, -1, axis=0), strict=True)
+    points = np.concatenate([a + (b - a) * np.linspace(0.0, 1.0, 50)[:, None] for a, b in legs])
+    assert world.space.clearance(points).min() >= 0.6
