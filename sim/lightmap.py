@@ -11,12 +11,13 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
-from dronevio.sim.solids import Box, Face
+from dronevio.sim.solids import Box, Surface, size_m
+from dronevio.sim.textures import PIXELS_PER_M
 
 Array = npt.NDArray[np.float64]
 Field = npt.NDArray[np.float32]
 
-_PATCHES_PER_M = 7.0
+_PATCHES_PER_M = 7.0  # at the full resolution of a pattern
 _SKY_DIRECTIONS = 20
 _SKY_REACH_M = 0.9  # further away, what stands in the way hardly darkens a lit room
 _OFFSET_M = 0.004  # rays start this far off their face, so as not to hit it
@@ -43,7 +44,7 @@ class AreaLight:
         return AreaLight(self.points @ R.T + position, self.power, normal)
 
 
-def bake(faces: Sequence[Face], blockers: Sequence[Box], lights: Sequence[AreaLight]) -> list[Field]:
+def bake(faces: Sequence[Surface], blockers: Sequence[Box], lights: Sequence[AreaLight]) -> list[Field]:
     """Return each face's brightness as a small image (rows, columns), 1 where the room is well lit.
 
     Direct light is cast from every light's samples with shadow rays against the boxes; scattered light is dimmed by
@@ -56,12 +57,12 @@ def bake(faces: Sequence[Face], blockers: Sequence[Box], lights: Sequence[AreaLi
     """
     shapes, points, normals = [], [], []
     for face in faces:
-        rows, columns = (max(round(v * _PATCHES_PER_M), 2) for v in face.size_m)
-        v, u = np.meshgrid((np.arange(rows) + 0.5) / rows, (np.arange(columns) + 0.5) / columns, indexing="ij")
-        on_face = face.corner + u[..., None] * face.right + v[..., None] * face.down
+        density = _PATCHES_PER_M * face.pixels_per_m / PIXELS_PER_M
+        rows, columns = (max(round(v * density), 2) for v in size_m(face))
+        on_face, normal = _spread_over(face.grid, rows, columns)
         shapes.append((rows, columns))
-        points.append((on_face + _OFFSET_M * face.normal).reshape(-1, 3))
-        normals.append(np.broadcast_to(face.normal, (rows * columns, 3)))
+        points.append((on_face + _OFFSET_M * normal).reshape(-1, 3))
+        normals.append(normal.reshape(-1, 3))
     p, n = (np.concatenate(parts).T.astype(np.float32, order="C") for parts in (points, normals))
     direct = _direct_light(p, n, blockers, lights)
     direct *= _DIRECT / max(float(np.percentile(direct, 80)), 1e-6)
@@ -72,6 +73,23 @@ def bake(faces: Sequence[Face], blockers: Sequence[Box], lights: Sequence[AreaLi
         np.maximum(part.reshape(shape), np.float32(face.glow))
         for part, shape, face in zip(np.split(light, cuts), shapes, faces, strict=True)
     ]
+
+
+def _spread_over(grid: Array, rows: int, columns: int) -> tuple[Array, Array]:
+    """Return points and unit normals (rows, columns, 3), evenly spread over a surface's grid (R + 1, C + 1, 3)."""
+    cells = np.array(grid.shape[:2]) - 1
+    (i, v), (j, u) = (
+        np.divmod((np.arange(count) + 0.5) / count * cell, 1.0)
+        for count, cell in zip((rows, columns), cells, strict=True)
+    )
+    rc, v, u = np.ix_(i.astype(int), j.astype(int)), v[:, None, None], u[None, :, None]
+    a, b, c, d = (
+        grid[1 - p : len(grid) - p, 1 - q : grid.shape[1] - q][rc] for p, q in ((1, 1), (1, 0), (0, 1), (0, 0))
+    )
+    right, down = (1.0 - v) * (b - a) + v * (d - c), (1.0 - u) * (c - a) + u * (d - b)
+    normal = np.cross(down, right)
+    length = np.linalg.norm(normal, axis=2, keepdims=True)
+    return a + u * (b - a) + v * ((1.0 - u) * (c - a) + u * (d - b)), normal / np.maximum(length, 1e-12)
 
 
 def apply_light(image: npt.NDArray[np.uint8], light: Field) -> npt.NDArray[np.uint8]:

@@ -13,8 +13,8 @@ import numpy as np
 import numpy.typing as npt
 
 from dronevio.sim.lightmap import Field, apply_light
-from dronevio.sim.solids import Face
-from dronevio.sim.textures import PIXELS_PER_M, Image
+from dronevio.sim.solids import Surface, size_m
+from dronevio.sim.textures import Image
 
 Array = npt.NDArray[np.float64]
 
@@ -31,7 +31,7 @@ class Page:
     texture: Image
     """(H, W, 3) RGB."""
     vertices: Array
-    """(4 F, 3) Corners of the faces [m]."""
+    """(4 F, 3) Corners of the quadrangles [m]: top left and right, bottom right and left, as one looks at each."""
     texture_coordinates: Array
     """(4 F, 2) Where the corners lie on the texture, (0, 0) at its first row and column."""
     normals: Array
@@ -44,7 +44,7 @@ class Page:
         return np.concatenate([quads[:, [0, 2, 1]], quads[:, [0, 3, 2]]])
 
 
-def paint_pages(faces: Sequence[Face], light: Sequence[Field], rng: np.random.Generator) -> list[Page]:
+def paint_pages(faces: Sequence[Surface], light: Sequence[Field], rng: np.random.Generator) -> list[Page]:
     """Paint the faces, light them, and lay them out on pages.
 
     Args:
@@ -54,7 +54,7 @@ def paint_pages(faces: Sequence[Face], light: Sequence[Field], rng: np.random.Ge
     """
     images = []
     for face, brightness in zip(faces, light, strict=True):
-        height, width = (max(round(v * PIXELS_PER_M), _SMALLEST_PX) for v in face.size_m)
+        height, width = (max(round(v * face.pixels_per_m), _SMALLEST_PX) for v in size_m(face))
         images.append(apply_light(face.paint(rng, height, width), brightness))
     lying = [image.shape[0] > image.shape[1] for image in images]  # tall ones are laid on their side to save space
     images = [image.transpose(1, 0, 2) if lies else image for image, lies in zip(images, lying, strict=True)]
@@ -66,14 +66,30 @@ def paint_pages(faces: Sequence[Face], light: Sequence[Field], rng: np.random.Ge
             face, image = faces[index], images[index]
             padded = cv2.copyMakeBorder(image, *(_GUTTER_PX,) * 4, cv2.BORDER_REPLICATE)
             texture[row : row + padded.shape[0], column : column + padded.shape[1]] = padded
-            corners = np.array([[0.0, 0.0], [1.0, 0.0], [1.0, 1.0], [0.0, 1.0]])  # right, down
-            vertices.append(face.corner + corners @ np.stack([face.right, face.down]))
+            quads = _quads(face.grid)
+            right, down = quads[:, 1] - quads[:, 0], quads[:, 3] - quads[:, 0]
+            normal = np.cross(down, right)
+            normal /= np.linalg.norm(normal, axis=1, keepdims=True)
             origin, extent = np.array([column, row]) + _GUTTER_PX, np.array(image.shape[1::-1])
-            on_page = corners[:, ::-1] if lying[index] else corners
-            coordinates.append((origin + on_page * extent) / [_PAGE_WIDTH_PX, height])
-            normals.append(np.broadcast_to(face.normal, (4, 3)))
+            on_image = _quads(_even_grid(face.grid.shape[0], face.grid.shape[1]))
+            on_page = on_image[..., ::-1] if lying[index] else on_image
+            vertices.append(quads.reshape(-1, 3))
+            coordinates.append((origin + on_page.reshape(-1, 2) * extent) / [_PAGE_WIDTH_PX, height])
+            normals.append(np.repeat(normal, 4, axis=0))
         pages.append(Page(texture, *(np.concatenate(parts) for parts in (vertices, coordinates, normals))))
     return pages
+
+
+def _quads(grid: Array) -> Array:
+    """Return the cells (F, 4, D) of a grid (R + 1, C + 1, D): top left and right, bottom right and left."""
+    cells = np.stack([grid[:-1, :-1], grid[:-1, 1:], grid[1:, 1:], grid[1:, :-1]], axis=2)
+    return cells.reshape(-1, 4, grid.shape[2])
+
+
+def _even_grid(rows: int, columns: int) -> Array:
+    """Return (rows, columns, 2): how far right and down each point of a grid lies on its image, from 0 to 1."""
+    right, down = np.meshgrid(np.linspace(0.0, 1.0, columns), np.linspace(0.0, 1.0, rows))
+    return np.stack([right, down], axis=-1)
 
 
 def _shelves(sizes: Sequence[tuple[int, int]]) -> list[tuple[list[tuple[int, int, int]], int]]:

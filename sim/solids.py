@@ -2,11 +2,12 @@
 
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field, replace
+from typing import Protocol
 
 import numpy as np
 import numpy.typing as npt
 
-from dronevio.sim.textures import Image
+from dronevio.sim.textures import PIXELS_PER_M, Image
 
 Array = npt.NDArray[np.float64]
 Paint = Callable[[np.random.Generator, int, int], Image]
@@ -19,6 +20,48 @@ def turn_z(angle_rad: float) -> Array:
     """Return the rotation (3, 3) about z."""
     c, s = np.cos(angle_rad), np.sin(angle_rad)
     return np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
+
+
+class Surface(Protocol):
+    """Something flat or curved that is painted, lit and drawn: a grid of points under an image."""
+
+    @property
+    def grid(self) -> Array:
+        """(R + 1, C + 1, 3) Points on it [m]: the first row is its top, the first column its left, as one sees it."""
+
+    @property
+    def paint(self) -> Paint:
+        """What it shows."""
+
+    @property
+    def glow(self) -> float:
+        """Light of its own, relative to a well lit surface."""
+
+    @property
+    def pixels_per_m(self) -> float:
+        """Resolution of its image [px/m]."""
+
+
+def size_m(surface: Surface) -> tuple[float, float]:
+    """Return the height and the width of a surface [m]: the mean lengths of its columns and rows, rolled out flat."""
+    grid = surface.grid
+    down, along = (np.linalg.norm(np.diff(grid, axis=axis), axis=2).sum(axis=axis).mean() for axis in (0, 1))
+    return float(down), float(along)
+
+
+@dataclass(frozen=True, eq=False)
+class Sheet:
+    """A painted curved surface: the mantle of a tank, a hill, the sky."""
+
+    grid: Array
+    """(R + 1, C + 1, 3) Points on it [m]: the first row is its top and the first column its left, as one looks at it.
+    The image is spread evenly over the cells between them."""
+    paint: Paint
+    """What it shows."""
+    glow: float = 0.0
+    """Light of its own, relative to a well lit surface."""
+    pixels_per_m: float = PIXELS_PER_M
+    """Resolution of its image [px/m]."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -35,6 +78,14 @@ class Face:
     """What it shows."""
     glow: float = 0.0
     """Light of its own, relative to a well lit surface."""
+    pixels_per_m: float = PIXELS_PER_M
+    """Resolution of its image [px/m]."""
+
+    @property
+    def grid(self) -> Array:
+        """(2, 2, 3) Its corners [m]: top left and right, bottom left and right."""
+        top = np.stack([self.corner, self.corner + self.right])
+        return np.stack([top, top + self.down])
 
     @property
     def normal(self) -> Array:
@@ -64,6 +115,8 @@ class Box:
     """(3, 3) Orientation."""
     glow: float = 0.0
     """Light of its own, relative to a well lit surface."""
+    pixels_per_m: float = PIXELS_PER_M
+    """Resolution of its images [px/m]."""
 
     def moved(self, R: Array, position: Array) -> "Box":
         """Return the box turned by R (3, 3) about the origin, then shifted by ``position`` (3,)."""
@@ -82,7 +135,8 @@ class Box:
                 middle = self.centre + normal * self.half[axis]
                 front = axis == 1 and sign > 0.0 and self.front is not None
                 paint = self.front if front and self.front is not None else self.paint
-                yield Face(middle + half_up - half_right, 2.0 * half_right, -2.0 * half_up, paint, self.glow)
+                corner = middle + half_up - half_right
+                yield Face(corner, 2.0 * half_right, -2.0 * half_up, paint, self.glow, self.pixels_per_m)
 
 
 def visible_faces(boxes: Iterable[Box], room_min: Array, room_max: Array) -> list[Face]:
