@@ -1,6 +1,7 @@
 """The inertial measurement unit: its samples, and the densities that describe its noise."""
 
-from dataclasses import dataclass
+import math
+from dataclasses import dataclass, fields
 from typing import Literal, Self
 
 import numpy as np
@@ -15,6 +16,8 @@ Sampling = Literal["increment", "point"]
 
 GRAVITY_M_S2 = 9.81
 """Magnitude of gravity [m/s²]; in the world frame it acts along −z."""
+STANDARD_GRAVITY_M_S2 = 9.80665
+"""The g of data sheets [m/s²] (CGPM, 1901)."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -95,7 +98,16 @@ class ImuSamples:
 
 @dataclass(frozen=True)
 class ImuModel:
-    """An IMU's rate and noise, as continuous-time densities (IEEE 952; Kalibr's conventions)."""
+    """An IMU's rate and errors: noise as continuous-time densities (IEEE 952; Kalibr's conventions), others as spreads.
+
+    A triad measures, of a true angular velocity ω and specific force f, with its output filter, range and resolution,
+
+        gyro  = (I + S_g) ω + G f + b_g + n_g        accel = (I + S_a) f + b_a + n_a
+
+    S holds scale errors on, and misalignments off its diagonal, G is the gyroscope's g-sensitivity; both are constants
+    of one unit, drawn at switch-on (`ImuConstants`). The biases b are what an estimator estimates: turn-on bias, random
+    walk and bias instability together. The defaults of all but the first eight fields are those of a perfect sensor.
+    """
 
     name: str = "ADIS16448"
     """Which sensor this is."""
@@ -113,7 +125,90 @@ class ImuModel:
     """Standard deviation of the gyroscope's bias at switch-on [rad/s]."""
     accel_turn_on_bias_m_s2: float = 0.05
     """Standard deviation of the accelerometer's bias at switch-on [m/s²]."""
+    gyro_bias_instability_rad_s: float = 0.0
+    """In-run bias stability of the gyroscope [rad/s]: the floor of the Allan deviation of its flicker noise."""
+    accel_bias_instability_m_s2: float = 0.0
+    """In-run bias stability of the accelerometer [m/s²]: the floor of the Allan deviation of its flicker noise."""
+    gyro_scale_error: float = 0.0
+    """Standard deviation of each axis's scale error of the gyroscope, relative."""
+    accel_scale_error: float = 0.0
+    """Standard deviation of each axis's scale error of the accelerometer, relative."""
+    gyro_misalignment_rad: float = 0.0
+    """Standard deviation of the tilt of each axis of the gyroscope towards each of the others [rad]."""
+    accel_misalignment_rad: float = 0.0
+    """Standard deviation of the tilt of each axis of the accelerometer towards each of the others [rad]."""
+    gyro_g_sensitivity_s_rad_m: float = 0.0
+    """Standard deviation of each element of the gyroscope's g-sensitivity [rad/s per m/s²]."""
+    gyro_range_rad_s: float = math.inf
+    """Where the gyroscope saturates, either way [rad/s]."""
+    accel_range_m_s2: float = math.inf
+    """Where the accelerometer saturates, either way [m/s²]."""
+    gyro_resolution_rad_s: float = 0.0
+    """The gyroscope's least significant bit [rad/s]; 0 for no quantisation."""
+    accel_resolution_m_s2: float = 0.0
+    """The accelerometer's least significant bit [m/s²]; 0 for no quantisation."""
+    gyro_bandwidth_hz: float = math.inf
+    """Where the gyroscope's output filter is 3 dB down [Hz]: what it lets through of the rotors' vibration."""
+    accel_bandwidth_hz: float = math.inf
+    """Where the accelerometer's output filter is 3 dB down [Hz]."""
+
+    def __post_init__(self) -> None:
+        """Check the numbers.
+
+        Raises:
+            ConfigError: A rate or a bandwidth is not above zero, or another number is negative or no number.
+        """
+        for field in fields(self)[1:]:
+            value = getattr(self, field.name)
+            least = "above zero" if field.name in _POSITIVE else "zero or more"
+            if not (value > 0.0 if field.name in _POSITIVE else value >= 0.0):
+                raise ConfigError(f"IMU {self.name}: {field.name} {value}; expected a number, {least}")
 
 
-ADIS16448 = ImuModel()
-"""The IMU of EuRoC's rig; densities from the data set's ``imu0/sensor.yaml`` (Burri et al., IJRR 2016)."""
+_POSITIVE = ("rate_hz", "gyro_range_rad_s", "accel_range_m_s2", "gyro_bandwidth_hz", "accel_bandwidth_hz")
+
+
+@dataclass(frozen=True, eq=False)
+class ImuConstants:
+    """What distinguishes one unit of an IMU model from the next, and stays as it is while it is switched on.
+
+    It is truth for which no ground truth has a column: with it, and the biases, every sample can be explained.
+    """
+
+    gyro_matrix: Array
+    """(3, 3) I + S_g: what the gyroscope reads of an angular velocity."""
+    accel_matrix: Array
+    """(3, 3) I + S_a: what the accelerometer reads of a specific force."""
+    gyro_g_sensitivity: Array
+    """(3, 3) G: what the gyroscope reads of a specific force [rad/s per m/s²]."""
+    gyro_turn_on_bias_rad_s: Array
+    """(3,) The gyroscope's bias at switch-on [rad/s]."""
+    accel_turn_on_bias_m_s2: Array
+    """(3,) The accelerometer's bias at switch-on [m/s²]."""
+
+    def respond(self, gyro_rad_s: Array, accel_m_s2: Array) -> tuple[Array, Array]:
+        """Return what the unit reads without biases and noise.
+
+        Args:
+            gyro_rad_s: (N, 3) True angular velocities in the IMU frame [rad/s].
+            accel_m_s2: (N, 3) True specific forces in the IMU frame [m/s²].
+
+        Returns:
+            The same, with scale errors, misalignments and g-sensitivity.
+        """
+        gyro = gyro_rad_s @ self.gyro_matrix.T + accel_m_s2 @ self.gyro_g_sensitivity.T
+        return np.asarray(gyro), np.asarray(accel_m_s2 @ self.accel_matrix.T)
+
+
+EUROC_IMU = ImuModel(
+    gyro_range_rad_s=math.radians(1000.0),
+    accel_range_m_s2=18.0 * STANDARD_GRAVITY_M_S2,
+    gyro_resolution_rad_s=math.radians(0.04),
+    accel_resolution_m_s2=STANDARD_GRAVITY_M_S2 / 1200.0,
+    gyro_bandwidth_hz=330.0,
+    accel_bandwidth_hz=330.0,
+)
+"""The IMU of EuRoC's rig, an ADIS16448 with the densities of the data set's ``imu0/sensor.yaml`` (Burri et al., IJRR
+2016). Range (±1000 °/s, ±18 g), resolution (0.04 °/s, 1/1200 g: the steps that the data set's samples are multiples of)
+and bandwidth (330 Hz) are the data sheet's (Analog Devices, ADIS16448). It is taken for calibrated: without errors of
+scale, alignment and g-sensitivity."""

@@ -6,7 +6,7 @@ import numpy as np
 import numpy.typing as npt
 
 from dronevio.models.camera import CameraModel
-from dronevio.models.imu import ADIS16448, ImuModel
+from dronevio.models.imu import EUROC_IMU, ImuModel
 
 Array = npt.NDArray[np.float64]
 
@@ -32,7 +32,7 @@ class Rig:
 
     cameras: tuple[RigCamera, ...]
     """The cameras, the first of them the main one."""
-    imu: ImuModel = ADIS16448
+    imu: ImuModel = EUROC_IMU
     """The IMU's rate and noise."""
     T_vehicle_imu: Array = field(default_factory=lambda: np.eye(4))
     """(4, 4) Pose of the IMU in the vehicle frame (x forward, y left, z up, at the centre of mass)."""

@@ -2,7 +2,8 @@
 
 Two facts of a `Rig` have no place in the format, so ``body.yaml`` carries them under keys of our own, which other
 readers pass over: ``T_vehicle_imu`` (pose of the IMU in the vehicle frame) and ``time_offset_s`` (t_imu − t_cam).
-``imu0/sensor.yaml`` likewise carries ``gyroscope_turn_on_bias`` and ``accelerometer_turn_on_bias``.
+``imu0/sensor.yaml`` likewise carries ``gyroscope_turn_on_bias`` and ``accelerometer_turn_on_bias``, and under the names
+of `ImuModel`'s fields whatever else of the IMU is not perfect.
 """
 
 from dataclasses import fields
@@ -37,6 +38,9 @@ _IMU_UNITS = {
     "gyroscope_turn_on_bias": "rad / s, standard deviation",
     "accelerometer_turn_on_bias": "m / s^2, standard deviation",
 }
+_IMU_IMPERFECTIONS = tuple(
+    field.name for field in fields(ImuModel)[1:] if field.name not in (_IMU_FIELDS | _IMU_EXTRA_FIELDS).values()
+)
 
 
 def read_rig(mav0: Path, cameras: int) -> Rig:
@@ -100,6 +104,9 @@ def _read_imu(yaml: SensorYaml) -> ImuModel:
         values[ours] = yaml.number(theirs) if theirs in yaml else float(str(defaults[ours]))
         if values[ours] < 0.0:
             raise yaml.fault(theirs, "a standard deviation, zero or more")
+    for ours in _IMU_IMPERFECTIONS:
+        if ours in yaml:
+            values[ours] = yaml.positive(ours)
     return ImuModel(name=yaml.word("comment") if "comment" in yaml else "imu0", **values)
 
 
@@ -123,6 +130,12 @@ def _imu_yaml(imu: ImuModel) -> str:
     numbers = "".join(
         f"{theirs}: {shown(float(getattr(imu, ours)))} # [ {_IMU_UNITS[theirs]} ]\n"
         for theirs, ours in (_IMU_FIELDS | _IMU_EXTRA_FIELDS).items()
+    )
+    perfect = {field.name: field.default for field in fields(ImuModel)}
+    numbers += "".join(
+        f"{ours}: {shown(float(getattr(imu, ours)))}\n"
+        for ours in _IMU_IMPERFECTIONS
+        if getattr(imu, ours) != perfect[ours]
     )
     return f"%YAML:1.0\nsensor_type: imu\ncomment: {shown(imu.name)}\n\n{pose_yaml('T_BS', np.eye(4))}\n{numbers}"
 

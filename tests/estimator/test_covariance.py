@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from dronevio.estimator.covariance import covariance_from_gtsam, covariance_to_gtsam, propagate
-from dronevio.models.imu import ADIS16448, GRAVITY_M_S2, ImuModel
+from dronevio.models.imu import EUROC_IMU, GRAVITY_M_S2, ImuModel
 from dronevio.models.rotation import exp_so3, log_so3
 
 RNG = np.random.default_rng(5)
@@ -137,7 +137,7 @@ def test_correlations_are_spread_too(state: list[np.ndarray]) -> None:
 
 
 def test_noise_is_that_of_a_thousand_flights(state: list[np.ndarray]) -> None:
-    imu = ADIS16448
+    imu = EUROC_IMU
     stretch, runs = Stretch(), 1000
     white = 1.0 / np.sqrt(DT_S)
     ends = []
@@ -161,6 +161,6 @@ def test_covariances_stay_proper_and_grow(make_flight: Callable) -> None:
     moved = stretch.preintegrated([R, np.zeros(3), np.zeros(3), np.zeros(3), np.zeros(3)])
     for _ in range(20):
         before = P
-        P = propagate(P, R, **moved, imu=ADIS16448)
+        P = propagate(P, R, **moved, imu=EUROC_IMU)
         assert_proper(P)
     assert np.all(np.diag(P)[9:] > np.diag(before)[9:])

@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 
 from dronevio.estimator.inertial import ImuBuffer, Increments, InertialConfig, integrate, preintegration_params
 from dronevio.models.errors import ConfigError
-from dronevio.models.imu import ADIS16448, GRAVITY_M_S2, ImuSamples, Sampling
+from dronevio.models.imu import EUROC_IMU, GRAVITY_M_S2, ImuSamples, Sampling
 from dronevio.models.rotation import exp_so3
 
 STEP_NS = 5_000_000
@@ -158,7 +158,7 @@ def test_constant_rates_give_the_exact_rotation_wherever_frames_fall(cuts_ns: li
 
 def preintegrated(parts: list[Increments], config: InertialConfig | None = None) -> gtsam.NavState:
     """Return where GTSAM's preintegration goes from rest at the origin."""
-    params = preintegration_params(ADIS16448, config or InertialConfig())
+    params = preintegration_params(EUROC_IMU, config or InertialConfig())
     pim = gtsam.PreintegratedCombinedMeasurements(params, gtsam.imuBias.ConstantBias())
     for part in parts:
         integrate(pim, part)
@@ -180,7 +180,7 @@ def test_preintegration_follows_an_analytic_path(
     times = flight.frame_times_ns[:41] + frame_offset_ns
     buffer.take_until(int(times[0]))
     truth = flight.truth_at(times)
-    params, bias = preintegration_params(ADIS16448, InertialConfig()), gtsam.imuBias.ConstantBias()
+    params, bias = preintegration_params(EUROC_IMU, InertialConfig()), gtsam.imuBias.ConstantBias()
     state = gtsam.NavState(gtsam.Pose3(truth.Ts_world_imu[0]), truth.velocity_m_s[0])
     for k in range(1, 41, 4):
         pim = gtsam.PreintegratedCombinedMeasurements(params, bias)
@@ -214,8 +214,8 @@ def test_at_rest_gravity_cancels() -> None:
 
 def test_noise_settings_reach_gtsam() -> None:
     config = InertialConfig(noise_inflation=3.0, walk_inflation=7.0, integration_sigma=1e-3)
-    params = preintegration_params(ADIS16448, config)
-    imu, eye = ADIS16448, np.eye(3)
+    params = preintegration_params(EUROC_IMU, config)
+    imu, eye = EUROC_IMU, np.eye(3)
     np.testing.assert_allclose(params.getGyroscopeCovariance(), eye * (3.0 * imu.gyro_noise_density) ** 2)
     np.testing.assert_allclose(params.getAccelerometerCovariance(), eye * (3.0 * imu.accel_noise_density) ** 2)
     np.testing.assert_allclose(params.getIntegrationCovariance(), eye * 1e-6)

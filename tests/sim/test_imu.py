@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from dronevio.models.imu import ADIS16448, ImuModel, ImuSamples
+from dronevio.models.imu import EUROC_IMU, ImuModel, ImuSamples
 from dronevio.sim.imu import ImuErrors
 
 N = 40_000
@@ -18,31 +18,31 @@ SILENT = ImuModel(
 
 
 def test_white_noise_has_the_density_that_was_asked_for() -> None:
-    noisy, gyro_bias, accel_bias = ImuErrors(ADIS16448, np.random.default_rng(0)).add_to(STILL)
+    noisy, gyro_bias, accel_bias = ImuErrors(EUROC_IMU, np.random.default_rng(0)).add_to(STILL)
     gyro, accel = noisy.gyro_rad_s - gyro_bias, noisy.accel_m_s2 - accel_bias
-    root_rate = np.sqrt(ADIS16448.rate_hz)
-    np.testing.assert_allclose(gyro.std(axis=0), ADIS16448.gyro_noise_density * root_rate, rtol=0.02)
-    np.testing.assert_allclose(accel.std(axis=0), ADIS16448.accel_noise_density * root_rate, rtol=0.02)
+    root_rate = np.sqrt(EUROC_IMU.rate_hz)
+    np.testing.assert_allclose(gyro.std(axis=0), EUROC_IMU.gyro_noise_density * root_rate, rtol=0.02)
+    np.testing.assert_allclose(accel.std(axis=0), EUROC_IMU.accel_noise_density * root_rate, rtol=0.02)
     correlation = np.corrcoef(np.hstack([gyro[1:], accel[1:], gyro[:-1], accel[:-1]]).T)
     assert np.abs(correlation - np.eye(12)).max() < 0.03  # white, and no axis knows of another
 
 
 def test_biases_walk_with_the_density_that_was_asked_for() -> None:
     rng = np.random.default_rng(1)
-    seconds = STILL[:: int(ADIS16448.rate_hz)]  # the walk depends on time, not on the number of samples
-    walks = [ImuErrors(ADIS16448, rng).add_to(seconds)[1:] for _ in range(40)]
+    seconds = STILL[:: int(EUROC_IMU.rate_hz)]  # the walk depends on time, not on the number of samples
+    walks = [ImuErrors(EUROC_IMU, rng).add_to(seconds)[1:] for _ in range(40)]
     spread = np.stack([[np.diff(gyro, axis=0), np.diff(accel, axis=0)] for gyro, accel in walks])
-    np.testing.assert_allclose(spread[:, 0].std(), ADIS16448.gyro_random_walk, rtol=0.02)
-    np.testing.assert_allclose(spread[:, 1].std(), ADIS16448.accel_random_walk, rtol=0.02)
+    np.testing.assert_allclose(spread[:, 0].std(), EUROC_IMU.gyro_random_walk, rtol=0.02)
+    np.testing.assert_allclose(spread[:, 1].std(), EUROC_IMU.accel_random_walk, rtol=0.02)
     after_16_s = np.stack([[gyro[16:] - gyro[:-16], accel[16:] - accel[:-16]] for gyro, accel in walks])
-    np.testing.assert_allclose(after_16_s[:, 0].std(), 4.0 * ADIS16448.gyro_random_walk, rtol=0.1)
+    np.testing.assert_allclose(after_16_s[:, 0].std(), 4.0 * EUROC_IMU.gyro_random_walk, rtol=0.1)
 
 
 def test_biases_at_switch_on_have_the_spread_that_was_asked_for() -> None:
-    starts = [ImuErrors(ADIS16448, np.random.default_rng(seed)).add_to(STILL[:1])[1:] for seed in range(1000)]
+    starts = [ImuErrors(EUROC_IMU, np.random.default_rng(seed)).add_to(STILL[:1])[1:] for seed in range(1000)]
     gyro, accel = (np.concatenate(s) for s in zip(*starts, strict=True))
-    np.testing.assert_allclose(gyro.std(), ADIS16448.gyro_turn_on_bias_rad_s, rtol=0.05)
-    np.testing.assert_allclose(accel.std(), ADIS16448.accel_turn_on_bias_m_s2, rtol=0.05)
+    np.testing.assert_allclose(gyro.std(), EUROC_IMU.gyro_turn_on_bias_rad_s, rtol=0.05)
+    np.testing.assert_allclose(accel.std(), EUROC_IMU.accel_turn_on_bias_m_s2, rtol=0.05)
 
 
 def test_a_perfect_sensor_adds_nothing() -> None:
@@ -69,7 +69,7 @@ def test_batches_go_on_where_the_last_one_ended() -> None:
 @pytest.mark.parametrize("seed", [0, 7])
 def test_same_seed_same_bytes(seed: int) -> None:
     one, other, stranger = (
-        ImuErrors(ADIS16448, np.random.default_rng(s)).add_to(STILL[:100])[0] for s in (seed, seed, seed + 1)
+        ImuErrors(EUROC_IMU, np.random.default_rng(s)).add_to(STILL[:100])[0] for s in (seed, seed, seed + 1)
     )
     assert one.gyro_rad_s.tobytes() == other.gyro_rad_s.tobytes()
     assert one.accel_m_s2.tobytes() == other.accel_m_s2.tobytes()
