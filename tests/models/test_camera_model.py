@@ -1,4 +1,4 @@
-"""The camera model, held against OpenCV's and against itself there and back."""
+"""The camera model, held against OpenCV's lenses and against itself there and back."""
 
 from dataclasses import replace
 
@@ -8,12 +8,18 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from dronevio.models import lens_equidistant, lens_radtan
 from dronevio.models.camera import CameraModel
+from dronevio.models.errors import ConfigError
+from dronevio.models.lens import LENSES
 from dronevio.models.rig import EUROC_CAM0, EUROC_T_IMU_CAM0, euroc_rig
 
 PINHOLE = replace(EUROC_CAM0, distortion=(0.0, 0.0, 0.0, 0.0))
 BARREL = CameraModel(640, 480, 320.0, 310.0, 322.0, 241.0, (-0.15, 0.02, 1e-3, -2e-3))
+WIDE = CameraModel(640, 480, 226.0, 225.5, 318.0, 242.5, (-0.01, 4e-3, -2e-3, 2e-4), "equidistant")
+FISHEYE = CameraModel(512, 512, 190.978, 190.973, 254.93, 256.897, (3.48e-3, 7.15e-4, -2.05e-3, 2.03e-4), "equidistant")
 CAMERAS = [PINHOLE, EUROC_CAM0, BARREL]
+ALL_CAMERAS = [*CAMERAS, WIDE, FISHEYE]
 
 
 def every_pixel(model: CameraModel, step: float = 16.0) -> np.ndarray:
@@ -30,6 +36,28 @@ def test_projection_is_opencvs(model: CameraModel) -> None:
     np.testing.assert_allclose(model.project(p), theirs[:, 0], atol=1e-9)
 
 
+@pytest.mark.parametrize("model", [WIDE, FISHEYE])
+def test_fisheye_is_opencvs(model: CameraModel) -> None:
+    p = np.random.default_rng(1).uniform([-9.0, -9.0, 0.3], [9.0, 9.0, 3.0], (300, 1, 3))  # up to 89° off the axis
+    theirs, _ = cv2.fisheye.projectPoints(p, np.zeros(3), np.zeros(3), model.K, np.array(model.distortion))
+    np.testing.assert_allclose(model.project(p), theirs, atol=1e-9)
+    ahead = np.isfinite(model.normalise(theirs)).all(axis=-1)
+    back = cv2.fisheye.undistortPoints(theirs[ahead][:, None], model.K, np.array(model.distortion))
+    near = np.linalg.norm(back, axis=-1) < 5.0  # OpenCV stops at 1e-8 rad
+    np.testing.assert_allclose(model.normalise(theirs[ahead][:, None])[near], back[near], atol=1e-6)
+
+
+def test_fisheye_sees_behind_itself() -> None:
+    angles = np.deg2rad([0.0, 30.0, 89.0, 89.9, 90.1, 100.0])
+    p = np.stack([np.sin(angles), np.zeros(6), np.cos(angles)], axis=-1) * 3.0
+    k = FISHEYE.distortion
+    bent = angles * (1.0 + sum(k[i] * angles ** (2 * i + 2) for i in range(4)))
+    pixels = FISHEYE.project(p)
+    np.testing.assert_allclose(pixels[:, 0], FISHEYE.cx + FISHEYE.fx * bent, atol=1e-9)
+    np.testing.assert_allclose(FISHEYE.unproject(pixels) * 3.0, p, atol=1e-9)
+    np.testing.assert_array_equal(np.isnan(FISHEYE.normalise(pixels)).any(axis=-1), angles >= 0.5 * np.pi)
+
+
 @pytest.mark.parametrize("model", CAMERAS)
 def test_every_pixel_comes_back(model: CameraModel) -> None:
     pixels = every_pixel(model)
@@ -39,12 +67,84 @@ def test_every_pixel_comes_back(model: CameraModel) -> None:
     np.testing.assert_allclose(model.undistort(model.distort(xy)), xy, atol=1e-11)
 
 
-@pytest.mark.parametrize("model", CAMERAS)
+@pytest.mark.parametrize("model", ALL_CAMERAS)
 def test_bearings_have_unit_length_and_point_at_their_pixel(model: CameraModel) -> None:
-    pixels = every_pixel(model, 40.0).reshape(-1, 2)
+    pixels = every_pixel(model)
     bearings = model.unproject(pixels)
     np.testing.assert_allclose(np.linalg.norm(bearings, axis=1), 1.0, atol=1e-14)
-    np.testing.assert_allclose(model.project(bearings), pixels, atol=1e-9)
+    np.testing.assert_allclose(model.project(bearings * 2.5), pixels, atol=1e-9)
+    np.testing.assert_allclose(model.unproject(model.project(bearings)), bearings, atol=1e-9)
+
+
+FOLDING = [
+    CameraModel(640, 480, 320.0, 320.0, 319.5, 239.5, (-0.35, 0.02, 2e-3, -1e-3)),
+    CameraModel(640, 480, 320.0, 320.0, 319.5, 239.5, (-0.3, 0.0, 0.0, 0.0)),
+    CameraModel(640, 480, 200.0, 200.0, 319.5, 239.5, (0.02, -0.03, 0.004, -0.002), "equidistant"),
+]
+
+
+@pytest.mark.parametrize("model", FOLDING)
+def test_a_lens_ends_where_it_would_fold(model: CameraModel) -> None:
+    """From the axis outwards pixels move outwards until the lens ends, and none comes back from beyond."""
+    angles = np.linspace(0.0, np.pi, 4001)[1:-1]
+    azimuths = np.linspace(0.0, 2.0 * np.pi, 12, endpoint=False)[:, None]
+    p = np.stack(
+        [np.sin(angles) * np.cos(azimuths), np.sin(angles) * np.sin(azimuths), np.cos(angles) + 0.0 * azimuths], axis=-1
+    )
+    pixels = model.project(p)
+    seen = np.isfinite(pixels).all(axis=-1)
+    assert (seen[:, :-1] >= seen[:, 1:]).all()  # one stretch, from the axis on
+    assert seen[:, 0].all()
+    radius = np.linalg.norm(pixels - [model.cx, model.cy], axis=-1)
+    assert (np.diff(radius, axis=1)[seen[:, 1:]] > 0.0).all()
+    bearings = model.unproject(pixels)
+    well_inside = np.roll(seen, -40, axis=1) & seen  # at the very edge the map is flat and its inverse ill conditioned
+    np.testing.assert_allclose(bearings[well_inside], p[well_inside], atol=1e-9)
+    last = seen.sum(axis=1) - 1
+    outermost = pixels[np.arange(12), last]
+    beyond = outermost + 0.05 * (outermost - [model.cx, model.cy])
+    assert np.isnan(model.unproject(beyond)).all()
+    assert np.isnan(model.normalise(beyond)).all()
+
+
+def test_reach_is_where_the_lens_turns() -> None:
+    for lens, coefficients, folds_at in (
+        (lens_radtan, (-0.3, 0.0, 0.0, 0.0), np.sqrt(1.0 / 0.9)),
+        (lens_radtan, (-0.4, 0.05, 0.0, 0.0), np.sqrt((1.2 - np.sqrt(0.44)) / 0.5)),
+        (lens_radtan, EUROC_CAM0.distortion, np.inf),
+        (lens_radtan, (0.0, 0.0, 0.0, 0.0), np.inf),
+        (lens_radtan, (0.0, 0.0, 0.03, 0.04), 1.0 / 0.3),
+        (lens_equidistant, (-0.1, 0.0, 0.0, 0.0), np.sqrt(1.0 / 0.3)),
+        (lens_equidistant, (0.0, 0.0, 0.0, 0.0), np.pi),
+    ):
+        assert lens.reach(coefficients) == pytest.approx(folds_at, rel=1e-12)
+
+
+@given(*[st.floats(-0.5, 0.5)] * 2, *[st.floats(-0.02, 0.02)] * 2)
+@settings(max_examples=40, deadline=None)
+def test_jacobian_of_radtan_is_positive_within_its_reach(k1: float, k2: float, p1: float, p2: float) -> None:
+    coefficients = (k1, k2, p1, p2)
+    radii = min(lens_radtan.reach(coefficients), 50.0) * np.linspace(0.0, 0.999, 50)[:, None]
+    azimuths = np.linspace(0.0, 2.0 * np.pi, 36, endpoint=False)
+    xy = np.stack([radii * np.cos(azimuths), radii * np.sin(azimuths)], axis=-1)
+    assert np.linalg.eigvalsh(lens_radtan.jacobian(xy, coefficients)).min() > 0.0
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        ({"fx": 0.0}, "fx = 0.0"),
+        ({"fy": np.nan}, "fy = nan"),
+        ({"cx": np.inf}, "cx = inf"),
+        ({"width": 0}, "0 × 480"),
+        ({"lens": "omni"}, "lens 'omni'"),
+        ({"distortion": (0.1, 0.0, np.nan, 0.0)}, "distortion = "),
+        ({"distortion": (0.1, 0.0)}, "four"),
+    ],
+)
+def test_a_camera_that_makes_no_sense_is_refused(change: dict[str, object], words: str) -> None:
+    with pytest.raises(ConfigError, match=words):
+        replace(EUROC_CAM0, **change)  # type: ignore[arg-type]
 
 
 @given(st.floats(-0.7, 0.7), st.floats(-0.45, 0.45))
@@ -54,7 +154,15 @@ def test_jacobian_of_the_lens_is_its_derivative(x: float, y: float) -> None:
     numeric = np.stack(
         [(EUROC_CAM0.distort(xy + h * e) - EUROC_CAM0.distort(xy - h * e)) / (2 * h) for e in np.eye(2)], axis=1
     )
-    np.testing.assert_allclose(EUROC_CAM0._distortion_jacobian(xy), numeric, atol=1e-8)
+    np.testing.assert_allclose(lens_radtan.jacobian(xy, EUROC_CAM0.distortion), numeric, atol=1e-8)
+
+
+def test_the_camera_s_centre_and_what_is_not_a_number_have_no_pixel() -> None:
+    for model in ALL_CAMERAS:
+        assert np.isnan(model.project(np.array([[0.0, 0.0, 0.0], [np.nan, 0.0, 1.0], [0.0, 0.0, -1.0]]))).all()
+        assert np.isnan(model.unproject(np.array([np.nan, 3.0]))).all()
+        np.testing.assert_allclose(model.unproject(np.array([model.cx, model.cy])), [0.0, 0.0, 1.0], atol=1e-15)
+    assert set(LENSES) == {model.lens for model in ALL_CAMERAS}
 
 
 def test_what_is_not_in_front_has_no_pixel() -> None:
