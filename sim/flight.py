@@ -8,10 +8,10 @@ import numpy.typing as npt
 from dronevio.models.errors import ConfigError
 from dronevio.models.imu import ImuSamples, Times
 from dronevio.models.progress import Progress, silent
-from dronevio.models.rotation import matrix_from_quat_wxyz, pose_matrix, slerp_quat_wxyz
 from dronevio.models.state import Trajectory
 from dronevio.sim.controller import SE3Controller
 from dronevio.sim.imu import ImuErrors
+from dronevio.sim.interpolation import interpolated_poses
 from dronevio.sim.path import Reference, plan_reference
 from dronevio.sim.plant import QuadrotorPlant
 from dronevio.sim.room import FREE_BOX_M
@@ -102,13 +102,3 @@ def _camera_poses(scenario: Scenario, truth: Trajectory) -> tuple[Times, Array]:
     taken_ns = stamps_ns + round(scenario.rig.time_offset_s * 1e9)
     seen = (taken_ns >= truth.t_ns[0]) & (taken_ns <= truth.t_ns[-1])
     return stamps_ns[seen], interpolated_poses(truth, taken_ns[seen]) @ camera.T_imu_cam
-
-
-def interpolated_poses(trajectory: Trajectory, t_ns: Times) -> Array:
-    """Return poses (M, 4, 4) at times (M,) [ns] within a trajectory: linear in position, along the arc in rotation."""
-    after = np.clip(np.searchsorted(trajectory.t_ns, t_ns, side="right"), 1, len(trajectory) - 1)
-    start, end = trajectory.t_ns[after - 1], trajectory.t_ns[after]
-    fraction = (t_ns - start) / (end - start)
-    p0, p1 = trajectory.p_world_imu[after - 1], trajectory.p_world_imu[after]
-    quat = slerp_quat_wxyz(trajectory.quat_wxyz[after - 1], trajectory.quat_wxyz[after], fraction)
-    return pose_matrix(matrix_from_quat_wxyz(quat), p0 + fraction[:, None] * (p1 - p0))

@@ -1,0 +1,24 @@
+"""Poses between the stamps of a trajectory."""
+
+import numpy as np
+import numpy.typing as npt
+
+from dronevio.models.imu import Times
+from dronevio.models.rotation import matrix_from_quat_wxyz, pose_matrix, slerp_quat_wxyz
+from dronevio.models.state import Trajectory
+
+Array = npt.NDArray[np.float64]
+
+
+def interpolated_poses(trajectory: Trajectory, t_ns: Times) -> Array:
+    """Return poses (M, 4, 4) at times (M,) [ns]: linear in position, along the arc in rotation.
+
+    Between stamps h apart the position is off by a h² / 8 at most: 31 µm at 10 m/s² and 200 Hz. Before the first and
+    after the last stamp the motion of the nearest interval goes on.
+    """
+    after = np.clip(np.searchsorted(trajectory.t_ns, t_ns, side="right"), 1, len(trajectory) - 1)
+    start, end = trajectory.t_ns[after - 1], trajectory.t_ns[after]
+    fraction = (t_ns - start) / (end - start)
+    p0, p1 = trajectory.p_world_imu[after - 1], trajectory.p_world_imu[after]
+    quat = slerp_quat_wxyz(trajectory.quat_wxyz[after - 1], trajectory.quat_wxyz[after], fraction)
+    return pose_matrix(matrix_from_quat_wxyz(quat), p0 + fraction[:, None] * (p1 - p0))

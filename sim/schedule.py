@@ -1,0 +1,87 @@
+"""When the cameras expose: time stamps, the true instants behind them, and what goes wrong with them.
+
+All cameras of a rig share one trigger. A frame is stamped with the middle of its exposure on the cameras' clock; the
+truth is kept beside it, on the IMU's clock.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from dronevio.models.errors import ConfigError
+from dronevio.models.imu import Times
+
+_LARGEST_JITTER = 0.4  # of the time between two frames, so that they stay in order
+
+
+@dataclass(frozen=True, eq=False)
+class FrameSchedule:
+    """The frames of a flight."""
+
+    stamps_ns: Times
+    """(M,) Time stamps, as recorded [ns], strictly increasing."""
+    exposed_ns: Times
+    """(M,) True middle of the exposure of the middle row, on the IMU's clock [ns]."""
+    lit: npt.NDArray[np.bool_]
+    """(M,) False where no light reaches the cameras."""
+
+    def __post_init__(self) -> None:
+        """Check the shapes.
+
+        Raises:
+            ConfigError: They differ, or time does not increase.
+        """
+        count = len(self.stamps_ns)
+        if self.exposed_ns.shape != (count,) or self.lit.shape != (count,):
+            raise ConfigError(
+                f"{count} time stamps, {len(self.exposed_ns)} exposures, {len(self.lit)} flags; expected as many each"
+            )
+        if np.any(np.diff(self.stamps_ns) <= 0):
+            raise ConfigError("frames out of order; expected increasing time stamps")
+
+    def __len__(self) -> int:
+        return len(self.stamps_ns)
+
+    def __getitem__(self, rows: slice | npt.NDArray[np.bool_]) -> "FrameSchedule":
+        return FrameSchedule(self.stamps_ns[rows], self.exposed_ns[rows], self.lit[rows])
+
+    def within(self, first_ns: int, last_ns: int) -> "FrameSchedule":
+        """Return the frames that are taken between two true times [ns], both included."""
+        return self[(self.exposed_ns >= first_ns) & (self.exposed_ns <= last_ns)]
+
+
+def beat(first_ns: int, end_ns: int, rate_hz: float) -> Times:
+    """Return a camera's undisturbed time stamps [ns], from ``first_ns`` to before ``end_ns``."""
+    return np.arange(first_ns, end_ns, round(1e9 / rate_hz), dtype=np.int64)
+
+
+def schedule_frames(
+    beat_ns: Times,
+    rng: np.random.Generator,
+    time_offset_s: float = 0.0,
+    stamp_jitter_s: float = 0.0,
+    dropped_frames: float = 0.0,
+    dark_from_s: float = 0.0,
+    dark_for_s: float = 0.0,
+) -> FrameSchedule:
+    """Return when frames are taken and what is recorded of it.
+
+    Args:
+        beat_ns: (N,) Undisturbed time stamps [ns], increasing, of any spacing.
+        rng: Draws jitter and losses.
+        time_offset_s: How much later than its stamp a frame is taken, on the IMU's clock: t_imu = t_cam + offset [s].
+        stamp_jitter_s: Standard deviation of the stamps' error [s]; frames never come out of order.
+        dropped_frames: Share of the frames that are lost; the first one never is.
+        dark_from_s: When light fails, from the first stamp [s].
+        dark_for_s: For how long [s].
+    """
+    count = len(beat_ns)
+    error_s, loss = rng.standard_normal(count) * stamp_jitter_s, rng.random(count)  # drawn whatever they are used for
+    reach_s = _LARGEST_JITTER * 1e-9 * float(np.diff(beat_ns).min(initial=np.iinfo(np.int64).max))
+    error_ns = np.rint(np.clip(error_s, -reach_s, reach_s) * 1e9).astype(np.int64)
+    since_s = (beat_ns - beat_ns[:1]) * 1e-9
+    lit = (since_s < dark_from_s) | (since_s >= dark_from_s + dark_for_s)
+    kept = loss >= dropped_frames
+    kept[:1] = True
+    return FrameSchedule(beat_ns + error_ns, beat_ns + round(time_offset_s * 1e9), lit)[kept]
