@@ -6,9 +6,12 @@ import numpy as np
 import numpy.typing as npt
 
 from dronevio.models.camera import CameraModel
+from dronevio.models.errors import ConfigError
 from dronevio.models.imu import EUROC_IMU, ImuModel
 
 Array = npt.NDArray[np.float64]
+
+_ORTHONORMAL = 1e-4  # published extrinsics carry down to 5 digits
 
 
 @dataclass(frozen=True, eq=False)
@@ -25,6 +28,20 @@ class RigCamera:
     """Time from the first row's middle of exposure to the last row's [s]: 0 for a global shutter. A frame is stamped at
     the middle of the exposure of its middle row."""
 
+    def __post_init__(self) -> None:
+        """Check pose and times.
+
+        Raises:
+            ConfigError: A field makes no sense; the message names it and its value.
+        """
+        _require_rigid("T_imu_cam", self.T_imu_cam)
+        if not 0.0 < self.rate_hz < np.inf:
+            raise ConfigError(f"camera rate_hz = {self.rate_hz}; expected a rate above zero")
+        if not 0.0 <= self.readout_s <= 1.0 / self.rate_hz:
+            raise ConfigError(
+                f"camera readout_s = {self.readout_s}; expected 0 to {1.0 / self.rate_hz:g} s, the time between frames"
+            )
+
 
 @dataclass(frozen=True, eq=False)
 class Rig:
@@ -38,6 +55,43 @@ class Rig:
     """(4, 4) Pose of the IMU in the vehicle frame (x forward, y left, z up, at the centre of mass)."""
     time_offset_s: float = 0.0
     """t_imu = t_cam + offset [s]."""
+
+    def __post_init__(self) -> None:
+        """Check what belongs to all of the rig.
+
+        Raises:
+            ConfigError: A field makes no sense; the message names it and its value.
+        """
+        _require_rigid("T_vehicle_imu", self.T_vehicle_imu)
+        if not np.isfinite(self.time_offset_s):
+            raise ConfigError(f"rig time_offset_s = {self.time_offset_s}; expected a finite number")
+        rates = [camera.rate_hz for camera in self.cameras]
+        if len(set(rates)) > 1:
+            raise ConfigError(
+                f"cameras with rate_hz = {', '.join(map(str, rates))}; expected one rate: a frame is all their images"
+            )
+
+
+def _require_rigid(name: str, T: Array) -> None:
+    """Raise ConfigError unless T is a rigid transform (4, 4)."""
+    if np.shape(T) != (4, 4):
+        raise ConfigError(f"rig {name} with shape {np.shape(T)}; expected (4, 4)")
+    if not np.all(np.isfinite(T)):
+        raise ConfigError(f"rig {name} = {_rows(T)}; expected finite numbers")
+    R = T[:3, :3]
+    determinant = float(np.linalg.det(R))
+    if determinant <= 0.0 or not np.allclose(R @ R.T, np.eye(3), atol=_ORTHONORMAL):
+        raise ConfigError(
+            f"rig {name} = {_rows(T)}, whose rotation has the determinant {determinant:.4g}"
+            f" and R Rᵀ off the identity by {np.abs(R @ R.T - np.eye(3)).max():.2g}; expected a rotation"
+        )
+    if not np.array_equal(T[3], [0.0, 0.0, 0.0, 1.0]):
+        raise ConfigError(f"rig {name} with last row {T[3].tolist()}; expected [0, 0, 0, 1]")
+
+
+def _rows(T: Array) -> str:
+    """Return a matrix in one line."""
+    return str([[float(f"{v:.4g}") for v in row] for row in np.asarray(T, dtype=np.float64).tolist()])
 
 
 EUROC_CAM0 = CameraModel(
@@ -60,6 +114,27 @@ EUROC_T_IMU_CAM0 = np.array(
     ]
 )
 """Pose of EuRoC's left camera in its IMU frame, which has x up and z forward."""
+
+EUROC_CAM1 = CameraModel(
+    width=752,
+    height=480,
+    fx=457.587,
+    fy=456.134,
+    cx=379.999,
+    cy=255.238,
+    distortion=(-0.28368365, 0.07451284, -0.00010473, -3.55590700e-05),
+)
+"""EuRoC's right camera (``cam1/sensor.yaml`` of the data set)."""
+
+EUROC_T_IMU_CAM1 = np.array(
+    [
+        [0.0125552670891, -0.999755099723, 0.0182237714554, -0.0198435579556],
+        [0.999598781151, 0.0130119051815, 0.0251588363115, 0.0453689425024],
+        [-0.0253898008918, 0.0179005838253, 0.999517347078, 0.00786212447038],
+        [0.0, 0.0, 0.0, 1.0],
+    ]
+)
+"""Pose of EuRoC's right camera in its IMU frame, 11 cm from the left one."""
 
 
 def euroc_rig() -> Rig:

@@ -1,0 +1,121 @@
+"""Rigs by name: sets of cameras and an IMU as drones carry them.
+
+EuRoC's are the data set's own calibration. The others are mounted on a level IMU (x forward, y left, z up) and look
+exactly ahead, so that what their lenses do is all that distinguishes them.
+"""
+
+from collections.abc import Callable
+from dataclasses import replace
+
+import numpy as np
+import numpy.typing as npt
+
+from dronevio.models.camera import CameraModel
+from dronevio.models.errors import ConfigError
+from dronevio.models.rig import EUROC_CAM1, EUROC_T_IMU_CAM1, Rig, RigCamera, euroc_rig
+from dronevio.models.rotation import pose_matrix
+
+Array = npt.NDArray[np.float64]
+
+PINHOLE = CameraModel(width=752, height=480, fx=458.0, fy=458.0, cx=375.5, cy=239.5)
+"""EuRoC's image size and, rounded, its focal length, without distortion and with the axis in the middle."""
+
+UZH_FPV_CAMERA = CameraModel(
+    width=640,
+    height=480,
+    fx=275.46015578667294,
+    fy=274.9948095922592,
+    cx=315.958384100568,
+    cy=242.7123497822731,
+    distortion=(-6.545154718304953e-06, -0.010379525898159981, 0.014935312423953146, -0.005639061406567785),
+    lens="equidistant",
+)
+"""A fisheye that sees 133° across and 170° between its corners, all of it in front: the left Snapdragon camera of the
+flights ``indoor_45`` (Delmerico et al., "Are we ready for autonomous drone racing? The UZH-FPV drone racing dataset",
+ICRA 2019; the data set's Kalibr calibration)."""
+
+TUM_VI_CAMERA = CameraModel(
+    width=512,
+    height=512,
+    fx=190.97847715128717,
+    fy=190.9733070521226,
+    cx=254.93170605935475,
+    cy=256.8974428996504,
+    distortion=(0.0034823894022493434, 0.0007150348452162257, -0.0020532361418706202, 0.00020293673591811182),
+    lens="equidistant",
+)
+"""A fisheye that sees 154° across and 230° between its corners, behind itself too: the left camera of TUM-VI (Schubert
+et al., "The TUM VI benchmark for evaluating visual-inertial odometry", IROS 2018; the calibration at 512 × 512)."""
+
+NANO_CAMERA = CameraModel(
+    width=324, height=244, fx=235.0, fy=235.0, cx=161.5, cy=121.5, distortion=(-0.1, 0.0, 0.0, 0.0)
+)
+"""What a 30 g drone can carry: the size of the Himax HM01B0's image on Bitcraze's AI-deck. The focal length gives a
+field of view of 87° between the corners, and the lens a barrel of 9 % there: ordinary for such a module, not measured
+on one."""
+
+_R_FORWARD = np.array([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]])  # camera looking along x, its top up
+_NOSE_M = (0.07, 0.02)  # how far a camera is ahead of and above the centre of mass, as on EuRoC's drone
+_WIDE_BASELINE_M = 0.11  # EuRoC's
+_NARROW_BASELINE_M = 0.08  # about that of the Snapdragon Flight board of UZH-FPV
+_ROLLING_READOUT_S = (
+    0.030  # 1024 rows of 29.5 µs: Schubert et al., "Rolling-shutter modelling for direct VIO", IROS 2019
+)
+_NANO_READOUT_S = 0.0156  # HM01B0: 60 frames a second of 260 rows, 244 of them seen
+_NANO_NOSE_M = (0.02, 0.005)  # the front of a deck of 30 mm on top
+
+
+def _ahead(model: CameraModel, left_m: float = 0.0, rate_hz: float = 20.0, readout_s: float = 0.0) -> RigCamera:
+    """Return a camera that looks along the level IMU's x axis, so far to its left."""
+    return RigCamera(model, pose_matrix(_R_FORWARD, np.array([0.0, left_m, 0.0])), rate_hz, readout_s)
+
+
+def _level(*cameras: RigCamera, nose_m: tuple[float, float] = _NOSE_M) -> Rig:
+    """Return a rig on a level IMU, so far ahead of and above the centre of mass."""
+    ahead, above = nose_m
+    return Rig(cameras, T_vehicle_imu=pose_matrix(np.eye(3), np.array([ahead, 0.0, above])))
+
+
+def _pair(model: CameraModel, baseline_m: float, rate_hz: float = 20.0) -> Rig:
+    """Return a rectified stereo rig, the left camera first."""
+    return _level(_ahead(model, 0.5 * baseline_m, rate_hz), _ahead(model, -0.5 * baseline_m, rate_hz))
+
+
+def _euroc_stereo() -> Rig:
+    mono = euroc_rig()
+    return replace(mono, cameras=(*mono.cameras, RigCamera(EUROC_CAM1, EUROC_T_IMU_CAM1)))
+
+
+def _rolling() -> Rig:
+    mono = euroc_rig()
+    return replace(mono, cameras=(replace(mono.cameras[0], readout_s=_ROLLING_READOUT_S),))
+
+
+RIGS: dict[str, Callable[[], Rig]] = {
+    "euroc": euroc_rig,
+    "euroc-stereo": _euroc_stereo,
+    "rolling": _rolling,
+    "pinhole": lambda: _level(_ahead(PINHOLE)),
+    "pinhole-stereo": lambda: _pair(PINHOLE, _WIDE_BASELINE_M),
+    "fisheye": lambda: _level(_ahead(TUM_VI_CAMERA)),
+    "fisheye-stereo": lambda: _pair(UZH_FPV_CAMERA, _NARROW_BASELINE_M, rate_hz=25.0),
+    "nano": lambda: _level(_ahead(NANO_CAMERA, readout_s=_NANO_READOUT_S), nose_m=_NANO_NOSE_M),
+}
+"""What makes each rig, by its name."""
+
+
+def rig_named(name: str) -> Rig:
+    """Return a rig.
+
+    Args:
+        name: One of `RIGS`: ``euroc`` (radtan, mono, the default of every flight), ``euroc-stereo``, ``rolling``
+            (EuRoC's camera with a rolling shutter of 30 ms), ``pinhole``, ``pinhole-stereo`` (rectified, 11 cm),
+            ``fisheye`` (154° across, 230° between the corners), ``fisheye-stereo`` (133° and 170°, 8 cm), ``nano``
+            (324 × 244, rolling).
+
+    Raises:
+        ConfigError: There is no such rig.
+    """
+    if name not in RIGS:
+        raise ConfigError(f"unknown rig {name!r}; expected one of {', '.join(RIGS)}")
+    return RIGS[name]()
