@@ -137,7 +137,7 @@ class ImuModel:
     """Standard deviation of the tilt of each axis of the gyroscope towards each of the others [rad]."""
     accel_misalignment_rad: float = 0.0
     """Standard deviation of the tilt of each axis of the accelerometer towards each of the others [rad]."""
-    gyro_g_sensitivity_s_rad_m: float = 0.0
+    gyro_g_sensitivity_rad_s_per_m_s2: float = 0.0
     """Standard deviation of each element of the gyroscope's g-sensitivity [rad/s per m/s²]."""
     gyro_range_rad_s: float = math.inf
     """Where the gyroscope saturates, either way [rad/s]."""

@@ -39,6 +39,8 @@ class Motion:
     """(N + 1, 7) The poses half an IMU interval before each time stamp, and after the last."""
     twist_between: Array
     """(N + 1, 6) The twists at those times."""
+    rotor_speeds_rad_s: Array
+    """(N, 4) Speeds of the rotors [rad/s], held from each time stamp to the next."""
 
     def trajectory(self, T_vehicle_sensor: Array) -> Trajectory:
         """Return the path of a frame fixed to the vehicle, with its velocity in the world."""

@@ -120,6 +120,7 @@ class QuadrotorPlant:
         self._sensed = 0
         self._times = [0]
         self._rows = [self._row()]
+        self._turned = [self._speeds]
         between = self._cross_interval()
         self._between = [2.0 * self._rows[0] - between, between]  # before t = 0 it moved as it goes on
 
@@ -131,6 +132,7 @@ class QuadrotorPlant:
             self._times.append(self._t_ns)
             self._rows.append(self._row())
             self._speeds = self._rotors.next_speeds(self._speeds, command, self.interval_s)
+            self._turned.append(self._speeds)
             self._between.append(self._cross_interval())
 
     def step_until(self, t_ns: int, command: Array) -> ImuSamples:
@@ -148,7 +150,8 @@ class QuadrotorPlant:
         rows = np.array(self._rows[first:]).reshape(-1, 13)
         between = np.array(self._between[first:])
         times = np.array(self._times[first:], dtype=np.int64)
-        return Motion(times, self._step_s, rows[:, :7], rows[:, 7:], between[:, :7], between[:, 7:])
+        speeds = np.array(self._turned[first:]).reshape(-1, 4)
+        return Motion(times, self._step_s, rows[:, :7], rows[:, 7:], between[:, :7], between[:, 7:], speeds)
 
     def state(self) -> NavState:
         """Return the true state of the IMU now, with zero biases: what a perfect estimator would say."""

@@ -73,4 +73,4 @@ def test_same_seed_same_bytes(seed: int) -> None:
     )
     assert one.gyro_rad_s.tobytes() == other.gyro_rad_s.tobytes()
     assert one.accel_m_s2.tobytes() == other.accel_m_s2.tobytes()
-    assert not np.any(one.gyro_rad_s == stranger.gyro_rad_s)
+    assert np.mean(one.gyro_rad_s == stranger.gyro_rad_s) < 0.1  # the steps are coarse: some coincide

@@ -94,6 +94,7 @@ def test_a_circle_is_sensed_as_the_textbook_says() -> None:
         twist,
         np.vstack([pose_before, pose_after[-1:]]),
         np.vstack([twist_before, twist_after[-1:]]),
+        np.zeros((200, 4)),
     )
     samples = motion.points(T_VEHICLE_IMU, 5e-3)
     R, lever = T_VEHICLE_IMU[:3, :3], T_VEHICLE_IMU[:3, 3]

@@ -1,0 +1,75 @@
+"""How the biases of an IMU come about and wander: turn-on bias, random walk, and bias instability."""
+
+import numpy as np
+import numpy.typing as npt
+
+from dronevio.models.imu import ImuModel, Times
+
+Array = npt.NDArray[np.float64]
+
+FLICKER_TIMES_S = np.logspace(-1.0, 4.0, 6)
+"""(P,) Correlation times of the processes whose sum flickers [s]: a decade apart, from where white noise drowns the
+flicker to beyond any flight."""
+FLICKER_FLOOR = float(np.sqrt(2.0 * np.log(2.0) / np.pi))
+"""Floor of the Allan deviation of flicker noise by its coefficient B, 0.664 (IEEE 952, annex C)."""
+FLICKER_SHARE = float(np.log(10.0) / np.pi)
+"""Variance of each process by B². Processes of variance v with correlation times a factor r apart add up to the
+one-sided density v / (f ln r); flicker noise has B² / (π f)."""
+_BLOCK_S = 30.0 * float(FLICKER_TIMES_S[0])  # within it no process forgets more than double precision holds
+
+
+class Biases:
+    """The biases of one IMU from switch-on: three axes of the gyroscope, then three of the accelerometer.
+
+    A walk of density σ grows by σ √dt a step (Crassidis, "Sigma-point Kalman filtering for integrated GPS and inertial
+    navigation", 2006; the conventions of Kalibr). Bias instability, flicker noise, is the sum of first-order
+    Gauss-Markov processes, one a decade, each begun in its steady state and stepped exactly.
+    """
+
+    def __init__(self, model: ImuModel, rng: np.random.Generator, flicker_rng: np.random.Generator) -> None:
+        """Switch the IMU on.
+
+        Args:
+            model: Spreads and densities.
+            rng: Draws turn-on biases and walks.
+            flicker_rng: Draws the bias instability.
+        """
+        self._rng = rng
+        self._flicker_rng = flicker_rng
+        turn_on = np.repeat([model.gyro_turn_on_bias_rad_s, model.accel_turn_on_bias_m_s2], 3)
+        self.turn_on = turn_on * rng.standard_normal(6)
+        self._walk = np.repeat([model.gyro_random_walk, model.accel_random_walk], 3)
+        self._walked = self.turn_on
+        floor = np.repeat([model.gyro_bias_instability_rad_s, model.accel_bias_instability_m_s2], 3)
+        self._times_s = FLICKER_TIMES_S[:, None, None] if floor.any() else np.zeros((0, 1, 1))
+        self._spread = np.sqrt(FLICKER_SHARE) * floor / FLICKER_FLOOR
+        self._flicker = self._spread * flicker_rng.standard_normal((len(self._times_s), 1, 6))
+        self._t_ns: int | None = None
+
+    def until(self, t_ns: Times) -> Array:
+        """Return the biases (N, 6) at N ≥ 1 times, later than those of the last call; none moved before the first."""
+        start_ns = int(t_ns[0]) if self._t_ns is None else self._t_ns
+        dt_s = np.diff(t_ns, prepend=start_ns) * 1e-9
+        steps = self._walk * np.sqrt(dt_s)[:, None] * self._rng.standard_normal((len(t_ns), 6))
+        walked = self._walked + np.cumsum(steps, axis=0)
+        self._walked, self._t_ns = walked[-1], int(t_ns[-1])
+        return np.asarray(walked + self._flickering(dt_s))
+
+    def _flickering(self, dt_s: Array) -> Array:
+        """Return the bias instability (N, 6) after N steps."""
+        if len(self._times_s) == 0:
+            return np.zeros((len(dt_s), 6))
+        block = np.floor(np.cumsum(dt_s) / _BLOCK_S)
+        starts = np.flatnonzero(np.diff(block)) + 1
+        return np.concatenate([self._flickering_block(part) for part in np.split(dt_s, starts)])
+
+    def _flickering_block(self, dt_s: Array) -> Array:
+        """Return it after N steps that all but the first are short: x_k = d_k (x_0 + Σ w_j / d_j), d_k the decay."""
+        dt = dt_s[:, None]
+        noise = self._spread * np.sqrt(-np.expm1(-2.0 * dt / self._times_s))
+        noise = noise * self._flicker_rng.standard_normal((len(self._times_s), len(dt_s), 6))
+        decay = np.exp(-(np.cumsum(dt, axis=0) - dt[0]) / self._times_s)
+        first = np.exp(-dt[0] / self._times_s) * self._flicker
+        x = decay * (first + np.cumsum(noise / decay, axis=1))
+        self._flicker = x[:, -1:]
+        return np.asarray(x.sum(axis=0))

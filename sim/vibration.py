@@ -1,0 +1,135 @@
+"""The lines that turning rotors draw into an IMU's spectrum."""
+
+from typing import Protocol
+
+import numpy as np
+import numpy.typing as npt
+
+from dronevio.models.imu import ImuModel, ImuSamples
+from dronevio.models.quadrotor import Quadrotor
+from dronevio.models.vibration import RotorVibration
+
+Array = npt.NDArray[np.float64]
+
+
+class Vibration(Protocol):
+    """What shakes an IMU."""
+
+    def felt(self, samples: ImuSamples, rotor_speeds_rad_s: Array) -> tuple[Array, Array]:
+        """Return the shaking at the times of a batch of samples, later than those of the last call.
+
+        Args:
+            samples: N samples; only their times and their sampling count.
+            rotor_speeds_rad_s: (N, 4) Speeds of the rotors [rad/s]: for points those held from each time stamp on, for
+                increments those held over the interval that each covers.
+
+        Returns:
+            Angular velocities (N, 3) [rad/s] and specific forces (N, 3) [m/s²] in the IMU frame.
+        """
+        ...
+
+
+class Stillness:
+    """No vibration at all."""
+
+    def felt(self, samples: ImuSamples, rotor_speeds_rad_s: Array) -> tuple[Array, Array]:
+        """Return zeros (N, 3) and (N, 3)."""
+        return np.zeros((len(samples), 3)), np.zeros((len(samples), 3))
+
+
+class RotorTones:
+    """Tones at every rotor's true speed and at its blade-pass frequencies; implements `Vibration`.
+
+    A tone is known for all times, since rotors keep their speed between two IMU samples: its phase is the integral of
+    the speed. A point sample is the tone's value at the stamp, an increment its exact mean over the interval. So
+    whatever lies above half the sampling rate appears where it would in a real IMU, as an alias, weakened by the output
+    filter only (second order, Butterworth) and, in increments, by the averaging.
+
+    The vibration moves the IMU by micrometres; the true motion is that without.
+    """
+
+    def __init__(
+        self,
+        vibration: RotorVibration,
+        quadrotor: Quadrotor,
+        T_vehicle_imu: Array,
+        imu: ImuModel,
+        rng: np.random.Generator,
+    ) -> None:
+        """Start the rotors at random angles.
+
+        Args:
+            vibration: How strongly they shake.
+            quadrotor: Where they are and which way they turn.
+            T_vehicle_imu: (4, 4) How the IMU is mounted.
+            imu: Its rate and bandwidths.
+            rng: Draws the angles.
+        """
+        self._imu = imu
+        self._R_imu_vehicle = T_vehicle_imu[:3, :3].T
+        self._angle = rng.uniform(0.0, 2.0 * np.pi, 4)
+        self._speed = np.zeros(4)
+        self._t_ns: int | None = None
+        orders = vibration.blades * np.arange(1, vibration.harmonics + 1)
+        fading = 1.0 / np.arange(1, vibration.harmonics + 1) ** 2
+        self._orders = np.concatenate([[1.0, 1.0], orders])  # of each tone: imbalance along two axes, then the blades
+        self._lags = np.concatenate([[0.0, -0.5 * np.pi], np.zeros(len(orders))])
+        self._swing = _swings(quadrotor, vibration, fading)
+        self._rocking = _rockings(quadrotor, vibration, fading)
+
+    def felt(self, samples: ImuSamples, rotor_speeds_rad_s: Array) -> tuple[Array, Array]:
+        """Return angular velocities (N, 3) [rad/s] and specific forces (N, 3) [m/s²]; see `Vibration`."""
+        if len(samples) == 0:
+            return np.zeros((0, 3)), np.zeros((0, 3))
+        middle, turned = self._turn(samples, rotor_speeds_rad_s)
+        phase = self._orders * middle[..., None] + self._lags
+        tone = np.cos(phase) * np.sinc(self._orders * turned[..., None] / (2.0 * np.pi))
+        frequency_hz = self._orders * rotor_speeds_rad_s[..., None] / (2.0 * np.pi)
+        gyro_tone = tone * rotor_speeds_rad_s[..., None] * _let_through(frequency_hz, self._imu.gyro_bandwidth_hz)
+        accel_tone = (
+            tone * rotor_speeds_rad_s[..., None] ** 2 * _let_through(frequency_hz, self._imu.accel_bandwidth_hz)
+        )
+        gyro = np.einsum("nrt,rta->na", gyro_tone, self._rocking)
+        accel = np.einsum("nrt,rta->na", accel_tone, self._swing)
+        return gyro @ self._R_imu_vehicle.T, accel @ self._R_imu_vehicle.T
+
+    def _turn(self, samples: ImuSamples, speeds: Array) -> tuple[Array, Array]:
+        """Turn the rotors; return their angles (N, 4) amid what each sample sees, and how far they turn in it [rad]."""
+        interval_s = 1.0 / self._imu.rate_hz
+        if samples.sampling == "increment":
+            start_ns = int(samples.t_ns[0]) - round(1e9 * interval_s) if self._t_ns is None else self._t_ns
+            turned = speeds * (np.diff(samples.t_ns, prepend=start_ns) * 1e-9)[:, None]
+            angles = self._angle + np.cumsum(turned, axis=0)
+            middle = angles - 0.5 * turned
+        else:
+            start_ns = int(samples.t_ns[0]) if self._t_ns is None else self._t_ns
+            held = np.vstack([self._speed, speeds[:-1]])
+            angles = self._angle + np.cumsum(held * (np.diff(samples.t_ns, prepend=start_ns) * 1e-9)[:, None], axis=0)
+            middle, turned = angles, np.zeros_like(speeds)
+        self._angle, self._speed, self._t_ns = angles[-1], speeds[-1], int(samples.t_ns[-1])
+        return middle, turned
+
+
+def _swings(quadrotor: Quadrotor, vibration: RotorVibration, fading: Array) -> Array:
+    """Return (4, tones, 3) accelerations by ω² [m] of each rotor's tones, in the vehicle frame."""
+    swing = np.zeros((4, 2 + len(fading), 3))
+    swing[:, 0, 0] = vibration.imbalance_m
+    swing[:, 1, 1] = vibration.imbalance_m * quadrotor.rotor_spins
+    swing[:, 2:, 2] = vibration.blade_pass_m * fading
+    return swing
+
+
+def _rockings(quadrotor: Quadrotor, vibration: RotorVibration, fading: Array) -> Array:
+    """Return (4, tones, 3) angular rates by ω [rad] of each rotor's tones, in the vehicle frame."""
+    x, y = quadrotor.rotor_positions_m[:, 0], quadrotor.rotor_positions_m[:, 1]
+    across = np.stack([y, -x], axis=1) / np.hypot(x, y)[:, None]  # the axis about which a pull on the arm turns
+    rocking = np.zeros((4, 2 + len(fading), 3))
+    rocking[:, 0, 0] = vibration.imbalance_rad * quadrotor.rotor_spins
+    rocking[:, 1, 1] = vibration.imbalance_rad
+    rocking[:, 2:, :2] = vibration.blade_pass_rad * fading[:, None] * across[:, None]
+    return rocking
+
+
+def _let_through(frequency_hz: Array, bandwidth_hz: float) -> Array:
+    """Return the gain of a second-order Butterworth filter, 3 dB down at the bandwidth."""
+    return np.asarray(1.0 / np.sqrt(1.0 + (frequency_hz / bandwidth_hz) ** 4))
