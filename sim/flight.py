@@ -6,7 +6,7 @@ import numpy as np
 import numpy.typing as npt
 
 from dronevio.models.errors import ConfigError
-from dronevio.models.imu import ImuSamples, Times
+from dronevio.models.imu import ImuConstants, ImuSamples, Times
 from dronevio.models.progress import Progress, silent
 from dronevio.models.state import Trajectory
 from dronevio.sim.controller import SE3Controller
@@ -16,6 +16,7 @@ from dronevio.sim.path import Reference, plan_reference
 from dronevio.sim.plant import QuadrotorPlant
 from dronevio.sim.room import FREE_BOX_M
 from dronevio.sim.scenario import Scenario
+from dronevio.sim.vibration import RotorTones
 from dronevio.sim.world import WORLDS
 
 Array = npt.NDArray[np.float64]
@@ -41,6 +42,8 @@ class Flight:
     """The path that the controller was given."""
     perfect_imu: ImuSamples
     """What a perfect IMU would have read, at the time stamps of ``imu``."""
+    imu_constants: ImuConstants
+    """What is constant of the IMU's errors: scale, misalignment, g-sensitivity and the biases at switch-on."""
 
 
 def reference_of(scenario: Scenario, plant: QuadrotorPlant) -> Reference:
@@ -80,12 +83,15 @@ def fly(scenario: Scenario, progress: Progress = silent) -> Flight:
     progress(steps, steps)
     motion = plant.motion()
     perfect = motion.points(scenario.rig.T_vehicle_imu, plant.interval_s)
-    imu, gyro_bias, accel_bias = ImuErrors(scenario.rig.imu, scenario.generator("imu")).add_to(perfect)
+    rng = scenario.generator("imu")
+    vibration = RotorTones(scenario.quadrotor, scenario.rig, rng.spawn(1)[0])
+    errors = ImuErrors(scenario.rig.imu, rng, vibration)
+    imu, gyro_bias, accel_bias = errors.add_to(perfect, motion.rotor_speeds_rad_s)
     truth = replace(
         motion.trajectory(scenario.rig.T_vehicle_imu), gyro_bias_rad_s=gyro_bias, accel_bias_m_s2=accel_bias
     )
     frame_times_ns, Ts_world_cam = _camera_poses(scenario, truth)
-    return Flight(scenario, imu, truth, frame_times_ns, Ts_world_cam, reference, perfect)
+    return Flight(scenario, imu, truth, frame_times_ns, Ts_world_cam, reference, perfect, errors.constants)
 
 
 def _camera_poses(scenario: Scenario, truth: Trajectory) -> tuple[Times, Array]:

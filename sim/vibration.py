@@ -5,9 +5,9 @@ from typing import Protocol
 import numpy as np
 import numpy.typing as npt
 
-from dronevio.models.imu import ImuModel, ImuSamples
+from dronevio.models.imu import ImuSamples
 from dronevio.models.quadrotor import Quadrotor
-from dronevio.models.vibration import RotorVibration
+from dronevio.models.rig import Rig
 
 Array = npt.NDArray[np.float64]
 
@@ -48,25 +48,17 @@ class RotorTones:
     The vibration moves the IMU by micrometres; the true motion is that without.
     """
 
-    def __init__(
-        self,
-        vibration: RotorVibration,
-        quadrotor: Quadrotor,
-        T_vehicle_imu: Array,
-        imu: ImuModel,
-        rng: np.random.Generator,
-    ) -> None:
+    def __init__(self, quadrotor: Quadrotor, rig: Rig, rng: np.random.Generator) -> None:
         """Start the rotors at random angles.
 
         Args:
-            vibration: How strongly they shake.
-            quadrotor: Where they are and which way they turn.
-            T_vehicle_imu: (4, 4) How the IMU is mounted.
-            imu: Its rate and bandwidths.
+            quadrotor: Where its rotors are, which way they turn and how they shake.
+            rig: How the IMU is mounted, its rate and its bandwidths.
             rng: Draws the angles.
         """
-        self._imu = imu
-        self._R_imu_vehicle = T_vehicle_imu[:3, :3].T
+        vibration = quadrotor.vibration
+        self._imu = rig.imu
+        self._R_imu_vehicle = rig.T_vehicle_imu[:3, :3].T
         self._angle = rng.uniform(0.0, 2.0 * np.pi, 4)
         self._speed = np.zeros(4)
         self._t_ns: int | None = None
@@ -74,8 +66,8 @@ class RotorTones:
         fading = 1.0 / np.arange(1, vibration.harmonics + 1) ** 2
         self._orders = np.concatenate([[1.0, 1.0], orders])  # of each tone: imbalance along two axes, then the blades
         self._lags = np.concatenate([[0.0, -0.5 * np.pi], np.zeros(len(orders))])
-        self._swing = _swings(quadrotor, vibration, fading)
-        self._rocking = _rockings(quadrotor, vibration, fading)
+        self._swing = _swings(quadrotor, fading)
+        self._rocking = _rockings(quadrotor, fading)
 
     def felt(self, samples: ImuSamples, rotor_speeds_rad_s: Array) -> tuple[Array, Array]:
         """Return angular velocities (N, 3) [rad/s] and specific forces (N, 3) [m/s²]; see `Vibration`."""
@@ -110,8 +102,9 @@ class RotorTones:
         return middle, turned
 
 
-def _swings(quadrotor: Quadrotor, vibration: RotorVibration, fading: Array) -> Array:
+def _swings(quadrotor: Quadrotor, fading: Array) -> Array:
     """Return (4, tones, 3) accelerations by ω² [m] of each rotor's tones, in the vehicle frame."""
+    vibration = quadrotor.vibration
     swing = np.zeros((4, 2 + len(fading), 3))
     swing[:, 0, 0] = vibration.imbalance_m
     swing[:, 1, 1] = vibration.imbalance_m * quadrotor.rotor_spins
@@ -119,10 +112,11 @@ def _swings(quadrotor: Quadrotor, vibration: RotorVibration, fading: Array) -> A
     return swing
 
 
-def _rockings(quadrotor: Quadrotor, vibration: RotorVibration, fading: Array) -> Array:
+def _rockings(quadrotor: Quadrotor, fading: Array) -> Array:
     """Return (4, tones, 3) angular rates by ω [rad] of each rotor's tones, in the vehicle frame."""
     x, y = quadrotor.rotor_positions_m[:, 0], quadrotor.rotor_positions_m[:, 1]
     across = np.stack([y, -x], axis=1) / np.hypot(x, y)[:, None]  # the axis about which a pull on the arm turns
+    vibration = quadrotor.vibration
     rocking = np.zeros((4, 2 + len(fading), 3))
     rocking[:, 0, 0] = vibration.imbalance_rad * quadrotor.rotor_spins
     rocking[:, 1, 1] = vibration.imbalance_rad
