@@ -12,6 +12,7 @@ import numpy.typing as npt
 from dronevio.models.battery import Battery
 from dronevio.models.errors import ConfigError
 from dronevio.models.imu import GRAVITY_M_S2
+from dronevio.models.vibration import STILL, RotorVibration
 
 Array = npt.NDArray[np.float64]
 
@@ -92,6 +93,8 @@ class Quadrotor:
     drag_area_m2: tuple[float, float, float] = (0.013, 0.013, 0.033)
     """Drag coefficient × frontal area of body, arms and legs along x, y, z [m²]; the coefficient is a cube's, 1.05
     (Hoerner, "Fluid-Dynamic Drag", 1965, ch. 3)."""
+    vibration: RotorVibration = STILL
+    """How the rotors shake the IMU."""
     mjcf_name: str = "quadrotor"
     """Which MJCF has its shape and looks."""
 
