@@ -25,6 +25,7 @@ _SMALLEST_SHADOW_M = 0.16  # half a diagonal: cups and books cast no shadow of t
 _LAMP_SIZE_M2 = 0.3  # a lamp is no point: this keeps a surface close to it from burning out
 _AMBIENT, _DIRECT = 0.50, 0.55  # the shares of scattered light and of the lamps where the room is well lit
 _BRIGHTEST = 1.15
+_SIDE, _FROM_ABOVE = 0.82, 0.2  # of things that move: brightness of their sides, and what their tops have more
 
 
 @dataclass(frozen=True, eq=False)
@@ -73,6 +74,19 @@ def bake(faces: Sequence[Surface], blockers: Sequence[Box], lights: Sequence[Are
         np.maximum(part.reshape(shape), np.float32(face.glow))
         for part, shape, face in zip(np.split(light, cuts), shapes, faces, strict=True)
     ]
+
+
+def daylight(faces: Sequence[Surface]) -> list[Field]:
+    """Return the brightness (2, 2) of faces under even light from above: for what moves, and meets all kinds of light.
+
+    Tops are brightest; sides grow darker towards their lower edge.
+    """
+    maps = []
+    for face in faces:
+        normal_z = _spread_over(face.grid, 2, 2)[1][..., 2]
+        fall = np.array([[0.05], [-0.05]]) * (1.0 - np.abs(normal_z))
+        maps.append(np.maximum(_SIDE + _FROM_ABOVE * normal_z + fall, face.glow).astype(np.float32))
+    return maps
 
 
 def _spread_over(grid: Array, rows: int, columns: int) -> tuple[Array, Array]:

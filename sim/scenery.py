@@ -18,7 +18,8 @@ from dronevio.sim.textures import Image
 
 Array = npt.NDArray[np.float64]
 
-_PAGE_WIDTH_PX = 4160
+PAGE_WIDTH_PX = 4160
+"""Columns of a page [px]: what holds a wall of 16 m at full resolution, gutter included."""
 _PAGE_HEIGHT_PX = 4096  # every OpenGL since 2010 takes 8192
 _GUTTER_PX = 8  # repeats each face's border, so that coarse mipmap levels do not mix neighbours
 _SMALLEST_PX = 6
@@ -44,13 +45,16 @@ class Page:
         return np.concatenate([quads[:, [0, 2, 1]], quads[:, [0, 3, 2]]])
 
 
-def paint_pages(faces: Sequence[Surface], light: Sequence[Field], rng: np.random.Generator) -> list[Page]:
+def paint_pages(
+    faces: Sequence[Surface], light: Sequence[Field], rng: np.random.Generator, width_px: int = PAGE_WIDTH_PX
+) -> list[Page]:
     """Paint the faces, light them, and lay them out on pages.
 
     Args:
         faces: What is seen.
         light: Each face's brightness map.
         rng: Draws the patterns.
+        width_px: Columns of a page; no face may be wider and higher than that.
     """
     images = []
     for face, brightness in zip(faces, light, strict=True):
@@ -59,8 +63,8 @@ def paint_pages(faces: Sequence[Surface], light: Sequence[Field], rng: np.random
     lying = [image.shape[0] > image.shape[1] for image in images]  # tall ones are laid on their side to save space
     images = [image.transpose(1, 0, 2) if lies else image for image, lies in zip(images, lying, strict=True)]
     pages = []
-    for slots, height in _shelves([(image.shape[0], image.shape[1]) for image in images]):
-        texture = np.zeros((height, _PAGE_WIDTH_PX, 3), np.uint8)
+    for slots, height in _shelves([(image.shape[0], image.shape[1]) for image in images], width_px):
+        texture = np.zeros((height, width_px, 3), np.uint8)
         vertices, coordinates, normals = [], [], []
         for index, row, column in slots:
             face, image = faces[index], images[index]
@@ -74,7 +78,7 @@ def paint_pages(faces: Sequence[Surface], light: Sequence[Field], rng: np.random
             on_image = _quads(_even_grid(face.grid.shape[0], face.grid.shape[1]))
             on_page = on_image[..., ::-1] if lying[index] else on_image
             vertices.append(quads.reshape(-1, 3))
-            coordinates.append((origin + on_page.reshape(-1, 2) * extent) / [_PAGE_WIDTH_PX, height])
+            coordinates.append((origin + on_page.reshape(-1, 2) * extent) / [width_px, height])
             normals.append(np.repeat(normal, 4, axis=0))
         pages.append(Page(texture, *(np.concatenate(parts) for parts in (vertices, coordinates, normals))))
     return pages
@@ -92,7 +96,7 @@ def _even_grid(rows: int, columns: int) -> Array:
     return np.stack([right, down], axis=-1)
 
 
-def _shelves(sizes: Sequence[tuple[int, int]]) -> list[tuple[list[tuple[int, int, int]], int]]:
+def _shelves(sizes: Sequence[tuple[int, int]], width_px: int) -> list[tuple[list[tuple[int, int, int]], int]]:
     """Pack images of (height, width) in rows, tallest first.
 
     Returns:
@@ -103,7 +107,7 @@ def _shelves(sizes: Sequence[tuple[int, int]]) -> list[tuple[list[tuple[int, int
     top = column = shelf = 0
     for index in sorted(range(len(sizes)), key=lambda i: (-sizes[i][0], -sizes[i][1])):
         height, width = (v + 2 * _GUTTER_PX for v in sizes[index])
-        if column + width > _PAGE_WIDTH_PX:
+        if column + width > width_px:
             top, column, shelf = top + shelf, 0, 0
         if top + height > _PAGE_HEIGHT_PX:
             pages.append((slots, top))
@@ -113,30 +117,34 @@ def _shelves(sizes: Sequence[tuple[int, int]]) -> list[tuple[list[tuple[int, int
     return [*pages, (slots, top + shelf)]
 
 
-def add_pages(spec: mujoco.MjSpec, pages: Sequence[Page]) -> None:
-    """Add the pages to a model as static geoms that are seen but not touched."""
+def add_pages(spec: mujoco.MjSpec, body: mujoco.MjsBody, name: str, pages: Sequence[Page]) -> None:
+    """Add pages to a body of a model as geoms that are seen but not touched, named ``name_0``, ``name_1``, …."""
     for number, page in enumerate(pages):
-        name = f"scenery_{number}"
-        texture = spec.add_texture(name=name, type=mujoco.mjtTexture.mjTEXTURE_2D)
-        texture.height, texture.width, texture.nchannel = page.texture.shape
-        texture.data = page.texture.tobytes()
-        # The light is in the texture: let it glow at exactly its own brightness, and let the lamps that light a drone
-        # add nothing to it.
-        material = spec.add_material(name=name, rgba=[_DARK, _DARK, _DARK, 1.0], emission=1.0 / _DARK, specular=0.0)
-        material.textures[mujoco.mjtTextureRole.mjTEXROLE_RGB] = name
-        mesh = spec.add_mesh(name=name, inertia=mujoco.mjtMeshInertia.mjMESH_INERTIA_SHELL)
-        mesh.uservert = page.vertices.ravel()
-        mesh.usernormal = page.normals.ravel()
-        mesh.usertexcoord = page.texture_coordinates.ravel()
-        mesh.userface = mesh.userfacenormal = mesh.userfacetexcoord = page.triangles.ravel()
-        spec.worldbody.add_geom(
-            name=name,
-            type=mujoco.mjtGeom.mjGEOM_MESH,
-            meshname=name,
-            material=name,
-            contype=0,
-            conaffinity=0,
-        )
+        _add_page(spec, body, f"{name}_{number}", page)
+
+
+def _add_page(spec: mujoco.MjSpec, body: mujoco.MjsBody, name: str, page: Page) -> None:
+    """Add one page to a body."""
+    texture = spec.add_texture(name=name, type=mujoco.mjtTexture.mjTEXTURE_2D)
+    texture.height, texture.width, texture.nchannel = page.texture.shape
+    texture.data = page.texture.tobytes()
+    # The light is in the texture: let it glow at exactly its own brightness, and let the lamps that light a drone
+    # add nothing to it.
+    material = spec.add_material(name=name, rgba=[_DARK, _DARK, _DARK, 1.0], emission=1.0 / _DARK, specular=0.0)
+    material.textures[mujoco.mjtTextureRole.mjTEXROLE_RGB] = name
+    mesh = spec.add_mesh(name=name, inertia=mujoco.mjtMeshInertia.mjMESH_INERTIA_SHELL)
+    mesh.uservert = page.vertices.ravel()
+    mesh.usernormal = page.normals.ravel()
+    mesh.usertexcoord = page.texture_coordinates.ravel()
+    mesh.userface = mesh.userfacenormal = mesh.userfacetexcoord = page.triangles.ravel()
+    body.add_geom(
+        name=name,
+        type=mujoco.mjtGeom.mjGEOM_MESH,
+        meshname=name,
+        material=name,
+        contype=0,
+        conaffinity=0,
+    )
 
 
 _DARK = 1.0 / 256.0  # how much of the lamps' light the scenery reflects

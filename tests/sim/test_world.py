@@ -17,7 +17,7 @@ from dronevio.sim.contact_sheet import contact_sheet, viewpoints
 from dronevio.sim.lightmap import AreaLight, bake
 from dronevio.sim.room import FREE_BOX_M, SIZE_M, Room, furnished_room
 from dronevio.sim.solids import Box, Face, turn_z
-from dronevio.sim.world import World, _painted_room, build_world
+from dronevio.sim.world import World, _painted, build_world
 
 Array = npt.NDArray[np.float64]
 
@@ -72,7 +72,7 @@ def test_seeds_make_the_room() -> None:
     first, other = fingerprint("room", 0), fingerprint("room", 5)
     assert first[0] != other[0]
     assert first[1] != other[1]
-    _painted_room.cache_clear()  # or the second would be the first
+    _painted.cache_clear()  # or the second would be the first
     assert fingerprint("room", 0) == first
 
 
