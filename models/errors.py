@@ -35,3 +35,7 @@ class GraphicsError(DronevioError):
 
 class EvaluationError(DronevioError):
     """Two trajectories that cannot be compared, such as ones that share no time."""
+
+
+class IncompleteError(DronevioError):
+    """Long work that had to stop half-way, such as on a full disk; what was finished can be read."""
