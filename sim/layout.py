@@ -7,6 +7,7 @@ from typing import Literal
 import numpy as np
 import numpy.typing as npt
 
+from dronevio.sim.cutouts import Print
 from dronevio.sim.lightmap import AreaLight
 from dronevio.sim.solids import Box, Surface
 
@@ -62,6 +63,8 @@ class Layout:
     """Light that falls in, relative to a well lit room."""
     moving: tuple[Moving, ...] = ()
     """What moves."""
+    prints: tuple[Print, ...] = ()
+    """What shares images that bring their own light: trunks and leaves."""
 
 
 @dataclass(frozen=True)

@@ -113,6 +113,7 @@ def _painted(name: str, seed: int) -> _Painted:
     if shading is None:
         shading = tuple(box for box in layout.boxes if box.glow == 0.0)
     pages = paint_pages(faces, bake(faces, shading, layout.lights), paint)
+    pages += [shared.page(paint) for shared in layout.prints]
     moving_pages = []
     for thing in layout.moving:
         sides = [face for box in thing.boxes for face in box.faces()]
