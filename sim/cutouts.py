@@ -1,6 +1,6 @@
 """Many things that wear the same few images: trunks, twigs, rocks. A forest has thousands, and memory for few.
 
-Each is made of quadrangles, and each quadrangle shows a part of an image that all share. Leaves are cut out of theirs by
+Each is made of quadrangles, and each shows a part of an image that all share. Leaves are cut out of theirs by
 their outline, not by transparency: what is drawn is what is there, in the depth image too.
 """
 

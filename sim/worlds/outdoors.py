@@ -1,0 +1,134 @@
+"""What worlds under the open sky share: the sky, the sun, ground and rocks, clear ways through what grows."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import partial
+
+import cv2
+import numpy as np
+import numpy.typing as npt
+
+from dronevio.sim import textures_nature as nature
+from dronevio.sim.lightmap import AreaLight
+from dronevio.sim.solids import Paint, Sheet
+from dronevio.sim.textures import Colour, Image
+
+Array = npt.NDArray[np.float64]
+Random = np.random.Generator
+
+_SKY_M = 80.0  # far enough to seem to stand still
+_SUN_M = 150.0  # its rays are parallel within a few degrees over a world
+_SKY_WIDTH_PX = 3072  # once around: three pixels of a usual camera's five
+_DOWN_RAD = np.radians(10.0)  # `textures_nature.sky` ends so far below the horizon
+
+
+@dataclass(frozen=True)
+class Weather:
+    """Light and air."""
+
+    zenith: Colour
+    """Colour of the sky overhead."""
+    horizon: Colour
+    """Colour of the haze at the horizon."""
+    cover: float
+    """How much of the sky is clouds, 0 to 1."""
+    hills: Colour
+    """Colour of the nearest hills."""
+
+
+WEATHERS: tuple[Weather, ...] = (
+    Weather((72, 122, 188), (202, 214, 222), 0.42, (70, 88, 60)),
+    Weather((94, 140, 190), (214, 214, 206), 0.30, (84, 94, 62)),
+    Weather((120, 144, 168), (208, 210, 210), 0.62, (78, 88, 74)),
+    Weather((86, 116, 164), (232, 208, 178), 0.46, (92, 84, 60)),
+)
+"""Fair days, at different hours."""
+
+
+def sun(rng: Random) -> Array:
+    """Return a unit vector (3,) toward the sun, between 35° and 55° high."""
+    azimuth, height = rng.uniform(0.0, 2.0 * np.pi), np.radians(rng.uniform(35.0, 55.0))
+    return np.array([np.cos(azimuth) * np.cos(height), np.sin(azimuth) * np.cos(height), np.sin(height)])
+
+
+def sunlight(toward: Array) -> AreaLight:
+    """Return the light of a sun in a direction (3,)."""
+    return AreaLight(_SUN_M * toward[None], 1.0 * _SUN_M**2)
+
+
+def sky(weather: Weather, radius_m: float = _SKY_M) -> Sheet:
+    """Return the sky, with hills at the horizon, seen from inside."""
+    elevation = np.linspace(0.5 * np.pi, -_DOWN_RAD, 21)
+    azimuth = np.linspace(0.0, -2.0 * np.pi, 49)  # from inside, right is clockwise
+    ring = np.stack([np.cos(azimuth), np.sin(azimuth)], axis=1)
+    grid = np.empty((len(elevation), len(azimuth), 3))
+    grid[..., :2] = radius_m * np.cos(elevation)[:, None, None] * ring
+    grid[..., 2] = radius_m * np.sin(elevation)[:, None]
+    return panorama(grid, partial(_painted_sky, weather=weather), _SKY_WIDTH_PX)
+
+
+def panorama(grid: Array, paint: Paint, width_px: int) -> Sheet:
+    """Return a surface (R + 1, C + 1, 3) that glows by itself, under an image of so many columns."""
+    around = float(np.linalg.norm(np.diff(grid, axis=1), axis=2).sum(axis=1).mean())
+    return Sheet(grid, paint, 1.0, width_px / around)
+
+
+def _painted_sky(rng: Random, height: int, width: int, weather: Weather) -> Image:
+    """Return the sky's image."""
+    image = nature.sky(rng, height, width, weather.zenith, weather.horizon, weather.cover)
+    far = tuple(0.6 * h + 0.4 * n for h, n in zip(weather.horizon, weather.hills, strict=True))
+    return nature.ridges(rng, image, (far[0], far[1], far[2]), weather.hills, 0.9)
+
+
+def dappled(rng: Random, image: Image, cells: float, depth: float) -> Image:
+    """Return ground under trees: patches of sunlight between the shadows of leaves.
+
+    Args:
+        rng: Draws the patches.
+        image: (H, W, 3) The ground.
+        cells: Pixels of the image per coarse cell.
+        depth: How much darker the shadows are, relative.
+    """
+    shape = (int(image.shape[0] / cells), int(image.shape[1] / cells))
+    light = nature.closing_grain(rng, *shape, (3, 6, 14))
+    light = cv2.GaussianBlur(np.clip(2.2 * (light + 0.15), -1.0, 1.0), (0, 0), 0.8)
+    return nature.tinted(image, np.repeat((1.08 - depth * (0.5 - 0.5 * light))[..., None], 3, axis=2))
+
+
+def flat(low: tuple[float, float], high: tuple[float, float], z: float) -> Array:
+    """Return a level rectangle as a grid (2, 2, 3) seen from above, its rows along −y [m]."""
+    (x0, y0), (x1, y1) = low, high
+    return np.array([[[x0, y1, z], [x1, y1, z]], [[x0, y0, z], [x1, y0, z]]])
+
+
+def distance_to_legs(points: Array, route: Array) -> Array:
+    """Return how far points (N, 2) are, seen from above, from the legs of a closed route (R, 2 or 3) [m]."""
+    start, way = route[:, :2], np.roll(route, -1, axis=0)[:, :2] - route[:, :2]
+    offset = points[:, None] - start
+    share = np.clip(np.sum(offset * way, axis=2) / np.maximum(np.sum(way * way, axis=1), 1e-12), 0.0, 1.0)
+    return np.asarray(np.linalg.norm(offset - share[..., None] * way, axis=2).min(axis=1))
+
+
+def scattered(
+    rng: Random, low: Sequence[float], high: Sequence[float], tries: int, radii: Array, apart_m: float
+) -> tuple[Array, Array]:
+    """Scatter discs at random, none closer to another than ``apart_m``.
+
+    Args:
+        rng: Draws the places.
+        low: (2,) Least corner of where they may be [m].
+        high: (2,) Greatest corner [m].
+        tries: How many are thrown; those that come too close to an earlier one are dropped.
+        radii: (tries,) Their radii [m].
+        apart_m: Least gap between two [m].
+
+    Returns:
+        Centres (K, 2) and radii (K,).
+    """
+    thrown = rng.uniform(low, high, (tries, 2))
+    kept: list[int] = []
+    for k in range(tries):
+        gaps = np.linalg.norm(thrown[kept] - thrown[k], axis=1) - radii[kept] - radii[k]
+        if np.all(gaps > apart_m):
+            kept.append(k)
+    return thrown[kept], radii[kept]
