@@ -2,79 +2,151 @@
 
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
 
 import cv2
+import mujoco
 import numpy as np
 import pytest
 
 from dronevio.models.camera import CameraModel
 from dronevio.models.errors import ConfigError, GraphicsError
-from dronevio.models.rig import RigCamera, euroc_rig
-from dronevio.models.rotation import pose_matrix
-from dronevio.sim.render import render_frames
-from dronevio.sim.scenario import scenario
+from dronevio.models.rig import Rig, RigCamera
+from dronevio.models.rotation import pose_matrix, quat_wxyz_from_matrix
+from dronevio.models.state import Trajectory
+from dronevio.sim.imaging import AutoExposure, Imaging
+from dronevio.sim.render import INCOMPLETE, render
+from dronevio.sim.render_job import RenderJob
+from dronevio.sim.schedule import FrameSchedule, beat, schedule_frames
 from dronevio.sim.solids import turn_z
 
 SMALL = CameraModel(width=188, height=120, fx=115.0, fy=115.0, cx=92.0, cy=62.0, distortion=(-0.28, 0.07, 0.0, 0.0))
-SHORT = replace(scenario("short"), rig=replace(euroc_rig(), cameras=(RigCamera(SMALL, np.eye(4)),)))
-TIMES_NS = np.arange(6, dtype=np.int64) * 50_000_000
 R_LEVEL = np.array([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]])
-POSES = np.stack([pose_matrix(turn_z(0.3 * k) @ R_LEVEL, np.array([0.2 * k - 0.5, 0.1, 1.2])) for k in range(6)])
+BASELINE = pose_matrix(np.eye(3), np.array([0.11, 0.0, 0.0]))
+START_NS = 1_403_715_273_262_142_976  # as a real recording's
+
+
+def turning(stamps_ns: np.ndarray) -> Trajectory:
+    """Return a drone that looks around in a room; its body frame is the camera's."""
+    s = (stamps_ns - stamps_ns[0]) * 1e-9
+    R = np.stack([turn_z(6.0 * t) @ R_LEVEL for t in s])
+    p = np.stack([4.0 * s - 0.5, 0.0 * s + 0.1, 0.0 * s + 1.2], axis=1)
+    return Trajectory(stamps_ns, p, quat_wxyz_from_matrix(R))
+
+
+def job(**changes: Any) -> RenderJob:
+    """Return six frames in a room."""
+    stamps_ns = beat(START_NS, START_NS + 300_000_000, 20.0)
+    whole = RenderJob(
+        "room",
+        3,
+        Rig((RigCamera(SMALL, np.eye(4)),)),
+        turning(np.arange(START_NS, START_NS + 300_000_000, 5_000_000)),
+        FrameSchedule(stamps_ns, stamps_ns, np.ones(6, dtype=bool)),
+    )
+    return replace(whole, **changes)
+
+
+@pytest.fixture(autouse=True)
+def small_world(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Let every world be a hall of coloured pillars: it is built and drawn in no time."""
+    rng = np.random.default_rng(5)
+    spec = mujoco.MjSpec()
+    for k in range(200):
+        glow = spec.add_material(name=f"glow_{k}", emission=1.0, rgba=[*rng.uniform(0.1, 1.0, 3), 1.0])
+        spec.worldbody.add_geom(
+            type=mujoco.mjtGeom.mjGEOM_BOX,
+            size=[0.2, 0.2, rng.uniform(0.2, 2.0)],
+            pos=turn_z(rng.uniform(0.0, 6.3)) @ [rng.uniform(2.0, 6.0), 0.0, rng.uniform(0.0, 2.0)],
+            material=glow.name,
+        )
+    spec.stat.extent = 10.0
+    world = SimpleNamespace(spec=spec, illumination=1.0, movers=())
+    monkeypatch.setattr("dronevio.sim.render.build_world", lambda name, seed: world)
 
 
 def contents(folder: Path) -> dict[str, bytes]:
-    """Return the files of a folder."""
-    return {file.name: file.read_bytes() for file in sorted(folder.iterdir())}
+    """Return the files in and below a folder."""
+    return {str(file.relative_to(folder)): file.read_bytes() for file in sorted(folder.rglob("*")) if file.is_file()}
+
+
+def read(mav0: Path, stamp: int, camera: int = 0) -> np.ndarray:
+    """Return an image."""
+    image = cv2.imread(str(mav0 / f"cam{camera}" / "data" / f"{stamp}.png"), cv2.IMREAD_UNCHANGED)
+    assert image is not None
+    return image
 
 
 def test_images_do_not_depend_on_the_workers(tmp_path: Path) -> None:
     told: list[tuple[int, int]] = []
-    render_frames(SHORT, POSES, TIMES_NS, tmp_path / "one", lambda d, n: told.append((d, n)), workers=1)
-    render_frames(SHORT, POSES, TIMES_NS, tmp_path / "three", workers=3)
-    one, three = contents(tmp_path / "one"), contents(tmp_path / "three")
-    assert list(one) == sorted(f"{t}.png" for t in TIMES_NS)
-    assert one == three
+    stereo = Rig((RigCamera(SMALL, np.eye(4), readout_s=0.01), RigCamera(SMALL, BASELINE)))
+    work = job(rig=stereo, imaging=Imaging(control=AutoExposure(target_level=80.0, tolerance=0.0)))
+    exposures = render(work, tmp_path / "one", lambda d, n: told.append((d, n)), workers=1)
+    render(work, tmp_path / "three", workers=3)
+    one = contents(tmp_path / "one")
+    stamps = work.schedule.stamps_ns.tolist()
+    assert sorted(one) == sorted(
+        [f"cam{i}/data/{t}.png" for t in stamps for i in (0, 1)] + ["frame_groundtruth0/data.csv"]
+    )
+    assert one == contents(tmp_path / "three")
     assert told[0] == (0, 6)
     assert told[-1] == (6, 6)
-    images = [cv2.imread(str(tmp_path / "one" / f"{t}.png"), cv2.IMREAD_UNCHANGED) for t in TIMES_NS]
-    assert all(image.shape == (120, 188) and image.dtype == np.uint8 for image in images)
-    assert all(image.std() > 20.0 for image in images)
+    for t in stamps:
+        left, right = read(tmp_path / "one", t, 0), read(tmp_path / "one", t, 1)
+        assert left.shape == right.shape == (120, 188) and left.dtype == np.uint8
+        assert left.std() > 20.0 and np.abs(left.astype(float) - right).mean() > 5.0
+    truth = np.loadtxt(tmp_path / "one" / "frame_groundtruth0" / "data.csv", delimiter=",")
+    np.testing.assert_array_equal(truth[:, 2], exposures.time_s)
+    assert len(np.unique(exposures.time_s)) > 1
 
 
-def test_noise_differs_between_frames_and_seeds(tmp_path: Path) -> None:
-    still = np.broadcast_to(POSES[0], (2, 4, 4)).copy()
-    render_frames(SHORT, still, TIMES_NS[:2], tmp_path, workers=1)
-    a, b = (cv2.imread(str(tmp_path / f"{t}.png"), cv2.IMREAD_UNCHANGED).astype(float) for t in TIMES_NS[:2])
-    difference = a - b
-    assert 1.0 < difference.std() / np.sqrt(2.0) < 4.0
-    assert abs(difference.mean()) < 0.05
+def test_noise_differs_between_frames_and_cameras(tmp_path: Path) -> None:
+    schedule = job().schedule
+    still = replace(turning(job().trajectory.t_ns), p_world_imu=np.tile([0.0, 0.1, 1.2], (60, 1)))
+    still = replace(still, quat_wxyz=np.tile(still.quat_wxyz[0], (60, 1)))
+    twins = Rig((RigCamera(SMALL, np.eye(4)), RigCamera(SMALL, np.eye(4))))
+    render(job(rig=twins, trajectory=still, schedule=schedule[:2]), tmp_path, workers=1)
+    first, second = schedule.stamps_ns[:2].tolist()
+    one = read(tmp_path, first).astype(float)
+    for other in (read(tmp_path, second), read(tmp_path, first, 1)):
+        difference = one - other
+        assert 1.0 < difference.std() / np.sqrt(2.0) < 4.0
+        assert abs(difference.mean()) < 0.05
 
 
-def test_an_interruption_leaves_no_half_image(tmp_path: Path) -> None:
+def test_what_goes_dark_is_black_but_for_noise(tmp_path: Path) -> None:
+    schedule = schedule_frames(job().schedule.stamps_ns, np.random.default_rng(0), dark_from_s=0.05, dark_for_s=0.05)
+    render(job(schedule=schedule[:3]), tmp_path, workers=1)
+    means = [read(tmp_path, t).mean() for t in schedule.stamps_ns[:3].tolist()]
+    assert means[1] < 1.0 and min(means[0], means[2]) > 50.0
+
+
+def test_an_interruption_leaves_whole_images_and_says_so(tmp_path: Path) -> None:
     def interrupt(done: int, total: int) -> None:
         if done >= 1:
             raise KeyboardInterrupt
 
     with pytest.raises(KeyboardInterrupt):
-        render_frames(SHORT, POSES, TIMES_NS, tmp_path, interrupt, workers=2)
-    left = sorted(tmp_path.iterdir())
+        render(job(), tmp_path, interrupt, workers=2)
+    left = sorted((tmp_path / "cam0" / "data").iterdir())
     assert 1 <= len(left) <= 6
     for file in left:
         assert file.suffix == ".png"
         assert cv2.imread(str(file), cv2.IMREAD_UNCHANGED).shape == (120, 188)
+    assert (tmp_path / INCOMPLETE).exists()
 
 
-def test_a_worker_s_failure_is_ours(tmp_path: Path) -> None:
-    folder = tmp_path / "images"
-
-    def take_away(done: int, total: int) -> None:
-        if done == 0:
-            folder.rmdir()
-
-    with pytest.raises(GraphicsError, match="No such file"):
-        render_frames(SHORT, POSES[:1], TIMES_NS[:1], folder, take_away)
+def test_jobs_that_make_no_sense_are_refused() -> None:
+    with pytest.raises(ConfigError, match="without a camera"):
+        job(rig=Rig(()))
+    with pytest.raises(ConfigError, match="no frame"):
+        job(schedule=job().schedule[:0])
+    with pytest.raises(ConfigError, match=r"0\.06 s; expected at most 0\.05 s"):
+        job(imaging=Imaging(control=AutoExposure(longest_s=0.06)))
 
 
-def test_poses_and_times_must_match(tmp_path: Path) -> None:
-    with pytest.raises(ConfigError, match="expected"):
-        render_frames(SHORT, POSES, TIMES_NS[:3], tmp_path)
+def test_a_worker_that_dies_is_reported(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("MUJOCO_GL", "osmosis")
+    with pytest.raises(GraphicsError, match="osmosis"):
+        render(job(), tmp_path, workers=1)

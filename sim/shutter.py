@@ -1,0 +1,185 @@
+"""The shutter: which light each row of the sensor collects while the camera moves.
+
+Row r of H is exposed for the exposure time around ``middle + (r / (H − 1) − ½) readout``: all at once with a global
+shutter (readout 0), one after the other with a rolling one. What a row sees is the mean over its exposure, and that is
+integrated here as
+
+    light(u) = 1/S Σ_s Σ_k w_k(t) I_k(π(R_kᵀ R(t) π⁻¹(u))),   t = the s-th instant within the exposure of u's row,
+
+from few images I_k drawn at key poses. Between them the turn of the camera is exact, since each key image is looked up
+through the camera's own model π, and the parallax is cross-faded: the weights w_k are the hat functions between the
+keys, whose spacing keeps the parallax between neighbours below a pixel, so that positions are interpolated linearly.
+What does not move is drawn once.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+import cv2
+import numpy as np
+import numpy.typing as npt
+
+from dronevio.models.camera import CameraModel
+from dronevio.models.imu import Times
+from dronevio.models.rig import RigCamera
+
+Array = npt.NDArray[np.float64]
+GreyImage = npt.NDArray[np.uint8]
+Light = npt.NDArray[np.uint8] | npt.NDArray[np.float32]
+
+Poses = Callable[[Times], Array]
+"""Maps true times (M,) [ns] to poses of the camera (M, 4, 4) in the world."""
+View = Callable[[int], GreyImage]
+"""Draws what `Shutter.drawn` sees at a true time [ns]."""
+
+LARGEST_MARGIN_PX = 32
+"""How far outside the image a key image reaches at most [px]."""
+_STILL_BLUR_PX = 0.3  # widens the image of an edge, σ ½ px of lens and pixel, by 1.5 %
+_STILL_SKEW_PX = 0.1  # of the whole image, thus ± 0.05 px
+_SINGLE_KEY_BLUR_PX = 1.0  # parallax within an exposure below which its blur cannot be told from a turn's
+_SINGLE_KEY_SKEW_PX = 0.2  # parallax within the readout
+_KEY_SPACING_PX = 1.0  # parallax between key poses
+_SAMPLE_SPACING_PX = 0.75  # between the instants of the integral: below the lens's blur
+_MOST_KEYS, _MOST_SAMPLES = 33, 64
+_GRID_PX = 16  # the looked-up displacement bends by 1 / f²: bilinear between such points is good to 1e-3 px
+
+
+@dataclass(frozen=True, eq=False)
+class ExposurePlan:
+    """At which instants a frame is drawn and summed up."""
+
+    middle_ns: int
+    """True middle of the exposure of the middle row [ns]."""
+    keys_ns: Times
+    """(K,) When the key images are drawn [ns]."""
+    samples_ns: Times
+    """(S,) Instants of the integral, relative to the middle of a row's exposure [ns]."""
+    still: bool
+    """Whether the key image is the frame."""
+
+
+class Shutter:
+    """Collects the light of one camera of a rig."""
+
+    def __init__(self, camera: RigCamera, margin_px: int = LARGEST_MARGIN_PX) -> None:
+        """Prepare.
+
+        Args:
+            camera: The camera.
+            margin_px: How far the image moves at most by the camera's turn between two key poses [px].
+        """
+        model = camera.model
+        self.drawn: CameraModel = replace(
+            model,
+            width=model.width + 2 * margin_px,
+            height=model.height + 2 * margin_px,
+            cx=model.cx + margin_px,
+            cy=model.cy + margin_px,
+        )
+        """The camera, with a margin all around."""
+        self._model, self._margin_px, self._readout_ns = model, margin_px, camera.readout_s * 1e9
+        # The grid's points are where `cv2.resize` has its pixels' centres, one beyond each border.
+        self._columns_px, self._rows_px = (
+            (np.arange((size - 1) // _GRID_PX + 3, dtype=np.float64) - 0.5) * _GRID_PX - 0.5
+            for size in (model.width, model.height)
+        )
+        u, v = np.meshgrid(self._columns_px, self._rows_px)
+        self._grid_px = np.stack([u, v], axis=-1)
+        self._bearings = model.unproject(self._grid_px)
+        self._row_delays_ns = self._delays_ns(np.arange(model.height, dtype=np.float64))
+
+    def plan(
+        self, poses: Poses, middle_ns: int, exposure_s: float, nearest_m: float, moved_m: float = 0.0
+    ) -> ExposurePlan:
+        """Return how to expose a frame with no more work than its motion asks for.
+
+        Args:
+            poses: Where the camera is.
+            middle_ns: True middle of the exposure of the middle row [ns].
+            exposure_s: Exposure time [s].
+            nearest_m: Depth of what is near [m]; infinite where nothing is.
+            moved_m: How far things in the world move meanwhile [m].
+        """
+        exposure_ns = exposure_s * 1e9
+        span_ns = exposure_ns + self._readout_ns
+        first, last = poses(np.array([middle_ns - round(0.5 * span_ns), middle_ns + round(0.5 * span_ns)]))
+        turn_px = turn_in_pixels(self._model, first, last)
+        path_m = float(np.linalg.norm(last[:3, 3] - first[:3, 3])) + moved_m
+        parallax_px = path_m / nearest_m * max(self._model.fx, self._model.fy)
+        within_exposure = exposure_ns / span_ns
+        blur, skew = (share * (turn_px + parallax_px) for share in (within_exposure, 1.0 - within_exposure))
+        single = (
+            within_exposure * parallax_px <= _SINGLE_KEY_BLUR_PX
+            and (1.0 - within_exposure) * parallax_px <= _SINGLE_KEY_SKEW_PX
+            and turn_px <= 2.0 * LARGEST_MARGIN_PX
+        )
+        keys = 1 if single else 1 + int(np.ceil(max(parallax_px / _KEY_SPACING_PX, turn_px / LARGEST_MARGIN_PX, 1.0)))
+        samples = 1 if blur <= _STILL_BLUR_PX else max(2, int(np.ceil(blur / _SAMPLE_SPACING_PX)))
+        return ExposurePlan(
+            middle_ns,
+            middle_ns + _spread(span_ns, min(keys, _MOST_KEYS), ends=True),
+            _spread(exposure_ns, min(samples, _MOST_SAMPLES), ends=False),
+            still=blur <= _STILL_BLUR_PX and skew <= _STILL_SKEW_PX,
+        )
+
+    def collect(self, plan: ExposurePlan, poses: Poses, view: View) -> Light:
+        """Return the light (H, W) that the rows collect [grey levels]."""
+        if plan.still:
+            m = self._margin_px
+            return view(plan.middle_ns)[m : m + self._model.height, m : m + self._model.width]
+        images = [view(t_ns) for t_ns in plan.keys_ns.tolist()]
+        R_world_keys = poses(plan.keys_ns)[:, :3, :3]
+        hats = np.eye(len(images))
+        light = np.zeros((self._model.height, self._model.width), np.float32)
+        for offset_ns in plan.samples_ns.tolist():
+            start_ns = plan.middle_ns + offset_ns
+            R_world_rows = poses(start_ns + np.rint(self._delays_ns(self._rows_px)).astype(np.int64))[:, :3, :3]
+            for image, R_world_key, hat in zip(images, R_world_keys, hats, strict=True):
+                weight = np.interp(start_ns + self._row_delays_ns - plan.middle_ns, plan.keys_ns - plan.middle_ns, hat)
+                seeing = np.flatnonzero(weight)
+                if len(seeing):
+                    rows = slice(int(seeing[0]), int(seeing[-1]) + 1)
+                    seen = self._looked_up(image, R_world_key.T @ R_world_rows, rows)
+                    light[rows] += seen * (weight[rows, None] / len(plan.samples_ns)).astype(np.float32)
+        return light
+
+    def _delays_ns(self, rows_px: Array) -> Array:
+        """Return how much later than the middle row's each row's exposure is [ns]."""
+        return np.asarray((rows_px / max(self._model.height - 1, 1) - 0.5) * self._readout_ns)
+
+    def _looked_up(self, image: GreyImage, R_key_rows: Array, rows: slice) -> GreyImage:
+        """Return what rows of the frame see of a key image.
+
+        Args:
+            image: The key image, with its margin.
+            R_key_rows: (G, 3, 3) For each row of the grid, the turn from the camera then to the key.
+            rows: Which rows of the frame.
+        """
+        low = (2 * rows.start + 1 + _GRID_PX) // (2 * _GRID_PX)  # the grid's row at or above the first
+        high = (2 * rows.stop - 1 + _GRID_PX) // (2 * _GRID_PX) + 1
+        grid = slice(low, high + 1)
+        seen = self.drawn.project(np.einsum("gij,gcj->gci", R_key_rows[grid], self._bearings[grid]))
+        moved = np.nan_to_num(seen - self._margin_px - self._grid_px[grid]).astype(np.float32)
+        size = (_GRID_PX * moved.shape[1], _GRID_PX * moved.shape[0])
+        top = rows.start - (low - 1) * _GRID_PX
+        fine = cv2.resize(moved, size, interpolation=cv2.INTER_LINEAR)
+        fine = fine[top : top + rows.stop - rows.start, _GRID_PX : _GRID_PX + self._model.width]
+        x = fine[..., 0] + np.arange(self._margin_px, self._margin_px + self._model.width, dtype=np.float32)
+        y = fine[..., 1] + np.arange(rows.start, rows.stop, dtype=np.float32)[:, None] + np.float32(self._margin_px)
+        return np.asarray(cv2.remap(image, x, y, cv2.INTER_CUBIC, borderMode=cv2.BORDER_REPLICATE), dtype=np.uint8)
+
+
+def turn_in_pixels(model: CameraModel, Ts_world_a: Array, Ts_world_b: Array) -> float:
+    """Return how far the image moves at most by the turns between poses (…, 4, 4) of a camera [px]."""
+    u, v = np.meshgrid(np.linspace(0.0, model.width - 1.0, 3), np.linspace(0.0, model.height - 1.0, 3))
+    pixels = np.stack([u, v], axis=-1).reshape(-1, 2)
+    Rs_b_a = np.swapaxes(Ts_world_b[..., :3, :3], -1, -2) @ Ts_world_a[..., :3, :3]
+    seen = model.project(model.unproject(pixels) @ np.swapaxes(Rs_b_a, -1, -2))
+    return float(np.max(np.nan_to_num(np.linalg.norm(seen - pixels, axis=-1))))
+
+
+def _spread(length_ns: float, count: int, ends: bool) -> Times:
+    """Return ``count`` instants spread evenly over a length around 0 [ns], with its ends or as the middles of parts."""
+    if ends and count > 1:
+        return np.rint(np.linspace(-0.5, 0.5, count) * length_ns).astype(np.int64)
+    return np.rint(((np.arange(count) + 0.5) / count - 0.5) * length_ns).astype(np.int64)
