@@ -1,7 +1,11 @@
+from dataclasses import fields, replace
+
 import numpy as np
 import pytest
 
-from dronevio.models.imu import EUROC_IMU, ImuModel, ImuSamples
+from dronevio.models.errors import ConfigError
+from dronevio.models.imu import EUROC_IMU, ImuModel, ImuSamples, Sampling
+from dronevio.models.imu_presets import IMUS, imu_named
 from dronevio.sim.imu import ImuErrors
 
 N = 40_000
@@ -17,25 +21,34 @@ SILENT = ImuModel(
 )
 
 
-def test_white_noise_has_the_density_that_was_asked_for() -> None:
-    noisy, gyro_bias, accel_bias = ImuErrors(EUROC_IMU, np.random.default_rng(0)).add_to(STILL)
+def lively(sampling: Sampling = "point") -> ImuSamples:
+    rng = np.random.default_rng(5)
+    return ImuSamples(STILL.t_ns, rng.normal(size=(N, 3)), 9.81 * rng.normal(size=(N, 3)), sampling)
+
+
+@pytest.mark.parametrize("sampling", ["point", "increment"])
+@pytest.mark.parametrize("name", IMUS)
+def test_white_noise_has_the_density_that_was_asked_for(name: str, sampling: Sampling) -> None:
+    model = replace(IMUS[name], gyro_resolution_rad_s=0.0, accel_resolution_m_s2=0.0)
+    t_ns = np.arange(N, dtype=np.int64) * round(1e9 / model.rate_hz)
+    still = ImuSamples(t_ns, np.zeros((N, 3)), np.zeros((N, 3)), sampling)
+    noisy, gyro_bias, accel_bias = ImuErrors(model, np.random.default_rng(0)).add_to(still)
     gyro, accel = noisy.gyro_rad_s - gyro_bias, noisy.accel_m_s2 - accel_bias
-    root_rate = np.sqrt(EUROC_IMU.rate_hz)
-    np.testing.assert_allclose(gyro.std(axis=0), EUROC_IMU.gyro_noise_density * root_rate, rtol=0.02)
-    np.testing.assert_allclose(accel.std(axis=0), EUROC_IMU.accel_noise_density * root_rate, rtol=0.02)
+    np.testing.assert_allclose(gyro.std(axis=0), model.gyro_noise_density * np.sqrt(model.rate_hz), rtol=0.02)
+    np.testing.assert_allclose(accel.std(axis=0), model.accel_noise_density * np.sqrt(model.rate_hz), rtol=0.02)
     correlation = np.corrcoef(np.hstack([gyro[1:], accel[1:], gyro[:-1], accel[:-1]]).T)
     assert np.abs(correlation - np.eye(12)).max() < 0.03  # white, and no axis knows of another
 
 
-def test_biases_walk_with_the_density_that_was_asked_for() -> None:
-    rng = np.random.default_rng(1)
-    seconds = STILL[:: int(EUROC_IMU.rate_hz)]  # the walk depends on time, not on the number of samples
-    walks = [ImuErrors(EUROC_IMU, rng).add_to(seconds)[1:] for _ in range(40)]
-    spread = np.stack([[np.diff(gyro, axis=0), np.diff(accel, axis=0)] for gyro, accel in walks])
-    np.testing.assert_allclose(spread[:, 0].std(), EUROC_IMU.gyro_random_walk, rtol=0.02)
-    np.testing.assert_allclose(spread[:, 1].std(), EUROC_IMU.accel_random_walk, rtol=0.02)
-    after_16_s = np.stack([[gyro[16:] - gyro[:-16], accel[16:] - accel[:-16]] for gyro, accel in walks])
-    np.testing.assert_allclose(after_16_s[:, 0].std(), 4.0 * EUROC_IMU.gyro_random_walk, rtol=0.1)
+def test_the_noise_of_an_increment_is_the_mean_of_the_noise_in_its_interval() -> None:
+    model = replace(SILENT, gyro_noise_density=1e-3, accel_noise_density=1e-2)
+    dt_ns = np.where(np.arange(N) % 2 == 0, STEP_NS, 4 * STEP_NS)
+    uneven = ImuSamples(np.cumsum(dt_ns), np.zeros((N, 3)), np.zeros((N, 3)), "increment")
+    errors = ImuErrors(model, np.random.default_rng(1))
+    parts = [errors.add_to(uneven[rows])[0].gyro_rad_s for rows in (slice(0, 999), slice(999, N))]
+    gyro = np.concatenate(parts)
+    for phase, dt_s in ((0, 5e-3), (1, 20e-3)):
+        np.testing.assert_allclose(gyro[phase::2].std(axis=0), 1e-3 / np.sqrt(dt_s), rtol=0.02)
 
 
 def test_biases_at_switch_on_have_the_spread_that_was_asked_for() -> None:
@@ -45,14 +58,98 @@ def test_biases_at_switch_on_have_the_spread_that_was_asked_for() -> None:
     np.testing.assert_allclose(accel.std(), EUROC_IMU.accel_turn_on_bias_m_s2, rtol=0.05)
 
 
-def test_a_perfect_sensor_adds_nothing() -> None:
-    rng = np.random.default_rng(2)
-    perfect = ImuSamples(STILL.t_ns, rng.normal(size=(N, 3)), rng.normal(size=(N, 3)), "increment")
-    noisy, gyro_bias, accel_bias = ImuErrors(SILENT, rng).add_to(perfect)
+@pytest.mark.parametrize("sampling", ["point", "increment"])
+def test_a_perfect_sensor_adds_nothing(sampling: Sampling) -> None:
+    perfect = lively(sampling)
+    errors = ImuErrors(SILENT, np.random.default_rng(2))
+    noisy, gyro_bias, accel_bias = errors.add_to(perfect)
     np.testing.assert_array_equal(noisy.gyro_rad_s, perfect.gyro_rad_s)
     np.testing.assert_array_equal(noisy.accel_m_s2, perfect.accel_m_s2)
-    assert noisy.sampling == "increment"
+    assert noisy.sampling == sampling
     assert not gyro_bias.any() and not accel_bias.any()
+    np.testing.assert_array_equal(errors.constants.gyro_matrix, np.eye(3))
+    np.testing.assert_array_equal(errors.constants.accel_matrix, np.eye(3))
+    assert not errors.constants.gyro_g_sensitivity.any()
+
+
+@pytest.mark.parametrize("name", IMUS)
+def test_biases_and_constants_explain_every_sample(name: str) -> None:
+    """What is kept as truth is all that is not noise, and the noise has the size that it should."""
+    model = IMUS[name]
+    errors, perfect = ImuErrors(model, np.random.default_rng(3)), lively()
+    measured, gyro_bias, accel_bias = errors.add_to(perfect)
+    gyro, accel = errors.constants.respond(perfect.gyro_rad_s, perfect.accel_m_s2)
+    reach = np.abs(gyro) < 0.9 * model.gyro_range_rad_s, np.abs(accel) < 0.9 * model.accel_range_m_s2
+    left_gyro = (measured.gyro_rad_s - gyro - gyro_bias)[reach[0]]
+    left_accel = (measured.accel_m_s2 - accel - accel_bias)[reach[1]]
+    root_rate = np.sqrt(model.rate_hz)
+    np.testing.assert_allclose(
+        left_gyro.std(),
+        np.hypot(model.gyro_noise_density * root_rate, model.gyro_resolution_rad_s / 12**0.5),
+        rtol=0.02,
+    )
+    np.testing.assert_allclose(
+        left_accel.std(),
+        np.hypot(model.accel_noise_density * root_rate, model.accel_resolution_m_s2 / 12**0.5),
+        rtol=0.02,
+    )
+    np.testing.assert_allclose(left_gyro.mean(), 0.0, atol=0.01 * left_gyro.std())
+    np.testing.assert_allclose(left_accel.mean(), 0.0, atol=0.01 * left_accel.std())
+
+
+def test_scale_misalignment_and_g_sensitivity_have_the_spreads_that_were_asked_for() -> None:
+    model = replace(
+        SILENT,
+        gyro_scale_error=0.02,
+        accel_scale_error=0.01,
+        gyro_misalignment_rad=0.004,
+        accel_misalignment_rad=0.003,
+        gyro_g_sensitivity_rad_s_per_m_s2=1e-4,
+    )
+    rng = np.random.default_rng(4)
+    units = [ImuErrors(model, rng).constants for _ in range(1000)]
+    gyro = np.stack([unit.gyro_matrix for unit in units]) - np.eye(3)
+    accel = np.stack([unit.accel_matrix for unit in units]) - np.eye(3)
+    axes, tilts = np.eye(3, dtype=bool), ~np.eye(3, dtype=bool)
+    np.testing.assert_allclose(gyro[:, axes].std(), 0.02, rtol=0.05)
+    np.testing.assert_allclose(gyro[:, tilts].std(), 0.004, rtol=0.05)
+    np.testing.assert_allclose(accel[:, axes].std(), 0.01, rtol=0.05)
+    np.testing.assert_allclose(accel[:, tilts].std(), 0.003, rtol=0.05)
+    np.testing.assert_allclose(np.stack([unit.gyro_g_sensitivity for unit in units]).std(), 1e-4, rtol=0.05)
+
+
+def test_each_axis_reads_its_own_row_of_the_constants() -> None:
+    model = replace(SILENT, gyro_scale_error=0.1, gyro_misalignment_rad=0.1, gyro_g_sensitivity_rad_s_per_m_s2=1e-2)
+    errors = ImuErrors(model, np.random.default_rng(6))
+    spin = ImuSamples(STILL.t_ns[:3], np.eye(3), np.zeros((3, 3)))  # turn about one axis after the other
+    np.testing.assert_array_equal(errors.add_to(spin)[0].gyro_rad_s, errors.constants.gyro_matrix.T)
+    push = ImuSamples(STILL.t_ns[3:6], np.zeros((3, 3)), np.eye(3))
+    pushed = errors.add_to(push)[0]
+    np.testing.assert_array_equal(pushed.gyro_rad_s, errors.constants.gyro_g_sensitivity.T)
+    np.testing.assert_array_equal(pushed.accel_m_s2, np.eye(3))
+
+
+def test_constant_errors_have_a_stream_of_their_own() -> None:
+    """Noise and biases do not change when a unit gets a scale error: a rig may be made worse one error at a time."""
+    good, bad = EUROC_IMU, replace(EUROC_IMU, gyro_scale_error=0.01, accel_misalignment_rad=0.01)
+    (first, *biases), (second, *other) = (ImuErrors(m, np.random.default_rng(7)).add_to(STILL) for m in (good, bad))
+    np.testing.assert_array_equal(first.gyro_rad_s, second.gyro_rad_s)
+    np.testing.assert_array_equal(first.accel_m_s2, second.accel_m_s2)
+    np.testing.assert_array_equal(biases, other)
+
+
+def test_readings_come_in_steps_and_end_at_the_range() -> None:
+    model = replace(
+        SILENT, gyro_range_rad_s=2.0, gyro_resolution_rad_s=0.25, accel_range_m_s2=19.9, accel_resolution_m_s2=0.5
+    )
+    perfect = lively()
+    read = ImuErrors(model, np.random.default_rng(8)).add_to(perfect)[0]
+    assert np.abs(read.gyro_rad_s).max() == 2.0 and np.abs(read.accel_m_s2).max() == 19.9
+    inside = np.abs(perfect.gyro_rad_s) < 2.0
+    np.testing.assert_array_equal(read.gyro_rad_s[inside] % 0.25, 0.0)
+    assert np.abs(read.gyro_rad_s - perfect.gyro_rad_s)[inside].max() <= 0.125
+    np.testing.assert_array_equal(read.gyro_rad_s[perfect.gyro_rad_s > 2.125], 2.0)
+    np.testing.assert_array_equal(read.gyro_rad_s[perfect.gyro_rad_s < -2.125], -2.0)
 
 
 def test_batches_go_on_where_the_last_one_ended() -> None:
@@ -66,11 +163,35 @@ def test_batches_go_on_where_the_last_one_ended() -> None:
     assert np.all(jump > 0.0) and np.all(jump < 5.0)
 
 
-@pytest.mark.parametrize("seed", [0, 7])
-def test_same_seed_same_bytes(seed: int) -> None:
-    one, other, stranger = (
-        ImuErrors(EUROC_IMU, np.random.default_rng(s)).add_to(STILL[:100])[0] for s in (seed, seed, seed + 1)
-    )
+@pytest.mark.parametrize("name", IMUS)
+def test_same_seed_same_bytes(name: str) -> None:
+    model = IMUS[name]
+    one, other, stranger = (ImuErrors(model, np.random.default_rng(s)).add_to(STILL[:100])[0] for s in (0, 0, 1))
     assert one.gyro_rad_s.tobytes() == other.gyro_rad_s.tobytes()
     assert one.accel_m_s2.tobytes() == other.accel_m_s2.tobytes()
     assert np.mean(one.gyro_rad_s == stranger.gyro_rad_s) < 0.1  # the steps are coarse: some coincide
+
+
+def test_impossible_numbers_are_refused_by_name() -> None:
+    for field in fields(ImuModel)[1:]:
+        for wrong in (-1.0, float("nan")):
+            with pytest.raises(ConfigError, match=field.name):
+                replace(EUROC_IMU, **{field.name: wrong})
+    with pytest.raises(ConfigError, match="rate_hz 0"):
+        ImuModel(rate_hz=0.0)
+
+
+def test_presets_agree_with_their_data_sheets() -> None:
+    """Figures that the sheets print in other units than those that the presets were converted from."""
+    adis, bmi, mpu, tactical = (imu_named(name) for name in ("ADIS16448", "BMI088", "MPU-6050", "tactical"))
+    assert np.degrees(adis.gyro_noise_density) * 60.0 == pytest.approx(0.81)  # °/√h; the sheet's 0.66 is at rest
+    assert adis.accel_noise_density * 60.0 == pytest.approx(0.11, rel=0.25)  # m/s/√h
+    assert adis.gyro_range_rad_s / adis.gyro_resolution_rad_s == pytest.approx(25_000)
+    assert bmi.gyro_range_rad_s / bmi.gyro_resolution_rad_s == pytest.approx(2**15)
+    assert mpu.gyro_range_rad_s / mpu.gyro_resolution_rad_s == pytest.approx(2**15, rel=1e-3)
+    assert mpu.accel_range_m_s2 / mpu.accel_resolution_m_s2 == pytest.approx(2**15)
+    assert tactical.gyro_noise_density == pytest.approx(4.3633e-5, rel=1e-4)  # rad/s/√Hz
+    assert tactical.accel_noise_density == pytest.approx(1e-3)  # m/s²/√Hz
+    assert tactical.gyro_bias_instability_rad_s == pytest.approx(2.4241e-6, rel=1e-4)
+    with pytest.raises(ConfigError, match="unknown IMU 'IMU-7'; expected one of euroc, ADIS16448"):
+        imu_named("IMU-7")

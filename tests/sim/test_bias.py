@@ -1,0 +1,140 @@
+"""How biases wander, against the closed forms of Allan variance (IEEE 952; Riley, NIST SP 1065)."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy.stats import chi2
+
+from dronevio.models.imu import EUROC_IMU, ImuModel, ImuSamples
+from dronevio.models.imu_presets import ADIS16448, TACTICAL
+from dronevio.sim.bias import FLICKER_FLOOR, FLICKER_SHARE, FLICKER_TIMES_S
+from dronevio.sim.imu import ImuErrors
+
+MINUTE_NS = 60_000_000_000
+
+
+def still(count: int, step_ns: int) -> ImuSamples:
+    return ImuSamples(np.arange(count, dtype=np.int64) * step_ns, np.zeros((count, 3)), np.zeros((count, 3)))
+
+
+def test_biases_of_a_thousand_hours_spread_as_walks_do() -> None:
+    """The walk depends on the time that has gone by, not on how often one looks."""
+    minutes, rng = still(61, MINUTE_NS), np.random.default_rng(0)
+    hours = [np.hstack(ImuErrors(EUROC_IMU, rng).add_to(minutes)[1:]) for _ in range(1000)]
+    walks = np.stack(hours) / np.repeat([EUROC_IMU.gyro_random_walk, EUROC_IMU.accel_random_walk], 3)
+    walks = walks - walks[:, :1]
+    for k in (1, 6, 60):  # over a minute, six, and the hour
+        steps = walks[:, k::k] - walks[:, :-k:k]
+        gyro, accel = steps[..., :3], steps[..., 3:]
+        np.testing.assert_allclose([gyro.var(), accel.var()], 60.0 * k, rtol=0.05)
+    correlation = np.corrcoef(np.diff(walks, axis=1).reshape(-1, 6).T)
+    assert np.abs(correlation - np.eye(6)).max() < 0.02
+
+
+def allan_variance(rate: np.ndarray, m: int, step_s: float) -> np.ndarray:
+    """Return the overlapping Allan variances (axes,) of rates (N, axes) averaged over m steps (SP 1065, eq. 11)."""
+    angle = np.vstack([np.zeros(rate.shape[1]), np.cumsum(rate, axis=0)]) * step_s
+    return np.square(angle[2 * m :] - 2.0 * angle[m:-m] + angle[: -2 * m]).mean(axis=0) / (2.0 * (m * step_s) ** 2)
+
+
+def expected_variance(
+    model: ImuModel, kind: str, m: np.ndarray, step_s: float
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Return the expected parts (M,) of the Allan variance: white noise with rounding, flicker, walk."""
+    tau = m * step_s
+    unit = {"gyro": "rad_s", "accel": "m_s2"}[kind]
+    noise, walk = getattr(model, f"{kind}_noise_density"), getattr(model, f"{kind}_random_walk")
+    step, floor = getattr(model, f"{kind}_resolution_{unit}"), getattr(model, f"{kind}_bias_instability_{unit}")
+    white = (noise**2 + step**2 / 12.0 * step_s) / tau
+    r = np.exp(-step_s / FLICKER_TIMES_S)  # a process from one sample to the next
+    r_m = np.exp(-tau[:, None] / FLICKER_TIMES_S)
+    of_a_mean = m[:, None] * (1.0 + r) / (1.0 - r) - 2.0 * r * (1.0 - r_m) / (1.0 - r) ** 2
+    of_neighbours = r * (1.0 - r_m) ** 2 / (1.0 - r) ** 2
+    markov = (of_a_mean - of_neighbours) / m[:, None] ** 2
+    flicker = (floor / FLICKER_FLOOR) ** 2 * FLICKER_SHARE * markov.sum(axis=1)
+    return white, flicker, walk**2 * tau / 3.0 * (1.0 + 0.5 / m**2)
+
+
+def degrees_of_freedom(n: int, m: np.ndarray) -> np.ndarray:
+    """Return those of the overlapping estimate (M,) under white, flicker or walk, the fewest (SP 1065, table 5)."""
+    n_angles = n + 1
+    white = (3.0 * (n_angles - 1) / (2.0 * m) - 2.0 * (n_angles - 2) / n_angles) * 4.0 * m**2 / (4.0 * m**2 + 5.0)
+    flicker = 5.0 * n_angles**2 / (4.0 * m * (n_angles + 3.0 * m))
+    walk = (n_angles - 2) / m * ((n_angles - 1) ** 2 - 3.0 * m * (n_angles - 1) + 4.0 * m**2) / (n_angles - 3) ** 2
+    return np.asarray(np.minimum(np.minimum(white, flicker), walk))
+
+
+def curve_and_band(model: ImuModel, seed: int, hours: float) -> list[tuple[np.ndarray, np.ndarray, np.ndarray]]:
+    """Return an Allan curve by its expectation (M, 3), and its 95 % band (M, 1), of gyroscope and accelerometer.
+
+    The band is that of the whole curve: each of its M points has its share of the 5 %.
+    """
+    step_s = 1.0 / model.rate_hz
+    n = round(hours * 3600.0 / step_s)
+    measured = ImuErrors(model, np.random.default_rng(seed)).add_to(still(n, round(1e9 * step_s)))[0]
+    m = 2 ** np.arange(int(np.log2(n / 8)))
+    curves = []
+    for kind, rate in (("gyro", measured.gyro_rad_s), ("accel", measured.accel_m_s2)):
+        parts = expected_variance(model, kind, m, step_s)
+        seen = np.stack([allan_variance(rate, int(k), step_s) for k in m]) / sum(parts)[:, None]
+        freedom = degrees_of_freedom(n, m)
+        tail = 0.025 / len(m)
+        curves.append((seen, chi2.ppf(tail, freedom) / freedom, chi2.ppf(1.0 - tail, freedom) / freedom))
+    return curves
+
+
+SLOW = replace(ADIS16448, rate_hz=20.0)
+
+
+@pytest.mark.parametrize("model", [SLOW, replace(TACTICAL, rate_hz=20.0)], ids=["ADIS16448", "tactical"])
+def test_the_allan_curve_lies_in_its_band(model: ImuModel) -> None:
+    for seen, low, high in curve_and_band(model, 1, 6.0):
+        assert len(seen) == 15  # 50 ms to 14 minutes
+        assert np.all((seen > low[:, None]) & (seen < high[:, None]))
+
+
+@pytest.mark.parametrize(
+    "wrong",
+    [
+        {"gyro_noise_density": 1.05, "accel_noise_density": 1.05},
+        {"gyro_bias_instability_rad_s": 1.6, "accel_bias_instability_m_s2": 1.6},
+        {"gyro_random_walk": 4.0, "accel_random_walk": 4.0},
+    ],
+    ids=["noise", "instability", "walk"],
+)
+def test_another_curve_leaves_the_band(wrong: dict[str, float]) -> None:
+    """The band is narrow enough to tell: 5 % of white noise, half of the floor."""
+    other = replace(SLOW, **{name: factor * getattr(SLOW, name) for name, factor in wrong.items()})
+    step_s = 1.0 / SLOW.rate_hz
+    for kind, (seen, low, high) in zip(("gyro", "accel"), curve_and_band(other, 1, 6.0), strict=True):
+        m = 2 ** np.arange(len(seen))
+        believed = sum(expected_variance(other, kind, m, step_s)) / sum(expected_variance(SLOW, kind, m, step_s))
+        assert not np.all((seen * believed[:, None] > low[:, None]) & (seen * believed[:, None] < high[:, None]))
+
+
+def test_flicker_has_a_flat_floor_where_it_says() -> None:
+    """The sum of processes a decade apart is flat within a few per cent between the first and the last of them."""
+    model = replace(SLOW, gyro_noise_density=0.0, gyro_random_walk=0.0, gyro_resolution_rad_s=0.0)
+    _, flicker, _ = expected_variance(model, "gyro", np.geomspace(20.0, 2e4, 50), 0.05)  # 1 to 1000 s
+    np.testing.assert_allclose(np.sqrt(flicker), model.gyro_bias_instability_rad_s, rtol=0.05)
+
+
+def test_flicker_does_not_depend_on_how_time_is_cut() -> None:
+    """Whatever the batches and the gaps between samples, its spread stays and it is remembered as it should be."""
+    model = replace(EUROC_IMU, gyro_random_walk=0.0, gyro_turn_on_bias_rad_s=0.0, gyro_bias_instability_rad_s=1.0)
+    variance = len(FLICKER_TIMES_S) * FLICKER_SHARE / FLICKER_FLOOR**2
+    t_ns = np.cumsum(np.array([0, 1, 10, 100, 1_000, 3_000, 60_000, 400_000, 5_000]) * 1_000_000)
+    looks = ImuSamples(t_ns, np.zeros((9, 3)), np.zeros((9, 3)))
+    rng = np.random.default_rng(2)
+    at_once = np.stack([ImuErrors(model, rng).add_to(looks)[1] for _ in range(2000)])
+    cut = []
+    for _ in range(2000):
+        errors = ImuErrors(model, rng)
+        cut.append(np.concatenate([errors.add_to(looks[k : k + 1])[1] for k in range(9)]))
+    gaps_s = np.diff(t_ns) * 1e-9
+    for biases in (at_once, np.stack(cut)):
+        np.testing.assert_allclose(biases.var(axis=(0, 2)), variance, rtol=0.06)
+        remembered = np.exp(-gaps_s / FLICKER_TIMES_S[:, None]).mean(axis=0)
+        products = (biases[:, 1:] * biases[:, :-1]).mean(axis=(0, 2)) / variance
+        np.testing.assert_allclose(products, remembered, atol=0.05)
