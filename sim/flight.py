@@ -14,10 +14,9 @@ from dronevio.sim.imu import ImuErrors
 from dronevio.sim.interpolation import interpolated_poses
 from dronevio.sim.path import Reference, plan_reference
 from dronevio.sim.plant import QuadrotorPlant
-from dronevio.sim.room import FREE_BOX_M
 from dronevio.sim.scenario import Scenario
 from dronevio.sim.vibration import RotorTones
-from dronevio.sim.world import WORLDS
+from dronevio.sim.world import place_of
 
 Array = npt.NDArray[np.float64]
 
@@ -50,13 +49,10 @@ def reference_of(scenario: Scenario, plant: QuadrotorPlant) -> Reference:
     """Return the path of a scenario on the plant's clock.
 
     Raises:
-        ConfigError: There is no such world, or its free space is too small for the plan.
+        ConfigError: There is no such world, or the plan does not fit into it.
     """
-    if scenario.world not in WORLDS:
-        raise ConfigError(f"unknown world {scenario.world!r}; expected one of {', '.join(WORLDS)}")
-    return plan_reference(
-        scenario.plan, FREE_BOX_M, plant.standing_height_m, plant.interval_ns, scenario.generator("path")
-    )
+    place = place_of(scenario.world, scenario.seed)
+    return plan_reference(scenario.plan, place, plant.standing_height_m, plant.interval_ns, scenario.generator("path"))
 
 
 def fly(scenario: Scenario, progress: Progress = silent) -> Flight:
@@ -104,7 +100,7 @@ def _camera_poses(scenario: Scenario, truth: Trajectory) -> tuple[Times, Array]:
         raise ConfigError("rig without a camera; expected one at least")
     camera = scenario.rig.cameras[0]
     interval_ns = round(1e9 / camera.rate_hz)
-    stamps_ns = np.arange(0, round(scenario.duration_s * 1e9), interval_ns, dtype=np.int64)
+    stamps_ns = np.arange(0, int(truth.t_ns[-1]), interval_ns, dtype=np.int64)
     taken_ns = stamps_ns + round(scenario.rig.time_offset_s * 1e9)
     seen = (taken_ns >= truth.t_ns[0]) & (taken_ns <= truth.t_ns[-1])
     return stamps_ns[seen], interpolated_poses(truth, taken_ns[seen]) @ camera.T_imu_cam

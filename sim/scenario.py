@@ -8,7 +8,7 @@ import numpy as np
 from dronevio.models.errors import ConfigError
 from dronevio.models.quadrotor import Quadrotor
 from dronevio.models.rig import Rig, euroc_rig
-from dronevio.sim.path import FlightPlan
+from dronevio.sim.plan import FlightPlan
 
 Stream = Literal["path", "imu"]
 _STREAMS: dict[Stream, int] = {"path": 10, "imu": 11}  # spawn keys; the world's are 0 and 1, the images' 20
@@ -32,11 +32,6 @@ class Scenario:
     """The vehicle."""
     seed: int = 0
     """Draws the world's looks, the waypoints and the sensors' errors, each from a stream of its own."""
-
-    @property
-    def duration_s(self) -> float:
-        """Length of the flight [s]."""
-        return self.plan.duration_s
 
     def generator(self, stream: Stream) -> np.random.Generator:
         """Return the random numbers of one subsystem, independent of those of the others."""

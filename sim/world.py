@@ -13,7 +13,7 @@ from dronevio.sim.layout import Layout, Poses, WorldBuilder
 from dronevio.sim.lightmap import bake, daylight
 from dronevio.sim.scenery import Page, paint_pages
 from dronevio.sim.solids import visible_faces
-from dronevio.sim.space import Space
+from dronevio.sim.space import Place, Space
 from dronevio.sim.worlds.room import ROOM
 
 Array = npt.NDArray[np.float64]
@@ -94,6 +94,19 @@ def build_world(name: str, seed: int) -> World:
     )
 
 
+@lru_cache(maxsize=8)
+def place_of(name: str, seed: int) -> Place:
+    """Return where one may fly in a world: what `build_world` says of it, without the seconds of painting.
+
+    Raises:
+        ConfigError: There is no such world.
+    """
+    if name not in WORLDS:
+        raise ConfigError(f"unknown world {name!r}; expected one of {', '.join(WORLDS)}")
+    layout = WORLDS[name].layout(_generators(seed)[0])
+    return Place(space_of(layout), layout.free_box, layout.pad, layout.route)
+
+
 @dataclass(frozen=True, eq=False)
 class _Painted:
     """A layout and what it looks like."""
@@ -106,7 +119,7 @@ class _Painted:
 @lru_cache(maxsize=2)
 def _painted(name: str, seed: int) -> _Painted:
     """Return the painted layout of a world; kept, since painting takes a second or two."""
-    drawing, paint = (np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(stream,))) for stream in _STREAMS)
+    drawing, paint = _generators(seed)
     layout = WORLDS[name].layout(drawing)
     faces = [*layout.shell, *visible_faces(layout.boxes, layout.low, layout.high)]
     shading = layout.shading
@@ -119,3 +132,8 @@ def _painted(name: str, seed: int) -> _Painted:
         sides = [face for box in thing.boxes for face in box.faces()]
         moving_pages.append(tuple(paint_pages(sides, daylight(sides), paint, _MOVING_PAGE_PX)))
     return _Painted(layout, tuple(pages), tuple(moving_pages))
+
+
+def _generators(seed: int) -> tuple[np.random.Generator, ...]:
+    """Return the random numbers of the layout and of the paint."""
+    return tuple(np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(stream,))) for stream in _STREAMS)

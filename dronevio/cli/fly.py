@@ -79,7 +79,7 @@ def flight_figures(flight: "Flight") -> dict[str, float]:
     truth = flight.truth
     assert truth.velocity_m_s is not None
     return {
-        "duration_s": flight.scenario.duration_s,
+        "duration_s": flight.reference.duration_s,
         "path_m": truth.length_m,
         "peak_speed_m_s": float(np.linalg.norm(truth.velocity_m_s, axis=1).max()),
         "peak_rate_deg_s": float(np.rad2deg(np.linalg.norm(flight.perfect_imu.gyro_rad_s, axis=1).max())),

@@ -41,7 +41,7 @@ def main(arguments: Sequence[str]) -> int:
             {
                 "name": name,
                 "world": chosen.world,
-                "duration_s": chosen.duration_s,
+                "duration_s": reference.duration_s,
                 "peak_speed_m_s": round(reference.peak_speed_m_s, 3),
                 "peak_rate_deg_s": round(math.degrees(reference.peak_rate_rad_s), 1),
                 "description": chosen.description,
