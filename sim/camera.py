@@ -1,7 +1,9 @@
 """The camera: what a lens and a sensor make of the world, from a pose.
 
-The renderer knows only the ideal pinhole. So a wider and finer ideal image is drawn, and every pixel of the real one is
-looked up where the camera's own model (`CameraModel.normalise`) says that its ray goes.
+The renderer knows only ideal pinholes. So wider and finer pinhole images are drawn (`dronevio.sim.views`), and every
+pixel of the real one is looked up where the camera's own model (`CameraModel.unproject`) says that its ray goes: each
+as the mean over its area, as a sensor's pixel collects its light, which keeps the image equally sharp from the middle
+to the edge of any lens.
 """
 
 from dataclasses import dataclass
@@ -14,18 +16,19 @@ import numpy as np
 import numpy.typing as npt
 
 from dronevio.models.camera import CameraModel
-from dronevio.models.errors import GraphicsError
-from dronevio.sim.gl import Context, create_context
+from dronevio.sim.drawing import NO_MOVERS, Drawing, MoverPoses
+from dronevio.sim.surfaces import Depth, Flow, Surfaces, depth_rays, optical_flow
+from dronevio.sim.views import Views, pixel_rays
 
 Array = npt.NDArray[np.float64]
 GreyImage = npt.NDArray[np.uint8]
-Depth = npt.NDArray[np.float32]
 
 SUPERSAMPLING = 1.5
 """Drawn pixels per image pixel, along a line."""
-LENS_BLUR_PX = 0.45
-"""Standard deviation of the lens's and the pixel's blur [px]."""
-_MARGIN_PX = 4  # for the filter and the interpolation at the border
+LENS_BLUR_PX = 0.35
+"""Standard deviation of the lens's blur [px]; with the pixel's area it makes 0.45 px."""
+_ACROSS = 2  # samples per image pixel, along a line
+_SAME_SURFACE = 0.02  # nearness that differs by less between neighbours is that of one surface
 
 
 @dataclass(frozen=True)
@@ -53,45 +56,6 @@ class ImageNoise:
         return np.asarray(np.clip(np.rint(level + sigma * noise), 0.0, 255.0), dtype=np.uint8)
 
 
-@dataclass(frozen=True, eq=False)
-class IdealImage:
-    """The pinhole image that a camera's image is looked up in."""
-
-    width: int
-    """Columns [px]."""
-    height: int
-    """Rows [px]."""
-    f: Array
-    """(2,) Focal lengths x, y [px]."""
-    c: Array
-    """(2,) Principal point x, y [px], pixel centres being integers."""
-    lookup: npt.NDArray[np.float32]
-    """(H, W, 2) For each pixel of the camera its x, y in this image [px]."""
-
-    @classmethod
-    def around(cls, camera: CameraModel, supersampling: float) -> "IdealImage":
-        """Return the smallest ideal image that holds a camera's field of view.
-
-        Args:
-            camera: The camera.
-            supersampling: Pixels of this image per pixel of the camera's, along a line, where the lens does not
-                distort.
-        """
-        u, v = np.meshgrid(np.arange(camera.width), np.arange(camera.height))
-        rays = camera.normalise(np.stack([u, v], axis=-1))
-        f = supersampling * np.array([camera.fx, camera.fy])
-        low = np.floor((rays * f).min(axis=(0, 1))) - _MARGIN_PX
-        high = np.ceil((rays * f).max(axis=(0, 1))) + _MARGIN_PX
-        width, height = (high - low).astype(int) + 1
-        return cls(int(width), int(height), f, -low, (rays * f - low).astype(np.float32))
-
-    def frustum(self, near_m: float) -> tuple[float, float, float, float]:
-        """Return the frustum's middle and half width, and its bottom and top, on the near plane [m]."""
-        left, top = (-0.5 - self.c) / self.f
-        right, bottom = (np.array([self.width, self.height]) - 0.5 - self.c) / self.f
-        return near_m * (left + right) / 2.0, near_m * (right - left) / 2.0, -near_m * bottom, -near_m * top
-
-
 class OffscreenCamera:
     """Draws what a rig's camera sees of a world, off screen. Close it, or use it as a context."""
 
@@ -99,7 +63,7 @@ class OffscreenCamera:
         """Prepare to draw.
 
         Args:
-            model: The world alone, compiled: it does not move, and its scenery lights itself.
+            model: The world alone, compiled: its scenery lights itself.
             camera: Projection and image size.
             supersampling: Drawn pixels per image pixel, along a line, where the lens does not distort.
 
@@ -107,49 +71,61 @@ class OffscreenCamera:
             GraphicsError: No off-screen OpenGL.
         """
         self.camera = camera
-        ideal = IdealImage.around(camera, supersampling)
-        self._blur_px = LENS_BLUR_PX * supersampling
-        self._near_m, self._far_m = (float(v * model.stat.extent) for v in (model.vis.map.znear, model.vis.map.zfar))
-        self._gl: Context | None = create_context(ideal.width, ideal.height)
-        self._drawing = mujoco.MjrContext(model, mujoco.mjtFontScale.mjFONTSCALE_100)
-        mujoco.mjr_resizeOffscreen(ideal.width, ideal.height, self._drawing)
-        mujoco.mjr_setBuffer(mujoco.mjtFramebuffer.mjFB_OFFSCREEN, self._drawing)
-        self._drawing.readDepthMap = mujoco.mjtDepthMap.mjDEPTH_ZEROFAR
-        self._scene = _lone_scenery(model)
-        for view in self._scene.camera:  # one for each eye; MuJoCo draws the mean of both
-            view.frustum_near, view.frustum_far = self._near_m, self._far_m
-            view.frustum_center, view.frustum_width, view.frustum_bottom, view.frustum_top = ideal.frustum(self._near_m)
-        self._rectangle = mujoco.MjrRect(0, 0, ideal.width, ideal.height)
-        self._rgb = np.empty((ideal.height, ideal.width, 3), np.uint8)
-        self._nearness = np.empty((ideal.height, ideal.width), np.float32)
-        rows_up = np.float32(ideal.height - 1) - ideal.lookup[..., 1]  # OpenGL's first row is the lowest
-        self._lookup = (np.ascontiguousarray(ideal.lookup[..., 0]), rows_up)
+        self.views = Views.around(camera, supersampling)
+        """What is drawn for an image."""
+        self.geom_names = tuple(str(model.geom(number).name) for number in range(model.ngeom))
+        """The world's geoms by their number, as `render_surfaces` gives it."""
+        self._drawing = Drawing(model, self.views)
+        self._lookup = self.views.lookup(pixel_rays(camera, _ACROSS))
+        self._blur_px = LENS_BLUR_PX * _ACROSS
+        self._surface_lookup = _SurfaceLookup(self.views, camera)
 
-    def render(self, T_world_cam: Array) -> GreyImage:
-        """Return the grey image (H, W) that the camera sees from T_world_cam (4, 4), without noise."""
-        return self._through_lens(cv2.cvtColor(self._draw(T_world_cam), cv2.COLOR_RGB2GRAY))
+    def render(self, T_world_cam: Array, mover_poses: MoverPoses = NO_MOVERS) -> GreyImage:
+        """Return the grey image (H, W) that the camera sees, without noise.
 
-    def render_rgb(self, T_world_cam: Array) -> GreyImage:
+        Args:
+            T_world_cam: (4, 4) Pose of the camera.
+            mover_poses: Poses (4, 4) of what moves in the world, by name; without one it is where the spec has it.
+
+        Raises:
+            GraphicsError: The camera has been closed.
+            ConfigError: There is no such mover.
+        """
+        return self._through_lens(cv2.cvtColor(self._drawing.colours(T_world_cam, mover_poses), cv2.COLOR_RGB2GRAY))
+
+    def render_rgb(self, T_world_cam: Array, mover_poses: MoverPoses = NO_MOVERS) -> GreyImage:
         """Return the same view in colour (H, W, 3), for people."""
-        return self._through_lens(self._draw(T_world_cam))
+        return self._through_lens(self._drawing.colours(T_world_cam, mover_poses))
 
-    def render_depth(self, T_world_cam: Array) -> Depth:
-        """Return the depth along the optical axis (H, W) [m]; nearest neighbour, so that no edge is smeared."""
-        self._scene.flags[mujoco.mjtRndFlag.mjRND_SEGMENT] = True  # no textures: twice as fast
-        self._look_from(T_world_cam)
-        mujoco.mjr_readPixels(None, self._nearness, self._rectangle, self._drawing)
-        self._scene.flags[mujoco.mjtRndFlag.mjRND_SEGMENT] = False
-        nearness = cv2.remap(self._nearness, *self._lookup, cv2.INTER_NEAREST)
-        inverse = 1.0 / self._far_m + nearness * (1.0 / self._near_m - 1.0 / self._far_m)  # reversed z: 1 is near
-        return np.asarray(1.0 / inverse, dtype=np.float32)
+    def render_surfaces(self, T_world_cam: Array, mover_poses: MoverPoses = NO_MOVERS) -> Surfaces:
+        """Return depth and geom of what each pixel (H, W) of the same view sees at its middle."""
+        nearness, marks = self._drawing.surfaces(T_world_cam, mover_poses)
+        look = self._surface_lookup
+        near_m, far_m = self._drawing.near_m, self._drawing.far_m
+        return look.surfaces(look.found(nearness), self._drawing.geoms(look.nearest(marks)), near_m, far_m)
+
+    def render_depth(self, T_world_cam: Array, mover_poses: MoverPoses = NO_MOVERS) -> Depth:
+        """Return the depth (H, W) of the same view [m]: z for ``radtan``, the ray's length for ``equidistant``."""
+        return self.render_surfaces(T_world_cam, mover_poses).depth_m
+
+    def render_flow(
+        self,
+        T_world_cam: Array,
+        T_world_cam_next: Array,
+        mover_poses: MoverPoses = NO_MOVERS,
+        mover_poses_next: MoverPoses = NO_MOVERS,
+    ) -> Flow:
+        """Return how far what each pixel sees moves in the image (H, W, 2) [px] from one moment to the next.
+
+        See `dronevio.sim.surfaces.optical_flow`.
+        """
+        seen = self.render_surfaces(T_world_cam, mover_poses)
+        moved = self._drawing.motion_of_geoms(mover_poses, mover_poses_next)
+        return optical_flow(self.camera, seen, T_world_cam, T_world_cam_next, moved)
 
     def close(self) -> None:
         """Give the graphics memory back; more than once does no harm."""
-        if self._gl is not None:
-            self._gl.make_current()
-            self._drawing.free()
-            self._gl.free()
-            self._gl = None
+        self._drawing.close()
 
     def __enter__(self) -> Self:
         return self
@@ -159,38 +135,55 @@ class OffscreenCamera:
     ) -> None:
         self.close()
 
-    def _draw(self, T_world_cam: Array) -> GreyImage:
-        """Return the ideal image (H', W', 3) from a pose, upside down."""
-        self._look_from(T_world_cam)
-        mujoco.mjr_readPixels(self._rgb, None, self._rectangle, self._drawing)
-        return self._rgb
+    def _through_lens(self, atlas: npt.NDArray[np.uint8] | cv2.typing.MatLike) -> GreyImage:
+        """Return the camera's image of the drawn views: distorted, a little unsharp, each pixel a mean."""
+        fine = cv2.remap(atlas, *self._lookup, cv2.INTER_LINEAR)
+        cv2.GaussianBlur(fine, (0, 0), self._blur_px, dst=fine)
+        size = (self.camera.width, self.camera.height)
+        return np.asarray(cv2.resize(fine, size, interpolation=cv2.INTER_AREA), dtype=np.uint8)
 
-    def _look_from(self, T_world_cam: Array) -> None:
-        """Draw the scene from a pose into the graphics memory.
 
-        Raises:
-            GraphicsError: The camera has been closed.
+class _SurfaceLookup:
+    """Looks up what the pixels' very middles see; no edge is smeared."""
+
+    def __init__(self, views: Views, camera: CameraModel) -> None:
+        """Find the four drawn pixels around each ray, and their weights."""
+        rays = pixel_rays(camera)
+        through = views.which(rays)
+        self._seen = through >= 0
+        x, y = (part[self._seen] for part in views.lookup(rays))
+        left, low = np.floor(x), np.floor(y)
+        dx, dy = x - left, y - low
+        corner = low.astype(np.intp) * views.width + left.astype(np.intp)
+        self._around = corner + np.array([[0], [1], [views.width], [views.width + 1]])
+        self._weights = np.stack([(1 - dx) * (1 - dy), dx * (1 - dy), (1 - dx) * dy, dx * dy])
+        self._nearest = np.take_along_axis(self._around, np.argmax(self._weights, axis=0)[None], axis=0)[0]
+        ahead = np.stack([view.R_cam_view[:, 2] for view in views.views])[through[self._seen]]
+        # Depth is z in a view, times this.
+        self._stretch = (1.0 / np.sum(ahead * depth_rays(camera)[self._seen], axis=-1)).astype(np.float32)
+
+    def nearest(self, atlas: npt.NDArray[np.uint8]) -> npt.NDArray[np.uint8]:
+        """Return what an atlas (H', W', 3) has nearest to each ray (N, 3)."""
+        return np.asarray(atlas.reshape(-1, 3)[self._nearest])
+
+    def found(self, nearness: npt.NDArray[np.float32]) -> npt.NDArray[np.float32]:
+        """Return the nearness (N,) at each ray of an atlas of it (H', W').
+
+        On a plane it is affine in the drawn image, so it is interpolated where all four neighbours lie on one surface,
+        and taken from the nearest elsewhere.
         """
-        if self._gl is None:
-            raise GraphicsError("the camera has been closed")
-        self._gl.make_current()
-        for view in self._scene.camera:
-            view.pos, view.forward, view.up = T_world_cam[:3, 3], T_world_cam[:3, 2], -T_world_cam[:3, 1]
-        mujoco.mjr_render(self._rectangle, self._scene, self._drawing)
+        flat = nearness.ravel()
+        around = flat[self._around]
+        least = around.min(axis=0)
+        smooth = around.max(axis=0) - least < _SAME_SURFACE * least
+        return np.asarray(np.where(smooth, np.sum(self._weights * around, axis=0), flat[self._nearest]))
 
-    def _through_lens(self, ideal: npt.NDArray[np.uint8] | cv2.typing.MatLike) -> GreyImage:
-        """Return the camera's image of an ideal one: a little unsharp, distorted."""
-        unsharp = cv2.GaussianBlur(ideal, (0, 0), self._blur_px)
-        return np.asarray(cv2.remap(unsharp, *self._lookup, cv2.INTER_LINEAR), dtype=np.uint8)
-
-
-def _lone_scenery(model: mujoco.MjModel) -> mujoco.MjvScene:
-    """Return what is to be drawn: the geoms as they stand, no light but their own."""
-    data, scene = mujoco.MjData(model), mujoco.MjvScene(model, maxgeom=model.ngeom + 10)
-    mujoco.mj_kinematics(model, data)
-    view = mujoco.MjvCamera()
-    mujoco.mjv_updateScene(model, data, mujoco.MjvOption(), None, view, mujoco.mjtCatBit.mjCAT_ALL, scene)
-    scene.nlight = 0
-    for effect in ("SHADOW", "REFLECTION", "SKYBOX", "FOG", "HAZE"):
-        scene.flags[getattr(mujoco.mjtRndFlag, f"mjRND_{effect}")] = False
-    return scene
+    def surfaces(
+        self, nearness: npt.NDArray[np.float32], geoms: npt.NDArray[np.int32], near_m: float, far_m: float
+    ) -> Surfaces:
+        """Return what is seen, given nearness (N,) and geom (N,) at each ray."""
+        z = 1.0 / (1.0 / far_m + nearness * (1.0 / near_m - 1.0 / far_m))  # reversed: 1 is near
+        depth_m, geom = np.full(self._seen.shape, np.nan, np.float32), np.full(self._seen.shape, -1, np.int32)
+        depth_m[self._seen] = np.where(geoms >= 0, z * self._stretch, np.inf)
+        geom[self._seen] = geoms
+        return Surfaces(depth_m, geom)

@@ -13,7 +13,7 @@ from dronevio.models.camera import CameraModel
 from dronevio.models.errors import GraphicsError
 from dronevio.models.rig import EUROC_CAM0
 from dronevio.models.rotation import exp_so3, pose_matrix
-from dronevio.sim.camera import IdealImage, ImageNoise, OffscreenCamera
+from dronevio.sim.camera import ImageNoise, OffscreenCamera
 from dronevio.sim.scenery import add_pages, paint_pages
 from dronevio.sim.solids import Face
 
@@ -73,15 +73,6 @@ def test_depth_of_an_oblique_plane(camera: CameraModel) -> None:
     assert np.abs(np.median(depth / expected) - 1.0) < 1e-4
 
 
-def test_the_margin_is_only_what_the_lens_needs() -> None:
-    ideal = IdealImage.around(EUROC_CAM0, 1.0)
-    assert (ideal.lookup >= 2.0).all()
-    assert (ideal.lookup <= np.array([ideal.width, ideal.height]) - 3.0).all()
-    flat = IdealImage.around(PINHOLE, 1.0)
-    assert flat.width <= PINHOLE.width + 10
-    assert flat.height <= PINHOLE.height + 10
-
-
 def quadrants(size: int, rng: np.random.Generator, height: int, width: int) -> npt.NDArray[np.uint8]:
     """Return an image whose quarters are black, dark, light, white, in reading order."""
     image = np.zeros((height, width, 3), np.uint8)
@@ -107,7 +98,8 @@ def test_a_face_shows_its_picture_upright(small: CameraModel, size_m: tuple[floa
     )
     np.testing.assert_allclose(face.normal, [-1.0, 0.0, 0.0])
     spec = mujoco.MjSpec()
-    add_pages(spec, paint_pages([face], [np.ones((2, 2), np.float32)], np.random.default_rng(0)))
+    pages = paint_pages([face], [np.ones((2, 2), np.float32)], np.random.default_rng(0))
+    add_pages(spec, spec.worldbody, "face", pages)
     R_forward = np.array([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]])
     with OffscreenCamera(spec.compile(), small) as eye:
         image = eye.render(pose_matrix(R_forward, np.array([1.0, 0.0, 0.0])))
