@@ -15,6 +15,7 @@ from dronevio.sim.solids import Paint
 
 Array = npt.NDArray[np.float64]
 Random = np.random.Generator
+Indices = npt.NDArray[np.intp]
 
 
 @dataclass(frozen=True, eq=False)
@@ -67,10 +68,8 @@ def tube(heights: Array, radii: Array, sides: int, bend: Array | None = None) ->
     return grid
 
 
-def spray(
-    rng: Random, centres: Array, outward: Array, length_m: float, cells: npt.NDArray[np.intp], of: int
-) -> Cutouts:
-    """Return a leafy twig at each centre, both sides of it: a kite, hanging outward.
+def spray(rng: Random, centres: Array, outward: Array, length_m: float, cells: Indices, of: int) -> Cutouts:
+    """Return a leafy twig at each centre: a kite that hangs outward, seen from below.
 
     Args:
         rng: Turns and sizes them.
@@ -85,17 +84,16 @@ def spray(
     axis /= np.linalg.norm(axis, axis=1, keepdims=True)
     side = np.cross(axis, outward + 0.4 * rng.standard_normal((count, 3)))
     side /= np.maximum(np.linalg.norm(side, axis=1, keepdims=True), 1e-9)
+    side[np.cross(axis, side)[:, 2] > 0.0] *= -1.0
     long = (length_m * rng.uniform(0.7, 1.3, count))[:, None] * axis
     wide = (length_m * rng.uniform(0.3, 0.5, count))[:, None] * side
     base = centres - 0.4 * long
     waist = base + rng.uniform(0.35, 0.6, (count, 1)) * long
-    corners = np.stack([base, waist + wide, base + long, waist - wide], axis=1)
-    u, v = (rng.uniform(0.0, 0.2, count) for _ in range(2))
-    shape = np.array([[0.5, 1.0], [1.0, 0.5], [0.5, 0.0], [0.0, 0.5]])
-    on_cell = shape * 0.78 + np.stack([u, v], axis=1)[:, None]
+    corners = np.stack([base, waist - wide, base + long, waist + wide], axis=1)
+    shape = np.array([[0.5, 1.0], [0.0, 0.5], [0.5, 0.0], [1.0, 0.5]])
+    on_cell = shape * 0.78 + rng.uniform(0.0, 0.2, (count, 1, 2))
     on_cell[..., 0] = (on_cell[..., 0] + cells[:, None]) / of
-    front = Cutouts(corners, on_cell)
-    return joined([front, front.turned_over()])
+    return Cutouts(corners, on_cell)
 
 
 @dataclass(frozen=True, eq=False)

@@ -11,6 +11,7 @@ import numpy as np
 import numpy.typing as npt
 
 from dronevio.sim import textures
+from dronevio.sim import textures_nature as nature
 from dronevio.sim.cutouts import Cutouts, joined, spray, tube
 from dronevio.sim.lightmap import Field
 from dronevio.sim.solids import Box, turn_z
@@ -72,8 +73,8 @@ def tree(rng: Random, radius_m: float, height_m: float, within_m: float, kind: i
         twigs: How many its crown has.
     """
     flare = 0.3
-    heights = np.array([0.8 * height_m, 0.5 * (0.8 * height_m + within_m), within_m, flare, 0.0])
-    radii = radius_m * np.array([0.25, 0.7, 1.0, 1.0, 1.25])
+    heights = np.array([0.8 * height_m, 0.5 * (0.8 * height_m + within_m), within_m, flare, -0.1])
+    radii = radius_m * np.array([0.25, 0.7, 1.0, 1.0, 1.3])
     bend = np.zeros((5, 2))
     bend[:2] = np.cumsum(rng.uniform(-0.25, 0.25, (2, 2)), axis=0)[::-1]
     trunk = Cutouts.of_grid(tube(heights, radii, _SIDES, bend), kind / BARKS, (kind + 1) / BARKS)
@@ -82,9 +83,16 @@ def tree(rng: Random, radius_m: float, height_m: float, within_m: float, kind: i
     base = within_m + 0.9 + rng.uniform(0.0, 0.1) * height_m
     half = np.array([rng.uniform(1.5, 2.3), rng.uniform(1.5, 2.3), 0.5 * (height_m - base)])
     middle = np.array([*bend[0], 0.5 * (height_m + base)])
-    crown = foliage(rng, middle, half, rng.uniform(1.0, 1.4), twigs, sun)
+    crown = foliage(rng, middle, half, rng.uniform(1.1, 1.6), twigs, sun)
     root = Box(np.array([0.0, 0.0, 0.5 * flare]), np.array([0.85, 0.85, 0.0]) * radius_m + [0, 0, 0.5 * flare], _UNSEEN)
-    return Plant((trunk,), (crown,), (*prism_boxes(radius_m, 0.0, within_m), root))
+    return Plant((trunk,), (crown,), (*prism_boxes(radius_m, -0.1, within_m), root)).moved(_leaning(rng), np.zeros(3))
+
+
+def _leaning(rng: Random) -> Array:
+    """Return a rotation (3, 3) that tips what is upright by up to 2.5°."""
+    tip, toward = np.radians(rng.uniform(0.0, 2.5)), turn_z(rng.uniform(0.0, 2.0 * np.pi))
+    c, s = np.cos(tip), np.sin(tip)
+    return np.asarray(toward @ np.array([[c, 0.0, s], [0.0, 1.0, 0.0], [-s, 0.0, c]]) @ toward.T)
 
 
 def foliage(rng: Random, middle: Array, half: Array, twig_m: float, twigs: int, sun: Array) -> Cutouts:
@@ -101,7 +109,7 @@ def foliage(rng: Random, middle: Array, half: Array, twig_m: float, twigs: int, 
     outward = rng.standard_normal((twigs, 3))
     outward /= np.linalg.norm(outward, axis=1, keepdims=True)
     depth = rng.uniform(0.55, 1.0, (twigs, 1))
-    lit = outward @ sun + 0.9 * (depth[:, 0] - 0.75) + 0.35 * rng.standard_normal(twigs) > 0.15
+    lit = outward @ sun + 0.9 * (depth[:, 0] - 0.75) + 0.5 * rng.standard_normal(twigs) > -0.1
     cells = rng.integers(0, TONES, twigs) + TONES * lit
     return spray(rng, middle + outward * depth * half, outward, twig_m, cells, 2 * TONES)
 
@@ -110,7 +118,8 @@ def bush(rng: Random, sun: Array) -> Plant:
     """Return a bush, knee to breast high."""
     half = np.array([rng.uniform(0.35, 0.6), rng.uniform(0.35, 0.6), rng.uniform(0.3, 0.55)])
     twig = 0.3
-    leaves = foliage(rng, np.array([0.0, 0.0, 0.75 * half[2]]), half, twig, 70, sun)
+    inside = foliage(rng, np.array([0.0, 0.0, 0.7 * half[2]]), half, twig, 100, sun)
+    leaves = joined([inside, inside.turned_over()])
     leaves.corners[..., 2] = np.maximum(leaves.corners[..., 2], 0.01)
     reach = np.abs(leaves.corners[..., :2]).max(axis=(0, 1))
     top = float(leaves.corners[..., 2].max())
@@ -140,7 +149,9 @@ def log(rng: Random, radius_m: float, length_m: float, kind: int) -> Plant:
     ring = trunk[0]
     for k in range(0, _SIDES, 2):
         for z, order in ((0.5, (0, 1, 2)), (-0.5, (0, 2, 1))):
-            corners = np.array([[0.0, 0.0, 0.0], ring[k], ring[k + 1], ring[k + 2]])[[0, order[1] if z > 0 else 3, 2, 3 if z > 0 else 1]]
+            corners = np.array([[0.0, 0.0, 0.0], ring[k], ring[k + 1], ring[k + 2]])[
+                [0, order[1] if z > 0 else 3, 2, 3 if z > 0 else 1]
+            ]
             corners[:, 2] = z * length_m
             cell = (kind + 0.5 + 0.1 * corners[:, :1] / radius_m) / BARKS
             ends.append(Cutouts(corners[None], np.concatenate([cell, 0.5 + 0.02 * corners[:, 1:2]], axis=1)[None]))
@@ -153,12 +164,14 @@ def log(rng: Random, radius_m: float, length_m: float, kind: int) -> Plant:
 def boulder(rng: Random, half: Array) -> tuple[Array, Box]:
     """Return the surface of a boulder, a grid (R + 1, C + 1, 3) [m], and the box that it fills."""
     rows, columns = 6, 10
-    v, u = np.meshgrid(np.linspace(0.5 * np.pi, -0.35, rows + 1), np.linspace(0.0, 2.0 * np.pi, columns + 1), indexing="ij")
+    v, u = np.meshgrid(
+        np.linspace(0.5 * np.pi, -0.35, rows + 1), np.linspace(0.0, 2.0 * np.pi, columns + 1), indexing="ij"
+    )
     ball = np.stack([np.cos(v) * np.cos(u), np.cos(v) * np.sin(u), np.sin(v)], axis=2)
     ball = np.sign(ball) * np.abs(ball) ** 0.62  # squarer than a ball
     ball /= np.abs(ball).max(axis=(0, 1))
     uneven = rng.uniform(0.82, 1.0, (rows + 1, columns + 1, 1))
-    uneven[:, -1], uneven[0] = uneven[:, 0], 0.95
+    uneven[:, -1], uneven[:2] = uneven[:, 0], 1.0
     grid = ball * uneven * half
     reach = np.abs(grid).max(axis=(0, 1))
     top = float(grid[..., 2].max())
@@ -167,20 +180,16 @@ def boulder(rng: Random, half: Array) -> tuple[Array, Box]:
 
 def bark_image(rng: Random, height: int, width: int, colours: tuple[Colour, ...], sun: Array) -> Image:
     """Return `BARKS` barks side by side, each lit as it is on a trunk whose image begins at the x axis."""
-    from dronevio.sim.textures_nature import bark
-
     each = width // BARKS
     angle = np.linspace(0.0, 2.0 * np.pi, each, dtype=np.float32)
     facing = np.maximum(np.cos(angle) * sun[0] + np.sin(angle) * sun[1], 0.0)
     light: Field = (0.56 + 0.62 * facing).astype(np.float32)
-    images = [bark(rng, height, each, colour) for colour in colours]
+    images = [nature.bark(rng, height, each, colour) for colour in colours]
     return np.concatenate([textures.to_image(image * light[None, :, None]) for image in images], axis=1)
 
 
 def leaf_image(rng: Random, height: int, width: int, colours: tuple[Colour, ...]) -> Image:
     """Return sprays of leaves in ``2 * TONES`` columns: of each colour in the shade, then of each in the sun."""
-    from dronevio.sim.textures_nature import leaves
-
     each = width // (2 * TONES)
-    inks = [tuple(f * c for c in colour) for f in (0.62, 1.12) for colour in colours]
-    return np.concatenate([leaves(rng, height, each, (ink[0], ink[1], ink[2]), 170) for ink in inks], axis=1)
+    inks = [nature.scaled(colour, f) for f in (0.7, 1.3) for colour in colours]
+    return np.concatenate([nature.leaves(rng, height, each, ink, 170) for ink in inks], axis=1)

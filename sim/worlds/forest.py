@@ -1,6 +1,6 @@
 """The forest: tall trees around a clearing, boulders, bushes and logs between them, under a sky with clouds."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 
 import cv2
@@ -88,10 +88,12 @@ def layout(rng: Random) -> Layout:
     growing = [plant for plant, _, _ in plantation] + loose
     ground = Sheet(
         outdoors.flat((-20.0, -16.0), (20.0, 16.0), 0.0),
-        partial(_floor, season=season, pad=True),
+        partial(_floor, season=season),
         pixels_per_m=_GROUND_PX_PER_M,
     )
-    beyond = Sheet(outdoors.flat((-32.0, -32.0), (32.0, 32.0), -0.03), partial(_floor, season=season), pixels_per_m=26.0)
+    beyond = Sheet(
+        outdoors.flat((-32.0, -32.0), (32.0, 32.0), -0.03), partial(_far_floor, season=season), pixels_per_m=24.0
+    )
     stones = tuple(Sheet(grid, partial(nature.stone, colour=_STONE), pixels_per_m=160.0) for grid, _ in boulders)
     shade = [_shade(place, radius) for _, place, radius in plantation]
     obstacles = [box for plant in growing for box in plant.obstacles] + [box for _, box in boulders]
@@ -108,7 +110,7 @@ def layout(rng: Random) -> Layout:
         free_box=_FREE_BOX_M.copy(),
         route=route,
         walled=False,
-        shading=tuple(shade + [box for _, box in boulders]),
+        shading=tuple(shade + [replace(box, half=0.65 * box.half) for _, box in boulders]),
         prints=(
             Print(partial(plants.bark_image, colours=_BARKS, sun=toward), 1400, 1536, wood),
             Print(partial(plants.leaf_image, colours=season.leaves), 256, 2048, leaves),
@@ -132,7 +134,7 @@ def _trees(rng: Random, route: Array, toward: Array) -> list[tuple[Plant, Array,
     for place, radius in zip(*(v[free & around & ~in_clearing & ~near_border] for v in (places, radii)), strict=True):
         inside = bool(np.all(np.abs(place) < _HIGH[:2]))
         tall = 6.8 + 14.0 * radius + rng.uniform(0.0, 2.5)
-        twigs = int(60 + 150 * radius) if inside else 34
+        twigs = int(130 + 200 * radius) if inside else 64
         plant = plants.tree(rng, radius, tall, _HIGH[2] + 0.2, int(rng.integers(plants.BARKS)), toward, twigs)
         plant = plant.moved(np.eye(3), np.array([*place, 0.0]))
         if not inside:
@@ -182,27 +184,29 @@ def _shade(place: Array, radius_m: float) -> Box:
     return Box(np.array([*place, 4.0]), half, partial(textures.plain, colour=(0.0, 0.0, 0.0)))
 
 
-def _floor(rng: Random, height: int, width: int, season: Season, pad: bool = False) -> Image:
-    """Return the floor of the forest, in the light that falls through the leaves."""
-    ppm = _GROUND_PX_PER_M if pad else 26.0
-    image = nature.forest_floor(rng, height, width, season.litter, season.moss, ppm)
-    image = outdoors.dappled(rng, image, ppm / 9.0, 0.5)
-    if pad:
-        side = round(_PAD_M * ppm)
-        top, left = (height - side) // 2, (width - side) // 2
-        image[top : top + side, left : left + side] = pictures.landing_pad(side)
+def _floor(rng: Random, height: int, width: int, season: Season) -> Image:
+    """Return the floor of the forest with the pad, in the light that falls through the leaves."""
+    image = nature.forest_floor(rng, height, width, season.litter, season.moss, _GROUND_PX_PER_M)
+    image = outdoors.dappled(rng, image, _GROUND_PX_PER_M / 9.0, 0.45)
+    outdoors.lay(image, pictures.landing_pad(round(_PAD_M * _GROUND_PX_PER_M)))
     return image
+
+
+def _far_floor(rng: Random, height: int, width: int, season: Season) -> Image:
+    """Return the floor between the trees further away."""
+    seen = [nature.scaled(colour, 0.72) for colour in (*season.litter[:3], season.moss)]  # shadows between the leaves
+    image = nature.distance(rng, height, width, tuple(seen))
+    return outdoors.dappled(rng, image, 24.0 / 9.0, 0.45)
 
 
 def _thicket(rng: Random, season: Season) -> Sheet:
     """Return the depth of the wood, painted on a wall around it whose upper edge is the tops of trees."""
-    columns = 160
+    columns = 240
     azimuth = np.linspace(0.0, -2.0 * np.pi, columns + 1)
-    rise = 9.5 + 1.6 * rng.standard_normal(columns + 1).clip(-1.5, 1.5)
-    rise[-1] = rise[0]
-    grid = np.empty((2, columns + 1, 3))
+    tops = nature.closing_grain(rng, 3, columns, (2, 4, 12))[0]
+    grid = np.empty((3, columns + 1, 3))
     grid[..., 0], grid[..., 1] = _THICKET_M * np.cos(azimuth), _THICKET_M * np.sin(azimuth)
-    grid[0, :, 2], grid[1, :, 2] = rise, -0.1
+    grid[0, :, 2], grid[1, :, 2], grid[2, :, 2] = 11.0 + 0.8 * tops[np.arange(columns + 1) % columns], 5.5, -0.1
     return outdoors.panorama(grid, partial(_depths, season=season), _THICKET_WIDTH_PX)
 
 
@@ -210,30 +214,41 @@ def _depths(rng: Random, height: int, width: int, season: Season) -> Image:
     """Return trunks behind trunks, the further the paler, leaves above and undergrowth below."""
     mist = np.array(season.mist)
     up = np.linspace(1.0, 0.0, height, dtype=np.float32)[:, None, None]
-    image = textures.to_image(np.broadcast_to(mist * (0.75 + 0.2 * up), (height, width, 3)).astype(np.float32))
-    for depth in np.linspace(0.0, 1.0, 5):
-        for _ in range(int(width / (16 + 22 * depth))):
-            x, wide = rng.uniform(0, width), (1.5 + 6.0 * depth) * rng.uniform(0.6, 1.4)
-            bark = np.array(_BARKS[int(rng.integers(4))]) * rng.uniform(0.55, 0.9)
-            ink = (mist * (1 - depth) * 0.85 + bark * (0.15 + 0.85 * depth) * 0.8).tolist()
-            foot = int(height * (0.92 + 0.07 * depth))
-            cv2.line(image, (int(x), foot), (int(x + rng.uniform(-4, 4)), 0), ink, max(int(wide), 1), cv2.LINE_AA)
-        _dabs(rng, image, season.leaves, mist, depth, (0.0, 0.62 - 0.12 * depth), int(width * 1.6))
-        _dabs(rng, image, (season.moss, *season.litter[:2]), mist, depth, (0.86 + 0.05 * depth, 1.0), int(width * 0.8))
-    return image
+    image = textures.to_image(np.broadcast_to(mist * (0.8 + 0.2 * up), (height, width, 3)).astype(np.float32))
+    for depth in np.linspace(0.1, 1.0, 5):
+        for _ in range(int(width / (9 + 14 * depth))):
+            x, wide = rng.uniform(0, width), (1.0 + 5.0 * depth) * rng.uniform(0.6, 1.4)
+            bark = np.array(_BARKS[int(rng.integers(4))]) * rng.uniform(0.5, 1.0)
+            ink = (mist * (1 - depth) * 0.9 + bark * (0.1 + 0.9 * depth) * 0.85).tolist()
+            foot = int(height * (0.93 + 0.06 * depth))
+            cv2.line(image, (int(x), foot), (int(x + rng.uniform(-5, 5)), 0), ink, max(int(wide), 1), cv2.LINE_AA)
+        _dabs(rng, image, season.leaves, mist, depth, (0.0, 0.62 - 0.1 * depth), int(width * 3.0))
+        _dabs(rng, image, (season.moss, *season.litter[:2]), mist, depth, (0.9 + 0.04 * depth, 1.0), int(width * 0.7))
+    light = 1.0 + 0.14 * nature.closing_grain(rng, height // 8, width // 8, (2, 5, 12))
+    return nature.tinted(image, np.repeat(light[..., None], 3, axis=2))
 
 
 def _dabs(
-    rng: Random, image: Image, colours: tuple[Colour, ...], mist: Array, depth: float, band: tuple[float, float], count: int
+    rng: Random,
+    image: Image,
+    colours: tuple[Colour, ...],
+    mist: Array,
+    depth: float,
+    band: tuple[float, float],
+    count: int,
 ) -> None:
     """Dab leaves into a band of rows (fractions of the height), the thinner the lower its middle."""
     height, width = image.shape[:2]
     rows = (band[0] + (band[1] - band[0]) * rng.beta(1.0, 1.6, count)) * height
     for y, x, kind, tone in zip(
-        rows, rng.uniform(0, width, count), rng.integers(0, len(colours), count), rng.uniform(0.5, 1.0, count), strict=True
+        rows,
+        rng.uniform(0, width, count),
+        rng.integers(0, len(colours), count),
+        rng.uniform(0.35, 1.1, count),
+        strict=True,
     ):
         ink = (mist * (1 - depth) + np.array(colours[kind]) * tone * depth * 0.9 + mist * tone * 0.1).tolist()
-        size = (int(2 + 4 * depth), int(1 + 2 * depth))
+        size = (int(1.5 + 2.6 * depth), int(1 + 1.1 * depth))
         cv2.ellipse(image, (int(x), int(y)), size, 180 * tone * 7, 0, 360, ink, -1)
 
 

@@ -92,7 +92,13 @@ def dappled(rng: Random, image: Image, cells: float, depth: float) -> Image:
     shape = (int(image.shape[0] / cells), int(image.shape[1] / cells))
     light = nature.closing_grain(rng, *shape, (3, 6, 14))
     light = cv2.GaussianBlur(np.clip(2.2 * (light + 0.15), -1.0, 1.0), (0, 0), 0.8)
-    return nature.tinted(image, np.repeat((1.08 - depth * (0.5 - 0.5 * light))[..., None], 3, axis=2))
+    return nature.tinted(image, np.repeat((1.3 - depth * (0.5 - 0.5 * light))[..., None], 3, axis=2))
+
+
+def lay(image: Image, patch: Image) -> None:
+    """Lay a patch on the middle of an image."""
+    top, left = (image.shape[0] - patch.shape[0]) // 2, (image.shape[1] - patch.shape[1]) // 2
+    image[top : top + patch.shape[0], left : left + patch.shape[1]] = patch
 
 
 def flat(low: tuple[float, float], high: tuple[float, float], z: float) -> Array:
