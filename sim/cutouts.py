@@ -10,7 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from dronevio.sim.scenery import Page
+from dronevio.sim.scenery import Page, facing
 from dronevio.sim.solids import Paint
 
 Array = npt.NDArray[np.float64]
@@ -112,8 +112,6 @@ class Print:
     def page(self, rng: Random) -> Page:
         """Return the page, painted."""
         whole = self.cutouts
-        a, b, c, d = np.moveaxis(whole.corners, 1, 0)
-        normal = np.cross(c - a, b - d)
-        normal /= np.maximum(np.linalg.norm(normal, axis=1, keepdims=True), 1e-12)
+        normals = np.repeat(facing(whole.corners), 4, axis=0)
         corners, on_image = whole.corners.reshape(-1, 3), whole.on_image.reshape(-1, 2)
-        return Page(self.paint(rng, self.height, self.width), corners, on_image, np.repeat(normal, 4, axis=0))
+        return Page(self.paint(rng, self.height, self.width), corners, on_image, normals)

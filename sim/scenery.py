@@ -71,17 +71,21 @@ def paint_pages(
             padded = cv2.copyMakeBorder(image, *(_GUTTER_PX,) * 4, cv2.BORDER_REPLICATE)
             texture[row : row + padded.shape[0], column : column + padded.shape[1]] = padded
             quads = _quads(face.grid)
-            right, down = quads[:, 1] - quads[:, 0], quads[:, 3] - quads[:, 0]
-            normal = np.cross(down, right)
-            normal /= np.linalg.norm(normal, axis=1, keepdims=True)
             origin, extent = np.array([column, row]) + _GUTTER_PX, np.array(image.shape[1::-1])
             on_image = _quads(_even_grid(face.grid.shape[0], face.grid.shape[1]))
             on_page = on_image[..., ::-1] if lying[index] else on_image
             vertices.append(quads.reshape(-1, 3))
             coordinates.append((origin + on_page.reshape(-1, 2) * extent) / [width_px, height])
-            normals.append(np.repeat(normal, 4, axis=0))
+            normals.append(np.repeat(facing(quads), 4, axis=0))
         pages.append(Page(texture, *(np.concatenate(parts) for parts in (vertices, coordinates, normals))))
     return pages
+
+
+def facing(quads: Array) -> Array:
+    """Return the unit normals (F, 3) of quadrangles (F, 4, 3), clockwise as one looks at them; a side may be a point."""
+    a, b, c, d = np.moveaxis(quads, 1, 0)
+    normal = np.cross(c - a, b - d)
+    return np.asarray(normal / np.maximum(np.linalg.norm(normal, axis=1, keepdims=True), 1e-12))
 
 
 def _quads(grid: Array) -> Array:
