@@ -1,7 +1,7 @@
 """Flights as EuRoC folders (the ASL format): images, IMU, calibration and the true motion, in and out.
 
 The body frame is the IMU's, IMU samples are values at their time stamps, cameras are pinholes with radial-tangential
-distortion. Format: Burri et al., "The EuRoC micro aerial vehicle datasets", IJRR 2016.
+distortion or equidistant fisheyes. Format: Burri et al., "The EuRoC micro aerial vehicle datasets", IJRR 2016.
 """
 
 from collections.abc import Iterator, Sequence
@@ -17,6 +17,7 @@ from dronevio.models.errors import ConfigError, InputError
 from dronevio.models.imu import ImuSamples, Times
 from dronevio.models.recordings.euroc_calibration import calibration_files, count_cameras, read_rig
 from dronevio.models.recordings.files import read_text, write_text
+from dronevio.models.recordings.frame_truth import FRAME_TRUTH_FILE, FrameTruth, frame_truth_text, read_frame_truth
 from dronevio.models.recordings.images import read_grey
 from dronevio.models.recordings.timed_table import (
     TIME_LIMIT_NS,
@@ -33,6 +34,10 @@ Array = npt.NDArray[np.float64]
 
 IMU_TABLE = TableFormat("an EuRoC IMU table", (7,), ",", parse_integer_ns, "whole nanoseconds")
 """Time, angular velocity x y z [rad/s], specific force x y z [m/s²]."""
+GROUND_TRUTH_FILE = Path("state_groundtruth_estimate0") / "data.csv"
+"""Where the true motion is, below ``mav0``."""
+INCOMPLETE = "INCOMPLETE"
+"""Name of a file that lies in ``mav0`` for as long as frames are missing there."""
 GROUND_TRUTH_TABLE = TableFormat("an EuRoC ground truth", (17, 8), ",", parse_integer_ns, "whole nanoseconds")
 """Time, position, quaternion wxyz, then optionally velocity and the biases of gyroscope and accelerometer."""
 
@@ -66,6 +71,10 @@ class EurocRecording:
     """For each camera, the M image files."""
     ground_truth: Trajectory | None
     """The true motion of the IMU, where the folder has it."""
+    frame_truth: FrameTruth | None = None
+    """When and how frames were really exposed, where the folder has it; it may have frames that the recording lost."""
+    complete: bool = True
+    """False where writing it was cut off: then the frames are those of which every camera has its image."""
 
     @classmethod
     def open(cls, folder: Path | str, cameras: int | None = None) -> Self:
@@ -81,12 +90,17 @@ class EurocRecording:
         mav0 = find_mav0(folder)
         used = count_cameras(mav0) if cameras is None else min(cameras, count_cameras(mav0))
         lists = [_read_image_list(mav0 / f"cam{i}") for i in range(used)]
+        complete = not (mav0 / INCOMPLETE).exists()
+        if not complete:
+            lists = [_those_there(t_ns, files) for t_ns, files in lists]
         times = reduce(np.intersect1d, [t_ns for t_ns, _ in lists])
+        if not len(times) and not complete:
+            raise InputError(mav0, "an incomplete recording without a single frame", "one frame at least")
         if not len(times):
             raise InputError(
                 mav0, f"{used} cameras without a time stamp in common", "cameras that see at the same time"
             )
-        truth = mav0 / "state_groundtruth_estimate0" / "data.csv"
+        truth, frame_truth = mav0 / GROUND_TRUTH_FILE, mav0 / FRAME_TRUTH_FILE
         return cls(
             name=mav0.resolve().parent.name,
             mav0=mav0,
@@ -97,6 +111,8 @@ class EurocRecording:
                 tuple(files[row] for row in np.searchsorted(t_ns, times).tolist()) for t_ns, files in lists
             ),
             ground_truth=read_groundtruth(truth) if truth.exists() else None,
+            frame_truth=read_frame_truth(frame_truth) if frame_truth.exists() else None,
+            complete=complete,
         )
 
     def frame(self, index: int) -> CameraFrame:
@@ -138,7 +154,7 @@ def ground_truth_file(folder: Path | str) -> Path:
     Raises:
         InputError: It has none.
     """
-    path = find_mav0(folder) / "state_groundtruth_estimate0" / "data.csv"
+    path = find_mav0(folder) / GROUND_TRUTH_FILE
     if not path.exists():
         raise InputError(path, "no such file", GROUND_TRUTH_TABLE.name)
     return path
@@ -184,7 +200,14 @@ def read_frame_times(folder: Path | str) -> Times:
     return _read_image_list(find_mav0(folder) / "cam0")[0]
 
 
-def write_euroc(folder: Path, rig: Rig, imu: ImuSamples, truth: Trajectory, frame_times_ns: Times) -> None:
+def write_euroc(
+    folder: Path,
+    rig: Rig,
+    imu: ImuSamples,
+    truth: Trajectory | None,
+    frame_times_ns: Times,
+    frame_truth: FrameTruth | None = None,
+) -> None:
     """Write a flight as an EuRoC folder, all but the images, so that it is read back to the bit.
 
     The images belong into ``mav0/cam*/data/<t_ns>.png``. The truth is written with 17 columns where it has velocity and
@@ -194,8 +217,9 @@ def write_euroc(folder: Path, rig: Rig, imu: ImuSamples, truth: Trajectory, fram
         folder: Where ``mav0`` is made.
         rig: The calibration.
         imu: Point samples.
-        truth: True motion of the IMU.
+        truth: True motion of the IMU, where it is known.
         frame_times_ns: (M,) Time stamps of the frames [ns].
+        frame_truth: When and how the frames were really exposed, where it is known.
 
     Raises:
         ConfigError: The IMU samples are increments.
@@ -211,11 +235,24 @@ def write_euroc(folder: Path, rig: Rig, imu: ImuSamples, truth: Trajectory, fram
         (mav0 / f"cam{i}" / "data").mkdir(parents=True, exist_ok=True)
         write_text(mav0 / f"cam{i}" / "data.csv", images)
     write_text(mav0 / "imu0" / "data.csv", _IMU_HEADER + _rows(imu.t_ns, [imu.gyro_rad_s, imu.accel_m_s2]))
+    if truth is not None:
+        write_text(mav0 / GROUND_TRUTH_FILE, _truth_text(truth))
+    if frame_truth is not None:
+        write_text(mav0 / FRAME_TRUTH_FILE, frame_truth_text(frame_truth))
+
+
+def _truth_text(truth: Trajectory) -> str:
+    """Return the text of a ground-truth table."""
     motion = [a for a in (truth.velocity_m_s, truth.gyro_bias_rad_s, truth.accel_bias_m_s2) if a is not None]
     whole = len(motion) == 3
     header = f"{_POSE_HEADER}{_MOTION_HEADER if whole else ''}\n"
-    columns = [truth.p_world_imu, truth.quat_wxyz, *(motion if whole else [])]
-    write_text(mav0 / "state_groundtruth_estimate0" / "data.csv", header + _rows(truth.t_ns, columns))
+    return header + _rows(truth.t_ns, [truth.p_world_imu, truth.quat_wxyz, *(motion if whole else [])])
+
+
+def _those_there(t_ns: Times, files: tuple[Path, ...]) -> tuple[Times, tuple[Path, ...]]:
+    """Return the images of a list that exist."""
+    there = np.array([file.exists() for file in files])
+    return t_ns[there], tuple(file for file, exists in zip(files, there.tolist(), strict=True) if exists)
 
 
 def _columns(values: Array, start: int, end: int) -> Array:

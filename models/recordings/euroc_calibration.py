@@ -1,9 +1,10 @@
 """The calibration files of an EuRoC folder: cameras, IMU and body, in and out.
 
-Two facts of a `Rig` have no place in the format, so ``body.yaml`` carries them under keys of our own, which other
-readers pass over: ``T_vehicle_imu`` (pose of the IMU in the vehicle frame) and ``time_offset_s`` (t_imu − t_cam).
-``imu0/sensor.yaml`` likewise carries ``gyroscope_turn_on_bias`` and ``accelerometer_turn_on_bias``, and under the names
-of `ImuModel`'s fields whatever else of the IMU is not perfect.
+Some facts of a `Rig` have no place in the format, so they stand under keys of our own, which other readers pass over:
+``T_vehicle_imu`` (pose of the IMU in the vehicle frame) and ``time_offset_s`` (t_imu − t_cam) in ``body.yaml``,
+``readout_s`` in the ``sensor.yaml`` of a camera with a rolling shutter. ``imu0/sensor.yaml`` likewise carries
+``gyroscope_turn_on_bias`` and ``accelerometer_turn_on_bias``, and under the names of `ImuModel`'s fields whatever else
+of the IMU is not perfect.
 """
 
 from dataclasses import fields
@@ -14,10 +15,20 @@ import numpy as np
 from dronevio.models.camera import CameraModel
 from dronevio.models.errors import InputError
 from dronevio.models.imu import ImuModel
+from dronevio.models.lens import LensName
+from dronevio.models.recordings.files import blamed_on
 from dronevio.models.recordings.sensor_yaml import SensorYaml, pose_yaml, read_sensor_yaml, shown
 from dronevio.models.rig import Rig, RigCamera
 
-_RADTAN = ("radial-tangential", "radtan")
+LENS_NAMES: dict[str, LensName] = {
+    "radial-tangential": "radtan",
+    "radtan": "radtan",
+    "plumb_bob": "radtan",
+    "equidistant": "equidistant",
+}
+"""Lenses by what data sets, Kalibr and ROS call them."""
+
+_EUROC_NAMES: dict[LensName, str] = {"radtan": "radial-tangential", "equidistant": "equidistant"}
 _IMU_FIELDS = {
     "rate_hz": "rate_hz",
     "gyroscope_noise_density": "gyro_noise_density",
@@ -50,12 +61,13 @@ def read_rig(mav0: Path, cameras: int) -> Rig:
         InputError: A file or field is missing or not what it should be, or a model is not supported.
     """
     body = read_sensor_yaml(mav0 / "body.yaml") if (mav0 / "body.yaml").exists() else SensorYaml(mav0, {}, {})
-    return Rig(
-        cameras=tuple(_read_camera(read_sensor_yaml(mav0 / f"cam{i}" / "sensor.yaml")) for i in range(cameras)),
-        imu=_read_imu(read_sensor_yaml(mav0 / "imu0" / "sensor.yaml")),
-        T_vehicle_imu=body.pose("T_vehicle_imu") if "T_vehicle_imu.data" in body else np.eye(4),
-        time_offset_s=body.number("time_offset_s") if "time_offset_s" in body else 0.0,
-    )
+    with blamed_on(mav0):
+        return Rig(
+            cameras=tuple(_read_camera(read_sensor_yaml(mav0 / f"cam{i}" / "sensor.yaml")) for i in range(cameras)),
+            imu=_read_imu(read_sensor_yaml(mav0 / "imu0" / "sensor.yaml")),
+            T_vehicle_imu=body.pose("T_vehicle_imu") if "T_vehicle_imu.data" in body else np.eye(4),
+            time_offset_s=body.number("time_offset_s") if "time_offset_s" in body else 0.0,
+        )
 
 
 def calibration_files(rig: Rig) -> dict[str, str]:
@@ -78,17 +90,20 @@ def _read_camera(yaml: SensorYaml) -> RigCamera:
     """Return the camera that a ``sensor.yaml`` describes, or raise InputError."""
     if yaml.word("camera_model") != "pinhole":
         raise yaml.fault("camera_model", "pinhole, the only model supported")
-    if yaml.word("distortion_model") not in _RADTAN:
-        raise yaml.fault("distortion_model", f"{' or '.join(_RADTAN)}, the only model supported")
+    lens = yaml.word("distortion_model")
+    if lens not in LENS_NAMES:
+        raise yaml.fault("distortion_model", f"one of {', '.join(LENS_NAMES)}")
     size = yaml.numbers("resolution", 2)
     if any(side < 1 or side != int(side) for side in size):
         raise yaml.fault("resolution", "width and height in whole pixels")
     fx, fy, cx, cy = yaml.numbers("intrinsics", 4)
     if min(fx, fy) <= 0.0:
         raise yaml.fault("intrinsics", "fu, fv, cu, cv with focal lengths above zero")
-    k1, k2, p1, p2 = yaml.numbers("distortion_coefficients", 4)
-    model = CameraModel(int(size[0]), int(size[1]), fx, fy, cx, cy, (k1, k2, p1, p2))
-    return RigCamera(model, yaml.pose("T_BS"), yaml.positive("rate_hz"))
+    k = yaml.numbers("distortion_coefficients", 4)
+    model = CameraModel(int(size[0]), int(size[1]), fx, fy, cx, cy, (k[0], k[1], k[2], k[3]), LENS_NAMES[lens])
+    readout_s = yaml.number("readout_s") if "readout_s" in yaml else 0.0
+    with blamed_on(yaml.path):
+        return RigCamera(model, yaml.pose("T_BS"), yaml.positive("rate_hz"), readout_s)
 
 
 def _read_imu(yaml: SensorYaml) -> ImuModel:
@@ -120,9 +135,9 @@ def _camera_yaml(camera: RigCamera) -> str:
         f"resolution: [{m.width}, {m.height}]\n"
         "camera_model: pinhole\n"
         f"intrinsics: {shown(tuple(map(float, (m.fx, m.fy, m.cx, m.cy))))} # fu, fv, cu, cv\n"
-        "distortion_model: radial-tangential\n"
+        f"distortion_model: {_EUROC_NAMES[m.lens]}\n"
         f"distortion_coefficients: {shown(tuple(map(float, m.distortion)))}\n"
-    )
+    ) + (f"readout_s: {shown(float(camera.readout_s))} # first to last row\n" if camera.readout_s else "")
 
 
 def _imu_yaml(imu: ImuModel) -> str:

@@ -1,9 +1,10 @@
 """Reading and writing text files, with errors that name them and without half-written ones."""
 
-from contextlib import suppress
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
 from pathlib import Path
 
-from dronevio.models.errors import InputError
+from dronevio.models.errors import ConfigError, InputError
 
 
 def read_text(path: Path, expected: str) -> str:
@@ -61,6 +62,20 @@ def write_text(path: Path, text: str) -> None:
     finally:
         with suppress(OSError):  # such as that its folder is a file
             beside.unlink(missing_ok=True)
+
+
+@contextmanager
+def blamed_on(path: Path) -> Iterator[None]:
+    """Turn what is raised for values that make no sense into the fault of the file that they were read from.
+
+    Raises:
+        InputError: In place of a ConfigError.
+    """
+    try:
+        yield
+    except ConfigError as error:
+        found, _, expected = str(error).partition("; expected ")
+        raise InputError(path, found, expected or "values that make sense") from None
 
 
 def check_place(path: Path) -> None:

@@ -9,6 +9,7 @@ import json
 import re
 from dataclasses import dataclass
 from pathlib import Path
+from typing import TypeAlias
 
 import numpy as np
 import numpy.typing as npt
@@ -17,7 +18,7 @@ from dronevio.models.errors import InputError
 from dronevio.models.recordings.files import read_text
 
 Array = npt.NDArray[np.float64]
-Value = float | str | tuple[float | str, ...]
+Value: TypeAlias = "float | str | tuple[Value, ...]"
 
 _KEY = re.compile(r"( *)([A-Za-z_][\w.-]*) *:(?: +(.*))?", re.ASCII)
 _NUMBER = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?", re.ASCII)
@@ -79,11 +80,24 @@ class SensorYaml:
     def pose(self, key: str) -> Array:
         """Return the rigid transform (4, 4) that stands row by row in ``key.data``, or raise InputError."""
         data = f"{key}.data"
-        T = np.array(self.numbers(data, 16)).reshape(4, 4)
+        return self._rigid(data, self.numbers(data, 16))
+
+    def pose_of_rows(self, key: str) -> Array:
+        """Return the rigid transform (4, 4) that ``key`` holds as a list of four rows, or raise InputError."""
+        rows = self.values.get(key)
+        flat = tuple(item for row in rows if isinstance(row, tuple) for item in row) if isinstance(rows, tuple) else ()
+        numbers = tuple(item for item in flat if isinstance(item, float))
+        if not isinstance(rows, tuple) or len(rows) != 4 or len(flat) != 16 or len(numbers) != 16:
+            raise self.fault(key, "four rows of four numbers")
+        return self._rigid(key, numbers)
+
+    def _rigid(self, key: str, numbers: tuple[float, ...]) -> Array:
+        """Return 16 numbers, which stand at a key, as a rigid transform (4, 4), or raise InputError."""
+        T = np.array(numbers).reshape(4, 4)
         R = T[:3, :3]
         rigid = np.allclose(R @ R.T, np.eye(3), atol=_ORTHONORMAL) and np.linalg.det(R) > 0.0
         if not rigid or not np.array_equal(T[3], [0.0, 0.0, 0.0, 1.0]):
-            raise self.fault(data, "a rigid transform, row by row, its rotation orthonormal and its last row 0 0 0 1")
+            raise self.fault(key, "a rigid transform, row by row, its rotation orthonormal and its last row 0 0 0 1")
         return T
 
 

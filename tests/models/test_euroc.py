@@ -14,8 +14,16 @@ from dronevio.models.camera import CameraModel
 from dronevio.models.errors import ConfigError, InputError
 from dronevio.models.imu import ImuModel, ImuSamples
 from dronevio.models.protocols import Recording
-from dronevio.models.recordings.euroc import EurocRecording, read_frame_times, read_groundtruth, write_euroc
+from dronevio.models.recordings.euroc import (
+    INCOMPLETE,
+    EurocRecording,
+    read_frame_times,
+    read_groundtruth,
+    write_euroc,
+)
+from dronevio.models.recordings.frame_truth import FRAME_TRUTH_FILE, FrameTruth, frame_truth_text
 from dronevio.models.rig import EUROC_T_IMU_CAM0, Rig, RigCamera, euroc_rig
+from dronevio.models.rigs import RIGS, rig_named
 from dronevio.models.state import Trajectory
 
 WIDTH, HEIGHT, FRAMES = 32, 24, 4
@@ -124,6 +132,69 @@ def test_a_truth_of_poses_alone_comes_back(tmp_path: Path) -> None:
     np.testing.assert_array_equal(back.quat_wxyz, truth.quat_wxyz)
 
 
+@pytest.mark.parametrize("name", RIGS)
+def test_every_rig_comes_back_to_the_bit(tmp_path: Path, name: str) -> None:
+    """Fisheyes, rolling shutters, stereo, and IMUs with a range and a resolution."""
+    imu, truth = motion()
+    rig = rig_named(name)
+    write_euroc(tmp_path, rig, imu, truth, imu.t_ns[::10])
+    back = EurocRecording.open(tmp_path).rig
+    assert back.imu == rig.imu and back.time_offset_s == rig.time_offset_s
+    np.testing.assert_array_equal(back.T_vehicle_imu, rig.T_vehicle_imu)
+    for ours, theirs in zip(back.cameras, rig.cameras, strict=True):
+        assert (ours.model, ours.rate_hz, ours.readout_s) == (theirs.model, theirs.rate_hz, theirs.readout_s)
+        np.testing.assert_array_equal(ours.T_imu_cam, theirs.T_imu_cam)
+
+
+def frame_truth(imu: ImuSamples) -> FrameTruth:
+    rng = np.random.default_rng(1)
+    t_ns = imu.t_ns[::10]
+    exposed_ns = t_ns + rng.integers(-(10**6), 10**6, len(t_ns))
+    return FrameTruth(t_ns, exposed_ns, rng.random(len(t_ns)), rng.random(len(t_ns)), rng.random(len(t_ns)) > 0.5)
+
+
+def test_when_frames_were_really_exposed_comes_back_to_the_bit(tmp_path: Path) -> None:
+    imu, truth = motion()
+    told = frame_truth(imu)
+    write_euroc(tmp_path, small_rig(), imu, truth, told.t_ns, told)
+    back = EurocRecording.open(tmp_path).frame_truth
+    assert back is not None
+    for name in ("t_ns", "exposed_ns", "exposure_s", "gain", "lit"):
+        np.testing.assert_array_equal(getattr(back, name), getattr(told, name))
+
+
+@pytest.mark.parametrize("wrong", ["1.5e3", str(2**62), "x"])
+def test_refuses_a_wrong_time_of_exposure(flight: Path, wrong: str) -> None:
+    told = frame_truth(motion()[0])
+    path = flight / "mav0" / FRAME_TRUTH_FILE
+    path.parent.mkdir()
+    path.write_text(frame_truth_text(told).replace(str(told.exposed_ns[1]), wrong))
+    error = refused(flight)
+    assert error.path == path and error.line == 3 and wrong in str(error)
+
+
+@pytest.mark.parametrize("cameras", [1, 2])
+def test_of_an_incomplete_recording_the_frames_that_are_there_are_read(tmp_path: Path, cameras: int) -> None:
+    flight = write_flight(tmp_path / "cut-off", cameras)
+    assert EurocRecording.open(flight).complete
+    (flight / "mav0" / INCOMPLETE).touch()
+    (flight / "mav0" / f"cam{cameras - 1}" / "data" / f"{motion()[0].t_ns[20]}.png").unlink()
+    recording = EurocRecording.open(flight)
+    assert not recording.complete
+    assert len(recording.frame_times_ns) == FRAMES - 1
+    assert [int(recording.frame(k).images[0].min()) for k in range(FRAMES - 1)] == [0, 10, 30]
+    for image in (flight / "mav0" / "cam0" / "data").iterdir():
+        image.unlink()
+    assert "incomplete recording without a single frame" in str(refused(flight))
+
+
+def test_a_recording_without_truth_is_written_without(tmp_path: Path) -> None:
+    imu, _ = motion()
+    write_euroc(tmp_path, small_rig(), imu, None, imu.t_ns[::10])
+    assert EurocRecording.open(tmp_path).ground_truth is None
+    assert not (tmp_path / "mav0" / "state_groundtruth_estimate0" / "data.csv").exists()
+
+
 def test_refuses_to_write_increments(tmp_path: Path) -> None:
     imu, truth = motion()
     with pytest.raises(ConfigError, match="point samples"):
@@ -184,11 +255,13 @@ def test_refuses_what_is_no_recording(flight: Path, tmp_path: Path) -> None:
     ("name", "old", "new", "found"),
     [
         ("cam0/sensor.yaml", "pinhole", "omni", "camera_model: omni"),
-        ("cam0/sensor.yaml", "radial-tangential", "equidistant", "distortion_model: equidistant"),
+        ("cam0/sensor.yaml", "radial-tangential", "fov", "distortion_model: fov"),
         ("cam0/sensor.yaml", "[32, 24]", "[32, 24.5]", "whole pixels"),
         ("cam0/sensor.yaml", "[32, 24]", "[32, 0]", "whole pixels"),
         ("cam0/sensor.yaml", "[20.333333333333332,", "[-20,", "focal lengths"),
         ("imu0/sensor.yaml", "gyroscope_noise_density: 0.00016968", "gyroscope_noise_density: 0.0", "above zero"),
+        ("imu0/sensor.yaml", "gyroscope_noise_density: 0.00016968", "gyroscope_noise_density: -1.0", "above zero"),
+        ("imu0/sensor.yaml", "gyroscope_noise_density: 0.00016968", "gyroscope_noise_density: .nan", "finite"),
         ("imu0/sensor.yaml", "accelerometer_random_walk", "accel_walk", "no field accelerometer_random_walk"),
         ("imu0/sensor.yaml", "data: [1.0", "data: [-1.0", "rigid"),
         ("imu0/sensor.yaml", "data: [1.0, 0.0, 0.0, 0.0", "data: [1.0, 0.0, 0.0, 0.1", "identity"),
