@@ -1,21 +1,25 @@
-"""The camera's images against its own projection, its depth against an analytic plane."""
+"""The camera's images against its own projection, its depth and flow against analytic boxes and against its images."""
 
 from collections.abc import Iterator
 from dataclasses import replace
-from functools import partial
+from functools import cache, partial
 
+import cv2
 import mujoco
 import numpy as np
 import numpy.typing as npt
 import pytest
 
 from dronevio.models.camera import CameraModel
-from dronevio.models.errors import GraphicsError
+from dronevio.models.errors import ConfigError, GraphicsError
 from dronevio.models.rig import EUROC_CAM0
-from dronevio.models.rotation import exp_so3, pose_matrix
-from dronevio.sim.camera import ImageNoise, OffscreenCamera
+from dronevio.models.rigs import TUM_VI_CAMERA, UZH_FPV_CAMERA, rig_named
+from dronevio.models.rotation import exp_so3, inverse_pose, pose_matrix, skew
+from dronevio.sim import views
+from dronevio.sim.camera import OffscreenCamera
 from dronevio.sim.scenery import add_pages, paint_pages
 from dronevio.sim.solids import Face
+from dronevio.sim.surfaces import points_in_camera
 
 Array = npt.NDArray[np.float64]
 
@@ -23,54 +27,260 @@ PINHOLE = replace(EUROC_CAM0, distortion=(0.0, 0.0, 0.0, 0.0))
 T_WORLD_CAM = pose_matrix(exp_so3(np.array([0.4, -1.1, 0.7])), np.array([1.3, -0.8, 2.1]))
 
 
-def lamps(camera: CameraModel, T_world_cam: Array, rng: np.random.Generator) -> tuple[Array, mujoco.MjModel]:
+def lamps(
+    camera: CameraModel, T_world_cam: Array, rng: np.random.Generator, margin_px: float = 12.0
+) -> tuple[Array, mujoco.MjModel]:
     """Return the centres (N, 3) of small glowing balls spread over a camera's view, and the model that holds them."""
-    u, v = np.meshgrid(np.linspace(25, camera.width - 26, 9), np.linspace(25, camera.height - 26, 6))
-    pixels = np.stack([u, v], axis=-1).reshape(-1, 2) + rng.uniform(-8.0, 8.0, (54, 2))
+    low, high = np.full(2, margin_px), np.array([camera.width, camera.height]) - 1.0 - margin_px
+    grid = np.stack(np.meshgrid(*(np.linspace(low[k], high[k], n) for k, n in enumerate((9, 6)))), axis=-1)
+    pixels = np.clip(grid.reshape(-1, 2) + rng.uniform(-8.0, 8.0, (54, 2)), low, high)
     p_cam = camera.unproject(pixels) * rng.uniform(1.5, 4.0, (54, 1))
     p_world = p_cam @ T_world_cam[:3, :3].T + T_world_cam[:3, 3]
     spec = mujoco.MjSpec()
     spec.add_material(name="glow", rgba=[1.0, 1.0, 1.0, 1.0], emission=1.0)
     for p in p_world:
-        radius = 0.006 * float(np.linalg.norm(p - T_world_cam[:3, 3]))  # 2.7 px, whatever the distance
+        radius = 2.7 / camera.fx * float(np.linalg.norm(p - T_world_cam[:3, 3]))  # 2.7 px, whatever the distance
         spec.worldbody.add_geom(type=mujoco.mjtGeom.mjGEOM_SPHERE, size=[radius, 0, 0], pos=p, material="glow")
     spec.visual.quality.numslices = spec.visual.quality.numstacks = 32
     return p_world, spec.compile()
 
 
-@pytest.mark.parametrize(("camera", "tolerance_px"), [(PINHOLE, 0.1), (EUROC_CAM0, 0.25)])
+def in_camera(p_world: Array, T_world_cam: Array) -> Array:
+    """Return points (N, 3) of the world in a camera's frame."""
+    return np.asarray((p_world - T_world_cam[:3, 3]) @ T_world_cam[:3, :3])
+
+
+def found(image: npt.NDArray[np.uint8], expected: Array) -> Array:
+    """Return the centroids (N, 2) of the light around the pixels (N, 2) where balls should be."""
+    centroids, reach = [], 8
+    for u, v in np.rint(expected).astype(int):
+        patch = image[v - reach : v + reach + 1, u - reach : u + reach + 1].astype(np.float64)
+        assert patch.sum() > 1000.0
+        y, x = np.mgrid[v - reach : v + reach + 1, u - reach : u + reach + 1]
+        centroids.append([(x * patch).sum() / patch.sum(), (y * patch).sum() / patch.sum()])
+    return np.array(centroids)
+
+
+@pytest.mark.parametrize(
+    ("camera", "tolerance_px"),
+    [(PINHOLE, 0.1), (EUROC_CAM0, 0.25), (UZH_FPV_CAMERA, 0.25), (TUM_VI_CAMERA, 0.25)],
+    ids=["pinhole", "radtan", "fisheye", "fisheye seeing behind itself"],
+)
 def test_points_land_where_the_model_projects_them(camera: CameraModel, tolerance_px: float) -> None:
     p_world, model = lamps(camera, T_WORLD_CAM, np.random.default_rng(0))
     with OffscreenCamera(model, camera) as eye:
-        image = eye.render(T_WORLD_CAM).astype(np.float64)
-    expected = camera.project((p_world - T_WORLD_CAM[:3, 3]) @ T_WORLD_CAM[:3, :3])
-    reach = 8
-    for u, v in expected:
-        left, top = round(u) - reach, round(v) - reach
-        patch = image[top : top + 2 * reach + 1, left : left + 2 * reach + 1]
-        assert patch.sum() > 1000.0
-        y, x = np.mgrid[top : top + 2 * reach + 1, left : left + 2 * reach + 1]
-        centroid = np.array([(x * patch).sum(), (y * patch).sum()]) / patch.sum()
-        assert np.abs(centroid - [u, v]).max() < tolerance_px
+        image = eye.render(T_WORLD_CAM)
+    expected = camera.project(in_camera(p_world, T_WORLD_CAM))
+    off = np.linalg.norm(found(image, expected) - expected, axis=1)
+    assert off.max() < tolerance_px
+    assert np.median(off) < 0.4 * tolerance_px
 
 
-@pytest.mark.parametrize("camera", [PINHOLE, EUROC_CAM0])
-def test_depth_of_an_oblique_plane(camera: CameraModel) -> None:
-    spec = mujoco.MjSpec()
-    spec.worldbody.add_geom(type=mujoco.mjtGeom.mjGEOM_BOX, size=[50.0, 50.0, 0.5], pos=[0.0, 0.0, -0.5])
+@pytest.mark.parametrize("name", ["pinhole-stereo", "euroc-stereo", "fisheye-stereo"])
+def test_a_stereo_pair_obeys_the_epipolar_line(name: str) -> None:
+    left, right = rig_named(name).cameras
+    T_left_right = inverse_pose(left.T_imu_cam) @ right.T_imu_cam
+    T_world_right = T_WORLD_CAM @ T_left_right
+    p_world, model = lamps(left.model, T_WORLD_CAM, np.random.default_rng(1), margin_px=60.0)
+    pixels = []
+    for camera, T_world_cam in ((left.model, T_WORLD_CAM), (right.model, T_world_right)):
+        with OffscreenCamera(model, camera) as eye:
+            expected = camera.project(in_camera(p_world, T_world_cam))
+            pixels.append(found(eye.render(T_world_cam), expected))
+    # b_leftᵀ [t]× R b_right = 0, and its distance in the right image is it over its gradient there.
+    normals = left.model.unproject(pixels[0]) @ skew(T_left_right[:3, 3]) @ T_left_right[:3, :3]
+    normals /= np.linalg.norm(normals, axis=1, keepdims=True)
+
+    def off_plane(at: Array) -> Array:
+        return np.asarray(np.sum(normals * right.model.unproject(at), axis=1))
+
+    step = 1e-3
+    gradient = [(off_plane(pixels[1] + e) - off_plane(pixels[1] - e)) / (2.0 * step) for e in step * np.eye(2)]
+    distance_px = np.abs(off_plane(pixels[1])) / np.hypot(*gradient)
+    assert len(distance_px) == 54
+    assert distance_px.max() < 0.1
+    shift = np.linalg.norm(pixels[1] - pixels[0], axis=1)
+    assert np.median(shift) > 4.0  # or any line would do
+
+
+@cache
+def textured_box(half_m: float = 2.0, mover: bool = False) -> mujoco.MjModel:
+    """Return a cubic room seen from inside, its walls covered with blotches; perhaps with a cube that can be moved."""
+    rng, spec = np.random.default_rng(5), mujoco.MjSpec()
+    ends = ((1, 0, 0), (-1, 0, 0), (0, 1, 0), (0, -1, 0), (0, 0, 1), (0, 0, -1), (0, 0, 0))
+    for number, end in enumerate(ends):
+        shades = sum(
+            strength
+            * cv2.resize(rng.normal(size=(1024 // px, 1024 // px)), (1024, 1024), interpolation=cv2.INTER_CUBIC)
+            for px, strength in ((8, 0.6), (16, 1.0), (64, 0.8))
+        )
+        image = np.repeat(np.clip(128.0 + 45.0 * shades, 0, 255).astype(np.uint8)[..., None], 3, axis=2)
+        name = f"wall_{number}"
+        flat = mujoco.mjtTexture.mjTEXTURE_2D if any(end) else mujoco.mjtTexture.mjTEXTURE_CUBE
+        texture = spec.add_texture(name=name, type=flat, nchannel=3)
+        texture.height, texture.width = (1024, 1024) if any(end) else (6 * 1024, 1024)
+        texture.data = (image if any(end) else np.tile(image, (6, 1, 1))).tobytes()
+        material = spec.add_material(name=name, emission=1.0, texrepeat=[1.0, 1.0])
+        material.textures[mujoco.mjtTextureRole.mjTEXROLE_RGB] = name
+        size, plane = [half_m, half_m, 1.0], mujoco.mjtGeom.mjGEOM_PLANE
+        if any(end):
+            inward = [-float(v) for v in end]
+            pos = [half_m * v for v in end]
+            spec.worldbody.add_geom(name=name, type=plane, size=size, pos=pos, zaxis=inward, material=name)
+    if mover:
+        body = spec.worldbody.add_body(name="cart", mocap=True, pos=[1.0, 0.2, -0.3])
+        body.add_geom(
+            name="cart", type=mujoco.mjtGeom.mjGEOM_BOX, size=[0.2, 0.3, 0.25], pos=[0.05, 0.0, 0.1], material="wall_6"
+        )
     model = spec.compile()
-    model.stat.extent, model.vis.map.znear, model.vis.map.zfar = 1.0, 0.03, 50.0
-    R_down = np.diag([1.0, -1.0, -1.0])
-    T = pose_matrix(R_down @ exp_so3(np.array([0.35, -0.2, 0.3])), np.array([0.3, -0.2, 1.7]))
+    model.stat.extent, model.vis.map.znear, model.vis.map.zfar = 1.0, 0.03, 30.0
+    return model
+
+
+R_AHEAD = np.array([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]])  # looking along the world's x
+T_NOW = pose_matrix(R_AHEAD @ exp_so3(np.array([0.1, 0.2, 0.05])), np.array([-0.4, 0.2, 0.1]))
+T_NEXT = T_NOW @ pose_matrix(exp_so3(np.array([0.01, -0.015, 0.02])), np.array([0.05, 0.02, 0.03]))
+
+
+def residual_of_warp(eye: OffscreenCamera, flow: Array, now: Array, then: Array) -> Array:
+    """Return how far (N, 2) patches of a later image, brought back by the flow, still are from their place [px]."""
+    height, width = now.shape
+    u, v = np.meshgrid(np.arange(width, dtype=np.float32), np.arange(height, dtype=np.float32))
+    there = np.stack([u, v], axis=-1) + flow
+    back = cv2.remap(then, there[..., 0], there[..., 1], cv2.INTER_CUBIC)
+    inside = np.all((there > 12) & (there < np.array([width, height]) - 13.0), axis=-1).astype(np.uint8)
+    inside = cv2.erode(inside, np.ones((25, 25)), borderValue=0)
+    corners = cv2.goodFeaturesToTrack(now, 300, 0.05, 10, mask=inside, blockSize=5)
+    criteria = (cv2.TERM_CRITERIA_EPS + cv2.TERM_CRITERIA_COUNT, 50, 1e-4)
+    tracked, status, _ = cv2.calcOpticalFlowPyrLK(
+        now, back, corners, corners.copy(), winSize=(15, 15), maxLevel=0, criteria=criteria
+    )
+    assert status.all()
+    return np.asarray((tracked - corners)[:, 0])
+
+
+@pytest.mark.parametrize("camera", [PINHOLE, EUROC_CAM0, UZH_FPV_CAMERA, TUM_VI_CAMERA])
+def test_depth_reprojects_one_frame_into_the_next(camera: CameraModel) -> None:
+    with OffscreenCamera(textured_box(), camera) as eye:
+        flow = eye.render_flow(T_NOW, T_NEXT)
+        off = residual_of_warp(eye, flow, eye.render(T_NOW), eye.render(T_NEXT))
+    assert np.median(np.linalg.norm(flow, axis=-1)) > 3.0
+    assert len(off) > 150
+    assert np.linalg.norm(off, axis=1).max() < 0.3
+    assert np.abs(off.mean(axis=0)).max() < 0.02
+
+
+def test_flow_of_what_moves() -> None:
+    camera, model = EUROC_CAM0, textured_box(mover=True)
+    before, after = (
+        pose_matrix(exp_so3(np.array([0.0, 0.0, a])), np.array([1.1, x, -0.2])) for a, x in ((0.4, 0.3), (0.42, 0.27))
+    )
     with OffscreenCamera(model, camera) as eye:
-        depth = eye.render_depth(T)
-    u, v = np.meshgrid(np.arange(camera.width), np.arange(camera.height))
-    xy = camera.normalise(np.stack([u, v], axis=-1))
-    rays_world = np.concatenate([xy, np.ones_like(xy[..., :1])], axis=-1) @ T[:3, :3].T
-    expected = -T[2, 3] / rays_world[..., 2]  # along the ray at depth 1: the plane z = 0
-    assert depth.shape == (camera.height, camera.width)
-    assert np.abs(depth / expected - 1.0).max() < 5e-3  # nearest neighbour: a third of a pixel of an oblique plane
-    assert np.abs(np.median(depth / expected) - 1.0) < 1e-4
+        seen = eye.render_surfaces(T_NOW, {"cart": before})
+        flow = eye.render_flow(T_NOW, T_NOW, {"cart": before}, {"cart": after})
+        now, then = eye.render(T_NOW, {"cart": before}), eye.render(T_NOW, {"cart": after})
+        off = residual_of_warp(eye, flow, now, then)
+        still = eye.render(T_NOW)
+        at_rest = eye.render(T_NOW, {"cart": pose_matrix(np.eye(3), np.array([1.0, 0.2, -0.3]))})
+    cart = seen.geom == eye.geom_names.index("cart")
+    assert 0.02 < cart.mean() < 0.4
+    assert np.abs(flow[~cart]).max() < 1e-3
+    assert np.median(np.linalg.norm(flow[cart], axis=-1)) > 3.0
+    assert np.percentile(np.linalg.norm(off, axis=1), 90) < 0.3  # the rest are behind the cart then
+    np.testing.assert_array_equal(still, at_rest)
+    assert np.mean(still != now) > 0.05
+    p = points_in_camera(camera, seen.depth_m)[cart] @ T_NOW[:3, :3].T + T_NOW[:3, 3]
+    T_after_before = after @ inverse_pose(before)
+    moved = in_camera(p @ T_after_before[:3, :3].T + T_after_before[:3, 3], T_NOW)
+    v, u = np.nonzero(cart)
+    np.testing.assert_allclose(flow[cart], camera.project(moved) - np.stack([u, v], axis=-1), atol=1e-3)
+
+
+def test_what_cannot_be_moved_is_refused() -> None:
+    with OffscreenCamera(textured_box(mover=True), PINHOLE) as eye:
+        for name in ("ghost", "world"):
+            with pytest.raises(ConfigError, match=name):
+                eye.render(T_NOW, {name: np.eye(4)})
+
+
+def test_a_cube_of_views_shows_what_a_single_one_shows(monkeypatch: pytest.MonkeyPatch) -> None:
+    model = textured_box()
+    with OffscreenCamera(model, EUROC_CAM0) as eye:
+        assert len(eye.views.views) == 1
+        single, depth = eye.render(T_NOW).astype(float), eye.render_depth(T_NOW)
+    monkeypatch.setattr(views, "_WORTH_A_CUBE", np.inf)
+    with OffscreenCamera(model, EUROC_CAM0) as eye:
+        assert len(eye.views.views) > 1
+        cube, depth_of_cube = eye.render(T_NOW).astype(float), eye.render_depth(T_NOW)
+    assert np.abs(cube - single).mean() < 1.0
+    assert np.abs(cube - single).max() < 24.0  # how finely a wall is drawn differs, where it is does not
+    assert np.median(np.abs(depth_of_cube / depth - 1.0)) < 1e-5
+
+
+def test_where_the_lens_sees_nothing_nothing_is_seen() -> None:
+    camera = CameraModel(320, 240, 90.0, 90.0, 159.5, 119.5, (0.02, -0.03, 0.004, -0.002), "equidistant")
+    blind = np.isnan(camera.unproject(np.stack(np.meshgrid(np.arange(320), np.arange(240)), axis=-1))).any(axis=-1)
+    assert 0.05 < blind.mean() < 0.6
+    with OffscreenCamera(textured_box(), camera) as eye:
+        image, seen = eye.render(T_NOW), eye.render_surfaces(T_NOW)
+        flow = eye.render_flow(T_NOW, T_NEXT)
+    assert image[cv2.erode(blind.astype(np.uint8), np.ones((5, 5)), borderValue=1) > 0].max() == 0
+    assert image[cv2.erode((~blind).astype(np.uint8), np.ones((5, 5))) > 0].mean() > 90
+    np.testing.assert_array_equal(np.isnan(seen.depth_m), blind)
+    np.testing.assert_array_equal(seen.geom == -1, blind)
+    assert np.isnan(flow[blind]).all()
+
+
+@pytest.mark.parametrize("camera", [PINHOLE, EUROC_CAM0, UZH_FPV_CAMERA, TUM_VI_CAMERA])
+def test_depth_and_geoms_of_a_box(camera: CameraModel) -> None:
+    """Against the analytic box: along each ray the first wall that it meets."""
+    with OffscreenCamera(textured_box(2.0), camera) as eye:
+        seen = eye.render_surfaces(T_NOW)
+    rays = camera.unproject(np.stack(np.meshgrid(np.arange(camera.width), np.arange(camera.height)), axis=-1))
+    in_world = rays @ T_NOW[:3, :3].T
+    lengths = (np.where(in_world > 0.0, 2.0, -2.0) - T_NOW[:3, 3]) / in_world
+    axis, length = lengths.argmin(axis=-1), lengths.min(axis=-1)
+    wall = 2 * axis + (np.take_along_axis(in_world, axis[..., None], axis=-1)[..., 0] < 0.0)
+    names = np.array(eye.geom_names)[seen.geom]
+    at_an_edge = np.diff(np.sort(lengths, axis=-1)[..., :2], axis=-1)[..., 0] < 0.02 * length
+    assert (names == np.array([f"wall_{k}" for k in range(6)])[wall])[~at_an_edge].all()
+    depth = length * rays[..., 2] if camera.lens == "radtan" else length
+    error = np.abs(seen.depth_m / depth - 1.0)
+    assert error[~at_an_edge].max() < 1e-4
+    assert error.max() < 2e-2
+
+
+def test_nothing_is_infinitely_far() -> None:
+    spec = mujoco.MjSpec()
+    spec.worldbody.add_geom(type=mujoco.mjtGeom.mjGEOM_SPHERE, size=[0.5, 0, 0], pos=[0.0, 0.0, 3.0])
+    with OffscreenCamera(spec.compile(), PINHOLE) as eye:
+        seen = eye.render_surfaces(np.eye(4))
+        flow = eye.render_flow(np.eye(4), np.eye(4))
+    assert seen.depth_m[240, 367] == pytest.approx(2.5, abs=0.01)  # the ball is a polyhedron
+    assert seen.geom[240, 367] == 0
+    assert np.isinf(seen.depth_m[5, 5])
+    assert seen.geom[5, 5] == -1
+    assert np.isnan(flow[5, 5]).all()
+
+
+def test_a_shiny_floor_mirrors() -> None:
+    images = []
+    for shine in (0.0, 0.5):
+        spec = mujoco.MjSpec()
+        spec.add_material(name="floor", rgba=[0.1, 0.1, 0.1, 1.0], emission=1.0, reflectance=shine)
+        spec.add_material(name="glow", rgba=[1.0, 1.0, 1.0, 1.0], emission=1.0)
+        spec.worldbody.add_geom(type=mujoco.mjtGeom.mjGEOM_PLANE, size=[9.0, 9.0, 1.0], material="floor")
+        spec.worldbody.add_geom(
+            type=mujoco.mjtGeom.mjGEOM_SPHERE, size=[0.1, 0, 0], pos=[3.0, 0.2, 0.8], material="glow"
+        )
+        model = spec.compile()
+        model.stat.extent, model.vis.map.znear, model.vis.map.zfar = 1.0, 0.03, 30.0
+        with OffscreenCamera(model, EUROC_CAM0) as eye:
+            images.append(eye.render(pose_matrix(R_AHEAD, np.array([0.0, 0.0, 0.7]))).astype(float))
+    mirrored = in_camera(np.array([[3.0, 0.2, -0.8]]), pose_matrix(R_AHEAD, np.array([0.0, 0.0, 0.7])))
+    u, v = np.rint(EUROC_CAM0.project(mirrored))[0].astype(int)
+    dull, shiny = (image[v - 3 : v + 4, u - 3 : u + 4].mean() for image in images)
+    assert shiny > dull + 50.0
 
 
 def quadrants(size: int, rng: np.random.Generator, height: int, width: int) -> npt.NDArray[np.uint8]:
@@ -128,20 +338,3 @@ def test_a_closed_camera_says_so(eye: OffscreenCamera) -> None:
     eye.close()
     with pytest.raises(GraphicsError, match="closed"):
         eye.render(np.eye(4))
-
-
-def test_noise_has_the_variance_it_says() -> None:
-    noise = ImageNoise(read_sigma=1.5, shot_sigma=3.0, vignetting=0.0)
-    for level in (20, 120, 220):
-        image = np.full((400, 400), level, np.uint8)
-        noisy = noise.apply(image, np.random.default_rng(0)).astype(float)
-        expected = 1.5**2 + 3.0**2 * level / 255.0 + 1.0 / 12.0  # rounding adds its own
-        assert abs(noisy.mean() - level) < 0.05
-        assert noisy.var() == pytest.approx(expected, rel=0.03)
-
-
-def test_vignetting_darkens_the_corners_only() -> None:
-    noise = ImageNoise(read_sigma=0.0, shot_sigma=0.0, vignetting=0.2)
-    dimmed = noise.apply(np.full((101, 201), 200, np.uint8), np.random.default_rng(0))
-    assert dimmed[50, 100] == 200
-    assert dimmed[0, 0] == dimmed[-1, -1] == 160
