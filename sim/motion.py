@@ -60,7 +60,15 @@ class Motion:
         The gyroscope reads the rate at the stamp. The accelerometer reads the mean over one interval centred on it, as
         the filter in a real one does: the rotors' force jumps and a landing shock are over between two stamps, and an
         instant's value would alias them into a velocity error that never heals. Averaging neighbours (the textbook
-        midpoint rule) then neither lags nor drifts.
+        midpoint rule) then neither lags nor drifts more than sampling must:
+
+        - The rate is known at both ends of an interval only. Its mean is missed by its curvature, dt²/12 ω̈, and the
+          turn also by coning, dt²/12 ω₀ × ω₁ (Bortz, "A new mathematical formulation for strapdown inertial
+          navigation", 1971). Both add up: some 2e-3 rad over a minute at 3 rad/s, nothing to speak of at 1 rad/s.
+        - A velocity is missed by dt/4 of the acceleration's jump at the stamp. That does not add up, but a force that
+          is turned by a wrong attitude does.
+
+        Increments lose none of it.
 
         Args:
             T_vehicle_imu: (4, 4) Where the IMU is mounted.
