@@ -6,7 +6,6 @@ as the mean over its area, as a sensor's pixel collects its light, which keeps t
 to the edge of any lens.
 """
 
-from dataclasses import dataclass
 from types import TracebackType
 from typing import Self
 
@@ -16,9 +15,9 @@ import numpy as np
 import numpy.typing as npt
 
 from dronevio.models.camera import CameraModel
-from dronevio.sim.drawing import NO_MOVERS, Drawing, MoverPoses
+from dronevio.sim.drawing import NO_MOVERS, Canvas, Drawing, MoverPoses
 from dronevio.sim.surfaces import Depth, Flow, Surfaces, depth_rays, optical_flow
-from dronevio.sim.views import Views, pixel_rays
+from dronevio.sim.views import Lookup, Views, pixel_rays
 
 Array = npt.NDArray[np.float64]
 GreyImage = npt.NDArray[np.uint8]
@@ -28,44 +27,27 @@ SUPERSAMPLING = 1.5
 LENS_BLUR_PX = 0.35
 """Standard deviation of the lens's blur [px]; with the pixel's area it makes 0.45 px."""
 _ACROSS = 2  # samples per image pixel, along a line
+_AROUND_PX = 3  # rows that the blur reaches
 _SAME_SURFACE = 0.02  # nearness that differs by less between neighbours is that of one surface
-
-
-@dataclass(frozen=True)
-class ImageNoise:
-    """What a sensor adds to the light: noise, and the lens's darker corners.
-
-    The variance grows with the signal, as photons do: σ² = read² + shot² · level / 255 (EMVA standard 1288).
-    """
-
-    read_sigma: float = 1.2
-    """Noise of a black image [grey levels]."""
-    shot_sigma: float = 2.2
-    """Noise of a white image beyond it [grey levels]."""
-    vignetting: float = 0.18
-    """How much darker the furthest corner is, relative."""
-
-    def apply(self, image: GreyImage, rng: np.random.Generator) -> GreyImage:
-        """Return a grey image (H, W) as a sensor reads it out."""
-        height, width = image.shape
-        y, x = np.ogrid[-1.0 : 1.0 : height * 1j, -1.0 : 1.0 : width * 1j]
-        lens = (1.0 - self.vignetting * (x**2 + y**2) / 2.0).astype(np.float32)
-        level = image * lens
-        sigma = np.sqrt(self.read_sigma**2 + self.shot_sigma**2 / 255.0 * level)
-        noise = rng.standard_normal(image.shape, dtype=np.float32)
-        return np.asarray(np.clip(np.rint(level + sigma * noise), 0.0, 255.0), dtype=np.uint8)
 
 
 class OffscreenCamera:
     """Draws what a rig's camera sees of a world, off screen. Close it, or use it as a context."""
 
-    def __init__(self, model: mujoco.MjModel, camera: CameraModel, supersampling: float = SUPERSAMPLING) -> None:
+    def __init__(
+        self,
+        model: mujoco.MjModel,
+        camera: CameraModel,
+        supersampling: float = SUPERSAMPLING,
+        canvas: Canvas | None = None,
+    ) -> None:
         """Prepare to draw.
 
         Args:
             model: The world alone, compiled: its scenery lights itself.
             camera: Projection and image size.
             supersampling: Drawn pixels per image pixel, along a line, where the lens does not distort.
+            canvas: The world's, shared with other cameras and closed by who made it; one of its own by default.
 
         Raises:
             GraphicsError: No off-screen OpenGL.
@@ -75,27 +57,34 @@ class OffscreenCamera:
         """What is drawn for an image."""
         self.geom_names = tuple(str(model.geom(number).name) for number in range(model.ngeom))
         """The world's geoms by their number, as `render_surfaces` gives it."""
-        self._drawing = Drawing(model, self.views)
+        self._canvas, self._owns_canvas = canvas or Canvas(model), canvas is None
+        self._drawing = Drawing(model, self.views, self._canvas)
         self._lookup = self.views.lookup(pixel_rays(camera, _ACROSS))
         self._blur_px = LENS_BLUR_PX * _ACROSS
         self._surface_lookup = _SurfaceLookup(self.views, camera)
 
-    def render(self, T_world_cam: Array, mover_poses: MoverPoses = NO_MOVERS) -> GreyImage:
+    def render(self, T_world_cam: Array, mover_poses: MoverPoses = NO_MOVERS, rows: slice = slice(None)) -> GreyImage:
         """Return the grey image (H, W) that the camera sees, without noise.
 
         Args:
             T_world_cam: (4, 4) Pose of the camera.
             mover_poses: Poses (4, 4) of what moves in the world, by name; without one it is where the spec has it.
+            rows: Which of the H rows are wanted; the cost is theirs.
 
         Raises:
             GraphicsError: The camera has been closed.
             ConfigError: There is no such mover.
         """
-        return self._through_lens(cv2.cvtColor(self._drawing.colours(T_world_cam, mover_poses), cv2.COLOR_RGB2GRAY))
+        first, last, _ = rows.indices(self.camera.height)
+        top, end = max(first - _AROUND_PX, 0), min(last + _AROUND_PX, self.camera.height)
+        columns, levels = (part[_ACROSS * top : _ACROSS * end] for part in self._lookup)
+        wanted = self._atlas_rows(levels) if end - top < self.camera.height else None
+        grey = cv2.cvtColor(self._drawing.colours(T_world_cam, mover_poses, wanted), cv2.COLOR_RGB2GRAY)
+        return self._through_lens(grey, (columns, levels))[first - top : last - top]
 
     def render_rgb(self, T_world_cam: Array, mover_poses: MoverPoses = NO_MOVERS) -> GreyImage:
         """Return the same view in colour (H, W, 3), for people."""
-        return self._through_lens(self._drawing.colours(T_world_cam, mover_poses))
+        return self._through_lens(self._drawing.colours(T_world_cam, mover_poses), self._lookup)
 
     def render_surfaces(self, T_world_cam: Array, mover_poses: MoverPoses = NO_MOVERS) -> Surfaces:
         """Return depth and geom of what each pixel (H, W) of the same view sees at its middle."""
@@ -125,7 +114,8 @@ class OffscreenCamera:
 
     def close(self) -> None:
         """Give the graphics memory back; more than once does no harm."""
-        self._drawing.close()
+        if self._owns_canvas:
+            self._canvas.close()
 
     def __enter__(self) -> Self:
         return self
@@ -135,11 +125,19 @@ class OffscreenCamera:
     ) -> None:
         self.close()
 
-    def _through_lens(self, atlas: npt.NDArray[np.uint8] | cv2.typing.MatLike) -> GreyImage:
-        """Return the camera's image of the drawn views: distorted, a little unsharp, each pixel a mean."""
-        fine = cv2.remap(atlas, *self._lookup, cv2.INTER_LINEAR)
+    def _atlas_rows(self, looked_up: Lookup) -> tuple[int, int]:
+        """Return the first row of the atlas that is looked up, and the first beyond the last."""
+        inside = looked_up[looked_up >= 0.0]
+        low, high = float(inside.min(initial=np.inf)), float(inside.max(initial=0.0))
+        return max(int(min(low, high)) - 1, 0), min(int(high) + 3, self.views.height)
+
+    def _through_lens(
+        self, atlas: npt.NDArray[np.uint8] | cv2.typing.MatLike, lookup: tuple[Lookup, Lookup]
+    ) -> GreyImage:
+        """Return the image of the drawn views, or of the rows of a look-up: distorted, unsharp, each pixel a mean."""
+        fine = cv2.remap(atlas, *lookup, cv2.INTER_LINEAR)
         cv2.GaussianBlur(fine, (0, 0), self._blur_px, dst=fine)
-        size = (self.camera.width, self.camera.height)
+        size = (self.camera.width, len(lookup[0]) // _ACROSS)
         return np.asarray(cv2.resize(fine, size, interpolation=cv2.INTER_AREA), dtype=np.uint8)
 
 

@@ -22,48 +22,86 @@ NO_MOVERS: MoverPoses = MappingProxyType({})
 """Everything stands where the world's spec puts it."""
 
 
-class Drawing:
-    """An atlas in graphics memory, and the scene that is drawn on it. Close it after use."""
+class Canvas:
+    """Graphics memory: a world's meshes and textures, and room to draw. Close it after use."""
 
-    def __init__(self, model: mujoco.MjModel, views: Views) -> None:
+    def __init__(self, model: mujoco.MjModel) -> None:
+        """Load a world.
+
+        Raises:
+            GraphicsError: No off-screen OpenGL.
+        """
+        self._gl: Context | None = create_context(1, 1)  # what is drawn lies in a buffer of its own
+        self.context = mujoco.MjrContext(model, mujoco.mjtFontScale.mjFONTSCALE_100)
+        """MuJoCo's handle."""
+        mujoco.mjr_setBuffer(mujoco.mjtFramebuffer.mjFB_OFFSCREEN, self.context)
+        self.context.readDepthMap = mujoco.mjtDepthMap.mjDEPTH_ZEROFAR
+
+    def activate(self, width: int, height: int) -> None:
+        """Draw here from now on, at least the given size [px].
+
+        Raises:
+            GraphicsError: It has been closed.
+        """
+        if self._gl is None:
+            raise GraphicsError("the camera has been closed")
+        self._gl.make_current()
+        room = self.context.offWidth, self.context.offHeight
+        if width > room[0] or height > room[1]:
+            mujoco.mjr_resizeOffscreen(max(width, room[0]), max(height, room[1]), self.context)
+
+    def close(self) -> None:
+        """Give the graphics memory back; more than once does no harm."""
+        if self._gl is not None:
+            self._gl.make_current()
+            self.context.free()
+            self._gl.free()
+            self._gl = None
+
+
+class Drawing:
+    """An atlas on a canvas, and the scene that is drawn on it."""
+
+    def __init__(self, model: mujoco.MjModel, views: Views, canvas: Canvas) -> None:
         """Prepare to draw.
 
         Args:
             model: The world alone, compiled: its scenery lights itself.
             views: What is drawn.
-
-        Raises:
-            GraphicsError: No off-screen OpenGL.
+            canvas: That world's; other drawings may use it in turn.
         """
-        self._model, self._views = model, views
+        self._model, self._views, self._canvas = model, views, canvas
         self.near_m, self.far_m = (float(v * model.stat.extent) for v in (model.vis.map.znear, model.vis.map.zfar))
-        self._gl: Context | None = create_context(views.width, views.height)
-        self._context = mujoco.MjrContext(model, mujoco.mjtFontScale.mjFONTSCALE_100)
-        mujoco.mjr_resizeOffscreen(views.width, views.height, self._context)
-        mujoco.mjr_setBuffer(mujoco.mjtFramebuffer.mjFB_OFFSCREEN, self._context)
-        self._context.readDepthMap = mujoco.mjtDepthMap.mjDEPTH_ZEROFAR
         self._scene = _scene_without_lights(model)
         geoms = self._scene.geoms[: self._scene.ngeom]
         self._reflects = any(geom.reflectance > 0.0 for geom in geoms)
         self._geom_of_mark = np.array([-1, *(geom.objid for geom in geoms)], np.int32)  # mark 0 is the background
         self._data = mujoco.MjData(model)
         self._moving = [geom for geom in geoms if self._mover_of(geom.objid) >= 0]
-        self._atlas = mujoco.MjrRect(0, 0, views.width, views.height)
         self._colours = np.empty((views.height, views.width, 3), np.uint8)
         self._nearness = np.empty((views.height, views.width), np.float32)
 
-    def colours(self, T_world_cam: Array, mover_poses: MoverPoses = NO_MOVERS) -> Colours:
+    def colours(
+        self, T_world_cam: Array, mover_poses: MoverPoses = NO_MOVERS, rows: tuple[int, int] | None = None
+    ) -> Colours:
         """Return the atlas in colour (H', W', 3) from a camera's pose (4, 4); valid until the next drawing.
 
         OpenGL's first row is the lowest.
 
+        Args:
+            T_world_cam: The camera's pose.
+            mover_poses: Poses (4, 4) of what moves.
+            rows: First row that is drawn, and first that no longer is; the others are undefined. None for all.
+
         Raises:
-            GraphicsError: The drawing has been closed.
+            GraphicsError: The canvas has been closed.
             ConfigError: There is no such mover.
         """
+        low, high = rows or (0, self._views.height)
         self._scene.flags[mujoco.mjtRndFlag.mjRND_REFLECTION] = self._reflects
-        self._draw(T_world_cam, mover_poses)
-        mujoco.mjr_readPixels(self._colours, None, self._atlas, self._context)
+        self._draw(T_world_cam, mover_poses, low, high)
+        drawn = mujoco.MjrRect(0, low, self._views.width, high - low)
+        mujoco.mjr_readPixels(self._colours[low:high], None, drawn, self._canvas.context)
         return self._colours
 
     def surfaces(self, T_world_cam: Array, mover_poses: MoverPoses = NO_MOVERS) -> tuple[Nearness, Colours]:
@@ -73,15 +111,16 @@ class Drawing:
         plane, 0 at the far one. `geoms` says what the marks mean.
 
         Raises:
-            GraphicsError: The drawing has been closed.
+            GraphicsError: The canvas has been closed.
             ConfigError: There is no such mover.
         """
         marked = (mujoco.mjtRndFlag.mjRND_SEGMENT, mujoco.mjtRndFlag.mjRND_IDCOLOR)
         self._scene.flags[mujoco.mjtRndFlag.mjRND_REFLECTION] = False
         for flag in marked:  # no textures: several times as fast
             self._scene.flags[flag] = True
-        self._draw(T_world_cam, mover_poses)
-        mujoco.mjr_readPixels(self._colours, self._nearness, self._atlas, self._context)
+        self._draw(T_world_cam, mover_poses, 0, self._views.height)
+        drawn = mujoco.MjrRect(0, 0, self._views.width, self._views.height)
+        mujoco.mjr_readPixels(self._colours, self._nearness, drawn, self._canvas.context)
         for flag in marked:
             self._scene.flags[flag] = False
         return self._nearness, self._colours
@@ -96,25 +135,18 @@ class Drawing:
         body_of = {int(geom.objid): int(self._model.geom_bodyid[geom.objid]) for geom in self._moving}
         return {geom: poses[1][body] @ inverse_pose(poses[0][body]) for geom, body in body_of.items()}
 
-    def close(self) -> None:
-        """Give the graphics memory back; more than once does no harm."""
-        if self._gl is not None:
-            self._gl.make_current()
-            self._context.free()
-            self._gl.free()
-            self._gl = None
-
-    def _draw(self, T_world_cam: Array, mover_poses: MoverPoses) -> None:
-        """Draw all views into the graphics memory."""
-        if self._gl is None:
-            raise GraphicsError("the camera has been closed")
-        self._gl.make_current()
+    def _draw(self, T_world_cam: Array, mover_poses: MoverPoses, low: int, high: int) -> None:
+        """Draw rows of all views into the graphics memory."""
+        self._canvas.activate(self._views.width, self._views.height)
         self._place(mover_poses)
         for geom in self._moving:
             geom.pos, geom.mat = self._data.geom_xpos[geom.objid], self._data.geom_xmat[geom.objid].reshape(3, 3)
         for view in self._views.views:
-            self._look(T_world_cam, view)
-            mujoco.mjr_render(mujoco.MjrRect(view.column, 0, view.width, view.height), self._scene, self._context)
+            part = view.rows(low, min(high, view.height))
+            if part.height > 0:
+                self._look(T_world_cam, part)
+                place = mujoco.MjrRect(part.column, low, part.width, part.height)
+                mujoco.mjr_render(place, self._scene, self._canvas.context)
 
     def _look(self, T_world_cam: Array, view: View) -> None:
         """Turn the scene's eyes into a view."""

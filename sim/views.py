@@ -5,7 +5,7 @@ finer than its own image; one that sees more, in the faces of a cube around it, 
 All of them lie side by side in one large image, the atlas, so that one look-up makes the camera's image.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import numpy.typing as npt
@@ -53,6 +53,11 @@ class View:
         left, top = (-0.5 - self.c) / self.f
         right, bottom = (np.array([self.width, self.height]) - 0.5 - self.c) / self.f
         return near_m * (left + right) / 2.0, near_m * (right - left) / 2.0, -near_m * bottom, -near_m * top
+
+    def rows(self, low: int, high: int) -> "View":
+        """Return the part of the view from its row ``low`` to before ``high``, counted from below."""
+        above = np.array([0.0, self.height - high])
+        return replace(self, c=self.c - above, height=high - low)
 
     def lookup(self, rays: Array) -> Lookup:
         """Return where in the atlas rays (N, 3) of the camera frame are found (2, N) [px]: column, row from below."""

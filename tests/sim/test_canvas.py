@@ -1,0 +1,81 @@
+"""Cameras that share graphics memory, and parts of images: the same pixels."""
+
+from collections.abc import Iterator
+from dataclasses import replace
+
+import mujoco
+import numpy as np
+import pytest
+
+from dronevio.models.camera import CameraModel
+from dronevio.models.errors import GraphicsError
+from dronevio.models.rig import EUROC_CAM0
+from dronevio.models.rigs import TUM_VI_CAMERA
+from dronevio.sim.camera import OffscreenCamera
+from dronevio.sim.drawing import Canvas
+
+SMALL = CameraModel(width=96, height=64, fx=60.0, fy=60.0, cx=47.5, cy=31.5)
+
+
+@pytest.fixture(scope="module")
+def model() -> mujoco.MjModel:
+    """A swarm of glowing balls all around."""
+    rng = np.random.default_rng(3)
+    spec = mujoco.MjSpec()
+    for k in range(300):
+        glow = spec.add_material(name=f"glow_{k}", emission=1.0, rgba=[*rng.uniform(0.2, 1.0, 3), 1.0])
+        away = rng.standard_normal(3)
+        spec.worldbody.add_geom(
+            type=mujoco.mjtGeom.mjGEOM_SPHERE,
+            size=[0.3, 0.0, 0.0],
+            pos=2.0 * away / np.linalg.norm(away),
+            material=glow.name,
+        )
+    spec.stat.extent = 5.0
+    return spec.compile()
+
+
+@pytest.fixture
+def canvas(model: mujoco.MjModel) -> Iterator[Canvas]:
+    opened = Canvas(model)
+    yield opened
+    opened.close()
+
+
+@pytest.mark.parametrize("camera", [EUROC_CAM0, TUM_VI_CAMERA], ids=["single view", "cube"])
+def test_rows_are_those_of_the_whole_image(model: mujoco.MjModel, camera: CameraModel) -> None:
+    with OffscreenCamera(model, camera) as eye:
+        whole = eye.render(np.eye(4))
+        assert whole.std() > 20.0
+        for rows in (slice(0, 40), slice(100, 163), slice(camera.height - 1, camera.height), slice(2, camera.height)):
+            turned = np.diag([-1.0, 1.0, -1.0, 1.0])
+            eye.render(turned)  # something else in the memory
+            part = eye.render(np.eye(4), rows=rows).astype(int)
+            assert part.shape == (rows.stop - rows.start, camera.width)
+            assert np.abs(part - whole[rows]).max() <= 8  # a ball's outline may be drawn a hair's breadth off
+            assert np.abs(part - whole[rows]).mean() < 1e-3
+
+
+def test_cameras_share_a_canvas(model: mujoco.MjModel, canvas: Canvas) -> None:
+    with OffscreenCamera(model, EUROC_CAM0) as alone:
+        expected = alone.render(np.eye(4))
+    with (
+        OffscreenCamera(model, SMALL, canvas=canvas) as small,
+        OffscreenCamera(model, EUROC_CAM0, canvas=canvas) as eye,
+    ):
+        assert small.render(np.eye(4)).max() > 100
+        np.testing.assert_array_equal(eye.render(np.eye(4)), expected)
+        small.close()
+        np.testing.assert_array_equal(eye.render(np.eye(4)), expected)
+        canvas.close()
+        with pytest.raises(GraphicsError, match="closed"):
+            eye.render(np.eye(4))
+
+
+def test_a_bigger_camera_does_not_change_a_smaller_one(model: mujoco.MjModel, canvas: Canvas) -> None:
+    with OffscreenCamera(model, SMALL, canvas=canvas) as small:
+        before = small.render(np.eye(4))
+        big = replace(SMALL, width=500, height=400, cx=249.5, cy=199.5)
+        with OffscreenCamera(model, big, canvas=canvas) as eye:
+            assert eye.render(np.eye(4)).shape == (400, 500)
+            np.testing.assert_array_equal(small.render(np.eye(4)), before)

@@ -1,0 +1,109 @@
+"""The sensor against its own equations: noise, gain, saturation, vignetting; the exposure control against theory."""
+
+import numpy as np
+import pytest
+
+from dronevio.models.errors import ConfigError
+from dronevio.sim.imaging import AutoExposure, Exposures, FixedExposure, Imaging
+
+NOMINAL_S = 0.002
+
+
+def grey(level: float, shape: tuple[int, int] = (400, 400)) -> np.ndarray:
+    return np.full(shape, level, np.uint8)
+
+
+def histogram(image: np.ndarray) -> np.ndarray:
+    return np.bincount(image.ravel(), minlength=256) / image.size
+
+
+@pytest.mark.parametrize("gain", [1.0, 4.0])
+def test_noise_has_the_variance_it_says(gain: float) -> None:
+    sensor = Imaging(read_sigma=1.5, shot_sigma=3.0, vignetting=0.0)
+    for level in (20, 120, 220):
+        noisy = sensor.develop(grey(level), 1.0, NOMINAL_S / gain, gain, np.random.default_rng(0)).astype(float)
+        signal = level / gain
+        expected = gain**2 * (1.5**2 + 3.0**2 * signal / 255.0) + 1.0 / 12.0  # rounding adds its own
+        assert abs(noisy.mean() - level) < 0.1
+        assert noisy.var() == pytest.approx(expected, rel=0.03)
+
+
+def test_light_is_what_counts_until_it_is_too_much() -> None:
+    sensor = Imaging(read_sigma=0.0, shot_sigma=0.0, vignetting=0.0)
+    rng = np.random.default_rng(0)
+    for irradiance, exposure_s, gain in ((0.5, NOMINAL_S, 1.0), (1.0, 0.5 * NOMINAL_S, 1.0), (0.05, NOMINAL_S, 10.0)):
+        assert np.all(sensor.develop(grey(100), irradiance, exposure_s, gain, rng) == 50)
+    assert np.all(sensor.develop(grey(100), 1.0, 3.0 * NOMINAL_S, 1.0, rng) == 255)
+    fine = sensor.develop(np.full((4, 4), 10.3, np.float32), 0.1, NOMINAL_S, 10.0, rng)
+    assert np.all(fine == 10)  # drawn light keeps its fractions up to the converter
+
+
+def test_vignetting_darkens_the_corners_only() -> None:
+    sensor = Imaging(read_sigma=0.0, shot_sigma=0.0, vignetting=0.2)
+    dimmed = sensor.develop(grey(200, (101, 201)), 1.0, NOMINAL_S, 1.0, np.random.default_rng(0))
+    assert dimmed[50, 100] == 200
+    assert dimmed[0, 0] == dimmed[-1, -1] == 160
+
+
+def test_same_seed_same_bytes() -> None:
+    sensor = Imaging()
+    one, two, other = (sensor.develop(grey(90), 1.0, NOMINAL_S, 1.0, np.random.default_rng(k)) for k in (0, 0, 1))
+    np.testing.assert_array_equal(one, two)
+    assert np.any(one != other)
+
+
+def control(auto: AutoExposure, histograms: list[np.ndarray], irradiance: np.ndarray) -> Exposures:
+    return auto.exposures(np.stack(histograms), irradiance, NOMINAL_S)
+
+
+def test_a_steady_scene_is_held_at_the_target() -> None:
+    scene = histogram(np.random.default_rng(0).integers(20, 140, (60, 90)))
+    exposures = control(AutoExposure(tolerance=0.0), [scene] * 3, np.ones(3))
+    mean = scene @ np.minimum(np.arange(256) * exposures.time_s[0] / NOMINAL_S, 255.0)
+    assert mean == pytest.approx(110.0, abs=0.5)
+    np.testing.assert_allclose(exposures.time_s, exposures.time_s[0], rtol=1e-6)
+    assert np.all(exposures.gain == 1.0)
+
+
+def test_a_step_of_light_is_corrected_without_overshoot_and_not_before_it_is_seen() -> None:
+    scene = histogram(grey(100))
+    light = np.where(np.arange(40) < 10, 1.0, 0.25)
+    x = np.log(control(AutoExposure(tolerance=0.0, longest_s=0.05), [scene] * 40, light).time_s)
+    np.testing.assert_allclose(x[:12], x[0], atol=1e-9)  # frame 10 is dark, frame 12 the first that can know
+    step = (x[12:] - x[0]) / np.log(4.0)
+    n = np.arange(len(step))
+    np.testing.assert_allclose(1.0 - step, (0.5 * (n + 1) + 1.0) * 0.5 ** (n + 1.0), atol=1e-3)  # (a + b n) ½ⁿ
+    assert np.all(np.diff(step) > -1e-9)
+
+
+def test_gain_helps_out_only_where_time_is_at_its_limit() -> None:
+    scene = histogram(grey(110))
+    for light, time_s, gain in ((0.5, 0.004, 1.0), (0.05, 0.010, 4.0), (0.0001, 0.010, 16.0), (1000.0, 2e-5, 1.0)):
+        exposures = control(AutoExposure(tolerance=0.0), [scene] * 60, np.full(60, light))
+        assert exposures.time_s[-1] == pytest.approx(time_s, rel=1e-3)
+        assert exposures.gain[-1] == pytest.approx(gain, rel=1e-3)
+
+
+def test_small_errors_are_left_alone() -> None:
+    scenes = [histogram(grey(level)) for level in (110, 112, 108, 111, 110, 140, 140, 140)]
+    exposures = control(AutoExposure(tolerance=0.05), scenes, np.ones(8))
+    assert np.all(exposures.time_s[:7] == exposures.time_s[0])
+    assert exposures.time_s[7] < exposures.time_s[6]
+
+
+@pytest.mark.parametrize(
+    ("make", "name"),
+    [
+        (lambda: FixedExposure(time_s=0.0), "time_s"),
+        (lambda: FixedExposure(gain=0.5), "gain"),
+        (lambda: AutoExposure(target_level=300.0), "target_level"),
+        (lambda: AutoExposure(speed=1.5), "speed"),
+        (lambda: AutoExposure(shortest_s=0.1), "shortest_s"),
+        (lambda: Imaging(vignetting=1.2), "vignetting"),
+        (lambda: Imaging(read_sigma=float("nan")), "read_sigma"),
+    ],
+)
+def test_nonsense_is_refused_by_name(make: object, name: str) -> None:
+    assert callable(make)
+    with pytest.raises(ConfigError, match=name):
+        make()

@@ -1,0 +1,114 @@
+"""The shutter: markers land where their own row sees them, blurred ones in the middle of the exposure."""
+
+import mujoco
+import numpy as np
+import pytest
+
+from dronevio.models.camera import CameraModel
+from dronevio.models.rig import EUROC_CAM0, RigCamera
+from dronevio.models.rotation import exp_so3, inverse_pose, pose_matrix
+from dronevio.sim.camera import OffscreenCamera
+from dronevio.sim.shutter import Poses, Shutter
+
+FISHEYE = CameraModel(
+    width=320,
+    height=240,
+    fx=130.0,
+    fy=131.0,
+    cx=157.0,
+    cy=121.0,
+    distortion=(0.01, -0.02, 0.01, -0.002),
+    lens="equidistant",
+)
+SMALL = CameraModel(width=376, height=240, fx=229.0, fy=229.0, cx=183.6, cy=124.2, distortion=EUROC_CAM0.distortion)
+T_START = pose_matrix(exp_so3(np.array([0.4, -1.1, 0.7])), np.array([1.3, -0.8, 2.1]))
+MIDDLE_NS = 1_403_715_273_262_142_976
+
+
+def moving(velocity_m_s: list[float], rate_rad_s: list[float]) -> Poses:
+    """Return a camera that flies straight and turns steadily, both in its own frame; at `T_START` in the middle."""
+    v, w = np.array(velocity_m_s), np.array(rate_rad_s)
+
+    def poses(t_ns: np.ndarray) -> np.ndarray:
+        s = (np.asarray(t_ns) - MIDDLE_NS)[:, None] * 1e-9
+        return T_START @ pose_matrix(exp_so3(s * w), s * v)
+
+    return poses
+
+
+def lamps(camera: CameraModel, rng: np.random.Generator) -> tuple[np.ndarray, mujoco.MjModel]:
+    """Return the centres (N, 3) of small glowing balls spread over the view from `T_START`, and their model."""
+    u, v = np.meshgrid(np.linspace(30, camera.width - 31, 7), np.linspace(30, camera.height - 31, 5))
+    pixels = np.stack([u, v], axis=-1).reshape(-1, 2) + rng.uniform(-4.0, 4.0, (35, 2))
+    p_cam = camera.unproject(pixels) * rng.uniform(1.5, 4.0, (35, 1))
+    p_world = p_cam @ T_START[:3, :3].T + T_START[:3, 3]
+    spec = mujoco.MjSpec()
+    spec.add_material(name="glow", rgba=[1.0, 1.0, 1.0, 1.0], emission=1.0)
+    for p in p_world:
+        radius = 2.7 / camera.fx * float(np.linalg.norm(p - T_START[:3, 3]))  # 2.7 px, whatever the distance
+        spec.worldbody.add_geom(type=mujoco.mjtGeom.mjGEOM_SPHERE, size=[radius, 0, 0], pos=p, material="glow")
+    spec.visual.quality.numslices = spec.visual.quality.numstacks = 32
+    spec.stat.extent = 5.0
+    return p_world, spec.compile()
+
+
+def seen_from(T_world_cam: np.ndarray, camera: CameraModel, p_world: np.ndarray) -> np.ndarray:
+    """Return the pixels (N, 2) of points (N, 3) from poses (N, 4, 4)."""
+    T = inverse_pose(T_world_cam)
+    return camera.project(np.einsum("nij,nj->ni", T[:, :3, :3], p_world) + T[:, :3, 3])
+
+
+def expected_pixels(rig_camera: RigCamera, poses: Poses, p_world: np.ndarray) -> np.ndarray:
+    """Return where points (N, 3) are seen, each from the pose at the middle of its own row's exposure."""
+    camera, delay_s = rig_camera.model, np.zeros(len(p_world))
+    for _ in range(20):  # the row depends on the pose, the pose on the row
+        pixels = seen_from(poses(MIDDLE_NS + np.rint(delay_s * 1e9).astype(np.int64)), camera, p_world)
+        delay_s = (pixels[:, 1] / (camera.height - 1) - 0.5) * rig_camera.readout_s
+    return pixels
+
+
+def centroid(light: np.ndarray, around: np.ndarray, reach: int) -> np.ndarray:
+    """Return the centroid (2,) of what glows around a pixel."""
+    left, top = (round(v) - reach for v in around.tolist())
+    patch = light[top : top + 2 * reach + 1, left : left + 2 * reach + 1].astype(np.float64)
+    assert patch.shape == (2 * reach + 1, 2 * reach + 1)
+    assert patch.sum() > 500.0
+    y, x = np.mgrid[top : top + 2 * reach + 1, left : left + 2 * reach + 1]
+    return np.array([(x * patch).sum(), (y * patch).sum()]) / patch.sum()
+
+
+@pytest.mark.parametrize("camera", [SMALL, FISHEYE], ids=["radtan", "fisheye"])
+@pytest.mark.parametrize(
+    ("velocity", "rate", "exposure_s", "readout_s"),
+    [
+        ([0.0, 0.0, 0.0], [0.0, 0.0, 0.0], 0.004, 0.02),
+        ([3.0, -1.0, 0.5], [0.2, 1.5, 0.6], 0.008, 0.0),
+        ([0.3, 0.2, 0.5], [1.0, -2.0, 0.6], 0.001, 0.02),
+        ([1.5, -1.0, 0.5], [0.7, 1.5, -1.0], 0.006, 0.015),
+    ],
+    ids=["still", "blurred", "rolling", "both"],
+)
+def test_markers_land_where_their_row_sees_them(
+    camera: CameraModel, velocity: list[float], rate: list[float], exposure_s: float, readout_s: float
+) -> None:
+    poses = moving(velocity, rate)
+    rig_camera = RigCamera(camera, np.eye(4), readout_s=readout_s)
+    p_world, model = lamps(camera, np.random.default_rng(0))
+    shutter = Shutter(rig_camera)
+    plan = shutter.plan(poses, MIDDLE_NS, exposure_s, nearest_m=1.5)
+    drawn = []
+    with OffscreenCamera(model, shutter.drawn) as eye:
+
+        def view(t_ns: int) -> np.ndarray:
+            drawn.append(t_ns)
+            return eye.render(poses(np.array([t_ns]))[0])
+
+        light = shutter.collect(plan, poses, view)
+    assert light.shape == (camera.height, camera.width)
+    assert len(drawn) <= 10
+    expected = expected_pixels(rig_camera, poses, p_world)
+    assert len(expected) == 35
+    error = np.array([centroid(light, pixel, 12) - pixel for pixel in expected])
+    assert np.abs(error).max() < 0.25
+    if any(velocity) and readout_s:  # the rows do matter
+        assert np.abs(seen_from(np.tile(T_START, (35, 1, 1)), camera, p_world) - expected).max() > 2.0
