@@ -82,7 +82,7 @@ def paint_pages(
 
 
 def facing(quads: Array) -> Array:
-    """Return the unit normals (F, 3) of quadrangles (F, 4, 3), clockwise as one looks at them; a side may be a point."""
+    """Return the unit normals (F, 3) of quadrangles (F, 4, 3), clockwise as one sees them; a side may be a point."""
     a, b, c, d = np.moveaxis(quads, 1, 0)
     normal = np.cross(c - a, b - d)
     return np.asarray(normal / np.maximum(np.linalg.norm(normal, axis=1, keepdims=True), 1e-12))
