@@ -9,7 +9,7 @@ integrated here as
 from few images I_k drawn at key poses. Between them the turn of the camera is exact, since each key image is looked up
 through the camera's own model π, and the parallax is cross-faded: the weights w_k are the hat functions between the
 keys, whose spacing keeps the parallax between neighbours below a pixel, so that positions are interpolated linearly.
-What does not move is drawn once.
+Of each key image only the rows are drawn that look at it, and what does not move is drawn once.
 """
 
 from collections.abc import Callable
@@ -29,8 +29,8 @@ Light = npt.NDArray[np.uint8] | npt.NDArray[np.float32]
 
 Poses = Callable[[Times], Array]
 """Maps true times (M,) [ns] to poses of the camera (M, 4, 4) in the world."""
-View = Callable[[int], GreyImage]
-"""Draws what `Shutter.drawn` sees at a true time [ns]."""
+View = Callable[[int, slice], GreyImage]
+"""Draws what `Shutter.drawn` sees at a true time [ns], on some of its rows."""
 
 LARGEST_MARGIN_PX = 32
 """How far outside the image a key image reaches at most [px]."""
@@ -40,6 +40,7 @@ _SINGLE_KEY_BLUR_PX = 1.0  # parallax within an exposure below which its blur ca
 _SINGLE_KEY_SKEW_PX = 0.2  # parallax within the readout
 _KEY_SPACING_PX = 1.0  # parallax between key poses
 _SAMPLE_SPACING_PX = 0.75  # between the instants of the integral: below the lens's blur
+_AROUND_PX = 2  # for the interpolation
 _MOST_KEYS, _MOST_SAMPLES = 33, 64
 _GRID_PX = 16  # the looked-up displacement bends by 1 / f²: bilinear between such points is good to 1e-3 px
 
@@ -54,6 +55,8 @@ class ExposurePlan:
     """(K,) When the key images are drawn [ns]."""
     samples_ns: Times
     """(S,) Instants of the integral, relative to the middle of a row's exposure [ns]."""
+    reach_px: int
+    """How far the camera's turn moves the image between a key pose and what is looked up in its image, at most [px]."""
     still: bool
     """Whether the key image is the frame."""
 
@@ -114,44 +117,57 @@ class Shutter:
             and turn_px <= 2.0 * LARGEST_MARGIN_PX
         )
         keys = 1 if single else 1 + int(np.ceil(max(parallax_px / _KEY_SPACING_PX, turn_px / LARGEST_MARGIN_PX, 1.0)))
+        keys = min(keys, _MOST_KEYS)
         samples = 1 if blur <= _STILL_BLUR_PX else max(2, int(np.ceil(blur / _SAMPLE_SPACING_PX)))
         return ExposurePlan(
             middle_ns,
-            middle_ns + _spread(span_ns, min(keys, _MOST_KEYS), ends=True),
+            middle_ns + _spread(span_ns, keys, ends=True),
             _spread(exposure_ns, min(samples, _MOST_SAMPLES), ends=False),
+            reach_px=int(np.ceil(turn_px / max(keys - 1, 2 - keys))) + _AROUND_PX,
             still=blur <= _STILL_BLUR_PX and skew <= _STILL_SKEW_PX,
         )
 
     def collect(self, plan: ExposurePlan, poses: Poses, view: View) -> Light:
         """Return the light (H, W) that the rows collect [grey levels]."""
+        height, margin = self._model.height, self._margin_px
         if plan.still:
-            m = self._margin_px
-            return view(plan.middle_ns)[m : m + self._model.height, m : m + self._model.width]
-        images = [view(t_ns) for t_ns in plan.keys_ns.tolist()]
-        R_world_keys = poses(plan.keys_ns)[:, :3, :3]
-        hats = np.eye(len(images))
-        light = np.zeros((self._model.height, self._model.width), np.float32)
-        for offset_ns in plan.samples_ns.tolist():
-            start_ns = plan.middle_ns + offset_ns
-            R_world_rows = poses(start_ns + np.rint(self._delays_ns(self._rows_px)).astype(np.int64))[:, :3, :3]
-            for image, R_world_key, hat in zip(images, R_world_keys, hats, strict=True):
-                weight = np.interp(start_ns + self._row_delays_ns - plan.middle_ns, plan.keys_ns - plan.middle_ns, hat)
-                seeing = np.flatnonzero(weight)
-                if len(seeing):
-                    rows = slice(int(seeing[0]), int(seeing[-1]) + 1)
-                    seen = self._looked_up(image, R_world_key.T @ R_world_rows, rows)
-                    light[rows] += seen * (weight[rows, None] / len(plan.samples_ns)).astype(np.float32)
+            return view(plan.middle_ns, slice(margin, margin + height))[:, margin : margin + self._model.width]
+        weights = self._weights(plan)
+        starts_ns = plan.middle_ns + plan.samples_ns
+        grid_delays_ns = np.rint(self._delays_ns(self._rows_px)).astype(np.int64)
+        R_world_rows = poses((starts_ns[:, None] + grid_delays_ns).ravel())[:, :3, :3]
+        R_world_rows = R_world_rows.reshape(len(starts_ns), len(grid_delays_ns), 3, 3)
+        light = np.zeros((height, self._model.width), np.float32)
+        for key_ns, R_world_key, weight in zip(
+            plan.keys_ns.tolist(), poses(plan.keys_ns)[:, :3, :3], weights, strict=True
+        ):
+            low, high = _extent(weight.any(axis=0))
+            drawn = slice(max(low + margin - plan.reach_px, 0), min(high + margin + plan.reach_px, self.drawn.height))
+            image = view(key_ns, drawn)
+            for row_weight, R_world_row in zip(weight, R_world_rows, strict=True):
+                rows = slice(*_extent(row_weight > 0.0))
+                if rows.stop > rows.start:
+                    seen = self._looked_up(image, drawn.start, R_world_key.T @ R_world_row, rows)
+                    light[rows] += seen * row_weight[rows, None]
         return light
+
+    def _weights(self, plan: ExposurePlan) -> npt.NDArray[np.float32]:
+        """Return the weight (K, S, H) of each key image in what each row collects at each instant."""
+        since_ns = plan.samples_ns[:, None] + self._row_delays_ns
+        keys_ns = plan.keys_ns - plan.middle_ns
+        hats = [np.interp(since_ns, keys_ns, hat) for hat in np.eye(len(keys_ns))]
+        return (np.stack(hats) / len(plan.samples_ns)).astype(np.float32)
 
     def _delays_ns(self, rows_px: Array) -> Array:
         """Return how much later than the middle row's each row's exposure is [ns]."""
         return np.asarray((rows_px / max(self._model.height - 1, 1) - 0.5) * self._readout_ns)
 
-    def _looked_up(self, image: GreyImage, R_key_rows: Array, rows: slice) -> GreyImage:
+    def _looked_up(self, image: GreyImage, first: int, R_key_rows: Array, rows: slice) -> GreyImage:
         """Return what rows of the frame see of a key image.
 
         Args:
-            image: The key image, with its margin.
+            image: Rows of the key image, with its margin.
+            first: The first of these rows.
             R_key_rows: (G, 3, 3) For each row of the grid, the turn from the camera then to the key.
             rows: Which rows of the frame.
         """
@@ -164,8 +180,8 @@ class Shutter:
         top = rows.start - (low - 1) * _GRID_PX
         fine = cv2.resize(moved, size, interpolation=cv2.INTER_LINEAR)
         fine = fine[top : top + rows.stop - rows.start, _GRID_PX : _GRID_PX + self._model.width]
-        x = fine[..., 0] + np.arange(self._margin_px, self._margin_px + self._model.width, dtype=np.float32)
-        y = fine[..., 1] + np.arange(rows.start, rows.stop, dtype=np.float32)[:, None] + np.float32(self._margin_px)
+        x = fine[..., 0] + (np.arange(self._model.width, dtype=np.float32) + self._margin_px)
+        y = fine[..., 1] + (np.arange(rows.start, rows.stop, dtype=np.float32) + (self._margin_px - first))[:, None]
         return np.asarray(cv2.remap(image, x, y, cv2.INTER_CUBIC, borderMode=cv2.BORDER_REPLICATE), dtype=np.uint8)
 
 
@@ -183,3 +199,9 @@ def _spread(length_ns: float, count: int, ends: bool) -> Times:
     if ends and count > 1:
         return np.rint(np.linspace(-0.5, 0.5, count) * length_ns).astype(np.int64)
     return np.rint(((np.arange(count) + 0.5) / count - 0.5) * length_ns).astype(np.int64)
+
+
+def _extent(flags: npt.NDArray[np.bool_]) -> tuple[int, int]:
+    """Return the index of the first flag that is set and the one after the last; 0, 0 where none is."""
+    found = np.flatnonzero(flags)
+    return (int(found[0]), int(found[-1]) + 1) if len(found) else (0, 0)
