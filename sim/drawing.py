@@ -72,10 +72,12 @@ class Drawing:
         """
         self._model, self._views, self._canvas = model, views, canvas
         self.near_m, self.far_m = (float(v * model.stat.extent) for v in (model.vis.map.znear, model.vis.map.zfar))
-        self._scene = _scene_without_lights(model)
+        self._scene = scene_without_lights(model)
         geoms = self._scene.geoms[: self._scene.ngeom]
         self._reflects = any(geom.reflectance > 0.0 for geom in geoms)
-        self._geom_of_mark = np.array([-1, *(geom.objid for geom in geoms)], np.int32)  # mark 0 is the background
+        self._geom_of_mark = np.full(len(geoms) + 1, -1, np.int32)  # mark 0 is the background
+        for geom in geoms:
+            self._geom_of_mark[geom.segid + 1] = geom.objid
         self._data = mujoco.MjData(model)
         self._moving = [geom for geom in geoms if self._mover_of(geom.objid) >= 0]
         self._colours = np.empty((views.height, views.width, 3), np.uint8)
@@ -144,17 +146,9 @@ class Drawing:
         for view in self._views.views:
             part = view.rows(low, min(high, view.height))
             if part.height > 0:
-                self._look(T_world_cam, part)
+                look_from(self._scene, T_world_cam, part, self.near_m, self.far_m)
                 place = mujoco.MjrRect(part.column, low, part.width, part.height)
                 mujoco.mjr_render(place, self._scene, self._canvas.context)
-
-    def _look(self, T_world_cam: Array, view: View) -> None:
-        """Turn the scene's eyes into a view."""
-        _, down, ahead = (T_world_cam[:3, :3] @ view.R_cam_view).T
-        for eye in self._scene.camera:  # two; MuJoCo draws from their mean
-            eye.pos, eye.forward, eye.up = T_world_cam[:3, 3], ahead, -down
-            eye.frustum_near, eye.frustum_far = self.near_m, self.far_m
-            eye.frustum_center, eye.frustum_width, eye.frustum_bottom, eye.frustum_top = view.frustum(self.near_m)
 
     def _place(self, mover_poses: MoverPoses) -> None:
         """Put the mocap bodies where they belong; those without a pose, where the model has them."""
@@ -180,13 +174,27 @@ class Drawing:
         return int(self._model.body_mocapid[self._model.body_rootid[self._model.geom_bodyid[geom]]])
 
 
-def _scene_without_lights(model: mujoco.MjModel) -> mujoco.MjvScene:
-    """Return what is to be drawn: the geoms as they stand, no light but their own."""
+def look_from(scene: mujoco.MjvScene, T_world_cam: Array, view: View, near_m: float, far_m: float) -> None:
+    """Turn a scene's eyes into a view of a camera at a pose (4, 4)."""
+    _, down, ahead = (T_world_cam[:3, :3] @ view.R_cam_view).T
+    for eye in scene.camera:  # two; MuJoCo draws from their mean
+        eye.pos, eye.forward, eye.up = T_world_cam[:3, 3], ahead, -down
+        eye.frustum_near, eye.frustum_far = near_m, far_m
+        eye.frustum_center, eye.frustum_width, eye.frustum_bottom, eye.frustum_top = view.frustum(near_m)
+
+
+def switch_lights_off(scene: mujoco.MjvScene) -> None:
+    """Leave a scene no light but its own, and no effect that costs time; scenery carries its light in its textures."""
+    scene.nlight = 0
+    for effect in ("SHADOW", "REFLECTION", "SKYBOX", "FOG", "HAZE"):
+        scene.flags[getattr(mujoco.mjtRndFlag, f"mjRND_{effect}")] = False
+
+
+def scene_without_lights(model: mujoco.MjModel) -> mujoco.MjvScene:
+    """Return what is to be drawn: the geoms as they stand."""
     data, scene = mujoco.MjData(model), mujoco.MjvScene(model, maxgeom=model.ngeom + 10)
     mujoco.mj_kinematics(model, data)
     view = mujoco.MjvCamera()
     mujoco.mjv_updateScene(model, data, mujoco.MjvOption(), None, view, mujoco.mjtCatBit.mjCAT_ALL, scene)
-    scene.nlight = 0
-    for effect in ("SHADOW", "REFLECTION", "SKYBOX", "FOG", "HAZE"):
-        scene.flags[getattr(mujoco.mjtRndFlag, f"mjRND_{effect}")] = False
+    switch_lights_off(scene)
     return scene
