@@ -220,7 +220,7 @@ def sky(rng: Random, height: int, width: int, zenith: Colour, horizon: Colour, c
     image = np.asarray(zenith, np.float32) * (1.0 - haze) + np.asarray(horizon, np.float32) * haze
     # clouds lie in a plane overhead: far ones are small and flat; they are soft, so half the resolution will do
     size = 1024
-    plane = closing_grain(rng, size, size, (2, 4, 10, 22, 55, 125)) * np.float32(1.25)
+    plane = closing_grain(rng, size, size, (3, 7, 16, 40, 60, 125)) * np.float32(1.25)
     edge = (0.62 - cover) * 2.4  # of a normal distribution
     coarse = elevation[::2]
     azimuth = np.linspace(0.0, 2.0 * np.pi, width // 2, dtype=np.float32)

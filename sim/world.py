@@ -14,14 +14,18 @@ from dronevio.sim.lightmap import bake, daylight
 from dronevio.sim.scenery import Page, paint_pages
 from dronevio.sim.solids import visible_faces
 from dronevio.sim.space import Place, Space
+from dronevio.sim.worlds.corridor import CORRIDOR
 from dronevio.sim.worlds.forest import FOREST
+from dronevio.sim.worlds.gates import GATES
 from dronevio.sim.worlds.room import ROOM
 
 Array = npt.NDArray[np.float64]
 
 WORLDS: dict[str, WorldBuilder] = {
     "room": ROOM,
+    "corridor": CORRIDOR,
     "forest": FOREST,
+    "gates": GATES,
 }
 """The worlds that `build_world` knows, by name."""
 

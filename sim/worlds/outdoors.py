@@ -10,7 +10,7 @@ import numpy.typing as npt
 
 from dronevio.sim import textures_nature as nature
 from dronevio.sim.lightmap import AreaLight
-from dronevio.sim.solids import Paint, Sheet
+from dronevio.sim.solids import Box, Paint, Sheet
 from dronevio.sim.textures import Colour, Image
 
 Array = npt.NDArray[np.float64]
@@ -18,8 +18,10 @@ Random = np.random.Generator
 
 _SKY_M = 80.0  # far enough to seem to stand still
 _SUN_M = 150.0  # its rays are parallel within a few degrees over a world
-_SKY_WIDTH_PX = 3072  # once around: three pixels of a usual camera's five
+_SKY_WIDTH_PX = 2560  # once around: a pixel of a usual camera
 _DOWN_RAD = np.radians(10.0)  # `textures_nature.sky` ends so far below the horizon
+
+_SHADOW = 0.58  # light that the sky sends where the sun does not reach, relative
 
 
 @dataclass(frozen=True)
@@ -116,7 +118,7 @@ def distance_to_legs(points: Array, route: Array) -> Array:
 
 
 def scattered(
-    rng: Random, low: Sequence[float], high: Sequence[float], tries: int, radii: Array, apart_m: float
+    rng: Random, low: npt.ArrayLike, high: npt.ArrayLike, tries: int, radii: Array, apart_m: float
 ) -> tuple[Array, Array]:
     """Scatter discs at random, none closer to another than ``apart_m``.
 
@@ -131,10 +133,36 @@ def scattered(
     Returns:
         Centres (K, 2) and radii (K,).
     """
-    thrown = rng.uniform(low, high, (tries, 2))
+    thrown = rng.uniform(np.asarray(low), np.asarray(high), (tries, 2))
     kept: list[int] = []
     for k in range(tries):
         gaps = np.linalg.norm(thrown[kept] - thrown[k], axis=1) - radii[kept] - radii[k]
         if np.all(gaps > apart_m):
             kept.append(k)
     return thrown[kept], radii[kept]
+
+
+def on_ground(image: Image, ppm: float, points: Array) -> Array:
+    """Return where points (…, 3) lie on the image of a ground around the origin, x along its columns [px]."""
+    height, width = image.shape[:2]
+    return np.asarray(points[..., :2] * [ppm, -ppm] + [0.5 * width, 0.5 * height])
+
+
+def shadowed(image: Image, ppm: float, casting: Sequence[Box], toward: Array) -> Image:
+    """Return the image of a ground around the origin with the shadows of boxes on it.
+
+    Args:
+        image: (H, W, 3) The ground.
+        ppm: Its resolution [px/m].
+        casting: What casts shadows.
+        toward: (3,) Unit vector toward the sun.
+    """
+    signs = np.array([[x, y, z] for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)], dtype=np.float64)
+    light = np.ones((image.shape[0] // 2, image.shape[1] // 2), np.float32)
+    for box in casting:
+        corners = box.centre + (signs * box.half) @ box.R.T
+        shade = corners - np.maximum(corners[:, 2:], 0.0) * toward / toward[2]
+        outline = cv2.convexHull((0.5 * on_ground(image, ppm, shade)).astype(np.int32))
+        cv2.fillConvexPoly(light, outline, _SHADOW)
+    light = cv2.GaussianBlur(light, (0, 0), 0.02 * ppm)
+    return nature.tinted(image, np.repeat(light[..., None], 3, axis=2))
