@@ -1,0 +1,265 @@
+"""The corridor: one floor of an office building, a closed loop around a core; made for closing loops.
+
+Its four wings are built alike, and differ in their colours and in what stands along their walls.
+"""
+
+from functools import partial
+from itertools import pairwise
+
+import numpy as np
+import numpy.typing as npt
+
+from dronevio.sim import textures, textures_building
+from dronevio.sim.building import Wall, ceiling_lamp, coarse, landing_mat, level_face, room_walls
+from dronevio.sim.furniture import METAL, WOODS, Piece, block, pick, plant, window
+from dronevio.sim.furniture_public import PUBLIC_FURNITURE, bench, hung_picture, vending_machine
+from dronevio.sim.layout import Layout, WorldBuilder
+from dronevio.sim.solids import Box, Face, Paint, turn_z
+from dronevio.sim.textures import Colour
+
+Array = npt.NDArray[np.float64]
+Random = np.random.Generator
+
+LOW_M, HIGH_M = np.array([-12.0, -7.0, 0.0]), np.array([12.0, 7.0, 2.9])
+"""Corners of the floor [m]."""
+CORE_M = np.array([9.2, 4.2])
+"""(2,) Half the extent of the core that the corridor runs around [m]: it is 2.8 m wide."""
+_NICHE_WIDTH_M, _NICHE_DEPTH_M = 2.2, 1.0
+_MIDDLE_M = 0.5 * (HIGH_M[:2] + CORE_M)  # of the corridor, from the middle of the building
+_PAD_M = np.array([0.0, -_MIDDLE_M[1], 0.0])
+_LONGEST_M = 12.2  # a wall longer than this is painted in two parts, with a pilaster between them
+_WALL_PX_PER_M, _FLOOR_PX_PER_M, _CEILING_PX_PER_M, _THING_PX_PER_M = 172.0, 144.0, 96.0, 160.0
+
+_SHADY_M = 0.04  # what is thinner hangs on a wall: its shadow would be a smudge, painted as coarsely as light is
+
+_PAINT: Colour = (206, 202, 188)
+_DADOS: tuple[Colour, ...] = ((92, 122, 140), (150, 104, 76), (104, 132, 96), (146, 128, 84))
+_STONES: tuple[Colour, ...] = ((166, 160, 148), (150, 152, 150), (170, 154, 134))
+
+
+def layout(rng: Random) -> Layout:
+    """Draw a corridor."""
+    dados = [_DADOS[int(i)] for i in rng.permutation(4)]
+    outer = room_walls(LOW_M, HIGH_M)
+    core_low, core_high = np.array([*-CORE_M, 0.0]), np.array([*CORE_M, HIGH_M[2]])
+    inner = tuple(  # the core's walls look outward
+        Wall(wall.middle, wall.turn_rad + np.pi, wall.length_m) for wall in room_walls(core_low, core_high)
+    )
+    paints = [partial(textures_building.painted_wall, colour=_PAINT, dado=dado) for dado in dados]
+    shell: list[Face] = [*_floors(rng), *_ceilings()]
+    pieces: list[Piece] = []
+    obstacles: list[Box] = _core()
+    niches = {0: _niche_places(rng), 2: _niche_places(rng)}
+    for number, wall in enumerate(outer):
+        shell += _wall_faces(wall, [], paints[number])
+        pieces += _pilasters(wall)
+        _furnish(rng, wall, [], pieces, obstacles, windows=number == 2)
+    for number, wall in enumerate(inner):
+        places = niches.get(number, [])
+        shell += _wall_faces(wall, places, paints[number])
+        shell += [face for x in places for face in _niche(wall, x, paints[number])]
+        _furnish(rng, wall, places, pieces, obstacles)
+        for x in places:
+            _fill_niche(rng, wall, x, pieces, obstacles)
+    fronts = [box for number, wall in enumerate(inner) for box in _core_front(wall, niches.get(number, []))]
+    obstacles += fronts
+    lamps = [ceiling_lamp(np.array([x, y, HIGH_M[2]]), size, 1.0) for x, y, size in _lamp_places()]
+    pieces += lamps
+    pieces += _portals(rng)
+    boxes = coarse([box for piece in pieces for box in piece.boxes], _THING_PX_PER_M)
+    return Layout(
+        low=LOW_M.copy(),
+        high=HIGH_M.copy(),
+        shell=tuple(shell),
+        boxes=(*boxes, *coarse(_trays(), 128.0), landing_mat(_PAD_M)),
+        obstacles=tuple(obstacles),
+        lights=tuple(light for piece in pieces for light in piece.lights),
+        pad=_PAD_M.copy(),
+        free_box=np.array([[-8.5, -_MIDDLE_M[1] - 0.5, 0.0], [8.5, -_MIDDLE_M[1] + 0.5, 2.2]]),
+        route=_route(),
+        shading=(*_core(), *fronts, *(box for box in boxes if box.glow == 0.0 and box.half.min() > _SHADY_M)),
+    )
+
+
+def _route() -> Array:
+    """Return a lap through the middle of the corridor, at changing height."""
+    x, y = _MIDDLE_M
+    lap = [(0, -1, 1.2), (0.5, -1, 1.0), (1, -1, 1.4), (1, 0, 1.7), (1, 1, 1.3), (0, 1, 1.0)]
+    lap += [(-1, 1, 1.5), (-1, 0, 1.2), (-1, -1, 1.5), (-0.5, -1, 1.1)]
+    return np.array([(u * x, v * y, z) for u, v, z in lap])
+
+
+def _strips() -> list[tuple[Array, Array]]:
+    """Return the corners (x, y) of the four stretches of floor: south, north, east, west [m]."""
+    (x, y), (cx, cy) = HIGH_M[:2], CORE_M
+    ends = (((-x, -y), (x, -cy)), ((-x, cy), (x, y)), ((cx, -cy), (x, cy)), ((-x, -cy), (-cx, cy)))
+    return [(np.array(low), np.array(high)) for low, high in ends]
+
+
+def _floors(rng: Random) -> list[Face]:
+    """Return the floor of the corridor, all of one stone."""
+    stone = partial(textures_building.terrazzo, colour=pick(rng, _STONES), px_per_m=_FLOOR_PX_PER_M)
+    return [level_face(low, high, 0.0, True, stone, _FLOOR_PX_PER_M) for low, high in _strips()]
+
+
+def _ceilings() -> list[Face]:
+    """Return the ceiling of the corridor."""
+    panels = partial(textures_building.ceiling_panels, colour=(206, 206, 200), px_per_m=_CEILING_PX_PER_M)
+    return [level_face(low, high, HIGH_M[2], False, panels, _CEILING_PX_PER_M) for low, high in _strips()]
+
+
+def _niche_places(rng: Random) -> list[float]:
+    """Return where the two niches of a long wall of the core are, along it [m]."""
+    return [float(rng.uniform(-6.5, -2.5)), float(rng.uniform(2.5, 6.5))]
+
+
+def _wall_faces(wall: Wall, niches: list[float], paint: Paint) -> list[Face]:
+    """Return the faces of a wall between its niches."""
+    half = 0.5 * wall.length_m
+    edges = [-half, *(x + s * 0.5 * _NICHE_WIDTH_M for x in sorted(niches) for s in (-1, 1)), half]
+    faces = []
+    for a, b in zip(edges[::2], edges[1::2], strict=True):
+        cuts = [a, b] if b - a < _LONGEST_M else [a, 0.5 * (a + b), b]
+        faces += [_panel(wall, (q, 0.0), (p, 0.0), paint) for p, q in pairwise(cuts)]
+    return faces
+
+
+def _panel(wall: Wall, left: tuple[float, float], right: tuple[float, float], paint: Paint) -> Face:
+    """Return a painted face of a wall from floor to ceiling."""
+    painted = partial(paint, px_per_m=_WALL_PX_PER_M)
+    return wall.face(left, right, float(HIGH_M[2]), painted, _WALL_PX_PER_M)
+
+
+def _niche(wall: Wall, x: float, paint: Paint) -> list[Face]:
+    """Return the inside of a niche: its back, its sides, its floor and its ceiling."""
+    a, b, d = x - 0.5 * _NICHE_WIDTH_M, x + 0.5 * _NICHE_WIDTH_M, -_NICHE_DEPTH_M
+    corners = np.stack([wall(a, d, 0.0), wall(b, 0.0, 0.0)])[:, :2]
+    low, high = corners.min(axis=0), corners.max(axis=0)
+    wood = partial(textures.planks, colour=(150, 112, 74))
+    white = partial(textures.plain, colour=(206, 206, 200))
+    return [
+        _panel(wall, (b, d), (a, d), paint),
+        _panel(wall, (a, d), (a, 0.0), paint),
+        _panel(wall, (b, 0.0), (b, d), paint),
+        level_face(low, high, 0.0, True, wood, _FLOOR_PX_PER_M),
+        level_face(low, high, HIGH_M[2], False, white, _CEILING_PX_PER_M),
+    ]
+
+
+def _solid(centre: Array, size: Array) -> Box:
+    """Return a box that is there to be hit."""
+    return Box(centre, 0.5 * size, partial(textures.plain, colour=METAL))
+
+
+def _core() -> list[Box]:
+    """Return the core without the layer that the niches are cut into."""
+    size = np.array([2.0 * CORE_M[0], 2.0 * (CORE_M[1] - _NICHE_DEPTH_M), HIGH_M[2]])
+    return [_solid(np.array([0.0, 0.0, 0.5 * HIGH_M[2]]), size)]
+
+
+def _core_front(wall: Wall, niches: list[float]) -> list[Box]:
+    """Return what is solid between the niches of a wall."""
+    if not niches:
+        return []
+    half = 0.5 * wall.length_m
+    edges = [-half, *(x + s * 0.5 * _NICHE_WIDTH_M for x in sorted(niches) for s in (-1, 1)), half]
+    return [
+        _solid(
+            wall(0.5 * (a + b), -0.5 * _NICHE_DEPTH_M, 0.5 * HIGH_M[2]), np.array([b - a, _NICHE_DEPTH_M, HIGH_M[2]])
+        )
+        for a, b in zip(edges[::2], edges[1::2], strict=True)
+    ]
+
+
+def _furnish(
+    rng: Random,
+    wall: Wall,
+    niches: list[float],
+    pieces: list[Piece],
+    obstacles: list[Box],
+    windows: bool = False,
+) -> None:
+    """Put things along a wall, from one end to the other, clear of its niches, ends and pilaster."""
+    blocked = [(x, 0.5 * _NICHE_WIDTH_M + 0.1) for x in niches]
+    if wall.length_m > _LONGEST_M:
+        blocked.append((0.0, 0.3))
+    x, makers = -0.5 * wall.length_m + 0.25, [PUBLIC_FURNITURE[int(i)] for i in rng.permutation(len(PUBLIC_FURNITURE))]
+    count = 0
+    while True:
+        make = window if windows and count % 3 == 1 else makers[count % len(makers)]
+        piece = make(rng)
+        middle = x + 0.5 * piece.width_m
+        for place, reach in blocked:
+            if abs(middle - place) < reach + 0.5 * piece.width_m:
+                middle = place + reach + 0.5 * piece.width_m
+        if middle + 0.5 * piece.width_m > 0.5 * wall.length_m - 0.25:
+            return
+        pieces.append(wall.put(piece, middle))
+        if piece.height_m > 0.0:
+            obstacles.append(wall.hull(piece, middle))
+        if piece.picture_above:
+            pieces.append(wall.put(hung_picture(rng, max(piece.height_m + 0.55, 1.6)), middle))
+        x = middle + 0.5 * piece.width_m + rng.uniform(0.15, 0.6)
+        count += 1
+
+
+def _fill_niche(rng: Random, wall: Wall, x: float, pieces: list[Piece], obstacles: list[Box]) -> None:
+    """Put a machine and a plant, or a bench, into a niche."""
+    machine = rng.random() < 0.6
+    things = [(vending_machine(rng), -0.5), (plant(rng), 0.6)] if machine else [(bench(rng), 0.0)]
+    for piece, aside in things:
+        pieces.append(wall.put(piece, x + aside, -_NICHE_DEPTH_M + 0.02))
+        obstacles.append(wall.hull(piece, x + aside, -_NICHE_DEPTH_M + 0.02))
+    pieces.append(ceiling_lamp(wall(x, -0.5 * _NICHE_DEPTH_M, HIGH_M[2]), (0.5, 0.5), 0.6))
+
+
+def _pilasters(wall: Wall) -> list[Piece]:
+    """Return what covers the joint in the middle of a long wall."""
+    white = partial(textures.plaster, colour=(196, 190, 176))
+    return [wall.put(Piece((block(0.0, 0.06, 0.0, 0.36, 0.12, HIGH_M[2], white),), 0.36, 0.12, HIGH_M[2]), 0.0)]
+
+
+def _lamp_places() -> list[tuple[float, float, tuple[float, float]]]:
+    """Return where lamps hang: x, y and size along both [m]."""
+    x, y = _MIDDLE_M
+    along_x = [(float(u), s * y, (1.2, 0.3)) for u in np.linspace(-9.0, 9.0, 7) for s in (-1, 1)]
+    along_y = [(s * x, float(v), (0.3, 1.2)) for v in (-3.0, 0.0, 3.0) for s in (-1, 1)]
+    return along_x + along_y
+
+
+def _portals(rng: Random) -> list[Piece]:
+    """Return the frames that the fire doors of the four wings hang in, with lit signs above."""
+    steel = partial(textures.wood, colour=pick(rng, WOODS))
+    sign = textures_building.exit_sign
+    dark = partial(textures.plain, colour=(40, 44, 42))
+    portals = []
+    (mx, my), width = _MIDDLE_M, float(HIGH_M[1] - CORE_M[1])
+    for x, y, turn in (
+        (5.6, -my, 0.5),
+        (-5.6, -my, 0.5),
+        (6.4, my, 0.5),
+        (-6.4, my, 0.5),
+        (mx, 1.4, 0.0),
+        (-mx, -1.4, 0.0),
+    ):
+        wall = Wall(np.array([x, y, 0.0]), turn * np.pi, width)
+        boxes = [block(0.0, 0.0, 2.52, width, 0.22, HIGH_M[2] - 2.52, steel)]
+        boxes += [block(s * (0.5 * width - 0.06), 0.0, 0.0, 0.12, 0.22, 2.52, steel) for s in (-1, 1)]
+        lit = Box(np.array([0.0, 0.13, 2.7]), np.array([0.24, 0.02, 0.1]), dark, sign, glow=0.9)
+        boxes += [lit, lit.moved(turn_z(np.pi), np.zeros(3))]
+        portals.append(wall.put(Piece(tuple(boxes), width, 0.22, HIGH_M[2]), 0.0))
+    return portals
+
+
+def _trays() -> list[Box]:
+    """Return the tray of cables that runs along the outer walls under the ceiling."""
+    steel = partial(textures_building.sheet_metal, colour=(150, 150, 148), px_per_m=128.0, rib_m=0.12)
+    (x, y, z) = HIGH_M
+    boxes = [Box(np.array([0.0, s * (y - 0.16), z - 0.2]), np.array([x - 0.02, 0.11, 0.05]), steel) for s in (-1, 1)]
+    return boxes + [
+        Box(np.array([s * (x - 0.16), 0.0, z - 0.2]), np.array([0.11, y - 0.3, 0.05]), steel) for s in (-1, 1)
+    ]
+
+
+CORRIDOR = WorldBuilder("a closed office corridor of 65 m around a core: made for closing loops", layout)
+"""The corridor."""
