@@ -6,6 +6,7 @@ as the mean over its area, as a sensor's pixel collects its light, which keeps t
 to the edge of any lens.
 """
 
+from functools import cached_property
 from types import TracebackType
 from typing import Self
 
@@ -61,7 +62,6 @@ class OffscreenCamera:
         self._drawing = Drawing(model, self.views, self._canvas)
         self._lookup = self.views.lookup(pixel_rays(camera, _ACROSS))
         self._blur_px = LENS_BLUR_PX * _ACROSS
-        self._surface_lookup = _SurfaceLookup(self.views, camera)
 
     def render(self, T_world_cam: Array, mover_poses: MoverPoses = NO_MOVERS, rows: slice = slice(None)) -> GreyImage:
         """Return the grey image (H, W) that the camera sees, without noise.
@@ -111,6 +111,10 @@ class OffscreenCamera:
         seen = self.render_surfaces(T_world_cam, mover_poses)
         moved = self._drawing.motion_of_geoms(mover_poses, mover_poses_next)
         return optical_flow(self.camera, seen, T_world_cam, T_world_cam_next, moved)
+
+    @cached_property
+    def _surface_lookup(self) -> "_SurfaceLookup":
+        return _SurfaceLookup(self.views, self.camera)
 
     def close(self) -> None:
         """Give the graphics memory back; more than once does no harm."""

@@ -1,0 +1,51 @@
+"""The measurement of the camera's cost: it compares like with like."""
+
+import mujoco
+import numpy as np
+import pytest
+
+from dronevio.models.camera import CameraModel
+from dronevio.models.rig import EUROC_CAM0
+from dronevio.models.rigs import TUM_VI_CAMERA
+from dronevio.sim import camera_cost as measured
+from dronevio.sim.camera import OffscreenCamera
+from dronevio.sim.envs.sight import scaled
+
+
+def lit_by_itself() -> mujoco.MjModel:
+    """Return a world with a glowing ball and one that only lamps would show."""
+    spec = mujoco.MjSpec()
+    spec.add_material(name="glow", rgba=[1.0, 1.0, 1.0, 1.0], emission=0.8)
+    for x, material in ((-0.5, "glow"), (0.5, "")):
+        spec.worldbody.add_geom(
+            type=mujoco.mjtGeom.mjGEOM_SPHERE, size=[0.4, 0, 0], pos=[x, 0.1, 2.0], material=material
+        )
+    return spec.compile()
+
+
+@pytest.mark.parametrize("camera", [EUROC_CAM0, TUM_VI_CAMERA])
+def test_the_bare_renderer_draws_the_same(camera: CameraModel, monkeypatch: pytest.MonkeyPatch) -> None:
+    drawn: list[np.ndarray] = []
+    bare_render = mujoco.Renderer.render
+
+    def kept(renderer: mujoco.Renderer) -> np.ndarray:
+        drawn.append(bare_render(renderer))
+        return drawn[-1]
+
+    monkeypatch.setattr(mujoco.Renderer, "render", kept)
+    small = scaled(camera, 0.25)
+    model = lit_by_itself()
+    size_before = model.vis.global_.offwidth, model.vis.global_.offheight
+    cost = measured.camera_cost(model, small, np.eye(4)[None])
+    assert (model.vis.global_.offwidth, model.vis.global_.offheight) == size_before
+    assert cost.camera_ms > 0.0
+    assert cost.bare_ms > 0.0
+    assert cost.ratio == cost.camera_ms / cost.bare_ms
+    with OffscreenCamera(model, small) as eye:
+        atlas = eye._drawing.colours(np.eye(4))[::-1]
+        views = eye.views.views
+    assert cost.drawn_pixels == sum(image.shape[0] * image.shape[1] for image in drawn[-len(views) :])
+    for view, image in zip(views, drawn[-len(views) :], strict=True):
+        ours = atlas[atlas.shape[0] - view.height :, view.column : view.column + view.width]
+        np.testing.assert_array_equal(image, ours)
+    assert max(image.max() for image in drawn) > 200
