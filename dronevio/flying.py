@@ -10,9 +10,10 @@ from dronevio.models.recordings.euroc import write_euroc
 from dronevio.sim.flight import Flight, fly
 from dronevio.sim.imaging import Imaging
 from dronevio.sim.render import render
-from dronevio.sim.render_job import RenderJob, TruthImage
+from dronevio.sim.render_job import RenderJob
 from dronevio.sim.scenario import Scenario
 from dronevio.sim.schedule import beat, schedule_frames
+from dronevio.sim.truth_images import TruthImage
 
 _SCHEDULE_STREAM = 21  # beside those of `dronevio.sim.scenario`, `dronevio.sim.world` and the images
 

@@ -5,33 +5,28 @@ them, each with its own OpenGL; what a frame shows depends on the job and the fr
 drew it. Only auto-exposure looks back: for it the frames are first metered, by a glance of a hundredth of their pixels.
 """
 
-import tempfile
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
-import mujoco
 import numpy as np
 import numpy.typing as npt
 
 from dronevio.models.errors import IncompleteError
 from dronevio.models.progress import Progress, silent
+from dronevio.models.recordings.euroc import INCOMPLETE
 from dronevio.models.recordings.files import write_text
+from dronevio.models.recordings.frame_truth import FRAME_TRUTH_FILE, FrameTruth, frame_truth_text
+from dronevio.sim.backdrop import Backdrop, backdrop
 from dronevio.sim.crew import default_workers, run_crew
-from dronevio.sim.imaging import Exposures
-from dronevio.sim.painter import PARTIAL, DrawTask, MeterTask, Stage
+from dronevio.sim.painter import PARTIAL, DrawTask, MeterTask
 from dronevio.sim.render_job import RenderJob
-from dronevio.sim.world import build_world
+from dronevio.sim.truth_images import FOLDERS, names_table
 
-Array = npt.NDArray[np.float64]
-
-INCOMPLETE = "INCOMPLETE"
-"""Name of a file that is in ``mav0`` until all its frames are."""
-_FRAME_HEADER = "#timestamp [ns], true middle of the exposure [ns], exposure time [s], gain, lit\n"
 _FRAMES_WORTH_A_WORKER = 15  # it takes a second to start
 
 
-def render(job: RenderJob, mav0: Path, progress: Progress = silent, workers: int | None = None) -> Exposures:
+def render(job: RenderJob, mav0: Path, progress: Progress = silent, workers: int | None = None) -> FrameTruth:
     """Write what a rig's cameras see: a grey ``cam{i}/data/<stamp>.png`` for each camera and frame.
 
     ``frame_groundtruth0/data.csv`` says when each frame was really taken, on the IMU's clock, and how it was exposed.
@@ -44,7 +39,7 @@ def render(job: RenderJob, mav0: Path, progress: Progress = silent, workers: int
         workers: Processes; as many as there are cores by default. The images do not depend on it.
 
     Returns:
-        How each frame was exposed.
+        When and how each frame was really exposed.
 
     Raises:
         ConfigError: No world has the job's name.
@@ -62,21 +57,23 @@ def render(job: RenderJob, mav0: Path, progress: Progress = silent, workers: int
         progress(done, total)
 
     try:
-        with _staged(job) as stage, _unfinished(job, mav0):
-            exposures = _exposures(job, stage, shares)
-            write_text(mav0 / "frame_groundtruth0" / "data.csv", _frame_table(job, exposures))
-            tasks = [DrawTask(job, stage, share, exposures, mav0) for share in shares]
-            run_crew(tasks, count, heard)
+        with backdrop(job.world, job.seed, job.trajectory.t_ns) as scene, _unfinished(job, mav0):
+            truth = _exposed(job, scene, shares)
+            write_text(mav0 / FRAME_TRUTH_FILE, frame_truth_text(truth))
+            if "segmentation" in job.truth_images:
+                write_text(mav0 / FOLDERS["segmentation"] / "names.csv", names_table(scene.geom_names))
+            run_crew([DrawTask(job, scene, share, truth, mav0) for share in shares], count, heard)
     except OSError as error:
         where = error.filename or mav0
         raise IncompleteError(f"{where}: {error.strerror} after {finished} of {count} frames") from error
-    return exposures
+    return truth
 
 
 @contextmanager
 def _unfinished(job: RenderJob, mav0: Path) -> Iterator[None]:
     """Make the folders, and mark them as long as the work in them is not done."""
-    folders = [mav0 / f"cam{number}" / "data" for number in range(len(job.rig.cameras))]
+    names = [f"cam{number}" for number in range(len(job.rig.cameras))] + [FOLDERS[kind] for kind in job.truth_images]
+    folders = [mav0 / name / "data" for name in names]
     for folder in folders:
         folder.mkdir(parents=True, exist_ok=True)
     mark = mav0 / INCOMPLETE
@@ -91,31 +88,15 @@ def _unfinished(job: RenderJob, mav0: Path) -> Iterator[None]:
     mark.unlink()
 
 
-@contextmanager
-def _staged(job: RenderJob) -> Iterator[Stage]:
-    """Compile the job's world into a file for the workers."""
-    with tempfile.TemporaryDirectory(prefix="dronevio-") as scratch:
-        world = build_world(job.world, job.seed)
-        path = Path(scratch) / "world.mjb"
-        mujoco.mj_saveModel(world.spec.compile(), str(path), None)
-        yield Stage(path, world.illumination)
-
-
-def _exposures(job: RenderJob, stage: Stage, shares: list[npt.NDArray[np.int64]]) -> Exposures:
+def _exposed(job: RenderJob, scene: Backdrop, shares: list[npt.NDArray[np.int64]]) -> FrameTruth:
     """Return how the frames are exposed, having metered them where the control asks for it."""
-    histograms = np.zeros((len(job.schedule), 256))
+    schedule = job.schedule
+    histograms = np.zeros((len(schedule), 256))
     if job.imaging.control.meters:
-        results = [stage.model_path.with_name(f"histograms-{number}.npy") for number in range(len(shares))]
-        tasks = [MeterTask(job, stage, share, result) for share, result in zip(shares, results, strict=True)]
-        run_crew(tasks, len(job.schedule))
+        results = [scene.model_path.with_name(f"histograms-{number}.npy") for number in range(len(shares))]
+        tasks = [MeterTask(job, scene, share, result) for share, result in zip(shares, results, strict=True)]
+        run_crew(tasks, len(schedule))
         for share, result in zip(shares, results, strict=True):
             histograms[share] = np.load(result)
-    return job.imaging.exposures(histograms, stage.illumination * job.schedule.lit.astype(np.float64))
-
-
-def _frame_table(job: RenderJob, exposures: Exposures) -> str:
-    """Return the truth about the frames, as the text of a table."""
-    schedule = job.schedule
-    columns = (schedule.stamps_ns, schedule.exposed_ns, exposures.time_s, exposures.gain, schedule.lit.astype(int))
-    rows = zip(*(column.tolist() for column in columns), strict=True)
-    return _FRAME_HEADER + "".join(f"{','.join(map(repr, row))}\n" for row in rows)
+    exposures = job.imaging.exposures(histograms, scene.illumination * schedule.lit.astype(np.float64))
+    return FrameTruth(schedule.stamps_ns, schedule.exposed_ns, exposures.time_s, exposures.gain, schedule.lit)

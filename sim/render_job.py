@@ -1,7 +1,6 @@
 """What is to be rendered: a rig's frames along a motion through a world."""
 
 from dataclasses import dataclass, field
-from typing import Literal
 
 import numpy as np
 import numpy.typing as npt
@@ -14,11 +13,10 @@ from dronevio.sim.imaging import Imaging
 from dronevio.sim.interpolation import interpolated_poses
 from dronevio.sim.schedule import FrameSchedule
 from dronevio.sim.shutter import LARGEST_MARGIN_PX, Poses, turn_in_pixels
+from dronevio.sim.truth_images import TruthImage
 
 Array = npt.NDArray[np.float64]
 
-TruthImage = Literal["depth", "segmentation", "flow"]
-"""What can be written beside the main camera's frames."""
 _MARGIN_AROUND_PX = 2  # for the interpolation
 
 

@@ -12,11 +12,13 @@ import pytest
 
 from dronevio.models.camera import CameraModel
 from dronevio.models.errors import ConfigError, GraphicsError
+from dronevio.models.recordings.euroc import INCOMPLETE
+from dronevio.models.recordings.frame_truth import FRAME_TRUTH_FILE, read_frame_truth
 from dronevio.models.rig import Rig, RigCamera
 from dronevio.models.rotation import pose_matrix, quat_wxyz_from_matrix
 from dronevio.models.state import Trajectory
 from dronevio.sim.imaging import AutoExposure, Imaging
-from dronevio.sim.render import INCOMPLETE, render
+from dronevio.sim.render import render
 from dronevio.sim.render_job import RenderJob
 from dronevio.sim.schedule import FrameSchedule, beat, schedule_frames
 from dronevio.sim.solids import turn_z
@@ -63,7 +65,7 @@ def small_world(monkeypatch: pytest.MonkeyPatch) -> None:
         )
     spec.stat.extent = 10.0
     world = SimpleNamespace(spec=spec, illumination=1.0, movers=())
-    monkeypatch.setattr("dronevio.sim.render.build_world", lambda name, seed: world)
+    monkeypatch.setattr("dronevio.sim.backdrop.build_world", lambda name, seed: world)
 
 
 def contents(folder: Path) -> dict[str, bytes]:
@@ -82,7 +84,7 @@ def test_images_do_not_depend_on_the_workers(tmp_path: Path) -> None:
     told: list[tuple[int, int]] = []
     stereo = Rig((RigCamera(SMALL, np.eye(4), readout_s=0.01), RigCamera(SMALL, BASELINE)))
     work = job(rig=stereo, imaging=Imaging(control=AutoExposure(target_level=80.0, tolerance=0.0)))
-    exposures = render(work, tmp_path / "one", lambda d, n: told.append((d, n)), workers=1)
+    truth = render(work, tmp_path / "one", lambda d, n: told.append((d, n)), workers=1)
     render(work, tmp_path / "three", workers=3)
     one = contents(tmp_path / "one")
     stamps = work.schedule.stamps_ns.tolist()
@@ -96,9 +98,10 @@ def test_images_do_not_depend_on_the_workers(tmp_path: Path) -> None:
         left, right = read(tmp_path / "one", t, 0), read(tmp_path / "one", t, 1)
         assert left.shape == right.shape == (120, 188) and left.dtype == np.uint8
         assert left.std() > 20.0 and np.abs(left.astype(float) - right).mean() > 5.0
-    truth = np.loadtxt(tmp_path / "one" / "frame_groundtruth0" / "data.csv", delimiter=",")
-    np.testing.assert_array_equal(truth[:, 2], exposures.time_s)
-    assert len(np.unique(exposures.time_s)) > 1
+    back = read_frame_truth(tmp_path / "one" / FRAME_TRUTH_FILE)
+    np.testing.assert_array_equal(back.exposed_ns, work.schedule.exposed_ns)
+    np.testing.assert_array_equal(back.exposure_s, truth.exposure_s)
+    assert len(np.unique(truth.exposure_s)) > 1
 
 
 def test_noise_differs_between_frames_and_cameras(tmp_path: Path) -> None:
