@@ -31,25 +31,25 @@ class Wall:
     length_m: float
     """How long it is [m]."""
 
-    def __call__(self, x: float, y: float, z: float) -> Array:
+    def at(self, x: float, y: float, z: float) -> Array:
         """Return a point of the wall's frame in the world (3,) [m]."""
-        return turn_z(self.turn_rad) @ np.array([x, y, z]) + self.middle
+        return np.asarray(turn_z(self.turn_rad) @ np.array([x, y, z]) + self.middle)
 
     def put(self, piece: Piece, x: float, y: float = 0.0) -> Piece:
         """Return a piece of furniture with its back at the wall, or ``y`` in front of it, its middle at ``x`` [m]."""
-        return piece.moved(turn_z(self.turn_rad), self(x, y, 0.0))
+        return piece.moved(turn_z(self.turn_rad), self.at(x, y, 0.0))
 
     def hull(self, piece: Piece, x: float, y: float = 0.0) -> Box:
         """Return the box around a piece that stands there."""
-        return piece.hull().moved(turn_z(self.turn_rad), self(x, y, 0.0))
+        return piece.hull().moved(turn_z(self.turn_rad), self.at(x, y, 0.0))
 
     def face(self, left: Sequence[float], right: Sequence[float], top: float, paint: Paint, px_per_m: float) -> Face:
         """Return an upright face from the floor to ``top``, its ends (x, y) given as one looks at it [m]."""
-        a, b = self(*left, top), self(*right, top)
+        a, b = self.at(left[0], left[1], top), self.at(right[0], right[1], top)
         return Face(a, b - a, top * _DOWN, paint, pixels_per_m=px_per_m)
 
 
-def level_face(low: Sequence[float], high: Sequence[float], z: float, up: bool, paint: Paint, px_per_m: float) -> Face:
+def level_face(low: Array, high: Array, z: float, up: bool, paint: Paint, px_per_m: float) -> Face:
     """Return a floor, or a ceiling that looks down, between two corners (x, y) [m]."""
     (x0, y0), (x1, y1) = low, high
     right, toward_y = np.array([x1 - x0, 0.0, 0.0]), np.array([0.0, y1 - y0, 0.0])

@@ -82,7 +82,7 @@ def ceiling_panels(
                 slice(int(row * size), int((row + 1) * size)),
                 slice(int(column * size), int((column + 1) * size)),
             )
-            cv2.multiply(image[part], (float(rng.uniform(0.93, 1.03)),) * 4, dst=image[part])
+            image[part] = to_image(image[part] * np.float32(rng.uniform(0.93, 1.03)))
             if rng.random() < 0.04:  # it once leaked
                 centre = (int((column + rng.uniform(0.2, 0.8)) * size), int((row + rng.uniform(0.2, 0.8)) * size))
                 cv2.circle(image, centre, int(rng.uniform(0.06, 0.16) * px_per_m), scaled(colour, 0.8), 2, cv2.LINE_AA)
@@ -161,10 +161,8 @@ def marble(rng: Random, height: int, width: int, colour: Colour, px_per_m: float
 
 def whitewash(rng: Random, height: int, width: int, colour: Colour) -> Image:
     """Return a smooth white wall: almost nothing to hold on to."""
-    soft = cv2.resize(
-        rng.standard_normal((max(height // 160, 2), max(width // 160, 2)), dtype=np.float32), (width, height)
-    )
-    return shade(colour, soft, 0.004)
+    clouds = rng.standard_normal((max(height // 160, 2), max(width // 160, 2)), dtype=np.float32)
+    return shade(colour, np.asarray(cv2.resize(clouds, (width, height)), np.float32), 0.004)
 
 
 def concrete(rng: Random, height: int, width: int, colour: Colour, px_per_m: float, slab_m: float = 4.0) -> Image:
@@ -179,12 +177,12 @@ def concrete(rng: Random, height: int, width: int, colour: Colour, px_per_m: flo
         cv2.ellipse(image, centre, axes, angle, 0, 360, scaled(colour, dark), -1, cv2.LINE_AA)
     for _ in range(int(0.12 * area_m2)):
         _crack(rng, image, scaled(colour, 0.5), px_per_m)
+    skid = image.copy()
     for _ in range(int(0.03 * area_m2)):
         start, angle = rng.uniform([0, 0], [width, height]), rng.uniform(-0.2, 0.2) + rng.choice([0.0, 0.5 * np.pi])
         end = start + rng.uniform(1.0, 4.0) * px_per_m * np.array([np.cos(angle), np.sin(angle)])
-        skid = image.copy()
         cv2.line(skid, start.astype(int).tolist(), end.astype(int).tolist(), scaled(colour, 0.5), int(0.1 * px_per_m))
-        cv2.addWeighted(skid, 0.35, image, 0.65, 0.0, dst=image)
+    cv2.addWeighted(skid, 0.35, image, 0.65, 0.0, dst=image)
     slab = slab_m * px_per_m
     for k in range(1, int(width / slab) + 1):
         cv2.line(

@@ -11,8 +11,8 @@ import numpy.typing as npt
 
 from dronevio.sim import textures, textures_building
 from dronevio.sim.building import Wall, ceiling_lamp, coarse, landing_mat, level_face, room_walls
-from dronevio.sim.furniture import METAL, WOODS, Piece, block, pick, plant, window
-from dronevio.sim.furniture_public import PUBLIC_FURNITURE, bench, hung_picture, vending_machine
+from dronevio.sim.furniture import METAL, WOODS, Piece, block, hung_picture, pick, plant, window
+from dronevio.sim.furniture_public import PUBLIC_FURNITURE, bench, vending_machine
 from dronevio.sim.layout import Layout, WorldBuilder
 from dronevio.sim.solids import Box, Face, Paint, turn_z
 from dronevio.sim.textures import Colour
@@ -45,7 +45,8 @@ def layout(rng: Random) -> Layout:
     inner = tuple(  # the core's walls look outward
         Wall(wall.middle, wall.turn_rad + np.pi, wall.length_m) for wall in room_walls(core_low, core_high)
     )
-    paints = [partial(textures_building.painted_wall, colour=_PAINT, dado=dado) for dado in dados]
+    painted = partial(textures_building.painted_wall, colour=_PAINT, px_per_m=_WALL_PX_PER_M)
+    paints = [partial(painted, dado=dado) for dado in dados]
     shell: list[Face] = [*_floors(rng), *_ceilings()]
     pieces: list[Piece] = []
     obstacles: list[Box] = _core()
@@ -126,14 +127,13 @@ def _wall_faces(wall: Wall, niches: list[float], paint: Paint) -> list[Face]:
 
 def _panel(wall: Wall, left: tuple[float, float], right: tuple[float, float], paint: Paint) -> Face:
     """Return a painted face of a wall from floor to ceiling."""
-    painted = partial(paint, px_per_m=_WALL_PX_PER_M)
-    return wall.face(left, right, float(HIGH_M[2]), painted, _WALL_PX_PER_M)
+    return wall.face(left, right, float(HIGH_M[2]), paint, _WALL_PX_PER_M)
 
 
 def _niche(wall: Wall, x: float, paint: Paint) -> list[Face]:
     """Return the inside of a niche: its back, its sides, its floor and its ceiling."""
     a, b, d = x - 0.5 * _NICHE_WIDTH_M, x + 0.5 * _NICHE_WIDTH_M, -_NICHE_DEPTH_M
-    corners = np.stack([wall(a, d, 0.0), wall(b, 0.0, 0.0)])[:, :2]
+    corners = np.stack([wall.at(a, d, 0.0), wall.at(b, 0.0, 0.0)])[:, :2]
     low, high = corners.min(axis=0), corners.max(axis=0)
     wood = partial(textures.planks, colour=(150, 112, 74))
     white = partial(textures.plain, colour=(206, 206, 200))
@@ -165,7 +165,7 @@ def _core_front(wall: Wall, niches: list[float]) -> list[Box]:
     edges = [-half, *(x + s * 0.5 * _NICHE_WIDTH_M for x in sorted(niches) for s in (-1, 1)), half]
     return [
         _solid(
-            wall(0.5 * (a + b), -0.5 * _NICHE_DEPTH_M, 0.5 * HIGH_M[2]), np.array([b - a, _NICHE_DEPTH_M, HIGH_M[2]])
+            wall.at(0.5 * (a + b), -0.5 * _NICHE_DEPTH_M, 0.5 * HIGH_M[2]), np.array([b - a, _NICHE_DEPTH_M, HIGH_M[2]])
         )
         for a, b in zip(edges[::2], edges[1::2], strict=True)
     ]
@@ -210,7 +210,7 @@ def _fill_niche(rng: Random, wall: Wall, x: float, pieces: list[Piece], obstacle
     for piece, aside in things:
         pieces.append(wall.put(piece, x + aside, -_NICHE_DEPTH_M + 0.02))
         obstacles.append(wall.hull(piece, x + aside, -_NICHE_DEPTH_M + 0.02))
-    pieces.append(ceiling_lamp(wall(x, -0.5 * _NICHE_DEPTH_M, HIGH_M[2]), (0.5, 0.5), 0.6))
+    pieces.append(ceiling_lamp(wall.at(x, -0.5 * _NICHE_DEPTH_M, HIGH_M[2]), (0.5, 0.5), 0.6))
 
 
 def _pilasters(wall: Wall) -> list[Piece]:
