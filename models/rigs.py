@@ -12,6 +12,8 @@ import numpy.typing as npt
 
 from dronevio.models.camera import CameraModel
 from dronevio.models.errors import ConfigError
+from dronevio.models.imu import EUROC_IMU, ImuModel
+from dronevio.models.imu_presets import BMI088
 from dronevio.models.rig import EUROC_CAM1, EUROC_T_IMU_CAM1, Rig, RigCamera, euroc_rig
 from dronevio.models.rotation import pose_matrix
 
@@ -70,10 +72,10 @@ def _ahead(model: CameraModel, left_m: float = 0.0, rate_hz: float = 20.0, reado
     return RigCamera(model, pose_matrix(_R_FORWARD, np.array([0.0, left_m, 0.0])), rate_hz, readout_s)
 
 
-def _level(*cameras: RigCamera, nose_m: tuple[float, float] = _NOSE_M) -> Rig:
+def _level(*cameras: RigCamera, imu: ImuModel = EUROC_IMU, nose_m: tuple[float, float] = _NOSE_M) -> Rig:
     """Return a rig on a level IMU, so far ahead of and above the centre of mass."""
     ahead, above = nose_m
-    return Rig(cameras, T_vehicle_imu=pose_matrix(np.eye(3), np.array([ahead, 0.0, above])))
+    return Rig(cameras, imu, T_vehicle_imu=pose_matrix(np.eye(3), np.array([ahead, 0.0, above])))
 
 
 def _pair(model: CameraModel, baseline_m: float, rate_hz: float = 20.0) -> Rig:
@@ -99,7 +101,7 @@ RIGS: dict[str, Callable[[], Rig]] = {
     "pinhole-stereo": lambda: _pair(PINHOLE, _WIDE_BASELINE_M),
     "fisheye": lambda: _level(_ahead(TUM_VI_CAMERA)),
     "fisheye-stereo": lambda: _pair(UZH_FPV_CAMERA, _NARROW_BASELINE_M, rate_hz=25.0),
-    "nano": lambda: _level(_ahead(NANO_CAMERA, readout_s=_NANO_READOUT_S), nose_m=_NANO_NOSE_M),
+    "nano": lambda: _level(_ahead(NANO_CAMERA, readout_s=_NANO_READOUT_S), imu=BMI088, nose_m=_NANO_NOSE_M),
 }
 """What makes each rig, by its name."""
 
@@ -111,7 +113,7 @@ def rig_named(name: str) -> Rig:
         name: One of `RIGS`: ``euroc`` (radtan, mono, the default of every flight), ``euroc-stereo``, ``rolling``
             (EuRoC's camera with a rolling shutter of 30 ms), ``pinhole``, ``pinhole-stereo`` (rectified, 11 cm),
             ``fisheye`` (154° across, 230° between the corners), ``fisheye-stereo`` (133° and 170°, 8 cm), ``nano``
-            (324 × 244, rolling).
+            (324 × 244, rolling, and the BMI088 that Bitcraze's Crazyflie carries).
 
     Raises:
         ConfigError: There is no such rig.
