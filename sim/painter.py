@@ -26,7 +26,7 @@ PARTIAL = ".partial"
 """Suffix of an image that is being written."""
 _NOISE_STREAM = 20  # beside those of `dronevio.sim.scenario` and `dronevio.sim.world`
 _GLANCE_PX = 8  # a glance has a pixel for so many, each way
-_NEAR_PERCENTILE = 10  # of the depths: what is nearer fills a tenth of the image
+_NEAR_PERCENTILE = 25  # of the depths: what is nearer fills a quarter of the image
 
 
 @dataclass(frozen=True, eq=False)

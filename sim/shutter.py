@@ -8,7 +8,7 @@ integrated here as
 
 from few images I_k drawn at key poses. Between them the turn of the camera is exact, since each key image is looked up
 through the camera's own model π, and the parallax is cross-faded: the weights w_k are the hat functions between the
-keys, whose spacing keeps the parallax between neighbours below a pixel, so that positions are interpolated linearly.
+keys, whose spacing keeps the parallax between neighbours small, so that positions are interpolated linearly.
 Of each key image only the rows are drawn that look at it, and what does not move is drawn once.
 """
 
@@ -36,9 +36,8 @@ LARGEST_MARGIN_PX = 32
 """How far outside the image a key image reaches at most [px]."""
 _STILL_BLUR_PX = 0.3  # widens the image of an edge, σ ½ px of lens and pixel, by 1.5 %
 _STILL_SKEW_PX = 0.1  # of the whole image, thus ± 0.05 px
-_SINGLE_KEY_BLUR_PX = 1.0  # parallax within an exposure below which its blur cannot be told from a turn's
-_SINGLE_KEY_SKEW_PX = 0.2  # parallax within the readout
-_KEY_SPACING_PX = 1.0  # parallax between key poses
+_STILL_PARALLAX_PX = 0.2  # within the readout: thus ± 0.1 px
+_KEY_SPACING_PX = 1.5  # parallax between key poses
 _SAMPLE_SPACING_PX = 0.75  # between the instants of the integral: below the lens's blur
 _AROUND_PX = 2  # for the interpolation
 _MOST_KEYS, _MOST_SAMPLES = 33, 64
@@ -111,19 +110,16 @@ class Shutter:
         parallax_px = path_m / nearest_m * max(self._model.fx, self._model.fy)
         within_exposure = exposure_ns / span_ns
         blur, skew = (share * (turn_px + parallax_px) for share in (within_exposure, 1.0 - within_exposure))
-        single = (
-            within_exposure * parallax_px <= _SINGLE_KEY_BLUR_PX
-            and (1.0 - within_exposure) * parallax_px <= _SINGLE_KEY_SKEW_PX
-            and turn_px <= 2.0 * LARGEST_MARGIN_PX
-        )
-        keys = 1 if single else 1 + int(np.ceil(max(parallax_px / _KEY_SPACING_PX, turn_px / LARGEST_MARGIN_PX, 1.0)))
-        keys = min(keys, _MOST_KEYS)
+        rolling = (1.0 - within_exposure) * parallax_px > _STILL_PARALLAX_PX
+        spacings = max(parallax_px / _KEY_SPACING_PX, turn_px / LARGEST_MARGIN_PX)
+        # Rows at the border of a rolling shutter's image see keys of their own; a blur's ends need none.
+        keys = min(int(np.ceil(max(spacings, 1.0))) + rolling, _MOST_KEYS)
         samples = 1 if blur <= _STILL_BLUR_PX else max(2, int(np.ceil(blur / _SAMPLE_SPACING_PX)))
         return ExposurePlan(
             middle_ns,
-            middle_ns + _spread(span_ns, keys, ends=True),
+            middle_ns + _spread(span_ns, keys, ends=rolling),
             _spread(exposure_ns, min(samples, _MOST_SAMPLES), ends=False),
-            reach_px=int(np.ceil(turn_px / max(keys - 1, 2 - keys))) + _AROUND_PX,
+            reach_px=int(np.ceil(turn_px / max(keys - rolling, 1))) + _AROUND_PX,
             still=blur <= _STILL_BLUR_PX and skew <= _STILL_SKEW_PX,
         )
 
