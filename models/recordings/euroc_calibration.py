@@ -2,12 +2,10 @@
 
 Some facts of a `Rig` have no place in the format, so they stand under keys of our own, which other readers pass over:
 ``T_vehicle_imu`` (pose of the IMU in the vehicle frame) and ``time_offset_s`` (t_imu − t_cam) in ``body.yaml``,
-``readout_s`` in the ``sensor.yaml`` of a camera with a rolling shutter. ``imu0/sensor.yaml`` likewise carries
-``gyroscope_turn_on_bias`` and ``accelerometer_turn_on_bias``, and under the names of `ImuModel`'s fields whatever else
-of the IMU is not perfect.
+``readout_s`` in the ``sensor.yaml`` of a camera with a rolling shutter, and in that of the IMU what
+`dronevio.models.recordings.imu_fields` adds.
 """
 
-from dataclasses import fields
 from pathlib import Path
 
 import numpy as np
@@ -17,6 +15,7 @@ from dronevio.models.errors import InputError
 from dronevio.models.imu import ImuModel
 from dronevio.models.lens import LensName
 from dronevio.models.recordings.files import blamed_on
+from dronevio.models.recordings.imu_fields import imu_fields_yaml, read_imu_fields
 from dronevio.models.recordings.sensor_yaml import SensorYaml, pose_yaml, read_sensor_yaml, shown
 from dronevio.models.rig import Rig, RigCamera
 
@@ -29,29 +28,6 @@ LENS_NAMES: dict[str, LensName] = {
 """Lenses by what data sets, Kalibr and ROS call them."""
 
 _EUROC_NAMES: dict[LensName, str] = {"radtan": "radial-tangential", "equidistant": "equidistant"}
-_IMU_FIELDS = {
-    "rate_hz": "rate_hz",
-    "gyroscope_noise_density": "gyro_noise_density",
-    "gyroscope_random_walk": "gyro_random_walk",
-    "accelerometer_noise_density": "accel_noise_density",
-    "accelerometer_random_walk": "accel_random_walk",
-}
-_IMU_EXTRA_FIELDS = {
-    "gyroscope_turn_on_bias": "gyro_turn_on_bias_rad_s",
-    "accelerometer_turn_on_bias": "accel_turn_on_bias_m_s2",
-}
-_IMU_UNITS = {
-    "rate_hz": "Hz",
-    "gyroscope_noise_density": "rad / s / sqrt(Hz)",
-    "gyroscope_random_walk": "rad / s^2 / sqrt(Hz)",
-    "accelerometer_noise_density": "m / s^2 / sqrt(Hz)",
-    "accelerometer_random_walk": "m / s^3 / sqrt(Hz)",
-    "gyroscope_turn_on_bias": "rad / s, standard deviation",
-    "accelerometer_turn_on_bias": "m / s^2, standard deviation",
-}
-_IMU_IMPERFECTIONS = tuple(
-    field.name for field in fields(ImuModel)[1:] if field.name not in (_IMU_FIELDS | _IMU_EXTRA_FIELDS).values()
-)
 
 
 def read_rig(mav0: Path, cameras: int) -> Rig:
@@ -107,22 +83,10 @@ def _read_camera(yaml: SensorYaml) -> RigCamera:
 
 
 def _read_imu(yaml: SensorYaml) -> ImuModel:
-    """Return the IMU that a ``sensor.yaml`` describes, or raise InputError.
-
-    A density of zero says that a sensor is perfect, and breaks whatever filter believes it: it is refused.
-    """
+    """Return the IMU that a ``sensor.yaml`` describes, or raise InputError."""
     if "T_BS.data" in yaml and not np.array_equal(yaml.pose("T_BS"), np.eye(4)):
         raise yaml.fault("T_BS.data", "the identity: the body frame is the IMU's")
-    defaults = {field.name: field.default for field in fields(ImuModel)}
-    values = {ours: yaml.positive(theirs) for theirs, ours in _IMU_FIELDS.items()}
-    for theirs, ours in _IMU_EXTRA_FIELDS.items():
-        values[ours] = yaml.number(theirs) if theirs in yaml else float(str(defaults[ours]))
-        if values[ours] < 0.0:
-            raise yaml.fault(theirs, "a standard deviation, zero or more")
-    for ours in _IMU_IMPERFECTIONS:
-        if ours in yaml:
-            values[ours] = yaml.positive(ours)
-    return ImuModel(name=yaml.word("comment") if "comment" in yaml else "imu0", **values)
+    return read_imu_fields(yaml, "comment", "rate_hz")
 
 
 def _camera_yaml(camera: RigCamera) -> str:
@@ -142,17 +106,8 @@ def _camera_yaml(camera: RigCamera) -> str:
 
 def _imu_yaml(imu: ImuModel) -> str:
     """Return the ``sensor.yaml`` of an IMU."""
-    numbers = "".join(
-        f"{theirs}: {shown(float(getattr(imu, ours)))} # [ {_IMU_UNITS[theirs]} ]\n"
-        for theirs, ours in (_IMU_FIELDS | _IMU_EXTRA_FIELDS).items()
-    )
-    perfect = {field.name: field.default for field in fields(ImuModel)}
-    numbers += "".join(
-        f"{ours}: {shown(float(getattr(imu, ours)))}\n"
-        for ours in _IMU_IMPERFECTIONS
-        if getattr(imu, ours) != perfect[ours]
-    )
-    return f"%YAML:1.0\nsensor_type: imu\ncomment: {shown(imu.name)}\n\n{pose_yaml('T_BS', np.eye(4))}\n{numbers}"
+    fields = imu_fields_yaml(imu, "comment", "rate_hz")
+    return f"%YAML:1.0\nsensor_type: imu\n{pose_yaml('T_BS', np.eye(4))}\n{fields}"
 
 
 def count_cameras(mav0: Path) -> int:

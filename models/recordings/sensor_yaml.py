@@ -22,6 +22,7 @@ Value: TypeAlias = "float | str | tuple[Value, ...]"
 
 _KEY = re.compile(r"( *)([A-Za-z_][\w.-]*) *:(?: +(.*))?", re.ASCII)
 _NUMBER = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?", re.ASCII)
+_WORD = re.compile(r"""[^]\[{}&*!|>'%@`,?:#"-].*""")
 _PLAIN = re.compile(r"[A-Za-z][\w ()./+-]*(?<! )", re.ASCII)
 _ORTHONORMAL = 1e-4  # published extrinsics carry down to 5 digits
 
@@ -130,18 +131,25 @@ def read_sensor_yaml(path: Path) -> SensorYaml:
     return SensorYaml(path, values, lines)
 
 
+def parse_number(text: str) -> float | None:
+    """Return the finite number that a text writes, None where it writes none."""
+    number = float(text) if _NUMBER.fullmatch(text) else np.nan
+    return number if np.isfinite(number) else None
+
+
 def shown(value: Value) -> str:
     """Return a value as this subset of YAML writes it, so that it is read back to the bit."""
     if isinstance(value, tuple):
         return f"[{', '.join(map(shown, value))}]"
     if isinstance(value, float):
-        return repr(value)
+        mantissa, e, exponent = repr(value).partition("e")
+        return f"{mantissa}.0e{exponent}" if e and "." not in mantissa else repr(value)  # to YAML 1.1, 1e-05 is a word
     return value if _PLAIN.fullmatch(value) else json.dumps(value)
 
 
 def pose_yaml(key: str, T: Array) -> str:
     """Return the lines of a rigid transform (4, 4), to be read back to the bit."""
-    rows = ",\n         ".join(", ".join(map(repr, row)) for row in T.tolist())
+    rows = ",\n         ".join(", ".join(map(shown, row)) for row in T.tolist())
     return f"{key}:\n  cols: 4\n  rows: 4\n  data: [{rows}]\n"
 
 
@@ -189,15 +197,14 @@ def _value(path: Path, line: int, text: str) -> Value:
 
 def _scalar(path: Path, line: int, text: str) -> float | str:
     """Return a number or a word, or raise InputError."""
-    if _NUMBER.fullmatch(text):
-        number = float(text)
-        if np.isfinite(number):
-            return number
-    elif text.startswith('"'):
+    number = parse_number(text)
+    if number is not None:
+        return number
+    if text.startswith('"'):
         try:
             return str(json.loads(text))
         except ValueError:
             pass
-    elif text and text[0] not in "[]{}&*!|>'%@`,-?:#\"" and text.lower() not in (".nan", ".inf"):
+    elif _WORD.fullmatch(text) and not _NUMBER.fullmatch(text) and text.lower() not in (".nan", ".inf"):
         return text
     raise InputError(path, repr(text[:40]), "a finite number or a plain word", line)

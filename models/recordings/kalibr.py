@@ -1,0 +1,244 @@
+"""Calibrations as Kalibr writes them, in and out: ``camchain.yaml`` for the cameras, ``imu.yaml`` for the IMU.
+
+What we write are the true parameters of a rig, as if calibrated without error. ``T_cam_imu`` takes points of the IMU
+frame into the camera's, ``T_cn_cnm1`` those of the previous camera, and t_imu = t_cam + ``timeshift_cam_imu``. Format:
+Kalibr's wiki, "yaml formats" (Furgale, Rehder and Siegwart, IROS 2013).
+
+Keys of our own, which other readers pass over, bring a rig back to the bit: ``T_imu_cam`` (OpenVINS writes it too),
+``rate_hz`` and ``readout_s`` of a camera, ``T_vehicle_imu``, ``sampling`` and what
+`dronevio.models.recordings.imu_fields` adds of the IMU.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import cast
+
+import numpy as np
+import numpy.typing as npt
+
+from dronevio.models.camera import CameraModel
+from dronevio.models.errors import InputError
+from dronevio.models.imu import ImuModel, Sampling
+from dronevio.models.recordings.euroc_calibration import LENS_NAMES
+from dronevio.models.recordings.files import blamed_on
+from dronevio.models.recordings.imu_fields import imu_fields_yaml, read_imu_fields
+from dronevio.models.recordings.sensor_yaml import SensorYaml, shown
+from dronevio.models.recordings.yaml_document import read_yaml
+from dronevio.models.rig import Rig, RigCamera
+from dronevio.models.rotation import inverse_pose
+
+Array = npt.NDArray[np.float64]
+
+CAMERA_TOPIC = "/cam{}/image_raw"
+"""The topic of a camera's images, as EuRoC's bags name it."""
+IMU_TOPIC = "/imu0"
+"""The topic of the IMU's samples."""
+
+_AGREEMENT = 1e-3  # two poses that say the same, rounded [rad, m]
+_SYNCHRONOUS_S = 5e-4  # cameras of one trigger, calibrated one by one
+
+
+@dataclass(frozen=True, eq=False)
+class KalibrCalibration:
+    """What Kalibr's files say: of cameras, of an IMU, or of both."""
+
+    paths: tuple[Path, ...]
+    """The files."""
+    cameras: tuple[RigCamera, ...]
+    """The cameras; none where no file speaks of them."""
+    topics: tuple[str, ...]
+    """Of each camera, the topic of its images; empty where the file does not say."""
+    time_offset_s: float
+    """t_imu = t_cam + offset [s]."""
+    imu: ImuModel | None
+    """The IMU, where a file speaks of it."""
+    T_vehicle_imu: Array
+    """(4, 4) Pose of the IMU in the vehicle frame; the identity where no file says."""
+    sampling: Sampling
+    """What the IMU's samples are."""
+
+    def rig(self) -> Rig:
+        """Return the rig.
+
+        Raises:
+            InputError: The files lack the cameras or the IMU.
+        """
+        if not self.cameras:
+            raise InputError(self.paths[0], "no camera", "Kalibr's camchain.yaml: cam0 with intrinsics and T_cam_imu")
+        if self.imu is None:
+            raise InputError(self.paths[0], "no IMU", "Kalibr's imu.yaml too: gyroscope_noise_density and so on")
+        with blamed_on(self.paths[0]):
+            return Rig(self.cameras, self.imu, self.T_vehicle_imu, self.time_offset_s)
+
+
+def read_kalibr(paths: Sequence[Path], rate_hz: float = 20.0) -> KalibrCalibration:
+    """Read a calibration from one or more files.
+
+    Args:
+        paths: One file or several, in any order: camchain, IMU.
+        rate_hz: Frame rate of cameras whose file does not say it [Hz]: Kalibr's own never do.
+
+    Raises:
+        InputError: A file is missing or damaged, a field is missing or not what it should be, something is said twice,
+            or a model is not supported.
+    """
+    return calibration_of([read_yaml(Path(path)) for path in paths], rate_hz)
+
+
+def calibration_of(files: Sequence[SensorYaml], rate_hz: float = 20.0) -> KalibrCalibration:
+    """Return what the texts of Kalibr's files say; see `read_kalibr`.
+
+    Raises:
+        InputError: As `read_kalibr`.
+    """
+    paths = tuple(file.path for file in files)
+    chain = _only([file for file in files if "cam0" in file.lines], "cameras")
+    imu = _only([file for file in files if _imu_prefix(file) is not None], "an IMU")
+    if chain is None and imu is None:
+        raise InputError(
+            paths[0], "neither cam0 nor the noise of an IMU", "Kalibr's camchain.yaml or imu.yaml, or both in one"
+        )
+    cameras, topics, offsets = _read_chain(chain, rate_hz) if chain else ((), (), (0.0,))
+    prefix = (imu and _imu_prefix(imu)) or ""
+    pose = f"{prefix}T_vehicle_imu"
+    return KalibrCalibration(
+        paths=paths,
+        cameras=cameras,
+        topics=topics,
+        time_offset_s=offsets[0],
+        imu=read_imu_fields(imu, "name", "update_rate", prefix) if imu else None,
+        T_vehicle_imu=imu.pose_of_rows(pose) if imu and pose in imu else np.eye(4),
+        sampling=_sampling(imu, prefix) if imu else "point",
+    )
+
+
+def camchain_yaml(rig: Rig) -> str:
+    """Return the text of a ``camchain.yaml``, which `read_kalibr` reads back to the bit."""
+    return "".join(_camera_yaml(rig, number) for number in range(len(rig.cameras)))
+
+
+def imu_yaml(rig: Rig, sampling: Sampling = "point") -> str:
+    """Return the text of an ``imu.yaml``, which `read_kalibr` reads back to the bit."""
+    fields = imu_fields_yaml(rig.imu, "name", "update_rate")
+    kind = "" if sampling == "point" else f"sampling: {sampling}\n"
+    return f"{fields}rostopic: {IMU_TOPIC}\n{kind}{rows_yaml('T_vehicle_imu', rig.T_vehicle_imu)}"
+
+
+def rows_yaml(key: str, T: Array) -> str:
+    """Return the lines of a matrix as a list of rows, to be read back to the bit."""
+    return f"{key}:\n" + "".join(f"  - {shown(tuple(row))}\n" for row in T.tolist())
+
+
+def indented(text: str) -> str:
+    """Return lines, indented as those of a map in a map."""
+    return "".join(f"  {line}\n" for line in text.splitlines())
+
+
+def _camera_yaml(rig: Rig, number: int) -> str:
+    """Return the part of a camchain that describes one camera."""
+    camera = rig.cameras[number]
+    m, T_cam_imu = camera.model, inverse_pose(camera.T_imu_cam)
+    others = ", ".join(str(other) for other in range(len(rig.cameras)) if other != number)
+    text = (
+        "camera_model: pinhole\n"
+        f"intrinsics: {shown(tuple(map(float, (m.fx, m.fy, m.cx, m.cy))))}\n"
+        f"distortion_model: {m.lens}\n"
+        f"distortion_coeffs: {shown(tuple(map(float, m.distortion)))}\n"
+        f"resolution: [{m.width}, {m.height}]\n"
+        f"{rows_yaml('T_cam_imu', T_cam_imu)}"
+    )
+    if number:
+        text += rows_yaml("T_cn_cnm1", T_cam_imu @ rig.cameras[number - 1].T_imu_cam)
+    text += (
+        f"timeshift_cam_imu: {shown(float(rig.time_offset_s))}\n"
+        f"rostopic: {CAMERA_TOPIC.format(number)}\n"
+        f"cam_overlaps: [{others}]\n"
+        f"{rows_yaml('T_imu_cam', camera.T_imu_cam)}"
+        f"rate_hz: {shown(float(camera.rate_hz))}\n"
+    )
+    text += f"readout_s: {shown(float(camera.readout_s))}\n" if camera.readout_s else ""
+    return f"cam{number}:\n{indented(text)}"
+
+
+def _only(files: list[SensorYaml], what: str) -> SensorYaml | None:
+    """Return the one file that speaks of something, None if none does, or raise InputError."""
+    if len(files) > 1:
+        raise InputError(files[1].path, f"{what}, as in {files[0].path} already", f"one file with {what}")
+    return files[0] if files else None
+
+
+def _imu_prefix(file: SensorYaml) -> str | None:
+    """Return where in a file an IMU is described, None if nowhere."""
+    if "imu0" in file.lines:
+        return "imu0."
+    return "" if any(key.startswith(("gyroscope_", "accelerometer_")) for key in file.lines) else None
+
+
+def _sampling(yaml: SensorYaml, prefix: str) -> Sampling:
+    """Return what the IMU's samples are, or raise InputError."""
+    key = f"{prefix}sampling"
+    if key not in yaml:
+        return "point"
+    if yaml.values[key] not in ("point", "increment"):
+        raise yaml.fault(key, "point or increment")
+    return cast(Sampling, yaml.values[key])
+
+
+def _read_chain(yaml: SensorYaml, rate_hz: float) -> tuple[tuple[RigCamera, ...], tuple[str, ...], tuple[float, ...]]:
+    """Return the cameras of a camchain, their topics and their time offsets [s], or raise InputError."""
+    cameras: list[RigCamera] = []
+    while f"cam{len(cameras)}" in yaml.lines:
+        cameras.append(_read_camera(yaml, f"cam{len(cameras)}.", cameras, rate_hz))
+    names = [f"cam{number}." for number in range(len(cameras))]
+    topics = tuple(yaml.word(f"{cam}rostopic") if f"{cam}rostopic" in yaml else "" for cam in names)
+    shifts = [f"{cam}timeshift_cam_imu" for cam in names]
+    offsets = tuple(yaml.number(key) if key in yaml else 0.0 for key in shifts)
+    for key, offset_s in zip(shifts, offsets, strict=True):
+        if abs(offset_s - offsets[0]) > _SYNCHRONOUS_S:
+            raise yaml.fault(key, f"that of cam0, {offsets[0]:g} s: a frame has one time stamp")
+    return tuple(cameras), topics, offsets
+
+
+def _read_camera(yaml: SensorYaml, cam: str, before: list[RigCamera], rate_hz: float) -> RigCamera:
+    """Return a camera of a camchain, given those before it, or raise InputError."""
+    if yaml.word(f"{cam}camera_model") != "pinhole":
+        raise yaml.fault(f"{cam}camera_model", "pinhole, the only model supported")
+    lens = yaml.word(f"{cam}distortion_model")
+    k: Sequence[float] = (0.0, 0.0, 0.0, 0.0)
+    if lens != "none":
+        if lens not in LENS_NAMES:
+            raise yaml.fault(f"{cam}distortion_model", f"one of none, {', '.join(LENS_NAMES)}")
+        k = yaml.numbers(f"{cam}distortion_coeffs", 4)
+    size = yaml.numbers(f"{cam}resolution", 2)
+    if any(side < 1 or side != int(side) for side in size):
+        raise yaml.fault(f"{cam}resolution", "width and height in whole pixels")
+    fx, fy, cx, cy = yaml.numbers(f"{cam}intrinsics", 4)
+    if min(fx, fy) <= 0.0:
+        raise yaml.fault(f"{cam}intrinsics", "fu, fv, pu, pv with focal lengths above zero")
+    distortion = (k[0], k[1], k[2], k[3])
+    model = CameraModel(int(size[0]), int(size[1]), fx, fy, cx, cy, distortion, LENS_NAMES.get(lens, "radtan"))
+    rate_hz = yaml.positive(f"{cam}rate_hz") if f"{cam}rate_hz" in yaml else rate_hz
+    readout_s = yaml.number(f"{cam}readout_s") if f"{cam}readout_s" in yaml else 0.0
+    with blamed_on(yaml.path):
+        return RigCamera(model, _T_imu_cam(yaml, cam, before), rate_hz, readout_s)
+
+
+def _T_imu_cam(yaml: SensorYaml, cam: str, before: list[RigCamera]) -> Array:
+    """Return the pose (4, 4) of a camera in the IMU frame, or raise InputError."""
+    said: dict[str, Array] = {}
+    if f"{cam}T_imu_cam" in yaml:
+        said[f"{cam}T_imu_cam"] = yaml.pose_of_rows(f"{cam}T_imu_cam")
+    if f"{cam}T_cam_imu" in yaml:
+        said[f"{cam}T_cam_imu"] = inverse_pose(yaml.pose_of_rows(f"{cam}T_cam_imu"))
+    if f"{cam}T_cn_cnm1" in yaml and before:
+        said[f"{cam}T_cn_cnm1"] = before[-1].T_imu_cam @ inverse_pose(yaml.pose_of_rows(f"{cam}T_cn_cnm1"))
+    if not said:
+        raise yaml.fault(
+            f"{cam}T_cam_imu", "the pose of the IMU in the camera, as kalibr_calibrate_imu_camera finds it"
+        )
+    first = next(iter(said))
+    for key, T in said.items():
+        if np.abs(T - said[first]).max() > _AGREEMENT:
+            raise yaml.fault(key, f"what agrees with {first}")
+    return said[first]

@@ -1,0 +1,261 @@
+"""Kalibr's calibrations: ours come back to the bit, theirs are read as documented, broken ones are refused."""
+
+from collections.abc import Callable
+from dataclasses import fields, replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+import yaml as independent
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from hypothesis.extra import numpy as hnp
+
+from dronevio.models.camera import CameraModel
+from dronevio.models.errors import InputError
+from dronevio.models.imu import ImuModel
+from dronevio.models.recordings.kalibr import camchain_yaml, imu_yaml, indented, read_kalibr
+from dronevio.models.recordings.yaml_document import parse_yaml
+from dronevio.models.rig import EUROC_CAM0, EUROC_T_IMU_CAM0, Rig, RigCamera
+from dronevio.models.rigs import RIGS, rig_named
+from dronevio.models.rotation import exp_so3, inverse_pose, pose_matrix
+
+# The example of Kalibr's wiki ("yaml formats"), its second camera's poses completed to rigid ones.
+WIKI_CAMCHAIN = """\
+cam0:
+  camera_model: pinhole
+  intrinsics: [461.629, 460.152, 362.680, 246.049]
+  distortion_model: radtan
+  distortion_coeffs: [-0.27695497, 0.06712482, 0.00087538, 0.00011556]
+  T_cam_imu:
+  - [0.01779318, 0.99967549,-0.01822936, 0.07008565]
+  - [-0.9998017, 0.01795239, 0.00860714,-0.01771023]
+  - [0.00893160, 0.01807260, 0.99979678, 0.00399246]
+  - [0.0, 0.0, 0.0, 1.0]
+  timeshift_cam_imu: -8.121e-05
+  rostopic: /cam0/image_raw
+  resolution: [752, 480]
+cam1:
+  camera_model: pinhole
+  intrinsics: [450.0, 449.0, 373.850, 253.749]
+  distortion_model: equidistant
+  distortion_coeffs: [-0.01, 0.05,
+    -0.04, 0.01]
+  T_cn_cnm1:
+  - [1.0, 0.0, 0.0, -0.11]
+  - [0.0, 1.0, 0.0, 0.0]
+  - [0.0, 0.0, 1.0, 0.0]
+  - [0.0, 0.0, 0.0, 1.0]
+  rostopic: /cam1/image_raw
+  resolution: [752, 480]
+"""
+KALIBR_IMU = """\
+#Accelerometers
+accelerometer_noise_density: 1.86e-03   #Noise density (continuous-time)
+accelerometer_random_walk:   4.33e-04   #Bias random walk
+
+#Gyroscopes
+gyroscope_noise_density:     1.87e-04   #Noise density (continuous-time)
+gyroscope_random_walk:       2.66e-05   #Bias random walk
+
+rostopic:                    /imu0      #the IMU ROS topic
+update_rate:                 500.0      #Hz (for discretization of the values above)
+"""
+
+
+@pytest.fixture(scope="module")
+def scratch(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return tmp_path_factory.mktemp("kalibr")
+
+
+def written(folder: Path, *texts: str) -> list[Path]:
+    paths = [folder / f"{number}.yaml" for number in range(len(texts))]
+    for path, text in zip(paths, texts, strict=True):
+        path.write_text(text)
+    return paths
+
+
+def assert_same_rig(ours: Rig, theirs: Rig) -> None:
+    assert ours.imu == theirs.imu and ours.time_offset_s == theirs.time_offset_s
+    np.testing.assert_array_equal(ours.T_vehicle_imu, theirs.T_vehicle_imu)
+    for a, b in zip(ours.cameras, theirs.cameras, strict=True):
+        assert (a.model, a.rate_hz, a.readout_s) == (b.model, b.rate_hz, b.readout_s)
+        np.testing.assert_array_equal(a.T_imu_cam, b.T_imu_cam)
+
+
+@pytest.mark.parametrize("name", RIGS)
+def test_every_rig_comes_back_to_the_bit(scratch: Path, name: str) -> None:
+    rig = replace(rig_named(name), time_offset_s=-1e-5 / 3)
+    two = read_kalibr(written(scratch, camchain_yaml(rig), imu_yaml(rig)))
+    assert_same_rig(two.rig(), rig)
+    assert two.topics == tuple(f"/cam{i}/image_raw" for i in range(len(rig.cameras)))
+    one = read_kalibr(written(scratch, f"{camchain_yaml(rig)}imu0:\n{indented(imu_yaml(rig, 'increment'))}"))
+    assert_same_rig(one.rig(), rig)
+    assert (two.sampling, one.sampling) == ("point", "increment")
+
+
+finite = st.floats(-1e6, 1e6)
+positive = st.floats(1e-12, 1e6)
+
+
+@st.composite
+def rigs(draw: st.DrawFn) -> Rig:
+    def pose() -> np.ndarray:
+        turn, p = (draw(hnp.arrays(np.float64, 3, elements=st.floats(-3, 3))) for _ in range(2))
+        return pose_matrix(exp_so3(turn), p)
+
+    def camera() -> RigCamera:
+        lens = draw(st.sampled_from(["radtan", "equidistant"]))
+        distortion = tuple(draw(st.lists(finite, min_size=4, max_size=4)))
+        size = [draw(st.integers(1, 10_000)) for _ in range(2)]
+        model = CameraModel(*size, draw(positive), draw(positive), draw(finite), draw(finite), distortion, lens)
+        return RigCamera(model, pose(), 20.0, draw(st.floats(0, 0.05)))
+
+    numbers = [draw(positive) for _ in fields(ImuModel)[1:]]
+    cameras = tuple(camera() for _ in range(draw(st.integers(1, 3))))
+    return Rig(cameras, ImuModel(draw(st.text(max_size=6)), *numbers), pose(), draw(st.floats(-1, 1)))
+
+
+@settings(max_examples=60, deadline=None)
+@given(rigs())
+def test_any_rig_comes_back_to_the_bit(scratch: Path, rig: Rig) -> None:
+    assert_same_rig(read_kalibr(written(scratch, camchain_yaml(rig), imu_yaml(rig))).rig(), rig)
+
+
+def test_an_independent_reader_finds_what_kalibr_defines() -> None:
+    """PyYAML, Kalibr's own reader, on a stereo rig: numbers are numbers, and poses go the way that Kalibr says."""
+    rig = replace(rig_named("euroc-stereo"), time_offset_s=3e-5)
+    chain, imu = independent.safe_load(camchain_yaml(rig)), independent.safe_load(imu_yaml(rig))
+    assert list(chain) == ["cam0", "cam1"]  # Kalibr counts the keys
+    p_imu = np.array([0.3, -0.2, 1.5, 1.0])
+    for i, cam in enumerate(chain.values()):
+        p_cam = np.array(cam["T_cam_imu"]) @ p_imu  # takes points of the IMU frame into the camera's
+        np.testing.assert_allclose(rig.cameras[i].T_imu_cam @ p_cam, p_imu, atol=1e-12)
+        assert cam["timeshift_cam_imu"] == 3e-5  # t_imu = t_cam + shift, as ours
+        assert cam["cam_overlaps"] == [1 - i] and cam["resolution"] == [752, 480]
+    T_c0_imu, T_c1_imu = (np.array(cam["T_cam_imu"]) for cam in chain.values())
+    np.testing.assert_allclose(np.array(chain["cam1"]["T_cn_cnm1"]) @ T_c0_imu, T_c1_imu, atol=1e-9)
+    assert imu["gyroscope_noise_density"] == rig.imu.gyro_noise_density
+    assert imu["accelerometer_random_walk"] == rig.imu.accel_random_walk
+    assert imu["update_rate"] == 200.0
+
+
+def test_reads_kalibr_s_own_examples(scratch: Path) -> None:
+    calibration = read_kalibr(written(scratch, KALIBR_IMU, WIKI_CAMCHAIN), rate_hz=30.0)
+    rig = calibration.rig()
+    assert rig.imu.gyro_noise_density == 1.87e-4 and rig.imu.accel_random_walk == 4.33e-4 and rig.imu.rate_hz == 500.0
+    assert rig.time_offset_s == -8.121e-5
+    assert [camera.model.lens for camera in rig.cameras] == ["radtan", "equidistant"]
+    assert [camera.rate_hz for camera in rig.cameras] == [30.0, 30.0]
+    T_cam0_cam1 = inverse_pose(rig.cameras[0].T_imu_cam) @ rig.cameras[1].T_imu_cam
+    np.testing.assert_allclose(T_cam0_cam1[:3, 3], [0.11, 0.0, 0.0], atol=1e-5)  # its right camera is to the right
+
+
+def test_reads_openvins_own_spelling(scratch: Path) -> None:
+    """``%YAML:1.0`` and ``imu0`` as a map, with ``T_imu_cam`` in place of its inverse."""
+    rows = "".join(f"    - {row}\n" for row in EUROC_T_IMU_CAM0.tolist())
+    chain = (
+        "%YAML:1.0\n\ncam0:\n  T_imu_cam: #rotation from camera to IMU R_CtoI, position of camera in IMU p_CinI\n"
+        f"{rows}  cam_overlaps: [1]\n  camera_model: pinhole\n"
+        "  distortion_coeffs: [-0.28340811, 0.07395907, 0.00019359, 1.76187114e-05]\n  distortion_model: radtan\n"
+        "  intrinsics: [458.654, 457.296, 367.215, 248.375] #fu, fv, cu, cv\n  resolution: [752, 480]\n"
+    )
+    imu = f"%YAML:1.0\n---\nimu0:\n{indented(KALIBR_IMU)}"
+    rig = read_kalibr(written(scratch, chain, imu)).rig()
+    assert rig.cameras[0].model == EUROC_CAM0
+    np.testing.assert_array_equal(rig.cameras[0].T_imu_cam, EUROC_T_IMU_CAM0)
+
+
+CHAIN, IMU = camchain_yaml(rig_named("euroc-stereo")), imu_yaml(rig_named("euroc-stereo"))
+
+
+def without(key: str) -> Callable[[str], str]:
+    return lambda text: text.replace(f"  {key}:", f"  no_{key}:").replace(f"\n{key}:", f"\nno_{key}:")
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "found"),
+    [
+        ("camera_model: pinhole", "camera_model: omni", "cam0.camera_model: omni"),
+        ("distortion_model: radtan", "distortion_model: fov", "cam0.distortion_model: fov"),
+        ("distortion_coeffs: [-0.28340811,", "distortion_coeffs: [", "cam0.distortion_coeffs"),
+        ("resolution: [752, 480]", "resolution: [752, 0]", "whole pixels"),
+        ("intrinsics: [458.654", "intrinsics: [-1", "focal lengths above zero"),
+        ("timeshift_cam_imu: 0.0", "timeshift_cam_imu: .nan", 'cam0.timeshift_cam_imu: ".nan"'),
+        ("timeshift_cam_imu: 0.0", "timeshift_cam_imu: 0.1", "one time stamp"),
+        ("rate_hz: 20.0", "rate_hz: 10.0", "one rate"),
+        ("rate_hz: 20.0", "rate_hz: 20.0\n  readout_s: 1.0", "readout_s = 1.0"),
+        ("T_imu_cam:\n    - [0.01486", "T_imu_cam:\n    - [0.9", "cam0.T_imu_cam"),
+        ("-0.0216401454975]", "0.5]", "what agrees with cam0.T_imu_cam"),
+        ("-0.0216401454975]", "word]", "four rows of four numbers"),
+        ("gyroscope_noise_density: 0.00016968", "gyroscope_noise_density: 0.0", "a number above zero"),
+        ("gyroscope_noise_density: 0.00016968", "gyroscope_noise_density: -1.0", "a number above zero"),
+        ("gyroscope_noise_density: 0.00016968", "gyroscope_noise_density: .nan", "a number above zero"),
+        ("gyroscope_noise_density: 0.00016968", "gyroscope_noise_density: 1e999", "a number above zero"),
+        ("accelerometer_random_walk: 0.003", "accelerometer_random_walk: null", "no field accelerometer_random_walk"),
+        ("rostopic: /imu0", "rostopic: /imu0\nsampling: often", "point or increment"),
+        ("cam1:", "cam0:", "second time"),
+        ("cam0:", "cam0: &a", "single"),
+        ("rate_hz: 20.0", "rate_hz: !!python/object/apply:os.system ['true']", "python/object"),
+        ("rate_hz: 20.0", "rate_hz: *a", "alias"),
+        ("rate_hz: 20.0", "rate_hz: [{a: 1}]", "a map in a list"),
+        ("rate_hz: 20.0", "? [1, 2]\n  : 3", "a key that is no word"),
+        ("rate_hz: 20.0", "rate_hz: @", "cannot start any token"),
+        ("rate_hz: 20.0", "rate_hz: \x07", "special characters"),
+    ],
+)
+def test_names_file_line_and_fault(scratch: Path, old: str, new: str, found: str) -> None:
+    paths = written(scratch, CHAIN.replace(old, new, 1), IMU.replace(old, new, 1))
+    if new == "cam0: &a":  # an anchor alone does no harm
+        assert len(read_kalibr(paths).cameras) == 2
+        return
+    with pytest.raises(InputError) as caught:
+        read_kalibr(paths).rig()
+    assert found in str(caught.value) and "\n" not in str(caught.value)
+    assert caught.value.path == paths[0 if old in CHAIN else 1]
+
+
+@pytest.mark.parametrize(
+    ("texts", "missing"),
+    [
+        ([CHAIN], "Kalibr's imu.yaml too"),
+        ([IMU], "Kalibr's camchain.yaml"),
+        ([without("T_imu_cam")(without("T_cam_imu")(CHAIN)), IMU], "no field cam0.T_cam_imu"),
+        ([without("resolution")(CHAIN), IMU], "no field cam0.resolution"),
+        ([without("intrinsics")(CHAIN), IMU], "no field cam0.intrinsics"),
+        ([CHAIN, without("gyroscope_random_walk")(IMU)], "no field gyroscope_random_walk"),
+        ([CHAIN, without("update_rate")(IMU)], "no field update_rate"),
+        ([CHAIN, CHAIN, IMU], "one file with cameras"),
+        ([CHAIN, IMU, IMU], "one file with an IMU"),
+        (["a: 1\n"], "neither cam0 nor"),
+        ([""], "no map"),
+        (["- 1\n"], "no map"),
+        (["a" * 200_001], "at most"),
+        (["[" * 100_000], "in each other"),
+    ],
+)
+def test_names_what_is_missing(scratch: Path, texts: list[str], missing: str) -> None:
+    with pytest.raises(InputError) as caught:
+        read_kalibr(written(scratch, *texts)).rig()
+    assert missing in str(caught.value)
+
+
+def test_a_missing_file_is_named(scratch: Path) -> None:
+    with pytest.raises(InputError, match="no such file"):
+        read_kalibr([scratch / "missing.yaml"])
+
+
+@settings(max_examples=400, deadline=None)
+@given(st.integers(0, len(CHAIN + IMU)), st.integers(0, 40), st.text("abT_:[],# \n\t-%\"'&*!{}0.1e", max_size=6))
+def test_broken_text_is_refused_or_read(start: int, length: int, inserted: str) -> None:
+    """A rig is either refused with file and reason, or one that makes sense."""
+    from dronevio.models.recordings.kalibr import calibration_of
+
+    text = f"{CHAIN}{IMU}"
+    path = Path("calibration.yaml")
+    try:
+        rig = calibration_of([parse_yaml(path, text[:start] + inserted + text[start + length :])]).rig()
+    except InputError as error:
+        assert str(error).startswith("calibration.yaml") and "\n" not in str(error)
+    else:
+        assert rig.imu.gyro_noise_density > 0.0 and len(rig.cameras) >= 1
