@@ -18,12 +18,14 @@ from dronevio.sim.worlds.corridor import CORRIDOR
 from dronevio.sim.worlds.forest import FOREST
 from dronevio.sim.worlds.gates import GATES
 from dronevio.sim.worlds.room import ROOM
+from dronevio.sim.worlds.warehouse import WAREHOUSE
 
 Array = npt.NDArray[np.float64]
 
 WORLDS: dict[str, WorldBuilder] = {
     "room": ROOM,
     "corridor": CORRIDOR,
+    "warehouse": WAREHOUSE,
     "forest": FOREST,
     "gates": GATES,
 }
