@@ -51,23 +51,6 @@ def joined(parts: Sequence[Cutouts]) -> Cutouts:
     return Cutouts(np.concatenate([part.corners for part in parts]), np.concatenate([part.on_image for part in parts]))
 
 
-def tube(heights: Array, radii: Array, sides: int, bend: Array | None = None) -> Array:
-    """Return the mantle of an upright tube, a grid (S, sides + 1, 3) [m], seen from outside.
-
-    Args:
-        heights: (S,) Of its rings, from the top to the bottom [m].
-        radii: (S,) Of its rings [m].
-        sides: How many it has.
-        bend: (S, 2) How far each ring lies off the axis [m]; none by default.
-    """
-    angle = np.linspace(0.0, 2.0 * np.pi, sides + 1)
-    ring = np.stack([np.cos(angle), np.sin(angle)], axis=1)
-    grid = np.empty((len(heights), sides + 1, 3))
-    grid[..., :2] = radii[:, None, None] * ring + (0.0 if bend is None else bend[:, None])
-    grid[..., 2] = heights[:, None]
-    return grid
-
-
 def spray(rng: Random, centres: Array, outward: Array, length_m: float, cells: Indices, of: int) -> Cutouts:
     """Return a leafy twig at each centre: a kite that hangs outward, seen from below.
 

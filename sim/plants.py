@@ -1,19 +1,19 @@
 """What grows, and what lies about in the open: trees, bushes, rocks, logs.
 
 Each returns cutouts of shared images, in the frame of its own foot, and the boxes that it fills. Trunks are prisms of
-eight sides; such a prism is exactly the union of the four rectangular ones over its opposite sides.
+eight sides.
 """
 
 from dataclasses import dataclass
-from functools import partial
 
 import numpy as np
 import numpy.typing as npt
 
 from dronevio.sim import textures
 from dronevio.sim import textures_nature as nature
-from dronevio.sim.cutouts import Cutouts, joined, spray, tube
+from dronevio.sim.cutouts import Cutouts, joined, spray
 from dronevio.sim.lightmap import Field
+from dronevio.sim.round import UNSEEN, filling, mantle
 from dronevio.sim.solids import Box, turn_z
 from dronevio.sim.textures import Colour, Image
 
@@ -26,7 +26,6 @@ TONES = 4
 """Kinds of leaves on the leaf image, each in the shade (left) and in the sun (right)."""
 
 _SIDES = 8
-_UNSEEN = partial(textures.plain, colour=(0.0, 0.0, 0.0))  # obstacles are not drawn
 
 
 @dataclass(frozen=True, eq=False)
@@ -46,20 +45,6 @@ class Plant:
         return Plant(wood, leaves, tuple(box.moved(R, position) for box in self.obstacles))
 
 
-def prism_boxes(radius_m: float, low_m: float, high_m: float) -> list[Box]:
-    """Return four boxes whose union is the upright prism of eight sides around the z axis, a corner on the x axis.
-
-    Args:
-        radius_m: From its axis to its corners [m].
-        low_m: Its lower end [m].
-        high_m: Its upper end [m].
-    """
-    across, along = radius_m * np.sin(np.pi / _SIDES), radius_m * np.cos(np.pi / _SIDES)
-    half = np.array([along, across, 0.5 * (high_m - low_m)])
-    centre = np.array([0.0, 0.0, 0.5 * (low_m + high_m)])
-    return [Box(centre, half, _UNSEEN, R=turn_z((k + 0.5) * 2.0 * np.pi / _SIDES)) for k in range(_SIDES // 2)]
-
-
 def tree(rng: Random, radius_m: float, height_m: float, within_m: float, kind: int, sun: Array, twigs: int) -> Plant:
     """Return a tall tree: a bare trunk as thick as given up to ``within_m``, a crown above.
 
@@ -77,15 +62,17 @@ def tree(rng: Random, radius_m: float, height_m: float, within_m: float, kind: i
     radii = radius_m * np.array([0.25, 0.7, 1.0, 1.0, 1.3])
     bend = np.zeros((5, 2))
     bend[:2] = np.cumsum(rng.uniform(-0.25, 0.25, (2, 2)), axis=0)[::-1]
-    trunk = Cutouts.of_grid(tube(heights, radii, _SIDES, bend), kind / BARKS, (kind + 1) / BARKS)
+    trunk = Cutouts.of_grid(mantle(heights, radii, _SIDES, bend), kind / BARKS, (kind + 1) / BARKS)
     # the bark's rows follow the height, not the rings
     trunk.on_image[..., 1] = 1.0 - trunk.corners[..., 2] / (0.8 * height_m)
     base = within_m + 0.9 + rng.uniform(0.0, 0.1) * height_m
     half = np.array([rng.uniform(1.5, 2.3), rng.uniform(1.5, 2.3), 0.5 * (height_m - base)])
     middle = np.array([*bend[0], 0.5 * (height_m + base)])
     crown = foliage(rng, middle, half, rng.uniform(1.1, 1.6), twigs, sun)
-    root = Box(np.array([0.0, 0.0, 0.5 * flare]), np.array([0.85, 0.85, 0.0]) * radius_m + [0, 0, 0.5 * flare], _UNSEEN)
-    return Plant((trunk,), (crown,), (*prism_boxes(radius_m, -0.1, within_m), root)).moved(_leaning(rng), np.zeros(3))
+    root = Box(np.array([0.0, 0.0, 0.5 * flare]), np.array([0.85, 0.85, 0.0]) * radius_m + [0, 0, 0.5 * flare], UNSEEN)
+    return Plant((trunk,), (crown,), (*filling(radius_m, -0.1, within_m, _SIDES), root)).moved(
+        _leaning(rng), np.zeros(3)
+    )
 
 
 def _leaning(rng: Random) -> Array:
@@ -123,7 +110,7 @@ def bush(rng: Random, sun: Array) -> Plant:
     leaves.corners[..., 2] = np.maximum(leaves.corners[..., 2], 0.01)
     reach = np.abs(leaves.corners[..., :2]).max(axis=(0, 1))
     top = float(leaves.corners[..., 2].max())
-    return Plant((), (leaves,), (Box(np.array([0.0, 0.0, 0.5 * top]), np.array([*reach, 0.5 * top]), _UNSEEN),))
+    return Plant((), (leaves,), (Box(np.array([0.0, 0.0, 0.5 * top]), np.array([*reach, 0.5 * top]), UNSEEN),))
 
 
 def fern(rng: Random, fronds: int = 9) -> Plant:
@@ -143,7 +130,7 @@ def fern(rng: Random, fronds: int = 9) -> Plant:
 
 def log(rng: Random, radius_m: float, length_m: float, kind: int) -> Plant:
     """Return a fallen trunk along y."""
-    trunk = tube(np.array([0.5, -0.5]) * length_m, np.full(2, radius_m), _SIDES)
+    trunk = mantle(np.array([0.5, -0.5]) * length_m, np.full(2, radius_m), _SIDES)
     bark = Cutouts.of_grid(trunk, kind / BARKS, (kind + 1) / BARKS, 0.1, 0.1 + 0.09 * length_m)
     ends = []
     ring = trunk[0]
@@ -157,7 +144,7 @@ def log(rng: Random, radius_m: float, length_m: float, kind: int) -> Plant:
             ends.append(Cutouts(corners[None], np.concatenate([cell, 0.5 + 0.02 * corners[:, 1:2]], axis=1)[None]))
     lie = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, 1.0], [0.0, -1.0, 0.0]])
     lift = np.array([0.0, 0.0, 0.85 * radius_m])
-    whole = Plant((bark, joined(ends)), (), tuple(prism_boxes(radius_m, -0.5 * length_m, 0.5 * length_m)))
+    whole = Plant((bark, joined(ends)), (), tuple(filling(radius_m, -0.5 * length_m, 0.5 * length_m, _SIDES)))
     return whole.moved(lie, lift).moved(turn_z(rng.uniform(0.0, np.pi)), np.zeros(3))
 
 
@@ -175,7 +162,7 @@ def boulder(rng: Random, half: Array) -> tuple[Array, Box]:
     grid = ball * uneven * half
     reach = np.abs(grid).max(axis=(0, 1))
     top = float(grid[..., 2].max())
-    return grid, Box(np.array([0.0, 0.0, 0.5 * top]), np.array([*reach[:2], 0.5 * top]), _UNSEEN)
+    return grid, Box(np.array([0.0, 0.0, 0.5 * top]), np.array([*reach[:2], 0.5 * top]), UNSEEN)
 
 
 def bark_image(rng: Random, height: int, width: int, colours: tuple[Colour, ...], sun: Array) -> Image:
