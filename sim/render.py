@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 import numpy.typing as npt
 
-from dronevio.models.errors import IncompleteError
+from dronevio.models.errors import GraphicsError, IncompleteError
 from dronevio.models.progress import Progress, silent
 from dronevio.models.recordings.euroc import INCOMPLETE
 from dronevio.models.recordings.files import write_text
@@ -43,8 +43,9 @@ def render(job: RenderJob, mav0: Path, progress: Progress = silent, workers: int
 
     Raises:
         ConfigError: No world has the job's name.
-        IncompleteError: The system refused something on the way, such as more room on the disk; what is done stays.
-        GraphicsError: No off-screen OpenGL, or a worker failed.
+        IncompleteError: The system refused something on the way, such as more room on the disk, or a worker died; the
+            frames that are done stay.
+        GraphicsError: No off-screen OpenGL, or no worker did anything.
     """
     count = len(job.schedule)
     crew = workers or default_workers(count, _FRAMES_WORTH_A_WORKER)
@@ -64,8 +65,12 @@ def render(job: RenderJob, mav0: Path, progress: Progress = silent, workers: int
                 write_text(mav0 / FOLDERS["segmentation"] / "names.csv", names_table(scene.geom_names))
             run_crew([DrawTask(job, scene, share, truth, mav0) for share in shares], count, heard)
     except OSError as error:
-        where = error.filename or mav0
-        raise IncompleteError(f"{where}: {error.strerror} after {finished} of {count} frames") from error
+        what = Path(error.filename).name if error.filename else mav0
+        raise IncompleteError(f"stopped after {finished} of {count} frames: {error.strerror} ({what})") from error
+    except GraphicsError as error:
+        if not finished:
+            raise
+        raise IncompleteError(f"stopped after {finished} of {count} frames: {error}") from error
     return truth
 
 

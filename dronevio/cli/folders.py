@@ -1,12 +1,14 @@
 """Folders that are there whole or not at all."""
 
 import shutil
+import sys
 import tempfile
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
 from dronevio.models.errors import InputError
+from dronevio.models.recordings.euroc import INCOMPLETE
 
 
 @contextmanager
@@ -14,7 +16,8 @@ def atomic_folder(target: Path, overwrite: bool = False, mark: str = "mav0") -> 
     """Give a hidden folder beside ``target`` to write to, which becomes ``target`` when all went well.
 
     Whatever goes wrong meanwhile, an interruption included, nothing half-written stays, and what was there before is
-    untouched.
+    untouched. Only a recording that was cut off, and says so itself, is kept for its finished frames: under the
+    target's name with ``.incomplete`` behind it.
 
     Args:
         target: The folder to make; its parents are made too.
@@ -43,7 +46,19 @@ def atomic_folder(target: Path, overwrite: bool = False, mark: str = "mav0") -> 
         else:
             partial.rename(target)
     finally:
+        if (partial / "mav0" / INCOMPLETE).exists() and any(partial.glob("mav0/cam0/data/*.png")):
+            kept = free_name(target.with_name(f"{target.name}.incomplete"))
+            partial.rename(kept)
+            print(f"dronevio: the frames that are done lie in {kept}", file=sys.stderr)
         shutil.rmtree(partial, ignore_errors=True)
+
+
+def free_name(wanted: Path) -> Path:
+    """Return a path that is not there yet: the wanted one, or the first free one with a number behind it."""
+    candidate, number = wanted, 2
+    while candidate.exists():
+        candidate, number = wanted.with_name(f"{wanted.name}-{number}"), number + 1
+    return candidate
 
 
 def _refuse_to_destroy(target: Path, overwrite: bool, mark: str) -> None:

@@ -33,6 +33,24 @@ def test_nothing_is_left_of_a_failure(tmp_path: Path, error: type[BaseException]
     assert list(tmp_path.iterdir()) == []
 
 
+def test_a_recording_that_was_cut_off_is_kept(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    def cut_off(frames: int) -> None:
+        with atomic_folder(tmp_path / "flight") as folder:
+            (folder / "mav0" / "cam0" / "data").mkdir(parents=True)
+            (folder / "mav0" / "INCOMPLETE").touch()
+            for frame in range(frames):
+                (folder / "mav0" / "cam0" / "data" / f"{frame}.png").touch()
+            raise KeyboardInterrupt
+
+    for frames in (3, 0, 1):
+        with pytest.raises(KeyboardInterrupt):
+            cut_off(frames)
+    assert sorted(file.name for file in tmp_path.iterdir()) == ["flight.incomplete", "flight.incomplete-2"]
+    assert len(list((tmp_path / "flight.incomplete" / "mav0" / "cam0" / "data").iterdir())) == 3
+    told = capsys.readouterr().err.splitlines()
+    assert len(told) == 2 and told[0].endswith(str(tmp_path / "flight.incomplete"))
+
+
 def test_what_is_there_is_not_replaced_unasked(tmp_path: Path) -> None:
     make(tmp_path / "result", "old")
     with pytest.raises(InputError, match="--overwrite"):

@@ -8,11 +8,13 @@ from typing import Any
 import cv2
 import mujoco
 import numpy as np
+import psutil
 import pytest
 
 from dronevio.models.camera import CameraModel
-from dronevio.models.errors import ConfigError, GraphicsError
-from dronevio.models.recordings.euroc import INCOMPLETE
+from dronevio.models.errors import ConfigError, GraphicsError, IncompleteError
+from dronevio.models.imu import ImuSamples
+from dronevio.models.recordings.euroc import INCOMPLETE, EurocRecording, write_euroc
 from dronevio.models.recordings.frame_truth import FRAME_TRUTH_FILE, read_frame_truth
 from dronevio.models.rig import Rig, RigCamera
 from dronevio.models.rotation import pose_matrix, quat_wxyz_from_matrix
@@ -137,6 +139,34 @@ def test_an_interruption_leaves_whole_images_and_says_so(tmp_path: Path) -> None
     for file in left:
         assert file.suffix == ".png"
         assert cv2.imread(str(file), cv2.IMREAD_UNCHANGED).shape == (120, 188)
+    assert (tmp_path / INCOMPLETE).exists()
+
+
+@pytest.mark.skipif(not Path("/dev/full").exists(), reason="no /dev/full, which is a full disk")
+def test_a_full_disk_leaves_a_recording_that_can_be_read(tmp_path: Path) -> None:
+    stereo = Rig((RigCamera(SMALL, np.eye(4)), RigCamera(SMALL, BASELINE)))
+    work, mav0 = job(rig=stereo), tmp_path / "mav0"
+    stamps = work.schedule.stamps_ns
+    rest = ImuSamples(work.trajectory.t_ns, np.zeros((60, 3)), np.zeros((60, 3)), "point")
+    write_euroc(tmp_path, stereo, rest, work.trajectory, stamps)
+    (mav0 / "cam1" / "data" / f"{stamps[3]}.partial").symlink_to("/dev/full")
+    with pytest.raises(IncompleteError, match=r"after 3 of 6 frames: No space left on device"):
+        render(work, mav0, workers=1)
+    recording = EurocRecording.open(tmp_path)
+    assert not recording.complete
+    np.testing.assert_array_equal(recording.frame_times_ns, stamps[:3])
+    assert [image.shape for image in recording.frame(2).images] == [(120, 188)] * 2
+    assert not list(mav0.rglob("*.partial"))
+
+
+def test_a_worker_that_is_killed_is_reported(tmp_path: Path) -> None:
+    def kill(done: int, total: int) -> None:
+        if done == 1:
+            for worker in psutil.Process().children():
+                worker.kill()
+
+    with pytest.raises(IncompleteError, match=r"of 6 frames: a rendering process was killed by SIGKILL"):
+        render(job(), tmp_path, kill, workers=1)
     assert (tmp_path / INCOMPLETE).exists()
 
 
