@@ -19,6 +19,7 @@ COMMANDS: dict[str, str] = {
     "scenarios": "list what can be flown",
     "view": "open a run's recording",
     "book": "the experiments of the robotics book's chapter on visual SLAM",
+    "bench": "measure how fast this machine is",
     "doctor": "say what this machine has and lacks",
 }
 """The subcommands, each a module of this package with a ``main(arguments) -> int``, and what they do.

@@ -5,10 +5,10 @@ import platform
 import sys
 from collections.abc import Sequence
 from dataclasses import dataclass
-from importlib.metadata import PackageNotFoundError, version
 from importlib.util import find_spec
 from pathlib import Path
 
+from dronevio.cli.machine import cores, memory_gb, package_version
 from dronevio.cli.terminal import parse, print_json, print_table
 
 PACKAGES = ("dronevio", "mujoco", "gtsam", "opencv-python-headless", "numpy", "gymnasium", "rerun-sdk", "av")
@@ -40,9 +40,9 @@ def main(arguments: Sequence[str]) -> int:
     findings = {
         "python": platform.python_version(),
         "platform": platform.platform(),
-        "cores": _cores(),
-        "memory_gb": _memory_gb(),
-        "packages": {name: _version(name) for name in PACKAGES},
+        "cores": cores(),
+        "memory_gb": memory_gb(),
+        "packages": {name: package_version(name) for name in PACKAGES},
         "gl": {
             "works": gl.works,
             "backend": gl.backend,
@@ -64,9 +64,9 @@ def main(arguments: Sequence[str]) -> int:
         (
             ("Python", f"{findings['python']} ({sys.executable})"),
             ("platform", platform.platform()),
-            ("cores", f"{_cores()}"),
-            ("memory", f"{_memory_gb():.1f} GB"),
-            *((name, _version(name) or "missing") for name in PACKAGES),
+            ("cores", f"{cores()}"),
+            ("memory", f"{memory_gb():.1f} GB"),
+            *((name, package_version(name) or "missing") for name in PACKAGES),
             ("OpenGL", f"{gl.backend}: {gl.renderer or 'draws'}" if gl.works else f"none: {gl.problem}"),
             ("AV1 encoder", _av1_encoder() or "none: run.rrd will hold single images"),
             ("rerun viewer", "present" if _rerun_viewer() else "missing"),
@@ -78,24 +78,6 @@ def main(arguments: Sequence[str]) -> int:
         return 2
     print("All that a flight needs is here.")
     return 0
-
-
-def _cores() -> int:
-    """Return how many cores this process may use."""
-    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
-
-
-def _memory_gb() -> float:
-    """Return the machine's memory [GB]."""
-    return os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES") * 1e-9
-
-
-def _version(package: str) -> str:
-    """Return the version of an installed package; empty if it is missing."""
-    try:
-        return version(package)
-    except PackageNotFoundError:
-        return ""
 
 
 def _av1_encoder() -> str:

@@ -1,0 +1,87 @@
+"""How fast the simulator is: figures with their bounds, measured as CPU time of this process."""
+
+import time
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+
+from dronevio.models.camera import CameraModel
+from dronevio.models.progress import Progress, silent
+from dronevio.models.rotation import exp_so3, pose_matrix
+from dronevio.sim.camera_cost import camera_cost
+from dronevio.sim.flight import fly
+from dronevio.sim.scenario import Scenario
+from dronevio.sim.world import World
+
+_FORWARD = np.array([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]])  # a camera that looks along the world's x
+_EYE_HEIGHT_M = 1.2
+
+
+@dataclass(frozen=True)
+class Figure:
+    """Something measured, and what it should be."""
+
+    name: str
+    """What was measured."""
+    value: float
+    """How much it is."""
+    unit: str
+    """In what."""
+    bound: float
+    """How much it may be."""
+    sense: Literal["at most", "at least"]
+    """Which way the bound works."""
+    how: str
+    """What was measured exactly."""
+
+    @property
+    def ratio(self) -> float:
+        """Value by bound."""
+        return self.value / self.bound
+
+    @property
+    def met(self) -> bool:
+        """Whether the bound is kept."""
+        return self.value <= self.bound if self.sense == "at most" else self.value >= self.bound
+
+
+def camera_figure(world: World, camera: CameraModel, frames: int) -> Figure:
+    """Measure what a camera costs beside drawing what it needs, turning once around above the pad.
+
+    Args:
+        world: What to look at.
+        camera: What to look with.
+        frames: How many directions to look in.
+
+    Raises:
+        GraphicsError: No off-screen OpenGL.
+    """
+    turns = exp_so3(np.linspace(0.0, 2.0 * np.pi, frames, endpoint=False)[:, None] * [0.0, 0.0, 1.0])
+    eye = np.broadcast_to(world.pad + [0.0, 0.0, _EYE_HEIGHT_M], (frames, 3))
+    cost = camera_cost(world.spec.compile(), camera, pose_matrix(turns @ _FORWARD, eye))
+    return Figure(
+        "drawing and lens, by bare drawing",
+        cost.ratio,
+        "",
+        1.3,
+        "at most",
+        f"{cost.camera_ms:.0f} and {cost.bare_ms:.0f} ms of CPU a frame, {camera.width}×{camera.height} looked up in"
+        f" {1e-6 * cost.drawn_pixels:.2f} Mpx, mean of {frames}",
+    )
+
+
+def flight_figure(scenario: Scenario, progress: Progress = silent) -> Figure:
+    """Measure how fast a scenario is flown without images: planning, physics, controller and IMU."""
+    start_s = time.process_time()
+    flight = fly(scenario, progress)
+    spent_s = time.process_time() - start_s
+    duration_s = float(flight.truth.t_s[-1])
+    return Figure(
+        "flight without images",
+        duration_s / spent_s,
+        "× real time",
+        20.0,
+        "at least",
+        f"{duration_s:.1f} s in {spent_s:.2f} s of CPU",
+    )
