@@ -1,7 +1,8 @@
 """Where the nose points along a path: a wish for every instant, and a heading that follows it at a limited rate."""
 
+import math
 from collections.abc import Callable
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 import numpy.typing as npt
@@ -17,9 +18,9 @@ Heading = Literal["shape", "along", "across", "fixed", "toward"]
 _DEGREE = 5  # the angular acceleration that it asks for is smooth, too
 _SLOW_M_S = 0.15  # below this speed a direction of motion is none
 _NEAR_M = 0.3  # a point closer than this, in the plane, has no direction
-_SPACING_S = 0.2  # between the control points of the heading
+_SPACING_S = 0.1  # between the control points of the heading
 _YAW_ACCEL_RAD_S2 = 5.0  # a third of what the rotors' drag torque can do at hover
-_KERNEL_PEAK = 0.55  # of a quintic B-spline, in units of its spacing: how fast it lets a rate build up
+_SOFT_S = 0.3  # how quickly a small error is made good
 _RESERVE = 0.999
 
 
@@ -58,8 +59,8 @@ def spinning(rate_rad_s: float, lap_s: float) -> Gaze:
 def heading_curve(gaze: Gaze, path: BSpline, end_s: float, yaw_rate_rad_s: float, yaw_rad: float) -> BSpline:
     """Return the heading [rad] over the times of a path, at rest at both ends.
 
-    Its control points follow what is wished for, the short way round and by no more than the limit allows from one to
-    the next. A spline changes no faster than its control points do, so that it obeys the limit everywhere.
+    Its control points follow what is wished for, the short way round. A spline changes no faster than its control
+    points do, and neither does its rate: what they keep to, the heading keeps to everywhere.
 
     Args:
         gaze: What is wished for.
@@ -68,20 +69,36 @@ def heading_curve(gaze: Gaze, path: BSpline, end_s: float, yaw_rate_rad_s: float
         yaw_rate_rad_s: How fast the heading may change [rad/s].
         yaw_rad: The heading at the start [rad].
     """
-    spacing = max(_SPACING_S, _KERNEL_PEAK * yaw_rate_rad_s / _YAW_ACCEL_RAD_S2)
-    intervals = max(int(np.ceil(end_s / spacing)), 1)
+    intervals = max(int(np.ceil(end_s / _SPACING_S)), 1)
     spacing = end_s / intervals
     knots = spacing * np.arange(-_DEGREE, intervals + _DEGREE + 1)
-    # A control point speaks for the middle of its basis function; the first ones and the last ones for standing still.
-    middles = spacing * (np.arange(intervals + _DEGREE) - 0.5 * (_DEGREE - 1))
-    t = np.clip(middles, 0.0, end_s)
+    # A control point speaks for the middle of its basis function.
+    t = np.clip(spacing * (np.arange(intervals + _DEGREE) - 0.5 * (_DEGREE - 1)), 0.0, end_s)
     wishes = gaze(t, path(t), path.derivative()(t))
-    wishes[:_DEGREE] = np.nan
-    wishes[-_DEGREE:] = np.nan
-    most, yaw, control = _RESERVE * yaw_rate_rad_s * spacing, yaw_rad, np.empty(len(t))
-    for k, wish in enumerate(wishes):
+    braking = int(np.ceil(yaw_rate_rad_s / (_YAW_ACCEL_RAD_S2 * spacing)))
+    wishes[:_DEGREE] = wishes[max(len(wishes) - _DEGREE - braking, 0) :] = np.nan
+    return BSpline(knots, _followed(wishes, spacing, _RESERVE * yaw_rate_rad_s, yaw_rad), _DEGREE)
+
+
+def _followed(wishes: Array, step_s: float, rate_rad_s: float, yaw_rad: float) -> Array:
+    """Return headings (N,) that follow wishes (N,) at a limited rate and angular acceleration; NaN wishes for rest."""
+    gain = _YAW_ACCEL_RAD_S2 * step_s
+    ahead = np.append(_wrapped(np.diff(wishes)) / step_s, np.nan)
+    yaw, rate, headings = yaw_rad, 0.0, np.empty(len(wishes))
+    for k, wish in enumerate(wishes.tolist()):
+        wanted = 0.0
         if np.isfinite(wish):
-            turn = (wish - yaw + np.pi) % (2.0 * np.pi) - np.pi
-            yaw += min(max(turn, -most), most)
-        control[k] = yaw
-    return BSpline(knots, control, _DEGREE)
+            error = _wrapped(wish - yaw)
+            brisk = math.sqrt(2.0 * _YAW_ACCEL_RAD_S2 * abs(error))  # it can still be stopped in time
+            wanted = math.copysign(min(brisk, abs(error) / _SOFT_S), error)
+            wanted += ahead[k] if abs(ahead[k]) < rate_rad_s else 0.0
+        wanted = min(max(wanted, -rate_rad_s), rate_rad_s)
+        rate = min(max(wanted, rate - gain), rate + gain)
+        yaw += rate * step_s
+        headings[k] = yaw
+    return headings
+
+
+def _wrapped(angle: Any) -> Any:
+    """Return angles between -π and π [rad]."""
+    return (angle + np.pi) % (2.0 * np.pi) - np.pi

@@ -1,6 +1,8 @@
 """What a flight may demand of the drone: speed, acceleration, thrust, tilt and turn rates."""
 
+from collections.abc import Mapping
 from dataclasses import dataclass, fields
+from types import MappingProxyType
 
 import numpy as np
 import numpy.typing as npt
@@ -11,6 +13,7 @@ from dronevio.models.imu import GRAVITY_M_S2
 Array = npt.NDArray[np.float64]
 
 _RESERVE = 0.99  # share of a limit that a path is planned to: between the samples that are looked at it may be higher
+_GREATEST_TILT_RAD = 1.4  # 80°
 _LEAST_THRUST = 0.3  # of the weight: rotors that nearly stand still steer no more
 
 
@@ -28,6 +31,8 @@ class Limits:
     """Rate at which the thrust's direction changes: roll and pitch rate together [rad/s]."""
     thrust_to_weight: float = 1.8
     """Thrust over the weight; the house's quadrotor can give 2.3 and needs the rest to steer."""
+    tilt_rad: float = 1.0
+    """Angle between the thrust and the vertical [rad]; far below π/2, where a heading means nothing any more."""
 
     def __post_init__(self) -> None:
         """Check them.
@@ -39,6 +44,8 @@ class Limits:
             value = getattr(self, limit.name)
             if not (np.isfinite(value) and value > 0.0):
                 raise ConfigError(f"limit {limit.name} = {value:g}; expected a positive number")
+        if self.tilt_rad > _GREATEST_TILT_RAD:
+            raise ConfigError(f"limit tilt_rad = {self.tilt_rad:g}; expected {_GREATEST_TILT_RAD:g} at most")
         if self.thrust_to_weight <= 1.0:
             raise ConfigError(f"limit thrust_to_weight = {self.thrust_to_weight:g}; expected more than 1, to hover")
 
@@ -56,12 +63,28 @@ class Limits:
         spare = (self.thrust_to_weight - 1.0) * GRAVITY_M_S2
         heavy = np.maximum(lift - GRAVITY_M_S2, 0.0) / spare
         light = np.maximum(GRAVITY_M_S2 - lift, 0.0) / ((1.0 - _LEAST_THRUST) * GRAVITY_M_S2)
+        # Tilted by its limit, the thrust's horizontal part is tan(limit) times the vertical one.
+        sideways = np.hypot(acceleration_m_s2[..., 0], acceleration_m_s2[..., 1]) / np.tan(self.tilt_rad)
+        tilted = np.maximum(sideways - acceleration_m_s2[..., 2], 0.0) / GRAVITY_M_S2
         shares = (
             _norm(velocity_m_s) / (_RESERVE * self.speed_m_s),
-            np.sqrt(np.maximum.reduce([accel / self.accel_m_s2, heavy, light]) / _RESERVE),
+            np.sqrt(np.maximum.reduce([accel / self.accel_m_s2, heavy, light, tilted]) / _RESERVE),
             np.cbrt(tilt_rate / (_RESERVE * self.tilt_rate_rad_s)),
         )
         return np.asarray(np.maximum.reduce(shares))
+
+
+LIMITS: Mapping[str, Limits] = MappingProxyType(
+    {
+        "easy": Limits(speed_m_s=1.0, accel_m_s2=1.0, yaw_rate_rad_s=0.6),
+        "medium": Limits(speed_m_s=2.4, accel_m_s2=2.5, yaw_rate_rad_s=1.8),
+        "difficult": Limits(speed_m_s=4.0, accel_m_s2=7.0, yaw_rate_rad_s=3.6, tilt_rate_rad_s=6.0),
+        "race": Limits(speed_m_s=9.0, accel_m_s2=13.0, yaw_rate_rad_s=3.6, tilt_rate_rad_s=8.0, thrust_to_weight=2.0),
+    }
+)
+"""How flights are told apart: easy, medium and difficult like those of EuRoC (Burri et al., "The EuRoC micro aerial
+vehicle datasets", 2016), race like those of UZH-FPV (Delmerico et al., "Are we ready for autonomous drone racing?",
+2019)."""
 
 
 def _norm(vectors: Array) -> Array:

@@ -7,7 +7,7 @@ follow.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import numpy.typing as npt
@@ -18,6 +18,7 @@ from dronevio.models.rotation import log_so3
 from dronevio.sim.plan import TIMED, FlightPlan
 from dronevio.sim.space import Place
 from dronevio.sim.stage import Stage, shaped_tour, straight, timed_tour
+from dronevio.sim.way import leg_clearances
 
 Array = npt.NDArray[np.float64]
 
@@ -131,7 +132,7 @@ def _reach(plan: FlightPlan, place: Place, stand: Array, hover: Array) -> Array:
     """Return (2, 3) how far the path may go from the hover point in the free box, down and up each axis [m].
 
     Raises:
-        ConfigError: The plan does not fit into the space.
+        ConfigError: The plan does not fit into the space, or something hangs above the pad.
     """
     low, high = place.free_box[0] + plan.margin_m, place.free_box[1] - plan.margin_m
     low[2] = stand[2] + plan.floor_m
@@ -140,6 +141,13 @@ def _reach(plan: FlightPlan, place: Place, stand: Array, hover: Array) -> Array:
         raise ConfigError(
             f"hover at {np.round(hover, 2).tolist()} m; expected between {np.round(low, 2).tolist()} and"
             f" {np.round(high, 2).tolist()} m, the free space less its margins"
+        )
+    bottomless = replace(place.space, low=np.array([*place.space.low[:2], -np.inf]))
+    clearance = float(leg_clearances(bottomless, stand[None], hover[None])[0])
+    if clearance < plan.margin_m:
+        raise ConfigError(
+            f"the climb from the pad to {np.round(hover, 2).tolist()} m has {clearance:.2f} m of clearance; expected"
+            f" {plan.margin_m:.2f} m"
         )
     return reach
 

@@ -32,7 +32,8 @@ class FlightPlan:
     """Height of the hover above the standing drone [m]."""
     waypoints: tuple[tuple[float, float, float], ...] = ()
     """The tour of the shape ``waypoints``, (x, y, z) as fractions: ±1 in x and y is the edge of the space that the
-    drone may use, 0 its centre and the pad; in z, 0 is the hover's height, ±1 the highest and lowest it may fly."""
+    drone may use, 0 its centre and the pad; in z, 0 is the hover's height, ±1 the highest and lowest it may fly.
+    Those of the shape ``via`` are metres in the world."""
     jitter: float = 0.0
     """How far a seed moves each waypoint at most, as a fraction of half the free space."""
     turning: float = 1.0

@@ -7,6 +7,7 @@ from types import MappingProxyType
 import numpy as np
 import numpy.typing as npt
 
+from dronevio.models.errors import ConfigError
 from dronevio.sim.gaze import Gaze, across, along, fixed, spinning
 from dronevio.sim.limits import Limits
 from dronevio.sim.space import Place
@@ -32,6 +33,8 @@ class Arena:
     """(3,) Greatest corner [m]."""
     limits: Limits
     """How quickly one may move and turn."""
+    waypoints: Array
+    """(M, 3) What the plan gives of its own, in the world [m]."""
 
     @property
     def middle(self) -> Array:
@@ -58,6 +61,8 @@ class Course:
     """Where to look."""
     lap_s: float = 0.0
     """How long a lap takes on the spot [s]."""
+    closed: bool = True
+    """Whether the last lap leads back to the first waypoint, before the drone goes home."""
 
 
 Shape = Callable[[Arena], Course]
@@ -73,6 +78,17 @@ def rotation(arena: Arena) -> Course:
     rate = _SPIN_SHARE * arena.limits.yaw_rate_rad_s
     lap_s = 4.0 * np.pi * _TURNS / rate
     return Course(np.zeros((0, 3)), spinning(rate, lap_s), lap_s)
+
+
+def via(arena: Arena) -> Course:
+    """Fly through the plan's own waypoints, given in metres, looking ahead.
+
+    Raises:
+        ConfigError: It gives none.
+    """
+    if not len(arena.waypoints):
+        raise ConfigError("the shape 'via' without waypoints; expected one at least, (x, y, z) in the world [m]")
+    return Course(arena.waypoints, closed=False)
 
 
 def tour(arena: Arena) -> Course:
@@ -141,6 +157,7 @@ SHAPES: Mapping[str, Shape] = MappingProxyType(
     {
         "hover": hover,
         "rotation": rotation,
+        "via": via,
         "tour": tour,
         "race": race,
         "figure-8": figure_eight,

@@ -8,7 +8,7 @@ import numpy.typing as npt
 
 Array = npt.NDArray[np.float64]
 
-_ROWS_AT_ONCE = 512  # points that are looked at together: along a path or in a grid they are close to each other
+_ROWS_AT_ONCE = 64  # points that are looked at together: along a path or in a grid they are close to each other
 
 
 @dataclass(frozen=True, eq=False)

@@ -71,7 +71,7 @@ def shaped_tour(plan: FlightPlan, place: Place, hover: Array, reach: Array, rng:
     Raises:
         ConfigError: Something is in the way.
     """
-    arena = Arena(place, hover + reach[0], hover + reach[1], plan.limits)
+    arena = Arena(place, hover + reach[0], hover + reach[1], plan.limits, np.array(plan.waypoints).reshape(-1, 3))
     course = SHAPES[plan.shape](arena)
     knots, points = (
         _laps(plan, arena, hover, course, rng) if len(course.lap) else _on_the_spot(plan, place, hover, course)
@@ -116,20 +116,20 @@ def _laps(
     lap = _jittered(course.lap, plan, arena, rng)
     laps = plan.laps
     if plan.tour_s > 0.0:
-        one, two = (quickest_knots(_strung(hover, lap, n)[0], plan.limits)[-1] for n in (1, 2))
+        one, two = (quickest_knots(_strung(hover, lap, n, course.closed)[0], plan.limits)[-1] for n in (1, 2))
         laps = max(1, round(1.0 + (plan.tour_s - one) / (two - one)))
-    points, numbers = _strung(hover, lap, laps)
+    points, numbers = _strung(hover, lap, laps, course.closed)
     names = [f"waypoint {k} of the {plan.shape}" if k >= 0 else "the hover above the pad" for k in numbers]
     return clear_curve(space, clear_polyline(space, points, plan.margin_m, names), plan.margin_m, plan.limits)
 
 
-def _strung(hover: Array, lap: Array, laps: int) -> tuple[Array, list[int]]:
+def _strung(hover: Array, lap: Array, laps: int, closed: bool) -> tuple[Array, list[int]]:
     """Return the points (K, 3) of all laps between two stays at the hover, and the number of each in its lap.
 
-    The last lap leads back to its first point. The hover's number is -1. Points that nearly coincide with the one
+    A closed course leads back to its first point. The hover's number is -1. Points that nearly coincide with the one
     before, or at the end with the hover, are left out: between them the drone would have to dance on the spot.
     """
-    numbers = [*list(range(len(lap))) * laps, 0]
+    numbers = list(range(len(lap))) * laps + [0] * closed
     kept = [-1]
     for number in numbers:
         last = hover if kept[-1] < 0 else lap[kept[-1]]

@@ -206,7 +206,7 @@ def _grid(space: Space, cell_m: float) -> _Grid:
     shape = np.array([len(axis) for axis in axes])
     nodes = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3)
     place = np.stack(np.unravel_index(np.arange(len(nodes)), shape), axis=-1)
-    blocks = np.lexsort((place // 8).T)  # points that are asked for together should be close together
+    blocks = np.lexsort((place // 4).T)  # points that are asked for together should be close together
     clearance = np.empty(len(nodes))
     clearance[blocks] = space.clearance(nodes[blocks])
     tails, heads = [], []
