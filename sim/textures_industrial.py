@@ -110,7 +110,7 @@ def profiled_roof(rng: Random, height: int, width: int, colour: Colour, ppm: flo
     pitch = 4.6 * ppm
     for left in np.arange(0.5 * pitch, width, pitch):
         part = image[int(0.12 * height) : int(0.88 * height), int(left - 0.5 * ppm) : int(left + 0.5 * ppm)]
-        part[:] = to_image(0.25 * part + 0.75 * np.array([236.0, 242.0, 244.0]))
+        part[:] = to_image(0.25 * part + 0.75 * np.array([236.0, 242.0, 244.0], np.float32))
     for y in np.arange(0, height, 1.6 * ppm).astype(int):
         image[y : y + 2] = image[y : y + 2] // 2
     return image
@@ -320,7 +320,7 @@ def crate(rng: Random, height: int, width: int, colour: Colour, ppm: float) -> I
     """Return the side of a wooden crate: boards in a frame, nails, a stencilled number."""
     image = np.empty((height, width, 3), np.uint8)
     boards = np.linspace(0, height, max(round(height / (0.14 * ppm)), 2) + 1).astype(int)
-    tone = cv2.resize(grain(rng, height, max(width // 24, 2), (1, 3)), (width, height))
+    tone = np.asarray(cv2.resize(grain(rng, height, max(width // 24, 2), (1, 3)), (width, height)), np.float32)
     for top, bottom in pairwise(boards):
         image[top:bottom] = shade(vary(rng, colour, 0.1), np.roll(tone, int(rng.integers(99)), 0)[top:bottom], 0.14)
         image[top : top + 2] = image[top : top + 2] // 3
@@ -377,3 +377,32 @@ def roller_door(rng: Random, height: int, width: int, colour: Colour, ppm: float
     number = str(int(rng.integers(1, 10)))
     cv2.putText(image, number, at, cv2.FONT_HERSHEY_DUPLEX, size / 22.0, WHITE, max(size // 9, 1), cv2.LINE_AA)
     return rusty(rng, image, 0.45, ppm)
+
+
+def sign(rng: Random, height: int, width: int, colour: Colour, words: str) -> Image:
+    """Return an enamel sign with words, a rim, chips of rust."""
+    image = shade(colour, grain(rng, height, width, (2, 9, 50)), 0.04)
+    rim, stroke = max(height // 14, 2), max(height // 16, 1)
+    cv2.rectangle(image, (rim, rim), (width - rim, height - rim), WHITE, max(rim // 2, 1))
+    (wide, high), _ = cv2.getTextSize(words, cv2.FONT_HERSHEY_DUPLEX, 1.0, stroke)
+    scale = min(0.5 * height / high, 0.82 * width / wide)
+    at = (int(0.5 * (width - scale * wide)), int(0.5 * (height + scale * high)))
+    cv2.putText(image, words, at, cv2.FONT_HERSHEY_DUPLEX, scale, WHITE, stroke, cv2.LINE_AA)
+    return rusty(rng, image, 0.5, height / 1.2)
+
+
+def fan(rng: Random, height: int, width: int, colour: Colour) -> Image:
+    """Return a ventilator in its frame: blades behind a grid."""
+    image = casing_plain(rng, height, width, colour)
+    centre, radius = (width // 2, height // 2), int(0.42 * min(height, width))
+    cv2.circle(image, centre, radius, (28, 30, 32), -1, cv2.LINE_AA)
+    for angle in np.arange(0.0, 360.0, 60.0) + rng.uniform(0.0, 60.0):
+        cv2.ellipse(image, centre, (int(0.9 * radius),) * 2, angle, 0, 34, scaled(colour, 0.8), -1, cv2.LINE_AA)
+    for share in (1.0, 0.75, 0.5, 0.25):
+        cv2.circle(image, centre, int(share * radius), (170, 172, 170), max(radius // 40, 1), cv2.LINE_AA)
+    for angle in np.radians(np.arange(0.0, 180.0, 45.0)):
+        way = (radius * np.array([np.cos(angle), np.sin(angle)])).astype(int)
+        a, b = ((np.array(centre) + k * way).tolist() for k in (-1, 1))
+        cv2.line(image, a, b, (170, 172, 170), max(radius // 40, 1), cv2.LINE_AA)
+    cv2.circle(image, centre, radius // 6, scaled(colour, 0.6), -1, cv2.LINE_AA)
+    return image
