@@ -14,7 +14,7 @@ from dronevio.sim.flight import reference_of
 from dronevio.sim.motion import Motion
 from dronevio.sim.path import Reference, attitude
 from dronevio.sim.plant import QuadrotorPlant
-from dronevio.sim.scenario import scenario
+from dronevio.sim.scenarios import scenario
 
 GRAVITY = np.array([0.0, 0.0, -9.81])
 T_VEHICLE_IMU = euroc_rig().T_vehicle_imu
@@ -151,6 +151,20 @@ def test_increments_carry_the_whole_flight_through_its_landing(flown: Motion) ->
     assert attitude_rad.max() < 1e-9
     assert velocity_m_s.max() < 1e-9
     assert position_m.max() < 3e-4
+
+
+def test_rotor_speeds_are_those_of_the_interval_that_begins_at_their_stamp() -> None:
+    """Nearly at rest the specific force is that of the thrust; while rotors speed up, another interval's differs."""
+    quadrotor, start = Quadrotor(), pose_matrix(np.eye(3), np.array([0.0, 0.0, 50.0]))
+    plant = QuadrotorPlant(euroc_rig(), quadrotor)
+    hover = np.full(4, quadrotor.hover_speed_rad_s)
+    plant.reset(start, rotor_speeds_rad_s=hover)
+    plant.advance(50_000_000, 1.2 * hover)
+    motion = plant.motion()
+    assert motion.rotor_speeds_rad_s.shape == (11, 4)
+    thrust = quadrotor.thrust_n_per_rad2_s2 * np.square(motion.rotor_speeds_rad_s[:-1]).sum(axis=1)
+    assert np.all(np.diff(thrust) > 0.01 * thrust[:-1])
+    np.testing.assert_allclose(motion.increments(np.eye(4)).accel_m_s2[:, 2] * quadrotor.mass_kg, thrust, rtol=0.01)
 
 
 def test_true_velocity_is_the_slope_of_the_true_position(flown: Motion) -> None:

@@ -8,6 +8,9 @@ from dronevio.models.imu import ImuSamples, Sampling
 from dronevio.models.quadrotor import Quadrotor
 from dronevio.models.rig import euroc_rig
 from dronevio.models.vibration import SHAKEN, RotorVibration
+from dronevio.sim.flight import fly
+from dronevio.sim.plan import FlightPlan
+from dronevio.sim.scenario import Scenario
 from dronevio.sim.vibration import RotorTones, Stillness
 
 RIG = euroc_rig()
@@ -132,3 +135,17 @@ def test_the_shaken_quadrotor_shakes_as_eurocs_drone_does() -> None:
     )
     np.testing.assert_allclose(np.sqrt(np.square(accel).mean(axis=0)), [1.08, 0.65, 0.65], rtol=0.25)
     np.testing.assert_allclose(np.sqrt(np.square(gyro).mean(axis=0))[1:], 0.02, rtol=0.4)
+
+
+def test_a_flight_is_shaken_by_its_own_rotors() -> None:
+    """All that a shaken IMU reads beyond a still one are the tones of the speeds at which its rotors turned."""
+    plan = FlightPlan(rest_s=0.3, takeoff_s=1.0, tour_s=1.5, landing_s=1.2, stand_s=0.3, height_m=0.6, floor_m=0.3)
+    calm = Scenario("calm", "a hover", plan)
+    still, moved = fly(calm), fly(replace(calm, quadrotor=replace(Quadrotor(), vibration=SHAKEN)))
+    step = calm.rig.imu.accel_resolution_m_s2
+    np.testing.assert_array_equal(moved.perfect_imu.accel_m_s2, still.perfect_imu.accel_m_s2)  # and moved by nothing
+    tone = moved.imu.accel_m_s2 - still.imu.accel_m_s2
+    t_s = moved.imu.t_ns * 1e-9
+    np.testing.assert_allclose(tone[t_s < 0.3], 0.0, atol=1.01 * step)
+    aloft = (t_s > 1.5) & (t_s < 2.5)
+    assert np.all(np.sqrt(np.square(tone[aloft]).mean(axis=0)) > 0.3)
