@@ -25,9 +25,7 @@ class Battery:
 
     def open_circuit_v(self, charge: Array) -> Array:
         """Return the voltage without load [V] at charges (…), 1 full and 0 empty."""
-        cell = (
-            -1.031 * np.exp(-35.0 * charge) + 3.685 + charge * (0.2156 + charge * (-0.1178 + charge * 0.3201))
-        )
+        cell = -1.031 * np.exp(-35.0 * charge) + 3.685 + charge * (0.2156 + charge * (-0.1178 + charge * 0.3201))
         return np.asarray(self.cells * cell)
 
     def loaded_v(self, charge: Array, power_w: Array) -> Array:

@@ -17,8 +17,6 @@ from dronevio.models.vibration import STILL, RotorVibration
 Array = npt.NDArray[np.float64]
 
 _MJCF = Path(__file__).parent / "mjcf"
-QUADROTOR_MJCF = _MJCF / "quadrotor.xml"
-"""The MJCF of the research quadrotor: shape, looks, feet and the sites that the simulator drives and senses."""
 
 ROTOR_NAMES = ("rotor_front_right", "rotor_rear_left", "rotor_front_left", "rotor_rear_right")
 """The rotors' sites in the order of every motor command (that of PX4's ``Generic Quadcopter X``)."""
@@ -28,6 +26,7 @@ AIR_DENSITY_KG_M3 = 1.225
 
 _SIDES = np.array([[1.0, -1.0], [-1.0, 1.0], [1.0, 1.0], [-1.0, -1.0]])  # signs of x (front) and y (left)
 _SPINS = np.array([1.0, 1.0, -1.0, -1.0])  # +1: anticlockwise seen from above, as PX4 turns them
+_PACK = Battery(cells=3, capacity_ah=5.0, resistance_ohm=0.02)
 _POSITIVE = (
     "mass_kg",
     "inertia_kg_m2",
@@ -88,7 +87,7 @@ class Quadrotor:
     """Shaft power by electrical power of a motor and its controller; typical of brushless motors of this size."""
     avionics_w: float = 10.0
     """What computer, camera and radio draw [W]."""
-    battery: Battery = Battery(cells=3, capacity_ah=5.0, resistance_ohm=0.02)
+    battery: Battery = _PACK
     """Three cells of 5 A h, each of 4 mΩ, and as much again in leads and switches."""
     drag_area_m2: tuple[float, float, float] = (0.013, 0.013, 0.033)
     """Drag coefficient × frontal area of body, arms and legs along x, y, z [m²]; the coefficient is a cube's, 1.05
@@ -111,7 +110,7 @@ class Quadrotor:
 
     @property
     def mjcf(self) -> Path:
-        """The MJCF's path."""
+        """The MJCF: shape, looks, feet and the sites that the simulator drives and senses."""
         return _MJCF / f"{self.mjcf_name}.xml"
 
     @property

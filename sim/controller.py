@@ -2,7 +2,9 @@
 
 Lee, Leok, McClamroch, "Geometric tracking control of a quadrotor UAV on SE(3)", CDC 2010. The position error asks for
 a force; the force, with the heading, asks for an attitude; the errors of attitude and rate ask for a torque. The
-reference's own acceleration, rates and angular acceleration are fed forward.
+reference's own acceleration, rates and angular acceleration are fed forward, and so are the drag in still air and the
+lift that the floor, at z = 0, adds. What else pushes (wind, a wrong mass) is observed from how the velocity differs
+from what the rotors should have made of it, and countered.
 """
 
 from dataclasses import dataclass
@@ -12,15 +14,17 @@ import numpy.typing as npt
 
 from dronevio.models.errors import ConfigError
 from dronevio.models.imu import GRAVITY_M_S2
-from dronevio.models.quadrotor import Quadrotor
+from dronevio.models.quadrotor import AIR_DENSITY_KG_M3, RESEARCH, Quadrotor
 from dronevio.models.rotation import inverse_pose
 from dronevio.models.state import NavState
-from dronevio.sim.path import Reference, attitude
+from dronevio.sim.path import Reference
+from dronevio.sim.rotors import ground_effect
 
 Array = npt.NDArray[np.float64]
 
 _UP = np.array([0.0, 0.0, 1.0])
 _IDLE_SHARE = 0.1  # of the greatest rotor speed: rotors never stop in the air
+_CLEAR_OF_GROUND_M = 0.05  # above its start: from there on no foot carries weight
 
 
 @dataclass(frozen=True)
@@ -39,6 +43,12 @@ class Gains:
     """Angular acceleration of yaw by attitude error [1/s²]: the rotors' drag torque is weak."""
     yaw_rate_per_s: float = 9.0
     """Angular acceleration of yaw by rate error [1/s]."""
+    observer_rad_s: float = 5.0
+    """Natural frequency of the disturbance observer [rad/s]: below the tilt's, which must do what it asks for."""
+    disturbance_max_m_s2: float = 5.0
+    """Greatest disturbance that is countered on each axis [m/s²]."""
+    rotor_response_s: float = 0.03
+    """Time constant that slower rotors are driven to by leading their command [s]."""
 
 
 class Mixer:
@@ -66,10 +76,59 @@ class Mixer:
         return np.asarray(np.sqrt(np.clip(base + share * yaw, low, high)))
 
 
+class DisturbanceObserver:
+    """Estimates the acceleration that the model does not know, from velocities.
+
+    A Luenberger observer of velocity and a constant disturbance, both poles at the same place (as Tomić and Haddadin,
+    "A unified framework for external wrench estimation …", IROS 2014, for the force). Nothing is integrated but the
+    model's error, so nothing winds up when rotors saturate or the path is far.
+    """
+
+    def __init__(self, pole_rad_s: float, limit_m_s2: float) -> None:
+        self._velocity_gain = 2.0 * pole_rad_s
+        self._disturbance_gain = pole_rad_s**2
+        self._limit = limit_m_s2
+        self._predicted: Array | None = None
+        self.disturbance_m_s2 = np.zeros(3)
+
+    def update(self, velocity_m_s: Array, modelled_m_s2: Array, dt_s: float) -> None:
+        """Take the velocity (3,) now, and the acceleration (3,) that the model expects until the next call."""
+        if self._predicted is None:
+            self._predicted = velocity_m_s.copy()
+        error = velocity_m_s - self._predicted
+        disturbance = self.disturbance_m_s2 + self._disturbance_gain * dt_s * error
+        self.disturbance_m_s2 = np.minimum(np.maximum(disturbance, -self._limit), self._limit)
+        change = modelled_m_s2 + self.disturbance_m_s2 + self._velocity_gain * error
+        self._predicted = self._predicted + dt_s * change
+
+
+class RotorDrive:
+    """Turns the speeds that rotors should have into commands, by a model of how they follow.
+
+    Rotors slower than wanted are led: commanded beyond where they should be, as far as their range allows.
+    """
+
+    def __init__(self, quadrotor: Quadrotor, response_s: float) -> None:
+        self._lag_s = quadrotor.rotor_lag_s
+        self._response_s = min(response_s, quadrotor.rotor_lag_s)
+        self._fastest = quadrotor.rotor_speed_max_rad_s
+        self.speeds_rad_s = np.zeros(4)
+
+    def towards(self, wanted_rad_s: Array, dt_s: float) -> Array:
+        """Return commands (4,) [rad/s] for the next ``dt_s`` that bring the rotors towards speeds (4,) [rad/s]."""
+        follows = 1.0 - np.exp(-dt_s / self._lag_s)
+        lead = (1.0 - np.exp(-dt_s / self._response_s)) / follows
+        command = self.speeds_rad_s + lead * (wanted_rad_s - self.speeds_rad_s)
+        command = np.minimum(np.maximum(command, 0.0), self._fastest)
+        self.speeds_rad_s = self.speeds_rad_s + follows * (command - self.speeds_rad_s)
+        return np.asarray(command)
+
+
 class SE3Controller:
     """Flies a reference; implements `Controller`.
 
-    It works on the vehicle frame at the centre of mass, and takes the state of the IMU wherever that is mounted.
+    It works on the vehicle frame at the centre of mass, and takes the state of the IMU wherever that is mounted. It
+    keeps its own idea of the rotors' speeds, and must be asked for every step of the reference in turn.
     """
 
     def __init__(
@@ -84,16 +143,21 @@ class SE3Controller:
             gains: How stiffly to fly.
         """
         self._reference = reference
-        self._quadrotor = quadrotor or Quadrotor()
-        self._gains = gains or Gains()
+        self._quadrotor = quadrotor or RESEARCH
+        self._gains = gains = gains or Gains()
+        self._step_s = float(reference.t_ns[1] - reference.t_ns[0]) * 1e-9
         self._mixer = Mixer(self._quadrotor)
+        self._drive = RotorDrive(self._quadrotor, gains.rotor_response_s)
+        self._observer = DisturbanceObserver(gains.observer_rad_s, gains.disturbance_max_m_s2)
         self._T_imu_vehicle = inverse_pose(T_vehicle_imu)
         self._R_vehicle_imu = T_vehicle_imu[:3, :3]
         self._lever = T_vehicle_imu[:3, 3]
         self._inertia = np.array(self._quadrotor.inertia_kg_m2)
-        self._air_drag_per_s = (
-            4.0 * self._quadrotor.drag_n_s2_per_rad_m * self._quadrotor.hover_speed_rad_s / self._quadrotor.mass_kg
-        )
+        self._stiffness = np.array([gains.tilt_per_s2, gains.tilt_per_s2, gains.yaw_per_s2])
+        self._damping = np.array([gains.tilt_rate_per_s, gains.tilt_rate_per_s, gains.yaw_rate_per_s])
+        self._spins = self._quadrotor.rotor_spins
+        self._yaw_drag_nm = 0.0
+        self._aloft = bool(reference.flying[0])
 
     def command(self, state: NavState, t_ns: int) -> Array:
         """Return rotor speeds (4,) [rad/s] for the state at ``t_ns``; zeros while the drone should stand.
@@ -103,6 +167,7 @@ class SE3Controller:
         """
         row = self._reference.row(t_ns)
         if not self._reference.flying[row]:
+            self._drive.towards(np.zeros(4), self._step_s)
             return np.zeros(4)
         if state.angular_velocity_rad_s is None:
             raise ConfigError("state without angular velocity; expected one, since the controller damps the rates")
@@ -110,37 +175,91 @@ class SE3Controller:
         R = T[:3, :3]
         rate = self._R_vehicle_imu @ state.angular_velocity_rad_s
         velocity = state.velocity_m_s - R @ _cross(rate, self._lever)
+        lift = float(ground_effect(self._quadrotor, T[2, 3] + self._quadrotor.rotor_height_m))
+        self._observe(row, R[:, 2], velocity, lift)
         force = self._acceleration(row, T[:3, 3], velocity)
-        R_wanted = attitude(force, self._reference.yaw_rad[row])
+        R_wanted = _attitude(force, float(self._reference.yaw_rad[row]))
         torque = self._torque(row, R, R_wanted, rate)
-        return self._mixer.speeds(self._quadrotor.mass_kg * float(force @ R[:, 2]), torque)
+        torque[2] = self._yaw_drag(torque[2])
+        wanted = self._mixer.speeds(self._quadrotor.mass_kg * float(force @ R[:, 2]) / lift, torque)
+        return self._drive.towards(wanted, self._step_s)
+
+    def _observe(self, row: int, up: Array, velocity: Array, lift: float) -> None:
+        """Compare the velocity with what the rotors should have made of it, once the ground carries nothing."""
+        place = self._reference.position_m
+        self._aloft = self._aloft or place[row, 2] - place[0, 2] > _CLEAR_OF_GROUND_M
+        if self._aloft:
+            speeds, drone = self._drive.speeds_rad_s, self._quadrotor
+            thrust = lift * drone.thrust_n_per_rad2_s2 * float(speeds @ speeds) / drone.mass_kg
+            modelled = thrust * up - GRAVITY_M_S2 * _UP + self._drag(up, velocity, float(speeds.sum()))
+            self._observer.update(velocity, modelled, self._step_s)
 
     def _acceleration(self, row: int, position: Array, velocity: Array) -> Array:
         """Return the specific force (3,) that the rotors should give, in the world [m/s²] (Lee 2010, eq. 15)."""
         reference, gains = self._reference, self._gains
         wanted = reference.velocity_m_s[row]
-        drag = self._air_drag_per_s * wanted * [1.0, 1.0, 0.0]
-        return np.asarray(
+        force = (
             gains.position_per_s2 * (reference.position_m[row] - position)
             + gains.velocity_per_s * (wanted - velocity)
             + reference.acceleration_m_s2[row]
-            + drag
+            - self._observer.disturbance_m_s2
             + GRAVITY_M_S2 * _UP
         )
+        size = float(np.sqrt(force @ force))
+        speeds = 4.0 * self._quadrotor.hover_speed_rad_s * np.sqrt(size / GRAVITY_M_S2)
+        return np.asarray(force - self._drag(force / size, wanted, float(speeds)))
+
+    def _drag(self, up: Array, velocity: Array, speeds: float) -> Array:
+        """Return the acceleration (3,) by drag in still air [m/s²], in the world; see `dronevio.sim.rotors.Rotors`.
+
+        Args:
+            up: (3,) The vehicle's z axis in the world.
+            velocity: (3,) In the world [m/s].
+            speeds: Sum of the rotors' speeds [rad/s].
+        """
+        drone = self._quadrotor
+        body = 0.5 * AIR_DENSITY_KG_M3 * float(np.sqrt(velocity @ velocity))
+        across = drone.drag_n_s2_per_rad_m * speeds + body * drone.drag_area_m2[0]
+        along = drone.inflow_n_s2_per_rad_m * speeds + body * drone.drag_area_m2[2]
+        climb = float(up @ velocity)
+        return np.asarray((across * velocity + (along - across) * climb * up) / -drone.mass_kg)
 
     def _torque(self, row: int, R: Array, R_wanted: Array, rate: Array) -> Array:
         """Return the torque (3,) in the vehicle frame [N m] (Lee 2010, eq. 16)."""
-        gains = self._gains
         turn = R_wanted.T @ R
         attitude_error = 0.5 * np.array([turn[2, 1] - turn[1, 2], turn[0, 2] - turn[2, 0], turn[1, 0] - turn[0, 1]])
         wanted_rate = turn.T @ self._reference.rate_rad_s[row]
         wanted_change = turn.T @ self._reference.angular_acceleration_rad_s2[row] - _cross(rate, wanted_rate)
-        stiffness = np.array([gains.tilt_per_s2, gains.tilt_per_s2, gains.yaw_per_s2])
-        damping = np.array([gains.tilt_rate_per_s, gains.tilt_rate_per_s, gains.yaw_rate_per_s])
-        change = wanted_change - stiffness * attitude_error - damping * (rate - wanted_rate)
-        return np.asarray(self._inertia * change + _cross(rate, self._inertia * rate))
+        change = wanted_change - self._stiffness * attitude_error - self._damping * (rate - wanted_rate)
+        momentum = self._inertia * rate
+        momentum[2] += self._quadrotor.rotor_inertia_kg_m2 * float(self._spins @ self._drive.speeds_rad_s)
+        return np.asarray(self._inertia * change + _cross(rate, momentum))
+
+    def _yaw_drag(self, torque_nm: float) -> float:
+        """Return the part of a yaw torque [N m] that the rotors' drag is to give.
+
+        Speeding a rotor up turns the body at once by the reaction, and later by the drag: together
+        (1 + T s) times the drag, with T = J / (2 k_m ω) (Smeur, Chu, de Croon 2016). The inverse of that is applied.
+        """
+        drone = self._quadrotor
+        speed = max(float(self._drive.speeds_rad_s.mean()), _IDLE_SHARE * drone.rotor_speed_max_rad_s)
+        ratio = 2.0 * drone.torque_nm_per_rad2_s2 * speed / drone.rotor_inertia_kg_m2
+        self._yaw_drag_nm += (1.0 - np.exp(-self._step_s * ratio)) * (torque_nm - self._yaw_drag_nm)
+        return self._yaw_drag_nm
+
+
+def _attitude(force: Array, yaw_rad: float) -> Array:
+    """Return the attitude (3, 3) with z along a force (3,) and x heading to a yaw: `path.attitude` for one, quickly."""
+    z = force / np.sqrt(force @ force)
+    y = _cross(z, np.array([np.cos(yaw_rad), np.sin(yaw_rad), 0.0]))
+    y /= np.sqrt(y @ y)
+    R = np.empty((3, 3))
+    R[:, 0], R[:, 1], R[:, 2] = _cross(y, z), y, z
+    return R
 
 
 def _cross(a: Array, b: Array) -> Array:
     """Return a × b of two (3,) vectors; `np.cross` takes ten times as long for so few numbers."""
-    return np.array([a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]])
+    ax, ay, az = a.tolist()
+    bx, by, bz = b.tolist()
+    return np.array([ay * bz - az * by, az * bx - ax * bz, ax * by - ay * bx])

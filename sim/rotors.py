@@ -1,54 +1,181 @@
-"""The rotors: how their speeds follow the commands, and what force and torque they put on the body."""
+"""Rotors and air: how rotor speeds follow commands, and what force and torque they and the air put on the body.
+
+One model for one simulation or many at once: everything broadcasts over leading axes. It is evaluated once a control
+step, and its result is held over the steps of the physics.
+"""
+
+from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
 
-from dronevio.models.quadrotor import Quadrotor
+from dronevio.models.errors import ConfigError
+from dronevio.models.quadrotor import AIR_DENSITY_KG_M3, Quadrotor
 
 Array = npt.NDArray[np.float64]
 
+ALL_POWERED = np.ones(4, dtype=bool)
+"""(4,) No rotor has failed."""
+_NEAREST_GROUND = 0.5  # rotor radii: nearer, the potential flow has a singularity and measurements end
+
+
+@dataclass(frozen=True)
+class MotorFailure:
+    """A rotor that loses its power, and from then on is only braked by the air."""
+
+    rotor: int
+    """Which one, by its place in `ROTOR_NAMES`."""
+    t_s: float
+    """When, since the start of the flight [s]."""
+
+    def __post_init__(self) -> None:
+        """Check the numbers.
+
+        Raises:
+            ConfigError: There is no such rotor, or the time is none.
+        """
+        if self.rotor not in range(4):
+            raise ConfigError(f"failing rotor {self.rotor}; expected 0, 1, 2 or 3")
+        if not self.t_s >= 0.0:
+            raise ConfigError(f"rotor fails at {self.t_s:g} s; expected 0 or later")
+
+
+@dataclass(frozen=True, eq=False)
+class RotorState:
+    """Rotors and battery of one simulation or many."""
+
+    speed_rad_s: Array
+    """(…, 4) Speeds of the rotors [rad/s]."""
+    change_rad_s2: Array
+    """(…, 4) Their accelerations over the last control step [rad/s²]."""
+    charge: Array
+    """(…) Charge of the battery, 1 full and 0 empty."""
+    voltage_v: Array
+    """(…) Voltage of the battery under the load that these speeds need [V]; spinning up, shorter than the chemistry's
+    own time constants, is not counted."""
+
+
+@dataclass(frozen=True, eq=False)
+class Airflow:
+    """How a vehicle moves through the air, and where the ground is."""
+
+    velocity_m_s: Array
+    """(…, 3) Velocity of the centre of mass through the air, in the vehicle frame [m/s]."""
+    rate_rad_s: Array
+    """(…, 3) Angular velocity in the vehicle frame [rad/s]."""
+    up: Array
+    """(…, 3) The world's z axis in the vehicle frame."""
+    height_m: Array
+    """(…) Height of the centre of mass above the ground [m]."""
+
 
 class Rotors:
-    """The rotor model of one vehicle type, for one simulation or many at once.
+    """The motor and aerodynamic model of one vehicle type.
 
-    Speeds follow commands with a first-order lag. A rotor at speed ω gives the thrust k ω² along its axis, the torque
-    −s kₘ ω² about it (s = ±1 its sense of rotation) and, moving through the air, the drag −k_d ω v in its disc, where
-    v is the in-plane velocity of its hub (Martin and Salaün 2010). Both methods broadcast over leading axes.
+    A rotor at speed ω, moving with its hub through the air at (u, v, w) in the vehicle frame, gives along its axis the
+    thrust g k ω² − k_i ω w (g the ground effect), in its disc the drag −k_d ω (u, v), and about its axis the torque
+    −s (k_m ω² + J ω̇): its drag and its inertia's reaction (s = ±1 its sense of rotation). All rotors together have
+    the angular momentum H = J Σ s ω along z, whose turning with the body takes the torque −Ω × H. The body itself has
+    the drag −½ ρ A_i |V| V_i along each axis.
+
+    Sources: Mahony, Kumar, Corke, "Multirotor aerial vehicles", IEEE RAM 2012 (thrust, torque, gyroscopic torque);
+    Martin and Salaün 2010 (rotor drag); Smeur, Chu, de Croon, "Adaptive incremental nonlinear dynamic inversion", JGCD
+    2016 (reaction torque). Nothing here depends on how fast the drone crosses the ground or on what it passes but the
+    floor.
     """
 
     def __init__(self, quadrotor: Quadrotor) -> None:
         self._quadrotor = quadrotor
-        self._allocation = quadrotor.allocation
         self._hubs = quadrotor.rotor_positions_m
+        self._spins = quadrotor.rotor_spins
+        self._drag = 0.5 * AIR_DENSITY_KG_M3 * np.array(quadrotor.drag_area_m2)
+        self._coasting = quadrotor.torque_nm_per_rad2_s2 / quadrotor.rotor_inertia_kg_m2
 
-    def next_speeds(self, speeds_rad_s: Array, commands_rad_s: Array, dt_s: float) -> Array:
-        """Return the speeds (…, 4) [rad/s] that the rotors reach in ``dt_s`` under held commands (…, 4) [rad/s].
+    def start(self, speeds_rad_s: Array) -> RotorState:
+        """Return the state of rotors that turn steadily at speeds (…, 4) [rad/s] on a full battery."""
+        speeds = np.array(speeds_rad_s, dtype=np.float64)
+        steady = np.zeros_like(speeds)
+        full = np.ones(speeds.shape[:-1])
+        return RotorState(speeds, steady, full, self._quadrotor.battery.loaded_v(full, self._power_w(speeds, 0.0)))
 
-        Commands outside [0, greatest speed] are clipped; the lag is solved exactly.
-        """
-        target = np.clip(commands_rad_s, 0.0, self._quadrotor.rotor_speed_max_rad_s)
-        return np.asarray(target + (speeds_rad_s - target) * np.exp(-dt_s / self._quadrotor.rotor_lag_s))
+    def after(
+        self, state: RotorState, commands_rad_s: Array, dt_s: float, powered: npt.NDArray[np.bool_] = ALL_POWERED
+    ) -> RotorState:
+        """Return the state after ``dt_s`` under held commands (…, 4) of rotor speeds [rad/s].
 
-    def wrench(self, speeds_rad_s: Array, velocity_m_s: Array, rate_rad_s: Array) -> Array:
-        """Return force [N] and torque [N m] (…, 6) on the centre of mass, in the vehicle frame.
+        A speed follows its command with a first-order lag, solved exactly, but no further than the battery's voltage
+        lets it. A rotor without power slows by its drag, J ω̇ = −k_m ω², solved exactly too.
 
         Args:
-            speeds_rad_s: (…, 4) Rotor speeds [rad/s].
-            velocity_m_s: (…, 3) Velocity of the centre of mass through the air, in the vehicle frame [m/s].
-            rate_rad_s: (…, 3) Angular velocity in the vehicle frame [rad/s].
+            state: The state before.
+            commands_rad_s: (…, 4) Commands; those outside [0, greatest speed] are clipped.
+            dt_s: Length of the step [s].
+            powered: (…, 4) Which rotors have power.
         """
+        drone, before = self._quadrotor, state.speed_rad_s
+        fastest = np.minimum(drone.rotor_speed_max_rad_s, drone.rotor_speed_per_v * state.voltage_v)[..., None]
+        target = np.minimum(np.maximum(commands_rad_s, 0.0), fastest)
+        driven = target + (before - target) * np.exp(-dt_s / drone.rotor_lag_s)
+        speeds = np.where(powered, driven, before / (1.0 + before * (self._coasting * dt_s)))
+        change = (speeds - before) / dt_s
+        voltage = drone.battery.loaded_v(state.charge, self._power_w(speeds, 0.0))
+        charge = drone.battery.charge_after(state.charge, self._power_w(speeds, change) / voltage, dt_s)
+        return RotorState(speeds, change, charge, voltage)
+
+    def wrench(self, state: RotorState, air: Airflow) -> Array:
+        """Return force [N] and torque [N m] (…, 6) on the centre of mass, in the vehicle frame."""
+        drone, speeds, rate = self._quadrotor, state.speed_rad_s, air.rate_rad_s
         x, y, z = self._hubs.T
-        vx, vy = velocity_m_s[..., 0, None], velocity_m_s[..., 1, None]
-        wx, wy, wz = (rate_rad_s[..., k, None] for k in range(3))
-        drag = -self._quadrotor.drag_n_s2_per_rad_m * speeds_rad_s
+        vx, vy, vz = (air.velocity_m_s[..., k, None] for k in range(3))
+        wx, wy, wz = (rate[..., k, None] for k in range(3))
+        drag = -drone.drag_n_s2_per_rad_m * speeds
         fx = drag * (vx + wy * z - wz * y)  # the hub moves with v + ω × r
         fy = drag * (vy + wz * x - wx * z)
-        thrust_and_torque = np.square(speeds_rad_s) @ self._allocation.T
-        wrench = np.empty((*thrust_and_torque.shape[:-1], 6))
-        wrench[..., 0] = fx.sum(axis=-1)
-        wrench[..., 1] = fy.sum(axis=-1)
-        wrench[..., 2:] = thrust_and_torque
-        wrench[..., 3] -= (z * fy).sum(axis=-1)
-        wrench[..., 4] += (z * fx).sum(axis=-1)
-        wrench[..., 5] += (x * fy - y * fx).sum(axis=-1)
+        inflow = drone.inflow_n_s2_per_rad_m * (vz + wx * y - wy * x)
+        square = speeds * speeds
+        fz = self._lift(air) * square - inflow * speeds
+        turning = drone.torque_nm_per_rad2_s2 * square + drone.rotor_inertia_kg_m2 * state.change_rad_s2
+        momentum = drone.rotor_inertia_kg_m2 * (speeds @ self._spins)
+        body = self._drag * air.velocity_m_s * np.sqrt((air.velocity_m_s**2).sum(axis=-1, keepdims=True))
+        wrench = np.empty((*speeds.shape[:-1], 6))
+        wrench[..., 0] = fx.sum(axis=-1) - body[..., 0]
+        wrench[..., 1] = fy.sum(axis=-1) - body[..., 1]
+        wrench[..., 2] = fz.sum(axis=-1) - body[..., 2]
+        wrench[..., 3] = (y * fz - z * fy).sum(axis=-1) - rate[..., 1] * momentum
+        wrench[..., 4] = (z * fx - x * fz).sum(axis=-1) + rate[..., 0] * momentum
+        wrench[..., 5] = (x * fy - y * fx - self._spins * turning).sum(axis=-1)
         return wrench
+
+    def _lift(self, air: Airflow) -> Array:
+        """Return each rotor's thrust by its squared speed (…, 4), with the ground effect.
+
+        Each rotor has its own height, so that a tilted drone is pushed level; upside down, none blows at the ground.
+        """
+        gain = ground_effect(self._quadrotor, air.height_m[..., None] + air.up @ self._hubs.T) - 1.0
+        return np.asarray(self._quadrotor.thrust_n_per_rad2_s2 * (1.0 + np.maximum(air.up[..., 2:], 0.0) * gain))
+
+    def power_w(self, state: RotorState) -> Array:
+        """Return the electrical power (…) that is drawn from the battery [W]."""
+        return self._power_w(state.speed_rad_s, state.change_rad_s2)
+
+    def _power_w(self, speeds: Array, change: Array | float) -> Array:
+        """Return avionics' and motors' power (…) [W]; a braking rotor gives nothing back."""
+        drone = self._quadrotor
+        torque = drone.torque_nm_per_rad2_s2 * speeds * speeds + drone.rotor_inertia_kg_m2 * change
+        shafts = np.maximum(torque * speeds, 0.0).sum(axis=-1)
+        return np.asarray(drone.avionics_w + shafts / drone.motor_efficiency)
+
+
+def ground_effect(quadrotor: Quadrotor, height_m: Array) -> Array:
+    """Return thrust near the ground by thrust far from it, at heights (…) of a rotor above it [m].
+
+    Potential flow with an image of each of the four rotors below the ground (Sanchez-Cuevas, Heredia, Ollero,
+    "Characterization of the aerodynamic ground effect and its influence in multirotor control", Int. J. Aerospace
+    Engineering 2017), without its last term, the fountain's lift on the body, which each body must be measured for.
+    """
+    R, d = quadrotor.rotor_radius_m, quadrotor.arm_m * np.sqrt(2.0)
+    z = np.maximum(height_m, _NEAREST_GROUND * R)
+    four = 4.0 * z * z
+    side, diagonal = d * d + four, 2.0 * d * d + four
+    images = 0.25 / four + z * (1.0 / (side * np.sqrt(side)) + 0.5 / (diagonal * np.sqrt(diagonal)))
+    return np.asarray(1.0 / (1.0 - R * R * images))

@@ -71,7 +71,7 @@ def test_at_the_target_it_carries_the_weight() -> None:
     plant = QuadrotorPlant(rig)
     plant.reset(pose_matrix(np.eye(3), TARGET))
     command = SE3Controller(hovering(1.0), rig.T_vehicle_imu).command(plant.state(), 0)
-    np.testing.assert_allclose(command, QUAD.hover_speed_rad_s, rtol=1e-9)
+    np.testing.assert_allclose(command, QUAD.hover_speed_rad_s, rtol=1e-5)  # 20 m up the ground still helps a little
 
 
 def test_a_state_without_rates_is_refused() -> None:

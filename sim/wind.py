@@ -1,0 +1,179 @@
+"""Wind: a steady part, and the Dryden gusts that come with it near the ground.
+
+MIL-F-8785C ("Flying qualities of piloted airplanes", 1980, §3.7) describes turbulence as a frozen field that is blown
+past, or flown through: its spectra are functions of distance. So are the filters here, and their steps are exact for
+any distance (Van Loan 1978): neither the variances nor the spectra depend on how time is cut.
+"""
+
+from dataclasses import dataclass
+from typing import Protocol
+
+import numpy as np
+import numpy.typing as npt
+
+from dronevio.models.errors import ConfigError
+
+Array = npt.NDArray[np.float64]
+
+_FOOT_M = 0.3048
+_LOW_FT, _HIGH_FT = 10.0, 1000.0  # where the standard's low-altitude model holds
+_GAUGE_FT, _ROUGHNESS_FT = 20.0, 0.15  # where its wind is measured; the roughness of its approach and landing phase
+_DIRECT = np.sqrt([2.0, 3.0, 3.0])
+_DELAYED = np.array([0.0, 1.0 - np.sqrt(3.0), 1.0 - np.sqrt(3.0)])
+_LEAST = 1e-300  # keeps 0 / 0 away where nothing has been passed
+
+
+@dataclass(frozen=True)
+class Wind:
+    """How the air moves."""
+
+    mean_m_s: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    """Velocity of the steady part in the world [m/s]."""
+    gusts: float = 0.0
+    """Strength of the gusts, relative to what the standard expects at this wind: 1 is outdoors, 0 none."""
+    height_m: float = 3.048
+    """Height above the ground that the gusts are those of [m]; the standard has values from 3.048 to 304.8 m."""
+
+    def __post_init__(self) -> None:
+        """Check the numbers.
+
+        Raises:
+            ConfigError: Gusts without wind or of negative strength, a height that the standard does not know.
+        """
+        if not np.all(np.isfinite(self.mean_m_s)):
+            raise ConfigError(f"wind of {self.mean_m_s} m/s; expected finite numbers")
+        if not 0.0 <= self.gusts < np.inf:
+            raise ConfigError(f"gusts of strength {self.gusts:g}; expected 0 or more")
+        if not _LOW_FT * _FOOT_M <= self.height_m <= _HIGH_FT * _FOOT_M:
+            raise ConfigError(f"gusts {self.height_m:g} m above the ground; expected 3.048 to 304.8 m")
+
+    @property
+    def speed_m_s(self) -> float:
+        """Speed of the steady part along the ground [m/s]."""
+        return float(np.hypot(self.mean_m_s[0], self.mean_m_s[1]))
+
+    @property
+    def gust_lengths_m(self) -> Array:
+        """(3,) Scale lengths of the gusts along the wind, across it and upwards [m] (figure 10)."""
+        h = self.height_m / _FOOT_M
+        along = h / (0.177 + 0.000823 * h) ** 1.2
+        return np.array([along, along, h]) * _FOOT_M
+
+    @property
+    def gust_deviations_m_s(self) -> Array:
+        """(3,) Standard deviations of the gusts along the wind, across it and upwards [m/s] (figure 11).
+
+        The wind at 20 ft, which they are told by, follows from the one here by the standard's logarithmic profile.
+        """
+        h = self.height_m / _FOOT_M
+        at_gauge = self.speed_m_s * np.log(_GAUGE_FT / _ROUGHNESS_FT) / np.log(h / _ROUGHNESS_FT)
+        upward = 0.1 * at_gauge
+        along = upward / (0.177 + 0.000823 * h) ** 0.4
+        return self.gusts * np.array([along, along, upward])
+
+    @property
+    def axes(self) -> Array:
+        """(3, 3) Rows: along the wind, across it to the left, up; in the world."""
+        heading = np.arctan2(self.mean_m_s[1], self.mean_m_s[0])
+        c, s = np.cos(heading), np.sin(heading)
+        return np.array([[c, s, 0.0], [-s, c, 0.0], [0.0, 0.0, 1.0]])
+
+
+CALM = Wind()
+"""No wind."""
+
+
+class Air(Protocol):
+    """The air around one vehicle or many."""
+
+    def restart(self) -> None:
+        """Begin a flight."""
+
+    def velocity_m_s(self) -> Array:
+        """Return the air's velocity (…, 3) in the world [m/s], here and now."""
+
+    def pass_by(self, distance_m: Array) -> None:
+        """Move on through the air by distances (…) [m]."""
+
+
+class SteadyAir:
+    """Air without gusts; implements `Air`."""
+
+    def __init__(self, wind: Wind) -> None:
+        self._velocity = np.array(wind.mean_m_s)
+
+    def restart(self) -> None:
+        """Do nothing."""
+
+    def velocity_m_s(self) -> Array:
+        """Return the wind (3,) in the world [m/s]."""
+        return self._velocity
+
+    def pass_by(self, distance_m: Array) -> None:
+        """Do nothing: it is the same everywhere."""
+
+
+class GustyAir:
+    """Wind with Dryden gusts; implements `Air`.
+
+    With p the derivative by the distance in scale lengths, the component along the wind is √2 / (1 + p) times white
+    noise, the others (1 + √3 p) / (1 + p)² times it, all scaled by their standard deviations. In the states
+    x₁' = −x₁ + n and x₂' = −x₂ + x₁ that is √2 x₁ and √3 x₁ + (1 − √3) x₂.
+    """
+
+    def __init__(self, wind: Wind, rng: np.random.Generator, shape: tuple[int, ...] = ()) -> None:
+        """Prepare to blow.
+
+        Args:
+            wind: How strongly.
+            rng: Draws the gusts.
+            shape: Of the batch of vehicles; each has gusts of its own.
+        """
+        self._mean = np.array(wind.mean_m_s)
+        self._lengths = wind.gust_lengths_m
+        self._axes = wind.axes
+        self._scales = wind.gust_deviations_m_s
+        self._rng = rng
+        self._shape = shape
+        self.restart()
+
+    def restart(self) -> None:
+        """Draw new gusts, as if it had blown for ever."""
+        n = self._rng.standard_normal((2, *self._shape, 3))
+        # the stationary covariance is [[1/2, 1/4], [1/4, 1/4]]
+        self._first = np.sqrt(0.5) * n[0]
+        self._second = np.sqrt(0.125) * (n[0] + n[1])
+
+    def velocity_m_s(self) -> Array:
+        """Return the air's velocity (…, 3) in the world [m/s]."""
+        gust = self._scales * (_DIRECT * self._first + _DELAYED * self._second)
+        return np.asarray(self._mean + gust @ self._axes)
+
+    def pass_by(self, distance_m: Array) -> None:
+        """Move on through the air by distances (…) [m]."""
+        d = np.asarray(distance_m)[..., None] / self._lengths
+        decay = np.exp(-d)
+        left = decay * decay
+        # what the transition Φ = e⁻ᵈ [[1, 0], [d, 1]] takes from the stationary covariance, noise gives back
+        q11 = 0.5 * (1.0 - left)
+        q12 = 0.25 - left * (0.5 * d + 0.25)
+        q22 = 0.25 - left * (0.5 * d * (d + 1.0) + 0.25)
+        l11 = np.sqrt(q11)
+        l21 = q12 / np.maximum(l11, _LEAST)
+        l22 = np.sqrt(np.maximum(q22 - l21 * l21, 0.0))
+        n = self._rng.standard_normal((2, *self._shape, 3))
+        self._second = decay * (d * self._first + self._second) + l21 * n[0] + l22 * n[1]
+        self._first = decay * self._first + l11 * n[0]
+
+
+def air_of(wind: Wind, rng: np.random.Generator | None) -> Air:
+    """Return the air of a wind.
+
+    Raises:
+        ConfigError: There are gusts, and nothing to draw them from.
+    """
+    if not np.any(wind.gust_deviations_m_s):
+        return SteadyAir(wind)
+    if rng is None:
+        raise ConfigError("gusts without a random generator; expected one to draw them from")
+    return GustyAir(wind, rng)
