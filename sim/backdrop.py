@@ -19,6 +19,8 @@ from dronevio.sim.world import Mover, build_world
 
 Array = npt.NDArray[np.float64]
 
+_NEAREST_M = 0.3  # of the middle of a thing: nothing comes nearer
+
 
 @dataclass(frozen=True, eq=False)
 class Backdrop:
@@ -37,10 +39,12 @@ class Backdrop:
         """Return where everything that moves is at a time [ns]."""
         return {name: interpolated_poses(path, np.array([t_ns]))[0] for name, path in self.movers.items()}
 
-    def moved_m(self, from_ns: int, to_ns: int) -> float:
-        """Return how far anything moves between two times [ns], at most [m]."""
+    def angle_swept_rad(self, from_ns: int, to_ns: int, p_world: Array) -> float:
+        """Return how far anything moves between two times [ns], at most, as seen from a point (3,) [rad]."""
         ends = [interpolated_poses(path, np.array([from_ns, to_ns]))[:, :3, 3] for path in self.movers.values()]
-        return max((float(np.linalg.norm(end - start)) for start, end in ends), default=0.0)
+        ranges_m = (max(float(np.linalg.norm(start - p_world)), _NEAREST_M) for start, _ in ends)
+        paths_m = (float(np.linalg.norm(end - start)) for start, end in ends)
+        return max((path_m / away_m for path_m, away_m in zip(paths_m, ranges_m, strict=True)), default=0.0)
 
 
 @contextmanager

@@ -111,7 +111,7 @@ def _check(process: "subprocess.Popen[bytes]") -> None:
     code = process.wait()
     if code == _SYSTEM_ERROR:
         number, name = json.loads(said[-1])
-        raise OSError(number, os.strerror(number), name)
+        raise OSError(number, os.strerror(number), name or None)
     if code == _KNOWN_ERROR:
         raise GraphicsError(said[-1])
     if code < 0:
@@ -135,7 +135,7 @@ def work() -> None:
     except OSError as error:
         if error.errno is None:
             raise
-        print(json.dumps([error.errno, str(error.filename)]), file=sys.stderr)  # noqa: T201
+        print(json.dumps([error.errno, str(error.filename or "")]), file=sys.stderr)  # noqa: T201
         sys.exit(_SYSTEM_ERROR)
     except Exception:
         traceback.print_exc()

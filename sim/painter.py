@@ -102,8 +102,9 @@ class _FilmCamera:
         job, scene, truth = self._task.job, self._task.scene, self._task.truth
         middle_ns, exposure_s = int(truth.exposed_ns[index]), float(truth.exposure_s[index])
         half_ns = round(0.5e9 * (exposure_s + self._readout_s))
-        moved_m = scene.moved_m(middle_ns - half_ns, middle_ns + half_ns)
-        plan = self._shutter.plan(self._poses, middle_ns, exposure_s, self._nearest_m(middle_ns), moved_m)
+        p_world_cam = self._pose(middle_ns)[:3, 3]
+        swept_rad = scene.angle_swept_rad(middle_ns - half_ns, middle_ns + half_ns, p_world_cam)
+        plan = self._shutter.plan(self._poses, middle_ns, exposure_s, self._nearest_m(middle_ns), swept_rad)
         light = self._shutter.collect(plan, self._poses, self._view)
         irradiance = scene.illumination * float(truth.lit[index])
         stream = np.random.SeedSequence(job.seed, spawn_key=(_NOISE_STREAM, index, self._number))

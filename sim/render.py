@@ -65,8 +65,8 @@ def render(job: RenderJob, mav0: Path, progress: Progress = silent, workers: int
                 write_text(mav0 / FOLDERS["segmentation"] / "names.csv", names_table(scene.geom_names))
             run_crew([DrawTask(job, scene, share, truth, mav0) for share in shares], count, heard)
     except OSError as error:
-        what = Path(error.filename).name if error.filename else mav0
-        raise IncompleteError(f"stopped after {finished} of {count} frames: {error.strerror} ({what})") from error
+        where = f"{error.filename}: " if error.filename else ""
+        raise IncompleteError(f"stopped after {finished} of {count} frames: {where}{error.strerror}") from error
     except GraphicsError as error:
         if not finished:
             raise

@@ -91,7 +91,7 @@ class Shutter:
         self._row_delays_ns = self._delays_ns(np.arange(model.height, dtype=np.float64))
 
     def plan(
-        self, poses: Poses, middle_ns: int, exposure_s: float, nearest_m: float, moved_m: float = 0.0
+        self, poses: Poses, middle_ns: int, exposure_s: float, nearest_m: float, swept_rad: float = 0.0
     ) -> ExposurePlan:
         """Return how to expose a frame with no more work than its motion asks for.
 
@@ -100,14 +100,14 @@ class Shutter:
             middle_ns: True middle of the exposure of the middle row [ns].
             exposure_s: Exposure time [s].
             nearest_m: Depth of what is near [m]; infinite where nothing is.
-            moved_m: How far things in the world move meanwhile [m].
+            swept_rad: How far things in the world move meanwhile, as the camera sees them [rad].
         """
         exposure_ns = exposure_s * 1e9
         span_ns = exposure_ns + self._readout_ns
         first, last = poses(np.array([middle_ns - round(0.5 * span_ns), middle_ns + round(0.5 * span_ns)]))
         turn_px = turn_in_pixels(self._model, first, last)
-        path_m = float(np.linalg.norm(last[:3, 3] - first[:3, 3])) + moved_m
-        parallax_px = path_m / nearest_m * max(self._model.fx, self._model.fy)
+        path_m = float(np.linalg.norm(last[:3, 3] - first[:3, 3]))
+        parallax_px = (path_m / nearest_m + swept_rad) * max(self._model.fx, self._model.fy)
         within_exposure = exposure_ns / span_ns
         blur, skew = (share * (turn_px + parallax_px) for share in (within_exposure, 1.0 - within_exposure))
         rolling = (1.0 - within_exposure) * parallax_px > _STILL_PARALLAX_PX

@@ -19,7 +19,7 @@ from dronevio.models.recordings.frame_truth import FRAME_TRUTH_FILE, read_frame_
 from dronevio.models.rig import Rig, RigCamera
 from dronevio.models.rotation import pose_matrix, quat_wxyz_from_matrix
 from dronevio.models.state import Trajectory
-from dronevio.sim.imaging import AutoExposure, Imaging
+from dronevio.sim.imaging import AutoExposure, FixedExposure, Imaging
 from dronevio.sim.render import render
 from dronevio.sim.render_job import RenderJob
 from dronevio.sim.schedule import FrameSchedule, beat, schedule_frames
@@ -39,6 +39,14 @@ def turning(stamps_ns: np.ndarray) -> Trajectory:
     return Trajectory(stamps_ns, p, quat_wxyz_from_matrix(R))
 
 
+def at_rest() -> Trajectory:
+    """Return a drone that stays where `turning` starts."""
+    path = turning(np.arange(START_NS, START_NS + 300_000_000, 5_000_000))
+    return replace(
+        path, p_world_imu=np.tile(path.p_world_imu[0], (60, 1)), quat_wxyz=np.tile(path.quat_wxyz[0], (60, 1))
+    )
+
+
 def job(**changes: Any) -> RenderJob:
     """Return six frames in a room."""
     stamps_ns = beat(START_NS, START_NS + 300_000_000, 20.0)
@@ -53,13 +61,14 @@ def job(**changes: Any) -> RenderJob:
 
 
 @pytest.fixture(autouse=True)
-def small_world(monkeypatch: pytest.MonkeyPatch) -> None:
+def small_world(monkeypatch: pytest.MonkeyPatch) -> SimpleNamespace:
     """Let every world be a hall of coloured pillars: it is built and drawn in no time."""
     rng = np.random.default_rng(5)
     spec = mujoco.MjSpec()
     for k in range(200):
         glow = spec.add_material(name=f"glow_{k}", emission=1.0, rgba=[*rng.uniform(0.1, 1.0, 3), 1.0])
         spec.worldbody.add_geom(
+            name=f"pillar_{k}",
             type=mujoco.mjtGeom.mjGEOM_BOX,
             size=[0.2, 0.2, rng.uniform(0.2, 2.0)],
             pos=turn_z(rng.uniform(0.0, 6.3)) @ [rng.uniform(2.0, 6.0), 0.0, rng.uniform(0.0, 2.0)],
@@ -68,6 +77,7 @@ def small_world(monkeypatch: pytest.MonkeyPatch) -> None:
     spec.stat.extent = 10.0
     world = SimpleNamespace(spec=spec, illumination=1.0, movers=())
     monkeypatch.setattr("dronevio.sim.backdrop.build_world", lambda name, seed: world)
+    return world
 
 
 def contents(folder: Path) -> dict[str, bytes]:
@@ -108,10 +118,8 @@ def test_images_do_not_depend_on_the_workers(tmp_path: Path) -> None:
 
 def test_noise_differs_between_frames_and_cameras(tmp_path: Path) -> None:
     schedule = job().schedule
-    still = replace(turning(job().trajectory.t_ns), p_world_imu=np.tile([0.0, 0.1, 1.2], (60, 1)))
-    still = replace(still, quat_wxyz=np.tile(still.quat_wxyz[0], (60, 1)))
     twins = Rig((RigCamera(SMALL, np.eye(4)), RigCamera(SMALL, np.eye(4))))
-    render(job(rig=twins, trajectory=still, schedule=schedule[:2]), tmp_path, workers=1)
+    render(job(rig=twins, trajectory=at_rest(), schedule=schedule[:2]), tmp_path, workers=1)
     first, second = schedule.stamps_ns[:2].tolist()
     one = read(tmp_path, first).astype(float)
     for other in (read(tmp_path, second), read(tmp_path, first, 1)):
@@ -125,6 +133,68 @@ def test_what_goes_dark_is_black_but_for_noise(tmp_path: Path) -> None:
     render(job(schedule=schedule[:3]), tmp_path, workers=1)
     means = [read(tmp_path, t).mean() for t in schedule.stamps_ns[:3].tolist()]
     assert means[1] < 1.0 and min(means[0], means[2]) > 50.0
+
+
+def test_truth_beside_the_frames(tmp_path: Path) -> None:
+    work = job(truth_images=("depth", "segmentation", "flow"))
+    render(work, tmp_path, workers=1)
+    first, second, last = work.schedule.stamps_ns[[0, 1, -1]].tolist()
+    depth, seg, flow = (
+        cv2.imread(str(tmp_path / folder / "data" / f"{first}.png"), cv2.IMREAD_UNCHANGED)
+        for folder in ("depth0", "seg0", "flow0")
+    )
+    assert depth.dtype == seg.dtype == flow.dtype == np.uint16
+    assert depth.shape == seg.shape == (120, 188) and flow.shape == (120, 188, 3)
+    names = (tmp_path / "seg0" / "names.csv").read_text().splitlines()
+    assert len(names) == 201 and names[7].split(",") == ["7", "pillar_6"]
+    assert (depth[seg == 0] == 0).all() and (depth[seg > 0] > 1000).all() and 0.2 < np.mean(seg > 0) < 1.0
+    # What is seen now is seen in the next frame where the flow says, at the depth that it has there then.
+    later = cv2.imread(str(tmp_path / "depth0" / "data" / f"{second}.png"), cv2.IMREAD_UNCHANGED)
+    seen = flow[..., 0] == 1
+    assert np.all(seg[seen] > 0) and seen.mean() > 0.3
+    v, u = np.nonzero(seen)
+    move = (flow[v, u][:, [2, 1]].astype(float) - 2**15) / 64.0
+    p_cam = SMALL.normalise(np.stack([u, v], axis=-1))
+    p_cam = np.concatenate([p_cam, np.ones((len(u), 1))], axis=-1) * depth[v, u][:, None] * 1e-3
+    T_now, T_next = work.poses(0)(work.schedule.exposed_ns[:2])
+    T_next_now = np.linalg.inv(T_next) @ T_now
+    p_next = p_cam @ T_next_now[:3, :3].T + T_next_now[:3, 3]
+    np.testing.assert_allclose(np.stack([u, v], axis=-1) + move, SMALL.project(p_next), atol=0.2)
+    there = np.rint(np.stack([u, v], axis=-1) + move).astype(int)
+    inside = np.all((there >= 0) & (there < [188, 120]), axis=-1)
+    error = later[there[inside, 1], there[inside, 0]] * 1e-3 - p_next[inside, 2]
+    assert np.median(np.abs(error)) < 0.02
+    assert not (tmp_path / "flow0" / "data" / f"{last}.png").exists()
+    assert (tmp_path / "depth0" / "data" / f"{last}.png").exists()
+
+
+def test_what_moves_is_where_it_is_at_that_time(tmp_path: Path, small_world: SimpleNamespace) -> None:
+    glow = small_world.spec.add_material(name="lamp", emission=1.0, rgba=[1.0, 1.0, 1.0, 1.0])
+    body = small_world.spec.worldbody.add_body(name="drifter", mocap=True)
+    body.add_geom(name="lamp", type=mujoco.mjtGeom.mjGEOM_SPHERE, size=[0.03, 0.0, 0.0], material=glow.name)
+
+    def poses(t_s: np.ndarray) -> np.ndarray:
+        y = 0.3 - 3.0 * t_s  # to the right, 1.2 m ahead of where the flight starts
+        return pose_matrix(
+            np.broadcast_to(np.eye(3), (len(t_s), 3, 3)), np.stack([0.7 + 0 * y, y, 1.2 + 0 * y], axis=1)
+        )
+
+    small_world.movers = (SimpleNamespace(body="drifter", poses=poses),)
+    noiseless = Imaging(control=FixedExposure(0.02), nominal_exposure_s=0.02, read_sigma=0.0, shot_sigma=0.0)
+    resting = job(trajectory=at_rest(), imaging=noiseless)
+    render(resting, tmp_path / "moving", workers=1)
+    small_world.movers = (SimpleNamespace(body="drifter", poses=lambda t_s: poses(0.0 * t_s - 100.0)),)
+    render(resting, tmp_path / "gone", workers=1)
+    for t_ns in resting.schedule.stamps_ns.tolist()[1:4]:
+        glowing = read(tmp_path / "moving", t_ns).astype(float) - read(tmp_path / "gone", t_ns)
+        glowing = np.where(np.abs(glowing) > 4.0, glowing, 0.0)
+        middle = SMALL.project((poses(np.array([t_ns - START_NS]) * 1e-9)[0, :3, 3] - [-0.5, 0.1, 1.2]) @ R_LEVEL)
+        columns, rows = np.nonzero(glowing.any(axis=0))[0], np.nonzero(glowing.any(axis=1))[0]
+        assert abs(np.mean([columns[0], columns[-1]]) - middle[0]) < 1.0
+        assert abs(np.mean([rows[0], rows[-1]]) - middle[1]) < 1.0
+        streak_px = 0.02 * 3.0 / 1.2 * SMALL.fx  # 5.75 px, plus the lamp's own 5.75; its ends are faint
+        assert abs(columns[-1] - columns[0] - streak_px - 5.75) < 3.0
+        assert rows[-1] - rows[0] < 7.5
 
 
 def test_an_interruption_leaves_whole_images_and_says_so(tmp_path: Path) -> None:
@@ -150,7 +220,7 @@ def test_a_full_disk_leaves_a_recording_that_can_be_read(tmp_path: Path) -> None
     rest = ImuSamples(work.trajectory.t_ns, np.zeros((60, 3)), np.zeros((60, 3)), "point")
     write_euroc(tmp_path, stereo, rest, work.trajectory, stamps)
     (mav0 / "cam1" / "data" / f"{stamps[3]}.partial").symlink_to("/dev/full")
-    with pytest.raises(IncompleteError, match=r"after 3 of 6 frames: No space left on device"):
+    with pytest.raises(IncompleteError, match=r"after 3 of 6 frames: No space left on device$"):
         render(work, mav0, workers=1)
     recording = EurocRecording.open(tmp_path)
     assert not recording.complete
@@ -161,12 +231,14 @@ def test_a_full_disk_leaves_a_recording_that_can_be_read(tmp_path: Path) -> None
 
 def test_a_worker_that_is_killed_is_reported(tmp_path: Path) -> None:
     def kill(done: int, total: int) -> None:
-        if done == 1:
+        if done:
             for worker in psutil.Process().children():
                 worker.kill()
 
-    with pytest.raises(IncompleteError, match=r"of 6 frames: a rendering process was killed by SIGKILL"):
-        render(job(), tmp_path, kill, workers=1)
+    stamps_ns = job().trajectory.t_ns
+    many = job(schedule=FrameSchedule(stamps_ns, stamps_ns, np.ones(60, dtype=bool)))
+    with pytest.raises(IncompleteError, match=r"of 60 frames: a rendering process was killed by SIGKILL"):
+        render(many, tmp_path, kill, workers=1)
     assert (tmp_path / INCOMPLETE).exists()
 
 
