@@ -66,7 +66,7 @@ def small_world(monkeypatch: pytest.MonkeyPatch) -> SimpleNamespace:
     rng = np.random.default_rng(5)
     spec = mujoco.MjSpec()
     for k in range(200):
-        glow = spec.add_material(name=f"glow_{k}", emission=1.0, rgba=[*rng.uniform(0.1, 1.0, 3), 1.0])
+        glow = spec.add_material(name=f"glow_{k}", emission=1.0, rgba=[*rng.uniform(0.05, 0.7, 3), 1.0])
         spec.worldbody.add_geom(
             name=f"pillar_{k}",
             type=mujoco.mjtGeom.mjGEOM_BOX,
