@@ -1,0 +1,42 @@
+"""Poses between stamps: exact for steady motion, microns for a drone's."""
+
+import numpy as np
+
+from dronevio.models.rotation import exp_so3, log_so3, quat_wxyz_from_matrix
+from dronevio.models.state import Trajectory
+from dronevio.sim.interpolation import interpolated_poses
+
+START_NS = 1_403_715_273_262_142_976
+T_NS = START_NS + np.arange(0, 1_000_000_000, 5_000_000, dtype=np.int64)
+W = np.array([1.0, -2.0, 0.5])
+
+
+def seconds(t_ns: np.ndarray) -> np.ndarray:
+    return ((t_ns - START_NS) * 1e-9)[:, None]
+
+
+def test_steady_motion_is_exact_between_and_beyond_the_stamps() -> None:
+    velocity = np.array([3.0, -1.0, 0.2])
+    path = Trajectory(T_NS, seconds(T_NS) * velocity, quat_wxyz_from_matrix(exp_so3(seconds(T_NS) * W)))
+    t_ns = START_NS + np.array([-7_000_000, 0, 1, 123_456_789, 995_000_000, 999_999_999, 1_004_000_000])
+    T = interpolated_poses(path, t_ns)
+    np.testing.assert_allclose(T[:, :3, 3], seconds(t_ns) * velocity, atol=1e-12)
+    np.testing.assert_allclose(T[:, :3, :3], exp_so3(seconds(t_ns) * W), atol=1e-9)
+
+
+def test_a_drone_s_motion_is_good_to_what_it_says() -> None:
+    def p(t_ns: np.ndarray) -> np.ndarray:  # 10 m/s² across, at 1.6 Hz
+        s = seconds(t_ns)
+        return 0.1 * np.concatenate([np.sin(10.0 * s), np.cos(10.0 * s), 0.0 * s], axis=1)
+
+    def R(t_ns: np.ndarray) -> np.ndarray:  # 400 °/s², and turning about a changing axis
+        s = seconds(t_ns)
+        return exp_so3(0.07 * np.sin(10.0 * s) * W) @ exp_so3(s * W[::-1])
+
+    path = Trajectory(T_NS, p(T_NS), quat_wxyz_from_matrix(R(T_NS)))
+    t_ns = START_NS + np.random.default_rng(0).integers(0, 995_000_000, 500)
+    T = interpolated_poses(path, t_ns)
+    error_m = np.linalg.norm(T[:, :3, 3] - p(t_ns), axis=1)
+    error_rad = np.linalg.norm(log_so3(np.swapaxes(T[:, :3, :3], 1, 2) @ R(t_ns)), axis=1)
+    assert 1e-5 < error_m.max() < 3.2e-5
+    assert error_rad.max() < 1e-4  # a twentieth of a pixel
