@@ -1,21 +1,24 @@
-"""Flying for the record: physics first, then the frames, into a folder of EuRoC's layout."""
+"""Flying for the record: first the motion, then the frames, into a folder of EuRoC's layout."""
 
-from dataclasses import replace
+import json
 from pathlib import Path
 
-import numpy as np
-
+from dronevio.models.configuration import to_plain
+from dronevio.models.errors import ConfigError
 from dronevio.models.progress import Progress, silent
 from dronevio.models.recordings.euroc import write_euroc
+from dronevio.models.rig import Rig
+from dronevio.models.rigs import RIGS, rig_named
 from dronevio.sim.flight import Flight, fly
 from dronevio.sim.imaging import Imaging
+from dronevio.sim.refly import FlownPath
 from dronevio.sim.render import render
 from dronevio.sim.render_job import RenderJob
 from dronevio.sim.scenario import Scenario
-from dronevio.sim.schedule import beat, schedule_frames
 from dronevio.sim.truth_images import TruthImage
 
-_SCHEDULE_STREAM = 21  # beside those of `dronevio.sim.scenario`, `dronevio.sim.world` and the images
+SCENARIO_FILE = "scenario.json"
+"""Beside ``mav0``: all settings of the flight."""
 
 
 def record_flight(
@@ -24,15 +27,9 @@ def record_flight(
     simulating: Progress = silent,
     rendering: Progress = silent,
     workers: int | None = None,
-    imaging: Imaging | None = None,
     truth_images: tuple[TruthImage, ...] = (),
-    hidden_time_offset_s: float = 0.0,
-    stamp_jitter_s: float = 0.0,
-    dropped_frames: float = 0.0,
-    dark_from_s: float = 0.0,
-    dark_for_s: float = 0.0,
 ) -> Flight:
-    """Fly a scenario and write what was sensed, and the truth, as ``folder/mav0``.
+    """Fly a scenario and write what was sensed, the truth and the settings into a folder.
 
     Args:
         scenario: What to fly; the same scenario gives the same bytes.
@@ -40,32 +37,91 @@ def record_flight(
         simulating: Hears of the physics.
         rendering: Hears of the frames.
         workers: Processes that draw; as many as there are cores by default.
-        imaging: What the sensors make of light; those of a typical one by default.
         truth_images: What is written beside the main camera's frames.
-        hidden_time_offset_s: How much later than the calibration says the frames are taken [s].
-        stamp_jitter_s: Standard deviation of the error of the frames' time stamps [s].
-        dropped_frames: Share of the frames that are lost.
-        dark_from_s: When the cameras go dark, from the flight's start [s].
-        dark_for_s: For how long [s].
 
     Raises:
+        ConfigError: The scenario does not fit together.
         GraphicsError: No off-screen OpenGL. `dronevio.sim.gl.require_gl` tells before anything is simulated.
         IncompleteError: The system refused something while frames were written; what is done stays.
     """
     flight = fly(scenario, simulating)
-    schedule = schedule_frames(
-        beat(0, int(flight.truth.t_ns[-1]), scenario.rig.cameras[0].rate_hz),
-        np.random.default_rng(np.random.SeedSequence(scenario.seed, spawn_key=(_SCHEDULE_STREAM,))),
-        scenario.rig.time_offset_s + hidden_time_offset_s,
-        stamp_jitter_s,
-        dropped_frames,
-        dark_from_s,
-        dark_for_s,
-    ).within(int(flight.truth.t_ns[0]), int(flight.truth.t_ns[-1]))
     job = RenderJob(
-        scenario.world, scenario.seed, scenario.rig, flight.truth, schedule, imaging or Imaging(), truth_images
+        scenario.world,
+        scenario.seed,
+        flight.true_rig,
+        flight.truth,
+        flight.schedule,
+        scenario.imaging,
+        truth_images,
     )
-    write_euroc(folder, scenario.rig, flight.imu, flight.truth, schedule.stamps_ns)
+    _write_settings(folder, {"scenario": to_plain(scenario), "imu_constants": to_plain(flight.imu_constants)})
+    write_euroc(folder, scenario.rig, flight.imu, flight.truth, flight.schedule.stamps_ns)
     render(job, folder / "mav0", rendering, workers)
-    Ts_world_cam = job.poses(0)(schedule.exposed_ns)
-    return replace(flight, frame_times_ns=schedule.stamps_ns, Ts_world_cam=Ts_world_cam)
+    return flight
+
+
+def record_refly(
+    flown: FlownPath,
+    seed: int,
+    folder: Path,
+    rendering: Progress = silent,
+    workers: int | None = None,
+    imaging: Imaging | None = None,
+    truth_images: tuple[TruthImage, ...] = (),
+) -> None:
+    """Render along a path that was flown before, and write it into a folder like a flight.
+
+    Args:
+        flown: The path, its IMU, its sensors and its world.
+        seed: Draws the world's looks and the images' noise.
+        folder: An existing folder.
+        rendering: Hears of the frames.
+        workers: Processes that draw; as many as there are cores by default.
+        imaging: What the sensors make of light; those of a typical one by default.
+        truth_images: What is written beside the main camera's frames.
+
+    Raises:
+        GraphicsError: No off-screen OpenGL.
+        IncompleteError: The system refused something while frames were written; what is done stays.
+    """
+    job = RenderJob(
+        flown.world,
+        seed,
+        flown.rig,
+        flown.truth,
+        flown.schedule,
+        imaging or Imaging(),
+        truth_images,
+        flown.T_simworld_world,
+    )
+    settings = {"world": flown.world, "seed": seed, "rig": flown.rig, "T_simworld_world": flown.T_simworld_world}
+    _write_settings(folder, {"refly": {**settings, "real_imu": flown.real_imu}})
+    write_euroc(folder, flown.rig, flown.imu, flown.truth, flown.schedule.stamps_ns)
+    render(job, folder / "mav0", rendering, workers)
+
+
+def rig_of(name_or_file: str) -> Rig:
+    """Return a rig by its name, or from the calibration that a file or folder holds.
+
+    Args:
+        name_or_file: One of `RIGS`, a Kalibr ``camchain.yaml``, or a recording with its calibration.
+
+    Raises:
+        ConfigError: It is neither a name nor a file.
+        InputError: The file is damaged, or not supported.
+    """
+    path = Path(name_or_file)
+    if name_or_file in RIGS or not path.exists():
+        if not path.exists() and (path.suffix or len(path.parts) > 1):
+            raise ConfigError(f"no rig {name_or_file!r}; expected a file or folder that is there, or {', '.join(RIGS)}")
+        return rig_named(name_or_file)
+    from dronevio.models.recordings.euroc import EurocRecording
+    from dronevio.models.recordings.kalibr import read_kalibr
+
+    return EurocRecording.open(path).rig if path.is_dir() else read_kalibr([path]).rig()
+
+
+def _write_settings(folder: Path, settings: dict[str, object]) -> None:
+    """Write what was flown, for people and for programs."""
+    document = {name: to_plain(value) for name, value in settings.items()}
+    (folder / SCENARIO_FILE).write_text(json.dumps(document, indent=2) + "\n", encoding="utf-8")

@@ -25,7 +25,7 @@ from dronevio.models.recordings.tum import read_tum
 from dronevio.models.rotation import inverse_pose
 from dronevio.sim.contact_sheet import contact_sheet
 from dronevio.sim.onlooker import Onlooker
-from dronevio.sim.scenario import scenario
+from dronevio.sim.scenarios import scenario
 from dronevio.sim.world import build_world
 
 Picture = npt.NDArray[np.uint8]

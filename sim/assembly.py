@@ -1,6 +1,7 @@
 """From a painted layout to MuJoCo's specification: what is seen, what is touched, and how it is looked at."""
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 import mujoco
 import numpy as np
@@ -8,9 +9,10 @@ import numpy.typing as npt
 
 from dronevio.models.rotation import quat_wxyz_from_matrix
 from dronevio.sim.layout import Layout
-from dronevio.sim.scenery import Page, add_pages
+from dronevio.sim.scenery import Page, add_mirror, add_pages
 from dronevio.sim.solids import Box
 from dronevio.sim.space import Space
+from dronevio.sim.textures import Image
 
 Array = npt.NDArray[np.float64]
 
@@ -18,27 +20,35 @@ _TOUCHED_GROUP = 3  # MuJoCo's viewers do not draw it unless asked
 _NEAR_M, _FAR_M = 0.03, 30.0
 
 
-def assembled(layout: Layout, pages: Sequence[Page], moving_pages: Sequence[Sequence[Page]]) -> mujoco.MjSpec:
-    """Return the specification of a world.
+@dataclass(frozen=True, eq=False)
+class Looks:
+    """What a layout looks like."""
 
-    Args:
-        layout: Where everything is.
-        pages: The painted scenery.
-        moving_pages: What each moving thing looks like.
-    """
+    pages: Sequence[Page]
+    """The painted scenery."""
+    moving_pages: Sequence[Sequence[Page]]
+    """What each moving thing looks like."""
+    mirror: Image | None
+    """(H, W, 3) Pattern of the reflecting floor, lit, if there is one."""
+
+
+def assembled(layout: Layout, looks: Looks) -> mujoco.MjSpec:
+    """Return the specification of a world."""
     spec = mujoco.MjSpec()
-    seen = np.concatenate([page.vertices for page in pages])
+    seen = np.concatenate([page.vertices for page in looks.pages])
     _set_up_view(spec, layout, reach_m=float(np.linalg.norm(np.ptp(seen, axis=0))))
-    _add_touched(spec, layout)
-    add_pages(spec, spec.worldbody, "scenery", pages)
-    for thing, looks in zip(layout.moving, moving_pages, strict=True):
-        add_pages(spec, spec.worldbody.add_body(name=thing.name, mocap=True), thing.name, looks)
+    add_touched(spec, layout)
+    add_pages(spec, spec.worldbody, "scenery", looks.pages)
+    if layout.mirror is not None and looks.mirror is not None:
+        add_mirror(spec, layout.mirror.face, looks.mirror, layout.mirror.reflectance)
+    for thing, pages in zip(layout.moving, looks.moving_pages, strict=True):
+        add_pages(spec, spec.worldbody.add_body(name=thing.name, mocap=True), thing.name, pages)
     return spec
 
 
 def space_of(layout: Layout) -> Space:
-    """Return a layout's bounds and its obstacles."""
-    boxes = layout.obstacles
+    """Return a layout's bounds, its obstacles, and the lanes of what moves."""
+    boxes = (*layout.obstacles, *layout.lanes)
     centres, halves = (np.array([getattr(box, part) for box in boxes]).reshape(-1, 3) for part in ("centre", "half"))
     rotations = np.array([box.R for box in boxes]).reshape(-1, 3, 3)
     return Space(layout.low.copy(), layout.high.copy(), centres, halves, rotations)
@@ -63,7 +73,7 @@ def _set_up_view(spec: mujoco.MjSpec, layout: Layout, reach_m: float) -> None:
     spec.visual.headlight.specular = [0.0, 0.0, 0.0]
 
 
-def _add_touched(spec: mujoco.MjSpec, layout: Layout) -> None:
+def add_touched(spec: mujoco.MjSpec, layout: Layout) -> None:
     """Add what a drone can touch: the floor, walls and ceiling if there are any, and the obstacles."""
     middle = 0.5 * (layout.low + layout.high)
     planes = [("floor", 2, layout.low)]

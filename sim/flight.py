@@ -5,18 +5,20 @@ from dataclasses import dataclass, replace
 import numpy as np
 import numpy.typing as npt
 
-from dronevio.models.errors import ConfigError
 from dronevio.models.imu import ImuConstants, ImuSamples, Times
 from dronevio.models.progress import Progress, silent
+from dronevio.models.rig import Rig
 from dronevio.models.state import Trajectory
+from dronevio.sim.collisions import Collision
 from dronevio.sim.controller import SE3Controller
 from dronevio.sim.imu import ImuErrors
 from dronevio.sim.interpolation import interpolated_poses
 from dronevio.sim.path import Reference, plan_reference
 from dronevio.sim.plant import QuadrotorPlant
 from dronevio.sim.scenario import Scenario
+from dronevio.sim.schedule import FrameSchedule, beat, schedule_frames
 from dronevio.sim.vibration import RotorTones
-from dronevio.sim.world import place_of
+from dronevio.sim.world import place_of, touched_of
 
 Array = npt.NDArray[np.float64]
 
@@ -29,20 +31,45 @@ class Flight:
 
     scenario: Scenario
     """What was to be flown."""
+    true_rig: Rig
+    """The rig that really flew; the scenario's has what the calibration says."""
     imu: ImuSamples
     """What the IMU measured, with its errors: points at its rate, from t = 0 to the end."""
     truth: Trajectory
     """The IMU's true motion at each of its time stamps, with velocity and the true biases."""
-    frame_times_ns: Times
-    """(M,) When the camera exposes [ns], from t = 0."""
-    Ts_world_cam: Array
-    """(M, 4, 4) True poses of the main camera at those times."""
+    schedule: FrameSchedule
+    """When the frames are taken, as stamped and in truth."""
     reference: Reference
     """The path that the controller was given."""
     perfect_imu: ImuSamples
     """What a perfect IMU would have read, at the time stamps of ``imu``."""
     imu_constants: ImuConstants
     """What is constant of the IMU's errors: scale, misalignment, g-sensitivity and the biases at switch-on."""
+    collision: Collision | None
+    """What the drone flew into, which ended the flight; None if it came home."""
+
+    @property
+    def frame_times_ns(self) -> Times:
+        """(M,) Time stamps of the frames [ns]."""
+        return self.schedule.stamps_ns
+
+    @property
+    def Ts_world_cam(self) -> Array:
+        """(M, 4, 4) True poses of the main camera when its frames were taken."""
+        return interpolated_poses(self.truth, self.schedule.exposed_ns) @ self.true_rig.cameras[0].T_imu_cam
+
+
+def plant_of(scenario: Scenario) -> QuadrotorPlant:
+    """Return the vehicle of a scenario on its pad, in its world and wind."""
+    return QuadrotorPlant(
+        scenario.true_rig,
+        scenario.quadrotor,
+        surroundings=touched_of(scenario.world, scenario.seed),
+        pad_m=place_of(scenario.world, scenario.seed).pad,
+        wind=scenario.wind,
+        failure=scenario.faults.motor_failure,
+        rng=scenario.generator("wind"),
+    )
 
 
 def reference_of(scenario: Scenario, plant: QuadrotorPlant) -> Reference:
@@ -56,7 +83,7 @@ def reference_of(scenario: Scenario, plant: QuadrotorPlant) -> Reference:
 
 
 def fly(scenario: Scenario, progress: Progress = silent) -> Flight:
-    """Fly a scenario: the controller follows the path by the true state.
+    """Fly a scenario: the controller follows the path by the true state, until it is done or the drone has crashed.
 
     Args:
         scenario: What to fly.
@@ -68,39 +95,38 @@ def fly(scenario: Scenario, progress: Progress = silent) -> Flight:
     Raises:
         ConfigError: The scenario does not fit together.
     """
-    plant = QuadrotorPlant(scenario.rig, scenario.quadrotor)
+    rig = scenario.true_rig
+    plant = plant_of(scenario)
     reference = reference_of(scenario, plant)
-    controller = SE3Controller(reference, scenario.rig.T_vehicle_imu, scenario.quadrotor)
+    controller = SE3Controller(reference, rig.T_vehicle_imu, scenario.quadrotor)
     steps = len(reference) - 1
     for step in range(steps):
         if step % _REPORT_EVERY == 0:
             progress(step, steps)
         plant.advance(plant.t_ns + plant.interval_ns, controller.command(plant.state(), plant.t_ns))
+        if plant.collision is not None:
+            break
     progress(steps, steps)
     motion = plant.motion()
-    perfect = motion.points(scenario.rig.T_vehicle_imu, plant.interval_s)
+    perfect = motion.points(rig.T_vehicle_imu, plant.interval_s)
     rng = scenario.generator("imu")
-    vibration = RotorTones(scenario.quadrotor, scenario.rig, rng.spawn(1)[0])
-    errors = ImuErrors(scenario.rig.imu, rng, vibration)
+    errors = ImuErrors(rig.imu, rng, RotorTones(scenario.quadrotor, rig, rng.spawn(1)[0]))
     imu, gyro_bias, accel_bias = errors.add_to(perfect, motion.rotor_speeds_rad_s)
-    truth = replace(
-        motion.trajectory(scenario.rig.T_vehicle_imu), gyro_bias_rad_s=gyro_bias, accel_bias_m_s2=accel_bias
-    )
-    frame_times_ns, Ts_world_cam = _camera_poses(scenario, truth)
-    return Flight(scenario, imu, truth, frame_times_ns, Ts_world_cam, reference, perfect, errors.constants)
+    truth = replace(motion.trajectory(rig.T_vehicle_imu), gyro_bias_rad_s=gyro_bias, accel_bias_m_s2=accel_bias)
+    schedule = _schedule(scenario, rig, truth)
+    return Flight(scenario, rig, imu, truth, schedule, reference, perfect, errors.constants, plant.collision)
 
 
-def _camera_poses(scenario: Scenario, truth: Trajectory) -> tuple[Times, Array]:
-    """Return the frames' time stamps (M,) [ns] and the main camera's poses (M, 4, 4) when they were really taken.
-
-    Raises:
-        ConfigError: The rig has no camera.
-    """
-    if not scenario.rig.cameras:
-        raise ConfigError("rig without a camera; expected one at least")
-    camera = scenario.rig.cameras[0]
-    interval_ns = round(1e9 / camera.rate_hz)
-    stamps_ns = np.arange(0, int(truth.t_ns[-1]), interval_ns, dtype=np.int64)
-    taken_ns = stamps_ns + round(scenario.rig.time_offset_s * 1e9)
-    seen = (taken_ns >= truth.t_ns[0]) & (taken_ns <= truth.t_ns[-1])
-    return stamps_ns[seen], interpolated_poses(truth, taken_ns[seen]) @ camera.T_imu_cam
+def _schedule(scenario: Scenario, rig: Rig, truth: Trajectory) -> FrameSchedule:
+    """Return when the frames of a flight are taken; all within the known motion."""
+    first_ns, last_ns = int(truth.t_ns[0]), int(truth.t_ns[-1])
+    faults = scenario.faults
+    return schedule_frames(
+        beat(first_ns, last_ns, rig.cameras[0].rate_hz),
+        scenario.generator("frames"),
+        rig.time_offset_s,
+        faults.stamp_jitter_s,
+        faults.dropped_frames,
+        faults.dark_from_s,
+        faults.dark_for_s,
+    ).within(first_ns, last_ns)

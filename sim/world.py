@@ -8,15 +8,21 @@ import numpy as np
 import numpy.typing as npt
 
 from dronevio.models.errors import ConfigError
-from dronevio.sim.assembly import assembled, outline_of, space_of
+from dronevio.sim.assembly import Looks, add_touched, assembled, outline_of, space_of
 from dronevio.sim.layout import Layout, Poses, WorldBuilder
 from dronevio.sim.lightmap import bake, daylight
-from dronevio.sim.scenery import Page, paint_pages
+from dronevio.sim.scenery import paint_pages, painted
 from dronevio.sim.solids import visible_faces
 from dronevio.sim.space import Place, Space
 from dronevio.sim.worlds.corridor import CORRIDOR
+from dronevio.sim.worlds.dark import DARK
 from dronevio.sim.worlds.forest import FOREST
 from dronevio.sim.worlds.gates import GATES
+from dronevio.sim.worlds.hall import HALL
+from dronevio.sim.worlds.low_texture import LOW_TEXTURE
+from dronevio.sim.worlds.mirror import MIRROR
+from dronevio.sim.worlds.moving import MOVING
+from dronevio.sim.worlds.repetitive import REPETITIVE
 from dronevio.sim.worlds.room import ROOM
 from dronevio.sim.worlds.warehouse import WAREHOUSE
 
@@ -26,8 +32,14 @@ WORLDS: dict[str, WorldBuilder] = {
     "room": ROOM,
     "corridor": CORRIDOR,
     "warehouse": WAREHOUSE,
+    "hall": HALL,
     "forest": FOREST,
     "gates": GATES,
+    "low-texture": LOW_TEXTURE,
+    "repetitive": REPETITIVE,
+    "dark": DARK,
+    "mirror": MIRROR,
+    "moving": MOVING,
 }
 """The worlds that `build_world` knows, by name."""
 
@@ -82,11 +94,9 @@ def build_world(name: str, seed: int) -> World:
     Raises:
         ConfigError: There is no such world.
     """
-    if name not in WORLDS:
-        raise ConfigError(f"unknown world {name!r}; expected one of {', '.join(WORLDS)}")
-    painted = _painted(name, seed)
-    layout = painted.layout
-    spec = assembled(layout, painted.pages, painted.moving_pages)
+    _require(name)
+    layout, looks = _painted(name, seed)
+    spec = assembled(layout, looks)
     spec.modelname = f"{name}-{seed}"
     return World(
         name,
@@ -109,37 +119,48 @@ def place_of(name: str, seed: int) -> Place:
     Raises:
         ConfigError: There is no such world.
     """
-    if name not in WORLDS:
-        raise ConfigError(f"unknown world {name!r}; expected one of {', '.join(WORLDS)}")
+    _require(name)
     layout = WORLDS[name].layout(_generators(seed)[0])
     return Place(space_of(layout), layout.free_box, layout.pad, layout.route)
 
 
-@dataclass(frozen=True, eq=False)
-class _Painted:
-    """A layout and what it looks like."""
+def touched_of(name: str, seed: int) -> mujoco.MjSpec:
+    """Return what a drone can touch of a world, and nothing that is only seen, without the seconds of painting.
 
-    layout: Layout
-    pages: tuple[Page, ...]
-    moving_pages: tuple[tuple[Page, ...], ...]
+    Raises:
+        ConfigError: There is no such world.
+    """
+    _require(name)
+    spec = mujoco.MjSpec()
+    add_touched(spec, WORLDS[name].layout(_generators(seed)[0]))
+    return spec
+
+
+def _require(name: str) -> None:
+    """Raise ConfigError unless there is a world of that name."""
+    if name not in WORLDS:
+        raise ConfigError(f"unknown world {name!r}; expected one of {', '.join(WORLDS)}")
 
 
 @lru_cache(maxsize=2)
-def _painted(name: str, seed: int) -> _Painted:
-    """Return the painted layout of a world; kept, since painting takes a second or two."""
+def _painted(name: str, seed: int) -> tuple[Layout, Looks]:
+    """Return the layout of a world and what it looks like; kept, since painting takes a second or two."""
     drawing, paint = _generators(seed)
     layout = WORLDS[name].layout(drawing)
     faces = [*layout.shell, *visible_faces(layout.boxes, layout.low, layout.high)]
+    floor = [] if layout.mirror is None else [layout.mirror.face]
     shading = layout.shading
     if shading is None:
         shading = tuple(box for box in layout.boxes if box.glow == 0.0)
-    pages = paint_pages(faces, bake(faces, shading, layout.lights), paint)
+    light = bake([*faces, *floor], shading, layout.lights)
+    pages = paint_pages(faces, light[: len(faces)], paint)
     pages += [shared.page(paint) for shared in layout.prints]
+    reflecting = [painted(face, light[-1], paint) for face in floor]
     moving_pages = []
     for thing in layout.moving:
         sides = [face for box in thing.boxes for face in box.faces()]
-        moving_pages.append(tuple(paint_pages(sides, daylight(sides), paint, _MOVING_PAGE_PX)))
-    return _Painted(layout, tuple(pages), tuple(moving_pages))
+        moving_pages.append(paint_pages(sides, daylight(sides), paint, _MOVING_PAGE_PX))
+    return layout, Looks(pages, moving_pages, reflecting[0] if reflecting else None)
 
 
 def _generators(seed: int) -> tuple[np.random.Generator, ...]:

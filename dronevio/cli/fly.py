@@ -1,11 +1,12 @@
 """``dronevio fly``: from a scenario to a recording."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from dronevio.cli.terminal import parse, print_json, print_table, progress_bars
+from dronevio.cli.flight_options import FlightOptions, Flown, parse_flight
+from dronevio.cli.terminal import print_json, print_table, progress_bars
 
 if TYPE_CHECKING:
     from dronevio.sim.flight import Flight
@@ -24,10 +25,8 @@ class FlyCommand:
       dronevio fly && dronevio estimate recordings/room-0
     """
 
-    scenario: str = "room"
-    """What to fly; `dronevio scenarios` lists them."""
-    seed: int = 0
-    """Draws the room, the way through it and the sensors' noise."""
+    flight: Flown = field(default_factory=FlightOptions)
+    """What to fly."""
     out: Path | None = None
     """Folder to make; recordings/SCENARIO-SEED by default."""
     overwrite: bool = False
@@ -38,14 +37,13 @@ class FlyCommand:
 
 def main(arguments: Sequence[str]) -> int:
     """Run the command."""
-    command = parse(FlyCommand, arguments, "fly")
+    command = parse_flight(FlyCommand, arguments, "fly")
 
     from dronevio.cli.folders import atomic_folder, size_mb
     from dronevio.flying import record_flight
     from dronevio.sim.gl import require_gl
-    from dronevio.sim.scenario import scenario
 
-    chosen = scenario(command.scenario, command.seed)
+    chosen = command.flight.chosen()
     target = command.out or Path("recordings") / f"{chosen.name}-{chosen.seed}"
     require_gl()
     with atomic_folder(target, command.overwrite) as folder, progress_bars(quiet=command.json) as bars:

@@ -1,13 +1,15 @@
 """``dronevio run``: the whole mission, from physics to the report."""
 
 import json
+import shlex
 import shutil
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from dronevio.cli.terminal import Bars, parse, print_json, print_table, progress_bars
+from dronevio.cli.flight_options import FlightOptions, Flown, parse_flight
+from dronevio.cli.terminal import Bars, print_json, print_table, progress_bars
 from dronevio.estimator.vio import VioConfig
 
 if TYPE_CHECKING:
@@ -29,10 +31,8 @@ class RunCommand:
       dronevio run --json > result.json
     """
 
-    scenario: str = "room"
-    """What to fly; `dronevio scenarios` lists them."""
-    seed: int = 0
-    """Draws the room, the way through it and the sensors' noise."""
+    flight: Flown = field(default_factory=FlightOptions)
+    """What to fly."""
     out: Path | None = None
     """Folder to make; runs/SCENARIO-SEED by default, with a number behind it where that is taken."""
     overwrite: bool = False
@@ -47,20 +47,19 @@ class RunCommand:
 
 def main(arguments: Sequence[str]) -> int:
     """Run the command."""
-    command = parse(RunCommand, arguments, "run")
+    command = parse_flight(RunCommand, arguments, "run")
 
     from dronevio.cli.folders import atomic_folder
     from dronevio.sim.gl import require_gl
-    from dronevio.sim.scenario import scenario
 
-    chosen = scenario(command.scenario, command.seed)
+    chosen = command.flight.chosen()
     target = command.out or _free_name(Path("runs") / f"{chosen.name}-{chosen.seed}")
     require_gl()
     with (
         atomic_folder(target, command.overwrite, mark="report.json") as folder,
         progress_bars(quiet=command.json) as bars,
     ):
-        _carry_out(chosen, command.estimator, folder, target, bars)
+        _carry_out(chosen, command.estimator, folder, target, _repeat(chosen, arguments), bars)
         if not command.keep_recording:
             shutil.rmtree(folder / "recording")
     report = json.loads((target / "report.json").read_text(encoding="utf-8"))
@@ -73,7 +72,7 @@ def main(arguments: Sequence[str]) -> int:
     return 0
 
 
-def _carry_out(scenario: "Scenario", config: VioConfig, folder: Path, target: Path, bars: Bars) -> None:
+def _carry_out(scenario: "Scenario", config: VioConfig, folder: Path, target: Path, repeat: str, bars: Bars) -> None:
     """Fly, estimate, score and log a scenario; everything that is left of it lies in ``folder``."""
     from dronevio import __version__
     from dronevio.estimation import estimate_recording, require_poses
@@ -106,13 +105,27 @@ def _carry_out(scenario: "Scenario", config: VioConfig, folder: Path, target: Pa
     outline = build_world(scenario.world, scenario.seed).outline
     info = RunInfo(
         title=f"{scenario.name}: {scenario.description}",
-        command=f"dronevio run --scenario {scenario.name} --seed {scenario.seed}",
+        command=repeat,
         open_command=f"dronevio view {target}",
         seed=scenario.seed,
         configuration=configuration,
     )
     write_rrd(folder / "run.rrd", recording, run, scored, outline=outline, progress=listeners["logging"])
     write_report(folder, info, recording, run, scored, outline=outline)
+
+
+def _repeat(scenario: "Scenario", arguments: Sequence[str]) -> str:
+    """Return the command that flies and estimates the same again, wherever its results go."""
+    words = [f"--scenario={scenario.name}", f"--seed={scenario.seed}"]
+    rest = iter(arguments)
+    for word in rest:
+        name, equals, _ = word.partition("=")
+        if name in ("--scenario", "--seed", "--out"):
+            if not equals:
+                next(rest, None)
+        elif name not in ("--json", "--overwrite", "--keep-recording"):
+            words.append(word)
+    return shlex.join(["dronevio", "run", *words])
 
 
 def _free_name(wanted: Path) -> Path:

@@ -29,14 +29,13 @@ def main(arguments: Sequence[str]) -> int:
 
     import math
 
-    from dronevio.sim.flight import reference_of
-    from dronevio.sim.plant import QuadrotorPlant
-    from dronevio.sim.scenario import SCENARIOS, scenario
+    from dronevio.sim.flight import plant_of, reference_of
+    from dronevio.sim.scenarios import SCENARIOS, scenario
 
     rows = []
     for name in SCENARIOS:
         chosen = scenario(name, command.seed)
-        reference = reference_of(chosen, QuadrotorPlant(chosen.rig, chosen.quadrotor))
+        reference = reference_of(chosen, plant_of(chosen))
         rows.append(
             {
                 "name": name,

@@ -5,7 +5,7 @@ import json
 import sys
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from typing import TypeVar
+from typing import Any, TypeVar
 
 import tyro
 from rich.console import Console
@@ -18,14 +18,16 @@ from dronevio.models.progress import Progress
 Command = TypeVar("Command")
 
 
-def parse(command: type[Command], arguments: Sequence[str], name: str) -> Command:
+def parse(command: type[Command], arguments: Sequence[str], name: str, default: Command | None = None) -> Command:
     """Return the dataclass ``command`` filled from the command line; its docstring is the ``--help``.
 
-    A wrong argument prints what is wrong and exits with 2.
+    What is not given is as in ``default``, or as the dataclass has it. A wrong argument prints what is wrong and exits
+    with 2.
     """
     # Left to itself, tyro takes the examples out of the docstring.
     description = inspect.cleandoc(command.__doc__ or "")
-    return tyro.cli(command, args=list(arguments), prog=f"dronevio {name}", description=description)
+    settings: dict[str, Any] = {} if default is None else {"default": default}
+    return tyro.cli(command, args=list(arguments), prog=f"dronevio {name}", description=description, **settings)
 
 
 @contextmanager

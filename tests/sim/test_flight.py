@@ -7,7 +7,8 @@ from dronevio.models.errors import ConfigError
 from dronevio.models.rig import euroc_rig
 from dronevio.sim.flight import Flight, fly
 from dronevio.sim.room import FREE_BOX_M
-from dronevio.sim.scenario import SCENARIOS, Scenario, scenario
+from dronevio.sim.scenario import Scenario
+from dronevio.sim.scenarios import SCENARIOS, scenario
 
 
 @pytest.fixture(scope="module", params=[0, 13])
@@ -143,7 +144,7 @@ def test_unknown_names_and_seeds_are_refused() -> None:
 
 
 def test_subsystems_draw_from_streams_of_their_own() -> None:
-    one: Scenario = SCENARIOS["room"]
+    one: Scenario = SCENARIOS["room-v0"]
     assert one.generator("path").random() != one.generator("imu").random()
     assert one.generator("path").random() == one.generator("path").random()
     assert one.generator("path").random() != replace(one, seed=1).generator("path").random()

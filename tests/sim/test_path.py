@@ -7,7 +7,7 @@ from dronevio.models.errors import ConfigError
 from dronevio.models.rotation import exp_so3
 from dronevio.sim.path import Reference, attitude, plan_reference
 from dronevio.sim.plan import FlightPlan
-from dronevio.sim.scenario import SCENARIOS
+from dronevio.sim.scenarios import SCENARIOS
 from dronevio.sim.space import Place, Space
 
 BOX = np.array([[-2.8, -1.9, 0.0], [2.8, 1.9, 2.4]])
