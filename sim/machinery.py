@@ -86,7 +86,7 @@ def drumlike(
     sheets.append(Sheet(mantle(top, radius_m * np.array([0.0, 0.6, 1.0]), sides), cap, pixels_per_m=_PPM))
     solid = filling(radius_m, 0.0, length_m, sides)
     if dome_m > 0.0:
-        solid += filling(0.62 * radius_m, length_m, length_m + 0.9 * dome_m, 4)
+        solid += filling(0.64 * radius_m, length_m, length_m + dome_m, 8)
     return Kit((), tuple(sheets), tuple(solid))
 
 
@@ -247,6 +247,6 @@ def crane(rng: Random, span_m: float, height_m: float) -> Kit:
     ]
     y = rng.uniform(-0.3, 0.3) * span_m
     boxes.append(block((0.0, y, height_m + 0.3), (0.8, 0.9, 0.5), steel((170, 72, 56))))
-    boxes.append(block((0.0, y, height_m - 0.9), (0.03, 0.03, 1.2), steel((60, 60, 62))))
-    boxes.append(block((0.0, y, height_m - 1.3), (0.3, 0.2, 0.4), works.hazard))
+    boxes.append(block((0.0, y, height_m - 0.6), (0.03, 0.03, 0.9), steel((60, 60, 62))))
+    boxes.append(block((0.0, y, height_m - 0.95), (0.3, 0.2, 0.4), works.hazard))
     return kit_of(boxes)

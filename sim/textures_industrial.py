@@ -370,7 +370,7 @@ def roller_door(rng: Random, height: int, width: int, colour: Colour, ppm: float
                 a = (int(x * width), y + slat // 5)
                 cv2.rectangle(image, a, (a[0] + int(0.1 * width), y + 4 * slat // 5), (196, 210, 218), -1)
                 cv2.rectangle(image, a, (a[0] + int(0.1 * width), y + 4 * slat // 5), BLACK, 2)
-    foot = max(int(0.25 * ppm), 4)
+    foot = min(max(int(0.25 * ppm), 4), height)
     image[-foot:] = hazard(rng, foot, width)
     size = int(0.9 * ppm)
     at = (int(0.4 * width), int(0.35 * height))

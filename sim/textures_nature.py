@@ -147,14 +147,14 @@ def distance(rng: Random, height: int, width: int, colours: tuple[Colour, ...]) 
     image = shade((r, g, b), closing_grain(rng, height, width, (1, 2, 5, 20)), 0.16)
     for colour in colours:
         other = shade(colour, closing_grain(rng, height, width, (1, 2, 5)), 0.16)
-        image = mixed(image, other, closing_grain(rng, height // 4, width // 4, (3, 8, 20)) - 0.3)
+        image = mixed(image, other, closing_grain(rng, height // 4 + 1, width // 4 + 1, (3, 8, 20)) - 0.3)
     return image
 
 
 def bark(rng: Random, height: int, width: int, colour: Colour) -> Image:
     """Return the bark around a trunk: ridges and fissures upward, knots, lichen, moss near the ground; it closes."""
-    tall = cv2.resize(np.abs(closing_grain(rng, height // 12, width, (3, 8))), (width, height))
-    warp = cv2.resize(closing_grain(rng, height // 16, width, (8, 24)), (width, height))
+    tall = cv2.resize(np.abs(closing_grain(rng, max(height // 12, 1), width, (3, 8))), (width, height))
+    warp = cv2.resize(closing_grain(rng, max(height // 16, 1), width, (8, 24)), (width, height))
     x, y = np.meshgrid(np.arange(width, dtype=np.float32), np.arange(height, dtype=np.float32))
     fissures = cv2.remap(tall, x + 6.0 * warp, y, cv2.INTER_LINEAR, borderMode=cv2.BORDER_WRAP)
     tone = 1.1 * np.minimum(fissures, 1.3) - 0.75 + 0.3 * closing_grain(rng, height, width, (1, 3, 9, 60))
