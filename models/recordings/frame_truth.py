@@ -13,7 +13,7 @@ import numpy.typing as npt
 from dronevio.models.errors import InputError
 from dronevio.models.imu import Times
 from dronevio.models.recordings.files import read_text
-from dronevio.models.recordings.timed_table import TIME_LIMIT_NS, TableFormat, parse_integer_ns, read_timed_table
+from dronevio.models.recordings.timed_table import TIME_LIMIT_NS, TableFormat, parse_integer_ns, parse_timed_table
 
 Array = npt.NDArray[np.float64]
 
@@ -47,9 +47,18 @@ def read_frame_truth(path: Path) -> FrameTruth:
     Raises:
         InputError: It is missing, cut off or not such a table, or time does not increase.
     """
-    table = read_timed_table(path, FRAME_TRUTH_TABLE)
+    return parse_frame_truth(path, read_text(path, FRAME_TRUTH_TABLE.name))
+
+
+def parse_frame_truth(path: Path, text: str) -> FrameTruth:
+    """Read the truth about frames from its text, which comes from ``path``.
+
+    Raises:
+        InputError: It is cut off or not such a table, or time does not increase.
+    """
+    table = parse_timed_table(path, text, FRAME_TRUTH_TABLE)
     # 53 bits of a float do not hold a time since 1970 in nanoseconds, so this column is read again, as whole numbers.
-    rows = read_text(path, FRAME_TRUTH_TABLE.name).split("\n")
+    rows = text.split("\n")
     exposed_ns = [_exposed_ns(path, rows[line - 1], line) for line in table.lines.tolist()]
     exposure_s, gain, lit = np.ascontiguousarray(table.values[:, 1:].T)
     return FrameTruth(table.t_ns, np.array(exposed_ns, dtype=np.int64), exposure_s, gain, lit != 0.0)

@@ -19,24 +19,52 @@ def read_grey(path: Path, width: int, height: int) -> Image:
     Raises:
         InputError: The file is missing, damaged, no image, or of another size.
     """
-    import cv2  # only those who look at images pay for it
-
-    expected = f"an image of {width} × {height} px"
     try:
         data = path.read_bytes()
     except FileNotFoundError:
-        raise InputError(path, "no such file", expected) from None
+        raise InputError(path, "no such file", _expected(width, height)) from None
     except OSError as error:
-        raise InputError(path, f"cannot be read ({error.strerror})", expected) from None
+        raise InputError(path, f"cannot be read ({error.strerror})", _expected(width, height)) from None
+    return decode_grey(path, data, width, height)
+
+
+def decode_grey(path: Path, data: bytes, width: int, height: int, where: str = "") -> Image:
+    """Return the grey (height, width) image that a PNG, a JPEG or the like holds.
+
+    Args:
+        path: The file that it comes from, for messages.
+        data: The encoded image.
+        width: Columns that it should have [px].
+        height: Rows that it should have [px].
+        where: Where in the file it stands, for messages; with a colon and a space behind it.
+
+    Raises:
+        InputError: It is damaged, no image, or of another size.
+    """
+    import cv2  # only those who look at images pay for it
+
+    expected = _expected(width, height)
     fault = _fault(data)
     if fault:
-        raise InputError(path, fault, expected)
+        raise InputError(path, f"{where}{fault}", expected)
     image = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_GRAYSCALE)
     if image is None:
-        raise InputError(path, "no image that can be decoded", expected)
+        raise InputError(path, f"{where}no image that can be decoded", expected)
     if image.shape != (height, width):
-        raise InputError(path, f"an image of {image.shape[1]} × {image.shape[0]} px", expected)
+        raise InputError(path, f"{where}an image of {image.shape[1]} × {image.shape[0]} px", expected)
     return np.asarray(image, dtype=np.uint8)
+
+
+def encode_png(image: Image) -> bytes:
+    """Return a grey image as a PNG, quickly: the noise of a sensor hardly compresses however long one tries."""
+    import cv2
+
+    return bytes(cv2.imencode(".png", image, [cv2.IMWRITE_PNG_COMPRESSION, 1])[1])
+
+
+def _expected(width: int, height: int) -> str:
+    """Return what an image should be, for messages."""
+    return f"an image of {width} × {height} px"
 
 
 def _fault(data: bytes) -> str | None:

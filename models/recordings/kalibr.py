@@ -30,6 +30,8 @@ from dronevio.models.rotation import inverse_pose
 
 Array = npt.NDArray[np.float64]
 
+CAMCHAIN_FILE, IMU_FILE = "camchain.yaml", "imu.yaml"
+"""What Kalibr's documentation calls the files."""
 CAMERA_TOPIC = "/cam{}/image_raw"
 """The topic of a camera's images, as EuRoC's bags name it."""
 IMU_TOPIC = "/imu0"
@@ -72,11 +74,31 @@ class KalibrCalibration:
             return Rig(self.cameras, self.imu, self.T_vehicle_imu, self.time_offset_s)
 
 
-def read_kalibr(paths: Sequence[Path], rate_hz: float = 20.0) -> KalibrCalibration:
-    """Read a calibration from one or more files.
+def read_kalibr(path: Path, *more: Path) -> Rig:
+    """Read a rig.
 
     Args:
-        paths: One file or several, in any order: camchain, IMU.
+        path: A file with cameras and IMU; or a ``camchain.yaml`` beside which an ``imu.yaml`` lies, or the folder that
+            holds the two.
+        more: Other files, where what belongs together lies apart.
+
+    Raises:
+        InputError: As `read_calibration`; or the cameras or the IMU are missing.
+    """
+    path = Path(path)
+    chain = path / CAMCHAIN_FILE if path.is_dir() else path
+    beside = chain.with_name(IMU_FILE)
+    calibration = read_calibration([chain, *more])
+    if calibration.imu is None and beside.exists():
+        calibration = read_calibration([chain, *more, beside])
+    return calibration.rig()
+
+
+def read_calibration(paths: Sequence[Path], rate_hz: float = 20.0) -> KalibrCalibration:
+    """Read what one file says or several.
+
+    Args:
+        paths: The files, in any order: cameras, IMU, or both in one.
         rate_hz: Frame rate of cameras whose file does not say it [Hz]: Kalibr's own never do.
 
     Raises:
@@ -87,10 +109,10 @@ def read_kalibr(paths: Sequence[Path], rate_hz: float = 20.0) -> KalibrCalibrati
 
 
 def calibration_of(files: Sequence[SensorYaml], rate_hz: float = 20.0) -> KalibrCalibration:
-    """Return what the texts of Kalibr's files say; see `read_kalibr`.
+    """Return what the texts of Kalibr's files say; see `read_calibration`.
 
     Raises:
-        InputError: As `read_kalibr`.
+        InputError: As `read_calibration`.
     """
     paths = tuple(file.path for file in files)
     chain = _only([file for file in files if "cam0" in file.lines], "cameras")

@@ -102,7 +102,15 @@ def read_timed_table(path: Path, form: TableFormat) -> TimedTable:
         InputError: The file is missing, empty or cut off, has a row with too few or too many columns, something that
             is not a finite number, or time stamps that do not increase.
     """
-    text = read_text(path, form.name)
+    return parse_timed_table(path, read_text(path, form.name), form)
+
+
+def parse_timed_table(path: Path, text: str, form: TableFormat) -> TimedTable:
+    """Read a table from its text, which comes from ``path``; see `read_timed_table`.
+
+    Raises:
+        InputError: As `read_timed_table`.
+    """
     numbered = [(i, row) for i, line in enumerate(text.split("\n"), 1) if (row := line.strip()) and row[0] != "#"]
     if not numbered:
         raise InputError(path, "no rows", f"{form.name}: rows of {form.row}")

@@ -1,0 +1,298 @@
+"""Our data as the standard messages of ROS 2, and back.
+
+Times are whole nanoseconds on both sides and numbers are doubles on both, so nothing is rounded on the way. Frames of
+reference are ``world``, ``base_link`` (the vehicle), ``imu0``, ``cam0``, ``cam1``...
+"""
+
+import struct
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+from typing import TypeAlias
+
+import numpy as np
+import numpy.typing as npt
+from rosbags.typesys.stores import ros2_humble as ros
+
+from dronevio.models.camera import CameraModel
+from dronevio.models.errors import ConfigError, InputError
+from dronevio.models.imu import ImuModel, ImuSamples, Times
+from dronevio.models.recordings.euroc_calibration import LENS_NAMES
+from dronevio.models.recordings.images import decode_grey, encode_png
+from dronevio.models.rig import Rig
+from dronevio.models.rotation import inverse_pose, log_so3, quat_wxyz_from_matrix
+from dronevio.models.state import Trajectory
+
+Array = npt.NDArray[np.float64]
+Image = npt.NDArray[np.uint8]
+ImageMessage: TypeAlias = "ros.sensor_msgs__msg__Image | ros.sensor_msgs__msg__CompressedImage"
+PoseMessage: TypeAlias = (
+    "ros.nav_msgs__msg__Odometry | ros.geometry_msgs__msg__PoseStamped | ros.geometry_msgs__msg__TransformStamped"
+)
+
+WORLD, VEHICLE, IMU, CAMERA = "world", "base_link", "imu0", "cam{}"
+"""Frames of reference."""
+LAST_NS = 2**31 * 10**9
+"""Where the time stamps of ROS end: their seconds have 31 bits [ns]."""
+
+# Bytes a pixel, and OpenCV's name of the way to grey.
+_ENCODINGS: dict[str, tuple[int, str]] = {
+    "mono8": (1, ""),
+    "8UC1": (1, ""),
+    "bgr8": (3, "COLOR_BGR2GRAY"),
+    "8UC3": (3, "COLOR_BGR2GRAY"),
+    "rgb8": (3, "COLOR_RGB2GRAY"),
+    "bgra8": (4, "COLOR_BGRA2GRAY"),
+    "rgba8": (4, "COLOR_RGBA2GRAY"),
+}
+_ROS_LENSES = {"radtan": "plumb_bob", "equidistant": "equidistant"}
+_UNKNOWN = -1.0  # in the first element of a covariance: no such data (sensor_msgs/Imu)
+
+
+def header(t_ns: int, frame: str) -> ros.std_msgs__msg__Header:
+    """Return a header.
+
+    Raises:
+        ConfigError: The time is before 1970 or after 2038, which ROS cannot express.
+    """
+    if not 0 <= t_ns < LAST_NS:
+        raise ConfigError(f"a time stamp of {t_ns} ns; expected 0 to {LAST_NS}, all that ROS can express")
+    sec, nanosec = divmod(t_ns, 10**9)
+    return ros.std_msgs__msg__Header(ros.builtin_interfaces__msg__Time(sec, nanosec), frame)
+
+
+def stamp_ns(raw: bytes) -> int:
+    """Return the time stamp [ns] of a serialised message that begins with a header, without looking at the rest.
+
+    Raises:
+        ValueError: It does not.
+    """
+    if len(raw) < 12 or raw[:2] not in (b"\0\0", b"\0\1"):
+        raise ValueError("no message that begins with a time stamp")
+    sec, nanosec = struct.unpack_from("<iI" if raw[1] else ">iI", raw, 4)
+    if nanosec >= 10**9:
+        raise ValueError(f"a time stamp with {nanosec} ns beside its seconds")
+    return int(sec) * 10**9 + int(nanosec)
+
+
+def imu_messages(samples: ImuSamples, model: ImuModel) -> Iterator[tuple[int, ros.sensor_msgs__msg__Imu]]:
+    """Yield time stamp [ns] and message of each IMU sample; the covariances are those of the white noise."""
+    unknown = np.zeros(9)
+    unknown[0] = _UNKNOWN
+    gyro, accel = (
+        (density**2 * model.rate_hz * np.eye(3)).ravel()
+        for density in (model.gyro_noise_density, model.accel_noise_density)
+    )
+    level = ros.geometry_msgs__msg__Quaternion(0.0, 0.0, 0.0, 1.0)
+    rows = zip(samples.t_ns.tolist(), samples.gyro_rad_s.tolist(), samples.accel_m_s2.tolist(), strict=True)
+    for t_ns, w, a in rows:
+        turn, force = ros.geometry_msgs__msg__Vector3(*w), ros.geometry_msgs__msg__Vector3(*a)
+        yield t_ns, ros.sensor_msgs__msg__Imu(header(t_ns, IMU), level, unknown, turn, gyro, force, accel)
+
+
+def odometry_messages(truth: Trajectory) -> Iterator[tuple[int, ros.nav_msgs__msg__Odometry]]:
+    """Yield time stamp [ns] and message of each pose.
+
+    As ROS wants it, the twist is that of the IMU in its own frame: the true velocity, turned, and the mean angular
+    velocity until the next pose.
+    """
+    exact = np.zeros(36)
+    known = np.zeros(36)
+    linear, angular = np.zeros((len(truth), 3)), np.zeros((len(truth), 3))
+    if truth.velocity_m_s is None or len(truth) < 2:
+        known[0] = _UNKNOWN
+    else:
+        R = truth.rotations
+        linear = np.einsum("nji,nj->ni", R, truth.velocity_m_s)
+        turn = log_so3(np.einsum("nji,njk->nik", R[:-1], R[1:]))
+        angular[:-1] = turn / (np.diff(truth.t_ns) * 1e-9)[:, None]
+        angular[-1] = angular[-2]
+    poses = zip(truth.t_ns.tolist(), truth.p_world_imu.tolist(), truth.quat_wxyz.tolist(), strict=True)
+    for (t_ns, p, (qw, qx, qy, qz)), v, w in zip(poses, linear.tolist(), angular.tolist(), strict=True):
+        pose = ros.geometry_msgs__msg__Pose(
+            ros.geometry_msgs__msg__Point(*p), ros.geometry_msgs__msg__Quaternion(qx, qy, qz, qw)
+        )
+        twist = ros.geometry_msgs__msg__Twist(ros.geometry_msgs__msg__Vector3(*v), ros.geometry_msgs__msg__Vector3(*w))
+        yield (
+            t_ns,
+            ros.nav_msgs__msg__Odometry(
+                header(t_ns, WORLD),
+                IMU,
+                ros.geometry_msgs__msg__PoseWithCovariance(pose, exact),
+                ros.geometry_msgs__msg__TwistWithCovariance(twist, known),
+            ),
+        )
+
+
+def vector_messages(
+    t_ns: Times, vectors: Array, frame: str
+) -> Iterator[tuple[int, ros.geometry_msgs__msg__Vector3Stamped]]:
+    """Yield time stamp [ns] and message of each vector (N, 3)."""
+    for t, vector in zip(t_ns.tolist(), vectors.tolist(), strict=True):
+        yield (
+            t,
+            ros.geometry_msgs__msg__Vector3Stamped(header(t, frame), ros.geometry_msgs__msg__Vector3(*vector)),
+        )
+
+
+def transform_messages(truth: Trajectory) -> Iterator[tuple[int, ros.tf2_msgs__msg__TFMessage]]:
+    """Yield time stamp [ns] and message of each pose of the IMU in the world, for /tf."""
+    rows = zip(truth.t_ns.tolist(), truth.p_world_imu.tolist(), truth.quat_wxyz.tolist(), strict=True)
+    for t_ns, p, q in rows:
+        yield t_ns, ros.tf2_msgs__msg__TFMessage([_transform(t_ns, WORLD, IMU, p, q)])
+
+
+def rig_transforms(rig: Rig, t_ns: int) -> ros.tf2_msgs__msg__TFMessage:
+    """Return where the vehicle and the cameras are in the IMU frame, for /tf_static."""
+    poses = [(VEHICLE, inverse_pose(rig.T_vehicle_imu))]
+    poses += [(CAMERA.format(number), camera.T_imu_cam) for number, camera in enumerate(rig.cameras)]
+    return ros.tf2_msgs__msg__TFMessage(
+        [
+            _transform(t_ns, IMU, frame, T[:3, 3].tolist(), quat_wxyz_from_matrix(T[:3, :3]).tolist())
+            for frame, T in poses
+        ]
+    )
+
+
+def camera_info(model: CameraModel, t_ns: int, frame: str) -> ros.sensor_msgs__msg__CameraInfo:
+    """Return what a camera is, for who reads no other calibration.
+
+    The rolling shutter has no place in it.
+    """
+    k = [*model.distortion, 0.0] if model.lens == "radtan" else model.distortion  # plumb_bob has a third radial one
+    return ros.sensor_msgs__msg__CameraInfo(
+        header=header(t_ns, frame),
+        height=model.height,
+        width=model.width,
+        distortion_model=_ROS_LENSES[model.lens],
+        d=np.array(k),
+        k=model.K.ravel(),
+        r=np.eye(3).ravel(),
+        p=np.hstack([model.K, np.zeros((3, 1))]).ravel(),
+        binning_x=0,
+        binning_y=0,
+        roi=ros.sensor_msgs__msg__RegionOfInterest(0, 0, 0, 0, do_rectify=False),
+    )
+
+
+def camera_model(path: Path, topic: str, info: ros.sensor_msgs__msg__CameraInfo) -> CameraModel:
+    """Return the camera that a message describes.
+
+    Args:
+        path: The bag, for messages.
+        topic: Where it was published, for messages.
+        info: The message.
+
+    Raises:
+        InputError: It is of a model that is not supported, or not calibrated.
+    """
+    d = tuple(float(value) for value in info.d)
+    name = {"": "plumb_bob", "fisheye": "equidistant", "rational_polynomial": "plumb_bob"}.get(
+        info.distortion_model, info.distortion_model
+    )
+    if name not in LENS_NAMES:
+        raise InputError(path, f"{topic}: distortion_model {info.distortion_model!r}", "plumb_bob or equidistant")
+    if any(d[4:]) or len(d) not in (0, 4, 5, 8):
+        raise InputError(path, f"{topic}: distortion coefficients {list(d)}", "four, and zeros behind them")
+    fx, fy, cx, cy = (float(info.k[i]) for i in (0, 4, 2, 5))
+    k = (*d[:4], 0.0, 0.0, 0.0, 0.0)
+    try:
+        return CameraModel(info.width, info.height, fx, fy, cx, cy, (k[0], k[1], k[2], k[3]), LENS_NAMES[name])
+    except ConfigError as error:
+        raise InputError(path, f"{topic}: {str(error).partition('; ')[0]}", "a calibrated camera") from None
+
+
+def image_message(image: Image, t_ns: int, frame: str, png: bool) -> ImageMessage:
+    """Return a grey image as a message, pixel by pixel or as a PNG."""
+    if png:
+        data = np.frombuffer(encode_png(image), np.uint8)
+        return ros.sensor_msgs__msg__CompressedImage(header(t_ns, frame), "mono8; png compressed", data)
+    height, width = image.shape
+    pixels = np.ascontiguousarray(image).ravel()
+    return ros.sensor_msgs__msg__Image(header(t_ns, frame), height, width, "mono8", 0, width, pixels)
+
+
+def is_grey_or_colour(message: ImageMessage) -> bool:
+    """Say whether a message is an image that `grey_image` can read; a depth image is not."""
+    if isinstance(message, ros.sensor_msgs__msg__CompressedImage):
+        return "compressedDepth" not in message.format
+    return message.encoding in _ENCODINGS
+
+
+def grey_image(path: Path, where: str, message: ImageMessage, width: int, height: int) -> Image:
+    """Return the grey (height, width) image of a message.
+
+    Args:
+        path: The bag, for messages.
+        where: Topic and time, for messages.
+        message: The message.
+        width: Columns that it should have [px].
+        height: Rows that it should have [px].
+
+    Raises:
+        InputError: It is of another size or encoding, or damaged.
+    """
+    import cv2
+
+    if isinstance(message, ros.sensor_msgs__msg__CompressedImage):
+        return decode_grey(path, message.data.tobytes(), width, height, f"{where}: ")
+    if message.encoding not in _ENCODINGS:
+        found = f"{where}: an image with encoding {message.encoding!r}"
+        raise InputError(path, found, f"eight bits a channel: {', '.join(_ENCODINGS)}")
+    if (message.width, message.height) != (width, height):
+        found = f"{where}: an image of {message.width} × {message.height} px"
+        raise InputError(path, found, f"an image of {width} × {height} px")
+    channels, to_grey = _ENCODINGS[message.encoding]
+    if message.step < width * channels or len(message.data) != message.step * height:
+        found = f"{where}: an image of {len(message.data)} bytes in rows of {message.step}"
+        raise InputError(path, found, f"{height} rows of {width * channels} bytes or more")
+    rows = message.data.reshape(height, message.step)[:, : width * channels]
+    if not to_grey:
+        return np.ascontiguousarray(rows)
+    pixels = np.ascontiguousarray(rows).reshape(height, width, channels)
+    return np.asarray(cv2.cvtColor(pixels, getattr(cv2, to_grey)), dtype=np.uint8)
+
+
+def imu_samples(messages: Sequence[ros.sensor_msgs__msg__Imu]) -> tuple[Array, Array]:
+    """Return angular velocities (N, 3) [rad/s] and specific forces (N, 3) [m/s²] of messages.
+
+    Raises:
+        ValueError: One says that it lacks either.
+    """
+    if any(m.angular_velocity_covariance[0] == _UNKNOWN or m.linear_acceleration_covariance[0] == _UNKNOWN
+           for m in messages):  # fmt: skip
+        raise ValueError("IMU messages without angular velocity or linear acceleration")
+    gyro = [(m.angular_velocity.x, m.angular_velocity.y, m.angular_velocity.z) for m in messages]
+    accel = [(m.linear_acceleration.x, m.linear_acceleration.y, m.linear_acceleration.z) for m in messages]
+    return np.array(gyro).reshape(-1, 3), np.array(accel).reshape(-1, 3)
+
+
+def position_and_quat_wxyz(message: PoseMessage) -> tuple[float, ...]:
+    """Return x, y, z [m] and the orientation w, x, y, z of a pose message."""
+    if isinstance(message, ros.geometry_msgs__msg__TransformStamped):
+        p, q = message.transform.translation, message.transform.rotation
+        return (p.x, p.y, p.z, q.w, q.x, q.y, q.z)
+    pose = message.pose.pose if isinstance(message, ros.nav_msgs__msg__Odometry) else message.pose
+    p_, q = pose.position, pose.orientation
+    return (p_.x, p_.y, p_.z, q.w, q.x, q.y, q.z)
+
+
+def velocity_in_body(message: PoseMessage) -> tuple[float, float, float] | None:
+    """Return the velocity in the moving frame [m/s] of a pose message, None where it has none."""
+    if not isinstance(message, ros.nav_msgs__msg__Odometry) or message.twist.covariance[0] == _UNKNOWN:
+        return None
+    v = message.twist.twist.linear
+    return (v.x, v.y, v.z)
+
+
+def _transform(
+    t_ns: int, parent: str, child: str, p: Sequence[float], quat_wxyz: Sequence[float]
+) -> ros.geometry_msgs__msg__TransformStamped:
+    """Return the pose of a frame in its parent as a message."""
+    w, x, y, z = quat_wxyz
+    return ros.geometry_msgs__msg__TransformStamped(
+        header(t_ns, parent),
+        child,
+        ros.geometry_msgs__msg__Transform(
+            ros.geometry_msgs__msg__Vector3(*p), ros.geometry_msgs__msg__Quaternion(x, y, z, w)
+        ),
+    )
