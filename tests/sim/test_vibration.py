@@ -51,6 +51,16 @@ def test_imbalance_is_a_tone_at_the_rotors_speed_or_its_alias(frequency_hz: floa
     np.testing.assert_allclose(np.linalg.norm(accel, axis=1), 1e-6 * speed**2, rtol=1e-12)  # it turns with the rotor
 
 
+@pytest.mark.parametrize("rotor", range(4))
+def test_imbalance_turns_with_its_rotor_by_the_speed_held_since_the_last_stamp(rotor: int) -> None:
+    quadrotor, speeds = shaken(imbalance_m=1e-6), np.zeros((N, 4))
+    speeds[:, rotor] = np.random.default_rng(8).uniform(50.0, 600.0, N)  # less than half a turn an interval
+    _, accel = RotorTones(quadrotor, ALIGNED, np.random.default_rng(9)).felt(batch(), speeds)
+    pull = accel[:, 0] + 1j * accel[:, 1]
+    turned = np.angle(pull[1:] / pull[:-1])
+    np.testing.assert_allclose(turned, quadrotor.rotor_spins[rotor] * speeds[:-1, rotor] * 5e-3, atol=1e-9)
+
+
 @pytest.mark.parametrize(("blades", "harmonics"), [(2, 1), (3, 1)])
 def test_blades_pull_along_the_axis_as_often_as_they_pass(blades: int, harmonics: int) -> None:
     speed = 2.0 * np.pi * 20.0
