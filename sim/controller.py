@@ -43,10 +43,14 @@ class Gains:
     """Angular acceleration of yaw by attitude error [1/s²]: the rotors' drag torque is weak."""
     yaw_rate_per_s: float = 9.0
     """Angular acceleration of yaw by rate error [1/s]."""
-    observer_rad_s: float = 5.0
-    """Natural frequency of the disturbance observer [rad/s]: below the tilt's, which must do what it asks for."""
-    disturbance_max_m_s2: float = 5.0
-    """Greatest disturbance that is countered on each axis [m/s²]."""
+    force_observer_rad_s: float = 5.0
+    """Poles of the observer of what pushes [rad/s]: below the tilt's, which must do what it asks for."""
+    force_max_m_s2: float = 5.0
+    """Greatest push that is countered on each axis, by unit mass [m/s²]."""
+    torque_observer_rad_s: float = 12.0
+    """Poles of the observer of what turns [rad/s]: below the rotors', which must do what it asks for."""
+    torque_max_rad_s2: float = 60.0
+    """Greatest twist that is countered on each axis, by unit inertia [rad/s²]."""
     rotor_response_s: float = 0.03
     """Time constant that slower rotors are driven to by leading their command [s]."""
 
@@ -67,8 +71,10 @@ class Mixer:
         """
         low, high = self._low, self._high
         tilt = self._inverse[:, 1:3] @ torque_nm[:2]
-        tilt = tilt * min(1.0, (high - low) / max(float(np.ptp(tilt)), 1e-9))
-        lift = min(max(self._inverse[0, 0] * thrust_n, low - float(tilt.min())), high - float(tilt.max()))
+        least, most = float(tilt.min()), float(tilt.max())
+        share = min(1.0, (high - low) / max(most - least, 1e-9))
+        tilt = share * tilt
+        lift = min(max(self._inverse[0, 0] * thrust_n, low - share * least), high - share * most)
         base = lift + tilt
         yaw = self._inverse[:, 3] * torque_nm[2]
         room = np.where(yaw > 0.0, high - base, base - low)
@@ -77,29 +83,28 @@ class Mixer:
 
 
 class DisturbanceObserver:
-    """Estimates the acceleration that the model does not know, from velocities.
+    """Estimates the acceleration that a model does not know, from velocities, linear or angular.
 
     A Luenberger observer of velocity and a constant disturbance, both poles at the same place (as Tomić and Haddadin,
-    "A unified framework for external wrench estimation …", IROS 2014, for the force). Nothing is integrated but the
-    model's error, so nothing winds up when rotors saturate or the path is far.
+    "A unified framework for external wrench estimation …", IROS 2014). Nothing is integrated but the model's error, so
+    nothing winds up when rotors saturate or the path is far.
     """
 
-    def __init__(self, pole_rad_s: float, limit_m_s2: float) -> None:
+    def __init__(self, pole_rad_s: float, limit: float) -> None:
         self._velocity_gain = 2.0 * pole_rad_s
         self._disturbance_gain = pole_rad_s**2
-        self._limit = limit_m_s2
+        self._limit = limit
         self._predicted: Array | None = None
-        self.disturbance_m_s2 = np.zeros(3)
+        self.disturbance = np.zeros(3)
 
-    def update(self, velocity_m_s: Array, modelled_m_s2: Array, dt_s: float) -> None:
+    def update(self, velocity: Array, modelled: Array, dt_s: float) -> None:
         """Take the velocity (3,) now, and the acceleration (3,) that the model expects until the next call."""
         if self._predicted is None:
-            self._predicted = velocity_m_s.copy()
-        error = velocity_m_s - self._predicted
-        disturbance = self.disturbance_m_s2 + self._disturbance_gain * dt_s * error
-        self.disturbance_m_s2 = np.minimum(np.maximum(disturbance, -self._limit), self._limit)
-        change = modelled_m_s2 + self.disturbance_m_s2 + self._velocity_gain * error
-        self._predicted = self._predicted + dt_s * change
+            self._predicted = velocity
+        error = velocity - self._predicted
+        disturbance = self.disturbance + self._disturbance_gain * dt_s * error
+        self.disturbance = np.minimum(np.maximum(disturbance, -self._limit), self._limit)
+        self._predicted = self._predicted + dt_s * (modelled + self.disturbance + self._velocity_gain * error)
 
 
 class RotorDrive:
@@ -113,6 +118,7 @@ class RotorDrive:
         self._response_s = min(response_s, quadrotor.rotor_lag_s)
         self._fastest = quadrotor.rotor_speed_max_rad_s
         self.speeds_rad_s = np.zeros(4)
+        self.change_rad_s2 = np.zeros(4)
 
     def towards(self, wanted_rad_s: Array, dt_s: float) -> Array:
         """Return commands (4,) [rad/s] for the next ``dt_s`` that bring the rotors towards speeds (4,) [rad/s]."""
@@ -120,7 +126,8 @@ class RotorDrive:
         lead = (1.0 - np.exp(-dt_s / self._response_s)) / follows
         command = self.speeds_rad_s + lead * (wanted_rad_s - self.speeds_rad_s)
         command = np.minimum(np.maximum(command, 0.0), self._fastest)
-        self.speeds_rad_s = self.speeds_rad_s + follows * (command - self.speeds_rad_s)
+        self.change_rad_s2 = (follows / dt_s) * (command - self.speeds_rad_s)
+        self.speeds_rad_s = self.speeds_rad_s + dt_s * self.change_rad_s2
         return np.asarray(command)
 
 
@@ -148,7 +155,9 @@ class SE3Controller:
         self._step_s = float(reference.t_ns[1] - reference.t_ns[0]) * 1e-9
         self._mixer = Mixer(self._quadrotor)
         self._drive = RotorDrive(self._quadrotor, gains.rotor_response_s)
-        self._observer = DisturbanceObserver(gains.observer_rad_s, gains.disturbance_max_m_s2)
+        self._push = DisturbanceObserver(gains.force_observer_rad_s, gains.force_max_m_s2)
+        self._twist = DisturbanceObserver(gains.torque_observer_rad_s, gains.torque_max_rad_s2)
+        self._allocation = self._quadrotor.allocation
         self._T_imu_vehicle = inverse_pose(T_vehicle_imu)
         self._R_vehicle_imu = T_vehicle_imu[:3, :3]
         self._lever = T_vehicle_imu[:3, 3]
@@ -176,23 +185,38 @@ class SE3Controller:
         rate = self._R_vehicle_imu @ state.angular_velocity_rad_s
         velocity = state.velocity_m_s - R @ _cross(rate, self._lever)
         lift = float(ground_effect(self._quadrotor, T[2, 3] + self._quadrotor.rotor_height_m))
-        self._observe(row, R[:, 2], velocity, lift)
+        momentum = self._inertia * rate
+        momentum[2] += self._quadrotor.rotor_inertia_kg_m2 * float(self._spins @ self._drive.speeds_rad_s)
+        gyroscopic = _cross(rate, momentum)
+        if self._off_the_ground(row):
+            self._push.update(velocity, self._pushed(R[:, 2], velocity, lift), self._step_s)
+            self._twist.update(rate, self._twisted(gyroscopic, lift), self._step_s)
         force = self._acceleration(row, T[:3, 3], velocity)
         R_wanted = _attitude(force, float(self._reference.yaw_rad[row]))
-        torque = self._torque(row, R, R_wanted, rate)
+        torque = self._inertia * self._turn(row, R, R_wanted, rate) + gyroscopic
         torque[2] = self._yaw_drag(torque[2])
         wanted = self._mixer.speeds(self._quadrotor.mass_kg * float(force @ R[:, 2]) / lift, torque)
         return self._drive.towards(wanted, self._step_s)
 
-    def _observe(self, row: int, up: Array, velocity: Array, lift: float) -> None:
-        """Compare the velocity with what the rotors should have made of it, once the ground carries nothing."""
-        place = self._reference.position_m
-        self._aloft = self._aloft or place[row, 2] - place[0, 2] > _CLEAR_OF_GROUND_M
-        if self._aloft:
-            speeds, drone = self._drive.speeds_rad_s, self._quadrotor
-            thrust = lift * drone.thrust_n_per_rad2_s2 * float(speeds @ speeds) / drone.mass_kg
-            modelled = thrust * up - GRAVITY_M_S2 * _UP + self._drag(up, velocity, float(speeds.sum()))
-            self._observer.update(velocity, modelled, self._step_s)
+    def _off_the_ground(self, row: int) -> bool:
+        """Return whether the drone has left the ground, which could push it as no air does."""
+        height = self._reference.position_m[:, 2]
+        self._aloft = self._aloft or bool(height[row] - height[0] > _CLEAR_OF_GROUND_M)
+        return self._aloft
+
+    def _pushed(self, up: Array, velocity: Array, lift: float) -> Array:
+        """Return the acceleration (3,) that the rotors, gravity and still air make now [m/s²], in the world."""
+        speeds, drone = self._drive.speeds_rad_s, self._quadrotor
+        thrust = lift * drone.thrust_n_per_rad2_s2 * float(speeds @ speeds) / drone.mass_kg
+        return np.asarray(thrust * up - GRAVITY_M_S2 * _UP + self._drag(up, velocity, float(speeds.sum())))
+
+    def _twisted(self, gyroscopic: Array, lift: float) -> Array:
+        """Return the angular acceleration (3,) that the rotors make now [rad/s²], in the vehicle frame."""
+        drive, drone = self._drive, self._quadrotor
+        torque = self._allocation[1:] @ drive.speeds_rad_s**2
+        torque[:2] *= lift
+        torque[2] -= drone.rotor_inertia_kg_m2 * float(self._spins @ drive.change_rad_s2)
+        return np.asarray((torque - gyroscopic) / self._inertia)
 
     def _acceleration(self, row: int, position: Array, velocity: Array) -> Array:
         """Return the specific force (3,) that the rotors should give, in the world [m/s²] (Lee 2010, eq. 15)."""
@@ -202,7 +226,7 @@ class SE3Controller:
             gains.position_per_s2 * (reference.position_m[row] - position)
             + gains.velocity_per_s * (wanted - velocity)
             + reference.acceleration_m_s2[row]
-            - self._observer.disturbance_m_s2
+            - self._push.disturbance
             + GRAVITY_M_S2 * _UP
         )
         size = float(np.sqrt(force @ force))
@@ -224,16 +248,14 @@ class SE3Controller:
         climb = float(up @ velocity)
         return np.asarray((across * velocity + (along - across) * climb * up) / -drone.mass_kg)
 
-    def _torque(self, row: int, R: Array, R_wanted: Array, rate: Array) -> Array:
-        """Return the torque (3,) in the vehicle frame [N m] (Lee 2010, eq. 16)."""
+    def _turn(self, row: int, R: Array, R_wanted: Array, rate: Array) -> Array:
+        """Return the angular acceleration (3,) to ask for, in the vehicle frame [rad/s²] (Lee 2010, eq. 16)."""
         turn = R_wanted.T @ R
         attitude_error = 0.5 * np.array([turn[2, 1] - turn[1, 2], turn[0, 2] - turn[2, 0], turn[1, 0] - turn[0, 1]])
         wanted_rate = turn.T @ self._reference.rate_rad_s[row]
         wanted_change = turn.T @ self._reference.angular_acceleration_rad_s2[row] - _cross(rate, wanted_rate)
-        change = wanted_change - self._stiffness * attitude_error - self._damping * (rate - wanted_rate)
-        momentum = self._inertia * rate
-        momentum[2] += self._quadrotor.rotor_inertia_kg_m2 * float(self._spins @ self._drive.speeds_rad_s)
-        return np.asarray(self._inertia * change + _cross(rate, momentum))
+        errors = self._stiffness * attitude_error + self._damping * (rate - wanted_rate)
+        return np.asarray(wanted_change - errors - self._twist.disturbance)
 
     def _yaw_drag(self, torque_nm: float) -> float:
         """Return the part of a yaw torque [N m] that the rotors' drag is to give.

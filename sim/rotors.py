@@ -11,6 +11,7 @@ import numpy.typing as npt
 
 from dronevio.models.errors import ConfigError
 from dronevio.models.quadrotor import AIR_DENSITY_KG_M3, Quadrotor
+from dronevio.models.rotation import skew
 
 Array = npt.NDArray[np.float64]
 
@@ -88,8 +89,14 @@ class Rotors:
         self._quadrotor = quadrotor
         self._hubs = quadrotor.rotor_positions_m
         self._spins = quadrotor.rotor_spins
-        self._drag = 0.5 * AIR_DENSITY_KG_M3 * np.array(quadrotor.drag_area_m2)
+        self._body_drag = 0.5 * AIR_DENSITY_KG_M3 * np.array(quadrotor.drag_area_m2)
+        across, along = quadrotor.drag_n_s2_per_rad_m, quadrotor.inflow_n_s2_per_rad_m
+        self._rotor_drag = np.array([[across], [across], [along]])
         self._coasting = quadrotor.torque_nm_per_rad2_s2 / quadrotor.rotor_inertia_kg_m2
+        # the hubs move with v + Ω × r; forces f there sum up to Σ f and Σ r × f: the same matrix, transposed
+        levers = np.swapaxes(skew(self._hubs), 1, 2)
+        hub_twists = np.concatenate([np.tile(np.eye(3), (4, 1, 1)), levers], axis=2)
+        self._hub_twists = np.ascontiguousarray(hub_twists.transpose(1, 0, 2).reshape(12, 6))
 
     def start(self, speeds_rad_s: Array) -> RotorState:
         """Return the state of rotors that turn steadily at speeds (…, 4) [rad/s] on a full battery."""
@@ -124,27 +131,19 @@ class Rotors:
 
     def wrench(self, state: RotorState, air: Airflow) -> Array:
         """Return force [N] and torque [N m] (…, 6) on the centre of mass, in the vehicle frame."""
-        drone, speeds, rate = self._quadrotor, state.speed_rad_s, air.rate_rad_s
-        x, y, z = self._hubs.T
-        vx, vy, vz = (air.velocity_m_s[..., k, None] for k in range(3))
-        wx, wy, wz = (rate[..., k, None] for k in range(3))
-        drag = -drone.drag_n_s2_per_rad_m * speeds
-        fx = drag * (vx + wy * z - wz * y)  # the hub moves with v + ω × r
-        fy = drag * (vy + wz * x - wx * z)
-        inflow = drone.inflow_n_s2_per_rad_m * (vz + wx * y - wy * x)
-        square = speeds * speeds
-        fz = self._lift(air) * square - inflow * speeds
+        drone, speeds, velocity, rate = self._quadrotor, state.speed_rad_s, air.velocity_m_s, air.rate_rad_s
+        batch, square = speeds.shape[:-1], speeds * speeds
+        hubs = (np.concatenate([velocity, rate], axis=-1) @ self._hub_twists.T).reshape(*batch, 3, 4)
+        force = hubs * (-self._rotor_drag * speeds[..., None, :])
+        force[..., 2, :] += self._lift(air) * square
+        wrench = force.reshape(*batch, 12) @ self._hub_twists
+        wrench[..., :3] -= self._body_drag * velocity * np.sqrt((velocity * velocity).sum(axis=-1, keepdims=True))
         turning = drone.torque_nm_per_rad2_s2 * square + drone.rotor_inertia_kg_m2 * state.change_rad_s2
         momentum = drone.rotor_inertia_kg_m2 * (speeds @ self._spins)
-        body = self._drag * air.velocity_m_s * np.sqrt((air.velocity_m_s**2).sum(axis=-1, keepdims=True))
-        wrench = np.empty((*speeds.shape[:-1], 6))
-        wrench[..., 0] = fx.sum(axis=-1) - body[..., 0]
-        wrench[..., 1] = fy.sum(axis=-1) - body[..., 1]
-        wrench[..., 2] = fz.sum(axis=-1) - body[..., 2]
-        wrench[..., 3] = (y * fz - z * fy).sum(axis=-1) - rate[..., 1] * momentum
-        wrench[..., 4] = (z * fx - x * fz).sum(axis=-1) + rate[..., 0] * momentum
-        wrench[..., 5] = (x * fy - y * fx - self._spins * turning).sum(axis=-1)
-        return wrench
+        wrench[..., 3] -= rate[..., 1] * momentum
+        wrench[..., 4] += rate[..., 0] * momentum
+        wrench[..., 5] -= turning @ self._spins
+        return np.asarray(wrench)
 
     def _lift(self, air: Airflow) -> Array:
         """Return each rotor's thrust by its squared speed (…, 4), with the ground effect.
