@@ -115,10 +115,9 @@ def rig_of(name_or_file: str) -> Rig:
         if not path.exists() and (path.suffix or len(path.parts) > 1):
             raise ConfigError(f"no rig {name_or_file!r}; expected a file or folder that is there, or {', '.join(RIGS)}")
         return rig_named(name_or_file)
-    from dronevio.models.recordings.euroc import EurocRecording
-    from dronevio.models.recordings.kalibr import read_kalibr
+    from dronevio.models.recordings.open import rig_of_file
 
-    return EurocRecording.open(path).rig if path.is_dir() else read_kalibr([path]).rig()
+    return rig_of_file(path)
 
 
 def _write_settings(folder: Path, settings: dict[str, object]) -> None:

@@ -9,29 +9,36 @@ import tyro
 
 from dronevio.cli.terminal import parse, print_json, print_table, progress_bars
 from dronevio.estimator.vio import VioConfig
+from dronevio.models.recordings.bag_options import BagTopics
 
 
 @dataclass(frozen=True)
 class EstimateCommand:
     """Estimate the motion of a recording from its IMU and first camera.
 
-    The recording is any EuRoC (ASL) folder with a pinhole camera, with or without radial-tangential distortion. The
-    result is a TUM file: one pose of the IMU for each frame since the start, in a world whose z axis points up, each
-    computed from what was measured up to its frame.
+    The recording is any EuRoC (ASL) folder with a pinhole camera, with or without radial-tangential distortion, or such
+    a flight as a ROS 2 bag (.mcap, .db3, or a folder). A bag that does not say how noisy its IMU is, or where its
+    camera is, needs Kalibr's files. The result is a TUM file: one pose of the IMU for each frame since the start, in a
+    world whose z axis points up, each computed from what was measured up to its frame.
 
     Examples:
       dronevio estimate recordings/room-0
       dronevio estimate V1_01_easy --out v101.tum
+      dronevio estimate flight.mcap --calibration camchain.yaml imu.yaml --topics.images /left/image_raw
       dronevio estimate V1_01_easy --estimator.tracker.cell-px 36
       dronevio evaluate V1_01_easy v101.tum
     """
 
     recording: Annotated[Path, tyro.conf.Positional]
-    """EuRoC folder: the one that holds mav0, or mav0 itself."""
+    """EuRoC folder, or ROS 2 bag."""
     out: Path = Path("estimate.tum")
     """File to write."""
     json: bool = False
     """Print one JSON document instead of a table."""
+    calibration: tuple[Path, ...] = ()
+    """Kalibr's camchain.yaml, imu.yaml or both, in place of what a bag says."""
+    topics: BagTopics = field(default_factory=BagTopics)
+    """Topics of a bag, where they cannot be found by type."""
     estimator: VioConfig = field(default_factory=VioConfig)
     """Settings of the estimator."""
 
@@ -42,12 +49,12 @@ def main(arguments: Sequence[str]) -> int:
 
     from dronevio.estimation import estimate_recording, require_poses
     from dronevio.estimator.vio import VisualInertialOdometry
-    from dronevio.models.recordings.euroc import EurocRecording
     from dronevio.models.recordings.files import check_place
+    from dronevio.models.recordings.open import open_recording
     from dronevio.models.recordings.tum import write_tum
 
     check_place(command.out)  # rather now than when the work is done
-    recording = EurocRecording.open(command.recording, cameras=1)
+    recording = open_recording(command.recording, 1, command.calibration, command.topics)
     with progress_bars(quiet=command.json) as bars:
         run = estimate_recording(
             recording, VisualInertialOdometry(recording.rig, command.estimator), bars.bar("estimating")
@@ -57,6 +64,7 @@ def main(arguments: Sequence[str]) -> int:
     summary = {
         "recording": str(command.recording),
         "estimate": str(command.out),
+        "complete": recording.complete,
         "frames": len(run.estimates),
         "poses": len(trajectory),
         "first_pose_s": float((trajectory.t_ns[0] - run.t_ns[0]) * 1e-9),
@@ -79,6 +87,8 @@ def main(arguments: Sequence[str]) -> int:
             ("faster than real time", f"{run.real_time_factor:.1f}", "×"),
         ),
     )
+    if not recording.complete:
+        print("the recording is incomplete: it was cut off")
     print(f"wrote {command.out}")
     if recording.ground_truth is not None:
         print(f"score it:  dronevio evaluate {command.recording} {command.out}")

@@ -11,16 +11,15 @@ from dronevio.cli.terminal import parse, print_json, print_table
 
 if TYPE_CHECKING:
     from dronevio.eval.metrics import Scores, Statistics
-    from dronevio.models.imu import Times
 
 
 @dataclass(frozen=True)
 class EvaluateCommand:
     """Score an estimated trajectory against the true one.
 
-    Either may be a TUM file (rows of t x y z qx qy qz qw, seconds), an EuRoC ground truth (CSV) or an EuRoC folder. The
-    truth is interpolated at the estimate's time stamps, never extrapolated. Where the truth is a folder with images,
-    the coverage tells how many frames have a pose.
+    Either may be a TUM file (rows of t x y z qx qy qz qw, seconds), an EuRoC ground truth (CSV), an EuRoC folder or a
+    ROS 2 bag. The truth is interpolated at the estimate's time stamps, never extrapolated. Where the truth is a
+    recording with images, the coverage tells how many frames have a pose.
 
     For example:
       dronevio evaluate runs/room/groundtruth.tum runs/room/estimate.tum
@@ -29,7 +28,7 @@ class EvaluateCommand:
     """
 
     truth: Annotated[tyro.conf.Positional[Path], tyro.conf.arg(metavar="TRUTH")]
-    """The true motion: TUM file, EuRoC CSV or EuRoC folder."""
+    """The true motion: TUM file, EuRoC CSV, EuRoC folder or bag."""
     estimate: Annotated[tyro.conf.Positional[Path], tyro.conf.arg(metavar="ESTIMATE")]
     """The estimated motion: TUM file or EuRoC CSV."""
     alignment: Literal["yaw", "se3", "sim3", "none"] = "yaw"
@@ -48,12 +47,12 @@ def main(arguments: Sequence[str]) -> int:
     command = parse(EvaluateCommand, arguments, "evaluate")
 
     from dronevio.eval.metrics import score
-    from dronevio.models.recordings.tum import read_trajectory
+    from dronevio.models.recordings.open import frame_times_ns, read_trajectory
 
     scores = score(
         read_trajectory(command.truth),
         read_trajectory(command.estimate),
-        _frame_times_ns(command.truth),
+        frame_times_ns(command.truth),
         command.alignment,
         rpe_delta_s=command.rpe_delta_s,
         association=command.association,
@@ -91,15 +90,6 @@ def print_scores(title: str, scores: "Scores") -> None:
             ("last pose", _figure(scores.last_s, 3), "s"),
         ),
     )
-
-
-def _frame_times_ns(truth: Path) -> "Times | None":
-    """Return the time stamps of all frames [ns] if the truth is a recording with images, else None."""
-    from dronevio.models.recordings.euroc import find_mav0, read_frame_times
-
-    if not truth.is_dir() or not (find_mav0(truth) / "cam0").is_dir():
-        return None
-    return read_frame_times(truth)
 
 
 def _figure(value: float | None, decimals: int) -> str:

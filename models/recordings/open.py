@@ -9,6 +9,9 @@ from dronevio.models.imu import Times
 from dronevio.models.recordings import tum
 from dronevio.models.recordings.bag_options import BagTopics
 from dronevio.models.recordings.euroc import EurocRecording, find_mav0, read_frame_times
+from dronevio.models.recordings.euroc_calibration import count_cameras, read_rig
+from dronevio.models.recordings.kalibr import CAMCHAIN_FILE, read_kalibr
+from dronevio.models.rig import Rig
 from dronevio.models.state import Trajectory
 
 if TYPE_CHECKING:
@@ -60,6 +63,21 @@ def is_bag(path: Path) -> bool:
             return False
         return (path / "metadata.yaml").exists() or any(inside.suffix in _STORAGES for inside in path.iterdir())
     return path.suffix in _STORAGES
+
+
+def rig_of_file(path: Path) -> Rig:
+    """Return the rig that a file or folder describes: a recording, or Kalibr's files (`kalibr.read_kalibr`).
+
+    Raises:
+        InputError: It describes none, or is damaged.
+    """
+    path = Path(path)
+    if is_bag(path):
+        return open_recording(path).rig
+    if path.is_dir() and not (path / CAMCHAIN_FILE).exists():
+        mav0 = find_mav0(path)
+        return read_rig(mav0, count_cameras(mav0))
+    return read_kalibr(path)
 
 
 def read_trajectory(path: Path) -> Trajectory:

@@ -125,7 +125,7 @@ def spoil(flight: Path, fault: str) -> tuple[list[str], str]:
             return evaluate, f"{flight}: no such file; expected"
         case "missing recording":
             shutil.rmtree(flight)
-            return estimating, f"{flight}: no such folder; expected an EuRoC recording"
+            return estimating, f"{flight}: no such file or folder; expected an EuRoC folder"
         case "missing estimate":
             estimate.unlink()
             return evaluate, f"{estimate}: no such file; expected"

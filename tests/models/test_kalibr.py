@@ -14,7 +14,7 @@ from hypothesis.extra import numpy as hnp
 from dronevio.models.camera import CameraModel
 from dronevio.models.errors import InputError
 from dronevio.models.imu import ImuModel
-from dronevio.models.recordings.kalibr import camchain_yaml, imu_yaml, indented, read_kalibr
+from dronevio.models.recordings.kalibr import camchain_yaml, imu_yaml, indented, read_calibration, read_kalibr
 from dronevio.models.recordings.yaml_document import parse_yaml
 from dronevio.models.rig import EUROC_CAM0, EUROC_T_IMU_CAM0, Rig, RigCamera
 from dronevio.models.rigs import RIGS, rig_named
@@ -86,10 +86,10 @@ def assert_same_rig(ours: Rig, theirs: Rig) -> None:
 @pytest.mark.parametrize("name", RIGS)
 def test_every_rig_comes_back_to_the_bit(scratch: Path, name: str) -> None:
     rig = replace(rig_named(name), time_offset_s=-1e-5 / 3)
-    two = read_kalibr(written(scratch, camchain_yaml(rig), imu_yaml(rig)))
+    two = read_calibration(written(scratch, camchain_yaml(rig), imu_yaml(rig)))
     assert_same_rig(two.rig(), rig)
     assert two.topics == tuple(f"/cam{i}/image_raw" for i in range(len(rig.cameras)))
-    one = read_kalibr(written(scratch, f"{camchain_yaml(rig)}imu0:\n{indented(imu_yaml(rig, 'increment'))}"))
+    one = read_calibration(written(scratch, f"{camchain_yaml(rig)}imu0:\n{indented(imu_yaml(rig, 'increment'))}"))
     assert_same_rig(one.rig(), rig)
     assert (two.sampling, one.sampling) == ("point", "increment")
 
@@ -119,7 +119,7 @@ def rigs(draw: st.DrawFn) -> Rig:
 @settings(max_examples=60, deadline=None)
 @given(rigs())
 def test_any_rig_comes_back_to_the_bit(scratch: Path, rig: Rig) -> None:
-    assert_same_rig(read_kalibr(written(scratch, camchain_yaml(rig), imu_yaml(rig))).rig(), rig)
+    assert_same_rig(read_calibration(written(scratch, camchain_yaml(rig), imu_yaml(rig))).rig(), rig)
 
 
 def test_an_independent_reader_finds_what_kalibr_defines() -> None:
@@ -141,7 +141,7 @@ def test_an_independent_reader_finds_what_kalibr_defines() -> None:
 
 
 def test_reads_kalibr_s_own_examples(scratch: Path) -> None:
-    calibration = read_kalibr(written(scratch, KALIBR_IMU, WIKI_CAMCHAIN), rate_hz=30.0)
+    calibration = read_calibration(written(scratch, KALIBR_IMU, WIKI_CAMCHAIN), rate_hz=30.0)
     rig = calibration.rig()
     assert rig.imu.gyro_noise_density == 1.87e-4 and rig.imu.accel_random_walk == 4.33e-4 and rig.imu.rate_hz == 500.0
     assert rig.time_offset_s == -8.121e-5
@@ -161,9 +161,21 @@ def test_reads_openvins_own_spelling(scratch: Path) -> None:
         "  intrinsics: [458.654, 457.296, 367.215, 248.375] #fu, fv, cu, cv\n  resolution: [752, 480]\n"
     )
     imu = f"%YAML:1.0\n---\nimu0:\n{indented(KALIBR_IMU)}"
-    rig = read_kalibr(written(scratch, chain, imu)).rig()
+    rig = read_calibration(written(scratch, chain, imu)).rig()
     assert rig.cameras[0].model == EUROC_CAM0
     np.testing.assert_array_equal(rig.cameras[0].T_imu_cam, EUROC_T_IMU_CAM0)
+
+
+def test_finds_the_imu_beside_the_cameras(tmp_path: Path) -> None:
+    rig = rig_named("euroc-stereo")
+    (tmp_path / "camchain.yaml").write_text(camchain_yaml(rig))
+    with pytest.raises(InputError, match=r"Kalibr's imu\.yaml too"):
+        read_kalibr(tmp_path / "camchain.yaml")
+    (tmp_path / "elsewhere.yaml").write_text(imu_yaml(rig))
+    assert_same_rig(read_kalibr(tmp_path / "camchain.yaml", tmp_path / "elsewhere.yaml"), rig)
+    (tmp_path / "imu.yaml").write_text(imu_yaml(rig))
+    for path in (tmp_path, tmp_path / "camchain.yaml"):
+        assert_same_rig(read_kalibr(path), rig)
 
 
 CHAIN, IMU = camchain_yaml(rig_named("euroc-stereo")), imu_yaml(rig_named("euroc-stereo"))
@@ -207,10 +219,10 @@ def without(key: str) -> Callable[[str], str]:
 def test_names_file_line_and_fault(scratch: Path, old: str, new: str, found: str) -> None:
     paths = written(scratch, CHAIN.replace(old, new, 1), IMU.replace(old, new, 1))
     if new == "cam0: &a":  # an anchor alone does no harm
-        assert len(read_kalibr(paths).cameras) == 2
+        assert len(read_calibration(paths).cameras) == 2
         return
     with pytest.raises(InputError) as caught:
-        read_kalibr(paths).rig()
+        read_calibration(paths).rig()
     assert found in str(caught.value) and "\n" not in str(caught.value)
     assert caught.value.path == paths[0 if old in CHAIN else 1]
 
@@ -236,13 +248,13 @@ def test_names_file_line_and_fault(scratch: Path, old: str, new: str, found: str
 )
 def test_names_what_is_missing(scratch: Path, texts: list[str], missing: str) -> None:
     with pytest.raises(InputError) as caught:
-        read_kalibr(written(scratch, *texts)).rig()
+        read_calibration(written(scratch, *texts)).rig()
     assert missing in str(caught.value)
 
 
 def test_a_missing_file_is_named(scratch: Path) -> None:
     with pytest.raises(InputError, match="no such file"):
-        read_kalibr([scratch / "missing.yaml"])
+        read_calibration([scratch / "missing.yaml"])
 
 
 @settings(max_examples=400, deadline=None)
