@@ -21,6 +21,7 @@ FISHEYE = CameraModel(
     lens="equidistant",
 )
 SMALL = CameraModel(width=376, height=240, fx=229.0, fy=229.0, cx=183.6, cy=124.2, distortion=EUROC_CAM0.distortion)
+TINY = CameraModel(width=188, height=120, fx=115.0, fy=115.0, cx=92.0, cy=62.0, distortion=EUROC_CAM0.distortion)
 T_START = pose_matrix(exp_so3(np.array([0.4, -1.1, 0.7])), np.array([1.3, -0.8, 2.1]))
 MIDDLE_NS = 1_403_715_273_262_142_976
 
@@ -112,3 +113,69 @@ def test_markers_land_where_their_row_sees_them(
     assert np.abs(error).max() < 0.25
     if any(velocity) and readout_s:  # the rows do matter
         assert np.abs(seen_from(np.tile(T_START, (35, 1, 1)), camera, p_world) - expected).max() > 2.0
+
+
+def clutter() -> mujoco.MjModel:
+    """Return boxes of many greys, near and far, before `T_START`."""
+    rng = np.random.default_rng(8)
+    spec = mujoco.MjSpec()
+    greys = np.linspace(0.1, 1.0, 20)
+    for number, grey in enumerate(greys):
+        spec.add_material(name=f"grey_{number}", emission=1.0, rgba=[grey, grey, grey, 1.0])
+    for _ in range(400):
+        depth_m = rng.uniform(1.4, 4.0)
+        at = depth_m * np.array([rng.uniform(-1.3, 1.3), rng.uniform(-0.9, 0.9), 1.0])
+        spec.worldbody.add_geom(
+            type=mujoco.mjtGeom.mjGEOM_BOX,
+            size=rng.uniform(0.02, 0.1, 3) * depth_m,
+            pos=T_START[:3, :3] @ at + T_START[:3, 3],
+            material=f"grey_{rng.integers(len(greys))}",
+        )
+    spec.stat.extent = 5.0
+    return spec.compile()
+
+
+@pytest.mark.parametrize(("exposure_s", "readout_s"), [(0.008, 0.0), (0.001, 0.02)], ids=["blurred", "rolling"])
+def test_it_is_the_mean_over_every_row_s_exposure(exposure_s: float, readout_s: float) -> None:
+    poses, model = moving([2.0, -1.0, 2.0], [1.0, 2.4, -1.2]), clutter()
+    camera = RigCamera(TINY, np.eye(4), readout_s=readout_s)
+    shutter = Shutter(camera)
+    count = 85 if readout_s else 31
+    since_ns = np.linspace(-0.5, 0.5, count) * (exposure_s + readout_s) * 1e9
+    with OffscreenCamera(model, shutter.drawn) as eye, OffscreenCamera(model, TINY) as plain:
+        plan = shutter.plan(poses, MIDDLE_NS, exposure_s, nearest_m=1.4)
+        light = shutter.collect(plan, poses, lambda t_ns, rows: eye.render(poses(np.array([t_ns]))[0], rows=rows))
+        everything = np.stack([plain.render(T) for T in poses(MIDDLE_NS + np.rint(since_ns).astype(np.int64))])
+    delays_ns = (np.arange(TINY.height) / (TINY.height - 1) - 0.5) * readout_s * 1e9
+    exposed = np.abs(since_ns[:, None] - delays_ns) <= 0.5e9 * exposure_s + 1.0
+    exact = np.einsum("th,thw->hw", exposed / exposed.sum(axis=0), everything)
+    unmoved = np.abs(everything[count // 2] - exact).mean()
+    assert unmoved > 4.0
+    assert np.abs(light - exact).mean() < 0.25 * unmoved
+    assert np.abs(light - exact)[:, :12].mean() < 0.3 * unmoved  # the border sees what comes into view
+
+
+def test_what_does_not_move_is_drawn_once_as_it_is() -> None:
+    shutter = Shutter(RigCamera(SMALL, np.eye(4), readout_s=0.02), margin_px=3)
+    poses = moving([0.002, 0.0, 0.0], [0.0, 0.002, 0.0])
+    plan = shutter.plan(poses, MIDDLE_NS, 0.002, nearest_m=2.0)
+    assert plan.still and plan.keys_ns.tolist() == [MIDDLE_NS]
+    drawn = np.random.default_rng(0).integers(0, 255, (shutter.drawn.height, shutter.drawn.width), dtype=np.uint8)
+    light = shutter.collect(plan, poses, lambda t_ns, rows: drawn[rows])
+    np.testing.assert_array_equal(light, drawn[3:-3, 3:-3])
+
+
+def test_effort_follows_the_motion() -> None:
+    shutter = Shutter(RigCamera(SMALL, np.eye(4), readout_s=0.02))
+
+    def effort(poses: Poses, nearest_m: float = 2.0, exposure_s: float = 0.001) -> tuple[int, int]:
+        plan = shutter.plan(poses, MIDDLE_NS, exposure_s, nearest_m)
+        return len(plan.keys_ns), len(plan.samples_ns)
+
+    turning = moving([0.0, 0.0, 0.0], [0.0, 1.0, 0.0])
+    assert effort(turning, exposure_s=0.0005) == (1, 1)  # 4.5 px while it is read out, but no parallax
+    assert effort(turning, exposure_s=0.01)[1] >= 3
+    assert effort(moving([0.0, 0.0, 0.0], [0.0, 8.0, 0.0]))[0] >= 2  # an image's margin is not endless
+    assert effort(moving([2.0, 0.0, 0.0], [0.0, 0.0, 0.0]), nearest_m=np.inf) == (1, 1)
+    near, far = (effort(moving([2.0, 0.0, 0.0], [0.0, 0.0, 0.0]), nearest_m)[0] for nearest_m in (0.5, 4.0))
+    assert 2 <= far < near <= 20
