@@ -21,7 +21,7 @@ from dronevio.sim.plan import FlightPlan
 from dronevio.sim.scenario import Scenario
 
 _WEIGH = "from dronevio.cli.bench.recording import weigh; weigh()"
-_KB_PER_UNIT = 1 / 1024 if sys.platform == "darwin" else 1  # of ru_maxrss
+_LOOK_EVERY_S = 0.05  # at the memory of the processes that draw: it only ever grows, and the last look counts
 _RISE_S, _SINK_S, _REST_S = 1.2, 1.5, 0.4
 _HOPS = ((0.1, 0.05, 0.1), (-0.05, 0.1, 0.0), (-0.1, -0.05, 0.1), (0.05, -0.1, 0.0))
 _SETTLED, _LEFT = 0.2, 0.8  # of the frames: when all processes draw, and before the first of them has finished
@@ -163,6 +163,32 @@ def weigh() -> None:
     """Record the flight that stdin tells of and print its peak memory [MB], of this process and one that draws."""
     world, rig, seed, cheap, duration_s, rate_hz = json.load(sys.stdin)
     flown = a_stretch(world, bench_rig(rig, cheap, rate_hz or None), seed, duration_s)
-    _ = record(flown, workers=1) if rate_hz > 0.0 else fly(flown)
-    peak = sum(resource.getrusage(who).ru_maxrss for who in (resource.RUSAGE_SELF, resource.RUSAGE_CHILDREN))
-    print(peak * _KB_PER_UNIT / 1024)
+    with ThreadPoolExecutor() as pool:
+        work = pool.submit(record, flown, 1) if rate_hz > 0.0 else pool.submit(fly, flown)
+        drawing_mb = 0.0
+        while not work.done():
+            drawing_mb = max(drawing_mb, *map(_peak_mb, _children()), 0.0)
+            time.sleep(_LOOK_EVERY_S)
+    work.result()
+    print(_peak_mb("self") + drawing_mb)
+
+
+def _children() -> list[str]:
+    """Return the ids of this process's children; where the system does not tell, none."""
+    lists = Path("/proc/self/task").glob("*/children")
+    return [child for children in lists for child in children.read_text(encoding="utf-8").split()]
+
+
+def _peak_mb(process: str) -> float:
+    """Return the peak memory of a process [MB]; where the system does not tell, this one's.
+
+    What `resource` says of children counts the parent's memory, too: each of them was its copy at first.
+    """
+    try:
+        status = Path(f"/proc/{process}/status").read_text(encoding="utf-8")
+    except OSError:  # it has ended, or there is no such file system
+        status = ""
+    for line in status.splitlines():
+        if line.startswith("VmHWM"):
+            return float(line.split()[1]) / 1024
+    return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024**2 if process == "self" else 0.0
