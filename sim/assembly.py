@@ -42,7 +42,10 @@ def assembled(layout: Layout, looks: Looks) -> mujoco.MjSpec:
     if layout.mirror is not None and looks.mirror is not None:
         add_mirror(spec, layout.mirror.face, looks.mirror, layout.mirror.reflectance)
     for thing, pages in zip(layout.moving, looks.moving_pages, strict=True):
-        add_pages(spec, spec.worldbody.add_body(name=thing.name, mocap=True), thing.name, pages)
+        T_world_thing = thing.poses(np.zeros(1))[0]
+        quat = quat_wxyz_from_matrix(T_world_thing[:3, :3])
+        body = spec.worldbody.add_body(name=thing.name, mocap=True, pos=T_world_thing[:3, 3], quat=quat)
+        add_pages(spec, body, thing.name, pages)
     return spec
 
 

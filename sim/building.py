@@ -1,6 +1,7 @@
 """What buildings are made of: walls with a front that things stand along, floors, ceilings, lamps, landing mats."""
 
-from collections.abc import Sequence
+import itertools
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 
@@ -8,7 +9,7 @@ import numpy as np
 import numpy.typing as npt
 
 from dronevio.sim import pictures, textures_building
-from dronevio.sim.furniture import METAL, Piece
+from dronevio.sim.furniture import METAL, Piece, hung_picture
 from dronevio.sim.lightmap import AreaLight
 from dronevio.sim.solids import Box, Face, Paint, turn_z
 from dronevio.sim.textures import Image, plain
@@ -17,6 +18,7 @@ Array = npt.NDArray[np.float64]
 Random = np.random.Generator
 
 _DOWN = np.array([0.0, 0.0, -1.0])
+_SHADY_M = 0.04  # half the thickness of the thinnest thing that casts a shadow
 _MAT_M = 0.006  # thick enough not to flicker against the floor, thin enough to stand on as if it were the floor
 
 
@@ -94,6 +96,47 @@ def hall_faces(
     )
 
 
+def stand_along(
+    rng: Random,
+    wall: Wall,
+    makers: Sequence[Callable[[Random], Piece]],
+    blocked: Sequence[tuple[float, float]] = (),
+    margin_m: float = 0.25,
+    gaps_m: tuple[float, float] = (0.15, 0.6),
+) -> tuple[list[Piece], list[Box]]:
+    """Put things along a wall, one after the other until it is full, with pictures above where there is room.
+
+    Args:
+        rng: Draws the things and the gaps.
+        wall: The wall.
+        makers: What to put there, in turn and over again.
+        blocked: Where nothing can stand, along the wall, and how far around [m].
+        margin_m: What stays free at both ends [m].
+        gaps_m: Least and greatest distance between things [m].
+
+    Returns:
+        The things, and the boxes around those that a drone could hit.
+    """
+    pieces, hulls = [], []
+    x, end = -0.5 * wall.length_m + margin_m, 0.5 * wall.length_m - margin_m
+    for count in itertools.count():
+        piece = makers[count % len(makers)](rng)
+        middle = x + 0.5 * piece.width_m
+        for place, reach in sorted(blocked):
+            if abs(middle - place) < reach + 0.5 * piece.width_m:
+                middle = place + reach + 0.5 * piece.width_m
+        x = middle + 0.5 * piece.width_m
+        if x > end:
+            break
+        pieces.append(wall.put(piece, middle))
+        if piece.height_m > 0.0:
+            hulls.append(wall.hull(piece, middle))
+        if piece.picture_above:
+            pieces.append(wall.put(hung_picture(rng, max(piece.height_m + 0.55, 1.6)), middle))
+        x += rng.uniform(*gaps_m)
+    return pieces, hulls
+
+
 def landing_mat(middle: Array, side_m: float = 0.8) -> Box:
     """Return a thin mat to start from and to land on, its middle on the floor (3,) [m]."""
 
@@ -131,3 +174,11 @@ def ceiling_lamp(middle: Array, size_m: tuple[float, float], power: float, drop_
 def coarse(boxes: Sequence[Box], px_per_m: float) -> tuple[Box, ...]:
     """Return boxes with images of another resolution [px/m]."""
     return tuple(replace(box, pixels_per_m=px_per_m) for box in boxes)
+
+
+def shading(boxes: Sequence[Box]) -> tuple[Box, ...]:
+    """Return the boxes that cast a shadow.
+
+    What is thin hangs on a wall: its shadow would be a smudge around it, light being painted coarsely.
+    """
+    return tuple(box for box in boxes if box.glow == 0.0 and box.half.min() > _SHADY_M)

@@ -9,7 +9,7 @@ import numpy.typing as npt
 
 from dronevio.sim.cutouts import Print
 from dronevio.sim.lightmap import AreaLight
-from dronevio.sim.solids import Box, Surface
+from dronevio.sim.solids import Box, Face, Surface
 
 Array = npt.NDArray[np.float64]
 Poses = Callable[[Array], Array]
@@ -30,6 +30,16 @@ class Moving:
     """What it is made of, in its own frame."""
     poses: Poses
     """Where it is, and when."""
+
+
+@dataclass(frozen=True, eq=False)
+class Mirror:
+    """A polished floor: it shows what it is painted with, and what stands on it upside down."""
+
+    face: Face
+    """Where it is, and its pattern; it looks up, its right edge is along x."""
+    reflectance: float
+    """Share of the light that it reflects, 0 to 1."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -63,6 +73,10 @@ class Layout:
     """Light that falls in, relative to a well lit room."""
     moving: tuple[Moving, ...] = ()
     """What moves."""
+    lanes: tuple[Box, ...] = ()
+    """Where it moves: paths keep out, though there is nothing to hit but what is moving."""
+    mirror: Mirror | None = None
+    """The floor, where it reflects."""
     prints: tuple[Print, ...] = ()
     """What shares images that bring their own light: trunks and leaves."""
 

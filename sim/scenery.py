@@ -13,7 +13,7 @@ import numpy as np
 import numpy.typing as npt
 
 from dronevio.sim.lightmap import Field, apply_light
-from dronevio.sim.solids import Surface, size_m
+from dronevio.sim.solids import Face, Surface, size_m
 from dronevio.sim.textures import Image
 
 Array = npt.NDArray[np.float64]
@@ -56,10 +56,7 @@ def paint_pages(
         rng: Draws the patterns.
         width_px: Columns of a page; no face may be wider and higher than that.
     """
-    images = []
-    for face, brightness in zip(faces, light, strict=True):
-        height, width = (max(round(v * face.pixels_per_m), _SMALLEST_PX) for v in size_m(face))
-        images.append(apply_light(face.paint(rng, height, width), brightness))
+    images = [painted(face, brightness, rng) for face, brightness in zip(faces, light, strict=True)]
     lying = [image.shape[0] > image.shape[1] for image in images]  # tall ones are laid on their side to save space
     images = [image.transpose(1, 0, 2) if lies else image for image, lies in zip(images, lying, strict=True)]
     pages = []
@@ -86,6 +83,12 @@ def facing(quads: Array) -> Array:
     a, b, c, d = np.moveaxis(quads, 1, 0)
     normal = np.cross(c - a, b - d)
     return np.asarray(normal / np.maximum(np.linalg.norm(normal, axis=1, keepdims=True), 1e-12))
+
+
+def painted(face: Surface, brightness: Field, rng: np.random.Generator) -> Image:
+    """Return the image (H, W, 3) of a surface under its light."""
+    height, width = (max(round(v * face.pixels_per_m), _SMALLEST_PX) for v in size_m(face))
+    return apply_light(face.paint(rng, height, width), brightness)
 
 
 def _quads(grid: Array) -> Array:
@@ -129,13 +132,7 @@ def add_pages(spec: mujoco.MjSpec, body: mujoco.MjsBody, name: str, pages: Seque
 
 def _add_page(spec: mujoco.MjSpec, body: mujoco.MjsBody, name: str, page: Page) -> None:
     """Add one page to a body."""
-    texture = spec.add_texture(name=name, type=mujoco.mjtTexture.mjTEXTURE_2D)
-    texture.height, texture.width, texture.nchannel = page.texture.shape
-    texture.data = page.texture.tobytes()
-    # The light is in the texture: let it glow at exactly its own brightness, and let the lamps that light a drone
-    # add nothing to it.
-    material = spec.add_material(name=name, rgba=[_DARK, _DARK, _DARK, 1.0], emission=1.0 / _DARK, specular=0.0)
-    material.textures[mujoco.mjtTextureRole.mjTEXROLE_RGB] = name
+    _add_painted_material(spec, name, page.texture)
     mesh = spec.add_mesh(name=name, inertia=mujoco.mjtMeshInertia.mjMESH_INERTIA_SHELL)
     mesh.uservert = page.vertices.ravel()
     mesh.usernormal = page.normals.ravel()
@@ -149,6 +146,44 @@ def _add_page(spec: mujoco.MjSpec, body: mujoco.MjsBody, name: str, page: Page) 
         contype=0,
         conaffinity=0,
     )
+
+
+def add_mirror(spec: mujoco.MjSpec, face: Face, image: Image, reflectance: float) -> None:
+    """Add a polished floor to a model: it is seen, with what it reflects, but not touched.
+
+    MuJoCo reflects in planes alone, and only where the renderer is told to. An image is spread over a plane with its
+    first row at the least y and its first column at the least x.
+
+    Args:
+        spec: The model.
+        face: Where the floor is; its right edge is along x.
+        image: (H, W, 3) Its pattern, lit, first row at its top as one looks at it: at the greatest y.
+        reflectance: Share of the light that it reflects.
+    """
+    _add_painted_material(spec, "mirror", np.ascontiguousarray(image[::-1])).reflectance = reflectance
+    height, width = size_m(face)
+    spec.worldbody.add_geom(
+        name="mirror",
+        type=mujoco.mjtGeom.mjGEOM_PLANE,
+        size=[0.5 * width, 0.5 * height, 1.0],
+        pos=face.corner + 0.5 * (face.right + face.down),
+        material="mirror",
+        contype=0,
+        conaffinity=0,
+    )
+
+
+def _add_painted_material(spec: mujoco.MjSpec, name: str, image: Image) -> mujoco.MjsMaterial:
+    """Add a material that shows an image (H, W, 3) as it is painted.
+
+    The light is in the image: it glows at exactly its own brightness, and the lamps that light a drone add nothing.
+    """
+    texture = spec.add_texture(name=name, type=mujoco.mjtTexture.mjTEXTURE_2D)
+    texture.height, texture.width, texture.nchannel = image.shape
+    texture.data = image.tobytes()
+    material = spec.add_material(name=name, rgba=[_DARK, _DARK, _DARK, 1.0], emission=1.0 / _DARK, specular=0.0)
+    material.textures[mujoco.mjtTextureRole.mjTEXROLE_RGB] = name
+    return material
 
 
 _DARK = 1.0 / 256.0  # how much of the lamps' light the scenery reflects

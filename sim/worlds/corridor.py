@@ -3,6 +3,7 @@
 Its four wings are built alike, and differ in their colours and in what stands along their walls.
 """
 
+from collections.abc import Callable
 from functools import partial
 from itertools import pairwise
 
@@ -10,8 +11,8 @@ import numpy as np
 import numpy.typing as npt
 
 from dronevio.sim import textures, textures_building
-from dronevio.sim.building import Wall, ceiling_lamp, coarse, landing_mat, level_face, room_walls
-from dronevio.sim.furniture import METAL, WOODS, Piece, block, hung_picture, pick, plant, window
+from dronevio.sim.building import Wall, ceiling_lamp, coarse, landing_mat, level_face, room_walls, shading, stand_along
+from dronevio.sim.furniture import METAL, WOODS, Piece, block, pick, plant, window
 from dronevio.sim.furniture_public import PUBLIC_FURNITURE, bench, vending_machine
 from dronevio.sim.layout import Layout, WorldBuilder
 from dronevio.sim.solids import Box, Face, Paint, turn_z
@@ -29,8 +30,6 @@ _MIDDLE_M = 0.5 * (HIGH_M[:2] + CORE_M)  # of the corridor, from the middle of t
 _PAD_M = np.array([0.0, -_MIDDLE_M[1], 0.0])
 _LONGEST_M = 12.2  # a wall longer than this is painted in two parts, with a pilaster between them
 _WALL_PX_PER_M, _FLOOR_PX_PER_M, _CEILING_PX_PER_M, _THING_PX_PER_M = 172.0, 144.0, 96.0, 160.0
-
-_SHADY_M = 0.04  # what is thinner hangs on a wall: its shadow would be a smudge, painted as coarsely as light is
 
 _PAINT: Colour = (206, 202, 188)
 _DADOS: tuple[Colour, ...] = ((92, 122, 140), (150, 104, 76), (104, 132, 96), (146, 128, 84))
@@ -54,12 +53,14 @@ def layout(rng: Random) -> Layout:
     for number, wall in enumerate(outer):
         shell += _wall_faces(wall, [], paints[number])
         pieces += _pilasters(wall)
-        _furnish(rng, wall, [], pieces, obstacles, windows=number == 2)
+        things, hulls = stand_along(rng, wall, _furniture(rng, windows=number == 2), _blocked(wall, []))
+        pieces, obstacles = pieces + things, obstacles + hulls
     for number, wall in enumerate(inner):
         places = niches.get(number, [])
         shell += _wall_faces(wall, places, paints[number])
         shell += [face for x in places for face in _niche(wall, x, paints[number])]
-        _furnish(rng, wall, places, pieces, obstacles)
+        things, hulls = stand_along(rng, wall, _furniture(rng), _blocked(wall, places))
+        pieces, obstacles = pieces + things, obstacles + hulls
         for x in places:
             _fill_niche(rng, wall, x, pieces, obstacles)
     fronts = [box for number, wall in enumerate(inner) for box in _core_front(wall, niches.get(number, []))]
@@ -78,7 +79,7 @@ def layout(rng: Random) -> Layout:
         pad=_PAD_M.copy(),
         free_box=np.array([[-8.5, -_MIDDLE_M[1] - 0.5, 0.0], [8.5, -_MIDDLE_M[1] + 0.5, 2.2]]),
         route=_route(),
-        shading=(*_core(), *fronts, *(box for box in boxes if box.glow == 0.0 and box.half.min() > _SHADY_M)),
+        shading=(*_core(), *fronts, *shading(boxes)),
     )
 
 
@@ -171,36 +172,16 @@ def _core_front(wall: Wall, niches: list[float]) -> list[Box]:
     ]
 
 
-def _furnish(
-    rng: Random,
-    wall: Wall,
-    niches: list[float],
-    pieces: list[Piece],
-    obstacles: list[Box],
-    windows: bool = False,
-) -> None:
-    """Put things along a wall, from one end to the other, clear of its niches, ends and pilaster."""
-    blocked = [(x, 0.5 * _NICHE_WIDTH_M + 0.1) for x in niches]
-    if wall.length_m > _LONGEST_M:
-        blocked.append((0.0, 0.3))
-    x, makers = -0.5 * wall.length_m + 0.25, [PUBLIC_FURNITURE[int(i)] for i in rng.permutation(len(PUBLIC_FURNITURE))]
-    count = 0
-    while True:
-        make = window if windows and count % 3 == 1 else makers[count % len(makers)]
-        piece = make(rng)
-        middle = x + 0.5 * piece.width_m
-        for place, reach in blocked:
-            if abs(middle - place) < reach + 0.5 * piece.width_m:
-                middle = place + reach + 0.5 * piece.width_m
-        if middle + 0.5 * piece.width_m > 0.5 * wall.length_m - 0.25:
-            return
-        pieces.append(wall.put(piece, middle))
-        if piece.height_m > 0.0:
-            obstacles.append(wall.hull(piece, middle))
-        if piece.picture_above:
-            pieces.append(wall.put(hung_picture(rng, max(piece.height_m + 0.55, 1.6)), middle))
-        x = middle + 0.5 * piece.width_m + rng.uniform(0.15, 0.6)
-        count += 1
+def _furniture(rng: Random, windows: bool = False) -> list[Callable[[Random], Piece]]:
+    """Return what stands along a wall, in an order of its own; every third is a window if it has any."""
+    makers = [PUBLIC_FURNITURE[int(i)] for i in rng.permutation(len(PUBLIC_FURNITURE))]
+    return [window if windows and k % 3 == 1 else make for k, make in enumerate(makers)]
+
+
+def _blocked(wall: Wall, niches: list[float]) -> list[tuple[float, float]]:
+    """Return where nothing can stand at a wall, and how far around: niches and the pilaster [m]."""
+    pilaster = [(0.0, 0.3)] if wall.length_m > _LONGEST_M else []
+    return [(x, 0.5 * _NICHE_WIDTH_M + 0.1) for x in niches] + pilaster
 
 
 def _fill_niche(rng: Random, wall: Wall, x: float, pieces: list[Piece], obstacles: list[Box]) -> None:

@@ -1,0 +1,38 @@
+"""The dark: a furnished room at night, its lamps off; what light there is falls in through the windows."""
+
+from dataclasses import replace
+from functools import partial
+
+import numpy as np
+
+from dronevio.sim import pictures
+from dronevio.sim.layout import Layout, WorldBuilder
+from dronevio.sim.textures import Image, to_image
+from dronevio.sim.worlds import room
+
+ILLUMINATION = 0.025
+"""Light that falls in, relative to a well lit room."""
+_NIGHT = np.array([0.5, 0.62, 0.9], np.float32)  # how much of a day's red, green and blue is left outside
+_MOON_GLOW = 0.8
+
+
+def layout(rng: np.random.Generator) -> Layout:
+    """Draw a furnished room, and switch its lamps off."""
+    lit = room.layout(rng)
+    boxes = tuple(
+        replace(box, front=partial(_night_view), glow=_MOON_GLOW)
+        if box.front is pictures.window_view
+        else replace(box, glow=0.0)
+        for box in lit.boxes
+    )
+    windows = tuple(light for light in lit.lights if light.normal is not None)  # lamps shine all around
+    return replace(lit, boxes=boxes, lights=windows, illumination=ILLUMINATION)
+
+
+def _night_view(rng: np.random.Generator, height: int, width: int) -> Image:
+    """Return what is seen through a window by moonlight."""
+    return to_image(pictures.window_view(rng, height, width) * _NIGHT)
+
+
+DARK = WorldBuilder("the furnished room at night, lamps off: 2.5 % of its light", layout, "hard")
+"""The dark room."""
