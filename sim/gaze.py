@@ -51,9 +51,14 @@ def toward(point: Array) -> Gaze:
     return gaze
 
 
-def spinning(rate_rad_s: float, lap_s: float) -> Gaze:
-    """Turn one way for half a lap, and the other way for the other half."""
-    return lambda t, position, velocity: rate_rad_s * np.abs((t + 0.5 * lap_s) % lap_s - 0.5 * lap_s)
+def spinning(rate_rad_s: float, turn_s: float, lap_s: float) -> Gaze:
+    """Turn one way for half of some seconds, the other way for the other half, and stay so for the rest of a lap."""
+
+    def gaze(t: Array, position: Array, velocity: Array) -> Array:
+        phase = t % lap_s
+        return rate_rad_s * np.maximum(np.minimum(phase, turn_s - phase), 0.0)
+
+    return gaze
 
 
 def heading_curve(gaze: Gaze, path: BSpline, end_s: float, yaw_rate_rad_s: float, yaw_rad: float) -> BSpline:

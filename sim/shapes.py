@@ -16,7 +16,7 @@ Array = npt.NDArray[np.float64]
 
 _FILL = 0.88  # share of the free space that waypoints use up; the curve between them swings out a little
 _HOVER_S = 10.0  # of a lap on the spot
-_TURNS = 1.0  # each way, in a lap of turning on the spot
+_PAUSE_S = 3.0  # after turning on the spot, for the heading to catch up with the wish
 _SPIN_SHARE = 0.95  # of the greatest yaw rate, so that the heading keeps up with the wish
 _ZIGZAG_M = 1.7  # between the turning points of the aggressive zigzag
 
@@ -76,8 +76,8 @@ def hover(arena: Arena) -> Course:
 def rotation(arena: Arena) -> Course:
     """Turn on the spot, once around and back."""
     rate = _SPIN_SHARE * arena.limits.yaw_rate_rad_s
-    lap_s = 4.0 * np.pi * _TURNS / rate
-    return Course(np.zeros((0, 3)), spinning(rate, lap_s), lap_s)
+    turn_s = 4.0 * np.pi / rate
+    return Course(np.zeros((0, 3)), spinning(rate, turn_s, turn_s + _PAUSE_S), turn_s + _PAUSE_S)
 
 
 def via(arena: Arena) -> Course:

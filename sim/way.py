@@ -27,8 +27,8 @@ _SPACING_M = 0.05  # between the points at which clearance is looked at
 _GUARD_M = 0.005  # more than a surface's clearance can fall between two of them, 0.4 m away from its edge: 0.8 mm
 _SWING_M = 0.1  # room that a way around leaves beside the margin for the curve to swing out, where there is that much
 _ROUNDS = 9  # of halving legs: to a 500th
-_GRID_NODES = 40_000  # of the coarsest grid searched for a way around
-_CELL_M = (0.2, 0.6)  # least and greatest width of its cells
+_GRID_NODES = 20_000  # of the coarsest grid searched for a way around
+_CELL_M = (0.25, 0.6)  # least and greatest width of its cells
 _REFINEMENTS = 2  # how often the cells are halved where no way is found
 _STEPS = np.array([step for step in product((-1, 0, 1), repeat=3) if step > (0, 0, 0)])  # to half of the neighbours
 
@@ -56,8 +56,9 @@ def clear_polyline(space: Space, points: Array, margin_m: float, names: Sequence
     """
     names = names or [f"waypoint {number}" for number in range(len(points))]
     clearance = space.clearance(points)
-    if np.any(clearance < margin_m):
-        k = int(np.argmax(clearance < margin_m))
+    fine = clearance >= margin_m  # false for what is no number
+    if not fine.all():
+        k = int(fine.argmin())
         raise ConfigError(
             f"{names[k]} at {np.round(points[k], 2).tolist()} m has {clearance[k]:.2f} m of clearance; expected at"
             f" least {margin_m:.2f} m"
