@@ -17,7 +17,7 @@ _SPACING_M = 0.1  # between the points of the path that are looked at
 _TURNS = 24  # directions that are tried
 _SHIFTS = 9  # places that are tried along each horizontal axis
 _HEIGHTS = 4
-_CELL_M = 0.2  # of the map of clearances that the search reads
+_CELL_M = 0.3  # of the map of clearances that the search reads
 _REFINED = 6  # of the best places, refined with exact clearances
 _LOW_IS_GOOD = 0.01  # metres of clearance that a metre of height costs: of equal places the lowest
 

@@ -16,6 +16,7 @@ COMMANDS: dict[str, str] = {
     "fly": "fly a scenario and write what was sensed as an EuRoC folder",
     "estimate": "estimate the motion of a recording",
     "evaluate": "score an estimate against the truth",
+    "refly": "render along a path that a real drone has flown",
     "scenarios": "list what can be flown",
     "view": "open a run's recording",
     "book": "the experiments of the robotics book's chapter on visual SLAM",
