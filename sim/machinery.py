@@ -77,16 +77,16 @@ def steel(colour: Colour = STEEL) -> Paint:
 
 
 def drumlike(
-    radius_m: float, length_m: float, paint: Paint, cap: Paint, dome_m: float = 0.0, sides: int = _SIDES
+    radius_m: float, length_m: float, paint: Paint, cap: Paint, lid_m: float = 0.0, sides: int = _SIDES
 ) -> Kit:
-    """Return an upright cylinder from z = 0, its lid flat or domed."""
+    """Return an upright cylinder from z = 0, its lid flat or raised."""
     rings, spread = np.array([length_m, 0.0]), np.full(2, radius_m)
-    top = np.array([length_m + dome_m, length_m + 0.75 * dome_m, length_m])
+    top = np.array([length_m + lid_m, length_m + lid_m, length_m])
     sheets = [Sheet(mantle(rings, spread, sides), paint, pixels_per_m=_PPM)]
-    sheets.append(Sheet(mantle(top, radius_m * np.array([0.0, 0.6, 1.0]), sides), cap, pixels_per_m=_PPM))
+    sheets.append(Sheet(mantle(top, radius_m * np.array([0.0, 0.64, 1.0]), sides), cap, pixels_per_m=_PPM))
     solid = filling(radius_m, 0.0, length_m, sides)
-    if dome_m > 0.0:
-        solid += filling(0.64 * radius_m, length_m, length_m + dome_m, 8)
+    if lid_m > 0.0:
+        solid += filling(0.64 * radius_m, length_m, length_m + lid_m, sides)
     return Kit((), tuple(sheets), tuple(solid))
 
 
@@ -157,7 +157,8 @@ def tank(rng: Random, radius_m: float, height_m: float, number: int) -> Kit:
     colour = vary(rng, ((176, 180, 178), (196, 188, 164), (120, 146, 160), (164, 110, 84))[int(rng.integers(4))], 0.06)
     skin = partial(works.tank_mantle, colour=colour, ppm=_PPM, number=number)
     lift = 0.45
-    body = drumlike(radius_m, height_m - lift - 0.25 * radius_m, skin, steel(scaled(colour, 0.9)), 0.25 * radius_m)
+    lid = partial(textures.plain, colour=scaled(colour, 0.92))
+    body = drumlike(radius_m, height_m - lift - 0.18 * radius_m, skin, lid, 0.18 * radius_m)
     feet = [
         block((s * 0.6 * radius_m, t * 0.6 * radius_m, 0.0), (0.14, 0.14, lift + 0.02), steel())
         for s in (-1.0, 1.0)
