@@ -1,0 +1,265 @@
+"""What mechanics says of a flying body: energy, momentum, impacts, and that a batch flies as one alone does."""
+
+from dataclasses import replace
+
+import mujoco
+import numpy as np
+import pytest
+
+from dronevio.models.imu import ImuModel
+from dronevio.models.quadrotor import RESEARCH, VEHICLES, Quadrotor
+from dronevio.models.rig import Rig
+from dronevio.models.rotation import exp_so3, matrix_from_quat_wxyz, pose_matrix
+from dronevio.sim.collisions import TOUCHED_GROUP
+from dronevio.sim.motion import Motion
+from dronevio.sim.plant import QuadrotorPlant, physics_model
+from dronevio.sim.rotors import Airflow, MotorFailure, Rotors
+from dronevio.sim.wind import Wind
+
+Array = np.ndarray
+RIG = Rig(cameras=(), imu=ImuModel(rate_hz=200.0))
+SECOND_NS = 1_000_000_000
+HIGH = pose_matrix(np.eye(3), np.array([0.0, 0.0, 50.0]))
+AIRLESS = replace(RESEARCH, drag_area_m2=(0.0, 0.0, 0.0))
+
+
+@pytest.fixture(params=list(VEHICLES))
+def drone(request: pytest.FixtureRequest) -> Quadrotor:
+    return VEHICLES[request.param]
+
+
+def states(motion: Motion) -> tuple[Array, Array, Array, Array]:
+    """Return positions, velocities, rotations and angular velocities of the vehicle at the same instants."""
+    truth = motion.trajectory(np.eye(4))
+    assert truth.velocity_m_s is not None
+    return truth.p_world_imu, truth.velocity_m_s, truth.rotations, motion.angular_velocity_rad_s(np.eye(4))
+
+
+def energy(drone: Quadrotor, motion: Motion) -> Array:
+    position, velocity, _, rate = states(motion)
+    moving = 0.5 * drone.mass_kg * (velocity**2).sum(axis=1) + 0.5 * rate**2 @ np.array(drone.inertia_kg_m2)
+    return np.asarray(moving + drone.mass_kg * 9.81 * position[:, 2])
+
+
+def test_a_body_thrown_without_air_keeps_its_energy_and_flies_a_parabola() -> None:
+    plant = QuadrotorPlant(RIG, AIRLESS)
+    start, velocity = HIGH[:3, 3], np.array([2.0, -1.0, 6.0])
+    plant.reset(HIGH, velocity, np.array([0.5, -0.3, 2.0]))
+    plant.advance(2 * SECOND_NS, np.zeros(4))
+    motion = plant.motion()
+    t = motion.t_ns[:, None] * 1e-9
+    expected = start + velocity * t - 0.5 * 9.81 * t**2 * [0.0, 0.0, 1.0]
+    np.testing.assert_allclose(states(motion)[0] - states(motion)[0][0], expected - start, atol=1e-3)
+    kept = energy(AIRLESS, motion)
+    np.testing.assert_allclose(kept, kept[0], rtol=2e-5)
+
+
+def test_a_tumbling_body_keeps_its_angular_momentum() -> None:
+    plant = QuadrotorPlant(RIG, AIRLESS)
+    plant.reset(HIGH, rate_rad_s=np.array([3.0, 0.5, 4.0]))
+    plant.advance(2 * SECOND_NS, np.zeros(4))
+    _, _, R, rate = states(plant.motion())
+    momentum = np.einsum("nij,nj->ni", R, rate * AIRLESS.inertia_kg_m2)
+    np.testing.assert_allclose(momentum, np.tile(momentum[0], (len(R), 1)), atol=0.01 * np.linalg.norm(momentum[0]))
+    assert np.ptp(rate[:, 0]) > 3.0  # while the rate itself turned round
+
+
+def test_body_and_rotors_together_keep_their_angular_momentum() -> None:
+    """In a vacuum, rotors that speed up and slow down turn the body, and carry what it has lost."""
+    vacuum = replace(
+        AIRLESS,
+        thrust_n_per_rad2_s2=1e-20,
+        torque_nm_per_rad2_s2=1e-20,
+        drag_n_s2_per_rad_m=0.0,
+        inflow_n_s2_per_rad_m=0.0,
+    )
+    plant = QuadrotorPlant(RIG, vacuum)
+    plant.reset(HIGH, rate_rad_s=np.array([0.5, -0.4, 0.0]), rotor_speeds_rad_s=np.array([500.0, 300.0, 400.0, 100.0]))
+    for step, command in enumerate(([900.0, 900.0, 0.0, 0.0], [0.0, 300.0, 800.0, 500.0])):
+        plant.advance((step + 1) * SECOND_NS, np.array(command))
+    motion = plant.motion()
+    _, _, R, rate = states(motion)
+    # the reaction to a change of speed comes with the interval that it is held over, as the thrust does
+    held = np.vstack([motion.rotor_speeds_rad_s[:1], motion.rotor_speeds_rad_s[:-1]])
+    spin = vacuum.rotor_inertia_kg_m2 * held @ vacuum.rotor_spins
+    body = rate * vacuum.inertia_kg_m2
+    total = np.einsum("nij,nj->ni", R, body + spin[:, None] * [0.0, 0.0, 1.0])
+    np.testing.assert_allclose(total, np.tile(total[0], (len(R), 1)), atol=0.02 * np.ptp(spin))
+    assert np.ptp(body[:, 2]) > 0.5 * np.ptp(spin) > 0.0
+
+
+@pytest.mark.parametrize("axis", [0, 1, 2])
+def test_a_falling_body_reaches_the_speed_at_which_drag_is_its_weight(axis: int, drone: Quadrotor) -> None:
+    down = [(0.0, 0.5 * np.pi, 0.0), (0.5 * np.pi, 0.0, 0.0), (0.0, 0.0, 0.0)][axis]
+    terminal = np.sqrt(2.0 * drone.mass_kg * 9.81 / (1.225 * drone.drag_area_m2[axis]))
+    plant = QuadrotorPlant(RIG, drone)
+    plant.reset(pose_matrix(exp_so3(np.array(down)), np.array([0.0, 0.0, 5e3])))
+    plant.advance(20 * SECOND_NS, np.zeros(4))
+    np.testing.assert_allclose(plant.vehicle_state().velocity_m_s, [0.0, 0.0, -terminal], rtol=5e-3, atol=1e-6)
+
+
+def test_wind_pushes_a_hovering_drone_along_and_stops_pushing_one_that_drifts_with_it(drone: Quadrotor) -> None:
+    wind = np.array([2.0, -1.0, 0.0])
+    plant = QuadrotorPlant(RIG, drone, wind=Wind(tuple(wind)))
+    hover = np.full(4, drone.hover_speed_rad_s)
+    plant.reset(HIGH, rotor_speeds_rad_s=hover)
+    accel = plant.step_until(0, hover).accel_m_s2[0] - [0.0, 0.0, 9.81]
+    rotors = 4.0 * drone.drag_n_s2_per_rad_m * drone.hover_speed_rad_s
+    body = 0.5 * 1.225 * drone.drag_area_m2[0] * np.linalg.norm(wind)
+    np.testing.assert_allclose(accel, (rotors + body) * wind / drone.mass_kg, rtol=0.02, atol=2e-3)
+    plant.reset(HIGH, velocity_m_s=wind, rotor_speeds_rad_s=hover)
+    np.testing.assert_allclose(plant.step_until(0, hover).accel_m_s2[0], [0.0, 0.0, 9.81], atol=1e-3)
+
+
+def test_an_accelerometer_reads_drag_backwards_and_thrust_upwards(drone: Quadrotor) -> None:
+    plant, hover = QuadrotorPlant(RIG, drone), np.full(4, drone.hover_speed_rad_s)
+    for velocity in np.vstack([np.eye(3), -np.eye(3)]):
+        plant.reset(HIGH, velocity_m_s=velocity, rotor_speeds_rad_s=hover)
+        accel = plant.step_until(0, hover).accel_m_s2[0] - [0.0, 0.0, 9.81]
+        assert accel @ velocity < -0.05
+        np.testing.assert_allclose(accel - (accel @ velocity) * velocity, 0.0, atol=0.02)
+    plant.reset(HIGH, rotor_speeds_rad_s=1.1 * hover)
+    np.testing.assert_allclose(plant.step_until(0, hover).accel_m_s2[0], [0.0, 0.0, 1.21 * 9.81], atol=0.01)
+
+
+def test_a_drone_that_bounces_never_gains_energy(drone: Quadrotor) -> None:
+    plant = QuadrotorPlant(RIG, drone)
+    plant.reset(pose_matrix(exp_so3(np.array([0.3, -0.2, 1.0])), np.array([0.0, 0.0, 0.8])), np.array([1.0, 0.5, 0.0]))
+    plant.advance(4 * SECOND_NS, np.zeros(4))
+    left = energy(drone, plant.motion())
+    lost = np.maximum.accumulate(left[::-1])[::-1]  # the most that it ever has from then on
+    assert np.all(lost <= left[0] * (1.0 + 1e-6))
+    assert np.all(lost - left < 0.1 * left[0])  # what the contact springs have swallowed and give back
+    position, velocity, _, _ = states(plant.motion())
+    assert np.linalg.norm(velocity[-1]) < 0.01
+    assert position[:, 2].min() > 0.0
+
+
+def test_a_drone_comes_down_more_softly_on_its_own_cushion_of_air(drone: Quadrotor) -> None:
+    plant, hover = QuadrotorPlant(RIG, drone), np.full(4, drone.hover_speed_rad_s)
+    rise = []
+    for height in (1.0 * drone.rotor_radius_m, 4.0 * drone.rotor_radius_m, 50.0):
+        at = pose_matrix(np.eye(3), np.array([0.0, 0.0, plant.standing_height_m + height]))
+        plant.reset(at, rotor_speeds_rad_s=hover)
+        plant.advance(SECOND_NS // 20, hover)
+        rise.append(plant.vehicle_state().velocity_m_s[2])
+    assert rise[0] > 2.0 * rise[1] > 0.0
+    assert abs(rise[2]) < 1e-3 * rise[1] + 1e-6
+
+
+def test_a_lost_motor_turns_the_drone_over_onto_its_dead_corner(drone: Quadrotor) -> None:
+    plant = QuadrotorPlant(RIG, drone, failure=MotorFailure(0, 0.1))  # front right
+    hover = np.full(4, drone.hover_speed_rad_s)
+    plant.reset(HIGH, rotor_speeds_rad_s=hover)
+    plant.advance(SECOND_NS // 10, hover)
+    np.testing.assert_allclose(plant.rotor_speeds_rad_s, hover, rtol=1e-12)
+    plant.advance(SECOND_NS // 4, hover)
+    rate = plant.vehicle_state().angular_velocity_rad_s
+    assert rate is not None
+    assert rate[0] > 0.5 and rate[1] > 0.5  # to the right, nose down
+    assert plant.rotor_speeds_rad_s[0] < 0.9 * hover[0]
+    np.testing.assert_allclose(plant.rotor_speeds_rad_s[1:], hover[1:], rtol=1e-9)
+
+
+def walled() -> mujoco.MjSpec:
+    """Return a floor, a wall at x = 2, and a picture on it that cannot be touched."""
+    spec = mujoco.MjSpec()
+    spec.worldbody.add_geom(name="floor", type=mujoco.mjtGeom.mjGEOM_PLANE, size=[0.0, 0.0, 1.0], group=TOUCHED_GROUP)
+    spec.worldbody.add_geom(
+        name="wall",
+        type=mujoco.mjtGeom.mjGEOM_PLANE,
+        size=[0.0, 0.0, 1.0],
+        pos=[2.0, 0.0, 0.0],
+        zaxis=[-1.0, 0.0, 0.0],
+        group=TOUCHED_GROUP,
+    )
+    spec.worldbody.add_geom(
+        name="picture", type=mujoco.mjtGeom.mjGEOM_BOX, size=[0.5, 0.5, 0.5], pos=[1.5, 0.0, 1.0], contype=0
+    )
+    return spec
+
+
+def test_a_wall_stops_the_drone_and_the_collision_says_what_when_and_how_fast(drone: Quadrotor) -> None:
+    plant = QuadrotorPlant(RIG, drone, surroundings=walled())
+    plant.reset(pose_matrix(np.eye(3), np.array([1.2, 0.0, 1.0])), np.array([3.0, 0.0, 0.0]))
+    plant.advance(SECOND_NS // 10, np.zeros(4))
+    assert plant.collision is None
+    plant.advance(2 * SECOND_NS, np.zeros(4))
+    crash = plant.collision
+    assert crash is not None
+    assert crash.against == "wall" and crash.part.startswith("propeller_front")
+    assert 3.0 < crash.speed_m_s < 4.0  # it has fallen a little
+    assert str(crash) == (
+        f"crashed at t = {crash.t_ns * 1e-9:.2f} s: {crash.part} against wall at {crash.speed_m_s:.1f} m/s"
+    )
+    positions, _, _, _ = states(plant.motion())
+    assert positions[:, 0].max() < 2.0 - 0.5 * drone.arm_m
+    reach = drone.arm_m / np.sqrt(2.0) + drone.rotor_radius_m
+    np.testing.assert_allclose(np.interp(crash.t_ns, plant.motion().t_ns, positions[:, 0]), 2.0 - reach, atol=0.03)
+    plant.reset()
+    assert plant.collision is None
+
+
+def test_feet_on_the_floor_are_no_collision_and_a_propeller_is(drone: Quadrotor) -> None:
+    plant = QuadrotorPlant(RIG, drone, surroundings=walled())
+    plant.advance(SECOND_NS // 2, np.zeros(4))
+    assert plant.collision is None
+    plant.reset(pose_matrix(exp_so3(np.array([2.0, 0.0, 0.0])), np.array([0.0, 0.0, 1.0])))
+    plant.advance(SECOND_NS, np.zeros(4))
+    assert plant.collision is not None
+    assert plant.collision.against == "floor"
+
+
+def test_it_stands_on_its_pad_wherever_that_is(drone: Quadrotor) -> None:
+    pad = np.array([-3.0, 1.0, 0.0])
+    plant = QuadrotorPlant(RIG, drone, surroundings=walled(), pad_m=pad)
+    samples = plant.step_until(SECOND_NS // 2, np.zeros(4))
+    np.testing.assert_allclose(
+        plant.vehicle_state().T_world_imu[:3, 3], pad + [0, 0, plant.standing_height_m], atol=1e-6
+    )
+    np.testing.assert_allclose(samples.accel_m_s2, np.tile([0.0, 0.0, 9.81], (101, 1)), atol=1e-6)
+
+
+def test_the_state_is_the_end_of_the_motion(drone: Quadrotor) -> None:
+    rig = replace(RIG, T_vehicle_imu=pose_matrix(exp_so3(np.array([0.3, 1.0, -2.0])), np.array([0.05, -0.02, 0.03])))
+    plant = QuadrotorPlant(rig, drone)
+    plant.reset(HIGH, np.array([1.0, 2.0, 3.0]), np.array([5.0, -3.0, 2.0]), np.full(4, drone.hover_speed_rad_s))
+    plant.advance(SECOND_NS // 3, np.full(4, 1.1 * drone.hover_speed_rad_s))
+    state, truth = plant.state(), plant.motion().trajectory(rig.T_vehicle_imu)
+    assert truth.velocity_m_s is not None and state.angular_velocity_rad_s is not None
+    np.testing.assert_allclose(state.T_world_imu, truth.Ts_world_imu[-1], atol=1e-12)
+    np.testing.assert_allclose(state.velocity_m_s, truth.velocity_m_s[-1], atol=1e-12)
+    rates = plant.motion().angular_velocity_rad_s(rig.T_vehicle_imu)
+    np.testing.assert_allclose(state.angular_velocity_rad_s, rates[-1], atol=1e-12)
+
+
+def test_a_batch_flies_as_its_drones_do_alone(drone: Quadrotor) -> None:
+    """The same model, evaluated once for all drones, drives each of them to where it goes by itself."""
+    rng, count, steps, dt = np.random.default_rng(5), 3, 100, 5e-3
+    commands = drone.hover_speed_rad_s * rng.uniform(0.8, 1.2, (steps, count, 4))
+    starts, rates = np.array([0.0, 0.0, 0.5]) + rng.uniform(0, 0.3, (count, 3)), rng.normal(size=(count, 3))
+    hover = np.full((count, 4), drone.hover_speed_rad_s)
+
+    model, rotors = physics_model(drone, RIG, 1e-3), Rotors(drone)
+    batch = [mujoco.MjData(model) for _ in range(count)]
+    for data, position, rate in zip(batch, starts, rates, strict=True):
+        data.qpos[:3], data.qvel[3:] = position, rate
+    state = rotors.start(hover)
+    for command in commands:
+        R = matrix_from_quat_wxyz(np.array([data.qpos[3:] for data in batch]))
+        twist = np.array([data.qvel for data in batch])
+        heights = np.array([data.qpos[2] for data in batch])
+        airflow = Airflow(np.einsum("nji,nj->ni", R, twist[:, :3]), twist[:, 3:], R[:, 2], heights)
+        for data, wrench in zip(batch, rotors.wrench(state, airflow), strict=True):
+            data.ctrl[:] = wrench
+            mujoco.mj_step(model, data, 5)
+        state = rotors.after(state, command, dt)
+
+    plant = QuadrotorPlant(RIG, drone)
+    for k, data in enumerate(batch):
+        plant.reset(pose_matrix(np.eye(3), starts[k]), rate_rad_s=rates[k], rotor_speeds_rad_s=hover[k])
+        for command in commands[:, k]:
+            plant.advance(plant.t_ns + plant.interval_ns, command)
+        motion = plant.motion()
+        np.testing.assert_allclose(data.qpos, motion.pose[-1], atol=1e-11)
+        np.testing.assert_allclose(data.qvel, motion.twist[-1], atol=1e-10)
