@@ -156,7 +156,7 @@ def _evaluate(stages: Sequence[Stage], starts: Array, stand: Array, t: Array, or
     """Return derivatives (N, 3) of consecutive stages' paths, at rest before the first and after the last."""
     values = np.tile(stand if order == 0 else np.zeros(3), (len(t), 1))
     for stage, start in zip(stages, starts[:-1], strict=True):
-        begun = t >= start
+        begun = t > start
         values[begun] = stage.path.derivative(order)(np.minimum(t[begun] - start, stage.duration_s))
     return values
 
@@ -165,7 +165,7 @@ def _headings(stages: Sequence[Stage], starts: Array, t: Array) -> Array:
     """Return headings (N,) of consecutive stages [rad], 0 before the first."""
     values = np.zeros(len(t))
     for stage, start in zip(stages, starts[:-1], strict=True):
-        begun = t >= start
+        begun = t > start
         values[begun] = stage.heading(np.minimum(t[begun] - start, stage.duration_s))
     return values
 

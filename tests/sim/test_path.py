@@ -6,13 +6,15 @@ import pytest
 from dronevio.models.errors import ConfigError
 from dronevio.models.rotation import exp_so3
 from dronevio.sim.path import Reference, attitude, plan_reference
-from dronevio.sim.plan import FlightPlan
-from dronevio.sim.scenarios import SCENARIOS
+from dronevio.sim.plan import TIMED, FlightPlan
+from dronevio.sim.scenarios import SCENARIOS, scenario
 from dronevio.sim.space import Place, Space
 
 BOX = np.array([[-2.8, -1.9, 0.0], [2.8, 1.9, 2.4]])
 STEP_NS = 5_000_000
 STANDING_M = 0.112
+PLANS = {name: known.plan for name, known in SCENARIOS.items() if known.plan.shape == TIMED}
+ROOM, SHORT = scenario("room-v0").plan, scenario("short-v0").plan
 
 
 def reference(plan: FlightPlan, seed: int = 0, box: np.ndarray = BOX) -> Reference:
@@ -22,9 +24,9 @@ def reference(plan: FlightPlan, seed: int = 0, box: np.ndarray = BOX) -> Referen
     return plan_reference(plan, place, STANDING_M, STEP_NS, np.random.default_rng(seed))
 
 
-@pytest.mark.parametrize("name", SCENARIOS)
+@pytest.mark.parametrize("name", PLANS)
 def test_derivatives_belong_to_the_path(name: str) -> None:
-    path = reference(SCENARIOS[name].plan)
+    path = reference(PLANS[name])
     dt = STEP_NS * 1e-9
     velocity = (path.position_m[2:] - path.position_m[:-2]) / (2 * dt)
     acceleration = (path.velocity_m_s[2:] - path.velocity_m_s[:-2]) / (2 * dt)
@@ -32,16 +34,16 @@ def test_derivatives_belong_to_the_path(name: str) -> None:
     np.testing.assert_allclose(path.acceleration_m_s2[1:-1], acceleration, atol=3e-2)
 
 
-@pytest.mark.parametrize("name", SCENARIOS)
+@pytest.mark.parametrize("name", PLANS)
 def test_paths_are_smooth_up_to_the_jerk(name: str) -> None:
-    path = reference(SCENARIOS[name].plan)
+    path = reference(PLANS[name])
     jerk = np.diff(path.acceleration_m_s2, axis=0) / 5e-3
     assert np.abs(np.diff(jerk, axis=0)).max() < 0.2 * np.abs(jerk).max()  # a step would be as high as the jerk
 
 
-@pytest.mark.parametrize("name", SCENARIOS)
+@pytest.mark.parametrize("name", PLANS)
 def test_starts_and_ends_standing_on_the_pad(name: str) -> None:
-    plan = SCENARIOS[name].plan
+    plan = PLANS[name]
     path = reference(plan)
     t = path.t_ns * 1e-9
     assert path.t_ns[0] == 0 and path.duration_s == pytest.approx(
@@ -58,7 +60,7 @@ def test_starts_and_ends_standing_on_the_pad(name: str) -> None:
 
 @pytest.mark.parametrize("seed", range(20))
 def test_the_tour_is_lively_and_within_bounds_whatever_the_seed(seed: int) -> None:
-    plan = SCENARIOS["room"].plan
+    plan = ROOM
     path = reference(plan, seed)
     assert 2.2 <= path.peak_speed_m_s <= 3.5
     assert np.radians(98) <= path.peak_rate_rad_s <= np.radians(160)
@@ -69,7 +71,7 @@ def test_the_tour_is_lively_and_within_bounds_whatever_the_seed(seed: int) -> No
 
 
 def test_seeds_draw_different_tours_and_the_same_one_again() -> None:
-    plan = SCENARIOS["room"].plan
+    plan = ROOM
     first, again, other = reference(plan, 3), reference(plan, 3), reference(plan, 4)
     assert first.position_m.tobytes() == again.position_m.tobytes()
     apart = np.linalg.norm(first.position_m - other.position_m, axis=1)
@@ -77,7 +79,7 @@ def test_seeds_draw_different_tours_and_the_same_one_again() -> None:
 
 
 def test_rates_belong_to_the_attitude() -> None:
-    path = reference(SCENARIOS["room"].plan)
+    path = reference(ROOM)
     R = attitude(path.acceleration_m_s2 + [0.0, 0.0, 9.81], path.yaw_rad)
     turned = R[:-1] @ exp_so3(0.5 * (path.rate_rad_s[:-1] + path.rate_rad_s[1:]) * 5e-3)
     np.testing.assert_allclose(turned, R[1:], atol=1e-4)
@@ -96,7 +98,7 @@ def test_attitude_points_thrust_and_nose() -> None:
 
 
 def test_the_camera_looks_along_the_way() -> None:
-    path = reference(SCENARIOS["room"].plan)
+    path = reference(ROOM)
     cruising = np.linalg.norm(path.velocity_m_s[:, :2], axis=1) > 1.0
     way = path.velocity_m_s[cruising, :2]
     nose = np.stack([np.cos(path.yaw_rad[cruising]), np.sin(path.yaw_rad[cruising])], axis=1)
@@ -106,17 +108,17 @@ def test_the_camera_looks_along_the_way() -> None:
 
 def test_a_small_room_shrinks_the_tour() -> None:
     box = np.array([[-1.5, -1.0, 0.0], [1.5, 1.0, 2.2]])
-    path = reference(SCENARIOS["room"].plan, box=box)
+    path = reference(ROOM, box=box)
     assert np.all(np.abs(path.position_m[:, :2]) <= box[1, :2] - 0.4 + 1e-3)
 
 
 def test_a_plan_that_does_not_fit_is_refused() -> None:
     with pytest.raises(ConfigError, match="free space"):
-        reference(replace(SCENARIOS["room"].plan, height_m=2.5))
+        reference(replace(ROOM, height_m=2.5))
 
 
 def test_times_beyond_the_reference_are_refused() -> None:
-    path = reference(SCENARIOS["short"].plan)
+    path = reference(SHORT)
     assert path.row(5_000_000) == 1
     assert path.row(9_999_999) == 1
     for t_ns in (-1, 6_000_000_001):
