@@ -1,0 +1,85 @@
+"""``dronevio worlds``: where one can fly."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from dronevio.cli.terminal import parse, print_json, print_table, progress_bars
+
+
+@dataclass(frozen=True)
+class WorldsCommand:
+    """List the worlds that can be flown in, or draw what they look like.
+
+    Examples:
+      dronevio worlds
+      dronevio worlds --json
+      dronevio worlds --sheet worlds.png
+      dronevio worlds --sheet forest.jpg --world forest --seed 3
+    """
+
+    sheet: Path | None = None
+    """Draw a contact sheet into this file; its ending says which kind of image."""
+    world: str | None = None
+    """Only this world."""
+    seed: int = 0
+    """What the worlds are drawn from."""
+    json: bool = False
+    """Print one JSON document instead of a table."""
+
+
+def main(arguments: Sequence[str]) -> int:
+    """Run the command."""
+    command = parse(WorldsCommand, arguments, "worlds")
+
+    from dronevio.models.errors import ConfigError
+    from dronevio.sim.contact_sheet import require_picture
+    from dronevio.sim.world import WORLDS, place_of
+
+    if command.seed < 0:
+        raise ConfigError(f"seed {command.seed}; expected 0 or more")
+    names = tuple(WORLDS) if command.world is None else (command.world,)
+    if command.sheet is not None:
+        require_picture(command.sheet)
+    rows = []
+    for name in names:
+        place = place_of(name, command.seed)
+        rows.append((WORLDS[name], [round(float(v), 2) for v in place.space.high - place.space.low]))
+    if command.sheet is not None:
+        _draw(command.sheet, names, command.seed, command.json)
+    if command.json:
+        worlds = [
+            {"name": name, "difficulty": kind.difficulty, "size_m": size_m, "description": kind.description}
+            for name, (kind, size_m) in zip(names, rows, strict=True)
+        ]
+        sheet = None if command.sheet is None else str(command.sheet)
+        print_json({"seed": command.seed, "sheet": sheet, "worlds": worlds})
+        return 0
+    print_table(
+        f"Worlds drawn from seed {command.seed}: length, width and height of the space to fly in",
+        ("name", "difficulty", "m", "what it is"),
+        [
+            (name, kind.difficulty, " × ".join(f"{v:g}" for v in size_m), kind.description)
+            for name, (kind, size_m) in zip(names, rows, strict=True)
+        ],
+    )
+    return 0
+
+
+def _draw(path: Path, names: Sequence[str], seed: int, quiet: bool) -> None:
+    """Draw the contact sheet of one world, or of several.
+
+    Raises:
+        GraphicsError: No off-screen OpenGL.
+        OSError: The file cannot be written.
+    """
+    from dronevio.sim.contact_sheet import contact_sheet, sheet_of_worlds, write_picture
+    from dronevio.sim.gl import require_gl
+    from dronevio.sim.world import build_world
+
+    require_gl()
+    if len(names) == 1:
+        write_picture(path, contact_sheet(build_world(names[0], seed)))
+        return
+    with progress_bars(quiet) as bars:
+        write_picture(path, sheet_of_worlds(seed, names, progress=bars.bar("worlds")))
