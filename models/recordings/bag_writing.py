@@ -87,6 +87,7 @@ def write_bag(
     images: Images = "raw",
     progress: Progress = silent,
     frame_truth: FrameTruth | None = None,
+    overwrite: bool = False,
 ) -> None:
     """Write a recording as a bag, all of it or nothing.
 
@@ -97,14 +98,14 @@ def write_bag(
         images: Pixel by pixel, which every node reads, or PNG, which takes half the room.
         progress: Told how many frames are done.
         frame_truth: The truth about the frames, where it is known.
+        overwrite: Replace a bag that is there already, in the end.
 
     Raises:
         ConfigError: A time stamp is before 1970 or after 2038, which ROS cannot express.
         InputError: A frame cannot be read, or something is in the way.
     """
-    path = Path(path)
-    if path.exists():
-        raise InputError(path, "it exists already", "a new name")
+    path = Path(path).absolute()
+    _refuse_to_destroy(path, overwrite)
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
         scratch = Path(tempfile.mkdtemp(prefix=f".{path.name}.partial-", dir=path.parent))
@@ -115,9 +116,24 @@ def write_bag(
         _write(folder, recording, storage, images, progress, frame_truth)
         suffix = ".mcap" if storage == "mcap" else ".db3"
         made = folder / f"{path.stem}{suffix}" if path.suffix == suffix else folder
+        _refuse_to_destroy(path, overwrite)
+        if path.is_dir():
+            path.rename(scratch / "old")
         made.replace(path)
     finally:
         shutil.rmtree(scratch, ignore_errors=True)
+
+
+def _refuse_to_destroy(path: Path, overwrite: bool) -> None:
+    """Raise InputError if something is in the way that is no bag to replace."""
+    if not path.exists():
+        return
+    if not overwrite:
+        raise InputError(path, "it exists already", "a new name, or --overwrite")
+    if path.is_dir() and not (path / "metadata.yaml").exists():
+        raise InputError(path, "it holds no metadata.yaml, so it is no bag", "a new name, or an earlier bag")
+    if path.is_file() and path.suffix not in (".mcap", ".db3"):
+        raise InputError(path, "a file that is no bag", "a new name, or an earlier bag")
 
 
 def calibration_text(recording: Recording) -> str:

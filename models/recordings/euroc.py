@@ -15,10 +15,12 @@ import numpy.typing as npt
 
 from dronevio.models.errors import ConfigError, InputError
 from dronevio.models.imu import ImuSamples, Times
+from dronevio.models.progress import Progress, silent
+from dronevio.models.protocols import Recording
 from dronevio.models.recordings.euroc_calibration import calibration_files, count_cameras, read_rig
 from dronevio.models.recordings.files import read_text, write_text
 from dronevio.models.recordings.frame_truth import FRAME_TRUTH_FILE, FrameTruth, frame_truth_text, read_frame_truth
-from dronevio.models.recordings.images import read_grey
+from dronevio.models.recordings.images import encode_png, read_grey
 from dronevio.models.recordings.timed_table import (
     TIME_LIMIT_NS,
     TableFormat,
@@ -239,6 +241,32 @@ def write_euroc(
         write_text(mav0 / GROUND_TRUTH_FILE, _truth_text(truth))
     if frame_truth is not None:
         write_text(mav0 / FRAME_TRUTH_FILE, frame_truth_text(frame_truth))
+
+
+def write_euroc_recording(
+    folder: Path, recording: Recording, progress: Progress = silent, frame_truth: FrameTruth | None = None
+) -> None:
+    """Write a recording of any kind as an EuRoC folder, images and all, so that it is read back to the bit.
+
+    Args:
+        folder: Where ``mav0`` is made; while frames are missing, a file ``INCOMPLETE`` lies in it.
+        recording: What to write.
+        progress: Told how many frames are done.
+        frame_truth: When and how the frames were really exposed, where it is known.
+
+    Raises:
+        ConfigError: The IMU samples are increments.
+        InputError: A frame cannot be read, or nothing can be written there.
+    """
+    times, mav0 = recording.frame_times_ns, Path(folder) / "mav0"
+    write_euroc(folder, recording.rig, recording.imu, recording.ground_truth, times, frame_truth)
+    write_text(mav0 / INCOMPLETE, "Frames are missing here: the recording is under way, or was cut off.\n")
+    progress(0, len(times))
+    for index, t_ns in enumerate(times.tolist()):
+        for number, image in enumerate(recording.frame(index).images):
+            (mav0 / f"cam{number}" / "data" / f"{t_ns}.png").write_bytes(encode_png(image))
+        progress(index + 1, len(times))
+    (mav0 / INCOMPLETE).unlink()
 
 
 def _truth_text(truth: Trajectory) -> str:

@@ -1,0 +1,318 @@
+"""What other estimators need to run on our recordings: their configuration files, written from the true rig.
+
+The images and the IMU are those of the recording itself: an EuRoC folder for ORB-SLAM3, Basalt and Kimera, a bag for
+OpenVINS and VINS-Fusion. Every file has the fields of the program's own EuRoC example; the settings that are no
+calibration are that example's too, except that no calibration is estimated, because it is exact.
+"""
+
+import json
+from collections.abc import Callable, Mapping
+from types import MappingProxyType
+
+import numpy as np
+import numpy.typing as npt
+
+from dronevio.models.camera import CameraModel
+from dronevio.models.errors import ConfigError
+from dronevio.models.imu import GRAVITY_M_S2, Times
+from dronevio.models.recordings.euroc_calibration import calibration_files
+from dronevio.models.recordings.kalibr import (
+    CAMCHAIN_FILE,
+    CAMERA_TOPIC,
+    IMU_FILE,
+    IMU_TOPIC,
+    camchain_yaml,
+    imu_yaml,
+    indented,
+    rows_yaml,
+)
+from dronevio.models.recordings.sensor_yaml import shown
+from dronevio.models.rig import Rig
+from dronevio.models.rotation import inverse_pose, quat_wxyz_from_matrix
+
+Array = npt.NDArray[np.float64]
+
+_OPENCV = "%YAML:1.0\n"
+
+
+def kalibr_files(rig: Rig, frame_times_ns: Times) -> dict[str, str]:
+    """Return Kalibr's calibration: ``camchain.yaml`` and ``imu.yaml``."""
+    return {CAMCHAIN_FILE: camchain_yaml(rig), IMU_FILE: imu_yaml(rig)}
+
+
+def openvins_files(rig: Rig, frame_times_ns: Times) -> dict[str, str]:
+    """Return a configuration folder of OpenVINS (Geneva et al., ICRA 2020), as ``config/euroc_mav`` in its sources."""
+    eye3, eye4, zero3 = np.eye(3), np.eye(4), np.zeros((3, 3))
+    imu = rows_yaml("T_i_b", eye4) + imu_yaml(rig) + 'time_offset: 0.0\nmodel: "kalibr"\n'
+    for key, matrix in {"Tw": eye3, "R_IMUtoGYRO": eye3, "Ta": eye3, "R_IMUtoACC": eye3, "Tg": zero3}.items():
+        imu += rows_yaml(key, matrix)
+    settings = _OPENVINS_SETTINGS | {
+        "use_stereo": len(rig.cameras) > 1,
+        "max_cameras": len(rig.cameras),
+        "gravity_mag": GRAVITY_M_S2,
+        "track_frequency": rig.cameras[0].rate_hz + 1.0,
+    }
+    return {
+        "estimator_config.yaml": _OPENCV + "".join(f"{key}: {json.dumps(value)}\n" for key, value in settings.items()),
+        "kalibr_imu_chain.yaml": f"{_OPENCV}\nimu0:\n{indented(imu)}",
+        "kalibr_imucam_chain.yaml": f"{_OPENCV}\n{camchain_yaml(rig)}",
+    }
+
+
+def vins_files(rig: Rig, frame_times_ns: Times) -> dict[str, str]:
+    """Return a configuration of VINS-Fusion (Qin et al., 2019), as ``config/euroc`` in its sources.
+
+    Raises:
+        ConfigError: More than two cameras.
+    """
+    _require_at_most_two(rig, "VINS-Fusion")
+    model, rate = rig.cameras[0].model, np.sqrt(rig.imu.rate_hz)
+    text = f'{_OPENCV}imu: 1\nnum_of_cam: {len(rig.cameras)}\nimu_topic: "{IMU_TOPIC}"\n'
+    for i, camera in enumerate(rig.cameras):
+        text += f'image{i}_topic: "{CAMERA_TOPIC.format(i)}"\ncam{i}_calib: "cam{i}.yaml"\n'
+        text += _opencv_matrix(f"body_T_cam{i}", camera.T_imu_cam, "d")
+    text += (
+        f"image_width: {model.width}\nimage_height: {model.height}\n"
+        'output_path: "/tmp/"\nestimate_extrinsic: 0\nmultiple_thread: 1\n'
+        "max_cnt: 150\nmin_dist: 30\nfreq: 10\nF_threshold: 1.0\nshow_track: 0\nflow_back: 1\n"
+        "max_solver_time: 0.04\nmax_num_iterations: 8\nkeyframe_parallax: 10.0\n"
+        "# of one sample: densities times the root of the rate; the program's example has 0.1, 0.01, 0.001, 0.0001\n"
+        f"acc_n: {shown(float(rig.imu.accel_noise_density * rate))}\n"
+        f"gyr_n: {shown(float(rig.imu.gyro_noise_density * rate))}\n"
+        f"acc_w: {shown(float(rig.imu.accel_random_walk * rate))}\n"
+        f"gyr_w: {shown(float(rig.imu.gyro_random_walk * rate))}\n"
+        f"g_norm: {GRAVITY_M_S2}\n"
+        f"estimate_td: 0\ntd: {shown(float(rig.time_offset_s))}  # t_imu = t_cam + td\n"
+        'load_previous_pose_graph: 0\npose_graph_save_path: "/tmp/"\nsave_image: 0\n'
+    )
+    kind = "stereo" if len(rig.cameras) > 1 else "mono"
+    cameras = {f"cam{i}.yaml": _camodocal_yaml(camera.model) for i, camera in enumerate(rig.cameras)}
+    return {f"{kind}_imu_config.yaml": text, **cameras}
+
+
+def orbslam3_files(rig: Rig, frame_times_ns: Times) -> dict[str, str]:
+    """Return the settings of ORB-SLAM3 (Campos et al., T-RO 2021), and the list of time stamps that it asks for.
+
+    It has no place for a time offset between camera and IMU.
+
+    Raises:
+        ConfigError: More than two cameras, or cameras of two kinds.
+    """
+    _require_at_most_two(rig, "ORB-SLAM3")
+    first = rig.cameras[0]
+    if any(camera.model.lens != first.model.lens for camera in rig.cameras):
+        raise ConfigError("cameras of two kinds; expected two of one for ORB-SLAM3")
+    fisheye = first.model.lens == "equidistant"
+    terms = ("k1", "k2", "k3", "k4") if fisheye else ("k1", "k2", "p1", "p2")
+    text = f'{_OPENCV}File.version: "1.0"\nCamera.type: "{"KannalaBrandt8" if fisheye else "PinHole"}"\n'
+    for i, camera in enumerate(rig.cameras, 1):
+        m = camera.model
+        numbers = {"fx": m.fx, "fy": m.fy, "cx": m.cx, "cy": m.cy, **dict(zip(terms, m.distortion, strict=True))}
+        text += "".join(f"Camera{i}.{name}: {shown(float(value))}\n" for name, value in numbers.items())
+        if fisheye:
+            text += f"Camera{i}.overlappingBegin: 0\nCamera{i}.overlappingEnd: {m.width - 1}\n"
+    text += f"Camera.width: {first.model.width}\nCamera.height: {first.model.height}\n"
+    text += f"Camera.fps: {round(first.rate_hz)}\nCamera.RGB: 1\n"
+    if len(rig.cameras) > 1:
+        T_cam0_cam1 = inverse_pose(first.T_imu_cam) @ rig.cameras[1].T_imu_cam
+        text += _opencv_matrix("Stereo.T_c1_c2", T_cam0_cam1, "f") + "Stereo.ThDepth: 40.0\n"
+    text += (
+        f"{_opencv_matrix('IMU.T_b_c1', first.T_imu_cam, 'f')}"
+        f"IMU.NoiseGyro: {shown(float(rig.imu.gyro_noise_density))}\n"
+        f"IMU.NoiseAcc: {shown(float(rig.imu.accel_noise_density))}\n"
+        f"IMU.GyroWalk: {shown(float(rig.imu.gyro_random_walk))}\n"
+        f"IMU.AccWalk: {shown(float(rig.imu.accel_random_walk))}\n"
+        f"IMU.Frequency: {shown(float(rig.imu.rate_hz))}\n"
+        "ORBextractor.nFeatures: 1200\nORBextractor.scaleFactor: 1.2\nORBextractor.nLevels: 8\n"
+        "ORBextractor.iniThFAST: 20\nORBextractor.minThFAST: 7\n"
+        "Viewer.KeyFrameSize: 0.05\nViewer.KeyFrameLineWidth: 1.0\nViewer.GraphLineWidth: 0.9\n"
+        "Viewer.PointSize: 2.0\nViewer.CameraSize: 0.08\nViewer.CameraLineWidth: 3.0\n"
+        "Viewer.ViewpointX: 0.0\nViewer.ViewpointY: -0.7\nViewer.ViewpointZ: -3.5\nViewer.ViewpointF: 500.0\n"
+    )
+    return {"settings.yaml": text, "times.txt": "".join(f"{t_ns}\n" for t_ns in frame_times_ns.tolist())}
+
+
+def basalt_files(rig: Rig, frame_times_ns: Times) -> dict[str, str]:
+    """Return the calibration of Basalt (Usenko et al., RA-L 2020), as ``data/*_calib.json`` in its sources."""
+    identity = _basalt_pose(np.eye(4))
+    calibration = {
+        "T_imu_cam": [_basalt_pose(camera.T_imu_cam) for camera in rig.cameras],
+        "intrinsics": [_basalt_camera(camera.model) for camera in rig.cameras],
+        "resolution": [[camera.model.width, camera.model.height] for camera in rig.cameras],
+        "vignette": [],
+        "calib_accel_bias": [0.0] * 9,
+        "calib_gyro_bias": [0.0] * 12,
+        "imu_update_rate": float(rig.imu.rate_hz),
+        "accel_noise_std": [float(rig.imu.accel_noise_density)] * 3,
+        "gyro_noise_std": [float(rig.imu.gyro_noise_density)] * 3,
+        "accel_bias_std": [float(rig.imu.accel_random_walk)] * 3,
+        "gyro_bias_std": [float(rig.imu.gyro_random_walk)] * 3,
+        "T_mocap_world": identity,
+        "T_imu_marker": identity,
+        "mocap_time_offset_ns": 0,
+        "mocap_to_imu_offset_ns": 0,
+        "cam_time_offset_ns": round(rig.time_offset_s * 1e9),
+    }
+    return {"calib.json": json.dumps({"value0": calibration}, indent=4) + "\n"}
+
+
+def kimera_files(rig: Rig, frame_times_ns: Times) -> dict[str, str]:
+    """Return the calibration of Kimera-VIO (Rosinol et al., ICRA 2020), to put over a copy of its ``params/Euroc``.
+
+    Raises:
+        ConfigError: More than two cameras.
+    """
+    _require_at_most_two(rig, "Kimera-VIO")
+    texts = calibration_files(rig)
+    files = {"ImuParams.yaml": _kimera_imu(texts["imu0/sensor.yaml"], rig.time_offset_s)}
+    for i, side in zip(range(len(rig.cameras)), ("left", "right"), strict=False):
+        camera = texts[f"cam{i}/sensor.yaml"].replace(_OPENCV, f"{_OPENCV}camera_id: {side}_cam\n")
+        files[f"{side.title()}CameraParams.yaml"] = camera
+    return files
+
+
+CONFIGURATIONS: Mapping[str, Callable[[Rig, Times], dict[str, str]]] = MappingProxyType(
+    {
+        "kalibr": kalibr_files,
+        "openvins": openvins_files,
+        "vins": vins_files,
+        "orbslam3": orbslam3_files,
+        "basalt": basalt_files,
+        "kimera": kimera_files,
+    }
+)
+"""By the name of the program, what makes its files: takes a rig and the time stamps of the frames [ns], returns the
+texts by the names of the files."""
+
+_OPENVINS_SETTINGS: dict[str, object] = {
+    "verbosity": "INFO",
+    "use_fej": True,
+    "integration": "rk4",
+    "use_imuavg": True,
+    "use_rk4int": True,
+    "calib_cam_extrinsics": False,
+    "calib_cam_intrinsics": False,
+    "calib_cam_timeoffset": False,
+    "calib_imu_intrinsics": False,
+    "calib_imu_g_sensitivity": False,
+    "max_clones": 11,
+    "max_slam": 50,
+    "max_slam_in_update": 25,
+    "max_msckf_in_update": 40,
+    "dt_slam_delay": 1,
+    "feat_rep_msckf": "GLOBAL_3D",
+    "feat_rep_slam": "ANCHORED_MSCKF_INVERSE_DEPTH",
+    "feat_rep_aruco": "ANCHORED_MSCKF_INVERSE_DEPTH",
+    "try_zupt": False,
+    "zupt_chi2_multipler": 0,
+    "zupt_max_velocity": 0.1,
+    "zupt_noise_multiplier": 10,
+    "zupt_max_disparity": 0.5,
+    "zupt_only_at_beginning": False,
+    "init_window_time": 2.0,
+    "init_imu_thresh": 1.5,
+    "init_max_disparity": 10.0,
+    "init_max_features": 75,
+    "init_dyn_use": False,
+    "init_dyn_mle_opt_calib": False,
+    "init_dyn_mle_max_iter": 50,
+    "init_dyn_mle_max_time": 0.05,
+    "init_dyn_mle_max_threads": 6,
+    "init_dyn_num_pose": 6,
+    "init_dyn_min_deg": 10.0,
+    "init_dyn_inflation_ori": 10,
+    "init_dyn_inflation_vel": 100,
+    "init_dyn_inflation_bg": 10,
+    "init_dyn_inflation_ba": 100,
+    "init_dyn_min_rec_cond": 1.0e-12,
+    "init_dyn_bias_g": [0.0, 0.0, 0.0],
+    "init_dyn_bias_a": [0.0, 0.0, 0.0],
+    "record_timing_information": False,
+    "record_timing_filepath": "/tmp/openvins_timing.txt",
+    "save_total_state": False,
+    "filepath_est": "/tmp/openvins_estimate.txt",
+    "filepath_std": "/tmp/openvins_estimate_std.txt",
+    "filepath_gt": "/tmp/openvins_groundtruth.txt",
+    "use_klt": True,
+    "num_pts": 200,
+    "fast_threshold": 20,
+    "grid_x": 5,
+    "grid_y": 5,
+    "min_px_dist": 10,
+    "knn_ratio": 0.70,
+    "downsample_cameras": False,
+    "num_opencv_threads": 4,
+    "histogram_method": "HISTOGRAM",
+    "use_aruco": False,
+    "num_aruco": 1024,
+    "downsize_aruco": True,
+    "up_msckf_sigma_px": 1,
+    "up_msckf_chi2_multipler": 1,
+    "up_slam_sigma_px": 1,
+    "up_slam_chi2_multipler": 1,
+    "up_aruco_sigma_px": 1,
+    "up_aruco_chi2_multipler": 1,
+    "use_mask": False,
+    "relative_config_imu": "kalibr_imu_chain.yaml",
+    "relative_config_imucam": "kalibr_imucam_chain.yaml",
+}
+
+
+def _require_at_most_two(rig: Rig, program: str) -> None:
+    """Raise ConfigError unless a rig has one camera or two."""
+    if len(rig.cameras) > 2:
+        raise ConfigError(f"{len(rig.cameras)} cameras; expected one or two for {program}")
+
+
+def _opencv_matrix(key: str, matrix: Array, kind: str) -> str:
+    """Return a matrix as OpenCV writes it: of doubles (``d``) or floats (``f``)."""
+    rows, cols = matrix.shape
+    data = ",\n         ".join(", ".join(map(shown, row)) for row in matrix.tolist())
+    return f"{key}: !!opencv-matrix\n   rows: {rows}\n   cols: {cols}\n   dt: {kind}\n   data: [{data}]\n"
+
+
+def _camodocal_yaml(m: CameraModel) -> str:
+    """Return a camera as VINS-Fusion's camera models read it."""
+    if m.lens == "equidistant":  # its k2 to k5 are what others call k1 to k4
+        kind, distortion = "KANNALA_BRANDT", dict[str, float]()
+        projection = dict(zip(("k2", "k3", "k4", "k5"), m.distortion, strict=True))
+        projection |= {"mu": m.fx, "mv": m.fy, "u0": m.cx, "v0": m.cy}
+    else:
+        kind, projection = "PINHOLE", {"fx": m.fx, "fy": m.fy, "cx": m.cx, "cy": m.cy}
+        distortion = dict(zip(("k1", "k2", "p1", "p2"), m.distortion, strict=True))
+    text = f"{_OPENCV}---\nmodel_type: {kind}\ncamera_name: camera\nimage_width: {m.width}\nimage_height: {m.height}\n"
+    for name, numbers in (("distortion_parameters", distortion), ("projection_parameters", projection)):
+        lines = "".join(f"   {key}: {shown(float(value))}\n" for key, value in numbers.items())
+        text += f"{name}:\n{lines}" if lines else ""
+    return text
+
+
+def _basalt_pose(T: Array) -> dict[str, float]:
+    """Return a pose as Basalt writes it."""
+    w, x, y, z = quat_wxyz_from_matrix(T[:3, :3]).tolist()
+    px, py, pz = T[:3, 3].tolist()
+    return {"px": px, "py": py, "pz": pz, "qx": x, "qy": y, "qz": z, "qw": w}
+
+
+def _basalt_camera(m: CameraModel) -> dict[str, object]:
+    """Return a camera as Basalt writes it."""
+    numbers = {"fx": float(m.fx), "fy": float(m.fy), "cx": float(m.cx), "cy": float(m.cy)}
+    if m.lens == "equidistant":
+        return {
+            "camera_type": "kb4",
+            "intrinsics": numbers | dict(zip(("k1", "k2", "k3", "k4"), map(float, m.distortion), strict=True)),
+        }
+    if not any(m.distortion):
+        return {"camera_type": "pinhole", "intrinsics": numbers}
+    terms = dict(zip(("k1", "k2", "p1", "p2"), map(float, m.distortion), strict=True))
+    rest = {"k3": 0.0, "k4": 0.0, "k5": 0.0, "k6": 0.0, "rpmax": 0.0}  # 0: undistort as far as the image reaches
+    return {"camera_type": "pinhole-radtan8", "intrinsics": numbers | terms | rest}
+
+
+def _kimera_imu(sensor_yaml: str, time_offset_s: float) -> str:
+    """Return the IMU's parameters, which begin with those of an EuRoC folder."""
+    return (
+        f"{sensor_yaml}imu_preintegration_type: 1\nimu_integration_sigma: 1.0e-8\n"
+        f"imu_time_shift: {shown(float(time_offset_s))}  # t_imu = t_cam + shift\n"
+        f"n_gravity: [0.0, 0.0, {-GRAVITY_M_S2}]\n"
+    )
