@@ -65,6 +65,12 @@ def test_a_steady_scene_is_held_at_the_target() -> None:
     assert np.all(exposures.gain == 1.0)
 
 
+def test_white_counts_as_white_however_bright_it_is() -> None:
+    scene = 0.4 * histogram(grey(250)) + 0.6 * histogram(grey(20))  # as through a window
+    exposures = control(AutoExposure(tolerance=0.0, target_level=150.0, longest_s=0.05), [scene] * 60, np.ones(60))
+    assert exposures.time_s[-1] / NOMINAL_S == pytest.approx((150.0 - 0.4 * 255.0) / (0.6 * 20.0), rel=1e-3)
+
+
 def test_a_step_of_light_is_corrected_without_overshoot_and_not_before_it_is_seen() -> None:
     scene = histogram(grey(100))
     light = np.where(np.arange(40) < 10, 1.0, 0.25)

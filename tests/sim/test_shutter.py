@@ -110,7 +110,7 @@ def test_markers_land_where_their_row_sees_them(
     expected = expected_pixels(rig_camera, poses, p_world)
     assert len(expected) == 35
     error = np.array([centroid(light, pixel, 12) - pixel for pixel in expected])
-    assert np.abs(error).max() < 0.25
+    assert np.abs(error).max() < 0.1
     if any(velocity) and readout_s:  # the rows do matter
         assert np.abs(seen_from(np.tile(T_START, (35, 1, 1)), camera, p_world) - expected).max() > 2.0
 
