@@ -45,7 +45,16 @@ class Plant:
         return Plant(wood, leaves, tuple(box.moved(R, position) for box in self.obstacles))
 
 
-def tree(rng: Random, radius_m: float, height_m: float, within_m: float, kind: int, sun: Array, twigs: int) -> Plant:
+def tree(
+    rng: Random,
+    radius_m: float,
+    height_m: float,
+    within_m: float,
+    kind: int,
+    sun: Array,
+    twigs: int,
+    sides: int = _SIDES,
+) -> Plant:
     """Return a tall tree: a bare trunk as thick as given up to ``within_m``, a crown above.
 
     Args:
@@ -55,22 +64,23 @@ def tree(rng: Random, radius_m: float, height_m: float, within_m: float, kind: i
         within_m: Up to where a drone may meet it: there it is a prism [m].
         kind: Its bark, one of `BARKS`.
         sun: (3,) Unit vector toward the sun.
-        twigs: How many its crown has.
+        twigs: How many its crown has: the fewer, the larger.
+        sides: Of its trunk, an even number.
     """
     flare = 0.3
     heights = np.array([0.8 * height_m, 0.5 * (0.8 * height_m + within_m), within_m, flare, -0.1])
     radii = radius_m * np.array([0.25, 0.7, 1.0, 1.0, 1.3])
     bend = np.zeros((5, 2))
     bend[:2] = np.cumsum(rng.uniform(-0.25, 0.25, (2, 2)), axis=0)[::-1]
-    trunk = Cutouts.of_grid(mantle(heights, radii, _SIDES, bend), kind / BARKS, (kind + 1) / BARKS)
+    trunk = Cutouts.of_grid(mantle(heights, radii, sides, bend), kind / BARKS, (kind + 1) / BARKS)
     # the bark's rows follow the height, not the rings
     trunk.on_image[..., 1] = 1.0 - trunk.corners[..., 2] / (0.8 * height_m)
     base = within_m + 0.9 + rng.uniform(0.0, 0.1) * height_m
     half = np.array([rng.uniform(1.5, 2.3), rng.uniform(1.5, 2.3), 0.5 * (height_m - base)])
     middle = np.array([*bend[0], 0.5 * (height_m + base)])
-    crown = foliage(rng, middle, half, rng.uniform(1.1, 1.6), twigs, sun)
+    crown = foliage(rng, middle, half, rng.uniform(1.1, 1.6) * (150.0 / twigs) ** 0.3, twigs, sun)
     root = Box(np.array([0.0, 0.0, 0.5 * flare]), np.array([0.85, 0.85, 0.0]) * radius_m + [0, 0, 0.5 * flare], UNSEEN)
-    return Plant((trunk,), (crown,), (*filling(radius_m, -0.1, within_m, _SIDES), root)).moved(
+    return Plant((trunk,), (crown,), (*filling(radius_m, -0.1, within_m, sides), root)).moved(
         _leaning(rng), np.zeros(3)
     )
 

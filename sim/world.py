@@ -154,7 +154,7 @@ def _painted(name: str, seed: int) -> tuple[Layout, Looks]:
         shading = tuple(box for box in layout.boxes if box.glow == 0.0)
     light = bake([*faces, *floor], shading, layout.lights)
     pages = paint_pages(faces, light[: len(faces)], paint)
-    pages += [shared.page(paint) for shared in layout.prints]
+    pages = [shared.page(paint) for shared in layout.prints] + pages  # near things first: they hide what is behind
     reflecting = [painted(face, light[-1], paint) for face in floor]
     moving_pages = []
     for thing in layout.moving:

@@ -134,8 +134,9 @@ def _trees(rng: Random, route: Array, toward: Array) -> list[tuple[Plant, Array,
     for place, radius in zip(*(v[free & around & ~in_clearing & ~near_border] for v in (places, radii)), strict=True):
         inside = bool(np.all(np.abs(place) < _HIGH[:2]))
         tall = 6.8 + 14.0 * radius + rng.uniform(0.0, 2.5)
-        twigs = int(130 + 200 * radius) if inside else 64
-        plant = plants.tree(rng, radius, tall, _HIGH[2] + 0.2, int(rng.integers(plants.BARKS)), toward, twigs)
+        twigs, sides = (int(130 + 200 * radius), 8) if inside else (44, 6)
+        kind = int(rng.integers(plants.BARKS))
+        plant = plants.tree(rng, radius, tall, _HIGH[2] + 0.2, kind, toward, twigs, sides)
         plant = plant.moved(np.eye(3), np.array([*place, 0.0]))
         if not inside:
             plant = Plant(plant.wood, plant.leaves, ())
