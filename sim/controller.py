@@ -113,11 +113,18 @@ class RotorDrive:
     Rotors slower than wanted are led: commanded beyond where they should be, as far as their range allows.
     """
 
-    def __init__(self, quadrotor: Quadrotor, response_s: float) -> None:
+    def __init__(self, quadrotor: Quadrotor, response_s: float, speed_rad_s: float = 0.0) -> None:
+        """Take the rotors to turn at a speed.
+
+        Args:
+            quadrotor: Whose rotors.
+            response_s: Time constant to drive them with, if they are slower [s].
+            speed_rad_s: What they turn at now [rad/s].
+        """
         self._lag_s = quadrotor.rotor_lag_s
         self._response_s = min(response_s, quadrotor.rotor_lag_s)
         self._fastest = quadrotor.rotor_speed_max_rad_s
-        self.speeds_rad_s = np.zeros(4)
+        self.speeds_rad_s = np.full(4, speed_rad_s)
         self.change_rad_s2 = np.zeros(4)
 
     def towards(self, wanted_rad_s: Array, dt_s: float) -> Array:
@@ -135,7 +142,8 @@ class SE3Controller:
     """Flies a reference; implements `Controller`.
 
     It works on the vehicle frame at the centre of mass, and takes the state of the IMU wherever that is mounted. It
-    keeps its own idea of the rotors' speeds, and must be asked for every step of the reference in turn.
+    keeps its own idea of the rotors' speeds (at hover, where the reference begins in the air), and must be asked for
+    every step of the reference in turn.
     """
 
     def __init__(
@@ -154,7 +162,9 @@ class SE3Controller:
         self._gains = gains = gains or Gains()
         self._step_s = float(reference.t_ns[1] - reference.t_ns[0]) * 1e-9
         self._mixer = Mixer(self._quadrotor)
-        self._drive = RotorDrive(self._quadrotor, gains.rotor_response_s)
+        self._aloft = bool(reference.flying[0])
+        speed = self._quadrotor.hover_speed_rad_s if self._aloft else 0.0
+        self._drive = RotorDrive(self._quadrotor, gains.rotor_response_s, speed)
         self._push = DisturbanceObserver(gains.force_observer_rad_s, gains.force_max_m_s2)
         self._twist = DisturbanceObserver(gains.torque_observer_rad_s, gains.torque_max_rad_s2)
         self._allocation = self._quadrotor.allocation
@@ -166,7 +176,6 @@ class SE3Controller:
         self._damping = np.array([gains.tilt_rate_per_s, gains.tilt_rate_per_s, gains.yaw_rate_per_s])
         self._spins = self._quadrotor.rotor_spins
         self._yaw_drag_nm = 0.0
-        self._aloft = bool(reference.flying[0])
 
     def command(self, state: NavState, t_ns: int) -> Array:
         """Return rotor speeds (4,) [rad/s] for the state at ``t_ns``; zeros while the drone should stand.

@@ -1,38 +1,66 @@
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
-from dronevio.models.quadrotor import Quadrotor
+from dronevio.models.errors import ConfigError
+from dronevio.models.quadrotor import NANO, RESEARCH, VEHICLES, Quadrotor, vehicle_named
 
 FRONT_RIGHT, REAR_LEFT, FRONT_LEFT, REAR_RIGHT = range(4)
 
 
-def test_rotors_stand_where_their_names_say() -> None:
-    x, y, _ = Quadrotor().rotor_positions_m.T
+@pytest.fixture(params=list(VEHICLES))
+def drone(request: pytest.FixtureRequest) -> Quadrotor:
+    return vehicle_named(request.param)
+
+
+def test_rotors_stand_where_their_names_say(drone: Quadrotor) -> None:
+    x, y, _ = drone.rotor_positions_m.T
     assert x[FRONT_RIGHT] > 0 > y[FRONT_RIGHT]
     assert x[REAR_LEFT] < 0 < y[REAR_LEFT]
     assert x[FRONT_LEFT] > 0 and y[FRONT_LEFT] > 0
     assert x[REAR_RIGHT] < 0 and y[REAR_RIGHT] < 0
-    np.testing.assert_allclose(np.hypot(x, y), Quadrotor().arm_m)
+    np.testing.assert_allclose(np.hypot(x, y), drone.arm_m)
+    assert np.sqrt(2.0) * drone.arm_m > 2.0 * drone.rotor_radius_m  # neighbours do not touch
 
 
-def test_equal_rotors_lift_without_turning() -> None:
-    quadrotor = Quadrotor()
-    wrench = quadrotor.allocation @ np.full(4, quadrotor.hover_speed_rad_s**2)
-    np.testing.assert_allclose(wrench, [1.5 * 9.81, 0.0, 0.0, 0.0], atol=1e-12)
+def test_equal_rotors_lift_without_turning(drone: Quadrotor) -> None:
+    wrench = drone.allocation @ np.full(4, drone.hover_speed_rad_s**2)
+    np.testing.assert_allclose(wrench, [drone.mass_kg * 9.81, 0.0, 0.0, 0.0], atol=1e-12)
 
 
 @pytest.mark.parametrize(
     ("rotor", "signs"),
     [(FRONT_RIGHT, (-1, -1, -1)), (REAR_LEFT, (1, 1, -1)), (FRONT_LEFT, (1, -1, 1)), (REAR_RIGHT, (-1, 1, 1))],
 )
-def test_each_rotor_turns_the_body_the_right_way(rotor: int, signs: tuple[int, int, int]) -> None:
+def test_each_rotor_turns_the_body_the_right_way(drone: Quadrotor, rotor: int, signs: tuple[int, int, int]) -> None:
     # left rotors roll right (+x), rear ones pitch the nose down (+y), clockwise ones yaw left (+z)
     squares = np.zeros(4)
     squares[rotor] = 1e5
-    np.testing.assert_array_equal(np.sign(Quadrotor().allocation[1:] @ squares), signs)
+    np.testing.assert_array_equal(np.sign(drone.allocation[1:] @ squares), signs)
 
 
-def test_motors_can_lift_twice_the_weight() -> None:
-    quadrotor = Quadrotor()
-    ratio = (quadrotor.rotor_speed_max_rad_s / quadrotor.hover_speed_rad_s) ** 2
+def test_motors_can_lift_twice_the_weight(drone: Quadrotor) -> None:
+    ratio = (drone.rotor_speed_max_rad_s / drone.hover_speed_rad_s) ** 2
     assert 2.0 < ratio < 3.0
+
+
+def test_an_inertia_is_that_of_a_body(drone: Quadrotor) -> None:
+    x, y, z = drone.inertia_kg_m2
+    assert max(x, y, z) < 0.5 * (x + y + z)
+    for moment in (x, y, z):
+        assert moment < drone.mass_kg * (drone.arm_m + drone.rotor_radius_m) ** 2
+
+
+def test_vehicles_are_found_by_name() -> None:
+    assert vehicle_named("research") is RESEARCH == Quadrotor()
+    assert vehicle_named("nano") is NANO
+    assert 0.025 < NANO.mass_kg < 0.035
+    with pytest.raises(ConfigError, match=r"'blimp'.*research, nano"):
+        vehicle_named("blimp")
+
+
+@pytest.mark.parametrize("change", [{"mass_kg": 0.0}, {"rotor_lag_s": -0.1}, {"inertia_kg_m2": (0.1, np.nan, 0.1)}])
+def test_impossible_bodies_are_refused(change: dict[str, object]) -> None:
+    with pytest.raises(ConfigError, match=next(iter(change))):
+        replace(RESEARCH, **change)  # type: ignore[arg-type]

@@ -1,14 +1,18 @@
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from dronevio.models.errors import ConfigError
-from dronevio.models.quadrotor import Quadrotor
+from dronevio.models.quadrotor import VEHICLES, Quadrotor
 from dronevio.models.rig import euroc_rig
 from dronevio.models.rotation import exp_so3, pose_matrix
 from dronevio.models.state import NavState
-from dronevio.sim.controller import Mixer, SE3Controller
+from dronevio.sim.controller import DisturbanceObserver, Mixer, RotorDrive, SE3Controller
 from dronevio.sim.path import Reference
 from dronevio.sim.plant import QuadrotorPlant
+from dronevio.sim.rotors import Rotors
+from dronevio.sim.wind import Wind
 
 QUAD = Quadrotor()
 MIXER = Mixer(QUAD)
@@ -52,18 +56,86 @@ def test_mixer_never_leaves_the_rotors_range() -> None:
         assert np.all((speeds >= LOWEST - 1e-9) & (speeds <= HIGHEST + 1e-9))
 
 
+def flown(plant: QuadrotorPlant, reference: Reference, drone: Quadrotor) -> np.ndarray:
+    """Fly a reference with a controller that believes in a drone, and return the poses (N, 4, 4)."""
+    controller = SE3Controller(reference, plant.rig.T_vehicle_imu, drone)
+    for t_ns in reference.t_ns[:-1].tolist():
+        plant.advance(t_ns + plant.interval_ns, controller.command(plant.state(), t_ns))
+    return plant.motion().trajectory(np.eye(4)).Ts_world_imu
+
+
+@pytest.mark.parametrize("name", VEHICLES)
 @pytest.mark.parametrize("angle", [[0.9, 0.0, 0.0], [0.0, -0.9, 0.0], [0.0, 0.0, 2.5], [2.3, 0.8, 0.0]])
-def test_recovers_from_any_tilt_and_heading(angle: list[float]) -> None:
-    rig = euroc_rig()
-    plant = QuadrotorPlant(rig)
+def test_recovers_from_any_tilt_and_heading(name: str, angle: list[float]) -> None:
+    drone = VEHICLES[name]
+    plant = QuadrotorPlant(euroc_rig(), drone)
     start = pose_matrix(exp_so3(np.array(angle)), TARGET + [0.5, -0.4, 0.3])
-    plant.reset(start, rotor_speeds_rad_s=np.full(4, QUAD.hover_speed_rad_s))
-    controller = SE3Controller(hovering(6.0, yaw_rad=0.3), rig.T_vehicle_imu)
-    while plant.t_ns < 6_000_000_000:
-        plant.advance(plant.t_ns + plant.interval_ns, controller.command(plant.state(), plant.t_ns))
-    end = plant.vehicle_state().T_world_imu
+    plant.reset(start, rotor_speeds_rad_s=np.full(4, drone.hover_speed_rad_s))
+    end = flown(plant, hovering(6.0, yaw_rad=0.3), drone)[-1]
     np.testing.assert_allclose(end[:3, 3], TARGET, atol=0.01)
     np.testing.assert_allclose(end[:3, :3], exp_so3(np.array([0.0, 0.0, 0.3])), atol=0.01)
+
+
+@pytest.mark.parametrize("name", VEHICLES)
+def test_a_steady_wind_is_leant_against_until_nothing_is_left_of_it(name: str) -> None:
+    drone = VEHICLES[name]
+    plant = QuadrotorPlant(euroc_rig(), drone, wind=Wind((-2.0, 3.0, 0.5)))
+    plant.reset(pose_matrix(np.eye(3), TARGET), rotor_speeds_rad_s=np.full(4, drone.hover_speed_rad_s))
+    end = flown(plant, hovering(6.0), drone)[-1]
+    np.testing.assert_allclose(end[:3, 3], TARGET, atol=2e-3)
+    assert end[0, 2] > 0.02 and end[1, 2] < -0.03  # into the wind
+
+
+@pytest.mark.parametrize("name", VEHICLES)
+@pytest.mark.parametrize("change", [{"mass_kg": 1.15}, {"thrust_n_per_rad2_s2": 0.88}, {"rotor_lag_s": 1.3}])
+def test_a_wrong_idea_of_the_drone_is_made_up_for(name: str, change: dict[str, float]) -> None:
+    drone = VEHICLES[name]
+    true = replace(drone, **{field: share * getattr(drone, field) for field, share in change.items()})
+    plant = QuadrotorPlant(euroc_rig(), true)
+    plant.reset(pose_matrix(np.eye(3), TARGET), rotor_speeds_rad_s=np.full(4, drone.hover_speed_rad_s))
+    poses = flown(plant, hovering(6.0), drone)
+    np.testing.assert_allclose(poses[-1, :3, 3], TARGET, atol=5e-3)
+    assert np.abs(poses[:, :3, 3] - TARGET).max() < 0.3
+
+
+def test_an_observer_finds_a_disturbance_as_quickly_as_its_poles_and_no_more_than_its_limit() -> None:
+    observer, pole, push = DisturbanceObserver(8.0, 3.0), 8.0, np.array([1.0, -2.0, 9.0])
+    velocity, found = np.zeros(3), []
+    for _ in range(400):
+        observer.update(velocity, np.array([0.0, 0.0, 0.5]), 5e-3)
+        velocity = velocity + 5e-3 * (push + [0.0, 0.0, 0.5])
+        found.append(observer.disturbance)
+    t = 5e-3 * np.arange(400)
+    step = 1.0 - (1.0 + pole * t) * np.exp(-pole * t)  # of a double pole
+    np.testing.assert_allclose(np.array(found)[:, :2], step[:, None] * push[:2], atol=0.05)
+    np.testing.assert_allclose(found[-1], [1.0, -2.0, 3.0], rtol=1e-3)
+
+
+def test_slow_rotors_are_led_and_quick_ones_are_not() -> None:
+    for drone, led in ((QUAD, False), (VEHICLES["nano"], True)):
+        drive, rotors = RotorDrive(drone, 0.03, drone.hover_speed_rad_s), Rotors(drone)
+        state = rotors.start(drive.speeds_rad_s)
+        wanted = 1.05 * drive.speeds_rad_s
+        commands = []
+        for _ in range(6):
+            commands.append(drive.towards(wanted, 5e-3))
+            state = rotors.after(state, commands[-1], 5e-3)
+        reached = (state.speed_rad_s - drone.hover_speed_rad_s) / (0.05 * drone.hover_speed_rad_s)
+        np.testing.assert_allclose(reached, 1.0 - np.exp(-1.0), rtol=1e-6)  # after 30 ms, whatever the rotors' own lag
+        np.testing.assert_allclose(drive.speeds_rad_s, state.speed_rad_s, rtol=1e-9)
+        assert bool(np.all(commands[0] > 1.01 * wanted)) is led
+
+
+def test_a_turn_on_the_spot_neither_overshoots_nor_lags() -> None:
+    """The rotors' spin-up turns the drone before their drag does; the controller counts with both."""
+    plant = QuadrotorPlant(euroc_rig())
+    plant.reset(pose_matrix(np.eye(3), TARGET), rotor_speeds_rad_s=np.full(4, QUAD.hover_speed_rad_s))
+    poses = flown(plant, hovering(3.0, yaw_rad=0.5), QUAD)
+    yaw = np.arctan2(poses[:, 1, 0], poses[:, 0, 0])
+    assert yaw.max() < 0.55
+    assert yaw[200] > 0.4
+    assert yaw[-1] == pytest.approx(0.5, abs=1e-3)
+    np.testing.assert_allclose(poses[:, :3, 3], np.tile(TARGET, (len(poses), 1)), atol=0.02)
 
 
 def test_at_the_target_it_carries_the_weight() -> None:

@@ -14,6 +14,7 @@ from dronevio.sim.plant import QuadrotorPlant
 QUAD = Quadrotor()
 HOVER = np.full(4, QUAD.hover_speed_rad_s)
 ALOFT = pose_matrix(np.eye(3), np.array([0.0, 0.0, 50.0]))
+AT_THE_MIDDLE = Rig(cameras=(), imu=ImuModel(rate_hz=200.0))
 FRONT_RIGHT, REAR_LEFT, FRONT_LEFT, REAR_RIGHT = np.eye(4)
 SECOND_NS = 1_000_000_000
 SMOOTH = replace(QUAD, drag_area_m2=(0.0, 0.0, 0.0))  # with rotors at rest, no air holds it back
@@ -38,6 +39,7 @@ def test_another_quadrotor_has_its_own_mass() -> None:
     np.testing.assert_allclose(np.linalg.norm(accel), 9.81 / 2.0, rtol=1e-3)
 
 
+@pytest.mark.parametrize("name", VEHICLES)
 @pytest.mark.parametrize(
     ("more", "less", "axis", "sign"),
     [
@@ -50,31 +52,40 @@ def test_another_quadrotor_has_its_own_mass() -> None:
     ],
     ids=["roll right", "nose down", "yaw left", "roll left", "nose up", "yaw right"],
 )
-def test_every_axis_turns_the_right_way(more: np.ndarray, less: np.ndarray, axis: int, sign: int) -> None:
-    plant = QuadrotorPlant(euroc_rig())
-    plant.reset(ALOFT, rotor_speeds_rad_s=HOVER)
-    plant.advance(SECOND_NS // 5, HOVER + 20.0 * (more - less))
-    rate = plant.vehicle_state().angular_velocity_rad_s
-    assert rate is not None
-    assert sign * rate[axis] > 0.05
-    assert np.all(np.abs(np.delete(rate, axis)) < 0.05 * abs(rate[axis]))
+def test_every_axis_turns_the_right_way_and_the_gyroscope_says_so(
+    name: str, more: np.ndarray, less: np.ndarray, axis: int, sign: int
+) -> None:
+    plant = QuadrotorPlant(AT_THE_MIDDLE, VEHICLES[name])
+    hover = np.full(4, plant.quadrotor.hover_speed_rad_s)
+    plant.reset(ALOFT, rotor_speeds_rad_s=hover)
+    gyro = plant.step_until(SECOND_NS // 5, hover * (1.0 + 0.03 * (more - less))).gyro_rad_s
+    assert np.all(sign * gyro[3:, axis] > 0.0)
+    assert sign * gyro[-1, axis] > 0.05
+    assert np.all(np.abs(np.delete(gyro[-1], axis)) < 0.05 * abs(gyro[-1, axis]))
+    up = plant.vehicle_state().T_world_imu[:3, :3] @ np.eye(3)[(axis + 1) % 3]
+    assert sign * up[(axis + 2) % 3] > 0.0  # a right-handed turn: y toward z, z toward x, x toward y
 
 
+@pytest.mark.parametrize("name", VEHICLES)
 @pytest.mark.parametrize(("share", "sign"), [(1.1, 1), (0.9, -1)])
-def test_thrust_lifts(share: float, sign: int) -> None:
-    plant = QuadrotorPlant(euroc_rig())
-    plant.reset(ALOFT, rotor_speeds_rad_s=HOVER)
-    plant.advance(SECOND_NS // 2, share * HOVER)
+def test_thrust_lifts_and_the_accelerometer_says_so(name: str, share: float, sign: int) -> None:
+    plant = QuadrotorPlant(AT_THE_MIDDLE, VEHICLES[name])
+    hover = np.full(4, plant.quadrotor.hover_speed_rad_s)
+    plant.reset(ALOFT, rotor_speeds_rad_s=hover)
+    accel = plant.step_until(SECOND_NS // 2, share * hover).accel_m_s2
     velocity = plant.vehicle_state().velocity_m_s
-    assert sign * velocity[2] > 0.5
+    assert sign * velocity[2] > 0.4
+    assert np.all(sign * (accel[3:, 2] - 9.81) > 0.0)
     np.testing.assert_allclose(velocity[:2], 0.0, atol=1e-9)
 
 
+@pytest.mark.parametrize("name", VEHICLES)
 @pytest.mark.parametrize(("angle", "expected"), [([0.0, 0.2, 0.0], [1, 0]), ([0.2, 0.0, 0.0], [0, -1])])
-def test_tilt_accelerates_to_where_it_points(angle: list[float], expected: list[int]) -> None:
-    plant = QuadrotorPlant(euroc_rig())
-    plant.reset(pose_matrix(exp_so3(np.array(angle)), ALOFT[:3, 3]), rotor_speeds_rad_s=HOVER)
-    plant.advance(SECOND_NS // 5, HOVER)
+def test_tilt_accelerates_to_where_it_points(name: str, angle: list[float], expected: list[int]) -> None:
+    plant = QuadrotorPlant(AT_THE_MIDDLE, VEHICLES[name])
+    hover = np.full(4, plant.quadrotor.hover_speed_rad_s)
+    plant.reset(pose_matrix(exp_so3(np.array(angle)), ALOFT[:3, 3]), rotor_speeds_rad_s=hover)
+    plant.advance(SECOND_NS // 5, hover)
     np.testing.assert_array_equal(np.sign(np.round(plant.vehicle_state().velocity_m_s[:2], 3)), expected)
 
 
