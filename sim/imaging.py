@@ -103,7 +103,8 @@ class AutoExposure:
         x[k + 2] = x[k + 1] + speed · log(target / mean[k]),
 
     whose characteristic polynomial z² − z + speed has the double root ½ at speed = ¼: the fastest response that does
-    not overshoot.
+    not overshoot. A frame that is mostly white does not tell how much too bright it is, so up to three times as much is
+    corrected then; the loop stays stable below a speed of 1.
     """
 
     target_level: float = 110.0
@@ -127,7 +128,7 @@ class AutoExposure:
         """
         _check(0.0 < self.target_level < WHITE, "target_level", self.target_level, "between 0 and 255")
         _check(self.tolerance >= 0.0, "tolerance", self.tolerance, "0 or more")
-        _check(0.0 < self.speed < 1.0, "speed", self.speed, "between 0 and 1, where the loop is stable")
+        _check(0.0 < self.speed < 1.0 / 3.0, "speed", self.speed, "between 0 and 1/3, where the loop is stable")
         _check(0.0 < self.shortest_s <= self.longest_s, "shortest_s", self.shortest_s, "within (0, longest_s]")
         _check(self.largest_gain >= 1.0, "largest_gain", self.largest_gain, "1 or more")
 
@@ -144,10 +145,11 @@ class AutoExposure:
         x = np.full(frames + 2, np.log(np.clip(nominal_s, self.shortest_s, self.longest_s)))
 
         def corrected(now: float, seen: int, when_seen: float) -> float:
-            scale = irradiance[seen] * np.exp(when_seen) / nominal_s
-            mean = max(float(histograms[seen] @ np.minimum(levels * scale, WHITE)), 1.0)
-            error = np.log(self.target_level / mean)
-            return float(np.clip(now + self.speed * error * (abs(error) > self.tolerance), *limits))
+            image = np.minimum(levels * irradiance[seen] * np.exp(when_seen) / nominal_s, WHITE)
+            error = np.log(self.target_level / max(float(histograms[seen] @ image), 1.0))
+            white = float(histograms[seen] @ (image >= WHITE))
+            speed = self.speed * (1.0 + 2.0 * max(2.0 * white - 1.0, 0.0))
+            return float(np.clip(now + speed * error * (abs(error) > self.tolerance), *limits))
 
         if frames:
             for _ in range(_SETTLING_STEPS):

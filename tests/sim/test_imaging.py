@@ -82,6 +82,16 @@ def test_a_step_of_light_is_corrected_without_overshoot_and_not_before_it_is_see
     assert np.all(np.diff(step) > -1e-9)
 
 
+def test_it_recovers_from_the_dark_in_half_a_second() -> None:
+    scene = histogram(np.random.default_rng(0).integers(20, 200, (60, 90)))
+    light = np.where((np.arange(60) >= 10) & (np.arange(60) < 20), 1e-4, 1.0)
+    exposures = control(AutoExposure(), [scene] * 60, light)
+    brightness = exposures.time_s * exposures.gain / (exposures.time_s[0] * exposures.gain[0])
+    assert brightness[20] > 10.0
+    np.testing.assert_allclose(brightness[30:], 1.0, atol=0.25)
+    assert brightness[20:].min() > 0.6
+
+
 def test_gain_helps_out_only_where_time_is_at_its_limit() -> None:
     scene = histogram(grey(110))
     for light, time_s, gain in ((0.5, 0.004, 1.0), (0.05, 0.010, 4.0), (0.0001, 0.010, 16.0), (1000.0, 2e-5, 1.0)):
