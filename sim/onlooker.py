@@ -14,7 +14,7 @@ from dronevio.sim.world import World
 
 Array = npt.NDArray[np.float64]
 
-_DISTANCE_M, _AZIMUTH_DEG, _ELEVATION_DEG = 1.7, 60.0, -20.0
+_DISTANCE_ARMS, _AZIMUTH_DEG, _ELEVATION_DEG = 8.5, 60.0, -20.0
 
 
 class Onlooker:
@@ -45,7 +45,8 @@ class Onlooker:
         self._scene = mujoco.MjvScene(self._model, maxgeom=self._model.ngeom + 10)
         self._options = mujoco.MjvOption()
         self._view = mujoco.MjvCamera()
-        self._view.distance, self._view.azimuth, self._view.elevation = _DISTANCE_M, _AZIMUTH_DEG, _ELEVATION_DEG
+        self._view.distance = _DISTANCE_ARMS * quadrotor.arm_m
+        self._view.azimuth, self._view.elevation = _AZIMUTH_DEG, _ELEVATION_DEG
         self._rectangle = mujoco.MjrRect(0, 0, width, height)
         self._picture = np.empty((height, width, 3), np.uint8)
 
