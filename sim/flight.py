@@ -5,15 +5,16 @@ from dataclasses import dataclass, replace
 import numpy as np
 import numpy.typing as npt
 
-from dronevio.models.imu import ImuConstants, ImuSamples, Times
+from dronevio.models.imu import GRAVITY_M_S2, ImuConstants, ImuSamples, Times
 from dronevio.models.progress import Progress, silent
 from dronevio.models.rig import Rig
+from dronevio.models.rotation import pose_matrix
 from dronevio.models.state import Trajectory
 from dronevio.sim.collisions import Collision
 from dronevio.sim.controller import SE3Controller
 from dronevio.sim.imu import ImuErrors
 from dronevio.sim.interpolation import interpolated_poses
-from dronevio.sim.path import Reference, plan_reference
+from dronevio.sim.path import Reference, attitude, plan_reference
 from dronevio.sim.plant import QuadrotorPlant
 from dronevio.sim.scenario import Scenario
 from dronevio.sim.schedule import FrameSchedule, beat, schedule_frames
@@ -98,6 +99,8 @@ def fly(scenario: Scenario, progress: Progress = silent) -> Flight:
     rig = scenario.true_rig
     plant = plant_of(scenario)
     reference = reference_of(scenario, plant)
+    if reference.flying[0]:
+        _throw(plant, reference)
     controller = SE3Controller(reference, rig.T_vehicle_imu, scenario.quadrotor)
     steps = len(reference) - 1
     for step in range(steps):
@@ -115,6 +118,18 @@ def fly(scenario: Scenario, progress: Progress = silent) -> Flight:
     truth = replace(motion.trajectory(rig.T_vehicle_imu), gyro_bias_rad_s=gyro_bias, accel_bias_m_s2=accel_bias)
     schedule = _schedule(scenario, rig, truth)
     return Flight(scenario, rig, imu, truth, schedule, reference, perfect, errors.constants, plant.collision)
+
+
+def _throw(plant: QuadrotorPlant, reference: Reference) -> None:
+    """Put the vehicle where its path begins in the air, in the motion that it has there."""
+    force = reference.acceleration_m_s2[0] + [0.0, 0.0, GRAVITY_M_S2]
+    speed = plant.quadrotor.hover_speed_rad_s * np.sqrt(np.linalg.norm(force) / GRAVITY_M_S2)  # thrust goes by ω²
+    plant.reset(
+        pose_matrix(attitude(force, reference.yaw_rad[0]), reference.position_m[0]),
+        reference.velocity_m_s[0],
+        reference.rate_rad_s[0],
+        np.full(4, speed),
+    )
 
 
 def _schedule(scenario: Scenario, rig: Rig, truth: Trajectory) -> FrameSchedule:

@@ -7,7 +7,7 @@ follow.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 
 import numpy as np
 import numpy.typing as npt
@@ -91,7 +91,7 @@ def plan_reference(
         rng: Moves the waypoints.
 
     Returns:
-        Rows from t = 0, standing on the pad, to standing on it again.
+        Rows from t = 0, standing on the pad or in what motion the plan wants, to standing on the pad.
 
     Raises:
         ConfigError: The plan does not fit into the place.
@@ -116,7 +116,7 @@ def plan_reference(
     flying = (t >= plan.rest_s) & ~landed
     rate = _rates(acceleration, yaw, interval_ns * 1e-9)
     change = np.gradient(rate, interval_ns * 1e-9, axis=0)
-    return Reference(t_ns, position, velocity, acceleration, yaw, rate, change, flying)
+    return _begun_later(Reference(t_ns, position, velocity, acceleration, yaw, rate, change, flying), plan.skip_s)
 
 
 def attitude(thrust_direction: Array, yaw_rad: Array) -> Array:
@@ -150,6 +150,19 @@ def _reach(plan: FlightPlan, place: Place, stand: Array, hover: Array) -> Array:
             f" {plan.margin_m:.2f} m"
         )
     return reach
+
+
+def _begun_later(reference: Reference, skip_s: float) -> Reference:
+    """Return a reference without its first seconds; its clock starts at 0 again.
+
+    Raises:
+        ConfigError: Nothing would be left.
+    """
+    first = int(np.searchsorted(reference.t_ns, round(skip_s * 1e9)))
+    if first > len(reference) - 2:
+        raise ConfigError(f"plan's skip_s = {skip_s:g} of a flight of {reference.duration_s:g} s; expected less")
+    rest = {part.name: getattr(reference, part.name)[first:] for part in fields(reference)}
+    return replace(Reference(**rest), t_ns=rest["t_ns"] - rest["t_ns"][0])
 
 
 def _evaluate(stages: Sequence[Stage], starts: Array, stand: Array, t: Array, order: int) -> Array:

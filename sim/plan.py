@@ -52,6 +52,8 @@ class FlightPlan:
     """Where the nose points: as the shape has it, along the path, across it, fixed along x, toward a point."""
     toward_m: tuple[float, float] = (0.0, 0.0)
     """That point, x and y from the pad [m]."""
+    skip_s: float = 0.0
+    """What is left out at the beginning [s]; the flight starts in motion where this is longer than rest and climb."""
 
     def __post_init__(self) -> None:
         """Check the numbers.

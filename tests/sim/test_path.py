@@ -124,3 +124,12 @@ def test_times_beyond_the_reference_are_refused() -> None:
     for t_ns in (-1, 6_000_000_001):
         with pytest.raises(ConfigError, match=str(t_ns)):
             path.row(t_ns)
+
+
+def test_a_flight_may_start_in_motion() -> None:
+    whole, part = reference(ROOM), reference(replace(ROOM, skip_s=6.0))
+    assert part.t_ns[0] == 0 and part.flying[0] and len(part) == len(whole) - 1200
+    np.testing.assert_array_equal(part.position_m, whole.position_m[1200:])
+    assert np.linalg.norm(part.velocity_m_s[0]) > 0.5
+    with pytest.raises(ConfigError, match=r"skip_s = 30 of a flight of 30 s"):
+        reference(replace(ROOM, skip_s=30.0))
