@@ -29,8 +29,9 @@ _FRAMES_WORTH_A_WORKER = 15  # it takes a second to start
 def render(job: RenderJob, mav0: Path, progress: Progress = silent, workers: int | None = None) -> FrameTruth:
     """Write what a rig's cameras see: a grey ``cam{i}/data/<stamp>.png`` for each camera and frame.
 
-    ``frame_groundtruth0/data.csv`` says when each frame was really taken, on the IMU's clock, and how it was exposed.
-    While frames are missing, a file ``INCOMPLETE`` lies beside them.
+    ``frame_groundtruth0/data.csv`` says when each frame was really taken, on the IMU's clock, and how it was exposed;
+    what else the job asks for lies beside the frames (`dronevio.sim.truth_images`). While frames are
+    missing, a file ``INCOMPLETE`` lies there too.
 
     Args:
         job: What to render.
