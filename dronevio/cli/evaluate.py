@@ -46,7 +46,7 @@ def main(arguments: Sequence[str]) -> int:
     """Run the command."""
     command = parse(EvaluateCommand, arguments, "evaluate")
 
-    from dronevio.eval.metrics import score
+    from dronevio.eval.metrics import PairRule, score
     from dronevio.models.recordings.open import frame_times_ns, read_trajectory
 
     scores = score(
@@ -54,7 +54,7 @@ def main(arguments: Sequence[str]) -> int:
         read_trajectory(command.estimate),
         frame_times_ns(command.truth),
         command.alignment,
-        rpe_delta_s=command.rpe_delta_s,
+        rpe=PairRule(command.rpe_delta_s),
         association=command.association,
     )
     if command.json:

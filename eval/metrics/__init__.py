@@ -11,22 +11,23 @@ and on plain arrays, ``ate(p_truth, p_estimate, "yaw").rmse``.
 """
 
 from dronevio.eval.metrics.alignment import IDENTITY, Alignment, AlignmentMode, align, umeyama
-from dronevio.eval.metrics.association import interpolate, nearest
-from dronevio.eval.metrics.consistency import Consistency, anchor_first, consistency, nees
+from dronevio.eval.metrics.association import Association, associate, interpolate, nearest
+from dronevio.eval.metrics.chi_square import nees_bounds
+from dronevio.eval.metrics.consistency import Anees, Consistency, anchor_first, anees, consistency, nees
 from dronevio.eval.metrics.errors import (
+    RelativeErrors,
     Statistics,
     ate,
-    pairs_after_distance,
-    pairs_after_time,
     relative_errors,
     rotation_errors_rad,
+    rpe,
     translation_errors_m,
 )
+from dronevio.eval.metrics.lengths import LengthErrors, errors_by_length
+from dronevio.eval.metrics.pairs import PairRule, pairs_after_distance, pairs_after_time
 from dronevio.eval.metrics.scores import (
-    Association,
     ScoredTrajectory,
     Scores,
-    associate,
     coverage_percent,
     scale_error_percent,
     score,
@@ -37,24 +38,32 @@ __all__ = [
     "IDENTITY",
     "Alignment",
     "AlignmentMode",
+    "Anees",
     "Association",
     "Consistency",
+    "LengthErrors",
+    "PairRule",
+    "RelativeErrors",
     "ScoredTrajectory",
     "Scores",
     "Statistics",
     "align",
     "anchor_first",
+    "anees",
     "associate",
     "ate",
     "consistency",
     "coverage_percent",
+    "errors_by_length",
     "interpolate",
     "nearest",
     "nees",
+    "nees_bounds",
     "pairs_after_distance",
     "pairs_after_time",
     "relative_errors",
     "rotation_errors_rad",
+    "rpe",
     "scale_error_percent",
     "score",
     "score_trajectory",

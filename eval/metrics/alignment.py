@@ -2,7 +2,8 @@
 
 An odometry starts at a place and heading of its own choosing, so these are taken out before it is compared. Gravity
 shows a visual-inertial estimator which way is up and how large the world is: only yaw and position are free, and
-``yaw`` is the alignment to use. ``se3`` forgives a wrong vertical as well, ``sim3`` also a wrong scale.
+``yaw`` is the alignment to use. ``se3`` forgives a wrong vertical as well, ``sim3`` also a wrong scale. ``first`` makes
+the first poses meet, ``scale`` does so and then finds the best scale, as the KITTI odometry tools do.
 """
 
 from dataclasses import dataclass, replace
@@ -11,14 +12,16 @@ from typing import Literal, get_args
 import numpy as np
 import numpy.typing as npt
 
+from dronevio.eval.metrics.quaternions import quat_product_wxyz
 from dronevio.models.errors import ConfigError, EvaluationError
-from dronevio.models.rotation import quat_wxyz_from_matrix
+from dronevio.models.rotation import matrix_from_quat_wxyz, quat_wxyz_from_matrix
 from dronevio.models.state import Trajectory
 
 Array = npt.NDArray[np.float64]
 
-AlignmentMode = Literal["none", "yaw", "se3", "sim3"]
-"""What is taken out: nothing, yaw and position, rotation and position, or these and the scale."""
+AlignmentMode = Literal["none", "first", "yaw", "se3", "sim3", "scale"]
+"""What is taken out: nothing; the first pose; yaw and position; rotation and position; these and the scale; or the
+first pose and then the scale."""
 
 _LINE = 1e-9  # squared width over squared length: below, a path counts as a line
 
@@ -67,25 +70,49 @@ IDENTITY = Alignment(np.eye(3), np.zeros(3))
 """The alignment that changes nothing."""
 
 
-def align(p_truth: Array, p_estimate: Array, mode: AlignmentMode = "yaw") -> Alignment:
-    """Return the alignment that minimises Σ |p_truth − aligned p_estimate|².
+def align(
+    p_truth: Array,
+    p_estimate: Array,
+    mode: AlignmentMode = "yaw",
+    *,
+    n: int | None = None,
+    quat_truth_wxyz: Array | None = None,
+    quat_estimate_wxyz: Array | None = None,
+) -> Alignment:
+    """Return the alignment that minimises Σ |p_truth − aligned p_estimate|² over the first n poses.
+
+    One position determines no rotation: ``first`` and ``scale``, and ``yaw`` and ``se3`` with n = 1, take it from the
+    first orientations instead, all of it or its yaw.
 
     Args:
         p_truth: (N, 3) True positions [m].
         p_estimate: (N, 3) Estimated positions [m] at the same instants.
         mode: What may be changed.
+        n: Over how many poses, from the first on; None for all.
+        quat_truth_wxyz: (N, 4) True orientations, where they are needed.
+        quat_estimate_wxyz: (N, 4) Estimated orientations, where they are needed.
 
     Raises:
-        ConfigError: There is no such mode.
-        EvaluationError: There are no positions, or they do not determine the alignment.
+        ConfigError: There is no such mode, or no such number of poses.
+        EvaluationError: There are no positions, they do not determine the alignment, or orientations are missing.
     """
     if mode not in get_args(AlignmentMode):
         raise ConfigError(f"unknown alignment {mode!r}; expected one of {', '.join(get_args(AlignmentMode))}")
+    if n is not None and n < 1:
+        raise ConfigError(f"an alignment over {n} poses; expected one at least")
     truth, estimate = np.asarray(p_truth, dtype=np.float64), np.asarray(p_estimate, dtype=np.float64)
     if truth.shape != estimate.shape or truth.shape[1:] != (3,) or not len(truth):
         raise EvaluationError(f"positions of shapes {truth.shape} and {estimate.shape}; expected (N, 3) twice, N > 0")
+    truth, estimate = truth[:n], estimate[:n]
     if mode == "none":
         return IDENTITY
+    if mode in ("first", "scale") or (n == 1 and mode != "sim3"):
+        if quat_truth_wxyz is None or quat_estimate_wxyz is None:
+            raise EvaluationError("an alignment to the first pose without orientations; expected them as well")
+        R = matrix_from_quat_wxyz(quat_truth_wxyz[0]) @ matrix_from_quat_wxyz(quat_estimate_wxyz[0]).T
+        if mode == "scale":
+            return _align_scale(truth, estimate, R)
+        return _meeting_first(truth, estimate, yaw_part(R) if mode == "yaw" else R)
     if mode == "yaw":
         return _align_yaw(truth, estimate)
     return umeyama(truth, estimate, with_scale=mode == "sim3")
@@ -106,6 +133,26 @@ def umeyama(p_truth: Array, p_estimate: Array, with_scale: bool) -> Alignment:
     R = (U * signs) @ Vt
     scale = float((D * signs).sum() / np.mean((b * b).sum(axis=1))) if with_scale else 1.0
     return Alignment(R, mean_truth - scale * R @ mean_estimate, scale)
+
+
+def _meeting_first(p_truth: Array, p_estimate: Array, R: Array, scale: float = 1.0) -> Alignment:
+    """Return the alignment with the given rotation (3, 3) and scale that makes the first positions meet."""
+    return Alignment(R, p_truth[0] - scale * R @ p_estimate[0], scale)
+
+
+def _align_scale(p_truth: Array, p_estimate: Array, R: Array) -> Alignment:
+    """Return the best scale about the first positions, Σ a·b / Σ b·b, after the rotation (3, 3)."""
+    a, b = p_truth - p_truth[0], (p_estimate - p_estimate[0]) @ R.T
+    size = float(np.sum(b * b))
+    scale = float(np.sum(a * b)) / size if size > 0.0 else 0.0
+    if not scale > 0.0:
+        raise EvaluationError("an estimate that stands still or moves the other way has no best scale")
+    return _meeting_first(p_truth, p_estimate, R, scale)
+
+
+def yaw_part(R: Array) -> Array:
+    """Return the rotation (3, 3) about z that is nearest to a rotation (3, 3)."""
+    return yaw_matrix(float(np.arctan2(R[1, 0] - R[0, 1], R[0, 0] + R[1, 1])))
 
 
 def _align_yaw(p_truth: Array, p_estimate: Array) -> Alignment:
@@ -132,10 +179,3 @@ def yaw_matrix(yaw_rad: float) -> Array:
     """Return the rotation (3, 3) about z by an angle [rad]."""
     c, s = np.cos(yaw_rad), np.sin(yaw_rad)
     return np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
-
-
-def quat_product_wxyz(q: Array, r: Array) -> Array:
-    """Return the products (…, 4) of quaternions (…, 4): first turned by r, then by q."""
-    qw, qv, rw, rv = q[..., :1], q[..., 1:], r[..., :1], r[..., 1:]
-    w = qw * rw - np.sum(qv * rv, axis=-1, keepdims=True)
-    return np.concatenate([w, qw * rv + rw * qv + np.cross(qv, rv)], axis=-1)

@@ -1,23 +1,70 @@
 """Association: which true pose belongs to which estimated one."""
 
+from typing import Literal, get_args
+
 import numpy as np
 import numpy.typing as npt
 
+from dronevio.eval.metrics.quaternions import components, slerp
+from dronevio.models.errors import ConfigError, EvaluationError
 from dronevio.models.imu import Times
-from dronevio.models.rotation import slerp_quat_wxyz
 from dronevio.models.state import Trajectory
 
+Array = npt.NDArray[np.float64]
 Rows = npt.NDArray[np.int64]
+
+Association = Literal["interpolate", "nearest", "evo"]
+"""Interpolate the truth at the estimate's time stamps; take the nearest true pose, each for one estimate only; or pair
+them as evo does."""
 
 SAME_INSTANT_NS = 1_000
 """Time stamps that differ by no more are the same [ns]: many programs write microseconds."""
+_MAX_GAP_S = {"interpolate": 0.5, "nearest": 0.01, "evo": 0.01}
+_FEWEST_POSES = 3
+
+
+def associate(
+    truth: Trajectory, estimate: Trajectory, how: Association = "interpolate", max_gap_s: float | None = None
+) -> tuple[Trajectory, Trajectory]:
+    """Return N true and N estimated poses that belong together, stamped alike.
+
+    Args:
+        truth: The true motion.
+        estimate: The estimated one.
+        how: How to find the true pose that belongs to an estimated one.
+        max_gap_s: The longest gap of the truth to interpolate, or the largest difference in time to the nearest true
+            pose [s]; None for 0.5 s and 0.01 s.
+
+    Raises:
+        ConfigError: There is no such association.
+        EvaluationError: There are fewer than three.
+    """
+    if how not in get_args(Association):
+        raise ConfigError(f"unknown association {how!r}; expected one of {', '.join(get_args(Association))}")
+    limit_s = _MAX_GAP_S[how] if max_gap_s is None else max_gap_s
+    if how == "interpolate":
+        true, rows = interpolate(truth, estimate.t_ns, limit_s)
+        estimated = estimate[rows]
+    else:
+        pair = nearest if how == "nearest" else paired_like_evo
+        true_rows, rows = pair(truth.t_ns, estimate.t_ns, limit_s)
+        # Of evo's two, only in the sparser one no row comes twice, so that its stamps still increase.
+        by_truth = how == "evo" and len(estimate) > len(truth)
+        t_ns = truth.t_ns[true_rows] if by_truth else estimate.t_ns[rows]
+        true, estimated = _restamped(truth, true_rows, t_ns), _restamped(estimate, rows, t_ns)
+    if len(rows) < _FEWEST_POSES:
+        raise EvaluationError(
+            f"truth ({_span(truth)}) and estimate ({_span(estimate)}) have {len(rows)} poses in common;"
+            f" expected at least {_FEWEST_POSES}"
+        )
+    return true, estimated
 
 
 def interpolate(truth: Trajectory, t_ns: Times, max_gap_s: float = 0.5) -> tuple[Trajectory, Rows]:
     """Return the true poses at the given instants, and the instants' rows, where the truth is known.
 
-    Positions are interpolated linearly, orientations along the shorter arc. Nothing is extrapolated, beyond the
-    rounding of a time stamp, and no gap of the truth longer than ``max_gap_s`` is bridged.
+    Positions, velocities and biases are interpolated linearly, orientations along the shorter arc. Nothing is
+    extrapolated, beyond the rounding of a time stamp, and no gap of the truth longer than ``max_gap_s`` is bridged.
 
     Args:
         truth: The true motion.
@@ -25,20 +72,29 @@ def interpolate(truth: Trajectory, t_ns: Times, max_gap_s: float = 0.5) -> tuple
         max_gap_s: The longest interval between true poses that is interpolated [s].
 
     Returns:
-        The truth at M of the instants (positions and orientations only), and their rows (M,).
+        The truth at M of the instants (without covariances), and their rows (M,).
     """
     if len(truth) == 0 or len(t_ns) == 0:
         return truth[:0], np.zeros(0, np.int64)
     t = np.clip(t_ns, truth.t_ns[0], truth.t_ns[-1])
     before = np.searchsorted(truth.t_ns, t, side="right") - 1
-    after = np.searchsorted(truth.t_ns, t, side="left")  # the same row where a true pose stands at that instant
+    after = before + (truth.t_ns[before] < t)  # the same row where a true pose stands at that instant
     gap_ns = truth.t_ns[after] - truth.t_ns[before]
     rows = np.flatnonzero((np.abs(t_ns - t) <= SAME_INSTANT_NS) & (gap_ns <= max_gap_s * 1e9))
     t, before, after, gap_ns = t[rows], before[rows], after[rows], gap_ns[rows]
     fraction = (t - truth.t_ns[before]) / np.maximum(gap_ns, 1)
-    p0, p1 = truth.p_world_imu[before], truth.p_world_imu[after]
-    quat_wxyz = slerp_quat_wxyz(truth.quat_wxyz[before], truth.quat_wxyz[after], fraction)
-    return Trajectory(t_ns[rows], p0 + fraction[:, None] * (p1 - p0), quat_wxyz), rows
+
+    def between(values: Array | None) -> Array | None:
+        return None if values is None else values[before] + fraction[:, None] * (values[after] - values[before])
+
+    quat_wxyz, moving = truth.quat_wxyz[before], np.flatnonzero(gap_ns)
+    if len(moving):
+        arcs = components(quat_wxyz[moving]), components(truth.quat_wxyz[after[moving]])
+        quat_wxyz[moving] = np.stack(slerp(*arcs, fraction[moving]), axis=-1)
+    p = between(truth.p_world_imu)
+    assert p is not None
+    others = (between(v) for v in (truth.velocity_m_s, truth.gyro_bias_rad_s, truth.accel_bias_m_s2))
+    return Trajectory(t_ns[rows], p, quat_wxyz, *others), rows
 
 
 def nearest(t_truth_ns: Times, t_estimate_ns: Times, max_gap_s: float = 0.01) -> tuple[Rows, Rows]:
@@ -62,3 +118,52 @@ def nearest_rows(t_ns: Times, wanted_ns: Times) -> Rows:
     after = np.clip(np.searchsorted(t_ns, wanted_ns), 0, len(t_ns) - 1)
     before = np.maximum(after - 1, 0)
     return np.where(wanted_ns - t_ns[before] <= np.abs(t_ns[after] - wanted_ns), before, after)
+
+
+def paired_like_evo(t_truth_ns: Times, t_estimate_ns: Times, max_gap_s: float = 0.01) -> tuple[Rows, Rows]:
+    """Return the rows (M,) of truth and estimate that evo pairs, for who must reproduce its figures.
+
+    Each pose of the one that has fewer takes the nearest of the other, which may serve several. Time is compared in
+    seconds as doubles, 0.24 µs apart in our days, so that chance decides between two that are equally near.
+    """
+    if len(t_truth_ns) == 0 or len(t_estimate_ns) == 0:
+        return np.zeros(0, np.int64), np.zeros(0, np.int64)
+    estimate_is_longer = len(t_estimate_ns) > len(t_truth_ns)
+    short, long = _seconds(t_estimate_ns), _seconds(t_truth_ns)
+    if estimate_is_longer:
+        short, long = long, short
+    after = np.minimum(np.searchsorted(long, short, side="right"), len(long) - 1)
+    before = np.maximum(after - 1, 0)
+    rows = np.where(long[after] - short < np.where(after > 0, short - long[before], np.inf), after, before)
+    kept = np.flatnonzero(np.abs(long[rows] - short) <= max_gap_s)
+    return (kept, rows[kept]) if estimate_is_longer else (rows[kept], kept)
+
+
+def _seconds(t_ns: Times) -> Array:
+    """Return times [s] as doubles, rounded once."""
+    whole = t_ns // 10**9
+    return np.asarray(whole + (t_ns - whole * 10**9) * 1e-9)
+
+
+def _restamped(trajectory: Trajectory, rows: Rows, t_ns: Times) -> Trajectory:
+    """Return rows of a trajectory, any of which may come several times, with time stamps of their own."""
+
+    def pick(values: Array | None) -> Array | None:
+        return None if values is None else values[rows]
+
+    return Trajectory(
+        t_ns,
+        trajectory.p_world_imu[rows],
+        trajectory.quat_wxyz[rows],
+        pick(trajectory.velocity_m_s),
+        pick(trajectory.gyro_bias_rad_s),
+        pick(trajectory.accel_bias_m_s2),
+        pick(trajectory.covariance),
+    )
+
+
+def _span(trajectory: Trajectory) -> str:
+    """Return the time that a trajectory spans, for messages."""
+    if len(trajectory) == 0:
+        return "empty"
+    return f"{trajectory.t_ns[0] * 1e-9:.3f} to {trajectory.t_ns[-1] * 1e-9:.3f} s"

@@ -12,7 +12,8 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from dronevio.eval.metrics.alignment import Alignment, yaw_matrix
+from dronevio.eval.metrics.alignment import Alignment, align
+from dronevio.eval.metrics.chi_square import nees_bounds
 from dronevio.models.errors import EvaluationError
 from dronevio.models.imu import Times
 from dronevio.models.rotation import log_so3
@@ -45,12 +46,52 @@ class Consistency:
         """Share, 0 to 1, of position errors (every axis at every pose) beyond 3σ; 0.0027 expected."""
         return float(np.mean(np.abs(self.position_error_m) > 3.0 * self.position_sigma_m))
 
+    @property
+    def orientation_exceedance(self) -> float:
+        """Share, 0 to 1, of orientation errors (every axis at every pose) beyond 3σ; 0.0027 expected."""
+        return float(np.mean(np.abs(self.orientation_error_rad) > 3.0 * self.orientation_sigma_rad))
+
+
+@dataclass(frozen=True, eq=False)
+class Anees:
+    """The NEES averaged over runs, instant by instant, beside what a consistent estimator's would be."""
+
+    mean: Array
+    """(N,) Mean over the runs."""
+    bounds: tuple[float, float]
+    """Between what it lies with a probability of 95 %."""
+    inside_percent: float
+    """Share of the instants at which it does [%]; 95 expected."""
+
+
+def anees(nees_of_runs: Array, degrees: int = 3, probability: float = 0.95) -> Anees:
+    """Return the NEES averaged over independent runs.
+
+    Args:
+        nees_of_runs: (M, N) NEES of M runs at the same N instants.
+        degrees: Size of the error: 3 for a position or an orientation.
+        probability: How sure the bounds are.
+    """
+    mean = np.mean(nees_of_runs, axis=0)
+    low, high = nees_bounds(degrees, len(nees_of_runs), probability)
+    return Anees(mean, (low, high), 100.0 * float(np.mean((mean >= low) & (mean <= high))))
+
+
+def inside_percent(nees_of_run: Array, degrees: int = 3, probability: float = 0.95) -> float:
+    """Return the share [%] of the NEES values (N,) of one run that lie within their two-sided bounds."""
+    return anees(nees_of_run[None], degrees, probability).inside_percent
+
 
 def anchor_first(truth: Trajectory, estimate: Trajectory) -> Alignment:
     """Return the alignment of position and yaw that makes the first poses meet; roll and pitch stay as they are."""
-    R = truth.rotations[0] @ estimate.rotations[0].T
-    yaw = yaw_matrix(float(np.arctan2(R[1, 0] - R[0, 1], R[0, 0] + R[1, 1])))
-    return Alignment(yaw, truth.p_world_imu[0] - yaw @ estimate.p_world_imu[0])
+    return align(
+        truth.p_world_imu,
+        estimate.p_world_imu,
+        "yaw",
+        n=1,
+        quat_truth_wxyz=truth.quat_wxyz,
+        quat_estimate_wxyz=estimate.quat_wxyz,
+    )
 
 
 def consistency(truth: Trajectory, estimate: Trajectory) -> Consistency:

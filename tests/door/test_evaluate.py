@@ -203,4 +203,4 @@ def test_unknown_choices_are_refused(flight: Path, capsys: pytest.CaptureFixture
         main([*arguments, "--alignment", "affine"])
     assert caught.value.code == 2
     assert main([*arguments, "--rpe-delta-s", "0"]) == 2
-    assert "expected a time above zero" in capsys.readouterr().err
+    assert "expected a distance above zero" in capsys.readouterr().err

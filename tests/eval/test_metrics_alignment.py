@@ -111,7 +111,7 @@ def test_says_when_the_path_determines_no_rotation() -> None:
 
 
 def test_refuses_what_cannot_be_aligned() -> None:
-    with pytest.raises(ConfigError, match="none, yaw, se3, sim3"):
+    with pytest.raises(ConfigError, match="none, first, yaw, se3, sim3, scale"):
         align(path(0), path(0), "affine")  # type: ignore[arg-type]
     for a, b in ((path(0), path(0)[:-1]), (np.zeros((0, 3)), np.zeros((0, 3))), (np.zeros(3), np.zeros(3))):
         with pytest.raises(EvaluationError, match="expected"):

@@ -29,7 +29,9 @@ def trajectory(seed: int, n: int = 60, step_ns: int = 50_000_000) -> Trajectory:
 
 
 def test_statistics_by_hand() -> None:
-    assert Statistics.of(np.array([3.0, 0.0, 0.0, 5.0])) == Statistics(np.sqrt(8.5), 2.0, 1.5, 5.0)
+    assert Statistics.of(np.array([3.0, 0.0, 0.0, 5.0])) == Statistics(
+        rmse=np.sqrt(8.5), mean=2.0, median=1.5, max=5.0, min=0.0, std=np.sqrt(4.5), n=4
+    )
     for nothing in ([], [np.nan], [1.0, np.inf]):
         with pytest.raises(EvaluationError):
             Statistics.of(np.array(nothing))
