@@ -33,7 +33,7 @@ def record_flight(
 
     Args:
         scenario: What to fly; the same scenario gives the same bytes.
-        folder: An existing folder.
+        folder: Where to; it is made where it is missing.
         simulating: Hears of the physics.
         rendering: Hears of the frames.
         workers: Processes that draw; as many as there are cores by default.
@@ -74,7 +74,7 @@ def record_refly(
     Args:
         flown: The path, its IMU, its sensors and its world.
         seed: Draws the world's looks and the images' noise.
-        folder: An existing folder.
+        folder: Where to; it is made where it is missing.
         rendering: Hears of the frames.
         workers: Processes that draw; as many as there are cores by default.
         imaging: What the sensors make of light; those of a typical one by default.
@@ -122,5 +122,6 @@ def rig_of(name_or_file: str) -> Rig:
 
 def _write_settings(folder: Path, settings: dict[str, object]) -> None:
     """Write what was flown, for people and for programs."""
+    folder.mkdir(parents=True, exist_ok=True)
     document = {name: to_plain(value) for name, value in settings.items()}
     (folder / SCENARIO_FILE).write_text(json.dumps(document, indent=2) + "\n", encoding="utf-8")
