@@ -146,6 +146,17 @@ def test_at_the_target_it_carries_the_weight() -> None:
     np.testing.assert_allclose(command, QUAD.hover_speed_rad_s, rtol=1e-5)  # 20 m up the ground still helps a little
 
 
+def test_what_a_spinning_body_does_by_itself_is_counted_with() -> None:
+    rig = euroc_rig()
+    plant = QuadrotorPlant(rig)
+    plant.reset(pose_matrix(np.eye(3), TARGET), rate_rad_s=np.array([2.0, 0.0, 3.0]))
+    command = SE3Controller(hovering(1.0), rig.T_vehicle_imu).command(plant.state(), 0)
+    x, _, z = QUAD.inertia_kg_m2
+    torque = QUAD.allocation[1:] @ command**2
+    np.testing.assert_allclose(torque[1], (x - z) * 2.0 * 3.0, rtol=1e-2)  # of Ω × IΩ, about y, where it rests
+    assert torque[0] < -0.1 and torque[2] < 0.0
+
+
 def test_a_state_without_rates_is_refused() -> None:
     state = NavState(0, np.eye(4), np.zeros(3), np.zeros(3), np.zeros(3))
     with pytest.raises(ConfigError, match="angular velocity"):

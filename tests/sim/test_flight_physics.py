@@ -210,6 +210,38 @@ def test_feet_on_the_floor_are_no_collision_and_a_propeller_is(drone: Quadrotor)
     assert plant.collision.against == "floor"
 
 
+def test_a_foot_against_a_kerb_is_a_collision_and_one_on_it_is_not() -> None:
+    kerb = mujoco.MjSpec()
+    kerb.worldbody.add_geom(
+        name="kerb", type=mujoco.mjtGeom.mjGEOM_BOX, size=[1.0, 1.0, 0.05], pos=[1.3, 0.0, -0.01], group=TOUCHED_GROUP
+    )
+    kerb.worldbody.add_geom(name="road", type=mujoco.mjtGeom.mjGEOM_PLANE, size=[0.0, 0.0, 1.0], group=TOUCHED_GROUP)
+    plant = QuadrotorPlant(RIG, surroundings=kerb)
+    plant.reset(velocity_m_s=np.array([2.5, 0.0, 0.0]))
+    plant.advance(SECOND_NS, np.zeros(4))
+    crash = plant.collision
+    assert crash is not None and crash.against == "kerb" and crash.part.startswith("foot_front")
+    plant.reset(pose_matrix(np.eye(3), np.array([1.0, 0.0, 0.2])))
+    plant.advance(SECOND_NS, np.zeros(4))
+    assert plant.collision is None
+
+
+def test_gusts_are_drawn_anew_for_every_flight_and_are_the_same_for_the_same_seed() -> None:
+    def wind_after(plant: QuadrotorPlant) -> Array:
+        plant.reset(HIGH)
+        plant.advance(SECOND_NS // 2, np.zeros(4))
+        return plant.wind_m_s
+
+    gusty = Wind((4.0, 0.0, 0.0), gusts=1.0)
+    plant, same = (QuadrotorPlant(RIG, wind=gusty, rng=np.random.default_rng(1)) for _ in range(2))
+    first, second = wind_after(plant), wind_after(plant)
+    assert not np.any(first == second)
+    np.testing.assert_array_equal(wind_after(same), first)
+    fell = plant.wind_m_s
+    plant.advance(SECOND_NS, np.zeros(4))
+    assert not np.any(plant.wind_m_s == fell)  # it falls through the gusts
+
+
 def test_it_stands_on_its_pad_wherever_that_is(drone: Quadrotor) -> None:
     pad = np.array([-3.0, 1.0, 0.0])
     plant = QuadrotorPlant(RIG, drone, surroundings=walled(), pad_m=pad)
