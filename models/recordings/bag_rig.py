@@ -1,5 +1,6 @@
 """The rig of a bag: from Kalibr's files, from our own calibration in it, or from CameraInfo and tf."""
 
+import math
 from collections.abc import Sequence
 from pathlib import Path
 from typing import cast
@@ -114,10 +115,11 @@ def _static_poses(bag: BagFile) -> dict[tuple[str, str], Array]:
                 t, q = transform.transform.translation, transform.transform.rotation
                 quat = np.array([q.w, q.x, q.y, q.z])
                 parent, child = transform.header.frame_id.lstrip("/"), transform.child_frame_id.lstrip("/")
-                if not abs(np.linalg.norm(quat) - 1.0) < _UNIT_TOLERANCE:
-                    found = f"{topic}: a quaternion of length {np.linalg.norm(quat):.3g} from {parent!r} to {child!r}"
+                length = math.hypot(*quat)
+                if not abs(length - 1.0) < _UNIT_TOLERANCE:
+                    found = f"{topic}: a quaternion of length {length:.3g} from {parent!r} to {child!r}"
                     raise bag.fault(found, "one of length 1")
-                T = pose_matrix(matrix_from_quat_wxyz(quat / np.linalg.norm(quat)), np.array([t.x, t.y, t.z]))
+                T = pose_matrix(matrix_from_quat_wxyz(quat / length), np.array([t.x, t.y, t.z]))
                 poses[parent, child], poses[child, parent] = T, inverse_pose(T)
     return poses
 

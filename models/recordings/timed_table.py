@@ -147,7 +147,8 @@ def check_unit_quaternions(table: TimedTable, quat_wxyz: Array) -> None:
     Raises:
         InputError: One is not.
     """
-    norm = np.linalg.norm(quat_wxyz, axis=1)
+    with np.errstate(over="ignore"):  # of numbers near the largest float
+        norm = np.linalg.norm(quat_wxyz, axis=1)
     wrong = np.flatnonzero(~(np.abs(norm - 1.0) < _UNIT_TOLERANCE))
     if wrong.size:
         found = f"a quaternion of length {norm[wrong[0]]:.3g}"

@@ -20,6 +20,7 @@ from dronevio.models.recordings.euroc import (
     read_frame_times,
     read_groundtruth,
     write_euroc,
+    write_euroc_recording,
 )
 from dronevio.models.recordings.frame_truth import FRAME_TRUTH_FILE, FrameTruth, frame_truth_text
 from dronevio.models.rig import EUROC_T_IMU_CAM0, Rig, RigCamera, euroc_rig
@@ -317,6 +318,27 @@ def test_a_missing_or_damaged_image_is_named(flight: Path) -> None:
     with pytest.raises(InputError, match="no such file"):
         recording.frame(2)
     assert recording.frame(1).t_ns == recording.frame_times_ns[1]
+
+
+def test_evo_reads_the_truth(flight: Path) -> None:
+    from evo.tools.file_interface import read_euroc_csv_trajectory
+
+    truth = EurocRecording.open(flight).ground_truth
+    theirs = read_euroc_csv_trajectory(str(flight / "mav0" / "state_groundtruth_estimate0" / "data.csv"))
+    assert truth is not None
+    np.testing.assert_array_equal(theirs.positions_xyz, truth.p_world_imu)
+    np.testing.assert_array_equal(theirs.orientations_quat_wxyz, truth.quat_wxyz)
+    np.testing.assert_allclose(theirs.timestamps, truth.t_ns * 1e-9, atol=1e-6)  # a double holds no nanosecond of today
+
+
+def test_a_recording_of_any_kind_becomes_an_euroc_folder(
+    tmp_path: Path, noise_recording: Callable[..., Recording], assert_same_recording: Callable[..., None]
+) -> None:
+    recording = noise_recording("fisheye-stereo")
+    write_euroc_recording(tmp_path, recording, frame_truth=recording.frame_truth)
+    back = EurocRecording.open(tmp_path)
+    assert back.complete
+    assert_same_recording(back, recording)
 
 
 def test_reads_the_real_data_set(data_folder: Path) -> None:

@@ -59,7 +59,7 @@ def test_leaves_no_half_written_file(tmp_path: Path) -> None:
     assert sorted(path.name for path in tmp_path.iterdir()) == ["deep", "taken"]
 
 
-@pytest.mark.parametrize("quaternion", ["0 0 0 0", "1 1 1 1", "0 0 0 2"])
+@pytest.mark.parametrize("quaternion", ["0 0 0 0", "1 1 1 1", "0 0 0 2", "1e200 0 0 0"])
 def test_refuses_what_is_no_rotation(scratch: Path, quaternion: str) -> None:
     scratch.write_text(f"0.0 1 2 3 0 0 0 1\n0.1 1 2 3 {quaternion}\n")
     with pytest.raises(InputError, match="quaternion of length") as caught:
