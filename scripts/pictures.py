@@ -23,7 +23,7 @@ from dronevio.cli import main
 from dronevio.cli.view import HOST, free_port, viewer_program
 from dronevio.models.recordings.tum import read_tum
 from dronevio.models.rotation import inverse_pose
-from dronevio.sim.contact_sheet import contact_sheet
+from dronevio.sim.contact_sheet import contact_sheet, sheet_of_worlds
 from dronevio.sim.onlooker import Onlooker
 from dronevio.sim.scenarios import scenario
 from dronevio.sim.world import build_world
@@ -38,7 +38,8 @@ RECORDING_TOP_PX = 38  # the viewer's own bar
 RECORDING_S = 17.0  # in the middle of the tour
 TAKE_OFF_S = 3.1
 TAKE_OFF_PX = (960, 600)
-ROOM_PX, ROOM_SHARE = (1504, 480), 2 / 3  # the two upper rows of the contact sheet: the third sees the floor
+ROOM_PX, ROOM_SHARE = 1504, 2 / 3  # the two upper rows of the contact sheet
+WORLDS_PX = 1960
 PATIENCE_S = 60.0
 
 
@@ -48,6 +49,12 @@ def save(name: str, picture: Picture) -> None:
     path = IMAGES / name
     cv2.imwrite(str(path), picture[..., ::-1], sharp)
     print(f"{name}: {picture.shape[1]} × {picture.shape[0]} px, {path.stat().st_size * 1e-3:.0f} kB")
+
+
+def fitted(picture: Picture, width_px: int) -> Picture:
+    """Return a picture (H, W, 3) made smaller."""
+    size = (width_px, round(picture.shape[0] * width_px / picture.shape[1]))
+    return np.asarray(cv2.resize(picture, size, interpolation=cv2.INTER_AREA), dtype=np.uint8)
 
 
 def read(path: Path) -> Picture:
@@ -139,7 +146,8 @@ def make_pictures(scratch: Path) -> None:
     save("take-off.jpg", photograph_take_off(run))
     sheet = contact_sheet(build_world("room", 0))
     rows = sheet[: int(ROOM_SHARE * len(sheet))]
-    save("room.jpg", np.asarray(cv2.resize(rows, ROOM_PX, interpolation=cv2.INTER_AREA), dtype=np.uint8))
+    save("room.jpg", fitted(rows, ROOM_PX))
+    save("worlds.jpg", fitted(sheet_of_worlds(0), WORLDS_PX))
     save("book-imu.jpg", read(scratch / "imu" / "path.png"))
     save("book-eqvio.jpg", read(scratch / "eqvio" / "paths.png"))
 

@@ -104,7 +104,9 @@ def write_picture(path: Path, picture: Image) -> None:
 
 
 def require_picture(path: Path) -> None:
-    """Raise InputError unless a file's ending names a kind of image that can be written."""
+    """Raise InputError unless a file can be there, and its ending names a kind of image that can be written."""
+    if not path.parent.is_dir():
+        raise InputError(path, "no such folder", "a file in a folder that exists")
     if not path.suffix or not cv2.haveImageWriter(path.name):
         raise InputError(path, f"the ending {path.suffix!r}", "that of an image, such as .png or .jpg")
 

@@ -151,16 +151,16 @@ def _add_page(spec: mujoco.MjSpec, body: mujoco.MjsBody, name: str, page: Page) 
 def add_mirror(spec: mujoco.MjSpec, face: Face, image: Image, reflectance: float) -> None:
     """Add a polished floor to a model: it is seen, with what it reflects, but not touched.
 
-    MuJoCo reflects in planes alone, and only where the renderer is told to. An image is spread over a plane with its
-    first row at the least y and its first column at the least x.
+    MuJoCo reflects in planes alone, and only where the renderer is told to. It spreads an image over a plane with its
+    first row at the greatest y and its first column at the least x: as one sees it.
 
     Args:
         spec: The model.
         face: Where the floor is; its right edge is along x.
-        image: (H, W, 3) Its pattern, lit, first row at its top as one looks at it: at the greatest y.
+        image: (H, W, 3) Its pattern, lit.
         reflectance: Share of the light that it reflects.
     """
-    _add_painted_material(spec, "mirror", np.ascontiguousarray(image[::-1])).reflectance = reflectance
+    _add_painted_material(spec, "mirror", image).reflectance = reflectance
     height, width = size_m(face)
     spec.worldbody.add_geom(
         name="mirror",

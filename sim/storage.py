@@ -17,7 +17,7 @@ Random = np.random.Generator
 
 PALLET_M = np.array([1.05, 1.0, 0.14])
 """(3,) Width, depth and height of a pallet [m]."""
-_LOAD_PX_PER_M, _SIDE_PX_PER_M, _STEEL_PX_PER_M = 144.0, 72.0, 96.0
+_LOAD_PX_PER_M, _SIDE_PX_PER_M, _STEEL_PX_PER_M = 132.0, 64.0, 96.0
 _VARIANTS = 21
 _BLUE: Colour = (46, 78, 128)
 _ORANGE: Colour = (216, 110, 36)

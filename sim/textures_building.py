@@ -210,9 +210,10 @@ def sheet_metal(rng: Random, height: int, width: int, colour: Colour, px_per_m: 
     profile = np.clip(np.abs((x % 1.0) - 0.5) * 8.0 - 1.0, -1.0, 1.0)
     slope = np.gradient(profile) * rib_m * px_per_m / 8.0
     runs = cv2.resize(grain(rng, max(height // 40, 2), width, (2, 6)), (width, height), interpolation=cv2.INTER_CUBIC)
-    tone = 0.9 * profile[None] + 1.6 * slope[None] + 0.6 * runs + 0.5 * grain(rng, height, width, (1, 3, 20))
+    zinc = grain(rng, height, width, (max(0.02 * px_per_m, 1.5), max(0.035 * px_per_m, 2.0)))
+    tone = 0.9 * profile[None] + 1.6 * slope[None] + 0.6 * runs + 1.1 * np.clip(zinc, -1.3, 1.3)
     image = shade(colour, tone.astype(np.float32), 0.075)
-    for y in np.arange(0.15 * px_per_m, height, 1.2 * px_per_m):
+    for y in np.arange(0.15 * px_per_m, height, 0.7 * px_per_m):
         for k in range(int(width / (rib_m * px_per_m)) + 1):
             centre = (int((k + 0.5) * rib_m * px_per_m), int(y))
             cv2.circle(image, centre, max(round(0.014 * px_per_m), 1), scaled(colour, 0.45), -1, cv2.LINE_AA)
@@ -220,7 +221,7 @@ def sheet_metal(rng: Random, height: int, width: int, colour: Colour, px_per_m: 
         x0, y0 = int(rng.uniform(0, width)), int(rng.uniform(0, height))
         rust = (int(rng.integers(1, 3)), int(rng.uniform(0.05, 0.4) * px_per_m))
         cv2.rectangle(image, (x0, y0), (x0 + rust[0], y0 + rust[1]), vary(rng, (132, 92, 66), 0.1), -1)
-    return image
+    return speckle(rng, image, 0.05)
 
 
 # --- what hangs and stands ------------------------------------------------------------------------------------------

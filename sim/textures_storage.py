@@ -10,6 +10,8 @@ from dronevio.sim.textures import Colour, Image, cardboard, grain, shade, speckl
 from dronevio.sim.textures_building import scaled, text
 
 Random = np.random.Generator
+Load = Callable[[Random, int, int], Image]
+"""Draws the side of a load, of the given height and width [px]."""
 
 _KRAFT: Colour = (182, 144, 100)
 _BRANDS: tuple[Colour, ...] = ((40, 80, 140), (170, 50, 40), (44, 110, 70), (60, 60, 66), (200, 130, 40))
@@ -120,7 +122,7 @@ def crate(rng: Random, height: int, width: int) -> Image:
     return image
 
 
-LOADS: tuple[Callable[[Random, int, int], Image], ...] = (cartons, wrapped, cartons, sacks, crate, one_carton, cartons)
+LOADS: tuple[Load, ...] = (cartons, wrapped, cartons, sacks, crate, one_carton, cartons)
 """What pallets carry, the frequent more than once."""
 
 

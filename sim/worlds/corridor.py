@@ -29,7 +29,7 @@ _NICHE_WIDTH_M, _NICHE_DEPTH_M = 2.2, 1.0
 _MIDDLE_M = 0.5 * (HIGH_M[:2] + CORE_M)  # of the corridor, from the middle of the building
 _PAD_M = np.array([0.0, -_MIDDLE_M[1], 0.0])
 _LONGEST_M = 12.2  # a wall longer than this is painted in two parts, with a pilaster between them
-_WALL_PX_PER_M, _FLOOR_PX_PER_M, _CEILING_PX_PER_M, _THING_PX_PER_M = 172.0, 144.0, 96.0, 160.0
+_WALL_PX_PER_M, _FLOOR_PX_PER_M, _CEILING_PX_PER_M, _THING_PX_PER_M = 172.0, 128.0, 96.0, 144.0
 
 _PAINT: Colour = (206, 202, 188)
 _DADOS: tuple[Colour, ...] = ((92, 122, 140), (150, 104, 76), (104, 132, 96), (146, 128, 84))
@@ -67,7 +67,9 @@ def layout(rng: Random) -> Layout:
     obstacles += fronts
     lamps = [ceiling_lamp(np.array([x, y, HIGH_M[2]]), size, 1.0) for x, y, size in _lamp_places()]
     pieces += lamps
-    pieces += _portals(rng)
+    portals = _portals(rng)
+    pieces += portals
+    obstacles += [box for portal in portals for box in portal.boxes[:3]] + _trays()
     boxes = coarse([box for piece in pieces for box in piece.boxes], _THING_PX_PER_M)
     return Layout(
         low=LOW_M.copy(),

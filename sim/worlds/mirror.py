@@ -58,7 +58,9 @@ def layout(rng: Random) -> Layout:
         pieces, obstacles = pieces + things, obstacles + hulls
     for x in (-3.6, 0.0, 3.6):
         for y in (-1.8, 1.8):
-            pieces.append(_chandelier(np.array([x, y, HIGH_M[2]])))
+            lamp = _chandelier(np.array([x, y, HIGH_M[2]]))
+            pieces.append(lamp)
+            obstacles.append(_around(lamp))
     boxes = [box for piece in pieces for box in piece.boxes]
     return Layout(
         low=LOW_M.copy(),
@@ -132,6 +134,14 @@ def _chandelier(place: Array) -> Piece:
     tiers = [Box(foot + [0.0, 0.0, z], np.array([w, w, 0.07]), shade, glow=0.95) for w, z in ((0.3, 0.12), (0.18, 0.3))]
     rings = [Box(foot + [0.0, 0.0, z], np.array([w, w, 0.02]), brass) for w, z in ((0.33, 0.03), (0.21, 0.21))]
     return Piece((*lamp.boxes, *tiers, *rings), 0.7, 0.7, 0.0, lights=lamp.lights)
+
+
+def _around(lamp: Piece) -> Box:
+    """Return the box from a lamp up to the ceiling."""
+    widest = max(lamp.boxes, key=lambda box: float(box.half[0]))
+    bottom = min(float(box.centre[2] - box.half[2]) for box in lamp.boxes)
+    half = np.array([widest.half[0], widest.half[1], 0.5 * (HIGH_M[2] - bottom)])
+    return Box(np.array([*widest.centre[:2], HIGH_M[2] - half[2]]), half, widest.paint)
 
 
 MIRROR = WorldBuilder("the hall of a hotel with a polished floor that shows everything twice", layout, "hard")

@@ -22,7 +22,7 @@ LOW_M, HIGH_M = np.array([-8.0, -6.3, 0.0]), np.array([8.0, 6.3, 4.8])
 """Corners of the concourse [m]."""
 _INNER_M, _OUTER_M = np.array([4.2, 2.6]), np.array([6.3, 4.7])  # half the extents of the lane's edges
 _TALLEST_M = 2.1
-_FLOOR_PX_PER_M, _WALL_PX_PER_M, _CEILING_PX_PER_M, _THING_PX_PER_M = 128.0, 144.0, 80.0, 144.0
+_FLOOR_PX_PER_M, _WALL_PX_PER_M, _CEILING_PX_PER_M, _THING_PX_PER_M = 120.0, 128.0, 72.0, 128.0
 _PEOPLE, _WITH_CARTS = 8, 4  # on the inner and on the outer track
 _WALK_M_S, _ROLL_M_S = 1.2, 0.9
 _BANNER_M, _BANNER_SWING_RAD, _BANNER_TOP_M = (2.2, 2.0), 0.3, 4.7

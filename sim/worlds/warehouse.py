@@ -1,5 +1,6 @@
 """The warehouse: three aisles between high racks full of pallets, and a loading area before them."""
 
+from dataclasses import replace
 from functools import partial
 
 import cv2
@@ -9,7 +10,7 @@ import numpy.typing as npt
 from dronevio.sim import textures, textures_building, textures_storage
 from dronevio.sim.building import ceiling_lamp, coarse, hall_faces, landing_mat, room_walls
 from dronevio.sim.furniture import METAL, Piece, block
-from dronevio.sim.furniture_public import board, hose_cabinet
+from dronevio.sim.furniture_public import board, hose_cabinet, posters
 from dronevio.sim.layout import Layout, WorldBuilder
 from dronevio.sim.lightmap import AreaLight
 from dronevio.sim.solids import Box, Surface, turn_z
@@ -29,7 +30,8 @@ _TOP_M = 6.1  # of the highest loads
 _AISLES_M = (-5.35, 0.0, 5.35)
 _EMPTY = 0.12  # share of the places
 _PAD_M = np.array([-8.0, 0.0, 0.0])
-_FLOOR_PX_PER_M, _WALL_PX_PER_M, _CEILING_PX_PER_M, _THING_PX_PER_M = 96.0, 80.0, 56.0, 112.0
+_FLOOR_PX_PER_M, _WALL_PX_PER_M, _CEILING_PX_PER_M, _THING_PX_PER_M = 84.0, 72.0, 48.0, 96.0
+_CLOSE_PX_PER_M = 144.0
 _TRUSS_M = 0.55
 
 
@@ -57,7 +59,7 @@ def layout(rng: Random) -> Layout:
         obstacles=tuple(obstacles),
         lights=(*(light for piece in pieces for light in piece.lights), *_skylight()),
         pad=_PAD_M.copy(),
-        free_box=np.array([[-10.0, -5.6, 0.0], [-6.0, 5.6, 5.0]]),
+        free_box=np.array([[-10.0, -5.0, 0.0], [-6.0, 5.0, 5.0]]),
         route=_route(),
         shading=tuple(shading),
     )
@@ -77,7 +79,11 @@ def _hall(rng: Random) -> tuple[Surface, ...]:
     walls = [partial(_wall, colour=textures.vary(rng, (158, 166, 170), 0.03)) for _ in range(4)]
     roof = partial(textures_building.sheet_metal, colour=(168, 172, 174), px_per_m=_CEILING_PX_PER_M, rib_m=0.5)
     density = (_FLOOR_PX_PER_M, _WALL_PX_PER_M, _CEILING_PX_PER_M)
-    return hall_faces(LOW_M, HIGH_M, _floor, roof, walls, density)
+    faces = list(hall_faces(LOW_M, HIGH_M, _floor, roof, walls, density))
+    faces[3] = replace(  # the east wall is looked at from close by
+        faces[3], paint=partial(walls[1], px_per_m=_CLOSE_PX_PER_M), pixels_per_m=_CLOSE_PX_PER_M
+    )
+    return tuple(faces)
 
 
 def _floor(rng: Random, height: int, width: int) -> Image:
@@ -108,10 +114,10 @@ def _floor(rng: Random, height: int, width: int) -> Image:
     return textures.speckle(rng, image, 0.03)
 
 
-def _wall(rng: Random, height: int, width: int, colour: textures.Colour) -> Image:
+def _wall(rng: Random, height: int, width: int, colour: textures.Colour, px_per_m: float = _WALL_PX_PER_M) -> Image:
     """Return metal sheets above a plinth of concrete blocks."""
-    image = textures_building.sheet_metal(rng, height, width, colour, _WALL_PX_PER_M)
-    top = height - int(2.3 * _WALL_PX_PER_M)
+    image = textures_building.sheet_metal(rng, height, width, colour, px_per_m)
+    top = height - int(2.3 * px_per_m)
     blocks = textures.bricks(rng, height - top, width, (156, 152, 146)).astype(np.float32)
     image[top:] = textures.to_image(0.3 * blocks + 0.7 * blocks.mean(axis=2, keepdims=True))
     image[top - 4 : top + 3] = image[top - 4 : top + 3] // 2
@@ -158,7 +164,7 @@ def _rack_hulls() -> list[Box]:
 
 def _loading_area(rng: Random, stock: Stock, pieces: list[Piece], obstacles: list[Box], shell: list[Surface]) -> None:
     """Fill the loading area: doors in the west wall, tables and cabinets between them, pallets and a forklift."""
-    south, _, north, west = room_walls(LOW_M, HIGH_M)
+    south, east, north, west = room_walls(LOW_M, HIGH_M)
     for number, x in enumerate((-5.0, 0.0, 5.0)):
         door = partial(textures_storage.roller_door, colour=(176, 178, 176), number=f"{number + 1}")
         steel = partial(textures.plain, colour=METAL)
@@ -172,7 +178,9 @@ def _loading_area(rng: Random, stock: Stock, pieces: list[Piece], obstacles: lis
     for wall, piece, x in standing:
         pieces.append(wall.put(piece, x))
         obstacles.append(wall.hull(piece, x))
-    pieces += [south.put(board(rng), -6.6, 0.0), north.put(board(rng), 10.6, 0.0)]
+    pieces += [south.put(board(rng), -6.6), north.put(board(rng), 10.6)]
+    for x in (-5.35, -2.7, 0.0, 2.7, 5.35):
+        pieces += [east.put(board(rng) if x in _AISLES_M else posters(rng), x), east.put(_louvre(), x + 0.6)]
     for x, y in ((-11.2, 7.2), (-9.9, 7.25), (-7.0, 7.2), (-5.4, 7.3), (-7.6, -7.3), (-5.6, -7.2)):
         tall = 0.0
         R = turn_z((0.0 if y < 0.0 else np.pi) + rng.uniform(-0.08, 0.08))
@@ -182,6 +190,14 @@ def _loading_area(rng: Random, stock: Stock, pieces: list[Piece], obstacles: lis
             tall += height
         half = np.array([0.6, 0.58, 0.5 * tall])
         obstacles.append(Box(np.array([x, y, half[2]]), half, partial(textures.plain, colour=METAL), R=R))
+
+
+def _louvre() -> Piece:
+    """Return an opening high up in a wall that lets air through, the switches of its fan below it."""
+    fins, steel = partial(textures.radiator, colour=(150, 154, 158)), partial(textures.plain, colour=METAL)
+    boxes = [block(0.0, 0.03, 3.1, 1.0, 0.06, 1.0, steel, fins), block(0.3, 0.05, 2.5, 0.3, 0.1, 0.4, steel)]
+    boxes.append(block(0.3, 0.02, 2.9, 0.04, 0.04, 0.2, steel))
+    return Piece(tuple(boxes), 1.0, 0.1, 0.0)
 
 
 def _roof(pieces: list[Piece], obstacles: list[Box]) -> None:

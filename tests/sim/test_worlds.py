@@ -1,0 +1,291 @@
+"""Every world: its route and its free box are free, it is drawn from its seed, normal ones are rich in corners."""
+
+import cv2
+import mujoco
+import numpy as np
+import numpy.typing as npt
+import pytest
+
+from dronevio.models.camera import CameraModel
+from dronevio.models.rotation import pose_matrix
+from dronevio.sim import textures_building, textures_storage
+from dronevio.sim.assembly import space_of
+from dronevio.sim.camera import OffscreenCamera
+from dronevio.sim.contact_sheet import contact_sheet, sheet_of_worlds, viewpoints, views
+from dronevio.sim.layout import ROUTE_CLEARANCE_M, Layout
+from dronevio.sim.scenery import add_mirror
+from dronevio.sim.solids import Box, Face
+from dronevio.sim.space import Space
+from dronevio.sim.texturedness import GOOD_CORNERS, GOOD_SHARE, good_corners, poses_along, texturedness
+from dronevio.sim.textures import Image
+from dronevio.sim.traffic import Lap, Swing
+from dronevio.sim.world import WORLDS, build_world, place_of
+
+Array = npt.NDArray[np.float64]
+
+SMALL = CameraModel(width=120, height=76, fx=62.0, fy=62.0, cx=59.5, cy=37.5)
+INDOORS = ("corridor", "warehouse", "low-texture", "repetitive", "dark", "mirror", "moving")
+R_DOWN = np.diag([1.0, -1.0, -1.0])  # a camera that looks down, the top of its image towards +y
+
+
+def drawn(name: str, seed: int) -> Layout:
+    """Return a world's layout."""
+    return WORLDS[name].layout(np.random.default_rng(seed))
+
+
+def along(route: Array, step_m: float = 0.05) -> Array:
+    """Return points (N, 3) along the closed route (R, 3)."""
+    way = np.roll(route, -1, axis=0) - route
+    count = int(np.linalg.norm(way, axis=1).max() / step_m) + 1
+    return np.asarray((route[:, None] + np.linspace(0.0, 1.0, count)[:, None] * way[:, None]).reshape(-1, 3))
+
+
+def obstacles_alone(layout: Layout) -> Space:
+    """Return the space of the obstacles in bounds too far away to matter."""
+    space = space_of(layout)
+    return Space(layout.low - 100.0, layout.high + 100.0, space.centres, space.halves, space.rotations)
+
+
+def corners(boxes: tuple[Box, ...]) -> Array:
+    """Return the corners (K, 8, 3) of boxes."""
+    signs = np.array([[x, y, z] for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)])
+    return np.stack([box.centre + signs * box.half @ box.R.T for box in boxes])
+
+
+@pytest.mark.parametrize("seed", range(5))
+@pytest.mark.parametrize("name", INDOORS)
+def test_the_route_is_clear_and_tours_the_world(name: str, seed: int) -> None:
+    layout = drawn(name, seed)
+    assert space_of(layout).clearance(along(layout.route)).min() >= ROUTE_CLEARANCE_M
+    np.testing.assert_allclose(layout.route[0, :2], layout.pad[:2])
+    extent = np.ptp(layout.route[:, :2], axis=0) / (layout.high - layout.low)[:2]
+    assert (extent > 0.28).all()
+
+
+@pytest.mark.parametrize("seed", range(3))
+@pytest.mark.parametrize("name", INDOORS)
+def test_the_free_box_is_free_above_the_pad(name: str, seed: int) -> None:
+    layout = drawn(name, seed)
+    low, high = layout.free_box
+    axes = [np.linspace(a, b, max(int((b - a) / 0.25), 2)) for a, b in zip(low, high, strict=True)]
+    grid = np.stack(np.meshgrid(*axes), axis=-1)
+    assert obstacles_alone(layout).clearance(grid).min() > 0.0
+    np.testing.assert_allclose(0.5 * (low + high)[:2], layout.pad[:2], atol=1e-9)
+
+
+@pytest.mark.parametrize("name", INDOORS)
+def test_what_is_seen_can_be_hit(name: str) -> None:
+    layout = drawn(name, 1)
+    seen = corners(layout.boxes).reshape(-1, 3)
+    to_bounds = np.minimum(seen - layout.low, layout.high - seen).min(axis=1)
+    assert to_bounds.min() > -0.05
+    open_air = seen[to_bounds > 0.12]  # what hangs flat on a wall, or under a ceiling, is part of it
+    if name == "dark":  # the room's lamps and beams hang above everything that flies
+        open_air = open_air[open_air[:, 2] < 2.4]
+    assert obstacles_alone(layout).clearance(open_air).max(initial=0.0) < 0.08
+
+
+@pytest.mark.parametrize("name", INDOORS)
+def test_seeds_draw_other_places_and_the_same_ones_again(name: str) -> None:
+    def places(seed: int) -> Array:
+        return corners(drawn(name, seed).boxes)
+
+    first, again, other = places(3), places(3), places(4)
+    np.testing.assert_array_equal(first, again)
+    if name != "repetitive":  # nothing in the station could be elsewhere
+        assert first.shape != other.shape or not np.allclose(first, other)
+
+
+def test_a_place_is_that_of_its_world() -> None:
+    world, place = build_world("repetitive", 2), place_of("repetitive", 2)
+    np.testing.assert_array_equal(place.route, world.route)
+    np.testing.assert_array_equal(place.space.centres, world.space.centres)
+    np.testing.assert_array_equal(place.free_box, world.free_box)
+
+
+@pytest.mark.parametrize("name", [name for name, kind in WORLDS.items() if kind.difficulty == "normal"])
+def test_normal_worlds_are_rich_in_corners(name: str) -> None:
+    found = texturedness(build_world(name, 0), frames=12)
+    assert found.share_good >= GOOD_SHARE
+    assert found.levels.min() > 50.0
+    assert found.levels.max() < 200.0
+
+
+def test_the_white_gallery_is_not() -> None:
+    found = texturedness(build_world("low-texture", 0), frames=12)
+    assert found.corners.max() < GOOD_CORNERS
+    assert np.median(found.corners) < 0.5 * GOOD_CORNERS
+
+
+def test_corners_are_counted_where_they_are() -> None:
+    image = np.full((480, 752), 60, np.uint8)
+    assert good_corners(image) == 0
+    for x in range(40, 700, 80):
+        cv2.rectangle(image, (x, 100), (x + 40, 140), 200, -1)
+    assert good_corners(image) == 4 * len(range(40, 700, 80))
+    noise = np.random.default_rng(0).normal(60.0, 1.2, image.shape)  # what a sensor adds is no corner
+    assert good_corners(noise.astype(np.uint8)) == 0
+
+
+def test_poses_along_a_route_look_where_it_goes() -> None:
+    route = np.array([[0.0, 0.0, 1.0], [4.0, 0.0, 1.0], [4.0, 4.0, 1.0], [0.0, 4.0, 1.0]])
+    poses = poses_along(route, 4)
+    np.testing.assert_allclose(poses[:, :3, 3], [[2, 0, 1], [4, 2, 1], [2, 4, 1], [0, 2, 1]])
+    np.testing.assert_allclose(poses[:, :3, 2], [[1, 0, 0], [0, 1, 0], [-1, 0, 0], [0, -1, 0]], atol=1e-12)
+    np.testing.assert_allclose(poses[:, 2, 1], -1.0)
+
+
+def test_tiles_repeat_to_the_bit() -> None:
+    image = textures_building.tiles(np.random.default_rng(0), 300, 500, (200.0, 200.0, 190.0), 160.0, tile_m=0.2)
+    np.testing.assert_array_equal(image[32:], image[:-32])
+    np.testing.assert_array_equal(image[:, 32:], image[:, :-32])
+    assert image.std() > 5.0
+
+
+def test_the_dark_is_the_furnished_room_by_less_light() -> None:
+    dark, lit = drawn("dark", 0), drawn("room", 0)
+    assert 0.02 <= dark.illumination <= 0.03
+    assert [box.centre.tolist() for box in dark.boxes] == [box.centre.tolist() for box in lit.boxes]
+    assert 0 < len(dark.lights) < len(lit.lights)
+    assert sum(box.glow > 0.0 for box in dark.boxes) == len(dark.lights)
+
+
+def test_a_mirror_shows_its_pattern_where_it_is_and_what_stands_on_it() -> None:
+    def nothing(rng: np.random.Generator, height: int, width: int) -> Image:
+        return np.zeros((height, width, 3), np.uint8)
+
+    pattern = np.zeros((60, 80, 3), np.uint8)
+    pattern[:30, :40] = (200, 0, 0)  # greatest y, least x
+    pattern[30:, 40:] = (0, 200, 0)
+
+    def seen(reflectance: float) -> Image:
+        spec = mujoco.MjSpec()
+        spec.stat.extent, spec.visual.map.znear, spec.visual.map.zfar = 10.0, 0.003, 3.0
+        face = Face(np.array([-4.0, 3.0, 0.0]), np.array([8.0, 0.0, 0.0]), np.array([0.0, -6.0, 0.0]), nothing)
+        add_mirror(spec, face, pattern, reflectance)
+        glow = spec.add_material(name="glow", rgba=[1.0, 1.0, 1.0, 1.0], emission=1.0)
+        size, above = [0.6, 0.6, 0.1], [2.0, 1.5, 4.0]
+        box = mujoco.mjtGeom.mjGEOM_BOX
+        spec.worldbody.add_geom(type=box, size=size, pos=above, material=glow.name, contype=0, conaffinity=0)
+        with OffscreenCamera(spec.compile(), SMALL) as eye:
+            return eye.render_rgb(pose_matrix(R_DOWN, np.array([0.0, 0.0, 3.0])))
+
+    plain, polished = seen(0.0), seen(0.5)
+    left, right, up, low = 25, 95, 10, 65
+    assert plain[up, left, 0] > 150 > 30 > plain[up, left, 1]
+    assert plain[low, right, 1] > 150 > 30 > plain[low, right, 0]
+    assert plain[low, left].max() < 30
+    # The box hangs above the camera, out of its sight: at 7 m behind the floor, its image is 62 / 7 times as far aside.
+    at = (round(37.5 - 62.0 * 1.5 / 7.0), round(59.5 + 62.0 * 2.0 / 7.0))
+    assert plain[at].max() < 30
+    assert polished[at].min() > 60
+
+
+def test_the_hotel_s_floor_reflects() -> None:
+    model = build_world("mirror", 0).spec.compile()
+    assert model.mat_reflectance[model.geom_matid[model.geom("mirror").id]] > 0.3
+    assert model.geom_contype[model.geom("mirror").id] == 0
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_what_moves_stays_in_its_lanes_and_off_the_route(seed: int) -> None:
+    layout = drawn("moving", seed)
+    times = np.linspace(0.0, 60.0, 241)
+    lanes = Space(layout.low - 100.0, layout.high + 100.0, *_parts(layout.lanes))
+    route = along(layout.route, 0.2)
+    assert len(layout.moving) >= 12
+    for thing in layout.moving:
+        Ts = thing.poses(times)
+        reach = corners(thing.boxes).reshape(-1, 3)
+        points = np.einsum("mij,kj->mki", Ts[:, :3, :3], reach) + Ts[:, None, :3, 3]
+        assert lanes.clearance(points).max() < 1e-9 or thing.name.startswith("banner")
+        gap = np.linalg.norm(points[::8, :, None] - route, axis=-1).min()
+        assert gap >= ROUTE_CLEARANCE_M
+        ropes = points[points[..., 2] < 4.3]  # the knots at the top of a banner's ropes may stick out
+        assert lanes.clearance(ropes).max() < 0.05
+
+
+def _parts(boxes: tuple[Box, ...]) -> tuple[Array, Array, Array]:
+    """Return the centres, halves and rotations of boxes."""
+    return (
+        np.array([box.centre for box in boxes]),
+        np.array([box.half for box in boxes]),
+        np.array([box.R for box in boxes]),
+    )
+
+
+def test_what_moves_fills_a_fair_share_of_the_view() -> None:
+    world = build_world("moving", 0)
+    away = {mover.body: pose_matrix(np.eye(3), np.array([0.0, 0.0, -40.0])) for mover in world.movers}
+    shares = []
+    with OffscreenCamera(world.spec.compile(), SMALL) as eye:
+        for k, T in enumerate(poses_along(world.route, 12)):
+            here = {mover.body: mover.poses(np.array([5.0 * k]))[0] for mover in world.movers}
+            full, empty = eye.render(T, here), eye.render(T, away)
+            shares.append(float(np.mean(np.abs(full.astype(int) - empty) > 4)))
+    assert np.mean(shares) > 0.1
+    assert max(shares) > 0.2
+
+
+def test_laps_go_round_at_their_speed() -> None:
+    lap = Lap((4.0, 3.0), 0.9, 0.1, 1.2)
+    times = np.linspace(0.0, 2.0 * lap.length_m / 1.2, 4001)
+    Ts = lap(times)
+    velocity = np.diff(Ts[:, :3, 3], axis=0) / np.diff(times)[:, None]
+    np.testing.assert_allclose(np.linalg.norm(velocity, axis=1), 1.2, rtol=1e-3)
+    np.testing.assert_allclose(Ts[0], Ts[2000], atol=1e-9)
+    np.testing.assert_allclose(Ts[:, :2, 3].max(axis=0), [4.0, 3.0], atol=1e-3)
+    ahead = 0.5 * (Ts[1:, :3, 1] + Ts[:-1, :3, 1])
+    assert np.einsum("ij,ij->i", velocity, ahead).min() > 1.19  # y points where it goes
+    around = Ts[:-1, 0, 3] * velocity[:, 1] - Ts[:-1, 1, 3] * velocity[:, 0]
+    assert around.min() > 0.0  # anticlockwise
+    back = Lap((4.0, 3.0), 0.9, 0.1, -1.2)(times)
+    np.testing.assert_allclose(back[:, :3, 3], lap(-times)[:, :3, 3], atol=1e-9)
+    np.testing.assert_allclose(np.linalg.det(back[:, :3, :3]), 1.0)
+
+
+def test_swings_hang_from_their_pivot() -> None:
+    swing = Swing((1.0, 2.0, 4.0), 0.5 * np.pi, 0.3, 3.0)
+    Ts = swing(np.linspace(0.0, 3.0, 61))
+    np.testing.assert_allclose(Ts[:, :3, 3], np.tile([1.0, 2.0, 4.0], (61, 1)))
+    tip = Ts @ np.array([0.0, 0.0, -2.0, 1.0])
+    np.testing.assert_allclose(tip[:, 1], 2.0, atol=1e-12)  # it swings across its axis, which points along y
+    np.testing.assert_allclose(np.abs(tip[:, 0] - 1.0).max(), 2.0 * np.sin(0.3), rtol=1e-3)
+    np.testing.assert_allclose(Ts[0], Ts[-1], atol=1e-9)
+
+
+def test_one_world_s_sheet_shows_twelve_views() -> None:
+    world = build_world("repetitive", 0)
+    sheet = contact_sheet(world, SMALL)
+    assert sheet.shape == (3 * 76, 4 * 120, 3)
+    parts = [sheet[76 * i : 76 * (i + 1), 120 * k : 120 * (k + 1)].tobytes() for i in range(3) for k in range(4)]
+    assert len(set(parts)) == 12
+    poses = viewpoints(world.route, 30)
+    assert world.space.clearance(poses[:, :3, 3]).min() >= ROUTE_CLEARANCE_M
+
+
+def test_a_sheet_of_worlds_has_room_for_each() -> None:
+    told: list[tuple[int, int]] = []
+    names = ("low-texture", "repetitive", "low-texture")
+    sheet = sheet_of_worlds(0, names, SMALL, lambda done, total: told.append((done, total)))
+    block = (30 + 76 + 12, 3 * (120 + 12))
+    assert sheet.shape == (2 * block[0] + 12, 2 * block[1] + 12, 3)
+    assert told == [(0, 3), (1, 3), (2, 3), (3, 3)]
+    np.testing.assert_array_equal(
+        sheet[6 : 6 + block[0], 6 : 6 + block[1]], sheet[-6 - block[0] : -6, 6 : 6 + block[1]]
+    )
+    assert sheet[-6 - block[0] :, 6 + block[1] :].std() == pytest.approx(sheet[0].std())  # one place stays empty
+
+
+def test_sheets_show_the_dark_as_a_display_would() -> None:
+    dark, lit = (views(build_world(name, 0), 1, SMALL)[0].mean() for name in ("dark", "repetitive"))
+    assert 3.0 < dark < 0.35 * lit
+
+
+@pytest.mark.parametrize("load", [*textures_storage.LOADS, textures_storage.pallet, textures_building.notice_board])
+def test_goods_have_contrast(load: textures_storage.Load) -> None:
+    for height, width in ((140, 140), (30, 160)):
+        image = load(np.random.default_rng(1), height, width)
+        assert image.shape == (height, width, 3)
+        assert image.std() > 12.0
+        np.testing.assert_array_equal(image, load(np.random.default_rng(1), height, width))
