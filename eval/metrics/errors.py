@@ -18,13 +18,12 @@ from dronevio.eval.metrics.quaternions import (
     angles_rad,
     components,
     conjugate,
-    nearest_rotations,
     product,
     turned,
 )
 from dronevio.models.errors import EvaluationError
 from dronevio.models.imu import Times
-from dronevio.models.rotation import quat_wxyz_from_matrix
+from dronevio.models.rotation import nearest_rotations, quat_wxyz_from_matrix
 
 Array = npt.NDArray[np.float64]
 

@@ -24,6 +24,7 @@ Array = npt.NDArray[np.float64]
 SHARES = (0.1, 0.2, 0.3, 0.4, 0.5)
 """The usual lengths, as shares of the whole path."""
 _TOLERANCE = 0.2  # of the length, by which a piece may miss it; that of the reference's toolbox
+_MOST = 100_000  # pieces of one length; of more, which overlap all the more, every so-many-th says as much
 
 
 @dataclass(frozen=True)
@@ -66,9 +67,11 @@ def errors_by_length(
     for length_m in lengths_m:
         if not 0.0 < length_m < 1e9:
             raise ConfigError(f"sub-trajectories of {length_m:g} m; expected a length above zero")
-        pairs = pairs_after_distance(p_truth, length_m, _TOLERANCE * length_m)
-        if not len(pairs[0]):
+        first, second = pairs_after_distance(p_truth, length_m, _TOLERANCE * length_m)
+        if not len(first):
             continue
+        every = 1 + (len(first) - 1) // _MOST
+        pairs = first[::every], second[::every]
         errors_m, errors_rad = relative_errors(*truth, *estimate, pairs)
         yaw, tilt = _yaw_and_tilt_rad(quat_truth_wxyz, quat_estimate_wxyz, pairs)
         found.append(

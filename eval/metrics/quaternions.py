@@ -92,18 +92,3 @@ def quat_product_wxyz(q: Array, r: Array) -> Array:
     """Return the products (…, 4) of quaternions (…, 4): first turned by r, then by q."""
     q, r = np.broadcast_arrays(np.asarray(q, dtype=np.float64), np.asarray(r, dtype=np.float64))
     return np.stack(product(components(q), components(r)), axis=-1)
-
-
-def nearest_rotations(R: Array) -> Array:
-    """Return the rotations (…, 3, 3) nearest to matrices (…, 3, 3) that rounding keeps from being rotations.
-
-    Newton's iteration for the polar factor, R ← (R + R⁻ᵀ)/2, of which each step squares the distance: a deviation of
-    a few hundredths is below rounding after four (Higham, "Computing the polar decomposition", 1986).
-    """
-    R = np.asarray(R, dtype=np.float64)
-    for _ in range(4):
-        a, b, c = R[..., 0, :], R[..., 1, :], R[..., 2, :]
-        cofactors = np.stack([np.cross(b, c), np.cross(c, a), np.cross(a, b)], axis=-2)
-        determinant = np.sum(a * cofactors[..., 0, :], axis=-1)[..., None, None]
-        R = 0.5 * (R + cofactors / determinant)  # the transposed inverse is the cofactors by the determinant
-    return R

@@ -6,10 +6,10 @@ numpy parses the whole table at once, and only when that fails does a second loo
 
 import re
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from decimal import Context, Decimal
 from pathlib import Path
-from typing import NoReturn
+from typing import Literal, NoReturn
 
 import numpy as np
 import numpy.typing as npt
@@ -20,11 +20,16 @@ from dronevio.models.recordings.files import read_text
 
 Array = npt.NDArray[np.float64]
 
+Repeated = Literal["refuse", "first", "last", "keep"]
+"""What becomes of rows that repeat the time stamp above: an error, the first or the last of them counts, or all are
+kept, each stamped a nanosecond after the one before."""
+
 TIME_LIMIT_NS = 2**62
 """Time stamps stay below it, 146 years, so that differences of two fit into 64 bits [ns]."""
 
 _INTEGER = re.compile(r"[+-]?\d+", re.ASCII)
-_NUMBER = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?", re.ASCII)
+NUMBER = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?", re.ASCII)
+"""How a finite number is written."""
 _SECONDS = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d{1,2})?", re.ASCII)
 _EXACT = Context(prec=200)
 _UNIT_TOLERANCE = 0.05  # rounding to two decimals stays below; a wrong order of columns does not
@@ -66,6 +71,8 @@ class TimedTable:
     """(N, C) The other columns, all finite."""
     lines: npt.NDArray[np.int64]
     """(N,) Line of the file, counted from 1, on which each row stands."""
+    n_repeated: int = 0
+    """How many rows of the file repeat the time stamp above."""
 
 
 def parse_integer_ns(text: str) -> int:
@@ -95,23 +102,28 @@ def parse_decimal_seconds(text: str) -> int:
     return int(Decimal(text).scaleb(9, _EXACT).to_integral_value(context=_EXACT))
 
 
-def read_timed_table(path: Path, form: TableFormat) -> TimedTable:
+def read_timed_table(path: Path, form: TableFormat, repeated: Repeated = "refuse") -> TimedTable:
     """Read a table of numbers over time; empty lines, and lines that begin with ``#``, are passed over.
+
+    Args:
+        path: The file.
+        form: How its rows are written.
+        repeated: What becomes of rows that repeat the time stamp above.
 
     Raises:
         InputError: The file is missing, empty or cut off, has a row with too few or too many columns, something that
             is not a finite number, or time stamps that do not increase.
     """
-    return parse_timed_table(path, read_text(path, form.name), form)
+    return parse_timed_table(path, read_text(path, form.name), form, repeated)
 
 
-def parse_timed_table(path: Path, text: str, form: TableFormat) -> TimedTable:
+def parse_timed_table(path: Path, text: str, form: TableFormat, repeated: Repeated = "refuse") -> TimedTable:
     """Read a table from its text, which comes from ``path``; see `read_timed_table`.
 
     Raises:
         InputError: As `read_timed_table`.
     """
-    numbered = [(i, row) for i, line in enumerate(text.split("\n"), 1) if (row := line.strip()) and row[0] != "#"]
+    numbered = numbered_rows(text)
     if not numbered:
         raise InputError(path, "no rows", f"{form.name}: rows of {form.row}")
     lines = np.array([i for i, _ in numbered])
@@ -120,12 +132,35 @@ def parse_timed_table(path: Path, text: str, form: TableFormat) -> TimedTable:
         t_ns, values = _parse(rows, form)
     except (ValueError, OverflowError):
         _raise_first_fault(path, numbered, form)
-    if not text.endswith("\n") and _seems_cut(rows, form):
-        found = "a last number without a line end, shorter than all above it"
-        raise InputError(path, found, "a whole file; this one seems cut off", int(lines[-1]))
+    check_whole(path, text, numbered, form.delimiter)
     table = TimedTable(path, t_ns, values, lines)
-    _check_values(table, form)
+    _check_finite(table, form)
+    if repeated != "refuse":
+        table = _settled(table, repeated)
+    check_increasing(path, table.t_ns, table.lines)
     return table
+
+
+def numbered_rows(text: str) -> list[tuple[int, str]]:
+    """Return the rows of a table with their line numbers, without empty lines and comments."""
+    return [(i, row) for i, line in enumerate(text.split("\n"), 1) if (row := line.strip()) and row[0] != "#"]
+
+
+def check_whole(path: Path, text: str, numbered: list[tuple[int, str]], delimiter: str | None) -> None:
+    """Check that a table does not end within a number: without a line end, and its last shorter than all above it.
+
+    Many programs leave out the last line end, so that alone proves nothing; but with a single row nothing else speaks
+    for it.
+
+    Raises:
+        InputError: It does.
+    """
+    if text.endswith("\n"):
+        return
+    lengths = [len(row.split(delimiter)[-1].strip()) for _, row in numbered]
+    if lengths[-1] < min(lengths[:-1], default=lengths[-1] + 1):
+        found = "a last number without a line end, shorter than all above it"
+        raise InputError(path, found, "a whole file; this one seems cut off", numbered[-1][0])
 
 
 def check_increasing(path: Path, t_ns: Times, lines: npt.NDArray[np.int64]) -> None:
@@ -155,14 +190,17 @@ def check_unit_quaternions(table: TimedTable, quat_wxyz: Array) -> None:
         raise InputError(table.path, found, "one of length 1", int(table.lines[wrong[0]]))
 
 
-def _seems_cut(rows: list[str], form: TableFormat) -> bool:
-    """Say whether a table that ends without a line end ends within a number: its last is shorter than all above it.
-
-    Many programs leave out the last line end, so that alone proves nothing; but with a single row nothing else speaks
-    for it.
-    """
-    lengths = [len(row.split(form.delimiter)[-1].strip()) for row in rows]
-    return lengths[-1] < min(lengths[:-1], default=lengths[-1] + 1)
+def _settled(table: TimedTable, repeated: Repeated) -> TimedTable:
+    """Return a table of which no row repeats a time stamp; that time runs backwards is left to be found."""
+    same = table.t_ns[1:] == table.t_ns[:-1]
+    if not same.any():
+        return table
+    if repeated == "keep" and np.all(table.t_ns[1:] >= table.t_ns[:-1]):
+        count = np.arange(len(table.t_ns))
+        t_ns = np.maximum.accumulate(table.t_ns - count) + count
+        return replace(table, t_ns=t_ns, n_repeated=int(same.sum()))
+    kept = np.concatenate([~same, [True]] if repeated == "last" else [[True], ~same])
+    return TimedTable(table.path, table.t_ns[kept], table.values[kept], table.lines[kept], int(same.sum()))
 
 
 def _parse(rows: list[str], form: TableFormat) -> tuple[Times, Array]:
@@ -179,12 +217,11 @@ def _parse(rows: list[str], form: TableFormat) -> tuple[Times, Array]:
     return t_ns, values
 
 
-def _check_values(table: TimedTable, form: TableFormat) -> None:
-    """Raise InputError unless all values are finite and time increases."""
+def _check_finite(table: TimedTable, form: TableFormat) -> None:
+    """Raise InputError unless all values are finite."""
     infinite = np.flatnonzero(~np.isfinite(table.values).all(axis=1))
     if infinite.size:
         raise InputError(table.path, "a number that is not finite", form.row, int(table.lines[infinite[0]]))
-    check_increasing(table.path, table.t_ns, table.lines)
 
 
 def _raise_first_fault(path: Path, numbered: list[tuple[int, str]], form: TableFormat) -> NoReturn:
@@ -202,13 +239,13 @@ def _raise_first_fault(path: Path, numbered: list[tuple[int, str]], form: TableF
             if abs(form.parse_time(fields[0])) >= TIME_LIMIT_NS:
                 raise ValueError
         except ValueError:
-            raise InputError(path, f"time stamp {_shown(fields[0])}", f"{form.time_unit}, below 2⁶² ns", line) from None
+            raise InputError(path, f"time stamp {shown(fields[0])}", f"{form.time_unit}, below 2⁶² ns", line) from None
         for field in fields[1:]:
-            if not _NUMBER.fullmatch(field):
-                raise InputError(path, _shown(field), "a finite number", line)
+            if not NUMBER.fullmatch(field):
+                raise InputError(path, shown(field), "a finite number", line)
     raise InputError(path, "rows that are no numbers", form.row)
 
 
-def _shown(text: str) -> str:
+def shown(text: str) -> str:
     """Return a text as a message can show it: quoted, on one line, not endless."""
     return repr(text if len(text) <= _SHOWN else text[:_SHOWN] + "…")
