@@ -49,11 +49,11 @@ def main(arguments: Sequence[str]) -> int:
     """Run the command."""
     command = parse_flight(RunCommand, arguments, "run")
 
-    from dronevio.cli.folders import atomic_folder
+    from dronevio.cli.folders import atomic_folder, free_name
     from dronevio.sim.gl import require_gl
 
     chosen = command.flight.chosen()
-    target = command.out or _free_name(Path("runs") / f"{chosen.name}-{chosen.seed}")
+    target = command.out or free_name(Path("runs") / f"{chosen.name}-{chosen.seed}")
     require_gl()
     with (
         atomic_folder(target, command.overwrite, mark="report.json") as folder,
@@ -126,14 +126,6 @@ def _repeat(scenario: "Scenario", arguments: Sequence[str]) -> str:
         elif name not in ("--json", "--overwrite", "--keep-recording"):
             words.append(word)
     return shlex.join(["dronevio", "run", *words])
-
-
-def _free_name(wanted: Path) -> Path:
-    """Return a path that is not there yet: the wanted one, or the first free one with a number behind it."""
-    candidate, number = wanted, 2
-    while candidate.exists():
-        candidate, number = wanted.with_name(f"{wanted.name}-{number}"), number + 1
-    return candidate
 
 
 def print_report(title: str, report: dict[str, Any]) -> None:

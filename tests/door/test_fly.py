@@ -13,7 +13,7 @@ from dronevio.models.recordings.euroc import EurocRecording
 def test_a_flight_is_a_recording(flown: Any) -> None:
     said = flown.document
     assert said["recording"] == str(flown.folder)
-    assert said["scenario"] == "short" and said["seed"] == 0
+    assert said["scenario"] == "short-v0" and said["seed"] == 0
     assert said["frames"] == 120
     assert said["peak_speed_m_s"] > 0.5
     recording = EurocRecording.open(flown.folder)
@@ -24,7 +24,7 @@ def test_a_flight_is_a_recording(flown: Any) -> None:
     assert recording.ground_truth.length_m == pytest.approx(said["path_m"], rel=1e-6)
     np.testing.assert_array_equal(np.diff(recording.frame_times_ns), 50_000_000)
     assert [entry.name for entry in flown.folder.parent.iterdir()] == ["flight"]
-    assert [entry.name for entry in flown.folder.iterdir()] == ["mav0"]
+    assert sorted(entry.name for entry in flown.folder.iterdir()) == ["mav0", "scenario.json"]
 
 
 def test_it_is_not_flown_over_unasked(flown: Any, capsys: pytest.CaptureFixture[str]) -> None:

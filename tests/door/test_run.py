@@ -61,11 +61,11 @@ def run(place: Path, do: Do) -> Result:
 def another_run(place: Path, do: Do) -> Result:
     """The short flight of seed 1, run where a result with its name is there already; printed as JSON."""
     here = place / "elsewhere"
-    taken = here / "runs" / "short-1"
+    taken = here / "runs" / "short-v0-1"
     taken.mkdir(parents=True)
     (taken / "report.json").write_text("{}")
     with contextlib.chdir(here):
-        return do(here / "runs" / "short-1-2", "run", *SCENARIO, "--seed", "1", "--json")
+        return do(here / "runs" / "short-v0-1-2", "run", *SCENARIO, "--seed", "1", "--json")
 
 
 def names(folder: Path) -> set[str]:
@@ -81,8 +81,8 @@ def test_a_run_leaves_what_it_promises_and_nothing_else(run: Result, another_run
     assert names(run.folder) == {*PROMISED, "recording"}  # nor what was there before
     assert all(file.stat().st_size > 0 for file in run.folder.rglob("*") if file.is_file())
     assert names(place) == {"run", "elsewhere"}  # no hidden folders
-    assert names(another_run.folder.parent) == {"short-1", "short-1-2"}
-    assert names(another_run.folder.parent / "short-1") == {"report.json"}
+    assert names(another_run.folder.parent) == {"short-v0-1", "short-v0-1-2"}
+    assert names(another_run.folder.parent / "short-v0-1") == {"report.json"}
 
 
 def test_the_table_shows_the_numbers_of_the_report(run: Result) -> None:
@@ -117,10 +117,10 @@ def test_what_is_not_known_is_a_dash(capsys: pytest.CaptureFixture[str]) -> None
 def test_machines_get_one_document(another_run: Result) -> None:
     document = dict(another_run.document)
     assert another_run.err == ""
-    assert document.pop("run") == "runs/short-1-2"
+    assert document.pop("run") == "runs/short-v0-1-2"
     assert document == json.loads((another_run.folder / "report.json").read_text(encoding="utf-8"))
     assert document["seed"] == 1
-    assert document["command"] == "dronevio run --scenario short --seed 1"
+    assert document["command"] == "dronevio run --scenario=short-v0 --seed=1"
 
 
 @pytest.mark.parametrize("which", ["run", "another_run"])
@@ -230,7 +230,7 @@ def test_the_recording_is_whole_and_small(run: Result) -> None:
 
 def test_the_configuration_is_all_that_was_set(another_run: Result) -> None:
     configuration = json.loads((another_run.folder / "configuration.json").read_text(encoding="utf-8"))
-    assert configuration["scenario"]["name"] == "short" and configuration["scenario"]["seed"] == 1
+    assert configuration["scenario"]["name"] == "short-v0" and configuration["scenario"]["seed"] == 1
     assert configuration["scenario"]["rig"]["cameras"][0]["model"]["width"] == 752
     assert configuration["estimator"]["keyframe"]["interval_s"] > 0.0
     assert configuration == another_run.document["configuration"]
@@ -240,7 +240,7 @@ def test_the_configuration_is_all_that_was_set(another_run: Result) -> None:
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        (["--scenario", "moon"], r"unknown scenario 'moon'; expected one of room, .*short"),
+        (["--scenario", "moon"], r"unknown scenario 'moon'; expected one of room-v0, .*short-v0"),
         ([*SCENARIO, "--seed", "-1"], r"seed -1; expected 0 or more"),
         ([*SCENARIO, "--out", "taken"], r"taken: it exists already; expected a new name, or --overwrite"),
         ([*SCENARIO, "--out", "taken", "--overwrite"], r"taken: it holds no \S+, so it is none of mine; expected"),
