@@ -12,6 +12,10 @@ ESTIMATE = "#d55e00"
 """What the estimator said: vermilion."""
 BAND = "#56b4e9"
 """What the estimator holds possible, 3σ: sky blue."""
+CLAIM = "#0072b2"
+"""A second thing beside the estimate: blue."""
+ESTIMATORS = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9")
+"""Estimators beside each other, in order; after the last the first comes again, with another mark."""
 AXES = ("#d55e00", "#009e73", "#56b4e9")
 """x, y and z."""
 AXES_PALE = ("#e8a57a", "#7cc9b2", "#b0daf2")

@@ -20,8 +20,9 @@ import numpy as np
 import numpy.typing as npt
 
 from dronevio.eval.metrics import IDENTITY, ScoredTrajectory
-from dronevio.eval.plots import ABOVE, FRONT, draw_path, figure, save_png
+from dronevio.eval.plots import figure, save_png
 from dronevio.eval.provenance import RunInfo
+from dronevio.eval.report_plots import ABOVE, FRONT, draw_path
 from dronevio.eval.runs import EstimatorRun
 from dronevio.models.protocols import Recording
 from dronevio.models.state import Trajectory

@@ -1,84 +1,64 @@
-"""The page of a report: HTML that needs nothing but itself, on a wide screen and on a telephone, by day and night."""
+"""The page of a run's report: the scores first, then what the flight, its errors and their cost looked like."""
 
 import base64
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Iterator, Mapping
 from functools import partial
 from html import escape
-from pathlib import Path
 
 import cv2
 import numpy as np
 import numpy.typing as npt
 from matplotlib.axes import Axes
 
-from dronevio.eval import palette, plots
+from dronevio.eval import palette, report_plots
+from dronevio.eval.metrics import ScoredTrajectory, nees_bounds
 from dronevio.eval.report import Subject
+from dronevio.eval.report_parts import Tile, details, document, drawing, figures, number, section, settings, tiles
 from dronevio.eval.runs import tracks_of
 
 SAMPLE_FRAMES = 4
 TAIL_FRAMES = 8  # how far back the tail of a track reaches
-_STYLE_SHEET = Path(__file__).with_name("report.css")
-
-
-@dataclass(frozen=True)
-class Tile:
-    """One number that a reader looks for first."""
-
-    label: str
-    value: str
-    unit: str
-    note: str = ""
+_PATH_IN, _GRAPH_IN = 3.7, 2.7  # heights of drawings
 
 
 def page(subject: Subject, numbers: Mapping[str, object]) -> str:
     """Return the page as HTML."""
-    info = subject.info
-    title = escape(info.title)
-    sections = "\n".join(
+    info, scored = subject.info, subject.scored
+    lengths, consistency = "", ""
+    if scored is not None:
+        lengths, consistency = figures(_length_figures(scored)), _consistency(scored, subject.origin_ns)
+    return document(
+        info.title,
+        _summary(numbers),
         (
-            _section("", f'<div class="tiles">{"".join(map(_tile, tiles(numbers)))}</div>'),
-            _section("", f'<div class="figures">{"".join(_figures(subject))}</div>'),
-            _section(
+            section("", tiles(_tiles(numbers))),
+            section("Path", figures(_path_figures(subject))),
+            section("Over time", figures(_time_figures(subject))),
+            section("By length of the way", lengths),
+            section("Consistency", consistency),
+            section("Cost", figures(_cost_figures(subject))),
+            section(
                 "What the camera saw",
                 f"<p>Features that were followed, with the way of their last {TAIL_FRAMES} frames;"
-                f" {_age_legend()}</p>" + f'<div class="figures">{"".join(_frames(subject))}</div>',
+                f" {_age_legend()}</p>" + figures(_frames(subject)),
             ),
-            _section("How to open the recording", f"<pre>{escape(info.open_command)}</pre>"),
-            _section("How it was made", _origin(subject, numbers)),
-        )
-    )
-    return (
-        '<!DOCTYPE html>\n<html lang="en">\n<head>\n<meta charset="utf-8">\n'
-        '<meta name="viewport" content="width=device-width, initial-scale=1">\n'
-        '<meta name="color-scheme" content="light dark">\n'
-        f"<title>{title} · dronevio</title>\n<style>\n{_STYLE_SHEET.read_text(encoding='utf-8')}</style>\n</head>\n"
-        f"<body>\n<header><h1>{title}</h1><p>{escape(_summary(numbers))}</p></header>\n<main>\n{sections}\n</main>\n"
-        "</body>\n</html>\n"
+            section("How to open the recording", f"<pre>{escape(info.open_command)}</pre>"),
+            section("How it was made", _origin(subject, numbers)),
+        ),
     )
 
 
-def tiles(numbers: Mapping[str, object]) -> list[Tile]:
-    """Return the numbers that stand at the top of the page."""
+def _tiles(numbers: Mapping[str, object]) -> Iterator[Tile]:
+    """Yield the numbers that stand at the top of the page."""
     flight, timing = _part(numbers, "flight"), _part(numbers, "timing")
-    scored = [] if numbers["scores"] is None else _score_tiles(_part(numbers, "scores"))
-    return [
-        *scored,
-        Tile(
-            "Time a frame",
-            _number(timing["cpu_ms_mean"], 1),
-            "ms",
-            f"processor time; 99 % take under {_number(timing['cpu_ms_p99'], 1)} ms",
-        ),
-        Tile("Real-time factor", _number(timing["real_time_factor"], 1), "×", "seconds of flight a second of one core"),
-        Tile("Path", _number(flight["path_m"], 1), "m", f"in {_number(flight['duration_s'], 1)} s"),
-        Tile(
-            "Peak speed",
-            _number(flight["peak_speed_m_s"], 2),
-            "m/s",
-            f"turning at up to {_number(flight['peak_turn_rate_deg_s'], 0)} °/s",
-        ),
-    ]
+    if numbers["scores"] is not None:
+        yield from _score_tiles(_part(numbers, "scores"))
+    most = f"processor time; 99 % take under {number(timing['cpu_ms_p99'], 1)} ms"
+    yield Tile("Time a frame", number(timing["cpu_ms_mean"], 1), "ms", most)
+    yield Tile("Real-time factor", number(timing["real_time_factor"], 1), "×", "seconds of flight a second of one core")
+    yield Tile("Path", number(flight["path_m"], 1), "m", f"in {number(flight['duration_s'], 1)} s")
+    turning = f"turning at up to {number(flight['peak_turn_rate_deg_s'], 0)} °/s"
+    yield Tile("Peak speed", number(flight["peak_speed_m_s"], 2), "m/s", turning)
 
 
 def _score_tiles(scores: Mapping[str, object]) -> Iterator[Tile]:
@@ -86,43 +66,100 @@ def _score_tiles(scores: Mapping[str, object]) -> Iterator[Tile]:
     how = {"yaw": "yaw and position aligned", "none": "not aligned"}.get(
         str(scores["alignment"]), f"{scores['alignment']} aligned"
     )
-    yield Tile("ATE", _number(ate["rmse"], 3), "m", f"r.m.s., {how}; {_number(ate_deg['rmse'], 2)}°")
+    yield Tile("ATE", number(ate["rmse"], 3), "m", f"r.m.s., {how}; {number(ate_deg['rmse'], 2)}°")
     if scores["rpe_m"] is not None:
         rpe, rpe_deg = _part(scores, "rpe_m"), _part(scores, "rpe_deg")
-        over = f"r.m.s. over {_number(scores['rpe_delta_s'], 0)} s; {_number(rpe_deg['rmse'], 2)}°"
-        yield Tile("RPE", _number(rpe["rmse"], 3), "m", over)
-    yield Tile("Scale error", _number(scores["scale_error_percent"], 2, sign=True), "%", "of the estimated path")
-    yield Tile("Coverage", _number(scores["coverage_percent"], 1), "%", "of the frames later than 3 s have a pose")
+        over = f"r.m.s. over {scores['rpe_over']}; {number(rpe_deg['rmse'], 2)}°"
+        yield Tile("RPE", number(rpe["rmse"], 3), "m", over)
+    yield Tile("Scale error", number(scores["scale_error_percent"], 2, sign=True), "%", "of the estimated path")
+    yield Tile("Coverage", number(scores["coverage_percent"], 1), "%", "of the frames later than 3 s have a pose")
 
 
 def _summary(numbers: Mapping[str, object]) -> str:
     flight = _part(numbers, "flight")
     seed = "" if numbers["seed"] is None else f", seed {numbers['seed']}"
-    duration_s, path_m = _number(flight["duration_s"], 1), _number(flight["path_m"], 1)
+    duration_s, path_m = number(flight["duration_s"], 1), number(flight["path_m"], 1)
     return f"{flight['frames']} frames in {duration_s} s, {path_m} m flown{seed}"
 
 
-def _figures(subject: Subject) -> Iterator[str]:
-    """Yield the drawings, each in a figure of its own, so that a narrow page can stack them."""
+def _path_figures(subject: Subject) -> Iterator[str]:
+    estimate, truth = subject.estimate, subject.recording.ground_truth
+    for side in (report_plots.ABOVE, report_plots.FRONT):
+        draw = partial(report_plots.draw_path, side=side, estimate=estimate, truth=truth, outline=subject.outline)
+        yield drawing(_PATH_IN, draw, "the estimate" if truth is None else "the estimate on the truth")
+
+
+def _time_figures(subject: Subject) -> Iterator[str]:
     estimate, truth, scored = subject.estimate, subject.recording.ground_truth, subject.scored
     origin_ns = subject.origin_ns
-    interval_ms = 1e3 / subject.recording.rig.cameras[0].rate_hz
-    for side in (plots.ABOVE, plots.FRONT):
-        draw = partial(plots.draw_path, side=side, estimate=estimate, truth=truth, outline=subject.outline)
-        yield _drawing(3.7, draw)
     if scored is not None:
-        yield _drawing(2.7, lambda ax: plots.draw_position_error(ax, scored, origin_ns))
-        yield _drawing(2.7, lambda ax: plots.draw_orientation_error(ax, scored, origin_ns))
-    yield _drawing(2.7, lambda ax: plots.draw_speed(ax, estimate, truth, origin_ns))
-    yield _drawing(2.7, lambda ax: plots.draw_cost(ax, subject.run, origin_ns, interval_ms))
+        ate_m, ate_deg = scored.scores.ate_m, scored.scores.ate_deg
+        alt = f"r.m.s. {ate_m.rmse:.3f} m, at most {ate_m.max:.3f} m"
+        yield drawing(_GRAPH_IN, lambda ax: report_plots.draw_position_error(ax, scored, origin_ns), alt)
+        alt = f"r.m.s. {ate_deg.rmse:.2f}°, at most {ate_deg.max:.2f}°"
+        yield drawing(_GRAPH_IN, lambda ax: report_plots.draw_orientation_error(ax, scored, origin_ns), alt)
+    yield drawing(_GRAPH_IN, lambda ax: report_plots.draw_speed(ax, estimate, truth, origin_ns))
+    if scored is not None:
+        for what in filter(lambda what: what.known(scored), report_plots.STATE_ERRORS):
+            draw = partial(report_plots.draw_state_error, what=what, scored=scored, origin_ns=origin_ns)
+            yield drawing(_GRAPH_IN, draw)
 
 
-def _drawing(height_in: float, draw: Callable[[Axes], None]) -> str:
-    with plots.figure(4.8, height_in) as (fig, axes):
-        draw(axes[0])
-    svg, title = plots.as_svg(fig), axes[0].get_title(loc="left")
-    svg = svg.replace(plots.INK, "var(--ink)").replace(plots.GRID, "var(--grid)")
-    return f'<figure aria-label="{escape(title)}">{svg}</figure>'
+def _length_figures(scored: ScoredTrajectory) -> Iterator[str]:
+    errors = report_plots.errors_by_length(scored)
+    for values, title, axis in (
+        (errors.translation_percent, "Relative position error", "of the length [%]"),
+        (errors.rotation_deg, "Relative orientation error", "orientation error [°]"),
+    ):
+        draw = partial(report_plots.draw_length_errors, labels=errors.labels, values=values, title=title, axis=axis)
+        if values:
+            medians = (f"{np.median(v):.2f} after {label} m" for label, v in zip(errors.labels, values, strict=True))
+            yield drawing(_GRAPH_IN, draw, f"{axis}, medians {', '.join(medians)}")
+
+
+def _consistency(scored: ScoredTrajectory, origin_ns: int) -> str:
+    """Return whether errors are as large as claimed, in words and as a drawing; nothing where nothing is claimed."""
+    stated, scores = scored.consistency, scored.scores
+    if stated is None:
+        return ""
+    low, high = nees_bounds(3)
+    rows = (
+        ("position", scores.nees_position, scores.nees_position_inside_percent, scores.position_beyond_3_sigma_percent),
+        (
+            "orientation",
+            scores.nees_orientation,
+            scores.nees_orientation_inside_percent,
+            scores.orientation_beyond_3_sigma_percent,
+        ),
+    )
+    body = "".join(
+        f"<tr><th>{name}</th><td>{number(mean, 2)}</td><td>{number(inside, 1)}</td><td>{number(beyond, 2)}</td></tr>"
+        for name, mean, inside, beyond in rows
+    )
+    table = (
+        '<div class="wide"><table class="numbers"><thead><tr><th></th><th>mean NEES [–]</th><th>within 95 % [%]</th>'
+        f"<th>beyond 3σ [%]</th></tr></thead><tbody>{body}"
+        '<tr class="aside"><th>expected</th><td>3</td><td>95</td><td>0.27</td></tr></tbody></table></div>'
+    )
+    words = (
+        "<p>Squared errors in units of the covariance that the estimator claims (NEES), position and yaw tied at the"
+        f" first pose. An honest one has a mean of 3; 95 % of its poses lie between {low:.2f} and {high:.2f}. More is"
+        " overconfident, less is too modest. The poses of one run hang together, so the mean of a run strays.</p>"
+    )
+    return figures(
+        (f"<div>{words}{table}</div>", drawing(_GRAPH_IN, lambda ax: report_plots.draw_nees(ax, scored, origin_ns)))
+    )
+
+
+def _cost_figures(subject: Subject) -> Iterator[str]:
+    interval_ms = 1e3 / subject.recording.rig.cameras[0].rate_hz
+
+    def over_time(ax: Axes) -> None:
+        report_plots.draw_cost(ax, subject.run, subject.origin_ns, interval_ms)
+
+    yield drawing(_GRAPH_IN, over_time)
+    if len(subject.run.cpu_ms):
+        yield drawing(_GRAPH_IN, lambda ax: report_plots.draw_cost_histogram(ax, subject.run))
 
 
 def _frames(subject: Subject) -> Iterator[str]:
@@ -182,46 +219,11 @@ def _origin(subject: Subject, numbers: Mapping[str, object]) -> str:
         ("Versions", info.versions),
         ("Machine", info.machine),
     )
-    return "".join(_table(title, content) for title, content in tables if content)
-
-
-def _table(title: str, content: object) -> str:
-    rows = "".join(f"<tr><th>{escape(name)}</th><td>{escape(value)}</td></tr>" for name, value in _flat(content))
-    opened = " open" if title in ("Run", "Versions", "Machine") else ""
-    return f'<details{opened}><summary>{escape(title)}</summary><div class="wide"><table>{rows}</table></div></details>'
-
-
-def _flat(content: object, prefix: str = "") -> Iterator[tuple[str, str]]:
-    """Yield the leaves of nested settings, with dotted names."""
-    if isinstance(content, Mapping):
-        for name, value in content.items():
-            yield from _flat(value, f"{prefix}.{name}" if prefix else str(name))
-    elif isinstance(content, float):
-        yield prefix, f"{content:.6g}"
-    elif isinstance(content, Sequence) and not isinstance(content, str):
-        yield prefix, ", ".join(str(item) for item in content)
-    else:
-        yield prefix, "–" if content is None else str(content)
-
-
-def _section(title: str, content: str) -> str:
-    heading = f"<h2>{escape(title)}</h2>" if title else ""
-    return f"<section>{heading}{content}</section>"
-
-
-def _tile(tile: Tile) -> str:
-    return (
-        f'<div class="tile"><div class="label">{escape(tile.label)}</div>'
-        f'<div class="value">{escape(tile.value)} <span>{escape(tile.unit)}</span></div>'
-        f'<div class="note">{escape(tile.note)}</div></div>'
+    return "".join(
+        details(title, settings(content), opened=title in ("Run", "Versions", "Machine"))
+        for title, content in tables
+        if content
     )
-
-
-def _number(value: object, decimals: int, sign: bool = False) -> str:
-    """Return a number for people; a dash where there is none."""
-    if not isinstance(value, int | float):
-        return "–"
-    return f"{value:{'+' if sign else ''}.{decimals}f}".replace("-", "−")
 
 
 def _part(numbers: Mapping[str, object], name: str) -> Mapping[str, object]:
