@@ -36,19 +36,14 @@ class Collision:
 
 def add_floor(spec: mujoco.MjSpec) -> None:
     """Add an endless floor at z = 0."""
-    spec.worldbody.add_geom(
-        name="floor", type=mujoco.mjtGeom.mjGEOM_PLANE, size=[0.0, 0.0, 1.0], conaffinity=0, group=TOUCHED_GROUP
-    )
+    spec.worldbody.add_geom(name="floor", type=mujoco.mjtGeom.mjGEOM_PLANE, size=[0.0, 0.0, 1.0], group=TOUCHED_GROUP)
 
 
 def add_touched(spec: mujoco.MjSpec, surroundings: mujoco.MjSpec) -> None:
-    """Add the touched geoms (group 3) of a world's static body, without anything that is only seen.
-
-    They never test each other for contact, only the drone does.
-    """
+    """Add the touched geoms (group 3) of a world's static body, without anything that is only seen."""
     for geom in surroundings.worldbody.geoms:
         if geom.group == TOUCHED_GROUP:
-            copy = spec.worldbody.add_geom(conaffinity=0, **{name: getattr(geom, name) for name in _COPIED})
+            copy = spec.worldbody.add_geom(**{name: getattr(geom, name) for name in _COPIED})
             for name in _COPIED_TURN:
                 setattr(copy.alt, name, getattr(geom.alt, name))
 

@@ -199,7 +199,7 @@ class SE3Controller:
         gyroscopic = _cross(rate, momentum)
         if self._off_the_ground(row):
             self._push.update(velocity, self._pushed(R[:, 2], velocity, lift), self._step_s)
-            self._twist.update(rate, self._twisted(gyroscopic, lift), self._step_s)
+            self._twist.update(rate, self._twisted(gyroscopic), self._step_s)
         force = self._acceleration(row, T[:3, 3], velocity)
         R_wanted = _attitude(force, float(self._reference.yaw_rad[row]))
         torque = self._inertia * self._turn(row, R, R_wanted, rate) + gyroscopic
@@ -219,11 +219,10 @@ class SE3Controller:
         thrust = lift * drone.thrust_n_per_rad2_s2 * float(speeds @ speeds) / drone.mass_kg
         return np.asarray(thrust * up - GRAVITY_M_S2 * _UP + self._drag(up, velocity, float(speeds.sum())))
 
-    def _twisted(self, gyroscopic: Array, lift: float) -> Array:
+    def _twisted(self, gyroscopic: Array) -> Array:
         """Return the angular acceleration (3,) that the rotors make now [rad/s²], in the vehicle frame."""
         drive, drone = self._drive, self._quadrotor
         torque = self._allocation[1:] @ drive.speeds_rad_s**2
-        torque[:2] *= lift
         torque[2] -= drone.rotor_inertia_kg_m2 * float(self._spins @ drive.change_rad_s2)
         return np.asarray((torque - gyroscopic) / self._inertia)
 

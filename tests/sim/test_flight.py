@@ -33,8 +33,8 @@ def test_the_default_flight_is_lively(room: Flight) -> None:
 
 def test_it_follows_its_reference(room: Flight) -> None:
     error = np.linalg.norm(vehicle_positions(room) - room.reference.position_m, axis=1)
-    assert np.sqrt(np.mean(error**2)) < 0.03
-    assert error.max() < 0.10
+    assert np.sqrt(np.mean(error**2)) < 0.015
+    assert error.max() < 0.04
 
 
 def test_it_stays_in_the_free_space(room: Flight) -> None:

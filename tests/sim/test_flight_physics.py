@@ -238,6 +238,9 @@ def test_gusts_are_drawn_anew_for_every_flight_and_are_the_same_for_the_same_see
     assert not np.any(first == second)
     np.testing.assert_array_equal(wind_after(same), first)
     fell = plant.wind_m_s
+    plant.reset(HIGH)
+    assert np.linalg.norm(plant.wind_m_s - fell) > 0.3  # not where the last flight ended
+    fell = plant.wind_m_s
     plant.advance(SECOND_NS, np.zeros(4))
     assert not np.any(plant.wind_m_s == fell)  # it falls through the gusts
 
