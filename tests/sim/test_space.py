@@ -42,6 +42,22 @@ def test_many_points_at_once_are_as_good_as_one_by_one() -> None:
     assert space.clearance(points)[::1000] == pytest.approx([float(space.clearance(p)) for p in points[::1000]])
 
 
+@pytest.mark.parametrize("spacing_m", [0.02, 0.5])
+def test_boxes_far_away_are_left_out_rightly(spacing_m: float) -> None:
+    rng = np.random.default_rng(1)
+    boxes = [
+        (list(rng.uniform([-5, -5, 0], [5, 5, 4])), list(rng.uniform(0.05, 0.6, 3)), rng.uniform(0, 3))
+        for _ in range(80)
+    ]
+    space = _hall(*boxes)
+    path = np.cumsum(spacing_m * rng.normal(size=(2000, 3)), axis=0) % [10.0, 10.0, 4.0] - [5.0, 5.0, 0.0]
+    local = np.einsum("kji,nkj->nki", space.rotations, path[:, None] - space.centres)
+    beyond = np.abs(local) - space.halves
+    distance = np.linalg.norm(np.maximum(beyond, 0.0), axis=-1) + np.minimum(beyond.max(axis=-1), 0.0)
+    expected = np.minimum(distance.min(axis=1), np.minimum(path - space.low, space.high - path).min(axis=1))
+    np.testing.assert_allclose(space.clearance(path), expected, atol=1e-12)
+
+
 @pytest.mark.parametrize("seed", range(3))
 def test_the_rooms_route_is_clear(seed: int) -> None:
     world = build_world("room", seed)
