@@ -8,6 +8,7 @@ from what the rotors should have made of it, and countered.
 """
 
 from dataclasses import dataclass
+from math import cos, exp, sin, sqrt
 
 import numpy as np
 import numpy.typing as npt
@@ -78,8 +79,8 @@ class Mixer:
         base = lift + tilt
         yaw = self._inverse[:, 3] * torque_nm[2]
         room = np.where(yaw > 0.0, high - base, base - low)
-        share = min(1.0, float(np.min(room / np.maximum(np.abs(yaw), 1e-9))))
-        return np.asarray(np.sqrt(np.clip(base + share * yaw, low, high)))
+        share = min(1.0, float((room / np.maximum(np.abs(yaw), 1e-9)).min()))
+        return np.asarray(np.sqrt(np.minimum(np.maximum(base + share * yaw, low), high)))
 
 
 class DisturbanceObserver:
@@ -129,8 +130,8 @@ class RotorDrive:
 
     def towards(self, wanted_rad_s: Array, dt_s: float) -> Array:
         """Return commands (4,) [rad/s] for the next ``dt_s`` that bring the rotors towards speeds (4,) [rad/s]."""
-        follows = 1.0 - np.exp(-dt_s / self._lag_s)
-        lead = (1.0 - np.exp(-dt_s / self._response_s)) / follows
+        follows = 1.0 - exp(-dt_s / self._lag_s)
+        lead = (1.0 - exp(-dt_s / self._response_s)) / follows
         command = self.speeds_rad_s + lead * (wanted_rad_s - self.speeds_rad_s)
         command = np.minimum(np.maximum(command, 0.0), self._fastest)
         self.change_rad_s2 = (follows / dt_s) * (command - self.speeds_rad_s)
@@ -163,7 +164,8 @@ class SE3Controller:
         self._step_s = float(reference.t_ns[1] - reference.t_ns[0]) * 1e-9
         self._mixer = Mixer(self._quadrotor)
         self._aloft = bool(reference.flying[0])
-        speed = self._quadrotor.hover_speed_rad_s if self._aloft else 0.0
+        self._hover_speed = self._quadrotor.hover_speed_rad_s
+        speed = self._hover_speed if self._aloft else 0.0
         self._drive = RotorDrive(self._quadrotor, gains.rotor_response_s, speed)
         self._push = DisturbanceObserver(gains.force_observer_rad_s, gains.force_max_m_s2)
         self._twist = DisturbanceObserver(gains.torque_observer_rad_s, gains.torque_max_rad_s2)
@@ -237,9 +239,9 @@ class SE3Controller:
             - self._push.disturbance
             + GRAVITY_M_S2 * _UP
         )
-        size = float(np.sqrt(force @ force))
-        speeds = 4.0 * self._quadrotor.hover_speed_rad_s * np.sqrt(size / GRAVITY_M_S2)
-        return np.asarray(force - self._drag(force / size, wanted, float(speeds)))
+        size = sqrt(force @ force)
+        speeds = 4.0 * self._hover_speed * sqrt(size / GRAVITY_M_S2)
+        return np.asarray(force - self._drag(force / size, wanted, speeds))
 
     def _drag(self, up: Array, velocity: Array, speeds: float) -> Array:
         """Return the acceleration (3,) by drag in still air [m/s²], in the world; see `dronevio.sim.rotors.Rotors`.
@@ -250,7 +252,7 @@ class SE3Controller:
             speeds: Sum of the rotors' speeds [rad/s].
         """
         drone = self._quadrotor
-        body = 0.5 * AIR_DENSITY_KG_M3 * float(np.sqrt(velocity @ velocity))
+        body = 0.5 * AIR_DENSITY_KG_M3 * sqrt(velocity @ velocity)
         across = drone.drag_n_s2_per_rad_m * speeds + body * drone.drag_area_m2[0]
         along = drone.inflow_n_s2_per_rad_m * speeds + body * drone.drag_area_m2[2]
         climb = float(up @ velocity)
@@ -274,15 +276,15 @@ class SE3Controller:
         drone = self._quadrotor
         speed = max(float(self._drive.speeds_rad_s.mean()), _IDLE_SHARE * drone.rotor_speed_max_rad_s)
         ratio = 2.0 * drone.torque_nm_per_rad2_s2 * speed / drone.rotor_inertia_kg_m2
-        self._yaw_drag_nm += (1.0 - np.exp(-self._step_s * ratio)) * (torque_nm - self._yaw_drag_nm)
+        self._yaw_drag_nm += (1.0 - exp(-self._step_s * ratio)) * (torque_nm - self._yaw_drag_nm)
         return self._yaw_drag_nm
 
 
 def _attitude(force: Array, yaw_rad: float) -> Array:
     """Return the attitude (3, 3) with z along a force (3,) and x heading to a yaw: `path.attitude` for one, quickly."""
-    z = force / np.sqrt(force @ force)
-    y = _cross(z, np.array([np.cos(yaw_rad), np.sin(yaw_rad), 0.0]))
-    y /= np.sqrt(y @ y)
+    z = force / sqrt(force @ force)
+    y = _cross(z, np.array([cos(yaw_rad), sin(yaw_rad), 0.0]))
+    y /= sqrt(y @ y)
     R = np.empty((3, 3))
     R[:, 0], R[:, 1], R[:, 2] = _cross(y, z), y, z
     return R

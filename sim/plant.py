@@ -1,5 +1,7 @@
 """The plant: MuJoCo's physics of a quadrotor in a world, on an integer-nanosecond clock."""
 
+from math import sqrt
+
 import mujoco
 import numpy as np
 import numpy.typing as npt
@@ -272,7 +274,7 @@ class QuadrotorPlant:
         data = self._data
         R = _matrix(data.qpos[3:])
         through_air = data.qvel[:3] - self._air.velocity_m_s()
-        self._air.pass_by(np.sqrt(through_air @ through_air) * self.interval_s)
+        self._air.pass_by(np.float64(sqrt(through_air @ through_air) * self.interval_s))
         return Airflow(through_air @ R, data.qvel[3:], R[2], data.qpos[2] - self._pad[2])
 
     def _watch(self) -> None:

@@ -5,6 +5,7 @@ step, and its result is held over the steps of the physics.
 """
 
 from dataclasses import dataclass
+from math import exp
 
 import numpy as np
 import numpy.typing as npt
@@ -122,7 +123,7 @@ class Rotors:
         drone, before = self._quadrotor, state.speed_rad_s
         fastest = np.minimum(drone.rotor_speed_max_rad_s, drone.rotor_speed_per_v * state.voltage_v)[..., None]
         target = np.minimum(np.maximum(commands_rad_s, 0.0), fastest)
-        driven = target + (before - target) * np.exp(-dt_s / drone.rotor_lag_s)
+        driven = target + (before - target) * exp(-dt_s / drone.rotor_lag_s)
         speeds = np.where(powered, driven, before / (1.0 + before * (self._coasting * dt_s)))
         change = (speeds - before) / dt_s
         voltage = drone.battery.loaded_v(state.charge, self._power_w(speeds, 0.0))
