@@ -18,13 +18,14 @@ from dronevio.models.imu import GRAVITY_M_S2
 from dronevio.models.quadrotor import AIR_DENSITY_KG_M3, RESEARCH, Quadrotor
 from dronevio.models.rotation import inverse_pose
 from dronevio.models.state import NavState
+from dronevio.sim.disturbance import DisturbanceObserver
+from dronevio.sim.drive import IDLE_SHARE, Mixer, RotorDrive
 from dronevio.sim.path import Reference
 from dronevio.sim.rotors import ground_effect
 
 Array = npt.NDArray[np.float64]
 
 _UP = np.array([0.0, 0.0, 1.0])
-_IDLE_SHARE = 0.1  # of the greatest rotor speed: rotors never stop in the air
 _CLEAR_OF_GROUND_M = 0.05  # above its start: from there on no foot carries weight
 
 
@@ -54,89 +55,6 @@ class Gains:
     """Greatest twist that is countered on each axis, by unit inertia [rad/s²]."""
     rotor_response_s: float = 0.03
     """Time constant that slower rotors are driven to by leading their command [s]."""
-
-
-class Mixer:
-    """Turns thrust and torques into rotor speeds, and gives way sensibly where the rotors cannot."""
-
-    def __init__(self, quadrotor: Quadrotor) -> None:
-        self._inverse = np.linalg.inv(quadrotor.allocation)
-        self._high = quadrotor.rotor_speed_max_rad_s**2
-        self._low = _IDLE_SHARE**2 * self._high
-
-    def speeds(self, thrust_n: float, torque_nm: Array) -> Array:
-        """Return rotor speeds (4,) [rad/s] for a thrust and torques (3,) about x, y, z.
-
-        Where a rotor would leave its range, yaw is given up first, then thrust, last roll and pitch: a drone that
-        keeps its tilt keeps its path.
-        """
-        low, high = self._low, self._high
-        tilt = self._inverse[:, 1:3] @ torque_nm[:2]
-        least, most = float(tilt.min()), float(tilt.max())
-        share = min(1.0, (high - low) / max(most - least, 1e-9))
-        tilt = share * tilt
-        lift = min(max(self._inverse[0, 0] * thrust_n, low - share * least), high - share * most)
-        base = lift + tilt
-        yaw = self._inverse[:, 3] * torque_nm[2]
-        room = np.where(yaw > 0.0, high - base, base - low)
-        share = min(1.0, float((room / np.maximum(np.abs(yaw), 1e-9)).min()))
-        return np.asarray(np.sqrt(np.minimum(np.maximum(base + share * yaw, low), high)))
-
-
-class DisturbanceObserver:
-    """Estimates the acceleration that a model does not know, from velocities, linear or angular.
-
-    A Luenberger observer of velocity and a constant disturbance, both poles at the same place (as Tomić and Haddadin,
-    "A unified framework for external wrench estimation …", IROS 2014). Nothing is integrated but the model's error, so
-    nothing winds up when rotors saturate or the path is far.
-    """
-
-    def __init__(self, pole_rad_s: float, limit: float) -> None:
-        self._velocity_gain = 2.0 * pole_rad_s
-        self._disturbance_gain = pole_rad_s**2
-        self._limit = limit
-        self._predicted: Array | None = None
-        self.disturbance = np.zeros(3)
-
-    def update(self, velocity: Array, modelled: Array, dt_s: float) -> None:
-        """Take the velocity (3,) now, and the acceleration (3,) that the model expects until the next call."""
-        if self._predicted is None:
-            self._predicted = velocity
-        error = velocity - self._predicted
-        disturbance = self.disturbance + self._disturbance_gain * dt_s * error
-        self.disturbance = np.minimum(np.maximum(disturbance, -self._limit), self._limit)
-        self._predicted = self._predicted + dt_s * (modelled + self.disturbance + self._velocity_gain * error)
-
-
-class RotorDrive:
-    """Turns the speeds that rotors should have into commands, by a model of how they follow.
-
-    Rotors slower than wanted are led: commanded beyond where they should be, as far as their range allows.
-    """
-
-    def __init__(self, quadrotor: Quadrotor, response_s: float, speed_rad_s: float = 0.0) -> None:
-        """Take the rotors to turn at a speed.
-
-        Args:
-            quadrotor: Whose rotors.
-            response_s: Time constant to drive them with, if they are slower [s].
-            speed_rad_s: What they turn at now [rad/s].
-        """
-        self._lag_s = quadrotor.rotor_lag_s
-        self._response_s = min(response_s, quadrotor.rotor_lag_s)
-        self._fastest = quadrotor.rotor_speed_max_rad_s
-        self.speeds_rad_s = np.full(4, speed_rad_s)
-        self.change_rad_s2 = np.zeros(4)
-
-    def towards(self, wanted_rad_s: Array, dt_s: float) -> Array:
-        """Return commands (4,) [rad/s] for the next ``dt_s`` that bring the rotors towards speeds (4,) [rad/s]."""
-        follows = 1.0 - exp(-dt_s / self._lag_s)
-        lead = (1.0 - exp(-dt_s / self._response_s)) / follows
-        command = self.speeds_rad_s + lead * (wanted_rad_s - self.speeds_rad_s)
-        command = np.minimum(np.maximum(command, 0.0), self._fastest)
-        self.change_rad_s2 = (follows / dt_s) * (command - self.speeds_rad_s)
-        self.speeds_rad_s = self.speeds_rad_s + dt_s * self.change_rad_s2
-        return np.asarray(command)
 
 
 class SE3Controller:
@@ -274,7 +192,7 @@ class SE3Controller:
         (1 + T s) times the drag, with T = J / (2 k_m ω) (Smeur, Chu, de Croon 2016). The inverse of that is applied.
         """
         drone = self._quadrotor
-        speed = max(float(self._drive.speeds_rad_s.mean()), _IDLE_SHARE * drone.rotor_speed_max_rad_s)
+        speed = max(float(self._drive.speeds_rad_s.mean()), IDLE_SHARE * drone.rotor_speed_max_rad_s)
         ratio = 2.0 * drone.torque_nm_per_rad2_s2 * speed / drone.rotor_inertia_kg_m2
         self._yaw_drag_nm += (1.0 - exp(-self._step_s * ratio)) * (torque_nm - self._yaw_drag_nm)
         return self._yaw_drag_nm

@@ -9,7 +9,7 @@ from dronevio.models.quadrotor import Quadrotor
 from dronevio.models.rig import Rig
 from dronevio.models.rotation import quat_wxyz_from_matrix
 from dronevio.sim.gl import Context, create_context
-from dronevio.sim.plant import quadrotor_spec
+from dronevio.sim.vehicle import quadrotor_spec
 from dronevio.sim.world import World
 
 Array = npt.NDArray[np.float64]

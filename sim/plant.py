@@ -7,14 +7,15 @@ import numpy as np
 import numpy.typing as npt
 
 from dronevio.models.errors import ConfigError
-from dronevio.models.imu import GRAVITY_M_S2, ImuSamples
-from dronevio.models.quadrotor import RESEARCH, ROTOR_NAMES, Quadrotor
+from dronevio.models.imu import ImuSamples
+from dronevio.models.quadrotor import RESEARCH, Quadrotor
 from dronevio.models.rig import Rig
 from dronevio.models.rotation import quat_wxyz_from_matrix
 from dronevio.models.state import NavState
-from dronevio.sim.collisions import TOUCHED_GROUP, Collision, Touch, add_floor, add_touched
+from dronevio.sim.collisions import Collision, Touch
 from dronevio.sim.motion import Motion
 from dronevio.sim.rotors import ALL_POWERED, Airflow, MotorFailure, Rotors
+from dronevio.sim.vehicle import physics_model, standing_pose
 from dronevio.sim.wind import CALM, Wind, air_of
 
 Array = npt.NDArray[np.float64]
@@ -23,42 +24,7 @@ LONGEST_STEP_S = 1e-3
 """The physics steps at most this long [s]; the step divides the IMU's interval."""
 LOWEST_IMU_RATE_HZ = 100.0
 """The rotors' forces are held from one IMU sample to the next: slower, and they would no longer be true."""
-_SETTLING_S = 1.0  # until the feet's springs have come to rest
 _VEHICLE = np.eye(4)
-
-
-def quadrotor_spec(quadrotor: Quadrotor, rig: Rig) -> mujoco.MjSpec:
-    """Return the vehicle's MjSpec with its constants and the IMU's site in place, ready to compile or to attach."""
-    spec = mujoco.MjSpec.from_file(str(quadrotor.mjcf))
-    body = spec.body("quadrotor")
-    body.mass = quadrotor.mass_kg
-    body.inertia = quadrotor.inertia_kg_m2
-    for name, position in zip(ROTOR_NAMES, quadrotor.rotor_positions_m, strict=True):
-        spec.site(name).pos = position
-    T = rig.T_vehicle_imu
-    body.add_site(name="imu", pos=T[:3, 3], quat=quat_wxyz_from_matrix(T[:3, :3]), size=[0.005] * 3, group=4)
-    return spec
-
-
-def physics_model(
-    quadrotor: Quadrotor, rig: Rig, step_s: float, surroundings: mujoco.MjSpec | None = None
-) -> mujoco.MjModel:
-    """Return the vehicle among what can be touched of a world, without looks; by default above an endless floor.
-
-    Its six controls are the wrench on the centre of mass, in the vehicle frame (see `Rotors`).
-    """
-    spec = quadrotor_spec(quadrotor, rig)
-    for geom in [geom for geom in spec.geoms if geom.group != TOUCHED_GROUP]:
-        spec.delete(geom)
-    if surroundings is None:
-        add_floor(spec)
-    else:
-        add_touched(spec, surroundings)
-    spec.option.timestep = step_s
-    spec.option.gravity = [0.0, 0.0, -GRAVITY_M_S2]
-    spec.option.integrator = mujoco.mjtIntegrator.mjINT_EULER  # the one whose IMU can be exact; see `Motion`
-    spec.option.cone = mujoco.mjtCone.mjCONE_ELLIPTIC  # the feet stand without creeping
-    return spec.compile()
 
 
 class QuadrotorPlant:
@@ -109,7 +75,7 @@ class QuadrotorPlant:
         self._data = mujoco.MjData(self._model)
         self._touch = Touch(self._model)
         self._pad = np.zeros(3) if pad_m is None else np.asarray(pad_m, dtype=np.float64)
-        self._standing = _settled(self.quadrotor, rig, self._step_s)
+        self._standing = standing_pose(self.quadrotor, rig, self._step_s)
         self._standing[:3] += self._pad
         self.reset()
 
@@ -274,7 +240,7 @@ class QuadrotorPlant:
         data = self._data
         R = _matrix(data.qpos[3:])
         through_air = data.qvel[:3] - self._air.velocity_m_s()
-        self._air.pass_by(np.float64(sqrt(through_air @ through_air) * self.interval_s))
+        self._air.pass_by(np.asarray(sqrt(through_air @ through_air) * self.interval_s))
         return Airflow(through_air @ R, data.qvel[3:], R[2], data.qpos[2] - self._pad[2])
 
     def _watch(self) -> None:
@@ -283,14 +249,6 @@ class QuadrotorPlant:
         if touched is not None and self._collision is None:
             speed = float(np.linalg.norm(self._rows[-1][7:10]))
             self._collision = Collision(self._t_ns + self.interval_ns, *touched, speed)
-
-
-def _settled(quadrotor: Quadrotor, rig: Rig, step_s: float) -> Array:
-    """Return the (7,) pose in which a drone stands at rest on the origin: the feet's springs carry the weight."""
-    model = physics_model(quadrotor, rig, step_s)
-    data = mujoco.MjData(model)
-    mujoco.mj_step(model, data, round(_SETTLING_S / step_s))
-    return np.array(data.qpos)
 
 
 def _matrix(quat_wxyz: Array) -> Array:

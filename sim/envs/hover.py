@@ -44,9 +44,10 @@ class Hover(gymnasium.Env[Observation, npt.NDArray[np.float32]]):
 
     ## Description
     A 1.5 kg quadrotor (`dronevio.models.quadrotor.Quadrotor`) in MuJoCo, with rotors that lag their commands by 30 ms,
-    thrust and torque by the square of their speed, and drag. It starts in the air near the target, moving, tilted, its
-    rotors at hover speed. The agent commands the four rotors 50 times a second. It is told where it is, and what a real
-    IMU senses; with ``camera=True`` also what the camera sees, so that the position can be left out and found by sight.
+    thrust and torque by the square of their speed, drag, the ground's lift, and a battery that sags. It starts in the
+    air near the target, moving, tilted, its rotors at hover speed. The agent commands the four rotors 50 times a
+    second. It is told where it is, and what a real IMU senses; with ``camera=True`` also what the camera sees, so that
+    the position can be left out and found by sight.
 
     ## Action space
     ``Box(-1, 1, (4,), float32)``: the speed of each rotor. −1 is standstill, 0 the speed that carries the weight, 1 the

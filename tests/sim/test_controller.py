@@ -8,7 +8,9 @@ from dronevio.models.quadrotor import VEHICLES, Quadrotor
 from dronevio.models.rig import euroc_rig
 from dronevio.models.rotation import exp_so3, pose_matrix
 from dronevio.models.state import NavState
-from dronevio.sim.controller import DisturbanceObserver, Mixer, RotorDrive, SE3Controller
+from dronevio.sim.controller import SE3Controller
+from dronevio.sim.disturbance import DisturbanceObserver
+from dronevio.sim.drive import Mixer, RotorDrive
 from dronevio.sim.path import Reference
 from dronevio.sim.plant import QuadrotorPlant
 from dronevio.sim.rotors import Rotors

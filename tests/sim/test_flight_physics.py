@@ -12,8 +12,9 @@ from dronevio.models.rig import Rig
 from dronevio.models.rotation import exp_so3, matrix_from_quat_wxyz, pose_matrix
 from dronevio.sim.collisions import TOUCHED_GROUP
 from dronevio.sim.motion import Motion
-from dronevio.sim.plant import QuadrotorPlant, physics_model
+from dronevio.sim.plant import QuadrotorPlant
 from dronevio.sim.rotors import Airflow, MotorFailure, Rotors
+from dronevio.sim.vehicle import physics_model
 from dronevio.sim.wind import Wind
 
 Array = np.ndarray
