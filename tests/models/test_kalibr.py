@@ -242,6 +242,7 @@ def test_names_file_line_and_fault(scratch: Path, old: str, new: str, found: str
         (["a: 1\n"], "neither cam0 nor"),
         ([""], "no map"),
         (["- 1\n"], "no map"),
+        (["a: &x [1.0]\nb: [*x, *x]\n"], "an alias, *x"),
         (["a" * 200_001], "at most"),
         (["[" * 100_000], "in each other"),
     ],
