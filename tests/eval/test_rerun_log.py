@@ -10,15 +10,19 @@ import pyarrow as pa
 import pytest
 from rerun.chunk import RrdReader
 
+from dronevio.eval import rerun_entities as at
 from dronevio.eval.metrics import score_trajectory
-from dronevio.eval.rerun_blueprint import VIEW_ASPECT, VIEWER_FIELD_OF_VIEW_RAD, Entities, look_at_all
+from dronevio.eval.rerun_blueprint import VIEW_ASPECT, VIEWER_FIELD_OF_VIEW_RAD, look_at_all
+from dronevio.eval.rerun_entities import EstimateEntities
 from dronevio.eval.rerun_log import write_rrd
 from dronevio.eval.runs import EstimatorRun, tracks_of
 from dronevio.models.errors import EvaluationError, InputError
+from dronevio.models.rotation import matrix_from_quat_wxyz
 from dronevio.models.state import Health
 
 RERUN = str(Path(find_spec("rerun_cli").origin).with_name("rerun"))
 FRAMES = 121
+ESTIMATE = EstimateEntities("estimate")
 
 
 def read(path):
@@ -68,7 +72,7 @@ def test_the_file_verifies(rrd):
 
 
 def test_every_frame_is_in_the_video(flight, columns):
-    image = columns[Entities.IMAGE]
+    image = columns[at.image(0)]
     assert times_ns(image).tolist() == (flight.recording.frame_times_ns - flight.recording.imu.t_ns[0]).tolist()
     decoder = av.CodecContext.create("libdav1d", "r")
     packets = [av.Packet(bytes(sample[0].values.to_numpy())) for sample in image["sample"]]
@@ -86,7 +90,7 @@ def test_a_frame_is_small(rrd, flight):
 
 
 def test_tracks_lie_where_they_were_seen(flight, columns):
-    tracks = columns[Entities.TRACKS]
+    tracks = columns[ESTIMATE.tracks]
     assert times_ns(tracks).tolist() == flight.run.t_ns.tolist()
     for index in (0, 50, FRAMES - 1):
         expected = tracks_of(flight.run.estimates[index]).pixels + 0.5
@@ -95,26 +99,30 @@ def test_tracks_lie_where_they_were_seen(flight, columns):
 
 
 def test_paths_are_whole_and_the_estimate_lies_on_the_truth(flight, columns):
-    truth = np.array(columns[f"{Entities.TRUE_PATH}/whole"]["strips"][0].as_py()[0])
-    estimate = np.array(columns[f"{Entities.ESTIMATED_PATH}/whole"]["strips"][0].as_py()[0])
+    truth = np.array(columns[at.TRUE_WHOLE]["strips"][0].as_py()[0])
+    estimate = np.array(columns[ESTIMATE.whole]["strips"][0].as_py()[0])
     assert np.allclose(truth[0], flight.recording.ground_truth.p_world_imu[0], atol=1e-5)
     assert len(estimate) == len(flight.run.trajectory)
     expected = flight.recording.ground_truth.p_world_imu[::10][10:]
     assert np.linalg.norm(estimate - expected, axis=1).max() < 0.05  # it was turned by 1.1 rad before it was aligned
-    flown = columns[f"{Entities.ESTIMATED_PATH}/flown"]
+    flown = columns[ESTIMATE.flown]
     assert times_ns(flown).tolist() == flight.run.trajectory.t_ns[1:].tolist()
 
 
 def test_the_camera_is_where_it_truly_was(flight, columns):
-    camera = columns[Entities.CAMERA]
+    rig, camera = columns[at.RIG], columns[at.camera(0)]
     index = 80
-    truth = flight.recording.ground_truth[::10]
-    expected = truth.Ts_world_imu[index] @ flight.recording.rig.cameras[0].T_imu_cam
-    assert np.allclose(np.array(camera["translation"][index].as_py()[0]), expected[:3, 3], atol=1e-5)
+    expected = flight.recording.ground_truth[::10].Ts_world_imu[index]
+    x, y, z, w = rig["quaternion"][index].as_py()[0]
+    assert np.allclose(rig["translation"][index].as_py()[0], expected[:3, 3], atol=1e-5)
+    assert np.allclose(matrix_from_quat_wxyz(np.array([w, x, y, z])), expected[:3, :3], atol=1e-5)
+    T_imu_cam = flight.recording.rig.cameras[0].T_imu_cam
+    assert np.allclose(camera["translation"][0].as_py()[0], T_imu_cam[:3, 3], atol=1e-6)
+    assert np.allclose(np.reshape(camera["mat3x3"][0].as_py()[0], (3, 3)).T, T_imu_cam[:3, :3], atol=1e-6)  # by columns
 
 
 def test_the_map_was_aligned_with_the_path(flight, columns):
-    points = np.array(columns[Entities.MAP_IN_SIGHT]["positions"][-1].as_py())
+    points = np.array(columns[ESTIMATE.map_in_sight]["positions"][-1].as_py())
     assert len(points) > 20
     low, high = points.min(axis=0), points.max(axis=0)
     assert np.all(low > np.array([-3.0, -2.5, 0.0]) - 0.2)
@@ -122,15 +130,15 @@ def test_the_map_was_aligned_with_the_path(flight, columns):
 
 
 def test_imu_biases_errors_and_events(flight, columns):
-    gyro = columns[Entities.GYRO]
+    gyro = columns[at.GYRO]
     assert np.allclose(np.array(gyro["scalars"].to_pylist()), flight.recording.imu.gyro_rad_s)
-    assert np.array(columns[f"{Entities.ACCEL_BIAS}/estimated"]["scalars"].to_pylist()).shape == (FRAMES - 10, 3)
-    error = np.array(columns[f"{Entities.POSITION_ERROR}/tied"]["scalars"].to_pylist())
-    band = np.array(columns[f"{Entities.POSITION_ERROR}/three_sigma"]["scalars"].to_pylist())
+    assert np.array(columns[ESTIMATE.accel_bias]["scalars"].to_pylist()).shape == (FRAMES - 10, 3)
+    error = np.array(columns[ESTIMATE.position_error.tied]["scalars"].to_pylist())
+    band = np.array(columns[ESTIMATE.position_error.band]["scalars"].to_pylist())
     assert error.shape == band.shape == (FRAMES - 11, 1)  # all poses but the first
     sigma_m = 5e-3 + 8e-3 * 0.05 * np.arange(1, FRAMES - 10)
     assert np.allclose(band[:, 0], 3.0 * np.sqrt(3.0) * sigma_m)
-    texts = [row[0].as_py() for row in columns[Entities.EVENTS]["text"]]
+    texts = [row[0].as_py() for row in columns[ESTIMATE.events]["text"]]
     assert texts == ["health: initialising", "initialised", "health: tracking"]
 
 
@@ -138,7 +146,7 @@ def test_trouble_is_logged_as_a_warning(flight, tmp_path):
     estimates = list(flight.run.estimates)
     estimates[50:60] = [replace(e, health=Health.INERTIAL_ONLY) for e in estimates[50:60]]
     write_rrd(tmp_path / "run.rrd", flight.recording, replace(flight.run, estimates=tuple(estimates)), None)
-    events = read(tmp_path / "run.rrd")[Entities.EVENTS]
+    events = read(tmp_path / "run.rrd")[ESTIMATE.events]
     rows = [(text[0].as_py(), level[0].as_py()) for text, level in zip(events["text"], events["level"], strict=True)]
     assert rows[-2:] == [("health: inertial-only", "WARN"), ("health: tracking", "INFO")]
     assert times_ns(events)[-2:].tolist() == [50 * 50_000_000, 60 * 50_000_000]
@@ -154,9 +162,9 @@ def test_the_file_carries_its_layout(rrd):
 def test_without_truth_the_estimate_is_shown_as_it_is(flight_without_truth, tmp_path):
     write_rrd(tmp_path / "run.rrd", flight_without_truth.recording, flight_without_truth.run, None)
     columns = read(tmp_path / "run.rrd")
-    strip = np.array(columns[f"{Entities.ESTIMATED_PATH}/whole"]["strips"][0].as_py()[0])
+    strip = np.array(columns[ESTIMATE.whole]["strips"][0].as_py()[0])
     assert np.allclose(strip, flight_without_truth.run.trajectory.p_world_imu, atol=1e-5)
-    assert Entities.ROOM not in columns
+    assert at.ROOM not in columns
     assert not any(entity.startswith("error") for entity in columns)
 
 
@@ -165,8 +173,8 @@ def test_an_estimator_that_never_started(flight, tmp_path):
     run = EstimatorRun(silent, flight.run.cpu_ms, flight.run.wall_ms)
     write_rrd(tmp_path / "run.rrd", flight.recording, run, None)
     columns = read(tmp_path / "run.rrd")
-    assert len(columns[Entities.IMAGE]["sample"]) == FRAMES
-    assert f"{Entities.ESTIMATED_PATH}/whole" not in columns
+    assert len(columns[at.image(0)]["sample"]) == FRAMES
+    assert ESTIMATE.whole not in columns
 
 
 def test_a_run_of_another_recording_is_refused(flight, tmp_path):
@@ -197,8 +205,8 @@ def test_what_was_written_before_an_unreadable_image_can_be_read(flight, tmp_pat
     with pytest.raises(InputError):
         write_rrd(path, Broken(flight.recording, 70), flight.run, None)
     columns = read(path)
-    assert len(columns[Entities.IMAGE]["sample"]) == 60  # three keyframe intervals
-    assert len(columns[Entities.GYRO]["scalars"]) == len(flight.recording.imu)
+    assert len(columns[at.image(0)]["sample"]) == 70
+    assert len(columns[at.GYRO]["scalars"]) == len(flight.recording.imu)
 
 
 KILLED = """
@@ -227,7 +235,7 @@ def test_a_file_whose_writer_was_killed_can_be_read(tmp_path):
     path = tmp_path / "run.rrd"
     code = KILLED.format(folder=str(Path(__file__).parent))
     assert subprocess.run([sys.executable, "-c", code, str(path)], check=False).returncode == 9
-    assert len(read(path)[Entities.IMAGE]["sample"]) == 60
+    assert len(read(path)[at.image(0)]["sample"]) == 60
 
 
 @pytest.mark.parametrize("seed", range(5))

@@ -3,7 +3,7 @@ import cv2
 import numpy as np
 import pytest
 
-from dronevio.eval.video import VideoSettings, encode_av1
+from dronevio.eval.video import Av1Encoder, VideoSettings
 
 RATE_HZ = 20.0
 
@@ -14,6 +14,12 @@ def moving_images(count=45, width=376, height=240):
         window = texture[2 * i : 2 * i + height, 5 * i : 5 * i + width]
         noise = np.random.default_rng(i).normal(0.0, 2.0, window.shape)
         yield np.clip(window + noise, 0, 255).astype(np.uint8)
+
+
+def encode(images, rate_hz=RATE_HZ, settings=None):
+    encoder = Av1Encoder(rate_hz, settings or VideoSettings())
+    samples = [sample for image in images for sample in encoder.encode(image)]
+    return [*samples, *encoder.finish()]
 
 
 def decode(samples):
@@ -34,7 +40,7 @@ def images():
 
 @pytest.fixture(scope="module")
 def samples(images):
-    return list(encode_av1(iter(images), RATE_HZ))
+    return encode(images)
 
 
 def test_every_image_comes_back_in_its_place(images, samples):
@@ -60,24 +66,24 @@ def test_samples_are_small(images, samples):
 
 
 def test_lower_quality_is_smaller(images):
-    coarse = sum(len(sample.data) for sample in encode_av1(iter(images), RATE_HZ, VideoSettings(crf=50)))
-    fine = sum(len(sample.data) for sample in encode_av1(iter(images), RATE_HZ, VideoSettings(crf=25)))
+    coarse = sum(len(sample.data) for sample in encode(images, settings=VideoSettings(crf=50)))
+    fine = sum(len(sample.data) for sample in encode(images, settings=VideoSettings(crf=25)))
     assert coarse < 0.5 * fine
 
 
 def test_same_images_give_the_same_bytes(images, samples):
-    assert [sample.data for sample in encode_av1(iter(images), RATE_HZ)] == [sample.data for sample in samples]
+    assert [sample.data for sample in encode(images)] == [sample.data for sample in samples]
 
 
 def test_no_images_give_no_samples():
-    assert list(encode_av1(iter([]), RATE_HZ)) == []
+    assert encode([]) == []
 
 
 def test_a_rate_that_is_no_integer():
-    assert len(list(encode_av1(moving_images(5), 29.97))) == 5
+    assert len(encode(moving_images(5), 29.97)) == 5
 
 
 def test_the_encoder_is_silent(capfd):
-    list(encode_av1(moving_images(3), RATE_HZ))
+    encode(moving_images(3))
     out, err = capfd.readouterr()
     assert out == err == ""
