@@ -99,9 +99,7 @@ def kitti_scores(
     )
 
 
-def _pieces(
-    truth: Array, estimate: Array, frames: Frames, lengths_m: tuple[float, ...]
-) -> tuple[Array, Array, Array]:
+def _pieces(truth: Array, estimate: Array, frames: Frames, lengths_m: tuple[float, ...]) -> tuple[Array, Array, Array]:
     """Return length [m], error of position [m] and of orientation [rad] of all pieces (P,)."""
     way = way_m(truth[:, :3, 3])
     row_of_frame = np.full(len(truth), -1)

@@ -27,7 +27,8 @@ Which = Literal["all", "consecutive"]
 Source = Literal["truth", "estimate"]
 """On whose path the pairs are chosen."""
 
-_TOLERANCE = {"frames": 0.0, "m": 0.1, "s": 0.03, "deg": 0.1}  # relative; evo's for metres and degrees
+_SHARE = 0.1  # of metres and degrees, by which a pair may miss them: evo's
+_SHARE_OF_TIME = 0.03
 _BLOCK = 1 << 22  # orientations compared at once in the search for pairs by angle: 32 MB a component
 
 
@@ -44,7 +45,8 @@ class PairRule:
     source: Source = "truth"
     """On whose path they are chosen."""
     tolerance: float | None = None
-    """By what share of delta all pairs may miss it; None for 10 % of metres and degrees, 3 % of seconds."""
+    """By what share of delta all pairs may miss it; None for 10 % of metres and degrees, and for seconds as in
+    `pairs_after_time`."""
 
     def __post_init__(self) -> None:
         """Check the values.
@@ -71,13 +73,13 @@ class PairRule:
 
     def choose(self, t_ns: Times, p: Array, quat_wxyz: Array) -> Pairs:
         """Return the pairs of poses with the given stamps (N,), positions (N, 3) and orientations (N, 4)."""
-        share = _TOLERANCE[self.unit] if self.tolerance is None else self.tolerance
         if self.which == "consecutive":
             return consecutive_pairs(self._progress(t_ns, p, quat_wxyz), self.delta)
         if self.unit == "frames":
             return pairs_after_frames(len(t_ns), round(self.delta))
         if self.unit == "s":
-            return pairs_after_time(t_ns, self.delta, share * self.delta)
+            return pairs_after_time(t_ns, self.delta, None if self.tolerance is None else self.tolerance * self.delta)
+        share = _SHARE if self.tolerance is None else self.tolerance
         if self.unit == "m":
             return pairs_after_distance(p, self.delta, share * self.delta)
         return pairs_after_turning(quat_wxyz, np.radians(self.delta), share * np.radians(self.delta))
@@ -128,13 +130,17 @@ def pairs_after_time(t_ns: Times, delta_s: float, tolerance_s: float | None = No
     Args:
         t_ns: (N,) Time stamps [ns], increasing.
         delta_s: How far apart [s].
-        tolerance_s: How much the time between the two may differ from it [s]; None for 3 %.
+        tolerance_s: How much the time between the two may differ from it [s]; None for 3 %, or half of the usual
+            interval between stamps if that is more: the nearest of regular stamps is no farther.
     """
-    if len(t_ns) == 0:
+    if len(t_ns) < 2:
         return np.zeros(0, np.int64), np.zeros(0, np.int64)
     wanted = t_ns + round(delta_s * 1e9)
     second = nearest_rows(t_ns, wanted)
-    tolerance_ns = (0.03 * delta_s if tolerance_s is None else tolerance_s) * 1e9
+    if tolerance_s is None:
+        tolerance_ns = max(_SHARE_OF_TIME * delta_s * 1e9, 0.5 * float(np.median(np.diff(t_ns))))
+    else:
+        tolerance_ns = tolerance_s * 1e9
     first = np.flatnonzero((np.abs(t_ns[second] - wanted) <= tolerance_ns) & (second > np.arange(len(t_ns))))
     return first, second[first]
 
@@ -154,7 +160,7 @@ def pairs_after_distance(p: Array, delta_m: float, tolerance_m: float | None = N
     after = np.clip(np.searchsorted(way, wanted), 0, len(way) - 1)
     before = np.searchsorted(way, way[np.maximum(after - 1, 0)])  # the first of those where it stood still
     second = np.where(wanted - way[before] <= np.abs(way[after] - wanted), before, after)
-    tolerance_m = 0.1 * delta_m if tolerance_m is None else tolerance_m
+    tolerance_m = _SHARE * delta_m if tolerance_m is None else tolerance_m
     first = np.flatnonzero((np.abs(way[second] - wanted) <= tolerance_m) & (second > np.arange(len(way))))
     return first, second[first]
 
@@ -170,7 +176,7 @@ def pairs_after_turning(quat_wxyz: Array, delta_rad: float, tolerance_rad: float
         tolerance_rad: How much the angle between the two may miss it [rad]; None for 10 %.
     """
     n = len(quat_wxyz)
-    tolerance_rad = 0.1 * delta_rad if tolerance_rad is None else tolerance_rad
+    tolerance_rad = _SHARE * delta_rad if tolerance_rad is None else tolerance_rad
     q = components(quat_wxyz)
     rows = max(1, _BLOCK // max(n, 1))
     found = [(np.zeros(0, np.int64), np.zeros(0, np.int64))]

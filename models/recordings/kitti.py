@@ -15,7 +15,7 @@ import numpy.typing as npt
 
 from dronevio.models.errors import InputError
 from dronevio.models.imu import Times
-from dronevio.models.recordings.files import read_text, write_text
+from dronevio.models.recordings.files import first_row, read_text, write_text
 from dronevio.models.recordings.timed_table import (
     NUMBER,
     TIME_LIMIT_NS,
@@ -32,6 +32,11 @@ Array = npt.NDArray[np.float64]
 
 FRAME_NS = 100_000_000
 """Time between frames where no times are given [ns]: KITTI's cameras run at 10 Hz."""
+
+R_UP_KITTI = np.array([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]])
+"""From KITTI's world, which is that of the first camera (x right, y down, z forward), to x forward, y left, z up."""
+COLUMNS = (12, 13)
+"""How many numbers a row has: those of the matrix, with or without that of the frame."""
 
 _NAME = "a KITTI trajectory (rows of a pose's matrix)"
 _ROW = "12 numbers between spaces, or 13 with the frame's number in front"
@@ -78,6 +83,18 @@ class KittiPoses:
         return int(self.lines[row])
 
 
+def is_kitti(path: Path) -> bool:
+    """Say whether a path is a file whose first row has as many numbers as KITTI's.
+
+    Raises:
+        InputError: It is a file that cannot be read or is empty.
+    """
+    if path.is_dir():
+        return False
+    row = first_row(path, _NAME)
+    return "," not in row and len(row.split()) in COLUMNS
+
+
 def read_kitti(path: Path, times: Path | None = None) -> Trajectory:
     """Read a KITTI trajectory; the pose is that of the left camera, or whatever the file says that it is.
 
@@ -104,7 +121,7 @@ def read_kitti_poses(path: Path) -> KittiPoses:
         raise InputError(path, "no rows", f"{_NAME}: {_ROW}")
     try:
         values = np.loadtxt([row for _, row in numbered], comments=None, ndmin=2)
-        if values.shape[1] not in (12, 13) or not np.isfinite(values).all():
+        if values.shape[1] not in COLUMNS or not np.isfinite(values).all():
             raise ValueError
     except ValueError:
         _raise_first_fault(path, numbered)
@@ -179,7 +196,7 @@ def _raise_first_fault(path: Path, numbered: list[tuple[int, str]]) -> NoReturn:
     columns: int | None = None
     for line, row in numbered:
         fields = row.split()
-        if len(fields) not in (12, 13) or (columns is not None and len(fields) != columns):
+        if len(fields) not in COLUMNS or (columns is not None and len(fields) != columns):
             what = f"{len(fields)} column{'s' if len(fields) > 1 else ''}"
             if line == numbered[-1][0]:
                 what = f"a last row of {what} (a file cut off?)"

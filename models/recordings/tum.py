@@ -10,6 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from dronevio.models.errors import InputError
+from dronevio.models.recordings import kitti
 from dronevio.models.recordings.files import first_row, write_text
 from dronevio.models.recordings.timed_table import (
     Repeated,
@@ -28,7 +29,6 @@ TUM = TableFormat("a TUM trajectory (t x y z qx qy qz qw)", (8,), None, parse_de
 """The format of the file."""
 
 _HEADER = "# t [s] p_world_imu x y z [m] q_world_imu x y z w\n"
-_KITTI_COLUMNS = (12, 13)
 _COUNTED = {"first": "of each time the first counts", "last": "of each time the last counts", "keep": "all are kept"}
 
 
@@ -79,10 +79,8 @@ def read_trajectory(
     """
     path = Path(path)
     row = "," if path.is_dir() else first_row(path, "a TUM, KITTI or EuRoC trajectory")
-    if "," not in row and len(row.split()) in _KITTI_COLUMNS:
-        from dronevio.models.recordings.kitti import read_kitti
-
-        return read_kitti(path, times)
+    if "," not in row and len(row.split()) in kitti.COLUMNS:
+        return kitti.read_kitti(path, times)
     if times is not None:
         raise InputError(path, "a trajectory with time stamps", f"one of KITTI's, to which {times} would belong")
     if "," not in row:

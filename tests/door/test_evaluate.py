@@ -202,5 +202,5 @@ def test_unknown_choices_are_refused(flight: Path, capsys: pytest.CaptureFixture
     with pytest.raises(SystemExit) as caught:
         main([*arguments, "--alignment", "affine"])
     assert caught.value.code == 2
-    assert main([*arguments, "--rpe-delta-s", "0"]) == 2
+    assert main([*arguments, "--rpe-delta", "0"]) == 2
     assert "expected a distance above zero" in capsys.readouterr().err
