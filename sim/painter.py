@@ -17,6 +17,7 @@ from dronevio.sim.camera import OffscreenCamera
 from dronevio.sim.drawing import Canvas
 from dronevio.sim.render_job import RenderJob
 from dronevio.sim.shutter import Shutter
+from dronevio.sim.streams import generator
 from dronevio.sim.truth_images import FOLDERS, depth_image, flow_image, segmentation_image
 
 Array = npt.NDArray[np.float64]
@@ -24,7 +25,6 @@ GreyImage = npt.NDArray[np.uint8]
 
 PARTIAL = ".partial"
 """Suffix of an image that is being written."""
-_NOISE_STREAM = 20  # beside those of `dronevio.sim.scenario` and `dronevio.sim.world`
 _GLANCE_PX = 8  # a glance has a pixel for so many, each way
 _NEAR_PERCENTILE = 25  # of the depths: what is nearer fills a quarter of the image
 
@@ -107,9 +107,10 @@ class _FilmCamera:
         plan = self._shutter.plan(self._poses, middle_ns, exposure_s, self._nearest_m(middle_ns), swept_rad)
         light = self._shutter.collect(plan, self._poses, self._view)
         irradiance = scene.illumination * float(truth.lit[index])
-        stream = np.random.SeedSequence(job.seed, spawn_key=(_NOISE_STREAM, index, self._number))
         gain = float(truth.gain[index])
-        return job.imaging.develop(light, irradiance, exposure_s, gain, np.random.default_rng(stream))
+        return job.imaging.develop(
+            light, irradiance, exposure_s, gain, generator(job.seed, "images", index, self._number)
+        )
 
     def _view(self, t_ns: int, rows: slice) -> GreyImage:
         """Return rows of what is seen at a time [ns]."""

@@ -18,13 +18,13 @@ from dronevio.sim.imu import ImuErrors
 from dronevio.sim.placement import place_path
 from dronevio.sim.schedule import FrameSchedule, schedule_frames
 from dronevio.sim.spline import SmoothMotion
+from dronevio.sim.streams import generator
 from dronevio.sim.world import place_of
 
 Array = npt.NDArray[np.float64]
 
 MARGIN_M = 0.3
 """Distance that a path laid into a world keeps from every surface [m]: the IMU is inside the drone."""
-_IMU_STREAM, _FRAMES_STREAM = 11, 21  # as in `dronevio.sim.scenario`: one seed, one IMU
 
 
 @dataclass(frozen=True, eq=False)
@@ -75,8 +75,9 @@ def refly(
     else:
         truth, samples = _shared(recorded, imu)
     stamps = frame_stamps(samples.t_ns, rig.cameras[0].rate_hz)
-    rng = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(_FRAMES_STREAM,)))
-    schedule = schedule_frames(stamps, rng, rig.time_offset_s).within(int(truth.t_ns[0]), int(truth.t_ns[-1]))
+    schedule = schedule_frames(stamps, generator(seed, "frames"), rig.time_offset_s).within(
+        int(truth.t_ns[0]), int(truth.t_ns[-1])
+    )
     T_simworld_world = place_path(truth.p_world_imu, space, margin_m, world)
     return FlownPath(rig, truth, samples, schedule, world, T_simworld_world, imu is not None)
 
@@ -125,8 +126,7 @@ def _synthesised(recorded: Trajectory, rig: Rig, seed: int) -> tuple[Trajectory,
     """Return the smooth motion through a path, and what an IMU of the rig's kind feels on it."""
     motion = SmoothMotion.through(recorded)
     t_ns = _imu_stamps(recorded.t_ns, rig.imu.rate_hz)
-    rng = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(_IMU_STREAM,)))
-    imu, gyro_bias, accel_bias = ImuErrors(rig.imu, rng).add_to(motion.points(t_ns))
+    imu, gyro_bias, accel_bias = ImuErrors(rig.imu, generator(seed, "imu")).add_to(motion.points(t_ns))
     return replace(motion.trajectory(t_ns), gyro_bias_rad_s=gyro_bias, accel_bias_m_s2=accel_bias), imu
 
 

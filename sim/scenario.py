@@ -1,7 +1,6 @@
 """Scenarios: what is flown, where, with which sensors and faults, from which seed."""
 
 from dataclasses import dataclass, field
-from typing import Literal
 
 import numpy as np
 
@@ -10,11 +9,8 @@ from dronevio.models.rig import Rig, euroc_rig
 from dronevio.sim.faults import Faults
 from dronevio.sim.imaging import Imaging
 from dronevio.sim.plan import FlightPlan
+from dronevio.sim.streams import Stream, generator
 from dronevio.sim.wind import CALM, Wind
-
-Stream = Literal["path", "imu", "wind", "faults", "frames"]
-_STREAMS: dict[Stream, int] = {"path": 10, "imu": 11, "wind": 12, "faults": 13, "frames": 21}
-"""Spawn keys; those of the world's layout and paint and of the images' noise are others."""
 
 
 @dataclass(frozen=True)
@@ -49,4 +45,4 @@ class Scenario:
 
     def generator(self, stream: Stream) -> np.random.Generator:
         """Return the random numbers of one subsystem, independent of those of the others."""
-        return np.random.default_rng(np.random.SeedSequence(self.seed, spawn_key=(_STREAMS[stream],)))
+        return generator(self.seed, stream)

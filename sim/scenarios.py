@@ -4,10 +4,15 @@ A version says what is flown: two runs of one name and seed are comparable, what
 changes a flight gives it the next number and keeps the old one.
 """
 
+import math
 from dataclasses import replace
 
 from dronevio.models.errors import ConfigError
-from dronevio.sim.limits import Limits
+from dronevio.models.quadrotor import NANO
+from dronevio.models.rigs import rig_named
+from dronevio.sim.faults import Faults
+from dronevio.sim.imaging import AutoExposure, Imaging
+from dronevio.sim.limits import LIMITS
 from dronevio.sim.plan import FlightPlan
 from dronevio.sim.scenario import Scenario
 
@@ -54,37 +59,119 @@ _FIRST_FLIGHTS = (
     Scenario("short-v0", "a quick look: one small hop", _SHORT),
 )
 
-_LEVELS: dict[str, Limits] = {
-    "easy": Limits(speed_m_s=0.8, accel_m_s2=0.8, yaw_rate_rad_s=0.6, tilt_rate_rad_s=2.0),
-    "medium": Limits(speed_m_s=2.2, accel_m_s2=2.5, yaw_rate_rad_s=1.6, tilt_rate_rad_s=4.0),
-    "difficult": Limits(speed_m_s=4.0, accel_m_s2=5.0, yaw_rate_rad_s=3.0, tilt_rate_rad_s=6.0),
-}
-"""How quickly each level is flown: about as EuRoC's rooms and hall named so."""
+_LEVELS = ("easy", "medium", "difficult")
 _PLACES = {
     "room": "a furnished room",
-    "corridor": "the corridors of an office floor, a closed loop",
+    "corridor": "an office floor's corridors, a closed loop",
+    "warehouse": "a warehouse",
+    "hall": "a machine hall",
     "forest": "a forest",
+    "gates": "a field of gates",
 }
+_TOUR_S = {"easy": 40.0, "medium": 40.0, "difficult": 35.0}
 
-_BY_WORLD = tuple(
+_TOURS = tuple(
     Scenario(
         f"{world}-{level}-v0",
-        f"a {level} tour of {place}",
-        FlightPlan(tour_s=35.0, shape="tour", limits=limits),
+        f"a tour of {place}, {level}",
+        FlightPlan(tour_s=_TOUR_S[level], shape="tour", limits=LIMITS[level]),
         world=world,
     )
     for world, place in _PLACES.items()
-    for level, limits in _LEVELS.items()
+    for level in _LEVELS
+)
+"""Every normal world at three levels: peaks about as in EuRoC's rooms and hall of that name."""
+
+_RACES = (
+    Scenario(
+        "gates-race-v0",
+        "a race through the gates at up to 9 m/s",
+        FlightPlan(tour_s=40.0, shape="race", limits=LIMITS["race"]),
+        world="gates",
+    ),
+    Scenario(
+        "hall-race-v0",
+        "a race through the machine hall at up to 9 m/s",
+        FlightPlan(tour_s=30.0, shape="race", limits=LIMITS["race"]),
+        world="hall",
+    ),
+    Scenario(
+        "room-aggressive-v0",
+        "quick reversals in a room, tilting hard",
+        FlightPlan(tour_s=25.0, shape="aggressive", limits=LIMITS["race"]),
+    ),
+)
+"""As fast as UZH-FPV's."""
+
+_MEDIUM = FlightPlan(tour_s=40.0, shape="tour", limits=LIMITS["medium"])
+_HARD_WORLDS = (
+    Scenario("low-texture-v0", "a tour of a white gallery, all but empty", _MEDIUM, world="low-texture"),
+    Scenario(
+        "repetitive-v0", "a tour of a tiled station where each place looks like the next", _MEDIUM, world="repetitive"
+    ),
+    Scenario(
+        "dark-v0",
+        "a tour of a room at night, by a camera that adapts",
+        _MEDIUM,
+        world="dark",
+        imaging=Imaging(control=AutoExposure()),
+    ),
+    Scenario("mirror-v0", "a tour of a hall whose floor mirrors it", _MEDIUM, world="mirror"),
+    Scenario("moving-v0", "a tour of a concourse full of people and carts", _MEDIUM, world="moving"),
 )
 
-SCENARIOS: dict[str, Scenario] = {scenario.name: scenario for scenario in (*_FIRST_FLIGHTS, *_BY_WORLD)}
+_SHAPES = tuple(
+    Scenario(f"room-{shape}-v0", description, FlightPlan(tour_s=20.0, shape=shape, limits=LIMITS["medium"]))
+    for shape, description in {
+        "rotation": "turning on the spot: no parallax",
+        "figure-8": "figures of eight",
+        "helix": "a helix",
+        "square": "laps of a square that come back to where they began",
+        "sideways": "flying sideways",
+        "inspection": "scanning a wall, facing it",
+    }.items()
+)
+
+_NANO = Scenario(
+    "nano-v0",
+    "30 g of drone with a small rolling-shutter camera, at walking pace",
+    FlightPlan(tour_s=20.0, shape="tour", limits=LIMITS["easy"], height_m=0.8),
+    rig=rig_named("nano"),
+    quadrotor=NANO,
+)
+
+_STRESS = tuple(
+    Scenario(f"room-{name}-v0", f"the lively tour of a room, {what}", _ROOM, faults=faults)
+    for name, what, faults in (
+        ("dark-1s", "the camera dark for a second", Faults(dark_from_s=12.0, dark_for_s=1.0)),
+        ("dark-5s", "the camera dark for five seconds", Faults(dark_from_s=12.0, dark_for_s=5.0)),
+        ("drops", "half of its frames lost", Faults(dropped_frames=0.5)),
+        ("offset", "its camera 5 ms late and nobody knows", Faults(hidden_time_offset_s=0.005)),
+        ("tilt", "its camera turned by 1° and nobody knows", Faults(hidden_tilt_rad=math.radians(1.0))),
+        ("noise", "its IMU twice as noisy as it should be", Faults(imu_noise_factor=2.0)),
+        ("saturated", "its gyroscope at its limit from 57 °/s on", Faults(gyro_range_rad_s=1.0)),
+    )
+)
+_STRESS = (
+    *_STRESS,
+    Scenario("room-motion-v0", "the lively tour of a room, joined in motion", replace(_ROOM, skip_s=6.0)),
+)
+
+SCENARIOS: dict[str, Scenario] = {
+    scenario.name: scenario
+    for scenario in (*_FIRST_FLIGHTS, *_TOURS, *_RACES, *_SHAPES, _NANO, *_HARD_WORLDS, *_STRESS)
+}
 """What can be flown, by name and version; each with seed 0."""
 
 SUITES: dict[str, tuple[str, ...]] = {
-    **{world: tuple(s.name for s in _BY_WORLD if s.world == world) for world in _PLACES},
-    **{level: tuple(s.name for s in _BY_WORLD if f"-{level}-" in s.name) for level in _LEVELS},
+    **{world: tuple(s.name for s in _TOURS if s.world == world) for world in _PLACES},
+    **{level: tuple(s.name for s in _TOURS if f"-{level}-" in s.name) for level in _LEVELS},
+    "race": tuple(s.name for s in _RACES),
+    "shapes": tuple(s.name for s in _SHAPES),
+    "hard": tuple(s.name for s in _HARD_WORLDS),
+    "stress": tuple(s.name for s in _STRESS),
 }
-"""Scenarios that belong together, by the name of their world or level."""
+"""Scenarios that belong together: of one world, of one level, or of one kind."""
 
 
 def scenario(name: str, seed: int | None = None) -> Scenario:

@@ -14,6 +14,7 @@ from dronevio.sim.lightmap import bake, daylight
 from dronevio.sim.scenery import paint_pages, painted
 from dronevio.sim.solids import visible_faces
 from dronevio.sim.space import Place, Space
+from dronevio.sim.streams import generator
 from dronevio.sim.worlds.corridor import CORRIDOR
 from dronevio.sim.worlds.dark import DARK
 from dronevio.sim.worlds.forest import FOREST
@@ -43,7 +44,6 @@ WORLDS: dict[str, WorldBuilder] = {
 }
 """The worlds that `build_world` knows, by name."""
 
-_STREAMS = (10, 11)  # layout and paint, beside those of `dronevio.sim.scenario`
 _MOVING_PAGE_PX = 1024
 
 
@@ -163,6 +163,6 @@ def _painted(name: str, seed: int) -> tuple[Layout, Looks]:
     return layout, Looks(pages, moving_pages, reflecting[0] if reflecting else None)
 
 
-def _generators(seed: int) -> tuple[np.random.Generator, ...]:
+def _generators(seed: int) -> tuple[np.random.Generator, np.random.Generator]:
     """Return the random numbers of the layout and of the paint."""
-    return tuple(np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(stream,))) for stream in _STREAMS)
+    return generator(seed, "layout"), generator(seed, "paint")

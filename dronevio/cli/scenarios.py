@@ -8,7 +8,7 @@ from dronevio.cli.terminal import parse, print_json, print_table
 
 @dataclass(frozen=True)
 class ScenariosCommand:
-    """List the scenarios that can be flown, with their planned peak speed and turn rate.
+    """List the scenarios that can be flown, with their planned peak speed and turn rate, and suites of them.
 
     Examples:
       dronevio scenarios
@@ -30,7 +30,7 @@ def main(arguments: Sequence[str]) -> int:
     import math
 
     from dronevio.sim.flight import plant_of, reference_of
-    from dronevio.sim.scenarios import SCENARIOS, scenario
+    from dronevio.sim.scenarios import SCENARIOS, SUITES, scenario
 
     rows = []
     for name in SCENARIOS:
@@ -47,7 +47,9 @@ def main(arguments: Sequence[str]) -> int:
             }
         )
     if command.json:
-        print_json({"seed": command.seed, "scenarios": rows})
+        print_json(
+            {"seed": command.seed, "scenarios": rows, "suites": {name: list(names) for name, names in SUITES.items()}}
+        )
         return 0
     print_table(
         f"Scenarios drawn from seed {command.seed}: duration, peak speed and peak turn rate",
@@ -63,5 +65,12 @@ def main(arguments: Sequence[str]) -> int:
             )
             for row in rows
         ],
+        prose=("world", "what is flown"),
+    )
+    print_table(
+        "Suites of them, for a benchmark",
+        ("name", "scenarios"),
+        [(n, ", ".join(m)) for n, m in SUITES.items()],
+        prose=("scenarios",),
     )
     return 0

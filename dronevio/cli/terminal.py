@@ -68,11 +68,11 @@ def print_json(document: Mapping[str, object]) -> None:
     sys.stdout.write("\n")
 
 
-def print_table(title: str, columns: Sequence[str], rows: Sequence[Sequence[str]]) -> None:
-    """Print a table on standard output; the first column is left-aligned, the others right."""
+def print_table(title: str, columns: Sequence[str], rows: Sequence[Sequence[str]], prose: Sequence[str] = ()) -> None:
+    """Print a table on standard output; the first column and those of ``prose`` are left-aligned, the others right."""
     table = Table(title=title, title_justify="left")
     for i, column in enumerate(columns):
-        table.add_column(column, justify="left" if i == 0 else "right")
+        table.add_column(column, justify="left" if i == 0 or column in prose else "right")
     for row in rows:
         table.add_row(*row)
     Console().print(table)

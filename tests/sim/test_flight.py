@@ -148,3 +148,21 @@ def test_subsystems_draw_from_streams_of_their_own() -> None:
     assert one.generator("path").random() != one.generator("imu").random()
     assert one.generator("path").random() == one.generator("path").random()
     assert one.generator("path").random() != replace(one, seed=1).generator("path").random()
+
+
+def test_a_flight_may_be_joined_in_motion() -> None:
+    whole = fly(scenario("room"))
+    joined = fly(scenario("room-motion"))
+    assert joined.truth.t_ns[0] == 0 and joined.truth.velocity_m_s is not None
+    assert np.linalg.norm(joined.truth.velocity_m_s[0]) > 0.5
+    assert joined.collision is None
+    later = whole.truth.p_world_imu[1200:]
+    assert np.abs(joined.truth.p_world_imu[: len(later)] - later).max() < 0.1
+
+
+@pytest.mark.parametrize("name", ["corridor-difficult", "forest-medium", "gates-race", "room-aggressive", "nano"])
+def test_flights_in_other_worlds_come_home(name: str) -> None:
+    flight = fly(scenario(name, 2))
+    assert flight.collision is None
+    error = np.linalg.norm(vehicle_positions(flight) - flight.reference.position_m, axis=1)
+    assert np.sqrt(np.mean(error**2)) < 0.10 and error.max() < 0.3

@@ -6,14 +6,14 @@ import pytest
 from dronevio.models.errors import ConfigError
 from dronevio.models.rotation import exp_so3
 from dronevio.sim.path import Reference, attitude, plan_reference
-from dronevio.sim.plan import TIMED, FlightPlan
-from dronevio.sim.scenarios import SCENARIOS, scenario
+from dronevio.sim.plan import FlightPlan
+from dronevio.sim.scenarios import scenario
 from dronevio.sim.space import Place, Space
 
 BOX = np.array([[-2.8, -1.9, 0.0], [2.8, 1.9, 2.4]])
 STEP_NS = 5_000_000
 STANDING_M = 0.112
-PLANS = {name: known.plan for name, known in SCENARIOS.items() if known.plan.shape == TIMED}
+PLANS = {name: scenario(name).plan for name in ("room-v0", "room-slow-v0", "hover-v0", "short-v0")}
 ROOM, SHORT = scenario("room-v0").plan, scenario("short-v0").plan
 
 
