@@ -59,6 +59,8 @@ class BagFile:
         """
         self.path = path
         with blamed_on_bag(path):
+            for database in (path, *_storages_in(path)):
+                _check_whole(database)
             self._reader = Reader(_storage(path))
             self._reader.open()
             weakref.finalize(self, self._reader.close)
@@ -164,6 +166,25 @@ def _storage(path: Path) -> Path:
     return inside[0]
 
 
+def _check_whole(path: Path) -> None:
+    """Raise InputError if a database ends before its last page: SQLite would read zeros there without a word.
+
+    Page size and number of pages stand in the header (https://www.sqlite.org/fileformat2.html, 1.3).
+    """
+    if path.suffix != ".db3" or not path.is_file():
+        return
+    with path.open("rb") as file:
+        database = file.read(100)
+    if len(database) < 100 or database[24:28] != database[92:96]:
+        return  # no database, or one whose header does not tell
+    page = int.from_bytes(database[16:18], "big")
+    size = (65536 if page == 1 else page) * int.from_bytes(database[28:32], "big")
+    if path.stat().st_size < size:
+        raise InputError(path, f"{path.stat().st_size} bytes of {size}", "a whole file; this one is cut off")
+
+
 def _storages_in(folder: Path) -> Sequence[Path]:
-    """Return the storage files in a folder."""
+    """Return the storage files in a folder; none where it is none."""
+    if not folder.is_dir():
+        return ()
     return sorted(path for path in folder.iterdir() if path.suffix in _STORAGES)
