@@ -1,6 +1,7 @@
 """The driver that pushes a recording through an estimator, frame by frame, and times it."""
 
 import time
+from typing import Protocol
 
 import cv2
 import numpy as np
@@ -10,13 +11,40 @@ from dronevio.models.errors import EvaluationError
 from dronevio.models.imu import ImuSamples
 from dronevio.models.progress import Progress, silent
 from dronevio.models.protocols import Estimator, Recording, measurements
-from dronevio.models.state import Estimate, Trajectory
+from dronevio.models.state import CameraFrame, Estimate, Trajectory
 
 
-def estimate_recording(recording: Recording, estimator: Estimator, progress: Progress = silent) -> EstimatorRun:
+class Watcher(Protocol):
+    """Hears what an estimator is given and what it answers, while it runs."""
+
+    def imu(self, samples: ImuSamples) -> None:
+        """Hear of IMU samples."""
+
+    def frame(self, frame: CameraFrame, answer: Estimate, cpu_ms: float) -> None:
+        """Hear of a frame, of the answer, and of what it cost with the IMU samples before it [ms]."""
+
+
+class Nobody:
+    """Watches nothing."""
+
+    def imu(self, samples: ImuSamples) -> None:
+        """Do nothing."""
+
+    def frame(self, frame: CameraFrame, answer: Estimate, cpu_ms: float) -> None:
+        """Do nothing."""
+
+
+NOBODY = Nobody()
+"""The watcher where nobody watches."""
+
+
+def estimate_recording(
+    recording: Recording, estimator: Estimator, progress: Progress = silent, watcher: Watcher = NOBODY
+) -> EstimatorRun:
     """Push all measurements of a recording into an estimator, in time order, on one thread.
 
-    Each answer is taken before the next frame is read, so it is causal. Reading a frame from disk is not timed.
+    Each answer is taken before the next frame is read, so it is causal. Reading a frame from disk is not timed, nor is
+    what the watcher does.
 
     Raises:
         InputError: A frame cannot be read.
@@ -35,7 +63,10 @@ def estimate_recording(recording: Recording, estimator: Estimator, progress: Pro
             estimates.append(estimator.add_frame(measurement))
         cpu_s += time.process_time() - cpu_start
         wall_s += time.perf_counter() - wall_start
-        if len(estimates) > len(cpu_ms):  # a frame is done, with the IMU before it
+        if isinstance(measurement, ImuSamples):
+            watcher.imu(measurement)
+        else:  # a frame is done, with the IMU before it
+            watcher.frame(measurement, estimates[-1], cpu_s * 1e3)
             cpu_ms.append(cpu_s * 1e3)
             wall_ms.append(wall_s * 1e3)
             cpu_s, wall_s = 0.0, 0.0

@@ -123,10 +123,10 @@ class EstimateLog:
             colour = [*palette.rgb(self._colour), 150]
             self._sink.static(self._at.whole, rr.LineStrips3D([p], colors=colour, radii=0.010))
 
-    def poses(self, trajectory: Trajectory) -> None:
-        """Log the next N poses, and what comes with them: covariances, velocities, biases."""
+    def poses(self, trajectory: Trajectory) -> Trajectory:
+        """Log the next N poses, and what comes with them: covariances, velocities, biases; return them as shown."""
         if len(trajectory) == 0:
-            return
+            return trajectory
         shown, t_ns, at = self._into_view(trajectory), trajectory.t_ns, self._at
         Ts = shown.Ts_world_imu
         path = np.concatenate([self._last_p, shown.p_world_imu])
@@ -147,19 +147,25 @@ class EstimateLog:
         for entity, bias in ((at.gyro_bias, shown.gyro_bias_rad_s), (at.accel_bias, shown.accel_bias_m_s2)):
             if bias is not None:
                 self._sink.values(entity, t_ns, bias)
+        return shown
 
-    def answers(self, estimates: Sequence[Estimate], cpu_ms: Array) -> None:
-        """Log the next M answers of an estimator that runs in our hands, and their cost (M,) [ms]."""
+    def answers(self, estimates: Sequence[Estimate], cpu_ms: Array) -> Trajectory:
+        """Log the next M answers of an estimator that runs in our hands, and their cost (M,) [ms].
+
+        Returns:
+            The poses among them, as shown.
+        """
+        valid = (e.state for e in estimates if e.health in POSE_IS_VALID and e.state is not None)
+        shown = self.poses(Trajectory.from_states(valid))
         if not estimates:
-            return
-        valid = [e for e in estimates if e.health in POSE_IS_VALID and e.state is not None]
-        self.poses(Trajectory.from_states(e.state for e in valid if e.state is not None))
+            return shown
         t_ns = np.array([e.t_ns for e in estimates], dtype=np.int64)
         self._tracks(estimates, t_ns)
         self._map([e for e in estimates if e.landmarks_world is not None])
         self._events(estimates)
         self._sink.values(self._at.cost, t_ns, cpu_ms)
         self._sink.values(self._at.track_count, t_ns, np.array([float(len(tracks_of(e).ids)) for e in estimates]))
+        return shown
 
     def errors(self, scored: ScoredTrajectory) -> None:
         """Log the errors after alignment, and those that 3σ speaks of: tied to the truth at the first pose."""
@@ -178,13 +184,12 @@ class EstimateLog:
             self._sink.values(entity.tied, stated.t_ns, np.linalg.norm(errors, axis=1) * unit)
             self._sink.values(entity.band, stated.t_ns, np.linalg.norm(_SIGMAS * sigmas, axis=1) * unit)
 
-    def errors_so_far(self, truth: Trajectory, trajectory: Trajectory) -> None:
-        """Log the errors of the next N poses, tied to the truth at the first pose of all."""
+    def errors_so_far(self, truth: Trajectory, shown: Trajectory) -> None:
+        """Log the errors of N poses, as they are shown: tied to the truth at the first pose of all."""
         self._draw_errors()
-        true, rows = interpolate(truth, trajectory.t_ns)
-        shown = self._into_view(trajectory[rows])
-        distance_m = translation_errors_m(true.p_world_imu, shown.p_world_imu)
-        angle_deg = rotation_errors_rad(true.quat_wxyz, shown.quat_wxyz) * _DEGREES
+        true, rows = interpolate(truth, shown.t_ns)
+        distance_m = translation_errors_m(true.p_world_imu, shown.p_world_imu[rows])
+        angle_deg = rotation_errors_rad(true.quat_wxyz, shown.quat_wxyz[rows]) * _DEGREES
         self._sink.values(self._at.position_error.tied, true.t_ns, distance_m)
         self._sink.values(self._at.orientation_error.tied, true.t_ns, angle_deg)
 

@@ -19,6 +19,7 @@ from dronevio.eval import palette
 from dronevio.eval import rerun_entities as at
 from dronevio.eval.metrics import IDENTITY, Alignment, ScoredTrajectory, interpolate
 from dronevio.eval.rerun_blueprint import Shown, flight_blueprint
+from dronevio.eval.rerun_compare import NamedEstimate, summary_table
 from dronevio.eval.rerun_estimate import EstimateLog, Gauge
 from dronevio.eval.rerun_images import ImageLog, VideoLog
 from dronevio.eval.rerun_sink import Sink
@@ -64,22 +65,6 @@ class Surroundings:
 
 NOTHING_KNOWN = Surroundings(np.zeros((0, 2, 3)))
 """The surroundings of a flight of which nobody wrote them down."""
-
-
-@dataclass(frozen=True, eq=False)
-class NamedEstimate:
-    """What one of several estimators made of a recording."""
-
-    name: str
-    """What it is called."""
-    trajectory: Trajectory
-    """The poses that it stands by, in its own world."""
-    alignment: Alignment = IDENTITY
-    """Lays them into the world that is shown."""
-    scored: ScoredTrajectory | None = None
-    """The same beside the truth; None where there is no truth."""
-    run: EstimatorRun | None = None
-    """Its answers to each frame; None where only its trajectory is known."""
 
 
 class RerunLog:
@@ -292,20 +277,6 @@ def _log_estimate(log: EstimateLog, estimate: NamedEstimate) -> None:
 
 def _fixed(alignment: Alignment) -> Gauge:
     return lambda _: alignment
-
-
-def summary_table(estimates: Sequence[NamedEstimate]) -> str:
-    """Return a table (Markdown) of what matters most of each estimate."""
-    rows = ["| estimator | ATE [m] | ATE [°] | RPE [m] | coverage [%] |", "|---|---:|---:|---:|---:|"]
-    for estimate in estimates:
-        if estimate.scored is None:
-            rows.append(f"| {estimate.name} | – | – | – | – |")
-            continue
-        scores = estimate.scored.scores
-        rpe = "–" if scores.rpe_m is None else f"{scores.rpe_m.rmse:.3f}"
-        coverage = "–" if scores.coverage_percent is None else f"{scores.coverage_percent:.1f}"
-        rows.append(f"| {estimate.name} | {scores.ate_m.rmse:.3f} | {scores.ate_deg.rmse:.2f} | {rpe} | {coverage} |")
-    return "\n".join(rows) + "\n"
 
 
 def first_ns(recording: Recording) -> int:
