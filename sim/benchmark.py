@@ -1,12 +1,11 @@
 """How fast the simulator is: figures with their bounds, measured as CPU time of this process."""
 
 import time
-from dataclasses import dataclass
-from typing import Literal
 
 import numpy as np
 
 from dronevio.models.camera import CameraModel
+from dronevio.models.figure import Figure
 from dronevio.models.progress import Progress, silent
 from dronevio.models.rotation import exp_so3, pose_matrix
 from dronevio.sim.camera_cost import camera_cost
@@ -16,34 +15,6 @@ from dronevio.sim.world import World
 
 _FORWARD = np.array([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]])  # a camera that looks along the world's x
 _EYE_HEIGHT_M = 1.2
-
-
-@dataclass(frozen=True)
-class Figure:
-    """Something measured, and what it should be."""
-
-    name: str
-    """What was measured."""
-    value: float
-    """How much it is."""
-    unit: str
-    """In what."""
-    bound: float
-    """How much it may be."""
-    sense: Literal["at most", "at least"]
-    """Which way the bound works."""
-    how: str
-    """What was measured exactly."""
-
-    @property
-    def ratio(self) -> float:
-        """Value by bound."""
-        return self.value / self.bound
-
-    @property
-    def met(self) -> bool:
-        """Whether the bound is kept."""
-        return self.value <= self.bound if self.sense == "at most" else self.value >= self.bound
 
 
 def camera_figure(world: World, camera: CameraModel, frames: int) -> Figure:

@@ -6,8 +6,8 @@ import pytest
 from dronevio.cli import main
 from dronevio.cli.bench import SUBJECTS
 from dronevio.cli.bench.recording import Recorded, a_stretch, bench_rig, minute_figure, scaling_figure
+from dronevio.models.figure import Figure
 from dronevio.models.rigs import rig_named
-from dronevio.sim.benchmark import Figure
 from dronevio.sim.flight import fly
 
 

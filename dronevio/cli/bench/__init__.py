@@ -5,6 +5,7 @@ import sys
 
 SUBJECTS: dict[str, str] = {
     "sim": "drawing, flying and recording, by what they should cost",
+    "eval": "scoring trajectories, beside evo",
 }
 """What can be measured, each a module of this package with a ``main(arguments) -> int``, and what of it."""
 

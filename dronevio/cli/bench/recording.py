@@ -11,10 +11,10 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 from dronevio.flying import record_flight
+from dronevio.models.figure import Figure
 from dronevio.models.progress import Progress, silent
 from dronevio.models.rig import Rig
 from dronevio.models.rigs import rig_named
-from dronevio.sim.benchmark import Figure
 from dronevio.sim.flight import fly
 from dronevio.sim.painter import at_a_glance
 from dronevio.sim.plan import FlightPlan

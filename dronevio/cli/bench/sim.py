@@ -5,11 +5,12 @@ from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from typing import TYPE_CHECKING
 
-from dronevio.cli.terminal import parse, print_json, print_table, progress_bars
+from dronevio.cli.bench.figures import plain_figures, print_figures
+from dronevio.cli.terminal import parse, print_json, progress_bars
 
 if TYPE_CHECKING:
+    from dronevio.models.figure import Figure
     from dronevio.models.progress import Progress
-    from dronevio.sim.benchmark import Figure
 
 
 @dataclass(frozen=True)
@@ -86,26 +87,11 @@ def main(arguments: Sequence[str]) -> int:
                 "effort": asdict(effort),
                 "machine": {"processor": processor(), "cores": cores(), "memory_gb": memory_gb(), "gl": gl.renderer},
                 "packages": packages,
-                "figures": [{**asdict(figure), "ratio": figure.ratio, "met": figure.met} for figure in figures],
+                "figures": plain_figures(figures),
             }
         )
         return 0
-    print_table(
-        f"Simulator: world {command.world}, rig {command.rig}, seed {command.seed}",
-        ("", "measured", "bound", "ratio", ""),
-        [
-            (
-                figure.name,
-                f"{figure.value:.3g} {figure.unit}".strip(),
-                f"{'≤' if figure.sense == 'at most' else '≥'} {figure.bound:g}",
-                f"{figure.ratio:.2f}",
-                "met" if figure.met else "missed",
-            )
-            for figure in figures
-        ],
-    )
-    for figure in figures:
-        print(f"{figure.name}: {figure.how}")
+    print_figures(f"Simulator: world {command.world}, rig {command.rig}, seed {command.seed}", figures)
     print(f"{processor()}, {cores()} cores, {memory_gb():.0f} GB, {gl.renderer}")
     print(", ".join(f"{name} {number}" for name, number in packages.items()))
     return 0
