@@ -103,7 +103,7 @@ class BagFile:
         """
         for message in self.decoded(topic):
             return message
-        raise self.fault(f"{topic}: no messages, though the bag counts some", _EXPECTED)
+        raise self._empty(topic)
 
     def decode(self, topic: str, raw: bytes) -> object:
         """Return a message from its bytes.
@@ -132,6 +132,8 @@ class BagFile:
             InputError: They are damaged, or two have the same.
         """
         raws = [raw for _, raw in self.raw(topic)]
+        if not raws:
+            raise self._empty(topic)
         t_ns = np.array([self.stamp_ns(topic, raw) for raw in raws], dtype=np.int64)
         order = np.argsort(t_ns, kind="stable")
         self.check_stamps(topic, t_ns[order])
@@ -146,6 +148,10 @@ class BagFile:
         twice = np.flatnonzero(np.diff(t_ns) <= 0)
         if twice.size:
             raise self.fault(f"{topic}: two messages of {t_ns[twice[0]]} ns", "a time stamp of its own for each")
+
+    def _empty(self, topic: str) -> InputError:
+        """Return the error that says that a topic has no messages."""
+        return self.fault(f"{topic}: no messages, though the bag counts some", "as many as it counts")
 
     def fault(self, found: str, expected: str) -> InputError:
         """Return the error that says that something in the bag is not what it should be."""

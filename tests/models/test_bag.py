@@ -663,6 +663,18 @@ def test_what_is_no_bag_is_refused(tmp_path: Path, make: Callable[[Path], object
     assert found in str(caught.value) and caught.value.path == path
 
 
+@pytest.mark.parametrize("topic", ["/imu0", "/groundtruth/odometry", "/cam0/image_raw"])
+def test_a_description_of_topics_that_are_not_there_is_refused(
+    tmp_path: Path, noise_recording: Make, topic: str
+) -> None:
+    write_bag(tmp_path / "bag", noise_recording())
+    renamed = topic.replace("/", "/vicon_", 1)
+    text = (tmp_path / "bag" / "metadata.yaml").read_text()
+    (tmp_path / "bag" / "metadata.yaml").write_text(text.replace(topic, renamed))
+    with pytest.raises(InputError, match="no messages"):
+        BagRecording.open(tmp_path / "bag", topics=BagTopics(images=(renamed,) if "image" in topic else ()))
+
+
 def test_a_description_cannot_point_outside_its_folder(tmp_path: Path, noise_recording: Make) -> None:
     write_bag(tmp_path / "secret.mcap", noise_recording())
     write_bag(tmp_path / "bag", noise_recording())
