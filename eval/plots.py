@@ -20,6 +20,8 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import FuncFormatter, LogLocator, NullLocator
 
+from dronevio.eval import palette
+
 Array = npt.NDArray[np.float64]
 
 INK = "#1f2328"
@@ -27,6 +29,7 @@ INK = "#1f2328"
 GRID = "#d0d7de"
 """Colour of grid lines; likewise."""
 
+_COLOURS_OF_THE_PAGE = {INK: "ink", GRID: "grid", palette.CLAIM: "blue"}  # those that a dark page has otherwise
 _MOST_POINTS = 1500  # of one line: more than that no screen shows
 _WHISKERS_PERCENT = (5.0, 95.0)
 _BOX_SHARE = 0.8  # of the room between two groups
@@ -107,7 +110,8 @@ def as_svg(fig: Figure, alt: str) -> str:
     text = re.sub(r"<!--.*?-->\s*", "", text, flags=re.DOTALL)
     text = re.sub(r'<g id="[^"]*"', "<g", text)  # else the drawings of a page have names in common
     text = _COORDINATES.sub(lambda m: _LONG_FRACTION.sub(_rounded, m[0]), text)
-    text = text.replace(INK, "var(--ink)").replace(GRID, "var(--grid)")
+    for colour, name in _COLOURS_OF_THE_PAGE.items():
+        text = text.replace(colour, f"var(--{name})")
     return text.replace("<svg", f'<svg role="img" aria-label="{escape(alt)}"', 1)
 
 

@@ -4,6 +4,7 @@ from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from html import escape
 from pathlib import Path
+from typing import Literal
 
 from matplotlib.axes import Axes
 
@@ -60,9 +61,9 @@ def section(title: str, content: str) -> str:
     return f"<section>{heading}{content}</section>"
 
 
-def tiles(items: Iterable[Tile]) -> str:
-    """Return a row of numbers."""
-    return f'<div class="tiles">{"".join(map(_tile, items))}</div>'
+def tiles(items: Iterable[Tile], kind: Literal["tiles", "cards"] = "tiles") -> str:
+    """Return a row of numbers; cards are wide and share the width of the page."""
+    return f'<div class="{kind}">{"".join(map(_tile, items))}</div>'
 
 
 def figures(drawings: Iterable[str]) -> str:
@@ -89,6 +90,11 @@ def drawing(height_in: float, draw: Callable[[Axes], None], alt: str = "", width
 def details(summary: str, content: str, opened: bool = False) -> str:
     """Return HTML content that is folded away until somebody opens it."""
     return f"<details{' open' if opened else ''}><summary>{escape(summary)}</summary>{content}</details>"
+
+
+def folds(items: Iterable[str]) -> str:
+    """Return what is folded away side by side where there is room."""
+    return f'<div class="folds">{"".join(items)}</div>'
 
 
 def settings(content: object) -> str:

@@ -24,6 +24,7 @@ COMMANDS: dict[str, str] = {
     "scenarios": "list what can be flown",
     "worlds": "list where one can fly, or draw a contact sheet of it",
     "log": "lay estimates of any program over a recording, to look at",
+    "report": "show a benchmark as a page, or as tables for a text or a paper",
     "view": "open a run's recording",
     "book": "the experiments of the robotics book's chapter on visual SLAM",
     "bench": "measure how fast this machine is",
