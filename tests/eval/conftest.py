@@ -1,6 +1,15 @@
 """A flight made of formulas: a smooth path in a room, textured images, tracks of landmarks, a drifting estimate."""
 
+import base64
+import json
+import re
+import shutil
+import subprocess
+from collections.abc import Callable
 from dataclasses import dataclass, replace
+from html.parser import HTMLParser
+from pathlib import Path
+from typing import Any
 
 import cv2
 import numpy as np
@@ -142,3 +151,73 @@ def flight() -> SyntheticFlight:
 def flight_without_truth(flight: SyntheticFlight) -> SyntheticFlight:
     """The same, where nobody knows the truth."""
     return replace(flight, recording=replace(flight.recording, ground_truth=None))
+
+
+VOID = {"meta", "br", "img", "link", "input", "hr"}
+
+
+class Page(HTMLParser):
+    """Collects a page's text, elements, links and alternative texts, and checks that elements are closed in order."""
+
+    def __init__(self, html: str) -> None:
+        super().__init__()
+        self.text: list[str] = []
+        self.tags: list[str] = []
+        self.links: list[str | None] = []
+        self.alts: list[str | None] = []
+        self._open: list[str] = []
+        self.feed(html)
+        self.close()
+        assert self._open == []
+
+    def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
+        """Note what begins."""
+        self.handle_startendtag(tag, attrs)
+        if tag not in VOID:
+            self._open.append(tag)
+
+    def handle_startendtag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
+        """Note what stands there."""
+        self.tags.append(tag)
+        self.links += [value for name, value in attrs if name in ("href", "src", "xlink:href", "data", "srcset")]
+        self.alts += [dict(attrs).get("aria-label")] if tag == "svg" else []
+
+    def handle_endtag(self, tag: str) -> None:
+        """Check that what ends is what was begun last."""
+        assert self._open.pop() == tag
+
+    def handle_data(self, data: str) -> None:
+        """Keep the text."""
+        self.text.append(data)
+
+
+@pytest.fixture(scope="session")
+def read_page() -> Callable[[str], Page]:
+    """Reads HTML, and fails where it is not well formed."""
+    return Page
+
+
+@pytest.fixture
+def browse(tmp_path: Path) -> Callable[[Path, int, str], Any]:
+    """Opens a page in a browser of a given width and returns what an expression says there; `r` is its root."""
+    browser = next(filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome"))), None)
+    if browser is None:
+        pytest.skip("no chromium to look at the report with")
+
+    def look(page: Path, width: int, expression: str) -> Any:
+        # A frame of that width, because a headless window has a least width of its own.
+        probe = tmp_path / "probe.html"
+        probe.write_text(
+            f'<iframe id="f" src="{page.as_uri()}" width="{width}" height="900" style="border:0"></iframe>'
+            "<script>onload = () => { const page = document.getElementById('f').contentDocument;"
+            " const said = ((document, r) => JSON.stringify(" + expression + "))(page, page.documentElement);"
+            " document.body.append(`said ${btoa(unescape(encodeURIComponent(said)))} so`) }</script>"
+        )
+        flags = ["--headless=new", "--no-sandbox", "--disable-gpu", "--allow-file-access-from-files", "--dump-dom"]
+        command = [browser, *flags, f"--user-data-dir={tmp_path}/profile", probe.as_uri()]
+        done = subprocess.run(command, capture_output=True, text=True, check=False, timeout=60)
+        found = re.search(r"said (\S+) so</body>", done.stdout)
+        assert found, done.stdout[-500:] + done.stderr[-500:]
+        return json.loads(base64.b64decode(found[1]))
+
+    return look
