@@ -58,8 +58,8 @@ def nees_bounds(degrees: int, runs: int = 1, probability: float = 0.95) -> tuple
     Raises:
         ConfigError: One of them makes no sense.
     """
-    if runs < 1:
-        raise ConfigError(f"the mean NEES of {runs} runs; expected one at least")
+    if runs < 1 or not 0.0 < probability < 1.0:
+        raise ConfigError(f"bounds of the mean NEES of {runs} runs at {probability:g}; expected one at least, 0 to 1")
     tail = 0.5 * (1.0 - probability)
     return tuple(chi_square_quantile(q, degrees * runs) / runs for q in (tail, 1.0 - tail))  # type: ignore[return-value]
 

@@ -1,0 +1,251 @@
+"""Errors by length of sub-trajectories, drift, and KITTI's figures: analytic cases and invariances."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from dronevio.eval.metrics import Alignment, errors_by_length, relative_errors, score
+from dronevio.eval.metrics.alignment import yaw_matrix
+from dronevio.eval.metrics.kitti import kitti_scores
+from dronevio.eval.metrics.lengths import drifts_m
+from dronevio.eval.metrics.pairs import PairRule, consecutive_pairs, pairs_after_distance, pairs_after_turning, way_m
+from dronevio.eval.metrics.quaternions import components, euler_zyx_rad, quat_product_wxyz, slerp, yaw_rad
+from dronevio.eval.metrics.scores import usual_lengths_m
+from dronevio.models.errors import ConfigError, EvaluationError
+from dronevio.models.rotation import exp_so3, pose_matrix, quat_wxyz_from_matrix, slerp_quat_wxyz
+from dronevio.models.state import Trajectory
+
+seeds = st.integers(0, 2**32 - 1)
+
+
+def drive(seed: int, n: int = 400) -> Trajectory:
+    """A smooth random path of 1 m a step."""
+    rng = np.random.default_rng(seed)
+    phi = np.cumsum(0.03 * rng.normal(size=(n, 3)), axis=0)
+    R = exp_so3(phi)
+    p = np.cumsum(R[:, :, 0], axis=0)
+    return Trajectory(100_000_000 * np.arange(n), p, quat_wxyz_from_matrix(R))
+
+
+def disturbed(truth: Trajectory, seed: int) -> Trajectory:
+    rng, n = np.random.default_rng(seed), len(truth)
+    R = truth.rotations @ exp_so3(np.cumsum(2e-3 * rng.normal(size=(n, 3)), axis=0))
+    drift_m = np.cumsum(0.01 * rng.normal(size=(n, 3)), axis=0)
+    return replace(truth, p_world_imu=truth.p_world_imu + drift_m, quat_wxyz=quat_wxyz_from_matrix(R))
+
+
+def arrays(truth: Trajectory, estimate: Trajectory) -> tuple[np.ndarray, ...]:
+    return truth.p_world_imu, truth.quat_wxyz, estimate.p_world_imu, estimate.quat_wxyz
+
+
+@settings(max_examples=20, deadline=None)
+@given(seeds, st.floats(-3, 3), st.tuples(*[st.floats(-50, 50)] * 3))
+def test_errors_by_length_do_not_depend_on_the_gauge(seed: int, yaw: float, t: tuple[float, ...]) -> None:
+    truth = drive(seed)
+    estimate = disturbed(truth, seed + 1)
+    moved = Alignment(yaw_matrix(yaw), np.array(t)).apply(estimate)
+    for plain, other in zip(
+        *(errors_by_length(*arrays(truth, x), (20.0, 100.0)) for x in (estimate, moved)), strict=True
+    ):
+        assert other.translation_m.rmse == pytest.approx(plain.translation_m.rmse, rel=1e-6)
+        assert other.rotation_deg.max == pytest.approx(plain.rotation_deg.max, rel=1e-6)
+        assert other.drift_percent.mean == pytest.approx(plain.drift_percent.mean, rel=1e-6)
+        # Yaw and tilt are taken apart by Euler angles, in which a yaw of the world shows at second order.
+        angle = np.radians(plain.rotation_deg.max)
+        assert abs(other.yaw_deg.mean - plain.yaw_deg.mean) <= plain.rotation_deg.max * angle
+        assert abs(other.tilt_deg.mean - plain.tilt_deg.mean) <= plain.rotation_deg.max * angle
+
+
+@settings(max_examples=10, deadline=None)
+@given(st.floats(0.5, 2.0))
+def test_a_wrong_scale_on_a_straight_way_is_a_drift_of_as_many_per_cent(scale: float) -> None:
+    p = np.outer(np.arange(300.0), [0.6, 0.8, 0.0])
+    q = np.tile([1.0, 0.0, 0.0, 0.0], (300, 1))
+    [short, long] = errors_by_length(p, q, scale * p, q, (10.0, 50.0))
+    for errors in (short, long):
+        assert errors.drift_percent.median == pytest.approx(100 * abs(scale - 1), abs=1e-9)
+        assert errors.translation_percent.max == pytest.approx(100 * abs(scale - 1), abs=1e-9)
+        assert errors.rotation_deg.max < 1e-9
+    assert (short.translation_m.n, long.translation_m.n) == (292, 260)  # 20 % of the length may be missing at the end
+
+
+def test_a_tilt_that_is_wrong_from_the_start_is_drift_and_no_relative_error() -> None:
+    """By hand: tilted by 2°, a metre forward is 3.5 cm too high; the relative error makes the tilted poses meet."""
+    truth = drive(0)
+    level = replace(truth, p_world_imu=truth.p_world_imu * [1.0, 1.0, 0.0])
+    tilted = Alignment(exp_so3(np.array([0.0, np.radians(2.0), 0.0])), np.zeros(3)).apply(level)
+    pairs = pairs_after_distance(level.p_world_imu, 30.0)
+    assert relative_errors(*arrays(level, tilted), pairs)[0].max() < 1e-9
+    step = level.p_world_imu[pairs[1]] - level.p_world_imu[pairs[0]]
+    x, z = (np.cos(np.radians(2.0)) - 1.0) * step[:, 0], np.sin(np.radians(2.0)) * step[:, 0]
+    # The yaw that makes tilted orientations meet best is not quite none, to second order of the tilt.
+    np.testing.assert_allclose(drifts_m(*arrays(level, tilted), pairs), np.hypot(x, z), atol=0.05, rtol=0.05)
+
+
+def test_yaw_and_tilt_by_hand() -> None:
+    """An estimate that turns about the vertical by 0.1° a metre; and one that rolls."""
+    p = np.outer(np.arange(200.0), [1.0, 0.0, 0.0])
+    q = np.tile([1.0, 0.0, 0.0, 0.0], (200, 1))
+    for axis, yaw, tilt in (([0.0, 0.0, 1.0], 1.0, 0.0), ([1.0, 0.0, 0.0], 0.0, 1.0)):
+        turned = quat_wxyz_from_matrix(exp_so3(np.outer(np.radians(0.1 * np.arange(200)), axis)))
+        [errors] = errors_by_length(p, q, p, turned, (10.0,))
+        whole = [errors.yaw_deg.median, errors.tilt_deg.median, errors.rotation_deg.median]
+        assert whole == pytest.approx([yaw, tilt, 1.0], abs=1e-9)
+
+
+def test_lengths_that_do_not_occur_are_left_out() -> None:
+    truth = drive(1, 50)
+    assert [of.length_m for of in errors_by_length(*arrays(truth, truth), (10.0, 500.0))] == [10.0]
+    with pytest.raises(ConfigError, match="above zero"):
+        errors_by_length(*arrays(truth, truth), (0.0,))
+    assert usual_lengths_m(75.891) == (7.58, 15.17, 22.76, 30.35, 37.94)
+    assert usual_lengths_m(0.0) == ()
+
+
+def test_the_score_says_drift_and_lengths() -> None:
+    truth = drive(2)
+    scores = score(truth, disturbed(truth, 3))
+    assert [of.length_m for of in scores.lengths] == list(usual_lengths_m(scores.path_m))
+    pieces = [of.drift_percent for of in scores.lengths]
+    assert scores.drift_percent == pytest.approx(sum(x.mean * x.n for x in pieces) / sum(x.n for x in pieces))
+    still = replace(truth, p_world_imu=0.0 * truth.p_world_imu)
+    assert score(still, still).drift_percent is None
+
+
+def test_a_very_long_path_is_sampled_evenly(monkeypatch: pytest.MonkeyPatch) -> None:
+    truth = drive(4, 1000)
+    estimate = disturbed(truth, 5)
+    [whole] = errors_by_length(*arrays(truth, estimate), (50.0,))
+    monkeypatch.setattr("dronevio.eval.metrics.lengths._MOST", 200)
+    [sampled] = errors_by_length(*arrays(truth, estimate), (50.0,))
+    assert whole.translation_m.n > 900 and 150 < sampled.translation_m.n <= 200
+    assert sampled.translation_m.rmse == pytest.approx(whole.translation_m.rmse, rel=0.1)
+
+
+@settings(max_examples=30, deadline=None)
+@given(seeds, st.floats(0.5, 30.0))
+def test_consecutive_pairs_follow_one_another(seed: int, delta: float) -> None:
+    way = way_m(drive(seed, 120).p_world_imu * np.random.default_rng(seed).uniform(0.2, 3.0))
+    first, second = consecutive_pairs(way, delta)
+    np.testing.assert_array_equal(first[1:], second[:-1])
+    assert np.all(way[second] - way[first] >= delta)
+    assert np.all(way[second - 1] - way[first] < delta)  # and no later than need be
+    assert len(consecutive_pairs(way[:0], delta)[0]) == 0
+
+
+@pytest.mark.parametrize("block", [1, 300, 1 << 22])
+def test_pairs_after_turning_are_those_of_a_plain_search(block: int, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("dronevio.eval.metrics.pairs._BLOCK", block)
+    truth = drive(6, 80)
+    found = list(zip(*(rows.tolist() for rows in pairs_after_turning(truth.quat_wxyz, 0.3, 0.05)), strict=True))
+    R = truth.rotations
+    angles = np.arccos(np.clip(0.5 * (np.einsum("iab,jab->ij", R, R) - 1.0), -1.0, 1.0))
+    assert found == [(i, j) for i in range(80) for j in range(i + 1, 80) if abs(angles[i, j] - 0.3) <= 0.05]
+    assert len(found) > 50
+
+
+def test_pairs_by_seconds_of_a_slow_camera() -> None:
+    """KITTI's stamps are 103.7 ms apart: no pose is within 3 % of a second, the nearest is within half an interval."""
+    t_ns = 103_700_000 * np.arange(100)
+    first, second = PairRule().choose(t_ns, np.zeros((100, 3)), np.zeros((100, 4)))
+    assert len(first) == 90 and set((second - first).tolist()) == {10}
+    gap = np.concatenate([t_ns[:40], t_ns[60:]])  # none across it
+    first, second = PairRule().choose(gap, np.zeros((80, 3)), np.zeros((80, 4)))
+    assert np.all(np.abs(gap[second] - gap[first] - 10**9) <= 51_850_000)
+
+
+@pytest.mark.parametrize(
+    "wrong",
+    [
+        {"delta": 0.0},
+        {"delta": -1.0},
+        {"delta": 1.5, "unit": "frames"},
+        {"delta": 200.0, "unit": "deg"},
+        {"unit": "furlongs"},
+        {"which": "some"},
+        {"source": "both"},
+        {"tolerance": 1.0},
+        {"tolerance": float("nan")},
+    ],
+)
+def test_refuses_pairs_that_make_no_sense(wrong: dict[str, float]) -> None:
+    with pytest.raises(ConfigError, match="expected"):
+        PairRule(**wrong)  # type: ignore[arg-type]
+
+
+def matrices(trajectory: Trajectory) -> np.ndarray:
+    return pose_matrix(trajectory.rotations, trajectory.p_world_imu)[:, :3]
+
+
+@settings(max_examples=10, deadline=None)
+@given(st.floats(0.7, 1.4))
+def test_kitti_by_hand(scale: float) -> None:
+    """A straight road of 901 frames, 1 m apart: a wrong scale is an error of as many per cent, and of no angle."""
+    p = np.outer(np.arange(901.0), [0.0, 0.0, 1.0])
+    T = pose_matrix(np.tile(np.eye(3), (901, 1, 1)), p)[:, :3]
+    S = pose_matrix(np.tile(np.eye(3), (901, 1, 1)), scale * p)[:, :3]
+    found = kitti_scores(T, S)
+    # The first frame beyond the length is one more: 101 m for 100 m, so the error is by 1 % more, and so on.
+    beyond = {length: 100 * abs(scale - 1) * (length + 1) / length for length in range(100, 900, 100)}
+    for length, percent, deg in found.by_length:
+        assert percent == pytest.approx(beyond[round(length)], abs=1e-9) and deg == pytest.approx(0.0, abs=1e-5)
+    assert found.pieces == sum(1 + (899 - length) // 10 for length in range(100, 900, 100))
+    assert found.rpe_m == pytest.approx(abs(scale - 1), abs=1e-12)
+    assert kitti_scores(T, S, alignment="scale").ate_m == pytest.approx(0.0, abs=1e-9)
+    short = kitti_scores(T[:50], S[:50])
+    assert short.translation_percent is None and short.pieces == 0
+
+
+@settings(max_examples=10, deadline=None)
+@given(seeds)
+def test_kitti_agrees_with_exact_relative_errors(seed: int) -> None:
+    """Between the same frames; where matrices are exact and angles are not small."""
+    truth = drive(seed, 300)
+    estimate = disturbed(truth, seed + 1)
+    found = kitti_scores(matrices(truth), matrices(estimate), lengths_m=(100.0,))
+    way = way_m(truth.p_world_imu)
+    pairs = [(i, int(np.searchsorted(way, way[i] + 100.0, side="right"))) for i in range(0, 300, 10)]
+    i, j = np.array([pair for pair in pairs if pair[1] < 300]).T
+    metres, radians = relative_errors(*arrays(truth, estimate), (i, j))
+    assert found.pieces == len(i)
+    assert found.translation_percent == pytest.approx(metres.mean(), rel=1e-9)
+    assert found.rotation_deg_per_100_m == pytest.approx(np.degrees(radians).mean(), rel=1e-6)
+    moved = Alignment(exp_so3(np.array([0.1, -0.4, 2.0])), np.array([5.0, 6.0, 7.0])).apply(estimate)
+    other = kitti_scores(matrices(truth), matrices(moved), lengths_m=(100.0,))
+    assert other.ate_m == pytest.approx(found.ate_m, rel=1e-6)
+    assert other.translation_percent == pytest.approx(found.translation_percent, rel=1e-9)
+
+
+def test_kitti_with_frames_left_out() -> None:
+    truth = drive(7, 300)
+    estimate = disturbed(truth, 8)
+    frames = np.concatenate([np.arange(0, 50), np.arange(60, 300)])
+    found = kitti_scores(matrices(truth), matrices(estimate)[frames], frames, lengths_m=(100.0,))
+    whole = kitti_scores(matrices(truth), matrices(estimate), lengths_m=(100.0,))
+    assert 0 < found.pieces < whole.pieces
+    with pytest.raises(EvaluationError, match="expected two or more"):
+        kitti_scores(matrices(truth)[:100], matrices(estimate)[frames], frames)
+    with pytest.raises(ConfigError, match="expected one of first"):
+        kitti_scores(matrices(truth), matrices(estimate), alignment="yaw")  # type: ignore[arg-type]
+
+
+@settings(max_examples=30, deadline=None)
+@given(seeds)
+def test_quaternions_in_bulk_are_those_of_the_models(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    q, r = quat_wxyz_from_matrix(exp_so3(rng.normal(size=(2, 6, 3))))
+    fraction = rng.random(6)
+    ours = np.stack(slerp(components(q), components(-r), fraction), axis=-1)
+    theirs = slerp_quat_wxyz(q, r, fraction)
+    np.testing.assert_allclose(np.abs(np.sum(ours * theirs, axis=-1)), 1.0, atol=1e-12)
+    yaw, pitch, roll = euler_zyx_rad(components(3.0 * q))
+    zeros = np.zeros(6)
+    turns = [exp_so3(np.stack(v, axis=1)) for v in ([zeros, zeros, yaw], [zeros, pitch, zeros], [roll, zeros, zeros])]
+    whole = quat_wxyz_from_matrix(turns[0] @ turns[1] @ turns[2])
+    np.testing.assert_allclose(np.abs(np.sum(whole * q, axis=-1)), 1.0, atol=1e-9)
+    about_z = quat_wxyz_from_matrix(exp_so3(np.stack([zeros, zeros, yaw_rad(components(q))], axis=1)))
+    swing = quat_product_wxyz(about_z * [1, -1, -1, -1], q)
+    np.testing.assert_allclose(swing[:, 3], 0.0, atol=1e-9)  # what is left turns about a level axis
