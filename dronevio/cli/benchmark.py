@@ -104,7 +104,7 @@ def print_benchmark(rows: Sequence["Row"]) -> None:
     """Print estimator × scenario, and what failed."""
     from dronevio.eval.benchmark.summary import Spread, failures, groups
 
-    columns = (("ATE [m]", "ate_m"), ("RPE [m]", "rpe_m"), ("drift [%]", "drift_percent"))
+    columns = (("ATE [m]", "ate_m"), ("RPE 1 s [m]", "rpe_m"))
     cells = []
     for group in groups(rows):
         errors = [Spread.of(group.rows, column) for _, column in columns]
@@ -112,8 +112,8 @@ def print_benchmark(rows: Sequence["Row"]) -> None:
         figures = ["–" if spread is None else spread.text(len(group.rows) > 1) for spread in errors]
         ok = f"{group.ok}/{len(group.rows)}"
         cells.append((group.scenario, group.estimator, ok, *figures, "–" if cost is None else f"{cost.median:.1f}"))
-    headings = ("scenario", "estimator", "ok", *(heading for heading, _ in columns), "CPU [ms]")
-    print_table("Median and quartiles over seeds; a failed run counts as ∞. RPE over 1 s, CPU a frame", headings, cells)
+    headings = ("scenario", "estimator", "ok", *(heading for heading, _ in columns), "ms/frame")
+    print_table("Median and quartiles over seeds; a failed run counts as ∞", headings, cells)
     failed = failures(rows)
     if failed:
         print(f"{len(failed)} of {len(rows)} runs failed:")

@@ -1,0 +1,204 @@
+"""Comparing benchmarks: what stays when the two change places, and what a gate must not let pass."""
+
+import math
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import scipy.stats
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from dronevio.eval.benchmark.rows import Row
+from dronevio.eval.compare import Ratio, compare, gate, pair_up, ratio_of
+from dronevio.models.errors import ConfigError, EvaluationError
+
+FAILED = None
+
+errors = st.one_of(st.none(), st.floats(1e-4, 1e3))
+several = st.lists(st.tuples(errors, errors), min_size=1, max_size=12)
+
+
+def rows(values: Sequence[float | None], estimator: str = "vio", **others: object) -> list[Row]:
+    """A run for each error, of one seed each; None for one that failed."""
+    made = []
+    for seed, value in enumerate(values):
+        row = Row("room-v0", "room", seed, estimator, "c", "v", "ok", ate_m=value, rpe_m=value, coverage_percent=100.0)
+        if value is FAILED:
+            row = Row("room-v0", "room", seed, estimator, "c", "v", "crashed", reason="killed by SIGSEGV")
+        made.append(replace(row, **others))  # type: ignore[arg-type]
+    return made
+
+
+def ratio(first: Sequence[float | None], second: Sequence[float | None]) -> Ratio:
+    return ratio_of("ate_m", pair_up(rows(first), rows(second)))
+
+
+def passes(first: Sequence[float | None], second: Sequence[float | None], limit: float = 5.0) -> bool:
+    return gate(pair_up(rows(first), rows(second)), limit).passed
+
+
+@given(st.lists(errors, min_size=1, max_size=12), st.floats(0.0, 50.0))
+@settings(max_examples=30, deadline=None)
+def test_a_benchmark_passes_against_itself(values: list[float | None], limit: float) -> None:
+    verdict = gate(pair_up(rows(values), rows(values)), limit)
+    assert verdict.passed
+    for found in verdict.comparisons[0].ratios:
+        assert (found.median, found.low, found.high, found.p) == (1.0, 1.0, 1.0, 1.0)
+        assert found.verdict.endswith("is the same")
+
+
+@given(st.lists(st.floats(1e-4, 1e3), min_size=1, max_size=12))
+@settings(max_examples=30, deadline=None)
+def test_ten_percent_worse_fails_and_ten_percent_better_passes(values: list[float]) -> None:
+    worse = [1.1 * value for value in values]
+    assert not passes(values, worse)
+    assert passes(values, worse, limit=11.0)
+    assert passes(worse, values)
+    assert ratio(values, worse).median == pytest.approx(1.1)
+    assert ratio(values, worse).low == pytest.approx(1.1)
+
+
+@given(several)
+@settings(max_examples=60, deadline=None)
+def test_swapping_the_two_gives_the_reciprocal(pairs: list[tuple[float | None, float | None]]) -> None:
+    first, second = zip(*pairs, strict=True)
+    there, back = ratio(first, second), ratio(second, first)
+
+    def reciprocal(value: float) -> float:
+        return math.inf if value == 0.0 else 1.0 / value
+
+    assert back.median == pytest.approx(reciprocal(there.median), rel=1e-12)
+    assert (back.low, back.high) == pytest.approx((reciprocal(there.high), reciprocal(there.low)), rel=1e-12)
+    assert back.p == pytest.approx(there.p, rel=1e-12)
+    assert there.low <= there.median <= there.high
+    assert 0.0 < there.p <= 1.0
+
+
+@given(several, st.integers(0, 11))
+@settings(max_examples=40, deadline=None)
+def test_failing_never_helps(pairs: list[tuple[float | None, float | None]], which: int) -> None:
+    first, second = (list(values) for values in zip(*pairs, strict=True))
+    before = gate(pair_up(rows(first), rows(second)), 5.0)
+    second[which % len(second)] = FAILED
+    after = gate(pair_up(rows(first), rows(second)), 5.0)
+    assert after.comparisons[0].pairs == len(pairs)
+    assert after.comparisons[0].ratios[0].median >= before.comparisons[0].ratios[0].median
+    assert before.passed or not after.passed
+
+
+@pytest.mark.parametrize("count", [1, 2, 3, 10, 19])
+def test_one_failed_run_of_few_fails(count: int) -> None:
+    first = [0.1] * count
+    verdict = gate(pair_up(rows(first), rows([FAILED, *first[1:]])), 5.0)
+    assert not verdict.passed
+    assert any(f"1 of {count} runs failed, 0 before" in text for text in verdict.objections)
+    assert verdict.comparisons[0].newly_failed == ("room-v0, seed 0, vio: crashed, killed by SIGSEGV",)
+    assert passes([FAILED, *first[1:]], first)
+
+
+def test_one_failed_run_of_a_hundred_is_within_five_percent_but_not_within_half_a_percent() -> None:
+    first, second = [0.1] * 100, [FAILED, *[0.1] * 99]
+    assert passes(first, second)
+    assert not passes(first, second, limit=0.5)
+
+
+def test_a_failed_run_is_worse_than_any_number_and_two_are_alike() -> None:
+    assert ratio([0.1], [FAILED]).median == math.inf
+    assert ratio([FAILED], [1e9]).median == 0.0
+    assert ratio([FAILED], [FAILED]).median == 1.0
+    assert ratio([0.0], [0.0]).median == 1.0
+    assert ratio([0.0], [1e-9]).median == math.inf
+
+
+def test_a_figure_that_one_side_does_not_know_counts_as_worst_and_one_that_neither_knows_is_left_out() -> None:
+    first, second = rows([0.1, 0.1, 0.1]), rows([0.1, 0.1, 0.1])
+    second[0] = replace(second[0], rpe_m=None)
+    assert ratio_of("rpe_m", pair_up(first, second)).high == math.inf
+    first[0] = replace(first[0], rpe_m=None)
+    found = ratio_of("rpe_m", pair_up(first, second))
+    assert (found.pairs, found.unknown, found.median) == (2, 1, 1.0)
+    with pytest.raises(EvaluationError, match="velocity_m_s is known of no run"):
+        ratio_of("velocity_m_s", pair_up(first, second))
+
+
+def test_the_signed_rank_test_is_that_of_scipy() -> None:
+    rng = np.random.default_rng(3)
+    first = rng.uniform(0.05, 0.2, 25)
+    second = first * rng.lognormal(0.1, 0.2, 25)
+    expected = scipy.stats.wilcoxon(np.log(second / first)).pvalue
+    assert ratio(first.tolist(), second.tolist()).p == pytest.approx(expected, rel=1e-9)
+    tied = np.array([0.1, 0.2, 0.2, 0.0, -0.1, 0.3, 0.3, 0.3])
+    expected = scipy.stats.wilcoxon(tied, zero_method="zsplit", method=scipy.stats.PermutationMethod()).pvalue
+    assert ratio([1.0] * 8, np.exp(tied).tolist()).p == pytest.approx(expected, rel=1e-9)
+    many = rng.normal(0.1, 1.0, 400)
+    expected = scipy.stats.wilcoxon(many, method="asymptotic").pvalue
+    assert ratio([1.0] * 400, np.exp(many).tolist()).p == pytest.approx(expected, rel=1e-9)
+    assert ratio([1.0] * 6, [1.1] * 6).p == 2 / 2**6
+
+
+def test_the_interval_covers_the_true_median_about_as_often_as_it_says() -> None:
+    rng, covered, trials = np.random.default_rng(5), 0, 120
+    for _ in range(trials):
+        logs = rng.normal(0.1, 0.3, 20)
+        found = ratio([1.0] * 20, np.exp(logs).tolist())
+        covered += found.low <= math.exp(0.1) <= found.high
+    assert 0.88 <= covered / trials <= 1.0
+
+
+def test_the_bootstrap_is_seeded() -> None:
+    rng = np.random.default_rng(7)
+    pairs = pair_up(rows([1.0] * 9), rows(rng.lognormal(0.0, 0.5, 9).tolist()))
+    assert ratio_of("ate_m", pairs, seed=1) == ratio_of("ate_m", pairs, seed=1)
+
+
+def test_words() -> None:
+    rng = np.random.default_rng(11)
+    first = rng.uniform(0.05, 0.2, 12).tolist()
+    assert "ate_m 20.0 % larger, clearly worse" in ratio(first, [1.2 * v for v in first]).verdict
+    assert "ate_m 20.0 % smaller, clearly better" in ratio(first, [0.8 * v for v in first]).verdict
+    assert "too few to tell it from chance" in ratio(first[:5], [1.2 * v for v in first[:5]]).verdict
+    noise = ratio(first, [v * f for v, f in zip(first, rng.permutation([0.8, 1.25] * 6), strict=True)])
+    assert "no clear difference" in noise.verdict
+
+
+def test_lost_coverage_fails_though_what_is_left_is_accurate() -> None:
+    first, second = rows([0.1] * 4), rows([0.05] * 4, coverage_percent=60.0)
+    verdict = gate(pair_up(first, second), 5.0)
+    assert verdict.objections == ("vio: mean coverage 60.0 %, 100.0 % before",)
+
+
+def test_every_estimator_is_judged_by_itself() -> None:
+    first = rows([0.1] * 3) + rows([0.1] * 3, "other")
+    second = rows([0.05] * 3) + rows([0.2] * 3, "other")
+    verdict = gate(pair_up(first, second), 5.0)
+    assert [one.estimator for one in verdict.comparisons] == ["other", "vio"]
+    assert verdict.objections
+    assert all(text.startswith("other:") for text in verdict.objections)
+
+
+def test_missing_partners_are_an_error_unless_allowed() -> None:
+    first, second = rows([0.1] * 3), rows([0.1] * 5)
+    with pytest.raises(EvaluationError, match=r"2 runs without a partner: room-v0, seed 3, vio \(only in the second\)"):
+        pair_up(first, second)
+    assert len(pair_up(first, second, allow_missing=True)) == 3
+    with pytest.raises(EvaluationError, match="no run is in both"):
+        pair_up(first, rows([0.1], "other"), allow_missing=True)
+
+
+def test_the_sign_of_an_error_does_not_matter_and_other_recordings_are_told() -> None:
+    first = rows([0.1], scale_error_percent=-2.0, recording="a")
+    second = rows([0.1], scale_error_percent=3.0, recording="b")
+    (one,) = compare(pair_up(first, second), ["scale_error_percent"])
+    assert one.ratios[0].median == pytest.approx(1.5)
+    assert one.other_recordings == 1
+
+
+def test_nonsense_is_refused() -> None:
+    pairs = pair_up(rows([0.1]), rows([0.1]))
+    with pytest.raises(ConfigError, match="nees_position; expected some of ate_m"):
+        compare(pairs, ["nees_position"])
+    for limit in (-1.0, math.nan, math.inf):
+        with pytest.raises(ConfigError, match="expected zero or more"):
+            gate(pairs, limit)
