@@ -1,5 +1,6 @@
 """Tables of results as HTML, Markdown and LaTeX: the same cells in each, and nothing that a name could break."""
 
+import math
 import re
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -137,7 +138,9 @@ def _html_class(column: int, table: Table, cell: Cell | None = None) -> str:
 
 
 def _html_order(cell: Cell) -> str:
-    return "" if cell.order is None else f' data-order="{cell.order:.6g}"'
+    if cell.order is None:
+        return ""
+    return f' data-order="{cell.order:.6g}"' if math.isfinite(cell.order) else ' data-order="Infinity"'
 
 
 def _markdown(text: str) -> str:
