@@ -9,13 +9,13 @@ from dronevio.models.progress import Progress, silent
 from dronevio.models.recordings.euroc import write_euroc
 from dronevio.models.rig import Rig
 from dronevio.models.rigs import RIGS, rig_named
+from dronevio.sim.cameras.imaging import Imaging
 from dronevio.sim.flight import Flight, fly
-from dronevio.sim.imaging import Imaging
 from dronevio.sim.refly import FlownPath
-from dronevio.sim.render import render
-from dronevio.sim.render_job import RenderJob
+from dronevio.sim.rendering.render import render
+from dronevio.sim.rendering.render_job import RenderJob
+from dronevio.sim.rendering.truth_images import TruthImage
 from dronevio.sim.scenario import Scenario
-from dronevio.sim.truth_images import TruthImage
 
 SCENARIO_FILE = "scenario.json"
 """Beside ``mav0``: all settings of the flight."""
@@ -41,7 +41,7 @@ def record_flight(
 
     Raises:
         ConfigError: The scenario does not fit together.
-        GraphicsError: No off-screen OpenGL. `dronevio.sim.gl.require_gl` tells before anything is simulated.
+        GraphicsError: No off-screen OpenGL. `dronevio.sim.cameras.gl.require_gl` tells before anything is simulated.
         IncompleteError: The system refused something while frames were written; what is done stays.
     """
     flight = fly(scenario, simulating)

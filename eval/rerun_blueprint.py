@@ -55,7 +55,10 @@ def flight_blueprint(shown: Shown, points: Array) -> rrb.Blueprint:
     return rrb.Blueprint(
         rrb.Horizontal(
             rrb.Vertical(*left, row_shares=[2.2, 1.0][: len(left)]),
-            rrb.Vertical(*right, row_shares=[1.7 if shown.n_cameras == 1 else 1.0, 0.8, 1.5]),
+            rrb.Vertical(
+                *right,
+                row_shares=[1.0 if shown.n_cameras > 1 and (shown.alone or not shown.answers) else 1.7, 0.8, 1.5],
+            ),
             column_shares=[1.6, 1.0],
         ),
         rrb.BlueprintPanel(state="collapsed"),
@@ -71,7 +74,7 @@ def _world(shown: Shown, points: Array) -> rrb.Spatial3DView:
     beginning, end = rrb.TimeRangeBoundary.infinite(), rrb.TimeRangeBoundary.infinite()
     so_far = rrb.VisibleTimeRanges(timeline=TIMELINE, start=beginning, end=rrb.TimeRangeBoundary.cursor_relative())
     always = rrb.VisibleTimeRanges(timeline=TIMELINE, start=beginning, end=end)
-    title = "World: estimate laid on the truth" if shown.alone else "World: estimates laid on the truth (green)"
+    title = "World: estimate laid on the truth" if shown.alone else "World: estimates laid on the truth (white)"
     return rrb.Spatial3DView(
         origin="world",
         name=title if shown.truth_is_known else "World of the estimator",
@@ -112,7 +115,7 @@ def _images(shown: Shown) -> rrb.Container | rrb.View:
         title = "Camera, and tracks from new (blue) to old (yellow)" if not others else "Camera 0, tracks by age"
         return _side_by_side([_image(0, title, shown.estimates[0]), *others])
     followed = [_image(0, f"Tracks of {n}", e) for n, e in zip(shown.names, shown.estimates, strict=True)]
-    return _side_by_side([rrb.Tabs(*followed, active_tab=0), *others])
+    return rrb.Tabs(*followed, *others, active_tab=0)
 
 
 def _image(index: int, name: str, estimate: EstimateEntities | None = None) -> rrb.Spatial2DView:

@@ -35,6 +35,8 @@ KEYFRAME = "keyframe"
 """The event of an estimate that a later one may refer to."""
 _LOOP = re.compile(r"loop closed(?: with (\d+))?")
 """The event of a place that was known again, with the time stamp [ns] at which it had been seen."""
+WHOLE_RADIUS, FLOWN_RADIUS = rr.Radius.ui_points(0.8), rr.Radius.ui_points(1.8)
+"""How thick paths are on the screen, whatever the size of the world."""
 _SIGMAS = 3.0
 _DEGREES = 180.0 / np.pi
 _GOOD = (Health.INITIALISING, Health.TRACKING)
@@ -71,7 +73,9 @@ def tied_to(truth: Trajectory | None) -> Gauge:
 class EstimateLog:
     """Logs one estimator."""
 
-    def __init__(self, sink: Sink, name: str, colour: str, gauge: Gauge, alone: bool = True) -> None:
+    def __init__(
+        self, sink: Sink, name: str, colour: str, gauge: Gauge, *, alone: bool = True, axis_m: float = 0.35
+    ) -> None:
         """Say how the estimator is drawn.
 
         Args:
@@ -80,6 +84,7 @@ class EstimateLog:
             colour: Its path and its curves.
             gauge: Lays its world into the one that is shown.
             alone: No other is in the recording: its curves are called by what they show, not by its name.
+            axis_m: Length of the axes that stand for the IMU [m].
         """
         self._sink = sink
         self._at = EstimateEntities(name)
@@ -93,14 +98,14 @@ class EstimateLog:
         self._t_ns: list[Times] = []
         self._p: list[Array] = []
         self._errors_are_drawn = False
-        self._draw()
+        self._draw(axis_m)
 
-    def _draw(self) -> None:
+    def _draw(self, axis_m: float) -> None:
         """Log how everything looks."""
         name, alone = self._name, self._alone
         static, at, rgb = self._sink.static, self._at, palette.rgb(self._colour)
-        static(at.flown, rr.LineStrips3D.from_fields(colors=rgb, radii=0.022))
-        static(at.body, rr.TransformAxes3D(0.35))
+        static(at.flown, rr.LineStrips3D.from_fields(colors=rgb, radii=FLOWN_RADIUS))
+        static(at.body, rr.TransformAxes3D(axis_m))
         static(at.covariance, rr.Ellipsoids3D.from_fields(colors=rgb, line_radii=rr.Radius.ui_points(0.6)))
         static(at.keyframes, rr.Points3D.from_fields(colors=rgb, radii=rr.Radius.ui_points(2.5)))
         static(at.loops, rr.LineStrips3D.from_fields(colors=palette.rgb(palette.MAP), radii=rr.Radius.ui_points(1.2)))
@@ -121,7 +126,7 @@ class EstimateLog:
         if len(trajectory) > 1:
             p = self._into_view(trajectory).p_world_imu.astype(np.float32)
             colour = [*palette.rgb(self._colour), 150]
-            self._sink.static(self._at.whole, rr.LineStrips3D([p], colors=colour, radii=0.010))
+            self._sink.static(self._at.whole, rr.LineStrips3D([p], colors=colour, radii=WHOLE_RADIUS))
 
     def poses(self, trajectory: Trajectory) -> Trajectory:
         """Log the next N poses, and what comes with them: covariances, velocities, biases; return them as shown."""

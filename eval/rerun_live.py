@@ -13,8 +13,9 @@ from dronevio.eval import palette
 from dronevio.eval.rerun_blueprint import Shown, flight_blueprint
 from dronevio.eval.rerun_estimate import EstimateLog, tied_to
 from dronevio.eval.rerun_images import JpegLog
-from dronevio.eval.rerun_log import NOTHING_KNOWN, RerunLog, Surroundings, first_ns
+from dronevio.eval.rerun_log import RerunLog, first_ns, places_of
 from dronevio.eval.rerun_sink import Sink
+from dronevio.eval.rerun_surroundings import NOTHING_KNOWN, Surroundings
 from dronevio.models.imu import ImuSamples
 from dronevio.models.protocols import Recording
 from dronevio.models.state import CameraFrame, Estimate, Trajectory
@@ -83,16 +84,18 @@ def watched(
     """
     truth = recording.ground_truth
     shown = Shown((name,), len(recording.rig.cameras), truth is not None)
-    places = [surroundings.outline.reshape(-1, 3), *([] if truth is None else [truth.p_world_imu])]
-    blueprint = flight_blueprint(shown, np.concatenate(places))
+    places = places_of(surroundings, [] if truth is None else [truth])
+    blueprint = flight_blueprint(shown, places)
     batch = max(1, round(CHUNK_S * recording.rig.cameras[0].rate_hz))
     with (
         Sink.to_viewer(url, recording.name, blueprint, first_ns(recording)) as sink,
-        RerunLog(sink, recording.rig, lambda sink, entity, _: JpegLog(sink, entity, batch)) as log,
+        RerunLog(sink, recording.rig, lambda sink, entity, _: JpegLog(sink, entity, batch), places) as log,
     ):
         log.surroundings(surroundings, recording.frame_times_ns)
         if truth is not None:
             log.truth(truth, recording.frame_times_ns)
         live = LiveLog(log, log.estimator(name, palette.ESTIMATE, tied_to(truth)), truth)
-        yield live
-        live.flush()
+        try:
+            yield live
+        finally:
+            live.flush()

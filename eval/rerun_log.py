@@ -6,7 +6,6 @@ estimators beside each other.
 """
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
 from pathlib import Path
 from types import TracebackType
 from typing import Self
@@ -20,9 +19,10 @@ from dronevio.eval import rerun_entities as at
 from dronevio.eval.metrics import IDENTITY, Alignment, ScoredTrajectory, interpolate
 from dronevio.eval.rerun_blueprint import Shown, flight_blueprint
 from dronevio.eval.rerun_compare import NamedEstimate, summary_table
-from dronevio.eval.rerun_estimate import EstimateLog, Gauge
+from dronevio.eval.rerun_estimate import FLOWN_RADIUS, WHOLE_RADIUS, EstimateLog, Gauge
 from dronevio.eval.rerun_images import ImageLog, VideoLog
 from dronevio.eval.rerun_sink import Sink
+from dronevio.eval.rerun_surroundings import NOTHING_KNOWN, Surroundings
 from dronevio.eval.runs import EstimatorRun
 from dronevio.eval.video import VideoSettings
 from dronevio.models.imu import ImuSamples, Times
@@ -35,44 +35,28 @@ Array = npt.NDArray[np.float64]
 Cameras = Callable[[Sink, str, float], ImageLog]
 """Makes the log of a camera's images from sink, entity and frame rate [Hz]."""
 
-IMAGE_PLANE_M = 0.6  # how far before the camera its image hangs in the 3D view
+_IMAGE_PLANE = 0.06  # how far before the camera its image hangs in the 3D view, as a share of what is seen there
+_IMAGE_PLANE_M = (0.1, 10.0)  # and at least and at most [m]
+_AXIS = 0.6  # length of the estimated IMU's axes, as a share of that
+_TRUTH_AMONG_MANY = "#f2f2f2"  # the estimators have all colours
 _DRAWN_POINTS = 1500  # of a whole path: the truth comes at 200 Hz, more than the eye needs
-
-
-@dataclass(frozen=True, eq=False)
-class MovingBox:
-    """Something that moves by itself, as large as a box."""
-
-    name: str
-    """What it is called."""
-    low: Array
-    """(3,) Least corner in its own frame [m]."""
-    high: Array
-    """(3,) Greatest corner in its own frame [m]."""
-    poses: Callable[[Array], Array]
-    """Maps times (M,) since the start of the flight [s] to poses (M, 4, 4) in the world."""
-
-
-@dataclass(frozen=True, eq=False)
-class Surroundings:
-    """What stands and moves around the drone."""
-
-    outline: Array
-    """(L, 2, 3) Line segments [m], in the truth's world."""
-    movers: tuple[MovingBox, ...] = ()
-    """What moves."""
-
-
-NOTHING_KNOWN = Surroundings(np.zeros((0, 2, 3)))
-"""The surroundings of a flight of which nobody wrote them down."""
 
 
 class RerunLog:
     """Writes a flight to a sink; leaving its context hands over what is not yet written."""
 
-    def __init__(self, sink: Sink, rig: Rig, cameras: Cameras) -> None:
-        """Take where to write, what the drone carries, and how images are encoded."""
+    def __init__(self, sink: Sink, rig: Rig, cameras: Cameras, points: Array) -> None:
+        """Start the recording of a flight.
+
+        Args:
+            sink: Where to write.
+            rig: What the drone carries.
+            cameras: How images are encoded.
+            points: (N, 3) Places that the view shall show [m]: the drone is drawn as large as suits them.
+        """
         self._sink = sink
+        across_m = float(np.linalg.norm(np.ptp(points, axis=0))) if len(points) else 0.0
+        self._image_plane_m = float(np.clip(_IMAGE_PLANE * across_m, *_IMAGE_PLANE_M))
         self._images = [cameras(sink, at.image(i), camera.rate_hz) for i, camera in enumerate(rig.cameras)]
         sink.static("world", rr.ViewCoordinates.RIGHT_HAND_Z_UP)
         for entity, label in ((at.GYRO, "rad/s"), (at.ACCEL, "m/s²")):
@@ -93,28 +77,28 @@ class RerunLog:
         if len(surroundings.outline):
             colour = [*palette.rgb(palette.ROOM), 150]
             strips = surroundings.outline.astype(np.float32)
-            self._sink.static(at.ROOM, rr.LineStrips3D(strips, colors=colour, radii=0.006))
+            self._sink.static(at.ROOM, rr.LineStrips3D(strips, colors=colour, radii=rr.Radius.ui_points(0.5)))
         for mover in surroundings.movers:
             entity = f"{at.MOVERS}/{rr.escape_entity_path_part(mover.name)}"
             box = rr.Boxes3D(mins=[mover.low], sizes=[mover.high - mover.low], colors=palette.rgb(palette.ROOM))
             self._sink.static(entity, box)
             self._sink.poses(entity, times_ns, mover.poses(np.asarray((times_ns - times_ns[:1]) * 1e-9)))
 
-    def truth(self, truth: Trajectory, frame_times_ns: Times) -> None:
+    def truth(self, truth: Trajectory, frame_times_ns: Times, colour: str = palette.TRUTH) -> None:
         """Log the true path, faintly as a whole and brightly as far as it has been flown, speed and biases.
 
         The rig is shown where it truly was at the frames' times (M,) [ns].
         """
         drawn = truth[:: max(1, len(truth) // _DRAWN_POINTS)]
-        t_ns, p, colour = drawn.t_ns, drawn.p_world_imu, palette.rgb(palette.TRUTH)
+        t_ns, p, rgb = drawn.t_ns, drawn.p_world_imu, palette.rgb(colour)
         if len(p) > 1:
-            whole = rr.LineStrips3D([p.astype(np.float32)], colors=[*colour, 150], radii=0.010)
+            whole = rr.LineStrips3D([p.astype(np.float32)], colors=[*rgb, 150], radii=WHOLE_RADIUS)
             self._sink.static(at.TRUE_WHOLE, whole)
-            self._sink.static(at.TRUE_FLOWN, rr.LineStrips3D.from_fields(colors=colour, radii=0.022))
+            self._sink.static(at.TRUE_FLOWN, rr.LineStrips3D.from_fields(colors=rgb, radii=FLOWN_RADIUS))
             self._sink.segments(at.TRUE_FLOWN, t_ns[1:], p[:-1], p[1:])
         self.rig_poses(interpolate(truth, frame_times_ns)[0])
         if truth.velocity_m_s is not None:
-            self._sink.lines(f"{at.SPEED}/true", ["true"], [palette.TRUTH])
+            self._sink.lines(f"{at.SPEED}/true", ["true"], [colour])
             self._sink.values(f"{at.SPEED}/true", truth.t_ns, np.linalg.norm(truth.velocity_m_s, axis=1))
         for entity, bias in ((at.GYRO_BIAS, truth.gyro_bias_rad_s), (at.ACCEL_BIAS, truth.accel_bias_m_s2)):
             if bias is not None:
@@ -137,7 +121,7 @@ class RerunLog:
 
     def estimator(self, name: str, colour: str, gauge: Gauge, alone: bool = True) -> EstimateLog:
         """Return the log of an estimator; see `EstimateLog`."""
-        return EstimateLog(self._sink, name, colour, gauge, alone)
+        return EstimateLog(self._sink, name, colour, gauge, alone=alone, axis_m=_AXIS * self._image_plane_m)
 
     def summary(self, markdown: str) -> None:
         """Log what is to be said about the whole recording."""
@@ -154,9 +138,9 @@ class RerunLog:
                     image_from_camera=camera.model.K,
                     resolution=[camera.model.width, camera.model.height],
                     camera_xyz=rr.ViewCoordinates.RDF,
-                    image_plane_distance=IMAGE_PLANE_M,
+                    image_plane_distance=self._image_plane_m,
                     color=palette.rgb(palette.TRUTH),
-                    line_width=0.008,
+                    line_width=-0.8,  # in points of the screen, since it is negative,
                 ),
             )
 
@@ -168,8 +152,7 @@ def write_rrd(
     scored: ScoredTrajectory | None,
     *,
     name: str | None = None,
-    outline: Array | None = None,
-    movers: tuple[MovingBox, ...] = (),
+    surroundings: Surroundings = NOTHING_KNOWN,
     progress: Progress = silent,
     video: VideoSettings | None = None,
 ) -> None:
@@ -182,8 +165,7 @@ def write_rrd(
         scored: The run's trajectory beside the truth; None where there is no truth. The estimated path and map are
             shown in the truth's world, by the alignment that was scored.
         name: What the viewer shall call it; the recording's name by default.
-        outline: (L, 2, 3) Line segments of the surroundings [m], in the truth's world.
-        movers: What moves by itself.
+        surroundings: What stands and moves around.
         progress: Told how many frames are encoded.
         video: Size and quality of the video.
 
@@ -194,14 +176,13 @@ def write_rrd(
     run.check_belongs_to(recording)
     alignment = IDENTITY if scored is None else scored.alignment
     estimate = NamedEstimate("estimate", run.trajectory, alignment, scored, run)
-    around = Surroundings(np.zeros((0, 2, 3)) if outline is None else outline, movers)
     write_estimates(
         path,
         recording,
         recording.ground_truth,
         [estimate],
         name=name,
-        surroundings=around,
+        surroundings=surroundings,
         progress=progress,
         video=video,
     )
@@ -242,15 +223,17 @@ def write_estimates(
         truth_is_known=truth is not None,
         answers=any(estimate.run is not None for estimate in estimates),
     )
-    places = [surroundings.outline.reshape(-1, 3), *(t.p_world_imu for t in [*aligned, *([truth] if truth else [])])]
-    blueprint = flight_blueprint(shown, np.concatenate(places))
+    places = places_of(surroundings, [*aligned, *([] if truth is None else [truth])])
+    blueprint = flight_blueprint(shown, places)
     with (
         Sink.to_file(path, name or recording.name, blueprint, first_ns(recording)) as sink,
-        RerunLog(sink, recording.rig, lambda sink, entity, rate_hz: VideoLog(sink, entity, rate_hz, settings)) as log,
+        RerunLog(
+            sink, recording.rig, lambda sink, entity, rate_hz: VideoLog(sink, entity, rate_hz, settings), places
+        ) as log,
     ):
         log.surroundings(surroundings, frame_times_ns)
         if truth is not None:
-            log.truth(truth, frame_times_ns)
+            log.truth(truth, frame_times_ns, palette.TRUTH if alone else _TRUTH_AMONG_MANY)
         elif aligned:
             log.rig_poses(interpolate(aligned[0], frame_times_ns)[0])
         log.imu(recording.imu)
@@ -277,6 +260,16 @@ def _log_estimate(log: EstimateLog, estimate: NamedEstimate) -> None:
 
 def _fixed(alignment: Alignment) -> Gauge:
     return lambda _: alignment
+
+
+def places_of(surroundings: Surroundings, paths: Sequence[Trajectory]) -> Array:
+    """Return places (N, 3) between which everything lies [m], with room for the drone around its paths."""
+    flown = np.concatenate([np.zeros((0, 3)), *(path.p_world_imu for path in paths)])
+    if len(flown):
+        reach_m = _IMAGE_PLANE * np.linalg.norm(np.ptp(flown, axis=0))
+        low, high = flown.min(axis=0) - reach_m, flown.max(axis=0) + reach_m
+        flown = np.stack(np.meshgrid(*zip(low, high, strict=True)), axis=-1).reshape(-1, 3)
+    return np.concatenate([surroundings.outline.reshape(-1, 3), flown])
 
 
 def first_ns(recording: Recording) -> int:

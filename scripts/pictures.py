@@ -23,10 +23,10 @@ from dronevio.cli import main
 from dronevio.cli.view import HOST, free_port, viewer_program
 from dronevio.models.recordings.tum import read_tum
 from dronevio.models.rotation import inverse_pose
-from dronevio.sim.contact_sheet import contact_sheet, sheet_of_worlds
 from dronevio.sim.onlooker import Onlooker
 from dronevio.sim.scenarios import scenario
 from dronevio.sim.world import build_world
+from dronevio.sim.worlds.contact_sheet import contact_sheet, sheet_of_worlds
 
 Picture = npt.NDArray[np.uint8]
 

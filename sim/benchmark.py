@@ -8,7 +8,7 @@ from dronevio.models.camera import CameraModel
 from dronevio.models.figure import Figure
 from dronevio.models.progress import Progress, silent
 from dronevio.models.rotation import exp_so3, pose_matrix
-from dronevio.sim.camera_cost import camera_cost
+from dronevio.sim.cameras.camera_cost import camera_cost
 from dronevio.sim.flight import fly
 from dronevio.sim.scenario import Scenario
 from dronevio.sim.world import World

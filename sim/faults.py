@@ -9,7 +9,7 @@ from dronevio.models.errors import ConfigError
 from dronevio.models.imu import ImuModel
 from dronevio.models.rig import Rig
 from dronevio.models.rotation import exp_so3, pose_matrix
-from dronevio.sim.rotors import MotorFailure
+from dronevio.sim.physics.rotors import MotorFailure
 
 Array = npt.NDArray[np.float64]
 

@@ -10,15 +10,15 @@ from dronevio.models.progress import Progress, silent
 from dronevio.models.rig import Rig
 from dronevio.models.rotation import pose_matrix
 from dronevio.models.state import Trajectory
-from dronevio.sim.collisions import Collision
-from dronevio.sim.controller import SE3Controller
-from dronevio.sim.imu import ImuErrors
-from dronevio.sim.interpolation import interpolated_poses
-from dronevio.sim.path import Reference, attitude, plan_reference
-from dronevio.sim.plant import QuadrotorPlant
+from dronevio.sim.cameras.interpolation import interpolated_poses
+from dronevio.sim.cameras.schedule import FrameSchedule, beat, schedule_frames
+from dronevio.sim.inertial.imu import ImuErrors
+from dronevio.sim.inertial.vibration import RotorTones
+from dronevio.sim.paths.path import Reference, attitude, plan_reference
+from dronevio.sim.physics.collisions import Collision
+from dronevio.sim.physics.controller import SE3Controller
+from dronevio.sim.physics.plant import QuadrotorPlant
 from dronevio.sim.scenario import Scenario
-from dronevio.sim.schedule import FrameSchedule, beat, schedule_frames
-from dronevio.sim.vibration import RotorTones
 from dronevio.sim.world import place_of, touched_of
 
 Array = npt.NDArray[np.float64]

@@ -8,8 +8,8 @@ from dronevio.models.errors import GraphicsError
 from dronevio.models.quadrotor import Quadrotor
 from dronevio.models.rig import Rig
 from dronevio.models.rotation import quat_wxyz_from_matrix
-from dronevio.sim.gl import Context, create_context
-from dronevio.sim.vehicle import quadrotor_spec
+from dronevio.sim.cameras.gl import Context, create_context
+from dronevio.sim.physics.vehicle import quadrotor_spec
 from dronevio.sim.world import World
 
 Array = npt.NDArray[np.float64]

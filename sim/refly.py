@@ -14,10 +14,10 @@ from dronevio.models.errors import ConfigError
 from dronevio.models.imu import ImuSamples, Times
 from dronevio.models.rig import Rig
 from dronevio.models.state import Trajectory
-from dronevio.sim.imu import ImuErrors
-from dronevio.sim.placement import place_path
-from dronevio.sim.schedule import FrameSchedule, schedule_frames
-from dronevio.sim.spline import SmoothMotion
+from dronevio.sim.cameras.schedule import FrameSchedule, schedule_frames
+from dronevio.sim.inertial.imu import ImuErrors
+from dronevio.sim.paths.placement import place_path
+from dronevio.sim.paths.spline import SmoothMotion
 from dronevio.sim.streams import generator
 from dronevio.sim.world import place_of
 

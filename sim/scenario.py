@@ -6,11 +6,11 @@ import numpy as np
 
 from dronevio.models.quadrotor import Quadrotor
 from dronevio.models.rig import Rig, euroc_rig
+from dronevio.sim.cameras.imaging import Imaging
 from dronevio.sim.faults import Faults
-from dronevio.sim.imaging import Imaging
-from dronevio.sim.plan import FlightPlan
+from dronevio.sim.paths.plan import FlightPlan
+from dronevio.sim.physics.wind import CALM, Wind
 from dronevio.sim.streams import Stream, generator
-from dronevio.sim.wind import CALM, Wind
 
 
 @dataclass(frozen=True)

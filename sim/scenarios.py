@@ -10,10 +10,10 @@ from dataclasses import replace
 from dronevio.models.errors import ConfigError
 from dronevio.models.quadrotor import NANO
 from dronevio.models.rigs import rig_named
+from dronevio.sim.cameras.imaging import AutoExposure, Imaging
 from dronevio.sim.faults import Faults
-from dronevio.sim.imaging import AutoExposure, Imaging
-from dronevio.sim.limits import LIMITS
-from dronevio.sim.plan import FlightPlan
+from dronevio.sim.paths.limits import LIMITS
+from dronevio.sim.paths.plan import FlightPlan
 from dronevio.sim.scenario import Scenario
 
 _TOUR = (

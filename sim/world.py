@@ -8,18 +8,18 @@ import numpy as np
 import numpy.typing as npt
 
 from dronevio.models.errors import ConfigError
-from dronevio.sim.assembly import Looks, add_touched, assembled, outline_of, space_of
-from dronevio.sim.layout import Layout, Poses, WorldBuilder
-from dronevio.sim.lightmap import bake, daylight
-from dronevio.sim.scenery import paint_pages, painted
-from dronevio.sim.solids import visible_faces
-from dronevio.sim.space import Place, Space
+from dronevio.sim.looks.lightmap import bake, daylight
+from dronevio.sim.looks.scenery import paint_pages, painted
+from dronevio.sim.looks.solids import visible_faces
+from dronevio.sim.paths.space import Place, Space
 from dronevio.sim.streams import generator
+from dronevio.sim.worlds.assembly import Looks, add_touched, assembled, outline_of, space_of
 from dronevio.sim.worlds.corridor import CORRIDOR
 from dronevio.sim.worlds.dark import DARK
 from dronevio.sim.worlds.forest import FOREST
 from dronevio.sim.worlds.gates import GATES
 from dronevio.sim.worlds.hall import HALL
+from dronevio.sim.worlds.layout import Layout, Poses, WorldBuilder
 from dronevio.sim.worlds.low_texture import LOW_TEXTURE
 from dronevio.sim.worlds.mirror import MIRROR
 from dronevio.sim.worlds.moving import MOVING

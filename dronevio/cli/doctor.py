@@ -34,7 +34,7 @@ def main(arguments: Sequence[str]) -> int:
     """Run the command."""
     command = parse(DoctorCommand, arguments, "doctor")
 
-    from dronevio.sim.gl import probe_gl
+    from dronevio.sim.cameras.gl import probe_gl
 
     gl = probe_gl()
     findings = {

@@ -13,11 +13,11 @@ import tyro
 
 from dronevio.cli.terminal import parse
 from dronevio.sim.faults import Faults
-from dronevio.sim.plan import FlightPlan
-from dronevio.sim.wind import Wind
+from dronevio.sim.paths.plan import FlightPlan
+from dronevio.sim.physics.wind import Wind
 
 if TYPE_CHECKING:
-    from dronevio.sim.imaging import Imaging
+    from dronevio.sim.cameras.imaging import Imaging
     from dronevio.sim.scenario import Scenario
 
 DEFAULT_SCENARIO = "room"
@@ -42,14 +42,14 @@ class ImagingOptions:
     @classmethod
     def of(cls, imaging: "Imaging") -> Self:
         """Return the options that describe a scenario's imaging."""
-        from dronevio.sim.imaging import AutoExposure
+        from dronevio.sim.cameras.imaging import AutoExposure
 
         automatic = isinstance(imaging.control, AutoExposure)
         return cls(imaging.control.longest_s, automatic, imaging.read_sigma, imaging.shot_sigma, imaging.vignetting)
 
     def imaging(self, scenarios_own: "Imaging") -> "Imaging":
         """Return a scenario's imaging with these options."""
-        from dronevio.sim.imaging import AutoExposure, FixedExposure
+        from dronevio.sim.cameras.imaging import AutoExposure, FixedExposure
 
         control = scenarios_own.control
         if self != ImagingOptions.of(scenarios_own):

@@ -46,7 +46,7 @@ def main(arguments: Sequence[str]) -> int:
 
     from dronevio.cli.folders import atomic_folder, size_mb
     from dronevio.flying import record_flight
-    from dronevio.sim.gl import require_gl
+    from dronevio.sim.cameras.gl import require_gl
 
     chosen = command.flight.chosen()
     target = command.out or Path("recordings") / f"{chosen.name}-{chosen.seed}"

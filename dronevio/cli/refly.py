@@ -56,7 +56,7 @@ def main(arguments: Sequence[str]) -> int:
     from dronevio.flying import record_refly, rig_of
     from dronevio.models.recordings.euroc import read_imu
     from dronevio.models.recordings.tum import read_trajectory
-    from dronevio.sim.gl import require_gl
+    from dronevio.sim.cameras.gl import require_gl
     from dronevio.sim.refly import cut, refly
 
     path = cut(read_trajectory(command.trajectory), command.start_s, command.duration_s)

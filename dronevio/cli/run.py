@@ -3,7 +3,8 @@
 import json
 import shlex
 import shutil
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager, nullcontext
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -13,6 +14,9 @@ from dronevio.cli.terminal import Bars, print_json, print_table, progress_bars
 from dronevio.estimator.vio import VioConfig
 
 if TYPE_CHECKING:
+    from dronevio.estimation import Watcher
+    from dronevio.eval.rerun_surroundings import Surroundings
+    from dronevio.models.protocols import Recording
     from dronevio.sim.scenario import Scenario
 
 
@@ -28,6 +32,7 @@ class RunCommand:
       dronevio run --seed 3 --out runs/third
       dronevio run --scenario hover --keep-recording
       dronevio run --estimator.smoother.lag-s 8
+      dronevio run --live
       dronevio run --json > result.json
     """
 
@@ -39,6 +44,9 @@ class RunCommand:
     """Replace an earlier run, once the new one is complete."""
     keep_recording: bool = False
     """Keep the frames too, as an EuRoC folder named recording."""
+    live: bool = False
+    """Show what the estimator sees and says while it runs, to this machine only: in a window where there is a display,
+    else in your browser. It ends with the run; `dronevio view` shows more."""
     json: bool = False
     """Print one JSON document instead of a table."""
     estimator: VioConfig = field(default_factory=VioConfig)
@@ -50,7 +58,7 @@ def main(arguments: Sequence[str]) -> int:
     command = parse_flight(RunCommand, arguments, "run")
 
     from dronevio.cli.folders import atomic_folder, free_name
-    from dronevio.sim.gl import require_gl
+    from dronevio.sim.cameras.gl import require_gl
 
     chosen = command.flight.chosen()
     target = command.out or free_name(Path("runs") / f"{chosen.name}-{chosen.seed}")
@@ -59,7 +67,7 @@ def main(arguments: Sequence[str]) -> int:
         atomic_folder(target, command.overwrite, mark="report.json") as folder,
         progress_bars(quiet=command.json) as bars,
     ):
-        _carry_out(chosen, command.estimator, folder, target, _repeat(chosen, arguments), bars)
+        _carry_out(chosen, command, folder, target, _repeat(chosen, arguments), bars)
         if not command.keep_recording:
             shutil.rmtree(folder / "recording")
     report = json.loads((target / "report.json").read_text(encoding="utf-8"))
@@ -72,15 +80,16 @@ def main(arguments: Sequence[str]) -> int:
     return 0
 
 
-def _carry_out(scenario: "Scenario", config: VioConfig, folder: Path, target: Path, repeat: str, bars: Bars) -> None:
+def _carry_out(scenario: "Scenario", command: RunCommand, folder: Path, target: Path, repeat: str, bars: Bars) -> None:
     """Fly, estimate, score and log a scenario; everything that is left of it lies in ``folder``."""
     from dronevio import __version__
-    from dronevio.estimation import estimate_recording, require_poses
+    from dronevio.estimation import NOBODY, estimate_recording, require_poses
     from dronevio.estimator.vio import VisualInertialOdometry
     from dronevio.eval.metrics.scores import score_trajectory
     from dronevio.eval.provenance import RunInfo
     from dronevio.eval.report import write_report
     from dronevio.eval.rerun_log import write_rrd
+    from dronevio.eval.rerun_surroundings import surroundings_of
     from dronevio.flying import record_flight
     from dronevio.models.configuration import to_plain
     from dronevio.models.recordings.euroc import EurocRecording
@@ -91,7 +100,10 @@ def _carry_out(scenario: "Scenario", config: VioConfig, folder: Path, target: Pa
     record_flight(scenario, folder / "recording", listeners["simulating"], listeners["rendering"])
     name = f"{scenario.name}, seed {scenario.seed}"
     recording = replace(EurocRecording.open(folder / "recording"), name=name)
-    run = estimate_recording(recording, VisualInertialOdometry(recording.rig, config), listeners["estimating"])
+    surroundings = surroundings_of(build_world(scenario.world, scenario.seed))
+    estimator = VisualInertialOdometry(recording.rig, command.estimator)
+    with _watcher(recording, surroundings) if command.live else nullcontext(NOBODY) as watcher:
+        run = estimate_recording(recording, estimator, listeners["estimating"], watcher)
     trajectory = require_poses(run, recording)
     truth = recording.ground_truth
     assert truth is not None
@@ -100,9 +112,8 @@ def _carry_out(scenario: "Scenario", config: VioConfig, folder: Path, target: Pa
     write_tum(folder / "groundtruth.tum", truth)
     write_tum(folder / "estimate.tum", trajectory)
     shutil.copyfile(folder / "recording" / "mav0" / "imu0" / "data.csv", folder / "imu.csv")
-    configuration = {"dronevio": __version__, "scenario": to_plain(scenario), "estimator": to_plain(config)}
+    configuration = {"dronevio": __version__, "scenario": to_plain(scenario), "estimator": to_plain(command.estimator)}
     (folder / "configuration.json").write_text(json.dumps(configuration, indent=2) + "\n", encoding="utf-8")
-    outline = build_world(scenario.world, scenario.seed).outline
     info = RunInfo(
         title=f"{scenario.name}: {scenario.description}",
         command=repeat,
@@ -110,8 +121,18 @@ def _carry_out(scenario: "Scenario", config: VioConfig, folder: Path, target: Pa
         seed=scenario.seed,
         configuration=configuration,
     )
-    write_rrd(folder / "run.rrd", recording, run, scored, outline=outline, progress=listeners["logging"])
-    write_report(folder, info, recording, run, scored, outline=outline)
+    write_rrd(folder / "run.rrd", recording, run, scored, surroundings=surroundings, progress=listeners["logging"])
+    write_report(folder, info, recording, run, scored, outline=surroundings.outline)
+
+
+@contextmanager
+def _watcher(recording: "Recording", surroundings: "Surroundings") -> Iterator["Watcher"]:
+    """Show a viewer that watches the estimator as long as the context lasts."""
+    from dronevio.cli.view import viewer_beside
+    from dronevio.eval.rerun_live import watched
+
+    with viewer_beside() as address, watched(address, recording, surroundings) as live:
+        yield live
 
 
 def _repeat(scenario: "Scenario", arguments: Sequence[str]) -> str:
@@ -123,7 +144,7 @@ def _repeat(scenario: "Scenario", arguments: Sequence[str]) -> str:
         if name in ("--scenario", "--seed", "--out"):
             if not equals:
                 next(rest, None)
-        elif name not in ("--json", "--overwrite", "--keep-recording"):
+        elif name not in ("--json", "--overwrite", "--keep-recording", "--live"):
             words.append(word)
     return shlex.join(["dronevio", "run", *words])
 

@@ -5,7 +5,7 @@ import json
 import sys
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from typing import Any, TypeVar
+from typing import TypeVar
 
 import tyro
 from rich.console import Console
@@ -26,8 +26,10 @@ def parse(command: type[Command], arguments: Sequence[str], name: str, default: 
     """
     # Left to itself, tyro takes the examples out of the docstring.
     description = inspect.cleandoc(command.__doc__ or "")
-    settings: dict[str, Any] = {} if default is None else {"default": default}
-    return tyro.cli(command, args=list(arguments), prog=f"dronevio {name}", description=description, **settings)
+    prog = f"dronevio {name}"
+    if default is None:
+        return tyro.cli(command, args=list(arguments), prog=prog, description=description)
+    return tyro.cli(command, args=list(arguments), prog=prog, description=description, default=default)
 
 
 @contextmanager

@@ -33,8 +33,8 @@ def main(arguments: Sequence[str]) -> int:
     command = parse(WorldsCommand, arguments, "worlds")
 
     from dronevio.models.errors import ConfigError
-    from dronevio.sim.contact_sheet import require_picture
     from dronevio.sim.world import WORLDS, place_of
+    from dronevio.sim.worlds.contact_sheet import require_picture
 
     if command.seed < 0:
         raise ConfigError(f"seed {command.seed}; expected 0 or more")
@@ -73,9 +73,9 @@ def _draw(path: Path, names: Sequence[str], seed: int, quiet: bool) -> None:
         GraphicsError: No off-screen OpenGL.
         OSError: The file cannot be written.
     """
-    from dronevio.sim.contact_sheet import contact_sheet, sheet_of_worlds, write_picture
-    from dronevio.sim.gl import require_gl
+    from dronevio.sim.cameras.gl import require_gl
     from dronevio.sim.world import build_world
+    from dronevio.sim.worlds.contact_sheet import contact_sheet, sheet_of_worlds, write_picture
 
     require_gl()
     if len(names) == 1:

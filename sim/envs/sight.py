@@ -9,7 +9,7 @@ from gymnasium import spaces
 
 from dronevio.models.camera import CameraModel
 from dronevio.models.rig import RigCamera
-from dronevio.sim.camera import OffscreenCamera
+from dronevio.sim.cameras.camera import OffscreenCamera
 from dronevio.sim.world import build_world
 
 Array = npt.NDArray[np.float64]

@@ -1,1 +1,1 @@
-"""The worlds, a module each: a function that draws a `dronevio.sim.layout.Layout` from random numbers."""
+"""The worlds, a module each: a function that draws a `dronevio.sim.worlds.layout.Layout` from random numbers."""

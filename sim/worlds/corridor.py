@@ -10,13 +10,22 @@ from itertools import pairwise
 import numpy as np
 import numpy.typing as npt
 
-from dronevio.sim import textures, textures_building
-from dronevio.sim.building import Wall, ceiling_lamp, coarse, landing_mat, level_face, room_walls, shading, stand_along
-from dronevio.sim.furniture import METAL, WOODS, Piece, block, pick, plant, window
-from dronevio.sim.furniture_public import PUBLIC_FURNITURE, bench, vending_machine
-from dronevio.sim.layout import Layout, WorldBuilder
-from dronevio.sim.solids import Box, Face, Paint, turn_z
-from dronevio.sim.textures import Colour
+from dronevio.sim.looks import textures, textures_building
+from dronevio.sim.looks.solids import Box, Face, Paint, turn_z
+from dronevio.sim.looks.textures import Colour
+from dronevio.sim.props.building import (
+    Wall,
+    ceiling_lamp,
+    coarse,
+    landing_mat,
+    level_face,
+    room_walls,
+    shading,
+    stand_along,
+)
+from dronevio.sim.props.furniture import METAL, WOODS, Piece, block, pick, plant, window
+from dronevio.sim.props.furniture_public import PUBLIC_FURNITURE, bench, vending_machine
+from dronevio.sim.worlds.layout import Layout, WorldBuilder
 
 Array = npt.NDArray[np.float64]
 Random = np.random.Generator

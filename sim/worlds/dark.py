@@ -5,10 +5,10 @@ from functools import partial
 
 import numpy as np
 
-from dronevio.sim import pictures
-from dronevio.sim.layout import Layout, WorldBuilder
-from dronevio.sim.textures import Image, to_image
+from dronevio.sim.looks import pictures
+from dronevio.sim.looks.textures import Image, to_image
 from dronevio.sim.worlds import room
+from dronevio.sim.worlds.layout import Layout, WorldBuilder
 
 ILLUMINATION = 0.025
 """Light that falls in, relative to a well lit room."""

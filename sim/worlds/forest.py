@@ -7,14 +7,15 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
-from dronevio.sim import pictures, plants, textures
-from dronevio.sim import textures_nature as nature
-from dronevio.sim.cutouts import Print, joined
-from dronevio.sim.layout import Layout, WorldBuilder
-from dronevio.sim.plants import Plant
-from dronevio.sim.solids import Box, Sheet, turn_z
-from dronevio.sim.textures import Colour, Image
+from dronevio.sim.looks import pictures, textures
+from dronevio.sim.looks import textures_nature as nature
+from dronevio.sim.looks.cutouts import Print, joined
+from dronevio.sim.looks.solids import Box, Sheet, turn_z
+from dronevio.sim.looks.textures import Colour, Image
+from dronevio.sim.props import plants
+from dronevio.sim.props.plants import Plant
 from dronevio.sim.worlds import outdoors
+from dronevio.sim.worlds.layout import Layout, WorldBuilder
 
 Array = npt.NDArray[np.float64]
 Random = np.random.Generator

@@ -7,16 +7,17 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
-from dronevio.sim import fairground, pictures, plants, textures
-from dronevio.sim import textures_nature as nature
-from dronevio.sim import textures_race as race
-from dronevio.sim.cutouts import Print, joined
-from dronevio.sim.layout import Layout, WorldBuilder
-from dronevio.sim.lightmap import AreaLight
-from dronevio.sim.plants import Plant
-from dronevio.sim.solids import Box, Paint, Sheet, turn_z
-from dronevio.sim.textures import Colour, Image
+from dronevio.sim.looks import pictures, textures
+from dronevio.sim.looks import textures_nature as nature
+from dronevio.sim.looks import textures_race as race
+from dronevio.sim.looks.cutouts import Print, joined
+from dronevio.sim.looks.lightmap import AreaLight
+from dronevio.sim.looks.solids import Box, Paint, Sheet, turn_z
+from dronevio.sim.looks.textures import Colour, Image
+from dronevio.sim.props import fairground, plants
+from dronevio.sim.props.plants import Plant
 from dronevio.sim.worlds import outdoors
+from dronevio.sim.worlds.layout import Layout, WorldBuilder
 
 Array = npt.NDArray[np.float64]
 Random = np.random.Generator

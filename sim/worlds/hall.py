@@ -8,16 +8,17 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
-from dronevio.sim import machinery, pictures
-from dronevio.sim import textures_building as building
-from dronevio.sim import textures_industrial as works
-from dronevio.sim import textures_nature as nature
-from dronevio.sim.layout import Layout, WorldBuilder
-from dronevio.sim.lightmap import AreaLight
-from dronevio.sim.machinery import Kit, block, pipe_run, steel
-from dronevio.sim.solids import Box, Face, Surface, turn_z
-from dronevio.sim.textures import Colour, Image, vary
+from dronevio.sim.looks import pictures
+from dronevio.sim.looks import textures_building as building
+from dronevio.sim.looks import textures_industrial as works
+from dronevio.sim.looks import textures_nature as nature
+from dronevio.sim.looks.lightmap import AreaLight
+from dronevio.sim.looks.solids import Box, Face, Surface, turn_z
+from dronevio.sim.looks.textures import Colour, Image, vary
+from dronevio.sim.props import machinery
+from dronevio.sim.props.machinery import Kit, block, pipe_run, steel
 from dronevio.sim.worlds import outdoors
+from dronevio.sim.worlds.layout import Layout, WorldBuilder
 
 Array = npt.NDArray[np.float64]
 Random = np.random.Generator

@@ -5,13 +5,13 @@ from functools import partial
 import numpy as np
 import numpy.typing as npt
 
-from dronevio.sim import pictures, textures, textures_building
-from dronevio.sim.building import Wall, ceiling_lamp, hall_faces, landing_mat, room_walls, shading
-from dronevio.sim.furniture import Piece, block
-from dronevio.sim.layout import Layout, WorldBuilder
-from dronevio.sim.lightmap import AreaLight
-from dronevio.sim.solids import Box
-from dronevio.sim.textures import Colour
+from dronevio.sim.looks import pictures, textures, textures_building
+from dronevio.sim.looks.lightmap import AreaLight
+from dronevio.sim.looks.solids import Box
+from dronevio.sim.looks.textures import Colour
+from dronevio.sim.props.building import Wall, ceiling_lamp, hall_faces, landing_mat, room_walls, shading
+from dronevio.sim.props.furniture import Piece, block
+from dronevio.sim.worlds.layout import Layout, WorldBuilder
 
 Array = npt.NDArray[np.float64]
 Random = np.random.Generator

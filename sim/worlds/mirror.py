@@ -8,9 +8,11 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
-from dronevio.sim import textures, textures_building
-from dronevio.sim.building import ceiling_lamp, hall_faces, landing_mat, room_walls, shading, stand_along
-from dronevio.sim.furniture import (
+from dronevio.sim.looks import textures, textures_building
+from dronevio.sim.looks.solids import Box
+from dronevio.sim.looks.textures import Colour, Image
+from dronevio.sim.props.building import ceiling_lamp, hall_faces, landing_mat, room_walls, shading, stand_along
+from dronevio.sim.props.furniture import (
     WOODS,
     Piece,
     armchair,
@@ -23,9 +25,7 @@ from dronevio.sim.furniture import (
     sofa,
     window,
 )
-from dronevio.sim.layout import Layout, Mirror, WorldBuilder
-from dronevio.sim.solids import Box
-from dronevio.sim.textures import Colour, Image
+from dronevio.sim.worlds.layout import Layout, Mirror, WorldBuilder
 
 Array = npt.NDArray[np.float64]
 Random = np.random.Generator

@@ -6,14 +6,14 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
-from dronevio.sim import textures, textures_building
-from dronevio.sim.building import ceiling_lamp, coarse, hall_faces, landing_mat, room_walls, shading, stand_along
-from dronevio.sim.furniture import METAL, Piece, pick
-from dronevio.sim.furniture_public import PUBLIC_FURNITURE
-from dronevio.sim.layout import Layout, Moving, WorldBuilder
-from dronevio.sim.solids import Box, turn_z
-from dronevio.sim.textures import Colour, Image
-from dronevio.sim.traffic import Lap, Swing, banner, cart, person
+from dronevio.sim.looks import textures, textures_building
+from dronevio.sim.looks.solids import Box, turn_z
+from dronevio.sim.looks.textures import Colour, Image
+from dronevio.sim.props.building import ceiling_lamp, coarse, hall_faces, landing_mat, room_walls, shading, stand_along
+from dronevio.sim.props.furniture import METAL, Piece, pick
+from dronevio.sim.props.furniture_public import PUBLIC_FURNITURE
+from dronevio.sim.props.traffic import Lap, Swing, banner, cart, person
+from dronevio.sim.worlds.layout import Layout, Moving, WorldBuilder
 
 Array = npt.NDArray[np.float64]
 Random = np.random.Generator

@@ -8,10 +8,10 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
-from dronevio.sim import textures_nature as nature
-from dronevio.sim.lightmap import AreaLight
-from dronevio.sim.solids import Box, Paint, Sheet
-from dronevio.sim.textures import Colour, Image
+from dronevio.sim.looks import textures_nature as nature
+from dronevio.sim.looks.lightmap import AreaLight
+from dronevio.sim.looks.solids import Box, Paint, Sheet
+from dronevio.sim.looks.textures import Colour, Image
 
 Array = npt.NDArray[np.float64]
 Random = np.random.Generator

@@ -5,11 +5,11 @@ from functools import partial
 import numpy as np
 import numpy.typing as npt
 
-from dronevio.sim import textures_building
-from dronevio.sim.building import ceiling_lamp, hall_faces, landing_mat
-from dronevio.sim.layout import Layout, WorldBuilder
-from dronevio.sim.solids import Box
-from dronevio.sim.textures import Colour, Image
+from dronevio.sim.looks import textures_building
+from dronevio.sim.looks.solids import Box
+from dronevio.sim.looks.textures import Colour, Image
+from dronevio.sim.props.building import ceiling_lamp, hall_faces, landing_mat
+from dronevio.sim.worlds.layout import Layout, WorldBuilder
 
 Array = npt.NDArray[np.float64]
 Random = np.random.Generator

@@ -2,8 +2,8 @@
 
 import numpy as np
 
-from dronevio.sim.layout import Layout, WorldBuilder
-from dronevio.sim.room import FREE_BOX_M, SIZE_M, furnished_room
+from dronevio.sim.props.room import FREE_BOX_M, SIZE_M, furnished_room
+from dronevio.sim.worlds.layout import Layout, WorldBuilder
 
 ROUTE_M = np.array(
     [[0.0, 0.0, 1.2], [2.1, -1.2, 1.0], [2.1, 1.2, 1.7], [0.0, 0.2, 0.9], [-2.1, -1.2, 1.5], [-2.1, 1.2, 1.1]]

@@ -7,15 +7,15 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
-from dronevio.sim import textures, textures_building, textures_storage
-from dronevio.sim.building import ceiling_lamp, coarse, hall_faces, landing_mat, room_walls
-from dronevio.sim.furniture import METAL, Piece, block
-from dronevio.sim.furniture_public import board, hose_cabinet, posters
-from dronevio.sim.layout import Layout, WorldBuilder
-from dronevio.sim.lightmap import AreaLight
-from dronevio.sim.solids import Box, Surface, turn_z
-from dronevio.sim.storage import Stock, forklift, loaded_pallet, packing_table, rack, truss
-from dronevio.sim.textures import Image
+from dronevio.sim.looks import textures, textures_building, textures_storage
+from dronevio.sim.looks.lightmap import AreaLight
+from dronevio.sim.looks.solids import Box, Surface, turn_z
+from dronevio.sim.looks.textures import Image
+from dronevio.sim.props.building import ceiling_lamp, coarse, hall_faces, landing_mat, room_walls
+from dronevio.sim.props.furniture import METAL, Piece, block
+from dronevio.sim.props.furniture_public import board, hose_cabinet, posters
+from dronevio.sim.props.storage import Stock, forklift, loaded_pallet, packing_table, rack, truss
+from dronevio.sim.worlds.layout import Layout, WorldBuilder
 
 Array = npt.NDArray[np.float64]
 Random = np.random.Generator

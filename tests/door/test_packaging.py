@@ -10,7 +10,7 @@ import mujoco
 import pytest
 
 import dronevio
-from dronevio.sim.gl import INSTALL_COMMAND
+from dronevio.sim.cameras.gl import INSTALL_COMMAND
 
 ROOMS = ("estimator", "eval", "models", "sim")
 CHECKOUT = Path(__file__).resolve().parents[2]

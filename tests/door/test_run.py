@@ -22,7 +22,7 @@ from dronevio.cli.run import print_report
 from dronevio.cli.view import viewer_program
 from dronevio.models.recordings.euroc import EurocRecording
 from dronevio.models.recordings.tum import read_tum
-from dronevio.sim.gl import INSTALL_COMMAND
+from dronevio.sim.cameras.gl import INSTALL_COMMAND
 
 PROMISED = {
     "configuration.json",
@@ -257,7 +257,7 @@ def test_what_cannot_be_flown_is_said_at_once(
     capsys: pytest.CaptureFixture[str],
 ) -> None:
     monkeypatch.chdir(tmp_path)
-    monkeypatch.setattr("dronevio.sim.gl.require_gl", lambda: None)  # asked elsewhere, and it takes a second
+    monkeypatch.setattr("dronevio.sim.cameras.gl.require_gl", lambda: None)  # asked elsewhere, and it takes a second
     Path("taken").mkdir()
     Path("taken/thesis.tex").write_text("years of work")
     assert main([what, *arguments]) == 2

@@ -8,13 +8,16 @@ import subprocess
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from html.parser import HTMLParser
+from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
 import cv2
 import numpy as np
 import numpy.typing as npt
+import pyarrow as pa
 import pytest
+from rerun.chunk import RrdReader
 
 from dronevio.eval.runs import EstimatorRun
 from dronevio.models.camera import CameraModel
@@ -221,3 +224,35 @@ def browse(tmp_path: Path) -> Callable[[Path, int, str], Any]:
         return json.loads(base64.b64decode(found[1]))
 
     return look
+
+
+@pytest.fixture(scope="session")
+def read_rrd() -> Callable[[Path], dict[str, dict[str, Any]]]:
+    """Reads a rerun file: the columns of each entity, the rows of all chunks together; times under "time"."""
+
+    def read(path: Path) -> dict[str, dict[str, Any]]:
+        columns: dict[str, dict[str, list[Any]]] = {}
+        for chunk in RrdReader(path).stream():
+            batch = chunk.to_record_batch()
+            assert set(chunk.timeline_names) <= {"time"}, chunk.entity_path
+            for name, values in zip(batch.schema.names, batch.columns, strict=True):
+                if not name.startswith("rerun"):
+                    columns.setdefault(chunk.entity_path.strip("/"), {}).setdefault(name, []).append(values)
+        return {
+            entity: {name.split(":")[-1]: pa.concat_arrays(parts) for name, parts in entity_columns.items()}
+            for entity, entity_columns in columns.items()
+        }
+
+    return read
+
+
+@pytest.fixture(scope="session")
+def verify_rrd() -> Callable[[Path], None]:
+    """Checks a rerun file with rerun's own tool."""
+    rerun = str(Path(find_spec("rerun_cli").origin).with_name("rerun"))
+
+    def verify(path: Path) -> None:
+        done = subprocess.run([rerun, "rrd", "verify", str(path)], capture_output=True, text=True, check=False)
+        assert done.returncode == 0, done.stderr
+
+    return verify

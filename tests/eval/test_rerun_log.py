@@ -1,7 +1,6 @@
 import subprocess
 import sys
 from dataclasses import replace
-from importlib.util import find_spec
 from pathlib import Path
 
 import av
@@ -15,29 +14,14 @@ from dronevio.eval.metrics import score_trajectory
 from dronevio.eval.rerun_blueprint import VIEW_ASPECT, VIEWER_FIELD_OF_VIEW_RAD, look_at_all
 from dronevio.eval.rerun_entities import EstimateEntities
 from dronevio.eval.rerun_log import write_rrd
+from dronevio.eval.rerun_surroundings import Surroundings
 from dronevio.eval.runs import EstimatorRun, tracks_of
 from dronevio.models.errors import EvaluationError, InputError
 from dronevio.models.rotation import matrix_from_quat_wxyz
 from dronevio.models.state import Health
 
-RERUN = str(Path(find_spec("rerun_cli").origin).with_name("rerun"))
 FRAMES = 121
 ESTIMATE = EstimateEntities("estimate")
-
-
-def read(path):
-    """Return the columns of each entity, the rows of all chunks together; times in ns under "time"."""
-    columns = {}
-    for chunk in RrdReader(path).stream():
-        batch = chunk.to_record_batch()
-        assert set(chunk.timeline_names) <= {"time"}, chunk.entity_path
-        for name, values in zip(batch.schema.names, batch.columns, strict=True):
-            if not name.startswith("rerun"):
-                columns.setdefault(chunk.entity_path.strip("/"), {}).setdefault(name, []).append(values)
-    return {
-        entity: {name.split(":")[-1]: pa.concat_arrays(parts) for name, parts in entity_columns.items()}
-        for entity, entity_columns in columns.items()
-    }
 
 
 def times_ns(columns):
@@ -54,7 +38,7 @@ def rrd(flight, tmp_path_factory):
         flight.recording,
         flight.run,
         scored,
-        outline=flight.outline,
+        surroundings=Surroundings(flight.outline),
         progress=lambda done, total: calls.append((done, total)),
     )
     assert calls[-1] == (FRAMES, FRAMES)
@@ -62,13 +46,12 @@ def rrd(flight, tmp_path_factory):
 
 
 @pytest.fixture(scope="module")
-def columns(rrd):
-    return read(rrd)
+def columns(rrd, read_rrd):
+    return read_rrd(rrd)
 
 
-def test_the_file_verifies(rrd):
-    done = subprocess.run([RERUN, "rrd", "verify", str(rrd)], capture_output=True, text=True, check=False)
-    assert done.returncode == 0, done.stderr
+def test_the_file_verifies(rrd, verify_rrd):
+    verify_rrd(rrd)
 
 
 def test_every_frame_is_in_the_video(flight, columns):
@@ -142,11 +125,11 @@ def test_imu_biases_errors_and_events(flight, columns):
     assert texts == ["health: initialising", "initialised", "health: tracking"]
 
 
-def test_trouble_is_logged_as_a_warning(flight, tmp_path):
+def test_trouble_is_logged_as_a_warning(flight, tmp_path, read_rrd):
     estimates = list(flight.run.estimates)
     estimates[50:60] = [replace(e, health=Health.INERTIAL_ONLY) for e in estimates[50:60]]
     write_rrd(tmp_path / "run.rrd", flight.recording, replace(flight.run, estimates=tuple(estimates)), None)
-    events = read(tmp_path / "run.rrd")[ESTIMATE.events]
+    events = read_rrd(tmp_path / "run.rrd")[ESTIMATE.events]
     rows = [(text[0].as_py(), level[0].as_py()) for text, level in zip(events["text"], events["level"], strict=True)]
     assert rows[-2:] == [("health: inertial-only", "WARN"), ("health: tracking", "INFO")]
     assert times_ns(events)[-2:].tolist() == [50 * 50_000_000, 60 * 50_000_000]
@@ -159,20 +142,20 @@ def test_the_file_carries_its_layout(rrd):
     assert sum("ViewContents" in entity for entity in entities) >= 11
 
 
-def test_without_truth_the_estimate_is_shown_as_it_is(flight_without_truth, tmp_path):
+def test_without_truth_the_estimate_is_shown_as_it_is(flight_without_truth, tmp_path, read_rrd):
     write_rrd(tmp_path / "run.rrd", flight_without_truth.recording, flight_without_truth.run, None)
-    columns = read(tmp_path / "run.rrd")
+    columns = read_rrd(tmp_path / "run.rrd")
     strip = np.array(columns[ESTIMATE.whole]["strips"][0].as_py()[0])
     assert np.allclose(strip, flight_without_truth.run.trajectory.p_world_imu, atol=1e-5)
     assert at.ROOM not in columns
     assert not any(entity.startswith("error") for entity in columns)
 
 
-def test_an_estimator_that_never_started(flight, tmp_path):
+def test_an_estimator_that_never_started(flight, tmp_path, read_rrd):
     silent = tuple(replace(e, state=None, landmarks_world=None, tracks=None) for e in flight.run.estimates)
     run = EstimatorRun(silent, flight.run.cpu_ms, flight.run.wall_ms)
     write_rrd(tmp_path / "run.rrd", flight.recording, run, None)
-    columns = read(tmp_path / "run.rrd")
+    columns = read_rrd(tmp_path / "run.rrd")
     assert len(columns[at.image(0)]["sample"]) == FRAMES
     assert ESTIMATE.whole not in columns
 
@@ -200,11 +183,11 @@ class Broken:
         return self._recording.frame(index)
 
 
-def test_what_was_written_before_an_unreadable_image_can_be_read(flight, tmp_path):
+def test_what_was_written_before_an_unreadable_image_can_be_read(flight, tmp_path, read_rrd):
     path = tmp_path / "run.rrd"
     with pytest.raises(InputError):
         write_rrd(path, Broken(flight.recording, 70), flight.run, None)
-    columns = read(path)
+    columns = read_rrd(path)
     assert len(columns[at.image(0)]["sample"]) == 70
     assert len(columns[at.GYRO]["scalars"]) == len(flight.recording.imu)
 
@@ -231,11 +214,11 @@ write_rrd(Path(sys.argv[1]), Killer(flight.recording), flight.run, None)
 
 
 @pytest.mark.filterwarnings("ignore:RRD file has no footer")
-def test_a_file_whose_writer_was_killed_can_be_read(tmp_path):
+def test_a_file_whose_writer_was_killed_can_be_read(tmp_path, read_rrd):
     path = tmp_path / "run.rrd"
     code = KILLED.format(folder=str(Path(__file__).parent))
     assert subprocess.run([sys.executable, "-c", code, str(path)], check=False).returncode == 9
-    assert len(read(path)[at.image(0)]["sample"]) == 60
+    assert len(read_rrd(path)[at.image(0)]["sample"]) == 60
 
 
 @pytest.mark.parametrize("seed", range(5))

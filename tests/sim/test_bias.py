@@ -8,8 +8,8 @@ from scipy.stats import chi2
 
 from dronevio.models.imu import EUROC_IMU, ImuModel, ImuSamples
 from dronevio.models.imu_presets import ADIS16448, TACTICAL
-from dronevio.sim.bias import FLICKER_FLOOR, FLICKER_SHARE, FLICKER_TIMES_S
-from dronevio.sim.imu import ImuErrors
+from dronevio.sim.inertial.bias import FLICKER_FLOOR, FLICKER_SHARE, FLICKER_TIMES_S
+from dronevio.sim.inertial.imu import ImuErrors
 
 MINUTE_NS = 60_000_000_000
 

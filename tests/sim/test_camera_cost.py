@@ -7,8 +7,8 @@ import pytest
 from dronevio.models.camera import CameraModel
 from dronevio.models.rig import EUROC_CAM0
 from dronevio.models.rigs import TUM_VI_CAMERA
-from dronevio.sim import camera_cost as measured
-from dronevio.sim.camera import OffscreenCamera
+from dronevio.sim.cameras import camera_cost as measured
+from dronevio.sim.cameras.camera import OffscreenCamera
 from dronevio.sim.envs.sight import scaled
 
 

@@ -8,13 +8,13 @@ from dronevio.models.quadrotor import VEHICLES, Quadrotor
 from dronevio.models.rig import euroc_rig
 from dronevio.models.rotation import exp_so3, pose_matrix
 from dronevio.models.state import NavState
-from dronevio.sim.controller import SE3Controller
-from dronevio.sim.disturbance import DisturbanceObserver
-from dronevio.sim.drive import Mixer, RotorDrive
-from dronevio.sim.path import Reference
-from dronevio.sim.plant import QuadrotorPlant
-from dronevio.sim.rotors import Rotors
-from dronevio.sim.wind import Wind
+from dronevio.sim.paths.path import Reference
+from dronevio.sim.physics.controller import SE3Controller
+from dronevio.sim.physics.disturbance import DisturbanceObserver
+from dronevio.sim.physics.drive import Mixer, RotorDrive
+from dronevio.sim.physics.plant import QuadrotorPlant
+from dronevio.sim.physics.rotors import Rotors
+from dronevio.sim.physics.wind import Wind
 
 QUAD = Quadrotor()
 MIXER = Mixer(QUAD)

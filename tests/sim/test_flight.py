@@ -6,7 +6,7 @@ import pytest
 from dronevio.models.errors import ConfigError
 from dronevio.models.rig import euroc_rig
 from dronevio.sim.flight import Flight, fly
-from dronevio.sim.room import FREE_BOX_M
+from dronevio.sim.props.room import FREE_BOX_M
 from dronevio.sim.scenario import Scenario
 from dronevio.sim.scenarios import SCENARIOS, scenario
 

@@ -10,12 +10,12 @@ from dronevio.models.imu import ImuModel
 from dronevio.models.quadrotor import RESEARCH, VEHICLES, Quadrotor
 from dronevio.models.rig import Rig
 from dronevio.models.rotation import exp_so3, matrix_from_quat_wxyz, pose_matrix
-from dronevio.sim.collisions import TOUCHED_GROUP
-from dronevio.sim.motion import Motion
-from dronevio.sim.plant import QuadrotorPlant
-from dronevio.sim.rotors import Airflow, MotorFailure, Rotors
-from dronevio.sim.vehicle import physics_model
-from dronevio.sim.wind import Wind
+from dronevio.sim.physics.collisions import TOUCHED_GROUP
+from dronevio.sim.physics.motion import Motion
+from dronevio.sim.physics.plant import QuadrotorPlant
+from dronevio.sim.physics.rotors import Airflow, MotorFailure, Rotors
+from dronevio.sim.physics.vehicle import physics_model
+from dronevio.sim.physics.wind import Wind
 
 Array = np.ndarray
 RIG = Rig(cameras=(), imu=ImuModel(rate_hz=200.0))

@@ -5,8 +5,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from dronevio.sim.gaze import Gaze, across, along, fixed, heading_curve, spinning, toward
-from dronevio.sim.snap import minimum_snap
+from dronevio.sim.paths.gaze import Gaze, across, along, fixed, heading_curve, spinning, toward
+from dronevio.sim.paths.snap import minimum_snap
 
 CIRCLE_S = 20.0
 

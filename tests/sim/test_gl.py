@@ -9,8 +9,8 @@ import sys
 import pytest
 
 from dronevio.models.errors import GraphicsError
-from dronevio.sim import gl
-from dronevio.sim.gl import INSTALL_COMMAND, pick_backend, probe_gl, require_gl
+from dronevio.sim.cameras import gl
+from dronevio.sim.cameras.gl import INSTALL_COMMAND, pick_backend, probe_gl, require_gl
 
 
 def test_a_frame_is_really_drawn() -> None:

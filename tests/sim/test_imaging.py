@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from dronevio.models.errors import ConfigError
-from dronevio.sim.imaging import AutoExposure, Exposures, FixedExposure, Imaging
+from dronevio.sim.cameras.imaging import AutoExposure, Exposures, FixedExposure, Imaging
 
 NOMINAL_S = 0.002
 

@@ -6,7 +6,7 @@ import pytest
 from dronevio.models.errors import ConfigError
 from dronevio.models.imu import EUROC_IMU, ImuModel, ImuSamples, Sampling
 from dronevio.models.imu_presets import IMUS, imu_named
-from dronevio.sim.imu import ImuErrors
+from dronevio.sim.inertial.imu import ImuErrors
 
 N = 40_000
 STEP_NS = 5_000_000

@@ -4,7 +4,7 @@ import numpy as np
 
 from dronevio.models.rotation import exp_so3, log_so3, quat_wxyz_from_matrix
 from dronevio.models.state import Trajectory
-from dronevio.sim.interpolation import interpolated_poses
+from dronevio.sim.cameras.interpolation import interpolated_poses
 
 START_NS = 1_403_715_273_262_142_976
 T_NS = START_NS + np.arange(0, 1_000_000_000, 5_000_000, dtype=np.int64)

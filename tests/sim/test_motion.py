@@ -9,11 +9,11 @@ from dronevio.models.quadrotor import Quadrotor
 from dronevio.models.rig import euroc_rig
 from dronevio.models.rotation import exp_so3, pose_matrix
 from dronevio.models.state import Trajectory
-from dronevio.sim.controller import SE3Controller
 from dronevio.sim.flight import reference_of
-from dronevio.sim.motion import Motion
-from dronevio.sim.path import Reference, attitude
-from dronevio.sim.plant import QuadrotorPlant
+from dronevio.sim.paths.path import Reference, attitude
+from dronevio.sim.physics.controller import SE3Controller
+from dronevio.sim.physics.motion import Motion
+from dronevio.sim.physics.plant import QuadrotorPlant
 from dronevio.sim.scenarios import scenario
 
 GRAVITY = np.array([0.0, 0.0, -9.81])

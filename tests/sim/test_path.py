@@ -5,10 +5,10 @@ import pytest
 
 from dronevio.models.errors import ConfigError
 from dronevio.models.rotation import exp_so3
-from dronevio.sim.path import Reference, attitude, plan_reference
-from dronevio.sim.plan import FlightPlan
+from dronevio.sim.paths.path import Reference, attitude, plan_reference
+from dronevio.sim.paths.plan import FlightPlan
+from dronevio.sim.paths.space import Place, Space
 from dronevio.sim.scenarios import scenario
-from dronevio.sim.space import Place, Space
 
 BOX = np.array([[-2.8, -1.9, 0.0], [2.8, 1.9, 2.4]])
 STEP_NS = 5_000_000

@@ -6,8 +6,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from dronevio.models.errors import ConfigError
-from dronevio.sim.placement import place_path
-from dronevio.sim.space import Space
+from dronevio.sim.paths.placement import place_path
+from dronevio.sim.paths.space import Space
 
 ONE_PILLAR = Space(
     np.array([-4.0, -3.0, 0.0]),

@@ -9,7 +9,7 @@ from dronevio.models.imu import ImuModel
 from dronevio.models.quadrotor import ROTOR_NAMES, VEHICLES, Quadrotor
 from dronevio.models.rig import Rig, euroc_rig
 from dronevio.models.rotation import exp_so3, pose_matrix
-from dronevio.sim.plant import QuadrotorPlant
+from dronevio.sim.physics.plant import QuadrotorPlant
 
 QUAD = Quadrotor()
 HOVER = np.full(4, QUAD.hover_speed_rad_s)

@@ -19,11 +19,11 @@ from dronevio.models.recordings.frame_truth import FRAME_TRUTH_FILE, read_frame_
 from dronevio.models.rig import Rig, RigCamera
 from dronevio.models.rotation import pose_matrix, quat_wxyz_from_matrix
 from dronevio.models.state import Trajectory
-from dronevio.sim.imaging import AutoExposure, FixedExposure, Imaging
-from dronevio.sim.render import render
-from dronevio.sim.render_job import RenderJob
-from dronevio.sim.schedule import FrameSchedule, beat, schedule_frames
-from dronevio.sim.solids import turn_z
+from dronevio.sim.cameras.imaging import AutoExposure, FixedExposure, Imaging
+from dronevio.sim.cameras.schedule import FrameSchedule, beat, schedule_frames
+from dronevio.sim.looks.solids import turn_z
+from dronevio.sim.rendering.render import render
+from dronevio.sim.rendering.render_job import RenderJob
 
 SMALL = CameraModel(width=188, height=120, fx=115.0, fy=115.0, cx=92.0, cy=62.0, distortion=(-0.28, 0.07, 0.0, 0.0))
 R_LEVEL = np.array([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]])
@@ -76,7 +76,7 @@ def small_world(monkeypatch: pytest.MonkeyPatch) -> SimpleNamespace:
         )
     spec.stat.extent = 10.0
     world = SimpleNamespace(spec=spec, illumination=1.0, movers=())
-    monkeypatch.setattr("dronevio.sim.backdrop.build_world", lambda name, seed: world)
+    monkeypatch.setattr("dronevio.sim.rendering.backdrop.build_world", lambda name, seed: world)
     return world
 
 

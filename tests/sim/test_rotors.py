@@ -7,7 +7,7 @@ import pytest
 
 from dronevio.models.errors import ConfigError
 from dronevio.models.quadrotor import NANO, RESEARCH, VEHICLES, Quadrotor
-from dronevio.sim.rotors import Airflow, MotorFailure, Rotors, RotorState, ground_effect
+from dronevio.sim.physics.rotors import Airflow, MotorFailure, Rotors, RotorState, ground_effect
 
 Array = np.ndarray
 UP = np.array([0.0, 0.0, 1.0])

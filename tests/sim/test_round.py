@@ -4,13 +4,13 @@ import numpy as np
 import numpy.typing as npt
 import pytest
 
-from dronevio.sim.cutouts import Cutouts, Print, joined
-from dronevio.sim.lightmap import AreaLight, bake
-from dronevio.sim.round import filling, mantle
-from dronevio.sim.scenery import facing, paint_pages
-from dronevio.sim.solids import Face, Sheet, size_m
-from dronevio.sim.space import Space
-from dronevio.sim.textures import Image
+from dronevio.sim.looks.cutouts import Cutouts, Print, joined
+from dronevio.sim.looks.lightmap import AreaLight, bake
+from dronevio.sim.looks.round import filling, mantle
+from dronevio.sim.looks.scenery import facing, paint_pages
+from dronevio.sim.looks.solids import Face, Sheet, size_m
+from dronevio.sim.looks.textures import Image
+from dronevio.sim.paths.space import Space
 
 Array = npt.NDArray[np.float64]
 

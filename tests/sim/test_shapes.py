@@ -7,12 +7,12 @@ import pytest
 
 from dronevio.models.errors import ConfigError
 from dronevio.models.imu import GRAVITY_M_S2
-from dronevio.sim.limits import LIMITS, Limits
-from dronevio.sim.path import Reference, attitude, plan_reference
-from dronevio.sim.plan import FlightPlan
-from dronevio.sim.shapes import SHAPES
-from dronevio.sim.solids import turn_z
-from dronevio.sim.space import Place, Space
+from dronevio.sim.looks.solids import turn_z
+from dronevio.sim.paths.limits import LIMITS, Limits
+from dronevio.sim.paths.path import Reference, attitude, plan_reference
+from dronevio.sim.paths.plan import FlightPlan
+from dronevio.sim.paths.shapes import SHAPES
+from dronevio.sim.paths.space import Place, Space
 from dronevio.sim.world import WORLDS, place_of
 
 STEP_NS = 5_000_000

@@ -7,8 +7,8 @@ import pytest
 from dronevio.models.camera import CameraModel
 from dronevio.models.rig import EUROC_CAM0, RigCamera
 from dronevio.models.rotation import exp_so3, inverse_pose, pose_matrix
-from dronevio.sim.camera import OffscreenCamera
-from dronevio.sim.shutter import Poses, Shutter
+from dronevio.sim.cameras.camera import OffscreenCamera
+from dronevio.sim.cameras.shutter import Poses, Shutter
 
 FISHEYE = CameraModel(
     width=320,

@@ -10,8 +10,8 @@ from scipy.optimize import minimize
 
 from dronevio.models.errors import ConfigError
 from dronevio.models.imu import GRAVITY_M_S2
-from dronevio.sim.limits import LIMITS, Limits
-from dronevio.sim.snap import minimum_snap, quickest_knots
+from dronevio.sim.paths.limits import LIMITS, Limits
+from dronevio.sim.paths.snap import minimum_snap, quickest_knots
 
 
 def drawn(seed: int, count: int) -> tuple[np.ndarray, np.ndarray]:

@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from dronevio.sim.solids import turn_z
-from dronevio.sim.space import Space
+from dronevio.sim.looks.solids import turn_z
+from dronevio.sim.paths.space import Space
 from dronevio.sim.world import build_world
 
 

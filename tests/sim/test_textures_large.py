@@ -7,11 +7,11 @@ import cv2
 import numpy as np
 import pytest
 
-from dronevio.sim import plants
-from dronevio.sim import textures_industrial as works
-from dronevio.sim import textures_nature as nature
-from dronevio.sim import textures_race as race
-from dronevio.sim.textures import Image
+from dronevio.sim.looks import textures_industrial as works
+from dronevio.sim.looks import textures_nature as nature
+from dronevio.sim.looks import textures_race as race
+from dronevio.sim.looks.textures import Image
+from dronevio.sim.props import plants
 
 Draw = Callable[[np.random.Generator, int, int], Image]
 

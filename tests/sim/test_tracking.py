@@ -7,10 +7,10 @@ from dronevio.models.imu import ImuModel
 from dronevio.models.quadrotor import VEHICLES
 from dronevio.models.rig import Rig
 from dronevio.models.rotation import log_so3
-from dronevio.sim.controller import SE3Controller
-from dronevio.sim.path import Reference, attitude
-from dronevio.sim.plant import QuadrotorPlant
-from dronevio.sim.wind import CALM, Wind
+from dronevio.sim.paths.path import Reference, attitude
+from dronevio.sim.physics.controller import SE3Controller
+from dronevio.sim.physics.plant import QuadrotorPlant
+from dronevio.sim.physics.wind import CALM, Wind
 
 RIG = Rig(cameras=(), imu=ImuModel(rate_hz=200.0))
 STEP_S = 5e-3

@@ -9,9 +9,9 @@ from dronevio.models.quadrotor import Quadrotor
 from dronevio.models.rig import euroc_rig
 from dronevio.models.vibration import SHAKEN, RotorVibration
 from dronevio.sim.flight import fly
-from dronevio.sim.plan import FlightPlan
+from dronevio.sim.inertial.vibration import RotorTones, Stillness
+from dronevio.sim.paths.plan import FlightPlan
 from dronevio.sim.scenario import Scenario
-from dronevio.sim.vibration import RotorTones, Stillness
 
 RIG = euroc_rig()
 WIDE = replace(RIG, imu=replace(RIG.imu, gyro_bandwidth_hz=float("inf"), accel_bandwidth_hz=float("inf")))

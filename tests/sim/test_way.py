@@ -6,11 +6,11 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from dronevio.models.errors import ConfigError
-from dronevio.sim.limits import LIMITS
-from dronevio.sim.snap import minimum_snap
-from dronevio.sim.solids import turn_z
-from dronevio.sim.space import Space
-from dronevio.sim.way import clear_curve, clear_polyline, leg_clearances
+from dronevio.sim.looks.solids import turn_z
+from dronevio.sim.paths.limits import LIMITS
+from dronevio.sim.paths.snap import minimum_snap
+from dronevio.sim.paths.space import Space
+from dronevio.sim.paths.way import clear_curve, clear_polyline, leg_clearances
 
 MARGIN = 0.4
 START, GOAL = np.array([1.0, 3.0, 1.5]), np.array([9.0, 3.0, 1.5])

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from dronevio.models.errors import ConfigError
-from dronevio.sim.wind import CALM, GustyAir, SteadyAir, Wind, air_of
+from dronevio.sim.physics.wind import CALM, GustyAir, SteadyAir, Wind, air_of
 
 BREEZE = Wind((5.0, 0.0, 0.0), gusts=1.0)
 FOOT_M = 0.3048

@@ -8,18 +8,18 @@ import pytest
 
 from dronevio.models.camera import CameraModel
 from dronevio.models.rotation import pose_matrix
-from dronevio.sim import textures_building, textures_storage
-from dronevio.sim.assembly import space_of
-from dronevio.sim.camera import OffscreenCamera
-from dronevio.sim.contact_sheet import contact_sheet, sheet_of_worlds, viewpoints, views
-from dronevio.sim.layout import ROUTE_CLEARANCE_M, Layout
-from dronevio.sim.scenery import add_mirror
-from dronevio.sim.solids import Box, Face
-from dronevio.sim.space import Space
-from dronevio.sim.texturedness import GOOD_CORNERS, GOOD_SHARE, good_corners, poses_along, texturedness
-from dronevio.sim.textures import Image
-from dronevio.sim.traffic import Lap, Swing
+from dronevio.sim.cameras.camera import OffscreenCamera
+from dronevio.sim.looks import textures_building, textures_storage
+from dronevio.sim.looks.scenery import add_mirror
+from dronevio.sim.looks.solids import Box, Face
+from dronevio.sim.looks.textures import Image
+from dronevio.sim.paths.space import Space
+from dronevio.sim.props.traffic import Lap, Swing
 from dronevio.sim.world import WORLDS, build_world, place_of
+from dronevio.sim.worlds.assembly import space_of
+from dronevio.sim.worlds.contact_sheet import contact_sheet, sheet_of_worlds, viewpoints, views
+from dronevio.sim.worlds.layout import ROUTE_CLEARANCE_M, Layout
+from dronevio.sim.worlds.texturedness import GOOD_CORNERS, GOOD_SHARE, good_corners, poses_along, texturedness
 
 Array = npt.NDArray[np.float64]
 

@@ -4,11 +4,11 @@ import numpy as np
 import numpy.typing as npt
 import pytest
 
-from dronevio.sim.assembly import space_of
-from dronevio.sim.layout import ROUTE_CLEARANCE_M, Layout, WorldBuilder
-from dronevio.sim.solids import Box
-from dronevio.sim.space import Space
+from dronevio.sim.looks.solids import Box
+from dronevio.sim.paths.space import Space
 from dronevio.sim.worlds import forest, gates, hall
+from dronevio.sim.worlds.assembly import space_of
+from dronevio.sim.worlds.layout import ROUTE_CLEARANCE_M, Layout, WorldBuilder
 
 Array = npt.NDArray[np.float64]
 

@@ -16,8 +16,8 @@ from dronevio.models.progress import Progress, silent
 from dronevio.models.rig import Rig
 from dronevio.models.rigs import rig_named
 from dronevio.sim.flight import fly
-from dronevio.sim.painter import at_a_glance
-from dronevio.sim.plan import FlightPlan
+from dronevio.sim.paths.plan import FlightPlan
+from dronevio.sim.rendering.painter import at_a_glance
 from dronevio.sim.scenario import Scenario
 
 _WEIGH = "from dronevio.cli.bench.recording import weigh; weigh()"

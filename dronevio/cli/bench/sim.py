@@ -70,7 +70,7 @@ def main(arguments: Sequence[str]) -> int:
     os.environ.setdefault("LP_NUM_THREADS", "1")  # before Mesa starts: its threads would count as our CPU time
 
     from dronevio.cli.machine import cores, memory_gb, package_version, processor
-    from dronevio.sim.gl import require_gl
+    from dronevio.sim.cameras.gl import require_gl
 
     gl = require_gl()
     effort = _QUICK if command.quick else _FULL if command.full else _USUAL

@@ -1,0 +1,1 @@
+"""From a world to what a lens and a sensor make of it."""

@@ -1,0 +1,82 @@
+"""What the camera model costs on top of the bare renderer, measured in CPU time."""
+
+import time
+from collections.abc import Sequence
+from contextlib import ExitStack
+from dataclasses import dataclass
+
+import mujoco
+import numpy as np
+import numpy.typing as npt
+
+from dronevio.models.camera import CameraModel
+from dronevio.sim.cameras.camera import OffscreenCamera
+from dronevio.sim.cameras.drawing import look_from, switch_lights_off
+from dronevio.sim.cameras.views import View
+
+Array = npt.NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class CameraCost:
+    """CPU time of a frame; all threads of the process together, so no other may be at work."""
+
+    camera_ms: float
+    """`OffscreenCamera.render`: drawing, conversion to grey, lens [ms]."""
+    bare_ms: float
+    """`mujoco.Renderer.render` of the same views, with the same flags and of the same drawn size [ms]."""
+    drawn_pixels: int
+    """Pixels that either draws."""
+
+    @property
+    def ratio(self) -> float:
+        """How many times as much the camera costs as the bare renderer."""
+        return self.camera_ms / self.bare_ms
+
+
+def camera_cost(model: mujoco.MjModel, camera: CameraModel, Ts_world_cam: Array) -> CameraCost:
+    """Measure the cost of a camera against that of MuJoCo's own renderer, the two taking turns at every pose.
+
+    Args:
+        model: The world, compiled.
+        camera: The camera.
+        Ts_world_cam: (M, 4, 4) Poses to draw from; the first is drawn once more beforehand, unmeasured.
+
+    Raises:
+        GraphicsError: No off-screen OpenGL.
+    """
+    with OffscreenCamera(model, camera) as eye, ExitStack() as stack:
+        bare = [(view, stack.enter_context(_renderer(model, view))) for view in eye.views.views]
+        spent_s = np.zeros((1 + len(Ts_world_cam), 2))
+        for row, T_world_cam in enumerate((Ts_world_cam[0], *Ts_world_cam)):
+            start_s = time.process_time()
+            eye.render(T_world_cam)
+            between_s = time.process_time()
+            _draw_bare(model, bare, T_world_cam)
+            spent_s[row] = between_s - start_s, time.process_time() - between_s
+        camera_ms, bare_ms = 1e3 * spent_s[1:].mean(axis=0)
+        return CameraCost(float(camera_ms), float(bare_ms), eye.views.pixels)
+
+
+def _renderer(model: mujoco.MjModel, view: View) -> mujoco.Renderer:
+    """Return MuJoCo's renderer of a view's size, set to draw what the camera draws."""
+    room = model.vis.global_
+    before = room.offwidth, room.offheight
+    room.offwidth, room.offheight = view.width, view.height
+    try:
+        renderer = mujoco.Renderer(model, view.height, view.width)
+    finally:
+        room.offwidth, room.offheight = before
+    data = mujoco.MjData(model)
+    mujoco.mj_kinematics(model, data)
+    renderer.update_scene(data)
+    switch_lights_off(renderer.scene)
+    return renderer
+
+
+def _draw_bare(model: mujoco.MjModel, bare: Sequence[tuple[View, mujoco.Renderer]], T_world_cam: Array) -> None:
+    """Draw all views with MuJoCo's renderer."""
+    near_m, far_m = (float(v * model.stat.extent) for v in (model.vis.map.znear, model.vis.map.zfar))
+    for view, renderer in bare:
+        look_from(renderer.scene, T_world_cam, view, near_m, far_m)
+        renderer.render()

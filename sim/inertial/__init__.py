@@ -1,0 +1,1 @@
+"""From a true motion to what an IMU measures."""

@@ -1,0 +1,93 @@
+"""The errors of a real IMU: what it reads where a perfect one reads the truth."""
+
+import numpy as np
+import numpy.typing as npt
+
+from dronevio.models.imu import ImuConstants, ImuModel, ImuSamples
+from dronevio.sim.inertial.bias import Biases
+from dronevio.sim.inertial.vibration import Stillness, Vibration
+
+Array = npt.NDArray[np.float64]
+
+
+class ImuErrors:
+    """One IMU from switch-on: adds its errors to what a perfect one would read, batch after batch.
+
+    In the order of the signal: the airframe's vibration is added to the motion; scale errors, misalignment and
+    g-sensitivity distort it (`ImuModel` has the equations); biases and white noise come on top; the result is rounded
+    to the output's steps and clipped to its range. What is zero in the model adds nothing, to the bit.
+
+    White noise of density σ has the standard deviation σ √f in points sampled at a rate f, whose filter is that of the
+    sampling, and σ / √dt in increments over dt, where it is the mean of the continuous noise (Crassidis 2006). Biases
+    are those of the time stamps; a walk moves within an interval by a thousandth of the noise.
+    """
+
+    def __init__(self, model: ImuModel, rng: np.random.Generator, vibration: Vibration | None = None) -> None:
+        """Switch the IMU on: draw what is constant of it, and its first biases.
+
+        Args:
+            model: Rate, densities and spreads.
+            rng: Source of all errors; the same state and the same batches give the same bytes.
+            vibration: What shakes it; nothing by default.
+        """
+        self._model = model
+        self._rng = rng
+        self._vibration = vibration or Stillness()
+        constants_rng, flicker_rng = rng.spawn(2)
+        self._biases = Biases(model, rng, flicker_rng)
+        self._density = np.repeat([model.gyro_noise_density, model.accel_noise_density], 3)
+        self._t_ns: int | None = None
+        self.constants = _drawn_constants(model, constants_rng, self._biases.turn_on)
+
+    def add_to(self, perfect: ImuSamples, rotor_speeds_rad_s: Array | None = None) -> tuple[ImuSamples, Array, Array]:
+        """Return what this IMU measures where a perfect one would measure ``perfect``.
+
+        Args:
+            perfect: N noise-free samples, points or increments, later than those of the last call.
+            rotor_speeds_rad_s: (N, 4) Speeds of the rotors, for the vibration (see `Vibration`); standstill by default.
+
+        Returns:
+            The measured samples, the gyroscope's biases (N, 3) [rad/s] and the accelerometer's (N, 3) [m/s²].
+        """
+        n = len(perfect)
+        if n == 0:
+            return perfect, np.zeros((0, 3)), np.zeros((0, 3))
+        speeds = np.zeros((n, 4)) if rotor_speeds_rad_s is None else rotor_speeds_rad_s
+        shaken_gyro, shaken_accel = self._vibration.felt(perfect, speeds)
+        gyro, accel = self.constants.respond(perfect.gyro_rad_s + shaken_gyro, perfect.accel_m_s2 + shaken_accel)
+        bias = self._biases.until(perfect.t_ns)
+        errors = bias + self._density * self._root_rate(perfect) * self._rng.standard_normal((n, 6))
+        model = self._model
+        gyro = _read_out(gyro + errors[:, :3], model.gyro_resolution_rad_s, model.gyro_range_rad_s)
+        accel = _read_out(accel + errors[:, 3:], model.accel_resolution_m_s2, model.accel_range_m_s2)
+        return ImuSamples(perfect.t_ns, gyro, accel, perfect.sampling), bias[:, :3], bias[:, 3:]
+
+    def _root_rate(self, samples: ImuSamples) -> Array | float:
+        """Return the square root of the noise's bandwidth [√Hz]: a number, or one (N, 1) for each interval."""
+        if samples.sampling == "point":
+            return float(np.sqrt(self._model.rate_hz))
+        interval_ns = round(1e9 / self._model.rate_hz)
+        start_ns = int(samples.t_ns[0]) - interval_ns if self._t_ns is None else self._t_ns
+        self._t_ns = int(samples.t_ns[-1])
+        return np.asarray(1.0 / np.sqrt(np.diff(samples.t_ns, prepend=start_ns)[:, None] * 1e-9))
+
+
+def _drawn_constants(model: ImuModel, rng: np.random.Generator, turn_on: Array) -> ImuConstants:
+    """Return one unit of a model."""
+    eye = np.eye(3)
+    scale_and_tilt = rng.standard_normal((2, 3, 3))
+    spread_gyro = np.where(eye > 0.0, model.gyro_scale_error, model.gyro_misalignment_rad)
+    spread_accel = np.where(eye > 0.0, model.accel_scale_error, model.accel_misalignment_rad)
+    return ImuConstants(
+        gyro_matrix=eye + spread_gyro * scale_and_tilt[0],
+        accel_matrix=eye + spread_accel * scale_and_tilt[1],
+        gyro_g_sensitivity=model.gyro_g_sensitivity_rad_s_per_m_s2 * rng.standard_normal((3, 3)),
+        gyro_turn_on_bias_rad_s=turn_on[:3],
+        accel_turn_on_bias_m_s2=turn_on[3:],
+    )
+
+
+def _read_out(value: Array, step: float, limit: float) -> Array:
+    """Return values rounded to steps, if there are any, and clipped at ± a limit."""
+    rounded = step * np.rint(value / step) if step > 0.0 else value
+    return np.clip(rounded, -limit, limit)

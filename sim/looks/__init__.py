@@ -1,0 +1,1 @@
+"""What surfaces look like: geometry, paint and light, laid out on textures."""

@@ -1,0 +1,191 @@
+"""The path to fly: from standing on the pad, through a shape, to standing on it again.
+
+Positions are minimum-snap splines (`dronevio.sim.paths.snap`), headings follow at a limited rate
+(`dronevio.sim.paths.gaze`). A quadrotor's attitude, rates and torques follow from position and heading (differential
+flatness; Mellinger and Kumar, "Minimum snap trajectory generation and control for quadrotors", 2011), so a smooth path
+is one that the rotors can follow.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, fields, replace
+
+import numpy as np
+import numpy.typing as npt
+
+from dronevio.models.errors import ConfigError
+from dronevio.models.imu import GRAVITY_M_S2, Times
+from dronevio.models.rotation import log_so3
+from dronevio.sim.paths.plan import TIMED, FlightPlan
+from dronevio.sim.paths.space import Place
+from dronevio.sim.paths.stage import Stage, shaped_tour, straight, timed_tour
+from dronevio.sim.paths.way import leg_clearances
+
+Array = npt.NDArray[np.float64]
+
+_SINK_M = 0.015  # the landing aims this far below the floor: a path that ends on it would never touch it
+_TOUCHDOWN_M = 0.004  # and the rotors stop when it says that the feet are this deep
+_WHOLE_NS = 100_000_000  # the standing at the end is drawn out to a whole number of these
+
+
+@dataclass(frozen=True, eq=False)
+class Reference:
+    """Where the vehicle should be, row by row on a grid of time stamps; what a controller tracks."""
+
+    t_ns: Times
+    """(N,) Time stamps from 0 at equal intervals [ns]."""
+    position_m: Array
+    """(N, 3) Position of the centre of mass in the world [m]."""
+    velocity_m_s: Array
+    """(N, 3) Its velocity [m/s]."""
+    acceleration_m_s2: Array
+    """(N, 3) Its acceleration [m/s²]."""
+    yaw_rad: Array
+    """(N,) Heading [rad]."""
+    rate_rad_s: Array
+    """(N, 3) Angular velocity in the vehicle frame [rad/s]."""
+    angular_acceleration_rad_s2: Array
+    """(N, 3) Its time derivative [rad/s²]."""
+    flying: npt.NDArray[np.bool_]
+    """(N,) Whether the rotors should turn."""
+
+    def __len__(self) -> int:
+        return len(self.t_ns)
+
+    def row(self, t_ns: int) -> int:
+        """Return the last row not after ``t_ns``.
+
+        Raises:
+            ConfigError: The reference says nothing about that time.
+        """
+        index = int(np.searchsorted(self.t_ns, t_ns, side="right")) - 1
+        if index < 0 or t_ns > self.t_ns[-1]:
+            raise ConfigError(f"reference asked for {t_ns} ns; expected 0 to {self.t_ns[-1]} ns")
+        return index
+
+    @property
+    def duration_s(self) -> float:
+        """From the first to the last row [s]."""
+        return float(self.t_ns[-1] - self.t_ns[0]) * 1e-9
+
+    @property
+    def peak_speed_m_s(self) -> float:
+        """Greatest speed [m/s]."""
+        return float(np.linalg.norm(self.velocity_m_s, axis=1).max())
+
+    @property
+    def peak_rate_rad_s(self) -> float:
+        """Greatest angular velocity [rad/s]."""
+        return float(np.linalg.norm(self.rate_rad_s, axis=1).max())
+
+
+def plan_reference(
+    plan: FlightPlan, place: Place, standing_height_m: float, interval_ns: int, rng: np.random.Generator
+) -> Reference:
+    """Return the reference of a plan in a given place.
+
+    Args:
+        plan: What to fly.
+        place: Where: a world.
+        standing_height_m: Height of the centre of mass of the standing drone [m].
+        interval_ns: Time between rows [ns].
+        rng: Moves the waypoints.
+
+    Returns:
+        Rows from t = 0, standing on the pad or in what motion the plan wants, to standing on the pad.
+
+    Raises:
+        ConfigError: The plan does not fit into the place.
+    """
+    stand = place.pad + [0.0, 0.0, standing_height_m]
+    hover = stand + [0.0, 0.0, plan.height_m]
+    reach = _reach(plan, place, stand, hover)
+    tour = (timed_tour if plan.shape == TIMED else shaped_tour)(plan, place, hover, reach, rng)
+    # The tour's own time is exact where it is given, and so are the times of the climb and the descent.
+    limits = None if plan.shape == TIMED else plan.limits
+    climb = straight(stand, hover, plan.takeoff_s, 0.0, limits)
+    yaw_rad = float(tour.heading(tour.duration_s))
+    descent = straight(hover, stand - [0.0, 0.0, _SINK_M], plan.landing_s, yaw_rad, limits)
+    stages = (climb, tour, descent)
+    starts = plan.rest_s + np.cumsum([0.0, *(stage.duration_s for stage in stages)])
+    end_ns = -(-round((starts[-1] + plan.stand_s) * 1e9) // _WHOLE_NS) * _WHOLE_NS
+    t_ns = np.arange(end_ns // interval_ns + 1, dtype=np.int64) * interval_ns
+    t = np.asarray(t_ns * 1e-9, dtype=np.float64)
+    position, velocity, acceleration = (_evaluate(stages, starts, stand, t, order) for order in range(3))
+    yaw = _headings(stages, starts, t)
+    landed = (t > starts[2]) & (position[:, 2] < stand[2] - _TOUCHDOWN_M)
+    flying = (t >= plan.rest_s) & ~landed
+    rate = _rates(acceleration, yaw, interval_ns * 1e-9)
+    change = np.gradient(rate, interval_ns * 1e-9, axis=0)
+    return _begun_later(Reference(t_ns, position, velocity, acceleration, yaw, rate, change, flying), plan.skip_s)
+
+
+def attitude(thrust_direction: Array, yaw_rad: Array) -> Array:
+    """Return attitudes (…, 3, 3) with the z axis along a vector (…, 3) and the x axis heading to ``yaw_rad`` (…)."""
+    z = thrust_direction / np.linalg.norm(thrust_direction, axis=-1, keepdims=True)
+    heading = np.stack([np.cos(yaw_rad), np.sin(yaw_rad), np.zeros_like(yaw_rad)], axis=-1)
+    y = np.cross(z, heading)
+    y /= np.linalg.norm(y, axis=-1, keepdims=True)
+    return np.stack([np.cross(y, z), y, z], axis=-1)
+
+
+def _reach(plan: FlightPlan, place: Place, stand: Array, hover: Array) -> Array:
+    """Return (2, 3) how far the path may go from the hover point in the free box, down and up each axis [m].
+
+    Raises:
+        ConfigError: The plan does not fit into the space, or something hangs above the pad.
+    """
+    low, high = place.free_box[0] + plan.margin_m, place.free_box[1] - plan.margin_m
+    low[2] = stand[2] + plan.floor_m
+    reach = np.stack([low - hover, high - hover])
+    if np.any(reach[0] > 0.0) or np.any(reach[1] < 0.0):
+        raise ConfigError(
+            f"hover at {np.round(hover, 2).tolist()} m; expected between {np.round(low, 2).tolist()} and"
+            f" {np.round(high, 2).tolist()} m, the free space less its margins"
+        )
+    bottomless = replace(place.space, low=np.array([*place.space.low[:2], -np.inf]))
+    clearance = float(leg_clearances(bottomless, stand[None], hover[None])[0])
+    if clearance < plan.margin_m:
+        raise ConfigError(
+            f"the climb from the pad to {np.round(hover, 2).tolist()} m has {clearance:.2f} m of clearance; expected"
+            f" {plan.margin_m:.2f} m"
+        )
+    return reach
+
+
+def _begun_later(reference: Reference, skip_s: float) -> Reference:
+    """Return a reference without its first seconds; its clock starts at 0 again.
+
+    Raises:
+        ConfigError: Nothing would be left.
+    """
+    first = int(np.searchsorted(reference.t_ns, round(skip_s * 1e9)))
+    if first > len(reference) - 2:
+        raise ConfigError(f"plan's skip_s = {skip_s:g} of a flight of {reference.duration_s:g} s; expected less")
+    rest = {part.name: getattr(reference, part.name)[first:] for part in fields(reference)}
+    return replace(Reference(**rest), t_ns=rest["t_ns"] - rest["t_ns"][0])
+
+
+def _evaluate(stages: Sequence[Stage], starts: Array, stand: Array, t: Array, order: int) -> Array:
+    """Return derivatives (N, 3) of consecutive stages' paths, at rest before the first and after the last."""
+    values = np.tile(stand if order == 0 else np.zeros(3), (len(t), 1))
+    for stage, start in zip(stages, starts[:-1], strict=True):
+        begun = t > start
+        values[begun] = stage.path.derivative(order)(np.minimum(t[begun] - start, stage.duration_s))
+    return values
+
+
+def _headings(stages: Sequence[Stage], starts: Array, t: Array) -> Array:
+    """Return headings (N,) of consecutive stages [rad], 0 before the first."""
+    values = np.zeros(len(t))
+    for stage, start in zip(stages, starts[:-1], strict=True):
+        begun = t > start
+        values[begun] = stage.heading(np.minimum(t[begun] - start, stage.duration_s))
+    return values
+
+
+def _rates(acceleration: Array, yaw_rad: Array, dt_s: float) -> Array:
+    """Return angular velocities (N, 3) [rad/s] in the vehicle frame: central differences of the flat attitude."""
+    R = attitude(acceleration + [0.0, 0.0, GRAVITY_M_S2], yaw_rad)
+    rate = np.zeros((len(R), 3))
+    rate[1:-1] = log_so3(np.swapaxes(R[:-2], 1, 2) @ R[2:]) / (2.0 * dt_s)
+    return rate

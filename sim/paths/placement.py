@@ -1,0 +1,103 @@
+"""Where in a world a given path fits: turned about the vertical and shifted, never bent or scaled."""
+
+import numpy as np
+import numpy.typing as npt
+from scipy.interpolate import RegularGridInterpolator
+from scipy.optimize import minimize
+
+from dronevio.models.errors import ConfigError
+from dronevio.models.rotation import pose_matrix
+from dronevio.sim.looks.solids import turn_z
+from dronevio.sim.paths.space import Space
+
+Array = npt.NDArray[np.float64]
+
+_ENOUGH_M = 0.6  # more room than this is worth nothing
+_SPACING_M = 0.1  # between the points of the path that are looked at
+_TURNS = 24  # directions that are tried
+_SHIFTS = 9  # places that are tried along each horizontal axis
+_HEIGHTS = 4
+_CELL_M = 0.3  # of the map of clearances that the search reads
+_REFINED = 6  # of the best places, refined with exact clearances
+_LOW_IS_GOOD = 0.01  # metres of clearance that a metre of height costs: of equal places the lowest
+
+
+def place_path(positions_m: Array, space: Space, margin_m: float, world: str) -> Array:
+    """Return T_world_path (4, 4), a turn about z and a shift, that keeps a path clear of everything in a space.
+
+    Args:
+        positions_m: (N, 3) The path, z up [m].
+        space: Where it is to lie.
+        margin_m: Least distance to any surface [m].
+        world: Name of the world, for the error.
+
+    Raises:
+        ConfigError: It fits nowhere.
+    """
+    points = _thinned(positions_m)
+    middle = 0.5 * (points.min(axis=0) + points.max(axis=0))
+    lookup = _clearance_map(space)
+
+    def cost(clearance: Array, height: Array) -> Array:
+        return -np.minimum(clearance, _ENOUGH_M) + _LOW_IS_GOOD * height
+
+    places, costs = [], []
+    for angle in np.arange(_TURNS) * (2.0 * np.pi / _TURNS):
+        turned = (points - middle) @ turn_z(angle).T
+        shifts = _shifts(turned, space)
+        clearance = lookup((shifts[:, None] + turned).reshape(-1, 3)).reshape(len(shifts), -1).min(axis=1)
+        places.append(np.column_stack([np.full(len(shifts), angle), shifts]))
+        costs.append(cost(clearance, shifts[:, 2]))
+    ranked = np.concatenate(places)[np.argsort(np.concatenate(costs), kind="stable")[:_REFINED]]
+
+    def exact_cost(place: Array) -> float:
+        clearance = space.clearance((points - middle) @ turn_z(place[0]).T + place[1:]).min()
+        return float(cost(clearance, place[3]))
+
+    refined = [
+        minimize(exact_cost, start, method="Nelder-Mead", options={"maxiter": 150, "initial_simplex": _around(start)})
+        for start in ranked
+    ]
+    best = min(refined, key=lambda result: float(result.fun)).x
+    R = turn_z(best[0])
+    T_world_path = pose_matrix(R, best[1:] - R @ middle)
+    clearance = float(space.clearance(positions_m @ R.T + T_world_path[:3, 3]).min())
+    if clearance < margin_m:
+        size = " × ".join(f"{v:.1f}" for v in np.ptp(points, axis=0))
+        raise ConfigError(
+            f"a path of {size} m in world {world!r} comes within {clearance:.2f} m of a surface wherever it is laid;"
+            f" expected at least {margin_m:g} m: try a larger world"
+        )
+    return T_world_path
+
+
+def _thinned(positions_m: Array) -> Array:
+    """Return points (M, 3) of the path that are some `_SPACING_M` apart."""
+    along = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(positions_m, axis=0), axis=1))])
+    wanted = np.arange(0.0, along[-1] + _SPACING_M, _SPACING_M)
+    rows = np.clip(np.searchsorted(along, wanted), 0, len(along) - 1)
+    return np.asarray(positions_m[np.unique(rows)])
+
+
+def _clearance_map(space: Space) -> RegularGridInterpolator:
+    """Return a function from points (N, 3) to clearances (N,) [m] that is quick and nearly right."""
+    axes = [
+        np.linspace(low, high, max(2, round((high - low) / _CELL_M) + 1))
+        for low, high in zip(space.low, space.high, strict=True)
+    ]
+    grid = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1)
+    return RegularGridInterpolator(axes, space.clearance(grid), bounds_error=False, fill_value=-1.0)
+
+
+def _shifts(turned: Array, space: Space) -> Array:
+    """Return shifts (S, 3) that are tried for a path around the origin: those that keep it inside the shell."""
+    low, high = space.low - turned.min(axis=0), space.high - turned.max(axis=0)
+    axes = []
+    for least, greatest, count in zip(low, high, (_SHIFTS, _SHIFTS, _HEIGHTS), strict=True):
+        axes.append(np.linspace(least, greatest, count + 2)[1:-1] if greatest > least else [0.5 * (least + greatest)])
+    return np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3)
+
+
+def _around(place: Array) -> Array:
+    """Return the corners (5, 4) at which the refinement of a place (4,) begins."""
+    return np.asarray(place + np.vstack([np.zeros(4), np.diag([0.1, 0.3, 0.3, 0.2])]))

@@ -1,0 +1,150 @@
+"""The parts of a flight that start and end at rest: the climb, the tour, the descent."""
+
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+from scipy.interpolate import BSpline
+
+from dronevio.sim.paths.gaze import Gaze, across, along, fixed, heading_curve, toward
+from dronevio.sim.paths.limits import Limits
+from dronevio.sim.paths.plan import FlightPlan
+from dronevio.sim.paths.shapes import SHAPES, Arena, Course
+from dronevio.sim.paths.snap import minimum_snap, quickest_knots
+from dronevio.sim.paths.space import Place
+from dronevio.sim.paths.timed_tour import timed_knots
+from dronevio.sim.paths.way import clear_curve, clear_polyline, leg_clearances
+
+Array = npt.NDArray[np.float64]
+
+_APART_M = 0.25  # waypoints closer than this to the one before are left out
+_RETREATS = 6  # how often what a seed moved too close to something is moved half-way back
+_SLACK_M = 0.1  # clearance beside the margin that moved waypoints keep, for the curve to swing out
+
+
+@dataclass(frozen=True, eq=False)
+class Stage:
+    """A part of a flight that starts and ends at rest."""
+
+    path: BSpline
+    """Maps seconds (N,) since its start to positions (N, 3) in the world [m]."""
+    heading: BSpline
+    """Maps them to headings (N,) [rad]."""
+    duration_s: float
+    """How long it takes [s]."""
+
+
+def straight(start: Array, end: Array, least_s: float, yaw_rad: float, limits: Limits | None) -> Stage:
+    """Return the way between two points (3,) [m] in a time [s], or in longer where there are limits that want it."""
+    points = np.stack([start, end])
+    duration_s = least_s if limits is None else max(least_s, float(quickest_knots(points, limits)[-1]))
+    knots = np.array([0.0, duration_s])
+    return Stage(minimum_snap(knots, points), minimum_snap(knots, np.full(2, yaw_rad)), duration_s)
+
+
+def timed_tour(plan: FlightPlan, place: Place, hover: Array, reach: Array, rng: np.random.Generator) -> Stage:
+    """Return the tour of a plan that gives waypoints as fractions of the free space, and their time.
+
+    Args:
+        plan: What to fly.
+        place: Where.
+        hover: (3,) Where it starts and ends [m].
+        reach: (2, 3) How far it may go from there, down and up each axis [m].
+        rng: Moves the waypoints.
+    """
+    fractions = np.array(plan.waypoints).reshape(-1, 3)
+    fractions = fractions + plan.jitter * rng.uniform(-1.0, 1.0, fractions.shape)
+    knots, offsets, yaw = timed_knots(fractions, plan.tour_s, reach)
+    return Stage(minimum_snap(knots, offsets + hover), minimum_snap(knots, plan.turning * yaw), plan.tour_s)
+
+
+def shaped_tour(plan: FlightPlan, place: Place, hover: Array, reach: Array, rng: np.random.Generator) -> Stage:
+    """Return the tour of a plan that names a shape, as quick as its limits allow and clear of everything.
+
+    Args:
+        plan: What to fly.
+        place: Where.
+        hover: (3,) Where it starts and ends [m].
+        reach: (2, 3) How far the free space reaches from there, down and up each axis [m].
+        rng: Moves the waypoints.
+
+    Raises:
+        ConfigError: Something is in the way.
+    """
+    arena = Arena(place, hover + reach[0], hover + reach[1], plan.limits, np.array(plan.waypoints).reshape(-1, 3))
+    course = SHAPES[plan.shape](arena)
+    knots, points = (
+        _laps(plan, arena, hover, course, rng) if len(course.lap) else _on_the_spot(plan, place, hover, course)
+    )
+    path, end_s = minimum_snap(knots, points), float(knots[-1])
+    heading = heading_curve(_gaze(plan, place, course), path, end_s, plan.limits.yaw_rate_rad_s, 0.0)
+    return Stage(path, heading, end_s)
+
+
+def _gaze(plan: FlightPlan, place: Place, course: Course) -> Gaze:
+    """Return where to look."""
+    gazes = {
+        "shape": course.gaze,
+        "along": along,
+        "across": across,
+        "fixed": fixed(0.0),
+        "toward": toward(place.pad[:2] + plan.toward_m),
+    }
+    return gazes[plan.heading]
+
+
+def _on_the_spot(plan: FlightPlan, place: Place, hover: Array, course: Course) -> tuple[Array, Array]:
+    """Return times (2,) and points (2, 3) of a course that stays where it is.
+
+    Raises:
+        ConfigError: Something is in the way.
+    """
+    clear_polyline(place.space, hover[None], plan.margin_m, ["the hover above the pad"])
+    laps = max(1, round(plan.tour_s / course.lap_s)) if plan.tour_s > 0.0 else plan.laps
+    return np.array([0.0, laps * course.lap_s]), np.stack([hover, hover])
+
+
+def _laps(
+    plan: FlightPlan, arena: Arena, hover: Array, course: Course, rng: np.random.Generator
+) -> tuple[Array, Array]:
+    """Return times (K,) and points (K, 3) of all laps of a course, from the hover and back to it.
+
+    Raises:
+        ConfigError: There is no way to fly them.
+    """
+    space = arena.place.space
+    lap = _jittered(course.lap, plan, arena, rng)
+    laps = plan.laps
+    if plan.tour_s > 0.0:
+        one, two = (quickest_knots(_strung(hover, lap, n, course.closed)[0], plan.limits)[-1] for n in (1, 2))
+        laps = max(1, round(1.0 + (plan.tour_s - one) / (two - one)))
+    points, numbers = _strung(hover, lap, laps, course.closed)
+    names = [f"waypoint {k} of the {plan.shape}" if k >= 0 else "the hover above the pad" for k in numbers]
+    return clear_curve(space, clear_polyline(space, points, plan.margin_m, names), plan.margin_m, plan.limits)
+
+
+def _strung(hover: Array, lap: Array, laps: int, closed: bool) -> tuple[Array, list[int]]:
+    """Return the points (K, 3) of all laps between two stays at the hover, and the number of each in its lap.
+
+    A closed course leads back to its first point. The hover's number is -1. Points that nearly coincide with the one
+    before, or at the end with the hover, are left out: between them the drone would have to dance on the spot.
+    """
+    numbers = list(range(len(lap))) * laps + [0] * closed
+    kept = [-1]
+    for number in numbers:
+        last = hover if kept[-1] < 0 else lap[kept[-1]]
+        if np.linalg.norm(lap[number] - last) >= _APART_M:
+            kept.append(number)
+    while len(kept) > 1 and np.linalg.norm(lap[kept[-1]] - hover) < _APART_M:
+        kept.pop()
+    return np.vstack([hover, lap[kept[1:]], hover]), [*kept, -1]
+
+
+def _jittered(lap: Array, plan: FlightPlan, arena: Arena, rng: np.random.Generator) -> Array:
+    """Return the waypoints (M, 3) of a lap, moved by chance as far as the legs between them remain clear."""
+    moved = lap + plan.jitter * arena.half * rng.uniform(-1.0, 1.0, lap.shape)
+    for _ in range(_RETREATS):
+        clear = leg_clearances(arena.place.space, moved, np.roll(moved, -1, axis=0)) >= plan.margin_m + _SLACK_M
+        fine = clear & np.roll(clear, 1)
+        moved = np.where(fine[:, None], moved, 0.5 * (moved + lap))
+    return np.where(fine[:, None], moved, lap)

@@ -1,0 +1,222 @@
+"""Ways through a space: whether a straight leg is clear, a way around where it is not, and curves kept off the walls.
+
+A curve through waypoints swings out beside its straight legs. Where it comes too close to something, the leg there is
+halved by another waypoint on the straight line, which is clear, until the curve follows it closely enough (Richter,
+Bry and Roy, "Polynomial trajectory planning for aggressive quadrotor flight in dense indoor environments", 2016).
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import lru_cache
+from itertools import pairwise, product
+
+import numpy as np
+import numpy.typing as npt
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import dijkstra
+
+from dronevio.models.errors import ConfigError
+from dronevio.sim.paths.limits import Limits
+from dronevio.sim.paths.snap import minimum_snap, quickest_knots
+from dronevio.sim.paths.space import Space
+
+Array = npt.NDArray[np.float64]
+Index = npt.NDArray[np.int64]
+
+_SPACING_M = 0.05  # between the points at which clearance is looked at
+_GUARD_M = 0.005  # more than a surface's clearance can fall between two of them, 0.4 m away from its edge: 0.8 mm
+_SWING_M = 0.1  # room that a way around leaves beside the margin for the curve to swing out, where there is that much
+_ROUNDS = 9  # of halving legs: to a 500th
+_GRID_NODES = 20_000  # of the coarsest grid searched for a way around
+_CELL_M = (0.25, 0.6)  # least and greatest width of its cells
+_REFINEMENTS = 2  # how often the cells are halved where no way is found
+_STEPS = np.array([step for step in product((-1, 0, 1), repeat=3) if step > (0, 0, 0)])  # to half of the neighbours
+
+
+def leg_clearances(space: Space, starts: Array, ends: Array) -> Array:
+    """Return the least clearance (K,) on each straight leg from points (K, 3) to points (K, 3) [m]."""
+    legs = ends - starts
+    if not len(legs):
+        return np.zeros(0)
+    number, share, first = _stations(np.linalg.norm(legs, axis=1))
+    return np.asarray(np.minimum.reduceat(space.clearance(starts[number] + share[:, None] * legs[number]), first))
+
+
+def clear_polyline(space: Space, points: Array, margin_m: float, names: Sequence[str] = ()) -> Array:
+    """Return points (M, 3) whose straight legs are clear: those given (K, 3), and ways around what is between them.
+
+    Args:
+        space: Where to fly.
+        points: Waypoints [m].
+        margin_m: Clearance to keep [m].
+        names: What to call the points where one is at fault; ``waypoint 3`` and so on by default.
+
+    Raises:
+        ConfigError: A waypoint is too close to something, or there is no way from one to the next.
+    """
+    names = names or [f"waypoint {number}" for number in range(len(points))]
+    clearance = space.clearance(points)
+    fine = clearance >= margin_m  # false for what is no number
+    if not fine.all():
+        k = int(fine.argmin())
+        raise ConfigError(
+            f"{names[k]} at {np.round(points[k], 2).tolist()} m has {clearance[k]:.2f} m of clearance; expected at"
+            f" least {margin_m:.2f} m"
+        )
+    blocked = leg_clearances(space, points[:-1], points[1:]) < margin_m
+    way = [points[:1]]
+    for k, (start, goal) in enumerate(pairwise(points)):
+        around = _way_around(space, tuple(start), tuple(goal), margin_m) if blocked[k] else np.zeros((0, 3))
+        if around is None:
+            raise ConfigError(
+                f"no way from {names[k]} at {np.round(start, 2).tolist()} m to {names[k + 1]} at"
+                f" {np.round(goal, 2).tolist()} m; expected one {margin_m:.2f} m clear of everything"
+            )
+        way += [around, goal[None]]
+    return np.concatenate(way)
+
+
+def clear_curve(space: Space, points: Array, margin_m: float, limits: Limits) -> tuple[Array, Array]:
+    """Return times (M,) from 0 [s] and points (M, 3) whose minimum-snap curve keeps clear and within limits.
+
+    Args:
+        space: Where to fly.
+        points: (K, 3) Waypoints with clear straight legs, as from `clear_polyline` [m].
+        margin_m: Clearance to keep [m].
+        limits: What not to exceed.
+
+    Raises:
+        ConfigError: A waypoint leaves the curve no room to turn.
+    """
+    knots = quickest_knots(points, limits)
+    for _ in range(_ROUNDS):
+        low = _curve_clearances(space, knots, points)
+        close = low < margin_m + _GUARD_M
+        if not close.any():
+            return knots, points
+        halves = np.flatnonzero(close) + 1
+        points = np.insert(points, halves, 0.5 * (points[halves - 1] + points[halves]), axis=0)
+        knots = np.insert(knots, halves, 0.5 * (knots[halves - 1] + knots[halves]))
+        knots = quickest_knots(points, limits, knots)
+    worst = int(low.argmin())
+    raise ConfigError(
+        f"the curve near {np.round(points[worst], 2).tolist()} m has {low[worst]:.2f} m of clearance; expected"
+        f" {margin_m:.2f} m and some more to turn in"
+    )
+
+
+def _curve_clearances(space: Space, knots: Array, points: Array) -> Array:
+    """Return the least clearance (K - 1,) of the minimum-snap curve on each leg [m]."""
+    curve = minimum_snap(knots, points)
+    rough = curve(np.linspace(knots[:-1], knots[1:], 9))
+    length = np.linalg.norm(np.diff(rough, axis=0), axis=-1).sum(axis=0)
+    number, share, first = _stations(2.0 * length)  # as if twice as long: the curve is not flown evenly
+    return np.asarray(
+        np.minimum.reduceat(space.clearance(curve(knots[number] + share * np.diff(knots)[number])), first)
+    )
+
+
+def _stations(lengths: Array) -> tuple[Index, Array, Index]:
+    """Return where to look on legs of some lengths (K,) [m]: of each place the leg's number and the share of the leg
+    that is behind it, both ends included; and the row at which each leg's places begin.
+    """
+    counts = np.ceil(lengths / _SPACING_M).astype(np.int64) + 2
+    first = np.concatenate([[0], np.cumsum(counts)[:-1]])
+    number = np.repeat(np.arange(len(counts)), counts)
+    return number, (np.arange(len(number)) - first[number]) / (counts[number] - 1), first
+
+
+@lru_cache(maxsize=256)
+def _way_around(space: Space, start: tuple[float, ...], goal: tuple[float, ...], margin_m: float) -> Array | None:
+    """Return the points (M, 3) between a start and a goal of a short way that is clear, or none if there is none.
+
+    Kept, since every lap asks for the same ways.
+    """
+    volume = float(np.prod(space.high - space.low))
+    cell_m = float(np.clip((volume / _GRID_NODES) ** (1.0 / 3.0), *_CELL_M))
+    for refinement in range(_REFINEMENTS):
+        grid = _grid(space, cell_m / 2**refinement)
+        for wanted_m in (margin_m + _SWING_M, margin_m + 2.0 * _GUARD_M):
+            way = grid.way(np.array(start), np.array(goal), margin_m, wanted_m)
+            if way is not None:
+                return _straightened(space, way, wanted_m)[1:-1]
+    return None
+
+
+def _straightened(space: Space, way: Array, margin_m: float) -> Array:
+    """Return the points (L, 3) of a way (M, 3) that are left when all that can be cut off is: first to last seen."""
+    kept, here = [0], 0
+    while here < len(way) - 1:
+        beyond = way[here + 2 :]
+        seen = np.flatnonzero(leg_clearances(space, np.broadcast_to(way[here], beyond.shape), beyond) >= margin_m)
+        here += 2 + int(seen[-1]) if len(seen) else 1
+        kept.append(here)
+    return way[kept]
+
+
+@dataclass(frozen=True, eq=False)
+class _Grid:
+    """Points in a space, and the legs from each to its 26 neighbours."""
+
+    space: Space
+    """Where it lies."""
+    cell_m: float
+    """Distance of neighbours along an axis [m]."""
+    nodes: Array
+    """(N, 3) The points [m]."""
+    tails: Index
+    """(E,) Where each leg starts: a row of the nodes."""
+    heads: Index
+    """(E,) Where it ends."""
+    lengths: Array
+    """(E,) Its length [m]."""
+    least: Array
+    """(E,) A clearance that it nowhere falls below [m]."""
+
+    def way(self, start: Array, goal: Array, margin_m: float, wanted_m: float) -> Array | None:
+        """Return the shortest way (M, 3) along legs of a clearance, its ends included, or none if there is none.
+
+        Args:
+            start: (3,) Where it starts [m].
+            goal: (3,) Where it ends [m].
+            margin_m: Clearance of the legs that lead from the start and to the goal [m].
+            wanted_m: Clearance of all other legs [m].
+        """
+        ends, n = np.stack([start, goal]), len(self.nodes)
+        end, node = np.nonzero(np.linalg.norm(self.nodes - ends[:, None], axis=-1) < 1.8 * self.cell_m)
+        joined = leg_clearances(self.space, ends[end], self.nodes[node]) >= margin_m
+        end, node = end[joined], node[joined]
+        clear = self.least >= wanted_m
+        lengths = np.concatenate([self.lengths[clear], np.linalg.norm(self.nodes[node] - ends[end], axis=1) + 1e-9])
+        tails = np.concatenate([self.tails[clear], n + end])
+        heads = np.concatenate([self.heads[clear], node])
+        graph = coo_array((lengths, (tails, heads)), shape=(n + 2, n + 2)).tocsr()
+        distance, before = dijkstra(graph, directed=False, indices=n, return_predecessors=True)
+        if not np.isfinite(distance[n + 1]):
+            return None
+        way = [n + 1]
+        while way[-1] != n:
+            way.append(int(before[way[-1]]))
+        return np.concatenate([self.nodes, ends])[way[::-1]]
+
+
+@lru_cache(maxsize=4)
+def _grid(space: Space, cell_m: float) -> _Grid:
+    """Return a grid over a space; kept, since many ways may be sought in one space."""
+    axes = [np.arange(low + 0.5 * cell_m, high, cell_m) for low, high in zip(space.low, space.high, strict=True)]
+    shape = np.array([len(axis) for axis in axes])
+    nodes = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3)
+    place = np.stack(np.unravel_index(np.arange(len(nodes)), shape), axis=-1)
+    blocks = np.lexsort((place // 4).T)  # points that are asked for together should be close together
+    clearance = np.empty(len(nodes))
+    clearance[blocks] = space.clearance(nodes[blocks])
+    tails, heads = [], []
+    for step in _STEPS:
+        tail = np.flatnonzero(np.all((place + step >= 0) & (place + step < shape), axis=1))
+        tails.append(tail)
+        heads.append(np.ravel_multi_index((place[tail] + step).T, shape))
+    tail, head = np.concatenate(tails), np.concatenate(heads)
+    lengths = np.linalg.norm(nodes[head] - nodes[tail], axis=1)
+    # Clearance changes by no more than the distance moved, so on a leg it nowhere falls below this.
+    least = 0.5 * (clearance[tail] + clearance[head] - lengths)
+    return _Grid(space, cell_m, nodes, tail, head, lengths, least)

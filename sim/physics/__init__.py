@@ -1,0 +1,1 @@
+"""What moves the drone: rotors, air, contact, and the controller that steers them."""

@@ -1,0 +1,215 @@
+"""The controller: geometric tracking on SE(3), down to the speed of each rotor.
+
+Lee, Leok, McClamroch, "Geometric tracking control of a quadrotor UAV on SE(3)", CDC 2010. The position error asks for
+a force; the force, with the heading, asks for an attitude; the errors of attitude and rate ask for a torque. The
+reference's own acceleration, rates and angular acceleration are fed forward, and so are the drag in still air and the
+lift that the floor, at z = 0, adds. What else pushes (wind, a wrong mass) is observed from how the velocity differs
+from what the rotors should have made of it, and countered.
+"""
+
+from dataclasses import dataclass
+from math import cos, exp, sin, sqrt
+
+import numpy as np
+import numpy.typing as npt
+
+from dronevio.models.errors import ConfigError
+from dronevio.models.imu import GRAVITY_M_S2
+from dronevio.models.quadrotor import AIR_DENSITY_KG_M3, RESEARCH, Quadrotor
+from dronevio.models.rotation import inverse_pose
+from dronevio.models.state import NavState
+from dronevio.sim.paths.path import Reference
+from dronevio.sim.physics.disturbance import DisturbanceObserver
+from dronevio.sim.physics.drive import IDLE_SHARE, Mixer, RotorDrive
+from dronevio.sim.physics.rotors import ground_effect
+
+Array = npt.NDArray[np.float64]
+
+_UP = np.array([0.0, 0.0, 1.0])
+_CLEAR_OF_GROUND_M = 0.05  # above its start: from there on no foot carries weight
+
+
+@dataclass(frozen=True)
+class Gains:
+    """Stiffness and damping by unit mass and inertia, so that they hold for every quadrotor."""
+
+    position_per_s2: float = 9.0
+    """Acceleration by position error [1/s²]: a natural frequency of 3 rad/s."""
+    velocity_per_s: float = 5.0
+    """Acceleration by velocity error [1/s]."""
+    tilt_per_s2: float = 140.0
+    """Angular acceleration of roll and pitch by attitude error [1/s²]: 12 rad/s, a third of the rotors' 33."""
+    tilt_rate_per_s: float = 18.0
+    """Angular acceleration of roll and pitch by rate error [1/s]."""
+    yaw_per_s2: float = 30.0
+    """Angular acceleration of yaw by attitude error [1/s²]: the rotors' drag torque is weak."""
+    yaw_rate_per_s: float = 9.0
+    """Angular acceleration of yaw by rate error [1/s]."""
+    force_observer_rad_s: float = 5.0
+    """Poles of the observer of what pushes [rad/s]: below the tilt's, which must do what it asks for."""
+    force_max_m_s2: float = 5.0
+    """Greatest push that is countered on each axis, by unit mass [m/s²]."""
+    torque_observer_rad_s: float = 12.0
+    """Poles of the observer of what turns [rad/s]: below the rotors', which must do what it asks for."""
+    torque_max_rad_s2: float = 60.0
+    """Greatest twist that is countered on each axis, by unit inertia [rad/s²]."""
+    rotor_response_s: float = 0.03
+    """Time constant that slower rotors are driven to by leading their command [s]."""
+
+
+class SE3Controller:
+    """Flies a reference; implements `Controller`.
+
+    It works on the vehicle frame at the centre of mass, and takes the state of the IMU wherever that is mounted. It
+    keeps its own idea of the rotors' speeds (at hover, where the reference begins in the air), and must be asked for
+    every step of the reference in turn.
+    """
+
+    def __init__(
+        self, reference: Reference, T_vehicle_imu: Array, quadrotor: Quadrotor | None = None, gains: Gains | None = None
+    ) -> None:
+        """Prepare to fly.
+
+        Args:
+            reference: Where to be, when.
+            T_vehicle_imu: (4, 4) Where the IMU is mounted.
+            quadrotor: Whose mass, inertia and rotors to count with; the house's 1.5 kg one by default.
+            gains: How stiffly to fly.
+        """
+        self._reference = reference
+        self._quadrotor = quadrotor or RESEARCH
+        self._gains = gains = gains or Gains()
+        self._step_s = float(reference.t_ns[1] - reference.t_ns[0]) * 1e-9
+        self._mixer = Mixer(self._quadrotor)
+        self._aloft = bool(reference.flying[0])
+        self._hover_speed = self._quadrotor.hover_speed_rad_s
+        speed = self._hover_speed if self._aloft else 0.0
+        self._drive = RotorDrive(self._quadrotor, gains.rotor_response_s, speed)
+        self._push = DisturbanceObserver(gains.force_observer_rad_s, gains.force_max_m_s2)
+        self._twist = DisturbanceObserver(gains.torque_observer_rad_s, gains.torque_max_rad_s2)
+        self._allocation = self._quadrotor.allocation
+        self._T_imu_vehicle = inverse_pose(T_vehicle_imu)
+        self._R_vehicle_imu = T_vehicle_imu[:3, :3]
+        self._lever = T_vehicle_imu[:3, 3]
+        self._inertia = np.array(self._quadrotor.inertia_kg_m2)
+        self._stiffness = np.array([gains.tilt_per_s2, gains.tilt_per_s2, gains.yaw_per_s2])
+        self._damping = np.array([gains.tilt_rate_per_s, gains.tilt_rate_per_s, gains.yaw_rate_per_s])
+        self._spins = self._quadrotor.rotor_spins
+        self._yaw_drag_nm = 0.0
+
+    def command(self, state: NavState, t_ns: int) -> Array:
+        """Return rotor speeds (4,) [rad/s] for the state at ``t_ns``; zeros while the drone should stand.
+
+        Raises:
+            ConfigError: The state has no angular velocity, or the reference ends before ``t_ns``.
+        """
+        row = self._reference.row(t_ns)
+        if not self._reference.flying[row]:
+            self._drive.towards(np.zeros(4), self._step_s)
+            return np.zeros(4)
+        if state.angular_velocity_rad_s is None:
+            raise ConfigError("state without angular velocity; expected one, since the controller damps the rates")
+        T = state.T_world_imu @ self._T_imu_vehicle
+        R = T[:3, :3]
+        rate = self._R_vehicle_imu @ state.angular_velocity_rad_s
+        velocity = state.velocity_m_s - R @ _cross(rate, self._lever)
+        lift = float(ground_effect(self._quadrotor, T[2, 3] + self._quadrotor.rotor_height_m))
+        momentum = self._inertia * rate
+        momentum[2] += self._quadrotor.rotor_inertia_kg_m2 * float(self._spins @ self._drive.speeds_rad_s)
+        gyroscopic = _cross(rate, momentum)
+        if self._off_the_ground(row):
+            self._push.update(velocity, self._pushed(R[:, 2], velocity, lift), self._step_s)
+            self._twist.update(rate, self._twisted(gyroscopic), self._step_s)
+        force = self._acceleration(row, T[:3, 3], velocity)
+        R_wanted = _attitude(force, float(self._reference.yaw_rad[row]))
+        torque = self._inertia * self._turn(row, R, R_wanted, rate) + gyroscopic
+        torque[2] = self._yaw_drag(torque[2])
+        wanted = self._mixer.speeds(self._quadrotor.mass_kg * float(force @ R[:, 2]) / lift, torque)
+        return self._drive.towards(wanted, self._step_s)
+
+    def _off_the_ground(self, row: int) -> bool:
+        """Return whether the drone has left the ground, which could push it as no air does."""
+        height = self._reference.position_m[:, 2]
+        self._aloft = self._aloft or bool(height[row] - height[0] > _CLEAR_OF_GROUND_M)
+        return self._aloft
+
+    def _pushed(self, up: Array, velocity: Array, lift: float) -> Array:
+        """Return the acceleration (3,) that the rotors, gravity and still air make now [m/s²], in the world."""
+        speeds, drone = self._drive.speeds_rad_s, self._quadrotor
+        thrust = lift * drone.thrust_n_per_rad2_s2 * float(speeds @ speeds) / drone.mass_kg
+        return np.asarray(thrust * up - GRAVITY_M_S2 * _UP + self._drag(up, velocity, float(speeds.sum())))
+
+    def _twisted(self, gyroscopic: Array) -> Array:
+        """Return the angular acceleration (3,) that the rotors make now [rad/s²], in the vehicle frame."""
+        drive, drone = self._drive, self._quadrotor
+        torque = self._allocation[1:] @ drive.speeds_rad_s**2
+        torque[2] -= drone.rotor_inertia_kg_m2 * float(self._spins @ drive.change_rad_s2)
+        return np.asarray((torque - gyroscopic) / self._inertia)
+
+    def _acceleration(self, row: int, position: Array, velocity: Array) -> Array:
+        """Return the specific force (3,) that the rotors should give, in the world [m/s²] (Lee 2010, eq. 15)."""
+        reference, gains = self._reference, self._gains
+        wanted = reference.velocity_m_s[row]
+        force = (
+            gains.position_per_s2 * (reference.position_m[row] - position)
+            + gains.velocity_per_s * (wanted - velocity)
+            + reference.acceleration_m_s2[row]
+            - self._push.disturbance
+            + GRAVITY_M_S2 * _UP
+        )
+        size = sqrt(force @ force)
+        speeds = 4.0 * self._hover_speed * sqrt(size / GRAVITY_M_S2)
+        return np.asarray(force - self._drag(force / size, wanted, speeds))
+
+    def _drag(self, up: Array, velocity: Array, speeds: float) -> Array:
+        """Return the acceleration (3,) by drag in still air [m/s²], in the world; see `Rotors`.
+
+        Args:
+            up: (3,) The vehicle's z axis in the world.
+            velocity: (3,) In the world [m/s].
+            speeds: Sum of the rotors' speeds [rad/s].
+        """
+        drone = self._quadrotor
+        body = 0.5 * AIR_DENSITY_KG_M3 * sqrt(velocity @ velocity)
+        across = drone.drag_n_s2_per_rad_m * speeds + body * drone.drag_area_m2[0]
+        along = drone.inflow_n_s2_per_rad_m * speeds + body * drone.drag_area_m2[2]
+        climb = float(up @ velocity)
+        return np.asarray((across * velocity + (along - across) * climb * up) / -drone.mass_kg)
+
+    def _turn(self, row: int, R: Array, R_wanted: Array, rate: Array) -> Array:
+        """Return the angular acceleration (3,) to ask for, in the vehicle frame [rad/s²] (Lee 2010, eq. 16)."""
+        turn = R_wanted.T @ R
+        attitude_error = 0.5 * np.array([turn[2, 1] - turn[1, 2], turn[0, 2] - turn[2, 0], turn[1, 0] - turn[0, 1]])
+        wanted_rate = turn.T @ self._reference.rate_rad_s[row]
+        wanted_change = turn.T @ self._reference.angular_acceleration_rad_s2[row] - _cross(rate, wanted_rate)
+        errors = self._stiffness * attitude_error + self._damping * (rate - wanted_rate)
+        return np.asarray(wanted_change - errors - self._twist.disturbance)
+
+    def _yaw_drag(self, torque_nm: float) -> float:
+        """Return the part of a yaw torque [N m] that the rotors' drag is to give.
+
+        Speeding a rotor up turns the body at once by the reaction, and later by the drag: together
+        (1 + T s) times the drag, with T = J / (2 k_m ω) (Smeur, Chu, de Croon 2016). The inverse of that is applied.
+        """
+        drone = self._quadrotor
+        speed = max(float(self._drive.speeds_rad_s.mean()), IDLE_SHARE * drone.rotor_speed_max_rad_s)
+        ratio = 2.0 * drone.torque_nm_per_rad2_s2 * speed / drone.rotor_inertia_kg_m2
+        self._yaw_drag_nm += (1.0 - exp(-self._step_s * ratio)) * (torque_nm - self._yaw_drag_nm)
+        return self._yaw_drag_nm
+
+
+def _attitude(force: Array, yaw_rad: float) -> Array:
+    """Return the attitude (3, 3) with z along a force (3,) and x heading to a yaw: `path.attitude` for one, quickly."""
+    z = force / sqrt(force @ force)
+    y = _cross(z, np.array([cos(yaw_rad), sin(yaw_rad), 0.0]))
+    y /= sqrt(y @ y)
+    R = np.empty((3, 3))
+    R[:, 0], R[:, 1], R[:, 2] = _cross(y, z), y, z
+    return R
+
+
+def _cross(a: Array, b: Array) -> Array:
+    """Return a × b of two (3,) vectors; `np.cross` takes ten times as long for so few numbers."""
+    ax, ay, az = a.tolist()
+    bx, by, bz = b.tolist()
+    return np.array([ay * bz - az * by, az * bx - ax * bz, ax * by - ay * bx])

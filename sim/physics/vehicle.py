@@ -1,0 +1,57 @@
+"""The vehicle in MuJoCo: its body with the constants of a quadrotor, to look at or to fly."""
+
+import mujoco
+import numpy as np
+import numpy.typing as npt
+
+from dronevio.models.imu import GRAVITY_M_S2
+from dronevio.models.quadrotor import ROTOR_NAMES, Quadrotor
+from dronevio.models.rig import Rig
+from dronevio.models.rotation import quat_wxyz_from_matrix
+from dronevio.sim.physics.collisions import TOUCHED_GROUP, add_floor, add_touched
+
+Array = npt.NDArray[np.float64]
+
+_SETTLING_S = 1.0  # until the feet's springs have come to rest
+
+
+def quadrotor_spec(quadrotor: Quadrotor, rig: Rig) -> mujoco.MjSpec:
+    """Return the vehicle's MjSpec with its constants and the IMU's site in place, ready to compile or to attach."""
+    spec = mujoco.MjSpec.from_file(str(quadrotor.mjcf))
+    body = spec.body("quadrotor")
+    body.mass = quadrotor.mass_kg
+    body.inertia = quadrotor.inertia_kg_m2
+    for name, position in zip(ROTOR_NAMES, quadrotor.rotor_positions_m, strict=True):
+        spec.site(name).pos = position
+    T = rig.T_vehicle_imu
+    body.add_site(name="imu", pos=T[:3, 3], quat=quat_wxyz_from_matrix(T[:3, :3]), size=[0.005] * 3, group=4)
+    return spec
+
+
+def physics_model(
+    quadrotor: Quadrotor, rig: Rig, step_s: float, surroundings: mujoco.MjSpec | None = None
+) -> mujoco.MjModel:
+    """Return the vehicle among what can be touched of a world, without looks; by default above an endless floor.
+
+    Its six controls are the wrench on the centre of mass, in the vehicle frame (see `Rotors`).
+    """
+    spec = quadrotor_spec(quadrotor, rig)
+    for geom in [geom for geom in spec.geoms if geom.group != TOUCHED_GROUP]:
+        spec.delete(geom)
+    if surroundings is None:
+        add_floor(spec)
+    else:
+        add_touched(spec, surroundings)
+    spec.option.timestep = step_s
+    spec.option.gravity = [0.0, 0.0, -GRAVITY_M_S2]
+    spec.option.integrator = mujoco.mjtIntegrator.mjINT_EULER  # the one whose IMU can be exact; see `Motion`
+    spec.option.cone = mujoco.mjtCone.mjCONE_ELLIPTIC  # the feet stand without creeping
+    return spec.compile()
+
+
+def standing_pose(quadrotor: Quadrotor, rig: Rig, step_s: float) -> Array:
+    """Return the (7,) pose in which a drone stands at rest on the origin: the feet's springs carry the weight."""
+    model = physics_model(quadrotor, rig, step_s)
+    data = mujoco.MjData(model)
+    mujoco.mj_step(model, data, round(_SETTLING_S / step_s))
+    return np.array(data.qpos)

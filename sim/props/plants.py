@@ -1,0 +1,192 @@
+"""What grows, and what lies about in the open: trees, bushes, rocks, logs.
+
+Each returns cutouts of shared images, in the frame of its own foot, and the boxes that it fills. Trunks are prisms of
+eight sides.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from dronevio.sim.looks import textures
+from dronevio.sim.looks import textures_nature as nature
+from dronevio.sim.looks.cutouts import Cutouts, joined, spray
+from dronevio.sim.looks.lightmap import Field
+from dronevio.sim.looks.round import UNSEEN, filling, mantle
+from dronevio.sim.looks.solids import Box, turn_z
+from dronevio.sim.looks.textures import Colour, Image
+
+Array = npt.NDArray[np.float64]
+Random = np.random.Generator
+
+BARKS = 4
+"""Kinds of bark that lie side by side on the bark image."""
+TONES = 4
+"""Kinds of leaves on the leaf image, each in the shade (left) and in the sun (right)."""
+
+_SIDES = 8
+
+
+@dataclass(frozen=True, eq=False)
+class Plant:
+    """Something that grows, or lies on the ground."""
+
+    wood: tuple[Cutouts, ...]
+    """Its parts on the bark image."""
+    leaves: tuple[Cutouts, ...]
+    """Its parts on the leaf image."""
+    obstacles: tuple[Box, ...]
+    """What it fills within reach of a drone."""
+
+    def moved(self, R: Array, position: Array) -> "Plant":
+        """Return it turned by R (3, 3), then shifted by ``position`` (3,)."""
+        wood, leaves = (tuple(part.moved(R, position) for part in parts) for parts in (self.wood, self.leaves))
+        return Plant(wood, leaves, tuple(box.moved(R, position) for box in self.obstacles))
+
+
+def tree(
+    rng: Random,
+    radius_m: float,
+    height_m: float,
+    within_m: float,
+    kind: int,
+    sun: Array,
+    twigs: int,
+    sides: int = _SIDES,
+) -> Plant:
+    """Return a tall tree: a bare trunk as thick as given up to ``within_m``, a crown above.
+
+    Args:
+        rng: Draws it.
+        radius_m: Of the trunk [m].
+        height_m: Of the whole tree [m].
+        within_m: Up to where a drone may meet it: there it is a prism [m].
+        kind: Its bark, one of `BARKS`.
+        sun: (3,) Unit vector toward the sun.
+        twigs: How many its crown has: the fewer, the larger.
+        sides: Of its trunk, an even number.
+    """
+    flare = 0.3
+    heights = np.array([0.8 * height_m, 0.5 * (0.8 * height_m + within_m), within_m, flare, -0.1])
+    radii = radius_m * np.array([0.25, 0.7, 1.0, 1.0, 1.3])
+    bend = np.zeros((5, 2))
+    bend[:2] = np.cumsum(rng.uniform(-0.25, 0.25, (2, 2)), axis=0)[::-1]
+    trunk = Cutouts.of_grid(mantle(heights, radii, sides, bend), kind / BARKS, (kind + 1) / BARKS)
+    # the bark's rows follow the height, not the rings
+    trunk.on_image[..., 1] = 1.0 - trunk.corners[..., 2] / (0.8 * height_m)
+    base = within_m + 0.9 + rng.uniform(0.0, 0.1) * height_m
+    half = np.array([rng.uniform(1.5, 2.3), rng.uniform(1.5, 2.3), 0.5 * (height_m - base)])
+    middle = np.array([*bend[0], 0.5 * (height_m + base)])
+    crown = foliage(rng, middle, half, rng.uniform(1.1, 1.6) * (150.0 / twigs) ** 0.3, twigs, sun)
+    root = Box(np.array([0.0, 0.0, 0.5 * flare]), np.array([0.85, 0.85, 0.0]) * radius_m + [0, 0, 0.5 * flare], UNSEEN)
+    return Plant((trunk,), (crown,), (*filling(radius_m, -0.1, within_m, sides), root)).moved(
+        _leaning(rng), np.zeros(3)
+    )
+
+
+def _leaning(rng: Random) -> Array:
+    """Return a rotation (3, 3) that tips what is upright by up to 2.5°."""
+    tip, toward = np.radians(rng.uniform(0.0, 2.5)), turn_z(rng.uniform(0.0, 2.0 * np.pi))
+    c, s = np.cos(tip), np.sin(tip)
+    return np.asarray(toward @ np.array([[c, 0.0, s], [0.0, 1.0, 0.0], [-s, 0.0, c]]) @ toward.T)
+
+
+def foliage(rng: Random, middle: Array, half: Array, twig_m: float, twigs: int, sun: Array) -> Cutouts:
+    """Return twigs on an ellipsoid, lit on the side of the sun.
+
+    Args:
+        rng: Draws them.
+        middle: (3,) Its centre [m].
+        half: (3,) Its half axes [m].
+        twig_m: Length of a twig [m].
+        twigs: How many.
+        sun: (3,) Unit vector toward the sun.
+    """
+    outward = rng.standard_normal((twigs, 3))
+    outward /= np.linalg.norm(outward, axis=1, keepdims=True)
+    depth = rng.uniform(0.55, 1.0, (twigs, 1))
+    lit = outward @ sun + 0.9 * (depth[:, 0] - 0.75) + 0.5 * rng.standard_normal(twigs) > -0.1
+    cells = rng.integers(0, TONES, twigs) + TONES * lit
+    return spray(rng, middle + outward * depth * half, outward, twig_m, cells, 2 * TONES)
+
+
+def bush(rng: Random, sun: Array) -> Plant:
+    """Return a bush, knee to breast high."""
+    half = np.array([rng.uniform(0.35, 0.6), rng.uniform(0.35, 0.6), rng.uniform(0.3, 0.55)])
+    twig = 0.3
+    inside = foliage(rng, np.array([0.0, 0.0, 0.7 * half[2]]), half, twig, 100, sun)
+    leaves = joined([inside, inside.turned_over()])
+    leaves.corners[..., 2] = np.maximum(leaves.corners[..., 2], 0.01)
+    reach = np.abs(leaves.corners[..., :2]).max(axis=(0, 1))
+    top = float(leaves.corners[..., 2].max())
+    return Plant((), (leaves,), (Box(np.array([0.0, 0.0, 0.5 * top]), np.array([*reach, 0.5 * top]), UNSEEN),))
+
+
+def fern(rng: Random, fronds: int = 9) -> Plant:
+    """Return a low rosette of fronds, no obstacle: it gives way."""
+    parts = []
+    for k in range(fronds):
+        length, width, pitch = rng.uniform(0.35, 0.6), rng.uniform(0.06, 0.1), rng.uniform(0.3, 0.7)
+        c, s = length * np.cos(pitch), length * np.sin(pitch)
+        frond = np.array([[0.0, 0.0, 0.02], [0.55 * c, -width, s], [1.05 * c, 0.0, 0.8 * s], [0.55 * c, width, s]])
+        cell = (int(rng.integers(0, 2 * TONES)) + np.array([[0.5], [0.9], [0.5], [0.1]])) / (2 * TONES)
+        on_image = np.concatenate([cell, [[1.0], [0.5], [0.0], [0.5]]], axis=1)
+        turn = turn_z(2.0 * np.pi * (k + rng.uniform(-0.3, 0.3)) / fronds)
+        parts.append(Cutouts(frond[None] @ turn.T, on_image[None]))
+    top = joined(parts)
+    return Plant((), (top, top.turned_over()), ())
+
+
+def log(rng: Random, radius_m: float, length_m: float, kind: int) -> Plant:
+    """Return a fallen trunk along y."""
+    trunk = mantle(np.array([0.5, -0.5]) * length_m, np.full(2, radius_m), _SIDES)
+    bark = Cutouts.of_grid(trunk, kind / BARKS, (kind + 1) / BARKS, 0.1, 0.1 + 0.09 * length_m)
+    ends = []
+    ring = trunk[0]
+    for k in range(0, _SIDES, 2):
+        for z, order in ((0.5, (0, 1, 2)), (-0.5, (0, 2, 1))):
+            corners = np.array([[0.0, 0.0, 0.0], ring[k], ring[k + 1], ring[k + 2]])[
+                [0, order[1] if z > 0 else 3, 2, 3 if z > 0 else 1]
+            ]
+            corners[:, 2] = z * length_m
+            cell = (kind + 0.5 + 0.1 * corners[:, :1] / radius_m) / BARKS
+            ends.append(Cutouts(corners[None], np.concatenate([cell, 0.5 + 0.02 * corners[:, 1:2]], axis=1)[None]))
+    lie = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, 1.0], [0.0, -1.0, 0.0]])
+    lift = np.array([0.0, 0.0, 0.85 * radius_m])
+    whole = Plant((bark, joined(ends)), (), tuple(filling(radius_m, -0.5 * length_m, 0.5 * length_m, _SIDES)))
+    return whole.moved(lie, lift).moved(turn_z(rng.uniform(0.0, np.pi)), np.zeros(3))
+
+
+def boulder(rng: Random, half: Array) -> tuple[Array, Box]:
+    """Return the surface of a boulder, a grid (R + 1, C + 1, 3) [m], and the box that it fills."""
+    rows, columns = 6, 10
+    v, u = np.meshgrid(
+        np.linspace(0.5 * np.pi, -0.35, rows + 1), np.linspace(0.0, 2.0 * np.pi, columns + 1), indexing="ij"
+    )
+    ball = np.stack([np.cos(v) * np.cos(u), np.cos(v) * np.sin(u), np.sin(v)], axis=2)
+    ball = np.sign(ball) * np.abs(ball) ** 0.62  # squarer than a ball
+    ball /= np.abs(ball).max(axis=(0, 1))
+    uneven = rng.uniform(0.82, 1.0, (rows + 1, columns + 1, 1))
+    uneven[:, -1], uneven[:2] = uneven[:, 0], 1.0
+    grid = ball * uneven * half
+    reach = np.abs(grid).max(axis=(0, 1))
+    top = float(grid[..., 2].max())
+    return grid, Box(np.array([0.0, 0.0, 0.5 * top]), np.array([*reach[:2], 0.5 * top]), UNSEEN)
+
+
+def bark_image(rng: Random, height: int, width: int, colours: tuple[Colour, ...], sun: Array) -> Image:
+    """Return `BARKS` barks side by side, each lit as it is on a trunk whose image begins at the x axis."""
+    each = width // BARKS
+    angle = np.linspace(0.0, 2.0 * np.pi, each, dtype=np.float32)
+    facing = np.maximum(np.cos(angle) * sun[0] + np.sin(angle) * sun[1], 0.0)
+    light: Field = (0.56 + 0.62 * facing).astype(np.float32)
+    images = [nature.bark(rng, height, each, colour) for colour in colours]
+    return np.concatenate([textures.to_image(image * light[None, :, None]) for image in images], axis=1)
+
+
+def leaf_image(rng: Random, height: int, width: int, colours: tuple[Colour, ...]) -> Image:
+    """Return sprays of leaves in ``2 * TONES`` columns: of each colour in the shade, then of each in the sun."""
+    each = width // (2 * TONES)
+    inks = [nature.scaled(colour, f) for f in (0.7, 1.3) for colour in colours]
+    return np.concatenate([nature.leaves(rng, height, each, ink, 170) for ink in inks], axis=1)

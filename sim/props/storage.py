@@ -1,0 +1,144 @@
+"""What a warehouse is full of: pallets with their loads, racks, a forklift, packing tables."""
+
+from dataclasses import dataclass
+from functools import partial
+
+import cv2
+import numpy as np
+import numpy.typing as npt
+
+from dronevio.sim.looks import textures, textures_storage
+from dronevio.sim.looks.solids import Box, Face, Paint
+from dronevio.sim.looks.textures import Colour, Image, to_image
+from dronevio.sim.props.furniture import METAL, Piece, block
+
+Array = npt.NDArray[np.float64]
+Random = np.random.Generator
+
+PALLET_M = np.array([1.05, 1.0, 0.14])
+"""(3,) Width, depth and height of a pallet [m]."""
+_LOAD_PX_PER_M, _SIDE_PX_PER_M, _STEEL_PX_PER_M = 132.0, 64.0, 96.0
+_VARIANTS = 21
+_BLUE: Colour = (46, 78, 128)
+_ORANGE: Colour = (216, 110, 36)
+
+
+@dataclass(frozen=True, eq=False)
+class Stock:
+    """Sides of loads, painted once: a warehouse is full of the same goods."""
+
+    images: tuple[Image, ...]
+    """Each (H, W, 3)."""
+
+    @classmethod
+    def painted(cls, rng: Random) -> "Stock":
+        """Paint it."""
+        size = round(_LOAD_PX_PER_M * PALLET_M[0])
+        paints = textures_storage.LOADS
+        return cls(tuple(paints[k % len(paints)](rng, size, size) for k in range(_VARIANTS)))
+
+    def side(self, number: int) -> Paint:
+        """Return what covers a side of a load of a kind of goods, in a shade of its own."""
+        return partial(_restocked, image=self.images[number])
+
+
+def _restocked(rng: Random, height: int, width: int, image: Image) -> Image:
+    """Return an image in another size and shade."""
+    fitted = cv2.resize(image, (width, height), interpolation=cv2.INTER_AREA)
+    return to_image(fitted * np.float32(rng.uniform(0.88, 1.08)))
+
+
+def _outside(box: Box, px_per_m: float, sides_px_per_m: float, top: bool = True) -> list[Face]:
+    """Return the faces of a box that are seen of a load in a rack: front, sides, top; not the back, nor the bottom."""
+    faces = []
+    for number, face in enumerate(box.faces()):  # +x, −x, +y, −y, +z, −z
+        if number in ((0, 1, 2, 4) if top else (0, 1, 2)):
+            density = px_per_m if number == 2 else sides_px_per_m
+            faces.append(Face(face.corner, face.right, face.down, face.paint, face.glow, density))
+    return faces
+
+
+def loaded_pallet(rng: Random, stock: Stock, R: Array, position: Array, most_m: float) -> tuple[list[Face], float]:
+    """Return the faces of a pallet and of its load, and how high it is [m].
+
+    Args:
+        rng: Draws what lies on it.
+        stock: The goods.
+        R: (3, 3) Its orientation; y points to the front.
+        position: (3,) Middle of its foot [m].
+        most_m: Height of the space for it [m].
+    """
+    foot = Box(np.array([0.0, 0.0, 0.5 * PALLET_M[2]]), 0.5 * PALLET_M, textures_storage.pallet)
+    faces = _outside(foot.moved(R, position), _SIDE_PX_PER_M, _SIDE_PX_PER_M, top=False)
+    number, tall = int(rng.integers(len(stock.images))), float(rng.uniform(0.55, 0.95)) * (most_m - PALLET_M[2])
+    half = 0.5 * np.array([PALLET_M[0] - rng.uniform(0.02, 0.14), PALLET_M[1] - rng.uniform(0.02, 0.14), tall])
+    load = Box(np.array([rng.uniform(-0.02, 0.02), 0.0, PALLET_M[2] + half[2]]), half, stock.side(number))
+    faces += _outside(load.moved(R, position), _LOAD_PX_PER_M, _SIDE_PX_PER_M)
+    return faces, float(PALLET_M[2] + tall)
+
+
+def rack(bays: int, bay_m: float, depth_m: float, levels_m: tuple[float, ...], height_m: float) -> Piece:
+    """Return the steel of a rack, its back at y = 0: uprights, beams, posts that guard its ends."""
+    blue = partial(textures_storage.upright, colour=_BLUE, px_per_m=_STEEL_PX_PER_M)
+    orange = partial(textures_storage.beam, colour=_ORANGE)
+    length = bays * bay_m
+    boxes = []
+    for x in np.linspace(-0.5 * length, 0.5 * length, bays + 1):
+        boxes += [block(float(x), y, 0.0, 0.1, 0.08, height_m, blue) for y in (0.04, depth_m - 0.04)]
+    for x in (-0.5 * length, 0.5 * length):
+        boxes += [block(x, 0.5 * depth_m, z, 0.05, depth_m - 0.16, 0.06, blue) for z in np.arange(0.5, height_m, 0.9)]
+        boxes.append(block(x, depth_m + 0.02, 0.0, 0.16, 0.12, 0.8, textures_storage.hazard))
+    for level in levels_m[1:]:
+        for x in (np.arange(bays) + 0.5) * bay_m - 0.5 * length:
+            boxes.append(block(float(x), depth_m - 0.03, level - 0.13, bay_m - 0.1, 0.06, 0.12, orange))
+    return Piece(tuple(boxes), length, depth_m, height_m)
+
+
+def forklift(rng: Random) -> Piece:
+    """Return a forklift, its forks to the front."""
+    yellow = partial(textures.plain, colour=textures.vary(rng, (222, 164, 30), 0.06))
+    dark = partial(textures.plain, colour=(44, 44, 48))
+    steel = partial(textures.plain, colour=METAL)
+    boxes = [
+        block(0.0, 0.75, 0.22, 1.05, 1.5, 0.5, yellow),
+        block(0.0, 0.3, 0.72, 1.05, 0.6, 0.42, yellow, textures_storage.hazard),
+        block(0.0, 0.85, 0.72, 0.5, 0.5, 0.16, dark),
+        block(0.0, 0.62, 0.88, 0.5, 0.1, 0.55, dark),
+        block(0.0, 1.25, 0.72, 0.6, 0.12, 0.5, dark, partial(textures.screen, colour=(50, 60, 70))),
+        block(0.0, 0.75, 2.02, 1.0, 1.3, 0.06, partial(textures.radiator, colour=(70, 70, 74))),
+    ]
+    boxes += [block(sx * 0.46, y, 1.1, 0.06, 0.06, 0.94, dark) for sx in (-1, 1) for y in (0.15, 1.35)]
+    boxes += [block(sx * 0.47, y, 0.0, 0.18, 0.5, 0.46, dark) for sx in (-1, 1) for y in (0.34, 1.25)]
+    boxes += [block(s * 0.28, 1.62, 0.05, 0.1, 0.12, 2.5, steel) for s in (-1, 1)]
+    boxes += [block(0.0, 1.62, z, 0.5, 0.08, 0.1, steel) for z in (0.3, 1.3, 2.4)]
+    boxes += [block(s * 0.25, 2.2, 0.06, 0.12, 1.05, 0.05, steel) for s in (-1, 1)]
+    return Piece(tuple(boxes), 1.15, 2.75, 2.55)
+
+
+def packing_table(rng: Random) -> Piece:
+    """Return a table with cartons, tape and a screen."""
+    wood, steel = partial(textures.wood, colour=(168, 134, 92)), partial(textures.plain, colour=METAL)
+    boxes = [block(0.0, 0.45, 0.82, 1.9, 0.8, 0.05, wood), block(0.0, 0.45, 0.3, 1.8, 0.7, 0.04, wood)]
+    boxes += [block(sx * 0.9, 0.45 + sy * 0.35, 0.0, 0.06, 0.06, 0.82, steel) for sx in (-1, 1) for sy in (-1, 1)]
+    boxes += [block(sx * 0.9, 0.1, 0.87, 0.05, 0.05, 1.0, steel) for sx in (-1, 1)]
+    boxes.append(block(0.0, 0.12, 1.7, 1.85, 0.26, 0.04, wood))
+    boxes.append(block(0.55, 0.2, 0.87, 0.5, 0.05, 0.36, steel, partial(textures.screen, colour=(60, 84, 110))))
+    for x, z in ((-0.7, 0.34), (-0.2, 0.34), (0.45, 0.34), (-0.6, 0.87), (-0.15, 0.87), (-0.6, 1.74), (0.2, 1.74)):
+        w, h = rng.uniform(0.3, 0.42), rng.uniform(0.16, 0.32)
+        boxes.append(block(x, 0.42 if z < 1.0 else 0.14, z, w, 0.3, h, textures_storage.one_carton))
+    return Piece(tuple(boxes), 2.0, 0.9, 2.1)
+
+
+def truss(span_m: float, height_m: float) -> Piece:
+    """Return a girder of steel along x, its lower edge at z = 0: two chords and diagonals."""
+    steel = partial(textures.plain, colour=(120, 126, 132))
+    boxes = [block(0.0, 0.0, z, span_m, 0.12, 0.1, steel) for z in (0.0, height_m - 0.1)]
+    count = round(span_m / (1.6 * height_m))
+    step, bar = span_m / count, float(np.hypot(0.5 * span_m / count, height_m - 0.1))
+    angle = float(np.arctan2(height_m - 0.1, 0.5 * step))
+    for k in range(2 * count):
+        c, s = np.cos(angle), np.sin(angle) * (1.0 if k % 2 == 0 else -1.0)
+        R = np.array([[c, 0.0, -s], [0.0, 1.0, 0.0], [s, 0.0, c]])
+        middle = np.array([-0.5 * span_m + (k + 0.5) * 0.5 * step, 0.0, 0.5 * height_m])
+        boxes.append(Box(np.zeros(3), 0.5 * np.array([bar, 0.06, 0.06]), steel).moved(R, middle))
+    return Piece(tuple(boxes), span_m, 0.12, height_m)

@@ -1,0 +1,1 @@
+"""A recording's frames, drawn by several processes."""

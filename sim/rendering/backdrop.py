@@ -1,0 +1,73 @@
+"""The backdrop: a world as the rendering processes get it, compiled, lit, and with what moves in it."""
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from tempfile import TemporaryDirectory
+
+import mujoco
+import numpy as np
+import numpy.typing as npt
+
+from dronevio.models.imu import Times
+from dronevio.models.rotation import quat_wxyz_from_matrix
+from dronevio.models.state import Trajectory
+from dronevio.sim.cameras.drawing import MoverPoses
+from dronevio.sim.cameras.interpolation import interpolated_poses
+from dronevio.sim.world import Mover, build_world
+
+Array = npt.NDArray[np.float64]
+
+_NEAREST_M = 0.3  # of the middle of a thing: nothing comes nearer
+
+
+@dataclass(frozen=True, eq=False)
+class Backdrop:
+    """A world, ready to be drawn by any process."""
+
+    model_path: Path
+    """The compiled model."""
+    geom_names: tuple[str, ...]
+    """What is seen, by the geoms' numbers in the model."""
+    illumination: float
+    """Light that falls in, relative to a well lit world."""
+    movers: dict[str, Trajectory]
+    """Paths of what moves, by the names of its bodies, on the clock of the IMU."""
+
+    def movers_at(self, t_ns: int) -> MoverPoses:
+        """Return where everything that moves is at a time [ns]."""
+        return {name: interpolated_poses(path, np.array([t_ns]))[0] for name, path in self.movers.items()}
+
+    def angle_swept_rad(self, from_ns: int, to_ns: int, p_world: Array) -> float:
+        """Return how far anything moves between two times [ns], at most, as seen from a point (3,) [rad]."""
+        ends = [interpolated_poses(path, np.array([from_ns, to_ns]))[:, :3, 3] for path in self.movers.values()]
+        ranges_m = (max(float(np.linalg.norm(start - p_world)), _NEAREST_M) for start, _ in ends)
+        paths_m = (float(np.linalg.norm(end - start)) for start, end in ends)
+        return max((path_m / away_m for path_m, away_m in zip(paths_m, ranges_m, strict=True)), default=0.0)
+
+
+@contextmanager
+def backdrop(world: str, seed: int, t_ns: Times) -> Iterator[Backdrop]:
+    """Build a world, and keep it in a temporary file for as long as the context lasts.
+
+    Args:
+        world: A name that `build_world` knows.
+        seed: Draws its looks.
+        t_ns: (N,) Times at which the paths of what moves are kept [ns]; the flight starts at the first.
+
+    Raises:
+        ConfigError: There is no such world.
+    """
+    built = build_world(world, seed)
+    with TemporaryDirectory(prefix="dronevio-") as scratch:
+        model, path = built.spec.compile(), Path(scratch) / "world.mjb"
+        mujoco.mj_saveModel(model, str(path), None)
+        names = tuple(str(model.geom(number).name) for number in range(model.ngeom))
+        yield Backdrop(path, names, built.illumination, {mover.body: _sampled(mover, t_ns) for mover in built.movers})
+
+
+def _sampled(mover: Mover, t_ns: Times) -> Trajectory:
+    """Return a mover's path at the given times."""
+    poses = mover.poses((t_ns - t_ns[0]) * 1e-9)
+    return Trajectory(t_ns, poses[:, :3, 3].copy(), quat_wxyz_from_matrix(poses[:, :3, :3]))

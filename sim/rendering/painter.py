@@ -1,0 +1,180 @@
+"""What a rendering process does: look at frames to meter them, or draw, develop and write them."""
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import cv2
+import mujoco
+import numpy as np
+import numpy.typing as npt
+
+from dronevio.models.camera import CameraModel
+from dronevio.models.recordings.frame_truth import FrameTruth
+from dronevio.sim.cameras.camera import OffscreenCamera
+from dronevio.sim.cameras.drawing import Canvas
+from dronevio.sim.cameras.shutter import Shutter
+from dronevio.sim.rendering.backdrop import Backdrop
+from dronevio.sim.rendering.render_job import RenderJob
+from dronevio.sim.rendering.truth_images import FOLDERS, depth_image, flow_image, segmentation_image
+from dronevio.sim.streams import generator
+
+Array = npt.NDArray[np.float64]
+GreyImage = npt.NDArray[np.uint8]
+
+PARTIAL = ".partial"
+"""Suffix of an image that is being written."""
+_GLANCE_PX = 8  # a glance has a pixel for so many, each way
+_NEAR_PERCENTILE = 25  # of the depths: what is nearer fills a quarter of the image
+
+
+@dataclass(frozen=True, eq=False)
+class MeterTask:
+    """Measure the light of frames."""
+
+    job: RenderJob
+    """What they are frames of."""
+    scene: Backdrop
+    """Where."""
+    indices: npt.NDArray[np.int64]
+    """(K,) Their places in the schedule."""
+    result: Path
+    """Where the histograms (K, 256) go: the share of the main camera's pixels on each grey level."""
+
+    def carry_out(self) -> Iterator[None]:
+        """Do it; a frame is a unit."""
+        exposed_ns = self.job.schedule.exposed_ns[self.indices]
+        histograms = np.zeros((len(self.indices), 256))
+        with _canvas(self.scene) as (model, canvas):
+            eye = OffscreenCamera(model, at_a_glance(self.job.rig.cameras[0].model), supersampling=1.0, canvas=canvas)
+            for row, (t_ns, T_world_cam) in enumerate(zip(exposed_ns, self.job.poses(0)(exposed_ns), strict=True)):
+                image = eye.render(T_world_cam, self.scene.movers_at(int(t_ns)))
+                histograms[row] = np.bincount(image.ravel(), minlength=256) / image.size
+                yield
+        np.save(self.result, histograms)
+
+
+@dataclass(frozen=True, eq=False)
+class DrawTask:
+    """Draw, develop and write frames."""
+
+    job: RenderJob
+    """What they are frames of."""
+    scene: Backdrop
+    """Where."""
+    indices: npt.NDArray[np.int64]
+    """(K,) Their places in the schedule."""
+    truth: FrameTruth
+    """How all frames of the job are exposed."""
+    mav0: Path
+    """The folder that holds ``cam0/data`` and its neighbours."""
+
+    def carry_out(self) -> Iterator[None]:
+        """Do it; a frame, from all cameras, is a unit."""
+        with _canvas(self.scene) as (model, canvas):
+            cameras = [_FilmCamera(self, number, model, canvas) for number in range(len(self.job.rig.cameras))]
+            surveyors = [_Surveyor(self, model, canvas)] if self.job.truth_images else []
+            for index in self.indices.tolist():
+                name = f"{self.truth.t_ns[index]}.png"
+                for surveyor in surveyors:
+                    for folder, image in surveyor.take(index).items():
+                        write_png(self.mav0 / folder / "data" / name, image)
+                for number, camera in enumerate(cameras):
+                    write_png(self.mav0 / f"cam{number}" / "data" / name, camera.take(index))
+                yield
+
+
+class _FilmCamera:
+    """One camera of the rig: takes developed frames."""
+
+    def __init__(self, task: DrawTask, number: int, model: mujoco.MjModel, canvas: Canvas) -> None:
+        """Prepare to take a camera's frames."""
+        self._task, self._number = task, number
+        camera = task.job.rig.cameras[number]
+        self._poses, self._readout_s = task.job.poses(number), camera.readout_s
+        self._shutter = Shutter(camera, task.job.margin_px(number))
+        self._eye = OffscreenCamera(model, self._shutter.drawn, canvas=canvas)
+        self._glance = OffscreenCamera(model, at_a_glance(camera.model), supersampling=1.0, canvas=canvas)
+
+    def take(self, index: int) -> GreyImage:
+        """Return a frame (H, W)."""
+        job, scene, truth = self._task.job, self._task.scene, self._task.truth
+        middle_ns, exposure_s = int(truth.exposed_ns[index]), float(truth.exposure_s[index])
+        half_ns = round(0.5e9 * (exposure_s + self._readout_s))
+        p_world_cam = self._pose(middle_ns)[:3, 3]
+        swept_rad = scene.angle_swept_rad(middle_ns - half_ns, middle_ns + half_ns, p_world_cam)
+        plan = self._shutter.plan(self._poses, middle_ns, exposure_s, self._nearest_m(middle_ns), swept_rad)
+        light = self._shutter.collect(plan, self._poses, self._view)
+        irradiance = scene.illumination * float(truth.lit[index])
+        gain = float(truth.gain[index])
+        return job.imaging.develop(
+            light, irradiance, exposure_s, gain, generator(job.seed, "images", index, self._number)
+        )
+
+    def _view(self, t_ns: int, rows: slice) -> GreyImage:
+        """Return rows of what is seen at a time [ns]."""
+        return self._eye.render(self._pose(t_ns), self._task.scene.movers_at(t_ns), rows)
+
+    def _nearest_m(self, t_ns: int) -> float:
+        """Return the depth of what is near at a time [m]; infinite where nothing is."""
+        depth = self._glance.render_depth(self._pose(t_ns), self._task.scene.movers_at(t_ns))
+        depth = depth[np.isfinite(depth)]
+        return float(np.percentile(depth, _NEAR_PERCENTILE)) if depth.size else np.inf
+
+    def _pose(self, t_ns: int) -> Array:
+        """Return the camera's pose (4, 4) at a time [ns]."""
+        return np.asarray(self._poses(np.array([t_ns]))[0])
+
+
+class _Surveyor:
+    """Takes images of truth."""
+
+    def __init__(self, task: DrawTask, model: mujoco.MjModel, canvas: Canvas) -> None:
+        """Prepare to take them through the main camera's lens."""
+        self._task, self._poses = task, task.job.poses(0)
+        self._eye = OffscreenCamera(model, task.job.rig.cameras[0].model, canvas=canvas)
+
+    def take(self, index: int) -> dict[str, npt.NDArray[np.uint16]]:
+        """Return what the job asks for of a frame, by folder."""
+        kinds = self._task.job.truth_images
+        exposed_ns = self._task.truth.exposed_ns[index : index + 2]
+        poses, movers = self._poses(exposed_ns), [self._task.scene.movers_at(t_ns) for t_ns in exposed_ns.tolist()]
+        seen = self._eye.render_surfaces(poses[0], movers[0])
+        images = {"depth": depth_image(seen), "segmentation": segmentation_image(seen)}
+        if "flow" in kinds and len(poses) == 2:
+            images["flow"] = flow_image(self._eye.render_flow(*poses, *movers))
+        return {FOLDERS[kind]: images[kind] for kind in kinds if kind in images}
+
+
+@contextmanager
+def _canvas(scene: Backdrop) -> Iterator[tuple[mujoco.MjModel, Canvas]]:
+    """Open the graphics memory for a world."""
+    model = mujoco.MjModel.from_binary_path(str(scene.model_path))
+    canvas = Canvas(model)
+    try:
+        yield model, canvas
+    finally:
+        canvas.close()
+
+
+def at_a_glance(model: CameraModel) -> CameraModel:
+    """Return a camera that sees the same in few pixels."""
+    width, height = (max(size // _GLANCE_PX, 1) for size in (model.width, model.height))
+    x, y = width / model.width, height / model.height
+    return replace(
+        model,
+        width=width,
+        height=height,
+        fx=model.fx * x,
+        fy=model.fy * y,
+        cx=(model.cx + 0.5) * x - 0.5,
+        cy=(model.cy + 0.5) * y - 0.5,
+    )
+
+
+def write_png(path: Path, image: npt.NDArray[np.uint8] | npt.NDArray[np.uint16]) -> None:
+    """Write an image beside its place and then move it there, so that nobody ever sees half of it."""
+    partial = path.with_suffix(PARTIAL)
+    partial.write_bytes(cv2.imencode(".png", image)[1].tobytes())
+    partial.replace(path)

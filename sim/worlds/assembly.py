@@ -1,0 +1,122 @@
+"""From a painted layout to MuJoCo's specification: what is seen, what is touched, and how it is looked at."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import mujoco
+import numpy as np
+import numpy.typing as npt
+
+from dronevio.models.rotation import quat_wxyz_from_matrix
+from dronevio.sim.looks.scenery import Page, add_mirror, add_pages
+from dronevio.sim.looks.solids import Box
+from dronevio.sim.looks.textures import Image
+from dronevio.sim.paths.space import Space
+from dronevio.sim.worlds.layout import Layout
+
+Array = npt.NDArray[np.float64]
+
+_TOUCHED_GROUP = 3  # MuJoCo's viewers do not draw it unless asked
+_NEAR_M, _FAR_M = 0.03, 30.0
+
+
+@dataclass(frozen=True, eq=False)
+class Looks:
+    """What a layout looks like."""
+
+    pages: Sequence[Page]
+    """The painted scenery."""
+    moving_pages: Sequence[Sequence[Page]]
+    """What each moving thing looks like."""
+    mirror: Image | None
+    """(H, W, 3) Pattern of the reflecting floor, lit, if there is one."""
+
+
+def assembled(layout: Layout, looks: Looks) -> mujoco.MjSpec:
+    """Return the specification of a world."""
+    spec = mujoco.MjSpec()
+    seen = np.concatenate([page.vertices for page in looks.pages])
+    _set_up_view(spec, layout, reach_m=float(np.linalg.norm(np.ptp(seen, axis=0))))
+    add_touched(spec, layout)
+    add_pages(spec, spec.worldbody, "scenery", looks.pages)
+    if layout.mirror is not None and looks.mirror is not None:
+        add_mirror(spec, layout.mirror.face, looks.mirror, layout.mirror.reflectance)
+    for thing, pages in zip(layout.moving, looks.moving_pages, strict=True):
+        T_world_thing = thing.poses(np.zeros(1))[0]
+        quat = quat_wxyz_from_matrix(T_world_thing[:3, :3])
+        body = spec.worldbody.add_body(name=thing.name, mocap=True, pos=T_world_thing[:3, 3], quat=quat)
+        add_pages(spec, body, thing.name, pages)
+    return spec
+
+
+def space_of(layout: Layout) -> Space:
+    """Return a layout's bounds, its obstacles, and the lanes of what moves."""
+    boxes = (*layout.obstacles, *layout.lanes)
+    centres, halves = (np.array([getattr(box, part) for box in boxes]).reshape(-1, 3) for part in ("centre", "half"))
+    rotations = np.array([box.R for box in boxes]).reshape(-1, 3, 3)
+    return Space(layout.low.copy(), layout.high.copy(), centres, halves, rotations)
+
+
+def outline_of(layout: Layout) -> Array:
+    """Return the edges (L, 2, 3) of a layout's bounds and of its obstacles [m]."""
+    bounds = _edges(0.5 * (layout.low + layout.high), 0.5 * (layout.high - layout.low), np.eye(3))
+    return np.concatenate([bounds, *(_edges(box.centre, box.half, box.R) for box in layout.obstacles)])
+
+
+def _set_up_view(spec: mujoco.MjSpec, layout: Layout, reach_m: float) -> None:
+    """Set what every camera needs: clipping planes, a light for the drone, no shadow maps."""
+    spec.stat.extent = float(np.linalg.norm(layout.high - layout.low))
+    spec.stat.center = 0.5 * (layout.low + layout.high)
+    spec.visual.map.znear = _NEAR_M / spec.stat.extent
+    spec.visual.map.zfar = max(_FAR_M, reach_m) / spec.stat.extent
+    spec.visual.quality.shadowsize = 0
+    spec.visual.quality.offsamples = 0
+    spec.visual.headlight.ambient = [0.4, 0.4, 0.4]
+    spec.visual.headlight.diffuse = [0.5, 0.5, 0.5]
+    spec.visual.headlight.specular = [0.0, 0.0, 0.0]
+
+
+def add_touched(spec: mujoco.MjSpec, layout: Layout) -> None:
+    """Add what a drone can touch: the floor, walls and ceiling if there are any, and the obstacles."""
+    middle = 0.5 * (layout.low + layout.high)
+    planes = [("floor", 2, layout.low)]
+    if layout.walled:
+        planes.append(("ceiling", 2, layout.high))
+        planes += [
+            (f"wall_{'xy'[axis]}_{side}", axis, bound)
+            for axis in (0, 1)
+            for side, bound in (("low", layout.low), ("high", layout.high))
+        ]
+    for name, axis, bound in planes:
+        place, inward = np.array([*middle[:2], 0.0]), np.zeros(3)
+        place[axis], inward[axis] = bound[axis], 1.0 if bound is layout.low else -1.0
+        spec.worldbody.add_geom(
+            name=name,
+            type=mujoco.mjtGeom.mjGEOM_PLANE,
+            size=[0.0, 0.0, 1.0],
+            pos=place,
+            zaxis=inward,
+            group=_TOUCHED_GROUP,
+        )
+    for number, box in enumerate(layout.obstacles):
+        _add_block(spec, f"obstacle_{number}", box)
+
+
+def _add_block(spec: mujoco.MjSpec, name: str, box: Box) -> None:
+    """Add a box that can be touched."""
+    spec.worldbody.add_geom(
+        name=name,
+        type=mujoco.mjtGeom.mjGEOM_BOX,
+        size=box.half,
+        pos=box.centre,
+        quat=quat_wxyz_from_matrix(box.R),
+        group=_TOUCHED_GROUP,
+    )
+
+
+def _edges(centre: Array, half: Array, R: Array) -> Array:
+    """Return the twelve edges (12, 2, 3) of a box [m]."""
+    signs = np.array([[x, y, z] for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)], dtype=np.float64)
+    corners = centre + (signs * half) @ R.T
+    pairs = [(i, i | bit) for i in range(8) for bit in (4, 2, 1) if not i & bit]
+    return np.stack([corners[[i, j]] for i, j in pairs])

@@ -1,0 +1,136 @@
+"""Contact sheets: worlds seen from a few places each, for people to judge them at a glance."""
+
+from collections.abc import Sequence
+from pathlib import Path
+
+import cv2
+import numpy as np
+import numpy.typing as npt
+
+from dronevio.models.camera import CameraModel
+from dronevio.models.errors import InputError
+from dronevio.models.progress import Progress, silent
+from dronevio.models.rotation import exp_so3
+from dronevio.sim.cameras.camera import OffscreenCamera
+from dronevio.sim.looks.solids import turn_z
+from dronevio.sim.looks.textures import Image, to_image
+from dronevio.sim.world import WORLDS, World, build_world
+from dronevio.sim.worlds.texturedness import poses_along
+
+Array = npt.NDArray[np.float64]
+
+LENS = CameraModel(width=480, height=300, fx=250.0, fy=250.0, cx=239.5, cy=149.5)
+"""What takes the pictures: 88° wide, without distortion."""
+VIEWS = 12
+"""Pictures on the sheet of one world."""
+
+_COLUMNS = 4
+_WORLDS_A_ROW, _VIEWS_EACH = 2, 3  # on the sheet of many
+_CANDIDATES = 4  # places that are tried for each view: the one that sees farthest is taken
+_FAR_PERCENT = 85  # of a view's pixels are nearer than what counts as how far it sees
+_GLANCE_RAD = 0.45  # views look aside in turn, to the left and to the right
+_DOWN_RAD = 0.06
+_GAMMA = 2.2  # of a display: what is dark looks less dark than its light is little
+_GAP_PX, _CAPTION_PX = 6, 30
+_PAPER, _INK, _FAINT = (24, 26, 30), (240, 240, 236), (168, 172, 178)
+_SUPERSAMPLING = 2.0
+
+
+def viewpoints(route: Array, count: int) -> Array:
+    """Return poses (count, 4, 4) of a camera along a closed route (R, 3), looking a little aside and down."""
+    poses = poses_along(route, count)
+    for number, T in enumerate(poses):
+        aside = _GLANCE_RAD * (-1.0, 1.0, 0.0)[number % 3]
+        T[:3, :3] = turn_z(aside) @ T[:3, :3] @ exp_so3(np.array([-_DOWN_RAD, 0.0, 0.0]))
+    return poses
+
+
+def views(world: World, count: int, camera: CameraModel = LENS) -> list[Image]:
+    """Return pictures (H, W, 3) of a world, spread along its route; what is dark is shown as a display would.
+
+    Raises:
+        GraphicsError: No off-screen OpenGL.
+    """
+    poses = viewpoints(world.route, _CANDIDATES * count).reshape(count, _CANDIDATES, 4, 4)
+    pictures = []
+    with OffscreenCamera(world.spec.compile(), camera, _SUPERSAMPLING) as eye:
+        for candidates in poses:
+            sees_m = [float(np.percentile(eye.render_depth(T), _FAR_PERCENT)) for T in candidates]
+            pictures.append(eye.render_rgb(candidates[int(np.argmax(sees_m))]))
+    return [to_image(picture * np.float32(world.illumination ** (1.0 / _GAMMA))) for picture in pictures]
+
+
+def contact_sheet(world: World, camera: CameraModel = LENS) -> Image:
+    """Return twelve views of a world as one picture (H, W, 3), in rows of four.
+
+    Raises:
+        GraphicsError: No off-screen OpenGL.
+    """
+    return _in_rows(views(world, VIEWS, camera), _COLUMNS)
+
+
+def sheet_of_worlds(
+    seed: int, names: Sequence[str] = tuple(WORLDS), camera: CameraModel = LENS, progress: Progress = silent
+) -> Image:
+    """Return a picture (H, W, 3) of several worlds, three views of each under its name.
+
+    Args:
+        seed: What they are drawn from.
+        names: Which.
+        camera: What takes the pictures.
+        progress: Hears of the worlds that are done.
+
+    Raises:
+        ConfigError: There is no such world.
+        GraphicsError: No off-screen OpenGL.
+    """
+    blocks = []
+    for number, name in enumerate(names):
+        progress(number, len(names))
+        blocks.append(_block(name, views(build_world(name, seed), _VIEWS_EACH, camera)))
+    progress(len(names), len(names))
+    return _framed(_in_rows(blocks, min(_WORLDS_A_ROW, len(blocks))))
+
+
+def write_picture(path: Path, picture: Image) -> None:
+    """Write a picture (H, W, 3), as what the file's ending says.
+
+    Raises:
+        InputError: The ending names no kind of image.
+        OSError: It cannot be written.
+    """
+    require_picture(path)
+    path.write_bytes(cv2.imencode(path.suffix, cv2.cvtColor(picture, cv2.COLOR_RGB2BGR))[1].tobytes())
+
+
+def require_picture(path: Path) -> None:
+    """Raise InputError unless a file can be there, and its ending names a kind of image that can be written."""
+    if not path.parent.is_dir():
+        raise InputError(path, "no such folder", "a file in a folder that exists")
+    if not path.suffix or not cv2.haveImageWriter(path.name):
+        raise InputError(path, f"the ending {path.suffix!r}", "that of an image, such as .png or .jpg")
+
+
+def _in_rows(pictures: Sequence[Image], columns: int) -> Image:
+    """Return pictures (H, W, 3) of one size as one, in rows; places that are left over stay empty."""
+    filled = [*pictures, *[np.full_like(pictures[0], _PAPER)] * (-len(pictures) % columns)]
+    return np.vstack([np.hstack(filled[k : k + columns]) for k in range(0, len(filled), columns)])
+
+
+def _framed(picture: Image) -> Image:
+    """Return a picture with a narrow margin."""
+    margins = ((_GAP_PX, _GAP_PX), (_GAP_PX, _GAP_PX))
+    return np.stack([np.pad(picture[..., k], margins, constant_values=_PAPER[k]) for k in range(3)], axis=-1)
+
+
+def _block(name: str, pictures: Sequence[Image]) -> Image:
+    """Return the pictures of a world side by side under its name and description."""
+    strip = np.hstack([_framed(picture) for picture in pictures])
+    caption = np.full((_CAPTION_PX, strip.shape[1], 3), _PAPER, np.uint8)
+    font, base = cv2.FONT_HERSHEY_SIMPLEX, _CAPTION_PX - 9
+    cv2.putText(caption, name, (_GAP_PX + 2, base), font, 0.75, _INK, 2, cv2.LINE_AA)
+    (width, _), _ = cv2.getTextSize(name, font, 0.75, 2)
+    builder = WORLDS[name]
+    words = builder.description if builder.difficulty == "normal" else f"{builder.description} ({builder.difficulty})"
+    cv2.putText(caption, words, (_GAP_PX + width + 18, base), font, 0.52, _FAINT, 1, cv2.LINE_AA)
+    return np.asarray(np.vstack([caption, strip]), dtype=np.uint8)
