@@ -45,6 +45,19 @@ def test_the_simulator_is_measured(capsys: pytest.CaptureFixture[str]) -> None:
     assert 0.8 < memory < 1.2
 
 
+def test_scoring_is_measured(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["bench", "eval", "--quick", "--json"]) == 0
+    document = json.loads(capsys.readouterr().out)
+    assert document["packages"]["evo"] and document["quick"]
+    command, library, size, memory = document["figures"]
+    assert [figure["bound"] for figure in document["figures"]] == [0.35, 10.0, 2.0, 1.1]
+    assert 0.0 < command["value"] < 0.5  # 0.26 where it was measured, on an idle machine
+    assert library["met"] and size["met"]
+    assert 0.5 < memory["value"] < 1.1
+    assert main(["bench", "eval", "--quick", "--truth", "x.txt"]) == 2
+    assert "expected both or none" in capsys.readouterr().err
+
+
 def test_a_bound_works_the_way_it_says() -> None:
     least = Figure("speed", 3.0, "m/s", 2.0, "at least", "")
     assert least.met and not replace(least, sense="at most").met

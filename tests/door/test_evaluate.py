@@ -3,6 +3,7 @@ import shutil
 import subprocess
 import sys
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
 import cv2
@@ -13,7 +14,8 @@ from dronevio.cli import main
 from dronevio.models.camera import CameraModel
 from dronevio.models.imu import ImuSamples
 from dronevio.models.recordings.euroc import write_euroc
-from dronevio.models.recordings.tum import write_tum
+from dronevio.models.recordings.kitti import write_kitti
+from dronevio.models.recordings.tum import read_tum, write_tum
 from dronevio.models.rig import EUROC_T_IMU_CAM0, Rig, RigCamera
 from dronevio.models.rotation import exp_so3, quat_wxyz_from_matrix
 from dronevio.models.state import Trajectory
@@ -99,7 +101,74 @@ def test_starts_without_anything_heavy(flight: Path) -> None:
     command = [sys.executable, "-c", code, "evaluate", str(flight), str(flight.parent / "estimate.tum")]
     loaded = subprocess.run(command, capture_output=True, text=True, check=True).stderr.split()
     assert "numpy" in loaded
-    assert not {"scipy", "cv2", "mujoco", "gtsam", "rerun", "matplotlib", "gymnasium"} & set(loaded)
+    assert not {"scipy", "cv2", "mujoco", "gtsam", "rerun", "matplotlib", "gymnasium", "tyro", "rich"} & set(loaded)
+
+
+def test_reads_kitti_files_with_and_without_times(flight: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """A level drive of 900 m: its world is the camera's, x right, y down and z forward."""
+    folder, n = flight.parent, 901
+    p = np.outer(np.arange(n), [0.0, 0.0, 1.0]) + np.outer(20.0 * np.sin(0.02 * np.arange(n)), [1.0, 0.0, 0.0])
+    quat_wxyz = quat_wxyz_from_matrix(exp_so3(np.outer(0.3 * np.sin(0.02 * np.arange(n)), [0.0, 1.0, 0.0])))
+    truth = Trajectory(100_000_000 * np.arange(n), p, quat_wxyz)
+    turn = exp_so3(np.array([0.0, 0.7, 0.0]))  # about KITTI's vertical
+    turned = quat_wxyz_from_matrix(turn @ truth.rotations)
+    write_kitti(folder / "truth.txt", truth)
+    write_kitti(folder / "estimate.txt", Trajectory(truth.t_ns, 1.01 * p @ turn.T + 5.0, turned))
+    (folder / "times.txt").write_text("".join(f"{0.2 * i:e}\n" for i in range(n)))
+    files = [str(folder / "truth.txt"), str(folder / "estimate.txt")]
+    assert main(["evaluate", *files, "--kitti", "--json"]) == 0
+    document = json.loads(capsys.readouterr().out)
+    assert document["last_s"] == pytest.approx(90.0) and document["rpe_pairs"] == 891
+    assert document["ate_deg"]["max"] < 1e-6  # yaw is about the vertical
+    assert document["drift_percent"] == pytest.approx(1.0, rel=0.05)
+    assert document["kitti"]["translation_percent"] == pytest.approx(1.0, rel=0.05)
+    assert main(["evaluate", *files, "--times", str(folder / "times.txt"), "--json"]) == 0
+    timed = json.loads(capsys.readouterr().out)
+    assert timed["last_s"] == pytest.approx(180.0) and timed["kitti"] is None
+    assert timed["ate_m"] == document["ate_m"]
+    assert main(["evaluate", *files, "--kitti"]) == 0
+    shown = capsys.readouterr().out
+    assert "KITTI benchmark" in shown and "800 m" in shown and "orientation, °/100 m" in shown
+    # The figures of other files than KITTI's come from their poses.
+    tum = [str(folder / "truth.tum"), str(folder / "truth.tum"), "--kitti", "--json"]
+    assert main(["evaluate", *tum]) == 0
+    assert json.loads(capsys.readouterr().out)["kitti"]["ate_m"] == 0.0
+
+
+def test_says_which_time_stamps_repeat(flight: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    estimate = flight.parent / "estimate.tum"
+    rewritten(estimate, lambda content: content + content.split(b"\n")[-2] + b"\n")
+    arguments = ["evaluate", str(flight), str(estimate), "--json"]
+    assert main(arguments) == 0
+    out, err = capsys.readouterr()
+    assert "1 row repeats the time stamp above; of each time the first counts" in err
+    assert json.loads(out)["n_poses"] == 81
+    assert main([*arguments, "--repeated", "refuse"]) == 2
+
+
+def test_a_time_offset_is_said_and_not_applied(flight: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    truth = read_tum(flight.parent / "truth.tum")
+    write_tum(flight.parent / "late.tum", replace(truth[::10], t_ns=truth.t_ns[::10] + 30_000_000))
+    arguments = ["evaluate", str(flight), str(flight.parent / "late.tum"), "--json"]
+    documents = []
+    for options in ([], ["--estimate-time-offset"], ["--time-offset-s", "-0.03"]):
+        assert main([*arguments, *options]) == 0
+        documents.append(json.loads(capsys.readouterr().out))
+    plain, asked, mended = documents
+    assert plain["best_time_offset_s"] is None and asked["best_time_offset_s"] == pytest.approx(-0.03, abs=1e-4)
+    assert asked["ate_m"] == plain["ate_m"] and plain["ate_m"]["rmse"] > 0.01 > mended["ate_m"]["rmse"]
+    assert main([*arguments[:-1], "--estimate-time-offset"]) == 0
+    assert "adding -0.0300" in capsys.readouterr().out
+
+
+def test_draws_a_plot(flight: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    picture = flight.parent / "plots" / "score.png"
+    assert main(["evaluate", str(flight), str(flight.parent / "estimate.tum"), "--plot", str(picture)]) == 0
+    image = cv2.imread(str(picture))
+    assert image is not None and image.shape[0] > 400 and image.std() > 5.0
+    capsys.readouterr()
+    assert main(["evaluate", str(flight), str(flight.parent / "estimate.tum"), "--plot", str(flight)]) == 2
+    assert "a folder; expected the name of a file to write" in capsys.readouterr().err
 
 
 def rewritten(path: Path, change: Callable[[bytes], bytes]) -> None:
