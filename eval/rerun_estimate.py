@@ -282,7 +282,7 @@ class EstimateLog:
 def _together(t_ns: Times, texts: Sequence[str]) -> tuple[Times, list[str]]:
     """Return times (N,) that all differ, and what was said at each of them."""
     instants, first = np.unique(t_ns, return_index=True)
-    ends = [*first[1:], len(texts)]
+    ends = [*first, len(texts)][1:]
     return instants, [", ".join(texts[start:end]) for start, end in zip(first, ends, strict=True)]
 
 

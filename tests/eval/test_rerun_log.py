@@ -1,7 +1,4 @@
-import subprocess
-import sys
 from dataclasses import replace
-from pathlib import Path
 
 import av
 import numpy as np
@@ -190,35 +187,6 @@ def test_what_was_written_before_an_unreadable_image_can_be_read(flight, tmp_pat
     columns = read_rrd(path)
     assert len(columns[at.image(0)]["sample"]) == 70
     assert len(columns[at.GYRO]["scalars"]) == len(flight.recording.imu)
-
-
-KILLED = """
-import os, sys
-sys.path.insert(0, {folder!r})
-import conftest
-from pathlib import Path
-from dronevio.eval.rerun_log import write_rrd
-
-class Killer:
-    def __init__(self, recording): self.recording = recording
-    def __getattr__(self, name): return getattr(self.recording, name)
-    def frame(self, index):
-        if index == 70:
-            import time; time.sleep(1.0)  # the writer flushes five times a second
-            os._exit(9)
-        return self.recording.frame(index)
-
-flight = conftest.make_flight()
-write_rrd(Path(sys.argv[1]), Killer(flight.recording), flight.run, None)
-"""
-
-
-@pytest.mark.filterwarnings("ignore:RRD file has no footer")
-def test_a_file_whose_writer_was_killed_can_be_read(tmp_path, read_rrd):
-    path = tmp_path / "run.rrd"
-    code = KILLED.format(folder=str(Path(__file__).parent))
-    assert subprocess.run([sys.executable, "-c", code, str(path)], check=False).returncode == 9
-    assert len(read_rrd(path)[at.image(0)]["sample"]) == 60
 
 
 @pytest.mark.parametrize("seed", range(5))

@@ -1,0 +1,137 @@
+"""``dronevio log``: results of any program over a recording."""
+
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from rerun.chunk import RrdReader
+
+from dronevio.cli import main
+from dronevio.cli.log import names_of
+from dronevio.cli.view import viewer_program
+from dronevio.models.errors import ConfigError
+from dronevio.models.recordings.open import read_trajectory
+from dronevio.models.recordings.tum import write_tum
+from dronevio.models.rotation import exp_so3
+
+Result = Any  # of conftest, which cannot be imported
+Do = Callable[..., Result]
+
+
+@pytest.fixture(scope="module")
+def results(flown: Result, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A folder with two results for the short flight: one turned about z, one 2 % too large and half as often."""
+    folder = tmp_path_factory.mktemp("results")
+    truth = read_trajectory(flown.folder)[::10]
+    turned = truth.p_world_imu @ exp_so3(np.array([0.0, 0.0, 2.0])).T + 5.0
+    write_tum(folder / "turned.tum", replace(truth, p_world_imu=turned))
+    write_tum(folder / "large.tum", replace(truth[::2], p_world_imu=1.02 * truth.p_world_imu[::2]))
+    return folder
+
+
+@pytest.fixture(scope="module")
+def logged(flown: Result, results: Path, do: Do) -> Result:
+    """Both of them, logged."""
+    out = results / "new" / "both.rrd"
+    estimates = [results / "turned.tum", results / "large.tum"]
+    return do(out, "log", flown.folder, *estimates, "--names", "Turned, 2 % large", "-o", out, "--json")
+
+
+def entities(path: Path) -> set[str]:
+    """Return the entities of a recording."""
+    return {chunk.entity_path for chunk in RrdReader(path).stream()}
+
+
+def test_says_what_it_wrote(logged: Result, flown: Result) -> None:
+    document = logged.document
+    assert document["recording"] == str(flown.folder)
+    assert document["out"] == str(logged.folder)
+    assert document["size_mb"] == pytest.approx(logged.folder.stat().st_size * 1e-6)
+    assert [row["name"] for row in document["estimates"]] == ["Turned", "2 % large"]
+    turned, large = (row["ate_m"] for row in document["estimates"])
+    assert turned < 1e-6 < large < 0.1
+
+
+def test_the_file_verifies_and_holds_both(logged: Result) -> None:
+    command = [*viewer_program(), "rrd", "verify", str(logged.folder)]
+    done = subprocess.run(command, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
+    found = entities(logged.folder)
+    for name in ("Turned", "2\\ \\%\\ large"):
+        assert f"/world/estimates/{name}/path/flown" in found
+        assert f"/error/position/{name}/aligned" in found
+    assert [path.name for path in logged.folder.parent.iterdir()] == ["both.rrd"]
+
+
+def test_a_table_for_people(flown: Result, results: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    out = tmp_path / "one.rrd"
+    assert main(["log", str(flown.folder), str(results / "large.tum"), "--out", str(out), "--crf", "63"]) == 0
+    printed = capsys.readouterr().out
+    for text in ("large", "ATE", str(out), "dronevio view"):
+        assert text in printed.replace("\n", "")
+
+
+@pytest.mark.parametrize(
+    ("arguments", "complaint"),
+    [
+        (["turned.tum", "--names", "a,b"], "--names"),
+        (["turned.tum", "large.tum", "--names", "a,a"], "--names"),
+        (["turned.tum", "--out", "x.txt"], ".rrd"),
+        (["turned.tum", "--crf", "64"], "--crf 64"),
+        (["nothing.tum"], "nothing.tum"),
+        (["turned.tum", "--truth", "nothing.tum"], "nothing.tum"),
+        (["turned.tum", "late.tum"], "late: "),
+    ],
+)
+def test_bad_input_is_refused_in_one_line(
+    flown: Result,
+    results: Path,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+    arguments: list[str],
+    complaint: str,
+) -> None:
+    late = read_trajectory(results / "turned.tum")
+    write_tum(results / "late.tum", replace(late, t_ns=late.t_ns + 10**12))
+    monkeypatch.chdir(tmp_path)
+    words = [str(results / word) if word.endswith(".tum") else word for word in arguments]
+    assert main(["log", str(flown.folder), *words]) == 2
+    error = capsys.readouterr().err
+    assert complaint in error
+    assert error.count("\n") == 1
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_what_is_there_already_stays(logged: Result, flown: Result, results: Path) -> None:
+    before = logged.folder.read_bytes()
+    assert main(["log", str(flown.folder), str(results / "large.tum"), "-o", str(logged.folder)]) == 2
+    assert logged.folder.read_bytes() == before
+
+
+def test_names_come_from_files_and_folders() -> None:
+    assert names_of([Path("a/vins.tum"), Path("b/orb.tum")]) == ["vins", "orb"]
+    assert names_of([Path("a/estimate.tum"), Path("b/estimate.tum")]) == ["a/estimate", "b/estimate"]
+    assert names_of([Path("a.tum"), Path("b.tum")], "x, y z") == ["x", "y z"]
+    with pytest.raises(ConfigError):
+        names_of([Path("a.tum"), Path("a.tum")])
+
+
+@pytest.mark.filterwarnings("ignore:RRD file has no footer")
+def test_killed_half_way_it_leaves_what_can_be_read(flown: Result, results: Path, tmp_path: Path) -> None:
+    unfinished = tmp_path / "x.incomplete.rrd"
+    command = [sys.executable, "-m", "dronevio.cli", "log", str(flown.folder), str(results / "turned.tum")]
+    with subprocess.Popen([*command, "-o", str(tmp_path / "x.rrd"), "--json"], stdout=subprocess.DEVNULL) as writer:
+        while writer.poll() is None and not (unfinished.exists() and unfinished.stat().st_size > 100_000):
+            time.sleep(0.005)
+        writer.send_signal(signal.SIGKILL)
+        assert writer.wait(10) == -signal.SIGKILL
+    assert [path.name for path in tmp_path.iterdir()] == ["x.incomplete.rrd"]
+    assert "/world/truth/flown" in entities(unfinished)
