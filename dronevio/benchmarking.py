@@ -3,7 +3,7 @@
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -15,8 +15,9 @@ from dronevio.eval.benchmark.rows import figures_of
 from dronevio.eval.provenance import versions_here
 from dronevio.models.configuration import to_plain
 from dronevio.models.errors import ConfigError, InputError
-from dronevio.sim.scenario import Scenario
-from dronevio.sim.scenarios import SUITES, scenario
+
+if TYPE_CHECKING:
+    from dronevio.sim.scenario import Scenario
 
 _HOUSE = Path(dronevio.__file__).parent
 _DRAWS = tuple(_HOUSE / name for name in ("sim", "models", "flying.py"))
@@ -49,6 +50,7 @@ class Workbench:
     def record(self, flight: Flight, folder: Path) -> None:
         """Fly a scenario and write its recording."""
         from dronevio.flying import record_flight
+        from dronevio.sim.scenario import Scenario
 
         self._check_here()
         assert isinstance(flight.source, Scenario)
@@ -94,6 +96,8 @@ def scenario_flights(names: Iterable[str], seeds: Sequence[int]) -> tuple[Flight
     Raises:
         ConfigError: There is no such scenario or suite.
     """
+    from dronevio.sim.scenarios import SUITES, scenario
+
     found = {name: scenario(name) for given in names for name in SUITES.get(given, (given,))}
     unique = {flown.name: flown for flown in found.values()}
     return tuple(_flight(replace(flown, seed=seed)) for seed in seeds for flown in unique.values())
@@ -120,7 +124,7 @@ def recorded_flights(paths: Iterable[Path]) -> tuple[Flight, ...]:
     return tuple(flights.values())
 
 
-def _flight(flown: Scenario) -> Flight:
+def _flight(flown: "Scenario") -> Flight:
     """Return a scenario's flight. Its recording's hash is that of all that draws it; a mere name does not."""
     installed = versions_here()
     settings = to_plain(replace(flown, name="", description=""))

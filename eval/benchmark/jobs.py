@@ -6,7 +6,7 @@ Recording and estimators stay together because frames are large and scenarios ar
 import json
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any, Protocol, Self
 
@@ -126,7 +126,7 @@ class Job:
         """Run one estimator in a process of its own."""
         return isolated(
             self.workshop.estimate,
-            self.flight,
+            replace(self.flight, source=None),  # the recording is there; a scenario brings half the simulator along
             recording,
             estimator,
             timeout_s=self.timeout_s,

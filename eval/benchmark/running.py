@@ -1,5 +1,6 @@
 """Runs a benchmark: finds what is missing, has it done, and keeps every row as it comes."""
 
+import time
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -9,6 +10,8 @@ from dronevio.eval.benchmark.engines import Ended, Engine
 from dronevio.eval.benchmark.jobs import Flight, Job, Workshop, lost
 from dronevio.eval.benchmark.rows import Row
 from dronevio.eval.benchmark.store import ResultStore
+
+_JOIN_EVERY_S = 30.0
 
 
 class Listener(Protocol):
@@ -73,8 +76,8 @@ def run_benchmark(
 ) -> tuple[Row, ...]:
     """Do all runs of a benchmark that have not been done, and return the rows of all.
 
-    Every row is on the disk before the listener hears of it; whatever ends this early, what is done stays done, and
-    the joined table holds it.
+    Every row is on the disk before the listener hears of it, so that whatever ends this early, what is done stays done.
+    The joined table is brought up to date every half minute, and in the end, also where that is an interruption.
 
     Args:
         benchmark: What to run.
@@ -89,6 +92,8 @@ def run_benchmark(
     jobs = benchmark.jobs(store, retry)
     missing = {(number, name) for number, job in enumerate(jobs) for name in job.estimators}
     total = len(missing)
+    store.join()  # rather now than later, if that is impossible
+    joined = time.monotonic()
     heard(0, total, None)
     try:
         for number, what in engine.run(jobs) if jobs else ():
@@ -100,6 +105,9 @@ def run_benchmark(
                 store.add(row)
                 missing.discard((number, row.estimator))
                 heard(total - len(missing), total, row)
+            if time.monotonic() - joined > _JOIN_EVERY_S:
+                store.join()
+                joined = time.monotonic()
     finally:
         store.join()
     wanted = {(flight.scenario, flight.seed, name) for flight in benchmark.flights for name in benchmark.estimators}

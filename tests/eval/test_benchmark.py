@@ -1,0 +1,371 @@
+"""The harness under a benchmark: processes that die, recordings made once, rows that are never lost."""
+
+import math
+import os
+import platform
+import signal
+import subprocess
+import sys
+import threading
+import time
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, fields, replace
+from pathlib import Path
+from typing import Any, cast
+
+import psutil
+import pyarrow as pa
+import pytest
+from pyarrow import parquet
+
+from dronevio.eval.benchmark.cache import RecordingCache, code_hash, content_hash, recording_hash
+from dronevio.eval.benchmark.engines import Ended, Heard, LocalEngine
+from dronevio.eval.benchmark.isolation import isolated
+from dronevio.eval.benchmark.jobs import Flight, Job
+from dronevio.eval.benchmark.rows import RESULTS_FILE, Row, read_results, read_rows, schema, write_rows
+from dronevio.eval.benchmark.running import Benchmark, run_benchmark
+from dronevio.eval.benchmark.store import ResultStore
+from dronevio.eval.benchmark.summary import Spread, failures, groups
+from dronevio.models.errors import InputError
+
+OK = Row(
+    "room-v0",
+    "room",
+    3,
+    "vio",
+    "config",
+    "versions",
+    "ok",
+    ate_m=0.1,
+    length_m=(1.0, 2.0),
+    rpe_len_m=(0.1, 0.2),
+    rpe_len_deg=(0.3, 0.4),
+    wall_s=2.0,
+    recording="hash",
+)
+CRASHED = Row("room-v0", "room", None, "a=b c", "config", "versions", "crashed", "killed by SIGSEGV", wall_s=1.0)
+
+
+# --- processes
+
+
+def test_a_call_in_a_process_of_its_own_returns_its_value_and_what_it_cost() -> None:
+    outcome = isolated(math.hypot, 3.0, 4.0)
+    assert (outcome.status, outcome.reason, outcome.value) == ("ok", "", 5.0)
+    assert 0.0 < outcome.cpu_s < 10.0
+    assert outcome.peak_mb is not None
+    assert 5.0 < outcome.peak_mb < 300.0
+    assert isolated(os.getpid).value != os.getpid()
+    assert isolated(os.getenv, "COLOUR", environment={"COLOUR": "blue"}).value == "blue"
+
+
+def test_what_is_raised_is_told() -> None:
+    outcome = isolated(math.sqrt, -1.0)
+    assert (outcome.status, outcome.value) == ("failed", None)
+    assert outcome.reason.startswith("ValueError: ")
+    missing = isolated(read_rows, Path("nowhere.parquet"))
+    assert missing.reason.startswith("nowhere.parquet: no such file; expected ")
+
+
+def test_a_process_that_dies_is_told_from_one_that_ends_too_soon() -> None:
+    crashed = isolated(os.kill, 0, signal.SIGSEGV)  # 0: its whole group, which is no more than itself
+    assert (crashed.status, crashed.reason.split(":")[0]) == ("crashed", "killed by SIGSEGV")
+    left = isolated(os._exit, 7)
+    assert (left.status, left.reason) == ("crashed", "ended with code 7")
+
+
+def test_a_process_past_its_time_is_killed_with_all_that_it_started(tmp_path: Path) -> None:
+    note = tmp_path / "pid"
+    start = time.perf_counter()
+    outcome = isolated(subprocess.check_call, ["sh", "-c", f"echo $$ > {note}; sleep 60"], timeout_s=1.0)
+    assert (outcome.status, outcome.reason) == ("timeout", "no end after 1 s")
+    assert time.perf_counter() - start < 20.0
+    assert gone(int(note.read_text()))
+
+
+def test_what_is_printed_is_no_answer() -> None:
+    assert isolated(subprocess.check_call, ["echo", "hello"]).value == 0
+
+
+def test_processes_end_when_the_one_that_started_them_is_killed(tmp_path: Path) -> None:
+    note = tmp_path / "pid"
+    work = ["sh", "-c", f"echo $$ > {note}; sleep 60"]
+    script = (
+        "import subprocess; from dronevio.eval.benchmark.isolation import isolated;"
+        f" isolated(subprocess.check_call, {work!r})"
+    )
+    parent = subprocess.Popen([sys.executable, "-c", script])
+    wait_until(lambda: note.exists() and note.read_text().endswith("\n"))
+    parent.kill()
+    parent.wait()
+    assert gone(int(note.read_text()))
+
+
+def gone(pid: int, within_s: float = 20.0) -> bool:
+    """Whether a process ends in time; a zombie that nobody has buried yet has ended."""
+
+    def ended() -> bool:
+        try:
+            return psutil.Process(pid).status() == psutil.STATUS_ZOMBIE
+        except psutil.NoSuchProcess:
+            return True
+
+    return wait_until(ended, within_s)
+
+
+def wait_until(condition: Any, within_s: float = 20.0) -> bool:
+    deadline = time.perf_counter() + within_s
+    while not condition() and time.perf_counter() < deadline:
+        time.sleep(0.02)
+    return bool(condition())
+
+
+# --- rows
+
+
+def test_rows_come_back_as_they_were(tmp_path: Path) -> None:
+    write_rows(tmp_path / RESULTS_FILE, [OK, CRASHED])
+    assert read_rows(tmp_path) == (OK, CRASHED)
+    assert read_rows(tmp_path / RESULTS_FILE) == read_results(tmp_path) == (OK, CRASHED)
+    table = parquet.read_table(tmp_path / RESULTS_FILE)
+    assert table.column_names == [field.name for field in fields(Row)] == schema().names
+    assert table.column("ate_m").null_count == 1
+    assert [entry.name for entry in tmp_path.iterdir()] == [RESULTS_FILE]
+
+
+def test_files_that_are_no_results_are_told_so(tmp_path: Path) -> None:
+    path = tmp_path / RESULTS_FILE
+    with pytest.raises(InputError, match=r"results\.parquet: no such file; expected the results of `dronevio bench"):
+        read_rows(tmp_path)
+    path.write_bytes(b"PAR1 and then nothing")
+    with pytest.raises(InputError, match="cannot be read"):
+        read_rows(path)
+    parquet.write_table(pa.table({"a": [1]}), path)
+    with pytest.raises(InputError, match="no column scenario, world"):
+        read_rows(path)
+    write_rows(path, [OK, OK])
+    with pytest.raises(InputError, match="room-v0, seed 3, vio is there twice"):
+        read_rows(path)
+    write_rows(path, [replace(OK, status=cast("Any", "fine"))])
+    with pytest.raises(InputError, match="row 1 of status 'fine'"):
+        read_rows(path)
+    write_rows(path, [OK])
+    table = parquet.read_table(path)
+    text = pa.array(["much"], pa.string())
+    parquet.write_table(table.set_column(table.column_names.index("ate_m"), "ate_m", text), path)
+    with pytest.raises(InputError, match="columns of other types"):
+        read_rows(path)
+
+
+def test_a_store_keeps_the_latest_row_of_a_run_and_overlooks_damaged_files(tmp_path: Path) -> None:
+    store = ResultStore(tmp_path / "new" / "bench")
+    store.add(OK)
+    store.add(CRASHED)
+    store.add(replace(OK, ate_m=0.2))
+    (store.folder / "runs" / "half.parquet").write_bytes(b"PAR1")
+    again = ResultStore(store.folder)
+    assert again.find(OK.identity) == replace(OK, ate_m=0.2)
+    assert again.rows == (CRASHED, replace(OK, ate_m=0.2))
+    assert read_rows(again.join()) == again.rows
+
+
+# --- recordings
+
+
+def test_hashes_are_of_what_is_hashed_and_nothing_else(tmp_path: Path) -> None:
+    assert content_hash({"a": 1, "b": [1.5, None]}) == content_hash({"b": [1.5, None], "a": 1})
+    assert content_hash({"a": 1}) != content_hash({"a": 2})
+    folder = tmp_path / "flight"
+    (folder / "mav0").mkdir(parents=True)
+    table = folder / "mav0" / "data.csv"
+    table.write_text("1,2\n")
+    before = recording_hash(folder)
+    os.utime(table, (0, 0))
+    assert recording_hash(folder) == before
+    table.write_text("1,3\n")
+    assert recording_hash(folder) != before
+    with pytest.raises(InputError, match="no such file or folder"):
+        recording_hash(tmp_path / "nothing")
+    (tmp_path / "code.py").write_text("a = 1")
+    assert code_hash(tmp_path / "code.py") != code_hash(folder)
+
+
+def test_a_recording_is_made_once_however_many_want_it(tmp_path: Path) -> None:
+    cache, made, seen = RecordingCache(tmp_path), [], []
+
+    def make(folder: Path) -> None:
+        made.append(folder)
+        time.sleep(0.2)
+        (folder / "frame").write_text("grey")
+
+    def borrow() -> None:
+        with cache.borrow("abc", make) as folder:
+            seen.append((folder / "frame").read_text())
+
+    threads = [threading.Thread(target=borrow) for _ in range(5)]
+    for thread in threads:
+        thread.start()
+    for thread in threads:
+        thread.join()
+    assert len(made) == 1
+    assert seen == ["grey"] * 5
+    assert made[0] != cache.find("abc")  # nobody sees it while it is made
+
+
+def test_nothing_half_made_stays_and_what_a_killed_process_left_is_cleared(tmp_path: Path) -> None:
+    cache = RecordingCache(tmp_path)
+    (tmp_path / ".abc.partial-left").mkdir()
+
+    def fail(folder: Path) -> None:
+        (folder / "half").write_text("")
+        raise OSError("disk full")
+
+    with pytest.raises(OSError, match="disk full"), cache.borrow("abc", fail):
+        pass
+    assert [entry.name for entry in tmp_path.iterdir()] == [".abc.lock"]
+
+
+def test_a_borrowed_recording_is_not_dropped(tmp_path: Path) -> None:
+    cache = RecordingCache(tmp_path)
+    with cache.borrow("abc", lambda folder: None):
+        cache.drop("abc")
+        assert cache.find("abc") is not None
+    cache.drop("abc")
+    assert cache.find("abc") is None
+
+
+# --- running
+
+
+@dataclass(frozen=True)
+class NoWorkshop:
+    """Never called: the engines of these tests know all rows before."""
+
+    versions: str = "1"
+
+    def config_hash(self, estimator: str) -> str:
+        return f"settings of {estimator}"
+
+    def record(self, flight: Flight, folder: Path) -> None:
+        raise NotImplementedError
+
+    def estimate(self, flight: Flight, recording: Path, estimator: str) -> dict[str, Any]:
+        raise NotImplementedError
+
+
+@dataclass
+class Script:
+    """An engine that does what it is told, and counts what is asked of it."""
+
+    lose: str = ""
+    """Estimator whose runs are lost with their machine."""
+    stop_after: int = 1000
+    """How many rows until it is interrupted."""
+    status: str = "ok"
+    asked: int = 0
+
+    def run(self, jobs: Sequence[Job]) -> Iterator[Heard]:
+        for number, job in enumerate(jobs):
+            for estimator in job.estimators:
+                if estimator == self.lose:
+                    break
+                if self.asked == self.stop_after:
+                    raise KeyboardInterrupt
+                self.asked += 1
+                row = Row(
+                    job.flight.scenario,
+                    "room",
+                    job.flight.seed,
+                    estimator,
+                    job.workshop.config_hash(estimator),
+                    job.workshop.versions,
+                    cast("Any", self.status),
+                    recording=job.flight.recording,
+                )
+                yield number, row
+            yield number, Ended("node lost" if self.lose else "")
+
+
+def benchmark(tmp_path: Path, seeds: int = 3, **others: Any) -> Benchmark:
+    flights = tuple(Flight("room-v0", "room", seed, f"hash-{seed}", None) for seed in range(seeds))
+    return replace(Benchmark(flights, ("a", "b"), NoWorkshop(), tmp_path / "cache", 60.0), **others)
+
+
+def test_an_interrupted_benchmark_keeps_what_is_done_and_goes_on_with_the_rest(tmp_path: Path) -> None:
+    with pytest.raises(KeyboardInterrupt):
+        run_benchmark(benchmark(tmp_path), ResultStore(tmp_path), Script(stop_after=3))
+    assert len(read_rows(tmp_path)) == 3
+    engine, heard = Script(), []
+    rows = run_benchmark(
+        benchmark(tmp_path), ResultStore(tmp_path), engine, lambda done, total, row: heard.append((done, total))
+    )
+    assert engine.asked == 3
+    assert heard == [(0, 3), (1, 3), (2, 3), (3, 3)]
+    assert len(rows) == len(read_rows(tmp_path)) == 6
+
+
+def test_what_changed_is_done_again_and_nothing_else(tmp_path: Path) -> None:
+    def asked(**others: Any) -> int:
+        engine = Script()
+        run_benchmark(benchmark(tmp_path, **others), ResultStore(tmp_path), engine)
+        return engine.asked
+
+    assert asked() == 6
+    assert asked() == 0
+    assert asked(seeds=4) == 2
+    assert asked(estimators=("a", "b", "c")) == 3
+    assert asked(workshop=NoWorkshop("2")) == 6
+    assert asked(workshop=NoWorkshop("2"), flights=(Flight("room-v0", "room", 0, "another", None),)) == 2
+    assert len(read_rows(tmp_path)) == 4 * 2 + 3  # rows of larger benchmarks stay
+
+
+def test_failed_runs_are_done_again_when_asked_for(tmp_path: Path) -> None:
+    run_benchmark(benchmark(tmp_path), ResultStore(tmp_path), Script(status="failed"))
+    again, retry = Script(), Script()
+    run_benchmark(benchmark(tmp_path), ResultStore(tmp_path), again)
+    run_benchmark(benchmark(tmp_path), ResultStore(tmp_path), retry, retry=True)
+    assert (again.asked, retry.asked) == (0, 6)
+
+
+def test_runs_that_are_lost_with_their_machine_are_rows(tmp_path: Path) -> None:
+    rows = run_benchmark(benchmark(tmp_path), ResultStore(tmp_path), Script(lose="b"))
+    assert [(row.estimator, row.status, row.reason) for row in rows] == [
+        ("a", "ok", ""),
+        ("b", "crashed", "node lost"),
+    ] * 3
+
+
+def test_a_recording_that_cannot_be_made_fails_all_its_runs(tmp_path: Path) -> None:
+    rows = run_benchmark(benchmark(tmp_path, seeds=1), ResultStore(tmp_path), LocalEngine(2))
+    assert len(rows) == 2
+    assert all(row.status != "ok" and row.reason.startswith("no recording to run on: ") for row in rows)
+    assert [entry.name for entry in (tmp_path / "cache").iterdir()] == [".hash-0.lock"]
+
+
+def test_the_local_engine_survives_what_no_job_should_do(tmp_path: Path) -> None:
+    (tmp_path / "cache").write_text("a file where the folder of recordings should be")
+    rows = run_benchmark(benchmark(tmp_path), ResultStore(tmp_path), LocalEngine(2))
+    assert [(row.status, row.reason.split(":")[0]) for row in rows] == [("crashed", "FileExistsError")] * 6
+
+
+# --- tables
+
+
+def test_a_failed_run_is_the_worst_of_the_spread() -> None:
+    rows = [replace(OK, seed=seed, ate_m=0.1 * (seed + 1)) for seed in range(4)]
+    spread = Spread.of(rows, "ate_m")
+    assert spread is not None
+    assert spread.median == pytest.approx(0.25)
+    failed = [*rows[:2], replace(CRASHED, seed=8), replace(CRASHED, seed=9)]
+    assert Spread.of(failed, "ate_m") == Spread(pytest.approx(0.2), math.inf, math.inf)
+    assert Spread.of(rows, "rpe_m") is None
+    assert failures(failed)[0] == ("room-v0, seed 8, a=b c", "crashed", "killed by SIGSEGV")
+    assert [(group.estimator, group.ok) for group in groups(failed)] == [("vio", 2), ("a=b c", 0)]
+
+
+@pytest.mark.skipif(platform.system() != "Linux", reason="looks into /proc")
+def test_the_memory_of_a_process_is_its_own_not_that_of_who_started_it() -> None:
+    ballast = b"x" * 300_000_000
+    peak_mb = isolated(math.sqrt, 4.0).peak_mb
+    assert peak_mb is not None
+    assert peak_mb * 1e6 < len(ballast)
