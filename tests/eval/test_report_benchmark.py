@@ -209,6 +209,7 @@ def test_names_and_reasons_from_files_are_text(read_page):
     rows = (
         scored(HOSTILE, 0, HOSTILE, 0.1),
         scored(HOSTILE, 0, "--><svg onload=alert(1)>", 0.2),
+        scored(f"another {HOSTILE}", 0, HOSTILE, 0.2),
         replace(failed(HOSTILE, 1, HOSTILE, reason=HOSTILE), config_hash=HOSTILE, versions=HOSTILE, world=HOSTILE),
     )
     html = benchmark_page(Benchmark(HOSTILE, rows))

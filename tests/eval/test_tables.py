@@ -1,7 +1,7 @@
 import re
 import shutil
 import subprocess
-from html import unescape
+from html import escape, unescape
 from html.parser import HTMLParser
 
 import pytest
@@ -56,6 +56,14 @@ def test_html_shows_names_and_runs_none_of_them():
     assert found.rows[0] == ["scenario", HOSTILE, "vio"]
     assert found.rows[1] == [HOSTILE, "0.1(0.05–0.2)1 of 3 failed", "−0.2"]
     assert [len(row) for row in found.rows] == [3, 3, 3, 3]
+
+
+def test_html_takes_every_part_of_a_table_as_text():
+    cell = Cell(HOSTILE, HOSTILE, HOSTILE)
+    found = Cells(html := html_table(Table(HOSTILE, (HOSTILE,), ((cell,),), (cell,))))
+    assert found.rows == [[HOSTILE], [3 * HOSTILE], [3 * HOSTILE]]
+    assert found.tags == {"div", "table", "thead", "tbody", "tfoot", "tr", "th", "small"}
+    assert f'aria-label="{escape(HOSTILE)}"' in html
 
 
 def test_html_marks_the_best_and_says_how_to_sort():
