@@ -234,5 +234,5 @@ def _size(command: BenchmarkCommand, benchmark: "Benchmark") -> int:
         ("", "one: CPU-s", "MB", "all: CPU-h", f"h on {workers} cores", "GB"),
         table,
     )
-    print("without --keep-recordings the recordings' share of the disk is that of the runs under way")
+    print("with --no-keep-recordings, the disk holds no more than the recordings under way")
     return 0

@@ -28,6 +28,10 @@ class RayEngine:
         Raises:
             ConfigError: Ray is not installed, or there is no cluster at the address.
         """
+        if self.address is None:
+            # Ray's own name for "no cluster": all its servers then listen on 127.0.0.1 only. It reads it when imported.
+            os.environ.setdefault("RAY_ENABLE_WINDOWS_OR_OSX_CLUSTER", "0")
+        os.environ.setdefault("RAY_USAGE_STATS_ENABLED", "0")
         ray = _ray()
         self._connect(ray)
         try:
@@ -51,7 +55,6 @@ class RayEngine:
             ray.shutdown()
 
     def _connect(self, ray: Any) -> None:
-        os.environ.setdefault("RAY_USAGE_STATS_ENABLED", "0")
         quiet = {"log_to_driver": False, "include_dashboard": False, "configure_logging": False}
         try:
             if self.address is None:

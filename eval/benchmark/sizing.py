@@ -5,7 +5,7 @@ from dataclasses import dataclass
 from dronevio.eval.benchmark.jobs import COST_FILE, Cost, Job, RecordingFailedError
 from dronevio.models.errors import EvaluationError
 
-ROW_KB = 22.0
+ROW_KB = 10.2
 """Of the small file of one run; joined, a row takes less than a kilobyte [kB]."""
 
 

@@ -11,10 +11,13 @@ from typing import Any
 import psutil
 import pytest
 
-from dronevio.benchmarking import recorded_flights, scenario_flights
+from dronevio.benchmarking import Workbench, recorded_flights, scenario_flights, versions
 from dronevio.cli import main
 from dronevio.estimators import ESTIMATORS, estimator_named
+from dronevio.eval.benchmark.ray_engine import RayEngine
 from dronevio.eval.benchmark.rows import Row, read_rows
+from dronevio.eval.benchmark.running import Benchmark, run_benchmark
+from dronevio.eval.benchmark.store import ResultStore
 from dronevio.models.errors import ConfigError, EvaluationError, InputError
 
 Result = Any  # of conftest, which cannot be imported
@@ -293,13 +296,28 @@ def test_what_changes_a_recording_changes_its_hash_and_a_name_does_not(flown: Re
         recorded_flights([flown.folder, link])
 
 
-def test_ray_gives_the_same_rows(place: Path, flown: Result, many: Result, do: Do) -> None:
+def test_ray_gives_the_same_rows_and_is_heard_of_on_this_machine_only(place: Path, flown: Result, many: Result) -> None:
     pytest.importorskip("ray")
-    common = ["--recordings", flown.folder, "--estimators", "vio,dead-reckoning", "--workers", "2"]
-    do(place / "ray", "benchmark", *common, "--engine", "ray", "--out", place / "ray", "--json")
-    there, here = by_estimator(place / "ray"), by_estimator(many.folder)
-    for name, row in there.items():
-        assert (row.status, row.ate_m, row.dependencies) == ("ok", here[name].ate_m, here[name].dependencies)
+    named = tuple(estimator_named(name) for name in ("vio", "dead-reckoning"))
+    work = Benchmark(
+        recorded_flights([flown.folder]), tuple(ESTIMATORS), Workbench(named, versions()), place / "cache", 100.0
+    )
+    listening: set[str] = set()
+
+    def heard(done: int, total: int, row: Row | None) -> None:
+        for process in psutil.Process().children(recursive=True):
+            listening.update(c.laddr.ip for c in process.net_connections() if c.status == psutil.CONN_LISTEN)
+
+    there, here = (
+        run_benchmark(work, ResultStore(place / "ray"), RayEngine(workers=2), heard),
+        by_estimator(many.folder),
+    )
+    assert len(there) == 2
+    for row in there:
+        same = here[row.estimator]
+        assert (row.status, row.ate_m, row.dependencies) == ("ok", same.ate_m, same.dependencies)
+    assert listening
+    assert {address.removeprefix("::ffff:") for address in listening} == {"127.0.0.1"}
 
 
 def test_without_ray_its_engine_says_what_to_install(
