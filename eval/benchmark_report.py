@@ -180,13 +180,12 @@ class Benchmark:
         return tuple(name for name in self.estimators if name in self._who_tells[measure.column])
 
     def best(self, measure: Measure, scenario: str | None = None) -> frozenset[str]:
-        """Return the estimators with the best median; none where there is nothing to choose between."""
+        """Return the estimators with the best median; none where none is better than another."""
         spreads = {name: self.spread(measure, name, scenario) for name in self.estimators}
         badness = {name: measure.badness(s.median) for name, s in spreads.items() if s is not None}
         least = min(badness.values(), default=math.inf)
-        if len(badness) < 2 or math.isinf(least) or measure.best == "none":
-            return frozenset()
-        return frozenset(name for name, value in badness.items() if value == least)
+        found = frozenset(name for name, value in badness.items() if value == least)
+        return found if len(found) < len(badness) else frozenset()
 
     def wins(self, measure: Measure) -> Counter[str]:
         """Return in how many scenarios each estimator is the best, or one of them."""

@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 from matplotlib.axes import Axes
+from matplotlib.ticker import MaxNLocator
 
 from dronevio.eval import palette
 from dronevio.eval.benchmark.rows import Row
@@ -136,6 +137,7 @@ def draw_cost_histogram(ax: Axes, benchmark: Benchmark) -> None:
         )
     if wide:
         set_log_scale(ax, "x", 0.8 * low, 1.25 * high)
+    ax.yaxis.set_major_locator(MaxNLocator(integer=True))
     ax.set(title="Processor time: how often", xlabel="mean processor time a frame [ms]", ylabel="number of runs")
 
 

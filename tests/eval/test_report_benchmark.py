@@ -113,6 +113,9 @@ def test_the_best_is_the_smallest_the_largest_or_the_nearest_to_three():
     assert benchmark.best(COVERAGE) == {"b"}
     assert benchmark.best(NEES) == {"b"}
     assert benchmark.wins(ATE) == {"a": 1}
+    draw = (*rows, scored("s", 0, "d", 0.1))
+    assert Benchmark("b", draw).best(ATE) == {"a", "d"}
+    assert Benchmark("b", draw[::3]).best(ATE) == frozenset()  # all alike
     assert Benchmark("b", rows[:1]).best(ATE) == frozenset()  # nothing to choose between
     assert Benchmark("b", (failed("s", 0, "a"), failed("s", 0, "b"))).best(ATE) == frozenset()
 
