@@ -24,6 +24,12 @@ class InertialConfig:
     """Factor on the data sheet's white-noise densities: vibration, sampling and scale errors are not in them."""
     walk_inflation: float = 1.0
     """Factor on the data sheet's bias random walks."""
+    least_gyro_random_walk: float = 1e-5
+    """The gyroscope's bias is believed to walk at least so much [rad/s²/√Hz]: errors of scale and misalignment look
+    like a bias that changes with the motion, and GTSAM cannot solve for biases that hardly may move."""
+    least_accel_random_walk: float = 1e-3
+    """The same of the accelerometer's bias [m/s³/√Hz]: half a percent of scale error is 0.05 m/s² that turns with the
+    drone."""
     integration_sigma: float = 1e-4
     """Position error that integration itself makes [m/√s]."""
 
@@ -94,8 +100,10 @@ def preintegration_params(imu: ImuModel, config: InertialConfig) -> gtsam.Preint
     params.setGyroscopeCovariance(eye * (config.noise_inflation * imu.gyro_noise_density) ** 2)
     params.setAccelerometerCovariance(eye * (config.noise_inflation * imu.accel_noise_density) ** 2)
     params.setIntegrationCovariance(eye * config.integration_sigma**2)
-    params.setBiasOmegaCovariance(eye * (config.walk_inflation * imu.gyro_random_walk) ** 2)
-    params.setBiasAccCovariance(eye * (config.walk_inflation * imu.accel_random_walk) ** 2)
+    gyro_walk = max(config.walk_inflation * imu.gyro_random_walk, config.least_gyro_random_walk)
+    accel_walk = max(config.walk_inflation * imu.accel_random_walk, config.least_accel_random_walk)
+    params.setBiasOmegaCovariance(eye * gyro_walk**2)
+    params.setBiasAccCovariance(eye * accel_walk**2)
     return params
 
 

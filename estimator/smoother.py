@@ -179,14 +179,15 @@ class KeyframeSmoother:
         self._follow_linearisation()
         return KeyframeResult(rejected)
 
-    def launch(self, keyframes: Sequence[Keyframe]) -> float:
+    def launch(self, keyframes: Sequence[Keyframe]) -> float | None:
         """Add the first keyframes, all at once, and optimise them together by Levenberg-Marquardt.
 
         A start in motion is off by a tenth of its velocity, too far for the single linear step that a keyframe gets
         later.
 
         Returns:
-            The landmarks' typical reprojection error [px]; infinite where there are no landmarks, or no solution.
+            The landmarks' typical reprojection error [px], infinite where there are no landmarks; None where there is
+            no solution, and this smoother is of no more use.
         """
         graph, values = gtsam.NonlinearFactorGraph(self._prior), gtsam.Values(self._first_values)
         nav, stamps = self._nav, stamps_of(0, self._state.t_ns)
@@ -211,7 +212,7 @@ class KeyframeSmoother:
             slots = self._solver.update(whole, values, stamps)
             self._read_states(keyframes[-1].t_ns)
         except RuntimeError:
-            return float("inf")
+            return None
         for track, slot in zip(tracks, slots[graph.size() :], strict=True):
             track.slot = slot
         return self._landmarks.typical_error(self._poses) * self._focal_px

@@ -200,7 +200,7 @@ class VisualInertialOdometry:
                 keyframes.append(Keyframe(sighting.t_ns, preintegrated, sighting.observations, still))
                 preintegrated = self._new_preintegration(smoother)
         error_px = smoother.launch(keyframes)
-        if not still and error_px > self._config.motion.max_residual_px:
+        if error_px is None or (not still and error_px > self._config.motion.max_residual_px):
             return False
         self._smoother = smoother
         self._begin_interval(later[-1].observations)

@@ -323,3 +323,14 @@ def test_refuses_a_frame_that_is_not_later(make_flight: Callable) -> None:
     for index in (1, 0):
         with pytest.raises(ConfigError, match="expected a later one"):
             vio.add_frame(flight.frame(index))
+
+
+@pytest.mark.parametrize("walk", [1e-9, 1.6e-5])
+def test_an_imu_whose_biases_hardly_walk_is_no_trouble(make_flight: Callable, walk: float) -> None:
+    """The solver cannot take them at their word: it would get numbers beyond its digits."""
+    flight = make_flight(0, rest_s=REST, duration_s=8.0)
+    imu = replace(flight.rig.imu, gyro_random_walk=0.03 * walk, accel_random_walk=walk)
+    steady = replace(flight, rig=replace(flight.rig, imu=imu))
+    estimates = steady.run()
+    assert [e.t_ns for e in estimates] == flight.frame_times_ns.tolist()
+    assert ate_m(flight, poses(estimates)) < 0.02
