@@ -43,15 +43,14 @@ def failure_table(benchmark: Benchmark) -> Table:
         (
             Cell(failure.estimator),
             Cell(failure.scenario),
-            Cell(failure.status),
-            Cell(_shortened(failure.reason) or DASH),
+            Cell(_shortened(failure.reason) or DASH, warning=failure.status),
             Cell(str(len(failure.seeds)), order=float(len(failure.seeds))),
             Cell(seed_ranges(failure.seeds)),
         )
         for failure in benchmark.failures()
     )
-    columns = ("estimator", "scenario", "status", "why", "runs", "seeds")
-    return Table("Runs that failed", columns, rows, words=frozenset((1, 2, 3, 5)))
+    columns = ("estimator", "scenario", "why", "runs", "seeds")
+    return Table("Runs that failed", columns, rows, words=frozenset((1, 2, 4)))
 
 
 def as_markdown(benchmark: Benchmark, measures: Sequence[Measure]) -> str:
