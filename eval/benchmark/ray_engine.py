@@ -18,7 +18,8 @@ class RayEngine:
     """Does jobs as Ray tasks of one core each."""
 
     address: str | None = None
-    """Of a running cluster, ``auto`` for the one that this machine belongs to; None starts one here."""
+    """Of a running cluster, ``auto`` for the one that this machine belongs to; None starts one here, which listens on
+    127.0.0.1 only (unless the program has imported Ray before: that settles where Ray listens)."""
     workers: int | None = None
     """How many cores the one here has."""
 

@@ -5,6 +5,7 @@ import subprocess
 import sys
 import time
 from collections.abc import Callable, Sequence
+from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
@@ -297,7 +298,8 @@ def test_what_changes_a_recording_changes_its_hash_and_a_name_does_not(flown: Re
 
 
 def test_ray_gives_the_same_rows_and_is_heard_of_on_this_machine_only(place: Path, flown: Result, many: Result) -> None:
-    pytest.importorskip("ray")
+    if find_spec("ray") is None:  # not importorskip: where Ray listens is settled when it is imported, by the engine
+        pytest.skip("Ray is not installed")
     named = tuple(estimator_named(name) for name in ("vio", "dead-reckoning"))
     work = Benchmark(
         recorded_flights([flown.folder]), tuple(ESTIMATORS), Workbench(named, versions()), place / "cache", 100.0
