@@ -156,7 +156,7 @@ def _evo_pairs(folder: Path, names: list[str], value: Callable[[str, str], str])
 def _stamped_in_doubles(trajectory: Trajectory) -> Trajectory:
     """Return a trajectory whose time stamps are rounded as a double of seconds is: to 0.24 µs in our days."""
     whole = trajectory.t_ns // 10**9
-    rounded = (whole + (trajectory.t_ns - whole * 10**9) * 1e-9) - whole
+    rounded = (whole + (trajectory.t_ns - whole * 10**9) / 1e9) - whole
     t_ns, count = whole * 10**9 + np.rint(rounded * 1e9).astype(np.int64), np.arange(len(trajectory))
     return replace(trajectory, t_ns=np.maximum.accumulate(t_ns - count) + count)  # repeated ones a nanosecond later
 

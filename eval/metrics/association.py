@@ -142,7 +142,7 @@ def paired_like_evo(t_truth_ns: Times, t_estimate_ns: Times, max_gap_s: float = 
 def _seconds(t_ns: Times) -> Array:
     """Return times [s] as doubles, rounded once."""
     whole = t_ns // 10**9
-    return np.asarray(whole + (t_ns - whole * 10**9) * 1e-9)
+    return np.asarray(whole + (t_ns - whole * 10**9) / 1e9)
 
 
 def _restamped(trajectory: Trajectory, rows: Rows, t_ns: Times) -> Trajectory:

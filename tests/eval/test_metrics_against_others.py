@@ -168,21 +168,23 @@ def test_pairs_are_those_of_evo(seed: int, n: int, unit: str, all_pairs: bool) -
     assert list(zip(*(rows.tolist() for rows in ours), strict=True)) == theirs
 
 
-@settings(max_examples=40, deadline=None)
-@given(st.integers(0, 2**32 - 1))
-def test_associates_as_evo_does_on_request(seed: int) -> None:
+@settings(max_examples=80, deadline=None)
+@given(st.integers(0, 2**32 - 1), st.sampled_from([1, 62_500_000]))
+def test_associates_as_evo_does_on_request(seed: int, grain_ns: int) -> None:
+    """Stamps at random; and on a grid that doubles hold exactly, where many repeat or are equally near."""
     from evo.core import sync
     from evo.core.trajectory import PoseTrajectory3D
 
-    rng, start_ns = np.random.default_rng(seed), 1403715273262142976
-    stamps = [np.sort(start_ns + rng.integers(0, 10**9, rng.integers(3, 40))) for _ in range(2)]
+    rng, span = np.random.default_rng(seed), max(40, 10**9 // grain_ns)
+    start_ns = 1403715273262142976 if grain_ns == 1 else 0
+    stamps = [np.sort(start_ns + grain_ns * rng.integers(0, span, rng.integers(3, 40))) for _ in range(2)]
+    max_gap_s = 0.03 if grain_ns == 1 else 0.2
     both = [PoseTrajectory3D(np.zeros((len(t), 3)), np.tile([1.0, 0, 0, 0], (len(t), 1)), t / 1e9) for t in stamps]
-    for traj in both:
-        traj.meta["rows"] = np.arange(len(traj.timestamps))
-        traj.positions_xyz[:, 0] = np.arange(len(traj.timestamps))
-    ours = paired_like_evo(stamps[0], stamps[1], 0.03)
+    for trajectory in both:
+        trajectory.positions_xyz[:, 0] = np.arange(len(trajectory.timestamps))
+    ours = paired_like_evo(stamps[0], stamps[1], max_gap_s)
     try:
-        theirs = sync.associate_trajectories(both[0], both[1], max_diff=0.03)
+        theirs = sync.associate_trajectories(both[0], both[1], max_diff=max_gap_s)
     except sync.SyncException:
         assert len(ours[0]) == 0
         return

@@ -9,6 +9,7 @@ from hypothesis import strategies as st
 
 from dronevio.eval.metrics import Alignment, errors_by_length, relative_errors, score
 from dronevio.eval.metrics.alignment import yaw_matrix
+from dronevio.eval.metrics.errors import distance_errors_percent
 from dronevio.eval.metrics.kitti import kitti_scores
 from dronevio.eval.metrics.lengths import drifts_m
 from dronevio.eval.metrics.pairs import PairRule, consecutive_pairs, pairs_after_distance, pairs_after_turning, way_m
@@ -85,15 +86,24 @@ def test_a_tilt_that_is_wrong_from_the_start_is_drift_and_no_relative_error() ->
     np.testing.assert_allclose(drifts_m(*arrays(level, tilted), pairs), np.hypot(x, z), atol=0.05, rtol=0.05)
 
 
-def test_yaw_and_tilt_by_hand() -> None:
-    """An estimate that turns about the vertical by 0.1° a metre; and one that rolls."""
+@pytest.mark.parametrize("mounted", [(0.0, 0.0, 0.0), (0.0, -np.pi / 2, 0.0)])  # EuRoC's IMU has x up
+def test_yaw_and_tilt_by_hand(mounted: tuple[float, ...]) -> None:
+    """An estimate that turns about the vertical by 0.1° a metre; and one that rolls; whichever way the IMU looks."""
     p = np.outer(np.arange(200.0), [1.0, 0.0, 0.0])
-    q = np.tile([1.0, 0.0, 0.0, 0.0], (200, 1))
+    R = exp_so3(np.array(mounted))
+    q = np.tile(quat_wxyz_from_matrix(R), (200, 1))
     for axis, yaw, tilt in (([0.0, 0.0, 1.0], 1.0, 0.0), ([1.0, 0.0, 0.0], 0.0, 1.0)):
-        turned = quat_wxyz_from_matrix(exp_so3(np.outer(np.radians(0.1 * np.arange(200)), axis)))
+        turned = quat_wxyz_from_matrix(exp_so3(np.outer(np.radians(0.1 * np.arange(200)), axis)) @ R)
         [errors] = errors_by_length(p, q, p, turned, (10.0,))
         whole = [errors.yaw_deg.median, errors.tilt_deg.median, errors.rotation_deg.median]
         assert whole == pytest.approx([yaw, tilt, 1.0], abs=1e-9)
+
+
+def test_errors_of_distance_pass_over_pairs_that_stand_still() -> None:
+    p = np.array([[0.0, 0, 0], [0, 0, 0], [4, 3, 0]])
+    pairs = np.array([0, 1]), np.array([1, 2])
+    np.testing.assert_allclose(distance_errors_percent(p, 1.1 * p + 7.0, pairs), [10.0])
+    np.testing.assert_allclose(distance_errors_percent(p, 0.0 * p, pairs), [100.0])
 
 
 def test_lengths_that_do_not_occur_are_left_out() -> None:
@@ -149,12 +159,13 @@ def test_pairs_after_turning_are_those_of_a_plain_search(block: int, monkeypatch
 
 def test_pairs_by_seconds_of_a_slow_camera() -> None:
     """KITTI's stamps are 103.7 ms apart: no pose is within 3 % of a second, the nearest is within half an interval."""
-    t_ns = 103_700_000 * np.arange(100)
-    first, second = PairRule().choose(t_ns, np.zeros((100, 3)), np.zeros((100, 4)))
-    assert len(first) == 90 and set((second - first).tolist()) == {10}
+    for interval_ns in (103_700_000, 105_000_000):
+        t_ns = interval_ns * np.arange(100)
+        first, second = PairRule().choose(t_ns, np.zeros((100, 3)), np.zeros((100, 4)))
+        assert len(first) == 90 and set((second - first).tolist()) == {10}
     gap = np.concatenate([t_ns[:40], t_ns[60:]])  # none across it
     first, second = PairRule().choose(gap, np.zeros((80, 3)), np.zeros((80, 4)))
-    assert np.all(np.abs(gap[second] - gap[first] - 10**9) <= 51_850_000)
+    assert np.all(np.abs(gap[second] - gap[first] - 10**9) <= 52_500_000)
 
 
 @pytest.mark.parametrize(
@@ -226,6 +237,9 @@ def test_kitti_with_frames_left_out() -> None:
     found = kitti_scores(matrices(truth), matrices(estimate)[frames], frames, lengths_m=(100.0,))
     whole = kitti_scores(matrices(truth), matrices(estimate), lengths_m=(100.0,))
     assert 0 < found.pieces < whole.pieces
+    i = np.flatnonzero(np.diff(frames) == 1)
+    step_m, _ = relative_errors(*arrays(truth, estimate), (frames[i], frames[i] + 1))
+    assert found.rpe_m == pytest.approx(step_m.mean(), rel=1e-9)  # none across the gap
     with pytest.raises(EvaluationError, match="expected two or more"):
         kitti_scores(matrices(truth)[:100], matrices(estimate)[frames], frames)
     with pytest.raises(ConfigError, match="expected one of first"):

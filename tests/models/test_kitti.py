@@ -80,6 +80,9 @@ def test_times_and_frame_numbers(tmp_path: Path) -> None:
     with pytest.raises(InputError, match="frame 7; expected frames below 4") as caught:
         read_kitti(poses, times)
     assert (caught.value.path, caught.value.line) == (poses, 3)
+    times.write_text("".join(f"{0.1 * i}\n" for i in range(7)))
+    with pytest.raises(InputError, match="frame 7; expected frames below 7"):
+        read_kitti(poses, times)
     (tmp_path / "x.tum").write_text("0.5 1 2 3 0 0 0 1\n")
     with pytest.raises(InputError, match="one of KITTI's"):
         read_trajectory(tmp_path / "x.tum", times=times)
