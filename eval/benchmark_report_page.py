@@ -181,13 +181,14 @@ def _run_table(benchmark: Benchmark) -> Table:
 
 
 def _origin(benchmark: Benchmark) -> str:
-    """Return what the results depend on: settings and versions of each estimator, and the recordings."""
+    """Return what the results depend on: settings, versions and machine of each estimator, and the recordings."""
     made = {}
     for estimator in benchmark.estimators:
         runs = benchmark.runs(estimator)
         made[estimator] = {
             "settings (hash)": sorted({row.config_hash for row in runs}),
             "versions": sorted({row.versions for row in runs}),
+            "machine": sorted({row.machine for row in runs if row.machine}),
         }
     recordings = {row.recording for row in benchmark.rows if row.recording}
     worlds = sorted({row.world for row in benchmark.rows if row.world})

@@ -147,6 +147,7 @@ class Job:
             wall_s=outcome.wall_s,
             peak_mb=outcome.peak_mb,
             recording=self.flight.recording,
+            machine="{processor}, {cores} cores, {system}".format(**machine_here()),
             **(outcome.value or {}),
         )
 

@@ -84,6 +84,8 @@ class Row:
     """The most memory that the process held [MB]; of an external program, the largest of its processes."""
     recording: str = ""
     """Content hash of the recording."""
+    machine: str = ""
+    """What the run was done on: processor and cores; timings of different machines tell nothing."""
     length_m: tuple[float, ...] = ()
     """Lengths of the sub-trajectories: 10 % to 50 % of the true path [m]."""
     rpe_len_m: tuple[float, ...] = ()
