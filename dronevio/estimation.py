@@ -1,6 +1,7 @@
 """The driver that pushes a recording through an estimator, frame by frame, and times it."""
 
 import time
+from collections.abc import Sequence
 from typing import Protocol
 
 import cv2
@@ -24,27 +25,13 @@ class Watcher(Protocol):
         """Hear of a frame, of the answer, and of what it cost with the IMU samples before it [ms]."""
 
 
-class Nobody:
-    """Watches nothing."""
-
-    def imu(self, samples: ImuSamples) -> None:
-        """Do nothing."""
-
-    def frame(self, frame: CameraFrame, answer: Estimate, cpu_ms: float) -> None:
-        """Do nothing."""
-
-
-NOBODY = Nobody()
-"""The watcher where nobody watches."""
-
-
 def estimate_recording(
-    recording: Recording, estimator: Estimator, progress: Progress = silent, watcher: Watcher = NOBODY
+    recording: Recording, estimator: Estimator, progress: Progress = silent, watchers: Sequence[Watcher] = ()
 ) -> EstimatorRun:
     """Push all measurements of a recording into an estimator, in time order, on one thread.
 
     Each answer is taken before the next frame is read, so it is causal. Reading a frame from disk is not timed, nor is
-    what the watcher does.
+    what watchers do.
 
     Raises:
         InputError: A frame cannot be read.
@@ -64,9 +51,11 @@ def estimate_recording(
         cpu_s += time.process_time() - cpu_start
         wall_s += time.perf_counter() - wall_start
         if isinstance(measurement, ImuSamples):
-            watcher.imu(measurement)
+            for watcher in watchers:
+                watcher.imu(measurement)
         else:  # a frame is done, with the IMU before it
-            watcher.frame(measurement, estimates[-1], cpu_s * 1e3)
+            for watcher in watchers:
+                watcher.frame(measurement, estimates[-1], cpu_s * 1e3)
             cpu_ms.append(cpu_s * 1e3)
             wall_ms.append(wall_s * 1e3)
             cpu_s, wall_s = 0.0, 0.0

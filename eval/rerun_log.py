@@ -1,11 +1,12 @@
 """A flight as a rerun recording: what the drone saw and felt, where it was, and where estimators thought it was.
 
 `RerunLog` writes to a file or to a viewer that runs (`dronevio.eval.rerun_sink`), all at once or piece by piece while
-the flight goes on (`dronevio.eval.rerun_live`). `write_rrd` makes the file of a run, `write_estimates` that of several
-estimators beside each other.
+the flight goes on: `run_file` opens the file of a run that is to come, `dronevio.eval.rerun_live.watched` shows it in a
+viewer. `write_rrd` makes the file of a run that is over, `write_estimates` that of several estimators side by side.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
 from pathlib import Path
 from types import TracebackType
 from typing import Self
@@ -29,12 +30,14 @@ from dronevio.models.imu import ImuSamples, Times
 from dronevio.models.progress import Progress, silent
 from dronevio.models.protocols import Recording
 from dronevio.models.rig import Rig
-from dronevio.models.state import CameraFrame, Trajectory
+from dronevio.models.state import CameraFrame, Estimate, Trajectory
 
 Array = npt.NDArray[np.float64]
 Cameras = Callable[[Sink, str, float], ImageLog]
 """Makes the log of a camera's images from sink, entity and frame rate [Hz]."""
 
+ESTIMATE = "estimate"
+"""What the estimator of a run is called in its file."""
 _IMAGE_PLANE = 0.06  # how far before the camera its image hangs in the 3D view, as a share of what is seen there
 _IMAGE_PLANE_M = (0.1, 10.0)  # and at least and at most [m]
 _AXIS = 0.6  # length of the estimated IMU's axes, as a share of that
@@ -145,47 +148,94 @@ class RerunLog:
             )
 
 
+class RunFile:
+    """The file of a run, written while the run goes on: first what was seen, in the end what the estimator said."""
+
+    def __init__(self, log: RerunLog, recording: Recording) -> None:
+        """Take the log, and what is being estimated."""
+        self._log = log
+        self._recording = recording
+
+    def imu(self, samples: ImuSamples) -> None:
+        """Do nothing: the IMU's samples are known beforehand."""
+
+    def frame(self, frame: CameraFrame, answer: Estimate, cpu_ms: float) -> None:
+        """Log the images of a frame; the answer comes with all the others, when they can be laid on the truth."""
+        self._log.frame(frame)
+
+    def finish(self, run: EstimatorRun, scored: ScoredTrajectory | None) -> None:
+        """Log what the estimator made of the recording.
+
+        Args:
+            run: Its answers.
+            scored: The run's trajectory beside the truth; None where there is no truth. The estimated path and map are
+                shown in the truth's world, by the alignment that was scored.
+
+        Raises:
+            EvaluationError: The run does not belong to the recording.
+        """
+        run.check_belongs_to(self._recording)
+        alignment = IDENTITY if scored is None else scored.alignment
+        if self._recording.ground_truth is None:
+            self._log.rig_poses(run.trajectory)
+        log = self._log.estimator(ESTIMATE, palette.ESTIMATE, _fixed(alignment))
+        _log_estimate(log, NamedEstimate(ESTIMATE, run.trajectory, alignment, scored, run))
+
+
+@contextmanager
+def run_file(
+    path: Path,
+    recording: Recording,
+    *,
+    surroundings: Surroundings = NOTHING_KNOWN,
+    video: VideoSettings | None = None,
+) -> Iterator[RunFile]:
+    """Open the file of a run; what it is told of the run is in it when the context is left.
+
+    Args:
+        path: File to write; ``.rrd``.
+        recording: What is being estimated.
+        surroundings: What stands and moves around.
+        video: Size and quality of the video.
+    """
+    truth = recording.ground_truth
+    shown = Shown((ESTIMATE,), len(recording.rig.cameras), truth is not None)
+    places = places_of(surroundings, [] if truth is None else [truth])
+    with _flight_file(path, recording, truth, shown, places, surroundings, video) as log:
+        yield RunFile(log, recording)
+
+
 def write_rrd(
     path: Path,
     recording: Recording,
     run: EstimatorRun,
     scored: ScoredTrajectory | None,
     *,
-    name: str | None = None,
     surroundings: Surroundings = NOTHING_KNOWN,
     progress: Progress = silent,
     video: VideoSettings | None = None,
 ) -> None:
-    """Write a flight and what an estimator made of it to a rerun file, with a blueprint that lays it out.
+    """Write a flight and what an estimator made of it to a rerun file, when the run is over.
 
     Args:
         path: File to write; ``.rrd``.
         recording: What was measured.
         run: What the estimator made of it.
-        scored: The run's trajectory beside the truth; None where there is no truth. The estimated path and map are
-            shown in the truth's world, by the alignment that was scored.
-        name: What the viewer shall call it; the recording's name by default.
+        scored: The run's trajectory beside the truth; None where there is no truth.
         surroundings: What stands and moves around.
         progress: Told how many frames are encoded.
         video: Size and quality of the video.
 
     Raises:
         EvaluationError: The run does not belong to the recording.
-        InputError: An image cannot be read.
+        InputError: An image cannot be read; what was written up to then can be.
     """
     run.check_belongs_to(recording)
-    alignment = IDENTITY if scored is None else scored.alignment
-    estimate = NamedEstimate("estimate", run.trajectory, alignment, scored, run)
-    write_estimates(
-        path,
-        recording,
-        recording.ground_truth,
-        [estimate],
-        name=name,
-        surroundings=surroundings,
-        progress=progress,
-        video=video,
-    )
+    with run_file(path, recording, surroundings=surroundings, video=video) as file:
+        file.finish(run, scored)
+        for index, (answer, cpu_ms) in enumerate(zip(run.estimates, run.cpu_ms, strict=True)):
+            file.frame(recording.frame(index), answer, float(cpu_ms))
+            progress(index + 1, len(run.estimates))
 
 
 def write_estimates(
@@ -194,7 +244,6 @@ def write_estimates(
     truth: Trajectory | None,
     estimates: Sequence[NamedEstimate],
     *,
-    name: str | None = None,
     surroundings: Surroundings = NOTHING_KNOWN,
     progress: Progress = silent,
     video: VideoSettings | None = None,
@@ -206,7 +255,6 @@ def write_estimates(
         recording: What was measured.
         truth: The true motion, where it is known; it need not be the recording's own.
         estimates: What is shown side by side, each by its name.
-        name: What the viewer shall call it; the recording's name by default.
         surroundings: What stands and moves around.
         progress: Told how many frames are encoded.
         video: Size and quality of the video.
@@ -214,9 +262,7 @@ def write_estimates(
     Raises:
         InputError: An image cannot be read; what was written up to then can be.
     """
-    settings, frame_times_ns = video or VideoSettings(), recording.frame_times_ns
     aligned = [estimate.alignment.apply(estimate.trajectory) for estimate in estimates]
-    alone = len(estimates) == 1
     shown = Shown(
         names=tuple(estimate.name for estimate in estimates),
         n_cameras=len(recording.rig.cameras),
@@ -224,27 +270,46 @@ def write_estimates(
         answers=any(estimate.run is not None for estimate in estimates),
     )
     places = places_of(surroundings, [*aligned, *([] if truth is None else [truth])])
-    blueprint = flight_blueprint(shown, places)
-    with (
-        Sink.to_file(path, name or recording.name, blueprint, first_ns(recording)) as sink,
-        RerunLog(
-            sink, recording.rig, lambda sink, entity, rate_hz: VideoLog(sink, entity, rate_hz, settings), places
-        ) as log,
-    ):
-        log.surroundings(surroundings, frame_times_ns)
-        if truth is not None:
-            log.truth(truth, frame_times_ns, palette.TRUTH if alone else _TRUTH_AMONG_MANY)
-        elif aligned:
-            log.rig_poses(interpolate(aligned[0], frame_times_ns)[0])
-        log.imu(recording.imu)
+    with _flight_file(path, recording, truth, shown, places, surroundings, video) as log:
+        if truth is None and aligned:
+            log.rig_poses(interpolate(aligned[0], recording.frame_times_ns)[0])
         for index, estimate in enumerate(estimates):
-            colour = palette.ESTIMATE if alone else palette.ESTIMATORS[index % len(palette.ESTIMATORS)]
-            _log_estimate(log.estimator(estimate.name, colour, _fixed(estimate.alignment), alone), estimate)
-        if not alone:
+            colour = palette.ESTIMATE if shown.alone else palette.ESTIMATORS[index % len(palette.ESTIMATORS)]
+            _log_estimate(log.estimator(estimate.name, colour, _fixed(estimate.alignment), shown.alone), estimate)
+        if not shown.alone:
             log.summary(summary_table(estimates))
-        for index in range(len(frame_times_ns)):
+        total = len(recording.frame_times_ns)
+        for index in range(total):
             log.frame(recording.frame(index))
-            progress(index + 1, len(frame_times_ns))
+            progress(index + 1, total)
+
+
+@contextmanager
+def _flight_file(
+    path: Path,
+    recording: Recording,
+    truth: Trajectory | None,
+    shown: Shown,
+    places: Array,
+    surroundings: Surroundings,
+    video: VideoSettings | None,
+) -> Iterator[RerunLog]:
+    """Open a file and log what is known of a flight before anybody estimates it: the world, the truth and the IMU."""
+    settings = video or VideoSettings()
+
+    def camera(sink: Sink, entity: str, rate_hz: float) -> ImageLog:
+        return VideoLog(sink, entity, rate_hz, settings)
+
+    with (
+        Sink.to_file(path, recording.name, flight_blueprint(shown, places), first_ns(recording)) as sink,
+        RerunLog(sink, recording.rig, camera, places) as log,
+    ):
+        log.surroundings(surroundings, recording.frame_times_ns)
+        if truth is not None:
+            colour = palette.TRUTH if shown.alone else _TRUTH_AMONG_MANY
+            log.truth(truth, recording.frame_times_ns, colour)
+        log.imu(recording.imu)
+        yield log
 
 
 def _log_estimate(log: EstimateLog, estimate: NamedEstimate) -> None:

@@ -46,7 +46,7 @@ class LogCommand:
     (sim3), the first pose, or nothing."""
     cameras: int | None = None
     """Show only the first so many cameras."""
-    crf: int = 38
+    crf: int = 42
     """Quality of the video, from 0 (best, largest) to 63."""
     calibration: tuple[Path, ...] = ()
     """Kalibr's camchain.yaml, imu.yaml or both, in place of what a bag says."""

@@ -4,7 +4,7 @@ import json
 import shlex
 import shutil
 from collections.abc import Iterator, Sequence
-from contextlib import contextmanager, nullcontext
+from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -83,12 +83,12 @@ def main(arguments: Sequence[str]) -> int:
 def _carry_out(scenario: "Scenario", command: RunCommand, folder: Path, target: Path, repeat: str, bars: Bars) -> None:
     """Fly, estimate, score and log a scenario; everything that is left of it lies in ``folder``."""
     from dronevio import __version__
-    from dronevio.estimation import NOBODY, estimate_recording, require_poses
+    from dronevio.estimation import estimate_recording, require_poses
     from dronevio.estimator.vio import VisualInertialOdometry
     from dronevio.eval.metrics.scores import score_trajectory
     from dronevio.eval.provenance import RunInfo
     from dronevio.eval.report import write_report
-    from dronevio.eval.rerun_log import write_rrd
+    from dronevio.eval.rerun_log import run_file
     from dronevio.eval.rerun_surroundings import surroundings_of
     from dronevio.flying import record_flight
     from dronevio.models.configuration import to_plain
@@ -96,18 +96,20 @@ def _carry_out(scenario: "Scenario", command: RunCommand, folder: Path, target: 
     from dronevio.models.recordings.tum import write_tum
     from dronevio.sim.world import build_world
 
-    listeners = {name: bars.bar(name) for name in ("simulating", "rendering", "estimating", "logging")}
+    listeners = {name: bars.bar(name) for name in ("simulating", "rendering", "estimating")}
     record_flight(scenario, folder / "recording", listeners["simulating"], listeners["rendering"])
     name = f"{scenario.name}, seed {scenario.seed}"
     recording = replace(EurocRecording.open(folder / "recording"), name=name)
     surroundings = surroundings_of(build_world(scenario.world, scenario.seed))
     estimator = VisualInertialOdometry(recording.rig, command.estimator)
-    with _watcher(recording, surroundings) if command.live else nullcontext(NOBODY) as watcher:
-        run = estimate_recording(recording, estimator, listeners["estimating"], watcher)
-    trajectory = require_poses(run, recording)
     truth = recording.ground_truth
     assert truth is not None
-    scored = score_trajectory(truth, trajectory, recording.frame_times_ns)
+    with run_file(folder / "run.rrd", recording, surroundings=surroundings) as file:
+        with _spectators(recording, surroundings, command.live) as spectators:
+            run = estimate_recording(recording, estimator, listeners["estimating"], (file, *spectators))
+        trajectory = require_poses(run, recording)
+        scored = score_trajectory(truth, trajectory, recording.frame_times_ns)
+        file.finish(run, scored)
 
     write_tum(folder / "groundtruth.tum", truth)
     write_tum(folder / "estimate.tum", trajectory)
@@ -121,18 +123,20 @@ def _carry_out(scenario: "Scenario", command: RunCommand, folder: Path, target: 
         seed=scenario.seed,
         configuration=configuration,
     )
-    write_rrd(folder / "run.rrd", recording, run, scored, surroundings=surroundings, progress=listeners["logging"])
     write_report(folder, info, recording, run, scored, outline=surroundings.outline)
 
 
 @contextmanager
-def _watcher(recording: "Recording", surroundings: "Surroundings") -> Iterator["Watcher"]:
-    """Show a viewer that watches the estimator as long as the context lasts."""
+def _spectators(recording: "Recording", surroundings: "Surroundings", live: bool) -> Iterator["Sequence[Watcher]"]:
+    """Show a viewer that watches the estimator as long as the context lasts, if wanted."""
+    if not live:
+        yield ()
+        return
     from dronevio.cli.view import viewer_beside
     from dronevio.eval.rerun_live import watched
 
-    with viewer_beside() as address, watched(address, recording, surroundings) as live:
-        yield live
+    with viewer_beside() as address, watched(address, recording, surroundings) as spectator:
+        yield (spectator,)
 
 
 def _repeat(scenario: "Scenario", arguments: Sequence[str]) -> str:

@@ -98,7 +98,7 @@ def test_the_table_shows_the_numbers_of_the_report(run: Result) -> None:
     assert shown["processor time a frame, mean"] == f"{timing['cpu_ms_mean']:.1f}"
     assert shown["faster than real time"] == f"{timing['real_time_factor']:.1f}"
     assert f"dronevio view {run.folder}" in run.out
-    for work in ("simulating", "rendering", "estimating", "logging"):
+    for work in ("simulating", "rendering", "estimating"):
         assert work in run.err
 
 

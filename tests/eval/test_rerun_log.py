@@ -10,7 +10,7 @@ from dronevio.eval import rerun_entities as at
 from dronevio.eval.metrics import score_trajectory
 from dronevio.eval.rerun_blueprint import VIEW_ASPECT, VIEWER_FIELD_OF_VIEW_RAD, look_at_all
 from dronevio.eval.rerun_entities import EstimateEntities
-from dronevio.eval.rerun_log import write_rrd
+from dronevio.eval.rerun_log import run_file, write_rrd
 from dronevio.eval.rerun_surroundings import Surroundings
 from dronevio.eval.runs import EstimatorRun, tracks_of
 from dronevio.models.errors import EvaluationError, InputError
@@ -203,3 +203,17 @@ def test_the_eye_sees_everything_and_stands_no_further_than_it_must(seed):
     upwards = np.abs((points - position) @ up) / depth / tangent
     assert np.all(depth > 0.0)
     assert 0.85 < max(across.max(), upwards.max()) <= 1.0
+
+
+def test_a_file_opened_before_the_run_holds_the_same_as_one_written_after_it(flight, tmp_path, read_rrd, columns):
+    path = tmp_path / "run.rrd"
+    scored = score_trajectory(flight.recording.ground_truth, flight.run.trajectory)
+    with run_file(path, flight.recording, surroundings=Surroundings(flight.outline)) as file:
+        for index, (answer, cpu_ms) in enumerate(zip(flight.run.estimates, flight.run.cpu_ms, strict=True)):
+            file.frame(flight.recording.frame(index), answer, float(cpu_ms))
+        file.finish(flight.run, scored)
+    found = read_rrd(path)
+    assert found.keys() == columns.keys()
+    for entity in found.keys() - {"__properties"}:  # which say when the file was made
+        for name, values in found[entity].items():
+            assert values.to_pylist() == columns[entity][name].to_pylist(), (entity, name)

@@ -87,3 +87,24 @@ def test_the_encoder_is_silent(capfd):
     encode(moving_images(3))
     out, err = capfd.readouterr()
     assert out == err == ""
+
+
+def test_black_is_black_and_white_is_white():
+    image = np.zeros((240, 376), np.uint8)
+    image[:, 188:] = 255
+    [decoded] = decode(encode([image]))
+    assert decoded[:, :180].max() <= 1
+    assert decoded[:, 196:].min() >= 254
+
+
+def test_an_odd_size_is_made_even():
+    images = [image[:239, :375] for image in moving_images(3)]
+    decoded = decode(encode(images))
+    assert [frame.shape for frame in decoded] == [(240, 376)] * 3
+    assert psnr_db(decoded[2][:239, :375], images[2]) > 33.0
+
+
+def test_each_sample_comes_at_once(images):
+    encoder = Av1Encoder(RATE_HZ, VideoSettings())
+    assert [len(encoder.encode(image)) for image in images] == [1] * len(images)
+    assert encoder.finish() == []
