@@ -13,6 +13,7 @@ from typing import Any, Protocol, Self
 from dronevio.eval.benchmark.cache import RecordingCache
 from dronevio.eval.benchmark.isolation import Outcome, isolated
 from dronevio.eval.benchmark.rows import Row
+from dronevio.eval.provenance import machine_here
 
 COST_FILE = "cost.json"
 """Beside a recording in the cache: what making it cost."""
