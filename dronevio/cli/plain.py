@@ -66,7 +66,7 @@ def _values(command: type[Any], arguments: Sequence[str]) -> dict[str, Any]:
             continue
         option, equals, text = word.removeprefix("--").partition("=")
         name = option.replace("-", "_")
-        if not word.startswith("--") or "_" in option or name not in hints or name in positionals or name in values:
+        if not word.startswith("--") or "_" in option or name not in hints or name in positionals:
             raise _NotPlainError
         hint = hints[name]
         if hint is bool:

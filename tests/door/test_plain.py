@@ -48,7 +48,7 @@ options = st.one_of(
     st.lists(st.floats(allow_nan=False, allow_infinity=False), max_size=3).map(
         lambda xs: "--many " + " ".join(map(repr, xs))
     ),
-    words.map(lambda word: f"--out {word}"),
+    st.one_of(words, st.just("None")).map(lambda word: f"--out {word}"),
     st.sampled_from(["--no-json", "--choice three", "--size x", "--sise 1", "--count 1.5", "-j", "--size", "extra"]),
 )
 
