@@ -92,7 +92,7 @@ def shell_lines() -> list[list[str]]:
 def test_commands_are_as_written(line: list[str], capsys: pytest.CaptureFixture[str]) -> None:
     _, *command = line
     assert command[0] in COMMANDS
-    depth = 2 if command[0] == "book" else 1
+    depth = 2 if command[0] in ("bench", "book") else 1
     with pytest.raises(SystemExit):
         main([*command[:depth], "--help"])
     explained = capsys.readouterr().out
