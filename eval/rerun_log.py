@@ -332,8 +332,8 @@ def places_of(surroundings: Surroundings, paths: Sequence[Trajectory]) -> Array:
     flown = np.concatenate([np.zeros((0, 3)), *(path.p_world_imu for path in paths)])
     if len(flown):
         reach_m = _IMAGE_PLANE * np.linalg.norm(np.ptp(flown, axis=0))
-        low, high = flown.min(axis=0) - reach_m, flown.max(axis=0) + reach_m
-        flown = np.stack(np.meshgrid(*zip(low, high, strict=True)), axis=-1).reshape(-1, 3)
+        around = np.concatenate([np.eye(3), -np.eye(3)]) * reach_m
+        flown = (flown[:: max(1, len(flown) // _DRAWN_POINTS), None] + around).reshape(-1, 3)
     return np.concatenate([surroundings.outline.reshape(-1, 3), flown])
 
 

@@ -84,8 +84,10 @@ def names_of(estimates: Sequence[Path], wanted: str = "") -> list[str]:
     """Return what estimates are called: as wanted, else like their files, else like their folders as well.
 
     Raises:
-        ConfigError: There are not as many names as estimates, or two are alike.
+        ConfigError: There are not as many names as estimates, two are alike, or there is nothing to name.
     """
+    if not estimates:
+        raise ConfigError("no estimate; expected one file at least")
     if wanted:
         names = [name.strip() for name in wanted.split(",")]
         if len(names) != len(estimates) or len(set(names)) < len(names) or not all(names):

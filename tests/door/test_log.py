@@ -81,6 +81,7 @@ def test_a_table_for_people(flown: Result, results: Path, tmp_path: Path, capsys
 @pytest.mark.parametrize(
     ("arguments", "complaint"),
     [
+        ([], "no estimate"),
         (["turned.tum", "--names", "a,b"], "--names"),
         (["turned.tum", "large.tum", "--names", "a,a"], "--names"),
         (["turned.tum", "--out", "x.txt"], ".rrd"),
