@@ -10,10 +10,17 @@ import numpy.typing as npt
 from dronevio.models.errors import ConfigError
 from dronevio.sim.looks.lightmap import bake, daylight
 from dronevio.sim.looks.scenery import paint_pages, painted
-from dronevio.sim.looks.solids import visible_faces
 from dronevio.sim.paths.space import Place, Space
 from dronevio.sim.streams import generator
-from dronevio.sim.worlds.assembly import Looks, add_touched, assembled, outline_of, space_of
+from dronevio.sim.worlds.assembly import (
+    Looks,
+    add_touched,
+    assembled,
+    assembled_things,
+    outline_of,
+    seen_surfaces,
+    space_of,
+)
 from dronevio.sim.worlds.corridor import CORRIDOR
 from dronevio.sim.worlds.dark import DARK
 from dronevio.sim.worlds.forest import FOREST
@@ -136,6 +143,19 @@ def touched_of(name: str, seed: int) -> mujoco.MjSpec:
     return spec
 
 
+def things_of(name: str, seed: int) -> mujoco.MjSpec:
+    """Return what is seen of a world without its paint, so without the seconds of painting.
+
+    Each thing is one geom, and its name says what it is: ``floor``, ``sofa``, ``tree_12``. The same seed gives the same
+    things in the same order. What moves is on bodies of the same names as in `build_world`.
+
+    Raises:
+        ConfigError: There is no such world.
+    """
+    _require(name)
+    return assembled_things(WORLDS[name].layout(_generators(seed)[0]))
+
+
 def _require(name: str) -> None:
     """Raise ConfigError unless there is a world of that name."""
     if name not in WORLDS:
@@ -147,12 +167,13 @@ def _painted(name: str, seed: int) -> tuple[Layout, Looks]:
     """Return the layout of a world and what it looks like; kept, since painting takes a second or two."""
     drawing, paint = _generators(seed)
     layout = WORLDS[name].layout(drawing)
-    faces = [*layout.shell, *visible_faces(layout.boxes, layout.low, layout.high)]
-    floor = [] if layout.mirror is None else [layout.mirror.face]
+    surfaces = seen_surfaces(layout)
+    standing = len(surfaces) - (layout.mirror is not None)
+    faces, floor = surfaces[:standing], surfaces[standing:]
     shading = layout.shading
     if shading is None:
         shading = tuple(box for box in layout.boxes if box.glow == 0.0)
-    light = bake([*faces, *floor], shading, layout.lights)
+    light = bake(surfaces, shading, layout.lights)
     pages = paint_pages(faces, light[: len(faces)], paint)
     pages = [shared.page(paint) for shared in layout.prints] + pages  # near things first: they hide what is behind
     reflecting = [painted(face, light[-1], paint) for face in floor]

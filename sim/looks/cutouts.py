@@ -5,13 +5,14 @@ their outline, not by transparency: what is drawn is what is there, in the depth
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import numpy.typing as npt
 
 from dronevio.sim.looks.scenery import Page, facing
 from dronevio.sim.looks.solids import Paint
+from dronevio.sim.looks.things import UNNAMED, Thing
 
 Array = npt.NDArray[np.float64]
 Random = np.random.Generator
@@ -26,6 +27,8 @@ class Cutouts:
     """(F, 4, 3) Corners [m]: clockwise as one looks at each."""
     on_image: Array
     """(F, 4, 2) Where they lie on the image, as fractions of its width and height from its top left corner."""
+    thing: Thing = UNNAMED
+    """What they belong to."""
 
     @classmethod
     def of_grid(
@@ -39,15 +42,15 @@ class Cutouts:
 
     def moved(self, R: Array, position: Array) -> "Cutouts":
         """Return them turned by R (3, 3) about the origin, then shifted by ``position`` (3,)."""
-        return Cutouts(self.corners @ R.T + position, self.on_image)
+        return replace(self, corners=self.corners @ R.T + position)
 
     def turned_over(self) -> "Cutouts":
         """Return their backs."""
-        return Cutouts(self.corners[:, ::-1], self.on_image[:, ::-1])
+        return replace(self, corners=self.corners[:, ::-1], on_image=self.on_image[:, ::-1])
 
 
 def joined(parts: Sequence[Cutouts]) -> Cutouts:
-    """Return several as one."""
+    """Return several as one; what they belonged to is forgotten."""
     return Cutouts(np.concatenate([part.corners for part in parts]), np.concatenate([part.on_image for part in parts]))
 
 
@@ -89,12 +92,12 @@ class Print:
     """Rows of the image [px]."""
     width: int
     """Columns [px]."""
-    cutouts: Cutouts
+    cutouts: tuple[Cutouts, ...]
     """What shows it."""
 
     def page(self, rng: Random) -> Page:
         """Return the page, painted."""
-        whole = self.cutouts
+        whole = joined(self.cutouts)
         normals = np.repeat(facing(whole.corners), 4, axis=0)
         corners, on_image = whole.corners.reshape(-1, 3), whole.on_image.reshape(-1, 2)
         return Page(self.paint(rng, self.height, self.width), corners, on_image, normals)

@@ -17,6 +17,7 @@ from dronevio.sim.looks.solids import Face, Surface, size_m
 from dronevio.sim.looks.textures import Image
 
 Array = npt.NDArray[np.float64]
+Triangles = npt.NDArray[np.int32]
 
 PAGE_WIDTH_PX = 4160
 """Columns of a page [px]: what holds a wall of 16 m at full resolution, gutter included."""
@@ -39,10 +40,9 @@ class Page:
     """(4 F, 3) Unit normals."""
 
     @property
-    def triangles(self) -> npt.NDArray[np.int32]:
+    def triangles(self) -> Triangles:
         """(2 F, 3) Corners of the triangles, anticlockwise as one looks at them."""
-        quads = np.arange(len(self.vertices), dtype=np.int32).reshape(-1, 4)
-        return np.concatenate([quads[:, [0, 2, 1]], quads[:, [0, 3, 2]]])
+        return _triangles(len(self.vertices) // 4)
 
 
 def paint_pages(
@@ -67,9 +67,9 @@ def paint_pages(
             face, image = faces[index], images[index]
             padded = cv2.copyMakeBorder(image, *(_GUTTER_PX,) * 4, cv2.BORDER_REPLICATE)
             texture[row : row + padded.shape[0], column : column + padded.shape[1]] = padded
-            quads = _quads(face.grid)
+            quads = quads_of(face.grid)
             origin, extent = np.array([column, row]) + _GUTTER_PX, np.array(image.shape[1::-1])
-            on_image = _quads(_even_grid(face.grid.shape[0], face.grid.shape[1]))
+            on_image = quads_of(_even_grid(face.grid.shape[0], face.grid.shape[1]))
             on_page = on_image[..., ::-1] if lying[index] else on_image
             vertices.append(quads.reshape(-1, 3))
             coordinates.append((origin + on_page.reshape(-1, 2) * extent) / [width_px, height])
@@ -85,13 +85,19 @@ def facing(quads: Array) -> Array:
     return np.asarray(normal / np.maximum(np.linalg.norm(normal, axis=1, keepdims=True), 1e-12))
 
 
+def _triangles(count: int) -> Triangles:
+    """Return the triangles (2 F, 3) that quadrangles are made of, their corners being numbered one after the other."""
+    quads = np.arange(4 * count, dtype=np.int32).reshape(-1, 4)
+    return np.concatenate([quads[:, [0, 2, 1]], quads[:, [0, 3, 2]]])
+
+
 def painted(face: Surface, brightness: Field, rng: np.random.Generator) -> Image:
     """Return the image (H, W, 3) of a surface under its light."""
     height, width = (max(round(v * face.pixels_per_m), _SMALLEST_PX) for v in size_m(face))
     return apply_light(face.paint(rng, height, width), brightness)
 
 
-def _quads(grid: Array) -> Array:
+def quads_of(grid: Array) -> Array:
     """Return the cells (F, 4, D) of a grid (R + 1, C + 1, D): top left and right, bottom right and left."""
     cells = np.stack([grid[:-1, :-1], grid[:-1, 1:], grid[1:, 1:], grid[1:, :-1]], axis=2)
     return cells.reshape(-1, 4, grid.shape[2])
@@ -133,19 +139,26 @@ def add_pages(spec: mujoco.MjSpec, body: mujoco.MjsBody, name: str, pages: Seque
 def _add_page(spec: mujoco.MjSpec, body: mujoco.MjsBody, name: str, page: Page) -> None:
     """Add one page to a body."""
     _add_painted_material(spec, name, page.texture)
-    mesh = spec.add_mesh(name=name, inertia=mujoco.mjtMeshInertia.mjMESH_INERTIA_SHELL)
-    mesh.uservert = page.vertices.ravel()
+    mesh = _add_seen_mesh(spec, body, name, page.vertices, page.triangles)
     mesh.usernormal = page.normals.ravel()
     mesh.usertexcoord = page.texture_coordinates.ravel()
-    mesh.userface = mesh.userfacenormal = mesh.userfacetexcoord = page.triangles.ravel()
-    body.add_geom(
-        name=name,
-        type=mujoco.mjtGeom.mjGEOM_MESH,
-        meshname=name,
-        material=name,
-        contype=0,
-        conaffinity=0,
-    )
+    mesh.userfacenormal = mesh.userfacetexcoord = page.triangles.ravel()
+    spec.geom(name).material = name
+
+
+def add_thing(spec: mujoco.MjSpec, body: mujoco.MjsBody, name: str, quads: Array) -> None:
+    """Add quadrangles (F, 4, 3) to a body of a model as one geom without paint, to tell what an image shows."""
+    _add_seen_mesh(spec, body, name, quads.reshape(-1, 3), _triangles(len(quads)))
+
+
+def _add_seen_mesh(
+    spec: mujoco.MjSpec, body: mujoco.MjsBody, name: str, vertices: Array, triangles: Triangles
+) -> mujoco.MjsMesh:
+    """Add a mesh of vertices (V, 3) and triangles (T, 3) to a body as a geom that is seen but not touched."""
+    mesh = spec.add_mesh(name=name, inertia=mujoco.mjtMeshInertia.mjMESH_INERTIA_SHELL)
+    mesh.uservert, mesh.userface = vertices.ravel(), triangles.ravel()
+    body.add_geom(name=name, type=mujoco.mjtGeom.mjGEOM_MESH, meshname=name, contype=0, conaffinity=0)
+    return mesh
 
 
 def add_mirror(spec: mujoco.MjSpec, face: Face, image: Image, reflectance: float) -> None:

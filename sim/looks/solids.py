@@ -1,13 +1,15 @@
 """Boxes and the faces they show: the geometry that a room and its furniture are built from."""
 
+import itertools
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field, replace
-from typing import Protocol
+from typing import Protocol, TypeVar
 
 import numpy as np
 import numpy.typing as npt
 
 from dronevio.sim.looks.textures import PIXELS_PER_M, Image
+from dronevio.sim.looks.things import UNNAMED, Thing
 
 Array = npt.NDArray[np.float64]
 Paint = Callable[[np.random.Generator, int, int], Image]
@@ -41,6 +43,10 @@ class Surface(Protocol):
     def pixels_per_m(self) -> float:
         """Resolution of its image [px/m]."""
 
+    @property
+    def thing(self) -> Thing:
+        """What it belongs to."""
+
 
 def size_m(surface: Surface) -> tuple[float, float]:
     """Return the height and the width of a surface [m]: the mean lengths of its columns and rows, rolled out flat."""
@@ -62,6 +68,8 @@ class Sheet:
     """Light of its own, relative to a well lit surface."""
     pixels_per_m: float = PIXELS_PER_M
     """Resolution of its image [px/m]."""
+    thing: Thing = UNNAMED
+    """What it belongs to."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -80,6 +88,8 @@ class Face:
     """Light of its own, relative to a well lit surface."""
     pixels_per_m: float = PIXELS_PER_M
     """Resolution of its image [px/m]."""
+    thing: Thing = UNNAMED
+    """What it belongs to."""
 
     @property
     def grid(self) -> Array:
@@ -117,6 +127,8 @@ class Box:
     """Light of its own, relative to a well lit surface."""
     pixels_per_m: float = PIXELS_PER_M
     """Resolution of its images [px/m]."""
+    thing: Thing = UNNAMED
+    """What it belongs to."""
 
     def moved(self, R: Array, position: Array) -> "Box":
         """Return the box turned by R (3, 3) about the origin, then shifted by ``position`` (3,)."""
@@ -136,7 +148,21 @@ class Box:
                 front = axis == 1 and sign > 0.0 and self.front is not None
                 paint = self.front if front and self.front is not None else self.paint
                 corner = middle + half_up - half_right
-                yield Face(corner, 2.0 * half_right, -2.0 * half_up, paint, self.glow, self.pixels_per_m)
+                yield Face(corner, 2.0 * half_right, -2.0 * half_up, paint, self.glow, self.pixels_per_m, self.thing)
+
+
+_Part = TypeVar("_Part", Box, Face, Sheet)
+
+
+def parts_of(thing: Thing, parts: Iterable[_Part]) -> tuple[_Part, ...]:
+    """Return parts as those of a thing."""
+    return tuple(replace(part, thing=thing) for part in parts)
+
+
+def enclosure(faces: Iterable[Face]) -> tuple[Face, ...]:
+    """Return the inside of a room as the things that it is: floor, ceiling and walls, in this order."""
+    kinds = itertools.chain(("floor", "ceiling"), itertools.repeat("wall"))
+    return tuple(replace(face, thing=Thing(kind)) for face, kind in zip(faces, kinds, strict=False))
 
 
 def visible_faces(boxes: Iterable[Box], room_min: Array, room_max: Array) -> list[Face]:

@@ -10,8 +10,9 @@ import numpy.typing as npt
 
 from dronevio.sim.looks import pictures, textures_building
 from dronevio.sim.looks.lightmap import AreaLight
-from dronevio.sim.looks.solids import Box, Face, Paint, turn_z
+from dronevio.sim.looks.solids import Box, Face, Paint, enclosure, turn_z
 from dronevio.sim.looks.textures import Image, plain
+from dronevio.sim.looks.things import Thing, one_thing
 from dronevio.sim.props.furniture import METAL, Piece, hung_picture
 
 Array = npt.NDArray[np.float64]
@@ -89,11 +90,9 @@ def hall_faces(
         wall.face((0.5 * wall.length_m, 0.0), (-0.5 * wall.length_m, 0.0), height, paint, px_per_m[1])
         for wall, paint in zip(room_walls(low, high), walls, strict=True)
     ]
-    return (
-        level_face(low[:2], high[:2], float(low[2]), True, floor, px_per_m[0]),
-        level_face(low[:2], high[:2], float(high[2]), False, ceiling, px_per_m[2]),
-        *sides,
-    )
+    bottom = level_face(low[:2], high[:2], float(low[2]), True, floor, px_per_m[0])
+    top = level_face(low[:2], high[:2], float(high[2]), False, ceiling, px_per_m[2])
+    return enclosure((bottom, top, *sides))
 
 
 def stand_along(
@@ -144,9 +143,10 @@ def landing_mat(middle: Array, side_m: float = 0.8) -> Box:
         return pictures.landing_pad(max(height, width))[:height, :width]
 
     half = 0.5 * np.array([side_m, side_m, _MAT_M])
-    return Box(middle + [0.0, 0.0, half[2]], half, paint)
+    return Box(middle + [0.0, 0.0, half[2]], half, paint, thing=Thing("landing_mat"))
 
 
+@one_thing
 def ceiling_lamp(middle: Array, size_m: tuple[float, float], power: float, drop_m: float = 0.0) -> Piece:
     """Return a flat lamp under a ceiling.
 

@@ -9,8 +9,9 @@ import numpy.typing as npt
 
 from dronevio.sim.looks import textures
 from dronevio.sim.looks import textures_race as race
-from dronevio.sim.looks.solids import Box, Face, turn_z
+from dronevio.sim.looks.solids import Box, Face, parts_of, turn_z
 from dronevio.sim.looks.textures import Colour
+from dronevio.sim.looks.things import Thing
 
 Array = npt.NDArray[np.float64]
 Random = np.random.Generator
@@ -20,28 +21,29 @@ _STRAW: Colour = (204, 172, 98)
 _BLACK = partial(textures.plain, colour=race.BLACK)
 
 
-def flag(rng: Random) -> list[Box]:
+def flag(rng: Random) -> tuple[Box, ...]:
     """Return a tall flag on a pole."""
     high = rng.uniform(2.4, 3.4)
     cloth = partial(race.lettered, colour=race.PAINTS[int(rng.integers(len(race.PAINTS)))])
-    return [
+    boxes = [
         Box(np.array([0.0, 0.0, 0.5 * high]), np.array([0.02, 0.02, 0.5 * high]), _BLACK, pixels_per_m=100.0),
         Box(np.array([0.32, 0.0, 0.56 * high]), np.array([0.3, 0.008, 0.42 * high]), cloth, cloth, pixels_per_m=150.0),
         Box(np.array([0.0, 0.0, 0.03]), np.array([0.22, 0.22, 0.03]), _BLACK, pixels_per_m=100.0),
     ]
+    return parts_of(Thing("flag"), boxes)
 
 
-def bales(rng: Random) -> list[Box]:
+def bales(rng: Random) -> tuple[Box, ...]:
     """Return a few bales of straw, stacked."""
     straw = partial(race.bale, colour=textures.vary(rng, _STRAW, 0.08))
     half = np.array([0.45, 0.24, 0.2])
     boxes = [Box(np.array([x, 0.0, half[2]]), half, straw, pixels_per_m=110.0) for x in (-0.47, 0.47)]
     if rng.random() < 0.6:
         boxes.append(Box(np.array([rng.uniform(-0.2, 0.2), 0.0, 3.0 * half[2]]), half, straw, pixels_per_m=110.0))
-    return boxes
+    return parts_of(Thing("bales"), boxes)
 
 
-def fence(half_m: Array) -> list[Face]:
+def fence(half_m: Array) -> tuple[Face, ...]:
     """Return the banners around a field of half the given size (2,) [m], seen from inside."""
     x, y = half_m
     high = 1.05
@@ -55,10 +57,10 @@ def fence(half_m: Array) -> list[Face]:
             boards.append(
                 Face(np.array([*p, high]), right, np.array([0.0, 0.0, -high]), race.banner, pixels_per_m=96.0)
             )
-    return boards
+    return parts_of(Thing("fence"), boards)
 
 
-def stand(rng: Random, half_m: Array) -> list[Box]:
+def stand(rng: Random, half_m: Array) -> tuple[Box, ...]:
     """Return a stand with spectators along the north or the south side of a field of half a size (2,), under a roof."""
     seats = partial(race.crowd, colour=race.PAINTS[int(rng.integers(len(race.PAINTS)))])
     plain, cloth = partial(textures.plain, colour=(172, 170, 164)), partial(race.tarpaulin, colour=(232, 230, 224))
@@ -81,10 +83,11 @@ def stand(rng: Random, half_m: Array) -> list[Box]:
     boxes.append(Box(np.array([0.0, at - 1.02, 5.45]), valance, race.banner, race.banner, pixels_per_m=60.0))
     # so far it looks along −y from the north; a box's front is its +y side
     turned = [replace(box, centre=-box.centre * [1.0, 1.0, -1.0]) for box in boxes]
-    return [box.moved(turn_z(np.pi) if north else np.eye(3), np.zeros(3)) for box in turned]
+    placed = [box.moved(turn_z(np.pi) if north else np.eye(3), np.zeros(3)) for box in turned]
+    return parts_of(Thing("stand"), placed)
 
 
-def paddock(rng: Random, half_m: Array) -> list[Box]:
+def paddock(rng: Random, half_m: Array) -> tuple[Box, ...]:
     """Return tents and containers east and west of a field of half the given size (2,) [m]."""
     boxes: list[Box] = []
     for x in (-1.0, 1.0):
@@ -92,10 +95,10 @@ def paddock(rng: Random, half_m: Array) -> list[Box]:
             R, at = turn_z(0.5 * np.pi * x), np.array([x * (half_m[0] + rng.uniform(3.5, 5.5)), y, 0.0])
             parts = _tent(rng) if rng.random() < 0.55 else _container(rng)
             boxes += [box.moved(turn_z(rng.uniform(-0.15, 0.15)) @ R, at) for box in parts]
-    return boxes
+    return tuple(boxes)
 
 
-def _tent(rng: Random) -> list[Box]:
+def _tent(rng: Random) -> tuple[Box, ...]:
     """Return a tent with an open front."""
     colour = (*race.PAINTS, race.WHITE, race.WHITE)[int(rng.integers(len(race.PAINTS) + 2))]
     cloth, words = partial(race.tarpaulin, colour=colour), partial(race.lettered, colour=colour)
@@ -115,13 +118,14 @@ def _tent(rng: Random) -> list[Box]:
     boxes.append(Box(np.array([0.0, -1.5, 1.1]), np.array([1.5, 0.015, 1.1]), cloth, cloth, pixels_per_m=50.0))
     boxes.append(Box(np.array([0.0, 0.9, 0.72]), np.array([1.2, 0.35, 0.03]), pole, pixels_per_m=80.0))
     boxes.append(Box(np.array([0.0, 1.25, 0.36]), np.array([1.2, 0.01, 0.36]), words, words, pixels_per_m=100.0))
-    return boxes
+    return parts_of(Thing("tent"), boxes)
 
 
-def _container(rng: Random) -> list[Box]:
+def _container(rng: Random) -> tuple[Box, ...]:
     """Return a shipping container, along the field."""
     colour = textures.vary(
         rng, ((150, 66, 48), (46, 84, 120), (86, 110, 84), (168, 128, 60))[int(rng.integers(4))], 0.1
     )
     steel = partial(race.container, colour=colour)
-    return [Box(np.array([0.0, 0.0, 1.3]), np.array([3.0, 1.22, 1.3]), steel, steel, pixels_per_m=64.0)]
+    half = np.array([3.0, 1.22, 1.3])
+    return (Box(np.array([0.0, 0.0, 1.3]), half, steel, steel, pixels_per_m=64.0, thing=Thing("container")),)

@@ -14,9 +14,10 @@ import numpy.typing as npt
 from dronevio.sim.looks import textures
 from dronevio.sim.looks import textures_industrial as works
 from dronevio.sim.looks.round import UNSEEN, filling, mantle
-from dronevio.sim.looks.solids import Box, Paint, Sheet, turn_z
+from dronevio.sim.looks.solids import Box, Paint, Sheet, parts_of, turn_z
 from dronevio.sim.looks.textures import Colour, vary
 from dronevio.sim.looks.textures_nature import scaled
+from dronevio.sim.looks.things import Thing, one_thing
 
 Array = npt.NDArray[np.float64]
 Random = np.random.Generator
@@ -48,6 +49,11 @@ class Kit:
         boxes, obstacles = (tuple(box.moved(R, position) for box in part) for part in (self.boxes, self.obstacles))
         sheets = tuple(replace(sheet, grid=sheet.grid @ R.T + position) for sheet in self.sheets)
         return Kit(boxes, sheets, obstacles)
+
+    def called(self, kind: str) -> "Kit":
+        """Return it as one thing of a kind."""
+        thing = Thing(kind)
+        return replace(self, boxes=parts_of(thing, self.boxes), sheets=parts_of(thing, self.sheets))
 
 
 def kit_of(boxes: Sequence[Box], parts: Sequence[Kit] = ()) -> Kit:
@@ -90,6 +96,7 @@ def drumlike(
     return Kit((), tuple(sheets), tuple(solid))
 
 
+@one_thing
 def pipe_run(points: Sequence[Sequence[float]], radius_m: float, colour: Colour) -> Kit:
     """Return a pipe along legs that are parallel to the axes, with a collar at each bend."""
     path, parts = np.array(points, dtype=np.float64), []
@@ -106,6 +113,7 @@ def pipe_run(points: Sequence[Sequence[float]], radius_m: float, colour: Colour)
     return kit_of(joints, parts)
 
 
+@one_thing
 def machine(rng: Random, w: float, d: float, h: float) -> Kit:
     """Return a machine tool: a plinth, a body in two steps, a cabinet at its side, pipes on top."""
     colour = vary(rng, MACHINE_COLOURS[int(rng.integers(len(MACHINE_COLOURS)))], 0.08)
@@ -133,6 +141,7 @@ def machine(rng: Random, w: float, d: float, h: float) -> Kit:
     return kit_of(boxes, [up])
 
 
+@one_thing
 def turbine(rng: Random) -> Kit:
     """Return a large turbine on its bed, along x: a drum between two housings, a generator, a shaft."""
     colour = vary(rng, MACHINE_COLOURS[int(rng.integers(len(MACHINE_COLOURS)))], 0.08)
@@ -152,6 +161,7 @@ def turbine(rng: Random) -> Kit:
     return kit_of(boxes, [drum, feed])
 
 
+@one_thing
 def tank(rng: Random, radius_m: float, height_m: float, number: int) -> Kit:
     """Return an upright tank on feet, a ladder at its front, a valve below."""
     colour = vary(rng, ((176, 180, 178), (196, 188, 164), (120, 146, 160), (164, 110, 84))[int(rng.integers(4))], 0.06)
@@ -177,6 +187,7 @@ def tank(rng: Random, radius_m: float, height_m: float, number: int) -> Kit:
     return with_lattice(solid, rails + rungs)
 
 
+@one_thing
 def crates(rng: Random) -> Kit:
     """Return a stack of crates on a pallet."""
     colour = vary(rng, TIMBER, 0.1)
@@ -190,6 +201,7 @@ def crates(rng: Random) -> Kit:
     return kit_of(boxes)
 
 
+@one_thing
 def drums(rng: Random) -> Kit:
     """Return steel drums on a pallet."""
     wood = partial(works.crate, colour=(140, 112, 80), ppm=_PPM)
@@ -205,6 +217,7 @@ def drums(rng: Random) -> Kit:
     return kit_of([block((0.0, 0.0, 0.0), (1.3, 1.3, 0.12), wood)], parts)
 
 
+@one_thing
 def cabinet(rng: Random) -> Kit:
     """Return a control cabinet."""
     colour = vary(rng, (152, 156, 150), 0.08)
@@ -212,6 +225,7 @@ def cabinet(rng: Random) -> Kit:
     return kit_of([block((0.0, 0.0, 0.0), (1.1, 0.5, 2.0), steel(colour), front)])
 
 
+@one_thing
 def catwalk(length_m: float, height_m: float) -> Kit:
     """Return a walkway along x on posts, with rails at its front, and cross braces."""
     plate = partial(works.grating, colour=STEEL, ppm=96.0)
@@ -239,6 +253,7 @@ def around(boxes: Sequence[Box]) -> Box:
     return Box(0.5 * (low + high), 0.5 * (high - low), UNSEEN)
 
 
+@one_thing
 def crane(rng: Random, span_m: float, height_m: float) -> Kit:
     """Return a bridge crane across y: two girders, a trolley, a hook on its rope."""
     paint = partial(works.casing, colour=works.YELLOW, ppm=80.0)

@@ -4,7 +4,7 @@ Each returns cutouts of shared images, in the frame of its own foot, and the box
 eight sides.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import numpy.typing as npt
@@ -16,6 +16,7 @@ from dronevio.sim.looks.lightmap import Field
 from dronevio.sim.looks.round import UNSEEN, filling, mantle
 from dronevio.sim.looks.solids import Box, turn_z
 from dronevio.sim.looks.textures import Colour, Image
+from dronevio.sim.looks.things import Thing, one_thing
 
 Array = npt.NDArray[np.float64]
 Random = np.random.Generator
@@ -44,7 +45,14 @@ class Plant:
         wood, leaves = (tuple(part.moved(R, position) for part in parts) for parts in (self.wood, self.leaves))
         return Plant(wood, leaves, tuple(box.moved(R, position) for box in self.obstacles))
 
+    def called(self, kind: str) -> "Plant":
+        """Return it as one thing of a kind."""
+        thing = Thing(kind)
+        wood, leaves = (tuple(replace(part, thing=thing) for part in parts) for parts in (self.wood, self.leaves))
+        return Plant(wood, leaves, self.obstacles)
 
+
+@one_thing
 def tree(
     rng: Random,
     radius_m: float,
@@ -111,6 +119,7 @@ def foliage(rng: Random, middle: Array, half: Array, twig_m: float, twigs: int, 
     return spray(rng, middle + outward * depth * half, outward, twig_m, cells, 2 * TONES)
 
 
+@one_thing
 def bush(rng: Random, sun: Array) -> Plant:
     """Return a bush, knee to breast high."""
     half = np.array([rng.uniform(0.35, 0.6), rng.uniform(0.35, 0.6), rng.uniform(0.3, 0.55)])
@@ -123,6 +132,7 @@ def bush(rng: Random, sun: Array) -> Plant:
     return Plant((), (leaves,), (Box(np.array([0.0, 0.0, 0.5 * top]), np.array([*reach, 0.5 * top]), UNSEEN),))
 
 
+@one_thing
 def fern(rng: Random, fronds: int = 9) -> Plant:
     """Return a low rosette of fronds, no obstacle: it gives way."""
     parts = []
@@ -138,6 +148,7 @@ def fern(rng: Random, fronds: int = 9) -> Plant:
     return Plant((), (top, top.turned_over()), ())
 
 
+@one_thing
 def log(rng: Random, radius_m: float, length_m: float, kind: int) -> Plant:
     """Return a fallen trunk along y."""
     trunk = mantle(np.array([0.5, -0.5]) * length_m, np.full(2, radius_m), _SIDES)

@@ -8,8 +8,9 @@ import numpy.typing as npt
 
 from dronevio.sim.looks import pictures, textures
 from dronevio.sim.looks.lightmap import AreaLight
-from dronevio.sim.looks.solids import Box, Face, Paint, turn_z
+from dronevio.sim.looks.solids import Box, Face, Paint, enclosure, parts_of, turn_z
 from dronevio.sim.looks.textures import PIXELS_PER_M, Colour, Image, Pattern
+from dronevio.sim.looks.things import Thing, one_thing
 from dronevio.sim.props.furniture import FURNITURE, METAL, WOODS, Piece, hung_picture, pick, room_door, window
 
 Array = npt.NDArray[np.float64]
@@ -109,7 +110,7 @@ def _shell(rng: Random) -> tuple[Face, ...]:
     walls.append(partial(textures.bricks, colour=textures.vary(rng, _BRICK, 0.1)))
     paints = [walls[int(i)] for i in rng.permutation(4)]
     boards = partial(textures.planks, colour=_BOARDS, plank_m=0.2)
-    return (
+    faces = (
         Face(corner + y, x, -y, partial(_floor, colour=pick(rng, WOODS))),
         Face(corner + z, x, y, boards),
         Face(corner + x + z, -x, -z, paints[0]),
@@ -117,6 +118,7 @@ def _shell(rng: Random) -> tuple[Face, ...]:
         Face(corner + y + z, x, -z, paints[2]),
         Face(corner + z, y, -z, paints[3]),
     )
+    return enclosure(faces)
 
 
 def _floor(rng: Random, height: int, width: int, colour: Colour) -> Image:
@@ -136,6 +138,7 @@ def _paste(image: Image, patch: Image) -> None:
     image[top : top + patch.shape[0], left : left + patch.shape[1]] = patch
 
 
+@one_thing
 def _pendant(rng: Random, x: float) -> Piece:
     """Return a lamp that hangs from the ceiling."""
     height = rng.uniform(2.75, 2.95)
@@ -151,7 +154,7 @@ def _pendant(rng: Random, x: float) -> Piece:
     return Piece(boxes, 0.42, 0.42, 0.0, lights=(AreaLight(bulb + ends, 1.0),))
 
 
-def _woodwork(rng: Random) -> list[Box]:
+def _woodwork(rng: Random) -> tuple[Box, ...]:
     """Return beams under the ceiling, skirting boards and a picture rail."""
     x, y, z = 0.5 * SIZE_M[0], 0.5 * SIZE_M[1], SIZE_M[2]
     dark = partial(textures.wood, colour=pick(rng, WOODS))
@@ -161,4 +164,4 @@ def _woodwork(rng: Random) -> list[Box]:
         for s in (-1.0, 1.0):
             boxes.append(Box(np.array([0.0, s * (y - 0.008), height]), np.array([x, 0.008, half]), white))
             boxes.append(Box(np.array([s * (x - 0.008), 0.0, height]), np.array([0.008, y - 0.016, half]), white))
-    return boxes
+    return parts_of(Thing("woodwork"), boxes)

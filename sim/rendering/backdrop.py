@@ -15,7 +15,7 @@ from dronevio.models.rotation import quat_wxyz_from_matrix
 from dronevio.models.state import Trajectory
 from dronevio.sim.cameras.drawing import MoverPoses
 from dronevio.sim.cameras.interpolation import interpolated_poses
-from dronevio.sim.world import Mover, build_world
+from dronevio.sim.world import Mover, build_world, things_of
 
 Array = npt.NDArray[np.float64]
 
@@ -28,8 +28,10 @@ class Backdrop:
 
     model_path: Path
     """The compiled model."""
-    geom_names: tuple[str, ...]
-    """What is seen, by the geoms' numbers in the model."""
+    things_path: Path
+    """The same without its paint, a geom for each thing: what segmentation is drawn from."""
+    things: tuple[str, ...]
+    """What is seen, by the geoms' numbers in that model."""
     illumination: float
     """Light that falls in, relative to a well lit world."""
     movers: dict[str, Trajectory]
@@ -61,10 +63,13 @@ def backdrop(world: str, seed: int, t_ns: Times) -> Iterator[Backdrop]:
     """
     built = build_world(world, seed)
     with TemporaryDirectory(prefix="dronevio-") as scratch:
-        model, path = built.spec.compile(), Path(scratch) / "world.mjb"
-        mujoco.mj_saveModel(model, str(path), None)
-        names = tuple(str(model.geom(number).name) for number in range(model.ngeom))
-        yield Backdrop(path, names, built.illumination, {mover.body: _sampled(mover, t_ns) for mover in built.movers})
+        whole, unpainted = Path(scratch) / "world.mjb", Path(scratch) / "things.mjb"
+        mujoco.mj_saveModel(built.spec.compile(), str(whole), None)
+        things = things_of(world, seed).compile()
+        mujoco.mj_saveModel(things, str(unpainted), None)
+        names = tuple(str(things.geom(number).name) for number in range(things.ngeom))
+        movers = {mover.body: _sampled(mover, t_ns) for mover in built.movers}
+        yield Backdrop(whole, unpainted, names, built.illumination, movers)
 
 
 def _sampled(mover: Mover, t_ns: Times) -> Trajectory:

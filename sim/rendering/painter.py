@@ -1,7 +1,7 @@
 """What a rendering process does: look at frames to meter them, or draw, develop and write them."""
 
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -46,7 +46,7 @@ class MeterTask:
         """Do it; a frame is a unit."""
         exposed_ns = self.job.schedule.exposed_ns[self.indices]
         histograms = np.zeros((len(self.indices), 256))
-        with _canvas(self.scene) as (model, canvas):
+        with _canvas(self.scene.model_path) as (model, canvas):
             eye = OffscreenCamera(model, at_a_glance(self.job.rig.cameras[0].model), supersampling=1.0, canvas=canvas)
             for row, (t_ns, T_world_cam) in enumerate(zip(exposed_ns, self.job.poses(0)(exposed_ns), strict=True)):
                 image = eye.render(T_world_cam, self.scene.movers_at(int(t_ns)))
@@ -72,9 +72,15 @@ class DrawTask:
 
     def carry_out(self) -> Iterator[None]:
         """Do it; a frame, from all cameras, is a unit."""
-        with _canvas(self.scene) as (model, canvas):
+        kinds = self.job.truth_images
+        with ExitStack() as open_:
+            model, canvas = open_.enter_context(_canvas(self.scene.model_path))
             cameras = [_FilmCamera(self, number, model, canvas) for number in range(len(self.job.rig.cameras))]
-            surveyors = [_Surveyor(self, model, canvas)] if self.job.truth_images else []
+            surveyors: list[_Surveyor | _Namer] = []
+            if "depth" in kinds or "flow" in kinds:
+                surveyors.append(_Surveyor(self, model, canvas))
+            if "segmentation" in kinds:
+                surveyors.append(_Namer(self, *open_.enter_context(_canvas(self.scene.things_path))))
             for index in self.indices.tolist():
                 name = f"{self.truth.t_ns[index]}.png"
                 for surveyor in surveyors:
@@ -128,7 +134,7 @@ class _FilmCamera:
 
 
 class _Surveyor:
-    """Takes images of truth."""
+    """Takes images of how far things are, and where they go."""
 
     def __init__(self, task: DrawTask, model: mujoco.MjModel, canvas: Canvas) -> None:
         """Prepare to take them through the main camera's lens."""
@@ -136,21 +142,36 @@ class _Surveyor:
         self._eye = OffscreenCamera(model, task.job.rig.cameras[0].model, canvas=canvas)
 
     def take(self, index: int) -> dict[str, npt.NDArray[np.uint16]]:
-        """Return what the job asks for of a frame, by folder."""
+        """Return what the job asks for of depth and flow at a frame, by folder."""
         kinds = self._task.job.truth_images
         exposed_ns = self._task.truth.exposed_ns[index : index + 2]
         poses, movers = self._poses(exposed_ns), [self._task.scene.movers_at(t_ns) for t_ns in exposed_ns.tolist()]
         seen = self._eye.render_surfaces(poses[0], movers[0])
-        images = {"depth": depth_image(seen), "segmentation": segmentation_image(seen)}
+        images = {"depth": depth_image(seen)}
         if "flow" in kinds and len(poses) == 2:
             images["flow"] = flow_image(self._eye.render_flow(*poses, *movers))
         return {FOLDERS[kind]: images[kind] for kind in kinds if kind in images}
 
 
+class _Namer:
+    """Takes images of what is what."""
+
+    def __init__(self, task: DrawTask, things: mujoco.MjModel, canvas: Canvas) -> None:
+        """Prepare to take them through the main camera's lens."""
+        self._task, self._poses = task, task.job.poses(0)
+        self._eye = OffscreenCamera(things, task.job.rig.cameras[0].model, canvas=canvas)
+
+    def take(self, index: int) -> dict[str, npt.NDArray[np.uint16]]:
+        """Return the numbers of the things in a frame, by folder."""
+        exposed_ns = self._task.truth.exposed_ns[index : index + 1]
+        seen = self._eye.render_surfaces(self._poses(exposed_ns)[0], self._task.scene.movers_at(int(exposed_ns[0])))
+        return {FOLDERS["segmentation"]: segmentation_image(seen)}
+
+
 @contextmanager
-def _canvas(scene: Backdrop) -> Iterator[tuple[mujoco.MjModel, Canvas]]:
+def _canvas(model_path: Path) -> Iterator[tuple[mujoco.MjModel, Canvas]]:
     """Open the graphics memory for a world."""
-    model = mujoco.MjModel.from_binary_path(str(scene.model_path))
+    model = mujoco.MjModel.from_binary_path(str(model_path))
     canvas = Canvas(model)
     try:
         yield model, canvas

@@ -63,7 +63,7 @@ def render(job: RenderJob, mav0: Path, progress: Progress = silent, workers: int
             truth = _exposed(job, scene, shares)
             write_text(mav0 / FRAME_TRUTH_FILE, frame_truth_text(truth))
             if "segmentation" in job.truth_images:
-                write_text(mav0 / FOLDERS["segmentation"] / "names.csv", names_table(scene.geom_names))
+                write_text(mav0 / FOLDERS["segmentation"] / "names.csv", names_table(scene.things))
             run_crew([DrawTask(job, scene, share, truth, mav0) for share in shares], count, heard)
     except OSError as error:
         where = f"{error.filename}: " if error.filename else ""

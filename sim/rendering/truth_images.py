@@ -5,7 +5,10 @@ no rolling shutter.
 
 - ``depth0``: 16-bit PNG, millimetres; z for ``radtan`` lenses, the ray's length for ``equidistant`` ones; 0 where
   nothing is seen or it is further than 65.5 m.
-- ``seg0``: 16-bit PNG, the number of what is seen, by ``seg0/names.csv``; 0 where nothing is.
+- ``seg0``: 16-bit PNG, the number of the thing that is seen; 0 where nothing is. ``seg0/names.csv`` tells what the
+  numbers mean: after the line ``#number,name`` there is one for each thing of the world, seen or not, as in
+  ``12,sofa`` or ``47,tree_31``. Names are unique: what there are several of are numbered from 1, gates as they are
+  flown; what moves is called as in the world (``person_0``). The same world and seed give the same table.
 - ``flow0``: 16-bit PNG with the channels u, v, valid, by the convention of KITTI's development kit (Menze and Geiger,
   CVPR 2015): displacement to the next frame [px] = (value − 2¹⁵) / 64. The last frame has none.
 """

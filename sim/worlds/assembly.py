@@ -8,11 +8,12 @@ import numpy as np
 import numpy.typing as npt
 
 from dronevio.models.rotation import quat_wxyz_from_matrix
-from dronevio.sim.looks.scenery import Page, add_mirror, add_pages
-from dronevio.sim.looks.solids import Box
+from dronevio.sim.looks.scenery import Page, add_mirror, add_pages, add_thing, quads_of
+from dronevio.sim.looks.solids import Box, Surface, visible_faces
 from dronevio.sim.looks.textures import Image
+from dronevio.sim.looks.things import Thing, names_of
 from dronevio.sim.paths.space import Space
-from dronevio.sim.worlds.layout import Layout
+from dronevio.sim.worlds.layout import Layout, Moving
 
 Array = npt.NDArray[np.float64]
 
@@ -35,18 +36,44 @@ class Looks:
 def assembled(layout: Layout, looks: Looks) -> mujoco.MjSpec:
     """Return the specification of a world."""
     spec = mujoco.MjSpec()
-    seen = np.concatenate([page.vertices for page in looks.pages])
-    _set_up_view(spec, layout, reach_m=float(np.linalg.norm(np.ptp(seen, axis=0))))
+    _set_up_view(spec, layout, np.concatenate([page.vertices for page in looks.pages]))
     add_touched(spec, layout)
     add_pages(spec, spec.worldbody, "scenery", looks.pages)
     if layout.mirror is not None and looks.mirror is not None:
         add_mirror(spec, layout.mirror.face, looks.mirror, layout.mirror.reflectance)
     for thing, pages in zip(layout.moving, looks.moving_pages, strict=True):
-        T_world_thing = thing.poses(np.zeros(1))[0]
-        quat = quat_wxyz_from_matrix(T_world_thing[:3, :3])
-        body = spec.worldbody.add_body(name=thing.name, mocap=True, pos=T_world_thing[:3, 3], quat=quat)
-        add_pages(spec, body, thing.name, pages)
+        add_pages(spec, _add_mover(spec, thing), thing.name, pages)
     return spec
+
+
+def assembled_things(layout: Layout) -> mujoco.MjSpec:
+    """Return what is seen of a world without its paint: a geom for each thing, under its name."""
+    quads: dict[Thing, list[Array]] = {}
+    for surface in seen_surfaces(layout):
+        quads.setdefault(surface.thing, []).append(quads_of(surface.grid))
+    for cutouts in (part for shared in layout.prints for part in shared.cutouts):
+        quads.setdefault(cutouts.thing, []).append(cutouts.corners)
+    spec = mujoco.MjSpec()
+    _set_up_view(spec, layout, np.concatenate([part.reshape(-1, 3) for parts in quads.values() for part in parts]))
+    for name, parts in zip(names_of(quads), quads.values(), strict=True):
+        add_thing(spec, spec.worldbody, name, np.concatenate(parts))
+    for thing in layout.moving:
+        sides = [quads_of(face.grid) for box in thing.boxes for face in box.faces()]
+        add_thing(spec, _add_mover(spec, thing), thing.name, np.concatenate(sides))
+    return spec
+
+
+def seen_surfaces(layout: Layout) -> list[Surface]:
+    """Return every surface that is painted for itself and stands still; a reflecting floor comes last."""
+    mirror = [] if layout.mirror is None else [layout.mirror.face]
+    return [*layout.shell, *visible_faces(layout.boxes, layout.low, layout.high), *mirror]
+
+
+def _add_mover(spec: mujoco.MjSpec, thing: Moving) -> mujoco.MjsBody:
+    """Add the body of something that moves, where it is in the beginning."""
+    T_world_thing = thing.poses(np.zeros(1))[0]
+    quat = quat_wxyz_from_matrix(T_world_thing[:3, :3])
+    return spec.worldbody.add_body(name=thing.name, mocap=True, pos=T_world_thing[:3, 3], quat=quat)
 
 
 def space_of(layout: Layout) -> Space:
@@ -63,8 +90,9 @@ def outline_of(layout: Layout) -> Array:
     return np.concatenate([bounds, *(_edges(box.centre, box.half, box.R) for box in layout.obstacles)])
 
 
-def _set_up_view(spec: mujoco.MjSpec, layout: Layout, reach_m: float) -> None:
-    """Set what every camera needs: clipping planes, a light for the drone, no shadow maps."""
+def _set_up_view(spec: mujoco.MjSpec, layout: Layout, seen: Array) -> None:
+    """Set what every camera needs to see points (N, 3): clipping planes, a light for the drone, no shadow maps."""
+    reach_m = float(np.linalg.norm(np.ptp(seen, axis=0)))
     spec.stat.extent = float(np.linalg.norm(layout.high - layout.low))
     spec.stat.center = 0.5 * (layout.low + layout.high)
     spec.visual.map.znear = _NEAR_M / spec.stat.extent

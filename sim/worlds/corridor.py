@@ -11,8 +11,9 @@ import numpy as np
 import numpy.typing as npt
 
 from dronevio.sim.looks import textures, textures_building
-from dronevio.sim.looks.solids import Box, Face, Paint, turn_z
+from dronevio.sim.looks.solids import Box, Face, Paint, parts_of, turn_z
 from dronevio.sim.looks.textures import Colour
+from dronevio.sim.looks.things import Thing
 from dronevio.sim.props.building import (
     Wall,
     ceiling_lamp,
@@ -78,7 +79,7 @@ def layout(rng: Random) -> Layout:
     pieces += lamps
     portals = _portals(rng)
     pieces += portals
-    obstacles += [box for portal in portals for box in portal.boxes[:3]] + _trays()
+    obstacles += [box for portal in portals for box in portal.boxes[:3]] + [*_trays()]
     boxes = coarse([box for piece in pieces for box in piece.boxes], _THING_PX_PER_M)
     return Layout(
         low=LOW_M.copy(),
@@ -109,16 +110,18 @@ def _strips() -> list[tuple[Array, Array]]:
     return [(np.array(low), np.array(high)) for low, high in ends]
 
 
-def _floors(rng: Random) -> list[Face]:
+def _floors(rng: Random) -> tuple[Face, ...]:
     """Return the floor of the corridor, all of one stone."""
     stone = partial(textures_building.terrazzo, colour=pick(rng, _STONES), px_per_m=_FLOOR_PX_PER_M)
-    return [level_face(low, high, 0.0, True, stone, _FLOOR_PX_PER_M) for low, high in _strips()]
+    faces = [level_face(low, high, 0.0, True, stone, _FLOOR_PX_PER_M) for low, high in _strips()]
+    return parts_of(Thing("floor"), faces)
 
 
-def _ceilings() -> list[Face]:
+def _ceilings() -> tuple[Face, ...]:
     """Return the ceiling of the corridor."""
     panels = partial(textures_building.ceiling_panels, colour=(206, 206, 200), px_per_m=_CEILING_PX_PER_M)
-    return [level_face(low, high, HIGH_M[2], False, panels, _CEILING_PX_PER_M) for low, high in _strips()]
+    faces = [level_face(low, high, HIGH_M[2], False, panels, _CEILING_PX_PER_M) for low, high in _strips()]
+    return parts_of(Thing("ceiling"), faces)
 
 
 def _niche_places(rng: Random) -> list[float]:
@@ -126,7 +129,7 @@ def _niche_places(rng: Random) -> list[float]:
     return [float(rng.uniform(-6.5, -2.5)), float(rng.uniform(2.5, 6.5))]
 
 
-def _wall_faces(wall: Wall, niches: list[float], paint: Paint) -> list[Face]:
+def _wall_faces(wall: Wall, niches: list[float], paint: Paint) -> tuple[Face, ...]:
     """Return the faces of a wall between its niches."""
     half = 0.5 * wall.length_m
     edges = [-half, *(x + s * 0.5 * _NICHE_WIDTH_M for x in sorted(niches) for s in (-1, 1)), half]
@@ -134,7 +137,7 @@ def _wall_faces(wall: Wall, niches: list[float], paint: Paint) -> list[Face]:
     for a, b in zip(edges[::2], edges[1::2], strict=True):
         cuts = [a, b] if b - a < _LONGEST_M else [a, 0.5 * (a + b), b]
         faces += [_panel(wall, (q, 0.0), (p, 0.0), paint) for p, q in pairwise(cuts)]
-    return faces
+    return parts_of(Thing("wall"), faces)
 
 
 def _panel(wall: Wall, left: tuple[float, float], right: tuple[float, float], paint: Paint) -> Face:
@@ -142,20 +145,21 @@ def _panel(wall: Wall, left: tuple[float, float], right: tuple[float, float], pa
     return wall.face(left, right, float(HIGH_M[2]), paint, _WALL_PX_PER_M)
 
 
-def _niche(wall: Wall, x: float, paint: Paint) -> list[Face]:
+def _niche(wall: Wall, x: float, paint: Paint) -> tuple[Face, ...]:
     """Return the inside of a niche: its back, its sides, its floor and its ceiling."""
     a, b, d = x - 0.5 * _NICHE_WIDTH_M, x + 0.5 * _NICHE_WIDTH_M, -_NICHE_DEPTH_M
     corners = np.stack([wall.at(a, d, 0.0), wall.at(b, 0.0, 0.0)])[:, :2]
     low, high = corners.min(axis=0), corners.max(axis=0)
     wood = partial(textures.planks, colour=(150, 112, 74))
     white = partial(textures.plain, colour=(206, 206, 200))
-    return [
+    faces = [
         _panel(wall, (b, d), (a, d), paint),
         _panel(wall, (a, d), (a, 0.0), paint),
         _panel(wall, (b, 0.0), (b, d), paint),
         level_face(low, high, 0.0, True, wood, _FLOOR_PX_PER_M),
         level_face(low, high, HIGH_M[2], False, white, _CEILING_PX_PER_M),
     ]
+    return parts_of(Thing("niche"), faces)
 
 
 def _solid(centre: Array, size: Array) -> Box:
@@ -208,7 +212,8 @@ def _fill_niche(rng: Random, wall: Wall, x: float, pieces: list[Piece], obstacle
 def _pilasters(wall: Wall) -> list[Piece]:
     """Return what covers the joint in the middle of a long wall."""
     white = partial(textures.plaster, colour=(196, 190, 176))
-    return [wall.put(Piece((block(0.0, 0.06, 0.0, 0.36, 0.12, HIGH_M[2], white),), 0.36, 0.12, HIGH_M[2]), 0.0)]
+    cover = Piece((block(0.0, 0.06, 0.0, 0.36, 0.12, HIGH_M[2], white),), 0.36, 0.12, HIGH_M[2])
+    return [wall.put(cover.called("pilaster"), 0.0)]
 
 
 def _lamp_places() -> list[tuple[float, float, tuple[float, float]]]:
@@ -239,18 +244,17 @@ def _portals(rng: Random) -> list[Piece]:
         boxes += [block(s * (0.5 * width - 0.06), 0.0, 0.0, 0.12, 0.22, 2.52, steel) for s in (-1, 1)]
         lit = Box(np.array([0.0, 0.13, 2.7]), np.array([0.24, 0.02, 0.1]), dark, sign, glow=0.9)
         boxes += [lit, lit.moved(turn_z(np.pi), np.zeros(3))]
-        portals.append(wall.put(Piece(tuple(boxes), width, 0.22, HIGH_M[2]), 0.0))
+        portals.append(wall.put(Piece(tuple(boxes), width, 0.22, HIGH_M[2]).called("portal"), 0.0))
     return portals
 
 
-def _trays() -> list[Box]:
+def _trays() -> tuple[Box, ...]:
     """Return the tray of cables that runs along the outer walls under the ceiling."""
     steel = partial(textures_building.sheet_metal, colour=(150, 150, 148), px_per_m=128.0, rib_m=0.12)
     (x, y, z) = HIGH_M
     boxes = [Box(np.array([0.0, s * (y - 0.16), z - 0.2]), np.array([x - 0.02, 0.11, 0.05]), steel) for s in (-1, 1)]
-    return boxes + [
-        Box(np.array([s * (x - 0.16), 0.0, z - 0.2]), np.array([0.11, y - 0.3, 0.05]), steel) for s in (-1, 1)
-    ]
+    boxes += [Box(np.array([s * (x - 0.16), 0.0, z - 0.2]), np.array([0.11, y - 0.3, 0.05]), steel) for s in (-1, 1)]
+    return parts_of(Thing("cable_tray"), boxes)
 
 
 CORRIDOR = WorldBuilder("a closed office corridor of 65 m around a core: made for closing loops", layout)

@@ -9,9 +9,10 @@ import numpy.typing as npt
 
 from dronevio.sim.looks import pictures, textures
 from dronevio.sim.looks import textures_nature as nature
-from dronevio.sim.looks.cutouts import Print, joined
+from dronevio.sim.looks.cutouts import Print
 from dronevio.sim.looks.solids import Box, Sheet, turn_z
 from dronevio.sim.looks.textures import Colour, Image
+from dronevio.sim.looks.things import Thing
 from dronevio.sim.props import plants
 from dronevio.sim.props.plants import Plant
 from dronevio.sim.worlds import outdoors
@@ -87,19 +88,25 @@ def layout(rng: Random) -> Layout:
     plantation = _trees(rng, route, toward)
     loose, boulders = _undergrowth(rng, route, plantation, toward)
     growing = [plant for plant, _, _ in plantation] + loose
+    floor = Thing("floor")
     ground = Sheet(
         outdoors.flat((-20.0, -16.0), (20.0, 16.0), 0.0),
         partial(_floor, season=season),
         pixels_per_m=_GROUND_PX_PER_M,
+        thing=floor,
     )
     beyond = Sheet(
-        outdoors.flat((-32.0, -32.0), (32.0, 32.0), -0.03), partial(_far_floor, season=season), pixels_per_m=24.0
+        outdoors.flat((-32.0, -32.0), (32.0, 32.0), -0.03),
+        partial(_far_floor, season=season),
+        pixels_per_m=24.0,
+        thing=floor,
     )
-    stones = tuple(Sheet(grid, partial(nature.stone, colour=_STONE), pixels_per_m=160.0) for grid, _ in boulders)
+    stone = partial(nature.stone, colour=_STONE)
+    stones = tuple(Sheet(grid, stone, pixels_per_m=160.0, thing=Thing("boulder")) for grid, _ in boulders)
     shade = [_shade(place, radius) for _, place, radius in plantation]
     obstacles = [box for plant in growing for box in plant.obstacles] + [box for _, box in boulders]
-    wood = joined([part for plant in growing for part in plant.wood])
-    leaves = joined([part for plant in growing for part in plant.leaves])
+    wood = tuple(part for plant in growing for part in plant.wood)
+    leaves = tuple(part for plant in growing for part in plant.leaves)
     return Layout(
         low=_LOW.copy(),
         high=_HIGH.copy(),
@@ -209,7 +216,7 @@ def _thicket(rng: Random, season: Season) -> Sheet:
     grid = np.empty((3, columns + 1, 3))
     grid[..., 0], grid[..., 1] = _THICKET_M * np.cos(azimuth), _THICKET_M * np.sin(azimuth)
     grid[0, :, 2], grid[1, :, 2], grid[2, :, 2] = 11.0 + 0.8 * tops[np.arange(columns + 1) % columns], 5.5, -0.1
-    return outdoors.panorama(grid, partial(_depths, season=season), _THICKET_WIDTH_PX)
+    return outdoors.panorama(Thing("thicket"), grid, partial(_depths, season=season), _THICKET_WIDTH_PX)
 
 
 def _depths(rng: Random, height: int, width: int, season: Season) -> Image:

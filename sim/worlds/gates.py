@@ -10,10 +10,11 @@ import numpy.typing as npt
 from dronevio.sim.looks import pictures, textures
 from dronevio.sim.looks import textures_nature as nature
 from dronevio.sim.looks import textures_race as race
-from dronevio.sim.looks.cutouts import Print, joined
+from dronevio.sim.looks.cutouts import Print
 from dronevio.sim.looks.lightmap import AreaLight
-from dronevio.sim.looks.solids import Box, Paint, Sheet, turn_z
+from dronevio.sim.looks.solids import Box, Paint, Sheet, parts_of, turn_z
 from dronevio.sim.looks.textures import Colour, Image
+from dronevio.sim.looks.things import Thing
 from dronevio.sim.props import fairground, plants
 from dronevio.sim.props.plants import Plant
 from dronevio.sim.worlds import outdoors
@@ -91,11 +92,13 @@ def layout(rng: Random) -> Layout:
     stand, others = fairground.stand(rng, _FENCE_M), fairground.paddock(rng, _FENCE_M)
     trees = _trees(rng, toward)
     casting = [*frames, *beside, *stand, *others]
+    floor = Thing("floor")
     ground = Sheet(
         outdoors.flat((-_FIELD_M[0], -_FIELD_M[1]), (_FIELD_M[0], _FIELD_M[1]), 0.0),
         partial(_field, colour=_GRASSES[int(rng.integers(4))], gates=gates, casting=casting, toward=toward),
         1.0,
         _FIELD_PX_PER_M,
+        floor,
     )
     grass = _GRASSES[int(rng.integers(4))]
     far = tuple(nature.scaled(grass, f) for f in (0.62, 0.72, 0.82))
@@ -105,6 +108,7 @@ def layout(rng: Random) -> Layout:
         partial(_pasture, colours=far, casting=[_crown(tree) for tree in trees], toward=toward),
         1.0,
         _PASTURE_PX_PER_M,
+        floor,
     )
     return Layout(
         low=_LOW.copy(),
@@ -129,13 +133,13 @@ def layout(rng: Random) -> Layout:
                 partial(plants.bark_image, colours=_BARKS, sun=toward),
                 700,
                 1024,
-                joined([part for tree in trees for part in tree.wood]),
+                tuple(part for tree in trees for part in tree.wood),
             ),
             Print(
                 partial(plants.leaf_image, colours=_LEAVES[int(rng.integers(2))]),
                 256,
                 2048,
-                joined([part for tree in trees for part in tree.leaves]),
+                tuple(part for tree in trees for part in tree.leaves),
             ),
         ),
     )
@@ -151,13 +155,13 @@ def _course(rng: Random) -> list[_Gate]:
     return [_Gate(m, float(h), float(o)) for m, h, o in zip(middles, headings, openings, strict=True)]
 
 
-def _placed(gate: _Gate, boxes: list[Box]) -> list[Box]:
+def _placed(gate: _Gate, boxes: list[Box]) -> tuple[Box, ...]:
     """Return boxes of a gate's own frame (y where it is flown, the opening's middle at the origin) in the world."""
     R = turn_z(gate.heading_rad - 0.5 * np.pi)
-    return [box.moved(R, gate.middle) for box in boxes]
+    return parts_of(Thing("gate"), [box.moved(R, gate.middle) for box in boxes])
 
 
-def _square(rng: Random, gate: _Gate, number: int, colour: Colour) -> list[Box]:
+def _square(rng: Random, gate: _Gate, number: int, colour: Colour) -> tuple[Box, ...]:
     """Return a square gate on legs."""
     half, bar, z = 0.5 * gate.opening_m, 0.5 * _BAR_M, gate.middle[2]
     pattern = (race.chequers, race.bars, race.lettered)[int(rng.integers(3))]
@@ -182,7 +186,7 @@ def _square(rng: Random, gate: _Gate, number: int, colour: Colour) -> list[Box]:
     return _placed(gate, boxes)
 
 
-def _arch(rng: Random, gate: _Gate, number: int, colour: Colour) -> list[Box]:
+def _arch(rng: Random, gate: _Gate, number: int, colour: Colour) -> tuple[Box, ...]:
     """Return an inflated arch: two pillars, and segments that bend over the opening."""
     bar, z = 0.5 * (_BAR_M + 0.14), gate.middle[2]
     radius = 0.5 * gate.opening_m + 0.25 + bar  # to the middle of the tube

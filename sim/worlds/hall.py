@@ -13,8 +13,9 @@ from dronevio.sim.looks import textures_building as building
 from dronevio.sim.looks import textures_industrial as works
 from dronevio.sim.looks import textures_nature as nature
 from dronevio.sim.looks.lightmap import AreaLight
-from dronevio.sim.looks.solids import Box, Face, Surface, turn_z
+from dronevio.sim.looks.solids import Box, Face, Surface, enclosure, parts_of, turn_z
 from dronevio.sim.looks.textures import Colour, Image, vary
+from dronevio.sim.looks.things import Thing
 from dronevio.sim.props import machinery
 from dronevio.sim.props.machinery import Kit, block, pipe_run, steel
 from dronevio.sim.worlds import outdoors
@@ -104,7 +105,7 @@ def _shell(looks: _Looks) -> tuple[Surface, ...]:
     corner = -0.5 * (x + y)
     wall = partial(works.masonry, colour=looks.brick, dado=looks.dado, ppm=_WALL_PX_PER_M)
     roof = partial(works.profiled_roof, colour=(128, 130, 128), ppm=_ROOF_PX_PER_M)
-    return (
+    faces = (
         Face(corner + y, x, -y, partial(_floor, looks=looks), pixels_per_m=_FLOOR_PX_PER_M),
         Face(corner + z, x, y, roof, pixels_per_m=_ROOF_PX_PER_M),
         Face(corner + x + z, -x, -z, wall, pixels_per_m=_WALL_PX_PER_M),
@@ -112,6 +113,7 @@ def _shell(looks: _Looks) -> tuple[Surface, ...]:
         Face(corner + y + z, x, -z, wall, pixels_per_m=_WALL_PX_PER_M),
         Face(corner + z, y, -z, wall, pixels_per_m=_WALL_PX_PER_M),
     )
+    return enclosure(faces)
 
 
 def _floor(rng: Random, height: int, width: int, looks: _Looks) -> Image:
@@ -209,17 +211,19 @@ def _overhead(rng: Random) -> list[Kit]:
     return [walk, bridge, *pipes]
 
 
-def _structure(looks: _Looks) -> tuple[list[Box], list[list[Box]]]:
+def _structure(looks: _Looks) -> tuple[list[Box], list[tuple[Box, ...]]]:
     """Return pillars and crane rails, and the bars of each truss under the roof."""
     iron = steel(looks.iron)
-    boxes, trusses = [], []
+    boxes: list[Box] = []
+    trusses = []
     pillars = np.arange(-2.5, 2.6) * _BAY_M
     for s in (-1.0, 1.0):
         for x in pillars:
-            boxes.append(block((x, s * (_HALF_M[1] - 0.16), 0.0), (0.34, 0.32, _SIZE_M[2]), iron, ppm=56.0))
-            boxes.append(block((x, s * (_HALF_M[1] - 0.34), 0.0), (0.36, 0.04, 1.6), works.hazard, ppm=72.0))
+            pillar = block((x, s * (_HALF_M[1] - 0.16), 0.0), (0.34, 0.32, _SIZE_M[2]), iron, ppm=56.0)
+            guard = block((x, s * (_HALF_M[1] - 0.34), 0.0), (0.36, 0.04, 1.6), works.hazard, ppm=72.0)
+            boxes += parts_of(Thing("pillar"), (pillar, guard))
         rail = (0.0, s * (_HALF_M[1] - 0.5), _CRANE_Z_M - 0.34)
-        boxes.append(block(rail, (_SIZE_M[0] - 0.02, 0.24, 0.3), iron, ppm=56.0))
+        boxes += parts_of(Thing("crane_rail"), [block(rail, (_SIZE_M[0] - 0.02, 0.24, 0.3), iron, ppm=56.0)])
     for x in pillars:
         bars = [block((x, 0.0, z), (0.14, _SIZE_M[1] - 0.7, 0.14), iron, ppm=40.0) for z in (8.55, 9.33)]
         for k in range(12):
@@ -227,7 +231,7 @@ def _structure(looks: _Looks) -> tuple[list[Box], list[list[Box]]]:
             R = np.array([[1.0, 0.0, 0.0], [0.0, c, -s], [0.0, s, c]])
             middle = np.array([x, -6.6 + 1.2 * k, 9.01])
             bars.append(Box(middle, np.array([0.035, 0.64, 0.035]), iron, R=R, pixels_per_m=40.0))
-        trusses.append(bars)
+        trusses.append(parts_of(Thing("truss"), bars))
     return boxes, trusses
 
 
@@ -242,7 +246,8 @@ def _windows(rng: Random) -> tuple[list[Box], list[Box], list[AreaLight]]:
             middle = np.array([x, s * (_HALF_M[1] - 0.03), 6.1])
             R = turn_z(0.0 if s < 0.0 else np.pi)
             half = np.array([1.75, 0.03, 0.85])
-            glass.append(Box(middle, half, frame, works.panes, R, 0.97 if s == bright else 0.86, 72.0))
+            glow = 0.97 if s == bright else 0.86
+            glass.append(Box(middle, half, frame, works.panes, R, glow, 72.0, Thing("window")))
             grid = np.array([[x + dx, s * (_HALF_M[1] - 0.15), 6.1] for dx in (-0.9, 0.9)])
             lights.append(AreaLight(grid, 16.0 if s == bright else 4.0, np.array([0.0, -s, 0.0])))
     return _on_walls(rng), glass, lights
@@ -257,22 +262,23 @@ def _on_walls(rng: Random) -> list[Box]:
     rule = partial(works.sign, colour=(206, 120, 30), words="KEEP LANES CLEAR")
     fan = partial(works.fan, colour=(118, 124, 126))
     boxes = []
-    for east, (y, z), (wide, high), paint in (
-        (False, (0.0, 2.1), (4.4, 4.2), gate),
-        (False, (0.0, 6.2), (4.6, 1.2), name),
-        (False, (5.2, 2.6), (2.2, 1.3), building.notice_board),
-        (True, (0.0, 6.9), (4.6, 1.2), name),
-        (True, (2.3, 2.5), (2.4, 1.4), building.notice_board),
-        (True, (-2.3, 2.7), (2.6, 0.6), rule),
-        (True, (4.6, 7.0), (1.7, 1.7), fan),
-        (True, (-4.6, 7.0), (1.7, 1.7), fan),
-        (False, (5.2, 6.6), (1.7, 1.7), fan),
-        (False, (-5.2, 6.6), (1.7, 1.7), fan),
+    for kind, east, (y, z), (wide, high), paint in (
+        ("roller_door", False, (0.0, 2.1), (4.4, 4.2), gate),
+        ("sign", False, (0.0, 6.2), (4.6, 1.2), name),
+        ("board", False, (5.2, 2.6), (2.2, 1.3), building.notice_board),
+        ("sign", True, (0.0, 6.9), (4.6, 1.2), name),
+        ("board", True, (2.3, 2.5), (2.4, 1.4), building.notice_board),
+        ("sign", True, (-2.3, 2.7), (2.6, 0.6), rule),
+        ("fan", True, (4.6, 7.0), (1.7, 1.7), fan),
+        ("fan", True, (-4.6, 7.0), (1.7, 1.7), fan),
+        ("fan", False, (5.2, 6.6), (1.7, 1.7), fan),
+        ("fan", False, (-5.2, 6.6), (1.7, 1.7), fan),
     ):
         side = 1.0 if east else -1.0
         middle = np.array([side * (_HALF_M[0] - 0.03), y, z])
         half = np.array([0.5 * wide, 0.03, 0.5 * high])
-        boxes.append(Box(middle, half, frame, paint, turn_z(side * 0.5 * np.pi), pixels_per_m=96.0))
+        R = turn_z(side * 0.5 * np.pi)
+        boxes.append(Box(middle, half, frame, paint, R, pixels_per_m=96.0, thing=Thing(kind)))
     return boxes
 
 
@@ -282,9 +288,8 @@ def _lamps() -> tuple[list[Box], list[AreaLight]]:
     paint = partial(works.casing_plain, colour=(244, 240, 226))
     for x in np.arange(-2.0, 2.1) * _BAY_M:
         for y in (-3.6, 3.6):
-            boxes.append(
-                Box(np.array([x, y, _LAMP_Z_M]), np.array([0.6, 0.16, 0.05]), paint, glow=1.0, pixels_per_m=64.0)
-            )
+            place, half = np.array([x, y, _LAMP_Z_M]), np.array([0.6, 0.16, 0.05])
+            boxes.append(Box(place, half, paint, glow=1.0, pixels_per_m=64.0, thing=Thing("lamp")))
             lights.append(AreaLight(np.array([[x, y, _LAMP_Z_M - 0.1]]), 3.0, np.array([0.0, 0.0, -1.0])))
     return boxes, lights
 

@@ -9,6 +9,7 @@ from dronevio.sim.looks import pictures, textures, textures_building
 from dronevio.sim.looks.lightmap import AreaLight
 from dronevio.sim.looks.solids import Box
 from dronevio.sim.looks.textures import Colour
+from dronevio.sim.looks.things import one_thing
 from dronevio.sim.props.building import Wall, ceiling_lamp, hall_faces, landing_mat, room_walls, shading
 from dronevio.sim.props.furniture import Piece, block
 from dronevio.sim.worlds.layout import Layout, WorldBuilder
@@ -35,7 +36,7 @@ def layout(rng: Random) -> Layout:
     order = [walls[int(i)] for i in rng.permutation(4)]
     pieces.append(order[0].put(_door(), float(rng.uniform(-1.5, 1.5))))
     pieces.append(order[1].put(_painting(rng), float(rng.uniform(-1.0, 1.0))))
-    pieces.append(order[2].put(_slot(), 0.0))
+    pieces.append(order[2].put(_high_window(), 0.0))
     for wall in order[1:]:
         for x in (-1.0, 1.0):
             piece = _plinth(rng)
@@ -58,12 +59,14 @@ def layout(rng: Random) -> Layout:
     )
 
 
+@one_thing
 def _skirting(wall: Wall) -> Piece:
     """Return the shadow gap at the foot of a wall."""
     grey = partial(textures_building.whitewash, colour=(150, 149, 146))
     return wall.put(Piece((block(0.0, 0.006, 0.0, wall.length_m, 0.012, 0.06, grey),), wall.length_m, 0.012, 0.0), 0.0)
 
 
+@one_thing
 def _door() -> Piece:
     """Return a flush white door."""
     white = partial(textures_building.whitewash, colour=(196, 195, 191))
@@ -72,6 +75,7 @@ def _door() -> Piece:
     return Piece(tuple(boxes), 1.0, 0.06, 0.0)
 
 
+@one_thing
 def _painting(rng: Random) -> Piece:
     """Return the one picture that already hangs."""
     w, h = rng.uniform(0.9, 1.2), rng.uniform(0.7, 0.9)
@@ -80,7 +84,8 @@ def _painting(rng: Random) -> Piece:
     return Piece((block(0.0, 0.02, 1.25, w, 0.04, h, white, shown),), w, 0.04, 0.0)
 
 
-def _slot() -> Piece:
+@one_thing
+def _high_window() -> Piece:
     """Return a long window high up in the wall, of frosted glass."""
     glass = partial(textures_building.whitewash, colour=(236, 240, 244))
     w, z = 4.4, 2.7
@@ -95,6 +100,7 @@ def _slot() -> Piece:
     )
 
 
+@one_thing
 def _plinth(rng: Random) -> Piece:
     """Return a white plinth, empty."""
     side, tall = rng.uniform(0.35, 0.6), rng.uniform(0.45, 1.15)

@@ -11,6 +11,7 @@ import numpy.typing as npt
 from dronevio.sim.looks import textures, textures_building
 from dronevio.sim.looks.solids import Box
 from dronevio.sim.looks.textures import Colour, Image
+from dronevio.sim.looks.things import one_thing
 from dronevio.sim.props.building import ceiling_lamp, hall_faces, landing_mat, room_walls, shading, stand_along
 from dronevio.sim.props.furniture import (
     WOODS,
@@ -125,6 +126,7 @@ def _coffers(rng: Random, height: int, width: int, colour: Colour) -> Image:
     return image
 
 
+@one_thing
 def _chandelier(place: Array) -> Piece:
     """Return a lamp of three tiers on a rod, from a place (3,) on the ceiling."""
     brass = partial(textures.plain, colour=(176, 140, 70))

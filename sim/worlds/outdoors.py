@@ -12,6 +12,7 @@ from dronevio.sim.looks import textures_nature as nature
 from dronevio.sim.looks.lightmap import AreaLight
 from dronevio.sim.looks.solids import Box, Paint, Sheet
 from dronevio.sim.looks.textures import Colour, Image
+from dronevio.sim.looks.things import Thing
 
 Array = npt.NDArray[np.float64]
 Random = np.random.Generator
@@ -66,13 +67,13 @@ def sky(weather: Weather, radius_m: float = _SKY_M) -> Sheet:
     grid = np.empty((len(elevation), len(azimuth), 3))
     grid[..., :2] = radius_m * np.cos(elevation)[:, None, None] * ring
     grid[..., 2] = radius_m * np.sin(elevation)[:, None]
-    return panorama(grid, partial(_painted_sky, weather=weather), _SKY_WIDTH_PX)
+    return panorama(Thing("sky"), grid, partial(_painted_sky, weather=weather), _SKY_WIDTH_PX)
 
 
-def panorama(grid: Array, paint: Paint, width_px: int) -> Sheet:
+def panorama(thing: Thing, grid: Array, paint: Paint, width_px: int) -> Sheet:
     """Return a surface (R + 1, C + 1, 3) that glows by itself, under an image of so many columns."""
     around = float(np.linalg.norm(np.diff(grid, axis=1), axis=2).sum(axis=1).mean())
-    return Sheet(grid, paint, 1.0, width_px / around)
+    return Sheet(grid, paint, 1.0, width_px / around, thing)
 
 
 def _painted_sky(rng: Random, height: int, width: int, weather: Weather) -> Image:

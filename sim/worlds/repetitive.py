@@ -8,6 +8,7 @@ import numpy.typing as npt
 from dronevio.sim.looks import textures_building
 from dronevio.sim.looks.solids import Box
 from dronevio.sim.looks.textures import Colour, Image
+from dronevio.sim.looks.things import Thing
 from dronevio.sim.props.building import ceiling_lamp, hall_faces, landing_mat
 from dronevio.sim.worlds.layout import Layout, WorldBuilder
 
@@ -33,7 +34,9 @@ def layout(rng: Random) -> Layout:
     xs = np.arange(-2, 3) * _PITCH_M
     half = np.array([0.5 * _COLUMN_M, 0.5 * _COLUMN_M, 0.5 * HIGH_M[2]])
     columns = tuple(
-        Box(np.array([x, s * _COLUMN_Y_M, half[2]]), half, wall, pixels_per_m=_PX_PER_M) for x in xs for s in (-1, 1)
+        Box(np.array([x, s * _COLUMN_Y_M, half[2]]), half, wall, pixels_per_m=_PX_PER_M, thing=Thing("column"))
+        for x in xs
+        for s in (-1, 1)
     )
     lamps = [
         ceiling_lamp(np.array([x, y, HIGH_M[2]]), (1.2, 0.4), 1.0)

@@ -11,6 +11,7 @@ from dronevio.sim.looks import textures, textures_building, textures_storage
 from dronevio.sim.looks.lightmap import AreaLight
 from dronevio.sim.looks.solids import Box, Surface, turn_z
 from dronevio.sim.looks.textures import Image
+from dronevio.sim.looks.things import one_thing
 from dronevio.sim.props.building import ceiling_lamp, coarse, hall_faces, landing_mat, room_walls
 from dronevio.sim.props.furniture import METAL, Piece, block
 from dronevio.sim.props.furniture_public import board, hose_cabinet, posters
@@ -171,7 +172,7 @@ def _loading_area(rng: Random, stock: Stock, pieces: list[Piece], obstacles: lis
         frame = [block(0.0, 0.03, 0.0, 2.9, 0.06, 3.4, steel, door)]
         frame += [block(s * 1.52, 0.07, 0.0, 0.14, 0.14, 3.5, textures_storage.hazard) for s in (-1, 1)]
         frame.append(block(0.0, 0.12, 3.4, 3.2, 0.24, 0.4, steel))
-        pieces.append(west.put(Piece(tuple(frame), 3.2, 0.24, 3.8), x))
+        pieces.append(west.put(Piece(tuple(frame), 3.2, 0.24, 3.8).called("roller_door"), x))
         obstacles.append(west.hull(pieces[-1], x))
     standing = [(west, packing_table(rng), -2.5), (west, packing_table(rng), 2.5)]
     standing += [(west, hose_cabinet(rng), 7.2), (south, forklift(rng), -9.6), (west, hose_cabinet(rng), -7.2)]
@@ -192,6 +193,7 @@ def _loading_area(rng: Random, stock: Stock, pieces: list[Piece], obstacles: lis
         obstacles.append(Box(np.array([x, y, half[2]]), half, partial(textures.plain, colour=METAL), R=R))
 
 
+@one_thing
 def _louvre() -> Piece:
     """Return an opening high up in a wall that lets air through, the switches of its fan below it."""
     fins, steel = partial(textures.radiator, colour=(150, 154, 158)), partial(textures.plain, colour=METAL)
@@ -225,7 +227,7 @@ def _roof(pieces: list[Piece], obstacles: list[Box]) -> None:
             )
             for s in (-1, 1)
         ]
-        pieces.append(Piece((plate, *rods), 1.0, 0.04, 0.0))
+        pieces.append(Piece((plate, *rods), 1.0, 0.04, 0.0).called("sign"))
         obstacles.append(Box(sign + [0.0, y, 0.7], np.array([0.03, 0.5, 1.05]), grey))
 
 

@@ -77,6 +77,7 @@ def small_world(monkeypatch: pytest.MonkeyPatch) -> SimpleNamespace:
     spec.stat.extent = 10.0
     world = SimpleNamespace(spec=spec, illumination=1.0, movers=())
     monkeypatch.setattr("dronevio.sim.rendering.backdrop.build_world", lambda name, seed: world)
+    monkeypatch.setattr("dronevio.sim.rendering.backdrop.things_of", lambda name, seed: spec)
     return world
 
 
@@ -166,6 +167,14 @@ def test_truth_beside_the_frames(tmp_path: Path) -> None:
     assert np.median(np.abs(error)) < 0.02
     assert not (tmp_path / "flow0" / "data" / f"{last}.png").exists()
     assert (tmp_path / "depth0" / "data" / f"{last}.png").exists()
+
+
+def test_what_is_told_besides_changes_nothing(tmp_path: Path) -> None:
+    render(job(truth_images=("segmentation", "flow", "depth")), tmp_path / "all", workers=1)
+    render(job(truth_images=("depth", "flow")), tmp_path / "two", workers=1)
+    both, two = (contents(tmp_path / name) for name in ("all", "two"))
+    assert {name: both[name] for name in two} == two
+    assert {name.split("/")[0] for name in set(both) - set(two)} == {"seg0"}
 
 
 def test_what_moves_is_where_it_is_at_that_time(tmp_path: Path, small_world: SimpleNamespace) -> None:

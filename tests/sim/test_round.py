@@ -86,7 +86,7 @@ def test_cutouts_share_an_image() -> None:
     grid = mantle(np.array([1.0, 0.0]), np.full(2, 0.5), 8)
     left, right = Cutouts.of_grid(grid, 0.0, 0.5), Cutouts.of_grid(grid + [3.0, 0.0, 0.0], 0.5, 1.0)
     whole = joined([left, right])
-    page = Print(ramp, 10, 20, whole).page(np.random.default_rng(0))
+    page = Print(ramp, 10, 20, (left, right)).page(np.random.default_rng(0))
     assert page.texture.shape == (10, 20, 3)
     assert len(page.vertices) == 4 * 16
     assert page.texture_coordinates[:32, 0].max() == pytest.approx(0.5)

@@ -4,6 +4,7 @@ import numpy as np
 import numpy.typing as npt
 import pytest
 
+from dronevio.sim.looks.cutouts import joined
 from dronevio.sim.looks.solids import Box
 from dronevio.sim.paths.space import Space
 from dronevio.sim.worlds import forest, gates, hall
@@ -86,14 +87,14 @@ def test_what_is_seen_in_the_hall_can_be_hit() -> None:
 
 def test_trunks_in_reach_can_be_hit_where_they_are_seen() -> None:
     layout = drawn(forest.FOREST, 1)
-    wood = inside(layout, layout.prints[0].cutouts.corners)
+    wood = inside(layout, joined(layout.prints[0].cutouts).corners)
     assert len(wood) > 300
     assert obstacles_alone(layout).clearance(wood).max() < 0.02
 
 
 def test_leaves_in_reach_belong_to_something_that_can_be_hit() -> None:
     layout = drawn(forest.FOREST, 1)
-    leaves = inside(layout, layout.prints[1].cutouts.corners)
+    leaves = inside(layout, joined(layout.prints[1].cutouts).corners)
     high = leaves[leaves[:, 2] > 0.75]  # below, there are ferns, which give way
     assert len(high) > 20
     assert obstacles_alone(layout).clearance(high).max() < 0.02

@@ -1,0 +1,108 @@
+"""What a pixel shows: things by name, the same in every drawing."""
+
+from functools import partial
+
+import mujoco
+import numpy as np
+import pytest
+
+from dronevio.models.camera import CameraModel
+from dronevio.models.rotation import pose_matrix
+from dronevio.sim.cameras.camera import OffscreenCamera
+from dronevio.sim.cameras.surfaces import points_in_camera
+from dronevio.sim.looks.solids import Box, turn_z
+from dronevio.sim.looks.textures import plain
+from dronevio.sim.looks.things import Thing, names_of, one_thing
+from dronevio.sim.props.furniture import Piece
+from dronevio.sim.world import WORLDS, build_world, place_of, things_of
+from dronevio.sim.worlds.texturedness import poses_along
+
+EYE = CameraModel(width=188, height=120, fx=115.0, fy=115.0, cx=93.5, cy=59.5)
+R_LEVEL = np.array([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]])
+
+
+def names(spec: mujoco.MjSpec) -> list[str]:
+    """Return the names of a specification's geoms."""
+    return [str(geom.name) for geom in spec.geoms]
+
+
+def test_two_of_a_kind_are_numbered() -> None:
+    assert names_of([Thing(kind) for kind in ("tree", "sky", "tree", "log")]) == ["tree_1", "sky", "tree_2", "log"]
+
+
+def test_each_piece_that_is_made_is_a_thing_of_its_own() -> None:
+    @one_thing
+    def _stool() -> Piece:
+        box = Box(np.zeros(3), np.ones(3), partial(plain, colour=(9.0, 9.0, 9.0)), thing=Thing("leg"))
+        return Piece((box, box), 1.0, 1.0, 1.0)
+
+    first, second = (_stool().moved(turn_z(1.0), np.ones(3)).boxes for _ in range(2))
+    assert first[0].thing is first[1].thing is not second[0].thing
+    assert first[0].thing.kind == "stool"
+    assert {face.thing for face in first[0].faces()} == {first[0].thing}
+
+
+@pytest.mark.parametrize("world", WORLDS)
+def test_every_thing_has_a_name(world: str) -> None:
+    found = names(things_of(world, 4))
+    assert len(set(found)) == len(found) > 20
+    assert "floor" in found
+    assert not [name for name in found if name.startswith("something")]
+    assert names(things_of(world, 4)) == found
+
+
+def test_another_seed_is_another_forest() -> None:
+    assert names(things_of("forest", 5)) != names(things_of("forest", 6))
+
+
+@pytest.mark.parametrize("world", ["mirror", "moving", "gates"])
+def test_things_are_where_the_painted_world_has_them(world: str) -> None:
+    painted, things = build_world(world, 2), things_of(world, 2)
+    moved = {mover.body: mover.poses(np.array([7.0]))[0] for mover in painted.movers}
+    seen = []
+    for spec in (painted.spec, things):
+        with OffscreenCamera(spec.compile(), EYE) as eye:
+            seen.append([eye.render_surfaces(T, moved) for T in poses_along(painted.route, 3)])
+    for with_paint, bare in zip(*seen, strict=True):
+        a, b = (1.0 / surfaces.depth_m.astype(float) for surfaces in (with_paint, bare))
+        assert np.mean(np.abs(a - b) > 1e-4) < 2e-3  # but for edges, which fall one way or the other
+        np.testing.assert_array_equal(with_paint.geom < 0, bare.geom < 0)
+
+
+@pytest.mark.parametrize("world", ["room", "warehouse", "mirror"])
+def test_the_floor_is_where_the_floor_is(world: str) -> None:
+    model = things_of(world, 1).compile()
+    with OffscreenCamera(model, EYE) as eye:
+        floor, ceiling = (eye.geom_names.index(name) for name in ("floor", "ceiling"))
+        shares = []
+        for T in poses_along(place_of(world, 1).route, 6):
+            seen = eye.render_surfaces(T)
+            z = points_in_camera(EYE, seen.depth_m) @ T[2, :3] + T[2, 3]
+            atol = 0.06  # half a drawn pixel, at a grazing angle
+            np.testing.assert_allclose(z[seen.geom == floor], 0.0, atol=atol)
+            np.testing.assert_allclose(z[seen.geom == ceiling], place_of(world, 1).space.high[2], atol=atol)
+            assert np.mean(seen.geom[np.abs(z) < 1e-4] == floor) > 0.98  # all but the feet of what stands there
+            shares.append(np.mean(seen.geom == floor))
+    assert np.mean(shares) > 0.05
+
+
+def test_a_gate_has_the_number_by_which_it_is_flown() -> None:
+    route = place_of("gates", 3).route  # the start, then a point before and one behind each gate
+    with OffscreenCamera(things_of("gates", 3).compile(), EYE) as eye:
+        for number, (before, behind) in enumerate(route[1:].reshape(-1, 2, 3), 1):
+            way = behind - before
+            T = pose_matrix(turn_z(float(np.arctan2(way[1], way[0]))) @ R_LEVEL, before)
+            seen = eye.render_surfaces(T)
+            nearest = seen.geom[np.isfinite(seen.depth_m) & (np.abs(seen.depth_m - 1.7) < 0.3)]
+            assert eye.geom_names[np.bincount(nearest).argmax()] == f"gate_{number}"
+
+
+def test_what_moves_goes_by_its_name() -> None:
+    model = things_of("moving", 1).compile()
+    person = pose_matrix(np.eye(3), np.array([0.0, 0.0, 0.0]))
+    T = pose_matrix(R_LEVEL, np.array([-2.0, 0.0, 1.2]))
+    with OffscreenCamera(model, EYE) as eye:
+        seen = eye.render_surfaces(T, {"person_3": person})
+        shown = seen.geom == eye.geom_names.index("person_3")
+    assert 0.05 < shown.mean() < 0.5
+    assert np.all(np.abs(seen.depth_m[shown] - 2.0) < 0.5)
