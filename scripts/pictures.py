@@ -39,7 +39,7 @@ RECORDING_S = 17.0  # in the middle of the tour
 TAKE_OFF_S = 3.1
 TAKE_OFF_PX = (960, 600)
 ROOM_PX, ROOM_SHARE = 1504, 2 / 3  # the two upper rows of the contact sheet
-WORLDS_PX = 1400
+WORLDS_PX = 1240
 PATIENCE_S = 60.0
 
 
