@@ -291,7 +291,17 @@ def test_without_opengl_there_is_one_line_and_no_folder(what: str, tmp_path: Pat
 def test_an_interrupted_run_leaves_nothing(tmp_path: Path, stop: Callable[[int], None]) -> None:
     """In the middle of the drawing: a terminal tells all processes of the group, ``kill`` the command alone."""
     command = [sys.executable, "-m", "dronevio.cli", "run", *SCENARIO, "--out", str(tmp_path / "out")]
-    with subprocess.Popen(command, stderr=subprocess.PIPE, text=True, start_new_session=True) as process:
+
+    def hear_ctrl_c() -> None:  # whoever runs these tests in the background has made their children deaf to it
+        signal.signal(signal.SIGINT, signal.SIG_DFL)
+
+    with subprocess.Popen(
+        command,
+        stderr=subprocess.PIPE,
+        text=True,
+        start_new_session=True,
+        preexec_fn=hear_ctrl_c,  # noqa: PLW1509 (one signal, no locks)
+    ) as process:
         try:
             wait_until(lambda: sum(1 for _ in tmp_path.rglob("*.png")) > 5 or process.poll() is not None)
             family = psutil.Process(process.pid).children(recursive=True)
