@@ -202,8 +202,12 @@ def test_broken_text_is_refused_or_read_as_an_independent_reader_does(
     expected = expected_rows(text, form.columns, form.delimiter)
     if expected is None:
         fault(scratch, text, form)
-    else:
+        return
+    try:
         table = read(scratch, text, form)
+    except InputError as error:  # a comment above may leave nothing to tell a short last number from a cut one
+        assert not text.endswith("\n") and "cut off" in str(error)
+    else:
         assert table.t_ns.tolist() == [row[0] for row in expected]
         np.testing.assert_array_equal(table.values, [row[1:] for row in expected])
 
