@@ -4,7 +4,7 @@ Corners are spread over a grid, one a cell (Shi and Tomasi 1994), and followed b
 that starts where the gyroscope's rotation puts them.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Protocol
 
 import cv2
@@ -43,6 +43,25 @@ class TrackerConfig:
 
 
 @dataclass(frozen=True, eq=False)
+class Matches:
+    """Landmarks that further cameras of the rig see at the same instant as the one that follows them."""
+
+    ids: npt.NDArray[np.int64]
+    """(M,) Identities, each among those of the observations they belong to."""
+    camera: npt.NDArray[np.int64]
+    """(M,) Which camera of the rig sees each."""
+    xy: Array
+    """(M, 2) Undistorted and normalised: at depth 1 in that camera's frame."""
+
+    def __len__(self) -> int:
+        return len(self.ids)
+
+
+NO_MATCHES = Matches(np.zeros(0, np.int64), np.zeros(0, np.int64), np.zeros((0, 2)))
+"""Of a single camera, and between keyframes."""
+
+
+@dataclass(frozen=True, eq=False)
 class Observations:
     """Where the tracked features are seen in one frame."""
 
@@ -54,6 +73,15 @@ class Observations:
     """(N, 2) Undistorted and normalised: at depth 1 in the camera frame."""
     ages: npt.NDArray[np.int64]
     """(N,) Number of frames in which each has been seen."""
+    camera: npt.NDArray[np.int64] = field(default_factory=lambda: np.zeros(0, np.int64))
+    """(N,) Which camera of the rig follows each; all the first one, if not given."""
+    matches: Matches = NO_MATCHES
+    """The same landmarks in further cameras; on keyframes."""
+
+    def __post_init__(self) -> None:
+        """Say that the first camera sees all, where nothing is said."""
+        if len(self.camera) != len(self.ids):
+            object.__setattr__(self, "camera", np.zeros(len(self.ids), np.int64))
 
     def __len__(self) -> int:
         return len(self.ids)

@@ -12,6 +12,7 @@ from dronevio.estimator.triangulation import Triangulation, triangulate
 
 Array = npt.NDArray[np.float64]
 Cameras = Mapping[int, tuple[Array, Array]]
+"""Orientations (C, 3, 3) and positions (C, 3) of the rig's cameras in the world, at each keyframe."""
 
 
 @dataclass(frozen=True)
@@ -21,7 +22,9 @@ class LandmarkConfig:
     pixel_sigma: float = 0.8
     """Standard deviation of an image measurement [px]: tracking error and what calibration leaves."""
     min_views: int = 3
-    """Keyframes that must have seen a landmark before it constrains anything."""
+    """Sightings that a landmark needs before it constrains anything, by one camera or several ..."""
+    min_keyframes: int = 2
+    """... from so many keyframes: several cameras at one instant tell where it is, but nothing of the motion."""
     min_parallax_deg: float = 0.3
     """Angle under which a landmark must have been seen [°]; below, its depth is not observable and iSAM2 fails."""
     min_baseline_m: float = 0.02
@@ -41,11 +44,18 @@ class Track:
     """The sightings of one landmark that share a factor."""
 
     id: int
-    keyframes: list[int] = field(default_factory=list)
+    keyframes: list[int] = field(default_factory=list)  # of each sighting, in time order
+    cameras: list[int] = field(default_factory=list)  # of each sighting
     xy: list[Array] = field(default_factory=list)
     sigma: float = 0.0  # of its sightings, normalised
     point: Array | None = None  # (3,) position in the world, once triangulated
     slot: int | None = None  # where its factor stands in the solver; None while there is none
+
+    def see(self, k: int, camera: int, xy: Array) -> None:
+        """Add a sighting."""
+        self.keyframes.append(k)
+        self.cameras.append(camera)
+        self.xy.append(xy)
 
 
 class LandmarkWindow:
@@ -60,12 +70,16 @@ class LandmarkWindow:
     def observe(self, k: int, t_s: float, observations: Observations) -> None:
         """Add the sightings of keyframe k."""
         self._times_s[k] = t_s
-        for track_id, xy in zip(observations.ids.tolist(), observations.xy, strict=True):
+        for track_id, camera, xy in zip(
+            observations.ids.tolist(), observations.camera.tolist(), observations.xy, strict=True
+        ):
             track = self._tracks.get(track_id)
             if track is None or t_s - self._times_s[track.keyframes[0]] > self._config.chunk_s:
                 track = self._tracks[track_id] = Track(track_id)
-            track.keyframes.append(k)
-            track.xy.append(xy)
+            track.see(k, camera, xy)
+        matches = observations.matches
+        for track_id, camera, xy in zip(matches.ids.tolist(), matches.camera.tolist(), matches.xy, strict=True):
+            self._tracks[track_id].see(k, camera, xy)
 
     def judge(self, cameras: Cameras, seen_from: int | None = None) -> tuple[list[Track], list[Track]]:
         """Triangulate, and say which tracks may constrain the window, and which are wrong.
@@ -74,14 +88,16 @@ class LandmarkWindow:
         factors are made anew with every keyframe, which makes this iteratively reweighted least squares.
 
         Args:
-            cameras: Orientation (3, 3) and position (3,) of the camera at each keyframe.
+            cameras: Where the rig's cameras are at each keyframe.
             seen_from: Only the tracks that this keyframe sees; None for all.
         """
         c = self._config
         seen = [
             track
             for track in self._tracks.values()
-            if len(track.keyframes) >= c.min_views and seen_from in (None, track.keyframes[-1])
+            if len(track.keyframes) >= c.min_views
+            and track.keyframes[-1] - track.keyframes[0] >= c.min_keyframes - 1
+            and seen_from in (None, track.keyframes[-1])
         ]
         if not seen:
             return [], []
@@ -118,7 +134,9 @@ class LandmarkWindow:
             if track.keyframes[0] >= oldest:
                 continue
             kept = [i for i, k in enumerate(track.keyframes) if k >= oldest] if track.slot is None else []
-            track.keyframes, track.xy = [track.keyframes[i] for i in kept], [track.xy[i] for i in kept]
+            track.keyframes = [track.keyframes[i] for i in kept]
+            track.cameras = [track.cameras[i] for i in kept]
+            track.xy = [track.xy[i] for i in kept]
             track.slot = None
             if not kept or track.keyframes[-1] < newest:
                 del self._tracks[track.id]
@@ -137,7 +155,9 @@ class LandmarkWindow:
 
 def _triangulate(tracks: Sequence[Track], cameras: Cameras) -> Triangulation:
     counts = np.array([len(track.keyframes) for track in tracks])
-    poses = [cameras[k] for k in chain.from_iterable(track.keyframes for track in tracks)]
+    sightings = [(k, c) for track in tracks for k, c in zip(track.keyframes, track.cameras, strict=True)]
+    Rs = np.array([cameras[k][0][c] for k, c in sightings])
+    ps = np.array([cameras[k][1][c] for k, c in sightings])
     xy = np.array(list(chain.from_iterable(track.xy for track in tracks)))
     starts = np.concatenate([[0], np.cumsum(counts)[:-1]])
-    return triangulate(starts, np.array([pose[0] for pose in poses]), np.array([pose[1] for pose in poses]), xy)
+    return triangulate(starts, Rs, ps, xy)

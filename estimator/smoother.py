@@ -20,6 +20,7 @@ from dronevio.estimator.frontend import Observations
 from dronevio.estimator.landmarks import LandmarkConfig, LandmarkWindow, Track
 from dronevio.estimator.solver import FixedLagSolver, insert_state, stamps_of
 from dronevio.estimator.start import GAUGE_SIGMA
+from dronevio.models.rig import RigCamera
 from dronevio.models.state import NavState
 
 Array = npt.NDArray[np.float64]
@@ -76,8 +77,7 @@ class KeyframeSmoother:
 
     def __init__(
         self,
-        T_imu_cam: Array,
-        focal_px: float,
+        cameras: Sequence[RigCamera],
         config: SmootherConfig,
         landmarks: LandmarkConfig,
         start: NavState,
@@ -87,8 +87,7 @@ class KeyframeSmoother:
         """Begin with one keyframe.
 
         Args:
-            T_imu_cam: (4, 4) Pose of the camera in the IMU frame.
-            focal_px: Focal length, which turns pixels into normalised coordinates.
+            cameras: The rig's cameras.
             config: Settings.
             landmarks: Settings of the landmarks.
             start: The first state.
@@ -97,10 +96,11 @@ class KeyframeSmoother:
         """
         self._config = config
         self._landmark_config = landmarks
-        self._focal_px = focal_px
-        self._T_imu_cam = T_imu_cam
+        self._focal_px = cameras[0].model.fx
+        self._Ts_imu_cam = np.stack([camera.T_imu_cam for camera in cameras])
         self._cameras = gtsam.CameraSetPinholePoseCal3_S2()
-        self._cameras.push_back(gtsam.PinholePoseCal3_S2(gtsam.Pose3(T_imu_cam), gtsam.Cal3_S2()))
+        for T_imu_cam in self._Ts_imu_cam:
+            self._cameras.push_back(gtsam.PinholePoseCal3_S2(gtsam.Pose3(T_imu_cam), gtsam.Cal3_S2()))
         self._smart = gtsam.SmartProjectionParams()
         self._smart.setDegeneracyMode(gtsam.DegeneracyMode.ZERO_ON_DEGENERACY)
         self._smart.setRankTolerance(TRIANGULATION_RANK_TOLERANCE)
@@ -108,7 +108,7 @@ class KeyframeSmoother:
         self._solver: FixedLagSolver
         self._landmarks: LandmarkWindow
         self._k: int  # index of the newest keyframe since the last restart
-        self._poses: dict[int, tuple[Array, Array]]  # orientation and position of the camera at the window's keyframes
+        self._poses: dict[int, tuple[Array, Array]]  # of the cameras at the window's keyframes
         self._nav: gtsam.NavState
         self._bias: gtsam.imuBias.ConstantBias
         self._prior: gtsam.NonlinearFactorGraph  # what was known at the last restart
@@ -158,7 +158,7 @@ class KeyframeSmoother:
         insert_state(values, k, predicted, self._bias)
         self._add_motion(graph, k, preintegrated, still)
         self._landmarks.observe(k, t_ns * 1e-9, observations)
-        self._poses[k] = self._camera_pose(predicted.pose())
+        self._poses[k] = self._camera_poses(predicted.pose())
         tracks, wrong = self._landmarks.judge(self._poses, seen_from=k)
         removed = [track.slot for track in (*tracks, *wrong) if track.slot is not None]
         self._landmarks.drop(wrong)
@@ -201,7 +201,7 @@ class KeyframeSmoother:
         tracks: list[Track] = []
         try:
             for _ in range(self._config.launch_rounds):
-                self._poses = {k: self._camera_pose(values.atPose3(X(k))) for k in range(self._k + 1)}
+                self._poses = {k: self._camera_poses(values.atPose3(X(k))) for k in range(self._k + 1)}
                 tracks, wrong = self._landmarks.judge(self._poses)
                 self._landmarks.drop(wrong)
                 whole = gtsam.NonlinearFactorGraph(graph)
@@ -267,14 +267,14 @@ class KeyframeSmoother:
         """Return the factor that ties all keyframes that saw a landmark."""
         noise = gtsam.noiseModel.Isotropic.Sigma(2, track.sigma)
         factor = gtsam.SmartProjectionRigFactorPinholePoseCal3_S2(noise, self._cameras, self._smart)
-        factor.add(track.xy, [X(k) for k in track.keyframes])
+        factor.add(track.xy, [X(k) for k in track.keyframes], track.cameras)
         return factor
 
     def _read_states(self, t_ns: int) -> None:
         """Take over what the solver found: the newest state, and the poses of the window's keyframes."""
         k = self._k
         poses = {i: self._solver.pose(i) for i in self._solver.keyframes}
-        self._poses = {i: self._camera_pose(pose) for i, pose in poses.items()}
+        self._poses = {i: self._camera_poses(pose) for i, pose in poses.items()}
         self._bias = self._solver.bias(k)
         self._nav = gtsam.NavState(poses[k], self._solver.velocity(k))
         self._covariance = covariance_from_gtsam(self._solver.covariance(k), poses[k].rotation().matrix())
@@ -291,10 +291,10 @@ class KeyframeSmoother:
         except RuntimeError:  # the solver as it was still works
             return
 
-    def _camera_pose(self, pose: gtsam.Pose3) -> tuple[Array, Array]:
-        """Return the orientation (3, 3) and position (3,) of the camera for a pose of the IMU."""
-        T_world_cam = pose.matrix() @ self._T_imu_cam
-        return T_world_cam[:3, :3], T_world_cam[:3, 3]
+    def _camera_poses(self, pose: gtsam.Pose3) -> tuple[Array, Array]:
+        """Return the orientations (C, 3, 3) and positions (C, 3) of the cameras for a pose of the IMU."""
+        Ts_world_cam = pose.matrix() @ self._Ts_imu_cam
+        return Ts_world_cam[:, :3, :3], Ts_world_cam[:, :3, 3]
 
 
 def _nav_state(

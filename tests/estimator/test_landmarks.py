@@ -27,7 +27,8 @@ class Scene:
         self.xy = in_camera[..., :2] / in_camera[..., 2:]  # (K, L, 2)
 
     def poses(self) -> dict[int, tuple[np.ndarray, np.ndarray]]:
-        return {k: (self.R[k], self.p[k]) for k in range(len(self.p))}
+        """Where a rig of one camera is."""
+        return {k: (self.R[k, None], self.p[k, None]) for k in range(len(self.p))}
 
     def seen(self, k: int, noise: np.ndarray | float = 0.0) -> Observations:
         n = len(self.points)
@@ -196,12 +197,15 @@ def test_long_tracks_are_cut_into_chunks() -> None:
 
 def test_parallax_from_a_baseline_of_millimetres_is_not_believed() -> None:
     """A track that drifts by some pixels, seen from one place, looks like something right before the lens."""
-    near, there = np.array([0.0, 0.0, 0.15]), {k: (np.eye(3), np.array([0.002 * k, 0.0, 0.0])) for k in range(4)}
+    near, there = (
+        np.array([0.0, 0.0, 0.15]),
+        {k: (np.eye(3)[None], np.array([[0.002 * k, 0.0, 0.0]])) for k in range(4)},
+    )
     for scale, useful in ((1.0, 0), (20.0, 1)):  # the same picture, twenty times as large
         landmarks = LandmarkWindow(FOCAL_PX, LandmarkConfig())
         cameras = {k: (R, scale * p) for k, (R, p) in there.items()}
         for k, (_, p) in cameras.items():
-            ray = scale * near - p
+            ray = scale * near - p[0]
             xy = ray[None, :2] / ray[2]
             landmarks.observe(k, 0.2 * k, Observations(np.array([7]), FOCAL_PX * xy, xy, np.array([k + 1])))
         assert len(landmarks.judge(cameras)[0]) == useful

@@ -52,10 +52,8 @@ def keyframes(
     buffer.add(flight.imu)
     buffer.take_until(int(times[0]))
     front_end.track(flight.frame(0), np.eye(3))
-    camera = flight.rig.cameras[0]
     smoother = KeyframeSmoother(
-        camera.T_imu_cam,
-        camera.model.fx,
+        flight.rig.cameras,
         config,
         LandmarkConfig(),
         start,
@@ -203,11 +201,8 @@ def test_rest_is_held(make_flight: Callable) -> None:
     buffer.add(flight.imu)
     buffer.take_until(start.t_ns)
     front_end.track(flight.frame(0), np.eye(3))
-    camera = flight.rig.cameras[0]
     P = StartSigmas(gyro_bias_rad_s=0.05).covariance(start.T_world_imu[:3, :3])
-    smoother = KeyframeSmoother(
-        camera.T_imu_cam, camera.model.fx, SmootherConfig(), LandmarkConfig(), start, P, front_end.replenish()
-    )
+    smoother = KeyframeSmoother(flight.rig.cameras, SmootherConfig(), LandmarkConfig(), start, P, front_end.replenish())
     params = preintegration_params(flight.rig.imu, InertialConfig())
     for k in range(10, len(flight.frame_times_ns), 10):
         t_ns = int(flight.frame_times_ns[k])
