@@ -72,6 +72,39 @@ class FeatureTracks:
     """(N,) In how many frames it has been seen."""
 
 
+@dataclass(frozen=True)
+class HealthReport:
+    """Why an estimate is worth what it is: what the estimator holds on to, and how well it fits.
+
+    A figure is None where there is nothing to compute it from, such as a parallax without landmarks.
+    """
+
+    state: Health
+    """What the estimate is worth."""
+    reason: str
+    """Why, for people."""
+    tracks: int = 0
+    """Features followed into this frame."""
+    landmarks: int = 0
+    """Those of them that constrain the estimate: landmarks of known position, seen with parallax. A corner that is
+    followed well may yet say nothing of the motion."""
+    median_parallax_rad: float | None = None
+    """Median angle under which those landmarks have been seen [rad]."""
+    innovation_px: float | None = None
+    """Median distance of those landmarks from where the prediction puts them, before the frame corrects it [px]."""
+    innovation_nis: float | None = None
+    """Median over them of the innovation squared and normalised by its predicted covariance, divided by the median of
+    χ² with two degrees of freedom: 1 where prediction and measurement are as sure as they claim; robust to outliers."""
+    bias_sigmas: float | None = None
+    """Largest component of the two biases, in standard deviations of what the IMU's model lets them be."""
+    position_sigma_m: float | None = None
+    """Standard deviation of the position, along the worst axis [m]."""
+    velocity_sigma_m_s: float | None = None
+    """Standard deviation of the velocity, along the worst axis [m/s]."""
+    blind_s: float = 0.0
+    """For how long nothing but the IMU has held the estimate [s]."""
+
+
 @dataclass(frozen=True, eq=False)
 class Estimate:
     """What an estimator says after one camera frame: causal, never revised."""
@@ -88,6 +121,18 @@ class Estimate:
     """(M, 3) Map points triangulated at this frame [m]; None on frames where none are computed."""
     events: tuple[str, ...] = ()
     """What happened, for people: ``initialised``, ``keyframe``, ``solver restored`` …"""
+    health_report: HealthReport | None = None
+    """Why it is worth that; None from an estimator that does not say."""
+    T_map_odom: Array | None = None
+    """(4, 4) Correction of the odometry frame by closed loops: it may jump, `state` never does. None from an estimator
+    that closes no loops: it has odometry only."""
+
+    @property
+    def T_map_imu(self) -> Array | None:
+        """(4, 4) Pose of the IMU, corrected by closed loops; None without a pose or without a map."""
+        if self.state is None or self.T_map_odom is None:
+            return None
+        return np.asarray(self.T_map_odom @ self.state.T_world_imu)
 
 
 @dataclass(frozen=True, eq=False)

@@ -5,7 +5,7 @@ import pytest
 
 from dronevio.models.errors import ConfigError
 from dronevio.models.rotation import exp_so3, pose_matrix
-from dronevio.models.state import NavState, Trajectory
+from dronevio.models.state import Estimate, Health, NavState, Trajectory
 
 RNG = np.random.default_rng(3)
 
@@ -64,3 +64,15 @@ def test_length_and_time_of_a_path() -> None:
     path = Trajectory(t_ns, corners, np.tile([1.0, 0.0, 0.0, 0.0], (4, 1)))
     assert path.length_m == pytest.approx(9.0)
     np.testing.assert_allclose(path.t_s, [0.0, 0.5, 1.0, 1.5])
+
+
+def test_pose_in_the_map_needs_a_pose_and_a_closed_loop() -> None:
+    state = states(1)[0]
+    T_map_odom = pose_matrix(exp_so3(RNG.normal(size=3)), RNG.normal(size=3))
+    odometry = Estimate(state.t_ns, Health.TRACKING, state)
+    assert odometry.T_map_imu is None and odometry.health_report is None
+    assert Estimate(state.t_ns, Health.LOST, None, T_map_odom=T_map_odom).T_map_imu is None
+    corrected = Estimate(state.t_ns, Health.TRACKING, state, T_map_odom=T_map_odom).T_map_imu
+    assert corrected is not None
+    point_imu = np.array([0.3, -0.2, 0.9, 1.0])
+    np.testing.assert_allclose(corrected @ point_imu, T_map_odom @ (state.T_world_imu @ point_imu), atol=1e-14)
