@@ -181,11 +181,10 @@ class VisualInertialOdometry:
         self, start: NavState, sigmas: StartSigmas, sightings: list[Sighting], keyframe_interval_s: float
     ) -> bool:
         """Start the smoother at the first of some sightings; say whether what came of it is to be believed."""
-        camera, still = self._rig.cameras[0], self._stillness.still_for_s > 0.0
+        still = self._stillness.still_for_s > 0.0
         first, *later = sightings
         smoother = KeyframeSmoother(
-            camera.T_imu_cam,
-            camera.model.fx,
+            self._rig.cameras,
             self._config.smoother,
             self._config.landmarks,
             start,
