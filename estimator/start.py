@@ -18,6 +18,17 @@ GAUGE_SIGMA = 1e-4
 
 
 @dataclass(frozen=True)
+class NotObservable:
+    """The answer where a start cannot be told yet."""
+
+    reason: str
+    """Why, for people."""
+
+    def __str__(self) -> str:
+        return f"not observable yet: {self.reason}"
+
+
+@dataclass(frozen=True)
 class StartSigmas:
     """How sure a start is of its state: standard deviations."""
 

@@ -15,7 +15,7 @@ from scipy.optimize import brentq, least_squares
 
 from dronevio.estimator.frontend import Observations
 from dronevio.estimator.inertial import Increments
-from dronevio.estimator.start import level_rotation
+from dronevio.estimator.start import NotObservable, level_rotation
 from dronevio.models.imu import GRAVITY_M_S2
 from dronevio.models.rotation import exp_so3, pose_matrix
 from dronevio.models.state import NavState
@@ -96,8 +96,8 @@ class _Solution:
 
 def start_in_motion(
     window: Sequence[Sighting], T_imu_cam: Array, focal_px: float, config: MotionStartConfig
-) -> NavState | None:
-    """Return the state at the first frame of a window, or None where it cannot be told.
+) -> NavState | NotObservable:
+    """Return the state at the first frame of a window, or why it cannot be told.
 
     The accelerometer's bias is taken as zero.
 
@@ -110,9 +110,12 @@ def start_in_motion(
     frames = np.arange(0, len(window), config.frame_stride)
     tracks = _collect([window[k].observations for k in frames.tolist()], config.min_sightings)
     if tracks.xy.shape[1] < config.min_landmarks:
-        return None
-    if _parallax(tracks, _sum_up(window, np.zeros(3), frames), T_imu_cam) * focal_px < config.min_parallax_px:
-        return None
+        return NotObservable(
+            f"{tracks.xy.shape[1]} landmarks were seen for long enough; {config.min_landmarks} are needed"
+        )
+    parallax_px = _parallax(tracks, _sum_up(window, np.zeros(3), frames), T_imu_cam) * focal_px
+    if parallax_px < config.min_parallax_px:
+        return NotObservable(f"a parallax of {parallax_px:.1f} px; {config.min_parallax_px:g} px are needed")
 
     def residuals_px(gyro_bias: Array) -> Array:
         solution = _solve(tracks, _sum_up(window, gyro_bias, frames), T_imu_cam)
@@ -126,15 +129,16 @@ def start_in_motion(
     bend_of_bias = _bend(0.5 * config.accel_bias_m_s2 * t_s**2, t_s)
     rms_px = float(np.sqrt(np.sum(found.fun**2) / (2 * tracks.seen.sum())))
     sigma = np.sqrt(np.trace(solution.velocity_covariance)) * max(rms_px, 0.3) / focal_px
-    believed = (
-        rms_px < config.max_residual_px
-        and solution.in_front > config.min_in_front
-        and sigma < config.max_velocity_sigma_m_s
-        and float(np.linalg.norm(found.x)) < config.max_gyro_bias_rad_s
-        and bend > config.min_bend * bend_of_bias
+    checks = (
+        (rms_px < config.max_residual_px, f"residuals of {rms_px:.1f} px"),
+        (solution.in_front > config.min_in_front, f"{1.0 - solution.in_front:.0%} of the landmarks behind the camera"),
+        (sigma < config.max_velocity_sigma_m_s, f"a velocity known to {sigma:.2f} m/s"),
+        (float(np.linalg.norm(found.x)) < config.max_gyro_bias_rad_s, "an implausible bias of the gyroscope"),
+        (bend > config.min_bend * bend_of_bias, "too little acceleration to tell the scale"),
     )
-    if not believed:
-        return None
+    for passed, reason in checks:
+        if not passed:
+            return NotObservable(reason)
     R_world_imu = level_rotation(-solution.gravity)
     pose = pose_matrix(R_world_imu, np.zeros(3))
     return NavState(window[0].t_ns, pose, R_world_imu @ solution.velocity, found.x, np.zeros(3))

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from dronevio.estimator.inertial import ImuBuffer
+from dronevio.estimator.start import NotObservable
 from dronevio.estimator.start_in_motion import MotionStartConfig, Sighting, start_in_motion
 from dronevio.models.state import NavState, Trajectory
 
@@ -27,7 +28,7 @@ def window_of(flight: object, seconds: float = 1.5) -> list[Sighting]:
     return sightings
 
 
-def start_of(flight: object, config: MotionStartConfig = CONFIG, seconds: float = 1.5) -> NavState | None:
+def start_of(flight: object, config: MotionStartConfig = CONFIG, seconds: float = 1.5) -> NavState | NotObservable:
     camera = flight.rig.cameras[0]
     return start_in_motion(window_of(flight, seconds), camera.T_imu_cam, camera.model.fx, config)
 
@@ -49,7 +50,7 @@ def test_without_noise_it_is_exact(make_flight: Callable, seed: int) -> None:
     bias = np.array([0.03, -0.02, 0.05])
     flight = make_flight(seed, rest_s=-5.0, duration_s=2.0, noisy=False, sampling="increment", gyro_bias=bias)
     state = start_of(flight)
-    assert state is not None and state.t_ns == flight.frame_times_ns[0]
+    assert isinstance(state, NavState) and state.t_ns == flight.frame_times_ns[0]
     velocity, tilt, gyro_bias = errors(state, flight.truth_at(flight.frame_times_ns[:1]))
     assert velocity < 1e-3 and tilt < 1e-4 and gyro_bias < 1e-5
     np.testing.assert_array_equal(state.T_world_imu[:3, 3], ZERO)
@@ -61,7 +62,7 @@ def test_with_noise_it_is_near(make_flight: Callable, seed: int) -> None:
     """0.3 px, and the IMU's own noise and accelerometer bias."""
     flight = make_flight(seed, rest_s=-5.0, duration_s=2.0, pixel_noise=0.3, max_features=120)
     state = start_of(flight)
-    assert state is not None
+    assert isinstance(state, NavState)
     truth = flight.truth_at(flight.frame_times_ns[:1])
     velocity, tilt, gyro_bias = errors(state, truth)
     speed = float(np.linalg.norm(truth.velocity_m_s[0]))
@@ -71,13 +72,13 @@ def test_with_noise_it_is_near(make_flight: Callable, seed: int) -> None:
 
 def test_turning_on_the_spot_tells_nothing(make_flight: Callable) -> None:
     still = {"places_m": np.zeros((3, 2))}
-    assert start_of(make_flight(0, rest_s=-5.0, duration_s=2.0, motion=still)) is None
-    assert start_of(make_flight(0, rest_s=-5.0, duration_s=2.0, motion=still, noisy=False)) is None
+    assert isinstance(start_of(make_flight(0, rest_s=-5.0, duration_s=2.0, motion=still)), NotObservable)
+    assert isinstance(start_of(make_flight(0, rest_s=-5.0, duration_s=2.0, motion=still, noisy=False)), NotObservable)
 
 
 def test_rest_tells_nothing(make_flight: Callable) -> None:
-    assert start_of(make_flight(0, rest_s=10.0, duration_s=2.0)) is None
-    assert start_of(make_flight(0, rest_s=10.0, duration_s=2.0, noisy=False)) is None
+    assert isinstance(start_of(make_flight(0, rest_s=10.0, duration_s=2.0)), NotObservable)
+    assert isinstance(start_of(make_flight(0, rest_s=10.0, duration_s=2.0, noisy=False)), NotObservable)
 
 
 @pytest.mark.parametrize("noisy", [True, False])
@@ -91,7 +92,7 @@ def test_constant_velocity_does_not_tell_the_scale(make_flight: Callable, seed: 
         "phases": np.zeros((2, 3, 2)),
     }
     flight = make_flight(seed, rest_s=-1.5, duration_s=2.0, noisy=noisy, motion=line)
-    assert start_of(flight) is None
+    assert isinstance(start_of(flight), NotObservable)
 
 
 @pytest.mark.parametrize("seed", range(12))
@@ -100,7 +101,7 @@ def test_gentle_flights_are_told_well_or_not_at_all(make_flight: Callable, seed:
     gentle = {"places_m": 0.25 * np.array([[1.5, 0.3], [1.3, 0.35], [0.5, 0.2]])}
     flight = make_flight(seed, rest_s=-5.0, duration_s=2.0, pixel_noise=0.3, motion=gentle)
     state = start_of(flight)
-    if state is not None:
+    if isinstance(state, NavState):
         speeds = [
             np.linalg.norm(s) for s in (state.velocity_m_s, flight.truth_at(flight.frame_times_ns[:1]).velocity_m_s)
         ]
@@ -109,7 +110,7 @@ def test_gentle_flights_are_told_well_or_not_at_all(make_flight: Callable, seed:
 
 def test_more_is_asked_for_than_was_seen(make_flight: Callable) -> None:
     flight = make_flight(0, rest_s=-5.0, duration_s=2.0)
-    assert start_of(flight) is not None
+    assert isinstance(start_of(flight), NavState)
     for config in (
         replace(CONFIG, min_landmarks=1000),
         replace(CONFIG, min_sightings=99),
@@ -120,23 +121,23 @@ def test_more_is_asked_for_than_was_seen(make_flight: Callable) -> None:
         replace(CONFIG, min_in_front=1.0),
         replace(CONFIG, min_bend=100.0),
     ):
-        assert start_of(flight, config) is None, config
+        assert isinstance(start_of(flight, config), NotObservable), config
 
 
 def test_wrong_tracks_are_not_believed(make_flight: Callable) -> None:
     """Half of the landmarks swing by half a metre."""
-    assert start_of(make_flight(0, rest_s=-5.0, duration_s=2.0, moving_share=0.5)) is None
+    assert isinstance(start_of(make_flight(0, rest_s=-5.0, duration_s=2.0, moving_share=0.5)), NotObservable)
 
 
 @pytest.mark.parametrize("seconds", [0.05, 0.1, 0.3])
 def test_windows_that_are_too_short_tell_nothing(make_flight: Callable, seconds: float) -> None:
-    assert start_of(make_flight(0, rest_s=-5.0, duration_s=2.0), seconds=seconds) is None
+    assert isinstance(start_of(make_flight(0, rest_s=-5.0, duration_s=2.0), seconds=seconds), NotObservable)
 
 
 def test_gravity_is_of_the_right_length_even_if_the_accelerometer_is_biased(make_flight: Callable) -> None:
     flight = make_flight(1, rest_s=-5.0, duration_s=2.0, noisy=False, accel_bias=np.array([0.05, -0.05, 0.05]))
     state = start_of(flight)
-    assert state is not None
+    assert isinstance(state, NavState)
     velocity, tilt, gyro_bias = errors(state, flight.truth_at(flight.frame_times_ns[:1]))
     assert velocity < 0.15 and tilt < np.radians(1.5) and gyro_bias < 1e-3
 

@@ -128,7 +128,7 @@ def test_covariances_from_mid_air_mean_what_they_say(flown: Callable) -> None:
     for seed in SEEDS:
         flight, estimates = flown(seed, AIR)
         found = poses(estimates)
-        window_ns = round(VioConfig().motion.window_s * 1e9)
+        window_ns = round(VioConfig().start.motion.window_s * 1e9)
         errors, covariances = anchored_at_start(flight, found, int(found.t_ns[0]) - window_ns)
         position.append(nees(errors, covariances).mean())
     assert 0.05 < np.mean(position) < 9.0

@@ -1,0 +1,147 @@
+"""The start: from a rest, or in motion, whichever can be had first.
+
+It watches frames with their IMU until gravity and velocity can be told, and launches a smoother over what it has
+watched, with all that is not certain yet left open. Where nothing can be told, it says why.
+"""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+
+import gtsam
+import numpy as np
+import numpy.typing as npt
+
+from dronevio.estimator.frontend import Observations
+from dronevio.estimator.inertial import integrate
+from dronevio.estimator.keyframes import KeyframePolicy
+from dronevio.estimator.smoother import Keyframe, KeyframeSmoother
+from dronevio.estimator.start import NotObservable, StartSigmas, mean_gyro, start_from_rest
+from dronevio.estimator.start_in_motion import MotionStartConfig, Sighting, start_in_motion
+from dronevio.models.rig import RigCamera
+from dronevio.models.state import NavState
+
+Array = npt.NDArray[np.float64]
+
+SmootherMaker = Callable[[NavState, Array, Observations], KeyframeSmoother]
+"""Makes a smoother that begins at a state, of a covariance (15, 15), from which some features are seen."""
+
+HALF_TICK_NS = 1_000_000
+"""Time stamps jitter: a window of 1.5 s may span 1.5001 s [ns]."""
+
+
+@dataclass(frozen=True)
+class InitialiserConfig:
+    """When to start, and how sure a start is."""
+
+    rest_s: float = 0.8
+    """How long the drone must stand still for a start from rest [s]."""
+    rest_sigmas: StartSigmas = field(default_factory=StartSigmas)
+    """How sure a start from rest is."""
+    motion: MotionStartConfig = field(default_factory=MotionStartConfig)
+    """When a start in motion is tried and believed."""
+    motion_sigmas: StartSigmas = field(
+        default_factory=lambda: StartSigmas(tilt_rad=0.05, velocity_m_s=0.3, gyro_bias_rad_s=0.02, accel_bias_m_s2=0.1)
+    )
+    """How sure a start in motion is."""
+    unknown_gyro_bias_sigma: float = 0.05
+    """How large the gyroscope's bias may be before anything is known of it [rad/s]; EuRoC's is 0.08."""
+
+
+class Initialiser:
+    """Waits until the drone stands still for a while, or moves so that its velocity can be told."""
+
+    def __init__(
+        self,
+        camera: RigCamera,
+        config: InitialiserConfig,
+        keyframes: KeyframePolicy,
+        params: gtsam.PreintegrationCombinedParams,
+        new_smoother: SmootherMaker,
+    ) -> None:
+        """Begin with nothing seen.
+
+        Args:
+            camera: The camera that sees.
+            config: Settings.
+            keyframes: When a frame becomes a keyframe.
+            params: How the IMU is preintegrated.
+            new_smoother: Makes the smoother.
+        """
+        self._camera, self._config, self._keyframes, self._params = camera, config, keyframes, params
+        self._new_smoother = new_smoother
+        self._window: list[Sighting] = []
+        self._last_try_ns = 0
+        self._not_yet = NotObservable("the drone has not moved or stood still for long enough")
+        self.gyro_bias_rad_s: Array = np.zeros(3)
+        """(3,) What is known of the gyroscope's bias [rad/s] ..."""
+        self.gyro_bias_sigma_rad_s = config.unknown_gyro_bias_sigma
+        """... and how well [rad/s]."""
+
+    def add(self, sighting: Sighting, still_for_s: float) -> KeyframeSmoother | NotObservable:
+        """Take a frame; answer a smoother that has started, or why there is none yet.
+
+        Args:
+            sighting: The frame, and the IMU before it.
+            still_for_s: For how long the drone has not moved [s].
+        """
+        c, t_ns = self._config, sighting.t_ns
+        self._window.append(sighting)
+        while t_ns - self._window[0].t_ns > max(c.rest_s, c.motion.window_s) * 1e9 + HALF_TICK_NS:
+            self._window.pop(0)
+        if still_for_s > 0.0:
+            return self._from_rest(self._since(t_ns, still_for_s), still_for_s)
+        window = self._since(t_ns, c.motion.window_s)
+        span_s = (t_ns - window[0].t_ns + HALF_TICK_NS) * 1e-9
+        if span_s < c.motion.window_s:
+            return NotObservable(f"the drone has been seen for {span_s:.1f} s; {c.motion.window_s:g} s are needed")
+        if t_ns - self._last_try_ns >= c.motion.every_s * 1e9:
+            self._last_try_ns = t_ns
+            return self._in_motion(window)
+        return self._not_yet
+
+    def _from_rest(self, rest: Sequence[Sighting], still_for_s: float) -> KeyframeSmoother | NotObservable:
+        increments = [sighting.increments for sighting in rest[1:]]
+        self.gyro_bias_rad_s, self.gyro_bias_sigma_rad_s = mean_gyro(increments), 0.0
+        rest_s = self._config.rest_s
+        if still_for_s < rest_s:
+            return NotObservable(f"the drone has stood still for {still_for_s:.1f} s; {rest_s:g} s are needed")
+        start = start_from_rest(rest[0].t_ns, increments)
+        smoother, _ = self._launched(start, self._config.rest_sigmas, rest, still=True)
+        return smoother or NotObservable("the smoother finds no solution")
+
+    def _in_motion(self, window: Sequence[Sighting]) -> KeyframeSmoother | NotObservable:
+        c = self._config
+        start = start_in_motion(window, self._camera.T_imu_cam, self._camera.model.fx, c.motion)
+        if isinstance(start, NotObservable):
+            self._not_yet = start
+            return start
+        smoother, error_px = self._launched(start, c.motion_sigmas, window, still=False)
+        if smoother is not None and error_px <= c.motion.max_residual_px:
+            return smoother
+        self._not_yet = NotObservable(f"what is seen and what is sensed disagree by {error_px:.1f} px")
+        return self._not_yet
+
+    def _since(self, t_ns: int, span_s: float) -> list[Sighting]:
+        """Return the sightings of the last ``span_s`` seconds."""
+        return [s for s in self._window if t_ns - s.t_ns <= span_s * 1e9 + HALF_TICK_NS]
+
+    def _launched(
+        self, start: NavState, sigmas: StartSigmas, sightings: Sequence[Sighting], still: bool
+    ) -> tuple[KeyframeSmoother | None, float]:
+        """Start a smoother at the first of some sightings.
+
+        Returns:
+            The smoother, None where it found no solution; and the landmarks' typical reprojection error [px].
+        """
+        first, *later = sightings
+        smoother = self._new_smoother(start, sigmas.covariance(start.T_world_imu[:3, :3]), first.observations)
+        keyframes: list[Keyframe] = []
+        bias = smoother.gtsam_state[1]
+        preintegrated = gtsam.PreintegratedCombinedMeasurements(self._params, bias)
+        for sighting in later:
+            integrate(preintegrated, sighting.increments)
+            if sighting is later[-1] or self._keyframes.is_late(preintegrated.deltaTij(), still):
+                keyframes.append(Keyframe(sighting.t_ns, preintegrated, sighting.observations, still))
+                preintegrated = gtsam.PreintegratedCombinedMeasurements(self._params, bias)
+        error_px = smoother.launch(keyframes)
+        return (None, float("inf")) if error_px is None else (smoother, error_px)
