@@ -49,6 +49,7 @@ class Track:
     xy: list[Array] = field(default_factory=list)
     sigma: float = 0.0  # of its sightings, normalised
     point: Array | None = None  # (3,) position in the world, once triangulated
+    parallax_rad: float = 0.0  # largest angle between its sightings
     slot: int | None = None  # where its factor stands in the solver; None while there is none
 
     def see(self, k: int, camera: int, xy: Array) -> None:
@@ -56,6 +57,18 @@ class Track:
         self.keyframes.append(k)
         self.cameras.append(camera)
         self.xy.append(xy)
+
+
+@dataclass(frozen=True, eq=False)
+class KnownLandmarks:
+    """The landmarks that constrain a window, for those who want to know how well they do."""
+
+    ids: npt.NDArray[np.int64]
+    """(N,) Identities of their features, in increasing order."""
+    points: Array
+    """(N, 3) Positions in the world [m]."""
+    parallax_rad: Array
+    """(N,) Largest angle under which each has been seen [rad]."""
 
 
 class LandmarkWindow:
@@ -108,8 +121,9 @@ class LandmarkWindow:
         wrong = deep & (~found.in_front | (np.maximum(found.rms, found.newest) > limit))
         sigma = c.pixel_sigma / self._focal_px
         sigmas = sigma * np.sqrt(1.0 + (found.rms / max(sigma, 2.0 * typical)) ** 2)
-        for track, point, track_sigma in zip(seen, found.points, sigmas.tolist(), strict=True):
-            track.point, track.sigma = point, track_sigma
+        angles = found.parallax_rad.tolist()
+        for track, point, track_sigma, angle in zip(seen, found.points, sigmas.tolist(), angles, strict=True):
+            track.point, track.sigma, track.parallax_rad = point, track_sigma, angle
         useful = [track for track, yes in zip(seen, (deep & ~wrong).tolist(), strict=True) if yes]
         return useful, [track for track, yes in zip(seen, wrong.tolist(), strict=True) if yes]
 
@@ -146,6 +160,16 @@ class LandmarkWindow:
         for track in self._tracks.values():
             if track.slot is not None:
                 track.slot = new_slots[track.slot]
+
+    def known(self) -> KnownLandmarks:
+        """Return the landmarks that constrain the window."""
+        used = [t for t in self._tracks.values() if t.slot is not None and t.point is not None]
+        tracks = sorted(used, key=lambda track: track.id)
+        return KnownLandmarks(
+            np.array([track.id for track in tracks], dtype=np.int64),
+            np.array([track.point for track in tracks]).reshape(-1, 3),
+            np.array([track.parallax_rad for track in tracks], dtype=np.float64),
+        )
 
     def points(self) -> Array:
         """Return the positions (N, 3) of the landmarks that constrain the window [m]."""

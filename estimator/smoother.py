@@ -17,7 +17,7 @@ from gtsam.symbol_shorthand import B, V, X
 
 from dronevio.estimator.covariance import covariance_from_gtsam, covariance_to_gtsam
 from dronevio.estimator.frontend import Observations
-from dronevio.estimator.landmarks import LandmarkConfig, LandmarkWindow, Track
+from dronevio.estimator.landmarks import KnownLandmarks, LandmarkConfig, LandmarkWindow, Track
 from dronevio.estimator.solver import FixedLagSolver, insert_state, stamps_of
 from dronevio.estimator.start import GAUGE_SIGMA
 from dronevio.models.rig import RigCamera
@@ -133,6 +133,11 @@ class KeyframeSmoother:
     def landmarks(self) -> Array:
         """(N, 3) Positions in the world of the landmarks that constrain the window [m]."""
         return self._landmarks.points()
+
+    @property
+    def known_landmarks(self) -> KnownLandmarks:
+        """The landmarks that constrain the window."""
+        return self._landmarks.known()
 
     def add_keyframe(
         self,
