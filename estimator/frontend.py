@@ -4,7 +4,9 @@ Corners are spread over a grid, one a cell (Shi and Tomasi 1994), and followed b
 that starts where the gyroscope's rotation puts them.
 """
 
+from collections.abc import Iterator
 from dataclasses import dataclass, field
+from itertools import count, islice
 from typing import Protocol
 
 import cv2
@@ -109,8 +111,20 @@ class FrontEnd(Protocol):
 class FeatureTracker:
     """Follows corners in the images of one camera."""
 
-    def __init__(self, camera: CameraModel, config: TrackerConfig) -> None:
+    def __init__(
+        self, camera: CameraModel, config: TrackerConfig, index: int = 0, identities: Iterator[int] | None = None
+    ) -> None:
+        """Prepare for a camera.
+
+        Args:
+            camera: Its model.
+            config: Settings.
+            index: Which camera of the rig it is.
+            identities: Where features get their identities from, in increasing order; from 0 on if not given.
+        """
         self._camera = camera
+        self._index = index
+        self._identities = count() if identities is None else identities
         self._config = config
         self._rng = np.random.default_rng(config.seed)
         self._image: Image | None = None
@@ -118,13 +132,12 @@ class FeatureTracker:
         self._ages = np.zeros(0, np.int64)
         self._pixels = np.zeros((0, 2))
         self._xy = np.zeros((0, 2))
-        self._next_id = 0
 
     def track(self, frame: CameraFrame, R_cur_prev: Array, rotation_sigma_rad: float = 0.0) -> Observations:
         """Follow the features into a frame.
 
         Args:
-            frame: The new frame; the first of its images is used.
+            frame: The new frame, with an image of this camera.
             R_cur_prev: (3, 3) Rotation of the previous camera frame into this one, from the gyroscope.
             rotation_sigma_rad: How far it may be off.
 
@@ -134,25 +147,12 @@ class FeatureTracker:
         Raises:
             ConfigError: The image is not a grey one of the camera's size.
         """
-        previous, self._image = self._image, self._checked(frame)
+        previous, self._image = self._image, image_of(frame, self._index, self._camera)
         if previous is not None and len(self._ids):
             self._follow(
                 previous, self._image, R_cur_prev, self._config.ransac_px / self._camera.fx + rotation_sigma_rad
             )
         return self._observations()
-
-    def _checked(self, frame: CameraFrame) -> Image:
-        """Return the frame's first image, which OpenCV would wait for for ever, were it none."""
-        image = frame.images[0] if frame.images else None
-        shape = (self._camera.height, self._camera.width)
-        if not isinstance(image, np.ndarray) or image.shape != shape or image.dtype != np.uint8:
-            found = (
-                f"{image.dtype} array of shape {image.shape}"
-                if isinstance(image, np.ndarray)
-                else f"{type(image).__name__}"
-            )
-            raise ConfigError(f"frame at {frame.t_ns} ns whose image is {found}; expected uint8 of shape {shape}")
-        return image
 
     def replenish(self) -> Observations:
         """Take the best new corner of each grid cell that holds no feature, and return all features of the frame."""
@@ -160,11 +160,10 @@ class FeatureTracker:
             return self._observations()
         corners = self._new_corners(self._image)
         n = len(corners)
-        self._ids = np.concatenate([self._ids, np.arange(self._next_id, self._next_id + n)])
+        self._ids = np.concatenate([self._ids, np.fromiter(islice(self._identities, n), np.int64)])
         self._ages = np.concatenate([self._ages, np.ones(n, np.int64)])
         self._pixels = np.concatenate([self._pixels, corners])
         self._xy = np.concatenate([self._xy, self._camera.normalise(corners)])
-        self._next_id += n
         return self._observations()
 
     def discard(self, ids: npt.NDArray[np.int64]) -> None:
@@ -174,7 +173,9 @@ class FeatureTracker:
         self._pixels, self._xy = self._pixels[kept], self._xy[kept]
 
     def _observations(self) -> Observations:
-        return Observations(self._ids, self._pixels, self._xy, self._ages)
+        return Observations(
+            self._ids, self._pixels, self._xy, self._ages, np.full(len(self._ids), self._index, np.int64)
+        )
 
     def _follow(self, previous: Image, image: Image, R_cur_prev: Array, max_distance: float) -> None:
         c = self._config
@@ -223,3 +224,19 @@ class FeatureTracker:
         row, column = np.divmod(np.arange(rows * columns), columns)
         corners = np.stack([left + column * side + best % side, top + row * side + best // side], axis=1)
         return corners[strong & ~occupied.ravel()].astype(np.float64)
+
+
+def image_of(frame: CameraFrame, index: int, camera: CameraModel) -> Image:
+    """Return the image that a camera of the rig has in a frame; OpenCV would wait for ever for one that is none.
+
+    Raises:
+        ConfigError: There is no grey one of the camera's size.
+    """
+    image: object = frame.images[index] if index < len(frame.images) else None
+    shape = (camera.height, camera.width)
+    if isinstance(image, np.ndarray) and image.shape == shape and image.dtype == np.uint8:
+        return image
+    found = type(image).__name__
+    if isinstance(image, np.ndarray):
+        found = f"{image.dtype} array of shape {image.shape}"
+    raise ConfigError(f"frame at {frame.t_ns} ns whose image {index} is {found}; expected uint8 of shape {shape}")

@@ -11,12 +11,13 @@ from dataclasses import dataclass, field
 import numpy as np
 import numpy.typing as npt
 
-from dronevio.estimator.frontend import FeatureTracker, FrontEnd, Observations, TrackerConfig
+from dronevio.estimator.frontend import FrontEnd, Observations, TrackerConfig
 from dronevio.estimator.inertial import ImuBuffer, Increments, InertialConfig, preintegration_params
 from dronevio.estimator.initialiser import Initialiser, InitialiserConfig
 from dronevio.estimator.keyframes import KeyframeConfig, KeyframePolicy
 from dronevio.estimator.landmarks import LandmarkConfig
 from dronevio.estimator.propagation import Propagation
+from dronevio.estimator.rig_tracker import RigTracker
 from dronevio.estimator.smoother import KeyframeSmoother, SmootherConfig
 from dronevio.estimator.start import NotObservable
 from dronevio.estimator.start_in_motion import Sighting
@@ -77,7 +78,7 @@ class VisualInertialOdometry:
         c, camera = self._config, rig.cameras[0]
         self._params = preintegration_params(rig.imu, c.inertial)
         self._buffer = ImuBuffer()
-        self._front_end = front_end or FeatureTracker(camera.model, c.tracker)
+        self._front_end = front_end or RigTracker(rig, c.tracker)
         self._stillness = StillnessDetector(c.stillness)
         self._keyframes = KeyframePolicy(c.keyframe)
         self._initialiser = Initialiser(camera, c.start, self._keyframes, self._params, self._new_smoother)

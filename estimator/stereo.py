@@ -1,0 +1,142 @@
+"""Finds in a second camera what a first one sees at the same instant.
+
+The relative pose of the two is known, so a feature of the first lies on a line in the second, and its inverse depth
+says where (Hartley and Zisserman, "Multiple View Geometry", 2004, ch. 9). Lucas-Kanade starts at the best guess of that
+depth, moves freely, and what it finds must lie on the line, before both cameras, and lead back to where it came from.
+"""
+
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+import numpy.typing as npt
+
+from dronevio.models.rig import RigCamera
+from dronevio.models.rotation import inverse_pose
+
+Array = npt.NDArray[np.float64]
+Image = npt.NDArray[np.uint8]
+
+
+@dataclass(frozen=True)
+class StereoConfig:
+    """Settings of the search for matches."""
+
+    window_px: int = 15
+    """Side of the patch that is compared [px]."""
+    pyramid_levels: int = 3
+    """Pyramid levels above the image: a guess may be off by about window/2 · 2^levels pixels."""
+    epipolar_px: float = 1.0
+    """Largest distance from the epipolar line [px]: tracking error and what calibration leaves."""
+    return_px: float = 0.5
+    """Largest distance by which the way back may miss the feature [px]."""
+    min_depth_m: float = 0.15
+    """Nothing that is looked for is nearer [m]."""
+    border_px: int = 8
+    """Matches nearer to the image's border are not believed [px]."""
+    neighbours: int = 3
+    """A feature that was never matched is looked for at the median depth of so many that were."""
+
+
+@dataclass(frozen=True, eq=False)
+class StereoMatches:
+    """What was found."""
+
+    rows: npt.NDArray[np.int64]
+    """(M,) Which of the features were found."""
+    pixels: Array
+    """(M, 2) Where in the second image [px]."""
+    xy: Array
+    """(M, 2) Undistorted and normalised, in the second camera."""
+    inverse_depth: Array
+    """(M,) One over the distance along the first camera's axis [1/m]; 0 for what is too far to tell."""
+
+
+class StereoMatcher:
+    """Matches from one camera of a rig to another."""
+
+    def __init__(self, first: RigCamera, second: RigCamera, config: StereoConfig) -> None:
+        self._config = config
+        self._first, self._second = first.model, second.model
+        T_second_first = inverse_pose(second.T_imu_cam) @ first.T_imu_cam
+        self._R, self._t = T_second_first[:3, :3], T_second_first[:3, 3]
+
+    def match(self, first: Image, second: Image, pixels: Array, xy: Array, inverse_depth: Array) -> StereoMatches:
+        """Find features in the second image.
+
+        Args:
+            first: The first camera's image.
+            second: The second camera's image, of the same instant.
+            pixels: (N, 2) The features in the first image [px].
+            xy: (N, 2) The same, undistorted and normalised.
+            inverse_depth: (N,) A guess of one over their distance along the first camera's axis [1/m]; NaN for none.
+        """
+        guessed = self._second.project(self.seen_from_second(xy, self._guesses(pixels, inverse_depth)))
+        looked_for = np.flatnonzero(self._inside(guessed))
+        if not len(looked_for):
+            return StereoMatches(looked_for, np.zeros((0, 2)), np.zeros((0, 2)), np.zeros(0))
+        start = pixels[looked_for]
+        found, there = self._follow(first, second, start, guessed[looked_for], self._config.pyramid_levels)
+        back, returned = self._follow(second, first, found, start, 0)
+        there &= returned & (np.linalg.norm(back - start, axis=1) < self._config.return_px) & self._inside(found)
+        rows, found = looked_for[there], found[there]
+        off_line, depth = self._geometry(xy[rows], self._second.unproject(found))
+        with np.errstate(invalid="ignore"):  # NaN, where the lens images nothing, is not believed
+            pixel = 1.0 / self._second.fx
+            half_pixel_m = 0.5 * pixel / max(float(np.linalg.norm(self._t)), 1e-6)
+            right = (off_line < self._config.epipolar_px * pixel) & (depth > -half_pixel_m)
+            right &= depth < 1.0 / self._config.min_depth_m
+        xy_second = self._second.normalise(found)
+        right &= np.isfinite(xy_second).all(axis=1)
+        return StereoMatches(rows[right], found[right], xy_second[right], np.maximum(depth[right], 0.0))
+
+    def seen_from_second(self, xy: Array, inverse_depth: Array) -> Array:
+        """Return rays (N, 3) in the second camera of features (N, 2) at some inverse depths (N,) [1/m]."""
+        return np.column_stack([xy, np.ones(len(xy))]) @ self._R.T + inverse_depth[:, None] * self._t
+
+    def _guesses(self, pixels: Array, inverse_depth: Array) -> Array:
+        """Return the inverse depths (N,), those that are unknown taken from the nearest features that have one."""
+        known = np.isfinite(inverse_depth)
+        if known.all():
+            return inverse_depth
+        if not known.any():
+            return np.zeros(len(inverse_depth))
+        away = np.linalg.norm(pixels[~known, None] - pixels[None, known], axis=2)
+        nearest = np.argsort(away, axis=1, kind="stable")[:, : self._config.neighbours]
+        guesses = inverse_depth.copy()
+        guesses[~known] = np.median(inverse_depth[known][nearest], axis=1)
+        return guesses
+
+    def _follow(
+        self, source: Image, target: Image, pixels: Array, start: Array, levels: int
+    ) -> tuple[Array, npt.NDArray[np.bool_]]:
+        """Return where pixels (N, 2) of one image are in another, and whether they were found (N,)."""
+        side = self._config.window_px
+        found, status, _ = cv2.calcOpticalFlowPyrLK(
+            source,
+            target,
+            pixels.astype(np.float32),
+            start.astype(np.float32),
+            winSize=(side, side),
+            maxLevel=levels,
+            criteria=(cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 30, 0.01),
+            flags=cv2.OPTFLOW_USE_INITIAL_FLOW,
+        )
+        return found.reshape(-1, 2).astype(np.float64), status[:, 0] == 1
+
+    def _inside(self, pixels: Array) -> npt.NDArray[np.bool_]:
+        border, size = self._config.border_px, np.array([self._second.width, self._second.height])
+        with np.errstate(invalid="ignore"):
+            return np.asarray(np.all((pixels >= border) & (pixels <= size - 1 - border), axis=1))
+
+    def _geometry(self, xy: Array, bearings: Array) -> tuple[Array, Array]:
+        """Return how far bearings (N, 3) are from their epipolar planes (N,) [rad], and inverse depths (N,) [1/m].
+
+        The inverse depth ρ turns R f + ρ t towards the bearing g: the least squares solution of g × (R f + ρ t) = 0.
+        """
+        infinite = np.column_stack([xy, np.ones(len(xy))]) @ self._R.T
+        normals = np.cross(self._t, infinite)
+        lengths = np.linalg.norm(normals, axis=1)
+        off_line = np.abs(np.sum(normals * bearings, axis=1)) / np.maximum(lengths, 1e-12)
+        across, along = np.cross(bearings, self._t), np.cross(bearings, infinite)
+        return off_line, -np.sum(across * along, axis=1) / np.maximum(np.sum(across * across, axis=1), 1e-12)
