@@ -9,7 +9,7 @@ import json
 import math
 import statistics
 import sys
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor, as_completed
 from contextlib import suppress
 from dataclasses import asdict, dataclass, field, fields, replace
@@ -24,6 +24,7 @@ from dronevio.estimation import estimate_recording
 from dronevio.eval.benchmark.cache import code_hash, recording_hash
 from dronevio.eval.benchmark.isolation import isolated
 from dronevio.eval.metrics.association import interpolate
+from dronevio.eval.metrics.consistency import anchor_first
 from dronevio.eval.metrics.errors import relative_errors, translation_errors_m
 from dronevio.eval.metrics.scores import score_trajectory
 from dronevio.eval.provenance import machine_here, versions_here
@@ -41,6 +42,8 @@ CAMERAS: dict[Mode, int] = {"mono": 1, "stereo": 2}
 ONE_THREAD = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "LP_NUM_THREADS"), "1")
 WORST = math.inf
 """What a failed run's errors count as."""
+HOLDS_S = 0.5
+"""So long an estimator must go on tracking before it counts as recovered [s]."""
 FIGURES_VERSION = 1
 """Whoever changes what a figure means counts on, so that rows of before are done again."""
 _PACKAGES = ("python", "gtsam", "opencv-python-headless", "numpy")
@@ -108,6 +111,10 @@ class Figures:
     """Largest difference between an estimated step and the one that the estimated velocities explain [m]."""
     step_jump_s: float | None = None
     """When that was, from the first frame [s]."""
+    window_drift_m: float | None = None
+    """Largest error of position since the beginning of the time to look at closely [m]; None where there is none."""
+    recovery_s: float | None = None
+    """From its end until the estimator says for half a second that it is tracking [s]."""
     not_finite: int = 0
     """Estimates in which a number is not finite."""
     peak_mb: float | None = None
@@ -135,16 +142,14 @@ class Task:
     mode: Mode
     """Which of its cameras to use."""
     front_end: str = ""
-    """Wraps the front end: a name of `FRONT_ENDS`; empty for the estimator's own."""
+    """Spoils the front end: a name of `spoiling.FRONT_ENDS`; empty for the estimator's own."""
+    window_s: tuple[float, float] | None = None
+    """A time to look at closely, from the first frame on: that of a fault, or of a hover [s]."""
 
     def key(self, digest: str) -> str:
         """Return the name under which it is kept, given the hash of what estimates."""
-        parts = f"{digest} {recording_hash(self.recording)} {self.mode} {self.front_end}"
+        parts = f"{digest} {recording_hash(self.recording)} {self.mode} {self.front_end} {self.window_s}"
         return f"{self.flight}-{self.mode}-{hashlib.sha256(parts.encode()).hexdigest()[:16]}"
-
-
-FRONT_ENDS: dict[str, Callable[[Any], Any]] = {}
-"""Ways to spoil a front end, by name: each takes the estimator's own and returns another."""
 
 
 def estimator_hash() -> str:
@@ -156,6 +161,8 @@ def estimator_hash() -> str:
 
 def run_task(task: Task, trace: Path | None, progress: Progress = silent) -> dict[str, Any]:
     """Estimate a recording's motion, and return the `Figures` as plain data."""
+    from spoiling import FRONT_ENDS
+
     from dronevio.estimator.vio import VisualInertialOdometry
     from dronevio.models.recordings.open import open_recording
 
@@ -166,12 +173,15 @@ def run_task(task: Task, trace: Path | None, progress: Progress = silent) -> dic
         raise EvaluationError(f"{task.recording} has no ground truth")
     estimator = VisualInertialOdometry(recording.rig)
     if task.front_end:
-        wrapped = FRONT_ENDS[task.front_end](estimator._front_end)
-        estimator._front_end = wrapped
+        estimator._front_end = FRONT_ENDS[task.front_end](estimator._front_end)
     run = estimate_recording(recording, estimator, progress)
     if trace is not None:
         write_trace(trace, run)
-    found = figures_of(task.flight, task.mode, run, recording.ground_truth, recording.frame_times_ns)
+    truth, frames = recording.ground_truth, recording.frame_times_ns
+    found = figures_of(task.flight, task.mode, run, truth, frames)
+    if task.window_s is not None:
+        found = replace(found, window_drift_m=window_drift_m(run, truth, task.window_s))
+        found = replace(found, recovery_s=recovery_s(run, task.window_s[1]))
     return asdict(found)
 
 
@@ -276,6 +286,36 @@ def steps(truth: Trajectory, estimate: Trajectory, start_ns: int) -> tuple[float
     jumps_m = translation_errors_m(np.diff(estimate.p_world_imu, axis=0), explained)
     worst = int(jumps_m.argmax())
     return float(metres.max()), float(jumps_m[worst]), float(estimate.t_ns[worst + 1] - start_ns) * 1e-9
+
+
+def window_drift_m(run: EstimatorRun, truth: Trajectory, window_s: tuple[float, float]) -> float:
+    """Return the largest error of position since the beginning of a time, where the poses meet [m].
+
+    The first pose after the end counts as well: where the estimator is when it sees again. Infinite without poses.
+    """
+    estimate = run.trajectory
+    t_s = (estimate.t_ns - run.t_ns[0]) * 1e-9
+    last = int(np.searchsorted(t_s, window_s[1]))
+    rows = (
+        np.flatnonzero((t_s >= window_s[0]) & (t_s <= t_s[min(last, len(t_s) - 1)])) if len(t_s) else np.zeros(0, int)
+    )
+    if len(rows) < 2:
+        return WORST
+    estimate = estimate[rows]
+    true, found = interpolate(truth, estimate.t_ns)
+    estimate = estimate[found]
+    moved = anchor_first(true, estimate).positions(estimate.p_world_imu)
+    return float(translation_errors_m(true.p_world_imu, moved).max())
+
+
+def recovery_s(run: EstimatorRun, end_s: float) -> float:
+    """Return how long after a time the estimator begins to track for at least half a second [s]; infinite if never."""
+    t_s = (run.t_ns - run.t_ns[0]) * 1e-9
+    tracking = np.array([estimate.health == Health.TRACKING for estimate in run.estimates])
+    bad_s = np.append(t_s[~tracking], math.inf)  # nothing is known beyond the end
+    following = bad_s[np.searchsorted(bad_s, t_s)]
+    good = np.flatnonzero((t_s >= end_s - 1e-6) & tracking & (following - t_s >= HOLDS_S))
+    return float(t_s[good[0]] - end_s) if len(good) else WORST
 
 
 def write_trace(path: Path, run: EstimatorRun) -> None:

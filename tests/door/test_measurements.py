@@ -13,9 +13,10 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from dronevio.estimator.frontend import Observations
 from dronevio.eval.runs import EstimatorRun
 from dronevio.models.rotation import exp_so3, quat_wxyz_from_matrix
-from dronevio.models.state import Estimate, Health, NavState, Trajectory
+from dronevio.models.state import CameraFrame, Estimate, Health, NavState, Trajectory
 
 SCRIPTS = Path(__file__).resolve().parents[2] / "scripts"
 
@@ -42,6 +43,16 @@ def measuring() -> Any:
 @pytest.fixture(scope="module")
 def suite(measuring: Any) -> Any:
     return script("suite")
+
+
+@pytest.fixture(scope="module")
+def stress(measuring: Any) -> Any:
+    return script("stress")
+
+
+@pytest.fixture(scope="module")
+def spoiling() -> Any:
+    return script("spoiling")
 
 
 @pytest.fixture(scope="module")
@@ -192,3 +203,106 @@ def test_tables_count_failures(suite: Any, semi_real: Any, measuring: Any) -> No
     told = semi_real.summary(named, "mono", ["V1_02"], (0, 1, 2))
     assert "| V1_02 | 0.0200 | 0.0100–∞ | 0.045 | yes |" in told  # the third seed's run is missing
     assert len({row.count("|") for row in told.splitlines()}) == 1
+
+
+def test_the_drift_in_a_window_is_what_the_error_moves_there(measuring: Any) -> None:
+    truth, estimate = flight()
+    bump = np.clip(truth.t_s - 4.0, 0.0, 2.0)[:, None] * [0.03, -0.04, 0.0]  # 5 cm/s from 4 s to 6 s
+    run = run_of(measuring, replace(estimate, p_world_imu=estimate.p_world_imu + bump))
+    assert measuring.window_drift_m(run, truth, (4.0, 6.0)) == pytest.approx(0.1)
+    assert measuring.window_drift_m(run, truth, (4.0, 5.0)) == pytest.approx(0.05)
+    assert measuring.window_drift_m(run, truth, (7.0, 9.0)) < 1e-9
+    blind = run_of(measuring, estimate, [Health.INITIALISING] * 200)
+    assert measuring.window_drift_m(blind, truth, (4.0, 6.0)) == math.inf
+
+
+@pytest.mark.parametrize(
+    ("bad", "end_s", "expected"),
+    [
+        ([], 4.0, 0.0),
+        ([(4.0, 5.0)], 4.0, 1.0),
+        ([(4.0, 5.0), (5.2, 6.0)], 4.0, 2.0),  # a fifth of a second is not enough
+        ([(2.0, 10.0)], 4.0, math.inf),
+        ([(4.0, 9.7)], 4.0, 5.7),  # good until the end
+    ],
+)
+def test_recovery_is_when_tracking_lasts(
+    measuring: Any, bad: list[tuple[float, float]], end_s: float, expected: float
+) -> None:
+    _, estimate = flight()
+    t_s = estimate.t_s
+    ill = [any(a - 1e-6 <= t < b - 1e-6 for a, b in bad) for t in t_s]
+    run = run_of(measuring, estimate, [Health.INERTIAL_ONLY if each else Health.TRACKING for each in ill])
+    assert measuring.recovery_s(run, end_s) == pytest.approx(expected, abs=1e-6)
+
+
+class Still:
+    """A front end that sees the same features for ever."""
+
+    def __init__(self, n: int = 2000) -> None:
+        self.age, self.n = 0, n
+
+    def track(self, frame: CameraFrame, *motion: object) -> Observations:
+        self.age += 1
+        return self.replenish()
+
+    def replenish(self) -> Observations:
+        xy = np.zeros((self.n, 2))
+        return Observations(np.arange(self.n), xy, xy, np.full(self.n, self.age))
+
+    def discard(self, ids: object) -> None:
+        self.n = 0
+
+
+def test_outliers_are_a_fifth_of_the_tracks_and_always_the_same_ones(spoiling: Any) -> None:
+    inner = Still()
+    front_end = spoiling.Outliers(inner)
+    frame = CameraFrame(0, ())
+    seen = [front_end.track(frame) for _ in range(30)]
+    moved = np.array([np.abs(each.xy).max(axis=1) > 0.0 for each in seen])
+    assert moved[5].mean() == pytest.approx(0.2, abs=0.03)
+    assert np.array_equal(moved[5], moved[29])
+    again = front_end.replenish()
+    np.testing.assert_array_equal(again.xy, seen[-1].xy)  # in one frame, a track is in one place
+    steps = np.diff([each.xy[moved[29]] for each in seen[1:]], axis=0)
+    steady = np.allclose(steps[0], steps[1]) or np.isclose(steps[0], steps[1]).all(axis=1)
+    assert 0.3 < np.mean(steady) < 0.7  # half of them drift evenly, the others are thrown about
+    assert np.abs(seen[-1].pixels).max() > 30.0
+    front_end.discard(np.arange(5))
+    assert inner.n == 0 and front_end.age == 30
+    clean = spoiling.Outliers(Still(), share=0.0).track(frame)
+    assert not clean.xy.any()
+
+
+def test_runs_end_in_words(stress: Any, measuring: Any) -> None:
+    good = measuring.Figures(
+        "none-0", "mono", frames=100, duration_s=4.95, path_m=20.0, ate_m=0.02, max_m=0.05, coverage_percent=100.0,
+        longest_gap_s=0.05, step_error_m=0.01, health={"initialising": 10.0, "tracking": 90.0, "lost": 0.0},
+    )  # fmt: skip
+    assert stress.ending(good) == "bounded"
+    assert stress.ending(replace(good, not_finite=1)) == "**NOT FINITE**"
+    assert stress.ending(replace(good, status="timeout")) == "**TIMEOUT**"
+    assert stress.ending(replace(good, step_error_m=2.0)) == "**TELEPORT**"
+    assert stress.ending(replace(good, step_error_m=2.0, longest_gap_s=1.0)) == "bounded"  # it was silent meanwhile
+    assert stress.ending(replace(good, max_m=3.0)) == "**UNBOUNDED**"
+    lost = {"initialising": 10.0, "tracking": 60.0, "lost": 30.0}
+    assert stress.ending(replace(good, max_m=3.0, health=lost)) == "lost, says so"
+    waiting = measuring.Figures("x-0", "mono", "failed", health={"initialising": 100.0})
+    assert stress.ending(waiting) == "never started"
+
+
+def test_there_is_a_trial_for_every_stress(stress: Any) -> None:
+    known = stress.trials()
+    wanted = {"dark-1s", "dark-5s", "drops", "outliers", "offset", "tilt", "noise", "saturated", "low-texture"}
+    assert wanted | {"rotation", "motion", "hover"} <= set(known)
+    assert known["dark-5s"].window_s == (12.0, 17.0)
+    hover = known["hover"]
+    assert hover.window_s[1] - hover.window_s[0] == 60.0 and hover.scenario.plan.tour_s > 60.0
+    rows = [measuring_row(stress, f"{name}-0", mode) for name in known for mode in ("mono", "stereo")]
+    told = stress.summary(rows, list(known)).splitlines()
+    assert len(told) == 2 + len(rows) and len({row.count("|") for row in told}) == 1
+    assert "hover mono: drift in 60 s ∞ mm" in stress.verdicts(rows)
+
+
+def measuring_row(stress: Any, flight: str, mode: str) -> Any:
+    return stress.Figures(flight, mode, "crashed", "killed")
