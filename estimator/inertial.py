@@ -53,6 +53,10 @@ class Increments:
         return R
 
 
+NO_INCREMENTS = Increments(np.zeros(0), np.zeros((0, 3)), np.zeros((0, 3)))
+"""Of no time at all."""
+
+
 class ImuBuffer:
     """Holds the samples that came in, and hands them out up to the time of a frame."""
 
@@ -70,19 +74,32 @@ class ImuBuffer:
         An interval that ``t_ns`` cuts is shared out in proportion. Where the samples end early, the last one is held.
         """
         if self._samples is None or len(self._samples) == 0:
-            return Increments(np.zeros(0), np.zeros((0, 3)), np.zeros((0, 3)))
-        increments = self._samples.increments()
-        start = self._start_ns if self._start_ns is not None else int(self._samples.t_ns[0])
+            return NO_INCREMENTS
+        taken = self._increments(self._samples, t_ns, held=True)
+        self._forget_before(t_ns)
+        return taken
+
+    def ahead(self, span_s: float) -> Increments:
+        """Return the increments of the next ``span_s`` seconds after where the last call ended, as far as known.
+
+        They stay in the buffer.
+        """
+        if self._samples is None or len(self._samples) == 0 or self._start_ns is None:
+            return NO_INCREMENTS
+        return self._increments(self._samples, self._start_ns + round(span_s * 1e9), held=False)
+
+    def _increments(self, samples: ImuSamples, t_ns: int, held: bool) -> Increments:
+        increments = samples.increments()
+        start = self._start_ns if self._start_ns is not None else int(samples.t_ns[0])
         last = min(int(np.searchsorted(increments.t_ns, t_ns, side="left")) + 1, len(increments))
         ends = np.clip(increments.t_ns[:last], start, t_ns)
         gyro, accel = increments.gyro_rad_s[:last], increments.accel_m_s2[:last]
-        if last == len(increments) and (last == 0 or ends[-1] < t_ns):
+        if held and last == len(increments) and (last == 0 or ends[-1] < t_ns):
             ends = np.append(ends, t_ns)
-            gyro = np.vstack([gyro, self._samples.gyro_rad_s[-1:]])
-            accel = np.vstack([accel, self._samples.accel_m_s2[-1:]])
+            gyro = np.vstack([gyro, samples.gyro_rad_s[-1:]])
+            accel = np.vstack([accel, samples.accel_m_s2[-1:]])
         dt_s = np.diff(ends, prepend=start) * 1e-9
         kept = dt_s > 0.0
-        self._forget_before(t_ns)
         return Increments(dt_s[kept], gyro[kept], accel[kept])
 
     def _forget_before(self, t_ns: int) -> None:

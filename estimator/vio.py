@@ -22,6 +22,7 @@ from dronevio.estimator.smoother import KeyframeSmoother, SmootherConfig
 from dronevio.estimator.start import NotObservable
 from dronevio.estimator.start_in_motion import Sighting
 from dronevio.estimator.stillness import StillnessConfig, StillnessDetector
+from dronevio.estimator.timing import FrameTimes
 from dronevio.models.errors import ConfigError
 from dronevio.models.imu import ImuSamples
 from dronevio.models.rig import Rig
@@ -66,18 +67,12 @@ class VisualInertialOdometry:
             rig: The calibration.
             config: Settings.
             front_end: Where feature observations come from; by default the images.
-
-        Raises:
-            ConfigError: The rig has a time offset between camera and IMU, which is not supported.
         """
-        if rig.time_offset_s != 0.0:
-            raise ConfigError(
-                f"a rig with a time offset of {rig.time_offset_s:g} s; expected stamps on one clock, offset 0"
-            )
         self._rig, self._config = rig, config or VioConfig()
         c, camera = self._config, rig.cameras[0]
         self._params = preintegration_params(rig.imu, c.inertial)
         self._buffer = ImuBuffer()
+        self._times = FrameTimes(rig)
         self._front_end = front_end or RigTracker(rig, c.tracker)
         self._stillness = StillnessDetector(c.stillness)
         self._keyframes = KeyframePolicy(c.keyframe)
@@ -99,17 +94,23 @@ class VisualInertialOdometry:
         if self._last_frame_ns is not None and frame.t_ns <= self._last_frame_ns:
             raise ConfigError(f"frame at {frame.t_ns} ns after one at {self._last_frame_ns} ns; expected a later one")
         self._last_frame_ns = frame.t_ns
-        increments = self._buffer.take_until(frame.t_ns)
-        observations = self._front_end.track(frame, *self._camera_rotation(increments))
-        self._stillness.update(frame.t_ns, observations, increments)
+        t_ns = self._times.imu_time_ns(frame.t_ns)
+        increments = self._buffer.take_until(t_ns)
+        gyro_bias, bias_sigma = self._gyro_bias
+        self._times.begin(increments, self._buffer.ahead(self._times.reach_s), gyro_bias)
+        rotation, rotation_sigma = self._camera_rotation(increments, gyro_bias), bias_sigma * increments.dt_s.sum()
+        observations = self._times.moved(self._front_end.track(frame, rotation, float(rotation_sigma)))
+        self._stillness.update(t_ns, observations, increments)
         if self._smoother is None:
-            return self._start(Sighting(frame.t_ns, increments, observations))
-        return self._go_on(self._smoother, frame.t_ns, increments, observations)
+            estimate = self._start(Sighting(t_ns, increments, observations))
+        else:
+            estimate = self._go_on(self._smoother, t_ns, increments, observations)
+        return self._times.stamped(estimate, frame.t_ns)
 
     def _start(self, sighting: Sighting) -> Estimate:
         """Start if that is possible by now; look for features if there are few."""
         if len(sighting.observations) < MIN_FEATURES_AT_START:
-            self._front_end.replenish()
+            self._times.moved(self._front_end.replenish())
         started = self._initialiser.add(sighting, self._stillness.still_for_s)
         if isinstance(started, NotObservable):
             tracks = _feature_tracks(sighting.observations)
@@ -126,7 +127,7 @@ class VisualInertialOdometry:
         elapsed_s, still_for_s = self._propagation.elapsed_s, self._stillness.still_for_s
         if not self._keyframes.is_due(elapsed_s, still_for_s, observations):
             return self._estimate(self._propagation.state_at(t_ns), observations)
-        observations = self._front_end.replenish()
+        observations = self._times.moved(self._front_end.replenish())
         still = self._keyframes.is_still(elapsed_s, still_for_s)
         result = smoother.add_keyframe(t_ns, self._propagation.preintegrated, observations, still)
         self._front_end.discard(result.rejected)
@@ -142,15 +143,17 @@ class VisualInertialOdometry:
         self._propagation = Propagation(self._params, self._rig.imu, smoother.state, smoother.gtsam_state)
         self._keyframes.begin(observations)
 
-    def _camera_rotation(self, increments: Increments) -> tuple[Array, float]:
-        """Return R_cur_prev (3, 3) of the camera over some increments, and how far it may be off [rad]."""
+    @property
+    def _gyro_bias(self) -> tuple[Array, float]:
+        """What is known of the gyroscope's bias (3,), and how well [rad/s]."""
         if self._smoother is None:
-            bias, bias_sigma = self._initialiser.gyro_bias_rad_s, self._initialiser.gyro_bias_sigma_rad_s
-        else:
-            bias, bias_sigma = self._smoother.state.gyro_bias_rad_s, 0.0
+            return self._initialiser.gyro_bias_rad_s, self._initialiser.gyro_bias_sigma_rad_s
+        return self._smoother.state.gyro_bias_rad_s, 0.0
+
+    def _camera_rotation(self, increments: Increments, gyro_bias: Array) -> Array:
+        """Return R_cur_prev (3, 3) of the camera over some increments."""
         R_imu_cam = self._rig.cameras[0].T_imu_cam[:3, :3]
-        R_cur_prev = np.asarray(R_imu_cam.T @ increments.rotation(bias).T @ R_imu_cam)
-        return R_cur_prev, bias_sigma * float(increments.dt_s.sum())
+        return np.asarray(R_imu_cam.T @ increments.rotation(gyro_bias).T @ R_imu_cam)
 
     def _estimate(
         self,

@@ -51,7 +51,7 @@ class Estimator(Protocol):
         """Take the IMU samples since the last call."""
 
     def add_frame(self, frame: CameraFrame) -> Estimate:
-        """Take a frame, when the IMU up to its time has been added, and say where the IMU is."""
+        """Take a frame, when the IMU up to the end of its exposure has been added, and say where the IMU is."""
 
 
 class Plant(Protocol):
@@ -71,11 +71,13 @@ class Controller(Protocol):
 def measurements(recording: Recording) -> Iterator[ImuSamples | CameraFrame]:
     """Yield a recording's measurements as a live system would get them.
 
-    Each frame comes right after the IMU samples up to its time stamp and the first one beyond, so that the motion up to
-    the frame can be interpolated. That is a wait of at most one IMU interval (5 ms at 200 Hz).
+    Each frame comes right after the IMU samples up to the exposure of its last row, on the IMU's clock, and the first
+    one beyond, so that the motion up to there can be interpolated. That is a wait of at most one IMU interval (5 ms at
+    200 Hz).
     """
-    imu, start = recording.imu, 0
-    for index, t_ns in enumerate(recording.frame_times_ns):
+    imu, start, rig = recording.imu, 0, recording.rig
+    late_s = max(rig.time_offset_s + 0.5 * max((camera.readout_s for camera in rig.cameras), default=0.0), 0.0)
+    for index, t_ns in enumerate(recording.frame_times_ns + round(late_s * 1e9)):
         end = min(int(np.searchsorted(imu.t_ns, t_ns, side="left")) + 1, len(imu))
         if end > start:
             yield imu[start:end]

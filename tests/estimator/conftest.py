@@ -109,13 +109,13 @@ class SyntheticFrontEnd:
     def track(self, frame: CameraFrame, R_cur_prev: Array, rotation_sigma_rad: float = 0.0) -> Observations:
         assert np.allclose(R_cur_prev @ R_cur_prev.T, np.eye(3), atol=1e-9)
         flight = self._flight
-        T_world_cam = flight.Ts_world_cam(np.array([frame.t_ns]))[0]
+        middle_ns = frame.t_ns + round(flight.rig.time_offset_s * 1e9)
+        T_world_cam = flight.Ts_world_cam(np.array([middle_ns]))[0]
         if self._R_world_cam is not None:
             error = log_so3(R_cur_prev.T @ T_world_cam[:3, :3].T @ self._R_world_cam)
             self.prediction_errors_rad.append(float(np.linalg.norm(error)))
         self._R_world_cam = T_world_cam[:3, :3]
-        T_cam_world = inverse_pose(T_world_cam)
-        p = flight.landmarks_at(frame.t_ns) @ T_cam_world[:3, :3].T + T_cam_world[:3, 3]
+        p = self._exposed(middle_ns)
         pixels = self._model.project(p) + flight.pixel_noise * self._rng.normal(size=(len(p), 2))
         with np.errstate(divide="ignore", invalid="ignore"):
             near_axis = np.linalg.norm(p[:, :2] / p[:, 2:], axis=1) < 1.1  # the lens model folds back further out
@@ -125,6 +125,17 @@ class SyntheticFrontEnd:
         self._ids[~self._visible] = -1
         self._ages = np.where(self._ids >= 0, self._ages + 1, 0)
         return self._observations()
+
+    def _exposed(self, middle_ns: int) -> Array:
+        """Return the landmarks (L, 3) in the camera as its shutter sees them, each row at its own time."""
+        flight, readout_s = self._flight, self._flight.rig.cameras[0].readout_s
+        late_ns, places = np.zeros(len(flight.landmarks), np.int64), flight.landmarks_at(middle_ns)
+        for _ in range(5 if readout_s else 1):
+            T_cam_world = inverse_pose(flight.Ts_world_cam(middle_ns + late_ns))
+            p = np.einsum("nij,nj->ni", T_cam_world[:, :3, :3], places) + T_cam_world[:, :3, 3]
+            row = np.nan_to_num(self._model.project(p)[:, 1]).clip(0.0, self._model.height - 1.0)
+            late_ns = np.rint((row / (self._model.height - 1) - 0.5) * readout_s * 1e9).astype(np.int64)
+        return p
 
     def replenish(self) -> Observations:
         free = np.flatnonzero(self._visible & (self._ids < 0))

@@ -12,7 +12,6 @@ from dronevio.eval.metrics.consistency import consistency, nees
 from dronevio.models.errors import ConfigError
 from dronevio.models.imu import ImuSamples
 from dronevio.models.protocols import Estimator, measurements
-from dronevio.models.rig import euroc_rig
 from dronevio.models.rotation import exp_so3
 from dronevio.models.state import Estimate, Health, Trajectory
 
@@ -311,9 +310,25 @@ def test_events_tell_the_start_and_the_keyframes(flown: Callable) -> None:
     assert all(len(e.tracks.ids) == len(e.tracks.pixels) == len(e.tracks.ages) for e in estimates)
 
 
-def test_refuses_a_time_offset_that_it_would_ignore() -> None:
-    with pytest.raises(ConfigError, match="time offset"):
-        VisualInertialOdometry(replace(euroc_rig(), time_offset_s=0.005))
+@pytest.mark.parametrize("offset_s", [0.012, -0.03])
+def test_a_known_time_offset_costs_nothing(make_flight: Callable, offset_s: float) -> None:
+    """Frames are taken so much later than stamped; states are those at the stamps by the IMU's clock."""
+    flight = make_flight(0, rest_s=REST, duration_s=8.0)
+    late = replace(flight, rig=replace(flight.rig, time_offset_s=offset_s))
+    estimates = late.run()
+    assert [e.t_ns for e in estimates] == flight.frame_times_ns.tolist()
+    found = poses(estimates)
+    assert ate_m(flight, found) < 0.02
+    truth = flight.truth_at(found.t_ns)
+    in_imu = [np.einsum("nji,nj->ni", t.rotations, t.velocity_m_s) for t in (found, truth)]
+    assert np.linalg.norm(in_imu[0] - in_imu[1], axis=1)[-60:].max() < 0.05
+
+
+def test_a_rolling_shutter_costs_little(make_flight: Callable) -> None:
+    flight = make_flight(0, rest_s=REST, duration_s=8.0)
+    camera = replace(flight.rig.cameras[0], readout_s=0.03)
+    rolling = replace(flight, rig=replace(flight.rig, cameras=(camera,)))
+    assert ate_m(flight, poses(rolling.run())) < 0.02
 
 
 def test_refuses_a_frame_that_is_not_later(make_flight: Callable) -> None:
