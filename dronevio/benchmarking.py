@@ -88,18 +88,29 @@ class Workbench:
             raise ConfigError(f"what runs here is {differing}, as where and when the benchmark was started")
 
 
-def scenario_flights(names: Iterable[str], seeds: Sequence[int]) -> tuple[Flight, ...]:
+def scenario_flights(names: Iterable[str], seeds: Sequence[int], rig: str | None = None) -> tuple[Flight, ...]:
     """Return the flights of some scenarios, every seed of each; a suite's name stands for its scenarios.
 
     The first seed of all comes first, then the second: whoever looks early sees something of everything.
 
+    Args:
+        names: Of scenarios and suites.
+        seeds: Of the flights.
+        rig: Other sensors than the scenarios': a name, or a file that says it; `flying.rig_of` tells more.
+
     Raises:
-        ConfigError: There is no such scenario or suite.
+        ConfigError: There is no such scenario, suite or rig.
+        InputError: The rig's file cannot be read.
     """
     from dronevio.sim.scenarios import SUITES, scenario
 
     found = {name: scenario(name) for given in names for name in SUITES.get(given, (given,))}
     unique = {flown.name: flown for flown in found.values()}
+    if rig is not None:
+        from dronevio.flying import rig_of
+
+        chosen = rig_of(rig)
+        unique = {name: replace(flown, rig=chosen) for name, flown in unique.items()}
     return tuple(_flight(replace(flown, seed=seed)) for seed in seeds for flown in unique.values())
 
 

@@ -1,4 +1,4 @@
-"""Estimators by name: ours, a baseline, and any program that reads an EuRoC folder and writes a TUM file."""
+"""Estimators by name: ours, baselines, and any program that reads an EuRoC folder and writes a TUM file."""
 
 import re
 import resource
@@ -34,8 +34,8 @@ class EstimatorKind:
     """Returns its configuration."""
     make: Callable[[Rig], Estimator]
     """Makes one for a rig."""
-    cameras: int = 1
-    """How many cameras it uses."""
+    cameras: int | None = 1
+    """How many cameras it uses; None for all that the recording has, two at least."""
 
 
 def _vio_settings() -> object:
@@ -48,6 +48,18 @@ def _vio(rig: Rig) -> Estimator:
     from dronevio.estimator.vio import VisualInertialOdometry
 
     return VisualInertialOdometry(rig)
+
+
+def _equivariant_settings() -> object:
+    from dronevio.estimator.equivariant import EquivariantConfig
+
+    return EquivariantConfig()
+
+
+def _equivariant(rig: Rig) -> Estimator:
+    from dronevio.estimator.equivariant import EquivariantOdometry
+
+    return EquivariantOdometry(rig)
 
 
 def _dead_reckoning_settings() -> object:
@@ -64,6 +76,8 @@ def _dead_reckoning(rig: Rig) -> Estimator:
 
 ESTIMATORS: dict[str, EstimatorKind] = {
     "vio": EstimatorKind("ours: one camera and the IMU, a fixed-lag smoother", _vio_settings, _vio),
+    "vio-stereo": EstimatorKind("ours: all cameras and the IMU", _vio_settings, _vio, cameras=None),
+    "eqvio": EstimatorKind("GTSAM's equivariant filter behind our front end", _equivariant_settings, _equivariant),
     "dead-reckoning": EstimatorKind("the IMU alone, from a rest", _dead_reckoning_settings, _dead_reckoning),
 }
 """The estimators that come with the house."""
@@ -107,6 +121,7 @@ class NamedEstimator:
         Raises:
             InputError: The recording cannot be read, or what a program wrote.
             EvaluationError: There is not one pose.
+            ConfigError: It has too few cameras for the estimator.
             CrashError: A program was killed.
         """
         if self.name.startswith(EXTERNAL):
@@ -116,6 +131,8 @@ class NamedEstimator:
 
         kind = ESTIMATORS[self.name]
         recording = open_recording(path, kind.cameras)
+        if kind.cameras is None and len(recording.rig.cameras) < 2:
+            raise ConfigError(f"{path}: one camera; expected two at least for {self.name}")
         run = estimate_recording(recording, kind.make(recording.rig))
         return Estimated(
             require_poses(run, recording),

@@ -30,12 +30,14 @@ class BenchmarkCommand:
     and kept for all estimators and later benchmarks. A run that crashes or times out is a row that says so. Whatever
     stops the benchmark, the same command goes on where it was: only what is missing, or has changed, is done.
 
-    An estimator is vio, dead-reckoning, or any program that reads an EuRoC folder and writes a TUM file: give it as
+    An estimator is vio (one camera), vio-stereo (all cameras, two at least), eqvio (GTSAM's equivariant filter on our
+    features), dead-reckoning (no camera), or any program that reads an EuRoC folder and writes a TUM file: give it as
     LABEL=external:COMMAND, with {recording} and {output} in the command. It is shown no ground truth.
 
     Examples:
       dronevio benchmark --suite room --estimators vio,dead-reckoning --seeds 10
       dronevio benchmark --scenarios hover short --seeds 3 --out benchmarks/quick
+      dronevio benchmark --suite hall --rig euroc-stereo --estimators vio,vio-stereo,eqvio,dead-reckoning
       dronevio benchmark --recordings V1_01_easy V1_02_medium --out benchmarks/euroc
       dronevio benchmark --suite easy --estimators vio 'mine=external:./mine --in {recording} --out {output}'
       dronevio benchmark --suite room --seeds 1000 --engine ray --address auto
@@ -46,6 +48,8 @@ class BenchmarkCommand:
     """Scenarios that belong together: a world such as room, or a level such as easy."""
     scenarios: tuple[str, ...] = ()
     """Scenarios by name; `dronevio scenarios` lists them."""
+    rig: str | None = None
+    """Other sensors for scenarios: a name such as euroc-stereo or fisheye, a Kalibr camchain.yaml, or a recording."""
     recordings: tuple[Path, ...] = ()
     """Recordings from elsewhere: EuRoC folders or bags, with ground truth."""
     estimators: tuple[str, ...] = ("vio",)
@@ -148,7 +152,9 @@ def _planned(command: BenchmarkCommand) -> "Benchmark":
     if not labels or len(set(labels)) < len(labels):
         raise ConfigError(f"estimators {', '.join(labels) or 'none'}; expected one at least, and no name twice")
     seeds = range(command.first_seed, command.first_seed + command.seeds)
-    flights = scenario_flights(names, seeds) + recorded_flights(command.recordings)
+    if command.rig is not None and not names:
+        raise ConfigError(f"--rig {command.rig} without scenarios; recordings have theirs")
+    flights = scenario_flights(names, seeds, command.rig) + recorded_flights(command.recordings)
     if not flights:
         raise ConfigError("nothing to fly; expected --suite, --scenarios or --recordings")
     return Benchmark(

@@ -3,27 +3,35 @@
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated, Literal, TypeAlias
 
 import tyro
 
 from dronevio.cli.terminal import parse, print_json, print_table, progress_bars
 from dronevio.estimator.vio import VioConfig
+from dronevio.models.errors import ConfigError
 from dronevio.models.recordings.bag_options import BagTopics
+
+if TYPE_CHECKING:
+    from dronevio.models.recordings.open import StoredRecording
+
+CameraCount: TypeAlias = int | Literal["all"]
+"""How many cameras to use."""
 
 
 @dataclass(frozen=True)
 class EstimateCommand:
-    """Estimate the motion of a recording from its IMU and first camera.
+    """Estimate the motion of a recording from its IMU and its cameras, all of them or the first.
 
-    The recording is any EuRoC (ASL) folder with a pinhole camera, with or without radial-tangential distortion, or such
-    a flight as a ROS 2 bag (.mcap, .db3, or a folder). A bag that does not say how noisy its IMU is, or where its
-    camera is, needs Kalibr's files. The result is a TUM file: one pose of the IMU for each frame since the start, in a
-    world whose z axis points up, each computed from what was measured up to its frame.
+    The recording is any EuRoC (ASL) folder with pinhole or fisheye cameras, or such a flight as a ROS 2 bag (.mcap,
+    .db3, or a folder). A bag that does not say how noisy its IMU is, or where its cameras are, needs Kalibr's files.
+    The result is a TUM file: one pose of the IMU for each frame since the start, in a world whose z axis points up,
+    each computed from what was measured up to its frame.
 
     Examples:
       dronevio estimate recordings/room-0
       dronevio estimate V1_01_easy --out v101.tum
+      dronevio estimate V1_01_easy --cameras 1
       dronevio estimate flight.mcap --calibration camchain.yaml imu.yaml --topics.images /left/image_raw
       dronevio estimate V1_01_easy --estimator.tracker.cell-px 36
       dronevio evaluate V1_01_easy v101.tum
@@ -33,6 +41,8 @@ class EstimateCommand:
     """EuRoC folder, or ROS 2 bag."""
     out: Path = Path("estimate.tum")
     """File to write."""
+    cameras: CameraCount = "all"
+    """How many of the recording's cameras to use: the first, the first two, or all. With 1 it is monocular."""
     json: bool = False
     """Print one JSON document instead of a table."""
     calibration: tuple[Path, ...] = ()
@@ -43,6 +53,27 @@ class EstimateCommand:
     """Settings of the estimator."""
 
 
+def opened(
+    path: Path, cameras: CameraCount, calibration: Sequence[Path] = (), topics: BagTopics | None = None
+) -> "StoredRecording":
+    """Return a recording with so many of its cameras.
+
+    Raises:
+        InputError: It cannot be read.
+        ConfigError: It has not so many.
+    """
+    from dronevio.models.recordings.open import open_recording
+
+    wanted = None if cameras == "all" else cameras
+    if wanted is not None and wanted < 1:
+        raise ConfigError(f"--cameras {cameras}; expected one at least, or all")
+    recording = open_recording(path, wanted, calibration, topics)
+    found = len(recording.rig.cameras)
+    if wanted is not None and found < wanted:
+        raise ConfigError(f"--cameras {cameras}: {path} has {found}; expected no more, or all")
+    return recording
+
+
 def main(arguments: Sequence[str]) -> int:
     """Run the command."""
     command = parse(EstimateCommand, arguments, "estimate")
@@ -50,11 +81,10 @@ def main(arguments: Sequence[str]) -> int:
     from dronevio.estimation import estimate_recording, require_poses
     from dronevio.estimator.vio import VisualInertialOdometry
     from dronevio.models.recordings.files import check_place
-    from dronevio.models.recordings.open import open_recording
     from dronevio.models.recordings.tum import write_tum
 
     check_place(command.out)  # rather now than when the work is done
-    recording = open_recording(command.recording, 1, command.calibration, command.topics)
+    recording = opened(command.recording, command.cameras, command.calibration, command.topics)
     with progress_bars(quiet=command.json) as bars:
         run = estimate_recording(
             recording, VisualInertialOdometry(recording.rig, command.estimator), bars.bar("estimating")
@@ -65,6 +95,7 @@ def main(arguments: Sequence[str]) -> int:
         "recording": str(command.recording),
         "estimate": str(command.out),
         "complete": recording.complete,
+        "cameras": len(recording.rig.cameras),
         "frames": len(run.estimates),
         "poses": len(trajectory),
         "first_pose_s": float((trajectory.t_ns[0] - run.t_ns[0]) * 1e-9),
@@ -79,6 +110,7 @@ def main(arguments: Sequence[str]) -> int:
         f"Estimate of {recording.name}",
         ("", "value", "unit"),
         (
+            ("cameras", f"{len(recording.rig.cameras)}", ""),
             ("frames", f"{len(run.estimates)}", ""),
             ("poses", f"{len(trajectory)}", ""),
             ("first pose after", f"{summary['first_pose_s']:.2f}", "s"),

@@ -9,16 +9,17 @@ EuRoC micro aerial vehicle datasets", IJRR 2016.
 
 import csv
 import time
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from pathlib import Path
 
 import gtsam
 import numpy as np
 import numpy.typing as npt
-from gtsam_unstable import eqvio
 
 from dronevio.estimator.epipolar import epipolar_inliers
+from dronevio.estimator.equivariant import EquivariantFilter, FilterSettings
 from dronevio.estimator.frontend import Observations, TrackerConfig
+from dronevio.estimator.inertial import Increments
 from dronevio.models.errors import ConfigError, InputError
 from dronevio.models.imu import ImuSamples, Times
 from dronevio.models.progress import Progress, silent
@@ -28,26 +29,6 @@ from dronevio.models.state import CameraFrame, Trajectory
 
 Array = npt.NDArray[np.float64]
 
-_PARAMS = {
-    "initialPointDepth": "initial_point_depth",
-    "initialPointVariance": "initial_point_variance",
-    "outlierThresholdAbs": "outlier_threshold_abs_norm",
-    "featureRetention": "feature_retention",
-    "biasOmegaProcessVariance": "process_var_bias_omega",
-    "biasAccelProcessVariance": "process_var_bias_accel",
-    "attitudeProcessVariance": "process_var_attitude",
-    "positionProcessVariance": "process_var_position",
-    "velocityProcessVariance": "process_var_velocity",
-    "cameraAttitudeProcessVariance": "process_var_cam_attitude",
-    "cameraPositionProcessVariance": "process_var_cam_position",
-    "pointProcessVariance": "process_var_point",
-}  # the filter's attributes, and what the data call them
-_INPUTS = tuple(f"input_var_{key}" for key in ("gyr", "acc", "gyr_bias_walk", "acc_bias_walk"))
-_BLOCKS = tuple(
-    f"initial_var_{key}"
-    for key in ("bias_omega", "bias_accel", "attitude", "position", "velocity", "cam_attitude", "cam_position")
-)
-_MEASUREMENT_NOISE = "measurement_noise_variance_norm"
 _MOUNTING = tuple(f"T_ci_{key}" for key in ("qw", "qx", "qy", "qz", "tx", "ty", "tz"))
 
 
@@ -65,7 +46,7 @@ class FeatureRecording:
     """(M,) Time stamps of the frames [ns]."""
     features: tuple[tuple[npt.NDArray[np.int64], Array], ...]
     """For each frame, identities (N,) in increasing order and normalised coordinates (N, 2)."""
-    settings: dict[str, float]
+    settings: FilterSettings
     """The filter's settings that come with the data."""
     ground_truth: Trajectory | None = None
     """Not in the data."""
@@ -104,8 +85,8 @@ def read_flight(path: Path | None = None) -> FeatureRecording:
         raise InputError(path, f"cannot be read ({error})", "a table of IMU samples and image features") from None
     if not imu or not frames:
         raise InputError(path, f"{len(imu)} IMU samples and {len(frames)} frames", "some of both")
-    filter_settings = (*_PARAMS.values(), *_INPUTS, *_BLOCKS, _MEASUREMENT_NOISE)
-    missing = [key for key in (*_MOUNTING, *(f"eqf.{key}" for key in filter_settings)) if key not in settings]
+    names = tuple(field.name for field in fields(FilterSettings))
+    missing = [key for key in (*_MOUNTING, *(f"eqf.{name}" for name in names)) if key not in settings]
     if missing:
         raise InputError(path, f"no setting {missing[0]}", "the camera's pose and the filter's settings")
     measured = np.array([rates for _, rates in imu])
@@ -118,7 +99,8 @@ def read_flight(path: Path | None = None) -> FeatureRecording:
     mounting = np.array([settings[key] for key in _MOUNTING])
     T_imu_cam = pose_matrix(matrix_from_quat_wxyz(mounting[:4]), mounting[4:])
     rig = Rig((RigCamera(EUROC_CAM0, T_imu_cam),))
-    return FeatureRecording("V1_01, real IMU and features", rig, samples, times, features, settings)
+    filter_settings = FilterSettings(**{name: settings[f"eqf.{name}"] for name in names})
+    return FeatureRecording("V1_01, real IMU and features", rig, samples, times, features, filter_settings)
 
 
 class ReplayedFeatures:
@@ -173,48 +155,25 @@ class FilteredPath:
 
 def run_eqvio(flight: FeatureRecording, progress: Progress = silent) -> FilteredPath:
     """Run GTSAM's equivariant filter over a flight, with the settings that come with it."""
-    vio = _new_filter(flight)
-    camera = gtsam.PinholeCameraCal3_S2(gtsam.Pose3(), gtsam.Cal3_S2())  # the features are normalised
-    noise_variance = flight.settings[f"eqf.{_MEASUREMENT_NOISE}"]
     imu, done = flight.imu, 0
+    vio = EquivariantFilter(flight.rig.cameras[0].T_imu_cam, flight.settings, imu.accel_m_s2[0])
     positions, cpu_ms = [], []
     for t_ns, (ids, xy) in zip(flight.frame_times_ns.tolist(), flight.features, strict=True):
         started = time.process_time()
-        while done + 1 < len(imu) and imu.t_ns[done] < t_ns:
-            sample = _imu_input(imu, done)
-            vio.predict(sample, float(imu.t_ns[done + 1] - imu.t_ns[done]) * 1e-9)
-            done += 1
-        vio.update(dict(zip(ids.tolist(), xy, strict=True)), camera, noise_variance * np.eye(2 * len(ids)))
-        positions.append(vio.position())
+        until = min(int(np.searchsorted(imu.t_ns, t_ns)), len(imu) - 1)
+        vio.predict(_held(imu, done, until))
+        vio.update(ids, xy)
+        done = until
+        positions.append(vio.position_m)
         cpu_ms.append((time.process_time() - started) * 1e3)
         progress(len(positions), len(flight.features))
     return FilteredPath(flight.frame_times_ns, np.array(positions), np.array(cpu_ms))
 
 
-def _new_filter(flight: FeatureRecording) -> eqvio.EqVIOFilter:
-    """Return the filter, level with the first IMU sample, with the settings that come with the data.
-
-    Its error state holds, three numbers each: gyroscope bias, accelerometer bias, attitude, position, velocity, and the
-    camera's attitude and position.
-    """
-    s = {key.removeprefix("eqf."): value for key, value in flight.settings.items()}
-    params = eqvio.EqVIOFilterParams()
-    for attribute, key in _PARAMS.items():
-        setattr(params, attribute, s[key])
-    params.inputNoise = np.diag(np.repeat([s[key] for key in _INPUTS], 3))
-    state = eqvio.State()
-    state.cameraOffset = gtsam.Pose3(flight.rig.cameras[0].T_imu_cam)
-    sigma = np.diag(np.repeat([s[key] for key in _BLOCKS], 3))
-    vio = eqvio.EqVIOFilter(state, sigma, [], params)
-    vio.initializeFromIMU(_imu_input(flight.imu, 0))
-    return vio
-
-
-def _imu_input(imu: ImuSamples, row: int) -> eqvio.IMUInput:
-    sample = eqvio.IMUInput()
-    sample.stamp = float(imu.t_ns[row] - imu.t_ns[0]) * 1e-9
-    sample.gyr, sample.acc = imu.gyro_rad_s[row], imu.accel_m_s2[row]
-    return sample
+def _held(imu: ImuSamples, start: int, end: int) -> Increments:
+    """Return what samples say that are held until the next, as the filter was tuned with."""
+    dt_s = np.diff(imu.t_ns[start : end + 1]) * 1e-9
+    return Increments(dt_s, imu.gyro_rad_s[start:end], imu.accel_m_s2[start:end])
 
 
 def _nanoseconds(seconds: str) -> int:
