@@ -4,6 +4,7 @@ A recording that begins and ends at rest on the same pad is flown again and agai
 are those of the recording, the biases of the IMU walk on from one lap to the next. How well the pads meet is printed.
 Reading images is not timed; whoever measures keeps the machine quiet, or takes the figures as upper bounds::
 
+    dronevio fly --scenario room-medium --plan.heading fixed --plan.tour-s 26 --rig euroc-stereo --out FOLDER
     python scripts/cost.py --recording FOLDER --minutes 10
     python scripts/cost.py --recording FOLDER --minutes 1 --profile     # also says what the time is spent on
 """
@@ -41,7 +42,7 @@ class Cost:
     modes: tuple[Mode, ...] = ("mono", "stereo")
     """How many cameras to use."""
     profile: bool = False
-    """Look what the time is spent on, a thousand times a second of processor time."""
+    """Look what the time is spent on, a thousand times a second."""
     json: Path | None = None
     """File for all figures, frame by frame."""
 

@@ -24,7 +24,7 @@ from dronevio.models.rotation import log_so3
 from dronevio.models.state import CameraFrame, Trajectory
 
 TICK_S = 0.001
-"""Processor time between two looks of the profiler."""
+"""Time between two looks of the profiler."""
 STAGES: tuple[tuple[str, str, str], ...] = (
     ("stereo matching", "stereo.py", ""),
     ("stereo matching", "overlap.py", ""),
@@ -133,9 +133,10 @@ class Profile:
 
     @contextmanager
     def looking(self) -> Iterator[None]:
-        """Look about every `TICK_S` of processor time.
+        """Look about every `TICK_S`, and ask how much processor time has passed.
 
-        Python hears of the timer when a call into C returns: then all the time since the last look is that call's.
+        Python hears of the timer when a call into C returns: then all the time since the last look is that call's. The
+        timer is the wall's, as those of processor time tick every few milliseconds only.
         """
         last_s = time.process_time()
 
@@ -145,15 +146,15 @@ class Profile:
             if frame is not None:
                 self.stages[stage_of(frame)] += now_s - last_s  # type: ignore[assignment]
                 self.functions[_name(frame)] += now_s - last_s  # type: ignore[assignment]
-            last_s = now_s
+            last_s = time.process_time()  # looking is not counted
 
-        before = signal.signal(signal.SIGPROF, look)
-        signal.setitimer(signal.ITIMER_PROF, TICK_S, TICK_S)
+        before = signal.signal(signal.SIGALRM, look)
+        signal.setitimer(signal.ITIMER_REAL, TICK_S, TICK_S)
         try:
             yield
         finally:
-            signal.setitimer(signal.ITIMER_PROF, 0.0)
-            signal.signal(signal.SIGPROF, before)
+            signal.setitimer(signal.ITIMER_REAL, 0.0)
+            signal.signal(signal.SIGALRM, before)
 
 
 def stage_of(frame: FrameType) -> str:
@@ -171,7 +172,7 @@ def stage_of(frame: FrameType) -> str:
 
 def _lines(frame: FrameType) -> str:
     """Return the source of the line that runs, and the two around it: calls are written over several."""
-    file, number = frame.f_code.co_filename, frame.f_lineno
+    file, number = frame.f_code.co_filename, frame.f_lineno or frame.f_code.co_firstlineno  # None between two lines
     return "".join(linecache.getline(file, each) for each in range(max(number - 1, 1), number + 2))
 
 

@@ -371,7 +371,7 @@ def test_the_profiler_sees_what_runs(long_flight: Any, tmp_path: Path) -> None:
     with profile.looking():
         space["busy"](np.random.default_rng(0).integers(0, 255, (480, 752)).astype(np.uint8), 30)
     spent_s = time.process_time() - start_s
-    assert sum(profile.stages.values()) == pytest.approx(spent_s, rel=0.1)
+    assert 0.5 * spent_s < sum(profile.stages.values()) < 1.01 * spent_s
     assert set(profile.stages) <= {"corner detection", "Python and the rest", "reading, not counted"}
     assert profile.stages["corner detection"] > 0.1 * spent_s
     assert profile.stages["Python and the rest"] > 0.1 * spent_s
