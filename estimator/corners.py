@@ -1,8 +1,9 @@
 """New corners: the best of each cell of a grid that holds no feature yet (Shi and Tomasi, "Good features to track",
 CVPR 1994), so that features are spread over the image.
 
-They are looked for in the image at half its size, which costs a quarter and does not see noise or stairs of single
-pixels. Where exactly a corner is does not matter: it is the patch around it that is followed.
+They are looked for in the image at half its size, which costs a quarter, and moved to the best place nearby in the
+whole image. That is a whole pixel, where a patch can be cut out without interpolation; where between pixels the
+corner is does not matter, since it is the patch around it that is followed.
 """
 
 from dataclasses import dataclass
@@ -10,12 +11,14 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 import numpy.typing as npt
+from numpy.lib.stride_tricks import sliding_window_view
 
 Array = npt.NDArray[np.float64]
 Image = npt.NDArray[np.uint8]
 
 HALF = 2  # full pixels for one that is looked at
-BLOCK = 3  # over which gradients are summed, in pixels of half the size
+BLOCK_AT_HALF, BLOCK = 3, 5  # side of the square over which gradients are summed [px], at half and at full size
+REACH = 3  # how far a corner may be from where it is at half the size [px]
 
 
 @dataclass(frozen=True)
@@ -41,8 +44,8 @@ def new_corners(image: Image, taken: Array, border_px: int, config: CornerConfig
     """
     side = config.cell_px // HALF
     half = cv2.resize(image, None, fx=1.0 / HALF, fy=1.0 / HALF, interpolation=cv2.INTER_AREA)
-    score = np.asarray(cv2.cornerMinEigenVal(half, blockSize=BLOCK, ksize=3), np.float32)
-    edge = -(-border_px // HALF)
+    score = np.asarray(cv2.cornerMinEigenVal(half, blockSize=BLOCK_AT_HALF, ksize=3), np.float32)
+    edge = -(-(border_px + REACH) // HALF)
     score[:edge] = score[-edge:] = 0.0
     score[:, :edge] = score[:, -edge:] = 0.0
     _clear_around(score, taken / HALF, config.spacing_px / HALF)
@@ -59,7 +62,24 @@ def new_corners(image: Image, taken: Array, border_px: int, config: CornerConfig
     row, column = np.divmod(np.flatnonzero(strong & free.ravel()), columns)
     best = best[strong & free.ravel()]
     at_half = np.stack([left + column * side + best % side, top + row * side + best // side], axis=1)
-    return np.asarray(HALF * at_half + 0.5 * (HALF - 1))
+    low = HALF * np.stack([left + column * side, top + row * side], axis=1)
+    return np.clip(_best_nearby(image, HALF * at_half), low, low + HALF * side - 1)  # each stays in its cell
+
+
+def _best_nearby(image: Image, corners: npt.NDArray[np.int64]) -> Array:
+    """Return the best places (N, 2) near to some corners (N, 2) of an image [px]."""
+    span = np.arange(-REACH - BLOCK // 2 - 1, REACH + BLOCK // 2 + 2)
+    rows = np.clip(corners[:, 1, None] + span, 0, image.shape[0] - 1)
+    columns = np.clip(corners[:, 0, None] + span, 0, image.shape[1] - 1)
+    around = image[rows[:, :, None], columns[:, None, :]].astype(np.float32)
+    x = around[:, 1:-1, 2:] - around[:, 1:-1, :-2]
+    y = around[:, 2:, 1:-1] - around[:, :-2, 1:-1]
+    xx, xy, yy = (
+        sliding_window_view(product, (BLOCK, BLOCK), axis=(1, 2)).sum(axis=(3, 4)) for product in (x * x, x * y, y * y)
+    )
+    score = 0.5 * (xx + yy) - np.hypot(0.5 * (xx - yy), xy)  # the smaller eigenvalue
+    row, column = np.divmod(score.reshape(-1, (2 * REACH + 1) ** 2).argmax(axis=1), 2 * REACH + 1)
+    return np.asarray(corners + np.stack([column, row], axis=1) - REACH, np.float64)
 
 
 def _clear_around(score: npt.NDArray[np.float32], places: Array, radius: float) -> None:

@@ -19,6 +19,8 @@ Array32 = npt.NDArray[np.float32]
 Image = npt.NDArray[np.uint8]
 
 MOST_CHANGE = 0.3  # of the bend in a step; twice as much could turn a patch inside out
+PIXEL_BLUR_PX = 0.3  # a pixel's own area blurs an image by 1/√12
+MARGIN_PX = 24  # how far patches reach beyond the image at most
 FAR_PX = 1e4  # beyond any image, and within what OpenCV can be asked for
 FAINTEST = 1e-3  # contrast of a patch [grey levels]; below, there is none
 
@@ -27,17 +29,20 @@ FAINTEST = 1e-3  # contrast of a patch [grey levels]; below, there is none
 class PatchConfig:
     """Settings of the alignment of patches."""
 
-    side_px: int = 15
+    side_px: int = 17
     """Side of a patch [px]; odd."""
-    steps: int = 5
+    steps: int = 3
     """Gauss-Newton steps in a frame."""
     noise: float = 3.0
     """Standard deviation of what remains between two patches that fit [grey levels]."""
     bend_sigma: float = 0.05
     """How much a patch bends from one frame to the next: standard deviation of the matrix's elements."""
     blur_px: float = 0.5
-    """Images are blurred by so much before they are compared [px]: interpolation is more accurate then, yet what comes
-    nearer looks sharper than the patch."""
+    """Images are blurred by so much before they are compared [px]: interpolation is more accurate then, and the stairs
+    of pixels matter less."""
+    zooms: tuple[float, ...] = (1.0, 1.6)
+    """What has come nearer looks sharper than it did; it is compared in images that are blurred so much more, for the
+    zoom that is nearest."""
     min_likeness: float = 0.75
     """Correlation below which a patch was not found."""
     max_zoom: float = 2.5
@@ -91,6 +96,16 @@ class Fit:
     """(N,) Whether they are to be believed."""
 
 
+@dataclass(frozen=True, eq=False)
+class Prepared:
+    """An image as it is compared."""
+
+    atlas: Image
+    """(L h, W) The image, blurred less and more, one below the other, each with a margin above and below."""
+    height: int
+    """h: rows of each."""
+
+
 class PatchAligner:
     """Cuts patches and finds them again."""
 
@@ -98,21 +113,28 @@ class PatchAligner:
         self._config = config
         reach = config.side_px // 2
         line = np.arange(-reach, reach + 1, dtype=np.float32)
-        self._grid = np.stack(np.meshgrid(line, line), axis=-1).reshape(-1, 2)  # (P, 2)
+        self._grid = np.stack(np.meshgrid(line, line), axis=0).reshape(2, -1)  # (2, P)
 
-    def prepare(self, image: Image) -> Image:
-        """Return an image as it is compared."""
-        blurred = cv2.GaussianBlur(image, (0, 0), self._config.blur_px) if self._config.blur_px else image
-        return np.asarray(blurred, np.uint8)
+    def prepare(self, image: Image) -> Prepared:
+        """Return an image as it is compared: blurred as each zoom wants it, one below the other."""
+        blur_px, zooms = self._config.blur_px, np.array(self._config.zooms)
+        sigmas = np.sqrt(blur_px**2 * zooms**2 + PIXEL_BLUR_PX**2 * (zooms**2 - 1.0))
+        padded = cv2.copyMakeBorder(image, MARGIN_PX, MARGIN_PX, 0, 0, cv2.BORDER_REPLICATE)
+        height = len(padded)
+        atlas = np.empty((len(sigmas) * height, image.shape[1]), np.uint8)
+        for level, sigma in enumerate(sigmas.tolist()):
+            across = 2 * round(2.0 * sigma) + 1
+            cv2.GaussianBlur(padded, (across, across), sigma, dst=atlas[level * height : (level + 1) * height])
+        return Prepared(atlas, height)
 
-    def cut(self, prepared: Image, pixels: Array) -> Patches:
+    def cut(self, prepared: Prepared, pixels: Array) -> Patches:
         """Return the patches around pixels (N, 2) of a prepared image."""
         c, n = self._config, len(pixels)
         values, norm = _normalised(self._sampled(prepared, pixels))
         right, down = np.eye(2)
         slope_x = 0.5 * (self._sampled(prepared, pixels + right) - self._sampled(prepared, pixels - right))
         slope_y = 0.5 * (self._sampled(prepared, pixels + down) - self._sampled(prepared, pixels - down))
-        x, y = self._grid.T
+        x, y = self._grid
         slopes = np.stack([slope_x, slope_y, slope_x * x, slope_x * y, slope_y * x, slope_y * y], axis=1)
         slopes /= norm[:, None, None]
         slopes -= slopes.mean(axis=2, keepdims=True)
@@ -124,7 +146,7 @@ class PatchAligner:
         )
         return Patches(values, slopes, np.linalg.inv(H), prior, np.tile(np.eye(2), (n, 1, 1)))
 
-    def align(self, prepared: Image, patches: Patches, pixels: Array) -> Fit:
+    def align(self, prepared: Prepared, patches: Patches, pixels: Array) -> Fit:
         """Find patches again.
 
         Args:
@@ -146,15 +168,23 @@ class PatchAligner:
         good = (likeness > c.min_likeness) & (zoom2 > c.max_zoom**-2) & (zoom2 < c.max_zoom**2)
         return Fit(pixels, replace(patches, bend=bend), likeness, good & np.isfinite(pixels).all(axis=1))
 
-    def _sampled(self, prepared: Image, pixels: Array, bend: Array | None = None) -> Array32:
+    def _sampled(self, prepared: Prepared, pixels: Array, bend: Array | None = None) -> Array32:
         """Return the grey levels (N, P) around pixels (N, 2) of an image, on a bent grid."""
-        if not len(pixels):  # which OpenCV refuses
-            return np.zeros((0, len(self._grid)), np.float32)
-        grid = self._grid if bend is None else self._grid @ bend.transpose(0, 2, 1)
-        places = (pixels[:, None] + grid).astype(np.float32).clip(-FAR_PX, FAR_PX)
-        x, y = places[..., 0], places[..., 1]
-        sampled = cv2.remap(prepared, x, y, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
-        return np.asarray(sampled, np.float32)
+        n = len(pixels)
+        if not n:  # which OpenCV refuses
+            return np.zeros((0, self._grid.shape[1]), np.float32)
+        bend = np.tile(np.eye(2), (n, 1, 1)) if bend is None else bend
+        zoom = np.sqrt(np.abs(np.linalg.det(bend)))
+        level = np.abs(zoom[:, None] - self._config.zooms).argmin(axis=1)
+        middle = np.clip(pixels, -FAR_PX, FAR_PX).astype(np.float32)
+        axes = bend.astype(np.float32)
+        x = axes[:, 0] @ self._grid + middle[:, :1]
+        y = axes[:, 1] @ self._grid + middle[:, 1:]
+        np.clip(y, -MARGIN_PX, prepared.height - MARGIN_PX - 1, out=y)
+        y += (MARGIN_PX + level * prepared.height).astype(np.float32)[:, None]
+        return np.asarray(
+            cv2.remap(prepared.atlas, x, y, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE), np.float32
+        )
 
 
 def _normalised(values: Array32) -> tuple[Array32, Array32]:

@@ -25,6 +25,7 @@ Array = npt.NDArray[np.float64]
 Image = npt.NDArray[np.uint8]
 
 OUTSIDE_PX = 1e4
+KLT_STEPS, KLT_STEP_PX = 15, 0.03  # at most, and the last [px]: a patch's place is refined afterwards
 
 
 @dataclass(frozen=True)
@@ -96,7 +97,8 @@ class FeatureTracker:
         self._aligner = PatchAligner(config.patches)
         self._rng = np.random.default_rng(config.seed)
         self._image: Image | None = None
-        self._features = self._features_at(np.zeros((camera.height, camera.width), np.uint8), np.zeros((0, 2)))
+        self._prepared = self._aligner.prepare(np.zeros((camera.height, camera.width), np.uint8))
+        self._features = self._new_features(np.zeros((0, 2)))
 
     def track(self, frame: CameraFrame, R_cur_prev: Array, rotation_sigma_rad: float = 0.0) -> Observations:
         """Follow the features into a frame.
@@ -113,8 +115,9 @@ class FeatureTracker:
             ConfigError: The image is not a grey one of the camera's size.
         """
         previous, self._image = self._image, image_of(frame, self._index, self._camera)
+        self._prepared = self._aligner.prepare(self._image)
         if previous is not None and len(self._features.ids):
-            followed = self._aligned(self._followed(previous, self._image, R_cur_prev), self._image, R_cur_prev)
+            followed = self._aligned(self._followed(previous, self._image, R_cur_prev), R_cur_prev)
             self._features = self._agreeing(followed, R_cur_prev, rotation_sigma_rad)
         return self._observations()
 
@@ -122,7 +125,7 @@ class FeatureTracker:
         """Take the best new corner of each grid cell that holds no feature, and return all features of the frame."""
         if self._image is not None:
             corners = new_corners(self._image, self._features.pixels, self._config.border_px, self._config.corners)
-            self._features = self._features.joined(self._features_at(self._image, corners))
+            self._features = self._features.joined(self._new_features(corners))
         return self._observations()
 
     def discard(self, ids: npt.NDArray[np.int64]) -> None:
@@ -133,11 +136,11 @@ class FeatureTracker:
         f = self._features
         return Observations(f.ids, f.pixels, f.xy, f.ages, np.full(len(f.ids), self._index), quality=f.quality)
 
-    def _features_at(self, image: Image, pixels: Array) -> _Features:
-        """Return new features at pixels (N, 2) of an image."""
+    def _new_features(self, pixels: Array) -> _Features:
+        """Return new features at pixels (N, 2) of the last image."""
         n = len(pixels)
         ids = np.fromiter(islice(self._identities, n), np.int64)
-        patches = self._aligner.cut(self._aligner.prepare(image), pixels)
+        patches = self._aligner.cut(self._prepared, pixels)
         return _Features(ids, np.ones(n, np.int64), pixels, self._camera.normalise(pixels), np.ones(n), patches)
 
     def _followed(self, previous: Image, image: Image, R_cur_prev: Array) -> _Features:
@@ -153,16 +156,15 @@ class FeatureTracker:
             np.ascontiguousarray(predicted, dtype=np.float32),
             winSize=(c.window_px, c.window_px),
             maxLevel=c.pyramid_levels,
-            criteria=(cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 30, 0.01),
+            criteria=(cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, KLT_STEPS, KLT_STEP_PX),
             flags=cv2.OPTFLOW_USE_INITIAL_FLOW,
         )
         pixels = moved.reshape(-1, 2).astype(np.float64)
         return replace(features, pixels=pixels)[(status[:, 0] == 1) & self._inside(pixels)]
 
-    def _aligned(self, features: _Features, image: Image, R_cur_prev: Array) -> _Features:
+    def _aligned(self, features: _Features, R_cur_prev: Array) -> _Features:
         """Return the features whose patches fit, where they fit, given where they were followed to."""
-        patches = features.patches.rolled(R_cur_prev)
-        fit = self._aligner.align(self._aligner.prepare(image), patches, features.pixels)
+        fit = self._aligner.align(self._prepared, features.patches.rolled(R_cur_prev), features.pixels)
         moved = np.linalg.norm(fit.pixels - features.pixels, axis=1)
         good = fit.good & (moved < self._config.max_correction_px) & self._inside(fit.pixels)
         return replace(features, pixels=fit.pixels, quality=fit.likeness, patches=fit.patches)[good]
