@@ -9,6 +9,7 @@ from collections import Counter
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field
+from functools import cache
 from pathlib import Path
 from types import FrameType
 from typing import Any
@@ -31,10 +32,13 @@ STAGES: tuple[tuple[str, str, str], ...] = (
     ("KLT", "", "calcOpticalFlowPyrLK"),
     ("KLT", "", "buildOpticalFlowPyramid"),
     ("corner detection", "", "cornerMinEigenVal"),
+    ("corner detection", "corners.py", ""),
     ("corner detection", "", "cornerSubPix"),
     ("corner detection", "", "goodFeaturesToTrack"),
     ("outlier rejection", "epipolar.py", ""),
+    ("patch alignment", "patches.py", ""),
     ("front end, rest", "frontend.py", ""),
+    ("front end, rest", "tracker.py", ""),
     ("front end, rest", "rig_tracker.py", ""),
     ("marginal covariance", "", "marginalCovariance"),
     ("marginal covariance", "", "jointMarginal"),
@@ -162,7 +166,7 @@ def stage_of(frame: FrameType) -> str:
     stack = []
     up: FrameType | None = frame
     while up is not None:
-        stack.append((Path(up.f_code.co_filename).name, _lines(up)))
+        stack.append(_where(up.f_code.co_filename, up.f_lineno or up.f_code.co_firstlineno))  # None between two lines
         up = up.f_back
     for stage, file, words in STAGES:
         if any((not file or file == name) and words in line for name, line in stack):
@@ -170,14 +174,15 @@ def stage_of(frame: FrameType) -> str:
     return "Python and the rest" if any(name == "vio.py" for name, _ in stack) else "reading, not counted"
 
 
-def _lines(frame: FrameType) -> str:
-    """Return the source of the line that runs, and the two around it: calls are written over several."""
-    file, number = frame.f_code.co_filename, frame.f_lineno or frame.f_code.co_firstlineno  # None between two lines
-    return "".join(linecache.getline(file, each) for each in range(max(number - 1, 1), number + 2))
+@cache
+def _where(file: str, number: int) -> tuple[str, str]:
+    """Return a file's name, and the source of a line and of the two around it: calls are written over several."""
+    return Path(file).name, "".join(linecache.getline(file, each) for each in range(max(number - 1, 1), number + 2))
 
 
 def _name(frame: FrameType) -> str:
-    return f"{Path(frame.f_code.co_filename).name}: {frame.f_code.co_qualname}"
+    file, _ = _where(frame.f_code.co_filename, frame.f_code.co_firstlineno)
+    return f"{file}: {frame.f_code.co_qualname}"
 
 
 def rss_mb() -> float:
