@@ -17,7 +17,7 @@ from dronevio.estimator.inertial import ImuBuffer, Increments, InertialConfig, p
 from dronevio.estimator.initialiser import Initialiser, InitialiserConfig
 from dronevio.estimator.keyframes import KeyframeConfig, KeyframePolicy
 from dronevio.estimator.landmarks import LandmarkConfig
-from dronevio.estimator.propagation import Propagation
+from dronevio.estimator.propagation import Propagation, settled_and_recent
 from dronevio.estimator.rig_tracker import RigTracker
 from dronevio.estimator.smoother import KeyframeSmoother, SmootherConfig
 from dronevio.estimator.start import NotObservable
@@ -82,6 +82,7 @@ class VisualInertialOdometry:
         self._propagation: Propagation  # these two: since there is a smoother
         self._monitor: HealthMonitor
         self._waiting = Health.INITIALISING  # what it is called to be without a state
+        self._rest: list[Sighting]  # frames since the newest keyframe, if the drone has not moved since
         self._is_told = False  # whether the state is certain enough to be told
         self._last_frame_ns: int | None = None
 
@@ -125,21 +126,45 @@ class VisualInertialOdometry:
 
     def _go_on(self, smoother: KeyframeSmoother, sighting: Sighting) -> Estimate:
         """Carry the newest state forward to a frame, or make the frame a keyframe."""
+        elapsed_s = self._propagation.elapsed_s + float(sighting.increments.dt_s.sum())
+        still = self._keyframes.is_still(elapsed_s, self._stillness.still_for_s)
+        events = () if still else self._end_rest(smoother)
         self._propagation.add(sighting.increments)
-        predicted = self._propagation.state_at(sighting.t_ns)
-        elapsed_s, still_for_s = self._propagation.elapsed_s, self._stillness.still_for_s
-        still = self._keyframes.is_still(elapsed_s, still_for_s)
+        elapsed_s = self._propagation.elapsed_s
+        if still:
+            self._rest.append(sighting)
+        predicted = self._propagation.state_at(sighting.t_ns, self._rest)
         report = self._monitor.judge(sighting.observations, predicted, still)
         if report.state is Health.LOST:
             return self._lose(sighting, report)
-        if not self._keyframes.is_due(elapsed_s, still_for_s, sighting.observations):
-            return self._told(sighting, predicted, report)
+        if not self._keyframes.is_due(elapsed_s, self._stillness.still_for_s, sighting.observations):
+            return self._told(sighting, predicted, report, events)
         sighting = replace(sighting, observations=self._times.moved(self._front_end.replenish()))
+        events = ("keyframe", *events, *self._add_keyframe(smoother, sighting, still))
+        return self._told(sighting, smoother.state, report, events, smoother.landmarks)
+
+    def _end_rest(self, smoother: KeyframeSmoother) -> tuple[str, ...]:
+        """Keep what the rest since the newest keyframe tells, if there was one: its last settled frame is a keyframe.
+
+        Returns:
+            What happened.
+        """
+        settled, recent = settled_and_recent(self._rest)
+        self._rest = []
+        if not settled:
+            return ()
+        self._propagation.restart([sighting.increments for sighting in settled])
+        events = self._add_keyframe(smoother, settled[-1], still=True)
+        for sighting in recent:
+            self._propagation.add(sighting.increments)
+        return events
+
+    def _add_keyframe(self, smoother: KeyframeSmoother, sighting: Sighting, still: bool) -> tuple[str, ...]:
+        """Add a keyframe where the propagation has come to, and begin again from it; return what happened."""
         result = smoother.add_keyframe(sighting.t_ns, self._propagation.preintegrated, sighting.observations, still)
         self._front_end.discard(result.rejected)
         self._begin_interval(smoother, sighting.observations)
-        events = ("keyframe", *result.events)
-        return self._told(sighting, smoother.state, report, events, smoother.landmarks)
+        return result.events
 
     def _lose(self, sighting: Sighting, report: HealthReport) -> Estimate:
         """Give the estimate up, and look for a new start, from where the drone was last believed to be."""
@@ -156,6 +181,7 @@ class VisualInertialOdometry:
         self._propagation = Propagation(self._params, self._rig.imu, smoother.state, smoother.gtsam_state)
         self._monitor.hold(smoother.state, smoother.known_landmarks)
         self._keyframes.begin(observations)
+        self._rest = []
 
     @property
     def _gyro_bias(self) -> tuple[Array, float]:
