@@ -388,3 +388,42 @@ def test_costs_are_judged(cost: Any) -> None:
     assert "**no**" in "".join(cost.cost_row({**found, "cpu_ms": [10.5] * 12_000}))
     assert "**no**" in "".join(cost.cost_row({**found, "cpu_ms": [8.0] * 11_000 + [9.0] * 1_000}))
     assert "| KLT | 60.0 | 5.00 |" in cost.profile_table(found)
+
+
+def test_a_suite_is_measured_once_and_goes_on(
+    suite: Any, flown: Any, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    flights = tmp_path / "flights"
+    flights.mkdir()
+    (flights / "room-easy-v0-0").symlink_to(flown.folder)
+    (flights / "room-easy-v0-12").symlink_to(flown.folder)  # no seed that was asked for
+    (flights / "hall-easy-v0-0" / "mav0").mkdir(parents=True)  # damaged
+    command = suite.Suite(flights, tmp_path / "rows", modes=("mono",), json=tmp_path / "all.json")
+    assert suite.main(command) == 1
+    told = capsys.readouterr().out
+    assert "failures 1" in told and "hall-easy-v0-0 mono: failed" in told and "hover" not in told
+    [row] = [row for row in json.loads((tmp_path / "all.json").read_text())["runs"] if row["status"] == "ok"]
+    assert row["flight"] == "room-easy-v0-0" and row["coverage_percent"] == 100.0
+    assert 0.0 < row["ate_m"] < 0.05 and row["step_jump_m"] < 0.05 and row["not_finite"] == 0
+    [kept] = (tmp_path / "rows").glob("room-easy-v0-0-mono-*.json")
+    kept.write_text(kept.read_text().replace(f'"ate_m": {row["ate_m"]}', '"ate_m": 0.0123'))
+    suite.main(command)
+    [again] = [row for row in json.loads((tmp_path / "all.json").read_text())["runs"] if row["status"] == "ok"]
+    assert again["ate_m"] == 0.0123  # read, not done again
+
+
+def test_outliers_end_in_a_bounded_error(
+    stress: Any, flown: Any, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (tmp_path / "none-0").symlink_to(flown.folder)
+    command = stress.Stress(tmp_path, tmp_path / "rows", ("outliers", "hover"), ("mono",), fly=False)
+    assert stress.main(command) == 0
+    told = capsys.readouterr().out
+    assert "| outliers-0 | mono |" in told and "Not flown: hover-0." in told
+    assert stress.main(stress.Stress(tmp_path, tmp_path, ("nothing",))) == 2
+
+
+def test_the_cost_of_a_flight_is_measured(cost: Any, flown: Any, capsys: pytest.CaptureFixture[str]) -> None:
+    cost.main(cost.Cost(flown.folder, minutes=0.05, modes=("mono",), profile=True))
+    told = capsys.readouterr().out
+    assert "| mono | 0.1 |" in told and "| KLT |" in told and "iSAM2 update" in told
