@@ -1,0 +1,123 @@
+"""Loss and recovery: an estimate that means nothing is given up, and a new one begins by itself."""
+
+from collections.abc import Callable
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from dronevio.estimator.inertial import Increments
+from dronevio.estimator.origin import LastBelieved, Zero
+from dronevio.estimator.start import StartSigmas
+from dronevio.models.imu import ImuSamples
+from dronevio.models.rotation import exp_so3, pose_matrix
+from dronevio.models.state import Estimate, Health, NavState
+
+ZERO = np.zeros(3)
+
+
+def health_of(estimates: list[Estimate]) -> np.ndarray:
+    return np.array([e.health for e in estimates])
+
+
+def recovered_at(estimates: list[Estimate]) -> int:
+    return next(k for k, e in enumerate(estimates) if "recovered" in e.events)
+
+
+def is_sound(estimates: list[Estimate]) -> bool:
+    """Say whether every state is made of numbers, and every frame without one says why."""
+    told = all(e.state is None or np.isfinite(e.state.T_world_imu).all() for e in estimates)
+    return told and all(e.events for e in estimates if e.state is None)
+
+
+def test_half_a_minute_of_darkness_is_a_loss_and_light_the_recovery(make_flight: Callable) -> None:
+    flight = make_flight(0, rest_s=1.5, dark_s=(5.0, 35.0), duration_s=42.0)
+    estimates = flight.run()
+    assert is_sound(estimates)
+    t_s = (flight.frame_times_ns - flight.frame_times_ns[0]) * 1e-9
+    health = health_of(estimates)
+    lost = int(np.flatnonzero(health == Health.LOST)[0])
+    assert 8.0 < t_s[lost] < 35.0 and estimates[lost].events[0].startswith("lost: ")
+    again = recovered_at(estimates)
+    assert t_s[again] < 40.0
+    assert np.all(health[lost:again] == Health.LOST) and all(e.state is None for e in estimates[lost:again])
+    assert np.all(health[again + 20 :] == Health.TRACKING)
+    before, after = estimates[lost - 1].state, estimates[again].state
+    assert before is not None and after is not None
+    jump_m = np.linalg.norm(after.T_world_imu[:3, 3] - before.T_world_imu[:3, 3])
+    assert jump_m < 4.0  # what was flown while the new start was looked for, and no more
+    truth = flight.truth_at(flight.frame_times_ns[[lost - 1, again]])
+    turned = truth.rotations[0].T @ truth.rotations[1]
+    error = before.T_world_imu[:3, :3].T @ after.T_world_imu[:3, :3] @ turned.T
+    assert np.arccos((np.trace(error) - 1.0) / 2.0) < np.radians(6.0)  # the gyroscope has kept the yaw
+    speeds = [np.linalg.norm(e.state.velocity_m_s) for e in estimates[-20:] if e.state is not None]
+    true_speeds = np.linalg.norm(flight.truth_at(flight.frame_times_ns[-20:]).velocity_m_s, axis=1)
+    assert np.abs(np.array(speeds) - true_speeds).max() < 0.15
+
+
+def test_position_after_a_loss_is_as_unsure_as_it_should_be(make_flight: Callable) -> None:
+    flight = make_flight(1, rest_s=1.5, dark_s=(5.0, 35.0), duration_s=42.0)
+    estimates = flight.run()
+    again = estimates[recovered_at(estimates)].state
+    assert again is not None and again.covariance is not None
+    truth = flight.truth_at(flight.frame_times_ns)
+    error_m = np.linalg.norm(
+        again.T_world_imu[:3, 3] - (truth.p_world_imu[recovered_at(estimates)] - truth.p_world_imu[0])
+    )
+    sigma_m = np.sqrt(np.linalg.eigvalsh(again.covariance[3:6, 3:6])[0])
+    assert error_m < 4.0 * sigma_m
+
+
+def test_imu_that_contradicts_the_camera_is_a_loss_until_it_does_so_no_more(make_flight: Callable) -> None:
+    """For three seconds the gyroscope reads another flight's rotation."""
+    flight = make_flight(2, rest_s=1.5, duration_s=16.0)
+    t_s = (flight.imu.t_ns - flight.imu.t_ns[0]) * 1e-9
+    wild = (t_s > 5.0) & (t_s < 8.0)
+    gyro = flight.imu.gyro_rad_s + wild[:, None] * np.array([1.5, -1.0, 2.0])
+    broken = replace(flight)
+    broken.__dict__.update(imu=ImuSamples(flight.imu.t_ns, gyro, flight.imu.accel_m_s2, flight.imu.sampling))
+    estimates = broken.run()
+    assert is_sound(estimates)
+    health = health_of(estimates)
+    assert Health.LOST in health
+    assert np.all(health[-40:] == Health.TRACKING)
+    states = [e.state for e in estimates[-20:] if e.state is not None]
+    truth = flight.truth_at(flight.frame_times_ns[-20:])
+    in_imu = np.array([s.T_world_imu[:3, :3].T @ s.velocity_m_s for s in states])
+    assert np.linalg.norm(in_imu - np.einsum("nji,nj->ni", truth.rotations, truth.velocity_m_s), axis=1).max() < 0.15
+
+
+def turning(rng: np.random.Generator, n: int = 40) -> Increments:
+    return Increments(np.full(n, 0.005), rng.normal(size=(n, 3)), np.zeros((n, 3)))
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_a_start_after_a_loss_has_the_position_that_was_believed_and_the_gyroscopes_yaw(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    R, bias = exp_so3(rng.normal(size=3)), 0.02 * rng.normal(size=3)
+    believed = NavState(0, pose_matrix(R, rng.normal(size=3)), rng.normal(size=3), bias, ZERO, np.eye(15) * 1e-4)
+    lost, window = turning(rng), turning(rng)
+    origin = LastBelieved(believed)
+    origin.turn(lost)
+    origin.turn(window)
+    R_true = R @ lost.rotation(bias)  # at the start of the window
+    yaw = exp_so3(np.array([0.0, 0.0, rng.uniform(-3.0, 3.0)]))
+    start = NavState(10**9, pose_matrix(yaw @ R_true, ZERO), yaw @ np.array([0.3, 0.4, 0.5]), bias, ZERO)
+    placed = origin.place(start, window)
+    np.testing.assert_allclose(placed.T_world_imu[:3, :3], R_true, atol=1e-9)
+    np.testing.assert_allclose(placed.T_world_imu[:3, 3], believed.T_world_imu[:3, 3])
+    np.testing.assert_allclose(
+        R_true.T @ placed.velocity_m_s, (yaw @ R_true).T @ start.velocity_m_s
+    )  # seen from the IMU
+    np.testing.assert_allclose(placed.T_world_imu[2, :3], start.T_world_imu[2, :3], atol=1e-9)  # gravity is the start's
+    P = origin.covariance(placed, StartSigmas())
+    assert np.linalg.eigvalsh(P).min() > 0.0
+    assert np.sqrt(P[3, 3]) > 0.9 * np.linalg.norm(believed.velocity_m_s)  # for a second, it may have flown on
+
+
+def test_the_first_start_is_where_the_world_begins() -> None:
+    start = NavState(5, pose_matrix(exp_so3(np.ones(3)), ZERO), np.ones(3), ZERO, ZERO)
+    assert Zero().place(start, turning(np.random.default_rng(0))) is start
+    np.testing.assert_array_equal(
+        Zero().covariance(start, StartSigmas()), StartSigmas().covariance(start.T_world_imu[:3, :3])
+    )
