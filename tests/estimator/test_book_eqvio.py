@@ -88,6 +88,13 @@ def test_two_methods_agree_on_the_real_flight(told: tuple[dict, Path]) -> None:
     assert summary["path_m"] > 5.0
 
 
+def test_ours_is_nearer_to_what_all_data_say(told: tuple[dict, Path]) -> None:
+    summary, _ = told
+    assert summary["ate_to_reference_m"] < summary["eqvio_ate_to_reference_m"] < 0.06
+    for key in ("reprojection_median_px", "reprojection_rms_px"):
+        assert summary[f"reference_{key}"] < summary[key] < summary[f"eqvio_{key}"] < 2.0
+
+
 def test_files_hold_what_was_told(told: tuple[dict, Path]) -> None:
     summary, folder = told
     ours, theirs = read_tum(folder / "smoother.tum"), read_tum(folder / "eqvio.tum")
