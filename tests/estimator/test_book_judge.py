@@ -59,10 +59,10 @@ def test_full_smoothing_is_near_the_truth_wherever_it_begins(flown: tuple[Featur
 def test_residuals_rise_with_the_error_of_a_path(flown: tuple[FeatureRecording, Trajectory]) -> None:
     recording, truth = flown
     judge = Judge(recording, disturbed(truth, 0.05))
-    left = [judge.residuals(disturbed(truth, metres).p_world_imu[::STRIDE]) for metres in (0.0, 0.02, 0.05)]
+    left = [judge.residuals(disturbed(truth, metres).p_world_imu[::STRIDE]) for metres in (0.0, 0.06, 0.2)]
     assert left[0].sightings > 500
     # The distance from a point with normal noise in both directions has a median of 1.18 sigma; landmarks and
     # orientations that were fitted to the same noise leave less, and features that are wrong more.
     assert 0.8 * NOISE_PX < left[0].median_px < 1.5 * NOISE_PX
-    assert left[1].median_px > 1.3 * left[0].median_px and left[1].rms_px > 1.3 * left[0].rms_px
-    assert left[2].median_px > 1.3 * left[1].median_px and left[2].rms_px > 1.3 * left[1].rms_px
+    assert left[1].median_px > 1.2 * left[0].median_px and left[1].rms_px > 1.2 * left[0].rms_px
+    assert left[2].median_px > 1.2 * left[1].median_px and left[2].rms_px > 1.2 * left[1].rms_px
