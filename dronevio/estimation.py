@@ -2,17 +2,20 @@
 
 import time
 from collections.abc import Sequence
-from typing import Protocol
+from typing import TYPE_CHECKING, Protocol
 
 import cv2
 import numpy as np
 
 from dronevio.eval.runs import EstimatorRun
 from dronevio.models.errors import EvaluationError
-from dronevio.models.imu import ImuSamples
+from dronevio.models.imu import ImuModel, ImuSamples
 from dronevio.models.progress import Progress, silent
 from dronevio.models.protocols import Estimator, Recording, measurements
-from dronevio.models.state import CameraFrame, Estimate, Trajectory
+from dronevio.models.state import CameraFrame, Estimate, NavState, Trajectory
+
+if TYPE_CHECKING:
+    from dronevio.estimator.inertial import InertialConfig
 
 
 class Watcher(Protocol):
@@ -23,6 +26,35 @@ class Watcher(Protocol):
 
     def frame(self, frame: CameraFrame, answer: Estimate, cpu_ms: float) -> None:
         """Hear of a frame, of the answer, and of what it cost with the IMU samples before it [ms]."""
+
+
+class ImuRateListener:
+    """Watches an estimator, and dead-reckons its newest state to every IMU sample, as a live system would."""
+
+    def __init__(self, imu: ImuModel, config: "InertialConfig | None" = None) -> None:
+        """Begin before the first measurement.
+
+        Args:
+            imu: The IMU.
+            config: How it is preintegrated.
+        """
+        from dronevio.estimator.imu_rate import ImuRatePropagator
+
+        self._propagator = ImuRatePropagator(imu, config)
+        self._states: list[NavState] = []
+
+    def imu(self, samples: ImuSamples) -> None:
+        """Hear of IMU samples."""
+        self._states += self._propagator.add_imu(samples)
+
+    def frame(self, frame: CameraFrame, answer: Estimate, cpu_ms: float) -> None:
+        """Hear of a frame and of the answer."""
+        self._propagator.correct(answer)
+
+    @property
+    def trajectory(self) -> Trajectory:
+        """A pose for each sample since the first state; each was known when its sample came."""
+        return Trajectory.from_states(self._states)
 
 
 def estimate_recording(

@@ -14,10 +14,12 @@ import numpy as np
 import numpy.typing as npt
 from gtsam_unstable import eqvio
 
-from dronevio.estimator.frontend import FeatureTracker, FrontEnd, Observations, TrackerConfig
+from dronevio.estimator.corners import CornerConfig
+from dronevio.estimator.frontend import FrontEnd, Observations
 from dronevio.estimator.inertial import ImuBuffer, Increments
 from dronevio.estimator.start import start_from_rest
 from dronevio.estimator.stillness import StillnessConfig, StillnessDetector
+from dronevio.estimator.tracker import FeatureTracker, TrackerConfig
 from dronevio.models.imu import ImuSamples
 from dronevio.models.rig import Rig
 from dronevio.models.rotation import exp_so3, nearest_rotations, pose_matrix
@@ -88,7 +90,7 @@ class EquivariantConfig:
 
     filter: FilterSettings = field(default_factory=FilterSettings)
     """Those of the filter itself."""
-    tracker: TrackerConfig = field(default_factory=lambda: TrackerConfig(cell_px=120))
+    tracker: TrackerConfig = field(default_factory=lambda: TrackerConfig(corners=CornerConfig(cell_px=120)))
     """Those of the front end. The filter's cost grows with the cube of the landmarks: 24 cells at 752×480."""
     stillness: StillnessConfig = field(default_factory=StillnessConfig)
     """What counts as standing still."""

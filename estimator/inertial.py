@@ -4,6 +4,7 @@ Preintegration after Forster et al., "On-manifold preintegration for real-time v
 with GTSAM's combined factor, which lets the biases walk.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import gtsam
@@ -55,6 +56,15 @@ class Increments:
 
 NO_INCREMENTS = Increments(np.zeros(0), np.zeros((0, 3)), np.zeros((0, 3)))
 """Of no time at all."""
+
+
+def joined(parts: Sequence[Increments]) -> Increments:
+    """Return consecutive increments, at least one part of them, as one."""
+    return Increments(
+        np.concatenate([part.dt_s for part in parts]),
+        np.concatenate([part.gyro_rad_s for part in parts]),
+        np.concatenate([part.accel_m_s2 for part in parts]),
+    )
 
 
 class ImuBuffer:

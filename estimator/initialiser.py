@@ -1,7 +1,9 @@
 """The start: from a rest, or in motion, whichever can be had first.
 
 It watches frames with their IMU until gravity and velocity can be told, and launches a smoother over what it has
-watched, with all that is not certain yet left open. Where nothing can be told, it says why.
+watched. What is not certain then, above all the scale, stays open, as in DM-VIO (von Stumberg and Cremers, RA-L 2022):
+the smoother goes on, and nothing is told until its own covariance says that it is worth telling. Where nothing can be
+told, it says why.
 """
 
 from collections.abc import Callable, Sequence
@@ -12,11 +14,12 @@ import numpy as np
 import numpy.typing as npt
 
 from dronevio.estimator.frontend import Observations
-from dronevio.estimator.inertial import integrate
+from dronevio.estimator.inertial import integrate, joined
 from dronevio.estimator.keyframes import KeyframePolicy
+from dronevio.estimator.origin import GYRO_BIAS_SIGMA_RAD_S, LastBelieved, Origin, Zero
 from dronevio.estimator.smoother import Keyframe, KeyframeSmoother
 from dronevio.estimator.start import NotObservable, StartSigmas, mean_gyro, start_from_rest
-from dronevio.estimator.start_in_motion import MotionStartConfig, Sighting, start_in_motion
+from dronevio.estimator.start_in_motion import MotionStartConfig, Sighting, is_stereo, start_in_motion
 from dronevio.models.rig import RigCamera
 from dronevio.models.state import NavState
 
@@ -43,6 +46,10 @@ class InitialiserConfig:
         default_factory=lambda: StartSigmas(tilt_rad=0.05, velocity_m_s=0.3, gyro_bias_rad_s=0.02, accel_bias_m_s2=0.1)
     )
     """How sure a start in motion is."""
+    certain_scale: float = 0.05
+    """A start is told as soon as its velocity has a standard deviation of less than this share of it ..."""
+    certain_velocity_m_s: float = 0.03
+    """... or than this [m/s]: near hover, a share of it means nothing."""
     unknown_gyro_bias_sigma: float = 0.05
     """How large the gyroscope's bias may be before anything is known of it [rad/s]; EuRoC's is 0.08."""
 
@@ -52,7 +59,7 @@ class Initialiser:
 
     def __init__(
         self,
-        camera: RigCamera,
+        cameras: Sequence[RigCamera],
         config: InitialiserConfig,
         keyframes: KeyframePolicy,
         params: gtsam.PreintegrationCombinedParams,
@@ -61,21 +68,33 @@ class Initialiser:
         """Begin with nothing seen.
 
         Args:
-            camera: The camera that sees.
+            cameras: The rig's cameras.
             config: Settings.
             keyframes: When a frame becomes a keyframe.
             params: How the IMU is preintegrated.
             new_smoother: Makes the smoother.
         """
-        self._camera, self._config, self._keyframes, self._params = camera, config, keyframes, params
-        self._new_smoother = new_smoother
+        self._config, self._keyframes, self._params, self._new_smoother = config, keyframes, params, new_smoother
+        self._Ts_imu_cam = np.stack([camera.T_imu_cam for camera in cameras])
+        self._focal_px = cameras[0].model.fx
         self._window: list[Sighting] = []
         self._last_try_ns = 0
-        self._not_yet = NotObservable("the drone has not moved or stood still for long enough")
+        self._not_yet = NotObservable("nothing has been tried")
+        self.origin: Origin = Zero()
+        """Where position and yaw begin."""
         self.gyro_bias_rad_s: Array = np.zeros(3)
         """(3,) What is known of the gyroscope's bias [rad/s] ..."""
         self.gyro_bias_sigma_rad_s = config.unknown_gyro_bias_sigma
         """... and how well [rad/s]."""
+
+    def believe(self, state: NavState) -> None:
+        """Take a state from which to go on, should the estimate be lost after it."""
+        self.origin = LastBelieved(state)
+        self.gyro_bias_rad_s, self.gyro_bias_sigma_rad_s = state.gyro_bias_rad_s, GYRO_BIAS_SIGMA_RAD_S
+
+    def begin_anew(self) -> None:
+        """Forget what was seen: the estimate has been lost."""
+        self._window.clear()
 
     def add(self, sighting: Sighting, still_for_s: float) -> KeyframeSmoother | NotObservable:
         """Take a frame; answer a smoother that has started, or why there is none yet.
@@ -89,29 +108,42 @@ class Initialiser:
         while t_ns - self._window[0].t_ns > max(c.rest_s, c.motion.window_s) * 1e9 + HALF_TICK_NS:
             self._window.pop(0)
         if still_for_s > 0.0:
-            return self._from_rest(self._since(t_ns, still_for_s), still_for_s)
-        window = self._since(t_ns, c.motion.window_s)
+            return self._from_rest(self._since(t_ns, still_for_s))
+        needed_s = c.motion.stereo_window_s if is_stereo(self._window, c.motion) else c.motion.window_s
+        window = self._since(t_ns, needed_s)
         span_s = (t_ns - window[0].t_ns + HALF_TICK_NS) * 1e-9
-        if span_s < c.motion.window_s:
-            return NotObservable(f"the drone has been seen for {span_s:.1f} s; {c.motion.window_s:g} s are needed")
+        if span_s < needed_s:
+            return NotObservable(f"seen for {span_s:.1f} s; {needed_s:g} s are needed")
         if t_ns - self._last_try_ns >= c.motion.every_s * 1e9:
             self._last_try_ns = t_ns
             return self._in_motion(window)
         return self._not_yet
 
-    def _from_rest(self, rest: Sequence[Sighting], still_for_s: float) -> KeyframeSmoother | NotObservable:
+    def doubt(self, state: NavState) -> NotObservable | None:
+        """Say why a state is not certain enough yet to be told; None where it is.
+
+        A start in motion leaves the scale open, and with it the velocity. The smoother narrows it down.
+        """
+        c, P = self._config, state.covariance
+        speed_m_s = float(np.linalg.norm(state.velocity_m_s))
+        sigma_m_s = float(np.sqrt(np.linalg.eigvalsh(P[6:9, 6:9])[-1])) if P is not None else 0.0
+        if sigma_m_s <= max(c.certain_velocity_m_s, c.certain_scale * speed_m_s):
+            return None
+        return NotObservable(f"a velocity of {speed_m_s:.2f} ± {sigma_m_s:.2f} m/s")
+
+    def _from_rest(self, rest: Sequence[Sighting]) -> KeyframeSmoother | NotObservable:
         increments = [sighting.increments for sighting in rest[1:]]
         self.gyro_bias_rad_s, self.gyro_bias_sigma_rad_s = mean_gyro(increments), 0.0
-        rest_s = self._config.rest_s
+        still_for_s, rest_s = (rest[-1].t_ns - rest[0].t_ns + HALF_TICK_NS) * 1e-9, self._config.rest_s
         if still_for_s < rest_s:
-            return NotObservable(f"the drone has stood still for {still_for_s:.1f} s; {rest_s:g} s are needed")
+            return NotObservable(f"at rest for {still_for_s:.1f} s; {rest_s:g} s are needed")
         start = start_from_rest(rest[0].t_ns, increments)
         smoother, _ = self._launched(start, self._config.rest_sigmas, rest, still=True)
         return smoother or NotObservable("the smoother finds no solution")
 
     def _in_motion(self, window: Sequence[Sighting]) -> KeyframeSmoother | NotObservable:
         c = self._config
-        start = start_in_motion(window, self._camera.T_imu_cam, self._camera.model.fx, c.motion)
+        start = start_in_motion(window, self._Ts_imu_cam, self._focal_px, c.motion)
         if isinstance(start, NotObservable):
             self._not_yet = start
             return start
@@ -134,7 +166,8 @@ class Initialiser:
             The smoother, None where it found no solution; and the landmarks' typical reprojection error [px].
         """
         first, *later = sightings
-        smoother = self._new_smoother(start, sigmas.covariance(start.T_world_imu[:3, :3]), first.observations)
+        start = self.origin.place(start, joined([sighting.increments for sighting in later]))
+        smoother = self._new_smoother(start, self.origin.covariance(start, sigmas), first.observations)
         keyframes: list[Keyframe] = []
         bias = smoother.gtsam_state[1]
         preintegrated = gtsam.PreintegratedCombinedMeasurements(self._params, bias)

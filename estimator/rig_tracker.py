@@ -11,9 +11,10 @@ from itertools import count
 import numpy as np
 import numpy.typing as npt
 
-from dronevio.estimator.frontend import NO_MATCHES, FeatureTracker, Matches, Observations, TrackerConfig, image_of
+from dronevio.estimator.frontend import NO_MATCHES, Matches, Observations, image_of
 from dronevio.estimator.overlap import shared_view
 from dronevio.estimator.stereo import StereoConfig, StereoMatcher
+from dronevio.estimator.tracker import FeatureTracker, TrackerConfig
 from dronevio.models.rig import Rig
 from dronevio.models.state import CameraFrame
 
@@ -118,11 +119,17 @@ def _cameras_that_follow(rig: Rig) -> list[int]:
 
 def _merged(observations: Sequence[Observations], matches: Sequence[Matches] = ()) -> Observations:
     """Return what several cameras see as one, the identities in increasing order."""
-    ids, camera = (np.concatenate([getattr(seen, name) for seen in observations]) for name in ("ids", "camera"))
-    pixels, xy = (np.concatenate([getattr(seen, name) for seen in observations]) for name in ("pixels", "xy"))
-    ages = np.concatenate([seen.ages for seen in observations])
+    ids = np.concatenate([seen.ids for seen in observations])
     order = np.argsort(ids)
-    return Observations(ids[order], pixels[order], xy[order], ages[order], camera[order], _joined(matches))
+    return Observations(
+        ids[order],
+        np.concatenate([seen.pixels for seen in observations])[order],
+        np.concatenate([seen.xy for seen in observations])[order],
+        np.concatenate([seen.ages for seen in observations])[order],
+        np.concatenate([seen.camera for seen in observations])[order],
+        _joined(matches),
+        np.concatenate([seen.quality for seen in observations])[order],
+    )
 
 
 def _joined(matches: Sequence[Matches]) -> Matches:

@@ -7,7 +7,7 @@ camera's translation adds, at the velocity that the feature's last two sightings
 τ, and of the translation alone: ½ a/z τ (τ + Δt) for an acceleration a at the depth z and a time Δt between frames.
 """
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 from itertools import accumulate
 
 import numpy as np
@@ -144,14 +144,8 @@ class FrameTimes:
         self._now = _Seen(seen.ids, late_s, rays)
         kept = np.isfinite(velocity[:, 0])
         xy = rays[:, :2] - late_s[:, None] * velocity
-        return Observations(
-            seen.ids[kept],
-            seen.pixels[kept],
-            xy[kept],
-            seen.ages[kept],
-            cameras[kept],
-            self._moved_matches(seen, rays, velocity),
-        )
+        others = {f.name: getattr(seen, f.name)[kept] for f in fields(seen) if f.name not in ("xy", "matches")}
+        return Observations(**others, xy=xy[kept], matches=self._moved_matches(seen, rays, velocity))
 
     def stamped(self, estimate: Estimate, stamp_ns: int) -> Estimate:
         """Return what is told of a frame, with its time stamp, and its state carried there over the known offset.

@@ -6,12 +6,13 @@ that GTSAM optimises. Between keyframes the newest state is carried forward by t
 never revised.
 """
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 import numpy.typing as npt
 
-from dronevio.estimator.frontend import FrontEnd, Observations, TrackerConfig
+from dronevio.estimator.frontend import FrontEnd, Observations
+from dronevio.estimator.health import HealthConfig, HealthMonitor
 from dronevio.estimator.inertial import ImuBuffer, Increments, InertialConfig, preintegration_params
 from dronevio.estimator.initialiser import Initialiser, InitialiserConfig
 from dronevio.estimator.keyframes import KeyframeConfig, KeyframePolicy
@@ -23,10 +24,11 @@ from dronevio.estimator.start import NotObservable
 from dronevio.estimator.start_in_motion import Sighting
 from dronevio.estimator.stillness import StillnessConfig, StillnessDetector
 from dronevio.estimator.timing import FrameTimes
+from dronevio.estimator.tracker import TrackerConfig
 from dronevio.models.errors import ConfigError
 from dronevio.models.imu import ImuSamples
 from dronevio.models.rig import Rig
-from dronevio.models.state import CameraFrame, Estimate, FeatureTracks, Health, NavState
+from dronevio.models.state import CameraFrame, Estimate, FeatureTracks, Health, HealthReport, NavState
 
 Array = npt.NDArray[np.float64]
 
@@ -44,8 +46,7 @@ class VioConfig:
     keyframe: KeyframeConfig = field(default_factory=KeyframeConfig)
     smoother: SmootherConfig = field(default_factory=SmootherConfig)
     landmarks: LandmarkConfig = field(default_factory=LandmarkConfig)
-    min_tracks: int = 8
-    """With fewer features, the estimate is called inertial-only."""
+    health: HealthConfig = field(default_factory=HealthConfig)
 
 
 class VisualInertialOdometry:
@@ -69,16 +70,19 @@ class VisualInertialOdometry:
             front_end: Where feature observations come from; by default the images.
         """
         self._rig, self._config = rig, config or VioConfig()
-        c, camera = self._config, rig.cameras[0]
+        c = self._config
         self._params = preintegration_params(rig.imu, c.inertial)
         self._buffer = ImuBuffer()
         self._times = FrameTimes(rig)
         self._front_end = front_end or RigTracker(rig, c.tracker)
         self._stillness = StillnessDetector(c.stillness)
         self._keyframes = KeyframePolicy(c.keyframe)
-        self._initialiser = Initialiser(camera, c.start, self._keyframes, self._params, self._new_smoother)
+        self._initialiser = Initialiser(rig.cameras, c.start, self._keyframes, self._params, self._new_smoother)
         self._smoother: KeyframeSmoother | None = None
-        self._propagation: Propagation
+        self._propagation: Propagation  # these two: since there is a smoother
+        self._monitor: HealthMonitor
+        self._waiting = Health.INITIALISING  # what it is called to be without a state
+        self._is_told = False  # whether the state is certain enough to be told
         self._last_frame_ns: int | None = None
 
     def add_imu(self, samples: ImuSamples) -> None:
@@ -101,38 +105,47 @@ class VisualInertialOdometry:
         rotation, rotation_sigma = self._camera_rotation(increments, gyro_bias), bias_sigma * increments.dt_s.sum()
         observations = self._times.moved(self._front_end.track(frame, rotation, float(rotation_sigma)))
         self._stillness.update(t_ns, observations, increments)
-        if self._smoother is None:
-            estimate = self._start(Sighting(t_ns, increments, observations))
-        else:
-            estimate = self._go_on(self._smoother, t_ns, increments, observations)
+        self._initialiser.origin.turn(increments)
+        sighting = Sighting(t_ns, increments, observations)
+        estimate = self._start(sighting) if self._smoother is None else self._go_on(self._smoother, sighting)
         return self._times.stamped(estimate, frame.t_ns)
 
     def _start(self, sighting: Sighting) -> Estimate:
         """Start if that is possible by now; look for features if there are few."""
         if len(sighting.observations) < MIN_FEATURES_AT_START:
-            self._times.moved(self._front_end.replenish())
+            sighting = replace(sighting, observations=self._times.moved(self._front_end.replenish()))
         started = self._initialiser.add(sighting, self._stillness.still_for_s)
         if isinstance(started, NotObservable):
-            tracks = _feature_tracks(sighting.observations)
-            return Estimate(sighting.t_ns, Health.INITIALISING, None, tracks, events=(str(started),))
-        self._smoother = started
+            return self._not_told(sighting, str(started))
+        self._smoother, self._is_told = started, False
+        self._monitor = HealthMonitor(self._rig, self._config.health, self._config.landmarks.pixel_sigma)
         self._begin_interval(started, sighting.observations)
-        return self._estimate(started.state, sighting.observations, ("initialised",))
+        report = self._monitor.judge(sighting.observations, started.state, self._stillness.still_for_s > 0.0)
+        return self._told(sighting, started.state, report)
 
-    def _go_on(
-        self, smoother: KeyframeSmoother, t_ns: int, increments: Increments, observations: Observations
-    ) -> Estimate:
+    def _go_on(self, smoother: KeyframeSmoother, sighting: Sighting) -> Estimate:
         """Carry the newest state forward to a frame, or make the frame a keyframe."""
-        self._propagation.add(increments)
+        self._propagation.add(sighting.increments)
+        predicted = self._propagation.state_at(sighting.t_ns)
         elapsed_s, still_for_s = self._propagation.elapsed_s, self._stillness.still_for_s
-        if not self._keyframes.is_due(elapsed_s, still_for_s, observations):
-            return self._estimate(self._propagation.state_at(t_ns), observations)
-        observations = self._times.moved(self._front_end.replenish())
         still = self._keyframes.is_still(elapsed_s, still_for_s)
-        result = smoother.add_keyframe(t_ns, self._propagation.preintegrated, observations, still)
+        report = self._monitor.judge(sighting.observations, predicted, still)
+        if report.state is Health.LOST:
+            return self._lose(sighting, report)
+        if not self._keyframes.is_due(elapsed_s, still_for_s, sighting.observations):
+            return self._told(sighting, predicted, report)
+        sighting = replace(sighting, observations=self._times.moved(self._front_end.replenish()))
+        result = smoother.add_keyframe(sighting.t_ns, self._propagation.preintegrated, sighting.observations, still)
         self._front_end.discard(result.rejected)
-        self._begin_interval(smoother, observations)
-        return self._estimate(smoother.state, observations, ("keyframe", *result.events), smoother.landmarks)
+        self._begin_interval(smoother, sighting.observations)
+        events = ("keyframe", *result.events)
+        return self._told(sighting, smoother.state, report, events, smoother.landmarks)
+
+    def _lose(self, sighting: Sighting, report: HealthReport) -> Estimate:
+        """Give the estimate up, and look for a new start, from where the drone was last believed to be."""
+        self._smoother, self._waiting = None, Health.LOST
+        self._initialiser.begin_anew()
+        return self._not_told(sighting, f"lost: {report.reason}", report)
 
     def _new_smoother(self, start: NavState, covariance: Array, observations: Observations) -> KeyframeSmoother:
         c = self._config
@@ -141,6 +154,7 @@ class VisualInertialOdometry:
     def _begin_interval(self, smoother: KeyframeSmoother, observations: Observations) -> None:
         """Start preintegration at the newest keyframe, with its biases."""
         self._propagation = Propagation(self._params, self._rig.imu, smoother.state, smoother.gtsam_state)
+        self._monitor.hold(smoother.state, smoother.known_landmarks)
         self._keyframes.begin(observations)
 
     @property
@@ -155,16 +169,29 @@ class VisualInertialOdometry:
         R_imu_cam = self._rig.cameras[0].T_imu_cam[:3, :3]
         return np.asarray(R_imu_cam.T @ increments.rotation(gyro_bias).T @ R_imu_cam)
 
-    def _estimate(
+    def _told(
         self,
+        sighting: Sighting,
         state: NavState,
-        observations: Observations,
+        report: HealthReport,
         events: tuple[str, ...] = (),
         landmarks_world: Array | None = None,
     ) -> Estimate:
-        enough = len(observations) >= self._config.min_tracks
-        health = Health.TRACKING if enough else Health.INERTIAL_ONLY
-        return Estimate(state.t_ns, health, state, _feature_tracks(observations), landmarks_world, events)
+        """Return what is known at a frame, if it is certain enough to be told."""
+        if not self._is_told:
+            doubt = self._initialiser.doubt(state)
+            if doubt is not None:
+                return self._not_told(sighting, str(doubt), report)
+            self._is_told = True
+            events = ("initialised" if self._waiting is Health.INITIALISING else "recovered", *events)
+        if (report.innovation_px or 0.0) <= self._config.health.max_innovation_px:
+            self._initialiser.believe(state)
+        tracks = _feature_tracks(sighting.observations)
+        return Estimate(sighting.t_ns, report.state, state, tracks, landmarks_world, events, report)
+
+    def _not_told(self, sighting: Sighting, why: str, report: HealthReport | None = None) -> Estimate:
+        tracks = _feature_tracks(sighting.observations)
+        return Estimate(sighting.t_ns, self._waiting, None, tracks, events=(why,), health_report=report)
 
 
 def _feature_tracks(observations: Observations) -> FeatureTracks:

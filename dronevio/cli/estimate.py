@@ -31,7 +31,7 @@ class EstimateCommand:
     Examples:
       dronevio estimate recordings/room-0
       dronevio estimate V1_01_easy --out v101.tum
-      dronevio estimate V1_01_easy --cameras 1
+      dronevio estimate V1_01_easy --cameras 1 --imu-rate v101_imu.tum
       dronevio estimate flight.mcap --calibration camchain.yaml imu.yaml --topics.images /left/image_raw
       dronevio estimate V1_01_easy --estimator.tracker.cell-px 36
       dronevio evaluate V1_01_easy v101.tum
@@ -43,6 +43,8 @@ class EstimateCommand:
     """File to write."""
     cameras: CameraCount = "all"
     """How many of the recording's cameras to use: the first, the first two, or all. With 1 it is monocular."""
+    imu_rate: Path | None = None
+    """Another file to write: a pose for each IMU sample, dead-reckoned from the newest frame before it."""
     json: bool = False
     """Print one JSON document instead of a table."""
     calibration: tuple[Path, ...] = ()
@@ -78,19 +80,23 @@ def main(arguments: Sequence[str]) -> int:
     """Run the command."""
     command = parse(EstimateCommand, arguments, "estimate")
 
-    from dronevio.estimation import estimate_recording, require_poses
+    from dronevio.estimation import ImuRateListener, estimate_recording, require_poses
     from dronevio.estimator.vio import VisualInertialOdometry
     from dronevio.models.recordings.files import check_place
     from dronevio.models.recordings.tum import write_tum
 
-    check_place(command.out)  # rather now than when the work is done
+    for place in filter(None, (command.out, command.imu_rate)):
+        check_place(place)  # rather now than when the work is done
     recording = opened(command.recording, command.cameras, command.calibration, command.topics)
+    between = ImuRateListener(recording.rig.imu, command.estimator.inertial)
+    listeners = () if command.imu_rate is None else (between,)
     with progress_bars(quiet=command.json) as bars:
-        run = estimate_recording(
-            recording, VisualInertialOdometry(recording.rig, command.estimator), bars.bar("estimating")
-        )
+        estimator = VisualInertialOdometry(recording.rig, command.estimator)
+        run = estimate_recording(recording, estimator, bars.bar("estimating"), listeners)
     trajectory = require_poses(run, recording)
     write_tum(command.out, trajectory)
+    if command.imu_rate is not None:
+        write_tum(command.imu_rate, between.trajectory)
     summary = {
         "recording": str(command.recording),
         "estimate": str(command.out),
@@ -103,6 +109,8 @@ def main(arguments: Sequence[str]) -> int:
         "cpu_ms_per_frame": float(run.cpu_ms.mean()),
         "real_time_factor": run.real_time_factor,
     }
+    if command.imu_rate is not None:
+        summary |= {"imu_rate": str(command.imu_rate), "imu_rate_poses": len(between.trajectory)}
     if command.json:
         print_json(summary)
         return 0
@@ -121,7 +129,7 @@ def main(arguments: Sequence[str]) -> int:
     )
     if not recording.complete:
         print("the recording is incomplete: it was cut off")
-    print(f"wrote {command.out}")
+    print(f"wrote {' and '.join(str(path) for path in (command.out, command.imu_rate) if path is not None)}")
     if recording.ground_truth is not None:
         print(f"score it:  dronevio evaluate {command.recording} {command.out}")
     return 0

@@ -18,8 +18,9 @@ import numpy.typing as npt
 
 from dronevio.estimator.epipolar import epipolar_inliers
 from dronevio.estimator.equivariant import EquivariantFilter, FilterSettings
-from dronevio.estimator.frontend import Observations, TrackerConfig
+from dronevio.estimator.frontend import Observations
 from dronevio.estimator.inertial import Increments
+from dronevio.estimator.tracker import TrackerConfig
 from dronevio.models.errors import ConfigError, InputError
 from dronevio.models.imu import ImuSamples, Times
 from dronevio.models.progress import Progress, silent

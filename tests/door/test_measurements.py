@@ -4,6 +4,8 @@ import importlib.util
 import json
 import math
 import sys
+import time
+from collections.abc import Callable
 from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any
@@ -15,6 +17,7 @@ from hypothesis import strategies as st
 
 from dronevio.estimator.frontend import Observations
 from dronevio.eval.runs import EstimatorRun
+from dronevio.models.protocols import Recording
 from dronevio.models.rotation import exp_so3, quat_wxyz_from_matrix
 from dronevio.models.state import CameraFrame, Estimate, Health, NavState, Trajectory
 
@@ -53,6 +56,16 @@ def stress(measuring: Any) -> Any:
 @pytest.fixture(scope="module")
 def spoiling() -> Any:
     return script("spoiling")
+
+
+@pytest.fixture(scope="module")
+def long_flight(measuring: Any) -> Any:
+    return script("long_flight")
+
+
+@pytest.fixture(scope="module")
+def cost(long_flight: Any) -> Any:
+    return script("cost")
 
 
 @pytest.fixture(scope="module")
@@ -306,3 +319,72 @@ def test_there_is_a_trial_for_every_stress(stress: Any) -> None:
 
 def measuring_row(stress: Any, flight: str, mode: str) -> Any:
     return stress.Figures(flight, mode, "crashed", "killed")
+
+
+@pytest.mark.parametrize("laps", [1, 3])
+def test_a_repeated_flight_is_one_flight(
+    long_flight: Any, noise_recording: Callable[..., Recording], laps: int
+) -> None:
+    one = noise_recording(frames=4)
+    flown = long_flight.Repeated(one, laps)
+    assert len(flown.frame_times_ns) == 4 * laps and flown.lap_ns == 4 * 50_000_000
+    assert np.all(np.diff(flown.frame_times_ns) == 50_000_000)
+    assert np.all(np.diff(flown.imu.t_ns) > 0) and len(flown.imu) == 37 * laps  # from the first frame on
+    first, last = flown.frame(1), flown.frame(4 * (laps - 1) + 1)
+    np.testing.assert_array_equal(first.images[0], last.images[0])
+    assert last.t_ns - first.t_ns == (laps - 1) * flown.lap_ns
+    truth = one.ground_truth
+    assert truth is not None and truth.gyro_bias_rad_s is not None
+    walked = truth.gyro_bias_rad_s[-1] - truth.gyro_bias_rad_s[0]
+    per_lap = len(flown.imu) // laps
+    difference = flown.imu.gyro_rad_s[-per_lap:] - flown.imu.gyro_rad_s[:per_lap]
+    np.testing.assert_allclose(difference, np.tile((laps - 1) * walked, (per_lap, 1)), atol=1e-12)
+    metres, degrees = flown.seam()
+    assert metres == pytest.approx(np.linalg.norm(truth.p_world_imu[-1] - truth.p_world_imu[0])) and degrees > 0.0
+
+
+def test_a_flight_that_grows_dearer_is_seen_and_one_that_varies_within_its_laps_is_not(cost: Any) -> None:
+    lap = 10.0 + 5.0 * np.sin(np.linspace(0.0, 2.0 * np.pi, 800))
+    even = cost.flatness(np.tile(lap, 15).tolist(), 800, 1200)
+    assert even.ratio == pytest.approx(1.0)
+    dearer = np.tile(lap, 15) * np.linspace(1.0, 1.2, 12_000)
+    assert 1.1 < cost.flatness(dearer.tolist(), 800, 1200).ratio < 1.2
+    assert math.isnan(cost.flatness(lap.tolist(), 800, 1200).ratio)
+
+
+def test_the_profiler_sees_what_runs(long_flight: Any, tmp_path: Path) -> None:
+    source = (
+        "import cv2, numpy as np\n"
+        "def busy(image, n):\n"
+        "    for _ in range(n):\n"
+        "        cv2.cornerMinEigenVal(image, 5)\n"
+        "    total = 0\n"
+        "\n\n\n"
+        "    for k in range(n * 60000):\n"
+        "        total += k\n"
+    )
+    (tmp_path / "vio.py").write_text(source)
+    space: dict[str, Any] = {}
+    exec(compile(source, str(tmp_path / "vio.py"), "exec"), space)
+    profile = long_flight.Profile()
+    start_s = time.process_time()
+    with profile.looking():
+        space["busy"](np.random.default_rng(0).integers(0, 255, (480, 752)).astype(np.uint8), 30)
+    spent_s = time.process_time() - start_s
+    assert 0.5 * spent_s < sum(profile.stages.values()) < 1.01 * spent_s
+    assert set(profile.stages) <= {"corner detection", "Python and the rest", "reading, not counted"}
+    assert profile.stages["corner detection"] > 0.1 * spent_s
+    assert profile.stages["Python and the rest"] > 0.1 * spent_s
+
+
+def test_costs_are_judged(cost: Any) -> None:
+    found = {
+        "mode": "mono", "recording": "x", "lap_s": 30.0, "rate_hz": 20.0, "seam": (0.0, 0.0),
+        "cpu_ms": [9.0] * 12_000, "keyframe": [True, False] * 6_000, "memory_mb": [200.0] * 120,
+        "health": {"tracking": 12_000}, "stages": {"KLT": 60.0, "corner detection": 40.0}, "functions": {"f": 100.0},
+    }  # fmt: skip
+    row = cost.cost_row(found)
+    assert len(row) == len(cost.HEADINGS) and "**no**" not in "".join(row)
+    assert "**no**" in "".join(cost.cost_row({**found, "cpu_ms": [10.5] * 12_000}))
+    assert "**no**" in "".join(cost.cost_row({**found, "cpu_ms": [8.0] * 11_000 + [9.0] * 1_000}))
+    assert "| KLT | 60.0 | 5.00 |" in cost.profile_table(found)

@@ -7,7 +7,8 @@ import cv2
 import numpy as np
 import pytest
 
-from dronevio.estimator.frontend import FeatureTracker, FrontEnd, Observations, TrackerConfig
+from dronevio.estimator.frontend import FrontEnd, Observations
+from dronevio.estimator.tracker import FeatureTracker, TrackerConfig
 from dronevio.models.camera import CameraModel
 from dronevio.models.errors import ConfigError
 from dronevio.models.rotation import exp_so3, pose_matrix
@@ -125,7 +126,7 @@ def test_ages_count_the_frames(wall: Wall) -> None:
 
 
 def cells_of(pixels: np.ndarray) -> list[tuple[int, int]]:
-    side = CONFIG.cell_px
+    side = CONFIG.corners.cell_px
     rows, columns = CAMERA.height // side, CAMERA.width // side
     corner = (np.array([CAMERA.width, CAMERA.height]) - np.array([columns, rows]) * side) // 2
     cells = np.clip((pixels - corner) // side, 0, [columns - 1, rows - 1]).astype(int)

@@ -6,9 +6,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from dronevio.estimator.frontend import FeatureTracker, FrontEnd, Observations, TrackerConfig
+from dronevio.estimator.frontend import FrontEnd, Observations
 from dronevio.estimator.overlap import shared_view
 from dronevio.estimator.rig_tracker import RigTracker
+from dronevio.estimator.tracker import FeatureTracker, TrackerConfig
 from dronevio.models.camera import CameraModel
 from dronevio.models.errors import ConfigError
 from dronevio.models.rig import Rig, RigCamera

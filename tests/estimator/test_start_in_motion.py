@@ -29,8 +29,10 @@ def window_of(flight: object, seconds: float = 1.5) -> list[Sighting]:
 
 
 def start_of(flight: object, config: MotionStartConfig = CONFIG, seconds: float = 1.5) -> NavState | NotObservable:
-    camera = flight.rig.cameras[0]
-    return start_in_motion(window_of(flight, seconds), camera.T_imu_cam, camera.model.fx, config)
+    cameras = flight.rig.cameras
+    return start_in_motion(
+        window_of(flight, seconds), np.stack([camera.T_imu_cam for camera in cameras]), cameras[0].model.fx, config
+    )
 
 
 def errors(state: NavState, truth: Trajectory) -> tuple[float, float, float]:
@@ -113,7 +115,6 @@ def test_more_is_asked_for_than_was_seen(make_flight: Callable) -> None:
     assert isinstance(start_of(flight), NavState)
     for config in (
         replace(CONFIG, min_landmarks=1000),
-        replace(CONFIG, min_sightings=99),
         replace(CONFIG, min_parallax_px=1e4),
         replace(CONFIG, max_residual_px=0.01),
         replace(CONFIG, max_velocity_sigma_m_s=1e-6),
@@ -146,8 +147,8 @@ def test_what_it_is_told_stays_unchanged(make_flight: Callable) -> None:
     flight = make_flight(0, rest_s=-5.0, duration_s=2.0)
     window = window_of(flight)
     before = [(s.observations.xy.copy(), s.increments.gyro_rad_s.copy()) for s in window]
-    camera = flight.rig.cameras[0]
-    start_in_motion(window, camera.T_imu_cam, camera.model.fx, CONFIG)
+    cameras = flight.rig.cameras
+    start_in_motion(window, np.stack([camera.T_imu_cam for camera in cameras]), cameras[0].model.fx, CONFIG)
     for sighting, (xy, gyro) in zip(window, before, strict=True):
         np.testing.assert_array_equal(sighting.observations.xy, xy)
         np.testing.assert_array_equal(sighting.increments.gyro_rad_s, gyro)

@@ -1,0 +1,194 @@
+"""Patches of features as they were first seen, found again to a fraction of a pixel.
+
+Following a corner from frame to frame adds up an error at every step. Here each feature keeps the patch around it from
+the frame in which it was first seen, and in every later frame the patch is put where it fits best: displaced, and bent
+by a 2 × 2 matrix, since it is seen from elsewhere. Brightness and contrast may change. This is the inverse
+compositional algorithm (Baker and Matthews, "Lucas-Kanade 20 years on", IJCV 2004), whose derivatives are those of the
+patch, computed once. The bend is held near what it was before, or patches with little in them would run away.
+"""
+
+from dataclasses import dataclass, fields, replace
+from typing import Self
+
+import cv2
+import numpy as np
+import numpy.typing as npt
+
+Array = npt.NDArray[np.float64]
+Array32 = npt.NDArray[np.float32]
+Image = npt.NDArray[np.uint8]
+
+MOST_CHANGE = 0.3  # of the bend in a step; twice as much could turn a patch inside out
+PIXEL_BLUR_PX = 0.3  # a pixel's own area blurs an image by 1/√12
+MARGIN_PX = 24  # how far patches reach beyond the image at most
+FAR_PX = 1e4  # beyond any image, and within what OpenCV can be asked for
+FAINTEST = 1e-3  # contrast of a patch [grey levels]; below, there is none
+
+
+@dataclass(frozen=True)
+class PatchConfig:
+    """Settings of the alignment of patches."""
+
+    side_px: int = 17
+    """Side of a patch [px]; odd."""
+    steps: int = 3
+    """Gauss-Newton steps in a frame."""
+    noise: float = 3.0
+    """Standard deviation of what remains between two patches that fit [grey levels]."""
+    bend_sigma: float = 0.05
+    """How much a patch bends from one frame to the next: standard deviation of the matrix's elements."""
+    blur_px: float = 0.5
+    """Images are blurred by so much before they are compared [px]: interpolation is more accurate then, and the stairs
+    of pixels matter less."""
+    zooms: tuple[float, ...] = (1.0, 1.6)
+    """What has come nearer looks sharper than it did; it is compared in images that are blurred so much more, for the
+    zoom that is nearest."""
+    min_likeness: float = 0.75
+    """Correlation below which a patch was not found."""
+    max_zoom: float = 2.5
+    """How much nearer or further a patch may come."""
+
+
+@dataclass(frozen=True, eq=False)
+class Patches:
+    """N patches, and what aligning them needs."""
+
+    values: Array32
+    """(N, P) Grey levels, less their mean, divided by their norm."""
+    slopes: Array32
+    """(N, 6, P) Derivatives of the values by displacement (2) and bend (4, by rows), less what brightness explains."""
+    inverse: Array32
+    """(N, 6, 6) Inverse of the Gauss-Newton matrix, prior included."""
+    prior: Array32
+    """(N,) Weight of the prior on the bend."""
+    bend: Array
+    """(N, 2, 2) How the patch is bent at present: maps its own pixels to the image's."""
+
+    def __len__(self) -> int:
+        return len(self.values)
+
+    def __getitem__(self, rows: npt.NDArray[np.int64] | npt.NDArray[np.bool_]) -> Self:
+        return type(self)(*(getattr(self, each.name)[rows] for each in fields(self)))
+
+    def rolled(self, R_cur_prev: Array) -> Self:
+        """Return the patches bent as they are after the camera turned about its axis, as a rotation (3, 3) has it."""
+        angle = np.arctan2(R_cur_prev[1, 0] - R_cur_prev[0, 1], R_cur_prev[0, 0] + R_cur_prev[1, 1])
+        turn = np.array([[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]])
+        return replace(self, bend=turn @ self.bend)
+
+    def joined(self, others: Self) -> Self:
+        """Return these patches and others after them."""
+        pairs = ((getattr(self, each.name), getattr(others, each.name)) for each in fields(self))
+        return type(self)(*(np.concatenate(pair) for pair in pairs))
+
+
+@dataclass(frozen=True, eq=False)
+class Fit:
+    """Where patches were found."""
+
+    pixels: Array
+    """(N, 2) Where they are [px]."""
+    patches: Patches
+    """As they are bent there."""
+    likeness: Array
+    """(N,) How well they fit: correlation, up to 1."""
+    good: npt.NDArray[np.bool_]
+    """(N,) Whether they are to be believed."""
+
+
+@dataclass(frozen=True, eq=False)
+class Prepared:
+    """An image as it is compared."""
+
+    atlas: Image
+    """(L h, W) The image, blurred less and more, one below the other, each with a margin above and below."""
+    height: int
+    """h: rows of each."""
+
+
+class PatchAligner:
+    """Cuts patches and finds them again."""
+
+    def __init__(self, config: PatchConfig) -> None:
+        self._config = config
+        reach = config.side_px // 2
+        line = np.arange(-reach, reach + 1, dtype=np.float32)
+        self._grid = np.stack(np.meshgrid(line, line), axis=0).reshape(2, -1)  # (2, P)
+
+    def prepare(self, image: Image) -> Prepared:
+        """Return an image as it is compared: blurred as each zoom wants it, one below the other."""
+        blur_px, zooms = self._config.blur_px, np.array(self._config.zooms)
+        sigmas = np.sqrt(blur_px**2 * zooms**2 + PIXEL_BLUR_PX**2 * (zooms**2 - 1.0))
+        padded = cv2.copyMakeBorder(image, MARGIN_PX, MARGIN_PX, 0, 0, cv2.BORDER_REPLICATE)
+        height = len(padded)
+        atlas = np.empty((len(sigmas) * height, image.shape[1]), np.uint8)
+        for level, sigma in enumerate(sigmas.tolist()):
+            across = 2 * round(2.0 * sigma) + 1
+            cv2.GaussianBlur(padded, (across, across), sigma, dst=atlas[level * height : (level + 1) * height])
+        return Prepared(atlas, height)
+
+    def cut(self, prepared: Prepared, pixels: Array) -> Patches:
+        """Return the patches around pixels (N, 2) of a prepared image."""
+        c, n = self._config, len(pixels)
+        values, norm = _normalised(self._sampled(prepared, pixels))
+        right, down = np.eye(2)
+        slope_x = 0.5 * (self._sampled(prepared, pixels + right) - self._sampled(prepared, pixels - right))
+        slope_y = 0.5 * (self._sampled(prepared, pixels + down) - self._sampled(prepared, pixels - down))
+        x, y = self._grid
+        slopes = np.stack([slope_x, slope_y, slope_x * x, slope_x * y, slope_y * x, slope_y * y], axis=1)
+        slopes /= norm[:, None, None]
+        slopes -= slopes.mean(axis=2, keepdims=True)
+        slopes -= (slopes @ values[:, :, None]) * values[:, None, :]
+        prior = (c.noise / (norm * c.bend_sigma)) ** 2
+        H = slopes @ slopes.transpose(0, 2, 1)
+        H += prior[:, None, None] * np.diag(np.array([0, 0, 1, 1, 1, 1], np.float32)) + 1e-9 * np.eye(
+            6, dtype=np.float32
+        )
+        return Patches(values, slopes, np.linalg.inv(H), prior, np.tile(np.eye(2), (n, 1, 1)))
+
+    def align(self, prepared: Prepared, patches: Patches, pixels: Array) -> Fit:
+        """Find patches again.
+
+        Args:
+            prepared: Image in which they are looked for.
+            patches: What is looked for, bent as it is expected.
+            pixels: (N, 2) Where they are expected, to a pixel or two.
+        """
+        c, bend, expected = self._config, patches.bend, np.linalg.inv(patches.bend)
+        for _ in range(c.steps):
+            seen, _ = _normalised(self._sampled(prepared, pixels, bend))
+            gain = (patches.slopes @ (seen - patches.values)[:, :, None])[..., 0]
+            gain[:, 2:] += patches.prior[:, None] * (expected @ bend - np.eye(2)).reshape(-1, 4)
+            step = (patches.inverse @ gain[..., None])[..., 0].astype(np.float64)
+            change = np.clip(step[:, 2:], -MOST_CHANGE, MOST_CHANGE).reshape(-1, 2, 2)
+            bend = bend @ np.linalg.inv(np.eye(2) + change)
+            pixels = pixels - np.einsum("nij,nj->ni", bend, step[:, :2])
+        likeness = np.sum(seen * patches.values, axis=1).astype(np.float64)
+        zoom2 = np.linalg.det(bend)
+        good = (likeness > c.min_likeness) & (zoom2 > c.max_zoom**-2) & (zoom2 < c.max_zoom**2)
+        return Fit(pixels, replace(patches, bend=bend), likeness, good & np.isfinite(pixels).all(axis=1))
+
+    def _sampled(self, prepared: Prepared, pixels: Array, bend: Array | None = None) -> Array32:
+        """Return the grey levels (N, P) around pixels (N, 2) of an image, on a bent grid."""
+        n = len(pixels)
+        if not n:  # which OpenCV refuses
+            return np.zeros((0, self._grid.shape[1]), np.float32)
+        bend = np.tile(np.eye(2), (n, 1, 1)) if bend is None else bend
+        zoom = np.sqrt(np.abs(np.linalg.det(bend)))
+        level = np.abs(zoom[:, None] - self._config.zooms).argmin(axis=1)
+        middle = np.clip(pixels, -FAR_PX, FAR_PX).astype(np.float32)
+        axes = bend.astype(np.float32)
+        x = axes[:, 0] @ self._grid + middle[:, :1]
+        y = axes[:, 1] @ self._grid + middle[:, 1:]
+        np.clip(y, -MARGIN_PX, prepared.height - MARGIN_PX - 1, out=y)
+        y += (MARGIN_PX + level * prepared.height).astype(np.float32)[:, None]
+        return np.asarray(
+            cv2.remap(prepared.atlas, x, y, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE), np.float32
+        )
+
+
+def _normalised(values: Array32) -> tuple[Array32, Array32]:
+    """Return values (N, P) with the mean 0 and the norm 1 along P, and the norms (N,) that they had."""
+    values = values - values.mean(axis=1, keepdims=True)
+    norm = np.maximum(np.linalg.norm(values, axis=1), FAINTEST)
+    return values / norm[:, None], norm

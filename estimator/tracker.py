@@ -1,0 +1,181 @@
+"""Follows the corners of one camera's images.
+
+From one frame to the next by pyramidal Lucas-Kanade (Bouguet 2001), which starts where the gyroscope's rotation puts
+the corners; then to where the patch fits best that was around each when it was first seen
+(`dronevio.estimator.patches`), so that errors do not add up.
+"""
+
+from collections.abc import Iterator
+from dataclasses import dataclass, field, fields, replace
+from itertools import count, islice
+from typing import Self
+
+import cv2
+import numpy as np
+import numpy.typing as npt
+
+from dronevio.estimator.corners import CornerConfig, new_corners
+from dronevio.estimator.epipolar import epipolar_inliers
+from dronevio.estimator.frontend import Observations, image_of
+from dronevio.estimator.patches import PatchAligner, PatchConfig, Patches
+from dronevio.models.camera import CameraModel
+from dronevio.models.state import CameraFrame
+
+Array = npt.NDArray[np.float64]
+Image = npt.NDArray[np.uint8]
+
+OUTSIDE_PX = 1e4
+KLT_STEPS, KLT_STEP_PX = 15, 0.03  # at most, and the last [px]: a patch's place is refined afterwards
+
+
+@dataclass(frozen=True)
+class TrackerConfig:
+    """Settings of the feature tracker."""
+
+    corners: CornerConfig = field(default_factory=CornerConfig)
+    """Which corners are taken."""
+    patches: PatchConfig = field(default_factory=PatchConfig)
+    """How their patches are found again."""
+    window_px: int = 11
+    """Side of the patch that is followed from frame to frame [px]."""
+    pyramid_levels: int = 3
+    """Pyramid levels above the image: the prediction may be off by about window/2 · 2^levels pixels."""
+    border_px: int = 12
+    """Features nearer to the image's border are dropped [px]."""
+    max_correction_px: float = 2.0
+    """Largest distance between where a feature was followed to and where its patch fits [px]."""
+    ransac_px: float = 0.5
+    """Largest distance from the epipolar line [px]."""
+    seed: int = 0
+    """Seed of the random draws."""
+
+
+@dataclass(frozen=True, eq=False)
+class _Features:
+    """What is followed: N features, in the order of their identities."""
+
+    ids: npt.NDArray[np.int64]
+    ages: npt.NDArray[np.int64]
+    pixels: Array
+    xy: Array
+    quality: Array
+    patches: Patches
+
+    def __getitem__(self, rows: npt.NDArray[np.int64] | npt.NDArray[np.bool_]) -> Self:
+        return type(self)(*(getattr(self, each.name)[rows] for each in fields(self)))
+
+    def joined(self, others: Self) -> Self:
+        """Return these features and others after them."""
+        return type(self)(
+            np.concatenate([self.ids, others.ids]),
+            np.concatenate([self.ages, others.ages]),
+            np.concatenate([self.pixels, others.pixels]),
+            np.concatenate([self.xy, others.xy]),
+            np.concatenate([self.quality, others.quality]),
+            self.patches.joined(others.patches),
+        )
+
+
+class FeatureTracker:
+    """Follows corners in the images of one camera."""
+
+    def __init__(
+        self, camera: CameraModel, config: TrackerConfig, index: int = 0, identities: Iterator[int] | None = None
+    ) -> None:
+        """Prepare for a camera.
+
+        Args:
+            camera: Its model.
+            config: Settings.
+            index: Which camera of the rig it is.
+            identities: Where features get their identities from, in increasing order; from 0 on if not given.
+        """
+        self._camera = camera
+        self._index = index
+        self._identities = count() if identities is None else identities
+        self._config = config
+        self._aligner = PatchAligner(config.patches)
+        self._rng = np.random.default_rng(config.seed)
+        self._image: Image | None = None
+        self._prepared = self._aligner.prepare(np.zeros((camera.height, camera.width), np.uint8))
+        self._features = self._new_features(np.zeros((0, 2)))
+
+    def track(self, frame: CameraFrame, R_cur_prev: Array, rotation_sigma_rad: float = 0.0) -> Observations:
+        """Follow the features into a frame.
+
+        Args:
+            frame: The new frame, with an image of this camera.
+            R_cur_prev: (3, 3) Rotation of the previous camera frame into this one, from the gyroscope.
+            rotation_sigma_rad: How far it may be off.
+
+        Returns:
+            The features that are still seen and agree with one rigid motion.
+
+        Raises:
+            ConfigError: The image is not a grey one of the camera's size.
+        """
+        previous, self._image = self._image, image_of(frame, self._index, self._camera)
+        self._prepared = self._aligner.prepare(self._image)
+        if previous is not None and len(self._features.ids):
+            followed = self._aligned(self._followed(previous, self._image, R_cur_prev), R_cur_prev)
+            self._features = self._agreeing(followed, R_cur_prev, rotation_sigma_rad)
+        return self._observations()
+
+    def replenish(self) -> Observations:
+        """Take the best new corner of each grid cell that holds no feature, and return all features of the frame."""
+        if self._image is not None:
+            corners = new_corners(self._image, self._features.pixels, self._config.border_px, self._config.corners)
+            self._features = self._features.joined(self._new_features(corners))
+        return self._observations()
+
+    def discard(self, ids: npt.NDArray[np.int64]) -> None:
+        """Follow some features no further."""
+        self._features = self._features[~np.isin(self._features.ids, ids)]
+
+    def _observations(self) -> Observations:
+        f = self._features
+        return Observations(f.ids, f.pixels, f.xy, f.ages, np.full(len(f.ids), self._index), quality=f.quality)
+
+    def _new_features(self, pixels: Array) -> _Features:
+        """Return new features at pixels (N, 2) of the last image."""
+        n = len(pixels)
+        ids = np.fromiter(islice(self._identities, n), np.int64)
+        patches = self._aligner.cut(self._prepared, pixels)
+        return _Features(ids, np.ones(n, np.int64), pixels, self._camera.normalise(pixels), np.ones(n), patches)
+
+    def _followed(self, previous: Image, image: Image, R_cur_prev: Array) -> _Features:
+        """Return the features that are found in the next image, where they are found."""
+        c, features = self._config, self._features
+        bearings = np.column_stack([features.xy, np.ones(len(features.xy))]) @ R_cur_prev.T
+        # Far outside, and finite, is where OpenCV can be told to look for what is behind the camera.
+        predicted = np.nan_to_num(self._camera.project(bearings), nan=-OUTSIDE_PX).clip(-OUTSIDE_PX, OUTSIDE_PX)
+        moved, status, _ = cv2.calcOpticalFlowPyrLK(
+            previous,
+            image,
+            features.pixels.astype(np.float32),
+            np.ascontiguousarray(predicted, dtype=np.float32),
+            winSize=(c.window_px, c.window_px),
+            maxLevel=c.pyramid_levels,
+            criteria=(cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, KLT_STEPS, KLT_STEP_PX),
+            flags=cv2.OPTFLOW_USE_INITIAL_FLOW,
+        )
+        pixels = moved.reshape(-1, 2).astype(np.float64)
+        return replace(features, pixels=pixels)[(status[:, 0] == 1) & self._inside(pixels)]
+
+    def _aligned(self, features: _Features, R_cur_prev: Array) -> _Features:
+        """Return the features whose patches fit, where they fit, given where they were followed to."""
+        fit = self._aligner.align(self._prepared, features.patches.rolled(R_cur_prev), features.pixels)
+        moved = np.linalg.norm(fit.pixels - features.pixels, axis=1)
+        good = fit.good & (moved < self._config.max_correction_px) & self._inside(fit.pixels)
+        return replace(features, pixels=fit.pixels, quality=fit.likeness, patches=fit.patches)[good]
+
+    def _agreeing(self, features: _Features, R_cur_prev: Array, rotation_sigma_rad: float) -> _Features:
+        """Return the features that agree with one motion since the previous frame; theirs are its coordinates."""
+        xy = self._camera.normalise(features.pixels)
+        distance = self._config.ransac_px / self._camera.fx + rotation_sigma_rad
+        inliers = epipolar_inliers(features.xy, xy, R_cur_prev, distance, self._rng)
+        return replace(features, xy=xy, ages=features.ages + 1)[inliers]
+
+    def _inside(self, pixels: Array) -> npt.NDArray[np.bool_]:
+        border, size = self._config.border_px, np.array([self._camera.width, self._camera.height])
+        return np.asarray(np.all((pixels >= border) & (pixels <= size - 1 - border), axis=1))
