@@ -1,8 +1,13 @@
-"""The back end: a fixed-lag smoother over keyframes, with smart factors for the landmarks.
+"""The back end: a fixed-lag smoother over keyframes and landmarks.
 
-Each keyframe has a pose, a velocity and biases. Consecutive ones are joined by the preintegrated IMU, and all that see
-a landmark by a smart factor, which eliminates the landmark itself (Carlone et al., "Eliminating conditionally
-independent sets in factor graphs", ICRA 2014). Keyframes older than the lag are marginalised into a prior.
+Each keyframe has a pose, a velocity and biases. GTSAM's preintegrated IMU joins consecutive ones, and landmarks join all
+that saw them. A keyframe adds itself, and the whole window is optimised by Gauss-Newton: landmarks are eliminated first
+(`reprojection`), what is left is small and dense. When the window is full, either its oldest keyframe is marginalised
+with the landmarks that it saw, into a prior that keeps what they said (`window.Prior`); or, where the drone has hardly
+moved, the last keyframe but one goes, so that the window keeps what it saw long ago and a hovering drone does not drift
+(Leutenegger et al., "Keyframe-based visual-inertial odometry using nonlinear optimization", IJRR 2015; Usenko et al.,
+"Visual-inertial mapping with non-linear factor recovery", RA-L 2020). Landmarks that outlive the window's edge stay as
+variables of the prior.
 
 All image coordinates here are normalised (at depth 1 in the camera frame), so a pixel is 1/fx.
 """
@@ -17,31 +22,38 @@ from gtsam.symbol_shorthand import B, V, X
 
 from dronevio.estimator.covariance import covariance_from_gtsam, covariance_to_gtsam
 from dronevio.estimator.frontend import Observations
-from dronevio.estimator.landmarks import KnownLandmarks, LandmarkConfig, LandmarkWindow, Track
-from dronevio.estimator.solver import FixedLagSolver, insert_state, stamps_of
+from dronevio.estimator.landmarks import KnownLandmarks, LandmarkConfig, LandmarkWindow
+from dronevio.estimator.marginal import Factorised, SingularError
+from dronevio.estimator.prior import STATE, State
 from dronevio.estimator.start import GAUGE_SIGMA
+from dronevio.estimator.window import Window
 from dronevio.models.rig import RigCamera
 from dronevio.models.state import NavState
 
 Array = npt.NDArray[np.float64]
-
-TRIANGULATION_RANK_TOLERANCE = 1e-3  # GTSAM's own check, in normalised coordinates; ours is the parallax
 
 
 @dataclass(frozen=True)
 class SmootherConfig:
     """Settings of the fixed-lag smoother."""
 
-    lag_s: float = 5.0
-    """Length of the window [s]."""
-    max_distance_m: float = 60.0
-    """Landmarks beyond are ignored [m]."""
-    relinearise_threshold: float = 0.01
-    """Change of a variable that makes iSAM2 linearise again."""
-    max_linearisation_drift: float = 0.05
-    """Distance of a pose from where it was linearised beyond which the whole window is linearised anew [rad or m]."""
+    max_keyframes: int = 12
+    """Keyframes in the window."""
+    min_parallax_px: float = 12.0
+    """A keyframe whose features have moved less since the one before, rotation taken out, goes before the oldest [px]."""
+    max_long_lived: int = 20
+    """Landmarks that may stay as variables of the prior when the first keyframe that saw them leaves."""
+    iterations: int = 2
+    """Gauss-Newton steps a keyframe."""
+    pixel_sigma: float = 0.8
+    """Standard deviation of an image measurement [px]: tracking error and what calibration leaves."""
+    robust_sigmas: float = 2.0
+    """Residuals beyond so many standard deviations, or medians where those are larger, lose weight as under Cauchy's
+    loss."""
     launch_rounds: int = 2
     """How often the first keyframes are optimised, the landmarks judged anew before each time."""
+    launch_iterations: int = 10
+    """Levenberg-Marquardt steps a round."""
     still_velocity_sigma: float = 0.01
     """How surely the velocity is zero at rest [m/s]."""
     still_pose_sigma: float = 0.003
@@ -73,7 +85,7 @@ class KeyframeResult:
 
 
 class KeyframeSmoother:
-    """Estimates the states of the last few seconds' keyframes."""
+    """Estimates the states of a window of keyframes."""
 
     def __init__(
         self,
@@ -98,26 +110,11 @@ class KeyframeSmoother:
         self._landmark_config = landmarks
         self._focal_px = cameras[0].model.fx
         self._Ts_imu_cam = np.stack([camera.T_imu_cam for camera in cameras])
-        self._cameras = gtsam.CameraSetPinholePoseCal3_S2()
-        for T_imu_cam in self._Ts_imu_cam:
-            self._cameras.push_back(gtsam.PinholePoseCal3_S2(gtsam.Pose3(T_imu_cam), gtsam.Cal3_S2()))
-        self._smart = gtsam.SmartProjectionParams()
-        self._smart.setDegeneracyMode(gtsam.DegeneracyMode.ZERO_ON_DEGENERACY)
-        self._smart.setRankTolerance(TRIANGULATION_RANK_TOLERANCE)
-        self._smart.setLandmarkDistanceThreshold(config.max_distance_m)
-        self._solver: FixedLagSolver
-        self._landmarks: LandmarkWindow
-        self._k: int  # index of the newest keyframe since the last restart
-        self._poses: dict[int, tuple[Array, Array]]  # of the cameras at the window's keyframes
-        self._nav: gtsam.NavState
-        self._bias: gtsam.imuBias.ConstantBias
-        self._prior: gtsam.NonlinearFactorGraph  # what was known at the last restart
-        self._first_values: gtsam.Values
-        self._position_covariance: Array  # (3, 3) of the keyframe at which the solver started
-        self._covariance: Array  # (15, 15) of the newest keyframe, in the order of NavState
+        self._window: Window
+        self._last_seen: tuple[Observations, Observations]  # of the last keyframe but one, and of the last
+        self._position_covariance: Array  # (3, 3) of the keyframe at which the window began
         self._state: NavState
-        self._restart(start, covariance)
-        self._landmarks.observe(0, start.t_ns * 1e-9, observations)
+        self._restart(start, covariance, observations)
 
     @property
     def state(self) -> NavState:
@@ -127,17 +124,18 @@ class KeyframeSmoother:
     @property
     def gtsam_state(self) -> tuple[gtsam.NavState, gtsam.imuBias.ConstantBias]:
         """The newest keyframe's state, for preintegration to start from."""
-        return self._nav, self._bias
+        newest = self._window.states[self._window.newest]
+        return gtsam.NavState(newest.pose, newest.velocity), newest.bias
 
     @property
     def landmarks(self) -> Array:
         """(N, 3) Positions in the world of the landmarks that constrain the window [m]."""
-        return self._landmarks.points()
+        return self._window.landmarks.points.copy()
 
     @property
     def known_landmarks(self) -> KnownLandmarks:
         """The landmarks that constrain the window."""
-        return self._landmarks.known()
+        return self._window.landmarks.known(self._window.cameras)
 
     def add_keyframe(
         self,
@@ -157,152 +155,142 @@ class KeyframeSmoother:
         Returns:
             What came of it. An exception in the solver ends no flight: it starts again at the predicted state.
         """
-        k = self._k + 1
-        predicted = preintegrated.predict(self._nav, self._bias)
-        graph, values = gtsam.NonlinearFactorGraph(), gtsam.Values()
-        insert_state(values, k, predicted, self._bias)
-        self._add_motion(graph, k, preintegrated, still)
-        self._landmarks.observe(k, t_ns * 1e-9, observations)
-        self._poses[k] = self._camera_poses(predicted.pose())
-        tracks, wrong = self._landmarks.judge(self._poses, seen_from=k)
-        removed = [track.slot for track in (*tracks, *wrong) if track.slot is not None]
-        self._landmarks.drop(wrong)
-        first_smart = graph.size()
-        for track in tracks:
-            graph.add(self._smart_factor(track))
-        self._k = k
-        rejected = np.array([track.id for track in wrong], dtype=np.int64)
+        window, moved_px = self._window, self._parallax_px()
+        self._append(Keyframe(t_ns, preintegrated, observations, still))
+        rejected = window.landmarks.triangulate(window.cameras, window.newest)
+        predicted = window.states[window.newest]
         try:
-            slots = self._solver.update(graph, values, stamps_of(k, t_ns), removed)
-            self._read_states(t_ns)
-        except RuntimeError as error:  # an indeterminate linear system: too little parallax, or a wild outlier
-            self._restart(_nav_state(t_ns, predicted, self._bias), self._covariance)
-            return KeyframeResult(rejected, (f"solver restored: {str(error).strip().splitlines()[0]}",))
-        for track, slot in zip(tracks, slots[first_smart:], strict=True):
-            track.slot = slot
-        self._landmarks.forget_before(min(self._poses), k)
-        self._follow_linearisation()
-        return KeyframeResult(rejected)
+            for _ in range(self._config.iterations):
+                system = window.linearise()
+                solver = Factorised(system.H)
+                window.move(system, solver.solve(system.b))
+            self._read_state(t_ns, solver)
+            wrong = window.landmarks.judge(*window.residuals())
+            window.forget(wrong.tolist())
+            self._make_room(moved_px)
+        except SingularError as error:
+            self._restart(_nav_state(t_ns, predicted), self._covariance, observations)
+            return KeyframeResult(rejected, (f"solver restored: {error}",))
+        return KeyframeResult(np.union1d(rejected, wrong))
 
     def launch(self, keyframes: Sequence[Keyframe]) -> float | None:
         """Add the first keyframes, all at once, and optimise them together by Levenberg-Marquardt.
 
-        A start in motion is off by a tenth of its velocity, too far for the single linear step that a keyframe gets
-        later.
+        A start in motion is off by a tenth of its velocity, too far for the few steps that a keyframe gets later.
 
         Returns:
             The landmarks' typical reprojection error [px], infinite where there are no landmarks; None where there is
             no solution, and this smoother is of no more use.
         """
-        graph, values = gtsam.NonlinearFactorGraph(self._prior), gtsam.Values(self._first_values)
-        nav, stamps = self._nav, stamps_of(0, self._state.t_ns)
-        for k, keyframe in enumerate(keyframes, 1):
-            nav = keyframe.preintegrated.predict(nav, self._bias)
-            self._add_motion(graph, k, keyframe.preintegrated, keyframe.still)
-            insert_state(values, k, nav, self._bias)
-            stamps |= stamps_of(k, keyframe.t_ns)
-            self._landmarks.observe(k, keyframe.t_ns * 1e-9, keyframe.observations)
-        self._k = len(keyframes)
-        tracks: list[Track] = []
+        window = self._window
+        for keyframe in keyframes:
+            self._append(keyframe)
         try:
             for _ in range(self._config.launch_rounds):
-                self._poses = {k: self._camera_poses(values.atPose3(X(k))) for k in range(self._k + 1)}
-                tracks, wrong = self._landmarks.judge(self._poses)
-                self._landmarks.drop(wrong)
-                whole = gtsam.NonlinearFactorGraph(graph)
-                for track in tracks:
-                    whole.add(self._smart_factor(track))
-                values = gtsam.LevenbergMarquardtOptimizer(whole, values).optimize()
-            self._solver = self._new_solver()
-            slots = self._solver.update(whole, values, stamps)
-            self._read_states(keyframes[-1].t_ns)
-        except RuntimeError:
+                window.landmarks.triangulate(window.cameras, window.newest, anew=True)
+                solver = self._optimise_from_afar()
+            self._read_state(keyframes[-1].t_ns, solver)
+            error = np.linalg.norm(window.residuals()[0], axis=1)
+            while len(window.states) > self._config.max_keyframes:
+                self._make_room(np.inf)
+        except SingularError:
             return None
-        for track, slot in zip(tracks, slots[graph.size() :], strict=True):
-            track.slot = slot
-        return self._landmarks.typical_error(self._poses) * self._focal_px
+        return float(np.median(error)) * self._focal_px if len(error) else float("inf")
 
-    def _restart(self, start: NavState, covariance: Array) -> None:
+    def _restart(self, start: NavState, covariance: Array, observations: Observations) -> None:
         """Begin anew at a state, as sure of it as the covariance (15, 15) says.
 
-        Nothing observes the position, and metres of uncertainty in it leave the solver's linear systems without the
-        digits that they need. It gets a position that is known, and what was unsure is added to what it says later.
+        Nothing observes the position, and metres of uncertainty in it leave linear systems without the digits that they
+        need. It gets a position that is known, and what was unsure is added to what it says later.
         """
-        self._solver = self._new_solver()
-        self._landmarks = LandmarkWindow(self._focal_px, self._landmark_config)
-        self._poses = {}
-        self._k = 0
-        pose = gtsam.Pose3(start.T_world_imu)
-        self._bias = gtsam.imuBias.ConstantBias(start.accel_bias_m_s2, start.gyro_bias_rad_s)
-        self._nav = gtsam.NavState(pose, start.velocity_m_s)
-        self._prior, self._first_values = gtsam.NonlinearFactorGraph(), gtsam.Values()
+        bias = gtsam.imuBias.ConstantBias(start.accel_bias_m_s2, start.gyro_bias_rad_s)
+        first = State(gtsam.Pose3(start.T_world_imu), start.velocity_m_s, bias)
         self._position_covariance = covariance[3:6, 3:6]
         anchored = covariance.copy()
         anchored[3:6, :] = anchored[:, 3:6] = 0.0
         anchored[3:6, 3:6] = GAUGE_SIGMA**2 * np.eye(3)
-        P = covariance_to_gtsam(anchored, start.T_world_imu[:3, :3])
-        gaussian = gtsam.noiseModel.Gaussian.Covariance
-        self._prior.add(gtsam.PriorFactorPose3(X(0), pose, gaussian(P[:6, :6])))
-        self._prior.add(gtsam.PriorFactorVector(V(0), start.velocity_m_s, gaussian(P[6:9, 6:9])))
-        self._prior.add(gtsam.PriorFactorConstantBias(B(0), self._bias, gaussian(P[9:, 9:])))
-        insert_state(self._first_values, 0, self._nav, self._bias)
-        self._solver.update(self._prior, self._first_values, stamps_of(0, start.t_ns))
-        self._read_states(start.t_ns)
+        information = np.linalg.inv(covariance_to_gtsam(anchored, start.T_world_imu[:3, :3]))
+        landmarks = LandmarkWindow(self._focal_px, self._landmark_config)
+        landmarks.observe(0, observations)
+        c = self._config
+        self._window = Window(
+            first, information, landmarks, self._Ts_imu_cam, c.pixel_sigma / self._focal_px, c.robust_sigmas
+        )
+        self._covariance = covariance
+        self._last_seen = observations, observations
+        self._state = _nav_state(start.t_ns, first, covariance)
 
-    def _new_solver(self) -> FixedLagSolver:
-        return FixedLagSolver(self._config.lag_s, self._config.relinearise_threshold)
-
-    def _add_motion(
-        self,
-        graph: gtsam.NonlinearFactorGraph,
-        k: int,
-        preintegrated: gtsam.PreintegratedCombinedMeasurements,
-        still: bool,
-    ) -> None:
-        """Tie keyframe k to the one before: by the IMU, and if the drone stood still, by that."""
-        c, j = self._config, k - 1
-        graph.add(gtsam.CombinedImuFactor(X(j), V(j), X(k), V(k), B(j), B(k), preintegrated))
-        if still:
+    def _append(self, keyframe: Keyframe) -> None:
+        """Add a keyframe where the IMU says that it is, and tie it to the one before."""
+        c, window, j = self._config, self._window, self._window.newest
+        k = j + 1
+        nav, bias = self.gtsam_state
+        predicted = keyframe.preintegrated.predict(nav, bias)
+        factors = [gtsam.CombinedImuFactor(X(j), V(j), X(k), V(k), B(j), B(k), keyframe.preintegrated)]
+        if keyframe.still:
             no_speed = gtsam.noiseModel.Isotropic.Sigma(3, c.still_velocity_sigma)
             no_motion = gtsam.noiseModel.Isotropic.Sigma(6, c.still_pose_sigma)
-            graph.add(gtsam.PriorFactorVector(V(k), np.zeros(3), no_speed))
-            graph.add(gtsam.BetweenFactorPose3(X(j), X(k), gtsam.Pose3(), no_motion))
+            factors.append(gtsam.PriorFactorVector(V(k), np.zeros(3), no_speed))
+            factors.append(gtsam.BetweenFactorPose3(X(j), X(k), gtsam.Pose3(), no_motion))
+        window.append(State(predicted.pose(), predicted.velocity(), bias), factors)
+        window.landmarks.observe(k, keyframe.observations)
+        self._last_seen = self._last_seen[1], keyframe.observations
 
-    def _smart_factor(self, track: Track) -> gtsam.SmartProjectionRigFactorPinholePoseCal3_S2:
-        """Return the factor that ties all keyframes that saw a landmark."""
-        noise = gtsam.noiseModel.Isotropic.Sigma(2, track.sigma)
-        factor = gtsam.SmartProjectionRigFactorPinholePoseCal3_S2(noise, self._cameras, self._smart)
-        factor.add(track.xy, [X(k) for k in track.keyframes], track.cameras)
-        return factor
-
-    def _read_states(self, t_ns: int) -> None:
-        """Take over what the solver found: the newest state, and the poses of the window's keyframes."""
-        k = self._k
-        poses = {i: self._solver.pose(i) for i in self._solver.keyframes}
-        self._poses = {i: self._camera_poses(pose) for i, pose in poses.items()}
-        self._bias = self._solver.bias(k)
-        self._nav = gtsam.NavState(poses[k], self._solver.velocity(k))
-        self._covariance = covariance_from_gtsam(self._solver.covariance(k), poses[k].rotation().matrix())
-        self._covariance[3:6, 3:6] += self._position_covariance
-        self._state = _nav_state(t_ns, self._nav, self._bias, self._covariance)
-
-    def _follow_linearisation(self) -> None:
-        """Linearise the window anew if it has moved far."""
-        if self._solver.drift_from_linearisation() <= self._config.max_linearisation_drift:
+    def _make_room(self, moved_px: float) -> None:
+        """Let a keyframe go, if there are too many: the last but one where it had hardly moved, else the oldest."""
+        window, c = self._window, self._config
+        if len(window.states) <= c.max_keyframes:
             return
-        try:
-            self._landmarks.move_slots(self._solver.linearise_anew())
-            self._read_states(self._state.t_ns)
-        except RuntimeError:  # the solver as it was still works
-            return
+        if moved_px < c.min_parallax_px:
+            window.skip(sorted(window.states)[-2])
+        else:
+            window.marginalise(min(window.states), c.max_long_lived)
 
-    def _camera_poses(self, pose: gtsam.Pose3) -> tuple[Array, Array]:
-        """Return the orientations (C, 3, 3) and positions (C, 3) of the cameras for a pose of the IMU."""
-        Ts_world_cam = pose.matrix() @ self._Ts_imu_cam
-        return Ts_world_cam[:, :3, :3], Ts_world_cam[:, :3, 3]
+    def _parallax_px(self) -> float:
+        """Return how far features have typically moved between the last two keyframes, rotation taken out [px]."""
+        before, now = self._last_seen
+        states = list(self._window.states.values())
+        common = np.intersect1d(before.ids, now.ids, assume_unique=True, return_indices=True)
+        _, i, j = common
+        if len(states) < 2 or len(i) == 0:
+            return float("inf")
+        R = self._Ts_imu_cam[now.camera[j], :3, :3]
+        turn = states[-1].pose.rotation().matrix().T @ states[-2].pose.rotation().matrix()
+        rays = np.column_stack([before.xy[i], np.ones(len(i))])[:, :, None]
+        turned = (np.swapaxes(R, 1, 2) @ (turn @ (R @ rays)))[..., 0]
+        moved = np.linalg.norm(now.xy[j] - turned[:, :2] / turned[:, 2:], axis=1)
+        return float(np.median(moved)) * self._focal_px
+
+    def _optimise_from_afar(self) -> Factorised:
+        """Optimise the window by Levenberg-Marquardt; return the last linear system, factorised."""
+        window, damping = self._window, 1e-4
+        system, cost = window.linearise(), window.cost()
+        for _ in range(self._config.launch_iterations):
+            states, points = window.states, window.landmarks.points
+            damped = system.H + damping * np.diag(np.diag(system.H))
+            window.move(system, Factorised(damped).solve(system.b))
+            new_cost = window.cost()
+            if new_cost < cost:
+                converged = cost - new_cost < 1e-3 * cost
+                damping, system, cost = 0.1 * damping, window.linearise(), window.cost()
+                if converged:
+                    break
+            else:
+                window.states, window.landmarks.points = states, points
+                damping *= 10.0
+        return Factorised(system.H)
+
+    def _read_state(self, t_ns: int, solver: Factorised) -> None:
+        """Take over the newest keyframe's state and covariance."""
+        window = self._window
+        newest = window.states[window.newest]
+        columns = STATE * (len(window.states) - 1) + np.arange(STATE)
+        P = covariance_from_gtsam(solver.inverse_block(columns), newest.pose.rotation().matrix())
+        P[3:6, 3:6] += self._position_covariance
+        self._covariance = P
+        self._state = _nav_state(t_ns, newest, P)
 
 
-def _nav_state(
-    t_ns: int, nav: gtsam.NavState, bias: gtsam.imuBias.ConstantBias, covariance: Array | None = None
-) -> NavState:
-    return NavState(t_ns, nav.pose().matrix(), nav.velocity(), bias.gyroscope(), bias.accelerometer(), covariance)
+def _nav_state(t_ns: int, state: State, covariance: Array | None = None) -> NavState:
+    bias = state.bias
+    return NavState(t_ns, state.pose.matrix(), state.velocity, bias.gyroscope(), bias.accelerometer(), covariance)

@@ -31,6 +31,8 @@ class Triangulation:
     """(L,) Largest angle between its first ray and the others [rad]."""
     baseline_m: Array
     """(L,) Largest distance between the first camera that saw it and the others [m]."""
+    depth_m: Array
+    """(L,) Its largest depth in the cameras that saw it [m]."""
 
 
 def triangulate(starts: npt.NDArray[np.int64], Rs_world_cam: Array, p_world_cam: Array, xy: Array) -> Triangulation:
@@ -61,6 +63,7 @@ def triangulate(starts: npt.NDArray[np.int64], Rs_world_cam: Array, p_world_cam:
         np.sqrt(error2[starts + counts - 1]),
         np.arccos(np.clip(np.minimum.reduceat(cosines, starts), -1.0, 1.0)),
         np.maximum.reduceat(baselines, starts),
+        np.maximum.reduceat(depth, starts),
     )
 
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.optimize import least_squares
 
-from dronevio.estimator.frontend import Observations
+from dronevio.estimator.frontend import Matches, Observations
 from dronevio.estimator.landmarks import LandmarkConfig, LandmarkWindow
 from dronevio.estimator.triangulation import Triangulation, triangulate
 from dronevio.models.rotation import exp_so3
@@ -110,89 +110,105 @@ def test_one_view_and_no_parallax_are_no_reason_to_fail() -> None:
     assert np.isfinite(found.points).all() and found.parallax_rad[0] < 1e-7
 
 
-def window(scene: Scene, frames: int, config: LandmarkConfig | None = None, interval_s: float = 0.2) -> LandmarkWindow:
+def window(scene: Scene, frames: int, config: LandmarkConfig | None = None) -> LandmarkWindow:
     landmarks = LandmarkWindow(FOCAL_PX, config or LandmarkConfig())
     for k in range(frames):
-        landmarks.observe(k, interval_s * k, scene.seen(k))
+        landmarks.observe(k, scene.seen(k))
     return landmarks
 
 
-def test_landmarks_seen_often_and_from_aside_are_useful() -> None:
-    scene = Scene()
-    useful, wrong = window(scene, 8).judge(scene.poses(), seen_from=7)
-    assert [track.id for track in useful] == list(range(30)) and wrong == []
-    np.testing.assert_allclose([track.point for track in useful], scene.points, atol=1e-3)
-    np.testing.assert_allclose([track.sigma for track in useful], LandmarkConfig().pixel_sigma * PIXEL, rtol=1e-3)
+def judged(landmarks: LandmarkWindow, poses: dict[int, tuple[np.ndarray, np.ndarray]]) -> np.ndarray:
+    """Return the landmarks that the window gives up, by the errors that they have with one camera at some poses."""
+    seen = landmarks.sightings
+    points = landmarks.points[landmarks.rows(seen.landmark)]
+    R, p = (np.stack([poses[k][i][0] for k in seen.keyframe.tolist()]) for i in (0, 1))
+    in_camera = np.einsum("nij,ni->nj", R, points - p)
+    return landmarks.judge(seen.xy - in_camera[:, :2] / in_camera[:, 2:], in_camera[:, 2], seen)
 
 
-def test_landmarks_seen_seldom_or_without_parallax_are_neither_useful_nor_wrong() -> None:
+def test_landmarks_seen_often_and_from_aside_are_found() -> None:
     scene = Scene()
-    assert window(scene, 2).judge(scene.poses(), seen_from=1) == ([], [])
-    assert window(scene, 8, LandmarkConfig(min_parallax_deg=60.0)).judge(scene.poses(), seen_from=7) == ([], [])
+    landmarks = window(scene, 8)
+    assert len(landmarks.triangulate(scene.poses(), newest=7)) == 0
+    assert landmarks.ids.tolist() == list(range(30))
+    np.testing.assert_allclose(landmarks.points, scene.points, atol=1e-3)
+    assert len(landmarks.sightings) == 8 * 30
+
+
+def test_landmarks_seen_seldom_or_without_parallax_are_neither_found_nor_wrong() -> None:
+    scene = Scene()
+    for landmarks, newest in ((window(scene, 2), 1), (window(scene, 8, LandmarkConfig(min_parallax_deg=60.0)), 7)):
+        assert len(landmarks.triangulate(scene.poses(), newest)) == 0
+        assert len(landmarks.ids) == 0 and len(landmarks.sightings) == 0
+
+
+def test_several_cameras_at_one_instant_say_nothing_of_the_motion() -> None:
+    """Three cameras of one keyframe place a landmark; it constrains the window from its second keyframe on."""
+    scene = Scene()
+    landmarks = LandmarkWindow(FOCAL_PX, LandmarkConfig())
+    ids = np.arange(30)
+    rig = {0: (scene.R[[0, 4, 8]], scene.p[[0, 4, 8]]), 1: (scene.R[[1, 5, 9]], scene.p[[1, 5, 9]])}
+    for k, (first, others) in enumerate(((0, (4, 8)), (1, (5, 9)))):
+        xy = np.concatenate([scene.xy[i] for i in others])
+        matches = Matches(np.tile(ids, 2), np.repeat([1, 2], 30), xy)
+        landmarks.observe(k, replace(scene.seen(first), matches=matches))
+        assert len(landmarks.triangulate(rig, newest=k)) == 0
+        assert len(landmarks.ids) == (0, 30)[k]
+    np.testing.assert_allclose(landmarks.points, scene.points, atol=1e-3)
 
 
 def test_landmarks_that_are_not_seen_now_are_left_alone() -> None:
     scene = Scene()
     landmarks = window(scene, 8)
     nothing = Observations(np.zeros(0, np.int64), np.zeros((0, 2)), np.zeros((0, 2)), np.zeros(0, np.int64))
-    landmarks.observe(8, 1.6, nothing)
-    assert landmarks.judge(scene.poses(), seen_from=8) == ([], [])
+    landmarks.observe(8, nothing)
+    landmarks.triangulate(scene.poses(), newest=8)
+    assert len(landmarks.ids) == 0
 
 
-def test_wrong_ones_are_found() -> None:
+def test_wrong_ones_are_found_when_new() -> None:
     scene = Scene()
     landmarks = window(scene, 7)
     jump = np.zeros((30, 2))
     jump[:3] = [40.0 * PIXEL, -30.0 * PIXEL]
-    landmarks.observe(7, 1.4, scene.seen(7, jump))
-    useful, wrong = landmarks.judge(scene.poses(), seen_from=7)
-    assert [track.id for track in wrong] == [0, 1, 2]
-    assert [track.id for track in useful] == list(range(3, 30))
+    landmarks.observe(7, scene.seen(7, jump))
+    assert landmarks.triangulate(scene.poses(), newest=7).tolist() == [0, 1, 2]
+    assert landmarks.ids.tolist() == list(range(3, 30))
+    assert not np.isin(landmarks.seen_from(7), [0, 1, 2]).any()
+
+
+def test_wrong_ones_are_found_when_known() -> None:
+    scene = Scene()
+    landmarks = window(scene, 7)
+    landmarks.triangulate(scene.poses(), newest=6)
+    jump = np.zeros((30, 2))
+    jump[:3] = [40.0 * PIXEL, -30.0 * PIXEL]
+    landmarks.observe(7, scene.seen(7, jump))
+    assert judged(landmarks, scene.poses()).tolist() == [0, 1, 2]
+    assert landmarks.ids.tolist() == list(range(3, 30)) and len(landmarks.points) == 27
 
 
 def test_where_all_are_off_none_is_wrong() -> None:
-    """When the newest pose is off by 3°, it is the pose that is wrong."""
+    """When all poses are off by 3° each its own way, it is the poses that are wrong."""
     scene = Scene()
     landmarks = window(scene, 8)
-    poses = scene.poses()
-    poses[7] = (poses[7][0] @ exp_so3(np.radians([3.0, 0.0, 0.0])), poses[7][1])
-    useful, wrong = landmarks.judge(poses, seen_from=7)
-    assert len(wrong) == 0 and len(useful) == 30
+    landmarks.triangulate(scene.poses(), newest=7)
+    turns = exp_so3(np.radians(3.0) * np.random.default_rng(3).normal(size=(8, 3)))
+    poses = {k: (R @ turns[k], p) for k, (R, p) in list(scene.poses().items())[:8]}
+    assert len(judged(landmarks, poses)) == 0 and len(landmarks.ids) == 30
 
 
-def test_doubtful_ones_weigh_less() -> None:
-    scene = Scene()
-    landmarks = window(scene, 7)
-    shift = np.zeros((30, 2))
-    shift[0] = [4.0 * PIXEL, 0.0]
-    landmarks.observe(7, 1.4, scene.seen(7, shift))
-    useful, wrong = landmarks.judge(scene.poses(), seen_from=7)
-    assert wrong == []
-    sigmas = np.array([track.sigma for track in useful])
-    assert sigmas[0] > 1.15 * sigmas[1:].max()
-
-
-def test_dropped_and_forgotten_ones_are_gone() -> None:
+def test_dropped_and_unseen_ones_are_gone() -> None:
     scene = Scene()
     landmarks = window(scene, 8)
-    useful, _ = landmarks.judge(scene.poses(), seen_from=7)
-    for track in useful[:20]:
-        track.slot = track.id
-    landmarks.drop(useful[:5])
-    assert len(landmarks.points()) == 15
-    landmarks.forget_before(3, 7)
-    # What had a factor is absorbed with it; what had none keeps its newer sightings.
-    assert len(landmarks.points()) == 0
-    left = landmarks._tracks
-    assert sorted(left) == list(range(20, 30))
-    assert all(track.keyframes == [3, 4, 5, 6, 7] and len(track.xy) == 5 for track in left.values())
-
-
-def test_long_tracks_are_cut_into_chunks() -> None:
-    scene = Scene()
-    config = replace(LandmarkConfig(), chunk_s=1.0)
-    tracks = window(scene, 12, config, interval_s=0.25)._tracks
-    assert all(track.keyframes == [10, 11] for track in tracks.values())  # 0 to 4, 5 to 9, 10 on
+    landmarks.triangulate(scene.poses(), newest=7)
+    landmarks.drop(np.arange(5))
+    assert landmarks.ids.tolist() == list(range(5, 30)) and len(landmarks.sightings) == 8 * 25
+    landmarks.drop_keyframe(3)
+    assert 3 not in landmarks.sightings.keyframe and len(landmarks.sightings) == 7 * 25
+    for k in (0, 1, 2, 4, 5, 6, 7):
+        landmarks.drop_keyframe(k)
+    assert len(landmarks.ids) == len(landmarks.points) == len(landmarks.sightings) == 0
 
 
 def test_parallax_from_a_baseline_of_millimetres_is_not_believed() -> None:
@@ -207,5 +223,6 @@ def test_parallax_from_a_baseline_of_millimetres_is_not_believed() -> None:
         for k, (_, p) in cameras.items():
             ray = scale * near - p[0]
             xy = ray[None, :2] / ray[2]
-            landmarks.observe(k, 0.2 * k, Observations(np.array([7]), FOCAL_PX * xy, xy, np.array([k + 1])))
-        assert len(landmarks.judge(cameras)[0]) == useful
+            landmarks.observe(k, Observations(np.array([7]), FOCAL_PX * xy, xy, np.array([k + 1])))
+        assert len(landmarks.triangulate(cameras, newest=3)) == 0
+        assert len(landmarks.ids) == useful

@@ -9,8 +9,10 @@ import pytest
 
 from dronevio.estimator.inertial import ImuBuffer, InertialConfig, integrate, preintegration_params
 from dronevio.estimator.landmarks import LandmarkConfig
+from dronevio.estimator.marginal import SingularError
 from dronevio.estimator.smoother import KeyframeResult, KeyframeSmoother, SmootherConfig
 from dronevio.estimator.start import StartSigmas
+from dronevio.estimator.window import LinearSystem
 from dronevio.models.rotation import exp_so3, log_so3
 from dronevio.models.state import NavState, Trajectory
 
@@ -131,44 +133,43 @@ def test_covariances_are_proper_and_vision_keeps_them_small(clean: KeyframeFeed)
     assert np.all(sigmas[-1, 9:] < sigmas[0, 9:])  # biases become known
 
 
-@pytest.mark.parametrize("lag_s", [1.0, 3.0])
-def test_window_stays_a_window(make_flight: Callable, lag_s: float) -> None:
+@pytest.mark.parametrize("long_lived", [0, 20])
+@pytest.mark.parametrize("size", [5, 15])
+def test_window_stays_a_window(make_flight: Callable, size: int, long_lived: int) -> None:
     flight = make_flight(0, rest_s=-5.0, duration_s=8.0, noisy=False)
-    most = round(lag_s / 0.2) + 2
-    for feed in keyframes(flight, SmootherConfig(lag_s=lag_s), np.zeros((4, 3)), StartSigmas()):
-        assert len(feed.smoother._poses) <= most
-        assert all(
-            track.keyframes[0] >= min(feed.smoother._poses) for track in feed.smoother._landmarks._tracks.values()
-        )
-    assert len(feed.states) > most  # it had to forget
+    config, most_long_lived = SmootherConfig(max_keyframes=size, max_long_lived=long_lived), 0
+    for feed in keyframes(flight, config, np.zeros((4, 3)), StartSigmas()):
+        window = feed.smoother._window
+        assert len(window.states) <= size and len(window.long_lived) <= long_lived
+        most_long_lived = max(most_long_lived, len(window.long_lived))
+        assert set(window.landmarks.sightings.keyframe.tolist()) <= set(window.states)
+        assert window.long_lived <= set(window.landmarks.ids.tolist())
+    assert len(feed.states) > size  # it had to forget
+    assert (most_long_lived > 0) == (long_lived > 0)
     assert errors(feed)[1].max() < 0.01  # and what is forgotten is not lost
 
 
-@pytest.mark.parametrize("drift", [0.0, 1e9], ids=["always", "never"])
-def test_window_may_be_linearised_anew_at_any_keyframe(make_flight: Callable, drift: float) -> None:
-    flight = make_flight(0, rest_s=-5.0, duration_s=10.0)
-    feed = feed_all(flight, SmootherConfig(max_linearisation_drift=drift))
-    turned, place, velocity = errors(feed)
-    assert not any(result.events for result in feed.results)
-    assert turned.max() < 0.01 and place.max() < 0.05 and velocity.max() < 0.05
-    assert len(feed.points[-1]) > 15
-    assert len(feed.smoother._poses) <= round(SmootherConfig().lag_s / 0.2) + 2
+def test_window_keeps_old_views_where_nothing_moves(make_flight: Callable) -> None:
+    """Without parallax the last keyframe but one goes, and the oldest stays."""
+    flight = make_flight(0, rest_s=-5.0, duration_s=6.0)
+    config = SmootherConfig(max_keyframes=6, min_parallax_px=1e6)
+    for feed in keyframes(flight, config, np.zeros((4, 3)), StartSigmas()):
+        k = len(feed.states)
+        assert list(feed.smoother._window.states) == ([*range(k + 1)] if k < 6 else [0, 1, 2, 3, 4, k])
+        assert np.isfinite(feed.states[-1].covariance).all()
 
 
-class Failing:
-    """A solver that fails."""
-
-    def update(self, *_: object) -> None:
-        raise RuntimeError("\nIndeterminate linear system\ndetected near x7")
+def fail() -> LinearSystem:
+    raise SingularError("an indefinite linear system")
 
 
 def test_solver_that_fails_ends_no_flight(make_flight: Callable) -> None:
     flight = make_flight(2, rest_s=-5.0, duration_s=8.0)
     for feed in keyframes(flight, SmootherConfig(), np.zeros((4, 3)), StartSigmas()):
         if len(feed.states) == 15:
-            feed.smoother._solver = Failing()
+            feed.smoother._window.linearise = fail
     events = [result.events for result in feed.results]
-    assert events[15] == ("solver restored: Indeterminate linear system",)
+    assert events[15] == ("solver restored: an indefinite linear system",)
     assert not any(events[:15]) and not any(events[16:])
     assert errors(feed)[1].max() < 0.1
     assert len(feed.points[-1]) > 15
@@ -185,7 +186,7 @@ def test_solver_starts_again_however_unsure_the_position(make_flight: Callable, 
             before = feed.smoother._covariance.copy()
             before[3:6, 3:6] = position_sigma_m**2 * np.eye(3)
             feed.smoother._covariance = before
-            feed.smoother._solver = Failing()
+            feed.smoother._window.linearise = fail
     assert [bool(result.events) for result in feed.results] == [k == 8 for k in range(len(feed.results))]
     assert errors(feed)[1].max() < 0.1
     sigma_m = np.sqrt(np.diag(feed.states[-1].covariance)[3:6])

@@ -1,0 +1,61 @@
+"""Sightings: which landmark was seen from which keyframe, by which camera, and where in its image."""
+
+from dataclasses import dataclass
+from typing import Self
+
+import numpy as np
+import numpy.typing as npt
+
+from dronevio.estimator.frontend import Observations
+
+Array = npt.NDArray[np.float64]
+Integers = npt.NDArray[np.int64]
+
+
+@dataclass(frozen=True, eq=False)
+class Sightings:
+    """A table of sightings, a column a field."""
+
+    landmark: Integers
+    """(N,) Identities of the landmarks."""
+    keyframe: Integers
+    """(N,) Numbers of the keyframes."""
+    camera: Integers
+    """(N,) Cameras of the rig."""
+    xy: Array
+    """(N, 2) Normalised coordinates: at depth 1 in the camera's frame."""
+
+    def __len__(self) -> int:
+        return len(self.landmark)
+
+    def __getitem__(self, rows: Integers | npt.NDArray[np.bool_] | slice) -> Self:
+        """Return some rows."""
+        return type(self)(self.landmark[rows], self.keyframe[rows], self.camera[rows], self.xy[rows])
+
+    def __add__(self, other: Self) -> Self:
+        """Return the rows of both."""
+        return type(self)(
+            np.concatenate([self.landmark, other.landmark]),
+            np.concatenate([self.keyframe, other.keyframe]),
+            np.concatenate([self.camera, other.camera]),
+            np.concatenate([self.xy, other.xy]),
+        )
+
+    def by_landmark(self) -> Self:
+        """Return the rows sorted by landmark, those of each in the order in which they came."""
+        return self[np.argsort(self.landmark, kind="stable")]
+
+
+def sightings_of(k: int, observations: Observations) -> Sightings:
+    """Return what keyframe k shows, in all cameras."""
+    o, m = observations, observations.matches
+    return Sightings(
+        np.concatenate([o.ids, m.ids]),
+        np.full(len(o) + len(m), k, dtype=np.int64),
+        np.concatenate([o.camera, m.camera]),
+        np.concatenate([o.xy, m.xy]),
+    )
+
+
+NONE = Sightings(np.zeros(0, np.int64), np.zeros(0, np.int64), np.zeros(0, np.int64), np.zeros((0, 2)))
+"""No sightings."""

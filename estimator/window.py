@@ -1,0 +1,243 @@
+"""The window of keyframes that is optimised: its states, the factors and landmarks that tie them, and the prior.
+
+One linear system holds all of it: each keyframe's state and each long-lived landmark is a variable of it, other landmarks
+are eliminated (`reprojection`). It is small and dense, so that solving it takes a millisecond or two.
+"""
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+
+import gtsam
+import numpy as np
+import numpy.typing as npt
+from gtsam.symbol_shorthand import B, V, X
+
+from dronevio.estimator.landmarks import LandmarkWindow
+from dronevio.estimator.marginal import Factorised, eliminate
+from dronevio.estimator.prior import POINT, POSE, STATE, Prior, State
+from dronevio.estimator.reprojection import Rows, Scene, VisualSystem, residuals, visual_system
+from dronevio.estimator.sightings import NONE, Sightings
+
+Array = npt.NDArray[np.float64]
+Factor = gtsam.NonlinearFactor
+
+_SPANS = {"x": np.arange(6), "v": np.arange(6, 9), "b": np.arange(9, 15)}  # in a state
+
+
+@dataclass(frozen=True, eq=False)
+class LinearSystem:
+    """The window to first order: H δ = b for its keyframes and long-lived landmarks."""
+
+    H: Array
+    """(n, n) Information."""
+    b: Array
+    """(n,) Right side."""
+    visual: VisualSystem
+    """What gives the other landmarks, once these are known."""
+
+
+class Window:
+    """Holds and moves the variables of a window."""
+
+    def __init__(
+        self, start: State, prior_information: Array, landmarks: LandmarkWindow, Ts_imu_cam: Array, sigma: float,
+        robust_sigmas: float,
+    ) -> None:
+        """Begin with one keyframe, number 0.
+
+        Args:
+            start: Its state.
+            prior_information: (15, 15) How sure it is.
+            landmarks: Where sightings and landmarks are kept.
+            Ts_imu_cam: (C, 4, 4) Poses of the rig's cameras.
+            sigma: Standard deviation of a sighting, normalised.
+            robust_sigmas: Beyond so many of them, or medians where those are larger, a sighting loses weight as under
+                Cauchy's loss.
+        """
+        self.states: dict[int, State] = {0: start}
+        """Of the keyframes, in order."""
+        self.landmarks = landmarks
+        """What they have seen."""
+        self._prior = Prior(prior_information, np.zeros(STATE), {0: start})
+        self._factors: list[tuple[frozenset[int], Factor]] = []  # each with its keyframes
+        self._Ts_imu_cam, self._sigma, self._robust_sigmas = Ts_imu_cam, sigma, robust_sigmas
+        self._doubtful = robust_sigmas * sigma  # residual at which a sighting has lost half of its weight
+
+    @property
+    def newest(self) -> int:
+        """Number of the newest keyframe."""
+        return next(reversed(self.states))
+
+    @property
+    def long_lived(self) -> set[int]:
+        """Identities of the landmarks that the prior knows of."""
+        return set(self._prior.points)
+
+    @property
+    def cameras(self) -> dict[int, tuple[Array, Array]]:
+        """Orientations (C, 3, 3) and positions (C, 3) of the rig's cameras at each keyframe."""
+        Ts = {k: state.pose.matrix() @ self._Ts_imu_cam for k, state in self.states.items()}
+        return {k: (T[:, :3, :3], T[:, :3, 3]) for k, T in Ts.items()}
+
+    def append(self, state: State, factors: Iterable[Factor]) -> None:
+        """Add a keyframe, and what ties it to others."""
+        self.states[self.newest + 1] = state
+        for factor in factors:
+            self._factors.append((frozenset(gtsam.symbolIndex(key) for key in factor.keys()), factor))
+
+    def residuals(self) -> tuple[Array, Array, Sightings]:
+        """Return residuals (N, 2) and depths (N,) [m] of all sightings of known landmarks, and these sightings."""
+        sightings = self.landmarks.sightings
+        error, depth_m = residuals(sightings, self._rows(sightings), self._Ts_imu_cam, self._scene())
+        return error, depth_m, sightings
+
+    def cost(self) -> float:
+        """Return the negative logarithm of the posterior, up to a constant."""
+        prior, doubtful = self._prior, self._doubtful
+        values = _values(self.states)
+        motion = sum(factor.error(values) for _, factor in self._factors)
+        change = prior._change(self.states, self._points())
+        error = self.residuals()[0]
+        robust = np.log1p(np.sum(error**2, axis=1) / doubtful**2).sum() * (doubtful / self._sigma) ** 2
+        return float(motion + 0.5 * (change @ prior.H @ change) - prior.b @ change + 0.5 * robust)
+
+    def linearise(self) -> LinearSystem:
+        """Return the window to first order."""
+        return self._system([factor for _, factor in self._factors], self.landmarks.sightings)
+
+    def move(self, system: LinearSystem, change: Array) -> None:
+        """Move everything by the solution (n,) of a linear system."""
+        K = len(self.states)
+        states = change[: STATE * K].reshape(K, STATE)
+        points = system.visual.points_given(states[:, :POSE])
+        long = np.isin(self.landmarks.ids, list(self._prior.points))
+        points[self.landmarks.rows(np.array(list(self._prior.points), dtype=np.int64))] = change[STATE * K :].reshape(
+            -1, POINT
+        )
+        del long
+        self.states = {k: s.moved(d) for (k, s), d in zip(self.states.items(), states, strict=True)}
+        self.landmarks.points = self.landmarks.points + points
+
+    def marginalise(self, k: int, max_long_lived: int) -> None:
+        """Let a keyframe go, and keep in the prior what it and the landmarks that it saw say of the others.
+
+        Landmarks that are still followed may become long-lived: only their sightings from this keyframe are used up.
+        The others are absorbed with all their sightings, and begin anew if they are seen again.
+        """
+        landmarks, long = self.landmarks, self.long_lived
+        sightings = landmarks.sightings
+        followed = set(landmarks.seen_from(self.newest).tolist())
+        seen = set(sightings.landmark[sightings.keyframe == k].tolist()) - long
+        kept = self._longest(seen & followed, max_long_lived - len(long & followed))
+        over = (seen - kept) | (long - followed)
+        self._prior = self._prior.with_points({i: landmarks.points[landmarks.rows(i)] for i in kept})
+        used = np.isin(sightings.landmark, list(over)) | (
+            (sightings.keyframe == k) & np.isin(sightings.landmark, list(long | kept))
+        )
+        self._absorb(k, sightings[used], over)
+        landmarks.drop(np.array(sorted(over), dtype=np.int64))
+
+    def skip(self, k: int) -> None:
+        """Let a keyframe go whose view adds nothing, and keep what the IMU says of its neighbours."""
+        self._absorb(k, NONE, set())
+
+    def forget(self, landmarks: Iterable[int]) -> None:
+        """Let go of landmarks that turned out to be wrong."""
+        self._prior = self._prior.without_points(landmarks)
+
+    def _absorb(self, k: int, sightings: Sightings, over: set[int]) -> None:
+        """Put factors of a keyframe and some sightings into the prior; keyframe and landmarks leave."""
+        touching = [factor for keyframes, factor in self._factors if k in keyframes]
+        system = self._system(touching, sightings)
+        leaving_states = np.repeat([i == k for i in self.states], STATE)
+        leaving_points = np.repeat([i in over for i in self._prior.points], POINT).astype(np.bool_)
+        H, b = eliminate(system.H, system.b, np.concatenate([leaving_states, leaving_points]))
+        points = {i: point for i, point in self._points().items() if i not in over}
+        self._factors = [(keyframes, factor) for keyframes, factor in self._factors if k not in keyframes]
+        del self.states[k]
+        self._prior = Prior.from_present(H, b, self.states, points, self._prior)
+        self.landmarks.drop_keyframe(k)
+        self._prior = self._prior.without_points(set(points) - set(self.landmarks.ids.tolist()))
+
+    def _longest(self, candidates: set[int], room: int) -> set[int]:
+        """Return those of some landmarks that have been seen most often."""
+        rows = self.landmarks.sightings.landmark
+        ids, counts = np.unique(rows[np.isin(rows, list(candidates))], return_counts=True)
+        return set(ids[np.argsort(-counts, kind="stable")[: max(room, 0)]].tolist())
+
+    def _system(self, factors: Sequence[Factor], sightings: Sightings) -> LinearSystem:
+        """Return the prior, some factors and some sightings to first order."""
+        places = {k: i for i, k in enumerate(self.states)}
+        K, long = len(places), self._prior.points
+        n = STATE * K + POINT * len(long)
+        H, b = np.zeros((n, n)), np.zeros(n)
+
+        known = [STATE * places[k] + np.arange(STATE) for k in self._prior.states]
+        columns = np.concatenate([*known, np.arange(STATE * K, n)])
+        H[np.ix_(columns, columns)] += self._prior.H
+        b[columns] += self._prior.about(self.states, self._points())
+
+        first = {k: self._prior.first(k, now) for k, now in self.states.items()}
+        values_now, values_first = _values(self.states), _values(first)
+        for factor in factors:
+            linear = factor.linearize(values_first)
+            A = linear.jacobian()[0]
+            columns = np.concatenate([STATE * places[gtsam.symbolIndex(key)] + _SPANS[chr(gtsam.symbolChr(key))] for key in linear.keys()])
+            H[np.ix_(columns, columns)] += A.T @ A
+            b[columns] -= A.T @ factor.whitenedError(values_now)
+
+        visual = self._visual(sightings, first)
+        rows = self.landmarks.rows(np.array(list(long), dtype=np.int64))
+        eliminated = np.ones(len(self.landmarks.ids), dtype=np.bool_)
+        eliminated[rows] = False
+        columns = (STATE * np.arange(K)[:, None] + np.arange(POSE)).ravel()
+        H_poses, b_poses = visual.without_points(eliminated)
+        H[np.ix_(columns, columns)] += H_poses
+        b[columns] += b_poses
+        for start, row in zip(range(STATE * K, n, POINT), rows.tolist(), strict=True):
+            own = slice(start, start + POINT)
+            across = visual.cross[row].reshape(POSE * K, POINT)
+            H[columns, own] += across
+            H[own, columns] += across.T
+            H[own, own] += visual.point[row]
+            b[own] += visual.point_b[row]
+        return LinearSystem(H, b, visual)
+
+    def _visual(self, sightings: Sightings, first: dict[int, State]) -> VisualSystem:
+        """Return what some sightings say."""
+        rows, now = self._rows(sightings), self._scene()
+        error, depth_m = residuals(sightings, rows, self._Ts_imu_cam, now)
+        square = np.sum(error**2, axis=1)
+        if len(sightings) == len(self.landmarks.sightings) and len(square):
+            self._doubtful = self._robust_sigmas * max(self._sigma, float(np.sqrt(np.median(square))))
+        weight = (depth_m > 0.0) / (self._sigma**2 * (1.0 + square / self._doubtful**2))
+        points = now.points.copy()
+        points[self.landmarks.rows(np.array(list(self._prior.points), dtype=np.int64))] = np.reshape(
+            list(self._prior.points.values()), (-1, 3)
+        )
+        return visual_system(sightings, rows, self._Ts_imu_cam, _scene(first, points), error, weight)
+
+    def _rows(self, sightings: Sightings) -> Rows:
+        return Rows(np.searchsorted(list(self.states), sightings.keyframe), self.landmarks.rows(sightings.landmark))
+
+    def _scene(self) -> Scene:
+        return _scene(self.states, self.landmarks.points)
+
+    def _points(self) -> dict[int, Array]:
+        """Return where the long-lived landmarks are now."""
+        return {i: self.landmarks.points[self.landmarks.rows(i)] for i in self._prior.points}
+
+
+def _scene(states: dict[int, State], points: Array) -> Scene:
+    Ts = np.stack([state.pose.matrix() for state in states.values()])
+    return Scene(Ts[:, :3, :3], Ts[:, :3, 3], points)
+
+
+def _values(states: dict[int, State]) -> gtsam.Values:
+    """Return states as GTSAM has them."""
+    values = gtsam.Values()
+    for k, state in states.items():
+        values.insert(X(k), state.pose)
+        values.insert(V(k), state.velocity)
+        values.insert(B(k), state.bias)
+    return values
