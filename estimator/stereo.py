@@ -7,10 +7,10 @@ depth, moves freely, and what it finds must lie on the line, before both cameras
 
 from dataclasses import dataclass
 
-import cv2
 import numpy as np
 import numpy.typing as npt
 
+from dronevio.estimator.optical_flow import as_bright_as, follow
 from dronevio.models.rig import RigCamera
 from dronevio.models.rotation import inverse_pose
 
@@ -76,9 +76,10 @@ class StereoMatcher:
         if not len(looked_for):
             return StereoMatches(looked_for, np.zeros((0, 2)), np.zeros((0, 2)), np.zeros(0))
         start = pixels[looked_for]
-        found, there = self._follow(first, second, start, guessed[looked_for], self._config.pyramid_levels)
-        back, returned = self._follow(second, first, found, start, 0)
-        there &= returned & (np.linalg.norm(back - start, axis=1) < self._config.return_px) & self._inside(found)
+        c, first = self._config, as_bright_as(second, first)
+        found, there = follow(first, second, start, guessed[looked_for], c.window_px, c.pyramid_levels)
+        back, returned = follow(second, first, found, start, c.window_px, 0)
+        there &= returned & (np.linalg.norm(back - start, axis=1) < c.return_px) & self._inside(found)
         rows, found = looked_for[there], found[there]
         off_line, depth = self._geometry(xy[rows], self._second.unproject(found))
         with np.errstate(invalid="ignore"):  # NaN, where the lens images nothing, is not believed
@@ -106,23 +107,6 @@ class StereoMatcher:
         guesses = inverse_depth.copy()
         guesses[~known] = np.median(inverse_depth[known][nearest], axis=1)
         return guesses
-
-    def _follow(
-        self, source: Image, target: Image, pixels: Array, start: Array, levels: int
-    ) -> tuple[Array, npt.NDArray[np.bool_]]:
-        """Return where pixels (N, 2) of one image are in another, and whether they were found (N,)."""
-        side = self._config.window_px
-        found, status, _ = cv2.calcOpticalFlowPyrLK(
-            source,
-            target,
-            pixels.astype(np.float32),
-            start.astype(np.float32),
-            winSize=(side, side),
-            maxLevel=levels,
-            criteria=(cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 30, 0.01),
-            flags=cv2.OPTFLOW_USE_INITIAL_FLOW,
-        )
-        return found.reshape(-1, 2).astype(np.float64), status[:, 0] == 1
 
     def _inside(self, pixels: Array) -> npt.NDArray[np.bool_]:
         border, size = self._config.border_px, np.array([self._second.width, self._second.height])

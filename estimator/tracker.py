@@ -10,22 +10,23 @@ from dataclasses import dataclass, field, fields, replace
 from itertools import count, islice
 from typing import Self
 
-import cv2
 import numpy as np
 import numpy.typing as npt
 
 from dronevio.estimator.corners import CornerConfig, new_corners
-from dronevio.estimator.epipolar import epipolar_inliers
+from dronevio.estimator.epipolar import epipolar_inliers, essential_inliers
 from dronevio.estimator.frontend import Observations, image_of
+from dronevio.estimator.optical_flow import as_bright_as, follow
 from dronevio.estimator.patches import PatchAligner, PatchConfig, Patches
 from dronevio.models.camera import CameraModel
 from dronevio.models.state import CameraFrame
 
 Array = npt.NDArray[np.float64]
 Image = npt.NDArray[np.uint8]
+Mask = npt.NDArray[np.bool_]
 
 OUTSIDE_PX = 1e4
-KLT_STEPS, KLT_STEP_PX = 15, 0.03  # at most, and the last [px]: a patch's place is refined afterwards
+WIDER = 2  # pyramid levels more where the prediction was wrong
 
 
 @dataclass(frozen=True)
@@ -44,8 +45,13 @@ class TrackerConfig:
     """Features nearer to the image's border are dropped [px]."""
     max_correction_px: float = 2.0
     """Largest distance between where a feature was followed to and where its patch fits [px]."""
+    min_found: float = 0.5
+    """Where a smaller share of the features in view is found, the prediction is taken for wrong."""
     ransac_px: float = 0.5
     """Largest distance from the epipolar line [px]."""
+    min_agreeing: float = 0.5
+    """Where a smaller share of the features agrees with the gyroscope's rotation, it is taken for wrong, if so many
+    agree with another one."""
     seed: int = 0
     """Seed of the random draws."""
 
@@ -117,8 +123,8 @@ class FeatureTracker:
         previous, self._image = self._image, image_of(frame, self._index, self._camera)
         self._prepared = self._aligner.prepare(self._image)
         if previous is not None and len(self._features.ids):
-            followed = self._aligned(self._followed(previous, self._image, R_cur_prev), R_cur_prev)
-            self._features = self._agreeing(followed, R_cur_prev, rotation_sigma_rad)
+            found = self._found(as_bright_as(self._image, previous), self._image, R_cur_prev)
+            self._features = self._agreeing(found, R_cur_prev, rotation_sigma_rad)
         return self._observations()
 
     def replenish(self) -> Observations:
@@ -143,39 +149,48 @@ class FeatureTracker:
         patches = self._aligner.cut(self._prepared, pixels)
         return _Features(ids, np.ones(n, np.int64), pixels, self._camera.normalise(pixels), np.ones(n), patches)
 
-    def _followed(self, previous: Image, image: Image, R_cur_prev: Array) -> _Features:
-        """Return the features that are found in the next image, where they are found."""
+    def _found(self, previous: Image, image: Image, R_cur_prev: Array) -> _Features:
+        """Return the features that are found in the next image, where they are found.
+
+        Where most are not found, what was predicted is wrong: then they are looked for in a wider neighbourhood of
+        where they were.
+        """
         c, features = self._config, self._features
         bearings = np.column_stack([features.xy, np.ones(len(features.xy))]) @ R_cur_prev.T
         # Far outside, and finite, is where OpenCV can be told to look for what is behind the camera.
         predicted = np.nan_to_num(self._camera.project(bearings), nan=-OUTSIDE_PX).clip(-OUTSIDE_PX, OUTSIDE_PX)
-        moved, status, _ = cv2.calcOpticalFlowPyrLK(
-            previous,
-            image,
-            features.pixels.astype(np.float32),
-            np.ascontiguousarray(predicted, dtype=np.float32),
-            winSize=(c.window_px, c.window_px),
-            maxLevel=c.pyramid_levels,
-            criteria=(cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, KLT_STEPS, KLT_STEP_PX),
-            flags=cv2.OPTFLOW_USE_INITIAL_FLOW,
-        )
-        pixels = moved.reshape(-1, 2).astype(np.float64)
-        return replace(features, pixels=pixels)[(status[:, 0] == 1) & self._inside(pixels)]
+        patches = features.patches.rolled(R_cur_prev)
+        features = replace(features, patches=patches)
+        moved, there = follow(previous, image, features.pixels, predicted, c.window_px, c.pyramid_levels)
+        found = self._aligned(features, moved, there)
+        if len(found.ids) > c.min_found * self._inside(predicted).sum():
+            return found
+        lost = features[~np.isin(features.ids, found.ids)]
+        moved, there = follow(previous, image, lost.pixels, lost.pixels, c.window_px, c.pyramid_levels + WIDER)
+        both = found.joined(self._aligned(lost, moved, there))
+        return both[np.argsort(both.ids)]
 
-    def _aligned(self, features: _Features, R_cur_prev: Array) -> _Features:
-        """Return the features whose patches fit, where they fit, given where they were followed to."""
-        fit = self._aligner.align(self._prepared, features.patches.rolled(R_cur_prev), features.pixels)
-        moved = np.linalg.norm(fit.pixels - features.pixels, axis=1)
+    def _aligned(self, features: _Features, pixels: Array, there: Mask) -> _Features:
+        """Return the features whose patches fit, where they fit, given where they were followed to (N, 2)."""
+        there = there & self._inside(pixels)
+        features, pixels = features[there], pixels[there]
+        fit = self._aligner.align(self._prepared, features.patches, pixels)
+        moved = np.linalg.norm(fit.pixels - pixels, axis=1)
         good = fit.good & (moved < self._config.max_correction_px) & self._inside(fit.pixels)
         return replace(features, pixels=fit.pixels, quality=fit.likeness, patches=fit.patches)[good]
 
     def _agreeing(self, features: _Features, R_cur_prev: Array, rotation_sigma_rad: float) -> _Features:
         """Return the features that agree with one motion since the previous frame; theirs are its coordinates."""
         xy = self._camera.normalise(features.pixels)
+        if not len(xy):
+            return features
         distance = self._config.ransac_px / self._camera.fx + rotation_sigma_rad
         inliers = epipolar_inliers(features.xy, xy, R_cur_prev, distance, self._rng)
+        if inliers.mean() < self._config.min_agreeing:  # is the rotation wrong?
+            without = essential_inliers(features.xy, xy, distance)
+            inliers = without if without.mean() > self._config.min_agreeing else inliers
         return replace(features, xy=xy, ages=features.ages + 1)[inliers]
 
-    def _inside(self, pixels: Array) -> npt.NDArray[np.bool_]:
+    def _inside(self, pixels: Array) -> Mask:
         border, size = self._config.border_px, np.array([self._camera.width, self._camera.height])
         return np.asarray(np.all((pixels >= border) & (pixels <= size - 1 - border), axis=1))

@@ -46,10 +46,14 @@ def moved(pixels: np.ndarray, R_world_cam: np.ndarray, p_m: np.ndarray | None = 
 
 
 def follow(
-    wall: Wall, R: np.ndarray, p_m: np.ndarray | None = None, R_told: np.ndarray | None = None
+    wall: Wall,
+    R: np.ndarray,
+    p_m: np.ndarray | None = None,
+    R_told: np.ndarray | None = None,
+    config: TrackerConfig = CONFIG,
 ) -> tuple[Observations, Observations, np.ndarray]:
     """Return features before and after one motion, and how far the latter are from where they should be [px]."""
-    tracker = FeatureTracker(CAMERA, CONFIG)
+    tracker = FeatureTracker(CAMERA, config)
     tracker.track(wall.frame(np.eye(3)), np.eye(3))
     before = tracker.replenish()
     after = tracker.track(wall.frame(R, p_m), R.T if R_told is None else R_told)
@@ -88,8 +92,19 @@ def test_prediction_bears_fast_turns(wall: Wall) -> None:
     still_seen = np.all((moved(before.pixels, R) > 14.0) & (moved(before.pixels, R) < [361.0, 225.0]), axis=1).sum()
     assert len(after) > 0.9 * still_seen > 15
     assert np.median(error_px) < 0.15
-    _, _, blind_error_px = follow(wall, R, R_told=np.eye(3))
+    trusting = replace(CONFIG, min_found=0.0, min_agreeing=0.0)
+    _, _, blind_error_px = follow(wall, R, R_told=np.eye(3), config=trusting)
     assert np.sum(blind_error_px < 1.0) < 0.3 * len(after)
+
+
+@pytest.mark.parametrize("told_deg", [[0.0, 0.0, 0.0], [0.0, -8.0, 0.0], [6.0, 0.0, 8.0]])
+def test_wrong_prediction_is_survived(wall: Wall, told_deg: list[float]) -> None:
+    """A gyroscope at its limit tells too little of a fast turn; one that is broken tells of another."""
+    R, step_m = exp_so3(np.radians([0.0, 11.0, 2.0])), np.array([0.05, 0.02, 0.1])
+    _, right, _ = follow(wall, R, step_m)
+    _, after, error_px = follow(wall, R, step_m, R_told=exp_so3(np.radians(told_deg)).T)
+    assert len(after) > 0.6 * len(right) > 12
+    assert np.median(error_px) < 0.15 and np.mean(error_px < 0.5) > 0.9
 
 
 def run_along(wall: Wall, frames: int = 14) -> list[tuple[Observations, Observations]]:
@@ -208,6 +223,55 @@ def test_lights_out_and_on_again(wall: Wall) -> None:
     after = tracker.replenish()
     assert len(after) > 0.8 * len(before)
     assert set(after.ids[after.ages == 1].tolist()).isdisjoint(before.ids.tolist())
+
+
+def noise(seed: int, level: float = 6.0, sigma: float = 1.6) -> np.ndarray:
+    """What a camera sees in the dark."""
+    grey = np.random.default_rng(seed).normal(level, sigma, (CAMERA.height, CAMERA.width))
+    return np.clip(np.rint(grey), 0, 255).astype(np.uint8)
+
+
+@pytest.mark.parametrize("level", [0.0, 6.0])
+def test_noise_in_the_dark_is_no_feature(wall: Wall, level: float) -> None:
+    tracker = FeatureTracker(CAMERA, CONFIG)
+    tracker.track(wall.frame(np.eye(3)), np.eye(3))
+    assert len(tracker.replenish()) > 20
+    for k in range(5):
+        assert len(tracker.track(CameraFrame(10**18 + 60 + k, (noise(k, level),)), np.eye(3))) == 0
+        assert len(tracker.replenish()) == 0
+
+
+@pytest.mark.parametrize(("gain", "offset"), [(0.4, 0.0), (0.55, 30.0), (1.5, -30.0), (1.3, 20.0)])
+def test_jumping_exposure_does_not_matter(wall: Wall, gain: float, offset: float) -> None:
+    tracker = FeatureTracker(CAMERA, CONFIG)
+    tracker.track(wall.frame(np.eye(3)), np.eye(3))
+    before = tracker.replenish()
+    R, p_m = exp_so3(np.radians([0.5, 1.0, -1.0])), np.array([0.05, 0.0, 0.05])
+    (image,) = (frame := wall.frame(R, p_m)).images
+    jumped = np.clip(np.rint(gain * image.astype(float) + offset), 0, 255).astype(np.uint8)
+    after = tracker.track(replace(frame, images=(jumped,)), R.T)
+    error_px = np.linalg.norm(
+        after.pixels - moved(before.pixels[np.searchsorted(before.ids, after.ids)], R, p_m), axis=1
+    )
+    assert len(after) > 0.7 * len(before)
+    assert np.median(error_px) < 0.15
+
+
+def test_errors_do_not_add_up(wall: Wall) -> None:
+    """After 20 frames of a flight that turns and comes nearer, tracks are where the landmarks are."""
+    tracker, R_before, seen = FeatureTracker(CAMERA, CONFIG), np.eye(3), []
+    for k in range(21):
+        R = exp_so3(np.radians([0.3 * k, -0.5 * k, 0.6 * k]))
+        p_m = np.array([0.03, 0.01, 0.04]) * k
+        seen.append(tracker.track(wall.frame(R, p_m), R.T @ R_before))
+        R_before = R
+        if k == 0:
+            before = tracker.replenish()
+    last = seen[-1]
+    error_px = np.linalg.norm(last.pixels - moved(before.pixels[np.searchsorted(before.ids, last.ids)], R, p_m), axis=1)
+    assert len(last) > 15 and np.all(last.ages == 21)
+    assert np.median(error_px) < 0.05 and np.mean(error_px < 0.3) > 0.95
+    assert np.all(last.quality > 0.75) and np.all(last.quality <= 1.0 + 1e-6)
 
 
 def test_picture_smaller_than_a_cell_has_no_features() -> None:
