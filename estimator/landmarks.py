@@ -1,6 +1,6 @@
 """What the smoother's window knows of landmarks: who saw each, where it is, and whether it is to be believed."""
 
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -74,13 +74,17 @@ class LandmarkWindow:
         """The sightings of landmarks whose places are known."""
         return self._all[np.isin(self._all.landmark, self.ids)]
 
-    def rows(self, landmarks: Integers) -> Integers:
+    def rows(self, landmarks: npt.ArrayLike) -> Integers:
         """Return the rows of `points` that hold some of the known landmarks."""
-        return np.searchsorted(self.ids, landmarks)
+        return np.asarray(np.searchsorted(self.ids, np.asarray(landmarks, dtype=np.int64)))
+
+    def places(self, landmarks: Collection[int]) -> dict[int, Array]:
+        """Return the places (3,) of some of the known landmarks [m]."""
+        return {i: self.points[row] for i, row in zip(landmarks, self.rows(list(landmarks)), strict=True)}
 
     def seen_from(self, k: int) -> Integers:
         """Return the identities, sorted, of all that keyframe k shows, known or not."""
-        return np.unique(self._all.landmark[self._all.keyframe == k])
+        return np.asarray(np.unique(self._all.landmark[self._all.keyframe == k]))
 
     def triangulate(self, cameras: Cameras, newest: int, *, anew: bool = False) -> Integers:
         """Find the places of landmarks that have been seen often enough by now, and from aside.

@@ -95,9 +95,7 @@ class Prior:
     def with_points(self, points: Mapping[int, Array]) -> "Prior":
         """Return the prior with landmarks added of which it knows nothing yet."""
         more = POINT * len(points)
-        return Prior(
-            np.pad(self.H, (0, more)), np.pad(self.b, (0, more)), self.states, {**self.points, **points}
-        )
+        return Prior(np.pad(self.H, (0, more)), np.pad(self.b, (0, more)), self.states, {**self.points, **points})
 
     def without_points(self, gone: Iterable[int]) -> "Prior":
         """Return the prior with some landmarks marginalised.

@@ -109,7 +109,7 @@ class KeyframeSmoother:
         self._config = config
         self._landmark_config = landmarks
         self._focal_px = cameras[0].model.fx
-        self._Ts_imu_cam = np.stack([camera.T_imu_cam for camera in cameras])
+        self._Ts_imu_cam: Array = np.stack([camera.T_imu_cam for camera in cameras])
         self._window: Window
         self._last_seen: tuple[Observations, Observations]  # of the last keyframe but one, and of the last
         self._position_covariance: Array  # (3, 3) of the keyframe at which the window began
@@ -209,7 +209,7 @@ class KeyframeSmoother:
         anchored = covariance.copy()
         anchored[3:6, :] = anchored[:, 3:6] = 0.0
         anchored[3:6, 3:6] = GAUGE_SIGMA**2 * np.eye(3)
-        information = np.linalg.inv(covariance_to_gtsam(anchored, start.T_world_imu[:3, :3]))
+        information: Array = np.linalg.inv(covariance_to_gtsam(anchored, start.T_world_imu[:3, :3]))
         landmarks = LandmarkWindow(self._focal_px, self._landmark_config)
         landmarks.observe(0, observations)
         c = self._config
@@ -226,7 +226,8 @@ class KeyframeSmoother:
         k = j + 1
         nav, bias = self.gtsam_state
         predicted = keyframe.preintegrated.predict(nav, bias)
-        factors = [gtsam.CombinedImuFactor(X(j), V(j), X(k), V(k), B(j), B(k), keyframe.preintegrated)]
+        motion = gtsam.CombinedImuFactor(X(j), V(j), X(k), V(k), B(j), B(k), keyframe.preintegrated)
+        factors: list[gtsam.NoiseModelFactor] = [motion]
         if keyframe.still:
             no_speed = gtsam.noiseModel.Isotropic.Sigma(3, c.still_velocity_sigma)
             no_motion = gtsam.noiseModel.Isotropic.Sigma(6, c.still_pose_sigma)

@@ -13,13 +13,13 @@ import numpy.typing as npt
 from gtsam.symbol_shorthand import B, V, X
 
 from dronevio.estimator.landmarks import LandmarkWindow
-from dronevio.estimator.marginal import Factorised, eliminate
+from dronevio.estimator.marginal import eliminate
 from dronevio.estimator.prior import POINT, POSE, STATE, Prior, State
 from dronevio.estimator.reprojection import Rows, Scene, VisualSystem, residuals, visual_system
-from dronevio.estimator.sightings import NONE, Sightings
+from dronevio.estimator.sightings import NONE, Integers, Sightings
 
 Array = npt.NDArray[np.float64]
-Factor = gtsam.NonlinearFactor
+Factor = gtsam.NoiseModelFactor
 
 _SPANS = {"x": np.arange(6), "v": np.arange(6, 9), "b": np.arange(9, 15)}  # in a state
 
@@ -40,7 +40,12 @@ class Window:
     """Holds and moves the variables of a window."""
 
     def __init__(
-        self, start: State, prior_information: Array, landmarks: LandmarkWindow, Ts_imu_cam: Array, sigma: float,
+        self,
+        start: State,
+        prior_information: Array,
+        landmarks: LandmarkWindow,
+        Ts_imu_cam: Array,
+        sigma: float,
         robust_sigmas: float,
     ) -> None:
         """Begin with one keyframe, number 0.
@@ -83,7 +88,7 @@ class Window:
         """Add a keyframe, and what ties it to others."""
         self.states[self.newest + 1] = state
         for factor in factors:
-            self._factors.append((frozenset(gtsam.symbolIndex(key) for key in factor.keys()), factor))
+            self._factors.append((frozenset(map(gtsam.symbolIndex, factor.keys())), factor))
 
     def residuals(self) -> tuple[Array, Array, Sightings]:
         """Return residuals (N, 2) and depths (N,) [m] of all sightings of known landmarks, and these sightings."""
@@ -110,11 +115,7 @@ class Window:
         K = len(self.states)
         states = change[: STATE * K].reshape(K, STATE)
         points = system.visual.points_given(states[:, :POSE])
-        long = np.isin(self.landmarks.ids, list(self._prior.points))
-        points[self.landmarks.rows(np.array(list(self._prior.points), dtype=np.int64))] = change[STATE * K :].reshape(
-            -1, POINT
-        )
-        del long
+        points[self._long_lived_rows()] = change[STATE * K :].reshape(-1, POINT)
         self.states = {k: s.moved(d) for (k, s), d in zip(self.states.items(), states, strict=True)}
         self.landmarks.points = self.landmarks.points + points
 
@@ -130,7 +131,7 @@ class Window:
         seen = set(sightings.landmark[sightings.keyframe == k].tolist()) - long
         kept = self._longest(seen & followed, max_long_lived - len(long & followed))
         over = (seen - kept) | (long - followed)
-        self._prior = self._prior.with_points({i: landmarks.points[landmarks.rows(i)] for i in kept})
+        self._prior = self._prior.with_points(landmarks.places(kept))
         used = np.isin(sightings.landmark, list(over)) | (
             (sightings.keyframe == k) & np.isin(sightings.landmark, list(long | kept))
         )
@@ -180,14 +181,12 @@ class Window:
         first = {k: self._prior.first(k, now) for k, now in self.states.items()}
         values_now, values_first = _values(self.states), _values(first)
         for factor in factors:
-            linear = factor.linearize(values_first)
-            A = linear.jacobian()[0]
-            columns = np.concatenate([STATE * places[gtsam.symbolIndex(key)] + _SPANS[chr(gtsam.symbolChr(key))] for key in linear.keys()])
+            A, columns = factor.linearize(values_first).jacobian()[0], _columns(factor, places)
             H[np.ix_(columns, columns)] += A.T @ A
             b[columns] -= A.T @ factor.whitenedError(values_now)
 
         visual = self._visual(sightings, first)
-        rows = self.landmarks.rows(np.array(list(long), dtype=np.int64))
+        rows = self._long_lived_rows()
         eliminated = np.ones(len(self.landmarks.ids), dtype=np.bool_)
         eliminated[rows] = False
         columns = (STATE * np.arange(K)[:, None] + np.arange(POSE)).ravel()
@@ -212,9 +211,7 @@ class Window:
             self._doubtful = self._robust_sigmas * max(self._sigma, float(np.sqrt(np.median(square))))
         weight = (depth_m > 0.0) / (self._sigma**2 * (1.0 + square / self._doubtful**2))
         points = now.points.copy()
-        points[self.landmarks.rows(np.array(list(self._prior.points), dtype=np.int64))] = np.reshape(
-            list(self._prior.points.values()), (-1, 3)
-        )
+        points[self._long_lived_rows()] = np.reshape(list(self._prior.points.values()), (-1, POINT))
         return visual_system(sightings, rows, self._Ts_imu_cam, _scene(first, points), error, weight)
 
     def _rows(self, sightings: Sightings) -> Rows:
@@ -225,7 +222,17 @@ class Window:
 
     def _points(self) -> dict[int, Array]:
         """Return where the long-lived landmarks are now."""
-        return {i: self.landmarks.points[self.landmarks.rows(i)] for i in self._prior.points}
+        return self.landmarks.places(self._prior.points)
+
+    def _long_lived_rows(self) -> Integers:
+        """Return the rows of the long-lived landmarks among all, in the prior's order."""
+        return self.landmarks.rows(np.array(list(self._prior.points), dtype=np.int64))
+
+
+def _columns(factor: Factor, places: dict[int, int]) -> Integers:
+    """Return the columns of a factor's variables in a linear system, for keyframes in these places."""
+    keys = list(factor.keys())
+    return np.concatenate([STATE * places[gtsam.symbolIndex(key)] + _SPANS[chr(gtsam.symbolChr(key))] for key in keys])
 
 
 def _scene(states: dict[int, State], points: Array) -> Scene:
