@@ -32,8 +32,6 @@ from dronevio.models.state import CameraFrame, Estimate, FeatureTracks, Health, 
 
 Array = npt.NDArray[np.float64]
 
-MIN_FEATURES_AT_START = 100  # with fewer, new ones are looked for while waiting for a start
-
 
 @dataclass(frozen=True)
 class VioConfig:
@@ -112,14 +110,14 @@ class VisualInertialOdometry:
         return self._times.stamped(estimate, frame.t_ns)
 
     def _start(self, sighting: Sighting) -> Estimate:
-        """Start if that is possible by now; look for features if there are few."""
-        if len(sighting.observations) < MIN_FEATURES_AT_START:
+        """Start if that is possible by now."""
+        if self._initialiser.wants_features(sighting):
             sighting = replace(sighting, observations=self._times.moved(self._front_end.replenish()))
         started = self._initialiser.add(sighting, self._stillness.still_for_s)
         if isinstance(started, NotObservable):
             return self._not_told(sighting, str(started))
         self._smoother, self._is_told = started, False
-        self._monitor = HealthMonitor(self._rig, self._config.health, self._config.landmarks.pixel_sigma)
+        self._monitor = HealthMonitor(self._rig, self._config.health, self._config.smoother.pixel_sigma)
         self._begin_interval(started, sighting.observations)
         report = self._monitor.judge(sighting.observations, started.state, self._stillness.still_for_s > 0.0)
         return self._told(sighting, started.state, report)
@@ -170,7 +168,7 @@ class VisualInertialOdometry:
         """Give the estimate up, and look for a new start, from where the drone was last believed to be."""
         self._smoother, self._waiting = None, Health.LOST
         self._initialiser.begin_anew()
-        return self._not_told(sighting, f"lost: {report.reason}", report)
+        return self._not_told(sighting, report.reason, report, (f"lost: {report.reason}",))
 
     def _new_smoother(self, start: NavState, covariance: Array, observations: Observations) -> KeyframeSmoother:
         c = self._config
@@ -215,10 +213,17 @@ class VisualInertialOdometry:
         tracks = _feature_tracks(sighting.observations)
         return Estimate(sighting.t_ns, report.state, state, tracks, landmarks_world, events, report)
 
-    def _not_told(self, sighting: Sighting, why: str, report: HealthReport | None = None) -> Estimate:
+    def _not_told(
+        self, sighting: Sighting, why: str, report: HealthReport | None = None, events: tuple[str, ...] = ()
+    ) -> Estimate:
+        """Return an estimate without a state, and why there is none."""
+        known = report or HealthReport(self._waiting, why, tracks=len(sighting.observations))
+        report = replace(known, state=self._waiting, reason=why)
         tracks = _feature_tracks(sighting.observations)
-        return Estimate(sighting.t_ns, self._waiting, None, tracks, events=(why,), health_report=report)
+        return Estimate(sighting.t_ns, self._waiting, None, tracks, events=events, health_report=report)
 
 
 def _feature_tracks(observations: Observations) -> FeatureTracks:
-    return FeatureTracks(observations.ids, observations.pixels, observations.ages)
+    """Return the features that the main camera follows."""
+    main = observations.camera == 0
+    return FeatureTracks(observations.ids[main], observations.pixels[main], observations.ages[main])

@@ -27,7 +27,7 @@ def recovered_at(estimates: list[Estimate]) -> int:
 def is_sound(estimates: list[Estimate]) -> bool:
     """Say whether every state is made of numbers, and every frame without one says why."""
     told = all(e.state is None or np.isfinite(e.state.T_world_imu).all() for e in estimates)
-    return told and all(e.events for e in estimates if e.state is None)
+    return told and all(e.health_report.reason for e in estimates if e.state is None)
 
 
 def test_half_a_minute_of_darkness_is_a_loss_and_light_the_recovery(make_flight: Callable) -> None:

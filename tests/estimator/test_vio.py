@@ -128,7 +128,7 @@ def test_covariances_from_mid_air_mean_what_they_say(flown: Callable) -> None:
         flight, estimates = flown(seed, AIR)
         found = poses(estimates)
         window_ns = round(VioConfig().start.motion.window_s * 1e9)
-        launched_ns = next(e.t_ns for e in estimates if e.state is not None or "±" in e.events[0])
+        launched_ns = next(e.t_ns for e in estimates if e.state is not None or "±" in e.health_report.reason)
         errors, covariances = anchored_at_start(flight, found, launched_ns - window_ns)
         position.append(nees(errors, covariances).mean())
     assert 0.05 < np.mean(position) < 9.0
