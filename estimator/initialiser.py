@@ -28,6 +28,8 @@ Array = npt.NDArray[np.float64]
 SmootherMaker = Callable[[NavState, Array, Observations], KeyframeSmoother]
 """Makes a smoother that begins at a state, of a covariance (15, 15), from which some features are seen."""
 
+MIN_FEATURES = 100
+"""With fewer, new ones are looked for at every frame while waiting for a start."""
 HALF_TICK_NS = 1_000_000
 """Time stamps jitter: a window of 1.5 s may span 1.5001 s [ns]."""
 
@@ -78,7 +80,7 @@ class Initialiser:
         self._Ts_imu_cam = np.stack([camera.T_imu_cam for camera in cameras])
         self._focal_px = cameras[0].model.fx
         self._window: list[Sighting] = []
-        self._last_try_ns = 0
+        self._last_try_ns = self._replenished_ns = 0
         self._not_yet = NotObservable("nothing has been tried")
         self.origin: Origin = Zero()
         """Where position and yaw begin."""
@@ -95,6 +97,14 @@ class Initialiser:
     def begin_anew(self) -> None:
         """Forget what was seen: the estimate has been lost."""
         self._window.clear()
+
+    def wants_features(self, sighting: Sighting) -> bool:
+        """Say whether new features are to be looked for in a frame: if there are few, or as on keyframes."""
+        late = self._keyframes.is_late((sighting.t_ns - self._replenished_ns) * 1e-9, still=False)
+        if late or len(sighting.observations) < MIN_FEATURES:
+            self._replenished_ns = sighting.t_ns
+            return True
+        return False
 
     def add(self, sighting: Sighting, still_for_s: float) -> KeyframeSmoother | NotObservable:
         """Take a frame; answer a smoother that has started, or why there is none yet.
