@@ -103,8 +103,10 @@ def require_poses(run: EstimatorRun, recording: Recording) -> Trajectory:
     """
     trajectory = run.trajectory
     if len(trajectory) == 0:
+        report = run.estimates[-1].health_report if run.estimates else None
+        why = f" ({report.reason})" if report is not None else ""
         raise EvaluationError(
-            f"{recording.name}: no pose after {len(run.estimates)} frames; expected a recording in which the drone"
+            f"{recording.name}: no pose after {len(run.estimates)} frames{why}; expected a recording in which the drone"
             " stands still for a second, or moves with parallax, before a textured scene"
         )
     return trajectory

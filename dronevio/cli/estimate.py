@@ -1,9 +1,10 @@
 """``dronevio estimate``: from a recording to a trajectory."""
 
+from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Literal, TypeAlias
+from typing import TYPE_CHECKING, Annotated, Any, Literal, TypeAlias
 
 import tyro
 
@@ -33,7 +34,7 @@ class EstimateCommand:
       dronevio estimate V1_01_easy --out v101.tum
       dronevio estimate V1_01_easy --cameras 1 --imu-rate v101_imu.tum
       dronevio estimate flight.mcap --calibration camchain.yaml imu.yaml --topics.images /left/image_raw
-      dronevio estimate V1_01_easy --estimator.tracker.cell-px 36
+      dronevio estimate V1_01_easy --estimator.tracker.corners.cell-px 36
       dronevio evaluate V1_01_easy v101.tum
     """
 
@@ -97,13 +98,14 @@ def main(arguments: Sequence[str]) -> int:
     write_tum(command.out, trajectory)
     if command.imu_rate is not None:
         write_tum(command.imu_rate, between.trajectory)
-    summary = {
+    summary: dict[str, Any] = {
         "recording": str(command.recording),
         "estimate": str(command.out),
         "complete": recording.complete,
         "cameras": len(recording.rig.cameras),
         "frames": len(run.estimates),
         "poses": len(trajectory),
+        "health": {str(health): count for health, count in Counter(e.health for e in run.estimates).items()},
         "first_pose_s": float((trajectory.t_ns[0] - run.t_ns[0]) * 1e-9),
         "path_m": trajectory.length_m,
         "cpu_ms_per_frame": float(run.cpu_ms.mean()),
@@ -121,6 +123,7 @@ def main(arguments: Sequence[str]) -> int:
             ("cameras", f"{len(recording.rig.cameras)}", ""),
             ("frames", f"{len(run.estimates)}", ""),
             ("poses", f"{len(trajectory)}", ""),
+            *((f"frames {health}", f"{count}", "") for health, count in summary["health"].items()),
             ("first pose after", f"{summary['first_pose_s']:.2f}", "s"),
             ("path", f"{trajectory.length_m:.2f}", "m"),
             ("processor time a frame", f"{run.cpu_ms.mean():.1f}", "ms"),

@@ -31,7 +31,8 @@ class RunCommand:
       dronevio run
       dronevio run --seed 3 --out runs/third
       dronevio run --scenario hover --keep-recording
-      dronevio run --estimator.smoother.lag-s 8
+      dronevio run --rig euroc-stereo
+      dronevio run --estimator.smoother.max-keyframes 16
       dronevio run --live
       dronevio run --json > result.json
     """

@@ -1,5 +1,6 @@
 """The door: quick to open, honest about what it does not know, and every command behind it explains itself."""
 
+import shlex
 import subprocess
 import sys
 import time
@@ -9,6 +10,11 @@ import pytest
 
 from dronevio import __version__
 from dronevio.cli import COMMANDS, main
+from dronevio.cli.benchmark import BenchmarkCommand
+from dronevio.cli.estimate import EstimateCommand
+from dronevio.cli.flight_options import parse_flight
+from dronevio.cli.run import RunCommand
+from dronevio.cli.terminal import parse
 
 HEAVY = ("cv2", "gtsam", "gymnasium", "matplotlib", "mujoco", "numpy", "rerun", "rich", "scipy", "tyro")
 
@@ -84,6 +90,22 @@ def test_wrong_option_is_bad_input(command: str, capsys: pytest.CaptureFixture[s
     assert status == 2
     captured = capsys.readouterr()
     assert captured.err and not captured.out
+
+
+def test_examples_of_the_estimating_commands_are_in_order() -> None:
+    """Their options are settings of the estimator, which may change their names."""
+    readers = {
+        EstimateCommand: lambda words: parse(EstimateCommand, words, "estimate"),
+        RunCommand: lambda words: parse_flight(RunCommand, words, "run"),
+        BenchmarkCommand: lambda words: parse(BenchmarkCommand, words, "benchmark"),
+    }
+    for command, read in readers.items():
+        name = command.__name__.removesuffix("Command").lower()
+        lines = [line.strip() for line in (command.__doc__ or "").splitlines()]
+        examples = [shlex.split(line)[2:] for line in lines if line.startswith(f"dronevio {name} ")]
+        assert len(examples) > 4
+        for words in examples:
+            assert isinstance(read(words[: words.index(">")] if ">" in words else words), command)
 
 
 def test_a_reader_that_has_gone_is_no_trouble() -> None:

@@ -1,6 +1,7 @@
 """``dronevio estimate`` and the estimators of ``dronevio benchmark`` on a flight with two cameras."""
 
 import json
+import shutil
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -59,6 +60,30 @@ def test_all_cameras_are_used_unless_fewer_are_asked_for(
         poses[estimator] = read_tum(out)
     assert not np.array_equal(poses["vio"].p_world_imu[-100:], poses["vio-stereo"].p_world_imu[-100:])
     assert (tmp_path / "vio-stereo.tum").read_bytes() == (stereo.folder / "estimate.tum").read_bytes()
+
+
+def test_every_imu_sample_gets_a_pose_as_near_the_truth_as_the_frames(stereo: Result, do: Do, tmp_path: Path) -> None:
+    recording, files = stereo.folder / "recording", (tmp_path / "frames.tum", tmp_path / "imu.tum")
+    shown = do(tmp_path, "estimate", recording, "--cameras", "1", "--out", files[0], "--imu-rate", files[1])
+    assert f"wrote {files[0]} and {files[1]}" in shown.out
+    frames, samples = (read_tum(path) for path in files)
+    assert len(samples) > 9 * len(frames) and frames.t_ns[0] < samples.t_ns[0] < frames.t_ns[1]
+    scores = [do(tmp_path, "evaluate", recording, path, "--json").document["ate_m"]["rmse"] for path in files]
+    assert scores[1] < 1.2 * scores[0]
+    document = do(tmp_path, "estimate", recording, "--out", files[0], "--imu-rate", files[1], "--json").document
+    assert document["imu_rate"] == str(files[1]) and document["imu_rate_poses"] == len(samples)
+    assert sum(document["health"].values()) == document["frames"] and document["health"]["tracking"] > 80
+
+
+def test_what_never_starts_says_why(stereo: Result, tmp_path: Path, capsys: Any) -> None:
+    """A moment of it only, in which the drone has not stood still for long enough."""
+    moment = tmp_path / "moment"
+    shutil.copytree(stereo.folder / "recording", moment, ignore=shutil.ignore_patterns("cam1"))
+    table = moment / "mav0" / "cam0" / "data.csv"
+    table.write_text("".join(table.read_text(encoding="utf-8").splitlines(keepends=True)[:9]))
+    assert main(["estimate", str(moment), "--cameras", "1", "--out", str(tmp_path / "x.tum")]) != 0
+    said = capsys.readouterr().err
+    assert "no pose after 8 frames (" in said and "s are needed" in said
 
 
 def test_more_cameras_than_there_are_is_bad_input(stereo: Result, flown: Result, capsys: Any, tmp_path: Path) -> None:
