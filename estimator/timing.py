@@ -25,17 +25,8 @@ Rows = npt.NDArray[np.int64]
 
 EXTRAPOLATED_S = 0.1  # how far beyond the known motion the rate of turn is held [s]; no readout is longer
 SMOOTHED = 4  # samples on each side whose mean is the acceleration at a frame: rotors shake it
+RATE_OVER_S = 0.005  # before and after a frame, about one interval of the IMU [s]
 MIN_AGE_S = 1e-3  # two sightings nearer in time than this tell no velocity [s]
-
-
-@dataclass(frozen=True)
-class TimingConfig:
-    """How the velocity of a feature is guessed that has been seen only once."""
-
-    neighbours: int = 4
-    """As the mean of so many of the nearest features ..."""
-    max_error_px: float = 0.5
-    """... if that moves the sighting equally by any of them, to this many pixels; else the sighting is not used."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -89,15 +80,9 @@ class FrameTimes:
     known time offset puts it; what is told of it in the end is the state when the IMU's clock showed its time stamp.
     """
 
-    def __init__(self, rig: Rig, config: TimingConfig | None = None) -> None:
-        """Prepare for a rig.
-
-        Args:
-            rig: The calibration.
-            config: Settings.
-        """
+    def __init__(self, rig: Rig) -> None:
+        """Prepare for a rig."""
         self._cameras, self._known_offset_s = rig.cameras, rig.time_offset_s
-        self._config = config or TimingConfig()
         self._Rs_imu_cam = np.stack([camera.T_imu_cam[:3, :3] for camera in rig.cameras])
         self._readouts_s = np.array([camera.readout_s for camera in rig.cameras])
         self.late_s = 0.0
@@ -129,18 +114,26 @@ class FrameTimes:
         near = np.vstack([before.accel_m_s2[-SMOOTHED:], after.accel_m_s2[:SMOOTHED]])
         self._accel_m_s2 = near.mean(axis=0) if len(near) else np.zeros(3)
 
+    @property
+    def rate_rad_s(self) -> Array:
+        """(3,) How fast the IMU turns at the frame [rad/s]."""
+        step_s = np.array([-RATE_OVER_S, RATE_OVER_S])
+        return np.asarray(np.diff(self._turn.at(step_s), axis=0)[0] / (2.0 * RATE_OVER_S))
+
     def moved(self, seen: Observations) -> Observations:
-        """Return what a frame shows as it was at the frame's time, without what cannot be told.
+        """Return what a frame shows as it was at the frame's time.
+
+        A feature that is seen for the first time shows no velocity, and is left out if it has to be moved: guessed from
+        its neighbours, the velocity of a new corner makes the path 1 % too large or too small.
 
         It may be asked more than once for a frame: with new features, or with other cameras' sightings of them.
         """
         if not self._readouts_s.any() and self.late_s == 0.0:
+            self._now = _Seen(seen.ids, np.zeros(len(seen)), np.column_stack([seen.xy, np.ones(len(seen))]))
             return seen
         cameras, late_s = seen.camera, self._late_s(seen.camera, seen.pixels[:, 1])
         rays = self._turned(cameras, seen.xy, late_s)
         velocity = self._velocities(seen, late_s, rays)
-        known = np.isfinite(velocity[:, 0])
-        velocity[~known] = self._guessed(cameras, rays, velocity, late_s, known)
         self._now = _Seen(seen.ids, late_s, rays)
         kept = np.isfinite(velocity[:, 0])
         xy = rays[:, :2] - late_s[:, None] * velocity
@@ -194,24 +187,6 @@ class FrameTimes:
         elapsed_s = np.maximum(self._since_last_s + late_s[i] - last.late_s[j], MIN_AGE_S)
         velocity[i] = (rays[i, :2] - before[:, :2] / before[:, 2:]) / elapsed_s[:, None]
         return velocity
-
-    def _guessed(
-        self, camera: Rows, rays: Array, velocity: Array, late_s: Array, known: npt.NDArray[np.bool_]
-    ) -> Array:
-        """Return velocities (M, 2) of the features of which none is known [1/s]; NaN where neighbours disagree."""
-        new, guessed = np.flatnonzero(~known), np.full((int((~known).sum()), 2), np.nan)
-        for index, c in enumerate(self._cameras):
-            mine, others = camera[new] == index, np.flatnonzero(known & (camera == index))
-            if not mine.any() or len(others) < self._config.neighbours:
-                continue
-            rows = new[mine]
-            distance = np.linalg.norm(rays[rows, None, :2] - rays[None, others, :2], axis=2)
-            nearest = others[np.argpartition(distance, self._config.neighbours - 1)[:, : self._config.neighbours]]
-            mean = velocity[nearest].mean(axis=1)
-            spread = np.linalg.norm(velocity[nearest] - mean[:, None], axis=2).max(axis=1)
-            sure = spread * np.abs(late_s[rows]) * c.model.fx < self._config.max_error_px
-            guessed[mine] = np.where(sure[:, None], mean, np.nan)
-        return guessed
 
     def _moved_matches(self, seen: Observations, rays: Array, velocity: Array) -> Matches:
         """Return the sightings by further cameras; the landmark moves there as it does where it is followed."""

@@ -179,16 +179,27 @@ def test_nothing_sensed_is_no_turn() -> None:
     np.testing.assert_array_equal(NearbyTurn.of(nothing, nothing, O).at(np.array([-0.01, 0.01])), np.zeros((2, 3)))
 
 
-def test_a_new_feature_moves_like_its_neighbours() -> None:
-    """Where depths differ much, what cannot be told is left out."""
-    path = Path(TURN, O, R_IMU_CAM @ np.array([0.8, 0.3, 0.2]), O)
-    after, before = errors_px(path, new=slice(0, 30))
-    assert len(after) < len(before)  # some are left out
-    assert np.percentile(after, 95) < 0.5 and after.max() < 1.2
-    slow = Path(TURN, O, R_IMU_CAM @ np.array([0.2, 0.1, 0.05]), O)
-    after, before = errors_px(slow, new=slice(0, 30))
-    assert len(after) == len(before)
-    assert after.max() < 0.3
+def test_a_new_feature_is_left_out_until_it_shows_its_velocity() -> None:
+    after, before = errors_px(AGGRESSIVE, new=slice(0, 30))
+    assert len(after) == len(before) - 30
+    assert after.max() < 0.5
+
+
+def test_what_was_seen_on_time_tells_velocities_to_what_is_late() -> None:
+    """The clocks' offset turns up between two frames; features that are known by then are used at once."""
+    path, places, times = AGGRESSIVE, landmarks(), FrameTimes(Rig((GLOBAL,)))
+    begin(times, path, -FRAME_S)
+    times.moved(observations(exposed(path, GLOBAL, places, -FRAME_S)))
+    times.late_s = 0.004
+    begin(times, path, 0.0)
+    moved = times.moved(observations(exposed(path, GLOBAL, places, 0.0, 0.004)))
+    assert len(moved) == len(places)
+
+
+def test_says_how_fast_the_imu_turns() -> None:
+    times = FrameTimes(Rig((GLOBAL,)))
+    begin(times, Path(TURN, SPIN_UP, O, O), 0.0)
+    np.testing.assert_allclose(times.rate_rad_s, TURN, atol=1e-3)
 
 
 def test_asking_twice_in_a_frame_gives_the_same() -> None:
