@@ -43,8 +43,10 @@ class PatchConfig:
     zooms: tuple[float, ...] = (1.0, 1.6)
     """What has come nearer looks sharper than it did; it is compared in images that are blurred so much more, for the
     zoom that is nearest."""
-    min_likeness: float = 0.75
-    """Correlation below which a patch was not found."""
+    min_likeness: float = 0.9
+    """Correlation below which a patch was not found, or something has come before a part of it ..."""
+    image_noise: float = 1.5
+    """... where noise of this standard deviation does not explain it [grey levels]."""
     max_zoom: float = 2.5
     """How much nearer or further a patch may come."""
 
@@ -61,6 +63,8 @@ class Patches:
     """(N, 6, 6) Inverse of the Gauss-Newton matrix, prior included."""
     prior: Array32
     """(N,) Weight of the prior on the bend."""
+    doubt: Array32
+    """(N,) How much less alike noise alone makes two sights of the patch."""
     bend: Array
     """(N, 2, 2) How the patch is bent at present: maps its own pixels to the image's."""
 
@@ -144,7 +148,8 @@ class PatchAligner:
         H += prior[:, None, None] * np.diag(np.array([0, 0, 1, 1, 1, 1], np.float32)) + 1e-9 * np.eye(
             6, dtype=np.float32
         )
-        return Patches(values, slopes, np.linalg.inv(H), prior, np.tile(np.eye(2), (n, 1, 1)))
+        doubt = (c.image_noise * c.side_px / norm) ** 2
+        return Patches(values, slopes, np.linalg.inv(H), prior, doubt, np.tile(np.eye(2), (n, 1, 1)))
 
     def align(self, prepared: Prepared, patches: Patches, pixels: Array) -> Fit:
         """Find patches again.
@@ -165,7 +170,7 @@ class PatchAligner:
             pixels = pixels - np.einsum("nij,nj->ni", bend, step[:, :2])
         likeness = np.sum(seen * patches.values, axis=1).astype(np.float64)
         zoom2 = np.linalg.det(bend)
-        good = (likeness > c.min_likeness) & (zoom2 > c.max_zoom**-2) & (zoom2 < c.max_zoom**2)
+        good = (likeness > c.min_likeness - patches.doubt) & (zoom2 > c.max_zoom**-2) & (zoom2 < c.max_zoom**2)
         return Fit(pixels, replace(patches, bend=bend), likeness, good & np.isfinite(pixels).all(axis=1))
 
     def _sampled(self, prepared: Prepared, pixels: Array, bend: Array | None = None) -> Array32:
