@@ -10,8 +10,8 @@ The states, in the order in which they are ruled out:
 lost           a number is no number; the speed or a bias is beyond what can be; or most landmarks have been elsewhere
                for too long; or nothing but the IMU has held the estimate until its position, by its own covariance,
                is worth nothing. It stays so until the estimator starts anew, with a monitor of its own.
-inertial-only  too few landmarks, and no rest, hold the estimate at this frame.
-tracking       landmarks hold it, or the drone stands still.
+inertial-only  too few landmarks, and no rest, hold the estimate.
+tracking       landmarks hold it, or the drone stands still or has only just begun to move.
 """
 
 import math
@@ -39,6 +39,9 @@ class HealthConfig:
 
     min_landmarks: int = 8
     """Landmarks that must hold an estimate: with fewer, one that is wrong turns it, and outvotes the rest."""
+    settling_s: float = 0.5
+    """For so long, features that are followed will do instead of landmarks [s]: three keyframes and some parallax, as
+    after a rest, make landmarks of them."""
     max_innovation_px: float = 12.0
     """Median innovation beyond which landmarks contradict the estimate [px]: what 5 ms of time offset make at 300 °/s
     with EuRoC's lens, or several times what a degree of wrong mounting makes between frames ..."""
@@ -123,6 +126,8 @@ class HealthMonitor:
             state, reason = Health.TRACKING, f"{len(rows)} landmarks hold it"
         elif still:
             state, reason = Health.TRACKING, "the drone stands still"
+        elif len(seen) >= self._config.min_landmarks and blind_s <= self._config.settling_s:
+            state, reason = Health.TRACKING, "features are followed, and will soon be landmarks"
         else:
             found = f"{len(rows)} landmarks hold it; {self._config.min_landmarks} are needed"
             state, reason = Health.INERTIAL_ONLY, found

@@ -121,9 +121,13 @@ def test_tracks_that_are_no_landmarks_hold_nothing() -> None:
         )
     )
     watcher = monitor(known)
-    report = watcher.judge(both, START, still=False)
-    assert report.state == Health.INERTIAL_ONLY and report.tracks == 107 and report.landmarks == 7
-    assert watcher.judge(both, after(1), still=True).state == Health.TRACKING
+    reports = [watcher.judge(both, after(k), still=False) for k in range(20)]
+    settling = round(CONFIG.settling_s / 0.05) + 1
+    assert {r.state for r in reports[:settling]} == {Health.TRACKING}  # they may become landmarks
+    assert {r.state for r in reports[settling:]} == {Health.INERTIAL_ONLY}
+    assert reports[-1].tracks == 107 and reports[-1].landmarks == 7 and reports[-1].blind_s == pytest.approx(0.95)
+    assert watcher.judge(both, after(20), still=True).state == Health.TRACKING
+    assert watcher.judge(observations, after(21), still=False).state == Health.INERTIAL_ONLY  # 7 features are too few
     nothing = monitor(landmarks(0, np.random.default_rng(0))).judge(others, START, still=False)
     assert nothing.innovation_px is None and nothing.median_parallax_rad is None and nothing.innovation_nis is None
 
