@@ -29,15 +29,18 @@ class CornerConfig:
     """Side of the grid's cells [px]; each holds at most one new corner: 187 cells at 752×480."""
     min_score: float = 4e-4
     """Smallest eigenvalue of the gradient matrix that makes a corner (image scaled to 0…1)."""
+    min_over_noise: float = 2.5e-5
+    """The same over the square of the image's noise [1 / grey levels²]: twice what noise alone scores in an image."""
     spacing_px: int = 22
     """Distance of a new corner from all features [px]."""
 
 
-def new_corners(image: Image, taken: Array, border_px: int, config: CornerConfig) -> Array:
+def new_corners(image: Image, noise: float, taken: Array, border_px: int, config: CornerConfig) -> Array:
     """Return the best corners (N, 2) of the cells without a feature [px].
 
     Args:
         image: Where to look.
+        noise: Standard deviation of its noise [grey levels].
         taken: (M, 2) Where features are already [px].
         border_px: No corner is nearer to the image's border [px].
         config: Which are taken.
@@ -55,7 +58,9 @@ def new_corners(image: Image, taken: Array, border_px: int, config: CornerConfig
     cells = score[top : top + rows * side, left : left + columns * side]
     cells = cells.reshape(rows, side, columns, side).transpose(0, 2, 1, 3).reshape(rows * columns, side * side)
     best = cells.argmax(axis=1)
-    strong = np.take_along_axis(cells, best[:, None], axis=1)[:, 0] > config.min_score
+    strong = np.take_along_axis(cells, best[:, None], axis=1)[:, 0] > max(
+        config.min_score, config.min_over_noise * noise**2
+    )
     free = np.ones((rows, columns), dtype=np.bool_)
     row, column = ((taken[:, ::-1] / HALF - [top, left]) // side).astype(int).T
     free[np.clip(row, 0, rows - 1), np.clip(column, 0, columns - 1)] = False

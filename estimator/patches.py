@@ -22,6 +22,8 @@ MOST_CHANGE = 0.3  # of the bend in a step; twice as much could turn a patch ins
 PIXEL_BLUR_PX = 0.3  # a pixel's own area blurs an image by 1/√12
 MARGIN_PX = 24  # how far patches reach beyond the image at most
 FAR_PX = 1e4  # beyond any image, and within what OpenCV can be asked for
+SPARSE_ROWS = 16  # every sixteenth row tells an image's noise
+MEDIAN_OVER_SIGMA = 0.6745  # of the magnitude of a normal variable
 FAINTEST = 1e-3  # contrast of a patch [grey levels]; below, there is none
 
 
@@ -45,8 +47,12 @@ class PatchConfig:
     zoom that is nearest."""
     min_likeness: float = 0.9
     """Correlation below which a patch was not found, or something has come before a part of it ..."""
-    image_noise: float = 1.5
-    """... where noise of this standard deviation does not explain it [grey levels]."""
+    noise_left: float = 0.65
+    """... where noise does not explain it, of which the blur leaves this share."""
+    noisy: float = 6.0
+    """Images of more noise are blurred more [grey levels, standard deviation] ..."""
+    noisy_blur_px: float = 1.0
+    """... by this [px]."""
     max_zoom: float = 2.5
     """How much nearer or further a patch may come."""
 
@@ -63,8 +69,8 @@ class Patches:
     """(N, 6, 6) Inverse of the Gauss-Newton matrix, prior included."""
     prior: Array32
     """(N,) Weight of the prior on the bend."""
-    doubt: Array32
-    """(N,) How much less alike noise alone makes two sights of the patch."""
+    norm: Array32
+    """(N,) Norm of the grey levels, less their mean."""
     bend: Array
     """(N, 2, 2) How the patch is bent at present: maps its own pixels to the image's."""
 
@@ -108,6 +114,8 @@ class Prepared:
     """(L h, W) The image, blurred less and more, one below the other, each with a margin above and below."""
     height: int
     """h: rows of each."""
+    noise: float
+    """Standard deviation of the image's noise [grey levels], before the blur; fine texture counts as noise too."""
 
 
 class PatchAligner:
@@ -121,7 +129,8 @@ class PatchAligner:
 
     def prepare(self, image: Image) -> Prepared:
         """Return an image as it is compared: blurred as each zoom wants it, one below the other."""
-        blur_px, zooms = self._config.blur_px, np.array(self._config.zooms)
+        c, noise, zooms = self._config, noise_of(image), np.array(self._config.zooms)
+        blur_px = c.noisy_blur_px if noise > c.noisy else c.blur_px
         sigmas = np.sqrt(blur_px**2 * zooms**2 + PIXEL_BLUR_PX**2 * (zooms**2 - 1.0))
         padded = cv2.copyMakeBorder(image, MARGIN_PX, MARGIN_PX, 0, 0, cv2.BORDER_REPLICATE)
         height = len(padded)
@@ -129,7 +138,7 @@ class PatchAligner:
         for level, sigma in enumerate(sigmas.tolist()):
             across = 2 * round(2.0 * sigma) + 1
             cv2.GaussianBlur(padded, (across, across), sigma, dst=atlas[level * height : (level + 1) * height])
-        return Prepared(atlas, height)
+        return Prepared(atlas, height, noise)
 
     def cut(self, prepared: Prepared, pixels: Array) -> Patches:
         """Return the patches around pixels (N, 2) of a prepared image."""
@@ -148,8 +157,7 @@ class PatchAligner:
         H += prior[:, None, None] * np.diag(np.array([0, 0, 1, 1, 1, 1], np.float32)) + 1e-9 * np.eye(
             6, dtype=np.float32
         )
-        doubt = (c.image_noise * c.side_px / norm) ** 2
-        return Patches(values, slopes, np.linalg.inv(H), prior, doubt, np.tile(np.eye(2), (n, 1, 1)))
+        return Patches(values, slopes, np.linalg.inv(H), prior, norm, np.tile(np.eye(2), (n, 1, 1)))
 
     def align(self, prepared: Prepared, patches: Patches, pixels: Array) -> Fit:
         """Find patches again.
@@ -170,7 +178,8 @@ class PatchAligner:
             pixels = pixels - np.einsum("nij,nj->ni", bend, step[:, :2])
         likeness = np.sum(seen * patches.values, axis=1).astype(np.float64)
         zoom2 = np.linalg.det(bend)
-        good = (likeness > c.min_likeness - patches.doubt) & (zoom2 > c.max_zoom**-2) & (zoom2 < c.max_zoom**2)
+        doubt = (c.noise_left * prepared.noise * c.side_px / patches.norm) ** 2
+        good = (likeness > c.min_likeness - doubt) & (zoom2 > c.max_zoom**-2) & (zoom2 < c.max_zoom**2)
         return Fit(pixels, replace(patches, bend=bend), likeness, good & np.isfinite(pixels).all(axis=1))
 
     def _sampled(self, prepared: Prepared, pixels: Array, bend: Array | None = None) -> Array32:
@@ -190,6 +199,14 @@ class PatchAligner:
         return np.asarray(
             cv2.remap(prepared.atlas, x, y, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE), np.float32
         )
+
+
+def noise_of(image: Image) -> float:
+    """Return the standard deviation of an image's noise [grey levels], from what neighbours mostly differ by."""
+    few = image[::SPARSE_ROWS].astype(np.int16)
+    differences = np.bincount(np.abs(few[:, 1:] - few[:, :-1]).ravel(), minlength=256)
+    median = float(np.searchsorted(np.cumsum(differences), 0.5 * differences.sum()))
+    return float(median / (MEDIAN_OVER_SIGMA * np.sqrt(2.0)))
 
 
 def _normalised(values: Array32) -> tuple[Array32, Array32]:

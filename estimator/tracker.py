@@ -130,7 +130,9 @@ class FeatureTracker:
     def replenish(self) -> Observations:
         """Take the best new corner of each grid cell that holds no feature, and return all features of the frame."""
         if self._image is not None:
-            corners = new_corners(self._image, self._features.pixels, self._config.border_px, self._config.corners)
+            corners = new_corners(
+                self._image, self._prepared.noise, self._features.pixels, self._config.border_px, self._config.corners
+            )
             self._features = self._features.joined(self._new_features(corners))
         return self._observations()
 
