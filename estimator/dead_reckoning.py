@@ -12,7 +12,7 @@ from dronevio.estimator.start import StartSigmas, start_from_rest
 from dronevio.models.imu import GRAVITY_M_S2, ImuSamples
 from dronevio.models.rig import Rig
 from dronevio.models.rotation import exp_so3, nearest_rotations, pose_matrix
-from dronevio.models.state import CameraFrame, Estimate, Health, NavState
+from dronevio.models.state import CameraFrame, Estimate, Health, HealthReport, NavState
 
 Array = npt.NDArray[np.float64]
 
@@ -51,6 +51,7 @@ class DeadReckoning:
         self._recent: deque[Increments] = deque()
         self._recent_s = 0.0
         self._state: NavState | None = None
+        self._start_ns = 0  # when that began
 
     def add_imu(self, samples: ImuSamples) -> None:
         """Take the IMU samples since the last call."""
@@ -73,10 +74,13 @@ class DeadReckoning:
                 start.accel_bias_m_s2,
                 covariance,
             )
+            self._start_ns = frame.t_ns
             events = ("initialised",)
         if self._state is None:
-            return Estimate(frame.t_ns, Health.INITIALISING, None)
-        return Estimate(frame.t_ns, Health.INERTIAL_ONLY, self._state, events=events)
+            waiting = HealthReport(Health.INITIALISING, f"no rest of {self._config.rest_s:g} s yet")
+            return Estimate(frame.t_ns, Health.INITIALISING, None, health_report=waiting)
+        alone = HealthReport(Health.INERTIAL_ONLY, "the IMU alone", blind_s=(frame.t_ns - self._start_ns) * 1e-9)
+        return Estimate(frame.t_ns, Health.INERTIAL_ONLY, self._state, events=events, health_report=alone)
 
     def _stands_still(self, increments: Increments) -> bool:
         """Take increments, and say whether the IMU has been at rest for long enough."""

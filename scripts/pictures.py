@@ -17,10 +17,16 @@ from pathlib import Path
 import cv2
 import numpy as np
 import numpy.typing as npt
+from matplotlib.figure import Figure
 from rerun.experimental import ViewerClient
 
 from dronevio.cli import main
 from dronevio.cli.view import HOST, free_port, viewer_program
+from dronevio.estimation import estimate_recording
+from dronevio.estimator.vio import VisualInertialOdometry
+from dronevio.eval import palette
+from dronevio.eval.metrics.scores import score_trajectory
+from dronevio.models.recordings.open import open_recording
 from dronevio.models.recordings.tum import read_tum
 from dronevio.models.rotation import inverse_pose
 from dronevio.sim.onlooker import Onlooker
@@ -40,6 +46,7 @@ TAKE_OFF_S = 3.1
 TAKE_OFF_PX = (960, 600)
 ROOM_PX, ROOM_SHARE = 1504, 2 / 3  # the two upper rows of the contact sheet
 WORLDS_PX = 1240
+ESTIMATOR_S = 12.0  # in the middle of the way
 PATIENCE_S = 60.0
 
 
@@ -130,6 +137,46 @@ def photograph_take_off(run: Path) -> Picture:
         onlooker.close()
 
 
+def draw_estimator(flight: Path, picture: Path) -> None:
+    """Estimate a flight, and draw what the estimator followed, what it made of it, and what it thought of that."""
+    recording = open_recording(flight)
+    run = estimate_recording(recording, VisualInertialOdometry(recording.rig))
+    truth = recording.ground_truth
+    assert truth is not None
+    path = run.trajectory
+    scored = score_trajectory(truth, path, recording.frame_times_ns)
+    shown = int(np.searchsorted(run.t_ns, run.t_ns[0] + round(ESTIMATOR_S * 1e9)))
+    estimate, t0_ns = run.estimates[shown], run.t_ns[0]
+    figure = Figure(figsize=(15.0, 4.6), layout="constrained")
+    image, above, health = figure.subplots(1, 3, width_ratios=(1.25, 1.0, 1.15))
+    image.imshow(recording.frame(shown).images[0], cmap="gray", vmin=0, vmax=255)
+    assert estimate.tracks is not None
+    dots = image.scatter(*estimate.tracks.pixels.T, c=estimate.tracks.ages, s=14, cmap="viridis", vmin=0, vmax=60)
+    figure.colorbar(dots, ax=image, shrink=0.75, label="seen in so many frames")
+    image.set(title="features that are followed", xticks=(), yticks=())
+
+    points = np.concatenate([e.landmarks_world for e in run.estimates[:shown] if e.landmarks_world is not None])
+    above.scatter(*scored.alignment.positions(points)[:, :2].T, s=1, color=palette.ROOM, alpha=0.3)
+    above.plot(*truth.p_world_imu[:, :2].T, color=palette.TRUTH, label="truth")
+    above.plot(*scored.alignment.positions(path.p_world_imu)[:, :2].T, color=palette.ESTIMATE, label="estimate")
+    low, high = truth.p_world_imu.min(axis=0) - 3.0, truth.p_world_imu.max(axis=0) + 3.0
+    above.set(title="path and landmarks, from above", xlabel="x [m]", ylabel="y [m]", aspect="equal")
+    above.set(xlim=(low[0], high[0]), ylim=(low[1], high[1]))
+    above.legend(loc="upper right")
+
+    told = [(e.t_ns, e.health_report) for e in run.estimates if e.health_report is not None]
+    t_s = np.array([t_ns - t0_ns for t_ns, _ in told]) * 1e-9
+    health.plot(t_s, [report.tracks for _, report in told], color=palette.ROOM, label="tracks")
+    health.plot(t_s, [report.landmarks for _, report in told], color=palette.ESTIMATE, label="landmarks that hold")
+    health.set(title="health", xlabel="time [s]", ylabel="features", ylim=(0, None))
+    innovation = health.twinx()
+    innovation.plot(t_s, [report.innovation_px for _, report in told], color=palette.TRUTH, lw=0.8, label="innovation")
+    innovation.set(ylabel="median innovation [px]", ylim=(0, 4))
+    lines = [*health.get_lines(), *innovation.get_lines()]
+    health.legend(lines, [str(line.get_label()) for line in lines], loc="upper right")
+    figure.savefig(picture, dpi=90)
+
+
 def make_pictures(scratch: Path) -> None:
     """Fly, look and save."""
     run = scratch / "room-0"
@@ -148,6 +195,10 @@ def make_pictures(scratch: Path) -> None:
     rows = sheet[: int(ROOM_SHARE * len(sheet))]
     save("room.jpg", fitted(rows, ROOM_PX))
     save("worlds.jpg", fitted(sheet_of_worlds(0), WORLDS_PX))
+    flight = scratch / "medium"
+    main(["fly", "--scenario", "room-medium", "--rig", "euroc-stereo", "--out", str(flight)])
+    draw_estimator(flight, scratch / "estimator.png")
+    save("estimator.jpg", read(scratch / "estimator.png"))
     save("book-imu.jpg", read(scratch / "imu" / "path.png"))
     save("book-eqvio.jpg", read(scratch / "eqvio" / "paths.png"))
 
