@@ -46,6 +46,11 @@ class Increments:
     accel_m_s2: Array
     """(N, 3) Mean specific force in the frame at the interval's start [m/s²]."""
 
+    @property
+    def longest_s(self) -> float:
+        """Longest of the intervals [s]."""
+        return float(self.dt_s.max(initial=0.0))
+
     def rotation(self, gyro_bias_rad_s: Array) -> Array:
         """Return R_start_end (3, 3)."""
         R = np.eye(3)

@@ -20,7 +20,12 @@ class KeyframeConfig:
     still_interval_s: float = 0.5
     """At rest, after this time [s]."""
     min_tracked: float = 0.6
-    """Earlier, when less than this share of the last keyframe's features is left."""
+    """Earlier, when less than this share of the last keyframe's features is left ..."""
+    max_innovation_px: float = 5.0
+    """... or when known landmarks are typically so far from where the IMU puts them [px]: a shock, or an IMU that errs,
+    is not to be told for longer than need be ..."""
+    min_interval_s: float = 0.1
+    """... but not before this time for that reason, lest the window become short [s]."""
 
 
 class KeyframePolicy:
@@ -34,18 +39,23 @@ class KeyframePolicy:
         """Take a keyframe: what comes is compared with what it sees."""
         self._ids = observations.ids
 
-    def is_due(self, elapsed_s: float, still_for_s: float, observations: Observations) -> bool:
+    def is_due(
+        self, elapsed_s: float, still_for_s: float, observations: Observations, innovation_px: float | None = None
+    ) -> bool:
         """Say whether a frame becomes a keyframe.
 
         Args:
             elapsed_s: Time since the last keyframe [s].
             still_for_s: For how long the drone has not moved [s].
             observations: What the frame shows.
+            innovation_px: How far known landmarks are from where they should be [px]; None without any.
         """
+        c = self._config
         if self.is_still(elapsed_s, still_for_s):
             return self.is_late(elapsed_s, still=True)
-        left = np.isin(self._ids, observations.ids).mean() if len(self._ids) else 0.0
-        return self.is_late(elapsed_s, still=False) or bool(left < self._config.min_tracked)
+        left = np.isin(self._ids, observations.ids).mean() if len(self._ids) else 1.0  # darkness is not worth a window
+        surprised = (innovation_px or 0.0) > c.max_innovation_px and elapsed_s >= c.min_interval_s - HALF_TICK_S
+        return self.is_late(elapsed_s, still=False) or bool(left < c.min_tracked) or surprised
 
     def is_late(self, elapsed_s: float, still: bool) -> bool:
         """Say whether it is time for a keyframe, whatever the frame shows."""

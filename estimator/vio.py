@@ -32,6 +32,9 @@ from dronevio.models.state import CameraFrame, Estimate, FeatureTracks, Health, 
 
 Array = npt.NDArray[np.float64]
 
+IMU_GAP = 4.0
+"""Intervals of the IMU that have to pass without a sample to be worth an event."""
+
 
 @dataclass(frozen=True)
 class VioConfig:
@@ -107,6 +110,8 @@ class VisualInertialOdometry:
         self._initialiser.origin.turn(increments)
         sighting = Sighting(t_ns, increments, observations)
         estimate = self._start(sighting) if self._smoother is None else self._go_on(self._smoother, sighting)
+        if increments.longest_s * self._rig.imu.rate_hz > IMU_GAP:
+            estimate = replace(estimate, events=(*estimate.events, f"no IMU for {increments.longest_s:.2f} s"))
         return self._times.stamped(estimate, frame.t_ns)
 
     def _start(self, sighting: Sighting) -> Estimate:
@@ -135,7 +140,8 @@ class VisualInertialOdometry:
         report = self._monitor.judge(sighting.observations, predicted, still)
         if report.state is Health.LOST:
             return self._lose(sighting, report)
-        if not self._keyframes.is_due(elapsed_s, self._stillness.still_for_s, sighting.observations):
+        still_for_s, seen = self._stillness.still_for_s, sighting.observations
+        if not self._keyframes.is_due(elapsed_s, still_for_s, seen, report.innovation_px):
             return self._told(sighting, predicted, report, events)
         sighting = replace(sighting, observations=self._times.moved(self._front_end.replenish()))
         events = ("keyframe", *events, *self._add_keyframe(smoother, sighting, still))

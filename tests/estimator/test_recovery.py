@@ -9,11 +9,15 @@ import pytest
 from dronevio.estimator.inertial import Increments
 from dronevio.estimator.origin import LastBelieved, Zero
 from dronevio.estimator.start import StartSigmas
+from dronevio.estimator.vio import VisualInertialOdometry
+from dronevio.eval.metrics.alignment import align
+from dronevio.models.errors import ConfigError
 from dronevio.models.imu import ImuSamples
 from dronevio.models.rotation import exp_so3, pose_matrix
-from dronevio.models.state import Estimate, Health, NavState
+from dronevio.models.state import Estimate, Health, NavState, Trajectory
 
 ZERO = np.zeros(3)
+FRAME_NS = 50_000_000
 
 
 def health_of(estimates: list[Estimate]) -> np.ndarray:
@@ -85,6 +89,38 @@ def test_imu_that_contradicts_the_camera_is_a_loss_until_it_does_so_no_more(make
     truth = flight.truth_at(flight.frame_times_ns[-20:])
     in_imu = np.array([s.T_world_imu[:3, :3].T @ s.velocity_m_s for s in states])
     assert np.linalg.norm(in_imu - np.einsum("nji,nj->ni", truth.rotations, truth.velocity_m_s), axis=1).max() < 0.15
+
+
+def test_a_gap_in_the_imu_is_survived_and_told(make_flight: Callable) -> None:
+    flight = make_flight(0, rest_s=1.5, duration_s=9.0)
+    t_s = (flight.imu.t_ns - flight.imu.t_ns[0]) * 1e-9
+    kept = (t_s < 5.0) | (t_s > 5.2)
+    gappy, imu = replace(flight), flight.imu
+    gappy.__dict__.update(imu=ImuSamples(imu.t_ns[kept], imu.gyro_rad_s[kept], imu.accel_m_s2[kept], imu.sampling))
+    estimates = gappy.run()
+    assert is_sound(estimates) and all(e.state is not None for e in estimates[60:])
+    assert any(event.startswith("no IMU for 0.") for e in estimates[98:108] for event in e.events)
+    assert not any("no IMU" in event for e in [*estimates[:98], *estimates[108:]] for event in e.events)
+    found = Trajectory.from_states(e.state for e in estimates if e.state is not None)
+    truth = flight.truth_at(found.t_ns)
+    fit = align(truth.p_world_imu, found.p_world_imu, "yaw")
+    assert np.linalg.norm(fit.positions(found.p_world_imu) - truth.p_world_imu, axis=1).max() < 0.15
+
+
+@pytest.mark.parametrize("spoil", [lambda t: t[::-1], lambda t: np.repeat(t, 2)[: len(t)]], ids=["order", "repeated"])
+def test_stamps_in_disorder_are_an_error_after_which_it_goes_on(make_flight: Callable, spoil: Callable) -> None:
+    flight = make_flight(0, rest_s=1.5, duration_s=4.0)
+    vio = VisualInertialOdometry(flight.rig, front_end=flight.front_end())
+    for k, t_ns in enumerate(flight.frame_times_ns.tolist()):
+        batch = flight.imu.after(t_ns - FRAME_NS if k else -1).up_to(t_ns)
+        if k == 50:
+            with pytest.raises(ConfigError, match="do not increase"):
+                vio.add_imu(ImuSamples(spoil(batch.t_ns), batch.gyro_rad_s, batch.accel_m_s2, batch.sampling))
+            with pytest.raises(ConfigError, match="do not increase"):
+                vio.add_imu(flight.imu.up_to(t_ns - FRAME_NS))  # these it has had
+        vio.add_imu(batch)
+        estimate = vio.add_frame(flight.frame(k))
+    assert estimate.health is Health.TRACKING and estimate.state is not None
 
 
 def turning(rng: np.random.Generator, n: int = 40) -> Increments:
