@@ -4,7 +4,7 @@ What passes to those who use it: where features are seen, under which identity a
 cameras see the same at the same instant.
 """
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, fields
 from typing import Protocol
 
 import numpy as np
@@ -65,6 +65,17 @@ class Observations:
 
     def __len__(self) -> int:
         return len(self.ids)
+
+    def without(self, ids: npt.NDArray[np.int64]) -> "Observations":
+        """Return the observations of all but some features."""
+        kept, matches = ~np.isin(self.ids, ids), self.matches
+        left = {f.name: getattr(self, f.name)[kept] for f in fields(self) if f.name != "matches"}
+        found = ~np.isin(matches.ids, ids)
+        return Observations(**left, matches=Matches(matches.ids[found], matches.camera[found], matches.xy[found]))
+
+
+NOTHING_SEEN = Observations(np.zeros(0, np.int64), np.zeros((0, 2)), np.zeros((0, 2)), np.zeros(0, np.int64))
+"""Of a frame that shows no feature, or none that counts."""
 
 
 class FrontEnd(Protocol):

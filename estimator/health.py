@@ -73,7 +73,7 @@ class HealthMonitor:
             pixel_sigma: Standard deviation of an image measurement [px].
         """
         self._config, self._imu = config, rig.imu
-        self._Ts_imu_cam = np.stack([camera.T_imu_cam for camera in rig.cameras])
+        self.recalibrate(rig)
         self._focal_px = np.array([camera.model.fx for camera in rig.cameras])
         self._pixel_sigma = pixel_sigma
         self._bias_sigmas = np.repeat(
@@ -89,6 +89,10 @@ class HealthMonitor:
         self._held_sigma_m = 0.0  # how well the position was known then
         self._agreed_ns: int | None = None  # when landmarks did not contradict it last
         self._lost: str | None = None  # why
+
+    def recalibrate(self, rig: Rig) -> None:
+        """Take over a better calibration of the cameras' mounting."""
+        self._Ts_imu_cam = np.stack([camera.T_imu_cam for camera in rig.cameras])
 
     def hold(self, keyframe: NavState, landmarks: KnownLandmarks) -> None:
         """Take what the next frames are measured against.

@@ -77,7 +77,7 @@ class Initialiser:
             new_smoother: Makes the smoother.
         """
         self._config, self._keyframes, self._params, self._new_smoother = config, keyframes, params, new_smoother
-        self._Ts_imu_cam = np.stack([camera.T_imu_cam for camera in cameras])
+        self.recalibrate(cameras)
         self._focal_px = cameras[0].model.fx
         self._window: list[Sighting] = []
         self._last_try_ns = self._replenished_ns = 0
@@ -88,6 +88,10 @@ class Initialiser:
         """(3,) What is known of the gyroscope's bias [rad/s] ..."""
         self.gyro_bias_sigma_rad_s = config.unknown_gyro_bias_sigma
         """... and how well [rad/s]."""
+
+    def recalibrate(self, cameras: Sequence[RigCamera]) -> None:
+        """Take over a better calibration of the cameras' mounting."""
+        self._Ts_imu_cam = np.stack([camera.T_imu_cam for camera in cameras])
 
     def believe(self, state: NavState) -> None:
         """Take a state from which to go on, should the estimate be lost after it."""

@@ -21,7 +21,7 @@ import numpy.typing as npt
 from gtsam.symbol_shorthand import B, V, X
 
 from dronevio.estimator.covariance import covariance_from_gtsam, covariance_to_gtsam
-from dronevio.estimator.frontend import Observations
+from dronevio.estimator.frontend import NOTHING_SEEN, Observations
 from dronevio.estimator.landmarks import KnownLandmarks, LandmarkConfig, LandmarkWindow
 from dronevio.estimator.marginal import Factorised, SingularError
 from dronevio.estimator.prior import STATE, State
@@ -196,6 +196,16 @@ class KeyframeSmoother:
         except SingularError:
             return None
         return float(np.median(error)) * self._focal_px if len(error) else float("inf")
+
+    def recalibrate(self, cameras: Sequence[RigCamera], doubt: Array) -> None:
+        """Take over a better calibration of the cameras, and begin anew: what the old one has told is in all there is.
+
+        Args:
+            cameras: The rig's cameras.
+            doubt: (15, 15) What is added to the covariance of the newest state.
+        """
+        self._Ts_imu_cam = np.stack([camera.T_imu_cam for camera in cameras])
+        self._restart(self._state, self._covariance + doubt, NOTHING_SEEN)
 
     def _restart(self, start: NavState, covariance: Array, observations: Observations) -> None:
         """Begin anew at a state, as sure of it as the covariance (15, 15) says.

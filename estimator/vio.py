@@ -11,6 +11,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 import numpy.typing as npt
 
+from dronevio.estimator.calibration import CalibrationConfig, OnlineCalibration
 from dronevio.estimator.frontend import FrontEnd, Observations
 from dronevio.estimator.health import HealthConfig, HealthMonitor
 from dronevio.estimator.inertial import ImuBuffer, Increments, InertialConfig, preintegration_params
@@ -19,7 +20,7 @@ from dronevio.estimator.keyframes import KeyframeConfig, KeyframePolicy
 from dronevio.estimator.landmarks import LandmarkConfig
 from dronevio.estimator.propagation import Propagation, settled_and_recent
 from dronevio.estimator.rig_tracker import RigTracker
-from dronevio.estimator.smoother import KeyframeSmoother, SmootherConfig
+from dronevio.estimator.smoother import KeyframeResult, KeyframeSmoother, SmootherConfig
 from dronevio.estimator.start import NotObservable
 from dronevio.estimator.start_in_motion import Sighting
 from dronevio.estimator.stillness import StillnessConfig, StillnessDetector
@@ -47,6 +48,7 @@ class VioConfig:
     keyframe: KeyframeConfig = field(default_factory=KeyframeConfig)
     smoother: SmootherConfig = field(default_factory=SmootherConfig)
     landmarks: LandmarkConfig = field(default_factory=LandmarkConfig)
+    calibration: CalibrationConfig = field(default_factory=CalibrationConfig)
     health: HealthConfig = field(default_factory=HealthConfig)
 
 
@@ -75,6 +77,7 @@ class VisualInertialOdometry:
         self._params = preintegration_params(rig.imu, c.inertial)
         self._buffer = ImuBuffer()
         self._times = FrameTimes(rig)
+        self._calibration = OnlineCalibration(rig, c.calibration)
         self._front_end = front_end or RigTracker(rig, c.tracker)
         self._stillness = StillnessDetector(c.stillness)
         self._keyframes = KeyframePolicy(c.keyframe)
@@ -105,7 +108,7 @@ class VisualInertialOdometry:
         gyro_bias, bias_sigma = self._gyro_bias
         self._times.begin(increments, self._buffer.ahead(self._times.reach_s), gyro_bias)
         rotation, rotation_sigma = self._camera_rotation(increments, gyro_bias), bias_sigma * increments.dt_s.sum()
-        observations = self._times.moved(self._front_end.track(frame, rotation, float(rotation_sigma)))
+        observations = self._sighted(self._front_end.track(frame, rotation, float(rotation_sigma)))
         self._stillness.update(t_ns, observations, increments)
         self._initialiser.origin.turn(increments)
         sighting = Sighting(t_ns, increments, observations)
@@ -117,7 +120,7 @@ class VisualInertialOdometry:
     def _start(self, sighting: Sighting) -> Estimate:
         """Start if that is possible by now."""
         if self._initialiser.wants_features(sighting):
-            sighting = replace(sighting, observations=self._times.moved(self._front_end.replenish()))
+            sighting = replace(sighting, observations=self._sighted(self._front_end.replenish()))
         started = self._initialiser.add(sighting, self._stillness.still_for_s)
         if isinstance(started, NotObservable):
             return self._not_told(sighting, str(started))
@@ -143,7 +146,7 @@ class VisualInertialOdometry:
         still_for_s, seen = self._stillness.still_for_s, sighting.observations
         if not self._keyframes.is_due(elapsed_s, still_for_s, seen, report.innovation_px):
             return self._told(sighting, predicted, report, events)
-        sighting = replace(sighting, observations=self._times.moved(self._front_end.replenish()))
+        sighting = replace(sighting, observations=self._sighted(self._front_end.replenish()))
         events = ("keyframe", *events, *self._add_keyframe(smoother, sighting, still))
         return self._told(sighting, smoother.state, report, events, smoother.landmarks)
 
@@ -167,13 +170,34 @@ class VisualInertialOdometry:
         """Add a keyframe where the propagation has come to, and begin again from it; return what happened."""
         result = smoother.add_keyframe(sighting.t_ns, self._propagation.preintegrated, sighting.observations, still)
         self._front_end.discard(result.rejected)
+        events = (*result.events, *self._calibrate(smoother, sighting, result))
         self._begin_interval(smoother, sighting.observations)
-        return result.events
+        return events
+
+    def _calibrate(self, smoother: KeyframeSmoother, sighting: Sighting, result: KeyframeResult) -> tuple[str, ...]:
+        """Learn from a keyframe what of the calibration is wrong, and go on with what is right; say so."""
+        calibration, times = self._calibration, self._times
+        if result.events:
+            calibration.restart()
+        seen = sighting.observations.without(result.rejected)
+        if not calibration.add(smoother.state, times.rate_rad_s, self._propagation.preintegrated, seen):
+            return ()
+        self._rig = calibration.rig
+        times.late_s = calibration.applied.time_offset_s
+        self._monitor.recalibrate(self._rig)
+        self._initialiser.recalibrate(self._rig.cameras)
+        smoother.recalibrate(self._rig.cameras, calibration.doubt)
+        return (f"calibration corrected: {calibration.applied}",)
+
+    def _sighted(self, seen: Observations) -> Observations:
+        """Return what a frame shows by the best calibration, at the frame's time."""
+        return self._times.moved(self._calibration.corrected(seen))
 
     def _lose(self, sighting: Sighting, report: HealthReport) -> Estimate:
         """Give the estimate up, and look for a new start, from where the drone was last believed to be."""
         self._smoother, self._waiting = None, Health.LOST
         self._initialiser.begin_anew()
+        self._calibration.restart()
         return self._not_told(sighting, report.reason, report, (f"lost: {report.reason}",))
 
     def _new_smoother(self, start: NavState, covariance: Array, observations: Observations) -> KeyframeSmoother:
