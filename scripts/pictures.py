@@ -168,10 +168,11 @@ def draw_estimator(flight: Path, picture: Path) -> None:
     t_s = np.array([t_ns - t0_ns for t_ns, _ in told]) * 1e-9
     health.plot(t_s, [report.tracks for _, report in told], color=palette.ROOM, label="tracks")
     health.plot(t_s, [report.landmarks for _, report in told], color=palette.ESTIMATE, label="landmarks that hold")
-    health.set(title="health", xlabel="time [s]", ylabel="features", ylim=(0, None))
+    most = max(report.tracks for _, report in told)
+    health.set(title="health", xlabel="time [s]", ylabel="features", ylim=(0, 1.35 * most))
     innovation = health.twinx()
     innovation.plot(t_s, [report.innovation_px for _, report in told], color=palette.TRUTH, lw=0.8, label="innovation")
-    innovation.set(ylabel="median innovation [px]", ylim=(0, 4))
+    innovation.set(ylabel="median innovation [px]", ylim=(0, 2))
     lines = [*health.get_lines(), *innovation.get_lines()]
     health.legend(lines, [str(line.get_label()) for line in lines], loc="upper right")
     figure.savefig(picture, dpi=90)
