@@ -75,6 +75,11 @@ class Prior:
         """Return the right side (n,), where δ counts from the present estimates of at least the prior's variables."""
         return np.asarray(self.b - self.H @ self._change(states, points))
 
+    def cost(self, states: Mapping[int, State], points: Mapping[int, Array]) -> float:
+        """Return the negative logarithm of its density at the present estimates, up to a constant."""
+        change = self._change(states, points)
+        return float(0.5 * change @ self.H @ change - self.b @ change)
+
     @classmethod
     def from_present(
         cls, H: Array, b: Array, states: Mapping[int, State], points: Mapping[int, Array], earlier: "Prior"

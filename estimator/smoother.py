@@ -39,8 +39,8 @@ class SmootherConfig:
 
     max_keyframes: int = 12
     """Keyframes in the window."""
-    min_parallax_px: float = 12.0
-    """A keyframe whose features have moved less since the one before, rotation taken out, goes before the oldest [px]."""
+    min_parallax_px: float = 5.0
+    """A keyframe whose features have moved less since the one before goes before the oldest [px, rotation taken out]."""
     max_long_lived: int = 20
     """Landmarks that may stay as variables of the prior when the first keyframe that saw them leaves."""
     iterations: int = 2

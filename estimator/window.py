@@ -1,7 +1,7 @@
 """The window of keyframes that is optimised: its states, the factors and landmarks that tie them, and the prior.
 
-One linear system holds all of it: each keyframe's state and each long-lived landmark is a variable of it, other landmarks
-are eliminated (`reprojection`). It is small and dense, so that solving it takes a millisecond or two.
+One linear system holds all of it: each keyframe's state and each long-lived landmark is a variable of it, other
+landmarks are eliminated (`reprojection`). It is small and dense, so that solving it takes a millisecond or two.
 """
 
 from collections.abc import Iterable, Sequence
@@ -20,6 +20,10 @@ from dronevio.estimator.sightings import NONE, Integers, Sightings
 
 Array = npt.NDArray[np.float64]
 Factor = gtsam.NoiseModelFactor
+
+IMPLAUSIBLE_MOTION = 10.0
+"""Standard deviations at which what the IMU says of a motion has lost half of its weight, as under Cauchy's loss: after a
+jolt, a saturated gyroscope or a gap, what is seen wins."""
 
 _SPANS = {"x": np.arange(6), "v": np.arange(6, 9), "b": np.arange(9, 15)}  # in a state
 
@@ -66,7 +70,6 @@ class Window:
         self._prior = Prior(prior_information, np.zeros(STATE), {0: start})
         self._factors: list[tuple[frozenset[int], Factor]] = []  # each with its keyframes
         self._Ts_imu_cam, self._sigma, self._robust_sigmas = Ts_imu_cam, sigma, robust_sigmas
-        self._doubtful = robust_sigmas * sigma  # residual at which a sighting has lost half of its weight
 
     @property
     def newest(self) -> int:
@@ -98,13 +101,13 @@ class Window:
 
     def cost(self) -> float:
         """Return the negative logarithm of the posterior, up to a constant."""
-        prior, doubtful = self._prior, self._doubtful
         values = _values(self.states)
         motion = sum(factor.error(values) for _, factor in self._factors)
-        change = prior._change(self.states, self._points())
-        error = self.residuals()[0]
-        robust = np.log1p(np.sum(error**2, axis=1) / doubtful**2).sum() * (doubtful / self._sigma) ** 2
-        return float(motion + 0.5 * (change @ prior.H @ change) - prior.b @ change + 0.5 * robust)
+        error, _, sightings = self.residuals()
+        square = np.sum(error**2, axis=1)
+        doubtful2 = self._robust_sigmas**2 * max(self._sigma**2, float(np.median(square)) if len(square) else 0.0)
+        visual = 0.5 * doubtful2 / self._sigma**2 * np.log1p(square / doubtful2).sum()
+        return float(self._prior.cost(self.states, self._points()) + motion + visual)
 
     def linearise(self) -> LinearSystem:
         """Return the window to first order."""
@@ -182,8 +185,10 @@ class Window:
         values_now, values_first = _values(self.states), _values(first)
         for factor in factors:
             A, columns = factor.linearize(values_first).jacobian()[0], _columns(factor, places)
-            H[np.ix_(columns, columns)] += A.T @ A
-            b[columns] -= A.T @ factor.whitenedError(values_now)
+            error = factor.whitenedError(values_now)
+            weight = 1.0 / (1.0 + error @ error / IMPLAUSIBLE_MOTION**2)
+            H[np.ix_(columns, columns)] += weight * (A.T @ A)
+            b[columns] -= weight * (A.T @ error)
 
         visual = self._visual(sightings, first)
         rows = self._long_lived_rows()
@@ -207,12 +212,21 @@ class Window:
         rows, now = self._rows(sightings), self._scene()
         error, depth_m = residuals(sightings, rows, self._Ts_imu_cam, now)
         square = np.sum(error**2, axis=1)
-        if len(sightings) == len(self.landmarks.sightings) and len(square):
-            self._doubtful = self._robust_sigmas * max(self._sigma, float(np.sqrt(np.median(square))))
-        weight = (depth_m > 0.0) / (self._sigma**2 * (1.0 + square / self._doubtful**2))
+        doubtful = self._doubtful(square, rows.keyframe)
+        weight = (depth_m > 0.0) / (self._sigma**2 * (1.0 + square / doubtful**2))
         points = now.points.copy()
         points[self._long_lived_rows()] = np.reshape(list(self._prior.points.values()), (-1, POINT))
         return visual_system(sightings, rows, self._Ts_imu_cam, _scene(first, points), error, weight)
+
+    def _doubtful(self, square: Array, keyframe: Integers) -> Array:
+        """Return the residuals (N,) at which sightings have lost half of their weight, from the squared ones (N,).
+
+        Where most of what a keyframe shows is far off, it is the keyframe that is wrong, and no sighting is an outlier.
+        """
+        typical = np.zeros(len(self.states))
+        for k in np.unique(keyframe).tolist():
+            typical[k] = np.sqrt(np.median(square[keyframe == k]))
+        return np.asarray(self._robust_sigmas * np.maximum(self._sigma, typical[keyframe]))
 
     def _rows(self, sightings: Sightings) -> Rows:
         return Rows(np.searchsorted(list(self.states), sightings.keyframe), self.landmarks.rows(sightings.landmark))
