@@ -379,7 +379,7 @@ class _Interval:
         for axis, step in enumerate(1e-3 * np.eye(6)):
             R_step, pv_step = _predicted(preintegrated, bias + step)
             J[:, axis] = np.concatenate([log_so3(R.T @ R_step), pv_step - pv]) / 1e-3
-        information: Array = np.linalg.inv(preintegrated.preintMeasCov()[:9, :9])
+        information = np.asarray(np.linalg.inv(preintegrated.preintMeasCov()[:9, :9]), dtype=np.float64)
         return cls(dt_s, R, pv, J, information)
 
     def residual(self, R: Array, p: Array, v: Array, bias: Array) -> tuple[Array, Array]:
