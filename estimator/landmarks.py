@@ -117,8 +117,9 @@ class LandmarkWindow:
         typical = float(np.median(found.rms[deep])) if deep.any() else 0.0
         wrong = deep & (np.maximum(found.rms, found.newest) > self._limit(typical))
         self._keep(ids[deep & ~wrong], found.points[deep & ~wrong])
-        self.drop(ids[wrong])
-        return ids[wrong]
+        rejected: Integers = ids[wrong]
+        self.drop(rejected)
+        return rejected
 
     def judge(self, error: Array, depth_m: Array, sightings: Sightings) -> Integers:
         """Let go of the landmarks that are not where they should be, and return their identities.

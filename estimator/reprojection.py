@@ -116,15 +116,15 @@ def visual_system(
     order = np.lexsort([sightings.camera, rows.keyframe])
     changes = (np.diff(rows.keyframe[order]) != 0) | (np.diff(sightings.camera[order]) != 0)
     for group in np.split(order, np.flatnonzero(changes) + 1) if len(order) else ():
-        k, l = rows.keyframe[group[0]], rows.landmark[group]
+        k, seen = rows.keyframe[group[0]], rows.landmark[group]
         A, P, r = J_pose[group], J_point[group], e[group]
         flat = A.reshape(-1, 6)
         pose[k] += flat.T @ flat
         pose_b[k] += r.ravel() @ flat
         P_T = np.swapaxes(P, 1, 2)
-        point[l] += P_T @ P
-        point_b[l] += (P_T @ r[..., None])[..., 0]
-        cross[l, k] += np.swapaxes(A, 1, 2) @ P
+        point[seen] += P_T @ P
+        point_b[seen] += (P_T @ r[..., None])[..., 0]
+        cross[seen, k] += np.swapaxes(A, 1, 2) @ P
     return VisualSystem(pose, pose_b, cross, point, point_b)
 
 

@@ -1,7 +1,7 @@
 """The back end: a fixed-lag smoother over keyframes and landmarks.
 
-Each keyframe has a pose, a velocity and biases. GTSAM's preintegrated IMU joins consecutive ones, and landmarks join all
-that saw them. A keyframe adds itself, and the whole window is optimised by Gauss-Newton: landmarks are eliminated first
+Each keyframe has a pose, a velocity and biases. GTSAM's preintegrated IMU joins consecutive ones, and landmarks join
+all that saw them. A keyframe adds itself, and the whole window is optimised by Gauss-Newton: landmarks are eliminated first
 (`reprojection`), what is left is small and dense. When the window is full, either its oldest keyframe is marginalised
 with the landmarks that it saw, into a prior that keeps what they said (`window.Prior`); or, where the drone has hardly
 moved, the last keyframe but one goes, so that the window keeps what it saw long ago and a hovering drone does not drift
@@ -40,7 +40,7 @@ class SmootherConfig:
     max_keyframes: int = 12
     """Keyframes in the window."""
     min_parallax_px: float = 5.0
-    """A keyframe whose features have moved less since the one before goes before the oldest [px, rotation taken out]."""
+    """A keyframe whose features have moved less since the one before goes before the oldest [px], rotation apart."""
     max_long_lived: int = 20
     """Landmarks that may stay as variables of the prior when the first keyframe that saw them leaves."""
     iterations: int = 2
@@ -219,7 +219,8 @@ class KeyframeSmoother:
         anchored = covariance.copy()
         anchored[3:6, :] = anchored[:, 3:6] = 0.0
         anchored[3:6, 3:6] = GAUGE_SIGMA**2 * np.eye(3)
-        information: Array = np.linalg.inv(covariance_to_gtsam(anchored, start.T_world_imu[:3, :3]))
+        covariance_there = covariance_to_gtsam(anchored, start.T_world_imu[:3, :3])
+        information = np.asarray(np.linalg.inv(covariance_there), dtype=np.float64)
         landmarks = LandmarkWindow(self._focal_px, self._landmark_config)
         landmarks.observe(0, observations)
         c = self._config

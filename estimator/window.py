@@ -22,8 +22,8 @@ Array = npt.NDArray[np.float64]
 Factor = gtsam.NoiseModelFactor
 
 IMPLAUSIBLE_MOTION = 10.0
-"""Standard deviations at which what the IMU says of a motion has lost half of its weight, as under Cauchy's loss: after a
-jolt, a saturated gyroscope or a gap, what is seen wins."""
+"""Standard deviations at which what the IMU says of a motion has lost half of its weight, as under Cauchy's loss: after
+a jolt, a saturated gyroscope or a gap, what is seen wins."""
 
 _SPANS = {"x": np.arange(6), "v": np.arange(6, 9), "b": np.arange(9, 15)}  # in a state
 
@@ -103,7 +103,7 @@ class Window:
         """Return the negative logarithm of the posterior, up to a constant."""
         values = _values(self.states)
         motion = sum(factor.error(values) for _, factor in self._factors)
-        error, _, sightings = self.residuals()
+        error = self.residuals()[0]
         square = np.sum(error**2, axis=1)
         doubtful2 = self._robust_sigmas**2 * max(self._sigma**2, float(np.median(square)) if len(square) else 0.0)
         visual = 0.5 * doubtful2 / self._sigma**2 * np.log1p(square / doubtful2).sum()
