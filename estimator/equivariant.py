@@ -92,8 +92,8 @@ class EquivariantConfig:
     """Those of the filter itself."""
     tracker: TrackerConfig = field(default_factory=lambda: TrackerConfig(corners=CornerConfig(cell_px=120)))
     """Those of the front end. The filter's cost grows with the cube of the landmarks: 24 cells at 752×480."""
-    stillness: StillnessConfig = field(default_factory=StillnessConfig)
-    """What counts as standing still."""
+    stillness: StillnessConfig = field(default_factory=lambda: StillnessConfig(max_flow_px=0.6))
+    """What counts as standing still: few features tell it less sharply than many."""
     rest_s: float = 0.8
     """How long the drone must stand still for the start [s]."""
     replenish_s: float = 0.2
