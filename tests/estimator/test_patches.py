@@ -92,6 +92,34 @@ def test_bends_are_found(bend: np.ndarray) -> None:
     assert np.abs(np.median(fit.patches.bend[inside], axis=0) - bend).max() < 0.01
 
 
+def test_patches_roll_with_the_camera() -> None:
+    aligner = PatchAligner(CONFIG)
+    patches = aligner.cut(aligner.prepare(picture()), PLACES)
+    for angle in (0.2, -1.3):
+        turn = np.array([[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]])
+        R_cur_prev = np.eye(3)
+        R_cur_prev[:2, :2] = turn
+        rolled = patches.rolled(R_cur_prev)
+        np.testing.assert_allclose(rolled.bend, np.tile(turn, (len(PLACES), 1, 1)), atol=1e-12)
+        fit = aligner.align(aligner.prepare(picture(turn)), rolled, moved(PLACES, turn, np.zeros(2)) + 0.3)
+        near = np.linalg.norm(PLACES - MIDDLE, axis=1) < 80.0
+        assert fit.good[near].all() and is_close(fit.pixels[near], moved(PLACES, turn, np.zeros(2))[near])
+
+
+def test_bends_stay_near_what_is_expected_where_little_tells_them() -> None:
+    """One edge, and noise: along the edge nothing tells how the patch is bent."""
+    step = np.clip((np.arange(WIDTH) - 160.0) * 20.0 + 120.0, 80, 160)
+
+    def edge(seed: int) -> np.ndarray:
+        grey = step + np.random.default_rng(seed).normal(0.0, 3.0, (HEIGHT, WIDTH))
+        return np.clip(np.rint(grey), 0, 255).astype(np.uint8)
+
+    aligner = PatchAligner(CONFIG)
+    places = np.stack([np.full(20, 160.0), np.linspace(30.0, 210.0, 20)], axis=1)
+    fit = aligner.align(aligner.prepare(edge(1)), aligner.cut(aligner.prepare(edge(0)), places), places)
+    assert np.abs(fit.patches.bend - np.eye(2)).max() < 0.1
+
+
 def test_much_nearer_is_found_step_by_step() -> None:
     """Twice as near, by small steps; there the comparison is with a more blurred image."""
     aligner = PatchAligner(CONFIG)
