@@ -21,7 +21,7 @@ Array = npt.NDArray[np.float64]
 class InertialConfig:
     """How far the IMU is trusted."""
 
-    noise_inflation: float = 10.0
+    noise_inflation: float = 5.0
     """Factor on the data sheet's white-noise densities: vibration, sampling and scale errors are not in them."""
     walk_inflation: float = 1.0
     """Factor on the data sheet's bias random walks."""

@@ -11,6 +11,10 @@ from dronevio.estimator.frontend import Observations
 Array = npt.NDArray[np.float64]
 Integers = npt.NDArray[np.int64]
 
+DOUBT_OF_UNLIKENESS = 20.0
+"""How the error of a track grows with 1 − correlation between what is seen now and what was seen first: measured on
+rendered flights, from .06 px above .98 to .4 px at .90."""
+
 
 @dataclass(frozen=True, eq=False)
 class Sightings:
@@ -24,13 +28,15 @@ class Sightings:
     """(N,) Cameras of the rig."""
     xy: Array
     """(N, 2) Normalised coordinates: at depth 1 in the camera's frame."""
+    doubt: Array
+    """(N,) How many times less certain each is than a sighting of the best quality."""
 
     def __len__(self) -> int:
         return len(self.landmark)
 
     def __getitem__(self, rows: Integers | npt.NDArray[np.bool_] | slice) -> Self:
         """Return some rows."""
-        return type(self)(self.landmark[rows], self.keyframe[rows], self.camera[rows], self.xy[rows])
+        return type(self)(self.landmark[rows], self.keyframe[rows], self.camera[rows], self.xy[rows], self.doubt[rows])
 
     def __add__(self, other: Self) -> Self:
         """Return the rows of both."""
@@ -39,6 +45,7 @@ class Sightings:
             np.concatenate([self.keyframe, other.keyframe]),
             np.concatenate([self.camera, other.camera]),
             np.concatenate([self.xy, other.xy]),
+            np.concatenate([self.doubt, other.doubt]),
         )
 
     def by_landmark(self) -> Self:
@@ -54,8 +61,9 @@ def sightings_of(k: int, observations: Observations) -> Sightings:
         np.full(len(o) + len(m), k, dtype=np.int64),
         np.concatenate([o.camera, m.camera]),
         np.concatenate([o.xy, m.xy]),
+        np.concatenate([1.0 + DOUBT_OF_UNLIKENESS * (1.0 - o.quality), np.ones(len(m))]),
     )
 
 
-NONE = Sightings(np.zeros(0, np.int64), np.zeros(0, np.int64), np.zeros(0, np.int64), np.zeros((0, 2)))
+NONE = Sightings(np.zeros(0, np.int64), np.zeros(0, np.int64), np.zeros(0, np.int64), np.zeros((0, 2)), np.zeros(0))
 """No sightings."""

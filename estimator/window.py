@@ -103,10 +103,10 @@ class Window:
         """Return the negative logarithm of the posterior, up to a constant."""
         values = _values(self.states)
         motion = sum(factor.error(values) for _, factor in self._factors)
-        error = self.residuals()[0]
-        square = np.sum(error**2, axis=1)
-        doubtful2 = self._robust_sigmas**2 * max(self._sigma**2, float(np.median(square)) if len(square) else 0.0)
-        visual = 0.5 * doubtful2 / self._sigma**2 * np.log1p(square / doubtful2).sum()
+        error, _, sightings = self.residuals()
+        square = np.sum(error**2, axis=1) / (self._sigma * sightings.doubt) ** 2
+        doubtful2 = self._robust_sigmas**2 * max(1.0, float(np.median(square)) if len(square) else 0.0)
+        visual = 0.5 * doubtful2 * np.log1p(square / doubtful2).sum()
         return float(self._prior.cost(self.states, self._points()) + motion + visual)
 
     def linearise(self) -> LinearSystem:
@@ -211,22 +211,27 @@ class Window:
         """Return what some sightings say."""
         rows, now = self._rows(sightings), self._scene()
         error, depth_m = residuals(sightings, rows, self._Ts_imu_cam, now)
-        square = np.sum(error**2, axis=1)
+        sigma2 = (self._sigma * sightings.doubt) ** 2
+        square = np.sum(error**2, axis=1) / sigma2
         doubtful = self._doubtful(square, rows.keyframe)
-        weight = (depth_m > 0.0) / (self._sigma**2 * (1.0 + square / doubtful**2))
+        weight = (depth_m > 0.0) / (sigma2 * (1.0 + square / doubtful**2))
         points = now.points.copy()
         points[self._long_lived_rows()] = np.reshape(list(self._prior.points.values()), (-1, POINT))
         return visual_system(sightings, rows, self._Ts_imu_cam, _scene(first, points), error, weight)
 
     def _doubtful(self, square: Array, keyframe: Integers) -> Array:
-        """Return the residuals (N,) at which sightings have lost half of their weight, from the squared ones (N,).
+        """Return the residuals (N,) at which sightings have lost half of their weight, in standard deviations.
 
         Where most of what a keyframe shows is far off, it is the keyframe that is wrong, and no sighting is an outlier.
+
+        Args:
+            square: (N,) Squared residuals, in variances.
+            keyframe: (N,) Rows of the keyframes.
         """
         typical = np.zeros(len(self.states))
         for k in np.unique(keyframe).tolist():
             typical[k] = np.sqrt(np.median(square[keyframe == k]))
-        return np.asarray(self._robust_sigmas * np.maximum(self._sigma, typical[keyframe]))
+        return np.asarray(self._robust_sigmas * np.maximum(1.0, typical[keyframe]))
 
     def _rows(self, sightings: Sightings) -> Rows:
         return Rows(np.searchsorted(list(self.states), sightings.keyframe), self.landmarks.rows(sightings.landmark))

@@ -22,9 +22,11 @@ class Seen:
         seen = rng.permutation(len(k))[: int(0.8 * len(k))]
         self.rows = Rows(k[seen], landmark[seen])
         xy = np.zeros((len(seen), 2))
-        self.sightings = Sightings(100 + landmark[seen], 7 + k[seen], camera[seen], xy)
+        self.sightings = Sightings(100 + landmark[seen], 7 + k[seen], camera[seen], xy, np.ones(len(seen)))
         self.weight = rng.uniform(0.5, 2.0, len(seen))
-        self.sightings = Sightings(100 + landmark[seen], 7 + k[seen], camera[seen], -self.error(self.scene))
+        self.sightings = Sightings(
+            100 + landmark[seen], 7 + k[seen], camera[seen], -self.error(self.scene), np.ones(len(seen))
+        )
 
     def error(self, scene: Scene) -> np.ndarray:
         return residuals(self.sightings, self.rows, self.Ts_imu_cam, scene)[0]
