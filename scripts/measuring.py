@@ -163,7 +163,8 @@ def run_task(task: Task, trace: Path | None, progress: Progress = silent) -> dic
     """Estimate a recording's motion, and return the `Figures` as plain data."""
     from spoiling import FRONT_ENDS
 
-    from dronevio.estimator.vio import VisualInertialOdometry
+    from dronevio.estimator.rig_tracker import RigTracker
+    from dronevio.estimator.vio import VioConfig, VisualInertialOdometry
     from dronevio.models.recordings.open import open_recording
 
     recording = open_recording(task.recording, CAMERAS[task.mode])
@@ -171,9 +172,10 @@ def run_task(task: Task, trace: Path | None, progress: Progress = silent) -> dic
         raise EvaluationError(f"{task.recording} has one camera; expected two")
     if recording.ground_truth is None:
         raise EvaluationError(f"{task.recording} has no ground truth")
-    estimator = VisualInertialOdometry(recording.rig)
-    if task.front_end:
-        estimator._front_end = FRONT_ENDS[task.front_end](estimator._front_end)
+    config = VioConfig()
+    front_end = RigTracker(recording.rig, config.tracker)
+    spoilt = FRONT_ENDS[task.front_end](front_end) if task.front_end else front_end
+    estimator = VisualInertialOdometry(recording.rig, config, spoilt)
     run = estimate_recording(recording, estimator, progress)
     if trace is not None:
         write_trace(trace, run)
