@@ -108,24 +108,23 @@ def visual_system(
     in_imu = (R_cam_imu[:, :2] - projected[:, :, None] * R_cam_imu[:, None, 2]) * scaled[:, None, None]
     J_point = in_imu @ np.swapaxes(first.R_world_imu, 1, 2)[rows.keyframe]
     J_pose = np.concatenate([in_imu @ skew(p_imu), -in_imu], axis=2)
-    e = error * np.sqrt(weight)[:, None]
-    pose, pose_b = np.zeros((K, 6, 6)), np.zeros((K, 6))
-    point, point_b = np.zeros((L, 3, 3)), np.zeros((L, 3))
-    cross = np.zeros((L, K, 6, 3))
-    # One camera of one keyframe sees a landmark once: within such a group, sums need no care.
-    order = np.lexsort([sightings.camera, rows.keyframe])
-    changes = (np.diff(rows.keyframe[order]) != 0) | (np.diff(sightings.camera[order]) != 0)
-    for group in np.split(order, np.flatnonzero(changes) + 1) if len(order) else ():
-        k, seen = rows.keyframe[group[0]], rows.landmark[group]
-        A, P, r = J_pose[group], J_point[group], e[group]
-        flat = A.reshape(-1, 6)
-        pose[k] += flat.T @ flat
-        pose_b[k] += r.ravel() @ flat
-        P_T = np.swapaxes(P, 1, 2)
-        point[seen] += P_T @ P
-        point_b[seen] += (P_T @ r[..., None])[..., 0]
-        cross[seen, k] += np.swapaxes(A, 1, 2) @ P
-    return VisualSystem(pose, pose_b, cross, point, point_b)
+    e = (error * np.sqrt(weight)[:, None])[..., None]
+    J = np.concatenate([J_pose, J_point, e], axis=2)
+    products = np.swapaxes(J, 1, 2) @ J
+    # One camera of one keyframe sees a landmark once: the sightings of a camera fall into different blocks.
+    blocks = np.zeros((L, K, 10, 10))
+    for camera in range(len(Ts_imu_cam)):
+        own = np.flatnonzero(sightings.camera == camera)
+        blocks[rows.landmark[own], rows.keyframe[own]] += products[own]
+    of_poses, of_points = blocks.sum(axis=0), blocks.sum(axis=1)
+    pose, point = slice(0, 6), slice(6, 9)
+    return VisualSystem(
+        of_poses[:, pose, pose],
+        of_poses[:, pose, 9],
+        np.ascontiguousarray(blocks[:, :, pose, point]),
+        of_points[:, point, point],
+        of_points[:, point, 9],
+    )
 
 
 def _in_camera(sightings: Sightings, rows: Rows, Ts_imu_cam: Array, scene: Scene) -> tuple[Array, Array]:

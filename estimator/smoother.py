@@ -37,7 +37,7 @@ Array = npt.NDArray[np.float64]
 class SmootherConfig:
     """Settings of the fixed-lag smoother."""
 
-    max_keyframes: int = 12
+    max_keyframes: int = 9
     """Keyframes in the window."""
     min_parallax_px: float = 5.0
     """A keyframe whose features have moved less since the one before goes before the oldest [px], rotation apart."""
@@ -48,7 +48,7 @@ class SmootherConfig:
     pixel_sigma: float = 0.4
     """Standard deviation of an image measurement of the best quality [px]: tracking error, and what calibration leaves.
     Tracks alone err by .1 px."""
-    robust_sigmas: float = 2.0
+    robust_sigmas: float = 1.0
     """Residuals beyond so many standard deviations, or medians where those are larger, lose weight as under Cauchy's
     loss."""
     launch_rounds: int = 2

@@ -25,6 +25,9 @@ IMPLAUSIBLE_MOTION = 10.0
 """Standard deviations at which what the IMU says of a motion has lost half of its weight, as under Cauchy's loss: after
 a jolt, a saturated gyroscope or a gap, what is seen wins."""
 
+MEDIAN_CHI2_2DOF = 2.0 * np.log(2.0)
+"""Median of χ² with two degrees of freedom, which the square of a sighting's residual has."""
+
 _SPANS = {"x": np.arange(6), "v": np.arange(6, 9), "b": np.arange(9, 15)}  # in a state
 
 
@@ -214,10 +217,17 @@ class Window:
         sigma2 = (self._sigma * sightings.doubt) ** 2
         square = np.sum(error**2, axis=1) / sigma2
         doubtful = self._doubtful(square, rows.keyframe)
-        weight = (depth_m > 0.0) / (sigma2 * (1.0 + square / doubtful**2))
+        weight = (depth_m > 0.0) / (sigma2 * self._misfit(square) * (1.0 + square / doubtful**2))
         points = now.points.copy()
         points[self._long_lived_rows()] = np.reshape(list(self._prior.points.values()), (-1, POINT))
         return visual_system(sightings, rows, self._Ts_imu_cam, _scene(first, points), error, weight)
+
+    def _misfit(self, square: Array) -> float:
+        """Return how much larger the variance of sightings is than it should be, from squared residuals (N,), or 1.
+
+        Where half of all residuals are larger than half of them can be by chance, it is the noise that is larger.
+        """
+        return max(1.0, float(np.median(square)) / MEDIAN_CHI2_2DOF) if len(square) > 0 else 1.0
 
     def _doubtful(self, square: Array, keyframe: Integers) -> Array:
         """Return the residuals (N,) at which sightings have lost half of their weight, in standard deviations.
