@@ -6,14 +6,12 @@ import numpy as np
 import numpy.typing as npt
 
 from dronevio.estimator.frontend import Observations
+from dronevio.estimator.inertial import IMU_GAP
 from dronevio.estimator.initialiser import Initialiser
 from dronevio.estimator.start_in_motion import Sighting
 from dronevio.models.state import Estimate, FeatureTracks, Health, HealthReport, NavState
 
 Array = npt.NDArray[np.float64]
-
-IMU_GAP = 4.0
-"""Intervals of the IMU that have to pass without a sample to be worth an event."""
 
 
 class Answers:

@@ -6,6 +6,7 @@ pose (δθ, then the position in the IMU frame), the velocity (world), the accel
 
 import numpy as np
 import numpy.typing as npt
+from scipy.linalg import block_diag
 
 from dronevio.models.imu import ImuModel
 from dronevio.models.rotation import skew
@@ -29,7 +30,17 @@ def covariance_to_gtsam(P: Array, R_world_imu: Array) -> Array:
     return np.asarray(S @ P[np.ix_(_BIASES_SWAPPED, _BIASES_SWAPPED)] @ S.T)
 
 
-def propagate(P: Array, R_world_imu: Array, *, dR: Array, dp: Array, dv: Array, dt_s: float, imu: ImuModel) -> Array:
+def propagate(
+    P: Array,
+    R_world_imu: Array,
+    *,
+    dR: Array,
+    dp: Array,
+    dv: Array,
+    dt_s: float,
+    imu: ImuModel,
+    noise: Array | None = None,
+) -> Array:
     """Return the covariance (15, 15) after a stretch of dead reckoning.
 
     First order in the biases and exact in the rest for a stretch of some tenths of a second (Forster et al. 2017,
@@ -43,6 +54,8 @@ def propagate(P: Array, R_world_imu: Array, *, dR: Array, dp: Array, dv: Array, 
         dv: (3,) Preintegrated velocity, in the frame at the start [m/s].
         dt_s: Length of the stretch [s].
         imu: Noise densities.
+        noise: (9, 9) What the stretch adds to orientation, position and velocity, the latter two in the frame at the
+            start; by default, the sensor's noise.
     """
     eye, t = np.eye(3), dt_s
     F = np.eye(15)
@@ -51,4 +64,8 @@ def propagate(P: Array, R_world_imu: Array, *, dR: Array, dp: Array, dv: Array, 
     F[6:9, 0:3], F[6:9, 12:15] = -R_world_imu @ skew(dv), -t * R_world_imu
     gyro, accel = imu.gyro_noise_density**2, imu.accel_noise_density**2
     variances = [gyro * t, accel * t**3 / 3.0, accel * t, imu.gyro_random_walk**2 * t, imu.accel_random_walk**2 * t]
-    return np.asarray(F @ P @ F.T + np.diag(np.repeat(variances, 3)))
+    Q = np.diag(np.repeat(variances, 3))
+    if noise is not None:
+        S = block_diag(eye, R_world_imu, R_world_imu)
+        Q[:9, :9] = S @ noise @ S.T
+    return np.asarray(F @ P @ F.T + Q)

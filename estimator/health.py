@@ -121,7 +121,8 @@ class HealthMonitor:
         bias_sigmas = float((np.abs(bias) / self._bias_sigmas).max())
         enough = len(rows) >= self._config.min_landmarks
         blind_s = self._blind(predicted.t_ns, enough or still, position_sigma_m)
-        contradicted_s = self._contradicted(predicted.t_ns, enough and innovation_px > self._config.max_innovation_px)
+        allowed_px = self._config.max_innovation_px + self._turned_px(predicted)
+        contradicted_s = self._contradicted(predicted.t_ns, enough and innovation_px > allowed_px)
         if self._lost is None:
             self._lost = self._why_lost(predicted, bias_sigmas, position_sigma_m, contradicted_s)
         if self._lost is not None:
@@ -191,6 +192,14 @@ class HealthMonitor:
         gyro_bias, accel_bias = float(np.trace(P[9:12, 9:12])) / 3.0, float(np.trace(P[12:, 12:])) / 3.0
         pushed = 0.25 * t**4 * accel_bias + imu.accel_noise_density**2 * t**3 / 3.0
         return t * t * P[6:9, 6:9] + pushed * np.eye(3), t * t * gyro_bias + t * imu.gyro_noise_density**2
+
+    def _turned_px(self, predicted: NavState) -> float:
+        """Return how far the doubt in the turn since the newest keyframe moves what is seen [px]."""
+        start = self._keyframe
+        if start is None or start.covariance is None or predicted.covariance is None:
+            return 0.0
+        variance = float(np.linalg.norm(predicted.covariance[:3, :3], 2) - np.linalg.norm(start.covariance[:3, :3], 2))
+        return float(self._focal_px[0]) * math.sqrt(max(variance, 0.0))
 
     def _blind(self, t_ns: int, held: bool, position_sigma_m: float) -> float:
         """Return for how long nothing but the IMU has held the estimate [s]."""

@@ -5,16 +5,29 @@ with GTSAM's combined factor, which lets the biases walk.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import gtsam
 import numpy as np
 import numpy.typing as npt
 
+from dronevio.estimator.clipping import LEAST_ACCEL_RANGE_M_S2, LEAST_GYRO_RANGE_RAD_S, RangeLimit
 from dronevio.models.imu import GRAVITY_M_S2, ImuModel, ImuSamples
 from dronevio.models.rotation import exp_so3
 
 Array = npt.NDArray[np.float64]
+
+
+IMU_GAP = 4.0
+"""Intervals of the IMU that have to pass without a sample to be a gap, in which nothing was measured."""
+GAP_DOUBT = np.repeat([0.5, 2.0], 3)
+"""How far from the mean of its ends a motion may be within a gap: standard deviations of angular velocity [rad/s] and
+specific force [m/s²], those of a drone that flies swiftly."""
+BEYOND_LIMIT = 0.5
+"""How far beyond the sensor's limit a motion may be, relative to it. A flight through a room with 57 °/s for a limit is
+beyond it by 20 % at the median, and 60 % at the 90th percentile."""
+DOUBT_LASTS_S = 0.2
+"""What is wrong with a reading in doubt is as wrong with those around it, for so long [s]."""
 
 
 @dataclass(frozen=True)
@@ -45,6 +58,19 @@ class Increments:
     """(N, 3) Mean angular velocity [rad/s]."""
     accel_m_s2: Array
     """(N, 3) Mean specific force in the frame at the interval's start [m/s²]."""
+    doubt: Array = field(default_factory=lambda: np.zeros((1, 6)))
+    """(N, 6), or (1, 6) for all: standard deviations of what is wrong with the angular velocity [rad/s] and the
+    specific force [m/s²] beside the sensor's noise: a sensor at its limit, or no sample for long."""
+
+    @property
+    def is_doubtful(self) -> bool:
+        """Whether anything is wrong beside the sensor's noise."""
+        return bool(self.doubt.any())
+
+    @property
+    def rotation_doubt_rad(self) -> float:
+        """Standard deviation of what is wrong with the rotation beside noise, about the worst axis [rad]."""
+        return float((self.dt_s[:, None] * self.doubt[:, :3]).sum(axis=0).max()) if self.is_doubtful else 0.0
 
     @property
     def longest_s(self) -> float:
@@ -69,18 +95,29 @@ def joined(parts: Sequence[Increments]) -> Increments:
         np.concatenate([part.dt_s for part in parts]),
         np.concatenate([part.gyro_rad_s for part in parts]),
         np.concatenate([part.accel_m_s2 for part in parts]),
+        np.concatenate([np.broadcast_to(part.doubt, (len(part.dt_s), 6)) for part in parts]),
     )
 
 
 class ImuBuffer:
     """Holds the samples that came in, and hands them out up to the time of a frame."""
 
-    def __init__(self) -> None:
+    def __init__(self, imu: ImuModel | None = None) -> None:
+        """Begin without samples.
+
+        Args:
+            imu: What the sensor is; if not given, its gaps are not known.
+        """
+        self._longest_s = np.inf if imu is None else IMU_GAP / imu.rate_hz
+        self._gyro_limit = RangeLimit(np.inf if imu is None else imu.gyro_range_rad_s, LEAST_GYRO_RANGE_RAD_S)
+        self._accel_limit = RangeLimit(np.inf if imu is None else imu.accel_range_m_s2, LEAST_ACCEL_RANGE_M_S2)
         self._samples: ImuSamples | None = None
         self._start_ns: int | None = None  # everything up to here has been handed out
 
     def add(self, samples: ImuSamples) -> None:
         """Append later samples."""
+        self._gyro_limit.learn(samples.gyro_rad_s)
+        self._accel_limit.learn(samples.accel_m_s2)
         self._samples = samples if self._samples is None else self._samples.extended(samples)
 
     def take_until(self, t_ns: int) -> Increments:
@@ -109,13 +146,27 @@ class ImuBuffer:
         last = min(int(np.searchsorted(increments.t_ns, t_ns, side="left")) + 1, len(increments))
         ends = np.clip(increments.t_ns[:last], start, t_ns)
         gyro, accel = increments.gyro_rad_s[:last], increments.accel_m_s2[:last]
+        doubt = self._doubt(samples)[:last]
         if held and last == len(increments) and (last == 0 or ends[-1] < t_ns):
             ends = np.append(ends, t_ns)
             gyro = np.vstack([gyro, samples.gyro_rad_s[-1:]])
             accel = np.vstack([accel, samples.accel_m_s2[-1:]])
+            doubt = np.vstack([doubt, self._beyond_limit(samples[-1:])])
         dt_s = np.diff(ends, prepend=start) * 1e-9
         kept = dt_s > 0.0
-        return Increments(dt_s[kept], gyro[kept], accel[kept])
+        doubt = np.where((dt_s > self._longest_s)[:, None], np.maximum(doubt, GAP_DOUBT), doubt)
+        return Increments(dt_s[kept], gyro[kept], accel[kept], doubt[kept])
+
+    def _doubt(self, samples: ImuSamples) -> Array:
+        """Return how far a motion may be beyond the sensors' limits over each of the intervals of samples (N, 6)."""
+        beyond = self._beyond_limit(samples)
+        return beyond if samples.sampling == "increment" else np.maximum(beyond[1:], beyond[:-1])
+
+    def _beyond_limit(self, samples: ImuSamples) -> Array:
+        """Return how far a motion may be beyond the sensors' limits at samples (N, 6)."""
+        return BEYOND_LIMIT * np.hstack(
+            [self._gyro_limit.reached(samples.gyro_rad_s), self._accel_limit.reached(samples.accel_m_s2)]
+        )
 
     def _forget_before(self, t_ns: int) -> None:
         assert self._samples is not None
@@ -139,7 +190,39 @@ def preintegration_params(imu: ImuModel, config: InertialConfig) -> gtsam.Preint
     return params
 
 
-def integrate(preintegrated: gtsam.PreintegratedCombinedMeasurements, increments: Increments) -> None:
-    """Add increments to a preintegration."""
+def integrate(
+    preintegrated: gtsam.PreintegratedCombinedMeasurements,
+    increments: Increments,
+    params: gtsam.PreintegrationCombinedParams | None = None,
+) -> None:
+    """Add increments to a preintegration.
+
+    Args:
+        preintegrated: To what is added.
+        increments: What is added.
+        params: Those with which it was made; without them, readings in doubt count as any others.
+    """
+    if params is not None and increments.is_doubtful:
+        _integrate_doubtful(preintegrated, increments, params)
+        return
     for dt, gyro, accel in zip(increments.dt_s.tolist(), increments.gyro_rad_s, increments.accel_m_s2, strict=True):
         preintegrated.integrateMeasurement(accel, gyro, dt)
+
+
+def _integrate_doubtful(
+    preintegrated: gtsam.PreintegratedCombinedMeasurements,
+    increments: Increments,
+    params: gtsam.PreintegrationCombinedParams,
+) -> None:
+    """Add increments, each with a covariance of its own: GTSAM looks up the parameters for each of them."""
+    gyro_noise = np.array(params.getGyroscopeCovariance())  # what GTSAM returns is a view of what changes below
+    accel_noise = np.array(params.getAccelerometerCovariance())
+    lasts_s = np.maximum(increments.dt_s, DOUBT_LASTS_S)[:, None]
+    density = lasts_s * np.broadcast_to(increments.doubt, (len(lasts_s), 6)) ** 2
+    steps = zip(increments.dt_s.tolist(), increments.gyro_rad_s, increments.accel_m_s2, density, strict=True)
+    for dt, gyro, accel, wrong in steps:
+        params.setGyroscopeCovariance(gyro_noise + np.diag(wrong[:3]))
+        params.setAccelerometerCovariance(accel_noise + np.diag(wrong[3:]))
+        preintegrated.integrateMeasurement(accel, gyro, dt)
+    params.setGyroscopeCovariance(gyro_noise)
+    params.setAccelerometerCovariance(accel_noise)

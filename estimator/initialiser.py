@@ -186,7 +186,7 @@ class Initialiser:
         bias = smoother.gtsam_state[1]
         preintegrated = gtsam.PreintegratedCombinedMeasurements(self._params, bias)
         for sighting in later:
-            integrate(preintegrated, sighting.increments)
+            integrate(preintegrated, sighting.increments, self._params)
             if sighting is later[-1] or self._keyframes.is_late(preintegrated.deltaTij(), still):
                 keyframes.append(Keyframe(sighting.t_ns, preintegrated, sighting.observations, still))
                 preintegrated = gtsam.PreintegratedCombinedMeasurements(self._params, bias)

@@ -33,7 +33,7 @@ class Intake:
             calibration: What is wrong with the rig's, as far as is known.
         """
         self._front_end, self._calibration = front_end, calibration
-        self._buffer, self._times = ImuBuffer(), FrameTimes(rig)
+        self._buffer, self._times = ImuBuffer(rig.imu), FrameTimes(rig)
         self._R_imu_cam = rig.cameras[0].T_imu_cam[:3, :3]
         self._last_frame_ns: int | None = None
 
@@ -58,7 +58,7 @@ class Intake:
         t_ns = self._times.imu_time_ns(frame.t_ns)
         increments = self._buffer.take_until(t_ns)
         self._times.begin(increments, self._buffer.ahead(self._times.reach_s), gyro_bias_rad_s)
-        rotation_sigma = float(gyro_bias_sigma_rad_s * increments.dt_s.sum())
+        rotation_sigma = float(gyro_bias_sigma_rad_s * increments.dt_s.sum()) + increments.rotation_doubt_rad
         seen = self._front_end.track(frame, self._camera_rotation(increments, gyro_bias_rad_s), rotation_sigma)
         return Sighting(t_ns, increments, self._at_frame(seen))
 

@@ -45,6 +45,11 @@ class Interval:
         """The IMU since the keyframe."""
         return self._propagation.preintegrated
 
+    @property
+    def is_doubtful(self) -> bool:
+        """Whether a sensor of the IMU has been at its limit since the keyframe, or without samples for long."""
+        return self._propagation.is_doubtful
+
     def would_be_still(self, sighting: Sighting, still_for_s: float) -> bool:
         """Say whether the drone has not moved from the keyframe up to a frame that is not added yet.
 

@@ -43,15 +43,17 @@ class Propagation:
         self._imu, self._start = imu, state
         self._nav, self._bias = gtsam_state
         self._params = params
-        self._preintegrated = gtsam.PreintegratedCombinedMeasurements(params, self._bias)
+        self.restart(())
 
     def add(self, increments: Increments) -> None:
         """Take the IMU since the last call."""
-        integrate(self._preintegrated, increments)
+        integrate(self._preintegrated, increments, self._params)
+        self._is_doubtful |= increments.is_doubtful
 
     def restart(self, parts: Sequence[Increments]) -> None:
         """Begin at the keyframe again, with some of the IMU since."""
         self._preintegrated = gtsam.PreintegratedCombinedMeasurements(self._params, self._bias)
+        self._is_doubtful = False
         for increments in parts:
             self.add(increments)
 
@@ -59,6 +61,11 @@ class Propagation:
     def preintegrated(self) -> gtsam.PreintegratedCombinedMeasurements:
         """The IMU since the keyframe."""
         return self._preintegrated
+
+    @property
+    def is_doubtful(self) -> bool:
+        """Whether a sensor has been at its limit since the keyframe, or without samples for long."""
+        return self._is_doubtful
 
     @property
     def elapsed_s(self) -> float:
@@ -93,6 +100,7 @@ class Propagation:
                 dv=pim.deltaVij(),
                 dt_s=pim.deltaTij(),
                 imu=self._imu,
+                noise=pim.preintMeasCov()[:9, :9] if self._is_doubtful else None,
             )
         return NavState(
             t_ns, now.pose().matrix(), now.velocity(), start.gyro_bias_rad_s, start.accel_bias_m_s2, covariance

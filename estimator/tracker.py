@@ -52,6 +52,9 @@ class TrackerConfig:
     min_agreeing: float = 0.5
     """Where a smaller share of the features agrees with the gyroscope's rotation, it is taken for wrong, if so many
     agree with another one."""
+    max_rotation_sigma_rad: float = 0.01
+    """Where the gyroscope's rotation is less certain, the features alone tell which of them agree [rad]: a tolerance of
+    several pixels lets wrong ones pass."""
     seed: int = 0
     """Seed of the random draws."""
 
@@ -186,7 +189,12 @@ class FeatureTracker:
         xy = self._camera.normalise(features.pixels)
         if not len(xy):
             return features
-        distance = self._config.ransac_px / self._camera.fx + rotation_sigma_rad
+        distance = self._config.ransac_px / self._camera.fx
+        if rotation_sigma_rad > self._config.max_rotation_sigma_rad:
+            inliers = essential_inliers(features.xy, xy, distance)
+            if inliers.mean() > self._config.min_agreeing:
+                return replace(features, xy=xy, ages=features.ages + 1)[inliers]
+        distance += rotation_sigma_rad
         inliers = epipolar_inliers(features.xy, xy, R_cur_prev, distance, self._rng)
         if inliers.mean() < self._config.min_agreeing:  # is the rotation wrong?
             without = essential_inliers(features.xy, xy, distance)

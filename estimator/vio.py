@@ -152,8 +152,10 @@ class VisualInertialOdometry:
     def _calibrate(self, smoother: KeyframeSmoother, sighting: Sighting, result: KeyframeResult) -> tuple[str, ...]:
         """Learn from a keyframe what of the calibration is wrong, and go on with what is right; say so."""
         calibration, seen = self._calibration, sighting.observations.without(result.rejected)
-        if result.events:
+        if result.events or self._interval.is_doubtful:
             calibration.restart()
+        if self._interval.is_doubtful:
+            return ()
         if not calibration.add(smoother.state, self._intake.rate_rad_s, self._interval.preintegrated, seen):
             return ()
         self._intake.recalibrate()

@@ -173,7 +173,7 @@ class Judge:
         buffer.take_until(int(self.t_ns[0]))
         for t_ns in self.t_ns[1:].tolist():
             preintegrated = gtsam.PreintegratedCombinedMeasurements(params, bias)
-            integrate(preintegrated, buffer.take_until(t_ns))
+            integrate(preintegrated, buffer.take_until(t_ns), params)
             yield preintegrated
 
 
