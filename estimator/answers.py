@@ -32,6 +32,7 @@ class Answers:
         self._imu_rate_hz = imu_rate_hz
         self._waiting = Health.INITIALISING  # what it is called to be without a state
         self._is_told = False  # whether the state is certain enough to be told
+        self._doubted: set[int] = set()  # cameras that contradict their calibration
 
     def known(
         self,
@@ -50,7 +51,7 @@ class Answers:
             events = ("initialised" if self._waiting is Health.INITIALISING else "recovered", *events)
         if (report.innovation_px or 0.0) <= self._max_innovation_px:
             self._initialiser.believe(state)
-        events = (*events, *self._gaps(sighting))
+        events = (*events, *self._gaps(sighting), *self._doubts(sighting))
         tracks = _feature_tracks(sighting.observations)
         return Estimate(sighting.t_ns, report.state, state, tracks, landmarks_world, events, report)
 
@@ -60,7 +61,7 @@ class Answers:
         """Return an estimate without a state, and why there is none."""
         known = report or HealthReport(self._waiting, why, tracks=len(sighting.observations))
         report = replace(known, state=self._waiting, reason=why)
-        events = (*events, *self._gaps(sighting))
+        events = (*events, *self._gaps(sighting), *self._doubts(sighting))
         tracks = _feature_tracks(sighting.observations)
         return Estimate(sighting.t_ns, self._waiting, None, tracks, events=events, health_report=report)
 
@@ -73,6 +74,17 @@ class Answers:
         """Say where the IMU was silent."""
         longest_s = sighting.increments.longest_s
         return (f"no IMU for {longest_s:.2f} s",) if longest_s * self._imu_rate_hz > IMU_GAP else ()
+
+    def _doubts(self, sighting: Sighting) -> tuple[str, ...]:
+        """Say which cameras turn out not to be where the calibration says, and which are used again."""
+        seen = sighting.observations
+        doubted, agreeing = set(seen.doubted.camera.tolist()), set(seen.matches.camera.tolist())
+        new, settled = sorted(doubted - self._doubted), sorted(self._doubted & (agreeing - doubted))
+        self._doubted = (self._doubted | doubted) - set(settled)
+        return (
+            *(f"camera {i} is not mounted as calibrated: not used for depth" for i in new),
+            *(f"camera {i} agrees with its calibration: used for depth" for i in settled),
+        )
 
 
 def _feature_tracks(observations: Observations) -> FeatureTracks:

@@ -146,8 +146,8 @@ class OnlineCalibration:
         def normalised(xy: Array, camera: npt.NDArray[np.int64]) -> Array:
             return np.asarray((xy - applied.principal[camera]) / (1.0 + applied.focal[camera]))
 
-        matches = replace(seen.matches, xy=normalised(seen.matches.xy, seen.matches.camera))
-        return replace(seen, xy=normalised(seen.xy, seen.camera), matches=matches)
+        matches, doubted = (replace(m, xy=normalised(m.xy, m.camera)) for m in (seen.matches, seen.doubted))
+        return replace(seen, xy=normalised(seen.xy, seen.camera), matches=matches, doubted=doubted)
 
     def restart(self) -> None:
         """Begin a new window: what came so far does not hang together with what comes."""
@@ -171,9 +171,8 @@ class OnlineCalibration:
         if not self._estimated.any():
             return False
         c, applied = self._config, self.applied
-        ids = np.concatenate([seen.ids, seen.matches.ids])
-        camera = np.concatenate([seen.camera, seen.matches.camera])
-        xy = np.concatenate([seen.xy, seen.matches.xy])
+        sightings = (seen, seen.matches, seen.doubted)
+        ids, camera, xy = (np.concatenate([getattr(s, name) for s in sightings]) for name in ("ids", "camera", "xy"))
         xy = (1.0 + applied.focal[camera]) * xy + applied.principal[camera]
         self._window.append(WindowKeyframe(state, rate_rad_s, applied.time_offset_s, preintegrated, ids, camera, xy))
         if self._adjusted is not None:

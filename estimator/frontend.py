@@ -12,6 +12,7 @@ import numpy.typing as npt
 
 from dronevio.models.camera import CameraModel
 from dronevio.models.errors import ConfigError
+from dronevio.models.rig import Rig
 from dronevio.models.state import CameraFrame
 
 Array = npt.NDArray[np.float64]
@@ -31,6 +32,11 @@ class Matches:
 
     def __len__(self) -> int:
         return len(self.ids)
+
+    def without(self, ids: npt.NDArray[np.int64]) -> "Matches":
+        """Return all but those of some features."""
+        kept = ~np.isin(self.ids, ids)
+        return Matches(self.ids[kept], self.camera[kept], self.xy[kept])
 
 
 NO_MATCHES = Matches(np.zeros(0, np.int64), np.zeros(0, np.int64), np.zeros((0, 2)))
@@ -53,6 +59,8 @@ class Observations:
     """(N,) Which camera of the rig follows each; all the first one, if not given."""
     matches: Matches = NO_MATCHES
     """The same landmarks in further cameras; on keyframes."""
+    doubted: Matches = NO_MATCHES
+    """The same, in cameras that are not where the calibration says: of use for nothing but to calibrate them."""
     quality: Array = field(default_factory=lambda: np.zeros(0))
     """(N,) How much each looks like what was first seen of it: correlation, up to 1; all 1, if not given."""
 
@@ -68,10 +76,9 @@ class Observations:
 
     def without(self, ids: npt.NDArray[np.int64]) -> "Observations":
         """Return the observations of all but some features."""
-        kept, matches = ~np.isin(self.ids, ids), self.matches
-        left = {f.name: getattr(self, f.name)[kept] for f in fields(self) if f.name != "matches"}
-        found = ~np.isin(matches.ids, ids)
-        return Observations(**left, matches=Matches(matches.ids[found], matches.camera[found], matches.xy[found]))
+        kept = ~np.isin(self.ids, ids)
+        left = {f.name: getattr(self, f.name)[kept] for f in fields(self) if f.name not in ("matches", "doubted")}
+        return Observations(**left, matches=self.matches.without(ids), doubted=self.doubted.without(ids))
 
 
 NOTHING_SEEN = Observations(np.zeros(0, np.int64), np.zeros((0, 2)), np.zeros((0, 2)), np.zeros(0, np.int64))
@@ -95,6 +102,13 @@ class FrontEnd(Protocol):
 
     def discard(self, ids: npt.NDArray[np.int64]) -> None:
         """Follow some features no further."""
+
+    def recalibrate(self, rig: Rig) -> None:
+        """Take over a better calibration of the cameras' mounting; those that match cameras need it.
+
+        Args:
+            rig: The rig, as it is now believed to be.
+        """
 
 
 def image_of(frame: CameraFrame, index: int, camera: CameraModel) -> Image:

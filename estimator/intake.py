@@ -75,6 +75,7 @@ class Intake:
         rig = self._calibration.rig
         self._R_imu_cam = rig.cameras[0].T_imu_cam[:3, :3]
         self._times.late_s = self._calibration.applied.time_offset_s
+        self._front_end.recalibrate(rig)
 
     @property
     def rate_rad_s(self) -> Array:

@@ -5,7 +5,7 @@ looked for in it. A camera that looks elsewhere follows features of its own.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 from itertools import count
 
 import numpy as np
@@ -33,8 +33,10 @@ class _Pair:
     first: int  # which of the cameras it is
     second: int  # which of the cameras is searched
     matcher: StereoMatcher
-    ids: npt.NDArray[np.int64]  # (K,) of the features that were matched last, in increasing order
-    inverse_depth: Array  # (K,) theirs [1/m]
+    ids: npt.NDArray[np.int64] = field(default_factory=lambda: np.zeros(0, np.int64))
+    """(K,) Of the features that were matched last, in increasing order."""
+    inverse_depth: Array = field(default_factory=lambda: np.zeros(0))
+    """(K,) Theirs [1/m]."""
 
     def known(self, ids: npt.NDArray[np.int64]) -> Array:
         """Return the inverse depths (N,) of features; NaN where they are not known."""
@@ -55,14 +57,13 @@ class RigTracker:
             config: How features are followed.
             stereo: How they are found in further cameras.
         """
-        cameras, ids = rig.cameras, count()
+        cameras, ids, self._stereo = rig.cameras, count(), stereo or StereoConfig()
         followed = _cameras_that_follow(rig)
+        self._followed = followed
         self._trackers = [FeatureTracker(cameras[i].model, config, i, ids) for i in followed]
-        R_imu_main = cameras[0].T_imu_cam[:3, :3]
-        self._Rs_cam_main = [cameras[i].T_imu_cam[:3, :3].T @ R_imu_main for i in followed]
-        nobody, nothing = np.zeros(0, np.int64), np.zeros(0)
+        self._Rs_cam_main = _turns(rig, followed)
         self._pairs = [
-            _Pair(k, i, j, StereoMatcher(cameras[i], cameras[j], stereo or StereoConfig()), nobody, nothing)
+            _Pair(k, i, j, StereoMatcher(cameras[i], cameras[j], self._stereo))
             for k, i in enumerate(followed)
             for j in range(i + 1, len(cameras))
             if shared_view(cameras[j], cameras[i]) > WORTH_MATCHING
@@ -94,12 +95,24 @@ class RigTracker:
         observations = [tracker.replenish() for tracker in self._trackers]
         if not self._images:
             return _merged(observations)
-        return _merged(observations, [self._match(pair, observations[pair.tracker]) for pair in self._pairs])
+        found = [self._match(pair, observations[pair.tracker]) for pair in self._pairs]
+        doubted = [pair.matcher.is_doubted for pair in self._pairs]
+        return replace(
+            _merged(observations),
+            matches=_joined([matches for matches, wrong in zip(found, doubted, strict=True) if not wrong]),
+            doubted=_joined([matches for matches, wrong in zip(found, doubted, strict=True) if wrong]),
+        )
 
     def discard(self, ids: npt.NDArray[np.int64]) -> None:
         """Follow some features no further."""
         for tracker in self._trackers:
             tracker.discard(ids)
+
+    def recalibrate(self, rig: Rig) -> None:
+        """Take over a better calibration of the cameras' mounting, by which the next matches are looked for."""
+        self._Rs_cam_main = _turns(rig, self._followed)
+        for pair in self._pairs:
+            pair.matcher = StereoMatcher(rig.cameras[pair.first], rig.cameras[pair.second], self._stereo)
 
     def _match(self, pair: _Pair, seen: Observations) -> Matches:
         first, second = self._images[pair.first], self._images[pair.second]
@@ -117,7 +130,13 @@ def _cameras_that_follow(rig: Rig) -> list[int]:
     return chosen
 
 
-def _merged(observations: Sequence[Observations], matches: Sequence[Matches] = ()) -> Observations:
+def _turns(rig: Rig, followed: Sequence[int]) -> list[Array]:
+    """Return the rotations R_cam_main (3, 3) from the first camera's axes into those of some cameras."""
+    R_imu_main = rig.cameras[0].T_imu_cam[:3, :3]
+    return [rig.cameras[i].T_imu_cam[:3, :3].T @ R_imu_main for i in followed]
+
+
+def _merged(observations: Sequence[Observations]) -> Observations:
     """Return what several cameras see as one, the identities in increasing order."""
     ids = np.concatenate([seen.ids for seen in observations])
     order = np.argsort(ids)
@@ -127,8 +146,7 @@ def _merged(observations: Sequence[Observations], matches: Sequence[Matches] = (
         np.concatenate([seen.xy for seen in observations])[order],
         np.concatenate([seen.ages for seen in observations])[order],
         np.concatenate([seen.camera for seen in observations])[order],
-        _joined(matches),
-        np.concatenate([seen.quality for seen in observations])[order],
+        quality=np.concatenate([seen.quality for seen in observations])[order],
     )
 
 

@@ -137,8 +137,11 @@ class FrameTimes:
         self._now = _Seen(seen.ids, late_s, rays)
         kept = np.isfinite(velocity[:, 0])
         xy = rays[:, :2] - late_s[:, None] * velocity
-        others = {f.name: getattr(seen, f.name)[kept] for f in fields(seen) if f.name not in ("xy", "matches")}
-        return Observations(**others, xy=xy[kept], matches=self._moved_matches(seen, rays, velocity))
+        others = {
+            f.name: getattr(seen, f.name)[kept] for f in fields(seen) if f.name not in ("xy", "matches", "doubted")
+        }
+        matches, doubted = (self._moved_matches(m, seen, rays, velocity) for m in (seen.matches, seen.doubted))
+        return Observations(**others, xy=xy[kept], matches=matches, doubted=doubted)
 
     def stamped(self, estimate: Estimate, stamp_ns: int) -> Estimate:
         """Return what is told of a frame, with its time stamp, and its state carried there over the known offset.
@@ -188,9 +191,8 @@ class FrameTimes:
         velocity[i] = (rays[i, :2] - before[:, :2] / before[:, 2:]) / elapsed_s[:, None]
         return velocity
 
-    def _moved_matches(self, seen: Observations, rays: Array, velocity: Array) -> Matches:
+    def _moved_matches(self, matches: Matches, seen: Observations, rays: Array, velocity: Array) -> Matches:
         """Return the sightings by further cameras; the landmark moves there as it does where it is followed."""
-        matches = seen.matches
         if not len(matches):
             return matches
         row = np.searchsorted(seen.ids, matches.ids)

@@ -19,6 +19,7 @@ from dronevio.estimator.frontend import Observations, image_of
 from dronevio.estimator.optical_flow import as_bright_as, follow
 from dronevio.estimator.patches import PatchAligner, PatchConfig, Patches
 from dronevio.models.camera import CameraModel
+from dronevio.models.rig import Rig
 from dronevio.models.state import CameraFrame
 
 Array = npt.NDArray[np.float64]
@@ -142,6 +143,9 @@ class FeatureTracker:
     def discard(self, ids: npt.NDArray[np.int64]) -> None:
         """Follow some features no further."""
         self._features = self._features[~np.isin(self._features.ids, ids)]
+
+    def recalibrate(self, rig: Rig) -> None:
+        """Do nothing: how the camera is mounted does not matter to what it sees."""
 
     def _observations(self) -> Observations:
         f = self._features

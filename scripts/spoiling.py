@@ -8,6 +8,7 @@ import numpy as np
 import numpy.typing as npt
 
 from dronevio.estimator.frontend import FrontEnd, Observations
+from dronevio.models.rig import Rig
 from dronevio.models.state import CameraFrame
 
 Array = npt.NDArray[np.float64]
@@ -51,6 +52,10 @@ class Outliers:
     def discard(self, ids: npt.NDArray[np.int64]) -> None:
         """Follow some features no further."""
         self._inner.discard(ids)
+
+    def recalibrate(self, rig: Rig) -> None:
+        """Take over a better calibration."""
+        self._inner.recalibrate(rig)
 
     def _spoilt(self, seen: Observations) -> Observations:
         offset = self.offsets(seen.ids, seen.ages)

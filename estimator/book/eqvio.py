@@ -141,6 +141,9 @@ class ReplayedFeatures:
         """Hand out some features no more."""
         self._rejected.update(ids.tolist())
 
+    def recalibrate(self, rig: Rig) -> None:
+        """Do nothing: what was seen has been seen."""
+
 
 @dataclass(frozen=True, eq=False)
 class FilteredPath:

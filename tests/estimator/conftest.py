@@ -148,6 +148,9 @@ class SyntheticFrontEnd:
     def discard(self, ids: npt.NDArray[np.int64]) -> None:
         self._ids[np.isin(self._ids, ids)] = -1  # it may come back, as in an image
 
+    def recalibrate(self, rig: Rig) -> None:
+        pass  # it sees with one camera
+
     def _observations(self) -> Observations:
         rows = np.flatnonzero(self._ids >= 0)
         rows = rows[np.argsort(self._ids[rows])]

@@ -133,6 +133,57 @@ def test_a_patch_that_is_elsewhere_in_the_second_image_is_not_matched(see_wall: 
     assert inside.sum() <= 1 and (~inside).sum() > 10
 
 
+def turned(rig: Rig, turn_deg: Sequence[float]) -> Rig:
+    """Return a rig whose second camera is turned from where it was."""
+    first, second = rig.cameras
+    T = second.T_imu_cam @ pose_matrix(exp_so3(np.radians(turn_deg)), np.zeros(3))
+    return replace(rig, cameras=(first, replace(second, T_imu_cam=T)))
+
+
+@pytest.mark.parametrize("turn_deg", [[1.0, 0.0, 0.0], [0.6, -0.4, -0.7], [-0.5, 0.8, 0.3], [0.2, -0.3, 1.5]])
+def test_a_camera_that_is_turned_tells_no_depth_until_it_is_calibrated(
+    see_wall: Callable[..., np.ndarray], turn_deg: Sequence[float]
+) -> None:
+    true_rig = turned(STEREO, turn_deg)
+    wall, tracker = Wall(see_wall, true_rig), RigTracker(STEREO, CONFIG)
+    frame = wall.frame()
+    tracker.track(frame, np.eye(3))
+    for _ in range(2):
+        seen = tracker.replenish()
+        assert len(seen.matches) == 0 and len(seen.doubted) > 0.6 * len(seen)
+        error_px = wall.missed_px(replace(seen, matches=seen.doubted))
+        assert np.median(error_px) < 0.2 and np.mean(error_px < 1.0) > 0.95  # they are true, though
+    left = seen.without(seen.ids[::2])
+    assert len(left.doubted) and not np.isin(left.doubted.ids, seen.ids[::2]).any()
+    tracker.recalibrate(true_rig)
+    seen = tracker.replenish()
+    assert len(seen.doubted) == 0 and len(seen.matches) > 0.7 * len(seen)
+    assert np.median(wall.missed_px(seen)) < 0.15
+
+
+def test_a_twentieth_of_a_degree_is_no_reason_to_doubt(see_wall: Callable[..., np.ndarray]) -> None:
+    wall, tracker = Wall(see_wall, turned(STEREO, [0.05, -0.05, 0.05])), RigTracker(STEREO, CONFIG)
+    tracker.track(wall.frame(), np.eye(3))
+    seen = tracker.replenish()
+    assert len(seen.doubted) == 0 and len(seen.matches) > 0.7 * len(seen)
+
+
+def test_recalibration_turns_the_cameras_that_follow(see_wall: Callable[..., np.ndarray]) -> None:
+    """The rotation handed on to a second tracker is by the new mounting: a wrong one loses its features."""
+    back = rig_of((LEFT, np.eye(3), [0, 0, 0]), (RIGHT, exp_so3(np.radians([0.0, 50.0, 0.0])), [0, 0, 0]))
+    believed = replace(back, cameras=(back.cameras[0], replace(back.cameras[1], T_imu_cam=back.cameras[0].T_imu_cam @
+        pose_matrix(exp_so3(np.radians([0.0, 50.0, 90.0])), np.zeros(3)))))  # fmt: skip
+    told = [RigTracker(believed, CONFIG), RigTracker(back, CONFIG)]
+    told[0].recalibrate(back)
+    wall, R = Wall(see_wall, back), exp_so3(np.radians([0.0, 0.0, 8.0]))
+    for frame, turn in ((wall.frame(), np.eye(3)), (wall.frame(pose_matrix(R, np.zeros(3))), R.T)):
+        for tracker in told:
+            tracker.track(frame, turn)
+        seen = [tracker.replenish() for tracker in told]
+        np.testing.assert_array_equal(seen[0].pixels, seen[1].pixels)
+    assert np.any(seen[0].camera == 1)
+
+
 def test_second_camera_in_the_dark_is_no_reason_to_fail(see_wall: Callable[..., np.ndarray]) -> None:
     wall, tracker = Wall(see_wall, STEREO), RigTracker(STEREO, CONFIG)
     frame = wall.frame()

@@ -221,11 +221,12 @@ def test_sightings_of_further_cameras_move_too() -> None:
         there = exposed(path, second, places, t_s)
         matches = Matches(np.arange(len(places)), np.ones(len(places), np.int64), PINHOLE.normalise(there))
         begin(times, path, t_s)
-        moved = times.moved(observations(exposed(path, ROLLING, places, t_s), matches=matches))
+        moved = times.moved(observations(exposed(path, ROLLING, places, t_s), matches=matches, doubted=matches))
     wanted = projected(path, second, places, np.zeros(len(places)))
     found = PINHOLE.project(np.column_stack([moved.matches.xy, np.ones(len(places))]))
     assert np.median(np.linalg.norm(there - wanted, axis=1)) > 4.0
     assert np.linalg.norm(found - wanted, axis=1).max() < 0.4
+    np.testing.assert_array_equal(moved.doubted.xy, moved.matches.xy)
 
 
 def test_says_how_late_it_may_see(make_flight: Callable) -> None:
