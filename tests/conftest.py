@@ -1,4 +1,8 @@
 import os
+
+os.environ.setdefault("OMP_NUM_THREADS", "1")  # before NumPy is imported: threads that spin make small systems slower
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path

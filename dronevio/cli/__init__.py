@@ -55,6 +55,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     args = list(sys.argv[1:] if arguments is None else arguments)
     if arguments is None:  # this process is the command's own
         signal.signal(signal.SIGTERM, signal.default_int_handler)  # ends like Ctrl-C: nothing half-written stays
+        for library in ("OMP", "OPENBLAS"):  # read when numpy is imported; spinning threads make small systems slower
+            os.environ.setdefault(f"{library}_NUM_THREADS", "1")
     if not args or args[0] in ("-h", "--help", "help"):
         print(usage())
         return 0
