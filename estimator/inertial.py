@@ -73,6 +73,12 @@ class Increments:
         return float((self.dt_s[:, None] * self.doubt[:, :3]).sum(axis=0).max()) if self.is_doubtful else 0.0
 
     @property
+    def doubt_density(self) -> Array:
+        """`doubt` as the white noise (N, 6) that does as much over as long as it lasts, squared densities."""
+        lasts_s = np.maximum(self.dt_s, DOUBT_LASTS_S)[:, None]
+        return np.asarray(lasts_s * np.broadcast_to(self.doubt, (len(lasts_s), 6)) ** 2)
+
+    @property
     def longest_s(self) -> float:
         """Longest of the intervals [s]."""
         return float(self.dt_s.max(initial=0.0))
@@ -217,9 +223,8 @@ def _integrate_doubtful(
     """Add increments, each with a covariance of its own: GTSAM looks up the parameters for each of them."""
     gyro_noise = np.array(params.getGyroscopeCovariance())  # what GTSAM returns is a view of what changes below
     accel_noise = np.array(params.getAccelerometerCovariance())
-    lasts_s = np.maximum(increments.dt_s, DOUBT_LASTS_S)[:, None]
-    density = lasts_s * np.broadcast_to(increments.doubt, (len(lasts_s), 6)) ** 2
-    steps = zip(increments.dt_s.tolist(), increments.gyro_rad_s, increments.accel_m_s2, density, strict=True)
+    rates = increments.gyro_rad_s, increments.accel_m_s2
+    steps = zip(increments.dt_s.tolist(), *rates, increments.doubt_density, strict=True)
     for dt, gyro, accel, wrong in steps:
         params.setGyroscopeCovariance(gyro_noise + np.diag(wrong[:3]))
         params.setAccelerometerCovariance(accel_noise + np.diag(wrong[3:]))

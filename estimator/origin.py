@@ -61,10 +61,12 @@ class LastBelieved:
     def __init__(self, believed: NavState) -> None:
         self._believed = believed
         self._R_world_imu = believed.T_world_imu[:3, :3]
+        self._doubt_rad2 = 0.0  # variance of what a gyroscope at its limit has not told of the turn since
 
     def turn(self, increments: Increments) -> None:
         """Take the IMU since the last call."""
         self._R_world_imu = self._R_world_imu @ increments.rotation(self._believed.gyro_bias_rad_s)
+        self._doubt_rad2 += float((increments.dt_s @ increments.doubt_density[:, :3]).max())
 
     def place(self, start: NavState, since: Increments) -> NavState:
         """Return a start at the last position, and of the yaw that makes its end that of the gyroscope."""
@@ -85,6 +87,6 @@ class LastBelieved:
         known = believed.covariance if believed.covariance is not None else np.zeros((15, 15))
         P[3:6, 3:6] += known[3:6, 3:6] + away_m**2 * np.eye(3)
         up_then, up = believed.T_world_imu[2, :3], R[2]
-        yaw_variance = up_then @ known[:3, :3] @ up_then + (GYRO_BIAS_SIGMA_RAD_S * lost_s) ** 2
+        yaw_variance = up_then @ known[:3, :3] @ up_then + (GYRO_BIAS_SIGMA_RAD_S * lost_s) ** 2 + self._doubt_rad2
         P[:3, :3] += yaw_variance * np.outer(up, up)
         return P

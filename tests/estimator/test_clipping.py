@@ -16,7 +16,9 @@ from dronevio.estimator.inertial import (
     joined,
     preintegration_params,
 )
+from dronevio.estimator.origin import LastBelieved
 from dronevio.estimator.propagation import Propagation
+from dronevio.estimator.start import StartSigmas
 from dronevio.models.imu import EUROC_IMU, GRAVITY_M_S2, ImuSamples
 from dronevio.models.state import NavState
 
@@ -148,3 +150,14 @@ def test_a_gap_in_the_samples_is_in_doubt() -> None:
     np.testing.assert_array_equal(whole.doubt.max(axis=0), GAP_DOUBT)
     assert parts[6].rotation_doubt_rad == pytest.approx(0.05 * GAP_DOUBT[0])
     assert parts[0].rotation_doubt_rad == 0.0
+
+
+def test_after_a_loss_a_turn_beyond_the_limit_leaves_the_yaw_in_doubt() -> None:
+    believed = NavState(0, np.eye(4), np.zeros(3), np.zeros(3), np.zeros(3), 1e-8 * np.eye(15))
+    start = NavState(200 * STEP_NS, np.eye(4), np.zeros(3), np.zeros(3), np.zeros(3))
+    yaw_sigmas = []
+    for clip in (1.0, 10.0):
+        origin = LastBelieved(believed)
+        origin.turn(clipped_flight(clip)[0])
+        yaw_sigmas.append(float(np.sqrt(origin.covariance(start, StartSigmas())[2, 2])))
+    assert yaw_sigmas[0] > 0.1 > 0.05 > yaw_sigmas[1]
