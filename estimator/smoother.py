@@ -4,10 +4,10 @@ Each keyframe has a pose, a velocity and biases. GTSAM's preintegrated IMU joins
 all that saw them. Every keyframe has the whole window optimised by Gauss-Newton: landmarks are eliminated first
 (`reprojection`), what is left is small and dense (`window`). When the window is full, either its oldest keyframe is
 marginalised with the landmarks that it saw, into a prior that keeps what they said (`prior`); or, where the drone has
-hardly moved, the last keyframe but one goes, so that the window keeps what it saw long ago and a hovering drone does not
-drift (Leutenegger et al., "Keyframe-based visual-inertial odometry using nonlinear optimization", IJRR 2015; Usenko et
-al., "Visual-inertial mapping with non-linear factor recovery", RA-L 2020). Landmarks that outlive the window's edge stay
-as variables of the prior.
+hardly moved, the last keyframe but one goes, so that the window keeps what it saw long ago and a hovering drone does
+not drift (Leutenegger et al., "Keyframe-based visual-inertial odometry using nonlinear optimization", IJRR 2015; Usenko
+et al., "Visual-inertial mapping with non-linear factor recovery", RA-L 2020). Landmarks that outlive the window's edge
+stay as variables of the prior.
 
 All image coordinates here are normalised (at depth 1 in the camera frame), so a pixel is 1/fx.
 """
