@@ -124,6 +124,8 @@ class LandmarkWindow:
     def judge(self, error: Array, depth_m: Array, sightings: Sightings) -> Integers:
         """Let go of the landmarks that are not where they should be, and return their identities.
 
+        Where all that a keyframe shows is off, it is the keyframe that is wrong, and no landmark.
+
         Args:
             error: (N, 2) Residuals of sightings of known landmarks, normalised.
             depth_m: (N,) The landmarks' depths.
@@ -131,9 +133,11 @@ class LandmarkWindow:
         """
         if len(sightings) == 0:
             return np.zeros(0, np.int64)
-        distance = np.linalg.norm(error, axis=1)
-        bad = (distance > self._limit(float(np.median(distance)))) | (depth_m <= 0.0)
-        wrong = np.unique(sightings.landmark[bad])
+        distance, typical = np.linalg.norm(error, axis=1), np.zeros(len(error))
+        for k in np.unique(sightings.keyframe).tolist():
+            there = sightings.keyframe == k
+            typical[there] = np.median(distance[there])
+        wrong = np.unique(sightings.landmark[(distance > self._limit(typical)) | (depth_m <= 0.0)])
         self.drop(wrong)
         return wrong
 
@@ -161,9 +165,10 @@ class LandmarkWindow:
         cosine = np.minimum.reduceat(np.sum(rays * np.repeat(rays[starts], counts, axis=0), axis=1), starts)
         return KnownLandmarks(self.ids, self.points, np.arccos(np.clip(cosine, -1.0, 1.0)))
 
-    def _limit(self, typical: float) -> float:
+    def _limit(self, typical: Array | float) -> Array:
         """Return the residual beyond which a landmark is wrong, where ``typical`` is usual."""
-        return max(self._config.max_reprojection_px / self._focal_px, self._config.max_over_median * typical)
+        c = self._config
+        return np.maximum(c.max_reprojection_px / self._focal_px, c.max_over_median * np.asarray(typical))
 
     def _keep(self, ids: Integers, points: Array) -> None:
         """Add landmarks whose places are known now."""
