@@ -1,0 +1,76 @@
+"""The window: how much each sighting weighs, and what marginalising leaves."""
+
+import gtsam
+import numpy as np
+import pytest
+
+from dronevio.estimator.frontend import Observations
+from dronevio.estimator.landmarks import LandmarkConfig, LandmarkWindow
+from dronevio.estimator.marginal import Factorised
+from dronevio.estimator.prior import State
+from dronevio.estimator.window import LinearSystem, Window
+
+FOCAL_PX, LANDMARKS, KEYFRAMES = 450.0, 30, 5
+
+
+def window(shift_px: float = 0.0, quality: float = 1.0) -> Window:
+    """Return a window of cameras side by side; landmark 0 is last seen off by a shift, landmark 1 is badly seen."""
+    rng = np.random.default_rng(0)
+    points = np.column_stack([rng.uniform(-2.0, 2.0, (LANDMARKS, 2)), rng.uniform(4.0, 8.0, LANDMARKS)])
+    landmarks = LandmarkWindow(FOCAL_PX, LandmarkConfig())
+    states = [
+        State(gtsam.Pose3(gtsam.Rot3(), np.array([0.3 * k, 0.0, 0.0])), np.zeros(3), gtsam.imuBias.ConstantBias())
+        for k in range(KEYFRAMES)
+    ]
+    made = Window(states[0], 1e4 * np.eye(15), landmarks, np.eye(4)[None], 0.4 / FOCAL_PX, 1.0)
+    for k, state in enumerate(states):
+        if k > 0:
+            held = [
+                gtsam.PriorFactorPose3(gtsam.symbol("x", k), state.pose, _sure(6)),
+                gtsam.PriorFactorVector(gtsam.symbol("v", k), np.zeros(3), _sure(3)),
+                gtsam.PriorFactorConstantBias(gtsam.symbol("b", k), state.bias, _sure(6)),
+            ]
+            made.append(state, held)
+        p = points - state.pose.translation()
+        xy = p[:, :2] / p[:, 2:]
+        if k == KEYFRAMES - 1:
+            xy[0, 0] += shift_px / FOCAL_PX
+        qualities = np.ones(LANDMARKS)
+        qualities[1] = quality
+        ids = np.arange(LANDMARKS)
+        landmarks.observe(k, Observations(ids, FOCAL_PX * xy, xy, np.full(LANDMARKS, k + 1), quality=qualities))
+    assert len(landmarks.triangulate(made.cameras, newest=KEYFRAMES - 1)) == 0
+    return made
+
+
+def _sure(n: int) -> gtsam.noiseModel.Isotropic:
+    return gtsam.noiseModel.Isotropic.Sigma(n, 0.01)
+
+
+def weights(system: LinearSystem) -> np.ndarray:
+    """Return how much is known of each landmark (L,)."""
+    return np.trace(system.visual.point, axis1=1, axis2=2)
+
+
+def test_doubtful_sightings_weigh_less() -> None:
+    """One that is off by some pixels, and those of a feature that has changed its looks."""
+    clean = weights(window().linearise())
+    spoilt = weights(window(shift_px=4.0, quality=0.9).linearise())
+    assert spoilt[0] < clean[0] / 1.15
+    np.testing.assert_allclose(spoilt[1], clean[1] / 3.0**2, rtol=1e-3)  # 1 + 20 · (1 − 0.9) times less certain
+    np.testing.assert_allclose(spoilt[2:], clean[2:], rtol=0.05)
+
+
+@pytest.mark.parametrize("long_lived", [0, 10])
+def test_what_stays_knows_what_it_knew(long_lived: int) -> None:
+    """A keyframe that is marginalised leaves the others' states and covariances as they were."""
+    made = window()
+    system = made.linearise()
+    before = Factorised(system.H).inverse_block(np.arange(15, 15 * KEYFRAMES))
+    made.marginalise(0, long_lived)
+    assert list(made.states) == [1, 2, 3, 4] and len(made.long_lived) == long_lived
+    system = made.linearise()
+    columns = np.arange(15 * (KEYFRAMES - 1))
+    solver = Factorised(system.H)
+    np.testing.assert_allclose(solver.inverse_block(columns), before, rtol=1e-4, atol=1e-9)
+    np.testing.assert_allclose(solver.solve(system.b)[columns], 0.0, atol=1e-8)
