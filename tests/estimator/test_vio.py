@@ -229,7 +229,7 @@ def test_dark_second_is_bridged_by_the_imu(make_flight: Callable, rest_s: float)
     health = np.array([e.health for e in estimates])
     dark = (t_s >= 6.0) & (t_s < 7.0)
     assert np.all(health[dark] == Health.INERTIAL_ONLY)
-    assert np.mean(health[(t_s > 2.6) & (t_s < 6.0)] == Health.TRACKING) > 0.85
+    assert np.all(health[(t_s > 2.2) & (t_s < 6.0)] == Health.TRACKING)
     assert np.all(health[t_s >= 7.6] == Health.TRACKING)  # it takes three keyframes to know new landmarks
     found = poses(estimates)
     assert ate_m(flight, found) < 0.05
