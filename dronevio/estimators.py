@@ -39,7 +39,7 @@ class EstimatorKind:
 
 
 def _vio_settings() -> object:
-    from dronevio.estimator.vio import VioConfig
+    from dronevio.estimator.config import VioConfig
 
     return VioConfig()
 

@@ -144,6 +144,7 @@ class CalibrationWindow:
         config: AdjustmentConfig,
         mean: Array,
         information: Array,
+        estimated: npt.NDArray[np.bool_],
     ) -> None:
         """Arrange a window.
 
@@ -153,12 +154,13 @@ class CalibrationWindow:
             focal_px: Focal length [px].
             config: Settings.
             mean: (D,) What was known of the corrections before.
-            information: (D, D) How well: the inverse covariance, infinite for no unknown.
+            information: (D, D) How well: the inverse covariance.
+            estimated: (D,) Which of them are unknown, and independent of the others.
         """
         self._config, self._sigma = config, config.pixel_sigma / focal_px
         self._Ts_imu_cam = Ts_imu_cam
         self._prior_mean, self._prior_information = mean, information
-        self._c = mean.copy()
+        self._c, self._unknown = mean.copy(), np.flatnonzero(estimated)
         states = [keyframe.state for keyframe in keyframes]
         self._R = np.stack([state.T_world_imu[:3, :3] for state in states])
         self._p = np.stack([state.T_world_imu[:3, 3] for state in states])
@@ -171,23 +173,23 @@ class CalibrationWindow:
         self._intervals = [_Interval.of(k.preintegrated, self._bias) for k in keyframes[1:] if k.preintegrated]
         self._seen, self._points = self._select(keyframes, focal_px)
         self._focal_px, self._rms_px, self._steps = focal_px, float("inf"), 0
+        self.is_done = False
+        """Whether there is no further step to take."""
         self.result: Adjusted | None = None
+        """What came of it; None before the end, and where the problem has no solution."""
 
     @property
     def landmarks(self) -> int:
         """How many landmarks take part."""
         return len(self._points)
 
-    def advance(self) -> bool:
-        """Take a step, a fraction of the work; say whether there is another one to take.
-
-        When there is none, `result` is there, or None where the problem has no solution.
-        """
+    def advance(self) -> None:
+        """Take a step, a third of the work or so."""
         self._steps += 1
         information = self._step()
-        if information is not None and self._steps >= self._config.rounds:
+        self.is_done = information is None or self._steps >= self._config.rounds
+        if self.is_done and information is not None:
             self.result = Adjusted(self._c, information, self._rms_px)
-        return information is not None and self._steps < self._config.rounds
 
     def _select(self, keyframes: Sequence[WindowKeyframe], focal_px: float) -> tuple[_Sightings, Array]:
         """Take the landmarks that are worth it, and triangulate them."""
@@ -233,7 +235,7 @@ class CalibrationWindow:
 
     def _step(self) -> Array | None:
         """Solve the linearised problem, move there, and return the information on the corrections."""
-        K, D = len(self._R), len(self._c)
+        K, D = len(self._R), len(self._unknown)
         n = _STATE * K + 6
         H, g = np.zeros((n + D, n + D)), np.zeros(n + D)
         self._add_prior(H, g, n)
@@ -250,14 +252,17 @@ class CalibrationWindow:
         self._R = self._R @ exp_so3(states[:, :3])
         self._p, self._v = self._p + states[:, 3:6], self._v + states[:, 6:]
         self._bias = self._bias + x[n - 6 : n]
-        self._c = self._c + x[n:]
-        return np.asarray(np.linalg.inv(pulled))
+        self._c[self._unknown] += x[n:]
+        information = self._prior_information.copy()
+        information[np.ix_(self._unknown, self._unknown)] = np.linalg.inv(pulled)
+        return information
 
     def _add_prior(self, H: Array, g: Array, n: int) -> None:
         """Add what is known beforehand: of the corrections, of the first keyframe and of the biases."""
         c, (R, v, bias) = self._config, self._first
-        H[n:, n:] += self._prior_information
-        g[n:] += self._prior_information @ (self._prior_mean - self._c)
+        known = self._prior_information[np.ix_(self._unknown, self._unknown)]
+        H[n:, n:] += known
+        g[n:] += known @ (self._prior_mean - self._c)[self._unknown]
         sigmas = [c.tilt_sigma_rad, GAUGE_SIGMA_M, c.velocity_sigma_m_s]
         weights = np.repeat(np.array(sigmas) ** -2.0, 3)
         off = np.concatenate([log_so3(self._R[0].T @ R), np.zeros(3), v - self._v[0]])
@@ -283,7 +288,7 @@ class CalibrationWindow:
 
     def _add_sightings(self, H: Array, g: Array, n: int) -> Callable[[Array], Array]:
         """Add the sightings, landmarks eliminated; return what gives their displacements (L, 3) after the step."""
-        seen, L, K, D = self._seen, len(self._points), len(self._R), len(self._c)
+        seen, L, K, D = self._seen, len(self._points), len(self._R), len(self._unknown)
         if L == 0:
             return lambda x: np.zeros((0, 3))
         r, J_pose, J_landmark, J_c = self._linearised()
@@ -295,12 +300,16 @@ class CalibrationWindow:
         starts = _starts(seen.landmark)
         H_ll = np.add.reduceat(Jw_landmark @ J_landmark, starts)
         g_l = np.add.reduceat((Jw_landmark @ r[..., None])[..., 0], starts)
-        H_pp, H_pc = np.zeros((K, 6, 6)), np.zeros((K, 6, D))
-        g_p, H_lp = np.zeros((K, 6)), np.zeros((L, K, 3, 6))
-        np.add.at(H_pp, seen.keyframe, Jw_pose @ J_pose)
-        np.add.at(H_pc, seen.keyframe, Jw_pose @ J_c)
-        np.add.at(g_p, seen.keyframe, (Jw_pose @ r[..., None])[..., 0])
-        np.add.at(H_lp, (seen.landmark, seen.keyframe), Jw_landmark @ J_pose)
+        of_pose = np.zeros((K, 6, 6 + D + 1))
+        order = np.argsort(seen.keyframe, kind="stable")
+        first = np.flatnonzero(np.diff(seen.keyframe[order], prepend=-1))
+        across = Jw_pose @ np.concatenate([J_pose, J_c, r[..., None]], axis=2)
+        of_pose[seen.keyframe[order[first]]] = np.add.reduceat(across[order], first)
+        H_pp, H_pc, g_p = of_pose[..., :6], of_pose[..., 6:-1], of_pose[..., -1]
+        H_lp = np.zeros((L, K, 3, 6))
+        for camera in range(len(self._Ts_imu_cam)):  # one camera of one keyframe sees a landmark once
+            here = np.flatnonzero(seen.camera == camera)
+            H_lp[seen.landmark[here], seen.keyframe[here]] += Jw_landmark[here] @ J_pose[here]
         H_lc = np.add.reduceat(Jw_landmark @ J_c, starts)
         poses = (_STATE * np.arange(K)[:, None] + np.arange(6)).ravel()
         rows = np.concatenate([poses, np.arange(n, n + D)])
@@ -315,8 +324,8 @@ class CalibrationWindow:
             H[own, n:] += H_pc[k]
             H[n:, own] += H_pc[k].T
             g[own] += g_p[k]
-        H[n:, n:] += np.einsum("nij,njk->ik", Jw_c, J_c)
-        g[n:] += np.einsum("nij,nj->i", Jw_c, r)
+        H[n:, n:] += np.tensordot(Jw_c, J_c, axes=([0, 2], [0, 1]))
+        g[n:] += np.tensordot(Jw_c, r, axes=([0, 2], [0, 1]))
 
         def displacements(x: Array) -> Array:
             left = half.reshape(L, 3, -1)
@@ -327,7 +336,7 @@ class CalibrationWindow:
         return displacements
 
     def _linearised(self) -> tuple[Array, Array, Array, Array]:
-        """Return residuals (N, 2) and what moves the projections: pose (N, 2, 6), landmark (N, 2, 3), c (N, 2, D)."""
+        """Return residuals (N, 2) and what moves the projections: pose (N, 2, 6), landmark (N, 2, 3), unknowns."""
         seen, corrections = self._seen, Corrections.of_vector(self._c)
         k, camera = seen.keyframe, seen.camera
         delay_s = (corrections.time_offset_s - self._late_s)[k, None]
@@ -357,7 +366,7 @@ class CalibrationWindow:
         own[:, 0, 8] = own[:, 1, 9] = 1.0
         columns = 1 + PER_CAMERA * camera[:, None] + np.arange(PER_CAMERA)
         np.put_along_axis(J_c, columns[:, None, :].repeat(2, axis=1), own, axis=2)
-        return r, J_pose, J_landmark, J_c
+        return r, J_pose, J_landmark, J_c[:, :, self._unknown]
 
 
 @dataclass(frozen=True, eq=False)

@@ -105,7 +105,9 @@ class OnlineCalibration:
         self._applied = np.zeros(len(parts))
         self._disproved = np.zeros(int(self._part.max()) + 1, dtype=np.bool_)
         self._window: list[WindowKeyframe] = []
-        self._adjusted: CalibrationWindow | None = None  # on which work goes on
+        self._waiting: list[WindowKeyframe] = []  # a window that is to be adjusted
+        self._adjusted: CalibrationWindow | None = None  # the one on which work goes on
+        self._has_worked = False  # since the last keyframe
         self._updated_ns: int | None = None
 
     @property
@@ -151,7 +153,7 @@ class OnlineCalibration:
 
     def restart(self) -> None:
         """Begin a new window: what came so far does not hang together with what comes."""
-        self._window, self._adjusted = [], None
+        self._window, self._waiting, self._adjusted = [], [], None
 
     def add(
         self,
@@ -175,32 +177,48 @@ class OnlineCalibration:
         ids, camera, xy = (np.concatenate([getattr(s, name) for s in sightings]) for name in ("ids", "camera", "xy"))
         xy = (1.0 + applied.focal[camera]) * xy + applied.principal[camera]
         self._window.append(WindowKeyframe(state, rate_rad_s, applied.time_offset_s, preintegrated, ids, camera, xy))
-        if self._adjusted is not None:
-            return not self._adjusted.advance() and self._conclude(self._adjusted) and self._apply()
+        if not self._has_worked:
+            self.work()
+        self._has_worked = False
         span_s = (state.t_ns - self._window[0].state.t_ns) * 1e-9
         if span_s >= c.window_s or len(self._window) >= c.max_keyframes:
-            window, self._window = self._window, []
-            self._adjust(window)
-        return False
+            self._waiting, self._window = self._window, []
+        return self._adjusted is not None and self._adjusted.is_done and self._conclude(self._adjusted)
 
-    def _adjust(self, window: Sequence[WindowKeyframe]) -> None:
-        """Begin to adjust a window, if it is worth it; the work is spread over the next keyframes."""
+    def work(self) -> None:
+        """Go on with the adjustment of a window by a step; best at frames between keyframes, which have time for it."""
+        self._has_worked = True
+        if self._waiting:
+            window, self._waiting = self._waiting, []
+            self._begin(window)
+        elif self._adjusted is not None and not self._adjusted.is_done:
+            self._adjusted.advance()
+
+    def _begin(self, window: Sequence[WindowKeyframe]) -> None:
+        """Arrange a window to be adjusted, if it is worth it."""
         c, now_ns = self._config, window[-1].state.t_ns
         elapsed_s = 0.0 if self._updated_ns is None else (now_ns - self._updated_ns) * 1e-9
         self._updated_ns = now_ns
         self._covariance = self._covariance + np.diag(self._walk**2 * elapsed_s)
-        information = np.linalg.inv(self._covariance)
-        problem = CalibrationWindow(window, self._Ts_imu_cam, self._focal_px, c.adjustment, self._mean, information)
+        problem = CalibrationWindow(
+            window,
+            self._Ts_imu_cam,
+            self._focal_px,
+            c.adjustment,
+            self._mean,
+            np.linalg.inv(self._covariance),
+            self._estimated,
+        )
         if len(window) >= c.min_keyframes and problem.landmarks >= c.min_landmarks:
             self._adjusted = problem
 
     def _conclude(self, problem: CalibrationWindow) -> bool:
-        """Take over what a window says; say whether it says anything."""
+        """Take over what a window says, if it says anything; say whether what is applied has changed."""
         self._adjusted, found = None, problem.result
         if found is None or not found.rms_px < self._config.max_rms_px:
             return False
         self._mean, self._covariance = found.mean, np.linalg.inv(found.information)
-        return True
+        return self._apply()
 
     def _apply(self) -> bool:
         """Apply what is significant and matters; say whether that changed anything."""

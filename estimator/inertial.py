@@ -34,8 +34,10 @@ DOUBT_LASTS_S = 0.2
 class InertialConfig:
     """How far the IMU is trusted."""
 
-    noise_inflation: float = 5.0
-    """Factor on the data sheet's white-noise densities: vibration, sampling and scale errors are not in them."""
+    gyro_noise_inflation: float = 2.0
+    """Factor on the data sheet's white noise of the gyroscope, until it is learnt in flight (`imu_noise`) ..."""
+    accel_noise_inflation: float = 5.0
+    """... and on that of the accelerometer, which feels vibration more."""
     walk_inflation: float = 1.0
     """Factor on the data sheet's bias random walks."""
     least_gyro_random_walk: float = 1e-5
@@ -186,8 +188,8 @@ def preintegration_params(imu: ImuModel, config: InertialConfig) -> gtsam.Preint
     """Return GTSAM's parameters for an IMU in a world whose z axis points up."""
     params = gtsam.PreintegrationCombinedParams.MakeSharedU(GRAVITY_M_S2)
     eye = np.eye(3)
-    params.setGyroscopeCovariance(eye * (config.noise_inflation * imu.gyro_noise_density) ** 2)
-    params.setAccelerometerCovariance(eye * (config.noise_inflation * imu.accel_noise_density) ** 2)
+    params.setGyroscopeCovariance(eye * (config.gyro_noise_inflation * imu.gyro_noise_density) ** 2)
+    params.setAccelerometerCovariance(eye * (config.accel_noise_inflation * imu.accel_noise_density) ** 2)
     params.setIntegrationCovariance(eye * config.integration_sigma**2)
     gyro_walk = max(config.walk_inflation * imu.gyro_random_walk, config.least_gyro_random_walk)
     accel_walk = max(config.walk_inflation * imu.accel_random_walk, config.least_accel_random_walk)

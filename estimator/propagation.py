@@ -100,7 +100,7 @@ class Propagation:
                 dv=pim.deltaVij(),
                 dt_s=pim.deltaTij(),
                 imu=self._imu,
-                noise=pim.preintMeasCov()[:9, :9] if self._is_doubtful else None,
+                noise=pim.preintMeasCov()[:9, :9],
             )
         return NavState(
             t_ns, now.pose().matrix(), now.velocity(), start.gyro_bias_rad_s, start.accel_bias_m_s2, covariance

@@ -15,6 +15,9 @@ DOUBT_OF_UNLIKENESS = 20.0
 """How the error of a track grows with 1 − correlation between what is seen now and what was seen first: measured on
 rendered flights, from .06 px above .98 to .4 px at .90."""
 
+DOUBT_OF_MATCHES = 1.2
+"""What a further camera sees was looked for with the patch of the first: where that was off, both are."""
+
 
 @dataclass(frozen=True, eq=False)
 class Sightings:
@@ -61,7 +64,7 @@ def sightings_of(k: int, observations: Observations) -> Sightings:
         np.full(len(o) + len(m), k, dtype=np.int64),
         np.concatenate([o.camera, m.camera]),
         np.concatenate([o.xy, m.xy]),
-        np.concatenate([1.0 + DOUBT_OF_UNLIKENESS * (1.0 - o.quality), np.ones(len(m))]),
+        np.concatenate([1.0 + DOUBT_OF_UNLIKENESS * (1.0 - o.quality), np.full(len(m), DOUBT_OF_MATCHES)]),
     )
 
 

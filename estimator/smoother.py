@@ -22,6 +22,7 @@ from gtsam.symbol_shorthand import B, V, X
 
 from dronevio.estimator.covariance import covariance_from_gtsam, covariance_to_gtsam
 from dronevio.estimator.frontend import NOTHING_SEEN, Observations
+from dronevio.estimator.imu_noise import MotionMisfit
 from dronevio.estimator.landmarks import KnownLandmarks, LandmarkConfig, LandmarkWindow
 from dronevio.estimator.marginal import Factorised, SingularError
 from dronevio.estimator.prior import STATE, State
@@ -45,9 +46,9 @@ class SmootherConfig:
     """Landmarks that may stay as variables of the prior when the first keyframe that saw them leaves."""
     iterations: int = 2
     """Gauss-Newton steps a keyframe."""
-    pixel_sigma: float = 0.4
-    """Standard deviation of an image measurement of the best quality [px]: tracking error, and what calibration leaves.
-    Tracks alone err by .1 px."""
+    pixel_sigma: float = 0.2
+    """Standard deviation of an image measurement of the best quality [px]. Tracks err by .1 px, but alike from frame
+    to frame: with this, errors of simulated flights are as large as covariances say."""
     robust_sigmas: float = 1.0
     """Residuals beyond so many standard deviations, or medians where those are larger, lose weight as under Cauchy's
     loss."""
@@ -83,6 +84,8 @@ class KeyframeResult:
     """(N,) Identities of the features that turned out to be wrong."""
     events: tuple[str, ...] = ()
     """For people: empty, or what went wrong and how it was mended."""
+    misfit: MotionMisfit | None = None
+    """How well the IMU fits the window, of an interval that leaves it."""
 
 
 class KeyframeSmoother:
@@ -166,13 +169,14 @@ class KeyframeSmoother:
                 solver = Factorised(system.H)
                 window.move(system, solver.solve(system.b))
             self._read_state(t_ns, solver)
+            misfit = window.oldest_misfit(solver) if self._is_full and self._has_moved(moved_px) else None
             wrong = window.landmarks.judge(*window.residuals())
             window.forget(wrong.tolist())
             self._make_room(moved_px)
         except SingularError as error:
             self._restart(_nav_state(t_ns, predicted), self._covariance, observations)
             return KeyframeResult(rejected, (f"solver restored: {error}",))
-        return KeyframeResult(np.union1d(rejected, wrong))
+        return KeyframeResult(np.union1d(rejected, wrong), misfit=misfit)
 
     def launch(self, keyframes: Sequence[Keyframe]) -> float | None:
         """Add the first keyframes, all at once, and optimise them together by Levenberg-Marquardt.
@@ -192,7 +196,7 @@ class KeyframeSmoother:
                 solver = self._optimise_from_afar()
             self._read_state(keyframes[-1].t_ns, solver)
             error = np.linalg.norm(window.residuals()[0], axis=1)
-            while len(window.states) > self._config.max_keyframes:
+            while self._is_full:
                 self._make_room(np.inf)
         except SingularError:
             return None
@@ -251,13 +255,20 @@ class KeyframeSmoother:
 
     def _make_room(self, moved_px: float) -> None:
         """Let a keyframe go, if there are too many: the last but one where it had hardly moved, else the oldest."""
-        window, c = self._window, self._config
-        if len(window.states) <= c.max_keyframes:
-            return
-        if moved_px < c.min_parallax_px:
+        window = self._window
+        if self._is_full and self._has_moved(moved_px):
+            window.marginalise(min(window.states), self._config.max_long_lived)
+        elif self._is_full:
             window.skip(sorted(window.states)[-2])
-        else:
-            window.marginalise(min(window.states), c.max_long_lived)
+
+    @property
+    def _is_full(self) -> bool:
+        """Whether there is a keyframe too many."""
+        return len(self._window.states) > self._config.max_keyframes
+
+    def _has_moved(self, moved_px: float) -> bool:
+        """Say whether the last keyframe has enough parallax to be worth more than the oldest."""
+        return moved_px >= self._config.min_parallax_px
 
     def _parallax_px(self) -> float:
         """Return how far features have typically moved between the last two keyframes, rotation taken out [px]."""

@@ -6,47 +6,29 @@ that is optimised by Gauss-Newton. Between keyframes the newest state is carried
 for a frame is never revised.
 """
 
-from dataclasses import dataclass, field
-
 import numpy as np
 import numpy.typing as npt
 
 from dronevio.estimator.answers import Answers
-from dronevio.estimator.calibration import CalibrationConfig, OnlineCalibration
+from dronevio.estimator.calibration import OnlineCalibration
+from dronevio.estimator.config import VioConfig
 from dronevio.estimator.frontend import FrontEnd, Observations
-from dronevio.estimator.health import HealthConfig, HealthMonitor
-from dronevio.estimator.inertial import InertialConfig, preintegration_params
-from dronevio.estimator.initialiser import Initialiser, InitialiserConfig
+from dronevio.estimator.health import HealthMonitor
+from dronevio.estimator.imu_noise import ImuNoise
+from dronevio.estimator.initialiser import Initialiser
 from dronevio.estimator.intake import Intake
 from dronevio.estimator.interval import Interval
-from dronevio.estimator.keyframes import KeyframeConfig, KeyframePolicy
-from dronevio.estimator.landmarks import LandmarkConfig
+from dronevio.estimator.keyframes import KeyframePolicy
 from dronevio.estimator.rig_tracker import RigTracker
-from dronevio.estimator.smoother import KeyframeResult, KeyframeSmoother, SmootherConfig
+from dronevio.estimator.smoother import KeyframeResult, KeyframeSmoother
 from dronevio.estimator.start import NotObservable
 from dronevio.estimator.start_in_motion import Sighting
-from dronevio.estimator.stillness import StillnessConfig, StillnessDetector
-from dronevio.estimator.tracker import TrackerConfig
+from dronevio.estimator.stillness import StillnessDetector
 from dronevio.models.imu import ImuSamples
 from dronevio.models.rig import Rig
 from dronevio.models.state import CameraFrame, Estimate, Health, HealthReport, NavState
 
 Array = npt.NDArray[np.float64]
-
-
-@dataclass(frozen=True)
-class VioConfig:
-    """Settings of the visual-inertial odometry."""
-
-    tracker: TrackerConfig = field(default_factory=TrackerConfig)
-    inertial: InertialConfig = field(default_factory=InertialConfig)
-    stillness: StillnessConfig = field(default_factory=StillnessConfig)
-    start: InitialiserConfig = field(default_factory=InitialiserConfig)
-    keyframe: KeyframeConfig = field(default_factory=KeyframeConfig)
-    smoother: SmootherConfig = field(default_factory=SmootherConfig)
-    landmarks: LandmarkConfig = field(default_factory=LandmarkConfig)
-    calibration: CalibrationConfig = field(default_factory=CalibrationConfig)
-    health: HealthConfig = field(default_factory=HealthConfig)
 
 
 class VisualInertialOdometry:
@@ -70,12 +52,12 @@ class VisualInertialOdometry:
             front_end: Where feature observations come from; by default the images.
         """
         self._config = c = config or VioConfig()
-        self._imu, self._params = rig.imu, preintegration_params(rig.imu, c.inertial)
+        self._imu, self._noise = rig.imu, ImuNoise(rig.imu, c.inertial, c.noise)
         self._calibration = OnlineCalibration(rig, c.calibration)
         self._intake = Intake(rig, front_end or RigTracker(rig, c.tracker), self._calibration)
         self._stillness = StillnessDetector(c.stillness)
         self._policy = KeyframePolicy(c.keyframe)
-        self._initialiser = Initialiser(rig.cameras, c.start, self._policy, self._params, self._new_smoother)
+        self._initialiser = Initialiser(rig.cameras, c.start, self._policy, self._noise.params, self._new_smoother)
         self._answers = Answers(self._initialiser, rig.imu.rate_hz, c.health.max_innovation_px)
         self._smoother: KeyframeSmoother | None = None
         self._monitor: HealthMonitor  # these two: since there is a smoother
@@ -121,6 +103,7 @@ class VisualInertialOdometry:
         if report.state is Health.LOST:
             return self._lose(sighting, report)
         if not self._interval.is_over(still_for_s, seen, report.innovation_px):
+            self._calibration.work()
             return self._answers.known(sighting, predicted, report, events)
         sighting = self._intake.replenished(sighting)
         events = ("keyframe", *events, *self._add_keyframe(smoother, sighting, still))
@@ -139,6 +122,7 @@ class VisualInertialOdometry:
     def _add_keyframe(self, smoother: KeyframeSmoother, sighting: Sighting, still: bool) -> tuple[str, ...]:
         """Add a keyframe where the interval ends, and begin another one there; return what happened."""
         result = smoother.add_keyframe(sighting.t_ns, self._interval.preintegrated, sighting.observations, still)
+        self._noise.learn(result.misfit)
         self._intake.discard(result.rejected)
         events = (*result.events, *self._calibrate(smoother, sighting, result))
         self._begin_interval(smoother, sighting.observations)
@@ -146,7 +130,7 @@ class VisualInertialOdometry:
 
     def _begin_interval(self, smoother: KeyframeSmoother, observations: Observations) -> None:
         """Go on from the newest keyframe."""
-        self._interval = Interval(self._params, self._imu, self._policy, smoother, observations)
+        self._interval = Interval(self._noise.params, self._imu, self._policy, smoother, observations)
         self._monitor.hold(smoother.state, smoother.known_landmarks)
 
     def _calibrate(self, smoother: KeyframeSmoother, sighting: Sighting, result: KeyframeResult) -> tuple[str, ...]:

@@ -11,9 +11,11 @@ import gtsam
 import numpy as np
 import numpy.typing as npt
 from gtsam.symbol_shorthand import B, V, X
+from scipy.linalg import solve_triangular
 
+from dronevio.estimator.imu_noise import MotionMisfit
 from dronevio.estimator.landmarks import LandmarkWindow
-from dronevio.estimator.marginal import eliminate
+from dronevio.estimator.marginal import Factorised, eliminate
 from dronevio.estimator.prior import POINT, POSE, STATE, Prior, State
 from dronevio.estimator.reprojection import Rows, Scene, VisualSystem, residuals, visual_system
 from dronevio.estimator.sightings import NONE, Integers, Sightings
@@ -124,6 +126,28 @@ class Window:
         points[self._long_lived_rows()] = change[STATE * K :].reshape(-1, POINT)
         self.states = {k: s.moved(d) for (k, s), d in zip(self.states.items(), states, strict=True)}
         self.landmarks.points = self.landmarks.points + points
+
+    def oldest_misfit(self, solved: Factorised) -> MotionMisfit | None:
+        """Say how well the IMU since the oldest keyframe fits the rest of the window, once that has been optimised.
+
+        Args:
+            solved: The linear system of the window's optimum.
+        """
+        oldest, places = min(self.states), {k: i for i, k in enumerate(self.states)}
+        for keyframes, factor in self._factors:
+            if oldest in keyframes and isinstance(factor, gtsam.CombinedImuFactor):
+                root, values = _whitening(factor), _values({k: self.states[k] for k in keyframes})
+                J = solve_triangular(root, factor.linearize(values).jacobian()[0])
+                assumed = np.asarray(np.linalg.inv(root.T @ root), dtype=np.float64)
+                followed = J @ solved.inverse_block(_columns(factor, places)) @ J.T
+                nine = slice(0, 9)  # the biases' walk apart
+                return MotionMisfit.of_residual(
+                    factor.unwhitenedError(values)[nine],
+                    assumed[nine, nine],
+                    (assumed - followed)[nine, nine],
+                    factor.preintegratedMeasurements().deltaTij(),
+                )
+        return None
 
     def marginalise(self, k: int, max_long_lived: int) -> None:
         """Let a keyframe go, and keep in the prior what it and the landmarks that it saw say of the others.
@@ -256,6 +280,13 @@ class Window:
     def _long_lived_rows(self) -> Integers:
         """Return the rows of the long-lived landmarks among all, in the prior's order."""
         return self.landmarks.rows(np.array(list(self._prior.points), dtype=np.int64))
+
+
+def _whitening(factor: Factor) -> Array:
+    """Return the square root R of a factor's information RᵀR, upper triangular."""
+    model = factor.noiseModel()
+    assert isinstance(model, gtsam.noiseModel.Gaussian)
+    return np.asarray(model.R())
 
 
 def _columns(factor: Factor, places: dict[int, int]) -> Integers:

@@ -163,8 +163,9 @@ def run_task(task: Task, trace: Path | None, progress: Progress = silent) -> dic
     """Estimate a recording's motion, and return the `Figures` as plain data."""
     from spoiling import FRONT_ENDS
 
+    from dronevio.estimator.config import VioConfig
     from dronevio.estimator.rig_tracker import RigTracker
-    from dronevio.estimator.vio import VioConfig, VisualInertialOdometry
+    from dronevio.estimator.vio import VisualInertialOdometry
     from dronevio.models.recordings.open import open_recording
 
     recording = open_recording(task.recording, CAMERAS[task.mode])

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal, TypeAlias
 import tyro
 
 from dronevio.cli.terminal import parse, print_json, print_table, progress_bars
-from dronevio.estimator.vio import VioConfig
+from dronevio.estimator.config import VioConfig
 from dronevio.models.errors import ConfigError
 from dronevio.models.recordings.bag_options import BagTopics
 

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 from dronevio.cli.flight_options import FlightOptions, Flown, parse_flight
 from dronevio.cli.terminal import Bars, print_json, print_table, progress_bars
-from dronevio.estimator.vio import VioConfig
+from dronevio.estimator.config import VioConfig
 
 if TYPE_CHECKING:
     from dronevio.estimation import Watcher

@@ -213,11 +213,13 @@ def test_at_rest_gravity_cancels() -> None:
 
 
 def test_noise_settings_reach_gtsam() -> None:
-    config = InertialConfig(noise_inflation=3.0, walk_inflation=7.0, integration_sigma=1e-3)
+    config = InertialConfig(
+        gyro_noise_inflation=3.0, accel_noise_inflation=4.0, walk_inflation=7.0, integration_sigma=1e-3
+    )
     params = preintegration_params(EUROC_IMU, config)
     imu, eye = EUROC_IMU, np.eye(3)
     np.testing.assert_allclose(params.getGyroscopeCovariance(), eye * (3.0 * imu.gyro_noise_density) ** 2)
-    np.testing.assert_allclose(params.getAccelerometerCovariance(), eye * (3.0 * imu.accel_noise_density) ** 2)
+    np.testing.assert_allclose(params.getAccelerometerCovariance(), eye * (4.0 * imu.accel_noise_density) ** 2)
     np.testing.assert_allclose(params.getIntegrationCovariance(), eye * 1e-6)
     np.testing.assert_allclose(params.getBiasOmegaCovariance(), eye * (7.0 * imu.gyro_random_walk) ** 2)
     np.testing.assert_allclose(params.getBiasAccCovariance(), eye * (7.0 * imu.accel_random_walk) ** 2)

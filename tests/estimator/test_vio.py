@@ -6,7 +6,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from dronevio.estimator.vio import VioConfig, VisualInertialOdometry
+from dronevio.estimator.config import VioConfig
+from dronevio.estimator.vio import VisualInertialOdometry
 from dronevio.eval.metrics.alignment import align, yaw_matrix
 from dronevio.eval.metrics.consistency import consistency, nees
 from dronevio.models.errors import ConfigError
