@@ -79,37 +79,33 @@ class MotionMisfit:
 
 
 class NoiseLevel:
-    """The noise of one sensor, in units of its data sheet."""
+    """The white noise of one sensor."""
 
-    def __init__(self, density: float, assumed: float, config: NoiseLevelConfig) -> None:
+    def __init__(self, data_sheet: float, inflation: float, config: NoiseLevelConfig) -> None:
         """Begin with an assumption.
 
         Args:
-            density: Density of the white noise by the data sheet.
-            assumed: How many times noisier the sensor is at first.
+            data_sheet: Density of the noise by the data sheet.
+            inflation: How many times larger it is taken to be at first.
             config: How fast that is unlearnt.
         """
-        self._density, self._config = density, config
-        self._squared, self._told = assumed**2 * config.believed, config.believed
-
-    @property
-    def level(self) -> float:
-        """How many times noisier than its data sheet the sensor is."""
-        c = self._config
-        return float(np.clip(np.sqrt(self._squared / self._told), c.least, c.most))
+        self._data_sheet, self._config = data_sheet, config
+        self._squared, self._told = (inflation * data_sheet) ** 2 * config.believed, config.believed
 
     @property
     def density(self) -> float:
-        """Density of the white noise."""
-        return self.level * self._density
+        """Density of the noise, in the data sheet's unit."""
+        c = self._config
+        learnt = np.sqrt(self._squared / self._told)
+        return float(np.clip(learnt, c.least * self._data_sheet, c.most * self._data_sheet))
 
     def learn(self, misfit: Misfit) -> None:
         """Take what an interval says, unless it was assumed to be noisier than any sensor: then it was in doubt."""
-        c, assumed = self._config, misfit.assumed / self._density**2
-        if assumed > 1.1 * c.most**2:
+        c = self._config
+        if misfit.assumed > 1.1 * (c.most * self._data_sheet) ** 2:
             return
         kept = 1.0 - 1.0 / c.memory
-        squared = assumed * min(misfit.squared, LARGEST_MISFIT * misfit.told)
+        squared = misfit.assumed * min(misfit.squared, LARGEST_MISFIT * misfit.told)
         self._squared, self._told = kept * self._squared + squared, kept * self._told + misfit.told
 
 
@@ -130,9 +126,9 @@ class ImuNoise:
         """With these the IMU is preintegrated; their noise changes as it is learnt."""
 
     @property
-    def levels(self) -> tuple[float, float]:
-        """How many times noisier than their data sheet gyroscope and accelerometer are."""
-        return self._gyro.level, self._accel.level
+    def densities(self) -> tuple[float, float]:
+        """Those of the white noise of gyroscope [rad/s/√Hz] and accelerometer [m/s²/√Hz]."""
+        return self._gyro.density, self._accel.density
 
     def learn(self, misfit: MotionMisfit | None) -> None:
         """Take what an interval says, if there is one."""
@@ -140,5 +136,6 @@ class ImuNoise:
             return
         self._gyro.learn(misfit.turn)
         self._accel.learn(misfit.velocity)
-        self.params.setGyroscopeCovariance(np.eye(3) * self._gyro.density**2)
-        self.params.setAccelerometerCovariance(np.eye(3) * self._accel.density**2)
+        gyro, accel = self.densities
+        self.params.setGyroscopeCovariance(np.eye(3) * gyro**2)
+        self.params.setAccelerometerCovariance(np.eye(3) * accel**2)

@@ -19,7 +19,7 @@ DENSITY = 2e-3
 
 
 def learnt(true_level: float, assumed_level: float, told_by_others: float, intervals: int = 1000) -> list[float]:
-    """Return the level after each of some intervals.
+    """Return how many times noisier than its data sheet the IMU is said to be, after each of some intervals.
 
     Each measures a motion twice, by the IMU and by others, whose noise is known; the estimate is their weighted mean.
 
@@ -34,13 +34,13 @@ def learnt(true_level: float, assumed_level: float, told_by_others: float, inter
     for _ in range(intervals):
         by_imu = rng.normal(0.0, true_level * unit, 9)
         by_others = rng.normal(0.0, told_by_others * unit, 9)
-        assumed, others = (level.level * unit) ** 2, (told_by_others * unit) ** 2
+        assumed, others = (level.density * np.sqrt(DT_S)) ** 2, (told_by_others * unit) ** 2
         estimate = (by_imu / assumed + by_others / others) / (1.0 / assumed + 1.0 / others)
         remaining = assumed - 1.0 / (1.0 / assumed + 1.0 / others)
         eye = np.eye(9)
         misfit = MotionMisfit.of_residual(by_imu - estimate, assumed * eye, remaining * eye, DT_S)
         level.learn(misfit.velocity)
-        found.append(level.level)
+        found.append(level.density / DENSITY)
     return found
 
 
@@ -66,7 +66,7 @@ def test_what_is_in_doubt_and_what_nobody_else_tells_teaches_nothing() -> None:
     level = NoiseLevel(DENSITY, 5.0, NoiseLevelConfig())
     level.learn(Misfit(squared=1e-6, told=1.0, assumed=(100.0 * DENSITY) ** 2))
     level.learn(Misfit(squared=0.0, told=0.0, assumed=(5.0 * DENSITY) ** 2))
-    assert level.level == pytest.approx(5.0)
+    assert level.density == pytest.approx(5.0 * DENSITY)
 
 
 def test_a_jolt_is_no_noise_and_no_level_is_absurd() -> None:
@@ -75,26 +75,25 @@ def test_a_jolt_is_no_noise_and_no_level_is_absurd() -> None:
     for _ in range(100):
         level.learn(Misfit(squared=1.0, told=1.0, assumed=DENSITY**2))
     level.learn(Misfit(squared=1e6, told=1.0, assumed=DENSITY**2))
-    assert level.level < 1.2
+    assert level.density < 1.2 * DENSITY
     for squared, limit in ((1e9, config.most), (0.0, config.least)):
         for _ in range(2000):
             level.learn(Misfit(squared, told=1.0, assumed=level.density**2))
-        assert level.level == limit
+        assert level.density == limit * DENSITY
 
 
 def test_parameters_of_preintegration_follow() -> None:
     noise = ImuNoise(EUROC_IMU, InertialConfig(), NoiseLevelConfig())
     noise.learn(None)
-    before = noise.levels
-    assert before == pytest.approx((InertialConfig.gyro_noise_inflation, InertialConfig.accel_noise_inflation))
-    exact = Misfit(1.0, 1.0, EUROC_IMU.gyro_noise_density**2), Misfit(1.0, 1.0, EUROC_IMU.accel_noise_density**2)
+    config, sheet = InertialConfig(), (EUROC_IMU.gyro_noise_density, EUROC_IMU.accel_noise_density)
+    inflated = config.gyro_noise_inflation * sheet[0], config.accel_noise_inflation * sheet[1]
+    assert noise.densities == pytest.approx(inflated)
+    exact = MotionMisfit(*(Misfit(1.0, 1.0, density**2) for density in sheet))
     for _ in range(500):
-        noise.learn(MotionMisfit(*exact))
-    assert noise.levels == pytest.approx((1.0, 1.0), rel=1e-3)
-    for covariance, density in (
-        (noise.params.getGyroscopeCovariance(), EUROC_IMU.gyro_noise_density),
-        (noise.params.getAccelerometerCovariance(), EUROC_IMU.accel_noise_density),
-    ):
+        noise.learn(exact)
+    assert noise.densities == pytest.approx(sheet, rel=1e-3)
+    found = noise.params.getGyroscopeCovariance(), noise.params.getAccelerometerCovariance()
+    for covariance, density in zip(found, sheet, strict=True):
         np.testing.assert_allclose(covariance, density**2 * np.eye(3), rtol=3e-3)
 
 
@@ -119,14 +118,14 @@ def test_noise_of_a_flight_is_found(make_flight: Callable, imu_noise: float) -> 
     P = StartSigmas().covariance(start.T_world_imu[:3, :3])
     smoother = KeyframeSmoother(flight.rig.cameras, SmootherConfig(), LandmarkConfig(), start, P, front_end.replenish())
     noise = ImuNoise(flight.rig.imu, InertialConfig(), NoiseLevelConfig())
-    levels = []
+    levels, sheet = [], np.array([flight.rig.imu.gyro_noise_density, flight.rig.imu.accel_noise_density])
     for k, t_ns in enumerate(times[1:].tolist(), 1):
         pim = gtsam.PreintegratedCombinedMeasurements(noise.params, smoother.gtsam_state[1])
         integrate(pim, buffer.take_until(t_ns))
         front_end.track(flight.frame(step * k), np.eye(3))
         result = smoother.add_keyframe(t_ns, pim, front_end.replenish(), still=False)
         noise.learn(result.misfit)
-        levels.append(noise.levels)
+        levels.append(noise.densities / sheet)
     gyro, accel = np.mean(levels[-40:], axis=0)
     assert gyro == pytest.approx(imu_noise, rel=0.35)
     assert 0.7 * imu_noise < accel < 1.3 * imu_noise + 1.0  # the flight's IMU is sampled at points: that adds an error
