@@ -14,55 +14,18 @@ import numpy as np
 import numpy.typing as npt
 from scipy.linalg import cho_factor, cho_solve
 
+from dronevio.estimator.calibration_interval import CalibrationInterval
+from dronevio.estimator.corrections import PER_CAMERA, Corrections
 from dronevio.estimator.triangulation import MIN_DEPTH_M, triangulate
-from dronevio.models.imu import GRAVITY_M_S2
 from dronevio.models.rotation import exp_so3, log_so3, skew
 from dronevio.models.state import NavState
 
 Array = npt.NDArray[np.float64]
 Rows = npt.NDArray[np.int64]
 
-GRAVITY = np.array([0.0, 0.0, -GRAVITY_M_S2])
-PER_CAMERA = 10
-"""Parameters of a camera: turn (3), place (3), focal lengths (2), principal point (2)."""
 GAUGE_SIGMA_M = 1e-3  # of the first keyframe's place, which nothing tells [m]
 ROBUST_SIGMAS = 2.4  # residuals beyond lose weight (Cauchy's loss at 95 % efficiency, Huber 1981)
 _STATE = 9  # δθ, δp, δv of a keyframe
-
-
-@dataclass(frozen=True, eq=False)
-class Corrections:
-    """What is to be added to a rig's calibration, for C cameras.
-
-    As a vector it is the time offset, and then for each camera its ten numbers.
-    """
-
-    time_offset_s: float
-    """How much later than known the middle row is exposed [s]."""
-    turn_rad: Array
-    """(C, 3) Turns of the cameras in their own axes: R_imu_cam exp(turn) [rad]."""
-    place_m: Array
-    """(C, 3) Displacements of the cameras in the IMU frame [m]."""
-    focal: Array
-    """(C, 2) How much longer fx and fy are, relative."""
-    principal: Array
-    """(C, 2) Displacements of the principal points, in units of fx and fy."""
-
-    @classmethod
-    def of_vector(cls, x: Array) -> "Corrections":
-        """Return the corrections that a vector (1 + 10 C,) holds."""
-        rows = x[1:].reshape(-1, PER_CAMERA)
-        return cls(float(x[0]), rows[:, 0:3], rows[:, 3:6], rows[:, 6:8], rows[:, 8:10])
-
-    def __str__(self) -> str:
-        """Return those that are not zero, for people."""
-        said = [f"clock {1e3 * self.time_offset_s:+.1f} ms"] if self.time_offset_s else []
-        for i, turn_deg in enumerate(np.degrees(self.turn_rad)):
-            said += [f"camera {i} turned by {_listed(turn_deg, 2)}°"] if turn_deg.any() else []
-            said += [f"moved by {_listed(1e3 * self.place_m[i], 0)} mm"] if self.place_m[i].any() else []
-            said += [f"focal lengths {_listed(1e2 * self.focal[i], 2)} %"] if self.focal[i].any() else []
-            said += [f"principal point {_listed(1e3 * self.principal[i], 1)} mrad"] if self.principal[i].any() else []
-        return ", ".join(said) or "none"
 
 
 @dataclass(frozen=True, eq=False)
@@ -170,7 +133,9 @@ class CalibrationWindow:
         last = states[-1]
         self._bias = np.concatenate([last.gyro_bias_rad_s, last.accel_bias_m_s2])
         self._first = self._R[0].copy(), self._v[0].copy(), self._bias.copy()
-        self._intervals = [_Interval.of(k.preintegrated, self._bias) for k in keyframes[1:] if k.preintegrated]
+        self._intervals = [
+            CalibrationInterval.of(k.preintegrated, self._bias) for k in keyframes[1:] if k.preintegrated
+        ]
         self._seen, self._points = self._select(keyframes, focal_px)
         self._focal_px, self._rms_px, self._steps = focal_px, float("inf"), 0
         self.is_done = False
@@ -367,56 +332,6 @@ class CalibrationWindow:
         columns = 1 + PER_CAMERA * camera[:, None] + np.arange(PER_CAMERA)
         np.put_along_axis(J_c, columns[:, None, :].repeat(2, axis=1), own, axis=2)
         return r, J_pose, J_landmark, J_c[:, :, self._unknown]
-
-
-@dataclass(frozen=True, eq=False)
-class _Interval:
-    """The IMU between two keyframes, and how it depends on the biases (gyroscope, accelerometer)."""
-
-    dt_s: float
-    R: Array  # (3, 3) turn
-    pv: Array  # (6,) displacement and change of velocity in the axes at the start, without gravity
-    J: Array  # (9, 6) of turn, displacement and change of velocity by the biases
-    information: Array  # (9, 9)
-
-    @classmethod
-    def of(cls, preintegrated: gtsam.PreintegratedCombinedMeasurements, bias: Array) -> "_Interval":
-        """Take GTSAM's preintegration at some biases (6,)."""
-        dt_s = float(preintegrated.deltaTij())
-        R, pv = _predicted(preintegrated, bias)
-        J = np.empty((9, 6))
-        for axis, step in enumerate(1e-3 * np.eye(6)):
-            R_step, pv_step = _predicted(preintegrated, bias + step)
-            J[:, axis] = np.concatenate([log_so3(R.T @ R_step), pv_step - pv]) / 1e-3
-        information = np.asarray(np.linalg.inv(preintegrated.preintMeasCov()[:9, :9]), dtype=np.float64)
-        return cls(dt_s, R, pv, J, information)
-
-    def residual(self, R: Array, p: Array, v: Array, bias: Array) -> tuple[Array, Array]:
-        """Return the residual (9,) between two keyframes, and how it moves with both and the biases (9, 24)."""
-        dt, back = self.dt_s, R[0].T
-        turned = self.R @ exp_so3(self.J[:3] @ bias)
-        r_turn = log_so3(turned.T @ back @ R[1])
-        q_p = back @ (p[1] - p[0] - v[0] * dt - 0.5 * GRAVITY * dt**2)
-        q_v = back @ (v[1] - v[0] - GRAVITY * dt)
-        r = np.concatenate([r_turn, np.concatenate([q_p, q_v]) - self.pv - self.J[3:] @ bias])
-        J = np.zeros((9, 24))
-        J[0:3, 0:3], J[0:3, 9:12] = -R[1].T @ R[0], np.eye(3)
-        J[3:6, 0:3], J[3:6, 3:6], J[3:6, 6:9], J[3:6, 12:15] = skew(q_p), -back, -dt * back, back
-        J[6:9, 0:3], J[6:9, 6:9], J[6:9, 15:18] = skew(q_v), -back, back
-        J[:, 18:] = -self.J
-        return r, J
-
-
-def _predicted(preintegrated: gtsam.PreintegratedCombinedMeasurements, bias: Array) -> tuple[Array, Array]:
-    """Return turn (3, 3), and displacement and change of velocity (6,) without gravity, for some biases."""
-    dt_s = preintegrated.deltaTij()
-    end = preintegrated.predict(gtsam.NavState(), gtsam.imuBias.ConstantBias(bias[3:], bias[:3]))
-    pv = np.concatenate([end.position() - 0.5 * GRAVITY * dt_s**2, end.velocity() - GRAVITY * dt_s])
-    return end.attitude().matrix(), pv
-
-
-def _listed(numbers: Array, digits: int) -> str:
-    return " ".join(f"{number:+.{digits}f}" for number in numbers.tolist())
 
 
 def _starts(landmark: Rows) -> Rows:

@@ -17,9 +17,9 @@ import numpy.typing as npt
 from dronevio.estimator.adjustment import (
     AdjustmentConfig,
     CalibrationWindow,
-    Corrections,
     WindowKeyframe,
 )
+from dronevio.estimator.corrections import Corrections
 from dronevio.estimator.frontend import Observations
 from dronevio.models.rig import Rig
 from dronevio.models.rotation import exp_so3, pose_matrix

@@ -8,8 +8,8 @@ import numpy as np
 import numpy.typing as npt
 import pytest
 
-from dronevio.estimator.adjustment import Corrections
 from dronevio.estimator.calibration import CalibratedPart, CalibrationConfig, OnlineCalibration
+from dronevio.estimator.corrections import Corrections
 from dronevio.estimator.frontend import Observations
 from dronevio.estimator.inertial import ImuBuffer, InertialConfig, integrate, preintegration_params
 from dronevio.models.camera import CameraModel
