@@ -25,6 +25,7 @@ _NUMBER = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?", re.ASCII)
 _WORD = re.compile(r"""[^]\[{}&*!|>'%@`,?:#"-].*""")
 _PLAIN = re.compile(r"[A-Za-z][\w ()./+-]*(?<! )", re.ASCII)
 _ORTHONORMAL = 1e-4  # published extrinsics carry down to 5 digits
+_FAR_M = 1e6  # further than any sensor is from its body: such a number is a slip
 
 
 @dataclass(frozen=True)
@@ -96,7 +97,8 @@ class SensorYaml:
         """Return 16 numbers, which stand at a key, as a rigid transform (4, 4), or raise InputError."""
         T = np.array(numbers).reshape(4, 4)
         R = T[:3, :3]
-        rigid = np.allclose(R @ R.T, np.eye(3), atol=_ORTHONORMAL) and np.linalg.det(R) > 0.0
+        near = bool(np.abs(T).max() < _FAR_M)
+        rigid = near and np.allclose(R @ R.T, np.eye(3), atol=_ORTHONORMAL) and np.linalg.det(R) > 0.0
         if not rigid or not np.array_equal(T[3], [0.0, 0.0, 0.0, 1.0]):
             raise self.fault(key, "a rigid transform, row by row, its rotation orthonormal and its last row 0 0 0 1")
         return T

@@ -100,7 +100,7 @@ def test_parameters_of_preintegration_follow() -> None:
 @pytest.mark.parametrize("imu_noise", [1.0, 10.0])
 def test_noise_of_a_flight_is_found(make_flight: Callable, imu_noise: float) -> None:
     """The smoother says of every interval that leaves it how well it fits; its noise is that of the simulation."""
-    flight = make_flight(2, rest_s=-5.0, duration_s=20.0, imu_noise=imu_noise)
+    flight = make_flight(2, rest_s=-5.0, duration_s=15.0, imu_noise=imu_noise)
     step = 4
     times = flight.frame_times_ns[::step]
     first = flight.truth_at(times[:1])
