@@ -109,22 +109,25 @@ def visual_system(
     J_point = in_imu @ np.swapaxes(first.R_world_imu, 1, 2)[rows.keyframe]
     J_pose = np.concatenate([in_imu @ skew(p_imu), -in_imu], axis=2)
     e = (error * np.sqrt(weight)[:, None])[..., None]
-    J = np.concatenate([J_pose, J_point, e], axis=2)
-    products = np.swapaxes(J, 1, 2) @ J
-    # One camera of one keyframe sees a landmark once: the sightings of a camera fall into different blocks.
-    blocks = np.zeros((L, K, 10, 10))
-    for camera in range(len(Ts_imu_cam)):
-        own = np.flatnonzero(sightings.camera == camera)
-        blocks[rows.landmark[own], rows.keyframe[own]] += products[own]
-    of_poses, of_points = blocks.sum(axis=0), blocks.sum(axis=1)
-    pose, point = slice(0, 6), slice(6, 9)
-    return VisualSystem(
-        of_poses[:, pose, pose],
-        of_poses[:, pose, 9],
-        np.ascontiguousarray(blocks[:, :, pose, point]),
-        of_points[:, point, point],
-        of_points[:, point, 9],
-    )
+    pose, of_pose = np.zeros((K, 6, 7)), np.concatenate([J_pose, e], axis=2)
+    for k in np.unique(rows.keyframe).tolist():
+        own = of_pose[rows.keyframe == k].reshape(-1, 7)
+        pose[k] = own[:, :6].T @ own
+    cross, of_both = np.zeros((L, K, 6, 3)), _product(J_pose, J_point)
+    for camera in range(len(Ts_imu_cam)):  # one camera of one keyframe sees a landmark once
+        here = np.flatnonzero(sightings.camera == camera)
+        cross[rows.landmark[here], rows.keyframe[here]] += of_both[here]
+    point, order = np.zeros((L, 3, 4)), np.argsort(rows.landmark, kind="stable")
+    landmark = rows.landmark[order]
+    first_of_each = np.flatnonzero(np.diff(landmark, prepend=-1))
+    of_point = _product(J_point, np.concatenate([J_point, e], axis=2))[order]
+    point[landmark[first_of_each]] = np.add.reduceat(of_point, first_of_each) if len(order) else 0.0
+    return VisualSystem(pose[..., :6], pose[..., 6], cross, point[..., :3], point[..., 3])
+
+
+def _product(A: Array, B: Array) -> Array:
+    """Return AᵀB for many matrices of two rows, (N, 2, i) and (N, 2, j); much faster than a matrix product of each."""
+    return np.asarray(A[:, 0, :, None] * B[:, 0, None, :] + A[:, 1, :, None] * B[:, 1, None, :])
 
 
 def _in_camera(sightings: Sightings, rows: Rows, Ts_imu_cam: Array, scene: Scene) -> tuple[Array, Array]:

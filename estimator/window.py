@@ -22,6 +22,8 @@ from dronevio.estimator.sightings import NONE, Integers, Sightings
 
 Array = npt.NDArray[np.float64]
 Factor = gtsam.NoiseModelFactor
+TiedFactor = tuple[frozenset[int], Factor]
+"""A factor, and the keyframes that it ties to each other."""
 
 IMPLAUSIBLE_MOTION = 10.0
 """Standard deviations at which what the IMU says of a motion has lost half of its weight, as under Cauchy's loss: after
@@ -73,7 +75,7 @@ class Window:
         self.landmarks = landmarks
         """What they have seen."""
         self._prior = Prior(prior_information, np.zeros(STATE), {0: start})
-        self._factors: list[tuple[frozenset[int], Factor]] = []  # each with its keyframes
+        self._factors: list[TiedFactor] = []
         self._Ts_imu_cam, self._sigma, self._robust_sigmas = Ts_imu_cam, sigma, robust_sigmas
 
     @property
@@ -116,7 +118,7 @@ class Window:
 
     def linearise(self) -> LinearSystem:
         """Return the window to first order."""
-        return self._system([factor for _, factor in self._factors], self.landmarks.sightings)
+        return self._system(self._factors, self.landmarks.sightings)
 
     def move(self, system: LinearSystem, change: Array) -> None:
         """Move everything by the solution (n,) of a linear system."""
@@ -178,7 +180,7 @@ class Window:
 
     def _absorb(self, k: int, sightings: Sightings, over: set[int]) -> None:
         """Put factors of a keyframe and some sightings into the prior; keyframe and landmarks leave."""
-        touching = [factor for keyframes, factor in self._factors if k in keyframes]
+        touching = [tied for tied in self._factors if k in tied[0]]
         system = self._system(touching, sightings)
         leaving_states = np.repeat([i == k for i in self.states], STATE)
         leaving_points = np.repeat([i in over for i in self._prior.points], POINT).astype(np.bool_)
@@ -196,7 +198,7 @@ class Window:
         ids, counts = np.unique(rows[np.isin(rows, list(candidates))], return_counts=True)
         return set(ids[np.argsort(-counts, kind="stable")[: max(room, 0)]].tolist())
 
-    def _system(self, factors: Sequence[Factor], sightings: Sightings) -> LinearSystem:
+    def _system(self, factors: Sequence[TiedFactor], sightings: Sightings) -> LinearSystem:
         """Return the prior, some factors and some sightings to first order."""
         places = {k: i for i, k in enumerate(self.states)}
         K, long = len(places), self._prior.points
@@ -209,8 +211,9 @@ class Window:
         b[columns] += self._prior.about(self.states, self._points())
 
         first = {k: self._prior.first(k, now) for k, now in self.states.items()}
-        values_now, values_first = _values(self.states), _values(first)
-        for factor in factors:
+        tied = frozenset[int]().union(*(keyframes for keyframes, _ in factors))
+        values_now, values_first = (_values({k: states[k] for k in tied}) for states in (self.states, first))
+        for _, factor in factors:
             A, columns = factor.linearize(values_first).jacobian()[0], _columns(factor, places)
             error = factor.whitenedError(values_now)
             weight = 1.0 / (1.0 + error @ error / IMPLAUSIBLE_MOTION**2)
@@ -225,13 +228,12 @@ class Window:
         H_poses, b_poses = visual.without_points(eliminated)
         H[np.ix_(columns, columns)] += H_poses
         b[columns] += b_poses
-        for start, row in zip(range(STATE * K, n, POINT), rows.tolist(), strict=True):
-            own = slice(start, start + POINT)
-            across = visual.cross[row].reshape(POSE * K, POINT)
-            H[columns, own] += across
-            H[own, columns] += across.T
-            H[own, own] += visual.point[row]
-            b[own] += visual.point_b[row]
+        across = np.moveaxis(visual.cross[rows].reshape(len(rows), POSE * K, POINT), 0, 1).reshape(POSE * K, -1)
+        H[columns, STATE * K :] += across
+        H[STATE * K :, columns] += across.T
+        own = STATE * K + np.arange(POINT * len(rows)).reshape(-1, POINT)
+        H[own[:, :, None], own[:, None, :]] += visual.point[rows]
+        b[own] += visual.point_b[rows]
         return LinearSystem(H, b, visual)
 
     def _visual(self, sightings: Sightings, first: dict[int, State]) -> VisualSystem:
