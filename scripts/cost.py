@@ -20,7 +20,8 @@ from typing import Any
 import numpy as np
 import tyro
 from long_flight import measure
-from measuring import ONE_THREAD, Mode, provenance, table, text
+from measuring import ONE_THREAD, Mode, provenance
+from tables import table, text
 
 from dronevio.eval.benchmark.isolation import isolated
 

@@ -7,7 +7,6 @@ hash of all that it depends on (recording, code, libraries): who asks again gets
 import hashlib
 import json
 import math
-import statistics
 import sys
 from collections.abc import Iterable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor, as_completed
@@ -388,45 +387,6 @@ def read_row(path: Path) -> dict[str, Any]:
     values = json.loads(path.read_text(encoding="utf-8"))
     lists = {name: tuple(value) for name, value in values.items() if isinstance(value, list)}
     return {name: value for name, value in {**values, **lists}.items() if name in known}
-
-
-def numbers(text: str) -> tuple[int, ...]:
-    """Return the numbers that a text such as ``0-4`` or ``0,2,5-7`` names.
-
-    Raises:
-        ValueError: It names none.
-    """
-    found: list[int] = []
-    for part in text.split(","):
-        first, _, last = part.partition("-")
-        found += range(int(first), int(last or first) + 1)
-    if not found:
-        raise ValueError(f"{text!r} names no seed; expected such as 0-4 or 0,2,5")
-    return tuple(dict.fromkeys(found))
-
-
-def median(values: Iterable[float | None]) -> float:
-    """Return the median, failed runs (infinite) included; nan of none or where one is not known."""
-    known = list(values)
-    return math.nan if not known or None in known else float(statistics.median(v for v in known if v is not None))
-
-
-def geometric_mean(values: Sequence[float]) -> float:
-    """Return the geometric mean of positive numbers; nan of none."""
-    return math.exp(math.fsum(math.log(value) for value in values) / len(values)) if values else math.nan
-
-
-def text(value: float | None, form: str = ".3f") -> str:
-    """Return a number for a table: a dash where there is none, ∞ where a run failed."""
-    if value is None or math.isnan(value):
-        return "–"
-    return "∞" if math.isinf(value) else format(value, form)
-
-
-def table(headings: Sequence[str], rows: Iterable[Sequence[str]], left: int = 1) -> str:
-    """Return a Markdown table whose first ``left`` columns hold words."""
-    rule = [":---" if column < left else "---:" for column in range(len(headings))]
-    return "\n".join(f"| {' | '.join(cells)} |" for cells in (headings, rule, *rows))
 
 
 def provenance() -> str:

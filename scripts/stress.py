@@ -16,19 +16,8 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 import tyro
-from measuring import (
-    Figures,
-    Mode,
-    Task,
-    done,
-    failures,
-    median,
-    numbers,
-    provenance,
-    table,
-    text,
-    write_json,
-)
+from measuring import Figures, Mode, Task, done, failures, provenance, write_json
+from tables import median, numbers, table, text
 
 from dronevio.models.rigs import rig_named
 from dronevio.sim.physics.wind import Wind

@@ -1,9 +1,8 @@
 """The scripts that measure the odometry: what they make of runs, and one run of each on a tiny flight."""
 
-import importlib.util
+import importlib
 import json
 import math
-import sys
 import time
 from collections.abc import Callable
 from dataclasses import asdict, replace
@@ -28,72 +27,41 @@ def script(name: str) -> Any:
     """Return a script as a module; they belong to no package, and find each other by their names."""
     if not (SCRIPTS / f"{name}.py").exists():
         pytest.skip("the scripts are in the repository, not in the package")
-    if name in sys.modules:
-        return sys.modules[name]
-    spec = importlib.util.spec_from_file_location(name, SCRIPTS / f"{name}.py")
-    assert spec is not None and spec.loader is not None
-    module = importlib.util.module_from_spec(spec)
-    sys.modules[name] = module
-    spec.loader.exec_module(module)
-    return module
+    with pytest.MonkeyPatch.context() as patch:
+        patch.syspath_prepend(SCRIPTS)
+        return importlib.import_module(name)
 
 
-@pytest.fixture(scope="module")
-def measuring() -> Any:
-    return script("measuring")
+def fixture_of(name: str) -> Callable[[], Any]:
+    """Return a fixture that gives a script."""
+    return pytest.fixture(scope="module", name=name)(lambda: script(name))
 
 
-@pytest.fixture(scope="module")
-def suite(measuring: Any) -> Any:
-    return script("suite")
-
-
-@pytest.fixture(scope="module")
-def stress(measuring: Any) -> Any:
-    return script("stress")
-
-
-@pytest.fixture(scope="module")
-def spoiling() -> Any:
-    return script("spoiling")
-
-
-@pytest.fixture(scope="module")
-def long_flight(measuring: Any) -> Any:
-    return script("long_flight")
-
-
-@pytest.fixture(scope="module")
-def cost(long_flight: Any) -> Any:
-    return script("cost")
-
-
-@pytest.fixture(scope="module")
-def semi_real(measuring: Any) -> Any:
-    return script("semi_real")
+measuring, tables, suite, stress = map(fixture_of, ("measuring", "tables", "suite", "stress"))
+spoiling, long_flight, cost, semi_real = map(fixture_of, ("spoiling", "long_flight", "cost", "semi_real"))
 
 
 @given(st.lists(st.integers(0, 30), min_size=1, max_size=6))
 @settings(deadline=None)  # the first one loads the script
 def test_numbers_are_read_as_they_are_written(numbers: list[int]) -> None:
-    measuring = script("measuring")
-    assert measuring.numbers(",".join(map(str, numbers))) == tuple(dict.fromkeys(numbers))
+    tables = script("tables")
+    assert tables.numbers(",".join(map(str, numbers))) == tuple(dict.fromkeys(numbers))
     first, last = min(numbers), max(numbers)
-    assert measuring.numbers(f"{first}-{last}") == tuple(range(first, last + 1))
+    assert tables.numbers(f"{first}-{last}") == tuple(range(first, last + 1))
 
 
-def test_failed_runs_are_the_worst_and_never_drop_out(measuring: Any) -> None:
+def test_failed_runs_are_the_worst_and_never_drop_out(measuring: Any, tables: Any) -> None:
     good, bad = 0.02, measuring.Figures("V1_02-0", "mono", "failed").ate_m
-    assert measuring.median([good, good, bad]) == good
-    assert measuring.median([good, bad, bad]) == math.inf
-    assert measuring.geometric_mean([good, good, math.inf]) == math.inf
-    assert measuring.text(math.inf) == "∞"
+    assert tables.median([good, good, bad]) == good
+    assert tables.median([good, bad, bad]) == math.inf
+    assert tables.geometric_mean([good, good, math.inf]) == math.inf
+    assert tables.text(math.inf) == "∞"
 
 
 @given(st.lists(st.floats(1e-4, 10.0), min_size=1, max_size=5), st.floats(0.1, 10.0))
 @settings(deadline=None)
 def test_the_geometric_mean_scales_and_lies_between(values: list[float], factor: float) -> None:
-    mean = script("measuring").geometric_mean
+    mean = script("tables").geometric_mean
     assert min(values) * (1 - 1e-9) <= mean(values) <= max(values) * (1 + 1e-9)
     assert mean([factor * v for v in values]) == pytest.approx(factor * mean(values))
 
