@@ -60,19 +60,19 @@ class MotionMisfit:
     """Of the change of velocity: the accelerometer's noise."""
 
     @classmethod
-    def of_residual(cls, residual: Array, assumed: Array, remaining: Array, dt_s: float) -> "MotionMisfit":
+    def of_residual(cls, residual: Array, assumed: Array, followed: Array, dt_s: float) -> "MotionMisfit":
         """Compare the residual of an interval with its covariance.
 
         Args:
             residual: (9,) Of turn, position and velocity, as GTSAM has them.
             assumed: (9, 9) Its covariance by the IMU's noise alone.
-            remaining: (9, 9) Its covariance after the estimate has followed it.
+            followed: (9, 9) How much smaller its covariance is after the estimate has followed it.
             dt_s: Length of the interval [s].
         """
 
         def misfit(part: slice) -> Misfit:
             expected = float(np.trace(assumed[part, part]))
-            told = float(np.trace(remaining[part, part])) / expected
+            told = 1.0 - float(np.trace(followed[part, part])) / expected
             return Misfit(float(residual[part] @ residual[part]) / expected, max(told, 0.0), expected / (3.0 * dt_s))
 
         return cls(misfit(slice(0, 3)), misfit(slice(6, 9)))

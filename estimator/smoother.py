@@ -173,7 +173,7 @@ class KeyframeSmoother:
             wrong = window.landmarks.judge(*window.residuals())
             window.forget(wrong.tolist())
             self._make_room(moved_px)
-        except SingularError as error:
+        except (SingularError, np.linalg.LinAlgError) as error:
             self._restart(_nav_state(t_ns, predicted), self._covariance, observations)
             return KeyframeResult(rejected, (f"solver restored: {error}",))
         return KeyframeResult(np.union1d(rejected, wrong), misfit=misfit)
@@ -198,7 +198,7 @@ class KeyframeSmoother:
             error = np.linalg.norm(window.residuals()[0], axis=1)
             while self._is_full:
                 self._make_room(np.inf)
-        except SingularError:
+        except (SingularError, np.linalg.LinAlgError):
             return None
         return float(np.median(error)) * self._focal_px if len(error) else float("inf")
 

@@ -138,16 +138,14 @@ class Window:
         oldest, places = min(self.states), {k: i for i, k in enumerate(self.states)}
         for keyframes, factor in self._factors:
             if oldest in keyframes and isinstance(factor, gtsam.CombinedImuFactor):
-                root, values = _whitening(factor), _values({k: self.states[k] for k in keyframes})
-                J = solve_triangular(root, factor.linearize(values).jacobian()[0])
-                assumed = np.asarray(np.linalg.inv(root.T @ root), dtype=np.float64)
-                followed = J @ solved.inverse_block(_columns(factor, places)) @ J.T
-                nine = slice(0, 9)  # the biases' walk apart
+                values = _values({k: self.states[k] for k in keyframes})
+                J = solve_triangular(_whitening(factor), factor.linearize(values).jacobian()[0])[:9]  # biases apart
+                interval = factor.preintegratedMeasurements()
                 return MotionMisfit.of_residual(
-                    factor.unwhitenedError(values)[nine],
-                    assumed[nine, nine],
-                    (assumed - followed)[nine, nine],
-                    factor.preintegratedMeasurements().deltaTij(),
+                    factor.unwhitenedError(values)[:9],
+                    interval.preintMeasCov()[:9, :9],
+                    J @ solved.inverse_block(_columns(factor, places)) @ J.T,
+                    interval.deltaTij(),
                 )
         return None
 

@@ -36,9 +36,9 @@ def learnt(true_level: float, assumed_level: float, told_by_others: float, inter
         by_others = rng.normal(0.0, told_by_others * unit, 9)
         assumed, others = (level.density * np.sqrt(DT_S)) ** 2, (told_by_others * unit) ** 2
         estimate = (by_imu / assumed + by_others / others) / (1.0 / assumed + 1.0 / others)
-        remaining = assumed - 1.0 / (1.0 / assumed + 1.0 / others)
+        followed = 1.0 / (1.0 / assumed + 1.0 / others)
         eye = np.eye(9)
-        misfit = MotionMisfit.of_residual(by_imu - estimate, assumed * eye, remaining * eye, DT_S)
+        misfit = MotionMisfit.of_residual(by_imu - estimate, assumed * eye, followed * eye, DT_S)
         level.learn(misfit.velocity)
         found.append(level.density / DENSITY)
     return found
