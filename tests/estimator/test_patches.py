@@ -134,7 +134,7 @@ def test_much_nearer_is_found_step_by_step() -> None:
         assert fit.good.all()
         patches, pixels = fit.patches, fit.pixels
     assert len(kept) > 8
-    assert is_close(pixels, moved(PLACES[kept], 2.0 * np.eye(2), np.zeros(2)), median_px=0.1, most_px=0.25)
+    assert is_close(pixels, moved(PLACES[kept], 2.0 * np.eye(2), np.zeros(2)), median_px=0.12, most_px=0.25)
 
 
 @pytest.mark.parametrize(("gain", "offset"), [(0.5, 0.0), (0.8, 40.0), (1.2, -30.0)])
@@ -142,7 +142,8 @@ def test_brightness_and_contrast_do_not_matter(gain: float, offset: float) -> No
     d = np.array([0.3, 0.6])
     dimmed = np.clip(np.rint(gain * picture(shift=d).astype(float) + offset), 0, 255).astype(np.uint8)
     fit = found(picture(), dimmed, PLACES)
-    assert fit.good.all() and is_close(fit.pixels, PLACES + d, median_px=0.03)
+    rounding = max(1.0, 1.0 / gain)  # to whole grey levels, which are fewer where contrast is less
+    assert fit.good.all() and is_close(fit.pixels, PLACES + d, 0.022 * rounding, 0.1 * rounding)
 
 
 def test_noise_costs_a_little_and_no_trust() -> None:
