@@ -121,7 +121,7 @@ def test_the_covariance_holds_what_a_limit_hides() -> None:
 
 
 def test_doubt_reaches_the_state_between_keyframes() -> None:
-    params = preintegration_params(EUROC_IMU, InertialConfig())
+    params = preintegration_params(EUROC_IMU, InertialConfig(gyro_noise_inflation=1.0, accel_noise_inflation=1.0))
     start = NavState(0, np.eye(4), np.zeros(3), np.zeros(3), np.zeros(3), 1e-8 * np.eye(15))
     found = {}
     for clip in (1.0, 10.0):
@@ -136,10 +136,8 @@ def test_doubt_reaches_the_state_between_keyframes() -> None:
     (clipped, is_doubtful), (whole, was_whole) = found[1.0], found[10.0]
     assert is_doubtful and not was_whole
     assert clipped[0] > 0.1 and clipped[4] > 0.1 and clipped[7] > 0.1  # a turn about x tilts the force towards y
-    np.testing.assert_allclose(
-        whole[6:], InertialConfig.accel_noise_inflation * EUROC_IMU.accel_noise_density, rtol=0.05
-    )
-    assert whole[:3].max() < 1e-3
+    assert whole[:9].max() < 0.01
+    assert whole[6:9].min() > EUROC_IMU.accel_noise_density  # of velocity, after a second, and tilt adds to it
 
 
 def test_a_gap_in_the_samples_is_in_doubt() -> None:

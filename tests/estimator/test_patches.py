@@ -9,6 +9,7 @@ from dronevio.estimator.optical_flow import as_bright_as, follow
 from dronevio.estimator.patches import Fit, PatchAligner, PatchConfig, noise_of
 
 CONFIG = PatchConfig()
+LARGE = PatchConfig(side_px=17)  # has 1.7 times the pixels: less of what errs is chance
 WIDTH, HEIGHT = 320, 240
 ACROSS, DOWN = np.meshgrid(np.arange(30.0, WIDTH - 30.0, 20.0), np.arange(30.0, HEIGHT - 30.0, 20.0))
 PLACES = np.stack([ACROSS.ravel(), DOWN.ravel()], axis=1)
@@ -120,9 +121,10 @@ def test_bends_stay_near_what_is_expected_where_little_tells_them() -> None:
     assert np.abs(fit.patches.bend - np.eye(2)).max() < 0.1
 
 
-def test_much_nearer_is_found_step_by_step() -> None:
+@pytest.mark.parametrize(("config", "median_px"), [(LARGE, 0.1), (CONFIG, 0.12)])
+def test_much_nearer_is_found_step_by_step(config: PatchConfig, median_px: float) -> None:
     """Twice as near, by small steps; there the comparison is with a more blurred image."""
-    aligner = PatchAligner(CONFIG)
+    aligner = PatchAligner(config)
     patches, pixels = aligner.cut(aligner.prepare(picture()), PLACES), PLACES
     kept = np.arange(len(PLACES))
     for zoom in np.linspace(1.05, 2.0, 20):
@@ -134,13 +136,15 @@ def test_much_nearer_is_found_step_by_step() -> None:
         assert fit.good.all()
         patches, pixels = fit.patches, fit.pixels
     assert len(kept) > 8
-    assert is_close(pixels, moved(PLACES[kept], 2.0 * np.eye(2), np.zeros(2)), median_px=0.12, most_px=0.25)
+    assert is_close(pixels, moved(PLACES[kept], 2.0 * np.eye(2), np.zeros(2)), median_px, most_px=0.25)
 
 
 @pytest.mark.parametrize(("gain", "offset"), [(0.5, 0.0), (0.8, 40.0), (1.2, -30.0)])
 def test_brightness_and_contrast_do_not_matter(gain: float, offset: float) -> None:
     d = np.array([0.3, 0.6])
     dimmed = np.clip(np.rint(gain * picture(shift=d).astype(float) + offset), 0, 255).astype(np.uint8)
+    large = found(picture(), dimmed, PLACES, LARGE)
+    assert large.good.all() and is_close(large.pixels, PLACES + d, median_px=0.03)
     fit = found(picture(), dimmed, PLACES)
     rounding = max(1.0, 1.0 / gain)  # to whole grey levels, which are fewer where contrast is less
     assert fit.good.all() and is_close(fit.pixels, PLACES + d, 0.022 * rounding, 0.1 * rounding)
