@@ -188,7 +188,17 @@ def test_wrong_ones_are_found_when_known() -> None:
     assert landmarks.ids.tolist() == list(range(3, 30)) and len(landmarks.points) == 27
 
 
-def test_where_all_are_off_none_is_wrong() -> None:
+def test_where_all_poses_are_off_no_landmark_is_wrong() -> None:
+    """When all poses are off by 3° each its own way, it is the poses that are wrong."""
+    scene = Scene()
+    landmarks = window(scene, 8)
+    landmarks.triangulate(scene.poses(), newest=7)
+    turns = exp_so3(np.radians(3.0) * np.random.default_rng(3).normal(size=(8, 3)))
+    poses = {k: (R @ turns[k], p) for k, (R, p) in list(scene.poses().items())[:8]}
+    assert len(judged(landmarks, poses)) == 0 and len(landmarks.ids) == 30
+
+
+def test_where_one_pose_is_off_no_landmark_is_wrong() -> None:
     """When the newest pose is off by 3°, it is the pose that is wrong."""
     scene = Scene()
     landmarks = window(scene, 8)
