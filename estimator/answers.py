@@ -33,6 +33,7 @@ class Answers:
         self._waiting = Health.INITIALISING  # what it is called to be without a state
         self._is_told = False  # whether the state is certain enough to be told
         self._doubted: set[int] = set()  # cameras that contradict their calibration
+        self._silence_s: list[float] = []  # for how long in each of the last frames the IMU has been silent
 
     def known(
         self,
@@ -71,9 +72,13 @@ class Answers:
         return self.unknown(sighting, report.reason, report, (f"lost: {report.reason}",))
 
     def _gaps(self, sighting: Sighting) -> tuple[str, ...]:
-        """Say where the IMU was silent."""
-        longest_s = sighting.increments.longest_s
-        return (f"no IMU for {longest_s:.2f} s",) if longest_s * self._imu_rate_hz > IMU_GAP else ()
+        """Say when the IMU falls silent; and where that lasts for frames, when it is back."""
+        longest_s, silence_s = sighting.increments.longest_s, self._silence_s
+        if longest_s * self._imu_rate_hz > IMU_GAP:
+            silence_s.append(longest_s)
+            return (f"no IMU for {longest_s:.2f} s",) if len(silence_s) == 1 else ()
+        self._silence_s = []
+        return (f"no IMU for {sum(silence_s):.2f} s: it is back",) if len(silence_s) > 1 else ()
 
     def _doubts(self, sighting: Sighting) -> tuple[str, ...]:
         """Say which cameras turn out not to be where the calibration says, and which are used again."""

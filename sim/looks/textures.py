@@ -44,6 +44,12 @@ def streaks(rng: np.random.Generator, height: int, width: int, length_px: float 
     return np.asarray(waves + 0.35 * grain(rng, height, width, (1, 2)))
 
 
+def scaled(colour: Colour, factor: float) -> Colour:
+    """Return a colour made brighter or darker."""
+    r, g, b = (min(factor * c, 255.0) for c in colour)
+    return r, g, b
+
+
 def shade(colour: Colour, tone: Field, contrast: float) -> Image:
     """Return a colour modulated by a tone field (H, W): 0 leaves it, ±1 changes it by ``contrast`` (relative)."""
     factor = 1.0 + contrast * tone[..., None]

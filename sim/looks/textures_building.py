@@ -9,18 +9,12 @@ import cv2
 import numpy as np
 
 from dronevio.sim.looks import pictures
-from dronevio.sim.looks.textures import BOOK_COLOURS, Colour, Image, grain, shade, speckle, to_image, vary
+from dronevio.sim.looks.textures import BOOK_COLOURS, Colour, Image, grain, scaled, shade, speckle, to_image, vary
 
 Random = np.random.Generator
 
 _INK: Colour = (52, 52, 56)
 _PAPERS: tuple[Colour, ...] = ((238, 236, 228), (238, 236, 228), (246, 226, 120), (180, 214, 236), (240, 180, 170))
-
-
-def scaled(colour: Colour, factor: float) -> Colour:
-    """Return a colour made brighter or darker."""
-    r, g, b = (min(factor * c, 255.0) for c in colour)
-    return r, g, b
 
 
 def text(image: Image, words: str, middle: tuple[int, int], height_px: float, ink: Colour) -> None:

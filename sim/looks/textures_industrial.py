@@ -8,8 +8,8 @@ from itertools import pairwise
 import cv2
 import numpy as np
 
-from dronevio.sim.looks.textures import Colour, Field, Image, grain, shade, speckle, to_image, vary
-from dronevio.sim.looks.textures_nature import closing_grain, scaled, tiled, tinted
+from dronevio.sim.looks.textures import Colour, Field, Image, grain, scaled, shade, speckle, to_image, vary
+from dronevio.sim.looks.textures_nature import closing_grain, tiled, tinted
 
 Random = np.random.Generator
 

@@ -9,18 +9,12 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
-from dronevio.sim.looks.textures import Colour, Field, Image, grain, shade, to_image, vary
+from dronevio.sim.looks.textures import Colour, Field, Image, grain, scaled, shade, to_image, vary
 
 Random = np.random.Generator
 Indices = npt.NDArray[np.intp]
 
 _TILE_PX = 1024
-
-
-def scaled(colour: Colour, factor: float) -> Colour:
-    """Return a colour made brighter or darker."""
-    r, g, b = (min(factor * c, 255.0) for c in colour)
-    return r, g, b
 
 
 def tiled(tile: Image, height: int, width: int) -> Image:

@@ -9,8 +9,8 @@ from collections.abc import Callable
 import cv2
 import numpy as np
 
-from dronevio.sim.looks.textures import Colour, Image, grain, shade, to_image, vary
-from dronevio.sim.looks.textures_nature import closing_grain, scaled
+from dronevio.sim.looks.textures import Colour, Image, grain, scaled, shade, to_image, vary
+from dronevio.sim.looks.textures_nature import closing_grain
 
 Random = np.random.Generator
 Place = tuple[int, int]

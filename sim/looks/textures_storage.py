@@ -6,8 +6,8 @@ from itertools import pairwise
 import cv2
 import numpy as np
 
-from dronevio.sim.looks.textures import Colour, Image, cardboard, grain, shade, speckle, to_image, vary
-from dronevio.sim.looks.textures_building import scaled, text
+from dronevio.sim.looks.textures import Colour, Image, cardboard, grain, scaled, shade, speckle, to_image, vary
+from dronevio.sim.looks.textures_building import text
 
 Random = np.random.Generator
 Load = Callable[[Random, int, int], Image]

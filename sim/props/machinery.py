@@ -15,8 +15,7 @@ from dronevio.sim.looks import textures
 from dronevio.sim.looks import textures_industrial as works
 from dronevio.sim.looks.round import UNSEEN, filling, mantle
 from dronevio.sim.looks.solids import Box, Paint, Sheet, parts_of, turn_z
-from dronevio.sim.looks.textures import Colour, vary
-from dronevio.sim.looks.textures_nature import scaled
+from dronevio.sim.looks.textures import Colour, scaled, vary
 from dronevio.sim.looks.things import Thing, one_thing
 
 Array = npt.NDArray[np.float64]

@@ -15,7 +15,7 @@ from dronevio.sim.looks.cutouts import Cutouts, joined, spray
 from dronevio.sim.looks.lightmap import Field
 from dronevio.sim.looks.round import UNSEEN, filling, mantle
 from dronevio.sim.looks.solids import Box, turn_z
-from dronevio.sim.looks.textures import Colour, Image
+from dronevio.sim.looks.textures import Colour, Image, scaled
 from dronevio.sim.looks.things import Thing, one_thing
 
 Array = npt.NDArray[np.float64]
@@ -199,5 +199,5 @@ def bark_image(rng: Random, height: int, width: int, colours: tuple[Colour, ...]
 def leaf_image(rng: Random, height: int, width: int, colours: tuple[Colour, ...]) -> Image:
     """Return sprays of leaves in ``2 * TONES`` columns: of each colour in the shade, then of each in the sun."""
     each = width // (2 * TONES)
-    inks = [nature.scaled(colour, f) for f in (0.7, 1.3) for colour in colours]
+    inks = [scaled(colour, f) for f in (0.7, 1.3) for colour in colours]
     return np.concatenate([nature.leaves(rng, height, each, ink, 170) for ink in inks], axis=1)

@@ -11,7 +11,7 @@ from dronevio.sim.looks import pictures, textures
 from dronevio.sim.looks import textures_nature as nature
 from dronevio.sim.looks.cutouts import Print
 from dronevio.sim.looks.solids import Box, Sheet, turn_z
-from dronevio.sim.looks.textures import Colour, Image
+from dronevio.sim.looks.textures import Colour, Image, scaled
 from dronevio.sim.looks.things import Thing
 from dronevio.sim.props import plants
 from dronevio.sim.props.plants import Plant
@@ -203,7 +203,7 @@ def _floor(rng: Random, height: int, width: int, season: Season) -> Image:
 
 def _far_floor(rng: Random, height: int, width: int, season: Season) -> Image:
     """Return the floor between the trees further away."""
-    seen = [nature.scaled(colour, 0.72) for colour in (*season.litter[:3], season.moss)]  # shadows between the leaves
+    seen = [scaled(colour, 0.72) for colour in (*season.litter[:3], season.moss)]  # shadows between the leaves
     image = nature.distance(rng, height, width, tuple(seen))
     return outdoors.dappled(rng, image, 24.0 / 9.0, 0.45)
 

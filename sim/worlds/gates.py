@@ -13,7 +13,7 @@ from dronevio.sim.looks import textures_race as race
 from dronevio.sim.looks.cutouts import Print
 from dronevio.sim.looks.lightmap import AreaLight
 from dronevio.sim.looks.solids import Box, Paint, Sheet, parts_of, turn_z
-from dronevio.sim.looks.textures import Colour, Image
+from dronevio.sim.looks.textures import Colour, Image, scaled
 from dronevio.sim.looks.things import Thing
 from dronevio.sim.props import fairground, plants
 from dronevio.sim.props.plants import Plant
@@ -101,7 +101,7 @@ def layout(rng: Random) -> Layout:
         floor,
     )
     grass = _GRASSES[int(rng.integers(4))]
-    far = tuple(nature.scaled(grass, f) for f in (0.62, 0.72, 0.82))
+    far = tuple(scaled(grass, f) for f in (0.62, 0.72, 0.82))
     wide = _WOODS_M
     beyond = Sheet(
         outdoors.flat((-wide, -wide), (wide, wide), -0.05),

@@ -14,7 +14,7 @@ from dronevio.sim.looks import textures_industrial as works
 from dronevio.sim.looks import textures_nature as nature
 from dronevio.sim.looks.lightmap import AreaLight
 from dronevio.sim.looks.solids import Box, Face, Surface, enclosure, parts_of, turn_z
-from dronevio.sim.looks.textures import Colour, Image, vary
+from dronevio.sim.looks.textures import Colour, Image, scaled, vary
 from dronevio.sim.looks.things import Thing
 from dronevio.sim.props import machinery
 from dronevio.sim.props.machinery import Kit, block, pipe_run, steel
@@ -121,7 +121,7 @@ def _floor(rng: Random, height: int, width: int, looks: _Looks) -> Image:
     ppm = _FLOOR_PX_PER_M
     bare = works.concrete_floor(rng, height, width, looks.floor, ppm)
     image = bare.copy()
-    yellow, white = nature.scaled(works.YELLOW, 0.92), (206, 204, 196)
+    yellow, white = scaled(works.YELLOW, 0.92), (206, 204, 196)
 
     def at(x: float, y: float) -> tuple[int, int]:
         u, v = outdoors.on_ground(image, ppm, np.array([x, y, 0.0])).astype(int).tolist()

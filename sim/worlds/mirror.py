@@ -10,7 +10,7 @@ import numpy.typing as npt
 
 from dronevio.sim.looks import textures, textures_building
 from dronevio.sim.looks.solids import Box
-from dronevio.sim.looks.textures import Colour, Image
+from dronevio.sim.looks.textures import Colour, Image, scaled
 from dronevio.sim.looks.things import one_thing
 from dronevio.sim.props.building import ceiling_lamp, hall_faces, landing_mat, room_walls, shading, stand_along
 from dronevio.sim.props.furniture import (
@@ -105,7 +105,7 @@ def _panel(rng: Random, height: int, width: int, wood: Colour) -> Image:
     image = textures.wood(rng, height, width, wood)
     for inset, factor, thick in ((0.1, 0.45, 4), (0.13, 1.35, 2), (0.18, 0.6, 2)):
         a, b = (int(inset * width), int(inset * height)), (int((1 - inset) * width), int((1 - inset) * height))
-        cv2.rectangle(image, a, b, textures_building.scaled(wood, factor), thick, cv2.LINE_AA)
+        cv2.rectangle(image, a, b, scaled(wood, factor), thick, cv2.LINE_AA)
     image[:, :2] = image[:, :2] // 2
     return image
 
@@ -119,7 +119,7 @@ def _coffers(rng: Random, height: int, width: int, colour: Colour) -> Image:
             for inset, factor in ((0.1, 0.55), (0.14, 0.85), (0.3, 0.7), (0.34, 0.95)):
                 part = tuple(slice(int((k + inset) * size), int((k + 1 - inset) * size)) for k in (row, column))
                 image[part] = textures.shade(
-                    textures_building.scaled(colour, factor),
+                    scaled(colour, factor),
                     textures.grain(rng, image[part].shape[0], image[part].shape[1], (1, 4, 12)),
                     0.05,
                 )

@@ -8,7 +8,7 @@ import numpy.typing as npt
 
 from dronevio.sim.looks import textures, textures_building
 from dronevio.sim.looks.solids import Box, turn_z
-from dronevio.sim.looks.textures import Colour, Image
+from dronevio.sim.looks.textures import Colour, Image, scaled
 from dronevio.sim.props.building import ceiling_lamp, coarse, hall_faces, landing_mat, room_walls, shading, stand_along
 from dronevio.sim.props.furniture import METAL, Piece, pick
 from dronevio.sim.props.furniture_public import PUBLIC_FURNITURE
@@ -116,7 +116,7 @@ def _floor(rng: Random, height: int, width: int, colour: Colour) -> Image:
     image = textures_building.terrazzo(rng, height, width, colour, _FLOOR_PX_PER_M)
     for edge in (_INNER_M, _OUTER_M):
         a, b = (tuple(((HIGH_M[:2] + s * edge) * _FLOOR_PX_PER_M).astype(int).tolist()) for s in (-1.0, 1.0))
-        cv2.rectangle(image, a, b, textures_building.scaled(colour, 0.45), round(0.16 * _FLOOR_PX_PER_M))
+        cv2.rectangle(image, a, b, scaled(colour, 0.45), round(0.16 * _FLOOR_PX_PER_M))
         cv2.rectangle(image, a, b, (182, 150, 84), round(0.03 * _FLOOR_PX_PER_M))
     return image
 

@@ -80,7 +80,12 @@ def test_nothing_is_told_before_it_is_certain_and_everything_after() -> None:
     assert again[1].events == ("recovered",)
 
 
-@pytest.mark.parametrize(("gap_s", "said"), [(0.015, ()), (0.25, ("no IMU for 0.25 s",))])
-def test_a_gap_of_the_imu_is_an_event(gap_s: float, said: tuple[str, ...]) -> None:
-    gappy = replace(sighting(), increments=Increments(np.array([0.005, gap_s]), np.zeros((2, 3)), np.zeros((2, 3))))
-    assert answers(Undecided(0)).unknown(gappy, "").events == said
+def test_a_silence_of_the_imu_is_told_when_it_begins_and_when_it_is_over() -> None:
+    def frame(longest_s: float) -> Sighting:
+        increments = Increments(np.array([0.005, longest_s]), np.zeros((2, 3)), np.zeros((2, 3)))
+        return replace(sighting(), increments=increments)
+
+    told = answers(Undecided(0))
+    events = [told.unknown(frame(s), "").events for s in (0.015, 0.03, 0.005, 0.25, 0.25, 0.05, 0.005, 0.005, 0.25)]
+    short, long = ("no IMU for 0.03 s",), ("no IMU for 0.25 s",)
+    assert events == [(), short, (), long, (), (), ("no IMU for 0.55 s: it is back",), (), long]
