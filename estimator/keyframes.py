@@ -21,9 +21,9 @@ class KeyframeConfig:
     """At rest, after this time [s]."""
     min_tracked: float = 0.6
     """Earlier, when less than this share of the last keyframe's features is left ..."""
-    max_innovation_px: float = 5.0
-    """... or when known landmarks are typically so far from where the IMU puts them [px]: a shock, or an IMU that errs,
-    is not to be told for longer than need be ..."""
+    max_innovation_px: float = 2.0
+    """... or when known landmarks are typically so far from where the IMU puts them [px], ten times as far as usual: a
+    shock, or an IMU that errs, is not to be told for longer than need be ..."""
     min_interval_s: float = 0.1
     """... but not before this time for that reason, lest the window become short [s]."""
 

@@ -214,7 +214,7 @@ class Window:
         for _, factor in factors:
             A, columns = factor.linearize(values_first).jacobian()[0], _columns(factor, places)
             error = factor.whitenedError(values_now)
-            weight = 1.0 / (1.0 + error @ error / IMPLAUSIBLE_MOTION**2)
+            weight = 1.0 / (1.0 + max(float(error @ error) - len(error), 0.0) / IMPLAUSIBLE_MOTION**2)
             H[np.ix_(columns, columns)] += weight * (A.T @ A)
             b[columns] -= weight * (A.T @ error)
 

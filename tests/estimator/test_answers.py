@@ -3,7 +3,6 @@
 from dataclasses import replace
 
 import numpy as np
-import pytest
 
 from dronevio.estimator.answers import Answers
 from dronevio.estimator.frontend import NO_MATCHES, NOTHING_SEEN, Matches

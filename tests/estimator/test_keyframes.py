@@ -47,6 +47,6 @@ def test_darkness_is_no_reason_for_more_keyframes(policy: KeyframePolicy) -> Non
 
 def test_surprise_makes_a_keyframe_but_not_every_frame(policy: KeyframePolicy) -> None:
     frame = seen(*range(10))
-    assert not policy.is_due(0.15, 0.0, frame, 4.9) and not policy.is_due(0.15, 0.0, frame, None)
-    assert policy.is_due(0.15, 0.0, frame, 5.1)
+    assert not policy.is_due(0.15, 0.0, frame, 1.9) and not policy.is_due(0.15, 0.0, frame, None)
+    assert policy.is_due(0.15, 0.0, frame, 2.1)
     assert not policy.is_due(0.05, 0.0, frame, 50.0)
