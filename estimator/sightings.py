@@ -15,8 +15,9 @@ DOUBT_OF_UNLIKENESS = 20.0
 """How the error of a track grows with 1 − correlation between what is seen now and what was seen first: measured on
 rendered flights, from .06 px above .98 to .4 px at .90."""
 
-DOUBT_OF_MATCHES = 1.2
-"""What a further camera sees was looked for with the patch of the first: where that was off, both are."""
+DOUBT_OF_MATCHES = 1.75
+"""What a further camera sees was looked for with the patch of the first: where that was off, both are. With this, a
+second camera makes covariances smaller by as much as it makes the errors of simulated flights smaller."""
 
 
 @dataclass(frozen=True, eq=False)

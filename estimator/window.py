@@ -25,9 +25,9 @@ Factor = gtsam.NoiseModelFactor
 TiedFactor = tuple[frozenset[int], Factor]
 """A factor, and the keyframes that it ties to each other."""
 
-IMPLAUSIBLE_MOTION = 10.0
-"""Standard deviations at which what the IMU says of a motion has lost half of its weight, as under Cauchy's loss: after
-a jolt, a saturated gyroscope or a gap, what is seen wins."""
+IMPLAUSIBLE_MOTION = 5.0
+"""Standard deviations beyond what noise explains at which what the IMU says of a motion has lost half of its weight, as
+under Cauchy's loss: after a jolt, a saturated gyroscope or a gap, what is seen wins."""
 
 MEDIAN_CHI2_2DOF = 2.0 * np.log(2.0)
 """Median of χ² with two degrees of freedom, which the square of a sighting's residual has."""
@@ -214,7 +214,8 @@ class Window:
         for _, factor in factors:
             A, columns = factor.linearize(values_first).jacobian()[0], _columns(factor, places)
             error = factor.whitenedError(values_now)
-            weight = 1.0 / (1.0 + max(float(error @ error) - len(error), 0.0) / IMPLAUSIBLE_MOTION**2)
+            unexplained = max(float(error @ error) - len(error), 0.0)  # noise alone makes as many as there are numbers
+            weight = 1.0 / (1.0 + unexplained / IMPLAUSIBLE_MOTION**2)
             H[np.ix_(columns, columns)] += weight * (A.T @ A)
             b[columns] -= weight * (A.T @ error)
 
