@@ -20,7 +20,8 @@ from pathlib import Path
 from typing import Any
 
 import tyro
-from measuring import CAMERAS, ONE_THREAD, Figures, Mode, Task, done, estimator_hash, failures, provenance, write_json
+from figures import Figures, failures
+from measuring import CAMERAS, ONE_THREAD, Mode, Task, done, estimator_hash, provenance, write_json
 from tables import geometric_mean, median, numbers, table, text
 
 STARTS_S = {"V1_02": 0, "V2_01": 0, "MH_04": 15}

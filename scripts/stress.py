@@ -16,7 +16,8 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 import tyro
-from measuring import Figures, Mode, Task, done, failures, provenance, write_json
+from figures import Figures, failures
+from measuring import Mode, Task, done, provenance, write_json
 from tables import median, numbers, table, text
 
 from dronevio.models.rigs import rig_named

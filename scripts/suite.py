@@ -20,7 +20,8 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import tyro
-from measuring import Figures, Mode, Task, done, failures, provenance, write_json
+from figures import Figures, failures
+from measuring import Mode, Task, done, provenance, write_json
 from tables import median, numbers, table, text
 
 from dronevio.eval.metrics.chi_square import nees_bounds

@@ -1,6 +1,5 @@
 """The scripts that measure the odometry: what they make of runs, and one run of each on a tiny flight."""
 
-import importlib
 import json
 import math
 import time
@@ -15,43 +14,32 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from dronevio.estimator.frontend import Observations
-from dronevio.eval.runs import EstimatorRun
 from dronevio.models.protocols import Recording
-from dronevio.models.rotation import exp_so3, quat_wxyz_from_matrix
-from dronevio.models.state import CameraFrame, Estimate, Health, NavState, Trajectory
-
-SCRIPTS = Path(__file__).resolve().parents[2] / "scripts"
+from dronevio.models.state import CameraFrame
 
 
-def script(name: str) -> Any:
-    """Return a script as a module; they belong to no package, and find each other by their names."""
-    if not (SCRIPTS / f"{name}.py").exists():
-        pytest.skip("the scripts are in the repository, not in the package")
-    with pytest.MonkeyPatch.context() as patch:
-        patch.syspath_prepend(SCRIPTS)
-        return importlib.import_module(name)
-
-
-def fixture_of(name: str) -> Callable[[], Any]:
+def fixture_of(name: str) -> Callable[[Callable[[str], Any]], Any]:
     """Return a fixture that gives a script."""
-    return pytest.fixture(scope="module", name=name)(lambda: script(name))
+
+    def load(script: Callable[[str], Any]) -> Any:
+        return script(name)
+
+    return pytest.fixture(scope="module", name=name)(load)
 
 
-measuring, tables, suite, stress = map(fixture_of, ("measuring", "tables", "suite", "stress"))
+figures, measuring, tables, suite, stress = map(fixture_of, ("figures", "measuring", "tables", "suite", "stress"))
 spoiling, long_flight, cost, semi_real = map(fixture_of, ("spoiling", "long_flight", "cost", "semi_real"))
 
 
 @given(st.lists(st.integers(0, 30), min_size=1, max_size=6))
-@settings(deadline=None)  # the first one loads the script
-def test_numbers_are_read_as_they_are_written(numbers: list[int]) -> None:
-    tables = script("tables")
+def test_numbers_are_read_as_they_are_written(tables: Any, numbers: list[int]) -> None:
     assert tables.numbers(",".join(map(str, numbers))) == tuple(dict.fromkeys(numbers))
     first, last = min(numbers), max(numbers)
     assert tables.numbers(f"{first}-{last}") == tuple(range(first, last + 1))
 
 
-def test_failed_runs_are_the_worst_and_never_drop_out(measuring: Any, tables: Any) -> None:
-    good, bad = 0.02, measuring.Figures("V1_02-0", "mono", "failed").ate_m
+def test_failed_runs_are_the_worst_and_never_drop_out(figures: Any, tables: Any) -> None:
+    good, bad = 0.02, figures.Figures("V1_02-0", "mono", "failed").ate_m
     assert tables.median([good, good, bad]) == good
     assert tables.median([good, bad, bad]) == math.inf
     assert tables.geometric_mean([good, good, math.inf]) == math.inf
@@ -60,92 +48,18 @@ def test_failed_runs_are_the_worst_and_never_drop_out(measuring: Any, tables: An
 
 @given(st.lists(st.floats(1e-4, 10.0), min_size=1, max_size=5), st.floats(0.1, 10.0))
 @settings(deadline=None)
-def test_the_geometric_mean_scales_and_lies_between(values: list[float], factor: float) -> None:
-    mean = script("tables").geometric_mean
+def test_the_geometric_mean_scales_and_lies_between(tables: Any, values: list[float], factor: float) -> None:
+    mean = tables.geometric_mean
     assert min(values) * (1 - 1e-9) <= mean(values) <= max(values) * (1 + 1e-9)
     assert mean([factor * v for v in values]) == pytest.approx(factor * mean(values))
 
 
-def flight(seed: int = 0, n: int = 200) -> tuple[Trajectory, Trajectory]:
-    """Return a smooth motion at 20 Hz, and the same in another world: turned about the vertical, and shifted."""
-    rng = np.random.default_rng(seed)
-    t_s = np.arange(n) * 0.05
-    a, f, phase = rng.uniform(0.5, 1.5, (3, 3))
-    p = a * np.sin(f * t_s[:, None] + phase)
-    v = a * f * np.cos(f * t_s[:, None] + phase)
-    R = exp_so3(0.3 * p)
-    Q = exp_so3(np.array([0.0, 0.0, rng.uniform(-3.0, 3.0)]))
-    t_ns = 10**18 + np.arange(n, dtype=np.int64) * 50_000_000
-    truth = Trajectory(t_ns, p, quat_wxyz_from_matrix(R), v)
-    moved = Trajectory(t_ns, p @ Q.T + rng.normal(size=3), quat_wxyz_from_matrix(Q @ R), v @ Q.T)
-    return truth, moved
-
-
-@given(st.integers(0, 50), st.integers(1, 199), st.floats(0.05, 2.0))
-@settings(deadline=None, max_examples=30)
-def test_a_teleport_is_found_where_it_is_and_as_large_as_it_is(seed: int, at: int, size_m: float) -> None:
-    measuring = script("measuring")
-    truth, estimate = flight(seed)
-    step_m, jump_m, _ = measuring.steps(truth, estimate, int(truth.t_ns[0]))
-    assert step_m < 1e-9 and jump_m < 1e-3  # a straight step along a curved path
-    p = estimate.p_world_imu + size_m * (np.arange(200) >= at)[:, None] * [0.6, 0.0, 0.8]
-    step_m, jump_m, when_s = measuring.steps(truth, replace(estimate, p_world_imu=p), int(truth.t_ns[0]))
-    assert step_m == pytest.approx(size_m)
-    assert jump_m == pytest.approx(size_m, abs=1e-3)
-    assert when_s == pytest.approx(at * 0.05)
-
-
-def run_of(measuring: Any, estimate: Trajectory, healths: list[Health] | None = None) -> EstimatorRun:
-    states = [
-        NavState(t, T, v, np.zeros(3), np.zeros(3), np.diag([1e-4] * 15))
-        for t, T, v in zip(estimate.t_ns.tolist(), estimate.Ts_world_imu, estimate.velocity_m_s, strict=True)
-    ]
-    healths = healths or [Health.TRACKING] * len(states)
-    answers = tuple(Estimate(s.t_ns, h, s) for s, h in zip(states, healths, strict=True))
-    return EstimatorRun(answers, np.arange(1.0, len(states) + 1), np.zeros(len(states)))
-
-
-def test_figures_of_a_perfect_run(measuring: Any) -> None:
-    truth, estimate = flight()
-    found = measuring.figures_of("x", "mono", run_of(measuring, estimate), truth, truth.t_ns)
-    assert found.ate_m < 1e-9 and found.end_m < 1e-9 and found.nees_position < 1e-9 and not found.failed
-    assert found.path_m == pytest.approx(truth.length_m)
-    assert found.cpu_ms_mean == pytest.approx(100.5) and found.cpu_ms_max == 200.0
-    assert found.health == {"initialising": 0.0, "tracking": 100.0, "inertial-only": 0.0, "lost": 0.0}
-    assert len(found.nees_position_over_time) == 9  # 9.95 s from the first pose, of which the gauge takes the first
-
-
-def test_figures_count_what_is_missing_and_what_is_no_number(measuring: Any) -> None:
-    truth, estimate = flight()
-    healths = [Health.TRACKING] * 100 + [Health.LOST] * 100
-    found = measuring.figures_of("x", "mono", run_of(measuring, estimate, healths), truth, truth.t_ns)
-    assert found.status == "ok" and found.failed and found.coverage_percent < 30.0
-    assert found.health["lost"] == 50.0
-    v = estimate.velocity_m_s
-    assert v is not None
-    v[17, 1] = np.nan
-    found = measuring.figures_of("x", "mono", run_of(measuring, estimate), truth, truth.t_ns)
-    assert (found.status, found.not_finite, found.ate_m) == ("failed", 1, math.inf)
-
-
-def test_covariances_that_are_none_cost_the_nees_and_not_the_run(measuring: Any) -> None:
-    truth, estimate = flight()
-    run = run_of(measuring, estimate)
-    state = run.estimates[5].state
-    assert state is not None
-    flat = replace(run.estimates[5], state=replace(state, covariance=np.zeros((15, 15))))
-    run = replace(run, estimates=(*run.estimates[:5], flat, *run.estimates[6:]))
-    found = measuring.figures_of("x", "mono", run, truth, truth.t_ns)
-    assert found.status == "ok" and found.ate_m < 1e-9
-    assert found.nees_position == math.inf and "positive definite" in found.reason
-
-
-def test_rows_come_back_as_they_were(measuring: Any, tmp_path: Path) -> None:
-    truth, estimate = flight()
-    found = measuring.figures_of("x", "mono", run_of(measuring, estimate), truth, truth.t_ns)
-    for row in (found, measuring.Figures("y", "stereo", "crashed", "SIGSEGV")):
+def test_rows_come_back_as_they_were(measuring: Any, figures: Any, tmp_path: Path) -> None:
+    good = {"ate_m": 0.1 + 0.2, "path_m": 7.5, "health": {"tracking": 99.5}, "nees_position_over_time": (2.5, 3.5)}
+    done = figures.Figures("x", "mono", **good)
+    for row in (done, figures.Figures("y", "stereo", "crashed", "SIGSEGV")):
         (tmp_path / "row.json").write_text(json.dumps(asdict(row)))
-        assert measuring.Figures(**measuring.read_row(tmp_path / "row.json")) == row or math.isnan(row.path_m)
+        assert figures.Figures(**measuring.read_row(tmp_path / "row.json")) == row or math.isnan(row.path_m)
 
 
 def test_the_band_holds_the_mean_of_honest_flights_and_no_others(suite: Any) -> None:
@@ -167,12 +81,12 @@ def test_a_failed_flight_spoils_the_mean_nees_but_not_the_median(suite: Any) -> 
     assert found.mean == math.inf and not found.inside and found.median == 3.0
 
 
-def test_tables_count_failures(suite: Any, semi_real: Any, measuring: Any) -> None:
-    good = measuring.Figures(
+def test_tables_count_failures(suite: Any, semi_real: Any, figures: Any) -> None:
+    good = figures.Figures(
         "room-easy-v0-0", "mono", path_m=20.0, ate_m=0.02, coverage_percent=100.0, nees_position=3.0,
         nees_orientation=3.0, first_s=1.0,
     )  # fmt: skip
-    lost = measuring.Figures("room-easy-v0-1", "mono", "crashed", "killed")
+    lost = figures.Figures("room-easy-v0-1", "mono", "crashed", "killed")
     drifted = replace(good, flight="hall-easy-v0-0", ate_m=0.21)
     told = suite.verdict([good, lost, drifted], "mono")
     assert "failures 2" in told and "room-easy-v0-1: crashed killed" in told and "hall-easy-v0-0" in told
@@ -184,37 +98,6 @@ def test_tables_count_failures(suite: Any, semi_real: Any, measuring: Any) -> No
     told = semi_real.summary(named, "mono", ["V1_02"], (0, 1, 2))
     assert "| V1_02 | 0.0200 | 0.0100–∞ | 0.045 | yes |" in told  # the third seed's run is missing
     assert len({row.count("|") for row in told.splitlines()}) == 1
-
-
-def test_the_drift_in_a_window_is_what_the_error_moves_there(measuring: Any) -> None:
-    truth, estimate = flight()
-    bump = np.clip(truth.t_s - 4.0, 0.0, 2.0)[:, None] * [0.03, -0.04, 0.0]  # 5 cm/s from 4 s to 6 s
-    run = run_of(measuring, replace(estimate, p_world_imu=estimate.p_world_imu + bump))
-    assert measuring.window_drift_m(run, truth, (4.0, 6.0)) == pytest.approx(0.1)
-    assert measuring.window_drift_m(run, truth, (4.0, 5.0)) == pytest.approx(0.05)
-    assert measuring.window_drift_m(run, truth, (7.0, 9.0)) < 1e-9
-    blind = run_of(measuring, estimate, [Health.INITIALISING] * 200)
-    assert measuring.window_drift_m(blind, truth, (4.0, 6.0)) == math.inf
-
-
-@pytest.mark.parametrize(
-    ("bad", "end_s", "expected"),
-    [
-        ([], 4.0, 0.0),
-        ([(4.0, 5.0)], 4.0, 1.0),
-        ([(4.0, 5.0), (5.2, 6.0)], 4.0, 2.0),  # a fifth of a second is not enough
-        ([(2.0, 10.0)], 4.0, math.inf),
-        ([(4.0, 9.7)], 4.0, 5.7),  # good until the end
-    ],
-)
-def test_recovery_is_when_tracking_lasts(
-    measuring: Any, bad: list[tuple[float, float]], end_s: float, expected: float
-) -> None:
-    _, estimate = flight()
-    t_s = estimate.t_s
-    ill = [any(a - 1e-6 <= t < b - 1e-6 for a, b in bad) for t in t_s]
-    run = run_of(measuring, estimate, [Health.INERTIAL_ONLY if each else Health.TRACKING for each in ill])
-    assert measuring.recovery_s(run, end_s) == pytest.approx(expected, abs=1e-6)
 
 
 class Still:
@@ -258,8 +141,8 @@ def test_outliers_are_a_fifth_of_the_tracks_and_always_the_same_ones(spoiling: A
     assert not clean.xy.any()
 
 
-def test_runs_end_in_words(stress: Any, measuring: Any) -> None:
-    good = measuring.Figures(
+def test_runs_end_in_words(stress: Any, figures: Any) -> None:
+    good = figures.Figures(
         "none-0", "mono", frames=100, duration_s=4.95, path_m=20.0, ate_m=0.02, max_m=0.05, coverage_percent=100.0,
         longest_gap_s=0.05, step_error_m=0.01, health={"initialising": 10.0, "tracking": 90.0, "lost": 0.0},
     )  # fmt: skip
@@ -271,7 +154,7 @@ def test_runs_end_in_words(stress: Any, measuring: Any) -> None:
     assert stress.ending(replace(good, max_m=3.0)) == "**UNBOUNDED**"
     lost = {"initialising": 10.0, "tracking": 60.0, "lost": 30.0}
     assert stress.ending(replace(good, max_m=3.0, health=lost)) == "lost, says so"
-    waiting = measuring.Figures("x-0", "mono", "failed", health={"initialising": 100.0})
+    waiting = figures.Figures("x-0", "mono", "failed", health={"initialising": 100.0})
     assert stress.ending(waiting) == "never started"
 
 
