@@ -154,12 +154,14 @@ class Profile:
                 self.stages[stage_of(frame)] += now_s - last_s  # type: ignore[assignment]
                 self.functions[_name(frame)] += now_s - last_s  # type: ignore[assignment]
             last_s = time.process_time()  # looking is not counted
+            signal.setitimer(signal.ITIMER_REAL, TICK_S)  # only now: looks that are slow must not pile up
 
         before = signal.signal(signal.SIGALRM, look)
-        signal.setitimer(signal.ITIMER_REAL, TICK_S, TICK_S)
+        signal.setitimer(signal.ITIMER_REAL, TICK_S)
         try:
             yield
         finally:
+            signal.signal(signal.SIGALRM, signal.SIG_IGN)  # a last look would arm the timer again
             signal.setitimer(signal.ITIMER_REAL, 0.0)
             signal.signal(signal.SIGALRM, before)
 
