@@ -16,8 +16,8 @@ DOUBT_OF_UNLIKENESS = 20.0
 rendered flights, from .06 px above .98 to .4 px at .90."""
 
 DOUBT_OF_MATCHES = 1.75
-"""What a further camera sees was looked for with the patch of the first: where that was off, both are. With this, a
-second camera makes covariances smaller by as much as it makes the errors of simulated flights smaller."""
+"""What a further camera sees was looked for with the patch of the first: where that was off, both are. With this,
+positions of simulated flights from two cameras are as sure as their covariances say."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -1,8 +1,10 @@
 """What the scripts say of a run: its figures, and those of a time in it to look at closely."""
 
+import json
 import math
 from collections.abc import Callable
-from dataclasses import replace
+from dataclasses import asdict, replace
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -91,6 +93,14 @@ def test_covariances_that_are_none_cost_the_nees_and_not_the_run(figures: Any) -
     found = figures.figures_of("x", "mono", run, truth, truth.t_ns)
     assert found.status == "ok" and found.ate_m < 1e-9
     assert found.nees_position == math.inf and "positive definite" in found.reason
+
+
+def test_rows_come_back_as_they_were(figures: Any, script: Callable[[str], Any], tmp_path: Path) -> None:
+    truth, estimate = flight()
+    found = figures.figures_of("x", "mono", run_of(estimate), truth, truth.t_ns)
+    for row in (found, figures.Figures("y", "stereo", "crashed", "SIGSEGV")):
+        (tmp_path / "row.json").write_text(json.dumps(asdict(row)))
+        assert figures.Figures(**script("measuring").read_row(tmp_path / "row.json")) == row or math.isnan(row.path_m)
 
 
 def test_the_drift_in_a_window_is_what_the_error_moves_there(figures: Any) -> None:

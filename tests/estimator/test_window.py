@@ -1,5 +1,7 @@
 """The window: how much each sighting weighs, and what marginalising leaves."""
 
+from dataclasses import replace
+
 import gtsam
 import numpy as np
 import pytest
@@ -59,6 +61,19 @@ def test_doubtful_sightings_weigh_less() -> None:
     assert spoilt[0] < clean[0] / 1.15
     np.testing.assert_allclose(spoilt[1], clean[1] / 3.0**2, rtol=1e-3)  # 1 + 20 · (1 − 0.9) times less certain
     np.testing.assert_allclose(spoilt[2:], clean[2:], rtol=0.05)
+
+
+@pytest.mark.parametrize(
+    ("off_sigmas", "weight"), [(0.0, 1.0), (3.0**0.5, 1.0), (28.0**0.5, 0.5), (103.0**0.5, 0.2), (500.0, 1e-4)]
+)
+def test_what_noise_does_not_explain_of_a_motion_weighs_less(off_sigmas: float, weight: float) -> None:
+    """Of three numbers, noise explains a square of three."""
+    made = window()
+    off_m_s = np.array([0.0, 0.0, 0.01 * off_sigmas])
+    made.states[2] = replace(made.states[2], velocity=off_m_s)
+    system, velocity = made.linearise(), 15 * 2 + np.arange(6, 9)
+    np.testing.assert_allclose(system.H[np.ix_(velocity, velocity)], weight * 1e4 * np.eye(3), rtol=1e-3)
+    np.testing.assert_allclose(system.b[velocity], -weight * 1e4 * off_m_s, rtol=1e-3, atol=1e-9)
 
 
 @pytest.mark.parametrize("long_lived", [0, 10])
