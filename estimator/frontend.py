@@ -63,13 +63,16 @@ class Observations:
     """The same, in cameras that are not where the calibration says: of use for nothing but to calibrate them."""
     quality: Array = field(default_factory=lambda: np.zeros(0))
     """(N,) How much each looks like what was first seen of it: correlation, up to 1; all 1, if not given."""
+    zoom: Array = field(default_factory=lambda: np.zeros(0))
+    """(N,) How many times larger each looks than when it was first seen; all 1, if not given."""
 
     def __post_init__(self) -> None:
         """Say that the first camera sees all, and sees it well, where nothing is said."""
         if len(self.camera) != len(self.ids):
             object.__setattr__(self, "camera", np.zeros(len(self.ids), np.int64))
-        if len(self.quality) != len(self.ids):
-            object.__setattr__(self, "quality", np.ones(len(self.ids)))
+        for name in ("quality", "zoom"):
+            if len(getattr(self, name)) != len(self.ids):
+                object.__setattr__(self, name, np.ones(len(self.ids)))
 
     def __len__(self) -> int:
         return len(self.ids)

@@ -78,6 +78,11 @@ class Patches:
     def __len__(self) -> int:
         return len(self.values)
 
+    @property
+    def zoom(self) -> Array:
+        """(N,) How many times larger each looks than when it was first seen."""
+        return np.asarray(np.sqrt(np.abs(np.linalg.det(self.bend))))
+
     def __getitem__(self, rows: npt.NDArray[np.int64] | npt.NDArray[np.bool_]) -> Self:
         return type(self)(*(getattr(self, each.name)[rows] for each in fields(self)))
 

@@ -147,6 +147,7 @@ def _merged(observations: Sequence[Observations]) -> Observations:
         np.concatenate([seen.ages for seen in observations])[order],
         np.concatenate([seen.camera for seen in observations])[order],
         quality=np.concatenate([seen.quality for seen in observations])[order],
+        zoom=np.concatenate([seen.zoom for seen in observations])[order],
     )
 
 

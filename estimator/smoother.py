@@ -46,7 +46,7 @@ class SmootherConfig:
     """Landmarks that may stay as variables of the prior when the first keyframe that saw them leaves."""
     iterations: int = 2
     """Gauss-Newton steps a keyframe."""
-    pixel_sigma: float = 0.205
+    pixel_sigma: float = 0.145
     """Standard deviation of an image measurement of the best quality [px]. Tracks err by .1 px, but alike from frame
     to frame: with this, errors of simulated flights are as large as covariances say."""
     robust_sigmas: float = 1.0

@@ -149,7 +149,8 @@ class FeatureTracker:
 
     def _observations(self) -> Observations:
         f = self._features
-        return Observations(f.ids, f.pixels, f.xy, f.ages, np.full(len(f.ids), self._index), quality=f.quality)
+        camera = np.full(len(f.ids), self._index)
+        return Observations(f.ids, f.pixels, f.xy, f.ages, camera, quality=f.quality, zoom=f.patches.zoom)
 
     def _new_features(self, pixels: Array) -> _Features:
         """Return new features at pixels (N, 2) of the last image."""

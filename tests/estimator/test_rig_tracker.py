@@ -113,7 +113,7 @@ def test_one_camera_is_what_its_tracker_says(see_wall: Callable[..., np.ndarray]
         whole.track(frame, turn)
         alone.track(frame, turn)
         seen, expected = whole.replenish(), alone.replenish()
-        for name in ("ids", "pixels", "xy", "ages", "camera"):
+        for name in ("ids", "pixels", "xy", "ages", "camera", "quality", "zoom"):
             np.testing.assert_array_equal(getattr(seen, name), getattr(expected, name))
         assert len(seen.matches) == 0
         whole.discard(seen.ids[:3])

@@ -15,8 +15,11 @@ from dronevio.estimator.window import LinearSystem, Window
 FOCAL_PX, LANDMARKS, KEYFRAMES = 450.0, 30, 5
 
 
-def window(shift_px: float = 0.0, quality: float = 1.0) -> Window:
-    """Return a window of cameras side by side; landmark 0 is last seen off by a shift, landmark 1 is badly seen."""
+def window(shift_px: float = 0.0, quality: float = 1.0, zoom: float = 1.0) -> Window:
+    """Return a window of cameras side by side.
+
+    Landmark 0 is last seen off by a shift, landmark 1 is badly seen, landmark 2 came nearer since it was first seen.
+    """
     rng = np.random.default_rng(0)
     points = np.column_stack([rng.uniform(-2.0, 2.0, (LANDMARKS, 2)), rng.uniform(4.0, 8.0, LANDMARKS)])
     landmarks = LandmarkWindow(FOCAL_PX, LandmarkConfig())
@@ -37,10 +40,10 @@ def window(shift_px: float = 0.0, quality: float = 1.0) -> Window:
         xy = p[:, :2] / p[:, 2:]
         if k == KEYFRAMES - 1:
             xy[0, 0] += shift_px / FOCAL_PX
-        qualities = np.ones(LANDMARKS)
-        qualities[1] = quality
-        ids = np.arange(LANDMARKS)
-        landmarks.observe(k, Observations(ids, FOCAL_PX * xy, xy, np.full(LANDMARKS, k + 1), quality=qualities))
+        qualities, zooms = np.ones(LANDMARKS), np.ones(LANDMARKS)
+        qualities[1], zooms[2] = quality, zoom
+        ids, ages = np.arange(LANDMARKS), np.full(LANDMARKS, k + 1)
+        landmarks.observe(k, Observations(ids, FOCAL_PX * xy, xy, ages, quality=qualities, zoom=zooms))
     assert len(landmarks.triangulate(made.cameras, newest=KEYFRAMES - 1)) == 0
     return made
 
@@ -55,12 +58,14 @@ def weights(system: LinearSystem) -> np.ndarray:
 
 
 def test_doubtful_sightings_weigh_less() -> None:
-    """One that is off by some pixels, and those of a feature that has changed its looks."""
+    """One that is off by some pixels, those of a feature that has changed its looks, and of one that came nearer."""
     clean = weights(window().linearise())
-    spoilt = weights(window(shift_px=4.0, quality=0.9).linearise())
+    spoilt = weights(window(shift_px=4.0, quality=0.9, zoom=2.0).linearise())
     assert spoilt[0] < clean[0] / 1.15
     np.testing.assert_allclose(spoilt[1], clean[1] / 3.0**2, rtol=1e-3)  # 1 + 20 · (1 − 0.9) times less certain
-    np.testing.assert_allclose(spoilt[2:], clean[2:], rtol=0.05)
+    np.testing.assert_allclose(spoilt[2], clean[2] / 2.0**2, rtol=1e-3)
+    np.testing.assert_allclose(spoilt[3:], clean[3:], rtol=0.05)
+    np.testing.assert_allclose(weights(window(zoom=0.5).linearise()), clean, rtol=1e-6)  # further is no reason
 
 
 @pytest.mark.parametrize(
