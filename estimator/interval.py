@@ -5,6 +5,7 @@ that the keyframe after it belongs at the last frame at which the drone surely s
 """
 
 import gtsam
+import numpy as np
 
 from dronevio.estimator.frontend import Observations
 from dronevio.estimator.keyframes import KeyframePolicy
@@ -13,6 +14,10 @@ from dronevio.estimator.smoother import KeyframeSmoother
 from dronevio.estimator.start_in_motion import Sighting
 from dronevio.models.imu import ImuModel
 from dronevio.models.state import NavState
+
+MAX_REST_SIGMAS = 5.0
+"""A keyframe whose velocity is further from zero than this is not at rest, however little the image moves [standard
+deviations]. On simulated flights, that of drones which hardly move is beyond 6, and that of standing ones below 4."""
 
 
 class Interval:
@@ -37,6 +42,7 @@ class Interval:
         """
         self._propagation = Propagation(params, imu, smoother.state, smoother.gtsam_state)
         self._policy = policy
+        self._may_rest = _is_slow(smoother.state)
         self._rest: list[Sighting] = []  # frames since the keyframe, if the drone has not moved since
         policy.begin(observations)
 
@@ -55,10 +61,10 @@ class Interval:
 
         Args:
             sighting: The frame.
-            still_for_s: For how long the drone has not moved [s].
+            still_for_s: For how long the image has not moved [s].
         """
         elapsed_s = self._propagation.elapsed_s + float(sighting.increments.dt_s.sum())
-        return self._policy.is_still(elapsed_s, still_for_s)
+        return self._may_rest and self._policy.is_still(elapsed_s, still_for_s)
 
     def add(self, sighting: Sighting, still: bool = False) -> None:
         """Take the next frame, and whether the drone has not moved from the keyframe up to it."""
@@ -72,6 +78,7 @@ class Interval:
 
     def is_over(self, still_for_s: float, observations: Observations, innovation_px: float | None) -> bool:
         """Say whether the last frame becomes a keyframe; see `KeyframePolicy.is_due`."""
+        still_for_s = still_for_s if self._may_rest else 0.0
         return self._policy.is_due(self._propagation.elapsed_s, still_for_s, observations, innovation_px)
 
     def cut_to_rest(self) -> tuple[Sighting | None, list[Sighting]]:
@@ -86,3 +93,11 @@ class Interval:
             return None, []
         self._propagation.restart([sighting.increments for sighting in settled])
         return settled[-1], recent
+
+
+def _is_slow(state: NavState) -> bool:
+    """Say whether a state may be one of rest, by its velocity and how sure that is."""
+    if state.covariance is None:
+        return True
+    v, P = state.velocity_m_s, state.covariance[6:9, 6:9]
+    return bool(v @ np.linalg.solve(P, v) < MAX_REST_SIGMAS**2)
