@@ -11,7 +11,6 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 import numpy.typing as npt
-from numpy.lib.stride_tricks import sliding_window_view
 
 Array = npt.NDArray[np.float64]
 Image = npt.NDArray[np.uint8]
@@ -79,11 +78,11 @@ def _best_nearby(image: Image, corners: npt.NDArray[np.int64]) -> Array:
     around = image[rows[:, :, None], columns[:, None, :]].astype(np.float32)
     x = around[:, 1:-1, 2:] - around[:, 1:-1, :-2]
     y = around[:, 2:, 1:-1] - around[:, :-2, 1:-1]
-    xx, xy, yy = (
-        sliding_window_view(product, (BLOCK, BLOCK), axis=(1, 2)).sum(axis=(3, 4)) for product in (x * x, x * y, y * y)
-    )
+    products, side = np.stack([x * x, x * y, y * y]), 2 * REACH + 1
+    down = np.sum([products[:, :, i : i + side] for i in range(BLOCK)], axis=0)
+    xx, xy, yy = np.sum([down[..., i : i + side] for i in range(BLOCK)], axis=0)
     score = 0.5 * (xx + yy) - np.hypot(0.5 * (xx - yy), xy)  # the smaller eigenvalue
-    row, column = np.divmod(score.reshape(-1, (2 * REACH + 1) ** 2).argmax(axis=1), 2 * REACH + 1)
+    row, column = np.divmod(score.reshape(-1, side**2).argmax(axis=1), side)
     return np.asarray(corners + np.stack([column, row], axis=1) - REACH, np.float64)
 
 

@@ -138,9 +138,10 @@ class PatchAligner:
         c, noise, zooms = self._config, noise_of(image), np.array(self._config.zooms)
         blur_px = c.noisy_blur_px if noise > c.noisy else c.blur_px
         sigmas = np.sqrt(blur_px**2 * zooms**2 + PIXEL_BLUR_PX**2 * (zooms**2 - 1.0))
-        padded = cv2.copyMakeBorder(image, MARGIN_PX, MARGIN_PX, 0, 0, cv2.BORDER_REPLICATE)
-        height = len(padded)
-        atlas = np.empty((len(sigmas) * height, image.shape[1]), np.uint8)
+        height, width = image.shape[0] + 2 * MARGIN_PX, image.shape[1]
+        padded = np.empty((height, width), np.uint8)  # OpenCV takes long for making room
+        cv2.copyMakeBorder(image, MARGIN_PX, MARGIN_PX, 0, 0, cv2.BORDER_REPLICATE, dst=padded)
+        atlas = np.empty((len(sigmas) * height, width), np.uint8)
         for level, sigma in enumerate(sigmas.tolist()):
             across = 2 * round(2.0 * sigma) + 1
             cv2.GaussianBlur(padded, (across, across), sigma, dst=atlas[level * height : (level + 1) * height])
