@@ -79,6 +79,7 @@ def _best_nearby(image: Image, corners: npt.NDArray[np.int64]) -> Array:
     x = around[:, 1:-1, 2:] - around[:, 1:-1, :-2]
     y = around[:, 2:, 1:-1] - around[:, :-2, 1:-1]
     products, side = np.stack([x * x, x * y, y * y]), 2 * REACH + 1
+    # Sums over the block, one axis after the other
     down = np.sum([products[:, :, i : i + side] for i in range(BLOCK)], axis=0)
     xx, xy, yy = np.sum([down[..., i : i + side] for i in range(BLOCK)], axis=0)
     score = 0.5 * (xx + yy) - np.hypot(0.5 * (xx - yy), xy)  # the smaller eigenvalue

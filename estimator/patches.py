@@ -81,7 +81,7 @@ class Patches:
     @property
     def zoom(self) -> Array:
         """(N,) How many times larger each looks than when it was first seen."""
-        return np.asarray(np.sqrt(np.abs(np.linalg.det(self.bend))))
+        return _zoom(self.bend)
 
     def __getitem__(self, rows: npt.NDArray[np.int64] | npt.NDArray[np.bool_]) -> Self:
         return type(self)(*(getattr(self, each.name)[rows] for each in fields(self)))
@@ -195,8 +195,7 @@ class PatchAligner:
         if not n:  # which OpenCV refuses
             return np.zeros((0, self._grid.shape[1]), np.float32)
         bend = np.tile(np.eye(2), (n, 1, 1)) if bend is None else bend
-        zoom = np.sqrt(np.abs(np.linalg.det(bend)))
-        level = np.abs(zoom[:, None] - self._config.zooms).argmin(axis=1)
+        level = np.abs(_zoom(bend)[:, None] - self._config.zooms).argmin(axis=1)
         middle = np.clip(pixels, -FAR_PX, FAR_PX).astype(np.float32)
         axes = bend.astype(np.float32)
         x = axes[:, 0] @ self._grid + middle[:, :1]
@@ -214,6 +213,11 @@ def noise_of(image: Image) -> float:
     differences = np.bincount(np.abs(few[:, 1:] - few[:, :-1]).ravel(), minlength=256)
     median = float(np.searchsorted(np.cumsum(differences), 0.5 * differences.sum()))
     return float(median / (MEDIAN_OVER_SIGMA * np.sqrt(2.0)))
+
+
+def _zoom(bend: Array) -> Array:
+    """Return how many times larger (N,) what is bent by matrices (N, 2, 2) looks."""
+    return np.asarray(np.sqrt(np.abs(np.linalg.det(bend))))
 
 
 def _normalised(values: Array32) -> tuple[Array32, Array32]:

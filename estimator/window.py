@@ -263,12 +263,8 @@ class Window:
             square: (N,) Squared residuals, in variances.
             keyframe: (N,) Rows of the keyframes.
         """
-        typical, ordered = np.zeros(len(self.states)), square[np.lexsort((square, keyframe))]
-        rows, counts = np.unique(keyframe, return_counts=True)
-        first = np.cumsum(counts) - counts
-        medians = 0.5 * (ordered[first + (counts - 1) // 2] + ordered[first + counts // 2])
-        typical[rows] = np.sqrt(medians)
-        return np.asarray(self._robust_sigmas * np.maximum(1.0, typical[keyframe]))
+        typical = np.sqrt(medians_of_each(keyframe, square))
+        return np.asarray(self._robust_sigmas * np.maximum(1.0, typical))
 
     def _rows(self, sightings: Sightings) -> Rows:
         return Rows(np.searchsorted(list(self.states), sightings.keyframe), self.landmarks.rows(sightings.landmark))
@@ -283,6 +279,14 @@ class Window:
     def _long_lived_rows(self) -> Integers:
         """Return the rows of the long-lived landmarks among all, in the prior's order."""
         return self.landmarks.rows(np.array(list(self._prior.points), dtype=np.int64))
+
+
+def medians_of_each(group: Integers, values: Array) -> Array:
+    """Return for each of some values (N,) the median (N,) of those that are in its group (N,)."""
+    _, inverse, counts = np.unique(group, return_inverse=True, return_counts=True)
+    ordered, first = values[np.lexsort((values, group))], np.cumsum(counts) - counts
+    medians = 0.5 * (ordered[first + (counts - 1) // 2] + ordered[first + counts // 2])
+    return np.asarray(medians[inverse])
 
 
 def _whitening(factor: Factor) -> Array:

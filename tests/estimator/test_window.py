@@ -5,12 +5,14 @@ from dataclasses import replace
 import gtsam
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
 from dronevio.estimator.frontend import Observations
 from dronevio.estimator.landmarks import LandmarkConfig, LandmarkWindow
 from dronevio.estimator.marginal import Factorised
 from dronevio.estimator.prior import State
-from dronevio.estimator.window import LinearSystem, Window
+from dronevio.estimator.window import LinearSystem, Window, medians_of_each
 
 FOCAL_PX, LANDMARKS, KEYFRAMES = 450.0, 30, 5
 
@@ -79,6 +81,23 @@ def test_what_noise_does_not_explain_of_a_motion_weighs_less(off_sigmas: float, 
     system, velocity = made.linearise(), 15 * 2 + np.arange(6, 9)
     np.testing.assert_allclose(system.H[np.ix_(velocity, velocity)], weight * 1e4 * np.eye(3), rtol=1e-3)
     np.testing.assert_allclose(system.b[velocity], -weight * 1e4 * off_m_s, rtol=1e-3, atol=1e-9)
+
+
+def test_a_keyframe_that_is_wrong_has_no_outliers() -> None:
+    """Where all that a keyframe shows is far off, it keeps the weight of half of it, and the others keep all."""
+    clean, wrong = window().linearise().visual.pose, window()
+    shifted = wrong.states[2].pose.compose(gtsam.Pose3(gtsam.Rot3(), np.array([0.3, 0.0, 0.0])))
+    wrong.states[2] = replace(wrong.states[2], pose=shifted)
+    ratio = np.trace(wrong.linearise().visual.pose, axis1=1, axis2=2) / np.trace(clean, axis1=1, axis2=2)
+    assert 0.4 < ratio[2] < 0.6  # each for itself, at 20 pixels and more, they would keep a thousandth
+    np.testing.assert_allclose(np.delete(ratio, 2), 1.0, rtol=0.05)
+
+
+@given(st.lists(st.tuples(st.integers(0, 5), st.floats(0.0, 1e6)), max_size=60))
+def test_medians_are_those_of_each_group(pairs: list[tuple[int, float]]) -> None:
+    group, values = np.array([k for k, _ in pairs], dtype=np.int64), np.array([v for _, v in pairs])
+    expected = [np.median(values[group == k]) for k in group]
+    np.testing.assert_array_equal(medians_of_each(group, values), expected)
 
 
 @pytest.mark.parametrize("long_lived", [0, 10])
