@@ -42,7 +42,8 @@ class PatchConfig:
     """How much a patch bends from one frame to the next: standard deviation of the matrix's elements."""
     blur_px: float = 0.5
     """Images are blurred by so much before they are compared [px]: interpolation is more accurate then, and the stairs
-    of pixels matter less."""
+    of pixels matter less. With 0.35, and patches of 15 px, tracks along corridors err by 0.14 px after 20 frames, not
+    by 0.15 to 0.18, and yet slow flights there by up to 2.4 times as much."""
     zooms: tuple[float, ...] = (1.0, 1.6)
     """What has come nearer looks sharper than it did; it is compared in images that are blurred so much more, for the
     zoom that is nearest."""
