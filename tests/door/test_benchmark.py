@@ -124,7 +124,7 @@ def test_the_numbers_are_those_of_the_other_commands(many: Result, flown: Result
     assert None not in (row.nees_position, row.velocity_m_s, row.cpu_ms_p99, row.real_time_factor, row.drift_percent)
 
 
-def test_dead_reckoning_is_worse_than_seeing_and_the_truth_is_exact(many: Result) -> None:
+def test_dead_reckoning_is_worse_than_vio_and_the_truth_is_exact(many: Result) -> None:
     rows = by_estimator(many.folder)
     exact = rows["1.0"].ate_m
     assert exact is not None
@@ -279,7 +279,7 @@ def test_programs_that_are_not_there_are_told(flown: Result) -> None:
         estimator_named("external:true {recording} {output}").run(flown.folder)
 
 
-def test_what_changes_a_recording_changes_its_hash_and_a_name_does_not(flown: Result, tmp_path: Path) -> None:
+def test_the_hash_depends_on_what_is_recorded_not_on_its_name(flown: Result, tmp_path: Path) -> None:
     flights = scenario_flights(["short", "short-v0", "hover"], range(2))
     assert [(flight.scenario, flight.seed) for flight in flights] == [
         ("short-v0", 0),
@@ -297,7 +297,7 @@ def test_what_changes_a_recording_changes_its_hash_and_a_name_does_not(flown: Re
         recorded_flights([flown.folder, link])
 
 
-def test_ray_gives_the_same_rows_and_is_heard_of_on_this_machine_only(place: Path, flown: Result, many: Result) -> None:
+def test_ray_gives_the_same_rows_and_listens_on_localhost_only(place: Path, flown: Result, many: Result) -> None:
     if find_spec("ray") is None:  # not importorskip: where Ray listens is settled when it is imported, by the engine
         pytest.skip("Ray is not installed")
     named = tuple(estimator_named(name) for name in ("vio", "dead-reckoning"))

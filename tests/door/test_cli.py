@@ -71,7 +71,7 @@ def test_every_command_explains_itself(command: str, capsys: pytest.CaptureFixtu
 
 
 @pytest.mark.parametrize("command", [name for name in COMMANDS if name != "book"])
-def test_explaining_a_command_loads_neither_simulator_nor_drawing(command: str) -> None:
+def test_help_imports_neither_the_simulator_nor_the_plots(command: str) -> None:
     code = f"from dronevio.cli import main\ntry:\n    main([{command!r}, '--help'])\nexcept SystemExit:\n    pass\n"
     loaded = python(f"{code}import sys\nprint('loaded:', *sys.modules)")
     assert loaded.returncode == 0, loaded.stderr

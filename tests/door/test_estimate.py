@@ -62,7 +62,7 @@ def test_all_cameras_are_used_unless_fewer_are_asked_for(
     assert (tmp_path / "vio-stereo.tum").read_bytes() == (stereo.folder / "estimate.tum").read_bytes()
 
 
-def test_every_imu_sample_gets_a_pose_as_near_the_truth_as_the_frames(stereo: Result, do: Do, tmp_path: Path) -> None:
+def test_poses_at_imu_rate_are_as_accurate_as_those_of_frames(stereo: Result, do: Do, tmp_path: Path) -> None:
     recording, files = stereo.folder / "recording", (tmp_path / "frames.tum", tmp_path / "imu.tum")
     shown = do(tmp_path, "estimate", recording, "--cameras", "1", "--out", files[0], "--imu-rate", files[1])
     assert f"wrote {files[0]} and {files[1]}" in shown.out

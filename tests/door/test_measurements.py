@@ -113,7 +113,7 @@ class Still:
         pass
 
 
-def test_outliers_are_a_fifth_of_the_tracks_and_always_the_same_ones(spoiling: Any) -> None:
+def test_a_fifth_of_the_tracks_are_outliers_and_always_the_same(spoiling: Any) -> None:
     inner = Still()
     front_end = spoiling.Outliers(inner)
     frame = CameraFrame(0, ())
@@ -189,7 +189,7 @@ def test_a_repeated_flight_is_one_flight(
     assert metres == pytest.approx(np.linalg.norm(truth.p_world_imu[-1] - truth.p_world_imu[0])) and degrees > 0.0
 
 
-def test_a_flight_that_grows_dearer_is_seen_and_one_that_varies_within_its_laps_is_not(cost: Any) -> None:
+def test_growing_cost_is_detected_and_variation_in_a_lap_is_not(cost: Any) -> None:
     lap = 10.0 + 5.0 * np.sin(np.linspace(0.0, 2.0 * np.pi, 800))
     even = cost.flatness(np.tile(lap, 15).tolist(), 800, 1200)
     assert even.ratio == pytest.approx(1.0)

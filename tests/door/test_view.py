@@ -67,7 +67,7 @@ def test_a_taken_port_is_passed_over():
     assert free_port(port) == port
 
 
-def test_the_web_viewer_serves_this_machine_only_and_ends_with_the_command(run_folder):
+def test_the_web_viewer_is_local_and_ends_with_the_command(run_folder):
     environment = {k: v for k, v in os.environ.items() if k not in ("DISPLAY", "WAYLAND_DISPLAY")}
     viewer = subprocess.Popen(
         [sys.executable, "-m", "dronevio.cli", "view", str(run_folder), "--port", "0"],

@@ -49,7 +49,7 @@ CRASHED = Row("room-v0", "room", None, "a=b c", "config", "versions", "crashed",
 # --- processes
 
 
-def test_a_call_in_a_process_of_its_own_returns_its_value_and_what_it_cost() -> None:
+def test_an_isolated_call_returns_its_value_and_its_cost() -> None:
     outcome = isolated(math.hypot, 3.0, 4.0)
     assert (outcome.status, outcome.reason, outcome.value) == ("ok", "", 5.0)
     assert 0.0 < outcome.cpu_s < 10.0
@@ -74,7 +74,7 @@ def test_a_process_that_dies_is_told_from_one_that_ends_too_soon() -> None:
     assert (left.status, left.reason) == ("crashed", "ended with code 7")
 
 
-def test_a_process_past_its_time_is_killed_with_all_that_it_started(tmp_path: Path) -> None:
+def test_a_timeout_kills_the_process_and_all_its_children(tmp_path: Path) -> None:
     note = tmp_path / "pid"
     start = time.perf_counter()
     outcome = isolated(subprocess.check_call, ["sh", "-c", f"echo $$ > {note}; sleep 60"], timeout_s=1.0)
@@ -157,7 +157,7 @@ def test_files_that_are_no_results_are_told_so(tmp_path: Path) -> None:
         read_rows(path)
 
 
-def test_a_store_keeps_the_latest_row_of_a_run_and_overlooks_damaged_files(tmp_path: Path) -> None:
+def test_a_store_keeps_the_latest_row_and_ignores_damaged_files(tmp_path: Path) -> None:
     store = ResultStore(tmp_path / "new" / "bench")
     store.add(OK)
     store.add(CRASHED)
@@ -212,7 +212,7 @@ def test_a_recording_is_made_once_however_many_want_it(tmp_path: Path) -> None:
     assert made[0] != cache.find("abc")  # nobody sees it while it is made
 
 
-def test_nothing_half_made_stays_and_what_a_killed_process_left_is_cleared(tmp_path: Path) -> None:
+def test_partial_recordings_are_removed(tmp_path: Path) -> None:
     cache = RecordingCache(tmp_path)
     (tmp_path / ".abc.partial-left").mkdir()
 
@@ -291,7 +291,7 @@ def benchmark(tmp_path: Path, seeds: int = 3, **others: Any) -> Benchmark:
     return replace(Benchmark(flights, ("a", "b"), NoWorkshop(), tmp_path / "cache", 60.0), **others)
 
 
-def test_an_interrupted_benchmark_keeps_what_is_done_and_goes_on_with_the_rest(tmp_path: Path) -> None:
+def test_an_interrupted_benchmark_resumes_where_it_stopped(tmp_path: Path) -> None:
     with pytest.raises(KeyboardInterrupt):
         run_benchmark(benchmark(tmp_path), ResultStore(tmp_path), Script(stop_after=3))
     assert len(read_rows(tmp_path)) == 3
@@ -364,7 +364,7 @@ def test_a_failed_run_is_the_worst_of_the_spread() -> None:
 
 
 @pytest.mark.skipif(platform.system() != "Linux", reason="looks into /proc")
-def test_the_memory_of_a_process_is_its_own_not_that_of_who_started_it() -> None:
+def test_peak_memory_excludes_the_parent_process() -> None:
     ballast = b"x" * 300_000_000
     peak_mb = isolated(math.sqrt, 4.0).peak_mb
     assert peak_mb is not None

@@ -62,7 +62,7 @@ def test_errors_by_length_do_not_depend_on_the_gauge(seed: int, yaw: float, t: t
 
 @settings(max_examples=10, deadline=None)
 @given(st.floats(0.5, 2.0))
-def test_a_wrong_scale_on_a_straight_way_is_a_drift_of_as_many_per_cent(scale: float) -> None:
+def test_a_wrong_scale_on_a_straight_path_is_as_much_drift(scale: float) -> None:
     p = np.outer(np.arange(300.0), [0.6, 0.8, 0.0])
     q = np.tile([1.0, 0.0, 0.0, 0.0], (300, 1))
     [short, long] = errors_by_length(p, q, scale * p, q, (10.0, 50.0))
@@ -73,7 +73,7 @@ def test_a_wrong_scale_on_a_straight_way_is_a_drift_of_as_many_per_cent(scale: f
     assert (short.translation_m.n, long.translation_m.n) == (292, 260)  # 20 % of the length may be missing at the end
 
 
-def test_a_tilt_that_is_wrong_from_the_start_is_drift_and_no_relative_error() -> None:
+def test_a_constant_tilt_is_drift_but_no_relative_error() -> None:
     """By hand: tilted by 2°, a metre forward is 3.5 cm too high; the relative error makes the tilted poses meet."""
     truth = drive(0)
     level = replace(truth, p_world_imu=truth.p_world_imu * [1.0, 1.0, 0.0])

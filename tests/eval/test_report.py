@@ -120,7 +120,7 @@ def test_the_page_draws_what_is_known(page, scored):
     assert f"at most {scores.ate_m.max:.3f} m" in page.alts[2]
 
 
-def test_every_picture_says_what_it_shows_and_every_axis_its_unit(page, html):
+def test_every_plot_has_a_title_and_every_axis_a_unit(page, html):
     assert len(page.alts) == html.count("<svg") == html.count('<svg role="img"') + 4  # the frames among them
     assert all(page.alts)
     drawings = [part.partition("</svg>")[0] for part in html.split('<svg role="img"')[1:]]

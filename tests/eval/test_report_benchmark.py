@@ -102,7 +102,7 @@ def test_a_median_on_a_failed_run_says_so():
     assert spread(COST, rows).median == 20.0  # a dead process says nothing of what a frame costs
 
 
-def test_the_best_is_the_smallest_the_largest_or_the_nearest_to_three():
+def test_the_best_is_the_smallest_largest_or_nearest_to_three():
     rows = (
         scored("s", 0, "a", 0.1, coverage_percent=90.0, nees_position=0.2),
         scored("s", 0, "b", 0.2, coverage_percent=99.0, nees_position=4.0),

@@ -89,7 +89,7 @@ def test_all_that_was_heard_is_in_the_file(flight, tmp_path, read_rrd, verify_rr
     assert np.array(columns[ESTIMATE.cost]["scalars"].to_pylist())[:, 0].tolist() == flight.run.cpu_ms.tolist()
 
 
-def test_the_first_pose_meets_the_truth_and_errors_are_told_as_they_grow(flight, tmp_path, read_rrd):
+def test_the_first_pose_is_aligned_and_errors_are_logged(flight, tmp_path, read_rrd):
     log_live(tmp_path / "live.rrd", flight, jpegs)
     error = read_rrd(tmp_path / "live.rrd")[ESTIMATE.position_error.tied]
     values = np.array(error["scalars"].to_pylist())[:, 0]

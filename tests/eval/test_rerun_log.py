@@ -190,7 +190,7 @@ def test_what_was_written_before_an_unreadable_image_can_be_read(flight, tmp_pat
 
 
 @pytest.mark.parametrize("seed", range(5))
-def test_the_eye_sees_everything_and_stands_no_further_than_it_must(seed):
+def test_the_view_holds_everything_from_the_least_distance(seed):
     points = np.random.default_rng(seed).uniform(-1.0, 1.0, (50, 3)) * [5.0, 3.0, 1.5] + [10.0, -4.0, 1.0]
     position, target = look_at_all(points)
     forward = (target - position) / np.linalg.norm(target - position)
@@ -205,7 +205,7 @@ def test_the_eye_sees_everything_and_stands_no_further_than_it_must(seed):
     assert 0.85 < max(across.max(), upwards.max()) <= 1.0
 
 
-def test_a_file_opened_before_the_run_holds_the_same_as_one_written_after_it(flight, tmp_path, read_rrd, columns):
+def test_a_live_file_equals_one_written_after_the_run(flight, tmp_path, read_rrd, columns):
     path = tmp_path / "run.rrd"
     scored = score_trajectory(flight.recording.ground_truth, flight.run.trajectory)
     with run_file(path, flight.recording, surroundings=Surroundings(flight.outline)) as file:

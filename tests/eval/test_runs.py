@@ -8,7 +8,7 @@ from dronevio.models.errors import EvaluationError
 from dronevio.models.state import Health
 
 
-def test_the_trajectory_holds_only_poses_that_the_estimator_stands_by(flight):
+def test_the_trajectory_holds_only_valid_poses(flight):
     estimates = list(flight.run.estimates)
     estimates[20] = replace(estimates[20], health=Health.LOST)
     estimates[30] = replace(estimates[30], health=Health.INERTIAL_ONLY)

@@ -21,7 +21,7 @@ def test_without_faults_the_rig_is_the_calibrated_one() -> None:
         assert np.array_equal(camera.T_imu_cam, calibrated.T_imu_cam)
 
 
-def test_hidden_tilts_have_their_size_and_leave_the_cameras_in_place() -> None:
+def test_hidden_tilts_have_their_size_and_move_no_camera() -> None:
     rig = rig_named("euroc-stereo")
     true = Faults(hidden_tilt_rad=0.017).true_rig(rig, np.random.default_rng(0))
     for camera, calibrated in zip(true.cameras, rig.cameras, strict=True):

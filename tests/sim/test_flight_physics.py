@@ -42,7 +42,7 @@ def energy(drone: Quadrotor, motion: Motion) -> Array:
     return np.asarray(moving + drone.mass_kg * 9.81 * position[:, 2])
 
 
-def test_a_body_thrown_without_air_keeps_its_energy_and_flies_a_parabola() -> None:
+def test_a_body_thrown_in_vacuum_flies_a_parabola() -> None:
     plant = QuadrotorPlant(RIG, AIRLESS)
     start, velocity = HIGH[:3, 3], np.array([2.0, -1.0, 6.0])
     plant.reset(HIGH, velocity, np.array([0.5, -0.3, 2.0]))
@@ -90,7 +90,7 @@ def test_body_and_rotors_together_keep_their_angular_momentum() -> None:
 
 
 @pytest.mark.parametrize("axis", [0, 1, 2])
-def test_a_falling_body_reaches_the_speed_at_which_drag_is_its_weight(axis: int, drone: Quadrotor) -> None:
+def test_a_falling_body_reaches_its_terminal_velocity(axis: int, drone: Quadrotor) -> None:
     down = [(0.0, 0.5 * np.pi, 0.0), (0.5 * np.pi, 0.0, 0.0), (0.0, 0.0, 0.0)][axis]
     terminal = np.sqrt(2.0 * drone.mass_kg * 9.81 / (1.225 * drone.drag_area_m2[axis]))
     plant = QuadrotorPlant(RIG, drone)
@@ -99,7 +99,7 @@ def test_a_falling_body_reaches_the_speed_at_which_drag_is_its_weight(axis: int,
     np.testing.assert_allclose(plant.vehicle_state().velocity_m_s, [0.0, 0.0, -terminal], rtol=5e-3, atol=1e-6)
 
 
-def test_wind_pushes_a_hovering_drone_along_and_stops_pushing_one_that_drifts_with_it(drone: Quadrotor) -> None:
+def test_wind_drags_a_drone_until_it_drifts_with_the_air(drone: Quadrotor) -> None:
     wind = np.array([2.0, -1.0, 0.0])
     plant = QuadrotorPlant(RIG, drone, wind=Wind(tuple(wind)))
     hover = np.full(4, drone.hover_speed_rad_s)
@@ -112,7 +112,7 @@ def test_wind_pushes_a_hovering_drone_along_and_stops_pushing_one_that_drifts_wi
     np.testing.assert_allclose(plant.step_until(0, hover).accel_m_s2[0], [0.0, 0.0, 9.81], atol=1e-3)
 
 
-def test_an_accelerometer_reads_drag_backwards_and_thrust_upwards(drone: Quadrotor) -> None:
+def test_the_accelerometer_measures_drag_and_thrust(drone: Quadrotor) -> None:
     plant, hover = QuadrotorPlant(RIG, drone), np.full(4, drone.hover_speed_rad_s)
     for velocity in np.vstack([np.eye(3), -np.eye(3)]):
         plant.reset(HIGH, velocity_m_s=velocity, rotor_speeds_rad_s=hover)
@@ -136,7 +136,7 @@ def test_a_drone_that_bounces_never_gains_energy(drone: Quadrotor) -> None:
     assert position[:, 2].min() > 0.0
 
 
-def test_a_drone_comes_down_more_softly_on_its_own_cushion_of_air(drone: Quadrotor) -> None:
+def test_ground_effect_softens_a_landing(drone: Quadrotor) -> None:
     plant, hover = QuadrotorPlant(RIG, drone), np.full(4, drone.hover_speed_rad_s)
     rise = []
     for height in (1.0 * drone.rotor_radius_m, 4.0 * drone.rotor_radius_m, 50.0):
@@ -180,7 +180,7 @@ def walled() -> mujoco.MjSpec:
     return spec
 
 
-def test_a_wall_stops_the_drone_and_the_collision_says_what_when_and_how_fast(drone: Quadrotor) -> None:
+def test_a_collision_reports_the_object_the_time_and_the_speed(drone: Quadrotor) -> None:
     plant = QuadrotorPlant(RIG, drone, surroundings=walled())
     plant.reset(pose_matrix(np.eye(3), np.array([1.2, 0.0, 1.0])), np.array([3.0, 0.0, 0.0]))
     plant.advance(SECOND_NS // 10, np.zeros(4))
@@ -211,7 +211,7 @@ def test_feet_on_the_floor_are_no_collision_and_a_propeller_is(drone: Quadrotor)
     assert plant.collision.against == "floor"
 
 
-def test_a_foot_against_a_kerb_is_a_collision_and_one_on_it_is_not() -> None:
+def test_a_foot_against_a_kerb_collides_and_one_on_it_does_not() -> None:
     kerb = mujoco.MjSpec()
     kerb.worldbody.add_geom(
         name="kerb", type=mujoco.mjtGeom.mjGEOM_BOX, size=[1.0, 1.0, 0.05], pos=[1.3, 0.0, -0.01], group=TOUCHED_GROUP
@@ -227,7 +227,7 @@ def test_a_foot_against_a_kerb_is_a_collision_and_one_on_it_is_not() -> None:
     assert plant.collision is None
 
 
-def test_gusts_are_drawn_anew_for_every_flight_and_are_the_same_for_the_same_seed() -> None:
+def test_gusts_differ_between_flights_and_repeat_with_the_seed() -> None:
     def wind_after(plant: QuadrotorPlant) -> Array:
         plant.reset(HIGH)
         plant.advance(SECOND_NS // 2, np.zeros(4))

@@ -87,7 +87,7 @@ def test_a_bogus_wish_ends_in_one_line() -> None:
 
 
 @pytest.mark.skipif(platform.system() != "Linux", reason="hides the drivers from Linux's EGL")
-def test_missing_drivers_end_in_one_line_with_the_command_to_type() -> None:
+def test_missing_drivers_are_reported_with_a_command_to_type() -> None:
     ran = run_door(["fly", "--scenario", "short"], MUJOCO_GL="egl", __EGL_VENDOR_LIBRARY_FILENAMES="/dev/null")
     assert ran.returncode == 2
     assert len(ran.stderr.strip().splitlines()) == 1

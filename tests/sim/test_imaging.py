@@ -71,7 +71,7 @@ def test_white_counts_as_white_however_bright_it_is() -> None:
     assert exposures.time_s[-1] / NOMINAL_S == pytest.approx((150.0 - 0.4 * 255.0) / (0.6 * 20.0), rel=1e-3)
 
 
-def test_a_step_of_light_is_corrected_without_overshoot_and_not_before_it_is_seen() -> None:
+def test_exposure_follows_a_step_of_light_without_overshoot() -> None:
     scene = histogram(grey(100))
     light = np.where(np.arange(40) < 10, 1.0, 0.25)
     x = np.log(control(AutoExposure(tolerance=0.0, longest_s=0.05), [scene] * 40, light).time_s)

@@ -40,7 +40,7 @@ def test_white_noise_has_the_density_that_was_asked_for(name: str, sampling: Sam
     assert np.abs(correlation - np.eye(12)).max() < 0.03  # white, and no axis knows of another
 
 
-def test_the_noise_of_an_increment_is_the_mean_of_the_noise_in_its_interval() -> None:
+def test_the_noise_of_an_increment_is_its_interval_mean() -> None:
     model = replace(SILENT, gyro_noise_density=1e-3, accel_noise_density=1e-2)
     dt_ns = np.where(np.arange(N) % 2 == 0, STEP_NS, 4 * STEP_NS)
     uneven = ImuSamples(np.cumsum(dt_ns), np.zeros((N, 3)), np.zeros((N, 3)), "increment")
@@ -97,7 +97,7 @@ def test_biases_and_constants_explain_every_sample(name: str) -> None:
     np.testing.assert_allclose(left_accel.mean(), 0.0, atol=0.01 * left_accel.std())
 
 
-def test_scale_misalignment_and_g_sensitivity_have_the_spreads_that_were_asked_for() -> None:
+def test_scale_misalignment_and_g_sensitivity_have_their_sigmas() -> None:
     model = replace(
         SILENT,
         gyro_scale_error=0.02,

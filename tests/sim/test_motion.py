@@ -108,9 +108,7 @@ def test_increments_carry_an_aggressive_minute(aggressive: Motion, T_vehicle_imu
 
 
 @MOUNTS
-def test_points_carry_an_aggressive_minute_as_far_as_their_sampling_allows(
-    aggressive: Motion, T_vehicle_imu: np.ndarray
-) -> None:
+def test_points_describe_a_fast_minute_within_their_sampling(aggressive: Motion, T_vehicle_imu: np.ndarray) -> None:
     """What the midpoint rule loses is what `Motion.points` says that it must; given that, nothing else is lost."""
     truth, points, dt = aggressive.trajectory(T_vehicle_imu), aggressive.points(T_vehicle_imu, 5e-3), 5e-3
     assert truth.velocity_m_s is not None
@@ -153,7 +151,7 @@ def test_increments_carry_the_whole_flight_through_its_landing(flown: Motion) ->
     assert position_m.max() < 3e-4
 
 
-def test_rotor_speeds_are_those_of_the_interval_that_begins_at_their_stamp() -> None:
+def test_rotor_speeds_belong_to_the_interval_after_their_stamp() -> None:
     """Nearly at rest the specific force is that of the thrust; while rotors speed up, another interval's differs."""
     quadrotor, start = Quadrotor(), pose_matrix(np.eye(3), np.array([0.0, 0.0, 50.0]))
     plant = QuadrotorPlant(euroc_rig(), quadrotor)

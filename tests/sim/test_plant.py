@@ -52,7 +52,7 @@ def test_another_quadrotor_has_its_own_mass() -> None:
     ],
     ids=["roll right", "nose down", "yaw left", "roll left", "nose up", "yaw right"],
 )
-def test_every_axis_turns_the_right_way_and_the_gyroscope_says_so(
+def test_every_axis_turns_as_the_gyroscope_measures(
     name: str, more: np.ndarray, less: np.ndarray, axis: int, sign: int
 ) -> None:
     plant = QuadrotorPlant(AT_THE_MIDDLE, VEHICLES[name])

@@ -92,7 +92,7 @@ BITCRAZE = np.array(
 )
 
 
-def test_the_nano_s_thrust_and_power_are_those_of_the_thrust_stand() -> None:
+def test_the_nano_has_the_thrust_and_power_of_its_test_stand() -> None:
     current, grams, voltage, throttle, rpm = BITCRAZE.T
     speeds = np.repeat((rpm * np.pi / 30.0)[:, None], 4, axis=1)
     state = turning(NANO, speeds)
@@ -150,7 +150,7 @@ def test_air_only_ever_takes_energy(drone: Quadrotor) -> None:
     assert np.all(np.sum(passive * np.hstack([velocity, rate]), axis=1) < 0.0)
 
 
-def test_turning_the_rotors_axes_costs_no_power_but_a_torque_across() -> None:
+def test_turning_rotor_axes_takes_a_torque_but_no_power() -> None:
     one = np.array([600.0, 0.0, 0.0, 0.0])  # it turns anticlockwise: its momentum points up
     bare = replace(RESEARCH, drag_n_s2_per_rad_m=0.0, inflow_n_s2_per_rad_m=0.0)
     rolling = np.array([2.0, 0.0, 0.0])
@@ -199,7 +199,7 @@ def test_a_rotor_without_power_coasts_and_gives_no_torque(drone: Quadrotor) -> N
     assert abs(shaft[1]) < 0.02 * shaft[0]
 
 
-def test_the_ground_helps_as_cheeseman_and_bennett_say_and_the_neighbours_add_to_it() -> None:
+def test_ground_effect_follows_cheeseman_and_bennett() -> None:
     R, lone = RESEARCH.rotor_radius_m, replace(RESEARCH, arm_m=1e6)
     heights = R * np.array([0.7, 1.0, 2.0, 4.0])
     alone = ground_effect(lone, heights)
@@ -217,7 +217,7 @@ def test_the_ground_helps_as_cheeseman_and_bennett_say_and_the_neighbours_add_to
     )
 
 
-def test_the_ground_levels_a_tilted_drone_and_ignores_one_upside_down(drone: Quadrotor) -> None:
+def test_ground_effect_levels_a_tilt_but_not_upside_down(drone: Quadrotor) -> None:
     state = turning(drone, np.full(4, drone.hover_speed_rad_s))
     low = 2.0 * drone.rotor_radius_m
     right_side_down = np.array([0.0, np.sin(0.1), np.cos(0.1)])  # the world's z in the frame of a roll by 0.1 rad

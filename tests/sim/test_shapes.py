@@ -94,7 +94,7 @@ def test_jitter_moves_waypoints_as_far_as_is_clear() -> None:
 
 
 @pytest.mark.parametrize(("shape", "slow"), [("hover", 0.0), ("rotation", 0.0), ("square", 0.5)])
-def test_laps_come_as_close_as_they_can_to_the_time_that_is_asked_for(shape: str, slow: float) -> None:
+def test_laps_approximate_the_requested_time(shape: str, slow: float) -> None:
     place = hall()
     one, two = (planned(FlightPlan(shape=shape, laps=laps), place).duration_s for laps in (1, 2))
     many = planned(FlightPlan(shape=shape, tour_s=60.0), place)
@@ -187,7 +187,7 @@ def test_aggressive_rolls_and_pitches_faster_than_3_rad_a_second() -> None:
     np.testing.assert_array_equal(path.yaw_rad, 0.0)
 
 
-def test_a_race_is_fast_and_goes_through_the_whole_route_in_every_lap() -> None:
+def test_a_race_is_fast_and_flies_the_whole_route_each_lap() -> None:
     place = hall()
     path = planned(FlightPlan(shape="race", limits=LIMITS["race"], laps=3), place)
     assert path.peak_speed_m_s > 7.0

@@ -52,7 +52,7 @@ def test_imbalance_is_a_tone_at_the_rotors_speed_or_its_alias(frequency_hz: floa
 
 
 @pytest.mark.parametrize("rotor", range(4))
-def test_imbalance_turns_with_its_rotor_by_the_speed_held_since_the_last_stamp(rotor: int) -> None:
+def test_imbalance_turns_with_the_held_rotor_speed(rotor: int) -> None:
     quadrotor, speeds = shaken(imbalance_m=1e-6), np.zeros((N, 4))
     speeds[:, rotor] = np.random.default_rng(8).uniform(50.0, 600.0, N)  # less than half a turn an interval
     _, accel = RotorTones(quadrotor, ALIGNED, np.random.default_rng(9)).felt(batch(), speeds)
@@ -97,7 +97,7 @@ def test_an_increment_is_the_mean_of_the_points_in_its_interval() -> None:
         )
 
 
-def test_a_filter_weakens_a_tone_by_three_decibels_at_its_bandwidth() -> None:
+def test_a_filter_attenuates_by_3_db_at_its_bandwidth() -> None:
     rig = replace(ALIGNED, imu=replace(ALIGNED.imu, gyro_bandwidth_hz=60.0, accel_bandwidth_hz=120.0))
     speed = 2.0 * np.pi * 60.0
     gyro, accel = RotorTones(shaken(imbalance_m=1e-6, imbalance_rad=1e-5), rig, np.random.default_rng(0)).felt(

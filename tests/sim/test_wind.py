@@ -24,7 +24,7 @@ def test_scales_are_the_standards() -> None:
 
 
 @pytest.mark.parametrize("steps", [1, 7])
-def test_variances_and_correlations_do_not_depend_on_how_distance_is_cut(steps: int) -> None:
+def test_gust_statistics_do_not_depend_on_the_step_length(steps: int) -> None:
     air = GustyAir(BREEZE, np.random.default_rng(0), (40_000,))
     before = air.velocity_m_s() - BREEZE.mean_m_s
     distance = 2.0
@@ -68,7 +68,7 @@ def test_gusts_blow_along_the_wind_wherever_it_comes_from() -> None:
     np.testing.assert_allclose(wind.axes[0], [-0.6, 0.8, 0.0])
 
 
-def test_each_of_many_has_its_own_gusts_and_a_restart_brings_new_ones() -> None:
+def test_parallel_gusts_are_independent_and_renewed_on_restart() -> None:
     air = GustyAir(BREEZE, np.random.default_rng(3), (2,))
     first = air.velocity_m_s()
     assert not np.any(first[0] == first[1])

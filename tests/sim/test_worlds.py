@@ -150,7 +150,7 @@ def test_the_dark_is_the_furnished_room_by_less_light() -> None:
     assert sum(box.glow > 0.0 for box in dark.boxes) == len(dark.lights)
 
 
-def test_a_mirror_shows_its_pattern_where_it_is_and_what_stands_on_it() -> None:
+def test_a_mirror_reflects_the_wall_and_what_stands_on_it() -> None:
     def nothing(rng: np.random.Generator, height: int, width: int) -> Image:
         return np.zeros((height, width, 3), np.uint8)
 
