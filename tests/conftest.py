@@ -3,9 +3,11 @@ import os
 os.environ.setdefault("OMP_NUM_THREADS", "1")  # before NumPy is imported: threads that spin make small systems slower
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
+import importlib
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -16,6 +18,22 @@ from dronevio.models.recordings.frame_truth import FrameTruth
 from dronevio.models.rig import Rig
 from dronevio.models.rigs import rig_named
 from dronevio.models.state import CameraFrame, Trajectory
+
+SCRIPTS = Path(__file__).resolve().parents[1] / "scripts"
+
+
+@pytest.fixture(scope="session")
+def script() -> Callable[[str], Any]:
+    """Gives a script as a module, by name; scripts belong to no package, and find each other by their names."""
+
+    def load(name: str) -> Any:
+        if not (SCRIPTS / f"{name}.py").exists():
+            pytest.skip("the scripts are in the repository, not in the package")
+        with pytest.MonkeyPatch.context() as patch:
+            patch.syspath_prepend(SCRIPTS)
+            return importlib.import_module(name)
+
+    return load
 
 
 @pytest.fixture(scope="session")

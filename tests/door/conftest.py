@@ -1,7 +1,6 @@
 """One flight for all tests of the door, flown once."""
 
 import contextlib
-import importlib
 import io
 import json
 from collections.abc import Callable
@@ -12,8 +11,6 @@ from typing import Any
 import pytest
 
 from dronevio.cli import main
-
-SCRIPTS = Path(__file__).resolve().parents[2] / "scripts"
 
 
 @dataclass(frozen=True)
@@ -36,20 +33,6 @@ def carry_out(folder: Path, *arguments: str | Path) -> Result:
         status = main([str(argument) for argument in arguments])
     assert status == 0, err.getvalue()
     return Result(folder, out.getvalue(), err.getvalue())
-
-
-@pytest.fixture(scope="session")
-def script() -> Callable[[str], Any]:
-    """Gives a script as a module, by name; scripts belong to no package, and find each other by their names."""
-
-    def load(name: str) -> Any:
-        if not (SCRIPTS / f"{name}.py").exists():
-            pytest.skip("the scripts are in the repository, not in the package")
-        with pytest.MonkeyPatch.context() as patch:
-            patch.syspath_prepend(SCRIPTS)
-            return importlib.import_module(name)
-
-    return load
 
 
 @pytest.fixture(scope="session")
