@@ -1,11 +1,13 @@
 # Everything happens in this folder: uv and the packages are brought into .uv/ and .venv/ when they are first needed.
 
-.PHONY: help setup run test check lint format types contracts pictures seeds
+.PHONY: help setup run test check lint format types contracts docs docs-serve pictures seeds
 
 help:
 	@echo "make run [ARGS='--seed 3']   fly, estimate, score and report"
 	@echo "make test [ARGS='-k imu']    run the tests"
 	@echo "make check                   lint, format, types and import contracts"
+	@echo "make docs                    build the documentation site in build/site"
+	@echo "make docs-serve              show it on 127.0.0.1:8000 while pages are edited"
 	@echo "make pictures                make the README's pictures anew"
 	@echo "make seeds                   fly seeds 0 to 9 and print the README's table"
 	@echo "make setup                   only set up; the others do it too"
@@ -32,6 +34,12 @@ types: setup
 
 contracts: setup
 	.venv/bin/lint-imports
+
+docs: setup
+	@scripts/docs.sh build --strict --quiet
+
+docs-serve: setup
+	@scripts/docs.sh serve --dev-addr 127.0.0.1:8000
 
 pictures: setup
 	.venv/bin/python scripts/pictures.py

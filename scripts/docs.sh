@@ -1,0 +1,12 @@
+#!/usr/bin/env bash
+# Build the documentation site in build/site, or serve it: scripts/docs.sh build|serve [OPTIONS OF MKDOCS].
+# The reference pages are made from the commands and the packages first. Nothing is fetched but locked packages.
+set -euo pipefail
+cd "$(dirname "${BASH_SOURCE[0]}")/.."
+unset VIRTUAL_ENV UV_PROJECT_ENVIRONMENT # another environment may be active: ours is .venv
+export NO_MKDOCS_2_WARNING=1             # Material's advertisement of its successor
+
+scripts/uv sync --locked --quiet --inexact --group docs </dev/null
+.venv/bin/python scripts/cli_reference.py docs/reference/cli
+.venv/bin/python scripts/api_reference.py docs/reference/api
+exec .venv/bin/python -m mkdocs "$@"
