@@ -10,8 +10,8 @@ import pytest
 CHECKOUT = Path(__file__).resolve().parents[1]
 
 CLEAN: tuple[str, ...] = ()
-"""Folders and files, relative to the checkout, whose names and docstrings keep the conventions. Whoever cleans a folder
-adds it here; ``scripts/conventions.py FOLDER`` prints what is left to do in one."""
+"""Folders and files, relative to the checkout, whose names and docstrings keep the conventions. A folder is added once
+``scripts/conventions.py FOLDER`` reports no violation in it."""
 PENDING = ("tests/estimator", "tests/models")
 """Folders of tests that do not keep the conventions of tests yet."""
 

@@ -1,0 +1,134 @@
+"""Scores of small trajectories, every figure worked out by hand."""
+
+from dataclasses import replace
+
+import numpy as np
+import numpy.typing as npt
+import pytest
+
+from dronevio.eval.metrics import PairRule, score, score_trajectory
+from dronevio.eval.metrics.alignment import yaw_matrix
+from dronevio.models.rotation import exp_so3, quat_wxyz_from_matrix
+from dronevio.models.state import Trajectory
+
+Array = npt.NDArray[np.float64]
+SECOND_NS = 1_000_000_000
+START_NS = 1403715273262142976
+
+
+def trajectory(p: object, phi: object = 0.0, first_s: int = 0) -> Trajectory:
+    """Poses one second apart: positions (N, 3) [m] and rotation vectors (N, 3) [rad]."""
+    positions = np.asarray(p, dtype=np.float64)
+    vectors = np.broadcast_to(np.asarray(phi, dtype=np.float64), positions.shape)
+    t_ns = START_NS + SECOND_NS * (first_s + np.arange(len(positions)))
+    return Trajectory(t_ns, positions, quat_wxyz_from_matrix(exp_so3(vectors)))
+
+
+def along_x(n: int, step_m: float = 1.0) -> Array:
+    return np.outer(np.arange(n), [step_m, 0.0, 0.0])
+
+
+def test_orientation_errors_are_in_degrees() -> None:
+    """An estimate that rolls by 5° a second: 0°, 5°, …, 20° after five poses, and 5° over every second."""
+    roll_rad = np.outer(np.radians(5.0 * np.arange(5)), [1.0, 0.0, 0.0])
+    scores = score(trajectory(along_x(5)), trajectory(along_x(5), roll_rad))
+    ate_deg, rpe_deg = scores.ate_deg, scores.rpe_deg
+    assert (ate_deg.n, ate_deg.mean, ate_deg.median, ate_deg.max) == pytest.approx((5, 10.0, 10.0, 20.0))
+    assert ate_deg.rmse == pytest.approx(np.sqrt(150.0))
+    assert rpe_deg is not None
+    assert (rpe_deg.n, rpe_deg.min, rpe_deg.rmse, rpe_deg.max) == pytest.approx((4, 5.0, 5.0, 5.0))
+    assert scores.ate_m.max == pytest.approx(0.0, abs=1e-12)
+
+
+def test_yaw_alignment_does_not_remove_a_tilt() -> None:
+    """A level square with corners at ±1 m, tilted by φ = 60° about x: every corner moves by 2 sin(φ/2) = 1 m."""
+    square = np.array([[1.0, 1, 0], [-1, 1, 0], [-1, -1, 0], [1, -1, 0]])
+    R = exp_so3(np.array([np.pi / 3.0, 0.0, 0.0]))
+    tilted = trajectory(square @ R.T, [np.pi / 3.0, 0.0, 0.0])
+    scores = score(trajectory(square), tilted)
+    assert scores.alignment == "yaw"
+    assert (scores.ate_m.min, scores.ate_m.max, scores.ate_deg.min, scores.ate_deg.max) == pytest.approx((1, 1, 60, 60))
+    turned = replace(tilted, p_world_imu=tilted.p_world_imu @ yaw_matrix(0.7).T + [4.0, 5.0, 6.0])
+    assert score(trajectory(square), turned).ate_m.rmse == pytest.approx(1.0)
+    best = score(trajectory(square), tilted, alignment="se3")
+    assert best.ate_m.max == pytest.approx(0.0, abs=1e-12)
+    assert best.ate_deg.max == pytest.approx(0.0, abs=1e-5)
+
+
+def test_times_are_those_of_the_compared_poses() -> None:
+    """A truth of ten seconds, an estimate from 2 s to 6 s that moves twice as far, so that it errs by 1 m a second."""
+    truth = trajectory(along_x(11))
+    scored = score_trajectory(truth, trajectory(along_x(5, 2.0), first_s=2), alignment="none")
+    scores = scored.scores
+    assert (scores.first_s, scores.last_s, scores.longest_gap_s, scores.path_m) == pytest.approx((2.0, 6.0, 1.0, 4.0))
+    assert ((scored.rpe_t_ns - START_NS) // SECOND_NS).tolist() == [2, 3, 4, 5]
+    np.testing.assert_allclose(scored.rpe_m, 1.0)
+    np.testing.assert_allclose(scored.translation_error_m, [2, 1, 0, 1, 2])
+
+
+def test_pairs_are_chosen_on_the_path_that_is_asked_for() -> None:
+    """Over 2 m, the truth moves for two seconds and the estimate, which is twice too large, for one."""
+    truth, estimate = trajectory(along_x(11)), trajectory(along_x(11, 2.0))
+    for source, pairs, error_m in (("truth", 9, 2.0), ("estimate", 10, 1.0)):
+        scores = score(truth, estimate, rpe=PairRule(2.0, "m", source=source))  # type: ignore[arg-type]
+        assert scores.rpe_m is not None
+        assert (scores.rpe_pairs, scores.rpe_m.mean) == pytest.approx((pairs, error_m))
+        assert (scores.rpe_over, scores.rpe_delta_s) == ("2 m", None)
+
+
+def test_coverage_counts_poses_that_have_no_truth() -> None:
+    """The truth ends after five of ten seconds; the estimator goes on, and has a pose for every frame but the last."""
+    frames = START_NS + SECOND_NS * np.arange(11)
+    scores = score(trajectory(along_x(6)), trajectory(along_x(10)), frames)
+    assert (scores.n_poses, scores.n_estimated) == (6, 10)
+    assert scores.coverage_percent == pytest.approx(100.0 * 6 / 7)  # of the frames at 4 s to 10 s
+
+
+def test_consistency_by_hand() -> None:
+    """Three errors after an exact first pose, in an estimate whose world is turned by 90° about the vertical.
+
+    The standard deviations in the true world are .1, .2 and .5 m, and .01, .02 and .04 rad in the frame of the IMU, so
+    that the estimate's world, whose x axis is the true y axis, has .2, .1 and .5 m.
+    """
+    p_truth = np.array([[0.0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 1]])
+    error_m = np.array([[0.0, 0, 0], [0.4, 0, 0], [0, -0.2, 0], [0, 0, 1.0]])
+    error_rad = np.array([[0.0, 0, 0], [0.05, 0, 0], [0, -0.04, 0], [0, 0, 0.2]])
+    R = yaw_matrix(-np.pi / 2.0)  # maps the estimate's world into the true one
+    phi = np.array([[0.0, 0, 0], [0.3, 0, 0], [0, 0.3, 0], [0, 0, 0.3]])
+    R_estimate = R.T @ exp_so3(phi) @ np.swapaxes(exp_so3(error_rad), -1, -2)  # truth = R · estimate · exp(δθ)
+    sigmas = np.r_[[0.01, 0.02, 0.04], [0.2, 0.1, 0.5], np.full(9, 100.0)]
+    truth = trajectory(p_truth, phi)
+    estimate = Trajectory(
+        truth.t_ns,
+        (p_truth - error_m) @ R + [3.0, 4.0, 5.0],
+        quat_wxyz_from_matrix(R_estimate),
+        covariance=np.tile(np.diag(sigmas**2), (4, 1, 1)),
+    )
+    scored = score_trajectory(truth, estimate)
+    found, scores = scored.consistency, scored.scores
+    assert found is not None
+    np.testing.assert_array_equal(found.t_ns, truth.t_ns[1:])
+    np.testing.assert_allclose(found.position_error_m, error_m[1:], atol=1e-12)
+    np.testing.assert_allclose(found.orientation_error_rad, error_rad[1:], atol=1e-12)
+    np.testing.assert_allclose(found.position_sigma_m, np.tile([0.1, 0.2, 0.5], (3, 1)))
+    np.testing.assert_allclose(found.orientation_sigma_rad, np.tile([0.01, 0.02, 0.04], (3, 1)))
+    np.testing.assert_allclose(found.position_nees, [16.0, 1.0, 4.0])
+    np.testing.assert_allclose(found.orientation_nees, [25.0, 4.0, 25.0])
+    assert (scores.nees_position, scores.nees_orientation) == pytest.approx((7.0, 18.0))
+    # 95 % of a χ² variable with three degrees of freedom lie between 0.216 and 9.348.
+    assert scores.nees_position_inside_percent == pytest.approx(100.0 * 2 / 3)
+    assert scores.nees_orientation_inside_percent == pytest.approx(100.0 * 1 / 3)
+    assert scores.position_beyond_3_sigma_percent == pytest.approx(100.0 * 1 / 9)  # 4σ among nine components
+    assert scores.orientation_beyond_3_sigma_percent == pytest.approx(100.0 * 2 / 9)  # twice 5σ
+
+
+@pytest.mark.parametrize("factor", [0.1, 10.0])
+def test_a_covariance_too_large_by_a_factor_divides_the_nees(factor: float) -> None:
+    """Errors of two standard deviations along one axis: 4 each, divided by the factor on the covariance."""
+    truth = trajectory(along_x(5))
+    error_m = np.outer([0, 1, 1, 1, 1], [0.0, 0.2, 0.0])
+    variances = factor * np.full(15, 0.1**2)
+    estimate = trajectory(along_x(5) - error_m, np.outer([0, 1, 1, 1, 1], [0.0, 0.2, 0.0]))
+    scores = score(truth, replace(estimate, covariance=np.tile(np.diag(variances), (5, 1, 1))))
+    assert scores.nees_position == pytest.approx(4.0 / factor)
+    assert scores.nees_orientation == pytest.approx(4.0 / factor)
