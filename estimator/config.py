@@ -2,16 +2,16 @@
 
 from dataclasses import dataclass, field
 
-from dronevio.estimator.calibration import CalibrationConfig
+from dronevio.estimator.backend.keyframes import KeyframeConfig
+from dronevio.estimator.backend.landmarks import LandmarkConfig
+from dronevio.estimator.backend.smoother import SmootherConfig
+from dronevio.estimator.calibration.online import CalibrationConfig
+from dronevio.estimator.frontend.tracker import TrackerConfig
 from dronevio.estimator.health import HealthConfig
-from dronevio.estimator.imu_noise import NoiseLevelConfig
-from dronevio.estimator.inertial import InertialConfig
-from dronevio.estimator.initialiser import InitialiserConfig
-from dronevio.estimator.keyframes import KeyframeConfig
-from dronevio.estimator.landmarks import LandmarkConfig
-from dronevio.estimator.smoother import SmootherConfig
-from dronevio.estimator.stillness import StillnessConfig
-from dronevio.estimator.tracker import TrackerConfig
+from dronevio.estimator.imu.buffer import InertialConfig
+from dronevio.estimator.imu.noise import NoiseLevelConfig
+from dronevio.estimator.initialization.initializer import InitialiserConfig
+from dronevio.estimator.initialization.zero_velocity import StillnessConfig
 
 
 @dataclass(frozen=True)

@@ -20,8 +20,8 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from dronevio.estimator.frontend import Observations
-from dronevio.estimator.landmarks import KnownLandmarks
+from dronevio.estimator.backend.landmarks import KnownLandmarks
+from dronevio.estimator.types import Observations
 from dronevio.models.rig import Rig
 from dronevio.models.state import Health, HealthReport, NavState
 

@@ -6,9 +6,9 @@ from dataclasses import replace
 import gtsam
 import numpy as np
 
-from dronevio.estimator.covariance import propagate
-from dronevio.estimator.inertial import Increments, integrate
-from dronevio.estimator.start_in_motion import Sighting
+from dronevio.estimator.imu.buffer import Increments, integrate
+from dronevio.estimator.imu.covariance import propagate
+from dronevio.estimator.initialization.dynamic import Sighting
 from dronevio.models.imu import ImuModel
 from dronevio.models.state import NavState
 

@@ -9,21 +9,21 @@ for a frame is never revised.
 import numpy as np
 import numpy.typing as npt
 
-from dronevio.estimator.answers import Answers
-from dronevio.estimator.calibration import OnlineCalibration
+from dronevio.estimator.backend.keyframes import KeyframePolicy
+from dronevio.estimator.backend.smoother import KeyframeResult, KeyframeSmoother
+from dronevio.estimator.calibration.online import OnlineCalibration
 from dronevio.estimator.config import VioConfig
-from dronevio.estimator.frontend import FrontEnd, Observations
+from dronevio.estimator.frontend.rig import RigTracker
 from dronevio.estimator.health import HealthMonitor
-from dronevio.estimator.imu_noise import ImuNoise
-from dronevio.estimator.initialiser import Initialiser
-from dronevio.estimator.intake import Intake
-from dronevio.estimator.interval import Interval
-from dronevio.estimator.keyframes import KeyframePolicy
-from dronevio.estimator.rig_tracker import RigTracker
-from dronevio.estimator.smoother import KeyframeResult, KeyframeSmoother
-from dronevio.estimator.start import NotObservable
-from dronevio.estimator.start_in_motion import Sighting
-from dronevio.estimator.stillness import StillnessDetector
+from dronevio.estimator.imu.noise import ImuNoise
+from dronevio.estimator.initialization.dynamic import Sighting
+from dronevio.estimator.initialization.initializer import Initialiser
+from dronevio.estimator.initialization.static import NotObservable
+from dronevio.estimator.initialization.zero_velocity import StillnessDetector
+from dronevio.estimator.output import Answers
+from dronevio.estimator.pipeline import Intake
+from dronevio.estimator.propagator import Interval
+from dronevio.estimator.types import FrontEnd, Observations
 from dronevio.models.imu import ImuSamples
 from dronevio.models.rig import Rig
 from dronevio.models.state import CameraFrame, Estimate, Health, HealthReport, NavState

@@ -11,7 +11,7 @@ from dronevio.eval.metrics.association import interpolate
 from dronevio.eval.metrics.consistency import anchor_first
 from dronevio.eval.metrics.errors import relative_errors, translation_errors_m
 from dronevio.eval.metrics.scores import score_trajectory
-from dronevio.eval.runs import EstimatorRun
+from dronevio.eval.run import EstimatorRun
 from dronevio.models.errors import EvaluationError
 from dronevio.models.state import Estimate, Health, Trajectory
 

@@ -19,11 +19,11 @@ import numpy as np
 from figures import Figures, figures_of, recovery_s, window_drift_m
 
 import dronevio
-from dronevio.estimation import estimate_recording
+from dronevio.driver import estimate_recording
 from dronevio.eval.benchmark.cache import code_hash, recording_hash
 from dronevio.eval.benchmark.isolation import isolated
 from dronevio.eval.provenance import machine_here, versions_here
-from dronevio.eval.runs import POSE_IS_VALID, EstimatorRun
+from dronevio.eval.run import POSE_IS_VALID, EstimatorRun
 from dronevio.models.errors import EvaluationError
 from dronevio.models.progress import Progress, silent
 from dronevio.models.recordings.tum import write_tum
@@ -37,7 +37,7 @@ FIGURES_VERSION = 1
 """Whoever changes what a figure means counts on, so that rows of before are done again."""
 _PACKAGES = ("python", "gtsam", "opencv-python-headless", "numpy")
 _HOUSE = Path(dronevio.__file__).parent
-_CODE = tuple(_HOUSE / name for name in ("estimator", "models", "eval/metrics", "estimation.py"))
+_CODE = tuple(_HOUSE / name for name in ("estimator", "models", "eval/metrics", "driver.py"))
 
 
 @dataclass(frozen=True)
@@ -73,7 +73,7 @@ def run_task(task: Task, trace: Path | None, progress: Progress = silent) -> dic
     from spoiling import FRONT_ENDS
 
     from dronevio.estimator.config import VioConfig
-    from dronevio.estimator.rig_tracker import RigTracker
+    from dronevio.estimator.frontend.rig import RigTracker
     from dronevio.estimator.vio import VisualInertialOdometry
     from dronevio.models.recordings.open import open_recording
 

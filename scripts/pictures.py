@@ -22,14 +22,14 @@ from rerun.experimental import ViewerClient
 
 from dronevio.cli import main
 from dronevio.cli.view import HOST, free_port, viewer_program
-from dronevio.estimation import estimate_recording
+from dronevio.driver import estimate_recording
 from dronevio.estimator.vio import VisualInertialOdometry
-from dronevio.eval import palette
+from dronevio.eval import style as palette
 from dronevio.eval.metrics.scores import score_trajectory
 from dronevio.models.recordings.open import open_recording
 from dronevio.models.recordings.tum import read_tum
 from dronevio.models.rotation import inverse_pose
-from dronevio.sim.onlooker import Onlooker
+from dronevio.sim.chase_camera import Onlooker
 from dronevio.sim.scenarios import scenario
 from dronevio.sim.world import build_world
 from dronevio.sim.worlds.contact_sheet import contact_sheet, sheet_of_worlds

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from dronevio.estimator.frontend import FrontEnd, Observations
+from dronevio.estimator.types import FrontEnd, Observations
 from dronevio.models.rig import Rig
 from dronevio.models.state import CameraFrame
 

@@ -15,7 +15,7 @@ from pathlib import Path
 import numpy as np
 import numpy.typing as npt
 
-from dronevio.estimation import estimate_recording
+from dronevio.driver import estimate_recording
 from dronevio.estimator.vio import VisualInertialOdometry
 from dronevio.eval.metrics.alignment import align
 from dronevio.eval.metrics.association import interpolate

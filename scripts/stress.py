@@ -20,7 +20,7 @@ from figures import Figures, failures
 from measuring import Mode, Task, done, provenance, write_json
 from tables import median, numbers, table, text
 
-from dronevio.models.rigs import rig_named
+from dronevio.models.rig_presets import rig_named
 from dronevio.sim.physics.wind import Wind
 from dronevio.sim.scenario import Scenario
 from dronevio.sim.scenarios import SUITES, scenario
@@ -98,7 +98,7 @@ def trials() -> dict[str, Trial]:
 def fly_missing(place: Path, flown: Scenario) -> None:
     """Fly a scenario with the stereo rig and keep its recording, unless it is there."""
     from dronevio.cli.folders import atomic_folder
-    from dronevio.flying import record_flight
+    from dronevio.recorder import record_flight
 
     if (place / "mav0").is_dir():
         return

@@ -25,16 +25,16 @@ import numpy as np
 import numpy.typing as npt
 import tyro
 
-from dronevio.estimator.frontend import FrontEnd, Observations
-from dronevio.estimator.inertial import ImuBuffer
-from dronevio.estimator.rig_tracker import RigTracker
-from dronevio.estimator.tracker import TrackerConfig
+from dronevio.estimator.frontend.rig import RigTracker
+from dronevio.estimator.frontend.tracker import TrackerConfig
+from dronevio.estimator.imu.buffer import ImuBuffer
+from dronevio.estimator.types import FrontEnd, Observations
 from dronevio.eval.metrics.association import interpolate
-from dronevio.flying import SCENARIO_FILE
 from dronevio.models.camera import CameraModel
 from dronevio.models.recordings.euroc import EurocRecording
 from dronevio.models.rotation import inverse_pose
 from dronevio.models.state import Trajectory
+from dronevio.recorder import SCENARIO_FILE
 
 Array = npt.NDArray[np.float64]
 Depth = npt.NDArray[np.float32]

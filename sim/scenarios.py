@@ -9,7 +9,7 @@ from dataclasses import replace
 
 from dronevio.models.errors import ConfigError
 from dronevio.models.quadrotor import NANO
-from dronevio.models.rigs import rig_named
+from dronevio.models.rig_presets import rig_named
 from dronevio.sim.cameras.imaging import AutoExposure, Imaging
 from dronevio.sim.faults import Faults
 from dronevio.sim.paths.limits import LIMITS

@@ -8,8 +8,8 @@ import numpy as np
 import numpy.typing as npt
 
 from dronevio.models.errors import ConfigError
-from dronevio.sim.looks.lightmap import bake, daylight
-from dronevio.sim.looks.scenery import paint_pages, painted
+from dronevio.sim.appearance.lightmap import bake, daylight
+from dronevio.sim.appearance.scenery import paint_pages, painted
 from dronevio.sim.paths.space import Place, Space
 from dronevio.sim.streams import generator
 from dronevio.sim.worlds.assembly import (

@@ -16,7 +16,7 @@ from dronevio.models.camera import CameraModel
 from dronevio.models.imu import ImuSamples, Sampling, Times
 from dronevio.models.recordings.frame_truth import FrameTruth
 from dronevio.models.rig import Rig
-from dronevio.models.rigs import rig_named
+from dronevio.models.rig_presets import rig_named
 from dronevio.models.state import CameraFrame, Trajectory
 
 SCRIPTS = Path(__file__).resolve().parents[1] / "scripts"

@@ -27,12 +27,15 @@ COMMANDS: dict[str, str] = {
     "report": "show a benchmark as a page, or as tables for a text or a paper",
     "view": "open a run's recording",
     "book": "the experiments of the robotics book's chapter on visual SLAM",
-    "bench": "measure how fast this machine is",
+    "speed": "measure how fast this machine is",
     "doctor": "say what this machine has and lacks",
 }
-"""The subcommands, each a module of this package with a ``main(arguments) -> int``, and what they do.
+"""The subcommands, each a module with a ``main(arguments) -> int``, and what they do.
 
 Modules are imported when they are called: ``dronevio --help`` must not wait for MuJoCo."""
+
+ELSEWHERE = {"book": "dronevio.book"}
+"""Modules of the subcommands that are not in this package."""
 
 
 def usage() -> str:
@@ -69,7 +72,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         print(f"dronevio: unknown command {args[0]!r}; expected one of {', '.join(COMMANDS)}", file=sys.stderr)
         return 2
     try:
-        command = importlib.import_module(f"dronevio.cli.{args[0]}")
+        command = importlib.import_module(ELSEWHERE.get(args[0], f"dronevio.cli.{args[0]}"))
         status = int(command.main(args[1:]))
         sys.stdout.flush()
         return status

@@ -17,7 +17,7 @@ from dronevio.models.errors import ConfigError
 if TYPE_CHECKING:
     from dronevio.eval.benchmark.engines import Engine
     from dronevio.eval.benchmark.rows import Row
-    from dronevio.eval.benchmark.running import Benchmark, Listener
+    from dronevio.eval.benchmark.runner import Benchmark, Listener
 
 _MANY = 10_000  # flights that the sizing speaks of
 
@@ -88,7 +88,7 @@ def main(arguments: Sequence[str]) -> int:
         return _size(command, benchmark)
 
     from dronevio.eval.benchmark.rows import RESULTS_FILE
-    from dronevio.eval.benchmark.running import run_benchmark
+    from dronevio.eval.benchmark.runner import run_benchmark
     from dronevio.eval.benchmark.store import ResultStore
 
     folder = command.out or Path("benchmarks") / (command.suite or "results")
@@ -138,9 +138,9 @@ def _planned(command: BenchmarkCommand) -> "Benchmark":
     if not command.timeout_s > 0.0:
         raise ConfigError(f"a timeout of {command.timeout_s:g} s; expected more than zero")
 
-    from dronevio.benchmarking import Workbench, recorded_flights, scenario_flights, versions
-    from dronevio.estimators import EXTERNAL, estimator_named
-    from dronevio.eval.benchmark.running import Benchmark
+    from dronevio.benchmark_jobs import Workbench, recorded_flights, scenario_flights, versions
+    from dronevio.eval.benchmark.runner import Benchmark
+    from dronevio.registry import EXTERNAL, estimator_named
     from dronevio.sim.scenarios import SUITES
 
     if command.suite is not None and command.suite not in SUITES:

@@ -81,7 +81,7 @@ def main(arguments: Sequence[str]) -> int:
     """Run the command."""
     command = parse(EstimateCommand, arguments, "estimate")
 
-    from dronevio.estimation import ImuRateListener, estimate_recording, require_poses
+    from dronevio.driver import ImuRateListener, estimate_recording, require_poses
     from dronevio.estimator.vio import VisualInertialOdometry
     from dronevio.models.recordings.files import check_place
     from dronevio.models.recordings.tum import write_tum

@@ -107,9 +107,9 @@ class FlightOptions:
             ConfigError: There is nothing of such a name, or it does not fit together.
             InputError: The rig's file cannot be read.
         """
-        from dronevio.flying import rig_of
         from dronevio.models.imu_presets import imu_named
         from dronevio.models.quadrotor import vehicle_named
+        from dronevio.recorder import rig_of
         from dronevio.sim.scenarios import scenario
 
         base = scenario(self.scenario, self.seed)

@@ -45,7 +45,7 @@ def main(arguments: Sequence[str]) -> int:
     command = parse_flight(FlyCommand, arguments, "fly")
 
     from dronevio.cli.folders import atomic_folder, size_mb
-    from dronevio.flying import record_flight
+    from dronevio.recorder import record_flight
     from dronevio.sim.cameras.gl import require_gl
 
     chosen = command.flight.chosen()

@@ -13,7 +13,7 @@ from dronevio.models.errors import ConfigError, InputError
 from dronevio.models.recordings.bag_options import BagTopics
 
 if TYPE_CHECKING:
-    from dronevio.eval.rerun_compare import NamedEstimate
+    from dronevio.eval.rerun.compare import NamedEstimate
 
 
 @dataclass(frozen=True)
@@ -64,9 +64,9 @@ def main(arguments: Sequence[str]) -> int:
     names = names_of(command.estimates, command.names)
     _check_place(command)
 
-    from dronevio.eval.rerun_compare import laid_together
-    from dronevio.eval.rerun_log import write_estimates
-    from dronevio.eval.video import VideoSettings
+    from dronevio.eval.rerun.compare import laid_together
+    from dronevio.eval.rerun.log import write_estimates
+    from dronevio.eval.rerun.video import VideoSettings
     from dronevio.models.recordings.open import open_recording, read_trajectory
 
     recording = open_recording(command.recording, command.cameras, command.calibration, command.topics)

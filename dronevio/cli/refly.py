@@ -53,9 +53,9 @@ def main(arguments: Sequence[str]) -> int:
     import numpy as np
 
     from dronevio.cli.folders import atomic_folder, size_mb
-    from dronevio.flying import record_refly, rig_of
     from dronevio.models.recordings.euroc import read_imu
     from dronevio.models.recordings.tum import read_trajectory
+    from dronevio.recorder import record_refly, rig_of
     from dronevio.sim.cameras.gl import require_gl
     from dronevio.sim.refly import cut, refly
 

@@ -13,7 +13,7 @@ from dronevio.cli.terminal import parse
 from dronevio.models.errors import InputError
 
 if TYPE_CHECKING:
-    from dronevio.eval.benchmark_report import Benchmark
+    from dronevio.eval.report.benchmark.model import Benchmark
 
 
 @dataclass(frozen=True)
@@ -46,7 +46,7 @@ def main(arguments: Sequence[str]) -> int:
     """Run the command."""
     command = parse(ReportCommand, arguments, "report")
 
-    from dronevio.eval.benchmark_report import read_benchmark
+    from dronevio.eval.report.benchmark.model import read_benchmark
 
     benchmark = read_benchmark(command.results)
     if command.title is not None:
@@ -65,12 +65,12 @@ def main(arguments: Sequence[str]) -> int:
 def _document(benchmark: "Benchmark", command: ReportCommand) -> str:
     """Return the benchmark in the format that is wanted."""
     if command.format == "html":
-        from dronevio.eval.benchmark_report_page import benchmark_page
+        from dronevio.eval.report.benchmark.page import benchmark_page
 
         return benchmark_page(benchmark)
 
-    from dronevio.eval.benchmark_report import MAIN_MEASURES, measure
-    from dronevio.eval.benchmark_report_tables import as_csv, as_latex, as_markdown
+    from dronevio.eval.report.benchmark.model import MAIN_MEASURES, measure
+    from dronevio.eval.report.benchmark.tables import as_csv, as_latex, as_markdown
 
     render = {"markdown": as_markdown, "latex": as_latex, "csv": as_csv}[command.format]
     chosen = tuple(map(measure, command.measures))

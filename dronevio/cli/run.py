@@ -14,8 +14,8 @@ from dronevio.cli.terminal import Bars, print_json, print_table, progress_bars
 from dronevio.estimator.config import VioConfig
 
 if TYPE_CHECKING:
-    from dronevio.estimation import Watcher
-    from dronevio.eval.rerun_surroundings import Surroundings
+    from dronevio.driver import Watcher
+    from dronevio.eval.rerun.surroundings import Surroundings
     from dronevio.models.protocols import Recording
     from dronevio.sim.scenario import Scenario
 
@@ -84,17 +84,17 @@ def main(arguments: Sequence[str]) -> int:
 def _carry_out(scenario: "Scenario", command: RunCommand, folder: Path, target: Path, repeat: str, bars: Bars) -> None:
     """Fly, estimate, score and log a scenario; everything that is left of it lies in ``folder``."""
     from dronevio import __version__
-    from dronevio.estimation import estimate_recording, require_poses
+    from dronevio.driver import estimate_recording, require_poses
     from dronevio.estimator.vio import VisualInertialOdometry
     from dronevio.eval.metrics.scores import score_trajectory
     from dronevio.eval.provenance import RunInfo
-    from dronevio.eval.report import write_report
-    from dronevio.eval.rerun_log import run_file
-    from dronevio.eval.rerun_surroundings import surroundings_of
-    from dronevio.flying import record_flight
+    from dronevio.eval.report.run import write_report
+    from dronevio.eval.rerun.log import run_file
+    from dronevio.eval.rerun.surroundings import surroundings_of
     from dronevio.models.configuration import to_plain
     from dronevio.models.recordings.euroc import EurocRecording
     from dronevio.models.recordings.tum import write_tum
+    from dronevio.recorder import record_flight
     from dronevio.sim.world import build_world
 
     listeners = {name: bars.bar(name) for name in ("simulating", "rendering", "estimating")}
@@ -134,7 +134,7 @@ def _spectators(recording: "Recording", surroundings: "Surroundings", live: bool
         yield ()
         return
     from dronevio.cli.view import viewer_beside
-    from dronevio.eval.rerun_live import watched
+    from dronevio.eval.rerun.live import watched
 
     with viewer_beside() as address, watched(address, recording, surroundings) as spectator:
         yield (spectator,)

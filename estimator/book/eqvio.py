@@ -16,11 +16,11 @@ import gtsam
 import numpy as np
 import numpy.typing as npt
 
-from dronevio.estimator.epipolar import epipolar_inliers
-from dronevio.estimator.equivariant import EquivariantFilter, FilterSettings
-from dronevio.estimator.frontend import Observations
-from dronevio.estimator.inertial import Increments
-from dronevio.estimator.tracker import TrackerConfig
+from dronevio.estimator.baselines.eqvio import EquivariantFilter, FilterSettings
+from dronevio.estimator.frontend.ransac import epipolar_inliers
+from dronevio.estimator.frontend.tracker import TrackerConfig
+from dronevio.estimator.imu.buffer import Increments
+from dronevio.estimator.types import Observations
 from dronevio.models.errors import ConfigError, InputError
 from dronevio.models.imu import ImuSamples, Times
 from dronevio.models.progress import Progress, silent

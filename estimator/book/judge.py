@@ -14,9 +14,9 @@ import numpy as np
 import numpy.typing as npt
 from gtsam.symbol_shorthand import B, L, V, X
 
+from dronevio.estimator.backend.triangulation import Triangulation, triangulate
 from dronevio.estimator.book.eqvio import FeatureRecording
-from dronevio.estimator.inertial import ImuBuffer, InertialConfig, integrate, preintegration_params
-from dronevio.estimator.triangulation import Triangulation, triangulate
+from dronevio.estimator.imu.buffer import ImuBuffer, InertialConfig, integrate, preintegration_params
 from dronevio.models.imu import Times
 from dronevio.models.state import Trajectory
 

@@ -35,7 +35,7 @@ class Row:
     seed: int | None
     """The scenario's seed; None for a recording from elsewhere."""
     estimator: str
-    """Who estimated: a name that `dronevio.estimators` knows."""
+    """Who estimated: a name that `dronevio.registry` knows."""
     config_hash: str
     """Tells the estimator's settings apart."""
     versions: str

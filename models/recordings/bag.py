@@ -22,7 +22,7 @@ from dronevio.models.recordings.bag_options import BagTopics
 from dronevio.models.recordings.bag_rig import bag_rig, read_calibrations
 from dronevio.models.recordings.bag_topics import IMAGE_TYPES, find_topics, image_topics, truth_topic
 from dronevio.models.recordings.bag_truth import read_bag_frame_truth, read_bag_truth
-from dronevio.models.recordings.bag_writing import TRUTH_TOPIC
+from dronevio.models.recordings.bag_writer import TRUTH_TOPIC
 from dronevio.models.recordings.frame_truth import FrameTruth
 from dronevio.models.recordings.ros_messages import ImageMessage, grey_image, imu_samples
 from dronevio.models.rig import Rig

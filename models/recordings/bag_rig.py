@@ -13,7 +13,7 @@ from dronevio.models.imu import Sampling
 from dronevio.models.recordings.bag_file import BagFile
 from dronevio.models.recordings.bag_options import BagTopics
 from dronevio.models.recordings.bag_topics import camera_info_topic
-from dronevio.models.recordings.bag_writing import CALIBRATION_TOPIC
+from dronevio.models.recordings.bag_writer import CALIBRATION_TOPIC
 from dronevio.models.recordings.files import blamed_on
 from dronevio.models.recordings.kalibr import KalibrCalibration, calibration_of, read_calibration
 from dronevio.models.recordings.ros_messages import camera_model

@@ -5,7 +5,7 @@ from typing import cast
 
 from dronevio.models.recordings.bag_file import BagFile
 from dronevio.models.recordings.bag_options import BagTopics
-from dronevio.models.recordings.bag_writing import COMPRESSED, TRUTH_TOPIC
+from dronevio.models.recordings.bag_writer import COMPRESSED, TRUTH_TOPIC
 from dronevio.models.recordings.kalibr import IMU_TOPIC
 from dronevio.models.recordings.ros_messages import ImageMessage, is_grey_or_colour
 

@@ -12,9 +12,9 @@ from dronevio.models.imu import ImuSamples
 from dronevio.models.rig import euroc_rig
 from dronevio.models.rotation import exp_so3, pose_matrix, quat_wxyz_from_matrix
 from dronevio.models.state import NavState
-from dronevio.sim.envs.sight import Blind, Eye, Sight
+from dronevio.sim.chase_camera import Onlooker
+from dronevio.sim.envs.camera_observation import Blind, Eye, Sight
 from dronevio.sim.inertial.imu import ImuErrors
-from dronevio.sim.onlooker import Onlooker
 from dronevio.sim.physics.plant import QuadrotorPlant
 from dronevio.sim.props.room import FREE_BOX_M
 from dronevio.sim.world import build_world

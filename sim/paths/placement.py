@@ -7,7 +7,7 @@ from scipy.optimize import minimize
 
 from dronevio.models.errors import ConfigError
 from dronevio.models.rotation import pose_matrix
-from dronevio.sim.looks.solids import turn_z
+from dronevio.sim.appearance.solids import turn_z
 from dronevio.sim.paths.space import Space
 
 Array = npt.NDArray[np.float64]

@@ -5,7 +5,7 @@ from dataclasses import dataclass, field, fields
 import numpy as np
 
 from dronevio.models.errors import ConfigError
-from dronevio.sim.paths.gaze import Heading
+from dronevio.sim.paths.heading import Heading
 from dronevio.sim.paths.limits import Limits
 from dronevio.sim.paths.shapes import SHAPES
 

@@ -8,7 +8,7 @@ import numpy as np
 import numpy.typing as npt
 
 from dronevio.models.errors import ConfigError
-from dronevio.sim.paths.gaze import Gaze, across, along, fixed, spinning
+from dronevio.sim.paths.heading import Gaze, across, along, fixed, spinning
 from dronevio.sim.paths.limits import Limits
 from dronevio.sim.paths.space import Place
 

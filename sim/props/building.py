@@ -8,11 +8,11 @@ from functools import partial
 import numpy as np
 import numpy.typing as npt
 
-from dronevio.sim.looks import pictures, textures_building
-from dronevio.sim.looks.lightmap import AreaLight
-from dronevio.sim.looks.solids import Box, Face, Paint, enclosure, turn_z
-from dronevio.sim.looks.textures import Image, plain
-from dronevio.sim.looks.things import Thing, one_thing
+from dronevio.sim.appearance import pictures, textures_building
+from dronevio.sim.appearance.lightmap import AreaLight
+from dronevio.sim.appearance.solids import Box, Face, Paint, enclosure, turn_z
+from dronevio.sim.appearance.textures import Image, plain
+from dronevio.sim.appearance.things import Thing, one_thing
 from dronevio.sim.props.furniture import METAL, Piece, hung_picture
 
 Array = npt.NDArray[np.float64]

@@ -7,11 +7,11 @@ from itertools import pairwise
 import numpy as np
 import numpy.typing as npt
 
-from dronevio.sim.looks import textures
-from dronevio.sim.looks import textures_race as race
-from dronevio.sim.looks.solids import Box, Face, parts_of, turn_z
-from dronevio.sim.looks.textures import Colour
-from dronevio.sim.looks.things import Thing
+from dronevio.sim.appearance import textures
+from dronevio.sim.appearance import textures_race as race
+from dronevio.sim.appearance.solids import Box, Face, parts_of, turn_z
+from dronevio.sim.appearance.textures import Colour
+from dronevio.sim.appearance.things import Thing
 
 Array = npt.NDArray[np.float64]
 Random = np.random.Generator

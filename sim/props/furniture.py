@@ -10,11 +10,11 @@ from functools import partial
 import numpy as np
 import numpy.typing as npt
 
-from dronevio.sim.looks import pictures, textures
-from dronevio.sim.looks.lightmap import AreaLight
-from dronevio.sim.looks.solids import Box, Paint, parts_of, turn_z
-from dronevio.sim.looks.textures import Colour
-from dronevio.sim.looks.things import Thing, one_thing
+from dronevio.sim.appearance import pictures, textures
+from dronevio.sim.appearance.lightmap import AreaLight
+from dronevio.sim.appearance.solids import Box, Paint, parts_of, turn_z
+from dronevio.sim.appearance.textures import Colour
+from dronevio.sim.appearance.things import Thing, one_thing
 
 Array = npt.NDArray[np.float64]
 Random = np.random.Generator

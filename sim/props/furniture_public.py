@@ -8,10 +8,10 @@ from functools import partial
 
 import numpy as np
 
-from dronevio.sim.looks import pictures, textures, textures_building
-from dronevio.sim.looks.solids import Box
-from dronevio.sim.looks.textures import Colour
-from dronevio.sim.looks.things import one_thing
+from dronevio.sim.appearance import pictures, textures, textures_building
+from dronevio.sim.appearance.solids import Box
+from dronevio.sim.appearance.textures import Colour
+from dronevio.sim.appearance.things import one_thing
 from dronevio.sim.props.furniture import CLOTHS, METAL, WHITE, WOODS, Piece, block, hung_picture, pick, plant
 
 Random = np.random.Generator

@@ -11,12 +11,12 @@ from itertools import pairwise
 import numpy as np
 import numpy.typing as npt
 
-from dronevio.sim.looks import textures
-from dronevio.sim.looks import textures_industrial as works
-from dronevio.sim.looks.round import UNSEEN, filling, mantle
-from dronevio.sim.looks.solids import Box, Paint, Sheet, parts_of, turn_z
-from dronevio.sim.looks.textures import Colour, scaled, vary
-from dronevio.sim.looks.things import Thing, one_thing
+from dronevio.sim.appearance import textures
+from dronevio.sim.appearance import textures_industrial as works
+from dronevio.sim.appearance.round import UNSEEN, filling, mantle
+from dronevio.sim.appearance.solids import Box, Paint, Sheet, parts_of, turn_z
+from dronevio.sim.appearance.textures import Colour, scaled, vary
+from dronevio.sim.appearance.things import Thing, one_thing
 
 Array = npt.NDArray[np.float64]
 Random = np.random.Generator

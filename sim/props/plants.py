@@ -9,14 +9,14 @@ from dataclasses import dataclass, replace
 import numpy as np
 import numpy.typing as npt
 
-from dronevio.sim.looks import textures
-from dronevio.sim.looks import textures_nature as nature
-from dronevio.sim.looks.cutouts import Cutouts, joined, spray
-from dronevio.sim.looks.lightmap import Field
-from dronevio.sim.looks.round import UNSEEN, filling, mantle
-from dronevio.sim.looks.solids import Box, turn_z
-from dronevio.sim.looks.textures import Colour, Image, scaled
-from dronevio.sim.looks.things import Thing, one_thing
+from dronevio.sim.appearance import textures
+from dronevio.sim.appearance import textures_nature as nature
+from dronevio.sim.appearance.cutouts import Cutouts, joined, spray
+from dronevio.sim.appearance.lightmap import Field
+from dronevio.sim.appearance.round import UNSEEN, filling, mantle
+from dronevio.sim.appearance.solids import Box, turn_z
+from dronevio.sim.appearance.textures import Colour, Image, scaled
+from dronevio.sim.appearance.things import Thing, one_thing
 
 Array = npt.NDArray[np.float64]
 Random = np.random.Generator

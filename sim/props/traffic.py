@@ -8,9 +8,9 @@ import numpy as np
 import numpy.typing as npt
 
 from dronevio.models.rotation import pose_matrix
-from dronevio.sim.looks import pictures, textures, textures_storage
-from dronevio.sim.looks.solids import Box
-from dronevio.sim.looks.textures import Colour, Image
+from dronevio.sim.appearance import pictures, textures, textures_storage
+from dronevio.sim.appearance.solids import Box
+from dronevio.sim.appearance.textures import Colour, Image
 from dronevio.sim.props.furniture import METAL, block, pick
 
 Array = npt.NDArray[np.float64]

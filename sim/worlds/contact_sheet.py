@@ -11,9 +11,9 @@ from dronevio.models.camera import CameraModel
 from dronevio.models.errors import InputError
 from dronevio.models.progress import Progress, silent
 from dronevio.models.rotation import exp_so3
+from dronevio.sim.appearance.solids import turn_z
+from dronevio.sim.appearance.textures import Image, to_image
 from dronevio.sim.cameras.camera import OffscreenCamera
-from dronevio.sim.looks.solids import turn_z
-from dronevio.sim.looks.textures import Image, to_image
 from dronevio.sim.world import WORLDS, World, build_world
 from dronevio.sim.worlds.texturedness import poses_along
 

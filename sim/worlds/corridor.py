@@ -10,10 +10,10 @@ from itertools import pairwise
 import numpy as np
 import numpy.typing as npt
 
-from dronevio.sim.looks import textures, textures_building
-from dronevio.sim.looks.solids import Box, Face, Paint, parts_of, turn_z
-from dronevio.sim.looks.textures import Colour
-from dronevio.sim.looks.things import Thing
+from dronevio.sim.appearance import textures, textures_building
+from dronevio.sim.appearance.solids import Box, Face, Paint, parts_of, turn_z
+from dronevio.sim.appearance.textures import Colour
+from dronevio.sim.appearance.things import Thing
 from dronevio.sim.props.building import (
     Wall,
     ceiling_lamp,

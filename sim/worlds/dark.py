@@ -5,8 +5,8 @@ from functools import partial
 
 import numpy as np
 
-from dronevio.sim.looks import pictures
-from dronevio.sim.looks.textures import Image, to_image
+from dronevio.sim.appearance import pictures
+from dronevio.sim.appearance.textures import Image, to_image
 from dronevio.sim.worlds import room
 from dronevio.sim.worlds.layout import Layout, WorldBuilder
 

@@ -7,12 +7,12 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
-from dronevio.sim.looks import pictures, textures
-from dronevio.sim.looks import textures_nature as nature
-from dronevio.sim.looks.cutouts import Print
-from dronevio.sim.looks.solids import Box, Sheet, turn_z
-from dronevio.sim.looks.textures import Colour, Image, scaled
-from dronevio.sim.looks.things import Thing
+from dronevio.sim.appearance import pictures, textures
+from dronevio.sim.appearance import textures_nature as nature
+from dronevio.sim.appearance.cutouts import Print
+from dronevio.sim.appearance.solids import Box, Sheet, turn_z
+from dronevio.sim.appearance.textures import Colour, Image, scaled
+from dronevio.sim.appearance.things import Thing
 from dronevio.sim.props import plants
 from dronevio.sim.props.plants import Plant
 from dronevio.sim.worlds import outdoors

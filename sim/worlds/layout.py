@@ -7,9 +7,9 @@ from typing import Literal
 import numpy as np
 import numpy.typing as npt
 
-from dronevio.sim.looks.cutouts import Print
-from dronevio.sim.looks.lightmap import AreaLight
-from dronevio.sim.looks.solids import Box, Face, Surface
+from dronevio.sim.appearance.cutouts import Print
+from dronevio.sim.appearance.lightmap import AreaLight
+from dronevio.sim.appearance.solids import Box, Face, Surface
 
 Array = npt.NDArray[np.float64]
 Poses = Callable[[Array], Array]

@@ -6,9 +6,9 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
-from dronevio.sim.looks import textures, textures_building
-from dronevio.sim.looks.solids import Box, turn_z
-from dronevio.sim.looks.textures import Colour, Image, scaled
+from dronevio.sim.appearance import textures, textures_building
+from dronevio.sim.appearance.solids import Box, turn_z
+from dronevio.sim.appearance.textures import Colour, Image, scaled
 from dronevio.sim.props.building import ceiling_lamp, coarse, hall_faces, landing_mat, room_walls, shading, stand_along
 from dronevio.sim.props.furniture import METAL, Piece, pick
 from dronevio.sim.props.furniture_public import PUBLIC_FURNITURE

@@ -5,10 +5,10 @@ from functools import partial
 import numpy as np
 import numpy.typing as npt
 
-from dronevio.sim.looks import textures_building
-from dronevio.sim.looks.solids import Box
-from dronevio.sim.looks.textures import Colour, Image
-from dronevio.sim.looks.things import Thing
+from dronevio.sim.appearance import textures_building
+from dronevio.sim.appearance.solids import Box
+from dronevio.sim.appearance.textures import Colour, Image
+from dronevio.sim.appearance.things import Thing
 from dronevio.sim.props.building import ceiling_lamp, hall_faces, landing_mat
 from dronevio.sim.worlds.layout import Layout, WorldBuilder
 

@@ -9,8 +9,8 @@ import numpy.typing as npt
 from dronevio.models.camera import CameraModel
 from dronevio.models.rig import EUROC_CAM0
 from dronevio.models.rotation import exp_so3, pose_matrix
+from dronevio.sim.appearance.solids import turn_z
 from dronevio.sim.cameras.camera import OffscreenCamera
-from dronevio.sim.looks.solids import turn_z
 from dronevio.sim.world import World
 
 Array = npt.NDArray[np.float64]

@@ -9,7 +9,7 @@ import numpy as np
 import numpy.typing as npt
 import pytest
 
-from dronevio.estimator.frontend import Observations
+from dronevio.estimator.types import Observations
 from dronevio.estimator.vio import VisualInertialOdometry
 from dronevio.models.camera import CameraModel
 from dronevio.models.imu import GRAVITY_M_S2, ImuSamples, Sampling

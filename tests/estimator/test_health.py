@@ -6,10 +6,10 @@ import numpy as np
 import numpy.typing as npt
 import pytest
 
-from dronevio.estimator.frontend import Observations
+from dronevio.estimator.backend.landmarks import KnownLandmarks
 from dronevio.estimator.health import HealthConfig, HealthMonitor
-from dronevio.estimator.landmarks import KnownLandmarks
-from dronevio.models.rigs import rig_named
+from dronevio.estimator.types import Observations
+from dronevio.models.rig_presets import rig_named
 from dronevio.models.rotation import exp_so3, inverse_pose, pose_matrix
 from dronevio.models.state import Health, HealthReport, NavState
 

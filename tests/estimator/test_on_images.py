@@ -10,11 +10,11 @@ import numpy as np
 import pytest
 
 from dronevio.cli import main
-from dronevio.estimation import estimate_recording
+from dronevio.driver import estimate_recording
 from dronevio.estimator.book.eqvio import read_flight
 from dronevio.estimator.vio import VisualInertialOdometry
 from dronevio.eval.metrics.alignment import align
-from dronevio.eval.runs import EstimatorRun
+from dronevio.eval.run import EstimatorRun
 from dronevio.models.camera import CameraModel
 from dronevio.models.errors import ConfigError
 from dronevio.models.imu import ImuSamples

@@ -6,9 +6,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from dronevio.estimator.inertial import Increments
-from dronevio.estimator.origin import LastBelieved, Zero
-from dronevio.estimator.start import StartSigmas
+from dronevio.estimator.imu.buffer import Increments
+from dronevio.estimator.initialization.gauge import LastBelieved, Zero
+from dronevio.estimator.initialization.static import StartSigmas
 from dronevio.estimator.vio import VisualInertialOdometry
 from dronevio.eval.metrics.alignment import align
 from dronevio.models.errors import ConfigError

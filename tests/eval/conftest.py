@@ -19,7 +19,7 @@ import pyarrow as pa
 import pytest
 from rerun.chunk import RrdReader
 
-from dronevio.eval.runs import EstimatorRun
+from dronevio.eval.run import EstimatorRun
 from dronevio.models.camera import CameraModel
 from dronevio.models.imu import ImuSamples
 from dronevio.models.rig import EUROC_T_IMU_CAM0, Rig, RigCamera

@@ -23,7 +23,7 @@ from dronevio.eval.benchmark.engines import Ended, Heard, LocalEngine
 from dronevio.eval.benchmark.isolation import isolated
 from dronevio.eval.benchmark.jobs import Flight, Job
 from dronevio.eval.benchmark.rows import RESULTS_FILE, Row, read_results, read_rows, schema, write_rows
-from dronevio.eval.benchmark.running import Benchmark, run_benchmark
+from dronevio.eval.benchmark.runner import Benchmark, run_benchmark
 from dronevio.eval.benchmark.store import ResultStore
 from dronevio.eval.benchmark.summary import Spread, failures, groups
 from dronevio.models.errors import InputError

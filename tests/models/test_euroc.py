@@ -24,7 +24,7 @@ from dronevio.models.recordings.euroc import (
 )
 from dronevio.models.recordings.frame_truth import FRAME_TRUTH_FILE, FrameTruth, frame_truth_text
 from dronevio.models.rig import EUROC_T_IMU_CAM0, Rig, RigCamera, euroc_rig
-from dronevio.models.rigs import RIGS, rig_named
+from dronevio.models.rig_presets import RIGS, rig_named
 from dronevio.models.state import Trajectory
 
 WIDTH, HEIGHT, FRAMES = 32, 24, 4

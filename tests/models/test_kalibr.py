@@ -17,7 +17,7 @@ from dronevio.models.imu import ImuModel
 from dronevio.models.recordings.kalibr import camchain_yaml, imu_yaml, indented, read_calibration, read_kalibr
 from dronevio.models.recordings.yaml_document import parse_yaml
 from dronevio.models.rig import EUROC_CAM0, EUROC_T_IMU_CAM0, Rig, RigCamera
-from dronevio.models.rigs import RIGS, rig_named
+from dronevio.models.rig_presets import RIGS, rig_named
 from dronevio.models.rotation import exp_so3, inverse_pose, pose_matrix
 
 # The example of Kalibr's wiki ("yaml formats"), its second camera's poses completed to rigid ones.

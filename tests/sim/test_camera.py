@@ -13,13 +13,13 @@ import pytest
 from dronevio.models.camera import CameraModel
 from dronevio.models.errors import ConfigError, GraphicsError
 from dronevio.models.rig import EUROC_CAM0
-from dronevio.models.rigs import TUM_VI_CAMERA, UZH_FPV_CAMERA, rig_named
+from dronevio.models.rig_presets import TUM_VI_CAMERA, UZH_FPV_CAMERA, rig_named
 from dronevio.models.rotation import exp_so3, inverse_pose, pose_matrix, skew
+from dronevio.sim.appearance.scenery import add_pages, paint_pages
+from dronevio.sim.appearance.solids import Face
 from dronevio.sim.cameras import views
 from dronevio.sim.cameras.camera import OffscreenCamera
 from dronevio.sim.cameras.surfaces import points_in_camera
-from dronevio.sim.looks.scenery import add_pages, paint_pages
-from dronevio.sim.looks.solids import Face
 
 Array = npt.NDArray[np.float64]
 

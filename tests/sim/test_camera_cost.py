@@ -6,10 +6,10 @@ import pytest
 
 from dronevio.models.camera import CameraModel
 from dronevio.models.rig import EUROC_CAM0
-from dronevio.models.rigs import TUM_VI_CAMERA
+from dronevio.models.rig_presets import TUM_VI_CAMERA
 from dronevio.sim.cameras import camera_cost as measured
 from dronevio.sim.cameras.camera import OffscreenCamera
-from dronevio.sim.envs.sight import scaled
+from dronevio.sim.envs.camera_observation import scaled
 
 
 def lit_by_itself() -> mujoco.MjModel:

@@ -10,7 +10,7 @@ import pytest
 from dronevio.models.camera import CameraModel
 from dronevio.models.errors import GraphicsError
 from dronevio.models.rig import EUROC_CAM0
-from dronevio.models.rigs import TUM_VI_CAMERA
+from dronevio.models.rig_presets import TUM_VI_CAMERA
 from dronevio.sim.cameras.camera import OffscreenCamera
 from dronevio.sim.cameras.drawing import Canvas
 

@@ -10,8 +10,8 @@ import dronevio.envs  # noqa: F401 registers
 from dronevio.models.camera import CameraModel
 from dronevio.models.errors import ConfigError
 from dronevio.models.rig import EUROC_CAM0, euroc_rig
+from dronevio.sim.envs.camera_observation import scaled
 from dronevio.sim.envs.hover import TARGET_M, Hover
-from dronevio.sim.envs.sight import scaled
 
 ID = "dronevio/Hover-v0"
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from dronevio.models.errors import ConfigError
-from dronevio.models.rigs import rig_named
+from dronevio.models.rig_presets import rig_named
 from dronevio.models.rotation import log_so3
 from dronevio.sim.faults import Faults
 from dronevio.sim.flight import fly

@@ -5,7 +5,7 @@ import pytest
 
 from dronevio.models.errors import ConfigError
 from dronevio.models.imu import ImuSamples
-from dronevio.models.rigs import rig_named
+from dronevio.models.rig_presets import rig_named
 from dronevio.models.state import Trajectory
 from dronevio.sim.flight import Flight, fly
 from dronevio.sim.refly import cut, frame_stamps, refly

@@ -19,9 +19,9 @@ from dronevio.models.recordings.frame_truth import FRAME_TRUTH_FILE, read_frame_
 from dronevio.models.rig import Rig, RigCamera
 from dronevio.models.rotation import pose_matrix, quat_wxyz_from_matrix
 from dronevio.models.state import Trajectory
+from dronevio.sim.appearance.solids import turn_z
 from dronevio.sim.cameras.imaging import AutoExposure, FixedExposure, Imaging
 from dronevio.sim.cameras.schedule import FrameSchedule, beat, schedule_frames
-from dronevio.sim.looks.solids import turn_z
 from dronevio.sim.rendering.render import render
 from dronevio.sim.rendering.render_job import RenderJob
 

@@ -4,12 +4,12 @@ import numpy as np
 import numpy.typing as npt
 import pytest
 
-from dronevio.sim.looks.cutouts import Cutouts, Print, joined
-from dronevio.sim.looks.lightmap import AreaLight, bake
-from dronevio.sim.looks.round import filling, mantle
-from dronevio.sim.looks.scenery import facing, paint_pages
-from dronevio.sim.looks.solids import Face, Sheet, size_m
-from dronevio.sim.looks.textures import Image
+from dronevio.sim.appearance.cutouts import Cutouts, Print, joined
+from dronevio.sim.appearance.lightmap import AreaLight, bake
+from dronevio.sim.appearance.round import filling, mantle
+from dronevio.sim.appearance.scenery import facing, paint_pages
+from dronevio.sim.appearance.solids import Face, Sheet, size_m
+from dronevio.sim.appearance.textures import Image
 from dronevio.sim.paths.space import Space
 
 Array = npt.NDArray[np.float64]

@@ -7,7 +7,7 @@ import pytest
 
 from dronevio.models.errors import ConfigError
 from dronevio.models.imu import GRAVITY_M_S2
-from dronevio.sim.looks.solids import turn_z
+from dronevio.sim.appearance.solids import turn_z
 from dronevio.sim.paths.limits import LIMITS, Limits
 from dronevio.sim.paths.path import Reference, attitude, plan_reference
 from dronevio.sim.paths.plan import FlightPlan

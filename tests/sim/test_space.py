@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from dronevio.sim.looks.solids import turn_z
+from dronevio.sim.appearance.solids import turn_z
 from dronevio.sim.paths.space import Space
 from dronevio.sim.world import build_world
 

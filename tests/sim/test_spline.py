@@ -9,7 +9,7 @@ from dronevio.models.errors import ConfigError
 from dronevio.models.imu import GRAVITY_M_S2
 from dronevio.models.rotation import exp_so3, quat_wxyz_from_matrix
 from dronevio.models.state import Trajectory
-from dronevio.sim.looks.solids import turn_z
+from dronevio.sim.appearance.solids import turn_z
 from dronevio.sim.paths.spline import SmoothMotion
 
 RADIUS_M, TURN_RAD_S = 2.0, 1.5

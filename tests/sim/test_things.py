@@ -8,11 +8,11 @@ import pytest
 
 from dronevio.models.camera import CameraModel
 from dronevio.models.rotation import pose_matrix
+from dronevio.sim.appearance.solids import Box, turn_z
+from dronevio.sim.appearance.textures import plain
+from dronevio.sim.appearance.things import Thing, names_of, one_thing
 from dronevio.sim.cameras.camera import OffscreenCamera
 from dronevio.sim.cameras.surfaces import points_in_camera
-from dronevio.sim.looks.solids import Box, turn_z
-from dronevio.sim.looks.textures import plain
-from dronevio.sim.looks.things import Thing, names_of, one_thing
 from dronevio.sim.props.furniture import Piece
 from dronevio.sim.world import WORLDS, build_world, place_of, things_of
 from dronevio.sim.worlds.texturedness import poses_along

@@ -9,9 +9,9 @@ import numpy.typing as npt
 import pytest
 
 from dronevio.models.errors import ConfigError
-from dronevio.sim.looks import pictures, textures
-from dronevio.sim.looks.lightmap import AreaLight, bake
-from dronevio.sim.looks.solids import Box, Face
+from dronevio.sim.appearance import pictures, textures
+from dronevio.sim.appearance.lightmap import AreaLight, bake
+from dronevio.sim.appearance.solids import Box, Face
 from dronevio.sim.props.room import FREE_BOX_M, SIZE_M, Room, furnished_room
 from dronevio.sim.world import World, _painted, build_world
 

@@ -8,11 +8,11 @@ import pytest
 
 from dronevio.models.camera import CameraModel
 from dronevio.models.rotation import pose_matrix
+from dronevio.sim.appearance import textures_building, textures_storage
+from dronevio.sim.appearance.scenery import add_mirror
+from dronevio.sim.appearance.solids import Box, Face
+from dronevio.sim.appearance.textures import Image
 from dronevio.sim.cameras.camera import OffscreenCamera
-from dronevio.sim.looks import textures_building, textures_storage
-from dronevio.sim.looks.scenery import add_mirror
-from dronevio.sim.looks.solids import Box, Face
-from dronevio.sim.looks.textures import Image
 from dronevio.sim.paths.space import Space
 from dronevio.sim.props.traffic import Lap, Swing
 from dronevio.sim.world import WORLDS, build_world, place_of

@@ -4,8 +4,8 @@ import numpy as np
 import numpy.typing as npt
 import pytest
 
-from dronevio.sim.looks.cutouts import joined
-from dronevio.sim.looks.solids import Box
+from dronevio.sim.appearance.cutouts import joined
+from dronevio.sim.appearance.solids import Box
 from dronevio.sim.paths.space import Space
 from dronevio.sim.worlds import forest, gates, hall
 from dronevio.sim.worlds.assembly import space_of

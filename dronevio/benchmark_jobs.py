@@ -1,0 +1,144 @@
+"""What a benchmark needs of the door: flights to estimate, how to make their recordings, how to run estimators."""
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+import dronevio
+from dronevio.eval.benchmark.cache import code_hash, content_hash, recording_hash
+from dronevio.eval.benchmark.jobs import Flight
+from dronevio.eval.benchmark.rows import figures_of
+from dronevio.eval.provenance import versions_here
+from dronevio.models.configuration import to_plain
+from dronevio.models.errors import ConfigError, InputError
+from dronevio.registry import NamedEstimator
+
+if TYPE_CHECKING:
+    from dronevio.sim.scenario import Scenario
+
+_HOUSE = Path(dronevio.__file__).parent
+_DRAWS = tuple(_HOUSE / name for name in ("sim", "models", "recorder.py"))
+_ESTIMATES = tuple(_HOUSE / name for name in ("estimator", "eval/metrics", "driver.py", "registry.py"))
+_DRAWING_PACKAGES = ("dronevio", "mujoco", "opencv-python-headless", "numpy")
+_PACKAGES = (*_DRAWING_PACKAGES, "python", "gtsam")
+"""Of all packages, those that can change a row."""
+
+
+def versions() -> str:
+    """Return what rows depend on besides settings: packages, and the house's own code, which may change in between."""
+    found = versions_here()
+    packages = [f"{name} {found[name]}" for name in _PACKAGES if name in found]
+    return ", ".join([*packages, f"code {code_hash(*_DRAWS, *_ESTIMATES)}"])
+
+
+@dataclass(frozen=True)
+class Workbench:
+    """Flies and estimates; implements `Workshop`."""
+
+    estimators: tuple[NamedEstimator, ...]
+    """Who estimates."""
+    versions: str
+    """Of the machine that planned the benchmark; the others must have the same."""
+
+    def config_hash(self, estimator: str) -> str:
+        """Return what tells an estimator's settings apart."""
+        return content_hash(self._named(estimator).settings())
+
+    def record(self, flight: Flight, folder: Path) -> None:
+        """Fly a scenario and write its recording."""
+        from dronevio.recorder import record_flight
+        from dronevio.sim.scenario import Scenario
+
+        self._check_here()
+        assert isinstance(flight.source, Scenario)
+        record_flight(flight.source, folder, workers=1)
+
+    def estimate(self, flight: Flight, recording: Path, estimator: str) -> dict[str, Any]:
+        """Run an estimator on a recording and score it."""
+        from dronevio.eval.metrics.scores import score
+        from dronevio.models.recordings.open import open_recording
+
+        self._check_here()
+        opened = open_recording(recording, 1)
+        if opened.ground_truth is None:
+            raise InputError(recording, "no ground truth", "a recording with the true motion")
+        estimated = self._named(estimator).run(recording)
+        frames = opened.frame_times_ns
+        return {
+            **figures_of(score(opened.ground_truth, estimated.trajectory, frames)),
+            "duration_s": float(np.ptp(frames)) * 1e-9,
+            "cpu_ms_mean": estimated.cpu_ms_mean,
+            "cpu_ms_p99": estimated.cpu_ms_p99,
+            "real_time_factor": estimated.real_time_factor,
+        }
+
+    def _named(self, label: str) -> NamedEstimator:
+        return next(estimator for estimator in self.estimators if estimator.label == label)
+
+    def _check_here(self) -> None:
+        """Check that this machine would compute the same as the one that planned the benchmark."""
+        here, there = versions().split(", "), self.versions.split(", ")
+        if here != there:
+            differing = "; expected ".join(
+                ", ".join(p for p in a if p not in b) for a, b in ((here, there), (there, here))
+            )
+            raise ConfigError(f"what runs here is {differing}, as where and when the benchmark was started")
+
+
+def scenario_flights(names: Iterable[str], seeds: Sequence[int], rig: str | None = None) -> tuple[Flight, ...]:
+    """Return the flights of some scenarios, every seed of each; a suite's name stands for its scenarios.
+
+    The first seed of all comes first, then the second: whoever looks early sees something of everything.
+
+    Args:
+        names: Of scenarios and suites.
+        seeds: Of the flights.
+        rig: Other sensors than the scenarios': a name, or a file that says it; `flying.rig_of` tells more.
+
+    Raises:
+        ConfigError: There is no such scenario, suite or rig.
+        InputError: The rig's file cannot be read.
+    """
+    from dronevio.sim.scenarios import SUITES, scenario
+
+    found = {name: scenario(name) for given in names for name in SUITES.get(given, (given,))}
+    unique = {flown.name: flown for flown in found.values()}
+    if rig is not None:
+        from dronevio.recorder import rig_of
+
+        chosen = rig_of(rig)
+        unique = {name: replace(flown, rig=chosen) for name, flown in unique.items()}
+    return tuple(_flight(replace(flown, seed=seed)) for seed in seeds for flown in unique.values())
+
+
+def recorded_flights(paths: Iterable[Path]) -> tuple[Flight, ...]:
+    """Return the flights of recordings from elsewhere, named as their files or folders are.
+
+    Raises:
+        InputError: One is not there or has no ground truth.
+        ConfigError: Two have the same name.
+    """
+    from dronevio.models.recordings.open import read_trajectory
+
+    flights: dict[str, Flight] = {}
+    for path in paths:
+        whole = path.resolve().parent if path.resolve().name == "mav0" else path.resolve()
+        digest = recording_hash(whole)
+        read_trajectory(whole)  # raises where there is no truth: rather now than in every run
+        name = whole.stem if whole.is_file() else whole.name
+        if name in flights:
+            raise ConfigError(f"{path} and {flights[name].path}, both named {name}; expected names of their own")
+        flights[name] = Flight(name, "", None, digest, None, whole)
+    return tuple(flights.values())
+
+
+def _flight(flown: "Scenario") -> Flight:
+    """Return a scenario's flight. Its recording's hash is that of all that draws it; a mere name does not."""
+    installed = versions_here()
+    settings = to_plain(replace(flown, name="", description=""))
+    packages = {name: installed.get(name) for name in _DRAWING_PACKAGES}
+    digest = content_hash({"scenario": settings, "packages": packages, "code": code_hash(*_DRAWS)})
+    return Flight(flown.name, flown.world, flown.seed, digest, flown)

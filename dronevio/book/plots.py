@@ -1,0 +1,165 @@
+"""Pictures of the robotics book's experiments."""
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+
+import matplotlib.image
+import numpy as np
+import numpy.typing as npt
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.ticker import MaxNLocator
+from mpl_toolkits.mplot3d import Axes3D
+from mpl_toolkits.mplot3d.art3d import Line3DCollection
+
+from dronevio.estimator.book.imu import ImuExperiment
+from dronevio.estimator.book.sfm import SfmExperiment
+from dronevio.eval.style import AXES, BAND, ESTIMATE, ROOM, TRUTH
+from dronevio.models.rotation import inverse_pose
+
+Array = npt.NDArray[np.float64]
+
+_DPI = 120
+_TRIAD_M = 0.4
+_LABEL_OFFSET_M = 0.3
+_ZOOM = 1.15  # Matplotlib leaves wide margins around a box
+_OUTLIER_SPREADS = 6.0  # median deviations off the middle: farther points would shrink all others to a speck
+_FRUSTUM_DEPTH = 0.2
+_T_VIEW_CAM = np.array([[1.0, 0.0, 0.0, 0.0], [0.0, 0.0, 1.0, 0.0], [0.0, -1.0, 0.0, 0.0], [0.0, 0.0, 0.0, 1.0]])
+
+
+def draw_imu_path(experiment: ImuExperiment, path: Path) -> None:
+    """Draw the loop in 3D: the true path, the first guess, and the states found with their axes."""
+    figure = Figure(figsize=(8.0, 7.0), layout="constrained")
+    axes = _axes_3d(figure, 111)
+    found = experiment.Ts_world_imu[:, :3, 3]
+    guess = experiment.Ts_world_imu_initial[:, :3, 3]
+    axes.plot(*experiment.path_m.T, color=TRUTH, label=f"true path, radius {experiment.flight.radius_m:.2f} m")
+    axes.scatter(*guess.T, color=ROOM, marker="x", s=40, label=f"first guess, error {experiment.initial_error:.3g}")
+    axes.scatter(*found.T, color=ESTIMATE, s=30, label=f"found, error {experiment.final_error:.1g}")
+    for axis, colour in enumerate(AXES):
+        tips = found + _TRIAD_M * experiment.Ts_world_imu[:, :3, axis]
+        axes.add_collection3d(Line3DCollection(np.stack([found, tips], axis=1), colors=colour, linewidths=1.5))
+    for i, p in enumerate(found):
+        outwards = _LABEL_OFFSET_M * experiment.Ts_world_imu[i, :3, 2]
+        axes.text(*(p - outwards), f"$x_{{{i}}}$", color=ESTIMATE, ha="center", va="center")
+    _equal_box(axes, np.concatenate([experiment.path_m, found, guess]))
+    axes.set(xlabel="x [m]", ylabel="y [m]", zlabel="z [m]", title="Dead reckoning on a loop")
+    axes.yaxis.set_major_locator(MaxNLocator(3))
+    axes.view_init(elev=18.0, azim=-70.0)
+    axes.legend(loc="upper left")
+    figure.savefig(path, dpi=_DPI)
+
+
+def draw_factor_graph(factors: Sequence[Sequence[str]], path: Path) -> None:
+    """Draw a graph of poses x, velocities v and biases b in three rows; each factor is a dot tied to its variables."""
+    names = sorted({name for factor in factors for name in factor})
+    place = {name: _place(name, names) for name in names}
+    states = max(int(name[1:]) for name in names) + 1
+    figure = Figure(figsize=(1.2 * states + 1.0, 4.2), layout="constrained")
+    axes: Axes = figure.add_subplot(111)
+    for factor in factors:
+        ends = {name: place[name] for name in factor}
+        dot = _prior_place(ends[factor[0]]) if len(factor) == 1 else _motion_place(ends)
+        for name, end in ends.items():
+            axes.plot(*np.transpose([dot, end]), color=ROOM, linewidth=0.8 if name[0] == "b" else 1.3, zorder=1)
+        axes.plot(*dot, "o" if len(factor) == 1 else "s", color="black", markersize=6, zorder=3)
+    fills = {"x": ESTIMATE, "v": BAND, "b": TRUTH}
+    for name, (x, y) in place.items():
+        axes.plot(x, y, "o", markersize=28, markerfacecolor="white", markeredgecolor=fills[name[0]], zorder=2)
+        axes.text(x, y, f"${name[0]}_{{{name[1:]}}}$", ha="center", va="center", fontsize=13, zorder=4)
+    axes.set(
+        xlim=(-0.8, states - 0.5), ylim=(-0.5, 2.5), title="■ IMU factors   ● priors   x poses   v velocities   b bias"
+    )
+    axes.axis("off")
+    figure.savefig(path, dpi=_DPI)
+
+
+def draw_sfm_cloud(experiment: SfmExperiment, path: Path) -> None:
+    """Draw the coloured points and the cameras' frusta in 3D, beside a photograph with what was seen in it."""
+    figure = Figure(figsize=(13.0, 5.2), layout="constrained")
+    cloud, photograph = _axes_3d(figure, 121), figure.add_subplot(122)
+    _draw_cloud(cloud, experiment)
+    _draw_photograph(photograph, experiment, camera=len(experiment.photographs) // 2)
+    figure.suptitle(
+        f"Villa Balbianello: {len(experiment.photographs)} cameras, {len(experiment.points)} points, "
+        f"error {experiment.initial_error:.1f} → {experiment.final_error:.1f}"
+    )
+    figure.savefig(path, dpi=_DPI)
+
+
+def frustum(T_world_cam: Array, focal_px: float, width_px: int, height_px: int, depth: float) -> Array:
+    """Return (8, 2, 3) the edges in the world of a camera's pyramid, cut off at a depth."""
+    half = 0.5 * np.array([width_px, height_px]) / focal_px * depth
+    corners = np.column_stack([np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]]) * half, np.full(4, depth)])
+    world = corners @ T_world_cam[:3, :3].T + T_world_cam[:3, 3]
+    sides = np.stack([np.broadcast_to(T_world_cam[:3, 3], (4, 3)), world], axis=1)
+    return np.concatenate([sides, np.stack([world, np.roll(world, -1, axis=0)], axis=1)])
+
+
+def _draw_cloud(axes: Axes3D, experiment: SfmExperiment) -> None:
+    """Draw points and frusta as the first camera has them: right, forward, up."""
+    T_view_world = _T_VIEW_CAM @ inverse_pose(experiment.Ts_world_cam[0])
+    points = experiment.points @ T_view_world[:3, :3].T + T_view_world[:3, 3]
+    middle = np.median(points, axis=0)
+    spread = np.median(np.abs(points - middle), axis=0)
+    kept = np.all(np.abs(points - middle) < _OUTLIER_SPREADS * spread, axis=1)
+    axes.scatter(*points[kept].T, c=experiment.colours[kept] / 255.0, s=9, depthshade=False)
+    height, width = matplotlib.image.imread(experiment.photographs[0]).shape[:2]
+    Ts_view_cam = T_view_world @ experiment.Ts_world_cam
+    for T, focal_px in zip(Ts_view_cam, experiment.focal_px, strict=True):
+        edges = frustum(T, focal_px, width, height, _FRUSTUM_DEPTH)
+        axes.add_collection3d(Line3DCollection(edges, colors=ESTIMATE, linewidths=1.2))
+    _equal_box(axes, np.concatenate([points[kept], Ts_view_cam[:, :3, 3]]))
+    axes.set(xlabel="right", ylabel="forward", zlabel="up")
+    axes.set_title(f"{kept.sum()} of the points in their colours, the cameras as frusta")
+    axes.zaxis.set_major_locator(MaxNLocator(4))
+    axes.view_init(elev=24.0, azim=-115.0)
+
+
+def _draw_photograph(axes: Axes, experiment: SfmExperiment, camera: int) -> None:
+    image = matplotlib.image.imread(experiment.photographs[camera])
+    centre = 0.5 * np.array([image.shape[1], image.shape[0]])
+    seen = experiment.observation_camera == camera
+    axes.imshow(image)
+    x, y = (experiment.observed_px[seen] + centre).T
+    axes.scatter(x, y, s=28, facecolors="none", edgecolors=BAND, label="observed")
+    x, y = (experiment.reprojected_px[seen] + centre).T
+    axes.scatter(x, y, s=4, color=ESTIMATE, label="reprojected")
+    axes.set_title(f"Photograph {camera + 1}; all observations fit to {experiment.reprojection_rms_px:.2f} px RMS")
+    axes.axis("off")
+    axes.legend(loc="lower right")
+
+
+def _place(name: str, names: Sequence[str]) -> Array:
+    """Return where a variable goes: its state's column, or the middle for a bias; its kind's row."""
+    row = {"x": 2.0, "v": 1.0, "b": 0.0}[name[0]]
+    states = max(int(other[1:]) for other in names) + 1
+    return np.array([0.5 * (states - 1) if name[0] == "b" else float(name[1:]), row])
+
+
+def _prior_place(variable: Array) -> Array:
+    """Return where to put a factor on one variable: to its left."""
+    return variable - [0.42, 0.0]
+
+
+def _motion_place(ends: Mapping[str, Array]) -> Array:
+    """Return where to put a factor on two states and the bias: in the middle of the states."""
+    return np.asarray(np.mean([end for name, end in ends.items() if name[0] != "b"], axis=0))
+
+
+def _axes_3d(figure: Figure, position: int) -> Axes3D:
+    axes = figure.add_subplot(position, projection="3d")
+    assert isinstance(axes, Axes3D)
+    return axes
+
+
+def _equal_box(axes: Axes3D, points: Array) -> None:
+    """Give all three axes the same scale."""
+    low, high = points.min(axis=0), points.max(axis=0)
+    margin = 0.05 * (high - low).max()
+    spans = np.maximum(high - low, 0.3 * (high - low).max()) + 2.0 * margin
+    middle = 0.5 * (low + high)
+    for axis, m, span in zip("xyz", middle, spans, strict=True):
+        getattr(axes, f"set_{axis}lim")(m - 0.5 * span, m + 0.5 * span)
+    axes.set_box_aspect(spans, zoom=_ZOOM)

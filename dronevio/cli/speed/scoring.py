@@ -1,0 +1,191 @@
+"""What scoring trajectories costs: as a command and as a library, beside evo, and how it grows."""
+
+import importlib.util
+import os
+import resource
+import subprocess
+import sys
+import tempfile
+import time
+import tracemalloc
+from collections.abc import Callable
+from contextlib import ExitStack
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from dronevio.eval import ate, rpe, score
+from dronevio.models.errors import ConfigError
+from dronevio.models.figure import Figure
+from dronevio.models.recordings.kitti import FRAME_NS, write_kitti
+from dronevio.models.rotation import exp_so3, quat_wxyz_from_matrix
+from dronevio.models.state import Trajectory
+
+Array = npt.NDArray[np.float64]
+
+KITTI_00_POSES = 4541
+"""Poses of the first sequence of KITTI's odometry benchmark."""
+_EVO_APE = "import sys; from evo.cli.entry_points import ape; sys.exit(ape())"
+
+
+def has_evo() -> bool:
+    """Say whether evo is installed."""
+    return importlib.util.find_spec("evo") is not None
+
+
+def a_pair(poses: int, seed: int = 0) -> tuple[Trajectory, Trajectory]:
+    """Return a smooth drive at 10 m/s with 10 poses a second, and a noisy estimate of it."""
+    rng = np.random.default_rng(seed)
+    t_ns = FRAME_NS * np.arange(poses)
+    t = t_ns * 1e-9
+    heading = np.sin(0.05 * t) + 0.5 * np.sin(0.013 * t)
+    step = 1.0 * np.stack([np.cos(heading), np.sin(heading), 0.02 * np.sin(0.03 * t)], axis=1)
+    turns = np.stack([0.02 * np.sin(0.3 * t), 0.02 * np.cos(0.2 * t), heading], axis=1)
+    truth = Trajectory(t_ns, np.cumsum(step, axis=0), quat_wxyz_from_matrix(exp_so3(turns)))
+    noise, wobble = rng.normal(0.0, 0.1, (poses, 3)), rng.normal(0.0, 0.01, (poses, 3))
+    return truth, Trajectory(t_ns, truth.p_world_imu + noise, quat_wxyz_from_matrix(exp_so3(turns + wobble)))
+
+
+def command_figure(files: tuple[Path, Path] | None, tries: int) -> Figure:
+    """Measure ``dronevio evaluate`` beside ``evo_ape``, each a whole process.
+
+    Args:
+        files: Truth and estimate as KITTI files; None for ones that are made.
+        tries: How often.
+    """
+    with ExitStack() as stack:
+        if files is None:
+            folder = Path(stack.enter_context(tempfile.TemporaryDirectory(prefix="dronevio-speed-")))
+            files = folder / "truth.txt", folder / "estimate.txt"
+            for path, trajectory in zip(files, a_pair(KITTI_00_POSES), strict=True):
+                write_kitti(path, trajectory)
+        truth, estimate = map(str, files)
+        ours = [sys.executable, "-m", "dronevio.cli", "evaluate", truth, estimate, "--alignment", "se3"]
+        theirs = [sys.executable, "-c", _EVO_APE, "kitti", truth, estimate, "-a"]
+        ours_s, theirs_s = _least(tries, lambda: _process_s(ours)), _least(tries, lambda: _process_s(theirs))
+    return Figure(
+        "dronevio evaluate, by evo_ape",
+        ours_s / theirs_s,
+        "",
+        0.35,
+        "at most",
+        f"{ours_s:.2f} s and {theirs_s:.2f} s of processor time, imports and all; ours says ATE and RPE, position and"
+        " orientation, and errors by length, theirs the ATE of position",
+    )
+
+
+def library_figure(poses: int, tries: int) -> Figure:
+    """Measure how much faster ATE and RPE are than evo's."""
+    truth, estimate = a_pair(poses)
+    ours_s, theirs_s = _least(tries, lambda: _ours_s(truth, estimate)), _evo_s(truth, estimate)
+    return Figure(
+        f"evo's ATE and RPE of {poses} poses, by ours",
+        theirs_s / ours_s,
+        "",
+        10.0,
+        "at least",
+        f"{theirs_s:.2f} s and {ours_s:.3f} s of processor time, aligned by se3, relative from pose to pose, position"
+        " and orientation",
+    )
+
+
+def size_figure(poses: int, tries: int) -> Figure:
+    """Measure ATE and RPE of many poses."""
+    truth, estimate = a_pair(poses)
+    ours_s = _least(tries, lambda: _ours_s(truth, estimate))
+    whole_s = _cpu_s(lambda: score(truth, estimate))
+    return Figure(
+        f"ATE and RPE of {poses} poses",
+        ours_s,
+        "s",
+        2.0,
+        "at most",
+        f"processor time; all scores, with association and errors by length: {whole_s:.2f} s",
+    )
+
+
+def memory_figure(poses: int) -> Figure:
+    """Measure how the memory of scoring grows from a tenth of the poses to all of them."""
+    few_mb, many_mb = (_peak_mb(*a_pair(count)) for count in (poses // 10, poses))
+    return Figure(
+        "memory of scoring ten times the poses, by ten",
+        many_mb / few_mb / 10.0,
+        "",
+        1.1,
+        "at most",
+        f"{many_mb:.1f} MB for {poses} poses, {few_mb:.1f} MB for {poses // 10}, at its peak, of numpy's arrays",
+    )
+
+
+def _ours_s(truth: Trajectory, estimate: Trajectory) -> float:
+    """Return the processor time of our ATE and RPE [s]."""
+    poses = truth.p_world_imu, truth.quat_wxyz, estimate.p_world_imu, estimate.quat_wxyz
+
+    def work() -> None:
+        ate(truth.p_world_imu, estimate.p_world_imu, "se3")
+        relative = rpe(*poses, 1, "frames")
+        _ = relative.translation_m, relative.rotation_deg
+
+    return _cpu_s(work)
+
+
+def _evo_s(truth: Trajectory, estimate: Trajectory) -> float:
+    """Return the processor time of evo's ATE and RPE [s]."""
+    from evo.core import metrics
+    from evo.core.trajectory import PoseTrajectory3D
+
+    both = [PoseTrajectory3D(x.p_world_imu, x.quat_wxyz, x.t_ns * 1e-9) for x in (truth, estimate)]
+
+    def work() -> None:
+        both[1].align(both[0])
+        relations = metrics.PoseRelation
+        by_frames = {"delta": 1, "delta_unit": metrics.Unit.frames, "all_pairs": True}
+        wanted: list[Any] = [
+            metrics.APE(relations.translation_part),
+            metrics.RPE(relations.translation_part, **by_frames),
+            metrics.RPE(relations.rotation_angle_deg, **by_frames),
+        ]
+        for metric in wanted:
+            metric.process_data(tuple(both))
+            metric.get_all_statistics()
+
+    return _cpu_s(work)
+
+
+def _peak_mb(truth: Trajectory, estimate: Trajectory) -> float:
+    """Return the most memory that scoring holds at once [MB]."""
+    tracemalloc.start()
+    try:
+        score(truth, estimate)
+        return tracemalloc.get_traced_memory()[1] * 1e-6
+    finally:
+        tracemalloc.stop()
+
+
+def _least(tries: int, measure: Callable[[], float]) -> float:
+    """Return the least of several measurements: what disturbs a process only ever adds to its time."""
+    return min(measure() for _ in range(tries))
+
+
+def _cpu_s(work: Callable[[], object]) -> float:
+    """Return the processor time that some work takes in this process [s]."""
+    start = time.process_time()
+    work()
+    return time.process_time() - start
+
+
+def _process_s(words: list[str]) -> float:
+    """Return the processor time of a process [s].
+
+    Raises:
+        ConfigError: It fails.
+    """
+    before = resource.getrusage(resource.RUSAGE_CHILDREN)
+    environment = {key: value for key, value in os.environ.items() if key != "OPENBLAS_NUM_THREADS"}
+    done = subprocess.run(words, capture_output=True, text=True, check=False, env=environment)
+    if done.returncode != 0:
+        raise ConfigError(f"{' '.join(words[1:])} failed; {done.stderr.strip() or done.stdout.strip()}")
+    after = resource.getrusage(resource.RUSAGE_CHILDREN)
+    return after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime

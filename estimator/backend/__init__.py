@@ -1,0 +1,1 @@
+"""The back end: a fixed-lag smoother over keyframes and landmarks with a marginal prior."""

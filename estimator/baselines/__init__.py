@@ -1,0 +1,1 @@
+"""Baseline estimators that the odometry is compared with."""

@@ -1,0 +1,1 @@
+"""Online calibration of the cameras' time offset, extrinsics and intrinsics."""

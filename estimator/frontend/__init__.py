@@ -1,0 +1,1 @@
+"""The visual front end: features detected, tracked and matched across the cameras of a rig."""

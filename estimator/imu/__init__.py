@@ -1,0 +1,1 @@
+"""The inertial side: buffered increments, preintegration, noise and covariance propagation."""

@@ -1,0 +1,235 @@
+"""The inertial side: a buffer of IMU increments, and their preintegration between keyframes.
+
+Preintegration after Forster et al., "On-manifold preintegration for real-time visual-inertial odometry", T-RO 2017,
+with GTSAM's combined factor, which lets the biases walk.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+
+import gtsam
+import numpy as np
+import numpy.typing as npt
+
+from dronevio.estimator.imu.saturation import LEAST_ACCEL_RANGE_M_S2, LEAST_GYRO_RANGE_RAD_S, RangeLimit
+from dronevio.models.imu import GRAVITY_M_S2, ImuModel, ImuSamples
+from dronevio.models.rotation import exp_so3
+
+Array = npt.NDArray[np.float64]
+
+
+IMU_GAP = 4.0
+"""Intervals of the IMU that have to pass without a sample to be a gap, in which nothing was measured."""
+GAP_DOUBT = np.repeat([0.5, 2.0], 3)
+"""How far from the mean of its ends a motion may be within a gap: standard deviations of angular velocity [rad/s] and
+specific force [m/s²], those of a drone that flies swiftly."""
+BEYOND_LIMIT = 0.5
+"""How far beyond the sensor's limit a motion may be, relative to it. A flight through a room with 57 °/s for a limit is
+beyond it by 20 % at the median, and 60 % at the 90th percentile."""
+DOUBT_LASTS_S = 0.2
+"""What is wrong with a reading in doubt is as wrong with those around it, for so long [s]."""
+
+
+@dataclass(frozen=True)
+class InertialConfig:
+    """How far the IMU is trusted."""
+
+    gyro_noise_inflation: float = 2.0
+    """Factor on the data sheet's white noise of the gyroscope, until it is learnt in flight (`imu_noise`) ..."""
+    accel_noise_inflation: float = 5.0
+    """... and on that of the accelerometer, which feels vibration more."""
+    walk_inflation: float = 1.0
+    """Factor on the data sheet's bias random walks."""
+    least_gyro_random_walk: float = 1e-5
+    """The gyroscope's bias is believed to walk at least so much [rad/s²/√Hz]: errors of scale and misalignment look
+    like a bias that changes with the motion, and GTSAM cannot solve for biases that hardly may move."""
+    least_accel_random_walk: float = 1e-3
+    """The same of the accelerometer's bias [m/s³/√Hz]: half a percent of scale error is 0.05 m/s² that turns with the
+    drone."""
+    integration_sigma: float = 1e-4
+    """Position error that integration itself makes [m/√s]."""
+
+
+@dataclass(frozen=True, eq=False)
+class Increments:
+    """Mean rates over consecutive intervals that add up to a stretch of time."""
+
+    dt_s: Array
+    """(N,) Lengths of the intervals [s]."""
+    gyro_rad_s: Array
+    """(N, 3) Mean angular velocity [rad/s]."""
+    accel_m_s2: Array
+    """(N, 3) Mean specific force in the frame at the interval's start [m/s²]."""
+    doubt: Array = field(default_factory=lambda: np.zeros((1, 6)))
+    """(N, 6), or (1, 6) for all: standard deviations of what is wrong with the angular velocity [rad/s] and the
+    specific force [m/s²] beside the sensor's noise: a sensor at its limit, or no sample for long."""
+
+    @property
+    def is_doubtful(self) -> bool:
+        """Whether anything is wrong beside the sensor's noise."""
+        return bool(self.doubt.any())
+
+    @property
+    def rotation_doubt_rad(self) -> float:
+        """Standard deviation of what is wrong with the rotation beside noise, about the worst axis [rad]."""
+        return float((self.dt_s[:, None] * self.doubt[:, :3]).sum(axis=0).max()) if self.is_doubtful else 0.0
+
+    @property
+    def doubt_density(self) -> Array:
+        """`doubt` as the white noise (N, 6) that does as much over as long as it lasts, squared densities."""
+        lasts_s = np.maximum(self.dt_s, DOUBT_LASTS_S)[:, None]
+        return np.asarray(lasts_s * np.broadcast_to(self.doubt, (len(lasts_s), 6)) ** 2)
+
+    @property
+    def longest_s(self) -> float:
+        """Longest of the intervals [s]."""
+        return float(self.dt_s.max(initial=0.0))
+
+    def rotation(self, gyro_bias_rad_s: Array) -> Array:
+        """Return R_start_end (3, 3)."""
+        R = np.eye(3)
+        for step in exp_so3((self.gyro_rad_s - gyro_bias_rad_s) * self.dt_s[:, None]):
+            R = R @ step
+        return R
+
+
+NO_INCREMENTS = Increments(np.zeros(0), np.zeros((0, 3)), np.zeros((0, 3)))
+"""Of no time at all."""
+
+
+def joined(parts: Sequence[Increments]) -> Increments:
+    """Return consecutive increments, at least one part of them, as one."""
+    return Increments(
+        np.concatenate([part.dt_s for part in parts]),
+        np.concatenate([part.gyro_rad_s for part in parts]),
+        np.concatenate([part.accel_m_s2 for part in parts]),
+        np.concatenate([np.broadcast_to(part.doubt, (len(part.dt_s), 6)) for part in parts]),
+    )
+
+
+class ImuBuffer:
+    """Holds the samples that came in, and hands them out up to the time of a frame."""
+
+    def __init__(self, imu: ImuModel | None = None) -> None:
+        """Begin without samples.
+
+        Args:
+            imu: What the sensor is; if not given, its gaps are not known.
+        """
+        self._longest_s = np.inf if imu is None else IMU_GAP / imu.rate_hz
+        self._gyro_limit = RangeLimit(np.inf if imu is None else imu.gyro_range_rad_s, LEAST_GYRO_RANGE_RAD_S)
+        self._accel_limit = RangeLimit(np.inf if imu is None else imu.accel_range_m_s2, LEAST_ACCEL_RANGE_M_S2)
+        self._samples: ImuSamples | None = None
+        self._start_ns: int | None = None  # everything up to here has been handed out
+
+    def add(self, samples: ImuSamples) -> None:
+        """Append later samples."""
+        self._gyro_limit.learn(samples.gyro_rad_s)
+        self._accel_limit.learn(samples.accel_m_s2)
+        self._samples = samples if self._samples is None else self._samples.extended(samples)
+
+    def take_until(self, t_ns: int) -> Increments:
+        """Return the increments from where the last call ended (or the first sample) to ``t_ns``.
+
+        An interval that ``t_ns`` cuts is shared out in proportion. Where the samples end early, the last one is held.
+        """
+        if self._samples is None or len(self._samples) == 0:
+            return NO_INCREMENTS
+        taken = self._increments(self._samples, t_ns, held=True)
+        self._forget_before(t_ns)
+        return taken
+
+    def ahead(self, span_s: float) -> Increments:
+        """Return the increments of the next ``span_s`` seconds after where the last call ended, as far as known.
+
+        They stay in the buffer.
+        """
+        if self._samples is None or len(self._samples) == 0 or self._start_ns is None:
+            return NO_INCREMENTS
+        return self._increments(self._samples, self._start_ns + round(span_s * 1e9), held=False)
+
+    def _increments(self, samples: ImuSamples, t_ns: int, held: bool) -> Increments:
+        increments = samples.increments()
+        start = self._start_ns if self._start_ns is not None else int(samples.t_ns[0])
+        last = min(int(np.searchsorted(increments.t_ns, t_ns, side="left")) + 1, len(increments))
+        ends = np.clip(increments.t_ns[:last], start, t_ns)
+        gyro, accel = increments.gyro_rad_s[:last], increments.accel_m_s2[:last]
+        doubt = self._doubt(samples)[:last]
+        if held and last == len(increments) and (last == 0 or ends[-1] < t_ns):
+            ends = np.append(ends, t_ns)
+            gyro = np.vstack([gyro, samples.gyro_rad_s[-1:]])
+            accel = np.vstack([accel, samples.accel_m_s2[-1:]])
+            doubt = np.vstack([doubt, self._beyond_limit(samples[-1:])])
+        dt_s = np.diff(ends, prepend=start) * 1e-9
+        kept = dt_s > 0.0
+        doubt = np.where((dt_s > self._longest_s)[:, None], np.maximum(doubt, GAP_DOUBT), doubt)
+        return Increments(dt_s[kept], gyro[kept], accel[kept], doubt[kept])
+
+    def _doubt(self, samples: ImuSamples) -> Array:
+        """Return how far a motion may be beyond the sensors' limits over each of the intervals of samples (N, 6)."""
+        beyond = self._beyond_limit(samples)
+        return beyond if samples.sampling == "increment" else np.maximum(beyond[1:], beyond[:-1])
+
+    def _beyond_limit(self, samples: ImuSamples) -> Array:
+        """Return how far a motion may be beyond the sensors' limits at samples (N, 6)."""
+        return BEYOND_LIMIT * np.hstack(
+            [self._gyro_limit.reached(samples.gyro_rad_s), self._accel_limit.reached(samples.accel_m_s2)]
+        )
+
+    def _forget_before(self, t_ns: int) -> None:
+        assert self._samples is not None
+        self._start_ns = t_ns
+        # Keep the sample at or before t: points are averaged with their predecessor.
+        first = int(np.searchsorted(self._samples.t_ns, t_ns, side="right")) - 1
+        self._samples = self._samples[max(first, 0) :]
+
+
+def preintegration_params(imu: ImuModel, config: InertialConfig) -> gtsam.PreintegrationCombinedParams:
+    """Return GTSAM's parameters for an IMU in a world whose z axis points up."""
+    params = gtsam.PreintegrationCombinedParams.MakeSharedU(GRAVITY_M_S2)
+    eye = np.eye(3)
+    params.setGyroscopeCovariance(eye * (config.gyro_noise_inflation * imu.gyro_noise_density) ** 2)
+    params.setAccelerometerCovariance(eye * (config.accel_noise_inflation * imu.accel_noise_density) ** 2)
+    params.setIntegrationCovariance(eye * config.integration_sigma**2)
+    gyro_walk = max(config.walk_inflation * imu.gyro_random_walk, config.least_gyro_random_walk)
+    accel_walk = max(config.walk_inflation * imu.accel_random_walk, config.least_accel_random_walk)
+    params.setBiasOmegaCovariance(eye * gyro_walk**2)
+    params.setBiasAccCovariance(eye * accel_walk**2)
+    return params
+
+
+def integrate(
+    preintegrated: gtsam.PreintegratedCombinedMeasurements,
+    increments: Increments,
+    params: gtsam.PreintegrationCombinedParams | None = None,
+) -> None:
+    """Add increments to a preintegration.
+
+    Args:
+        preintegrated: To what is added.
+        increments: What is added.
+        params: Those with which it was made; without them, readings in doubt count as any others.
+    """
+    if params is not None and increments.is_doubtful:
+        _integrate_doubtful(preintegrated, increments, params)
+        return
+    for dt, gyro, accel in zip(increments.dt_s.tolist(), increments.gyro_rad_s, increments.accel_m_s2, strict=True):
+        preintegrated.integrateMeasurement(accel, gyro, dt)
+
+
+def _integrate_doubtful(
+    preintegrated: gtsam.PreintegratedCombinedMeasurements,
+    increments: Increments,
+    params: gtsam.PreintegrationCombinedParams,
+) -> None:
+    """Add increments, each with a covariance of its own: GTSAM looks up the parameters for each of them."""
+    gyro_noise = np.array(params.getGyroscopeCovariance())  # what GTSAM returns is a view of what changes below
+    accel_noise = np.array(params.getAccelerometerCovariance())
+    rates = increments.gyro_rad_s, increments.accel_m_s2
+    steps = zip(increments.dt_s.tolist(), *rates, increments.doubt_density, strict=True)
+    for dt, gyro, accel, wrong in steps:
+        params.setGyroscopeCovariance(gyro_noise + np.diag(wrong[:3]))
+        params.setAccelerometerCovariance(accel_noise + np.diag(wrong[3:]))
+        preintegrated.integrateMeasurement(accel, gyro, dt)
+    params.setGyroscopeCovariance(gyro_noise)
+    params.setAccelerometerCovariance(accel_noise)

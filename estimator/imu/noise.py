@@ -1,0 +1,141 @@
+"""How noisy the IMU really is, learnt in flight.
+
+Data sheets tell the noise of a unit at rest on a bench. A drone shakes it, mounts twist it and clocks jitter: the
+accelerometer of a real flight may be ten times noisier than its sheet says, that of another may be as good as new. Both
+must not be smoothed alike. So the intervals of the IMU are compared with what a whole window of keyframes says of the
+same motion: over many of them, the squares of the residuals are what the noise makes them, less what the estimate has
+followed of it (variance component estimation; Förstner, "Ein Verfahren zur Schätzung von Varianz- und
+Kovarianzkomponenten", 1979; Förstner and Wrobel, "Photogrammetric Computer Vision", 2016, section 4.2.4).
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from dronevio.estimator.imu.buffer import InertialConfig, preintegration_params
+from dronevio.models.imu import ImuModel
+
+Array = npt.NDArray[np.float64]
+
+LARGEST_MISFIT = 9.0
+"""A squared residual counts for no more than so many times what it should be: a jolt is no noise."""
+
+
+@dataclass(frozen=True)
+class NoiseLevelConfig:
+    """How fast the noise is learnt."""
+
+    memory: float = 50.0
+    """So many intervals count, later ones more: about ten seconds of flight."""
+    believed: float = 1.0
+    """What is assumed at first counts as so many intervals that tell the noise fully."""
+    least: float = 0.5
+    """No sensor is better than its data sheet by more than this factor ..."""
+    most: float = 30.0
+    """... nor noisier than by this one."""
+
+
+@dataclass(frozen=True)
+class Misfit:
+    """How well one kind of residual of an interval fits what was assumed of its noise."""
+
+    squared: float
+    """Its square, relative to its expectation where nothing but the IMU told the motion."""
+    told: float
+    """The share of that expectation that remains after the estimate has followed the residual as far as it may: one
+    where others tell the motion exactly, zero where nothing else does."""
+    assumed: float
+    """The squared density of white noise from which that expectation comes: of the sensor, and of all doubts about
+    it."""
+
+
+@dataclass(frozen=True)
+class MotionMisfit:
+    """How well an interval of the IMU fits what else is known of the motion."""
+
+    turn: Misfit
+    """Of the turn: the gyroscope's noise."""
+    velocity: Misfit
+    """Of the change of velocity: the accelerometer's noise."""
+
+    @classmethod
+    def of_residual(cls, residual: Array, assumed: Array, followed: Array, dt_s: float) -> "MotionMisfit":
+        """Compare the residual of an interval with its covariance.
+
+        Args:
+            residual: (9,) Of turn, position and velocity, as GTSAM has them.
+            assumed: (9, 9) Its covariance by the IMU's noise alone.
+            followed: (9, 9) How much smaller its covariance is after the estimate has followed it.
+            dt_s: Length of the interval [s].
+        """
+
+        def misfit(part: slice) -> Misfit:
+            expected = float(np.trace(assumed[part, part]))
+            told = 1.0 - float(np.trace(followed[part, part])) / expected
+            return Misfit(float(residual[part] @ residual[part]) / expected, max(told, 0.0), expected / (3.0 * dt_s))
+
+        return cls(misfit(slice(0, 3)), misfit(slice(6, 9)))
+
+
+class NoiseLevel:
+    """The white noise of one sensor."""
+
+    def __init__(self, data_sheet: float, inflation: float, config: NoiseLevelConfig) -> None:
+        """Begin with an assumption.
+
+        Args:
+            data_sheet: Density of the noise by the data sheet.
+            inflation: How many times larger it is taken to be at first.
+            config: How fast that is unlearnt.
+        """
+        self._data_sheet, self._config = data_sheet, config
+        self._squared, self._told = (inflation * data_sheet) ** 2 * config.believed, config.believed
+
+    @property
+    def density(self) -> float:
+        """Density of the noise, in the data sheet's unit."""
+        c = self._config
+        learnt = np.sqrt(self._squared / self._told)
+        return float(np.clip(learnt, c.least * self._data_sheet, c.most * self._data_sheet))
+
+    def learn(self, misfit: Misfit) -> None:
+        """Take what an interval says, unless it was assumed to be noisier than any sensor: then it was in doubt."""
+        c = self._config
+        if misfit.assumed > 1.1 * (c.most * self._data_sheet) ** 2:
+            return
+        kept = 1.0 - 1.0 / c.memory
+        squared = misfit.assumed * min(misfit.squared, LARGEST_MISFIT * misfit.told)
+        self._squared, self._told = kept * self._squared + squared, kept * self._told + misfit.told
+
+
+class ImuNoise:
+    """Keeps the parameters of preintegration up to date."""
+
+    def __init__(self, imu: ImuModel, inertial: InertialConfig, config: NoiseLevelConfig) -> None:
+        """Begin with the data sheet, inflated as configured.
+
+        Args:
+            imu: The data sheet.
+            inertial: How far it is trusted at first.
+            config: How fast the noise is learnt.
+        """
+        self._gyro = NoiseLevel(imu.gyro_noise_density, inertial.gyro_noise_inflation, config)
+        self._accel = NoiseLevel(imu.accel_noise_density, inertial.accel_noise_inflation, config)
+        self.params = preintegration_params(imu, inertial)
+        """With these the IMU is preintegrated; their noise changes as it is learnt."""
+
+    @property
+    def densities(self) -> tuple[float, float]:
+        """Those of the white noise of gyroscope [rad/s/√Hz] and accelerometer [m/s²/√Hz]."""
+        return self._gyro.density, self._accel.density
+
+    def learn(self, misfit: MotionMisfit | None) -> None:
+        """Take what an interval says, if there is one."""
+        if misfit is None:
+            return
+        self._gyro.learn(misfit.turn)
+        self._accel.learn(misfit.velocity)
+        gyro, accel = self.densities
+        self.params.setGyroscopeCovariance(np.eye(3) * gyro**2)
+        self.params.setAccelerometerCovariance(np.eye(3) * accel**2)

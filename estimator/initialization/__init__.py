@@ -1,0 +1,1 @@
+"""Initialization: gravity, velocity and biases from a static interval or from motion."""

@@ -1,0 +1,104 @@
+"""The interval since the newest keyframe: what the IMU says of it, whether the drone has moved, and when it is over.
+
+While the drone stands still, frames are remembered: the rest is known to last until the motion that ends it is seen, so
+that the keyframe after it belongs at the last frame at which the drone surely stood still.
+"""
+
+import gtsam
+import numpy as np
+
+from dronevio.estimator.backend.keyframes import KeyframePolicy
+from dronevio.estimator.backend.smoother import KeyframeSmoother
+from dronevio.estimator.initialization.dynamic import Sighting
+from dronevio.estimator.propagation import Propagation, settled_and_recent
+from dronevio.estimator.types import Observations
+from dronevio.models.imu import ImuModel
+from dronevio.models.state import NavState
+
+MAX_REST_SIGMAS = 5.0
+"""A keyframe whose velocity is further from zero than this is not at rest, however little the image moves [standard
+deviations]. Velocities are known to 2 mm/s on simulated flights: a centimetre a second is motion. Standing drones were
+below 4."""
+
+
+class Interval:
+    """Time since a keyframe, frame by frame."""
+
+    def __init__(
+        self,
+        params: gtsam.PreintegrationCombinedParams,
+        imu: ImuModel,
+        policy: KeyframePolicy,
+        smoother: KeyframeSmoother,
+        observations: Observations,
+    ) -> None:
+        """Begin at the newest keyframe, with its biases.
+
+        Args:
+            params: How the IMU is preintegrated.
+            imu: Its noise densities.
+            policy: When a frame becomes a keyframe.
+            smoother: Knows the keyframe's state.
+            observations: What the keyframe sees.
+        """
+        self._propagation = Propagation(params, imu, smoother.state, smoother.gtsam_state)
+        self._policy = policy
+        self._may_rest = _is_slow(smoother.state)
+        self._rest: list[Sighting] = []  # frames since the keyframe, if the drone has not moved since
+        policy.begin(observations)
+
+    @property
+    def preintegrated(self) -> gtsam.PreintegratedCombinedMeasurements:
+        """The IMU since the keyframe."""
+        return self._propagation.preintegrated
+
+    @property
+    def is_doubtful(self) -> bool:
+        """Whether a sensor of the IMU has been at its limit since the keyframe, or without samples for long."""
+        return self._propagation.is_doubtful
+
+    def would_be_still(self, sighting: Sighting, still_for_s: float) -> bool:
+        """Say whether the drone has not moved from the keyframe up to a frame that is not added yet.
+
+        Args:
+            sighting: The frame.
+            still_for_s: For how long the image has not moved [s].
+        """
+        elapsed_s = self._propagation.elapsed_s + float(sighting.increments.dt_s.sum())
+        return self._may_rest and self._policy.is_still(elapsed_s, still_for_s)
+
+    def add(self, sighting: Sighting, still: bool = False) -> None:
+        """Take the next frame, and whether the drone has not moved from the keyframe up to it."""
+        self._propagation.add(sighting.increments)
+        if still:
+            self._rest.append(sighting)
+
+    def state_at(self, t_ns: int) -> NavState:
+        """Return the state at the last frame, which is at ``t_ns``."""
+        return self._propagation.state_at(t_ns, self._rest)
+
+    def is_over(self, still_for_s: float, observations: Observations, innovation_px: float | None) -> bool:
+        """Say whether the last frame becomes a keyframe; see `KeyframePolicy.is_due`."""
+        still_for_s = still_for_s if self._may_rest else 0.0
+        return self._policy.is_due(self._propagation.elapsed_s, still_for_s, observations, innovation_px)
+
+    def cut_to_rest(self) -> tuple[Sighting | None, list[Sighting]]:
+        """Go back to the last frame at which the drone surely stood still, if there is one since the keyframe.
+
+        Returns:
+            That frame, and those since, which are cut off.
+        """
+        settled, recent = settled_and_recent(self._rest)
+        self._rest = []
+        if not settled:
+            return None, []
+        self._propagation.restart([sighting.increments for sighting in settled])
+        return settled[-1], recent
+
+
+def _is_slow(state: NavState) -> bool:
+    """Say whether a state may be one of rest, by its velocity and how sure that is."""
+    if state.covariance is None:
+        return True
+    v, P = state.velocity_m_s, state.covariance[6:9, 6:9]
+    return bool(v @ np.linalg.solve(P, v) < MAX_REST_SIGMAS**2)

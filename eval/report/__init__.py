@@ -1,0 +1,1 @@
+"""Reports of runs and benchmarks: HTML pages, plots and tables."""

@@ -1,0 +1,1 @@
+"""Reports of benchmarks: their statistics, pages, plots and tables."""

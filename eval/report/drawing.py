@@ -1,0 +1,173 @@
+"""The drawing board of all pictures: one style, figures that become SVG or PNG, lines, bands and boxes.
+
+`figure` makes axes to draw into, `as_svg` and `save_png` turn the figure into something to look at. Nothing touches
+matplotlib's global state but the style, and that only while a figure is drawn. Same data, same bytes.
+"""
+
+import io
+import re
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass
+from html import escape
+from pathlib import Path
+from typing import Any, Literal
+
+import matplotlib as mpl
+import numpy as np
+import numpy.typing as npt
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.ticker import FuncFormatter, LogLocator, NullLocator
+
+from dronevio.eval import style as palette
+
+Array = npt.NDArray[np.float64]
+
+INK = "#1f2328"
+"""Colour of text and axes; an SVG's reader may replace it, for a dark page."""
+GRID = "#d0d7de"
+"""Colour of grid lines; likewise."""
+
+_COLOURS_OF_THE_PAGE = {INK: "ink", GRID: "grid", palette.CLAIM: "blue"}  # those that a dark page has otherwise
+_MOST_POINTS = 1500  # of one line: more than that no screen shows
+_WHISKERS_PERCENT = (5.0, 95.0)
+_BOX_SHARE = 0.8  # of the room between two groups
+_WIDEST_BOX = 0.22  # of the same
+_FEW_DECADES = 1e3  # high over low; of more, 1, 2 and 5 would crowd
+_STYLE: dict[Any, Any] = {
+    "axes.edgecolor": GRID,
+    "axes.grid": True,
+    "axes.labelcolor": INK,
+    "axes.spines.right": False,
+    "axes.spines.top": False,
+    "axes.titlecolor": INK,
+    "axes.titlelocation": "left",
+    "axes.titlesize": 10.0,
+    "axes.titleweight": "bold",
+    "axes.axisbelow": True,
+    "font.size": 9.0,
+    "grid.color": GRID,
+    "grid.linewidth": 0.6,
+    "legend.frameon": False,
+    "legend.fontsize": 8.5,
+    "lines.linewidth": 1.4,
+    "lines.solid_capstyle": "round",
+    "svg.fonttype": "none",
+    "svg.hashsalt": "dronevio",  # same data, same bytes
+    "text.color": INK,
+    "text.parse_math": False,  # a name with two dollar signs is a name
+    "xtick.color": GRID,
+    "xtick.labelcolor": INK,
+    "ytick.color": GRID,
+    "ytick.labelcolor": INK,
+}
+_COORDINATES = re.compile(r' (?:d|x|y|transform)="[^"]*"')
+_LONG_FRACTION = re.compile(r"-?\d+\.\d{3,}")
+
+
+@dataclass(frozen=True, eq=False)
+class Boxes:
+    """A row of boxes of one colour, one in each group."""
+
+    label: str
+    """What they are of."""
+    colour: str
+    """Their colour."""
+    values: Sequence[Array]
+    """The values behind the box of each group; no box where there are none."""
+
+
+@contextmanager
+def figure(
+    width_in: float, height_in: float, columns: int = 1, legend_columns: int = 4
+) -> Iterator[tuple[Figure, Sequence[Axes]]]:
+    """Make a figure with axes side by side, in the house's style; draw while the context lasts.
+
+    The legend of the first axes stands below them all, where it hides nothing.
+    """
+    with mpl.rc_context(_STYLE):
+        fig = Figure(figsize=(width_in, height_in), layout="constrained")
+        axes = list(np.atleast_1d(fig.subplots(1, columns)))
+        yield fig, axes
+        handles, labels = axes[0].get_legend_handles_labels()
+        if handles:
+            fig.legend(handles, labels, loc="outside lower center", ncols=legend_columns)
+
+
+def as_svg(fig: Figure, alt: str) -> str:
+    """Return a figure as an ``<svg>`` element, without a background, to be put into a page.
+
+    Args:
+        fig: The figure.
+        alt: What it shows, for those who cannot see it.
+    """
+    buffer = io.StringIO()
+    with mpl.rc_context(_STYLE):
+        fig.savefig(buffer, format="svg", transparent=True, metadata={"Date": None})
+    text = buffer.getvalue()
+    text = re.sub(r"<metadata>.*?</metadata>\s*", "", text[text.index("<svg") :], flags=re.DOTALL)
+    text = re.sub(r"<!--.*?-->\s*", "", text, flags=re.DOTALL)
+    text = re.sub(r'<g id="[^"]*"', "<g", text)  # else the drawings of a page have names in common
+    text = _COORDINATES.sub(lambda m: _LONG_FRACTION.sub(_rounded, m[0]), text)
+    for colour, name in _COLOURS_OF_THE_PAGE.items():
+        text = text.replace(colour, f"var(--{name})")
+    return text.replace("<svg", f'<svg role="img" aria-label="{escape(alt)}"', 1)
+
+
+def save_png(fig: Figure, path: Path, dpi: int = 160) -> None:
+    """Write a figure as a PNG on white."""
+    with mpl.rc_context(_STYLE):
+        fig.savefig(path, dpi=dpi, facecolor="white")
+
+
+def draw_line(ax: Axes, points: Array, **style: Any) -> None:
+    """Draw a line through points (N, 2), leaving out what nobody could see."""
+    step = max(1, len(points) // _MOST_POINTS)
+    kept = np.concatenate([points[::step], points[-1:]])
+    ax.plot(kept[:, 0], kept[:, 1], **style)
+
+
+def draw_boxes(ax: Axes, groups: Sequence[str], rows: Sequence[Boxes]) -> None:
+    """Draw boxes side by side in groups: median, quartiles, and whiskers from the 5th to the 95th percentile."""
+    step = _BOX_SHARE / max(len(rows), 1)
+    width = min(0.85 * step, _WIDEST_BOX)
+    for i, row in enumerate(rows):
+        shift = (i - 0.5 * (len(rows) - 1)) * min(step, 1.2 * _WIDEST_BOX)
+        drawn = [(k + shift, v) for k, v in enumerate(row.values) if len(v)]
+        line = {"color": row.colour, "linewidth": 1.1}
+        if drawn:
+            ax.boxplot(
+                [v for _, v in drawn],
+                positions=[x for x, _ in drawn],
+                widths=width,
+                whis=_WHISKERS_PERCENT,
+                showfliers=False,
+                showcaps=False,
+                manage_ticks=False,
+                patch_artist=True,
+                boxprops={"facecolor": f"{row.colour}55", "edgecolor": row.colour, "linewidth": 1.1},
+                whiskerprops=line,
+                medianprops={"color": INK, "linewidth": 1.6},
+            )
+        if len(rows) > 1:
+            ax.fill([], [], facecolor=f"{row.colour}55", edgecolor=row.colour, label=row.label)
+    ax.set_xticks(range(len(groups)), groups)
+    ax.set_xlim(-0.6, len(groups) - 0.4)
+    ax.grid(visible=False, axis="x")
+    ax.set_ylim(bottom=0.0)
+
+
+def set_log_scale(ax: Axes, which: Literal["x", "y"], low: float, high: float) -> None:
+    """Make an axis logarithmic from low to high, with plain numbers on it: at 1, 2 and 5 where decades are few."""
+    ax.set(**{f"{which}scale": "log", f"{which}lim": (low, high)})
+    axis = ax.xaxis if which == "x" else ax.yaxis
+    few = high < _FEW_DECADES * low
+    axis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0) if few else (1.0,), numticks=12))
+    axis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
+    axis.set_minor_locator(NullLocator())
+
+
+def _rounded(number: re.Match[str]) -> str:
+    """Return a coordinate to a hundredth of a point: finer than any screen."""
+    return f"{float(number[0]):.2f}".rstrip("0").rstrip(".")

@@ -1,0 +1,88 @@
+"""A camera's images in a recording: a video in a file, single JPEGs to a viewer that watches a flight go on."""
+
+from typing import Protocol
+
+import cv2
+import numpy as np
+import rerun as rr
+
+from dronevio.eval.rerun.sink import Sink
+from dronevio.eval.rerun.video import Av1Encoder, Image, VideoSample, VideoSettings
+
+_JPEG_QUALITY = 75
+
+
+class ImageLog(Protocol):
+    """Takes the images of one camera."""
+
+    def add(self, t_ns: int, image: Image) -> None:
+        """Take the next image (H, W) with its time stamp [ns]."""
+
+    def close(self) -> None:
+        """Hand over what is still missing."""
+
+
+class VideoLog:
+    """Encodes images as AV1, and hands them over a keyframe interval at a time: each such chunk plays by itself."""
+
+    def __init__(self, sink: Sink, entity: str, rate_hz: float, settings: VideoSettings) -> None:
+        """Take where to log, the camera's rate [Hz] and the video's quality."""
+        self._sink, self._entity = sink, entity
+        self._encoder = Av1Encoder(rate_hz, settings)
+        self._t_ns: list[int] = []
+        self._samples: list[VideoSample] = []
+        sink.static(entity, rr.VideoStream(codec=rr.VideoCodec.AV1))
+
+    def add(self, t_ns: int, image: Image) -> None:
+        """Take the next image; log the interval before, when a new one begins."""
+        self._t_ns.append(t_ns)
+        for sample in self._encoder.encode(image):
+            self._take(sample)
+
+    def close(self) -> None:
+        """Log the last interval."""
+        for sample in self._encoder.finish():
+            self._take(sample)
+        self._flush()
+
+    def _take(self, sample: VideoSample) -> None:
+        if sample.is_keyframe:
+            self._flush()
+        self._samples.append(sample)
+
+    def _flush(self) -> None:
+        done = len(self._samples)
+        if done == 0:
+            return
+        columns = rr.VideoStream.columns(
+            sample=[sample.data for sample in self._samples],
+            is_keyframe=[sample.is_keyframe for sample in self._samples],
+        )
+        self._sink.columns(self._entity, np.array(self._t_ns[:done], dtype=np.int64), columns)
+        del self._samples[:], self._t_ns[:done]
+
+
+class JpegLog:
+    """Encodes images as JPEG, and hands over ``batch`` at a time: nothing waits for later frames, no thread helps."""
+
+    def __init__(self, sink: Sink, entity: str, batch: int) -> None:
+        """Take where to log, and how many images make one call."""
+        self._sink, self._entity, self._batch = sink, entity, batch
+        self._t_ns: list[int] = []
+        self._blobs: list[bytes] = []
+
+    def add(self, t_ns: int, image: Image) -> None:
+        """Take the next image."""
+        _, blob = cv2.imencode(".jpg", image, [cv2.IMWRITE_JPEG_QUALITY, _JPEG_QUALITY])
+        self._t_ns.append(t_ns)
+        self._blobs.append(blob.tobytes())
+        if len(self._blobs) >= self._batch:
+            self.close()
+
+    def close(self) -> None:
+        """Log what there is."""
+        if not self._blobs:
+            return
+        columns = rr.EncodedImage.columns(blob=self._blobs, media_type=["image/jpeg"] * len(self._blobs))
+        self._sink.columns(self._entity, np.array(self._t_ns, dtype=np.int64), columns)
+        self._t_ns, self._blobs = [], []

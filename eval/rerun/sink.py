@@ -1,0 +1,103 @@
+"""Where a flight's recording goes, a file or a viewer that runs, and how rows get there: as columns.
+
+Everything lies on one timeline, ``time``: seconds of flight. Rows are handed over many at a time, because logging them
+one by one costs a millisecond a call.
+"""
+
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Self
+
+import numpy as np
+import numpy.typing as npt
+import rerun as rr
+import rerun.blueprint as rrb
+
+from dronevio.eval import style as palette
+from dronevio.models.imu import Times
+from dronevio.models.rotation import quat_wxyz_from_matrix, quat_xyzw_from_wxyz
+
+Array = npt.NDArray[np.float64]
+
+APPLICATION = "dronevio"
+TIMELINE = "time"
+
+
+class Sink:
+    """A stream of rerun's, written to in columns with time stamps of ours."""
+
+    def __init__(self, stream: rr.RecordingStream, origin_ns: int) -> None:
+        """Take the stream, and the time stamp [ns] that is zero on the timeline."""
+        self._stream = stream
+        self._origin_ns = origin_ns
+
+    @classmethod
+    @contextmanager
+    def to_file(cls, path: Path, name: str, blueprint: rrb.Blueprint, origin_ns: int) -> Iterator[Self]:
+        """Write a file; closing it writes the index that tools jump about with.
+
+        The file can be read while it grows, and when its writer is killed: up to what was last written, which happens
+        five times a second.
+        """
+        stream = rr.RecordingStream(APPLICATION)
+        stream.save(path)
+        with cls._opened(stream, name, blueprint, origin_ns) as sink:
+            yield sink
+
+    @classmethod
+    @contextmanager
+    def to_viewer(cls, url: str, name: str, blueprint: rrb.Blueprint, origin_ns: int) -> Iterator[Self]:
+        """Send to a viewer or its server, which listens at ``url`` (``rerun+http://127.0.0.1:9876/proxy``)."""
+        stream = rr.RecordingStream(APPLICATION)
+        stream.connect_grpc(url)
+        with cls._opened(stream, name, blueprint, origin_ns) as sink:
+            yield sink
+
+    @classmethod
+    @contextmanager
+    def _opened(cls, stream: rr.RecordingStream, name: str, blueprint: rrb.Blueprint, origin_ns: int) -> Iterator[Self]:
+        stream.send_blueprint(blueprint)  # active, not only default: a viewer keeps the last flight's layout otherwise
+        stream.send_recording_name(name)
+        try:
+            yield cls(stream, origin_ns)
+        finally:
+            stream.flush()
+            stream.disconnect()
+
+    def static(self, entity: str, archetype: rr.AsComponents) -> None:
+        """Log what holds at all times."""
+        self._stream.log(entity, archetype, static=True, strict=True)
+
+    def columns(self, entity: str, t_ns: Times, columns: rr.ComponentColumnList) -> None:
+        """Log N rows at times (N,) [ns]."""
+        if len(t_ns):
+            times = rr.TimeColumn(TIMELINE, duration=(t_ns - self._origin_ns).astype("timedelta64[ns]"))
+            self._stream.send_columns(entity, [times], columns, strict=True)
+
+    def poses(self, entity: str, t_ns: Times, Ts: Array) -> None:
+        """Log poses (N, 4, 4) of an entity in its parent."""
+        if len(t_ns):
+            columns = rr.Transform3D.columns(translation=Ts[:, :3, 3], quaternion=quat_xyzw(Ts[:, :3, :3]))
+            self.columns(entity, t_ns, columns)
+
+    def segments(self, entity: str, t_ns: Times, start: Array, end: Array) -> None:
+        """Log N straight lines, from ``start`` (N, 3) to ``end`` (N, 3) [m]."""
+        if len(t_ns):
+            strips = np.stack([start, end], axis=1).astype(np.float32)
+            self.columns(entity, t_ns, rr.LineStrips3D.columns(strips=strips))
+
+    def lines(self, entity: str, names: Sequence[str], colours: Sequence[str], width: float = 1.5) -> None:
+        """Say how the columns of an entity's `values` are drawn in a plot: what they are called, their colours."""
+        rgb = [palette.rgb(colour) for colour in colours]
+        self.static(entity, rr.SeriesLines(names=list(names), colors=rgb, widths=[width] * len(names)))
+
+    def values(self, entity: str, t_ns: Times, values: Array) -> None:
+        """Log values (N, C) or (N,) of a plot."""
+        if len(t_ns):
+            self.columns(entity, t_ns, rr.Scalars.columns(scalars=values.reshape(len(t_ns), -1)))
+
+
+def quat_xyzw(R: Array) -> npt.NDArray[np.float32]:
+    """Return rotations (N, 3, 3) as rerun's quaternions (N, 4)."""
+    return np.asarray(quat_xyzw_from_wxyz(quat_wxyz_from_matrix(R)), dtype=np.float32)

@@ -1,0 +1,176 @@
+"""Baked light: how bright each patch of a room is under its lamps and windows, with soft shadows.
+
+MuJoCo's renderer lights the corners of a face only, and its shadows cost more than all the rest of a frame. The rooms
+never change, so their light is computed once and painted into the textures: it costs nothing when a frame is drawn.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+import numpy.typing as npt
+
+from dronevio.sim.appearance.solids import Box, Surface, size_m
+from dronevio.sim.appearance.textures import PIXELS_PER_M
+
+Array = npt.NDArray[np.float64]
+Field = npt.NDArray[np.float32]
+
+_PATCHES_PER_M = 7.0  # at the full resolution of a pattern
+_SKY_DIRECTIONS = 20
+_SKY_REACH_M = 0.9  # further away, what stands in the way hardly darkens a lit room
+_OFFSET_M = 0.004  # rays start this far off their face, so as not to hit it
+_SMALLEST_SHADOW_M = 0.16  # half a diagonal: cups and books cast no shadow of their own
+_LAMP_SIZE_M2 = 0.3  # a lamp is no point: this keeps a surface close to it from burning out
+_AMBIENT, _DIRECT = 0.50, 0.55  # the shares of scattered light and of the lamps where the room is well lit
+_BRIGHTEST = 1.15
+_SIDE, _FROM_ABOVE = 0.82, 0.2  # of things that move: brightness of their sides, and what their tops have more
+
+
+@dataclass(frozen=True, eq=False)
+class AreaLight:
+    """A glowing rectangle, sampled at a few points."""
+
+    points: Array
+    """(S, 3) Where it is sampled [m]."""
+    power: float
+    """Its strength: the irradiance one metre in front, relative to the other lights."""
+    normal: Array | None = None
+    """(3,) Where it faces; None shines all around."""
+
+    def moved(self, R: Array, position: Array) -> "AreaLight":
+        """Return the light turned by R (3, 3) about the origin, then shifted by ``position`` (3,)."""
+        normal = None if self.normal is None else R @ self.normal
+        return AreaLight(self.points @ R.T + position, self.power, normal)
+
+
+def bake(faces: Sequence[Surface], blockers: Sequence[Box], lights: Sequence[AreaLight]) -> list[Field]:
+    """Return each face's brightness as a small image (rows, columns), 1 where the room is well lit.
+
+    Direct light is cast from every light's samples with shadow rays against the boxes; scattered light is dimmed by
+    what is near (ambient occlusion, Zhukov, Iones, Kronin, "An ambient light illumination model", 1998).
+
+    Args:
+        faces: What is lit.
+        blockers: The boxes that cast shadows.
+        lights: The lights.
+    """
+    shapes, points, normals = [], [], []
+    for face in faces:
+        density = _PATCHES_PER_M * face.pixels_per_m / PIXELS_PER_M
+        rows, columns = (max(round(v * density), 2) for v in size_m(face))
+        on_face, normal = _spread_over(face.grid, rows, columns)
+        shapes.append((rows, columns))
+        points.append((on_face + _OFFSET_M * normal).reshape(-1, 3))
+        normals.append(normal.reshape(-1, 3))
+    p, n = (np.concatenate(parts).T.astype(np.float32, order="C") for parts in (points, normals))
+    direct = _direct_light(p, n, blockers, lights)
+    direct *= _DIRECT / max(float(np.percentile(direct, 80)), 1e-6)
+    light = (_AMBIENT * _openness(p, n, blockers) + direct) ** 0.75  # towards how a display, or a camera, shows it
+    light = np.minimum(light, _BRIGHTEST)
+    cuts = np.cumsum([rows * columns for rows, columns in shapes])[:-1]
+    return [
+        np.maximum(part.reshape(shape), np.float32(face.glow))
+        for part, shape, face in zip(np.split(light, cuts), shapes, faces, strict=True)
+    ]
+
+
+def daylight(faces: Sequence[Surface]) -> list[Field]:
+    """Return the brightness (2, 2) of faces under even light from above: for what moves, and meets all kinds of light.
+
+    Tops are brightest; sides grow darker towards their lower edge.
+    """
+    maps = []
+    for face in faces:
+        normal_z = _spread_over(face.grid, 2, 2)[1][..., 2]
+        fall = np.array([[0.05], [-0.05]]) * (1.0 - np.abs(normal_z))
+        maps.append(np.maximum(_SIDE + _FROM_ABOVE * normal_z + fall, face.glow).astype(np.float32))
+    return maps
+
+
+def _spread_over(grid: Array, rows: int, columns: int) -> tuple[Array, Array]:
+    """Return points and unit normals (rows, columns, 3), evenly spread over a surface's grid (R + 1, C + 1, 3)."""
+    cells = np.array(grid.shape[:2]) - 1
+    (i, v), (j, u) = (
+        np.divmod((np.arange(count) + 0.5) / count * cell, 1.0)
+        for count, cell in zip((rows, columns), cells, strict=True)
+    )
+    rc, v, u = np.ix_(i.astype(int), j.astype(int)), v[:, None, None], u[None, :, None]
+    a, b, c, d = (
+        grid[1 - p : len(grid) - p, 1 - q : grid.shape[1] - q][rc] for p, q in ((1, 1), (1, 0), (0, 1), (0, 0))
+    )
+    right, down = (1.0 - v) * (b - a) + v * (d - c), (1.0 - u) * (c - a) + u * (d - b)
+    normal = np.cross(down, right)
+    length = np.linalg.norm(normal, axis=2, keepdims=True)
+    return a + u * (b - a) + v * ((1.0 - u) * (c - a) + u * (d - b)), normal / np.maximum(length, 1e-12)
+
+
+def apply_light(image: npt.NDArray[np.uint8], light: Field) -> npt.NDArray[np.uint8]:
+    """Return an image (H, W, 3) lit by a small brightness map."""
+    height, width = image.shape[:2]
+    smooth = cv2.resize(light, (width, height), interpolation=cv2.INTER_LINEAR)
+    return np.asarray(cv2.multiply(image, cv2.merge([smooth] * 3), dtype=cv2.CV_8U), dtype=np.uint8)
+
+
+def _direct_light(p: Field, n: Field, blockers: Sequence[Box], lights: Sequence[AreaLight]) -> Field:
+    """Return the irradiance (N,) at points p (3, N) with normals n (3, N)."""
+    casting = [box for box in blockers if np.linalg.norm(box.half) > _SMALLEST_SHADOW_M]
+    total = np.zeros(p.shape[1], np.float32)
+    for light in lights:
+        for sample in light.points.astype(np.float32):
+            ray = sample[:, None] - p
+            distance = np.sqrt(np.sum(ray * ray, axis=0))
+            arriving = np.maximum(np.sum(ray * n, axis=0), 0.0) / distance
+            if light.normal is not None:
+                arriving *= np.maximum(-(light.normal.astype(np.float32) @ ray) / distance, 0.0)
+            strength = light.power / len(light.points) * arriving / (_LAMP_SIZE_M2 + distance**2)
+            lit = np.flatnonzero(strength > 1e-3)
+            start, way = p[:, lit], ray[:, lit]
+            clear = np.ones(len(lit), np.bool_)
+            for box in casting:
+                clear &= _entry(start, way, box) >= 1.0
+            total[lit] += strength[lit] * clear
+    return total
+
+
+def _entry(origin: Field, ray: Field, box: Box) -> Field:
+    """Return where rays (3, N) enter a box, as a fraction of their length (N,); inf for a miss.
+
+    Source: Kay, Kajiya, "Ray tracing complex scenes", 1986 (slabs).
+    """
+    R_box_world = box.R.T.astype(np.float32)
+    start = R_box_world @ origin - (R_box_world @ box.centre.astype(np.float32))[:, None]
+    step = R_box_world @ ray
+    near, far = np.zeros(origin.shape[1], np.float32), np.full(origin.shape[1], np.inf, np.float32)
+    for x, dx, half in zip(start, step, box.half.astype(np.float32), strict=True):
+        inverse = 1.0 / np.where(np.abs(dx) < 1e-9, np.float32(1e-9), dx)
+        middle, reach = -x * inverse, half * np.abs(inverse)
+        np.maximum(near, middle - reach, out=near)
+        np.minimum(far, middle + reach, out=far)
+    return np.where(near <= far, near, np.float32(np.inf))
+
+
+def _openness(p: Field, n: Field, blockers: Sequence[Box]) -> Field:
+    """Return the share (N,) of the cosine-weighted hemisphere over each point (3, N) that nothing near covers."""
+    sky = _sphere(_SKY_DIRECTIONS)
+    covered = np.zeros((p.shape[1], len(sky)), np.float32)
+    for box in blockers:
+        reach = float(np.linalg.norm(box.half)) + _SKY_REACH_M
+        offset = p - box.centre.astype(np.float32)[:, None]
+        near = np.flatnonzero(np.sum(offset * offset, axis=0) < reach**2)
+        if len(near) == 0:
+            continue
+        rays = np.tile(sky.T * np.float32(_SKY_REACH_M), len(near))
+        entry = _entry(np.repeat(p[:, near], len(sky), axis=1), rays, box).reshape(len(near), -1)
+        covered[near] = np.maximum(covered[near], np.sqrt(1.0 - np.minimum(entry, 1.0)))
+    weight = np.maximum(n.T @ sky.T, 0.0)
+    return np.asarray(1.0 - np.sum(weight * covered, axis=1) / np.sum(weight, axis=1))
+
+
+def _sphere(count: int) -> Field:
+    """Return ``count`` directions (count, 3) spread evenly (Fibonacci's lattice)."""
+    k = np.arange(count) + 0.5
+    z, angle = 1.0 - 2.0 * k / count, np.pi * (1.0 + 5.0**0.5) * k
+    r = np.sqrt(1.0 - z**2)
+    return np.stack([r * np.cos(angle), r * np.sin(angle), z], axis=1).astype(np.float32)

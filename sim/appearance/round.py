@@ -1,0 +1,49 @@
+"""Round things, of flat sides: their surfaces, and the boxes that fill them.
+
+A prism over a regular polygon of an even number of sides is exactly the union of the boxes over its opposite sides.
+"""
+
+from functools import partial
+
+import numpy as np
+import numpy.typing as npt
+
+from dronevio.sim.appearance import textures
+from dronevio.sim.appearance.solids import Box, turn_z
+
+Array = npt.NDArray[np.float64]
+
+UNSEEN = partial(textures.plain, colour=(0.0, 0.0, 0.0))
+"""The paint of boxes that are obstacles only."""
+
+
+def mantle(heights: Array, radii: Array, sides: int, bend: Array | None = None) -> Array:
+    """Return the mantle of an upright round thing, a grid (S, sides + 1, 3) [m], seen from outside.
+
+    Args:
+        heights: (S,) Of its rings, from the top to the bottom [m].
+        radii: (S,) Of its rings, from the axis to the corners [m].
+        sides: How many it has; the first corner is on the x axis.
+        bend: (S, 2) How far each ring lies off the axis [m]; none by default.
+    """
+    angle = np.linspace(0.0, 2.0 * np.pi, sides + 1)
+    ring = np.stack([np.cos(angle), np.sin(angle)], axis=1)
+    grid = np.empty((len(heights), sides + 1, 3))
+    grid[..., :2] = radii[:, None, None] * ring + (0.0 if bend is None else bend[:, None])
+    grid[..., 2] = heights[:, None]
+    return grid
+
+
+def filling(radius_m: float, low_m: float, high_m: float, sides: int) -> list[Box]:
+    """Return the boxes whose union is the upright prism around the z axis with a corner on the x axis.
+
+    Args:
+        radius_m: From its axis to its corners [m].
+        low_m: Its lower end [m].
+        high_m: Its upper end [m].
+        sides: How many it has, an even number.
+    """
+    across, along = radius_m * np.sin(np.pi / sides), radius_m * np.cos(np.pi / sides)
+    half = np.array([along, across, 0.5 * (high_m - low_m)])
+    centre = np.array([0.0, 0.0, 0.5 * (low_m + high_m)])
+    return [Box(centre, half, UNSEEN, R=turn_z((k + 0.5) * 2.0 * np.pi / sides)) for k in range(sides // 2)]

@@ -1,0 +1,129 @@
+"""The README keeps its word: its examples run, its commands and pictures are there."""
+
+import re
+import shlex
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+from types import ModuleType
+from typing import Any
+
+import numpy as np
+import pytest
+
+from dronevio.cli import COMMANDS, main
+from dronevio.models.imu import ImuSamples
+from dronevio.models.protocols import measurements
+from dronevio.models.recordings.euroc import EurocRecording
+
+CHECKOUT = Path(__file__).resolve().parents[2]
+README = (CHECKOUT / "README.md").read_text(encoding="utf-8")
+PAGES = {"README.md": README}
+if (CHECKOUT / "docs").is_dir():
+    PAGES |= {f"docs/{page.name}": page.read_text(encoding="utf-8") for page in (CHECKOUT / "docs").glob("*.md")}
+
+
+def blocks(language: str) -> list[str]:
+    """Return the code blocks of a language."""
+    return re.findall(rf"^```{language}\n(.*?)^```$", README, re.MULTILINE | re.DOTALL)
+
+
+def example(imported: str) -> str:
+    """Return the one Python example whose first line imports something."""
+    [found] = [code for code in blocks("python") if imported in code.splitlines()[0]]
+    return found
+
+
+def test_your_own_camera(flown: Any, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
+    """The example, with a recorded flight for the reader's own drone, finds out how the drone moved."""
+    recording = EurocRecording.open(flown.folder)
+
+    def sensors() -> Iterator[tuple[object, ...]]:
+        imu = ImuSamples.empty()
+        for measurement in measurements(recording):
+            if isinstance(measurement, ImuSamples):
+                imu = measurement
+            else:
+                yield imu.t_ns, imu.gyro_rad_s, imu.accel_m_s2, measurement.t_ns, measurement.images[0]
+
+    my_drone = ModuleType("my_drone")
+    my_drone.__dict__.update(T_imu_cam=recording.rig.cameras[0].T_imu_cam, sensors=sensors)
+    monkeypatch.setitem(sys.modules, "my_drone", my_drone)
+    code = example("my_drone")
+    namespace: dict[str, object] = {}
+    exec(compile(code, "README.md", "exec"), namespace)
+
+    printed = capsys.readouterr().out.splitlines()
+    assert len(printed) > 90
+    assert all("tracking" in line for line in printed)
+    estimate, truth = namespace["estimate"], recording.ground_truth
+    assert truth is not None
+    assert printed[-1].startswith(str(recording.frame_times_ns[-1]))
+    # What it says of the way from its first pose to its last is true, but for the heading, which nobody can know.
+    first_ns, first_m = int(printed[0].split()[0]), np.array(re.findall(r"\[(.*?)\]", printed[0])[0].split(), float)
+    start, end = (truth[np.searchsorted(truth.t_ns, [t])].Ts_world_imu[0] for t in (first_ns, estimate.t_ns))
+    moved_m = estimate.state.T_world_imu[:3, 3] - first_m
+    assert np.linalg.norm(moved_m) == pytest.approx(np.linalg.norm(end[:3, 3] - start[:3, 3]), abs=0.03)
+    assert np.linalg.norm(estimate.state.velocity_m_s) < 0.05  # it stands again
+
+
+def test_your_own_camera_takes_ten_lines() -> None:
+    lines = [line for line in example("my_drone").splitlines() if line and not line.startswith(("from", "import"))]
+    assert len(lines) <= 10
+
+
+def test_the_environment(capsys: pytest.CaptureFixture[str]) -> None:
+    exec(compile(example("gymnasium"), "README.md", "exec"), {})
+    printed = capsys.readouterr().out
+    assert "(4, 6) (120, 188, 1)" in printed
+
+
+def test_every_example_is_run_here() -> None:
+    assert len(blocks("python")) == 2
+
+
+def shell_lines() -> list[list[str]]:
+    return [
+        words for block in blocks("sh") for line in block.splitlines() if (words := shlex.split(line, comments=True))
+    ]
+
+
+@pytest.mark.parametrize("line", [line for line in shell_lines() if line[0] == "dronevio"], ids=" ".join)
+def test_commands_are_as_written(line: list[str], capsys: pytest.CaptureFixture[str]) -> None:
+    _, *command = line
+    assert command[0] in COMMANDS
+    depth = 2 if command[0] in ("speed", "book") else 1
+    with pytest.raises(SystemExit):
+        main([*command[:depth], "--help"])
+    explained = capsys.readouterr().out
+    for word in command[depth:]:
+        if word.startswith("--"):
+            assert word in explained
+
+
+def test_targets_of_make_are_as_written() -> None:
+    makefile = CHECKOUT / "Makefile"
+    if not makefile.exists():
+        pytest.skip("not a checkout")
+    targets = set(re.findall(r"^([a-z]+):", makefile.read_text(encoding="utf-8"), re.MULTILINE))
+    named = {name for page in PAGES.values() for name in re.findall(r"make ([a-z]+)(?=[`\s]*[`#\n])", page)}
+    assert {"run", "test", "setup"} <= named <= targets
+
+
+@pytest.mark.skipif(not (CHECKOUT / "docs").is_dir(), reason="not a checkout")
+@pytest.mark.parametrize("page", PAGES)
+def test_what_is_linked_is_there_and_pictures_are_small(page: str) -> None:
+    linked = re.findall(r"\]\(([^)#]+)\)|src=\"([^\"]+)\"", PAGES[page])
+    for target in (one or other for one, other in linked):
+        if "://" in target:
+            continue
+        path = (CHECKOUT / page).parent / target
+        assert path.is_file(), target
+        if path.suffix in (".jpg", ".png"):
+            assert path.stat().st_size < 400_000, target
+
+
+@pytest.mark.skipif(not (CHECKOUT / "docs").is_dir(), reason="not a checkout")
+def test_files_that_the_architecture_names_are_there() -> None:
+    for name in re.findall(r"`([a-z_]+/[a-z_/.]*)`", PAGES["docs/architecture.md"]):
+        assert (CHECKOUT / name).exists(), name

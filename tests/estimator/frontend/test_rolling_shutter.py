@@ -1,0 +1,236 @@
+"""Sightings of known late instants, moved to the time of their frame."""
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+import numpy as np
+import numpy.typing as npt
+import pytest
+
+from dronevio.estimator.frontend.rolling_shutter import FrameTimes, NearbyTurn
+from dronevio.estimator.imu.buffer import Increments
+from dronevio.estimator.types import Matches, Observations
+from dronevio.models.rig import EUROC_T_IMU_CAM1, Rig, RigCamera, euroc_rig
+from dronevio.models.rig_presets import PINHOLE
+from dronevio.models.rotation import exp_so3, inverse_pose, log_so3, pose_matrix
+
+Array = npt.NDArray[np.float64]
+
+T_IMU_CAM = euroc_rig().cameras[0].T_imu_cam
+FRAME_S = 0.05
+ROLLING = RigCamera(PINHOLE, T_IMU_CAM, readout_s=0.03)
+GLOBAL = RigCamera(PINHOLE, T_IMU_CAM)
+
+
+@dataclass(frozen=True, eq=False)
+class Path:
+    """A motion of the IMU: turning about one axis, which itself turns, and moving as a polynomial of time."""
+
+    omega: Array
+    """(3,) Angular velocity at t = 0 [rad/s]."""
+    alpha: Array
+    """(3,) How fast it grows [rad/s²]."""
+    velocity: Array
+    """(3,) At t = 0 [m/s]."""
+    acceleration: Array
+    """(3,) [m/s²]."""
+    imu_s: float = 0.005
+    """Time between IMU samples [s]."""
+
+    def T_world_imu(self, t_s: Array) -> Array:
+        t = np.asarray(t_s)[..., None]
+        R = exp_so3(self.omega * t) @ exp_so3(0.5 * self.alpha * t**2)
+        return np.asarray(pose_matrix(R, self.velocity * t + 0.5 * self.acceleration * t**2))
+
+    def increments(self, start_s: float, end_s: float) -> Increments:
+        t = np.linspace(start_s, end_s, max(round((end_s - start_s) / self.imu_s), 1) + 1)
+        R = self.T_world_imu(t)[:, :3, :3]
+        rates = log_so3(np.swapaxes(R[:-1], 1, 2) @ R[1:]) / np.diff(t)[:, None]
+        return Increments(np.diff(t), rates, np.zeros_like(rates))
+
+
+def begin(times: FrameTimes, path: Path, t_s: float) -> None:
+    times.begin(path.increments(t_s - FRAME_S, t_s), path.increments(t_s, t_s + 0.03), np.zeros(3))
+
+
+def landmarks(n: int = 150, depth_m: tuple[float, float] = (2.0, 6.0)) -> Array:
+    """Return (n, 3) places that the camera at the world's origin sees."""
+    rng = np.random.default_rng(5)
+    pixels = rng.uniform([40.0, 40.0], [PINHOLE.width - 40.0, PINHOLE.height - 40.0], (n, 2))
+    rays = np.column_stack([PINHOLE.normalise(pixels), np.ones(n)]) * rng.uniform(*depth_m, (n, 1))
+    return np.asarray(rays @ T_IMU_CAM[:3, :3].T + T_IMU_CAM[:3, 3])
+
+
+def projected(path: Path, camera: RigCamera, places: Array, t_s: Array) -> Array:
+    """Return (N, 2) where places are in the image, each at its own time [px]."""
+    T_cam_world = inverse_pose(path.T_world_imu(t_s) @ camera.T_imu_cam)
+    p_cam = np.einsum("nij,nj->ni", T_cam_world[:, :3, :3], places) + T_cam_world[:, :3, 3]
+    return camera.model.project(p_cam)
+
+
+def exposed(path: Path, camera: RigCamera, places: Array, t_s: float, offset_s: float = 0.0) -> Array:
+    """Return (N, 2) where a shutter sees places in a frame of time t, whose middle row is late by an offset [px]."""
+    late_s = np.full(len(places), offset_s)
+    for _ in range(20):
+        pixels = projected(path, camera, places, t_s + late_s)
+        late_s = (pixels[:, 1] / (camera.model.height - 1) - 0.5) * camera.readout_s + offset_s
+    return pixels
+
+
+def observations(pixels: Array, **more: object) -> Observations:
+    n = len(pixels)
+    return Observations(np.arange(n), pixels, PINHOLE.normalise(pixels), np.full(n, 2), **more)  # type: ignore[arg-type]
+
+
+def errors_px(
+    path: Path,
+    camera: RigCamera = ROLLING,
+    offset_s: float = 0.0,
+    dt_s: float = FRAME_S,
+    new: slice = slice(0, 0),
+    ahead_s: float = 0.03,
+) -> tuple[Array, Array]:
+    """Return how far sightings of the second of two frames are from where a global shutter sees them, [px].
+
+    Returns:
+        (M,) after moving, (N,) before it.
+    """
+    places, times = landmarks(), FrameTimes(Rig((camera,)))
+    times.late_s = offset_s
+    for t_s in (-dt_s, 0.0):
+        seen = observations(exposed(path, camera, places, t_s, offset_s))
+        if t_s < 0.0:
+            known = np.ones(len(places), dtype=np.bool_)
+            known[new] = False
+            seen = Observations(seen.ids[known], seen.pixels[known], seen.xy[known], seen.ages[known])
+        before = path.increments(t_s - dt_s, t_s)
+        times.begin(before, path.increments(t_s, t_s + ahead_s), O)
+        moved = times.moved(seen)
+    wanted = projected(path, camera, places, np.zeros(len(places)))
+    after = np.linalg.norm(
+        PINHOLE.project(np.column_stack([moved.xy, np.ones(len(moved))])) - wanted[moved.ids], axis=1
+    )
+    return after, np.linalg.norm(seen.pixels - wanted, axis=1)
+
+
+O = np.zeros(3)  # noqa: E741
+TURN = np.array([0.9, -1.6, 1.2])
+SPIN_UP = np.array([8.0, -12.0, 10.0])
+R_IMU_CAM = T_IMU_CAM[:3, :3]
+AGGRESSIVE = Path(TURN, SPIN_UP, R_IMU_CAM @ np.array([1.0, 0.6, 1.2]), R_IMU_CAM @ np.array([2.0, -2.0, 1.0]))
+
+
+@pytest.mark.parametrize("offset_s", [0.0, 0.005, -0.008])
+def test_a_turn_alone_is_taken_out_exactly(offset_s: float) -> None:
+    after, before = errors_px(Path(TURN, SPIN_UP, O, O), offset_s=offset_s)
+    lever_arm_px = 0.15  # the camera is 7 cm from the IMU that turns on the spot
+    assert np.median(before) > 3.0
+    assert after.max() < lever_arm_px
+
+
+def test_a_steady_motion_across_the_view_is_taken_out_exactly() -> None:
+    after, before = errors_px(Path(O, O, R_IMU_CAM @ np.array([1.5, -0.8, 0.0]), O), offset_s=0.004)
+    assert np.median(before) > 1.0
+    assert after.max() < 1e-6
+
+
+@pytest.mark.parametrize("camera", [ROLLING, GLOBAL], ids=["rolling", "global"])
+def test_what_is_left_is_of_second_order(camera: RigCamera) -> None:
+    """The same motion at half the times leaves a quarter of the error."""
+    path = replace(AGGRESSIVE, imu_s=0.0005)
+    half = replace(camera, readout_s=0.5 * camera.readout_s)
+    long, _ = errors_px(path, camera, 0.004)
+    short, _ = errors_px(path, half, 0.002, dt_s=0.5 * FRAME_S)
+    ratio = np.median(long) / np.median(short)
+    assert 3.3 < ratio < 4.7
+
+
+def test_aggressive_flight_keeps_a_quarter_of_a_pixel() -> None:
+    after, before = errors_px(AGGRESSIVE)
+    assert np.median(before) > 5.0
+    assert np.median(after) < 0.1 and after.max() < 0.5
+
+
+def test_a_global_shutter_on_the_same_clock_is_left_alone() -> None:
+    times = FrameTimes(Rig((GLOBAL,)))
+    seen = observations(exposed(Path(TURN, O, O, O), GLOBAL, landmarks(), 0.0))
+    begin(times, Path(TURN, O, O, O), 0.0)
+    assert times.moved(seen) is seen
+
+
+def test_gyro_bias_is_taken_out() -> None:
+    path, bias = Path(TURN, SPIN_UP, O, O), np.array([0.05, -0.1, 0.08])
+    before, ahead = (path.increments(*span) for span in ((-FRAME_S, 0.0), (0.0, 0.03)))
+    biased = [Increments(i.dt_s, i.gyro_rad_s + bias, i.accel_m_s2) for i in (before, ahead)]
+    t_s = np.linspace(-0.05, 0.03, 17)
+    wanted = log_so3(path.T_world_imu(t_s)[:, :3, :3])
+    np.testing.assert_allclose(NearbyTurn.of(*biased, bias).at(t_s), wanted, atol=2e-5)
+
+
+def test_beyond_the_known_motion_the_rate_is_held() -> None:
+    turn = NearbyTurn.of(
+        Path(TURN, O, O, O).increments(-FRAME_S, 0.0), Increments(np.zeros(0), *np.zeros((2, 0, 3))), O
+    )
+    np.testing.assert_allclose(turn.at(np.array([0.02, -0.07])), np.outer([0.02, -0.07], TURN), atol=1e-9)
+
+
+def test_nothing_sensed_is_no_turn() -> None:
+    nothing = Increments(np.zeros(0), *np.zeros((2, 0, 3)))
+    np.testing.assert_array_equal(NearbyTurn.of(nothing, nothing, O).at(np.array([-0.01, 0.01])), np.zeros((2, 3)))
+
+
+def test_a_new_feature_is_left_out_until_it_shows_its_velocity() -> None:
+    after, before = errors_px(AGGRESSIVE, new=slice(0, 30))
+    assert len(after) == len(before) - 30
+    assert after.max() < 0.5
+
+
+def test_what_was_seen_on_time_tells_velocities_to_what_is_late() -> None:
+    """The clocks' offset turns up between two frames; features that are known by then are used at once."""
+    path, places, times = AGGRESSIVE, landmarks(), FrameTimes(Rig((GLOBAL,)))
+    begin(times, path, -FRAME_S)
+    times.moved(observations(exposed(path, GLOBAL, places, -FRAME_S)))
+    times.late_s = 0.004
+    begin(times, path, 0.0)
+    moved = times.moved(observations(exposed(path, GLOBAL, places, 0.0, 0.004)))
+    assert len(moved) == len(places)
+
+
+def test_says_how_fast_the_imu_turns() -> None:
+    times = FrameTimes(Rig((GLOBAL,)))
+    begin(times, Path(TURN, SPIN_UP, O, O), 0.0)
+    np.testing.assert_allclose(times.rate_rad_s, TURN, atol=1e-3)
+
+
+def test_asking_twice_in_a_frame_gives_the_same() -> None:
+    path, places, times = Path(TURN, SPIN_UP, O, O), landmarks(), FrameTimes(Rig((ROLLING,)))
+    for t_s in (-FRAME_S, 0.0):
+        seen = observations(exposed(path, ROLLING, places, t_s))
+        begin(times, path, t_s)
+        first, second = times.moved(seen), times.moved(seen)
+    np.testing.assert_array_equal(first.xy, second.xy)
+    assert np.array_equal(first.ids, second.ids) and len(first) == len(places)
+
+
+def test_sightings_of_further_cameras_move_too() -> None:
+    """Each by the time of its own row, in its own image."""
+    second = RigCamera(PINHOLE, EUROC_T_IMU_CAM1, readout_s=0.03)
+    path = Path(TURN, SPIN_UP, R_IMU_CAM @ np.array([0.8, 0.4, 0.2]), O)
+    places, times = landmarks(), FrameTimes(Rig((ROLLING, second)))
+    for t_s in (-FRAME_S, 0.0):
+        there = exposed(path, second, places, t_s)
+        matches = Matches(np.arange(len(places)), np.ones(len(places), np.int64), PINHOLE.normalise(there))
+        begin(times, path, t_s)
+        moved = times.moved(observations(exposed(path, ROLLING, places, t_s), matches=matches, doubted=matches))
+    wanted = projected(path, second, places, np.zeros(len(places)))
+    found = PINHOLE.project(np.column_stack([moved.matches.xy, np.ones(len(places))]))
+    assert np.median(np.linalg.norm(there - wanted, axis=1)) > 4.0
+    assert np.linalg.norm(found - wanted, axis=1).max() < 0.4
+    np.testing.assert_array_equal(moved.doubted.xy, moved.matches.xy)
+
+
+def test_says_how_late_it_may_see(make_flight: Callable) -> None:
+    times = FrameTimes(Rig((ROLLING, GLOBAL)))
+    assert times.reach_s == pytest.approx(0.015)
+    times.late_s = 0.004
+    assert times.reach_s == pytest.approx(0.019)

@@ -1,0 +1,270 @@
+"""Alignments over some poses, χ² bounds, time offsets, how an estimator ran, and the public names."""
+
+import subprocess
+import sys
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy.stats import chi2
+
+import dronevio.eval
+from dronevio.eval import align, anees, ate, estimate_time_offset_s, nees, nees_bounds, rpe, running_scores, score
+from dronevio.eval.metrics import Alignment, associate, interpolate
+from dronevio.eval.metrics.alignment import yaw_matrix
+from dronevio.eval.metrics.chi_square import chi_square_below, chi_square_quantile
+from dronevio.eval.metrics.consistency import inside_percent
+from dronevio.eval.run import EstimatorRun
+from dronevio.models.errors import ConfigError, EvaluationError
+from dronevio.models.rotation import exp_so3, matrix_from_quat_wxyz, nearest_rotations, quat_wxyz_from_matrix
+from dronevio.models.state import Health, Trajectory
+
+seeds = st.integers(0, 2**32 - 1)
+
+
+def flight(seed: int = 0, n: int = 400) -> Trajectory:
+    """20 s at 20 Hz, velocities and biases with it."""
+    rng = np.random.default_rng(seed)
+    t = 0.05 * np.arange(n)
+    phase = rng.uniform(0, 6, 3)
+    p = np.stack([3 * np.sin(0.7 * t + phase[0]), 2 * np.sin(1.1 * t + phase[1]), np.sin(0.5 * t + phase[2])], axis=1)
+    R = exp_so3(np.stack([0.3 * np.sin(t), 0.2 * np.cos(1.3 * t), 0.5 * t], axis=1))
+    velocity = np.gradient(p, t, axis=0)
+    bias = np.outer(np.ones(n), [0.01, -0.02, 0.03])
+    return Trajectory(50_000_000 * np.arange(n), p, quat_wxyz_from_matrix(R), velocity, bias, 10 * bias)
+
+
+@settings(max_examples=20, deadline=None)
+@given(seeds, st.tuples(*[st.floats(-3, 3)] * 3), st.tuples(*[st.floats(-9, 9)] * 3), st.floats(0.3, 3.0))
+def test_the_first_pose_and_the_scale_are_found(
+    seed: int, phi: tuple[float, ...], t: tuple[float, ...], scale: float
+) -> None:
+    truth = flight(seed, 50)
+    estimate = Alignment(exp_so3(np.array(phi)), np.array(t), scale).apply(truth)
+    both = {"quat_truth_wxyz": truth.quat_wxyz, "quat_estimate_wxyz": estimate.quat_wxyz}
+    found = align(truth.p_world_imu, estimate.p_world_imu, "scale", **both)
+    assert found.scale == pytest.approx(1.0 / scale, rel=1e-9)
+    np.testing.assert_allclose(found.positions(estimate.p_world_imu), truth.p_world_imu, atol=1e-8)
+    first = align(truth.p_world_imu, estimate.p_world_imu, "first", **both)
+    np.testing.assert_allclose(first.positions(estimate.p_world_imu)[0], truth.p_world_imu[0], atol=1e-9)
+    np.testing.assert_allclose(
+        matrix_from_quat_wxyz(first.orientations(estimate.quat_wxyz))[0], truth.rotations[0], atol=1e-9
+    )
+    same = align(truth.p_world_imu, estimate.p_world_imu, "se3", n=1, **both)
+    np.testing.assert_array_equal(same.R_truth_estimate, first.R_truth_estimate)
+
+
+def test_only_the_first_poses_are_aligned() -> None:
+    """A path that is right for half of its time, and then shifted."""
+    truth = flight()
+    shift = np.where(np.arange(400)[:, None] < 200, 0.0, [1.0, 0.0, 0.0])
+    estimate = Alignment(yaw_matrix(1.0), np.array([1.0, 2.0, 3.0])).apply(
+        replace(truth, p_world_imu=truth.p_world_imu + shift)
+    )
+    for mode in ("yaw", "se3", "sim3"):
+        errors = ate(truth.p_world_imu, estimate.p_world_imu, mode, n=200)  # type: ignore[arg-type]
+        assert errors.rmse == pytest.approx(np.sqrt(0.5)) and errors.max == pytest.approx(1.0)
+        whole = ate(truth.p_world_imu, estimate.p_world_imu, mode)  # type: ignore[arg-type]
+        assert whole.rmse < 0.6 and whole.max < 0.95
+    assert score(truth, estimate, align_poses=200).ate_m.rmse == pytest.approx(np.sqrt(0.5))
+    assert score(truth, estimate, align_poses=1).ate_m.rmse == pytest.approx(np.sqrt(0.5))
+    assert score(truth, estimate, alignment="first").ate_m.rmse == pytest.approx(np.sqrt(0.5))
+
+
+def test_refuses_alignments_that_make_no_sense() -> None:
+    truth = flight()
+    p = truth.p_world_imu
+    with pytest.raises(ConfigError, match="one at least"):
+        align(p, p, n=0)
+    for mode, n in (("first", None), ("scale", None), ("yaw", 1), ("se3", 1)):
+        with pytest.raises(EvaluationError, match="orientations"):
+            align(p, p, mode, n=n)  # type: ignore[arg-type]
+    both = {"quat_truth_wxyz": truth.quat_wxyz, "quat_estimate_wxyz": truth.quat_wxyz}
+    for wrong in (0.0 * p, p[0] - (p - p[0])):
+        with pytest.raises(EvaluationError, match="no best scale"):
+            align(p, wrong, "scale", **both)
+
+
+@settings(max_examples=200, deadline=None)
+@given(st.floats(1e-6, 1 - 1e-6), st.integers(1, 20_000))
+def test_chi_square_is_that_of_scipy(probability: float, degrees: int) -> None:
+    x = chi_square_quantile(probability, degrees)
+    assert x == pytest.approx(chi2.ppf(probability, degrees), rel=1e-9)
+    assert chi_square_below(x, degrees) == pytest.approx(probability, rel=1e-9)
+
+
+def test_bounds_of_the_nees_are_those_of_the_books() -> None:
+    """Bar-Shalom's example 5.4.2: the mean of 50 runs of two degrees of freedom lies within 1.5 and 2.6."""
+    assert nees_bounds(2, 50) == pytest.approx((1.4844, 2.5912), abs=1e-4)
+    assert nees_bounds(3) == pytest.approx((0.2158, 9.3484), abs=1e-4)
+    for degrees, runs, probability in ((0, 1, 0.95), (3, 0, 0.95), (3, 1, 0.0), (3, 1, 1.0)):
+        with pytest.raises(ConfigError):
+            nees_bounds(degrees, runs, probability)
+
+
+@pytest.mark.parametrize(("claimed", "inside"), [(1.0, 95.0), (0.5, None), (2.0, None)])
+def test_nees_averaged_over_runs(claimed: float, inside: float | None) -> None:
+    rng = np.random.default_rng(0)
+    L = rng.normal(size=(3, 3))
+    errors = rng.normal(size=(20, 4000, 3)) @ L.T
+    values = np.stack([nees(run, np.tile(claimed * L @ L.T, (4000, 1, 1))) for run in errors])
+    found = anees(values)
+    assert found.bounds == nees_bounds(3, 20)
+    assert found.mean.shape == (4000,) and found.mean.mean() == pytest.approx(3.0 / claimed, rel=0.02)
+    if inside is None:
+        assert found.inside_percent < 30.0
+    else:
+        assert found.inside_percent == pytest.approx(inside, abs=1.5)
+        assert inside_percent(values[0]) == pytest.approx(95.0, abs=1.5)
+
+
+@settings(max_examples=10, deadline=None)
+@given(seeds, st.floats(-0.4, 0.4))
+def test_a_time_offset_is_found_if_it_is_asked_for(seed: int, offset_s: float) -> None:
+    truth = flight(seed)
+    noise = np.random.default_rng(seed).normal(0.0, 0.01, (400, 3))
+    moved = Alignment(yaw_matrix(0.7), np.array([1.0, -2.0, 3.0])).apply(
+        replace(truth, p_world_imu=truth.p_world_imu + noise, t_ns=truth.t_ns - round(offset_s * 1e9))
+    )
+    found = estimate_time_offset_s(truth, moved)
+    assert found == pytest.approx(offset_s, abs=3e-3)
+    right = score(truth, moved, time_offset_s=found)
+    assert right.time_offset_s == found and right.ate_m.rmse < 0.02
+    if abs(offset_s) > 0.05:
+        assert score(truth, moved).ate_m.rmse > 2.0 * right.ate_m.rmse  # never applied by itself
+
+
+def test_refuses_to_guess_a_time_offset() -> None:
+    truth = flight()
+    still = replace(truth, p_world_imu=0.0 * truth.p_world_imu)
+    with pytest.raises(EvaluationError, match="expected motion"):
+        estimate_time_offset_s(still, still)
+    later = replace(truth, t_ns=truth.t_ns + 10**11)
+    with pytest.raises(EvaluationError, match="too little time"):
+        estimate_time_offset_s(truth, later)
+    with pytest.raises(EvaluationError, match="or more"):
+        estimate_time_offset_s(truth, truth[:5])
+    for mode, search_s in (("first", 1.0), ("yaw", 0.0), ("yaw", float("nan"))):
+        with pytest.raises(ConfigError):
+            estimate_time_offset_s(truth, truth, mode, search_s)  # type: ignore[arg-type]
+
+
+def test_velocities_and_biases_are_scored_where_both_have_them() -> None:
+    truth = flight()
+    assert truth.velocity_m_s is not None and truth.gyro_bias_rad_s is not None and truth.accel_bias_m_s2 is not None
+    wrong = replace(
+        truth,
+        velocity_m_s=truth.velocity_m_s + [0.3, 0.4, 0.0],
+        gyro_bias_rad_s=truth.gyro_bias_rad_s + [0.0, 0.0, 1e-3],
+        accel_bias_m_s2=truth.accel_bias_m_s2 + [0.1, 0.0, 0.0],
+    )
+    scores = score(truth, Alignment(yaw_matrix(2.0), np.array([1.0, 2.0, 3.0])).apply(wrong))
+    assert scores.velocity_m_s is not None and scores.velocity_m_s.rmse == pytest.approx(0.5)
+    assert scores.gyro_bias_rad_s is not None and scores.gyro_bias_rad_s.mean == pytest.approx(1e-3)
+    assert scores.accel_bias_m_s2 is not None and scores.accel_bias_m_s2.max == pytest.approx(0.1)
+    bare = Trajectory(truth.t_ns, truth.p_world_imu, truth.quat_wxyz)
+    for pair in ((truth, bare), (bare, truth)):
+        without = score(*pair)
+        assert (without.velocity_m_s, without.gyro_bias_rad_s, without.accel_bias_m_s2) == (None, None, None)
+
+
+def test_velocities_and_biases_are_interpolated() -> None:
+    truth = flight()
+    half = truth.t_ns[:-1] + 25_000_000
+    found, _ = interpolate(truth, half)
+    for name in ("p_world_imu", "velocity_m_s", "gyro_bias_rad_s", "accel_bias_m_s2"):
+        values = getattr(truth, name)
+        np.testing.assert_allclose(getattr(found, name), 0.5 * (values[:-1] + values[1:]), atol=1e-12)
+
+
+def test_gaps_are_seen_and_never_bridged() -> None:
+    truth, estimate = flight(), flight()
+    sparse = truth[np.r_[0:100, 200:400]]
+    true, _ = associate(sparse, estimate)
+    assert len(true) == 300
+    scores = score(sparse, estimate)
+    assert scores.longest_gap_s == pytest.approx(5.05)
+    assert (scores.n_poses, scores.n_estimated) == (300, 400)
+    frames = truth.t_ns
+    assert score(truth, estimate[30:], frames).initialised_s == pytest.approx(1.5)
+
+
+def test_of_a_sparser_truth_each_pose_serves_once() -> None:
+    truth, estimate = flight()[::4], flight()
+    for how in ("nearest", "evo"):
+        true, estimated = associate(truth, estimate, how)  # type: ignore[arg-type]
+        assert len(true) == len(estimated) == 100
+        np.testing.assert_array_equal(true.p_world_imu, estimated.p_world_imu)
+
+
+@settings(max_examples=30, deadline=None)
+@given(seeds, st.floats(0.0, 0.02))
+def test_the_nearest_rotation_is_that_of_the_svd(seed: int, size: float) -> None:
+    rng = np.random.default_rng(seed)
+    R = exp_so3(rng.normal(size=(5, 3))) + size * rng.uniform(-1, 1, (5, 3, 3))
+    U, _, Vt = np.linalg.svd(R)
+    np.testing.assert_allclose(nearest_rotations(R), U @ Vt, atol=1e-12)
+
+
+def test_rpe_on_plain_arrays() -> None:
+    truth = flight()
+    estimate = replace(truth, p_world_imu=1.02 * truth.p_world_imu)
+    poses = truth.p_world_imu, truth.quat_wxyz, estimate.p_world_imu, estimate.quat_wxyz
+    frames = rpe(*poses, 10, "frames")
+    assert len(frames.errors_m) == frames.translation_m.n == 390 and frames.rotation_deg.max < 1e-6
+    by_time = rpe(*poses, 0.5, "s", t_ns=truth.t_ns)
+    np.testing.assert_allclose(by_time.errors_m, frames.errors_m)
+    np.testing.assert_array_equal(by_time.second - by_time.first, 10)
+    matrices = rpe(truth.p_world_imu, truth.rotations, estimate.p_world_imu, estimate.rotations, 10, "frames")
+    np.testing.assert_allclose(matrices.errors_m, frames.errors_m, atol=1e-12)
+    np.testing.assert_allclose(matrices.errors_rad, frames.errors_rad, atol=1e-7)
+    for unit in ("m", "deg"):
+        for which in ("all", "consecutive"):
+            assert rpe(*poses, 5, unit, which=which, source="estimate").translation_m.n > 3  # type: ignore[arg-type]
+    with pytest.raises(EvaluationError, match="without time stamps"):
+        rpe(*poses, 1, "s")
+
+
+def test_how_an_estimator_ran(flight) -> None:  # the synthetic flight of conftest
+    estimates = list(flight.run.estimates)
+    for i in (40, 41, 80):
+        estimates[i] = replace(estimates[i], health=Health.LOST)
+    costs = np.arange(1.0, len(estimates) + 1.0)
+    found = running_scores(EstimatorRun(tuple(estimates), costs, 2.0 * costs))
+    n = len(estimates)
+    assert (found.frames, found.poses, found.lost_frames, found.resets) == (n, n - 13, 3, 2)
+    assert found.initialised_s == pytest.approx(0.5)
+    later = (n - 1) - 60  # frames later than 3 s after the first
+    assert found.coverage_percent == pytest.approx(100 * (later - 1) / later)
+    assert found.cpu_ms is not None and found.latency_ms is not None
+    assert found.cpu_ms.mean == pytest.approx(costs.mean()) and found.latency_ms.max == 2.0 * n
+    assert found.cpu_ms.median <= found.cpu_ms.p95 <= found.cpu_ms.p99 <= found.cpu_ms.max
+    assert found.real_time_factor == pytest.approx(0.05 * (n - 1) / (1e-3 * costs.sum()))
+    assert found.real_time_factor_wall == pytest.approx(0.5 * found.real_time_factor)
+
+
+def test_an_estimator_that_never_began(flight) -> None:
+    nothing = tuple(replace(e, health=Health.INITIALISING, state=None) for e in flight.run.estimates)
+    found = running_scores(EstimatorRun(nothing, 0.0 * flight.run.cpu_ms, 0.0 * flight.run.cpu_ms))
+    assert (found.poses, found.lost_frames, found.resets, found.initialised_s) == (0, 0, 0, None)
+    assert found.coverage_percent == 0.0 and found.real_time_factor is None
+    empty = running_scores(EstimatorRun((), np.zeros(0), np.zeros(0)))
+    assert empty.frames == 0 and empty.cpu_ms is None and empty.coverage_percent is None
+
+
+def test_the_public_names_exist_and_are_imported_lazily() -> None:
+    for name in dronevio.eval.__all__:
+        assert callable(getattr(dronevio.eval, name))
+    with pytest.raises(AttributeError, match="no attribute 'ape'"):
+        _ = dronevio.eval.ape
+    code = (
+        "import sys, dronevio.eval; before = 'numpy' in sys.modules; from dronevio.eval import ate, rpe, align, nees;"
+        "print(before, *sorted({name.split('.')[0] for name in sys.modules}))"
+    )
+    before, *loaded = subprocess.run(
+        [sys.executable, "-c", code], capture_output=True, text=True, check=True
+    ).stdout.split()
+    assert before == "False" and "numpy" in loaded
+    assert not {"scipy", "cv2", "mujoco", "gtsam", "rerun", "matplotlib", "gymnasium", "tyro", "rich"} & set(loaded)

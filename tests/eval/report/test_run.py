@@ -1,0 +1,229 @@
+import base64
+import json
+import re
+from dataclasses import replace
+
+import cv2
+import numpy as np
+import pytest
+
+from dronevio.eval.metrics import score_trajectory
+from dronevio.eval.provenance import RunInfo
+from dronevio.eval.report.run import write_report
+from dronevio.eval.run import EstimatorRun
+from dronevio.models.errors import EvaluationError
+
+INFO = RunInfo(
+    title="A <script>alert(1)</script> & flight",
+    command="dronevio run --seed 3",
+    open_command="dronevio view 'runs/<third>'",
+    seed=3,
+    configuration={"estimator": {"window_s": 5.0, "names": ("a", "<b>")}, "scenario": {"wind": None}},
+)
+
+
+@pytest.fixture(scope="module")
+def scored(flight):
+    return score_trajectory(flight.recording.ground_truth, flight.run.trajectory, flight.recording.frame_times_ns)
+
+
+@pytest.fixture(scope="module")
+def folder(flight, scored, tmp_path_factory):
+    folder = tmp_path_factory.mktemp("report")
+    write_report(folder, INFO, flight.recording, flight.run, scored, outline=flight.outline)
+    return folder
+
+
+@pytest.fixture(scope="module")
+def html(folder):
+    return (folder / "report.html").read_text(encoding="utf-8")
+
+
+@pytest.fixture(scope="module")
+def page(html, read_page):
+    return read_page(html)
+
+
+@pytest.fixture(scope="module")
+def numbers(folder):
+    return json.loads((folder / "report.json").read_text(encoding="utf-8"))
+
+
+def test_the_page_needs_nothing_but_itself(html, page):
+    assert all(link.startswith(("data:image/jpeg;base64,", "#")) for link in page.links)
+    assert not {"script", "link", "iframe", "object", "img"} & set(page.tags)
+    assert not re.search(r"url\((?!#)|@import", html)
+    assert "http" not in re.sub(r'"http://www\.w3\.org/(2000/svg|1999/xlink)"', "", html)  # names, not addresses
+
+
+def test_what_comes_from_outside_is_escaped(html, page):
+    text = "".join(page.text)
+    assert "<script>" not in html
+    assert INFO.title in text
+    assert INFO.open_command in text
+    assert "a, <b>" in text
+
+
+def test_the_page_shows_the_scores(page, scored):
+    text = " ".join("".join(page.text).split())
+    scores = scored.scores
+    for value in (
+        f"ATE{scores.ate_m.rmse:.3f} m",
+        f"RPE{scores.rpe_m.rmse:.3f} m",
+        f"Coverage{scores.coverage_percent:.1f} %",
+        f"Scale error{scores.scale_error_percent:+.2f} %".replace("-", "−"),
+        "seed3",
+        "estimator.window_s5",
+    ):
+        assert value in text
+
+
+def test_json_holds_the_numbers(numbers, flight, scored):
+    assert numbers["format"] == "dronevio-report/1"
+    assert numbers["scores"]["ate_m"]["rmse"] == scored.scores.ate_m.rmse
+    truth = flight.recording.ground_truth
+    assert numbers["flight"]["path_m"] == truth.length_m
+    assert numbers["flight"]["peak_speed_m_s"] == np.linalg.norm(truth.velocity_m_s, axis=1).max()
+    assert numbers["flight"]["duration_s"] == pytest.approx(6.0)
+    assert numbers["timing"]["cpu_ms_mean"] == flight.run.cpu_ms.mean()
+    assert numbers["timing"]["cpu_ms_p99"] == np.percentile(flight.run.cpu_ms, 99)
+    assert numbers["estimator"] == {
+        "poses": 111,
+        "first_pose_s": pytest.approx(0.5),
+        "mean_tracks": flight.run.n_tracks.mean(),
+        "keyframes": sum("keyframe" in e.events for e in flight.run.estimates),
+        "health": {"initialising": 10, "tracking": 111},
+    }
+    assert numbers["configuration"]["scenario"] == {"wind": None}
+    assert numbers["seed"] == 3
+    assert numbers["versions"]["numpy"] == np.__version__
+    assert int(numbers["machine"]["cores"]) >= 1
+
+
+def test_the_page_draws_what_is_known(page, scored):
+    text = " ".join("".join(page.text).split())
+    for title in (
+        "Path from above",
+        "Path from the side",
+        "Position error over time",
+        "Velocity error over time",
+        "Gyroscope bias error over time",
+        "Accelerometer bias error over time",
+        "Relative position error",
+        "Relative orientation error",
+        "Consistency: NEES over time",
+        "Processor time: how often",
+    ):
+        assert title in text
+    scores = scored.scores
+    assert f"position{scores.nees_position:.2f}{scores.nees_position_inside_percent:.1f}" in text
+    assert f"at most {scores.ate_m.max:.3f} m" in page.alts[2]
+
+
+def test_every_plot_has_a_title_and_every_axis_a_unit(page, html):
+    assert len(page.alts) == html.count("<svg") == html.count('<svg role="img"') + 4  # the frames among them
+    assert all(page.alts)
+    drawings = [part.partition("</svg>")[0] for part in html.split('<svg role="img"')[1:]]
+    for drawn in drawings:
+        labels = re.findall(r">([^<>]*)</text>", drawn)
+        assert sum("[" in label or label.startswith("number of") for label in labels) == 2, labels
+
+
+def test_errors_by_length_are_those_of_the_scores(scored):
+    from dronevio.eval.report.plots import errors_by_length
+
+    drawn = errors_by_length(scored)
+    assert len(drawn.labels) == len(scored.scores.lengths) > 3
+    for errors, percent, deg in zip(scored.scores.lengths, drawn.translation_percent, drawn.rotation_deg, strict=True):
+        assert np.median(percent) == pytest.approx(errors.translation_percent.median, rel=1e-12)
+        assert deg.max() == pytest.approx(errors.rotation_deg.max, rel=1e-12)
+
+
+def test_state_errors_are_known_where_both_tell(scored):
+    from dronevio.eval.report.plots import STATE_ERRORS
+
+    assert all(what.known(scored) for what in STATE_ERRORS)
+    blind = replace(scored, truth=replace(scored.truth, gyro_bias_rad_s=None))
+    assert [what.known(blind) for what in STATE_ERRORS] == [True, False, True]
+
+
+def test_drawings_take_the_colours_of_the_page(html):
+    assert "var(--ink)" in html
+    assert "#1f2328" not in html.split("</style>", 1)[1]
+
+
+def test_sample_frames_are_the_images_with_their_tracks(page, html, flight):
+    pictures = [link for link in page.links if link.startswith("data:image/jpeg")]
+    assert len(pictures) == 4
+    captions = re.findall(r"<figcaption>([\d.]+) s: (\d+) tracks", html)
+    circles = [part.count("<circle") for part in html.split('<svg class="frame"')[1:]]
+    for picture, (seconds, count), drawn in zip(pictures, captions, circles, strict=True):
+        index = round(float(seconds) / 0.05)
+        data = base64.b64decode(picture.partition(",")[2])
+        image = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_GRAYSCALE)
+        assert np.mean(np.abs(image.astype(float) - flight.recording.frame(index).images[0])) < 5.0
+        assert int(count) == drawn == flight.run.n_tracks[index]
+
+
+def test_the_picture_of_the_path(folder):
+    image = cv2.imread(str(folder / "trajectory.png"))
+    assert image.shape[1] == 1600
+    vermilion = np.all(np.abs(image.astype(int) - [0x00, 0x5E, 0xD5]) < 12, axis=2)  # BGR
+    assert vermilion.sum() > 500
+    assert np.all(image[0, 0] == 255)
+
+
+def test_same_run_same_bytes(folder, flight, scored, tmp_path):
+    write_report(tmp_path, INFO, flight.recording, flight.run, scored, outline=flight.outline)
+    for name in ("report.html", "report.json", "trajectory.png"):
+        assert (tmp_path / name).read_bytes() == (folder / name).read_bytes()
+
+
+def test_without_truth(flight_without_truth, tmp_path, read_page):
+    write_report(tmp_path, replace(INFO, seed=None), flight_without_truth.recording, flight_without_truth.run, None)
+    numbers = json.loads((tmp_path / "report.json").read_text())
+    assert numbers["scores"] is None
+    assert numbers["flight"]["path_m"] == flight_without_truth.run.trajectory.length_m
+    text = "".join(read_page((tmp_path / "report.html").read_text()).text)
+    assert "ATE" not in text
+    assert "By length of the way" not in text
+    assert "Position error" not in text
+
+
+def test_without_covariances(flight, tmp_path, read_page):
+    estimates = tuple(
+        e if e.state is None else replace(e, state=replace(e.state, covariance=None)) for e in flight.run.estimates
+    )
+    run = replace(flight.run, estimates=estimates)
+    scored = score_trajectory(flight.recording.ground_truth, run.trajectory)
+    write_report(tmp_path, INFO, flight.recording, run, scored)
+    text = "".join(read_page((tmp_path / "report.html").read_text()).text)
+    assert "Position error over time" in text
+    assert "3σ" not in text
+    assert "NEES" not in text
+
+
+def test_an_estimator_that_never_started(flight, tmp_path, read_page):
+    silent = tuple(replace(e, state=None, tracks=None) for e in flight.run.estimates)
+    write_report(
+        tmp_path, INFO, flight.recording, EstimatorRun(silent, 0 * flight.run.cpu_ms, flight.run.wall_ms), None
+    )
+    numbers = json.loads((tmp_path / "report.json").read_text())
+    assert numbers["estimator"]["first_pose_s"] is None
+    assert numbers["timing"]["real_time_factor"] is None
+    read_page((tmp_path / "report.html").read_text())
+
+
+def test_a_run_of_another_recording_is_refused(flight, tmp_path):
+    other = replace(flight.recording, frame_times_ns=flight.recording.frame_times_ns + 1)
+    with pytest.raises(EvaluationError):
+        write_report(tmp_path, INFO, other, flight.run, None)
+    assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize("width", [420, 1280])
+def test_a_browser_lays_it_out_within_its_width(folder, browse, width):
+    count = "document.querySelectorAll('.tile').length"
+    scroll, client, tiles = browse(folder / "report.html", width, f"[r.scrollWidth, r.clientWidth, {count}]")
+    assert tiles == 8
+    assert scroll == client <= width

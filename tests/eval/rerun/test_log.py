@@ -1,0 +1,219 @@
+from dataclasses import replace
+
+import av
+import numpy as np
+import pyarrow as pa
+import pytest
+from rerun.chunk import RrdReader
+
+from dronevio.eval.metrics import score_trajectory
+from dronevio.eval.rerun import entities as at
+from dronevio.eval.rerun.blueprint import VIEW_ASPECT, VIEWER_FIELD_OF_VIEW_RAD, look_at_all
+from dronevio.eval.rerun.entities import EstimateEntities
+from dronevio.eval.rerun.log import run_file, write_rrd
+from dronevio.eval.rerun.surroundings import Surroundings
+from dronevio.eval.run import EstimatorRun, tracks_of
+from dronevio.models.errors import EvaluationError, InputError
+from dronevio.models.rotation import matrix_from_quat_wxyz
+from dronevio.models.state import Health
+
+FRAMES = 121
+ESTIMATE = EstimateEntities("estimate")
+
+
+def times_ns(columns):
+    return np.array(columns["time"].cast(pa.int64()))
+
+
+@pytest.fixture(scope="module")
+def rrd(flight, tmp_path_factory):
+    path = tmp_path_factory.mktemp("rerun") / "run.rrd"
+    calls = []
+    scored = score_trajectory(flight.recording.ground_truth, flight.run.trajectory)
+    write_rrd(
+        path,
+        flight.recording,
+        flight.run,
+        scored,
+        surroundings=Surroundings(flight.outline),
+        progress=lambda done, total: calls.append((done, total)),
+    )
+    assert calls[-1] == (FRAMES, FRAMES)
+    return path
+
+
+@pytest.fixture(scope="module")
+def columns(rrd, read_rrd):
+    return read_rrd(rrd)
+
+
+def test_the_file_verifies(rrd, verify_rrd):
+    verify_rrd(rrd)
+
+
+def test_every_frame_is_in_the_video(flight, columns):
+    image = columns[at.image(0)]
+    assert times_ns(image).tolist() == (flight.recording.frame_times_ns - flight.recording.imu.t_ns[0]).tolist()
+    decoder = av.CodecContext.create("libdav1d", "r")
+    packets = [av.Packet(bytes(sample[0].values.to_numpy())) for sample in image["sample"]]
+    frames = [f.to_ndarray(format="gray") for packet in [*packets, None] for f in decoder.decode(packet)]
+    assert len(frames) == FRAMES
+    for index in (0, 60, FRAMES - 1):
+        original = flight.recording.frame(index).images[0]
+        assert frames[index].shape == original.shape
+        assert np.mean(np.abs(frames[index].astype(float) - original)) < 4.0
+
+
+def test_a_frame_is_small(rrd, flight):
+    pixels = flight.recording.rig.cameras[0].model.width * flight.recording.rig.cameras[0].model.height
+    assert rrd.stat().st_size / FRAMES < 50_000 * pixels / (752 * 480)  # 30 MB for 600 frames of 752 × 480
+
+
+def test_tracks_lie_where_they_were_seen(flight, columns):
+    tracks = columns[ESTIMATE.tracks]
+    assert times_ns(tracks).tolist() == flight.run.t_ns.tolist()
+    for index in (0, 50, FRAMES - 1):
+        expected = tracks_of(flight.run.estimates[index]).pixels + 0.5
+        assert np.allclose(np.array(tracks["positions"][index].as_py()), expected, atol=1e-3)
+        assert len(tracks["colors"][index]) == len(expected)
+
+
+def test_paths_are_whole_and_the_estimate_lies_on_the_truth(flight, columns):
+    truth = np.array(columns[at.TRUE_WHOLE]["strips"][0].as_py()[0])
+    estimate = np.array(columns[ESTIMATE.whole]["strips"][0].as_py()[0])
+    assert np.allclose(truth[0], flight.recording.ground_truth.p_world_imu[0], atol=1e-5)
+    assert len(estimate) == len(flight.run.trajectory)
+    expected = flight.recording.ground_truth.p_world_imu[::10][10:]
+    assert np.linalg.norm(estimate - expected, axis=1).max() < 0.05  # it was turned by 1.1 rad before it was aligned
+    flown = columns[ESTIMATE.flown]
+    assert times_ns(flown).tolist() == flight.run.trajectory.t_ns[1:].tolist()
+
+
+def test_the_camera_is_where_it_truly_was(flight, columns):
+    rig, camera = columns[at.RIG], columns[at.camera(0)]
+    index = 80
+    expected = flight.recording.ground_truth[::10].Ts_world_imu[index]
+    x, y, z, w = rig["quaternion"][index].as_py()[0]
+    assert np.allclose(rig["translation"][index].as_py()[0], expected[:3, 3], atol=1e-5)
+    assert np.allclose(matrix_from_quat_wxyz(np.array([w, x, y, z])), expected[:3, :3], atol=1e-5)
+    T_imu_cam = flight.recording.rig.cameras[0].T_imu_cam
+    assert np.allclose(camera["translation"][0].as_py()[0], T_imu_cam[:3, 3], atol=1e-6)
+    assert np.allclose(np.reshape(camera["mat3x3"][0].as_py()[0], (3, 3)).T, T_imu_cam[:3, :3], atol=1e-6)  # by columns
+
+
+def test_the_map_was_aligned_with_the_path(flight, columns):
+    points = np.array(columns[ESTIMATE.map_in_sight]["positions"][-1].as_py())
+    assert len(points) > 20
+    low, high = points.min(axis=0), points.max(axis=0)
+    assert np.all(low > np.array([-3.0, -2.5, 0.0]) - 0.2)
+    assert np.all(high < np.array([6.0, 2.5, 3.0]) + 0.2)
+
+
+def test_imu_biases_errors_and_events(flight, columns):
+    gyro = columns[at.GYRO]
+    assert np.allclose(np.array(gyro["scalars"].to_pylist()), flight.recording.imu.gyro_rad_s)
+    assert np.array(columns[ESTIMATE.accel_bias]["scalars"].to_pylist()).shape == (FRAMES - 10, 3)
+    error = np.array(columns[ESTIMATE.position_error.tied]["scalars"].to_pylist())
+    band = np.array(columns[ESTIMATE.position_error.band]["scalars"].to_pylist())
+    assert error.shape == band.shape == (FRAMES - 11, 1)  # all poses but the first
+    sigma_m = 5e-3 + 8e-3 * 0.05 * np.arange(1, FRAMES - 10)
+    assert np.allclose(band[:, 0], 3.0 * np.sqrt(3.0) * sigma_m)
+    texts = [row[0].as_py() for row in columns[ESTIMATE.events]["text"]]
+    assert texts == ["health: initialising", "initialised", "health: tracking"]
+
+
+def test_trouble_is_logged_as_a_warning(flight, tmp_path, read_rrd):
+    estimates = list(flight.run.estimates)
+    estimates[50:60] = [replace(e, health=Health.INERTIAL_ONLY) for e in estimates[50:60]]
+    write_rrd(tmp_path / "run.rrd", flight.recording, replace(flight.run, estimates=tuple(estimates)), None)
+    events = read_rrd(tmp_path / "run.rrd")[ESTIMATE.events]
+    rows = [(text[0].as_py(), level[0].as_py()) for text, level in zip(events["text"], events["level"], strict=True)]
+    assert rows[-2:] == [("health: inertial-only", "WARN"), ("health: tracking", "INFO")]
+    assert times_ns(events)[-2:].tolist() == [50 * 50_000_000, 60 * 50_000_000]
+
+
+def test_the_file_carries_its_layout(rrd):
+    blueprints = RrdReader(rrd).blueprints()
+    assert len(blueprints) >= 1
+    entities = {chunk.entity_path for chunk in RrdReader(rrd).stream(store=blueprints[0])}
+    assert sum("ViewContents" in entity for entity in entities) >= 11
+
+
+def test_without_truth_the_estimate_is_shown_as_it_is(flight_without_truth, tmp_path, read_rrd):
+    write_rrd(tmp_path / "run.rrd", flight_without_truth.recording, flight_without_truth.run, None)
+    columns = read_rrd(tmp_path / "run.rrd")
+    strip = np.array(columns[ESTIMATE.whole]["strips"][0].as_py()[0])
+    assert np.allclose(strip, flight_without_truth.run.trajectory.p_world_imu, atol=1e-5)
+    assert at.ROOM not in columns
+    assert not any(entity.startswith("error") for entity in columns)
+
+
+def test_an_estimator_that_never_started(flight, tmp_path, read_rrd):
+    silent = tuple(replace(e, state=None, landmarks_world=None, tracks=None) for e in flight.run.estimates)
+    run = EstimatorRun(silent, flight.run.cpu_ms, flight.run.wall_ms)
+    write_rrd(tmp_path / "run.rrd", flight.recording, run, None)
+    columns = read_rrd(tmp_path / "run.rrd")
+    assert len(columns[at.image(0)]["sample"]) == FRAMES
+    assert ESTIMATE.whole not in columns
+
+
+def test_a_run_of_another_recording_is_refused(flight, tmp_path):
+    other = replace(flight.recording, frame_times_ns=flight.recording.frame_times_ns + 1)
+    with pytest.raises(EvaluationError):
+        write_rrd(tmp_path / "run.rrd", other, flight.run, None)
+    assert not (tmp_path / "run.rrd").exists()
+
+
+class Broken:
+    """A recording whose images cannot be read from some frame on."""
+
+    def __init__(self, recording, first_broken):
+        self._recording = recording
+        self._first_broken = first_broken
+
+    def __getattr__(self, name):
+        return getattr(self._recording, name)
+
+    def frame(self, index):
+        if index >= self._first_broken:
+            raise InputError("frame.png", "nothing", "an image")
+        return self._recording.frame(index)
+
+
+def test_what_was_written_before_an_unreadable_image_can_be_read(flight, tmp_path, read_rrd):
+    path = tmp_path / "run.rrd"
+    with pytest.raises(InputError):
+        write_rrd(path, Broken(flight.recording, 70), flight.run, None)
+    columns = read_rrd(path)
+    assert len(columns[at.image(0)]["sample"]) == 70
+    assert len(columns[at.GYRO]["scalars"]) == len(flight.recording.imu)
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_the_view_holds_everything_from_the_least_distance(seed):
+    points = np.random.default_rng(seed).uniform(-1.0, 1.0, (50, 3)) * [5.0, 3.0, 1.5] + [10.0, -4.0, 1.0]
+    position, target = look_at_all(points)
+    forward = (target - position) / np.linalg.norm(target - position)
+    right = np.cross(forward, [0.0, 0.0, 1.0])
+    right /= np.linalg.norm(right)
+    up = np.cross(right, forward)
+    depth = (points - position) @ forward
+    tangent = np.tan(0.5 * VIEWER_FIELD_OF_VIEW_RAD)
+    across = np.abs((points - position) @ right) / depth / tangent / VIEW_ASPECT
+    upwards = np.abs((points - position) @ up) / depth / tangent
+    assert np.all(depth > 0.0)
+    assert 0.85 < max(across.max(), upwards.max()) <= 1.0
+
+
+def test_a_live_file_equals_one_written_after_the_run(flight, tmp_path, read_rrd, columns):
+    path = tmp_path / "run.rrd"
+    scored = score_trajectory(flight.recording.ground_truth, flight.run.trajectory)
+    with run_file(path, flight.recording, surroundings=Surroundings(flight.outline)) as file:
+        for index, (answer, cpu_ms) in enumerate(zip(flight.run.estimates, flight.run.cpu_ms, strict=True)):
+            file.frame(flight.recording.frame(index), answer, float(cpu_ms))
+        file.finish(flight.run, scored)
+    found = read_rrd(path)
+    assert found.keys() == columns.keys()
+    for entity in found.keys() - {"__properties"}:  # which say when the file was made
+        for name, values in found[entity].items():
+            assert values.to_pylist() == columns[entity][name].to_pylist(), (entity, name)

@@ -1,0 +1,48 @@
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from dronevio.eval.run import EstimatorRun, tracks_of
+from dronevio.models.errors import EvaluationError
+from dronevio.models.state import Health
+
+
+def test_the_trajectory_holds_only_valid_poses(flight):
+    estimates = list(flight.run.estimates)
+    estimates[20] = replace(estimates[20], health=Health.LOST)
+    estimates[30] = replace(estimates[30], health=Health.INERTIAL_ONLY)
+    run = replace(flight.run, estimates=tuple(estimates))
+    expected = [e.t_ns for i, e in enumerate(estimates) if i >= 10 and i != 20]
+    assert run.trajectory.t_ns.tolist() == expected
+    assert run.trajectory.covariance is not None
+
+
+def test_real_time_factor(flight):
+    costs = np.full(len(flight.run.estimates), 5.0)
+    run = EstimatorRun(flight.run.estimates, costs, costs)
+    frames = len(costs)
+    assert run.real_time_factor == pytest.approx(((frames - 1) * 0.05) / (frames * 0.005))
+
+
+def test_an_empty_run():
+    run = EstimatorRun((), np.zeros(0), np.zeros(0))
+    assert len(run.trajectory) == 0
+    assert run.n_tracks.shape == (0,)
+    assert run.real_time_factor == float("inf")
+
+
+def test_costs_must_belong_to_the_estimates(flight):
+    with pytest.raises(EvaluationError, match=r"expected \(121,\)"):
+        EstimatorRun(flight.run.estimates, np.zeros(3), np.zeros(3))
+
+
+def test_a_run_must_belong_to_its_recording(flight):
+    flight.run.check_belongs_to(flight.recording)
+    shorter = replace(flight.recording, frame_times_ns=flight.recording.frame_times_ns[:-1])
+    with pytest.raises(EvaluationError, match="120 frames"):
+        flight.run.check_belongs_to(shorter)
+
+
+def test_no_tracks_are_zero_tracks(flight):
+    assert len(tracks_of(replace(flight.run.estimates[0], tracks=None)).ids) == 0

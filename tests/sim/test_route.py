@@ -1,0 +1,110 @@
+"""Ways through spaces with walls in them: around, through doors, and not at all."""
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from dronevio.models.errors import ConfigError
+from dronevio.sim.appearance.solids import turn_z
+from dronevio.sim.paths.limits import LIMITS
+from dronevio.sim.paths.route import clear_curve, clear_polyline, leg_clearances
+from dronevio.sim.paths.snap import minimum_snap
+from dronevio.sim.paths.space import Space
+
+MARGIN = 0.4
+START, GOAL = np.array([1.0, 3.0, 1.5]), np.array([9.0, 3.0, 1.5])
+
+
+def hall(*boxes: tuple[list[float], list[float]], turn: float = 0.0) -> Space:
+    """A hall of 10 × 6 × 4 m with boxes of given middles and half sizes in it."""
+    return Space(
+        np.zeros(3),
+        np.array([10.0, 6.0, 4.0]),
+        np.array([middle for middle, _ in boxes]).reshape(-1, 3),
+        np.array([half for _, half in boxes]).reshape(-1, 3),
+        np.tile(turn_z(turn), (len(boxes), 1, 1)),
+    )
+
+
+WALL_WITH_A_DOOR = (([5.0, 2.0, 2.0], [0.1, 2.0, 2.0]), ([5.0, 5.8, 2.0], [0.1, 0.2, 2.0]))  # 1.6 m wide, at y = 4.8
+WALL = (([5.0, 3.0, 2.0], [0.1, 3.0, 2.0]),)
+
+
+def lowest(space: Space, knots: np.ndarray, points: np.ndarray) -> float:
+    return float(space.clearance(minimum_snap(knots, points)(np.linspace(0.0, knots[-1], 20_000))).min())
+
+
+def test_the_least_clearance_of_legs_is_that_of_their_points() -> None:
+    space = hall(*WALL_WITH_A_DOOR, turn=0.2)
+    rng = np.random.default_rng(0)
+    starts, ends = rng.uniform(space.low, space.high, (2, 40, 3))
+    dense = starts[:, None] + np.linspace(0.0, 1.0, 3000)[:, None] * (ends - starts)[:, None]
+    np.testing.assert_allclose(leg_clearances(space, starts, ends), space.clearance(dense).min(axis=1), atol=0.03)
+    assert len(leg_clearances(space, starts[:0], ends[:0])) == 0
+
+
+def test_a_clear_way_is_left_as_it_is() -> None:
+    points = np.stack([START, GOAL])
+    np.testing.assert_array_equal(clear_polyline(hall(), points, MARGIN), points)
+
+
+def test_the_way_leads_through_the_door() -> None:
+    space, points = hall(*WALL_WITH_A_DOOR), np.stack([START, GOAL])
+    assert leg_clearances(space, points[:1], points[1:])[0] < 0.0
+    way = clear_polyline(space, points, MARGIN)
+    assert leg_clearances(space, way[:-1], way[1:]).min() >= MARGIN
+    np.testing.assert_array_equal(way[[0, -1]], points)
+    length = np.linalg.norm(np.diff(way, axis=0), axis=1).sum()
+    shortest = np.linalg.norm([4.0, 1.4]) * 2.0  # by the nearest point that is clear of the door's post
+    assert shortest < length < 1.1 * shortest
+    assert len(way) <= 6  # straightened: no staircase of the grid
+
+
+@pytest.mark.parametrize("level", ["easy", "race"])
+def test_the_curve_leads_through_the_door(level: str) -> None:
+    space = hall(*WALL_WITH_A_DOOR)
+    way = clear_polyline(space, np.stack([START, GOAL, START + [0.0, 1.0, 0.5]]), MARGIN)
+    knots, points = clear_curve(space, way, MARGIN, LIMITS[level])
+    assert lowest(space, knots, points) >= MARGIN
+    np.testing.assert_allclose(minimum_snap(knots, points)(knots[-1]), START + [0.0, 1.0, 0.5], atol=1e-9)
+
+
+@given(seed=st.integers(0, 10_000))
+@settings(max_examples=12, deadline=None)
+def test_curves_keep_clear_of_random_obstacles(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    boxes = [(list(rng.uniform([1.5, 1.0, 0.5], [8.5, 5.0, 2.0])), list(rng.uniform(0.1, 0.5, 3))) for _ in range(6)]
+    space = hall(*boxes, turn=rng.uniform(0.0, np.pi))
+    chances = rng.uniform(space.low + 0.6, space.high - 0.6, (200, 3))
+    points = chances[space.clearance(chances) >= 0.55][:6]
+    limits = LIMITS[("easy", "difficult", "race")[seed % 3]]
+    knots, points = clear_curve(space, clear_polyline(space, points, MARGIN), MARGIN, limits)
+    assert lowest(space, knots, points) >= MARGIN
+
+
+def test_a_waypoint_in_a_wall_is_named_with_what_was_found() -> None:
+    points = np.array([START, [5.0, 3.0, 1.5], GOAL])
+    with pytest.raises(ConfigError, match=r"waypoint 1 at \[5.0, 3.0, 1.5\] m has -0.10 m .* expected at least 0.40 m"):
+        clear_polyline(hall(*WALL), points, MARGIN)
+    with pytest.raises(ConfigError, match=r"the third gate at \[9.7"):
+        clear_polyline(hall(), np.array([START, [9.7, 3.0, 1.5]]), MARGIN, ["home", "the third gate"])
+
+
+def test_a_waypoint_that_is_no_number_is_refused() -> None:
+    with pytest.raises(ConfigError, match="waypoint 1"):
+        clear_polyline(hall(), np.array([START, [np.nan, 3.0, 1.5]]), MARGIN)
+
+
+def test_where_there_is_no_way_the_leg_is_named() -> None:
+    with pytest.raises(ConfigError, match=r"no way from waypoint 0 at \[1.0.* to waypoint 1 at \[9.0"):
+        clear_polyline(hall(*WALL), np.stack([START, GOAL]), MARGIN)
+    # The door of 1.6 m is too narrow for a margin of 0.85 m.
+    with pytest.raises(ConfigError, match="no way"):
+        clear_polyline(hall(*WALL_WITH_A_DOOR), np.stack([START, GOAL]), 0.85)
+
+
+def test_a_waypoint_without_room_to_turn_is_refused() -> None:
+    points = np.array([[1.0, 3.0, 1.5], [9.6, 3.0, 1.5], [1.0, 3.2, 1.5]])  # to the wall as close as allowed
+    with pytest.raises(ConfigError, match=r"curve near .* expected 0.40 m and some more"):
+        clear_curve(hall(), points, MARGIN, LIMITS["medium"])
