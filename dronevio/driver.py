@@ -15,7 +15,7 @@ from dronevio.models.protocols import Estimator, Recording, measurements
 from dronevio.models.state import CameraFrame, Estimate, NavState, Trajectory
 
 if TYPE_CHECKING:
-    from dronevio.estimator.imu.buffer import InertialConfig
+    from dronevio.estimator.imu.preintegration import InertialConfig
 
 
 class Watcher(Protocol):

@@ -8,8 +8,8 @@ from dronevio.estimator.backend.smoother import SmootherConfig
 from dronevio.estimator.calibration.online import CalibrationConfig
 from dronevio.estimator.frontend.tracker import TrackerConfig
 from dronevio.estimator.health import HealthConfig
-from dronevio.estimator.imu.buffer import InertialConfig
 from dronevio.estimator.imu.noise import NoiseLevelConfig
+from dronevio.estimator.imu.preintegration import InertialConfig
 from dronevio.estimator.initialization.initializer import InitialiserConfig
 from dronevio.estimator.initialization.zero_velocity import StillnessConfig
 

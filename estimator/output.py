@@ -6,9 +6,8 @@ import numpy as np
 import numpy.typing as npt
 
 from dronevio.estimator.imu.buffer import IMU_GAP
-from dronevio.estimator.initialization.dynamic import Sighting
 from dronevio.estimator.initialization.initializer import Initialiser
-from dronevio.estimator.types import Observations
+from dronevio.estimator.types import Observations, Sighting
 from dronevio.models.state import Estimate, FeatureTracks, Health, HealthReport, NavState
 
 Array = npt.NDArray[np.float64]

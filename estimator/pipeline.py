@@ -9,10 +9,10 @@ import numpy as np
 import numpy.typing as npt
 
 from dronevio.estimator.calibration.online import OnlineCalibration
+from dronevio.estimator.frontend.protocol import FrontEnd
 from dronevio.estimator.frontend.rolling_shutter import FrameTimes
 from dronevio.estimator.imu.buffer import ImuBuffer, Increments
-from dronevio.estimator.initialization.dynamic import Sighting
-from dronevio.estimator.types import FrontEnd, Observations
+from dronevio.estimator.types import Observations, Sighting
 from dronevio.models.errors import ConfigError
 from dronevio.models.imu import ImuSamples
 from dronevio.models.rig import Rig

@@ -1,22 +1,16 @@
-"""The front end: from images to features.
-
-What passes to those who use it: where features are seen, under which identity and for how long, and where further
-cameras see the same at the same instant.
-"""
+"""What passes between the parts of the estimator: observations, frame packets, and the gauge's constants."""
 
 from dataclasses import dataclass, field, fields
-from typing import Protocol
 
 import numpy as np
 import numpy.typing as npt
 
-from dronevio.models.camera import CameraModel
-from dronevio.models.errors import ConfigError
-from dronevio.models.rig import Rig
-from dronevio.models.state import CameraFrame
+from dronevio.estimator.imu.buffer import Increments
 
 Array = npt.NDArray[np.float64]
-Image = npt.NDArray[np.uint8]
+
+GAUGE_SIGMA = 1e-4
+"""Uncertainty of yaw and position at the start [rad and m]: zero by definition, but for the solver's comfort."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -88,43 +82,13 @@ NOTHING_SEEN = Observations(np.zeros(0, np.int64), np.zeros((0, 2)), np.zeros((0
 """Of a frame that shows no feature, or none that counts."""
 
 
-class FrontEnd(Protocol):
-    """Turns frames into observations of features."""
+@dataclass(frozen=True, eq=False)
+class Sighting:
+    """A frame and the IMU before it."""
 
-    def track(self, frame: CameraFrame, R_cur_prev: Array, rotation_sigma_rad: float = 0.0) -> Observations:
-        """Follow the features into a frame.
-
-        Args:
-            frame: The new frame.
-            R_cur_prev: (3, 3) Rotation of the previous camera frame into this one, from the gyroscope.
-            rotation_sigma_rad: How far it may be off.
-        """
-
-    def replenish(self) -> Observations:
-        """Look for new features in the last frame, and return all that are seen in it."""
-
-    def discard(self, ids: npt.NDArray[np.int64]) -> None:
-        """Follow some features no further."""
-
-    def recalibrate(self, rig: Rig) -> None:
-        """Take over a better calibration of the cameras' mounting; those that match cameras need it.
-
-        Args:
-            rig: The rig, as it is now believed to be.
-        """
-
-
-def image_of(frame: CameraFrame, index: int, camera: CameraModel) -> Image:
-    """Return the image that a camera of the rig has in a frame; OpenCV would wait for ever for one that is none.
-
-    Raises:
-        ConfigError: There is no grey one of the camera's size.
-    """
-    image: object = frame.images[index] if index < len(frame.images) else None
-    shape = (camera.height, camera.width)
-    if isinstance(image, np.ndarray) and image.shape == shape and image.dtype == np.uint8:
-        return image
-    found = type(image).__name__
-    if isinstance(image, np.ndarray):
-        found = f"{image.dtype} array of shape {image.shape}"
-    raise ConfigError(f"frame at {frame.t_ns} ns whose image {index} is {found}; expected uint8 of shape {shape}")
+    t_ns: int
+    """Time of the frame."""
+    increments: Increments
+    """The IMU since the previous frame."""
+    observations: Observations
+    """The features seen."""

@@ -13,17 +13,17 @@ from dronevio.estimator.backend.keyframes import KeyframePolicy
 from dronevio.estimator.backend.smoother import KeyframeResult, KeyframeSmoother
 from dronevio.estimator.calibration.online import OnlineCalibration
 from dronevio.estimator.config import VioConfig
+from dronevio.estimator.frontend.protocol import FrontEnd
 from dronevio.estimator.frontend.rig import RigTracker
 from dronevio.estimator.health import HealthMonitor
 from dronevio.estimator.imu.noise import ImuNoise
-from dronevio.estimator.initialization.dynamic import Sighting
 from dronevio.estimator.initialization.initializer import Initialiser
 from dronevio.estimator.initialization.static import NotObservable
 from dronevio.estimator.initialization.zero_velocity import StillnessDetector
 from dronevio.estimator.output import Answers
 from dronevio.estimator.pipeline import Intake
 from dronevio.estimator.propagator import Interval
-from dronevio.estimator.types import FrontEnd, Observations
+from dronevio.estimator.types import Observations, Sighting
 from dronevio.models.imu import ImuSamples
 from dronevio.models.rig import Rig
 from dronevio.models.state import CameraFrame, Estimate, Health, HealthReport, NavState

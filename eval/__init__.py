@@ -28,7 +28,7 @@ if TYPE_CHECKING:
     )
     from dronevio.eval.metrics.kitti import kitti_scores
     from dronevio.eval.metrics.time_offset import estimate_time_offset_s
-    from dronevio.eval.run_scores import running_scores
+    from dronevio.eval.run import running_scores
 
 __all__ = [
     "align",
@@ -49,7 +49,7 @@ __all__ = [
 _ELSEWHERE = {
     "estimate_time_offset_s": "dronevio.eval.metrics.time_offset",
     "kitti_scores": "dronevio.eval.metrics.kitti",
-    "running_scores": "dronevio.eval.run_scores",
+    "running_scores": "dronevio.eval.run",
 }
 
 

@@ -7,7 +7,8 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from dronevio.estimator.types import FrontEnd, Observations
+from dronevio.estimator.frontend.protocol import FrontEnd
+from dronevio.estimator.types import Observations
 from dronevio.models.rig import Rig
 from dronevio.models.state import CameraFrame
 

@@ -25,10 +25,11 @@ import numpy as np
 import numpy.typing as npt
 import tyro
 
+from dronevio.estimator.frontend.protocol import FrontEnd
 from dronevio.estimator.frontend.rig import RigTracker
 from dronevio.estimator.frontend.tracker import TrackerConfig
 from dronevio.estimator.imu.buffer import ImuBuffer
-from dronevio.estimator.types import FrontEnd, Observations
+from dronevio.estimator.types import Observations
 from dronevio.eval.metrics.association import interpolate
 from dronevio.models.camera import CameraModel
 from dronevio.models.recordings.euroc import EurocRecording

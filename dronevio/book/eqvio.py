@@ -45,7 +45,7 @@ def main(arguments: list[str]) -> int:
 
     import numpy as np
 
-    from dronevio.book.eqvio_plot import draw_two_paths
+    from dronevio.book.plots import draw_two_paths
     from dronevio.driver import estimate_recording, require_poses
     from dronevio.estimator.book.eqvio import ReplayedFeatures, read_flight, run_eqvio
     from dronevio.estimator.vio import VisualInertialOdometry

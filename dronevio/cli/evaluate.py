@@ -236,7 +236,7 @@ def _kitti(command: EvaluateCommand, scored: "ScoredTrajectory") -> "KittiScores
 
 def _plot(path: Path, scored: "ScoredTrajectory") -> None:
     """Draw path and errors over time."""
-    from dronevio.eval.report.score_plot import write_score_plot
+    from dronevio.eval.report.plots import write_score_plot
 
     write_score_plot(path, scored)
 

@@ -26,8 +26,7 @@ from dronevio.estimator.backend.marginal_prior import STATE, State
 from dronevio.estimator.backend.window import Window
 from dronevio.estimator.imu.covariance import covariance_from_gtsam, covariance_to_gtsam
 from dronevio.estimator.imu.noise import MotionMisfit
-from dronevio.estimator.initialization.static import GAUGE_SIGMA
-from dronevio.estimator.types import NOTHING_SEEN, Observations
+from dronevio.estimator.types import GAUGE_SIGMA, NOTHING_SEEN, Observations
 from dronevio.models.rig import RigCamera
 from dronevio.models.state import NavState
 

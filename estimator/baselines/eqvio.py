@@ -15,11 +15,12 @@ import numpy.typing as npt
 from gtsam_unstable import eqvio
 
 from dronevio.estimator.frontend.corners import CornerConfig
+from dronevio.estimator.frontend.protocol import FrontEnd
 from dronevio.estimator.frontend.tracker import FeatureTracker, TrackerConfig
 from dronevio.estimator.imu.buffer import ImuBuffer, Increments
 from dronevio.estimator.initialization.static import start_from_rest
 from dronevio.estimator.initialization.zero_velocity import StillnessConfig, StillnessDetector
-from dronevio.estimator.types import FrontEnd, Observations
+from dronevio.estimator.types import Observations
 from dronevio.models.imu import ImuSamples
 from dronevio.models.rig import Rig
 from dronevio.models.rotation import exp_so3, nearest_rotations, pose_matrix

@@ -16,7 +16,8 @@ from gtsam.symbol_shorthand import B, L, V, X
 
 from dronevio.estimator.backend.triangulation import Triangulation, triangulate
 from dronevio.estimator.book.eqvio import FeatureRecording
-from dronevio.estimator.imu.buffer import ImuBuffer, InertialConfig, integrate, preintegration_params
+from dronevio.estimator.imu.buffer import ImuBuffer
+from dronevio.estimator.imu.preintegration import InertialConfig, integrate, preintegration_params
 from dronevio.models.imu import Times
 from dronevio.models.state import Trajectory
 

@@ -11,10 +11,10 @@ from itertools import count
 import numpy as np
 import numpy.typing as npt
 
-from dronevio.estimator.frontend.overlap import shared_view
-from dronevio.estimator.frontend.stereo import StereoConfig, StereoMatcher
+from dronevio.estimator.frontend.protocol import image_of
+from dronevio.estimator.frontend.stereo import StereoConfig, StereoMatcher, shared_view
 from dronevio.estimator.frontend.tracker import FeatureTracker, TrackerConfig
-from dronevio.estimator.types import NO_MATCHES, Matches, Observations, image_of
+from dronevio.estimator.types import NO_MATCHES, Matches, Observations
 from dronevio.models.rig import Rig
 from dronevio.models.state import CameraFrame
 

@@ -16,8 +16,9 @@ import numpy.typing as npt
 from dronevio.estimator.frontend.corners import CornerConfig, new_corners
 from dronevio.estimator.frontend.klt import as_bright_as, follow
 from dronevio.estimator.frontend.patches import PatchAligner, PatchConfig, Patches
+from dronevio.estimator.frontend.protocol import image_of
 from dronevio.estimator.frontend.ransac import epipolar_inliers, essential_inliers
-from dronevio.estimator.types import Observations, image_of
+from dronevio.estimator.types import Observations
 from dronevio.models.camera import CameraModel
 from dronevio.models.rig import Rig
 from dronevio.models.state import CameraFrame

@@ -1,18 +1,13 @@
-"""The inertial side: a buffer of IMU increments, and their preintegration between keyframes.
-
-Preintegration after Forster et al., "On-manifold preintegration for real-time visual-inertial odometry", T-RO 2017,
-with GTSAM's combined factor, which lets the biases walk.
-"""
+"""A buffer of IMU samples, handed out as increments up to the time of a frame."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 
-import gtsam
 import numpy as np
 import numpy.typing as npt
 
 from dronevio.estimator.imu.saturation import LEAST_ACCEL_RANGE_M_S2, LEAST_GYRO_RANGE_RAD_S, RangeLimit
-from dronevio.models.imu import GRAVITY_M_S2, ImuModel, ImuSamples
+from dronevio.models.imu import ImuModel, ImuSamples
 from dronevio.models.rotation import exp_so3
 
 Array = npt.NDArray[np.float64]
@@ -28,26 +23,6 @@ BEYOND_LIMIT = 0.5
 beyond it by 20 % at the median, and 60 % at the 90th percentile."""
 DOUBT_LASTS_S = 0.2
 """What is wrong with a reading in doubt is as wrong with those around it, for so long [s]."""
-
-
-@dataclass(frozen=True)
-class InertialConfig:
-    """How far the IMU is trusted."""
-
-    gyro_noise_inflation: float = 2.0
-    """Factor on the data sheet's white noise of the gyroscope, until it is learnt in flight (`imu_noise`) ..."""
-    accel_noise_inflation: float = 5.0
-    """... and on that of the accelerometer, which feels vibration more."""
-    walk_inflation: float = 1.0
-    """Factor on the data sheet's bias random walks."""
-    least_gyro_random_walk: float = 1e-5
-    """The gyroscope's bias is believed to walk at least so much [rad/s²/√Hz]: errors of scale and misalignment look
-    like a bias that changes with the motion, and GTSAM cannot solve for biases that hardly may move."""
-    least_accel_random_walk: float = 1e-3
-    """The same of the accelerometer's bias [m/s³/√Hz]: half a percent of scale error is 0.05 m/s² that turns with the
-    drone."""
-    integration_sigma: float = 1e-4
-    """Position error that integration itself makes [m/√s]."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -182,54 +157,3 @@ class ImuBuffer:
         # Keep the sample at or before t: points are averaged with their predecessor.
         first = int(np.searchsorted(self._samples.t_ns, t_ns, side="right")) - 1
         self._samples = self._samples[max(first, 0) :]
-
-
-def preintegration_params(imu: ImuModel, config: InertialConfig) -> gtsam.PreintegrationCombinedParams:
-    """Return GTSAM's parameters for an IMU in a world whose z axis points up."""
-    params = gtsam.PreintegrationCombinedParams.MakeSharedU(GRAVITY_M_S2)
-    eye = np.eye(3)
-    params.setGyroscopeCovariance(eye * (config.gyro_noise_inflation * imu.gyro_noise_density) ** 2)
-    params.setAccelerometerCovariance(eye * (config.accel_noise_inflation * imu.accel_noise_density) ** 2)
-    params.setIntegrationCovariance(eye * config.integration_sigma**2)
-    gyro_walk = max(config.walk_inflation * imu.gyro_random_walk, config.least_gyro_random_walk)
-    accel_walk = max(config.walk_inflation * imu.accel_random_walk, config.least_accel_random_walk)
-    params.setBiasOmegaCovariance(eye * gyro_walk**2)
-    params.setBiasAccCovariance(eye * accel_walk**2)
-    return params
-
-
-def integrate(
-    preintegrated: gtsam.PreintegratedCombinedMeasurements,
-    increments: Increments,
-    params: gtsam.PreintegrationCombinedParams | None = None,
-) -> None:
-    """Add increments to a preintegration.
-
-    Args:
-        preintegrated: To what is added.
-        increments: What is added.
-        params: Those with which it was made; without them, readings in doubt count as any others.
-    """
-    if params is not None and increments.is_doubtful:
-        _integrate_doubtful(preintegrated, increments, params)
-        return
-    for dt, gyro, accel in zip(increments.dt_s.tolist(), increments.gyro_rad_s, increments.accel_m_s2, strict=True):
-        preintegrated.integrateMeasurement(accel, gyro, dt)
-
-
-def _integrate_doubtful(
-    preintegrated: gtsam.PreintegratedCombinedMeasurements,
-    increments: Increments,
-    params: gtsam.PreintegrationCombinedParams,
-) -> None:
-    """Add increments, each with a covariance of its own: GTSAM looks up the parameters for each of them."""
-    gyro_noise = np.array(params.getGyroscopeCovariance())  # what GTSAM returns is a view of what changes below
-    accel_noise = np.array(params.getAccelerometerCovariance())
-    rates = increments.gyro_rad_s, increments.accel_m_s2
-    steps = zip(increments.dt_s.tolist(), *rates, increments.doubt_density, strict=True)
-    for dt, gyro, accel, wrong in steps:
-        params.setGyroscopeCovariance(gyro_noise + np.diag(wrong[:3]))
-        params.setAccelerometerCovariance(accel_noise + np.diag(wrong[3:]))
-        preintegrated.integrateMeasurement(accel, gyro, dt)
-    params.setGyroscopeCovariance(gyro_noise)
-    params.setAccelerometerCovariance(accel_noise)

@@ -13,7 +13,7 @@ import gtsam
 import numpy as np
 import numpy.typing as npt
 
-from dronevio.estimator.imu.buffer import InertialConfig, preintegration_params
+from dronevio.estimator.imu.preintegration import InertialConfig, preintegration_params
 from dronevio.models.imu import ImuModel, ImuSamples
 from dronevio.models.state import Estimate, NavState
 

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from dronevio.estimator.imu.buffer import InertialConfig, preintegration_params
+from dronevio.estimator.imu.preintegration import InertialConfig, preintegration_params
 from dronevio.models.imu import ImuModel
 
 Array = npt.NDArray[np.float64]

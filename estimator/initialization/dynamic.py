@@ -16,9 +16,8 @@ import numpy as np
 import numpy.typing as npt
 from scipy.optimize import brentq, least_squares
 
-from dronevio.estimator.imu.buffer import Increments
 from dronevio.estimator.initialization.static import NotObservable, level_rotation
-from dronevio.estimator.types import Observations
+from dronevio.estimator.types import Sighting
 from dronevio.models.imu import GRAVITY_M_S2
 from dronevio.models.rotation import exp_so3, pose_matrix
 from dronevio.models.state import NavState
@@ -58,18 +57,6 @@ class MotionStartConfig:
     min_bend: float = 3.0
     """... and how many times more than it the acceleration must bend the path: at constant velocity, every scale
     explains what is seen."""
-
-
-@dataclass(frozen=True, eq=False)
-class Sighting:
-    """A frame and the IMU before it."""
-
-    t_ns: int
-    """Time of the frame."""
-    increments: Increments
-    """The IMU since the previous frame."""
-    observations: Observations
-    """The features seen."""
 
 
 @dataclass(frozen=True, eq=False)

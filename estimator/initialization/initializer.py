@@ -15,11 +15,12 @@ import numpy.typing as npt
 
 from dronevio.estimator.backend.keyframes import KeyframePolicy
 from dronevio.estimator.backend.smoother import Keyframe, KeyframeSmoother
-from dronevio.estimator.imu.buffer import integrate, joined
-from dronevio.estimator.initialization.dynamic import MotionStartConfig, Sighting, is_stereo, start_in_motion
+from dronevio.estimator.imu.buffer import joined
+from dronevio.estimator.imu.preintegration import integrate
+from dronevio.estimator.initialization.dynamic import MotionStartConfig, is_stereo, start_in_motion
 from dronevio.estimator.initialization.gauge import GYRO_BIAS_SIGMA_RAD_S, LastBelieved, Origin, Zero
 from dronevio.estimator.initialization.static import NotObservable, StartSigmas, mean_gyro, start_from_rest
-from dronevio.estimator.types import Observations
+from dronevio.estimator.types import Observations, Sighting
 from dronevio.models.rig import RigCamera
 from dronevio.models.state import NavState
 

@@ -7,14 +7,11 @@ import numpy as np
 import numpy.typing as npt
 
 from dronevio.estimator.imu.buffer import Increments
+from dronevio.estimator.types import GAUGE_SIGMA
 from dronevio.models.rotation import pose_matrix
 from dronevio.models.state import NavState
 
 Array = npt.NDArray[np.float64]
-
-
-GAUGE_SIGMA = 1e-4
-"""Uncertainty of yaw and position at the start [rad and m]: zero by definition, but for the solver's comfort."""
 
 
 @dataclass(frozen=True)

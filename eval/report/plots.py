@@ -5,6 +5,7 @@ Each function draws into axes that it is given.
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
@@ -14,9 +15,10 @@ from matplotlib.collections import LineCollection
 
 from dronevio.eval import style as palette
 from dronevio.eval.metrics import ScoredTrajectory, nees_bounds, pairs_after_distance, relative_errors
-from dronevio.eval.report.drawing import INK, Boxes, draw_boxes, draw_line, set_log_scale
+from dronevio.eval.report.drawing import INK, Boxes, draw_boxes, draw_line, figure, save_png, set_log_scale
 from dronevio.eval.run import EstimatorRun
 from dronevio.models.imu import Times
+from dronevio.models.recordings.files import check_place
 from dronevio.models.state import Trajectory
 
 Array = npt.NDArray[np.float64]
@@ -230,3 +232,23 @@ def _label_times(ax: Axes, title: str, axis: str) -> None:
     ax.set(title=title, xlabel="time [s]", ylabel=axis)
     ax.set_ylim(bottom=0.0)
     ax.margins(x=0.01)
+
+
+def write_score_plot(path: Path, scored: ScoredTrajectory) -> None:
+    """Draw an estimate beside the truth into a PNG file.
+
+    Args:
+        path: Where to; folders that are missing on the way are made.
+        scored: The estimate beside the truth.
+
+    Raises:
+        InputError: A folder is there, or a file where one of its folders should be.
+    """
+    check_place(path)
+    path.parent.mkdir(parents=True, exist_ok=True)
+    origin_ns = int(scored.truth.t_ns[0])
+    with figure(14.0, 4.6, columns=3) as (fig, axes):
+        draw_path(axes[0], ABOVE, scored.estimate, scored.truth, np.zeros((0, 2, 3)))
+        draw_position_error(axes[1], scored, origin_ns)
+        draw_orientation_error(axes[2], scored, origin_ns)
+    save_png(fig, path)

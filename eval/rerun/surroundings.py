@@ -6,8 +6,6 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from dronevio.sim.world import World
-
 Array = npt.NDArray[np.float64]
 
 
@@ -37,13 +35,3 @@ class Surroundings:
 
 NOTHING_KNOWN = Surroundings(np.zeros((0, 2, 3)))
 """The surroundings of a flight of which nobody wrote them down."""
-
-
-def surroundings_of(world: World) -> Surroundings:
-    """Return the outline of a simulated world, and what moves in it as large as it looks."""
-    boxes = []
-    for mover in world.movers:
-        geoms = world.spec.body(mover.body).geoms
-        vertices = np.concatenate([np.reshape(world.spec.mesh(geom.meshname).uservert, (-1, 3)) for geom in geoms])
-        boxes.append(MovingBox(mover.body, vertices.min(axis=0), vertices.max(axis=0), mover.poses))
-    return Surroundings(world.outline, tuple(boxes))

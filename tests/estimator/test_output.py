@@ -5,9 +5,8 @@ from dataclasses import replace
 import numpy as np
 
 from dronevio.estimator.imu.buffer import NO_INCREMENTS, Increments
-from dronevio.estimator.initialization.dynamic import Sighting
 from dronevio.estimator.output import Answers
-from dronevio.estimator.types import NO_MATCHES, NOTHING_SEEN, Matches
+from dronevio.estimator.types import NO_MATCHES, NOTHING_SEEN, Matches, Sighting
 from dronevio.models.state import Health, HealthReport, NavState
 
 RATE_HZ = 200.0

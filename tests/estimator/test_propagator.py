@@ -7,10 +7,10 @@ import numpy as np
 import pytest
 
 from dronevio.estimator.backend.keyframes import KeyframeConfig, KeyframePolicy
-from dronevio.estimator.imu.buffer import Increments, InertialConfig, preintegration_params
-from dronevio.estimator.initialization.dynamic import Sighting
+from dronevio.estimator.imu.buffer import Increments
+from dronevio.estimator.imu.preintegration import InertialConfig, preintegration_params
 from dronevio.estimator.propagator import Interval
-from dronevio.estimator.types import NOTHING_SEEN
+from dronevio.estimator.types import NOTHING_SEEN, Sighting
 from dronevio.models.imu import GRAVITY_M_S2, ImuModel
 from dronevio.models.state import NavState
 

@@ -11,7 +11,8 @@ from dronevio.estimator.backend.landmarks import LandmarkConfig
 from dronevio.estimator.backend.linalg import SingularError
 from dronevio.estimator.backend.smoother import KeyframeResult, KeyframeSmoother, SmootherConfig
 from dronevio.estimator.backend.window import LinearSystem
-from dronevio.estimator.imu.buffer import ImuBuffer, InertialConfig, integrate, preintegration_params
+from dronevio.estimator.imu.buffer import ImuBuffer
+from dronevio.estimator.imu.preintegration import InertialConfig, integrate, preintegration_params
 from dronevio.estimator.initialization.static import StartSigmas
 from dronevio.models.rotation import exp_so3, log_so3
 from dronevio.models.state import NavState, Trajectory

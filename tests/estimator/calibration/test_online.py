@@ -10,7 +10,8 @@ import pytest
 
 from dronevio.estimator.calibration.corrections import Corrections
 from dronevio.estimator.calibration.online import CalibratedPart, CalibrationConfig, OnlineCalibration
-from dronevio.estimator.imu.buffer import ImuBuffer, InertialConfig, integrate, preintegration_params
+from dronevio.estimator.imu.buffer import ImuBuffer
+from dronevio.estimator.imu.preintegration import InertialConfig, integrate, preintegration_params
 from dronevio.estimator.types import Observations
 from dronevio.models.camera import CameraModel
 from dronevio.models.rig import Rig

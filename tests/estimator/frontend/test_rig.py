@@ -6,10 +6,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from dronevio.estimator.frontend.overlap import shared_view
+from dronevio.estimator.frontend.protocol import FrontEnd
 from dronevio.estimator.frontend.rig import RigTracker
+from dronevio.estimator.frontend.stereo import shared_view
 from dronevio.estimator.frontend.tracker import FeatureTracker, TrackerConfig
-from dronevio.estimator.types import FrontEnd, Observations
+from dronevio.estimator.types import Observations
 from dronevio.models.camera import CameraModel
 from dronevio.models.errors import ConfigError
 from dronevio.models.rig import Rig, RigCamera

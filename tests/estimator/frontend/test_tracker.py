@@ -7,8 +7,9 @@ import cv2
 import numpy as np
 import pytest
 
+from dronevio.estimator.frontend.protocol import FrontEnd
 from dronevio.estimator.frontend.tracker import FeatureTracker, TrackerConfig
-from dronevio.estimator.types import FrontEnd, Observations
+from dronevio.estimator.types import Observations
 from dronevio.models.camera import CameraModel
 from dronevio.models.errors import ConfigError
 from dronevio.models.rotation import exp_so3, pose_matrix

@@ -8,7 +8,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from dronevio.estimator.imu.buffer import ImuBuffer, Increments, InertialConfig, integrate, preintegration_params
+from dronevio.estimator.imu.buffer import ImuBuffer, Increments
+from dronevio.estimator.imu.preintegration import InertialConfig, integrate, preintegration_params
 from dronevio.models.errors import ConfigError
 from dronevio.models.imu import EUROC_IMU, GRAVITY_M_S2, ImuSamples, Sampling
 from dronevio.models.rotation import exp_so3

@@ -8,8 +8,9 @@ import pytest
 
 from dronevio.estimator.backend.landmarks import LandmarkConfig
 from dronevio.estimator.backend.smoother import KeyframeSmoother, SmootherConfig
-from dronevio.estimator.imu.buffer import ImuBuffer, InertialConfig, integrate
+from dronevio.estimator.imu.buffer import ImuBuffer
 from dronevio.estimator.imu.noise import ImuNoise, Misfit, MotionMisfit, NoiseLevel, NoiseLevelConfig
+from dronevio.estimator.imu.preintegration import InertialConfig, integrate
 from dronevio.estimator.initialization.static import StartSigmas
 from dronevio.models.imu import EUROC_IMU
 from dronevio.models.state import NavState

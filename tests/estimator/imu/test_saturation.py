@@ -6,19 +6,12 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from dronevio.estimator.imu.buffer import (
-    GAP_DOUBT,
-    ImuBuffer,
-    Increments,
-    InertialConfig,
-    integrate,
-    joined,
-    preintegration_params,
-)
+from dronevio.estimator.imu.buffer import GAP_DOUBT, ImuBuffer, Increments, joined
+from dronevio.estimator.imu.preintegration import InertialConfig, integrate, preintegration_params
 from dronevio.estimator.imu.saturation import LEAST_GYRO_RANGE_RAD_S, RangeLimit
 from dronevio.estimator.initialization.gauge import LastBelieved
 from dronevio.estimator.initialization.static import StartSigmas
-from dronevio.estimator.propagation import Propagation
+from dronevio.estimator.propagator import Propagation
 from dronevio.models.imu import EUROC_IMU, GRAVITY_M_S2, ImuSamples
 from dronevio.models.state import NavState
 

@@ -7,8 +7,9 @@ import numpy as np
 import pytest
 
 from dronevio.estimator.imu.buffer import ImuBuffer
-from dronevio.estimator.initialization.dynamic import MotionStartConfig, Sighting, start_in_motion
+from dronevio.estimator.initialization.dynamic import MotionStartConfig, start_in_motion
 from dronevio.estimator.initialization.static import NotObservable
+from dronevio.estimator.types import Sighting
 from dronevio.models.state import NavState, Trajectory
 
 CONFIG = MotionStartConfig()

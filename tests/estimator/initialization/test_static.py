@@ -8,13 +8,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from dronevio.estimator.imu.buffer import ImuBuffer, Increments
-from dronevio.estimator.initialization.static import (
-    GAUGE_SIGMA,
-    StartSigmas,
-    level_rotation,
-    mean_gyro,
-    start_from_rest,
-)
+from dronevio.estimator.initialization.static import StartSigmas, level_rotation, mean_gyro, start_from_rest
+from dronevio.estimator.types import GAUGE_SIGMA
 from dronevio.models.imu import GRAVITY_M_S2
 from dronevio.models.rotation import exp_so3
 

@@ -15,12 +15,13 @@ from dronevio.eval.rerun.entities import EstimateEntities
 from dronevio.eval.rerun.estimate import EstimateLog, ellipsoids, tied_to
 from dronevio.eval.rerun.log import write_estimates
 from dronevio.eval.rerun.sink import Sink
-from dronevio.eval.rerun.surroundings import MovingBox, Surroundings, surroundings_of
+from dronevio.eval.rerun.surroundings import MovingBox, Surroundings
 from dronevio.models.errors import EvaluationError
 from dronevio.models.rig import EUROC_T_IMU_CAM0, Rig, RigCamera
 from dronevio.models.rotation import exp_so3
 from dronevio.models.state import CameraFrame, Health, Trajectory
 from dronevio.sim.world import build_world
+from dronevio.surroundings import surroundings_of
 
 BLUEPRINT = flight_blueprint(Shown(("x",), 1), np.zeros((0, 3)))
 GOOD, BAD = "ours", "theirs / 2"
