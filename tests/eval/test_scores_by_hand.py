@@ -6,8 +6,9 @@ import numpy as np
 import numpy.typing as npt
 import pytest
 
-from dronevio.eval.metrics import PairRule, score, score_trajectory
+from dronevio.eval.metrics import PairRule, errors_by_length, rpe, score, score_trajectory
 from dronevio.eval.metrics.alignment import yaw_matrix
+from dronevio.eval.metrics.lengths import drifts_m
 from dronevio.models.rotation import exp_so3, quat_wxyz_from_matrix
 from dronevio.models.state import Trajectory
 
@@ -76,6 +77,38 @@ def test_pairs_are_chosen_on_the_path_that_is_asked_for() -> None:
         assert (scores.rpe_over, scores.rpe_delta_s) == ("2 m", None)
 
 
+def test_relative_errors_of_arrays() -> None:
+    """A roll of 5° a second; over 2 m, which the estimate moves in one second and the truth in two."""
+    roll_rad = np.outer(np.radians(5.0 * np.arange(5)), [1.0, 0.0, 0.0])
+    truth, estimate = trajectory(along_x(5)), trajectory(along_x(5, 2.0), roll_rad)
+    poses = truth.p_world_imu, truth.quat_wxyz, estimate.p_world_imu, estimate.quat_wxyz
+    for source, pairs, error_deg in (("truth", 3, 10.0), ("estimate", 4, 5.0)):
+        found = rpe(*poses, 2.0, "m", source=source).rotation_deg  # type: ignore[arg-type]
+        assert (found.n, found.min, found.max) == pytest.approx((pairs, error_deg, error_deg))
+
+
+def test_drift_aligns_the_yaw_at_the_beginning_of_a_piece() -> None:
+    """A metre along x, true in both; a yaw that is 60° wrong at its beginning turns it to where it is 1 m away."""
+    truth = trajectory(along_x(2))
+    start, end = np.radians([[0, 0, 60], [0, 0, 0]]), np.radians([[0, 0, 0], [0, 0, 60]])
+    for phi, drift_m in ((start, 1.0), (-start, 1.0), (end, 0.0)):
+        estimate = trajectory(along_x(2), phi)
+        pair = np.array([0]), np.array([1])
+        found = drifts_m(truth.p_world_imu, truth.quat_wxyz, estimate.p_world_imu, estimate.quat_wxyz, pair)
+        assert found == pytest.approx([drift_m], abs=1e-12)
+
+
+def test_yaw_and_tilt_errors_of_a_drone_that_pitches() -> None:
+    """An estimate that turns by 0.1° a metre about the vertical has no tilt error, however the drone moves."""
+    yaw_rad, pitch_rad = np.radians(0.1 * np.arange(41)), 0.1 * np.arange(41)
+    pitch = exp_so3(np.outer(pitch_rad, [0.0, 1.0, 0.0]))
+    q_truth = quat_wxyz_from_matrix(pitch)
+    q_estimate = quat_wxyz_from_matrix(exp_so3(np.outer(yaw_rad, [0.0, 0.0, 1.0])) @ pitch)
+    [errors] = errors_by_length(along_x(41), q_truth, along_x(41), q_estimate, (10.0,))
+    found = errors.yaw_deg.min, errors.tilt_deg.max, errors.rotation_deg.median
+    assert found == pytest.approx((0.8, 0.0, 1.0), abs=1e-9)  # the last pieces lack two metres
+
+
 def test_coverage_counts_poses_that_have_no_truth() -> None:
     """The truth ends after five of ten seconds; the estimator goes on, and has a pose for every frame but the last."""
     frames = START_NS + SECOND_NS * np.arange(11)
@@ -91,8 +124,8 @@ def test_consistency_by_hand() -> None:
     that the estimate's world, whose x axis is the true y axis, has .2, .1 and .5 m.
     """
     p_truth = np.array([[0.0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 1]])
-    error_m = np.array([[0.0, 0, 0], [0.4, 0, 0], [0, -0.2, 0], [0, 0, 1.0]])
-    error_rad = np.array([[0.0, 0, 0], [0.05, 0, 0], [0, -0.04, 0], [0, 0, 0.2]])
+    error_m = np.array([[0.0, 0, 0], [0.4, 0, 0], [0, -0.2, 0], [0, 0, 1.25]])
+    error_rad = np.array([[0.0, 0, 0], [0.05, 0, 0], [0, -0.05, 0], [0, 0, 0.2]])
     R = yaw_matrix(-np.pi / 2.0)  # maps the estimate's world into the true one
     phi = np.array([[0.0, 0, 0], [0.3, 0, 0], [0, 0.3, 0], [0, 0, 0.3]])
     R_estimate = R.T @ exp_so3(phi) @ np.swapaxes(exp_so3(error_rad), -1, -2)  # truth = R · estimate · exp(δθ)
@@ -112,14 +145,14 @@ def test_consistency_by_hand() -> None:
     np.testing.assert_allclose(found.orientation_error_rad, error_rad[1:], atol=1e-12)
     np.testing.assert_allclose(found.position_sigma_m, np.tile([0.1, 0.2, 0.5], (3, 1)))
     np.testing.assert_allclose(found.orientation_sigma_rad, np.tile([0.01, 0.02, 0.04], (3, 1)))
-    np.testing.assert_allclose(found.position_nees, [16.0, 1.0, 4.0])
-    np.testing.assert_allclose(found.orientation_nees, [25.0, 4.0, 25.0])
-    assert (scores.nees_position, scores.nees_orientation) == pytest.approx((7.0, 18.0))
+    np.testing.assert_allclose(found.position_nees, [16.0, 1.0, 6.25])
+    np.testing.assert_allclose(found.orientation_nees, [25.0, 6.25, 25.0])
+    assert (scores.nees_position, scores.nees_orientation) == pytest.approx((7.75, 18.75))
     # 95 % of a χ² variable with three degrees of freedom lie between 0.216 and 9.348.
     assert scores.nees_position_inside_percent == pytest.approx(100.0 * 2 / 3)
     assert scores.nees_orientation_inside_percent == pytest.approx(100.0 * 1 / 3)
-    assert scores.position_beyond_3_sigma_percent == pytest.approx(100.0 * 1 / 9)  # 4σ among nine components
-    assert scores.orientation_beyond_3_sigma_percent == pytest.approx(100.0 * 2 / 9)  # twice 5σ
+    assert scores.position_beyond_3_sigma_percent == pytest.approx(100.0 * 1 / 9)  # 4σ, but not 1σ or 2.5σ
+    assert scores.orientation_beyond_3_sigma_percent == pytest.approx(100.0 * 2 / 9)  # twice 5σ, but not 2.5σ
 
 
 @pytest.mark.parametrize("factor", [0.1, 10.0])
