@@ -1,0 +1,241 @@
+"""Mutation testing: put known faults into the code, one at a time, and check that the tests named beside them fail.
+
+A mutant is a fault that once passed all tests, or that would matter much if it did. Each is applied to a temporary copy
+of the checkout, never to the working tree. Run all mutants, or some of them by name::
+
+    .venv/bin/python scripts/mutants.py
+    .venv/bin/python scripts/mutants.py covariance-sign-accel-bias-position
+    .venv/bin/python scripts/mutants.py --list
+
+The named tests are first run without any mutant, where they must pass. The exit status is 0 if every mutant is killed,
+1 if one survives, and 2 if a mutant cannot be judged: it does not apply, or its tests fail without it.
+"""
+
+import argparse
+import os
+import shutil
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Sequence
+from dataclasses import dataclass
+from enum import StrEnum
+from pathlib import Path
+
+CHECKOUT = Path(__file__).resolve().parents[1]
+TIMEOUT_S = 600.0
+"""Time limit of a run of the tests [s]."""
+
+
+@dataclass(frozen=True)
+class Mutant:
+    """A fault: a replacement of text in one file, and the tests that must notice it."""
+
+    name: str
+    """Short name, in lower case with hyphens."""
+    description: str
+    """What is wrong with the code once the fault is in, in one line."""
+    file: str
+    """File that is changed, relative to the checkout."""
+    original: str
+    """Text that is replaced. It occurs exactly once in the file."""
+    mutated: str
+    """Text that replaces it."""
+    tests: tuple[str, ...]
+    """Tests of which at least one must fail, as pytest takes them."""
+
+    def apply(self, checkout: Path) -> None:
+        """Change the file in a copy of the checkout.
+
+        Raises:
+            ValueError: The original text does not occur exactly once in the file, or the replacement changes nothing.
+        """
+        path = checkout / self.file
+        text = path.read_text(encoding="utf-8")
+        found = text.count(self.original)
+        if found != 1 or self.original == self.mutated:
+            raise ValueError(f"{self.name}: {found} occurrences in {self.file}; expected one, and a different text")
+        path.write_text(text.replace(self.original, self.mutated), encoding="utf-8")
+
+
+class Verdict(StrEnum):
+    """What became of a mutant."""
+
+    KILLED = "killed"
+    """A test failed, as it should."""
+    SURVIVED = "survived"
+    """All tests passed: they do not notice the fault."""
+    INVALID = "invalid"
+    """The tests could not be run with it, or took too long."""
+
+
+ESTIMATOR = (
+    Mutant(
+        "covariance-sign-accel-bias-position",
+        "Dead reckoning: sign of the Jacobian of the position by the accelerometer bias.",
+        "estimator/imu/covariance.py",
+        "-0.5 * t * t * R_world_imu",
+        "0.5 * t * t * R_world_imu",
+        ("tests/estimator/imu/test_jacobians.py::test_bias_columns_at_constant_rotation",),
+    ),
+    Mutant(
+        "covariance-half-accel-bias-velocity",
+        "Dead reckoning: the Jacobian of the velocity by the accelerometer bias is halved.",
+        "estimator/imu/covariance.py",
+        "-t * R_world_imu\n",
+        "-0.5 * t * R_world_imu\n",
+        ("tests/estimator/imu/test_jacobians.py::test_bias_columns_at_constant_rotation",),
+    ),
+    Mutant(
+        "covariance-sign-gyro-bias-orientation",
+        "Dead reckoning: sign of the Jacobian of the orientation by the gyroscope bias.",
+        "estimator/imu/covariance.py",
+        "dR.T, -t * eye",
+        "dR.T, t * eye",
+        ("tests/estimator/imu/test_jacobians.py::test_bias_columns_at_constant_rotation",),
+    ),
+    Mutant(
+        "calibration-factor-sign-biases",
+        "Calibration: sign of the Jacobian of the IMU factor by the biases.",
+        "estimator/calibration/imu_factor.py",
+        "J[:, 18:] = -self.J",
+        "J[:, 18:] = self.J",
+        ("tests/estimator/imu/test_jacobians.py::test_calibration_residual_moves_as_its_jacobian_says",),
+    ),
+    Mutant(
+        "calibration-factor-swapped-biases",
+        "Calibration: the preintegration is asked at the biases of the wrong sensors.",
+        "estimator/calibration/imu_factor.py",
+        "ConstantBias(bias[3:], bias[:3])",
+        "ConstantBias(bias[:3], bias[3:])",
+        ("tests/estimator/imu/test_jacobians.py::test_calibration_interval_integrates_as_we_do",),
+    ),
+    Mutant(
+        "calibration-factor-half-biases",
+        "Calibration: the Jacobian of the preintegration by the biases is halved.",
+        "estimator/calibration/imu_factor.py",
+        "pv_step - pv]) / 1e-3",
+        "pv_step - pv]) / 2e-3",
+        ("tests/estimator/imu/test_jacobians.py::test_calibration_interval_integrates_as_we_do",),
+    ),
+    Mutant(
+        "driver-waits-20-offsets",
+        "Driver: a frame waits for twenty times the time offset.",
+        "models/protocols.py",
+        "max(rig.time_offset_s + 0.5",
+        "max(20.0 * rig.time_offset_s + 0.5",
+        ("tests/models/test_measurement_order.py",),
+    ),
+    Mutant(
+        "driver-waits-10-readouts",
+        "Driver: a frame waits for ten times the readout of a rolling shutter.",
+        "models/protocols.py",
+        "rig.time_offset_s + 0.5 * max(",
+        "rig.time_offset_s + 5.0 * max(",
+        ("tests/models/test_measurement_order.py",),
+    ),
+    Mutant(
+        "driver-ignores-offset",
+        "Driver: a frame does not wait for its exposure where the clocks differ.",
+        "models/protocols.py",
+        "max(rig.time_offset_s + 0.5",
+        "max(0.5",
+        ("tests/models/test_measurement_order.py",),
+    ),
+    Mutant(
+        "driver-ignores-readout",
+        "Driver: a frame does not wait for the last row of a rolling shutter.",
+        "models/protocols.py",
+        "max(rig.time_offset_s + 0.5 * max((camera.readout_s for camera in rig.cameras), default=0.0), 0.0)",
+        "max(rig.time_offset_s, 0.0)",
+        ("tests/models/test_measurement_order.py",),
+    ),
+)
+"""Faults of the estimator and of the driver that feeds it."""
+
+EVALUATION: tuple[Mutant, ...] = ()
+"""Faults of the evaluation."""
+
+MUTANTS = (*ESTIMATOR, *EVALUATION)
+
+
+def copy_checkout(target: Path) -> None:
+    """Copy the files of the checkout that git tracks, or would track, to a new folder. Links stay links."""
+    command = ["git", "ls-files", "-z", "--cached", "--others", "--exclude-standard"]
+    listed = subprocess.run(command, cwd=CHECKOUT, capture_output=True, text=True, check=True).stdout
+    for name in filter(None, listed.split("\0")):
+        source, copy = CHECKOUT / name, target / name
+        if source.is_symlink() or source.exists():  # a file may be deleted and not yet committed
+            copy.parent.mkdir(parents=True, exist_ok=True)
+            shutil.copy2(source, copy, follow_symlinks=False)
+
+
+def run_tests(checkout: Path, tests: Sequence[str]) -> Verdict:
+    """Run some tests in a copy of the checkout, on one process, up to the first failure."""
+    options = ["-x", "-q", "-p", "no:cacheprovider", "-n", "0", "--no-header", "--tb=line"]
+    command = [sys.executable, "-m", "pytest", *options, *tests]
+    environment = {**os.environ, "PYTHONPATH": str(checkout), "PYTHONDONTWRITEBYTECODE": "1"}
+    try:
+        finished = subprocess.run(
+            command, cwd=checkout, env=environment, capture_output=True, text=True, timeout=TIMEOUT_S, check=False
+        )
+    except subprocess.TimeoutExpired:
+        return Verdict.INVALID
+    if finished.returncode not in (0, 1):  # pytest: 0 all passed, 1 a test failed, else no test could be run
+        print(finished.stdout, finished.stderr, file=sys.stderr)
+    return {0: Verdict.SURVIVED, 1: Verdict.KILLED}.get(finished.returncode, Verdict.INVALID)
+
+
+def judge(mutant: Mutant) -> Verdict:
+    """Apply a mutant to a copy of the checkout and run its tests there."""
+    with tempfile.TemporaryDirectory(prefix="dronevio-mutant-") as folder:
+        copy_checkout(Path(folder))
+        mutant.apply(Path(folder))
+        return run_tests(Path(folder), mutant.tests)
+
+
+def selected(names: Sequence[str]) -> list[Mutant]:
+    """Return the mutants of some names, all of them where no name is given.
+
+    Raises:
+        SystemExit: There is none of a name.
+    """
+    unknown = sorted(set(names) - {mutant.name for mutant in MUTANTS})
+    if unknown:
+        sys.exit(f"mutants: no mutant is called {', '.join(unknown)}; see --list")
+    return [mutant for mutant in MUTANTS if not names or mutant.name in names]
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run the command and return its exit status."""
+    parser = argparse.ArgumentParser(description="Put known faults into a copy of the code and run the tests on it.")
+    parser.add_argument("names", nargs="*", metavar="NAME", help="Mutants to run; by default, all.")
+    parser.add_argument("--list", action="store_true", help="List the mutants and run nothing.")
+    options = parser.parse_args(arguments)
+    mutants = selected(options.names)
+    width = max(len(mutant.name) for mutant in mutants)
+    if options.list:
+        for mutant in mutants:
+            print(f"{mutant.name:{width}}  {mutant.description}")
+        return 0
+    with tempfile.TemporaryDirectory(prefix="dronevio-mutant-") as folder:
+        copy_checkout(Path(folder))
+        tests = sorted({test for mutant in mutants for test in mutant.tests})
+        if run_tests(Path(folder), tests) is not Verdict.SURVIVED:
+            print("mutants: the tests do not pass without a mutant", file=sys.stderr)
+            return 2
+    verdicts = []
+    print(f"{'mutant':{width}}  {'verdict':8}  {'time [s]':>8}")
+    for mutant in mutants:
+        start = time.perf_counter()
+        verdicts.append(judge(mutant))
+        print(f"{mutant.name:{width}}  {verdicts[-1]:8}  {time.perf_counter() - start:8.1f}", flush=True)
+    print(f"{verdicts.count(Verdict.KILLED)} of {len(verdicts)} killed")
+    if Verdict.INVALID in verdicts:
+        return 2
+    return 1 if Verdict.SURVIVED in verdicts else 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
