@@ -36,7 +36,7 @@ contracts: setup
 	.venv/bin/lint-imports
 
 docs: setup
-	@scripts/docs.sh build --strict --quiet
+	@scripts/docs.sh build --strict
 
 docs-serve: setup
 	@scripts/docs.sh serve --dev-addr 127.0.0.1:8000

@@ -1,8 +1,10 @@
 """The documentation site: its navigation is complete, its examples name what exists, its tables are well formed."""
 
 import contextlib
+import functools
 import importlib
 import re
+import shlex
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -10,9 +12,15 @@ from typing import Any
 import pytest
 import yaml
 
+import dronevio
+from dronevio.driver import estimate_recording
+from dronevio.eval.benchmark.rows import write_rows
+
 CHECKOUT = Path(__file__).resolve().parents[2]
 DOCS = CHECKOUT / "docs"
 GENERATED = ("reference/cli/", "reference/api/")
+FOREIGN_OPTIONS = {"--correct_scale", "--dataset-type"}
+"""Options of other programs that pages name."""
 
 pytestmark = pytest.mark.skipif(not DOCS.is_dir(), reason="not a checkout")
 
@@ -56,10 +64,125 @@ def exists(name: str) -> bool:
     return False
 
 
-@pytest.mark.parametrize("page", pages() if DOCS.is_dir() else [])
+PAGES = pages() if DOCS.is_dir() else []
+
+
+def text_of(page: str) -> str:
+    """Return the source of a page."""
+    return (DOCS / page).read_text(encoding="utf-8")
+
+
+def blocks(page: str, language: str) -> list[str]:
+    """Return the code blocks of a language in a page."""
+    return re.findall(rf"^```{language}\n(.*?)^```$", text_of(page), re.MULTILINE | re.DOTALL)
+
+
+@pytest.mark.parametrize("page", PAGES)
 def test_python_names_in_pages_exist(page: str) -> None:
-    text = (DOCS / page).read_text(encoding="utf-8")
-    assert [name for name in re.findall(r"`(dronevio(?:\.\w+)+)", text) if not exists(name)] == []
+    assert [name for name in re.findall(r"`(dronevio(?:\.\w+)+)", text_of(page)) if not exists(name)] == []
+
+
+@pytest.mark.parametrize("page", PAGES)
+def test_files_that_pages_name_exist(page: str) -> None:
+    named = re.findall(r"`((?:models|sim|estimator|eval|dronevio|scripts|tests)/[\w./]*)`", text_of(page))
+    assert [name for name in named if not (CHECKOUT / name).exists()] == []
+
+
+@pytest.mark.parametrize("page", [page for page in PAGES if blocks(page, "python")])
+def test_python_examples_run(page: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    (tmp_path / "benchmarks" / "room").mkdir(parents=True)
+    write_rows(tmp_path / "benchmarks" / "room" / "results.parquet", [])
+    monkeypatch.chdir(tmp_path)
+    for code in blocks(page, "python"):
+        exec(compile(code, page, "exec"), {})
+
+
+def test_an_estimator_as_documented_runs(noise_recording: Any) -> None:
+    namespace: dict[str, Any] = {}
+    for code in blocks("how-to/own-estimator.md", "python"):
+        exec(compile(code, "own-estimator.md", "exec"), namespace)
+    recording = noise_recording(frames=3)
+    run = estimate_recording(recording, namespace["AlwaysAtOrigin"](recording.rig))
+    assert [estimate.t_ns for estimate in run.estimates] == recording.frame_times_ns.tolist()
+
+
+@functools.cache
+def helps() -> dict[str, str]:
+    """Return the help text of every command, by its words."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.syspath_prepend(CHECKOUT / "scripts")
+        reference = importlib.import_module("cli_reference")
+    return {" ".join(command.words): command.help for command in reference.commands()}
+
+
+def command_lines() -> list[tuple[str, str]]:
+    """Return every line of a shell block that begins with dronevio, with its page."""
+    return [
+        (page, line)
+        for page in PAGES
+        for block in blocks(page, "sh")
+        for line in block.splitlines()
+        if re.match(r"(\.venv/bin/)?dronevio ", line)
+    ]
+
+
+@pytest.mark.parametrize(("page", "line"), command_lines())
+def test_command_lines_in_pages_are_valid(page: str, line: str) -> None:
+    _, *words = shlex.split(line, comments=True)
+    depth = 2 if f"{words[0]} {words[1] if words[1:] else ''}" in helps() else 1
+    explained = helps()[" ".join(words[:depth])]
+    assert [word for word in words[depth:] if word.startswith("--") and word not in explained] == [], page
+
+
+@pytest.mark.parametrize("page", PAGES)
+def test_options_named_in_pages_exist(page: str) -> None:
+    known = set(re.findall(r"(?<![\w-])--?[a-z][\w.-]*", "\n".join(helps().values()))) | FOREIGN_OPTIONS
+    named = {name.rstrip(".") for name in re.findall(r"`(--[a-z][\w.-]*)", text_of(page))}
+    assert {name for name in named if not any(option.startswith(name) for option in known)} == set()
+
+
+def test_glossary_rows_have_all_columns_and_order() -> None:
+    rows = [line for line in text_of("glossary.md").splitlines() if line.startswith("|")]
+    cells = [[cell.strip() for cell in row.strip("|").split("|")] for row in rows]
+    assert cells[0] == ["term", "meaning", "in other programs"]
+    terms = [row[0] for row in cells[2:]]
+    assert len(terms) >= 50
+    assert all(len(row) == 3 and row[0] and row[1].endswith(".") for row in cells[2:])
+    assert terms == sorted(set(terms), key=str.lower)
+
+
+def test_contributing_names_targets_of_make() -> None:
+    contributing = (CHECKOUT / "CONTRIBUTING.md").read_text(encoding="utf-8")
+    targets = set(re.findall(r"^([a-z-]+):", (CHECKOUT / "Makefile").read_text(encoding="utf-8"), re.MULTILINE))
+    named = set(re.findall(r"(?:^|`)make ([a-z-]+)", contributing, re.MULTILINE))
+    assert {"setup", "test", "check", "docs", "docs-serve"} <= named <= targets
+    named_files = re.findall(r"`((?:models|sim|estimator|eval|dronevio|scripts|tests)/[\w./]*)`", contributing)
+    assert named_files and all((CHECKOUT / name).exists() for name in named_files)
+
+
+def test_citation_names_this_version() -> None:
+    citation = yaml.safe_load((CHECKOUT / "CITATION.cff").read_text(encoding="utf-8"))
+    assert citation["cff-version"] == "1.2.0"
+    assert citation["version"] == dronevio.__version__
+    assert citation["license"] == "Apache-2.0"
+    assert {"message", "title", "authors"} <= set(citation)
+
+
+def test_workflows_run_what_exists_on_every_python() -> None:
+    workflows = {
+        path.name: yaml.safe_load(path.read_text(encoding="utf-8"))
+        for path in (CHECKOUT / ".github" / "workflows").glob("*.yml")
+    }
+    targets = set(re.findall(r"^([a-z-]+):", (CHECKOUT / "Makefile").read_text(encoding="utf-8"), re.MULTILINE))
+    runs = [
+        step["run"] for w in workflows.values() for job in w["jobs"].values() for step in job["steps"] if "run" in step
+    ]
+    named = {target for run in runs if run.startswith("make ") for target in run.split()[1:]}
+    assert {"lint", "types", "test", "docs"} <= named <= targets
+    assert all((CHECKOUT / run.split()[0]).exists() for run in runs if run.startswith("scripts/"))
+    matrix = workflows["checks.yml"]["jobs"]["tests"]["strategy"]["matrix"]
+    assert matrix["python"] == ["3.11", "3.12", "3.13", "3.14"]
+    assert {system.split("-")[0] for system in matrix["os"]} == {"ubuntu", "macos"}
 
 
 def test_reference_has_a_page_for_every_command(script: Any, tmp_path: Path) -> None:
