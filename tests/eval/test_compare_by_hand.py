@@ -1,12 +1,21 @@
 """Comparisons of a few runs, every figure worked out by hand."""
 
+import pytest
+
 from dronevio.eval.benchmark.rows import Row
-from dronevio.eval.compare import compare, gate, pair_up
+from dronevio.eval.compare import Ratio, compare, gate, pair_up, ratio_of
 
 
 def run(seed: int, coverage_percent: float | None, ate_m: float = 0.1) -> Row:
     """A run that ended well."""
     return Row("s", "w", seed, "vio", "c", "v", "ok", coverage_percent=coverage_percent, ate_m=ate_m, rpe_m=ate_m)
+
+
+def against_one(errors_m: list[float]) -> Ratio:
+    """The ratio of some errors to errors of 1 m."""
+    first = [run(number, 100.0, 1.0) for number in range(len(errors_m))]
+    second = [run(number, 100.0, ate_m) for number, ate_m in enumerate(errors_m)]
+    return ratio_of("ate_m", pair_up(first, second))
 
 
 def failed(seed: int) -> Row:
@@ -32,3 +41,26 @@ def test_failed_runs_lower_the_coverage_of_a_gate() -> None:
     assert coverage == "vio: mean coverage 75.0 %, 100.0 % before"
     assert gate(pair_up(first, second), 26.0).passed
     assert gate(pair_up(second, first), 0.0).passed
+
+
+def test_a_gate_judges_the_median_not_its_interval() -> None:
+    """Three of five errors are 20 % larger, two are halved: the median is 1.2, its interval begins at 0.5."""
+    errors_m = [1.2, 1.2, 1.2, 0.5, 0.5]
+    found = against_one(errors_m)
+    assert (found.median, found.low, found.high) == pytest.approx((1.2, 0.5, 1.2))
+    first = [run(seed, 100.0, 1.0) for seed in range(5)]
+    second = [run(seed, 100.0, ate_m) for seed, ate_m in enumerate(errors_m)]
+    objections = gate(pair_up(first, second), 19.0).objections
+    assert [text.partition(" (")[0] for text in objections] == ["vio: ate_m 20.0 % larger", "vio: rpe_m 20.0 % larger"]
+    assert gate(pair_up(first, second), 21.0).passed
+
+
+def test_a_difference_is_clear_below_five_percent_only() -> None:
+    """Six pairs: 4 of 2⁶ signs are as extreme where the least ratio has the other sign, 2 where none has."""
+    mostly = against_one([0.99, 1.5, 1.6, 1.7, 1.8, 1.9])
+    assert mostly.p == pytest.approx(1 / 16)
+    assert mostly.low > 1.0
+    assert "no clear difference" in mostly.verdict
+    always = against_one([1.01, 1.5, 1.6, 1.7, 1.8, 1.9])
+    assert always.p == pytest.approx(1 / 32)
+    assert "clearly worse" in always.verdict

@@ -77,6 +77,14 @@ def test_pairs_are_chosen_on_the_path_that_is_asked_for() -> None:
         assert (scores.rpe_over, scores.rpe_delta_s) == ("2 m", None)
 
 
+def test_the_tolerance_of_pairs_is_a_share_of_their_distance() -> None:
+    """Poses at 0 s, 1 s and 4 s: the first and the last miss 3.8 s by 0.2 s, the other two by 0.8 s."""
+    t_ns = START_NS + SECOND_NS * np.array([0, 1, 4])
+    for tolerance, pairs in ((0.04, 0), (0.06, 1), (0.3, 2)):
+        found = PairRule(3.8, "s", tolerance=tolerance).choose(t_ns, np.zeros((3, 3)), np.zeros((3, 4)))
+        assert len(found[0]) == pairs
+
+
 def test_relative_errors_of_arrays() -> None:
     """A roll of 5° a second; over 2 m, which the estimate moves in one second and the truth in two."""
     roll_rad = np.outer(np.radians(5.0 * np.arange(5)), [1.0, 0.0, 0.0])

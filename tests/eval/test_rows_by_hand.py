@@ -1,0 +1,106 @@
+"""Rows of a benchmark: each column holds the figure whose name it bears."""
+
+import json
+from dataclasses import fields, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from dronevio.eval.benchmark.rows import Row, figures_of, read_results
+from dronevio.eval.metrics import LengthErrors, Scores, Statistics, score
+from dronevio.models.state import Trajectory
+
+
+def statistics(rmse: float) -> Statistics:
+    """Statistics of which no two figures are the same, nor the same as those of another root mean square."""
+    return Statistics(rmse, *(rmse + 0.1 * (1 + np.arange(5))).tolist(), n=7)
+
+
+def distinct(first: float) -> LengthErrors:
+    """Errors of a length, all of them different: the first of seven consecutive numbers is the length."""
+    return LengthErrors(first, *(statistics(first + k) for k in range(1, 7)))
+
+
+@pytest.fixture
+def scores() -> Scores:
+    """Scores of which no two figures are the same."""
+    p = np.array([[0.0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0]])
+    square = Trajectory(10**9 * np.arange(4), p, np.tile([1.0, 0, 0, 0], (4, 1)))
+    return replace(
+        score(square, square),
+        first_s=1.0,
+        last_s=2.0,
+        path_m=3.0,
+        ate_m=statistics(4.0),
+        ate_deg=statistics(5.0),
+        rpe_m=statistics(6.0),
+        rpe_deg=statistics(7.0),
+        lengths=(distinct(10.0), distinct(20.0)),
+        drift_percent=30.0,
+        scale_error_percent=31.0,
+        velocity_m_s=statistics(32.0),
+        gyro_bias_rad_s=statistics(33.0),
+        accel_bias_m_s2=statistics(34.0),
+        coverage_percent=35.0,
+        initialised_s=36.0,
+        nees_position=37.0,
+        nees_orientation=38.0,
+        nees_position_inside_percent=39.0,
+        nees_orientation_inside_percent=40.0,
+        position_beyond_3_sigma_percent=41.0,
+        orientation_beyond_3_sigma_percent=42.0,
+    )
+
+
+def test_figures_come_from_the_scores_of_their_names(scores: Scores) -> None:
+    assert figures_of(scores) == {
+        "coverage_percent": 35.0,
+        "first_s": 1.0,
+        "path_m": 3.0,
+        "ate_m": 4.0,
+        "ate_deg": 5.0,
+        "rpe_m": 6.0,
+        "rpe_deg": 7.0,
+        "scale_error_percent": 31.0,
+        "drift_percent": 30.0,
+        "nees_position": 37.0,
+        "nees_orientation": 38.0,
+        "beyond_3_sigma_percent": 41.0,
+        "velocity_m_s": 32.0,
+        "length_m": (10.0, 20.0),
+        "rpe_len_m": (11.0, 21.0),
+        "rpe_len_deg": (13.0, 23.0),
+    }
+    missing = figures_of(replace(scores, rpe_m=None, rpe_deg=None, velocity_m_s=None, lengths=()))
+    assert {name for name, value in missing.items() if value is None} == {"rpe_m", "rpe_deg", "velocity_m_s"}
+    assert missing["length_m"] == ()
+
+
+def test_a_report_is_read_as_the_row_of_its_run(tmp_path: Path) -> None:
+    def errors(rmse: float) -> dict[str, float]:
+        return {"rmse": rmse, "mean": rmse + 0.5, "max": rmse + 0.7}
+
+    plain = {"coverage_percent": 1.0, "first_s": 2.0, "path_m": 3.0, "drift_percent": 4.0, "scale_error_percent": 5.0}
+    consistency = {"nees_position": 6.0, "nees_orientation": 7.0}
+    several = {"ate_m": errors(8.0), "ate_deg": errors(9.0), "rpe_m": errors(10.0), "rpe_deg": None}
+    timing = {"cpu_ms_mean": 12.0, "cpu_ms_p99": 13.0, "real_time_factor": 14.0}
+    report: dict[str, Any] = {
+        "scores": {**plain, **consistency, **several},
+        "timing": timing,
+        "configuration": {"scenario": {"name": "room-v0", "world": "room", "seed": 3}, "estimator": {}},
+        "versions": {"dronevio": "1", "numpy": "2"},
+        "flight": {"duration_s": 15.0},
+    }
+    (tmp_path / "report.json").write_text(json.dumps(report), encoding="utf-8")
+    [row] = read_results(tmp_path)
+    expected = {**plain, **consistency, **timing, "ate_m": 8.0, "ate_deg": 9.0, "rpe_m": 10.0, "duration_s": 15.0}
+    assert (row.identity, row.world, row.status) == (("room-v0", 3, "vio"), "room", "ok")
+    assert row.versions == "dronevio 1, numpy 2"
+    empty = Row("", "", None, "", "", "", "ok")
+    named = {"scenario", "world", "seed", "estimator", "config_hash", "versions", "status"}
+    others = {field.name for field in fields(Row)} - named
+    assert {name: getattr(row, name) for name in others} == {
+        name: expected.get(name, getattr(empty, name)) for name in others
+    }
