@@ -120,6 +120,78 @@ ESTIMATOR = (
         ("tests/estimator/imu/test_jacobians.py::test_calibration_interval_integrates_as_we_do",),
     ),
     Mutant(
+        "fej-off-prior",
+        "Smoother: the marginal prior names no linearization points of keyframes; Jacobians are those of the present.",
+        "estimator/backend/marginal_prior.py",
+        "        if k not in self.states:\n            return now\n",
+        "        return now\n",
+        ("tests/estimator/backend/test_observability.py::test_no_information_on_global_position_and_yaw",),
+    ),
+    Mutant(
+        "fej-off-imu",
+        "Smoother: IMU factors are linearized at the present estimates.",
+        "estimator/backend/window.py",
+        "factor.linearize(values_first)",
+        "factor.linearize(values_now)",
+        ("tests/estimator/backend/test_observability.py::test_no_information_on_global_position_and_yaw",),
+    ),
+    Mutant(
+        "fej-off-visual",
+        "Smoother: observations are linearized at the present estimates.",
+        "estimator/backend/window.py",
+        "self._Ts_imu_cam, _scene(first, points), error, weight",
+        "self._Ts_imu_cam, now, error, weight",
+        ("tests/estimator/backend/test_observability.py::test_no_information_on_global_position_and_yaw",),
+    ),
+    Mutant(
+        "fej-off-landmarks",
+        "Smoother: observations of landmarks in the prior are linearized at their present positions.",
+        "estimator/backend/window.py",
+        "self._Ts_imu_cam, _scene(first, points), error, weight",
+        "self._Ts_imu_cam, _scene(first, now.points), error, weight",
+        ("tests/estimator/backend/test_observability.py::test_no_information_on_global_position_and_yaw",),
+    ),
+    Mutant(
+        "fej-moved-states",
+        "Smoother: linearization points of keyframes move along with every marginalization.",
+        "estimator/backend/marginal_prior.py",
+        "first = {k: earlier.first(k, now) for k, now in states.items()}",
+        "first = dict(states)",
+        ("tests/estimator/backend/test_observability.py::test_no_information_on_global_position_and_yaw",),
+    ),
+    Mutant(
+        "fej-moved-landmarks",
+        "Smoother: linearization points of landmarks move along with every marginalization.",
+        "estimator/backend/marginal_prior.py",
+        "{i: earlier.points.get(i, now) for i, now in points.items()}",
+        "points",
+        ("tests/estimator/backend/test_observability.py::test_no_information_on_global_position_and_yaw",),
+    ),
+    Mutant(
+        "misfit-one",
+        "Smoother: observations that are noisier than assumed keep their weight.",
+        "estimator/backend/window.py",
+        "return max(1.0, float(np.median(square)) / MEDIAN_CHI2_2DOF) if len(square) > 0 else 1.0",
+        "return 1.0",
+        ("tests/estimator/backend/test_window.py::test_noisier_observations_weigh_less",),
+    ),
+    Mutant(
+        "misfit-without-factor",
+        "Smoother: the median of squared residuals is not divided by that of the chi-squared distribution.",
+        "estimator/backend/window.py",
+        "float(np.median(square)) / MEDIAN_CHI2_2DOF)",
+        "float(np.median(square)))",
+        ("tests/estimator/backend/test_window.py::test_noisier_observations_weigh_less",),
+    ),
+    Mutant(
+        "misfit-below-one",
+        "Smoother: observations that happen to fit well weigh more than their noise lets them.",
+        "estimator/backend/window.py",
+        "max(1.0, float(np.median(square)) / MEDIAN",
+        "max(0.1, float(np.median(square)) / MEDIAN",
+        ("tests/estimator/backend/test_window.py::test_noisier_observations_weigh_less",),
+    ),
+    Mutant(
         "driver-waits-20-offsets",
         "Driver: a frame waits for twenty times the time offset.",
         "models/protocols.py",
@@ -191,7 +263,11 @@ def judge(mutant: Mutant) -> Verdict:
     """Apply a mutant to a copy of the checkout and run its tests there."""
     with tempfile.TemporaryDirectory(prefix="dronevio-mutant-") as folder:
         copy_checkout(Path(folder))
-        mutant.apply(Path(folder))
+        try:
+            mutant.apply(Path(folder))
+        except (OSError, ValueError) as error:
+            print(error, file=sys.stderr)
+            return Verdict.INVALID
         return run_tests(Path(folder), mutant.tests)
 
 

@@ -14,13 +14,20 @@ from dronevio.estimator.backend.marginal_prior import State
 from dronevio.estimator.backend.window import LinearSystem, Window, medians_of_each
 from dronevio.estimator.types import Observations
 
-FOCAL_PX, LANDMARKS, KEYFRAMES = 450.0, 30, 5
+FOCAL_PX, LANDMARKS, KEYFRAMES, PIXEL_SIGMA = 450.0, 30, 5, 0.4
 
 
-def window(shift_px: float = 0.0, quality: float = 1.0, zoom: float = 1.0) -> Window:
+def window(
+    shift_px: float = 0.0,
+    quality: float = 1.0,
+    zoom: float = 1.0,
+    noise_sigmas: float = 0.0,
+    robust_sigmas: float = 1.0,
+) -> Window:
     """Return a window of cameras side by side.
 
     Landmark 0 is last seen off by a shift, landmark 1 is badly seen, landmark 2 came nearer since it was first seen.
+    All observations have noise of some standard deviations, in truth; landmarks are where they are.
     """
     rng = np.random.default_rng(0)
     points = np.column_stack([rng.uniform(-2.0, 2.0, (LANDMARKS, 2)), rng.uniform(4.0, 8.0, LANDMARKS)])
@@ -29,7 +36,8 @@ def window(shift_px: float = 0.0, quality: float = 1.0, zoom: float = 1.0) -> Wi
         State(gtsam.Pose3(gtsam.Rot3(), np.array([0.3 * k, 0.0, 0.0])), np.zeros(3), gtsam.imuBias.ConstantBias())
         for k in range(KEYFRAMES)
     ]
-    made = Window(states[0], 1e4 * np.eye(15), landmarks, np.eye(4)[None], 0.4 / FOCAL_PX, 1.0)
+    made = Window(states[0], 1e4 * np.eye(15), landmarks, np.eye(4)[None], PIXEL_SIGMA / FOCAL_PX, robust_sigmas)
+    noise = noise_sigmas * PIXEL_SIGMA / FOCAL_PX * unit_noise()
     for k, state in enumerate(states):
         if k > 0:
             held = [
@@ -39,7 +47,7 @@ def window(shift_px: float = 0.0, quality: float = 1.0, zoom: float = 1.0) -> Wi
             ]
             made.append(state, held)
         p = points - state.pose.translation()
-        xy = p[:, :2] / p[:, 2:]
+        xy = p[:, :2] / p[:, 2:] + noise[k]
         if k == KEYFRAMES - 1:
             xy[0, 0] += shift_px / FOCAL_PX
         qualities, zooms = np.ones(LANDMARKS), np.ones(LANDMARKS)
@@ -47,7 +55,17 @@ def window(shift_px: float = 0.0, quality: float = 1.0, zoom: float = 1.0) -> Wi
         ids, ages = np.arange(LANDMARKS), np.full(LANDMARKS, k + 1)
         landmarks.observe(k, Observations(ids, FOCAL_PX * xy, xy, ages, quality=qualities, zoom=zooms))
     assert len(landmarks.triangulate(made.cameras, newest=KEYFRAMES - 1)) == 0
+    if noise_sigmas > 0.0:
+        landmarks.points = points
     return made
+
+
+def unit_noise() -> np.ndarray:
+    """Return noise (K, L, 2) of unit variance: its sizes are the quantiles of their distribution, in a random order."""
+    rng, n = np.random.default_rng(1), KEYFRAMES * LANDMARKS
+    size = rng.permutation(np.sqrt(-2.0 * np.log((np.arange(n) + 0.5) / n)))
+    angle = rng.uniform(0.0, 2.0 * np.pi, n)
+    return (size * np.stack([np.cos(angle), np.sin(angle)])).T.reshape(KEYFRAMES, LANDMARKS, 2)
 
 
 def _sure(n: int) -> gtsam.noiseModel.Isotropic:
@@ -68,6 +86,14 @@ def test_doubtful_sightings_weigh_less() -> None:
     np.testing.assert_allclose(spoilt[2], clean[2] / 2.0**2, rtol=1e-3)
     np.testing.assert_allclose(spoilt[3:], clean[3:], rtol=0.05)
     np.testing.assert_allclose(weights(window(zoom=0.5).linearise()), clean, rtol=1e-6)  # further is no reason
+
+
+@pytest.mark.parametrize(("noise_sigmas", "weight"), [(0.5, 1.0), (1.0, 1.0), (2.0, 1.0 / 4.0), (3.0, 1.0 / 9.0)])
+def test_noisier_observations_weigh_less(noise_sigmas: float, weight: float) -> None:
+    """Noise s times as large as assumed makes the weights 1/s² as large; smaller noise makes them no larger."""
+    clean = weights(window(robust_sigmas=1e6).linearise())
+    noisy = weights(window(noise_sigmas=noise_sigmas, robust_sigmas=1e6).linearise())
+    np.testing.assert_allclose(noisy, weight * clean, rtol=0.01)
 
 
 @pytest.mark.parametrize(
