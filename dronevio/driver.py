@@ -15,7 +15,7 @@ from dronevio.models.protocols import Estimator, Recording, measurements
 from dronevio.models.state import CameraFrame, Estimate, NavState, Trajectory
 
 if TYPE_CHECKING:
-    from dronevio.estimator.imu.preintegration import InertialConfig
+    from dronevio.estimator.imu.preintegration import PreintegrationConfig
 
 
 class Watcher(Protocol):
@@ -31,7 +31,7 @@ class Watcher(Protocol):
 class ImuRateListener:
     """Watches an estimator, and dead-reckons its newest state to every IMU sample, as a live system would."""
 
-    def __init__(self, imu: ImuModel, config: "InertialConfig | None" = None) -> None:
+    def __init__(self, imu: ImuModel, config: "PreintegrationConfig | None" = None) -> None:
         """Begin before the first measurement.
 
         Args:

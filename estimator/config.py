@@ -8,10 +8,10 @@ from dronevio.estimator.backend.smoother import SmootherConfig
 from dronevio.estimator.calibration.online import CalibrationConfig
 from dronevio.estimator.frontend.tracker import TrackerConfig
 from dronevio.estimator.health import HealthConfig
-from dronevio.estimator.imu.noise import NoiseLevelConfig
-from dronevio.estimator.imu.preintegration import InertialConfig
+from dronevio.estimator.imu.noise import NoiseEstimationConfig
+from dronevio.estimator.imu.preintegration import PreintegrationConfig
 from dronevio.estimator.initialization.initializer import InitialiserConfig
-from dronevio.estimator.initialization.zero_velocity import StillnessConfig
+from dronevio.estimator.initialization.zero_velocity import ZeroVelocityConfig
 
 
 @dataclass(frozen=True)
@@ -19,9 +19,9 @@ class VioConfig:
     """Settings of the visual-inertial odometry."""
 
     tracker: TrackerConfig = field(default_factory=TrackerConfig)
-    inertial: InertialConfig = field(default_factory=InertialConfig)
-    noise: NoiseLevelConfig = field(default_factory=NoiseLevelConfig)
-    stillness: StillnessConfig = field(default_factory=StillnessConfig)
+    inertial: PreintegrationConfig = field(default_factory=PreintegrationConfig)
+    noise: NoiseEstimationConfig = field(default_factory=NoiseEstimationConfig)
+    stillness: ZeroVelocityConfig = field(default_factory=ZeroVelocityConfig)
     start: InitialiserConfig = field(default_factory=InitialiserConfig)
     keyframe: KeyframeConfig = field(default_factory=KeyframeConfig)
     smoother: SmootherConfig = field(default_factory=SmootherConfig)

@@ -151,7 +151,7 @@ class HealthMonitor:
         )
 
     def _innovation(self, rows: Rows, seen: Observations, places: Rows, predicted: NavState) -> tuple[float, float]:
-        """Return the landmarks' median innovation [px], and its normalised square; 0 without landmarks.
+        """Return the landmarks' median innovation [px], and its normalized square; 0 without landmarks.
 
         The landmarks' own positions are taken as certain.
         """

@@ -12,7 +12,7 @@ from dronevio.estimator.calibration.online import OnlineCalibration
 from dronevio.estimator.frontend.protocol import FrontEnd
 from dronevio.estimator.frontend.rolling_shutter import FrameTimes
 from dronevio.estimator.imu.buffer import ImuBuffer, Increments
-from dronevio.estimator.types import Observations, Sighting
+from dronevio.estimator.types import FramePacket, Observations
 from dronevio.models.errors import ConfigError
 from dronevio.models.imu import ImuSamples
 from dronevio.models.rig import Rig
@@ -41,7 +41,7 @@ class Intake:
         """Take the IMU samples since the last call."""
         self._buffer.add(samples)
 
-    def take(self, frame: CameraFrame, gyro_bias_rad_s: Array, gyro_bias_sigma_rad_s: float) -> Sighting:
+    def take(self, frame: CameraFrame, gyro_bias_rad_s: Array, gyro_bias_sigma_rad_s: float) -> FramePacket:
         """Take a frame, and follow the features into it.
 
         Args:
@@ -58,13 +58,13 @@ class Intake:
         t_ns = self._times.imu_time_ns(frame.t_ns)
         increments = self._buffer.take_until(t_ns)
         self._times.begin(increments, self._buffer.ahead(self._times.reach_s), gyro_bias_rad_s)
-        rotation_sigma = float(gyro_bias_sigma_rad_s * increments.dt_s.sum()) + increments.rotation_doubt_rad
+        rotation_sigma = float(gyro_bias_sigma_rad_s * increments.dt_s.sum()) + increments.rotation_excess_sigma_rad
         seen = self._front_end.track(frame, self._camera_rotation(increments, gyro_bias_rad_s), rotation_sigma)
-        return Sighting(t_ns, increments, self._at_frame(seen))
+        return FramePacket(t_ns, increments, self._at_frame(seen))
 
-    def replenished(self, sighting: Sighting) -> Sighting:
-        """Return the newest sighting with new features, and with what further cameras see."""
-        return Sighting(sighting.t_ns, sighting.increments, self._at_frame(self._front_end.replenish()))
+    def replenished(self, packet: FramePacket) -> FramePacket:
+        """Return the newest packet with new features, and with what further cameras see."""
+        return FramePacket(packet.t_ns, packet.increments, self._at_frame(self._front_end.replenish()))
 
     def discard(self, ids: npt.NDArray[np.int64]) -> None:
         """Follow some features no further."""

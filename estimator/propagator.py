@@ -15,7 +15,7 @@ from dronevio.estimator.backend.smoother import KeyframeSmoother
 from dronevio.estimator.imu.buffer import Increments
 from dronevio.estimator.imu.covariance import propagate
 from dronevio.estimator.imu.preintegration import integrate
-from dronevio.estimator.types import Observations, Sighting
+from dronevio.estimator.types import FramePacket, Observations
 from dronevio.models.imu import ImuModel
 from dronevio.models.state import NavState
 
@@ -23,7 +23,7 @@ SETTLED_S = 0.2
 """A motion that begins is seen so late at the most [s]: it takes half a pixel, some millimetres."""
 
 
-def settled_and_recent(rest: Sequence[Sighting]) -> tuple[list[Sighting], list[Sighting]]:
+def settled_and_recent(rest: Sequence[FramePacket]) -> tuple[list[FramePacket], list[FramePacket]]:
     """Divide the frames of a rest into those at which the drone surely stood still, and those since."""
     settled = [s for s in rest if (rest[-1].t_ns - s.t_ns) * 1e-9 >= SETTLED_S]
     return settled, list(rest[len(settled) :])
@@ -55,7 +55,7 @@ class Propagation:
     def add(self, increments: Increments) -> None:
         """Take the IMU since the last call."""
         integrate(self._preintegrated, increments, self._params)
-        self._is_doubtful |= increments.is_doubtful
+        self._is_doubtful |= increments.is_degraded
 
     def restart(self, parts: Sequence[Increments]) -> None:
         """Begin at the keyframe again, with some of the IMU since."""
@@ -70,7 +70,7 @@ class Propagation:
         return self._preintegrated
 
     @property
-    def is_doubtful(self) -> bool:
+    def is_degraded(self) -> bool:
         """Whether a sensor has been at its limit since the keyframe, or without samples for long."""
         return self._is_doubtful
 
@@ -79,7 +79,7 @@ class Propagation:
         """Time since the keyframe [s]."""
         return float(self._preintegrated.deltaTij())
 
-    def state_at(self, t_ns: int, rest: Sequence[Sighting] = ()) -> NavState:
+    def state_at(self, t_ns: int, rest: Sequence[FramePacket] = ()) -> NavState:
         """Return the state where the preintegrated IMU ends, which is at ``t_ns``.
 
         Args:
@@ -93,7 +93,7 @@ class Propagation:
             held = replace(self._start, t_ns=settled[-1].t_ns, velocity_m_s=np.zeros(3))
             nav = gtsam.NavState(self._nav.pose(), np.zeros(3))
             last = Propagation(self._params, self._imu, held, (nav, self._bias))
-            last.restart([sighting.increments for sighting in recent])
+            last.restart([packet.increments for packet in recent])
             return last.state_at(t_ns)
         start, pim = self._start, self._preintegrated
         now = pim.predict(self._nav, self._bias)
@@ -143,7 +143,7 @@ class Interval:
         self._propagation = Propagation(params, imu, smoother.state, smoother.gtsam_state)
         self._policy = policy
         self._may_rest = _is_slow(smoother.state)
-        self._rest: list[Sighting] = []  # frames since the keyframe, if the drone has not moved since
+        self._rest: list[FramePacket] = []  # frames since the keyframe, if the drone has not moved since
         policy.begin(observations)
 
     @property
@@ -152,36 +152,36 @@ class Interval:
         return self._propagation.preintegrated
 
     @property
-    def is_doubtful(self) -> bool:
+    def is_degraded(self) -> bool:
         """Whether a sensor of the IMU has been at its limit since the keyframe, or without samples for long."""
-        return self._propagation.is_doubtful
+        return self._propagation.is_degraded
 
-    def would_be_still(self, sighting: Sighting, still_for_s: float) -> bool:
+    def would_be_stationary(self, packet: FramePacket, stationary_s: float) -> bool:
         """Say whether the drone has not moved from the keyframe up to a frame that is not added yet.
 
         Args:
-            sighting: The frame.
-            still_for_s: For how long the image has not moved [s].
+            packet: The frame.
+            stationary_s: For how long the image has not moved [s].
         """
-        elapsed_s = self._propagation.elapsed_s + float(sighting.increments.dt_s.sum())
-        return self._may_rest and self._policy.is_still(elapsed_s, still_for_s)
+        elapsed_s = self._propagation.elapsed_s + float(packet.increments.dt_s.sum())
+        return self._may_rest and self._policy.is_stationary(elapsed_s, stationary_s)
 
-    def add(self, sighting: Sighting, still: bool = False) -> None:
+    def add(self, packet: FramePacket, still: bool = False) -> None:
         """Take the next frame, and whether the drone has not moved from the keyframe up to it."""
-        self._propagation.add(sighting.increments)
+        self._propagation.add(packet.increments)
         if still:
-            self._rest.append(sighting)
+            self._rest.append(packet)
 
     def state_at(self, t_ns: int) -> NavState:
         """Return the state at the last frame, which is at ``t_ns``."""
         return self._propagation.state_at(t_ns, self._rest)
 
-    def is_over(self, still_for_s: float, observations: Observations, innovation_px: float | None) -> bool:
+    def is_over(self, stationary_s: float, observations: Observations, innovation_px: float | None) -> bool:
         """Say whether the last frame becomes a keyframe; see `KeyframePolicy.is_due`."""
-        still_for_s = still_for_s if self._may_rest else 0.0
-        return self._policy.is_due(self._propagation.elapsed_s, still_for_s, observations, innovation_px)
+        stationary_s = stationary_s if self._may_rest else 0.0
+        return self._policy.is_due(self._propagation.elapsed_s, stationary_s, observations, innovation_px)
 
-    def cut_to_rest(self) -> tuple[Sighting | None, list[Sighting]]:
+    def cut_to_rest(self) -> tuple[FramePacket | None, list[FramePacket]]:
         """Go back to the last frame at which the drone surely stood still, if there is one since the keyframe.
 
         Returns:
@@ -191,7 +191,7 @@ class Interval:
         self._rest = []
         if not settled:
             return None, []
-        self._propagation.restart([sighting.increments for sighting in settled])
+        self._propagation.restart([packet.increments for packet in settled])
         return settled[-1], recent
 
 

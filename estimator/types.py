@@ -22,7 +22,7 @@ class Matches:
     camera: npt.NDArray[np.int64]
     """(M,) Which camera of the rig sees each."""
     xy: Array
-    """(M, 2) Undistorted and normalised: at depth 1 in that camera's frame."""
+    """(M, 2) Undistorted and normalized: at depth 1 in that camera's frame."""
 
     def __len__(self) -> int:
         return len(self.ids)
@@ -46,25 +46,25 @@ class Observations:
     pixels: Array
     """(N, 2) In the image [px]."""
     xy: Array
-    """(N, 2) Undistorted and normalised: at depth 1 in the camera frame."""
+    """(N, 2) Undistorted and normalized: at depth 1 in the camera frame."""
     ages: npt.NDArray[np.int64]
     """(N,) Number of frames in which each has been seen."""
     camera: npt.NDArray[np.int64] = field(default_factory=lambda: np.zeros(0, np.int64))
     """(N,) Which camera of the rig follows each; all the first one, if not given."""
     matches: Matches = NO_MATCHES
     """The same landmarks in further cameras; on keyframes."""
-    doubted: Matches = NO_MATCHES
+    miscalibrated: Matches = NO_MATCHES
     """The same, in cameras that are not where the calibration says: of use for nothing but to calibrate them."""
-    quality: Array = field(default_factory=lambda: np.zeros(0))
+    zncc: Array = field(default_factory=lambda: np.zeros(0))
     """(N,) How much each looks like what was first seen of it: correlation, up to 1; all 1, if not given."""
-    zoom: Array = field(default_factory=lambda: np.zeros(0))
+    scale: Array = field(default_factory=lambda: np.zeros(0))
     """(N,) How many times larger each looks than when it was first seen; all 1, if not given."""
 
     def __post_init__(self) -> None:
         """Say that the first camera sees all, and sees it well, where nothing is said."""
         if len(self.camera) != len(self.ids):
             object.__setattr__(self, "camera", np.zeros(len(self.ids), np.int64))
-        for name in ("quality", "zoom"):
+        for name in ("zncc", "scale"):
             if len(getattr(self, name)) != len(self.ids):
                 object.__setattr__(self, name, np.ones(len(self.ids)))
 
@@ -74,8 +74,8 @@ class Observations:
     def without(self, ids: npt.NDArray[np.int64]) -> "Observations":
         """Return the observations of all but some features."""
         kept = ~np.isin(self.ids, ids)
-        left = {f.name: getattr(self, f.name)[kept] for f in fields(self) if f.name not in ("matches", "doubted")}
-        return Observations(**left, matches=self.matches.without(ids), doubted=self.doubted.without(ids))
+        left = {f.name: getattr(self, f.name)[kept] for f in fields(self) if f.name not in ("matches", "miscalibrated")}
+        return Observations(**left, matches=self.matches.without(ids), miscalibrated=self.miscalibrated.without(ids))
 
 
 NOTHING_SEEN = Observations(np.zeros(0, np.int64), np.zeros((0, 2)), np.zeros((0, 2)), np.zeros(0, np.int64))
@@ -83,7 +83,7 @@ NOTHING_SEEN = Observations(np.zeros(0, np.int64), np.zeros((0, 2)), np.zeros((0
 
 
 @dataclass(frozen=True, eq=False)
-class Sighting:
+class FramePacket:
     """A frame and the IMU before it."""
 
     t_ns: int

@@ -2,7 +2,7 @@
 
 The pipeline of a keyframe-based fixed-lag smoother (Leutenegger et al., IJRR 2015; Qin et al., T-RO 2018): corners are
 followed from frame to frame, the IMU is preintegrated between keyframes, and every keyframe adds a state to a window
-that is optimised by Gauss-Newton. Between keyframes the newest state is carried forward by the IMU. What is returned
+that is optimized by Gauss-Newton. Between keyframes the newest state is carried forward by the IMU. What is returned
 for a frame is never revised.
 """
 
@@ -17,13 +17,13 @@ from dronevio.estimator.frontend.protocol import FrontEnd
 from dronevio.estimator.frontend.rig import RigTracker
 from dronevio.estimator.health import HealthMonitor
 from dronevio.estimator.imu.noise import ImuNoise
-from dronevio.estimator.initialization.initializer import Initialiser
+from dronevio.estimator.initialization.initializer import Initializer
 from dronevio.estimator.initialization.static import NotObservable
-from dronevio.estimator.initialization.zero_velocity import StillnessDetector
+from dronevio.estimator.initialization.zero_velocity import ZeroVelocityDetector
 from dronevio.estimator.output import Answers
 from dronevio.estimator.pipeline import Intake
 from dronevio.estimator.propagator import Interval
-from dronevio.estimator.types import Observations, Sighting
+from dronevio.estimator.types import FramePacket, Observations
 from dronevio.models.imu import ImuSamples
 from dronevio.models.rig import Rig
 from dronevio.models.state import CameraFrame, Estimate, Health, HealthReport, NavState
@@ -55,10 +55,10 @@ class VisualInertialOdometry:
         self._imu, self._noise = rig.imu, ImuNoise(rig.imu, c.inertial, c.noise)
         self._calibration = OnlineCalibration(rig, c.calibration)
         self._intake = Intake(rig, front_end or RigTracker(rig, c.tracker), self._calibration)
-        self._stillness = StillnessDetector(c.stillness)
+        self._stillness = ZeroVelocityDetector(c.stillness)
         self._policy = KeyframePolicy(c.keyframe)
-        self._initialiser = Initialiser(rig.cameras, c.start, self._policy, self._noise.params, self._new_smoother)
-        self._answers = Answers(self._initialiser, rig.imu.rate_hz, c.health.max_innovation_px)
+        self._initializer = Initializer(rig.cameras, c.start, self._policy, self._noise.params, self._new_smoother)
+        self._answers = Answers(self._initializer, rig.imu.rate_hz, c.health.max_innovation_px)
         self._smoother: KeyframeSmoother | None = None
         self._monitor: HealthMonitor  # these two: since there is a smoother
         self._interval: Interval
@@ -73,41 +73,41 @@ class VisualInertialOdometry:
         Raises:
             ConfigError: The frame is not later than the last one, or its image is not one of the rig's camera.
         """
-        sighting = self._intake.take(frame, *self._gyro_bias)
-        self._stillness.update(sighting.t_ns, sighting.observations, sighting.increments)
-        self._initialiser.origin.turn(sighting.increments)
-        estimate = self._start(sighting) if self._smoother is None else self._go_on(self._smoother, sighting)
+        packet = self._intake.take(frame, *self._gyro_bias)
+        self._stillness.update(packet.t_ns, packet.observations, packet.increments)
+        self._initializer.origin.turn(packet.increments)
+        estimate = self._start(packet) if self._smoother is None else self._go_on(self._smoother, packet)
         return self._intake.stamped(estimate, frame)
 
-    def _start(self, sighting: Sighting) -> Estimate:
+    def _start(self, packet: FramePacket) -> Estimate:
         """Start if that is possible by now."""
-        if self._initialiser.wants_features(sighting):
-            sighting = self._intake.replenished(sighting)
-        started = self._initialiser.add(sighting, self._stillness.still_for_s)
+        if self._initializer.wants_features(packet):
+            packet = self._intake.replenished(packet)
+        started = self._initializer.add(packet, self._stillness.stationary_s)
         if isinstance(started, NotObservable):
-            return self._answers.unknown(sighting, str(started))
+            return self._answers.unknown(packet, str(started))
         c, self._smoother = self._config, started
         self._monitor = HealthMonitor(self._calibration.rig, c.health, c.smoother.pixel_sigma)
-        self._begin_interval(started, sighting.observations)
-        report = self._monitor.judge(sighting.observations, started.state, self._stillness.still_for_s > 0.0)
-        return self._answers.known(sighting, started.state, report)
+        self._begin_interval(started, packet.observations)
+        report = self._monitor.judge(packet.observations, started.state, self._stillness.stationary_s > 0.0)
+        return self._answers.known(packet, started.state, report)
 
-    def _go_on(self, smoother: KeyframeSmoother, sighting: Sighting) -> Estimate:
+    def _go_on(self, smoother: KeyframeSmoother, packet: FramePacket) -> Estimate:
         """Carry the newest state forward to a frame, or make the frame a keyframe."""
-        still_for_s, seen = self._stillness.still_for_s, sighting.observations
-        still = self._interval.would_be_still(sighting, still_for_s)
+        stationary_s, seen = self._stillness.stationary_s, packet.observations
+        still = self._interval.would_be_stationary(packet, stationary_s)
         events = () if still else self._end_rest(smoother)
-        self._interval.add(sighting, still)
-        predicted = self._interval.state_at(sighting.t_ns)
+        self._interval.add(packet, still)
+        predicted = self._interval.state_at(packet.t_ns)
         report = self._monitor.judge(seen, predicted, still)
         if report.state is Health.LOST:
-            return self._lose(sighting, report)
-        if not self._interval.is_over(still_for_s, seen, report.innovation_px):
+            return self._lose(packet, report)
+        if not self._interval.is_over(stationary_s, seen, report.innovation_px):
             self._calibration.work()
-            return self._answers.known(sighting, predicted, report, events)
-        sighting = self._intake.replenished(sighting)
-        events = ("keyframe", *events, *self._add_keyframe(smoother, sighting, still))
-        return self._answers.known(sighting, smoother.state, report, events, smoother.landmarks)
+            return self._answers.known(packet, predicted, report, events)
+        packet = self._intake.replenished(packet)
+        events = ("keyframe", *events, *self._add_keyframe(smoother, packet, still))
+        return self._answers.known(packet, smoother.state, report, events, smoother.landmarks)
 
     def _end_rest(self, smoother: KeyframeSmoother) -> tuple[str, ...]:
         """Make the last settled frame of a rest a keyframe, if there was a rest; return what happened."""
@@ -115,17 +115,17 @@ class VisualInertialOdometry:
         if settled is None:
             return ()
         events = self._add_keyframe(smoother, settled, still=True)
-        for sighting in recent:
-            self._interval.add(sighting)
+        for packet in recent:
+            self._interval.add(packet)
         return events
 
-    def _add_keyframe(self, smoother: KeyframeSmoother, sighting: Sighting, still: bool) -> tuple[str, ...]:
+    def _add_keyframe(self, smoother: KeyframeSmoother, packet: FramePacket, still: bool) -> tuple[str, ...]:
         """Add a keyframe where the interval ends, and begin another one there; return what happened."""
-        result = smoother.add_keyframe(sighting.t_ns, self._interval.preintegrated, sighting.observations, still)
+        result = smoother.add_keyframe(packet.t_ns, self._interval.preintegrated, packet.observations, still)
         self._noise.learn(result.misfit)
         self._intake.discard(result.rejected)
-        events = (*result.events, *self._calibrate(smoother, sighting, result))
-        self._begin_interval(smoother, sighting.observations)
+        events = (*result.events, *self._calibrate(smoother, packet, result))
+        self._begin_interval(smoother, packet.observations)
         return events
 
     def _begin_interval(self, smoother: KeyframeSmoother, observations: Observations) -> None:
@@ -133,27 +133,27 @@ class VisualInertialOdometry:
         self._interval = Interval(self._noise.params, self._imu, self._policy, smoother, observations)
         self._monitor.hold(smoother.state, smoother.known_landmarks)
 
-    def _calibrate(self, smoother: KeyframeSmoother, sighting: Sighting, result: KeyframeResult) -> tuple[str, ...]:
+    def _calibrate(self, smoother: KeyframeSmoother, packet: FramePacket, result: KeyframeResult) -> tuple[str, ...]:
         """Learn from a keyframe what of the calibration is wrong, and go on with what is right; say so."""
-        calibration, seen = self._calibration, sighting.observations.without(result.rejected)
-        if result.events or self._interval.is_doubtful:
+        calibration, seen = self._calibration, packet.observations.without(result.rejected)
+        if result.events or self._interval.is_degraded:
             calibration.restart()
-        if self._interval.is_doubtful:
+        if self._interval.is_degraded:
             return ()
         if not calibration.add(smoother.state, self._intake.rate_rad_s, self._interval.preintegrated, seen):
             return ()
         self._intake.recalibrate()
         self._monitor.recalibrate(calibration.rig)
-        self._initialiser.recalibrate(calibration.rig.cameras)
+        self._initializer.recalibrate(calibration.rig.cameras)
         smoother.recalibrate(calibration.rig.cameras, calibration.doubt)
         return (f"calibration corrected: {calibration.applied}",)
 
-    def _lose(self, sighting: Sighting, report: HealthReport) -> Estimate:
+    def _lose(self, packet: FramePacket, report: HealthReport) -> Estimate:
         """Give the estimate up, and look for a new start, from where the drone was last believed to be."""
         self._smoother = None
-        self._initialiser.begin_anew()
+        self._initializer.begin_anew()
         self._calibration.restart()
-        return self._answers.lost(sighting, report)
+        return self._answers.lost(packet, report)
 
     def _new_smoother(self, start: NavState, covariance: Array, observations: Observations) -> KeyframeSmoother:
         c, cameras = self._config, self._calibration.rig.cameras
@@ -163,5 +163,5 @@ class VisualInertialOdometry:
     def _gyro_bias(self) -> tuple[Array, float]:
         """What is known of the gyroscope's bias (3,), and how well [rad/s]."""
         if self._smoother is None:
-            return self._initialiser.gyro_bias_rad_s, self._initialiser.gyro_bias_sigma_rad_s
+            return self._initializer.gyro_bias_rad_s, self._initializer.gyro_bias_sigma_rad_s
         return self._smoother.state.gyro_bias_rad_s, 0.0

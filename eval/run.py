@@ -6,7 +6,7 @@ from typing import Self
 import numpy as np
 import numpy.typing as npt
 
-from dronevio.eval.metrics.scores import coverage_percent, initialised_s
+from dronevio.eval.metrics.scores import coverage_percent, initialized_s
 from dronevio.models.errors import EvaluationError
 from dronevio.models.imu import Times
 from dronevio.models.protocols import Recording
@@ -118,7 +118,7 @@ class RunScores:
     """Frames of the recording."""
     poses: int
     """Frames with a pose that the estimator stands by."""
-    initialised_s: float | None
+    initialized_s: float | None
     """Time from the first frame to the first such pose [s]; None if there is none."""
     coverage_percent: float | None
     """Share of the frames later than 3 s after the first that have one [%]; None if there are none so late."""
@@ -145,7 +145,7 @@ def running_scores(run: EstimatorRun) -> RunScores:
     return RunScores(
         frames=len(t_ns),
         poses=len(poses_ns),
-        initialised_s=initialised_s(t_ns, poses_ns),
+        initialized_s=initialized_s(t_ns, poses_ns),
         coverage_percent=coverage_percent(t_ns, poses_ns),
         lost_frames=int(np.sum(~since_first)),
         resets=int(np.sum(~since_first[:-1] & since_first[1:])),

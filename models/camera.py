@@ -73,21 +73,21 @@ class CameraModel:
         ray = self._rays(pixels)
         return np.asarray(ray / np.linalg.norm(ray, axis=-1, keepdims=True))
 
-    def normalise(self, pixels: Array) -> Array:
-        """Return ideal normalised coordinates (…, 2), at depth 1, of pixels (…, 2).
+    def normalize(self, pixels: Array) -> Array:
+        """Return ideal normalized coordinates (…, 2), at depth 1, of pixels (…, 2).
 
         NaN where the lens images nothing, or what is not in front: 90° off the axis or more.
         """
         return _at_depth_1(self._rays(pixels))
 
     def distort(self, xy: Array) -> Array:
-        """Return distorted normalised coordinates (…, 2) of ideal ones (…, 2), NaN beyond what the lens sees."""
+        """Return distorted normalized coordinates (…, 2) of ideal ones (…, 2), NaN beyond what the lens sees."""
         xy = np.asarray(xy, dtype=np.float64)
         ray = np.concatenate([xy, np.ones_like(xy[..., :1])], axis=-1)
         return LENSES[self.lens].project(ray, self.distortion)
 
     def undistort(self, xy_distorted: Array) -> Array:
-        """Return ideal normalised coordinates (…, 2) of distorted ones (…, 2); NaN as in `normalise`."""
+        """Return ideal normalized coordinates (…, 2) of distorted ones (…, 2); NaN as in `normalize`."""
         return _at_depth_1(LENSES[self.lens].rays(np.asarray(xy_distorted, dtype=np.float64), self.distortion))
 
     def _rays(self, pixels: Array) -> Array:

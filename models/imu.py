@@ -144,9 +144,9 @@ class ImuModel:
     accel_range_m_s2: float = math.inf
     """Where the accelerometer saturates, either way [m/s²]."""
     gyro_resolution_rad_s: float = 0.0
-    """The gyroscope's least significant bit [rad/s]; 0 for no quantisation."""
+    """The gyroscope's least significant bit [rad/s]; 0 for no quantization."""
     accel_resolution_m_s2: float = 0.0
-    """The accelerometer's least significant bit [m/s²]; 0 for no quantisation."""
+    """The accelerometer's least significant bit [m/s²]; 0 for no quantization."""
     gyro_bandwidth_hz: float = math.inf
     """Where the gyroscope's output filter is 3 dB down [Hz]: what it lets through of the rotors' vibration."""
     accel_bandwidth_hz: float = math.inf

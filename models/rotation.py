@@ -86,7 +86,7 @@ def nearest_rotations(R: Array) -> Array:
 
 
 def matrix_from_quat_wxyz(quat_wxyz: Array) -> Array:
-    """Return the rotation matrices (…, 3, 3) of quaternions (…, 4), which are normalised first."""
+    """Return the rotation matrices (…, 3, 3) of quaternions (…, 4), which are normalized first."""
     q = np.asarray(quat_wxyz, dtype=np.float64)
     q = q / np.linalg.norm(q, axis=-1, keepdims=True)
     w, v = q[..., 0, None, None], q[..., 1:]

@@ -50,7 +50,7 @@ class NavState:
 class Health(StrEnum):
     """What an estimate is worth."""
 
-    INITIALISING = "initialising"
+    INITIALIZING = "initializing"
     """No pose yet."""
     TRACKING = "tracking"
     """Camera and IMU agree."""
@@ -93,7 +93,7 @@ class HealthReport:
     innovation_px: float | None = None
     """Median distance of those landmarks from where the prediction puts them, before the frame corrects it [px]."""
     innovation_nis: float | None = None
-    """Median over them of the innovation squared and normalised by its predicted covariance, divided by the median of
+    """Median over them of the innovation squared and normalized by its predicted covariance, divided by the median of
     χ² with two degrees of freedom: 1 where prediction and measurement are as sure as they claim; robust to outliers."""
     bias_sigmas: float | None = None
     """Largest component of the two biases, in standard deviations of what the IMU's model lets them be."""
@@ -120,7 +120,7 @@ class Estimate:
     landmarks_world: Array | None = None
     """(M, 3) Map points triangulated at this frame [m]; None on frames where none are computed."""
     events: tuple[str, ...] = ()
-    """What happened, for people: ``initialised``, ``keyframe``, ``solver restored`` …"""
+    """What happened, for people: ``initialized``, ``keyframe``, ``solver restored`` …"""
     health_report: HealthReport | None = None
     """Why it is worth that; None from an estimator that does not say."""
     T_map_odom: Array | None = None

@@ -142,7 +142,7 @@ def figures_of(
         rpe_deg=s.rpe_deg.rmse,
         scale_error_percent=s.scale_error_percent,
         coverage_percent=s.coverage_percent or 0.0,
-        first_s=WORST if s.initialised_s is None else s.initialised_s,
+        first_s=WORST if s.initialized_s is None else s.initialized_s,
         longest_gap_s=s.longest_gap_s,
         step_error_m=step_error_m,
         step_jump_m=step_jump_m,

@@ -109,11 +109,11 @@ def fly_missing(place: Path, flown: Scenario) -> None:
 
 def ending(row: Figures) -> str:
     """Say in a word how a run ended."""
-    lost_percent = row.health.get("lost", 0.0) + row.health.get("initialising", 0.0)
+    lost_percent = row.health.get("lost", 0.0) + row.health.get("initializing", 0.0)
     if row.not_finite:
         return "**NOT FINITE**"
     if row.status != "ok":
-        honest = row.status == "failed" and row.health.get("initialising", 0.0) == 100.0
+        honest = row.status == "failed" and row.health.get("initializing", 0.0) == 100.0
         return "never started" if honest else f"**{row.status.upper()}**"
     if row.step_error_m > TELEPORT_M and row.longest_gap_s < 2.0 * row.duration_s / max(row.frames - 1, 1):
         return "**TELEPORT**"
@@ -123,7 +123,7 @@ def ending(row: Figures) -> str:
 
 
 def _shares(row: Figures) -> str:
-    names = ("initialising", "tracking", "inertial-only", "lost")
+    names = ("initializing", "tracking", "inertial-only", "lost")
     return " / ".join(f"{row.health[name]:.0f}" if name in row.health else "–" for name in names)
 
 
@@ -132,7 +132,7 @@ COLUMNS: tuple[tuple[str, Callable[[Figures], str]], ...] = (
     ("ATE [% of path]", lambda row: text(row.ate_percent, ".2f")),
     ("max [m]", lambda row: text(row.max_m)),
     ("coverage [%]", lambda row: text(row.coverage_percent, ".1f")),
-    ("initialising / tracking / inertial-only / lost [%]", _shares),
+    ("initializing / tracking / inertial-only / lost [%]", _shares),
     ("longest gap [s]", lambda row: text(row.longest_gap_s, ".2f")),
     ("drift meanwhile [m]", lambda row: text(row.window_drift_m)),
     ("recovery [s]", lambda row: text(row.recovery_s, ".2f")),

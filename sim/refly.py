@@ -59,10 +59,10 @@ def refly(
 
     Args:
         recorded: The path of the IMU; z up.
-        imu: What was recorded with it; an IMU of the rig's kind is synthesised where there is none.
+        imu: What was recorded with it; an IMU of the rig's kind is synthesized where there is none.
         rig: The sensors.
         world: Name of the world that is to be seen.
-        seed: Draws the world and the errors of a synthesised IMU.
+        seed: Draws the world and the errors of a synthesized IMU.
         margin_m: How far the path stays from every surface [m].
 
     Raises:
@@ -71,7 +71,7 @@ def refly(
     """
     space = place_of(world, seed).space
     if imu is None:
-        truth, samples = _synthesised(recorded, rig, seed)
+        truth, samples = _synthesized(recorded, rig, seed)
     else:
         truth, samples = _shared(recorded, imu)
     stamps = frame_stamps(samples.t_ns, rig.cameras[0].rate_hz)
@@ -122,7 +122,7 @@ def _shared(recorded: Trajectory, imu: ImuSamples) -> tuple[Trajectory, ImuSampl
     return recorded[within], samples
 
 
-def _synthesised(recorded: Trajectory, rig: Rig, seed: int) -> tuple[Trajectory, ImuSamples]:
+def _synthesized(recorded: Trajectory, rig: Rig, seed: int) -> tuple[Trajectory, ImuSamples]:
     """Return the smooth motion through a path, and what an IMU of the rig's kind feels on it."""
     motion = SmoothMotion.through(recorded)
     t_ns = _imu_stamps(recorded.t_ns, rig.imu.rate_hz)

@@ -181,7 +181,7 @@ def _facts(scores: "Scores", over: str) -> list[tuple[str, str, str]]:
         (f"pairs {over}", f"{scores.rpe_pairs}", ""),
         ("path", _figure(scores.path_m, 2), "m"),
         ("first pose, after the truth's first", _figure(scores.first_s, 3), "s"),
-        ("first pose, after the first frame", _figure(scores.initialised_s, 3), "s"),
+        ("first pose, after the first frame", _figure(scores.initialized_s, 3), "s"),
         ("last pose", _figure(scores.last_s, 3), "s"),
         *(consistency if scores.nees_position is not None else ()),
     ]

@@ -9,7 +9,7 @@ from dronevio.cli.terminal import parse, print_json, print_table, progress_bars
 
 @dataclass(frozen=True)
 class ReflyCommand:
-    """Render along a path that a real drone has flown, and keep its real IMU or synthesise one.
+    """Render along a path that a real drone has flown, and keep its real IMU or synthesize one.
 
     The path is the truth of the result: a TUM file or an EuRoC ground truth, z up, poses of the IMU. Time stamps and
     body frame stay those of the recording; the world is laid around the path wherever it fits. With --imu the real IMU
@@ -31,7 +31,7 @@ class ReflyCommand:
     rig: str = "euroc"
     """The sensors: a name, a Kalibr camchain.yaml, or an EuRoC folder with sensor.yaml files."""
     seed: int = 0
-    """Draws the world, the images' noise and a synthesised IMU's errors."""
+    """Draws the world, the images' noise and a synthesized IMU's errors."""
     start_s: float = 0.0
     """Where in the path to begin [s]."""
     duration_s: float | None = None
@@ -73,7 +73,7 @@ def main(arguments: Sequence[str]) -> int:
         "peak_speed_m_s": float(np.percentile(speed, 99.9)),  # a tracking system's jumps are none of the drone's
         "frames": len(flown.schedule),
         "imu_samples": len(flown.imu),
-        "imu": "real" if flown.real_imu else "synthesised",
+        "imu": "real" if flown.real_imu else "synthesized",
     }
     if command.json:
         print_json({"recording": str(target), "world": command.world, "seed": command.seed, **figures})

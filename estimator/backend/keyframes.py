@@ -17,7 +17,7 @@ class KeyframeConfig:
 
     interval_s: float = 0.2
     """In motion, at the latest after this time [s]."""
-    still_interval_s: float = 0.5
+    stationary_interval_s: float = 0.5
     """At rest, after this time [s]."""
     min_tracked: float = 0.6
     """Earlier, when less than this share of the last keyframe's features is left ..."""
@@ -40,18 +40,18 @@ class KeyframePolicy:
         self._ids = observations.ids
 
     def is_due(
-        self, elapsed_s: float, still_for_s: float, observations: Observations, innovation_px: float | None = None
+        self, elapsed_s: float, stationary_s: float, observations: Observations, innovation_px: float | None = None
     ) -> bool:
         """Say whether a frame becomes a keyframe.
 
         Args:
             elapsed_s: Time since the last keyframe [s].
-            still_for_s: For how long the drone has not moved [s].
+            stationary_s: For how long the drone has not moved [s].
             observations: What the frame shows.
             innovation_px: How far known landmarks are from where they should be [px]; None without any.
         """
         c = self._config
-        if self.is_still(elapsed_s, still_for_s):
+        if self.is_stationary(elapsed_s, stationary_s):
             return self.is_late(elapsed_s, still=True)
         left = np.isin(self._ids, observations.ids).mean() if len(self._ids) else 1.0  # darkness is not worth a window
         surprised = (innovation_px or 0.0) > c.max_innovation_px and elapsed_s >= c.min_interval_s - HALF_TICK_S
@@ -59,10 +59,10 @@ class KeyframePolicy:
 
     def is_late(self, elapsed_s: float, still: bool) -> bool:
         """Say whether it is time for a keyframe, whatever the frame shows."""
-        interval_s = self._config.still_interval_s if still else self._config.interval_s
+        interval_s = self._config.stationary_interval_s if still else self._config.interval_s
         return elapsed_s >= interval_s - HALF_TICK_S
 
     @staticmethod
-    def is_still(elapsed_s: float, still_for_s: float) -> bool:
+    def is_stationary(elapsed_s: float, stationary_s: float) -> bool:
         """Say whether the drone has not moved since the last keyframe."""
-        return still_for_s >= elapsed_s
+        return stationary_s >= elapsed_s

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from dronevio.estimator.backend.observations import NONE, Integers, Sightings, sightings_of
+from dronevio.estimator.backend.observations import NONE, Integers, ObservationTable, observation_table
 from dronevio.estimator.backend.triangulation import triangulate
 from dronevio.estimator.types import Observations
 
@@ -20,7 +20,7 @@ class LandmarkConfig:
     """When a landmark constrains the window."""
 
     min_views: int = 3
-    """Sightings that a landmark needs before it constrains anything, by one camera or several ..."""
+    """ObservationTable that a landmark needs before it constrains anything, by one camera or several ..."""
     min_keyframes: int = 2
     """... from so many keyframes: several cameras at one instant tell where it is, but nothing of the motion."""
     min_parallax_deg: float = 0.3
@@ -49,13 +49,13 @@ class KnownLandmarks:
 
 
 class LandmarkWindow:
-    """Keeps the sightings of a window of keyframes, and the landmarks that they tell."""
+    """Keeps the observations of a window of keyframes, and the landmarks that they tell."""
 
     def __init__(self, focal_px: float, config: LandmarkConfig) -> None:
         """Begin with nothing seen.
 
         Args:
-            focal_px: Focal length, which turns pixels into normalised coordinates.
+            focal_px: Focal length, which turns pixels into normalized coordinates.
             config: Settings.
         """
         self._config, self._focal_px = config, focal_px
@@ -63,15 +63,15 @@ class LandmarkWindow:
         self.ids: Integers = np.zeros(0, np.int64)
         """(L,) Identities of the landmarks whose places are known, in increasing order."""
         self.points: Array = np.zeros((0, 3))
-        """(L, 3) Their places in the world [m]; whoever optimises them sets them."""
+        """(L, 3) Their places in the world [m]; whoever optimizes them sets them."""
 
     def observe(self, k: int, observations: Observations) -> None:
         """Add what keyframe k shows."""
-        self._all += sightings_of(k, observations)
+        self._all += observation_table(k, observations)
 
     @property
-    def sightings(self) -> Sightings:
-        """The sightings of landmarks whose places are known."""
+    def observations(self) -> ObservationTable:
+        """The observations of landmarks whose places are known."""
         return self._all[np.isin(self._all.landmark, self.ids)]
 
     def rows(self, landmarks: npt.ArrayLike) -> Integers:
@@ -121,28 +121,28 @@ class LandmarkWindow:
         self.drop(rejected)
         return rejected
 
-    def judge(self, error: Array, depth_m: Array, sightings: Sightings) -> Integers:
+    def judge(self, error: Array, depth_m: Array, observations: ObservationTable) -> Integers:
         """Let go of the landmarks that are not where they should be, and return their identities.
 
         Where all that a keyframe shows is off, it is the keyframe that is wrong, and no landmark.
 
         Args:
-            error: (N, 2) Residuals of sightings of known landmarks, normalised.
+            error: (N, 2) Residuals of observations of known landmarks, normalized.
             depth_m: (N,) The landmarks' depths.
-            sightings: The sightings.
+            observations: The observations.
         """
-        if len(sightings) == 0:
+        if len(observations) == 0:
             return np.zeros(0, np.int64)
         distance, typical = np.linalg.norm(error, axis=1), np.zeros(len(error))
-        for k in np.unique(sightings.keyframe).tolist():
-            there = sightings.keyframe == k
+        for k in np.unique(observations.keyframe).tolist():
+            there = observations.keyframe == k
             typical[there] = np.median(distance[there])
-        wrong = np.unique(sightings.landmark[(distance > self._limit(typical)) | (depth_m <= 0.0)])
+        wrong = np.unique(observations.landmark[(distance > self._limit(typical)) | (depth_m <= 0.0)])
         self.drop(wrong)
         return wrong
 
     def drop(self, landmarks: Integers) -> None:
-        """Let go of some landmarks and all their sightings."""
+        """Let go of some landmarks and all their observations."""
         if len(landmarks):
             self._all = self._all[~np.isin(self._all.landmark, landmarks)]
             self._forget_unseen()
@@ -154,7 +154,7 @@ class LandmarkWindow:
 
     def known(self, cameras: Cameras) -> KnownLandmarks:
         """Return the landmarks that constrain the window."""
-        rows = self.sightings.by_landmark()
+        rows = self.observations.by_landmark()
         if len(rows) == 0:
             return KnownLandmarks(self.ids, self.points, np.zeros(0))
         place = self.rows(rows.landmark)
@@ -182,7 +182,7 @@ class LandmarkWindow:
         self.ids, self.points = self.ids[seen], self.points[seen]
 
 
-def _views(rows: Sightings, cameras: Cameras) -> tuple[Array, Array]:
+def _views(rows: ObservationTable, cameras: Cameras) -> tuple[Array, Array]:
     """Return orientation (N, 3, 3) and position (N, 3) of the camera of each sighting."""
     keyframes = np.array(sorted(cameras))
     R = np.stack([cameras[k][0] for k in keyframes.tolist()])

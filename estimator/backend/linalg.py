@@ -1,6 +1,6 @@
 """The marginal prior: what keyframes and landmarks that left the window still say of those that stay.
 
-It is a Gaussian about the values at which its variables were first linearised (Sibley, Matthies, Sukhatme, "Sliding
+It is a Gaussian about the values at which its variables were first linearized (Sibley, Matthies, Sukhatme, "Sliding
 window filter with application to planetary landing", JFR 2010; Leutenegger et al., IJRR 2015).
 """
 
@@ -18,11 +18,11 @@ class SingularError(RuntimeError):
     """The linear system has no unique solution."""
 
 
-class Factorised:
-    """A symmetric positive definite matrix, scaled to a diagonal of ones and factorised."""
+class Factorized:
+    """A symmetric positive definite matrix, scaled to a diagonal of ones and factorized."""
 
     def __init__(self, H: Array) -> None:
-        """Factorise H (n, n).
+        """Factorize H (n, n).
 
         Raises:
             SingularError: It is not positive definite.
@@ -52,7 +52,7 @@ class Factorised:
 
 
 def eliminate(H: Array, b: Array, leaving: npt.NDArray[np.bool_]) -> tuple[Array, Array]:
-    """Return the information and right side that are left when some of n variables are marginalised.
+    """Return the information and right side that are left when some of n variables are marginalized.
 
     Args:
         H: (n, n) Information.
@@ -64,6 +64,6 @@ def eliminate(H: Array, b: Array, leaving: npt.NDArray[np.bool_]) -> tuple[Array
     """
     stays = ~leaving
     across = H[np.ix_(stays, leaving)]
-    gain = Factorised(H[np.ix_(leaving, leaving)]).solve(across.T).T
+    gain = Factorized(H[np.ix_(leaving, leaving)]).solve(across.T).T
     rest = H[np.ix_(stays, stays)] - gain @ across.T
     return np.asarray(0.5 * (rest + rest.T)), np.asarray(b[stays] - gain @ b[leaving])

@@ -60,7 +60,7 @@ class Prior:
     """First estimates (3,) of the long-lived landmarks."""
 
     def first(self, k: int, now: State) -> State:
-        """Return where a keyframe is to be linearised: what the prior knows anything of, where it first was."""
+        """Return where a keyframe is to be linearized: what the prior knows anything of, where it first was."""
         if k not in self.states:
             return now
         start = STATE * list(self.states).index(k)
@@ -91,7 +91,7 @@ class Prior:
             b: (n,) Right side, about ``states`` and ``points``.
             states: Present estimates of all of the prior's keyframes.
             points: Present estimates of all of its landmarks.
-            earlier: Where its variables were linearised first.
+            earlier: Where its variables were linearized first.
         """
         first = {k: earlier.first(k, now) for k, now in states.items()}
         made = cls(H, b, first, {i: earlier.points.get(i, now) for i, now in points.items()})
@@ -103,7 +103,7 @@ class Prior:
         return Prior(np.pad(self.H, (0, more)), np.pad(self.b, (0, more)), self.states, {**self.points, **points})
 
     def without_points(self, gone: Iterable[int]) -> "Prior":
-        """Return the prior with some landmarks marginalised.
+        """Return the prior with some landmarks marginalized.
 
         Raises:
             SingularError: It knew too little of them.

@@ -1,11 +1,11 @@
-"""What sightings say of keyframes and landmarks, to first order: the visual half of bundle adjustment.
+"""What observations say of keyframes and landmarks, to first order: the visual half of bundle adjustment.
 
 A landmark at P, seen by a camera at (R_imu_cam, p_imu_cam) of a rig at (R, p), should appear at x/z, y/z of
 R_imu_camᵀ (Rᵀ (P − p) − p_imu_cam). Its residual is linear in small changes of both: of the rig's pose by (δθ, δp) in
 the IMU's own axes, which is GTSAM's convention, and of P in the world. The landmarks are then eliminated by the Schur
 complement (Triggs et al., "Bundle adjustment, a modern synthesis", 2000, section 6.1), all at once.
 
-Residuals are those of the present estimate; Jacobians are taken where each variable was first linearised, if it is tied
+Residuals are those of the present estimate; Jacobians are taken where each variable was first linearized, if it is tied
 to the marginal prior, so that the linear system invents no knowledge of what cannot be observed (Huang, Mourikis,
 Roumeliotis, "A first-estimates Jacobian EKF for improving SLAM consistency", ISER 2008).
 """
@@ -15,7 +15,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from dronevio.estimator.backend.observations import Integers, Sightings
+from dronevio.estimator.backend.observations import Integers, ObservationTable
 from dronevio.models.rotation import skew
 
 Array = npt.NDArray[np.float64]
@@ -26,7 +26,7 @@ LEAST_INFORMATION = 1e-9  # of a landmark in a direction, relative to its trace:
 
 @dataclass(frozen=True, eq=False)
 class Scene:
-    """Where the rig and the landmarks are, or were when they were linearised."""
+    """Where the rig and the landmarks are, or were when they were linearized."""
 
     R_world_imu: Array
     """(K, 3, 3) Orientations of the keyframes."""
@@ -38,7 +38,7 @@ class Scene:
 
 @dataclass(frozen=True, eq=False)
 class Rows:
-    """For each of N sightings, its keyframe's and its landmark's place in a `Scene`."""
+    """For each of N observations, its keyframe's and its landmark's place in a `Scene`."""
 
     keyframe: Integers
     """(N,) Rows of the keyframes."""
@@ -79,31 +79,31 @@ class VisualSystem:
         return np.asarray((_inverse(self.point) @ pulled[..., None])[..., 0])
 
 
-def residuals(sightings: Sightings, rows: Rows, Ts_imu_cam: Array, scene: Scene) -> tuple[Array, Array]:
+def residuals(observations: ObservationTable, rows: Rows, Ts_imu_cam: Array, scene: Scene) -> tuple[Array, Array]:
     """Return how far each sighting is from where it should be (N, 2), and the landmark's depth (N,) [m]."""
-    p_cam = _in_camera(sightings, rows, Ts_imu_cam, scene)[1]
+    p_cam = _in_camera(observations, rows, Ts_imu_cam, scene)[1]
     depth = p_cam[:, 2]
-    return sightings.xy - p_cam[:, :2] / np.maximum(depth, MIN_DEPTH_M)[:, None], depth
+    return observations.xy - p_cam[:, :2] / np.maximum(depth, MIN_DEPTH_M)[:, None], depth
 
 
 def visual_system(
-    sightings: Sightings, rows: Rows, Ts_imu_cam: Array, first: Scene, error: Array, weight: Array
+    observations: ObservationTable, rows: Rows, Ts_imu_cam: Array, first: Scene, error: Array, weight: Array
 ) -> VisualSystem:
-    """Return the normal equations of some sightings.
+    """Return the normal equations of some observations.
 
     Args:
-        sightings: N of them.
+        observations: N of them.
         rows: Where they belong in the scene.
         Ts_imu_cam: (C, 4, 4) Poses of the rig's cameras.
         first: Where to take Jacobians.
         error: (N, 2) Residuals.
         weight: (N,) Information of each residual, one over its variance.
     """
-    p_imu, p_cam = _in_camera(sightings, rows, Ts_imu_cam, first)
+    p_imu, p_cam = _in_camera(observations, rows, Ts_imu_cam, first)
     K, L = len(first.R_world_imu), len(first.points)
     inverse_depth = 1.0 / np.maximum(p_cam[:, 2], MIN_DEPTH_M)
     scaled = np.sqrt(weight) * inverse_depth
-    R_cam_imu = np.swapaxes(Ts_imu_cam[:, :3, :3], 1, 2)[sightings.camera]
+    R_cam_imu = np.swapaxes(Ts_imu_cam[:, :3, :3], 1, 2)[observations.camera]
     projected = p_cam[:, :2] * inverse_depth[:, None]
     in_imu = (R_cam_imu[:, :2] - projected[:, :, None] * R_cam_imu[:, None, 2]) * scaled[:, None, None]
     J_point = in_imu @ np.swapaxes(first.R_world_imu, 1, 2)[rows.keyframe]
@@ -115,7 +115,7 @@ def visual_system(
         pose[k] = own[:, :6].T @ own
     cross, of_both = np.zeros((L, K, 6, 3)), _product(J_pose, J_point)
     for camera in range(len(Ts_imu_cam)):  # one camera of one keyframe sees a landmark once
-        here = np.flatnonzero(sightings.camera == camera)
+        here = np.flatnonzero(observations.camera == camera)
         cross[rows.landmark[here], rows.keyframe[here]] += of_both[here]
     point, order = np.zeros((L, 3, 4)), np.argsort(rows.landmark, kind="stable")
     landmark = rows.landmark[order]
@@ -130,11 +130,11 @@ def _product(A: Array, B: Array) -> Array:
     return np.asarray(A[:, 0, :, None] * B[:, 0, None, :] + A[:, 1, :, None] * B[:, 1, None, :])
 
 
-def _in_camera(sightings: Sightings, rows: Rows, Ts_imu_cam: Array, scene: Scene) -> tuple[Array, Array]:
+def _in_camera(observations: ObservationTable, rows: Rows, Ts_imu_cam: Array, scene: Scene) -> tuple[Array, Array]:
     """Return the seen landmarks in the IMU's and in the camera's axes, (N, 3) each."""
     relative = (scene.points[rows.landmark] - scene.p_world_imu[rows.keyframe])[:, None]
     p_imu = (relative @ scene.R_world_imu[rows.keyframe])[:, 0]
-    T = Ts_imu_cam[sightings.camera]
+    T = Ts_imu_cam[observations.camera]
     p_cam = ((p_imu - T[:, :3, 3])[:, None] @ T[:, :3, :3])[:, 0]
     return p_imu, p_cam
 

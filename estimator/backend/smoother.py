@@ -1,15 +1,15 @@
 """The back end: a fixed-lag smoother over keyframes and landmarks.
 
 Each keyframe has a pose, a velocity and biases. GTSAM's preintegrated IMU joins consecutive ones, and landmarks join
-all that saw them. Every keyframe has the whole window optimised by Gauss-Newton: landmarks are eliminated first
+all that saw them. Every keyframe has the whole window optimized by Gauss-Newton: landmarks are eliminated first
 (`reprojection`), what is left is small and dense (`window`). When the window is full, either its oldest keyframe is
-marginalised with the landmarks that it saw, into a prior that keeps what they said (`prior`); or, where the drone has
+marginalized with the landmarks that it saw, into a prior that keeps what they said (`prior`); or, where the drone has
 hardly moved, the last keyframe but one goes, so that the window keeps what it saw long ago and a hovering drone does
 not drift (Leutenegger et al., "Keyframe-based visual-inertial odometry using nonlinear optimization", IJRR 2015; Usenko
 et al., "Visual-inertial mapping with non-linear factor recovery", RA-L 2020). Landmarks that outlive the window's edge
 stay as variables of the prior.
 
-All image coordinates here are normalised (at depth 1 in the camera frame), so a pixel is 1/fx.
+All image coordinates here are normalized (at depth 1 in the camera frame), so a pixel is 1/fx.
 """
 
 from collections.abc import Sequence
@@ -21,7 +21,7 @@ import numpy.typing as npt
 from gtsam.symbol_shorthand import B, V, X
 
 from dronevio.estimator.backend.landmarks import KnownLandmarks, LandmarkConfig, LandmarkWindow
-from dronevio.estimator.backend.linalg import Factorised, SingularError
+from dronevio.estimator.backend.linalg import Factorized, SingularError
 from dronevio.estimator.backend.marginal_prior import STATE, State
 from dronevio.estimator.backend.window import Window
 from dronevio.estimator.imu.covariance import covariance_from_gtsam, covariance_to_gtsam
@@ -41,7 +41,7 @@ class SmootherConfig:
     """Keyframes in the window."""
     min_parallax_px: float = 5.0
     """A keyframe whose features have moved less since the one before goes before the oldest [px], rotation apart."""
-    max_long_lived: int = 20
+    max_persistent: int = 20
     """Landmarks that may stay as variables of the prior when the first keyframe that saw them leaves."""
     iterations: int = 2
     """Gauss-Newton steps a keyframe."""
@@ -51,13 +51,13 @@ class SmootherConfig:
     robust_sigmas: float = 1.0
     """Residuals beyond so many standard deviations, or medians where those are larger, lose weight as under Cauchy's
     loss."""
-    launch_rounds: int = 2
-    """How often the first keyframes are optimised, the landmarks judged anew before each time."""
-    launch_iterations: int = 10
+    initial_rounds: int = 2
+    """How often the first keyframes are optimized, the landmarks judged anew before each time."""
+    initial_iterations: int = 10
     """Levenberg-Marquardt steps a round."""
-    still_velocity_sigma: float = 0.01
+    zupt_velocity_sigma_m_s: float = 0.01
     """How surely the velocity is zero at rest [m/s]."""
-    still_pose_sigma: float = 0.003
+    zupt_pose_sigma: float = 0.003
     """How surely the pose stays at rest, from one keyframe to the next [rad and m]."""
 
 
@@ -147,7 +147,7 @@ class KeyframeSmoother:
         observations: Observations,
         still: bool,
     ) -> KeyframeResult:
-        """Add a keyframe and optimise the window.
+        """Add a keyframe and optimize the window.
 
         Args:
             t_ns: Time of the keyframe.
@@ -164,8 +164,8 @@ class KeyframeSmoother:
         predicted = window.states[window.newest]
         try:
             for _ in range(self._config.iterations):
-                system = window.linearise()
-                solver = Factorised(system.H)
+                system = window.linearize()
+                solver = Factorized(system.H)
                 window.move(system, solver.solve(system.b))
             self._read_state(t_ns, solver)
             misfit = window.oldest_misfit(solver) if self._is_full and self._has_moved(moved_px) else None
@@ -178,7 +178,7 @@ class KeyframeSmoother:
         return KeyframeResult(np.union1d(rejected, wrong), misfit=misfit)
 
     def launch(self, keyframes: Sequence[Keyframe]) -> float | None:
-        """Add the first keyframes, all at once, and optimise them together by Levenberg-Marquardt.
+        """Add the first keyframes, all at once, and optimize them together by Levenberg-Marquardt.
 
         A start in motion is off by a tenth of its velocity, too far for the few steps that a keyframe gets later.
 
@@ -190,9 +190,9 @@ class KeyframeSmoother:
         for keyframe in keyframes:
             self._append(keyframe)
         try:
-            for _ in range(self._config.launch_rounds):
+            for _ in range(self._config.initial_rounds):
                 window.landmarks.triangulate(window.cameras, window.newest, anew=True)
-                solver = self._optimise_from_afar()
+                solver = self._optimize_from_afar()
             self._read_state(keyframes[-1].t_ns, solver)
             error = np.linalg.norm(window.residuals()[0], axis=1)
             while self._is_full:
@@ -244,8 +244,8 @@ class KeyframeSmoother:
         motion = gtsam.CombinedImuFactor(X(j), V(j), X(k), V(k), B(j), B(k), keyframe.preintegrated)
         factors: list[gtsam.NoiseModelFactor] = [motion]
         if keyframe.still:
-            no_speed = gtsam.noiseModel.Isotropic.Sigma(3, c.still_velocity_sigma)
-            no_motion = gtsam.noiseModel.Isotropic.Sigma(6, c.still_pose_sigma)
+            no_speed = gtsam.noiseModel.Isotropic.Sigma(3, c.zupt_velocity_sigma_m_s)
+            no_motion = gtsam.noiseModel.Isotropic.Sigma(6, c.zupt_pose_sigma)
             factors.append(gtsam.PriorFactorVector(V(k), np.zeros(3), no_speed))
             factors.append(gtsam.BetweenFactorPose3(X(j), X(k), gtsam.Pose3(), no_motion))
         window.append(State(predicted.pose(), predicted.velocity(), bias), factors)
@@ -256,7 +256,7 @@ class KeyframeSmoother:
         """Let a keyframe go, if there are too many: the last but one where it had hardly moved, else the oldest."""
         window = self._window
         if self._is_full and self._has_moved(moved_px):
-            window.marginalise(min(window.states), self._config.max_long_lived)
+            window.marginalize(min(window.states), self._config.max_persistent)
         elif self._is_full:
             window.skip(sorted(window.states)[-2])
 
@@ -284,26 +284,26 @@ class KeyframeSmoother:
         moved = np.linalg.norm(now.xy[j] - turned[:, :2] / turned[:, 2:], axis=1)
         return float(np.median(moved)) * self._focal_px
 
-    def _optimise_from_afar(self) -> Factorised:
-        """Optimise the window by Levenberg-Marquardt; return the last linear system, factorised."""
+    def _optimize_from_afar(self) -> Factorized:
+        """Optimize the window by Levenberg-Marquardt; return the last linear system, factorized."""
         window, damping = self._window, 1e-4
-        system, cost = window.linearise(), window.cost()
-        for _ in range(self._config.launch_iterations):
+        system, cost = window.linearize(), window.cost()
+        for _ in range(self._config.initial_iterations):
             states, points = window.states, window.landmarks.points
             damped = system.H + damping * np.diag(np.diag(system.H))
-            window.move(system, Factorised(damped).solve(system.b))
+            window.move(system, Factorized(damped).solve(system.b))
             new_cost = window.cost()
             if new_cost < cost:
                 converged = cost - new_cost < 1e-3 * cost
-                damping, system, cost = 0.1 * damping, window.linearise(), window.cost()
+                damping, system, cost = 0.1 * damping, window.linearize(), window.cost()
                 if converged:
                     break
             else:
                 window.states, window.landmarks.points = states, points
                 damping *= 10.0
-        return Factorised(system.H)
+        return Factorized(system.H)
 
-    def _read_state(self, t_ns: int, solver: Factorised) -> None:
+    def _read_state(self, t_ns: int, solver: Factorized) -> None:
         """Take over the newest keyframe's state and covariance."""
         window = self._window
         newest = window.states[window.newest]

@@ -1,7 +1,7 @@
 """Triangulation of many landmarks at once, from known camera poses.
 
 Starts from the point nearest to all rays and polishes it by a few Gauss-Newton steps on the reprojection error (Hartley
-and Sturm, "Triangulation", CVIU 1997). Sightings come as flat arrays, those of one landmark side by side.
+and Sturm, "Triangulation", CVIU 1997). ObservationTable come as flat arrays, those of one landmark side by side.
 """
 
 from dataclasses import dataclass
@@ -24,7 +24,7 @@ class Triangulation:
     in_front: npt.NDArray[np.bool_]
     """(L,) Whether a landmark lies before all cameras that saw it."""
     rms: Array
-    """(L,) Root mean square distance of its sightings from where they should be, in normalised coordinates."""
+    """(L,) Root mean square distance of its observations from where they should be, in normalized coordinates."""
     newest: Array
     """(L,) The same distance of its last sighting alone."""
     parallax_rad: Array
@@ -36,13 +36,13 @@ class Triangulation:
 
 
 def triangulate(starts: npt.NDArray[np.int64], Rs_world_cam: Array, p_world_cam: Array, xy: Array) -> Triangulation:
-    """Triangulate L landmarks from N sightings.
+    """Triangulate L landmarks from N observations.
 
     Args:
-        starts: (L,) Where each landmark's sightings begin.
+        starts: (L,) Where each landmark's observations begin.
         Rs_world_cam: (N, 3, 3) Orientation of the camera of each sighting.
         p_world_cam: (N, 3) Its position [m].
-        xy: (N, 2) Normalised coordinates of each sighting.
+        xy: (N, 2) Normalized coordinates of each sighting.
     """
     counts = np.diff(np.append(starts, len(xy)))
     rays = np.concatenate([xy, np.ones((len(xy), 1))], axis=1)

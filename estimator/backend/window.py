@@ -1,4 +1,4 @@
-"""The window of keyframes that is optimised: its states, the factors and landmarks that tie them, and the prior.
+"""The window of keyframes that is optimized: its states, the factors and landmarks that tie them, and the prior.
 
 One linear system holds all of it: each keyframe's state and each long-lived landmark is a variable of it, other
 landmarks are eliminated (`reprojection`). It is small and dense, so that solving it takes a millisecond or two.
@@ -14,9 +14,9 @@ from gtsam.symbol_shorthand import B, V, X
 from scipy.linalg import solve_triangular
 
 from dronevio.estimator.backend.landmarks import LandmarkWindow
-from dronevio.estimator.backend.linalg import Factorised, eliminate
+from dronevio.estimator.backend.linalg import Factorized, eliminate
 from dronevio.estimator.backend.marginal_prior import POINT, POSE, STATE, Prior, State
-from dronevio.estimator.backend.observations import NONE, Integers, Sightings
+from dronevio.estimator.backend.observations import NONE, Integers, ObservationTable
 from dronevio.estimator.backend.reprojection import Rows, Scene, VisualSystem, residuals, visual_system
 from dronevio.estimator.imu.noise import MotionMisfit
 
@@ -64,9 +64,9 @@ class Window:
         Args:
             start: Its state.
             prior_information: (15, 15) How sure it is.
-            landmarks: Where sightings and landmarks are kept.
+            landmarks: Where observations and landmarks are kept.
             Ts_imu_cam: (C, 4, 4) Poses of the rig's cameras.
-            sigma: Standard deviation of a sighting, normalised.
+            sigma: Standard deviation of a sighting, normalized.
             robust_sigmas: Beyond so many of them, or medians where those are larger, a sighting loses weight as under
                 Cauchy's loss.
         """
@@ -84,7 +84,7 @@ class Window:
         return next(reversed(self.states))
 
     @property
-    def long_lived(self) -> set[int]:
+    def persistent(self) -> set[int]:
         """Identities of the landmarks that the prior knows of."""
         return set(self._prior.points)
 
@@ -100,37 +100,37 @@ class Window:
         for factor in factors:
             self._factors.append((frozenset(map(gtsam.symbolIndex, factor.keys())), factor))
 
-    def residuals(self) -> tuple[Array, Array, Sightings]:
-        """Return residuals (N, 2) and depths (N,) [m] of all sightings of known landmarks, and these sightings."""
-        sightings = self.landmarks.sightings
-        error, depth_m = residuals(sightings, self._rows(sightings), self._Ts_imu_cam, self._scene())
-        return error, depth_m, sightings
+    def residuals(self) -> tuple[Array, Array, ObservationTable]:
+        """Return residuals (N, 2) and depths (N,) [m] of all observations of landmarks, and these observations."""
+        observations = self.landmarks.observations
+        error, depth_m = residuals(observations, self._rows(observations), self._Ts_imu_cam, self._scene())
+        return error, depth_m, observations
 
     def cost(self) -> float:
         """Return the negative logarithm of the posterior, up to a constant."""
         values = _values(self.states)
         motion = sum(factor.error(values) for _, factor in self._factors)
-        error, _, sightings = self.residuals()
-        square = np.sum(error**2, axis=1) / (self._sigma * sightings.doubt) ** 2
+        error, _, observations = self.residuals()
+        square = np.sum(error**2, axis=1) / (self._sigma * observations.sigma_scale) ** 2
         doubtful2 = self._robust_sigmas**2 * max(1.0, float(np.median(square)) if len(square) else 0.0)
         visual = 0.5 * doubtful2 * np.log1p(square / doubtful2).sum()
         return float(self._prior.cost(self.states, self._points()) + motion + visual)
 
-    def linearise(self) -> LinearSystem:
+    def linearize(self) -> LinearSystem:
         """Return the window to first order."""
-        return self._system(self._factors, self.landmarks.sightings)
+        return self._system(self._factors, self.landmarks.observations)
 
     def move(self, system: LinearSystem, change: Array) -> None:
         """Move everything by the solution (n,) of a linear system."""
         K = len(self.states)
         states = change[: STATE * K].reshape(K, STATE)
         points = system.visual.points_given(states[:, :POSE])
-        points[self._long_lived_rows()] = change[STATE * K :].reshape(-1, POINT)
+        points[self._persistent_rows()] = change[STATE * K :].reshape(-1, POINT)
         self.states = {k: s.moved(d) for (k, s), d in zip(self.states.items(), states, strict=True)}
         self.landmarks.points = self.landmarks.points + points
 
-    def oldest_misfit(self, solved: Factorised) -> MotionMisfit | None:
-        """Say how well the IMU since the oldest keyframe fits the rest of the window, once that has been optimised.
+    def oldest_misfit(self, solved: Factorized) -> MotionMisfit | None:
+        """Say how well the IMU since the oldest keyframe fits the rest of the window, once that has been optimized.
 
         Args:
             solved: The linear system of the window's optimum.
@@ -149,23 +149,23 @@ class Window:
                 )
         return None
 
-    def marginalise(self, k: int, max_long_lived: int) -> None:
+    def marginalize(self, k: int, max_persistent: int) -> None:
         """Let a keyframe go, and keep in the prior what it and the landmarks that it saw say of the others.
 
-        Landmarks that are still followed may become long-lived: only their sightings from this keyframe are used up.
-        The others are absorbed with all their sightings, and begin anew if they are seen again.
+        Landmarks that are still followed may become long-lived: only their observations from this keyframe are used up.
+        The others are absorbed with all their observations, and begin anew if they are seen again.
         """
-        landmarks, long = self.landmarks, self.long_lived
-        sightings = landmarks.sightings
+        landmarks, long = self.landmarks, self.persistent
+        observations = landmarks.observations
         followed = set(landmarks.seen_from(self.newest).tolist())
-        seen = set(sightings.landmark[sightings.keyframe == k].tolist()) - long
-        kept = self._longest(seen & followed, max_long_lived - len(long & followed))
+        seen = set(observations.landmark[observations.keyframe == k].tolist()) - long
+        kept = self._most_observed(seen & followed, max_persistent - len(long & followed))
         over = (seen - kept) | (long - followed)
         self._prior = self._prior.with_points(landmarks.places(kept))
-        used = np.isin(sightings.landmark, list(over)) | (
-            (sightings.keyframe == k) & np.isin(sightings.landmark, list(long | kept))
+        used = np.isin(observations.landmark, list(over)) | (
+            (observations.keyframe == k) & np.isin(observations.landmark, list(long | kept))
         )
-        self._absorb(k, sightings[used], over)
+        self._absorb(k, observations[used], over)
         landmarks.drop(np.array(sorted(over), dtype=np.int64))
 
     def skip(self, k: int) -> None:
@@ -176,10 +176,10 @@ class Window:
         """Let go of landmarks that turned out to be wrong."""
         self._prior = self._prior.without_points(landmarks)
 
-    def _absorb(self, k: int, sightings: Sightings, over: set[int]) -> None:
-        """Put factors of a keyframe and some sightings into the prior; keyframe and landmarks leave."""
+    def _absorb(self, k: int, observations: ObservationTable, over: set[int]) -> None:
+        """Put factors of a keyframe and some observations into the prior; keyframe and landmarks leave."""
         touching = [tied for tied in self._factors if k in tied[0]]
-        system = self._system(touching, sightings)
+        system = self._system(touching, observations)
         leaving_states = np.repeat([i == k for i in self.states], STATE)
         leaving_points = np.repeat([i in over for i in self._prior.points], POINT).astype(np.bool_)
         H, b = eliminate(system.H, system.b, np.concatenate([leaving_states, leaving_points]))
@@ -190,14 +190,14 @@ class Window:
         self.landmarks.drop_keyframe(k)
         self._prior = self._prior.without_points(set(points) - set(self.landmarks.ids.tolist()))
 
-    def _longest(self, candidates: set[int], room: int) -> set[int]:
+    def _most_observed(self, candidates: set[int], room: int) -> set[int]:
         """Return those of some landmarks that have been seen most often."""
-        rows = self.landmarks.sightings.landmark
+        rows = self.landmarks.observations.landmark
         ids, counts = np.unique(rows[np.isin(rows, list(candidates))], return_counts=True)
         return set(ids[np.argsort(-counts, kind="stable")[: max(room, 0)]].tolist())
 
-    def _system(self, factors: Sequence[TiedFactor], sightings: Sightings) -> LinearSystem:
-        """Return the prior, some factors and some sightings to first order."""
+    def _system(self, factors: Sequence[TiedFactor], observations: ObservationTable) -> LinearSystem:
+        """Return the prior, some factors and some observations to first order."""
         places = {k: i for i, k in enumerate(self.states)}
         K, long = len(places), self._prior.points
         n = STATE * K + POINT * len(long)
@@ -219,8 +219,8 @@ class Window:
             H[np.ix_(columns, columns)] += weight * (A.T @ A)
             b[columns] -= weight * (A.T @ error)
 
-        visual = self._visual(sightings, first)
-        rows = self._long_lived_rows()
+        visual = self._visual(observations, first)
+        rows = self._persistent_rows()
         eliminated = np.ones(len(self.landmarks.ids), dtype=np.bool_)
         eliminated[rows] = False
         columns = (STATE * np.arange(K)[:, None] + np.arange(POSE)).ravel()
@@ -235,27 +235,27 @@ class Window:
         b[own] += visual.point_b[rows]
         return LinearSystem(H, b, visual)
 
-    def _visual(self, sightings: Sightings, first: dict[int, State]) -> VisualSystem:
-        """Return what some sightings say."""
-        rows, now = self._rows(sightings), self._scene()
-        error, depth_m = residuals(sightings, rows, self._Ts_imu_cam, now)
-        sigma2 = (self._sigma * sightings.doubt) ** 2
+    def _visual(self, observations: ObservationTable, first: dict[int, State]) -> VisualSystem:
+        """Return what some observations say."""
+        rows, now = self._rows(observations), self._scene()
+        error, depth_m = residuals(observations, rows, self._Ts_imu_cam, now)
+        sigma2 = (self._sigma * observations.sigma_scale) ** 2
         square = np.sum(error**2, axis=1) / sigma2
         doubtful = self._doubtful(square, rows.keyframe)
         weight = (depth_m > 0.0) / (sigma2 * self._misfit(square) * (1.0 + square / doubtful**2))
         points = now.points.copy()
-        points[self._long_lived_rows()] = np.reshape(list(self._prior.points.values()), (-1, POINT))
-        return visual_system(sightings, rows, self._Ts_imu_cam, _scene(first, points), error, weight)
+        points[self._persistent_rows()] = np.reshape(list(self._prior.points.values()), (-1, POINT))
+        return visual_system(observations, rows, self._Ts_imu_cam, _scene(first, points), error, weight)
 
     def _misfit(self, square: Array) -> float:
-        """Return how much larger the variance of sightings is than it should be, from squared residuals (N,), or 1.
+        """Return how much larger the variance of observations is than it should be, from squared residuals (N,), or 1.
 
         Where half of all residuals are larger than half of them can be by chance, it is the noise that is larger.
         """
         return max(1.0, float(np.median(square)) / MEDIAN_CHI2_2DOF) if len(square) > 0 else 1.0
 
     def _doubtful(self, square: Array, keyframe: Integers) -> Array:
-        """Return the residuals (N,) at which sightings have lost half of their weight, in standard deviations.
+        """Return the residuals (N,) at which observations have lost half of their weight, in standard deviations.
 
         Where most of what a keyframe shows is far off, it is the keyframe that is wrong, and no sighting is an outlier.
 
@@ -266,8 +266,10 @@ class Window:
         typical = np.sqrt(medians_of_each(keyframe, square))
         return np.asarray(self._robust_sigmas * np.maximum(1.0, typical))
 
-    def _rows(self, sightings: Sightings) -> Rows:
-        return Rows(np.searchsorted(list(self.states), sightings.keyframe), self.landmarks.rows(sightings.landmark))
+    def _rows(self, observations: ObservationTable) -> Rows:
+        return Rows(
+            np.searchsorted(list(self.states), observations.keyframe), self.landmarks.rows(observations.landmark)
+        )
 
     def _scene(self) -> Scene:
         return _scene(self.states, self.landmarks.points)
@@ -276,7 +278,7 @@ class Window:
         """Return where the long-lived landmarks are now."""
         return self.landmarks.places(self._prior.points)
 
-    def _long_lived_rows(self) -> Integers:
+    def _persistent_rows(self) -> Integers:
         """Return the rows of the long-lived landmarks among all, in the prior's order."""
         return self.landmarks.rows(np.array(list(self._prior.points), dtype=np.int64))
 

@@ -8,7 +8,7 @@ import numpy.typing as npt
 
 from dronevio.estimator.imu.buffer import ImuBuffer, Increments
 from dronevio.estimator.imu.covariance import propagate
-from dronevio.estimator.initialization.static import StartSigmas, start_from_rest
+from dronevio.estimator.initialization.static import InitialSigmas, initialize_static
 from dronevio.models.imu import GRAVITY_M_S2, ImuSamples
 from dronevio.models.rig import Rig
 from dronevio.models.rotation import exp_so3, nearest_rotations, pose_matrix
@@ -33,7 +33,7 @@ class DeadReckoningConfig:
     """Largest mean angular velocity at rest [rad/s], bias included."""
     max_accel_error_m_s2: float = 1.0
     """Largest difference of the mean specific force from gravity's magnitude at rest [m/s²], bias included."""
-    sigmas: StartSigmas = field(default_factory=StartSigmas)
+    sigmas: InitialSigmas = field(default_factory=InitialSigmas)
     """How sure the start is."""
 
 
@@ -64,7 +64,7 @@ class DeadReckoning:
         if self._state is not None:
             self._state = self._moved(self._state, frame.t_ns, increments)
         elif self._stands_still(increments):
-            start = start_from_rest(frame.t_ns, self._recent)
+            start = initialize_static(frame.t_ns, self._recent)
             covariance = self._config.sigmas.covariance(start.T_world_imu[:3, :3])
             self._state = NavState(
                 frame.t_ns,
@@ -75,10 +75,10 @@ class DeadReckoning:
                 covariance,
             )
             self._start_ns = frame.t_ns
-            events = ("initialised",)
+            events = ("initialized",)
         if self._state is None:
-            waiting = HealthReport(Health.INITIALISING, f"no rest of {self._config.rest_s:g} s yet")
-            return Estimate(frame.t_ns, Health.INITIALISING, None, health_report=waiting)
+            waiting = HealthReport(Health.INITIALIZING, f"no rest of {self._config.rest_s:g} s yet")
+            return Estimate(frame.t_ns, Health.INITIALIZING, None, health_report=waiting)
         alone = HealthReport(Health.INERTIAL_ONLY, "the IMU alone", blind_s=(frame.t_ns - self._start_ns) * 1e-9)
         return Estimate(frame.t_ns, Health.INERTIAL_ONLY, self._state, events=events, health_report=alone)
 

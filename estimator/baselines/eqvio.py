@@ -18,8 +18,8 @@ from dronevio.estimator.frontend.corners import CornerConfig
 from dronevio.estimator.frontend.protocol import FrontEnd
 from dronevio.estimator.frontend.tracker import FeatureTracker, TrackerConfig
 from dronevio.estimator.imu.buffer import ImuBuffer, Increments
-from dronevio.estimator.initialization.static import start_from_rest
-from dronevio.estimator.initialization.zero_velocity import StillnessConfig, StillnessDetector
+from dronevio.estimator.initialization.static import initialize_static
+from dronevio.estimator.initialization.zero_velocity import ZeroVelocityConfig, ZeroVelocityDetector
 from dronevio.estimator.types import Observations
 from dronevio.models.imu import ImuSamples
 from dronevio.models.rig import Rig
@@ -40,7 +40,7 @@ class FilterSettings:
     initial_point_variance: float = 129.90415638150924
     """How uncertain that is."""
     outlier_threshold_abs_norm: float = 0.010594907286020272
-    """Largest innovation of a landmark, in normalised coordinates."""
+    """Largest innovation of a landmark, in normalized coordinates."""
     feature_retention: float = 0.18594708334486176
     """Share of the landmarks that is kept however far off they are."""
     process_var_bias_omega: float = 0.0
@@ -82,7 +82,7 @@ class FilterSettings:
     input_var_acc_bias_walk: float = 1.9912030843328381e-05
     """Random walk of the accelerometer's bias."""
     measurement_noise_variance_norm: float = 1.7755656006412381e-05
-    """Variance of an image measurement, in normalised coordinates: 1.9 px with EuRoC's lens."""
+    """Variance of an image measurement, in normalized coordinates: 1.9 px with EuRoC's lens."""
 
 
 @dataclass(frozen=True)
@@ -93,7 +93,7 @@ class EquivariantConfig:
     """Those of the filter itself."""
     tracker: TrackerConfig = field(default_factory=lambda: TrackerConfig(corners=CornerConfig(cell_px=120)))
     """Those of the front end. The filter's cost grows with the cube of the landmarks: 24 cells at 752×480."""
-    stillness: StillnessConfig = field(default_factory=lambda: StillnessConfig(max_flow_px=0.6))
+    stillness: ZeroVelocityConfig = field(default_factory=lambda: ZeroVelocityConfig(max_flow_px=0.6))
     """What counts as standing still: few features tell it less sharply than many."""
     rest_s: float = 0.8
     """How long the drone must stand still for the start [s]."""
@@ -102,7 +102,7 @@ class EquivariantConfig:
 
 
 class EquivariantFilter:
-    """GTSAM's filter: increments of the IMU and normalised features in, position and velocity out."""
+    """GTSAM's filter: increments of the IMU and normalized features in, position and velocity out."""
 
     def __init__(self, T_imu_cam: Array, settings: FilterSettings, up_imu: Array) -> None:
         """Begin level, by the shortest turn that takes the specific force at rest upwards.
@@ -134,7 +134,7 @@ class EquivariantFilter:
         blocks += [s.initial_var_velocity, s.initial_var_cam_attitude, s.initial_var_cam_position]
         self._filter = eqvio.EqVIOFilter(state, np.diag(np.repeat(blocks, 3)), [], params)
         self._filter.initializeFromIMU(_input(0.0, np.zeros(3), up_imu))
-        self._camera = gtsam.PinholeCameraCal3_S2(gtsam.Pose3(), gtsam.Cal3_S2())  # the features are normalised
+        self._camera = gtsam.PinholeCameraCal3_S2(gtsam.Pose3(), gtsam.Cal3_S2())  # the features are normalized
         self._noise = s.measurement_noise_variance_norm
         self._t_s = 0.0
 
@@ -149,7 +149,7 @@ class EquivariantFilter:
 
         Args:
             ids: (N,) Identities.
-            xy: (N, 2) Normalised coordinates.
+            xy: (N, 2) Normalized coordinates.
 
         Raises:
             RuntimeError: The filter finds no solution.
@@ -200,7 +200,7 @@ class EquivariantOdometry:
         self._camera = rig.cameras[0]
         self._front_end = front_end or FeatureTracker(self._camera.model, self._config.tracker)
         self._buffer = ImuBuffer()
-        self._stillness = StillnessDetector(self._config.stillness)
+        self._stillness = ZeroVelocityDetector(self._config.stillness)
         self._rest: list[Increments] = []
         self._gyro_bias = np.zeros(3)
         self._R_world_imu = np.eye(3)
@@ -229,12 +229,12 @@ class EquivariantOdometry:
     def _start(self, t_ns: int, increments: Increments, observations: Observations) -> Estimate:
         """Start if the drone has stood still for long enough."""
         self._stillness.update(t_ns, observations, increments)
-        still_for_s = self._stillness.still_for_s
-        self._rest = [*self._rest, increments] if still_for_s > 0.0 else []
-        if still_for_s < self._config.rest_s:
-            reason = f"the drone has stood still for {still_for_s:.1f} s; {self._config.rest_s:g} s are needed"
-            return self._answer(t_ns, Health.INITIALISING, reason, observations, None)
-        start = start_from_rest(t_ns, self._rest)
+        stationary_s = self._stillness.stationary_s
+        self._rest = [*self._rest, increments] if stationary_s > 0.0 else []
+        if stationary_s < self._config.rest_s:
+            reason = f"the drone has stood still for {stationary_s:.1f} s; {self._config.rest_s:g} s are needed"
+            return self._answer(t_ns, Health.INITIALIZING, reason, observations, None)
+        start = initialize_static(t_ns, self._rest)
         up_imu = start.T_world_imu[2, :3]
         self._gyro_bias, self._R_world_imu = start.gyro_bias_rad_s, shortest_turn_up(up_imu)
         self._filter = EquivariantFilter(self._camera.T_imu_cam, self._config.filter, up_imu)

@@ -1,7 +1,7 @@
 """Half a minute of a real flight: our back end beside GTSAM's equivariant filter, on the same image features.
 
 The gtsam package carries the IMU of EuRoC's V1_01 and the features that EqVIO's own front end followed in its images,
-in normalised coordinates, about one in five of them wrong. EqVIO estimates position and velocity only.
+in normalized coordinates, about one in five of them wrong. EqVIO estimates position and velocity only.
 
 Sources: van Goor, Mahony, "EqVIO: an equivariant filter for visual-inertial odometry", T-RO 2023; Burri et al., "The
 EuRoC micro aerial vehicle datasets", IJRR 2016.
@@ -46,7 +46,7 @@ class FeatureRecording:
     frame_times_ns: Times
     """(M,) Time stamps of the frames [ns]."""
     features: tuple[tuple[npt.NDArray[np.int64], Array], ...]
-    """For each frame, identities (N,) in increasing order and normalised coordinates (N, 2)."""
+    """For each frame, identities (N,) in increasing order and normalized coordinates (N, 2)."""
     settings: FilterSettings
     """The filter's settings that come with the data."""
     ground_truth: Trajectory | None = None

@@ -74,7 +74,7 @@ class ImuExperiment:
     Ts_world_imu_true: Array
     """(K+1, 4, 4) True poses."""
     Ts_world_imu_initial: Array
-    """(K+1, 4, 4) The optimiser's first guess."""
+    """(K+1, 4, 4) The optimizer's first guess."""
     Ts_world_imu: Array
     """(K+1, 4, 4) Poses found."""
     velocity_m_s: Array
@@ -86,7 +86,7 @@ class ImuExperiment:
     final_error: float
     """Error of the graph at the solution."""
     iterations: int
-    """Steps that the optimiser took."""
+    """Steps that the optimizer took."""
     factors: tuple[tuple[str, ...], ...]
     """The graph: the variables that each factor ties, by name: x0 … (poses), v0 … (velocities), b0 (bias)."""
     dot: str

@@ -17,7 +17,7 @@ from gtsam.symbol_shorthand import B, L, V, X
 from dronevio.estimator.backend.triangulation import Triangulation, triangulate
 from dronevio.estimator.book.eqvio import FeatureRecording
 from dronevio.estimator.imu.buffer import ImuBuffer
-from dronevio.estimator.imu.preintegration import InertialConfig, integrate, preintegration_params
+from dronevio.estimator.imu.preintegration import PreintegrationConfig, integrate, preintegration_params
 from dronevio.models.imu import Times
 from dronevio.models.state import Trajectory
 
@@ -56,7 +56,7 @@ class _Sightings:
 
     ids: Rows  # (N,) identities of the landmarks
     frame: Rows  # (N,) an index of the chosen frames
-    xy: Array  # (N, 2) normalised
+    xy: Array  # (N, 2) normalized
 
     @property
     def starts(self) -> Rows:
@@ -125,7 +125,7 @@ class Judge:
         for k, preintegrated in enumerate(self._preintegrated(bias), 1):
             j = k - 1
             graph.add(gtsam.CombinedImuFactor(X(j), V(j), X(k), V(k), B(j), B(k), preintegrated))
-        solved = _optimised(graph, values)
+        solved = _optimized(graph, values)
         return np.array([solved.atPose3(X(k)).translation() for k in range(len(path))])
 
     def residuals(self, p_world_imu: Array) -> Residuals:
@@ -140,7 +140,7 @@ class Judge:
         held = gtsam.noiseModel.Diagonal.Sigmas(np.r_[np.full(3, FREE_SIGMA_RAD), np.full(3, HELD_SIGMA_M)])
         for k, T in enumerate(Ts):
             graph.add(gtsam.PriorFactorPose3(X(k), gtsam.Pose3(T), held))
-        solved = _optimised(graph, values)
+        solved = _optimized(graph, values)
         Ts_cam = np.array([solved.atPose3(X(k)).matrix() for k in self._seen.frame.tolist()]) @ self._T_imu_cam
         points = np.array([solved.atPoint3(L(i)) for i in self._seen.landmark.tolist()])
         x, y, z = np.einsum("nji,nj->in", Ts_cam[:, :3, :3], points - Ts_cam[:, :3, 3])
@@ -169,7 +169,7 @@ class Judge:
 
     def _preintegrated(self, bias: gtsam.imuBias.ConstantBias) -> Iterator[gtsam.PreintegratedCombinedMeasurements]:
         """Yield the IMU between the chosen frames."""
-        buffer, params = ImuBuffer(), preintegration_params(self._flight.rig.imu, InertialConfig())
+        buffer, params = ImuBuffer(), preintegration_params(self._flight.rig.imu, PreintegrationConfig())
         buffer.add(self._flight.imu)
         buffer.take_until(int(self.t_ns[0]))
         for t_ns in self.t_ns[1:].tolist():
@@ -178,7 +178,7 @@ class Judge:
             yield preintegrated
 
 
-def _optimised(graph: gtsam.NonlinearFactorGraph, values: gtsam.Values) -> gtsam.Values:
+def _optimized(graph: gtsam.NonlinearFactorGraph, values: gtsam.Values) -> gtsam.Values:
     params = gtsam.LevenbergMarquardtParams()
     params.setMaxIterations(MAX_ITERATIONS)
     return gtsam.LevenbergMarquardtOptimizer(graph, values, params).optimize()

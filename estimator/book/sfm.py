@@ -51,7 +51,7 @@ class SfmExperiment:
     final_error: float
     """Error of the graph at the solution."""
     iterations: int
-    """Steps that the optimiser took."""
+    """Steps that the optimizer took."""
 
     @property
     def reprojection_rms_px(self) -> float:

@@ -45,7 +45,7 @@ class WindowKeyframe:
     camera: Rows
     """(N,) By which camera."""
     xy: Array
-    """(N, 2) Where, normalised, by the rig's calibration without corrections."""
+    """(N, 2) Where, normalized, by the rig's calibration without corrections."""
 
 
 @dataclass(frozen=True)
@@ -190,8 +190,8 @@ class CalibrationWindow:
         delay_s = (corrections.time_offset_s - self._late_s)[k, None]
         R_imu = self._R[k] @ exp_so3(self._rates[k] * delay_s)
         p_imu = self._p[k] + self._v[k] * delay_s
-        R_ic = (self._Ts_imu_cam[:, :3, :3] @ exp_so3(corrections.turn_rad))[seen.camera]
-        t_ic = (self._Ts_imu_cam[:, :3, 3] + corrections.place_m)[seen.camera]
+        R_ic = (self._Ts_imu_cam[:, :3, :3] @ exp_so3(corrections.rotation_rad))[seen.camera]
+        t_ic = (self._Ts_imu_cam[:, :3, 3] + corrections.translation_m)[seen.camera]
         return R_imu @ R_ic, p_imu + np.einsum("nij,nj->ni", R_imu, t_ic)
 
     def _uncorrected(self, seen: _Sightings) -> Array:
@@ -199,7 +199,7 @@ class CalibrationWindow:
         return np.asarray((seen.xy - corrections.principal[seen.camera]) / (1.0 + corrections.focal[seen.camera]))
 
     def _step(self) -> Array | None:
-        """Solve the linearised problem, move there, and return the information on the corrections."""
+        """Solve the linearized problem, move there, and return the information on the corrections."""
         K, D = len(self._R), len(self._unknown)
         n = _STATE * K + 6
         H, g = np.zeros((n + D, n + D)), np.zeros(n + D)
@@ -256,7 +256,7 @@ class CalibrationWindow:
         seen, L, K, D = self._seen, len(self._points), len(self._R), len(self._unknown)
         if L == 0:
             return lambda x: np.zeros((0, 3))
-        r, J_pose, J_landmark, J_c = self._linearised()
+        r, J_pose, J_landmark, J_c = self._linearized()
         error = np.linalg.norm(r, axis=1)
         trust = 1.0 / (1.0 + (error / (ROBUST_SIGMAS * self._sigma)) ** 2)
         self._rms_px = float(np.sqrt(np.average(error**2, weights=trust))) * self._focal_px
@@ -300,7 +300,7 @@ class CalibrationWindow:
 
         return displacements
 
-    def _linearised(self) -> tuple[Array, Array, Array, Array]:
+    def _linearized(self) -> tuple[Array, Array, Array, Array]:
         """Return residuals (N, 2) and what moves the projections: pose (N, 2, 6), landmark (N, 2, 3), unknowns."""
         seen, corrections = self._seen, Corrections.of_vector(self._c)
         k, camera = seen.keyframe, seen.camera
@@ -309,8 +309,10 @@ class CalibrationWindow:
         R_world_imu, v = self._R[k], self._v[k]
         q = np.einsum("nji,nj->ni", R_world_imu, self._points[seen.landmark] - self._p[k] - v * delay_s)
         p_imu = np.einsum("nij,nj->ni", turn_back, q)
-        R_cam_imu = np.swapaxes(self._Ts_imu_cam[:, :3, :3] @ exp_so3(corrections.turn_rad), 1, 2)[camera]
-        p_cam = np.einsum("nij,nj->ni", R_cam_imu, p_imu - (self._Ts_imu_cam[:, :3, 3] + corrections.place_m)[camera])
+        R_cam_imu = np.swapaxes(self._Ts_imu_cam[:, :3, :3] @ exp_so3(corrections.rotation_rad), 1, 2)[camera]
+        p_cam = np.einsum(
+            "nij,nj->ni", R_cam_imu, p_imu - (self._Ts_imu_cam[:, :3, 3] + corrections.translation_m)[camera]
+        )
         depth = np.maximum(p_cam[:, 2], MIN_DEPTH_M)
         z, focal = p_cam[:, :2] / depth[:, None], 1.0 + corrections.focal[camera]
         r = seen.xy - focal * z - corrections.principal[camera]

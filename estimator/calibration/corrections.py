@@ -20,9 +20,9 @@ class Corrections:
 
     time_offset_s: float
     """How much later than known the middle row is exposed [s]."""
-    turn_rad: Array
+    rotation_rad: Array
     """(C, 3) Turns of the cameras in their own axes: R_imu_cam exp(turn) [rad]."""
-    place_m: Array
+    translation_m: Array
     """(C, 3) Displacements of the cameras in the IMU frame [m]."""
     focal: Array
     """(C, 2) How much longer fx and fy are, relative."""
@@ -38,9 +38,9 @@ class Corrections:
     def __str__(self) -> str:
         """Return those that are not zero, for people."""
         said = [f"clock {1e3 * self.time_offset_s:+.1f} ms"] if self.time_offset_s else []
-        for i, turn_deg in enumerate(np.degrees(self.turn_rad)):
+        for i, turn_deg in enumerate(np.degrees(self.rotation_rad)):
             said += [f"camera {i} turned by {_listed(turn_deg, 2)}°"] if turn_deg.any() else []
-            said += [f"moved by {_listed(1e3 * self.place_m[i], 0)} mm"] if self.place_m[i].any() else []
+            said += [f"moved by {_listed(1e3 * self.translation_m[i], 0)} mm"] if self.translation_m[i].any() else []
             said += [f"focal lengths {_listed(1e2 * self.focal[i], 2)} %"] if self.focal[i].any() else []
             said += [f"principal point {_listed(1e3 * self.principal[i], 1)} mrad"] if self.principal[i].any() else []
         return ", ".join(said) or "none"

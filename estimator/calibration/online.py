@@ -129,8 +129,8 @@ class OnlineCalibration:
     def rig(self) -> Rig:
         """The rig with what is applied to its cameras' mountings."""
         applied = self.applied
-        turned = self._Ts_imu_cam @ pose_matrix(exp_so3(applied.turn_rad), np.zeros_like(applied.place_m))
-        turned[:, :3, 3] += applied.place_m
+        turned = self._Ts_imu_cam @ pose_matrix(exp_so3(applied.rotation_rad), np.zeros_like(applied.translation_m))
+        turned[:, :3, 3] += applied.translation_m
         cameras = zip(self._believed.cameras, turned, strict=True)
         return replace(self._believed, cameras=tuple(replace(camera, T_imu_cam=T) for camera, T in cameras))
 
@@ -140,16 +140,16 @@ class OnlineCalibration:
         return np.diag(np.repeat(self._config.doubt, 3) ** 2)
 
     def corrected(self, seen: Observations) -> Observations:
-        """Return sightings as cameras of the corrected intrinsics normalise them."""
+        """Return sightings as cameras of the corrected intrinsics normalize them."""
         applied = self.applied
         if not applied.focal.any() and not applied.principal.any():
             return seen
 
-        def normalised(xy: Array, camera: npt.NDArray[np.int64]) -> Array:
+        def normalized(xy: Array, camera: npt.NDArray[np.int64]) -> Array:
             return np.asarray((xy - applied.principal[camera]) / (1.0 + applied.focal[camera]))
 
-        matches, doubted = (replace(m, xy=normalised(m.xy, m.camera)) for m in (seen.matches, seen.doubted))
-        return replace(seen, xy=normalised(seen.xy, seen.camera), matches=matches, doubted=doubted)
+        matches, miscalibrated = (replace(m, xy=normalized(m.xy, m.camera)) for m in (seen.matches, seen.miscalibrated))
+        return replace(seen, xy=normalized(seen.xy, seen.camera), matches=matches, miscalibrated=miscalibrated)
 
     def restart(self) -> None:
         """Begin a new window: what came so far does not hang together with what comes."""
@@ -173,7 +173,7 @@ class OnlineCalibration:
         if not self._estimated.any():
             return False
         c, applied = self._config, self.applied
-        sightings = (seen, seen.matches, seen.doubted)
+        sightings = (seen, seen.matches, seen.miscalibrated)
         ids, camera, xy = (np.concatenate([getattr(s, name) for s in sightings]) for name in ("ids", "camera", "xy"))
         xy = (1.0 + applied.focal[camera]) * xy + applied.principal[camera]
         self._window.append(WindowKeyframe(state, rate_rad_s, applied.time_offset_s, preintegrated, ids, camera, xy))

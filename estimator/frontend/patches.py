@@ -44,10 +44,10 @@ class PatchConfig:
     """Images are blurred by so much before they are compared [px]: interpolation is more accurate then, and the stairs
     of pixels matter less. With 0.35, and patches of 15 px, tracks along corridors err by 0.14 px after 20 frames, not
     by 0.15 to 0.18, and yet slow flights there by up to 2.4 times as much."""
-    zooms: tuple[float, ...] = (1.0, 1.6)
+    scales: tuple[float, ...] = (1.0, 1.6)
     """What has come nearer looks sharper than it did; it is compared in images that are blurred so much more, for the
     zoom that is nearest."""
-    min_likeness: float = 0.9
+    min_zncc: float = 0.9
     """Correlation below which a patch was not found, or something has come before a part of it ..."""
     noise_left: float = 0.65
     """... where noise does not explain it, of which the blur leaves this share."""
@@ -55,7 +55,7 @@ class PatchConfig:
     """Images of more noise are blurred more [grey levels, standard deviation] ..."""
     noisy_blur_px: float = 1.0
     """... by this [px]."""
-    max_zoom: float = 2.5
+    max_scale: float = 2.5
     """How much nearer or further a patch may come."""
 
 
@@ -80,9 +80,9 @@ class Patches:
         return len(self.values)
 
     @property
-    def zoom(self) -> Array:
+    def scale(self) -> Array:
         """(N,) How many times larger each looks than when it was first seen."""
-        return _zoom(self.bend)
+        return _scale(self.bend)
 
     def __getitem__(self, rows: npt.NDArray[np.int64] | npt.NDArray[np.bool_]) -> Self:
         return type(self)(*(getattr(self, each.name)[rows] for each in fields(self)))
@@ -107,7 +107,7 @@ class Fit:
     """(N, 2) Where they are [px]."""
     patches: Patches
     """As they are bent there."""
-    likeness: Array
+    zncc: Array
     """(N,) How well they fit: correlation, up to 1."""
     good: npt.NDArray[np.bool_]
     """(N,) Whether they are to be believed."""
@@ -136,9 +136,9 @@ class PatchAligner:
 
     def prepare(self, image: Image) -> Prepared:
         """Return an image as it is compared: blurred as each zoom wants it, one below the other."""
-        c, noise, zooms = self._config, noise_of(image), np.array(self._config.zooms)
+        c, noise, scales = self._config, noise_of(image), np.array(self._config.scales)
         blur_px = c.noisy_blur_px if noise > c.noisy else c.blur_px
-        sigmas = np.sqrt(blur_px**2 * zooms**2 + PIXEL_BLUR_PX**2 * (zooms**2 - 1.0))
+        sigmas = np.sqrt(blur_px**2 * scales**2 + PIXEL_BLUR_PX**2 * (scales**2 - 1.0))
         height, width = image.shape[0] + 2 * MARGIN_PX, image.shape[1]
         padded = np.empty((height, width), np.uint8)  # OpenCV takes long for making room
         cv2.copyMakeBorder(image, MARGIN_PX, MARGIN_PX, 0, 0, cv2.BORDER_REPLICATE, dst=padded)
@@ -151,7 +151,7 @@ class PatchAligner:
     def cut(self, prepared: Prepared, pixels: Array) -> Patches:
         """Return the patches around pixels (N, 2) of a prepared image."""
         c, n = self._config, len(pixels)
-        values, norm = _normalised(self._sampled(prepared, pixels))
+        values, norm = _normalized(self._sampled(prepared, pixels))
         right, down = np.eye(2)
         slope_x = 0.5 * (self._sampled(prepared, pixels + right) - self._sampled(prepared, pixels - right))
         slope_y = 0.5 * (self._sampled(prepared, pixels + down) - self._sampled(prepared, pixels - down))
@@ -177,18 +177,18 @@ class PatchAligner:
         """
         c, bend, expected = self._config, patches.bend, np.linalg.inv(patches.bend)
         for _ in range(c.steps):
-            seen, _ = _normalised(self._sampled(prepared, pixels, bend))
+            seen, _ = _normalized(self._sampled(prepared, pixels, bend))
             gain = (patches.slopes @ (seen - patches.values)[:, :, None])[..., 0]
             gain[:, 2:] += patches.prior[:, None] * (expected @ bend - np.eye(2)).reshape(-1, 4)
             step = (patches.inverse @ gain[..., None])[..., 0].astype(np.float64)
             change = np.clip(step[:, 2:], -MOST_CHANGE, MOST_CHANGE).reshape(-1, 2, 2)
             bend = bend @ np.linalg.inv(np.eye(2) + change)
             pixels = pixels - np.einsum("nij,nj->ni", bend, step[:, :2])
-        likeness = np.sum(seen * patches.values, axis=1).astype(np.float64)
+        zncc = np.sum(seen * patches.values, axis=1).astype(np.float64)
         zoom2 = np.linalg.det(bend)
         doubt = (c.noise_left * prepared.noise * c.side_px / patches.norm) ** 2
-        good = (likeness > c.min_likeness - doubt) & (zoom2 > c.max_zoom**-2) & (zoom2 < c.max_zoom**2)
-        return Fit(pixels, replace(patches, bend=bend), likeness, good & np.isfinite(pixels).all(axis=1))
+        good = (zncc > c.min_zncc - doubt) & (zoom2 > c.max_scale**-2) & (zoom2 < c.max_scale**2)
+        return Fit(pixels, replace(patches, bend=bend), zncc, good & np.isfinite(pixels).all(axis=1))
 
     def _sampled(self, prepared: Prepared, pixels: Array, bend: Array | None = None) -> Array32:
         """Return the grey levels (N, P) around pixels (N, 2) of an image, on a bent grid."""
@@ -196,7 +196,7 @@ class PatchAligner:
         if not n:  # which OpenCV refuses
             return np.zeros((0, self._grid.shape[1]), np.float32)
         bend = np.tile(np.eye(2), (n, 1, 1)) if bend is None else bend
-        level = np.abs(_zoom(bend)[:, None] - self._config.zooms).argmin(axis=1)
+        level = np.abs(_scale(bend)[:, None] - self._config.scales).argmin(axis=1)
         middle = np.clip(pixels, -FAR_PX, FAR_PX).astype(np.float32)
         axes = bend.astype(np.float32)
         x = axes[:, 0] @ self._grid + middle[:, :1]
@@ -216,12 +216,12 @@ def noise_of(image: Image) -> float:
     return float(median / (MEDIAN_OVER_SIGMA * np.sqrt(2.0)))
 
 
-def _zoom(bend: Array) -> Array:
+def _scale(bend: Array) -> Array:
     """Return how many times larger (N,) what is bent by matrices (N, 2, 2) looks."""
     return np.asarray(np.sqrt(np.abs(np.linalg.det(bend))))
 
 
-def _normalised(values: Array32) -> tuple[Array32, Array32]:
+def _normalized(values: Array32) -> tuple[Array32, Array32]:
     """Return values (N, P) with the mean 0 and the norm 1 along P, and the norms (N,) that they had."""
     values = values - values.mean(axis=1, keepdims=True)
     norm = np.maximum(np.linalg.norm(values, axis=1), FAINTEST)

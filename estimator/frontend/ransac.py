@@ -22,8 +22,8 @@ def epipolar_inliers(
     """Say which matches agree with one translation between two frames.
 
     Args:
-        xy0: (N, 2) Normalised coordinates in the first frame.
-        xy1: (N, 2) Normalised coordinates in the second frame.
+        xy0: (N, 2) Normalized coordinates in the first frame.
+        xy1: (N, 2) Normalized coordinates in the second frame.
         R_1_0: (3, 3) Rotation of the first camera frame into the second.
         threshold: Largest angle between an inlier and its epipolar plane [rad].
         rng: Draws the hypotheses.
@@ -65,9 +65,9 @@ def essential_inliers(xy0: Array, xy1: Array, threshold: float) -> npt.NDArray[n
     PAMI 2004). Dearer than with a known rotation, and more easily deceived.
 
     Args:
-        xy0: (N, 2) Normalised coordinates in the first frame.
-        xy1: (N, 2) Normalised coordinates in the second frame.
-        threshold: Largest distance of an inlier from its epipolar line, in normalised coordinates.
+        xy0: (N, 2) Normalized coordinates in the first frame.
+        xy1: (N, 2) Normalized coordinates in the second frame.
+        threshold: Largest distance of an inlier from its epipolar line, in normalized coordinates.
 
     Returns:
         (N,) True for inliers; none where there are too few matches to tell.
@@ -79,7 +79,7 @@ def essential_inliers(xy0: Array, xy1: Array, threshold: float) -> npt.NDArray[n
 
 
 def _bearings(xy: Array) -> Array:
-    """Return unit vectors (N, 3) towards normalised coordinates (N, 2)."""
+    """Return unit vectors (N, 3) towards normalized coordinates (N, 2)."""
     rays = np.column_stack([xy, np.ones(len(xy))])
     return np.asarray(rays / np.linalg.norm(rays, axis=1, keepdims=True))
 

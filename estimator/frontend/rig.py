@@ -96,11 +96,11 @@ class RigTracker:
         if not self._images:
             return _merged(observations)
         found = [self._match(pair, observations[pair.tracker]) for pair in self._pairs]
-        doubted = [pair.matcher.is_doubted for pair in self._pairs]
+        miscalibrated = [pair.matcher.is_miscalibrated for pair in self._pairs]
         return replace(
             _merged(observations),
-            matches=_joined([matches for matches, wrong in zip(found, doubted, strict=True) if not wrong]),
-            doubted=_joined([matches for matches, wrong in zip(found, doubted, strict=True) if wrong]),
+            matches=_joined([matches for matches, wrong in zip(found, miscalibrated, strict=True) if not wrong]),
+            miscalibrated=_joined([matches for matches, wrong in zip(found, miscalibrated, strict=True) if wrong]),
         )
 
     def discard(self, ids: npt.NDArray[np.int64]) -> None:
@@ -146,8 +146,8 @@ def _merged(observations: Sequence[Observations]) -> Observations:
         np.concatenate([seen.xy for seen in observations])[order],
         np.concatenate([seen.ages for seen in observations])[order],
         np.concatenate([seen.camera for seen in observations])[order],
-        quality=np.concatenate([seen.quality for seen in observations])[order],
-        zoom=np.concatenate([seen.zoom for seen in observations])[order],
+        zncc=np.concatenate([seen.zncc for seen in observations])[order],
+        scale=np.concatenate([seen.scale for seen in observations])[order],
     )
 
 

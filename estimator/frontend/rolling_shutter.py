@@ -138,10 +138,14 @@ class FrameTimes:
         kept = np.isfinite(velocity[:, 0])
         xy = rays[:, :2] - late_s[:, None] * velocity
         others = {
-            f.name: getattr(seen, f.name)[kept] for f in fields(seen) if f.name not in ("xy", "matches", "doubted")
+            f.name: getattr(seen, f.name)[kept]
+            for f in fields(seen)
+            if f.name not in ("xy", "matches", "miscalibrated")
         }
-        matches, doubted = (self._moved_matches(m, seen, rays, velocity) for m in (seen.matches, seen.doubted))
-        return Observations(**others, xy=xy[kept], matches=matches, doubted=doubted)
+        matches, miscalibrated = (
+            self._moved_matches(m, seen, rays, velocity) for m in (seen.matches, seen.miscalibrated)
+        )
+        return Observations(**others, xy=xy[kept], matches=matches, miscalibrated=miscalibrated)
 
     def stamped(self, estimate: Estimate, stamp_ns: int) -> Estimate:
         """Return what is told of a frame, with its time stamp, and its state carried there over the known offset.

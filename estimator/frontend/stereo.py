@@ -4,9 +4,9 @@ The relative pose of the two is known, so a feature of the first lies on a line 
 says where (Hartley and Zisserman, "Multiple View Geometry", 2004, ch. 9). Lucas-Kanade starts at the best guess of that
 depth, moves freely, and what it finds must lie on the line, before both cameras, and lead back to where it came from.
 
-Where most of what is found is off its line, and a small turn of the second camera puts it there, the camera is not
-where it is said to be. Then what lies on the lines does so by chance, and depths are wrong: matches are doubted, and
-are those that agree with one turn, so that a calibration can be learned from them.
+Where most matches are off their epipolar lines, and a small rotation of the second camera brings them there, the
+extrinsic calibration is wrong. Matches are then flagged as miscalibrated: only those that agree with one rotation are
+returned, for online calibration to use.
 """
 
 from dataclasses import dataclass
@@ -60,7 +60,7 @@ class StereoMatches:
     pixels: Array
     """(M, 2) Where in the second image [px]."""
     xy: Array
-    """(M, 2) Undistorted and normalised, in the second camera."""
+    """(M, 2) Undistorted and normalized, in the second camera."""
     inverse_depth: Array
     """(M,) One over the distance along the first camera's axis [1/m]; 0 for what is too far to tell."""
 
@@ -73,7 +73,7 @@ class StereoMatcher:
         self._first, self._second = first.model, second.model
         T_second_first = inverse_pose(second.T_imu_cam) @ first.T_imu_cam
         self._R, self._t = T_second_first[:3, :3], T_second_first[:3, 3]
-        self.is_doubted = False
+        self.is_miscalibrated = False
         """Whether the last matches contradict where the second camera is said to be."""
 
     def match(self, first: Image, second: Image, pixels: Array, xy: Array, inverse_depth: Array) -> StereoMatches:
@@ -83,7 +83,7 @@ class StereoMatcher:
             first: The first camera's image.
             second: The second camera's image, of the same instant.
             pixels: (N, 2) The features in the first image [px].
-            xy: (N, 2) The same, undistorted and normalised.
+            xy: (N, 2) The same, undistorted and normalized.
             inverse_depth: (N,) A guess of one over their distance along the first camera's axis [1/m]; NaN for none.
         """
         guessed = self._second.project(self.seen_from_second(xy, self._guesses(pixels, inverse_depth)))
@@ -103,8 +103,8 @@ class StereoMatcher:
             pixel = 1.0 / self._second.fx
             half_pixel_m = 0.5 * pixel / max(float(np.linalg.norm(self._t)), 1e-6)
             right = np.abs(off_line) < self._config.epipolar_px * pixel
-            right &= ((depth > -half_pixel_m) & (depth < 1.0 / self._config.min_depth_m)) | self.is_doubted
-        xy_second = self._second.normalise(found)
+            right &= ((depth > -half_pixel_m) & (depth < 1.0 / self._config.min_depth_m)) | self.is_miscalibrated
+        xy_second = self._second.normalize(found)
         right &= np.isfinite(xy_second).all(axis=1)
         return StereoMatches(rows[right], found[right], xy_second[right], np.maximum(depth[right], 0.0))
 
@@ -160,8 +160,8 @@ class StereoMatcher:
         off = np.sum(normals * bearings, axis=1)
         limit = c.epipolar_px * pixel
         if len(off) >= c.min_to_judge:
-            self.is_doubted = float(np.median(np.abs(off))) > limit
-        if not self.is_doubted:
+            self.is_miscalibrated = float(np.median(np.abs(off))) > limit
+        if not self.is_miscalibrated:
             return none
         slopes, turn = np.cross(bearings, normals), none
         for _ in range(ROUNDS):
@@ -169,8 +169,8 @@ class StereoMatcher:
             H = (slopes * weights[:, None]).T @ slopes + np.eye(3) * NOISE_PX * pixel / c.turn_sigma_rad**2
             turn = -np.linalg.solve(H, slopes.T @ (weights * off))
         if len(off) >= c.min_to_judge:  # what no turn explains is not the camera's fault
-            self.is_doubted = float(np.median(np.abs(off + slopes @ turn))) < limit
-        return turn if self.is_doubted else none
+            self.is_miscalibrated = float(np.median(np.abs(off + slopes @ turn))) < limit
+        return turn if self.is_miscalibrated else none
 
 
 GRID = 12  # pixels each way: a share is told to a percent

@@ -69,7 +69,7 @@ class _Features:
     ages: npt.NDArray[np.int64]
     pixels: Array
     xy: Array
-    quality: Array
+    zncc: Array
     patches: Patches
 
     def __getitem__(self, rows: npt.NDArray[np.int64] | npt.NDArray[np.bool_]) -> Self:
@@ -82,7 +82,7 @@ class _Features:
             np.concatenate([self.ages, others.ages]),
             np.concatenate([self.pixels, others.pixels]),
             np.concatenate([self.xy, others.xy]),
-            np.concatenate([self.quality, others.quality]),
+            np.concatenate([self.zncc, others.zncc]),
             self.patches.joined(others.patches),
         )
 
@@ -151,14 +151,14 @@ class FeatureTracker:
     def _observations(self) -> Observations:
         f = self._features
         camera = np.full(len(f.ids), self._index)
-        return Observations(f.ids, f.pixels, f.xy, f.ages, camera, quality=f.quality, zoom=f.patches.zoom)
+        return Observations(f.ids, f.pixels, f.xy, f.ages, camera, zncc=f.zncc, scale=f.patches.scale)
 
     def _new_features(self, pixels: Array) -> _Features:
         """Return new features at pixels (N, 2) of the last image."""
         n = len(pixels)
         ids = np.fromiter(islice(self._identities, n), np.int64)
         patches = self._aligner.cut(self._prepared, pixels)
-        return _Features(ids, np.ones(n, np.int64), pixels, self._camera.normalise(pixels), np.ones(n), patches)
+        return _Features(ids, np.ones(n, np.int64), pixels, self._camera.normalize(pixels), np.ones(n), patches)
 
     def _found(self, previous: Image, image: Image, R_cur_prev: Array) -> _Features:
         """Return the features that are found in the next image, where they are found.
@@ -188,11 +188,11 @@ class FeatureTracker:
         fit = self._aligner.align(self._prepared, features.patches, pixels)
         moved = np.linalg.norm(fit.pixels - pixels, axis=1)
         good = fit.good & (moved < self._config.max_correction_px) & self._inside(fit.pixels)
-        return replace(features, pixels=fit.pixels, quality=fit.likeness, patches=fit.patches)[good]
+        return replace(features, pixels=fit.pixels, zncc=fit.zncc, patches=fit.patches)[good]
 
     def _agreeing(self, features: _Features, R_cur_prev: Array, rotation_sigma_rad: float) -> _Features:
         """Return the features that agree with one motion since the previous frame; theirs are its coordinates."""
-        xy = self._camera.normalise(features.pixels)
+        xy = self._camera.normalize(features.pixels)
         if not len(xy):
             return features
         distance = self._config.ransac_px / self._camera.fx

@@ -15,13 +15,13 @@ Array = npt.NDArray[np.float64]
 
 IMU_GAP = 4.0
 """Intervals of the IMU that have to pass without a sample to be a gap, in which nothing was measured."""
-GAP_DOUBT = np.repeat([0.5, 2.0], 3)
+GAP_SIGMA = np.repeat([0.5, 2.0], 3)
 """How far from the mean of its ends a motion may be within a gap: standard deviations of angular velocity [rad/s] and
 specific force [m/s²], those of a drone that flies swiftly."""
 BEYOND_LIMIT = 0.5
 """How far beyond the sensor's limit a motion may be, relative to it. A flight through a room with 57 °/s for a limit is
 beyond it by 20 % at the median, and 60 % at the 90th percentile."""
-DOUBT_LASTS_S = 0.2
+EXCESS_CORRELATION_S = 0.2
 """What is wrong with a reading in doubt is as wrong with those around it, for so long [s]."""
 
 
@@ -35,25 +35,25 @@ class Increments:
     """(N, 3) Mean angular velocity [rad/s]."""
     accel_m_s2: Array
     """(N, 3) Mean specific force in the frame at the interval's start [m/s²]."""
-    doubt: Array = field(default_factory=lambda: np.zeros((1, 6)))
+    excess_sigma: Array = field(default_factory=lambda: np.zeros((1, 6)))
     """(N, 6), or (1, 6) for all: standard deviations of what is wrong with the angular velocity [rad/s] and the
     specific force [m/s²] beside the sensor's noise: a sensor at its limit, or no sample for long."""
 
     @property
-    def is_doubtful(self) -> bool:
+    def is_degraded(self) -> bool:
         """Whether anything is wrong beside the sensor's noise."""
-        return bool(self.doubt.any())
+        return bool(self.excess_sigma.any())
 
     @property
-    def rotation_doubt_rad(self) -> float:
+    def rotation_excess_sigma_rad(self) -> float:
         """Standard deviation of what is wrong with the rotation beside noise, about the worst axis [rad]."""
-        return float((self.dt_s[:, None] * self.doubt[:, :3]).sum(axis=0).max()) if self.is_doubtful else 0.0
+        return float((self.dt_s[:, None] * self.excess_sigma[:, :3]).sum(axis=0).max()) if self.is_degraded else 0.0
 
     @property
-    def doubt_density(self) -> Array:
-        """`doubt` as the white noise (N, 6) that does as much over as long as it lasts, squared densities."""
-        lasts_s = np.maximum(self.dt_s, DOUBT_LASTS_S)[:, None]
-        return np.asarray(lasts_s * np.broadcast_to(self.doubt, (len(lasts_s), 6)) ** 2)
+    def excess_density(self) -> Array:
+        """`excess_sigma` as the white noise (N, 6) that does as much over as long as it lasts, squared densities."""
+        lasts_s = np.maximum(self.dt_s, EXCESS_CORRELATION_S)[:, None]
+        return np.asarray(lasts_s * np.broadcast_to(self.excess_sigma, (len(lasts_s), 6)) ** 2)
 
     @property
     def longest_s(self) -> float:
@@ -78,7 +78,7 @@ def joined(parts: Sequence[Increments]) -> Increments:
         np.concatenate([part.dt_s for part in parts]),
         np.concatenate([part.gyro_rad_s for part in parts]),
         np.concatenate([part.accel_m_s2 for part in parts]),
-        np.concatenate([np.broadcast_to(part.doubt, (len(part.dt_s), 6)) for part in parts]),
+        np.concatenate([np.broadcast_to(part.excess_sigma, (len(part.dt_s), 6)) for part in parts]),
     )
 
 
@@ -137,7 +137,7 @@ class ImuBuffer:
             doubt = np.vstack([doubt, self._beyond_limit(samples[-1:])])
         dt_s = np.diff(ends, prepend=start) * 1e-9
         kept = dt_s > 0.0
-        doubt = np.where((dt_s > self._longest_s)[:, None], np.maximum(doubt, GAP_DOUBT), doubt)
+        doubt = np.where((dt_s > self._longest_s)[:, None], np.maximum(doubt, GAP_SIGMA), doubt)
         return Increments(dt_s[kept], gyro[kept], accel[kept], doubt[kept])
 
     def _doubt(self, samples: ImuSamples) -> Array:

@@ -13,7 +13,7 @@ import gtsam
 import numpy as np
 import numpy.typing as npt
 
-from dronevio.estimator.imu.preintegration import InertialConfig, preintegration_params
+from dronevio.estimator.imu.preintegration import PreintegrationConfig, preintegration_params
 from dronevio.models.imu import ImuModel, ImuSamples
 from dronevio.models.state import Estimate, NavState
 
@@ -44,14 +44,14 @@ class ImuRatePropagator:
         ...         propagator.correct(vio.add_frame(measurement))
     """
 
-    def __init__(self, imu: ImuModel, config: InertialConfig | None = None) -> None:
+    def __init__(self, imu: ImuModel, config: PreintegrationConfig | None = None) -> None:
         """Begin without a state.
 
         Args:
             imu: The IMU's noise, which the integration itself does not depend on.
             config: How the IMU is preintegrated.
         """
-        self._params = preintegration_params(imu, config or InertialConfig())
+        self._params = preintegration_params(imu, config or PreintegrationConfig())
         self._steps: deque[_Step] = deque()  # those that end after the newest estimate
         self._last: tuple[int, Array, Array] | None = None  # the newest sample
         self._base: NavState | None = None

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from dronevio.estimator.imu.preintegration import InertialConfig, preintegration_params
+from dronevio.estimator.imu.preintegration import PreintegrationConfig, preintegration_params
 from dronevio.models.imu import ImuModel
 
 Array = npt.NDArray[np.float64]
@@ -23,7 +23,7 @@ LARGEST_MISFIT = 9.0
 
 
 @dataclass(frozen=True)
-class NoiseLevelConfig:
+class NoiseEstimationConfig:
     """How fast the noise is learnt."""
 
     memory: float = 50.0
@@ -81,7 +81,7 @@ class MotionMisfit:
 class NoiseLevel:
     """The white noise of one sensor."""
 
-    def __init__(self, data_sheet: float, inflation: float, config: NoiseLevelConfig) -> None:
+    def __init__(self, data_sheet: float, inflation: float, config: NoiseEstimationConfig) -> None:
         """Begin with an assumption.
 
         Args:
@@ -112,7 +112,7 @@ class NoiseLevel:
 class ImuNoise:
     """Keeps the parameters of preintegration up to date."""
 
-    def __init__(self, imu: ImuModel, inertial: InertialConfig, config: NoiseLevelConfig) -> None:
+    def __init__(self, imu: ImuModel, inertial: PreintegrationConfig, config: NoiseEstimationConfig) -> None:
         """Begin with the data sheet, inflated as configured.
 
         Args:

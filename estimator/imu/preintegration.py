@@ -14,7 +14,7 @@ from dronevio.models.imu import GRAVITY_M_S2, ImuModel
 
 
 @dataclass(frozen=True)
-class InertialConfig:
+class PreintegrationConfig:
     """How far the IMU is trusted."""
 
     gyro_noise_inflation: float = 2.0
@@ -33,7 +33,7 @@ class InertialConfig:
     """Position error that integration itself makes [m/√s]."""
 
 
-def preintegration_params(imu: ImuModel, config: InertialConfig) -> gtsam.PreintegrationCombinedParams:
+def preintegration_params(imu: ImuModel, config: PreintegrationConfig) -> gtsam.PreintegrationCombinedParams:
     """Return GTSAM's parameters for an IMU in a world whose z axis points up."""
     params = gtsam.PreintegrationCombinedParams.MakeSharedU(GRAVITY_M_S2)
     eye = np.eye(3)
@@ -59,14 +59,14 @@ def integrate(
         increments: What is added.
         params: Those with which it was made; without them, readings in doubt count as any others.
     """
-    if params is not None and increments.is_doubtful:
-        _integrate_doubtful(preintegrated, increments, params)
+    if params is not None and increments.is_degraded:
+        _integrate_degraded(preintegrated, increments, params)
         return
     for dt, gyro, accel in zip(increments.dt_s.tolist(), increments.gyro_rad_s, increments.accel_m_s2, strict=True):
         preintegrated.integrateMeasurement(accel, gyro, dt)
 
 
-def _integrate_doubtful(
+def _integrate_degraded(
     preintegrated: gtsam.PreintegratedCombinedMeasurements,
     increments: Increments,
     params: gtsam.PreintegrationCombinedParams,
@@ -75,7 +75,7 @@ def _integrate_doubtful(
     gyro_noise = np.array(params.getGyroscopeCovariance())  # what GTSAM returns is a view of what changes below
     accel_noise = np.array(params.getAccelerometerCovariance())
     rates = increments.gyro_rad_s, increments.accel_m_s2
-    steps = zip(increments.dt_s.tolist(), *rates, increments.doubt_density, strict=True)
+    steps = zip(increments.dt_s.tolist(), *rates, increments.excess_density, strict=True)
     for dt, gyro, accel, wrong in steps:
         params.setGyroscopeCovariance(gyro_noise + np.diag(wrong[:3]))
         params.setAccelerometerCovariance(accel_noise + np.diag(wrong[3:]))

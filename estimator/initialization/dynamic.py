@@ -1,6 +1,6 @@
 """The start in motion: velocity, gravity and landmarks from a second of tracks and IMU, in closed form.
 
-With the rotation known from the gyroscope, every sighting of a landmark is linear in the landmark's position, the first
+With the rotation known from the gyroscope, every packet of a landmark is linear in the landmark's position, the first
 velocity and gravity (Dong-Si and Mourikis, "Estimator initialization in vision-aided inertial navigation with unknown
 camera-IMU calibration", IROS 2012). Landmarks are eliminated one by one, and gravity's magnitude is held, which leaves
 a problem in three numbers. Around it, the gyroscope's bias is found by Gauss-Newton on the residual.
@@ -17,7 +17,7 @@ import numpy.typing as npt
 from scipy.optimize import brentq, least_squares
 
 from dronevio.estimator.initialization.static import NotObservable, level_rotation
-from dronevio.estimator.types import Sighting
+from dronevio.estimator.types import FramePacket
 from dronevio.models.imu import GRAVITY_M_S2
 from dronevio.models.rotation import exp_so3, pose_matrix
 from dronevio.models.state import NavState
@@ -27,7 +27,7 @@ Rows = npt.NDArray[np.int64]
 
 
 @dataclass(frozen=True)
-class MotionStartConfig:
+class DynamicInitializationConfig:
     """When a start in motion is tried, and when it is believed."""
 
     window_s: float = 1.5
@@ -54,7 +54,7 @@ class MotionStartConfig:
     """Largest bias of the gyroscope that is believed [rad/s]."""
     accel_bias_m_s2: float = 0.1
     """How large the accelerometer's bias may be [m/s²] ..."""
-    min_bend: float = 3.0
+    min_excitation: float = 3.0
     """... and how many times more than it the acceleration must bend the path: at constant velocity, every scale
     explains what is seen."""
 
@@ -63,7 +63,7 @@ class MotionStartConfig:
 class _Tracks:
     """The landmarks of a window, those F that were seen often enough, in V views: what one camera sees in one frame."""
 
-    xy: Array  # (V, F, 2) normalised coordinates, 0 where not seen
+    xy: Array  # (V, F, 2) normalized coordinates, 0 where not seen
     seen: npt.NDArray[np.bool_]  # (V, F)
     frame: Rows  # (V,) which of the window's frames
     camera: Rows  # (V,) which of the rig's cameras
@@ -84,18 +84,18 @@ class _Solution:
 
     velocity: Array  # (3,) at the first frame [m/s]
     gravity: Array  # (3,) [m/s²]
-    velocity_covariance: Array  # (3, 3) for unit noise of the normalised coordinates
-    residuals: Array  # (F, 2V) of the normalised coordinates, 0 where not seen
+    velocity_covariance: Array  # (3, 3) for unit noise of the normalized coordinates
+    residuals: Array  # (F, 2V) of the normalized coordinates, 0 where not seen
     in_front: float  # share of the landmarks that lie before the camera
 
 
-def is_stereo(window: Sequence[Sighting], config: MotionStartConfig) -> bool:
+def is_stereo(window: Sequence[FramePacket], config: DynamicInitializationConfig) -> bool:
     """Say whether enough landmarks of a window were seen by several cameras at once, so that the scale is known."""
-    return any(len(sighting.observations.matches) >= config.min_landmarks for sighting in window)
+    return any(len(packet.observations.matches) >= config.min_landmarks for packet in window)
 
 
-def start_in_motion(
-    window: Sequence[Sighting], Ts_imu_cam: Array, focal_px: float, config: MotionStartConfig
+def initialize_dynamic(
+    window: Sequence[FramePacket], Ts_imu_cam: Array, focal_px: float, config: DynamicInitializationConfig
 ) -> NavState | NotObservable:
     """Return the state at the first frame of a window, or why it cannot be told.
 
@@ -132,7 +132,7 @@ def start_in_motion(
         (solution.in_front > config.min_in_front, f"{1.0 - solution.in_front:.0%} of the landmarks behind the camera"),
         (sigma < config.max_velocity_sigma_m_s, f"a velocity known to {sigma:.2f} m/s"),
         (float(np.linalg.norm(found.x)) < config.max_gyro_bias_rad_s, "an implausible bias of the gyroscope"),
-        (stereo or bend > config.min_bend * bend_of_bias, "too little acceleration to tell the scale"),
+        (stereo or bend > config.min_excitation * bend_of_bias, "too little acceleration to tell the scale"),
     )
     for passed, reason in checks:
         if not passed:
@@ -142,7 +142,7 @@ def start_in_motion(
     return NavState(window[0].t_ns, pose, R_world_imu @ solution.velocity, found.x, np.zeros(3))
 
 
-def _collect(window: Sequence[Sighting], config: MotionStartConfig) -> _Tracks:
+def _collect(window: Sequence[FramePacket], config: DynamicInitializationConfig) -> _Tracks:
     """Arrange the sightings of all landmarks that enough of the frames show."""
     stride = -(-len(window) // config.max_frames)
     used = [k for k, s in enumerate(window) if k % stride == 0 or len(s.observations.matches)]
@@ -165,9 +165,9 @@ def _collect(window: Sequence[Sighting], config: MotionStartConfig) -> _Tracks:
     return _Tracks(xy_of, seen_of, frame_of, camera_of)
 
 
-def _sum_up(window: Sequence[Sighting], gyro_bias: Array, frames: Rows) -> _Motion:
+def _sum_up(window: Sequence[FramePacket], gyro_bias: Array, frames: Rows) -> _Motion:
     """Dead-reckon from the window's first frame, without gravity and with no velocity at the start."""
-    steps = [sighting.increments for sighting in window[1:]]
+    steps = [packet.increments for packet in window[1:]]
     dt_s = np.concatenate([step.dt_s for step in steps])
     gyro = np.concatenate([step.gyro_rad_s for step in steps])
     accel = np.concatenate([step.accel_m_s2 for step in steps])
@@ -239,7 +239,7 @@ def _solve(tracks: _Tracks, motion: _Motion, Ts_imu_cam: Array) -> _Solution:
 
 
 def _on_sphere(D: Array, d: Array, radius: float) -> Array:
-    """Return the x (3,) of the given length that minimises xᵀDx − 2dᵀx.
+    """Return the x (3,) of the given length that minimizes xᵀDx − 2dᵀx.
 
     It is (D + λI)⁻¹ d, and its length falls with λ from infinity, at minus the smallest eigenvalue, to zero.
     """

@@ -7,7 +7,7 @@ import numpy as np
 import numpy.typing as npt
 
 from dronevio.estimator.imu.buffer import Increments
-from dronevio.estimator.initialization.static import StartSigmas
+from dronevio.estimator.initialization.static import InitialSigmas
 from dronevio.models.rotation import pose_matrix
 from dronevio.models.state import NavState
 
@@ -33,7 +33,7 @@ class Origin(Protocol):
             since: The IMU between it and what `turn` took last.
         """
 
-    def covariance(self, start: NavState, sigmas: StartSigmas) -> Array:
+    def covariance(self, start: NavState, sigmas: InitialSigmas) -> Array:
         """Return how sure a placed start is: a covariance (15, 15) in the order of `NavState`."""
 
 
@@ -47,7 +47,7 @@ class Zero:
         """Return a start as it is."""
         return start
 
-    def covariance(self, start: NavState, sigmas: StartSigmas) -> Array:
+    def covariance(self, start: NavState, sigmas: InitialSigmas) -> Array:
         """Return how sure a start is; of position and yaw it is by definition."""
         return sigmas.covariance(start.T_world_imu[:3, :3])
 
@@ -66,7 +66,7 @@ class LastBelieved:
     def turn(self, increments: Increments) -> None:
         """Take the IMU since the last call."""
         self._R_world_imu = self._R_world_imu @ increments.rotation(self._believed.gyro_bias_rad_s)
-        self._doubt_rad2 += float((increments.dt_s @ increments.doubt_density[:, :3]).max())
+        self._doubt_rad2 += float((increments.dt_s @ increments.excess_density[:, :3]).max())
 
     def place(self, start: NavState, since: Increments) -> NavState:
         """Return a start at the last position, and of the yaw that makes its end that of the gyroscope."""
@@ -78,7 +78,7 @@ class LastBelieved:
         pose = pose_matrix(turned @ R_start, self._believed.T_world_imu[:3, 3])
         return replace(start, T_world_imu=pose, velocity_m_s=turned @ start.velocity_m_s)
 
-    def covariance(self, start: NavState, sigmas: StartSigmas) -> Array:
+    def covariance(self, start: NavState, sigmas: InitialSigmas) -> Array:
         """Return how sure a placed start is."""
         R, believed = start.T_world_imu[:3, :3], self._believed
         lost_s = (start.t_ns - believed.t_ns) * 1e-9

@@ -17,10 +17,10 @@ from dronevio.estimator.backend.keyframes import KeyframePolicy
 from dronevio.estimator.backend.smoother import Keyframe, KeyframeSmoother
 from dronevio.estimator.imu.buffer import joined
 from dronevio.estimator.imu.preintegration import integrate
-from dronevio.estimator.initialization.dynamic import MotionStartConfig, is_stereo, start_in_motion
+from dronevio.estimator.initialization.dynamic import DynamicInitializationConfig, initialize_dynamic, is_stereo
 from dronevio.estimator.initialization.gauge import GYRO_BIAS_SIGMA_RAD_S, LastBelieved, Origin, Zero
-from dronevio.estimator.initialization.static import NotObservable, StartSigmas, mean_gyro, start_from_rest
-from dronevio.estimator.types import Observations, Sighting
+from dronevio.estimator.initialization.static import InitialSigmas, NotObservable, initialize_static, mean_gyro
+from dronevio.estimator.types import FramePacket, Observations
 from dronevio.models.rig import RigCamera
 from dronevio.models.state import NavState
 
@@ -41,12 +41,14 @@ class InitialiserConfig:
 
     rest_s: float = 0.8
     """How long the drone must stand still for a start from rest [s]."""
-    rest_sigmas: StartSigmas = field(default_factory=StartSigmas)
+    static_sigmas: InitialSigmas = field(default_factory=InitialSigmas)
     """How sure a start from rest is."""
-    motion: MotionStartConfig = field(default_factory=MotionStartConfig)
+    motion: DynamicInitializationConfig = field(default_factory=DynamicInitializationConfig)
     """When a start in motion is tried and believed."""
-    motion_sigmas: StartSigmas = field(
-        default_factory=lambda: StartSigmas(tilt_rad=0.05, velocity_m_s=0.3, gyro_bias_rad_s=0.02, accel_bias_m_s2=0.1)
+    dynamic_sigmas: InitialSigmas = field(
+        default_factory=lambda: InitialSigmas(
+            tilt_rad=0.05, velocity_m_s=0.3, gyro_bias_rad_s=0.02, accel_bias_m_s2=0.1
+        )
     )
     """How sure a start in motion is."""
     certain_scale: float = 0.05
@@ -57,7 +59,7 @@ class InitialiserConfig:
     """How large the gyroscope's bias may be before anything is known of it [rad/s]; EuRoC's is 0.08."""
 
 
-class Initialiser:
+class Initializer:
     """Waits until the drone stands still for a while, or moves so that its velocity can be told."""
 
     def __init__(
@@ -80,7 +82,7 @@ class Initialiser:
         self._config, self._keyframes, self._params, self._new_smoother = config, keyframes, params, new_smoother
         self.recalibrate(cameras)
         self._focal_px = cameras[0].model.fx
-        self._window: list[Sighting] = []
+        self._window: list[FramePacket] = []
         self._last_try_ns = self._replenished_ns = 0
         self._not_yet = NotObservable("nothing has been tried")
         self.origin: Origin = Zero()
@@ -103,27 +105,27 @@ class Initialiser:
         """Forget what was seen: the estimate has been lost."""
         self._window.clear()
 
-    def wants_features(self, sighting: Sighting) -> bool:
+    def wants_features(self, packet: FramePacket) -> bool:
         """Say whether new features are to be looked for in a frame: if there are few, or as on keyframes."""
-        late = self._keyframes.is_late((sighting.t_ns - self._replenished_ns) * 1e-9, still=False)
-        if late or len(sighting.observations) < MIN_FEATURES:
-            self._replenished_ns = sighting.t_ns
+        late = self._keyframes.is_late((packet.t_ns - self._replenished_ns) * 1e-9, still=False)
+        if late or len(packet.observations) < MIN_FEATURES:
+            self._replenished_ns = packet.t_ns
             return True
         return False
 
-    def add(self, sighting: Sighting, still_for_s: float) -> KeyframeSmoother | NotObservable:
+    def add(self, packet: FramePacket, stationary_s: float) -> KeyframeSmoother | NotObservable:
         """Take a frame; answer a smoother that has started, or why there is none yet.
 
         Args:
-            sighting: The frame, and the IMU before it.
-            still_for_s: For how long the drone has not moved [s].
+            packet: The frame, and the IMU before it.
+            stationary_s: For how long the drone has not moved [s].
         """
-        c, t_ns = self._config, sighting.t_ns
-        self._window.append(sighting)
+        c, t_ns = self._config, packet.t_ns
+        self._window.append(packet)
         while t_ns - self._window[0].t_ns > max(c.rest_s, c.motion.window_s) * 1e9 + HALF_TICK_NS:
             self._window.pop(0)
-        if still_for_s > 0.0:
-            return self._from_rest(self._since(t_ns, still_for_s))
+        if stationary_s > 0.0:
+            return self._from_rest(self._since(t_ns, stationary_s))
         needed_s = c.motion.stereo_window_s if is_stereo(self._window, c.motion) else c.motion.window_s
         window = self._since(t_ns, needed_s)
         span_s = (t_ns - window[0].t_ns + HALF_TICK_NS) * 1e-9
@@ -146,34 +148,34 @@ class Initialiser:
             return None
         return NotObservable(f"a velocity of {speed_m_s:.2f} ± {sigma_m_s:.2f} m/s")
 
-    def _from_rest(self, rest: Sequence[Sighting]) -> KeyframeSmoother | NotObservable:
-        increments = [sighting.increments for sighting in rest[1:]]
+    def _from_rest(self, rest: Sequence[FramePacket]) -> KeyframeSmoother | NotObservable:
+        increments = [packet.increments for packet in rest[1:]]
         self.gyro_bias_rad_s, self.gyro_bias_sigma_rad_s = mean_gyro(increments), 0.0
-        still_for_s, rest_s = (rest[-1].t_ns - rest[0].t_ns + HALF_TICK_NS) * 1e-9, self._config.rest_s
-        if still_for_s < rest_s:
-            return NotObservable(f"at rest for {still_for_s:.1f} s; {rest_s:g} s are needed")
-        start = start_from_rest(rest[0].t_ns, increments)
-        smoother, _ = self._launched(start, self._config.rest_sigmas, rest, still=True)
+        stationary_s, rest_s = (rest[-1].t_ns - rest[0].t_ns + HALF_TICK_NS) * 1e-9, self._config.rest_s
+        if stationary_s < rest_s:
+            return NotObservable(f"at rest for {stationary_s:.1f} s; {rest_s:g} s are needed")
+        start = initialize_static(rest[0].t_ns, increments)
+        smoother, _ = self._launched(start, self._config.static_sigmas, rest, still=True)
         return smoother or NotObservable("the smoother finds no solution")
 
-    def _in_motion(self, window: Sequence[Sighting]) -> KeyframeSmoother | NotObservable:
+    def _in_motion(self, window: Sequence[FramePacket]) -> KeyframeSmoother | NotObservable:
         c = self._config
-        start = start_in_motion(window, self._Ts_imu_cam, self._focal_px, c.motion)
+        start = initialize_dynamic(window, self._Ts_imu_cam, self._focal_px, c.motion)
         if isinstance(start, NotObservable):
             self._not_yet = start
             return start
-        smoother, error_px = self._launched(start, c.motion_sigmas, window, still=False)
+        smoother, error_px = self._launched(start, c.dynamic_sigmas, window, still=False)
         if smoother is not None and error_px <= c.motion.max_residual_px:
             return smoother
         self._not_yet = NotObservable(f"what is seen and what is sensed disagree by {error_px:.1f} px")
         return self._not_yet
 
-    def _since(self, t_ns: int, span_s: float) -> list[Sighting]:
+    def _since(self, t_ns: int, span_s: float) -> list[FramePacket]:
         """Return the sightings of the last ``span_s`` seconds."""
         return [s for s in self._window if t_ns - s.t_ns <= span_s * 1e9 + HALF_TICK_NS]
 
     def _launched(
-        self, start: NavState, sigmas: StartSigmas, sightings: Sequence[Sighting], still: bool
+        self, start: NavState, sigmas: InitialSigmas, sightings: Sequence[FramePacket], still: bool
     ) -> tuple[KeyframeSmoother | None, float]:
         """Start a smoother at the first of some sightings.
 
@@ -181,15 +183,15 @@ class Initialiser:
             The smoother, None where it found no solution; and the landmarks' typical reprojection error [px].
         """
         first, *later = sightings
-        start = self.origin.place(start, joined([sighting.increments for sighting in later]))
+        start = self.origin.place(start, joined([packet.increments for packet in later]))
         smoother = self._new_smoother(start, self.origin.covariance(start, sigmas), first.observations)
         keyframes: list[Keyframe] = []
         bias = smoother.gtsam_state[1]
         preintegrated = gtsam.PreintegratedCombinedMeasurements(self._params, bias)
-        for sighting in later:
-            integrate(preintegrated, sighting.increments, self._params)
-            if sighting is later[-1] or self._keyframes.is_late(preintegrated.deltaTij(), still):
-                keyframes.append(Keyframe(sighting.t_ns, preintegrated, sighting.observations, still))
+        for packet in later:
+            integrate(preintegrated, packet.increments, self._params)
+            if packet is later[-1] or self._keyframes.is_late(preintegrated.deltaTij(), still):
+                keyframes.append(Keyframe(packet.t_ns, preintegrated, packet.observations, still))
                 preintegrated = gtsam.PreintegratedCombinedMeasurements(self._params, bias)
         error_px = smoother.launch(keyframes)
         return (None, float("inf")) if error_px is None else (smoother, error_px)

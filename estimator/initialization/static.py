@@ -26,7 +26,7 @@ class NotObservable:
 
 
 @dataclass(frozen=True)
-class StartSigmas:
+class InitialSigmas:
     """How sure a start is of its state: standard deviations."""
 
     tilt_rad: float = 0.1
@@ -48,7 +48,7 @@ class StartSigmas:
         return P
 
 
-def start_from_rest(t_ns: int, rest: Sequence[Increments]) -> NavState:
+def initialize_static(t_ns: int, rest: Sequence[Increments]) -> NavState:
     """Return the state of an IMU that stands still, as the origin of position and yaw.
 
     The accelerometer's bias cannot be told from tilt at rest; it is taken as zero, and the smoother sorts it out later.

@@ -13,7 +13,7 @@ Array = npt.NDArray[np.float64]
 
 
 @dataclass(frozen=True)
-class StillnessConfig:
+class ZeroVelocityConfig:
     """What counts as standing still."""
 
     max_flow_px: float = 0.6
@@ -26,17 +26,17 @@ class StillnessConfig:
     """Largest difference of the mean specific force from gravity's magnitude [m/s²], bias included."""
 
 
-class StillnessDetector:
+class ZeroVelocityDetector:
     """Measures for how long nothing has moved, against an anchor frame that is renewed as soon as something does."""
 
-    def __init__(self, config: StillnessConfig) -> None:
+    def __init__(self, config: ZeroVelocityConfig) -> None:
         self._config = config
         self._anchor: Observations | None = None
         self._anchor_ns = 0
         self._now_ns = 0
 
     @property
-    def still_for_s(self) -> float:
+    def stationary_s(self) -> float:
         """Time since the anchor frame [s], during which nothing moved."""
         return (self._now_ns - self._anchor_ns) * 1e-9
 

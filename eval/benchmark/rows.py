@@ -65,7 +65,7 @@ class Row:
     drift_percent: float | None = None
     """Mean drift over the sub-trajectories, by their lengths [%]."""
     nees_position: float | None = None
-    """Mean normalised squared error of position, 3 expected; None without covariances."""
+    """Mean normalized squared error of position, 3 expected; None without covariances."""
     nees_orientation: float | None = None
     """The same of orientation."""
     beyond_3_sigma_percent: float | None = None

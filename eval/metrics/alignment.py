@@ -79,7 +79,7 @@ def align(
     quat_truth_wxyz: Array | None = None,
     quat_estimate_wxyz: Array | None = None,
 ) -> Alignment:
-    """Return the alignment that minimises Σ |p_truth − aligned p_estimate|² over the first n poses.
+    """Return the alignment that minimizes Σ |p_truth − aligned p_estimate|² over the first n poses.
 
     One position determines no rotation: ``first`` and ``scale``, and ``yaw`` and ``se3`` with n = 1, take it from the
     first orientations instead, all of it or its yaw.

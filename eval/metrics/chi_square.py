@@ -65,7 +65,7 @@ def nees_bounds(degrees: int, runs: int = 1, probability: float = 0.95) -> tuple
 
 
 def _below(a: float, x: float) -> float:
-    """Return the regularised lower incomplete gamma function P(a, x), by its series: for x not above a."""
+    """Return the regularized lower incomplete gamma function P(a, x), by its series: for x not above a."""
     if x <= 0.0:
         return 0.0
     term = total = 1.0 / a

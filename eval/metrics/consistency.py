@@ -126,7 +126,7 @@ def consistency(truth: Trajectory, estimate: Trajectory) -> Consistency:
 
 
 def nees(errors: Array, covariances: Array) -> Array:
-    """Return the normalised squared errors eᵀP⁻¹e (N,) of errors (N, k) with covariances (N, k, k).
+    """Return the normalized squared errors eᵀP⁻¹e (N,) of errors (N, k) with covariances (N, k, k).
 
     Raises:
         EvaluationError: A covariance is not positive definite.

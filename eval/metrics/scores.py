@@ -82,12 +82,12 @@ class Scores:
     """Error of the accelerometer's bias [m/s²]; None where truth or estimate has none."""
     coverage_percent: float | None
     """Share of the frames later than 3 s after the first that have a pose [%]; None if frames are not known."""
-    initialised_s: float | None
+    initialized_s: float | None
     """Time of the first estimated pose after the first frame [s]; None if frames are not known."""
     nees_position: float | None
-    """Mean normalised squared error of position; 3 expected, more is overconfident; None without covariances."""
+    """Mean normalized squared error of position; 3 expected, more is overconfident; None without covariances."""
     nees_orientation: float | None
-    """Mean normalised squared error of orientation; 3 expected; None without covariances."""
+    """Mean normalized squared error of orientation; 3 expected; None without covariances."""
     nees_position_inside_percent: float | None
     """Share of poses whose NEES of position lies within its two-sided 95 % bounds [%]; 95 expected."""
     nees_orientation_inside_percent: float | None
@@ -228,7 +228,7 @@ def score_trajectory(
         gyro_bias_rad_s=_differences(true.gyro_bias_rad_s, aligned.gyro_bias_rad_s),
         accel_bias_m_s2=_differences(true.accel_bias_m_s2, aligned.accel_bias_m_s2),
         coverage_percent=None if frame_times_ns is None else coverage_percent(frame_times_ns, estimate.t_ns),
-        initialised_s=None if frame_times_ns is None else initialised_s(frame_times_ns, estimate.t_ns),
+        initialized_s=None if frame_times_ns is None else initialized_s(frame_times_ns, estimate.t_ns),
         nees_position=None if stated is None else float(stated.position_nees.mean()),
         nees_orientation=None if stated is None else float(stated.orientation_nees.mean()),
         nees_position_inside_percent=None if stated is None else inside_percent(stated.position_nees),
@@ -262,7 +262,7 @@ def mean_drift_percent(lengths: tuple[LengthErrors, ...]) -> float | None:
     return sum(errors.drift_percent.mean * errors.drift_percent.n for errors in lengths) / count if count else None
 
 
-def initialised_s(frame_times_ns: Times, t_estimate_ns: Times) -> float | None:
+def initialized_s(frame_times_ns: Times, t_estimate_ns: Times) -> float | None:
     """Return the time [s] from the first frame to the first estimated pose; None where there is no such thing."""
     if len(frame_times_ns) == 0 or len(t_estimate_ns) == 0:
         return None

@@ -39,9 +39,9 @@ WHOLE_RADIUS, FLOWN_RADIUS = rr.Radius.ui_points(0.8), rr.Radius.ui_points(1.8)
 """How thick paths are on the screen, whatever the size of the world."""
 _SIGMAS = 3.0
 _DEGREES = 180.0 / np.pi
-_GOOD = (Health.INITIALISING, Health.TRACKING)
+_GOOD = (Health.INITIALIZING, Health.TRACKING)
 _HEALTH_COLOURS = {
-    Health.INITIALISING: palette.ROOM,
+    Health.INITIALIZING: palette.ROOM,
     Health.TRACKING: palette.TRUTH,
     Health.INERTIAL_ONLY: palette.MAP,
     Health.LOST: palette.ESTIMATE,

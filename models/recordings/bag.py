@@ -84,7 +84,7 @@ class BagRecording:
         calibrated = next((said.topics for said in read_calibrations(bag, files) if said.topics), ())
         chosen = find_topics(bag, topics or BagTopics(), calibrated, cameras)
         images = tuple(ImageTopic(bag, topic) for topic in chosen.images)
-        times, rows = synchronised(bag, images, synchronous_s)
+        times, rows = synchronized(bag, images, synchronous_s)
         rig, sampling = bag_rig(bag, chosen, read_calibrations(bag, files, _rate_hz(times)), _rate_hz(times))
         t_ns, messages = bag.stamped(chosen.imu)
         try:
@@ -191,7 +191,7 @@ def read_bag_frame_times(path: Path) -> Times | None:
     return ImageTopic(bag, image_topics(bag, calibrated)[0]).t_ns
 
 
-def synchronised(
+def synchronized(
     bag: BagFile, images: Sequence[ImageTopic], synchronous_s: float
 ) -> tuple[Times, npt.NDArray[np.int64]]:
     """Return the frames: time stamps (M,) [ns], and for each which image (M, C) of each camera belongs to it.

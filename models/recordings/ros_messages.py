@@ -61,7 +61,7 @@ def header(t_ns: int, frame: str) -> ros.std_msgs__msg__Header:
 
 
 def stamp_ns(raw: bytes) -> int:
-    """Return the time stamp [ns] of a serialised message that begins with a header, without looking at the rest.
+    """Return the time stamp [ns] of a serialized message that begins with a header, without looking at the rest.
 
     Raises:
         ValueError: It does not.

@@ -5,7 +5,7 @@ camera shows them when it is well exposed, so that a drawn level *is* light, rel
 exposure and a gain of 1. No gamma curve is applied on the way in or out.
 
 The order is that of the EMVA standard 1288 (release 4.0, linear, eq. 2-11): irradiance × exposure time, lens, photon
-noise and read noise, then the gain, which amplifies both, saturation, quantisation.
+noise and read noise, then the gain, which amplifies both, saturation, quantization.
 """
 
 from dataclasses import dataclass, field
@@ -198,7 +198,7 @@ class Imaging:
     ) -> GreyImage:
         """Return the grey image (H, W) that the sensor delivers.
 
-        Noise before the gain: σ² = read² + shot² · signal / 255; quantisation adds 1/12 after it.
+        Noise before the gain: σ² = read² + shot² · signal / 255; quantization adds 1/12 after it.
 
         Args:
             light: (H, W) What a well lit world shows at the nominal exposure [grey levels].

@@ -2,7 +2,7 @@
 
 A tracking system gives poses, with jitter; an IMU feels their second derivative, which jitter turns into nonsense. So
 the poses are approximated by a quintic B-spline with a knot every few samples: positions componentwise, orientations as
-quaternions that are normalised after evaluation. Velocity, acceleration and angular velocity then are exact derivatives
+quaternions that are normalized after evaluation. Velocity, acceleration and angular velocity then are exact derivatives
 of one smooth curve (cf. Furgale, Rehder and Siegwart, "Unified temporal and spatial calibration for multi-sensor
 systems", IROS 2013).
 """
@@ -41,7 +41,7 @@ class SmoothMotion:
     position: BSpline
     """Maps seconds (M,) to positions (M, 3) in the world [m]."""
     quaternion: BSpline
-    """Maps seconds (M,) to orientations (M, 4), wxyz, not normalised."""
+    """Maps seconds (M,) to orientations (M, 4), wxyz, not normalized."""
 
     @classmethod
     def through(cls, trajectory: Trajectory, knot_interval_s: float = KNOT_INTERVAL_S) -> Self:

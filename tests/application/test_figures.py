@@ -66,7 +66,7 @@ def test_figures_of_a_perfect_run(figures: Any) -> None:
     assert found.ate_m < 1e-9 and found.end_m < 1e-9 and found.nees_position < 1e-9 and not found.failed
     assert found.path_m == pytest.approx(truth.length_m)
     assert found.cpu_ms_mean == pytest.approx(100.5) and found.cpu_ms_max == 200.0
-    assert found.health == {"initialising": 0.0, "tracking": 100.0, "inertial-only": 0.0, "lost": 0.0}
+    assert found.health == {"initializing": 0.0, "tracking": 100.0, "inertial-only": 0.0, "lost": 0.0}
     assert len(found.nees_position_over_time) == 9  # 9.95 s from the first pose, of which the gauge takes the first
 
 
@@ -110,7 +110,7 @@ def test_the_drift_in_a_window_is_what_the_error_moves_there(figures: Any) -> No
     assert figures.window_drift_m(run, truth, (4.0, 6.0)) == pytest.approx(0.1)
     assert figures.window_drift_m(run, truth, (4.0, 5.0)) == pytest.approx(0.05)
     assert figures.window_drift_m(run, truth, (7.0, 9.0)) < 1e-9
-    blind = run_of(estimate, [Health.INITIALISING] * 200)
+    blind = run_of(estimate, [Health.INITIALIZING] * 200)
     assert figures.window_drift_m(blind, truth, (4.0, 6.0)) == math.inf
 
 

@@ -136,7 +136,7 @@ def test_a_fifth_of_the_tracks_are_outliers_and_always_the_same(spoiling: Any) -
 def test_runs_end_in_words(stress: Any, figures: Any) -> None:
     good = figures.Figures(
         "none-0", "mono", frames=100, duration_s=4.95, path_m=20.0, ate_m=0.02, max_m=0.05, coverage_percent=100.0,
-        longest_gap_s=0.05, step_error_m=0.01, health={"initialising": 10.0, "tracking": 90.0, "lost": 0.0},
+        longest_gap_s=0.05, step_error_m=0.01, health={"initializing": 10.0, "tracking": 90.0, "lost": 0.0},
     )  # fmt: skip
     assert stress.ending(good) == "bounded"
     assert stress.ending(replace(good, not_finite=1)) == "**NOT FINITE**"
@@ -144,9 +144,9 @@ def test_runs_end_in_words(stress: Any, figures: Any) -> None:
     assert stress.ending(replace(good, step_error_m=2.0)) == "**TELEPORT**"
     assert stress.ending(replace(good, step_error_m=2.0, longest_gap_s=1.0)) == "bounded"  # it was silent meanwhile
     assert stress.ending(replace(good, max_m=3.0)) == "**UNBOUNDED**"
-    lost = {"initialising": 10.0, "tracking": 60.0, "lost": 30.0}
+    lost = {"initializing": 10.0, "tracking": 60.0, "lost": 30.0}
     assert stress.ending(replace(good, max_m=3.0, health=lost)) == "lost, says so"
-    waiting = figures.Figures("x-0", "mono", "failed", health={"initialising": 100.0})
+    waiting = figures.Figures("x-0", "mono", "failed", health={"initializing": 100.0})
     assert stress.ending(waiting) == "never started"
 
 

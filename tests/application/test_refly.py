@@ -20,7 +20,7 @@ def test_a_path_is_flown_again_with_its_own_imu(flown: Any, do: Any, tmp_path: P
 
 
 @pytest.fixture(scope="module")
-def synthesised(flown: Any, do: Any, tmp_path_factory: pytest.TempPathFactory) -> Any:
+def synthesized(flown: Any, do: Any, tmp_path_factory: pytest.TempPathFactory) -> Any:
     folder = tmp_path_factory.mktemp("refly") / "out"
     return do(
         folder, "refly", "--trajectory", flown.folder, "--rig", "euroc-stereo", "--world", "low-texture",
@@ -28,9 +28,9 @@ def synthesised(flown: Any, do: Any, tmp_path_factory: pytest.TempPathFactory) -
     )  # fmt: skip
 
 
-def test_an_imu_is_made_up_where_there_is_none(flown: Any, synthesised: Any) -> None:
-    assert synthesised.document["imu"] == "synthesised"
-    original, again = EurocRecording.open(flown.folder), EurocRecording.open(synthesised.folder)
+def test_an_imu_is_made_up_where_there_is_none(flown: Any, synthesized: Any) -> None:
+    assert synthesized.document["imu"] == "synthesized"
+    original, again = EurocRecording.open(flown.folder), EurocRecording.open(synthesized.folder)
     assert original.ground_truth is not None and again.ground_truth is not None
     assert np.all(np.isin(again.imu.t_ns, original.imu.t_ns))  # the clock is that of the recording
     row = int(np.searchsorted(original.ground_truth.t_ns, again.ground_truth.t_ns[0]))

@@ -155,7 +155,7 @@ class SyntheticFrontEnd:
         rows = np.flatnonzero(self._ids >= 0)
         rows = rows[np.argsort(self._ids[rows])]
         pixels = self._pixels[rows]
-        return Observations(self._ids[rows], pixels, self._model.normalise(pixels), self._ages[rows])
+        return Observations(self._ids[rows], pixels, self._model.normalize(pixels), self._ages[rows])
 
 
 @dataclass(frozen=True, eq=False)

@@ -6,7 +6,7 @@ import numpy as np
 
 from dronevio.estimator.imu.buffer import NO_INCREMENTS, Increments
 from dronevio.estimator.output import Answers
-from dronevio.estimator.types import NO_MATCHES, NOTHING_SEEN, Matches, Sighting
+from dronevio.estimator.types import NO_MATCHES, NOTHING_SEEN, FramePacket, Matches
 from dronevio.models.state import Health, HealthReport, NavState
 
 RATE_HZ = 200.0
@@ -14,7 +14,7 @@ STATE = NavState(0, np.eye(4), np.zeros(3), np.zeros(3), np.zeros(3))
 
 
 class Undecided:
-    """In place of an initialiser: doubts a start for some frames."""
+    """In place of an initializer: doubts a start for some frames."""
 
     def __init__(self, frames: int) -> None:
         self.left, self.believed = frames, 0
@@ -27,12 +27,12 @@ class Undecided:
         self.believed += 1
 
 
-def sighting(matched: tuple[int, ...] = (), doubted: tuple[int, ...] = ()) -> Sighting:
+def packet(matched: tuple[int, ...] = (), miscalibrated: tuple[int, ...] = ()) -> FramePacket:
     def by(cameras: tuple[int, ...]) -> Matches:
         n = len(cameras)
         return Matches(np.arange(n), np.array(cameras), np.zeros((n, 2))) if n else NO_MATCHES
 
-    return Sighting(0, NO_INCREMENTS, replace(NOTHING_SEEN, matches=by(matched), doubted=by(doubted)))
+    return FramePacket(0, NO_INCREMENTS, replace(NOTHING_SEEN, matches=by(matched), miscalibrated=by(miscalibrated)))
 
 
 def answers(undecided: Undecided) -> Answers:
@@ -42,12 +42,12 @@ def answers(undecided: Undecided) -> Answers:
 def test_a_camera_that_contradicts_its_mounting_is_told_of_once_and_once_when_it_agrees() -> None:
     told = answers(Undecided(0))
     shown = [
-        sighting((1, 1)),
-        sighting((2,), (1, 1)),
-        sighting(),
-        sighting((), (1, 2)),
-        sighting((1, 1)),
-        sighting((1,)),
+        packet((1, 1)),
+        packet((2,), (1, 1)),
+        packet(),
+        packet((), (1, 2)),
+        packet((1, 1)),
+        packet((1,)),
     ]
     events = [told.unknown(each, "").events for each in shown]
     assert events == [
@@ -63,25 +63,25 @@ def test_a_camera_that_contradicts_its_mounting_is_told_of_once_and_once_when_it
 def test_nothing_is_told_before_it_is_certain_and_everything_after() -> None:
     undecided = Undecided(2)
     told, report = answers(undecided), HealthReport(Health.TRACKING, "landmarks hold it", innovation_px=1.0)
-    found = [told.known(sighting(), STATE, report, ("keyframe",)) for _ in range(4)]
+    found = [told.known(packet(), STATE, report, ("keyframe",)) for _ in range(4)]
     assert [each.state is None for each in found] == [True, True, False, False]
-    assert found[0].health is Health.INITIALISING and "9.00 m/s" in found[0].health_report.reason
-    assert [each.events for each in found[2:]] == [("initialised", "keyframe"), ("keyframe",)]
+    assert found[0].health is Health.INITIALIZING and "9.00 m/s" in found[0].health_report.reason
+    assert [each.events for each in found[2:]] == [("initialized", "keyframe"), ("keyframe",)]
     assert undecided.believed == 2
-    told.known(sighting(), STATE, replace(report, innovation_px=13.0))
+    told.known(packet(), STATE, replace(report, innovation_px=13.0))
     assert undecided.believed == 2  # told, but nothing to go on from
     undecided.left = 1
-    lost = told.lost(sighting(), HealthReport(Health.LOST, "a speed of 99 m/s"))
+    lost = told.lost(packet(), HealthReport(Health.LOST, "a speed of 99 m/s"))
     assert lost.state is None and lost.events == ("lost: a speed of 99 m/s",)
-    again = [told.known(sighting(), STATE, report) for _ in range(2)]
+    again = [told.known(packet(), STATE, report) for _ in range(2)]
     assert again[0].state is None and again[0].health is Health.LOST
     assert again[1].events == ("recovered",)
 
 
 def test_a_silence_of_the_imu_is_told_when_it_begins_and_when_it_is_over() -> None:
-    def frame(longest_s: float) -> Sighting:
+    def frame(longest_s: float) -> FramePacket:
         increments = Increments(np.array([0.005, longest_s]), np.zeros((2, 3)), np.zeros((2, 3)))
-        return replace(sighting(), increments=increments)
+        return replace(packet(), increments=increments)
 
     told = answers(Undecided(0))
     events = [told.unknown(frame(s), "").events for s in (0.015, 0.03, 0.005, 0.25, 0.25, 0.05, 0.005, 0.005, 0.25)]

@@ -8,9 +8,9 @@ import pytest
 
 from dronevio.estimator.backend.keyframes import KeyframeConfig, KeyframePolicy
 from dronevio.estimator.imu.buffer import Increments
-from dronevio.estimator.imu.preintegration import InertialConfig, preintegration_params
+from dronevio.estimator.imu.preintegration import PreintegrationConfig, preintegration_params
 from dronevio.estimator.propagator import Interval
-from dronevio.estimator.types import NOTHING_SEEN, Sighting
+from dronevio.estimator.types import NOTHING_SEEN, FramePacket
 from dronevio.models.imu import GRAVITY_M_S2, ImuModel
 from dronevio.models.state import NavState
 
@@ -26,15 +26,15 @@ def interval(velocity_m_s: np.ndarray, sigma_m_s: float) -> Interval:
     keyframe = SimpleNamespace(
         state=state, gtsam_state=(gtsam.NavState(gtsam.Pose3(), velocity_m_s), gtsam.imuBias.ConstantBias())
     )
-    params = preintegration_params(IMU, InertialConfig())
+    params = preintegration_params(IMU, PreintegrationConfig())
     return Interval(params, IMU, KeyframePolicy(KeyframeConfig()), keyframe, NOTHING_SEEN)
 
 
-def sighting(k: int) -> Sighting:
+def packet(k: int) -> FramePacket:
     """Return a frame before which the IMU has felt gravity and nothing else."""
     n = 10
     force = np.tile([0.0, 0.0, GRAVITY_M_S2], (n, 1))
-    return Sighting(k * FRAME_NS, Increments(np.full(n, 0.005), np.zeros((n, 3)), force), NOTHING_SEEN)
+    return FramePacket(k * FRAME_NS, Increments(np.full(n, 0.005), np.zeros((n, 3)), force), NOTHING_SEEN)
 
 
 @pytest.mark.parametrize(("sigma_m_s", "rests"), [(0.002, False), (0.009, False), (0.011, True), (0.1, True)])
@@ -42,9 +42,9 @@ def test_what_surely_moves_does_not_rest_though_its_image_stands(sigma_m_s: floa
     """A drone that drifts at 5 cm/s, a far wall before it."""
     drifting = interval(np.array([0.0, 0.03, 0.04]), sigma_m_s)
     for k in range(1, 8):
-        still = drifting.would_be_still(sighting(k), still_for_s=10.0)
+        still = drifting.would_be_stationary(packet(k), stationary_s=10.0)
         assert still == rests
-        drifting.add(sighting(k), still)
+        drifting.add(packet(k), still)
     moved_m = drifting.state_at(7 * FRAME_NS).T_world_imu[:3, 3]
     if rests:  # settled 0.2 s ago
         np.testing.assert_allclose(moved_m, 0.0, atol=1e-9)
@@ -55,5 +55,5 @@ def test_what_surely_moves_does_not_rest_though_its_image_stands(sigma_m_s: floa
 
 def test_a_drone_that_stands_rests() -> None:
     standing = interval(np.zeros(3), 0.002)
-    assert standing.would_be_still(sighting(1), still_for_s=0.05)
-    assert not standing.would_be_still(sighting(1), still_for_s=0.04)
+    assert standing.would_be_stationary(packet(1), stationary_s=0.05)
+    assert not standing.would_be_stationary(packet(1), stationary_s=0.04)

@@ -8,7 +8,7 @@ import pytest
 
 from dronevio.estimator.imu.buffer import Increments
 from dronevio.estimator.initialization.gauge import LastBelieved, Zero
-from dronevio.estimator.initialization.static import StartSigmas
+from dronevio.estimator.initialization.static import InitialSigmas
 from dronevio.estimator.vio import VisualInertialOdometry
 from dronevio.eval.metrics.alignment import align
 from dronevio.models.errors import ConfigError
@@ -148,7 +148,7 @@ def test_a_start_after_a_loss_has_the_position_that_was_believed_and_the_gyrosco
         R_true.T @ placed.velocity_m_s, (yaw @ R_true).T @ start.velocity_m_s
     )  # seen from the IMU
     np.testing.assert_allclose(placed.T_world_imu[2, :3], start.T_world_imu[2, :3], atol=1e-9)  # gravity is the start's
-    P = origin.covariance(placed, StartSigmas())
+    P = origin.covariance(placed, InitialSigmas())
     assert np.linalg.eigvalsh(P).min() > 0.0
     assert np.sqrt(P[3, 3]) > 0.9 * np.linalg.norm(believed.velocity_m_s)  # for a second, it may have flown on
 
@@ -157,5 +157,5 @@ def test_the_first_start_is_where_the_world_begins() -> None:
     start = NavState(5, pose_matrix(exp_so3(np.ones(3)), ZERO), np.ones(3), ZERO, ZERO)
     assert Zero().place(start, turning(np.random.default_rng(0))) is start
     np.testing.assert_array_equal(
-        Zero().covariance(start, StartSigmas()), StartSigmas().covariance(start.T_world_imu[:3, :3])
+        Zero().covariance(start, InitialSigmas()), InitialSigmas().covariance(start.T_world_imu[:3, :3])
     )

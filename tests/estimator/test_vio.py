@@ -279,14 +279,14 @@ def test_hardships_cost_accuracy_and_no_more(make_flight: Callable, rest_s: floa
 
 def test_nothing_is_said_before_there_is_something_to_say(make_flight: Callable) -> None:
     blind = make_flight(0, rest_s=REST, dark_s=(0.0, 99.0), duration_s=4.0).run()
-    assert all(e.health == Health.INITIALISING and e.state is None for e in blind)
+    assert all(e.health == Health.INITIALIZING and e.state is None for e in blind)
 
 
 def test_without_an_imu_it_waits(make_flight: Callable) -> None:
     flight = make_flight(0, rest_s=REST, duration_s=3.0)
     vio = VisualInertialOdometry(flight.rig, front_end=flight.front_end())
     said = [vio.add_frame(flight.frame(k)) for k in range(40)]
-    assert all(e.health == Health.INITIALISING and e.state is None for e in said)
+    assert all(e.health == Health.INITIALIZING and e.state is None for e in said)
 
 
 def test_frames_may_come_before_the_imu_does(make_flight: Callable) -> None:
@@ -305,7 +305,7 @@ def test_frames_between_samples_do_as_well(make_flight: Callable) -> None:
 def test_events_tell_the_start_and_the_keyframes(flown: Callable) -> None:
     _, estimates = flown(0, REST)
     events = [e.events for e in estimates]
-    assert sum("initialised" in e for e in events) == 1
+    assert sum("initialized" in e for e in events) == 1
     keyframes = [e for e in estimates if "keyframe" in e.events]
     assert 40 < len(keyframes) < 80
     assert all((e.landmarks_world is not None) == ("keyframe" in e.events) for e in estimates)

@@ -115,7 +115,7 @@ def _estimates(truth: Trajectory, rig: Rig, rng: np.random.Generator) -> tuple[E
         ids = np.flatnonzero(seen)
         tracks = FeatureTracks(ids.astype(np.int64), pixels[ids], (i - first_seen[ids] + 1).astype(np.int64))
         if i < 10:
-            estimates.append(Estimate(t_ns, Health.INITIALISING, None, tracks))
+            estimates.append(Estimate(t_ns, Health.INITIALIZING, None, tracks))
             continue
         T = T_odom_world @ T_world_imu
         T[:3, 3] += drift_m[i] - drift_m[10]
@@ -130,7 +130,7 @@ def _estimates(truth: Trajectory, rig: Rig, rng: np.random.Generator) -> tuple[E
             np.diag(sigmas**2),
         )
         on_map = landmarks[ids] @ T_odom_world[:3, :3].T + T_odom_world[:3, 3] if i % 5 == 0 else None
-        events = ("initialised",) if i == 10 else ("keyframe",) if i % 5 == 0 else ()
+        events = ("initialized",) if i == 10 else ("keyframe",) if i % 5 == 0 else ()
         estimates.append(Estimate(t_ns, Health.TRACKING, state, tracks, on_map, events))
     return tuple(estimates)
 

@@ -44,7 +44,7 @@ def scores() -> Scores:
         gyro_bias_rad_s=statistics(33.0),
         accel_bias_m_s2=statistics(34.0),
         coverage_percent=35.0,
-        initialised_s=36.0,
+        initialized_s=36.0,
         nees_position=37.0,
         nees_orientation=38.0,
         nees_position_inside_percent=39.0,

@@ -41,10 +41,10 @@ def test_fisheye_is_opencvs(model: CameraModel) -> None:
     p = np.random.default_rng(1).uniform([-9.0, -9.0, 0.3], [9.0, 9.0, 3.0], (300, 1, 3))  # up to 89° off the axis
     theirs, _ = cv2.fisheye.projectPoints(p, np.zeros(3), np.zeros(3), model.K, np.array(model.distortion))
     np.testing.assert_allclose(model.project(p), theirs, atol=1e-9)
-    ahead = np.isfinite(model.normalise(theirs)).all(axis=-1)
+    ahead = np.isfinite(model.normalize(theirs)).all(axis=-1)
     back = cv2.fisheye.undistortPoints(theirs[ahead][:, None], model.K, np.array(model.distortion))
     near = np.linalg.norm(back, axis=-1) < 5.0  # OpenCV stops at 1e-8 rad
-    np.testing.assert_allclose(model.normalise(theirs[ahead][:, None])[near], back[near], atol=1e-6)
+    np.testing.assert_allclose(model.normalize(theirs[ahead][:, None])[near], back[near], atol=1e-6)
 
 
 def test_fisheye_sees_behind_itself() -> None:
@@ -55,13 +55,13 @@ def test_fisheye_sees_behind_itself() -> None:
     pixels = FISHEYE.project(p)
     np.testing.assert_allclose(pixels[:, 0], FISHEYE.cx + FISHEYE.fx * bent, atol=1e-9)
     np.testing.assert_allclose(FISHEYE.unproject(pixels) * 3.0, p, atol=1e-9)
-    np.testing.assert_array_equal(np.isnan(FISHEYE.normalise(pixels)).any(axis=-1), angles >= 0.5 * np.pi)
+    np.testing.assert_array_equal(np.isnan(FISHEYE.normalize(pixels)).any(axis=-1), angles >= 0.5 * np.pi)
 
 
 @pytest.mark.parametrize("model", CAMERAS)
 def test_every_pixel_comes_back(model: CameraModel) -> None:
     pixels = every_pixel(model)
-    xy = model.normalise(pixels)
+    xy = model.normalize(pixels)
     back = model.project(np.column_stack([xy, np.ones(len(xy))]) * 3.7)
     np.testing.assert_allclose(back, pixels, atol=1e-9)
     np.testing.assert_allclose(model.undistort(model.distort(xy)), xy, atol=1e-11)
@@ -104,7 +104,7 @@ def test_a_lens_ends_where_it_would_fold(model: CameraModel) -> None:
     outermost = pixels[np.arange(12), last]
     beyond = outermost + 0.05 * (outermost - [model.cx, model.cy])
     assert np.isnan(model.unproject(beyond)).all()
-    assert np.isnan(model.normalise(beyond)).all()
+    assert np.isnan(model.normalize(beyond)).all()
 
 
 def test_reach_is_where_the_lens_turns() -> None:
@@ -172,11 +172,11 @@ def test_what_is_not_in_front_has_no_pixel() -> None:
 
 
 def test_no_points_and_many_axes_are_fine() -> None:
-    assert EUROC_CAM0.normalise(np.zeros((0, 2))).shape == (0, 2)
+    assert EUROC_CAM0.normalize(np.zeros((0, 2))).shape == (0, 2)
     assert EUROC_CAM0.project(np.zeros((0, 3))).shape == (0, 2)
     pixels = every_pixel(EUROC_CAM0)[:24].reshape(2, 3, 4, 2)
     np.testing.assert_array_equal(EUROC_CAM0.unproject(pixels).shape, (2, 3, 4, 3))
-    np.testing.assert_allclose(EUROC_CAM0.normalise(pixels)[1, 2, 3], EUROC_CAM0.normalise(pixels[1, 2, 3]), atol=1e-12)
+    np.testing.assert_allclose(EUROC_CAM0.normalize(pixels)[1, 2, 3], EUROC_CAM0.normalize(pixels[1, 2, 3]), atol=1e-12)
 
 
 def test_eurocs_rig_looks_ahead_of_the_vehicle() -> None:

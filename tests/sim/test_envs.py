@@ -210,7 +210,7 @@ def test_smaller_images_have_the_same_view() -> None:
     assert (small.width, small.height) == (188, 120)
     corners = np.array([[-0.5, -0.5], [751.5, 479.5]])
     small_corners = np.array([[-0.5, -0.5], [187.5, 119.5]])
-    np.testing.assert_allclose(small.normalise(small_corners), EUROC_CAM0.normalise(corners), atol=1e-9)
+    np.testing.assert_allclose(small.normalize(small_corners), EUROC_CAM0.normalize(corners), atol=1e-9)
 
 
 def test_the_target_is_where_the_docs_say() -> None:

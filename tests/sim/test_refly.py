@@ -48,7 +48,7 @@ def test_the_world_is_laid_around_the_path(recorded: Flight) -> None:
     assert place_of("room", 3).space.clearance(laid).min() >= 0.3
 
 
-def test_a_synthesised_imu_feels_the_path(recorded: Flight) -> None:
+def test_a_synthesized_imu_feels_the_path(recorded: Flight) -> None:
     path, _ = _shifted(recorded)
     flown = refly(path, None, rig_named("euroc"), "room")
     assert not flown.real_imu

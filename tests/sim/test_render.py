@@ -155,7 +155,7 @@ def test_truth_beside_the_frames(tmp_path: Path) -> None:
     assert np.all(seg[seen] > 0) and seen.mean() > 0.3
     v, u = np.nonzero(seen)
     move = (flow[v, u][:, [2, 1]].astype(float) - 2**15) / 64.0
-    p_cam = SMALL.normalise(np.stack([u, v], axis=-1))
+    p_cam = SMALL.normalize(np.stack([u, v], axis=-1))
     p_cam = np.concatenate([p_cam, np.ones((len(u), 1))], axis=-1) * depth[v, u][:, None] * 1e-3
     T_now, T_next = work.poses(0)(work.schedule.exposed_ns[:2])
     T_next_now = np.linalg.inv(T_next) @ T_now

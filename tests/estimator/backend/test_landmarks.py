@@ -119,7 +119,7 @@ def window(scene: Scene, frames: int, config: LandmarkConfig | None = None) -> L
 
 def judged(landmarks: LandmarkWindow, poses: dict[int, tuple[np.ndarray, np.ndarray]]) -> np.ndarray:
     """Return the landmarks that the window gives up, by the errors that they have with one camera at some poses."""
-    seen = landmarks.sightings
+    seen = landmarks.observations
     points = landmarks.points[landmarks.rows(seen.landmark)]
     R, p = (np.stack([poses[k][i][0] for k in seen.keyframe.tolist()]) for i in (0, 1))
     in_camera = np.einsum("nij,ni->nj", R, points - p)
@@ -132,14 +132,14 @@ def test_landmarks_seen_often_and_from_aside_are_found() -> None:
     assert len(landmarks.triangulate(scene.poses(), newest=7)) == 0
     assert landmarks.ids.tolist() == list(range(30))
     np.testing.assert_allclose(landmarks.points, scene.points, atol=1e-3)
-    assert len(landmarks.sightings) == 8 * 30
+    assert len(landmarks.observations) == 8 * 30
 
 
 def test_landmarks_seen_seldom_or_without_parallax_are_neither_found_nor_wrong() -> None:
     scene = Scene()
     for landmarks, newest in ((window(scene, 2), 1), (window(scene, 8, LandmarkConfig(min_parallax_deg=60.0)), 7)):
         assert len(landmarks.triangulate(scene.poses(), newest)) == 0
-        assert len(landmarks.ids) == 0 and len(landmarks.sightings) == 0
+        assert len(landmarks.ids) == 0 and len(landmarks.observations) == 0
 
 
 def test_several_cameras_at_one_instant_say_nothing_of_the_motion() -> None:
@@ -213,12 +213,12 @@ def test_dropped_and_unseen_ones_are_gone() -> None:
     landmarks = window(scene, 8)
     landmarks.triangulate(scene.poses(), newest=7)
     landmarks.drop(np.arange(5))
-    assert landmarks.ids.tolist() == list(range(5, 30)) and len(landmarks.sightings) == 8 * 25
+    assert landmarks.ids.tolist() == list(range(5, 30)) and len(landmarks.observations) == 8 * 25
     landmarks.drop_keyframe(3)
-    assert 3 not in landmarks.sightings.keyframe and len(landmarks.sightings) == 7 * 25
+    assert 3 not in landmarks.observations.keyframe and len(landmarks.observations) == 7 * 25
     for k in (0, 1, 2, 4, 5, 6, 7):
         landmarks.drop_keyframe(k)
-    assert len(landmarks.ids) == len(landmarks.points) == len(landmarks.sightings) == 0
+    assert len(landmarks.ids) == len(landmarks.points) == len(landmarks.observations) == 0
 
 
 def test_parallax_from_a_baseline_of_millimetres_is_not_believed() -> None:

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from dronevio.estimator.backend.linalg import Factorised, SingularError, eliminate
+from dronevio.estimator.backend.linalg import Factorized, SingularError, eliminate
 
 
 def system(seed: int, n: int = 12, spread: float = 4.0) -> tuple[np.ndarray, np.ndarray]:
@@ -16,7 +16,7 @@ def system(seed: int, n: int = 12, spread: float = 4.0) -> tuple[np.ndarray, np.
 @pytest.mark.parametrize("seed", range(5))
 def test_solves_whatever_the_units(seed: int) -> None:
     H, b = system(seed)
-    solver = Factorised(H)
+    solver = Factorized(H)
     np.testing.assert_allclose(H @ solver.solve(b), b, rtol=1e-6)
     scale = np.sqrt(np.diag(H))
     columns = np.array([2, 7])
@@ -37,4 +37,4 @@ def test_what_is_left_has_the_same_solution_and_covariance(seed: int) -> None:
 @pytest.mark.parametrize("H", [np.diag([1.0, 0.0]), np.array([[1.0, 2.0], [2.0, 1.0]]), np.diag([1.0, np.nan])])
 def test_what_has_no_unique_solution_is_told(H: np.ndarray) -> None:
     with pytest.raises(SingularError):
-        Factorised(H)
+        Factorized(H)

@@ -16,7 +16,7 @@ from dronevio.estimator.backend.landmarks import LandmarkConfig
 from dronevio.estimator.backend.marginal_prior import Prior, State
 from dronevio.estimator.backend.smoother import KeyframeSmoother, SmootherConfig
 from dronevio.estimator.imu.buffer import ImuBuffer
-from dronevio.estimator.imu.preintegration import InertialConfig, integrate, preintegration_params
+from dronevio.estimator.imu.preintegration import PreintegrationConfig, integrate, preintegration_params
 from dronevio.models.rotation import exp_so3
 from dronevio.models.state import NavState
 
@@ -64,7 +64,7 @@ def priors(flight: object, config: SmootherConfig) -> Iterator[Prior]:
     front_end.track(flight.frame(0), np.eye(3))
     smoother = KeyframeSmoother(flight.rig.cameras, config, LandmarkConfig(), start, covariance, front_end.replenish())
     yield smoother._window._prior
-    params = preintegration_params(flight.rig.imu, InertialConfig())
+    params = preintegration_params(flight.rig.imu, PreintegrationConfig())
     for k, t_ns in enumerate(times[1:].tolist(), 1):
         pim = gtsam.PreintegratedCombinedMeasurements(params, smoother.gtsam_state[1])
         integrate(pim, buffer.take_until(t_ns))
@@ -76,12 +76,12 @@ def priors(flight: object, config: SmootherConfig) -> Iterator[Prior]:
 
 
 @pytest.mark.parametrize(
-    ("min_parallax_px", "long_lived"),
+    ("min_parallax_px", "persistent"),
     [(5.0, 0), (5.0, 20), (40.0, 20)],
     ids=["oldest leave", "oldest leave, landmarks stay", "some in between leave"],
 )
 def test_no_information_on_global_position_and_yaw(
-    make_flight: Callable, monkeypatch: pytest.MonkeyPatch, min_parallax_px: float, long_lived: int
+    make_flight: Callable, monkeypatch: pytest.MonkeyPatch, min_parallax_px: float, persistent: int
 ) -> None:
     """What the prior knows of the gauge stays what it was given, within some percent.
 
@@ -91,7 +91,7 @@ def test_no_information_on_global_position_and_yaw(
     """
     monkeypatch.setattr(smoother_module, "GAUGE_SIGMA", GAUGE_SIGMA)
     flight = make_flight(3, rest_s=-5.0, duration_s=5.0, max_features=40)
-    config = SmootherConfig(min_parallax_px=min_parallax_px, max_long_lived=long_lived)
+    config = SmootherConfig(min_parallax_px=min_parallax_px, max_persistent=persistent)
     first, *later = priors(flight, config)
     root = np.linalg.cholesky(gauge_information(first))
     for prior in later:
@@ -102,7 +102,7 @@ def test_no_information_on_global_position_and_yaw(
     in_window = list(range(newest - len(prior.states) + 1, newest + 1))
     assert (list(prior.states) == in_window) == (min_parallax_px == 5.0)  # else some between have left
     assert 0 not in prior.states and newest == len(later)
-    assert (len(prior.points) > 0) == (long_lived > 0 and min_parallax_px == 5.0)
+    assert (len(prior.points) > 0) == (persistent > 0 and min_parallax_px == 5.0)
 
 
 def test_gauge_directions_are_those_of_a_moved_world(make_flight: Callable) -> None:

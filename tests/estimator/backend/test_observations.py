@@ -1,10 +1,10 @@
-"""Sightings: how much what a keyframe shows is doubted."""
+"""ObservationTable: how much what a keyframe shows is miscalibrated."""
 
 from dataclasses import replace
 
 import numpy as np
 
-from dronevio.estimator.backend.observations import DOUBT_OF_MATCHES, DOUBT_OF_UNLIKENESS, sightings_of
+from dronevio.estimator.backend.observations import MATCH_SIGMA_SCALE, DECORRELATION_SIGMA_SCALE, observation_table
 from dronevio.estimator.types import Matches, Observations
 
 
@@ -12,9 +12,9 @@ def test_what_further_cameras_see_is_as_doubtful_as_where_it_was_looked_for() ->
     """Matches name their features, in whatever rows those are."""
     ids, zoom, quality = np.array([3, 5, 8]), np.array([0.5, 1.0, 1.6]), np.array([1.0, 0.9, 0.95])
     matches = Matches(np.array([8, 3, 8]), np.array([1, 1, 2]), np.zeros((3, 2)))
-    seen = Observations(ids, np.zeros((3, 2)), np.zeros((3, 2)), np.ones(3, np.int64), quality=quality, zoom=zoom)
-    table = sightings_of(4, replace(seen, matches=matches))
+    seen = Observations(ids, np.zeros((3, 2)), np.zeros((3, 2)), np.ones(3, np.int64), zncc=quality, scale=zoom)
+    table = observation_table(4, replace(seen, matches=matches))
     np.testing.assert_array_equal(table.landmark, [3, 5, 8, 8, 3, 8])
     np.testing.assert_array_equal(table.camera, [0, 0, 0, 1, 1, 2])
-    followed = [1.0, 1.0 + 0.1 * DOUBT_OF_UNLIKENESS, 1.6 * (1.0 + 0.05 * DOUBT_OF_UNLIKENESS)]
-    np.testing.assert_allclose(table.doubt, [*followed, *(np.array([1.6, 1.0, 1.6]) * DOUBT_OF_MATCHES)])
+    followed = [1.0, 1.0 + 0.1 * DECORRELATION_SIGMA_SCALE, 1.6 * (1.0 + 0.05 * DECORRELATION_SIGMA_SCALE)]
+    np.testing.assert_allclose(table.sigma_scale, [*followed, *(np.array([1.6, 1.0, 1.6]) * MATCH_SIGMA_SCALE)])

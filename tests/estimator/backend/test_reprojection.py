@@ -1,9 +1,9 @@
-"""Sightings to first order: against finite differences, and against the linear system that eliminates nothing."""
+"""The linearized reprojection residuals, against finite differences and against the system without elimination."""
 
 import numpy as np
 import pytest
 
-from dronevio.estimator.backend.observations import Sightings
+from dronevio.estimator.backend.observations import ObservationTable
 from dronevio.estimator.backend.reprojection import Rows, Scene, residuals, visual_system
 from dronevio.models.rotation import exp_so3, pose_matrix
 
@@ -22,14 +22,14 @@ class Seen:
         seen = rng.permutation(len(k))[: int(0.8 * len(k))]
         self.rows = Rows(k[seen], landmark[seen])
         xy = np.zeros((len(seen), 2))
-        self.sightings = Sightings(100 + landmark[seen], 7 + k[seen], camera[seen], xy, np.ones(len(seen)))
+        self.observations = ObservationTable(100 + landmark[seen], 7 + k[seen], camera[seen], xy, np.ones(len(seen)))
         self.weight = rng.uniform(0.5, 2.0, len(seen))
-        self.sightings = Sightings(
+        self.observations = ObservationTable(
             100 + landmark[seen], 7 + k[seen], camera[seen], -self.error(self.scene), np.ones(len(seen))
         )
 
     def error(self, scene: Scene) -> np.ndarray:
-        return residuals(self.sightings, self.rows, self.Ts_imu_cam, scene)[0]
+        return residuals(self.observations, self.rows, self.Ts_imu_cam, scene)[0]
 
 
 def moved(scene: Scene, poses: np.ndarray, points: np.ndarray) -> Scene:
@@ -60,7 +60,7 @@ def test_eliminated_landmarks_leave_the_poses_what_they_said(seed: int) -> None:
     seen = Seen(seed)
     error = 0.01 * np.random.default_rng(seed).normal(size=(len(seen.weight), 2))
     H, b = dense(seen, error)
-    system = visual_system(seen.sightings, seen.rows, seen.Ts_imu_cam, seen.scene, error, seen.weight)
+    system = visual_system(seen.observations, seen.rows, seen.Ts_imu_cam, seen.scene, error, seen.weight)
     poses, points = slice(0, 6 * K), slice(6 * K, None)
     inverse = np.linalg.inv(H[points, points])
     expected_H = H[poses, poses] - H[poses, points] @ inverse @ H[points, poses]
@@ -78,11 +78,11 @@ def test_eliminated_landmarks_leave_the_poses_what_they_said(seed: int) -> None:
 def test_a_landmark_that_is_not_eliminated_is_left_out_of_the_sum() -> None:
     seen = Seen(5)
     error = 0.01 * np.random.default_rng(5).normal(size=(len(seen.weight), 2))
-    kept = seen.sightings.landmark == 103
+    kept = seen.observations.landmark == 103
     eliminated = np.arange(L) != 3
-    system = visual_system(seen.sightings, seen.rows, seen.Ts_imu_cam, seen.scene, error, seen.weight)
+    system = visual_system(seen.observations, seen.rows, seen.Ts_imu_cam, seen.scene, error, seen.weight)
     without = visual_system(
-        seen.sightings[~kept],
+        seen.observations[~kept],
         Rows(seen.rows.keyframe[~kept], seen.rows.landmark[~kept]),
         seen.Ts_imu_cam,
         seen.scene,
@@ -91,7 +91,7 @@ def test_a_landmark_that_is_not_eliminated_is_left_out_of_the_sum() -> None:
     )
     own = sum(
         visual_system(
-            seen.sightings[kept],
+            seen.observations[kept],
             Rows(seen.rows.keyframe[kept], seen.rows.landmark[kept]),
             seen.Ts_imu_cam,
             seen.scene,
@@ -109,7 +109,7 @@ def test_no_sightings_say_nothing() -> None:
     seen = Seen(0)
     nothing = np.zeros(0, dtype=np.int64)
     system = visual_system(
-        seen.sightings[:0], Rows(nothing, nothing), seen.Ts_imu_cam, seen.scene, np.zeros((0, 2)), np.zeros(0)
+        seen.observations[:0], Rows(nothing, nothing), seen.Ts_imu_cam, seen.scene, np.zeros((0, 2)), np.zeros(0)
     )
     H, b = system.without_points(np.ones(L, dtype=np.bool_))
     assert not H.any() and not b.any()

@@ -12,8 +12,8 @@ from dronevio.estimator.backend.linalg import SingularError
 from dronevio.estimator.backend.smoother import KeyframeResult, KeyframeSmoother, SmootherConfig
 from dronevio.estimator.backend.window import LinearSystem
 from dronevio.estimator.imu.buffer import ImuBuffer
-from dronevio.estimator.imu.preintegration import InertialConfig, integrate, preintegration_params
-from dronevio.estimator.initialization.static import StartSigmas
+from dronevio.estimator.imu.preintegration import PreintegrationConfig, integrate, preintegration_params
+from dronevio.estimator.initialization.static import InitialSigmas
 from dronevio.models.rotation import exp_so3, log_so3
 from dronevio.models.state import NavState, Trajectory
 
@@ -37,7 +37,7 @@ class KeyframeFeed:
 
 
 def keyframes(
-    flight: object, config: SmootherConfig, start_off: np.ndarray, sigmas: StartSigmas
+    flight: object, config: SmootherConfig, start_off: np.ndarray, sigmas: InitialSigmas
 ) -> Iterator[KeyframeFeed]:
     """Yield after each keyframe; the first state is off by the given δθ, δv, δb_gyro, δb_accel (4, 3)."""
     times = np.arange(flight.frame_times_ns[0], flight.frame_times_ns[-1] + 1, INTERVAL_NS)
@@ -64,7 +64,7 @@ def keyframes(
         front_end.replenish(),
     )
     feed = KeyframeFeed(flight, truth, smoother, [], [], [])
-    params = preintegration_params(flight.rig.imu, InertialConfig())
+    params = preintegration_params(flight.rig.imu, PreintegrationConfig())
     for k, t_ns in enumerate(times[1:].tolist(), 1):
         pim = gtsam.PreintegratedCombinedMeasurements(params, smoother.gtsam_state[1])
         integrate(pim, buffer.take_until(t_ns))
@@ -78,7 +78,7 @@ def keyframes(
 
 def feed_all(flight: object, config: SmootherConfig | None = None, start_off: np.ndarray | None = None) -> KeyframeFeed:
     off = np.zeros((4, 3)) if start_off is None else start_off
-    *_, last = keyframes(flight, config or SmootherConfig(), off, StartSigmas())
+    *_, last = keyframes(flight, config or SmootherConfig(), off, InitialSigmas())
     return last
 
 
@@ -134,19 +134,19 @@ def test_covariances_are_proper_and_vision_keeps_them_small(clean: KeyframeFeed)
     assert np.all(sigmas[-1, 9:] < sigmas[0, 9:])  # biases become known
 
 
-@pytest.mark.parametrize("long_lived", [0, 20])
+@pytest.mark.parametrize("persistent", [0, 20])
 @pytest.mark.parametrize("size", [5, 15])
-def test_window_stays_a_window(make_flight: Callable, size: int, long_lived: int) -> None:
+def test_window_stays_a_window(make_flight: Callable, size: int, persistent: int) -> None:
     flight = make_flight(0, rest_s=-5.0, duration_s=8.0, noisy=False)
-    config, most_long_lived = SmootherConfig(max_keyframes=size, max_long_lived=long_lived), 0
-    for feed in keyframes(flight, config, np.zeros((4, 3)), StartSigmas()):
+    config, most_long_lived = SmootherConfig(max_keyframes=size, max_persistent=persistent), 0
+    for feed in keyframes(flight, config, np.zeros((4, 3)), InitialSigmas()):
         window = feed.smoother._window
-        assert len(window.states) <= size and len(window.long_lived) <= long_lived
-        most_long_lived = max(most_long_lived, len(window.long_lived))
-        assert set(window.landmarks.sightings.keyframe.tolist()) <= set(window.states)
-        assert window.long_lived <= set(window.landmarks.ids.tolist())
+        assert len(window.states) <= size and len(window.persistent) <= persistent
+        most_long_lived = max(most_long_lived, len(window.persistent))
+        assert set(window.landmarks.observations.keyframe.tolist()) <= set(window.states)
+        assert window.persistent <= set(window.landmarks.ids.tolist())
     assert len(feed.states) > size  # it had to forget
-    assert (most_long_lived > 0) == (long_lived > 0)
+    assert (most_long_lived > 0) == (persistent > 0)
     assert errors(feed)[1].max() < 0.01  # and what is forgotten is not lost
 
 
@@ -154,7 +154,7 @@ def test_window_keeps_old_views_where_nothing_moves(make_flight: Callable) -> No
     """Without parallax the last keyframe but one goes, and the oldest stays."""
     flight = make_flight(0, rest_s=-5.0, duration_s=6.0)
     config = SmootherConfig(max_keyframes=6, min_parallax_px=1e6)
-    for feed in keyframes(flight, config, np.zeros((4, 3)), StartSigmas()):
+    for feed in keyframes(flight, config, np.zeros((4, 3)), InitialSigmas()):
         k = len(feed.states)
         assert list(feed.smoother._window.states) == ([*range(k + 1)] if k < 6 else [0, 1, 2, 3, 4, k])
         assert np.isfinite(feed.states[-1].covariance).all()
@@ -166,9 +166,9 @@ def fail() -> LinearSystem:
 
 def test_solver_that_fails_ends_no_flight(make_flight: Callable) -> None:
     flight = make_flight(2, rest_s=-5.0, duration_s=8.0)
-    for feed in keyframes(flight, SmootherConfig(), np.zeros((4, 3)), StartSigmas()):
+    for feed in keyframes(flight, SmootherConfig(), np.zeros((4, 3)), InitialSigmas()):
         if len(feed.states) == 15:
-            feed.smoother._window.linearise = fail
+            feed.smoother._window.linearize = fail
     events = [result.events for result in feed.results]
     assert events[15] == ("solver restored: an indefinite linear system",)
     assert not any(events[:15]) and not any(events[16:])
@@ -182,12 +182,12 @@ def test_solver_starts_again_however_unsure_the_position(make_flight: Callable, 
     """Nothing observes the position: after a long flight, metres of uncertainty are its due, and no reason to fail."""
     flight = make_flight(2, rest_s=-5.0, duration_s=4.0)
     before = None
-    for feed in keyframes(flight, SmootherConfig(), np.zeros((4, 3)), StartSigmas()):
+    for feed in keyframes(flight, SmootherConfig(), np.zeros((4, 3)), InitialSigmas()):
         if len(feed.states) == 8:
             before = feed.smoother._covariance.copy()
             before[3:6, 3:6] = position_sigma_m**2 * np.eye(3)
             feed.smoother._covariance = before
-            feed.smoother._window.linearise = fail
+            feed.smoother._window.linearize = fail
     assert [bool(result.events) for result in feed.results] == [k == 8 for k in range(len(feed.results))]
     assert errors(feed)[1].max() < 0.1
     sigma_m = np.sqrt(np.diag(feed.states[-1].covariance)[3:6])
@@ -203,9 +203,9 @@ def test_rest_is_held(make_flight: Callable) -> None:
     buffer.add(flight.imu)
     buffer.take_until(start.t_ns)
     front_end.track(flight.frame(0), np.eye(3))
-    P = StartSigmas(gyro_bias_rad_s=0.05).covariance(start.T_world_imu[:3, :3])
+    P = InitialSigmas(gyro_bias_rad_s=0.05).covariance(start.T_world_imu[:3, :3])
     smoother = KeyframeSmoother(flight.rig.cameras, SmootherConfig(), LandmarkConfig(), start, P, front_end.replenish())
-    params = preintegration_params(flight.rig.imu, InertialConfig())
+    params = preintegration_params(flight.rig.imu, PreintegrationConfig())
     for k in range(10, len(flight.frame_times_ns), 10):
         t_ns = int(flight.frame_times_ns[k])
         pim = gtsam.PreintegratedCombinedMeasurements(params, smoother.gtsam_state[1])

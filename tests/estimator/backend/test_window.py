@@ -1,4 +1,4 @@
-"""The window: how much each sighting weighs, and what marginalising leaves."""
+"""The window: how much each sighting weighs, and what marginalizing leaves."""
 
 from dataclasses import replace
 
@@ -9,7 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from dronevio.estimator.backend.landmarks import LandmarkConfig, LandmarkWindow
-from dronevio.estimator.backend.linalg import Factorised
+from dronevio.estimator.backend.linalg import Factorized
 from dronevio.estimator.backend.marginal_prior import State
 from dronevio.estimator.backend.window import LinearSystem, Window, medians_of_each
 from dronevio.estimator.types import Observations
@@ -19,8 +19,8 @@ FOCAL_PX, LANDMARKS, KEYFRAMES, PIXEL_SIGMA = 450.0, 30, 5, 0.4
 
 def window(
     shift_px: float = 0.0,
-    quality: float = 1.0,
-    zoom: float = 1.0,
+    zncc: float = 1.0,
+    scale: float = 1.0,
     noise_sigmas: float = 0.0,
     robust_sigmas: float = 1.0,
 ) -> Window:
@@ -50,10 +50,10 @@ def window(
         xy = p[:, :2] / p[:, 2:] + noise[k]
         if k == KEYFRAMES - 1:
             xy[0, 0] += shift_px / FOCAL_PX
-        qualities, zooms = np.ones(LANDMARKS), np.ones(LANDMARKS)
-        qualities[1], zooms[2] = quality, zoom
+        znccs, scales = np.ones(LANDMARKS), np.ones(LANDMARKS)
+        znccs[1], scales[2] = zncc, scale
         ids, ages = np.arange(LANDMARKS), np.full(LANDMARKS, k + 1)
-        landmarks.observe(k, Observations(ids, FOCAL_PX * xy, xy, ages, quality=qualities, zoom=zooms))
+        landmarks.observe(k, Observations(ids, FOCAL_PX * xy, xy, ages, zncc=znccs, scale=scales))
     assert len(landmarks.triangulate(made.cameras, newest=KEYFRAMES - 1)) == 0
     if noise_sigmas > 0.0:
         landmarks.points = points
@@ -79,20 +79,20 @@ def weights(system: LinearSystem) -> np.ndarray:
 
 def test_doubtful_sightings_weigh_less() -> None:
     """One that is off by some pixels, those of a feature that has changed its looks, and of one that came nearer."""
-    clean = weights(window().linearise())
-    spoilt = weights(window(shift_px=4.0, quality=0.9, zoom=2.0).linearise())
+    clean = weights(window().linearize())
+    spoilt = weights(window(shift_px=4.0, zncc=0.9, scale=2.0).linearize())
     assert spoilt[0] < clean[0] / 1.15
     np.testing.assert_allclose(spoilt[1], clean[1] / 3.0**2, rtol=1e-3)  # 1 + 20 · (1 − 0.9) times less certain
     np.testing.assert_allclose(spoilt[2], clean[2] / 2.0**2, rtol=1e-3)
     np.testing.assert_allclose(spoilt[3:], clean[3:], rtol=0.05)
-    np.testing.assert_allclose(weights(window(zoom=0.5).linearise()), clean, rtol=1e-6)  # further is no reason
+    np.testing.assert_allclose(weights(window(scale=0.5).linearize()), clean, rtol=1e-6)  # further is no reason
 
 
 @pytest.mark.parametrize(("noise_sigmas", "weight"), [(0.5, 1.0), (1.0, 1.0), (2.0, 1.0 / 4.0), (3.0, 1.0 / 9.0)])
 def test_noisier_observations_weigh_less(noise_sigmas: float, weight: float) -> None:
     """Noise s times as large as assumed makes the weights 1/s² as large; smaller noise makes them no larger."""
-    clean = weights(window(robust_sigmas=1e6).linearise())
-    noisy = weights(window(noise_sigmas=noise_sigmas, robust_sigmas=1e6).linearise())
+    clean = weights(window(robust_sigmas=1e6).linearize())
+    noisy = weights(window(noise_sigmas=noise_sigmas, robust_sigmas=1e6).linearize())
     np.testing.assert_allclose(noisy, weight * clean, rtol=0.01)
 
 
@@ -104,17 +104,17 @@ def test_what_noise_does_not_explain_of_a_motion_weighs_less(off_sigmas: float, 
     made = window()
     off_m_s = np.array([0.0, 0.0, 0.01 * off_sigmas])
     made.states[2] = replace(made.states[2], velocity=off_m_s)
-    system, velocity = made.linearise(), 15 * 2 + np.arange(6, 9)
+    system, velocity = made.linearize(), 15 * 2 + np.arange(6, 9)
     np.testing.assert_allclose(system.H[np.ix_(velocity, velocity)], weight * 1e4 * np.eye(3), rtol=1e-3)
     np.testing.assert_allclose(system.b[velocity], -weight * 1e4 * off_m_s, rtol=1e-3, atol=1e-9)
 
 
 def test_a_keyframe_that_is_wrong_has_no_outliers() -> None:
     """Where all that a keyframe shows is far off, it keeps the weight of half of it, and the others keep all."""
-    clean, wrong = window().linearise().visual.pose, window()
+    clean, wrong = window().linearize().visual.pose, window()
     shifted = wrong.states[2].pose.compose(gtsam.Pose3(gtsam.Rot3(), np.array([0.3, 0.0, 0.0])))
     wrong.states[2] = replace(wrong.states[2], pose=shifted)
-    ratio = np.trace(wrong.linearise().visual.pose, axis1=1, axis2=2) / np.trace(clean, axis1=1, axis2=2)
+    ratio = np.trace(wrong.linearize().visual.pose, axis1=1, axis2=2) / np.trace(clean, axis1=1, axis2=2)
     assert 0.4 < ratio[2] < 0.6  # each for itself, at 20 pixels and more, they would keep a thousandth
     np.testing.assert_allclose(np.delete(ratio, 2), 1.0, rtol=0.05)
 
@@ -126,16 +126,16 @@ def test_medians_are_those_of_each_group(pairs: list[tuple[int, float]]) -> None
     np.testing.assert_array_equal(medians_of_each(group, values), expected)
 
 
-@pytest.mark.parametrize("long_lived", [0, 10])
-def test_what_stays_knows_what_it_knew(long_lived: int) -> None:
-    """A keyframe that is marginalised leaves the others' states and covariances as they were."""
+@pytest.mark.parametrize("persistent", [0, 10])
+def test_what_stays_knows_what_it_knew(persistent: int) -> None:
+    """A keyframe that is marginalized leaves the others' states and covariances as they were."""
     made = window()
-    system = made.linearise()
-    before = Factorised(system.H).inverse_block(np.arange(15, 15 * KEYFRAMES))
-    made.marginalise(0, long_lived)
-    assert list(made.states) == [1, 2, 3, 4] and len(made.long_lived) == long_lived
-    system = made.linearise()
+    system = made.linearize()
+    before = Factorized(system.H).inverse_block(np.arange(15, 15 * KEYFRAMES))
+    made.marginalize(0, persistent)
+    assert list(made.states) == [1, 2, 3, 4] and len(made.persistent) == persistent
+    system = made.linearize()
     columns = np.arange(15 * (KEYFRAMES - 1))
-    solver = Factorised(system.H)
+    solver = Factorized(system.H)
     np.testing.assert_allclose(solver.inverse_block(columns), before, rtol=1e-4, atol=1e-9)
     np.testing.assert_allclose(solver.solve(system.b)[columns], 0.0, atol=1e-8)

@@ -53,7 +53,7 @@ def test_it_starts_at_rest_when_that_has_lasted_and_never_while_shaken() -> None
     assert t_s[first] == pytest.approx(0.8)
     assert set(healths[first:]) == {Health.INERTIAL_ONLY}
     assert all(estimate.state is None for estimate in estimates[:first])
-    assert {estimate.health for estimate in flown(3.0, shake=2.0)[0]} == {Health.INITIALISING}
+    assert {estimate.health for estimate in flown(3.0, shake=2.0)[0]} == {Health.INITIALIZING}
 
 
 def test_it_says_that_it_gets_worse() -> None:

@@ -58,7 +58,7 @@ def test_it_flies_and_is_near_the_truth(make_flight: Callable) -> None:
     estimates = flown(flight)
     states = [e.state for e in estimates if e.state is not None]
     assert 0.7 < (states[0].t_ns - flight.frame_times_ns[0]) * 1e-9 < 1.2
-    assert {e.health for e in estimates} == {Health.INITIALISING, Health.TRACKING}
+    assert {e.health for e in estimates} == {Health.INITIALIZING, Health.TRACKING}
     found, truth = Trajectory.from_states(states), flight.truth_at(np.array([s.t_ns for s in states]))
     fit = align(truth.p_world_imu, found.p_world_imu, "yaw")
     away_m = np.linalg.norm(truth.p_world_imu - fit.positions(found.p_world_imu), axis=1)
@@ -77,7 +77,7 @@ def test_in_the_dark_it_goes_on_by_the_imu(make_flight: Callable) -> None:
 
 def test_without_a_rest_it_never_starts_and_says_so(make_flight: Callable) -> None:
     estimates = flown(make_flight(rest_s=-5.0, duration_s=3.0))
-    assert all(e.health == Health.INITIALISING and e.state is None for e in estimates)
+    assert all(e.health == Health.INITIALIZING and e.state is None for e in estimates)
     assert estimates[-1].health_report is not None and "0.8 s are needed" in estimates[-1].health_report.reason
 
 
@@ -88,7 +88,7 @@ def test_what_diverges_is_lost_for_good(make_flight: Callable, monkeypatch: pyte
     )
     health = [e.health for e in flown(make_flight(duration_s=3.0, max_features=12))]
     first = health.index(Health.LOST)
-    assert health[first - 20 : first] == [Health.TRACKING] * 20 and health[first - 21] == Health.INITIALISING
+    assert health[first - 20 : first] == [Health.TRACKING] * 20 and health[first - 21] == Health.INITIALIZING
     assert len(health) > first + 10 and set(health[first:]) == {Health.LOST}
 
 

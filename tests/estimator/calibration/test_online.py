@@ -11,7 +11,7 @@ import pytest
 from dronevio.estimator.calibration.corrections import Corrections
 from dronevio.estimator.calibration.online import CalibratedPart, CalibrationConfig, OnlineCalibration
 from dronevio.estimator.imu.buffer import ImuBuffer
-from dronevio.estimator.imu.preintegration import InertialConfig, integrate, preintegration_params
+from dronevio.estimator.imu.preintegration import PreintegrationConfig, integrate, preintegration_params
 from dronevio.estimator.types import Observations
 from dronevio.models.camera import CameraModel
 from dronevio.models.rig import Rig
@@ -37,27 +37,27 @@ class Keyframe:
     seen: Observations
 
 
-def changed(rig: Rig, turn_rad: Array, place_m: Array, model: Callable[[CameraModel], CameraModel]) -> Rig:
+def changed(rig: Rig, rotation_rad: Array, translation_m: Array, model: Callable[[CameraModel], CameraModel]) -> Rig:
     camera = rig.cameras[0]
-    T = camera.T_imu_cam @ pose_matrix(exp_so3(turn_rad), np.zeros(3))
-    T[:3, 3] += place_m
+    T = camera.T_imu_cam @ pose_matrix(exp_so3(rotation_rad), np.zeros(3))
+    T[:3, 3] += translation_m
     return replace(rig, cameras=(replace(camera, T_imu_cam=T, model=model(camera.model)),))
 
 
 def keyframes(
     flight: object,
     time_offset_s: float = 0.0,
-    turn_rad: Array = NONE,
-    place_m: Array = NONE,
+    rotation_rad: Array = NONE,
+    translation_m: Array = NONE,
     model: Callable[[CameraModel], CameraModel] = lambda m: m,
     state_error: float = 0.0,
 ) -> Iterator[Keyframe]:
     """Yield keyframes of a flight whose true rig is not the one that is believed; states are true, or a bit off."""
     believed = flight.rig
-    true_rig = replace(changed(believed, turn_rad, place_m, model), time_offset_s=time_offset_s)
+    true_rig = replace(changed(believed, rotation_rad, translation_m, model), time_offset_s=time_offset_s)
     front_end, buffer = replace(flight, rig=true_rig).front_end(), ImuBuffer()
     buffer.add(flight.imu)
-    params, rng = preintegration_params(believed.imu, InertialConfig()), np.random.default_rng(0)
+    params, rng = preintegration_params(believed.imu, PreintegrationConfig()), np.random.default_rng(0)
     for index in range(0, len(flight.frame_times_ns) - 1, 4):
         t_ns = int(flight.frame_times_ns[index])
         truth = flight.truth_at(np.array([t_ns]))
@@ -69,7 +69,7 @@ def keyframes(
         velocity = truth.velocity_m_s[0] + 5.0 * state_error * rng.normal(size=3)
         state = NavState(t_ns, T, velocity, truth.gyro_bias_rad_s[0], truth.accel_bias_m_s2[0])
         rate = flight.motion.at(np.array([(t_ns - flight.frame_times_ns[0]) * 1e-9])).omega[0]
-        xy = believed.cameras[0].model.normalise(seen.pixels)
+        xy = believed.cameras[0].model.normalize(seen.pixels)
         yield Keyframe(state, rate, pim, replace(seen, xy=xy))
 
 
@@ -98,8 +98,8 @@ def test_finds_the_time_offset(clean: object, offset_s: float) -> None:
 
 
 def test_finds_how_the_camera_is_turned(clean: object) -> None:
-    found = learned(clean, of(turn=ON), turn_rad=TILT)
-    np.testing.assert_allclose(found.estimate.turn_rad[0], TILT, atol=np.radians(0.01))
+    found = learned(clean, of(turn=ON), rotation_rad=TILT)
+    np.testing.assert_allclose(found.estimate.rotation_rad[0], TILT, atol=np.radians(0.01))
     np.testing.assert_allclose(
         found.rig.cameras[0].T_imu_cam,
         changed(clean.rig, TILT, np.zeros(3), lambda m: m).cameras[0].T_imu_cam,
@@ -108,9 +108,9 @@ def test_finds_how_the_camera_is_turned(clean: object) -> None:
 
 
 def test_finds_clock_and_turn_together_though_the_states_are_off(clean: object) -> None:
-    found = learned(clean, of(ON, turn=ON), time_offset_s=0.004, turn_rad=TILT, state_error=0.003)
+    found = learned(clean, of(ON, turn=ON), time_offset_s=0.004, rotation_rad=TILT, state_error=0.003)
     assert found.estimate.time_offset_s == pytest.approx(0.004, abs=1e-4)
-    np.testing.assert_allclose(found.estimate.turn_rad[0], TILT, atol=np.radians(0.02))
+    np.testing.assert_allclose(found.estimate.rotation_rad[0], TILT, atol=np.radians(0.02))
 
 
 def test_finds_the_intrinsics(make_flight: Callable) -> None:
@@ -123,30 +123,30 @@ def test_finds_the_intrinsics(make_flight: Callable) -> None:
     np.testing.assert_allclose(found.estimate.principal[0], [4.0 / pinhole.fx, 0.0], atol=1e-3)
     *_, last = keyframes(flight, model=lambda m: longer)
     corrected = found.corrected(last.seen)
-    np.testing.assert_allclose(corrected.xy, longer.normalise(last.seen.pixels), atol=2e-3)
+    np.testing.assert_allclose(corrected.xy, longer.normalize(last.seen.pixels), atol=2e-3)
 
 
 def test_finds_where_the_camera_is(clean: object) -> None:
-    found = learned(clean, of(place=ON), place_m=PLACE_M)
-    np.testing.assert_allclose(found.estimate.place_m[0], PLACE_M, atol=1e-3)
+    found = learned(clean, of(place=ON), translation_m=PLACE_M)
+    np.testing.assert_allclose(found.estimate.translation_m[0], PLACE_M, atol=1e-3)
 
 
 def test_a_hover_says_nothing_and_leaves_all_as_it_was(make_flight: Callable) -> None:
     """Nothing moves: neither the clock nor the mounting shows, and no one claims to know them better than before."""
     flight = make_flight(0, rest_s=-5.0, duration_s=7.0, motion=HOVER)
-    found = learned(flight, CalibrationConfig(), time_offset_s=0.005, turn_rad=TILT)
-    assert found.applied.time_offset_s == 0.0 and not found.applied.turn_rad.any()
+    found = learned(flight, CalibrationConfig(), time_offset_s=0.005, rotation_rad=TILT)
+    assert found.applied.time_offset_s == 0.0 and not found.applied.rotation_rad.any()
     assert abs(found.estimate.time_offset_s) < 1e-3
     assert found.sigmas.time_offset_s == pytest.approx(CalibrationConfig().time_offset.sigma, rel=0.05)
-    assert found.sigmas.turn_rad.min() > 0.9 * CalibrationConfig().turn.sigma
+    assert found.sigmas.rotation_rad.min() > 0.9 * CalibrationConfig().turn.sigma
 
 
 def test_a_flight_without_turns_says_nothing_of_the_place(make_flight: Callable) -> None:
     level = {"angles_rad": np.zeros((3, 2))}
     flight = make_flight(0, rest_s=-5.0, duration_s=7.0, noisy=False, sampling="increment", motion=level)
-    found = learned(flight, of(place=ON), place_m=PLACE_M)
-    assert found.sigmas.place_m.min() > 0.9 * ON.sigma
-    assert np.abs(found.estimate.place_m).max() < 0.1 * ON.sigma
+    found = learned(flight, of(place=ON), translation_m=PLACE_M)
+    assert found.sigmas.translation_m.min() > 0.9 * ON.sigma
+    assert np.abs(found.estimate.translation_m).max() < 0.1 * ON.sigma
 
 
 @pytest.mark.parametrize("seed", range(3))
@@ -156,7 +156,7 @@ def test_a_right_calibration_is_left_alone(make_flight: Callable, seed: int) -> 
     assert str(found.applied) == "none"
     off, sigmas = found.estimate, found.sigmas
     assert abs(off.time_offset_s) < 3.0 * sigmas.time_offset_s
-    assert np.all(np.abs(off.turn_rad) < 3.0 * sigmas.turn_rad)
+    assert np.all(np.abs(off.rotation_rad) < 3.0 * sigmas.rotation_rad)
 
 
 def test_what_is_wrong_is_corrected_within_seconds(make_flight: Callable) -> None:
@@ -173,7 +173,7 @@ def test_what_is_wrong_is_corrected_within_seconds(make_flight: Callable) -> Non
 
 
 def test_nothing_is_estimated_that_is_switched_off(clean: object) -> None:
-    found = learned(clean, of(), time_offset_s=0.005, turn_rad=TILT)
+    found = learned(clean, of(), time_offset_s=0.005, rotation_rad=TILT)
     assert str(found.applied) == str(found.estimate) == "none"
 
 
@@ -181,5 +181,5 @@ def test_corrections_of_several_cameras_keep_their_places() -> None:
     numbers = np.arange(21.0)
     found = Corrections.of_vector(numbers)
     assert found.time_offset_s == 0.0
-    np.testing.assert_array_equal(found.turn_rad, [[1, 2, 3], [11, 12, 13]])
+    np.testing.assert_array_equal(found.rotation_rad, [[1, 2, 3], [11, 12, 13]])
     np.testing.assert_array_equal(found.principal, [[9, 10], [19, 20]])

@@ -62,7 +62,7 @@ def test_a_patch_is_where_it_was_cut_out() -> None:
     fit = found(picture(), picture(), PLACES)
     np.testing.assert_allclose(fit.pixels, PLACES, atol=1e-6)
     np.testing.assert_allclose(fit.patches.bend, np.tile(np.eye(2), (len(PLACES), 1, 1)), atol=1e-6)
-    np.testing.assert_allclose(fit.likeness, 1.0, atol=1e-6)
+    np.testing.assert_allclose(fit.zncc, 1.0, atol=1e-6)
     assert fit.good.all()
 
 

@@ -114,7 +114,7 @@ def test_one_camera_is_what_its_tracker_says(see_wall: Callable[..., np.ndarray]
         whole.track(frame, turn)
         alone.track(frame, turn)
         seen, expected = whole.replenish(), alone.replenish()
-        for name in ("ids", "pixels", "xy", "ages", "camera", "quality", "zoom"):
+        for name in ("ids", "pixels", "xy", "ages", "camera", "zncc", "scale"):
             np.testing.assert_array_equal(getattr(seen, name), getattr(expected, name))
         assert len(seen.matches) == 0
         whole.discard(seen.ids[:3])
@@ -151,14 +151,14 @@ def test_a_camera_that_is_turned_tells_no_depth_until_it_is_calibrated(
     tracker.track(frame, np.eye(3))
     for _ in range(2):
         seen = tracker.replenish()
-        assert len(seen.matches) == 0 and len(seen.doubted) > 0.6 * len(seen)
-        error_px = wall.missed_px(replace(seen, matches=seen.doubted))
+        assert len(seen.matches) == 0 and len(seen.miscalibrated) > 0.6 * len(seen)
+        error_px = wall.missed_px(replace(seen, matches=seen.miscalibrated))
         assert np.median(error_px) < 0.2 and np.mean(error_px < 1.0) > 0.95  # they are true, though
     left = seen.without(seen.ids[::2])
-    assert len(left.doubted) and not np.isin(left.doubted.ids, seen.ids[::2]).any()
+    assert len(left.miscalibrated) and not np.isin(left.miscalibrated.ids, seen.ids[::2]).any()
     tracker.recalibrate(true_rig)
     seen = tracker.replenish()
-    assert len(seen.doubted) == 0 and len(seen.matches) > 0.7 * len(seen)
+    assert len(seen.miscalibrated) == 0 and len(seen.matches) > 0.7 * len(seen)
     assert np.median(wall.missed_px(seen)) < 0.15
 
 
@@ -166,7 +166,7 @@ def test_a_twentieth_of_a_degree_is_no_reason_to_doubt(see_wall: Callable[..., n
     wall, tracker = Wall(see_wall, turned(STEREO, [0.05, -0.05, 0.05])), RigTracker(STEREO, CONFIG)
     tracker.track(wall.frame(), np.eye(3))
     seen = tracker.replenish()
-    assert len(seen.doubted) == 0 and len(seen.matches) > 0.7 * len(seen)
+    assert len(seen.miscalibrated) == 0 and len(seen.matches) > 0.7 * len(seen)
 
 
 def test_recalibration_turns_the_cameras_that_follow(see_wall: Callable[..., np.ndarray]) -> None:

@@ -1,4 +1,4 @@
-"""Sightings of known late instants, moved to the time of their frame."""
+"""ObservationTable of known late instants, moved to the time of their frame."""
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
@@ -57,7 +57,7 @@ def landmarks(n: int = 150, depth_m: tuple[float, float] = (2.0, 6.0)) -> Array:
     """Return (n, 3) places that the camera at the world's origin sees."""
     rng = np.random.default_rng(5)
     pixels = rng.uniform([40.0, 40.0], [PINHOLE.width - 40.0, PINHOLE.height - 40.0], (n, 2))
-    rays = np.column_stack([PINHOLE.normalise(pixels), np.ones(n)]) * rng.uniform(*depth_m, (n, 1))
+    rays = np.column_stack([PINHOLE.normalize(pixels), np.ones(n)]) * rng.uniform(*depth_m, (n, 1))
     return np.asarray(rays @ T_IMU_CAM[:3, :3].T + T_IMU_CAM[:3, 3])
 
 
@@ -79,7 +79,7 @@ def exposed(path: Path, camera: RigCamera, places: Array, t_s: float, offset_s: 
 
 def observations(pixels: Array, **more: object) -> Observations:
     n = len(pixels)
-    return Observations(np.arange(n), pixels, PINHOLE.normalise(pixels), np.full(n, 2), **more)  # type: ignore[arg-type]
+    return Observations(np.arange(n), pixels, PINHOLE.normalize(pixels), np.full(n, 2), **more)  # type: ignore[arg-type]
 
 
 def errors_px(
@@ -219,14 +219,14 @@ def test_sightings_of_further_cameras_move_too() -> None:
     places, times = landmarks(), FrameTimes(Rig((ROLLING, second)))
     for t_s in (-FRAME_S, 0.0):
         there = exposed(path, second, places, t_s)
-        matches = Matches(np.arange(len(places)), np.ones(len(places), np.int64), PINHOLE.normalise(there))
+        matches = Matches(np.arange(len(places)), np.ones(len(places), np.int64), PINHOLE.normalize(there))
         begin(times, path, t_s)
-        moved = times.moved(observations(exposed(path, ROLLING, places, t_s), matches=matches, doubted=matches))
+        moved = times.moved(observations(exposed(path, ROLLING, places, t_s), matches=matches, miscalibrated=matches))
     wanted = projected(path, second, places, np.zeros(len(places)))
     found = PINHOLE.project(np.column_stack([moved.matches.xy, np.ones(len(places))]))
     assert np.median(np.linalg.norm(there - wanted, axis=1)) > 4.0
     assert np.linalg.norm(found - wanted, axis=1).max() < 0.4
-    np.testing.assert_array_equal(moved.doubted.xy, moved.matches.xy)
+    np.testing.assert_array_equal(moved.miscalibrated.xy, moved.matches.xy)
 
 
 def test_says_how_late_it_may_see(make_flight: Callable) -> None:

@@ -272,11 +272,11 @@ def test_errors_do_not_add_up(wall: Wall) -> None:
     error_px = np.linalg.norm(last.pixels - moved(before.pixels[np.searchsorted(before.ids, last.ids)], R, p_m), axis=1)
     assert len(last) > 15 and np.all(last.ages == 21)
     assert np.median(error_px) < 0.05 and np.mean(error_px < 0.3) > 0.95
-    assert np.all(last.quality > 0.75) and np.all(last.quality <= 1.0 + 1e-6)
-    assert np.all(before.zoom == 1.0)
+    assert np.all(last.zncc > 0.75) and np.all(last.zncc <= 1.0 + 1e-6)
+    assert np.all(before.scale == 1.0)
     at = before.pixels[np.searchsorted(before.ids, last.ids)]
     right, down = (0.5 * (moved(at + d, R, p_m) - moved(at - d, R, p_m)) for d in np.eye(2))
-    np.testing.assert_allclose(last.zoom, np.sqrt(right[:, 0] * down[:, 1] - right[:, 1] * down[:, 0]), rtol=0.05)
+    np.testing.assert_allclose(last.scale, np.sqrt(right[:, 0] * down[:, 1] - right[:, 1] * down[:, 0]), rtol=0.05)
 
 
 def test_picture_smaller_than_a_cell_has_no_features() -> None:

@@ -9,7 +9,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from dronevio.estimator.imu.buffer import ImuBuffer, Increments
-from dronevio.estimator.imu.preintegration import InertialConfig, integrate, preintegration_params
+from dronevio.estimator.imu.preintegration import PreintegrationConfig, integrate, preintegration_params
 from dronevio.models.errors import ConfigError
 from dronevio.models.imu import EUROC_IMU, GRAVITY_M_S2, ImuSamples, Sampling
 from dronevio.models.rotation import exp_so3
@@ -157,9 +157,9 @@ def test_constant_rates_give_the_exact_rotation_wherever_frames_fall(cuts_ns: li
     np.testing.assert_allclose(R, exp_so3(omega * before * 1e-9), atol=1e-12)
 
 
-def preintegrated(parts: list[Increments], config: InertialConfig | None = None) -> gtsam.NavState:
+def preintegrated(parts: list[Increments], config: PreintegrationConfig | None = None) -> gtsam.NavState:
     """Return where GTSAM's preintegration goes from rest at the origin."""
-    params = preintegration_params(EUROC_IMU, config or InertialConfig())
+    params = preintegration_params(EUROC_IMU, config or PreintegrationConfig())
     pim = gtsam.PreintegratedCombinedMeasurements(params, gtsam.imuBias.ConstantBias())
     for part in parts:
         integrate(pim, part)
@@ -181,7 +181,7 @@ def test_preintegration_follows_an_analytic_path(
     times = flight.frame_times_ns[:41] + frame_offset_ns
     buffer.take_until(int(times[0]))
     truth = flight.truth_at(times)
-    params, bias = preintegration_params(EUROC_IMU, InertialConfig()), gtsam.imuBias.ConstantBias()
+    params, bias = preintegration_params(EUROC_IMU, PreintegrationConfig()), gtsam.imuBias.ConstantBias()
     state = gtsam.NavState(gtsam.Pose3(truth.Ts_world_imu[0]), truth.velocity_m_s[0])
     for k in range(1, 41, 4):
         pim = gtsam.PreintegratedCombinedMeasurements(params, bias)
@@ -214,7 +214,7 @@ def test_at_rest_gravity_cancels() -> None:
 
 
 def test_noise_settings_reach_gtsam() -> None:
-    config = InertialConfig(
+    config = PreintegrationConfig(
         gyro_noise_inflation=3.0, accel_noise_inflation=4.0, walk_inflation=7.0, integration_sigma=1e-3
     )
     params = preintegration_params(EUROC_IMU, config)

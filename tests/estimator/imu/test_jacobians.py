@@ -8,7 +8,7 @@ from dronevio.estimator.baselines.dead_reckoning import preintegrated
 from dronevio.estimator.calibration.imu_factor import CalibrationInterval
 from dronevio.estimator.imu.buffer import Increments
 from dronevio.estimator.imu.covariance import propagate
-from dronevio.estimator.imu.preintegration import InertialConfig, integrate, preintegration_params
+from dronevio.estimator.imu.preintegration import PreintegrationConfig, integrate, preintegration_params
 from dronevio.models.imu import EUROC_IMU, GRAVITY_M_S2, ImuModel
 from dronevio.models.rotation import exp_so3, log_so3
 
@@ -87,7 +87,7 @@ def test_transition_is_the_derivative_of_integration(steps: int, rate_rad_s: flo
 
 def calibration_interval(stretch: Increments, bias: np.ndarray) -> CalibrationInterval:
     """Return what the calibration makes of a stretch, at some biases (gyroscope, accelerometer)."""
-    params = preintegration_params(EUROC_IMU, InertialConfig())
+    params = preintegration_params(EUROC_IMU, PreintegrationConfig())
     pim = gtsam.PreintegratedCombinedMeasurements(params, gtsam.imuBias.ConstantBias(bias[3:], bias[:3]))
     integrate(pim, stretch)
     return CalibrationInterval.of(pim, bias)

@@ -9,9 +9,9 @@ import pytest
 from dronevio.estimator.backend.landmarks import LandmarkConfig
 from dronevio.estimator.backend.smoother import KeyframeSmoother, SmootherConfig
 from dronevio.estimator.imu.buffer import ImuBuffer
-from dronevio.estimator.imu.noise import ImuNoise, Misfit, MotionMisfit, NoiseLevel, NoiseLevelConfig
-from dronevio.estimator.imu.preintegration import InertialConfig, integrate
-from dronevio.estimator.initialization.static import StartSigmas
+from dronevio.estimator.imu.noise import ImuNoise, Misfit, MotionMisfit, NoiseEstimationConfig, NoiseLevel
+from dronevio.estimator.imu.preintegration import PreintegrationConfig, integrate
+from dronevio.estimator.initialization.static import InitialSigmas
 from dronevio.models.imu import EUROC_IMU
 from dronevio.models.state import NavState
 
@@ -30,7 +30,7 @@ def learnt(true_level: float, assumed_level: float, told_by_others: float, inter
         told_by_others: Standard deviation of the others, relative to the IMU's at level 1.
         intervals: How many.
     """
-    rng, level = np.random.default_rng(0), NoiseLevel(DENSITY, assumed_level, NoiseLevelConfig())
+    rng, level = np.random.default_rng(0), NoiseLevel(DENSITY, assumed_level, NoiseEstimationConfig())
     unit, found = DENSITY * np.sqrt(DT_S), []
     for _ in range(intervals):
         by_imu = rng.normal(0.0, true_level * unit, 9)
@@ -64,14 +64,14 @@ def test_an_assumption_is_unlearnt_within_seconds() -> None:
 
 
 def test_what_is_in_doubt_and_what_nobody_else_tells_teaches_nothing() -> None:
-    level = NoiseLevel(DENSITY, 5.0, NoiseLevelConfig())
+    level = NoiseLevel(DENSITY, 5.0, NoiseEstimationConfig())
     level.learn(Misfit(squared=1e-6, told=1.0, assumed=(100.0 * DENSITY) ** 2))
     level.learn(Misfit(squared=0.0, told=0.0, assumed=(5.0 * DENSITY) ** 2))
     assert level.density == pytest.approx(5.0 * DENSITY)
 
 
 def test_a_jolt_is_no_noise_and_no_level_is_absurd() -> None:
-    config = NoiseLevelConfig()
+    config = NoiseEstimationConfig()
     level = NoiseLevel(DENSITY, 1.0, config)
     for _ in range(100):
         level.learn(Misfit(squared=1.0, told=1.0, assumed=DENSITY**2))
@@ -84,9 +84,9 @@ def test_a_jolt_is_no_noise_and_no_level_is_absurd() -> None:
 
 
 def test_parameters_of_preintegration_follow() -> None:
-    noise = ImuNoise(EUROC_IMU, InertialConfig(), NoiseLevelConfig())
+    noise = ImuNoise(EUROC_IMU, PreintegrationConfig(), NoiseEstimationConfig())
     noise.learn(None)
-    config, sheet = InertialConfig(), (EUROC_IMU.gyro_noise_density, EUROC_IMU.accel_noise_density)
+    config, sheet = PreintegrationConfig(), (EUROC_IMU.gyro_noise_density, EUROC_IMU.accel_noise_density)
     inflated = config.gyro_noise_inflation * sheet[0], config.accel_noise_inflation * sheet[1]
     assert noise.densities == pytest.approx(inflated)
     exact = MotionMisfit(*(Misfit(1.0, 1.0, density**2) for density in sheet))
@@ -116,9 +116,9 @@ def test_noise_of_a_flight_is_found(make_flight: Callable, imu_noise: float) -> 
     buffer.add(flight.imu)
     buffer.take_until(start.t_ns)
     front_end.track(flight.frame(0), np.eye(3))
-    P = StartSigmas().covariance(start.T_world_imu[:3, :3])
+    P = InitialSigmas().covariance(start.T_world_imu[:3, :3])
     smoother = KeyframeSmoother(flight.rig.cameras, SmootherConfig(), LandmarkConfig(), start, P, front_end.replenish())
-    noise = ImuNoise(flight.rig.imu, InertialConfig(), NoiseLevelConfig())
+    noise = ImuNoise(flight.rig.imu, PreintegrationConfig(), NoiseEstimationConfig())
     levels, sheet = [], np.array([flight.rig.imu.gyro_noise_density, flight.rig.imu.accel_noise_density])
     for k, t_ns in enumerate(times[1:].tolist(), 1):
         pim = gtsam.PreintegratedCombinedMeasurements(noise.params, smoother.gtsam_state[1])

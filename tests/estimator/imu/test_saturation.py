@@ -6,11 +6,11 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from dronevio.estimator.imu.buffer import GAP_DOUBT, ImuBuffer, Increments, joined
-from dronevio.estimator.imu.preintegration import InertialConfig, integrate, preintegration_params
+from dronevio.estimator.imu.buffer import GAP_SIGMA, ImuBuffer, Increments, joined
+from dronevio.estimator.imu.preintegration import PreintegrationConfig, integrate, preintegration_params
 from dronevio.estimator.imu.saturation import LEAST_GYRO_RANGE_RAD_S, RangeLimit
 from dronevio.estimator.initialization.gauge import LastBelieved
-from dronevio.estimator.initialization.static import StartSigmas
+from dronevio.estimator.initialization.static import InitialSigmas
 from dronevio.estimator.propagator import Propagation
 from dronevio.models.imu import EUROC_IMU, GRAVITY_M_S2, ImuSamples
 from dronevio.models.state import NavState
@@ -18,7 +18,7 @@ from dronevio.models.state import NavState
 STEP_NS = 5_000_000
 LIMIT_RAD_S = 1.0
 NOISE_RAD_S = 0.0024  # EuRoC's
-DATA_SHEET = InertialConfig(gyro_noise_inflation=1.0, accel_noise_inflation=1.0)
+DATA_SHEET = PreintegrationConfig(gyro_noise_inflation=1.0, accel_noise_inflation=1.0)
 
 
 def turning(
@@ -69,7 +69,7 @@ def test_rest_is_no_limit_however_coarse_the_sensor(step: float) -> None:
     accel = step * np.rint((np.array([0.0, 0.0, GRAVITY_M_S2]) + rng.normal(0.0, 0.03, (2000, 3))) / step)
     buffer = ImuBuffer(EUROC_IMU)
     buffer.add(ImuSamples(np.arange(2000) * STEP_NS, gyro, accel))
-    assert not buffer.take_until(1999 * STEP_NS).is_doubtful
+    assert not buffer.take_until(1999 * STEP_NS).is_degraded
 
 
 def test_what_is_exceeded_was_no_limit() -> None:
@@ -99,7 +99,7 @@ def clipped_flight(clip: float) -> tuple[Increments, np.ndarray]:
 
 def test_the_covariance_holds_what_a_limit_hides() -> None:
     """And only about the axis that is at its limit; a motion within the range has the noise that it always had."""
-    params = preintegration_params(EUROC_IMU, InertialConfig())
+    params = preintegration_params(EUROC_IMU, PreintegrationConfig())
     sigmas, errors = {}, {}
     for name, clip in (("clipped", 1.0), ("whole", 10.0)):
         increments, true_turn = clipped_flight(clip)
@@ -107,15 +107,15 @@ def test_the_covariance_holds_what_a_limit_hides() -> None:
         integrate(pim, increments, params)
         sigmas[name] = np.sqrt(np.diag(pim.preintMeasCov())[:3])
         errors[name] = np.abs(gtsam.Rot3.Logmap(pim.deltaRij()) - true_turn)
-        assert increments.is_doubtful is (name == "clipped")
+        assert increments.is_degraded is (name == "clipped")
     assert errors["whole"][0] < 1e-3 < 0.3 < errors["clipped"][0] < 3.0 * sigmas["clipped"][0]
     np.testing.assert_allclose(sigmas["clipped"][1:], sigmas["whole"][1:], rtol=0.1)
     assert sigmas["whole"][0] < 0.01
     np.testing.assert_array_equal(params.getGyroscopeCovariance(), np.eye(3) * params.getGyroscopeCovariance()[0, 0])
 
 
-@pytest.mark.parametrize("config", [InertialConfig(), DATA_SHEET], ids=["inflated", "data sheet"])
-def test_doubt_reaches_the_state_between_keyframes(config: InertialConfig) -> None:
+@pytest.mark.parametrize("config", [PreintegrationConfig(), DATA_SHEET], ids=["inflated", "data sheet"])
+def test_doubt_reaches_the_state_between_keyframes(config: PreintegrationConfig) -> None:
     params = preintegration_params(EUROC_IMU, config)
     start = NavState(0, np.eye(4), np.zeros(3), np.zeros(3), np.zeros(3), 1e-8 * np.eye(15))
     found = {}
@@ -125,11 +125,11 @@ def test_doubt_reaches_the_state_between_keyframes(config: InertialConfig) -> No
         propagation.add(clipped_flight(clip)[0])
         covariance = propagation.state_at(200 * STEP_NS).covariance
         assert covariance is not None
-        found[clip] = np.sqrt(np.diag(covariance)[:9]), propagation.is_doubtful
+        found[clip] = np.sqrt(np.diag(covariance)[:9]), propagation.is_degraded
         propagation.restart(())
-        assert not propagation.is_doubtful
-    (clipped, is_doubtful), (whole, was_whole) = found[1.0], found[10.0]
-    assert is_doubtful and not was_whole
+        assert not propagation.is_degraded
+    (clipped, is_degraded), (whole, was_whole) = found[1.0], found[10.0]
+    assert is_degraded and not was_whole
     assert clipped[0] > 0.1 and clipped[4] > 0.1 and clipped[7] > 0.1  # a turn about x tilts the force towards y
     noise_m_s = config.accel_noise_inflation * EUROC_IMU.accel_noise_density  # of velocity, after a second
     assert whole[:3].max() < 1e-3 and whole[6:].min() > noise_m_s  # tilt adds a little
@@ -145,11 +145,11 @@ def test_a_gap_in_the_samples_is_in_doubt() -> None:
     buffer.add(ImuSamples(t_ns, np.zeros((90, 3)), np.tile([0.0, 0.0, GRAVITY_M_S2], (90, 1))))
     parts = [buffer.take_until(k * 10 * STEP_NS) for k in range(1, 15)]
     whole = joined(parts)
-    doubted_s = whole.dt_s[whole.doubt.any(axis=1)].sum()
+    doubted_s = whole.dt_s[whole.excess_sigma.any(axis=1)].sum()
     assert doubted_s == pytest.approx(61 * 0.005, abs=0.02)
-    np.testing.assert_array_equal(whole.doubt.max(axis=0), GAP_DOUBT)
-    assert parts[6].rotation_doubt_rad == pytest.approx(0.05 * GAP_DOUBT[0])
-    assert parts[0].rotation_doubt_rad == 0.0
+    np.testing.assert_array_equal(whole.excess_sigma.max(axis=0), GAP_SIGMA)
+    assert parts[6].rotation_excess_sigma_rad == pytest.approx(0.05 * GAP_SIGMA[0])
+    assert parts[0].rotation_excess_sigma_rad == 0.0
 
 
 def test_after_a_loss_a_turn_beyond_the_limit_leaves_the_yaw_in_doubt() -> None:
@@ -159,5 +159,5 @@ def test_after_a_loss_a_turn_beyond_the_limit_leaves_the_yaw_in_doubt() -> None:
     for clip in (1.0, 10.0):
         origin = LastBelieved(believed)
         origin.turn(clipped_flight(clip)[0])
-        yaw_sigmas.append(float(np.sqrt(origin.covariance(start, StartSigmas())[2, 2])))
+        yaw_sigmas.append(float(np.sqrt(origin.covariance(start, InitialSigmas())[2, 2])))
     assert yaw_sigmas[0] > 0.1 > 0.05 > yaw_sigmas[1]

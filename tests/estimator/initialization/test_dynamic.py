@@ -7,16 +7,16 @@ import numpy as np
 import pytest
 
 from dronevio.estimator.imu.buffer import ImuBuffer
-from dronevio.estimator.initialization.dynamic import MotionStartConfig, start_in_motion
+from dronevio.estimator.initialization.dynamic import DynamicInitializationConfig, initialize_dynamic
 from dronevio.estimator.initialization.static import NotObservable
-from dronevio.estimator.types import Sighting
+from dronevio.estimator.types import FramePacket
 from dronevio.models.state import NavState, Trajectory
 
-CONFIG = MotionStartConfig()
+CONFIG = DynamicInitializationConfig()
 ZERO = np.zeros(3)
 
 
-def window_of(flight: object, seconds: float = 1.5) -> list[Sighting]:
+def window_of(flight: object, seconds: float = 1.5) -> list[FramePacket]:
     """Return a flight's first sightings."""
     front_end, buffer = flight.front_end(), ImuBuffer()
     buffer.add(flight.imu)
@@ -25,13 +25,15 @@ def window_of(flight: object, seconds: float = 1.5) -> list[Sighting]:
         t_ns = int(flight.frame_times_ns[k])
         increments = buffer.take_until(t_ns)
         front_end.track(flight.frame(k), np.eye(3))
-        sightings.append(Sighting(t_ns, increments, front_end.replenish()))
+        sightings.append(FramePacket(t_ns, increments, front_end.replenish()))
     return sightings
 
 
-def start_of(flight: object, config: MotionStartConfig = CONFIG, seconds: float = 1.5) -> NavState | NotObservable:
+def start_of(
+    flight: object, config: DynamicInitializationConfig = CONFIG, seconds: float = 1.5
+) -> NavState | NotObservable:
     cameras = flight.rig.cameras
-    return start_in_motion(
+    return initialize_dynamic(
         window_of(flight, seconds), np.stack([camera.T_imu_cam for camera in cameras]), cameras[0].model.fx, config
     )
 
@@ -121,7 +123,7 @@ def test_more_is_asked_for_than_was_seen(make_flight: Callable) -> None:
         replace(CONFIG, max_velocity_sigma_m_s=1e-6),
         replace(CONFIG, max_gyro_bias_rad_s=1e-9),
         replace(CONFIG, min_in_front=1.0),
-        replace(CONFIG, min_bend=100.0),
+        replace(CONFIG, min_excitation=100.0),
     ):
         assert isinstance(start_of(flight, config), NotObservable), config
 
@@ -149,7 +151,7 @@ def test_what_it_is_told_stays_unchanged(make_flight: Callable) -> None:
     window = window_of(flight)
     before = [(s.observations.xy.copy(), s.increments.gyro_rad_s.copy()) for s in window]
     cameras = flight.rig.cameras
-    start_in_motion(window, np.stack([camera.T_imu_cam for camera in cameras]), cameras[0].model.fx, CONFIG)
-    for sighting, (xy, gyro) in zip(window, before, strict=True):
-        np.testing.assert_array_equal(sighting.observations.xy, xy)
-        np.testing.assert_array_equal(sighting.increments.gyro_rad_s, gyro)
+    initialize_dynamic(window, np.stack([camera.T_imu_cam for camera in cameras]), cameras[0].model.fx, CONFIG)
+    for packet, (xy, gyro) in zip(window, before, strict=True):
+        np.testing.assert_array_equal(packet.observations.xy, xy)
+        np.testing.assert_array_equal(packet.increments.gyro_rad_s, gyro)

@@ -8,7 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from dronevio.estimator.imu.buffer import ImuBuffer, Increments
-from dronevio.estimator.initialization.static import StartSigmas, level_rotation, mean_gyro, start_from_rest
+from dronevio.estimator.initialization.static import InitialSigmas, initialize_static, level_rotation, mean_gyro
 from dronevio.estimator.types import GAUGE_SIGMA
 from dronevio.models.imu import GRAVITY_M_S2
 from dronevio.models.rotation import exp_so3
@@ -47,7 +47,7 @@ def test_tilt_and_gyro_bias_are_recovered(seed: int) -> None:
     rng = np.random.default_rng(seed)
     R_world_imu, bias = exp_so3(rng.normal(size=3)), 0.05 * rng.normal(size=3)
     up_imu = R_world_imu[2]
-    state = start_from_rest(123, resting(up_imu, bias))
+    state = initialize_static(123, resting(up_imu, bias))
     assert state.t_ns == 123
     np.testing.assert_allclose(state.gyro_bias_rad_s, bias, atol=1e-14)
     np.testing.assert_allclose(state.T_world_imu[2, :3], up_imu, atol=1e-12)  # roll and pitch; yaw is free
@@ -57,7 +57,7 @@ def test_tilt_and_gyro_bias_are_recovered(seed: int) -> None:
 
 def test_noise_averages_out() -> None:
     up = np.array([1.0, 0.0, 0.0])
-    state = start_from_rest(0, resting(up, np.array([0.01, 0.02, -0.03]), parts=40, noise=0.05))
+    state = initialize_static(0, resting(up, np.array([0.01, 0.02, -0.03]), parts=40, noise=0.05))
     np.testing.assert_allclose(state.gyro_bias_rad_s, [0.01, 0.02, -0.03], atol=4 * 0.05 / np.sqrt(400))
     np.testing.assert_allclose(state.T_world_imu[2, :3], up, atol=4 * 0.05 / np.sqrt(400) / GRAVITY_M_S2)
 
@@ -74,7 +74,7 @@ def test_start_from_a_flight_at_rest(make_flight: Callable) -> None:
     buffer.add(flight.imu)
     truth = flight.truth_at(flight.frame_times_ns[:1])
     rest = [buffer.take_until(int(t)) for t in flight.frame_times_ns[:21]]
-    state = start_from_rest(int(flight.frame_times_ns[0]), rest[1:])
+    state = initialize_static(int(flight.frame_times_ns[0]), rest[1:])
     np.testing.assert_allclose(state.gyro_bias_rad_s, truth.gyro_bias_rad_s[0], atol=1e-3)
     tilt = np.arccos(state.T_world_imu[2, :3] @ truth.rotations[0, 2])
     assert tilt < 1.2 * np.linalg.norm(truth.accel_bias_m_s2[0]) / GRAVITY_M_S2  # the bias hides in it
@@ -82,7 +82,7 @@ def test_start_from_a_flight_at_rest(make_flight: Callable) -> None:
 
 def test_sigmas_are_where_they_belong() -> None:
     R = exp_so3(np.array([0.3, -1.2, 2.0]))
-    P = StartSigmas(tilt_rad=0.1, velocity_m_s=0.2, gyro_bias_rad_s=0.3, accel_bias_m_s2=0.4).covariance(R)
+    P = InitialSigmas(tilt_rad=0.1, velocity_m_s=0.2, gyro_bias_rad_s=0.3, accel_bias_m_s2=0.4).covariance(R)
     np.testing.assert_allclose(P, P.T)
     world = R @ P[:3, :3] @ R.T  # turns of the IMU, told in the world: about z is yaw
     np.testing.assert_allclose(world, np.diag([0.01, 0.01, GAUGE_SIGMA**2]), atol=1e-15)

@@ -4,12 +4,12 @@ import numpy as np
 import pytest
 
 from dronevio.estimator.imu.buffer import Increments
-from dronevio.estimator.initialization.zero_velocity import StillnessConfig, StillnessDetector
+from dronevio.estimator.initialization.zero_velocity import ZeroVelocityConfig, ZeroVelocityDetector
 from dronevio.estimator.types import Observations
 from dronevio.models.imu import GRAVITY_M_S2
 
 FRAME_NS = 50_000_000
-CONFIG = StillnessConfig()
+CONFIG = ZeroVelocityConfig()
 
 
 def seen(moved_px: float = 0.0, n: int = 40, first_id: int = 0, seed: int = 0) -> Observations:
@@ -25,11 +25,11 @@ def sensed(gyro: float = 0.01, accel: float = GRAVITY_M_S2 + 0.1, n: int = 10) -
 
 def watch(sequence: list[tuple[Observations, Increments]]) -> list[float]:
     """Return for how long the drone has been still, after each frame [s]."""
-    detector = StillnessDetector(CONFIG)
+    detector = ZeroVelocityDetector(CONFIG)
     still_s = []
     for k, (observations, increments) in enumerate(sequence):
         detector.update(10**18 + k * FRAME_NS, observations, increments)
-        still_s.append(detector.still_for_s)
+        still_s.append(detector.stationary_s)
     return still_s
 
 

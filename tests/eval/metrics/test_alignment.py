@@ -51,7 +51,7 @@ def test_errors_do_not_depend_on_the_gauge(seed: int, R: np.ndarray, t: np.ndarr
 @settings(max_examples=20, deadline=None)
 @given(seeds)
 def test_no_other_motion_is_better(seed: int) -> None:
-    """Against a general minimiser that knows nothing of closed forms."""
+    """Against a general minimizer that knows nothing of closed forms."""
     truth, rng = path(seed, 12), np.random.default_rng(seed)
     estimate = truth @ exp_so3(rng.normal(size=3)) + rng.normal(size=truth.shape)
 

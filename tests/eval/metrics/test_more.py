@@ -188,7 +188,7 @@ def test_gaps_are_seen_and_never_bridged() -> None:
     assert scores.longest_gap_s == pytest.approx(5.05)
     assert (scores.n_poses, scores.n_estimated) == (300, 400)
     frames = truth.t_ns
-    assert score(truth, estimate[30:], frames).initialised_s == pytest.approx(1.5)
+    assert score(truth, estimate[30:], frames).initialized_s == pytest.approx(1.5)
 
 
 def test_of_a_sparser_truth_each_pose_serves_once() -> None:
@@ -235,7 +235,7 @@ def test_how_an_estimator_ran(flight) -> None:  # the synthetic flight of confte
     found = running_scores(EstimatorRun(tuple(estimates), costs, 2.0 * costs))
     n = len(estimates)
     assert (found.frames, found.poses, found.lost_frames, found.resets) == (n, n - 13, 3, 2)
-    assert found.initialised_s == pytest.approx(0.5)
+    assert found.initialized_s == pytest.approx(0.5)
     later = (n - 1) - 60  # frames later than 3 s after the first
     assert found.coverage_percent == pytest.approx(100 * (later - 1) / later)
     assert found.cpu_ms is not None and found.latency_ms is not None
@@ -246,9 +246,9 @@ def test_how_an_estimator_ran(flight) -> None:  # the synthetic flight of confte
 
 
 def test_an_estimator_that_never_began(flight) -> None:
-    nothing = tuple(replace(e, health=Health.INITIALISING, state=None) for e in flight.run.estimates)
+    nothing = tuple(replace(e, health=Health.INITIALIZING, state=None) for e in flight.run.estimates)
     found = running_scores(EstimatorRun(nothing, 0.0 * flight.run.cpu_ms, 0.0 * flight.run.cpu_ms))
-    assert (found.poses, found.lost_frames, found.resets, found.initialised_s) == (0, 0, 0, None)
+    assert (found.poses, found.lost_frames, found.resets, found.initialized_s) == (0, 0, 0, None)
     assert found.coverage_percent == 0.0 and found.real_time_factor is None
     empty = running_scores(EstimatorRun((), np.zeros(0), np.zeros(0)))
     assert empty.frames == 0 and empty.cpu_ms is None and empty.coverage_percent is None

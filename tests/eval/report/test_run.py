@@ -92,7 +92,7 @@ def test_json_holds_the_numbers(numbers, flight, scored):
         "first_pose_s": pytest.approx(0.5),
         "mean_tracks": flight.run.n_tracks.mean(),
         "keyframes": sum("keyframe" in e.events for e in flight.run.estimates),
-        "health": {"initialising": 10, "tracking": 111},
+        "health": {"initializing": 10, "tracking": 111},
     }
     assert numbers["configuration"]["scenario"] == {"wind": None}
     assert numbers["seed"] == 3

@@ -184,13 +184,13 @@ def test_events_are_marked_where_they_happened(flight, tmp_path, read_rrd):
     where, p = EstimateEntities("x"), np.array([e.state.T_world_imu[:3, 3] for e in flight.run.estimates[10:]])
     markers = columns[where.markers]
     labels = [row[0] for row in markers["labels"].to_pylist()]
-    assert labels == ["initialised, health: tracking", "health: lost", "health: tracking", estimates[90].events[0]]
+    assert labels == ["initialized, health: tracking", "health: lost", "health: tracking", estimates[90].events[0]]
     at_frames = [10, 59, 61, 90]  # what is lost is shown where it last was
     assert np.allclose([row[0] for row in markers["positions"].to_pylist()], p[np.array(at_frames) - 10], atol=1e-5)
     [loop] = columns[where.loops]["strips"].to_pylist()[-1:]
     assert np.allclose(loop[0], p[[80, 10]], atol=1e-5)
     assert [row[0] for row in columns[where.health]["state"].to_pylist()] == [
-        "initialising",
+        "initializing",
         "tracking",
         "lost",
         "tracking",

@@ -119,7 +119,7 @@ def test_imu_biases_errors_and_events(flight, columns):
     sigma_m = 5e-3 + 8e-3 * 0.05 * np.arange(1, FRAMES - 10)
     assert np.allclose(band[:, 0], 3.0 * np.sqrt(3.0) * sigma_m)
     texts = [row[0].as_py() for row in columns[ESTIMATE.events]["text"]]
-    assert texts == ["health: initialising", "initialised", "health: tracking"]
+    assert texts == ["health: initializing", "initialized", "health: tracking"]
 
 
 def test_trouble_is_logged_as_a_warning(flight, tmp_path, read_rrd):
