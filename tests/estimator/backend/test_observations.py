@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from dronevio.estimator.backend.observations import MATCH_SIGMA_SCALE, DECORRELATION_SIGMA_SCALE, observation_table
+from dronevio.estimator.backend.observations import DECORRELATION_SIGMA_SCALE, MATCH_SIGMA_SCALE, observation_table
 from dronevio.estimator.types import Matches, Observations
 
 
