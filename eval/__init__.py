@@ -1,6 +1,6 @@
 """Scores estimates, and shows them: metrics, reports, rerun recordings.
 
-On plain arrays, in three lines::
+On plain arrays, in three lines:
 
     from dronevio.eval import ate, rpe
 

@@ -6,6 +6,7 @@ A package that has an ``__all__`` is documented by these names; of any other, al
 import argparse
 import ast
 import importlib
+import os
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -57,35 +58,43 @@ def packages(folder: Path = ROOT, name: str = "dronevio") -> dict[str, list[Modu
 
 def page(package: Module, modules: list[Module]) -> str:
     """Return the Markdown page of a package."""
-    lines = [f"# {package.name}", ""]
-    lines += [f"::: {package.name}", "    options:"]
-    lines += ["      members:", *(f"        - {name}" for name in package.exported)] if package.exported else []
-    lines += [] if package.exported else ["      members: false"]
-    lines.append("")
+    lines = [f"# {package.name}", "", f"::: {package.name}", "    options:"]
+    if package.exported:
+        lines += ["      members:", *(f"        - {name}" for name in package.exported), ""]
+    else:
+        lines += ["      members: false", ""]
     if modules:
         lines += ["## Modules", "", "| module | purpose |", "| --- | --- |"]
-        for module in modules:
-            name = f"[`{module.name}`]({page_name(module.name)})" if module.is_package else f"`{module.name}`"
-            lines.append(f"| {name} | {module.summary} |")
-        lines.append("")
+        lines += [f"| {_link(module, package)} | {module.summary} |" for module in modules] + [""]
     if package.exported is None:
         for module in modules:
             if not module.is_package:
-                lines += [f"## {module.name}", "", f"::: {module.name}", "    options:", "      heading_level: 3", ""]
+                lines += [f"::: {module.name}", "    options:", "      show_root_heading: true", ""]
     return "\n".join(lines)
 
 
+def _link(module: Module, package: Module) -> str:
+    """Return the name of a module in its package's table, linked to where it is documented, if it is."""
+    name = f"`{module.name.removeprefix(f'{package.name}.')}`"
+    if module.is_package:
+        return f"[{name}]({os.path.relpath(page_name(module.name), Path(page_name(package.name)).parent)})"
+    return f"[{name}][{module.name}]" if package.exported is None else name
+
+
 def page_name(package: str) -> str:
-    """Return the file name of a package's page."""
-    return "index.md" if package == "dronevio" else f"{package.removeprefix('dronevio.')}.md"
+    """Return the file name of a package's page: dronevio.eval.metrics is documented in eval/metrics.md."""
+    _, *parts = package.split(".")
+    return "/".join([*parts[:1], f"{'.'.join(parts[1:]) or 'index'}.md"])
 
 
 def summary(found: dict[str, list[Module]]) -> str:
     """Return the navigation: the packages as a tree of two levels."""
     lines = [f"* [dronevio]({page_name('dronevio')})"]
     for top in [name for name in found if name.count(".") == 1]:
-        lines.append(f"* {top}")
-        lines += [f"    * [{name}]({page_name(name)})" for name in found if name == top or name.startswith(f"{top}.")]
+        lines += [f"* {top}", f"    * [{top}]({page_name(top)})"]
+        lines += [
+            f"    * [{name.removeprefix(f'{top}.')}]({page_name(name)})" for name in found if name.startswith(f"{top}.")
+        ]
     return "\n".join(lines) + "\n"
 
 

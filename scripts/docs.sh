@@ -9,4 +9,9 @@ export NO_MKDOCS_2_WARNING=1             # Material's advertisement of its succe
 scripts/uv sync --locked --quiet --inexact --group docs </dev/null
 .venv/bin/python scripts/cli_reference.py docs/reference/cli
 .venv/bin/python scripts/api_reference.py docs/reference/api
-exec .venv/bin/python -m mkdocs "$@"
+.venv/bin/python -m mkdocs "$@"
+
+if [ "$1" = build ] && grep -rlE '<(script|img|link)[^>]* (src|href)="(https?:)?//' build/site --include='*.html'; then
+    echo "docs: these pages load something from elsewhere; a page has to be complete in the site" >&2
+    exit 1
+fi

@@ -1,6 +1,6 @@
 """How good an estimate is: alignment, absolute and relative errors, scale, coverage, consistency.
 
-Needs nothing but numpy. A trajectory's score in three lines::
+Needs nothing but numpy. A trajectory's score in three lines:
 
     from dronevio.eval.metrics import score
 

@@ -105,7 +105,7 @@ def ate(
 ) -> Statistics:
     """Return the absolute trajectory error [m] of positions (N, 3) at the same instants, after alignment.
 
-    For example::
+    For example:
 
         ate(p_truth, p_estimate).rmse  # yaw and position aligned, over all poses
         ate(p_truth, p_estimate, "sim3", n=500).max
@@ -143,7 +143,7 @@ def rpe(
 ) -> RelativeErrors:
     """Return the relative pose errors of poses at the same instants, over pairs that lie some way apart.
 
-    For example::
+    For example:
 
         rpe(p_truth, q_truth, p_estimate, q_estimate, 10.0, "m").translation_m.rmse
         rpe(p_truth, q_truth, p_estimate, q_estimate, 1.0, "s", t_ns=t_ns).rotation_deg.median

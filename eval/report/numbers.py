@@ -1,6 +1,6 @@
 """What the report of a run is about, and its numbers.
 
-``report.json`` holds, all in SI units unless the name says otherwise, ``null`` where something is not known::
+``report.json`` holds, all in SI units unless the name says otherwise, ``null`` where something is not known:
 
     format         "dronevio-report/1"
     title, command, open_command, seed          as in `RunInfo`
