@@ -20,17 +20,15 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from dronevio.estimator.backend.landmarks import KnownLandmarks
+from dronevio.estimator.backend.landmarks import TriangulatedLandmarks
+from dronevio.estimator.backend.reprojection import MEDIAN_CHI2_2DOF
+from dronevio.estimator.backend.triangulation import MIN_DEPTH_M
 from dronevio.estimator.types import Observations
 from dronevio.models.rig import Rig
 from dronevio.models.state import Health, HealthReport, NavState
 
 Array = npt.NDArray[np.float64]
 Rows = npt.NDArray[np.int64]
-
-MEDIAN_CHI2_2DOF = 2.0 * math.log(2.0)
-"""Median of χ² with two degrees of freedom, which a consistent innovation's square has."""
-MIN_DEPTH_M = 0.05  # nearer to a camera than its lens
 
 
 @dataclass(frozen=True)
@@ -84,7 +82,7 @@ class HealthMonitor:
             3,
         )
         self._keyframe: NavState | None = None
-        self._landmarks = KnownLandmarks(np.zeros(0, np.int64), np.zeros((0, 3)), np.zeros(0))
+        self._landmarks = TriangulatedLandmarks(np.zeros(0, np.int64), np.zeros((0, 3)), np.zeros(0))
         self._held_ns: int | None = None  # when something besides the IMU held the estimate last
         self._held_sigma_m = 0.0  # how well the position was known then
         self._agreed_ns: int | None = None  # when landmarks did not contradict it last
@@ -94,7 +92,7 @@ class HealthMonitor:
         """Take over a better calibration of the cameras' mounting."""
         self._Ts_imu_cam = np.stack([camera.T_imu_cam for camera in rig.cameras])
 
-    def hold(self, keyframe: NavState, landmarks: KnownLandmarks) -> None:
+    def hold(self, keyframe: NavState, landmarks: TriangulatedLandmarks) -> None:
         """Take what the next frames are measured against.
 
         Args:
@@ -180,7 +178,7 @@ class HealthMonitor:
     def _pose_covariance(self, predicted: NavState) -> tuple[Array, float]:
         """Return how uncertain the prediction has become since the newest keyframe.
 
-        Leading terms of `covariance.propagate`, which over some tenths of a second are nearly all of it.
+        Leading terms of `propagate_covariance`, which over some tenths of a second are nearly all of it.
 
         Returns:
             The covariance (3, 3) of the position [m²], and the variance of the orientation about any axis [rad²].

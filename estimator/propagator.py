@@ -13,7 +13,7 @@ import numpy as np
 from dronevio.estimator.backend.keyframes import KeyframePolicy
 from dronevio.estimator.backend.smoother import KeyframeSmoother
 from dronevio.estimator.imu.buffer import Increments
-from dronevio.estimator.imu.covariance import propagate
+from dronevio.estimator.imu.covariance import propagate_covariance
 from dronevio.estimator.imu.preintegration import integrate
 from dronevio.estimator.types import FramePacket, Observations
 from dronevio.models.imu import ImuModel
@@ -99,7 +99,7 @@ class Propagation:
         now = pim.predict(self._nav, self._bias)
         covariance = start.covariance
         if covariance is not None:
-            covariance = propagate(
+            covariance = propagate_covariance(
                 covariance,
                 start.T_world_imu[:3, :3],
                 dR=pim.deltaRij().matrix(),
@@ -144,7 +144,7 @@ class Interval:
         self._policy = policy
         self._may_rest = _is_slow(smoother.state)
         self._rest: list[FramePacket] = []  # frames since the keyframe, if the drone has not moved since
-        policy.begin(observations)
+        policy.set_reference(observations)
 
     @property
     def preintegrated(self) -> gtsam.PreintegratedCombinedMeasurements:

@@ -16,7 +16,7 @@ from dronevio.estimator.config import VioConfig
 from dronevio.estimator.frontend.protocol import FrontEnd
 from dronevio.estimator.frontend.rig import RigTracker
 from dronevio.estimator.health import HealthMonitor
-from dronevio.estimator.imu.noise import ImuNoise
+from dronevio.estimator.imu.noise import ImuNoiseEstimator
 from dronevio.estimator.initialization.initializer import Initializer
 from dronevio.estimator.initialization.static import NotObservable
 from dronevio.estimator.initialization.zero_velocity import ZeroVelocityDetector
@@ -52,7 +52,7 @@ class VisualInertialOdometry:
             front_end: Where feature observations come from; by default the images.
         """
         self._config = c = config or VioConfig()
-        self._imu, self._noise = rig.imu, ImuNoise(rig.imu, c.inertial, c.noise)
+        self._imu, self._noise = rig.imu, ImuNoiseEstimator(rig.imu, c.inertial, c.noise)
         self._calibration = OnlineCalibration(rig, c.calibration)
         self._intake = Intake(rig, front_end or RigTracker(rig, c.tracker), self._calibration)
         self._stillness = ZeroVelocityDetector(c.stillness)
@@ -122,7 +122,7 @@ class VisualInertialOdometry:
     def _add_keyframe(self, smoother: KeyframeSmoother, packet: FramePacket, still: bool) -> tuple[str, ...]:
         """Add a keyframe where the interval ends, and begin another one there; return what happened."""
         result = smoother.add_keyframe(packet.t_ns, self._interval.preintegrated, packet.observations, still)
-        self._noise.learn(result.misfit)
+        self._noise.update(result.imu_variance)
         self._intake.discard(result.rejected)
         events = (*result.events, *self._calibrate(smoother, packet, result))
         self._begin_interval(smoother, packet.observations)

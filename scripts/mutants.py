@@ -155,7 +155,7 @@ ESTIMATOR = (
         "fej-moved-states",
         "Smoother: linearization points of keyframes move along with every marginalization.",
         "estimator/backend/marginal_prior.py",
-        "first = {k: earlier.first(k, now) for k, now in states.items()}",
+        "first = {k: earlier.linearization_point(k, now) for k, now in states.items()}",
         "first = dict(states)",
         ("tests/estimator/backend/test_observability.py::test_no_information_on_global_position_and_yaw",),
     ),

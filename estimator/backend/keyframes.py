@@ -7,7 +7,7 @@ import numpy.typing as npt
 
 from dronevio.estimator.types import Observations
 
-HALF_TICK_S = 0.001
+TIME_TOLERANCE_S = 0.001
 """Time stamps jitter: an interval of 0.2 s may come as 0.1999 s [s]."""
 
 
@@ -35,7 +35,7 @@ class KeyframePolicy:
         self._config = config
         self._ids: npt.NDArray[np.int64] = np.zeros(0, np.int64)  # of the last keyframe's features
 
-    def begin(self, observations: Observations) -> None:
+    def set_reference(self, observations: Observations) -> None:
         """Take a keyframe: what comes is compared with what it sees."""
         self._ids = observations.ids
 
@@ -52,15 +52,15 @@ class KeyframePolicy:
         """
         c = self._config
         if self.is_stationary(elapsed_s, stationary_s):
-            return self.is_late(elapsed_s, still=True)
+            return self.is_interval_over(elapsed_s, stationary=True)
         left = np.isin(self._ids, observations.ids).mean() if len(self._ids) else 1.0  # darkness is not worth a window
-        surprised = (innovation_px or 0.0) > c.max_innovation_px and elapsed_s >= c.min_interval_s - HALF_TICK_S
-        return self.is_late(elapsed_s, still=False) or bool(left < c.min_tracked) or surprised
+        surprised = (innovation_px or 0.0) > c.max_innovation_px and elapsed_s >= c.min_interval_s - TIME_TOLERANCE_S
+        return self.is_interval_over(elapsed_s, stationary=False) or bool(left < c.min_tracked) or surprised
 
-    def is_late(self, elapsed_s: float, still: bool) -> bool:
+    def is_interval_over(self, elapsed_s: float, stationary: bool) -> bool:
         """Say whether it is time for a keyframe, whatever the frame shows."""
-        interval_s = self._config.stationary_interval_s if still else self._config.interval_s
-        return elapsed_s >= interval_s - HALF_TICK_S
+        interval_s = self._config.stationary_interval_s if stationary else self._config.interval_s
+        return elapsed_s >= interval_s - TIME_TOLERANCE_S
 
     @staticmethod
     def is_stationary(elapsed_s: float, stationary_s: float) -> bool:

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from dronevio.estimator.backend.observations import NONE, Integers, ObservationTable, observation_table
+from dronevio.estimator.backend.observations import NO_OBSERVATIONS, Integers, ObservationTable, observation_table
 from dronevio.estimator.backend.triangulation import triangulate
 from dronevio.estimator.types import Observations
 
@@ -37,7 +37,7 @@ class LandmarkConfig:
 
 
 @dataclass(frozen=True, eq=False)
-class KnownLandmarks:
+class TriangulatedLandmarks:
     """The landmarks that constrain a window, for those who want to know how well they do."""
 
     ids: Integers
@@ -48,7 +48,7 @@ class KnownLandmarks:
     """(N,) Largest angle under which each has been seen [rad]."""
 
 
-class LandmarkWindow:
+class LandmarkDatabase:
     """Keeps the observations of a window of keyframes, and the landmarks that they tell."""
 
     def __init__(self, focal_px: float, config: LandmarkConfig) -> None:
@@ -59,13 +59,13 @@ class LandmarkWindow:
             config: Settings.
         """
         self._config, self._focal_px = config, focal_px
-        self._all = NONE
+        self._all = NO_OBSERVATIONS
         self.ids: Integers = np.zeros(0, np.int64)
         """(L,) Identities of the landmarks whose places are known, in increasing order."""
         self.points: Array = np.zeros((0, 3))
         """(L, 3) Their places in the world [m]; whoever optimizes them sets them."""
 
-    def observe(self, k: int, observations: Observations) -> None:
+    def add_observations(self, k: int, observations: Observations) -> None:
         """Add what keyframe k shows."""
         self._all += observation_table(k, observations)
 
@@ -78,35 +78,35 @@ class LandmarkWindow:
         """Return the rows of `points` that hold some of the known landmarks."""
         return np.asarray(np.searchsorted(self.ids, np.asarray(landmarks, dtype=np.int64)))
 
-    def places(self, landmarks: Collection[int]) -> dict[int, Array]:
+    def positions(self, landmarks: Collection[int]) -> dict[int, Array]:
         """Return the places (3,) of some of the known landmarks [m]."""
         return {i: self.points[row] for i, row in zip(landmarks, self.rows(list(landmarks)), strict=True)}
 
-    def seen_from(self, k: int) -> Integers:
+    def observed_in(self, k: int) -> Integers:
         """Return the identities, sorted, of all that keyframe k shows, known or not."""
         return np.asarray(np.unique(self._all.landmark[self._all.keyframe == k]))
 
-    def triangulate(self, cameras: Cameras, newest: int, *, anew: bool = False) -> Integers:
+    def triangulate(self, cameras: Cameras, newest: int, *, retriangulate: bool = False) -> Integers:
         """Find the places of landmarks that have been seen often enough by now, and from aside.
 
         Args:
             cameras: Where the rig's cameras are at each keyframe.
             newest: Only landmarks that this keyframe sees ...
-            anew: ... or all, those that are known as well.
+            retriangulate: ... or all, those that are known as well.
 
         Returns:
             The identities of those that turned out to be wrong; they are let go of.
         """
         c, rows = self._config, self._all.by_landmark()
-        if not anew:
-            wanted = np.setdiff1d(self.seen_from(newest), self.ids, assume_unique=True)
+        if not retriangulate:
+            wanted = np.setdiff1d(self.observed_in(newest), self.ids, assume_unique=True)
             rows = rows[np.isin(rows.landmark, wanted)]
         ids, starts, counts = np.unique(rows.landmark, return_index=True, return_counts=True)
         span = rows.keyframe[starts + counts - 1] != rows.keyframe[starts] if c.min_keyframes > 1 else True
         enough = (counts >= c.min_views) & span
         rows = rows[np.repeat(enough, counts)]
         ids, counts = ids[enough], counts[enough]
-        if anew:
+        if retriangulate:
             self.ids, self.points = np.zeros(0, np.int64), np.zeros((0, 3))
         if len(ids) == 0:
             return ids
@@ -118,10 +118,10 @@ class LandmarkWindow:
         wrong = deep & (np.maximum(found.rms, found.newest) > self._limit(typical))
         self._keep(ids[deep & ~wrong], found.points[deep & ~wrong])
         rejected: Integers = ids[wrong]
-        self.drop(rejected)
+        self.remove(rejected)
         return rejected
 
-    def judge(self, error: Array, depth_m: Array, observations: ObservationTable) -> Integers:
+    def reject_outliers(self, error: Array, depth_m: Array, observations: ObservationTable) -> Integers:
         """Let go of the landmarks that are not where they should be, and return their identities.
 
         Where all that a keyframe shows is off, it is the keyframe that is wrong, and no landmark.
@@ -138,32 +138,32 @@ class LandmarkWindow:
             there = observations.keyframe == k
             typical[there] = np.median(distance[there])
         wrong = np.unique(observations.landmark[(distance > self._limit(typical)) | (depth_m <= 0.0)])
-        self.drop(wrong)
+        self.remove(wrong)
         return wrong
 
-    def drop(self, landmarks: Integers) -> None:
+    def remove(self, landmarks: Integers) -> None:
         """Let go of some landmarks and all their observations."""
         if len(landmarks):
             self._all = self._all[~np.isin(self._all.landmark, landmarks)]
             self._forget_unseen()
 
-    def drop_keyframe(self, k: int) -> None:
+    def remove_keyframe(self, k: int) -> None:
         """Let go of what a keyframe shows."""
         self._all = self._all[self._all.keyframe != k]
         self._forget_unseen()
 
-    def known(self, cameras: Cameras) -> KnownLandmarks:
+    def triangulated(self, cameras: Cameras) -> TriangulatedLandmarks:
         """Return the landmarks that constrain the window."""
         rows = self.observations.by_landmark()
         if len(rows) == 0:
-            return KnownLandmarks(self.ids, self.points, np.zeros(0))
+            return TriangulatedLandmarks(self.ids, self.points, np.zeros(0))
         place = self.rows(rows.landmark)
         rays = _views(rows, cameras)[1] - self.points[place]
         rays /= np.linalg.norm(rays, axis=1, keepdims=True)
         starts = np.flatnonzero(np.diff(place, prepend=-1))
         counts = np.diff(np.append(starts, len(rows)))
         cosine = np.minimum.reduceat(np.sum(rays * np.repeat(rays[starts], counts, axis=0), axis=1), starts)
-        return KnownLandmarks(self.ids, self.points, np.arccos(np.clip(cosine, -1.0, 1.0)))
+        return TriangulatedLandmarks(self.ids, self.points, np.arccos(np.clip(cosine, -1.0, 1.0)))
 
     def _limit(self, typical: Array | float) -> Array:
         """Return the residual beyond which a landmark is wrong, where ``typical`` is usual."""

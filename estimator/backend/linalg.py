@@ -10,7 +10,7 @@ from scipy.linalg import LinAlgError, cho_factor, cho_solve
 
 Array = npt.NDArray[np.float64]
 
-RELATIVE_FLOOR = 1e-12
+RELATIVE_DAMPING = 1e-12
 """What is added to a scaled information matrix, whose diagonal is 1: rounding errors must not make it indefinite."""
 
 
@@ -18,7 +18,7 @@ class SingularError(RuntimeError):
     """The linear system has no unique solution."""
 
 
-class Factorized:
+class CholeskyFactor:
     """A symmetric positive definite matrix, scaled to a diagonal of ones and factorized."""
 
     def __init__(self, H: Array) -> None:
@@ -32,7 +32,7 @@ class Factorized:
             raise SingularError("a variable that nothing holds")
         self._scale = 1.0 / np.sqrt(diagonal)
         scaled = H * self._scale[:, None] * self._scale
-        scaled[np.diag_indices_from(scaled)] += RELATIVE_FLOOR
+        scaled[np.diag_indices_from(scaled)] += RELATIVE_DAMPING
         try:
             self._factor = cho_factor(scaled, lower=True, overwrite_a=True, check_finite=False)
         except LinAlgError as error:
@@ -51,7 +51,7 @@ class Factorized:
         return np.asarray(0.5 * (block + block.T))
 
 
-def eliminate(H: Array, b: Array, leaving: npt.NDArray[np.bool_]) -> tuple[Array, Array]:
+def schur_complement(H: Array, b: Array, leaving: npt.NDArray[np.bool_]) -> tuple[Array, Array]:
     """Return the information and right side that are left when some of n variables are marginalized.
 
     Args:
@@ -64,6 +64,6 @@ def eliminate(H: Array, b: Array, leaving: npt.NDArray[np.bool_]) -> tuple[Array
     """
     stays = ~leaving
     across = H[np.ix_(stays, leaving)]
-    gain = Factorized(H[np.ix_(leaving, leaving)]).solve(across.T).T
+    gain = CholeskyFactor(H[np.ix_(leaving, leaving)]).solve(across.T).T
     rest = H[np.ix_(stays, stays)] - gain @ across.T
     return np.asarray(0.5 * (rest + rest.T)), np.asarray(b[stays] - gain @ b[leaving])

@@ -12,16 +12,16 @@ import gtsam
 import numpy as np
 import numpy.typing as npt
 
-from dronevio.estimator.backend.linalg import eliminate
+from dronevio.estimator.backend.linalg import schur_complement
 
 Array = npt.NDArray[np.float64]
 
-STATE, POSE, POINT = 15, 6, 3
+STATE_DIM, POSE_DIM, POINT_DIM = 15, 6, 3
 """Numbers in which a keyframe's state, its pose alone, and a landmark can change."""
 
 
 @dataclass(frozen=True, eq=False)
-class State:
+class KeyframeState:
     """The state of a keyframe."""
 
     pose: gtsam.Pose3
@@ -31,12 +31,12 @@ class State:
     bias: gtsam.imuBias.ConstantBias
     """Of accelerometer and gyroscope."""
 
-    def moved(self, change: Array) -> "State":
+    def retract(self, change: Array) -> "KeyframeState":
         """Return the state that differs by a change (15,)."""
         bias = self.bias.retract(change[9:])
-        return State(self.pose.retract(change[:6]), self.velocity + change[6:9], bias)
+        return KeyframeState(self.pose.retract(change[:6]), self.velocity + change[6:9], bias)
 
-    def to(self, other: "State") -> Array:
+    def local_coordinates(self, other: "KeyframeState") -> Array:
         """Return the change (15,) that makes another state of this one."""
         turn_and_shift = self.pose.localCoordinates(other.pose)
         biases = self.bias.localCoordinates(other.bias)
@@ -44,7 +44,7 @@ class State:
 
 
 @dataclass(frozen=True, eq=False)
-class Prior:
+class MarginalPrior:
     """What is known of some variables from what has left the window: a Gaussian about their first estimates.
 
     (Sibley, Matthies, Sukhatme, "Sliding window filter with application to planetary landing", JFR 2010.)
@@ -54,36 +54,41 @@ class Prior:
     """(n, n) Information, in the order of `states` and then `points`."""
     b: Array
     """(n,) Right side of H δ = b, where δ counts from the first estimates."""
-    states: Mapping[int, State]
+    states: Mapping[int, KeyframeState]
     """First estimates of the keyframes, in their order."""
     points: Mapping[int, Array] = field(default_factory=dict)
     """First estimates (3,) of the long-lived landmarks."""
 
-    def first(self, k: int, now: State) -> State:
+    def linearization_point(self, k: int, now: KeyframeState) -> KeyframeState:
         """Return where a keyframe is to be linearized: what the prior knows anything of, where it first was."""
         if k not in self.states:
             return now
-        start = STATE * list(self.states).index(k)
-        known, first = np.diag(self.H)[start : start + STATE] > 0.0, self.states[k]
-        return State(
+        start = STATE_DIM * list(self.states).index(k)
+        known, first = np.diag(self.H)[start : start + STATE_DIM] > 0.0, self.states[k]
+        return KeyframeState(
             first.pose if known[:6].any() else now.pose,
             first.velocity if known[6:9].any() else now.velocity,
             first.bias if known[9:].any() else now.bias,
         )
 
-    def about(self, states: Mapping[int, State], points: Mapping[int, Array]) -> Array:
+    def right_hand_side(self, states: Mapping[int, KeyframeState], points: Mapping[int, Array]) -> Array:
         """Return the right side (n,), where δ counts from the present estimates of at least the prior's variables."""
         return np.asarray(self.b - self.H @ self._change(states, points))
 
-    def cost(self, states: Mapping[int, State], points: Mapping[int, Array]) -> float:
+    def cost(self, states: Mapping[int, KeyframeState], points: Mapping[int, Array]) -> float:
         """Return the negative logarithm of its density at the present estimates, up to a constant."""
         change = self._change(states, points)
         return float(0.5 * change @ self.H @ change - self.b @ change)
 
     @classmethod
-    def from_present(
-        cls, H: Array, b: Array, states: Mapping[int, State], points: Mapping[int, Array], earlier: "Prior"
-    ) -> "Prior":
+    def from_current_estimates(
+        cls,
+        H: Array,
+        b: Array,
+        states: Mapping[int, KeyframeState],
+        points: Mapping[int, Array],
+        earlier: "MarginalPrior",
+    ) -> "MarginalPrior":
         """Return the prior whose right side counts from the present estimates; what was in an earlier one stays there.
 
         Args:
@@ -93,16 +98,18 @@ class Prior:
             points: Present estimates of all of its landmarks.
             earlier: Where its variables were linearized first.
         """
-        first = {k: earlier.first(k, now) for k, now in states.items()}
+        first = {k: earlier.linearization_point(k, now) for k, now in states.items()}
         made = cls(H, b, first, {i: earlier.points.get(i, now) for i, now in points.items()})
         return cls(H, b + H @ made._change(states, points), made.states, made.points)
 
-    def with_points(self, points: Mapping[int, Array]) -> "Prior":
+    def with_points(self, points: Mapping[int, Array]) -> "MarginalPrior":
         """Return the prior with landmarks added of which it knows nothing yet."""
-        more = POINT * len(points)
-        return Prior(np.pad(self.H, (0, more)), np.pad(self.b, (0, more)), self.states, {**self.points, **points})
+        more = POINT_DIM * len(points)
+        return MarginalPrior(
+            np.pad(self.H, (0, more)), np.pad(self.b, (0, more)), self.states, {**self.points, **points}
+        )
 
-    def without_points(self, gone: Iterable[int]) -> "Prior":
+    def without_points(self, gone: Iterable[int]) -> "MarginalPrior":
         """Return the prior with some landmarks marginalized.
 
         Raises:
@@ -111,11 +118,13 @@ class Prior:
         lost = set(gone) & set(self.points)
         if not lost:
             return self
-        leaving = np.repeat([False] * len(self.states) * (STATE // POINT) + [i in lost for i in self.points], POINT)
-        H, b = eliminate(self.H, self.b, leaving)
-        return Prior(H, b, self.states, {i: point for i, point in self.points.items() if i not in lost})
+        leaving = np.repeat(
+            [False] * len(self.states) * (STATE_DIM // POINT_DIM) + [i in lost for i in self.points], POINT_DIM
+        )
+        H, b = schur_complement(self.H, self.b, leaving)
+        return MarginalPrior(H, b, self.states, {i: point for i, point in self.points.items() if i not in lost})
 
-    def _change(self, states: Mapping[int, State], points: Mapping[int, Array]) -> Array:
+    def _change(self, states: Mapping[int, KeyframeState], points: Mapping[int, Array]) -> Array:
         """Return how far (n,) present estimates are from the first ones."""
-        parts = [first.to(states[k]) for k, first in self.states.items()]
+        parts = [first.local_coordinates(states[k]) for k, first in self.states.items()]
         return np.concatenate([*parts, *(points[i] - first for i, first in self.points.items())])

@@ -78,7 +78,7 @@ def observation_table(k: int, observations: Observations) -> ObservationTable:
     )
 
 
-NONE = ObservationTable(
+NO_OBSERVATIONS = ObservationTable(
     np.zeros(0, np.int64), np.zeros(0, np.int64), np.zeros(0, np.int64), np.zeros((0, 2)), np.zeros(0)
 )
 """No observations."""

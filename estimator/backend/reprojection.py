@@ -10,18 +10,21 @@ to the marginal prior, so that the linear system invents no knowledge of what ca
 Roumeliotis, "A first-estimates Jacobian EKF for improving SLAM consistency", ISER 2008).
 """
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
 
 from dronevio.estimator.backend.observations import Integers, ObservationTable
+from dronevio.estimator.backend.triangulation import MIN_DEPTH_M
 from dronevio.models.rotation import skew
 
 Array = npt.NDArray[np.float64]
 
-MIN_DEPTH_M = 0.05  # nearer to a camera than its lens
-LEAST_INFORMATION = 1e-9  # of a landmark in a direction, relative to its trace: how far away it is may be unknown
+MEDIAN_CHI2_2DOF = 2.0 * math.log(2.0)
+"""Median of the χ² distribution with two degrees of freedom, that of the squared residual of an image observation."""
+RELATIVE_DAMPING = 1e-9  # of a landmark in a direction, relative to its trace: how far away it is may be unknown
 
 
 @dataclass(frozen=True, eq=False)
@@ -141,5 +144,5 @@ def _in_camera(observations: ObservationTable, rows: Rows, Ts_imu_cam: Array, sc
 
 def _inverse(information: Array) -> Array:
     """Return the inverses (L, 3, 3), for what is far away damped in the direction that nothing tells."""
-    least = LEAST_INFORMATION * np.trace(information, axis1=1, axis2=2)[:, None, None] + 1e-12
+    least = RELATIVE_DAMPING * np.trace(information, axis1=1, axis2=2)[:, None, None] + 1e-12
     return np.linalg.inv(information + least * np.eye(3))

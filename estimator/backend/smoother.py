@@ -20,12 +20,12 @@ import numpy as np
 import numpy.typing as npt
 from gtsam.symbol_shorthand import B, V, X
 
-from dronevio.estimator.backend.landmarks import KnownLandmarks, LandmarkConfig, LandmarkWindow
-from dronevio.estimator.backend.linalg import Factorized, SingularError
-from dronevio.estimator.backend.marginal_prior import STATE, State
+from dronevio.estimator.backend.landmarks import LandmarkConfig, LandmarkDatabase, TriangulatedLandmarks
+from dronevio.estimator.backend.linalg import CholeskyFactor, SingularError
+from dronevio.estimator.backend.marginal_prior import STATE_DIM, KeyframeState
 from dronevio.estimator.backend.window import Window
 from dronevio.estimator.imu.covariance import covariance_from_gtsam, covariance_to_gtsam
-from dronevio.estimator.imu.noise import MotionMisfit
+from dronevio.estimator.imu.noise import ImuVarianceComponents
 from dronevio.estimator.types import GAUGE_SIGMA, NOTHING_SEEN, Observations
 from dronevio.models.rig import RigCamera
 from dronevio.models.state import NavState
@@ -83,7 +83,7 @@ class KeyframeResult:
     """(N,) Identities of the features that turned out to be wrong."""
     events: tuple[str, ...] = ()
     """For people: empty, or what went wrong and how it was mended."""
-    misfit: MotionMisfit | None = None
+    imu_variance: ImuVarianceComponents | None = None
     """How well the IMU fits the window, of an interval that leaves it."""
 
 
@@ -136,9 +136,9 @@ class KeyframeSmoother:
         return self._window.landmarks.points.copy()
 
     @property
-    def known_landmarks(self) -> KnownLandmarks:
+    def known_landmarks(self) -> TriangulatedLandmarks:
         """The landmarks that constrain the window."""
-        return self._window.landmarks.known(self._window.cameras)
+        return self._window.landmarks.triangulated(self._window.cameras)
 
     def add_keyframe(
         self,
@@ -165,17 +165,17 @@ class KeyframeSmoother:
         try:
             for _ in range(self._config.iterations):
                 system = window.linearize()
-                solver = Factorized(system.H)
-                window.move(system, solver.solve(system.b))
+                solver = CholeskyFactor(system.H)
+                window.update(system, solver.solve(system.b))
             self._read_state(t_ns, solver)
-            misfit = window.oldest_misfit(solver) if self._is_full and self._has_moved(moved_px) else None
-            wrong = window.landmarks.judge(*window.residuals())
-            window.forget(wrong.tolist())
+            imu_variance = window.oldest_imu_variance(solver) if self._is_full and self._has_moved(moved_px) else None
+            wrong = window.landmarks.reject_outliers(*window.residuals())
+            window.remove_landmarks(wrong.tolist())
             self._make_room(moved_px)
         except (SingularError, np.linalg.LinAlgError) as error:
             self._restart(_nav_state(t_ns, predicted), self._covariance, observations)
             return KeyframeResult(rejected, (f"solver restored: {error}",))
-        return KeyframeResult(np.union1d(rejected, wrong), misfit=misfit)
+        return KeyframeResult(np.union1d(rejected, wrong), imu_variance=imu_variance)
 
     def launch(self, keyframes: Sequence[Keyframe]) -> float | None:
         """Add the first keyframes, all at once, and optimize them together by Levenberg-Marquardt.
@@ -191,7 +191,7 @@ class KeyframeSmoother:
             self._append(keyframe)
         try:
             for _ in range(self._config.initial_rounds):
-                window.landmarks.triangulate(window.cameras, window.newest, anew=True)
+                window.landmarks.triangulate(window.cameras, window.newest, retriangulate=True)
                 solver = self._optimize_from_afar()
             self._read_state(keyframes[-1].t_ns, solver)
             error = np.linalg.norm(window.residuals()[0], axis=1)
@@ -218,15 +218,15 @@ class KeyframeSmoother:
         need. It gets a position that is known, and what was unsure is added to what it says later.
         """
         bias = gtsam.imuBias.ConstantBias(start.accel_bias_m_s2, start.gyro_bias_rad_s)
-        first = State(gtsam.Pose3(start.T_world_imu), start.velocity_m_s, bias)
+        first = KeyframeState(gtsam.Pose3(start.T_world_imu), start.velocity_m_s, bias)
         self._position_covariance = covariance[3:6, 3:6]
         anchored = covariance.copy()
         anchored[3:6, :] = anchored[:, 3:6] = 0.0
         anchored[3:6, 3:6] = GAUGE_SIGMA**2 * np.eye(3)
         covariance_there = covariance_to_gtsam(anchored, start.T_world_imu[:3, :3])
         information = np.asarray(np.linalg.inv(covariance_there), dtype=np.float64)
-        landmarks = LandmarkWindow(self._focal_px, self._landmark_config)
-        landmarks.observe(0, observations)
+        landmarks = LandmarkDatabase(self._focal_px, self._landmark_config)
+        landmarks.add_observations(0, observations)
         c = self._config
         self._window = Window(
             first, information, landmarks, self._Ts_imu_cam, c.pixel_sigma / self._focal_px, c.robust_sigmas
@@ -248,8 +248,8 @@ class KeyframeSmoother:
             no_motion = gtsam.noiseModel.Isotropic.Sigma(6, c.zupt_pose_sigma)
             factors.append(gtsam.PriorFactorVector(V(k), np.zeros(3), no_speed))
             factors.append(gtsam.BetweenFactorPose3(X(j), X(k), gtsam.Pose3(), no_motion))
-        window.append(State(predicted.pose(), predicted.velocity(), bias), factors)
-        window.landmarks.observe(k, keyframe.observations)
+        window.append(KeyframeState(predicted.pose(), predicted.velocity(), bias), factors)
+        window.landmarks.add_observations(k, keyframe.observations)
         self._last_seen = self._last_seen[1], keyframe.observations
 
     def _make_room(self, moved_px: float) -> None:
@@ -258,7 +258,7 @@ class KeyframeSmoother:
         if self._is_full and self._has_moved(moved_px):
             window.marginalize(min(window.states), self._config.max_persistent)
         elif self._is_full:
-            window.skip(sorted(window.states)[-2])
+            window.drop_keyframe(sorted(window.states)[-2])
 
     @property
     def _is_full(self) -> bool:
@@ -284,14 +284,14 @@ class KeyframeSmoother:
         moved = np.linalg.norm(now.xy[j] - turned[:, :2] / turned[:, 2:], axis=1)
         return float(np.median(moved)) * self._focal_px
 
-    def _optimize_from_afar(self) -> Factorized:
+    def _optimize_from_afar(self) -> CholeskyFactor:
         """Optimize the window by Levenberg-Marquardt; return the last linear system, factorized."""
         window, damping = self._window, 1e-4
         system, cost = window.linearize(), window.cost()
         for _ in range(self._config.initial_iterations):
             states, points = window.states, window.landmarks.points
             damped = system.H + damping * np.diag(np.diag(system.H))
-            window.move(system, Factorized(damped).solve(system.b))
+            window.update(system, CholeskyFactor(damped).solve(system.b))
             new_cost = window.cost()
             if new_cost < cost:
                 converged = cost - new_cost < 1e-3 * cost
@@ -301,19 +301,19 @@ class KeyframeSmoother:
             else:
                 window.states, window.landmarks.points = states, points
                 damping *= 10.0
-        return Factorized(system.H)
+        return CholeskyFactor(system.H)
 
-    def _read_state(self, t_ns: int, solver: Factorized) -> None:
+    def _read_state(self, t_ns: int, solver: CholeskyFactor) -> None:
         """Take over the newest keyframe's state and covariance."""
         window = self._window
         newest = window.states[window.newest]
-        columns = STATE * (len(window.states) - 1) + np.arange(STATE)
+        columns = STATE_DIM * (len(window.states) - 1) + np.arange(STATE_DIM)
         P = covariance_from_gtsam(solver.inverse_block(columns), newest.pose.rotation().matrix())
         P[3:6, 3:6] += self._position_covariance
         self._covariance = P
         self._state = _nav_state(t_ns, newest, P)
 
 
-def _nav_state(t_ns: int, state: State, covariance: Array | None = None) -> NavState:
+def _nav_state(t_ns: int, state: KeyframeState, covariance: Array | None = None) -> NavState:
     bias = state.bias
     return NavState(t_ns, state.pose.matrix(), state.velocity, bias.gyroscope(), bias.accelerometer(), covariance)

@@ -13,24 +13,28 @@ import numpy.typing as npt
 from gtsam.symbol_shorthand import B, V, X
 from scipy.linalg import solve_triangular
 
-from dronevio.estimator.backend.landmarks import LandmarkWindow
-from dronevio.estimator.backend.linalg import Factorized, eliminate
-from dronevio.estimator.backend.marginal_prior import POINT, POSE, STATE, Prior, State
-from dronevio.estimator.backend.observations import NONE, Integers, ObservationTable
-from dronevio.estimator.backend.reprojection import Rows, Scene, VisualSystem, residuals, visual_system
-from dronevio.estimator.imu.noise import MotionMisfit
+from dronevio.estimator.backend.landmarks import LandmarkDatabase
+from dronevio.estimator.backend.linalg import CholeskyFactor, schur_complement
+from dronevio.estimator.backend.marginal_prior import POINT_DIM, POSE_DIM, STATE_DIM, KeyframeState, MarginalPrior
+from dronevio.estimator.backend.observations import NO_OBSERVATIONS, Integers, ObservationTable
+from dronevio.estimator.backend.reprojection import (
+    MEDIAN_CHI2_2DOF,
+    Rows,
+    Scene,
+    VisualSystem,
+    residuals,
+    visual_system,
+)
+from dronevio.estimator.imu.noise import ImuVarianceComponents
 
 Array = npt.NDArray[np.float64]
 Factor = gtsam.NoiseModelFactor
-TiedFactor = tuple[frozenset[int], Factor]
+IndexedFactor = tuple[frozenset[int], Factor]
 """A factor, and the keyframes that it ties to each other."""
 
-IMPLAUSIBLE_MOTION = 5.0
+IMU_ROBUST_SIGMAS = 5.0
 """Standard deviations beyond what noise explains at which what the IMU says of a motion has lost half of its weight, as
 under Cauchy's loss: after a jolt, a saturated gyroscope or a gap, what is seen wins."""
-
-MEDIAN_CHI2_2DOF = 2.0 * np.log(2.0)
-"""Median of χ² with two degrees of freedom, which the square of a sighting's residual has."""
 
 _SPANS = {"x": np.arange(6), "v": np.arange(6, 9), "b": np.arange(9, 15)}  # in a state
 
@@ -52,9 +56,9 @@ class Window:
 
     def __init__(
         self,
-        start: State,
+        start: KeyframeState,
         prior_information: Array,
-        landmarks: LandmarkWindow,
+        landmarks: LandmarkDatabase,
         Ts_imu_cam: Array,
         sigma: float,
         robust_sigmas: float,
@@ -70,12 +74,12 @@ class Window:
             robust_sigmas: Beyond so many of them, or medians where those are larger, a sighting loses weight as under
                 Cauchy's loss.
         """
-        self.states: dict[int, State] = {0: start}
+        self.states: dict[int, KeyframeState] = {0: start}
         """Of the keyframes, in order."""
         self.landmarks = landmarks
         """What they have seen."""
-        self._prior = Prior(prior_information, np.zeros(STATE), {0: start})
-        self._factors: list[TiedFactor] = []
+        self._prior = MarginalPrior(prior_information, np.zeros(STATE_DIM), {0: start})
+        self._factors: list[IndexedFactor] = []
         self._Ts_imu_cam, self._sigma, self._robust_sigmas = Ts_imu_cam, sigma, robust_sigmas
 
     @property
@@ -94,7 +98,7 @@ class Window:
         Ts = {k: state.pose.matrix() @ self._Ts_imu_cam for k, state in self.states.items()}
         return {k: (T[:, :3, :3], T[:, :3, 3]) for k, T in Ts.items()}
 
-    def append(self, state: State, factors: Iterable[Factor]) -> None:
+    def append(self, state: KeyframeState, factors: Iterable[Factor]) -> None:
         """Add a keyframe, and what ties it to others."""
         self.states[self.newest + 1] = state
         for factor in factors:
@@ -120,16 +124,16 @@ class Window:
         """Return the window to first order."""
         return self._system(self._factors, self.landmarks.observations)
 
-    def move(self, system: LinearSystem, change: Array) -> None:
+    def update(self, system: LinearSystem, change: Array) -> None:
         """Move everything by the solution (n,) of a linear system."""
         K = len(self.states)
-        states = change[: STATE * K].reshape(K, STATE)
-        points = system.visual.points_given(states[:, :POSE])
-        points[self._persistent_rows()] = change[STATE * K :].reshape(-1, POINT)
-        self.states = {k: s.moved(d) for (k, s), d in zip(self.states.items(), states, strict=True)}
+        states = change[: STATE_DIM * K].reshape(K, STATE_DIM)
+        points = system.visual.points_given(states[:, :POSE_DIM])
+        points[self._persistent_rows()] = change[STATE_DIM * K :].reshape(-1, POINT_DIM)
+        self.states = {k: s.retract(d) for (k, s), d in zip(self.states.items(), states, strict=True)}
         self.landmarks.points = self.landmarks.points + points
 
-    def oldest_misfit(self, solved: Factorized) -> MotionMisfit | None:
+    def oldest_imu_variance(self, solved: CholeskyFactor) -> ImuVarianceComponents | None:
         """Say how well the IMU since the oldest keyframe fits the rest of the window, once that has been optimized.
 
         Args:
@@ -141,7 +145,7 @@ class Window:
                 values = _values({k: self.states[k] for k in keyframes})
                 J = solve_triangular(_whitening(factor), factor.linearize(values).jacobian()[0])[:9]  # biases apart
                 interval = factor.preintegratedMeasurements()
-                return MotionMisfit.of_residual(
+                return ImuVarianceComponents.from_residual(
                     factor.unwhitenedError(values)[:9],
                     interval.preintMeasCov()[:9, :9],
                     J @ solved.inverse_block(_columns(factor, places)) @ J.T,
@@ -157,37 +161,37 @@ class Window:
         """
         landmarks, long = self.landmarks, self.persistent
         observations = landmarks.observations
-        followed = set(landmarks.seen_from(self.newest).tolist())
+        followed = set(landmarks.observed_in(self.newest).tolist())
         seen = set(observations.landmark[observations.keyframe == k].tolist()) - long
         kept = self._most_observed(seen & followed, max_persistent - len(long & followed))
         over = (seen - kept) | (long - followed)
-        self._prior = self._prior.with_points(landmarks.places(kept))
+        self._prior = self._prior.with_points(landmarks.positions(kept))
         used = np.isin(observations.landmark, list(over)) | (
             (observations.keyframe == k) & np.isin(observations.landmark, list(long | kept))
         )
-        self._absorb(k, observations[used], over)
-        landmarks.drop(np.array(sorted(over), dtype=np.int64))
+        self._marginalize_into_prior(k, observations[used], over)
+        landmarks.remove(np.array(sorted(over), dtype=np.int64))
 
-    def skip(self, k: int) -> None:
+    def drop_keyframe(self, k: int) -> None:
         """Let a keyframe go whose view adds nothing, and keep what the IMU says of its neighbours."""
-        self._absorb(k, NONE, set())
+        self._marginalize_into_prior(k, NO_OBSERVATIONS, set())
 
-    def forget(self, landmarks: Iterable[int]) -> None:
+    def remove_landmarks(self, landmarks: Iterable[int]) -> None:
         """Let go of landmarks that turned out to be wrong."""
         self._prior = self._prior.without_points(landmarks)
 
-    def _absorb(self, k: int, observations: ObservationTable, over: set[int]) -> None:
+    def _marginalize_into_prior(self, k: int, observations: ObservationTable, over: set[int]) -> None:
         """Put factors of a keyframe and some observations into the prior; keyframe and landmarks leave."""
         touching = [tied for tied in self._factors if k in tied[0]]
         system = self._system(touching, observations)
-        leaving_states = np.repeat([i == k for i in self.states], STATE)
-        leaving_points = np.repeat([i in over for i in self._prior.points], POINT).astype(np.bool_)
-        H, b = eliminate(system.H, system.b, np.concatenate([leaving_states, leaving_points]))
+        leaving_states = np.repeat([i == k for i in self.states], STATE_DIM)
+        leaving_points = np.repeat([i in over for i in self._prior.points], POINT_DIM).astype(np.bool_)
+        H, b = schur_complement(system.H, system.b, np.concatenate([leaving_states, leaving_points]))
         points = {i: point for i, point in self._points().items() if i not in over}
         self._factors = [(keyframes, factor) for keyframes, factor in self._factors if k not in keyframes]
         del self.states[k]
-        self._prior = Prior.from_present(H, b, self.states, points, self._prior)
-        self.landmarks.drop_keyframe(k)
+        self._prior = MarginalPrior.from_current_estimates(H, b, self.states, points, self._prior)
+        self.landmarks.remove_keyframe(k)
         self._prior = self._prior.without_points(set(points) - set(self.landmarks.ids.tolist()))
 
     def _most_observed(self, candidates: set[int], room: int) -> set[int]:
@@ -196,26 +200,26 @@ class Window:
         ids, counts = np.unique(rows[np.isin(rows, list(candidates))], return_counts=True)
         return set(ids[np.argsort(-counts, kind="stable")[: max(room, 0)]].tolist())
 
-    def _system(self, factors: Sequence[TiedFactor], observations: ObservationTable) -> LinearSystem:
+    def _system(self, factors: Sequence[IndexedFactor], observations: ObservationTable) -> LinearSystem:
         """Return the prior, some factors and some observations to first order."""
         places = {k: i for i, k in enumerate(self.states)}
         K, long = len(places), self._prior.points
-        n = STATE * K + POINT * len(long)
+        n = STATE_DIM * K + POINT_DIM * len(long)
         H, b = np.zeros((n, n)), np.zeros(n)
 
-        known = [STATE * places[k] + np.arange(STATE) for k in self._prior.states]
-        columns = np.concatenate([*known, np.arange(STATE * K, n)])
+        known = [STATE_DIM * places[k] + np.arange(STATE_DIM) for k in self._prior.states]
+        columns = np.concatenate([*known, np.arange(STATE_DIM * K, n)])
         H[np.ix_(columns, columns)] += self._prior.H
-        b[columns] += self._prior.about(self.states, self._points())
+        b[columns] += self._prior.right_hand_side(self.states, self._points())
 
-        first = {k: self._prior.first(k, now) for k, now in self.states.items()}
+        first = {k: self._prior.linearization_point(k, now) for k, now in self.states.items()}
         tied = frozenset[int]().union(*(keyframes for keyframes, _ in factors))
         values_now, values_first = (_values({k: states[k] for k in tied}) for states in (self.states, first))
         for _, factor in factors:
             A, columns = factor.linearize(values_first).jacobian()[0], _columns(factor, places)
             error = factor.whitenedError(values_now)
             unexplained = max(float(error @ error) - len(error), 0.0)  # noise alone makes as many as there are numbers
-            weight = 1.0 / (1.0 + unexplained / IMPLAUSIBLE_MOTION**2)
+            weight = 1.0 / (1.0 + unexplained / IMU_ROBUST_SIGMAS**2)
             H[np.ix_(columns, columns)] += weight * (A.T @ A)
             b[columns] -= weight * (A.T @ error)
 
@@ -223,19 +227,21 @@ class Window:
         rows = self._persistent_rows()
         eliminated = np.ones(len(self.landmarks.ids), dtype=np.bool_)
         eliminated[rows] = False
-        columns = (STATE * np.arange(K)[:, None] + np.arange(POSE)).ravel()
+        columns = (STATE_DIM * np.arange(K)[:, None] + np.arange(POSE_DIM)).ravel()
         H_poses, b_poses = visual.without_points(eliminated)
         H[np.ix_(columns, columns)] += H_poses
         b[columns] += b_poses
-        across = np.moveaxis(visual.cross[rows].reshape(len(rows), POSE * K, POINT), 0, 1).reshape(POSE * K, -1)
-        H[columns, STATE * K :] += across
-        H[STATE * K :, columns] += across.T
-        own = STATE * K + np.arange(POINT * len(rows)).reshape(-1, POINT)
+        across = np.moveaxis(visual.cross[rows].reshape(len(rows), POSE_DIM * K, POINT_DIM), 0, 1).reshape(
+            POSE_DIM * K, -1
+        )
+        H[columns, STATE_DIM * K :] += across
+        H[STATE_DIM * K :, columns] += across.T
+        own = STATE_DIM * K + np.arange(POINT_DIM * len(rows)).reshape(-1, POINT_DIM)
         H[own[:, :, None], own[:, None, :]] += visual.point[rows]
         b[own] += visual.point_b[rows]
         return LinearSystem(H, b, visual)
 
-    def _visual(self, observations: ObservationTable, first: dict[int, State]) -> VisualSystem:
+    def _visual(self, observations: ObservationTable, first: dict[int, KeyframeState]) -> VisualSystem:
         """Return what some observations say."""
         rows, now = self._rows(observations), self._scene()
         error, depth_m = residuals(observations, rows, self._Ts_imu_cam, now)
@@ -244,7 +250,7 @@ class Window:
         doubtful = self._doubtful(square, rows.keyframe)
         weight = (depth_m > 0.0) / (sigma2 * self._misfit(square) * (1.0 + square / doubtful**2))
         points = now.points.copy()
-        points[self._persistent_rows()] = np.reshape(list(self._prior.points.values()), (-1, POINT))
+        points[self._persistent_rows()] = np.reshape(list(self._prior.points.values()), (-1, POINT_DIM))
         return visual_system(observations, rows, self._Ts_imu_cam, _scene(first, points), error, weight)
 
     def _misfit(self, square: Array) -> float:
@@ -276,7 +282,7 @@ class Window:
 
     def _points(self) -> dict[int, Array]:
         """Return where the long-lived landmarks are now."""
-        return self.landmarks.places(self._prior.points)
+        return self.landmarks.positions(self._prior.points)
 
     def _persistent_rows(self) -> Integers:
         """Return the rows of the long-lived landmarks among all, in the prior's order."""
@@ -301,15 +307,17 @@ def _whitening(factor: Factor) -> Array:
 def _columns(factor: Factor, places: dict[int, int]) -> Integers:
     """Return the columns of a factor's variables in a linear system, for keyframes in these places."""
     keys = list(factor.keys())
-    return np.concatenate([STATE * places[gtsam.symbolIndex(key)] + _SPANS[chr(gtsam.symbolChr(key))] for key in keys])
+    return np.concatenate(
+        [STATE_DIM * places[gtsam.symbolIndex(key)] + _SPANS[chr(gtsam.symbolChr(key))] for key in keys]
+    )
 
 
-def _scene(states: dict[int, State], points: Array) -> Scene:
+def _scene(states: dict[int, KeyframeState], points: Array) -> Scene:
     Ts = np.stack([state.pose.matrix() for state in states.values()])
     return Scene(Ts[:, :3, :3], Ts[:, :3, 3], points)
 
 
-def _values(states: dict[int, State]) -> gtsam.Values:
+def _values(states: dict[int, KeyframeState]) -> gtsam.Values:
     """Return states as GTSAM has them."""
     values = gtsam.Values()
     for k, state in states.items():

@@ -7,7 +7,7 @@ import numpy as np
 import numpy.typing as npt
 
 from dronevio.estimator.imu.buffer import ImuBuffer, Increments
-from dronevio.estimator.imu.covariance import propagate
+from dronevio.estimator.imu.covariance import propagate_covariance
 from dronevio.estimator.initialization.static import InitialSigmas, initialize_static
 from dronevio.models.imu import GRAVITY_M_S2, ImuSamples
 from dronevio.models.rig import Rig
@@ -105,7 +105,7 @@ class DeadReckoning:
         dR, dv, dp = preintegrated(increments, start.gyro_bias_rad_s, start.accel_bias_m_s2)
         R, p, t = start.T_world_imu[:3, :3], start.T_world_imu[:3, 3], float(increments.dt_s.sum())
         assert start.covariance is not None
-        covariance = propagate(start.covariance, R, dR=dR, dp=dp, dv=dv, dt_s=t, imu=self._imu)
+        covariance = propagate_covariance(start.covariance, R, dR=dR, dp=dp, dv=dv, dt_s=t, imu=self._imu)
         return NavState(
             t_ns,
             pose_matrix(nearest_rotations(R @ dR), p + start.velocity_m_s * t + 0.5 * _GRAVITY_WORLD * t * t + R @ dp),

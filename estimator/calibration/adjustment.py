@@ -16,7 +16,7 @@ from scipy.linalg import cho_factor, cho_solve
 
 from dronevio.estimator.backend.triangulation import MIN_DEPTH_M, triangulate
 from dronevio.estimator.calibration.corrections import PER_CAMERA, Corrections
-from dronevio.estimator.calibration.imu_factor import CalibrationInterval
+from dronevio.estimator.calibration.imu_factor import CalibrationImuFactor
 from dronevio.models.rotation import exp_so3, log_so3, skew
 from dronevio.models.state import NavState
 
@@ -36,7 +36,7 @@ class WindowKeyframe:
     """Where the IMU is believed to be."""
     rate_rad_s: Array
     """(3,) How fast it turns, bias taken out [rad/s]."""
-    late_s: float
+    time_offset_s: float
     """By how much its sightings were believed to be late, and moved [s]."""
     preintegrated: gtsam.PreintegratedCombinedMeasurements | None
     """The IMU since the keyframe before; None for the first."""
@@ -75,7 +75,7 @@ class AdjustmentConfig:
 
 
 @dataclass(frozen=True, eq=False)
-class Adjusted:
+class AdjustmentResult:
     """What a window says of the calibration, together with what was known before."""
 
     mean: Array
@@ -96,7 +96,7 @@ class _Sightings:
     xy: Array
 
 
-class CalibrationWindow:
+class CalibrationProblem:
     """The unknowns of a window, moved by one Gauss-Newton step after another."""
 
     def __init__(
@@ -129,18 +129,18 @@ class CalibrationWindow:
         self._p = np.stack([state.T_world_imu[:3, 3] for state in states])
         self._v = np.stack([state.velocity_m_s for state in states])
         self._rates = np.stack([keyframe.rate_rad_s for keyframe in keyframes])
-        self._late_s = np.array([keyframe.late_s for keyframe in keyframes])
+        self._time_offsets_s = np.array([keyframe.time_offset_s for keyframe in keyframes])
         last = states[-1]
         self._bias = np.concatenate([last.gyro_bias_rad_s, last.accel_bias_m_s2])
         self._first = self._R[0].copy(), self._v[0].copy(), self._bias.copy()
         self._intervals = [
-            CalibrationInterval.of(k.preintegrated, self._bias) for k in keyframes[1:] if k.preintegrated
+            CalibrationImuFactor.of(k.preintegrated, self._bias) for k in keyframes[1:] if k.preintegrated
         ]
         self._seen, self._points = self._select(keyframes, focal_px)
         self._focal_px, self._rms_px, self._steps = focal_px, float("inf"), 0
         self.is_done = False
         """Whether there is no further step to take."""
-        self.result: Adjusted | None = None
+        self.result: AdjustmentResult | None = None
         """What came of it; None before the end, and where the problem has no solution."""
 
     @property
@@ -148,13 +148,13 @@ class CalibrationWindow:
         """How many landmarks take part."""
         return len(self._points)
 
-    def advance(self) -> None:
+    def step(self) -> None:
         """Take a step, a third of the work or so."""
         self._steps += 1
         information = self._step()
         self.is_done = information is None or self._steps >= self._config.rounds
         if self.is_done and information is not None:
-            self.result = Adjusted(self._c, information, self._rms_px)
+            self.result = AdjustmentResult(self._c, information, self._rms_px)
 
     def _select(self, keyframes: Sequence[WindowKeyframe], focal_px: float) -> tuple[_Sightings, Array]:
         """Take the landmarks that are worth it, and triangulate them."""
@@ -186,8 +186,8 @@ class CalibrationWindow:
 
     def _camera_poses(self, seen: _Sightings) -> tuple[Array, Array]:
         """Return the orientation and place of the camera at each sighting."""
-        corrections, k = Corrections.of_vector(self._c), seen.keyframe
-        delay_s = (corrections.time_offset_s - self._late_s)[k, None]
+        corrections, k = Corrections.from_vector(self._c), seen.keyframe
+        delay_s = (corrections.time_offset_s - self._time_offsets_s)[k, None]
         R_imu = self._R[k] @ exp_so3(self._rates[k] * delay_s)
         p_imu = self._p[k] + self._v[k] * delay_s
         R_ic = (self._Ts_imu_cam[:, :3, :3] @ exp_so3(corrections.rotation_rad))[seen.camera]
@@ -195,7 +195,7 @@ class CalibrationWindow:
         return R_imu @ R_ic, p_imu + np.einsum("nij,nj->ni", R_imu, t_ic)
 
     def _uncorrected(self, seen: _Sightings) -> Array:
-        corrections = Corrections.of_vector(self._c)
+        corrections = Corrections.from_vector(self._c)
         return np.asarray((seen.xy - corrections.principal[seen.camera]) / (1.0 + corrections.focal[seen.camera]))
 
     def _step(self) -> Array | None:
@@ -302,9 +302,9 @@ class CalibrationWindow:
 
     def _linearized(self) -> tuple[Array, Array, Array, Array]:
         """Return residuals (N, 2) and what moves the projections: pose (N, 2, 6), landmark (N, 2, 3), unknowns."""
-        seen, corrections = self._seen, Corrections.of_vector(self._c)
+        seen, corrections = self._seen, Corrections.from_vector(self._c)
         k, camera = seen.keyframe, seen.camera
-        delay_s = (corrections.time_offset_s - self._late_s)[k, None]
+        delay_s = (corrections.time_offset_s - self._time_offsets_s)[k, None]
         turn_back = exp_so3(-self._rates[k] * delay_s)
         R_world_imu, v = self._R[k], self._v[k]
         q = np.einsum("nji,nj->ni", R_world_imu, self._points[seen.landmark] - self._p[k] - v * delay_s)

@@ -30,7 +30,7 @@ class Corrections:
     """(C, 2) Displacements of the principal points, in units of fx and fy."""
 
     @classmethod
-    def of_vector(cls, x: Array) -> "Corrections":
+    def from_vector(cls, x: Array) -> "Corrections":
         """Return the corrections that a vector (1 + 10 C,) holds."""
         rows = x[1:].reshape(-1, PER_CAMERA)
         return cls(float(x[0]), rows[:, 0:3], rows[:, 3:6], rows[:, 6:8], rows[:, 8:10])

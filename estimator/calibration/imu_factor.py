@@ -18,7 +18,7 @@ GRAVITY = np.array([0.0, 0.0, -GRAVITY_M_S2])
 
 
 @dataclass(frozen=True, eq=False)
-class CalibrationInterval:
+class CalibrationImuFactor:
     """The IMU between two keyframes, and how it depends on the biases (gyroscope, accelerometer)."""
 
     dt_s: float
@@ -33,7 +33,7 @@ class CalibrationInterval:
     """(9, 9) How surely the three are known."""
 
     @classmethod
-    def of(cls, preintegrated: gtsam.PreintegratedCombinedMeasurements, bias: Array) -> "CalibrationInterval":
+    def of(cls, preintegrated: gtsam.PreintegratedCombinedMeasurements, bias: Array) -> "CalibrationImuFactor":
         """Take GTSAM's preintegration at some biases (6,)."""
         dt_s = float(preintegrated.deltaTij())
         R, pv = _predicted(preintegrated, bias)

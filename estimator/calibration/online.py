@@ -16,7 +16,7 @@ import numpy.typing as npt
 
 from dronevio.estimator.calibration.adjustment import (
     AdjustmentConfig,
-    CalibrationWindow,
+    CalibrationProblem,
     WindowKeyframe,
 )
 from dronevio.estimator.calibration.corrections import Corrections
@@ -27,7 +27,7 @@ from dronevio.models.state import NavState
 
 Array = npt.NDArray[np.float64]
 
-HELD = 1e-9  # standard deviation of what is not estimated: nothing moves it, and matrices keep their digits
+FIXED_SIGMA = 1e-9  # standard deviation of what is not estimated: nothing moves it, and matrices keep their digits
 
 
 @dataclass(frozen=True)
@@ -38,7 +38,7 @@ class CalibratedPart:
     """Whether it is estimated."""
     sigma: float
     """How far off the calibration may be: standard deviation."""
-    matters: float
+    min_correction: float
     """Below this size, a correction is not applied."""
     walk: float
     """How fast it may change, by temperature and age, in its unit a root second."""
@@ -48,15 +48,15 @@ class CalibratedPart:
 class CalibrationConfig:
     """What of the calibration is estimated in flight."""
 
-    time_offset: CalibratedPart = CalibratedPart(True, sigma=0.01, matters=0.0025, walk=1e-5)
+    time_offset: CalibratedPart = CalibratedPart(True, sigma=0.01, min_correction=0.0025, walk=1e-5)
     """Of the cameras' clock [s]. Half an interval of an IMU at 200 Hz matters."""
-    turn: CalibratedPart = CalibratedPart(True, sigma=0.02, matters=0.005, walk=1e-5)
+    rotation: CalibratedPart = CalibratedPart(True, sigma=0.02, min_correction=0.005, walk=1e-5)
     """Of each camera, about each axis [rad]. A degree is a bad mount; a quarter of it matters."""
-    place: CalibratedPart = CalibratedPart(False, sigma=0.02, matters=0.005, walk=1e-6)
+    translation: CalibratedPart = CalibratedPart(False, sigma=0.02, min_correction=0.005, walk=1e-6)
     """Of each camera in the IMU frame [m]."""
-    focal: CalibratedPart = CalibratedPart(False, sigma=0.01, matters=0.003, walk=1e-6)
+    focal: CalibratedPart = CalibratedPart(False, sigma=0.01, min_correction=0.003, walk=1e-6)
     """Focal lengths, relative. One percent is a lens that was screwed in anew."""
-    principal: CalibratedPart = CalibratedPart(False, sigma=0.01, matters=0.003, walk=1e-6)
+    principal: CalibratedPart = CalibratedPart(False, sigma=0.01, min_correction=0.003, walk=1e-6)
     """Principal points, in focal lengths."""
     significance: float = 3.0
     """Standard deviations by which a correction must differ from what is believed."""
@@ -91,39 +91,39 @@ class OnlineCalibration:
         self._believed = rig
         self._Ts_imu_cam = np.stack([camera.T_imu_cam for camera in rig.cameras])
         self._focal_px = rig.cameras[0].model.fx
-        per_camera = [c.turn] * 3 + [c.place] * 3 + [c.focal] * 2 + [c.principal] * 2
+        per_camera = [c.rotation] * 3 + [c.translation] * 3 + [c.focal] * 2 + [c.principal] * 2
         parts = [c.time_offset, *per_camera * len(rig.cameras)]
         self._estimated = np.array([part.online for part in parts])
-        self._matters = np.array([part.matters for part in parts])
+        self._min_correction = np.array([part.min_correction for part in parts])
         self._walk = np.array([part.walk if part.online else 0.0 for part in parts])
         # Numbers that are right or wrong together: the time offset, and each part of each camera
         self._part = np.concatenate(
             [[0], *(1 + 4 * i + np.repeat(np.arange(4), [3, 3, 2, 2]) for i in range(len(rig.cameras)))]
         )
         self._mean = np.zeros(len(parts))
-        self._covariance = np.diag([(part.sigma if part.online else HELD) ** 2 for part in parts])
+        self._covariance = np.diag([(part.sigma if part.online else FIXED_SIGMA) ** 2 for part in parts])
         self._applied = np.zeros(len(parts))
-        self._disproved = np.zeros(int(self._part.max()) + 1, dtype=np.bool_)
+        self._significant = np.zeros(int(self._part.max()) + 1, dtype=np.bool_)
         self._window: list[WindowKeyframe] = []
         self._waiting: list[WindowKeyframe] = []  # a window that is to be adjusted
-        self._adjusted: CalibrationWindow | None = None  # the one on which work goes on
+        self._adjusted: CalibrationProblem | None = None  # the one on which work goes on
         self._has_worked = False  # since the last keyframe
         self._updated_ns: int | None = None
 
     @property
     def estimate(self) -> Corrections:
         """What the flight says so far, whether it is applied or not."""
-        return Corrections.of_vector(self._mean)
+        return Corrections.from_vector(self._mean)
 
     @property
     def sigmas(self) -> Corrections:
         """The standard deviations of `estimate`."""
-        return Corrections.of_vector(np.sqrt(np.diag(self._covariance)))
+        return Corrections.from_vector(np.sqrt(np.diag(self._covariance)))
 
     @property
     def applied(self) -> Corrections:
         """What the calibration is to be corrected by."""
-        return Corrections.of_vector(self._applied)
+        return Corrections.from_vector(self._applied)
 
     @property
     def rig(self) -> Rig:
@@ -192,7 +192,7 @@ class OnlineCalibration:
             window, self._waiting = self._waiting, []
             self._begin(window)
         elif self._adjusted is not None and not self._adjusted.is_done:
-            self._adjusted.advance()
+            self._adjusted.step()
 
     def _begin(self, window: Sequence[WindowKeyframe]) -> None:
         """Arrange a window to be adjusted, if it is worth it."""
@@ -200,7 +200,7 @@ class OnlineCalibration:
         elapsed_s = 0.0 if self._updated_ns is None else (now_ns - self._updated_ns) * 1e-9
         self._updated_ns = now_ns
         self._covariance = self._covariance + np.diag(self._walk**2 * elapsed_s)
-        problem = CalibrationWindow(
+        problem = CalibrationProblem(
             window,
             self._Ts_imu_cam,
             self._focal_px,
@@ -212,7 +212,7 @@ class OnlineCalibration:
         if len(window) >= c.min_keyframes and problem.landmarks >= c.min_landmarks:
             self._adjusted = problem
 
-    def _conclude(self, problem: CalibrationWindow) -> bool:
+    def _conclude(self, problem: CalibrationProblem) -> bool:
         """Take over what a window says, if it says anything; say whether what is applied has changed."""
         self._adjusted, found = None, problem.result
         if found is None or not found.rms_px < self._config.max_rms_px:
@@ -224,9 +224,9 @@ class OnlineCalibration:
         """Apply what is significant and matters; say whether that changed anything."""
         off = np.abs(self._mean - self._applied)
         sigmas = np.sqrt(np.diag(self._covariance))
-        wrong = self._estimated & (off > np.maximum(self._config.significance * sigmas, self._matters))
-        self._disproved[self._part[wrong]] = True
+        wrong = self._estimated & (off > np.maximum(self._config.significance * sigmas, self._min_correction))
+        self._significant[self._part[wrong]] = True
         if not wrong.any():
             return False
-        self._applied = np.where(self._disproved[self._part] & self._estimated, self._mean, self._applied)
+        self._applied = np.where(self._significant[self._part] & self._estimated, self._mean, self._applied)
         return True

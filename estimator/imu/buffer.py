@@ -6,7 +6,7 @@ from dataclasses import dataclass, field
 import numpy as np
 import numpy.typing as npt
 
-from dronevio.estimator.imu.saturation import LEAST_ACCEL_RANGE_M_S2, LEAST_GYRO_RANGE_RAD_S, RangeLimit
+from dronevio.estimator.imu.saturation import MIN_ACCEL_RANGE_M_S2, MIN_GYRO_RANGE_RAD_S, SaturationDetector
 from dronevio.models.imu import ImuModel, ImuSamples
 from dronevio.models.rotation import exp_so3
 
@@ -92,15 +92,15 @@ class ImuBuffer:
             imu: What the sensor is; if not given, its gaps are not known.
         """
         self._longest_s = np.inf if imu is None else IMU_GAP / imu.rate_hz
-        self._gyro_limit = RangeLimit(np.inf if imu is None else imu.gyro_range_rad_s, LEAST_GYRO_RANGE_RAD_S)
-        self._accel_limit = RangeLimit(np.inf if imu is None else imu.accel_range_m_s2, LEAST_ACCEL_RANGE_M_S2)
+        self._gyro_limit = SaturationDetector(np.inf if imu is None else imu.gyro_range_rad_s, MIN_GYRO_RANGE_RAD_S)
+        self._accel_limit = SaturationDetector(np.inf if imu is None else imu.accel_range_m_s2, MIN_ACCEL_RANGE_M_S2)
         self._samples: ImuSamples | None = None
         self._start_ns: int | None = None  # everything up to here has been handed out
 
     def add(self, samples: ImuSamples) -> None:
         """Append later samples."""
-        self._gyro_limit.learn(samples.gyro_rad_s)
-        self._accel_limit.learn(samples.accel_m_s2)
+        self._gyro_limit.update(samples.gyro_rad_s)
+        self._accel_limit.update(samples.accel_m_s2)
         self._samples = samples if self._samples is None else self._samples.extended(samples)
 
     def take_until(self, t_ns: int) -> Increments:
@@ -148,7 +148,10 @@ class ImuBuffer:
     def _beyond_limit(self, samples: ImuSamples) -> Array:
         """Return how far a motion may be beyond the sensors' limits at samples (N, 6)."""
         return BEYOND_LIMIT * np.hstack(
-            [self._gyro_limit.reached(samples.gyro_rad_s), self._accel_limit.reached(samples.accel_m_s2)]
+            [
+                self._gyro_limit.saturation_limits(samples.gyro_rad_s),
+                self._accel_limit.saturation_limits(samples.accel_m_s2),
+            ]
         )
 
     def _forget_before(self, t_ns: int) -> None:

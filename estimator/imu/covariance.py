@@ -30,7 +30,7 @@ def covariance_to_gtsam(P: Array, R_world_imu: Array) -> Array:
     return np.asarray(S @ P[np.ix_(_BIASES_SWAPPED, _BIASES_SWAPPED)] @ S.T)
 
 
-def propagate(
+def propagate_covariance(
     P: Array,
     R_world_imu: Array,
     *,

@@ -12,9 +12,9 @@ from dronevio.models.imu import STANDARD_GRAVITY_M_S2
 
 Array = npt.NDArray[np.float64]
 
-LEAST_GYRO_RANGE_RAD_S = 0.5
+MIN_GYRO_RANGE_RAD_S = 0.5
 """No gyroscope's range is smaller [rad/s]: the smallest that are sold have 2. At rest, a coarse one repeats itself."""
-LEAST_ACCEL_RANGE_M_S2 = 1.5 * STANDARD_GRAVITY_M_S2
+MIN_ACCEL_RANGE_M_S2 = 1.5 * STANDARD_GRAVITY_M_S2
 """No accelerometer's range is smaller [m/s²]: the smallest that are sold have 2 g. At rest, it repeats gravity."""
 REPEATED = 4
 """So many equal readings at the largest one so far are no chance: noise of three steps lets one in 10⁴ be so."""
@@ -22,7 +22,7 @@ CLOSE = 1e-3
 """Readings so near to the limit, relative to it, have reached it: two's complement reaches one step further down."""
 
 
-class RangeLimit:
+class SaturationDetector:
     """Learns where the readings of three axes end."""
 
     def __init__(self, stated: float, least: float) -> None:
@@ -40,7 +40,7 @@ class RangeLimit:
         """Where its readings end, either way, as far as that is known; else infinite."""
         return self._limit
 
-    def learn(self, values: Array) -> None:
+    def update(self, values: Array) -> None:
         """Take readings (N, 3), later than those before."""
         values = np.concatenate([self._last, values])
         self._last = values[len(values) - REPEATED + 1 :] if len(values) >= REPEATED else values
@@ -54,6 +54,6 @@ class RangeLimit:
         if np.any(repeated & (np.abs(values[REPEATED - 1 :]) == largest)):
             self._limit = largest
 
-    def reached(self, values: Array) -> Array:
+    def saturation_limits(self, values: Array) -> Array:
         """Return the limit where readings (N, 3) have reached it, and zero elsewhere."""
         return np.where(np.abs(values) >= (1.0 - CLOSE) * self._limit, self._limit, 0.0)

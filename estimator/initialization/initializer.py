@@ -107,7 +107,7 @@ class Initializer:
 
     def wants_features(self, packet: FramePacket) -> bool:
         """Say whether new features are to be looked for in a frame: if there are few, or as on keyframes."""
-        late = self._keyframes.is_late((packet.t_ns - self._replenished_ns) * 1e-9, still=False)
+        late = self._keyframes.is_interval_over((packet.t_ns - self._replenished_ns) * 1e-9, stationary=False)
         if late or len(packet.observations) < MIN_FEATURES:
             self._replenished_ns = packet.t_ns
             return True
@@ -190,7 +190,7 @@ class Initializer:
         preintegrated = gtsam.PreintegratedCombinedMeasurements(self._params, bias)
         for packet in later:
             integrate(preintegrated, packet.increments, self._params)
-            if packet is later[-1] or self._keyframes.is_late(preintegrated.deltaTij(), still):
+            if packet is later[-1] or self._keyframes.is_interval_over(preintegrated.deltaTij(), still):
                 keyframes.append(Keyframe(packet.t_ns, preintegrated, packet.observations, still))
                 preintegrated = gtsam.PreintegratedCombinedMeasurements(self._params, bias)
         error_px = smoother.launch(keyframes)

@@ -6,7 +6,7 @@ import numpy as np
 import numpy.typing as npt
 import pytest
 
-from dronevio.estimator.backend.landmarks import KnownLandmarks
+from dronevio.estimator.backend.landmarks import TriangulatedLandmarks
 from dronevio.estimator.health import HealthConfig, HealthMonitor
 from dronevio.estimator.types import Observations
 from dronevio.models.rig_presets import rig_named
@@ -29,16 +29,18 @@ START = NavState(
 )
 
 
-def landmarks(n: int, rng: np.random.Generator) -> KnownLandmarks:
+def landmarks(n: int, rng: np.random.Generator) -> TriangulatedLandmarks:
     """Return landmarks before the first camera of the start."""
     depth = rng.uniform(2.0, 8.0, (n, 1))
     in_cam = np.hstack([rng.uniform(-0.5, 0.5, (n, 2)) * depth, depth])
     T_world_cam = START.T_world_imu @ RIG.cameras[0].T_imu_cam
     points = in_cam @ T_world_cam[:3, :3].T + T_world_cam[:3, 3]
-    return KnownLandmarks(7 + 2 * np.arange(n), points, np.linspace(0.01, 0.05, n))
+    return TriangulatedLandmarks(7 + 2 * np.arange(n), points, np.linspace(0.01, 0.05, n))
 
 
-def sightings(known: KnownLandmarks, state: NavState, cameras: npt.NDArray[np.int64], noise_px: Array) -> Observations:
+def sightings(
+    known: TriangulatedLandmarks, state: NavState, cameras: npt.NDArray[np.int64], noise_px: Array
+) -> Observations:
     """Return what the rig's cameras see of landmarks from a state, so many pixels off."""
     Ts_cam_world = inverse_pose(state.T_world_imu @ np.stack([c.T_imu_cam for c in RIG.cameras]))[cameras]
     p = np.einsum("nij,nj->ni", Ts_cam_world[:, :3, :3], known.points) + Ts_cam_world[:, :3, 3]
@@ -47,7 +49,7 @@ def sightings(known: KnownLandmarks, state: NavState, cameras: npt.NDArray[np.in
     return Observations(known.ids, xy, xy, np.ones(len(xy), np.int64), cameras)
 
 
-def monitor(known: KnownLandmarks, config: HealthConfig = CONFIG) -> HealthMonitor:
+def monitor(known: TriangulatedLandmarks, config: HealthConfig = CONFIG) -> HealthMonitor:
     made = HealthMonitor(RIG, config, SIGMA_PX)
     made.hold(START, known)
     return made
@@ -58,7 +60,7 @@ def after(k: int, state: NavState = START, **changes: object) -> NavState:
     return replace(state, t_ns=START.t_ns + k * STEP_NS, **changes)  # type: ignore[arg-type]
 
 
-def seen(n: int, off_px: float = 0.0) -> tuple[KnownLandmarks, Observations]:
+def seen(n: int, off_px: float = 0.0) -> tuple[TriangulatedLandmarks, Observations]:
     rng = np.random.default_rng(1)
     known = landmarks(n, rng)
     return known, sightings(known, START, np.zeros(n, np.int64), np.array([off_px, 0.0]))

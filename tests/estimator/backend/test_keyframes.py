@@ -17,7 +17,7 @@ def seen(*ids: int) -> Observations:
 @pytest.fixture
 def policy() -> KeyframePolicy:
     policy = KeyframePolicy(CONFIG)
-    policy.begin(seen(*range(10)))
+    policy.set_reference(seen(*range(10)))
     return policy
 
 
@@ -40,7 +40,7 @@ def test_features_that_are_gone_make_a_keyframe(policy: KeyframePolicy) -> None:
 
 
 def test_darkness_is_no_reason_for_more_keyframes(policy: KeyframePolicy) -> None:
-    policy.begin(seen())
+    policy.set_reference(seen())
     assert not policy.is_due(0.05, 0.0, seen())
     assert policy.is_due(0.2, 0.0, seen())
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.optimize import least_squares
 
-from dronevio.estimator.backend.landmarks import LandmarkConfig, LandmarkWindow
+from dronevio.estimator.backend.landmarks import LandmarkConfig, LandmarkDatabase
 from dronevio.estimator.backend.triangulation import Triangulation, triangulate
 from dronevio.estimator.types import Matches, Observations
 from dronevio.models.rotation import exp_so3
@@ -110,20 +110,20 @@ def test_one_view_and_no_parallax_are_no_reason_to_fail() -> None:
     assert np.isfinite(found.points).all() and found.parallax_rad[0] < 1e-7
 
 
-def window(scene: Scene, frames: int, config: LandmarkConfig | None = None) -> LandmarkWindow:
-    landmarks = LandmarkWindow(FOCAL_PX, config or LandmarkConfig())
+def window(scene: Scene, frames: int, config: LandmarkConfig | None = None) -> LandmarkDatabase:
+    landmarks = LandmarkDatabase(FOCAL_PX, config or LandmarkConfig())
     for k in range(frames):
-        landmarks.observe(k, scene.seen(k))
+        landmarks.add_observations(k, scene.seen(k))
     return landmarks
 
 
-def judged(landmarks: LandmarkWindow, poses: dict[int, tuple[np.ndarray, np.ndarray]]) -> np.ndarray:
+def judged(landmarks: LandmarkDatabase, poses: dict[int, tuple[np.ndarray, np.ndarray]]) -> np.ndarray:
     """Return the landmarks that the window gives up, by the errors that they have with one camera at some poses."""
     seen = landmarks.observations
     points = landmarks.points[landmarks.rows(seen.landmark)]
     R, p = (np.stack([poses[k][i][0] for k in seen.keyframe.tolist()]) for i in (0, 1))
     in_camera = np.einsum("nij,ni->nj", R, points - p)
-    return landmarks.judge(seen.xy - in_camera[:, :2] / in_camera[:, 2:], in_camera[:, 2], seen)
+    return landmarks.reject_outliers(seen.xy - in_camera[:, :2] / in_camera[:, 2:], in_camera[:, 2], seen)
 
 
 def test_landmarks_seen_often_and_from_aside_are_found() -> None:
@@ -145,13 +145,13 @@ def test_landmarks_seen_seldom_or_without_parallax_are_neither_found_nor_wrong()
 def test_several_cameras_at_one_instant_say_nothing_of_the_motion() -> None:
     """Three cameras of one keyframe place a landmark; it constrains the window from its second keyframe on."""
     scene = Scene()
-    landmarks = LandmarkWindow(FOCAL_PX, LandmarkConfig())
+    landmarks = LandmarkDatabase(FOCAL_PX, LandmarkConfig())
     ids = np.arange(30)
     rig = {0: (scene.R[[0, 4, 8]], scene.p[[0, 4, 8]]), 1: (scene.R[[1, 5, 9]], scene.p[[1, 5, 9]])}
     for k, (first, others) in enumerate(((0, (4, 8)), (1, (5, 9)))):
         xy = np.concatenate([scene.xy[i] for i in others])
         matches = Matches(np.tile(ids, 2), np.repeat([1, 2], 30), xy)
-        landmarks.observe(k, replace(scene.seen(first), matches=matches))
+        landmarks.add_observations(k, replace(scene.seen(first), matches=matches))
         assert len(landmarks.triangulate(rig, newest=k)) == 0
         assert len(landmarks.ids) == (0, 30)[k]
     np.testing.assert_allclose(landmarks.points, scene.points, atol=1e-3)
@@ -161,7 +161,7 @@ def test_landmarks_that_are_not_seen_now_are_left_alone() -> None:
     scene = Scene()
     landmarks = window(scene, 8)
     nothing = Observations(np.zeros(0, np.int64), np.zeros((0, 2)), np.zeros((0, 2)), np.zeros(0, np.int64))
-    landmarks.observe(8, nothing)
+    landmarks.add_observations(8, nothing)
     landmarks.triangulate(scene.poses(), newest=8)
     assert len(landmarks.ids) == 0
 
@@ -171,10 +171,10 @@ def test_wrong_ones_are_found_when_new() -> None:
     landmarks = window(scene, 7)
     jump = np.zeros((30, 2))
     jump[:3] = [40.0 * PIXEL, -30.0 * PIXEL]
-    landmarks.observe(7, scene.seen(7, jump))
+    landmarks.add_observations(7, scene.seen(7, jump))
     assert landmarks.triangulate(scene.poses(), newest=7).tolist() == [0, 1, 2]
     assert landmarks.ids.tolist() == list(range(3, 30))
-    assert not np.isin(landmarks.seen_from(7), [0, 1, 2]).any()
+    assert not np.isin(landmarks.observed_in(7), [0, 1, 2]).any()
 
 
 def test_wrong_ones_are_found_when_known() -> None:
@@ -183,7 +183,7 @@ def test_wrong_ones_are_found_when_known() -> None:
     landmarks.triangulate(scene.poses(), newest=6)
     jump = np.zeros((30, 2))
     jump[:3] = [40.0 * PIXEL, -30.0 * PIXEL]
-    landmarks.observe(7, scene.seen(7, jump))
+    landmarks.add_observations(7, scene.seen(7, jump))
     assert judged(landmarks, scene.poses()).tolist() == [0, 1, 2]
     assert landmarks.ids.tolist() == list(range(3, 30)) and len(landmarks.points) == 27
 
@@ -212,12 +212,12 @@ def test_dropped_and_unseen_ones_are_gone() -> None:
     scene = Scene()
     landmarks = window(scene, 8)
     landmarks.triangulate(scene.poses(), newest=7)
-    landmarks.drop(np.arange(5))
+    landmarks.remove(np.arange(5))
     assert landmarks.ids.tolist() == list(range(5, 30)) and len(landmarks.observations) == 8 * 25
-    landmarks.drop_keyframe(3)
+    landmarks.remove_keyframe(3)
     assert 3 not in landmarks.observations.keyframe and len(landmarks.observations) == 7 * 25
     for k in (0, 1, 2, 4, 5, 6, 7):
-        landmarks.drop_keyframe(k)
+        landmarks.remove_keyframe(k)
     assert len(landmarks.ids) == len(landmarks.points) == len(landmarks.observations) == 0
 
 
@@ -228,11 +228,11 @@ def test_parallax_from_a_baseline_of_millimetres_is_not_believed() -> None:
         {k: (np.eye(3)[None], np.array([[0.002 * k, 0.0, 0.0]])) for k in range(4)},
     )
     for scale, useful in ((1.0, 0), (20.0, 1)):  # the same picture, twenty times as large
-        landmarks = LandmarkWindow(FOCAL_PX, LandmarkConfig())
+        landmarks = LandmarkDatabase(FOCAL_PX, LandmarkConfig())
         cameras = {k: (R, scale * p) for k, (R, p) in there.items()}
         for k, (_, p) in cameras.items():
             ray = scale * near - p[0]
             xy = ray[None, :2] / ray[2]
-            landmarks.observe(k, Observations(np.array([7]), FOCAL_PX * xy, xy, np.array([k + 1])))
+            landmarks.add_observations(k, Observations(np.array([7]), FOCAL_PX * xy, xy, np.array([k + 1])))
         assert len(landmarks.triangulate(cameras, newest=3)) == 0
         assert len(landmarks.ids) == useful

@@ -13,7 +13,7 @@ import pytest
 
 import dronevio.estimator.backend.smoother as smoother_module
 from dronevio.estimator.backend.landmarks import LandmarkConfig
-from dronevio.estimator.backend.marginal_prior import Prior, State
+from dronevio.estimator.backend.marginal_prior import KeyframeState, MarginalPrior
 from dronevio.estimator.backend.smoother import KeyframeSmoother, SmootherConfig
 from dronevio.estimator.imu.buffer import ImuBuffer
 from dronevio.estimator.imu.preintegration import PreintegrationConfig, integrate, preintegration_params
@@ -26,7 +26,7 @@ GAUGE_SIGMA = 0.1
 FRAMES_PER_KEYFRAME = 4
 
 
-def gauge_directions(prior: Prior) -> np.ndarray:
+def gauge_directions(prior: MarginalPrior) -> np.ndarray:
     """Return how a prior's variables change (n, 4) when the world moves along x, y, z, or turns about z.
 
     Keyframes change by (δθ, δp) in the IMU's axes, the velocity in the world and the biases, landmarks in the world;
@@ -43,13 +43,13 @@ def gauge_directions(prior: Prior) -> np.ndarray:
     return np.concatenate(blocks)
 
 
-def gauge_information(prior: Prior) -> np.ndarray:
+def gauge_information(prior: MarginalPrior) -> np.ndarray:
     """Return what a prior knows (4, 4) of global position and yaw."""
     N = gauge_directions(prior)
     return np.asarray(N.T @ prior.H @ N)
 
 
-def priors(flight: object, config: SmootherConfig) -> Iterator[Prior]:
+def priors(flight: object, config: SmootherConfig) -> Iterator[MarginalPrior]:
     """Yield the marginal prior after each keyframe of a flight whose first state is a bit off."""
     times = flight.frame_times_ns[::FRAMES_PER_KEYFRAME]
     truth = flight.truth_at(times[:1])
@@ -114,7 +114,7 @@ def test_gauge_directions_are_those_of_a_moved_world(make_flight: Callable) -> N
     changes = []
     for state in prior.states.values():
         pose = gtsam.Pose3(gtsam.Rot3(turn), shift).compose(state.pose)
-        changes.append(state.to(State(pose, turn @ state.velocity, state.bias)))
+        changes.append(state.local_coordinates(KeyframeState(pose, turn @ state.velocity, state.bias)))
     changes += [turn @ point + shift - point for point in prior.points.values()]
     assert len(prior.points) > 0
     expected = gauge_directions(prior) @ np.append(shift, yaw_rad)

@@ -8,9 +8,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from dronevio.estimator.backend.landmarks import LandmarkConfig, LandmarkWindow
-from dronevio.estimator.backend.linalg import Factorized
-from dronevio.estimator.backend.marginal_prior import State
+from dronevio.estimator.backend.landmarks import LandmarkConfig, LandmarkDatabase
+from dronevio.estimator.backend.linalg import CholeskyFactor
+from dronevio.estimator.backend.marginal_prior import KeyframeState
 from dronevio.estimator.backend.window import LinearSystem, Window, medians_of_each
 from dronevio.estimator.types import Observations
 
@@ -31,9 +31,11 @@ def window(
     """
     rng = np.random.default_rng(0)
     points = np.column_stack([rng.uniform(-2.0, 2.0, (LANDMARKS, 2)), rng.uniform(4.0, 8.0, LANDMARKS)])
-    landmarks = LandmarkWindow(FOCAL_PX, LandmarkConfig())
+    landmarks = LandmarkDatabase(FOCAL_PX, LandmarkConfig())
     states = [
-        State(gtsam.Pose3(gtsam.Rot3(), np.array([0.3 * k, 0.0, 0.0])), np.zeros(3), gtsam.imuBias.ConstantBias())
+        KeyframeState(
+            gtsam.Pose3(gtsam.Rot3(), np.array([0.3 * k, 0.0, 0.0])), np.zeros(3), gtsam.imuBias.ConstantBias()
+        )
         for k in range(KEYFRAMES)
     ]
     made = Window(states[0], 1e4 * np.eye(15), landmarks, np.eye(4)[None], PIXEL_SIGMA / FOCAL_PX, robust_sigmas)
@@ -53,7 +55,7 @@ def window(
         znccs, scales = np.ones(LANDMARKS), np.ones(LANDMARKS)
         znccs[1], scales[2] = zncc, scale
         ids, ages = np.arange(LANDMARKS), np.full(LANDMARKS, k + 1)
-        landmarks.observe(k, Observations(ids, FOCAL_PX * xy, xy, ages, zncc=znccs, scale=scales))
+        landmarks.add_observations(k, Observations(ids, FOCAL_PX * xy, xy, ages, zncc=znccs, scale=scales))
     assert len(landmarks.triangulate(made.cameras, newest=KEYFRAMES - 1)) == 0
     if noise_sigmas > 0.0:
         landmarks.points = points
@@ -131,11 +133,11 @@ def test_what_stays_knows_what_it_knew(persistent: int) -> None:
     """A keyframe that is marginalized leaves the others' states and covariances as they were."""
     made = window()
     system = made.linearize()
-    before = Factorized(system.H).inverse_block(np.arange(15, 15 * KEYFRAMES))
+    before = CholeskyFactor(system.H).inverse_block(np.arange(15, 15 * KEYFRAMES))
     made.marginalize(0, persistent)
     assert list(made.states) == [1, 2, 3, 4] and len(made.persistent) == persistent
     system = made.linearize()
     columns = np.arange(15 * (KEYFRAMES - 1))
-    solver = Factorized(system.H)
+    solver = CholeskyFactor(system.H)
     np.testing.assert_allclose(solver.inverse_block(columns), before, rtol=1e-4, atol=1e-9)
     np.testing.assert_allclose(solver.solve(system.b)[columns], 0.0, atol=1e-8)

@@ -81,7 +81,7 @@ def learned(flight: object, config: CalibrationConfig, **hidden: object) -> Onli
 
 
 def of(time_offset: CalibratedPart = OFF, **parts: CalibratedPart) -> CalibrationConfig:
-    held = dict.fromkeys(("turn", "place", "focal", "principal"), OFF)
+    held = dict.fromkeys(("rotation", "translation", "focal", "principal"), OFF)
     return CalibrationConfig(time_offset=time_offset, **{**held, **parts})
 
 
@@ -98,7 +98,7 @@ def test_finds_the_time_offset(clean: object, offset_s: float) -> None:
 
 
 def test_finds_how_the_camera_is_turned(clean: object) -> None:
-    found = learned(clean, of(turn=ON), rotation_rad=TILT)
+    found = learned(clean, of(rotation=ON), rotation_rad=TILT)
     np.testing.assert_allclose(found.estimate.rotation_rad[0], TILT, atol=np.radians(0.01))
     np.testing.assert_allclose(
         found.rig.cameras[0].T_imu_cam,
@@ -108,7 +108,7 @@ def test_finds_how_the_camera_is_turned(clean: object) -> None:
 
 
 def test_finds_clock_and_turn_together_though_the_states_are_off(clean: object) -> None:
-    found = learned(clean, of(ON, turn=ON), time_offset_s=0.004, rotation_rad=TILT, state_error=0.003)
+    found = learned(clean, of(ON, rotation=ON), time_offset_s=0.004, rotation_rad=TILT, state_error=0.003)
     assert found.estimate.time_offset_s == pytest.approx(0.004, abs=1e-4)
     np.testing.assert_allclose(found.estimate.rotation_rad[0], TILT, atol=np.radians(0.02))
 
@@ -127,7 +127,7 @@ def test_finds_the_intrinsics(make_flight: Callable) -> None:
 
 
 def test_finds_where_the_camera_is(clean: object) -> None:
-    found = learned(clean, of(place=ON), translation_m=PLACE_M)
+    found = learned(clean, of(translation=ON), translation_m=PLACE_M)
     np.testing.assert_allclose(found.estimate.translation_m[0], PLACE_M, atol=1e-3)
 
 
@@ -138,13 +138,13 @@ def test_a_hover_says_nothing_and_leaves_all_as_it_was(make_flight: Callable) ->
     assert found.applied.time_offset_s == 0.0 and not found.applied.rotation_rad.any()
     assert abs(found.estimate.time_offset_s) < 1e-3
     assert found.sigmas.time_offset_s == pytest.approx(CalibrationConfig().time_offset.sigma, rel=0.05)
-    assert found.sigmas.rotation_rad.min() > 0.9 * CalibrationConfig().turn.sigma
+    assert found.sigmas.rotation_rad.min() > 0.9 * CalibrationConfig().rotation.sigma
 
 
 def test_a_flight_without_turns_says_nothing_of_the_place(make_flight: Callable) -> None:
     level = {"angles_rad": np.zeros((3, 2))}
     flight = make_flight(0, rest_s=-5.0, duration_s=7.0, noisy=False, sampling="increment", motion=level)
-    found = learned(flight, of(place=ON), translation_m=PLACE_M)
+    found = learned(flight, of(translation=ON), translation_m=PLACE_M)
     assert found.sigmas.translation_m.min() > 0.9 * ON.sigma
     assert np.abs(found.estimate.translation_m).max() < 0.1 * ON.sigma
 
@@ -179,7 +179,7 @@ def test_nothing_is_estimated_that_is_switched_off(clean: object) -> None:
 
 def test_corrections_of_several_cameras_keep_their_places() -> None:
     numbers = np.arange(21.0)
-    found = Corrections.of_vector(numbers)
+    found = Corrections.from_vector(numbers)
     assert found.time_offset_s == 0.0
     np.testing.assert_array_equal(found.rotation_rad, [[1, 2, 3], [11, 12, 13]])
     np.testing.assert_array_equal(found.principal, [[9, 10], [19, 20]])

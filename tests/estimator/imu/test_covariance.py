@@ -6,7 +6,7 @@ import gtsam
 import numpy as np
 import pytest
 
-from dronevio.estimator.imu.covariance import covariance_from_gtsam, covariance_to_gtsam, propagate
+from dronevio.estimator.imu.covariance import covariance_from_gtsam, covariance_to_gtsam, propagate_covariance
 from dronevio.models.imu import EUROC_IMU, GRAVITY_M_S2, ImuModel
 from dronevio.models.rotation import exp_so3, log_so3
 
@@ -103,7 +103,7 @@ def told_jacobian(stretch: Stretch, state: list[np.ndarray]) -> np.ndarray:
     """Return F from what `propagate` makes of covariances: F (eᵢ + eⱼ)(eᵢ + eⱼ)ᵀ Fᵀ tells all products of columns."""
 
     def made(v: np.ndarray) -> np.ndarray:
-        return propagate(np.outer(v, v), state[0], **stretch.preintegrated(state), imu=NOISELESS)
+        return propagate_covariance(np.outer(v, v), state[0], **stretch.preintegrated(state), imu=NOISELESS)
 
     eye = np.eye(15)
     F = np.zeros((15, 15))
@@ -132,7 +132,7 @@ def test_correlations_are_spread_too(state: list[np.ndarray]) -> None:
     stretch, P = Stretch(), np.zeros((15, 15))
     P[:9, :9] = random_covariance()[:9, :9]
     F = numerical_jacobian(stretch, state)
-    told = propagate(P, state[0], **stretch.preintegrated(state), imu=NOISELESS)
+    told = propagate_covariance(P, state[0], **stretch.preintegrated(state), imu=NOISELESS)
     np.testing.assert_allclose(told[:9, :9], (F @ P @ F.T)[:9, :9], rtol=1e-4, atol=1e-4)
 
 
@@ -149,7 +149,7 @@ def test_noise_is_that_of_a_thousand_flights(state: list[np.ndarray]) -> None:
     stretch.gyro, stretch.accel = gyro, accel
     clean = stretch.go(state)
     spread = np.std([difference(clean, end)[:9] for end in ends], axis=0)
-    P = propagate(np.zeros((15, 15)), state[0], **stretch.preintegrated(state), imu=imu)
+    P = propagate_covariance(np.zeros((15, 15)), state[0], **stretch.preintegrated(state), imu=imu)
     np.testing.assert_allclose(np.sqrt(np.diag(P)[:9]), spread, rtol=0.15)
     walk = np.repeat([imu.gyro_random_walk, imu.accel_random_walk], 3) * np.sqrt(stretch.t_s)
     np.testing.assert_allclose(np.sqrt(np.diag(P)[9:]), walk)
@@ -161,6 +161,6 @@ def test_covariances_stay_proper_and_grow(make_flight: Callable) -> None:
     moved = stretch.preintegrated([R, np.zeros(3), np.zeros(3), np.zeros(3), np.zeros(3)])
     for _ in range(20):
         before = P
-        P = propagate(P, R, **moved, imu=EUROC_IMU)
+        P = propagate_covariance(P, R, **moved, imu=EUROC_IMU)
         assert_proper(P)
     assert np.all(np.diag(P)[9:] > np.diag(before)[9:])

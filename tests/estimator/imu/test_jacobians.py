@@ -5,9 +5,9 @@ import numpy as np
 import pytest
 
 from dronevio.estimator.baselines.dead_reckoning import preintegrated
-from dronevio.estimator.calibration.imu_factor import CalibrationInterval
+from dronevio.estimator.calibration.imu_factor import CalibrationImuFactor
 from dronevio.estimator.imu.buffer import Increments
-from dronevio.estimator.imu.covariance import propagate
+from dronevio.estimator.imu.covariance import propagate_covariance
 from dronevio.estimator.imu.preintegration import PreintegrationConfig, integrate, preintegration_params
 from dronevio.models.imu import EUROC_IMU, GRAVITY_M_S2, ImuModel
 from dronevio.models.rotation import exp_so3, log_so3
@@ -36,7 +36,9 @@ def transition(steps: Increments) -> np.ndarray:
     dR, dv, dp = preintegrated(steps, np.zeros(3), np.zeros(3))
     F = np.zeros((15, 15))
     for i, e in enumerate(np.eye(15)):
-        moved = propagate(np.outer(e, e), R_START, dR=dR, dp=dp, dv=dv, dt_s=float(steps.dt_s.sum()), imu=NOISELESS)
+        moved = propagate_covariance(
+            np.outer(e, e), R_START, dR=dR, dp=dp, dv=dv, dt_s=float(steps.dt_s.sum()), imu=NOISELESS
+        )
         F[:, i] = moved[i] / np.sqrt(moved[i, i])
     return F
 
@@ -85,12 +87,12 @@ def test_transition_is_the_derivative_of_integration(steps: int, rate_rad_s: flo
         assert angle < 0.3
 
 
-def calibration_interval(stretch: Increments, bias: np.ndarray) -> CalibrationInterval:
+def calibration_interval(stretch: Increments, bias: np.ndarray) -> CalibrationImuFactor:
     """Return what the calibration makes of a stretch, at some biases (gyroscope, accelerometer)."""
     params = preintegration_params(EUROC_IMU, PreintegrationConfig())
     pim = gtsam.PreintegratedCombinedMeasurements(params, gtsam.imuBias.ConstantBias(bias[3:], bias[:3]))
     integrate(pim, stretch)
-    return CalibrationInterval.of(pim, bias)
+    return CalibrationImuFactor.of(pim, bias)
 
 
 @pytest.fixture

@@ -9,7 +9,13 @@ import pytest
 from dronevio.estimator.backend.landmarks import LandmarkConfig
 from dronevio.estimator.backend.smoother import KeyframeSmoother, SmootherConfig
 from dronevio.estimator.imu.buffer import ImuBuffer
-from dronevio.estimator.imu.noise import ImuNoise, Misfit, MotionMisfit, NoiseEstimationConfig, NoiseLevel
+from dronevio.estimator.imu.noise import (
+    ImuNoiseEstimator,
+    ImuVarianceComponents,
+    NoiseDensityEstimator,
+    NoiseEstimationConfig,
+    VarianceComponent,
+)
 from dronevio.estimator.imu.preintegration import PreintegrationConfig, integrate
 from dronevio.estimator.initialization.static import InitialSigmas
 from dronevio.models.imu import EUROC_IMU
@@ -30,7 +36,7 @@ def learnt(true_level: float, assumed_level: float, told_by_others: float, inter
         told_by_others: Standard deviation of the others, relative to the IMU's at level 1.
         intervals: How many.
     """
-    rng, level = np.random.default_rng(0), NoiseLevel(DENSITY, assumed_level, NoiseEstimationConfig())
+    rng, level = np.random.default_rng(0), NoiseDensityEstimator(DENSITY, assumed_level, NoiseEstimationConfig())
     unit, found = DENSITY * np.sqrt(DT_S), []
     for _ in range(intervals):
         by_imu = rng.normal(0.0, true_level * unit, 9)
@@ -39,8 +45,8 @@ def learnt(true_level: float, assumed_level: float, told_by_others: float, inter
         estimate = (by_imu / assumed + by_others / others) / (1.0 / assumed + 1.0 / others)
         followed = 1.0 / (1.0 / assumed + 1.0 / others)
         eye = np.eye(9)
-        misfit = MotionMisfit.of_residual(by_imu - estimate, assumed * eye, followed * eye, DT_S)
-        level.learn(misfit.velocity)
+        misfit = ImuVarianceComponents.from_residual(by_imu - estimate, assumed * eye, followed * eye, DT_S)
+        level.update(misfit.accelerometer)
         found.append(level.density / DENSITY)
     return found
 
@@ -64,34 +70,34 @@ def test_an_assumption_is_unlearnt_within_seconds() -> None:
 
 
 def test_what_is_in_doubt_and_what_nobody_else_tells_teaches_nothing() -> None:
-    level = NoiseLevel(DENSITY, 5.0, NoiseEstimationConfig())
-    level.learn(Misfit(squared=1e-6, told=1.0, assumed=(100.0 * DENSITY) ** 2))
-    level.learn(Misfit(squared=0.0, told=0.0, assumed=(5.0 * DENSITY) ** 2))
+    level = NoiseDensityEstimator(DENSITY, 5.0, NoiseEstimationConfig())
+    level.update(VarianceComponent(normalized_square=1e-6, redundancy=1.0, assumed_density2=(100.0 * DENSITY) ** 2))
+    level.update(VarianceComponent(normalized_square=0.0, redundancy=0.0, assumed_density2=(5.0 * DENSITY) ** 2))
     assert level.density == pytest.approx(5.0 * DENSITY)
 
 
 def test_a_jolt_is_no_noise_and_no_level_is_absurd() -> None:
     config = NoiseEstimationConfig()
-    level = NoiseLevel(DENSITY, 1.0, config)
+    level = NoiseDensityEstimator(DENSITY, 1.0, config)
     for _ in range(100):
-        level.learn(Misfit(squared=1.0, told=1.0, assumed=DENSITY**2))
-    level.learn(Misfit(squared=1e6, told=1.0, assumed=DENSITY**2))
+        level.update(VarianceComponent(normalized_square=1.0, redundancy=1.0, assumed_density2=DENSITY**2))
+    level.update(VarianceComponent(normalized_square=1e6, redundancy=1.0, assumed_density2=DENSITY**2))
     assert level.density < 1.2 * DENSITY
-    for squared, limit in ((1e9, config.most), (0.0, config.least)):
+    for squared, limit in ((1e9, config.max_factor), (0.0, config.min_factor)):
         for _ in range(2000):
-            level.learn(Misfit(squared, told=1.0, assumed=level.density**2))
+            level.update(VarianceComponent(squared, redundancy=1.0, assumed_density2=level.density**2))
         assert level.density == limit * DENSITY
 
 
 def test_parameters_of_preintegration_follow() -> None:
-    noise = ImuNoise(EUROC_IMU, PreintegrationConfig(), NoiseEstimationConfig())
-    noise.learn(None)
+    noise = ImuNoiseEstimator(EUROC_IMU, PreintegrationConfig(), NoiseEstimationConfig())
+    noise.update(None)
     config, sheet = PreintegrationConfig(), (EUROC_IMU.gyro_noise_density, EUROC_IMU.accel_noise_density)
     inflated = config.gyro_noise_inflation * sheet[0], config.accel_noise_inflation * sheet[1]
     assert noise.densities == pytest.approx(inflated)
-    exact = MotionMisfit(*(Misfit(1.0, 1.0, density**2) for density in sheet))
+    exact = ImuVarianceComponents(*(VarianceComponent(1.0, 1.0, density**2) for density in sheet))
     for _ in range(500):
-        noise.learn(exact)
+        noise.update(exact)
     assert noise.densities == pytest.approx(sheet, rel=1e-3)
     found = noise.params.getGyroscopeCovariance(), noise.params.getAccelerometerCovariance()
     for covariance, density in zip(found, sheet, strict=True):
@@ -118,14 +124,14 @@ def test_noise_of_a_flight_is_found(make_flight: Callable, imu_noise: float) -> 
     front_end.track(flight.frame(0), np.eye(3))
     P = InitialSigmas().covariance(start.T_world_imu[:3, :3])
     smoother = KeyframeSmoother(flight.rig.cameras, SmootherConfig(), LandmarkConfig(), start, P, front_end.replenish())
-    noise = ImuNoise(flight.rig.imu, PreintegrationConfig(), NoiseEstimationConfig())
+    noise = ImuNoiseEstimator(flight.rig.imu, PreintegrationConfig(), NoiseEstimationConfig())
     levels, sheet = [], np.array([flight.rig.imu.gyro_noise_density, flight.rig.imu.accel_noise_density])
     for k, t_ns in enumerate(times[1:].tolist(), 1):
         pim = gtsam.PreintegratedCombinedMeasurements(noise.params, smoother.gtsam_state[1])
         integrate(pim, buffer.take_until(t_ns))
         front_end.track(flight.frame(step * k), np.eye(3))
         result = smoother.add_keyframe(t_ns, pim, front_end.replenish(), still=False)
-        noise.learn(result.misfit)
+        noise.update(result.imu_variance)
         levels.append(noise.densities / sheet)
     gyro, accel = np.mean(levels[-40:], axis=0)
     assert gyro == pytest.approx(imu_noise, rel=0.35)

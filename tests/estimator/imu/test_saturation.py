@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 
 from dronevio.estimator.imu.buffer import GAP_SIGMA, ImuBuffer, Increments, joined
 from dronevio.estimator.imu.preintegration import PreintegrationConfig, integrate, preintegration_params
-from dronevio.estimator.imu.saturation import LEAST_GYRO_RANGE_RAD_S, RangeLimit
+from dronevio.estimator.imu.saturation import MIN_GYRO_RANGE_RAD_S, SaturationDetector
 from dronevio.estimator.initialization.gauge import LastBelieved
 from dronevio.estimator.initialization.static import InitialSigmas
 from dronevio.estimator.propagator import Propagation
@@ -32,12 +32,12 @@ def turning(
     return resolution_rad_s * np.rint(noisy / resolution_rad_s)
 
 
-def fed(limit: RangeLimit, values: np.ndarray, batch: int) -> np.ndarray:
+def fed(limit: SaturationDetector, values: np.ndarray, batch: int) -> np.ndarray:
     """Return where readings have reached a limit, (N, 3), asked after each batch of them."""
     found = []
     for start in range(0, len(values), batch):
-        limit.learn(values[start : start + batch])
-        found.append(limit.reached(values[start : start + batch]) > 0.0)
+        limit.update(values[start : start + batch])
+        found.append(limit.saturation_limits(values[start : start + batch]) > 0.0)
     return np.concatenate(found)
 
 
@@ -46,7 +46,7 @@ def fed(limit: RangeLimit, values: np.ndarray, batch: int) -> np.ndarray:
 def test_a_limit_is_found_by_its_readings_alone(seed: int, batch: int) -> None:
     true = turning(2000, seed, 1.7)
     clipped = np.clip(true, -LIMIT_RAD_S, LIMIT_RAD_S)
-    limit = RangeLimit(EUROC_IMU.gyro_range_rad_s, LEAST_GYRO_RANGE_RAD_S)
+    limit = SaturationDetector(EUROC_IMU.gyro_range_rad_s, MIN_GYRO_RANGE_RAD_S)
     found = fed(limit, clipped, batch)
     assert limit.limit == LIMIT_RAD_S
     beyond = np.abs(true) > LIMIT_RAD_S
@@ -58,7 +58,7 @@ def test_a_limit_is_found_by_its_readings_alone(seed: int, batch: int) -> None:
 @given(seed=st.integers(0, 10_000), batch=st.integers(1, 40), peak_rad_s=st.floats(0.3, 10.0))
 @settings(max_examples=40, deadline=None)
 def test_motion_within_the_range_is_believed(seed: int, batch: int, peak_rad_s: float) -> None:
-    found = fed(RangeLimit(np.inf, LEAST_GYRO_RANGE_RAD_S), turning(2000, seed, peak_rad_s), batch)
+    found = fed(SaturationDetector(np.inf, MIN_GYRO_RANGE_RAD_S), turning(2000, seed, peak_rad_s), batch)
     assert found.mean() < 1e-3
 
 
@@ -73,18 +73,18 @@ def test_rest_is_no_limit_however_coarse_the_sensor(step: float) -> None:
 
 
 def test_what_is_exceeded_was_no_limit() -> None:
-    limit = RangeLimit(np.inf, LEAST_GYRO_RANGE_RAD_S)
-    limit.learn(np.full((10, 3), 2.0))
+    limit = SaturationDetector(np.inf, MIN_GYRO_RANGE_RAD_S)
+    limit.update(np.full((10, 3), 2.0))
     assert limit.limit == 2.0
-    limit.learn(np.full((1, 3), 2.5))
+    limit.update(np.full((1, 3), 2.5))
     assert limit.limit == np.inf
 
 
 def test_a_stated_range_is_known_from_the_first_reading_on() -> None:
-    limit = RangeLimit(2.0, LEAST_GYRO_RANGE_RAD_S)
+    limit = SaturationDetector(2.0, MIN_GYRO_RANGE_RAD_S)
     values = np.array([[0.0, -2.0, 1.99]])
-    limit.learn(values)
-    np.testing.assert_array_equal(limit.reached(values), [[0.0, 2.0, 0.0]])
+    limit.update(values)
+    np.testing.assert_array_equal(limit.saturation_limits(values), [[0.0, 2.0, 0.0]])
 
 
 def clipped_flight(clip: float) -> tuple[Increments, np.ndarray]:
