@@ -1,0 +1,75 @@
+"""What a benchmark takes, what of it is left to do, and what its runs say together, worked out by hand."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from dronevio.eval.benchmark.isolation import Outcome
+from dronevio.eval.benchmark.jobs import COST_FILE, Cost, Flight, Job
+from dronevio.eval.benchmark.rows import Row, Status
+from dronevio.eval.benchmark.runner import Benchmark
+from dronevio.eval.benchmark.sizing import Sizing
+from dronevio.eval.benchmark.store import ResultStore
+from dronevio.eval.benchmark.summary import Spread
+
+
+@dataclass(frozen=True)
+class Workshop:
+    """Makes a recording of 1500 bytes, and estimates with an error of 0.1 m."""
+
+    versions: str = "1"
+
+    def config_hash(self, estimator: str) -> str:
+        return "settings"
+
+    def record(self, flight: Flight, folder: Path) -> None:
+        (folder / "mav0").mkdir()
+        (folder / "mav0" / "data.csv").write_bytes(bytes(1000))
+        (folder / "note").write_bytes(bytes(500))
+
+    def estimate(self, flight: Flight, recording: Path, estimator: str) -> dict[str, Any]:
+        return {"ate_m": 0.1}
+
+
+def here(function: Callable[..., object], *arguments: object, **options: object) -> Outcome:
+    """Call a function in this process, and say that it took 1 s, 2 s of processor time and 3 MB."""
+    return Outcome("ok", "", function(*arguments), wall_s=1.0, cpu_s=2.0, peak_mb=3.0)
+
+
+def run(estimator: str, status: Status = "ok", seed: int = 0, ate_m: float | None = None) -> Row:
+    return Row("s", "w", seed, estimator, "settings", "1", status, recording="hash", ate_m=ate_m)
+
+
+def test_many_flights_take_as_many_times_as_much() -> None:
+    """100 flights of 36 s and 500 MB, and 72 s and 10 MB of an estimator: 1 h and 2 h of processor time."""
+    sizing = Sizing(Cost(36.0, 99.0, 500.0), (("vio", Cost(72.0, 99.0, 10.0)),))
+    recordings, vio, everything = sizing.scaled(flights=100, cores=4)
+    assert recordings == ("recordings", pytest.approx(1.0), pytest.approx(0.25), pytest.approx(50.0))
+    assert vio == ("vio", pytest.approx(2.0), pytest.approx(0.5), pytest.approx(1.0))
+    assert everything == ("all", pytest.approx(3.0), pytest.approx(0.75), pytest.approx(51.0))
+
+
+def test_a_spread_is_the_median_and_the_quartiles() -> None:
+    rows = [run("vio", seed=seed, ate_m=ate_m) for seed, ate_m in enumerate((5.0, 1.0, 4.0, 2.0, 3.0))]
+    assert Spread.of(rows, "ate_m") == Spread(low=2.0, median=3.0, high=4.0)
+
+
+def test_a_retry_repeats_failed_runs_only(tmp_path: Path) -> None:
+    store = ResultStore(tmp_path)
+    for row in (run("a"), run("b", "failed"), run("c", "timeout"), run("d", "crashed")):
+        store.add(row)
+    flight = Flight("s", "w", 0, "hash", None)
+    benchmark = Benchmark((flight,), ("a", "b", "c", "d", "e"), Workshop(), tmp_path / "cache", 60.0)
+    assert [job.estimators for job in benchmark.jobs(store)] == [("e",)]
+    assert [job.estimators for job in benchmark.jobs(store, retry=True)] == [("b", "c", "d", "e")]
+
+
+def test_a_job_notes_what_its_recording_and_its_runs_took(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("dronevio.eval.benchmark.jobs.isolated", here)
+    job = Job(Flight("s", "w", 4, "hash", None), ("vio",), Workshop(), tmp_path, timeout_s=60.0)
+    [row] = job.carry_out()
+    assert Cost.read(tmp_path / "hash" / COST_FILE) == Cost(cpu_s=2.0, wall_s=1.0, disk_mb=pytest.approx(1.5e-3))
+    assert (row.identity, row.status, row.ate_m, row.wall_s, row.peak_mb) == (("s", 4, "vio"), "ok", 0.1, 1.0, 3.0)
