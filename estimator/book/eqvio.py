@@ -122,7 +122,7 @@ class ReplayedFeatures:
         kept = ~np.isin(ids, list(self._rejected))
         ids, xy = ids[kept], xy[kept]
         _, i, j = np.intersect1d(self._last.ids, ids, assume_unique=True, return_indices=True)
-        threshold = self._config.ransac_px / self._camera.fx + rotation_sigma_rad
+        threshold = self._config.ransac_threshold_px / self._camera.fx + rotation_sigma_rad
         inliers = epipolar_inliers(self._last.xy[i], xy[j], R_cur_prev, threshold, self._rng)
         self._rejected.update(ids[j[~inliers]].tolist())
         ages = np.ones(len(ids), np.int64)

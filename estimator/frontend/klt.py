@@ -1,4 +1,4 @@
-"""Pyramidal Lucas-Kanade as OpenCV has it, between two images whose brightness may differ.
+"""Pyramidal Lucas-Kanade tracking of points between two images, by OpenCV, and normalization of their brightness.
 
 J.-Y. Bouguet, "Pyramidal implementation of the affine Lucas Kanade feature tracker", Intel, 2001.
 """
@@ -11,54 +11,58 @@ Array = npt.NDArray[np.float64]
 Image = npt.NDArray[np.uint8]
 Mask = npt.NDArray[np.bool_]
 
-STEPS, STEP_PX = 15, 0.03  # at most, and the last [px]: who wants it more precise refines it afterwards
-SPARSE = 8  # every eighth pixel each way tells an image's brightness
-BLANK = 2.0  # contrast below which an image shows nothing [grey levels, standard deviation]
-SAME_CONTRAST, SAME_LEVEL = 0.1, 8.0  # what differs by less is as bright: relative, and [grey levels]
+MAX_ITERATIONS, MIN_STEP_PX = 15, 0.03  # a coarse tolerance suffices, because patch alignment refines the result
+STRIDE = 8  # every eighth pixel in each direction suffices to measure brightness
+MIN_CONTRAST = 2.0  # standard deviation of the grey levels below which an image is regarded as blank
+CONTRAST_TOLERANCE, BRIGHTNESS_TOLERANCE = 0.1, 8.0  # differences that need no compensation: ratio, [grey levels]
 
 
-def follow(
-    source: Image, target: Image, pixels: Array, start: Array, window_px: int, levels: int
-) -> tuple[Array, Mask]:
-    """Find in one image what another has at some pixels.
+def track(source: Image, target: Image, pixels: Array, start: Array, window_px: int, levels: int) -> tuple[Array, Mask]:
+    """Track points from one image to another.
 
     Args:
-        source: Where it is known.
-        target: Where it is looked for.
-        pixels: (N, 2) Where it is in the source [px].
-        start: (N, 2) Where to begin in the target [px]; finite.
-        window_px: Side of the square that is compared [px].
-        levels: Pyramid levels above the image: the start may be off by about window/2 · 2^levels pixels.
+        source: Image in which the points are known.
+        target: Image in which the points are searched.
+        pixels: (N, 2) Positions of the points in the source [px].
+        start: (N, 2) Initial positions in the target [px], finite.
+        window_px: Side of the square window that is compared [px].
+        levels: Number of pyramid levels above the image. The initial position may be off by about
+            window / 2 · 2^levels pixels.
 
     Returns:
-        Where it is (N, 2) [px], and whether it was found (N,).
+        Positions (N, 2) in the target [px], and whether each point was found (N,).
     """
     if not len(pixels):
         return np.zeros((0, 2)), np.zeros(0, np.bool_)
-    found, status, _ = cv2.calcOpticalFlowPyrLK(
+    tracked, status, _ = cv2.calcOpticalFlowPyrLK(
         source,
         target,
         np.ascontiguousarray(pixels, np.float32),
         np.ascontiguousarray(start, np.float32),
         winSize=(window_px, window_px),
         maxLevel=levels,
-        criteria=(cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, STEPS, STEP_PX),
+        criteria=(cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, MAX_ITERATIONS, MIN_STEP_PX),
         flags=cv2.OPTFLOW_USE_INITIAL_FLOW,
     )
-    return found.reshape(-1, 2).astype(np.float64), status[:, 0] == 1
+    return tracked.reshape(-1, 2).astype(np.float64), status[:, 0] == 1
 
 
-def as_bright_as(target: Image, source: Image) -> Image:
-    """Return the source with the brightness and contrast of the target, where they differ: Lucas-Kanade minds it.
+def match_brightness(source: Image, target: Image) -> Image:
+    """Return the source with the mean and the contrast of the target, or the source itself if they hardly differ.
 
-    Exposure may jump from one image to the next, and differ between cameras.
+    Lucas-Kanade assumes constant brightness, but exposure may change from one image to the next and differ between
+    cameras. An image without contrast is left as it is.
     """
-    (level, contrast), (target_level, target_contrast) = (
-        (float(few.mean()), float(few.std())) for few in (image[::SPARSE, ::SPARSE] for image in (source, target))
-    )
-    if min(contrast, target_contrast) < BLANK:
+    (mean, contrast), (target_mean, target_contrast) = _brightness(source), _brightness(target)
+    if min(contrast, target_contrast) < MIN_CONTRAST:
         return source
     gain = target_contrast / contrast
-    if abs(gain - 1.0) < SAME_CONTRAST and abs(target_level - level) < SAME_LEVEL:
+    if abs(gain - 1.0) < CONTRAST_TOLERANCE and abs(target_mean - mean) < BRIGHTNESS_TOLERANCE:
         return source
-    return np.asarray(cv2.addWeighted(source, gain, source, 0.0, target_level - gain * level), np.uint8)
+    return np.asarray(cv2.addWeighted(source, gain, source, 0.0, target_mean - gain * mean), np.uint8)
+
+
+def _brightness(image: Image) -> tuple[float, float]:
+    """Return the mean and the standard deviation of an image [grey levels]."""
+    sample = image[::STRIDE, ::STRIDE]
+    return float(sample.mean()), float(sample.std())

@@ -14,7 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from dronevio.estimator.frontend.klt import as_bright_as, follow
+from dronevio.estimator.frontend import klt
 from dronevio.models.rig import RigCamera
 from dronevio.models.rotation import exp_so3, inverse_pose
 
@@ -91,9 +91,9 @@ class StereoMatcher:
         if not len(looked_for):
             return StereoMatches(looked_for, np.zeros((0, 2)), np.zeros((0, 2)), np.zeros(0))
         start = pixels[looked_for]
-        c, first = self._config, as_bright_as(second, first)
-        found, there = follow(first, second, start, guessed[looked_for], c.window_px, c.pyramid_levels)
-        back, returned = follow(second, first, found, start, c.window_px, 0)
+        c, first = self._config, klt.match_brightness(first, second)
+        found, there = klt.track(first, second, start, guessed[looked_for], c.window_px, c.pyramid_levels)
+        back, returned = klt.track(second, first, found, start, c.window_px, 0)
         there &= returned & (np.linalg.norm(back - start, axis=1) < c.return_px) & self._inside(found)
         rows, found = looked_for[there], found[there]
         bearings = self._second.unproject(found)

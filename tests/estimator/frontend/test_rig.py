@@ -199,7 +199,9 @@ def test_cameras_that_look_elsewhere_have_features_of_their_own(see_wall: Callab
     """The second camera looks back, at a wall that is seen in a mirror; its turns are told from the first one's."""
     about = exp_so3(np.array([0.0, np.pi, 0.0]))
     rig = rig_of((LEFT, np.eye(3), [0, 0, 0]), (RIGHT, about, [0.0, 0.0, -0.1]))
-    tracker = RigTracker(rig, replace(CONFIG, min_found=0.0, min_agreeing=0.0))  # no other help than the prediction
+    tracker = RigTracker(
+        rig, replace(CONFIG, min_tracked_ratio=0.0, min_inlier_ratio=0.0)
+    )  # no other help than the prediction
     R_before, turn_deg = np.eye(3), np.array([0.0, 6.0, 3.0])  # too much for a tracker that is told nothing
     seen = []
     for k in range(3):
