@@ -12,8 +12,6 @@ CHECKOUT = Path(__file__).resolve().parents[1]
 CLEAN: tuple[str, ...] = ()
 """Folders and files, relative to the checkout, whose names and docstrings keep the conventions. A folder is added once
 ``scripts/conventions.py FOLDER`` reports no violation in it."""
-PENDING = ("tests/estimator", "tests/models")
-"""Folders of tests that do not keep the conventions of tests yet."""
 
 
 @pytest.fixture(scope="module")
@@ -31,8 +29,7 @@ def parsed(*lines: str) -> ast.Module:
 
 def test_tests_keep_the_conventions(conventions: Any) -> None:
     found = conventions.violations_in_tests(CHECKOUT / "tests")
-    left = [text for text in found if not text.startswith(tuple(f"{CHECKOUT / folder}/" for folder in PENDING))]
-    assert not left, "\n".join(left)
+    assert not found, "\n".join(found)
 
 
 def test_clean_folders_keep_the_conventions(conventions: Any) -> None:

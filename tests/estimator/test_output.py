@@ -39,7 +39,7 @@ def answers(undecided: Undecided) -> Answers:
     return Answers(undecided, RATE_HZ, max_innovation_px=12.0)  # type: ignore[arg-type]
 
 
-def test_a_camera_that_contradicts_its_mounting_is_told_of_once_and_once_when_it_agrees() -> None:
+def test_miscalibration_and_its_end_are_reported_once() -> None:
     told = answers(Undecided(0))
     shown = [
         packet((1, 1)),
@@ -60,7 +60,7 @@ def test_a_camera_that_contradicts_its_mounting_is_told_of_once_and_once_when_it
     ]
 
 
-def test_nothing_is_told_before_it_is_certain_and_everything_after() -> None:
+def test_nothing_is_published_before_it_is_certain() -> None:
     undecided = Undecided(2)
     told, report = answers(undecided), HealthReport(Health.TRACKING, "landmarks hold it", innovation_px=1.0)
     found = [told.known(packet(), STATE, report, ("keyframe",)) for _ in range(4)]
@@ -78,7 +78,7 @@ def test_nothing_is_told_before_it_is_certain_and_everything_after() -> None:
     assert again[1].events == ("recovered",)
 
 
-def test_a_silence_of_the_imu_is_told_when_it_begins_and_when_it_is_over() -> None:
+def test_an_imu_gap_is_reported_at_its_begin_and_end() -> None:
     def frame(longest_s: float) -> FramePacket:
         increments = Increments(np.array([0.005, longest_s]), np.zeros((2, 3)), np.zeros((2, 3)))
         return replace(packet(), increments=increments)

@@ -244,7 +244,13 @@ def test_times_that_ros_cannot_express_are_refused(tmp_path: Path, noise_recordi
 # Bags of others.
 
 RIG = replace(rig_named("euroc-stereo"), imu=rig_named("fisheye").imu)
-IMAGE = np.random.default_rng(3).integers(0, 256, (480, 752), dtype=np.uint8)
+
+
+def noise_image(seed: int, *shape: int) -> np.ndarray:
+    return np.random.default_rng(seed).integers(0, 256, shape, dtype=np.uint8)
+
+
+IMAGE = noise_image(3, 480, 752)
 
 
 def imu_message(t_ns: int, frame: str = "imu_link") -> Any:
@@ -349,7 +355,7 @@ def test_images_stamped_apart_are_matched_within_a_tolerance(tmp_path: Path, noi
     np.testing.assert_array_equal(kept.frame(1).images[1], np.roll(IMAGE, 21))
 
 
-COLOUR = np.random.default_rng(4).integers(0, 256, (480, 752, 3), dtype=np.uint8)
+COLOUR = noise_image(4, 480, 752, 3)
 
 
 @pytest.mark.parametrize(

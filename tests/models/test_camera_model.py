@@ -157,7 +157,7 @@ def test_jacobian_of_the_lens_is_its_derivative(x: float, y: float) -> None:
     np.testing.assert_allclose(lens_radtan.jacobian(xy, EUROC_CAM0.distortion), numeric, atol=1e-8)
 
 
-def test_the_camera_s_centre_and_what_is_not_a_number_have_no_pixel() -> None:
+def test_camera_centre_and_nan_have_no_pixel() -> None:
     for model in ALL_CAMERAS:
         assert np.isnan(model.project(np.array([[0.0, 0.0, 0.0], [np.nan, 0.0, 1.0], [0.0, 0.0, -1.0]]))).all()
         assert np.isnan(model.unproject(np.array([np.nan, 3.0]))).all()

@@ -175,7 +175,7 @@ def test_refuses_a_wrong_time_of_exposure(flight: Path, wrong: str) -> None:
 
 
 @pytest.mark.parametrize("cameras", [1, 2])
-def test_of_an_incomplete_recording_the_frames_that_are_there_are_read(tmp_path: Path, cameras: int) -> None:
+def test_an_incomplete_recording_has_the_frames_that_exist(tmp_path: Path, cameras: int) -> None:
     flight = write_flight(tmp_path / "cut-off", cameras)
     assert EurocRecording.open(flight).complete
     (flight / "mav0" / INCOMPLETE).touch()

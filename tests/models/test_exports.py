@@ -177,7 +177,7 @@ def test_kimera(tmp_path: Path) -> None:
     assert imu.getNode("imu_preintegration_type").real() == 1 and imu.getNode("rate_hz").real() == 200.0
 
 
-def test_the_time_offset_has_everywhere_the_sign_that_each_defines(tmp_path: Path) -> None:
+def test_each_format_has_its_own_sign_of_the_time_offset(tmp_path: Path) -> None:
     """All of them write t_imu = t_cam + shift."""
     from dataclasses import replace
 

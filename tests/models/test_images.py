@@ -9,7 +9,12 @@ from hypothesis import strategies as st
 from dronevio.models.errors import InputError
 from dronevio.models.recordings.images import read_grey
 
-IMAGE = np.random.default_rng(0).integers(0, 256, (24, 32), dtype=np.uint8)
+
+def noise_image() -> np.ndarray:
+    return np.random.default_rng(0).integers(0, 256, (24, 32), dtype=np.uint8)
+
+
+IMAGE = noise_image()
 PNG = cv2.imencode(".png", IMAGE)[1].tobytes()
 JPEG = cv2.imencode(".jpg", IMAGE)[1].tobytes()
 

@@ -95,7 +95,7 @@ def turning_under_gravity(omega: np.ndarray, n: int) -> tuple[ImuSamples, np.nda
     return ImuSamples(t_ns, np.tile(omega, (n, 1)), R[:, 2] * GRAVITY_M_S2), R
 
 
-def test_acceleration_is_told_in_the_frame_at_the_intervals_start() -> None:
+def test_acceleration_is_in_the_frame_at_the_interval_start() -> None:
     """At rest on a turntable that lies on its side, the world feels 9.81 up, whatever the turn rate."""
     samples, R = turning_under_gravity(np.array([1.0, 0.5, -0.3]), 201)
     increments = samples.increments()

@@ -7,14 +7,13 @@ from dronevio.models.errors import ConfigError
 from dronevio.models.rotation import exp_so3, pose_matrix
 from dronevio.models.state import Estimate, Health, NavState, Trajectory
 
-RNG = np.random.default_rng(3)
-
 
 def states(n: int, covariances: int | None = None) -> list[NavState]:
     """Return n states, the first so many of them with a covariance; by default all."""
     known = n if covariances is None else covariances
-    T = pose_matrix(exp_so3(RNG.normal(size=(n, 3))), RNG.normal(size=(n, 3)))
-    v, b_gyro, b_accel = RNG.normal(size=(3, n, 3))
+    rng = np.random.default_rng(n)
+    T = pose_matrix(exp_so3(rng.normal(size=(n, 3))), rng.normal(size=(n, 3)))
+    v, b_gyro, b_accel = rng.normal(size=(3, n, 3))
     P = [np.eye(15) * (k + 1.0) if k < known else None for k in range(n)]
     return [NavState(10**18 + 7 * k, T[k], v[k], b_gyro[k], b_accel[k], P[k]) for k in range(n)]
 
@@ -68,7 +67,8 @@ def test_length_and_time_of_a_path() -> None:
 
 def test_pose_in_the_map_needs_a_pose_and_a_closed_loop() -> None:
     state = states(1)[0]
-    T_map_odom = pose_matrix(exp_so3(RNG.normal(size=3)), RNG.normal(size=3))
+    rng = np.random.default_rng(3)
+    T_map_odom = pose_matrix(exp_so3(rng.normal(size=3)), rng.normal(size=3))
     odometry = Estimate(state.t_ns, Health.TRACKING, state)
     assert odometry.T_map_imu is None and odometry.health_report is None
     assert Estimate(state.t_ns, Health.LOST, None, T_map_odom=T_map_odom).T_map_imu is None

@@ -192,7 +192,7 @@ edits = st.lists(
 @pytest.mark.parametrize("form", [CSV, TUM], ids=["csv", "tum"])
 @settings(max_examples=1500, deadline=None)
 @given(edits=edits, data=st.data())
-def test_broken_text_is_refused_or_read_as_an_independent_reader_does(
+def test_broken_text_is_refused_or_read_as_expected(
     scratch: Path, form: TableFormat, edits: list[tuple[float, int, str]], data: st.DataObject
 ) -> None:
     text = GOOD if form is CSV else "# t x y z q\n1.5 1 2 3 0 0 0 1\n1.55 1 2 3.5 0 0 0 1\n1.6e0 1 -2 3 0 0.6 0 .8\n"

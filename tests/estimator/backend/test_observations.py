@@ -8,7 +8,7 @@ from dronevio.estimator.backend.observations import DECORRELATION_SIGMA_SCALE, M
 from dronevio.estimator.types import Matches, Observations
 
 
-def test_what_further_cameras_see_is_as_doubtful_as_where_it_was_looked_for() -> None:
+def test_sigma_scale_of_matches_in_further_cameras() -> None:
     """Matches name their features, in whatever rows those are."""
     ids, zoom, quality = np.array([3, 5, 8]), np.array([0.5, 1.0, 1.6]), np.array([1.0, 0.9, 0.95])
     matches = Matches(np.array([8, 3, 8]), np.array([1, 1, 2]), np.zeros((3, 2)))

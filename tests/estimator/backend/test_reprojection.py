@@ -75,7 +75,7 @@ def test_eliminated_landmarks_leave_the_poses_what_they_said(seed: int) -> None:
     np.testing.assert_allclose(system.points_given(change).ravel(), expected_points, rtol=1e-3, atol=1e-4)
 
 
-def test_a_landmark_that_is_not_eliminated_is_left_out_of_the_sum() -> None:
+def test_landmarks_that_are_not_eliminated_are_left_out() -> None:
     seen = Seen(5)
     error = 0.01 * np.random.default_rng(5).normal(size=(len(seen.weight), 2))
     kept = seen.observations.landmark == 103

@@ -32,7 +32,7 @@ def flown(duration_s: float, shake: float = 0.0) -> tuple[list[Estimate], np.nda
     return estimates, t_ns[::10] * 1e-9
 
 
-def test_a_turn_with_even_acceleration_comes_out_as_the_formula_says() -> None:
+def test_constant_rate_and_acceleration_match_the_formula() -> None:
     estimates, t_s = flown(5.0)
     first, last = next(e.state for e in estimates if e.state is not None), estimates[-1].state
     assert first is not None
@@ -46,7 +46,7 @@ def test_a_turn_with_even_acceleration_comes_out_as_the_formula_says() -> None:
     np.testing.assert_allclose(last.T_world_imu[:3, :3], R0 @ exp_so3(moved_s * TURN_RAD_S), atol=0.003)
 
 
-def test_it_starts_at_rest_when_that_has_lasted_and_never_while_shaken() -> None:
+def test_it_starts_after_a_rest_and_never_while_shaken() -> None:
     estimates, t_s = flown(3.0)
     healths = [estimate.health for estimate in estimates]
     first = healths.index(Health.INERTIAL_ONLY)

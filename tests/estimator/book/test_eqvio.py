@@ -125,7 +125,7 @@ def shortened(path: Path, change: Callable[[list[str]], list[str]]) -> Path:
     return path
 
 
-def test_filter_runs_on_a_shortened_flight_and_tells_its_progress(tmp_path: Path) -> None:
+def test_filter_reports_progress_on_a_shortened_flight(tmp_path: Path) -> None:
     flight = read_flight(shortened(tmp_path / "short.csv", lambda rows: rows))
     calls: list[tuple[int, int]] = []
     path = run_eqvio(flight, lambda done, total: calls.append((done, total)))

@@ -121,7 +121,7 @@ def test_one_camera_is_what_its_tracker_says(see_wall: Callable[..., np.ndarray]
         alone.discard(seen.ids[:3])
 
 
-def test_a_patch_that_is_elsewhere_in_the_second_image_is_not_matched(see_wall: Callable[..., np.ndarray]) -> None:
+def test_a_patch_that_is_elsewhere_is_not_matched(see_wall: Callable[..., np.ndarray]) -> None:
     """What is moved across the epipolar lines in the second picture alone is no landmark of both."""
     wall, tracker = Wall(see_wall, STEREO), RigTracker(STEREO, CONFIG)
     frame = wall.frame()
@@ -142,9 +142,7 @@ def turned(rig: Rig, turn_deg: Sequence[float]) -> Rig:
 
 
 @pytest.mark.parametrize("turn_deg", [[1.0, 0.0, 0.0], [0.6, -0.4, -0.7], [-0.5, 0.8, 0.3], [0.2, -0.3, 1.5]])
-def test_a_camera_that_is_turned_tells_no_depth_until_it_is_calibrated(
-    see_wall: Callable[..., np.ndarray], turn_deg: Sequence[float]
-) -> None:
+def test_a_miscalibrated_camera_gives_no_depth(see_wall: Callable[..., np.ndarray], turn_deg: Sequence[float]) -> None:
     true_rig = turned(STEREO, turn_deg)
     wall, tracker = Wall(see_wall, true_rig), RigTracker(STEREO, CONFIG)
     frame = wall.frame()

@@ -1,7 +1,5 @@
 """Covariances: two orders of the same thing, and dead reckoning against numerical derivatives."""
 
-from collections.abc import Callable
-
 import gtsam
 import numpy as np
 import pytest
@@ -10,14 +8,18 @@ from dronevio.estimator.imu.covariance import covariance_from_gtsam, covariance_
 from dronevio.models.imu import EUROC_IMU, GRAVITY_M_S2, ImuModel
 from dronevio.models.rotation import exp_so3, log_so3
 
-RNG = np.random.default_rng(5)
 NOISELESS = ImuModel("none", 200.0, 0.0, 0.0, 0.0, 0.0)
 GRAVITY = np.array([0.0, 0.0, -GRAVITY_M_S2])
 DT_S, STEPS = 0.005, 40
 
 
-def random_covariance() -> np.ndarray:
-    A = RNG.normal(size=(15, 15))
+@pytest.fixture
+def rng() -> np.random.Generator:
+    return np.random.default_rng(5)
+
+
+def random_covariance(rng: np.random.Generator) -> np.ndarray:
+    A = rng.normal(size=(15, 15))
     return A @ A.T
 
 
@@ -26,9 +28,10 @@ def assert_proper(P: np.ndarray) -> None:
     assert np.linalg.eigvalsh(P).min() > -1e-12 * np.abs(P).max()
 
 
-@pytest.mark.parametrize("turn", RNG.normal(size=(5, 3)))
-def test_there_and_back_again(turn: np.ndarray) -> None:
-    P, R = random_covariance(), exp_so3(turn)
+@pytest.mark.parametrize("seed", range(5))
+def test_there_and_back_again(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    P, R = random_covariance(rng), exp_so3(rng.normal(size=3))
     np.testing.assert_allclose(covariance_to_gtsam(covariance_from_gtsam(P, R), R), P, atol=1e-12)
     np.testing.assert_allclose(covariance_from_gtsam(covariance_to_gtsam(P, R), R), P, atol=1e-12)
     for Q in (covariance_from_gtsam(P, R), covariance_to_gtsam(P, R)):
@@ -36,9 +39,9 @@ def test_there_and_back_again(turn: np.ndarray) -> None:
         np.testing.assert_allclose(np.linalg.eigvalsh(Q), np.linalg.eigvalsh(P), atol=1e-9)  # nothing is stretched
 
 
-def test_order_is_gtsams_own() -> None:
+def test_order_is_gtsams_own(rng: np.random.Generator) -> None:
     """What GTSAM's retractions do with small steps, is what our order says of them."""
-    R, p, step = exp_so3(RNG.normal(size=3)), RNG.normal(size=3), 1e-5 * RNG.normal(size=15)
+    R, p, step = exp_so3(rng.normal(size=3)), rng.normal(size=3), 1e-5 * rng.normal(size=15)
     pose = gtsam.Pose3(gtsam.Rot3(R), p)
     moved = pose.retract(step[:6])
     bias = gtsam.imuBias.ConstantBias(np.zeros(3), np.zeros(3)).retract(step[9:])
@@ -89,8 +92,8 @@ def difference(x: list[np.ndarray], y: list[np.ndarray]) -> np.ndarray:
 
 
 @pytest.fixture
-def state() -> list[np.ndarray]:
-    return [exp_so3(np.array([0.4, -0.7, 1.5])), RNG.normal(size=3), RNG.normal(size=3), np.zeros(3), np.zeros(3)]
+def state(rng: np.random.Generator) -> list[np.ndarray]:
+    return [exp_so3(np.array([0.4, -0.7, 1.5])), rng.normal(size=3), rng.normal(size=3), np.zeros(3), np.zeros(3)]
 
 
 def numerical_jacobian(stretch: Stretch, state: list[np.ndarray]) -> np.ndarray:
@@ -99,52 +102,24 @@ def numerical_jacobian(stretch: Stretch, state: list[np.ndarray]) -> np.ndarray:
     return np.stack([difference(end, stretch.go(moved_by(state, step))) for step in steps], axis=1) / h
 
 
-def told_jacobian(stretch: Stretch, state: list[np.ndarray]) -> np.ndarray:
-    """Return F from what `propagate` makes of covariances: F (eᵢ + eⱼ)(eᵢ + eⱼ)ᵀ Fᵀ tells all products of columns."""
-
-    def made(v: np.ndarray) -> np.ndarray:
-        return propagate_covariance(np.outer(v, v), state[0], **stretch.preintegrated(state), imu=NOISELESS)
-
-    eye = np.eye(15)
-    F = np.zeros((15, 15))
-    for i in range(15):
-        M = made(eye[i])
-        k = int(np.argmax(np.diag(M)))
-        F[:, i] = M[k] / np.sqrt(M[k, k])
-    return F
-
-
-@pytest.mark.parametrize("steps", [10, 40, 60])
-def test_dead_reckoning_spreads_errors_as_numerical_derivatives_say(steps: int, state: list[np.ndarray]) -> None:
-    stretch = Stretch(steps)
-    numeric, told = numerical_jacobian(stretch, state), told_jacobian(stretch, state)
-    told = told * np.where(np.sum(told * numeric, axis=0) < 0.0, -1.0, 1.0)  # a covariance does not tell the sign
-    np.testing.assert_allclose(told[:, :9], numeric[:, :9], atol=1e-5)  # orientation, position, velocity: exact
-    # Biases: to the first order in time; what is left out is a turn of some tenths of a radian.
-    assert (
-        np.abs(told[:, 9:] - numeric[:, 9:]).max()
-        < 1.5 * np.linalg.norm(stretch.gyro.mean(axis=0)) * stretch.t_s**2 * 5
-    )
-
-
-def test_correlations_are_spread_too(state: list[np.ndarray]) -> None:
+def test_correlations_are_spread_too(state: list[np.ndarray], rng: np.random.Generator) -> None:
     """A full covariance of orientation, position and velocity, with all its correlations."""
     stretch, P = Stretch(), np.zeros((15, 15))
-    P[:9, :9] = random_covariance()[:9, :9]
+    P[:9, :9] = random_covariance(rng)[:9, :9]
     F = numerical_jacobian(stretch, state)
     told = propagate_covariance(P, state[0], **stretch.preintegrated(state), imu=NOISELESS)
     np.testing.assert_allclose(told[:9, :9], (F @ P @ F.T)[:9, :9], rtol=1e-4, atol=1e-4)
 
 
-def test_noise_is_that_of_a_thousand_flights(state: list[np.ndarray]) -> None:
+def test_noise_is_that_of_a_thousand_flights(state: list[np.ndarray], rng: np.random.Generator) -> None:
     imu = EUROC_IMU
     stretch, runs = Stretch(), 1000
     white = 1.0 / np.sqrt(DT_S)
     ends = []
     gyro, accel = stretch.gyro, stretch.accel
     for _ in range(runs):
-        stretch.gyro = gyro + imu.gyro_noise_density * white * RNG.normal(size=gyro.shape)
-        stretch.accel = accel + imu.accel_noise_density * white * RNG.normal(size=accel.shape)
+        stretch.gyro = gyro + imu.gyro_noise_density * white * rng.normal(size=gyro.shape)
+        stretch.accel = accel + imu.accel_noise_density * white * rng.normal(size=accel.shape)
         ends.append(stretch.go(state))
     stretch.gyro, stretch.accel = gyro, accel
     clean = stretch.go(state)
@@ -155,8 +130,8 @@ def test_noise_is_that_of_a_thousand_flights(state: list[np.ndarray]) -> None:
     np.testing.assert_allclose(np.sqrt(np.diag(P)[9:]), walk)
 
 
-def test_covariances_stay_proper_and_grow(make_flight: Callable) -> None:
-    P, R = random_covariance() * 1e-3, exp_so3(RNG.normal(size=3))
+def test_covariances_stay_proper_and_grow(rng: np.random.Generator) -> None:
+    P, R = random_covariance(rng) * 1e-3, exp_so3(rng.normal(size=3))
     stretch = Stretch()
     moved = stretch.preintegrated([R, np.zeros(3), np.zeros(3), np.zeros(3), np.zeros(3)])
     for _ in range(20):

@@ -20,8 +20,7 @@ Array = npt.NDArray[np.float64]
 
 T0_NS, STEP_NS = 10**18, 5_000_000
 GRAVITY = np.array([0.0, 0.0, -GRAVITY_M_S2])
-RNG = np.random.default_rng(8)
-BIASES = 0.002 * RNG.normal(size=3), 0.02 * RNG.normal(size=3)
+BIASES = np.array([0.002, -0.003, 0.001]), np.array([-0.02, 0.03, 0.01])
 
 
 def said(t_ns: int, T: Array, v: Array) -> Estimate:
@@ -138,7 +137,7 @@ def test_a_sample_costs_little() -> None:
     assert spent < 80.0 * product  # 1000 samples against 1000 products of some 0.7 µs
 
 
-def test_every_sample_of_a_flight_is_as_near_the_truth_as_the_frames(make_flight: Callable) -> None:
+def test_samples_are_as_accurate_as_frames(make_flight: Callable) -> None:
     flight = make_flight(2, rest_s=1.5, duration_s=10.0)
     vio = VisualInertialOdometry(flight.rig, front_end=flight.front_end())
     propagator = ImuRatePropagator(flight.rig.imu)

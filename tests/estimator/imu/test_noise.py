@@ -59,7 +59,7 @@ def test_level_becomes_that_of_the_noise(true_level: float, assumed_level: float
     assert np.mean(later) == pytest.approx(true_level, rel=0.2)
 
 
-def test_what_others_hardly_tell_is_learnt_slowly_but_from_the_safe_side() -> None:
+def test_low_redundancy_is_learnt_slowly_from_the_safe_side() -> None:
     found = learnt(1.0, 5.0, 3.0)
     assert 1.0 < found[-1] < 0.5 * found[0]
 
@@ -69,7 +69,7 @@ def test_an_assumption_is_unlearnt_within_seconds() -> None:
     assert learnt(10.0, 3.0, 1.0)[25] > 6.0
 
 
-def test_what_is_in_doubt_and_what_nobody_else_tells_teaches_nothing() -> None:
+def test_inflated_or_not_redundant_residuals_teach_nothing() -> None:
     level = NoiseDensityEstimator(DENSITY, 5.0, NoiseEstimationConfig())
     level.update(VarianceComponent(normalized_square=1e-6, redundancy=1.0, assumed_density2=(100.0 * DENSITY) ** 2))
     level.update(VarianceComponent(normalized_square=0.0, redundancy=0.0, assumed_density2=(5.0 * DENSITY) ** 2))

@@ -152,7 +152,7 @@ def test_a_gap_in_the_samples_is_in_doubt() -> None:
     assert parts[0].rotation_excess_sigma_rad == 0.0
 
 
-def test_after_a_loss_a_turn_beyond_the_limit_leaves_the_yaw_in_doubt() -> None:
+def test_saturated_turn_after_a_loss_makes_yaw_uncertain() -> None:
     believed = NavState(0, np.eye(4), np.zeros(3), np.zeros(3), np.zeros(3), 1e-8 * np.eye(15))
     start = NavState(200 * STEP_NS, np.eye(4), np.zeros(3), np.zeros(3), np.zeros(3))
     yaw_sigmas = []

@@ -138,7 +138,7 @@ def test_windows_that_are_too_short_tell_nothing(make_flight: Callable, seconds:
     assert isinstance(start_of(make_flight(0, rest_s=-5.0, duration_s=2.0), seconds=seconds), NotObservable)
 
 
-def test_gravity_is_of_the_right_length_even_if_the_accelerometer_is_biased(make_flight: Callable) -> None:
+def test_gravity_has_its_magnitude_despite_accelerometer_bias(make_flight: Callable) -> None:
     flight = make_flight(1, rest_s=-5.0, duration_s=2.0, noisy=False, accel_bias=np.array([0.05, -0.05, 0.05]))
     state = start_of(flight)
     assert isinstance(state, NavState)
