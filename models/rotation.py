@@ -1,7 +1,8 @@
-"""Rotations: the exponential map of SO(3), and quaternions that carry their order in their name.
+"""Rotation matrices and poses: the exponential map of SO(3), and conversions from and to quaternions.
 
-MuJoCo and EuRoC write quaternions wxyz; TUM files, scipy and rerun write them xyzw. Every conversion in the house is
-one of these functions. All of them broadcast over leading axes.
+MuJoCo and EuRoC write quaternions wxyz; TUM files, scipy and rerun write them xyzw. Names of functions and arrays say
+which order they use. All functions broadcast over leading axes. `dronevio.models.quaternions` multiplies and
+interpolates quaternions.
 
 Reference: Solà, Deray, Atchuthan, "A micro Lie theory for state estimation in robotics", 2018 (eq. 132 and 145).
 """
@@ -70,6 +71,25 @@ def quat_wxyz_from_matrix(R: Array) -> Array:
     return np.asarray(np.where(q[..., :1] < 0.0, -q, q))
 
 
+def rotation_z(angle_rad: npt.ArrayLike) -> Array:
+    """Return the rotation matrices (…, 3, 3) about z by angles (…) [rad]."""
+    angle = np.asarray(angle_rad, dtype=np.float64)
+    R = np.zeros((*angle.shape, 3, 3))
+    R[..., 0, 0] = R[..., 1, 1] = np.cos(angle)
+    R[..., 1, 0] = np.sin(angle)
+    R[..., 0, 1] = -R[..., 1, 0]
+    R[..., 2, 2] = 1.0
+    return R
+
+
+def yaw_rad_from_matrix(R: Array) -> Array:
+    """Return the angles (…) [rad], −π to π, of the rotations about z that are nearest to rotations (…, 3, 3).
+
+    The angle maximizes tr(Rz(θ)ᵀ R). It is 0 where R turns z upside down and leaves it open.
+    """
+    return np.asarray(np.arctan2(R[..., 1, 0] - R[..., 0, 1], R[..., 0, 0] + R[..., 1, 1]))
+
+
 def nearest_rotations(R: Array) -> Array:
     """Return the rotations (…, 3, 3) nearest to matrices (…, 3, 3) that rounding keeps from being rotations.
 
@@ -102,14 +122,6 @@ def quat_xyzw_from_wxyz(quat_wxyz: Array) -> Array:
 def quat_wxyz_from_xyzw(quat_xyzw: Array) -> Array:
     """Reorder quaternions (…, 4) from xyzw to wxyz."""
     return np.roll(np.asarray(quat_xyzw), 1, axis=-1)
-
-
-def slerp_quat_wxyz(quat0_wxyz: Array, quat1_wxyz: Array, fraction: Array) -> Array:
-    """Interpolate between quaternions (…, 4) along the shorter arc; fraction (…) is 0 at the first, 1 at the second."""
-    R0 = matrix_from_quat_wxyz(quat0_wxyz)
-    R1 = matrix_from_quat_wxyz(quat1_wxyz)
-    step = log_so3(np.swapaxes(R0, -1, -2) @ R1)
-    return quat_wxyz_from_matrix(R0 @ exp_so3(np.asarray(fraction)[..., None] * step))
 
 
 def pose_matrix(R: Array, p: Array) -> Array:

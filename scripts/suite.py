@@ -24,7 +24,7 @@ from figures import Figures, failures
 from measuring import Mode, Task, done, provenance, write_json
 from tables import median, numbers, table, text
 
-from dronevio.eval.metrics.chi_square import nees_bounds
+from dronevio.eval.metrics.consistency import nees_bounds
 
 WORLDS = ("room", "hall", "corridor")
 LEVELS = ("easy", "medium", "difficult")

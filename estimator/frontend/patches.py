@@ -15,6 +15,8 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
+from dronevio.models.rotation import rotation_z, yaw_rad_from_matrix
+
 Array = npt.NDArray[np.float64]
 Array32 = npt.NDArray[np.float32]
 Image = npt.NDArray[np.uint8]
@@ -95,8 +97,7 @@ class Patches:
         Args:
             R_cur_prev: (3, 3) Rotation of the previous camera frame into the current one.
         """
-        angle = np.arctan2(R_cur_prev[1, 0] - R_cur_prev[0, 1], R_cur_prev[0, 0] + R_cur_prev[1, 1])
-        rotation = np.array([[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]])
+        rotation = rotation_z(yaw_rad_from_matrix(R_cur_prev))[:2, :2]
         return replace(self, warp=rotation @ self.warp)
 
     def joined(self, others: Self) -> Self:

@@ -8,7 +8,7 @@ import numpy.typing as npt
 
 from dronevio.estimator.imu.buffer import Increments
 from dronevio.estimator.initialization.static import InitialSigmas
-from dronevio.models.rotation import pose_matrix
+from dronevio.models.rotation import pose_matrix, rotation_z, yaw_rad_from_matrix
 from dronevio.models.state import NavState
 
 Array = npt.NDArray[np.float64]
@@ -72,9 +72,7 @@ class LastBelieved:
         """Return a start at the last position, and of the yaw that makes its end that of the gyroscope."""
         R_start = start.T_world_imu[:3, :3]
         error = self._R_world_imu @ (R_start @ since.rotation(start.gyro_bias_rad_s)).T
-        yaw = np.arctan2(error[1, 0] - error[0, 1], error[0, 0] + error[1, 1])
-        c, s = np.cos(yaw), np.sin(yaw)
-        turned = np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
+        turned = rotation_z(yaw_rad_from_matrix(error))
         pose = pose_matrix(turned @ R_start, self._believed.T_world_imu[:3, 3])
         return replace(start, T_world_imu=pose, velocity_m_s=turned @ start.velocity_m_s)
 

@@ -1,6 +1,6 @@
 """How good an estimate is: alignment, absolute and relative errors, scale, coverage, consistency.
 
-Needs nothing but numpy. A trajectory's score in three lines:
+It imports only numpy; bounds of χ² import scipy when they are computed. The score of a trajectory in three lines:
 
     from dronevio.eval.metrics import score
 
@@ -12,8 +12,7 @@ and on plain arrays, ``ate(p_truth, p_estimate, "yaw").rmse``.
 
 from dronevio.eval.metrics.alignment import IDENTITY, Alignment, AlignmentMode, align, umeyama
 from dronevio.eval.metrics.association import Association, associate, interpolate, nearest
-from dronevio.eval.metrics.chi_square import nees_bounds
-from dronevio.eval.metrics.consistency import Anees, Consistency, anchor_first, anees, consistency, nees
+from dronevio.eval.metrics.consistency import Anees, Consistency, anchor_first, anees, consistency, nees, nees_bounds
 from dronevio.eval.metrics.errors import (
     RelativeErrors,
     Statistics,

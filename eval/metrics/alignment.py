@@ -12,9 +12,9 @@ from typing import Literal, get_args
 import numpy as np
 import numpy.typing as npt
 
-from dronevio.eval.metrics.quaternions import quat_product_wxyz
 from dronevio.models.errors import ConfigError, EvaluationError
-from dronevio.models.rotation import matrix_from_quat_wxyz, quat_wxyz_from_matrix
+from dronevio.models.quaternions import quat_product_wxyz
+from dronevio.models.rotation import matrix_from_quat_wxyz, quat_wxyz_from_matrix, rotation_z, yaw_rad_from_matrix
 from dronevio.models.state import Trajectory
 
 Array = npt.NDArray[np.float64]
@@ -112,7 +112,7 @@ def align(
         R = matrix_from_quat_wxyz(quat_truth_wxyz[0]) @ matrix_from_quat_wxyz(quat_estimate_wxyz[0]).T
         if mode == "scale":
             return _align_scale(truth, estimate, R)
-        return _meeting_first(truth, estimate, yaw_part(R) if mode == "yaw" else R)
+        return _meeting_first(truth, estimate, rotation_z(yaw_rad_from_matrix(R)) if mode == "yaw" else R)
     if mode == "yaw":
         return _align_yaw(truth, estimate)
     return umeyama(truth, estimate, with_scale=mode == "sim3")
@@ -150,11 +150,6 @@ def _align_scale(p_truth: Array, p_estimate: Array, R: Array) -> Alignment:
     return _meeting_first(p_truth, p_estimate, R, scale)
 
 
-def yaw_part(R: Array) -> Array:
-    """Return the rotation (3, 3) about z that is nearest to a rotation (3, 3)."""
-    return yaw_matrix(float(np.arctan2(R[1, 0] - R[0, 1], R[0, 0] + R[1, 1])))
-
-
 def _align_yaw(p_truth: Array, p_estimate: Array) -> Alignment:
     """Return the best rotation about z and translation.
 
@@ -165,7 +160,7 @@ def _align_yaw(p_truth: Array, p_estimate: Array) -> Alignment:
     a, b = p_truth - mean_truth, p_estimate - mean_estimate
     sine = np.sum(b[:, 0] * a[:, 1] - b[:, 1] * a[:, 0])
     cosine = np.sum(b[:, 0] * a[:, 0] + b[:, 1] * a[:, 1])
-    R = yaw_matrix(float(np.arctan2(sine, cosine)))
+    R = rotation_z(np.arctan2(sine, cosine))
     return Alignment(R, mean_truth - R @ mean_estimate)
 
 
@@ -173,9 +168,3 @@ def _congruent(A: Array, P: Array) -> Array:
     """Return A P Aᵀ (N, k, k) of symmetric P (N, k, k), as two large products instead of 2 N small ones."""
     half = (P.reshape(-1, P.shape[-1]) @ A.T).reshape(P.shape)
     return np.asarray((np.swapaxes(half, -1, -2).reshape(-1, P.shape[-1]) @ A.T).reshape(P.shape))
-
-
-def yaw_matrix(yaw_rad: float) -> Array:
-    """Return the rotation (3, 3) about z by an angle [rad]."""
-    c, s = np.cos(yaw_rad), np.sin(yaw_rad)
-    return np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])

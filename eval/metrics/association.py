@@ -5,9 +5,9 @@ from typing import Literal, get_args
 import numpy as np
 import numpy.typing as npt
 
-from dronevio.eval.metrics.quaternions import components, slerp
 from dronevio.models.errors import ConfigError, EvaluationError
 from dronevio.models.imu import Times
+from dronevio.models.quaternions import slerp_quat_wxyz
 from dronevio.models.state import Trajectory
 
 Array = npt.NDArray[np.float64]
@@ -89,8 +89,8 @@ def interpolate(truth: Trajectory, t_ns: Times, max_gap_s: float = 0.5) -> tuple
 
     quat_wxyz, moving = truth.quat_wxyz[before], np.flatnonzero(gap_ns)
     if len(moving):
-        arcs = components(quat_wxyz[moving]), components(truth.quat_wxyz[after[moving]])
-        quat_wxyz[moving] = np.stack(slerp(*arcs, fraction[moving]), axis=-1)
+        ends = quat_wxyz[moving], truth.quat_wxyz[after[moving]]
+        quat_wxyz[moving] = slerp_quat_wxyz(*ends, fraction[moving])
     p = between(truth.p_world_imu)
     assert p is not None
     others = (between(v) for v in (truth.velocity_m_s, truth.gyro_bias_rad_s, truth.accel_bias_m_s2))

@@ -13,8 +13,7 @@ import numpy as np
 import numpy.typing as npt
 
 from dronevio.eval.metrics.alignment import Alignment, align
-from dronevio.eval.metrics.chi_square import nees_bounds
-from dronevio.models.errors import EvaluationError
+from dronevio.models.errors import ConfigError, EvaluationError
 from dronevio.models.imu import Times
 from dronevio.models.rotation import log_so3
 from dronevio.models.state import Trajectory
@@ -62,6 +61,31 @@ class Anees:
     """Between what it lies with a probability of 95 %."""
     inside_percent: float
     """Share of the instants at which it does [%]; 95 expected."""
+
+
+def nees_bounds(degrees: int, runs: int = 1, probability: float = 0.95) -> tuple[float, float]:
+    """Return the two-sided bounds of the mean of independent NEES values of a consistent estimator.
+
+    The sum of the values of M runs at one instant is χ²-distributed with M times the degrees of freedom. Values along
+    one run are correlated and do not satisfy this.
+
+    Args:
+        degrees: Dimension of the error: 3 for a position or an orientation.
+        runs: Number of runs over which the mean is taken.
+        probability: Probability with which the mean lies within the bounds.
+
+    Raises:
+        ConfigError: An argument is out of range.
+    """
+    if degrees < 1 or runs < 1 or not 0.0 < probability < 1.0:
+        raise ConfigError(
+            f"bounds of the mean NEES of {runs} runs with {degrees} degrees of freedom at probability {probability:g};"
+            " expected at least one run and one degree, and a probability between 0 and 1"
+        )
+    from scipy.special import gammainccinv, gammaincinv  # imported late: it costs more than a whole evaluation
+
+    half, tail = 0.5 * degrees * runs, 0.5 * (1.0 - probability)
+    return 2.0 * float(gammaincinv(half, tail)) / runs, 2.0 * float(gammainccinv(half, tail)) / runs
 
 
 def anees(nees_of_runs: Array, degrees: int = 3, probability: float = 0.95) -> Anees:

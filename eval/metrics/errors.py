@@ -13,16 +13,16 @@ import numpy.typing as npt
 from dronevio.eval.metrics.alignment import AlignmentMode, align
 from dronevio.eval.metrics.association import Rows
 from dronevio.eval.metrics.pairs import PairRule, Pairs, Source, Unit, Which
-from dronevio.eval.metrics.quaternions import (
+from dronevio.models.errors import EvaluationError
+from dronevio.models.imu import Times
+from dronevio.models.quaternions import (
     Components,
     angles_rad,
     components,
     conjugate,
     product,
-    turned,
+    rotate,
 )
-from dronevio.models.errors import EvaluationError
-from dronevio.models.imu import Times
 from dronevio.models.rotation import nearest_rotations, quat_wxyz_from_matrix
 
 Array = npt.NDArray[np.float64]
@@ -246,5 +246,5 @@ def _steps(p: Array, orientations: Array, pairs: Pairs) -> tuple[Array, Array, A
     if orientations.ndim == 3:
         x, y, z = np.einsum("nji,nj->in", orientations[i], step)
     else:
-        x, y, z = turned(conjugate(components(orientations[i])), (step[:, 0], step[:, 1], step[:, 2]))
+        x, y, z = rotate(conjugate(components(orientations[i])), (step[:, 0], step[:, 1], step[:, 2]))
     return x, y, z

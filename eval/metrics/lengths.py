@@ -16,8 +16,8 @@ import numpy.typing as npt
 
 from dronevio.eval.metrics.errors import Statistics, relative_errors, rotation_between
 from dronevio.eval.metrics.pairs import Pairs, pairs_after_distance
-from dronevio.eval.metrics.quaternions import components, conjugate, euler_zyx_rad, product, yaw_rad
 from dronevio.models.errors import ConfigError
+from dronevio.models.quaternions import components, conjugate, euler_zyx_rad, product, yaw_rad
 
 Array = npt.NDArray[np.float64]
 

@@ -6,15 +6,15 @@ every estimator is scored on the same ones.
 """
 
 from dataclasses import dataclass
-from typing import Any, Literal, get_args
+from typing import Literal, get_args
 
 import numpy as np
 import numpy.typing as npt
 
 from dronevio.eval.metrics.association import Rows, nearest_rows
-from dronevio.eval.metrics.quaternions import Components, angles_rad, components, conjugate, product
 from dronevio.models.errors import ConfigError
 from dronevio.models.imu import Times
+from dronevio.models.quaternions import angles_rad, components, conjugate, product, select
 
 Array = npt.NDArray[np.float64]
 Pairs = tuple[Rows, Rows]
@@ -101,7 +101,7 @@ def way_m(p: Array) -> Array:
 def turning_rad(quat_wxyz: Array) -> Array:
     """Return by how much has been turned, whichever way, up to each orientation (N, 4) (N,) [rad]."""
     q = components(quat_wxyz)
-    before, after = _at(q, slice(None, -1)), _at(q, slice(1, None))
+    before, after = select(q, slice(None, -1)), select(q, slice(1, None))
     return _summed(angles_rad(product(conjugate(before), after)), len(quat_wxyz))
 
 
@@ -182,7 +182,7 @@ def pairs_after_turning(quat_wxyz: Array, delta_rad: float, tolerance_rad: float
     found = [(np.zeros(0, np.int64), np.zeros(0, np.int64))]
     for start in range(0, n, rows):
         block = np.arange(start, min(start + rows, n))
-        turn = product(_at(conjugate(q), (block, None)), _at(q, (None, slice(start, None))))
+        turn = product(select(conjugate(q), (block, None)), select(q, (None, slice(start, None))))
         near = np.abs(angles_rad(turn) - delta_rad) <= tolerance_rad
         first, second = np.nonzero(near & (np.arange(n - start) > (block - start)[:, None]))
         found.append((first + start, second + start))
@@ -194,9 +194,3 @@ def _summed(steps: Array, n: int) -> Array:
     total = np.zeros(n)
     np.cumsum(steps, out=total[1:])
     return total
-
-
-def _at(q: Components, rows: Any) -> Components:
-    """Return some of the quaternions."""
-    w, x, y, z = (part[rows] for part in q)
-    return w, x, y, z

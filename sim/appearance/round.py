@@ -8,8 +8,9 @@ from functools import partial
 import numpy as np
 import numpy.typing as npt
 
+from dronevio.models.rotation import rotation_z
 from dronevio.sim.appearance import textures
-from dronevio.sim.appearance.solids import Box, turn_z
+from dronevio.sim.appearance.solids import Box
 
 Array = npt.NDArray[np.float64]
 
@@ -46,4 +47,4 @@ def filling(radius_m: float, low_m: float, high_m: float, sides: int) -> list[Bo
     across, along = radius_m * np.sin(np.pi / sides), radius_m * np.cos(np.pi / sides)
     half = np.array([along, across, 0.5 * (high_m - low_m)])
     centre = np.array([0.0, 0.0, 0.5 * (low_m + high_m)])
-    return [Box(centre, half, UNSEEN, R=turn_z((k + 0.5) * 2.0 * np.pi / sides)) for k in range(sides // 2)]
+    return [Box(centre, half, UNSEEN, R=rotation_z((k + 0.5) * 2.0 * np.pi / sides)) for k in range(sides // 2)]

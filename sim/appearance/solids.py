@@ -18,12 +18,6 @@ Paint = Callable[[np.random.Generator, int, int], Image]
 _HIDDEN_BELOW_M = 0.03  # a face this close to what it faces is never seen
 
 
-def turn_z(angle_rad: float) -> Array:
-    """Return the rotation (3, 3) about z."""
-    c, s = np.cos(angle_rad), np.sin(angle_rad)
-    return np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
-
-
 class Surface(Protocol):
     """Something flat or curved that is painted, lit and drawn: a grid of points under an image."""
 

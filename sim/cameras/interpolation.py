@@ -4,7 +4,8 @@ import numpy as np
 import numpy.typing as npt
 
 from dronevio.models.imu import Times
-from dronevio.models.rotation import matrix_from_quat_wxyz, pose_matrix, slerp_quat_wxyz
+from dronevio.models.quaternions import slerp_quat_wxyz
+from dronevio.models.rotation import matrix_from_quat_wxyz, pose_matrix
 from dronevio.models.state import Trajectory
 
 Array = npt.NDArray[np.float64]

@@ -6,8 +6,7 @@ from scipy.interpolate import RegularGridInterpolator
 from scipy.optimize import minimize
 
 from dronevio.models.errors import ConfigError
-from dronevio.models.rotation import pose_matrix
-from dronevio.sim.appearance.solids import turn_z
+from dronevio.models.rotation import pose_matrix, rotation_z
 from dronevio.sim.paths.space import Space
 
 Array = npt.NDArray[np.float64]
@@ -43,7 +42,7 @@ def place_path(positions_m: Array, space: Space, margin_m: float, world: str) ->
 
     places, costs = [], []
     for angle in np.arange(_TURNS) * (2.0 * np.pi / _TURNS):
-        turned = (points - middle) @ turn_z(angle).T
+        turned = (points - middle) @ rotation_z(angle).T
         shifts = _shifts(turned, space)
         clearance = lookup((shifts[:, None] + turned).reshape(-1, 3)).reshape(len(shifts), -1).min(axis=1)
         places.append(np.column_stack([np.full(len(shifts), angle), shifts]))
@@ -51,7 +50,7 @@ def place_path(positions_m: Array, space: Space, margin_m: float, world: str) ->
     ranked = np.concatenate(places)[np.argsort(np.concatenate(costs), kind="stable")[:_REFINED]]
 
     def exact_cost(place: Array) -> float:
-        clearance = space.clearance((points - middle) @ turn_z(place[0]).T + place[1:]).min()
+        clearance = space.clearance((points - middle) @ rotation_z(place[0]).T + place[1:]).min()
         return float(cost(clearance, place[3]))
 
     refined = [
@@ -59,7 +58,7 @@ def place_path(positions_m: Array, space: Space, margin_m: float, world: str) ->
         for start in ranked
     ]
     best = min(refined, key=lambda result: float(result.fun)).x
-    R = turn_z(best[0])
+    R = rotation_z(best[0])
     T_world_path = pose_matrix(R, best[1:] - R @ middle)
     clearance = float(space.clearance(positions_m @ R.T + T_world_path[:3, 3]).min())
     if clearance < margin_m:

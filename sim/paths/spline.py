@@ -16,6 +16,7 @@ from scipy.interpolate import BSpline, make_lsq_spline
 
 from dronevio.models.errors import ConfigError
 from dronevio.models.imu import GRAVITY_M_S2, ImuSamples, Times
+from dronevio.models.quaternions import components, conjugate, product
 from dronevio.models.rotation import log_so3, matrix_from_quat_wxyz
 from dronevio.models.state import Trajectory
 
@@ -84,8 +85,8 @@ class SmoothMotion:
         """Return (M, 3) angular velocities in the moving frame [rad/s]: twice the vector part of q⁻¹ q̇."""
         t = self._seconds(t_ns)
         q, dq = self.quaternion(t), self.quaternion(t, 1)
-        w, v, dw, dv = q[:, :1], q[:, 1:], dq[:, :1], dq[:, 1:]
-        return np.asarray(2.0 * (w * dv - dw * v - np.cross(v, dv)) / np.sum(q * q, axis=1, keepdims=True))
+        _, *vector = product(conjugate(components(q)), components(dq))
+        return np.asarray(2.0 * np.stack(vector, axis=-1) / np.sum(q * q, axis=1, keepdims=True))
 
     def points(self, t_ns: Times) -> ImuSamples:
         """Return what a perfect IMU in the moving frame reads at times (M,) [ns]."""

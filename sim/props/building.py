@@ -8,9 +8,10 @@ from functools import partial
 import numpy as np
 import numpy.typing as npt
 
+from dronevio.models.rotation import rotation_z
 from dronevio.sim.appearance import pictures, textures_building
 from dronevio.sim.appearance.lightmap import AreaLight
-from dronevio.sim.appearance.solids import Box, Face, Paint, enclosure, turn_z
+from dronevio.sim.appearance.solids import Box, Face, Paint, enclosure
 from dronevio.sim.appearance.textures import Image, plain
 from dronevio.sim.appearance.things import Thing, one_thing
 from dronevio.sim.props.furniture import METAL, Piece, hung_picture
@@ -36,15 +37,15 @@ class Wall:
 
     def at(self, x: float, y: float, z: float) -> Array:
         """Return a point of the wall's frame in the world (3,) [m]."""
-        return np.asarray(turn_z(self.turn_rad) @ np.array([x, y, z]) + self.middle)
+        return np.asarray(rotation_z(self.turn_rad) @ np.array([x, y, z]) + self.middle)
 
     def put(self, piece: Piece, x: float, y: float = 0.0) -> Piece:
         """Return a piece of furniture with its back at the wall, or ``y`` in front of it, its middle at ``x`` [m]."""
-        return piece.moved(turn_z(self.turn_rad), self.at(x, y, 0.0))
+        return piece.moved(rotation_z(self.turn_rad), self.at(x, y, 0.0))
 
     def hull(self, piece: Piece, x: float, y: float = 0.0) -> Box:
         """Return the box around a piece that stands there."""
-        return piece.hull().moved(turn_z(self.turn_rad), self.at(x, y, 0.0))
+        return piece.hull().moved(rotation_z(self.turn_rad), self.at(x, y, 0.0))
 
     def face(self, left: Sequence[float], right: Sequence[float], top: float, paint: Paint, px_per_m: float) -> Face:
         """Return an upright face from the floor to ``top``, its ends (x, y) given as one looks at it [m]."""

@@ -7,9 +7,10 @@ from itertools import pairwise
 import numpy as np
 import numpy.typing as npt
 
+from dronevio.models.rotation import rotation_z
 from dronevio.sim.appearance import textures
 from dronevio.sim.appearance import textures_race as race
-from dronevio.sim.appearance.solids import Box, Face, parts_of, turn_z
+from dronevio.sim.appearance.solids import Box, Face, parts_of
 from dronevio.sim.appearance.textures import Colour
 from dronevio.sim.appearance.things import Thing
 
@@ -83,7 +84,7 @@ def stand(rng: Random, half_m: Array) -> tuple[Box, ...]:
     boxes.append(Box(np.array([0.0, at - 1.02, 5.45]), valance, race.banner, race.banner, pixels_per_m=60.0))
     # so far it looks along −y from the north; a box's front is its +y side
     turned = [replace(box, centre=-box.centre * [1.0, 1.0, -1.0]) for box in boxes]
-    placed = [box.moved(turn_z(np.pi) if north else np.eye(3), np.zeros(3)) for box in turned]
+    placed = [box.moved(rotation_z(np.pi) if north else np.eye(3), np.zeros(3)) for box in turned]
     return parts_of(Thing("stand"), placed)
 
 
@@ -92,9 +93,9 @@ def paddock(rng: Random, half_m: Array) -> tuple[Box, ...]:
     boxes: list[Box] = []
     for x in (-1.0, 1.0):
         for y in rng.permutation(np.linspace(-12.0, 12.0, 5))[:4]:
-            R, at = turn_z(0.5 * np.pi * x), np.array([x * (half_m[0] + rng.uniform(3.5, 5.5)), y, 0.0])
+            R, at = rotation_z(0.5 * np.pi * x), np.array([x * (half_m[0] + rng.uniform(3.5, 5.5)), y, 0.0])
             parts = _tent(rng) if rng.random() < 0.55 else _container(rng)
-            boxes += [box.moved(turn_z(rng.uniform(-0.15, 0.15)) @ R, at) for box in parts]
+            boxes += [box.moved(rotation_z(rng.uniform(-0.15, 0.15)) @ R, at) for box in parts]
     return tuple(boxes)
 
 

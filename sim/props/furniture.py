@@ -10,9 +10,10 @@ from functools import partial
 import numpy as np
 import numpy.typing as npt
 
+from dronevio.models.rotation import rotation_z
 from dronevio.sim.appearance import pictures, textures
 from dronevio.sim.appearance.lightmap import AreaLight
-from dronevio.sim.appearance.solids import Box, Paint, parts_of, turn_z
+from dronevio.sim.appearance.solids import Box, Paint, parts_of
 from dronevio.sim.appearance.textures import Colour
 from dronevio.sim.appearance.things import Thing, one_thing
 
@@ -114,7 +115,7 @@ def sofa(rng: Random) -> Piece:
         tilted = block(0.0, 0.0, 0.0, 0.42, 0.12, 0.42, pillow)
         lean = np.array([[1.0, 0.0, 0.0], [0.0, 0.94, 0.34], [0.0, -0.34, 0.94]])
         position = np.array([s * rng.uniform(0.35, 0.6) * (0.5 * w), 0.37, 0.48])
-        boxes.append(tilted.moved(turn_z(rng.uniform(-0.3, 0.3)) @ lean, position))
+        boxes.append(tilted.moved(rotation_z(rng.uniform(-0.3, 0.3)) @ lean, position))
     return Piece(tuple(boxes), w, d, 0.86, picture_above=True)
 
 
@@ -125,7 +126,7 @@ def armchair(rng: Random) -> Piece:
     boxes = [block(0.0, 0.0, 0.1, 0.72, 0.7, 0.3, cloth), block(0.0, -0.28, 0.4, 0.72, 0.16, 0.48, cloth)]
     boxes += [block(s * 0.3, 0.04, 0.4, 0.12, 0.56, 0.2, cloth) for s in (-1, 1)]
     boxes += [block(sx * 0.3, sy * 0.29, 0.0, 0.05, 0.05, 0.1, cloth) for sx in (-1, 1) for sy in (-1, 1)]
-    R = turn_z(rng.uniform(-0.4, 0.4))
+    R = rotation_z(rng.uniform(-0.4, 0.4))
     return Piece(tuple(box.moved(R, np.array([0.0, 0.48, 0.0])) for box in boxes), 0.95, 0.94, 0.9, picture_above=True)
 
 
@@ -145,7 +146,7 @@ def dining_table(rng: Random) -> Piece:
     y = 0.5 * d + 0.06
     boxes = [block(0.0, y, 0.71, w, d, 0.04, paint), *_legs(w - 0.06, d - 0.06, 0.71, y, paint, 0.06)]
     for s in (-1, 1):
-        R = turn_z(-s * (0.5 * np.pi + rng.uniform(-0.25, 0.25)))
+        R = rotation_z(-s * (0.5 * np.pi + rng.uniform(-0.25, 0.25)))
         boxes += [box.moved(R, np.array([s * (0.5 * w + 0.16), y, 0.0])) for box in _chair(rng, chair)]
     cloth = partial(textures.fabric, colour=pick(rng, CLOTHS))
     boxes.append(block(0.0, y, 0.75, 0.36, d - 0.06, 0.006, cloth))
@@ -240,7 +241,7 @@ def cartons(rng: Random) -> Piece:
             w, d, h = rng.uniform(0.34, 0.5), rng.uniform(0.34, 0.5), rng.uniform(0.24, 0.4)
             paint = partial(textures.cardboard, colour=textures.vary(rng, (178, 138, 94), 0.08))
             box = block(0.0, 0.0, 0.0, w, d, h, paint)
-            boxes.append(box.moved(turn_z(rng.uniform(-0.12, 0.12)), np.array([x, 0.34, z])))
+            boxes.append(box.moved(rotation_z(rng.uniform(-0.12, 0.12)), np.array([x, 0.34, z])))
             z += h
         heights.append(z)
     return Piece(tuple(boxes), 1.12, 0.66, max(heights), picture_above=max(heights) < 0.9)
@@ -259,7 +260,7 @@ def plant(rng: Random) -> Piece:
         blade = Box(np.array([0.0, 0.5 * length, 0.0]), np.array([0.28 * length, 0.5 * length, 0.003]), leaf)
         pitch = rng.uniform(-0.3, 0.8)
         c, s = np.cos(pitch), np.sin(pitch)
-        R = turn_z(2.4 * k + rng.uniform(-0.3, 0.3)) @ np.array([[1.0, 0.0, 0.0], [0.0, c, -s], [0.0, s, c]])
+        R = rotation_z(2.4 * k + rng.uniform(-0.3, 0.3)) @ np.array([[1.0, 0.0, 0.0], [0.0, c, -s], [0.0, s, c]])
         boxes.append(blade.moved(R, np.array([0.0, 0.35, 0.4 + tall * (k + 1) / 26.0])))
     return Piece(tuple(boxes), 0.72, 0.72, 0.5 + tall)
 

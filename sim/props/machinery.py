@@ -11,10 +11,11 @@ from itertools import pairwise
 import numpy as np
 import numpy.typing as npt
 
+from dronevio.models.rotation import rotation_z
 from dronevio.sim.appearance import textures
 from dronevio.sim.appearance import textures_industrial as works
 from dronevio.sim.appearance.round import UNSEEN, filling, mantle
-from dronevio.sim.appearance.solids import Box, Paint, Sheet, parts_of, turn_z
+from dronevio.sim.appearance.solids import Box, Paint, Sheet, parts_of
 from dronevio.sim.appearance.textures import Colour, scaled, vary
 from dronevio.sim.appearance.things import Thing, one_thing
 
@@ -195,7 +196,7 @@ def crates(rng: Random) -> Kit:
     for _ in range(int(rng.integers(1, 4))):
         size = (rng.uniform(0.85, 1.25), rng.uniform(0.8, 1.1), rng.uniform(0.5, 0.85))
         box = block((0.0, 0.0, 0.0), size, partial(works.crate, colour=vary(rng, colour, 0.08), ppm=_PPM))
-        boxes.append(box.moved(turn_z(rng.uniform(-0.12, 0.12)), np.array([0.0, 0.0, z])))
+        boxes.append(box.moved(rotation_z(rng.uniform(-0.12, 0.12)), np.array([0.0, 0.0, z])))
         z += size[2]
     return kit_of(boxes)
 
@@ -212,7 +213,7 @@ def drums(rng: Random) -> Kit:
             )
             skin, lid = partial(works.drum, colour=colour, ppm=_PPM), partial(textures.plain, colour=colour)
             one = drumlike(0.29, 0.88, skin, lid, sides=12)
-            parts.append(one.moved(turn_z(rng.uniform(0.0, 6.0)), np.array([x, y, 0.12])))
+            parts.append(one.moved(rotation_z(rng.uniform(0.0, 6.0)), np.array([x, y, 0.12])))
     return kit_of([block((0.0, 0.0, 0.0), (1.3, 1.3, 0.12), wood)], parts)
 
 

@@ -9,12 +9,13 @@ from dataclasses import dataclass, replace
 import numpy as np
 import numpy.typing as npt
 
+from dronevio.models.rotation import rotation_z
 from dronevio.sim.appearance import textures
 from dronevio.sim.appearance import textures_nature as nature
 from dronevio.sim.appearance.cutouts import Cutouts, joined, spray
 from dronevio.sim.appearance.lightmap import Field
 from dronevio.sim.appearance.round import UNSEEN, filling, mantle
-from dronevio.sim.appearance.solids import Box, turn_z
+from dronevio.sim.appearance.solids import Box
 from dronevio.sim.appearance.textures import Colour, Image, scaled
 from dronevio.sim.appearance.things import Thing, one_thing
 
@@ -95,7 +96,7 @@ def tree(
 
 def _leaning(rng: Random) -> Array:
     """Return a rotation (3, 3) that tips what is upright by up to 2.5°."""
-    tip, toward = np.radians(rng.uniform(0.0, 2.5)), turn_z(rng.uniform(0.0, 2.0 * np.pi))
+    tip, toward = np.radians(rng.uniform(0.0, 2.5)), rotation_z(rng.uniform(0.0, 2.0 * np.pi))
     c, s = np.cos(tip), np.sin(tip)
     return np.asarray(toward @ np.array([[c, 0.0, s], [0.0, 1.0, 0.0], [-s, 0.0, c]]) @ toward.T)
 
@@ -142,7 +143,7 @@ def fern(rng: Random, fronds: int = 9) -> Plant:
         frond = np.array([[0.0, 0.0, 0.02], [0.55 * c, -width, s], [1.05 * c, 0.0, 0.8 * s], [0.55 * c, width, s]])
         cell = (int(rng.integers(0, 2 * TONES)) + np.array([[0.5], [0.9], [0.5], [0.1]])) / (2 * TONES)
         on_image = np.concatenate([cell, [[1.0], [0.5], [0.0], [0.5]]], axis=1)
-        turn = turn_z(2.0 * np.pi * (k + rng.uniform(-0.3, 0.3)) / fronds)
+        turn = rotation_z(2.0 * np.pi * (k + rng.uniform(-0.3, 0.3)) / fronds)
         parts.append(Cutouts(frond[None] @ turn.T, on_image[None]))
     top = joined(parts)
     return Plant((), (top, top.turned_over()), ())
@@ -166,7 +167,7 @@ def log(rng: Random, radius_m: float, length_m: float, kind: int) -> Plant:
     lie = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, 1.0], [0.0, -1.0, 0.0]])
     lift = np.array([0.0, 0.0, 0.85 * radius_m])
     whole = Plant((bark, joined(ends)), (), tuple(filling(radius_m, -0.5 * length_m, 0.5 * length_m, _SIDES)))
-    return whole.moved(lie, lift).moved(turn_z(rng.uniform(0.0, np.pi)), np.zeros(3))
+    return whole.moved(lie, lift).moved(rotation_z(rng.uniform(0.0, np.pi)), np.zeros(3))
 
 
 def boulder(rng: Random, half: Array) -> tuple[Array, Box]:

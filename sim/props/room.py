@@ -6,9 +6,10 @@ from functools import partial
 import numpy as np
 import numpy.typing as npt
 
+from dronevio.models.rotation import rotation_z
 from dronevio.sim.appearance import pictures, textures
 from dronevio.sim.appearance.lightmap import AreaLight
-from dronevio.sim.appearance.solids import Box, Face, Paint, enclosure, parts_of, turn_z
+from dronevio.sim.appearance.solids import Box, Face, Paint, enclosure, parts_of
 from dronevio.sim.appearance.textures import PIXELS_PER_M, Colour, Image, Pattern
 from dronevio.sim.appearance.things import Thing, one_thing
 from dronevio.sim.props.furniture import FURNITURE, METAL, WOODS, Piece, hung_picture, pick, room_door, window
@@ -62,7 +63,7 @@ def furnished_room(rng: Random) -> Room:
     placed: list[Piece] = []
     obstacles: list[Box] = []
     for wall, pieces in _assign(rng).items():
-        R = turn_z(_TURNS[wall])
+        R = rotation_z(_TURNS[wall])
         to_wall = 0.5 * np.abs(R @ SIZE_M)[1]
         for piece, along in _spread(rng, pieces, _USABLE_M[wall]):
             position = R @ np.array([along, -to_wall, 0.0])
@@ -147,7 +148,7 @@ def _pendant(rng: Random, x: float) -> Piece:
     bulb = np.array([x, rng.uniform(-0.5, 0.5), height])
     cord = 0.5 * (SIZE_M[2] - height)
     boxes = (
-        Box(bulb, np.array([0.21, 0.21, 0.12]), shade, R=turn_z(rng.uniform(0.0, 1.5)), glow=0.95),
+        Box(bulb, np.array([0.21, 0.21, 0.12]), shade, R=rotation_z(rng.uniform(0.0, 1.5)), glow=0.95),
         Box(bulb + np.array([0.0, 0.0, cord]), np.array([0.012, 0.012, cord]), metal),
     )
     ends = np.array([[0.1, 0.1, 0.0], [-0.1, -0.1, 0.0]])

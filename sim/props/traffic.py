@@ -7,7 +7,7 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
-from dronevio.models.rotation import pose_matrix
+from dronevio.models.rotation import pose_matrix, rotation_z
 from dronevio.sim.appearance import pictures, textures, textures_storage
 from dronevio.sim.appearance.solids import Box
 from dronevio.sim.appearance.textures import Colour, Image
@@ -99,9 +99,7 @@ class Swing:
         tilts = np.tile(np.eye(4), (len(angle), 1, 1))
         tilts[:, 1, 1] = tilts[:, 2, 2] = c
         tilts[:, 1, 2], tilts[:, 2, 1] = -s, s
-        h = self.heading_rad
-        R = np.array([[np.cos(h), -np.sin(h), 0.0], [np.sin(h), np.cos(h), 0.0], [0.0, 0.0, 1.0]])
-        return np.asarray(pose_matrix(R, np.array(self.pivot_m)) @ tilts)
+        return np.asarray(pose_matrix(rotation_z(self.heading_rad), np.array(self.pivot_m)) @ tilts)
 
 
 def person(rng: Random) -> tuple[Box, ...]:

@@ -10,8 +10,7 @@ import numpy.typing as npt
 from dronevio.models.camera import CameraModel
 from dronevio.models.errors import InputError
 from dronevio.models.progress import Progress, silent
-from dronevio.models.rotation import exp_so3
-from dronevio.sim.appearance.solids import turn_z
+from dronevio.models.rotation import exp_so3, rotation_z
 from dronevio.sim.appearance.textures import Image, to_image
 from dronevio.sim.cameras.camera import OffscreenCamera
 from dronevio.sim.world import WORLDS, World, build_world
@@ -41,7 +40,7 @@ def viewpoints(route: Array, count: int) -> Array:
     poses = poses_along(route, count)
     for number, T in enumerate(poses):
         aside = _GLANCE_RAD * (-1.0, 1.0, 0.0)[number % 3]
-        T[:3, :3] = turn_z(aside) @ T[:3, :3] @ exp_so3(np.array([-_DOWN_RAD, 0.0, 0.0]))
+        T[:3, :3] = rotation_z(aside) @ T[:3, :3] @ exp_so3(np.array([-_DOWN_RAD, 0.0, 0.0]))
     return poses
 
 

@@ -10,8 +10,9 @@ from itertools import pairwise
 import numpy as np
 import numpy.typing as npt
 
+from dronevio.models.rotation import rotation_z
 from dronevio.sim.appearance import textures, textures_building
-from dronevio.sim.appearance.solids import Box, Face, Paint, parts_of, turn_z
+from dronevio.sim.appearance.solids import Box, Face, Paint, parts_of
 from dronevio.sim.appearance.textures import Colour
 from dronevio.sim.appearance.things import Thing
 from dronevio.sim.props.building import (
@@ -243,7 +244,7 @@ def _portals(rng: Random) -> list[Piece]:
         boxes = [block(0.0, 0.0, 2.52, width, 0.22, HIGH_M[2] - 2.52, steel)]
         boxes += [block(s * (0.5 * width - 0.06), 0.0, 0.0, 0.12, 0.22, 2.52, steel) for s in (-1, 1)]
         lit = Box(np.array([0.0, 0.13, 2.7]), np.array([0.24, 0.02, 0.1]), dark, sign, glow=0.9)
-        boxes += [lit, lit.moved(turn_z(np.pi), np.zeros(3))]
+        boxes += [lit, lit.moved(rotation_z(np.pi), np.zeros(3))]
         portals.append(wall.put(Piece(tuple(boxes), width, 0.22, HIGH_M[2]).called("portal"), 0.0))
     return portals
 

@@ -7,10 +7,11 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
+from dronevio.models.rotation import rotation_z
 from dronevio.sim.appearance import pictures, textures
 from dronevio.sim.appearance import textures_nature as nature
 from dronevio.sim.appearance.cutouts import Print
-from dronevio.sim.appearance.solids import Box, Sheet, turn_z
+from dronevio.sim.appearance.solids import Box, Sheet
 from dronevio.sim.appearance.textures import Colour, Image, scaled
 from dronevio.sim.appearance.things import Thing
 from dronevio.sim.props import plants
@@ -169,7 +170,7 @@ def _undergrowth(
         inside = bool(np.all(np.abs(place) < _HIGH[:2] - 0.9))
         kind = rng.random()
         at = np.array([*place, 0.0])
-        R = turn_z(rng.uniform(0.0, 2.0 * np.pi))
+        R = rotation_z(rng.uniform(0.0, 2.0 * np.pi))
         if not inside or off < _LOOSE_M + 0.8:
             if rng.random() < 0.75 and np.any(np.abs(place) > _HIGH[:2] - 2.0):
                 found.append(plants.fern(rng).moved(R, at))

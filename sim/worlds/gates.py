@@ -7,12 +7,13 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
+from dronevio.models.rotation import rotation_z
 from dronevio.sim.appearance import pictures, textures
 from dronevio.sim.appearance import textures_nature as nature
 from dronevio.sim.appearance import textures_race as race
 from dronevio.sim.appearance.cutouts import Print
 from dronevio.sim.appearance.lightmap import AreaLight
-from dronevio.sim.appearance.solids import Box, Paint, Sheet, parts_of, turn_z
+from dronevio.sim.appearance.solids import Box, Paint, Sheet, parts_of
 from dronevio.sim.appearance.textures import Colour, Image, scaled
 from dronevio.sim.appearance.things import Thing
 from dronevio.sim.props import fairground, plants
@@ -157,7 +158,7 @@ def _course(rng: Random) -> list[_Gate]:
 
 def _placed(gate: _Gate, boxes: list[Box]) -> tuple[Box, ...]:
     """Return boxes of a gate's own frame (y where it is flown, the opening's middle at the origin) in the world."""
-    R = turn_z(gate.heading_rad - 0.5 * np.pi)
+    R = rotation_z(gate.heading_rad - 0.5 * np.pi)
     return parts_of(Thing("gate"), [box.moved(R, gate.middle) for box in boxes])
 
 
@@ -219,7 +220,7 @@ def _beside(rng: Random, route: Array, gates: list[_Gate]) -> list[Box]:
     apart = np.linalg.norm(places[:, None] - taken, axis=2).min(axis=1)
     in_infield = np.all(np.abs(places) < _FREE_BOX_M[1, :2] + 0.9, axis=1)
     for place in places[(away > _LOOSE_M) & (apart > 2.6) & ~in_infield][:34]:
-        at, R = np.array([*place, 0.0]), turn_z(rng.uniform(0.0, 2.0 * np.pi))
+        at, R = np.array([*place, 0.0]), rotation_z(rng.uniform(0.0, 2.0 * np.pi))
         parts = fairground.flag(rng) if rng.random() < 0.5 else fairground.bales(rng)
         boxes += [box.moved(R, at) for box in parts]
     return boxes

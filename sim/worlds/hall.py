@@ -8,12 +8,13 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
+from dronevio.models.rotation import rotation_z
 from dronevio.sim.appearance import pictures
 from dronevio.sim.appearance import textures_building as building
 from dronevio.sim.appearance import textures_industrial as works
 from dronevio.sim.appearance import textures_nature as nature
 from dronevio.sim.appearance.lightmap import AreaLight
-from dronevio.sim.appearance.solids import Box, Face, Surface, enclosure, parts_of, turn_z
+from dronevio.sim.appearance.solids import Box, Face, Surface, enclosure, parts_of
 from dronevio.sim.appearance.textures import Colour, Image, scaled, vary
 from dronevio.sim.appearance.things import Thing
 from dronevio.sim.props import machinery
@@ -157,11 +158,11 @@ def _machines(rng: Random) -> list[Kit]:
     left = -6.3
     for w in widths:
         made = machinery.machine(rng, float(w), rng.uniform(1.7, 2.2), rng.uniform(1.9, 2.9))
-        found.append(made.moved(turn_z(np.pi), np.array([left + 0.5 * w, 5.4 + rng.uniform(-0.15, 0.15), 0.0])))
+        found.append(made.moved(rotation_z(np.pi), np.array([left + 0.5 * w, 5.4 + rng.uniform(-0.15, 0.15), 0.0])))
         left += w + 0.8
-    found.append(machinery.turbine(rng).moved(turn_z(float(rng.choice([0.0, np.pi]))), np.array([10.0, 0.0, 0.0])))
-    found += [machinery.cabinet(rng).moved(turn_z(np.pi), np.array([x, 7.6, 0.0])) for x in (8.6, 9.8, -9.4)]
-    found.append(machinery.cabinet(rng).moved(turn_z(0.5 * np.pi), np.array([13.6, -5.4, 0.0])))
+    found.append(machinery.turbine(rng).moved(rotation_z(float(rng.choice([0.0, np.pi]))), np.array([10.0, 0.0, 0.0])))
+    found += [machinery.cabinet(rng).moved(rotation_z(np.pi), np.array([x, 7.6, 0.0])) for x in (8.6, 9.8, -9.4)]
+    found.append(machinery.cabinet(rng).moved(rotation_z(0.5 * np.pi), np.array([13.6, -5.4, 0.0])))
     return found
 
 
@@ -186,10 +187,10 @@ def _stores(rng: Random) -> list[Kit]:
     for y in (-5.6, -3.8, -2.6, 2.8, 4.6):
         make = machinery.crates if rng.random() < 0.62 else machinery.drums
         where = np.array([-12.4 + rng.uniform(-0.2, 0.3), y + rng.uniform(-0.1, 0.1), 0.0])
-        found.append(make(rng).moved(turn_z(rng.uniform(-0.15, 0.15)), where))
+        found.append(make(rng).moved(rotation_z(rng.uniform(-0.15, 0.15)), where))
     for x, y in ((-12.6, 6.6), (12.7, 6.8), (11.0, 6.8), (12.8, -6.9)):
         make = machinery.crates if rng.random() < 0.5 else machinery.drums
-        found.append(make(rng).moved(turn_z(rng.uniform(-0.2, 0.2)), np.array([x, y, 0.0])))
+        found.append(make(rng).moved(rotation_z(rng.uniform(-0.2, 0.2)), np.array([x, y, 0.0])))
     return found
 
 
@@ -244,7 +245,7 @@ def _windows(rng: Random) -> tuple[list[Box], list[Box], list[AreaLight]]:
     for s in (-1.0, 1.0):
         for x in bays:
             middle = np.array([x, s * (_HALF_M[1] - 0.03), 6.1])
-            R = turn_z(0.0 if s < 0.0 else np.pi)
+            R = rotation_z(0.0 if s < 0.0 else np.pi)
             half = np.array([1.75, 0.03, 0.85])
             glow = 0.97 if s == bright else 0.86
             glass.append(Box(middle, half, frame, works.panes, R, glow, 72.0, Thing("window")))
@@ -277,7 +278,7 @@ def _on_walls(rng: Random) -> list[Box]:
         side = 1.0 if east else -1.0
         middle = np.array([side * (_HALF_M[0] - 0.03), y, z])
         half = np.array([0.5 * wide, 0.03, 0.5 * high])
-        R = turn_z(side * 0.5 * np.pi)
+        R = rotation_z(side * 0.5 * np.pi)
         boxes.append(Box(middle, half, frame, paint, R, pixels_per_m=96.0, thing=Thing(kind)))
     return boxes
 

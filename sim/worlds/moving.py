@@ -6,8 +6,9 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
+from dronevio.models.rotation import rotation_z
 from dronevio.sim.appearance import textures, textures_building
-from dronevio.sim.appearance.solids import Box, turn_z
+from dronevio.sim.appearance.solids import Box
 from dronevio.sim.appearance.textures import Colour, Image, scaled
 from dronevio.sim.props.building import ceiling_lamp, coarse, hall_faces, landing_mat, room_walls, shading, stand_along
 from dronevio.sim.props.furniture import METAL, Piece, pick
@@ -106,7 +107,7 @@ def _lanes() -> tuple[Box, ...]:
     drop = _BANNER_M[1] + 0.4
     for x, y, heading in _banner_places():
         size = np.array([0.5 * _BANNER_M[0] + 0.1, drop * np.sin(_BANNER_SWING_RAD) + 0.1, 0.5 * drop])
-        turned = Box(np.zeros(3), size, grey).moved(turn_z(heading), np.array([x, y, _BANNER_TOP_M - size[2]]))
+        turned = Box(np.zeros(3), size, grey).moved(rotation_z(heading), np.array([x, y, _BANNER_TOP_M - size[2]]))
         boxes.append(turned)
     return tuple(boxes)
 

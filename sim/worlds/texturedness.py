@@ -8,8 +8,7 @@ import numpy.typing as npt
 
 from dronevio.models.camera import CameraModel
 from dronevio.models.rig import EUROC_CAM0
-from dronevio.models.rotation import exp_so3, pose_matrix
-from dronevio.sim.appearance.solids import turn_z
+from dronevio.models.rotation import exp_so3, pose_matrix, rotation_z
 from dronevio.sim.cameras.camera import OffscreenCamera
 from dronevio.sim.world import World
 
@@ -75,7 +74,7 @@ def poses_along(route: Array, count: int, rng: np.random.Generator | None = None
     poses = []
     for position, way in zip(positions, legs[leg], strict=True):
         turn, tilt = (0.0, np.zeros(3)) if rng is None else (_TURN_RAD * rng.standard_normal(), rng.standard_normal(3))
-        heading = turn_z(float(np.arctan2(way[1], way[0])) + turn)
+        heading = rotation_z(float(np.arctan2(way[1], way[0])) + turn)
         poses.append(pose_matrix(heading @ _R_LEVEL_CAM @ exp_so3(_TILT_RAD * tilt), position))
     return np.stack(poses)
 

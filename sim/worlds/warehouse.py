@@ -7,9 +7,10 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
+from dronevio.models.rotation import rotation_z
 from dronevio.sim.appearance import textures, textures_building, textures_storage
 from dronevio.sim.appearance.lightmap import AreaLight
-from dronevio.sim.appearance.solids import Box, Surface, turn_z
+from dronevio.sim.appearance.solids import Box, Surface
 from dronevio.sim.appearance.textures import Image
 from dronevio.sim.appearance.things import one_thing
 from dronevio.sim.props.building import ceiling_lamp, coarse, hall_faces, landing_mat, room_walls
@@ -44,9 +45,9 @@ def layout(rng: Random) -> Layout:
     shading: list[Box] = []
     for y, turn in _RACKS:
         place = np.array([_RACK_X_M, y, 0.0])
-        pieces.append(rack(_BAYS, _BAY_M, _DEPTH_M, _LEVELS_M, _HEIGHT_M).moved(turn_z(turn), place))
-        shell += _goods(rng, stock, turn_z(turn), place)
-        shading += _shelves(turn_z(turn), place)
+        pieces.append(rack(_BAYS, _BAY_M, _DEPTH_M, _LEVELS_M, _HEIGHT_M).moved(rotation_z(turn), place))
+        shell += _goods(rng, stock, rotation_z(turn), place)
+        shading += _shelves(rotation_z(turn), place)
     obstacles = _rack_hulls()
     _loading_area(rng, stock, pieces, obstacles, shell)
     _roof(pieces, obstacles)
@@ -133,7 +134,7 @@ def _goods(rng: Random, stock: Stock, R: Array, back: Array) -> list[Surface]:
         for x in (np.arange(2 * _BAYS) + 0.5) * 0.5 * _BAY_M - 0.5 * _BAYS * _BAY_M:
             if rng.random() > _EMPTY:
                 inside = np.array([x + rng.uniform(-0.02, 0.02), 0.54 + rng.uniform(-0.03, 0.03), level])
-                turned = R @ turn_z(rng.uniform(-0.02, 0.02))
+                turned = R @ rotation_z(rng.uniform(-0.02, 0.02))
                 faces += loaded_pallet(rng, stock, turned, R @ inside + back, float(room))[0]
     return faces
 
@@ -184,7 +185,7 @@ def _loading_area(rng: Random, stock: Stock, pieces: list[Piece], obstacles: lis
         pieces += [east.put(board(rng) if x in _AISLES_M else posters(rng), x), east.put(_louvre(), x + 0.6)]
     for x, y in ((-11.2, 7.2), (-9.9, 7.25), (-7.0, 7.2), (-5.4, 7.3), (-7.6, -7.3), (-5.6, -7.2)):
         tall = 0.0
-        R = turn_z((0.0 if y < 0.0 else np.pi) + rng.uniform(-0.08, 0.08))
+        R = rotation_z((0.0 if y < 0.0 else np.pi) + rng.uniform(-0.08, 0.08))
         for _ in range(int(rng.integers(1, 3))):
             faces, height = loaded_pallet(rng, stock, R, np.array([x, y, tall]), 1.25)
             shell += faces
@@ -208,7 +209,7 @@ def _roof(pieces: list[Piece], obstacles: list[Box]) -> None:
     grey = partial(textures.plain, colour=METAL)
     for x in (-9.6, -4.8, 0.0, 4.8, 9.6):
         place = np.array([x, 0.0, HIGH_M[2] - _TRUSS_M])
-        pieces.append(truss(float(HIGH_M[1] - LOW_M[1]), _TRUSS_M).moved(turn_z(0.5 * np.pi), place))
+        pieces.append(truss(float(HIGH_M[1] - LOW_M[1]), _TRUSS_M).moved(rotation_z(0.5 * np.pi), place))
         obstacles.append(Box(place + [0.0, 0.0, 0.5 * _TRUSS_M], np.array([0.06, 8.0, 0.5 * _TRUSS_M]), grey))
     for x in (-10.4, -7.2, -2.4, 2.4, 7.2):
         for y in _AISLES_M:
@@ -218,7 +219,8 @@ def _roof(pieces: list[Piece], obstacles: list[Box]) -> None:
             obstacles.append(Box(glass.centre + [0.0, 0.0, 0.3], glass.half + [0.0, 0.0, 0.3], grey))
     for letter, y in zip("ABC", _AISLES_M, strict=True):
         shown = partial(textures_storage.aisle_sign, letter=letter)
-        plate = Box(np.zeros(3), np.array([0.5, 0.02, 0.35]), shown).moved(turn_z(0.5 * np.pi), sign + [0.0, y, 0.0])
+        turn = rotation_z(0.5 * np.pi)
+        plate = Box(np.zeros(3), np.array([0.5, 0.02, 0.35]), shown).moved(turn, sign + [0.0, y, 0.0])
         rods = [
             Box(
                 sign + [0.0, y + s * 0.4, 0.5 * (HIGH_M[2] - sign[2])],

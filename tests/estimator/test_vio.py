@@ -8,12 +8,12 @@ import pytest
 
 from dronevio.estimator.config import VioConfig
 from dronevio.estimator.vio import VisualInertialOdometry
-from dronevio.eval.metrics.alignment import align, yaw_matrix
+from dronevio.eval.metrics.alignment import align
 from dronevio.eval.metrics.consistency import consistency, nees
 from dronevio.models.errors import ConfigError
 from dronevio.models.imu import ImuSamples
 from dronevio.models.protocols import Estimator, measurements
-from dronevio.models.rotation import exp_so3
+from dronevio.models.rotation import exp_so3, rotation_z
 from dronevio.models.state import Estimate, Health, Trajectory
 
 REST, AIR = 1.5, -5.0  # when the motion begins [s]
@@ -105,7 +105,7 @@ def anchored_at_start(flight: object, found: Trajectory, t_start_ns: int) -> tup
     truth = flight.truth_at(found.t_ns)
     R = np.einsum("nij,nkj->nik", truth.rotations, found.rotations)
     yaw = float(np.arctan2((R[:, 1, 0] - R[:, 0, 1]).sum(), (R[:, 0, 0] + R[:, 1, 1]).sum()))
-    turn = yaw_matrix(yaw)
+    turn = rotation_z(yaw)
     origin = flight.truth_at(np.array([t_start_ns])).p_world_imu[0]
     errors = truth.p_world_imu - origin - found.p_world_imu @ turn.T
     return errors, turn @ found.covariance[:, 3:6, 3:6] @ turn.T

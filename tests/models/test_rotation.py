@@ -16,8 +16,9 @@ from dronevio.models.rotation import (
     quat_wxyz_from_matrix,
     quat_wxyz_from_xyzw,
     quat_xyzw_from_wxyz,
+    rotation_z,
     skew,
-    slerp_quat_wxyz,
+    yaw_rad_from_matrix,
 )
 
 ANGLES_RAD = [0.0, 1e-12, 1e-8, 0.9e-7, 1.1e-7, 1e-6, 1e-4, 0.1, 1.0, 3.0, np.pi - 1e-3, np.pi - 1e-6]
@@ -86,15 +87,20 @@ def test_orders_are_reordered_and_back() -> None:
     np.testing.assert_array_equal(quat_wxyz_from_xyzw(quat_xyzw_from_wxyz(q)), q)
 
 
-@given(st.floats(0.0, 1.0), st.integers(0, 1000))
-@settings(max_examples=100, deadline=None)
-def test_interpolation_turns_evenly_along_the_shorter_arc(fraction: float, seed: int) -> None:
-    R0, R1 = Rotation.random(2, random_state=seed).as_matrix()
-    q0, q1 = quat_wxyz_from_matrix(R0), quat_wxyz_from_matrix(R1)
-    step = log_so3(R0.T @ matrix_from_quat_wxyz(slerp_quat_wxyz(q0, q1, np.array(fraction))))
-    np.testing.assert_allclose(step, fraction * log_so3(R0.T @ R1), atol=1e-9)
-    flipped = slerp_quat_wxyz(q0, -q1, np.array(fraction))
-    np.testing.assert_allclose(flipped, slerp_quat_wxyz(q0, q1, np.array(fraction)), atol=1e-12)
+def test_rotations_about_z_have_their_yaw() -> None:
+    yaw = np.array([[-3.0, -0.1, 0.0], [1e-9, 2.0, np.pi]])
+    R = rotation_z(yaw)
+    expected = Rotation.from_euler("z", yaw.reshape(-1, 1)).as_matrix().reshape(2, 3, 3, 3)
+    np.testing.assert_allclose(R, expected, atol=1e-15)
+    np.testing.assert_allclose(yaw_rad_from_matrix(R), yaw, rtol=1e-15)
+
+
+@given(vectors)
+@settings(max_examples=50, deadline=None)
+def test_yaw_is_that_of_the_nearest_rotation_about_z(phi: np.ndarray) -> None:
+    R = exp_so3(phi)
+    best = np.trace(rotation_z(yaw_rad_from_matrix(R)).T @ R)
+    assert best >= np.trace(rotation_z(np.linspace(-np.pi, np.pi, 721)).transpose(0, 2, 1) @ R, axis1=1, axis2=2).max()
 
 
 def test_poses_have_inverses() -> None:

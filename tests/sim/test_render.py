@@ -17,9 +17,8 @@ from dronevio.models.imu import ImuSamples
 from dronevio.models.recordings.euroc import INCOMPLETE, EurocRecording, write_euroc
 from dronevio.models.recordings.frame_truth import FRAME_TRUTH_FILE, read_frame_truth
 from dronevio.models.rig import Rig, RigCamera
-from dronevio.models.rotation import pose_matrix, quat_wxyz_from_matrix
+from dronevio.models.rotation import pose_matrix, quat_wxyz_from_matrix, rotation_z
 from dronevio.models.state import Trajectory
-from dronevio.sim.appearance.solids import turn_z
 from dronevio.sim.cameras.imaging import AutoExposure, FixedExposure, Imaging
 from dronevio.sim.cameras.schedule import FrameSchedule, beat, schedule_frames
 from dronevio.sim.rendering.render import render
@@ -34,7 +33,7 @@ START_NS = 1_403_715_273_262_142_976  # as a real recording's
 def turning(stamps_ns: np.ndarray) -> Trajectory:
     """Return a drone that looks around in a room; its body frame is the camera's."""
     s = (stamps_ns - stamps_ns[0]) * 1e-9
-    R = np.stack([turn_z(6.0 * t) @ R_LEVEL for t in s])
+    R = np.stack([rotation_z(6.0 * t) @ R_LEVEL for t in s])
     p = np.stack([4.0 * s - 0.5, 0.0 * s + 0.1, 0.0 * s + 1.2], axis=1)
     return Trajectory(stamps_ns, p, quat_wxyz_from_matrix(R))
 
@@ -71,7 +70,7 @@ def small_world(monkeypatch: pytest.MonkeyPatch) -> SimpleNamespace:
             name=f"pillar_{k}",
             type=mujoco.mjtGeom.mjGEOM_BOX,
             size=[0.2, 0.2, rng.uniform(0.2, 2.0)],
-            pos=turn_z(rng.uniform(0.0, 6.3)) @ [rng.uniform(2.0, 6.0), 0.0, rng.uniform(0.0, 2.0)],
+            pos=rotation_z(rng.uniform(0.0, 6.3)) @ [rng.uniform(2.0, 6.0), 0.0, rng.uniform(0.0, 2.0)],
             material=glow.name,
         )
     spec.stat.extent = 10.0

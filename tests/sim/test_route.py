@@ -6,7 +6,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from dronevio.models.errors import ConfigError
-from dronevio.sim.appearance.solids import turn_z
+from dronevio.models.rotation import rotation_z
 from dronevio.sim.paths.limits import LIMITS
 from dronevio.sim.paths.route import clear_curve, clear_polyline, leg_clearances
 from dronevio.sim.paths.snap import minimum_snap
@@ -23,7 +23,7 @@ def hall(*boxes: tuple[list[float], list[float]], turn: float = 0.0) -> Space:
         np.array([10.0, 6.0, 4.0]),
         np.array([middle for middle, _ in boxes]).reshape(-1, 3),
         np.array([half for _, half in boxes]).reshape(-1, 3),
-        np.tile(turn_z(turn), (len(boxes), 1, 1)),
+        np.tile(rotation_z(turn), (len(boxes), 1, 1)),
     )
 
 

@@ -7,7 +7,7 @@ import pytest
 
 from dronevio.models.errors import ConfigError
 from dronevio.models.imu import GRAVITY_M_S2
-from dronevio.sim.appearance.solids import turn_z
+from dronevio.models.rotation import rotation_z
 from dronevio.sim.paths.limits import LIMITS, Limits
 from dronevio.sim.paths.path import Reference, attitude, plan_reference
 from dronevio.sim.paths.plan import FlightPlan
@@ -31,7 +31,7 @@ def hall(*boxes: tuple[list[float], list[float]]) -> Place:
         np.array([10.0, 6.0, 5.0]),
         np.array([middle for middle, _ in boxes]).reshape(-1, 3),
         np.array([half for _, half in boxes]).reshape(-1, 3),
-        np.tile(turn_z(0.0), (len(boxes), 1, 1)),
+        np.tile(rotation_z(0.0), (len(boxes), 1, 1)),
     )
     free_box = np.array([[-4.0, -4.0, 0.0], [4.0, 4.0, 4.0]])
     route = np.array([[0.0, 0.0, 1.3], [8.0, -4.0, 2.0], [8.0, 4.0, 3.0], [-8.0, 4.0, 2.0], [-8.0, -4.0, 1.0]])

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from dronevio.sim.appearance.solids import turn_z
+from dronevio.models.rotation import rotation_z
 from dronevio.sim.paths.space import Space
 from dronevio.sim.world import build_world
 
@@ -14,7 +14,7 @@ def _hall(*boxes: tuple[list[float], list[float], float]) -> Space:
         np.array([5.0, 5.0, 4.0]),
         np.array([box[0] for box in boxes]).reshape(-1, 3),
         np.array([box[1] for box in boxes]).reshape(-1, 3),
-        np.array([turn_z(box[2]) for box in boxes]).reshape(-1, 3, 3),
+        np.array([rotation_z(box[2]) for box in boxes]).reshape(-1, 3, 3),
     )
 
 

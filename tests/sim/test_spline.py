@@ -7,9 +7,8 @@ from hypothesis import strategies as st
 
 from dronevio.models.errors import ConfigError
 from dronevio.models.imu import GRAVITY_M_S2
-from dronevio.models.rotation import exp_so3, quat_wxyz_from_matrix
+from dronevio.models.rotation import exp_so3, quat_wxyz_from_matrix, rotation_z
 from dronevio.models.state import Trajectory
-from dronevio.sim.appearance.solids import turn_z
 from dronevio.sim.paths.spline import SmoothMotion
 
 RADIUS_M, TURN_RAD_S = 2.0, 1.5
@@ -19,7 +18,7 @@ def _circle(t_ns: np.ndarray) -> Trajectory:
     """A level circle flown nose first."""
     angle = TURN_RAD_S * (t_ns - t_ns[0]) * 1e-9
     p = np.column_stack([RADIUS_M * np.cos(angle), RADIUS_M * np.sin(angle), np.full(len(t_ns), 1.0)])
-    R = np.stack([turn_z(a + 0.5 * np.pi) for a in angle])
+    R = np.stack([rotation_z(a + 0.5 * np.pi) for a in angle])
     return Trajectory(t_ns, p, quat_wxyz_from_matrix(R))
 
 

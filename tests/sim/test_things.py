@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 
 from dronevio.models.camera import CameraModel
-from dronevio.models.rotation import pose_matrix
-from dronevio.sim.appearance.solids import Box, turn_z
+from dronevio.models.rotation import pose_matrix, rotation_z
+from dronevio.sim.appearance.solids import Box
 from dronevio.sim.appearance.textures import plain
 from dronevio.sim.appearance.things import Thing, names_of, one_thing
 from dronevio.sim.cameras.camera import OffscreenCamera
@@ -36,7 +36,7 @@ def test_each_piece_that_is_made_is_a_thing_of_its_own() -> None:
         box = Box(np.zeros(3), np.ones(3), partial(plain, colour=(9.0, 9.0, 9.0)), thing=Thing("leg"))
         return Piece((box, box), 1.0, 1.0, 1.0)
 
-    first, second = (_stool().moved(turn_z(1.0), np.ones(3)).boxes for _ in range(2))
+    first, second = (_stool().moved(rotation_z(1.0), np.ones(3)).boxes for _ in range(2))
     assert first[0].thing is first[1].thing is not second[0].thing
     assert first[0].thing.kind == "stool"
     assert {face.thing for face in first[0].faces()} == {first[0].thing}
@@ -91,7 +91,7 @@ def test_a_gate_has_the_number_by_which_it_is_flown() -> None:
     with OffscreenCamera(things_of("gates", 3).compile(), EYE) as eye:
         for number, (before, behind) in enumerate(route[1:].reshape(-1, 2, 3), 1):
             way = behind - before
-            T = pose_matrix(turn_z(float(np.arctan2(way[1], way[0]))) @ R_LEVEL, before)
+            T = pose_matrix(rotation_z(float(np.arctan2(way[1], way[0]))) @ R_LEVEL, before)
             seen = eye.render_surfaces(T)
             nearest = seen.geom[np.isfinite(seen.depth_m) & (np.abs(seen.depth_m - 1.7) < 0.3)]
             assert eye.geom_names[np.bincount(nearest).argmax()] == f"gate_{number}"

@@ -13,12 +13,16 @@ from scipy.stats import chi2
 import dronevio.eval
 from dronevio.eval import align, anees, ate, estimate_time_offset_s, nees, nees_bounds, rpe, running_scores, score
 from dronevio.eval.metrics import Alignment, associate, interpolate
-from dronevio.eval.metrics.alignment import yaw_matrix
-from dronevio.eval.metrics.chi_square import chi_square_below, chi_square_quantile
 from dronevio.eval.metrics.consistency import inside_percent
 from dronevio.eval.run import EstimatorRun
 from dronevio.models.errors import ConfigError, EvaluationError
-from dronevio.models.rotation import exp_so3, matrix_from_quat_wxyz, nearest_rotations, quat_wxyz_from_matrix
+from dronevio.models.rotation import (
+    exp_so3,
+    matrix_from_quat_wxyz,
+    nearest_rotations,
+    quat_wxyz_from_matrix,
+    rotation_z,
+)
 from dronevio.models.state import Health, Trajectory
 
 seeds = st.integers(0, 2**32 - 1)
@@ -60,7 +64,7 @@ def test_only_the_first_poses_are_aligned() -> None:
     """A path that is right for half of its time, and then shifted."""
     truth = flight()
     shift = np.where(np.arange(400)[:, None] < 200, 0.0, [1.0, 0.0, 0.0])
-    estimate = Alignment(yaw_matrix(1.0), np.array([1.0, 2.0, 3.0])).apply(
+    estimate = Alignment(rotation_z(1.0), np.array([1.0, 2.0, 3.0])).apply(
         replace(truth, p_world_imu=truth.p_world_imu + shift)
     )
     for mode in ("yaw", "se3", "sim3"):
@@ -88,11 +92,20 @@ def test_refuses_alignments_that_make_no_sense() -> None:
 
 
 @settings(max_examples=200, deadline=None)
-@given(st.floats(1e-6, 1 - 1e-6), st.integers(1, 20_000))
-def test_chi_square_is_that_of_scipy(probability: float, degrees: int) -> None:
-    x = chi_square_quantile(probability, degrees)
-    assert x == pytest.approx(chi2.ppf(probability, degrees), rel=1e-9)
-    assert chi_square_below(x, degrees) == pytest.approx(probability, rel=1e-9)
+@given(st.floats(1e-6, 1 - 1e-6), st.integers(1, 6), st.integers(1, 2000))
+def test_bounds_of_the_nees_leave_equal_tails(probability: float, degrees: int, runs: int) -> None:
+    low, high = nees_bounds(degrees, runs, probability)
+    tail = 0.5 * (1.0 - probability)
+    assert chi2.cdf(low * runs, degrees * runs) == pytest.approx(tail, rel=1e-9)
+    assert chi2.sf(high * runs, degrees * runs) == pytest.approx(tail, rel=1e-9)
+
+
+@given(st.floats(1e-6, 1 - 1e-6))
+def test_bounds_of_the_nees_in_closed_form(probability: float) -> None:
+    """With two degrees of freedom, χ² is exponential: P(x > a) = exp(−a / 2)."""
+    tail = 0.5 * (1.0 - probability)
+    expected = -2.0 * np.log1p(-tail), -2.0 * np.log(tail)
+    assert nees_bounds(2, 1, probability) == pytest.approx(expected, rel=1e-9)
 
 
 def test_bounds_of_the_nees_are_those_of_the_books() -> None:
@@ -125,7 +138,7 @@ def test_nees_averaged_over_runs(claimed: float, inside: float | None) -> None:
 def test_a_time_offset_is_found_if_it_is_asked_for(seed: int, offset_s: float) -> None:
     truth = flight(seed)
     noise = np.random.default_rng(seed).normal(0.0, 0.01, (400, 3))
-    moved = Alignment(yaw_matrix(0.7), np.array([1.0, -2.0, 3.0])).apply(
+    moved = Alignment(rotation_z(0.7), np.array([1.0, -2.0, 3.0])).apply(
         replace(truth, p_world_imu=truth.p_world_imu + noise, t_ns=truth.t_ns - round(offset_s * 1e9))
     )
     found = estimate_time_offset_s(truth, moved)
@@ -160,7 +173,7 @@ def test_velocities_and_biases_are_scored_where_both_have_them() -> None:
         gyro_bias_rad_s=truth.gyro_bias_rad_s + [0.0, 0.0, 1e-3],
         accel_bias_m_s2=truth.accel_bias_m_s2 + [0.1, 0.0, 0.0],
     )
-    scores = score(truth, Alignment(yaw_matrix(2.0), np.array([1.0, 2.0, 3.0])).apply(wrong))
+    scores = score(truth, Alignment(rotation_z(2.0), np.array([1.0, 2.0, 3.0])).apply(wrong))
     assert scores.velocity_m_s is not None and scores.velocity_m_s.rmse == pytest.approx(0.5)
     assert scores.gyro_bias_rad_s is not None and scores.gyro_bias_rad_s.mean == pytest.approx(1e-3)
     assert scores.accel_bias_m_s2 is not None and scores.accel_bias_m_s2.max == pytest.approx(0.1)
@@ -268,3 +281,15 @@ def test_the_public_names_exist_and_are_imported_lazily() -> None:
     ).stdout.split()
     assert before == "False" and "numpy" in loaded
     assert not {"scipy", "cv2", "mujoco", "gtsam", "rerun", "matplotlib", "gymnasium", "tyro", "rich"} & set(loaded)
+
+
+def test_bounds_of_the_nees_need_no_more_than_scipy_special() -> None:
+    code = (
+        "import sys; from dronevio.eval import nees_bounds; before = 'scipy' in sys.modules; nees_bounds(3);"
+        "print(before, *sorted({'.'.join(name.split('.')[:2]) for name in sys.modules if name.startswith('scipy.')}))"
+    )
+    before, *loaded = subprocess.run(
+        [sys.executable, "-c", code], capture_output=True, text=True, check=True
+    ).stdout.split()
+    assert before == "False" and "scipy.special" in loaded
+    assert not {"scipy.stats", "scipy.optimize", "scipy.linalg", "scipy.sparse"} & set(loaded)

@@ -10,9 +10,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from dronevio.eval.metrics import Alignment, PairRule, coverage_percent, scale_error_percent, score, score_trajectory
-from dronevio.eval.metrics.alignment import yaw_matrix
 from dronevio.models.errors import ConfigError, EvaluationError
-from dronevio.models.rotation import exp_so3, quat_wxyz_from_matrix
+from dronevio.models.rotation import exp_so3, quat_wxyz_from_matrix, rotation_z
 from dronevio.models.state import Trajectory
 
 START_NS = 1403715273262142976
@@ -37,7 +36,7 @@ def test_a_perfect_estimate_in_a_world_of_its_own_has_no_error(
     yaw: float, t: tuple[float, float, float], mode: str
 ) -> None:
     truth = truth_at_200_hz()
-    estimate = Alignment(yaw_matrix(yaw), np.array(t)).apply(truth[::10])
+    estimate = Alignment(rotation_z(yaw), np.array(t)).apply(truth[::10])
     scores = score(truth, estimate, truth.t_ns[::10], mode)  # type: ignore[arg-type]
     assert scores.ate_m.max < 1e-8 and scores.ate_deg.max < 1e-6
     assert scores.rpe_m is not None and scores.rpe_m.max < 1e-8

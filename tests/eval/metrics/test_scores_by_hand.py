@@ -7,9 +7,8 @@ import numpy.typing as npt
 import pytest
 
 from dronevio.eval.metrics import PairRule, errors_by_length, rpe, score, score_trajectory
-from dronevio.eval.metrics.alignment import yaw_matrix
 from dronevio.eval.metrics.lengths import drifts_m
-from dronevio.models.rotation import exp_so3, quat_wxyz_from_matrix
+from dronevio.models.rotation import exp_so3, quat_wxyz_from_matrix, rotation_z
 from dronevio.models.state import Trajectory
 
 Array = npt.NDArray[np.float64]
@@ -49,7 +48,7 @@ def test_yaw_alignment_does_not_remove_a_tilt() -> None:
     scores = score(trajectory(square), tilted)
     assert scores.alignment == "yaw"
     assert (scores.ate_m.min, scores.ate_m.max, scores.ate_deg.min, scores.ate_deg.max) == pytest.approx((1, 1, 60, 60))
-    turned = replace(tilted, p_world_imu=tilted.p_world_imu @ yaw_matrix(0.7).T + [4.0, 5.0, 6.0])
+    turned = replace(tilted, p_world_imu=tilted.p_world_imu @ rotation_z(0.7).T + [4.0, 5.0, 6.0])
     assert score(trajectory(square), turned).ate_m.rmse == pytest.approx(1.0)
     best = score(trajectory(square), tilted, alignment="se3")
     assert best.ate_m.max == pytest.approx(0.0, abs=1e-12)
@@ -134,7 +133,7 @@ def test_consistency_by_hand() -> None:
     p_truth = np.array([[0.0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 1]])
     error_m = np.array([[0.0, 0, 0], [0.4, 0, 0], [0, -0.2, 0], [0, 0, 1.25]])
     error_rad = np.array([[0.0, 0, 0], [0.05, 0, 0], [0, -0.05, 0], [0, 0, 0.2]])
-    R = yaw_matrix(-np.pi / 2.0)  # maps the estimate's world into the true one
+    R = rotation_z(-np.pi / 2.0)  # maps the estimate's world into the true one
     phi = np.array([[0.0, 0, 0], [0.3, 0, 0], [0, 0.3, 0], [0, 0, 0.3]])
     R_estimate = R.T @ exp_so3(phi) @ np.swapaxes(exp_so3(error_rad), -1, -2)  # truth = R · estimate · exp(δθ)
     sigmas = np.r_[[0.01, 0.02, 0.04], [0.2, 0.1, 0.5], np.full(9, 100.0)]
