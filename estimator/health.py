@@ -118,7 +118,7 @@ class HealthMonitor:
         bias = np.concatenate([predicted.gyro_bias_rad_s, predicted.accel_bias_m_s2])
         bias_sigmas = float((np.abs(bias) / self._bias_sigmas).max())
         enough = len(rows) >= self._config.min_landmarks
-        blind_s = self._blind(predicted.t_ns, enough or still, position_sigma_m)
+        inertial_only_s = self._blind(predicted.t_ns, enough or still, position_sigma_m)
         allowed_px = self._config.max_innovation_px + self._turned_px(predicted)
         contradicted_s = self._contradicted(predicted.t_ns, enough and innovation_px > allowed_px)
         if self._lost is None:
@@ -129,7 +129,7 @@ class HealthMonitor:
             state, reason = Health.TRACKING, f"{len(rows)} landmarks hold it"
         elif still:
             state, reason = Health.TRACKING, "the drone stands still"
-        elif len(seen) >= self._config.min_landmarks and blind_s <= self._config.settling_s:
+        elif len(seen) >= self._config.min_landmarks and inertial_only_s <= self._config.settling_s:
             state, reason = Health.TRACKING, "features are followed, and will soon be landmarks"
         else:
             found = f"{len(rows)} landmarks hold it; {self._config.min_landmarks} are needed"
@@ -145,7 +145,7 @@ class HealthMonitor:
             bias_sigmas=bias_sigmas,
             position_sigma_m=position_sigma_m,
             velocity_sigma_m_s=velocity_sigma_m_s,
-            blind_s=blind_s,
+            inertial_only_s=inertial_only_s,
         )
 
     def _innovation(self, rows: Rows, seen: Observations, places: Rows, predicted: NavState) -> tuple[float, float]:

@@ -101,7 +101,7 @@ class HealthReport:
     """Standard deviation of the position, along the worst axis [m]."""
     velocity_sigma_m_s: float | None = None
     """Standard deviation of the velocity, along the worst axis [m/s]."""
-    blind_s: float = 0.0
+    inertial_only_s: float = 0.0
     """For how long nothing but the IMU has held the estimate [s]."""
 
 

@@ -1,6 +1,7 @@
-"""Dead reckoning: the IMU alone, from a start at rest. What a camera has to beat."""
+"""Dead reckoning: integration of the IMU alone after a static initialization, the lower bound for any odometry."""
 
 from collections import deque
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -23,104 +24,134 @@ _GRAVITY_WORLD = np.array([0.0, 0.0, -GRAVITY_M_S2])
 class DeadReckoningConfig:
     """Settings of the dead reckoning."""
 
-    rest_s: float = 0.8
-    """How long the drone must stand still for the start [s]."""
-    max_gyro_spread_rad_s: float = 0.05
-    """Largest standard deviation of the angular velocity at rest, any axis [rad/s]; EuRoC's noise is 0.0024."""
-    max_accel_spread_m_s2: float = 0.5
-    """Largest standard deviation of the specific force at rest, any axis [m/s²]; EuRoC's noise is 0.03."""
+    min_stationary_s: float = 0.8
+    """Time for which the drone has to be stationary before the initialization [s]."""
+    max_gyro_std_rad_s: float = 0.05
+    """Largest standard deviation of the angular velocity of a stationary drone, on any axis [rad/s]; the noise of
+    EuRoC's gyroscope is 0.0024 rad/s."""
+    max_accel_std_m_s2: float = 0.5
+    """Largest standard deviation of the specific force of a stationary drone, on any axis [m/s²]; the noise of EuRoC's
+    accelerometer is 0.03 m/s²."""
     max_gyro_rad_s: float = 0.2
-    """Largest mean angular velocity at rest [rad/s], bias included."""
+    """Largest mean angular velocity of a stationary drone, bias included [rad/s]."""
     max_accel_error_m_s2: float = 1.0
-    """Largest difference of the mean specific force from gravity's magnitude at rest [m/s²], bias included."""
+    """Largest difference between the mean specific force of a stationary drone and gravity, bias included [m/s²]."""
     sigmas: InitialSigmas = field(default_factory=InitialSigmas)
-    """How sure the start is."""
+    """Standard deviations of the initial state."""
+
+
+@dataclass(frozen=True, eq=False)
+class _Initializing:
+    """The drone has not been stationary for long enough."""
+
+    recent: tuple[Increments, ...] = ()
+    """Increments between the last frames."""
+    duration_s: float = 0.0
+    """Sum of their intervals [s]."""
+
+    def with_next(self, increments: Increments, min_s: float) -> "_Initializing":
+        """Return the phase with new increments and without the oldest, as long as ``min_s`` seconds remain."""
+        recent = deque((*self.recent, increments))
+        duration_s = self.duration_s + float(increments.dt_s.sum())
+        while recent and duration_s - float(recent[0].dt_s.sum()) >= min_s:
+            duration_s -= float(recent.popleft().dt_s.sum())
+        return _Initializing(tuple(recent), duration_s)
+
+
+@dataclass(frozen=True, eq=False)
+class _Integrating:
+    """The IMU is integrated from an initial state on."""
+
+    state: NavState
+    """State at the newest frame."""
+    start_ns: int
+    """Time of the initialization [ns]."""
 
 
 class DeadReckoning:
-    """Integrates the IMU from the first rest on; of the frames it takes nothing but their time stamps.
+    """Integrates the IMU once the drone has been stationary; uses only the time stamps of the frames.
 
-    Gravity gives roll and pitch, the gyroscope's mean at rest is taken for its bias, the accelerometer's bias for zero.
-    The position error grows with the square of time and faster: metres within ten seconds, with a sensor like EuRoC's.
+    Gravity determines roll and pitch, the mean of the gyroscope its bias, and the accelerometer bias is taken as zero.
+    The position error grows faster than the square of time: metres within ten seconds for an IMU like EuRoC's.
     """
 
     def __init__(self, rig: Rig, config: DeadReckoningConfig | None = None) -> None:
         self._config = config or DeadReckoningConfig()
         self._imu = rig.imu
         self._buffer = ImuBuffer()
-        self._recent: deque[Increments] = deque()
-        self._recent_s = 0.0
-        self._state: NavState | None = None
-        self._start_ns = 0  # when that began
+        self._phase: _Initializing | _Integrating = _Initializing()
 
     def add_imu(self, samples: ImuSamples) -> None:
-        """Take the IMU samples since the last call."""
+        """Add the IMU samples since the last call."""
         self._buffer.add(samples)
 
     def add_frame(self, frame: CameraFrame) -> Estimate:
-        """Take a frame's time stamp and say where the IMU is."""
+        """Return the estimate at the time stamp of a frame."""
         increments = self._buffer.take_until(frame.t_ns)
-        events: tuple[str, ...] = ()
-        if self._state is not None:
-            self._state = self._moved(self._state, frame.t_ns, increments)
-        elif self._stands_still(increments):
-            start = initialize_static(frame.t_ns, self._recent)
-            covariance = self._config.sigmas.covariance(start.T_world_imu[:3, :3])
-            self._state = NavState(
-                frame.t_ns,
-                start.T_world_imu,
-                start.velocity_m_s,
-                start.gyro_bias_rad_s,
-                start.accel_bias_m_s2,
-                covariance,
-            )
-            self._start_ns = frame.t_ns
-            events = ("initialized",)
-        if self._state is None:
-            waiting = HealthReport(Health.INITIALIZING, f"no rest of {self._config.rest_s:g} s yet")
-            return Estimate(frame.t_ns, Health.INITIALIZING, None, health_report=waiting)
-        alone = HealthReport(Health.INERTIAL_ONLY, "the IMU alone", blind_s=(frame.t_ns - self._start_ns) * 1e-9)
-        return Estimate(frame.t_ns, Health.INERTIAL_ONLY, self._state, events=events, health_report=alone)
+        if isinstance(self._phase, _Integrating):
+            state = self._propagated(self._phase.state, frame.t_ns, increments)
+            self._phase = _Integrating(state, self._phase.start_ns)
+            return self._estimate(self._phase)
+        self._phase = self._phase.with_next(increments, self._config.min_stationary_s)
+        if not self._is_stationary(self._phase):
+            reason = f"the drone has not been stationary for {self._config.min_stationary_s:g} s"
+            report = HealthReport(Health.INITIALIZING, reason)
+            return Estimate(frame.t_ns, Health.INITIALIZING, None, health_report=report)
+        self._phase = _Integrating(self._initial_state(frame.t_ns, self._phase.recent), frame.t_ns)
+        return self._estimate(self._phase, ("initialized",))
 
-    def _stands_still(self, increments: Increments) -> bool:
-        """Take increments, and say whether the IMU has been at rest for long enough."""
+    @staticmethod
+    def _estimate(phase: _Integrating, events: tuple[str, ...] = ()) -> Estimate:
+        t_ns, health = phase.state.t_ns, Health.INERTIAL_ONLY
+        report = HealthReport(health, "the IMU alone", inertial_only_s=(t_ns - phase.start_ns) * 1e-9)
+        return Estimate(t_ns, health, phase.state, events=events, health_report=report)
+
+    def _initial_state(self, t_ns: int, recent: Sequence[Increments]) -> NavState:
+        state = initialize_static(t_ns, recent)
+        return NavState(
+            t_ns,
+            state.T_world_imu,
+            state.velocity_m_s,
+            state.gyro_bias_rad_s,
+            state.accel_bias_m_s2,
+            self._config.sigmas.covariance(state.T_world_imu[:3, :3]),
+        )
+
+    def _is_stationary(self, phase: _Initializing) -> bool:
+        """Return whether the recent increments are long enough and those of a stationary IMU."""
         c = self._config
-        self._recent.append(increments)
-        self._recent_s += float(increments.dt_s.sum())
-        while self._recent and self._recent_s - float(self._recent[0].dt_s.sum()) >= c.rest_s:
-            self._recent_s -= float(self._recent.popleft().dt_s.sum())
-        if self._recent_s < c.rest_s:
+        if phase.duration_s < c.min_stationary_s:
             return False
-        gyro = np.concatenate([part.gyro_rad_s for part in self._recent])
-        accel = np.concatenate([part.accel_m_s2 for part in self._recent])
+        gyro = np.concatenate([part.gyro_rad_s for part in phase.recent])
+        accel = np.concatenate([part.accel_m_s2 for part in phase.recent])
         return bool(
-            gyro.std(axis=0).max() < c.max_gyro_spread_rad_s
-            and accel.std(axis=0).max() < c.max_accel_spread_m_s2
+            gyro.std(axis=0).max() < c.max_gyro_std_rad_s
+            and accel.std(axis=0).max() < c.max_accel_std_m_s2
             and np.linalg.norm(gyro.mean(axis=0)) < c.max_gyro_rad_s
             and abs(np.linalg.norm(accel.mean(axis=0)) - GRAVITY_M_S2) < c.max_accel_error_m_s2
         )
 
-    def _moved(self, start: NavState, t_ns: int, increments: Increments) -> NavState:
-        """Return the state at a later time, the increments since then integrated."""
-        dR, dv, dp = preintegrated(increments, start.gyro_bias_rad_s, start.accel_bias_m_s2)
-        R, p, t = start.T_world_imu[:3, :3], start.T_world_imu[:3, 3], float(increments.dt_s.sum())
-        assert start.covariance is not None
-        covariance = propagate_covariance(start.covariance, R, dR=dR, dp=dp, dv=dv, dt_s=t, imu=self._imu)
+    def _propagated(self, state: NavState, t_ns: int, increments: Increments) -> NavState:
+        """Return the state at ``t_ns``, after the increments since the given state."""
+        dR, dv, dp = preintegrate(increments, state.gyro_bias_rad_s, state.accel_bias_m_s2)
+        R, p, t = state.T_world_imu[:3, :3], state.T_world_imu[:3, 3], float(increments.dt_s.sum())
+        assert state.covariance is not None
+        covariance = propagate_covariance(state.covariance, R, dR=dR, dp=dp, dv=dv, dt_s=t, imu=self._imu)
         return NavState(
             t_ns,
-            pose_matrix(nearest_rotations(R @ dR), p + start.velocity_m_s * t + 0.5 * _GRAVITY_WORLD * t * t + R @ dp),
-            start.velocity_m_s + _GRAVITY_WORLD * t + R @ dv,
-            start.gyro_bias_rad_s,
-            start.accel_bias_m_s2,
+            pose_matrix(nearest_rotations(R @ dR), p + state.velocity_m_s * t + 0.5 * _GRAVITY_WORLD * t * t + R @ dp),
+            state.velocity_m_s + _GRAVITY_WORLD * t + R @ dv,
+            state.gyro_bias_rad_s,
+            state.accel_bias_m_s2,
             covariance,
         )
 
 
-def preintegrated(increments: Increments, gyro_bias_rad_s: Array, accel_bias_m_s2: Array) -> tuple[Array, Array, Array]:
-    """Return what increments add up to in the frame at their start, gravity left out (Forster et al. 2017, eq. 35-37).
+def preintegrate(increments: Increments, gyro_bias_rad_s: Array, accel_bias_m_s2: Array) -> tuple[Array, Array, Array]:
+    """Return the preintegrated motion in the frame at the start, without gravity (Forster et al. 2017, eq. 35-37).
 
     Args:
-        increments: N of them.
+        increments: N increments of the IMU.
         gyro_bias_rad_s: (3,) Gyroscope bias [rad/s].
         accel_bias_m_s2: (3,) Accelerometer bias [m/s²].
 
@@ -131,7 +162,7 @@ def preintegrated(increments: Increments, gyro_bias_rad_s: Array, accel_bias_m_s
     steps = exp_so3((increments.gyro_rad_s - gyro_bias_rad_s) * dt)
     R = np.empty((len(steps) + 1, 3, 3))
     R[0] = np.eye(3)
-    for i, step in enumerate(steps):  # some ten a frame
+    for i, step in enumerate(steps):  # about ten per frame
         R[i + 1] = R[i] @ step
     dv = np.einsum("nij,nj->ni", R[:-1], increments.accel_m_s2 - accel_bias_m_s2) * dt
     before = np.cumsum(dv, axis=0) - dv

@@ -1,13 +1,14 @@
-"""A baseline: GTSAM's equivariant filter EqVIO behind our front end, as an estimator like any other.
+"""GTSAM's equivariant filter EqVIO behind the feature tracker of this package, as a baseline estimator.
 
 Source: van Goor, Mahony, "EqVIO: an equivariant filter for visual-inertial odometry", T-RO 2023.
 
-What GTSAM hands out of the filter is its position and its velocity in the IMU frame, no orientation and no covariance.
-The orientation of an estimate is therefore the gyroscope's alone, integrated from the start with the bias of the rest:
-good enough to turn the velocity into the world, and not to be scored.
+GTSAM's interface of the filter returns its position and its velocity in the IMU frame, but neither orientation nor
+covariance. The orientation of an estimate is therefore integrated from the gyroscope with the bias of the static
+initialization. It is accurate enough to rotate the velocity into the world frame, and is not meant to be scored.
 """
 
-from dataclasses import dataclass, field
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
 
 import gtsam
 import numpy as np
@@ -28,25 +29,25 @@ from dronevio.models.state import CameraFrame, Estimate, FeatureTracks, Health, 
 
 Array = npt.NDArray[np.float64]
 
-MAX_SPEED_M_S = 60.0  # faster than a racing drone flies: the filter has diverged
+MAX_SPEED_M_S = 60.0  # above the speed of racing drones, so the filter has diverged
 
 
 @dataclass(frozen=True)
 class FilterSettings:
-    """The filter's settings; by default those that come with GTSAM's flight, which are tuned for EuRoC."""
+    """Settings of the filter. The defaults come with GTSAM's example recording and are tuned for EuRoC."""
 
     initial_point_depth: float = 5.0002821832024296
-    """Depth at which a new landmark is believed to be [m]."""
+    """Initial depth of a new landmark [m]."""
     initial_point_variance: float = 129.90415638150924
-    """How uncertain that is."""
+    """Initial variance of the position of a new landmark."""
     outlier_threshold_abs_norm: float = 0.010594907286020272
-    """Largest innovation of a landmark, in normalized coordinates."""
+    """Largest accepted innovation of a landmark, in normalized coordinates."""
     feature_retention: float = 0.18594708334486176
-    """Share of the landmarks that is kept however far off they are."""
+    """Ratio of the landmarks that are kept regardless of their innovation."""
     process_var_bias_omega: float = 0.0
-    """Process noise of the gyroscope's bias [rad²/s³]."""
+    """Process noise of the gyroscope bias [rad²/s³]."""
     process_var_bias_accel: float = 0.0
-    """Process noise of the accelerometer's bias [m²/s⁵]."""
+    """Process noise of the accelerometer bias [m²/s⁵]."""
     process_var_attitude: float = 6.0258753208114069e-05
     """Process noise of the attitude [rad²/s]."""
     process_var_position: float = 9.9814660959284832e-06
@@ -54,63 +55,64 @@ class FilterSettings:
     process_var_velocity: float = 0.025317333863551263
     """Process noise of the velocity [m²/s³]."""
     process_var_cam_attitude: float = 5.0753821740452388e-06
-    """Process noise of the camera's attitude on the rig [rad²/s]."""
+    """Process noise of the camera's orientation in the IMU frame [rad²/s]."""
     process_var_cam_position: float = 1.2188313140115635e-05
-    """Process noise of the camera's position on the rig [m²/s]."""
+    """Process noise of the camera's position in the IMU frame [m²/s]."""
     process_var_point: float = 0.00029845436136043135
-    """Process noise of the landmarks."""
+    """Process noise of the landmark positions."""
     initial_var_bias_omega: float = 97162.79515771076
-    """Variance of the gyroscope's bias at the start [rad²/s²]."""
+    """Initial variance of the gyroscope bias [rad²/s²]."""
     initial_var_bias_accel: float = 1.5813333765300104
-    """Variance of the accelerometer's bias at the start [m²/s⁴]."""
+    """Initial variance of the accelerometer bias [m²/s⁴]."""
     initial_var_attitude: float = 0.13565029126052572
-    """Variance of the attitude at the start [rad²]."""
+    """Initial variance of the attitude [rad²]."""
     initial_var_position: float = 0.1
-    """Variance of the position at the start [m²]."""
+    """Initial variance of the position [m²]."""
     initial_var_velocity: float = 8.9748529957309997e-08
-    """Variance of the velocity at the start [m²/s²]."""
+    """Initial variance of the velocity [m²/s²]."""
     initial_var_cam_attitude: float = 0.0010228558965517584
-    """Variance of the camera's attitude on the rig [rad²]."""
+    """Initial variance of the camera's orientation in the IMU frame [rad²]."""
     initial_var_cam_position: float = 0.023501400846134893
-    """Variance of the camera's position on the rig [m²]."""
+    """Initial variance of the camera's position in the IMU frame [m²]."""
     input_var_gyr: float = 5.9123660022695769e-08
     """Noise of the gyroscope [rad²/s]."""
     input_var_acc: float = 0.0001547248218532208
     """Noise of the accelerometer [m²/s³]."""
     input_var_gyr_bias_walk: float = 1.7882919946320345e-08
-    """Random walk of the gyroscope's bias."""
+    """Random walk of the gyroscope bias [rad²/s³]."""
     input_var_acc_bias_walk: float = 1.9912030843328381e-05
-    """Random walk of the accelerometer's bias."""
+    """Random walk of the accelerometer bias [m²/s⁵]."""
     measurement_noise_variance_norm: float = 1.7755656006412381e-05
-    """Variance of an image measurement, in normalized coordinates: 1.9 px with EuRoC's lens."""
+    """Variance of an image observation in normalized coordinates; 1.9 px with EuRoC's camera."""
 
 
 @dataclass(frozen=True)
 class EquivariantConfig:
-    """Settings of the baseline."""
+    """Settings of the EqVIO baseline."""
 
     filter: FilterSettings = field(default_factory=FilterSettings)
-    """Those of the filter itself."""
+    """Settings of GTSAM's filter."""
     tracker: TrackerConfig = field(default_factory=lambda: TrackerConfig(corners=CornerConfig(cell_px=120)))
-    """Those of the front end. The filter's cost grows with the cube of the landmarks: 24 cells at 752×480."""
-    stillness: ZeroVelocityConfig = field(default_factory=lambda: ZeroVelocityConfig(max_flow_px=0.6))
-    """What counts as standing still: few features tell it less sharply than many."""
-    rest_s: float = 0.8
-    """How long the drone must stand still for the start [s]."""
-    replenish_s: float = 0.2
-    """How often new features are looked for [s]."""
+    """Settings of the feature tracker, with 24 grid cells at 752×480 because the cost of the filter grows with the cube
+    of the number of landmarks."""
+    zero_velocity: ZeroVelocityConfig = field(default_factory=lambda: ZeroVelocityConfig(max_flow_px=0.6))
+    """Settings of the zero-velocity detection."""
+    min_stationary_s: float = 0.8
+    """Time for which the drone has to be stationary before the initialization [s]."""
+    replenish_interval_s: float = 0.2
+    """Interval between the detections of new features [s]."""
 
 
 class EquivariantFilter:
-    """GTSAM's filter: increments of the IMU and normalized features in, position and velocity out."""
+    """Interface of GTSAM's filter in numpy arrays: IMU increments and features in, position and velocity out."""
 
     def __init__(self, T_imu_cam: Array, settings: FilterSettings, up_imu: Array) -> None:
-        """Begin level, by the shortest turn that takes the specific force at rest upwards.
+        """Initialize the filter at the origin, with the attitude of `shortest_rotation_to_z`.
 
         Args:
             T_imu_cam: (4, 4) Pose of the camera in the IMU frame.
-            settings: The filter's settings.
-            up_imu: (3,) Specific force at rest, in the IMU frame [m/s²].
+            settings: Settings of the filter.
+            up_imu: (3,) Specific force of the stationary IMU, in the IMU frame [m/s²].
         """
         s = settings
         params = eqvio.EqVIOFilterParams()
@@ -134,33 +136,33 @@ class EquivariantFilter:
         blocks += [s.initial_var_velocity, s.initial_var_cam_attitude, s.initial_var_cam_position]
         self._filter = eqvio.EqVIOFilter(state, np.diag(np.repeat(blocks, 3)), [], params)
         self._filter.initializeFromIMU(_input(0.0, np.zeros(3), up_imu))
-        self._camera = gtsam.PinholeCameraCal3_S2(gtsam.Pose3(), gtsam.Cal3_S2())  # the features are normalized
+        self._camera = gtsam.PinholeCameraCal3_S2(gtsam.Pose3(), gtsam.Cal3_S2())  # coordinates are normalized
         self._noise = s.measurement_noise_variance_norm
         self._t_s = 0.0
 
     def predict(self, increments: Increments) -> None:
-        """Take the IMU since the last call."""
+        """Propagate the filter by the IMU increments since the last call."""
         for dt, gyro, accel in zip(increments.dt_s.tolist(), increments.gyro_rad_s, increments.accel_m_s2, strict=True):
             self._filter.predict(_input(self._t_s, gyro, accel), dt)
             self._t_s += dt
 
     def update(self, ids: npt.NDArray[np.int64], xy: Array) -> None:
-        """Take the features of a frame.
+        """Update the filter with the features of a frame.
 
         Args:
-            ids: (N,) Identities.
+            ids: (N,) Identities of the features.
             xy: (N, 2) Normalized coordinates.
 
         Raises:
-            RuntimeError: The filter finds no solution.
+            RuntimeError: The linear system of the update is singular.
         """
         if len(ids):
-            seen = dict(zip(ids.tolist(), xy, strict=True))
-            self._filter.update(seen, self._camera, self._noise * np.eye(2 * len(ids)))
+            observations = dict(zip(ids.tolist(), xy, strict=True))
+            self._filter.update(observations, self._camera, self._noise * np.eye(2 * len(ids)))
 
     @property
     def position_m(self) -> Array:
-        """(3,) Position in the world [m]."""
+        """(3,) Position in the world frame [m]."""
         return np.asarray(self._filter.position())
 
     @property
@@ -175,95 +177,139 @@ def _input(t_s: float, gyro_rad_s: Array, accel_m_s2: Array) -> eqvio.IMUInput:
     return sample
 
 
-def shortest_turn_up(up_imu: Array) -> Array:
-    """Return R_world_imu (3, 3) as the filter begins with: the shortest turn that takes ``up_imu`` (3,) to z."""
+def shortest_rotation_to_z(up_imu: Array) -> Array:
+    """Return the initial R_world_imu (3, 3) of the filter: the shortest rotation that maps ``up_imu`` (3,) to z."""
     up = up_imu / np.linalg.norm(up_imu)
     axis = np.array([up[1], -up[0], 0.0])  # up × z
     sine = float(np.linalg.norm(axis))
-    if sine < 1e-9:  # it hangs level or upside down, and then any axis will do
+    if sine < 1e-9:  # up is parallel to z, so the axis of rotation is arbitrary
         return np.diag([1.0, np.sign(up[2]), np.sign(up[2])])
     return exp_so3(axis / sine * np.arctan2(sine, up[2]))
 
 
+@dataclass(frozen=True, eq=False)
+class _Initializing:
+    """The drone has not been stationary for long enough."""
+
+    stationary: tuple[Increments, ...] = ()
+    """Increments since the drone became stationary."""
+    gyro_bias_rad_s: Array = field(default_factory=lambda: np.zeros(3))
+    """(3,) Gyroscope bias [rad/s], unknown and therefore zero."""
+
+
+@dataclass(frozen=True, eq=False)
+class _Filtering:
+    """The filter is running."""
+
+    filter: EquivariantFilter
+    """The filter in its newest state."""
+    R_world_imu: Array
+    """(3, 3) Orientation, integrated from the gyroscope."""
+    gyro_bias_rad_s: Array
+    """(3,) Gyroscope bias of the initialization [rad/s]."""
+
+
+@dataclass(frozen=True, eq=False)
+class _Lost:
+    """The filter has failed and is not restarted."""
+
+    reason: str
+    """Description of the failure."""
+    gyro_bias_rad_s: Array
+    """(3,) Gyroscope bias of the initialization [rad/s]."""
+
+
 class EquivariantOdometry:
-    """Follows features in the first camera's images, waits for a rest, and runs the filter from there on."""
+    """Tracks the features of the first camera, and runs the filter once the drone has been stationary."""
 
     def __init__(self, rig: Rig, config: EquivariantConfig | None = None, front_end: FrontEnd | None = None) -> None:
-        """Prepare for a rig, of which the first camera is used.
+        """Create the estimator for a rig.
 
         Args:
-            rig: The calibration.
-            config: Settings.
-            front_end: Where feature observations come from; by default the images.
+            rig: The calibration, of which the first camera is used.
+            config: Settings of the baseline.
+            front_end: Source of the feature observations; by default a `FeatureTracker` of the first camera.
         """
         self._config = config or EquivariantConfig()
         self._camera = rig.cameras[0]
         self._front_end = front_end or FeatureTracker(self._camera.model, self._config.tracker)
         self._buffer = ImuBuffer()
-        self._stillness = ZeroVelocityDetector(self._config.stillness)
-        self._rest: list[Increments] = []
-        self._gyro_bias = np.zeros(3)
-        self._R_world_imu = np.eye(3)
-        self._filter: EquivariantFilter | None = None
+        self._zero_velocity = ZeroVelocityDetector(self._config.zero_velocity)
         self._replenished_ns: int | None = None
-        self._lost: str | None = None
+        self._phase: _Initializing | _Filtering | _Lost = _Initializing()
 
     def add_imu(self, samples: ImuSamples) -> None:
-        """Take the IMU samples since the last call."""
+        """Add the IMU samples since the last call."""
         self._buffer.add(samples)
 
     def add_frame(self, frame: CameraFrame) -> Estimate:
-        """Take a frame and say where the IMU is; lost for good, with the reason, where the filter fails."""
+        """Return the estimate at a frame. If the filter fails, this and all later estimates are `Health.LOST`."""
         increments = self._buffer.take_until(frame.t_ns)
-        turn = increments.rotation(self._gyro_bias)
-        R_imu_cam = self._camera.T_imu_cam[:3, :3]
-        observations = self._front_end.track(frame, R_imu_cam.T @ turn.T @ R_imu_cam)
-        if self._replenished_ns is None or frame.t_ns - self._replenished_ns >= self._config.replenish_s * 1e9:
-            self._replenished_ns = frame.t_ns
-            observations = self._front_end.replenish()
-        if self._filter is None:
-            return self._start(frame.t_ns, increments, observations)
-        self._R_world_imu = nearest_rotations(self._R_world_imu @ turn)
-        return self._filtered(self._filter, frame.t_ns, increments, observations)
+        rotation = increments.rotation(self._phase.gyro_bias_rad_s)
+        observations = self._observations(frame, rotation)
+        match self._phase:
+            case _Initializing(stationary):
+                return self._initialize(frame.t_ns, stationary, increments, observations)
+            case _Filtering(R_world_imu=R_world_imu):
+                running = replace(self._phase, R_world_imu=nearest_rotations(R_world_imu @ rotation))
+                return self._filtered(running, frame.t_ns, increments, observations)
+            case _Lost(reason):
+                return _estimate(frame.t_ns, Health.LOST, reason, observations)
 
-    def _start(self, t_ns: int, increments: Increments, observations: Observations) -> Estimate:
-        """Start if the drone has stood still for long enough."""
-        self._stillness.update(t_ns, observations, increments)
-        stationary_s = self._stillness.stationary_s
-        self._rest = [*self._rest, increments] if stationary_s > 0.0 else []
-        if stationary_s < self._config.rest_s:
-            reason = f"the drone has stood still for {stationary_s:.1f} s; {self._config.rest_s:g} s are needed"
-            return self._answer(t_ns, Health.INITIALIZING, reason, observations, None)
-        start = initialize_static(t_ns, self._rest)
-        up_imu = start.T_world_imu[2, :3]
-        self._gyro_bias, self._R_world_imu = start.gyro_bias_rad_s, shortest_turn_up(up_imu)
-        self._filter = EquivariantFilter(self._camera.T_imu_cam, self._config.filter, up_imu)
-        return self._filtered(self._filter, t_ns, None, observations)
+    def _observations(self, frame: CameraFrame, R_prev_cur: Array) -> Observations:
+        """Return the features of a frame, given the rotation of the IMU since the previous one."""
+        R_imu_cam = self._camera.T_imu_cam[:3, :3]
+        observations = self._front_end.track(frame, R_imu_cam.T @ R_prev_cur.T @ R_imu_cam)
+        interval_ns = self._config.replenish_interval_s * 1e9
+        if self._replenished_ns is not None and frame.t_ns - self._replenished_ns < interval_ns:
+            return observations
+        self._replenished_ns = frame.t_ns
+        return self._front_end.replenish()
+
+    def _initialize(
+        self, t_ns: int, stationary: Sequence[Increments], increments: Increments, observations: Observations
+    ) -> Estimate:
+        """Start the filter if the drone has been stationary for long enough."""
+        self._zero_velocity.update(t_ns, observations, increments)
+        stationary_s, min_s = self._zero_velocity.stationary_s, self._config.min_stationary_s
+        stationary = (*stationary, increments) if stationary_s > 0.0 else ()
+        if stationary_s < min_s:
+            self._phase = _Initializing(stationary)
+            reason = f"the drone has been stationary for {stationary_s:.1f} s; {min_s:g} s are needed"
+            return _estimate(t_ns, Health.INITIALIZING, reason, observations)
+        initial = initialize_static(t_ns, stationary)
+        up_imu = initial.T_world_imu[2, :3]
+        running = EquivariantFilter(self._camera.T_imu_cam, self._config.filter, up_imu)
+        phase = _Filtering(running, shortest_rotation_to_z(up_imu), initial.gyro_bias_rad_s)
+        return self._filtered(phase, t_ns, None, observations)
 
     def _filtered(
-        self, running: EquivariantFilter, t_ns: int, increments: Increments | None, observations: Observations
+        self, phase: _Filtering, t_ns: int, increments: Increments | None, observations: Observations
     ) -> Estimate:
-        """Take one step of the filter, unless it has failed before."""
-        if self._lost is None:
-            try:
-                if increments is not None:
-                    running.predict(increments)
-                running.update(observations.ids, observations.xy)
-            except (RuntimeError, ValueError) as error:
-                self._lost = str(error).strip().splitlines()[0]
-        p_m, v_m_s = running.position_m, self._R_world_imu @ running.velocity_imu_m_s
-        if self._lost is None and not (np.isfinite(p_m).all() and np.linalg.norm(v_m_s) < MAX_SPEED_M_S):
-            self._lost = "the filter has diverged"
-        if self._lost is not None:
-            return self._answer(t_ns, Health.LOST, self._lost, observations, None)
-        pose = pose_matrix(self._R_world_imu, p_m)
-        state = NavState(t_ns, pose, v_m_s, self._gyro_bias, np.zeros(3))
+        """Run one step of the filter, and return the estimate after it."""
+        self._phase, bias = phase, phase.gyro_bias_rad_s
+        try:
+            if increments is not None:
+                phase.filter.predict(increments)
+            phase.filter.update(observations.ids, observations.xy)
+        except (RuntimeError, ValueError) as error:
+            return self._lose(_Lost(str(error).strip().splitlines()[0], bias), t_ns, observations)
+        p_m, v_m_s = phase.filter.position_m, phase.R_world_imu @ phase.filter.velocity_imu_m_s
+        if not (np.isfinite(p_m).all() and np.linalg.norm(v_m_s) < MAX_SPEED_M_S):
+            return self._lose(_Lost("the filter has diverged", bias), t_ns, observations)
+        state = NavState(t_ns, pose_matrix(phase.R_world_imu, p_m), v_m_s, bias, np.zeros(3))
         if len(observations):
-            return self._answer(t_ns, Health.TRACKING, f"{len(observations)} features", observations, state)
-        return self._answer(t_ns, Health.INERTIAL_ONLY, "nothing is seen", observations, state)
+            return _estimate(t_ns, Health.TRACKING, f"{len(observations)} features", observations, state)
+        return _estimate(t_ns, Health.INERTIAL_ONLY, "no feature is visible", observations, state)
 
-    @staticmethod
-    def _answer(t_ns: int, health: Health, reason: str, observations: Observations, state: NavState | None) -> Estimate:
-        tracks = FeatureTracks(observations.ids, observations.pixels, observations.ages)
-        report = HealthReport(health, reason, tracks=len(observations), landmarks=len(observations))
-        return Estimate(t_ns, health, state, tracks, health_report=report)
+    def _lose(self, phase: _Lost, t_ns: int, observations: Observations) -> Estimate:
+        self._phase = phase
+        return _estimate(t_ns, Health.LOST, phase.reason, observations)
+
+
+def _estimate(
+    t_ns: int, health: Health, reason: str, observations: Observations, state: NavState | None = None
+) -> Estimate:
+    tracks = FeatureTracks(observations.ids, observations.pixels, observations.ages)
+    report = HealthReport(health, reason, tracks=len(observations), landmarks=len(observations))
+    return Estimate(t_ns, health, state, tracks, health_report=report)

@@ -76,7 +76,7 @@ def test_landmarks_hold_it_and_the_figures_are_theirs() -> None:
     assert report.bias_sigmas == pytest.approx(0.2)  # 0.01 of 0.05 rad/s
     assert report.position_sigma_m == pytest.approx(0.01)
     assert report.velocity_sigma_m_s == pytest.approx(0.01)
-    assert report.blind_s == 0.0
+    assert report.inertial_only_s == 0.0
 
 
 def test_innovation_of_consistent_noise_is_one() -> None:
@@ -127,7 +127,9 @@ def test_tracks_that_are_no_landmarks_hold_nothing() -> None:
     settling = round(CONFIG.settling_s / 0.05) + 1
     assert {r.state for r in reports[:settling]} == {Health.TRACKING}  # they may become landmarks
     assert {r.state for r in reports[settling:]} == {Health.INERTIAL_ONLY}
-    assert reports[-1].tracks == 107 and reports[-1].landmarks == 7 and reports[-1].blind_s == pytest.approx(0.95)
+    assert (
+        reports[-1].tracks == 107 and reports[-1].landmarks == 7 and reports[-1].inertial_only_s == pytest.approx(0.95)
+    )
     assert watcher.judge(both, after(20), still=True).state == Health.TRACKING
     assert watcher.judge(observations, after(21), still=False).state == Health.INERTIAL_ONLY  # 7 features are too few
     nothing = monitor(landmarks(0, np.random.default_rng(0))).judge(others, START, still=False)
@@ -152,7 +154,7 @@ def test_blind_is_inertial_only_until_the_position_is_gone() -> None:
     lost = [r.state for r in reports].index(Health.LOST)
     assert lost == pytest.approx(100, abs=1)  # a metre, at 0.2 m/s
     assert {r.state for r in reports[:lost]} == {Health.INERTIAL_ONLY}
-    assert [r.blind_s for r in reports] == pytest.approx(0.05 * np.arange(1, 121))
+    assert [r.inertial_only_s for r in reports] == pytest.approx(0.05 * np.arange(1, 121))
     assert "1.0 m" in reports[lost].reason
     assert watcher.judge(observations, after(121), still=False).state == Health.LOST  # until it starts anew
 

@@ -4,7 +4,7 @@ import gtsam
 import numpy as np
 import pytest
 
-from dronevio.estimator.baselines.dead_reckoning import preintegrated
+from dronevio.estimator.baselines.dead_reckoning import preintegrate
 from dronevio.estimator.calibration.imu_factor import CalibrationImuFactor
 from dronevio.estimator.imu.buffer import Increments
 from dronevio.estimator.imu.covariance import propagate_covariance
@@ -33,7 +33,7 @@ def transition(steps: Increments) -> np.ndarray:
     An initial covariance e eᵀ, for a unit vector e, becomes f fᵀ, where f is the matrix's column; it is read off the
     row of e itself, where f is positive: a state changes little within the stretch.
     """
-    dR, dv, dp = preintegrated(steps, np.zeros(3), np.zeros(3))
+    dR, dv, dp = preintegrate(steps, np.zeros(3), np.zeros(3))
     F = np.zeros((15, 15))
     for i, e in enumerate(np.eye(15)):
         moved = propagate_covariance(
@@ -48,7 +48,7 @@ def numerical_transition(steps: Increments) -> np.ndarray:
 
     def end(change: np.ndarray) -> list[np.ndarray]:
         R, t = R_START @ exp_so3(change[THETA]), float(steps.dt_s.sum())
-        dR, dv, dp = preintegrated(steps, change[BG], change[BA])
+        dR, dv, dp = preintegrate(steps, change[BG], change[BA])
         p = change[P] + change[V] * t + 0.5 * GRAVITY * t**2 + R @ dp
         return [R @ dR, p, change[V] + GRAVITY * t + R @ dv, change[BG], change[BA]]
 
@@ -107,7 +107,7 @@ def test_calibration_interval_integrates_as_we_do(bias: np.ndarray) -> None:
     interval = calibration_interval(stretch, bias)
 
     def ours(at: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        dR, dv, dp = preintegrated(stretch, at[:3], at[3:])
+        dR, dv, dp = preintegrate(stretch, at[:3], at[3:])
         return dR, np.concatenate([dp, dv])
 
     R, pv = ours(bias)
