@@ -499,6 +499,30 @@ EVALUATION = (
         "wall_s=outcome.cpu_s,\n            peak",
         ("tests/eval/test_benchmark_by_hand.py::test_a_job_notes_what_its_recording_and_its_runs_took",),
     ),
+    Mutant(
+        "run-resets-count-losses",
+        "Run: losses are counted as resets.",
+        "eval/run.py",
+        "~since_first[:-1] & since_first[1:]",
+        "since_first[:-1] & ~since_first[1:]",
+        ("tests/eval/test_run_by_hand.py::test_losses_and_resets",),
+    ),
+    Mutant(
+        "run-percentile-of-latency",
+        "Run: the 99th percentile of the latency is the 95th.",
+        "eval/run.py",
+        "[50.0, 95.0, 99.0]",
+        "[50.0, 95.0, 95.0]",
+        ("tests/eval/test_run_by_hand.py::test_percentiles_of_latencies",),
+    ),
+    Mutant(
+        "jobs-drop-what-is-kept",
+        "Jobs: recordings that are to be kept are dropped, the others stay.",
+        "eval/benchmark/jobs.py",
+        "if not self.keep and",
+        "if self.keep and",
+        ("tests/eval/test_benchmark_by_hand.py::test_a_recording_is_dropped_unless_it_is_to_be_kept",),
+    ),
 )
 """Faults of the evaluation."""
 

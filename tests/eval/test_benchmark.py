@@ -64,6 +64,7 @@ def test_what_is_raised_is_told() -> None:
     assert (outcome.status, outcome.value) == ("failed", None)
     assert outcome.reason.startswith("ValueError: ")
     missing = isolated(read_rows, Path("nowhere.parquet"))
+    assert missing.status == "failed"
     assert missing.reason.startswith("nowhere.parquet: no such file; expected ")
 
 

@@ -73,3 +73,13 @@ def test_a_job_notes_what_its_recording_and_its_runs_took(tmp_path: Path, monkey
     [row] = job.carry_out()
     assert Cost.read(tmp_path / "hash" / COST_FILE) == Cost(cpu_s=2.0, wall_s=1.0, disk_mb=pytest.approx(1.5e-3))
     assert (row.identity, row.status, row.ate_m, row.wall_s, row.peak_mb) == (("s", 4, "vio"), "ok", 0.1, 1.0, 3.0)
+
+
+@pytest.mark.parametrize("keep", [True, False])
+def test_a_recording_is_dropped_unless_it_is_to_be_kept(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, keep: bool
+) -> None:
+    monkeypatch.setattr("dronevio.eval.benchmark.jobs.isolated", here)
+    job = Job(Flight("s", "w", 0, "hash", None), ("a", "b"), Workshop(), tmp_path, 60.0, keep)
+    assert [row.estimator for row in job.carry_out()] == ["a", "b"]
+    assert (tmp_path / "hash").exists() == keep

@@ -1,0 +1,43 @@
+"""How an estimator ran, worked out by hand for a few frames."""
+
+import numpy as np
+import pytest
+
+from dronevio.eval.run import EstimatorRun, Latency, running_scores
+from dronevio.models.state import Estimate, Health, NavState
+
+SECOND_NS = 1_000_000_000
+
+
+def run_of(letters: str) -> EstimatorRun:
+    """A run at one frame a second: T tracking, L lost, I inertial only, and a dot before there is a pose."""
+    healths = {"T": Health.TRACKING, "L": Health.LOST, "I": Health.INERTIAL_ONLY, ".": Health.INITIALIZING}
+    estimates = []
+    for index, letter in enumerate(letters):
+        state = None if letter == "." else NavState(index * SECOND_NS, np.eye(4), *np.zeros((3, 3)))
+        estimates.append(Estimate(index * SECOND_NS, healths[letter], state))
+    return EstimatorRun(tuple(estimates), np.full(len(letters), 100.0), np.full(len(letters), 200.0))
+
+
+@pytest.mark.parametrize(
+    ("letters", "poses", "lost", "resets", "coverage_percent"),
+    [
+        ("..TTTTTT", 6, 0, 0, 100.0),
+        ("..TTTLLL", 3, 3, 0, 25.0),  # lost for good: it never began again; of four frames after 3 s, one has a pose
+        ("..TLLTLT", 3, 3, 2, 50.0),
+        ("..TIITLT", 5, 1, 1, 75.0),
+        ("........", 0, 0, 0, 0.0),
+    ],
+)
+def test_losses_and_resets(letters: str, poses: int, lost: int, resets: int, coverage_percent: float) -> None:
+    found = running_scores(run_of(letters))
+    assert (found.frames, found.poses, found.lost_frames, found.resets) == (8, poses, lost, resets)
+    assert found.coverage_percent == coverage_percent
+    assert found.initialized_s == (2.0 if poses else None)
+    assert (found.real_time_factor, found.real_time_factor_wall) == pytest.approx((7.0 / 0.8, 7.0 / 1.6))
+
+
+def test_percentiles_of_latencies() -> None:
+    found = Latency.of(np.random.default_rng(0).permutation(np.arange(101.0) ** 2))
+    assert (found.median, found.p95, found.p99, found.max) == pytest.approx((50.0**2, 95.0**2, 99.0**2, 100.0**2))
+    assert found.mean == pytest.approx(100.0 * 201.0 / 6.0)  # the sum of the squares is n (n + 1) (2 n + 1) / 6
