@@ -18,13 +18,13 @@ import importlib.metadata
 import io
 import os
 import re
-import shutil
 import subprocess
 import sys
 import tarfile
 import tempfile
 import time
 from collections.abc import Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Literal
@@ -162,24 +162,41 @@ def spelled(word: str, known: str) -> str:
 
 
 def revision_of(text: str, work: Path) -> Revision:
-    """Return a revision, with its code exported into the work folder."""
+    """Return a revision, with its code exported into the work folder.
+
+    Raises:
+        SystemExit: There is no such revision, or its code is not what Python imports.
+    """
     if text == WORKING_TREE:
         revision = Revision("worktree", REPOSITORY)
     else:
         commit = git("rev-parse", "--verify", f"{text}^{{commit}}").decode().strip()
         revision = Revision(commit[:12], work / "exports" / commit[:12])
-    if not revision.code.exists():
-        with tempfile.TemporaryDirectory(dir=made(work / "exports")) as scratch:
-            with tarfile.open(fileobj=io.BytesIO(git("archive", "--format=tar", commit))) as archive:
-                archive.extractall(scratch, filter="data")
-            shutil.copytree(scratch, revision.code, symlinks=True)
+        if not revision.code.exists():
+            export(commit, revision.code)
     revision.run(PROBE, "check", "--code", revision.code)
     return revision
 
 
+def export(commit: str, folder: Path) -> None:
+    """Write the files of a commit into a folder, which appears when it is complete."""
+    with tempfile.TemporaryDirectory(dir=made(folder.parent)) as scratch:
+        with tarfile.open(fileobj=io.BytesIO(git("archive", "--format=tar", commit))) as archive:
+            archive.extractall(Path(scratch) / "code", filter="data")
+        with suppress(OSError):  # another process has made the folder meanwhile
+            (Path(scratch) / "code").rename(folder)
+
+
 def git(*arguments: str) -> bytes:
-    """Return what a git command prints."""
-    return subprocess.run(["git", *arguments], cwd=REPOSITORY, capture_output=True, check=True).stdout
+    """Return what a git command prints.
+
+    Raises:
+        SystemExit: The command failed, such as for a revision that does not exist.
+    """
+    done = subprocess.run(["git", *arguments], cwd=REPOSITORY, capture_output=True, check=False)
+    if done.returncode:
+        raise SystemExit(f"git {' '.join(arguments)}: {done.stderr.decode().strip()}")
+    return done.stdout
 
 
 def made(folder: Path) -> Path:
