@@ -523,6 +523,30 @@ EVALUATION = (
         "if self.keep and",
         ("tests/eval/test_benchmark_by_hand.py::test_a_recording_is_dropped_unless_it_is_to_be_kept",),
     ),
+    Mutant(
+        "kitti-rpe-in-radians",
+        "KITTI: the relative error of orientation is in radians.",
+        "eval/metrics/kitti.py",
+        "float(np.degrees(step_rad.mean()))",
+        "float(step_rad.mean())",
+        ("tests/eval/metrics/test_kitti_by_hand.py::test_kitti_rotation_errors_are_in_degrees",),
+    ),
+    Mutant(
+        "kitti-first-true-frame",
+        "KITTI: the first frame of the truth is aligned, not that of the estimate.",
+        "eval/metrics/kitti.py",
+        "seen = np.linalg.inv(truth[frames[0]]) @ truth[frames]",
+        "seen = np.linalg.inv(truth[0]) @ truth[frames]",
+        ("tests/eval/metrics/test_kitti_by_hand.py::test_kitti_aligns_the_first_estimated_frame",),
+    ),
+    Mutant(
+        "association-bridges-long-gaps",
+        "Association: gaps of the truth of 5 s are interpolated.",
+        "eval/metrics/association.py",
+        '"interpolate": 0.5',
+        '"interpolate": 5.0',
+        ("tests/eval/metrics/test_kitti_by_hand.py::test_default_gaps_of_the_associations",),
+    ),
 )
 """Faults of the evaluation."""
 

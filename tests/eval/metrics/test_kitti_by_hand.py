@@ -1,0 +1,67 @@
+"""KITTI's figures and the associations in time, worked out by hand."""
+
+import numpy as np
+import numpy.typing as npt
+import pytest
+
+from dronevio.eval.metrics import associate
+from dronevio.eval.metrics.kitti import kitti_scores
+from dronevio.models.errors import EvaluationError
+from dronevio.models.rotation import exp_so3, pose_matrix
+from dronevio.models.state import Trajectory
+
+Array = npt.NDArray[np.float64]
+
+
+def road(frames: int, turn_deg: float = 0.0, step_m: float = 1.0) -> Array:
+    """Poses (N, 3, 4) on a straight road along z, each turned further about the vertical y by an angle."""
+    n = np.arange(frames)
+    R = exp_so3(np.outer(np.radians(turn_deg) * n, [0.0, 1.0, 0.0]))
+    return pose_matrix(R, np.outer(step_m * n, [0.0, 0.0, 1.0]))[:, :3]
+
+
+def test_kitti_rotation_errors_are_in_degrees() -> None:
+    """A tenth of a degree a metre; a piece ends at the first frame beyond its length, one metre further."""
+    found = kitti_scores(road(301), road(301, turn_deg=0.1))
+    assert found.rpe_deg == pytest.approx(0.1, rel=1e-6)
+    lengths, _, deg_per_100_m = zip(*found.by_length, strict=True)
+    assert lengths == (100.0, 200.0)  # none of 300 m: no frame lies beyond its end
+    assert deg_per_100_m == pytest.approx((10.1, 10.05), rel=1e-6)
+    first, second = 20, 10  # pieces begin at every tenth frame, up to frames 190 and 90
+    assert found.pieces == first + second
+    assert found.rotation_deg_per_100_m == pytest.approx((first * 10.1 + second * 10.05) / 30, rel=1e-6)
+
+
+def test_kitti_aligns_the_first_estimated_frame() -> None:
+    """Frames 5 to 10 of a road that turns, in a world of their own: no error, but for a scale of 1.1."""
+    truth = road(11, turn_deg=5.0)
+    there = np.eye(4)
+    there[:3, :3], there[:3, 3] = exp_so3(np.array([0.3, -0.2, 0.5])), [7.0, 8.0, 9.0]
+    frames = np.arange(5, 11)
+    estimate = there[:3, :3] @ truth[frames]
+    estimate[:, :, 3] += there[:3, 3]
+    found = kitti_scores(truth, estimate, frames)
+    assert (found.ate_m, found.rpe_m) == pytest.approx((0.0, 0.0), abs=1e-12)
+    estimate[:, :, 3] *= 1.1
+    found = kitti_scores(truth, estimate, frames)
+    assert found.rpe_m == pytest.approx(0.1)
+    assert found.ate_m == pytest.approx(0.1 * np.sqrt((0 + 1 + 4 + 9 + 16 + 25) / 6))
+
+
+@pytest.mark.parametrize(
+    ("how", "bridged_ns", "refused_ns"),
+    [("interpolate", 500_000_000, 501_000_000), ("nearest", 20_000_000, 22_000_000), ("evo", 18_000_000, 22_000_000)],
+)
+def test_default_gaps_of_the_associations(how: str, bridged_ns: int, refused_ns: int) -> None:
+    """Estimated poses amid true ones: within a gap of 0.5 s, or no more than 10 ms from the nearest."""
+
+    def poses(t_ns: npt.NDArray[np.int64]) -> Trajectory:
+        return Trajectory(t_ns, np.zeros((len(t_ns), 3)), np.tile([1.0, 0, 0, 0], (len(t_ns), 1)))
+
+    for gap_ns, found in ((bridged_ns, 4), (refused_ns, None)):
+        truth, estimate = poses(gap_ns * np.arange(5)), poses(gap_ns * np.arange(4) + gap_ns // 2)
+        if found is None:
+            with pytest.raises(EvaluationError, match="have 0 poses in common"):
+                associate(truth, estimate, how)  # type: ignore[arg-type]
+        else:
+            assert len(associate(truth, estimate, how)[0]) == found  # type: ignore[arg-type]
