@@ -98,7 +98,7 @@ def _judged(flight: "FeatureRecording", ours: "Trajectory", theirs_m: "Array") -
     """
     import numpy as np
 
-    from dronevio.estimator.book.judge import Judge
+    from dronevio.estimator.book.batch import Judge
 
     judge = Judge(flight, ours)
     at = np.searchsorted(ours.t_ns, judge.t_ns)

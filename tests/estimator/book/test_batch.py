@@ -8,7 +8,7 @@ import pytest
 
 from dronevio.estimator.baselines.eqvio import FilterSettings
 from dronevio.estimator.book.eqvio import FeatureRecording
-from dronevio.estimator.book.judge import STRIDE, Judge
+from dronevio.estimator.book.batch import STRIDE, Judge
 from dronevio.eval.metrics.alignment import align
 from dronevio.models.rotation import exp_so3, quat_wxyz_from_matrix
 from dronevio.models.state import Trajectory
