@@ -43,8 +43,14 @@ NAMES: dict[str, tuple[str, ...]] = {
         "dronevio.estimator:VisualInertialOdometry",
         "dronevio.estimator.vio:VisualInertialOdometry",
     ),
-    "read_flight": ("dronevio.estimator.book.eqvio:read_flight",),
-    "ReplayedFeatures": ("dronevio.estimator.book.eqvio:ReplayedFeatures",),
+    "read_flight": (
+        "dronevio.estimator.book.eqvio:read_feature_recording",
+        "dronevio.estimator.book.eqvio:read_flight",
+    ),
+    "ReplayedFeatures": (
+        "dronevio.estimator.book.eqvio:ReplayFrontEnd",
+        "dronevio.estimator.book.eqvio:ReplayedFeatures",
+    ),
     "run_eqvio": ("dronevio.estimator.book.eqvio:run_eqvio",),
 }
 """Every name of the package that is used here, and where revisions have it, the newest place first."""

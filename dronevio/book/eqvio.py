@@ -47,14 +47,14 @@ def main(arguments: list[str]) -> int:
 
     from dronevio.book.plots import draw_two_paths
     from dronevio.driver import estimate_recording, require_poses
-    from dronevio.estimator.book.eqvio import ReplayedFeatures, read_flight, run_eqvio
+    from dronevio.estimator.book.eqvio import ReplayFrontEnd, read_feature_recording, run_eqvio
     from dronevio.estimator.vio import VisualInertialOdometry
     from dronevio.models.recordings.tum import write_tum
     from dronevio.models.state import Trajectory
 
-    flight = read_flight()
+    flight = read_feature_recording()
     with progress_bars(quiet=command.json) as bars:
-        smoother = VisualInertialOdometry(flight.rig, front_end=ReplayedFeatures(flight))
+        smoother = VisualInertialOdometry(flight.rig, front_end=ReplayFrontEnd(flight))
         run = estimate_recording(flight, smoother, bars.bar("smoother"))
         filtered = run_eqvio(flight, bars.bar("EqVIO"))
     ours = require_poses(run, flight)
@@ -98,17 +98,17 @@ def _judged(flight: "FeatureRecording", ours: "Trajectory", theirs_m: "Array") -
     """
     import numpy as np
 
-    from dronevio.estimator.book.batch import Judge
+    from dronevio.estimator.book.batch import BatchAdjustment
 
-    judge = Judge(flight, ours)
-    at = np.searchsorted(ours.t_ns, judge.t_ns)
+    batch = BatchAdjustment(flight, ours)
+    at = np.searchsorted(ours.t_ns, batch.t_ns)
     paths = {"": ours.p_world_imu[at], "eqvio_": theirs_m[at]}
-    reference_m = _laid_on(paths[""], judge.reference())
+    reference_m = _laid_on(paths[""], batch.full_smoothing())
     figures = {
         f"{name}ate_to_reference_m": _rms(reference_m - _laid_on(reference_m, p_m)) for name, p_m in paths.items()
     }
     for name, p_m in {**paths, "reference_": reference_m}.items():
-        left = judge.residuals(p_m)
+        left = batch.reprojection_errors(p_m)
         figures[f"{name}reprojection_median_px"] = left.median_px
         figures[f"{name}reprojection_rms_px"] = left.rms_px
     return figures

@@ -1,7 +1,7 @@
-"""Dead reckoning as a factor graph: IMU samples, summed up between states, and a prior on the first of them.
+"""Dead reckoning as a factor graph: preintegrated IMU factors between states, and a prior on the first state.
 
-The drone flies a loop: its velocity and its turn rate are constant in its own frame. Nothing but the IMU ties the
-states together, so a solution without any error exists, and Levenberg-Marquardt finds it from states far off.
+The drone flies a loop with constant velocity and constant angular velocity in the body frame. Only IMU factors connect
+the states, so a solution with zero error exists, and Levenberg-Marquardt finds it from distant initial values.
 
 Sources: Dellaert and Hutchinson, *Introduction to Robotics*, section 7.4.1; Forster, Carlone, Dellaert, Scaramuzza,
 "On-manifold preintegration for real-time visual-inertial odometry", 2017.
@@ -20,101 +20,102 @@ Array = npt.NDArray[np.float64]
 GRAVITY_M_S2 = 9.8
 """Magnitude of gravity in the chapter [m/s²]."""
 GYRO_NOISE_DENSITY = np.radians(0.5) / 60.0
-"""White noise of the gyroscope [rad/s/√Hz]: 0.5 °/√h."""
+"""White noise density of the gyroscope, 0.5 °/√h [rad/s/√Hz]."""
 ACCEL_NOISE_DENSITY = 0.1 / 60.0
-"""White noise of the accelerometer [m/s²/√Hz]: 0.1 m/s/√h."""
+"""White noise density of the accelerometer, 0.1 m/s/√h [m/s²/√Hz]."""
 ACCEL_BIAS_M_S2 = (0.0, 0.1, 0.0)
-"""The accelerometer's bias, which the estimator is told [m/s²]."""
+"""(3,) Accelerometer bias, known to the estimator [m/s²]."""
 PRIOR_SIGMA = 0.1
-"""How sure the priors are, and how far off the first guess is [rad, m, m/s and the units of bias]."""
+"""Standard deviation of the priors and of the errors of the initial values [rad, m, m/s and the units of bias]."""
 
-_INTEGRATION_SIGMA = 1e-7  # [m/√s]: the sum itself is taken to be exact
+_INTEGRATION_SIGMA = 1e-7  # integration is regarded as exact [m/√s]
 _PATH_POINTS = 200
 
 
 @dataclass(frozen=True)
 class LoopFlight:
-    """What is flown and how it is measured."""
+    """Motion of the drone and rate of its IMU."""
 
     speed_m_s: float = 2.0
-    """Speed, straight ahead along the body's x [m/s]."""
+    """Forward speed along the x axis of the body frame [m/s]."""
     pitch_rate_rad_s: float = float(np.radians(30.0))
-    """Rate at which the nose goes up [rad/s]."""
+    """Rate at which the nose rises [rad/s]."""
     duration_s: float = 3.5
-    """Length of the flight [s]."""
+    """Duration of the flight [s]."""
     imu_rate_hz: float = 10.0
-    """Rate of the IMU [Hz]."""
+    """Sampling rate of the IMU [Hz]."""
     samples_per_factor: int = 5
-    """IMU samples from one state to the next."""
+    """Number of IMU samples in each IMU factor."""
 
     @property
     def scenario(self) -> gtsam.ConstantTwistScenario:
-        """The motion as GTSAM has it: with y to the left, the nose rises with a negative turn about y."""
+        """The motion as a GTSAM scenario; with y to the left, the nose rises with a negative rotation about y."""
         return gtsam.ConstantTwistScenario([0.0, -self.pitch_rate_rad_s, 0.0], [self.speed_m_s, 0.0, 0.0])
 
     @property
     def radius_m(self) -> float:
-        """The radius of the loop, v/ω [m]."""
+        """Radius of the loop, v/ω [m]."""
         return self.speed_m_s / self.pitch_rate_rad_s
 
     @property
     def factors(self) -> int:
-        """How many IMU factors the flight's samples make."""
+        """Number of IMU factors."""
         return round(self.duration_s * self.imu_rate_hz) // self.samples_per_factor
 
 
 @dataclass(frozen=True, eq=False)
 class ImuExperiment:
-    """The graph and its solution, K + 1 states tied by K IMU factors."""
+    """The factor graph and its solution: K + 1 states connected by K IMU factors."""
 
     flight: LoopFlight
-    """What was flown."""
+    """Motion and IMU rate of the experiment."""
     t_s: Array
     """(K+1,) Times of the states [s]."""
     Ts_world_imu_true: Array
-    """(K+1, 4, 4) True poses."""
+    """(K+1, 4, 4) True poses of the IMU."""
     Ts_world_imu_initial: Array
-    """(K+1, 4, 4) The optimizer's first guess."""
+    """(K+1, 4, 4) Initial values of the poses."""
     Ts_world_imu: Array
-    """(K+1, 4, 4) Poses found."""
+    """(K+1, 4, 4) Estimated poses of the IMU."""
     velocity_m_s: Array
-    """(K+1, 3) Velocities found, in the world [m/s]."""
+    """(K+1, 3) Estimated velocities in the world frame [m/s]."""
     path_m: Array
-    """(N, 3) The true path, finely sampled [m]."""
+    """(N, 3) True path at a finer sampling [m]."""
     initial_error: float
-    """Error of the graph at the first guess: half the sum of the squared, whitened residuals."""
+    """Error of the graph at the initial values: half the sum of the squared, whitened residuals."""
     final_error: float
     """Error of the graph at the solution."""
     iterations: int
-    """Steps that the optimizer took."""
+    """Number of iterations of the optimizer."""
     factors: tuple[tuple[str, ...], ...]
-    """The graph: the variables that each factor ties, by name: x0 … (poses), v0 … (velocities), b0 (bias)."""
+    """Names of the variables that each factor connects: x0, x1 and so on for poses, v0 for velocities, b0 for the
+    bias."""
     dot: str
-    """The graph in Graphviz's language."""
+    """The graph in the DOT language of Graphviz."""
 
     @property
     def drift_m(self) -> float:
-        """Distance between the last pose found and the truth [m]."""
+        """Distance between the last estimated position and the true one [m]."""
         return float(np.linalg.norm(self.Ts_world_imu[-1, :3, 3] - self.Ts_world_imu_true[-1, :3, 3]))
 
 
 def run_imu_experiment(rng: np.random.Generator, flight: LoopFlight | None = None) -> ImuExperiment:
-    """Fly the loop, build the graph and solve it.
+    """Simulate the flight, build the factor graph and optimize it.
 
     Args:
-        rng: Makes the noise of the IMU and the errors of the first guess.
-        flight: What to fly; the chapter's loop if not given.
+        rng: Random generator of the IMU noise and of the errors of the initial values.
+        flight: Motion and IMU rate; those of the chapter if not given.
 
     Returns:
-        The graph before and after.
+        The graph with its initial values and its solution.
     """
     flight = flight or LoopFlight()
     bias = gtsam.imuBias.ConstantBias(ACCEL_BIAS_M_S2, [0.0, 0.0, 0.0])
     graph = _imu_graph(flight, bias, rng)
     truth = [flight.scenario.navState(t) for t in _state_times_s(flight)]
-    initial = _first_guess(truth, bias, rng)
+    initial = _initial_values(truth, bias, rng)
     params = gtsam.LevenbergMarquardtParams()
-    # The whitened equations differ by six powers of ten: QR solves them, Cholesky squares the difference and stalls.
+    # The whitened equations differ by a factor of 1e6, which Cholesky squares; QR converges, Cholesky does not.
     params.setLinearSolverType("MULTIFRONTAL_QR")
     optimizer = gtsam.LevenbergMarquardtOptimizer(graph, initial, params)
     result = optimizer.optimize()
@@ -138,13 +139,13 @@ def run_imu_experiment(rng: np.random.Generator, flight: LoopFlight | None = Non
 def _imu_graph(
     flight: LoopFlight, bias: gtsam.imuBias.ConstantBias, rng: np.random.Generator
 ) -> gtsam.NonlinearFactorGraph:
-    """Return the priors on the first state and the bias, and one IMU factor after every few samples."""
+    """Return the graph: priors on the first state and the bias, and the IMU factors."""
     params = gtsam.PreintegrationParams.MakeSharedU(GRAVITY_M_S2)
     params.setGyroscopeCovariance(GYRO_NOISE_DENSITY**2 * np.eye(3))
     params.setAccelerometerCovariance(ACCEL_NOISE_DENSITY**2 * np.eye(3))
     params.setIntegrationCovariance(_INTEGRATION_SIGMA**2 * np.eye(3))
     dt_s = 1.0 / flight.imu_rate_hz
-    scenario = flight.scenario  # the runner only borrows it: it must outlive the runner
+    scenario = flight.scenario  # the runner keeps a reference only, so this has to outlive it
     runner = gtsam.ScenarioRunner(scenario, params, dt_s, bias)
 
     graph = gtsam.NonlinearFactorGraph()
@@ -155,7 +156,7 @@ def _imu_graph(
     pim = gtsam.PreintegratedImuMeasurements(params, bias)
     for factor in range(flight.factors):
         for sample in range(flight.samples_per_factor):
-            # GTSAM holds a sample until the next one, turned as the body was when it was taken.
+            # GTSAM holds a sample until the next one, in the body frame at its time.
             t_s = (factor * flight.samples_per_factor + sample) * dt_s
             gyro_noise, accel_noise = rng.standard_normal((2, 3)) / np.sqrt(dt_s)
             gyro_rad_s = runner.actualAngularVelocity(t_s) + bias.gyroscope() + GYRO_NOISE_DENSITY * gyro_noise
@@ -166,10 +167,10 @@ def _imu_graph(
     return graph
 
 
-def _first_guess(
+def _initial_values(
     truth: list[gtsam.NavState], bias: gtsam.imuBias.ConstantBias, rng: np.random.Generator
 ) -> gtsam.Values:
-    """Return the true first state and bias, and all later states off by Gaussian errors."""
+    """Return the true first state and bias, and all later states with Gaussian errors."""
     values = gtsam.Values()
     values.insert(B(0), bias)
     for i, state in enumerate(truth):

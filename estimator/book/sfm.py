@@ -1,9 +1,8 @@
-"""Structure from motion: five photographs of Villa Balbianello, where they were taken from and what they show.
+"""Structure from motion: bundle adjustment of five photographs of Villa Balbianello.
 
-Bundler (Snavely, Seitz, Szeliski 2006) matched the photographs and left its reconstruction; bundle adjustment polishes
-it: every observation of a point in a photograph is a factor on that point and on that camera's pose, focal length and
-distortion. The first camera and the distance of the first point are held, since photographs know neither where the
-world begins nor its scale.
+The initial reconstruction is that of Bundler (Snavely, Seitz, Szeliski 2006). Each observation of a point in a
+photograph is a factor on that point and on the pose, focal length and distortion of that camera. The first camera and
+the distance of the first point are fixed, because photographs determine neither position, orientation nor scale.
 
 Source: Dellaert and Hutchinson, *Introduction to Robotics*, section 7.4.2. The data come with the gtsam package.
 """
@@ -24,34 +23,34 @@ PIXEL_SIGMA = 1.0
 
 @dataclass(frozen=True, eq=False)
 class SfmExperiment:
-    """The reconstruction before and after bundle adjustment, C cameras and N points, in units of unknown scale."""
+    """Bundle adjustment of C cameras and N points, in units of unknown scale."""
 
     Ts_world_cam: Array
-    """(C, 4, 4) Poses of the cameras (x right, y down, z forward)."""
+    """(C, 4, 4) Poses of the cameras; x right, y down, z forward."""
     focal_px: Array
     """(C,) Focal lengths [px]."""
     photographs: tuple[Path, ...]
-    """The C photographs."""
+    """Image files of the C cameras."""
     points: Array
-    """(N, 3) Points in the world."""
+    """(N, 3) Points in the world frame."""
     colours: npt.NDArray[np.uint8]
-    """(N, 3) Their colours in the photographs: red, green, blue."""
+    """(N, 3) Colours of the points: red, green, blue."""
     views: npt.NDArray[np.int64]
-    """(N,) In how many photographs each point is seen."""
+    """(N,) Number of photographs that observe each point."""
     observed_px: Array
-    """(M, 2) Observations, from the photograph's centre, x right and y down [px]."""
+    """(M, 2) Observations, measured from the centre of the photograph, x right and y down [px]."""
     reprojected_px: Array
-    """(M, 2) Where the solution puts them [px]."""
+    """(M, 2) Reprojections of the solution, measured in the same way [px]."""
     observation_camera: npt.NDArray[np.int64]
-    """(M,) The camera that made each observation."""
+    """(M,) Camera of each observation."""
     observation_point: npt.NDArray[np.int64]
-    """(M,) The point that it shows."""
+    """(M,) Point of each observation."""
     initial_error: float
-    """Error of the graph at Bundler's reconstruction: half the sum of the squared, whitened residuals."""
+    """Error of the graph at the initial reconstruction: half the sum of the squared, whitened residuals."""
     final_error: float
     """Error of the graph at the solution."""
     iterations: int
-    """Steps that the optimizer took."""
+    """Number of iterations of the optimizer."""
 
     @property
     def reprojection_rms_px(self) -> float:
@@ -61,10 +60,10 @@ class SfmExperiment:
 
 
 def run_sfm_experiment() -> SfmExperiment:
-    """Adjust the bundle of Villa Balbianello.
+    """Run the bundle adjustment of Villa Balbianello.
 
     Returns:
-        The reconstruction and how much better it fits.
+        The adjusted reconstruction, with its errors before and after.
     """
     data = gtsam.SfmData.FromBundlerFile(gtsam.findExampleDataFile("Balbianello.out"))
     graph = data.sfmFactorGraph(gtsam.noiseModel.Isotropic.Sigma(2, PIXEL_SIGMA))
@@ -75,9 +74,9 @@ def run_sfm_experiment() -> SfmExperiment:
     cameras = [result.atPinholeCameraCal3Bundler(i) for i in range(data.numberCameras())]
     tracks = [data.track(j) for j in range(data.numberTracks())]
     points = np.stack([result.atPoint3(P(j)) for j in range(len(tracks))])
-    camera_of = np.concatenate([track.indexVector() for track in tracks]).astype(np.int64)
+    camera_index = np.concatenate([track.indexVector() for track in tracks]).astype(np.int64)
     views = np.array([track.numberMeasurements() for track in tracks])
-    point_of = np.repeat(np.arange(len(tracks)), views)
+    point_index = np.repeat(np.arange(len(tracks)), views)
     return SfmExperiment(
         Ts_world_cam=np.stack([camera.pose().matrix() for camera in cameras]),
         focal_px=np.array([camera.calibration().fx() for camera in cameras]),
@@ -86,9 +85,11 @@ def run_sfm_experiment() -> SfmExperiment:
         colours=np.round(255.0 * np.array([[t.r, t.g, t.b] for t in tracks])).astype(np.uint8),
         views=views,
         observed_px=np.concatenate([track.measurementMatrix() for track in tracks]),
-        reprojected_px=np.stack([cameras[i].project(points[j]) for i, j in zip(camera_of, point_of, strict=True)]),
-        observation_camera=camera_of,
-        observation_point=point_of,
+        reprojected_px=np.stack(
+            [cameras[i].project(points[j]) for i, j in zip(camera_index, point_index, strict=True)]
+        ),
+        observation_camera=camera_index,
+        observation_point=point_index,
         initial_error=graph.error(initial),
         final_error=graph.error(result),
         iterations=optimizer.iterations(),

@@ -11,7 +11,7 @@ import pytest
 
 from dronevio.cli import main
 from dronevio.driver import estimate_recording
-from dronevio.estimator.book.eqvio import read_flight
+from dronevio.estimator.book.eqvio import read_feature_recording
 from dronevio.estimator.vio import VisualInertialOdometry
 from dronevio.eval.metrics.alignment import align
 from dronevio.eval.run import EstimatorRun
@@ -197,7 +197,7 @@ class RealFrames:
 @pytest.fixture(scope="module")
 def on_the_ground(data_folder: Path) -> tuple[EstimatorRun, RealFrames]:
     """Return what is estimated from 95 frames, 4.7 s, of a drone that stands on the ground and moves by 3 mm."""
-    folder, flight = data_folder / "euroc" / "V1_01_on_the_ground", read_flight()
+    folder, flight = data_folder / "euroc" / "V1_01_on_the_ground", read_feature_recording()
     assert "458.654" in (folder / "cam0" / "sensor.yaml").read_text(encoding="utf-8")  # the camera of that rig
     times = read_frame_times(folder)
     recording = RealFrames(folder, flight.rig, flight.imu.up_to(int(times[-1]) + 10_000_000), times)

@@ -1,5 +1,6 @@
-"""Bundle adjustment of the chapter's photographs."""
+"""Bundle adjustment of the photographs of the chapter."""
 
+import matplotlib.image
 import numpy as np
 import pytest
 
@@ -11,22 +12,22 @@ def experiment() -> SfmExperiment:
     return run_sfm_experiment()
 
 
-def test_error_falls_as_in_the_book(experiment: SfmExperiment) -> None:
+def test_errors_are_those_of_the_book(experiment: SfmExperiment) -> None:
     assert experiment.Ts_world_cam.shape == (5, 4, 4)
     assert experiment.points.shape == (544, 3)
     assert experiment.initial_error == pytest.approx(126.9, abs=0.05)
     assert experiment.final_error == pytest.approx(125.5, abs=0.05)
 
 
-def test_error_is_that_of_the_reprojections(experiment: SfmExperiment) -> None:
-    """With 1 px of noise a graph's error is half the squared distance [px²]; what holds the gauge adds nothing."""
+def test_error_is_half_the_squared_reprojection_error(experiment: SfmExperiment) -> None:
+    """With a standard deviation of 1 px the residuals are in pixels; the gauge priors have no error."""
     squares = np.sum((experiment.observed_px - experiment.reprojected_px) ** 2)
     assert 0.5 * squares == pytest.approx(experiment.final_error, rel=1e-6)
     assert experiment.reprojection_rms_px == pytest.approx(np.sqrt(squares / len(experiment.observed_px)))
 
 
-def test_poses_and_points_explain_the_observations(experiment: SfmExperiment) -> None:
-    """A pinhole of our own, ignoring the small distortion, puts the points where they were seen."""
+def test_a_pinhole_model_reprojects_the_points(experiment: SfmExperiment) -> None:
+    """The test's own pinhole model, without the small distortion, agrees with the observations."""
     T = experiment.Ts_world_cam[experiment.observation_camera]
     p_world = experiment.points[experiment.observation_point]
     p_cam = np.einsum("nji,nj->ni", T[:, :3, :3], p_world - T[:, :3, 3])
@@ -35,22 +36,20 @@ def test_poses_and_points_explain_the_observations(experiment: SfmExperiment) ->
     assert np.median(np.linalg.norm(pixels - experiment.observed_px, axis=1)) < 2.0
 
 
-def test_every_point_is_seen_twice_or_more_by_different_cameras(experiment: SfmExperiment) -> None:
+def test_every_point_is_observed_by_two_cameras_or_more(experiment: SfmExperiment) -> None:
     assert experiment.views.min() >= 2
     np.testing.assert_array_equal(np.bincount(experiment.observation_point), experiment.views)
     pairs = set(zip(experiment.observation_point, experiment.observation_camera, strict=True))
     assert len(pairs) == len(experiment.observed_px)
 
 
-def test_colours_are_those_of_the_photographs(experiment: SfmExperiment) -> None:
-    import cv2
-
-    images = [cv2.cvtColor(cv2.imread(str(path)), cv2.COLOR_BGR2RGB) for path in experiment.photographs]
+def test_point_colours_match_the_photographs(experiment: SfmExperiment) -> None:
+    images = [matplotlib.image.imread(path) for path in experiment.photographs]
     height, width = images[0].shape[:2]
     columns, rows = np.round(experiment.observed_px + np.array([width, height]) / 2.0).astype(int).T
     inside = (columns >= 0) & (columns < width) & (rows >= 0) & (rows < height)
     assert inside.all()
-    seen = np.stack([images[c][y, x] for c, y, x in zip(experiment.observation_camera, rows, columns, strict=True)])
-    kept = experiment.colours[experiment.observation_point].astype(float)
-    for tint in ([1.0, 1.0, 1.0], [1.0, 0.0, -1.0], [-1.0, 2.0, -1.0]):  # light, warmth, greenness
-        assert np.corrcoef(seen @ tint, kept @ tint)[0, 1] > 0.8
+    observed = np.stack([images[c][y, x] for c, y, x in zip(experiment.observation_camera, rows, columns, strict=True)])
+    stored = experiment.colours[experiment.observation_point].astype(float)
+    for channel in ([1.0, 1.0, 1.0], [1.0, 0.0, -1.0], [-1.0, 2.0, -1.0]):  # brightness, red-blue, green-magenta
+        assert np.corrcoef(observed @ channel, stored @ channel)[0, 1] > 0.8
