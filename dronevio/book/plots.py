@@ -1,4 +1,4 @@
-"""Pictures of the robotics book's experiments."""
+"""Figures of the experiments of the book."""
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -23,28 +23,30 @@ Array = npt.NDArray[np.float64]
 _DPI = 120
 _TRIAD_M = 0.4
 _LABEL_OFFSET_M = 0.3
-_ZOOM = 1.15  # Matplotlib leaves wide margins around a box
-_OUTLIER_SPREADS = 6.0  # median deviations off the middle: farther points would shrink all others to a speck
+_BOX_SCALE = 1.15  # compensates the wide margins of Matplotlib around a 3D box
+_OUTLIER_DEVIATIONS = 6.0  # points farther from the median than this many median deviations are not drawn
 _FRUSTUM_DEPTH = 0.2
 _T_VIEW_CAM = np.array([[1.0, 0.0, 0.0, 0.0], [0.0, 0.0, 1.0, 0.0], [0.0, -1.0, 0.0, 0.0], [0.0, 0.0, 0.0, 1.0]])
 
 
 def draw_imu_path(experiment: ImuExperiment, path: Path) -> None:
-    """Draw the loop in 3D: the true path, the first guess, and the states found with their axes."""
+    """Draw the loop in 3D: the true path, the initial values, and the estimated states with their axes."""
     figure = Figure(figsize=(8.0, 7.0), layout="constrained")
     axes = _axes_3d(figure, 111)
-    found = experiment.Ts_world_imu[:, :3, 3]
-    guess = experiment.Ts_world_imu_initial[:, :3, 3]
+    estimated = experiment.Ts_world_imu[:, :3, 3]
+    initial = experiment.Ts_world_imu_initial[:, :3, 3]
     axes.plot(*experiment.path_m.T, color=TRUTH, label=f"true path, radius {experiment.flight.radius_m:.2f} m")
-    axes.scatter(*guess.T, color=ROOM, marker="x", s=40, label=f"first guess, error {experiment.initial_error:.3g}")
-    axes.scatter(*found.T, color=ESTIMATE, s=30, label=f"found, error {experiment.final_error:.1g}")
+    axes.scatter(
+        *initial.T, color=ROOM, marker="x", s=40, label=f"initial values, error {experiment.initial_error:.3g}"
+    )
+    axes.scatter(*estimated.T, color=ESTIMATE, s=30, label=f"estimate, error {experiment.final_error:.1g}")
     for axis, colour in enumerate(AXES):
-        tips = found + _TRIAD_M * experiment.Ts_world_imu[:, :3, axis]
-        axes.add_collection3d(Line3DCollection(np.stack([found, tips], axis=1), colors=colour, linewidths=1.5))
-    for i, p in enumerate(found):
-        outwards = _LABEL_OFFSET_M * experiment.Ts_world_imu[i, :3, 2]
-        axes.text(*(p - outwards), f"$x_{{{i}}}$", color=ESTIMATE, ha="center", va="center")
-    _equal_box(axes, np.concatenate([experiment.path_m, found, guess]))
+        tips = estimated + _TRIAD_M * experiment.Ts_world_imu[:, :3, axis]
+        axes.add_collection3d(Line3DCollection(np.stack([estimated, tips], axis=1), colors=colour, linewidths=1.5))
+    for i, p in enumerate(estimated):
+        inwards = _LABEL_OFFSET_M * experiment.Ts_world_imu[i, :3, 2]
+        axes.text(*(p - inwards), f"$x_{{{i}}}$", color=ESTIMATE, ha="center", va="center")
+    _equal_box(axes, np.concatenate([experiment.path_m, estimated, initial]))
     axes.set(xlabel="x [m]", ylabel="y [m]", zlabel="z [m]", title="Dead reckoning on a loop")
     axes.yaxis.set_major_locator(MaxNLocator(3))
     axes.view_init(elev=18.0, azim=-70.0)
@@ -53,21 +55,26 @@ def draw_imu_path(experiment: ImuExperiment, path: Path) -> None:
 
 
 def draw_factor_graph(factors: Sequence[Sequence[str]], path: Path) -> None:
-    """Draw a graph of poses x, velocities v and biases b in three rows; each factor is a dot tied to its variables."""
+    """Draw a factor graph with poses x, velocities v and biases b in three rows.
+
+    Args:
+        factors: Names of the variables that each factor connects.
+        path: PNG file to write.
+    """
     names = sorted({name for factor in factors for name in factor})
-    place = {name: _place(name, names) for name in names}
+    positions = {name: _variable_position(name, names) for name in names}
     states = max(int(name[1:]) for name in names) + 1
     figure = Figure(figsize=(1.2 * states + 1.0, 4.2), layout="constrained")
     axes: Axes = figure.add_subplot(111)
     for factor in factors:
-        ends = {name: place[name] for name in factor}
-        dot = _prior_place(ends[factor[0]]) if len(factor) == 1 else _motion_place(ends)
+        ends = {name: positions[name] for name in factor}
+        centre = _prior_position(ends[factor[0]]) if len(factor) == 1 else _motion_position(ends)
         for name, end in ends.items():
-            axes.plot(*np.transpose([dot, end]), color=ROOM, linewidth=0.8 if name[0] == "b" else 1.3, zorder=1)
-        axes.plot(*dot, "o" if len(factor) == 1 else "s", color="black", markersize=6, zorder=3)
-    fills = {"x": ESTIMATE, "v": BAND, "b": TRUTH}
-    for name, (x, y) in place.items():
-        axes.plot(x, y, "o", markersize=28, markerfacecolor="white", markeredgecolor=fills[name[0]], zorder=2)
+            axes.plot(*np.transpose([centre, end]), color=ROOM, linewidth=0.8 if name[0] == "b" else 1.3, zorder=1)
+        axes.plot(*centre, "o" if len(factor) == 1 else "s", color="black", markersize=6, zorder=3)
+    colours = {"x": ESTIMATE, "v": BAND, "b": TRUTH}
+    for name, (x, y) in positions.items():
+        axes.plot(x, y, "o", markersize=28, markerfacecolor="white", markeredgecolor=colours[name[0]], zorder=2)
         axes.text(x, y, f"${name[0]}_{{{name[1:]}}}$", ha="center", va="center", fontsize=13, zorder=4)
     axes.set(
         xlim=(-0.8, states - 0.5), ylim=(-0.5, 2.5), title="■ IMU factors   ● priors   x poses   v velocities   b bias"
@@ -77,7 +84,7 @@ def draw_factor_graph(factors: Sequence[Sequence[str]], path: Path) -> None:
 
 
 def draw_sfm_cloud(experiment: SfmExperiment, path: Path) -> None:
-    """Draw the coloured points and the cameras' frusta in 3D, beside a photograph with what was seen in it."""
+    """Draw the coloured points and the camera frusta in 3D, beside a photograph with its observations."""
     figure = Figure(figsize=(13.0, 5.2), layout="constrained")
     cloud, photograph = _axes_3d(figure, 121), figure.add_subplot(122)
     _draw_cloud(cloud, experiment)
@@ -90,7 +97,15 @@ def draw_sfm_cloud(experiment: SfmExperiment, path: Path) -> None:
 
 
 def frustum(T_world_cam: Array, focal_px: float, width_px: int, height_px: int, depth: float) -> Array:
-    """Return (8, 2, 3) the edges in the world of a camera's pyramid, cut off at a depth."""
+    """Return the eight edges (8, 2, 3) of a camera frustum in the world frame.
+
+    Args:
+        T_world_cam: (4, 4) Pose of the camera.
+        focal_px: Focal length [px].
+        width_px: Width of the image [px].
+        height_px: Height of the image [px].
+        depth: Depth of the image plane, in the unit of the pose.
+    """
     half = 0.5 * np.array([width_px, height_px]) / focal_px * depth
     corners = np.column_stack([np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]]) * half, np.full(4, depth)])
     world = corners @ T_world_cam[:3, :3].T + T_world_cam[:3, 3]
@@ -99,12 +114,12 @@ def frustum(T_world_cam: Array, focal_px: float, width_px: int, height_px: int, 
 
 
 def _draw_cloud(axes: Axes3D, experiment: SfmExperiment) -> None:
-    """Draw points and frusta as the first camera has them: right, forward, up."""
+    """Draw points and frusta in the axes of the first camera: right, forward, up."""
     T_view_world = _T_VIEW_CAM @ inverse_pose(experiment.Ts_world_cam[0])
     points = experiment.points @ T_view_world[:3, :3].T + T_view_world[:3, 3]
-    middle = np.median(points, axis=0)
-    spread = np.median(np.abs(points - middle), axis=0)
-    kept = np.all(np.abs(points - middle) < _OUTLIER_SPREADS * spread, axis=1)
+    median = np.median(points, axis=0)
+    deviation = np.median(np.abs(points - median), axis=0)
+    kept = np.all(np.abs(points - median) < _OUTLIER_DEVIATIONS * deviation, axis=1)
     axes.scatter(*points[kept].T, c=experiment.colours[kept] / 255.0, s=9, depthshade=False)
     height, width = matplotlib.image.imread(experiment.photographs[0]).shape[:2]
     Ts_view_cam = T_view_world @ experiment.Ts_world_cam
@@ -113,7 +128,7 @@ def _draw_cloud(axes: Axes3D, experiment: SfmExperiment) -> None:
         axes.add_collection3d(Line3DCollection(edges, colors=ESTIMATE, linewidths=1.2))
     _equal_box(axes, np.concatenate([points[kept], Ts_view_cam[:, :3, 3]]))
     axes.set(xlabel="right", ylabel="forward", zlabel="up")
-    axes.set_title(f"{kept.sum()} of the points in their colours, the cameras as frusta")
+    axes.set_title(f"{kept.sum()} points and the camera frusta")
     axes.zaxis.set_major_locator(MaxNLocator(4))
     axes.view_init(elev=24.0, azim=-115.0)
 
@@ -121,31 +136,33 @@ def _draw_cloud(axes: Axes3D, experiment: SfmExperiment) -> None:
 def _draw_photograph(axes: Axes, experiment: SfmExperiment, camera: int) -> None:
     image = matplotlib.image.imread(experiment.photographs[camera])
     centre = 0.5 * np.array([image.shape[1], image.shape[0]])
-    seen = experiment.observation_camera == camera
+    observed = experiment.observation_camera == camera
     axes.imshow(image)
-    x, y = (experiment.observed_px[seen] + centre).T
+    x, y = (experiment.observed_px[observed] + centre).T
     axes.scatter(x, y, s=28, facecolors="none", edgecolors=BAND, label="observed")
-    x, y = (experiment.reprojected_px[seen] + centre).T
+    x, y = (experiment.reprojected_px[observed] + centre).T
     axes.scatter(x, y, s=4, color=ESTIMATE, label="reprojected")
-    axes.set_title(f"Photograph {camera + 1}; all observations fit to {experiment.reprojection_rms_px:.2f} px RMS")
+    axes.set_title(
+        f"Photograph {camera + 1}; reprojection error of all observations {experiment.reprojection_rms_px:.2f} px RMS"
+    )
     axes.axis("off")
     axes.legend(loc="lower right")
 
 
-def _place(name: str, names: Sequence[str]) -> Array:
-    """Return where a variable goes: its state's column, or the middle for a bias; its kind's row."""
+def _variable_position(name: str, names: Sequence[str]) -> Array:
+    """Return the position (2,) of a variable: the column of its state, or the middle for a bias, and its kind's row."""
     row = {"x": 2.0, "v": 1.0, "b": 0.0}[name[0]]
     states = max(int(other[1:]) for other in names) + 1
     return np.array([0.5 * (states - 1) if name[0] == "b" else float(name[1:]), row])
 
 
-def _prior_place(variable: Array) -> Array:
-    """Return where to put a factor on one variable: to its left."""
+def _prior_position(variable: Array) -> Array:
+    """Return the position (2,) of a factor on one variable (2,): to its left."""
     return variable - [0.42, 0.0]
 
 
-def _motion_place(ends: Mapping[str, Array]) -> Array:
-    """Return where to put a factor on two states and the bias: in the middle of the states."""
+def _motion_position(ends: Mapping[str, Array]) -> Array:
+    """Return the position (2,) of a factor on two states and the bias: the centre of the states."""
     return np.asarray(np.mean([end for name, end in ends.items() if name[0] != "b"], axis=0))
 
 
@@ -156,39 +173,43 @@ def _axes_3d(figure: Figure, position: int) -> Axes3D:
 
 
 def _equal_box(axes: Axes3D, points: Array) -> None:
-    """Give all three axes the same scale."""
+    """Set limits around points (N, 3) with the same scale on all three axes."""
     low, high = points.min(axis=0), points.max(axis=0)
     margin = 0.05 * (high - low).max()
     spans = np.maximum(high - low, 0.3 * (high - low).max()) + 2.0 * margin
-    middle = 0.5 * (low + high)
-    for axis, m, span in zip("xyz", middle, spans, strict=True):
-        getattr(axes, f"set_{axis}lim")(m - 0.5 * span, m + 0.5 * span)
-    axes.set_box_aspect(spans, zoom=_ZOOM)
+    centre = 0.5 * (low + high)
+    for axis, c, span in zip("xyz", centre, spans, strict=True):
+        getattr(axes, f"set_{axis}lim")(c - 0.5 * span, c + 0.5 * span)
+    axes.set_box_aspect(spans, zoom=_BOX_SCALE)
 
 
-def draw_two_paths(t_ns: Times, ours_m: Array, theirs_m: Array, path: Path) -> None:
-    """Draw two aligned paths from above and from the side, and their distance over time.
+def draw_two_paths(t_ns: Times, smoother_m: Array, eqvio_m: Array, path: Path) -> None:
+    """Draw two aligned paths from above and from the side, and the distance between them over time.
 
     Args:
-        t_ns: (N,) Time stamps of both [ns].
-        ours_m: (N, 3) Positions of the smoother [m].
-        theirs_m: (N, 3) Positions of the filter at the same times, aligned [m].
+        t_ns: (N,) Time stamps of both paths [ns].
+        smoother_m: (N, 3) Positions of the smoother [m].
+        eqvio_m: (N, 3) Positions of the filter at the same times, aligned to the smoother [m].
         path: PNG file to write.
     """
     figure = Figure(figsize=(12.0, 7.0), layout="constrained")
     above, side, distance = figure.subplot_mosaic([["above", "side"], ["above", "distance"]]).values()
-    for axes, (i, j), title in ((above, (0, 1), "from above"), (side, (0, 2), "from the side")):
-        axes.plot(theirs_m[:, i], theirs_m[:, j], color=TRUTH, label="EqVIO (gtsam), a filter")
-        axes.plot(ours_m[:, i], ours_m[:, j], color=ESTIMATE, label="dronevio, a fixed-lag smoother")
-        axes.plot(*ours_m[0, [i, j]], "o", color=ROOM)
-        axes.annotate("start", (ours_m[0, i], ours_m[0, j]), textcoords="offset points", xytext=(8, -4), color=ROOM)
+    for axes, (i, j), title in ((above, (0, 1), "From above"), (side, (0, 2), "From the side")):
+        axes.plot(eqvio_m[:, i], eqvio_m[:, j], color=TRUTH, label="EqVIO (GTSAM), a filter")
+        axes.plot(smoother_m[:, i], smoother_m[:, j], color=ESTIMATE, label="dronevio, a fixed-lag smoother")
+        start = smoother_m[0, [i, j]]
+        axes.plot(*start, "o", color=ROOM)
+        axes.annotate("start", (start[0], start[1]), textcoords="offset points", xytext=(8, -4), color=ROOM)
         axes.set(title=title, xlabel="x [m]", ylabel=f"{'xyz'[j]} [m]", aspect="equal")
         axes.grid(alpha=0.3)
     above.legend(loc="best")
-    distance.plot((t_ns - t_ns[0]) * 1e-9, 100.0 * np.linalg.norm(ours_m - theirs_m, axis=1), color=ESTIMATE)
+    distance.plot((t_ns - t_ns[0]) * 1e-9, 100.0 * np.linalg.norm(smoother_m - eqvio_m, axis=1), color=ESTIMATE)
     distance.set(
-        title="between the two", xlabel="time since the smoother's start [s]", ylabel="distance [cm]", ylim=(0, None)
+        title="Distance between the two",
+        xlabel="time since the initialization of the smoother [s]",
+        ylabel="distance [cm]",
+        ylim=(0, None),
     )
     distance.grid(alpha=0.3)
-    figure.suptitle("Half a minute of EuRoC V1_01: real IMU, real image features")
-    figure.savefig(path, dpi=120)
+    figure.suptitle("Half a minute of EuRoC V1_01: real IMU samples, real image features")
+    figure.savefig(path, dpi=_DPI)

@@ -1,4 +1,4 @@
-"""The reconstruction of the robotics book's photographs as a recording to walk around in."""
+"""The reconstruction of the photographs as a rerun recording."""
 
 from pathlib import Path
 
@@ -10,15 +10,15 @@ import rerun.blueprint as rrb
 from dronevio.estimator.book.sfm import SfmExperiment
 
 _POINT_RADIUS = 0.006
-_PLANE_DISTANCE = 0.3  # how far in front of its camera a photograph hangs
+_PLANE_DISTANCE = 0.3  # distance of a photograph from its camera, in units of the reconstruction
 
 
 def record_sfm(experiment: SfmExperiment, path: Path) -> None:
-    """Write the points in their colours and the cameras with their photographs as ``path`` (.rrd)."""
+    """Write the coloured points and the cameras with their photographs to a rerun file ``path`` (.rrd)."""
     blueprint = rrb.Blueprint(rrb.Spatial3DView(origin="/", name="Villa Balbianello"), collapse_panels=True)
     with rr.RecordingStream("dronevio_book_sfm") as stream:
         stream.save(path, default_blueprint=blueprint)
-        # Bundler's world is its first camera's frame in OpenGL's manner: y up, and the photographs were held upright.
+        # The world frame of Bundler is that of its first camera in OpenGL's convention, y up.
         stream.log("/", rr.ViewCoordinates.RIGHT_HAND_Y_UP, static=True)
         stream.log(
             "points", rr.Points3D(experiment.points, colors=experiment.colours, radii=_POINT_RADIUS), static=True
@@ -28,11 +28,11 @@ def record_sfm(experiment: SfmExperiment, path: Path) -> None:
 
 
 def _record_camera(stream: rr.RecordingStream, experiment: SfmExperiment, index: int, photograph: Path) -> None:
-    """Log one camera, its photograph and what was seen in it."""
+    """Log one camera, its photograph and its observations."""
     T, entity = experiment.Ts_world_cam[index], f"cameras/{index + 1}"
     height, width = _size(photograph)
     focal_px = float(experiment.focal_px[index])
-    seen = experiment.observation_camera == index
+    observed = experiment.observation_camera == index
     stream.log(entity, rr.Transform3D(translation=T[:3, 3], mat3x3=T[:3, :3]), static=True)
     stream.log(
         entity,
@@ -40,12 +40,12 @@ def _record_camera(stream: rr.RecordingStream, experiment: SfmExperiment, index:
         static=True,
     )
     stream.log(f"{entity}/photograph", rr.EncodedImage(path=photograph), static=True)
-    pixels = experiment.observed_px[seen] + 0.5 * np.array([width, height])
-    colours = experiment.colours[experiment.observation_point[seen]]
+    pixels = experiment.observed_px[observed] + 0.5 * np.array([width, height])
+    colours = experiment.colours[experiment.observation_point[observed]]
     stream.log(f"{entity}/photograph/observed", rr.Points2D(pixels, colors=colours, radii=2.0), static=True)
 
 
 def _size(photograph: Path) -> tuple[int, int]:
-    """Return the height and width [px] of an image file."""
+    """Return the height and the width of an image file [px]."""
     height, width = matplotlib.image.imread(photograph).shape[:2]
     return int(height), int(width)
