@@ -1,4 +1,4 @@
-"""When a frame becomes a keyframe: one that gets a state of its own in the smoother's window."""
+"""Keyframe selection: by time, by the share of tracked features and by the innovation."""
 
 from dataclasses import dataclass
 
@@ -8,7 +8,7 @@ import numpy.typing as npt
 from dronevio.estimator.types import Observations
 
 TIME_TOLERANCE_S = 0.001
-"""Time stamps jitter: an interval of 0.2 s may come as 0.1999 s [s]."""
+"""Tolerance of time intervals [s], because time stamps are rounded and jitter."""
 
 
 @dataclass(frozen=True)
@@ -16,53 +16,70 @@ class KeyframeConfig:
     """When a frame becomes a keyframe."""
 
     interval_s: float = 0.2
-    """In motion, at the latest after this time [s]."""
+    """Longest time between keyframes in motion [s]."""
     stationary_interval_s: float = 0.5
-    """At rest, after this time [s]."""
+    """Time between keyframes while the drone is stationary [s]."""
     min_tracked: float = 0.6
-    """Earlier, when less than this share of the last keyframe's features is left ..."""
+    """Smallest share of the last keyframe's features that is still tracked. With fewer, the frame becomes a keyframe
+    before `interval_s`."""
     max_innovation_px: float = 2.0
-    """... or when known landmarks are typically so far from where the IMU puts them [px], ten times as far as usual: a
-    shock, or an IMU that errs, is not to be told for longer than need be ..."""
+    """Largest median innovation of the landmarks [px]. Beyond it, after a shock or with a wrong IMU, the frame becomes
+    a keyframe before `interval_s`."""
     min_interval_s: float = 0.1
-    """... but not before this time for that reason, lest the window become short [s]."""
+    """Shortest time to the last keyframe for a keyframe by innovation [s], so that the window does not become short."""
 
 
 class KeyframePolicy:
-    """Compares each frame with the last keyframe."""
+    """Decides whether a frame becomes a keyframe, by comparison with the last keyframe."""
 
     def __init__(self, config: KeyframeConfig) -> None:
+        """Create a policy without a keyframe.
+
+        Args:
+            config: Settings.
+        """
         self._config = config
-        self._ids: npt.NDArray[np.int64] = np.zeros(0, np.int64)  # of the last keyframe's features
+        self._ids: npt.NDArray[np.int64] = np.zeros(0, np.int64)  # features of the last keyframe
 
     def set_reference(self, observations: Observations) -> None:
-        """Take a keyframe: what comes is compared with what it sees."""
+        """Set the observations of the last keyframe, with which frames are compared."""
         self._ids = observations.ids
 
     def is_due(
         self, elapsed_s: float, stationary_s: float, observations: Observations, innovation_px: float | None = None
     ) -> bool:
-        """Say whether a frame becomes a keyframe.
+        """Return whether a frame becomes a keyframe.
 
         Args:
             elapsed_s: Time since the last keyframe [s].
-            stationary_s: For how long the drone has not moved [s].
-            observations: What the frame shows.
-            innovation_px: How far known landmarks are from where they should be [px]; None without any.
+            stationary_s: Time for which the drone has been stationary [s].
+            observations: Observations of the frame.
+            innovation_px: Median innovation of the landmarks [px]; None without landmarks.
         """
         c = self._config
         if self.is_stationary(elapsed_s, stationary_s):
             return self.is_interval_over(elapsed_s, stationary=True)
-        left = np.isin(self._ids, observations.ids).mean() if len(self._ids) else 1.0  # darkness is not worth a window
-        surprised = (innovation_px or 0.0) > c.max_innovation_px and elapsed_s >= c.min_interval_s - TIME_TOLERANCE_S
-        return self.is_interval_over(elapsed_s, stationary=False) or bool(left < c.min_tracked) or surprised
+        tracked = np.isin(self._ids, observations.ids).mean() if len(self._ids) else 1.0
+        is_implausible = (innovation_px or 0.0) > c.max_innovation_px
+        is_implausible &= elapsed_s >= c.min_interval_s - TIME_TOLERANCE_S
+        return self.is_interval_over(elapsed_s, stationary=False) or bool(tracked < c.min_tracked) or is_implausible
 
     def is_interval_over(self, elapsed_s: float, stationary: bool) -> bool:
-        """Say whether it is time for a keyframe, whatever the frame shows."""
+        """Return whether the longest time between keyframes has elapsed.
+
+        Args:
+            elapsed_s: Time since the last keyframe [s].
+            stationary: Whether the drone has been stationary since then.
+        """
         interval_s = self._config.stationary_interval_s if stationary else self._config.interval_s
         return elapsed_s >= interval_s - TIME_TOLERANCE_S
 
     @staticmethod
     def is_stationary(elapsed_s: float, stationary_s: float) -> bool:
-        """Say whether the drone has not moved since the last keyframe."""
+        """Return whether the drone has been stationary since the last keyframe.
+
+        Args:
+            elapsed_s: Time since the last keyframe [s].
+            stationary_s: Time for which the drone has been stationary [s].
+        """
         return stationary_s >= elapsed_s

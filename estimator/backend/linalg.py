@@ -1,8 +1,4 @@
-"""The marginal prior: what keyframes and landmarks that left the window still say of those that stay.
-
-It is a Gaussian about the values at which its variables were first linearized (Sibley, Matthies, Sukhatme, "Sliding
-window filter with application to planetary landing", JFR 2010; Leutenegger et al., IJRR 2015).
-"""
+"""Dense linear algebra of the smoother: Cholesky factorization and the Schur complement."""
 
 import numpy as np
 import numpy.typing as npt
@@ -11,7 +7,7 @@ from scipy.linalg import LinAlgError, cho_factor, cho_solve
 Array = npt.NDArray[np.float64]
 
 RELATIVE_DAMPING = 1e-12
-"""What is added to a scaled information matrix, whose diagonal is 1: rounding errors must not make it indefinite."""
+"""Addition to the unit diagonal of a scaled information matrix, so that rounding errors do not make it indefinite."""
 
 
 class SingularError(RuntimeError):
@@ -19,51 +15,69 @@ class SingularError(RuntimeError):
 
 
 class CholeskyFactor:
-    """A symmetric positive definite matrix, scaled to a diagonal of ones and factorized."""
+    """Cholesky factorization of a symmetric positive definite matrix that is scaled to a unit diagonal."""
 
     def __init__(self, H: Array) -> None:
-        """Factorize H (n, n).
+        """Factorize a matrix.
+
+        Args:
+            H: (n, n) Symmetric matrix.
 
         Raises:
-            SingularError: It is not positive definite.
+            SingularError: The matrix is not positive definite, or not finite.
         """
         diagonal = np.diag(H)
-        if not np.all(diagonal > 0.0) or not np.isfinite(H).all():
-            raise SingularError("a variable that nothing holds")
+        if not np.isfinite(H).all():
+            raise SingularError("the linear system is not finite")
+        if not np.all(diagonal > 0.0):
+            raise SingularError("a variable is unconstrained")
         self._scale = 1.0 / np.sqrt(diagonal)
         scaled = H * self._scale[:, None] * self._scale
         scaled[np.diag_indices_from(scaled)] += RELATIVE_DAMPING
         try:
             self._factor = cho_factor(scaled, lower=True, overwrite_a=True, check_finite=False)
         except LinAlgError as error:
-            raise SingularError("an indefinite linear system") from error
+            raise SingularError("the linear system is indefinite") from error
 
     def solve(self, b: Array) -> Array:
-        """Return H⁻¹ b for b (n,) or (n, m)."""
+        """Return H⁻¹ b for b of shape (n,) or (n, m)."""
         scale = self._scale if b.ndim == 1 else self._scale[:, None]
         return np.asarray(scale * cho_solve(self._factor, scale * b, check_finite=False))
 
     def inverse_block(self, columns: npt.NDArray[np.int64]) -> Array:
-        """Return the block of H⁻¹ at some rows and columns: their covariance."""
+        """Return the block of H⁻¹ at some rows and columns, the marginal covariance of these variables.
+
+        Args:
+            columns: (m,) Indices of the rows and columns.
+
+        Returns:
+            The block (m, m), exactly symmetric.
+        """
         unit = np.zeros((len(self._scale), len(columns)))
         unit[columns, np.arange(len(columns))] = 1.0
         block = self.solve(unit)[columns]
         return np.asarray(0.5 * (block + block.T))
 
 
-def schur_complement(H: Array, b: Array, leaving: npt.NDArray[np.bool_]) -> tuple[Array, Array]:
-    """Return the information and right side that are left when some of n variables are marginalized.
+def schur_complement(H: Array, b: Array, eliminated: npt.NDArray[np.bool_]) -> tuple[Array, Array]:
+    """Return the linear system that remains when some of n variables are marginalized.
+
+    With s the variables that stay and m those that are eliminated, it is H_ss − H_sm H_mm⁻¹ H_ms and
+    b_s − H_sm H_mm⁻¹ b_m.
 
     Args:
-        H: (n, n) Information.
-        b: (n,) Right side of H δ = b.
-        leaving: (n,) Whose variables go.
+        H: (n, n) Information matrix.
+        b: (n,) Right-hand side of H δ = b.
+        eliminated: (n,) Whether a variable is marginalized.
+
+    Returns:
+        The information matrix and the right-hand side of the variables that stay.
 
     Raises:
-        SingularError: Those that leave are not determined.
+        SingularError: The information on the eliminated variables is not positive definite.
     """
-    stays = ~leaving
-    across = H[np.ix_(stays, leaving)]
-    gain = CholeskyFactor(H[np.ix_(leaving, leaving)]).solve(across.T).T
-    rest = H[np.ix_(stays, stays)] - gain @ across.T
-    return np.asarray(0.5 * (rest + rest.T)), np.asarray(b[stays] - gain @ b[leaving])
+    kept = ~eliminated
+    H_sm = H[np.ix_(kept, eliminated)]
+    gain = CholeskyFactor(H[np.ix_(eliminated, eliminated)]).solve(H_sm.T).T
+    reduced = H[np.ix_(kept, kept)] - gain @ H_sm.T
+    return np.asarray(0.5 * (reduced + reduced.T)), np.asarray(b[kept] - gain @ b[eliminated])

@@ -1,8 +1,8 @@
-"""The state of a keyframe as the smoother moves it, and the prior that keyframes and landmarks leave behind.
+"""The state of a keyframe on its manifold, and the marginal prior of keyframes and landmarks that left the window.
 
-A state changes as GTSAM has it: the pose by δθ, δp in the IMU's axes, then the velocity in the world, then the
-accelerometer's and the gyroscope's bias: 15 numbers. A landmark that stays in the prior changes by 3 numbers. Linear
-systems hold the keyframes first, then the landmarks.
+A state has 15 degrees of freedom, in GTSAM's order: the pose (δθ, δp) in the IMU frame, the velocity in the world
+frame, then the biases of accelerometer and gyroscope. A landmark in the prior has three. Linear systems hold the
+keyframes first, then the landmarks.
 """
 
 from collections.abc import Iterable, Mapping
@@ -17,7 +17,7 @@ from dronevio.estimator.backend.linalg import schur_complement
 Array = npt.NDArray[np.float64]
 
 STATE_DIM, POSE_DIM, POINT_DIM = 15, 6, 3
-"""Numbers in which a keyframe's state, its pose alone, and a landmark can change."""
+"""Degrees of freedom of a keyframe's state, of its pose, and of a landmark."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -25,60 +25,85 @@ class KeyframeState:
     """The state of a keyframe."""
 
     pose: gtsam.Pose3
-    """Of the IMU, in the world."""
+    """Pose of the IMU in the world frame, `T_world_imu`."""
     velocity: Array
-    """(3,) In the world [m/s]."""
+    """(3,) Velocity of the IMU in the world frame [m/s]."""
     bias: gtsam.imuBias.ConstantBias
-    """Of accelerometer and gyroscope."""
+    """Biases of accelerometer [m/s²] and gyroscope [rad/s]."""
 
-    def retract(self, change: Array) -> "KeyframeState":
-        """Return the state that differs by a change (15,)."""
-        bias = self.bias.retract(change[9:])
-        return KeyframeState(self.pose.retract(change[:6]), self.velocity + change[6:9], bias)
+    def retract(self, delta: Array) -> "KeyframeState":
+        """Return the state at a tangent vector (15,) from this one."""
+        bias = self.bias.retract(delta[9:])
+        return KeyframeState(self.pose.retract(delta[:6]), self.velocity + delta[6:9], bias)
 
     def local_coordinates(self, other: "KeyframeState") -> Array:
-        """Return the change (15,) that makes another state of this one."""
-        turn_and_shift = self.pose.localCoordinates(other.pose)
-        biases = self.bias.localCoordinates(other.bias)
-        return np.concatenate([turn_and_shift, other.velocity - self.velocity, biases])
+        """Return the tangent vector (15,) from this state to another, the inverse of `retract`."""
+        pose = self.pose.localCoordinates(other.pose)
+        bias = self.bias.localCoordinates(other.bias)
+        return np.concatenate([pose, other.velocity - self.velocity, bias])
 
 
 @dataclass(frozen=True, eq=False)
 class MarginalPrior:
-    """What is known of some variables from what has left the window: a Gaussian about their first estimates.
+    """The Gaussian on the variables of the window that replaces all marginalized variables and factors.
 
-    (Sibley, Matthies, Sukhatme, "Sliding window filter with application to planetary landing", JFR 2010.)
+    It is linear about the values at which its variables were first linearized. Jacobians of other factors of these
+    variables are evaluated at the same values (first-estimates Jacobians), so that unobservable directions gain no
+    information.
+
+    References:
+        Sibley, Matthies, Sukhatme, "Sliding window filter with application to planetary landing", JFR 2010.
+        Huang, Mourikis, Roumeliotis, "A first-estimates Jacobian EKF for improving SLAM consistency", ISER 2008.
     """
 
     H: Array
-    """(n, n) Information, in the order of `states` and then `points`."""
+    """(n, n) Information matrix, in the order of `states` and then `points`."""
     b: Array
-    """(n,) Right side of H δ = b, where δ counts from the first estimates."""
+    """(n,) Right-hand side of H δ = b, where δ is taken from the linearization points."""
     states: Mapping[int, KeyframeState]
-    """First estimates of the keyframes, in their order."""
+    """Linearization points of the keyframes by their numbers, in increasing order."""
     points: Mapping[int, Array] = field(default_factory=dict)
-    """First estimates (3,) of the long-lived landmarks."""
+    """Linearization points (3,) of the persistent landmarks by their identities, in the world frame [m]."""
 
-    def linearization_point(self, k: int, now: KeyframeState) -> KeyframeState:
-        """Return where a keyframe is to be linearized: what the prior knows anything of, where it first was."""
+    def linearization_point(self, k: int, current: KeyframeState) -> KeyframeState:
+        """Return the state at which Jacobians by the variables of a keyframe are evaluated.
+
+        Args:
+            k: Number of the keyframe.
+            current: Its current estimate.
+
+        Returns:
+            The linearization point of those of pose, velocity and biases on which the prior has information, and the
+            current estimate of the others.
+        """
         if k not in self.states:
-            return now
+            return current
         start = STATE_DIM * list(self.states).index(k)
-        known, first = np.diag(self.H)[start : start + STATE_DIM] > 0.0, self.states[k]
+        is_constrained, first = np.diag(self.H)[start : start + STATE_DIM] > 0.0, self.states[k]
         return KeyframeState(
-            first.pose if known[:6].any() else now.pose,
-            first.velocity if known[6:9].any() else now.velocity,
-            first.bias if known[9:].any() else now.bias,
+            first.pose if is_constrained[:6].any() else current.pose,
+            first.velocity if is_constrained[6:9].any() else current.velocity,
+            first.bias if is_constrained[9:].any() else current.bias,
         )
 
     def right_hand_side(self, states: Mapping[int, KeyframeState], points: Mapping[int, Array]) -> Array:
-        """Return the right side (n,), where δ counts from the present estimates of at least the prior's variables."""
-        return np.asarray(self.b - self.H @ self._change(states, points))
+        """Return the right-hand side (n,) of H δ = b where δ is taken from current estimates.
+
+        Args:
+            states: Current estimates, of the prior's keyframes at least.
+            points: Current estimates (3,), of the prior's landmarks at least.
+        """
+        return np.asarray(self.b - self.H @ self._deviation(states, points))
 
     def cost(self, states: Mapping[int, KeyframeState], points: Mapping[int, Array]) -> float:
-        """Return the negative logarithm of its density at the present estimates, up to a constant."""
-        change = self._change(states, points)
-        return float(0.5 * change @ self.H @ change - self.b @ change)
+        """Return the negative logarithm of the prior's density at current estimates, up to a constant.
+
+        Args:
+            states: Current estimates, of the prior's keyframes at least.
+            points: Current estimates (3,), of the prior's landmarks at least.
+        """
+        delta = self._deviation(states, points)
+        return float(0.5 * delta @ self.H @ delta - self.b @ delta)
 
     @classmethod
     def from_current_estimates(
@@ -89,42 +114,44 @@ class MarginalPrior:
         points: Mapping[int, Array],
         earlier: "MarginalPrior",
     ) -> "MarginalPrior":
-        """Return the prior whose right side counts from the present estimates; what was in an earlier one stays there.
+        """Return the prior of a linear system about current estimates, with the linearization points of an earlier one.
 
         Args:
-            H: (n, n) Information.
-            b: (n,) Right side, about ``states`` and ``points``.
-            states: Present estimates of all of the prior's keyframes.
-            points: Present estimates of all of its landmarks.
-            earlier: Where its variables were linearized first.
+            H: (n, n) Information matrix.
+            b: (n,) Right-hand side of H δ = b, where δ is taken from ``states`` and ``points``.
+            states: Current estimates of all keyframes of the prior.
+            points: Current estimates (3,) of all landmarks of the prior.
+            earlier: The prior that keeps its linearization points; variables that it lacks are linearized here.
         """
-        first = {k: earlier.linearization_point(k, now) for k, now in states.items()}
-        made = cls(H, b, first, {i: earlier.points.get(i, now) for i, now in points.items()})
-        return cls(H, b + H @ made._change(states, points), made.states, made.points)
+        first = {k: earlier.linearization_point(k, current) for k, current in states.items()}
+        prior = cls(H, b, first, {i: earlier.points.get(i, current) for i, current in points.items()})
+        return cls(H, b + H @ prior._deviation(states, points), prior.states, prior.points)
 
     def with_points(self, points: Mapping[int, Array]) -> "MarginalPrior":
-        """Return the prior with landmarks added of which it knows nothing yet."""
-        more = POINT_DIM * len(points)
-        return MarginalPrior(
-            np.pad(self.H, (0, more)), np.pad(self.b, (0, more)), self.states, {**self.points, **points}
-        )
+        """Return the prior with landmarks added on which it has no information.
 
-    def without_points(self, gone: Iterable[int]) -> "MarginalPrior":
-        """Return the prior with some landmarks marginalized.
+        Args:
+            points: Positions (3,) of the landmarks by their identities, in the world frame [m].
+        """
+        added = POINT_DIM * len(points)
+        H, b = np.pad(self.H, (0, added)), np.pad(self.b, (0, added))
+        return MarginalPrior(H, b, self.states, {**self.points, **points})
+
+    def without_points(self, landmarks: Iterable[int]) -> "MarginalPrior":
+        """Return the prior with some landmarks marginalized; those that it lacks are ignored.
 
         Raises:
-            SingularError: It knew too little of them.
+            SingularError: The information on these landmarks is not positive definite.
         """
-        lost = set(gone) & set(self.points)
-        if not lost:
+        removed = set(landmarks) & set(self.points)
+        if not removed:
             return self
-        leaving = np.repeat(
-            [False] * len(self.states) * (STATE_DIM // POINT_DIM) + [i in lost for i in self.points], POINT_DIM
-        )
-        H, b = schur_complement(self.H, self.b, leaving)
-        return MarginalPrior(H, b, self.states, {i: point for i, point in self.points.items() if i not in lost})
+        of_states = [False] * len(self.states) * (STATE_DIM // POINT_DIM)
+        eliminated = np.repeat(of_states + [i in removed for i in self.points], POINT_DIM)
+        H, b = schur_complement(self.H, self.b, eliminated)
+        return MarginalPrior(H, b, self.states, {i: point for i, point in self.points.items() if i not in removed})
 
-    def _change(self, states: Mapping[int, KeyframeState], points: Mapping[int, Array]) -> Array:
-        """Return how far (n,) present estimates are from the first ones."""
-        parts = [first.local_coordinates(states[k]) for k, first in self.states.items()]
-        return np.concatenate([*parts, *(points[i] - first for i, first in self.points.items())])
+    def _deviation(self, states: Mapping[int, KeyframeState], points: Mapping[int, Array]) -> Array:
+        """Return the tangent vector (n,) from the linearization points to current estimates."""
+        of_states = [first.local_coordinates(states[k]) for k, first in self.states.items()]
+        return np.concatenate([*of_states, *(points[i] - first for i, first in self.points.items())])

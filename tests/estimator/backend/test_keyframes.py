@@ -1,4 +1,4 @@
-"""When a frame becomes a keyframe."""
+"""Keyframe selection: by time, by the share of tracked features and by the innovation."""
 
 import numpy as np
 import pytest
@@ -6,47 +6,51 @@ import pytest
 from dronevio.estimator.backend.keyframes import KeyframeConfig, KeyframePolicy
 from dronevio.estimator.types import Observations
 
-CONFIG = KeyframeConfig()
 
-
-def seen(*ids: int) -> Observations:
+def features(*ids: int) -> Observations:
+    """Return observations of features, all at the principal point."""
     n = len(ids)
     return Observations(np.array(ids, dtype=np.int64), np.zeros((n, 2)), np.zeros((n, 2)), np.ones(n, np.int64))
 
 
 @pytest.fixture
 def policy() -> KeyframePolicy:
-    policy = KeyframePolicy(CONFIG)
-    policy.set_reference(seen(*range(10)))
+    """A policy with default settings whose last keyframe observes the features 0 to 9."""
+    policy = KeyframePolicy(KeyframeConfig())
+    policy.set_reference(features(*range(10)))
     return policy
 
 
-def test_time_makes_a_keyframe_sooner_in_motion_than_at_rest(policy: KeyframePolicy) -> None:
-    frame = seen(*range(10))
-    for elapsed_s, moving, resting in (
-        (0.15, False, False),
-        (0.1999, True, False),
-        (0.45, True, False),
-        (0.5, True, True),
-    ):
-        assert policy.is_due(elapsed_s, 0.0, frame) == moving
-        assert policy.is_due(elapsed_s, 9.0, frame) == resting
+@pytest.mark.parametrize(
+    ("elapsed_s", "in_motion", "stationary"),
+    [(0.15, False, False), (0.1999, True, False), (0.45, True, False), (0.5, True, True)],
+)
+def test_interval_is_longer_while_stationary(
+    policy: KeyframePolicy, elapsed_s: float, in_motion: bool, stationary: bool
+) -> None:
+    frame = features(*range(10))
+    assert policy.is_due(elapsed_s, 0.0, frame) == in_motion
+    assert policy.is_due(elapsed_s, 9.0, frame) == stationary
 
 
-def test_features_that_are_gone_make_a_keyframe(policy: KeyframePolicy) -> None:
-    assert not policy.is_due(0.05, 0.0, seen(*range(4, 20)))
-    assert policy.is_due(0.05, 0.0, seen(*range(5, 20)))
-    assert policy.is_due(0.05, 0.0, seen())  # it has become dark
+def test_lost_features_make_a_keyframe(policy: KeyframePolicy) -> None:
+    assert not policy.is_due(0.05, 0.0, features(*range(4, 20)))  # six of ten are left
+    assert policy.is_due(0.05, 0.0, features(*range(5, 20)))
+    assert policy.is_due(0.05, 0.0, features())
 
 
-def test_darkness_is_no_reason_for_more_keyframes(policy: KeyframePolicy) -> None:
-    policy.set_reference(seen())
-    assert not policy.is_due(0.05, 0.0, seen())
-    assert policy.is_due(0.2, 0.0, seen())
+def test_lost_features_are_ignored_while_stationary(policy: KeyframePolicy) -> None:
+    assert not policy.is_due(0.05, 9.0, features())
 
 
-def test_surprise_makes_a_keyframe_but_not_every_frame(policy: KeyframePolicy) -> None:
-    frame = seen(*range(10))
+def test_without_features_only_time_counts(policy: KeyframePolicy) -> None:
+    policy.set_reference(features())
+    assert not policy.is_due(0.05, 0.0, features())
+    assert policy.is_due(0.2, 0.0, features())
+
+
+def test_large_innovation_makes_a_keyframe_after_0_1_s(policy: KeyframePolicy) -> None:
+    frame = features(*range(10))
     assert not policy.is_due(0.15, 0.0, frame, 1.9) and not policy.is_due(0.15, 0.0, frame, None)
     assert policy.is_due(0.15, 0.0, frame, 2.1)
     assert not policy.is_due(0.05, 0.0, frame, 50.0)

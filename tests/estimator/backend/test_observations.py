@@ -1,4 +1,4 @@
-"""ObservationTable: how much what a keyframe shows is miscalibrated."""
+"""The table of a keyframe's observations and their uncertainty."""
 
 from dataclasses import replace
 
@@ -8,13 +8,14 @@ from dronevio.estimator.backend.observations import DECORRELATION_SIGMA_SCALE, M
 from dronevio.estimator.types import Matches, Observations
 
 
-def test_sigma_scale_of_matches_in_further_cameras() -> None:
-    """Matches name their features, in whatever rows those are."""
-    ids, zoom, quality = np.array([3, 5, 8]), np.array([0.5, 1.0, 1.6]), np.array([1.0, 0.9, 0.95])
+def test_sigma_scale_of_tracks_and_stereo_matches() -> None:
+    """Decorrelation and magnification enlarge a track's sigma; a match refers to its track by identity, not by row."""
+    ids, scale, zncc = np.array([3, 5, 8]), np.array([0.5, 1.0, 1.6]), np.array([1.0, 0.9, 0.95])
     matches = Matches(np.array([8, 3, 8]), np.array([1, 1, 2]), np.zeros((3, 2)))
-    seen = Observations(ids, np.zeros((3, 2)), np.zeros((3, 2)), np.ones(3, np.int64), zncc=quality, scale=zoom)
-    table = observation_table(4, replace(seen, matches=matches))
+    observations = Observations(ids, np.zeros((3, 2)), np.zeros((3, 2)), np.ones(3, np.int64), zncc=zncc, scale=scale)
+    table = observation_table(4, replace(observations, matches=matches))
     np.testing.assert_array_equal(table.landmark, [3, 5, 8, 8, 3, 8])
+    np.testing.assert_array_equal(table.keyframe, np.full(6, 4))
     np.testing.assert_array_equal(table.camera, [0, 0, 0, 1, 1, 2])
-    followed = [1.0, 1.0 + 0.1 * DECORRELATION_SIGMA_SCALE, 1.6 * (1.0 + 0.05 * DECORRELATION_SIGMA_SCALE)]
-    np.testing.assert_allclose(table.sigma_scale, [*followed, *(np.array([1.6, 1.0, 1.6]) * MATCH_SIGMA_SCALE)])
+    of_tracks = [1.0, 1.0 + 0.1 * DECORRELATION_SIGMA_SCALE, 1.6 * (1.0 + 0.05 * DECORRELATION_SIGMA_SCALE)]
+    np.testing.assert_allclose(table.sigma_scale, [*of_tracks, *(np.array([1.6, 1.0, 1.6]) * MATCH_SIGMA_SCALE)])

@@ -9,8 +9,8 @@ import pytest
 
 from dronevio.estimator.backend.landmarks import LandmarkConfig
 from dronevio.estimator.backend.linalg import SingularError
+from dronevio.estimator.backend.linear_system import LinearSystem
 from dronevio.estimator.backend.smoother import KeyframeResult, KeyframeSmoother, SmootherConfig
-from dronevio.estimator.backend.window import LinearSystem
 from dronevio.estimator.imu.buffer import ImuBuffer
 from dronevio.estimator.imu.preintegration import PreintegrationConfig, integrate, preintegration_params
 from dronevio.estimator.initialization.static import InitialSigmas
@@ -161,7 +161,7 @@ def test_window_keeps_old_views_where_nothing_moves(make_flight: Callable) -> No
 
 
 def fail() -> LinearSystem:
-    raise SingularError("an indefinite linear system")
+    raise SingularError("the linear system is indefinite")
 
 
 def test_solver_that_fails_ends_no_flight(make_flight: Callable) -> None:
@@ -170,7 +170,7 @@ def test_solver_that_fails_ends_no_flight(make_flight: Callable) -> None:
         if len(feed.states) == 15:
             feed.smoother._window.linearize = fail
     events = [result.events for result in feed.results]
-    assert events[15] == ("solver restored: an indefinite linear system",)
+    assert events[15] == ("solver restored: the linear system is indefinite",)
     assert not any(events[:15]) and not any(events[16:])
     assert errors(feed)[1].max() < 0.1
     assert len(feed.points[-1]) > 15

@@ -1,0 +1,44 @@
+"""Weights of image observations: the variance factor of their noise, and thresholds of the robust loss."""
+
+import numpy as np
+import numpy.typing as npt
+
+from dronevio.estimator.backend.observations import Integers
+from dronevio.estimator.backend.reprojection import MEDIAN_CHI2_2DOF
+
+Array = npt.NDArray[np.float64]
+
+
+def variance_factor(squared: Array) -> float:
+    """Return by how much the variance of image observations exceeds the assumed one; 1 where it does not.
+
+    It is the a-posteriori variance of unit weight, estimated from the median: if more than half of the residuals exceed
+    the median of their distribution, the noise is larger than assumed.
+
+    Args:
+        squared: (N,) Squared residuals in units of the assumed variance.
+    """
+    return max(1.0, float(np.median(squared)) / MEDIAN_CHI2_2DOF) if len(squared) > 0 else 1.0
+
+
+def robust_thresholds(squared: Array, keyframe: Integers, robust_sigmas: float) -> Array:
+    """Return the residuals (N,) at which Cauchy's loss halves the weight, in assumed standard deviations.
+
+    The threshold scales with the median residual of the keyframe: where most residuals of a keyframe are large, its
+    pose is wrong and none of its observations is an outlier.
+
+    Args:
+        squared: (N,) Squared residuals in units of the assumed variance.
+        keyframe: (N,) Keyframe of each observation.
+        robust_sigmas: Threshold where the median residual is one standard deviation or less.
+    """
+    median = np.sqrt(group_medians(keyframe, squared))
+    return np.asarray(robust_sigmas * np.maximum(1.0, median))
+
+
+def group_medians(group: Integers, values: Array) -> Array:
+    """Return for each of some values (N,) the median (N,) of the values of the same group (N,)."""
+    _, inverse, counts = np.unique(group, return_inverse=True, return_counts=True)
+    ordered, first = values[np.lexsort((values, group))], np.cumsum(counts) - counts
+    medians = 0.5 * (ordered[first + (counts - 1) // 2] + ordered[first + counts // 2])
+    return np.asarray(medians[inverse])
