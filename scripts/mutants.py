@@ -545,7 +545,15 @@ EVALUATION = (
         "eval/metrics/association.py",
         '"interpolate": 0.5',
         '"interpolate": 5.0',
-        ("tests/eval/metrics/test_kitti_by_hand.py::test_default_gaps_of_the_associations",),
+        ("tests/eval/metrics/test_association_by_hand.py::test_default_gaps_of_the_associations",),
+    ),
+    Mutant(
+        "association-loses-covariances",
+        "Association: estimates paired with the nearest true pose lose their covariances.",
+        "eval/metrics/association.py",
+        "pick(trajectory.covariance)",
+        "None",
+        ("tests/eval/metrics/test_association_by_hand.py::test_associations_keep_all_that_an_estimate_holds",),
     ),
 )
 """Faults of the evaluation."""

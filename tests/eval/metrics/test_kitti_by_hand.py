@@ -1,14 +1,11 @@
-"""KITTI's figures and the associations in time, worked out by hand."""
+"""KITTI's figures, worked out by hand."""
 
 import numpy as np
 import numpy.typing as npt
 import pytest
 
-from dronevio.eval.metrics import associate
 from dronevio.eval.metrics.kitti import kitti_scores
-from dronevio.models.errors import EvaluationError
 from dronevio.models.rotation import exp_so3, pose_matrix
-from dronevio.models.state import Trajectory
 
 Array = npt.NDArray[np.float64]
 
@@ -46,22 +43,3 @@ def test_kitti_aligns_the_first_estimated_frame() -> None:
     found = kitti_scores(truth, estimate, frames)
     assert found.rpe_m == pytest.approx(0.1)
     assert found.ate_m == pytest.approx(0.1 * np.sqrt((0 + 1 + 4 + 9 + 16 + 25) / 6))
-
-
-@pytest.mark.parametrize(
-    ("how", "bridged_ns", "refused_ns"),
-    [("interpolate", 500_000_000, 501_000_000), ("nearest", 20_000_000, 22_000_000), ("evo", 18_000_000, 22_000_000)],
-)
-def test_default_gaps_of_the_associations(how: str, bridged_ns: int, refused_ns: int) -> None:
-    """Estimated poses amid true ones: within a gap of 0.5 s, or no more than 10 ms from the nearest."""
-
-    def poses(t_ns: npt.NDArray[np.int64]) -> Trajectory:
-        return Trajectory(t_ns, np.zeros((len(t_ns), 3)), np.tile([1.0, 0, 0, 0], (len(t_ns), 1)))
-
-    for gap_ns, found in ((bridged_ns, 4), (refused_ns, None)):
-        truth, estimate = poses(gap_ns * np.arange(5)), poses(gap_ns * np.arange(4) + gap_ns // 2)
-        if found is None:
-            with pytest.raises(EvaluationError, match="have 0 poses in common"):
-                associate(truth, estimate, how)  # type: ignore[arg-type]
-        else:
-            assert len(associate(truth, estimate, how)[0]) == found  # type: ignore[arg-type]
