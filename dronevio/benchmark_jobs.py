@@ -12,8 +12,8 @@ from dronevio.eval.benchmark.cache import code_hash, content_hash, recording_has
 from dronevio.eval.benchmark.jobs import Flight
 from dronevio.eval.benchmark.rows import figures_of
 from dronevio.eval.provenance import versions_here
-from dronevio.models.configuration import to_plain
 from dronevio.models.errors import ConfigError, InputError
+from dronevio.models.serialization import to_plain
 from dronevio.registry import NamedEstimator
 
 if TYPE_CHECKING:

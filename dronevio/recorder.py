@@ -3,12 +3,12 @@
 import json
 from pathlib import Path
 
-from dronevio.models.configuration import to_plain
 from dronevio.models.errors import ConfigError
 from dronevio.models.progress import Progress, silent
 from dronevio.models.recordings.euroc import write_euroc
 from dronevio.models.rig import Rig
 from dronevio.models.rig_presets import RIGS, rig_named
+from dronevio.models.serialization import to_plain
 from dronevio.sim.cameras.imaging import Imaging
 from dronevio.sim.flight import Flight, fly
 from dronevio.sim.refly import FlownPath

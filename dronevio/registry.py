@@ -12,10 +12,10 @@ from pathlib import Path
 
 import numpy as np
 
-from dronevio.models.configuration import to_plain
 from dronevio.models.errors import ConfigError, EvaluationError
 from dronevio.models.protocols import Estimator, Recording
 from dronevio.models.rig import Rig
+from dronevio.models.serialization import to_plain
 from dronevio.models.state import Trajectory
 
 EXTERNAL = "external:"

@@ -6,14 +6,14 @@ import numpy as np
 import numpy.typing as npt
 
 from dronevio.models.errors import ConfigError
-from dronevio.models.lens import LENSES, LensName
+from dronevio.models.lenses.lens import LENSES, LensName
 
 Array = npt.NDArray[np.float64]
 
 
 @dataclass(frozen=True)
 class CameraModel:
-    """A lens (`dronevio.models.lens`) before an image sensor.
+    """A lens (`dronevio.models.lenses`) before an image sensor.
 
     Pixel centres are integers: the image spans [−0.5, width − 0.5] × [−0.5, height − 0.5].
     """

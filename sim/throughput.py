@@ -5,7 +5,7 @@ import time
 import numpy as np
 
 from dronevio.models.camera import CameraModel
-from dronevio.models.figure import Figure
+from dronevio.models.performance import Figure
 from dronevio.models.progress import Progress, silent
 from dronevio.models.rotation import exp_so3, pose_matrix
 from dronevio.sim.cameras.camera_cost import camera_cost

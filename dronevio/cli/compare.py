@@ -116,7 +116,7 @@ def print_comparisons(title: str, comparisons: "Sequence[Comparison]") -> None:
 
 def document(comparisons: "Sequence[Comparison]") -> dict[str, object]:
     """Return comparisons for JSON, infinite ratios as text."""
-    from dronevio.models.configuration import to_plain
+    from dronevio.models.serialization import to_plain
 
     told = [
         {**asdict(one), "ratios": [{**asdict(ratio), "verdict": ratio.verdict} for ratio in one.ratios]}

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 import tyro
 
 from dronevio.cli.terminal import Bars, parse, print_json, print_table, progress_bars
-from dronevio.models.recordings.bag_options import BagTopics
+from dronevio.models.recordings.bag.options import BagTopics
 
 if TYPE_CHECKING:
     from dronevio.models.recordings.open import StoredRecording
@@ -114,8 +114,8 @@ def _convert(recording: "StoredRecording", form: Form, command: ConvertCommand, 
     """Write a recording in a form; all of it or nothing."""
     from dronevio.cli.folders import atomic_folder
     from dronevio.models.errors import InputError
+    from dronevio.models.recordings.calibration.exports import CONFIGURATIONS
     from dronevio.models.recordings.euroc import write_euroc_recording
-    from dronevio.models.recordings.exports import CONFIGURATIONS
     from dronevio.models.recordings.files import write_text
     from dronevio.models.recordings.tum import write_tum
 
@@ -127,7 +127,7 @@ def _convert(recording: "StoredRecording", form: Form, command: ConvertCommand, 
             raise InputError(command.source, "no true motion in it", "a recording with its truth")
         write_tum(command.dest, recording.ground_truth)
     elif form in ("mcap", "bag", "bag-sqlite"):
-        from dronevio.models.recordings.bag_writer import write_bag
+        from dronevio.models.recordings.bag.writer import write_bag
 
         storage: Literal["mcap", "sqlite3"] = "sqlite3" if form == "bag-sqlite" else "mcap"
         progress, told = bars.bar("converting"), recording.frame_truth

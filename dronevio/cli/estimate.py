@@ -11,7 +11,7 @@ import tyro
 from dronevio.cli.terminal import parse, print_json, print_table, progress_bars
 from dronevio.estimator.config import VioConfig
 from dronevio.models.errors import ConfigError
-from dronevio.models.recordings.bag_options import BagTopics
+from dronevio.models.recordings.bag.options import BagTopics
 
 if TYPE_CHECKING:
     from dronevio.models.recordings.open import StoredRecording

@@ -10,7 +10,7 @@ import tyro
 
 from dronevio.cli.terminal import parse, print_json, print_table, progress_bars
 from dronevio.models.errors import ConfigError, InputError
-from dronevio.models.recordings.bag_options import BagTopics
+from dronevio.models.recordings.bag.options import BagTopics
 
 if TYPE_CHECKING:
     from dronevio.eval.rerun.compare import NamedEstimate

@@ -90,9 +90,9 @@ def _carry_out(scenario: "Scenario", command: RunCommand, folder: Path, target: 
     from dronevio.eval.provenance import RunInfo
     from dronevio.eval.report.run import write_report
     from dronevio.eval.rerun.log import run_file
-    from dronevio.models.configuration import to_plain
     from dronevio.models.recordings.euroc import EurocRecording
     from dronevio.models.recordings.tum import write_tum
+    from dronevio.models.serialization import to_plain
     from dronevio.recorder import record_flight
     from dronevio.sim.world import build_world
     from dronevio.surroundings import surroundings_of

@@ -17,7 +17,7 @@ from dronevio.models.errors import ConfigError, InputError
 from dronevio.models.imu import ImuSamples, Times
 from dronevio.models.progress import Progress, silent
 from dronevio.models.protocols import Recording
-from dronevio.models.recordings.euroc_calibration import calibration_files, count_cameras, read_rig
+from dronevio.models.recordings.calibration.euroc import calibration_files, count_cameras, read_rig
 from dronevio.models.recordings.files import read_text, write_text
 from dronevio.models.recordings.frame_truth import FRAME_TRUTH_FILE, FrameTruth, frame_truth_text, read_frame_truth
 from dronevio.models.recordings.images import encode_png, read_grey

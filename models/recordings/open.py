@@ -7,15 +7,15 @@ from typing import TYPE_CHECKING, TypeAlias
 from dronevio.models.errors import ConfigError, InputError
 from dronevio.models.imu import Times
 from dronevio.models.recordings import tum
-from dronevio.models.recordings.bag_options import BagTopics
+from dronevio.models.recordings.bag.options import BagTopics
+from dronevio.models.recordings.calibration.euroc import count_cameras, read_rig
+from dronevio.models.recordings.calibration.kalibr import CAMCHAIN_FILE, read_kalibr
 from dronevio.models.recordings.euroc import EurocRecording, find_mav0, read_frame_times
-from dronevio.models.recordings.euroc_calibration import count_cameras, read_rig
-from dronevio.models.recordings.kalibr import CAMCHAIN_FILE, read_kalibr
 from dronevio.models.rig import Rig
 from dronevio.models.state import Trajectory
 
 if TYPE_CHECKING:
-    from dronevio.models.recordings.bag import BagRecording
+    from dronevio.models.recordings.bag.recording import BagRecording
 
 StoredRecording: TypeAlias = "EurocRecording | BagRecording"
 """What `open_recording` returns: a `Recording` that also knows its ``frame_truth`` and whether it is ``complete``."""
@@ -44,7 +44,7 @@ def open_recording(
     """
     path = Path(path)
     if is_bag(path):
-        from dronevio.models.recordings.bag import BagRecording  # half a second, for those who read bags only
+        from dronevio.models.recordings.bag.recording import BagRecording  # half a second, for those who read bags only
 
         return BagRecording.open(path, cameras, calibration, topics)
     if calibration or (topics is not None and topics != BagTopics()):
@@ -89,7 +89,7 @@ def read_trajectory(path: Path) -> Trajectory:
     path = Path(path)
     if not is_bag(path):
         return tum.read_trajectory(path)
-    from dronevio.models.recordings.bag import read_truth
+    from dronevio.models.recordings.bag.recording import read_truth
 
     return read_truth(path)
 
@@ -102,7 +102,7 @@ def frame_times_ns(path: Path) -> Times | None:
     """
     path = Path(path)
     if is_bag(path):
-        from dronevio.models.recordings.bag import read_bag_frame_times
+        from dronevio.models.recordings.bag.recording import read_bag_frame_times
 
         return read_bag_frame_times(path)
     if not path.is_dir() or not (find_mav0(path) / "cam0").is_dir():

@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 
 from dronevio.cli import main
+from dronevio.models.recordings.calibration.exports import CONFIGURATIONS
 from dronevio.models.recordings.euroc import INCOMPLETE, write_euroc_recording
-from dronevio.models.recordings.exports import CONFIGURATIONS
 from dronevio.models.recordings.open import open_recording, read_trajectory, rig_of_file
 
 

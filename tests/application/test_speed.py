@@ -6,7 +6,7 @@ import pytest
 from dronevio.cli import main
 from dronevio.cli.speed import SUBJECTS
 from dronevio.cli.speed.recording import Recorded, a_stretch, bench_rig, minute_figure, scaling_figure
-from dronevio.models.figure import Figure
+from dronevio.models.performance import Figure
 from dronevio.models.rig_presets import rig_named
 from dronevio.sim.flight import fly
 

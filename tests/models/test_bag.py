@@ -21,13 +21,13 @@ from rosbags.typesys.stores import ros2_humble as ros
 from dronevio.models.camera import CameraModel
 from dronevio.models.errors import ConfigError, InputError
 from dronevio.models.imu import ImuSamples
-from dronevio.models.recordings.bag import BagRecording
-from dronevio.models.recordings.bag_file import typestore
-from dronevio.models.recordings.bag_options import BagTopics
-from dronevio.models.recordings.bag_writer import write_bag
-from dronevio.models.recordings.kalibr import camchain_yaml, imu_yaml
+from dronevio.models.recordings.bag.file import typestore
+from dronevio.models.recordings.bag.messages import camera_info, header, image_message, rig_transforms
+from dronevio.models.recordings.bag.options import BagTopics
+from dronevio.models.recordings.bag.recording import BagRecording
+from dronevio.models.recordings.bag.writer import write_bag
+from dronevio.models.recordings.calibration.kalibr import camchain_yaml, imu_yaml
 from dronevio.models.recordings.open import frame_times_ns, open_recording, read_trajectory
-from dronevio.models.recordings.ros_messages import camera_info, header, image_message, rig_transforms
 from dronevio.models.rig import Rig
 from dronevio.models.rig_presets import RIGS, rig_named
 from dronevio.models.rotation import matrix_from_quat_wxyz, pose_matrix

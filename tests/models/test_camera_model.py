@@ -8,10 +8,10 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from dronevio.models import lens_equidistant, lens_radtan
 from dronevio.models.camera import CameraModel
 from dronevio.models.errors import ConfigError
-from dronevio.models.lens import LENSES
+from dronevio.models.lenses import equidistant, radtan
+from dronevio.models.lenses.lens import LENSES
 from dronevio.models.rig import EUROC_CAM0, EUROC_T_IMU_CAM0, euroc_rig
 
 PINHOLE = replace(EUROC_CAM0, distortion=(0.0, 0.0, 0.0, 0.0))
@@ -109,13 +109,13 @@ def test_a_lens_ends_where_it_would_fold(model: CameraModel) -> None:
 
 def test_reach_is_where_the_lens_turns() -> None:
     for lens, coefficients, folds_at in (
-        (lens_radtan, (-0.3, 0.0, 0.0, 0.0), np.sqrt(1.0 / 0.9)),
-        (lens_radtan, (-0.4, 0.05, 0.0, 0.0), np.sqrt((1.2 - np.sqrt(0.44)) / 0.5)),
-        (lens_radtan, EUROC_CAM0.distortion, np.inf),
-        (lens_radtan, (0.0, 0.0, 0.0, 0.0), np.inf),
-        (lens_radtan, (0.0, 0.0, 0.03, 0.04), 1.0 / 0.3),
-        (lens_equidistant, (-0.1, 0.0, 0.0, 0.0), np.sqrt(1.0 / 0.3)),
-        (lens_equidistant, (0.0, 0.0, 0.0, 0.0), np.pi),
+        (radtan, (-0.3, 0.0, 0.0, 0.0), np.sqrt(1.0 / 0.9)),
+        (radtan, (-0.4, 0.05, 0.0, 0.0), np.sqrt((1.2 - np.sqrt(0.44)) / 0.5)),
+        (radtan, EUROC_CAM0.distortion, np.inf),
+        (radtan, (0.0, 0.0, 0.0, 0.0), np.inf),
+        (radtan, (0.0, 0.0, 0.03, 0.04), 1.0 / 0.3),
+        (equidistant, (-0.1, 0.0, 0.0, 0.0), np.sqrt(1.0 / 0.3)),
+        (equidistant, (0.0, 0.0, 0.0, 0.0), np.pi),
     ):
         assert lens.reach(coefficients) == pytest.approx(folds_at, rel=1e-12)
 
@@ -124,10 +124,10 @@ def test_reach_is_where_the_lens_turns() -> None:
 @settings(max_examples=40, deadline=None)
 def test_jacobian_of_radtan_is_positive_within_its_reach(k1: float, k2: float, p1: float, p2: float) -> None:
     coefficients = (k1, k2, p1, p2)
-    radii = min(lens_radtan.reach(coefficients), 50.0) * np.linspace(0.0, 0.999, 50)[:, None]
+    radii = min(radtan.reach(coefficients), 50.0) * np.linspace(0.0, 0.999, 50)[:, None]
     azimuths = np.linspace(0.0, 2.0 * np.pi, 36, endpoint=False)
     xy = np.stack([radii * np.cos(azimuths), radii * np.sin(azimuths)], axis=-1)
-    assert np.linalg.eigvalsh(lens_radtan.jacobian(xy, coefficients)).min() > 0.0
+    assert np.linalg.eigvalsh(radtan.jacobian(xy, coefficients)).min() > 0.0
 
 
 @pytest.mark.parametrize(
@@ -154,7 +154,7 @@ def test_jacobian_of_the_lens_is_its_derivative(x: float, y: float) -> None:
     numeric = np.stack(
         [(EUROC_CAM0.distort(xy + h * e) - EUROC_CAM0.distort(xy - h * e)) / (2 * h) for e in np.eye(2)], axis=1
     )
-    np.testing.assert_allclose(lens_radtan.jacobian(xy, EUROC_CAM0.distortion), numeric, atol=1e-8)
+    np.testing.assert_allclose(radtan.jacobian(xy, EUROC_CAM0.distortion), numeric, atol=1e-8)
 
 
 def test_camera_centre_and_nan_have_no_pixel() -> None:

@@ -14,7 +14,7 @@ import pytest
 
 from dronevio.models.camera import CameraModel
 from dronevio.models.errors import ConfigError
-from dronevio.models.recordings.exports import CONFIGURATIONS
+from dronevio.models.recordings.calibration.exports import CONFIGURATIONS
 from dronevio.models.rig import Rig
 from dronevio.models.rig_presets import RIGS, rig_named
 from dronevio.models.rotation import matrix_from_quat_wxyz, pose_matrix

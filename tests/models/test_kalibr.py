@@ -14,8 +14,14 @@ from hypothesis.extra import numpy as hnp
 from dronevio.models.camera import CameraModel
 from dronevio.models.errors import InputError
 from dronevio.models.imu import ImuModel
-from dronevio.models.recordings.kalibr import camchain_yaml, imu_yaml, indented, read_calibration, read_kalibr
-from dronevio.models.recordings.yaml_document import parse_yaml
+from dronevio.models.recordings.calibration.kalibr import (
+    camchain_yaml,
+    imu_yaml,
+    indented,
+    read_calibration,
+    read_kalibr,
+)
+from dronevio.models.recordings.calibration.yaml_document import parse_yaml
 from dronevio.models.rig import EUROC_CAM0, EUROC_T_IMU_CAM0, Rig, RigCamera
 from dronevio.models.rig_presets import RIGS, rig_named
 from dronevio.models.rotation import exp_so3, inverse_pose, pose_matrix
@@ -263,7 +269,7 @@ def test_a_missing_file_is_named(scratch: Path) -> None:
 @given(st.integers(0, len(CHAIN + IMU)), st.integers(0, 40), st.text("abT_:[],# \n\t-%\"'&*!{}0.1e", max_size=6))
 def test_broken_text_is_refused_or_read(start: int, length: int, inserted: str) -> None:
     """A rig is either refused with file and reason, or one that makes sense."""
-    from dronevio.models.recordings.kalibr import calibration_of
+    from dronevio.models.recordings.calibration.kalibr import calibration_of
 
     text = f"{CHAIN}{IMU}"
     path = Path("calibration.yaml")

@@ -7,7 +7,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from dronevio.models.errors import InputError
-from dronevio.models.recordings.sensor_yaml import SensorYaml, Value, pose_yaml, read_sensor_yaml, shown
+from dronevio.models.recordings.calibration.sensor_yaml import SensorYaml, Value, pose_yaml, read_sensor_yaml, shown
 from dronevio.models.rig import EUROC_T_IMU_CAM0
 
 CAMERA = """\

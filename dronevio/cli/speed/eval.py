@@ -10,7 +10,7 @@ from dronevio.cli.speed.figures import plain_figures, print_figures
 from dronevio.cli.terminal import parse, print_json, progress_bars
 
 if TYPE_CHECKING:
-    from dronevio.models.figure import Figure
+    from dronevio.models.performance import Figure
     from dronevio.models.progress import Progress
 
 

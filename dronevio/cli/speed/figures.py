@@ -4,7 +4,7 @@ from collections.abc import Sequence
 from dataclasses import asdict
 
 from dronevio.cli.terminal import print_table
-from dronevio.models.figure import Figure
+from dronevio.models.performance import Figure
 
 
 def print_figures(title: str, figures: Sequence[Figure]) -> None:

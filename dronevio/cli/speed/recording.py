@@ -10,7 +10,7 @@ from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-from dronevio.models.figure import Figure
+from dronevio.models.performance import Figure
 from dronevio.models.progress import Progress, silent
 from dronevio.models.rig import Rig
 from dronevio.models.rig_presets import rig_named

@@ -18,7 +18,7 @@ import numpy.typing as npt
 
 from dronevio.eval import ate, rpe, score
 from dronevio.models.errors import ConfigError
-from dronevio.models.figure import Figure
+from dronevio.models.performance import Figure
 from dronevio.models.recordings.kitti import FRAME_NS, write_kitti
 from dronevio.models.rotation import exp_so3, quat_wxyz_from_matrix
 from dronevio.models.state import Trajectory

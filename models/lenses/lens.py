@@ -5,7 +5,7 @@ from typing import Literal, Protocol
 import numpy as np
 import numpy.typing as npt
 
-from dronevio.models import lens_equidistant, lens_radtan
+from dronevio.models.lenses import equidistant, radtan
 
 Array = npt.NDArray[np.float64]
 Coefficients = tuple[float, float, float, float]
@@ -25,5 +25,5 @@ class Lens(Protocol):
         """Return rays (…, 3) of any length in the camera frame that are imaged at (…, 2); NaN where none is."""
 
 
-LENSES: dict[LensName, Lens] = {"radtan": lens_radtan, "equidistant": lens_equidistant}
+LENSES: dict[LensName, Lens] = {"radtan": radtan, "equidistant": equidistant}
 """Every lens, by the name that Kalibr gives it."""

@@ -8,8 +8,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from dronevio.models.configuration import to_plain
 from dronevio.models.rig import euroc_rig
+from dronevio.models.serialization import to_plain
 
 
 class Colour(StrEnum):

@@ -17,7 +17,7 @@ from rosbags.typesys.store import Typestore
 
 from dronevio.models.errors import DronevioError, InputError
 from dronevio.models.imu import Times
-from dronevio.models.recordings.ros_messages import stamp_ns
+from dronevio.models.recordings.bag.messages import stamp_ns
 
 _EXPECTED = "a ROS 2 bag: an .mcap or .db3 file, or a folder with metadata.yaml"
 _STORAGES = (".mcap", ".db3")

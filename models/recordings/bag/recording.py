@@ -17,14 +17,14 @@ import numpy.typing as npt
 from rosbags.typesys.stores import ros2_humble as ros
 
 from dronevio.models.imu import ImuSamples, Times
-from dronevio.models.recordings.bag_file import BagFile
-from dronevio.models.recordings.bag_options import BagTopics
-from dronevio.models.recordings.bag_rig import bag_rig, read_calibrations
-from dronevio.models.recordings.bag_topics import IMAGE_TYPES, find_topics, image_topics, truth_topic
-from dronevio.models.recordings.bag_truth import read_bag_frame_truth, read_bag_truth
-from dronevio.models.recordings.bag_writer import TRUTH_TOPIC
+from dronevio.models.recordings.bag.file import BagFile
+from dronevio.models.recordings.bag.messages import ImageMessage, grey_image, imu_samples
+from dronevio.models.recordings.bag.options import BagTopics
+from dronevio.models.recordings.bag.rig import bag_rig, read_calibrations
+from dronevio.models.recordings.bag.topics import IMAGE_TYPES, find_topics, image_topics, truth_topic
+from dronevio.models.recordings.bag.truth import read_bag_frame_truth, read_bag_truth
+from dronevio.models.recordings.bag.writer import TRUTH_TOPIC
 from dronevio.models.recordings.frame_truth import FrameTruth
-from dronevio.models.recordings.ros_messages import ImageMessage, grey_image, imu_samples
 from dronevio.models.rig import Rig
 from dronevio.models.state import CameraFrame, Trajectory
 

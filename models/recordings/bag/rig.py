@@ -10,14 +10,14 @@ import numpy.typing as npt
 from rosbags.typesys.stores import ros2_humble as ros
 
 from dronevio.models.imu import Sampling
-from dronevio.models.recordings.bag_file import BagFile
-from dronevio.models.recordings.bag_options import BagTopics
-from dronevio.models.recordings.bag_topics import camera_info_topic
-from dronevio.models.recordings.bag_writer import CALIBRATION_TOPIC
+from dronevio.models.recordings.bag.file import BagFile
+from dronevio.models.recordings.bag.messages import camera_model
+from dronevio.models.recordings.bag.options import BagTopics
+from dronevio.models.recordings.bag.topics import camera_info_topic
+from dronevio.models.recordings.bag.writer import CALIBRATION_TOPIC
+from dronevio.models.recordings.calibration.kalibr import KalibrCalibration, calibration_of, read_calibration
+from dronevio.models.recordings.calibration.yaml_document import parse_yaml
 from dronevio.models.recordings.files import blamed_on
-from dronevio.models.recordings.kalibr import KalibrCalibration, calibration_of, read_calibration
-from dronevio.models.recordings.ros_messages import camera_model
-from dronevio.models.recordings.yaml_document import parse_yaml
 from dronevio.models.rig import Rig, RigCamera
 from dronevio.models.rotation import inverse_pose, matrix_from_quat_wxyz, pose_matrix
 

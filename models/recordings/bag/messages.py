@@ -16,7 +16,7 @@ from rosbags.typesys.stores import ros2_humble as ros
 from dronevio.models.camera import CameraModel
 from dronevio.models.errors import ConfigError, InputError
 from dronevio.models.imu import ImuModel, ImuSamples, Times
-from dronevio.models.recordings.euroc_calibration import LENS_NAMES
+from dronevio.models.recordings.calibration.euroc import LENS_NAMES
 from dronevio.models.recordings.images import decode_grey, encode_png
 from dronevio.models.rig import Rig
 from dronevio.models.rotation import inverse_pose, log_so3, quat_wxyz_from_matrix

@@ -8,10 +8,10 @@ import numpy.typing as npt
 from rosbags.typesys.stores import ros2_humble as ros
 
 from dronevio.models.imu import Times
-from dronevio.models.recordings.bag_file import BagFile
-from dronevio.models.recordings.bag_writer import FRAME_TRUTH_TOPIC, TRUE_VECTORS, TRUTH_TOPIC
+from dronevio.models.recordings.bag.file import BagFile
+from dronevio.models.recordings.bag.messages import PoseMessage, position_and_quat_wxyz, velocity_in_body
+from dronevio.models.recordings.bag.writer import FRAME_TRUTH_TOPIC, TRUE_VECTORS, TRUTH_TOPIC
 from dronevio.models.recordings.frame_truth import FrameTruth, parse_frame_truth
-from dronevio.models.recordings.ros_messages import PoseMessage, position_and_quat_wxyz, velocity_in_body
 from dronevio.models.rotation import matrix_from_quat_wxyz
 from dronevio.models.state import Trajectory
 

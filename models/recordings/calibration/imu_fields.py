@@ -7,8 +7,8 @@ other fields, under which stands whatever else of the IMU is not perfect. Other 
 from dataclasses import fields
 
 from dronevio.models.imu import ImuModel
+from dronevio.models.recordings.calibration.sensor_yaml import SensorYaml, shown
 from dronevio.models.recordings.files import blamed_on
-from dronevio.models.recordings.sensor_yaml import SensorYaml, shown
 
 _DENSITIES = {
     "gyroscope_noise_density": "gyro_noise_density",

@@ -14,8 +14,8 @@ from ruamel.yaml.events import AliasEvent, CollectionEndEvent, CollectionStartEv
 from ruamel.yaml.nodes import MappingNode, Node, ScalarNode, SequenceNode
 
 from dronevio.models.errors import InputError
+from dronevio.models.recordings.calibration.sensor_yaml import SensorYaml, Value, parse_number
 from dronevio.models.recordings.files import read_text
-from dronevio.models.recordings.sensor_yaml import SensorYaml, Value, parse_number
 
 _OPENCV_HEADER = re.compile(r"\A%YAML:1\.0[^\n]*\n(---[^\n]*\n)?")
 _MOST_CHARACTERS = 200_000  # a calibration has a few thousand

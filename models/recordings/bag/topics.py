@@ -3,11 +3,11 @@
 from collections.abc import Sequence
 from typing import cast
 
-from dronevio.models.recordings.bag_file import BagFile
-from dronevio.models.recordings.bag_options import BagTopics
-from dronevio.models.recordings.bag_writer import COMPRESSED, TRUTH_TOPIC
-from dronevio.models.recordings.kalibr import IMU_TOPIC
-from dronevio.models.recordings.ros_messages import ImageMessage, is_grey_or_colour
+from dronevio.models.recordings.bag.file import BagFile
+from dronevio.models.recordings.bag.messages import ImageMessage, is_grey_or_colour
+from dronevio.models.recordings.bag.options import BagTopics
+from dronevio.models.recordings.bag.writer import COMPRESSED, TRUTH_TOPIC
+from dronevio.models.recordings.calibration.kalibr import IMU_TOPIC
 
 IMAGE_TYPES = ("sensor_msgs/msg/Image", "sensor_msgs/msg/CompressedImage")
 IMU_TYPES = ("sensor_msgs/msg/Imu",)

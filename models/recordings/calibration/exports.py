@@ -15,8 +15,8 @@ import numpy.typing as npt
 from dronevio.models.camera import CameraModel
 from dronevio.models.errors import ConfigError
 from dronevio.models.imu import GRAVITY_M_S2, Times
-from dronevio.models.recordings.euroc_calibration import calibration_files
-from dronevio.models.recordings.kalibr import (
+from dronevio.models.recordings.calibration.euroc import calibration_files
+from dronevio.models.recordings.calibration.kalibr import (
     CAMCHAIN_FILE,
     CAMERA_TOPIC,
     IMU_FILE,
@@ -26,7 +26,7 @@ from dronevio.models.recordings.kalibr import (
     indented,
     rows_yaml,
 )
-from dronevio.models.recordings.sensor_yaml import shown
+from dronevio.models.recordings.calibration.sensor_yaml import shown
 from dronevio.models.rig import Rig
 from dronevio.models.rotation import inverse_pose, quat_wxyz_from_matrix
 

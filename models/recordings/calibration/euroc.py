@@ -3,7 +3,7 @@
 Some facts of a `Rig` have no place in the format, so they stand under keys of our own, which other readers pass over:
 ``T_vehicle_imu`` (pose of the IMU in the vehicle frame) and ``time_offset_s`` (t_imu − t_cam) in ``body.yaml``,
 ``readout_s`` in the ``sensor.yaml`` of a camera with a rolling shutter, and in that of the IMU what
-`dronevio.models.recordings.imu_fields` adds.
+`dronevio.models.recordings.calibration.imu_fields` adds.
 """
 
 from pathlib import Path
@@ -13,10 +13,10 @@ import numpy as np
 from dronevio.models.camera import CameraModel
 from dronevio.models.errors import InputError
 from dronevio.models.imu import ImuModel
-from dronevio.models.lens import LensName
+from dronevio.models.lenses.lens import LensName
+from dronevio.models.recordings.calibration.imu_fields import imu_fields_yaml, read_imu_fields
+from dronevio.models.recordings.calibration.sensor_yaml import SensorYaml, pose_yaml, read_sensor_yaml, shown
 from dronevio.models.recordings.files import blamed_on
-from dronevio.models.recordings.imu_fields import imu_fields_yaml, read_imu_fields
-from dronevio.models.recordings.sensor_yaml import SensorYaml, pose_yaml, read_sensor_yaml, shown
 from dronevio.models.rig import Rig, RigCamera
 
 LENS_NAMES: dict[str, LensName] = {

@@ -6,7 +6,7 @@ Kalibr's wiki, "yaml formats" (Furgale, Rehder and Siegwart, IROS 2013).
 
 Keys of our own, which other readers pass over, bring a rig back to the bit: ``T_imu_cam`` (OpenVINS writes it too),
 ``rate_hz`` and ``readout_s`` of a camera, ``T_vehicle_imu``, ``sampling`` and what
-`dronevio.models.recordings.imu_fields` adds of the IMU.
+`dronevio.models.recordings.calibration.imu_fields` adds of the IMU.
 """
 
 from collections.abc import Sequence
@@ -20,11 +20,11 @@ import numpy.typing as npt
 from dronevio.models.camera import CameraModel
 from dronevio.models.errors import InputError
 from dronevio.models.imu import ImuModel, Sampling
-from dronevio.models.recordings.euroc_calibration import LENS_NAMES
+from dronevio.models.recordings.calibration.euroc import LENS_NAMES
+from dronevio.models.recordings.calibration.imu_fields import imu_fields_yaml, read_imu_fields
+from dronevio.models.recordings.calibration.sensor_yaml import SensorYaml, shown
+from dronevio.models.recordings.calibration.yaml_document import read_yaml
 from dronevio.models.recordings.files import blamed_on
-from dronevio.models.recordings.imu_fields import imu_fields_yaml, read_imu_fields
-from dronevio.models.recordings.sensor_yaml import SensorYaml, shown
-from dronevio.models.recordings.yaml_document import read_yaml
 from dronevio.models.rig import Rig, RigCamera
 from dronevio.models.rotation import inverse_pose
 

@@ -30,10 +30,8 @@ from rosbags.typesys.stores import ros2_humble as ros
 from dronevio.models.errors import InputError
 from dronevio.models.progress import Progress, silent
 from dronevio.models.protocols import Recording
-from dronevio.models.recordings.bag_file import typestore
-from dronevio.models.recordings.frame_truth import FrameTruth, frame_truth_text
-from dronevio.models.recordings.kalibr import CAMERA_TOPIC, IMU_TOPIC, camchain_yaml, imu_yaml, indented
-from dronevio.models.recordings.ros_messages import (
+from dronevio.models.recordings.bag.file import typestore
+from dronevio.models.recordings.bag.messages import (
     CAMERA,
     IMU,
     WORLD,
@@ -45,6 +43,8 @@ from dronevio.models.recordings.ros_messages import (
     transform_messages,
     vector_messages,
 )
+from dronevio.models.recordings.calibration.kalibr import CAMERA_TOPIC, IMU_TOPIC, camchain_yaml, imu_yaml, indented
+from dronevio.models.recordings.frame_truth import FrameTruth, frame_truth_text
 from dronevio.models.state import Trajectory
 
 Storage = Literal["mcap", "sqlite3"]

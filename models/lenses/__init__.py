@@ -1,0 +1,1 @@
+"""Lens models: the mapping from directions in the camera frame to the image plane."""

@@ -1,0 +1,1 @@
+"""Recordings as ROS 2 bags: reading and writing, without ROS."""

@@ -1,0 +1,1 @@
+"""Calibration files: of EuRoC folders, of Kalibr and of other estimators."""
