@@ -13,8 +13,8 @@ from matplotlib.axes import Axes
 from dronevio.eval import style as palette
 from dronevio.eval.metrics import ScoredTrajectory, nees_bounds
 from dronevio.eval.report import plots as report_plots
-from dronevio.eval.report.numbers import Subject
-from dronevio.eval.report.parts import Tile, details, document, drawing, figures, number, section, settings, tiles
+from dronevio.eval.report.model import Subject
+from dronevio.eval.report.templating import Tile, details, document, drawing, figures, number, section, settings, tiles
 from dronevio.eval.run import tracks_of
 
 SAMPLE_FRAMES = 4

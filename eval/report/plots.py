@@ -15,7 +15,7 @@ from matplotlib.collections import LineCollection
 
 from dronevio.eval import style as palette
 from dronevio.eval.metrics import ScoredTrajectory, nees_bounds, pairs_after_distance, relative_errors
-from dronevio.eval.report.drawing import INK, Boxes, draw_boxes, draw_line, figure, save_png, set_log_scale
+from dronevio.eval.report.figures import INK, Boxes, draw_boxes, draw_line, figure, save_png, set_log_scale
 from dronevio.eval.run import EstimatorRun
 from dronevio.models.imu import Times
 from dronevio.models.recordings.files import check_place

@@ -8,8 +8,8 @@ import numpy.typing as npt
 
 from dronevio.eval.metrics import ScoredTrajectory
 from dronevio.eval.provenance import RunInfo
-from dronevio.eval.report.drawing import figure, save_png
-from dronevio.eval.report.numbers import Subject, report_numbers
+from dronevio.eval.report.figures import figure, save_png
+from dronevio.eval.report.model import Subject, report_numbers
 from dronevio.eval.report.page import page
 from dronevio.eval.report.plots import ABOVE, FRONT, draw_path
 from dronevio.eval.run import EstimatorRun

@@ -9,8 +9,19 @@ from dronevio.eval.metrics import nees_bounds
 from dronevio.eval.report.benchmark import plots as drawn
 from dronevio.eval.report.benchmark.model import Benchmark, Measure, measure
 from dronevio.eval.report.benchmark.tables import READING, failure_table, measure_table, spread_text
-from dronevio.eval.report.parts import DASH, Tile, details, document, drawing, figures, folds, section, settings, tiles
 from dronevio.eval.report.tables import Cell, Table, html_table
+from dronevio.eval.report.templating import (
+    DASH,
+    Tile,
+    details,
+    document,
+    drawing,
+    figures,
+    folds,
+    section,
+    settings,
+    tiles,
+)
 
 ATE, DRIFT, NEES = measure("ate_m"), measure("drift_percent"), measure("nees_position")
 OPENED = ("ate_m", "drift_percent")  # tables that are not folded away

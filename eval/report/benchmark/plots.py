@@ -15,7 +15,7 @@ from matplotlib.ticker import MaxNLocator
 from dronevio.eval import style as palette
 from dronevio.eval.benchmark.rows import Row
 from dronevio.eval.report.benchmark.model import FAILED, Benchmark, Measure
-from dronevio.eval.report.drawing import GRID, INK, Boxes, draw_boxes, set_log_scale
+from dronevio.eval.report.figures import GRID, INK, Boxes, draw_boxes, set_log_scale
 
 Array = npt.NDArray[np.float64]
 

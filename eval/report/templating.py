@@ -8,7 +8,7 @@ from typing import Literal
 
 from matplotlib.axes import Axes
 
-from dronevio.eval.report import drawing as plots
+from dronevio.eval.report import figures as plots
 
 DASH = "–"
 """What stands where a number is not known."""
