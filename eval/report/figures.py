@@ -6,16 +6,16 @@ matplotlib's global state but the style, and that only while a figure is drawn. 
 
 import io
 import re
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
-from html import escape
 from pathlib import Path
 from typing import Any, Literal
 
 import matplotlib as mpl
 import numpy as np
 import numpy.typing as npt
+from markupsafe import Markup
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import FuncFormatter, LogLocator, NullLocator
@@ -95,7 +95,7 @@ def figure(
             fig.legend(handles, labels, loc="outside lower center", ncols=legend_columns)
 
 
-def as_svg(fig: Figure, alt: str) -> str:
+def as_svg(fig: Figure, alt: str) -> Markup:
     """Return a figure as an ``<svg>`` element, without a background, to be put into a page.
 
     Args:
@@ -112,7 +112,22 @@ def as_svg(fig: Figure, alt: str) -> str:
     text = _COORDINATES.sub(lambda m: _LONG_FRACTION.sub(_rounded, m[0]), text)
     for colour, name in _COLOURS_OF_THE_PAGE.items():
         text = text.replace(colour, f"var(--{name})")
-    return text.replace("<svg", f'<svg role="img" aria-label="{escape(alt)}"', 1)
+    return Markup('<svg role="img" aria-label="{}"').format(alt) + Markup(text.removeprefix("<svg"))
+
+
+def drawing(height_in: float, draw: Callable[[Axes], None], alt: str = "", width_in: float = 4.8) -> Markup:
+    """Return a drawing with one pair of axes as an ``<svg>`` element.
+
+    Args:
+        height_in: Its height [in].
+        draw: Draws into the axes.
+        alt: What it shows, behind its title, for those who cannot see it.
+        width_in: Its width [in].
+    """
+    with figure(width_in, height_in) as (fig, axes):
+        draw(axes[0])
+    title = axes[0].get_title(loc="left")
+    return as_svg(fig, f"{title}: {alt}" if alt else title)
 
 
 def save_png(fig: Figure, path: Path, dpi: int = 160) -> None:

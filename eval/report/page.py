@@ -2,50 +2,47 @@
 
 import base64
 from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
 from functools import partial
-from html import escape
 
 import cv2
 import numpy as np
 import numpy.typing as npt
+from markupsafe import Markup
 from matplotlib.axes import Axes
 
 from dronevio.eval import style as palette
 from dronevio.eval.metrics import ScoredTrajectory, nees_bounds
 from dronevio.eval.report import plots as report_plots
+from dronevio.eval.report.figures import drawing
 from dronevio.eval.report.model import Subject
-from dronevio.eval.report.templating import Tile, details, document, drawing, figures, number, section, settings, tiles
+from dronevio.eval.report.templating import Tile, number, render_page
 from dronevio.eval.run import tracks_of
 
 SAMPLE_FRAMES = 4
 TAIL_FRAMES = 8  # how far back the tail of a track reaches
+_LEGEND_AGES_FRAMES = (1, 3, 8, 20, 60)
 _PATH_IN, _GRAPH_IN = 3.7, 2.7  # heights of drawings
 
 
 def page(subject: Subject, numbers: Mapping[str, object]) -> str:
     """Return the page as HTML."""
     info, scored = subject.info, subject.scored
-    lengths, consistency = "", ""
-    if scored is not None:
-        lengths, consistency = figures(_length_figures(scored)), _consistency(scored, subject.origin_ns)
-    return document(
+    return render_page(
+        "run.html.j2",
         info.title,
         _summary(numbers),
-        (
-            section("", tiles(_tiles(numbers))),
-            section("Path", figures(_path_figures(subject))),
-            section("Over time", figures(_time_figures(subject))),
-            section("By length of the way", lengths),
-            section("Consistency", consistency),
-            section("Cost", figures(_cost_figures(subject))),
-            section(
-                "What the camera saw",
-                f"<p>Features that were followed, with the way of their last {TAIL_FRAMES} frames;"
-                f" {_age_legend()}</p>" + figures(_frames(subject)),
-            ),
-            section("How to open the recording", f"<pre>{escape(info.open_command)}</pre>"),
-            section("How it was made", _origin(subject, numbers)),
-        ),
+        tiles=list(_tiles(numbers)),
+        path=list(_path_drawings(subject)),
+        over_time=list(_time_drawings(subject)),
+        by_length=[] if scored is None else list(_length_drawings(scored)),
+        consistency=None if scored is None else _consistency(scored, subject.origin_ns),
+        cost=list(_cost_drawings(subject)),
+        frames=list(_frames(subject)),
+        tail_frames=TAIL_FRAMES,
+        age_colours=_colours(np.array(_LEGEND_AGES_FRAMES)),
+        open_command=info.open_command,
+        provenance=list(_provenance(subject, numbers)),
     )
 
 
@@ -83,14 +80,14 @@ def _summary(numbers: Mapping[str, object]) -> str:
     return f"{flight['frames']} frames in {duration_s} s, {path_m} m flown{seed}"
 
 
-def _path_figures(subject: Subject) -> Iterator[str]:
+def _path_drawings(subject: Subject) -> Iterator[Markup]:
     estimate, truth = subject.estimate, subject.recording.ground_truth
     for side in (report_plots.ABOVE, report_plots.FRONT):
         draw = partial(report_plots.draw_path, side=side, estimate=estimate, truth=truth, outline=subject.outline)
         yield drawing(_PATH_IN, draw, "the estimate" if truth is None else "the estimate on the truth")
 
 
-def _time_figures(subject: Subject) -> Iterator[str]:
+def _time_drawings(subject: Subject) -> Iterator[Markup]:
     estimate, truth, scored = subject.estimate, subject.recording.ground_truth, subject.scored
     origin_ns = subject.origin_ns
     if scored is not None:
@@ -106,7 +103,7 @@ def _time_figures(subject: Subject) -> Iterator[str]:
             yield drawing(_GRAPH_IN, draw)
 
 
-def _length_figures(scored: ScoredTrajectory) -> Iterator[str]:
+def _length_drawings(scored: ScoredTrajectory) -> Iterator[Markup]:
     errors = report_plots.errors_by_length(scored)
     for values, title, axis in (
         (errors.translation_percent, "Relative position error", "of the length [%]"),
@@ -118,11 +115,11 @@ def _length_figures(scored: ScoredTrajectory) -> Iterator[str]:
             yield drawing(_GRAPH_IN, draw, f"{axis}, medians {', '.join(medians)}")
 
 
-def _consistency(scored: ScoredTrajectory, origin_ns: int) -> str:
-    """Return whether errors are as large as claimed, in words and as a drawing; nothing where nothing is claimed."""
-    stated, scores = scored.consistency, scored.scores
-    if stated is None:
-        return ""
+def _consistency(scored: ScoredTrajectory, origin_ns: int) -> dict[str, object] | None:
+    """Return whether errors are as large as claimed, in numbers and as a drawing; None where nothing is claimed."""
+    scores = scored.scores
+    if scored.consistency is None:
+        return None
     low, high = nees_bounds(3)
     rows = (
         ("position", scores.nees_position, scores.nees_position_inside_percent, scores.position_beyond_3_sigma_percent),
@@ -133,26 +130,15 @@ def _consistency(scored: ScoredTrajectory, origin_ns: int) -> str:
             scores.orientation_beyond_3_sigma_percent,
         ),
     )
-    body = "".join(
-        f"<tr><th>{name}</th><td>{number(mean, 2)}</td><td>{number(inside, 1)}</td><td>{number(beyond, 2)}</td></tr>"
-        for name, mean, inside, beyond in rows
-    )
-    table = (
-        '<div class="wide"><table class="numbers"><thead><tr><th></th><th>mean NEES [–]</th><th>within 95 % [%]</th>'
-        f"<th>beyond 3σ [%]</th></tr></thead><tbody>{body}"
-        '<tr class="aside"><th>expected</th><td>3</td><td>95</td><td>0.27</td></tr></tbody></table></div>'
-    )
-    words = (
-        "<p>Squared errors in units of the covariance that the estimator claims (NEES), position and yaw tied at the"
-        f" first pose. An honest one has a mean of 3; 95 % of its poses lie between {low:.2f} and {high:.2f}. More is"
-        " overconfident, less is too modest. The poses of one run hang together, so the mean of a run strays.</p>"
-    )
-    return figures(
-        (f"<div>{words}{table}</div>", drawing(_GRAPH_IN, lambda ax: report_plots.draw_nees(ax, scored, origin_ns)))
-    )
+    return {
+        "low": low,
+        "high": high,
+        "rows": [dict(zip(("name", "mean", "inside", "beyond"), row, strict=True)) for row in rows],
+        "drawing": drawing(_GRAPH_IN, lambda ax: report_plots.draw_nees(ax, scored, origin_ns)),
+    }
 
 
-def _cost_figures(subject: Subject) -> Iterator[str]:
+def _cost_drawings(subject: Subject) -> Iterator[Markup]:
     interval_ms = 1e3 / subject.recording.rig.cameras[0].rate_hz
 
     def over_time(ax: Axes) -> None:
@@ -163,7 +149,33 @@ def _cost_figures(subject: Subject) -> Iterator[str]:
         yield drawing(_GRAPH_IN, lambda ax: report_plots.draw_cost_histogram(ax, subject.run))
 
 
-def _frames(subject: Subject) -> Iterator[str]:
+@dataclass(frozen=True)
+class Track:
+    """A feature track in a sample frame."""
+
+    colour: str
+    """Its colour, by age."""
+    tail: list[tuple[float, float]]
+    """Its pixels in the last frames, in time order up to this one."""
+
+
+@dataclass(frozen=True)
+class SampleFrame:
+    """A frame with its feature tracks."""
+
+    width: int
+    """Width of the image [px]."""
+    height: int
+    """Height of the image [px]."""
+    caption: str
+    """Time and number of tracks, in words."""
+    jpeg_base64: str
+    """The image as JPEG, base64."""
+    tracks: list[Track]
+    """The feature tracks of the frame."""
+
+
+def _frames(subject: Subject) -> Iterator[SampleFrame]:
     """Yield sample frames, evenly spread over those that have a pose, with their tracks."""
     estimates = subject.run.estimates
     candidates = [i for i, e in enumerate(estimates) if e.state is not None] or list(range(len(estimates)))
@@ -174,57 +186,44 @@ def _frames(subject: Subject) -> Iterator[str]:
         seconds = (frame.t_ns - subject.origin_ns) * 1e-9
         ages = tracks_of(estimates[index]).ages
         caption = f"{seconds:.2f} s: {len(ages)} tracks" + (f", median age {np.median(ages):.0f}" if len(ages) else "")
-        yield (
-            f'<figure><svg class="frame" viewBox="-0.5 -0.5 {width} {height}" role="img" aria-label="{caption}">'
-            f'<image x="-0.5" y="-0.5" width="{width}" height="{height}" href="{_jpeg(frame.images[0])}"/>'
-            f"{''.join(_track_marks(subject, index))}</svg><figcaption>{caption}</figcaption></figure>"
-        )
+        yield SampleFrame(width, height, caption, _jpeg_base64(frame.images[0]), _tracks(subject, index))
 
 
-def _track_marks(subject: Subject, index: int) -> Iterator[str]:
-    """Yield a dot for each track of a frame, and a line along its way there."""
+def _tracks(subject: Subject, index: int) -> list[Track]:
+    """Return the tracks of a frame, each with its last pixels."""
     tracks = tracks_of(subject.run.estimates[index])
-    earlier = [tracks_of(estimate) for estimate in subject.run.estimates[max(0, index - TAIL_FRAMES) : index]]
-    before = [dict(zip(t.ids.tolist(), t.pixels.tolist(), strict=True)) for t in earlier]
-    for identity, pixel, colour in zip(
-        tracks.ids.tolist(), tracks.pixels.tolist(), palette.age_colours(tracks.ages).tolist(), strict=True
-    ):
-        way = [at[identity] for at in before if identity in at] + [pixel]
-        points = " ".join(f"{x:.1f},{y:.1f}" for x, y in way)
-        ink = "#{:02x}{:02x}{:02x}".format(*colour)
-        if len(way) > 1:
-            yield f'<polyline points="{points}" stroke="{ink}"/>'
-        yield f'<circle cx="{pixel[0]:.1f}" cy="{pixel[1]:.1f}" r="4" fill="{ink}"/>'
+    recent = [tracks_of(estimate) for estimate in subject.run.estimates[max(0, index - TAIL_FRAMES) : index + 1]]
+    pixels = [dict(zip(t.ids.tolist(), t.pixels.tolist(), strict=True)) for t in recent]
+    return [
+        Track(colour, [(x, y) for of_frame in pixels if track_id in of_frame for x, y in (of_frame[track_id],)])
+        for track_id, colour in zip(tracks.ids.tolist(), _colours(tracks.ages), strict=True)
+    ]
 
 
-def _jpeg(image: npt.NDArray[np.uint8]) -> str:
+def _jpeg_base64(image: npt.NDArray[np.uint8]) -> str:
     _, data = cv2.imencode(".jpg", image, [cv2.IMWRITE_JPEG_QUALITY, 80])
-    return "data:image/jpeg;base64," + base64.b64encode(data.tobytes()).decode("ascii")
+    return base64.b64encode(data.tobytes()).decode("ascii")
 
 
-def _age_legend() -> str:
-    ages = np.array([1, 3, 8, 20, 60])
-    stops = ", ".join("#{:02x}{:02x}{:02x}".format(*c) for c in palette.age_colours(ages).tolist())
-    return f'new <span class="ramp" style="background: linear-gradient(90deg, {stops})"></span> 60 frames and older.'
+def _colours(ages_frames: npt.NDArray[np.int64]) -> list[str]:
+    """Return the colours of tracks of some ages."""
+    return ["#{:02x}{:02x}{:02x}".format(*rgb) for rgb in palette.age_colours(ages_frames).tolist()]
 
 
-def _origin(subject: Subject, numbers: Mapping[str, object]) -> str:
-    """Return the tables of what went in and what else came out."""
+def _provenance(subject: Subject, numbers: Mapping[str, object]) -> Iterator[tuple[str, object, bool]]:
+    """Yield the tables of what went in and what else came out: title, content, and whether it is opened."""
     info = subject.info
-    made = {"command": info.command, "seed": "none: a recording" if info.seed is None else str(info.seed)}
-    tables = (
-        ("Run", made),
+    run = {"command": info.command, "seed": "none: a recording" if info.seed is None else str(info.seed)}
+    for title, content in (
+        ("Run", run),
         ("Estimator", numbers["estimator"]),
         ("Scores", numbers["scores"]),
         ("Configuration", info.configuration),
         ("Versions", info.versions),
         ("Machine", info.machine),
-    )
-    return "".join(
-        details(title, settings(content), opened=title in ("Run", "Versions", "Machine"))
-        for title, content in tables
-        if content
-    )
+    ):
+        if content:
+            yield title, content, title in ("Run", "Versions", "Machine")
 
 
 def _part(numbers: Mapping[str, object], name: str) -> Mapping[str, object]:

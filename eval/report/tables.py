@@ -1,11 +1,11 @@
-"""Tables of results as HTML, Markdown and LaTeX: the same cells in each, and nothing that a name could break."""
+"""Tables of results: the cells that a page shows, and the same as Markdown and LaTeX that no name can break."""
 
-import math
 import re
 from collections.abc import Sequence
 from dataclasses import dataclass
-from html import escape
 
+DASH = "–"
+"""What stands where a number is not known."""
 _MARKDOWN = re.compile(r"([\\`*_{}\[\]<>#|~$&!])")
 _LATEX = {
     "\\": r"\textbackslash{}",
@@ -65,19 +65,6 @@ class Table:
     """Columns that hold words rather than numbers, besides the first."""
 
 
-def html_table(table: Table) -> str:
-    """Return a table as HTML, its columns ready to be sorted by a script."""
-    heads = "".join(
-        f'<th scope="col"{_html_class(i, table)}>{escape(name)}</th>' for i, name in enumerate(table.columns)
-    )
-    body = "".join(_html_row(row, table) for row in table.rows)
-    foot = f'<tfoot class="aside">{_html_row(table.total, table)}</tfoot>' if table.total else ""
-    return (
-        f'<div class="wide" tabindex="0" role="region" aria-label="{escape(table.title)}">'
-        f'<table class="numbers sortable"><thead><tr>{heads}</tr></thead><tbody>{body}</tbody>{foot}</table></div>'
-    )
-
-
 def markdown_table(table: Table) -> str:
     """Return a table as Markdown, its title above it."""
     rule = ["---" if _is_words(i, table) else "---:" for i in range(len(table.columns))]
@@ -114,33 +101,6 @@ def latex_text(text: str) -> str:
     return "".join(
         _LATEX.get(letter) or (letter if letter in _DRAWN else f"[U+{ord(letter):04X}]") for letter in _one_line(text)
     )
-
-
-def _html_row(row: Sequence[Cell], table: Table) -> str:
-    cells = "".join(
-        f"<{tag}{_html_class(i, table, cell)}{_html_order(cell)}>{_html_cell(cell)}</{'th' if i == 0 else 'td'}>"
-        for i, cell in enumerate(row)
-        for tag in ("td" if i else 'th scope="row"',)
-    )
-    return f"<tr>{cells}</tr>"
-
-
-def _html_cell(cell: Cell) -> str:
-    aside = f"<small>{escape(cell.aside)}</small>" if cell.aside else ""
-    warning = f'<small class="bad">{escape(cell.warning)}</small>' if cell.warning else ""
-    return f"{escape(cell.text)}{aside}{warning}"
-
-
-def _html_class(column: int, table: Table, cell: Cell | None = None) -> str:
-    names = ["words"] if column in table.words else []
-    names += ["best"] if cell is not None and cell.best else []
-    return f' class="{" ".join(names)}"' if names else ""
-
-
-def _html_order(cell: Cell) -> str:
-    if cell.order is None:
-        return ""
-    return f' data-order="{cell.order:.6g}"' if math.isfinite(cell.order) else ' data-order="Infinity"'
 
 
 def _markdown(text: str) -> str:

@@ -6,8 +6,7 @@ import math
 from collections.abc import Iterator, Sequence
 
 from dronevio.eval.report.benchmark.model import Benchmark, Measure, Spread, seed_ranges
-from dronevio.eval.report.tables import Cell, Table, latex_table, latex_text, markdown_table
-from dronevio.eval.report.templating import DASH
+from dronevio.eval.report.tables import DASH, Cell, Table, latex_table, latex_text, markdown_table
 
 ALL_SCENARIOS = "all scenarios"
 CSV_COLUMNS = (

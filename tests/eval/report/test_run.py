@@ -20,6 +20,7 @@ INFO = RunInfo(
     seed=3,
     configuration={"estimator": {"window_s": 5.0, "names": ("a", "<b>")}, "scenario": {"wind": None}},
 )
+HOSTILE = """</style></title></td><script>alert('1')</script>{{ 7 * 7 }}{% raw %}& <b> "quoted\""""
 
 
 @pytest.fixture(scope="module")
@@ -62,6 +63,16 @@ def test_what_comes_from_outside_is_escaped(html, page):
     assert INFO.title in text
     assert INFO.open_command in text
     assert "a, <b>" in text
+
+
+def test_names_that_could_break_html_are_text(flight, tmp_path, read_page):
+    info = RunInfo(HOSTILE, HOSTILE, HOSTILE, 0, {HOSTILE: HOSTILE}, {HOSTILE: HOSTILE}, {HOSTILE: HOSTILE})
+    write_report(tmp_path, info, replace(flight.recording, name=HOSTILE), flight.run, None)
+    html = (tmp_path / "report.html").read_text()
+    page = read_page(html)
+    assert "script" not in page.tags and html.count("<title>") == 1
+    # title, heading, command to open it, command that made it, and name and value of three tables
+    assert "".join(page.text).count(HOSTILE) == 10
 
 
 def test_the_page_shows_the_scores(page, scored):
