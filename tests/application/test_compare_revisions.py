@@ -1,6 +1,7 @@
 """Comparing revisions: what counts as a difference, and which code a revision runs."""
 
 import math
+import os
 import subprocess
 import sys
 from collections.abc import Callable
@@ -112,3 +113,18 @@ def test_options_are_spelled_as_the_revision_does(
     assert compare.spelled("value", "") == "value"
     with pytest.raises(SystemExit, match="no option"):
         compare.spelled("--out", "--out-of-reach")
+
+
+@pytest.mark.parametrize("subject", ["mono", "stereo", "rolling", "flight"])
+def test_options_of_the_flights_exist(script: Callable[[str], Any], subject: str, help_of_fly: str) -> None:
+    compare = script("compare_revisions")
+    options = [word for word in compare.FLIGHTS[subject].split() if word.startswith("--")]
+    assert len(options) >= 4
+    assert [compare.spelled(word, help_of_fly)[:2] for word in options] == ["--"] * len(options)
+
+
+@pytest.fixture(scope="module")
+def help_of_fly() -> str:
+    command = [sys.executable, "-m", "dronevio.cli", "fly", "--help"]
+    environment = {**os.environ, "COLUMNS": "200"}
+    return subprocess.run(command, env=environment, capture_output=True, text=True, check=True).stdout
