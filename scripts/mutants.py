@@ -99,8 +99,8 @@ ESTIMATOR = (
         "calibration-factor-sign-biases",
         "Calibration: sign of the Jacobian of the IMU factor by the biases.",
         "estimator/calibration/imu_factor.py",
-        "J[:, 18:] = -self.J",
-        "J[:, 18:] = self.J",
+        "J[:, 18:] = -self.J_bias",
+        "J[:, 18:] = self.J_bias",
         ("tests/estimator/imu/test_jacobians.py::test_calibration_residual_moves_as_its_jacobian_says",),
     ),
     Mutant(
@@ -115,8 +115,8 @@ ESTIMATOR = (
         "calibration-factor-half-biases",
         "Calibration: the Jacobian of the preintegration by the biases is halved.",
         "estimator/calibration/imu_factor.py",
-        "pv_step - pv]) / 1e-3",
-        "pv_step - pv]) / 2e-3",
+        "dp_dv_step - dp_dv]) / _BIAS_STEP",
+        "dp_dv_step - dp_dv]) / (2.0 * _BIAS_STEP)",
         ("tests/estimator/imu/test_jacobians.py::test_calibration_interval_integrates_as_we_do",),
     ),
     Mutant(

@@ -1,103 +1,56 @@
-"""A bundle adjustment of one window of keyframes with their IMU, in which the calibration is unknown too.
+"""Bundle adjustment of a window of keyframes with their IMU and with the calibration among the unknowns.
 
-All at once, by Gauss-Newton: the keyframes' poses and velocities, the IMU's biases, the landmarks, and what is asked of
-the calibration. Landmarks are eliminated (Triggs et al., "Bundle adjustment: a modern synthesis", 1999), and what the
-window alone says of the rest is known with all that it leaves open: where the motion does not show a part of the
-calibration, that part keeps what was known of it before.
+Gauss-Newton steps estimate the poses and velocities of the keyframes, the IMU biases, the landmarks and the calibration
+together. Landmarks are eliminated by the Schur complement (Triggs et al., "Bundle adjustment: a modern synthesis",
+2000). The marginal information on the calibration accounts for all other unknowns: what the motion does not make
+observable keeps its prior.
 """
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
-import gtsam
 import numpy as np
 import numpy.typing as npt
 from scipy.linalg import cho_factor, cho_solve
 
-from dronevio.estimator.backend.triangulation import MIN_DEPTH_M, triangulate
-from dronevio.estimator.calibration.corrections import PER_CAMERA, Corrections
+from dronevio.estimator.calibration.corrections import Corrections
 from dronevio.estimator.calibration.imu_factor import CalibrationImuFactor
-from dronevio.models.rotation import exp_so3, log_so3, skew
-from dronevio.models.state import NavState
+from dronevio.estimator.calibration.projection import project
+from dronevio.estimator.calibration.window import (
+    AdjustmentConfig,
+    WindowKeyframe,
+    select_landmarks,
+    window_observations,
+    window_state,
+)
+from dronevio.models.rotation import exp_so3, log_so3
 
 Array = npt.NDArray[np.float64]
-Rows = npt.NDArray[np.int64]
 
-GAUGE_SIGMA_M = 1e-3  # of the first keyframe's place, which nothing tells [m]
-ROBUST_SIGMAS = 2.4  # residuals beyond lose weight (Cauchy's loss at 95 % efficiency, Huber 1981)
-_STATE = 9  # δθ, δp, δv of a keyframe
-
-
-@dataclass(frozen=True, eq=False)
-class WindowKeyframe:
-    """A keyframe of a window."""
-
-    state: NavState
-    """Where the IMU is believed to be."""
-    rate_rad_s: Array
-    """(3,) How fast it turns, bias taken out [rad/s]."""
-    time_offset_s: float
-    """By how much its sightings were believed to be late, and moved [s]."""
-    preintegrated: gtsam.PreintegratedCombinedMeasurements | None
-    """The IMU since the keyframe before; None for the first."""
-    ids: Rows
-    """(N,) Landmarks that it sees."""
-    camera: Rows
-    """(N,) By which camera."""
-    xy: Array
-    """(N, 2) Where, normalized, by the rig's calibration without corrections."""
-
-
-@dataclass(frozen=True)
-class AdjustmentConfig:
-    """Settings of the adjustment."""
-
-    pixel_sigma: float = 0.8
-    """Standard deviation of a sighting [px]."""
-    min_views: int = 4
-    """Keyframes that must have seen a landmark."""
-    min_parallax_deg: float = 0.5
-    """Angle under which it must have been seen [°]."""
-    max_reprojection_px: float = 15.0
-    """A landmark whose sightings are further off than this at first is left out [px]."""
-    max_landmarks: int = 150
-    """Those that were seen most often."""
-    rounds: int = 3
-    """Steps of Gauss-Newton."""
-    tilt_sigma_rad: float = 0.1
-    """What is known beforehand of the first keyframe's orientation [rad] ..."""
-    velocity_sigma_m_s: float = 0.5
-    """... of its velocity [m/s] ..."""
-    gyro_bias_sigma_rad_s: float = 0.01
-    """... and of the biases [rad/s] ..."""
-    accel_bias_sigma_m_s2: float = 0.2
-    """... [m/s²]: little, so that a window says the same whatever was believed before."""
+GAUGE_SIGMA_M = 1e-3
+"""Standard deviation of the first keyframe's position, which is unobservable [m]."""
+ROBUST_SIGMAS = 2.4
+"""Threshold of Cauchy's loss in standard deviations, for an efficiency of 95 % (Huber, "Robust statistics", 1981)."""
+_STATE_DIM = 9
+"""Degrees of freedom of a keyframe: δθ (right), δp and δv (world frame)."""
+_BIAS_DIM = 6
+"""Degrees of freedom of the biases, gyroscope first."""
 
 
 @dataclass(frozen=True, eq=False)
 class AdjustmentResult:
-    """What a window says of the calibration, together with what was known before."""
+    """The posterior of the corrections after a window."""
 
     mean: Array
-    """(D,) Corrections."""
+    """(D,) Vector of the corrections."""
     information: Array
-    """(D, D) Inverse of their covariance."""
+    """(D, D) Information matrix of the corrections."""
     rms_px: float
-    """Root mean square reprojection error [px], outliers hardly counted."""
-
-
-@dataclass(frozen=True, eq=False)
-class _Sightings:
-    """Flat sightings of a window, those of one landmark side by side."""
-
-    keyframe: Rows
-    camera: Rows
-    landmark: Rows
-    xy: Array
+    """Root mean square reprojection error, weighted by the robust loss [px]."""
 
 
 class CalibrationProblem:
-    """The unknowns of a window, moved by one Gauss-Newton step after another."""
+    """The bundle adjustment of a window, solved one Gauss-Newton step at a time."""
 
     def __init__(
         self,
@@ -109,240 +62,176 @@ class CalibrationProblem:
         information: Array,
         estimated: npt.NDArray[np.bool_],
     ) -> None:
-        """Arrange a window.
+        """Select and triangulate the landmarks of a window.
 
         Args:
-            keyframes: In time order, two at least.
-            Ts_imu_cam: (C, 4, 4) Poses of the cameras, without corrections.
+            keyframes: At least two keyframes in the order of time.
+            Ts_imu_cam: (C, 4, 4) Poses of the cameras without corrections.
             focal_px: Focal length [px].
             config: Settings.
-            mean: (D,) What was known of the corrections before.
-            information: (D, D) How well: the inverse covariance.
-            estimated: (D,) Which of them are unknown, and independent of the others.
+            mean: (D,) Prior mean of the corrections, D = 1 + 10 C.
+            information: (D, D) Prior information matrix of the corrections.
+            estimated: (D,) Whether a correction is estimated. The prior of those that are not is independent of the
+                others.
         """
-        self._config, self._sigma = config, config.pixel_sigma / focal_px
-        self._Ts_imu_cam = Ts_imu_cam
+        self._config, self._focal_px, self._sigma = config, focal_px, config.pixel_sigma / focal_px
         self._prior_mean, self._prior_information = mean, information
-        self._c, self._unknown = mean.copy(), np.flatnonzero(estimated)
-        states = [keyframe.state for keyframe in keyframes]
-        self._R = np.stack([state.T_world_imu[:3, :3] for state in states])
-        self._p = np.stack([state.T_world_imu[:3, 3] for state in states])
-        self._v = np.stack([state.velocity_m_s for state in states])
-        self._rates = np.stack([keyframe.rate_rad_s for keyframe in keyframes])
-        self._time_offsets_s = np.array([keyframe.time_offset_s for keyframe in keyframes])
-        last = states[-1]
-        self._bias = np.concatenate([last.gyro_bias_rad_s, last.accel_bias_m_s2])
-        self._first = self._R[0].copy(), self._v[0].copy(), self._bias.copy()
-        self._intervals = [
-            CalibrationImuFactor.of(k.preintegrated, self._bias) for k in keyframes[1:] if k.preintegrated
+        self._corrections, self._estimated = mean.copy(), np.flatnonzero(estimated)
+        self._state = window_state(keyframes, Ts_imu_cam, Corrections.from_vector(self._corrections))
+        newest = keyframes[-1].state
+        self._bias = np.concatenate([newest.gyro_bias_rad_s, newest.accel_bias_m_s2])
+        self._first = self._state.R_world_imu[0].copy(), self._state.v_world_imu[0].copy(), self._bias.copy()
+        self._factors = [
+            CalibrationImuFactor.from_preintegrated(keyframe.preintegrated, self._bias)
+            for keyframe in keyframes[1:]
+            if keyframe.preintegrated
         ]
-        self._seen, self._points = self._select(keyframes, focal_px)
-        self._focal_px, self._rms_px, self._steps = focal_px, float("inf"), 0
-        self.is_done = False
-        """Whether there is no further step to take."""
-        self.result: AdjustmentResult | None = None
-        """What came of it; None before the end, and where the problem has no solution."""
+        candidates = window_observations(keyframes)
+        self._observations, self._points = select_landmarks(self._state, candidates, focal_px, config)
+        self._rms_px, self._steps = float("inf"), 0
+        self._is_done = False
+        self._result: AdjustmentResult | None = None
 
     @property
-    def landmarks(self) -> int:
-        """How many landmarks take part."""
+    def landmark_count(self) -> int:
+        """Number of landmarks in the adjustment."""
         return len(self._points)
 
+    @property
+    def is_done(self) -> bool:
+        """Whether all steps are taken, or the problem turned out to have no solution."""
+        return self._is_done
+
+    @property
+    def result(self) -> AdjustmentResult | None:
+        """The result; None before all steps are taken, and where the problem has no solution."""
+        return self._result
+
     def step(self) -> None:
-        """Take a step, a third of the work or so."""
+        """Take one Gauss-Newton step."""
         self._steps += 1
-        information = self._step()
-        self.is_done = information is None or self._steps >= self._config.rounds
-        if self.is_done and information is not None:
-            self.result = AdjustmentResult(self._c, information, self._rms_px)
+        information = self._gauss_newton_step()
+        self._is_done = information is None or self._steps >= self._config.iterations
+        if self._is_done and information is not None:
+            self._result = AdjustmentResult(self._corrections, information, self._rms_px)
 
-    def _select(self, keyframes: Sequence[WindowKeyframe], focal_px: float) -> tuple[_Sightings, Array]:
-        """Take the landmarks that are worth it, and triangulate them."""
-        c = self._config
-        ids = np.concatenate([k.ids for k in keyframes])
-        camera, xy = np.concatenate([k.camera for k in keyframes]), np.concatenate([k.xy for k in keyframes])
-        index = np.repeat(np.arange(len(keyframes)), [len(k.ids) for k in keyframes])
-        order = np.argsort(ids, kind="stable")
-        ids, camera, xy, index = ids[order], camera[order], xy[order], index[order]
-        _, landmark, counts = np.unique(ids, return_inverse=True, return_counts=True)
-        if not len(ids):
-            return _Sightings(index, camera, landmark, xy), np.zeros((0, 3))
-        enough = counts >= c.min_views
-        seen = _renumbered(_Sightings(index, camera, landmark, xy), enough)
-        if not enough.any():
-            return seen, np.zeros((0, 3))
-        Rs, ps = self._camera_poses(seen)
-        found = triangulate(_starts(seen.landmark), Rs, ps, self._uncorrected(seen))
-        good = (
-            found.in_front
-            & (found.parallax_rad > np.radians(c.min_parallax_deg))
-            & (found.rms < c.max_reprojection_px / focal_px)
-        )
-        counts = np.bincount(seen.landmark)
-        by_count = np.sort(counts[good])[::-1]
-        if len(by_count) > c.max_landmarks:
-            good &= counts >= by_count[c.max_landmarks - 1]
-        return _renumbered(seen, good), found.points[good]
+    def _gauss_newton_step(self) -> Array | None:
+        """Apply a Gauss-Newton step; return the information (D, D) on the corrections, None if the system is singular.
 
-    def _camera_poses(self, seen: _Sightings) -> tuple[Array, Array]:
-        """Return the orientation and place of the camera at each sighting."""
-        corrections, k = Corrections.from_vector(self._c), seen.keyframe
-        delay_s = (corrections.time_offset_s - self._time_offsets_s)[k, None]
-        R_imu = self._R[k] @ exp_so3(self._rates[k] * delay_s)
-        p_imu = self._p[k] + self._v[k] * delay_s
-        R_ic = (self._Ts_imu_cam[:, :3, :3] @ exp_so3(corrections.rotation_rad))[seen.camera]
-        t_ic = (self._Ts_imu_cam[:, :3, 3] + corrections.translation_m)[seen.camera]
-        return R_imu @ R_ic, p_imu + np.einsum("nij,nj->ni", R_imu, t_ic)
-
-    def _uncorrected(self, seen: _Sightings) -> Array:
-        corrections = Corrections.from_vector(self._c)
-        return np.asarray((seen.xy - corrections.principal[seen.camera]) / (1.0 + corrections.focal[seen.camera]))
-
-    def _step(self) -> Array | None:
-        """Solve the linearized problem, move there, and return the information on the corrections."""
-        K, D = len(self._R), len(self._unknown)
-        n = _STATE * K + 6
-        H, g = np.zeros((n + D, n + D)), np.zeros(n + D)
-        self._add_prior(H, g, n)
-        self._add_motion(H, g)
-        pull = self._add_sightings(H, g, n)
+        The linear system holds K keyframes, the biases and the E estimated corrections, n = 9 K + 6 + E.
+        """
+        s = self._state
+        K, E = len(s.R_world_imu), len(self._estimated)
+        n = _STATE_DIM * K + _BIAS_DIM
+        H, b = np.zeros((n + E, n + E)), np.zeros(n + E)
+        self._add_priors(H, b, n)
+        self._add_imu_factors(H, b, n)
+        back_substitute = self._add_observations(H, b, n)
         try:
             factor = cho_factor(H)
-            x = cho_solve(factor, g)
-            pulled = cho_solve(factor, np.eye(n + D)[:, n:])[n:]
+            delta = cho_solve(factor, b)
+            covariance = cho_solve(factor, np.eye(n + E)[:, n:])[n:]
         except np.linalg.LinAlgError:
             return None
-        self._points = self._points + pull(x)
-        states = x[: _STATE * K].reshape(K, _STATE)
-        self._R = self._R @ exp_so3(states[:, :3])
-        self._p, self._v = self._p + states[:, 3:6], self._v + states[:, 6:]
-        self._bias = self._bias + x[n - 6 : n]
-        self._c[self._unknown] += x[n:]
+        self._points = self._points + back_substitute(delta)
+        keyframes = delta[: _STATE_DIM * K].reshape(K, _STATE_DIM)
+        self._bias = self._bias + delta[n - _BIAS_DIM : n]
+        self._corrections[self._estimated] += delta[n:]
+        self._state = replace(
+            s,
+            R_world_imu=s.R_world_imu @ exp_so3(keyframes[:, :3]),
+            p_world_imu=s.p_world_imu + keyframes[:, 3:6],
+            v_world_imu=s.v_world_imu + keyframes[:, 6:],
+            corrections=Corrections.from_vector(self._corrections),
+        )
         information = self._prior_information.copy()
-        information[np.ix_(self._unknown, self._unknown)] = np.linalg.inv(pulled)
+        information[np.ix_(self._estimated, self._estimated)] = np.linalg.inv(covariance)
         return information
 
-    def _add_prior(self, H: Array, g: Array, n: int) -> None:
-        """Add what is known beforehand: of the corrections, of the first keyframe and of the biases."""
+    def _add_priors(self, H: Array, b: Array, n: int) -> None:
+        """Add the priors of the corrections, of the first keyframe and of the biases."""
         c, (R, v, bias) = self._config, self._first
-        known = self._prior_information[np.ix_(self._unknown, self._unknown)]
-        H[n:, n:] += known
-        g[n:] += known @ (self._prior_mean - self._c)[self._unknown]
-        sigmas = [c.tilt_sigma_rad, GAUGE_SIGMA_M, c.velocity_sigma_m_s]
+        information = self._prior_information[np.ix_(self._estimated, self._estimated)]
+        H[n:, n:] += information
+        b[n:] += information @ (self._prior_mean - self._corrections)[self._estimated]
+        sigmas = [c.orientation_sigma_rad, GAUGE_SIGMA_M, c.velocity_sigma_m_s]
         weights = np.repeat(np.array(sigmas) ** -2.0, 3)
-        off = np.concatenate([log_so3(self._R[0].T @ R), np.zeros(3), v - self._v[0]])
-        H[range(_STATE), range(_STATE)] += weights
-        g[:_STATE] += weights * off
+        s = self._state
+        error = np.concatenate([log_so3(s.R_world_imu[0].T @ R), np.zeros(3), v - s.v_world_imu[0]])
+        H[range(_STATE_DIM), range(_STATE_DIM)] += weights
+        b[:_STATE_DIM] += weights * error
         weights = np.repeat(np.array([c.gyro_bias_sigma_rad_s, c.accel_bias_sigma_m_s2]) ** -2.0, 3)
-        rows = range(n - 6, n)
-        H[rows, rows] += weights
-        g[n - 6 : n] += weights * (bias - self._bias)
+        columns = range(n - _BIAS_DIM, n)
+        H[columns, columns] += weights
+        b[n - _BIAS_DIM : n] += weights * (bias - self._bias)
 
-    def _add_motion(self, H: Array, g: Array) -> None:
-        """Add the IMU between the keyframes (Forster et al. 2017, eq. 45)."""
-        n = _STATE * len(self._R) + 6
-        bias_rows = np.arange(n - 6, n)
-        for i, interval in enumerate(self._intervals):
-            r, J = interval.residual(
-                self._R[i : i + 2], self._p[i : i + 2], self._v[i : i + 2], self._bias - self._first[2]
+    def _add_imu_factors(self, H: Array, b: Array, n: int) -> None:
+        """Add the IMU factors between consecutive keyframes."""
+        s, bias_columns = self._state, np.arange(n - _BIAS_DIM, n)
+        for i, factor in enumerate(self._factors):
+            pair = slice(i, i + 2)
+            r, J = factor.residual(
+                s.R_world_imu[pair], s.p_world_imu[pair], s.v_world_imu[pair], self._bias - self._first[2]
             )
-            rows = np.concatenate([np.arange(_STATE * i, _STATE * (i + 2)), bias_rows])
-            weighted = J.T @ interval.information
-            H[np.ix_(rows, rows)] += weighted @ J
-            g[rows] -= weighted @ r
+            columns = np.concatenate([np.arange(_STATE_DIM * i, _STATE_DIM * (i + 2)), bias_columns])
+            weighted = J.T @ factor.information
+            H[np.ix_(columns, columns)] += weighted @ J
+            b[columns] -= weighted @ r
 
-    def _add_sightings(self, H: Array, g: Array, n: int) -> Callable[[Array], Array]:
-        """Add the sightings, landmarks eliminated; return what gives their displacements (L, 3) after the step."""
-        seen, L, K, D = self._seen, len(self._points), len(self._R), len(self._unknown)
+    def _add_observations(self, H: Array, b: Array, n: int) -> Callable[[Array], Array]:
+        """Add the observations with the landmarks eliminated.
+
+        Returns:
+            The back-substitution: a function from a solution of the linear system to the step (L, 3) of the landmarks.
+        """
+        observations, L, E = self._observations, len(self._points), len(self._estimated)
+        K = len(self._state.R_world_imu)
         if L == 0:
-            return lambda x: np.zeros((0, 3))
-        r, J_pose, J_landmark, J_c = self._linearized()
+            return lambda delta: np.zeros((0, 3))
+        projection = project(self._state, observations, self._points)
+        r, J_pose, J_point = projection.residual, projection.J_pose, projection.J_point
+        J_c = projection.J_corrections[:, :, self._estimated]
         error = np.linalg.norm(r, axis=1)
-        trust = 1.0 / (1.0 + (error / (ROBUST_SIGMAS * self._sigma)) ** 2)
-        self._rms_px = float(np.sqrt(np.average(error**2, weights=trust))) * self._focal_px
-        weight = trust / self._sigma**2
-        Jw_pose, Jw_landmark, Jw_c = (np.swapaxes(J, 1, 2) * weight[:, None, None] for J in (J_pose, J_landmark, J_c))
-        starts = _starts(seen.landmark)
-        H_ll = np.add.reduceat(Jw_landmark @ J_landmark, starts)
-        g_l = np.add.reduceat((Jw_landmark @ r[..., None])[..., 0], starts)
-        of_pose = np.zeros((K, 6, 6 + D + 1))
-        order = np.argsort(seen.keyframe, kind="stable")
-        first = np.flatnonzero(np.diff(seen.keyframe[order], prepend=-1))
-        across = Jw_pose @ np.concatenate([J_pose, J_c, r[..., None]], axis=2)
-        of_pose[seen.keyframe[order[first]]] = np.add.reduceat(across[order], first)
-        H_pp, H_pc, g_p = of_pose[..., :6], of_pose[..., 6:-1], of_pose[..., -1]
+        robust = 1.0 / (1.0 + (error / (ROBUST_SIGMAS * self._sigma)) ** 2)
+        self._rms_px = float(np.sqrt(np.average(error**2, weights=robust))) * self._focal_px
+        weight = robust / self._sigma**2
+        JW_pose, JW_point, JW_c = (np.swapaxes(J, 1, 2) * weight[:, None, None] for J in (J_pose, J_point, J_c))
+
+        starts = observations.starts
+        H_ll = np.add.reduceat(JW_point @ J_point, starts)
+        b_l = np.add.reduceat((JW_point @ r[..., None])[..., 0], starts)
+        of_pose = np.zeros((K, 6, 6 + E + 1))
+        order = np.argsort(observations.keyframe, kind="stable")
+        first = np.flatnonzero(np.diff(observations.keyframe[order], prepend=-1))
+        products = JW_pose @ np.concatenate([J_pose, J_c, r[..., None]], axis=2)
+        of_pose[observations.keyframe[order[first]]] = np.add.reduceat(products[order], first)
+        H_pp, H_pc, b_p = of_pose[..., :6], of_pose[..., 6:-1], of_pose[..., -1]
         H_lp = np.zeros((L, K, 3, 6))
-        for camera in range(len(self._Ts_imu_cam)):  # one camera of one keyframe sees a landmark once
-            here = np.flatnonzero(seen.camera == camera)
-            H_lp[seen.landmark[here], seen.keyframe[here]] += Jw_landmark[here] @ J_pose[here]
-        H_lc = np.add.reduceat(Jw_landmark @ J_c, starts)
-        poses = (_STATE * np.arange(K)[:, None] + np.arange(6)).ravel()
-        rows = np.concatenate([poses, np.arange(n, n + D)])
+        for camera in range(len(self._state.Ts_imu_cam)):  # a camera observes a landmark once in a keyframe
+            rows = np.flatnonzero(observations.camera == camera)
+            H_lp[observations.landmark[rows], observations.keyframe[rows]] += JW_point[rows] @ J_pose[rows]
+        H_lc = np.add.reduceat(JW_point @ J_c, starts)
+
+        # Elimination of the landmarks by the Cholesky factors L_l of H_ll: subtract (L_l⁻¹ H_lx)ᵀ (L_l⁻¹ H_lx)
+        poses = (_STATE_DIM * np.arange(K)[:, None] + np.arange(6)).ravel()
+        columns = np.concatenate([poses, np.arange(n, n + E)])
         H_lx = np.concatenate([np.swapaxes(H_lp, 1, 2).reshape(L, 3, 6 * K), H_lc], axis=2)
-        root = np.linalg.cholesky(H_ll + 1e-9 * np.trace(H_ll, axis1=1, axis2=2)[:, None, None] * np.eye(3))
-        half = np.linalg.solve(root, np.concatenate([H_lx, g_l[..., None]], axis=2)).reshape(3 * L, -1)
-        H[np.ix_(rows, rows)] -= half[:, :-1].T @ half[:, :-1]
-        g[rows] -= half[:, :-1].T @ half[:, -1]
+        L_l = np.linalg.cholesky(H_ll + 1e-9 * np.trace(H_ll, axis1=1, axis2=2)[:, None, None] * np.eye(3))
+        half = np.linalg.solve(L_l, np.concatenate([H_lx, b_l[..., None]], axis=2)).reshape(3 * L, -1)
+        H[np.ix_(columns, columns)] -= half[:, :-1].T @ half[:, :-1]
+        b[columns] -= half[:, :-1].T @ half[:, -1]
         for k in range(K):
-            own = slice(_STATE * k, _STATE * k + 6)
-            H[own, own] += H_pp[k]
-            H[own, n:] += H_pc[k]
-            H[n:, own] += H_pc[k].T
-            g[own] += g_p[k]
-        H[n:, n:] += np.tensordot(Jw_c, J_c, axes=([0, 2], [0, 1]))
-        g[n:] += np.tensordot(Jw_c, r, axes=([0, 2], [0, 1]))
+            pose = slice(_STATE_DIM * k, _STATE_DIM * k + 6)
+            H[pose, pose] += H_pp[k]
+            H[pose, n:] += H_pc[k]
+            H[n:, pose] += H_pc[k].T
+            b[pose] += b_p[k]
+        H[n:, n:] += np.tensordot(JW_c, J_c, axes=([0, 2], [0, 1]))
+        b[n:] += np.tensordot(JW_c, r, axes=([0, 2], [0, 1]))
 
-        def displacements(x: Array) -> Array:
-            left = half.reshape(L, 3, -1)
-            return np.linalg.solve(np.swapaxes(root, 1, 2), (left[..., -1] - left[..., :-1] @ x[rows])[..., None])[
-                ..., 0
-            ]
+        def back_substitute(delta: Array) -> Array:
+            of_landmark = half.reshape(L, 3, -1)
+            right = of_landmark[..., -1] - of_landmark[..., :-1] @ delta[columns]
+            return np.asarray(np.linalg.solve(np.swapaxes(L_l, 1, 2), right[..., None])[..., 0])
 
-        return displacements
-
-    def _linearized(self) -> tuple[Array, Array, Array, Array]:
-        """Return residuals (N, 2) and what moves the projections: pose (N, 2, 6), landmark (N, 2, 3), unknowns."""
-        seen, corrections = self._seen, Corrections.from_vector(self._c)
-        k, camera = seen.keyframe, seen.camera
-        delay_s = (corrections.time_offset_s - self._time_offsets_s)[k, None]
-        turn_back = exp_so3(-self._rates[k] * delay_s)
-        R_world_imu, v = self._R[k], self._v[k]
-        q = np.einsum("nji,nj->ni", R_world_imu, self._points[seen.landmark] - self._p[k] - v * delay_s)
-        p_imu = np.einsum("nij,nj->ni", turn_back, q)
-        R_cam_imu = np.swapaxes(self._Ts_imu_cam[:, :3, :3] @ exp_so3(corrections.rotation_rad), 1, 2)[camera]
-        p_cam = np.einsum(
-            "nij,nj->ni", R_cam_imu, p_imu - (self._Ts_imu_cam[:, :3, 3] + corrections.translation_m)[camera]
-        )
-        depth = np.maximum(p_cam[:, 2], MIN_DEPTH_M)
-        z, focal = p_cam[:, :2] / depth[:, None], 1.0 + corrections.focal[camera]
-        r = seen.xy - focal * z - corrections.principal[camera]
-        A = np.zeros((len(k), 2, 3))
-        A[:, 0, 0] = A[:, 1, 1] = 1.0
-        A[:, :, 2] = -z
-        A *= (focal / depth[:, None])[:, :, None]
-        AR = A @ R_cam_imu
-        M = AR @ turn_back
-        J_landmark = M @ np.swapaxes(R_world_imu, 1, 2)
-        J_pose = np.concatenate([M @ skew(q), -J_landmark], axis=2)
-        J_c = np.zeros((len(k), 2, len(self._c)))
-        drift = np.cross(p_imu, self._rates[k]) - np.einsum("nji,nj->ni", R_world_imu, v)
-        J_c[:, :, 0] = np.einsum("nij,nj->ni", AR, drift)
-        own = np.zeros((len(k), 2, PER_CAMERA))
-        own[:, :, 0:3], own[:, :, 3:6] = A @ skew(p_cam), -AR
-        own[:, 0, 6], own[:, 1, 7] = z.T
-        own[:, 0, 8] = own[:, 1, 9] = 1.0
-        columns = 1 + PER_CAMERA * camera[:, None] + np.arange(PER_CAMERA)
-        np.put_along_axis(J_c, columns[:, None, :].repeat(2, axis=1), own, axis=2)
-        return r, J_pose, J_landmark, J_c[:, :, self._unknown]
-
-
-def _starts(landmark: Rows) -> Rows:
-    """Return where the sightings of each landmark begin."""
-    return np.flatnonzero(np.diff(landmark, prepend=-1))
-
-
-def _renumbered(seen: _Sightings, good: npt.NDArray[np.bool_]) -> _Sightings:
-    """Return the sightings of some landmarks alone, these numbered anew."""
-    kept = good[seen.landmark]
-    number = np.cumsum(good) - 1
-    return _Sightings(seen.keyframe[kept], seen.camera[kept], number[seen.landmark[kept]], seen.xy[kept])
+        return back_substitute

@@ -1,4 +1,4 @@
-"""What is to be added to a rig's calibration, as numbers and as words."""
+"""Corrections of a rig's calibration, as a vector and as text."""
 
 from dataclasses import dataclass
 
@@ -7,44 +7,47 @@ import numpy.typing as npt
 
 Array = npt.NDArray[np.float64]
 
-PER_CAMERA = 10
-"""Parameters of a camera: turn (3), place (3), focal lengths (2), principal point (2)."""
+PARAMETERS_PER_CAMERA = 10
+"""Number of parameters of a camera: rotation (3), translation (3), focal lengths (2), principal point (2)."""
 
 
 @dataclass(frozen=True, eq=False)
 class Corrections:
-    """What is to be added to a rig's calibration, for C cameras.
+    """Corrections of the time offset, extrinsics and intrinsics of C cameras, or their standard deviations.
 
-    As a vector it is the time offset, and then for each camera its ten numbers.
+    The vector of all parameters begins with the time offset, followed by the ten parameters of each camera.
     """
 
     time_offset_s: float
-    """How much later than known the middle row is exposed [s]."""
+    """Correction of the time offset, t_imu = t_cam + offset [s]."""
     rotation_rad: Array
-    """(C, 3) Turns of the cameras in their own axes: R_imu_cam exp(turn) [rad]."""
+    """(C, 3) Rotation vectors in the camera frames, applied on the right: R_imu_cam Exp(rotation) [rad]."""
     translation_m: Array
-    """(C, 3) Displacements of the cameras in the IMU frame [m]."""
+    """(C, 3) Corrections of the camera positions in the IMU frame [m]."""
     focal: Array
-    """(C, 2) How much longer fx and fy are, relative."""
+    """(C, 2) Relative corrections of fx and fy, applied as fx (1 + focal)."""
     principal: Array
-    """(C, 2) Displacements of the principal points, in units of fx and fy."""
+    """(C, 2) Corrections of the principal points in units of fx and fy."""
 
     @classmethod
     def from_vector(cls, x: Array) -> "Corrections":
-        """Return the corrections that a vector (1 + 10 C,) holds."""
-        rows = x[1:].reshape(-1, PER_CAMERA)
+        """Return the corrections of a vector (1 + 10 C,) of parameters."""
+        rows = x[1:].reshape(-1, PARAMETERS_PER_CAMERA)
         return cls(float(x[0]), rows[:, 0:3], rows[:, 3:6], rows[:, 6:8], rows[:, 8:10])
 
     def __str__(self) -> str:
-        """Return those that are not zero, for people."""
-        said = [f"clock {1e3 * self.time_offset_s:+.1f} ms"] if self.time_offset_s else []
-        for i, turn_deg in enumerate(np.degrees(self.rotation_rad)):
-            said += [f"camera {i} turned by {_listed(turn_deg, 2)}°"] if turn_deg.any() else []
-            said += [f"moved by {_listed(1e3 * self.translation_m[i], 0)} mm"] if self.translation_m[i].any() else []
-            said += [f"focal lengths {_listed(1e2 * self.focal[i], 2)} %"] if self.focal[i].any() else []
-            said += [f"principal point {_listed(1e3 * self.principal[i], 1)} mrad"] if self.principal[i].any() else []
-        return ", ".join(said) or "none"
-
-
-def _listed(numbers: Array, digits: int) -> str:
-    return " ".join(f"{number:+.{digits}f}" for number in numbers.tolist())
+        """Return the corrections that are not zero as text, or "none"."""
+        parts = [f"time offset {1e3 * self.time_offset_s:+.1f} ms"] if self.time_offset_s else []
+        for i in range(len(self.rotation_rad)):
+            quantities = (
+                ("rotation", np.degrees(self.rotation_rad[i]), 2, "°"),
+                ("translation", 1e3 * self.translation_m[i], 0, " mm"),
+                ("focal lengths", 1e2 * self.focal[i], 2, " %"),
+                ("principal point", 1e3 * self.principal[i], 1, " mrad"),
+            )
+            parts += [
+                f"camera {i} {name} {' '.join(f'{number:+.{digits}f}' for number in values.tolist())}{unit}"
+                for name, values, digits, unit in quantities
+                if values.any()
+            ]
+        return ", ".join(parts) or "none"

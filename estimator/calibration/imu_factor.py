@@ -1,6 +1,6 @@
-"""The IMU between two keyframes of a window whose calibration is adjusted (Forster et al. 2017, eq. 45).
+"""The IMU factor between two keyframes in the adjustment of a calibration.
 
-GTSAM's factors would do, were it not for the biases: here they are two for a whole window, not two for a keyframe.
+Unlike GTSAM's combined factor, it depends on one gyroscope bias and one accelerometer bias of the whole window.
 """
 
 from dataclasses import dataclass
@@ -15,54 +15,74 @@ from dronevio.models.rotation import exp_so3, log_so3, skew
 Array = npt.NDArray[np.float64]
 
 GRAVITY = np.array([0.0, 0.0, -GRAVITY_M_S2])
+"""(3,) Gravity in the world frame [m/s²]."""
+_BIAS_STEP = 1e-3
+"""Step of the forward differences by the biases [rad/s and m/s²]."""
 
 
 @dataclass(frozen=True, eq=False)
 class CalibrationImuFactor:
-    """The IMU between two keyframes, and how it depends on the biases (gyroscope, accelerometer)."""
+    """A preintegrated measurement of rotation, position and velocity, linear in a correction of the biases.
+
+    The biases (6,) are those of the gyroscope [rad/s] and then of the accelerometer [m/s²]. See Forster et al.,
+    "On-manifold preintegration for real-time visual-inertial odometry", T-RO 2017, eq. 45.
+    """
 
     dt_s: float
-    """Its length [s]."""
-    R: Array
-    """(3, 3) Turn."""
-    pv: Array
-    """(6,) Displacement and change of velocity in the axes at the start, without gravity."""
-    J: Array
-    """(9, 6) Of turn, displacement and change of velocity by the biases."""
+    """Length of the interval [s]."""
+    rotation: Array
+    """(3, 3) Preintegrated rotation, `R_start_end`."""
+    position_velocity: Array
+    """(6,) Preintegrated position [m] and velocity [m/s], in the IMU frame at the start and without gravity."""
+    J_bias: Array
+    """(9, 6) Jacobian of rotation, position and velocity by the biases."""
     information: Array
-    """(9, 9) How surely the three are known."""
+    """(9, 9) Information matrix of rotation, position and velocity."""
 
     @classmethod
-    def of(cls, preintegrated: gtsam.PreintegratedCombinedMeasurements, bias: Array) -> "CalibrationImuFactor":
-        """Take GTSAM's preintegration at some biases (6,)."""
+    def from_preintegrated(
+        cls, preintegrated: gtsam.PreintegratedCombinedMeasurements, bias: Array
+    ) -> "CalibrationImuFactor":
+        """Return the factor of GTSAM's preintegrated measurements, linearized at some biases (6,)."""
         dt_s = float(preintegrated.deltaTij())
-        R, pv = _predicted(preintegrated, bias)
+        dR, dp_dv = _predicted(preintegrated, bias)
         J = np.empty((9, 6))
-        for axis, step in enumerate(1e-3 * np.eye(6)):
-            R_step, pv_step = _predicted(preintegrated, bias + step)
-            J[:, axis] = np.concatenate([log_so3(R.T @ R_step), pv_step - pv]) / 1e-3
+        for axis, step in enumerate(_BIAS_STEP * np.eye(6)):
+            dR_step, dp_dv_step = _predicted(preintegrated, bias + step)
+            J[:, axis] = np.concatenate([log_so3(dR.T @ dR_step), dp_dv_step - dp_dv]) / _BIAS_STEP
         information = np.asarray(np.linalg.inv(preintegrated.preintMeasCov()[:9, :9]), dtype=np.float64)
-        return cls(dt_s, R, pv, J, information)
+        return cls(dt_s, dR, dp_dv, J, information)
 
     def residual(self, R: Array, p: Array, v: Array, bias: Array) -> tuple[Array, Array]:
-        """Return the residual (9,) between two keyframes, and how it moves with both and the biases (9, 24)."""
-        dt, back = self.dt_s, R[0].T
-        turned = self.R @ exp_so3(self.J[:3] @ bias)
-        r_turn = log_so3(turned.T @ back @ R[1])
-        q_p = back @ (p[1] - p[0] - v[0] * dt - 0.5 * GRAVITY * dt**2)
-        q_v = back @ (v[1] - v[0] - GRAVITY * dt)
-        r = np.concatenate([r_turn, np.concatenate([q_p, q_v]) - self.pv - self.J[3:] @ bias])
+        """Return the residual (9,) between two keyframes, and its Jacobian (9, 24).
+
+        Args:
+            R: (2, 3, 3) Orientations of the keyframes, `R_world_imu`.
+            p: (2, 3) Positions in the world frame [m].
+            v: (2, 3) Velocities in the world frame [m/s].
+            bias: (6,) Correction of the biases at which the factor was linearized.
+
+        Returns:
+            The residual of rotation, position and velocity, and its Jacobian by δθ (right), δp, δv of the first
+            keyframe, the same of the second, and the biases.
+        """
+        dt, R_start = self.dt_s, R[0].T
+        dR = self.rotation @ exp_so3(self.J_bias[:3] @ bias)
+        r_rotation = log_so3(dR.T @ R_start @ R[1])
+        dp = R_start @ (p[1] - p[0] - v[0] * dt - 0.5 * GRAVITY * dt**2)
+        dv = R_start @ (v[1] - v[0] - GRAVITY * dt)
+        r = np.concatenate([r_rotation, np.concatenate([dp, dv]) - self.position_velocity - self.J_bias[3:] @ bias])
         J = np.zeros((9, 24))
         J[0:3, 0:3], J[0:3, 9:12] = -R[1].T @ R[0], np.eye(3)
-        J[3:6, 0:3], J[3:6, 3:6], J[3:6, 6:9], J[3:6, 12:15] = skew(q_p), -back, -dt * back, back
-        J[6:9, 0:3], J[6:9, 6:9], J[6:9, 15:18] = skew(q_v), -back, back
-        J[:, 18:] = -self.J
+        J[3:6, 0:3], J[3:6, 3:6], J[3:6, 6:9], J[3:6, 12:15] = skew(dp), -R_start, -dt * R_start, R_start
+        J[6:9, 0:3], J[6:9, 6:9], J[6:9, 15:18] = skew(dv), -R_start, R_start
+        J[:, 18:] = -self.J_bias
         return r, J
 
 
 def _predicted(preintegrated: gtsam.PreintegratedCombinedMeasurements, bias: Array) -> tuple[Array, Array]:
-    """Return turn (3, 3), and displacement and change of velocity (6,) without gravity, for some biases."""
+    """Return the preintegrated rotation (3, 3), and position and velocity (6,) without gravity, at some biases (6,)."""
     dt_s = preintegrated.deltaTij()
     end = preintegrated.predict(gtsam.NavState(), gtsam.imuBias.ConstantBias(bias[3:], bias[:3]))
-    pv = np.concatenate([end.position() - 0.5 * GRAVITY * dt_s**2, end.velocity() - GRAVITY * dt_s])
-    return end.attitude().matrix(), pv
+    dp_dv = np.concatenate([end.position() - 0.5 * GRAVITY * dt_s**2, end.velocity() - GRAVITY * dt_s])
+    return end.attitude().matrix(), dp_dv

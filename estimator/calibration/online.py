@@ -14,12 +14,9 @@ import gtsam
 import numpy as np
 import numpy.typing as npt
 
-from dronevio.estimator.calibration.adjustment import (
-    AdjustmentConfig,
-    CalibrationProblem,
-    WindowKeyframe,
-)
+from dronevio.estimator.calibration.adjustment import CalibrationProblem
 from dronevio.estimator.calibration.corrections import Corrections
+from dronevio.estimator.calibration.window import AdjustmentConfig, WindowKeyframe
 from dronevio.estimator.types import Observations
 from dronevio.models.rig import Rig
 from dronevio.models.rotation import exp_so3, pose_matrix
@@ -209,7 +206,7 @@ class OnlineCalibration:
             np.linalg.inv(self._covariance),
             self._estimated,
         )
-        if len(window) >= c.min_keyframes and problem.landmarks >= c.min_landmarks:
+        if len(window) >= c.min_keyframes and problem.landmark_count >= c.min_landmarks:
             self._adjusted = problem
 
     def _conclude(self, problem: CalibrationProblem) -> bool:

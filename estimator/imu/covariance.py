@@ -1,7 +1,7 @@
-"""Covariances of the navigation state: GTSAM's order and ours, and their way through time without a camera.
+"""Covariances of the navigation state: conversion from and to GTSAM's order, and propagation by dead reckoning.
 
-Ours is that of `NavState`: δθ (right perturbation, IMU frame), δp and δv (world), δb_gyro, δb_accel. GTSAM's is the
-pose (δθ, then the position in the IMU frame), the velocity (world), the accelerometer's and then the gyroscope's bias.
+The order of `NavState` is δθ (right perturbation, IMU frame), δp and δv (world frame), δb_gyro, δb_accel. GTSAM's is
+the pose (δθ, then δp in the IMU frame), the velocity (world frame), the accelerometer bias, the gyroscope bias.
 """
 
 import numpy as np
@@ -17,14 +17,24 @@ _BIASES_SWAPPED = np.r_[0:9, 12:15, 9:12]
 
 
 def covariance_from_gtsam(P: Array, R_world_imu: Array) -> Array:
-    """Return the covariance (15, 15) in our order of one in GTSAM's."""
+    """Return the covariance (15, 15) in the order of `NavState`.
+
+    Args:
+        P: (15, 15) Covariance in GTSAM's order.
+        R_world_imu: (3, 3) Orientation of the state.
+    """
     S = np.eye(15)
     S[3:6, 3:6] = R_world_imu
     return np.asarray((S @ P @ S.T)[np.ix_(_BIASES_SWAPPED, _BIASES_SWAPPED)])
 
 
 def covariance_to_gtsam(P: Array, R_world_imu: Array) -> Array:
-    """Return the covariance (15, 15) in GTSAM's order of one in ours."""
+    """Return the covariance (15, 15) in GTSAM's order.
+
+    Args:
+        P: (15, 15) Covariance in the order of `NavState`.
+        R_world_imu: (3, 3) Orientation of the state.
+    """
     S = np.eye(15)
     S[3:6, 3:6] = R_world_imu.T
     return np.asarray(S @ P[np.ix_(_BIASES_SWAPPED, _BIASES_SWAPPED)] @ S.T)
@@ -41,21 +51,22 @@ def propagate_covariance(
     imu: ImuModel,
     noise: Array | None = None,
 ) -> Array:
-    """Return the covariance (15, 15) after a stretch of dead reckoning.
+    """Return the covariance (15, 15) after an interval of dead reckoning.
 
-    First order in the biases and exact in the rest for a stretch of some tenths of a second (Forster et al. 2017,
-    eq. 44, in world coordinates).
+    The transition matrix is exact for orientation, position and velocity, and of first order in the rotation for the
+    biases, which suffices for some tenths of a second (Forster et al., "On-manifold preintegration for real-time
+    visual-inertial odometry", T-RO 2017, eq. 44, in the world frame).
 
     Args:
-        P: (15, 15) At the start.
+        P: (15, 15) Covariance at the start, in the order of `NavState`.
         R_world_imu: (3, 3) Orientation at the start.
         dR: (3, 3) Preintegrated rotation.
-        dp: (3,) Preintegrated position, in the frame at the start [m].
-        dv: (3,) Preintegrated velocity, in the frame at the start [m/s].
-        dt_s: Length of the stretch [s].
+        dp: (3,) Preintegrated position, in the IMU frame at the start [m].
+        dv: (3,) Preintegrated velocity, in the IMU frame at the start [m/s].
+        dt_s: Length of the interval [s].
         imu: Noise densities.
-        noise: (9, 9) What the stretch adds to orientation, position and velocity, the latter two in the frame at the
-            start; by default, the sensor's noise.
+        noise: (9, 9) Covariance of the preintegrated rotation, position and velocity, the latter two in the IMU frame
+            at the start; by default it follows from the noise densities.
     """
     eye, t = np.eye(3), dt_s
     F = np.eye(15)

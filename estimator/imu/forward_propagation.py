@@ -1,9 +1,9 @@
-"""Output at the IMU's rate: the newest frame's state, dead-reckoned to every sample that has come since.
+"""Output at the IMU rate: the newest estimate, dead-reckoned to every IMU sample since then.
 
-A controller cannot wait for the next frame. Between frames the IMU alone says where the drone is (Forster et al.,
-"On-manifold preintegration for real-time visual-inertial odometry", T-RO 2017, eq. 30-32), from the newest estimate and
-with its biases; the next estimate, which speaks of the past by the time it comes, moves the ground under the samples
-since. What was said before is not taken back: the output jumps by the correction that a frame makes, and by no more.
+A controller cannot wait for the next frame. Between frames, the IMU propagates the newest estimate with its biases
+(Forster et al., "On-manifold preintegration for real-time visual-inertial odometry", T-RO 2017, eq. 30-32). An estimate
+arrives after its time stamp; the samples since then are propagated again from it. States that were returned before are
+not revised, so that the output jumps by the correction of the frame.
 """
 
 from collections import deque
@@ -21,18 +21,46 @@ Array = npt.NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False)
-class _Step:
-    """The motion over one interval of the IMU."""
+class _ImuInterval:
+    """The mean motion over the interval between two IMU samples."""
 
     start_ns: int
     end_ns: int
-    gyro_rad_s: Array  # mean of the interval
-    accel_m_s2: Array  # mean of the interval, in the frame at its start
-    rate_rad_s: Array  # the gyroscope at its end
+    gyro_rad_s: Array  # (3,) mean angular velocity
+    accel_m_s2: Array  # (3,) mean specific force in the IMU frame at the start
+    end_rate_rad_s: Array  # (3,) gyroscope reading at the end
+
+
+class _Propagation:
+    """Dead reckoning from one estimate."""
+
+    def __init__(self, start: NavState, params: gtsam.PreintegrationCombinedParams) -> None:
+        self._start = start
+        self._nav = gtsam.NavState(gtsam.Pose3(start.T_world_imu), start.velocity_m_s)
+        self._bias = gtsam.imuBias.ConstantBias(start.accel_bias_m_s2, start.gyro_bias_rad_s)
+        self._preintegrated = gtsam.PreintegratedCombinedMeasurements(params, self._bias)
+
+    def integrate(self, interval: _ImuInterval) -> None:
+        """Add an interval, or the part of it after the estimate."""
+        dt_s = (interval.end_ns - max(interval.start_ns, self._start.t_ns)) * 1e-9
+        if dt_s > 0.0:
+            self._preintegrated.integrateMeasurement(interval.accel_m_s2, interval.gyro_rad_s, dt_s)
+
+    def state(self, interval: _ImuInterval) -> NavState:
+        """Return the state at the end of an interval, the last that was added."""
+        predicted = self._preintegrated.predict(self._nav, self._bias)
+        return NavState(
+            interval.end_ns,
+            predicted.pose().matrix(),
+            predicted.velocity(),
+            self._start.gyro_bias_rad_s,
+            self._start.accel_bias_m_s2,
+            angular_velocity_rad_s=interval.end_rate_rad_s - self._start.gyro_bias_rad_s,
+        )
 
 
 class ImuRatePropagator:
-    """Answers every IMU sample with a state, from the newest estimate on.
+    """Returns a state for every IMU sample, propagated from the newest estimate.
 
     Example:
         >>> propagator = ImuRatePropagator(rig.imu)
@@ -45,74 +73,56 @@ class ImuRatePropagator:
     """
 
     def __init__(self, imu: ImuModel, config: PreintegrationConfig | None = None) -> None:
-        """Begin without a state.
+        """Create a propagator without an estimate.
 
         Args:
-            imu: The IMU's noise, which the integration itself does not depend on.
-            config: How the IMU is preintegrated.
+            imu: Noise of the IMU; states do not depend on it.
+            config: Settings of the preintegration.
         """
         self._params = preintegration_params(imu, config or PreintegrationConfig())
-        self._steps: deque[_Step] = deque()  # those that end after the newest estimate
-        self._last: tuple[int, Array, Array] | None = None  # the newest sample
-        self._base: NavState | None = None
-        self._nav: gtsam.NavState
-        self._bias: gtsam.imuBias.ConstantBias
-        self._integrated: gtsam.PreintegratedCombinedMeasurements
+        self._intervals: deque[_ImuInterval] = deque()  # those that end after the newest estimate
+        self._last: tuple[int, Array, Array] | None = None  # time stamp, gyroscope and accelerometer of the last sample
+        self._propagation: _Propagation | None = None
 
     def add_imu(self, samples: ImuSamples) -> list[NavState]:
-        """Take samples, and return the state at each; none before there is an estimate to go on from.
+        """Add samples and return the state at each of them; without an estimate, return none.
 
-        The angular velocity is the sample's, its bias removed; a sample that is a mean over an interval gives the mean.
+        The states have no covariance. Their angular velocity is the reading of the sample minus the bias, which is a
+        mean over the interval if the samples are increments.
+
+        Args:
+            samples: Samples later than those before.
         """
-        found = []
-        for step in self._new_steps(samples):
-            self._steps.append(step)
-            if self._base is not None:
-                self._integrate(self._base, step)
-                found.append(self._state(self._base, step))
-        return found
+        states = []
+        for interval in self._new_intervals(samples):
+            self._intervals.append(interval)
+            if self._propagation is not None:
+                self._propagation.integrate(interval)
+                states.append(self._propagation.state(interval))
+        return states
 
     def correct(self, estimate: Estimate) -> None:
-        """Take the estimate of a frame, however long ago that was, and go on from it; without a state, stop."""
-        while self._steps and self._steps[0].end_ns <= estimate.t_ns:
-            self._steps.popleft()
-        self._base = base = estimate.state
-        if base is None:
+        """Propagate from a new estimate, of any earlier time; if it has no state, stop until the next one has."""
+        while self._intervals and self._intervals[0].end_ns <= estimate.t_ns:
+            self._intervals.popleft()
+        if estimate.state is None:
+            self._propagation = None
             return
-        self._bias = gtsam.imuBias.ConstantBias(base.accel_bias_m_s2, base.gyro_bias_rad_s)
-        self._nav = gtsam.NavState(gtsam.Pose3(base.T_world_imu), base.velocity_m_s)
-        self._integrated = gtsam.PreintegratedCombinedMeasurements(self._params, self._bias)
-        for step in self._steps:
-            self._integrate(base, step)
+        self._propagation = _Propagation(estimate.state, self._params)
+        for interval in self._intervals:
+            self._propagation.integrate(interval)
 
-    def _new_steps(self, samples: ImuSamples) -> list[_Step]:
-        """Return the intervals that end at some samples; `ImuSamples.increments` tells how points become means."""
-        steps = []
+    def _new_intervals(self, samples: ImuSamples) -> list[_ImuInterval]:
+        """Return the intervals that end at some samples; `ImuSamples.increments` describes the mean of two points."""
+        intervals = []
         for t_ns, gyro, accel in zip(samples.t_ns.tolist(), samples.gyro_rad_s, samples.accel_m_s2, strict=True):
             if self._last is not None:
-                start_ns, gyro_before, accel_before = self._last
+                start_ns, last_gyro, last_accel = self._last
                 if samples.sampling == "increment":
-                    steps.append(_Step(start_ns, t_ns, gyro, accel, gyro))
+                    intervals.append(_ImuInterval(start_ns, t_ns, gyro, accel, gyro))
                 else:
-                    mean = 0.5 * (gyro_before + gyro)
-                    turn = gtsam.Rot3.Expmap(mean * ((t_ns - start_ns) * 1e-9)).matrix()
-                    steps.append(_Step(start_ns, t_ns, mean, 0.5 * (accel_before + turn @ accel), gyro))
+                    mean = 0.5 * (last_gyro + gyro)
+                    rotation = gtsam.Rot3.Expmap(mean * ((t_ns - start_ns) * 1e-9)).matrix()
+                    intervals.append(_ImuInterval(start_ns, t_ns, mean, 0.5 * (last_accel + rotation @ accel), gyro))
             self._last = t_ns, gyro, accel
-        return steps
-
-    def _integrate(self, base: NavState, step: _Step) -> None:
-        """Go on over an interval, or over what of it is later than the estimate."""
-        dt_s = (step.end_ns - max(step.start_ns, base.t_ns)) * 1e-9
-        if dt_s > 0.0:
-            self._integrated.integrateMeasurement(step.accel_m_s2, step.gyro_rad_s, dt_s)
-
-    def _state(self, base: NavState, step: _Step) -> NavState:
-        now = self._integrated.predict(self._nav, self._bias)
-        return NavState(
-            step.end_ns,
-            now.pose().matrix(),
-            now.velocity(),
-            base.gyro_bias_rad_s,
-            base.accel_bias_m_s2,
-            angular_velocity_rad_s=step.rate_rad_s - base.gyro_bias_rad_s,
-        )
+        return intervals

@@ -1,11 +1,11 @@
-"""How noisy the IMU really is, learnt in flight.
+"""Online estimation of the IMU's noise densities by variance components.
 
-Data sheets tell the noise of a unit at rest on a bench. A drone shakes it, mounts twist it and clocks jitter: the
-accelerometer of a real flight may be ten times noisier than its sheet says, that of another may be as good as new. Both
-must not be smoothed alike. So the intervals of the IMU are compared with what a whole window of keyframes says of the
-same motion: over many of them, the squares of the residuals are what the noise makes them, less what the estimate has
-followed of it (variance component estimation; Förstner, "Ein Verfahren zur Schätzung von Varianz- und
-Kovarianzkomponenten", 1979; Förstner and Wrobel, "Photogrammetric Computer Vision", 2016, section 4.2.4).
+A data sheet describes a unit at rest on a bench. Vibration, a flexible mount and clock jitter make the accelerometer of
+a real flight ten times noisier; another one is as good as specified. The squared residuals of the IMU factors that
+leave the window are therefore compared with their expectation under the assumed noise. The estimate is fitted to the
+same measurements, so that the expectation counts in proportion to the redundancy of the residual (variance component
+estimation: Förstner, "Ein Verfahren zur Schätzung von Varianz- und Kovarianzkomponenten", 1979; Förstner and Wrobel,
+"Photogrammetric Computer Vision", 2016, section 4.2.4).
 """
 
 from dataclasses import dataclass
@@ -19,125 +19,126 @@ from dronevio.models.imu import ImuModel
 Array = npt.NDArray[np.float64]
 
 MAX_NORMALIZED_SQUARE = 9.0
-"""A squared residual counts for no more than so many times what it should be: a jolt is no noise."""
+"""Largest ratio of a squared residual to its expectation, so that a shock is not taken for noise."""
 
 
 @dataclass(frozen=True)
 class NoiseEstimationConfig:
-    """How fast the noise is learnt."""
+    """How the noise densities of the IMU are estimated."""
 
     memory: float = 50.0
-    """So many intervals count, later ones more: about ten seconds of flight."""
+    """Number of intervals between keyframes that are averaged, with exponential forgetting: about ten seconds."""
     prior_weight: float = 1.0
-    """What is assumed at first counts as so many intervals that tell the noise fully."""
+    """Weight of the initial noise density, as a number of intervals with full redundancy."""
     min_factor: float = 0.5
-    """No sensor is better than its data sheet by more than this factor ..."""
+    """Smallest ratio of a noise density to its data sheet value."""
     max_factor: float = 30.0
-    """... nor noisier than by this one."""
+    """Largest ratio of a noise density to its data sheet value."""
 
 
 @dataclass(frozen=True)
 class VarianceComponent:
-    """How well one kind of residual of an interval fits what was assumed of its noise."""
+    """The squared residual of an interval in one of its quantities, with its expectation."""
 
     normalized_square: float
-    """Its square, relative to its expectation where nothing but the IMU told the motion."""
+    """Squared residual relative to its expectation under the assumed noise and full redundancy."""
     redundancy: float
-    """The share of that expectation that remains after the estimate has followed the residual as far as it may: one
-    where others tell the motion exactly, zero where nothing else does."""
+    """Share of that expectation which remains after the estimate is fitted, from 0 (only the IMU determines the motion)
+    to 1 (the other measurements determine it exactly)."""
     assumed_density2: float
-    """The squared density of white noise from which that expectation comes: of the sensor, and of all doubts about
-    it."""
+    """Square of the assumed noise density, of the sensor and of all excess noise of the interval."""
 
 
 @dataclass(frozen=True)
 class ImuVarianceComponents:
-    """How well an interval of the IMU fits what else is known of the motion."""
+    """The variance components of a preintegrated interval of the IMU."""
 
     gyroscope: VarianceComponent
-    """Of the turn: the gyroscope's noise."""
+    """Variance component of the rotation."""
     accelerometer: VarianceComponent
-    """Of the change of velocity: the accelerometer's noise."""
+    """Variance component of the velocity."""
 
     @classmethod
-    def from_residual(cls, residual: Array, assumed: Array, followed: Array, dt_s: float) -> "ImuVarianceComponents":
-        """Compare the residual of an interval with its covariance.
+    def from_residual(cls, residual: Array, assumed: Array, estimated: Array, dt_s: float) -> "ImuVarianceComponents":
+        """Compute the variance components from the residual of an IMU factor at the optimum of a window.
 
         Args:
-            residual: (9,) Of turn, position and velocity, as GTSAM has them.
-            assumed: (9, 9) Its covariance by the IMU's noise alone.
-            followed: (9, 9) How much smaller its covariance is after the estimate has followed it.
+            residual: (9,) Residual of rotation, position and velocity, in GTSAM's order.
+            assumed: (9, 9) Covariance of the preintegrated measurement by the assumed noise.
+            estimated: (9, 9) Covariance of the same quantities by the optimized window, J P Jᵀ.
             dt_s: Length of the interval [s].
         """
 
-        def misfit(part: slice) -> VarianceComponent:
+        def component(part: slice) -> VarianceComponent:
             expected = float(np.trace(assumed[part, part]))
-            told = 1.0 - float(np.trace(followed[part, part])) / expected
-            return VarianceComponent(
-                float(residual[part] @ residual[part]) / expected, max(told, 0.0), expected / (3.0 * dt_s)
-            )
+            redundancy = 1.0 - float(np.trace(estimated[part, part])) / expected
+            normalized_square = float(residual[part] @ residual[part]) / expected
+            return VarianceComponent(normalized_square, max(redundancy, 0.0), expected / (3.0 * dt_s))
 
-        return cls(misfit(slice(0, 3)), misfit(slice(6, 9)))
+        return cls(component(slice(0, 3)), component(slice(6, 9)))
 
 
 class NoiseDensityEstimator:
-    """The white noise of one sensor."""
+    """Estimates the white noise density of one sensor."""
 
     def __init__(self, data_sheet: float, inflation: float, config: NoiseEstimationConfig) -> None:
-        """Begin with an assumption.
+        """Create an estimator.
 
         Args:
-            data_sheet: Density of the noise by the data sheet.
-            inflation: How many times larger it is taken to be at first.
-            config: How fast that is unlearnt.
+            data_sheet: Noise density of the data sheet.
+            inflation: Ratio of the initial noise density to that of the data sheet.
+            config: Settings.
         """
         self._data_sheet, self._config = data_sheet, config
-        self._squared, self._told = (inflation * data_sheet) ** 2 * config.prior_weight, config.prior_weight
+        # Sums over intervals with exponential forgetting: squared residuals in units of squared density, redundancy
+        self._squares = (inflation * data_sheet) ** 2 * config.prior_weight
+        self._redundancy = config.prior_weight
 
     @property
     def density(self) -> float:
-        """Density of the noise, in the data sheet's unit."""
+        """Estimated noise density in the unit of the data sheet."""
         c = self._config
-        learnt = np.sqrt(self._squared / self._told)
-        return float(np.clip(learnt, c.min_factor * self._data_sheet, c.max_factor * self._data_sheet))
+        estimated = np.sqrt(self._squares / self._redundancy)
+        return float(np.clip(estimated, c.min_factor * self._data_sheet, c.max_factor * self._data_sheet))
 
-    def update(self, misfit: VarianceComponent) -> None:
-        """Take what an interval says, unless it was assumed to be noisier than any sensor: then it was in doubt."""
+    def update(self, component: VarianceComponent) -> None:
+        """Add an interval, unless its assumed noise exceeds the range of the estimate because of excess noise."""
         c = self._config
-        if misfit.assumed_density2 > 1.1 * (c.max_factor * self._data_sheet) ** 2:
+        if component.assumed_density2 > 1.1 * (c.max_factor * self._data_sheet) ** 2:
             return
         kept = 1.0 - 1.0 / c.memory
-        squared = misfit.assumed_density2 * min(misfit.normalized_square, MAX_NORMALIZED_SQUARE * misfit.redundancy)
-        self._squared, self._told = kept * self._squared + squared, kept * self._told + misfit.redundancy
+        limited = min(component.normalized_square, MAX_NORMALIZED_SQUARE * component.redundancy)
+        self._squares = kept * self._squares + component.assumed_density2 * limited
+        self._redundancy = kept * self._redundancy + component.redundancy
 
 
 class ImuNoiseEstimator:
-    """Keeps the parameters of preintegration up to date."""
+    """Estimates the white noise of gyroscope and accelerometer, and keeps the preintegration parameters current."""
 
     def __init__(self, imu: ImuModel, inertial: PreintegrationConfig, config: NoiseEstimationConfig) -> None:
-        """Begin with the data sheet, inflated as configured.
+        """Create an estimator whose initial noise densities are those of the data sheet, inflated.
 
         Args:
-            imu: The data sheet.
-            inertial: How far it is trusted at first.
-            config: How fast the noise is learnt.
+            imu: Data sheet of the IMU.
+            inertial: Settings of the preintegration, with the initial inflation.
+            config: Settings of the estimation.
         """
         self._gyro = NoiseDensityEstimator(imu.gyro_noise_density, inertial.gyro_noise_inflation, config)
         self._accel = NoiseDensityEstimator(imu.accel_noise_density, inertial.accel_noise_inflation, config)
         self.params = preintegration_params(imu, inertial)
-        """With these the IMU is preintegrated; their noise changes as it is learnt."""
+        """Parameters of the preintegration; `update` changes their white noise in place."""
 
     @property
     def densities(self) -> tuple[float, float]:
-        """Those of the white noise of gyroscope [rad/s/√Hz] and accelerometer [m/s²/√Hz]."""
+        """Noise densities of gyroscope [rad/s/√Hz] and accelerometer [m/s²/√Hz]."""
         return self._gyro.density, self._accel.density
 
-    def update(self, misfit: ImuVarianceComponents | None) -> None:
-        """Take what an interval says, if there is one."""
-        if misfit is None:
+    def update(self, components: ImuVarianceComponents | None) -> None:
+        """Add an interval, if there is one, and update the preintegration parameters."""
+        if components is None:
             return
-        self._gyro.update(misfit.gyroscope)
-        self._accel.update(misfit.accelerometer)
+        self._gyro.update(components.gyroscope)
+        self._accel.update(components.accelerometer)
         gyro, accel = self.densities
         self.params.setGyroscopeCovariance(np.eye(3) * gyro**2)
         self.params.setAccelerometerCovariance(np.eye(3) * accel**2)

@@ -1,8 +1,7 @@
-"""Where an inertial sensor has reached the end of its range, and what it reads is only the least of what there is.
+"""Detection of saturated readings of an inertial sensor whose range is unknown or configured otherwise.
 
-The range is often not known, or wrong: so many sensors can be set to so many. It shows: a triad at its limit repeats
-its own largest reading, to the last digit, while noise lets a sensor within its range do that for no longer than by
-chance. What was taken for the limit was none as soon as it is exceeded.
+A saturated axis repeats the largest reading so far exactly, while noise keeps a sensor within its range from doing so.
+A limit that is detected by chance is discarded as soon as a reading exceeds it.
 """
 
 import numpy as np
@@ -13,47 +12,51 @@ from dronevio.models.imu import STANDARD_GRAVITY_M_S2
 Array = npt.NDArray[np.float64]
 
 MIN_GYRO_RANGE_RAD_S = 0.5
-"""No gyroscope's range is smaller [rad/s]: the smallest that are sold have 2. At rest, a coarse one repeats itself."""
+"""Lower bound of a gyroscope's range [rad/s], below the smallest on the market (2 rad/s). A coarse gyroscope at rest
+repeats readings below this bound."""
 MIN_ACCEL_RANGE_M_S2 = 1.5 * STANDARD_GRAVITY_M_S2
-"""No accelerometer's range is smaller [m/s²]: the smallest that are sold have 2 g. At rest, it repeats gravity."""
-REPEATED = 4
-"""So many equal readings at the largest one so far are no chance: noise of three steps lets one in 10⁴ be so."""
-CLOSE = 1e-3
-"""Readings so near to the limit, relative to it, have reached it: two's complement reaches one step further down."""
+"""Lower bound of an accelerometer's range [m/s²], below the smallest on the market (2 g). An accelerometer at rest
+repeats gravity."""
+MIN_REPETITIONS = 4
+"""Number of equal consecutive readings of a saturated axis. With noise of three quantization steps, one reading in 10⁴
+repeats so often."""
+RELATIVE_TOLERANCE = 1e-3
+"""Relative distance to the limit of a saturated reading; the two limits of two's complement differ by one step."""
 
 
 class SaturationDetector:
-    """Learns where the readings of three axes end."""
+    """Estimates the range of a triad of sensors from its readings."""
 
-    def __init__(self, stated: float, least: float) -> None:
-        """Begin with what is known of a triad.
+    def __init__(self, nominal_range: float, min_range: float) -> None:
+        """Create a detector.
 
         Args:
-            stated: Its range, either way; infinite if it is not known.
-            least: A range that it has at least.
+            nominal_range: Range by the data sheet, in both directions; infinite if unknown.
+            min_range: Lower bound of the range; smaller readings are never taken for saturated.
         """
-        self._limit, self._largest = stated, least
+        self._limit, self._largest = nominal_range, min_range
         self._last = np.zeros((0, 3))
 
     @property
     def limit(self) -> float:
-        """Where its readings end, either way, as far as that is known; else infinite."""
+        """Magnitude at which readings saturate; infinite if unknown."""
         return self._limit
 
     def update(self, values: Array) -> None:
-        """Take readings (N, 3), later than those before."""
+        """Add consecutive readings (N, 3)."""
         values = np.concatenate([self._last, values])
-        self._last = values[len(values) - REPEATED + 1 :] if len(values) >= REPEATED else values
+        self._last = values[len(values) - MIN_REPETITIONS + 1 :] if len(values) >= MIN_REPETITIONS else values
         largest = float(np.abs(values).max(initial=0.0))
-        if largest > self._limit * (1.0 + CLOSE):
+        if largest > self._limit * (1.0 + RELATIVE_TOLERANCE):
             self._limit = np.inf
         self._largest = max(self._largest, largest)
-        if len(values) < REPEATED or largest < self._largest:
+        if len(values) < MIN_REPETITIONS or largest < self._largest:
             return
-        repeated = np.ptp(np.lib.stride_tricks.sliding_window_view(values, REPEATED, axis=0), axis=2) == 0.0
-        if np.any(repeated & (np.abs(values[REPEATED - 1 :]) == largest)):
+        windows = np.lib.stride_tricks.sliding_window_view(values, MIN_REPETITIONS, axis=0)
+        is_constant = np.ptp(windows, axis=2) == 0.0
+        if np.any(is_constant & (np.abs(values[MIN_REPETITIONS - 1 :]) == largest)):
             self._limit = largest
 
     def saturation_limits(self, values: Array) -> Array:
-        """Return the limit where readings (N, 3) have reached it, and zero elsewhere."""
-        return np.where(np.abs(values) >= (1.0 - CLOSE) * self._limit, self._limit, 0.0)
+        """Return the limit (N, 3) where readings (N, 3) are saturated, and zero elsewhere."""
+        return np.where(np.abs(values) >= (1.0 - RELATIVE_TOLERANCE) * self._limit, self._limit, 0.0)

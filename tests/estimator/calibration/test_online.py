@@ -169,7 +169,7 @@ def test_what_is_wrong_is_corrected_within_seconds(make_flight: Callable) -> Non
     )
     assert (next(corrected) - flight.frame_times_ns[0]) * 1e-9 < 6.5
     assert calibration.applied.time_offset_s == pytest.approx(0.006, abs=1e-3)
-    assert str(calibration.applied).startswith("clock +")
+    assert str(calibration.applied).startswith("time offset +")
 
 
 def test_nothing_is_estimated_that_is_switched_off(clean: object) -> None:

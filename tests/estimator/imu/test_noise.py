@@ -1,6 +1,8 @@
-"""The noise of the IMU, learnt from how well its intervals fit what else is known."""
+"""Estimation of the IMU's noise densities by variance components."""
 
 from collections.abc import Callable
+from dataclasses import astuple
+from typing import TYPE_CHECKING
 
 import gtsam
 import numpy as np
@@ -21,83 +23,99 @@ from dronevio.estimator.initialization.static import InitialSigmas
 from dronevio.models.imu import EUROC_IMU
 from dronevio.models.state import NavState
 
+if TYPE_CHECKING:
+    from tests.estimator.conftest import SyntheticFlight
+
 DT_S = 0.2
 DENSITY = 2e-3
 
 
-def learnt(true_level: float, assumed_level: float, told_by_others: float, intervals: int = 1000) -> list[float]:
-    """Return how many times noisier than its data sheet the IMU is said to be, after each of some intervals.
+def estimated(true_factor: float, initial_factor: float, reference_sigma: float, intervals: int = 1000) -> list[float]:
+    """Return the ratio of the estimated noise density to the data sheet, after each of some intervals.
 
-    Each measures a motion twice, by the IMU and by others, whose noise is known; the estimate is their weighted mean.
+    In each interval a motion is measured twice, by the IMU and by a reference of known accuracy, and estimated by the
+    weighted mean.
 
     Args:
-        true_level: Of the IMU's noise.
-        assumed_level: Of the IMU's noise at first.
-        told_by_others: Standard deviation of the others, relative to the IMU's at level 1.
-        intervals: How many.
+        true_factor: Ratio of the true noise density to the data sheet.
+        initial_factor: Ratio of the initial noise density to the data sheet.
+        reference_sigma: Standard deviation of the reference relative to that of the IMU by the data sheet.
+        intervals: Number of intervals.
     """
-    rng, level = np.random.default_rng(0), NoiseDensityEstimator(DENSITY, assumed_level, NoiseEstimationConfig())
-    unit, found = DENSITY * np.sqrt(DT_S), []
+    rng, estimator = np.random.default_rng(0), NoiseDensityEstimator(DENSITY, initial_factor, NoiseEstimationConfig())
+    unit, found, eye = DENSITY * np.sqrt(DT_S), [], np.eye(9)
     for _ in range(intervals):
-        by_imu = rng.normal(0.0, true_level * unit, 9)
-        by_others = rng.normal(0.0, told_by_others * unit, 9)
-        assumed, others = (level.density * np.sqrt(DT_S)) ** 2, (told_by_others * unit) ** 2
-        estimate = (by_imu / assumed + by_others / others) / (1.0 / assumed + 1.0 / others)
-        followed = 1.0 / (1.0 / assumed + 1.0 / others)
-        eye = np.eye(9)
-        misfit = ImuVarianceComponents.from_residual(by_imu - estimate, assumed * eye, followed * eye, DT_S)
-        level.update(misfit.accelerometer)
-        found.append(level.density / DENSITY)
+        imu = rng.normal(0.0, true_factor * unit, 9)
+        reference = rng.normal(0.0, reference_sigma * unit, 9)
+        assumed, reference_variance = (estimator.density * np.sqrt(DT_S)) ** 2, (reference_sigma * unit) ** 2
+        variance = 1.0 / (1.0 / assumed + 1.0 / reference_variance)
+        residual = imu - variance * (imu / assumed + reference / reference_variance)
+        components = ImuVarianceComponents.from_residual(residual, assumed * eye, variance * eye, DT_S)
+        estimator.update(components.accelerometer)
+        found.append(estimator.density / DENSITY)
     return found
 
 
-@pytest.mark.parametrize("true_level", [0.7, 1.0, 4.0, 12.0])
-@pytest.mark.parametrize("assumed_level", [1.0, 5.0, 25.0])
-@pytest.mark.parametrize("told_by_others", [0.1, 0.5, 1.0])
-def test_level_becomes_that_of_the_noise(true_level: float, assumed_level: float, told_by_others: float) -> None:
-    later = learnt(true_level, assumed_level, told_by_others)[-500:]
-    assert np.mean(later) == pytest.approx(true_level, rel=0.2)
+@pytest.mark.parametrize("true_factor", [0.7, 1.0, 4.0, 12.0])
+@pytest.mark.parametrize("initial_factor", [1.0, 5.0, 25.0])
+@pytest.mark.parametrize("reference_sigma", [0.1, 0.5, 1.0])
+def test_estimate_converges_to_the_noise(true_factor: float, initial_factor: float, reference_sigma: float) -> None:
+    last = estimated(true_factor, initial_factor, reference_sigma)[-500:]
+    assert np.mean(last) == pytest.approx(true_factor, rel=0.2)
 
 
-def test_low_redundancy_is_learnt_slowly_from_the_safe_side() -> None:
-    found = learnt(1.0, 5.0, 3.0)
+def test_low_redundancy_converges_slowly_from_above() -> None:
+    found = estimated(1.0, 5.0, 3.0)
     assert 1.0 < found[-1] < 0.5 * found[0]
 
 
-def test_an_assumption_is_unlearnt_within_seconds() -> None:
-    assert learnt(1.0, 5.0, 1.0)[25] < 2.0
-    assert learnt(10.0, 3.0, 1.0)[25] > 6.0
+def test_a_wrong_initial_density_is_corrected_in_5_s() -> None:
+    assert estimated(1.0, 5.0, 1.0)[25] < 2.0
+    assert estimated(10.0, 3.0, 1.0)[25] > 6.0
 
 
-def test_inflated_or_not_redundant_residuals_teach_nothing() -> None:
-    level = NoiseDensityEstimator(DENSITY, 5.0, NoiseEstimationConfig())
-    level.update(VarianceComponent(normalized_square=1e-6, redundancy=1.0, assumed_density2=(100.0 * DENSITY) ** 2))
-    level.update(VarianceComponent(normalized_square=0.0, redundancy=0.0, assumed_density2=(5.0 * DENSITY) ** 2))
-    assert level.density == pytest.approx(5.0 * DENSITY)
+def test_components_of_a_residual_worked_out_by_hand() -> None:
+    """Rotation: half of the variance is estimated. Velocity: three times the expectation, estimated exactly."""
+    assumed = np.diag([4.0] * 3 + [1.0] * 3 + [9.0] * 3)
+    estimate = np.diag([2.0] * 3 + [1.0] * 3 + [0.0] * 3)
+    residual = np.array([2.0, 0.0, 2.0, 50.0, 50.0, 50.0, 9.0, 0.0, 0.0])
+    found = ImuVarianceComponents.from_residual(residual, assumed, estimate, dt_s=0.5)
+    assert astuple(found.gyroscope) == pytest.approx((8.0 / 12.0, 0.5, 8.0))
+    assert astuple(found.accelerometer) == pytest.approx((3.0, 1.0, 18.0))
 
 
-def test_a_jolt_is_no_noise_and_no_level_is_absurd() -> None:
-    config = NoiseEstimationConfig()
-    level = NoiseDensityEstimator(DENSITY, 1.0, config)
+def test_excess_noise_and_zero_redundancy_are_ignored() -> None:
+    estimator = NoiseDensityEstimator(DENSITY, 5.0, NoiseEstimationConfig())
+    estimator.update(VarianceComponent(normalized_square=1e-6, redundancy=1.0, assumed_density2=(100.0 * DENSITY) ** 2))
+    estimator.update(VarianceComponent(normalized_square=0.0, redundancy=0.0, assumed_density2=(5.0 * DENSITY) ** 2))
+    assert estimator.density == pytest.approx(5.0 * DENSITY)
+
+
+def test_a_shock_hardly_changes_the_estimate() -> None:
+    estimator = NoiseDensityEstimator(DENSITY, 1.0, NoiseEstimationConfig())
     for _ in range(100):
-        level.update(VarianceComponent(normalized_square=1.0, redundancy=1.0, assumed_density2=DENSITY**2))
-    level.update(VarianceComponent(normalized_square=1e6, redundancy=1.0, assumed_density2=DENSITY**2))
-    assert level.density < 1.2 * DENSITY
-    for squared, limit in ((1e9, config.max_factor), (0.0, config.min_factor)):
-        for _ in range(2000):
-            level.update(VarianceComponent(squared, redundancy=1.0, assumed_density2=level.density**2))
-        assert level.density == limit * DENSITY
+        estimator.update(VarianceComponent(normalized_square=1.0, redundancy=1.0, assumed_density2=DENSITY**2))
+    estimator.update(VarianceComponent(normalized_square=1e6, redundancy=1.0, assumed_density2=DENSITY**2))
+    assert estimator.density < 1.2 * DENSITY
 
 
-def test_parameters_of_preintegration_follow() -> None:
-    noise = ImuNoiseEstimator(EUROC_IMU, PreintegrationConfig(), NoiseEstimationConfig())
-    noise.update(None)
+@pytest.mark.parametrize(("square", "factor"), [(1e9, 30.0), (0.0, 0.5)])
+def test_density_stays_in_its_range(square: float, factor: float) -> None:
+    estimator = NoiseDensityEstimator(DENSITY, 1.0, NoiseEstimationConfig(min_factor=0.5, max_factor=30.0))
+    for _ in range(2000):
+        estimator.update(VarianceComponent(square, redundancy=1.0, assumed_density2=estimator.density**2))
+    assert estimator.density == factor * DENSITY
+
+
+def test_preintegration_parameters_follow_the_estimate() -> None:
     config, sheet = PreintegrationConfig(), (EUROC_IMU.gyro_noise_density, EUROC_IMU.accel_noise_density)
+    noise = ImuNoiseEstimator(EUROC_IMU, config, NoiseEstimationConfig())
+    noise.update(None)
     inflated = config.gyro_noise_inflation * sheet[0], config.accel_noise_inflation * sheet[1]
     assert noise.densities == pytest.approx(inflated)
-    exact = ImuVarianceComponents(*(VarianceComponent(1.0, 1.0, density**2) for density in sheet))
+    expected = ImuVarianceComponents(*(VarianceComponent(1.0, 1.0, density**2) for density in sheet))
     for _ in range(500):
-        noise.update(exact)
+        noise.update(expected)
     assert noise.densities == pytest.approx(sheet, rel=1e-3)
     found = noise.params.getGyroscopeCovariance(), noise.params.getAccelerometerCovariance()
     for covariance, density in zip(found, sheet, strict=True):
@@ -105,7 +123,7 @@ def test_parameters_of_preintegration_follow() -> None:
 
 
 @pytest.mark.parametrize("imu_noise", [1.0, 10.0])
-def test_noise_of_a_flight_is_found(make_flight: Callable, imu_noise: float) -> None:
+def test_noise_of_a_flight_is_found(make_flight: Callable[..., "SyntheticFlight"], imu_noise: float) -> None:
     """The smoother says of every interval that leaves it how well it fits; its noise is that of the simulation."""
     flight = make_flight(2, rest_s=-5.0, duration_s=15.0, imu_noise=imu_noise)
     step = 4

@@ -1,0 +1,131 @@
+"""Projection of landmarks in the adjustment of a calibration, with its Jacobians.
+
+A camera exposes at a time that differs from the time of its keyframe by an error of the time offset. Within this delay,
+the IMU moves with constant velocity and angular velocity. The projection depends on the pose and velocity of the
+keyframe, on the landmark and on the calibration.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from dronevio.estimator.backend.triangulation import MIN_DEPTH_M
+from dronevio.estimator.calibration.corrections import PARAMETERS_PER_CAMERA, Corrections
+from dronevio.models.rotation import exp_so3, skew
+
+Array = npt.NDArray[np.float64]
+Integers = npt.NDArray[np.int64]
+
+
+@dataclass(frozen=True, eq=False)
+class CalibrationObservations:
+    """N observations of L landmarks in K keyframes, sorted by landmark."""
+
+    keyframe: Integers
+    """(N,) Indices of the keyframes."""
+    camera: Integers
+    """(N,) Indices of the cameras in the rig."""
+    landmark: Integers
+    """(N,) Indices of the landmarks, which are consecutive from 0 on."""
+    xy: Array
+    """(N, 2) Image coordinates, normalized by the calibration without corrections."""
+
+    @property
+    def starts(self) -> Integers:
+        """(L,) Index of the first observation of each landmark."""
+        return np.flatnonzero(np.diff(self.landmark, prepend=-1))
+
+    def of_landmarks(self, kept: npt.NDArray[np.bool_]) -> "CalibrationObservations":
+        """Return the observations of some landmarks (L,), with new indices of these."""
+        rows, index = kept[self.landmark], np.cumsum(kept) - 1
+        return CalibrationObservations(
+            self.keyframe[rows], self.camera[rows], index[self.landmark[rows]], self.xy[rows]
+        )
+
+
+@dataclass(frozen=True, eq=False)
+class CalibrationState:
+    """The variables on which projections depend, beside the landmarks."""
+
+    R_world_imu: Array
+    """(K, 3, 3) Orientations of the keyframes."""
+    p_world_imu: Array
+    """(K, 3) Positions of the keyframes [m]."""
+    v_world_imu: Array
+    """(K, 3) Velocities of the keyframes in the world frame [m/s]."""
+    rates_rad_s: Array
+    """(K, 3) Angular velocities of the keyframes in the IMU frame, without bias; they are not estimated [rad/s]."""
+    time_offsets_s: Array
+    """(K,) Corrections of the time offset that the observations of each keyframe already contain [s]."""
+    Ts_imu_cam: Array
+    """(C, 4, 4) Poses of the cameras without corrections."""
+    corrections: Corrections
+    """Corrections of the calibration."""
+
+
+@dataclass(frozen=True, eq=False)
+class Projection:
+    """Residuals of N observations and the Jacobians of their projections."""
+
+    residual: Array
+    """(N, 2) Observed minus projected image coordinates."""
+    J_pose: Array
+    """(N, 2, 6) Jacobian by (δθ, δp) of the keyframe, δθ in the IMU frame and δp in the world frame."""
+    J_point: Array
+    """(N, 2, 3) Jacobian by the landmark in the world frame."""
+    J_corrections: Array
+    """(N, 2, 1 + 10 C) Jacobian by the vector of corrections."""
+
+
+def camera_poses(state: CalibrationState, observations: CalibrationObservations) -> tuple[Array, Array]:
+    """Return the orientation (N, 3, 3) and position (N, 3) [m] of the camera of each observation."""
+    k, camera, c = observations.keyframe, observations.camera, state.corrections
+    delay_s = (c.time_offset_s - state.time_offsets_s)[k, None]
+    R_imu = state.R_world_imu[k] @ exp_so3(state.rates_rad_s[k] * delay_s)
+    p_imu = state.p_world_imu[k] + state.v_world_imu[k] * delay_s
+    R_imu_cam = (state.Ts_imu_cam[:, :3, :3] @ exp_so3(c.rotation_rad))[camera]
+    p_imu_cam = (state.Ts_imu_cam[:, :3, 3] + c.translation_m)[camera]
+    return R_imu @ R_imu_cam, p_imu + np.einsum("nij,nj->ni", R_imu, p_imu_cam)
+
+
+def corrected_xy(state: CalibrationState, observations: CalibrationObservations) -> Array:
+    """Return the normalized image coordinates (N, 2) by the corrected intrinsics."""
+    c, camera = state.corrections, observations.camera
+    return np.asarray((observations.xy - c.principal[camera]) / (1.0 + c.focal[camera]))
+
+
+def project(state: CalibrationState, observations: CalibrationObservations, points: Array) -> Projection:
+    """Return the residuals and Jacobians of observations of landmarks (L, 3) in the world frame [m]."""
+    k, camera, c = observations.keyframe, observations.camera, state.corrections
+    delay_s = (c.time_offset_s - state.time_offsets_s)[k, None]
+    rate, R_world_imu, v = state.rates_rad_s[k], state.R_world_imu[k], state.v_world_imu[k]
+    # The landmark in the frame of the keyframe, of the IMU at the time of exposure, and of the camera
+    p_key = np.einsum("nji,nj->ni", R_world_imu, points[observations.landmark] - state.p_world_imu[k] - v * delay_s)
+    R_exposure_key = exp_so3(-rate * delay_s)
+    p_imu = np.einsum("nij,nj->ni", R_exposure_key, p_key)
+    R_cam_imu = np.swapaxes(state.Ts_imu_cam[:, :3, :3] @ exp_so3(c.rotation_rad), 1, 2)[camera]
+    p_cam = np.einsum("nij,nj->ni", R_cam_imu, p_imu - (state.Ts_imu_cam[:, :3, 3] + c.translation_m)[camera])
+    depth = np.maximum(p_cam[:, 2], MIN_DEPTH_M)
+    xy, focal = p_cam[:, :2] / depth[:, None], 1.0 + c.focal[camera]
+    residual = observations.xy - focal * xy - c.principal[camera]
+
+    J_cam = np.zeros((len(k), 2, 3))  # by p_cam
+    J_cam[:, 0, 0] = J_cam[:, 1, 1] = 1.0
+    J_cam[:, :, 2] = -xy
+    J_cam *= (focal / depth[:, None])[:, :, None]
+    J_imu = J_cam @ R_cam_imu
+    J_key = J_imu @ R_exposure_key
+    J_point = J_key @ np.swapaxes(R_world_imu, 1, 2)
+    J_pose = np.concatenate([J_key @ skew(p_key), -J_point], axis=2)
+
+    J_corrections = np.zeros((len(k), 2, 1 + PARAMETERS_PER_CAMERA * len(state.Ts_imu_cam)))
+    dp_imu_dt = np.cross(p_imu, rate) - np.einsum("nji,nj->ni", R_world_imu, v)
+    J_corrections[:, :, 0] = np.einsum("nij,nj->ni", J_imu, dp_imu_dt)
+    J_camera = np.zeros((len(k), 2, PARAMETERS_PER_CAMERA))
+    J_camera[:, :, 0:3], J_camera[:, :, 3:6] = J_cam @ skew(p_cam), -J_imu
+    J_camera[:, 0, 6], J_camera[:, 1, 7] = xy.T
+    J_camera[:, 0, 8] = J_camera[:, 1, 9] = 1.0
+    columns = 1 + PARAMETERS_PER_CAMERA * camera[:, None] + np.arange(PARAMETERS_PER_CAMERA)
+    np.put_along_axis(J_corrections, columns[:, None, :].repeat(2, axis=1), J_camera, axis=2)
+    return Projection(residual, J_pose, J_point, J_corrections)

@@ -1,0 +1,127 @@
+"""A window of keyframes for the adjustment of a calibration, and the selection of its landmarks."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import gtsam
+import numpy as np
+import numpy.typing as npt
+
+from dronevio.estimator.backend.triangulation import triangulate
+from dronevio.estimator.calibration.corrections import Corrections
+from dronevio.estimator.calibration.projection import (
+    CalibrationObservations,
+    CalibrationState,
+    camera_poses,
+    corrected_xy,
+)
+from dronevio.models.state import NavState
+
+Array = npt.NDArray[np.float64]
+Integers = npt.NDArray[np.int64]
+
+
+@dataclass(frozen=True, eq=False)
+class WindowKeyframe:
+    """A keyframe of the window."""
+
+    state: NavState
+    """State of the IMU by the smoother."""
+    rate_rad_s: Array
+    """(3,) Angular velocity in the IMU frame, without bias [rad/s]."""
+    time_offset_s: float
+    """Correction of the time offset that the observations already contain [s]."""
+    preintegrated: gtsam.PreintegratedCombinedMeasurements | None
+    """Preintegrated IMU since the keyframe before; not used of the first."""
+    ids: Integers
+    """(N,) Identities of the observed landmarks."""
+    camera: Integers
+    """(N,) Indices of the observing cameras in the rig."""
+    xy: Array
+    """(N, 2) Image coordinates, normalized by the calibration without corrections."""
+
+
+@dataclass(frozen=True)
+class AdjustmentConfig:
+    """Settings of the bundle adjustment."""
+
+    pixel_sigma: float = 0.8
+    """Standard deviation of an image observation [px]."""
+    min_views: int = 4
+    """Smallest number of observations of a landmark."""
+    min_parallax_deg: float = 0.5
+    """Smallest parallax of a landmark [°]."""
+    max_reprojection_px: float = 15.0
+    """Largest root mean square reprojection error of a landmark before the adjustment [px]."""
+    max_landmarks: int = 150
+    """Largest number of landmarks. Those with the most observations are used."""
+    iterations: int = 3
+    """Number of Gauss-Newton steps."""
+    orientation_sigma_rad: float = 0.1
+    """Prior standard deviation of the first keyframe's orientation [rad]."""
+    velocity_sigma_m_s: float = 0.5
+    """Prior standard deviation of the first keyframe's velocity [m/s]."""
+    gyro_bias_sigma_rad_s: float = 0.01
+    """Prior standard deviation of the gyroscope bias [rad/s]. It is large, so that windows are nearly independent."""
+    accel_bias_sigma_m_s2: float = 0.2
+    """Prior standard deviation of the accelerometer bias [m/s²]. It is large, so that windows are nearly
+    independent."""
+
+
+def window_state(keyframes: Sequence[WindowKeyframe], Ts_imu_cam: Array, corrections: Corrections) -> CalibrationState:
+    """Return the state of a window at the estimates of its keyframes.
+
+    Args:
+        keyframes: The keyframes in the order of time.
+        Ts_imu_cam: (C, 4, 4) Poses of the cameras without corrections.
+        corrections: Corrections of the calibration.
+    """
+    return CalibrationState(
+        np.stack([keyframe.state.T_world_imu[:3, :3] for keyframe in keyframes]),
+        np.stack([keyframe.state.T_world_imu[:3, 3] for keyframe in keyframes]),
+        np.stack([keyframe.state.velocity_m_s for keyframe in keyframes]),
+        np.stack([keyframe.rate_rad_s for keyframe in keyframes]),
+        np.array([keyframe.time_offset_s for keyframe in keyframes]),
+        Ts_imu_cam,
+        corrections,
+    )
+
+
+def window_observations(keyframes: Sequence[WindowKeyframe]) -> CalibrationObservations:
+    """Return the observations of all keyframes, sorted by landmark."""
+    ids = np.concatenate([keyframe.ids for keyframe in keyframes])
+    camera = np.concatenate([keyframe.camera for keyframe in keyframes])
+    xy = np.concatenate([keyframe.xy for keyframe in keyframes])
+    index = np.repeat(np.arange(len(keyframes)), [len(keyframe.ids) for keyframe in keyframes])
+    order = np.argsort(ids, kind="stable")
+    landmark = np.unique(ids[order], return_inverse=True)[1]
+    return CalibrationObservations(index[order], camera[order], landmark, xy[order])
+
+
+def select_landmarks(
+    state: CalibrationState, candidates: CalibrationObservations, focal_px: float, config: AdjustmentConfig
+) -> tuple[CalibrationObservations, Array]:
+    """Select the landmarks with enough observations, parallax and accuracy, and triangulate them.
+
+    Args:
+        state: State of the window.
+        candidates: Observations of all landmarks.
+        focal_px: Focal length [px].
+        config: Settings.
+
+    Returns:
+        The observations of L landmarks, and their positions (L, 3) in the world frame [m].
+    """
+    counts = np.bincount(candidates.landmark)
+    observations = candidates.of_landmarks(counts >= config.min_views)
+    if not len(observations.landmark):
+        return observations, np.zeros((0, 3))
+    R, p = camera_poses(state, observations)
+    found = triangulate(observations.starts, R, p, corrected_xy(state, observations))
+    is_accurate = found.rms < config.max_reprojection_px / focal_px
+    is_good = found.in_front & (found.parallax_rad > np.radians(config.min_parallax_deg)) & is_accurate
+    counts = np.bincount(observations.landmark)
+    descending = np.sort(counts[is_good])[::-1]
+    if len(descending) > config.max_landmarks:
+        is_good &= counts >= descending[config.max_landmarks - 1]
+    return observations.of_landmarks(is_good), found.points[is_good]
