@@ -97,7 +97,7 @@ def trials() -> dict[str, Trial]:
 
 def fly_missing(place: Path, flown: Scenario) -> None:
     """Fly a scenario with the stereo rig and keep its recording, unless it is there."""
-    from dronevio.cli.folders import atomic_folder
+    from dronevio.cli.output_files import atomic_folder
     from dronevio.recorder import record_flight
 
     if (place / "mav0").is_dir():

@@ -1,11 +1,12 @@
-"""``dronevio book eqvio``: a real flight, by our smoother and by GTSAM's equivariant filter."""
+"""``dronevio book eqvio``: fixed-lag smoother and GTSAM's equivariant filter on a real flight."""
 
-from collections.abc import Mapping
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from dronevio.cli.terminal import parse, print_json, print_table, progress_bars
+from dronevio.cli.options import Printing, PrintOptions
+from dronevio.cli.terminal import parse, print_json, print_table, print_values, progress_bars
 
 if TYPE_CHECKING:
     import numpy as np
@@ -18,15 +19,16 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True)
-class BookEqvio:
-    """Half a minute of a real flight, by our smoother and by GTSAM's equivariant filter EqVIO.
+class EqvioCommand:
+    """Compare the fixed-lag smoother with GTSAM's equivariant filter EqVIO on 30 s of a real flight.
 
-    Both get the same: the real IMU of EuRoC's V1_01 and the image features that come with the gtsam package, about one
-    in five of them wrong. Writes paths.png, and both paths as smoother.tum and eqvio.tum; the filter gives no
-    orientation, so its quaternions are the identity.
+    Both process the real IMU samples of EuRoC V1_01 and the image features that come with the gtsam package, about one
+    fifth of which are outliers. The command writes paths.png and both trajectories, smoother.tum and eqvio.tum. The
+    filter provides no orientations, so the quaternions of its trajectory are the identity.
 
-    The truth is not in the data. Both are therefore compared with full smoothing, which knows the whole flight when it
-    answers, and by how well each path, its orientations and landmarks left free, explains the image features.
+    The data contain no ground truth. Both trajectories are therefore compared with a batch estimate, which uses all
+    measurements of the flight, and by the reprojection errors that remain when orientations and landmarks are optimized
+    with the positions fixed.
 
     Examples:
       dronevio book eqvio
@@ -34,14 +36,14 @@ class BookEqvio:
     """
 
     out: Path = Path("runs/book-eqvio")
-    """Folder for the picture and the paths."""
-    json: bool = False
-    """Print one JSON document instead of the table."""
+    """Folder for the plot and the trajectories."""
+    printing: Printing = field(default_factory=PrintOptions)
+    """How results are printed."""
 
 
-def main(arguments: list[str]) -> int:
-    """Run both estimators, draw their paths and print how far they are apart."""
-    command = parse(BookEqvio, arguments, "book eqvio")
+def main(arguments: Sequence[str]) -> int:
+    """Run the command and return its exit code."""
+    command = parse(EqvioCommand, arguments, "book eqvio")
 
     import numpy as np
 
@@ -59,14 +61,14 @@ def main(arguments: list[str]) -> int:
         filtered = run_eqvio(flight, bars.bar("EqVIO"))
     ours = require_poses(run, flight)
 
-    theirs_m = _laid_on(ours.p_world_imu, filtered.p_world_imu[np.searchsorted(filtered.t_ns, ours.t_ns)])
+    theirs_m = _aligned(ours.p_world_imu, filtered.p_world_imu[np.searchsorted(filtered.t_ns, ours.t_ns)])
     distance_m = np.linalg.norm(ours.p_world_imu - theirs_m, axis=1)
 
     command.out.mkdir(parents=True, exist_ok=True)
     draw_two_paths(ours.t_ns, ours.p_world_imu, theirs_m, command.out / "paths.png")
     write_tum(command.out / "smoother.tum", ours)
-    unturned = np.tile([1.0, 0.0, 0.0, 0.0], (len(filtered.t_ns), 1))
-    write_tum(command.out / "eqvio.tum", Trajectory(filtered.t_ns, filtered.p_world_imu, unturned))
+    identities = np.tile([1.0, 0.0, 0.0, 0.0], (len(filtered.t_ns), 1))
+    write_tum(command.out / "eqvio.tum", Trajectory(filtered.t_ns, filtered.p_world_imu, identities))
 
     summary: dict[str, Any] = {
         "poses": len(ours),
@@ -77,24 +79,24 @@ def main(arguments: list[str]) -> int:
         "eqvio_path_m": float(np.linalg.norm(np.diff(theirs_m, axis=0), axis=1).sum()),
         "cpu_ms_per_frame": float(run.cpu_ms.mean()),
         "eqvio_cpu_ms_per_frame": float(filtered.cpu_ms.mean()),
-        **_judged(flight, ours, theirs_m),
+        **_batch_comparison(flight, ours, theirs_m),
         "out": str(command.out),
     }
-    if command.json:
+    if command.printing.json:
         print_json(summary)
         return 0
     _print_summary(summary)
-    print(f"picture: {command.out}/paths.png")
+    print(f"plot: {command.out}/paths.png")
     return 0
 
 
-def _judged(flight: "FeatureRecording", ours: "Trajectory", theirs_m: "Array") -> dict[str, float]:
-    """Return how far both paths are from full smoothing, and what each leaves of the reprojection errors.
+def _batch_comparison(flight: "FeatureRecording", ours: "Trajectory", theirs_m: "Array") -> dict[str, float]:
+    """Return the errors of both paths with respect to the batch estimate, and their reprojection errors.
 
     Args:
-        flight: What was sensed.
-        ours: Our path.
-        theirs_m: (N, 3) The other at the same times, laid on ours [m].
+        flight: IMU samples and image features.
+        ours: Trajectory of the smoother.
+        theirs_m: (N, 3) Positions of the filter at the same times, aligned with those of the smoother [m].
     """
     import numpy as np
 
@@ -103,39 +105,45 @@ def _judged(flight: "FeatureRecording", ours: "Trajectory", theirs_m: "Array") -
     batch = BatchAdjustment(flight, ours)
     at = np.searchsorted(ours.t_ns, batch.t_ns)
     paths = {"": ours.p_world_imu[at], "eqvio_": theirs_m[at]}
-    reference_m = _laid_on(paths[""], batch.full_smoothing())
+    reference_m = _aligned(paths[""], batch.full_smoothing())
     figures = {
-        f"{name}ate_to_reference_m": _rms(reference_m - _laid_on(reference_m, p_m)) for name, p_m in paths.items()
+        f"{name}ate_to_reference_m": _rms(reference_m - _aligned(reference_m, p_m)) for name, p_m in paths.items()
     }
     for name, p_m in {**paths, "reference_": reference_m}.items():
-        left = batch.reprojection_errors(p_m)
-        figures[f"{name}reprojection_median_px"] = left.median_px
-        figures[f"{name}reprojection_rms_px"] = left.rms_px
+        residuals = batch.reprojection_errors(p_m)
+        figures[f"{name}reprojection_median_px"] = residuals.median_px
+        figures[f"{name}reprojection_rms_px"] = residuals.rms_px
     return figures
 
 
-def _laid_on(known_m: "Array", found_m: "Array") -> "Array":
-    """Return positions (N, 3) laid on others by yaw and position [m]."""
+def _aligned(reference_m: "Array", positions_m: "Array") -> "Array":
+    """Return (N, 3) positions after alignment of yaw and position with known ones [m]."""
     from dronevio.eval.metrics.alignment import align
 
-    return align(known_m, found_m, "yaw").positions(found_m)
+    return align(reference_m, positions_m, "yaw").positions(positions_m)
 
 
 def _rms(difference_m: "Array") -> float:
-    """Return the root mean square length of differences (N, 3) [m]."""
+    """Return the root mean square length of (N, 3) differences [m]."""
     return float((difference_m**2).sum(axis=1).mean() ** 0.5)
 
 
 def _print_summary(s: Mapping[str, Any]) -> None:
     print_table(
-        "EuRoC V1_01, 30 s: real IMU, real image features",
-        ("", "smoother (ours)", "EqVIO (gtsam)", "full smoothing", "unit"),
+        "EuRoC V1_01, 30 s, real IMU and image features",
+        ("", "smoother (ours)", "EqVIO (gtsam)", "batch", "unit"),
         (
             ("poses", f"{s['poses']}", f"{s['frames']}", "", ""),
-            ("path", f"{s['path_m']:.2f}", f"{s['eqvio_path_m']:.2f}", "", "m"),
-            ("time a frame", f"{s['cpu_ms_per_frame']:.2f}", f"{s['eqvio_cpu_ms_per_frame']:.2f}", "", "ms"),
+            ("length of the path", f"{s['path_m']:.2f}", f"{s['eqvio_path_m']:.2f}", "", "m"),
             (
-                "from full smoothing, r.m.s.",
+                "processor time per frame",
+                f"{s['cpu_ms_per_frame']:.2f}",
+                f"{s['eqvio_cpu_ms_per_frame']:.2f}",
+                "",
+                "ms",
+            ),
+            (
+                "difference from batch, RMS",
                 f"{s['ate_to_reference_m']:.3f}",
                 f"{s['eqvio_ate_to_reference_m']:.3f}",
                 "0",
@@ -150,12 +158,12 @@ def _print_summary(s: Mapping[str, Any]) -> None:
                 for key, title in (("median", "median"), ("rms", "best 80 %"))
             ),
         ),
+        left=("unit",),
     )
-    print_table(
-        "Between the two, after alignment of yaw and position",
-        ("", "value", "unit"),
+    print_values(
+        "Smoother and EqVIO compared, after alignment of yaw and position",
         (
-            ("ATE (root mean square)", f"{s['ate_between_m']:.3f}", "m"),
+            ("RMS distance", f"{s['ate_between_m']:.3f}", "m"),
             ("largest distance", f"{s['largest_distance_m']:.3f}", "m"),
         ),
     )

@@ -1,18 +1,20 @@
 """``dronevio book imu``: dead reckoning as a factor graph."""
 
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, field
 from pathlib import Path
 
-from dronevio.cli.terminal import parse, print_json, print_table
+from dronevio.cli.options import Printing, PrintOptions
+from dronevio.cli.terminal import parse, print_json, print_values
 
 
 @dataclass(frozen=True)
-class BookImu:
-    """Dead reckoning on a loop, as a factor graph.
+class ImuCommand:
+    """Estimate dead reckoning on a loop as a factor graph.
 
-    The drone flies 2 m/s forward and pitches up 30 °/s, its IMU samples at 10 Hz, an IMU factor sums up every 5
-    samples. From states that are far off, Levenberg-Marquardt finds those without any error. Writes path.png,
-    graph.png and graph.dot.
+    The drone flies forward at 2 m/s and pitches up at 30 °/s. Its IMU has a rate of 10 Hz, and each IMU factor
+    preintegrates 5 samples. From inaccurate initial states, Levenberg-Marquardt converges to states without any error.
+    The command writes path.png, graph.png and graph.dot.
 
     Examples:
       dronevio book imu
@@ -21,16 +23,16 @@ class BookImu:
     """
 
     out: Path = Path("runs/book-imu")
-    """Folder for the pictures."""
+    """Folder for the plots."""
     seed: int = 0
-    """Of the IMU's noise and of the first guess."""
-    json: bool = False
-    """Print one JSON document instead of the table."""
+    """Seed of the IMU noise and of the initial states."""
+    printing: Printing = field(default_factory=PrintOptions)
+    """How results are printed."""
 
 
-def main(arguments: list[str]) -> int:
-    """Run the experiment, draw it and print its errors."""
-    command = parse(BookImu, arguments, "book imu")
+def main(arguments: Sequence[str]) -> int:
+    """Run the command and return its exit code."""
+    command = parse(ImuCommand, arguments, "book imu")
 
     import numpy as np
 
@@ -43,7 +45,7 @@ def main(arguments: list[str]) -> int:
     draw_factor_graph(experiment.factors, command.out / "graph.png")
     (command.out / "graph.dot").write_text(experiment.dot, encoding="utf-8")
 
-    if command.json:
+    if command.printing.json:
         print_json(
             {
                 "states": len(experiment.t_s),
@@ -57,9 +59,8 @@ def main(arguments: list[str]) -> int:
             }
         )
         return 0
-    print_table(
+    print_values(
         "Dead reckoning on a loop",
-        ("", "value", "unit"),
         (
             ("states, factors", f"{len(experiment.t_s)}, {len(experiment.factors)}", ""),
             ("initial error", f"{experiment.initial_error:.4g}", ""),
@@ -69,5 +70,5 @@ def main(arguments: list[str]) -> int:
             (f"drift after {experiment.flight.duration_s:g} s", f"{experiment.drift_m:.3f}", "m"),
         ),
     )
-    print(f"pictures: {command.out}/path.png {command.out}/graph.png")
+    print(f"plots: {command.out}/path.png {command.out}/graph.png")
     return 0

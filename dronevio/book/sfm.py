@@ -1,17 +1,20 @@
 """``dronevio book sfm``: structure from motion."""
 
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, field
 from pathlib import Path
 
-from dronevio.cli.terminal import parse, print_json, print_table
+from dronevio.cli.options import Printing, PrintOptions
+from dronevio.cli.terminal import parse, print_json, print_values
 
 
 @dataclass(frozen=True)
-class BookSfm:
-    """Structure from motion: five photographs of Villa Balbianello, bundle-adjusted.
+class SfmCommand:
+    """Reconstruct Villa Balbianello from five photographs by bundle adjustment.
 
-    Every observation of a point in a photograph is a factor with a standard deviation of 1 px; the poses, the lenses
-    and the points are found by Levenberg-Marquardt. Writes cloud.png, and cloud.rrd to walk around in.
+    Each observation of a point in a photograph is a factor with a standard deviation of 1 px. Levenberg-Marquardt
+    estimates the poses and intrinsics of the cameras and the points. The command writes cloud.png and cloud.rrd, a
+    rerun file.
 
     Examples:
       dronevio book sfm
@@ -20,25 +23,25 @@ class BookSfm:
     """
 
     out: Path = Path("runs/book-sfm")
-    """Folder for the picture and the recording."""
-    json: bool = False
-    """Print one JSON document instead of the table."""
+    """Folder for the plot and the rerun file."""
+    printing: Printing = field(default_factory=PrintOptions)
+    """How results are printed."""
 
 
-def main(arguments: list[str]) -> int:
-    """Run the experiment, draw it and print its errors."""
-    command = parse(BookSfm, arguments, "book sfm")
+def main(arguments: Sequence[str]) -> int:
+    """Run the command and return its exit code."""
+    command = parse(SfmCommand, arguments, "book sfm")
 
     from dronevio.book.plots import draw_sfm_cloud
-    from dronevio.book.recording import record_sfm
+    from dronevio.book.rerun_file import write_sfm_rerun
     from dronevio.estimator.book.sfm import run_sfm_experiment
 
     experiment = run_sfm_experiment()
     command.out.mkdir(parents=True, exist_ok=True)
     draw_sfm_cloud(experiment, command.out / "cloud.png")
-    record_sfm(experiment, command.out / "cloud.rrd")
+    write_sfm_rerun(experiment, command.out / "cloud.rrd")
 
-    if command.json:
+    if command.printing.json:
         print_json(
             {
                 "cameras": len(experiment.photographs),
@@ -52,9 +55,8 @@ def main(arguments: list[str]) -> int:
             }
         )
         return 0
-    print_table(
+    print_values(
         "Villa Balbianello",
-        ("", "value", "unit"),
         (
             ("cameras, points", f"{len(experiment.photographs)}, {len(experiment.points)}", ""),
             ("observations", f"{len(experiment.observed_px)}", ""),
@@ -64,5 +66,6 @@ def main(arguments: list[str]) -> int:
             ("reprojection, RMS", f"{experiment.reprojection_rms_px:.2f}", "px"),
         ),
     )
-    print(f"picture: {command.out}/cloud.png    recording: rerun {command.out}/cloud.rrd")
+    print(f"plot:     {command.out}/cloud.png")
+    print(f"open it:  dronevio view {command.out}/cloud.rrd")
     return 0

@@ -1,16 +1,13 @@
-"""``dronevio benchmark``: many flights, several estimators, a table."""
+"""``dronevio benchmark``: several estimators on many flights."""
 
 import os
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
-from rich.console import Console
-from rich.progress import BarColumn, MofNCompleteColumn, TextColumn, TimeElapsedColumn, TimeRemainingColumn
-from rich.progress import Progress as RichProgress
-
+from dronevio.cli.options import Printing, PrintOptions
 from dronevio.cli.terminal import parse, print_json, print_table
 from dronevio.models.errors import ConfigError
 
@@ -19,20 +16,22 @@ if TYPE_CHECKING:
     from dronevio.eval.benchmark.rows import Row
     from dronevio.eval.benchmark.runner import Benchmark, Listener
 
-_MANY = 10_000  # flights that the sizing speaks of
+_MANY = 10_000  # number of flights to which --sizing extrapolates
 
 
 @dataclass(frozen=True)
 class BenchmarkCommand:
-    """Run estimators on many flights, and make a table of it: one row a run, in results.parquet.
+    """Run estimators on many flights and tabulate their errors, one row per run in results.parquet.
 
-    Flights are scenarios with seeds, or recordings from elsewhere that have a ground truth. Each recording is made once
-    and kept for all estimators and later benchmarks. A run that crashes or times out is a row that says so. Whatever
-    stops the benchmark, the same command goes on where it was: only what is missing, or has changed, is done.
+    Flights are scenarios with seeds, or recordings with ground truth. Each scenario is simulated once and its recording
+    is cached for all estimators and for later benchmarks. A run that crashes or exceeds the time limit is a row with
+    that status. The same command continues an interrupted benchmark, and repeats only the runs whose code, settings or
+    recording have changed.
 
-    An estimator is vio (one camera), vio-stereo (all cameras, two at least), eqvio (GTSAM's equivariant filter on our
-    features), dead-reckoning (no camera), or any program that reads an EuRoC folder and writes a TUM file: give it as
-    LABEL=external:COMMAND, with {recording} and {output} in the command. It is shown no ground truth.
+    An estimator is vio (one camera), vio-stereo (all cameras, at least two), eqvio (GTSAM's equivariant filter with our
+    front end), dead-reckoning (no camera), or any program that reads an EuRoC folder and writes a TUM file. Such a
+    program is given as LABEL=external:COMMAND with {recording} and {output} in the command. It gets a folder without
+    ground truth.
 
     Examples:
       dronevio benchmark --suite room --estimators vio,dead-reckoning --seeds 10
@@ -45,47 +44,48 @@ class BenchmarkCommand:
     """
 
     suite: str | None = None
-    """Scenarios that belong together: a world such as room, or a level such as easy."""
+    """Name of a suite of scenarios: a world such as room, or a difficulty such as easy."""
     scenarios: tuple[str, ...] = ()
-    """Scenarios by name; `dronevio scenarios` lists them."""
+    """Names of scenarios; `dronevio scenarios` lists them."""
     rig: str | None = None
-    """Other sensors for scenarios: a name such as euroc-stereo or fisheye, a Kalibr camchain.yaml, or a recording."""
+    """Sensors that replace those of the scenarios: a name such as euroc-stereo or fisheye, a Kalibr camchain.yaml, or a
+    recording with its calibration."""
     recordings: tuple[Path, ...] = ()
-    """Recordings from elsewhere: EuRoC folders or bags, with ground truth."""
+    """Recordings with ground truth: EuRoC folders or ROS 2 bags."""
     estimators: tuple[str, ...] = ("vio",)
-    """Who estimates; names may be joined by commas."""
+    """Estimators to run. Several names may be joined by commas."""
     seeds: int = 10
-    """How many seeds of each scenario."""
+    """Number of seeds of each scenario."""
     first_seed: int = 0
-    """The first of them."""
+    """Smallest seed of each scenario."""
     out: Path | None = None
-    """Folder of the results; benchmarks/SUITE by default. An earlier benchmark in it goes on."""
+    """Folder of the results; benchmarks/SUITE by default. A benchmark that exists there is continued."""
     engine: Literal["local", "ray"] = "local"
-    """Processes of this machine, or Ray."""
+    """Where runs are executed: in processes on this machine, or by Ray."""
     workers: int | None = None
-    """How many runs at a time; as many as there are cores by default. A cluster decides for itself."""
+    """Number of runs at the same time; the number of cores by default. A Ray cluster decides by itself."""
     address: str | None = None
-    """Of a Ray cluster, auto for the one that this machine belongs to; without it, Ray is started here."""
+    """Address of a Ray cluster; auto for the cluster of this machine. Without it, Ray is started on this machine."""
     timeout_s: float = 1800.0
-    """How long one run may take, and the making of one recording [s]."""
+    """Time limit of one run, and of the simulation of one recording [s]."""
     retry: bool = False
-    """Do failed runs again."""
+    """Repeat failed runs."""
     cache: Path | None = None
-    """Folder of the recordings, on every machine; ~/.cache/dronevio/recordings by default."""
+    """Folder of the cached recordings, on every machine; ~/.cache/dronevio/recordings by default."""
     keep_recordings: bool = True
-    """Keep recordings for later; without, each is deleted when its estimators are done."""
+    """Keep the recordings in the cache. Otherwise each is deleted after the runs of all estimators."""
     sizing: bool = False
-    """Do only one flight, and tell what 10 000 like it would take."""
-    json: bool = False
-    """Print one JSON document instead of tables."""
+    """Measure only one flight, and extrapolate time and disk space to 10 000 flights like it."""
+    printing: Printing = field(default_factory=PrintOptions)
+    """How results are printed."""
 
 
 def main(arguments: Sequence[str]) -> int:
-    """Run the command."""
+    """Run the command and return its exit code."""
     command = parse(BenchmarkCommand, arguments, "benchmark")
     benchmark = _planned(command)
     if command.sizing:
-        return _size(command, benchmark)
+        return _print_sizing(command, benchmark)
 
     from dronevio.eval.benchmark.rows import RESULTS_FILE
     from dronevio.eval.benchmark.runner import run_benchmark
@@ -94,9 +94,9 @@ def main(arguments: Sequence[str]) -> int:
     folder = command.out or Path("benchmarks") / (command.suite or "results")
     engine = _engine(command)
     store = ResultStore(folder)
-    with _live(quiet=command.json) as heard:
-        rows = run_benchmark(benchmark, store, engine, heard, command.retry)
-    if command.json:
+    with _run_progress(quiet=command.printing.json) as listener:
+        rows = run_benchmark(benchmark, store, engine, listener, command.retry)
+    if command.printing.json:
         print_json({"results": str(folder / RESULTS_FILE), "rows": [asdict(row) for row in rows]})
         return 0
     print_benchmark(rows)
@@ -105,7 +105,7 @@ def main(arguments: Sequence[str]) -> int:
 
 
 def print_benchmark(rows: Sequence["Row"]) -> None:
-    """Print estimator × scenario, and what failed."""
+    """Print the errors of each estimator on each scenario, and the failed runs."""
     from dronevio.eval.benchmark.summary import Spread, failures, groups
 
     columns = (("ATE [m]", "ate_m"), ("RPE 1 s [m]", "rpe_m"))
@@ -117,26 +117,26 @@ def print_benchmark(rows: Sequence["Row"]) -> None:
         ok = f"{group.ok}/{len(group.rows)}"
         cells.append((group.scenario, group.estimator, ok, *figures, "–" if cost is None else f"{cost.median:.1f}"))
     headings = ("scenario", "estimator", "ok", *(heading for heading, _ in columns), "ms/frame")
-    print_table("Median and quartiles over seeds; a failed run counts as ∞", headings, cells)
+    print_table("Median and quartiles over seeds; a failed run counts as ∞", headings, cells, left=("estimator",))
     failed = failures(rows)
     if failed:
         print(f"{len(failed)} of {len(rows)} runs failed:")
-    for run, how, why in failed:
-        print(f"  {run}: {how}, {why}")
+    for run, status, reason in failed:
+        print(f"  {run}: {status}, {reason}")
 
 
 def _planned(command: BenchmarkCommand) -> "Benchmark":
-    """Return what to run.
+    """Return the flights and estimators of a benchmark.
 
     Raises:
-        ConfigError: Nothing is to be flown, or an option makes no sense.
+        ConfigError: There is no flight, or an option has an invalid value.
     """
     if command.seeds < 1 or command.first_seed < 0:
-        raise ConfigError(f"{command.seeds} seeds from {command.first_seed} on; expected one at least, from 0 on")
+        raise ConfigError(f"{command.seeds} seeds from {command.first_seed} on; expected 1 or more, from 0 or more on")
     if command.workers is not None and command.workers < 1:
-        raise ConfigError(f"{command.workers} workers; expected one at least")
+        raise ConfigError(f"{command.workers} workers; expected 1 or more")
     if not command.timeout_s > 0.0:
-        raise ConfigError(f"a timeout of {command.timeout_s:g} s; expected more than zero")
+        raise ConfigError(f"a timeout of {command.timeout_s:g} s; expected more than 0 s")
 
     from dronevio.benchmark_jobs import Workbench, recorded_flights, scenario_flights, versions
     from dronevio.eval.benchmark.runner import Benchmark
@@ -150,13 +150,13 @@ def _planned(command: BenchmarkCommand) -> "Benchmark":
     estimators = tuple(estimator_named(word.strip()) for group in words for word in group if word.strip())
     labels = [estimator.label for estimator in estimators]
     if not labels or len(set(labels)) < len(labels):
-        raise ConfigError(f"estimators {', '.join(labels) or 'none'}; expected one at least, and no name twice")
+        raise ConfigError(f"estimators {', '.join(labels) or 'none'}; expected at least one, and each name once")
     seeds = range(command.first_seed, command.first_seed + command.seeds)
     if command.rig is not None and not names:
-        raise ConfigError(f"--rig {command.rig} without scenarios; recordings have theirs")
+        raise ConfigError(f"--rig {command.rig} without scenarios; a recording has its own rig")
     flights = scenario_flights(names, seeds, command.rig) + recorded_flights(command.recordings)
     if not flights:
-        raise ConfigError("nothing to fly; expected --suite, --scenarios or --recordings")
+        raise ConfigError("no flights; expected --suite, --scenarios or --recordings")
     return Benchmark(
         flights,
         tuple(labels),
@@ -185,8 +185,12 @@ def _default_cache() -> Path:
 
 
 @contextmanager
-def _live(quiet: bool) -> Iterator["Listener"]:
-    """Show on standard error how many runs are done, how long the rest will take, and what fails."""
+def _run_progress(quiet: bool) -> Iterator["Listener"]:
+    """Show on standard error the number of finished runs, the remaining time and the failures."""
+    from rich.console import Console
+    from rich.progress import BarColumn, MofNCompleteColumn, TextColumn, TimeElapsedColumn, TimeRemainingColumn
+    from rich.progress import Progress as RichProgress
+
     with RichProgress(
         TextColumn("runs"),
         BarColumn(),
@@ -197,11 +201,11 @@ def _live(quiet: bool) -> Iterator["Listener"]:
         TimeRemainingColumn(),
         console=Console(stderr=True),
         disable=quiet,
-        speed_estimate_period=float("inf"),  # runs take minutes: all of them tell how long the next will
+        speed_estimate_period=float("inf"),  # runs take minutes: the average over all of them predicts the next best
     ) as bars:
         task, failed = bars.add_task("runs", total=None, failed=""), 0
 
-        def heard(done: int, total: int, row: "Row | None") -> None:
+        def listener(done: int, total: int, row: "Row | None") -> None:
             nonlocal failed
             if row is not None and row.status != "ok":
                 failed += 1
@@ -209,22 +213,22 @@ def _live(quiet: bool) -> Iterator["Listener"]:
                 bars.console.print(f"{row.status}: {row.scenario}{seed}, {row.estimator}: {row.reason}", markup=False)
             bars.update(task, completed=done, total=total, failed=f"{failed} failed" if failed else "")
 
-        yield heard
+        yield listener
 
 
-def _size(command: BenchmarkCommand, benchmark: "Benchmark") -> int:
-    """Measure the first flight and say what many would take."""
+def _print_sizing(command: BenchmarkCommand, benchmark: "Benchmark") -> int:
+    """Measure the first flight, and print what many flights like it would take."""
     from dronevio.eval.benchmark.engines import cores
     from dronevio.eval.benchmark.jobs import Job
     from dronevio.eval.benchmark.sizing import measure
 
     flight = benchmark.flights[0]
     if flight.path is not None:
-        raise ConfigError("--sizing with recordings from elsewhere; expected scenarios, whose making is measured")
+        raise ConfigError("--sizing with recordings; expected scenarios, whose simulation is measured")
     job = Job(flight, benchmark.estimators, benchmark.workshop, benchmark.cache, benchmark.timeout_s)
     sizing, workers = measure(job), command.workers or cores()
     rows = sizing.scaled(_MANY, workers)
-    if command.json:
+    if command.printing.json:
         names = ("work", "cpu_hours", "hours", "gigabytes")
         scaled = [dict(zip(names, row, strict=True)) for row in rows]
         print_json({"flight": flight.scenario, "measured": asdict(sizing), "flights": _MANY, "scaled": scaled})
@@ -236,9 +240,9 @@ def _size(command: BenchmarkCommand, benchmark: "Benchmark") -> int:
     ]
     table.append(("all", "", "", *(f"{value:.1f}" for value in rows[-1][1:])))
     print_table(
-        f"{_MANY} flights like {flight.scenario}, from one that was measured",
-        ("", "one: CPU-s", "MB", "all: CPU-h", f"h on {workers} cores", "GB"),
+        f"{_MANY} flights like {flight.scenario}, extrapolated from one that was measured",
+        ("", "one: CPU s", "one: MB", "all: CPU h", f"all: h on {workers} cores", "all: GB"),
         table,
     )
-    print("with --no-keep-recordings, the disk holds no more than the recordings under way")
+    print("With --no-keep-recordings, only the recordings of current runs are on the disk.")
     return 0

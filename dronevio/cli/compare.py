@@ -1,12 +1,13 @@
-"""``dronevio compare``: two benchmarks, or two runs, against each other."""
+"""``dronevio compare``: statistical comparison of two benchmarks, or of two runs."""
 
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import tyro
 
+from dronevio.cli.options import Printing, PrintOptions
 from dronevio.cli.terminal import parse, print_json, print_table
 from dronevio.models.errors import ConfigError
 
@@ -18,9 +19,9 @@ if TYPE_CHECKING:
 class CompareCommand:
     """Compare two benchmarks run by run, or two single runs.
 
-    Runs are paired by scenario, seed and estimator. For each metric it prints the median of the ratios second / first,
-    its 95 % confidence interval (bootstrap over the pairs), how likely so clear a difference is by chance (Wilcoxon's
-    signed-rank test), and what that means. A failed run counts as infinitely bad: it never drops out.
+    Runs are paired by scenario, seed and estimator. For each metric, the table has the median of the ratios second /
+    first, its 95 % confidence interval (bootstrap over the pairs) and the p-value of Wilcoxon's signed-rank test. A
+    failed run counts as an infinite error and is never left out.
 
     Examples:
       dronevio compare benchmarks/before benchmarks/after
@@ -29,45 +30,52 @@ class CompareCommand:
       dronevio compare benchmarks/room benchmarks/room --estimators dead-reckoning vio
     """
 
-    first: Annotated[Path, tyro.conf.Positional]
-    """A benchmark's folder or results.parquet, or the folder of a run."""
-    second: Annotated[Path, tyro.conf.Positional]
-    """What to compare with it."""
+    first: Annotated[tyro.conf.Positional[Path], tyro.conf.arg(metavar="FIRST")]
+    """Folder or results.parquet of a benchmark, or folder of a run: the reference."""
+    second: Annotated[tyro.conf.Positional[Path], tyro.conf.arg(metavar="SECOND")]
+    """Folder or results.parquet of a benchmark, or folder of a run, to compare with the first."""
     metrics: tuple[str, ...] = ()
-    """Columns to compare, errors or costs; ate_m and rpe_m by default."""
+    """Columns of errors or costs to compare; ate_m and rpe_m by default."""
     estimators: tuple[str, str] | None = None
-    """Compare this estimator of the first with that one of the second, rather than each with itself."""
+    """Two estimators: compare the one in the first benchmark with the other in the second. By default, each estimator
+    is compared with itself."""
     allow_missing: bool = False
-    """Leave out runs that only one of them has; else they are an error."""
+    """Leave out runs that only one of the benchmarks has. By default, such runs are an error."""
     seed: int = 0
-    """Of the bootstrap."""
-    json: bool = False
-    """Print one JSON document instead of a table."""
+    """Seed of the bootstrap."""
+    printing: Printing = field(default_factory=PrintOptions)
+    """How results are printed."""
 
 
 def main(arguments: Sequence[str]) -> int:
-    """Run the command."""
+    """Run the command and return its exit code."""
     command = parse(CompareCommand, arguments, "compare")
 
     from dronevio.eval.compare import DEFAULT_METRICS, compare
 
-    pairs = paired(command.first, command.second, command.estimators, command.allow_missing)
+    pairs = read_pairs(command.first, command.second, command.estimators, command.allow_missing)
     comparisons = compare(pairs, command.metrics or DEFAULT_METRICS, command.seed)
-    if command.json:
+    if command.printing.json:
         print_json(document(comparisons))
         return 0
-    print_comparisons(f"{command.second} against {command.first}", comparisons)
+    print_comparisons(f"{command.second} relative to {command.first}", comparisons)
     return 0
 
 
-def paired(
+def read_pairs(
     first: Path, second: Path, estimators: tuple[str, str] | None = None, allow_missing: bool = False
 ) -> "list[Pair]":
-    """Read the rows of two results and return those that belong together.
+    """Read the rows of two results and return the pairs of runs to compare.
+
+    Args:
+        first: Folder or results.parquet of a benchmark, or folder of a run.
+        second: The same of the results to compare with the first.
+        estimators: Estimator of the first and of the second; None to pair each estimator with itself.
+        allow_missing: Whether runs without a partner are left out.
 
     Raises:
         InputError: A file cannot be read.
-        ConfigError: A result does not have the estimator that was asked for.
+        ConfigError: A result does not have the estimator that is asked for.
         EvaluationError: A run has no partner.
     """
     from dronevio.eval.benchmark.rows import read_results
@@ -78,56 +86,57 @@ def paired(
         return pair_up(a, b, allow_missing)
     chosen = []
     for path, rows, name in zip((first, second), (a, b), estimators, strict=True):
-        known = {row.estimator: None for row in rows}
-        if name not in known:
-            raise ConfigError(f"{path}: no estimator {name!r}; expected one of {', '.join(known) or 'none'}")
+        present = {row.estimator: None for row in rows}
+        if name not in present:
+            raise ConfigError(f"{path}: no estimator {name!r}; expected one of {', '.join(present) or 'none'}")
         chosen.append([row for row in rows if row.estimator == name])
-    # Paired as if both were one estimator, and each then given its own row back.
+    # Rows are paired by estimator too: the second gets the name of the first for the pairing.
     renamed = pair_up(chosen[0], [replace(row, estimator=estimators[0]) for row in chosen[1]], allow_missing)
     return [(one, replace(other, estimator=estimators[1])) for one, other in renamed]
 
 
 def print_comparisons(title: str, comparisons: "Sequence[Comparison]") -> None:
-    """Print what became of each metric of each estimator, and the verdicts in words."""
+    """Print the ratios of all metrics and estimators, and what they mean in words."""
     cells = [
         (
             one.estimator,
             ratio.metric,
             str(ratio.pairs),
-            *map(_figure, (ratio.median, ratio.low, ratio.high)),
-            _p(ratio.p),
+            *map(_ratio_text, (ratio.median, ratio.low, ratio.high)),
+            _p_text(ratio.p),
         )
         for one in comparisons
         for ratio in one.ratios
     ]
-    print_table(title, ("estimator", "metric", "pairs", "ratio", "from", "to", "p"), cells)
+    headings = ("estimator", "metric", "pairs", "ratio", "from", "to", "p")
+    print_table(title, headings, cells, left=("metric",))
     for one in comparisons:
         for ratio in one.ratios:
             print(f"{one.estimator}: {ratio.verdict}")
             if ratio.unknown:
-                print(f"{one.estimator}: {ratio.unknown} pairs do not know {ratio.metric}")
+                print(f"{one.estimator}: {ratio.unknown} pairs have no {ratio.metric}")
         if any(one.failed):
             print(f"{one.estimator}: {one.failed[0]} runs failed in the first, {one.failed[1]} in the second")
         for text in one.newly_failed:
             print(f"  newly failed: {text}")
         if one.other_recordings:
-            print(f"{one.estimator}: {one.other_recordings} of {one.pairs} pairs were not run on the same recording")
+            print(f"{one.estimator}: {one.other_recordings} of {one.pairs} pairs were run on different recordings")
 
 
 def document(comparisons: "Sequence[Comparison]") -> dict[str, object]:
-    """Return comparisons for JSON, infinite ratios as text."""
+    """Return comparisons for JSON, with infinite ratios as text."""
     from dronevio.models.serialization import to_plain
 
-    told = [
+    rows = [
         {**asdict(one), "ratios": [{**asdict(ratio), "verdict": ratio.verdict} for ratio in one.ratios]}
         for one in comparisons
     ]
-    return {"comparisons": to_plain(told)}
+    return {"comparisons": to_plain(rows)}
 
 
-def _figure(ratio: float) -> str:
+def _ratio_text(ratio: float) -> str:
     return "∞" if ratio == float("inf") else f"{ratio:.3f}"
 
 
-def _p(p: float) -> str:
+def _p_text(p: float) -> str:
     return f"{p:.3f}" if p >= 0.001 else f"{p:.0e}"

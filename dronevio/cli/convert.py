@@ -1,4 +1,4 @@
-"""``dronevio convert``: recordings and their calibration, for other programs and from them."""
+"""``dronevio convert``: recordings and calibrations in the formats of other programs."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
@@ -7,16 +7,16 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 import tyro
 
-from dronevio.cli.terminal import Bars, parse, print_json, print_table, progress_bars
-from dronevio.models.recordings.bag.options import BagTopics
+from dronevio.cli.options import Output, OutputOptions, RecordingInput, RecordingOptions
+from dronevio.cli.terminal import Bars, parse, print_json, print_values, progress_bars
 
 if TYPE_CHECKING:
     from dronevio.models.recordings.open import StoredRecording
 
-Form = Literal[
+Format = Literal[
     "euroc", "mcap", "bag", "bag-sqlite", "tum", "kalibr", "openvins", "vins", "orbslam3", "basalt", "kimera"
 ]
-_BY_SUFFIX: dict[str, Form] = {".mcap": "mcap", ".tum": "tum"}
+_BY_SUFFIX: dict[str, Format] = {".mcap": "mcap", ".tum": "tum"}
 
 
 @dataclass(frozen=True)
@@ -24,11 +24,11 @@ class ConvertCommand:
     """Convert a recording, or write its calibration for another program.
 
     Recordings: euroc (a folder), mcap (one file), bag (a ROS 2 folder with MCAP inside) and bag-sqlite (with SQLite,
-    for ROS 2 Humble and older). What is read back is the same to the bit: times, images, IMU, calibration, truth. Of
-    the truth alone: tum.
+    for ROS 2 Humble and older). The conversion is lossless: time stamps, images, IMU samples, calibration and ground
+    truth are bit-identical when they are read back. Ground truth alone: tum.
 
-    Calibration and settings of other programs, from the true parameters: kalibr, openvins and vins (VINS-Fusion), which
-    run on a bag, and orbslam3, basalt and kimera, which run on an EuRoC folder.
+    Calibration and settings for other programs, from the true parameters: kalibr, openvins and vins (VINS-Fusion),
+    which run on a bag, and orbslam3, basalt and kimera, which run on an EuRoC folder.
 
     Examples:
       dronevio convert recordings/room-0 room-0.mcap
@@ -42,47 +42,38 @@ class ConvertCommand:
     """EuRoC folder, or ROS 2 bag: an .mcap or .db3 file, or a folder."""
     dest: Annotated[tyro.conf.Positional[Path], tyro.conf.arg(metavar="DEST")]
     """File or folder to make."""
-    to: Form | None = None
-    """What to make; mcap and tum go without saying where DEST ends so."""
+    to: Format | None = None
+    """Format of the result; not necessary if DEST ends with .mcap or .tum."""
     images: Literal["raw", "png"] = "raw"
-    """In a bag: pixel by pixel, which every node reads, or as PNG, which takes less room."""
-    cameras: int | None = None
-    """Keep only the first so many cameras."""
-    calibration: tuple[Path, ...] = ()
-    """Kalibr's camchain.yaml, imu.yaml or both, in place of what a bag says."""
-    topics: BagTopics = field(default_factory=BagTopics)
-    """Topics of a bag, where they cannot be found by type."""
-    overwrite: bool = False
-    """Replace an earlier result, once the new one is complete."""
-    json: bool = False
-    """Print one JSON document instead of a table."""
+    """Encoding of the images in a bag: raw pixels, which every node reads, or PNG, which is smaller."""
+    reading: RecordingInput = field(default_factory=RecordingOptions)
+    """How the recording is read."""
+    output: Output = field(default_factory=OutputOptions)
+    """How the result is written and printed."""
 
 
 def main(arguments: Sequence[str]) -> int:
-    """Run the command."""
+    """Run the command and return its exit code."""
     command = parse(ConvertCommand, arguments, "convert")
 
-    from dronevio.cli.folders import size_mb
+    from dronevio.cli.output_files import require_free, size_mb
     from dronevio.models.errors import ConfigError
-    from dronevio.models.recordings.open import open_recording
 
-    form = command.to or _BY_SUFFIX.get(command.dest.suffix)
-    if form is None:
-        raise ConfigError(f"{command.dest}: no telling what to make of it; expected --to, or a name with .mcap or .tum")
-    if (command.dest.suffix == ".mcap") != (form == "mcap"):
-        raise ConfigError(f"{command.dest} as {form}; expected a name with .mcap for mcap, and for nothing else")
-    if command.cameras is not None and command.cameras < 1:
-        raise ConfigError(f"--cameras {command.cameras}; expected 1 or more")
-    _refuse_existing(command.dest, command.overwrite)
-    recording = open_recording(command.source, command.cameras, command.calibration, command.topics)
-    with progress_bars(quiet=command.json) as bars:
-        _convert(recording, form, command, bars)
+    target = command.to or _BY_SUFFIX.get(command.dest.suffix)
+    if target is None:
+        raise ConfigError(f"{command.dest}: unknown format; expected --to, or a name that ends with .mcap or .tum")
+    if (command.dest.suffix == ".mcap") != (target == "mcap"):
+        raise ConfigError(f"{command.dest} as {target}; expected a name that ends with .mcap for mcap only")
+    require_free(command.dest, command.output.overwrite)  # before the source is read
+    recording = command.reading.open(command.source)
+    with progress_bars(quiet=command.output.json) as bars:
+        _convert(recording, target, command, bars)
     truth = recording.ground_truth
-    size = command.dest.stat().st_size * 1e-6 if command.dest.is_file() else size_mb(command.dest)
+    size = size_mb(command.dest)
     summary = {
         "source": str(command.source),
         "dest": str(command.dest),
-        "to": form,
+        "to": target,
         "complete": recording.complete,
         "cameras": len(recording.rig.cameras),
         "frames": len(recording.frame_times_ns),
@@ -90,12 +81,11 @@ def main(arguments: Sequence[str]) -> int:
         "poses": len(truth) if truth is not None else 0,
         "size_mb": size,
     }
-    if command.json:
+    if command.output.json:
         print_json(summary)
         return 0
-    print_table(
-        f"{recording.name} as {form}",
-        ("", "value", "unit"),
+    print_values(
+        f"{recording.name} as {target}",
         (
             ("cameras", f"{summary['cameras']}", ""),
             ("frames", f"{summary['frames']}", ""),
@@ -105,43 +95,36 @@ def main(arguments: Sequence[str]) -> int:
         ),
     )
     if not recording.complete:
-        print(f"{command.source} is incomplete: it was cut off; what there was of it is converted")
+        print(f"{command.source} is incomplete: its recording was interrupted; what exists was converted")
     print(f"wrote {command.dest}")
     return 0
 
 
-def _convert(recording: "StoredRecording", form: Form, command: ConvertCommand, bars: Bars) -> None:
-    """Write a recording in a form; all of it or nothing."""
-    from dronevio.cli.folders import atomic_folder
+def _convert(recording: "StoredRecording", target: Format, command: ConvertCommand, bars: Bars) -> None:
+    """Write a recording, or its calibration, in a format. The result is complete or does not exist."""
+    from dronevio.cli.output_files import atomic_folder
     from dronevio.models.errors import InputError
     from dronevio.models.recordings.calibration.exports import CONFIGURATIONS
     from dronevio.models.recordings.euroc import write_euroc_recording
     from dronevio.models.recordings.files import write_text
     from dronevio.models.recordings.tum import write_tum
 
-    if form == "euroc":
-        with atomic_folder(command.dest, command.overwrite) as folder:
+    overwrite = command.output.overwrite
+    if target == "euroc":
+        with atomic_folder(command.dest, overwrite) as folder:
             write_euroc_recording(folder, recording, bars.bar("converting"), recording.frame_truth)
-    elif form == "tum":
+    elif target == "tum":
         if recording.ground_truth is None:
-            raise InputError(command.source, "no true motion in it", "a recording with its truth")
+            raise InputError(command.source, "no ground truth", "a recording with ground truth")
         write_tum(command.dest, recording.ground_truth)
-    elif form in ("mcap", "bag", "bag-sqlite"):
+    elif target in ("mcap", "bag", "bag-sqlite"):
         from dronevio.models.recordings.bag.writer import write_bag
 
-        storage: Literal["mcap", "sqlite3"] = "sqlite3" if form == "bag-sqlite" else "mcap"
-        progress, told = bars.bar("converting"), recording.frame_truth
-        write_bag(command.dest, recording, storage, command.images, progress, told, command.overwrite)
+        storage: Literal["mcap", "sqlite3"] = "sqlite3" if target == "bag-sqlite" else "mcap"
+        progress, frame_truth = bars.bar("converting"), recording.frame_truth
+        write_bag(command.dest, recording, storage, command.images, progress, frame_truth, overwrite)
     else:
-        files = CONFIGURATIONS[form](recording.rig, recording.frame_times_ns)
-        with atomic_folder(command.dest, command.overwrite, mark=next(iter(files))) as folder:
+        files = CONFIGURATIONS[target](recording.rig, recording.frame_times_ns)
+        with atomic_folder(command.dest, overwrite, mark=next(iter(files))) as folder:
             for name, text in files.items():
                 write_text(folder / name, text)
-
-
-def _refuse_existing(dest: Path, overwrite: bool) -> None:
-    """Raise InputError if something is in the way: rather now than when the source has been read."""
-    from dronevio.models.errors import InputError
-
-    if dest.exists() and not overwrite and not (dest.is_dir() and not any(dest.iterdir())):
-        raise InputError(dest, "it exists already", "a new name, or --overwrite")

@@ -1,37 +1,39 @@
-"""``dronevio doctor``: what this machine has and lacks."""
+"""``dronevio doctor``: a check of this machine."""
 
 import os
 import platform
 import sys
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from importlib.util import find_spec
 from pathlib import Path
 
 from dronevio.cli.machine import cores, memory_gb, package_version
+from dronevio.cli.options import Printing, PrintOptions
 from dronevio.cli.terminal import parse, print_json, print_table
 
 PACKAGES = ("dronevio", "mujoco", "gtsam", "opencv-python-headless", "numpy", "gymnasium", "rerun-sdk", "av")
-"""The packages whose versions matter when something does not work."""
+"""Packages whose versions are printed."""
 
 
 @dataclass(frozen=True)
 class DoctorCommand:
-    """Say what this machine has and lacks, and what to type if frames cannot be drawn.
+    """Check this machine: versions of packages, off-screen rendering, video encoder, rerun viewer and display.
 
-    Draws one frame off screen to find out. Exits with 0 if flights can be simulated here, with 2 if not.
+    One image is rendered off screen. The exit code is 0 if flights can be simulated on this machine, and 2 otherwise;
+    then the command that installs the missing driver is printed.
 
     Examples:
       dronevio doctor
       dronevio doctor --json
     """
 
-    json: bool = False
-    """Print one JSON document instead of a table."""
+    printing: Printing = field(default_factory=PrintOptions)
+    """How results are printed."""
 
 
 def main(arguments: Sequence[str]) -> int:
-    """Run the command."""
+    """Run the command and return its exit code."""
     command = parse(DoctorCommand, arguments, "doctor")
 
     from dronevio.sim.cameras.gl import probe_gl
@@ -55,11 +57,11 @@ def main(arguments: Sequence[str]) -> int:
         "display": _display(),
         "advice": "" if gl.works else gl.advice,
     }
-    if command.json:
+    if command.printing.json:
         print_json(findings)
         return 0 if gl.works else 2
     print_table(
-        "What is here",
+        "This machine",
         ("", "found"),
         (
             ("Python", f"{findings['python']} ({sys.executable})"),
@@ -67,21 +69,22 @@ def main(arguments: Sequence[str]) -> int:
             ("cores", f"{cores()}"),
             ("memory", f"{memory_gb():.1f} GB"),
             *((name, package_version(name) or "missing") for name in PACKAGES),
-            ("OpenGL", f"{gl.backend}: {gl.renderer or 'draws'}" if gl.works else f"none: {gl.problem}"),
-            ("AV1 encoder", _av1_encoder() or "none: run.rrd will hold single images"),
+            ("OpenGL", f"{gl.backend}: {gl.renderer or 'works'}" if gl.works else f"none: {gl.problem}"),
+            ("AV1 encoder", _av1_encoder() or "none: run.rrd will contain single images"),
             ("rerun viewer", "present" if _rerun_viewer() else "missing"),
-            ("display", "yes" if _display() else "none: recordings open in the browser"),
+            ("display", "yes" if _display() else "none: `dronevio view` serves a web viewer"),
         ),
+        left=("found",),
     )
     if not gl.works:
-        print(f"dronevio: frames cannot be drawn here; {gl.advice}", file=sys.stderr)
+        print(f"dronevio: images cannot be rendered on this machine; {gl.advice}", file=sys.stderr)
         return 2
-    print("All that a flight needs is here.")
+    print("Flights can be simulated on this machine.")
     return 0
 
 
 def _av1_encoder() -> str:
-    """Return the name of an AV1 encoder that PyAV has; empty if there is none."""
+    """Return the name of an AV1 encoder of PyAV, or an empty text if there is none."""
     import av
 
     for name in ("libsvtav1", "libaom-av1"):
@@ -91,7 +94,7 @@ def _av1_encoder() -> str:
 
 
 def _rerun_viewer() -> bool:
-    """Return whether the rerun wheel brought the viewer's executable."""
+    """Return whether the executable of the rerun viewer is installed."""
     found = find_spec("rerun_cli")
     folders = [Path(place) for place in (found.submodule_search_locations or ())] if found else []
     return any(file.is_file() for folder in folders for file in folder.glob("rerun*"))

@@ -1,33 +1,26 @@
-"""``dronevio estimate``: from a recording to a trajectory."""
+"""``dronevio estimate``: from a recording to an estimated trajectory."""
 
 from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Literal, TypeAlias
+from typing import Annotated, Any
 
 import tyro
 
-from dronevio.cli.terminal import parse, print_json, print_table, progress_bars
+from dronevio.cli.options import Printing, PrintOptions, RecordingInput, RecordingOptions
+from dronevio.cli.terminal import parse, print_json, print_values, progress_bars
 from dronevio.estimator.config import VioConfig
-from dronevio.models.errors import ConfigError
-from dronevio.models.recordings.bag.options import BagTopics
-
-if TYPE_CHECKING:
-    from dronevio.models.recordings.open import StoredRecording
-
-CameraCount: TypeAlias = int | Literal["all"]
-"""How many cameras to use."""
 
 
 @dataclass(frozen=True)
 class EstimateCommand:
-    """Estimate the motion of a recording from its IMU and its cameras, all of them or the first.
+    """Estimate the trajectory of a recording from its IMU and its cameras.
 
-    The recording is any EuRoC (ASL) folder with pinhole or fisheye cameras, or such a flight as a ROS 2 bag (.mcap,
-    .db3, or a folder). A bag that does not say how noisy its IMU is, or where its cameras are, needs Kalibr's files.
-    The result is a TUM file: one pose of the IMU for each frame since the start, in a world whose z axis points up,
-    each computed from what was measured up to its frame.
+    The recording is an EuRoC (ASL) folder with pinhole or fisheye cameras, or a ROS 2 bag (.mcap, .db3, or a folder). A
+    bag without IMU noise parameters or camera poses needs Kalibr files. The result is a TUM file with one pose of the
+    IMU per frame since initialization, in a world frame whose z axis points up. Each pose depends only on measurements
+    up to its frame.
 
     Examples:
       dronevio estimate recordings/room-0
@@ -38,47 +31,22 @@ class EstimateCommand:
       dronevio evaluate V1_01_easy v101.tum
     """
 
-    recording: Annotated[Path, tyro.conf.Positional]
-    """EuRoC folder, or ROS 2 bag."""
+    recording: Annotated[tyro.conf.Positional[Path], tyro.conf.arg(metavar="RECORDING")]
+    """EuRoC folder or ROS 2 bag."""
     out: Path = Path("estimate.tum")
-    """File to write."""
-    cameras: CameraCount = "all"
-    """How many of the recording's cameras to use: the first, the first two, or all. With 1 it is monocular."""
+    """TUM file to write."""
     imu_rate: Path | None = None
-    """Another file to write: a pose for each IMU sample, dead-reckoned from the newest frame before it."""
-    json: bool = False
-    """Print one JSON document instead of a table."""
-    calibration: tuple[Path, ...] = ()
-    """Kalibr's camchain.yaml, imu.yaml or both, in place of what a bag says."""
-    topics: BagTopics = field(default_factory=BagTopics)
-    """Topics of a bag, where they cannot be found by type."""
+    """Second TUM file to write: one pose per IMU sample, propagated from the estimate of the newest frame before it."""
+    reading: RecordingInput = field(default_factory=RecordingOptions)
+    """How the recording is read."""
+    printing: Printing = field(default_factory=PrintOptions)
+    """How results are printed."""
     estimator: VioConfig = field(default_factory=VioConfig)
     """Settings of the estimator."""
 
 
-def opened(
-    path: Path, cameras: CameraCount, calibration: Sequence[Path] = (), topics: BagTopics | None = None
-) -> "StoredRecording":
-    """Return a recording with so many of its cameras.
-
-    Raises:
-        InputError: It cannot be read.
-        ConfigError: It has not so many.
-    """
-    from dronevio.models.recordings.open import open_recording
-
-    wanted = None if cameras == "all" else cameras
-    if wanted is not None and wanted < 1:
-        raise ConfigError(f"--cameras {cameras}; expected one at least, or all")
-    recording = open_recording(path, wanted, calibration, topics)
-    found = len(recording.rig.cameras)
-    if wanted is not None and found < wanted:
-        raise ConfigError(f"--cameras {cameras}: {path} has {found}; expected no more, or all")
-    return recording
-
-
 def main(arguments: Sequence[str]) -> int:
-    """Run the command."""
+    """Run the command and return its exit code."""
     command = parse(EstimateCommand, arguments, "estimate")
 
     from dronevio.driver import ImuRateListener, estimate_recording, require_poses
@@ -87,17 +55,17 @@ def main(arguments: Sequence[str]) -> int:
     from dronevio.models.recordings.tum import write_tum
 
     for place in filter(None, (command.out, command.imu_rate)):
-        check_place(place)  # rather now than when the work is done
-    recording = opened(command.recording, command.cameras, command.calibration, command.topics)
-    between = ImuRateListener(recording.rig.imu, command.estimator.inertial)
-    listeners = () if command.imu_rate is None else (between,)
-    with progress_bars(quiet=command.json) as bars:
+        check_place(place)  # before the estimator runs
+    recording = command.reading.open(command.recording)
+    imu_rate = ImuRateListener(recording.rig.imu, command.estimator.inertial)
+    listeners = () if command.imu_rate is None else (imu_rate,)
+    with progress_bars(quiet=command.printing.json) as bars:
         estimator = VisualInertialOdometry(recording.rig, command.estimator)
         run = estimate_recording(recording, estimator, bars.bar("estimating"), listeners)
     trajectory = require_poses(run, recording)
     write_tum(command.out, trajectory)
     if command.imu_rate is not None:
-        write_tum(command.imu_rate, between.trajectory)
+        write_tum(command.imu_rate, imu_rate.trajectory)
     summary: dict[str, Any] = {
         "recording": str(command.recording),
         "estimate": str(command.out),
@@ -112,27 +80,26 @@ def main(arguments: Sequence[str]) -> int:
         "real_time_factor": run.real_time_factor,
     }
     if command.imu_rate is not None:
-        summary |= {"imu_rate": str(command.imu_rate), "imu_rate_poses": len(between.trajectory)}
-    if command.json:
+        summary |= {"imu_rate": str(command.imu_rate), "imu_rate_poses": len(imu_rate.trajectory)}
+    if command.printing.json:
         print_json(summary)
         return 0
-    print_table(
+    print_values(
         f"Estimate of {recording.name}",
-        ("", "value", "unit"),
         (
             ("cameras", f"{len(recording.rig.cameras)}", ""),
             ("frames", f"{len(run.estimates)}", ""),
             ("poses", f"{len(trajectory)}", ""),
             *((f"frames {health}", f"{count}", "") for health, count in summary["health"].items()),
             ("first pose after", f"{summary['first_pose_s']:.2f}", "s"),
-            ("path", f"{trajectory.length_m:.2f}", "m"),
-            ("processor time a frame", f"{run.cpu_ms.mean():.1f}", "ms"),
-            ("faster than real time", f"{run.real_time_factor:.1f}", "×"),
+            ("length of the path", f"{trajectory.length_m:.2f}", "m"),
+            ("processor time per frame", f"{run.cpu_ms.mean():.1f}", "ms"),
+            ("real-time factor", f"{run.real_time_factor:.1f}", ""),
         ),
     )
     if not recording.complete:
-        print("the recording is incomplete: it was cut off")
+        print("The recording is incomplete: it was interrupted.")
     print(f"wrote {' and '.join(str(path) for path in (command.out, command.imu_rate) if path is not None)}")
     if recording.ground_truth is not None:
-        print(f"score it:  dronevio evaluate {command.recording} {command.out}")
+        print(f"evaluate it:  dronevio evaluate {command.recording} {command.out}")
     return 0

@@ -1,7 +1,7 @@
-"""What the commands that fly have in common: a scenario, and every part of it open to change.
+"""The options of the commands that simulate: a scenario, and settings that replace parts of it.
 
-The parts are given on the command line, with the scenario's own values as defaults: ``--help`` shows them, and
-``dronevio fly --scenario forest-medium --help`` those of the forest.
+The defaults are the values of the scenario: ``dronevio fly --help`` shows those of the default scenario, and
+``dronevio fly --scenario forest-medium --help`` those of another.
 """
 
 import argparse
@@ -21,41 +21,45 @@ if TYPE_CHECKING:
     from dronevio.sim.scenario import Scenario
 
 DEFAULT_SCENARIO = "room"
-"""What is flown where nothing else is said."""
+"""Name of the scenario that is simulated by default."""
 
 
 @dataclass(frozen=True)
 class ImagingOptions:
-    """How the cameras expose, and how noisy they are."""
+    """Exposure and noise of the cameras."""
 
     exposure_s: float = 0.002
-    """Exposure time [s]; the longest one with auto-exposure. Images blur while it lasts."""
+    """Exposure time, during which moving images blur; the longest one with automatic exposure [s]."""
     auto_exposure: bool = False
-    """Choose exposure time and gain of each frame from the frames before."""
+    """Set exposure time and gain of each frame from the brightness of earlier frames."""
     read_sigma: float = 1.2
-    """Noise of a black image [grey levels]."""
+    """Standard deviation of the noise of a black image [grey levels]."""
     shot_sigma: float = 2.2
-    """Photon noise of a white image [grey levels]."""
+    """Standard deviation of the photon noise of a white image [grey levels]."""
     vignetting: float = 0.18
-    """How much less light falls on the furthest corner, relative."""
+    """Relative loss of light at the corner farthest from the centre."""
 
     @classmethod
     def of(cls, imaging: "Imaging") -> Self:
-        """Return the options that describe a scenario's imaging."""
+        """Return the options that equal the imaging of a scenario."""
         from dronevio.sim.cameras.imaging import AutoExposure
 
         automatic = isinstance(imaging.control, AutoExposure)
         return cls(imaging.control.longest_s, automatic, imaging.read_sigma, imaging.shot_sigma, imaging.vignetting)
 
-    def imaging(self, scenarios_own: "Imaging") -> "Imaging":
-        """Return a scenario's imaging with these options."""
+    def imaging(self, base: "Imaging") -> "Imaging":
+        """Return the imaging of a scenario with these options.
+
+        Args:
+            base: The imaging of the scenario, whose exposure control is kept if no option differs from it.
+        """
         from dronevio.sim.cameras.imaging import AutoExposure, FixedExposure
 
-        control = scenarios_own.control
-        if self != ImagingOptions.of(scenarios_own):
+        control = base.control
+        if self != ImagingOptions.of(base):
             control = AutoExposure(longest_s=self.exposure_s) if self.auto_exposure else FixedExposure(self.exposure_s)
         return replace(
-            scenarios_own,
+            base,
             control=control,
             read_sigma=self.read_sigma,
             shot_sigma=self.shot_sigma,
@@ -65,32 +69,33 @@ class ImagingOptions:
 
 @dataclass(frozen=True)
 class FlightOptions:
-    """What to fly."""
+    """The scenario to simulate."""
 
     scenario: str = DEFAULT_SCENARIO
-    """What to fly; `dronevio scenarios` lists them."""
+    """Name of the scenario; `dronevio scenarios` lists them."""
     seed: int = 0
-    """Draws the world, the way through it and the sensors' errors."""
+    """Seed of the world, the route and the errors of the sensors."""
     world: str | None = None
-    """Another world than the scenario's; `dronevio worlds` lists them."""
+    """World that replaces the one of the scenario; `dronevio worlds` lists them."""
     vehicle: str | None = None
-    """Another vehicle: research (1.5 kg) or nano (30 g)."""
+    """Vehicle that replaces the one of the scenario: research (1.5 kg) or nano (30 g)."""
     rig: str | None = None
-    """Other sensors: a name such as euroc-stereo, fisheye or rolling, a Kalibr camchain.yaml, or a recording."""
+    """Sensors that replace those of the scenario: a name such as euroc-stereo, fisheye or rolling, a Kalibr
+    camchain.yaml, or a recording with its calibration."""
     imu: str | None = None
-    """Another IMU on the rig: euroc, ADIS16448, BMI088, MPU-6050 or tactical."""
+    """IMU that replaces the one of the rig: euroc, ADIS16448, BMI088, MPU-6050 or tactical."""
     plan: FlightPlan = field(default_factory=FlightPlan)
-    """The path."""
+    """Settings of the planned trajectory."""
     imaging: ImagingOptions = field(default_factory=ImagingOptions)
-    """The cameras' sensors."""
+    """Settings of exposure and image noise."""
     wind: Wind = field(default_factory=Wind)
-    """The air."""
+    """Settings of the wind."""
     faults: Faults = field(default_factory=Faults)
-    """What goes wrong."""
+    """Settings of faults of vehicle and sensors."""
 
     @classmethod
     def of(cls, scenario: "Scenario") -> Self:
-        """Return the options that change nothing of a scenario."""
+        """Return the options that leave a scenario unchanged."""
         return cls(
             scenario=scenario.name,
             seed=scenario.seed,
@@ -101,11 +106,11 @@ class FlightOptions:
         )
 
     def chosen(self) -> "Scenario":
-        """Return the scenario with all changes.
+        """Return the scenario with all replaced settings.
 
         Raises:
-            ConfigError: There is nothing of such a name, or it does not fit together.
-            InputError: The rig's file cannot be read.
+            ConfigError: A name is unknown, or the settings contradict each other.
+            InputError: The file of the rig cannot be read.
         """
         from dronevio.models.imu_presets import imu_named
         from dronevio.models.quadrotor import vehicle_named
@@ -126,15 +131,20 @@ class FlightOptions:
         )
 
 
-Flown = Annotated[FlightOptions, tyro.conf.arg(name="")]
-"""The type of a command's field that holds the options, which then have no prefix."""
+ScenarioInput = Annotated[FlightOptions, tyro.conf.arg(name="")]
+"""Type of a command's field with these options, which carry no prefix on the command line."""
 Command = TypeVar("Command")
 
 
 def parse_flight(command: type[Command], arguments: Sequence[str], name: str) -> Command:
     """Return a command with a field ``flight`` of `FlightOptions`, filled from the command line.
 
-    The scenario is looked up first, since it says what the defaults of all the others are.
+    The scenario is looked up first because its values are the defaults of all other options.
+
+    Args:
+        command: The dataclass of the command.
+        arguments: The words after the command's name.
+        name: The command's name without ``dronevio``.
 
     Raises:
         ConfigError: There is no such scenario.

@@ -5,8 +5,9 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
-from dronevio.cli.flight_options import FlightOptions, Flown, parse_flight
-from dronevio.cli.terminal import print_json, print_table, progress_bars
+from dronevio.cli.flight_options import FlightOptions, ScenarioInput, parse_flight
+from dronevio.cli.options import Output, OutputOptions
+from dronevio.cli.terminal import print_json, print_values, progress_bars
 
 if TYPE_CHECKING:
     from dronevio.sim.flight import Flight
@@ -14,11 +15,11 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class FlyCommand:
-    """Fly a scenario in simulation and record what its cameras and IMU sensed, and the truth.
+    """Simulate a scenario and record the data of its cameras and IMU, with ground truth.
 
-    The recording is a folder of EuRoC's (ASL) layout: mav0/cam0, cam1 ... with the frames, mav0/imu0, the calibration,
-    the true motion in mav0/state_groundtruth_estimate0, and all settings in scenario.json. Every part of a scenario can
-    be changed. The same scenario and seed give the same bytes.
+    The recording is a folder in the EuRoC (ASL) layout: mav0/cam0, cam1 and so on with the images, mav0/imu0, the
+    calibration, the ground truth in mav0/state_groundtruth_estimate0, and all settings in scenario.json. Every setting
+    of a scenario can be replaced. The same settings and seed give the same bytes.
 
     Examples:
       dronevio fly
@@ -28,48 +29,43 @@ class FlyCommand:
       dronevio fly --faults.dark-from-s 10 --faults.dark-for-s 2 --out recordings/dark
     """
 
-    flight: Flown = field(default_factory=FlightOptions)
-    """What to fly."""
     truth_images: tuple[Literal["depth", "segmentation", "flow"], ...] = ()
-    """What of the truth to write beside the main camera's frames: depth, segmentation, flow."""
+    """Ground-truth images to write beside those of the first camera: depth, segmentation, optical flow."""
     out: Path | None = None
     """Folder to make; recordings/SCENARIO-SEED by default."""
-    overwrite: bool = False
-    """Replace an earlier recording, once the new one is complete."""
-    json: bool = False
-    """Print one JSON document instead of a table."""
+    output: Output = field(default_factory=OutputOptions)
+    """How the result is written and printed."""
+    flight: ScenarioInput = field(default_factory=FlightOptions)
+    """The scenario to simulate."""
 
 
 def main(arguments: Sequence[str]) -> int:
-    """Run the command."""
+    """Run the command and return its exit code."""
     command = parse_flight(FlyCommand, arguments, "fly")
 
-    from dronevio.cli.folders import atomic_folder, size_mb
+    from dronevio.cli.output_files import atomic_folder, size_mb
     from dronevio.recorder import record_flight
     from dronevio.sim.cameras.gl import require_gl
 
-    chosen = command.flight.chosen()
-    target = command.out or Path("recordings") / f"{chosen.name}-{chosen.seed}"
+    scenario, quiet = command.flight.chosen(), command.output.json
+    target = command.out or Path("recordings") / f"{scenario.name}-{scenario.seed}"
     require_gl()
-    with atomic_folder(target, command.overwrite) as folder, progress_bars(quiet=command.json) as bars:
+    with atomic_folder(target, command.output.overwrite) as folder, progress_bars(quiet) as bars:
         flight = record_flight(
-            chosen, folder, bars.bar("simulating"), bars.bar("rendering"), truth_images=command.truth_images
+            scenario, folder, bars.bar("simulating"), bars.bar("rendering"), truth_images=command.truth_images
         )
     figures = flight_figures(flight)
-    if command.json:
-        crash = None if flight.collision is None else str(flight.collision)
-        print_json(
-            {"recording": str(target), "scenario": chosen.name, "seed": chosen.seed, **figures, "collision": crash}
-        )
+    if command.output.json:
+        named = {"recording": str(target), "scenario": scenario.name, "seed": scenario.seed}
+        print_json({**named, **figures, "collision": None if flight.collision is None else str(flight.collision)})
         return 0
-    print_table(
-        f"Flight {chosen.name}, seed {chosen.seed}: {chosen.description}",
-        ("", "value", "unit"),
+    print_values(
+        f"Flight {scenario.name}, seed {scenario.seed}: {scenario.description}",
         (
             ("duration", f"{figures['duration_s']:.1f}", "s"),
-            ("path", f"{figures['path_m']:.1f}", "m"),
+            ("length of the path", f"{figures['path_m']:.1f}", "m"),
             ("peak speed", f"{figures['peak_speed_m_s']:.2f}", "m/s"),
-            ("peak turn rate", f"{figures['peak_rate_deg_s']:.0f}", "°/s"),
+            ("peak rotation rate", f"{figures['peak_rate_deg_s']:.0f}", "°/s"),
             ("frames", f"{figures['frames']:.0f}", ""),
             ("IMU samples", f"{figures['imu_samples']:.0f}", ""),
             ("size", f"{size_mb(target):.0f}", "MB"),
@@ -83,7 +79,7 @@ def main(arguments: Sequence[str]) -> int:
 
 
 def flight_figures(flight: "Flight") -> dict[str, float]:
-    """Return a flight's length, speed and rates, by name and unit."""
+    """Return duration, length, peaks and numbers of samples of a flight, with the units in their names."""
     import numpy as np
 
     truth = flight.truth

@@ -1,24 +1,26 @@
-"""``dronevio gate``: exit code 1 where a change made things worse."""
+"""``dronevio gate``: a check that fails where a benchmark is worse than an earlier one."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Annotated
 
 import tyro
 
-from dronevio.cli.compare import document, paired, print_comparisons
+from dronevio.cli.compare import document, print_comparisons, read_pairs
+from dronevio.cli.options import Printing, PrintOptions
 from dronevio.cli.terminal import parse, print_json
 from dronevio.models.errors import ConfigError
 
 
 @dataclass(frozen=True)
 class GateCommand:
-    """Fail where a benchmark is worse than an earlier one: a test for every change.
+    """Fail if a benchmark is worse than an earlier one, as a check of every change.
 
-    It passes (exit code 0) unless, for any estimator, the median ratio of a metric to the baseline is larger than 1 +
-    the limit, or the share of failed runs grew by more than the limit, or the mean coverage fell by more than it; then
-    the exit code is 1, and 2 where it cannot be told, such as for missing runs. Failed runs count as infinitely bad.
+    The exit code is 1 if, for any estimator, the median ratio of a metric to the baseline exceeds 1 + the limit, the
+    share of failed runs has grown by more than the limit, or the mean coverage has fallen by more than the limit.
+    Otherwise it is 0; it is 2 if the benchmarks cannot be compared, for example because runs are missing. A failed run
+    counts as an infinite error.
 
     Examples:
       dronevio gate benchmarks/now --baseline baseline/results.parquet
@@ -26,39 +28,39 @@ class GateCommand:
       dronevio gate results.parquet --baseline baseline.parquet --metrics ate_m rpe_m cpu_ms_mean
     """
 
-    results: Annotated[Path, tyro.conf.Positional]
-    """What is judged: a benchmark's folder or results.parquet, or the folder of a run."""
+    results: Annotated[tyro.conf.Positional[Path], tyro.conf.arg(metavar="RESULTS")]
+    """Folder or results.parquet of the benchmark to check, or folder of a run."""
     baseline: Path
-    """What it has to match."""
+    """Folder or results.parquet of the earlier benchmark, or folder of a run."""
     max_regression: str = "5%"
-    """The limit, in percent."""
+    """Limit in percent."""
     metrics: tuple[str, ...] = ()
-    """Columns that are judged, errors or costs; ate_m and rpe_m by default."""
+    """Columns of errors or costs to check; ate_m and rpe_m by default."""
     allow_missing: bool = False
-    """Leave out runs that only one of them has; else they are an error."""
+    """Leave out runs that only one of the benchmarks has. By default, such runs are an error."""
     seed: int = 0
-    """Of the bootstrap."""
-    json: bool = False
-    """Print one JSON document instead of a table."""
+    """Seed of the bootstrap."""
+    printing: Printing = field(default_factory=PrintOptions)
+    """How results are printed."""
 
 
 def main(arguments: Sequence[str]) -> int:
-    """Run the command."""
+    """Run the command and return its exit code."""
     command = parse(GateCommand, arguments, "gate")
 
     from dronevio.eval.compare import DEFAULT_METRICS, gate
 
     limit = _percent(command.max_regression)
-    pairs = paired(command.baseline, command.results, allow_missing=command.allow_missing)
+    pairs = read_pairs(command.baseline, command.results, allow_missing=command.allow_missing)
     verdict = gate(pairs, limit, command.metrics or DEFAULT_METRICS, command.seed)
-    if command.json:
-        told = {"passed": verdict.passed, "objections": list(verdict.objections)}
-        print_json({**told, **document(verdict.comparisons)})
+    if command.printing.json:
+        result = {"passed": verdict.passed, "objections": list(verdict.objections)}
+        print_json({**result, **document(verdict.comparisons)})
         return 0 if verdict.passed else 1
-    print_comparisons(f"{command.results} against {command.baseline}", verdict.comparisons)
+    print_comparisons(f"{command.results} relative to {command.baseline}", verdict.comparisons)
     for text in verdict.objections:
         print(f"failed: {text}")
-    print(f"gate {'passed' if verdict.passed else 'failed'}, at most {limit:g} % worse")
+    print(f"gate {'passed' if verdict.passed else 'failed'}, limit {limit:g} %")
     return 0 if verdict.passed else 1
 
 
@@ -66,9 +68,9 @@ def _percent(text: str) -> float:
     """Return the number of a text such as ``5%``.
 
     Raises:
-        ConfigError: It is none.
+        ConfigError: The text is not a number.
     """
     try:
         return float(text.strip().removesuffix("%"))
     except ValueError:
-        raise ConfigError(f"a largest regression of {text!r}; expected percent, such as 5%") from None
+        raise ConfigError(f"--max-regression {text!r}; expected percent, such as 5%") from None

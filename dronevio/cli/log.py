@@ -1,16 +1,15 @@
-"""``dronevio log``: one's own or other people's results over a recording, to look at."""
+"""``dronevio log``: estimates of any program and their recording in one rerun file."""
 
-from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
 
 import tyro
 
+from dronevio.cli.options import Output, OutputOptions, RecordingInput, RecordingOptions
 from dronevio.cli.terminal import parse, print_json, print_table, progress_bars
 from dronevio.models.errors import ConfigError, InputError
-from dronevio.models.recordings.bag.options import BagTopics
 
 if TYPE_CHECKING:
     from dronevio.eval.rerun.compare import NamedEstimate
@@ -18,11 +17,11 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class LogCommand:
-    """Lay estimated trajectories over a recording, as a file to walk around in: `dronevio view` opens it.
+    """Write estimated trajectories and their recording to a rerun file, which `dronevio view` opens.
 
-    It shows the paths beside the true one, the errors over time and the scores of all estimates together, every frame
-    of every camera, and the IMU. The estimates may come from any program: TUM files or EuRoC CSVs, poses of the IMU,
-    stamped like the recording. Each is laid on the truth; where there is none, on the first of them.
+    The file shows the estimated and true paths, the errors over time, the scores, the images of all cameras and the IMU
+    samples. Estimates of any program are accepted: TUM files or EuRoC CSV files with poses of the IMU whose time stamps
+    are those of the recording. Each is aligned with the ground truth; without ground truth, with the first estimate.
 
     Examples:
       dronevio log V1_01_easy estimate.tum
@@ -32,66 +31,65 @@ class LogCommand:
     """
 
     recording: Annotated[tyro.conf.Positional[Path], tyro.conf.arg(metavar="RECORDING")]
-    """EuRoC folder, or ROS 2 bag."""
+    """EuRoC folder or ROS 2 bag."""
     estimates: Annotated[tyro.conf.Positional[tuple[Path, ...]], tyro.conf.arg(metavar="ESTIMATE")]
-    """Estimated motions: TUM files, EuRoC CSVs or bags."""
+    """Estimated trajectories: TUM files, EuRoC CSV files or ROS 2 bags."""
     out: Annotated[Path, tyro.conf.arg(aliases=("-o",))] = Path("comparison.rrd")
     """File to write."""
     names: str = ""
-    """What the estimates are called, with commas between them; like their files by default."""
+    """Names of the estimates, joined by commas; the names of their files by default."""
     truth: Path | None = None
-    """The true motion, if not the recording's own: TUM file, EuRoC CSV or folder, or bag."""
+    """Ground truth that replaces the one of the recording: TUM file, EuRoC CSV file, EuRoC folder or ROS 2 bag."""
     alignment: Literal["yaw", "se3", "sim3", "first", "none"] = "yaw"
-    """What is taken out before estimates are shown and scored: yaw and position, the whole pose (se3), also the scale
-    (sim3), the first pose, or nothing."""
-    cameras: int | None = None
-    """Show only the first so many cameras."""
+    """Alignment of the estimates before they are shown and evaluated: yaw and position (yaw), rotation and position
+    (se3), also the scale (sim3), equal first poses (first), or none."""
     crf: int = 42
-    """Quality of the video, from 0 (best, largest) to 63."""
-    calibration: tuple[Path, ...] = ()
-    """Kalibr's camchain.yaml, imu.yaml or both, in place of what a bag says."""
-    topics: BagTopics = field(default_factory=BagTopics)
-    """Topics of a bag, where they cannot be found by type."""
-    overwrite: bool = False
-    """Replace an earlier file, once the new one is complete."""
-    json: bool = False
-    """Print one JSON document instead of a table."""
+    """Constant rate factor of the video, from 0 (best quality, largest file) to 63."""
+    reading: RecordingInput = field(default_factory=RecordingOptions)
+    """How the recording is read."""
+    output: Output = field(default_factory=OutputOptions)
+    """How the result is written and printed."""
 
 
 def main(arguments: Sequence[str]) -> int:
-    """Run the command."""
+    """Run the command and return its exit code."""
     command = parse(LogCommand, arguments, "log")
     names = names_of(command.estimates, command.names)
-    _check_place(command)
+    _check(command)
 
+    from dronevio.cli.output_files import atomic_file
     from dronevio.eval.rerun.compare import laid_together
     from dronevio.eval.rerun.log import write_estimates
     from dronevio.eval.rerun.video import VideoSettings
-    from dronevio.models.recordings.open import open_recording, read_trajectory
+    from dronevio.models.recordings.open import read_trajectory
 
-    recording = open_recording(command.recording, command.cameras, command.calibration, command.topics)
+    recording = command.reading.open(command.recording)
     truth = recording.ground_truth if command.truth is None else read_trajectory(command.truth)
     trajectories = [read_trajectory(path) for path in command.estimates]
     estimates = laid_together(names, trajectories, truth, recording.frame_times_ns, command.alignment)
-    with progress_bars(quiet=command.json) as bars, whole_file(command.out) as unfinished:
+    with progress_bars(quiet=command.output.json) as bars, atomic_file(command.out) as unfinished:
         video = VideoSettings(crf=command.crf)
         write_estimates(unfinished, recording, truth, estimates, progress=bars.bar("logging"), video=video)
-    _report(command, estimates)
+    _print_result(command, estimates)
     return 0
 
 
-def names_of(estimates: Sequence[Path], wanted: str = "") -> list[str]:
-    """Return what estimates are called: as wanted, else like their files, else like their folders as well.
+def names_of(estimates: Sequence[Path], given: str = "") -> list[str]:
+    """Return the names of estimates: the given ones, or those of the files, with their folders if necessary.
+
+    Args:
+        estimates: Files of the estimates.
+        given: Names joined by commas; empty for the names of the files.
 
     Raises:
-        ConfigError: There are not as many names as estimates, two are alike, or there is nothing to name.
+        ConfigError: There is no estimate, the number of names differs, or two names are equal.
     """
     if not estimates:
-        raise ConfigError("no estimate; expected one file at least")
-    if wanted:
-        names = [name.strip() for name in wanted.split(",")]
+        raise ConfigError("no estimate; expected one file or more")
+    if given:
+        names = [name.strip() for name in given.split(",")]
         if len(names) != len(estimates) or len(set(names)) < len(names) or not all(names):
-            raise ConfigError(f"--names {wanted!r} for {len(estimates)} estimates; expected a name of its own for each")
+            raise ConfigError(f"--names {given!r} for {len(estimates)} estimates; expected a different name for each")
         return names
     for names in (
         [path.stem for path in estimates],
@@ -99,42 +97,31 @@ def names_of(estimates: Sequence[Path], wanted: str = "") -> list[str]:
     ):
         if len(set(names)) == len(names):
             return names
-    raise ConfigError("estimates whose files are called the same; expected --names")
+    raise ConfigError("estimates whose files have equal names; expected --names")
 
 
-@contextmanager
-def whole_file(target: Path) -> Iterator[Path]:
-    """Give a name beside ``target``, with ``.incomplete`` in it, to write to, which becomes ``target`` in the end.
+def _check(command: LogCommand) -> None:
+    """Check the output file and the options before any work is done.
 
-    When the program is killed meanwhile, what was written lies there.
+    Raises:
+        InputError: The output file exists or cannot be made.
+        ConfigError: An option has an invalid value.
     """
-    unfinished = target.with_name(f"{target.stem}.incomplete{target.suffix}")
-    try:
-        target.parent.mkdir(parents=True, exist_ok=True)
-        yield unfinished
-        unfinished.replace(target)
-    finally:
-        unfinished.unlink(missing_ok=True)
-
-
-def _check_place(command: LogCommand) -> None:
-    """Raise InputError if something is in the way: rather now than when the work is done."""
+    from dronevio.cli.output_files import require_free
     from dronevio.models.recordings.files import check_place
 
     check_place(command.out)
     if command.out.suffix != ".rrd":
         raise InputError(command.out, f"a name that ends with {command.out.suffix!r}", "one that ends with .rrd")
-    if command.out.exists() and not command.overwrite:
-        raise InputError(command.out, "it exists already", "a new name, or --overwrite")
+    require_free(command.out, command.output.overwrite)
     if not 0 <= command.crf <= 63:
         raise ConfigError(f"--crf {command.crf}; expected 0 to 63")
-    if command.cameras is not None and command.cameras < 1:
-        raise ConfigError(f"--cameras {command.cameras}; expected 1 or more")
 
 
-def _report(command: LogCommand, estimates: "Sequence[NamedEstimate]") -> None:
-    """Say what was written, and how good each estimate is."""
-    size_mb = command.out.stat().st_size * 1e-6
+def _print_result(command: LogCommand, estimates: "Sequence[NamedEstimate]") -> None:
+    """Print the file that was written, and the errors of each estimate."""
+    from dronevio.cli.output_files import size_mb
+
     rows = [
         {
             "name": estimate.name,
@@ -145,10 +132,9 @@ def _report(command: LogCommand, estimates: "Sequence[NamedEstimate]") -> None:
         }
         for path, estimate in zip(command.estimates, estimates, strict=True)
     ]
-    if command.json:
-        print_json(
-            {"recording": str(command.recording), "out": str(command.out), "size_mb": size_mb, "estimates": rows}
-        )
+    size = size_mb(command.out)
+    if command.output.json:
+        print_json({"recording": str(command.recording), "out": str(command.out), "size_mb": size, "estimates": rows})
         return
     print_table(
         f"Estimates of {command.recording}",
@@ -163,5 +149,5 @@ def _report(command: LogCommand, estimates: "Sequence[NamedEstimate]") -> None:
             for row in rows
         ],
     )
-    print(f"wrote {command.out} ({size_mb:.1f} MB)")
-    print(f"look:  dronevio view {command.out}")
+    print(f"wrote {command.out} ({size:.1f} MB)")
+    print(f"open it:  dronevio view {command.out}")

@@ -1,20 +1,22 @@
-"""``dronevio refly``: a real drone's path, seen by a camera of ours."""
+"""``dronevio refly``: the trajectory of a real drone with rendered images."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 
-from dronevio.cli.terminal import parse, print_json, print_table, progress_bars
+from dronevio.cli.options import Output, OutputOptions
+from dronevio.cli.terminal import parse, print_json, print_values, progress_bars
 
 
 @dataclass(frozen=True)
 class ReflyCommand:
-    """Render along a path that a real drone has flown, and keep its real IMU or synthesize one.
+    """Render images along the recorded trajectory of a real drone, with its real IMU or a synthesized one.
 
-    The path is the truth of the result: a TUM file or an EuRoC ground truth, z up, poses of the IMU. Time stamps and
-    body frame stay those of the recording; the world is laid around the path wherever it fits. With --imu the real IMU
-    samples are kept as they are; without, an IMU is carried along a smooth spline through the path. The recording is a
-    folder of EuRoC's layout, like that of `dronevio fly`.
+    The trajectory is the ground truth of the result: a TUM file or an EuRoC ground truth, poses of the IMU in a world
+    whose z axis points up. Time stamps and body frame stay those of the recording, and the world is placed around the
+    trajectory without a collision. With --imu, the real IMU samples are copied; without it, samples are synthesized
+    along a smooth spline through the trajectory. The recording is a folder in the EuRoC layout, as `dronevio fly`
+    writes it.
 
     Examples:
       dronevio refly --trajectory gt.csv --imu imu0.csv --world room
@@ -23,36 +25,35 @@ class ReflyCommand:
     """
 
     trajectory: Path
-    """The path: a TUM file, an EuRoC ground truth, or a recording that has one."""
+    """Recorded trajectory: a TUM file, an EuRoC ground truth file, or a recording with ground truth."""
     imu: Path | None = None
-    """The IMU that was recorded with it, an EuRoC imu0/data.csv."""
+    """Recorded IMU samples that belong to the trajectory, an EuRoC imu0/data.csv. Without it, samples are
+    synthesized."""
     world: str = "room"
-    """Where to lay it; `dronevio worlds` lists them."""
+    """World that is placed around the trajectory; `dronevio worlds` lists them."""
     rig: str = "euroc"
-    """The sensors: a name, a Kalibr camchain.yaml, or an EuRoC folder with sensor.yaml files."""
+    """Sensors: a name such as euroc-stereo, a Kalibr camchain.yaml, or an EuRoC folder with sensor.yaml files."""
     seed: int = 0
-    """Draws the world, the images' noise and a synthesized IMU's errors."""
+    """Seed of the world, of the image noise and of the errors of a synthesized IMU."""
     start_s: float = 0.0
-    """Where in the path to begin [s]."""
+    """Time after the beginning of the trajectory at which the recording begins [s]."""
     duration_s: float | None = None
-    """How much of it to fly [s]; all by default."""
+    """Duration of the recording [s]; up to the end of the trajectory by default."""
     margin_m: float = 0.3
-    """How far the path keeps from every surface [m]."""
+    """Smallest distance of the trajectory from all surfaces of the world [m]."""
     out: Path | None = None
     """Folder to make; recordings/NAME-WORLD-SEED by default."""
-    overwrite: bool = False
-    """Replace an earlier recording, once the new one is complete."""
-    json: bool = False
-    """Print one JSON document instead of a table."""
+    output: Output = field(default_factory=OutputOptions)
+    """How the result is written and printed."""
 
 
 def main(arguments: Sequence[str]) -> int:
-    """Run the command."""
+    """Run the command and return its exit code."""
     command = parse(ReflyCommand, arguments, "refly")
 
     import numpy as np
 
-    from dronevio.cli.folders import atomic_folder, size_mb
+    from dronevio.cli.output_files import atomic_folder, size_mb
     from dronevio.models.recordings.euroc import read_imu
     from dronevio.models.recordings.tum import read_trajectory
     from dronevio.recorder import record_refly, rig_of
@@ -62,28 +63,28 @@ def main(arguments: Sequence[str]) -> int:
     path = cut(read_trajectory(command.trajectory), command.start_s, command.duration_s)
     imu = None if command.imu is None else read_imu(command.imu)
     flown = refly(path, imu, rig_of(command.rig), command.world, command.seed, command.margin_m)
-    target = command.out or Path("recordings") / f"{_name(command.trajectory)}-{command.world}-{command.seed}"
+    name = flight_name(command.trajectory)
+    target = command.out or Path("recordings") / f"{name}-{command.world}-{command.seed}"
     require_gl()
-    with atomic_folder(target, command.overwrite) as folder, progress_bars(quiet=command.json) as bars:
+    with atomic_folder(target, command.output.overwrite) as folder, progress_bars(quiet=command.output.json) as bars:
         record_refly(flown, command.seed, folder, bars.bar("rendering"))
     speed = np.linalg.norm(np.diff(path.p_world_imu, axis=0), axis=1) / (np.diff(path.t_ns) * 1e-9)
     figures = {
         "duration_s": float(path.t_s[-1]),
         "path_m": path.length_m,
-        "peak_speed_m_s": float(np.percentile(speed, 99.9)),  # a tracking system's jumps are none of the drone's
+        "peak_speed_m_s": float(np.percentile(speed, 99.9)),  # without the jumps of the tracking system
         "frames": len(flown.schedule),
         "imu_samples": len(flown.imu),
         "imu": "real" if flown.real_imu else "synthesized",
     }
-    if command.json:
+    if command.output.json:
         print_json({"recording": str(target), "world": command.world, "seed": command.seed, **figures})
         return 0
-    print_table(
-        f"{_name(command.trajectory)} flown again in {command.world}, seed {command.seed}",
-        ("", "value", "unit"),
+    print_values(
+        f"{name} in {command.world}, seed {command.seed}",
         (
             ("duration", f"{figures['duration_s']:.1f}", "s"),
-            ("path", f"{figures['path_m']:.1f}", "m"),
+            ("length of the path", f"{figures['path_m']:.1f}", "m"),
             ("peak speed", f"{figures['peak_speed_m_s']:.2f}", "m/s"),
             ("frames", f"{figures['frames']}", ""),
             (f"IMU samples, {figures['imu']}", f"{figures['imu_samples']}", ""),
@@ -95,8 +96,8 @@ def main(arguments: Sequence[str]) -> int:
     return 0
 
 
-def _name(trajectory: Path) -> str:
-    """Return what to call the flight of a file: the folder that holds it, or its own name without the ending."""
+def flight_name(trajectory: Path) -> str:
+    """Return a name for the flight of a file: the file's, or that of the innermost folder with a specific name."""
     path = trajectory.absolute()
     generic = ("mav0", "data", "groundtruth", "state_groundtruth_estimate0")
     while path.stem in generic and path.parent != path:

@@ -1,7 +1,5 @@
-"""``dronevio report``: a benchmark's results as a page or as tables."""
+"""``dronevio report``: the results of a benchmark as a page or as tables."""
 
-import os
-import tempfile
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -10,7 +8,6 @@ from typing import TYPE_CHECKING, Annotated, Literal
 import tyro
 
 from dronevio.cli.terminal import parse
-from dronevio.models.errors import InputError
 
 if TYPE_CHECKING:
     from dronevio.eval.report.benchmark.model import Benchmark
@@ -18,12 +15,12 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class ReportCommand:
-    """Show the results of a benchmark: as a page for a browser, or as tables for a text, a paper or a program.
+    """Write the results of a benchmark as an HTML page, or as tables in Markdown, LaTeX or CSV.
 
-    The page is one file that needs nothing else, no network either. Tables show medians over seeds and quartiles; a run
-    that failed counts as worse than any other. CSV has a line for each scenario, estimator and measure.
+    The page is a single file that needs no network. Tables have medians over seeds with quartiles; a failed run counts
+    as an infinite error. CSV has one row per scenario, estimator and measure.
 
-    For example:
+    Examples:
       dronevio report runs/benchmark
       dronevio report results.parquet --format markdown
       dronevio report results.parquet --format latex --measures ate_m drift_percent --out table.tex
@@ -33,20 +30,22 @@ class ReportCommand:
     results: Annotated[tyro.conf.Positional[Path], tyro.conf.arg(metavar="RESULTS")]
     """Folder of a benchmark, or its results.parquet."""
     format: Literal["html", "markdown", "latex", "csv"] = "html"
-    """What to make."""
+    """Format of the report."""
     out: Path | None = None
-    """File to write; report.html beside the results for a page, standard output for tables."""
+    """File to write. By default, a page is report.html beside the results and tables go to standard output."""
     title: str | None = None
-    """What to call the benchmark; the name of its folder by default."""
+    """Title of the report; the name of the benchmark's folder by default."""
     measures: tuple[str, ...] = ()
-    """Columns of the results to make tables of; the main ones by default, all of them for CSV. The page has all."""
+    """Columns of the results that get a table. By default these are the main ones, and all of them for CSV. The page
+    has all columns."""
 
 
 def main(arguments: Sequence[str]) -> int:
-    """Run the command."""
+    """Run the command and return its exit code."""
     command = parse(ReportCommand, arguments, "report")
 
     from dronevio.eval.report.benchmark.model import read_benchmark
+    from dronevio.models.recordings.files import write_text
 
     benchmark = read_benchmark(command.results)
     if command.title is not None:
@@ -57,13 +56,13 @@ def main(arguments: Sequence[str]) -> int:
     if out is None:
         print(text, end="")
         return 0
-    _write_whole(out, text)
+    write_text(out, text)
     print(f"report:  {out}")
     return 0
 
 
 def _document(benchmark: "Benchmark", command: ReportCommand) -> str:
-    """Return the benchmark in the format that is wanted."""
+    """Return the benchmark in the format that is asked for."""
     if command.format == "html":
         from dronevio.eval.report.benchmark.page import benchmark_page
 
@@ -74,26 +73,5 @@ def _document(benchmark: "Benchmark", command: ReportCommand) -> str:
 
     render = {"markdown": as_markdown, "latex": as_latex, "csv": as_csv}[command.format]
     chosen = tuple(map(measure, command.measures))
-    usual = tuple(m for m in benchmark.measures if command.format == "csv" or m.column in MAIN_MEASURES)
-    return render(benchmark, chosen or usual)
-
-
-def _write_whole(path: Path, text: str) -> None:
-    """Write a file that is there whole or not at all.
-
-    Raises:
-        InputError: It cannot be written.
-    """
-    try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        handle, beside = tempfile.mkstemp(prefix=f".{path.name}.", dir=path.parent)
-        try:
-            with os.fdopen(handle, "w", encoding="utf-8", newline="") as file:
-                file.write(text)
-            Path(beside).chmod(0o644)
-            Path(beside).replace(path)
-        except BaseException:
-            Path(beside).unlink(missing_ok=True)
-            raise
-    except OSError as error:
-        raise InputError(path, f"it cannot be written ({error.strerror})", "the name of a file to make") from error
+    default = tuple(m for m in benchmark.measures if command.format == "csv" or m.column in MAIN_MEASURES)
+    return render(benchmark, chosen or default)

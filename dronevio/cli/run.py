@@ -1,4 +1,4 @@
-"""``dronevio run``: the whole mission, from physics to the report."""
+"""``dronevio run``: simulation, estimation, evaluation and report in one command."""
 
 import json
 import shlex
@@ -9,8 +9,9 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from dronevio.cli.flight_options import FlightOptions, Flown, parse_flight
-from dronevio.cli.terminal import Bars, print_json, print_table, progress_bars
+from dronevio.cli.flight_options import FlightOptions, ScenarioInput, parse_flight
+from dronevio.cli.options import Output, OutputOptions
+from dronevio.cli.terminal import Bars, print_json, print_values, progress_bars
 from dronevio.estimator.config import VioConfig
 
 if TYPE_CHECKING:
@@ -22,10 +23,11 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class RunCommand:
-    """Fly a scenario in simulation, estimate the motion from camera and IMU, score it, and report.
+    """Simulate a scenario, estimate the motion from its cameras and IMU, evaluate the estimate, and write a report.
 
-    Makes a folder with report.html, report.json, groundtruth.tum, estimate.tum, imu.csv, trajectory.png, run.rrd (open
-    it with `dronevio view`) and configuration.json. The same scenario and seed give the same flight and estimate.
+    The result is a folder with report.html, report.json, groundtruth.tum, estimate.tum, imu.csv, trajectory.png,
+    run.rrd (for `dronevio view`) and configuration.json. The same settings and seed give the same recording and
+    estimate.
 
     Examples:
       dronevio run
@@ -37,52 +39,59 @@ class RunCommand:
       dronevio run --json > result.json
     """
 
-    flight: Flown = field(default_factory=FlightOptions)
-    """What to fly."""
     out: Path | None = None
-    """Folder to make; runs/SCENARIO-SEED by default, with a number behind it where that is taken."""
-    overwrite: bool = False
-    """Replace an earlier run, once the new one is complete."""
+    """Folder to make. By default it is runs/SCENARIO-SEED, with a number appended if that exists."""
     keep_recording: bool = False
-    """Keep the frames too, as an EuRoC folder named recording."""
+    """Keep the recording with all images, as an EuRoC folder named recording."""
     live: bool = False
-    """Show what the estimator sees and says while it runs, to this machine only: in a window where there is a display,
-    else in your browser. It ends with the run; `dronevio view` shows more."""
-    json: bool = False
-    """Print one JSON document instead of a table."""
+    """Show images, tracks and estimates in a rerun viewer while the estimator runs: in a window if there is a display,
+    otherwise in a browser of this machine. The viewer ends with the run."""
+    output: Output = field(default_factory=OutputOptions)
+    """How the result is written and printed."""
+    flight: ScenarioInput = field(default_factory=FlightOptions)
+    """The scenario to simulate."""
     estimator: VioConfig = field(default_factory=VioConfig)
     """Settings of the estimator."""
 
 
 def main(arguments: Sequence[str]) -> int:
-    """Run the command."""
+    """Run the command and return its exit code."""
     command = parse_flight(RunCommand, arguments, "run")
 
-    from dronevio.cli.folders import atomic_folder, free_name
+    from dronevio.cli.output_files import atomic_folder, free_name
     from dronevio.sim.cameras.gl import require_gl
 
-    chosen = command.flight.chosen()
-    target = command.out or free_name(Path("runs") / f"{chosen.name}-{chosen.seed}")
+    scenario = command.flight.chosen()
+    target = command.out or free_name(Path("runs") / f"{scenario.name}-{scenario.seed}")
     require_gl()
     with (
-        atomic_folder(target, command.overwrite, mark="report.json") as folder,
-        progress_bars(quiet=command.json) as bars,
+        atomic_folder(target, command.output.overwrite, mark="report.json") as folder,
+        progress_bars(quiet=command.output.json) as bars,
     ):
-        _carry_out(chosen, command, folder, target, _repeat(chosen, arguments), bars)
+        _run(scenario, command, folder, target, repeating_command(scenario, arguments), bars)
         if not command.keep_recording:
             shutil.rmtree(folder / "recording")
     report = json.loads((target / "report.json").read_text(encoding="utf-8"))
-    if command.json:
+    if command.output.json:
         print_json({"run": str(target), **report})
         return 0
-    print_report(f"Run {chosen.name}, seed {chosen.seed}", report)
-    print(f"report:  {target}/report.html")
-    print(f"look:    dronevio view {target}")
+    print_report(f"Run {scenario.name}, seed {scenario.seed}", report)
+    print(f"report:   {target}/report.html")
+    print(f"open it:  dronevio view {target}")
     return 0
 
 
-def _carry_out(scenario: "Scenario", command: RunCommand, folder: Path, target: Path, repeat: str, bars: Bars) -> None:
-    """Fly, estimate, score and log a scenario; everything that is left of it lies in ``folder``."""
+def _run(scenario: "Scenario", command: RunCommand, folder: Path, target: Path, repeat: str, bars: Bars) -> None:
+    """Simulate, estimate and evaluate a scenario, and write all results into a folder.
+
+    Args:
+        scenario: The scenario.
+        command: All other options.
+        folder: Folder to write to.
+        target: Final name of the folder, for the report.
+        repeat: Command that repeats the run, for the report.
+        bars: Display of the progress.
+    """
     from dronevio import __version__
     from dronevio.driver import estimate_recording, require_poses
     from dronevio.estimator.vio import VisualInertialOdometry
@@ -97,8 +106,8 @@ def _carry_out(scenario: "Scenario", command: RunCommand, folder: Path, target: 
     from dronevio.sim.world import build_world
     from dronevio.surroundings import surroundings_of
 
-    listeners = {name: bars.bar(name) for name in ("simulating", "rendering", "estimating")}
-    record_flight(scenario, folder / "recording", listeners["simulating"], listeners["rendering"])
+    progress = {name: bars.bar(name) for name in ("simulating", "rendering", "estimating")}
+    record_flight(scenario, folder / "recording", progress["simulating"], progress["rendering"])
     name = f"{scenario.name}, seed {scenario.seed}"
     recording = replace(EurocRecording.open(folder / "recording"), name=name)
     surroundings = surroundings_of(build_world(scenario.world, scenario.seed))
@@ -106,8 +115,8 @@ def _carry_out(scenario: "Scenario", command: RunCommand, folder: Path, target: 
     truth = recording.ground_truth
     assert truth is not None
     with run_file(folder / "run.rrd", recording, surroundings=surroundings) as file:
-        with _spectators(recording, surroundings, command.live) as spectators:
-            run = estimate_recording(recording, estimator, listeners["estimating"], (file, *spectators))
+        with _viewers(recording, surroundings, command.live) as viewers:
+            run = estimate_recording(recording, estimator, progress["estimating"], (file, *viewers))
         trajectory = require_poses(run, recording)
         scored = score_trajectory(truth, trajectory, recording.frame_times_ns)
         file.finish(run, scored)
@@ -128,20 +137,25 @@ def _carry_out(scenario: "Scenario", command: RunCommand, folder: Path, target: 
 
 
 @contextmanager
-def _spectators(recording: "Recording", surroundings: "Surroundings", live: bool) -> Iterator["Sequence[Watcher]"]:
-    """Show a viewer that watches the estimator as long as the context lasts, if wanted."""
+def _viewers(recording: "Recording", surroundings: "Surroundings", live: bool) -> Iterator["Sequence[Watcher]"]:
+    """Show a live viewer until the context ends, if one is asked for; yield the observers of the estimator."""
     if not live:
         yield ()
         return
-    from dronevio.cli.view import viewer_beside
+    from dronevio.cli.view import viewer_process
     from dronevio.eval.rerun.live import watched
 
-    with viewer_beside() as address, watched(address, recording, surroundings) as spectator:
-        yield (spectator,)
+    with viewer_process() as address, watched(address, recording, surroundings) as viewer:
+        yield (viewer,)
 
 
-def _repeat(scenario: "Scenario", arguments: Sequence[str]) -> str:
-    """Return the command that flies and estimates the same again, wherever its results go."""
+def repeating_command(scenario: "Scenario", arguments: Sequence[str]) -> str:
+    """Return the command that repeats a run, without the options that concern its output.
+
+    Args:
+        scenario: The scenario of the run.
+        arguments: The words after ``dronevio run``.
+    """
     words = [f"--scenario={scenario.name}", f"--seed={scenario.seed}"]
     rest = iter(arguments)
     for word in rest:
@@ -155,22 +169,21 @@ def _repeat(scenario: "Scenario", arguments: Sequence[str]) -> str:
 
 
 def print_report(title: str, report: dict[str, Any]) -> None:
-    """Print what matters most of a ``report.json``; a dash where a number is not known."""
+    """Print the main figures of a ``report.json``; a dash stands for a value that is not known."""
     scores, timing = report["scores"], report["timing"]
     rpe_m, rpe_deg = scores["rpe_m"] or {"rmse": None}, scores["rpe_deg"] or {"rmse": None}
     shown: list[tuple[str, float | None, str, str]] = [
-        ("path", report["flight"]["path_m"], ".1f", "m"),
+        ("length of the path", report["flight"]["path_m"], ".1f", "m"),
         ("ATE, yaw and position aligned", scores["ate_m"]["rmse"], ".3f", "m"),
-        ("RPE over 1 s, translation", rpe_m["rmse"], ".3f", "m"),
-        ("RPE over 1 s, rotation", rpe_deg["rmse"], ".2f", "°"),
+        ("RPE over 1 s, position", rpe_m["rmse"], ".3f", "m"),
+        ("RPE over 1 s, orientation", rpe_deg["rmse"], ".2f", "°"),
         ("scale error", scores["scale_error_percent"], "+.2f", "%"),
         ("coverage", scores["coverage_percent"], ".1f", "%"),
-        ("processor time a frame, mean", timing["cpu_ms_mean"], ".1f", "ms"),
-        ("processor time a frame, 99th percentile", timing["cpu_ms_p99"], ".1f", "ms"),
-        ("faster than real time", timing["real_time_factor"], ".1f", "×"),
+        ("processor time per frame, mean", timing["cpu_ms_mean"], ".1f", "ms"),
+        ("processor time per frame, 99th percentile", timing["cpu_ms_p99"], ".1f", "ms"),
+        ("real-time factor", timing["real_time_factor"], ".1f", ""),
     ]
-    print_table(
+    print_values(
         title,
-        ("", "value", "unit"),
         [(label, "–" if value is None else format(value, form), unit) for label, value, form, unit in shown],
     )

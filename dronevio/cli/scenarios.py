@@ -1,14 +1,15 @@
-"""``dronevio scenarios``: what can be flown."""
+"""``dronevio scenarios``: a list of all scenarios and suites."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
+from dronevio.cli.options import Printing, PrintOptions
 from dronevio.cli.terminal import parse, print_json, print_table
 
 
 @dataclass(frozen=True)
 class ScenariosCommand:
-    """List the scenarios that can be flown, with their planned peak speed and turn rate, and suites of them.
+    """List the scenarios that can be simulated, with their planned peak speeds and rotation rates, and the suites.
 
     Examples:
       dronevio scenarios
@@ -18,13 +19,13 @@ class ScenariosCommand:
     """
 
     seed: int = 0
-    """Draws the waypoints, and so the peaks."""
-    json: bool = False
-    """Print one JSON document instead of a table."""
+    """Seed of the waypoints, on which duration and peaks depend."""
+    printing: Printing = field(default_factory=PrintOptions)
+    """How results are printed."""
 
 
 def main(arguments: Sequence[str]) -> int:
-    """Run the command."""
+    """Run the command and return its exit code."""
     command = parse(ScenariosCommand, arguments, "scenarios")
 
     import math
@@ -46,14 +47,13 @@ def main(arguments: Sequence[str]) -> int:
                 "description": chosen.description,
             }
         )
-    if command.json:
-        print_json(
-            {"seed": command.seed, "scenarios": rows, "suites": {name: list(names) for name, names in SUITES.items()}}
-        )
+    if command.printing.json:
+        suites = {name: list(names) for name, names in SUITES.items()}
+        print_json({"seed": command.seed, "scenarios": rows, "suites": suites})
         return 0
     print_table(
-        f"Scenarios drawn from seed {command.seed}: duration, peak speed and peak turn rate",
-        ("name", "world", "s", "m/s", "°/s", "what is flown"),
+        f"Scenarios of seed {command.seed}: duration, peak speed, peak rotation rate",
+        ("name", "world", "s", "m/s", "°/s", "description"),
         [
             (
                 str(row["name"]),
@@ -65,12 +65,8 @@ def main(arguments: Sequence[str]) -> int:
             )
             for row in rows
         ],
-        prose=("world", "what is flown"),
+        left=("world", "description"),
     )
-    print_table(
-        "Suites of them, for a benchmark",
-        ("name", "scenarios"),
-        [(n, ", ".join(m)) for n, m in SUITES.items()],
-        prose=("scenarios",),
-    )
+    suites_table = [(name, ", ".join(names)) for name, names in SUITES.items()]
+    print_table("Suites of scenarios, for a benchmark", ("name", "scenarios"), suites_table, left=("scenarios",))
     return 0

@@ -1,15 +1,16 @@
-"""``dronevio worlds``: where one can fly."""
+"""``dronevio worlds``: a list of all worlds, or pictures of them."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 
+from dronevio.cli.options import Printing, PrintOptions
 from dronevio.cli.terminal import parse, print_json, print_table, progress_bars
 
 
 @dataclass(frozen=True)
 class WorldsCommand:
-    """List the worlds that can be flown in, or draw what they look like.
+    """List the worlds in which scenarios take place, or draw a contact sheet of them.
 
     Examples:
       dronevio worlds
@@ -19,17 +20,17 @@ class WorldsCommand:
     """
 
     sheet: Path | None = None
-    """Draw a contact sheet into this file; its ending says which kind of image."""
+    """Image file for a contact sheet of the worlds; its suffix selects the format."""
     world: str | None = None
-    """Only this world."""
+    """Name of one world; all worlds by default."""
     seed: int = 0
-    """What the worlds are drawn from."""
-    json: bool = False
-    """Print one JSON document instead of a table."""
+    """Seed from which the worlds are generated."""
+    printing: Printing = field(default_factory=PrintOptions)
+    """How results are printed."""
 
 
 def main(arguments: Sequence[str]) -> int:
-    """Run the command."""
+    """Run the command and return its exit code."""
     command = parse(WorldsCommand, arguments, "worlds")
 
     from dronevio.models.errors import ConfigError
@@ -46,8 +47,8 @@ def main(arguments: Sequence[str]) -> int:
         place = place_of(name, command.seed)
         rows.append((WORLDS[name], [round(float(v), 2) for v in place.space.high - place.space.low]))
     if command.sheet is not None:
-        _draw(command.sheet, names, command.seed, command.json)
-    if command.json:
+        _draw(command.sheet, names, command.seed, command.printing.json)
+    if command.printing.json:
         worlds = [
             {"name": name, "difficulty": kind.difficulty, "size_m": size_m, "description": kind.description}
             for name, (kind, size_m) in zip(names, rows, strict=True)
@@ -56,12 +57,13 @@ def main(arguments: Sequence[str]) -> int:
         print_json({"seed": command.seed, "sheet": sheet, "worlds": worlds})
         return 0
     print_table(
-        f"Worlds drawn from seed {command.seed}: length, width and height of the space to fly in",
-        ("name", "difficulty", "m", "what it is"),
+        f"Worlds of seed {command.seed}: length, width and height of the free space",
+        ("name", "difficulty", "m", "description"),
         [
             (name, kind.difficulty, " × ".join(f"{v:g}" for v in size_m), kind.description)
             for name, (kind, size_m) in zip(names, rows, strict=True)
         ],
+        left=("difficulty", "m", "description"),
     )
     return 0
 
@@ -70,7 +72,7 @@ def _draw(path: Path, names: Sequence[str], seed: int, quiet: bool) -> None:
     """Draw the contact sheet of one world, or of several.
 
     Raises:
-        GraphicsError: No off-screen OpenGL.
+        GraphicsError: There is no off-screen OpenGL.
         OSError: The file cannot be written.
     """
     from dronevio.sim.cameras.gl import require_gl

@@ -241,11 +241,11 @@ def test_gates_that_cannot_be_judged_are_bad_input(
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        ([], "nothing to fly"),
+        ([], "no flights; expected --suite, --scenarios or --recordings"),
         (["--suite", "moon"], "unknown suite 'moon'; expected one of room"),
         (["--scenarios", "moon"], "unknown scenario 'moon'"),
         (["--scenarios", "short", "--estimators", "oracle"], "unknown estimator 'oracle'; expected one of vio"),
-        (["--scenarios", "short", "--estimators", "vio,vio"], "no name twice"),
+        (["--scenarios", "short", "--estimators", "vio,vio"], "each name once"),
         (["--scenarios", "short", "--seeds", "0"], "0 seeds"),
         (["--scenarios", "short", "--workers", "0"], "0 workers"),
         (["--scenarios", "short", "--timeout-s", "nan"], "a timeout of nan s"),

@@ -1,56 +1,82 @@
-"""The door: quick to open, honest about what it does not know, and every command behind it explains itself."""
+"""The command ``dronevio`` as a whole: help texts, exit codes, imports and error messages."""
 
+import re
 import shlex
 import subprocess
 import sys
 import time
+from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import pytest
+import tyro
 
-from dronevio import __version__
-from dronevio.cli import COMMANDS, main
-from dronevio.cli.benchmark import BenchmarkCommand
-from dronevio.cli.estimate import EstimateCommand
-from dronevio.cli.flight_options import parse_flight
-from dronevio.cli.run import RunCommand
-from dronevio.cli.terminal import parse
+from dronevio import __version__, book
+from dronevio.cli import COMMANDS, main, speed
+from dronevio.cli.dispatch import CommandGroup
 
-HEAVY = ("cv2", "gtsam", "gymnasium", "matplotlib", "mujoco", "numpy", "rerun", "rich", "scipy", "tyro")
+HEAVY = {"cv2", "gtsam", "gymnasium", "matplotlib", "mujoco", "numpy", "rerun", "rich", "scipy", "tyro"}
+GROUPS = {"": COMMANDS, "book": book.COMMANDS, "speed": speed.COMMANDS}
+PROGRAMS = [
+    f"{group} {name}".strip()
+    for group, commands in GROUPS.items()
+    for name in commands.subcommands
+    if name not in GROUPS
+]
+"""The words after ``dronevio`` of every command that is not a group."""
 
 
-def python(code: str) -> subprocess.CompletedProcess[str]:
-    return subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=60, check=False)
+def modules_after(code: str) -> set[str]:
+    """Return the names of the packages that are loaded after some code has run in a new interpreter."""
+    command = [sys.executable, "-c", f"{code}\nimport sys\nprint('loaded:', *sys.modules)"]
+    ended = subprocess.run(command, capture_output=True, text=True, timeout=60, check=True)
+    return {name.partition(".")[0] for name in ended.stdout.partition("loaded:")[2].split()}
 
 
-def test_help_is_quick() -> None:
+def help_text(words: str, capsys: pytest.CaptureFixture[str]) -> str:
+    """Return what a command prints with ``--help``."""
+    with pytest.raises(SystemExit) as ended:
+        main([*words.split(), "--help"])
+    assert ended.value.code == 0
+    return capsys.readouterr().out
+
+
+def test_help_takes_less_than_half_a_second() -> None:
     command = [sys.executable, "-m", "dronevio.cli", "--help"]
     took_s = []
     for _ in range(3):
         start = time.perf_counter()
-        shown = subprocess.run(command, capture_output=True, text=True, timeout=60, check=True).stdout
+        subprocess.run(command, capture_output=True, text=True, timeout=60, check=True)
         took_s.append(time.perf_counter() - start)
     assert min(took_s) < 0.5
-    assert all(name in shown and summary in shown for name, summary in COMMANDS.items())
-    assert "examples:" in shown
 
 
 @pytest.mark.parametrize("code", ["import dronevio", "from dronevio.cli import main; main(['--help'])"])
-def test_opening_the_door_loads_nothing_heavy(code: str) -> None:
-    loaded = python(f"{code}\nimport sys\nprint('loaded:', *sys.modules)")
-    assert loaded.returncode == 0, loaded.stderr
-    modules = {name.partition(".")[0] for name in loaded.stdout.partition("loaded:")[2].split()}
+def test_package_and_help_load_no_heavy_package(code: str) -> None:
+    modules = modules_after(code)
     assert "dronevio" in modules
-    assert not modules & set(HEAVY)
+    assert not modules & HEAVY
 
 
-@pytest.mark.parametrize("arguments", [["sing"], ["--sing"], ["Run"]])
+@pytest.mark.parametrize("group", GROUPS)
+@pytest.mark.parametrize("arguments", [[], ["--help"], ["help"]])
+def test_groups_list_their_commands(group: str, arguments: list[str], capsys: pytest.CaptureFixture[str]) -> None:
+    assert main([*group.split(), *arguments]) == 0
+    printed = capsys.readouterr().out
+    assert printed.startswith(f"usage: {' '.join(['dronevio', *group.split()])} COMMAND [OPTIONS]\n")
+    for name, command in GROUPS[group].subcommands.items():
+        assert re.search(rf"^  {name} +{re.escape(command.summary)}$", printed, re.MULTILINE)
+
+
+@pytest.mark.parametrize("arguments", [["sing"], ["--sing"], ["Run"], ["speed", "sing"], ["book", "cooking", "--help"]])
 def test_unknown_command_is_bad_input(arguments: list[str], capsys: pytest.CaptureFixture[str]) -> None:
     assert main(arguments) == 2
     captured = capsys.readouterr()
     assert captured.out == ""
-    assert captured.err.count("\n") == 1
-    assert repr(arguments[0]) in captured.err and "expected one of run, fly" in captured.err
+    group: CommandGroup = GROUPS.get(arguments[0], COMMANDS)
+    words = " ".join(arguments[: 2 if arguments[0] in GROUPS else 1])
+    assert captured.err == f"dronevio: unknown command {words!r}; expected one of {', '.join(group.subcommands)}\n"
 
 
 def test_version_is_that_of_the_package(capsys: pytest.CaptureFixture[str]) -> None:
@@ -58,68 +84,73 @@ def test_version_is_that_of_the_package(capsys: pytest.CaptureFixture[str]) -> N
     assert capsys.readouterr().out == f"{__version__}\n"
 
 
-@pytest.mark.parametrize("command", COMMANDS)
-def test_every_command_explains_itself(command: str, capsys: pytest.CaptureFixture[str]) -> None:
-    try:
-        status = main([command, "--help"])
-    except SystemExit as leaving:  # tyro leaves by itself
-        status = leaving.code
-    assert status in (0, None)
-    shown = capsys.readouterr().out.lower()
-    assert f"dronevio {command}" in shown
-    assert "example" in shown
+@pytest.mark.parametrize("words", PROGRAMS)
+def test_every_command_has_help_with_examples(words: str, capsys: pytest.CaptureFixture[str]) -> None:
+    shown = help_text(words, capsys)
+    assert shown.startswith(f"usage: dronevio {words} ")
+    assert re.search(rf"^Examples:\n  dronevio {words}", shown, re.MULTILINE)
 
 
-@pytest.mark.parametrize("command", [name for name in COMMANDS if name != "book"])
-def test_help_imports_neither_the_simulator_nor_the_plots(command: str) -> None:
-    code = f"from dronevio.cli import main\ntry:\n    main([{command!r}, '--help'])\nexcept SystemExit:\n    pass\n"
-    loaded = python(f"{code}import sys\nprint('loaded:', *sys.modules)")
-    assert loaded.returncode == 0, loaded.stderr
-    modules = {name.partition(".")[0] for name in loaded.stdout.partition("loaded:")[2].split()}
-    assert not modules & {"gymnasium", "matplotlib", "mujoco", "rerun"}
-    if command not in ("run", "estimate", "fly"):  # their options are settings that live beside the code
+class ParsedError(Exception):
+    """Raised in place of the work of a command whose options are valid."""
+
+
+@pytest.fixture
+def parse_only(monkeypatch: pytest.MonkeyPatch) -> None:
+    """End every command as soon as its options are parsed."""
+    parse: Callable[..., object] = tyro.cli
+
+    def parse_and_stop(*args: Any, **options: Any) -> None:
+        parse(*args, **options)
+        raise ParsedError
+
+    monkeypatch.setattr(tyro, "cli", parse_and_stop)
+
+
+@pytest.mark.parametrize("words", PROGRAMS)
+def test_examples_in_help_texts_are_valid(words: str, capsys: pytest.CaptureFixture[str], parse_only: None) -> None:
+    lines = re.findall(r"^  dronevio (.+)$", help_text(words, capsys), re.MULTILINE)
+    assert lines
+    for line in lines:
+        arguments = shlex.split(re.split(r" > | && ", line)[0])
+        with pytest.raises(ParsedError):
+            main(arguments)
+
+
+@pytest.mark.parametrize("words", [words for words in PROGRAMS if not words.startswith("book")])
+def test_help_loads_neither_simulator_nor_plots(words: str) -> None:
+    code = (
+        f"from dronevio.cli import main\ntry:\n    main([*{words.split()!r}, '--help'])\nexcept SystemExit:\n    pass\n"
+    )
+    modules = modules_after(code)
+    assert not modules & {"gymnasium", "matplotlib", "mujoco", "rerun", "rich"}
+    if words not in ("run", "estimate", "fly"):  # their options are settings that are defined beside the algorithms
         assert not modules & {"cv2", "gtsam", "scipy"}
 
 
-@pytest.mark.parametrize("command", COMMANDS)
-def test_wrong_option_is_bad_input(command: str, capsys: pytest.CaptureFixture[str]) -> None:
+@pytest.mark.parametrize("words", [*PROGRAMS, "book", "speed"])
+def test_unknown_option_is_bad_input(words: str, capsys: pytest.CaptureFixture[str]) -> None:
     try:
-        status = main([command, "--no-such-option"])
-    except SystemExit as leaving:
-        status = leaving.code
+        status: object = main([*words.split(), "--no-such-option"])
+    except SystemExit as ended:
+        status = ended.code
     assert status == 2
     captured = capsys.readouterr()
     assert captured.err and not captured.out
 
 
-def test_examples_of_the_estimating_commands_are_in_order() -> None:
-    """Their options are settings of the estimator, which may change their names."""
-    readers = {
-        EstimateCommand: lambda words: parse(EstimateCommand, words, "estimate"),
-        RunCommand: lambda words: parse_flight(RunCommand, words, "run"),
-        BenchmarkCommand: lambda words: parse(BenchmarkCommand, words, "benchmark"),
-    }
-    for command, read in readers.items():
-        name = command.__name__.removesuffix("Command").lower()
-        lines = [line.strip() for line in (command.__doc__ or "").splitlines()]
-        examples = [shlex.split(line)[2:] for line in lines if line.startswith(f"dronevio {name} ")]
-        assert len(examples) > 4
-        for words in examples:
-            assert isinstance(read(words[: words.index(">")] if ">" in words else words), command)
-
-
-def test_a_reader_that_has_gone_is_no_trouble() -> None:
+def test_closed_standard_output_ends_the_command_quietly() -> None:
     command = [sys.executable, "-m", "dronevio.cli", "scenarios", "--json"]
     with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as process:
         assert process.stdout is not None
         process.stdout.close()
-        _, said = process.communicate(timeout=60)
-    assert said == ""
-    assert process.returncode == 141  # 128 + SIGPIPE, as the shell calls it
+        _, errors = process.communicate(timeout=60)
+    assert errors == ""
+    assert process.returncode == 141  # 128 + SIGPIPE, as shells report it
 
 
-def test_what_the_system_refuses_is_one_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    (tmp_path / "file").write_text("in the way")
+def test_errors_of_the_system_are_one_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    (tmp_path / "file").write_text("not a folder")
     assert main(["book", "imu", "--out", str(tmp_path / "file")]) == 2
     captured = capsys.readouterr()
     assert captured.out == ""

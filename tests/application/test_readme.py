@@ -91,7 +91,7 @@ def shell_lines() -> list[list[str]]:
 @pytest.mark.parametrize("line", [line for line in shell_lines() if line[0] == "dronevio"], ids=" ".join)
 def test_commands_are_as_written(line: list[str], capsys: pytest.CaptureFixture[str]) -> None:
     _, *command = line
-    assert command[0] in COMMANDS
+    assert command[0] in COMMANDS.subcommands
     depth = 2 if command[0] in ("speed", "book") else 1
     with pytest.raises(SystemExit):
         main([*command[:depth], "--help"])
@@ -115,7 +115,7 @@ def test_targets_of_make_are_as_written() -> None:
 def test_what_is_linked_is_there_and_pictures_are_small(page: str) -> None:
     linked = re.findall(r"\]\(([^)#]+)\)|src=\"([^\"]+)\"", PAGES[page])
     for target in (one or other for one, other in linked):
-        if "://" in target:
+        if "://" in target or target.startswith("reference/"):  # generated when the site is built
             continue
         path = (CHECKOUT / page).parent / target
         assert path.is_file(), target

@@ -1,37 +1,21 @@
-"""``dronevio speed``: how fast this machine is at it."""
+"""``dronevio speed``: measurements of processor time, frame rates and memory on this machine."""
 
-import importlib
-import sys
+from collections.abc import Sequence
 
-SUBJECTS: dict[str, str] = {
-    "sim": "drawing, flying and recording, by what they should cost",
-    "eval": "scoring trajectories, beside evo",
-}
-"""What can be measured, each a module of this package with a ``main(arguments) -> int``, and what of it."""
+from dronevio.cli.dispatch import CommandGroup, Subcommand
 
-
-def usage() -> str:
-    """Return the text of ``dronevio speed --help``."""
-    width = max(map(len, SUBJECTS))
-    rows = "\n".join(f"  {name:<{width}}  {summary}" for name, summary in SUBJECTS.items())
-    return (
-        "usage: dronevio speed SUBJECT [OPTIONS]\n\n"
-        "Measure how fast this machine is, and print figures with their bounds.\n\n"
-        f"subjects:\n{rows}\n\n"
-        "examples:\n"
-        "  dronevio speed sim\n"
-        "  dronevio speed sim --json > figures.json\n"
-        "  dronevio speed SUBJECT --help\n"
-    )
+COMMANDS = CommandGroup(
+    "dronevio speed",
+    "Measure the speed of dronevio on this machine, and print each figure beside its bound.",
+    {
+        "sim": Subcommand("dronevio.cli.speed.sim", "rendering, physics and recording"),
+        "eval": Subcommand("dronevio.cli.speed.eval", "evaluation of trajectories, beside evo"),
+    },
+    ("dronevio speed sim", "dronevio speed eval --json > figures.json"),
+)
+"""The measurements."""
 
 
-def main(arguments: list[str]) -> int:
-    """Measure what the command line names."""
-    if not arguments or arguments[0] in ("-h", "--help", "help"):
-        print(usage())
-        return 0
-    name = arguments[0]
-    if name not in SUBJECTS:
-        print(f"dronevio speed: unknown subject {name!r}; expected one of {', '.join(SUBJECTS)}", file=sys.stderr)
-        return 2
-    return int(importlib.import_module(f"dronevio.cli.speed.{name}").main(arguments[1:]))
+def main(arguments: Sequence[str]) -> int:
+    """Run the measurement that the command line names and return its exit code."""
+    return COMMANDS.run(arguments)

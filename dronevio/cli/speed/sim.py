@@ -1,12 +1,13 @@
-"""``dronevio speed sim``: what drawing, flying and recording cost."""
+"""``dronevio speed sim``: processor time, frame rates and memory of the simulator."""
 
 import os
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, field
 from typing import TYPE_CHECKING
 
-from dronevio.cli.speed.figures import plain_figures, print_figures
-from dronevio.cli.terminal import parse, print_json, progress_bars
+from dronevio.cli.options import Printing, PrintOptions
+from dronevio.cli.speed.printing import print_speed
+from dronevio.cli.terminal import parse, progress_bars
 
 if TYPE_CHECKING:
     from dronevio.models.performance import Figure
@@ -15,11 +16,11 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class SimCommand:
-    """Measure what drawing, flying and recording cost here, each beside what it should cost.
+    """Measure the speed of rendering, physics and recording on this machine, each with its bound.
 
-    Run it on an idle machine with two cores or more. Nothing fails where a bound is missed: the table says so. By
-    default the minute's recording is extrapolated from a stretch of it, and memory is compared at one frame a second;
-    --full measures all of both, which takes some minutes.
+    The machine should be idle and have two cores or more. A missed bound is shown in the table and is not an error. By
+    default, the time of a recording of 60 s is extrapolated from a shorter one, and memory is compared at one frame per
+    second. With --full, both are measured completely, which takes some minutes.
 
     Examples:
       dronevio speed sim
@@ -28,72 +29,58 @@ class SimCommand:
     """
 
     world: str = "room"
-    """Where; `dronevio worlds` lists them."""
+    """Name of the world; `dronevio worlds` lists them."""
     rig: str = "euroc"
-    """With which sensors."""
+    """Name of the sensors, such as euroc-stereo."""
     seed: int = 0
-    """Draws the world."""
+    """Seed of the world."""
     full: bool = False
-    """Record 60 s, and 30 and 120 s for the memory, with all frames."""
+    """Measure a recording of 60 s, and for the memory recordings of 30 and 120 s, with all frames."""
     quick: bool = False
-    """Look whether everything can be measured: a few frames of a small camera, in seconds. The figures mean little."""
-    json: bool = False
-    """Print one JSON document instead of a table."""
+    """Test in seconds whether everything can be measured, with few and small images. The figures are not accurate."""
+    printing: Printing = field(default_factory=PrintOptions)
+    """How results are printed."""
 
 
 @dataclass(frozen=True)
 class _Effort:
-    """How much to measure."""
+    """Extent of the measurements."""
 
     frames: int
-    """Frames of the camera's figure."""
+    """Number of frames that are rendered to measure the camera."""
     flight_s: float
-    """Length of the flight without images [s]."""
-    stretch_s: float
-    """Length of the recording [s]."""
+    """Duration of the flight without images [s]."""
+    recording_s: float
+    """Duration of the recording [s]."""
     memory_s: tuple[float, float]
-    """Lengths of the recordings whose memory is compared [s]."""
+    """Durations of the two recordings whose memory is compared [s]."""
     memory_rate_hz: float
-    """Their frame rate [Hz]; 0 for no frames."""
-    cheap: bool = False
-    """Whether the cameras have few pixels."""
+    """Frame rate of these recordings; 0 for recordings without images [Hz]."""
+    small_images: bool = False
+    """Whether the images have few pixels."""
 
 
-_USUAL = _Effort(frames=30, flight_s=60.0, stretch_s=8.0, memory_s=(30.0, 120.0), memory_rate_hz=1.0)
-_FULL = _Effort(frames=60, flight_s=60.0, stretch_s=60.0, memory_s=(30.0, 120.0), memory_rate_hz=20.0)
-_QUICK = _Effort(frames=2, flight_s=6.0, stretch_s=5.0, memory_s=(5.0, 6.0), memory_rate_hz=0.0, cheap=True)
+_USUAL = _Effort(frames=30, flight_s=60.0, recording_s=8.0, memory_s=(30.0, 120.0), memory_rate_hz=1.0)
+_FULL = _Effort(frames=60, flight_s=60.0, recording_s=60.0, memory_s=(30.0, 120.0), memory_rate_hz=20.0)
+_QUICK = _Effort(frames=2, flight_s=6.0, recording_s=5.0, memory_s=(5.0, 6.0), memory_rate_hz=0.0, small_images=True)
 
 
 def main(arguments: Sequence[str]) -> int:
-    """Run the command."""
+    """Run the command and return its exit code."""
     command = parse(SimCommand, arguments, "speed sim")
-    os.environ.setdefault("LP_NUM_THREADS", "1")  # before Mesa starts: its threads would count as our CPU time
+    os.environ.setdefault("LP_NUM_THREADS", "1")  # before Mesa starts: its threads would count as processor time
 
-    from dronevio.cli.machine import cores, memory_gb, package_version, processor
     from dronevio.sim.cameras.gl import require_gl
 
     gl = require_gl()
     effort = _QUICK if command.quick else _FULL if command.full else _USUAL
-    with progress_bars(quiet=command.json) as bars:
+    with progress_bars(quiet=command.printing.json) as bars:
         figures = _measured(command, effort, bars.bar("measuring"))
-    packages = {name: package_version(name) for name in ("dronevio", "mujoco", "numpy", "opencv-python-headless")}
-    if command.json:
-        print_json(
-            {
-                "subject": "sim",
-                "world": command.world,
-                "rig": command.rig,
-                "seed": command.seed,
-                "effort": asdict(effort),
-                "machine": {"processor": processor(), "cores": cores(), "memory_gb": memory_gb(), "gl": gl.renderer},
-                "packages": packages,
-                "figures": plain_figures(figures),
-            }
-        )
-        return 0
-    print_figures(f"Simulator: world {command.world}, rig {command.rig}, seed {command.seed}", figures)
-    print(f"{processor()}, {cores()} cores, {memory_gb():.0f} GB, {gl.renderer}")
-    print(", ".join(f"{name} {number}" for name, number in packages.items()))
+    chosen = {"world": command.world, "rig": command.rig, "seed": command.seed}
+    settings = {"subject": "sim", **chosen, "effort": asdict(effort)}
+    title = "Simulator: " + ", ".join(f"{name} {value}" for name, value in chosen.items())
+    packages = ("dronevio", "mujoco", "numpy", "opencv-python-headless")
+    print_speed(title, settings, figures, packages, gl.renderer, json=command.printing.json)
     return 0
 
 
@@ -101,9 +88,9 @@ def _measured(command: SimCommand, effort: _Effort, progress: "Progress") -> lis
     """Return all figures."""
     import time
 
-    from dronevio.cli.speed.recording import (
-        a_stretch,
-        bench_rig,
+    from dronevio.cli.speed.recording_cost import (
+        measured_rig,
+        measured_scenario,
         memory_figure,
         minute_figure,
         record,
@@ -112,8 +99,8 @@ def _measured(command: SimCommand, effort: _Effort, progress: "Progress") -> lis
     from dronevio.sim.throughput import camera_figure, flight_figure
     from dronevio.sim.world import build_world
 
-    place = command.world, (rig := bench_rig(command.rig, effort.cheap)), command.seed
-    stretch = a_stretch(*place, effort.stretch_s)
+    place = command.world, (rig := measured_rig(command.rig, effort.small_images)), command.seed
+    flight = measured_scenario(*place, effort.recording_s)
     steps = 6
     progress(0, steps)
     start = time.perf_counter()
@@ -122,16 +109,18 @@ def _measured(command: SimCommand, effort: _Effort, progress: "Progress") -> lis
     progress(1, steps)
     figures = [camera_figure(world, rig.cameras[0].model, effort.frames)]
     progress(2, steps)
-    figures.append(flight_figure(a_stretch(*place, effort.flight_s)))
+    figures.append(flight_figure(measured_scenario(*place, effort.flight_s)))
     progress(3, steps)
-    one = record(stretch, workers=1)
+    one = record(flight, workers=1)
     progress(4, steps)
-    two = record(stretch, workers=2)
+    two = record(flight, workers=2)
     progress(5, steps)
     figures += [
         scaling_figure(one, two),
         minute_figure(two, world_s),
-        memory_figure(command.world, command.rig, command.seed, effort.cheap, effort.memory_s, effort.memory_rate_hz),
+        memory_figure(
+            command.world, command.rig, command.seed, effort.small_images, effort.memory_s, effort.memory_rate_hz
+        ),
     ]
     progress(6, steps)
     return figures

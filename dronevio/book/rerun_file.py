@@ -13,7 +13,7 @@ _POINT_RADIUS = 0.006
 _PLANE_DISTANCE = 0.3  # distance of a photograph from its camera, in units of the reconstruction
 
 
-def record_sfm(experiment: SfmExperiment, path: Path) -> None:
+def write_sfm_rerun(experiment: SfmExperiment, path: Path) -> None:
     """Write the coloured points and the cameras with their photographs to a rerun file ``path`` (.rrd)."""
     blueprint = rrb.Blueprint(rrb.Spatial3DView(origin="/", name="Villa Balbianello"), collapse_panels=True)
     with rr.RecordingStream("dronevio_book_sfm") as stream:

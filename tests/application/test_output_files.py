@@ -1,15 +1,15 @@
-"""Folders that are there whole or not at all."""
+"""Output files and folders exist complete or not at all."""
 
 from pathlib import Path
 
 import pytest
 
-from dronevio.cli.folders import atomic_folder, size_mb
+from dronevio.cli.output_files import atomic_file, atomic_folder, require_free, size_mb
 from dronevio.models.errors import InputError
 
 
 def make(target: Path, text: str, overwrite: bool = False) -> None:
-    """Write a result of one file under mav0."""
+    """Write a result that consists of one file in mav0."""
     with atomic_folder(target, overwrite) as folder:
         (folder / "mav0").mkdir()
         (folder / "mav0" / "data.txt").write_text(text)
@@ -17,7 +17,7 @@ def make(target: Path, text: str, overwrite: bool = False) -> None:
         assert folder.parent == target.parent
 
 
-def test_it_appears_at_the_end(tmp_path: Path) -> None:
+def test_folder_appears_when_complete(tmp_path: Path) -> None:
     target = tmp_path / "deep" / "result"
     make(target, "done")
     assert (target / "mav0" / "data.txt").read_text() == "done"
@@ -26,15 +26,15 @@ def test_it_appears_at_the_end(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("error", [KeyboardInterrupt, ValueError])
-def test_nothing_is_left_of_a_failure(tmp_path: Path, error: type[BaseException]) -> None:
+def test_failure_leaves_no_folder(tmp_path: Path, error: type[BaseException]) -> None:
     with pytest.raises(error), atomic_folder(tmp_path / "result") as folder:
         (folder / "half").write_text("x")
         raise error
     assert list(tmp_path.iterdir()) == []
 
 
-def test_a_recording_that_was_cut_off_is_kept(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    def cut_off(frames: int) -> None:
+def test_interrupted_recording_is_kept(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    def interrupted(frames: int) -> None:
         with atomic_folder(tmp_path / "flight") as folder:
             (folder / "mav0" / "cam0" / "data").mkdir(parents=True)
             (folder / "mav0" / "INCOMPLETE").touch()
@@ -44,14 +44,14 @@ def test_a_recording_that_was_cut_off_is_kept(tmp_path: Path, capsys: pytest.Cap
 
     for frames in (3, 0, 1):
         with pytest.raises(KeyboardInterrupt):
-            cut_off(frames)
+            interrupted(frames)
     assert sorted(file.name for file in tmp_path.iterdir()) == ["flight.incomplete", "flight.incomplete-2"]
     assert len(list((tmp_path / "flight.incomplete" / "mav0" / "cam0" / "data").iterdir())) == 3
-    told = capsys.readouterr().err.splitlines()
-    assert len(told) == 2 and told[0].endswith(str(tmp_path / "flight.incomplete"))
+    messages = capsys.readouterr().err.splitlines()
+    assert len(messages) == 2 and messages[0].endswith(str(tmp_path / "flight.incomplete"))
 
 
-def test_what_is_there_is_not_replaced_unasked(tmp_path: Path) -> None:
+def test_existing_folder_is_replaced_only_with_overwrite(tmp_path: Path) -> None:
     make(tmp_path / "result", "old")
     with pytest.raises(InputError, match="--overwrite"):
         make(tmp_path / "result", "new")
@@ -61,7 +61,7 @@ def test_what_is_there_is_not_replaced_unasked(tmp_path: Path) -> None:
     assert [file.name for file in tmp_path.iterdir()] == ["result"]
 
 
-def test_a_failed_replacement_keeps_the_old(tmp_path: Path) -> None:
+def test_failed_replacement_keeps_the_old_folder(tmp_path: Path) -> None:
     make(tmp_path / "result", "old")
     with pytest.raises(KeyboardInterrupt), atomic_folder(tmp_path / "result", overwrite=True):
         raise KeyboardInterrupt
@@ -69,7 +69,7 @@ def test_a_failed_replacement_keeps_the_old(tmp_path: Path) -> None:
     assert [file.name for file in tmp_path.iterdir()] == ["result"]
 
 
-def test_only_our_own_is_replaced(tmp_path: Path) -> None:
+def test_only_an_earlier_result_is_replaced(tmp_path: Path) -> None:
     home = tmp_path / "home"
     home.mkdir()
     (home / "thesis.tex").write_text("years of work")
@@ -83,7 +83,31 @@ def test_only_our_own_is_replaced(tmp_path: Path) -> None:
         make(tmp_path / "file" / "below", "new")
 
 
-def test_an_empty_folder_is_no_obstacle(tmp_path: Path) -> None:
+def test_empty_folder_is_replaced(tmp_path: Path) -> None:
     (tmp_path / "result").mkdir()
     make(tmp_path / "result", "new")
     assert (tmp_path / "result" / "mav0" / "data.txt").read_text() == "new"
+
+
+def test_file_appears_when_complete(tmp_path: Path) -> None:
+    target = tmp_path / "new" / "x.rrd"
+    with atomic_file(target) as partial:
+        partial.write_text("data")
+        assert partial.name == "x.incomplete.rrd" and not target.exists()
+    assert [file.name for file in target.parent.iterdir()] == ["x.rrd"]
+    with pytest.raises(KeyboardInterrupt), atomic_file(target) as partial:
+        partial.write_text("other")
+        raise KeyboardInterrupt
+    assert [file.read_text() for file in target.parent.iterdir()] == ["data"]
+
+
+def test_paths_are_free_if_nothing_would_be_lost(tmp_path: Path) -> None:
+    (tmp_path / "empty").mkdir()
+    (tmp_path / "file").write_text("x")
+    require_free(tmp_path / "nothing", overwrite=False)
+    require_free(tmp_path / "empty", overwrite=False)
+    require_free(tmp_path / "file", overwrite=True)
+    for taken in (tmp_path / "file", tmp_path):
+        with pytest.raises(InputError, match="exists already; expected a new name, or --overwrite"):
+            require_free(taken, overwrite=False)
+    assert size_mb(tmp_path / "file") == pytest.approx(1e-6)

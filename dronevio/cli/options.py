@@ -1,0 +1,67 @@
+"""Groups of options that several commands have in common.
+
+A command has such a group as a field of one of the annotated types, whose options carry no prefix on the command line.
+"""
+
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import tyro
+
+from dronevio.models.errors import ConfigError
+from dronevio.models.recordings.bag.options import BagTopics
+
+if TYPE_CHECKING:
+    from dronevio.models.recordings.open import StoredRecording
+
+
+@dataclass(frozen=True)
+class PrintOptions:
+    """How a command prints its result."""
+
+    json: bool = False
+    """Print one JSON document instead of tables."""
+
+
+@dataclass(frozen=True)
+class OutputOptions(PrintOptions):
+    """How a command writes and prints its result."""
+
+    overwrite: bool = False
+    """Replace an earlier result of this command. The replacement takes place when the new result is complete."""
+
+
+@dataclass(frozen=True)
+class RecordingOptions:
+    """How a command reads a recording."""
+
+    cameras: int | None = None
+    """Number of cameras to use, from the first on. All cameras are used by default."""
+    calibration: tuple[Path, ...] = ()
+    """Kalibr files, camchain.yaml, imu.yaml or both, that replace the calibration of a ROS 2 bag."""
+    topics: BagTopics = field(default_factory=BagTopics)
+    """Topics of a ROS 2 bag that has several of one type."""
+
+    def open(self, path: Path) -> "StoredRecording":
+        """Open a recording.
+
+        Raises:
+            InputError: It cannot be read.
+            ConfigError: It does not have as many cameras as are asked for.
+        """
+        from dronevio.models.recordings.open import open_recording
+
+        if self.cameras is not None and self.cameras < 1:
+            raise ConfigError(f"--cameras {self.cameras}; expected 1 or more")
+        recording = open_recording(path, self.cameras, self.calibration, self.topics)
+        found = len(recording.rig.cameras)
+        if self.cameras is not None and found < self.cameras:
+            raise ConfigError(f"--cameras {self.cameras}: {path} has {found}; expected {found} or fewer")
+        return recording
+
+
+_without_prefix = tyro.conf.arg(name="")
+Printing = Annotated[PrintOptions, _without_prefix]
+Output = Annotated[OutputOptions, _without_prefix]
+RecordingInput = Annotated[RecordingOptions, _without_prefix]

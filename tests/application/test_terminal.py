@@ -1,0 +1,67 @@
+"""Tables and options that all commands share."""
+
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import pytest
+
+from dronevio.cli.options import Output, OutputOptions, RecordingInput, RecordingOptions
+from dronevio.cli.terminal import parse, print_table, print_values
+from dronevio.models.errors import ConfigError
+
+
+@dataclass(frozen=True)
+class Command:
+    """A command with shared groups of options."""
+
+    size: float = 1.5
+    """Size of something [m]."""
+    reading: RecordingInput = field(default_factory=RecordingOptions)
+    """How the recording is read."""
+    output: Output = field(default_factory=OutputOptions)
+    """How the result is written and printed."""
+
+
+def test_first_and_named_columns_are_left_aligned(capsys: pytest.CaptureFixture[str]) -> None:
+    print_table("Errors", ("error", "rmse", "unit"), [("ATE", "0.1", "m"), ("orientation", "12.25", "°")], ("unit",))
+    assert capsys.readouterr().out == (
+        "Errors\n"
+        "error         rmse  unit\n"
+        "───────────  ─────  ────\n"
+        "ATE            0.1  m\n"
+        "orientation  12.25  °\n"
+        "\n"
+    )  # fmt: skip
+
+
+def test_table_without_title_or_rows_has_headings(capsys: pytest.CaptureFixture[str]) -> None:
+    print_values("", ())
+    assert capsys.readouterr().out == "  value  unit\n  ─────  ────\n\n"
+
+
+def test_rows_of_other_lengths_are_refused() -> None:
+    with pytest.raises(ValueError, match="argument"):
+        print_table("", ("a", "b"), [("1",)])
+
+
+def test_shared_options_have_no_prefix() -> None:
+    words = ["--size", "2", "--cameras", "1", "--calibration", "a", "b", "--topics.imu", "/imu"]
+    words += ["--json", "--overwrite"]
+    command = parse(Command, words, "test")
+    assert command.size == 2.0
+    assert (command.reading.cameras, command.reading.calibration) == (1, (Path("a"), Path("b")))
+    assert command.reading.topics.imu == "/imu"
+    assert command.output == OutputOptions(json=True, overwrite=True)
+
+
+def test_wrong_options_end_with_exit_code_2(capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(SystemExit) as ended:
+        parse(Command, ["--size", "x"], "test")
+    assert ended.value.code == 2
+    assert "dronevio test" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("cameras", [0, -1])
+def test_fewer_cameras_than_one_are_refused(cameras: int, tmp_path: Path) -> None:
+    with pytest.raises(ConfigError, match=f"--cameras {cameras}; expected 1 or more"):
+        RecordingOptions(cameras=cameras).open(tmp_path)
