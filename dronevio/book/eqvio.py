@@ -55,7 +55,7 @@ def main(arguments: Sequence[str]) -> int:
     from dronevio.models.state import Trajectory
 
     flight = read_feature_recording()
-    with progress_bars(quiet=command.json) as bars:
+    with progress_bars(quiet=command.printing.json) as bars:
         smoother = VisualInertialOdometry(flight.rig, front_end=ReplayFrontEnd(flight))
         run = estimate_recording(flight, smoother, bars.bar("smoother"))
         filtered = run_eqvio(flight, bars.bar("EqVIO"))
