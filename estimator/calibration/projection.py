@@ -120,7 +120,7 @@ def project(state: CalibrationState, observations: CalibrationObservations, poin
     J_pose = np.concatenate([J_key @ skew(p_key), -J_point], axis=2)
 
     J_corrections = np.zeros((len(k), 2, 1 + PARAMETERS_PER_CAMERA * len(state.Ts_imu_cam)))
-    dp_imu_dt = np.cross(p_imu, rate) - np.einsum("nji,nj->ni", R_world_imu, v)
+    dp_imu_dt = np.cross(p_imu, rate) - np.einsum("nji,nj->ni", R_world_imu, v)  # v not rotated by R_exposure_key
     J_corrections[:, :, 0] = np.einsum("nij,nj->ni", J_imu, dp_imu_dt)
     J_camera = np.zeros((len(k), 2, PARAMETERS_PER_CAMERA))
     J_camera[:, :, 0:3], J_camera[:, :, 3:6] = J_cam @ skew(p_cam), -J_imu

@@ -47,11 +47,12 @@ def circle(t_s: Array) -> tuple[Array, Array, Array, Array]:
 def samples_on_circle(n: int, sampling: Sampling = "point") -> tuple[ImuSamples, Array, Array, Array]:
     """Return n samples of an IMU with biases on the circle, and its true poses, velocities and angular velocities."""
     t_ns: Times = T0_NS + STEP_NS * np.arange(n, dtype=np.int64)
-    T, v, omega, force = circle((t_ns - T0_NS) * 1e-9)
+    t_s = (t_ns - T0_NS).astype(np.float64) * 1e-9
+    T, v, omega, force = circle(t_s)
     gyro, accel = omega, force
     if sampling == "increment":
         dt_s = STEP_NS * 1e-9
-        T_before, v_before, *_ = circle((t_ns - T0_NS) * 1e-9 - dt_s)
+        T_before, v_before, *_ = circle(t_s - dt_s)
         gyro = log_so3(np.swapaxes(T_before[:, :3, :3], 1, 2) @ T[:, :3, :3]) / dt_s
         accel = np.einsum("nji,nj->ni", T_before[:, :3, :3], (v - v_before) / dt_s - GRAVITY)
     return ImuSamples(t_ns, gyro + BIASES[0], accel + BIASES[1], sampling), T, v, omega
