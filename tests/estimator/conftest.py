@@ -9,6 +9,7 @@ import numpy as np
 import numpy.typing as npt
 import pytest
 
+from dronevio.estimator.config import VioConfig
 from dronevio.estimator.types import Observations
 from dronevio.estimator.vio import VisualInertialOdometry
 from dronevio.models.camera import CameraModel
@@ -237,9 +238,9 @@ class SyntheticFlight:
         flight.__dict__.update(imu=whole, frame_times_ns=self.frame_times_ns[:frames])
         return flight
 
-    def run(self, front_end: SyntheticFrontEnd | None = None) -> list[Estimate]:
+    def run(self, front_end: SyntheticFrontEnd | None = None, config: VioConfig | None = None) -> list[Estimate]:
         """Push everything through the odometry; return one estimate a frame."""
-        vio = VisualInertialOdometry(self.rig, front_end=front_end or self.front_end())
+        vio = VisualInertialOdometry(self.rig, config, front_end or self.front_end())
         estimates = []
         for measurement in measurements(self):
             if isinstance(measurement, ImuSamples):

@@ -6,6 +6,7 @@ improvement of vision-aided inertial navigation", T-RO 2014.
 """
 
 from collections.abc import Callable, Iterator
+from typing import Any
 
 import gtsam
 import numpy as np
@@ -49,7 +50,7 @@ def gauge_information(prior: MarginalPrior) -> np.ndarray:
     return np.asarray(N.T @ prior.H @ N)
 
 
-def priors(flight: object, config: SmootherConfig) -> Iterator[MarginalPrior]:
+def priors(flight: Any, config: SmootherConfig) -> Iterator[MarginalPrior]:
     """Yield the marginal prior after each keyframe of a flight whose first state is a bit off."""
     times = flight.frame_times_ns[::FRAMES_PER_KEYFRAME]
     truth = flight.truth_at(times[:1])
@@ -81,7 +82,7 @@ def priors(flight: object, config: SmootherConfig) -> Iterator[MarginalPrior]:
     ids=["oldest leave", "oldest leave, landmarks stay", "some in between leave"],
 )
 def test_no_information_on_global_position_and_yaw(
-    make_flight: Callable, monkeypatch: pytest.MonkeyPatch, min_parallax_px: float, persistent: int
+    make_flight: Callable[..., Any], monkeypatch: pytest.MonkeyPatch, min_parallax_px: float, persistent: int
 ) -> None:
     """What the prior knows of the gauge stays what it was given, within some percent.
 
@@ -105,7 +106,7 @@ def test_no_information_on_global_position_and_yaw(
     assert (len(prior.points) > 0) == (persistent > 0 and min_parallax_px == 5.0)
 
 
-def test_gauge_directions_are_those_of_a_moved_world(make_flight: Callable) -> None:
+def test_gauge_directions_are_those_of_a_moved_world(make_flight: Callable[..., Any]) -> None:
     """A world that is moved and turned about its z axis by little changes all variables along the gauge directions."""
     flight = make_flight(3, rest_s=-5.0, duration_s=2.5, max_features=40)
     *_, prior = priors(flight, SmootherConfig(max_keyframes=4))

@@ -97,6 +97,15 @@ def test_uncertain_observations_have_less_weight() -> None:
     np.testing.assert_allclose(weights(window(scale=0.5).linearize()), clean, rtol=1e-6)  # a smaller patch is no worse
 
 
+def test_exact_observations_have_the_information_of_their_sigma() -> None:
+    """J = [1 0 −x/z; 0 1 −y/z] / z of a landmark at (x, y, z) in a camera that is not turned; the sum of JᵀJ / σ²."""
+    made = window()
+    p = made.landmarks.points[:, None] - [state.pose.translation() for state in made.states.values()]
+    x, y, z = np.moveaxis(p, 2, 0)
+    traces = (2.0 + (x / z) ** 2 + (y / z) ** 2) / z**2 / (PIXEL_SIGMA / FOCAL_PX) ** 2
+    np.testing.assert_allclose(weights(made.linearize()), traces.sum(axis=1), rtol=1e-6)
+
+
 @pytest.mark.parametrize(("noise_sigmas", "weight"), [(0.5, 1.0), (1.0, 1.0), (2.0, 1.0 / 4.0), (3.0, 1.0 / 9.0)])
 def test_noisier_observations_weigh_less(noise_sigmas: float, weight: float) -> None:
     """Noise s times as large as assumed makes the weights 1/s² as large; smaller noise makes them no larger."""
