@@ -13,7 +13,7 @@ from dronevio.eval.benchmark.jobs import Flight
 from dronevio.eval.benchmark.rows import figures_of
 from dronevio.eval.provenance import versions_here
 from dronevio.models.errors import ConfigError, InputError
-from dronevio.models.serialization import to_plain
+from dronevio.models.serialization import to_jsonable
 from dronevio.registry import NamedEstimator
 
 if TYPE_CHECKING:
@@ -138,7 +138,7 @@ def recorded_flights(paths: Iterable[Path]) -> tuple[Flight, ...]:
 def _flight(flown: "Scenario") -> Flight:
     """Return a scenario's flight. Its recording's hash is that of all that draws it; a mere name does not."""
     installed = versions_here()
-    settings = to_plain(replace(flown, name="", description=""))
+    settings = to_jsonable(replace(flown, name="", description=""))
     packages = {name: installed.get(name) for name in _DRAWING_PACKAGES}
     digest = content_hash({"scenario": settings, "packages": packages, "code": code_hash(*_DRAWS)})
     return Flight(flown.name, flown.world, flown.seed, digest, flown)

@@ -8,7 +8,7 @@ from dronevio.models.progress import Progress, silent
 from dronevio.models.recordings.euroc import write_euroc
 from dronevio.models.rig import Rig
 from dronevio.models.rig_presets import RIGS, rig_named
-from dronevio.models.serialization import to_plain
+from dronevio.models.serialization import to_jsonable
 from dronevio.sim.cameras.imaging import Imaging
 from dronevio.sim.flight import Flight, fly
 from dronevio.sim.refly import FlownPath
@@ -54,7 +54,7 @@ def record_flight(
         scenario.imaging,
         truth_images,
     )
-    _write_settings(folder, {"scenario": to_plain(scenario), "imu_constants": to_plain(flight.imu_constants)})
+    _write_settings(folder, {"scenario": to_jsonable(scenario), "imu_constants": to_jsonable(flight.imu_constants)})
     write_euroc(folder, scenario.rig, flight.imu, flight.truth, flight.schedule.stamps_ns)
     render(job, folder / "mav0", rendering, workers)
     return flight
@@ -123,5 +123,5 @@ def rig_of(name_or_file: str) -> Rig:
 def _write_settings(folder: Path, settings: dict[str, object]) -> None:
     """Write what was flown, for people and for programs."""
     folder.mkdir(parents=True, exist_ok=True)
-    document = {name: to_plain(value) for name, value in settings.items()}
+    document = {name: to_jsonable(value) for name, value in settings.items()}
     (folder / SCENARIO_FILE).write_text(json.dumps(document, indent=2) + "\n", encoding="utf-8")

@@ -15,7 +15,7 @@ import numpy as np
 from dronevio.models.errors import ConfigError, EvaluationError
 from dronevio.models.protocols import Estimator, Recording
 from dronevio.models.rig import Rig
-from dronevio.models.serialization import to_plain
+from dronevio.models.serialization import to_jsonable
 from dronevio.models.state import Trajectory
 
 EXTERNAL = "external:"
@@ -110,7 +110,7 @@ class NamedEstimator:
         """Return all that tells it apart from others of its kind, as plain data."""
         if self.name.startswith(EXTERNAL):
             return {"command": shlex.split(self.name.removeprefix(EXTERNAL))}
-        return {"estimator": self.name, "config": to_plain(ESTIMATORS[self.name].settings())}
+        return {"estimator": self.name, "config": to_jsonable(ESTIMATORS[self.name].settings())}
 
     def run(self, path: Path) -> Estimated:
         """Estimate the motion of a recording.

@@ -53,14 +53,14 @@ class Answers:
             self._initializer.believe(state)
         events = (*events, *self._gaps(packet), *self._doubts(packet))
         tracks = _feature_tracks(packet.observations)
-        return Estimate(packet.t_ns, report.state, state, tracks, landmarks_world, events, report)
+        return Estimate(packet.t_ns, report.health, state, tracks, landmarks_world, events, report)
 
     def unknown(
         self, packet: FramePacket, why: str, report: HealthReport | None = None, events: tuple[str, ...] = ()
     ) -> Estimate:
         """Return an estimate without a state, and why there is none."""
         known = report or HealthReport(self._waiting, why, tracks=len(packet.observations))
-        report = replace(known, state=self._waiting, reason=why)
+        report = replace(known, health=self._waiting, reason=why)
         events = (*events, *self._gaps(packet), *self._doubts(packet))
         tracks = _feature_tracks(packet.observations)
         return Estimate(packet.t_ns, self._waiting, None, tracks, events=events, health_report=report)

@@ -100,7 +100,7 @@ class VisualInertialOdometry:
         self._interval.add(packet, still)
         predicted = self._interval.state_at(packet.t_ns)
         report = self._monitor.judge(seen, predicted, still)
-        if report.state is Health.LOST:
+        if report.health is Health.LOST:
             return self._lose(packet, report)
         if not self._interval.is_over(stationary_s, seen, report.innovation_px):
             self._calibration.work()

@@ -1,4 +1,4 @@
-"""What the drone, its sensors and their data are: plain frozen dataclasses of numpy arrays, and protocols.
+"""Data types that all packages share: states, measurements, calibration, vehicles, and protocols.
 
-Nothing here simulates, estimates or scores; every other room speaks in these types.
+The types are frozen dataclasses of numpy arrays. This package neither simulates, estimates nor evaluates.
 """

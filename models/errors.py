@@ -1,23 +1,23 @@
-"""Everything that can go wrong for a reason that the user can mend."""
+"""Errors that are caused by input or settings, and that the user can correct."""
 
 from pathlib import Path
 
 
 class DronevioError(Exception):
-    """Root of the errors that the user can mend; the command line prints them in one line and exits with 2."""
+    """Base class of all errors that the user can correct; the command line prints them on one line and exits with 2."""
 
 
 class InputError(DronevioError):
-    """A file or folder that is missing, unreadable or not what its format promises."""
+    """A file or folder is missing, unreadable or not in the expected format."""
 
     def __init__(self, path: Path | str, found: str, expected: str, line: int | None = None) -> None:
-        """Say where, what was found and what was expected.
+        """Compose the message ``PATH:LINE: FOUND; expected EXPECTED``.
 
         Args:
-            path: File or folder at fault.
-            found: What is there.
-            expected: What should be there.
-            line: Line number, counted from 1, where it is a line's fault.
+            path: The file or folder.
+            found: Description of what was found.
+            expected: Description of what was expected.
+            line: Line number, counted from 1, if the error belongs to a line.
         """
         self.path = Path(path)
         self.line = line
@@ -26,16 +26,16 @@ class InputError(DronevioError):
 
 
 class ConfigError(DronevioError):
-    """A setting, a name or a combination of them that makes no sense."""
+    """A setting, a name or a combination of them is invalid."""
 
 
 class GraphicsError(DronevioError):
-    """No off-screen OpenGL that renders a frame."""
+    """No off-screen OpenGL context can render a frame."""
 
 
 class EvaluationError(DronevioError):
-    """Two trajectories that cannot be compared, such as ones that share no time."""
+    """Two trajectories cannot be compared, for example because they do not overlap in time."""
 
 
 class IncompleteError(DronevioError):
-    """Long work that had to stop half-way, such as on a full disk; what was finished can be read."""
+    """A long operation stopped early, for example because the disk is full; the finished part can be read."""

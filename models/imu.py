@@ -1,4 +1,4 @@
-"""The inertial measurement unit: its samples, and the densities that describe its noise."""
+"""Inertial measurement unit: samples, and the parameters of its errors."""
 
 import math
 from dataclasses import dataclass, fields
@@ -15,9 +15,9 @@ Times = npt.NDArray[np.int64]
 Sampling = Literal["increment", "point"]
 
 GRAVITY_M_S2 = 9.81
-"""Magnitude of gravity [m/s²]; in the world frame it acts along −z."""
+"""Magnitude of gravity, which acts along −z in the world frame [m/s²]."""
 STANDARD_GRAVITY_M_S2 = 9.80665
-"""The g of data sheets [m/s²] (CGPM, 1901)."""
+"""Standard gravity, the unit g of data sheets (CGPM, 1901) [m/s²]."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -25,20 +25,20 @@ class ImuSamples:
     """A batch of IMU samples in time order."""
 
     t_ns: Times
-    """(N,) Time stamps [ns], strictly increasing."""
+    """(N,) Time stamps, strictly increasing [ns]."""
     gyro_rad_s: Array
     """(N, 3) Angular velocity in the IMU frame [rad/s]."""
     accel_m_s2: Array
-    """(N, 3) Specific force in the IMU frame [m/s²]: +9.81 up at rest, 0 in free fall."""
+    """(N, 3) Specific force in the IMU frame: 9.81 upwards if stationary, 0 in free fall [m/s²]."""
     sampling: Sampling = "point"
-    """``point``: row i is the value at t[i] (EuRoC). ``increment``: row i is the mean over (t[i−1], t[i]], that is
-    Δθ = log(R₀ᵀR₁) and Δv in the frame at the interval's start, each divided by the interval."""
+    """Meaning of a row. ``point``: row i is the value at t[i] (EuRoC). ``increment``: row i is the mean over the
+    interval (t[i−1], t[i]], that is Δθ = log(R₀ᵀR₁) and Δv in the frame at the start, each divided by the interval."""
 
     def __post_init__(self) -> None:
-        """Check the shapes.
+        """Check the shapes and the time stamps.
 
         Raises:
-            ConfigError: The arrays do not belong together, or time does not increase.
+            ConfigError: The shapes do not match, or the time stamps do not increase.
         """
         n = len(self.t_ns)
         if self.t_ns.shape != (n,) or self.gyro_rad_s.shape != (n, 3) or self.accel_m_s2.shape != (n, 3):
@@ -53,26 +53,32 @@ class ImuSamples:
         return len(self.t_ns)
 
     def __getitem__(self, rows: slice) -> Self:
-        """Return the batch of the given rows."""
+        """Return a slice of the batch."""
         return type(self)(self.t_ns[rows], self.gyro_rad_s[rows], self.accel_m_s2[rows], self.sampling)
 
     @classmethod
     def empty(cls, sampling: Sampling = "point") -> Self:
-        """Return a batch of no samples."""
+        """Return a batch without samples."""
         return cls(np.zeros(0, np.int64), np.zeros((0, 3)), np.zeros((0, 3)), sampling)
 
     def after(self, t_ns: int) -> Self:
-        """Return the samples stamped later than ``t_ns``."""
+        """Return the samples later than ``t_ns``."""
         return self[int(np.searchsorted(self.t_ns, t_ns, side="right")) :]
 
     def up_to(self, t_ns: int) -> Self:
-        """Return the samples stamped at ``t_ns`` or earlier."""
+        """Return the samples at ``t_ns`` or earlier."""
         return self[: int(np.searchsorted(self.t_ns, t_ns, side="right"))]
 
     def extended(self, later: Self) -> Self:
-        """Return this batch followed by a later one of the same sampling."""
+        """Return this batch followed by a later one.
+
+        Raises:
+            ConfigError: The batches differ in `sampling`, or their time stamps do not increase.
+        """
         if later.sampling != self.sampling and len(self) and len(later):
-            raise ConfigError(f"IMU batches of two kinds, {self.sampling} and {later.sampling}")
+            raise ConfigError(
+                f"IMU batches with sampling {self.sampling!r} and {later.sampling!r}; expected the same for both"
+            )
         return type(self)(
             np.concatenate([self.t_ns, later.t_ns]),
             np.concatenate([self.gyro_rad_s, later.gyro_rad_s]),
@@ -81,11 +87,11 @@ class ImuSamples:
         )
 
     def increments(self) -> Self:
-        """Return the same motion as means over the intervals between stamps.
+        """Return the samples as means over the intervals between time stamps (sampling ``increment``).
 
-        Increments stay as they are. Points are averaged pairwise (the midpoint rule), the later acceleration first
-        turned into the frame at the interval's start: left out, that turn costs ½ω × a, 2 cm/s² at 50 °/s and 200 Hz.
-        The interval before the first point is unknown, so N points give N − 1 increments.
+        Increments are returned unchanged. Points are averaged in pairs (midpoint rule), after rotation of the later
+        specific force into the frame at the start of the interval; without the rotation the error is ½ Δt ω × a, 2
+        cm/s² at 50 °/s and 200 Hz. The interval before the first point is unknown, so N points yield N − 1 increments.
         """
         if self.sampling == "increment":
             return self
@@ -98,71 +104,73 @@ class ImuSamples:
 
 @dataclass(frozen=True)
 class ImuModel:
-    """An IMU's rate and errors: noise as continuous-time densities (IEEE 952; Kalibr's conventions), others as spreads.
+    """Rate and error model of an IMU.
 
-    A triad measures, of a true angular velocity ω and specific force f, with its output filter, range and resolution,
+    Noise is given as continuous-time densities (IEEE 952, with Kalibr's conventions), constant errors by their standard
+    deviations. For a true angular velocity ω and specific force f the IMU measures, before output filter, range and
+    resolution,
 
         gyro  = (I + S_g) ω + G f + b_g + n_g        accel = (I + S_a) f + b_a + n_a
 
-    S holds scale errors on, and misalignments off its diagonal, G is the gyroscope's g-sensitivity; both are constants
-    of one unit, drawn at switch-on (`ImuConstants`). The biases b are what an estimator estimates: turn-on bias, random
-    walk and bias instability together. The defaults of all but the first eight fields are those of a perfect sensor.
+    S contains scale errors on its diagonal and misalignments off it, G is the g-sensitivity of the gyroscope; both are
+    constants of an individual unit (`ImuConstants`). The biases b, which an estimator estimates, are the sum of turn-on
+    bias, random walk and bias instability. The defaults of all but the first eight fields are those of an ideal sensor.
     """
 
     name: str = "ADIS16448"
-    """Which sensor this is."""
+    """Name of the sensor model."""
     rate_hz: float = 200.0
     """Sampling rate [Hz]."""
     gyro_noise_density: float = 1.6968e-4
-    """White noise of the gyroscope [rad/s/√Hz]."""
+    """White noise density of the gyroscope [rad/s/√Hz]."""
     gyro_random_walk: float = 1.9393e-5
-    """Random walk of the gyroscope's bias [rad/s²/√Hz]."""
+    """Random walk density of the gyroscope bias [rad/s²/√Hz]."""
     accel_noise_density: float = 2.0e-3
-    """White noise of the accelerometer [m/s²/√Hz]."""
+    """White noise density of the accelerometer [m/s²/√Hz]."""
     accel_random_walk: float = 3.0e-3
-    """Random walk of the accelerometer's bias [m/s³/√Hz]."""
+    """Random walk density of the accelerometer bias [m/s³/√Hz]."""
     gyro_turn_on_bias_rad_s: float = 0.01
-    """Standard deviation of the gyroscope's bias at switch-on [rad/s]."""
+    """Standard deviation of the turn-on bias of the gyroscope [rad/s]."""
     accel_turn_on_bias_m_s2: float = 0.05
-    """Standard deviation of the accelerometer's bias at switch-on [m/s²]."""
+    """Standard deviation of the turn-on bias of the accelerometer [m/s²]."""
     gyro_bias_instability_rad_s: float = 0.0
-    """In-run bias stability of the gyroscope [rad/s]: the floor of the Allan deviation of its flicker noise."""
+    """In-run bias instability of the gyroscope: the floor of the Allan deviation of its flicker noise [rad/s]."""
     accel_bias_instability_m_s2: float = 0.0
-    """In-run bias stability of the accelerometer [m/s²]: the floor of the Allan deviation of its flicker noise."""
+    """In-run bias instability of the accelerometer: the floor of the Allan deviation of its flicker noise [m/s²]."""
     gyro_scale_error: float = 0.0
-    """Standard deviation of each axis's scale error of the gyroscope, relative."""
+    """Standard deviation of the relative scale error of each gyroscope axis."""
     accel_scale_error: float = 0.0
-    """Standard deviation of each axis's scale error of the accelerometer, relative."""
+    """Standard deviation of the relative scale error of each accelerometer axis."""
     gyro_misalignment_rad: float = 0.0
-    """Standard deviation of the tilt of each axis of the gyroscope towards each of the others [rad]."""
+    """Standard deviation of the misalignment of each gyroscope axis towards each of the others [rad]."""
     accel_misalignment_rad: float = 0.0
-    """Standard deviation of the tilt of each axis of the accelerometer towards each of the others [rad]."""
+    """Standard deviation of the misalignment of each accelerometer axis towards each of the others [rad]."""
     gyro_g_sensitivity_rad_s_per_m_s2: float = 0.0
-    """Standard deviation of each element of the gyroscope's g-sensitivity [rad/s per m/s²]."""
+    """Standard deviation of each element of the g-sensitivity of the gyroscope [rad/s per m/s²]."""
     gyro_range_rad_s: float = math.inf
-    """Where the gyroscope saturates, either way [rad/s]."""
+    """Largest absolute angular velocity that the gyroscope measures on each axis [rad/s]."""
     accel_range_m_s2: float = math.inf
-    """Where the accelerometer saturates, either way [m/s²]."""
+    """Largest absolute specific force that the accelerometer measures on each axis [m/s²]."""
     gyro_resolution_rad_s: float = 0.0
-    """The gyroscope's least significant bit [rad/s]; 0 for no quantization."""
+    """Least significant bit of the gyroscope, 0 for no quantization [rad/s]."""
     accel_resolution_m_s2: float = 0.0
-    """The accelerometer's least significant bit [m/s²]; 0 for no quantization."""
+    """Least significant bit of the accelerometer, 0 for no quantization [m/s²]."""
     gyro_bandwidth_hz: float = math.inf
-    """Where the gyroscope's output filter is 3 dB down [Hz]: what it lets through of the rotors' vibration."""
+    """Bandwidth (−3 dB) of the output filter of the gyroscope, which attenuates rotor vibration [Hz]."""
     accel_bandwidth_hz: float = math.inf
-    """Where the accelerometer's output filter is 3 dB down [Hz]."""
+    """Bandwidth (−3 dB) of the output filter of the accelerometer [Hz]."""
 
     def __post_init__(self) -> None:
-        """Check the numbers.
+        """Check the values of the fields.
 
         Raises:
-            ConfigError: A rate or a bandwidth is not above zero, or another number is negative or no number.
+            ConfigError: A rate, range or bandwidth is not positive, or another number is negative or NaN.
         """
         for field in fields(self)[1:]:
             value = getattr(self, field.name)
-            least = "above zero" if field.name in _POSITIVE else "zero or more"
+            required = "positive" if field.name in _POSITIVE else "non-negative"
             if not (value > 0.0 if field.name in _POSITIVE else value >= 0.0):
-                raise ConfigError(f"IMU {self.name}: {field.name} {value}; expected a number, {least}")
+                raise ConfigError(f"IMU {self.name}: {field.name} {value}; expected a {required} number")
 
 
 _POSITIVE = ("rate_hz", "gyro_range_rad_s", "accel_range_m_s2", "gyro_bandwidth_hz", "accel_bandwidth_hz")
@@ -170,31 +178,31 @@ _POSITIVE = ("rate_hz", "gyro_range_rad_s", "accel_range_m_s2", "gyro_bandwidth_
 
 @dataclass(frozen=True, eq=False)
 class ImuConstants:
-    """What distinguishes one unit of an IMU model from the next, and stays as it is while it is switched on.
+    """Constant errors of one unit of an IMU model, drawn when it is switched on.
 
-    It is truth for which no ground truth has a column: with it, and the biases, every sample can be explained.
+    They complete the ground truth, whose files have columns for the biases only.
     """
 
     gyro_matrix: Array
-    """(3, 3) I + S_g: what the gyroscope reads of an angular velocity."""
+    """(3, 3) I + S_g: response of the gyroscope to an angular velocity."""
     accel_matrix: Array
-    """(3, 3) I + S_a: what the accelerometer reads of a specific force."""
+    """(3, 3) I + S_a: response of the accelerometer to a specific force."""
     gyro_g_sensitivity: Array
-    """(3, 3) G: what the gyroscope reads of a specific force [rad/s per m/s²]."""
+    """(3, 3) G: response of the gyroscope to a specific force [rad/s per m/s²]."""
     gyro_turn_on_bias_rad_s: Array
-    """(3,) The gyroscope's bias at switch-on [rad/s]."""
+    """(3,) Turn-on bias of the gyroscope [rad/s]."""
     accel_turn_on_bias_m_s2: Array
-    """(3,) The accelerometer's bias at switch-on [m/s²]."""
+    """(3,) Turn-on bias of the accelerometer [m/s²]."""
 
-    def respond(self, gyro_rad_s: Array, accel_m_s2: Array) -> tuple[Array, Array]:
-        """Return what the unit reads without biases and noise.
+    def response(self, gyro_rad_s: Array, accel_m_s2: Array) -> tuple[Array, Array]:
+        """Return the measurements of the unit without biases and noise.
 
         Args:
             gyro_rad_s: (N, 3) True angular velocities in the IMU frame [rad/s].
             accel_m_s2: (N, 3) True specific forces in the IMU frame [m/s²].
 
         Returns:
-            The same, with scale errors, misalignments and g-sensitivity.
+            Angular velocities (N, 3) and specific forces (N, 3) with scale errors, misalignments and g-sensitivity.
         """
         gyro = gyro_rad_s @ self.gyro_matrix.T + accel_m_s2 @ self.gyro_g_sensitivity.T
         return np.asarray(gyro), np.asarray(accel_m_s2 @ self.accel_matrix.T)
@@ -208,7 +216,7 @@ EUROC_IMU = ImuModel(
     gyro_bandwidth_hz=330.0,
     accel_bandwidth_hz=330.0,
 )
-"""The IMU of EuRoC's rig, an ADIS16448 with the densities of the data set's ``imu0/sensor.yaml`` (Burri et al., IJRR
-2016). Range (±1000 °/s, ±18 g), resolution (0.04 °/s, 1/1200 g: the steps that the data set's samples are multiples of)
-and bandwidth (330 Hz) are the data sheet's (Analog Devices, ADIS16448). It is taken for calibrated: without errors of
-scale, alignment and g-sensitivity."""
+"""The IMU of EuRoC's rig, an ADIS16448 with the noise densities of the data set's ``imu0/sensor.yaml`` (Burri et al.,
+IJRR 2016). Range (±1000 °/s, ±18 g), resolution (0.04 °/s and 1/1200 g, of which the samples of the data set are
+multiples) and bandwidth (330 Hz) are those of the data sheet (Analog Devices, ADIS16448). The unit is regarded as
+calibrated, without scale errors, misalignments and g-sensitivity."""

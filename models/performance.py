@@ -1,32 +1,32 @@
-"""What a benchmark says: a figure beside what it should be."""
+"""Results of performance measurements, with the bounds that they have to meet."""
 
 from dataclasses import dataclass
 from typing import Literal
 
 
 @dataclass(frozen=True)
-class Figure:
-    """Something measured, and what it should be."""
+class PerformanceFigure:
+    """A measured value and its bound."""
 
     name: str
-    """What was measured."""
+    """Name of the measured quantity."""
     value: float
-    """How much it is."""
+    """Measured value in `unit`."""
     unit: str
-    """In what."""
+    """Unit of value and bound."""
     bound: float
-    """How much it may be."""
+    """Required smallest or largest value in `unit`."""
     sense: Literal["at most", "at least"]
-    """Which way the bound works."""
-    how: str
-    """What was measured exactly."""
+    """Whether the bound is the largest or the smallest allowed value."""
+    method: str
+    """Description of the measurement."""
 
     @property
     def ratio(self) -> float:
-        """Value by bound."""
+        """Ratio of the value to the bound."""
         return self.value / self.bound
 
     @property
     def met(self) -> bool:
-        """Whether the bound is kept."""
+        """Whether the value meets the bound."""
         return self.value <= self.bound if self.sense == "at most" else self.value >= self.bound

@@ -1,14 +1,14 @@
-"""How long work tells how far it is, without knowing who listens."""
+"""Callbacks by which long operations report their progress."""
 
 from typing import Protocol
 
 
 class Progress(Protocol):
-    """Called from time to time by long work."""
+    """Callback of a long operation."""
 
     def __call__(self, done: int, total: int) -> None:
-        """Say that ``done`` of ``total`` units are finished."""
+        """Report that ``done`` of ``total`` units are finished."""
 
 
 def silent(done: int, total: int) -> None:
-    """Listen to nothing: the default of everything that reports progress."""
+    """Ignore the progress; the default of all functions that report it."""

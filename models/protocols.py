@@ -1,4 +1,4 @@
-"""The contracts between the rooms: who produces measurements, who consumes them."""
+"""Protocols of recordings, estimators, plants and controllers."""
 
 from collections.abc import Iterator
 from typing import Protocol
@@ -14,70 +14,69 @@ Array = npt.NDArray[np.float64]
 
 
 class Recording(Protocol):
-    """Measurements of one flight: a simulation, an EuRoC folder, or anything else that has these members."""
+    """Measurements of one flight: a simulated flight, an EuRoC folder, a ROS 2 bag or any object with these members."""
 
     @property
     def name(self) -> str:
-        """What to call it in a report."""
+        """Name of the recording in reports."""
 
     @property
     def rig(self) -> Rig:
-        """The calibration."""
+        """Sensors and their calibration."""
 
     @property
     def imu(self) -> ImuSamples:
-        """All IMU samples, in time order."""
+        """IMU samples of the whole recording."""
 
     @property
     def frame_times_ns(self) -> Times:
-        """(M,) Time stamps of the frames [ns], strictly increasing."""
+        """(M,) Time stamps of the frames, strictly increasing [ns]."""
 
     @property
     def ground_truth(self) -> Trajectory | None:
-        """The true motion, where it is known; estimators never see it."""
+        """Ground truth, None if it is unknown; it is not given to estimators."""
 
     def frame(self, index: int) -> CameraFrame:
-        """Return the frame of the given index, 0 ≤ index < M.
+        """Return the frame with a given index, 0 ≤ index < M.
 
         Raises:
-            InputError: Its image cannot be read.
+            InputError: The image of a camera cannot be read.
         """
 
 
 class Estimator(Protocol):
-    """Turns measurements, pushed in time order, into one estimate a frame."""
+    """Receives measurements in time order and returns an estimate for each frame."""
 
     def add_imu(self, samples: ImuSamples) -> None:
-        """Take the IMU samples since the last call."""
+        """Add the IMU samples since the last call."""
 
     def add_frame(self, frame: CameraFrame) -> Estimate:
-        """Take a frame, when the IMU up to the end of its exposure has been added, and say where the IMU is."""
+        """Return the estimate for a frame. The IMU samples up to the end of its exposure have to be added before."""
 
 
 class Plant(Protocol):
-    """Something that flies: it takes motor commands and returns what its IMU measured meanwhile."""
+    """A vehicle or a simulation of it, which receives motor commands and returns IMU samples."""
 
     def step_until(self, t_ns: int, command: Array) -> ImuSamples:
-        """Hold a command (one number a motor) until ``t_ns`` and return the IMU samples since the last call."""
+        """Apply a command (M,), one number per motor, until ``t_ns``; return the IMU samples since the last call."""
 
 
 class Controller(Protocol):
-    """Something that steers: it turns where the drone is and where it should be into motor commands."""
+    """Computes motor commands from the state of the vehicle."""
 
     def command(self, state: NavState, t_ns: int) -> Array:
-        """Return the command (one number a motor) for the state at ``t_ns``."""
+        """Return the command (M,), one number per motor, for the state at ``t_ns``."""
 
 
 def measurements(recording: Recording) -> Iterator[ImuSamples | CameraFrame]:
-    """Yield a recording's measurements as a live system would get them.
+    """Yield the measurements of a recording in the order in which a live system receives them.
 
-    Each frame comes right after the IMU samples up to the exposure of its last row, on the IMU's clock, and the first
-    one beyond, so that the motion up to there can be interpolated. That is a wait of at most one IMU interval (5 ms at
-    200 Hz).
+    Each frame follows the IMU samples up to the exposure of its last row, on the IMU clock, and the first sample after
+    it, so that the motion up to that time can be interpolated. The delay is at most one IMU interval (5 ms at 200 Hz).
     """
     imu, start, rig = recording.imu, 0, recording.rig
-    late_s = max(rig.time_offset_s + 0.5 * max((camera.readout_s for camera in rig.cameras), default=0.0), 0.0)
-    for index, t_ns in enumerate(recording.frame_times_ns + round(late_s * 1e9)):
+    delay_s = max(rig.time_offset_s + 0.5 * max((camera.readout_s for camera in rig.cameras), default=0.0), 0.0)
+    for index, t_ns in enumerate(recording.frame_times_ns + round(delay_s * 1e9)):
         end = min(int(np.searchsorted(imu.t_ns, t_ns, side="left")) + 1, len(imu))
         if end > start:
             yield imu[start:end]

@@ -1,4 +1,4 @@
-"""The rig: which cameras and IMU the drone carries, and where."""
+"""Sensor rig: cameras and IMU of a drone with their calibration."""
 
 from dataclasses import dataclass, field
 
@@ -11,32 +11,32 @@ from dronevio.models.imu import EUROC_IMU, ImuModel
 
 Array = npt.NDArray[np.float64]
 
-_ORTHONORMAL = 1e-4  # published extrinsics carry down to 5 digits
+_ORTHONORMAL = 1e-4  # published extrinsics have as few as 5 digits
 
 
 @dataclass(frozen=True, eq=False)
 class RigCamera:
-    """One camera on the rig."""
+    """A camera of a rig."""
 
     model: CameraModel
-    """Projection and image size."""
+    """Intrinsics of the camera."""
     T_imu_cam: Array
-    """(4, 4) Pose of the camera (x right, y down, z forward) in the IMU frame."""
+    """(4, 4) Pose of the camera in the IMU frame; x right, y down, z forward."""
     rate_hz: float = 20.0
     """Frame rate [Hz]."""
     readout_s: float = 0.0
-    """Time from the first row's middle of exposure to the last row's [s]: 0 for a global shutter. A frame is stamped at
-    the middle of the exposure of its middle row."""
+    """Time from the middle of the exposure of the first row to that of the last row, 0 for a global shutter [s]. The
+    time stamp of a frame is the middle of the exposure of its middle row."""
 
     def __post_init__(self) -> None:
-        """Check pose and times.
+        """Check pose, rate and readout time.
 
         Raises:
-            ConfigError: A field makes no sense; the message names it and its value.
+            ConfigError: A field has an invalid value; the message names both.
         """
         _require_rigid("T_imu_cam", self.T_imu_cam)
         if not 0.0 < self.rate_hz < np.inf:
-            raise ConfigError(f"camera rate_hz = {self.rate_hz}; expected a rate above zero")
+            raise ConfigError(f"camera rate_hz = {self.rate_hz}; expected a positive rate")
         if not 0.0 <= self.readout_s <= 1.0 / self.rate_hz:
             raise ConfigError(
                 f"camera readout_s = {self.readout_s}; expected 0 to {1.0 / self.rate_hz:g} s, the time between frames"
@@ -45,22 +45,22 @@ class RigCamera:
 
 @dataclass(frozen=True, eq=False)
 class Rig:
-    """The calibration of a drone's sensors."""
+    """The sensors of a drone with their calibration."""
 
     cameras: tuple[RigCamera, ...]
-    """The cameras, the first of them the main one."""
+    """Cameras of the rig, of which the first is the main camera."""
     imu: ImuModel = EUROC_IMU
-    """The IMU's rate and noise."""
+    """Rate and error model of the IMU."""
     T_vehicle_imu: Array = field(default_factory=lambda: np.eye(4))
-    """(4, 4) Pose of the IMU in the vehicle frame (x forward, y left, z up, at the centre of mass)."""
+    """(4, 4) Pose of the IMU in the vehicle frame; x forward, y left, z up, origin at the centre of mass."""
     time_offset_s: float = 0.0
-    """t_imu = t_cam + offset [s]."""
+    """Time offset of the camera clock: t_imu = t_cam + offset [s]."""
 
     def __post_init__(self) -> None:
-        """Check what belongs to all of the rig.
+        """Check pose, time offset and frame rates.
 
         Raises:
-            ConfigError: A field makes no sense; the message names it and its value.
+            ConfigError: A field has an invalid value; the message names both.
         """
         _require_rigid("T_vehicle_imu", self.T_vehicle_imu)
         if not np.isfinite(self.time_offset_s):
@@ -68,7 +68,7 @@ class Rig:
         rates = [camera.rate_hz for camera in self.cameras]
         if len(set(rates)) > 1:
             raise ConfigError(
-                f"cameras with rate_hz = {', '.join(map(str, rates))}; expected one rate: a frame is all their images"
+                f"cameras with rate_hz = {', '.join(map(str, rates))}; expected one rate for all images of a frame"
             )
 
 
@@ -90,7 +90,7 @@ def _require_rigid(name: str, T: Array) -> None:
 
 
 def _rows(T: Array) -> str:
-    """Return a matrix in one line."""
+    """Return a matrix as text on one line."""
     return str([[float(f"{v:.4g}") for v in row] for row in np.asarray(T, dtype=np.float64).tolist()])
 
 
@@ -103,7 +103,7 @@ EUROC_CAM0 = CameraModel(
     cy=248.375,
     distortion=(-0.28340811, 0.07395907, 0.00019359, 1.76187114e-05),
 )
-"""EuRoC's left camera (``cam0/sensor.yaml`` of the data set)."""
+"""Left camera of EuRoC (``cam0/sensor.yaml`` of the data set)."""
 
 EUROC_T_IMU_CAM0 = np.array(
     [
@@ -113,7 +113,7 @@ EUROC_T_IMU_CAM0 = np.array(
         [0.0, 0.0, 0.0, 1.0],
     ]
 )
-"""Pose of EuRoC's left camera in its IMU frame, which has x up and z forward."""
+"""(4, 4) Pose of EuRoC's left camera in the IMU frame, which has x up and z forward."""
 
 EUROC_CAM1 = CameraModel(
     width=752,
@@ -124,7 +124,7 @@ EUROC_CAM1 = CameraModel(
     cy=255.238,
     distortion=(-0.28368365, 0.07451284, -0.00010473, -3.55590700e-05),
 )
-"""EuRoC's right camera (``cam1/sensor.yaml`` of the data set)."""
+"""Right camera of EuRoC (``cam1/sensor.yaml`` of the data set)."""
 
 EUROC_T_IMU_CAM1 = np.array(
     [
@@ -134,14 +134,14 @@ EUROC_T_IMU_CAM1 = np.array(
         [0.0, 0.0, 0.0, 1.0],
     ]
 )
-"""Pose of EuRoC's right camera in its IMU frame, 11 cm from the left one."""
+"""(4, 4) Pose of EuRoC's right camera in the IMU frame, 11 cm from the left one."""
 
 
 def euroc_rig() -> Rig:
-    """Return EuRoC's monocular rig, mounted 7 cm ahead of the vehicle's centre of mass and looking forward.
+    """Return EuRoC's monocular rig, mounted 7 cm in front of the centre of mass of the vehicle and facing forward.
 
-    The IMU's x axis points up, y to the right, z forward, as on the data set's drone: an estimator must not assume
-    that its IMU's z axis is the vehicle's.
+    The IMU's x axis points up, y to the right and z forward, as on the drone of the data set. An estimator must not
+    assume that the z axis of the IMU is vertical.
     """
     T_vehicle_imu = np.eye(4)
     T_vehicle_imu[:3, :3] = np.array([[0.0, 0.0, 1.0], [0.0, -1.0, 0.0], [1.0, 0.0, 0.0]])

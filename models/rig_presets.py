@@ -1,7 +1,7 @@
-"""Rigs by name: sets of cameras and an IMU as drones carry them.
+"""Sensor rigs by name.
 
-EuRoC's are the data set's own calibration. The others are mounted on a level IMU (x forward, y left, z up) and look
-exactly ahead, so that what their lenses do is all that distinguishes them.
+The rigs of EuRoC have the calibration of the data set. The others are mounted on a level IMU (x forward, y left, z up)
+and face exactly forward, so that they differ in their lenses only.
 """
 
 from collections.abc import Callable
@@ -20,7 +20,7 @@ from dronevio.models.rotation import pose_matrix
 Array = npt.NDArray[np.float64]
 
 PINHOLE = CameraModel(width=752, height=480, fx=458.0, fy=458.0, cx=375.5, cy=239.5)
-"""EuRoC's image size and, rounded, its focal length, without distortion and with the axis in the middle."""
+"""Pinhole camera with EuRoC's image size and rounded focal length, and the principal point at the image centre."""
 
 UZH_FPV_CAMERA = CameraModel(
     width=640,
@@ -32,9 +32,9 @@ UZH_FPV_CAMERA = CameraModel(
     distortion=(-6.545154718304953e-06, -0.010379525898159981, 0.014935312423953146, -0.005639061406567785),
     lens="equidistant",
 )
-"""A fisheye that sees 133° across and 170° between its corners, all of it in front: the left Snapdragon camera of the
-flights ``indoor_45`` (Delmerico et al., "Are we ready for autonomous drone racing? The UZH-FPV drone racing dataset",
-ICRA 2019; the data set's Kalibr calibration)."""
+"""Fisheye camera with a field of view of 133° horizontally and 170° diagonally: the left Snapdragon camera of the
+sequences ``indoor_45`` (Delmerico et al., "Are we ready for autonomous drone racing? The UZH-FPV drone racing dataset",
+ICRA 2019; Kalibr calibration of the data set)."""
 
 TUM_VI_CAMERA = CameraModel(
     width=512,
@@ -46,41 +46,40 @@ TUM_VI_CAMERA = CameraModel(
     distortion=(0.0034823894022493434, 0.0007150348452162257, -0.0020532361418706202, 0.00020293673591811182),
     lens="equidistant",
 )
-"""A fisheye that sees 154° across and 230° between its corners, behind itself too: the left camera of TUM-VI (Schubert
-et al., "The TUM VI benchmark for evaluating visual-inertial odometry", IROS 2018; the calibration at 512 × 512)."""
+"""Fisheye camera with a field of view of 154° horizontally and 230° diagonally: the left camera of TUM-VI (Schubert et
+al., "The TUM VI benchmark for evaluating visual-inertial odometry", IROS 2018; the calibration at 512 × 512)."""
 
 NANO_CAMERA = CameraModel(
     width=324, height=244, fx=235.0, fy=235.0, cx=161.5, cy=121.5, distortion=(-0.1, 0.0, 0.0, 0.0)
 )
-"""What a 30 g drone can carry: the size of the Himax HM01B0's image on Bitcraze's AI-deck. The focal length gives a
-field of view of 87° between the corners, and the lens a barrel of 9 % there: ordinary for such a module, not measured
-on one."""
+"""Camera for a drone of 30 g, with the image size of the Himax HM01B0 on Bitcraze's AI-deck. The diagonal field of view
+of 87° and the barrel distortion of 9 % at the corners are typical of such a module, not measured on one."""
 
-_R_FORWARD = np.array([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]])  # camera looking along x, its top up
-_NOSE_M = (0.07, 0.02)  # how far a camera is ahead of and above the centre of mass, as on EuRoC's drone
-_WIDE_BASELINE_M = 0.11  # EuRoC's
+_R_FORWARD = np.array([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]])  # camera facing along x, upright
+_MOUNT_M = (0.07, 0.02)  # position in front of and above the centre of mass, as on EuRoC's drone
+_WIDE_BASELINE_M = 0.11  # as on EuRoC's drone
 _NARROW_BASELINE_M = 0.08  # about that of the Snapdragon Flight board of UZH-FPV
 _ROLLING_READOUT_S = (
     0.030  # 1024 rows of 29.5 µs: Schubert et al., "Rolling-shutter modelling for direct VIO", IROS 2019
 )
-_NANO_READOUT_S = 0.0156  # HM01B0: 60 frames a second of 260 rows, 244 of them seen
-_NANO_NOSE_M = (0.02, 0.005)  # the front of a deck of 30 mm on top
+_NANO_READOUT_S = 0.0156  # HM01B0: 60 frames per second of 260 rows, 244 of them visible
+_NANO_MOUNT_M = (0.02, 0.005)  # front edge of a board of 30 mm on top of the drone
 
 
-def _ahead(model: CameraModel, left_m: float = 0.0, rate_hz: float = 20.0, readout_s: float = 0.0) -> RigCamera:
-    """Return a camera that looks along the level IMU's x axis, so far to its left."""
+def _forward(model: CameraModel, left_m: float = 0.0, rate_hz: float = 20.0, readout_s: float = 0.0) -> RigCamera:
+    """Return a camera that faces along the x axis of a level IMU, ``left_m`` to the left of it [m]."""
     return RigCamera(model, pose_matrix(_R_FORWARD, np.array([0.0, left_m, 0.0])), rate_hz, readout_s)
 
 
-def _level(*cameras: RigCamera, imu: ImuModel = EUROC_IMU, nose_m: tuple[float, float] = _NOSE_M) -> Rig:
-    """Return a rig on a level IMU, so far ahead of and above the centre of mass."""
-    ahead, above = nose_m
-    return Rig(cameras, imu, T_vehicle_imu=pose_matrix(np.eye(3), np.array([ahead, 0.0, above])))
+def _level(*cameras: RigCamera, imu: ImuModel = EUROC_IMU, mount_m: tuple[float, float] = _MOUNT_M) -> Rig:
+    """Return a rig with a level IMU, ``mount_m`` in front of and above the centre of mass [m]."""
+    forward_m, up_m = mount_m
+    return Rig(cameras, imu, T_vehicle_imu=pose_matrix(np.eye(3), np.array([forward_m, 0.0, up_m])))
 
 
 def _pair(model: CameraModel, baseline_m: float, rate_hz: float = 20.0) -> Rig:
     """Return a rectified stereo rig, the left camera first."""
-    return _level(_ahead(model, 0.5 * baseline_m, rate_hz), _ahead(model, -0.5 * baseline_m, rate_hz))
+    return _level(_forward(model, 0.5 * baseline_m, rate_hz), _forward(model, -0.5 * baseline_m, rate_hz))
 
 
 def _euroc_stereo() -> Rig:
@@ -97,26 +96,26 @@ RIGS: dict[str, Callable[[], Rig]] = {
     "euroc": euroc_rig,
     "euroc-stereo": _euroc_stereo,
     "rolling": _rolling,
-    "pinhole": lambda: _level(_ahead(PINHOLE)),
+    "pinhole": lambda: _level(_forward(PINHOLE)),
     "pinhole-stereo": lambda: _pair(PINHOLE, _WIDE_BASELINE_M),
-    "fisheye": lambda: _level(_ahead(TUM_VI_CAMERA)),
+    "fisheye": lambda: _level(_forward(TUM_VI_CAMERA)),
     "fisheye-stereo": lambda: _pair(UZH_FPV_CAMERA, _NARROW_BASELINE_M, rate_hz=25.0),
-    "nano": lambda: _level(_ahead(NANO_CAMERA, readout_s=_NANO_READOUT_S), imu=BMI088, nose_m=_NANO_NOSE_M),
+    "nano": lambda: _level(_forward(NANO_CAMERA, readout_s=_NANO_READOUT_S), imu=BMI088, mount_m=_NANO_MOUNT_M),
 }
-"""What makes each rig, by its name."""
+"""Constructors of the rigs by name."""
 
 
 def rig_named(name: str) -> Rig:
-    """Return a rig.
+    """Return the rig with a given name.
 
     Args:
-        name: One of `RIGS`: ``euroc`` (radtan, mono, the default of every flight), ``euroc-stereo``, ``rolling``
-            (EuRoC's camera with a rolling shutter of 30 ms), ``pinhole``, ``pinhole-stereo`` (rectified, 11 cm),
-            ``fisheye`` (154° across, 230° between the corners), ``fisheye-stereo`` (133° and 170°, 8 cm), ``nano``
-            (324 × 244, rolling, and the BMI088 that Bitcraze's Crazyflie carries).
+        name: One of `RIGS`: ``euroc`` (radtan, monocular, the default), ``euroc-stereo``, ``rolling`` (EuRoC's camera
+            with a rolling shutter of 30 ms), ``pinhole``, ``pinhole-stereo`` (rectified, 11 cm baseline), ``fisheye``
+            (154° horizontally, 230° diagonally), ``fisheye-stereo`` (133° and 170°, 8 cm baseline), ``nano``
+            (324 × 244, rolling shutter, with the BMI088 of Bitcraze's Crazyflie).
 
     Raises:
-        ConfigError: There is no such rig.
+        ConfigError: There is no rig with this name.
     """
     if name not in RIGS:
         raise ConfigError(f"unknown rig {name!r}; expected one of {', '.join(RIGS)}")

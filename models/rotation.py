@@ -12,7 +12,7 @@ import numpy.typing as npt
 
 Array = npt.NDArray[np.float64]
 
-_SMALL_ANGLE_RAD = 1e-7  # below it the series' first terms are exact to double precision
+_SMALL_ANGLE_RAD = 1e-7  # below it, the first terms of the series are exact to double precision
 
 
 def skew(v: Array) -> Array:
@@ -48,7 +48,7 @@ def log_so3(R: Array) -> Array:
 def quat_wxyz_from_matrix(R: Array) -> Array:
     """Return unit quaternions (…, 4) with w ≥ 0 of rotation matrices (…, 3, 3).
 
-    Takes the best conditioned of Shepperd's four forms (1978).
+    The function selects the best conditioned of Shepperd's four forms (1978).
     """
     R = np.asarray(R, dtype=np.float64)
     m00, m11, m22 = R[..., 0, 0], R[..., 1, 1], R[..., 2, 2]
@@ -85,23 +85,25 @@ def rotation_z(angle_rad: npt.ArrayLike) -> Array:
 def yaw_rad_from_matrix(R: Array) -> Array:
     """Return the angles (…) [rad], −π to π, of the rotations about z that are nearest to rotations (…, 3, 3).
 
-    The angle maximizes tr(Rz(θ)ᵀ R). It is 0 where R turns z upside down and leaves it open.
+    The angle maximizes tr(Rz(θ)ᵀ R). It is 0 where R reverses z and every angle is a solution.
     """
     return np.asarray(np.arctan2(R[..., 1, 0] - R[..., 0, 1], R[..., 0, 0] + R[..., 1, 1]))
 
 
 def nearest_rotations(R: Array) -> Array:
-    """Return the rotations (…, 3, 3) nearest to matrices (…, 3, 3) that rounding keeps from being rotations.
+    """Return the rotations (…, 3, 3) nearest to matrices (…, 3, 3) that deviate from rotations by rounding.
 
-    Newton's iteration for the polar factor, R ← (R + R⁻ᵀ)/2, of which each step squares the distance: a deviation of
-    a few hundredths is below rounding after four (Higham, "Computing the polar decomposition", 1986).
+    Newton's iteration for the polar factor, R ← (R + R⁻ᵀ)/2, converges quadratically: a deviation of a few hundredths
+    is below rounding after four steps (Higham, "Computing the polar decomposition", 1986).
     """
     R = np.asarray(R, dtype=np.float64)
     for _ in range(4):
         a, b, c = R[..., 0, :], R[..., 1, :], R[..., 2, :]
         cofactors = np.stack([np.cross(b, c), np.cross(c, a), np.cross(a, b)], axis=-2)
         determinant = np.sum(a * cofactors[..., 0, :], axis=-1)[..., None, None]
-        R = 0.5 * (R + cofactors / determinant)  # the transposed inverse is the cofactors by the determinant
+        R = 0.5 * (
+            R + cofactors / determinant
+        )  # the transposed inverse is the cofactor matrix divided by the determinant
     return R
 
 
@@ -115,12 +117,12 @@ def matrix_from_quat_wxyz(quat_wxyz: Array) -> Array:
 
 
 def quat_xyzw_from_wxyz(quat_wxyz: Array) -> Array:
-    """Reorder quaternions (…, 4) from wxyz to xyzw."""
+    """Return quaternions (…, 4) in the order xyzw, given those in the order wxyz."""
     return np.roll(np.asarray(quat_wxyz), -1, axis=-1)
 
 
 def quat_wxyz_from_xyzw(quat_xyzw: Array) -> Array:
-    """Reorder quaternions (…, 4) from xyzw to wxyz."""
+    """Return quaternions (…, 4) in the order wxyz, given those in the order xyzw."""
     return np.roll(np.asarray(quat_xyzw), 1, axis=-1)
 
 
@@ -134,6 +136,6 @@ def pose_matrix(R: Array, p: Array) -> Array:
 
 
 def inverse_pose(T: Array) -> Array:
-    """Return T_b_a (…, 4, 4) of T_a_b (…, 4, 4)."""
+    """Return the inverse poses T_b_a (…, 4, 4) of poses T_a_b (…, 4, 4)."""
     R_inv = np.swapaxes(T[..., :3, :3], -1, -2)
     return pose_matrix(R_inv, -(R_inv @ T[..., :3, 3, None])[..., 0])

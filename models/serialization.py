@@ -1,4 +1,4 @@
-"""Settings as plain data, to be saved with what they made."""
+"""Conversion of configuration dataclasses to types that JSON can represent."""
 
 import math
 from dataclasses import fields, is_dataclass
@@ -8,26 +8,26 @@ from pathlib import Path
 import numpy as np
 
 
-def to_plain(value: object) -> object:
-    """Return nested dataclasses, arrays and paths as what JSON can hold.
+def to_jsonable(value: object) -> object:
+    """Return nested dataclasses, arrays, enumerations and paths as dicts, lists, strings and numbers.
 
     Raises:
-        TypeError: A value that is none of these.
+        TypeError: A value has another type.
     """
     if is_dataclass(value) and not isinstance(value, type):
-        return {f.name: to_plain(getattr(value, f.name)) for f in fields(value)}
+        return {f.name: to_jsonable(getattr(value, f.name)) for f in fields(value)}
     if isinstance(value, np.ndarray | np.generic):
         return value.tolist()
     if isinstance(value, Enum):
-        return to_plain(value.value)
+        return to_jsonable(value.value)
     if isinstance(value, Path):
         return str(value)
     if isinstance(value, dict):
-        return {str(key): to_plain(item) for key, item in value.items()}
+        return {str(key): to_jsonable(item) for key, item in value.items()}
     if isinstance(value, list | tuple):
-        return [to_plain(item) for item in value]
+        return [to_jsonable(item) for item in value]
     if isinstance(value, float) and not math.isfinite(value):
-        return str(value)  # a range without end, say: JSON has no infinity
+        return str(value)  # JSON has neither infinity nor NaN
     if value is None or isinstance(value, bool | int | float | str):
         return value
-    raise TypeError(f"{type(value).__name__} is no setting")
+    raise TypeError(f"{type(value).__name__} cannot be represented in JSON")

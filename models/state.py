@@ -1,4 +1,4 @@
-"""States and trajectories: where the IMU was, how fast, and how sure an estimate of that is."""
+"""Camera frames, navigation states, estimates with their health, and trajectories."""
 
 from collections.abc import Iterable
 from dataclasses import dataclass
@@ -17,119 +17,119 @@ Array = npt.NDArray[np.float64]
 
 @dataclass(frozen=True, eq=False)
 class CameraFrame:
-    """What the rig's cameras saw at one instant."""
+    """Images of all cameras of a rig at one time."""
 
     t_ns: int
-    """Middle of the exposure [ns]."""
+    """Time stamp, the middle of the exposure of the middle row [ns]."""
     images: tuple[npt.NDArray[np.uint8], ...]
-    """One grey (H, W) image for each camera of the rig."""
+    """Grey images (H, W), one for each camera of the rig."""
     depth_m: npt.NDArray[np.float32] | None = None
-    """(H, W) planar depth of the main camera [m]; simulation only, never handed to an estimator that is scored."""
+    """(H, W) Depth along the optical axis of the main camera; only in simulation, and not given to estimators [m]."""
 
 
 @dataclass(frozen=True, eq=False)
 class NavState:
-    """The navigation state of the IMU at one instant; world is gravity-aligned, z up."""
+    """Navigation state of the IMU at one time; the world frame is aligned with gravity, z up."""
 
     t_ns: int
-    """Time [ns]."""
+    """Time of the state [ns]."""
     T_world_imu: Array
-    """(4, 4) Pose of the IMU."""
+    """(4, 4) Pose of the IMU in the world frame."""
     velocity_m_s: Array
-    """(3,) Velocity of the IMU in the world [m/s]."""
+    """(3,) Velocity of the IMU in the world frame [m/s]."""
     gyro_bias_rad_s: Array
-    """(3,) What the gyroscope reads too much [rad/s]."""
+    """(3,) Gyroscope bias, which is added to the measurements [rad/s]."""
     accel_bias_m_s2: Array
-    """(3,) What the accelerometer reads too much [m/s²]."""
+    """(3,) Accelerometer bias, which is added to the measurements [m/s²]."""
     covariance: Array | None = None
-    """(15, 15) In the order δθ (right perturbation, IMU frame), δp, δv (world), δb_gyro, δb_accel; SI units."""
+    """(15, 15) Covariance in the order δθ (right perturbation, IMU frame), δp, δv (world frame), δb_gyro, δb_accel, in
+    SI units."""
     angular_velocity_rad_s: Array | None = None
-    """(3,) Angular velocity in the IMU frame [rad/s], its bias removed; a controller needs it."""
+    """(3,) Angular velocity in the IMU frame without bias, for controllers [rad/s]."""
 
 
 class Health(StrEnum):
-    """What an estimate is worth."""
+    """Status of an estimator."""
 
     INITIALIZING = "initializing"
-    """No pose yet."""
+    """No pose has been estimated yet."""
     TRACKING = "tracking"
-    """Camera and IMU agree."""
+    """Landmarks and IMU constrain the estimate."""
     INERTIAL_ONLY = "inertial-only"
-    """Too few tracks: dead reckoning."""
+    """Too few landmarks are visible, and the IMU alone is integrated."""
     LOST = "lost"
-    """The estimate means nothing."""
+    """The estimate has failed and is not valid."""
 
 
 @dataclass(frozen=True, eq=False)
 class FeatureTracks:
-    """The image features that an estimator followed into one frame of the main camera."""
+    """Image features that an estimator tracks in one frame of the main camera."""
 
     ids: npt.NDArray[np.int64]
-    """(N,) Identity of each feature, for as long as it is followed."""
+    """(N,) Identity of each feature, constant while it is tracked."""
     pixels: Array
-    """(N, 2) Where it is seen [px]."""
+    """(N, 2) Position of each feature in the image [px]."""
     ages: npt.NDArray[np.int64]
-    """(N,) In how many frames it has been seen."""
+    """(N,) Number of frames in which each feature has been observed."""
 
 
 @dataclass(frozen=True)
 class HealthReport:
-    """Why an estimate is worth what it is: what the estimator holds on to, and how well it fits.
+    """Health of an estimator at one frame, with its reason and the quantities that determine it.
 
-    A figure is None where there is nothing to compute it from, such as a parallax without landmarks.
+    A quantity is None where it is undefined, such as the parallax without landmarks.
     """
 
-    state: Health
-    """What the estimate is worth."""
+    health: Health
+    """Status of the estimator."""
     reason: str
-    """Why, for people."""
+    """Reason of the status, as a text for users."""
     tracks: int = 0
-    """Features followed into this frame."""
+    """Number of features tracked into this frame."""
     landmarks: int = 0
-    """Those of them that constrain the estimate: landmarks of known position, seen with parallax. A corner that is
-    followed well may yet say nothing of the motion."""
+    """Number of tracked features that constrain the estimate: triangulated landmarks with parallax."""
     median_parallax_rad: float | None = None
-    """Median angle under which those landmarks have been seen [rad]."""
+    """Median parallax angle of these landmarks [rad]."""
     innovation_px: float | None = None
-    """Median distance of those landmarks from where the prediction puts them, before the frame corrects it [px]."""
+    """Median distance between the observations of these landmarks and their predictions before the update [px]."""
     innovation_nis: float | None = None
-    """Median over them of the innovation squared and normalized by its predicted covariance, divided by the median of
-    χ² with two degrees of freedom: 1 where prediction and measurement are as sure as they claim; robust to outliers."""
+    """Median NIS (normalized innovation squared) of these landmarks, divided by the median of χ² with two degrees of
+    freedom; 1 if prediction and measurement have the covariances that are assumed."""
     bias_sigmas: float | None = None
-    """Largest component of the two biases, in standard deviations of what the IMU's model lets them be."""
+    """Largest component of the two biases, in standard deviations of the IMU model."""
     position_sigma_m: float | None = None
-    """Standard deviation of the position, along the worst axis [m]."""
+    """Standard deviation of the position along the least certain axis [m]."""
     velocity_sigma_m_s: float | None = None
-    """Standard deviation of the velocity, along the worst axis [m/s]."""
+    """Standard deviation of the velocity along the least certain axis [m/s]."""
     inertial_only_s: float = 0.0
-    """For how long nothing but the IMU has held the estimate [s]."""
+    """Time for which the IMU alone has constrained the estimate [s]."""
 
 
 @dataclass(frozen=True, eq=False)
 class Estimate:
-    """What an estimator says after one camera frame: causal, never revised."""
+    """Output of an estimator for one frame: causal, and not revised afterwards."""
 
     t_ns: int
     """Time stamp of the frame [ns]."""
     health: Health
-    """What the estimate is worth."""
+    """Status of the estimator."""
     state: NavState | None
-    """The state at the frame, in a smooth odometry frame; None while there is none."""
+    """State at the frame in a continuous odometry frame, None if there is none."""
     tracks: FeatureTracks | None = None
-    """The features followed into this frame."""
+    """Features that are tracked into this frame."""
     landmarks_world: Array | None = None
-    """(M, 3) Map points triangulated at this frame [m]; None on frames where none are computed."""
+    """(M, 3) Positions of landmarks in the world frame, None on frames for which they are not computed [m]."""
     events: tuple[str, ...] = ()
-    """What happened, for people: ``initialized``, ``keyframe``, ``solver restored`` …"""
+    """Events at this frame, as texts for users, such as ``initialized`` or ``keyframe``."""
     health_report: HealthReport | None = None
-    """Why it is worth that; None from an estimator that does not say."""
+    """Reason of the status, None if the estimator does not report it."""
     T_map_odom: Array | None = None
-    """(4, 4) Correction of the odometry frame by closed loops: it may jump, `state` never does. None from an estimator
-    that closes no loops: it has odometry only."""
+    """(4, 4) Pose of the odometry frame in the map frame, corrected by loop closures; it may be discontinuous, while
+    `state` is continuous. None for pure odometry."""
 
     @property
     def T_map_imu(self) -> Array | None:
-        """(4, 4) Pose of the IMU, corrected by closed loops; None without a pose or without a map."""
+        """(4, 4) Pose of the IMU in the map frame, corrected by loop closures; None without a pose or a map."""
         if self.state is None or self.T_map_odom is None:
             return None
         return np.asarray(self.T_map_odom @ self.state.T_world_imu)
@@ -137,28 +137,28 @@ class Estimate:
 
 @dataclass(frozen=True, eq=False)
 class Trajectory:
-    """Poses of the IMU over time, and what else is known of its motion."""
+    """Poses of the IMU over time, optionally with velocities, biases and covariances."""
 
     t_ns: Times
-    """(N,) Time stamps [ns], strictly increasing."""
+    """(N,) Time stamps, strictly increasing [ns]."""
     p_world_imu: Array
-    """(N, 3) Positions [m]."""
+    """(N, 3) Positions in the world frame [m]."""
     quat_wxyz: Array
-    """(N, 4) Orientations, IMU to world."""
+    """(N, 4) Orientations as unit quaternions, from the IMU frame to the world frame."""
     velocity_m_s: Array | None = None
-    """(N, 3) Velocities in the world [m/s]."""
+    """(N, 3) Velocities in the world frame [m/s]."""
     gyro_bias_rad_s: Array | None = None
     """(N, 3) Gyroscope biases [rad/s]."""
     accel_bias_m_s2: Array | None = None
     """(N, 3) Accelerometer biases [m/s²]."""
     covariance: Array | None = None
-    """(N, 15, 15) Covariances, in the order of `NavState`."""
+    """(N, 15, 15) Covariances of the states, in the order of `NavState`."""
 
     def __post_init__(self) -> None:
-        """Check the shapes.
+        """Check the shapes and the time stamps.
 
         Raises:
-            ConfigError: The arrays do not belong together, or time does not increase.
+            ConfigError: The shapes do not match, or the time stamps do not increase.
         """
         n = len(self.t_ns)
         if self.t_ns.shape != (n,) or self.p_world_imu.shape != (n, 3) or self.quat_wxyz.shape != (n, 4):
@@ -173,34 +173,34 @@ class Trajectory:
         return len(self.t_ns)
 
     def __getitem__(self, rows: slice | npt.NDArray[np.bool_] | npt.NDArray[np.int64]) -> Self:
-        """Return the trajectory of the given rows."""
+        """Return the trajectory of selected rows."""
 
-        def pick(values: Array | None) -> Array | None:
+        def select(values: Array | None) -> Array | None:
             return None if values is None else values[rows]
 
         return type(self)(
             self.t_ns[rows],
             self.p_world_imu[rows],
             self.quat_wxyz[rows],
-            pick(self.velocity_m_s),
-            pick(self.gyro_bias_rad_s),
-            pick(self.accel_bias_m_s2),
-            pick(self.covariance),
+            select(self.velocity_m_s),
+            select(self.gyro_bias_rad_s),
+            select(self.accel_bias_m_s2),
+            select(self.covariance),
         )
 
     @property
     def rotations(self) -> Array:
-        """(N, 3, 3) Orientations as matrices."""
+        """(N, 3, 3) Orientations as rotation matrices."""
         return matrix_from_quat_wxyz(self.quat_wxyz)
 
     @property
     def Ts_world_imu(self) -> Array:
-        """(N, 4, 4) Poses as matrices."""
+        """(N, 4, 4) Poses as homogeneous matrices."""
         return pose_matrix(self.rotations, self.p_world_imu)
 
     @property
     def t_s(self) -> Array:
-        """(N,) Seconds since the first pose."""
+        """(N,) Times since the first pose [s]."""
         return np.asarray((self.t_ns - self.t_ns[0]) * 1e-9)
 
     @property
@@ -210,18 +210,18 @@ class Trajectory:
 
     @classmethod
     def from_states(cls, states: Iterable[NavState]) -> Self:
-        """Join states in time order into a trajectory; it has covariances if every state has one."""
-        kept = list(states)
-        if not kept:
+        """Return the trajectory of states in time order, with covariances if all states have one."""
+        states = list(states)
+        if not states:
             return cls(np.zeros(0, np.int64), np.zeros((0, 3)), np.zeros((0, 4)))
-        T = np.stack([s.T_world_imu for s in kept])
-        covariances = [s.covariance for s in kept if s.covariance is not None]
+        T = np.stack([s.T_world_imu for s in states])
+        covariances = [s.covariance for s in states if s.covariance is not None]
         return cls(
-            np.array([s.t_ns for s in kept], dtype=np.int64),
+            np.array([s.t_ns for s in states], dtype=np.int64),
             T[:, :3, 3],
             quat_wxyz_from_matrix(T[:, :3, :3]),
-            np.stack([s.velocity_m_s for s in kept]),
-            np.stack([s.gyro_bias_rad_s for s in kept]),
-            np.stack([s.accel_bias_m_s2 for s in kept]),
-            np.stack(covariances) if len(covariances) == len(kept) else None,
+            np.stack([s.velocity_m_s for s in states]),
+            np.stack([s.gyro_bias_rad_s for s in states]),
+            np.stack([s.accel_bias_m_s2 for s in states]),
+            np.stack(covariances) if len(covariances) == len(states) else None,
         )

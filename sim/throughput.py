@@ -5,7 +5,7 @@ import time
 import numpy as np
 
 from dronevio.models.camera import CameraModel
-from dronevio.models.performance import Figure
+from dronevio.models.performance import PerformanceFigure
 from dronevio.models.progress import Progress, silent
 from dronevio.models.rotation import exp_so3, pose_matrix
 from dronevio.sim.cameras.camera_cost import camera_cost
@@ -17,7 +17,7 @@ _FORWARD = np.array([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]])  # a 
 _EYE_HEIGHT_M = 1.2
 
 
-def camera_figure(world: World, camera: CameraModel, frames: int) -> Figure:
+def camera_figure(world: World, camera: CameraModel, frames: int) -> PerformanceFigure:
     """Measure what a camera costs beside drawing what it needs, turning once around above the pad.
 
     Args:
@@ -31,7 +31,7 @@ def camera_figure(world: World, camera: CameraModel, frames: int) -> Figure:
     turns = exp_so3(np.linspace(0.0, 2.0 * np.pi, frames, endpoint=False)[:, None] * [0.0, 0.0, 1.0])
     eye = np.broadcast_to(world.pad + [0.0, 0.0, _EYE_HEIGHT_M], (frames, 3))
     cost = camera_cost(world.spec.compile(), camera, pose_matrix(turns @ _FORWARD, eye))
-    return Figure(
+    return PerformanceFigure(
         "drawing and lens, by bare drawing",
         cost.ratio,
         "",
@@ -42,13 +42,13 @@ def camera_figure(world: World, camera: CameraModel, frames: int) -> Figure:
     )
 
 
-def flight_figure(scenario: Scenario, progress: Progress = silent) -> Figure:
+def flight_figure(scenario: Scenario, progress: Progress = silent) -> PerformanceFigure:
     """Measure how fast a scenario is flown without images: planning, physics, controller and IMU."""
     start_s = time.process_time()
     flight = fly(scenario, progress)
     spent_s = time.process_time() - start_s
     duration_s = float(flight.truth.t_s[-1])
-    return Figure(
+    return PerformanceFigure(
         "flight without images",
         duration_s / spent_s,
         "× real time",

@@ -125,13 +125,13 @@ def print_comparisons(title: str, comparisons: "Sequence[Comparison]") -> None:
 
 def document(comparisons: "Sequence[Comparison]") -> dict[str, object]:
     """Return comparisons for JSON, with infinite ratios as text."""
-    from dronevio.models.serialization import to_plain
+    from dronevio.models.serialization import to_jsonable
 
     rows = [
         {**asdict(one), "ratios": [{**asdict(ratio), "verdict": ratio.verdict} for ratio in one.ratios]}
         for one in comparisons
     ]
-    return {"comparisons": to_plain(rows)}
+    return {"comparisons": to_jsonable(rows)}
 
 
 def _ratio_text(ratio: float) -> str:

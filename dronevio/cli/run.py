@@ -101,7 +101,7 @@ def _run(scenario: "Scenario", command: RunCommand, folder: Path, target: Path, 
     from dronevio.eval.rerun.log import run_file
     from dronevio.models.recordings.euroc import EurocRecording
     from dronevio.models.recordings.tum import write_tum
-    from dronevio.models.serialization import to_plain
+    from dronevio.models.serialization import to_jsonable
     from dronevio.recorder import record_flight
     from dronevio.sim.world import build_world
     from dronevio.surroundings import surroundings_of
@@ -124,7 +124,11 @@ def _run(scenario: "Scenario", command: RunCommand, folder: Path, target: Path, 
     write_tum(folder / "groundtruth.tum", truth)
     write_tum(folder / "estimate.tum", trajectory)
     shutil.copyfile(folder / "recording" / "mav0" / "imu0" / "data.csv", folder / "imu.csv")
-    configuration = {"dronevio": __version__, "scenario": to_plain(scenario), "estimator": to_plain(command.estimator)}
+    configuration = {
+        "dronevio": __version__,
+        "scenario": to_jsonable(scenario),
+        "estimator": to_jsonable(command.estimator),
+    }
     (folder / "configuration.json").write_text(json.dumps(configuration, indent=2) + "\n", encoding="utf-8")
     info = RunInfo(
         title=f"{scenario.name}: {scenario.description}",

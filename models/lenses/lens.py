@@ -1,4 +1,4 @@
-"""Lenses by name: what bends the rays between the world and the image plane."""
+"""Protocol of lens models, and the models by name."""
 
 from typing import Literal, Protocol
 
@@ -13,17 +13,17 @@ LensName = Literal["radtan", "equidistant"]
 
 
 class Lens(Protocol):
-    """A lens; the image plane is measured in focal lengths from the principal point."""
+    """A lens model. Image coordinates are relative to the principal point, in units of the focal length."""
 
-    def reach(self, coefficients: Coefficients) -> float:
-        """Return how far off its axis the lens is defined: a radius at depth 1, or an angle [rad]."""
+    def valid_limit(self, coefficients: Coefficients) -> float:
+        """Return the limit of the valid domain: a radius at depth 1 or an angle from the optical axis [rad]."""
 
     def project(self, p_cam: Array, coefficients: Coefficients) -> Array:
-        """Return where points (…, 3) of the camera frame are imaged (…, 2); NaN outside what the lens sees."""
+        """Return image coordinates (…, 2) of points (…, 3) in the camera frame; NaN outside the valid domain."""
 
-    def rays(self, uv: Array, coefficients: Coefficients) -> Array:
-        """Return rays (…, 3) of any length in the camera frame that are imaged at (…, 2); NaN where none is."""
+    def unproject(self, uv: Array, coefficients: Coefficients) -> Array:
+        """Return rays (…, 3), of arbitrary length, of image coordinates (…, 2); NaN where there is none."""
 
 
 LENSES: dict[LensName, Lens] = {"radtan": radtan, "equidistant": equidistant}
-"""Every lens, by the name that Kalibr gives it."""
+"""The lens models by the names that Kalibr uses."""

@@ -1,9 +1,9 @@
-"""The radial-tangential lens: a pinhole whose image is bent a little (Brown 1966; OpenCV's and Kalibr's ``radtan``).
+"""Pinhole with radial-tangential distortion (Brown 1966; OpenCV's and Kalibr's ``radtan``).
 
     d(x) = (1 + k₁ r² + k₂ r⁴) x + r² p + 2 (x·p) x,   x at depth 1, r = |x|, p = (p₂, p₁)
 
-Its Jacobian is symmetric, so d is the gradient of a potential, and wherever the Jacobian is positive definite on a disc
-no two points of the disc share an image. Beyond that disc d may fold back: there the lens is not defined.
+The Jacobian of d is symmetric, so d is the gradient of a potential, and on a disc where the Jacobian is positive
+definite d is injective. Outside that disc d may map several points to one, and the model is not valid there.
 """
 
 from functools import lru_cache
@@ -14,51 +14,53 @@ import numpy.typing as npt
 Array = npt.NDArray[np.float64]
 Coefficients = tuple[float, float, float, float]
 
-_ITERATIONS = 40  # Newton: EuRoC's lens needs 4 inside its image, and more only far outside
-_CONVERGED = 1e-13  # of the image plane, in focal lengths
-_SOLVED = 1e-11  # a residual above it, once Newton stands still, belongs to a point without a ray
-_INSIDE = 1.0 - 1e-12  # keeps Newton off the circle on which the Jacobian may be singular
+_ITERATIONS = 40  # Newton needs 4 inside the image of EuRoC's camera, and more only far outside
+_CONVERGED = 1e-13  # largest residual in focal lengths
+_SOLVED = 1e-11  # a larger residual after the last iteration belongs to a point without a ray
+_INSIDE = 1.0 - 1e-12  # keeps Newton inside the circle on which the Jacobian may be singular
 
 
 @lru_cache(maxsize=64)
-def reach(coefficients: Coefficients) -> float:
-    """Return the radius at depth 1 up to which the lens is defined; inf where it never folds.
+def valid_limit(coefficients: Coefficients) -> float:
+    """Return the largest valid radius at depth 1; inf if the model is valid everywhere.
 
-    In the basis of the radial direction and its normal the radial part has the eigenvalues a = 1 + 3 k₁ r² + 5 k₂ r⁴
-    and b = 1 + k₁ r² + k₂ r⁴, and the tangential part is −6 r |p| at least; so min(a, b) − 6 r |p| > 0 suffices.
+    In the basis of the radial direction and its normal, the Jacobian of the radial part has the eigenvalues
+    a = 1 + 3 k₁ r² + 5 k₂ r⁴ and b = 1 + k₁ r² + k₂ r⁴, and that of the tangential part is bounded below by −6 r |p|.
+    Therefore min(a, b) − 6 r |p| > 0 is sufficient.
     """
     k1, k2, p1, p2 = coefficients
-    bend = -6.0 * np.hypot(p1, p2)
+    tangential = -6.0 * np.hypot(p1, p2)
     inverse_radii = np.concatenate(
         [
-            np.roots([1.0, bend, 3.0 * k1, 0.0, 5.0 * k2]),
-            np.roots([1.0, bend, k1, 0.0, k2]),
-        ]  # in 1 / r: never ill posed
+            np.roots([1.0, tangential, 3.0 * k1, 0.0, 5.0 * k2]),
+            np.roots([1.0, tangential, k1, 0.0, k2]),
+        ]  # well conditioned in 1 / r
     )
-    folds = inverse_radii.real[np.abs(inverse_radii.imag) < 1e-9 * np.abs(inverse_radii)]
-    nearest = folds.max(initial=0.0)
+    roots = inverse_radii.real[np.abs(inverse_radii.imag) < 1e-9 * np.abs(inverse_radii)]
+    nearest = roots.max(initial=0.0)
     return float(1.0 / nearest) if nearest > 0.0 else np.inf
 
 
 def project(p_cam: Array, coefficients: Coefficients) -> Array:
-    """Return where points (…, 3) of the camera frame are imaged (…, 2), in focal lengths.
+    """Return image coordinates (…, 2), in focal lengths, of points (…, 3) in the camera frame.
 
-    NaN where a point is not in front of the camera or beyond the lens's `reach`.
+    The result is NaN where a point is not in front of the camera, or is beyond `valid_limit`.
     """
     z = np.where(p_cam[..., 2:] > 0.0, p_cam[..., 2:], np.nan)
     xy = p_cam[..., :2] / z
-    defined = np.sum(xy * xy, axis=-1, keepdims=True) < reach(coefficients) ** 2
+    defined = np.sum(xy * xy, axis=-1, keepdims=True) < valid_limit(coefficients) ** 2
     return distort(np.where(defined, xy, np.nan), coefficients)
 
 
-def rays(uv: Array, coefficients: Coefficients) -> Array:
-    """Return the rays (…, 3), of depth 1, that are imaged at points (…, 2), in focal lengths.
+def unproject(uv: Array, coefficients: Coefficients) -> Array:
+    """Return the rays (…, 3), of depth 1, of image coordinates (…, 2), in focal lengths.
 
-    Newton's method, from the point itself. NaN where no ray within the lens's `reach` is imaged.
+    The solver is Newton's method, starting at the image coordinates. The result is NaN where no ray within
+    `valid_limit` has that image.
     """
     xy = uv.copy()
     if any(coefficients):
-        limit = reach(coefficients) * _INSIDE
+        limit = valid_limit(coefficients) * _INSIDE
         for _ in range(_ITERATIONS):
             residual = distort(xy, coefficients) - uv
             if not np.any(np.abs(residual) > _CONVERGED):
@@ -74,7 +76,7 @@ def rays(uv: Array, coefficients: Coefficients) -> Array:
 
 
 def distort(xy: Array, coefficients: Coefficients) -> Array:
-    """Return d(x) (…, 2) of points x (…, 2) at depth 1, wherever they are."""
+    """Return d(x) (…, 2) of points x (…, 2) at depth 1, also outside the valid domain."""
     k1, k2, p1, p2 = coefficients
     x, y = xy[..., 0], xy[..., 1]
     r2 = x * x + y * y
@@ -102,7 +104,7 @@ def jacobian(xy: Array, coefficients: Coefficients) -> Array:
 
 
 def _within(xy: Array, limit: float) -> Array:
-    """Return points (…, 2), those beyond a radius moved onto it."""
+    """Return points (…, 2) with those beyond a radius projected onto the circle of that radius."""
     if np.isinf(limit):
         return xy
     r = np.linalg.norm(xy, axis=-1, keepdims=True)

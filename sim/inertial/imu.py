@@ -54,7 +54,7 @@ class ImuErrors:
             return perfect, np.zeros((0, 3)), np.zeros((0, 3))
         speeds = np.zeros((n, 4)) if rotor_speeds_rad_s is None else rotor_speeds_rad_s
         shaken_gyro, shaken_accel = self._vibration.felt(perfect, speeds)
-        gyro, accel = self.constants.respond(perfect.gyro_rad_s + shaken_gyro, perfect.accel_m_s2 + shaken_accel)
+        gyro, accel = self.constants.response(perfect.gyro_rad_s + shaken_gyro, perfect.accel_m_s2 + shaken_accel)
         bias = self._biases.until(perfect.t_ns)
         errors = bias + self._density * self._root_rate(perfect) * self._rng.standard_normal((n, 6))
         model = self._model

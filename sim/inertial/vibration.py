@@ -107,7 +107,7 @@ def _swings(quadrotor: Quadrotor, fading: Array) -> Array:
     vibration = quadrotor.vibration
     swing = np.zeros((4, 2 + len(fading), 3))
     swing[:, 0, 0] = vibration.imbalance_m
-    swing[:, 1, 1] = vibration.imbalance_m * quadrotor.rotor_spins
+    swing[:, 1, 1] = vibration.imbalance_m * quadrotor.rotor_directions
     swing[:, 2:, 2] = vibration.blade_pass_m * fading
     return swing
 
@@ -118,7 +118,7 @@ def _rockings(quadrotor: Quadrotor, fading: Array) -> Array:
     across = np.stack([y, -x], axis=1) / np.hypot(x, y)[:, None]  # the axis about which a pull on the arm turns
     vibration = quadrotor.vibration
     rocking = np.zeros((4, 2 + len(fading), 3))
-    rocking[:, 0, 0] = vibration.imbalance_rad * quadrotor.rotor_spins
+    rocking[:, 0, 0] = vibration.imbalance_rad * quadrotor.rotor_directions
     rocking[:, 1, 1] = vibration.imbalance_rad
     rocking[:, 2:, :2] = vibration.blade_pass_rad * fading[:, None] * across[:, None]
     return rocking

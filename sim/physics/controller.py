@@ -94,7 +94,7 @@ class SE3Controller:
         self._inertia = np.array(self._quadrotor.inertia_kg_m2)
         self._stiffness = np.array([gains.tilt_per_s2, gains.tilt_per_s2, gains.yaw_per_s2])
         self._damping = np.array([gains.tilt_rate_per_s, gains.tilt_rate_per_s, gains.yaw_rate_per_s])
-        self._spins = self._quadrotor.rotor_spins
+        self._spins = self._quadrotor.rotor_directions
         self._yaw_drag_nm = 0.0
 
     def command(self, state: NavState, t_ns: int) -> Array:

@@ -54,8 +54,8 @@ class RotorDrive:
             response_s: Time constant to drive them with, if they are slower [s].
             speed_rad_s: What they turn at now [rad/s].
         """
-        self._lag_s = quadrotor.rotor_lag_s
-        self._response_s = min(response_s, quadrotor.rotor_lag_s)
+        self._lag_s = quadrotor.rotor_time_constant_s
+        self._response_s = min(response_s, quadrotor.rotor_time_constant_s)
         self._fastest = quadrotor.rotor_speed_max_rad_s
         self.speeds_rad_s = np.full(4, speed_rad_s)
         self.change_rad_s2 = np.zeros(4)

@@ -89,7 +89,7 @@ class Rotors:
     def __init__(self, quadrotor: Quadrotor) -> None:
         self._quadrotor = quadrotor
         self._hubs = quadrotor.rotor_positions_m
-        self._spins = quadrotor.rotor_spins
+        self._spins = quadrotor.rotor_directions
         self._body_drag = 0.5 * AIR_DENSITY_KG_M3 * np.array(quadrotor.drag_area_m2)
         across, along = quadrotor.drag_n_s2_per_rad_m, quadrotor.inflow_n_s2_per_rad_m
         self._rotor_drag = np.array([[across], [across], [along]])
@@ -123,7 +123,7 @@ class Rotors:
         drone, before = self._quadrotor, state.speed_rad_s
         fastest = np.minimum(drone.rotor_speed_max_rad_s, drone.rotor_speed_per_v * state.voltage_v)[..., None]
         target = np.minimum(np.maximum(commands_rad_s, 0.0), fastest)
-        driven = target + (before - target) * exp(-dt_s / drone.rotor_lag_s)
+        driven = target + (before - target) * exp(-dt_s / drone.rotor_time_constant_s)
         speeds = np.where(powered, driven, before / (1.0 + before * (self._coasting * dt_s)))
         change = (speeds - before) / dt_s
         voltage = drone.battery.loaded_v(state.charge, self._power_w(speeds, 0.0))

@@ -11,7 +11,7 @@ from dronevio.cli.speed.recording_cost import (
     minute_figure,
     scaling_figure,
 )
-from dronevio.models.performance import Figure
+from dronevio.models.performance import PerformanceFigure
 from dronevio.models.rig_presets import rig_named
 from dronevio.sim.flight import fly
 
@@ -24,7 +24,7 @@ def test_simulator_is_measured(capsys: pytest.CaptureFixture[str]) -> None:
     figures = document["figures"]
     assert [figure["bound"] for figure in figures] == [1.3, 20.0, 1.7, 45.0, 1.1]
     for figure in figures:
-        assert figure["value"] > 0.0 and figure["how"]
+        assert figure["value"] > 0.0 and figure["method"]
         assert figure["ratio"] == pytest.approx(figure["value"] / figure["bound"])
         assert figure["met"] == ((figure["ratio"] <= 1.0) == (figure["sense"] == "at most"))
     camera, flight, _, _, memory = (figure["value"] for figure in figures)
@@ -47,7 +47,7 @@ def test_evaluation_is_measured(capsys: pytest.CaptureFixture[str]) -> None:
 
 
 def test_bounds_are_upper_or_lower() -> None:
-    least = Figure("speed", 3.0, "m/s", 2.0, "at least", "")
+    least = PerformanceFigure("speed", 3.0, "m/s", 2.0, "at least", "")
     assert least.met and not replace(least, sense="at most").met
     assert least.ratio == 1.5
     assert replace(least, value=2.0).met and replace(least, value=2.0, sense="at most").met
@@ -57,7 +57,7 @@ def test_minute_is_extrapolated_without_the_startup() -> None:
     timing = Timing(duration_s=6.0, wall_s=5.0, startup_s=2.0, frames_per_s=40.0)
     figure = minute_figure(timing, world_s=3.0)
     assert figure.value == pytest.approx(3.0 + 2.0 + 10.0 * (5.0 - 2.0))
-    assert "extrapolated from 6 s" in figure.how
+    assert "extrapolated from 6 s" in figure.method
     assert "measured completely" in minute_figure(replace(timing, duration_s=60.0), 3.0).how
     assert scaling_figure(replace(timing, frames_per_s=20.0), timing).value == 2.0
 

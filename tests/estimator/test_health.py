@@ -69,7 +69,7 @@ def seen(n: int, off_px: float = 0.0) -> tuple[TriangulatedLandmarks, Observatio
 def test_landmarks_hold_it_and_the_figures_are_theirs() -> None:
     known, observations = seen(40, off_px=0.5)
     report = monitor(known).judge(observations, START, still=False)
-    assert report.state == Health.TRACKING and report.reason == "40 landmarks hold it"
+    assert report.health == Health.TRACKING and report.reason == "40 landmarks hold it"
     assert (report.tracks, report.landmarks) == (40, 40)
     assert report.innovation_px == pytest.approx(0.5, abs=1e-9)
     assert report.median_parallax_rad == pytest.approx(0.03, rel=0.05)
@@ -125,13 +125,13 @@ def test_tracks_that_are_no_landmarks_hold_nothing() -> None:
     watcher = monitor(known)
     reports = [watcher.judge(both, after(k), still=False) for k in range(20)]
     settling = round(CONFIG.settling_s / 0.05) + 1
-    assert {r.state for r in reports[:settling]} == {Health.TRACKING}  # they may become landmarks
-    assert {r.state for r in reports[settling:]} == {Health.INERTIAL_ONLY}
+    assert {r.health for r in reports[:settling]} == {Health.TRACKING}  # they may become landmarks
+    assert {r.health for r in reports[settling:]} == {Health.INERTIAL_ONLY}
     assert (
         reports[-1].tracks == 107 and reports[-1].landmarks == 7 and reports[-1].inertial_only_s == pytest.approx(0.95)
     )
-    assert watcher.judge(both, after(20), still=True).state == Health.TRACKING
-    assert watcher.judge(observations, after(21), still=False).state == Health.INERTIAL_ONLY  # 7 features are too few
+    assert watcher.judge(both, after(20), still=True).health == Health.TRACKING
+    assert watcher.judge(observations, after(21), still=False).health == Health.INERTIAL_ONLY  # 7 features are too few
     nothing = monitor(landmarks(0, np.random.default_rng(0))).judge(others, START, still=False)
     assert nothing.innovation_px is None and nothing.median_parallax_rad is None and nothing.innovation_nis is None
 
@@ -151,22 +151,22 @@ def test_blind_is_inertial_only_until_the_position_is_gone() -> None:
     watcher = monitor(known)
     watcher.judge(observations, START, still=False)
     reports = blind(watcher, 120, speed_sigma_m_s=0.2)
-    lost = [r.state for r in reports].index(Health.LOST)
+    lost = [r.health for r in reports].index(Health.LOST)
     assert lost == pytest.approx(100, abs=1)  # a metre, at 0.2 m/s
-    assert {r.state for r in reports[:lost]} == {Health.INERTIAL_ONLY}
+    assert {r.health for r in reports[:lost]} == {Health.INERTIAL_ONLY}
     assert [r.inertial_only_s for r in reports] == pytest.approx(0.05 * np.arange(1, 121))
     assert "1.0 m" in reports[lost].reason
-    assert watcher.judge(observations, after(121), still=False).state == Health.LOST  # until it starts anew
+    assert watcher.judge(observations, after(121), still=False).health == Health.LOST  # until it starts anew
 
 
 def test_what_was_unsure_before_is_not_held_against_the_dark() -> None:
     known, observations = seen(40)
     watcher = monitor(known)
     far = np.diag(np.repeat([1e-6, 25.0, 1e-4, 1e-8, 1e-6], 3))  # after a long flight: 5 m of drift
-    assert watcher.judge(observations, after(0, covariance=far), still=False).state == Health.TRACKING
+    assert watcher.judge(observations, after(0, covariance=far), still=False).health == Health.TRACKING
     dark = Observations(np.zeros(0, np.int64), np.zeros((0, 2)), np.zeros((0, 2)), np.zeros(0, np.int64))
-    assert watcher.judge(dark, after(1, covariance=1.02 * far), still=False).state == Health.INERTIAL_ONLY
-    assert watcher.judge(dark, after(2, covariance=1.05 * far), still=False).state == Health.LOST
+    assert watcher.judge(dark, after(1, covariance=1.02 * far), still=False).health == Health.INERTIAL_ONLY
+    assert watcher.judge(dark, after(2, covariance=1.05 * far), still=False).health == Health.LOST
 
 
 def test_contradiction_must_last() -> None:
@@ -176,9 +176,9 @@ def test_contradiction_must_last() -> None:
     watcher = monitor(known)
     watcher.judge(agreeing, START, still=False)
     for k in range(1, frames):
-        assert watcher.judge(observations, after(k), still=False).state == Health.TRACKING
+        assert watcher.judge(observations, after(k), still=False).health == Health.TRACKING
     watcher.judge(agreeing, after(frames), still=False)
-    states = [watcher.judge(observations, after(frames + k), still=False).state for k in range(1, frames + 3)]
+    states = [watcher.judge(observations, after(frames + k), still=False).health for k in range(1, frames + 3)]
     assert states.index(Health.LOST) == frames
 
 
@@ -189,7 +189,7 @@ def test_a_fifth_of_outliers_is_no_contradiction() -> None:
     watcher = monitor(known)
     for k in range(60):
         report = watcher.judge(replace(observations, xy=xy), after(k), still=False)
-        assert report.state == Health.TRACKING and report.innovation_nis == pytest.approx(0.0, abs=1e-12)
+        assert report.health == Health.TRACKING and report.innovation_nis == pytest.approx(0.0, abs=1e-12)
 
 
 @pytest.mark.parametrize(
@@ -211,4 +211,4 @@ def test_what_cannot_be_is_lost_at_once(changes: dict[str, object], reason: str)
         watcher = monitor(known)
         watcher.judge(observations, START, still=False)
         report = watcher.judge(what, after(1, **changes), still=False)
-        assert report.state == Health.LOST and reason in report.reason
+        assert report.health == Health.LOST and reason in report.reason

@@ -117,14 +117,14 @@ def test_reach_is_where_the_lens_turns() -> None:
         (equidistant, (-0.1, 0.0, 0.0, 0.0), np.sqrt(1.0 / 0.3)),
         (equidistant, (0.0, 0.0, 0.0, 0.0), np.pi),
     ):
-        assert lens.reach(coefficients) == pytest.approx(folds_at, rel=1e-12)
+        assert lens.valid_limit(coefficients) == pytest.approx(folds_at, rel=1e-12)
 
 
 @given(*[st.floats(-0.5, 0.5)] * 2, *[st.floats(-0.02, 0.02)] * 2)
 @settings(max_examples=40, deadline=None)
 def test_jacobian_of_radtan_is_positive_within_its_reach(k1: float, k2: float, p1: float, p2: float) -> None:
     coefficients = (k1, k2, p1, p2)
-    radii = min(radtan.reach(coefficients), 50.0) * np.linspace(0.0, 0.999, 50)[:, None]
+    radii = min(radtan.valid_limit(coefficients), 50.0) * np.linspace(0.0, 0.999, 50)[:, None]
     azimuths = np.linspace(0.0, 2.0 * np.pi, 36, endpoint=False)
     xy = np.stack([radii * np.cos(azimuths), radii * np.sin(azimuths)], axis=-1)
     assert np.linalg.eigvalsh(radtan.jacobian(xy, coefficients)).min() > 0.0

@@ -60,7 +60,9 @@ def test_vehicles_are_found_by_name() -> None:
         vehicle_named("blimp")
 
 
-@pytest.mark.parametrize("change", [{"mass_kg": 0.0}, {"rotor_lag_s": -0.1}, {"inertia_kg_m2": (0.1, np.nan, 0.1)}])
+@pytest.mark.parametrize(
+    "change", [{"mass_kg": 0.0}, {"rotor_time_constant_s": -0.1}, {"inertia_kg_m2": (0.1, np.nan, 0.1)}]
+)
 def test_impossible_bodies_are_refused(change: dict[str, object]) -> None:
     with pytest.raises(ConfigError, match=next(iter(change))):
         replace(RESEARCH, **change)  # type: ignore[arg-type]

@@ -89,7 +89,7 @@ def test_a_steady_wind_leaves_no_position_error(name: str) -> None:
 
 
 @pytest.mark.parametrize("name", VEHICLES)
-@pytest.mark.parametrize("change", [{"mass_kg": 1.15}, {"thrust_n_per_rad2_s2": 0.88}, {"rotor_lag_s": 1.3}])
+@pytest.mark.parametrize("change", [{"mass_kg": 1.15}, {"thrust_n_per_rad2_s2": 0.88}, {"rotor_time_constant_s": 1.3}])
 def test_a_wrong_idea_of_the_drone_is_made_up_for(name: str, change: dict[str, float]) -> None:
     drone = VEHICLES[name]
     true = replace(drone, **{field: share * getattr(drone, field) for field, share in change.items()})

@@ -82,7 +82,7 @@ def test_body_and_rotors_together_keep_their_angular_momentum() -> None:
     _, _, R, rate = states(motion)
     # the reaction to a change of speed comes with the interval that it is held over, as the thrust does
     held = np.vstack([motion.rotor_speeds_rad_s[:1], motion.rotor_speeds_rad_s[:-1]])
-    spin = vacuum.rotor_inertia_kg_m2 * held @ vacuum.rotor_spins
+    spin = vacuum.rotor_inertia_kg_m2 * held @ vacuum.rotor_directions
     body = rate * vacuum.inertia_kg_m2
     total = np.einsum("nij,nj->ni", R, body + spin[:, None] * [0.0, 0.0, 1.0])
     np.testing.assert_allclose(total, np.tile(total[0], (len(R), 1)), atol=0.02 * np.ptp(spin))

@@ -78,7 +78,7 @@ def test_biases_and_constants_explain_every_sample(name: str) -> None:
     model = IMUS[name]
     errors, perfect = ImuErrors(model, np.random.default_rng(3)), lively()
     measured, gyro_bias, accel_bias = errors.add_to(perfect)
-    gyro, accel = errors.constants.respond(perfect.gyro_rad_s, perfect.accel_m_s2)
+    gyro, accel = errors.constants.response(perfect.gyro_rad_s, perfect.accel_m_s2)
     reach = np.abs(gyro) < 0.9 * model.gyro_range_rad_s, np.abs(accel) < 0.9 * model.accel_range_m_s2
     left_gyro = (measured.gyro_rad_s - gyro - gyro_bias)[reach[0]]
     left_accel = (measured.accel_m_s2 - accel - accel_bias)[reach[1]]

@@ -40,7 +40,7 @@ def test_lag_is_first_order_and_independent_of_the_steps(drone: Quadrotor) -> No
     for _ in range(30):
         often = rotors.after(often, command, 0.001)
     np.testing.assert_allclose(once, often.speed_rad_s, rtol=1e-12)
-    np.testing.assert_allclose(once, command + (start - command) * np.exp(-0.03 / drone.rotor_lag_s))
+    np.testing.assert_allclose(once, command + (start - command) * np.exp(-0.03 / drone.rotor_time_constant_s))
 
 
 def test_speeds_stay_within_what_the_motors_can_do() -> None:
@@ -130,7 +130,7 @@ def test_wrench_is_the_sum_of_the_forces_at_the_hubs(drone: Quadrotor) -> None:
     velocity, rate = rng.normal(size=3), rng.normal(size=3)
     force = -0.5 * 1.225 * np.array(drone.drag_area_m2) * np.linalg.norm(velocity) * velocity
     torque = np.zeros(3)
-    for omega, faster, hub, spin in zip(speeds, change, drone.rotor_positions_m, drone.rotor_spins, strict=True):
+    for omega, faster, hub, spin in zip(speeds, change, drone.rotor_positions_m, drone.rotor_directions, strict=True):
         air = velocity + np.cross(rate, hub)
         f = (drone.thrust_n_per_rad2_s2 * omega**2 - drone.inflow_n_s2_per_rad_m * omega * air[2]) * UP
         f -= drone.drag_n_s2_per_rad_m * omega * air * [1, 1, 0]
@@ -161,7 +161,7 @@ def test_turning_rotor_axes_takes_a_torque_but_no_power() -> None:
 
 def test_speeding_up_turns_the_body_the_other_way(drone: Quadrotor) -> None:
     speeds = np.full(4, drone.hover_speed_rad_s)
-    for rotor, spin in enumerate(drone.rotor_spins):
+    for rotor, spin in enumerate(drone.rotor_directions):
         change = np.zeros(4)
         change[rotor] = 100.0
         torque = Rotors(drone).wrench(turning(drone, speeds, change), STILL)[5]

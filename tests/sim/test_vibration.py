@@ -7,7 +7,7 @@ import pytest
 from dronevio.models.imu import ImuSamples, Sampling
 from dronevio.models.quadrotor import Quadrotor
 from dronevio.models.rig import euroc_rig
-from dronevio.models.vibration import SHAKEN, RotorVibration
+from dronevio.models.vibration import EUROC_VIBRATION, RotorVibration
 from dronevio.sim.flight import fly
 from dronevio.sim.inertial.vibration import RotorTones, Stillness
 from dronevio.sim.paths.plan import FlightPlan
@@ -58,7 +58,7 @@ def test_imbalance_turns_with_the_held_rotor_speed(rotor: int) -> None:
     _, accel = RotorTones(quadrotor, ALIGNED, np.random.default_rng(9)).felt(batch(), speeds)
     pull = accel[:, 0] + 1j * accel[:, 1]
     turned = np.angle(pull[1:] / pull[:-1])
-    np.testing.assert_allclose(turned, quadrotor.rotor_spins[rotor] * speeds[:-1, rotor] * 5e-3, atol=1e-9)
+    np.testing.assert_allclose(turned, quadrotor.rotor_directions[rotor] * speeds[:-1, rotor] * 5e-3, atol=1e-9)
 
 
 @pytest.mark.parametrize(("blades", "harmonics"), [(2, 1), (3, 1)])
@@ -84,7 +84,7 @@ def test_the_kth_harmonic_is_k_squared_times_weaker() -> None:
 
 def test_an_increment_is_the_mean_of_the_points_in_its_interval() -> None:
     """However the speeds change from one interval to the next; by points 500 times as dense."""
-    quadrotor, dense = replace(Quadrotor(), vibration=SHAKEN), 500
+    quadrotor, dense = replace(Quadrotor(), vibration=EUROC_VIBRATION), 500
     speeds = np.random.default_rng(1).uniform(300.0, 900.0, (100, 4))
     means = RotorTones(quadrotor, WIDE, np.random.default_rng(2)).felt(batch(100, "increment"), speeds)
     t_ns = np.arange(100 * dense + 1, dtype=np.int64) * (STEP_NS // dense)
@@ -109,7 +109,7 @@ def test_a_filter_attenuates_by_3_db_at_its_bandwidth() -> None:
 
 @pytest.mark.parametrize("sampling", ["point", "increment"])
 def test_rotors_go_on_turning_between_batches(sampling: Sampling) -> None:
-    quadrotor = replace(Quadrotor(), vibration=SHAKEN)
+    quadrotor = replace(Quadrotor(), vibration=EUROC_VIBRATION)
     speeds = np.random.default_rng(3).uniform(300.0, 900.0, (N, 4))
     samples = batch(N, sampling)
     whole = RotorTones(quadrotor, RIG, np.random.default_rng(4)).felt(samples, speeds)
@@ -120,7 +120,7 @@ def test_rotors_go_on_turning_between_batches(sampling: Sampling) -> None:
 
 
 def test_the_mount_turns_what_is_felt() -> None:
-    quadrotor = replace(Quadrotor(), vibration=SHAKEN)
+    quadrotor = replace(Quadrotor(), vibration=EUROC_VIBRATION)
     speeds = np.full((N, 4), 650.0)
     straight = RotorTones(quadrotor, ALIGNED, np.random.default_rng(5)).felt(batch(), speeds)
     turned = RotorTones(quadrotor, WIDE, np.random.default_rng(5)).felt(batch(), speeds)
@@ -130,7 +130,7 @@ def test_the_mount_turns_what_is_felt() -> None:
 
 def test_perfect_and_standing_rotors_shake_nothing() -> None:
     perfect = RotorTones(Quadrotor(), RIG, np.random.default_rng(6)).felt(batch(), np.full((N, 4), 650.0))
-    standing = RotorTones(replace(Quadrotor(), vibration=SHAKEN), RIG, np.random.default_rng(6)).felt(
+    standing = RotorTones(replace(Quadrotor(), vibration=EUROC_VIBRATION), RIG, np.random.default_rng(6)).felt(
         batch(), np.zeros((N, 4))
     )
     assert not any(
@@ -140,7 +140,7 @@ def test_perfect_and_standing_rotors_shake_nothing() -> None:
 
 def test_the_shaken_quadrotor_shakes_as_eurocs_drone_does() -> None:
     """R.m.s. of flight V1_02 between 60 and 100 Hz: 1.08, 0.43, 0.86 m/s² and 0.008, 0.039, 0.018 rad/s."""
-    gyro, accel = RotorTones(replace(Quadrotor(), vibration=SHAKEN), RIG, np.random.default_rng(7)).felt(
+    gyro, accel = RotorTones(replace(Quadrotor(), vibration=EUROC_VIBRATION), RIG, np.random.default_rng(7)).felt(
         batch(), np.tile([640.0, 655.0, 662.0, 671.0], (N, 1))
     )
     np.testing.assert_allclose(np.sqrt(np.square(accel).mean(axis=0)), [1.08, 0.65, 0.65], rtol=0.25)
@@ -151,7 +151,7 @@ def test_a_flight_is_shaken_by_its_own_rotors() -> None:
     """All that a shaken IMU reads beyond a still one are the tones of the speeds at which its rotors turned."""
     plan = FlightPlan(rest_s=0.3, takeoff_s=1.0, tour_s=1.5, landing_s=1.2, stand_s=0.3, height_m=0.6, floor_m=0.3)
     calm = Scenario("calm", "a hover", plan)
-    still, moved = fly(calm), fly(replace(calm, quadrotor=replace(Quadrotor(), vibration=SHAKEN)))
+    still, moved = fly(calm), fly(replace(calm, quadrotor=replace(Quadrotor(), vibration=EUROC_VIBRATION)))
     step = calm.rig.imu.accel_resolution_m_s2
     np.testing.assert_array_equal(moved.perfect_imu.accel_m_s2, still.perfect_imu.accel_m_s2)  # and moved by nothing
     tone = moved.imu.accel_m_s2 - still.imu.accel_m_s2

@@ -11,7 +11,7 @@ from dronevio.cli.speed.printing import print_speed
 from dronevio.cli.terminal import parse, progress_bars
 
 if TYPE_CHECKING:
-    from dronevio.models.performance import Figure
+    from dronevio.models.performance import PerformanceFigure
     from dronevio.models.progress import Progress
 
 
@@ -51,7 +51,7 @@ def main(arguments: Sequence[str]) -> int:
     return 0
 
 
-def _measured(command: EvalCommand, progress: "Progress") -> list["Figure"]:
+def _measured(command: EvalCommand, progress: "Progress") -> list["PerformanceFigure"]:
     """Return all figures."""
     from dronevio.cli.speed.evaluation_cost import command_figure, has_evo, library_figure, memory_figure, size_figure
     from dronevio.models.errors import ConfigError

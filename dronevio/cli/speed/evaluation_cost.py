@@ -18,7 +18,7 @@ import numpy.typing as npt
 
 from dronevio.eval import ate, rpe, score
 from dronevio.models.errors import ConfigError
-from dronevio.models.performance import Figure
+from dronevio.models.performance import PerformanceFigure
 from dronevio.models.recordings.kitti import FRAME_NS, write_kitti
 from dronevio.models.rotation import exp_so3, quat_wxyz_from_matrix
 from dronevio.models.state import Trajectory
@@ -48,7 +48,7 @@ def trajectory_pair(poses: int, seed: int = 0) -> tuple[Trajectory, Trajectory]:
     return truth, Trajectory(t_ns, truth.p_world_imu + noise_m, quat_wxyz_from_matrix(exp_so3(rotations + noise_rad)))
 
 
-def command_figure(files: tuple[Path, Path] | None, tries: int) -> Figure:
+def command_figure(files: tuple[Path, Path] | None, tries: int) -> PerformanceFigure:
     """Measure the processor time of ``dronevio evaluate`` relative to that of ``evo_ape``, as processes.
 
     Args:
@@ -65,7 +65,7 @@ def command_figure(files: tuple[Path, Path] | None, tries: int) -> Figure:
         ours = [sys.executable, "-m", "dronevio.cli", "evaluate", truth, estimate, "--alignment", "se3"]
         theirs = [sys.executable, "-c", _EVO_APE, "kitti", truth, estimate, "-a"]
         ours_s, theirs_s = _smallest(tries, lambda: _process_s(ours)), _smallest(tries, lambda: _process_s(theirs))
-    return Figure(
+    return PerformanceFigure(
         "dronevio evaluate, relative to evo_ape",
         ours_s / theirs_s,
         "",
@@ -76,11 +76,11 @@ def command_figure(files: tuple[Path, Path] | None, tries: int) -> Figure:
     )
 
 
-def library_figure(poses: int, tries: int) -> Figure:
+def library_figure(poses: int, tries: int) -> PerformanceFigure:
     """Measure the processor time of ATE and RPE in evo relative to ours."""
     truth, estimate = trajectory_pair(poses)
     ours_s, theirs_s = _smallest(tries, lambda: _ours_s(truth, estimate)), _evo_s(truth, estimate)
-    return Figure(
+    return PerformanceFigure(
         f"ATE and RPE of {poses} poses in evo, relative to ours",
         theirs_s / ours_s,
         "",
@@ -91,12 +91,12 @@ def library_figure(poses: int, tries: int) -> Figure:
     )
 
 
-def size_figure(poses: int, tries: int) -> Figure:
+def size_figure(poses: int, tries: int) -> PerformanceFigure:
     """Measure the processor time of ATE and RPE of many poses."""
     truth, estimate = trajectory_pair(poses)
     ours_s = _smallest(tries, lambda: _ours_s(truth, estimate))
     whole_s = _cpu_s(lambda: score(truth, estimate))
-    return Figure(
+    return PerformanceFigure(
         f"ATE and RPE of {poses} poses",
         ours_s,
         "s",
@@ -106,10 +106,10 @@ def size_figure(poses: int, tries: int) -> Figure:
     )
 
 
-def memory_figure(poses: int) -> Figure:
+def memory_figure(poses: int) -> PerformanceFigure:
     """Measure how the memory of the evaluation grows from a tenth of the poses to all of them."""
     few_mb, many_mb = (_peak_mb(*trajectory_pair(count)) for count in (poses // 10, poses))
-    return Figure(
+    return PerformanceFigure(
         "memory for ten times the poses, divided by ten",
         many_mb / few_mb / 10.0,
         "",

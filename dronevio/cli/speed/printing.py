@@ -5,13 +5,13 @@ from dataclasses import asdict
 
 from dronevio.cli.machine import cores, memory_gb, package_version, processor
 from dronevio.cli.terminal import print_json, print_table
-from dronevio.models.performance import Figure
+from dronevio.models.performance import PerformanceFigure
 
 
 def print_speed(
     title: str,
     settings: Mapping[str, object],
-    figures: Sequence[Figure],
+    figures: Sequence[PerformanceFigure],
     packages: Sequence[str],
     renderer: str | None = None,
     *,
@@ -50,6 +50,6 @@ def print_speed(
         ],
     )
     for figure in figures:
-        print(f"{figure.name}: {figure.how}")
+        print(f"{figure.name}: {figure.method}")
     print(", ".join([processor(), f"{cores()} cores", f"{memory_gb():.0f} GB", *([renderer] if renderer else [])]))
     print(", ".join(f"{name} {number}" for name, number in versions.items()))

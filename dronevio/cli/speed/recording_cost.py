@@ -10,7 +10,7 @@ from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-from dronevio.models.performance import Figure
+from dronevio.models.performance import PerformanceFigure
 from dronevio.models.progress import Progress, silent
 from dronevio.models.rig import Rig
 from dronevio.models.rig_presets import rig_named
@@ -92,9 +92,9 @@ def record(scenario: Scenario, workers: int, progress: Progress = silent) -> Tim
     return Timing(float(flight.truth.t_s[-1]), wall_s, rendered[0][0] - marks[0][0], rate)
 
 
-def scaling_figure(one: Timing, two: Timing) -> Figure:
+def scaling_figure(one: Timing, two: Timing) -> PerformanceFigure:
     """Return the frame rate of two rendering processes relative to that of one."""
-    return Figure(
+    return PerformanceFigure(
         "two rendering processes, relative to one",
         two.frames_per_s / one.frames_per_s,
         "",
@@ -104,7 +104,7 @@ def scaling_figure(one: Timing, two: Timing) -> Figure:
     )
 
 
-def minute_figure(timing: Timing, world_s: float) -> Figure:
+def minute_figure(timing: Timing, world_s: float) -> PerformanceFigure:
     """Return the wall-clock time of a recording of 60 s, extrapolated if the measured one is shorter.
 
     Args:
@@ -114,7 +114,7 @@ def minute_figure(timing: Timing, world_s: float) -> Figure:
     once_s = world_s + timing.startup_s
     running_s = timing.wall_s - timing.startup_s
     complete = abs(timing.duration_s - 60.0) < 1.0
-    return Figure(
+    return PerformanceFigure(
         "recording of 60 s",
         once_s + running_s * 60.0 / timing.duration_s,
         "s",
@@ -127,7 +127,7 @@ def minute_figure(timing: Timing, world_s: float) -> Figure:
 
 def memory_figure(
     world: str, rig: str, seed: int, small_images: bool, durations_s: tuple[float, float], rate_hz: float
-) -> Figure:
+) -> PerformanceFigure:
     """Measure how the peak memory of recordings grows with the duration, each in a process of its own.
 
     Args:
@@ -142,7 +142,7 @@ def memory_figure(
     with ThreadPoolExecutor() as pool:
         peaks_mb = list(pool.map(_peak_memory_mb, tasks))
     (short_s, long_s), (short_mb, long_mb) = durations_s, peaks_mb
-    return Figure(
+    return PerformanceFigure(
         "peak memory of a long flight, relative to a short one",
         long_mb / short_mb,
         "",

@@ -10,7 +10,7 @@ from dronevio.cli.speed.printing import print_speed
 from dronevio.cli.terminal import parse, progress_bars
 
 if TYPE_CHECKING:
-    from dronevio.models.performance import Figure
+    from dronevio.models.performance import PerformanceFigure
     from dronevio.models.progress import Progress
 
 
@@ -84,7 +84,7 @@ def main(arguments: Sequence[str]) -> int:
     return 0
 
 
-def _measured(command: SimCommand, effort: _Effort, progress: "Progress") -> list["Figure"]:
+def _measured(command: SimCommand, effort: _Effort, progress: "Progress") -> list["PerformanceFigure"]:
     """Return all figures."""
     import time
 
