@@ -58,7 +58,7 @@ def test_minute_is_extrapolated_without_the_startup() -> None:
     figure = minute_figure(timing, world_s=3.0)
     assert figure.value == pytest.approx(3.0 + 2.0 + 10.0 * (5.0 - 2.0))
     assert "extrapolated from 6 s" in figure.method
-    assert "measured completely" in minute_figure(replace(timing, duration_s=60.0), 3.0).how
+    assert "measured completely" in minute_figure(replace(timing, duration_s=60.0), 3.0).method
     assert scaling_figure(replace(timing, frames_per_s=20.0), timing).value == 2.0
 
 

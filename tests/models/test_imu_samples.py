@@ -43,7 +43,7 @@ def test_joining_with_nothing_changes_nothing() -> None:
 
 def test_two_kinds_do_not_mix() -> None:
     first, second = batch(), batch()
-    with pytest.raises(ConfigError, match="with sampling .point. and .increment."):
+    with pytest.raises(ConfigError, match="with sampling 'point' and 'increment'"):
         first[:5].extended(ImuSamples(second.t_ns[5:], second.gyro_rad_s[5:], second.accel_m_s2[5:], "increment"))
 
 
