@@ -1,9 +1,9 @@
-"""Fly a simulated quadrotor, estimate its motion from camera and IMU, score the estimate.
+"""Simulate a quadrotor, estimate its motion from camera and IMU, and evaluate the estimate.
 
-Four rooms share this import name: ``dronevio.models`` (what the drone, its sensors and their data
-are), ``dronevio.sim`` (MuJoCo makes it fly and sense), ``dronevio.estimator`` (GTSAM and OpenCV turn
-what was sensed into motion) and ``dronevio.eval`` (scores, reports and recordings to look at).
-Importing this package loads none of them.
+The package consists of ``dronevio.models`` (data types, sensor models and recordings), ``dronevio.sim`` (physics and
+sensors with MuJoCo), ``dronevio.estimator`` (visual-inertial odometry with GTSAM and OpenCV), ``dronevio.eval``
+(metrics, benchmarks and reports) and the application layer (the command line and what connects the others). Importing
+``dronevio`` loads none of them.
 """
 
 __version__ = "0.1.0"

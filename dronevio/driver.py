@@ -1,4 +1,4 @@
-"""The driver that pushes a recording through an estimator, frame by frame, and times it."""
+"""The driver: it pushes the measurements of a recording into an estimator and measures the processor time."""
 
 import time
 from collections.abc import Sequence
@@ -18,25 +18,31 @@ if TYPE_CHECKING:
     from dronevio.estimator.imu.preintegration import PreintegrationConfig
 
 
-class Watcher(Protocol):
-    """Hears what an estimator is given and what it answers, while it runs."""
+class RunObserver(Protocol):
+    """Receives the measurements and the estimates of an estimator while it runs."""
 
-    def imu(self, samples: ImuSamples) -> None:
-        """Hear of IMU samples."""
+    def imu(self, samples: ImuSamples, /) -> None:
+        """Receive IMU samples, after the estimator has processed them."""
 
-    def frame(self, frame: CameraFrame, answer: Estimate, cpu_ms: float) -> None:
-        """Hear of a frame, of the answer, and of what it cost with the IMU samples before it [ms]."""
-
-
-class ImuRateListener:
-    """Watches an estimator, and dead-reckons its newest state to every IMU sample, as a live system would."""
-
-    def __init__(self, imu: ImuModel, config: "PreintegrationConfig | None" = None) -> None:
-        """Begin before the first measurement.
+    def frame(self, frame: CameraFrame, estimate: Estimate, cpu_ms: float, /) -> None:
+        """Receive a frame and its estimate.
 
         Args:
-            imu: The IMU.
-            config: How it is preintegrated.
+            frame: The frame.
+            estimate: The estimate of the frame.
+            cpu_ms: Processor time of the frame and of the IMU samples before it [ms].
+        """
+
+
+class ImuRateObserver:
+    """Propagates the newest estimate to every IMU sample, as a system in real time does; a `RunObserver`."""
+
+    def __init__(self, imu: ImuModel, config: "PreintegrationConfig | None" = None) -> None:
+        """Start before the first measurement.
+
+        Args:
+            imu: Model of the IMU.
+            config: Settings of the preintegration.
         """
         from dronevio.estimator.imu.forward_propagation import ImuRatePropagator
 
@@ -44,31 +50,37 @@ class ImuRateListener:
         self._states: list[NavState] = []
 
     def imu(self, samples: ImuSamples) -> None:
-        """Hear of IMU samples."""
+        """Propagate the newest state to IMU samples."""
         self._states += self._propagator.add_imu(samples)
 
-    def frame(self, frame: CameraFrame, answer: Estimate, cpu_ms: float) -> None:
-        """Hear of a frame and of the answer."""
-        self._propagator.correct(answer)
+    def frame(self, frame: CameraFrame, estimate: Estimate, cpu_ms: float) -> None:
+        """Replace the newest state by the estimate of a frame."""
+        self._propagator.correct(estimate)
 
     @property
     def trajectory(self) -> Trajectory:
-        """A pose for each sample since the first state; each was known when its sample came."""
+        """Causal poses, one per IMU sample since the first state."""
         return Trajectory.from_states(self._states)
 
 
 def estimate_recording(
-    recording: Recording, estimator: Estimator, progress: Progress = silent, watchers: Sequence[Watcher] = ()
+    recording: Recording, estimator: Estimator, progress: Progress = silent, observers: Sequence[RunObserver] = ()
 ) -> EstimatorRun:
-    """Push all measurements of a recording into an estimator, in time order, on one thread.
+    """Push all measurements of a recording into an estimator, in the order of time, on one thread.
 
-    Each answer is taken before the next frame is read, so it is causal. Reading a frame from disk is not timed, nor is
-    what watchers do.
+    Each estimate is taken before the next frame is read, so it is causal. The processor time contains neither the
+    reading of images nor the work of observers.
+
+    Args:
+        recording: The measurements.
+        estimator: The estimator, before its first measurement.
+        progress: Called with the number of processed frames.
+        observers: Receive the measurements and the estimates.
 
     Raises:
-        InputError: A frame cannot be read.
+        InputError: An image cannot be read.
     """
-    cv2.setNumThreads(1)  # one core is what is promised, and threads would not add up in the same order every time
+    cv2.setNumThreads(1)  # threads would sum floating-point numbers in another order in each run
     estimates: list[Estimate] = []
     cpu_ms: list[float] = []
     wall_ms: list[float] = []
@@ -83,11 +95,11 @@ def estimate_recording(
         cpu_s += time.process_time() - cpu_start
         wall_s += time.perf_counter() - wall_start
         if isinstance(measurement, ImuSamples):
-            for watcher in watchers:
-                watcher.imu(measurement)
-        else:  # a frame is done, with the IMU before it
-            for watcher in watchers:
-                watcher.frame(measurement, estimates[-1], cpu_s * 1e3)
+            for observer in observers:
+                observer.imu(measurement)
+        else:  # a frame is complete, with the IMU samples before it
+            for observer in observers:
+                observer.frame(measurement, estimates[-1], cpu_s * 1e3)
             cpu_ms.append(cpu_s * 1e3)
             wall_ms.append(wall_s * 1e3)
             cpu_s, wall_s = 0.0, 0.0
@@ -98,15 +110,19 @@ def estimate_recording(
 def require_poses(run: EstimatorRun, recording: Recording) -> Trajectory:
     """Return the trajectory of a run.
 
+    Args:
+        run: The run.
+        recording: The recording, for the error message.
+
     Raises:
-        EvaluationError: The estimator never got so far as a pose.
+        EvaluationError: The run has no pose.
     """
     trajectory = run.trajectory
     if len(trajectory) == 0:
         report = run.estimates[-1].health_report if run.estimates else None
         why = f" ({report.reason})" if report is not None else ""
         raise EvaluationError(
-            f"{recording.name}: no pose after {len(run.estimates)} frames{why}; expected a recording in which the drone"
-            " stands still for a second, or moves with parallax, before a textured scene"
+            f"{recording.name}: no pose after {len(run.estimates)} frames{why}; expected a recording of a textured"
+            " scene in which the drone is stationary for a second, or moves with parallax"
         )
     return trajectory

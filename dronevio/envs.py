@@ -1,7 +1,7 @@
-"""Registers the environments with Gymnasium.
+"""Registration of the environments with Gymnasium.
 
-``import dronevio.envs`` and then ``gymnasium.make("dronevio/Hover-v0")``, or both in one:
-``gymnasium.make("dronevio.envs:dronevio/Hover-v0")``. The simulator is imported when an environment is made.
+After ``import dronevio.envs``, ``gymnasium.make("dronevio/Hover-v0")`` makes an environment. The call
+``gymnasium.make("dronevio.envs:dronevio/Hover-v0")`` does both. The simulator is imported when an environment is made.
 """
 
 import gymnasium

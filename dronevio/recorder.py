@@ -1,4 +1,4 @@
-"""Flying for the record: first the motion, then the frames, into a folder of EuRoC's layout."""
+"""The recorder: it simulates a flight, then renders its images, into a folder in the EuRoC layout."""
 
 import json
 from pathlib import Path
@@ -18,7 +18,7 @@ from dronevio.sim.rendering.truth_images import TruthImage
 from dronevio.sim.scenario import Scenario
 
 SCENARIO_FILE = "scenario.json"
-"""Beside ``mav0``: all settings of the flight."""
+"""Name of the file beside ``mav0`` with all settings of the flight."""
 
 
 def record_flight(
@@ -29,20 +29,23 @@ def record_flight(
     workers: int | None = None,
     truth_images: tuple[TruthImage, ...] = (),
 ) -> Flight:
-    """Fly a scenario and write what was sensed, the truth and the settings into a folder.
+    """Simulate a scenario and write its sensor data, ground truth and settings into a folder.
 
     Args:
-        scenario: What to fly; the same scenario gives the same bytes.
-        folder: Where to; it is made where it is missing.
-        simulating: Hears of the physics.
-        rendering: Hears of the frames.
-        workers: Processes that draw; as many as there are cores by default.
-        truth_images: What is written beside the main camera's frames.
+        scenario: The scenario with its seed, which determines all bytes of the recording.
+        folder: Folder to write to; it is made if it does not exist.
+        simulating: Called with the progress of the physics.
+        rendering: Called with the number of rendered frames.
+        workers: Number of rendering processes; the number of cores by default.
+        truth_images: Ground-truth images to write beside those of the first camera.
+
+    Returns:
+        The flight without its images.
 
     Raises:
-        ConfigError: The scenario does not fit together.
-        GraphicsError: No off-screen OpenGL. `dronevio.sim.cameras.gl.require_gl` tells before anything is simulated.
-        IncompleteError: The system refused something while frames were written; what is done stays.
+        ConfigError: The settings of the scenario contradict each other.
+        GraphicsError: There is no off-screen OpenGL. `dronevio.sim.cameras.gl.require_gl` checks this beforehand.
+        IncompleteError: An image cannot be written. The finished frames are kept.
     """
     flight = fly(scenario, simulating)
     job = RenderJob(
@@ -69,20 +72,20 @@ def record_refly(
     imaging: Imaging | None = None,
     truth_images: tuple[TruthImage, ...] = (),
 ) -> None:
-    """Render along a path that was flown before, and write it into a folder like a flight.
+    """Render images along a recorded trajectory and write the recording into a folder.
 
     Args:
-        flown: The path, its IMU, its sensors and its world.
-        seed: Draws the world's looks and the images' noise.
-        folder: Where to; it is made where it is missing.
-        rendering: Hears of the frames.
-        workers: Processes that draw; as many as there are cores by default.
-        imaging: What the sensors make of light; those of a typical one by default.
-        truth_images: What is written beside the main camera's frames.
+        flown: The trajectory with its IMU samples, its sensors and its world.
+        seed: Seed of the appearance of the world and of the image noise.
+        folder: Folder to write to; it is made if it does not exist.
+        rendering: Called with the number of rendered frames.
+        workers: Number of rendering processes; the number of cores by default.
+        imaging: Exposure and noise of the cameras; those of a typical sensor by default.
+        truth_images: Ground-truth images to write beside those of the first camera.
 
     Raises:
-        GraphicsError: No off-screen OpenGL.
-        IncompleteError: The system refused something while frames were written; what is done stays.
+        GraphicsError: There is no off-screen OpenGL.
+        IncompleteError: An image cannot be written. The finished frames are kept.
     """
     job = RenderJob(
         flown.world,
@@ -101,19 +104,19 @@ def record_refly(
 
 
 def rig_of(name_or_file: str) -> Rig:
-    """Return a rig by its name, or from the calibration that a file or folder holds.
+    """Return a rig by its name, or from the calibration in a file or folder.
 
     Args:
         name_or_file: One of `RIGS`, a Kalibr ``camchain.yaml``, or a recording with its calibration.
 
     Raises:
-        ConfigError: It is neither a name nor a file.
-        InputError: The file is damaged, or not supported.
+        ConfigError: There is neither a rig nor a file of this name.
+        InputError: The file is damaged or not supported.
     """
     path = Path(name_or_file)
     if name_or_file in RIGS or not path.exists():
         if not path.exists() and (path.suffix or len(path.parts) > 1):
-            raise ConfigError(f"no rig {name_or_file!r}; expected a file or folder that is there, or {', '.join(RIGS)}")
+            raise ConfigError(f"no rig {name_or_file!r}; expected an existing file or folder, or {', '.join(RIGS)}")
         return rig_named(name_or_file)
     from dronevio.models.recordings.open import rig_of_file
 
@@ -121,7 +124,7 @@ def rig_of(name_or_file: str) -> Rig:
 
 
 def _write_settings(folder: Path, settings: dict[str, object]) -> None:
-    """Write what was flown, for people and for programs."""
+    """Write the settings of a recording as JSON."""
     folder.mkdir(parents=True, exist_ok=True)
     document = {name: to_jsonable(value) for name, value in settings.items()}
     (folder / SCENARIO_FILE).write_text(json.dumps(document, indent=2) + "\n", encoding="utf-8")

@@ -1,14 +1,14 @@
-"""Estimators by name: ours, baselines, and any program that reads an EuRoC folder and writes a TUM file."""
+"""The registry of estimators: ours, baselines, and any program that reads an EuRoC folder and writes a TUM file."""
 
 import re
 import resource
 import shlex
 import subprocess
 import tempfile
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
+from typing import IO
 
 import numpy as np
 
@@ -19,9 +19,9 @@ from dronevio.models.serialization import to_jsonable
 from dronevio.models.state import Trajectory
 
 EXTERNAL = "external:"
-"""What a command's line begins with, in place of a name."""
+"""Prefix of an estimator that is the command line of a program."""
 _RECORDING, _OUTPUT = "{recording}", "{output}"
-_SENSED = re.compile(r"cam\d+|imu\d+|body\.yaml")  # what a program may see of a recording: all but the truth
+_SENSOR_DATA = re.compile(r"cam\d+|imu\d+|body\.yaml")  # entries of a recording without ground truth
 
 
 @dataclass(frozen=True)
@@ -29,13 +29,13 @@ class EstimatorKind:
     """An estimator that runs in this process."""
 
     description: str
-    """What it is, for people."""
+    """Description of the estimator for help texts."""
     settings: Callable[[], object]
-    """Returns its configuration."""
+    """Function that returns the configuration."""
     make: Callable[[Rig], Estimator]
-    """Makes one for a rig."""
+    """Function that makes the estimator for a rig."""
     cameras: int | None = 1
-    """How many cameras it uses; None for all that the recording has, two at least."""
+    """Number of cameras that the estimator uses; None for all cameras of the recording, at least two."""
 
 
 def _vio_settings() -> object:
@@ -75,54 +75,60 @@ def _dead_reckoning(rig: Rig) -> Estimator:
 
 
 ESTIMATORS: dict[str, EstimatorKind] = {
-    "vio": EstimatorKind("ours: one camera and the IMU, a fixed-lag smoother", _vio_settings, _vio),
-    "vio-stereo": EstimatorKind("ours: all cameras and the IMU", _vio_settings, _vio, cameras=None),
-    "eqvio": EstimatorKind("GTSAM's equivariant filter behind our front end", _equivariant_settings, _equivariant),
-    "dead-reckoning": EstimatorKind("the IMU alone, from a rest", _dead_reckoning_settings, _dead_reckoning),
+    "vio": EstimatorKind("our fixed-lag smoother with one camera and the IMU", _vio_settings, _vio),
+    "vio-stereo": EstimatorKind(
+        "our fixed-lag smoother with all cameras and the IMU", _vio_settings, _vio, cameras=None
+    ),
+    "eqvio": EstimatorKind("GTSAM's equivariant filter with our front end", _equivariant_settings, _equivariant),
+    "dead-reckoning": EstimatorKind(
+        "integration of the IMU alone, initialized while the drone is stationary",
+        _dead_reckoning_settings,
+        _dead_reckoning,
+    ),
 }
-"""The estimators that come with the house."""
+"""The estimators of this package by name."""
 
 
 @dataclass(frozen=True)
 class Estimated:
-    """What an estimator made of a recording, and what that cost."""
+    """Estimated trajectory of a recording, and its processor time."""
 
     trajectory: Trajectory
-    """The poses that it stands by."""
+    """Causal poses of the estimator."""
     cpu_ms_mean: float
-    """Processor time a frame, of all threads [ms]; of a program, with its start and its reading of frames."""
+    """Mean processor time per frame of all threads; for a program, start-up and reading of images included [ms]."""
     cpu_ms_p99: float | None
-    """Its 99th percentile [ms]; None for a program, of which only the whole is known."""
+    """99th percentile of the processor time per frame; None for a program, whose frames are not timed [ms]."""
     real_time_factor: float
-    """Seconds of flight that are estimated in one second of processor time."""
+    """Duration of the flight divided by the processor time."""
 
 
 @dataclass(frozen=True)
 class NamedEstimator:
-    """An estimator, and what to call it in tables."""
+    """An estimator with its name in tables."""
 
     label: str
-    """What to call it."""
+    """Name of the estimator in tables."""
     name: str
-    """One of `ESTIMATORS`, or ``external:`` and a command with ``{recording}`` and ``{output}``."""
+    """Key of `ESTIMATORS`, or ``external:`` and a command with ``{recording}`` and ``{output}``."""
 
     def settings(self) -> object:
-        """Return all that tells it apart from others of its kind, as plain data."""
+        """Return the settings on which the results of the estimator depend, as plain data."""
         if self.name.startswith(EXTERNAL):
             return {"command": shlex.split(self.name.removeprefix(EXTERNAL))}
         return {"estimator": self.name, "config": to_jsonable(ESTIMATORS[self.name].settings())}
 
     def run(self, path: Path) -> Estimated:
-        """Estimate the motion of a recording.
+        """Estimate the trajectory of a recording.
 
         Args:
-            path: An EuRoC folder or a bag; for a program, the former.
+            path: An EuRoC folder or a ROS 2 bag; only the former for a program.
 
         Raises:
-            InputError: The recording cannot be read, or what a program wrote.
-            EvaluationError: There is not one pose.
-            ConfigError: It has too few cameras for the estimator.
-            CrashError: A program was killed.
+            InputError: The recording, or the file that a program wrote, cannot be read.
+            EvaluationError: The estimate has no pose, or a program failed.
+            ConfigError: The recording has too few cameras, or a program cannot be started.
+            CrashError: A program was killed by a signal.
         """
         if self.name.startswith(EXTERNAL):
             return _run_program(shlex.split(self.name.removeprefix(EXTERNAL)), path)
@@ -132,7 +138,7 @@ class NamedEstimator:
         kind = ESTIMATORS[self.name]
         recording = open_recording(path, kind.cameras)
         if kind.cameras is None and len(recording.rig.cameras) < 2:
-            raise ConfigError(f"{path}: one camera; expected two at least for {self.name}")
+            raise ConfigError(f"{path}: one camera; expected two or more for {self.name}")
         run = estimate_recording(recording, kind.make(recording.rig))
         return Estimated(
             require_poses(run, recording),
@@ -143,17 +149,20 @@ class NamedEstimator:
 
 
 def estimator_named(text: str) -> NamedEstimator:
-    """Return an estimator by its name, by ``external:COMMAND``, or by ``LABEL=`` and one of these.
+    """Return an estimator.
+
+    Args:
+        text: A name of `ESTIMATORS` or ``external:COMMAND``, with or without ``LABEL=`` before it.
 
     Raises:
-        ConfigError: There is none of that name, or the command has no place for the recording or the output.
+        ConfigError: There is no such estimator, or the command lacks ``{recording}`` or ``{output}``.
     """
     labelled = re.fullmatch(r"([A-Za-z0-9_.+-]+)=(.*)", text, re.DOTALL)
     label, name = labelled.groups() if labelled else (text, text)
     if not name.startswith(EXTERNAL):
         if name not in ESTIMATORS:
-            known = ", ".join(ESTIMATORS)
-            raise ConfigError(f"unknown estimator {name!r}; expected one of {known}, or {EXTERNAL}COMMAND")
+            names = ", ".join(ESTIMATORS)
+            raise ConfigError(f"unknown estimator {name!r}; expected one of {names}, or {EXTERNAL}COMMAND")
         return NamedEstimator(label, name)
     try:
         words = shlex.split(name.removeprefix(EXTERNAL))
@@ -169,49 +178,55 @@ def estimator_named(text: str) -> NamedEstimator:
 
 
 def _run_program(command: list[str], path: Path) -> Estimated:
-    """Run a program on a recording's sensor data, and read what it wrote. No shell takes part in it."""
+    """Run a program, without a shell, on the sensor data of a recording, and read the trajectory that it writes."""
     from dronevio.eval.benchmark.isolation import CrashError, death
     from dronevio.models.recordings.euroc import EurocRecording
     from dronevio.models.recordings.tum import read_tum
 
     recording = EurocRecording.open(path, 1)
-    with tempfile.TemporaryDirectory(prefix="dronevio-") as place:
-        view, output = Path(place) / path.resolve().name, Path(place) / "estimate.tum"
-        _show(recording.mav0, view)
+    with tempfile.TemporaryDirectory(prefix="dronevio-") as scratch:
+        view, output = Path(scratch) / path.resolve().name, Path(scratch) / "estimate.tum"
+        _link_sensor_data(recording.mav0, view)
         words = [word.replace(_RECORDING, str(view)).replace(_OUTPUT, str(output)) for word in command]
-        with tempfile.TemporaryFile() as complaints:
-            with _cpu_of_children() as spent:
-                try:
-                    code = subprocess.run(words, stdout=complaints, stderr=complaints, check=False).returncode
-                except OSError as error:
-                    raise ConfigError(f"{words[0]}: {error.strerror}; expected a program that can be run") from None
+        with tempfile.TemporaryFile() as errors:
+            code, cpu_s = _run_timed(words, errors)
             if code < 0:
-                raise CrashError(f"{words[0]} {death(code, complaints)}")
+                raise CrashError(f"{words[0]} {death(code, errors)}")
             if code > 0:
-                raise EvaluationError(f"{words[0]} {death(code, complaints)}")
+                raise EvaluationError(f"{words[0]} {death(code, errors)}")
         trajectory = read_tum(output)
-    return _with_costs(trajectory, recording, spent[0])
+    return _with_costs(trajectory, recording, cpu_s)
 
 
-def _show(mav0: Path, view: Path) -> None:
-    """Make a folder in which only what was sensed of a recording can be seen."""
+def _link_sensor_data(mav0: Path, view: Path) -> None:
+    """Make a folder with links to the sensor data of a recording, without its ground truth."""
     (view / "mav0").mkdir(parents=True)
     for entry in mav0.resolve().iterdir():
-        if _SENSED.fullmatch(entry.name):
+        if _SENSOR_DATA.fullmatch(entry.name):
             (view / "mav0" / entry.name).symlink_to(entry)
 
 
-@contextmanager
-def _cpu_of_children() -> Iterator[list[float]]:
-    """Give a list that holds, in the end, the processor time of the processes that ran meanwhile [s]."""
-    before, spent = resource.getrusage(resource.RUSAGE_CHILDREN), [0.0]
-    yield spent
+def _run_timed(words: list[str], output: IO[bytes]) -> tuple[int, float]:
+    """Run a program and return its exit code, negative for a signal, and its processor time [s].
+
+    Args:
+        words: The command line.
+        output: File for everything that the program prints.
+
+    Raises:
+        ConfigError: The program cannot be started.
+    """
+    before = resource.getrusage(resource.RUSAGE_CHILDREN)
+    try:
+        code = subprocess.run(words, stdout=output, stderr=output, check=False).returncode
+    except OSError as error:
+        raise ConfigError(f"{words[0]}: {error.strerror}; expected a program that can be run") from None
     after = resource.getrusage(resource.RUSAGE_CHILDREN)
-    spent[0] = after.ru_utime - before.ru_utime + after.ru_stime - before.ru_stime
+    return code, after.ru_utime - before.ru_utime + after.ru_stime - before.ru_stime
 
 
 def _with_costs(trajectory: Trajectory, recording: Recording, cpu_s: float) -> Estimated:
-    """Return what a program estimated, its processor time shared out among the frames."""
+    """Return the estimate of a program, with its processor time divided by the number of frames."""
     frames = recording.frame_times_ns
     span_s = float(np.ptp(frames)) * 1e-9
     return Estimated(trajectory, 1e3 * cpu_s / len(frames), None, span_s / max(cpu_s, 1e-3))

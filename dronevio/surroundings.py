@@ -1,4 +1,4 @@
-"""The surroundings of a simulated flight, as a recording for rerun shows them."""
+"""The surroundings of a simulated flight, in the form in which a rerun file shows them."""
 
 import numpy as np
 
@@ -7,7 +7,7 @@ from dronevio.sim.world import World
 
 
 def surroundings_of(world: World) -> Surroundings:
-    """Return the outline of a simulated world, and what moves in it as large as it looks."""
+    """Return the outline of a simulated world, and the bounding boxes of the objects that move in it."""
     boxes = []
     for mover in world.movers:
         geoms = world.spec.body(mover.body).geoms

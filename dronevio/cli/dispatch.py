@@ -26,7 +26,7 @@ class CommandGroup:
     program: str
     """The words that call the group, such as ``dronevio book``."""
     description: str
-    """What the group is for, as the help text says it."""
+    """Purpose of the group, for the help text."""
     subcommands: Mapping[str, Subcommand]
     """The subcommands by name, in the order of the help text."""
     examples: Sequence[str]

@@ -49,7 +49,7 @@ def main(arguments: Sequence[str]) -> int:
     """Run the command and return its exit code."""
     command = parse(EstimateCommand, arguments, "estimate")
 
-    from dronevio.driver import ImuRateListener, estimate_recording, require_poses
+    from dronevio.driver import ImuRateObserver, estimate_recording, require_poses
     from dronevio.estimator.vio import VisualInertialOdometry
     from dronevio.models.recordings.files import check_place
     from dronevio.models.recordings.tum import write_tum
@@ -57,11 +57,11 @@ def main(arguments: Sequence[str]) -> int:
     for place in filter(None, (command.out, command.imu_rate)):
         check_place(place)  # before the estimator runs
     recording = command.reading.open(command.recording)
-    imu_rate = ImuRateListener(recording.rig.imu, command.estimator.inertial)
-    listeners = () if command.imu_rate is None else (imu_rate,)
+    imu_rate = ImuRateObserver(recording.rig.imu, command.estimator.inertial)
+    observers = () if command.imu_rate is None else (imu_rate,)
     with progress_bars(quiet=command.printing.json) as bars:
         estimator = VisualInertialOdometry(recording.rig, command.estimator)
-        run = estimate_recording(recording, estimator, bars.bar("estimating"), listeners)
+        run = estimate_recording(recording, estimator, bars.bar("estimating"), observers)
     trajectory = require_poses(run, recording)
     write_tum(command.out, trajectory)
     if command.imu_rate is not None:

@@ -1,4 +1,4 @@
-"""On what a command runs."""
+"""The machine and the packages on which a command runs."""
 
 import os
 import platform
@@ -7,27 +7,27 @@ from pathlib import Path
 
 
 def cores() -> int:
-    """Return how many cores this process may use."""
+    """Return the number of cores that this process may use."""
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
 def memory_gb() -> float:
-    """Return the machine's memory [GB]."""
+    """Return the size of the memory [GB]."""
     return os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES") * 1e-9
 
 
 def processor() -> str:
-    """Return the processor's name, as far as the system tells."""
-    about = Path("/proc/cpuinfo")
-    if about.exists():
-        for line in about.read_text(encoding="utf-8").splitlines():
+    """Return the name of the processor, or its architecture if the name is not known."""
+    cpuinfo = Path("/proc/cpuinfo")
+    if cpuinfo.exists():
+        for line in cpuinfo.read_text(encoding="utf-8").splitlines():
             if line.startswith("model name"):
                 return line.partition(":")[2].strip()
     return platform.processor() or platform.machine()
 
 
 def package_version(package: str) -> str:
-    """Return the version of an installed package; empty if it is missing."""
+    """Return the version of a package, or an empty text if it is not installed."""
     try:
         return version(package)
     except PackageNotFoundError:

@@ -15,7 +15,7 @@ from dronevio.cli.terminal import Bars, print_json, print_values, progress_bars
 from dronevio.estimator.config import VioConfig
 
 if TYPE_CHECKING:
-    from dronevio.driver import Watcher
+    from dronevio.driver import RunObserver
     from dronevio.eval.rerun.surroundings import Surroundings
     from dronevio.models.protocols import Recording
     from dronevio.sim.scenario import Scenario
@@ -141,7 +141,7 @@ def _run(scenario: "Scenario", command: RunCommand, folder: Path, target: Path, 
 
 
 @contextmanager
-def _viewers(recording: "Recording", surroundings: "Surroundings", live: bool) -> Iterator["Sequence[Watcher]"]:
+def _viewers(recording: "Recording", surroundings: "Surroundings", live: bool) -> Iterator["Sequence[RunObserver]"]:
     """Show a live viewer until the context ends, if one is asked for; yield the observers of the estimator."""
     if not live:
         yield ()
