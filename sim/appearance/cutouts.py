@@ -10,9 +10,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 import numpy.typing as npt
 
+from dronevio.sim.appearance.instances import UNNAMED, Thing
 from dronevio.sim.appearance.scenery import Page, facing
 from dronevio.sim.appearance.solids import Paint
-from dronevio.sim.appearance.things import UNNAMED, Thing
 
 Array = npt.NDArray[np.float64]
 Random = np.random.Generator

@@ -8,8 +8,8 @@ from typing import Protocol, TypeVar
 import numpy as np
 import numpy.typing as npt
 
+from dronevio.sim.appearance.instances import UNNAMED, Thing
 from dronevio.sim.appearance.textures import PIXELS_PER_M, Image
-from dronevio.sim.appearance.things import UNNAMED, Thing
 
 Array = npt.NDArray[np.float64]
 Paint = Callable[[np.random.Generator, int, int], Image]

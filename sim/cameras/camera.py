@@ -16,7 +16,7 @@ import numpy as np
 import numpy.typing as npt
 
 from dronevio.models.camera import CameraModel
-from dronevio.sim.cameras.drawing import NO_MOVERS, Canvas, Drawing, MoverPoses
+from dronevio.sim.cameras.atlas_renderer import NO_MOVERS, Canvas, Drawing, MoverPoses
 from dronevio.sim.cameras.surfaces import Depth, Flow, Surfaces, depth_rays, optical_flow
 from dronevio.sim.cameras.views import Lookup, Views, pixel_rays
 

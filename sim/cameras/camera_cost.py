@@ -10,8 +10,8 @@ import numpy as np
 import numpy.typing as npt
 
 from dronevio.models.camera import CameraModel
+from dronevio.sim.cameras.atlas_renderer import look_from, switch_lights_off
 from dronevio.sim.cameras.camera import OffscreenCamera
-from dronevio.sim.cameras.drawing import look_from, switch_lights_off
 from dronevio.sim.cameras.views import View
 
 Array = npt.NDArray[np.float64]

@@ -1,6 +1,6 @@
 """The path to fly: from standing on the pad, through a shape, to standing on it again.
 
-Positions are minimum-snap splines (`dronevio.sim.paths.snap`), headings follow at a limited rate
+Positions are minimum-snap splines (`dronevio.sim.paths.minimum_snap`), headings follow at a limited rate
 (`dronevio.sim.paths.heading`). A quadrotor's attitude, rates and torques follow from position and heading (differential
 flatness; Mellinger and Kumar, "Minimum snap trajectory generation and control for quadrotors", 2011), so a smooth path
 is one that the rotors can follow.
@@ -17,8 +17,8 @@ from dronevio.models.imu import GRAVITY_M_S2, Times
 from dronevio.models.rotation import log_so3
 from dronevio.sim.paths.plan import TIMED, FlightPlan
 from dronevio.sim.paths.route import leg_clearances
+from dronevio.sim.paths.segments import Stage, shaped_tour, straight, timed_tour
 from dronevio.sim.paths.space import Place
-from dronevio.sim.paths.stage import Stage, shaped_tour, straight, timed_tour
 
 Array = npt.NDArray[np.float64]
 

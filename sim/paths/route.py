@@ -17,7 +17,7 @@ from scipy.sparse.csgraph import dijkstra
 
 from dronevio.models.errors import ConfigError
 from dronevio.sim.paths.limits import Limits
-from dronevio.sim.paths.snap import minimum_snap, quickest_knots
+from dronevio.sim.paths.minimum_snap import minimum_snap, quickest_knots
 from dronevio.sim.paths.space import Space
 
 Array = npt.NDArray[np.float64]

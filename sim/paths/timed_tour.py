@@ -3,7 +3,7 @@
 import numpy as np
 import numpy.typing as npt
 
-from dronevio.sim.paths.snap import minimum_snap
+from dronevio.sim.paths.minimum_snap import minimum_snap
 
 Array = npt.NDArray[np.float64]
 

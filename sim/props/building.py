@@ -10,10 +10,10 @@ import numpy.typing as npt
 
 from dronevio.models.rotation import rotation_z
 from dronevio.sim.appearance import pictures, textures_building
+from dronevio.sim.appearance.instances import Thing, one_thing
 from dronevio.sim.appearance.lightmap import AreaLight
 from dronevio.sim.appearance.solids import Box, Face, Paint, enclosure
 from dronevio.sim.appearance.textures import Image, plain
-from dronevio.sim.appearance.things import Thing, one_thing
 from dronevio.sim.props.furniture import METAL, Piece, hung_picture
 
 Array = npt.NDArray[np.float64]

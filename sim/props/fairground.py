@@ -10,9 +10,9 @@ import numpy.typing as npt
 from dronevio.models.rotation import rotation_z
 from dronevio.sim.appearance import textures
 from dronevio.sim.appearance import textures_race as race
+from dronevio.sim.appearance.instances import Thing
 from dronevio.sim.appearance.solids import Box, Face, parts_of
 from dronevio.sim.appearance.textures import Colour
-from dronevio.sim.appearance.things import Thing
 
 Array = npt.NDArray[np.float64]
 Random = np.random.Generator

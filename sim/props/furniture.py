@@ -12,10 +12,10 @@ import numpy.typing as npt
 
 from dronevio.models.rotation import rotation_z
 from dronevio.sim.appearance import pictures, textures
+from dronevio.sim.appearance.instances import Thing, one_thing
 from dronevio.sim.appearance.lightmap import AreaLight
 from dronevio.sim.appearance.solids import Box, Paint, parts_of
 from dronevio.sim.appearance.textures import Colour
-from dronevio.sim.appearance.things import Thing, one_thing
 
 Array = npt.NDArray[np.float64]
 Random = np.random.Generator

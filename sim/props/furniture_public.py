@@ -9,9 +9,9 @@ from functools import partial
 import numpy as np
 
 from dronevio.sim.appearance import pictures, textures, textures_building
+from dronevio.sim.appearance.instances import one_thing
 from dronevio.sim.appearance.solids import Box
 from dronevio.sim.appearance.textures import Colour
-from dronevio.sim.appearance.things import one_thing
 from dronevio.sim.props.furniture import CLOTHS, METAL, WHITE, WOODS, Piece, block, hung_picture, pick, plant
 
 Random = np.random.Generator

@@ -14,10 +14,10 @@ import numpy.typing as npt
 from dronevio.models.rotation import rotation_z
 from dronevio.sim.appearance import textures
 from dronevio.sim.appearance import textures_industrial as works
-from dronevio.sim.appearance.round import UNSEEN, filling, mantle
+from dronevio.sim.appearance.instances import Thing, one_thing
+from dronevio.sim.appearance.prisms import UNSEEN, filling, mantle
 from dronevio.sim.appearance.solids import Box, Paint, Sheet, parts_of
 from dronevio.sim.appearance.textures import Colour, scaled, vary
-from dronevio.sim.appearance.things import Thing, one_thing
 
 Array = npt.NDArray[np.float64]
 Random = np.random.Generator

@@ -8,10 +8,10 @@ import numpy.typing as npt
 
 from dronevio.models.rotation import rotation_z
 from dronevio.sim.appearance import pictures, textures
+from dronevio.sim.appearance.instances import Thing, one_thing
 from dronevio.sim.appearance.lightmap import AreaLight
 from dronevio.sim.appearance.solids import Box, Face, Paint, enclosure, parts_of
 from dronevio.sim.appearance.textures import PIXELS_PER_M, Colour, Image, Pattern
-from dronevio.sim.appearance.things import Thing, one_thing
 from dronevio.sim.props.furniture import FURNITURE, METAL, WOODS, Piece, hung_picture, pick, room_door, window
 
 Array = npt.NDArray[np.float64]

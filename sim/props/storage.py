@@ -8,9 +8,9 @@ import numpy as np
 import numpy.typing as npt
 
 from dronevio.sim.appearance import textures, textures_storage
+from dronevio.sim.appearance.instances import Thing, one_thing
 from dronevio.sim.appearance.solids import Box, Face, Paint, parts_of
 from dronevio.sim.appearance.textures import Colour, Image, to_image
-from dronevio.sim.appearance.things import Thing, one_thing
 from dronevio.sim.props.furniture import METAL, Piece, block
 
 Array = npt.NDArray[np.float64]

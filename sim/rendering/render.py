@@ -17,8 +17,8 @@ from dronevio.models.progress import Progress, silent
 from dronevio.models.recordings.euroc import INCOMPLETE
 from dronevio.models.recordings.files import write_text
 from dronevio.models.recordings.frame_truth import FRAME_TRUTH_FILE, FrameTruth, frame_truth_text
-from dronevio.sim.rendering.backdrop import Backdrop, backdrop
-from dronevio.sim.rendering.painter import PARTIAL, DrawTask, MeterTask
+from dronevio.sim.rendering.compiled_world import Backdrop, backdrop
+from dronevio.sim.rendering.frame_tasks import PARTIAL, DrawTask, MeterTask
 from dronevio.sim.rendering.render_job import RenderJob
 from dronevio.sim.rendering.truth_images import FOLDERS, names_table
 from dronevio.sim.rendering.worker_pool import default_workers, run_crew

@@ -8,10 +8,10 @@ import numpy as np
 import numpy.typing as npt
 
 from dronevio.models.rotation import quat_wxyz_from_matrix
+from dronevio.sim.appearance.instances import Thing, names_of
 from dronevio.sim.appearance.scenery import Page, add_mirror, add_pages, add_thing, quads_of
 from dronevio.sim.appearance.solids import Box, Surface, visible_faces
 from dronevio.sim.appearance.textures import Image
-from dronevio.sim.appearance.things import Thing, names_of
 from dronevio.sim.paths.space import Space
 from dronevio.sim.worlds.layout import Layout, Moving
 

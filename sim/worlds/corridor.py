@@ -12,9 +12,9 @@ import numpy.typing as npt
 
 from dronevio.models.rotation import rotation_z
 from dronevio.sim.appearance import textures, textures_building
+from dronevio.sim.appearance.instances import Thing
 from dronevio.sim.appearance.solids import Box, Face, Paint, parts_of
 from dronevio.sim.appearance.textures import Colour
-from dronevio.sim.appearance.things import Thing
 from dronevio.sim.props.building import (
     Wall,
     ceiling_lamp,

@@ -11,11 +11,11 @@ from dronevio.models.rotation import rotation_z
 from dronevio.sim.appearance import pictures, textures
 from dronevio.sim.appearance import textures_nature as nature
 from dronevio.sim.appearance.cutouts import Print
+from dronevio.sim.appearance.instances import Thing
 from dronevio.sim.appearance.solids import Box, Sheet
 from dronevio.sim.appearance.textures import Colour, Image, scaled
-from dronevio.sim.appearance.things import Thing
-from dronevio.sim.props import plants
-from dronevio.sim.props.plants import Plant
+from dronevio.sim.props import vegetation
+from dronevio.sim.props.vegetation import Plant
 from dronevio.sim.worlds import outdoors
 from dronevio.sim.worlds.layout import Layout, WorldBuilder
 
@@ -60,7 +60,7 @@ class Season:
     moss: Colour
     """What grows on the ground."""
     leaves: tuple[Colour, ...]
-    """Leaves on the trees, `plants.TONES` of them."""
+    """Leaves on the trees, `vegetation.TONES` of them."""
     mist: Colour
     """What the depth of the wood fades to."""
 
@@ -121,8 +121,8 @@ def layout(rng: Random) -> Layout:
         walled=False,
         shading=tuple(shade + [replace(box, half=0.65 * box.half) for _, box in boulders]),
         prints=(
-            Print(partial(plants.bark_image, colours=_BARKS, sun=toward), 1400, 1536, wood),
-            Print(partial(plants.leaf_image, colours=season.leaves), 256, 2048, leaves),
+            Print(partial(vegetation.bark_image, colours=_BARKS, sun=toward), 1400, 1536, wood),
+            Print(partial(vegetation.leaf_image, colours=season.leaves), 256, 2048, leaves),
         ),
     )
 
@@ -144,8 +144,8 @@ def _trees(rng: Random, route: Array, toward: Array) -> list[tuple[Plant, Array,
         inside = bool(np.all(np.abs(place) < _HIGH[:2]))
         tall = 6.8 + 14.0 * radius + rng.uniform(0.0, 2.5)
         twigs, sides = (int(130 + 200 * radius), 8) if inside else (44, 6)
-        kind = int(rng.integers(plants.BARKS))
-        plant = plants.tree(rng, radius, tall, _HIGH[2] + 0.2, kind, toward, twigs, sides)
+        kind = int(rng.integers(vegetation.BARKS))
+        plant = vegetation.tree(rng, radius, tall, _HIGH[2] + 0.2, kind, toward, twigs, sides)
         plant = plant.moved(np.eye(3), np.array([*place, 0.0]))
         if not inside:
             plant = Plant(plant.wood, plant.leaves, ())
@@ -173,18 +173,18 @@ def _undergrowth(
         R = rotation_z(rng.uniform(0.0, 2.0 * np.pi))
         if not inside or off < _LOOSE_M + 0.8:
             if rng.random() < 0.75 and np.any(np.abs(place) > _HIGH[:2] - 2.0):
-                found.append(plants.fern(rng).moved(R, at))
+                found.append(vegetation.fern(rng).moved(R, at))
             continue
         if kind < 0.42:
-            found.append(plants.bush(rng, toward).moved(R, at))
+            found.append(vegetation.bush(rng, toward).moved(R, at))
         elif kind < 0.72:
             half = rng.uniform(0.3, 0.75) * np.array([1.0, rng.uniform(0.7, 1.0), rng.uniform(0.6, 0.9)])
-            grid, box = plants.boulder(rng, half)
+            grid, box = vegetation.boulder(rng, half)
             boulders.append((grid @ R.T + at, box.moved(R, at)))
         elif kind < 0.84:
-            found.append(plants.log(rng, rng.uniform(0.12, 0.2), rng.uniform(1.2, 1.6), 3).moved(R, at))
+            found.append(vegetation.log(rng, rng.uniform(0.12, 0.2), rng.uniform(1.2, 1.6), 3).moved(R, at))
         else:
-            found.append(plants.fern(rng).moved(R, at))
+            found.append(vegetation.fern(rng).moved(R, at))
     return found, boulders
 
 

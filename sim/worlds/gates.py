@@ -12,12 +12,12 @@ from dronevio.sim.appearance import pictures, textures
 from dronevio.sim.appearance import textures_nature as nature
 from dronevio.sim.appearance import textures_race as race
 from dronevio.sim.appearance.cutouts import Print
+from dronevio.sim.appearance.instances import Thing
 from dronevio.sim.appearance.lightmap import AreaLight
 from dronevio.sim.appearance.solids import Box, Paint, Sheet, parts_of
 from dronevio.sim.appearance.textures import Colour, Image, scaled
-from dronevio.sim.appearance.things import Thing
-from dronevio.sim.props import fairground, plants
-from dronevio.sim.props.plants import Plant
+from dronevio.sim.props import fairground, vegetation
+from dronevio.sim.props.vegetation import Plant
 from dronevio.sim.worlds import outdoors
 from dronevio.sim.worlds.layout import Layout, WorldBuilder
 
@@ -131,13 +131,13 @@ def layout(rng: Random) -> Layout:
         shading=tuple(stand),
         prints=(
             Print(
-                partial(plants.bark_image, colours=_BARKS, sun=toward),
+                partial(vegetation.bark_image, colours=_BARKS, sun=toward),
                 700,
                 1024,
                 tuple(part for tree in trees for part in tree.wood),
             ),
             Print(
-                partial(plants.leaf_image, colours=_LEAVES[int(rng.integers(2))]),
+                partial(vegetation.leaf_image, colours=_LEAVES[int(rng.integers(2))]),
                 256,
                 2048,
                 tuple(part for tree in trees for part in tree.leaves),
@@ -234,7 +234,9 @@ def _trees(rng: Random, toward: Array) -> list[Plant]:
     for place in places[outside]:
         radius = rng.uniform(0.12, 0.24)
         trunk = rng.uniform(1.6, 2.6)
-        plant = plants.tree(rng, radius, trunk + rng.uniform(4.5, 7.0), trunk - 0.6, int(rng.integers(4)), toward, 130)
+        plant = vegetation.tree(
+            rng, radius, trunk + rng.uniform(4.5, 7.0), trunk - 0.6, int(rng.integers(4)), toward, 130
+        )
         found.append(plant.moved(np.eye(3), np.array([*place, -0.05])))
     return found
 

@@ -13,10 +13,10 @@ from dronevio.sim.appearance import pictures
 from dronevio.sim.appearance import textures_building as building
 from dronevio.sim.appearance import textures_industrial as works
 from dronevio.sim.appearance import textures_nature as nature
+from dronevio.sim.appearance.instances import Thing
 from dronevio.sim.appearance.lightmap import AreaLight
 from dronevio.sim.appearance.solids import Box, Face, Surface, enclosure, parts_of
 from dronevio.sim.appearance.textures import Colour, Image, scaled, vary
-from dronevio.sim.appearance.things import Thing
 from dronevio.sim.props import machinery
 from dronevio.sim.props.machinery import Kit, block, pipe_run, steel
 from dronevio.sim.worlds import outdoors

@@ -6,10 +6,10 @@ import numpy as np
 import numpy.typing as npt
 
 from dronevio.sim.appearance import pictures, textures, textures_building
+from dronevio.sim.appearance.instances import one_thing
 from dronevio.sim.appearance.lightmap import AreaLight
 from dronevio.sim.appearance.solids import Box
 from dronevio.sim.appearance.textures import Colour
-from dronevio.sim.appearance.things import one_thing
 from dronevio.sim.props.building import Wall, ceiling_lamp, hall_faces, landing_mat, room_walls, shading
 from dronevio.sim.props.furniture import Piece, block
 from dronevio.sim.worlds.layout import Layout, WorldBuilder

@@ -9,9 +9,9 @@ import numpy as np
 import numpy.typing as npt
 
 from dronevio.sim.appearance import textures, textures_building
+from dronevio.sim.appearance.instances import one_thing
 from dronevio.sim.appearance.solids import Box
 from dronevio.sim.appearance.textures import Colour, Image, scaled
-from dronevio.sim.appearance.things import one_thing
 from dronevio.sim.props.building import ceiling_lamp, hall_faces, landing_mat, room_walls, shading, stand_along
 from dronevio.sim.props.furniture import (
     WOODS,

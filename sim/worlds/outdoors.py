@@ -9,10 +9,10 @@ import numpy as np
 import numpy.typing as npt
 
 from dronevio.sim.appearance import textures_nature as nature
+from dronevio.sim.appearance.instances import Thing
 from dronevio.sim.appearance.lightmap import AreaLight
 from dronevio.sim.appearance.solids import Box, Paint, Sheet
 from dronevio.sim.appearance.textures import Colour, Image
-from dronevio.sim.appearance.things import Thing
 
 Array = npt.NDArray[np.float64]
 Random = np.random.Generator

@@ -6,9 +6,9 @@ import numpy as np
 import numpy.typing as npt
 
 from dronevio.sim.appearance import textures_building
+from dronevio.sim.appearance.instances import Thing
 from dronevio.sim.appearance.solids import Box
 from dronevio.sim.appearance.textures import Colour, Image
-from dronevio.sim.appearance.things import Thing
 from dronevio.sim.props.building import ceiling_lamp, hall_faces, landing_mat
 from dronevio.sim.worlds.layout import Layout, WorldBuilder
 

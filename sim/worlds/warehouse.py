@@ -9,10 +9,10 @@ import numpy.typing as npt
 
 from dronevio.models.rotation import rotation_z
 from dronevio.sim.appearance import textures, textures_building, textures_storage
+from dronevio.sim.appearance.instances import one_thing
 from dronevio.sim.appearance.lightmap import AreaLight
 from dronevio.sim.appearance.solids import Box, Surface
 from dronevio.sim.appearance.textures import Image
-from dronevio.sim.appearance.things import one_thing
 from dronevio.sim.props.building import ceiling_lamp, coarse, hall_faces, landing_mat, room_walls
 from dronevio.sim.props.furniture import METAL, Piece, block
 from dronevio.sim.props.furniture_public import board, hose_cabinet, posters

@@ -6,7 +6,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from dronevio.sim.paths.heading import Gaze, across, along, fixed, heading_curve, spinning, toward
-from dronevio.sim.paths.snap import minimum_snap
+from dronevio.sim.paths.minimum_snap import minimum_snap
 
 CIRCLE_S = 20.0
 

@@ -75,8 +75,8 @@ def small_world(monkeypatch: pytest.MonkeyPatch) -> SimpleNamespace:
         )
     spec.stat.extent = 10.0
     world = SimpleNamespace(spec=spec, illumination=1.0, movers=())
-    monkeypatch.setattr("dronevio.sim.rendering.backdrop.build_world", lambda name, seed: world)
-    monkeypatch.setattr("dronevio.sim.rendering.backdrop.things_of", lambda name, seed: spec)
+    monkeypatch.setattr("dronevio.sim.rendering.compiled_world.build_world", lambda name, seed: world)
+    monkeypatch.setattr("dronevio.sim.rendering.compiled_world.things_of", lambda name, seed: spec)
     return world
 
 

@@ -8,8 +8,8 @@ from hypothesis import strategies as st
 from dronevio.models.errors import ConfigError
 from dronevio.models.rotation import rotation_z
 from dronevio.sim.paths.limits import LIMITS
+from dronevio.sim.paths.minimum_snap import minimum_snap
 from dronevio.sim.paths.route import clear_curve, clear_polyline, leg_clearances
-from dronevio.sim.paths.snap import minimum_snap
 from dronevio.sim.paths.space import Space
 
 MARGIN = 0.4

@@ -11,7 +11,7 @@ from dronevio.sim.appearance import textures_industrial as works
 from dronevio.sim.appearance import textures_nature as nature
 from dronevio.sim.appearance import textures_race as race
 from dronevio.sim.appearance.textures import Image
-from dronevio.sim.props import plants
+from dronevio.sim.props import vegetation
 
 Draw = Callable[[np.random.Generator, int, int], Image]
 
@@ -102,6 +102,6 @@ def test_words_can_be_read_along_a_tall_print() -> None:
 
 def test_bark_is_bright_toward_the_sun() -> None:
     sun = np.array([0.0, 0.8, 0.6])  # a quarter of the way around
-    image = plants.bark_image(np.random.default_rng(0), 200, 400, (GREY,) * plants.BARKS, sun)
-    each = image.mean(axis=(0, 2)).reshape(plants.BARKS, -1)
+    image = vegetation.bark_image(np.random.default_rng(0), 200, 400, (GREY,) * vegetation.BARKS, sun)
+    each = image.mean(axis=(0, 2)).reshape(vegetation.BARKS, -1)
     assert (each[:, 20:30].mean(axis=1) > 1.3 * each[:, 70:80].mean(axis=1)).all()

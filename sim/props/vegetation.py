@@ -13,11 +13,11 @@ from dronevio.models.rotation import rotation_z
 from dronevio.sim.appearance import textures
 from dronevio.sim.appearance import textures_nature as nature
 from dronevio.sim.appearance.cutouts import Cutouts, joined, spray
+from dronevio.sim.appearance.instances import Thing, one_thing
 from dronevio.sim.appearance.lightmap import Field
-from dronevio.sim.appearance.round import UNSEEN, filling, mantle
+from dronevio.sim.appearance.prisms import UNSEEN, filling, mantle
 from dronevio.sim.appearance.solids import Box
 from dronevio.sim.appearance.textures import Colour, Image, scaled
-from dronevio.sim.appearance.things import Thing, one_thing
 
 Array = npt.NDArray[np.float64]
 Random = np.random.Generator

@@ -11,7 +11,7 @@ from scipy.optimize import minimize
 from dronevio.models.errors import ConfigError
 from dronevio.models.imu import GRAVITY_M_S2
 from dronevio.sim.paths.limits import LIMITS, Limits
-from dronevio.sim.paths.snap import minimum_snap, quickest_knots
+from dronevio.sim.paths.minimum_snap import minimum_snap, quickest_knots
 
 
 def drawn(seed: int, count: int) -> tuple[np.ndarray, np.ndarray]:

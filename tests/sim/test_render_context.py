@@ -11,8 +11,8 @@ from dronevio.models.camera import CameraModel
 from dronevio.models.errors import GraphicsError
 from dronevio.models.rig import EUROC_CAM0
 from dronevio.models.rig_presets import TUM_VI_CAMERA
+from dronevio.sim.cameras.atlas_renderer import Canvas
 from dronevio.sim.cameras.camera import OffscreenCamera
-from dronevio.sim.cameras.drawing import Canvas
 
 SMALL = CameraModel(width=96, height=64, fx=60.0, fy=60.0, cx=47.5, cy=31.5)
 

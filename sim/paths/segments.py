@@ -8,10 +8,10 @@ from scipy.interpolate import BSpline
 
 from dronevio.sim.paths.heading import Gaze, across, along, fixed, heading_curve, toward
 from dronevio.sim.paths.limits import Limits
+from dronevio.sim.paths.minimum_snap import minimum_snap, quickest_knots
 from dronevio.sim.paths.plan import FlightPlan
 from dronevio.sim.paths.route import clear_curve, clear_polyline, leg_clearances
 from dronevio.sim.paths.shapes import SHAPES, Arena, Course
-from dronevio.sim.paths.snap import minimum_snap, quickest_knots
 from dronevio.sim.paths.space import Place
 from dronevio.sim.paths.timed_tour import timed_knots
 

@@ -12,10 +12,10 @@ import numpy.typing as npt
 
 from dronevio.models.camera import CameraModel
 from dronevio.models.recordings.frame_truth import FrameTruth
+from dronevio.sim.cameras.atlas_renderer import Canvas
 from dronevio.sim.cameras.camera import OffscreenCamera
-from dronevio.sim.cameras.drawing import Canvas
 from dronevio.sim.cameras.shutter import Shutter
-from dronevio.sim.rendering.backdrop import Backdrop
+from dronevio.sim.rendering.compiled_world import Backdrop
 from dronevio.sim.rendering.render_job import RenderJob
 from dronevio.sim.rendering.truth_images import FOLDERS, depth_image, flow_image, segmentation_image
 from dronevio.sim.streams import generator

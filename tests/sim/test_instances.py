@@ -8,9 +8,9 @@ import pytest
 
 from dronevio.models.camera import CameraModel
 from dronevio.models.rotation import pose_matrix, rotation_z
+from dronevio.sim.appearance.instances import Thing, names_of, one_thing
 from dronevio.sim.appearance.solids import Box
 from dronevio.sim.appearance.textures import plain
-from dronevio.sim.appearance.things import Thing, names_of, one_thing
 from dronevio.sim.cameras.camera import OffscreenCamera
 from dronevio.sim.cameras.surfaces import points_in_camera
 from dronevio.sim.props.furniture import Piece

@@ -6,7 +6,7 @@ import pytest
 
 from dronevio.sim.appearance.cutouts import Cutouts, Print, joined
 from dronevio.sim.appearance.lightmap import AreaLight, bake
-from dronevio.sim.appearance.round import filling, mantle
+from dronevio.sim.appearance.prisms import filling, mantle
 from dronevio.sim.appearance.scenery import facing, paint_pages
 from dronevio.sim.appearance.solids import Face, Sheet, size_m
 from dronevio.sim.appearance.textures import Image

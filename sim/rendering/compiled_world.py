@@ -13,7 +13,7 @@ import numpy.typing as npt
 from dronevio.models.imu import Times
 from dronevio.models.rotation import quat_wxyz_from_matrix
 from dronevio.models.state import Trajectory
-from dronevio.sim.cameras.drawing import MoverPoses
+from dronevio.sim.cameras.atlas_renderer import MoverPoses
 from dronevio.sim.cameras.interpolation import interpolated_poses
 from dronevio.sim.world import Mover, build_world, things_of
 
