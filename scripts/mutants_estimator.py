@@ -347,5 +347,29 @@ ESTIMATOR = (
         "max(rig.time_offset_s, 0.0)",
         ("tests/models/test_measurement_order.py",),
     ),
+    Mutant(
+        "frame-time-ignores-offset",
+        "Pipeline: frames are taken to be exposed at their stamps on the clock of the IMU.",
+        "estimator/frontend/rolling_shutter.py",
+        "return stamp_ns + round(self._known_offset_s * 1e9)",
+        "return stamp_ns",
+        ("tests/estimator/test_vio.py::test_a_known_time_offset_costs_nothing",),
+    ),
+    Mutant(
+        "output-ignores-offset",
+        "Output: the state at the exposure is published as that at the stamp.",
+        "estimator/frontend/rolling_shutter.py",
+        "estimate.state, -self._known_offset_s",
+        "estimate.state, 0.0",
+        ("tests/estimator/test_vio.py::test_a_known_time_offset_costs_nothing",),
+    ),
+    Mutant(
+        "rows-half-readout",
+        "Pipeline: rows are taken to be exposed within half of the readout of a rolling shutter.",
+        "estimator/frontend/rolling_shutter.py",
+        "(row_px / last_row - 0.5) * self._readouts_s",
+        "0.5 * (row_px / last_row - 0.5) * self._readouts_s",
+        ("tests/estimator/frontend/test_rolling_shutter.py",),
+    ),
 )
 """Faults of the estimator and of the driver that feeds it."""
