@@ -1,95 +1,91 @@
-"""The intake: a frame, and the IMU before it, become what they tell at one instant of one clock.
+"""The measurement pipeline: a frame and the IMU samples before it become one packet at one instant of the IMU's clock.
 
-Between two frames the gyroscope knows how the cameras turned, so the front end looks for features where they must be.
-What it finds was exposed row by row, by a clock of its own, through lenses that may not be quite what they were taken
-for; all of that is taken out here, so that behind the intake a frame is one instant of a rig that is calibrated.
+The gyroscope predicts the rotation of the cameras between two frames, and the front end tracks features from there. Its
+observations are then corrected for the exposure times of the rows, the clock offset and the intrinsics, so that what
+follows the pipeline sees calibrated, instantaneous measurements.
 """
 
 import numpy as np
 import numpy.typing as npt
 
-from dronevio.estimator.calibration.online import OnlineCalibration
 from dronevio.estimator.frontend.protocol import FrontEnd
-from dronevio.estimator.frontend.rolling_shutter import FrameTimes
+from dronevio.estimator.frontend.rolling_shutter import ExposureCompensation
 from dronevio.estimator.imu.buffer import ImuBuffer, Increments
-from dronevio.estimator.types import FramePacket, Observations
+from dronevio.estimator.types import Calibration, FramePacket, Observations
 from dronevio.models.errors import ConfigError
-from dronevio.models.imu import ImuSamples
-from dronevio.models.rig import Rig
+from dronevio.models.imu import ImuModel, ImuSamples
 from dronevio.models.state import CameraFrame, Estimate
 
 Array = npt.NDArray[np.float64]
 
 
-class Intake:
-    """Takes measurements in time order, and gives sightings."""
+class MeasurementPipeline:
+    """Takes measurements in time order and returns frame packets."""
 
-    def __init__(self, rig: Rig, front_end: FrontEnd, calibration: OnlineCalibration) -> None:
-        """Prepare for a rig.
+    def __init__(self, imu: ImuModel, front_end: FrontEnd) -> None:
+        """Begin before the first measurement.
 
         Args:
-            rig: The calibration.
-            front_end: Where features come from.
-            calibration: What is wrong with the rig's, as far as is known.
+            imu: The sensor model.
+            front_end: Detects and tracks the features.
         """
-        self._front_end, self._calibration = front_end, calibration
-        self._buffer, self._times = ImuBuffer(rig.imu), FrameTimes(rig)
-        self._R_imu_cam = rig.cameras[0].T_imu_cam[:3, :3]
+        self._front_end = front_end
+        self._buffer, self._exposure = ImuBuffer(imu), ExposureCompensation()
         self._last_frame_ns: int | None = None
 
     def add_imu(self, samples: ImuSamples) -> None:
-        """Take the IMU samples since the last call."""
+        """Add the IMU samples since the last call."""
         self._buffer.add(samples)
 
-    def take(self, frame: CameraFrame, gyro_bias_rad_s: Array, gyro_bias_sigma_rad_s: float) -> FramePacket:
-        """Take a frame, and follow the features into it.
+    def process(
+        self, frame: CameraFrame, calibration: Calibration, gyro_bias_rad_s: Array, gyro_bias_sigma_rad_s: float
+    ) -> FramePacket:
+        """Track the features into a frame and return its packet.
 
         Args:
             frame: The frame.
-            gyro_bias_rad_s: (3,) What is known of the gyroscope's bias [rad/s] ...
-            gyro_bias_sigma_rad_s: ... and how well [rad/s].
+            calibration: The calibration in use.
+            gyro_bias_rad_s: (3,) Estimate of the gyroscope bias [rad/s].
+            gyro_bias_sigma_rad_s: Its standard deviation [rad/s].
 
         Raises:
-            ConfigError: The frame is not later than the last one, or its image is not one of the rig's camera.
+            ConfigError: The frame is not later than the last one, or an image does not fit its camera.
         """
         if self._last_frame_ns is not None and frame.t_ns <= self._last_frame_ns:
             raise ConfigError(f"frame at {frame.t_ns} ns after one at {self._last_frame_ns} ns; expected a later one")
         self._last_frame_ns = frame.t_ns
-        t_ns = self._times.imu_time_ns(frame.t_ns)
+        t_ns = self._exposure.imu_time_ns(frame.t_ns, calibration)
         increments = self._buffer.take_until(t_ns)
-        self._times.begin(increments, self._buffer.ahead(self._times.reach_s), gyro_bias_rad_s)
+        ahead = self._buffer.ahead(self._exposure.lookahead_s(calibration))
+        self._exposure.begin_frame(increments, ahead, gyro_bias_rad_s)
         rotation_sigma = float(gyro_bias_sigma_rad_s * increments.dt_s.sum()) + increments.rotation_excess_sigma_rad
-        seen = self._front_end.track(frame, self._camera_rotation(increments, gyro_bias_rad_s), rotation_sigma)
-        return FramePacket(t_ns, increments, self._at_frame(seen))
+        R_cur_prev = _camera_rotation(calibration, increments, gyro_bias_rad_s)
+        observations = self._front_end.track(frame, R_cur_prev, rotation_sigma, calibration.rig)
+        return FramePacket(t_ns, increments, self._at_frame_time(observations, calibration))
 
-    def replenished(self, packet: FramePacket) -> FramePacket:
-        """Return the newest packet with new features, and with what further cameras see."""
-        return FramePacket(packet.t_ns, packet.increments, self._at_frame(self._front_end.replenish()))
+    def replenish(self, packet: FramePacket, calibration: Calibration) -> FramePacket:
+        """Return the newest packet with newly detected features and the matches in further cameras."""
+        observations = self._front_end.replenish(calibration.rig)
+        return FramePacket(packet.t_ns, packet.increments, self._at_frame_time(observations, calibration))
 
     def discard(self, ids: npt.NDArray[np.int64]) -> None:
-        """Follow some features no further."""
+        """Stop tracking the given features."""
         self._front_end.discard(ids)
 
-    def recalibrate(self) -> None:
-        """Take over what the calibration has been corrected by."""
-        rig = self._calibration.rig
-        self._R_imu_cam = rig.cameras[0].T_imu_cam[:3, :3]
-        self._times.late_s = self._calibration.applied.time_offset_s
-        self._front_end.recalibrate(rig)
-
     @property
-    def rate_rad_s(self) -> Array:
-        """(3,) How fast the IMU turns at the newest frame [rad/s]."""
-        return self._times.rate_rad_s
+    def angular_velocity_rad_s(self) -> Array:
+        """(3,) Angular velocity of the IMU at the newest frame, bias removed [rad/s]."""
+        return self._exposure.angular_velocity_rad_s
 
-    def stamped(self, estimate: Estimate, frame: CameraFrame) -> Estimate:
-        """Return what is told of the newest frame, by its own clock."""
-        return self._times.stamped(estimate, frame.t_ns)
+    def at_stamp(self, estimate: Estimate, frame: CameraFrame, calibration: Calibration) -> Estimate:
+        """Return the estimate of the newest frame at the frame's time stamp, by the clock of the cameras."""
+        return self._exposure.at_stamp(estimate, frame.t_ns, calibration)
 
-    def _at_frame(self, seen: Observations) -> Observations:
-        """Return what a frame shows by the best calibration, at the frame's time."""
-        return self._times.moved(self._calibration.corrected(seen))
+    def _at_frame_time(self, observations: Observations, calibration: Calibration) -> Observations:
+        return self._exposure.at_frame_time(calibration.normalized(observations), calibration)
 
-    def _camera_rotation(self, increments: Increments, gyro_bias_rad_s: Array) -> Array:
-        """Return R_cur_prev (3, 3) of the first camera over some increments."""
-        return np.asarray(self._R_imu_cam.T @ increments.rotation(gyro_bias_rad_s).T @ self._R_imu_cam)
+
+def _camera_rotation(calibration: Calibration, increments: Increments, gyro_bias_rad_s: Array) -> Array:
+    """Return R_cur_prev (3, 3) of the first camera over the increments."""
+    R_imu_cam = calibration.Ts_imu_cam[0, :3, :3]
+    return np.asarray(R_imu_cam.T @ increments.rotation(gyro_bias_rad_s).T @ R_imu_cam)

@@ -1,67 +1,71 @@
-"""What passes between the parts of the estimator: observations, frame packets, and the gauge's constants."""
+"""Data types that pass between the parts of the estimator: observations, frame packets and the calibration in use."""
 
-from dataclasses import dataclass, field, fields
+from dataclasses import dataclass, field, fields, replace
+from functools import cached_property
 
 import numpy as np
 import numpy.typing as npt
 
 from dronevio.estimator.imu.buffer import Increments
+from dronevio.models.rig import Rig
 
 Array = npt.NDArray[np.float64]
+Integers = npt.NDArray[np.int64]
 
 GAUGE_SIGMA = 1e-4
-"""Uncertainty of yaw and position at the start [rad and m]: zero by definition, but for the solver's comfort."""
+"""Standard deviation of the gauge, yaw [rad] and position [m], at initialization. The gauge is known by definition;
+the value only keeps the linear system well conditioned."""
 
 
 @dataclass(frozen=True, eq=False)
 class Matches:
-    """Landmarks that further cameras of the rig see at the same instant as the one that follows them."""
+    """Observations by further cameras of landmarks that one camera tracks, all at the same instant."""
 
-    ids: npt.NDArray[np.int64]
-    """(M,) Identities, each among those of the observations they belong to."""
-    camera: npt.NDArray[np.int64]
-    """(M,) Which camera of the rig sees each."""
+    ids: Integers
+    """(M,) Feature identities, a subset of those of the observations that the matches belong to."""
+    camera: Integers
+    """(M,) Index of the camera that makes each observation."""
     xy: Array
-    """(M, 2) Undistorted and normalized: at depth 1 in that camera's frame."""
+    """(M, 2) Normalized, undistorted image coordinates in that camera."""
 
     def __len__(self) -> int:
         return len(self.ids)
 
-    def without(self, ids: npt.NDArray[np.int64]) -> "Matches":
-        """Return all but those of some features."""
+    def without(self, ids: Integers) -> "Matches":
+        """Return the matches without those of the given features."""
         kept = ~np.isin(self.ids, ids)
         return Matches(self.ids[kept], self.camera[kept], self.xy[kept])
 
 
 NO_MATCHES = Matches(np.zeros(0, np.int64), np.zeros(0, np.int64), np.zeros((0, 2)))
-"""Of a single camera, and between keyframes."""
+"""The matches of a single camera, and of frames that are not keyframes."""
 
 
 @dataclass(frozen=True, eq=False)
 class Observations:
-    """Where the tracked features are seen in one frame."""
+    """The tracked features of one frame."""
 
-    ids: npt.NDArray[np.int64]
-    """(N,) Identities, in increasing order."""
+    ids: Integers
+    """(N,) Feature identities in increasing order."""
     pixels: Array
-    """(N, 2) In the image [px]."""
+    """(N, 2) Image coordinates [px]."""
     xy: Array
-    """(N, 2) Undistorted and normalized: at depth 1 in the camera frame."""
-    ages: npt.NDArray[np.int64]
-    """(N,) Number of frames in which each has been seen."""
-    camera: npt.NDArray[np.int64] = field(default_factory=lambda: np.zeros(0, np.int64))
-    """(N,) Which camera of the rig follows each; all the first one, if not given."""
+    """(N, 2) Normalized, undistorted image coordinates."""
+    ages: Integers
+    """(N,) Number of frames in which each feature has been observed."""
+    camera: Integers = field(default_factory=lambda: np.zeros(0, np.int64))
+    """(N,) Index of the camera that tracks each feature; the first camera by default."""
     matches: Matches = NO_MATCHES
-    """The same landmarks in further cameras; on keyframes."""
+    """Observations of the same landmarks by further cameras; only on keyframes."""
     miscalibrated: Matches = NO_MATCHES
-    """The same, in cameras that are not where the calibration says: of use for nothing but to calibrate them."""
+    """Matches in cameras whose extrinsic calibration they contradict. Only online calibration uses them."""
     zncc: Array = field(default_factory=lambda: np.zeros(0))
-    """(N,) How much each looks like what was first seen of it: correlation, up to 1; all 1, if not given."""
+    """(N,) Zero-normalized cross-correlation of each patch with its template; 1 by default."""
     scale: Array = field(default_factory=lambda: np.zeros(0))
-    """(N,) How many times larger each looks than when it was first seen; all 1, if not given."""
+    """(N,) Scale of each patch relative to its template; 1 by default."""
 
     def __post_init__(self) -> None:
-        """Say that the first camera sees all, and sees it well, where nothing is said."""
+        """Fill in the defaults of the fields that are not given."""
         if len(self.camera) != len(self.ids):
             object.__setattr__(self, "camera", np.zeros(len(self.ids), np.int64))
         for name in ("zncc", "scale"):
@@ -71,24 +75,72 @@ class Observations:
     def __len__(self) -> int:
         return len(self.ids)
 
-    def without(self, ids: npt.NDArray[np.int64]) -> "Observations":
-        """Return the observations of all but some features."""
+    def without(self, ids: Integers) -> "Observations":
+        """Return the observations without those of the given features."""
         kept = ~np.isin(self.ids, ids)
         left = {f.name: getattr(self, f.name)[kept] for f in fields(self) if f.name not in ("matches", "miscalibrated")}
         return Observations(**left, matches=self.matches.without(ids), miscalibrated=self.miscalibrated.without(ids))
 
 
-NOTHING_SEEN = Observations(np.zeros(0, np.int64), np.zeros((0, 2)), np.zeros((0, 2)), np.zeros(0, np.int64))
-"""Of a frame that shows no feature, or none that counts."""
+NO_OBSERVATIONS = Observations(np.zeros(0, np.int64), np.zeros((0, 2)), np.zeros((0, 2)), np.zeros(0, np.int64))
+"""The observations of a frame without features."""
 
 
 @dataclass(frozen=True, eq=False)
 class FramePacket:
-    """A frame and the IMU before it."""
+    """The features of a frame and the IMU measurements since the previous frame."""
 
     t_ns: int
-    """Time of the frame."""
+    """Time of the frame by the IMU's clock [ns]."""
     increments: Increments
-    """The IMU since the previous frame."""
+    """The IMU increments since the previous frame."""
     observations: Observations
-    """The features seen."""
+    """The observed features at that time."""
+
+
+@dataclass(frozen=True, eq=False)
+class Calibration:
+    """The calibration in use: the given rig with the corrections that online calibration has applied.
+
+    It is the only source of calibration in the estimator and is immutable. A new correction makes a new object, which
+    the odometry passes to its parts with each frame.
+    """
+
+    rig: Rig
+    """The rig with the corrected extrinsics of its cameras. Lenses and time offset are those that were given."""
+    time_offset_correction_s: float = 0.0
+    """Correction of the cameras' time offset [s], to be added to that of the rig."""
+    focal_correction: Array | None = None
+    """(C, 2) Relative corrections of fx and fy of each camera; none by default."""
+    principal_correction: Array | None = None
+    """(C, 2) Corrections of the principal points, in units of fx and fy; none by default."""
+
+    @cached_property
+    def Ts_imu_cam(self) -> Array:
+        """(C, 4, 4) Poses of the cameras in the IMU frame."""
+        return np.stack([camera.T_imu_cam for camera in self.rig.cameras])
+
+    @cached_property
+    def focal_px(self) -> Array:
+        """(C,) Focal lengths fx of the cameras [px]."""
+        return np.array([camera.model.fx for camera in self.rig.cameras])
+
+    @cached_property
+    def readouts_s(self) -> Array:
+        """(C,) Readout times of the cameras [s]; zero for global shutters."""
+        return np.array([camera.readout_s for camera in self.rig.cameras])
+
+    def normalized(self, observations: Observations) -> Observations:
+        """Return observations with normalized coordinates by the corrected intrinsics."""
+        focal, principal = self.focal_correction, self.principal_correction
+        if focal is None or principal is None:
+            return observations
+
+        def corrected(xy: Array, camera: Integers) -> Array:
+            return np.asarray((xy - principal[camera]) / (1.0 + focal[camera]))
+
+        matches, miscalibrated = (
+            replace(m, xy=corrected(m.xy, m.camera)) for m in (observations.matches, observations.miscalibrated)
+        )
+        xy = corrected(observations.xy, observations.camera)
+        return replace(observations, xy=xy, matches=matches, miscalibrated=miscalibrated)

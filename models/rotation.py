@@ -33,6 +33,19 @@ def exp_so3(phi_rad: Array) -> Array:
     return np.asarray(np.eye(3) + a * K + b * (K @ K))
 
 
+def integrated_rotations(phi_rad: Array) -> Array:
+    """Return the products (N + 1, 3, 3) of the rotations of N successive rotation vectors (N, 3) [rad].
+
+    The first is the identity; row k is exp(φ₀) exp(φ₁) … exp(φₖ₋₁), the rotation over the first k increments of a
+    gyroscope.
+    """
+    R = np.empty((len(phi_rad) + 1, 3, 3))
+    R[0] = np.eye(3)
+    for k, step in enumerate(exp_so3(phi_rad)):
+        R[k + 1] = R[k] @ step
+    return R
+
+
 def log_so3(R: Array) -> Array:
     """Return the rotation vectors (…, 3) [rad], of length ≤ π, of rotation matrices (…, 3, 3)."""
     q = quat_wxyz_from_matrix(R)

@@ -116,7 +116,9 @@ class ReplayFrontEnd:
         self._rejected: set[int] = set()
         self._last = Observations(np.zeros(0, np.int64), np.zeros((0, 2)), np.zeros((0, 2)), np.zeros(0, np.int64))
 
-    def track(self, frame: CameraFrame, R_cur_prev: Array, rotation_sigma_rad: float = 0.0) -> Observations:
+    def track(
+        self, frame: CameraFrame, R_cur_prev: Array, rotation_sigma_rad: float = 0.0, rig: Rig | None = None
+    ) -> Observations:
         """Return the features of a frame, without those rejected in this or an earlier frame."""
         ids, xy = self._features[self._index[frame.t_ns]]
         kept = ~np.isin(ids, list(self._rejected))
@@ -133,16 +135,13 @@ class ReplayFrontEnd:
         self._last = Observations(ids[kept], pixels[kept], xy[kept], ages[kept])
         return self._last
 
-    def replenish(self) -> Observations:
+    def replenish(self, rig: Rig | None = None) -> Observations:
         """Return the features of the last frame, which already include the new ones of the recording."""
         return self._last
 
     def discard(self, ids: npt.NDArray[np.int64]) -> None:
         """Reject features from now on."""
         self._rejected.update(ids.tolist())
-
-    def recalibrate(self, rig: Rig) -> None:
-        """Do nothing, because the recorded features do not depend on the extrinsics."""
 
 
 @dataclass(frozen=True, eq=False)

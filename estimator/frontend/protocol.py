@@ -1,4 +1,4 @@
-"""The front end's contract: what the odometry asks of whatever turns images into observations of features."""
+"""The interface of a visual front end: from images to observations of features."""
 
 from typing import Protocol
 
@@ -16,36 +16,42 @@ Image = npt.NDArray[np.uint8]
 
 
 class FrontEnd(Protocol):
-    """Turns frames into observations of features."""
+    """Detects and tracks features in the images of a rig."""
 
-    def track(self, frame: CameraFrame, R_cur_prev: Array, rotation_sigma_rad: float = 0.0) -> Observations:
-        """Follow the features into a frame.
+    def track(
+        self, frame: CameraFrame, R_cur_prev: Array, rotation_sigma_rad: float = 0.0, rig: Rig | None = None
+    ) -> Observations:
+        """Track the features into a frame.
 
         Args:
             frame: The new frame.
-            R_cur_prev: (3, 3) Rotation of the previous camera frame into this one, from the gyroscope.
-            rotation_sigma_rad: How far it may be off.
+            R_cur_prev: (3, 3) Rotation of the first camera from the previous frame to this one, by the gyroscope.
+            rotation_sigma_rad: Standard deviation of that rotation [rad].
+            rig: The calibration in use; by default the one that the front end was made for.
+
+        Returns:
+            The tracked features.
         """
 
-    def replenish(self) -> Observations:
-        """Look for new features in the last frame, and return all that are seen in it."""
-
-    def discard(self, ids: npt.NDArray[np.int64]) -> None:
-        """Follow some features no further."""
-
-    def recalibrate(self, rig: Rig) -> None:
-        """Take over a better calibration of the cameras' mounting; those that match cameras need it.
+    def replenish(self, rig: Rig | None = None) -> Observations:
+        """Detect new features in the last frame, and match features between cameras.
 
         Args:
-            rig: The rig, as it is now believed to be.
+            rig: The calibration in use; by default the one that the front end was made for.
+
+        Returns:
+            All features of the last frame, with their matches.
         """
+
+    def discard(self, ids: npt.NDArray[np.int64]) -> None:
+        """Stop tracking the given features (N,)."""
 
 
 def image_of(frame: CameraFrame, index: int, camera: CameraModel) -> Image:
-    """Return the image that a camera of the rig has in a frame; OpenCV would wait for ever for one that is none.
+    """Return a camera's image of a frame. OpenCV would block on an image of another type.
 
     Raises:
-        ConfigError: There is no grey one of the camera's size.
+        ConfigError: The image is missing, is not uint8, or has not the camera's size.
     """
     image: object = frame.images[index] if index < len(frame.images) else None
     shape = (camera.height, camera.width)

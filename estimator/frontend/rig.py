@@ -1,157 +1,191 @@
-"""The front end of a whole rig: some cameras follow features, the others are searched for the same ones.
+"""The front end of a rig of cameras: some cameras track features, in the others the same features are matched.
 
-A camera that sees mostly what an earlier one sees is not worth a tracker: on keyframes, the earlier one's features are
-looked for in it. A camera that looks elsewhere follows features of its own.
+A camera that mostly sees what an earlier one sees has no tracker of its own: on keyframes, the earlier camera's
+features are matched in it. A camera with another field of view tracks features of its own.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from itertools import count
 
 import numpy as np
 import numpy.typing as npt
 
-from dronevio.estimator.frontend.protocol import image_of
+from dronevio.estimator.frontend.protocol import Image, image_of
 from dronevio.estimator.frontend.stereo import StereoConfig, StereoMatcher, shared_view
 from dronevio.estimator.frontend.tracker import FeatureTracker, TrackerConfig
-from dronevio.estimator.types import NO_MATCHES, Matches, Observations
+from dronevio.estimator.types import NO_MATCHES, Integers, Matches, Observations
 from dronevio.models.rig import Rig
 from dronevio.models.state import CameraFrame
 
 Array = npt.NDArray[np.float64]
-Image = npt.NDArray[np.uint8]
 
-FOLLOWED_BY_ANOTHER = 0.5  # of its image; from this share on, a camera has no features of its own
-WORTH_MATCHING = 0.1  # of its image; below, two cameras have too little in common
+MAX_SHARED_VIEW = 0.5  # a camera that shares more of its image with earlier ones has no tracker of its own
+MIN_SHARED_VIEW = 0.1  # cameras that share less of their images are not matched
 
 
-@dataclass(eq=False)
+@dataclass(frozen=True, eq=False)
 class _Pair:
-    """Two cameras that see the same, and the depths that they have told."""
+    """Two cameras with a common field of view."""
 
-    tracker: int  # which of the trackers
-    first: int  # which of the cameras it is
-    second: int  # which of the cameras is searched
-    matcher: StereoMatcher
-    ids: npt.NDArray[np.int64] = field(default_factory=lambda: np.zeros(0, np.int64))
-    """(K,) Of the features that were matched last, in increasing order."""
-    inverse_depth: Array = field(default_factory=lambda: np.zeros(0))
-    """(K,) Theirs [1/m]."""
+    tracker: int
+    """Index of the tracker of the first camera."""
+    first: int
+    """Index of the camera that tracks the features."""
+    second: int
+    """Index of the camera in which they are matched."""
 
-    def known(self, ids: npt.NDArray[np.int64]) -> Array:
-        """Return the inverse depths (N,) of features; NaN where they are not known."""
+
+@dataclass(frozen=True, eq=False)
+class _InverseDepths:
+    """The inverse depths of the features that were matched last."""
+
+    ids: Integers
+    """(K,) Feature identities in increasing order."""
+    inverse_depth: Array
+    """(K,) Inverse depths [1/m]."""
+
+    def of(self, ids: Integers) -> Array:
+        """Return the inverse depths (N,) of features; NaN where unknown."""
         if not len(self.ids):
             return np.full(len(ids), np.nan)
         rows = np.minimum(np.searchsorted(self.ids, ids), len(self.ids) - 1)
         return np.where(self.ids[rows] == ids, self.inverse_depth[rows], np.nan)
 
 
+@dataclass(frozen=True, eq=False)
+class _Extrinsics:
+    """What the front end derives from a calibration of the rig."""
+
+    rig: Rig
+    Rs_cam_first: tuple[Array, ...]  # (3, 3) rotation from the first camera to that of each tracker
+    matchers: tuple[StereoMatcher, ...]  # of each pair
+
+
 class RigTracker:
     """Turns the frames of a rig into observations; satisfies the `FrontEnd` protocol."""
 
     def __init__(self, rig: Rig, config: TrackerConfig, stereo: StereoConfig | None = None) -> None:
-        """Prepare for a rig.
+        """Begin before the first frame.
 
         Args:
-            rig: The calibration, at least one camera.
-            config: How features are followed.
-            stereo: How they are found in further cameras.
+            rig: The calibration, with at least one camera.
+            config: Settings of the trackers.
+            stereo: Settings of the matching between cameras.
         """
         cameras, ids, self._stereo = rig.cameras, count(), stereo or StereoConfig()
-        followed = _cameras_that_follow(rig)
-        self._followed = followed
-        self._trackers = [FeatureTracker(cameras[i].model, config, i, ids) for i in followed]
-        self._Rs_cam_main = _turns(rig, followed)
-        self._pairs = [
-            _Pair(k, i, j, StereoMatcher(cameras[i], cameras[j], self._stereo))
-            for k, i in enumerate(followed)
+        self._tracking = _tracking_cameras(rig)
+        self._trackers = [FeatureTracker(cameras[i].model, config, i, ids) for i in self._tracking]
+        self._pairs = tuple(
+            _Pair(k, i, j)
+            for k, i in enumerate(self._tracking)
             for j in range(i + 1, len(cameras))
-            if shared_view(cameras[j], cameras[i]) > WORTH_MATCHING
-        ]
+            if shared_view(cameras[j], cameras[i]) > MIN_SHARED_VIEW
+        )
+        nothing = _InverseDepths(np.zeros(0, np.int64), np.zeros(0))
+        self._depths = [nothing] * len(self._pairs)
+        self._extrinsics = self._derived(rig)
         self._cameras = [camera.model for camera in cameras]
         self._images: tuple[Image, ...] = ()  # of the last frame
 
-    def track(self, frame: CameraFrame, R_cur_prev: Array, rotation_sigma_rad: float = 0.0) -> Observations:
-        """Follow the features into a frame.
+    def track(
+        self, frame: CameraFrame, R_cur_prev: Array, rotation_sigma_rad: float = 0.0, rig: Rig | None = None
+    ) -> Observations:
+        """Track the features into a frame.
 
         Args:
             frame: The new frame, with an image of each camera.
-            R_cur_prev: (3, 3) Rotation of the previous frame of the rig's first camera into this one.
-            rotation_sigma_rad: How far it may be off.
+            R_cur_prev: (3, 3) Rotation of the first camera from the previous frame to this one.
+            rotation_sigma_rad: Standard deviation of that rotation [rad].
+            rig: The calibration in use; by default the last one.
 
         Raises:
-            ConfigError: An image is missing, or is not a grey one of its camera's size.
+            ConfigError: An image is missing, is not uint8, or has not its camera's size.
         """
+        extrinsics = self._use(rig)
         self._images = tuple(image_of(frame, i, camera) for i, camera in enumerate(self._cameras))
         return _merged(
             [
-                tracker.track(frame, R_cam_main @ R_cur_prev @ R_cam_main.T, rotation_sigma_rad)
-                for tracker, R_cam_main in zip(self._trackers, self._Rs_cam_main, strict=True)
+                tracker.track(frame, R_cam_first @ R_cur_prev @ R_cam_first.T, rotation_sigma_rad)
+                for tracker, R_cam_first in zip(self._trackers, extrinsics.Rs_cam_first, strict=True)
             ]
         )
 
-    def replenish(self) -> Observations:
-        """Look for new features in the last frame, and for all of them in the cameras that see them too."""
+    def replenish(self, rig: Rig | None = None) -> Observations:
+        """Detect new features in the last frame, and match all features in the cameras that share the view.
+
+        Args:
+            rig: The calibration in use; by default the last one.
+        """
+        extrinsics = self._use(rig)
         observations = [tracker.replenish() for tracker in self._trackers]
         if not self._images:
             return _merged(observations)
-        found = [self._match(pair, observations[pair.tracker]) for pair in self._pairs]
-        miscalibrated = [pair.matcher.is_miscalibrated for pair in self._pairs]
+        found = [self._match(k, extrinsics.matchers[k], observations) for k in range(len(self._pairs))]
+        wrong = [matcher.is_miscalibrated for matcher in extrinsics.matchers]
         return replace(
             _merged(observations),
-            matches=_joined([matches for matches, wrong in zip(found, miscalibrated, strict=True) if not wrong]),
-            miscalibrated=_joined([matches for matches, wrong in zip(found, miscalibrated, strict=True) if wrong]),
+            matches=_joined([matches for matches, bad in zip(found, wrong, strict=True) if not bad]),
+            miscalibrated=_joined([matches for matches, bad in zip(found, wrong, strict=True) if bad]),
         )
 
-    def discard(self, ids: npt.NDArray[np.int64]) -> None:
-        """Follow some features no further."""
+    def discard(self, ids: Integers) -> None:
+        """Stop tracking the given features."""
         for tracker in self._trackers:
             tracker.discard(ids)
 
-    def recalibrate(self, rig: Rig) -> None:
-        """Take over a better calibration of the cameras' mounting, by which the next matches are looked for."""
-        self._Rs_cam_main = _turns(rig, self._followed)
-        for pair in self._pairs:
-            pair.matcher = StereoMatcher(rig.cameras[pair.first], rig.cameras[pair.second], self._stereo)
+    def _use(self, rig: Rig | None) -> _Extrinsics:
+        """Return what is derived from the calibration in use, computed anew where the calibration has changed."""
+        if rig is not None and rig is not self._extrinsics.rig:
+            self._extrinsics = self._derived(rig)
+        return self._extrinsics
 
-    def _match(self, pair: _Pair, seen: Observations) -> Matches:
+    def _derived(self, rig: Rig) -> _Extrinsics:
+        cameras = rig.cameras
+        R_imu_first = cameras[0].T_imu_cam[:3, :3]
+        return _Extrinsics(
+            rig,
+            tuple(cameras[i].T_imu_cam[:3, :3].T @ R_imu_first for i in self._tracking),
+            tuple(StereoMatcher(cameras[pair.first], cameras[pair.second], self._stereo) for pair in self._pairs),
+        )
+
+    def _match(self, index: int, matcher: StereoMatcher, observations: Sequence[Observations]) -> Matches:
+        """Match the features of a pair's first camera in its second, and keep their inverse depths."""
+        pair, depths = self._pairs[index], self._depths[index]
+        tracked = observations[pair.tracker]
         first, second = self._images[pair.first], self._images[pair.second]
-        found = pair.matcher.match(first, second, seen.pixels, seen.xy, pair.known(seen.ids))
-        pair.ids, pair.inverse_depth = seen.ids[found.rows], found.inverse_depth
-        return Matches(pair.ids, np.full(len(pair.ids), pair.second), found.xy)
+        found = matcher.match(first, second, tracked.pixels, tracked.xy, depths.of(tracked.ids))
+        ids = tracked.ids[found.rows]
+        self._depths[index] = _InverseDepths(ids, found.inverse_depth)
+        return Matches(ids, np.full(len(ids), pair.second), found.xy)
 
 
-def _cameras_that_follow(rig: Rig) -> list[int]:
-    """Return the cameras of a rig that see something that no earlier one of them sees."""
+def _tracking_cameras(rig: Rig) -> list[int]:
+    """Return the indices of the cameras whose view is not mostly that of an earlier one."""
     chosen: list[int] = []
     for i, camera in enumerate(rig.cameras):
-        if all(shared_view(camera, rig.cameras[j]) < FOLLOWED_BY_ANOTHER for j in chosen):
+        if all(shared_view(camera, rig.cameras[j]) < MAX_SHARED_VIEW for j in chosen):
             chosen.append(i)
     return chosen
 
 
-def _turns(rig: Rig, followed: Sequence[int]) -> list[Array]:
-    """Return the rotations R_cam_main (3, 3) from the first camera's axes into those of some cameras."""
-    R_imu_main = rig.cameras[0].T_imu_cam[:3, :3]
-    return [rig.cameras[i].T_imu_cam[:3, :3].T @ R_imu_main for i in followed]
-
-
 def _merged(observations: Sequence[Observations]) -> Observations:
-    """Return what several cameras see as one, the identities in increasing order."""
-    ids = np.concatenate([seen.ids for seen in observations])
+    """Return the observations of several cameras as one, in increasing order of the identities."""
+    ids = np.concatenate([o.ids for o in observations])
     order = np.argsort(ids)
     return Observations(
         ids[order],
-        np.concatenate([seen.pixels for seen in observations])[order],
-        np.concatenate([seen.xy for seen in observations])[order],
-        np.concatenate([seen.ages for seen in observations])[order],
-        np.concatenate([seen.camera for seen in observations])[order],
-        zncc=np.concatenate([seen.zncc for seen in observations])[order],
-        scale=np.concatenate([seen.scale for seen in observations])[order],
+        np.concatenate([o.pixels for o in observations])[order],
+        np.concatenate([o.xy for o in observations])[order],
+        np.concatenate([o.ages for o in observations])[order],
+        np.concatenate([o.camera for o in observations])[order],
+        zncc=np.concatenate([o.zncc for o in observations])[order],
+        scale=np.concatenate([o.scale for o in observations])[order],
     )
 
 
 def _joined(matches: Sequence[Matches]) -> Matches:
+    """Return the matches of several pairs as one."""
     if not matches:
         return NO_MATCHES
     ids, camera, xy = ([getattr(found, name) for found in matches] for name in ("ids", "camera", "xy"))

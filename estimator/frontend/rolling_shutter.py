@@ -1,158 +1,155 @@
-"""When things were seen: moves sightings from the instant of their exposure to the time of their frame.
+"""Compensation of exposure times: moves observations from the instant of their exposure to the time of their frame.
 
-A rolling shutter exposes each row at a time of its own, and the clocks of camera and IMU may differ. A sighting that is
-late by τ is moved back along the feature's path in the image (Qin and Shen, "Online temporal calibration for monocular
-visual-inertial systems", IROS 2018): by the turn of the camera within τ, which the gyroscope knows, and by what the
-camera's translation adds, at the velocity that the feature's last two sightings show. The error is of second order in
-τ, and of the translation alone: ½ a/z τ (τ + Δt) for an acceleration a at the depth z and a time Δt between frames.
+A rolling shutter exposes each row at a time of its own, and the clocks of camera and IMU may be offset. An observation
+with a delay τ is moved back along the path of the feature in the image (Qin and Shen, "Online temporal calibration for
+monocular visual-inertial systems", IROS 2018): by the rotation of the camera within τ, which the gyroscope measures,
+and by the flow due to the camera's translation, from the feature's last two observations. The error is of second order
+in τ and due to the translation alone: ½ a/z τ (τ + Δt) for an acceleration a, a depth z and a time Δt between frames.
 """
 
 from dataclasses import dataclass, fields, replace
-from itertools import accumulate
 
 import numpy as np
 import numpy.typing as npt
 
-from dronevio.estimator.imu.buffer import Increments
-from dronevio.estimator.types import Matches, Observations
+from dronevio.estimator.imu.buffer import NO_INCREMENTS, Increments
+from dronevio.estimator.types import Calibration, Integers, Matches, Observations
 from dronevio.models.imu import GRAVITY_M_S2
-from dronevio.models.rig import Rig
-from dronevio.models.rotation import exp_so3, log_so3, pose_matrix
+from dronevio.models.rotation import exp_so3, integrated_rotations, log_so3, pose_matrix
 from dronevio.models.state import Estimate
 
 Array = npt.NDArray[np.float64]
-Rows = npt.NDArray[np.int64]
 
-EXTRAPOLATED_S = 0.1  # how far beyond the known motion the rate of turn is held [s]; no readout is longer
-SMOOTHED = 4  # samples on each side whose mean is the acceleration at a frame: rotors shake it
-RATE_OVER_S = 0.005  # before and after a frame, about one interval of the IMU [s]
-MIN_AGE_S = 1e-3  # two sightings nearer in time than this tell no velocity [s]
+EXTRAPOLATION_S = 0.1  # beyond the measured motion, the angular velocity is held for this time [s]
+ACCEL_SAMPLES = 4  # increments on each side of a frame whose mean is its specific force, to average out vibration
+ANGULAR_VELOCITY_STEP_S = 0.005  # half the step of the numeric derivative at the frame, one interval of the IMU [s]
+MIN_FLOW_INTERVAL_S = 1e-3  # shortest time between two observations that a flow is computed from [s]
 
 
 @dataclass(frozen=True, eq=False)
-class NearbyTurn:
-    """How the IMU turned just before and after a frame."""
+class LocalRotation:
+    """The rotation of the IMU shortly before and after a frame."""
 
     t_s: Array
-    """(K,) Instants relative to the frame's [s], increasing, 0 among them."""
-    turn_rad: Array
-    """(K, 3) Rotation vectors of R_frame_then [rad]: from the IMU's axes then to those at the frame."""
+    """(K,) Times relative to that of the frame [s], increasing; one of them is 0."""
+    rotation_rad: Array
+    """(K, 3) Rotation vectors of R_frame_t [rad]: from the IMU frame at each time to that at the frame."""
 
     @classmethod
-    def of(cls, before: Increments, after: Increments, gyro_bias_rad_s: Array) -> "NearbyTurn":
-        """Sum up the gyroscope's increments on both sides of a frame; beyond them, the rate is held.
+    def of(cls, before: Increments, after: Increments, gyro_bias_rad_s: Array) -> "LocalRotation":
+        """Integrate the gyroscope on both sides of a frame and hold its rate beyond.
 
         Args:
             before: Increments that end at the frame.
-            after: Increments that begin there; none if there are none yet.
-            gyro_bias_rad_s: (3,) What the gyroscope reads too much [rad/s].
+            after: Increments that begin at the frame, as far as they are available.
+            gyro_bias_rad_s: (3,) Gyroscope bias [rad/s].
         """
         rates_before, rates_after = before.gyro_rad_s - gyro_bias_rad_s, after.gyro_rad_s - gyro_bias_rad_s
         first = rates_before[:1] if len(rates_before) else rates_after[:1]
         last = rates_after[-1:] if len(rates_after) else rates_before[-1:]
-        held = np.full(min(len(first), 1), EXTRAPOLATED_S)
+        held = np.full(min(len(first), 1), EXTRAPOLATION_S)
         past_s, past = np.append(before.dt_s[::-1], held), np.vstack([rates_before[::-1], first])
         future_s, future = np.append(after.dt_s, held), np.vstack([rates_after, last])
         t_s = np.concatenate([-np.cumsum(past_s)[::-1], [0.0], np.cumsum(future_s)])
-        turns = np.vstack(
-            [_summed(-past * past_s[:, None])[::-1], np.zeros((1, 3)), _summed(future * future_s[:, None])]
+        rotations = np.vstack(
+            [
+                log_so3(integrated_rotations(-past * past_s[:, None])[1:])[::-1],
+                np.zeros((1, 3)),
+                log_so3(integrated_rotations(future * future_s[:, None])[1:]),
+            ]
         )
-        return cls(t_s, turns)
+        return cls(t_s, rotations)
 
     def at(self, t_s: Array) -> Array:
-        """Return the rotation vectors (N, 3) of R_frame_then [rad] at instants (N,) relative to the frame's [s]."""
-        return np.stack([np.interp(t_s, self.t_s, axis) for axis in self.turn_rad.T], axis=-1)
+        """Return the rotation vectors (N, 3) of R_frame_t [rad] at times (N,) relative to the frame's [s]."""
+        return np.stack([np.interp(t_s, self.t_s, axis) for axis in self.rotation_rad.T], axis=-1)
 
 
 @dataclass(frozen=True, eq=False)
-class _Seen:
-    """The sightings of a frame, in increasing order of their identities."""
+class _Exposed:
+    """The observations of a frame, in increasing order of their identities."""
 
-    ids: Rows  # (N,)
-    late_s: Array  # (N,) how much later than the frame each was exposed
-    rays: Array  # (N, 3) to depth 1, in the camera's axes at the frame
+    ids: Integers  # (N,)
+    delay_s: Array  # (N,) exposure time of each relative to the frame's
+    rays: Array  # (N, 3) at depth 1, in the camera frame at the time of the frame
 
 
-class FrameTimes:
-    """Knows when the rows of a frame were exposed, and moves what they show to one time by the IMU's clock.
+class ExposureCompensation:
+    """Moves the observations of each frame to the time of the frame by the IMU's clock.
 
-    All that is estimated is on the IMU's clock. Inside, a frame is at the exposure of its middle row, where the rig's
-    known time offset puts it; what is told of it in the end is the state when the IMU's clock showed its time stamp.
+    All estimates are on the IMU's clock. Internally the time of a frame is the exposure of its middle row by the rig's
+    given time offset. The published estimate is the state at which the IMU's clock shows the frame's time stamp.
     """
 
-    def __init__(self, rig: Rig) -> None:
-        """Prepare for a rig."""
-        self._cameras, self._known_offset_s = rig.cameras, rig.time_offset_s
-        self._Rs_imu_cam = np.stack([camera.T_imu_cam[:3, :3] for camera in rig.cameras])
-        self._readouts_s = np.array([camera.readout_s for camera in rig.cameras])
-        self.late_s = 0.0
-        """How much later than that the middle row was exposed in truth [s]: what the known offset lacks."""
-        self._turn = NearbyTurn(np.zeros(1), np.zeros((1, 3)))
+    def __init__(self) -> None:
+        """Begin before the first frame."""
+        self._rotation = LocalRotation.of(NO_INCREMENTS, NO_INCREMENTS, np.zeros(3))
         self._accel_m_s2 = np.zeros(3)
-        self._since_last_s = 0.0
-        self._now = self._last = _Seen(np.zeros(0, np.int64), np.zeros(0), np.zeros((0, 3)))
+        self._frame_interval_s = 0.0
+        self._now = self._last = _Exposed(np.zeros(0, np.int64), np.zeros(0), np.zeros((0, 3)))
 
-    def imu_time_ns(self, stamp_ns: int) -> int:
+    @staticmethod
+    def imu_time_ns(stamp_ns: int, calibration: Calibration) -> int:
         """Return the time of a frame by the IMU's clock [ns]."""
-        return stamp_ns + round(self._known_offset_s * 1e9)
+        return stamp_ns + round(calibration.rig.time_offset_s * 1e9)
 
-    @property
-    def reach_s(self) -> float:
-        """How far after a frame's time it may have seen something, or be told of [s]."""
-        return float(max(0.5 * self._readouts_s.max() + self.late_s, -self._known_offset_s, 0.0))
+    @staticmethod
+    def lookahead_s(calibration: Calibration) -> float:
+        """Return how much IMU data after the time of a frame is of use [s]."""
+        last_row_s = 0.5 * calibration.readouts_s.max() + calibration.time_offset_correction_s
+        return float(max(last_row_s, -calibration.rig.time_offset_s, 0.0))
 
-    def begin(self, before: Increments, after: Increments, gyro_bias_rad_s: Array) -> None:
+    def begin_frame(self, before: Increments, after: Increments, gyro_bias_rad_s: Array) -> None:
         """Begin a frame.
 
         Args:
-            before: The IMU since the frame before.
-            after: The IMU after it, `reach_s` long or as long as it is known.
-            gyro_bias_rad_s: (3,) What the gyroscope reads too much [rad/s].
+            before: The IMU increments since the previous frame.
+            after: The increments after the frame, `lookahead_s` long or as far as they are available.
+            gyro_bias_rad_s: (3,) Gyroscope bias [rad/s].
         """
-        self._last, self._since_last_s = self._now, float(before.dt_s.sum())
-        self._turn = NearbyTurn.of(before, after, gyro_bias_rad_s)
-        near = np.vstack([before.accel_m_s2[-SMOOTHED:], after.accel_m_s2[:SMOOTHED]])
+        self._last, self._frame_interval_s = self._now, float(before.dt_s.sum())
+        self._rotation = LocalRotation.of(before, after, gyro_bias_rad_s)
+        near = np.vstack([before.accel_m_s2[-ACCEL_SAMPLES:], after.accel_m_s2[:ACCEL_SAMPLES]])
         self._accel_m_s2 = near.mean(axis=0) if len(near) else np.zeros(3)
 
     @property
-    def rate_rad_s(self) -> Array:
-        """(3,) How fast the IMU turns at the frame [rad/s]."""
-        step_s = np.array([-RATE_OVER_S, RATE_OVER_S])
-        return np.asarray(np.diff(self._turn.at(step_s), axis=0)[0] / (2.0 * RATE_OVER_S))
+    def angular_velocity_rad_s(self) -> Array:
+        """(3,) Angular velocity of the IMU at the frame, bias removed [rad/s]."""
+        step_s = np.array([-ANGULAR_VELOCITY_STEP_S, ANGULAR_VELOCITY_STEP_S])
+        return np.asarray(np.diff(self._rotation.at(step_s), axis=0)[0] / (2.0 * ANGULAR_VELOCITY_STEP_S))
 
-    def moved(self, seen: Observations) -> Observations:
-        """Return what a frame shows as it was at the frame's time.
+    def at_frame_time(self, observations: Observations, calibration: Calibration) -> Observations:
+        """Return the observations of a frame as they are at the time of the frame.
 
-        A feature that is seen for the first time shows no velocity, and is left out if it has to be moved: guessed from
-        its neighbours, the velocity of a new corner makes the path 1 % too large or too small.
+        A feature that is observed for the first time has no flow, and is left out if its delay is not zero: a flow that
+        is interpolated from neighbouring features causes scale errors of 1 %.
 
-        It may be asked more than once for a frame: with new features, or with other cameras' sightings of them.
+        The method may be called again for the same frame, with new features or with matches in further cameras.
         """
-        if not self._readouts_s.any() and self.late_s == 0.0:
-            self._now = _Seen(seen.ids, np.zeros(len(seen)), np.column_stack([seen.xy, np.ones(len(seen))]))
-            return seen
-        cameras, late_s = seen.camera, self._late_s(seen.camera, seen.pixels[:, 1])
-        rays = self._turned(cameras, seen.xy, late_s)
-        velocity = self._velocities(seen, late_s, rays)
-        self._now = _Seen(seen.ids, late_s, rays)
-        kept = np.isfinite(velocity[:, 0])
-        xy = rays[:, :2] - late_s[:, None] * velocity
-        others = {
-            f.name: getattr(seen, f.name)[kept]
-            for f in fields(seen)
-            if f.name not in ("xy", "matches", "miscalibrated")
-        }
+        if not calibration.readouts_s.any() and calibration.time_offset_correction_s == 0.0:
+            rays = np.column_stack([observations.xy, np.ones(len(observations))])
+            self._now = _Exposed(observations.ids, np.zeros(len(observations)), rays)
+            return observations
+        delay_s = _delays_s(calibration, observations.camera, observations.pixels[:, 1])
+        rays = self._rotated(calibration, observations.camera, observations.xy, delay_s)
+        flow = self._flows(calibration, observations, delay_s, rays)
+        self._now = _Exposed(observations.ids, delay_s, rays)
+        kept = np.isfinite(flow[:, 0])
+        xy = rays[:, :2] - delay_s[:, None] * flow
+        names = {f.name for f in fields(observations)} - {"xy", "matches", "miscalibrated"}
+        others = {name: getattr(observations, name)[kept] for name in names}
         matches, miscalibrated = (
-            self._moved_matches(m, seen, rays, velocity) for m in (seen.matches, seen.miscalibrated)
+            self._matches_at_frame_time(calibration, matches, observations, rays, flow)
+            for matches in (observations.matches, observations.miscalibrated)
         )
         return Observations(**others, xy=xy[kept], matches=matches, miscalibrated=miscalibrated)
 
-    def stamped(self, estimate: Estimate, stamp_ns: int) -> Estimate:
-        """Return what is told of a frame, with its time stamp, and its state carried there over the known offset.
+    def at_stamp(self, estimate: Estimate, stamp_ns: int, calibration: Calibration) -> Estimate:
+        """Return the estimate of a frame at the frame's time stamp, propagated over the rig's given time offset.
 
-        That is exact in the rotation, and of third order in the offset else.
+        The rotation is exact; position and velocity are of third order in the offset.
         """
-        state, by_s = estimate.state, -self._known_offset_s
+        state, by_s = estimate.state, -calibration.rig.time_offset_s
         if by_s == 0.0:
             return estimate
         if state is None:
@@ -160,62 +157,62 @@ class FrameTimes:
         R = state.T_world_imu[:3, :3]
         accel = R @ (self._accel_m_s2 - state.accel_bias_m_s2) - [0.0, 0.0, GRAVITY_M_S2]
         p = state.T_world_imu[:3, 3] + by_s * state.velocity_m_s + 0.5 * by_s**2 * accel
-        turned = R @ exp_so3(self._turn.at(np.array([by_s])))[0]
+        R_then = R @ exp_so3(self._rotation.at(np.array([by_s])))[0]
         state = replace(
             state,
             t_ns=stamp_ns,
-            T_world_imu=pose_matrix(turned, p),
+            T_world_imu=pose_matrix(R_then, p),
             velocity_m_s=state.velocity_m_s + by_s * accel,
         )
         return replace(estimate, t_ns=stamp_ns, state=state)
 
-    def _late_s(self, camera: Rows, row_px: Array) -> Array:
-        """Return how much later than the frame's time rows (N,) of some cameras' images are exposed [s]."""
-        last_row = np.array([c.model.height - 1 for c in self._cameras])[camera]
-        return np.asarray((row_px / last_row - 0.5) * self._readouts_s[camera] + self.late_s)
-
-    def _turned(self, camera: Rows, xy: Array, late_s: Array) -> Array:
-        """Return rays (N, 3), cut at depth 1, as they are in the cameras' axes at the frame."""
-        turn_cam = np.einsum("nij,ni->nj", self._Rs_imu_cam[camera], self._turn.at(late_s))
+    def _rotated(self, calibration: Calibration, camera: Integers, xy: Array, delay_s: Array) -> Array:
+        """Return rays (N, 3) at depth 1 in the camera frames at the time of the frame, corrected for rotation."""
+        R_imu_cam = calibration.Ts_imu_cam[camera, :3, :3]
+        rotation_cam = np.einsum("nij,ni->nj", R_imu_cam, self._rotation.at(delay_s))
         rays = np.column_stack([xy, np.ones(len(xy))])
-        rays = np.einsum("nij,nj->ni", exp_so3(turn_cam), rays)
+        rays = np.einsum("nij,nj->ni", exp_so3(rotation_cam), rays)
         return np.asarray(rays / rays[:, 2:])
 
-    def _velocities(self, seen: Observations, late_s: Array, rays: Array) -> Array:
-        """Return (N, 2) how fast each feature moves by the camera's translation [1/s]; NaN where seen only once."""
-        velocity, last = np.full((len(seen), 2), np.nan), self._last
-        _, i, j = np.intersect1d(seen.ids, last.ids, assume_unique=True, return_indices=True)
+    def _flows(self, calibration: Calibration, observations: Observations, delay_s: Array, rays: Array) -> Array:
+        """Return the flows (N, 2) due to translation [1/s]; NaN for features that are observed for the first time."""
+        flow, last = np.full((len(observations), 2), np.nan), self._last
+        _, i, j = np.intersect1d(observations.ids, last.ids, assume_unique=True, return_indices=True)
         if not len(i):
-            return velocity
-        # R_now_last of the cameras is the turn back to the last frame's time
-        turn_imu = np.broadcast_to(self._turn.at(np.array([-self._since_last_s])), (len(i), 3))
-        turn_cam = np.einsum("nij,ni->nj", self._Rs_imu_cam[seen.camera[i]], turn_imu)
-        before = np.einsum("nij,nj->ni", exp_so3(turn_cam), last.rays[j])
-        elapsed_s = np.maximum(self._since_last_s + late_s[i] - last.late_s[j], MIN_AGE_S)
-        velocity[i] = (rays[i, :2] - before[:, :2] / before[:, 2:]) / elapsed_s[:, None]
-        return velocity
+            return flow
+        # R_now_last of the cameras is the rotation vector at the time of the last frame.
+        rotation_imu = np.broadcast_to(self._rotation.at(np.array([-self._frame_interval_s])), (len(i), 3))
+        R_imu_cam = calibration.Ts_imu_cam[observations.camera[i], :3, :3]
+        rotation_cam = np.einsum("nij,ni->nj", R_imu_cam, rotation_imu)
+        before = np.einsum("nij,nj->ni", exp_so3(rotation_cam), last.rays[j])
+        elapsed_s = np.maximum(self._frame_interval_s + delay_s[i] - last.delay_s[j], MIN_FLOW_INTERVAL_S)
+        flow[i] = (rays[i, :2] - before[:, :2] / before[:, 2:]) / elapsed_s[:, None]
+        return flow
 
-    def _moved_matches(self, matches: Matches, seen: Observations, rays: Array, velocity: Array) -> Matches:
-        """Return the sightings by further cameras; the landmark moves there as it does where it is followed."""
+    def _matches_at_frame_time(
+        self, calibration: Calibration, matches: Matches, observations: Observations, rays: Array, flow: Array
+    ) -> Matches:
+        """Return the matches at the time of the frame; the landmark's flow is that of the camera that tracks it."""
         if not len(matches):
             return matches
-        row = np.searchsorted(seen.ids, matches.ids)
+        row = np.searchsorted(observations.ids, matches.ids)
         xy1 = np.column_stack([matches.xy, np.ones(len(matches))])
         row_px = np.empty(len(matches))
-        for index, camera in enumerate(self._cameras):
+        for index, camera in enumerate(calibration.rig.cameras):
             mine = matches.camera == index
             row_px[mine] = camera.model.project(xy1[mine])[:, 1]
-        late_s = self._late_s(matches.camera, row_px)
-        here = self._turned(matches.camera, matches.xy, late_s)
-        R_there = np.swapaxes(self._Rs_imu_cam[matches.camera], 1, 2) @ self._Rs_imu_cam[seen.camera[row]]
-        drift = np.einsum("nij,nj->ni", R_there[..., :2], velocity[row])
+        delay_s = _delays_s(calibration, matches.camera, row_px)
+        here = self._rotated(calibration, matches.camera, matches.xy, delay_s)
+        R_imu_cam = calibration.Ts_imu_cam[:, :3, :3]
+        R_there = np.swapaxes(R_imu_cam[matches.camera], 1, 2) @ R_imu_cam[observations.camera[row]]
+        drift = np.einsum("nij,nj->ni", R_there[..., :2], flow[row])
         depth = np.einsum("nj,nj->n", R_there[:, 2], rays[row])
-        xy = here[:, :2] - late_s[:, None] * (drift[:, :2] - here[:, :2] * drift[:, 2:]) / depth[:, None]
+        xy = here[:, :2] - delay_s[:, None] * (drift[:, :2] - here[:, :2] * drift[:, 2:]) / depth[:, None]
         kept = np.isfinite(xy[:, 0])
         return replace(matches, ids=matches.ids[kept], camera=matches.camera[kept], xy=xy[kept])
 
 
-def _summed(steps_rad: Array) -> Array:
-    """Return the rotation vectors (K, 3) of products of the first 1 … K of some small turns (K, 3)."""
-    turns = list(accumulate(exp_so3(steps_rad), np.matmul))
-    return log_so3(np.array(turns)) if turns else np.zeros((0, 3))
+def _delays_s(calibration: Calibration, camera: Integers, row_px: Array) -> Array:
+    """Return the exposure times (N,) of image rows (N,) relative to the time of the frame [s]."""
+    last_row = np.array([c.model.height - 1 for c in calibration.rig.cameras])[camera]
+    return np.asarray((row_px / last_row - 0.5) * calibration.readouts_s[camera] + calibration.time_offset_correction_s)

@@ -113,19 +113,22 @@ class FeatureTracker:
         self._scale_space = self._aligner.scale_space(np.zeros((camera.height, camera.width), np.uint8))
         self._features = self._new_features(np.zeros((0, 2)))
 
-    def track(self, frame: CameraFrame, R_cur_prev: Array, rotation_sigma_rad: float = 0.0) -> Observations:
-        """Track the features into a new frame.
+    def track(
+        self, frame: CameraFrame, R_cur_prev: Array, rotation_sigma_rad: float = 0.0, rig: Rig | None = None
+    ) -> Observations:
+        """Track the features into a frame.
 
         Args:
             frame: The new frame, with an image of this camera.
-            R_cur_prev: (3, 3) Rotation of the previous camera frame into this one, from the gyroscope.
+            R_cur_prev: (3, 3) Rotation of this camera from the previous frame to this one, by the gyroscope.
             rotation_sigma_rad: Standard deviation of that rotation [rad].
+            rig: Not used; the extrinsics of the camera have no influence.
 
         Returns:
-            The features that are visible and consistent with one rigid motion.
+            The features that are still observed and agree with one rigid motion.
 
         Raises:
-            ConfigError: The image is not a grey image of the camera's size.
+            ConfigError: The image is missing, is not uint8, or has not the camera's size.
         """
         previous, self._image = self._image, image_of(frame, self._index, self._camera)
         self._scale_space = self._aligner.scale_space(self._image)
@@ -135,7 +138,7 @@ class FeatureTracker:
             self._features = self._inliers(tracked, R_cur_prev, rotation_sigma_rad)
         return self._observations()
 
-    def replenish(self) -> Observations:
+    def replenish(self, rig: Rig | None = None) -> Observations:
         """Add the best new corner of each grid cell without a feature, and return all features of the frame."""
         if self._image is not None:
             c, noise, occupied = self._config, self._scale_space.noise, self._features.pixels
@@ -146,9 +149,6 @@ class FeatureTracker:
     def discard(self, ids: npt.NDArray[np.int64]) -> None:
         """Remove features from the tracker."""
         self._features = self._features[~np.isin(self._features.ids, ids)]
-
-    def recalibrate(self, rig: Rig) -> None:
-        """Do nothing, because the tracker of a single camera does not depend on its extrinsics."""
 
     def _observations(self) -> Observations:
         f = self._features

@@ -1,4 +1,8 @@
-"""A buffer of IMU samples, handed out as increments up to the time of a frame."""
+"""A buffer of IMU samples that returns the increments up to the time of a frame.
+
+Samples are at the limit of a sensor's range, or missing, more often than data sheets suggest. The buffer detects both
+and attaches to each increment the standard deviation of the error that this may cause.
+"""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
@@ -8,52 +12,56 @@ import numpy.typing as npt
 
 from dronevio.estimator.imu.saturation import MIN_ACCEL_RANGE_M_S2, MIN_GYRO_RANGE_RAD_S, SaturationDetector
 from dronevio.models.imu import ImuModel, ImuSamples
-from dronevio.models.rotation import exp_so3
+from dronevio.models.rotation import integrated_rotations
 
 Array = npt.NDArray[np.float64]
 
 
 IMU_GAP = 4.0
-"""Intervals of the IMU that have to pass without a sample to be a gap, in which nothing was measured."""
+"""A time without samples counts as a gap from this many nominal sampling intervals on."""
 GAP_SIGMA = np.repeat([0.5, 2.0], 3)
-"""How far from the mean of its ends a motion may be within a gap: standard deviations of angular velocity [rad/s] and
-specific force [m/s²], those of a drone that flies swiftly."""
-BEYOND_LIMIT = 0.5
-"""How far beyond the sensor's limit a motion may be, relative to it. A flight through a room with 57 °/s for a limit is
-beyond it by 20 % at the median, and 60 % at the 90th percentile."""
+"""Standard deviations of angular velocity [rad/s] and specific force [m/s²] within a gap, about the mean of the samples
+at its ends: those of a drone in fast flight."""
+SATURATION_SIGMA = 0.5
+"""Standard deviation of the error of a saturated reading, relative to the sensor's range."""
 EXCESS_CORRELATION_S = 0.2
-"""What is wrong with a reading in doubt is as wrong with those around it, for so long [s]."""
+"""Correlation time of the errors within a gap and of saturated readings [s]."""
 
 
 @dataclass(frozen=True, eq=False)
 class Increments:
-    """Mean rates over consecutive intervals that add up to a stretch of time."""
+    """Mean angular velocities and specific forces over N consecutive intervals."""
 
     dt_s: Array
     """(N,) Lengths of the intervals [s]."""
     gyro_rad_s: Array
     """(N, 3) Mean angular velocity [rad/s]."""
     accel_m_s2: Array
-    """(N, 3) Mean specific force in the frame at the interval's start [m/s²]."""
+    """(N, 3) Mean specific force in the IMU frame at the start of the interval [m/s²]."""
     excess_sigma: Array = field(default_factory=lambda: np.zeros((1, 6)))
-    """(N, 6), or (1, 6) for all: standard deviations of what is wrong with the angular velocity [rad/s] and the
-    specific force [m/s²] beside the sensor's noise: a sensor at its limit, or no sample for long."""
+    """(N, 6), or (1, 6) for all intervals. Standard deviations of errors of the angular velocity [rad/s] and specific
+    force [m/s²] beyond the sensor's noise, due to saturation or gaps."""
 
     @property
     def is_degraded(self) -> bool:
-        """Whether anything is wrong beside the sensor's noise."""
+        """Whether any increment has an error beyond the sensor's noise."""
         return bool(self.excess_sigma.any())
 
     @property
     def rotation_excess_sigma_rad(self) -> float:
-        """Standard deviation of what is wrong with the rotation beside noise, about the worst axis [rad]."""
+        """Standard deviation of the excess error of the rotation, about the worst axis [rad]."""
         return float((self.dt_s[:, None] * self.excess_sigma[:, :3]).sum(axis=0).max()) if self.is_degraded else 0.0
 
     @property
     def excess_density(self) -> Array:
-        """`excess_sigma` as the white noise (N, 6) that does as much over as long as it lasts, squared densities."""
-        lasts_s = np.maximum(self.dt_s, EXCESS_CORRELATION_S)[:, None]
-        return np.asarray(lasts_s * np.broadcast_to(self.excess_sigma, (len(lasts_s), 6)) ** 2)
+        """(N, 6) Squared densities of white noise with the same effect as `excess_sigma` over its correlation time."""
+        correlation_s = np.maximum(self.dt_s, EXCESS_CORRELATION_S)[:, None]
+        return np.asarray(correlation_s * np.broadcast_to(self.excess_sigma, (len(correlation_s), 6)) ** 2)
+
+    @property
+    def duration_s(self) -> float:
+        """Sum of the intervals [s]."""
+        return float(self.dt_s.sum())
 
     @property
     def longest_s(self) -> float:
@@ -61,19 +69,16 @@ class Increments:
         return float(self.dt_s.max(initial=0.0))
 
     def rotation(self, gyro_bias_rad_s: Array) -> Array:
-        """Return R_start_end (3, 3)."""
-        R = np.eye(3)
-        for step in exp_so3((self.gyro_rad_s - gyro_bias_rad_s) * self.dt_s[:, None]):
-            R = R @ step
-        return R
+        """Return R_start_end (3, 3) for a gyroscope bias (3,) [rad/s]."""
+        return np.asarray(integrated_rotations((self.gyro_rad_s - gyro_bias_rad_s) * self.dt_s[:, None])[-1])
 
 
 NO_INCREMENTS = Increments(np.zeros(0), np.zeros((0, 3)), np.zeros((0, 3)))
-"""Of no time at all."""
+"""The increments of an empty interval."""
 
 
 def joined(parts: Sequence[Increments]) -> Increments:
-    """Return consecutive increments, at least one part of them, as one."""
+    """Return consecutive increments, at least one part, as one object."""
     return Increments(
         np.concatenate([part.dt_s for part in parts]),
         np.concatenate([part.gyro_rad_s for part in parts]),
@@ -83,19 +88,19 @@ def joined(parts: Sequence[Increments]) -> Increments:
 
 
 class ImuBuffer:
-    """Holds the samples that came in, and hands them out up to the time of a frame."""
+    """Stores incoming samples until the frames that follow them are processed."""
 
     def __init__(self, imu: ImuModel | None = None) -> None:
         """Begin without samples.
 
         Args:
-            imu: What the sensor is; if not given, its gaps are not known.
+            imu: The sensor model; without it, neither gaps nor saturation are detected by nominal values.
         """
         self._longest_s = np.inf if imu is None else IMU_GAP / imu.rate_hz
         self._gyro_limit = SaturationDetector(np.inf if imu is None else imu.gyro_range_rad_s, MIN_GYRO_RANGE_RAD_S)
         self._accel_limit = SaturationDetector(np.inf if imu is None else imu.accel_range_m_s2, MIN_ACCEL_RANGE_M_S2)
         self._samples: ImuSamples | None = None
-        self._start_ns: int | None = None  # everything up to here has been handed out
+        self._start_ns: int | None = None  # the samples up to here have been returned
 
     def add(self, samples: ImuSamples) -> None:
         """Append later samples."""
@@ -104,18 +109,21 @@ class ImuBuffer:
         self._samples = samples if self._samples is None else self._samples.extended(samples)
 
     def take_until(self, t_ns: int) -> Increments:
-        """Return the increments from where the last call ended (or the first sample) to ``t_ns``.
+        """Remove and return the increments from the end of the last call (or the first sample) to ``t_ns``.
 
-        An interval that ``t_ns`` cuts is shared out in proportion. Where the samples end early, the last one is held.
+        An interval that contains ``t_ns`` is divided in proportion. Where samples are missing, the last one is held.
         """
         if self._samples is None or len(self._samples) == 0:
             return NO_INCREMENTS
         taken = self._increments(self._samples, t_ns, held=True)
-        self._forget_before(t_ns)
+        self._start_ns = t_ns
+        # The sample at or before t stays: the midpoint rule averages a sample with its predecessor.
+        first = int(np.searchsorted(self._samples.t_ns, t_ns, side="right")) - 1
+        self._samples = self._samples[max(first, 0) :]
         return taken
 
     def ahead(self, span_s: float) -> Increments:
-        """Return the increments of the next ``span_s`` seconds after where the last call ended, as far as known.
+        """Return the increments of the next ``span_s`` seconds after the end of the last `take_until`, if available.
 
         They stay in the buffer.
         """
@@ -129,34 +137,24 @@ class ImuBuffer:
         last = min(int(np.searchsorted(increments.t_ns, t_ns, side="left")) + 1, len(increments))
         ends = np.clip(increments.t_ns[:last], start, t_ns)
         gyro, accel = increments.gyro_rad_s[:last], increments.accel_m_s2[:last]
-        doubt = self._doubt(samples)[:last]
+        excess = self._interval_excess(samples)[:last]
         if held and last == len(increments) and (last == 0 or ends[-1] < t_ns):
             ends = np.append(ends, t_ns)
             gyro = np.vstack([gyro, samples.gyro_rad_s[-1:]])
             accel = np.vstack([accel, samples.accel_m_s2[-1:]])
-            doubt = np.vstack([doubt, self._beyond_limit(samples[-1:])])
+            excess = np.vstack([excess, self._saturation_sigma(samples[-1:])])
         dt_s = np.diff(ends, prepend=start) * 1e-9
         kept = dt_s > 0.0
-        doubt = np.where((dt_s > self._longest_s)[:, None], np.maximum(doubt, GAP_SIGMA), doubt)
-        return Increments(dt_s[kept], gyro[kept], accel[kept], doubt[kept])
+        excess = np.where((dt_s > self._longest_s)[:, None], np.maximum(excess, GAP_SIGMA), excess)
+        return Increments(dt_s[kept], gyro[kept], accel[kept], excess[kept])
 
-    def _doubt(self, samples: ImuSamples) -> Array:
-        """Return how far a motion may be beyond the sensors' limits over each of the intervals of samples (N, 6)."""
-        beyond = self._beyond_limit(samples)
-        return beyond if samples.sampling == "increment" else np.maximum(beyond[1:], beyond[:-1])
+    def _interval_excess(self, samples: ImuSamples) -> Array:
+        """Return the excess standard deviations (M, 6) of the intervals of samples, due to saturation."""
+        excess = self._saturation_sigma(samples)
+        return excess if samples.sampling == "increment" else np.maximum(excess[1:], excess[:-1])
 
-    def _beyond_limit(self, samples: ImuSamples) -> Array:
-        """Return how far a motion may be beyond the sensors' limits at samples (N, 6)."""
-        return BEYOND_LIMIT * np.hstack(
-            [
-                self._gyro_limit.saturation_limits(samples.gyro_rad_s),
-                self._accel_limit.saturation_limits(samples.accel_m_s2),
-            ]
+    def _saturation_sigma(self, samples: ImuSamples) -> Array:
+        """Return the excess standard deviations (N, 6) of samples; zero where they are within the range."""
+        return SATURATION_SIGMA * np.hstack(
+            [self._gyro_limit.saturation_limits(samples.gyro_rad_s), self._accel_limit.saturation_limits(samples.accel_m_s2)]
         )
-
-    def _forget_before(self, t_ns: int) -> None:
-        assert self._samples is not None
-        self._start_ns = t_ns
-        # Keep the sample at or before t: points are averaged with their predecessor.
-        first = int(np.searchsorted(self._samples.t_ns, t_ns, side="right")) - 1
-        self._samples = self._samples[max(first, 0) :]

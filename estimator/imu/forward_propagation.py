@@ -13,7 +13,8 @@ import gtsam
 import numpy as np
 import numpy.typing as npt
 
-from dronevio.estimator.imu.preintegration import PreintegrationConfig, preintegration_params
+from dronevio.estimator.imu.buffer import Increments
+from dronevio.estimator.imu.preintegration import Preintegration, PreintegrationConfig, PreintegrationParams
 from dronevio.models.imu import ImuModel, ImuSamples
 from dronevio.models.state import Estimate, NavState
 
@@ -34,21 +35,22 @@ class _ImuInterval:
 class _Propagation:
     """Dead reckoning from one estimate."""
 
-    def __init__(self, start: NavState, params: gtsam.PreintegrationCombinedParams) -> None:
+    def __init__(self, start: NavState, params: PreintegrationParams) -> None:
         self._start = start
         self._nav = gtsam.NavState(gtsam.Pose3(start.T_world_imu), start.velocity_m_s)
         self._bias = gtsam.imuBias.ConstantBias(start.accel_bias_m_s2, start.gyro_bias_rad_s)
-        self._preintegrated = gtsam.PreintegratedCombinedMeasurements(params, self._bias)
+        self._preintegration = Preintegration(params, self._bias)
 
     def integrate(self, interval: _ImuInterval) -> None:
         """Add an interval, or the part of it after the estimate."""
         dt_s = (interval.end_ns - max(interval.start_ns, self._start.t_ns)) * 1e-9
         if dt_s > 0.0:
-            self._preintegrated.integrateMeasurement(interval.accel_m_s2, interval.gyro_rad_s, dt_s)
+            gyro, accel = interval.gyro_rad_s[None], interval.accel_m_s2[None]
+            self._preintegration.integrate(Increments(np.array([dt_s]), gyro, accel))
 
     def state(self, interval: _ImuInterval) -> NavState:
         """Return the state at the end of an interval, the last that was added."""
-        predicted = self._preintegrated.predict(self._nav, self._bias)
+        predicted = self._preintegration.measurements.predict(self._nav, self._bias)
         return NavState(
             interval.end_ns,
             predicted.pose().matrix(),
@@ -79,7 +81,7 @@ class ImuRatePropagator:
             imu: Noise of the IMU; states do not depend on it.
             config: Settings of the preintegration.
         """
-        self._params = preintegration_params(imu, config or PreintegrationConfig())
+        self._params = PreintegrationParams.of(imu, config or PreintegrationConfig())
         self._intervals: deque[_ImuInterval] = deque()  # those that end after the newest estimate
         self._last: tuple[int, Array, Array] | None = None  # time stamp, gyroscope and accelerometer of the last sample
         self._propagation: _Propagation | None = None

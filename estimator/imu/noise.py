@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from dronevio.estimator.imu.preintegration import PreintegrationConfig, preintegration_params
+from dronevio.estimator.imu.preintegration import PreintegrationConfig, PreintegrationParams
 from dronevio.models.imu import ImuModel
 
 Array = npt.NDArray[np.float64]
@@ -125,8 +125,12 @@ class ImuNoiseEstimator:
         """
         self._gyro = NoiseDensityEstimator(imu.gyro_noise_density, inertial.gyro_noise_inflation, config)
         self._accel = NoiseDensityEstimator(imu.accel_noise_density, inertial.accel_noise_inflation, config)
-        self.params = preintegration_params(imu, inertial)
-        """Parameters of the preintegration; `update` changes their white noise in place."""
+        self._params = PreintegrationParams.of(imu, inertial)
+
+    @property
+    def params(self) -> PreintegrationParams:
+        """The noise with which the next interval is preintegrated."""
+        return self._params
 
     @property
     def densities(self) -> tuple[float, float]:
@@ -139,6 +143,4 @@ class ImuNoiseEstimator:
             return
         self._gyro.update(components.gyroscope)
         self._accel.update(components.accelerometer)
-        gyro, accel = self.densities
-        self.params.setGyroscopeCovariance(np.eye(3) * gyro**2)
-        self.params.setAccelerometerCovariance(np.eye(3) * accel**2)
+        self._params = self._params.with_noise(*self.densities)
