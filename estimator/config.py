@@ -1,4 +1,4 @@
-"""The settings of the visual-inertial odometry, a part of the pipeline each: one set of them serves every flight."""
+"""The settings of the visual-inertial odometry, one section per part of the pipeline."""
 
 from dataclasses import dataclass, field
 
@@ -10,21 +10,31 @@ from dronevio.estimator.frontend.tracker import TrackerConfig
 from dronevio.estimator.health import HealthConfig
 from dronevio.estimator.imu.noise import NoiseEstimationConfig
 from dronevio.estimator.imu.preintegration import PreintegrationConfig
-from dronevio.estimator.initialization.initializer import InitialiserConfig
+from dronevio.estimator.initialization.initializer import InitializerConfig
 from dronevio.estimator.initialization.zero_velocity import ZeroVelocityConfig
 
 
 @dataclass(frozen=True)
 class VioConfig:
-    """Settings of the visual-inertial odometry."""
+    """Settings of the visual-inertial odometry. The defaults serve all flights."""
 
     tracker: TrackerConfig = field(default_factory=TrackerConfig)
-    inertial: PreintegrationConfig = field(default_factory=PreintegrationConfig)
+    """Settings of the feature tracker."""
+    preintegration: PreintegrationConfig = field(default_factory=PreintegrationConfig)
+    """Settings of the IMU preintegration."""
     noise: NoiseEstimationConfig = field(default_factory=NoiseEstimationConfig)
-    stillness: ZeroVelocityConfig = field(default_factory=ZeroVelocityConfig)
-    start: InitialiserConfig = field(default_factory=InitialiserConfig)
+    """Settings of the estimation of the IMU noise."""
+    zero_velocity: ZeroVelocityConfig = field(default_factory=ZeroVelocityConfig)
+    """Settings of the zero-velocity detection."""
+    initialization: InitializerConfig = field(default_factory=InitializerConfig)
+    """Settings of the initialization."""
     keyframe: KeyframeConfig = field(default_factory=KeyframeConfig)
+    """Settings of the keyframe selection."""
     smoother: SmootherConfig = field(default_factory=SmootherConfig)
+    """Settings of the fixed-lag smoother."""
     landmarks: LandmarkConfig = field(default_factory=LandmarkConfig)
+    """Settings of the landmarks."""
     calibration: CalibrationConfig = field(default_factory=CalibrationConfig)
+    """Settings of the online calibration."""
     health: HealthConfig = field(default_factory=HealthConfig)
+    """Settings of the health monitor."""

@@ -1,17 +1,17 @@
-"""Health: what holds the estimate, how well it fits, and what it is therefore worth.
+"""Health of the estimate: what constrains it, how well it fits the measurements, and whether it can be trusted.
 
-Corners that are followed well prove nothing: before a distant wall, or while hovering after a turn, many tracks may
-leave the motion to the IMU alone. What counts is landmarks of known position that are seen again, and whether they are
-where the prediction puts them: the innovation of a filter, with its chi-squared test (Bar-Shalom, Li, Kirubarajan,
-"Estimation with applications to tracking and navigation", 2001, section 5.4).
+The number of tracked features is no measure of health: in front of a distant wall, or while hovering after a rotation,
+many tracks may leave the motion to the IMU alone. What counts are landmarks of known position that are observed again,
+and whether they are where the prediction puts them: the innovation of a filter and its chi-squared test (Bar-Shalom,
+Li, Kirubarajan, "Estimation with applications to tracking and navigation", 2001, section 5.4).
 
-The states, in the order in which they are ruled out:
+The states of health, in the order of their tests:
 
-lost           a number is no number; the speed or a bias is beyond what can be; or most landmarks have been elsewhere
-               for too long; or nothing but the IMU has held the estimate until its position, by its own covariance,
-               is worth nothing. It stays so until the estimator starts anew, with a monitor of its own.
-inertial-only  too few landmarks, and no rest, hold the estimate.
-tracking       landmarks hold it, or the drone stands still or has only just begun to move.
+lost           The state is not finite; or its speed or a bias is implausible; or most landmarks have contradicted it
+               for too long; or the IMU alone has propagated it until its position, by its own covariance, is useless.
+               It stays lost until the odometry is initialized again, with another monitor.
+inertial-only  Too few landmarks constrain the estimate, and the vehicle is not stationary.
+tracking       Landmarks constrain the estimate, or the vehicle is stationary or has only begun to move.
 """
 
 import math
@@ -23,77 +23,71 @@ import numpy.typing as npt
 from dronevio.estimator.backend.landmarks import TriangulatedLandmarks
 from dronevio.estimator.backend.reprojection import MEDIAN_CHI2_2DOF
 from dronevio.estimator.backend.triangulation import MIN_DEPTH_M
-from dronevio.estimator.types import Observations
-from dronevio.models.rig import Rig
+from dronevio.estimator.types import Calibration, Integers, Observations
+from dronevio.models.imu import ImuModel
 from dronevio.models.state import Health, HealthReport, NavState
 
 Array = npt.NDArray[np.float64]
-Rows = npt.NDArray[np.int64]
 
 
 @dataclass(frozen=True)
 class HealthConfig:
-    """Where one state of health ends and the next begins."""
+    """Settings of the health monitor."""
 
     min_landmarks: int = 8
-    """Landmarks that must hold an estimate: with fewer, one that is wrong turns it, and outvotes the rest."""
+    """Smallest number of landmarks that constrain an estimate; with fewer, a single outlier dominates."""
     settling_s: float = 0.5
-    """For so long, features that are followed will do instead of landmarks [s]: three keyframes and some parallax, as
-    after a rest, make landmarks of them."""
+    """Time for which tracked features suffice instead of landmarks [s], as at the end of a stationary interval. Three
+    keyframes with parallax are needed to triangulate landmarks."""
     max_innovation_px: float = 12.0
-    """Median innovation beyond which landmarks contradict the estimate [px]: what 5 ms of time offset make at 300 °/s
-    with EuRoC's lens, or several times what a degree of wrong mounting makes between frames ..."""
-    contradicted_s: float = 1.0
-    """... for so long: a jolt, or something large that passes by, is over before [s]."""
-    max_blind_sigma_m: float = 1.0
-    """What may be added to the position's standard deviation while only the IMU holds it [m]: about a body's length;
-    EuRoC's IMU takes some 10 s for it."""
+    """Median innovation beyond which the landmarks contradict the estimate [px]. A time offset of 5 ms at 300 °/s
+    causes it with the lens of EuRoC."""
+    max_contradiction_s: float = 1.0
+    """Time for which landmarks may contradict the estimate before it is lost [s]. Jolts and large passing objects take
+    less."""
+    max_inertial_sigma_m: float = 1.0
+    """Largest increase of the position's standard deviation while the IMU alone propagates the estimate [m]. The IMU of
+    EuRoC reaches it in some 10 s."""
     max_speed_m_s: float = 60.0
-    """Faster than a racing drone flies [m/s]."""
+    """Largest plausible speed [m/s], beyond that of racing drones."""
     gyro_bias_sigma_rad_s: float = 0.05
-    """A gyroscope's bias is believed to be so large at least, whatever its model says [rad/s]: EuRoC's is 0.08, with a
-    sensor whose data sheet has 0.01."""
+    """Lower bound of the standard deviation of the gyroscope bias [rad/s]. The bias of EuRoC is 0.08, where the data
+    sheet states 0.01."""
     accel_bias_sigma_m_s2: float = 0.2
-    """The same of the accelerometer's bias [m/s²]; EuRoC's reaches 0.5."""
+    """Lower bound of the standard deviation of the accelerometer bias [m/s²]. The bias of EuRoC reaches 0.5."""
     max_bias_sigmas: float = 10.0
-    """Biases beyond so many of these standard deviations cannot be."""
+    """Largest plausible bias, in these standard deviations."""
 
 
 class HealthMonitor:
-    """Judges an estimate frame by frame, from its start to its loss."""
+    """Assesses an estimate frame by frame, from its initialization to its loss."""
 
-    def __init__(self, rig: Rig, config: HealthConfig, pixel_sigma: float) -> None:
-        """Begin at a start.
+    def __init__(self, imu: ImuModel, config: HealthConfig, pixel_sigma: float) -> None:
+        """Begin at an initialization.
 
         Args:
-            rig: The calibration.
-            config: Where the states end.
-            pixel_sigma: Standard deviation of an image measurement [px].
+            imu: The sensor model.
+            config: Settings.
+            pixel_sigma: Standard deviation of an image observation [px].
         """
-        self._config, self._imu = config, rig.imu
-        self.recalibrate(rig)
-        self._focal_px = np.array([camera.model.fx for camera in rig.cameras])
+        self._config, self._imu = config, imu
         self._pixel_sigma = pixel_sigma
         self._bias_sigmas = np.repeat(
             [
-                max(config.gyro_bias_sigma_rad_s, rig.imu.gyro_turn_on_bias_rad_s),
-                max(config.accel_bias_sigma_m_s2, rig.imu.accel_turn_on_bias_m_s2),
+                max(config.gyro_bias_sigma_rad_s, imu.gyro_turn_on_bias_rad_s),
+                max(config.accel_bias_sigma_m_s2, imu.accel_turn_on_bias_m_s2),
             ],
             3,
         )
         self._keyframe: NavState | None = None
         self._landmarks = TriangulatedLandmarks(np.zeros(0, np.int64), np.zeros((0, 3)), np.zeros(0))
-        self._held_ns: int | None = None  # when something besides the IMU held the estimate last
-        self._held_sigma_m = 0.0  # how well the position was known then
-        self._agreed_ns: int | None = None  # when landmarks did not contradict it last
-        self._lost: str | None = None  # why
+        self._constrained_ns: int | None = None  # last time at which more than the IMU constrained the estimate
+        self._constrained_sigma_m = 0.0  # standard deviation of the position at that time
+        self._consistent_ns: int | None = None  # last time at which landmarks did not contradict the estimate
+        self._lost_reason: str | None = None
 
-    def recalibrate(self, rig: Rig) -> None:
-        """Take over a better calibration of the cameras' mounting."""
-        self._Ts_imu_cam = np.stack([camera.T_imu_cam for camera in rig.cameras])
-
-    def hold(self, keyframe: NavState, landmarks: TriangulatedLandmarks) -> None:
-        """Take what the next frames are measured against.
+    def set_reference(self, keyframe: NavState, landmarks: TriangulatedLandmarks) -> None:
+        """Set what the next frames are compared with.
 
         Args:
             keyframe: The newest keyframe's state.
@@ -101,43 +95,46 @@ class HealthMonitor:
         """
         self._keyframe, self._landmarks = keyframe, landmarks
 
-    def judge(self, seen: Observations, predicted: NavState, still: bool) -> HealthReport:
-        """Return what the estimate is worth at a frame.
+    def assess(
+        self, observations: Observations, predicted: NavState, stationary: bool, calibration: Calibration
+    ) -> HealthReport:
+        """Return the health of the estimate at a frame.
 
         Args:
-            seen: The features followed into the frame.
-            predicted: The state that the IMU predicts for it, from the newest keyframe.
-            still: Whether the drone stands still, so that it is held by that.
+            observations: The features tracked into the frame.
+            predicted: The state that the IMU predicts for the frame from the newest keyframe.
+            stationary: Whether the vehicle is stationary, which constrains the estimate.
+            calibration: The calibration in use.
         """
         if not _is_finite(predicted):
-            self._lost = self._lost or "the state is no number"
-            return HealthReport(Health.LOST, self._lost, tracks=len(seen))
-        rows, places = _common(self._landmarks.ids, seen.ids)
-        innovation_px, nis = self._innovation(rows, seen, places, predicted)
+            self._lost_reason = self._lost_reason or "the state is not finite"
+            return HealthReport(Health.LOST, self._lost_reason, tracks=len(observations))
+        rows, columns = _common(self._landmarks.ids, observations.ids)
+        innovation_px, nis = self._innovation(rows, observations, columns, predicted, calibration)
         position_sigma_m, velocity_sigma_m_s = _sigmas(predicted)
         bias = np.concatenate([predicted.gyro_bias_rad_s, predicted.accel_bias_m_s2])
         bias_sigmas = float((np.abs(bias) / self._bias_sigmas).max())
         enough = len(rows) >= self._config.min_landmarks
-        inertial_only_s = self._blind(predicted.t_ns, enough or still, position_sigma_m)
-        allowed_px = self._config.max_innovation_px + self._turned_px(predicted)
-        contradicted_s = self._contradicted(predicted.t_ns, enough and innovation_px > allowed_px)
-        if self._lost is None:
-            self._lost = self._why_lost(predicted, bias_sigmas, position_sigma_m, contradicted_s)
-        if self._lost is not None:
-            state, reason = Health.LOST, self._lost
+        inertial_only_s = self._inertial_only_s(predicted.t_ns, enough or stationary, position_sigma_m)
+        allowed_px = self._config.max_innovation_px + self._rotation_uncertainty_px(predicted, calibration)
+        contradicted_s = self._contradicted_s(predicted.t_ns, enough and innovation_px > allowed_px)
+        if self._lost_reason is None:
+            self._lost_reason = self._reason_of_loss(predicted, bias_sigmas, position_sigma_m, contradicted_s)
+        if self._lost_reason is not None:
+            state, reason = Health.LOST, self._lost_reason
         elif enough:
-            state, reason = Health.TRACKING, f"{len(rows)} landmarks hold it"
-        elif still:
-            state, reason = Health.TRACKING, "the drone stands still"
-        elif len(seen) >= self._config.min_landmarks and inertial_only_s <= self._config.settling_s:
-            state, reason = Health.TRACKING, "features are followed, and will soon be landmarks"
+            state, reason = Health.TRACKING, f"constrained by {len(rows)} landmarks"
+        elif stationary:
+            state, reason = Health.TRACKING, "stationary"
+        elif len(observations) >= self._config.min_landmarks and inertial_only_s <= self._config.settling_s:
+            state, reason = Health.TRACKING, "features are tracked and not triangulated yet"
         else:
-            found = f"{len(rows)} landmarks hold it; {self._config.min_landmarks} are needed"
+            found = f"constrained by {len(rows)} landmarks; {self._config.min_landmarks} are needed"
             state, reason = Health.INERTIAL_ONLY, found
         return HealthReport(
             state,
             reason,
-            tracks=len(seen),
+            tracks=len(observations),
             landmarks=len(rows),
             median_parallax_rad=_median(self._landmarks.parallax_rad[rows]) if len(rows) else None,
             innovation_px=innovation_px if len(rows) else None,
@@ -145,103 +142,108 @@ class HealthMonitor:
             bias_sigmas=bias_sigmas,
             position_sigma_m=position_sigma_m,
             velocity_sigma_m_s=velocity_sigma_m_s,
-            inertial_only_s=inertial_only_s,
+            blind_s=inertial_only_s,
         )
 
-    def _innovation(self, rows: Rows, seen: Observations, places: Rows, predicted: NavState) -> tuple[float, float]:
-        """Return the landmarks' median innovation [px], and its normalized square; 0 without landmarks.
+    def _innovation(
+        self,
+        rows: Integers,
+        observations: Observations,
+        columns: Integers,
+        predicted: NavState,
+        calibration: Calibration,
+    ) -> tuple[float, float]:
+        """Return the median innovation of the landmarks [px] and its normalized square (NIS); 0 without landmarks.
 
-        The landmarks' own positions are taken as certain.
+        The positions of the landmarks are taken as exact.
         """
         if not len(rows):
             return 0.0, 0.0
-        camera, R, p = seen.camera[places], predicted.T_world_imu[:3, :3], predicted.T_world_imu[:3, 3]
-        Ts_imu_cam, focal_px = self._Ts_imu_cam[camera], self._focal_px[camera][:, None]
+        camera, R, p = observations.camera[columns], predicted.T_world_imu[:3, :3], predicted.T_world_imu[:3, 3]
+        Ts_imu_cam, focal_px = calibration.Ts_imu_cam[camera], calibration.focal_px[camera][:, None]
         in_imu = (self._landmarks.points[rows] - p) @ R
-        axes = np.swapaxes(Ts_imu_cam[:, :3, :3], 1, 2)  # of the cameras, in the IMU frame, in rows
+        axes = np.swapaxes(Ts_imu_cam[:, :3, :3], 1, 2)  # rows: the camera axes in the IMU frame
         in_cam = (axes @ (in_imu - Ts_imu_cam[:, :3, 3])[:, :, None])[:, :, 0]
         z = np.maximum(in_cam[:, 2:], MIN_DEPTH_M)
         xy = in_cam[:, :2] / z
-        residual = focal_px * (seen.xy[places] - xy)
-        slopes = (focal_px / z)[:, :, None] * (
-            axes[:, :2] - xy[:, :, None] * axes[:, 2:]
-        )  # pixels by metres, IMU frame
-        moved, turned_rad2 = self._pose_covariance(predicted)
-        J_u, J_v = slopes[:, 0] @ R.T, slopes[:, 1] @ R.T
-        noise = self._pixel_sigma**2 + turned_rad2 * focal_px[:, 0] ** 2
-        a, b, d = ((J @ moved * K).sum(axis=1) for J, K in ((J_u, J_u), (J_u, J_v), (J_v, J_v)))
+        residual = focal_px * (observations.xy[columns] - xy)
+        J_imu = (focal_px / z)[:, :, None] * (axes[:, :2] - xy[:, :, None] * axes[:, 2:])  # [px/m]
+        position_covariance, rotation_variance = self._prediction_covariance(predicted)
+        J_u, J_v = J_imu[:, 0] @ R.T, J_imu[:, 1] @ R.T
+        noise = self._pixel_sigma**2 + rotation_variance * focal_px[:, 0] ** 2
+        a, b, d = ((J @ position_covariance * K).sum(axis=1) for J, K in ((J_u, J_u), (J_u, J_v), (J_v, J_v)))
         a, d = a + noise, d + noise  # S = (a b; b d), the innovation's covariance
         u, v = residual.T
         squares = (d * u * u - 2.0 * b * u * v + a * v * v) / (a * d - b * b)
         return _median(np.hypot(u, v)), _median(squares) / MEDIAN_CHI2_2DOF
 
-    def _pose_covariance(self, predicted: NavState) -> tuple[Array, float]:
-        """Return how uncertain the prediction has become since the newest keyframe.
+    def _prediction_covariance(self, predicted: NavState) -> tuple[Array, float]:
+        """Return the uncertainty of the prediction since the newest keyframe.
 
-        Leading terms of `propagate_covariance`, which over some tenths of a second are nearly all of it.
+        These are the leading terms of `propagate_covariance` over some tenths of a second.
 
         Returns:
-            The covariance (3, 3) of the position [m²], and the variance of the orientation about any axis [rad²].
+            The covariance (3, 3) of the position [m²] and the variance of the orientation about any axis [rad²].
         """
         start, imu = self._keyframe, self._imu
         if start is None or start.covariance is None:
             return np.zeros((3, 3)), 0.0
         t, P = (predicted.t_ns - start.t_ns) * 1e-9, start.covariance
         gyro_bias, accel_bias = float(np.trace(P[9:12, 9:12])) / 3.0, float(np.trace(P[12:, 12:])) / 3.0
-        pushed = 0.25 * t**4 * accel_bias + imu.accel_noise_density**2 * t**3 / 3.0
-        return t * t * P[6:9, 6:9] + pushed * np.eye(3), t * t * gyro_bias + t * imu.gyro_noise_density**2
+        accel_variance = 0.25 * t**4 * accel_bias + imu.accel_noise_density**2 * t**3 / 3.0
+        return t * t * P[6:9, 6:9] + accel_variance * np.eye(3), t * t * gyro_bias + t * imu.gyro_noise_density**2
 
-    def _turned_px(self, predicted: NavState) -> float:
-        """Return how far the doubt in the turn since the newest keyframe moves what is seen [px]."""
+    def _rotation_uncertainty_px(self, predicted: NavState, calibration: Calibration) -> float:
+        """Return the effect of the rotation's uncertainty since the newest keyframe on the image [px]."""
         start = self._keyframe
         if start is None or start.covariance is None or predicted.covariance is None:
             return 0.0
         variance = float(np.linalg.norm(predicted.covariance[:3, :3], 2) - np.linalg.norm(start.covariance[:3, :3], 2))
-        return float(self._focal_px[0]) * math.sqrt(max(variance, 0.0))
+        return float(calibration.focal_px[0]) * math.sqrt(max(variance, 0.0))
 
-    def _blind(self, t_ns: int, held: bool, position_sigma_m: float) -> float:
-        """Return for how long nothing but the IMU has held the estimate [s]."""
-        if held or self._held_ns is None:
-            self._held_ns, self._held_sigma_m = t_ns, position_sigma_m
-        return (t_ns - self._held_ns) * 1e-9
+    def _inertial_only_s(self, t_ns: int, constrained: bool, position_sigma_m: float) -> float:
+        """Return the time for which the IMU alone has propagated the estimate [s]."""
+        if constrained or self._constrained_ns is None:
+            self._constrained_ns, self._constrained_sigma_m = t_ns, position_sigma_m
+        return (t_ns - self._constrained_ns) * 1e-9
 
-    def _contradicted(self, t_ns: int, contradicted: bool) -> float:
-        """Return for how long landmarks have contradicted the estimate [s]."""
-        if not contradicted or self._agreed_ns is None:
-            self._agreed_ns = t_ns
-        return (t_ns - self._agreed_ns) * 1e-9
+    def _contradicted_s(self, t_ns: int, contradicted: bool) -> float:
+        """Return the time for which landmarks have contradicted the estimate [s]."""
+        if not contradicted or self._consistent_ns is None:
+            self._consistent_ns = t_ns
+        return (t_ns - self._consistent_ns) * 1e-9
 
-    def _why_lost(
+    def _reason_of_loss(
         self, predicted: NavState, bias_sigmas: float, position_sigma_m: float, contradicted_s: float
     ) -> str | None:
-        """Say why the estimate means nothing; None where it does."""
+        """Return the reason why the estimate is lost, or None where it is not."""
         c, speed_m_s = self._config, float(np.linalg.norm(predicted.velocity_m_s))
         if speed_m_s > c.max_speed_m_s:
             return f"a speed of {speed_m_s:.0f} m/s"
         if bias_sigmas > c.max_bias_sigmas:
             return f"a bias of {bias_sigmas:.0f} standard deviations"
-        if contradicted_s > c.contradicted_s:
-            return f"landmarks have been elsewhere for {contradicted_s:.1f} s"
-        grown_m = float(np.sqrt(max(position_sigma_m**2 - self._held_sigma_m**2, 0.0)))
-        if grown_m > c.max_blind_sigma_m:
-            return f"the IMU alone has let the position go, to {grown_m:.1f} m"
+        if contradicted_s > c.max_contradiction_s:
+            return f"landmarks have contradicted the estimate for {contradicted_s:.1f} s"
+        grown_m = float(np.sqrt(max(position_sigma_m**2 - self._constrained_sigma_m**2, 0.0)))
+        if grown_m > c.max_inertial_sigma_m:
+            return f"the position has drifted by {grown_m:.1f} m (one sigma) on the IMU alone"
         return None
 
 
 def _median(values: Array) -> float:
-    """Return the median of values (N,), N > 0, the upper one of an even number: a fifth of `numpy.median`'s cost."""
+    """Return the upper median of values (N,), N > 0, at a fifth of the cost of `numpy.median`."""
     return float(np.partition(values, len(values) // 2)[len(values) // 2])
 
 
-def _common(ids: npt.NDArray[np.int64], others: npt.NDArray[np.int64]) -> tuple[Rows, Rows]:
-    """Return where the identities that two increasing arrays have in common stand in each."""
-    places = np.minimum(np.searchsorted(others, ids), len(others) - 1) if len(others) else np.zeros(0, np.int64)
-    rows = np.flatnonzero(others[places] == ids) if len(others) else places
-    return rows, places[rows]
+def _common(ids: Integers, others: Integers) -> tuple[Integers, Integers]:
+    """Return the rows of the common identities in each of two increasing arrays."""
+    columns = np.minimum(np.searchsorted(others, ids), len(others) - 1) if len(others) else np.zeros(0, np.int64)
+    rows = np.flatnonzero(others[columns] == ids) if len(others) else columns
+    return rows, columns[rows]
 
 
 def _is_finite(state: NavState) -> bool:
-    """Say whether all numbers of a state are numbers."""
+    """Return whether all numbers of a state are finite."""
     known = () if state.covariance is None else (state.covariance,)
     parts = (state.T_world_imu, state.velocity_m_s, state.gyro_bias_rad_s, state.accel_bias_m_s2, *known)
     return all(bool(np.isfinite(part).all()) for part in parts)

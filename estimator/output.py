@@ -1,4 +1,4 @@
-"""Answers: what is told of a frame, and what is kept back until it is certain."""
+"""The output of the odometry: estimates with their events, withheld until they are certain enough."""
 
 from dataclasses import replace
 
@@ -6,35 +6,34 @@ import numpy as np
 import numpy.typing as npt
 
 from dronevio.estimator.imu.buffer import IMU_GAP
-from dronevio.estimator.initialization.initializer import Initializer
+from dronevio.estimator.initialization.initializer import InitializerConfig, not_ready_reason
 from dronevio.estimator.types import FramePacket, Observations
 from dronevio.models.state import Estimate, FeatureTracks, Health, HealthReport, NavState
 
 Array = npt.NDArray[np.float64]
 
 
-class Answers:
-    """Makes an `Estimate` of what is known at a frame.
+class Publisher:
+    """Makes an `Estimate` of the state at each frame.
 
-    After a start, nothing is told until the initializer's doubt is gone; from then on, all is, until a loss.
+    After an initialization no state is published before its covariance is small enough; from then on every state is
+    published, until a loss.
     """
 
-    def __init__(self, initializer: Initializer, imu_rate_hz: float, max_innovation_px: float) -> None:
+    def __init__(self, config: InitializerConfig, imu_rate_hz: float) -> None:
         """Begin before the first frame.
 
         Args:
-            initializer: Doubts a start, and remembers what was believed last.
-            imu_rate_hz: Samples of the IMU a second [Hz].
-            max_innovation_px: A state with a larger innovation is told, but not believed [px].
+            config: Determines when the first state is certain enough.
+            imu_rate_hz: Sampling rate of the IMU [Hz].
         """
-        self._initializer, self._max_innovation_px = initializer, max_innovation_px
-        self._imu_rate_hz = imu_rate_hz
-        self._waiting = Health.INITIALIZING  # what it is called to be without a state
-        self._is_told = False  # whether the state is certain enough to be told
-        self._doubted: set[int] = set()  # cameras that contradict their calibration
-        self._silence_s: list[float] = []  # for how long in each of the last frames the IMU has been silent
+        self._config, self._imu_rate_hz = config, imu_rate_hz
+        self._waiting = Health.INITIALIZING  # the health of an estimate without a state
+        self._is_publishing = False
+        self._miscalibrated: frozenset[int] = frozenset()  # cameras whose extrinsics are contradicted
+        self._gaps_s: tuple[float, ...] = ()  # the gap of the IMU in each of the last frames
 
-    def known(
+    def estimate(
         self,
         packet: FramePacket,
         state: NavState,
@@ -42,56 +41,66 @@ class Answers:
         events: tuple[str, ...] = (),
         landmarks_world: Array | None = None,
     ) -> Estimate:
-        """Return what is known at a frame, if it is certain enough to be told."""
-        if not self._is_told:
-            doubt = self._initializer.doubt(state)
-            if doubt is not None:
-                return self.unknown(packet, str(doubt), report)
-            self._is_told = True
-            events = ("initialized" if self._waiting is Health.INITIALIZING else "recovered", *events)
-        if (report.innovation_px or 0.0) <= self._max_innovation_px:
-            self._initializer.believe(state)
-        events = (*events, *self._gaps(packet), *self._doubts(packet))
-        tracks = _feature_tracks(packet.observations)
-        return Estimate(packet.t_ns, report.health, state, tracks, landmarks_world, events, report)
+        """Return the estimate of a frame with a state, which is withheld if it is not certain enough.
 
-    def unknown(
-        self, packet: FramePacket, why: str, report: HealthReport | None = None, events: tuple[str, ...] = ()
-    ) -> Estimate:
-        """Return an estimate without a state, and why there is none."""
-        known = report or HealthReport(self._waiting, why, tracks=len(packet.observations))
-        report = replace(known, health=self._waiting, reason=why)
-        events = (*events, *self._gaps(packet), *self._doubts(packet))
+        Args:
+            packet: The frame.
+            state: The state at the frame.
+            report: Its health.
+            events: Events at the frame, as texts for people.
+            landmarks_world: (L, 3) Landmarks that constrain the estimate [m]; only on keyframes.
+        """
+        if not self._is_publishing:
+            not_ready = not_ready_reason(state, self._config)
+            if not_ready is not None:
+                return self.without_state(packet, str(not_ready), report)
+            self._is_publishing = True
+            events = ("initialized" if self._waiting is Health.INITIALIZING else "recovered", *events)
         tracks = _feature_tracks(packet.observations)
+        return Estimate(
+            packet.t_ns, report.health, state, tracks, landmarks_world, (*events, *self._sensor_events(packet)), report
+        )
+
+    def without_state(
+        self, packet: FramePacket, reason: str, report: HealthReport | None = None, events: tuple[str, ...] = ()
+    ) -> Estimate:
+        """Return the estimate of a frame without a state, with the reason."""
+        known = report or HealthReport(self._waiting, reason, tracks=len(packet.observations))
+        report = replace(known, health=self._waiting, reason=reason)
+        tracks = _feature_tracks(packet.observations)
+        events = (*events, *self._sensor_events(packet))
         return Estimate(packet.t_ns, self._waiting, None, tracks, events=events, health_report=report)
 
     def lost(self, packet: FramePacket, report: HealthReport) -> Estimate:
-        """Return an estimate that has been given up; what starts next is miscalibrated anew."""
-        self._waiting, self._is_told = Health.LOST, False
-        return self.unknown(packet, report.reason, report, (f"lost: {report.reason}",))
+        """Return the estimate of a frame at which the state is lost; the next one has to be certain again."""
+        self._waiting, self._is_publishing = Health.LOST, False
+        return self.without_state(packet, report.reason, report, (f"lost: {report.reason}",))
 
-    def _gaps(self, packet: FramePacket) -> tuple[str, ...]:
-        """Say when the IMU falls silent; and where that lasts for frames, when it is back."""
-        longest_s, silence_s = packet.increments.longest_s, self._silence_s
+    def _sensor_events(self, packet: FramePacket) -> tuple[str, ...]:
+        return (*self._gap_events(packet), *self._calibration_events(packet.observations))
+
+    def _gap_events(self, packet: FramePacket) -> tuple[str, ...]:
+        """Return an event when a gap of the IMU begins, and one when a gap of several frames ends."""
+        longest_s = packet.increments.longest_s
         if longest_s * self._imu_rate_hz > IMU_GAP:
-            silence_s.append(longest_s)
-            return (f"no IMU for {longest_s:.2f} s",) if len(silence_s) == 1 else ()
-        self._silence_s = []
-        return (f"no IMU for {sum(silence_s):.2f} s: it is back",) if len(silence_s) > 1 else ()
+            self._gaps_s = (*self._gaps_s, longest_s)
+            return (f"no IMU for {longest_s:.2f} s",) if len(self._gaps_s) == 1 else ()
+        gaps_s, self._gaps_s = self._gaps_s, ()
+        return (f"IMU again after a gap of {sum(gaps_s):.2f} s",) if len(gaps_s) > 1 else ()
 
-    def _doubts(self, packet: FramePacket) -> tuple[str, ...]:
-        """Say which cameras turn out not to be where the calibration says, and which are used again."""
-        seen = packet.observations
-        miscalibrated, agreeing = set(seen.miscalibrated.camera.tolist()), set(seen.matches.camera.tolist())
-        new, settled = sorted(miscalibrated - self._doubted), sorted(self._doubted & (agreeing - miscalibrated))
-        self._doubted = (self._doubted | miscalibrated) - set(settled)
+    def _calibration_events(self, observations: Observations) -> tuple[str, ...]:
+        """Return events for cameras whose matches begin, or cease, to contradict their extrinsic calibration."""
+        contradicted = set(observations.miscalibrated.camera.tolist())
+        agreeing = set(observations.matches.camera.tolist()) - contradicted
+        new, settled = sorted(contradicted - self._miscalibrated), sorted(self._miscalibrated & agreeing)
+        self._miscalibrated = (self._miscalibrated | contradicted) - set(settled)
         return (
-            *(f"camera {i} is not mounted as calibrated: not used for depth" for i in new),
-            *(f"camera {i} agrees with its calibration: used for depth" for i in settled),
+            *(f"camera {i} contradicts its extrinsic calibration: not used for depth" for i in new),
+            *(f"camera {i} agrees with its extrinsic calibration: used for depth" for i in settled),
         )
 
 
 def _feature_tracks(observations: Observations) -> FeatureTracks:
-    """Return the features that the main camera follows."""
-    main = observations.camera == 0
-    return FeatureTracks(observations.ids[main], observations.pixels[main], observations.ages[main])
+    """Return the features that the first camera tracks."""
+    first = observations.camera == 0
+    return FeatureTracks(observations.ids[first], observations.pixels[first], observations.ages[first])

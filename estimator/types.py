@@ -82,7 +82,7 @@ class Observations:
         return Observations(**left, matches=self.matches.without(ids), miscalibrated=self.miscalibrated.without(ids))
 
 
-NO_OBSERVATIONS = Observations(np.zeros(0, np.int64), np.zeros((0, 2)), np.zeros((0, 2)), np.zeros(0, np.int64))
+NO_FEATURES = Observations(np.zeros(0, np.int64), np.zeros((0, 2)), np.zeros((0, 2)), np.zeros(0, np.int64))
 """The observations of a frame without features."""
 
 

@@ -1,10 +1,12 @@
-"""Visual-inertial odometry: cameras and an IMU in, where the IMU is out.
+"""Visual-inertial odometry: the state of the IMU from cameras and an IMU.
 
-The pipeline of a keyframe-based fixed-lag smoother (Leutenegger et al., IJRR 2015; Qin et al., T-RO 2018): corners are
-followed from frame to frame, the IMU is preintegrated between keyframes, and every keyframe adds a state to a window
-that is optimized by Gauss-Newton. Between keyframes the newest state is carried forward by the IMU. What is returned
-for a frame is never revised.
+The pipeline of a keyframe-based fixed-lag smoother (Leutenegger et al., IJRR 2015; Qin et al., T-RO 2018): features are
+tracked from frame to frame, the IMU is preintegrated between keyframes, and each keyframe adds a state to a window that
+is optimized by Gauss-Newton. Between keyframes the newest state is propagated by the IMU. A published state is causal
+and is never revised.
 """
+
+from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
@@ -17,13 +19,14 @@ from dronevio.estimator.frontend.protocol import FrontEnd
 from dronevio.estimator.frontend.rig import RigTracker
 from dronevio.estimator.health import HealthMonitor
 from dronevio.estimator.imu.noise import ImuNoiseEstimator
+from dronevio.estimator.initialization.gauge import Gauge, LastPublished, WorldOrigin
 from dronevio.estimator.initialization.initializer import Initializer
 from dronevio.estimator.initialization.static import NotObservable
 from dronevio.estimator.initialization.zero_velocity import ZeroVelocityDetector
-from dronevio.estimator.output import Answers
-from dronevio.estimator.pipeline import Intake
-from dronevio.estimator.propagator import Interval
-from dronevio.estimator.types import FramePacket, Observations
+from dronevio.estimator.output import Publisher
+from dronevio.estimator.pipeline import MeasurementPipeline
+from dronevio.estimator.propagator import Propagator
+from dronevio.estimator.types import Calibration, FramePacket, Observations
 from dronevio.models.imu import ImuSamples
 from dronevio.models.rig import Rig
 from dronevio.models.state import CameraFrame, Estimate, Health, HealthReport, NavState
@@ -31,8 +34,28 @@ from dronevio.models.state import CameraFrame, Estimate, Health, HealthReport, N
 Array = npt.NDArray[np.float64]
 
 
+@dataclass(frozen=True, eq=False)
+class Initializing:
+    """The state of the odometry without an estimate: before the first initialization, or after a loss."""
+
+    initializer: Initializer
+    """Collects frames until the state is observable."""
+
+
+@dataclass(frozen=True, eq=False)
+class Tracking:
+    """The state of the odometry with an estimate."""
+
+    smoother: KeyframeSmoother
+    """Estimates the states of the keyframes."""
+    monitor: HealthMonitor
+    """Assesses the estimate."""
+    propagator: Propagator
+    """Predicts the state since the newest keyframe."""
+
+
 class VisualInertialOdometry:
-    """Estimates the motion of a rig from what is pushed into it, in time order.
+    """Estimates the motion of a rig from measurements that are pushed into it, in time order.
 
     Example:
         >>> vio = VisualInertialOdometry(rig)
@@ -44,124 +67,153 @@ class VisualInertialOdometry:
     """
 
     def __init__(self, rig: Rig, config: VioConfig | None = None, front_end: FrontEnd | None = None) -> None:
-        """Prepare for a rig.
+        """Begin before the first measurement.
 
         Args:
-            rig: The calibration.
+            rig: The calibration of the cameras and the IMU.
             config: Settings.
-            front_end: Where feature observations come from; by default the images.
+            front_end: Detects and tracks the features; by default in the images of all cameras.
         """
         self._config = c = config or VioConfig()
-        self._imu, self._noise = rig.imu, ImuNoiseEstimator(rig.imu, c.inertial, c.noise)
-        self._calibration = OnlineCalibration(rig, c.calibration)
-        self._intake = Intake(rig, front_end or RigTracker(rig, c.tracker), self._calibration)
-        self._stillness = ZeroVelocityDetector(c.stillness)
-        self._policy = KeyframePolicy(c.keyframe)
-        self._initializer = Initializer(rig.cameras, c.start, self._policy, self._noise.params, self._new_smoother)
-        self._answers = Answers(self._initializer, rig.imu.rate_hz, c.health.max_innovation_px)
-        self._smoother: KeyframeSmoother | None = None
-        self._monitor: HealthMonitor  # these two: since there is a smoother
-        self._interval: Interval
+        self._imu, self._noise = rig.imu, ImuNoiseEstimator(rig.imu, c.preintegration, c.noise)
+        self._online_calibration = OnlineCalibration(rig, c.calibration)
+        self._pipeline = MeasurementPipeline(rig.imu, front_end or RigTracker(rig, c.tracker))
+        self._zero_velocity = ZeroVelocityDetector(c.zero_velocity)
+        self._keyframe_policy = KeyframePolicy(c.keyframe)
+        self._publisher = Publisher(c.initialization, rig.imu.rate_hz)
+        self._gauge: Gauge = WorldOrigin(c.initialization.gyro_bias_sigma_rad_s)
+        self._state: Initializing | Tracking = self._initializing()
 
     def add_imu(self, samples: ImuSamples) -> None:
-        """Take the IMU samples since the last call."""
-        self._intake.add_imu(samples)
+        """Add the IMU samples since the last call."""
+        self._pipeline.add_imu(samples)
 
     def add_frame(self, frame: CameraFrame) -> Estimate:
-        """Take a frame and say where the IMU is.
+        """Add a frame and return the estimate at its time stamp.
 
         Raises:
-            ConfigError: The frame is not later than the last one, or its image is not one of the rig's camera.
+            ConfigError: The frame is not later than the last one, or an image does not fit its camera.
         """
-        packet = self._intake.take(frame, *self._gyro_bias)
-        self._stillness.update(packet.t_ns, packet.observations, packet.increments)
-        self._initializer.origin.turn(packet.increments)
-        estimate = self._start(packet) if self._smoother is None else self._go_on(self._smoother, packet)
-        return self._intake.stamped(estimate, frame)
+        packet = self._pipeline.process(frame, self._calibration, *self._gyro_bias)
+        self._zero_velocity.update(packet.t_ns, packet.observations, packet.increments)
+        self._gauge = self._gauge.propagated(packet.increments)
+        match self._state:
+            case Initializing():
+                estimate = self._initialize(self._state, packet)
+            case Tracking():
+                estimate = self._track(self._state, packet)
+        return self._pipeline.at_stamp(estimate, frame, self._calibration)
 
-    def _start(self, packet: FramePacket) -> Estimate:
-        """Start if that is possible by now."""
-        if self._initializer.wants_features(packet):
-            packet = self._intake.replenished(packet)
-        started = self._initializer.add(packet, self._stillness.stationary_s)
-        if isinstance(started, NotObservable):
-            return self._answers.unknown(packet, str(started))
-        c, self._smoother = self._config, started
-        self._monitor = HealthMonitor(self._calibration.rig, c.health, c.smoother.pixel_sigma)
-        self._begin_interval(started, packet.observations)
-        report = self._monitor.judge(packet.observations, started.state, self._stillness.stationary_s > 0.0)
-        return self._answers.known(packet, started.state, report)
+    def _initialize(self, state: Initializing, packet: FramePacket) -> Estimate:
+        """Initialize the estimate if it is observable."""
+        initializer, stationary_s = state.initializer, self._zero_velocity.stationary_s
+        if initializer.needs_features(packet):
+            packet = self._pipeline.replenish(packet, self._calibration)
+        smoother = initializer.add(packet, stationary_s, self._calibration, self._gauge, self._noise.params)
+        if isinstance(smoother, NotObservable):
+            return self._publisher.without_state(packet, str(smoother))
+        monitor = HealthMonitor(self._imu, self._config.health, self._config.smoother.pixel_sigma)
+        self._state = self._tracking(smoother, monitor, packet.observations)
+        report = monitor.assess(packet.observations, smoother.state, stationary_s > 0.0, self._calibration)
+        return self._publish(packet, smoother.state, report)
 
-    def _go_on(self, smoother: KeyframeSmoother, packet: FramePacket) -> Estimate:
-        """Carry the newest state forward to a frame, or make the frame a keyframe."""
-        stationary_s, seen = self._stillness.stationary_s, packet.observations
-        still = self._interval.would_be_stationary(packet, stationary_s)
-        events = () if still else self._end_rest(smoother)
-        self._interval.add(packet, still)
-        predicted = self._interval.state_at(packet.t_ns)
-        report = self._monitor.judge(seen, predicted, still)
+    def _track(self, tracking: Tracking, packet: FramePacket) -> Estimate:
+        """Propagate the newest state to a frame, or make the frame a keyframe."""
+        stationary_s = self._zero_velocity.stationary_s
+        stationary = tracking.propagator.would_be_stationary(packet, stationary_s)
+        events: tuple[str, ...] = ()
+        if not stationary:
+            tracking, events = self._end_stationary(tracking)
+        propagator = tracking.propagator
+        propagator.add(packet, stationary)
+        predicted = propagator.state_at(packet.t_ns)
+        report = tracking.monitor.assess(packet.observations, predicted, stationary, self._calibration)
         if report.health is Health.LOST:
             return self._lose(packet, report)
-        if not self._interval.is_over(stationary_s, seen, report.innovation_px):
-            self._calibration.work()
-            return self._answers.known(packet, predicted, report, events)
-        packet = self._intake.replenished(packet)
-        events = ("keyframe", *events, *self._add_keyframe(smoother, packet, still))
-        return self._answers.known(packet, smoother.state, report, events, smoother.landmarks)
+        if not propagator.is_keyframe_due(stationary_s, packet.observations, report.innovation_px):
+            self._online_calibration.step()
+            return self._publish(packet, predicted, report, events)
+        packet = self._pipeline.replenish(packet, self._calibration)
+        tracking, keyframe_events = self._add_keyframe(tracking, packet, stationary)
+        smoother, events = tracking.smoother, ("keyframe", *events, *keyframe_events)
+        return self._publish(packet, smoother.state, report, events, smoother.landmarks)
 
-    def _end_rest(self, smoother: KeyframeSmoother) -> tuple[str, ...]:
-        """Make the last settled frame of a rest a keyframe, if there was a rest; return what happened."""
-        settled, recent = self._interval.cut_to_rest()
+    def _end_stationary(self, tracking: Tracking) -> tuple[Tracking, tuple[str, ...]]:
+        """Make the last certainly stationary frame a keyframe, if there is one since the last keyframe."""
+        settled, recent = tracking.propagator.end_stationary()
         if settled is None:
-            return ()
-        events = self._add_keyframe(smoother, settled, still=True)
+            return tracking, ()
+        tracking, events = self._add_keyframe(tracking, settled, stationary=True)
         for packet in recent:
-            self._interval.add(packet)
-        return events
+            tracking.propagator.add(packet)
+        return tracking, events
 
-    def _add_keyframe(self, smoother: KeyframeSmoother, packet: FramePacket, still: bool) -> tuple[str, ...]:
-        """Add a keyframe where the interval ends, and begin another one there; return what happened."""
-        result = smoother.add_keyframe(packet.t_ns, self._interval.preintegrated, packet.observations, still)
+    def _add_keyframe(
+        self, tracking: Tracking, packet: FramePacket, stationary: bool
+    ) -> tuple[Tracking, tuple[str, ...]]:
+        """Add a keyframe at the end of the propagation, begin the next one there, and return events."""
+        smoother, propagator = tracking.smoother, tracking.propagator
+        result = smoother.add_keyframe(packet.t_ns, propagator.preintegrated, packet.observations, stationary)
         self._noise.update(result.imu_variance)
-        self._intake.discard(result.rejected)
-        events = (*result.events, *self._calibrate(smoother, packet, result))
-        self._begin_interval(smoother, packet.observations)
-        return events
+        self._pipeline.discard(result.rejected)
+        events = result.events
+        if self._calibrate(tracking, packet, result):
+            smoother = smoother.recalibrated(self._calibration, self._online_calibration.covariance_inflation)
+            events = (*events, f"calibration corrected: {self._online_calibration.applied}")
+        self._state = tracking = self._tracking(smoother, tracking.monitor, packet.observations)
+        return tracking, events
 
-    def _begin_interval(self, smoother: KeyframeSmoother, observations: Observations) -> None:
-        """Go on from the newest keyframe."""
-        self._interval = Interval(self._noise.params, self._imu, self._policy, smoother, observations)
-        self._monitor.hold(smoother.state, smoother.known_landmarks)
-
-    def _calibrate(self, smoother: KeyframeSmoother, packet: FramePacket, result: KeyframeResult) -> tuple[str, ...]:
-        """Learn from a keyframe what of the calibration is wrong, and go on with what is right; say so."""
-        calibration, seen = self._calibration, packet.observations.without(result.rejected)
-        if result.events or self._interval.is_degraded:
-            calibration.restart()
-        if self._interval.is_degraded:
-            return ()
-        if not calibration.add(smoother.state, self._intake.rate_rad_s, self._interval.preintegrated, seen):
-            return ()
-        self._intake.recalibrate()
-        self._monitor.recalibrate(calibration.rig)
-        self._initializer.recalibrate(calibration.rig.cameras)
-        smoother.recalibrate(calibration.rig.cameras, calibration.doubt)
-        return (f"calibration corrected: {calibration.applied}",)
+    def _calibrate(self, tracking: Tracking, packet: FramePacket, result: KeyframeResult) -> bool:
+        """Add a keyframe to the online calibration and return whether the calibration has changed."""
+        propagator = tracking.propagator
+        if result.events or propagator.is_degraded:
+            self._online_calibration.restart()
+        if propagator.is_degraded:
+            return False
+        observations = packet.observations.without(result.rejected)
+        angular_velocity = self._pipeline.angular_velocity_rad_s
+        return self._online_calibration.add(
+            tracking.smoother.state, angular_velocity, propagator.preintegrated, observations
+        )
 
     def _lose(self, packet: FramePacket, report: HealthReport) -> Estimate:
-        """Give the estimate up, and look for a new start, from where the drone was last believed to be."""
-        self._smoother = None
-        self._initializer.begin_anew()
-        self._calibration.restart()
-        return self._answers.lost(packet, report)
+        """Discard the estimate and begin another initialization, which continues from the last published pose."""
+        self._state = self._initializing()
+        self._online_calibration.restart()
+        return self._publisher.lost(packet, report)
 
-    def _new_smoother(self, start: NavState, covariance: Array, observations: Observations) -> KeyframeSmoother:
-        c, cameras = self._config, self._calibration.rig.cameras
-        return KeyframeSmoother(cameras, c.smoother, c.landmarks, start, covariance, observations)
+    def _publish(
+        self,
+        packet: FramePacket,
+        state: NavState,
+        report: HealthReport,
+        events: tuple[str, ...] = (),
+        landmarks_world: Array | None = None,
+    ) -> Estimate:
+        """Return the estimate of a frame, and keep its pose as the gauge after a loss if landmarks agree with it."""
+        estimate = self._publisher.estimate(packet, state, report, events, landmarks_world)
+        agrees = (report.innovation_px or 0.0) <= self._config.health.max_innovation_px
+        if estimate.state is not None and agrees:
+            self._gauge = LastPublished.of(state)
+        return estimate
+
+    def _initializing(self) -> Initializing:
+        c = self._config
+        return Initializing(Initializer(c.initialization, c.smoother, c.landmarks, self._keyframe_policy, self._gauge))
+
+    def _tracking(self, smoother: KeyframeSmoother, monitor: HealthMonitor, observations: Observations) -> Tracking:
+        """Return the tracking state at the smoother's newest keyframe."""
+        monitor.set_reference(smoother.state, smoother.known_landmarks)
+        propagator = Propagator(self._noise.params, self._imu, self._keyframe_policy, smoother, observations)
+        return Tracking(smoother, monitor, propagator)
+
+    @property
+    def _calibration(self) -> Calibration:
+        return self._online_calibration.calibration
 
     @property
     def _gyro_bias(self) -> tuple[Array, float]:
-        """What is known of the gyroscope's bias (3,), and how well [rad/s]."""
-        if self._smoother is None:
-            return self._initializer.gyro_bias_rad_s, self._initializer.gyro_bias_sigma_rad_s
-        return self._smoother.state.gyro_bias_rad_s, 0.0
+        """The estimated gyroscope bias (3,) and its standard deviation [rad/s]."""
+        if isinstance(self._state, Initializing):
+            return self._state.initializer.gyro_bias
+        return self._state.smoother.state.gyro_bias_rad_s, 0.0

@@ -67,6 +67,10 @@ class LandmarkDatabase:
         self.points: Array = np.zeros((0, 3))
         """(L, 3) Positions of the triangulated landmarks in the world frame [m]; the optimizer replaces them."""
 
+    def set_points(self, points: Array) -> None:
+        """Set the positions (L, 3) of all landmarks [m], after a step of the optimization."""
+        self.points = points
+
     def add_observations(self, k: int, observations: Observations) -> None:
         """Add the observations of keyframe k."""
         self._all += observation_table(k, observations)

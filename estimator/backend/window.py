@@ -114,7 +114,17 @@ class Window:
         delta_points = system.visual.back_substitute(delta_states[:, :POSE_DIM])
         delta_points[self._persistent_rows()] = delta[STATE_DIM * K :].reshape(-1, POINT_DIM)
         self.states = {k: state.retract(d) for (k, state), d in zip(self.states.items(), delta_states, strict=True)}
-        self.landmarks.points = self.landmarks.points + delta_points
+        self.landmarks.set_points(self.landmarks.points + delta_points)
+
+    @property
+    def estimates(self) -> tuple[dict[int, KeyframeState], Array]:
+        """The current estimates of the states and the landmarks, for `restore`."""
+        return self.states, self.landmarks.points
+
+    def restore(self, estimates: tuple[dict[int, KeyframeState], Array]) -> None:
+        """Return to earlier estimates of the same keyframes and landmarks."""
+        self.states, points = estimates
+        self.landmarks.set_points(points)
 
     def oldest_imu_variance(self, solved: CholeskyFactor) -> ImuVarianceComponents | None:
         """Return the variance components of the IMU factor between the two oldest keyframes, None without one.

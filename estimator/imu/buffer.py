@@ -155,6 +155,6 @@ class ImuBuffer:
 
     def _saturation_sigma(self, samples: ImuSamples) -> Array:
         """Return the excess standard deviations (N, 6) of samples; zero where they are within the range."""
-        return SATURATION_SIGMA * np.hstack(
-            [self._gyro_limit.saturation_limits(samples.gyro_rad_s), self._accel_limit.saturation_limits(samples.accel_m_s2)]
-        )
+        gyro = self._gyro_limit.saturation_limits(samples.gyro_rad_s)
+        accel = self._accel_limit.saturation_limits(samples.accel_m_s2)
+        return SATURATION_SIGMA * np.hstack([gyro, accel])

@@ -1,6 +1,9 @@
-"""Where a start puts position and yaw, which nothing observes: at zero, or where the drone was when it was lost."""
+"""The gauge of an initialization: position and yaw, which are not observable, and what is known of the gyroscope bias.
 
-from dataclasses import replace
+The first initialization is at the origin. After a loss, the odometry continues from the last published pose.
+"""
+
+from dataclasses import dataclass, field, replace
 from typing import Protocol
 
 import numpy as np
@@ -13,78 +16,117 @@ from dronevio.models.state import NavState
 
 Array = npt.NDArray[np.float64]
 
-LEAST_SPEED_M_S = 1.0
-"""While nothing is known of where it goes, a drone may be at least so fast [m/s]: one that hovered may have left."""
+MIN_SPEED_M_S = 1.0
+"""Lower bound of the speed at which the position uncertainty grows after a loss [m/s]: a hovering vehicle may have
+accelerated since."""
 GYRO_BIAS_SIGMA_RAD_S = 0.003
-"""How well the gyroscope's bias is known after a flight [rad/s]."""
+"""Standard deviation of the gyroscope bias after a flight [rad/s]."""
 
 
-class Origin(Protocol):
-    """Gives a start its position and yaw."""
+class Gauge(Protocol):
+    """Determines position and yaw of an initial state."""
 
-    def turn(self, increments: Increments) -> None:
-        """Take the IMU since the last call."""
+    @property
+    def gyro_bias_rad_s(self) -> Array:
+        """(3,) Estimate of the gyroscope bias before the initialization [rad/s]."""
 
-    def place(self, start: NavState, since: Increments) -> NavState:
-        """Return a start, moved to where it belongs.
+    @property
+    def gyro_bias_sigma_rad_s(self) -> float:
+        """Standard deviation of that estimate [rad/s]."""
+
+    def propagated(self, increments: Increments) -> "Gauge":
+        """Return the gauge after the IMU increments since the last call."""
+
+    def align(self, start: NavState, since: Increments) -> NavState:
+        """Return an initial state with the gauge's position and yaw.
 
         Args:
-            start: A state at any position and of any yaw.
-            since: The IMU between it and what `turn` took last.
+            start: A state of arbitrary position and yaw.
+            since: The IMU increments from it to the end of those that the gauge was propagated over.
         """
 
     def covariance(self, start: NavState, sigmas: InitialSigmas) -> Array:
-        """Return how sure a placed start is: a covariance (15, 15) in the order of `NavState`."""
+        """Return the covariance (15, 15) of an aligned state, in the order of `NavState`."""
 
 
-class Zero:
-    """The first start is where the world begins."""
+@dataclass(frozen=True, eq=False)
+class WorldOrigin:
+    """The gauge of the first initialization: the initial state defines the world frame."""
 
-    def turn(self, increments: Increments) -> None:
-        """Take the IMU since the last call, for nothing."""
+    gyro_bias_sigma_rad_s: float
+    """Standard deviation of a gyroscope bias of which nothing is known yet [rad/s]."""
+    gyro_bias_rad_s: Array = field(default_factory=lambda: np.zeros(3))
+    """(3,) Estimate of the gyroscope bias [rad/s]."""
 
-    def place(self, start: NavState, since: Increments) -> NavState:
-        """Return a start as it is."""
+    def propagated(self, increments: Increments) -> "WorldOrigin":
+        """Return the gauge unchanged."""
+        return self
+
+    def align(self, start: NavState, since: Increments) -> NavState:
+        """Return the initial state unchanged."""
         return start
 
     def covariance(self, start: NavState, sigmas: InitialSigmas) -> Array:
-        """Return how sure a start is; of position and yaw it is by definition."""
+        """Return the covariance (15, 15) of an initial state; position and yaw are known by definition."""
         return sigmas.covariance(start.T_world_imu[:3, :3])
 
 
-class LastBelieved:
-    """After a loss, the odometry goes on from the last pose that was believed, turned by what the gyroscope says.
+@dataclass(frozen=True, eq=False)
+class LastPublished:
+    """The gauge after a loss: the last published pose, rotated by the gyroscope since.
 
-    What the drone flew while it was lost is missing from the position: nothing knows it, and the covariance says so.
+    The distance flown while lost is missing from the position. It is unknown, and the covariance accounts for it.
     """
 
-    def __init__(self, believed: NavState) -> None:
-        self._believed = believed
-        self._R_world_imu = believed.T_world_imu[:3, :3]
-        self._doubt_rad2 = 0.0  # variance of what a gyroscope at its limit has not told of the turn since
+    published: NavState
+    """The last published state."""
+    R_world_imu: Array
+    """(3, 3) Its orientation, propagated by the gyroscope."""
+    excess_variance_rad2: float = 0.0
+    """Variance of the rotation since, due to saturation and gaps of the gyroscope [rad²]."""
 
-    def turn(self, increments: Increments) -> None:
-        """Take the IMU since the last call."""
-        self._R_world_imu = self._R_world_imu @ increments.rotation(self._believed.gyro_bias_rad_s)
-        self._doubt_rad2 += float((increments.dt_s @ increments.excess_density[:, :3]).max())
+    @classmethod
+    def of(cls, published: NavState) -> "LastPublished":
+        """Return the gauge at a published state."""
+        return cls(published, published.T_world_imu[:3, :3])
 
-    def place(self, start: NavState, since: Increments) -> NavState:
-        """Return a start at the last position, and of the yaw that makes its end that of the gyroscope."""
+    @property
+    def gyro_bias_rad_s(self) -> Array:
+        """(3,) The published gyroscope bias [rad/s]."""
+        return self.published.gyro_bias_rad_s
+
+    @property
+    def gyro_bias_sigma_rad_s(self) -> float:
+        """Standard deviation of the published gyroscope bias [rad/s]."""
+        return GYRO_BIAS_SIGMA_RAD_S
+
+    def propagated(self, increments: Increments) -> "LastPublished":
+        """Return the gauge after the IMU increments since the last call."""
+        return LastPublished(
+            self.published,
+            self.R_world_imu @ increments.rotation(self.published.gyro_bias_rad_s),
+            self.excess_variance_rad2 + float((increments.dt_s @ increments.excess_density[:, :3]).max()),
+        )
+
+    def align(self, start: NavState, since: Increments) -> NavState:
+        """Return an initial state at the last position, with the yaw that agrees with the gyroscope at its end."""
         R_start = start.T_world_imu[:3, :3]
-        error = self._R_world_imu @ (R_start @ since.rotation(start.gyro_bias_rad_s)).T
-        turned = rotation_z(yaw_rad_from_matrix(error))
-        pose = pose_matrix(turned @ R_start, self._believed.T_world_imu[:3, 3])
-        return replace(start, T_world_imu=pose, velocity_m_s=turned @ start.velocity_m_s)
+        error = self.R_world_imu @ (R_start @ since.rotation(start.gyro_bias_rad_s)).T
+        R_yaw = rotation_z(yaw_rad_from_matrix(error))
+        pose = pose_matrix(R_yaw @ R_start, self.published.T_world_imu[:3, 3])
+        return replace(start, T_world_imu=pose, velocity_m_s=R_yaw @ start.velocity_m_s)
 
     def covariance(self, start: NavState, sigmas: InitialSigmas) -> Array:
-        """Return how sure a placed start is."""
-        R, believed = start.T_world_imu[:3, :3], self._believed
-        lost_s = (start.t_ns - believed.t_ns) * 1e-9
-        away_m = lost_s * max(float(np.linalg.norm(believed.velocity_m_s)), LEAST_SPEED_M_S)
+        """Return the covariance (15, 15) of an aligned state."""
+        R, published = start.T_world_imu[:3, :3], self.published
+        lost_s = (start.t_ns - published.t_ns) * 1e-9
+        distance_m = lost_s * max(float(np.linalg.norm(published.velocity_m_s)), MIN_SPEED_M_S)
         P = sigmas.covariance(R)
-        known = believed.covariance if believed.covariance is not None else np.zeros((15, 15))
-        P[3:6, 3:6] += known[3:6, 3:6] + away_m**2 * np.eye(3)
-        up_then, up = believed.T_world_imu[2, :3], R[2]
-        yaw_variance = up_then @ known[:3, :3] @ up_then + (GYRO_BIAS_SIGMA_RAD_S * lost_s) ** 2 + self._doubt_rad2
+        known = published.covariance if published.covariance is not None else np.zeros((15, 15))
+        P[3:6, 3:6] += known[3:6, 3:6] + distance_m**2 * np.eye(3)
+        up_then, up = published.T_world_imu[2, :3], R[2]
+        yaw_variance = (
+            up_then @ known[:3, :3] @ up_then + (GYRO_BIAS_SIGMA_RAD_S * lost_s) ** 2 + self.excess_variance_rad2
+        )
         P[:3, :3] += yaw_variance * np.outer(up, up)
         return P

@@ -1,4 +1,4 @@
-"""The start from rest: gravity gives roll and pitch, the gyroscope's mean its bias. And how sure a start is."""
+"""Static initialization: gravity determines roll and pitch, and the mean of the gyroscope its bias."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -16,10 +16,10 @@ Array = npt.NDArray[np.float64]
 
 @dataclass(frozen=True)
 class NotObservable:
-    """The answer where a start cannot be told yet."""
+    """The result of an initialization whose state is not observable yet."""
 
     reason: str
-    """Why, for people."""
+    """The reason, as a text for people."""
 
     def __str__(self) -> str:
         return f"not observable yet: {self.reason}"
@@ -27,16 +27,16 @@ class NotObservable:
 
 @dataclass(frozen=True)
 class InitialSigmas:
-    """How sure a start is of its state: standard deviations."""
+    """Standard deviations of an initial state."""
 
     tilt_rad: float = 0.1
-    """Roll and pitch [rad]; at rest, the accelerometer's bias hides in them."""
+    """Standard deviation of roll and pitch [rad]; in a static initialization they absorb the accelerometer bias."""
     velocity_m_s: float = 0.05
-    """Velocity [m/s]."""
+    """Standard deviation of the velocity [m/s]."""
     gyro_bias_rad_s: float = 0.005
-    """Gyroscope bias [rad/s]."""
+    """Standard deviation of the gyroscope bias [rad/s]."""
     accel_bias_m_s2: float = 0.1
-    """Accelerometer bias [m/s²]."""
+    """Standard deviation of the accelerometer bias [m/s²]."""
 
     def covariance(self, R_world_imu: Array) -> Array:
         """Return the covariance (15, 15), in the order of `NavState`, for an orientation (3, 3)."""
@@ -48,41 +48,42 @@ class InitialSigmas:
         return P
 
 
-def initialize_static(t_ns: int, rest: Sequence[Increments]) -> NavState:
-    """Return the state of an IMU that stands still, as the origin of position and yaw.
+def initialize_static(t_ns: int, stationary: Sequence[Increments]) -> NavState:
+    """Return the state of a stationary IMU, at the origin of position and yaw.
 
-    The accelerometer's bias cannot be told from tilt at rest; it is taken as zero, and the smoother sorts it out later.
+    The accelerometer bias is not observable apart from tilt while stationary. It is taken as zero and estimated by the
+    smoother later.
 
     Args:
-        t_ns: Time of the state.
-        rest: IMU increments of the rest, at least one.
+        t_ns: Time of the state [ns].
+        stationary: IMU increments of the stationary interval, at least one.
     """
-    dt_s = np.concatenate([r.dt_s for r in rest])[:, None]
-    accel = np.concatenate([r.accel_m_s2 for r in rest])
+    dt_s = np.concatenate([part.dt_s for part in stationary])[:, None]
+    accel = np.concatenate([part.accel_m_s2 for part in stationary])
     up_imu = (accel * dt_s).sum(axis=0)
     return NavState(
         t_ns,
         pose_matrix(level_rotation(up_imu), np.zeros(3)),
         np.zeros(3),
-        mean_gyro(rest),
+        mean_angular_velocity(stationary),
         np.zeros(3),
     )
 
 
-def mean_gyro(rest: Sequence[Increments]) -> Array:
-    """Return the mean angular velocity (3,) over increments [rad/s]: at rest, the gyroscope's bias."""
-    dt_s = np.concatenate([r.dt_s for r in rest])
-    gyro = np.concatenate([r.gyro_rad_s for r in rest])
+def mean_angular_velocity(increments: Sequence[Increments]) -> Array:
+    """Return the mean angular velocity (3,) over increments [rad/s]: the gyroscope bias while stationary."""
+    dt_s = np.concatenate([part.dt_s for part in increments])
+    gyro = np.concatenate([part.gyro_rad_s for part in increments])
     return np.asarray(dt_s @ gyro / dt_s.sum())
 
 
 def level_rotation(up_imu: Array) -> Array:
     """Return R_world_imu (3, 3) with the world's z axis along ``up_imu`` (3,).
 
-    Yaw is free: the world's x axis is that IMU axis which lies flattest, seen from above.
+    Yaw is arbitrary: the world's x axis is the horizontal projection of the IMU axis that is closest to horizontal.
     """
     z = up_imu / np.linalg.norm(up_imu)
-    flattest = np.eye(3)[int(np.argmin(np.abs(z)))]
-    x = flattest - z * (z @ flattest)
+    most_horizontal = np.eye(3)[int(np.argmin(np.abs(z)))]
+    x = most_horizontal - z * (z @ most_horizontal)
     x /= np.linalg.norm(x)
     return np.stack([x, np.cross(z, x), z])
