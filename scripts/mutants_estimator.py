@@ -279,8 +279,8 @@ ESTIMATOR = (
         "covariance-10-output",
         "Output: the published covariance is ten times as large.",
         "estimator/output.py",
-        "report.state, state, tracks",
-        "report.state, replace(state, covariance=10.0 * state.covariance), tracks",
+        "report.health, state, tracks",
+        "report.health, replace(state, covariance=10.0 * state.covariance), tracks",
         ("tests/estimator/test_consistency.py::test_errors_are_as_large_as_covariances_say[rest]",),
     ),
     Mutant(

@@ -46,17 +46,13 @@ class Outliers:
         self._frames += 1
         return self._spoilt(self._inner.track(frame, *motion, **more))
 
-    def replenish(self) -> Observations:
+    def replenish(self, rig: Rig | None = None) -> Observations:
         """Look for new features; those that lie go on doing so."""
-        return self._spoilt(self._inner.replenish())
+        return self._spoilt(self._inner.replenish(rig))
 
     def discard(self, ids: npt.NDArray[np.int64]) -> None:
         """Follow some features no further."""
         self._inner.discard(ids)
-
-    def recalibrate(self, rig: Rig) -> None:
-        """Take over a better calibration."""
-        self._inner.recalibrate(rig)
 
     def _spoilt(self, seen: Observations) -> Observations:
         offset = self.offsets(seen.ids, seen.ages)

@@ -57,7 +57,7 @@ def main(arguments: Sequence[str]) -> int:
     for place in filter(None, (command.out, command.imu_rate)):
         check_place(place)  # before the estimator runs
     recording = command.reading.open(command.recording)
-    imu_rate = ImuRateObserver(recording.rig.imu, command.estimator.inertial)
+    imu_rate = ImuRateObserver(recording.rig.imu, command.estimator.preintegration)
     observers = () if command.imu_rate is None else (imu_rate,)
     with progress_bars(quiet=command.printing.json) as bars:
         estimator = VisualInertialOdometry(recording.rig, command.estimator)

@@ -18,7 +18,7 @@ from gtsam.symbol_shorthand import B, L, V, X
 from dronevio.estimator.backend.triangulation import Triangulation, triangulate
 from dronevio.estimator.book.eqvio import FeatureRecording
 from dronevio.estimator.imu.buffer import ImuBuffer
-from dronevio.estimator.imu.preintegration import PreintegrationConfig, integrate, preintegration_params
+from dronevio.estimator.imu.preintegration import PreintegrationConfig, PreintegrationParams
 from dronevio.models.imu import Times
 from dronevio.models.state import Trajectory
 
@@ -173,13 +173,13 @@ class BatchAdjustment:
 
     def _preintegrated(self, bias: gtsam.imuBias.ConstantBias) -> Iterator[gtsam.PreintegratedCombinedMeasurements]:
         """Yield the preintegrated IMU measurements between consecutive keyframes."""
-        buffer, params = ImuBuffer(), preintegration_params(self._recording.rig.imu, PreintegrationConfig())
+        buffer, params = ImuBuffer(), PreintegrationParams.of(self._recording.rig.imu, PreintegrationConfig())
         buffer.add(self._recording.imu)
         buffer.take_until(int(self.t_ns[0]))
         for t_ns in self.t_ns[1:].tolist():
-            preintegrated = gtsam.PreintegratedCombinedMeasurements(params, bias)
-            integrate(preintegrated, buffer.take_until(t_ns), params)
-            yield preintegrated
+            preintegration = Preintegration(params, bias)
+            preintegration.integrate(buffer.take_until(t_ns))
+            yield preintegration.measurements
 
 
 def _optimized(graph: gtsam.NonlinearFactorGraph, values: gtsam.Values) -> gtsam.Values:

@@ -107,7 +107,9 @@ class SyntheticFrontEnd:
         self.prediction_errors_rad: list[float] = []
         """How far the rotations were off that it was told."""
 
-    def track(self, frame: CameraFrame, R_cur_prev: Array, rotation_sigma_rad: float = 0.0) -> Observations:
+    def track(
+        self, frame: CameraFrame, R_cur_prev: Array, rotation_sigma_rad: float = 0.0, rig: Rig | None = None
+    ) -> Observations:
         assert np.allclose(R_cur_prev @ R_cur_prev.T, np.eye(3), atol=1e-9)
         flight = self._flight
         middle_ns = frame.t_ns + round(flight.rig.time_offset_s * 1e9)
@@ -138,7 +140,7 @@ class SyntheticFrontEnd:
             late_ns = np.rint((row / (self._model.height - 1) - 0.5) * readout_s * 1e9).astype(np.int64)
         return p
 
-    def replenish(self) -> Observations:
+    def replenish(self, rig: Rig | None = None) -> Observations:
         free = np.flatnonzero(self._visible & (self._ids < 0))
         chosen = free[: max(self._flight.max_features - int((self._ids >= 0).sum()), 0)]
         self._ids[chosen] = self._next_id + np.arange(len(chosen))
@@ -148,9 +150,6 @@ class SyntheticFrontEnd:
 
     def discard(self, ids: npt.NDArray[np.int64]) -> None:
         self._ids[np.isin(self._ids, ids)] = -1  # it may come back, as in an image
-
-    def recalibrate(self, rig: Rig) -> None:
-        pass  # it sees with one camera
 
     def _observations(self) -> Observations:
         rows = np.flatnonzero(self._ids >= 0)

@@ -23,11 +23,11 @@ from dronevio.estimator.config import VioConfig
 from dronevio.estimator.frontend.rolling_shutter import FrameTimes
 from dronevio.estimator.imu.buffer import Increments
 from dronevio.estimator.imu.covariance import covariance_from_gtsam
-from dronevio.estimator.imu.preintegration import PreintegrationConfig, integrate, preintegration_params
+from dronevio.estimator.imu.preintegration import Preintegration, PreintegrationConfig, PreintegrationParams
 from dronevio.estimator.initialization.gauge import LastBelieved
 from dronevio.estimator.initialization.static import InitialSigmas
 from dronevio.estimator.propagator import Propagation
-from dronevio.estimator.types import GAUGE_SIGMA, NOTHING_SEEN
+from dronevio.estimator.types import GAUGE_SIGMA, NO_FEATURES
 from dronevio.models.imu import GRAVITY_M_S2, ImuModel, ImuSamples
 from dronevio.models.rig import euroc_rig
 from dronevio.models.rotation import exp_so3, log_so3, pose_matrix, rotation_z
@@ -121,7 +121,7 @@ def test_covariance_grows_by_the_noise_of_the_imu() -> None:
     R, t = exp_so3(np.array([0.3, -0.2, 1.0])), 1.0
     exact = NavState(0, pose_matrix(R, np.zeros(3)), np.zeros(3), np.zeros(3), np.zeros(3), np.zeros((15, 15)))
     start = gtsam.NavState(gtsam.Pose3(exact.T_world_imu), np.zeros(3)), gtsam.imuBias.ConstantBias()
-    propagation = Propagation(preintegration_params(imu, config), imu, exact, start)
+    propagation = Propagation(PreintegrationParams.of(imu, config), imu, exact, start)
     force = np.tile(R.T @ [0.0, 0.0, GRAVITY_M_S2], (n, 1))
     propagation.add(Increments(np.full(n, t / n), np.zeros((n, 3)), force))
     P = propagation.state_at(round(t * 1e9)).covariance
@@ -141,7 +141,7 @@ def test_covariance_grows_by_the_noise_of_the_imu() -> None:
 def test_parameters_of_preintegration_are_densities_squared() -> None:
     imu = ImuModel()
     config = PreintegrationConfig(gyro_noise_inflation=2.0, accel_noise_inflation=5.0, walk_inflation=3.0)
-    params = preintegration_params(imu, config)
+    params = PreintegrationParams.of(imu, config)
     for found, density in (
         (params.getGyroscopeCovariance(), 2.0 * imu.gyro_noise_density),
         (params.getAccelerometerCovariance(), 5.0 * imu.accel_noise_density),
@@ -156,9 +156,9 @@ def test_degraded_readings_count_as_white_noise() -> None:
     """An error of a standard deviation s that lasts for τ = 0.2 s adds a density s² τ to that of the sensor."""
     imu, config, n, dt_s = ImuModel(), PreintegrationConfig(), 100, 0.005
     excess = np.array([[0.3, 0.2, 0.1, 3.0, 2.0, 1.0]])
-    params = preintegration_params(imu, config)
-    pim = gtsam.PreintegratedCombinedMeasurements(params, gtsam.imuBias.ConstantBias())
-    integrate(pim, Increments(np.full(n, dt_s), np.zeros((n, 3)), np.zeros((n, 3)), excess), params)
+    params = PreintegrationParams.of(imu, config)
+    pim = Preintegration(params, gtsam.imuBias.ConstantBias())
+    pim.integrate(Increments(np.full(n, dt_s), np.zeros((n, 3)), np.zeros((n, 3)), excess))
     found = np.diag(pim.preintMeasCov())
     gyro2 = (config.gyro_noise_inflation * imu.gyro_noise_density) ** 2
     accel2 = (config.accel_noise_inflation * imu.accel_noise_density) ** 2
@@ -195,7 +195,7 @@ def test_first_keyframe_is_as_uncertain_as_stated() -> None:
     A, R = rng.normal(size=(15, 15)), exp_so3(np.array([0.3, -0.2, 1.0]))
     stated = 1e-3 * (A @ A.T + np.eye(15))
     start = NavState(0, pose_matrix(R, rng.normal(size=3)), rng.normal(size=3), np.zeros(3), np.zeros(3), stated)
-    smoother = KeyframeSmoother(euroc_rig().cameras, SmootherConfig(), LandmarkConfig(), start, stated, NOTHING_SEEN)
+    smoother = KeyframeSmoother(euroc_rig().cameras, SmootherConfig(), LandmarkConfig(), start, stated, NO_FEATURES)
     np.testing.assert_array_equal(smoother.state.covariance, stated)
     in_window = covariance_from_gtsam(CholeskyFactor(smoother._window.linearize().H).inverse_block(np.arange(15)), R)
     expected = stated.copy()
@@ -220,7 +220,7 @@ def test_a_new_calibration_adds_its_uncertainty() -> None:
     stated, more = np.diag(np.arange(1.0, 16.0)) * 1e-3, np.diag(np.arange(15.0, 0.0, -1.0)) * 1e-3
     start = NavState(0, np.eye(4), np.zeros(3), np.zeros(3), np.zeros(3), stated)
     cameras = euroc_rig().cameras
-    smoother = KeyframeSmoother(cameras, SmootherConfig(), LandmarkConfig(), start, stated, NOTHING_SEEN)
+    smoother = KeyframeSmoother(cameras, SmootherConfig(), LandmarkConfig(), start, stated, NO_FEATURES)
     smoother.recalibrate(cameras, more)
     assert smoother.state.covariance is not None
     np.testing.assert_allclose(smoother.state.covariance, stated + more)

@@ -8,7 +8,7 @@ import pytest
 
 from dronevio.estimator.backend.landmarks import TriangulatedLandmarks
 from dronevio.estimator.health import HealthConfig, HealthMonitor
-from dronevio.estimator.types import Observations
+from dronevio.estimator.types import Calibration, Observations
 from dronevio.models.rig_presets import rig_named
 from dronevio.models.rotation import exp_so3, inverse_pose, pose_matrix
 from dronevio.models.state import Health, HealthReport, NavState
@@ -50,9 +50,13 @@ def sightings(
 
 
 def monitor(known: TriangulatedLandmarks, config: HealthConfig = CONFIG) -> HealthMonitor:
-    made = HealthMonitor(RIG, config, SIGMA_PX)
-    made.hold(START, known)
+    made = HealthMonitor(RIG.imu, config, SIGMA_PX)
+    made.set_reference(START, known)
     return made
+
+
+def assess(watcher: HealthMonitor, seen: Observations, predicted: NavState, stationary: bool) -> HealthReport:
+    return watcher.assess(seen, predicted, stationary, Calibration(RIG))
 
 
 def after(k: int, state: NavState = START, **changes: object) -> NavState:
@@ -68,8 +72,8 @@ def seen(n: int, off_px: float = 0.0) -> tuple[TriangulatedLandmarks, Observatio
 
 def test_landmarks_hold_it_and_the_figures_are_theirs() -> None:
     known, observations = seen(40, off_px=0.5)
-    report = monitor(known).judge(observations, START, still=False)
-    assert report.health == Health.TRACKING and report.reason == "40 landmarks hold it"
+    report = assess(monitor(known), observations, START, stationary=False)
+    assert report.health == Health.TRACKING and report.reason == "constrained by 40 landmarks"
     assert (report.tracks, report.landmarks) == (40, 40)
     assert report.innovation_px == pytest.approx(0.5, abs=1e-9)
     assert report.median_parallax_rad == pytest.approx(0.03, rel=0.05)
@@ -104,7 +108,7 @@ def test_innovation_of_consistent_noise_is_one() -> None:
         R, p = predicted.T_world_imu[:3, :3] @ exp_so3(d[:3]), predicted.T_world_imu[:3, 3] + d[3:]
         true = replace(predicted, T_world_imu=pose_matrix(R, p))
         observations = sightings(known, true, cameras, SIGMA_PX * rng.normal(size=(120, 2)))
-        report = watcher.judge(observations, predicted, still=False)
+        report = assess(watcher, observations, predicted, stationary=False)
         assert report.innovation_nis is not None
         nis.append(report.innovation_nis)
     assert np.mean(nis) == pytest.approx(1.0, abs=0.08)
@@ -123,16 +127,16 @@ def test_tracks_that_are_no_landmarks_hold_nothing() -> None:
         )
     )
     watcher = monitor(known)
-    reports = [watcher.judge(both, after(k), still=False) for k in range(20)]
+    reports = [assess(watcher, both, after(k), stationary=False) for k in range(20)]
     settling = round(CONFIG.settling_s / 0.05) + 1
     assert {r.health for r in reports[:settling]} == {Health.TRACKING}  # they may become landmarks
     assert {r.health for r in reports[settling:]} == {Health.INERTIAL_ONLY}
     assert (
         reports[-1].tracks == 107 and reports[-1].landmarks == 7 and reports[-1].inertial_only_s == pytest.approx(0.95)
     )
-    assert watcher.judge(both, after(20), still=True).health == Health.TRACKING
-    assert watcher.judge(observations, after(21), still=False).health == Health.INERTIAL_ONLY  # 7 features are too few
-    nothing = monitor(landmarks(0, np.random.default_rng(0))).judge(others, START, still=False)
+    assert assess(watcher, both, after(20), stationary=True).health == Health.TRACKING
+    assert assess(watcher, observations, after(21), stationary=False).health == Health.INERTIAL_ONLY
+    nothing = assess(monitor(landmarks(0, np.random.default_rng(0))), others, START, stationary=False)
     assert nothing.innovation_px is None and nothing.median_parallax_rad is None and nothing.innovation_nis is None
 
 
@@ -142,43 +146,43 @@ def blind(monitored: HealthMonitor, frames: int, speed_sigma_m_s: float) -> list
     reports = []
     for k in range(1, frames + 1):
         P = np.diag(np.repeat([1e-6, 1e-4 + (speed_sigma_m_s * k * 0.05) ** 2, 1e-2, 1e-8, 1e-6], 3))
-        reports.append(monitored.judge(none, after(k, covariance=P), still=False))
+        reports.append(assess(monitored, none, after(k, covariance=P), stationary=False))
     return reports
 
 
 def test_blind_is_inertial_only_until_the_position_is_gone() -> None:
     known, observations = seen(40)
     watcher = monitor(known)
-    watcher.judge(observations, START, still=False)
+    assess(watcher, observations, START, stationary=False)
     reports = blind(watcher, 120, speed_sigma_m_s=0.2)
     lost = [r.health for r in reports].index(Health.LOST)
     assert lost == pytest.approx(100, abs=1)  # a metre, at 0.2 m/s
     assert {r.health for r in reports[:lost]} == {Health.INERTIAL_ONLY}
     assert [r.inertial_only_s for r in reports] == pytest.approx(0.05 * np.arange(1, 121))
     assert "1.0 m" in reports[lost].reason
-    assert watcher.judge(observations, after(121), still=False).health == Health.LOST  # until it starts anew
+    assert assess(watcher, observations, after(121), stationary=False).health == Health.LOST  # until it starts anew
 
 
 def test_what_was_unsure_before_is_not_held_against_the_dark() -> None:
     known, observations = seen(40)
     watcher = monitor(known)
     far = np.diag(np.repeat([1e-6, 25.0, 1e-4, 1e-8, 1e-6], 3))  # after a long flight: 5 m of drift
-    assert watcher.judge(observations, after(0, covariance=far), still=False).health == Health.TRACKING
+    assert assess(watcher, observations, after(0, covariance=far), stationary=False).health == Health.TRACKING
     dark = Observations(np.zeros(0, np.int64), np.zeros((0, 2)), np.zeros((0, 2)), np.zeros(0, np.int64))
-    assert watcher.judge(dark, after(1, covariance=1.02 * far), still=False).health == Health.INERTIAL_ONLY
-    assert watcher.judge(dark, after(2, covariance=1.05 * far), still=False).health == Health.LOST
+    assert assess(watcher, dark, after(1, covariance=1.02 * far), stationary=False).health == Health.INERTIAL_ONLY
+    assert assess(watcher, dark, after(2, covariance=1.05 * far), stationary=False).health == Health.LOST
 
 
 def test_contradiction_must_last() -> None:
     known, observations = seen(40, off_px=2.0 * CONFIG.max_innovation_px)
     _, agreeing = seen(40)
-    frames = round(CONFIG.contradicted_s / 0.05)
+    frames = round(CONFIG.max_contradiction_s / 0.05)
     watcher = monitor(known)
-    watcher.judge(agreeing, START, still=False)
+    assess(watcher, agreeing, START, stationary=False)
     for k in range(1, frames):
-        assert watcher.judge(observations, after(k), still=False).health == Health.TRACKING
-    watcher.judge(agreeing, after(frames), still=False)
-    states = [watcher.judge(observations, after(frames + k), still=False).health for k in range(1, frames + 3)]
+        assert assess(watcher, observations, after(k), stationary=False).health == Health.TRACKING
+    assess(watcher, agreeing, after(frames), stationary=False)
+    states = [assess(watcher, observations, after(frames + k), stationary=False).health for k in range(1, frames + 3)]
     assert states.index(Health.LOST) == frames
 
 
@@ -188,7 +192,7 @@ def test_a_fifth_of_outliers_is_no_contradiction() -> None:
     xy = observations.xy + rows[:, None] * 0.5
     watcher = monitor(known)
     for k in range(60):
-        report = watcher.judge(replace(observations, xy=xy), after(k), still=False)
+        report = assess(watcher, replace(observations, xy=xy), after(k), stationary=False)
         assert report.health == Health.TRACKING and report.innovation_nis == pytest.approx(0.0, abs=1e-12)
 
 
@@ -196,12 +200,12 @@ def test_a_fifth_of_outliers_is_no_contradiction() -> None:
     ("changes", "reason"),
     [
         ({"velocity_m_s": np.array([0.0, 90.0, 0.0])}, "a speed of 90 m/s"),
-        ({"velocity_m_s": np.array([0.0, np.nan, 0.0])}, "the state is no number"),
-        ({"T_world_imu": np.full((4, 4), np.nan)}, "the state is no number"),
+        ({"velocity_m_s": np.array([0.0, np.nan, 0.0])}, "the state is not finite"),
+        ({"T_world_imu": np.full((4, 4), np.nan)}, "the state is not finite"),
         ({"gyro_bias_rad_s": np.array([0.0, 0.0, -0.6])}, "a bias of 12 standard deviations"),
-        ({"accel_bias_m_s2": np.array([np.inf, 0.0, 0.0])}, "the state is no number"),
+        ({"accel_bias_m_s2": np.array([np.inf, 0.0, 0.0])}, "the state is not finite"),
         ({"covariance": None}, "inf m"),
-        ({"covariance": np.full((15, 15), np.nan)}, "the state is no number"),
+        ({"covariance": np.full((15, 15), np.nan)}, "the state is not finite"),
     ],
 )
 def test_what_cannot_be_is_lost_at_once(changes: dict[str, object], reason: str) -> None:
@@ -209,6 +213,6 @@ def test_what_cannot_be_is_lost_at_once(changes: dict[str, object], reason: str)
     empty = Observations(np.zeros(0, np.int64), np.zeros((0, 2)), np.zeros((0, 2)), np.zeros(0, np.int64))
     for what in (empty,) if reason == "inf m" else (empty, observations):
         watcher = monitor(known)
-        watcher.judge(observations, START, still=False)
-        report = watcher.judge(what, after(1, **changes), still=False)
+        assess(watcher, observations, START, stationary=False)
+        report = assess(watcher, what, after(1, **changes), stationary=False)
         assert report.health == Health.LOST and reason in report.reason

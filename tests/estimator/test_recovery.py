@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from dronevio.estimator.imu.buffer import Increments
-from dronevio.estimator.initialization.gauge import LastBelieved, Zero
+from dronevio.estimator.initialization.gauge import LastPublished, WorldOrigin
 from dronevio.estimator.initialization.static import InitialSigmas
 from dronevio.estimator.vio import VisualInertialOdometry
 from dronevio.eval.metrics.alignment import align
@@ -99,9 +99,9 @@ def test_a_gap_in_the_imu_is_survived_and_told(make_flight: Callable) -> None:
     gappy.__dict__.update(imu=ImuSamples(imu.t_ns[kept], imu.gyro_rad_s[kept], imu.accel_m_s2[kept], imu.sampling))
     estimates = gappy.run()
     assert is_sound(estimates) and all(e.state is not None for e in estimates[60:])
-    silence = [event for e in estimates for event in e.events if "no IMU" in event]
-    assert len(silence) == 2 and silence[1].endswith(" s: it is back")
-    assert 0.15 < float(silence[1].split()[3]) < 0.26
+    silence = [event for e in estimates for event in e.events if "no IMU" in event or "IMU again" in event]
+    assert len(silence) == 2 and silence[1].startswith("IMU again after a gap of ")
+    assert 0.15 < float(silence[1].split()[6]) < 0.26
     assert all(any(event in e.events for e in estimates[98:108]) for event in silence)
     found = Trajectory.from_states(e.state for e in estimates if e.state is not None)
     truth = flight.truth_at(found.t_ns)
@@ -135,13 +135,11 @@ def test_recovery_keeps_last_position_and_gyroscope_yaw(seed: int) -> None:
     R, bias = exp_so3(rng.normal(size=3)), 0.02 * rng.normal(size=3)
     believed = NavState(0, pose_matrix(R, rng.normal(size=3)), rng.normal(size=3), bias, ZERO, np.eye(15) * 1e-4)
     lost, window = turning(rng), turning(rng)
-    origin = LastBelieved(believed)
-    origin.turn(lost)
-    origin.turn(window)
+    origin = LastPublished.of(believed).propagated(lost).propagated(window)
     R_true = R @ lost.rotation(bias)  # at the start of the window
     yaw = exp_so3(np.array([0.0, 0.0, rng.uniform(-3.0, 3.0)]))
     start = NavState(10**9, pose_matrix(yaw @ R_true, ZERO), yaw @ np.array([0.3, 0.4, 0.5]), bias, ZERO)
-    placed = origin.place(start, window)
+    placed = origin.align(start, window)
     np.testing.assert_allclose(placed.T_world_imu[:3, :3], R_true, atol=1e-9)
     np.testing.assert_allclose(placed.T_world_imu[:3, 3], believed.T_world_imu[:3, 3])
     np.testing.assert_allclose(
@@ -155,7 +153,9 @@ def test_recovery_keeps_last_position_and_gyroscope_yaw(seed: int) -> None:
 
 def test_the_first_start_is_where_the_world_begins() -> None:
     start = NavState(5, pose_matrix(exp_so3(np.ones(3)), ZERO), np.ones(3), ZERO, ZERO)
-    assert Zero().place(start, turning(np.random.default_rng(0))) is start
+    origin = WorldOrigin(gyro_bias_sigma_rad_s=0.05)
+    assert origin.propagated(turning(np.random.default_rng(0))) is origin
+    assert origin.align(start, turning(np.random.default_rng(0))) is start
     np.testing.assert_array_equal(
-        Zero().covariance(start, InitialSigmas()), InitialSigmas().covariance(start.T_world_imu[:3, :3])
+        origin.covariance(start, InitialSigmas()), InitialSigmas().covariance(start.T_world_imu[:3, :3])
     )

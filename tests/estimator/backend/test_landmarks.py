@@ -8,7 +8,7 @@ import pytest
 
 from dronevio.estimator.backend.landmarks import CameraPoses, LandmarkConfig, LandmarkDatabase
 from dronevio.estimator.backend.observations import Integers
-from dronevio.estimator.types import NOTHING_SEEN, Matches, Observations
+from dronevio.estimator.types import NO_FEATURES, Matches, Observations
 from dronevio.models.rotation import exp_so3
 
 Array = npt.NDArray[np.float64]
@@ -103,7 +103,7 @@ def test_keyframes_count_and_not_only_cameras(flight: Flight, min_keyframes: int
 
 def test_only_landmarks_of_the_newest_keyframe_are_new(flight: Flight) -> None:
     landmarks = flight.database(8)
-    landmarks.add_observations(8, NOTHING_SEEN)
+    landmarks.add_observations(8, NO_FEATURES)
     landmarks.triangulate(flight.cameras(), newest=8)
     assert len(landmarks.ids) == 0
     landmarks.triangulate(flight.cameras(), newest=8, retriangulate=True)

@@ -17,7 +17,8 @@ from dronevio.estimator.backend.landmarks import LandmarkConfig
 from dronevio.estimator.backend.marginal_prior import KeyframeState, MarginalPrior
 from dronevio.estimator.backend.smoother import KeyframeSmoother, SmootherConfig
 from dronevio.estimator.imu.buffer import ImuBuffer
-from dronevio.estimator.imu.preintegration import PreintegrationConfig, integrate, preintegration_params
+from dronevio.estimator.imu.preintegration import Preintegration, PreintegrationConfig, PreintegrationParams
+from dronevio.estimator.types import Calibration
 from dronevio.models.rotation import exp_so3
 from dronevio.models.state import NavState
 
@@ -63,14 +64,16 @@ def priors(flight: Any, config: SmootherConfig) -> Iterator[MarginalPrior]:
     buffer.add(flight.imu)
     buffer.take_until(int(times[0]))
     front_end.track(flight.frame(0), np.eye(3))
-    smoother = KeyframeSmoother(flight.rig.cameras, config, LandmarkConfig(), start, covariance, front_end.replenish())
+    smoother = KeyframeSmoother(
+        Calibration(flight.rig), config, LandmarkConfig(), start, covariance, front_end.replenish()
+    )
     yield smoother._window._prior
-    params = preintegration_params(flight.rig.imu, PreintegrationConfig())
+    params = PreintegrationParams.of(flight.rig.imu, PreintegrationConfig())
     for k, t_ns in enumerate(times[1:].tolist(), 1):
-        pim = gtsam.PreintegratedCombinedMeasurements(params, smoother.gtsam_state[1])
-        integrate(pim, buffer.take_until(t_ns))
+        pim = Preintegration(params, smoother.gtsam_state[1])
+        pim.integrate(buffer.take_until(t_ns))
         front_end.track(flight.frame(FRAMES_PER_KEYFRAME * k), np.eye(3))
-        result = smoother.add_keyframe(t_ns, pim, front_end.replenish(), still=False)
+        result = smoother.add_keyframe(t_ns, pim.measurements, front_end.replenish(), stationary=False)
         assert not result.events
         front_end.discard(result.rejected)
         yield smoother._window._prior

@@ -3,7 +3,6 @@
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 
-import gtsam
 import numpy as np
 import pytest
 
@@ -12,8 +11,9 @@ from dronevio.estimator.backend.linalg import SingularError
 from dronevio.estimator.backend.linear_system import LinearSystem
 from dronevio.estimator.backend.smoother import KeyframeResult, KeyframeSmoother, SmootherConfig
 from dronevio.estimator.imu.buffer import ImuBuffer
-from dronevio.estimator.imu.preintegration import PreintegrationConfig, integrate, preintegration_params
+from dronevio.estimator.imu.preintegration import Preintegration, PreintegrationConfig, PreintegrationParams
 from dronevio.estimator.initialization.static import InitialSigmas
+from dronevio.estimator.types import Calibration
 from dronevio.models.rotation import exp_so3, log_so3
 from dronevio.models.state import NavState, Trajectory
 
@@ -64,12 +64,12 @@ def keyframes(
         front_end.replenish(),
     )
     feed = KeyframeFeed(flight, truth, smoother, [], [], [])
-    params = preintegration_params(flight.rig.imu, PreintegrationConfig())
+    params = PreintegrationParams.of(flight.rig.imu, PreintegrationConfig())
     for k, t_ns in enumerate(times[1:].tolist(), 1):
-        pim = gtsam.PreintegratedCombinedMeasurements(params, smoother.gtsam_state[1])
-        integrate(pim, buffer.take_until(t_ns))
+        pim = Preintegration(params, smoother.gtsam_state[1])
+        pim.integrate(buffer.take_until(t_ns))
         front_end.track(flight.frame(4 * k), np.eye(3))
-        feed.results.append(smoother.add_keyframe(t_ns, pim, front_end.replenish(), still=False))
+        feed.results.append(smoother.add_keyframe(t_ns, pim.measurements, front_end.replenish(), stationary=False))
         front_end.discard(feed.results[-1].rejected)
         feed.states.append(smoother.state)
         feed.points.append(smoother.landmarks)
@@ -204,13 +204,17 @@ def test_rest_is_held(make_flight: Callable) -> None:
     buffer.take_until(start.t_ns)
     front_end.track(flight.frame(0), np.eye(3))
     P = InitialSigmas(gyro_bias_rad_s=0.05).covariance(start.T_world_imu[:3, :3])
-    smoother = KeyframeSmoother(flight.rig.cameras, SmootherConfig(), LandmarkConfig(), start, P, front_end.replenish())
-    params = preintegration_params(flight.rig.imu, PreintegrationConfig())
+    smoother = KeyframeSmoother(
+        Calibration(flight.rig), SmootherConfig(), LandmarkConfig(), start, P, front_end.replenish()
+    )
+    params = PreintegrationParams.of(flight.rig.imu, PreintegrationConfig())
     for k in range(10, len(flight.frame_times_ns), 10):
         t_ns = int(flight.frame_times_ns[k])
-        pim = gtsam.PreintegratedCombinedMeasurements(params, smoother.gtsam_state[1])
-        integrate(pim, buffer.take_until(t_ns))
-        assert not smoother.add_keyframe(t_ns, pim, front_end.track(flight.frame(k), np.eye(3)), still=True).events
+        pim = Preintegration(params, smoother.gtsam_state[1])
+        pim.integrate(buffer.take_until(t_ns))
+        assert not smoother.add_keyframe(
+            t_ns, pim.measurements, front_end.track(flight.frame(k), np.eye(3)), stationary=True
+        ).events
     assert np.linalg.norm(smoother.state.velocity_m_s) < 0.01
     assert np.linalg.norm(smoother.state.T_world_imu[:3, 3] - truth.p_world_imu[0]) < 0.01
     np.testing.assert_allclose(smoother.state.gyro_bias_rad_s, truth.gyro_bias_rad_s[0], atol=1e-3)

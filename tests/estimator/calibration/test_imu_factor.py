@@ -8,7 +8,7 @@ import pytest
 from dronevio.estimator.baselines.dead_reckoning import preintegrate
 from dronevio.estimator.calibration.imu_factor import GRAVITY, CalibrationImuFactor
 from dronevio.estimator.imu.buffer import Increments
-from dronevio.estimator.imu.preintegration import PreintegrationConfig, integrate, preintegration_params
+from dronevio.estimator.imu.preintegration import Preintegration, PreintegrationConfig, PreintegrationParams
 from dronevio.models.imu import EUROC_IMU
 from dronevio.models.rotation import exp_so3, log_so3
 
@@ -34,9 +34,9 @@ def increments() -> Increments:
 
 @pytest.fixture
 def factor(increments: Increments, bias: Array) -> CalibrationImuFactor:
-    params = preintegration_params(EUROC_IMU, PreintegrationConfig())
-    pim = gtsam.PreintegratedCombinedMeasurements(params, gtsam.imuBias.ConstantBias(bias[3:], bias[:3]))
-    integrate(pim, increments)
+    params = PreintegrationParams.of(EUROC_IMU, PreintegrationConfig())
+    pim = Preintegration(params, gtsam.imuBias.ConstantBias(bias[3:], bias[:3]))
+    pim.integrate(increments)
     return CalibrationImuFactor.from_preintegrated(pim, bias)
 
 

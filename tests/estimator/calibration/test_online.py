@@ -11,7 +11,7 @@ import pytest
 
 from dronevio.estimator.calibration.online import CalibratedPart, CalibrationConfig, OnlineCalibration
 from dronevio.estimator.imu.buffer import ImuBuffer
-from dronevio.estimator.imu.preintegration import PreintegrationConfig, integrate, preintegration_params
+from dronevio.estimator.imu.preintegration import Preintegration, PreintegrationConfig, PreintegrationParams
 from dronevio.estimator.types import Observations
 from dronevio.models.camera import CameraModel
 from dronevio.models.rig import Rig
@@ -70,14 +70,14 @@ def keyframes(flight: "SyntheticFlight", errors: Errors) -> Iterator[Keyframe]:
     """Yield the keyframes of a flight with its true rig, normalized by the assumed calibration."""
     front_end, buffer = replace(flight, rig=errors.true_rig(flight.rig)).front_end(), ImuBuffer()
     buffer.add(flight.imu)
-    params, rng = preintegration_params(flight.rig.imu, PreintegrationConfig()), np.random.default_rng(0)
+    params, rng = PreintegrationParams.of(flight.rig.imu, PreintegrationConfig()), np.random.default_rng(0)
     for index in range(0, len(flight.frame_times_ns) - 1, 4):
         t_ns = int(flight.frame_times_ns[index])
         truth = flight.truth_at(np.array([t_ns]))
         assert truth.velocity_m_s is not None
         assert truth.gyro_bias_rad_s is not None and truth.accel_bias_m_s2 is not None
-        pim = gtsam.PreintegratedCombinedMeasurements(params, gtsam.imuBias.ConstantBias())
-        integrate(pim, buffer.take_until(t_ns))
+        pim = Preintegration(params, gtsam.imuBias.ConstantBias())
+        pim.integrate(buffer.take_until(t_ns))
         front_end.track(flight.frame(index), np.eye(3))
         seen = front_end.replenish()
         T = truth.Ts_world_imu[0] @ pose_matrix(exp_so3(errors.state_sigma * rng.normal(size=3)), np.zeros(3))
@@ -85,7 +85,7 @@ def keyframes(flight: "SyntheticFlight", errors: Errors) -> Iterator[Keyframe]:
         state = NavState(t_ns, T, velocity, truth.gyro_bias_rad_s[0], truth.accel_bias_m_s2[0])
         rate = flight.motion.at(np.array([(t_ns - flight.frame_times_ns[0]) * 1e-9])).omega[0]
         xy = flight.rig.cameras[0].model.normalize(seen.pixels)
-        yield Keyframe(state, rate, pim, replace(seen, xy=xy))
+        yield Keyframe(state, rate, pim.measurements, replace(seen, xy=xy))
 
 
 def calibrated(flight: "SyntheticFlight", config: CalibrationConfig, errors: Errors) -> OnlineCalibration:
@@ -113,7 +113,7 @@ def test_rotation_of_the_camera_is_found(noiseless: "SyntheticFlight") -> None:
     found = calibrated(noiseless, replace(ALL_OFF, rotation=ON), errors)
     np.testing.assert_allclose(found.estimate.rotation_rad[0], ROTATION_RAD, atol=np.radians(0.01))
     expected = errors.true_rig(noiseless.rig).cameras[0].T_imu_cam
-    np.testing.assert_allclose(found.rig.cameras[0].T_imu_cam, expected, atol=3e-4)
+    np.testing.assert_allclose(found.calibration.rig.cameras[0].T_imu_cam, expected, atol=3e-4)
 
 
 def test_time_offset_and_rotation_are_found_together(noiseless: "SyntheticFlight") -> None:
@@ -132,7 +132,7 @@ def test_intrinsics_are_found(noiseless: "SyntheticFlight") -> None:
     np.testing.assert_allclose(found.estimate.focal[0], [0.01, -0.01], atol=1e-3)
     np.testing.assert_allclose(found.estimate.principal[0], [4.0 / assumed.fx, 0.0], atol=1e-3)
     *_, last = keyframes(flight, errors)
-    corrected = found.corrected(last.observations)
+    corrected = found.calibration.normalized(last.observations)
     np.testing.assert_allclose(corrected.xy, true.normalize(last.observations.pixels), atol=2e-3)
 
 

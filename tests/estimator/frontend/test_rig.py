@@ -154,8 +154,7 @@ def test_a_miscalibrated_camera_gives_no_depth(see_wall: Callable[..., np.ndarra
         assert np.median(error_px) < 0.2 and np.mean(error_px < 1.0) > 0.95  # they are true, though
     left = seen.without(seen.ids[::2])
     assert len(left.miscalibrated) and not np.isin(left.miscalibrated.ids, seen.ids[::2]).any()
-    tracker.recalibrate(true_rig)
-    seen = tracker.replenish()
+    seen = tracker.replenish(true_rig)
     assert len(seen.miscalibrated) == 0 and len(seen.matches) > 0.7 * len(seen)
     assert np.median(wall.missed_px(seen)) < 0.15
 
@@ -173,11 +172,10 @@ def test_recalibration_turns_the_cameras_that_follow(see_wall: Callable[..., np.
     believed = replace(back, cameras=(back.cameras[0], replace(back.cameras[1], T_imu_cam=back.cameras[0].T_imu_cam @
         pose_matrix(exp_so3(np.radians([0.0, 50.0, 90.0])), np.zeros(3)))))  # fmt: skip
     told = [RigTracker(believed, CONFIG), RigTracker(back, CONFIG)]
-    told[0].recalibrate(back)
     wall, R = Wall(see_wall, back), exp_so3(np.radians([0.0, 0.0, 8.0]))
     for frame, turn in ((wall.frame(), np.eye(3)), (wall.frame(pose_matrix(R, np.zeros(3))), R.T)):
         for tracker in told:
-            tracker.track(frame, turn)
+            tracker.track(frame, turn, rig=back)
         seen = [tracker.replenish() for tracker in told]
         np.testing.assert_array_equal(seen[0].pixels, seen[1].pixels)
     assert np.any(seen[0].camera == 1)

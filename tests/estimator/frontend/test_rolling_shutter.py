@@ -1,15 +1,14 @@
 """ObservationTable of known late instants, moved to the time of their frame."""
 
-from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
 import numpy.typing as npt
 import pytest
 
-from dronevio.estimator.frontend.rolling_shutter import FrameTimes, NearbyTurn
+from dronevio.estimator.frontend.rolling_shutter import ExposureCompensation, LocalRotation
 from dronevio.estimator.imu.buffer import Increments
-from dronevio.estimator.types import Matches, Observations
+from dronevio.estimator.types import Calibration, Matches, Observations
 from dronevio.models.rig import EUROC_T_IMU_CAM1, Rig, RigCamera, euroc_rig
 from dronevio.models.rig_presets import PINHOLE
 from dronevio.models.rotation import exp_so3, inverse_pose, log_so3, pose_matrix
@@ -49,8 +48,8 @@ class Path:
         return Increments(np.diff(t), rates, np.zeros_like(rates))
 
 
-def begin(times: FrameTimes, path: Path, t_s: float) -> None:
-    times.begin(path.increments(t_s - FRAME_S, t_s), path.increments(t_s, t_s + 0.03), np.zeros(3))
+def begin(times: ExposureCompensation, path: Path, t_s: float) -> None:
+    times.begin_frame(path.increments(t_s - FRAME_S, t_s), path.increments(t_s, t_s + 0.03), np.zeros(3))
 
 
 def landmarks(n: int = 150, depth_m: tuple[float, float] = (2.0, 6.0)) -> Array:
@@ -95,8 +94,8 @@ def errors_px(
     Returns:
         (M,) after moving, (N,) before it.
     """
-    places, times = landmarks(), FrameTimes(Rig((camera,)))
-    times.late_s = offset_s
+    places, times = landmarks(), ExposureCompensation()
+    calibration = Calibration(Rig((camera,)), time_offset_correction_s=offset_s)
     for t_s in (-dt_s, 0.0):
         seen = observations(exposed(path, camera, places, t_s, offset_s))
         if t_s < 0.0:
@@ -104,8 +103,8 @@ def errors_px(
             known[new] = False
             seen = Observations(seen.ids[known], seen.pixels[known], seen.xy[known], seen.ages[known])
         before = path.increments(t_s - dt_s, t_s)
-        times.begin(before, path.increments(t_s, t_s + ahead_s), O)
-        moved = times.moved(seen)
+        times.begin_frame(before, path.increments(t_s, t_s + ahead_s), O)
+        moved = times.at_frame_time(seen, calibration)
     wanted = projected(path, camera, places, np.zeros(len(places)))
     after = np.linalg.norm(
         PINHOLE.project(np.column_stack([moved.xy, np.ones(len(moved))])) - wanted[moved.ids], axis=1
@@ -152,10 +151,10 @@ def test_aggressive_flight_keeps_a_quarter_of_a_pixel() -> None:
 
 
 def test_a_global_shutter_on_the_same_clock_is_left_alone() -> None:
-    times = FrameTimes(Rig((GLOBAL,)))
+    times = ExposureCompensation()
     seen = observations(exposed(Path(TURN, O, O, O), GLOBAL, landmarks(), 0.0))
     begin(times, Path(TURN, O, O, O), 0.0)
-    assert times.moved(seen) is seen
+    assert times.at_frame_time(seen, Calibration(Rig((GLOBAL,)))) is seen
 
 
 def test_gyro_bias_is_taken_out() -> None:
@@ -164,11 +163,11 @@ def test_gyro_bias_is_taken_out() -> None:
     biased = [Increments(i.dt_s, i.gyro_rad_s + bias, i.accel_m_s2) for i in (before, ahead)]
     t_s = np.linspace(-0.05, 0.03, 17)
     wanted = log_so3(path.T_world_imu(t_s)[:, :3, :3])
-    np.testing.assert_allclose(NearbyTurn.of(*biased, bias).at(t_s), wanted, atol=2e-5)
+    np.testing.assert_allclose(LocalRotation.of(*biased, bias).at(t_s), wanted, atol=2e-5)
 
 
 def test_beyond_the_known_motion_the_rate_is_held() -> None:
-    turn = NearbyTurn.of(
+    turn = LocalRotation.of(
         Path(TURN, O, O, O).increments(-FRAME_S, 0.0), Increments(np.zeros(0), *np.zeros((2, 0, 3))), O
     )
     np.testing.assert_allclose(turn.at(np.array([0.02, -0.07])), np.outer([0.02, -0.07], TURN), atol=1e-9)
@@ -176,7 +175,7 @@ def test_beyond_the_known_motion_the_rate_is_held() -> None:
 
 def test_nothing_sensed_is_no_turn() -> None:
     nothing = Increments(np.zeros(0), *np.zeros((2, 0, 3)))
-    np.testing.assert_array_equal(NearbyTurn.of(nothing, nothing, O).at(np.array([-0.01, 0.01])), np.zeros((2, 3)))
+    np.testing.assert_array_equal(LocalRotation.of(nothing, nothing, O).at(np.array([-0.01, 0.01])), np.zeros((2, 3)))
 
 
 def test_a_new_feature_is_left_out_until_it_shows_its_velocity() -> None:
@@ -187,27 +186,29 @@ def test_a_new_feature_is_left_out_until_it_shows_its_velocity() -> None:
 
 def test_what_was_seen_on_time_tells_velocities_to_what_is_late() -> None:
     """The clocks' offset turns up between two frames; features that are known by then are used at once."""
-    path, places, times = AGGRESSIVE, landmarks(), FrameTimes(Rig((GLOBAL,)))
+    path, places, times = AGGRESSIVE, landmarks(), ExposureCompensation()
+    given = Calibration(Rig((GLOBAL,)))
+    corrected = replace(given, time_offset_correction_s=0.004)
     begin(times, path, -FRAME_S)
-    times.moved(observations(exposed(path, GLOBAL, places, -FRAME_S)))
-    times.late_s = 0.004
+    times.at_frame_time(observations(exposed(path, GLOBAL, places, -FRAME_S)), given)
     begin(times, path, 0.0)
-    moved = times.moved(observations(exposed(path, GLOBAL, places, 0.0, 0.004)))
+    moved = times.at_frame_time(observations(exposed(path, GLOBAL, places, 0.0, 0.004)), corrected)
     assert len(moved) == len(places)
 
 
 def test_says_how_fast_the_imu_turns() -> None:
-    times = FrameTimes(Rig((GLOBAL,)))
+    times = ExposureCompensation()
     begin(times, Path(TURN, SPIN_UP, O, O), 0.0)
-    np.testing.assert_allclose(times.rate_rad_s, TURN, atol=1e-3)
+    np.testing.assert_allclose(times.angular_velocity_rad_s, TURN, atol=1e-3)
 
 
 def test_asking_twice_in_a_frame_gives_the_same() -> None:
-    path, places, times = Path(TURN, SPIN_UP, O, O), landmarks(), FrameTimes(Rig((ROLLING,)))
+    path, places, times = Path(TURN, SPIN_UP, O, O), landmarks(), ExposureCompensation()
+    calibration = Calibration(Rig((ROLLING,)))
     for t_s in (-FRAME_S, 0.0):
         seen = observations(exposed(path, ROLLING, places, t_s))
         begin(times, path, t_s)
-        first, second = times.moved(seen), times.moved(seen)
+        first, second = (times.at_frame_time(seen, calibration) for _ in range(2))
     np.testing.assert_array_equal(first.xy, second.xy)
     assert np.array_equal(first.ids, second.ids) and len(first) == len(places)
 
@@ -216,12 +217,14 @@ def test_sightings_of_further_cameras_move_too() -> None:
     """Each by the time of its own row, in its own image."""
     second = RigCamera(PINHOLE, EUROC_T_IMU_CAM1, readout_s=0.03)
     path = Path(TURN, SPIN_UP, R_IMU_CAM @ np.array([0.8, 0.4, 0.2]), O)
-    places, times = landmarks(), FrameTimes(Rig((ROLLING, second)))
+    places, times = landmarks(), ExposureCompensation()
+    calibration = Calibration(Rig((ROLLING, second)))
     for t_s in (-FRAME_S, 0.0):
         there = exposed(path, second, places, t_s)
         matches = Matches(np.arange(len(places)), np.ones(len(places), np.int64), PINHOLE.normalize(there))
         begin(times, path, t_s)
-        moved = times.moved(observations(exposed(path, ROLLING, places, t_s), matches=matches, miscalibrated=matches))
+        seen = observations(exposed(path, ROLLING, places, t_s), matches=matches, miscalibrated=matches)
+        moved = times.at_frame_time(seen, calibration)
     wanted = projected(path, second, places, np.zeros(len(places)))
     found = PINHOLE.project(np.column_stack([moved.matches.xy, np.ones(len(places))]))
     assert np.median(np.linalg.norm(there - wanted, axis=1)) > 4.0
@@ -229,8 +232,20 @@ def test_sightings_of_further_cameras_move_too() -> None:
     np.testing.assert_array_equal(moved.miscalibrated.xy, moved.matches.xy)
 
 
-def test_says_how_late_it_may_see(make_flight: Callable) -> None:
-    times = FrameTimes(Rig((ROLLING, GLOBAL)))
-    assert times.reach_s == pytest.approx(0.015)
-    times.late_s = 0.004
-    assert times.reach_s == pytest.approx(0.019)
+def test_lookahead_covers_readout_and_time_offset() -> None:
+    given = Calibration(Rig((ROLLING, GLOBAL)))
+    assert ExposureCompensation.lookahead_s(given) == pytest.approx(0.015)
+    corrected = replace(given, time_offset_correction_s=0.004)
+    assert ExposureCompensation.lookahead_s(corrected) == pytest.approx(0.019)
+
+
+def test_corrected_extrinsics_are_used_at_once() -> None:
+    """The rotation within the readout acts in the camera's own axes: a correction must reach it with the next frame."""
+    wrong = replace(ROLLING, T_imu_cam=T_IMU_CAM @ pose_matrix(exp_so3(np.radians([0.0, 0.0, 90.0])), np.zeros(3)))
+    path, places, times = Path(TURN, SPIN_UP, O, O), landmarks(), ExposureCompensation()
+    for camera, t_s in ((wrong, -FRAME_S), (ROLLING, 0.0), (ROLLING, FRAME_S)):
+        begin(times, path, t_s)
+        moved = times.at_frame_time(observations(exposed(path, ROLLING, places, t_s)), Calibration(Rig((camera,))))
+    wanted = projected(path, ROLLING, places, np.full(len(places), FRAME_S))
+    found = PINHOLE.project(np.column_stack([moved.xy, np.ones(len(moved))]))
+    assert np.linalg.norm(found - wanted[moved.ids], axis=1).max() < 0.3

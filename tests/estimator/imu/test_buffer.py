@@ -9,7 +9,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from dronevio.estimator.imu.buffer import ImuBuffer, Increments
-from dronevio.estimator.imu.preintegration import PreintegrationConfig, integrate, preintegration_params
+from dronevio.estimator.imu.preintegration import Preintegration, PreintegrationConfig, PreintegrationParams
 from dronevio.models.errors import ConfigError
 from dronevio.models.imu import EUROC_IMU, GRAVITY_M_S2, ImuSamples, Sampling
 from dronevio.models.rotation import exp_so3
@@ -159,11 +159,11 @@ def test_constant_rates_give_the_exact_rotation(cuts_ns: list[int], seed: int) -
 
 def preintegrated(parts: list[Increments], config: PreintegrationConfig | None = None) -> gtsam.NavState:
     """Return where GTSAM's preintegration goes from rest at the origin."""
-    params = preintegration_params(EUROC_IMU, config or PreintegrationConfig())
-    pim = gtsam.PreintegratedCombinedMeasurements(params, gtsam.imuBias.ConstantBias())
+    params = PreintegrationParams.of(EUROC_IMU, config or PreintegrationConfig())
+    pim = Preintegration(params, gtsam.imuBias.ConstantBias())
     for part in parts:
-        integrate(pim, part)
-    return pim.predict(gtsam.NavState(), gtsam.imuBias.ConstantBias())
+        pim.integrate(part)
+    return pim.measurements.predict(gtsam.NavState(), gtsam.imuBias.ConstantBias())
 
 
 @pytest.mark.parametrize("sampling", SAMPLINGS)
@@ -181,14 +181,14 @@ def test_preintegration_follows_an_analytic_path(
     times = flight.frame_times_ns[:41] + frame_offset_ns
     buffer.take_until(int(times[0]))
     truth = flight.truth_at(times)
-    params, bias = preintegration_params(EUROC_IMU, PreintegrationConfig()), gtsam.imuBias.ConstantBias()
+    params, bias = PreintegrationParams.of(EUROC_IMU, PreintegrationConfig()), gtsam.imuBias.ConstantBias()
     state = gtsam.NavState(gtsam.Pose3(truth.Ts_world_imu[0]), truth.velocity_m_s[0])
     for k in range(1, 41, 4):
-        pim = gtsam.PreintegratedCombinedMeasurements(params, bias)
+        pim = Preintegration(params, bias)
         for t_ns in times[k : k + 4].tolist():
-            integrate(pim, buffer.take_until(t_ns))
-        assert pim.deltaTij() == pytest.approx(0.2)
-        state = pim.predict(state, bias)
+            pim.integrate(buffer.take_until(t_ns))
+        assert pim.duration_s == pytest.approx(0.2)
+        state = pim.measurements.predict(state, bias)
     np.testing.assert_allclose(state.pose().matrix()[:3, :3], truth.rotations[-1], atol=1e-5)
     np.testing.assert_allclose(state.velocity(), truth.velocity_m_s[-1], atol=5e-4)
     np.testing.assert_allclose(state.position(), truth.p_world_imu[-1], atol=5e-4)
@@ -217,7 +217,7 @@ def test_noise_settings_reach_gtsam() -> None:
     config = PreintegrationConfig(
         gyro_noise_inflation=3.0, accel_noise_inflation=4.0, walk_inflation=7.0, integration_sigma=1e-3
     )
-    params = preintegration_params(EUROC_IMU, config)
+    params = PreintegrationParams.of(EUROC_IMU, config)
     imu, eye = EUROC_IMU, np.eye(3)
     np.testing.assert_allclose(params.getGyroscopeCovariance(), eye * (3.0 * imu.gyro_noise_density) ** 2)
     np.testing.assert_allclose(params.getAccelerometerCovariance(), eye * (4.0 * imu.accel_noise_density) ** 2)

@@ -4,7 +4,6 @@ from collections.abc import Callable
 from dataclasses import astuple
 from typing import TYPE_CHECKING
 
-import gtsam
 import numpy as np
 import pytest
 
@@ -18,8 +17,9 @@ from dronevio.estimator.imu.noise import (
     NoiseEstimationConfig,
     VarianceComponent,
 )
-from dronevio.estimator.imu.preintegration import PreintegrationConfig, integrate
+from dronevio.estimator.imu.preintegration import Preintegration, PreintegrationConfig
 from dronevio.estimator.initialization.static import InitialSigmas
+from dronevio.estimator.types import Calibration
 from dronevio.models.imu import EUROC_IMU
 from dronevio.models.state import NavState
 
@@ -117,8 +117,9 @@ def test_preintegration_parameters_follow_the_estimate() -> None:
     for _ in range(500):
         noise.update(expected)
     assert noise.densities == pytest.approx(sheet, rel=1e-3)
-    found = noise.params.getGyroscopeCovariance(), noise.params.getAccelerometerCovariance()
-    for covariance, density in zip(found, sheet, strict=True):
+    found = noise.params.to_gtsam()
+    covariances = found.getGyroscopeCovariance(), found.getAccelerometerCovariance()
+    for covariance, density in zip(covariances, sheet, strict=True):
         np.testing.assert_allclose(covariance, density**2 * np.eye(3), rtol=3e-3)
 
 
@@ -141,14 +142,16 @@ def test_noise_of_a_flight_is_found(make_flight: Callable[..., "SyntheticFlight"
     buffer.take_until(start.t_ns)
     front_end.track(flight.frame(0), np.eye(3))
     P = InitialSigmas().covariance(start.T_world_imu[:3, :3])
-    smoother = KeyframeSmoother(flight.rig.cameras, SmootherConfig(), LandmarkConfig(), start, P, front_end.replenish())
+    smoother = KeyframeSmoother(
+        Calibration(flight.rig), SmootherConfig(), LandmarkConfig(), start, P, front_end.replenish()
+    )
     noise = ImuNoiseEstimator(flight.rig.imu, PreintegrationConfig(), NoiseEstimationConfig())
     levels, sheet = [], np.array([flight.rig.imu.gyro_noise_density, flight.rig.imu.accel_noise_density])
     for k, t_ns in enumerate(times[1:].tolist(), 1):
-        pim = gtsam.PreintegratedCombinedMeasurements(noise.params, smoother.gtsam_state[1])
-        integrate(pim, buffer.take_until(t_ns))
+        pim = Preintegration(noise.params, smoother.gtsam_state[1])
+        pim.integrate(buffer.take_until(t_ns))
         front_end.track(flight.frame(step * k), np.eye(3))
-        result = smoother.add_keyframe(t_ns, pim, front_end.replenish(), still=False)
+        result = smoother.add_keyframe(t_ns, pim.measurements, front_end.replenish(), stationary=False)
         noise.update(result.imu_variance)
         levels.append(noise.densities / sheet)
     gyro, accel = np.mean(levels[-40:], axis=0)

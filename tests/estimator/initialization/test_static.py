@@ -8,7 +8,12 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from dronevio.estimator.imu.buffer import ImuBuffer, Increments
-from dronevio.estimator.initialization.static import InitialSigmas, initialize_static, level_rotation, mean_gyro
+from dronevio.estimator.initialization.static import (
+    InitialSigmas,
+    initialize_static,
+    level_rotation,
+    mean_angular_velocity,
+)
 from dronevio.estimator.types import GAUGE_SIGMA
 from dronevio.models.imu import GRAVITY_M_S2
 from dronevio.models.rotation import exp_so3
@@ -65,7 +70,7 @@ def test_noise_averages_out() -> None:
 def test_mean_rate_weighs_by_time() -> None:
     slow = Increments(np.array([0.3]), np.array([[1.0, 0.0, 0.0]]), np.zeros((1, 3)))
     fast = Increments(np.array([0.1]), np.array([[5.0, 0.0, 4.0]]), np.zeros((1, 3)))
-    np.testing.assert_allclose(mean_gyro([slow, fast]), [2.0, 0.0, 1.0])
+    np.testing.assert_allclose(mean_angular_velocity([slow, fast]), [2.0, 0.0, 1.0])
 
 
 def test_start_from_a_flight_at_rest(make_flight: Callable) -> None:
