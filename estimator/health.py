@@ -142,7 +142,7 @@ class HealthMonitor:
             bias_sigmas=bias_sigmas,
             position_sigma_m=position_sigma_m,
             velocity_sigma_m_s=velocity_sigma_m_s,
-            blind_s=inertial_only_s,
+            inertial_only_s=inertial_only_s,
         )
 
     def _innovation(

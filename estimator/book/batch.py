@@ -18,7 +18,7 @@ from gtsam.symbol_shorthand import B, L, V, X
 from dronevio.estimator.backend.triangulation import Triangulation, triangulate
 from dronevio.estimator.book.eqvio import FeatureRecording
 from dronevio.estimator.imu.buffer import ImuBuffer
-from dronevio.estimator.imu.preintegration import PreintegrationConfig, PreintegrationParams
+from dronevio.estimator.imu.preintegration import Preintegration, PreintegrationConfig, PreintegrationParams
 from dronevio.models.imu import Times
 from dronevio.models.state import Trajectory
 

@@ -1,7 +1,7 @@
 """The back end, fed with keyframes of which everything is known."""
 
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import pytest
@@ -56,7 +56,7 @@ def keyframes(
     buffer.take_until(int(times[0]))
     front_end.track(flight.frame(0), np.eye(3))
     smoother = KeyframeSmoother(
-        flight.rig.cameras,
+        Calibration(flight.rig),
         config,
         LandmarkConfig(),
         start,
@@ -184,9 +184,10 @@ def test_solver_starts_again_however_unsure_the_position(make_flight: Callable, 
     before = None
     for feed in keyframes(flight, SmootherConfig(), np.zeros((4, 3)), InitialSigmas()):
         if len(feed.states) == 8:
-            before = feed.smoother._covariance.copy()
+            solution = feed.smoother._solution
+            before = solution.covariance.copy()
             before[3:6, 3:6] = position_sigma_m**2 * np.eye(3)
-            feed.smoother._covariance = before
+            feed.smoother._solution = replace(solution, covariance=before)
             feed.smoother._window.linearize = fail
     assert [bool(result.events) for result in feed.results] == [k == 8 for k in range(len(feed.results))]
     assert errors(feed)[1].max() < 0.1

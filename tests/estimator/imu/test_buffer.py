@@ -217,7 +217,7 @@ def test_noise_settings_reach_gtsam() -> None:
     config = PreintegrationConfig(
         gyro_noise_inflation=3.0, accel_noise_inflation=4.0, walk_inflation=7.0, integration_sigma=1e-3
     )
-    params = PreintegrationParams.of(EUROC_IMU, config)
+    params = PreintegrationParams.of(EUROC_IMU, config).to_gtsam()
     imu, eye = EUROC_IMU, np.eye(3)
     np.testing.assert_allclose(params.getGyroscopeCovariance(), eye * (3.0 * imu.gyro_noise_density) ** 2)
     np.testing.assert_allclose(params.getAccelerometerCovariance(), eye * (4.0 * imu.accel_noise_density) ** 2)

@@ -127,6 +127,19 @@ def test_saturation_enlarges_the_covariance_of_its_axis() -> None:
     np.testing.assert_allclose(clipped_sigmas[1:], sigmas[1:], rtol=0.1)
 
 
+def test_saturation_leaves_the_noise_of_later_samples_alone() -> None:
+    params, bias = PreintegrationParams.of(EUROC_IMU, PreintegrationConfig()), gtsam.imuBias.ConstantBias()
+    saturated, clean = clipped_rotation(1.0)[0], clipped_rotation(10.0)[0]
+    variances = []
+    for parts in ((clean,), (saturated,), (saturated, clean)):
+        preintegration = Preintegration(params, bias)
+        for part in parts:
+            preintegration.integrate(part)
+        variances.append(np.trace(preintegration.measurements.preintMeasCov()[:3, :3]))
+    assert variances[1] > 100.0 * variances[0]
+    assert variances[2] - variances[1] == pytest.approx(variances[0], rel=1e-3)
+
+
 @dataclass(frozen=True, eq=False)
 class Propagated:
     """The state after a rotation of one second."""
