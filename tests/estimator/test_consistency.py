@@ -44,7 +44,7 @@ def matched_noise() -> VioConfig:
     return replace(
         c,
         smoother=replace(c.smoother, pixel_sigma=PIXEL_NOISE, robust_sigmas=30.0),
-        inertial=replace(c.inertial, gyro_noise_inflation=1.0, accel_noise_inflation=1.0),
+        preintegration=replace(c.preintegration, gyro_noise_inflation=1.0, accel_noise_inflation=1.0),
         noise=replace(c.noise, prior_weight=1e9),
     )
 
@@ -59,7 +59,7 @@ def yaw_between(truth: Trajectory, found: Trajectory) -> np.ndarray:
 def first_window_ns(estimates: Sequence[Estimate]) -> int:
     """Return the time of the first frame of a start in motion [ns]: before the first pose, by the start's window."""
     started = next(e.t_ns for e in estimates if e.state is not None or "±" in str(e.health_report))
-    return started - round(matched_noise().start.motion.window_s * 1e9)
+    return started - round(matched_noise().initialization.dynamic.window_s * 1e9)
 
 
 def nees_at_the_end(flight: Any, estimates: Sequence[Estimate], from_rest: bool) -> np.ndarray:
