@@ -47,7 +47,10 @@ ONE_THREAD = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_
 _ISOLATED = {"PYTHONSAFEPATH": "1", "COLUMNS": "200"}  # no current folder among the imports; options are not wrapped
 PACKAGES = ("numpy", "scipy", "gtsam", "opencv-python-headless", "mujoco")
 
-OPTIONS: dict[str, tuple[str, ...]] = {}
+OPTIONS: dict[str, tuple[str, ...]] = {
+    "--plan.rest-s": ("--plan.initial-rest-s", "--plan.rest-s"),
+    "--plan.stand-s": ("--plan.final-rest-s", "--plan.stand-s"),
+}
 """Spellings that an option of ``dronevio fly`` or ``estimate`` has in some revision, where there are several."""
 
 RIGS: dict[Subject, str] = {

@@ -29,7 +29,7 @@ from dronevio.eval.metrics.scores import score_trajectory
 from dronevio.models.recordings.open import open_recording
 from dronevio.models.recordings.tum import read_tum
 from dronevio.models.rotation import inverse_pose
-from dronevio.sim.chase_camera import Onlooker
+from dronevio.sim.chase_camera import ChaseCamera
 from dronevio.sim.scenarios import scenario
 from dronevio.sim.world import build_world
 from dronevio.sim.worlds.contact_sheet import contact_sheet, sheet_of_worlds
@@ -130,7 +130,7 @@ def photograph_take_off(run: Path) -> Picture:
     flown = scenario("room", 0)
     truth = read_tum(run / "groundtruth.tum")
     T_world_imu = truth.Ts_world_imu[np.searchsorted(truth.t_s, TAKE_OFF_S)]
-    onlooker = Onlooker(build_world(flown.world, flown.seed), flown.quadrotor, flown.rig, *TAKE_OFF_PX)
+    onlooker = ChaseCamera(build_world(flown.world, flown.seed), flown.quadrotor, flown.rig, *TAKE_OFF_PX)
     try:
         return onlooker.render(T_world_imu @ inverse_pose(flown.rig.T_vehicle_imu))
     finally:

@@ -59,7 +59,7 @@ class SemiReal:
     """File for all rows."""
 
 
-def place_of(folder: Path, name: str, seed: int) -> Path:
+def flight_area(folder: Path, name: str, seed: int) -> Path:
     """Return where a sequence lies: NAME-SEED, or NAME for seed 0."""
     numbered = folder / f"{name}-{seed}"
     return folder / name if seed == 0 and not numbered.exists() else numbered
@@ -70,7 +70,7 @@ def make_missing(folder: Path, names: Sequence[str], seeds: Sequence[int], camer
     data = Path(os.environ.get("DRONEVIO_DATA", ""))
     for seed in seeds:
         for name in names:
-            place = place_of(folder, name, seed)
+            place = flight_area(folder, name, seed)
             if (place / "mav0" / f"cam{cameras - 1}" / "data").is_dir():
                 continue
             print(f"making {place}", file=sys.stderr, flush=True)
@@ -172,7 +172,7 @@ def cross_check(rows: Sequence[Figures], command: SemiReal, tools: Path) -> str:
         good = sorted((row for row in rows if row.mode == mode and row.status == "ok"), key=lambda row: row.flight)
         for row in good[:1]:
             name, _, seed = row.flight.rpartition("-")
-            folder = place_of(command.sequences, name, int(seed))
+            folder = flight_area(command.sequences, name, int(seed))
             key = Task(row.flight, folder, mode).key(estimator_hash())
             truth = folder / "mav0" / "state_groundtruth_estimate0" / "data.csv"
             theirs = judge.evaluate(str(command.results / f"{key}.tum"), str(truth))
@@ -192,7 +192,7 @@ def main(command: SemiReal) -> int:
             command.sequences, command.names, seeds, max(CAMERAS[m] for m in command.modes), tools / "make_semi_real.py"
         )
     tasks = [
-        Task(f"{name}-{seed}", place_of(command.sequences, name, seed), mode)
+        Task(f"{name}-{seed}", flight_area(command.sequences, name, seed), mode)
         for seed in seeds
         for name in command.names
         for mode in command.modes

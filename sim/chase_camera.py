@@ -17,7 +17,7 @@ Array = npt.NDArray[np.float64]
 _DISTANCE_ARMS, _AZIMUTH_DEG, _ELEVATION_DEG = 8.5, 60.0, -20.0
 
 
-class Onlooker:
+class ChaseCamera:
     """A camera that looks at the drone from a constant distance and direction, off screen. Close it after use."""
 
     def __init__(self, world: World, quadrotor: Quadrotor, rig: Rig, width: int = 640, height: int = 480) -> None:

@@ -11,15 +11,15 @@ from dronevio.models.rig import Rig
 from dronevio.models.rotation import pose_matrix
 from dronevio.models.state import Trajectory
 from dronevio.sim.cameras.interpolation import interpolated_poses
-from dronevio.sim.cameras.schedule import FrameSchedule, beat, schedule_frames
+from dronevio.sim.cameras.schedule import FrameSchedule, nominal_stamps, schedule_frames
 from dronevio.sim.inertial.imu import ImuErrors
-from dronevio.sim.inertial.vibration import RotorTones
+from dronevio.sim.inertial.vibration import RotorHarmonics
 from dronevio.sim.paths.path import Reference, attitude, plan_reference
 from dronevio.sim.physics.collisions import Collision
 from dronevio.sim.physics.controller import SE3Controller
 from dronevio.sim.physics.plant import QuadrotorPlant
 from dronevio.sim.scenario import Scenario
-from dronevio.sim.world import place_of, touched_of
+from dronevio.sim.world import collision_spec, flight_area
 
 Array = npt.NDArray[np.float64]
 
@@ -65,8 +65,8 @@ def plant_of(scenario: Scenario) -> QuadrotorPlant:
     return QuadrotorPlant(
         scenario.true_rig,
         scenario.quadrotor,
-        surroundings=touched_of(scenario.world, scenario.seed),
-        pad_m=place_of(scenario.world, scenario.seed).pad,
+        surroundings=collision_spec(scenario.world, scenario.seed),
+        pad_m=flight_area(scenario.world, scenario.seed).pad,
         wind=scenario.wind,
         failure=scenario.faults.motor_failure,
         rng=scenario.generator("wind"),
@@ -79,8 +79,8 @@ def reference_of(scenario: Scenario, plant: QuadrotorPlant) -> Reference:
     Raises:
         ConfigError: There is no such world, or the plan does not fit into it.
     """
-    place = place_of(scenario.world, scenario.seed)
-    return plan_reference(scenario.plan, place, plant.standing_height_m, plant.interval_ns, scenario.generator("path"))
+    area = flight_area(scenario.world, scenario.seed)
+    return plan_reference(scenario.plan, area, plant.standing_height_m, plant.interval_ns, scenario.generator("path"))
 
 
 def fly(scenario: Scenario, progress: Progress = silent) -> Flight:
@@ -100,7 +100,7 @@ def fly(scenario: Scenario, progress: Progress = silent) -> Flight:
     plant = plant_of(scenario)
     reference = reference_of(scenario, plant)
     if reference.flying[0]:
-        _throw(plant, reference)
+        _start_in_air(plant, reference)
     controller = SE3Controller(reference, rig.T_vehicle_imu, scenario.quadrotor)
     steps = len(reference) - 1
     for step in range(steps):
@@ -113,14 +113,14 @@ def fly(scenario: Scenario, progress: Progress = silent) -> Flight:
     motion = plant.motion()
     perfect = motion.points(rig.T_vehicle_imu, plant.interval_s)
     rng = scenario.generator("imu")
-    errors = ImuErrors(rig.imu, rng, RotorTones(scenario.quadrotor, rig, rng.spawn(1)[0]))
+    errors = ImuErrors(rig.imu, rng, RotorHarmonics(scenario.quadrotor, rig, rng.spawn(1)[0]))
     imu, gyro_bias, accel_bias = errors.add_to(perfect, motion.rotor_speeds_rad_s)
     truth = replace(motion.trajectory(rig.T_vehicle_imu), gyro_bias_rad_s=gyro_bias, accel_bias_m_s2=accel_bias)
     schedule = _schedule(scenario, rig, truth)
     return Flight(scenario, rig, imu, truth, schedule, reference, perfect, errors.constants, plant.collision)
 
 
-def _throw(plant: QuadrotorPlant, reference: Reference) -> None:
+def _start_in_air(plant: QuadrotorPlant, reference: Reference) -> None:
     """Put the vehicle where its path begins in the air, in the motion that it has there."""
     force = reference.acceleration_m_s2[0] + [0.0, 0.0, GRAVITY_M_S2]
     speed = plant.quadrotor.hover_speed_rad_s * np.sqrt(np.linalg.norm(force) / GRAVITY_M_S2)  # thrust goes by ω²
@@ -137,7 +137,7 @@ def _schedule(scenario: Scenario, rig: Rig, truth: Trajectory) -> FrameSchedule:
     first_ns, last_ns = int(truth.t_ns[0]), int(truth.t_ns[-1])
     faults = scenario.faults
     return schedule_frames(
-        beat(first_ns, last_ns, rig.cameras[0].rate_hz),
+        nominal_stamps(first_ns, last_ns, rig.cameras[0].rate_hz),
         scenario.generator("frames"),
         rig.time_offset_s,
         faults.stamp_jitter_s,

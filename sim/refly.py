@@ -19,7 +19,7 @@ from dronevio.sim.inertial.imu import ImuErrors
 from dronevio.sim.paths.placement import place_path
 from dronevio.sim.paths.spline import SmoothMotion
 from dronevio.sim.streams import generator
-from dronevio.sim.world import place_of
+from dronevio.sim.world import flight_area
 
 Array = npt.NDArray[np.float64]
 
@@ -69,7 +69,7 @@ def refly(
         ConfigError: There is no such world, or the path does not fit into it, is too short or has gaps, or shares no
             time with the IMU.
     """
-    space = place_of(world, seed).space
+    space = flight_area(world, seed).space
     if imu is None:
         truth, samples = _synthesized(recorded, rig, seed)
     else:
@@ -104,9 +104,9 @@ def cut(recorded: Trajectory, start_s: float, duration_s: float | None) -> Traje
 
 def frame_stamps(imu_ns: Times, rate_hz: float) -> Times:
     """Return the IMU stamps (M,) [ns] that lie nearest to a camera's beat: sensors on one clock share their stamps."""
-    beat = np.arange(imu_ns[0], imu_ns[-1] + 1, round(1e9 / rate_hz), dtype=np.int64)
-    after = np.clip(np.searchsorted(imu_ns, beat), 1, len(imu_ns) - 1)
-    earlier = beat - imu_ns[after - 1] < imu_ns[after] - beat
+    nominal_ns = np.arange(imu_ns[0], imu_ns[-1] + 1, round(1e9 / rate_hz), dtype=np.int64)
+    after = np.clip(np.searchsorted(imu_ns, nominal_ns), 1, len(imu_ns) - 1)
+    earlier = nominal_ns - imu_ns[after - 1] < imu_ns[after] - nominal_ns
     return np.unique(np.where(earlier, imu_ns[after - 1], imu_ns[after]))
 
 

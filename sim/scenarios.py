@@ -37,19 +37,27 @@ _TOUR = (
 )
 """Figures of eight and laps that see every wall, at changing heights."""
 
-_ROOM = FlightPlan(rest_s=2.0, takeoff_s=2.0, tour_s=21.2, landing_s=3.3, stand_s=1.5, waypoints=_TOUR, jitter=0.1)
-_HOVER = FlightPlan(rest_s=2.0, takeoff_s=2.0, tour_s=2.0, landing_s=3.0, stand_s=1.0)
+_ROOM = FlightPlan(
+    initial_rest_s=2.0,
+    takeoff_s=2.0,
+    tour_s=21.2,
+    landing_s=3.3,
+    final_rest_s=1.5,
+    waypoints=_TOUR,
+    waypoint_jitter=0.1,
+)
+_HOVER = FlightPlan(initial_rest_s=2.0, takeoff_s=2.0, tour_s=2.0, landing_s=3.0, final_rest_s=1.0)
 _SHORT = FlightPlan(
-    rest_s=1.5,
+    initial_rest_s=1.5,
     takeoff_s=0.9,
     tour_s=1.7,
     landing_s=1.5,
-    stand_s=0.4,
+    final_rest_s=0.4,
     height_m=0.4,
-    floor_m=0.3,
+    min_height_m=0.3,
     waypoints=((0.1, 0.04, 0.1),),
-    jitter=0.02,
-    turning=0.2,
+    waypoint_jitter=0.02,
+    heading_scale=0.2,
 )
 
 _FIRST_FLIGHTS = (

@@ -10,13 +10,13 @@ import numpy.typing as npt
 from dronevio.models.errors import ConfigError
 from dronevio.sim.appearance.lightmap import bake, daylight
 from dronevio.sim.appearance.scenery import paint_pages, painted
-from dronevio.sim.paths.space import Place, Space
+from dronevio.sim.paths.space import FlightArea, Space
 from dronevio.sim.streams import generator
 from dronevio.sim.worlds.assembly import (
-    Looks,
-    add_touched,
+    Appearance,
+    add_collision_geoms,
     assembled,
-    assembled_things,
+    assembled_instances,
     outline_of,
     seen_surfaces,
     space_of,
@@ -102,8 +102,8 @@ def build_world(name: str, seed: int) -> World:
         ConfigError: There is no such world.
     """
     _require(name)
-    layout, looks = _painted(name, seed)
-    spec = assembled(layout, looks)
+    layout, appearance = _painted(name, seed)
+    spec = assembled(layout, appearance)
     spec.modelname = f"{name}-{seed}"
     return World(
         name,
@@ -120,7 +120,7 @@ def build_world(name: str, seed: int) -> World:
 
 
 @lru_cache(maxsize=8)
-def place_of(name: str, seed: int) -> Place:
+def flight_area(name: str, seed: int) -> FlightArea:
     """Return where one may fly in a world: what `build_world` says of it, without the seconds of painting.
 
     Raises:
@@ -128,10 +128,10 @@ def place_of(name: str, seed: int) -> Place:
     """
     _require(name)
     layout = WORLDS[name].layout(_generators(seed)[0])
-    return Place(space_of(layout), layout.free_box, layout.pad, layout.route)
+    return FlightArea(space_of(layout), layout.free_box, layout.pad, layout.route)
 
 
-def touched_of(name: str, seed: int) -> mujoco.MjSpec:
+def collision_spec(name: str, seed: int) -> mujoco.MjSpec:
     """Return what a drone can touch of a world, and nothing that is only seen, without the seconds of painting.
 
     Raises:
@@ -139,11 +139,11 @@ def touched_of(name: str, seed: int) -> mujoco.MjSpec:
     """
     _require(name)
     spec = mujoco.MjSpec()
-    add_touched(spec, WORLDS[name].layout(_generators(seed)[0]))
+    add_collision_geoms(spec, WORLDS[name].layout(_generators(seed)[0]))
     return spec
 
 
-def things_of(name: str, seed: int) -> mujoco.MjSpec:
+def instance_spec(name: str, seed: int) -> mujoco.MjSpec:
     """Return what is seen of a world without its paint, so without the seconds of painting.
 
     Each thing is one geom, and its name says what it is: ``floor``, ``sofa``, ``tree_12``. The same seed gives the same
@@ -153,7 +153,7 @@ def things_of(name: str, seed: int) -> mujoco.MjSpec:
         ConfigError: There is no such world.
     """
     _require(name)
-    return assembled_things(WORLDS[name].layout(_generators(seed)[0]))
+    return assembled_instances(WORLDS[name].layout(_generators(seed)[0]))
 
 
 def _require(name: str) -> None:
@@ -163,8 +163,8 @@ def _require(name: str) -> None:
 
 
 @lru_cache(maxsize=2)
-def _painted(name: str, seed: int) -> tuple[Layout, Looks]:
-    """Return the layout of a world and what it looks like; kept, since painting takes a second or two."""
+def _painted(name: str, seed: int) -> tuple[Layout, Appearance]:
+    """Return the layout of a world and what it appearance like; kept, since painting takes a second or two."""
     drawing, paint = _generators(seed)
     layout = WORLDS[name].layout(drawing)
     surfaces = seen_surfaces(layout)
@@ -181,7 +181,7 @@ def _painted(name: str, seed: int) -> tuple[Layout, Looks]:
     for thing in layout.moving:
         sides = [face for box in thing.boxes for face in box.faces()]
         moving_pages.append(paint_pages(sides, daylight(sides), paint, _MOVING_PAGE_PX))
-    return layout, Looks(pages, moving_pages, reflecting[0] if reflecting else None)
+    return layout, Appearance(pages, moving_pages, reflecting[0] if reflecting else None)
 
 
 def _generators(seed: int) -> tuple[np.random.Generator, np.random.Generator]:

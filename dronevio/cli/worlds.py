@@ -34,7 +34,7 @@ def main(arguments: Sequence[str]) -> int:
     command = parse(WorldsCommand, arguments, "worlds")
 
     from dronevio.models.errors import ConfigError
-    from dronevio.sim.world import WORLDS, place_of
+    from dronevio.sim.world import WORLDS, flight_area
     from dronevio.sim.worlds.contact_sheet import require_picture
 
     if command.seed < 0:
@@ -44,7 +44,7 @@ def main(arguments: Sequence[str]) -> int:
         require_picture(command.sheet)
     rows = []
     for name in names:
-        place = place_of(name, command.seed)
+        place = flight_area(name, command.seed)
         rows.append((WORLDS[name], [round(float(v), 2) for v in place.space.high - place.space.low]))
     if command.sheet is not None:
         _draw(command.sheet, names, command.seed, command.printing.json)

@@ -10,7 +10,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 import numpy.typing as npt
 
-from dronevio.sim.appearance.instances import UNNAMED, Thing
+from dronevio.sim.appearance.instances import UNNAMED, Instance
 from dronevio.sim.appearance.scenery import Page, facing
 from dronevio.sim.appearance.solids import Paint
 
@@ -27,7 +27,7 @@ class Cutouts:
     """(F, 4, 3) Corners [m]: clockwise as one looks at each."""
     on_image: Array
     """(F, 4, 2) Where they lie on the image, as fractions of its width and height from its top left corner."""
-    thing: Thing = UNNAMED
+    instance: Instance = UNNAMED
     """What they belong to."""
 
     @classmethod

@@ -8,21 +8,21 @@ from typing import ParamSpec, Protocol, Self, TypeVar
 
 
 @dataclass(frozen=True, eq=False)
-class Thing:
+class Instance:
     """One sofa, one tree, one wall: two of a kind are two things."""
 
     kind: str
     """What it is, such as ``sofa``."""
 
 
-UNNAMED = Thing("something")
+UNNAMED = Instance("something")
 """What surfaces belong to that nobody has named."""
 
 
 class _Made(Protocol):
     """What is made of surfaces."""
 
-    def called(self, kind: str) -> Self:
+    def as_instance(self, kind: str) -> Self:
         """Return it as one thing of a kind, whatever its parts belonged to."""
 
 
@@ -30,17 +30,17 @@ _Arguments = ParamSpec("_Arguments")
 _Piece = TypeVar("_Piece", bound=_Made)
 
 
-def one_thing(make: Callable[_Arguments, _Piece]) -> Callable[_Arguments, _Piece]:
+def single_instance(make: Callable[_Arguments, _Piece]) -> Callable[_Arguments, _Piece]:
     """Let each piece that a function makes be one thing, whose kind is the function's name."""
 
     @wraps(make)
     def named(*args: _Arguments.args, **kwargs: _Arguments.kwargs) -> _Piece:
-        return make(*args, **kwargs).called(make.__name__.strip("_"))
+        return make(*args, **kwargs).as_instance(make.__name__.strip("_"))
 
     return named
 
 
-def names_of(things: Iterable[Thing]) -> list[str]:
+def unique_names(things: Iterable[Instance]) -> list[str]:
     """Return names in the same order, no two alike: the kind if there is one of it, else ``tree_1``, ``tree_2``."""
     listed = list(things)
     total, seen = Counter(thing.kind for thing in listed), Counter[str]()

@@ -14,28 +14,28 @@ from dronevio.sim.appearance.solids import Box
 
 Array = npt.NDArray[np.float64]
 
-UNSEEN = partial(textures.plain, colour=(0.0, 0.0, 0.0))
+UNPAINTED = partial(textures.plain, colour=(0.0, 0.0, 0.0))
 """The paint of boxes that are obstacles only."""
 
 
-def mantle(heights: Array, radii: Array, sides: int, bend: Array | None = None) -> Array:
+def lateral_surface(heights: Array, radii: Array, sides: int, axis_offset: Array | None = None) -> Array:
     """Return the mantle of an upright round thing, a grid (S, sides + 1, 3) [m], seen from outside.
 
     Args:
         heights: (S,) Of its rings, from the top to the bottom [m].
         radii: (S,) Of its rings, from the axis to the corners [m].
         sides: How many it has; the first corner is on the x axis.
-        bend: (S, 2) How far each ring lies off the axis [m]; none by default.
+        axis_offset: (S, 2) How far each ring lies off the axis [m]; none by default.
     """
     angle = np.linspace(0.0, 2.0 * np.pi, sides + 1)
     ring = np.stack([np.cos(angle), np.sin(angle)], axis=1)
     grid = np.empty((len(heights), sides + 1, 3))
-    grid[..., :2] = radii[:, None, None] * ring + (0.0 if bend is None else bend[:, None])
+    grid[..., :2] = radii[:, None, None] * ring + (0.0 if axis_offset is None else axis_offset[:, None])
     grid[..., 2] = heights[:, None]
     return grid
 
 
-def filling(radius_m: float, low_m: float, high_m: float, sides: int) -> list[Box]:
+def prism_boxes(radius_m: float, low_m: float, high_m: float, sides: int) -> list[Box]:
     """Return the boxes whose union is the upright prism around the z axis with a corner on the x axis.
 
     Args:
@@ -47,4 +47,4 @@ def filling(radius_m: float, low_m: float, high_m: float, sides: int) -> list[Bo
     across, along = radius_m * np.sin(np.pi / sides), radius_m * np.cos(np.pi / sides)
     half = np.array([along, across, 0.5 * (high_m - low_m)])
     centre = np.array([0.0, 0.0, 0.5 * (low_m + high_m)])
-    return [Box(centre, half, UNSEEN, R=rotation_z((k + 0.5) * 2.0 * np.pi / sides)) for k in range(sides // 2)]
+    return [Box(centre, half, UNPAINTED, R=rotation_z((k + 0.5) * 2.0 * np.pi / sides)) for k in range(sides // 2)]

@@ -146,7 +146,7 @@ def _add_page(spec: mujoco.MjSpec, body: mujoco.MjsBody, name: str, page: Page) 
     spec.geom(name).material = name
 
 
-def add_thing(spec: mujoco.MjSpec, body: mujoco.MjsBody, name: str, quads: Array) -> None:
+def add_instance(spec: mujoco.MjSpec, body: mujoco.MjsBody, name: str, quads: Array) -> None:
     """Add quadrangles (F, 4, 3) to a body of a model as one geom without paint, to tell what an image shows."""
     _add_seen_mesh(spec, body, name, quads.reshape(-1, 3), _triangles(len(quads)))
 

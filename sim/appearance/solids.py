@@ -8,7 +8,7 @@ from typing import Protocol, TypeVar
 import numpy as np
 import numpy.typing as npt
 
-from dronevio.sim.appearance.instances import UNNAMED, Thing
+from dronevio.sim.appearance.instances import UNNAMED, Instance
 from dronevio.sim.appearance.textures import PIXELS_PER_M, Image
 
 Array = npt.NDArray[np.float64]
@@ -38,7 +38,7 @@ class Surface(Protocol):
         """Resolution of its image [px/m]."""
 
     @property
-    def thing(self) -> Thing:
+    def instance(self) -> Instance:
         """What it belongs to."""
 
 
@@ -62,7 +62,7 @@ class Sheet:
     """Light of its own, relative to a well lit surface."""
     pixels_per_m: float = PIXELS_PER_M
     """Resolution of its image [px/m]."""
-    thing: Thing = UNNAMED
+    instance: Instance = UNNAMED
     """What it belongs to."""
 
 
@@ -82,7 +82,7 @@ class Face:
     """Light of its own, relative to a well lit surface."""
     pixels_per_m: float = PIXELS_PER_M
     """Resolution of its image [px/m]."""
-    thing: Thing = UNNAMED
+    instance: Instance = UNNAMED
     """What it belongs to."""
 
     @property
@@ -121,7 +121,7 @@ class Box:
     """Light of its own, relative to a well lit surface."""
     pixels_per_m: float = PIXELS_PER_M
     """Resolution of its images [px/m]."""
-    thing: Thing = UNNAMED
+    instance: Instance = UNNAMED
     """What it belongs to."""
 
     def moved(self, R: Array, position: Array) -> "Box":
@@ -142,21 +142,21 @@ class Box:
                 front = axis == 1 and sign > 0.0 and self.front is not None
                 paint = self.front if front and self.front is not None else self.paint
                 corner = middle + half_up - half_right
-                yield Face(corner, 2.0 * half_right, -2.0 * half_up, paint, self.glow, self.pixels_per_m, self.thing)
+                yield Face(corner, 2.0 * half_right, -2.0 * half_up, paint, self.glow, self.pixels_per_m, self.instance)
 
 
 _Part = TypeVar("_Part", Box, Face, Sheet)
 
 
-def parts_of(thing: Thing, parts: Iterable[_Part]) -> tuple[_Part, ...]:
+def parts_of(instance: Instance, parts: Iterable[_Part]) -> tuple[_Part, ...]:
     """Return parts as those of a thing."""
-    return tuple(replace(part, thing=thing) for part in parts)
+    return tuple(replace(part, instance=instance) for part in parts)
 
 
 def enclosure(faces: Iterable[Face]) -> tuple[Face, ...]:
     """Return the inside of a room as the things that it is: floor, ceiling and walls, in this order."""
     kinds = itertools.chain(("floor", "ceiling"), itertools.repeat("wall"))
-    return tuple(replace(face, thing=Thing(kind)) for face, kind in zip(faces, kinds, strict=False))
+    return tuple(replace(face, instance=Instance(kind)) for face, kind in zip(faces, kinds, strict=False))
 
 
 def visible_faces(boxes: Iterable[Box], room_min: Array, room_max: Array) -> list[Face]:

@@ -13,7 +13,7 @@ from dronevio.sim.appearance.textures import Colour, Image, grain, scaled, shade
 from dronevio.sim.appearance.textures_nature import closing_grain
 
 Random = np.random.Generator
-Place = tuple[int, int]
+FlightArea = tuple[int, int]
 
 WHITE: Colour = (236, 234, 228)
 BLACK: Colour = (30, 31, 34)
@@ -170,7 +170,7 @@ def container(rng: Random, height: int, width: int, colour: Colour) -> Image:
     return image
 
 
-def _word(image: Image, word: str, corner: Place, size: int, ink: Colour) -> int:
+def _word(image: Image, word: str, corner: FlightArea, size: int, ink: Colour) -> int:
     """Write a word of a height with its top left corner at a place (x, y), and return where it ends."""
     font, thick = cv2.FONT_HERSHEY_DUPLEX, max(size // 9, 1)
     (wide, high), _ = cv2.getTextSize(word, font, 1.0, thick)
@@ -179,17 +179,17 @@ def _word(image: Image, word: str, corner: Place, size: int, ink: Colour) -> int
     return corner[0] + int(wide * scale)
 
 
-def _ring(image: Image, centre: Place, radius: int, ink: Colour) -> None:
+def _ring(image: Image, centre: FlightArea, radius: int, ink: Colour) -> None:
     cv2.circle(image, centre, radius, ink, max(radius // 3, 1), cv2.LINE_AA)
 
 
-def _triangle(image: Image, centre: Place, radius: int, ink: Colour) -> None:
+def _triangle(image: Image, centre: FlightArea, radius: int, ink: Colour) -> None:
     angle = np.radians([-90.0, 30.0, 150.0])
     corners = np.array(centre) + radius * np.stack([np.cos(angle), np.sin(angle)], axis=1)
     cv2.fillPoly(image, [corners.astype(np.int32)], ink, cv2.LINE_AA)
 
 
-def _rotors(image: Image, centre: Place, radius: int, ink: Colour) -> None:
+def _rotors(image: Image, centre: FlightArea, radius: int, ink: Colour) -> None:
     for x in (-1, 1):
         for y in (-1, 1):
             at = (centre[0] + int(0.62 * x * radius), centre[1] + int(0.62 * y * radius))
@@ -197,10 +197,10 @@ def _rotors(image: Image, centre: Place, radius: int, ink: Colour) -> None:
             cv2.circle(image, at, max(int(0.4 * radius), 1), ink, max(radius // 8, 1), cv2.LINE_AA)
 
 
-_MARKS: tuple[Callable[[Image, Place, int, Colour], None], ...] = (_ring, _triangle, _rotors)
+_MARKS: tuple[Callable[[Image, FlightArea, int, Colour], None], ...] = (_ring, _triangle, _rotors)
 
 
-def _mark(rng: Random, image: Image, centre: Place, radius: int, ink: Colour) -> None:
+def _mark(rng: Random, image: Image, centre: FlightArea, radius: int, ink: Colour) -> None:
     """Draw an emblem."""
     _MARKS[int(rng.integers(len(_MARKS)))](image, centre, max(radius, 2), ink)
 

@@ -1,4 +1,4 @@
-"""Drawing: a world, as it stands at one moment, on an atlas of views in the graphics memory."""
+"""AtlasRenderer: a world, as it stands at one moment, on an atlas of views in the graphics memory."""
 
 from collections.abc import Mapping
 from types import MappingProxyType
@@ -14,7 +14,7 @@ from dronevio.sim.cameras.views import View, Views
 
 Array = npt.NDArray[np.float64]
 Colours = npt.NDArray[np.uint8]
-Nearness = npt.NDArray[np.float32]
+InverseDepth = npt.NDArray[np.float32]
 MoverPoses = Mapping[str, Array]
 """Poses (4, 4) in the world of mocap bodies by their name."""
 
@@ -22,7 +22,7 @@ NO_MOVERS: MoverPoses = MappingProxyType({})
 """Everything stands where the world's spec puts it."""
 
 
-class Canvas:
+class RenderContext:
     """Graphics memory: a world's meshes and textures, and room to draw. Close it after use."""
 
     def __init__(self, model: mujoco.MjModel) -> None:
@@ -32,10 +32,10 @@ class Canvas:
             GraphicsError: No off-screen OpenGL.
         """
         self._gl: Context | None = create_context(1, 1)  # what is drawn lies in a buffer of its own
-        self.context = mujoco.MjrContext(model, mujoco.mjtFontScale.mjFONTSCALE_100)
+        self.mjr_context = mujoco.MjrContext(model, mujoco.mjtFontScale.mjFONTSCALE_100)
         """MuJoCo's handle."""
-        mujoco.mjr_setBuffer(mujoco.mjtFramebuffer.mjFB_OFFSCREEN, self.context)
-        self.context.readDepthMap = mujoco.mjtDepthMap.mjDEPTH_ZEROFAR
+        mujoco.mjr_setBuffer(mujoco.mjtFramebuffer.mjFB_OFFSCREEN, self.mjr_context)
+        self.mjr_context.readDepthMap = mujoco.mjtDepthMap.mjDEPTH_ZEROFAR
 
     def activate(self, width: int, height: int) -> None:
         """Draw here from now on, at least the given size [px].
@@ -46,42 +46,42 @@ class Canvas:
         if self._gl is None:
             raise GraphicsError("the camera has been closed")
         self._gl.make_current()
-        room = self.context.offWidth, self.context.offHeight
+        room = self.mjr_context.offWidth, self.mjr_context.offHeight
         if width > room[0] or height > room[1]:
-            mujoco.mjr_resizeOffscreen(max(width, room[0]), max(height, room[1]), self.context)
+            mujoco.mjr_resizeOffscreen(max(width, room[0]), max(height, room[1]), self.mjr_context)
 
     def close(self) -> None:
         """Give the graphics memory back; more than once does no harm."""
         if self._gl is not None:
             self._gl.make_current()
-            self.context.free()
+            self.mjr_context.free()
             self._gl.free()
             self._gl = None
 
 
-class Drawing:
-    """An atlas on a canvas, and the scene that is drawn on it."""
+class AtlasRenderer:
+    """An atlas on a context, and the scene that is drawn on it."""
 
-    def __init__(self, model: mujoco.MjModel, views: Views, canvas: Canvas) -> None:
+    def __init__(self, model: mujoco.MjModel, views: Views, context: RenderContext) -> None:
         """Prepare to draw.
 
         Args:
             model: The world alone, compiled: its scenery lights itself.
             views: What is drawn.
-            canvas: That world's; other drawings may use it in turn.
+            context: That world's; other drawings may use it in turn.
         """
-        self._model, self._views, self._canvas = model, views, canvas
+        self._model, self._views, self._context = model, views, context
         self.near_m, self.far_m = (float(v * model.stat.extent) for v in (model.vis.map.znear, model.vis.map.zfar))
-        self._scene = scene_without_lights(model)
+        self._scene = unlit_scene(model)
         geoms = self._scene.geoms[: self._scene.ngeom]
         self._reflects = any(geom.reflectance > 0.0 for geom in geoms)
-        self._geom_of_mark = np.full(len(geoms) + 1, -1, np.int32)  # mark 0 is the background
+        self._geom_of_id = np.full(len(geoms) + 1, -1, np.int32)  # mark 0 is the background
         for geom in geoms:
-            self._geom_of_mark[geom.segid + 1] = geom.objid
+            self._geom_of_id[geom.segid + 1] = geom.objid
         self._data = mujoco.MjData(model)
         self._moving = [geom for geom in geoms if self._mover_of(geom.objid) >= 0]
         self._colours = np.empty((views.height, views.width, 3), np.uint8)
-        self._nearness = np.empty((views.height, views.width), np.float32)
+        self._inverse_depth = np.empty((views.height, views.width), np.float32)
 
     def colours(
         self, T_world_cam: Array, mover_poses: MoverPoses = NO_MOVERS, rows: tuple[int, int] | None = None
@@ -96,40 +96,40 @@ class Drawing:
             rows: First row that is drawn, and first that no longer is; the others are undefined. None for all.
 
         Raises:
-            GraphicsError: The canvas has been closed.
+            GraphicsError: The context has been closed.
             ConfigError: There is no such mover.
         """
         low, high = rows or (0, self._views.height)
         self._scene.flags[mujoco.mjtRndFlag.mjRND_REFLECTION] = self._reflects
         self._draw(T_world_cam, mover_poses, low, high)
         drawn = mujoco.MjrRect(0, low, self._views.width, high - low)
-        mujoco.mjr_readPixels(self._colours[low:high], None, drawn, self._canvas.context)
+        mujoco.mjr_readPixels(self._colours[low:high], None, drawn, self._context.mjr_context)
         return self._colours
 
-    def surfaces(self, T_world_cam: Array, mover_poses: MoverPoses = NO_MOVERS) -> tuple[Nearness, Colours]:
-        """Return nearness (H', W') and marks (H', W', 3) of the atlas from a camera's pose (4, 4).
+    def surfaces(self, T_world_cam: Array, mover_poses: MoverPoses = NO_MOVERS) -> tuple[InverseDepth, Colours]:
+        """Return inverse_depth (H', W') and id_colours (H', W', 3) of the atlas from a camera's pose (4, 4).
 
-        Both are valid until the next drawing. Nearness is affine in the inverse of the z of a view: 1 at the near
-        plane, 0 at the far one. `geoms` says what the marks mean.
+        Both are valid until the next drawing. InverseDepth is affine in the inverse of the z of a view: 1 at the near
+        plane, 0 at the far one. `geoms` says what the id_colours mean.
 
         Raises:
-            GraphicsError: The canvas has been closed.
+            GraphicsError: The context has been closed.
             ConfigError: There is no such mover.
         """
-        marked = (mujoco.mjtRndFlag.mjRND_SEGMENT, mujoco.mjtRndFlag.mjRND_IDCOLOR)
+        id_flags = (mujoco.mjtRndFlag.mjRND_SEGMENT, mujoco.mjtRndFlag.mjRND_IDCOLOR)
         self._scene.flags[mujoco.mjtRndFlag.mjRND_REFLECTION] = False
-        for flag in marked:  # no textures: several times as fast
+        for flag in id_flags:  # no textures: several times as fast
             self._scene.flags[flag] = True
         self._draw(T_world_cam, mover_poses, 0, self._views.height)
         drawn = mujoco.MjrRect(0, 0, self._views.width, self._views.height)
-        mujoco.mjr_readPixels(self._colours, self._nearness, drawn, self._canvas.context)
-        for flag in marked:
+        mujoco.mjr_readPixels(self._colours, self._inverse_depth, drawn, self._context.mjr_context)
+        for flag in id_flags:
             self._scene.flags[flag] = False
-        return self._nearness, self._colours
+        return self._inverse_depth, self._colours
 
-    def geoms(self, marks: Colours) -> npt.NDArray[np.int32]:
-        """Return the numbers (N,) in the model of the geoms that marks (N, 3) stand for; −1 for none."""
-        return self._geom_of_mark[marks.astype(np.int32) @ np.array([1, 256, 65536], np.int32)]
+    def geoms(self, id_colours: Colours) -> npt.NDArray[np.int32]:
+        """Return the numbers (N,) in the model of the geoms that id_colours (N, 3) stand for; −1 for none."""
+        return self._geom_of_id[id_colours.astype(np.int32) @ np.array([1, 256, 65536], np.int32)]
 
     def motion_of_geoms(self, now: MoverPoses, then: MoverPoses) -> dict[int, Array]:
         """Return for each geom that moves what maps its points in the world (4, 4) from one moment to another."""
@@ -139,16 +139,16 @@ class Drawing:
 
     def _draw(self, T_world_cam: Array, mover_poses: MoverPoses, low: int, high: int) -> None:
         """Draw rows of all views into the graphics memory."""
-        self._canvas.activate(self._views.width, self._views.height)
+        self._context.activate(self._views.width, self._views.height)
         self._place(mover_poses)
         for geom in self._moving:
             geom.pos, geom.mat = self._data.geom_xpos[geom.objid], self._data.geom_xmat[geom.objid].reshape(3, 3)
         for view in self._views.views:
             part = view.rows(low, min(high, view.height))
             if part.height > 0:
-                look_from(self._scene, T_world_cam, part, self.near_m, self.far_m)
+                set_camera(self._scene, T_world_cam, part, self.near_m, self.far_m)
                 place = mujoco.MjrRect(part.column, low, part.width, part.height)
-                mujoco.mjr_render(place, self._scene, self._canvas.context)
+                mujoco.mjr_render(place, self._scene, self._context.mjr_context)
 
     def _place(self, mover_poses: MoverPoses) -> None:
         """Put the mocap bodies where they belong; those without a pose, where the model has them."""
@@ -174,7 +174,7 @@ class Drawing:
         return int(self._model.body_mocapid[self._model.body_rootid[self._model.geom_bodyid[geom]]])
 
 
-def look_from(scene: mujoco.MjvScene, T_world_cam: Array, view: View, near_m: float, far_m: float) -> None:
+def set_camera(scene: mujoco.MjvScene, T_world_cam: Array, view: View, near_m: float, far_m: float) -> None:
     """Turn a scene's eyes into a view of a camera at a pose (4, 4)."""
     _, down, ahead = (T_world_cam[:3, :3] @ view.R_cam_view).T
     for eye in scene.camera:  # two; MuJoCo draws from their mean
@@ -183,18 +183,18 @@ def look_from(scene: mujoco.MjvScene, T_world_cam: Array, view: View, near_m: fl
         eye.frustum_center, eye.frustum_width, eye.frustum_bottom, eye.frustum_top = view.frustum(near_m)
 
 
-def switch_lights_off(scene: mujoco.MjvScene) -> None:
+def disable_lights(scene: mujoco.MjvScene) -> None:
     """Leave a scene no light but its own, and no effect that costs time; scenery carries its light in its textures."""
     scene.nlight = 0
     for effect in ("SHADOW", "REFLECTION", "SKYBOX", "FOG", "HAZE"):
         scene.flags[getattr(mujoco.mjtRndFlag, f"mjRND_{effect}")] = False
 
 
-def scene_without_lights(model: mujoco.MjModel) -> mujoco.MjvScene:
+def unlit_scene(model: mujoco.MjModel) -> mujoco.MjvScene:
     """Return what is to be drawn: the geoms as they stand."""
     data, scene = mujoco.MjData(model), mujoco.MjvScene(model, maxgeom=model.ngeom + 10)
     mujoco.mj_kinematics(model, data)
     view = mujoco.MjvCamera()
     mujoco.mjv_updateScene(model, data, mujoco.MjvOption(), None, view, mujoco.mjtCatBit.mjCAT_ALL, scene)
-    switch_lights_off(scene)
+    disable_lights(scene)
     return scene

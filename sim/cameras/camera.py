@@ -16,7 +16,7 @@ import numpy as np
 import numpy.typing as npt
 
 from dronevio.models.camera import CameraModel
-from dronevio.sim.cameras.atlas_renderer import NO_MOVERS, Canvas, Drawing, MoverPoses
+from dronevio.sim.cameras.atlas_renderer import NO_MOVERS, AtlasRenderer, MoverPoses, RenderContext
 from dronevio.sim.cameras.surfaces import Depth, Flow, Surfaces, depth_rays, optical_flow
 from dronevio.sim.cameras.views import Lookup, Views, pixel_rays
 
@@ -28,8 +28,8 @@ SUPERSAMPLING = 1.5
 LENS_BLUR_PX = 0.35
 """Standard deviation of the lens's blur [px]; with the pixel's area it makes 0.45 px."""
 _ACROSS = 2  # samples per image pixel, along a line
-_AROUND_PX = 3  # rows that the blur reaches
-_SAME_SURFACE = 0.02  # nearness that differs by less between neighbours is that of one surface
+_SUPPORT_PX = 3  # rows that the blur reaches
+_SAME_SURFACE = 0.02  # inverse_depth that differs by less between neighbours is that of one surface
 
 
 class OffscreenCamera:
@@ -40,7 +40,7 @@ class OffscreenCamera:
         model: mujoco.MjModel,
         camera: CameraModel,
         supersampling: float = SUPERSAMPLING,
-        canvas: Canvas | None = None,
+        context: RenderContext | None = None,
     ) -> None:
         """Prepare to draw.
 
@@ -48,7 +48,7 @@ class OffscreenCamera:
             model: The world alone, compiled: its scenery lights itself.
             camera: Projection and image size.
             supersampling: Drawn pixels per image pixel, along a line, where the lens does not distort.
-            canvas: The world's, shared with other cameras and closed by who made it; one of its own by default.
+            context: The world's, shared with other cameras and closed by who made it; one of its own by default.
 
         Raises:
             GraphicsError: No off-screen OpenGL.
@@ -58,8 +58,8 @@ class OffscreenCamera:
         """What is drawn for an image."""
         self.geom_names = tuple(str(model.geom(number).name) for number in range(model.ngeom))
         """The world's geoms by their number, as `render_surfaces` gives it."""
-        self._canvas, self._owns_canvas = canvas or Canvas(model), canvas is None
-        self._drawing = Drawing(model, self.views, self._canvas)
+        self._context, self._owns_context = context or RenderContext(model), context is None
+        self._renderer = AtlasRenderer(model, self.views, self._context)
         self._lookup = self.views.lookup(pixel_rays(camera, _ACROSS))
         self._blur_px = LENS_BLUR_PX * _ACROSS
 
@@ -76,22 +76,24 @@ class OffscreenCamera:
             ConfigError: There is no such mover.
         """
         first, last, _ = rows.indices(self.camera.height)
-        top, end = max(first - _AROUND_PX, 0), min(last + _AROUND_PX, self.camera.height)
+        top, end = max(first - _SUPPORT_PX, 0), min(last + _SUPPORT_PX, self.camera.height)
         columns, levels = (part[_ACROSS * top : _ACROSS * end] for part in self._lookup)
         wanted = self._atlas_rows(levels) if end - top < self.camera.height else None
-        grey = cv2.cvtColor(self._drawing.colours(T_world_cam, mover_poses, wanted), cv2.COLOR_RGB2GRAY)
+        grey = cv2.cvtColor(self._renderer.colours(T_world_cam, mover_poses, wanted), cv2.COLOR_RGB2GRAY)
         return self._through_lens(grey, (columns, levels))[first - top : last - top]
 
     def render_rgb(self, T_world_cam: Array, mover_poses: MoverPoses = NO_MOVERS) -> GreyImage:
         """Return the same view in colour (H, W, 3), for people."""
-        return self._through_lens(self._drawing.colours(T_world_cam, mover_poses), self._lookup)
+        return self._through_lens(self._renderer.colours(T_world_cam, mover_poses), self._lookup)
 
     def render_surfaces(self, T_world_cam: Array, mover_poses: MoverPoses = NO_MOVERS) -> Surfaces:
         """Return depth and geom of what each pixel (H, W) of the same view sees at its middle."""
-        nearness, marks = self._drawing.surfaces(T_world_cam, mover_poses)
-        look = self._surface_lookup
-        near_m, far_m = self._drawing.near_m, self._drawing.far_m
-        return look.surfaces(look.found(nearness), self._drawing.geoms(look.nearest(marks)), near_m, far_m)
+        inverse_depth, id_colours = self._renderer.surfaces(T_world_cam, mover_poses)
+        lookup = self._surface_lookup
+        near_m, far_m = self._renderer.near_m, self._renderer.far_m
+        return lookup.surfaces(
+            lookup.interpolated(inverse_depth), self._renderer.geoms(lookup.nearest(id_colours)), near_m, far_m
+        )
 
     def render_depth(self, T_world_cam: Array, mover_poses: MoverPoses = NO_MOVERS) -> Depth:
         """Return the depth (H, W) of the same view [m]: z for ``radtan``, the ray's length for ``equidistant``."""
@@ -109,7 +111,7 @@ class OffscreenCamera:
         See `dronevio.sim.cameras.surfaces.optical_flow`.
         """
         seen = self.render_surfaces(T_world_cam, mover_poses)
-        moved = self._drawing.motion_of_geoms(mover_poses, mover_poses_next)
+        moved = self._renderer.motion_of_geoms(mover_poses, mover_poses_next)
         return optical_flow(self.camera, seen, T_world_cam, T_world_cam_next, moved)
 
     @cached_property
@@ -118,8 +120,8 @@ class OffscreenCamera:
 
     def close(self) -> None:
         """Give the graphics memory back; more than once does no harm."""
-        if self._owns_canvas:
-            self._canvas.close()
+        if self._owns_context:
+            self._context.close()
 
     def __enter__(self) -> Self:
         return self
@@ -138,7 +140,7 @@ class OffscreenCamera:
     def _through_lens(
         self, atlas: npt.NDArray[np.uint8] | cv2.typing.MatLike, lookup: tuple[Lookup, Lookup]
     ) -> GreyImage:
-        """Return the image of the drawn views, or of the rows of a look-up: distorted, unsharp, each pixel a mean."""
+        """Return the image of the drawn views, or of the rows of a lookup-up: distorted, unsharp, each pixel a mean."""
         fine = cv2.remap(atlas, *lookup, cv2.INTER_LINEAR)
         cv2.GaussianBlur(fine, (0, 0), self._blur_px, dst=fine)
         size = (self.camera.width, len(lookup[0]) // _ACROSS)
@@ -146,12 +148,12 @@ class OffscreenCamera:
 
 
 class _SurfaceLookup:
-    """Looks up what the pixels' very middles see; no edge is smeared."""
+    """Appearance up what the pixels' very middles see; no edge is smeared."""
 
     def __init__(self, views: Views, camera: CameraModel) -> None:
         """Find the four drawn pixels around each ray, and their weights."""
         rays = pixel_rays(camera)
-        through = views.which(rays)
+        through = views.index_of(rays)
         self._seen = through >= 0
         x, y = (part[self._seen] for part in views.lookup(rays))
         left, low = np.floor(x), np.floor(y)
@@ -168,23 +170,23 @@ class _SurfaceLookup:
         """Return what an atlas (H', W', 3) has nearest to each ray (N, 3)."""
         return np.asarray(atlas.reshape(-1, 3)[self._nearest])
 
-    def found(self, nearness: npt.NDArray[np.float32]) -> npt.NDArray[np.float32]:
-        """Return the nearness (N,) at each ray of an atlas of it (H', W').
+    def interpolated(self, inverse_depth: npt.NDArray[np.float32]) -> npt.NDArray[np.float32]:
+        """Return the inverse_depth (N,) at each ray of an atlas of it (H', W').
 
         On a plane it is affine in the drawn image, so it is interpolated where all four neighbours lie on one surface,
         and taken from the nearest elsewhere.
         """
-        flat = nearness.ravel()
+        flat = inverse_depth.ravel()
         around = flat[self._around]
         least = around.min(axis=0)
         smooth = around.max(axis=0) - least < _SAME_SURFACE * least
         return np.asarray(np.where(smooth, np.sum(self._weights * around, axis=0), flat[self._nearest]))
 
     def surfaces(
-        self, nearness: npt.NDArray[np.float32], geoms: npt.NDArray[np.int32], near_m: float, far_m: float
+        self, inverse_depth: npt.NDArray[np.float32], geoms: npt.NDArray[np.int32], near_m: float, far_m: float
     ) -> Surfaces:
-        """Return what is seen, given nearness (N,) and geom (N,) at each ray."""
-        z = 1.0 / (1.0 / far_m + nearness * (1.0 / near_m - 1.0 / far_m))  # reversed: 1 is near
+        """Return what is seen, given inverse_depth (N,) and geom (N,) at each ray."""
+        z = 1.0 / (1.0 / far_m + inverse_depth * (1.0 / near_m - 1.0 / far_m))  # reversed: 1 is near
         depth_m, geom = np.full(self._seen.shape, np.nan, np.float32), np.full(self._seen.shape, -1, np.int32)
         depth_m[self._seen] = np.where(geoms >= 0, z * self._stretch, np.inf)
         geom[self._seen] = geoms

@@ -10,7 +10,7 @@ import numpy as np
 import numpy.typing as npt
 
 from dronevio.models.camera import CameraModel
-from dronevio.sim.cameras.atlas_renderer import look_from, switch_lights_off
+from dronevio.sim.cameras.atlas_renderer import disable_lights, set_camera
 from dronevio.sim.cameras.camera import OffscreenCamera
 from dronevio.sim.cameras.views import View
 
@@ -45,17 +45,17 @@ def camera_cost(model: mujoco.MjModel, camera: CameraModel, Ts_world_cam: Array)
     Raises:
         GraphicsError: No off-screen OpenGL.
     """
-    with OffscreenCamera(model, camera) as eye, ExitStack() as stack:
-        bare = [(view, stack.enter_context(_renderer(model, view))) for view in eye.views.views]
+    with OffscreenCamera(model, camera) as rendered, ExitStack() as stack:
+        bare = [(view, stack.enter_context(_renderer(model, view))) for view in rendered.views.views]
         spent_s = np.zeros((1 + len(Ts_world_cam), 2))
         for row, T_world_cam in enumerate((Ts_world_cam[0], *Ts_world_cam)):
             start_s = time.process_time()
-            eye.render(T_world_cam)
+            rendered.render(T_world_cam)
             between_s = time.process_time()
             _draw_bare(model, bare, T_world_cam)
             spent_s[row] = between_s - start_s, time.process_time() - between_s
         camera_ms, bare_ms = 1e3 * spent_s[1:].mean(axis=0)
-        return CameraCost(float(camera_ms), float(bare_ms), eye.views.pixels)
+        return CameraCost(float(camera_ms), float(bare_ms), rendered.views.pixels)
 
 
 def _renderer(model: mujoco.MjModel, view: View) -> mujoco.Renderer:
@@ -70,7 +70,7 @@ def _renderer(model: mujoco.MjModel, view: View) -> mujoco.Renderer:
     data = mujoco.MjData(model)
     mujoco.mj_kinematics(model, data)
     renderer.update_scene(data)
-    switch_lights_off(renderer.scene)
+    disable_lights(renderer.scene)
     return renderer
 
 
@@ -78,5 +78,5 @@ def _draw_bare(model: mujoco.MjModel, bare: Sequence[tuple[View, mujoco.Renderer
     """Draw all views with MuJoCo's renderer."""
     near_m, far_m = (float(v * model.stat.extent) for v in (model.vis.map.znear, model.vis.map.zfar))
     for view, renderer in bare:
-        look_from(renderer.scene, T_world_cam, view, near_m, far_m)
+        set_camera(renderer.scene, T_world_cam, view, near_m, far_m)
         renderer.render()

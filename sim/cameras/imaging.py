@@ -43,7 +43,7 @@ class ExposureControl(Protocol):
     """Chooses exposure time and gain of every frame."""
 
     @property
-    def meters(self) -> bool:
+    def needs_histograms(self) -> bool:
         """Whether it wants to see the frames' histograms."""
 
     @property
@@ -79,7 +79,7 @@ class FixedExposure:
         _check(self.gain >= 1.0, "gain", self.gain, "1 or more")
 
     @property
-    def meters(self) -> bool:
+    def needs_histograms(self) -> bool:
         """False: it looks at nothing."""
         return False
 
@@ -133,7 +133,7 @@ class AutoExposure:
         _check(self.largest_gain >= 1.0, "largest_gain", self.largest_gain, "1 or more")
 
     @property
-    def meters(self) -> bool:
+    def needs_histograms(self) -> bool:
         """True: it needs the frames' histograms."""
         return True
 
@@ -193,7 +193,7 @@ class Imaging:
         """Return exposure time and gain of M frames, from `ExposureControl.exposures`' arguments."""
         return self.control.exposures(histograms, irradiance, self.nominal_exposure_s)
 
-    def develop(
+    def digitize(
         self, light: Light, irradiance: float, exposure_s: float, gain: float, rng: np.random.Generator
     ) -> GreyImage:
         """Return the grey image (H, W) that the sensor delivers.

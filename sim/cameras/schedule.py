@@ -51,13 +51,13 @@ class FrameSchedule:
         return self[(self.exposed_ns >= first_ns) & (self.exposed_ns <= last_ns)]
 
 
-def beat(first_ns: int, end_ns: int, rate_hz: float) -> Times:
+def nominal_stamps(first_ns: int, end_ns: int, rate_hz: float) -> Times:
     """Return a camera's undisturbed time stamps [ns], from ``first_ns`` to before ``end_ns``."""
     return np.arange(first_ns, end_ns, round(1e9 / rate_hz), dtype=np.int64)
 
 
 def schedule_frames(
-    beat_ns: Times,
+    nominal_ns: Times,
     rng: np.random.Generator,
     time_offset_s: float = 0.0,
     stamp_jitter_s: float = 0.0,
@@ -68,7 +68,7 @@ def schedule_frames(
     """Return when frames are taken and what is recorded of it.
 
     Args:
-        beat_ns: (N,) Undisturbed time stamps [ns], increasing, of any spacing.
+        nominal_ns: (N,) Undisturbed time stamps [ns], increasing, of any spacing.
         rng: Draws jitter and losses.
         time_offset_s: How much later than its stamp a frame is taken, on the IMU's clock: t_imu = t_cam + offset [s].
         stamp_jitter_s: Standard deviation of the stamps' error [s]; frames never come out of order.
@@ -76,12 +76,12 @@ def schedule_frames(
         dark_from_s: When light fails, from the first stamp [s].
         dark_for_s: For how long [s].
     """
-    count = len(beat_ns)
+    count = len(nominal_ns)
     error_s, loss = rng.standard_normal(count) * stamp_jitter_s, rng.random(count)  # drawn whatever they are used for
-    reach_s = _LARGEST_JITTER * 1e-9 * float(np.diff(beat_ns).min(initial=np.iinfo(np.int64).max))
+    reach_s = _LARGEST_JITTER * 1e-9 * float(np.diff(nominal_ns).min(initial=np.iinfo(np.int64).max))
     error_ns = np.rint(np.clip(error_s, -reach_s, reach_s) * 1e9).astype(np.int64)
-    since_s = (beat_ns - beat_ns[:1]) * 1e-9
+    since_s = (nominal_ns - nominal_ns[:1]) * 1e-9
     lit = (since_s < dark_from_s) | (since_s >= dark_from_s + dark_for_s)
     kept = loss >= dropped_frames
     kept[:1] = True
-    return FrameSchedule(beat_ns + error_ns, beat_ns + round(time_offset_s * 1e9), lit)[kept]
+    return FrameSchedule(nominal_ns + error_ns, nominal_ns + round(time_offset_s * 1e9), lit)[kept]

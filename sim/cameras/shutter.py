@@ -34,12 +34,12 @@ View = Callable[[int, slice], GreyImage]
 
 LARGEST_MARGIN_PX = 32
 """How far outside the image a key image reaches at most [px]."""
-_STILL_BLUR_PX = 0.3  # widens the image of an edge, σ ½ px of lens and pixel, by 1.5 %
-_STILL_SKEW_PX = 0.1  # of the whole image, thus ± 0.05 px
-_STILL_PARALLAX_PX = 0.2  # within the readout: thus ± 0.1 px
+_STATIC_BLUR_PX = 0.3  # widens the image of an edge, σ ½ px of lens and pixel, by 1.5 %
+_STATIC_SKEW_PX = 0.1  # of the whole image, thus ± 0.05 px
+_STATIC_PARALLAX_PX = 0.2  # within the readout: thus ± 0.1 px
 _KEY_SPACING_PX = 1.5  # parallax between key poses
 _SAMPLE_SPACING_PX = 0.75  # between the instants of the integral: below the lens's blur
-_AROUND_PX = 2  # for the interpolation
+_SUPPORT_PX = 2  # for the interpolation
 _MOST_KEYS, _MOST_SAMPLES = 33, 64
 _GRID_PX = 16  # the looked-up displacement bends by 1 / f²: bilinear between such points is good to 1e-3 px
 
@@ -56,7 +56,7 @@ class ExposurePlan:
     """(S,) Instants of the integral, relative to the middle of a row's exposure [ns]."""
     reach_px: int
     """How far the camera's turn moves the image between a key pose and what is looked up in its image, at most [px]."""
-    still: bool
+    static: bool
     """Whether the key image is the frame."""
 
 
@@ -110,23 +110,23 @@ class Shutter:
         parallax_px = (path_m / nearest_m + swept_rad) * max(self._model.fx, self._model.fy)
         within_exposure = exposure_ns / span_ns
         blur, skew = (share * (turn_px + parallax_px) for share in (within_exposure, 1.0 - within_exposure))
-        rolling = (1.0 - within_exposure) * parallax_px > _STILL_PARALLAX_PX
+        rolling = (1.0 - within_exposure) * parallax_px > _STATIC_PARALLAX_PX
         spacings = max(parallax_px / _KEY_SPACING_PX, turn_px / LARGEST_MARGIN_PX)
         # Rows at the border of a rolling shutter's image see keys of their own; a blur's ends need none.
         keys = min(int(np.ceil(max(spacings, 1.0))) + rolling, _MOST_KEYS)
-        samples = 1 if blur <= _STILL_BLUR_PX else max(2, int(np.ceil(blur / _SAMPLE_SPACING_PX)))
+        samples = 1 if blur <= _STATIC_BLUR_PX else max(2, int(np.ceil(blur / _SAMPLE_SPACING_PX)))
         return ExposurePlan(
             middle_ns,
             middle_ns + _spread(span_ns, keys, ends=rolling),
             _spread(exposure_ns, min(samples, _MOST_SAMPLES), ends=False),
-            reach_px=int(np.ceil(turn_px / max(keys - rolling, 1))) + _AROUND_PX,
-            still=blur <= _STILL_BLUR_PX and skew <= _STILL_SKEW_PX,
+            reach_px=int(np.ceil(turn_px / max(keys - rolling, 1))) + _SUPPORT_PX,
+            static=blur <= _STATIC_BLUR_PX and skew <= _STATIC_SKEW_PX,
         )
 
-    def collect(self, plan: ExposurePlan, poses: Poses, view: View) -> Light:
+    def expose(self, plan: ExposurePlan, poses: Poses, view: View) -> Light:
         """Return the light (H, W) that the rows collect [grey levels]."""
         height, margin = self._model.height, self._margin_px
-        if plan.still:
+        if plan.static:
             return view(plan.middle_ns, slice(margin, margin + height))[:, margin : margin + self._model.width]
         weights = self._weights(plan)
         starts_ns = plan.middle_ns + plan.samples_ns

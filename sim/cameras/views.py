@@ -114,7 +114,7 @@ class Views:
         """How many pixels are drawn."""
         return sum(view.width * view.height for view in self.views)
 
-    def which(self, rays: Array) -> npt.NDArray[np.intp]:
+    def index_of(self, rays: Array) -> npt.NDArray[np.intp]:
         """Return which of the views rays (…, 3) of the camera frame go through (…); −1 for NaN."""
         return np.where(np.isnan(rays[..., 0]), -1, _face_of(rays, np.stack([v.R_cam_view for v in self.views])))
 
@@ -123,7 +123,7 @@ class Views:
         where = np.full((2, rays.size // 3), _NOWHERE_PX, np.float32)
         for block in np.array_split(np.arange(rays.size // 3), -(-rays.size // (3 * _RAYS_AT_ONCE))):
             some = rays.reshape(-1, 3)[block[0] : block[-1] + 1]
-            through = self.which(some)
+            through = self.index_of(some)
             for index, view in enumerate(self.views):
                 mine = np.flatnonzero(through == index)
                 where[:, block[0] + mine] = view.lookup(some[mine])

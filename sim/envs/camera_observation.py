@@ -1,4 +1,4 @@
-"""Sight: what an agent's camera adds to its observations, if it has one."""
+"""CameraObservation: what an agent's camera adds to its observations, if it has one."""
 
 from dataclasses import replace
 from typing import Any, Protocol
@@ -15,27 +15,27 @@ from dronevio.sim.world import build_world
 Array = npt.NDArray[np.float64]
 
 
-class Sight(Protocol):
+class CameraObservation(Protocol):
     """Adds entries to an observation."""
 
     def spaces(self) -> dict[str, spaces.Space[Any]]:
-        """Return the spaces of the entries that `look` adds."""
+        """Return the spaces of the entries that `observe` adds."""
 
-    def look(self, T_world_imu: Array) -> dict[str, npt.NDArray[np.uint8]]:
+    def observe(self, T_world_imu: Array) -> dict[str, npt.NDArray[np.uint8]]:
         """Return what is seen from a pose (4, 4) of the IMU."""
 
     def close(self) -> None:
         """Give back what drawing took."""
 
 
-class Blind:
-    """No camera; implements `Sight`."""
+class NoCameraObservation:
+    """No camera; implements `CameraObservation`."""
 
     def spaces(self) -> dict[str, spaces.Space[Any]]:
         """Return nothing."""
         return {}
 
-    def look(self, T_world_imu: Array) -> dict[str, npt.NDArray[np.uint8]]:
+    def observe(self, T_world_imu: Array) -> dict[str, npt.NDArray[np.uint8]]:
         """Return nothing."""
         return {}
 
@@ -43,8 +43,8 @@ class Blind:
         """Do nothing."""
 
 
-class Eye:
-    """A rig's camera, with smaller images, in a room; implements `Sight`. The room is built at the first look."""
+class RenderedObservation:
+    """An image of reduced size from a camera of a rig in a world that is built at the first call of `observe`."""
 
     def __init__(self, mounted: RigCamera, scale: float, world: str, seed: int) -> None:
         """Prepare to look.
@@ -64,7 +64,7 @@ class Eye:
         """Return the space of ``image``: grey, (H, W, 1)."""
         return {"image": spaces.Box(0, 255, (self._model.height, self._model.width, 1), np.uint8)}
 
-    def look(self, T_world_imu: Array) -> dict[str, npt.NDArray[np.uint8]]:
+    def observe(self, T_world_imu: Array) -> dict[str, npt.NDArray[np.uint8]]:
         """Return the ``image`` (H, W, 1) from a pose (4, 4) of the IMU.
 
         Raises:

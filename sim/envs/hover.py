@@ -12,8 +12,8 @@ from dronevio.models.imu import ImuSamples
 from dronevio.models.rig import euroc_rig
 from dronevio.models.rotation import exp_so3, pose_matrix, quat_wxyz_from_matrix
 from dronevio.models.state import NavState
-from dronevio.sim.chase_camera import Onlooker
-from dronevio.sim.envs.camera_observation import Blind, Eye, Sight
+from dronevio.sim.chase_camera import ChaseCamera
+from dronevio.sim.envs.camera_observation import CameraObservation, NoCameraObservation, RenderedObservation
 from dronevio.sim.inertial.imu import ImuErrors
 from dronevio.sim.physics.plant import QuadrotorPlant
 from dronevio.sim.props.room import FREE_BOX_M
@@ -123,11 +123,15 @@ and specific force [m/s²] in the IMU's frame, with noise and biases |
         self._interval_ns = round(1e9 / STEPS_PER_S)
         self._samples = self._interval_ns // self._plant.interval_ns
         self._errors = ImuErrors(self._rig.imu, self.np_random)
-        self._sight: Sight = Eye(self._rig.cameras[0], _CAMERA_SHARE, _WORLD, world_seed) if camera else Blind()
-        self._onlooker: Onlooker | None = None
+        self._camera_observation: CameraObservation = (
+            RenderedObservation(self._rig.cameras[0], _CAMERA_SHARE, _WORLD, world_seed)
+            if camera
+            else NoCameraObservation()
+        )
+        self._chase_camera: ChaseCamera | None = None
         self.action_space = spaces.Box(-1.0, 1.0, (4,), np.float32)
         self.observation_space: spaces.Space[Observation] = spaces.Dict(  # type: ignore[assignment]
-            {**_sensed_spaces(self._samples), **self._sight.spaces()}
+            {**_sensed_spaces(self._samples), **self._camera_observation.spaces()}
         )
 
     def reset(
@@ -179,16 +183,16 @@ and specific force [m/s²] in the IMU's frame, with noise and biases |
         """
         if self.render_mode is None:
             return None
-        if self._onlooker is None:
-            self._onlooker = Onlooker(build_world(_WORLD, self._world_seed), self._quadrotor, self._rig)
-        return self._onlooker.render(self._plant.vehicle_state().T_world_imu)
+        if self._chase_camera is None:
+            self._chase_camera = ChaseCamera(build_world(_WORLD, self._world_seed), self._quadrotor, self._rig)
+        return self._chase_camera.render(self._plant.vehicle_state().T_world_imu)
 
     def close(self) -> None:
         """Give the graphics memory back; more than once does no harm."""
-        self._sight.close()
-        if self._onlooker is not None:
-            self._onlooker.close()
-            self._onlooker = None
+        self._camera_observation.close()
+        if self._chase_camera is not None:
+            self._chase_camera.close()
+            self._chase_camera = None
 
     def _rotor_speeds(self, action: Array) -> Array:
         """Return rotor speeds (4,) [rad/s] of an action (4,).
@@ -212,7 +216,7 @@ and specific force [m/s²] in the IMU's frame, with noise and biases |
             "imu": np.resize(imu, (self._samples, 6)),  # repeats the one sample of a reset
         }
         sensed = {key: np.clip(v, *_BOUNDS[key]).astype(np.float32) for key, v in values.items()}
-        return {**sensed, **self._sight.look(state.T_world_imu @ self._rig.T_vehicle_imu)}
+        return {**sensed, **self._camera_observation.observe(state.T_world_imu @ self._rig.T_vehicle_imu)}
 
     def _ended(self, state: NavState) -> bool:
         """Return whether the drone has crashed, left or fallen over."""

@@ -46,7 +46,7 @@ class Biases:
         self._flicker = self._spread * flicker_rng.standard_normal((len(self._times_s), 1, 6))
         self._t_ns: int | None = None
 
-    def until(self, t_ns: Times) -> Array:
+    def advance_to(self, t_ns: Times) -> Array:
         """Return the biases (N, 6) at N ≥ 1 times, later than those of the last call; none moved before the first."""
         start_ns = int(t_ns[0]) if self._t_ns is None else self._t_ns
         dt_s = np.diff(t_ns, prepend=start_ns) * 1e-9

@@ -5,7 +5,7 @@ import numpy.typing as npt
 
 from dronevio.models.imu import ImuConstants, ImuModel, ImuSamples
 from dronevio.sim.inertial.bias import Biases
-from dronevio.sim.inertial.vibration import Stillness, Vibration
+from dronevio.sim.inertial.vibration import NoVibration, Vibration
 
 Array = npt.NDArray[np.float64]
 
@@ -32,7 +32,7 @@ class ImuErrors:
         """
         self._model = model
         self._rng = rng
-        self._vibration = vibration or Stillness()
+        self._vibration = vibration or NoVibration()
         constants_rng, flicker_rng = rng.spawn(2)
         self._biases = Biases(model, rng, flicker_rng)
         self._density = np.repeat([model.gyro_noise_density, model.accel_noise_density], 3)
@@ -53,9 +53,9 @@ class ImuErrors:
         if n == 0:
             return perfect, np.zeros((0, 3)), np.zeros((0, 3))
         speeds = np.zeros((n, 4)) if rotor_speeds_rad_s is None else rotor_speeds_rad_s
-        shaken_gyro, shaken_accel = self._vibration.felt(perfect, speeds)
-        gyro, accel = self.constants.response(perfect.gyro_rad_s + shaken_gyro, perfect.accel_m_s2 + shaken_accel)
-        bias = self._biases.until(perfect.t_ns)
+        vibration_gyro, vibration_accel = self._vibration.sensed(perfect, speeds)
+        gyro, accel = self.constants.response(perfect.gyro_rad_s + vibration_gyro, perfect.accel_m_s2 + vibration_accel)
+        bias = self._biases.advance_to(perfect.t_ns)
         errors = bias + self._density * self._root_rate(perfect) * self._rng.standard_normal((n, 6))
         model = self._model
         gyro = _read_out(gyro + errors[:, :3], model.gyro_resolution_rad_s, model.gyro_range_rad_s)

@@ -15,7 +15,7 @@ Array = npt.NDArray[np.float64]
 class Vibration(Protocol):
     """What shakes an IMU."""
 
-    def felt(self, samples: ImuSamples, rotor_speeds_rad_s: Array) -> tuple[Array, Array]:
+    def sensed(self, samples: ImuSamples, rotor_speeds_rad_s: Array) -> tuple[Array, Array]:
         """Return the shaking at the times of a batch of samples, later than those of the last call.
 
         Args:
@@ -29,15 +29,15 @@ class Vibration(Protocol):
         ...
 
 
-class Stillness:
+class NoVibration:
     """No vibration at all."""
 
-    def felt(self, samples: ImuSamples, rotor_speeds_rad_s: Array) -> tuple[Array, Array]:
+    def sensed(self, samples: ImuSamples, rotor_speeds_rad_s: Array) -> tuple[Array, Array]:
         """Return zeros (N, 3) and (N, 3)."""
         return np.zeros((len(samples), 3)), np.zeros((len(samples), 3))
 
 
-class RotorTones:
+class RotorHarmonics:
     """Tones at every rotor's true speed and at its blade-pass frequencies; implements `Vibration`.
 
     A tone is known for all times, since rotors keep their speed between two IMU samples: its phase is the integral of
@@ -66,10 +66,10 @@ class RotorTones:
         fading = 1.0 / np.arange(1, vibration.harmonics + 1) ** 2
         self._orders = np.concatenate([[1.0, 1.0], orders])  # of each tone: imbalance along two axes, then the blades
         self._lags = np.concatenate([[0.0, -0.5 * np.pi], np.zeros(len(orders))])
-        self._swing = _swings(quadrotor, fading)
-        self._rocking = _rockings(quadrotor, fading)
+        self._linear = _linear_amplitudes(quadrotor, fading)
+        self._angular = _angular_amplitudes(quadrotor, fading)
 
-    def felt(self, samples: ImuSamples, rotor_speeds_rad_s: Array) -> tuple[Array, Array]:
+    def sensed(self, samples: ImuSamples, rotor_speeds_rad_s: Array) -> tuple[Array, Array]:
         """Return angular velocities (N, 3) [rad/s] and specific forces (N, 3) [m/s²]; see `Vibration`."""
         if len(samples) == 0:
             return np.zeros((0, 3)), np.zeros((0, 3))
@@ -77,12 +77,12 @@ class RotorTones:
         phase = self._orders * middle[..., None] + self._lags
         tone = np.cos(phase) * np.sinc(self._orders * turned[..., None] / (2.0 * np.pi))
         frequency_hz = self._orders * rotor_speeds_rad_s[..., None] / (2.0 * np.pi)
-        gyro_tone = tone * rotor_speeds_rad_s[..., None] * _let_through(frequency_hz, self._imu.gyro_bandwidth_hz)
+        gyro_tone = tone * rotor_speeds_rad_s[..., None] * _filter_gain(frequency_hz, self._imu.gyro_bandwidth_hz)
         accel_tone = (
-            tone * rotor_speeds_rad_s[..., None] ** 2 * _let_through(frequency_hz, self._imu.accel_bandwidth_hz)
+            tone * rotor_speeds_rad_s[..., None] ** 2 * _filter_gain(frequency_hz, self._imu.accel_bandwidth_hz)
         )
-        gyro = np.einsum("nrt,rta->na", gyro_tone, self._rocking)
-        accel = np.einsum("nrt,rta->na", accel_tone, self._swing)
+        gyro = np.einsum("nrt,rta->na", gyro_tone, self._angular)
+        accel = np.einsum("nrt,rta->na", accel_tone, self._linear)
         return gyro @ self._R_imu_vehicle.T, accel @ self._R_imu_vehicle.T
 
     def _turn(self, samples: ImuSamples, speeds: Array) -> tuple[Array, Array]:
@@ -102,7 +102,7 @@ class RotorTones:
         return middle, turned
 
 
-def _swings(quadrotor: Quadrotor, fading: Array) -> Array:
+def _linear_amplitudes(quadrotor: Quadrotor, fading: Array) -> Array:
     """Return (4, tones, 3) accelerations by ω² [m] of each rotor's tones, in the vehicle frame."""
     vibration = quadrotor.vibration
     swing = np.zeros((4, 2 + len(fading), 3))
@@ -112,7 +112,7 @@ def _swings(quadrotor: Quadrotor, fading: Array) -> Array:
     return swing
 
 
-def _rockings(quadrotor: Quadrotor, fading: Array) -> Array:
+def _angular_amplitudes(quadrotor: Quadrotor, fading: Array) -> Array:
     """Return (4, tones, 3) angular rates by ω [rad] of each rotor's tones, in the vehicle frame."""
     x, y = quadrotor.rotor_positions_m[:, 0], quadrotor.rotor_positions_m[:, 1]
     across = np.stack([y, -x], axis=1) / np.hypot(x, y)[:, None]  # the axis about which a pull on the arm turns
@@ -124,6 +124,6 @@ def _rockings(quadrotor: Quadrotor, fading: Array) -> Array:
     return rocking
 
 
-def _let_through(frequency_hz: Array, bandwidth_hz: float) -> Array:
+def _filter_gain(frequency_hz: Array, bandwidth_hz: float) -> Array:
     """Return the gain of a second-order Butterworth filter, 3 dB down at the bandwidth."""
     return np.asarray(1.0 / np.sqrt(1.0 + (frequency_hz / bandwidth_hz) ** 4))

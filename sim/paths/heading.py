@@ -9,7 +9,7 @@ import numpy.typing as npt
 from scipy.interpolate import BSpline
 
 Array = npt.NDArray[np.float64]
-Gaze = Callable[[Array, Array, Array], Array]
+HeadingProfile = Callable[[Array, Array, Array], Array]
 """Maps times (N,) since the path's start [s], positions (N, 3) [m] and velocities (N, 3) [m/s] to the headings (N,)
 that are wished for [rad]; NaN where any will do."""
 Heading = Literal["shape", "along", "across", "fixed", "toward"]
@@ -35,40 +35,42 @@ def across(t: Array, position: Array, velocity: Array) -> Array:
     return along(t, position, velocity) + 0.5 * np.pi
 
 
-def fixed(yaw_rad: float) -> Gaze:
+def fixed(yaw_rad: float) -> HeadingProfile:
     """Look one way all the time."""
     return lambda t, position, velocity: np.full(len(t), yaw_rad)
 
 
-def toward(point: Array) -> Gaze:
+def toward(point: Array) -> HeadingProfile:
     """Look at a point (3,) of the world [m]."""
 
-    def gaze(t: Array, position: Array, velocity: Array) -> Array:
+    def profile(t: Array, position: Array, velocity: Array) -> Array:
         ahead = point[:2] - position[:, :2]
         far = np.hypot(ahead[:, 0], ahead[:, 1]) > _NEAR_M
         return np.where(far, np.arctan2(ahead[:, 1], ahead[:, 0]), np.nan)
 
-    return gaze
+    return profile
 
 
-def spinning(rate_rad_s: float, turn_s: float, lap_s: float) -> Gaze:
+def spinning(rate_rad_s: float, turn_s: float, lap_s: float) -> HeadingProfile:
     """Turn one way for half of some seconds, the other way for the other half, and stay so for the rest of a lap."""
 
-    def gaze(t: Array, position: Array, velocity: Array) -> Array:
+    def profile(t: Array, position: Array, velocity: Array) -> Array:
         phase = t % lap_s
         return rate_rad_s * np.maximum(np.minimum(phase, turn_s - phase), 0.0)
 
-    return gaze
+    return profile
 
 
-def heading_curve(gaze: Gaze, path: BSpline, end_s: float, yaw_rate_rad_s: float, yaw_rad: float) -> BSpline:
+def heading_curve(
+    profile: HeadingProfile, path: BSpline, end_s: float, yaw_rate_rad_s: float, yaw_rad: float
+) -> BSpline:
     """Return the heading [rad] over the times of a path, at rest at both ends.
 
     Its control points follow what is wished for, the short way round. A spline changes no faster than its control
     points do, and neither does its rate: what they keep to, the heading keeps to everywhere.
 
     Args:
-        gaze: What is wished for.
+        profile: What is wished for.
         path: Positions (N, 3) over time [m].
         end_s: The path's end; it starts at 0 [s].
         yaw_rate_rad_s: How fast the heading may change [rad/s].
@@ -79,13 +81,13 @@ def heading_curve(gaze: Gaze, path: BSpline, end_s: float, yaw_rate_rad_s: float
     knots = spacing * np.arange(-_DEGREE, intervals + _DEGREE + 1)
     # A control point speaks for the middle of its basis function.
     t = np.clip(spacing * (np.arange(intervals + _DEGREE) - 0.5 * (_DEGREE - 1)), 0.0, end_s)
-    wishes = gaze(t, path(t), path.derivative()(t))
+    wishes = profile(t, path(t), path.derivative()(t))
     braking = int(np.ceil(yaw_rate_rad_s / (_YAW_ACCEL_RAD_S2 * spacing)))
     wishes[:_DEGREE] = wishes[max(len(wishes) - _DEGREE - braking, 0) :] = np.nan
-    return BSpline(knots, _followed(wishes, spacing, _RESERVE * yaw_rate_rad_s, yaw_rad), _DEGREE)
+    return BSpline(knots, _rate_limited(wishes, spacing, _RESERVE * yaw_rate_rad_s, yaw_rad), _DEGREE)
 
 
-def _followed(wishes: Array, step_s: float, rate_rad_s: float, yaw_rad: float) -> Array:
+def _rate_limited(wishes: Array, step_s: float, rate_rad_s: float, yaw_rad: float) -> Array:
     """Return headings (N,) that follow wishes (N,) at a limited rate and angular acceleration; NaN wishes for rest."""
     gain = _YAW_ACCEL_RAD_S2 * step_s
     ahead = np.append(_wrapped(np.diff(wishes)) / step_s, np.nan)

@@ -49,7 +49,7 @@ class Limits:
         if self.thrust_to_weight <= 1.0:
             raise ConfigError(f"limit thrust_to_weight = {self.thrust_to_weight:g}; expected more than 1, to hover")
 
-    def strain(self, velocity_m_s: Array, acceleration_m_s2: Array, jerk_m_s3: Array) -> Array:
+    def limit_ratio(self, velocity_m_s: Array, acceleration_m_s2: Array, jerk_m_s3: Array) -> Array:
         """Return the share (…) of the limits that a motion (…, 3) uses up; above 1 it breaks one.
 
         The share of an acceleration is counted as its square root, that of a tilt rate as its cube root, so that

@@ -37,7 +37,7 @@ def minimum_snap(knots: Array, points: Array) -> BSpline:
     return make_interp_spline(knots, points, k=_DEGREE, bc_type=(at_rest, at_rest))
 
 
-def quickest_knots(points: Array, limits: Limits, knots: Array | None = None, rounds: int = _ROUNDS) -> Array:
+def minimum_time_knots(points: Array, limits: Limits, knots: Array | None = None, rounds: int = _ROUNDS) -> Array:
     """Return times (K,) from 0 at which the minimum-snap curve through points (K, 3) is quick and within limits.
 
     Args:
@@ -46,10 +46,10 @@ def quickest_knots(points: Array, limits: Limits, knots: Array | None = None, ro
         knots: Times to start the search from; by default long legs take longer.
         rounds: How long to search.
     """
-    legs = _within(np.diff(knots) if knots is not None else _first_guess(points), points, limits)
+    legs = _scaled_to_limits(np.diff(knots) if knots is not None else _initial_durations(points), points, limits)
     trust = _TRUST
     for _ in range(rounds):
-        trial = _within(legs * np.exp(_improvement(legs, points, limits, trust)), points, limits)
+        trial = _scaled_to_limits(legs * np.exp(_improvement(legs, points, limits, trust)), points, limits)
         gain = 1.0 - trial.sum() / legs.sum()
         if gain > 0.0:
             legs = trial
@@ -57,10 +57,10 @@ def quickest_knots(points: Array, limits: Limits, knots: Array | None = None, ro
             trust *= 0.4
         if 0.0 < gain < _LEAST_GAIN or trust < _LEAST_TRUST:
             break
-    return np.concatenate([[0.0], np.cumsum(_within(legs, points, limits, _FINAL_SAMPLES))])
+    return np.concatenate([[0.0], np.cumsum(_scaled_to_limits(legs, points, limits, _FINAL_SAMPLES))])
 
 
-def _first_guess(points: Array) -> Array:
+def _initial_durations(points: Array) -> Array:
     """Return durations (K - 1,) of legs, longer for longer ones, of any scale."""
     legs = np.linalg.norm(np.diff(points, axis=0), axis=1) ** _SHARE
     legs[[0, -1]] *= _AT_ENDS
@@ -73,11 +73,11 @@ def _improvement(legs: Array, points: Array, limits: Limits, trust: float) -> Ar
     How strains depend on durations is found by changing every sixth of them at once: each touches its neighbours only.
     """
     count = len(legs)
-    strain = _strain(legs, points, limits)
+    strain = _limit_ratios(legs, points, limits)
     rows, columns, slopes = [], [], []
     for colour in range(min(_FAR, count)):
         nudged = np.where(np.arange(count) % _FAR == colour, _NUDGE, 0.0)
-        slope = (_strain(legs * np.exp(nudged), points, limits) - strain) / _NUDGE
+        slope = (_limit_ratios(legs * np.exp(nudged), points, limits) - strain) / _NUDGE
         culprit = np.arange(count) + (colour - np.arange(count) + _FAR // 2) % _FAR - _FAR // 2
         known = (culprit >= 0) & (culprit < count)
         rows.append(np.flatnonzero(known))
@@ -88,12 +88,12 @@ def _improvement(legs: Array, points: Array, limits: Limits, trust: float) -> Ar
     return np.zeros(count) if program.x is None else np.asarray(program.x)
 
 
-def _strain(legs: Array, points: Array, limits: Limits) -> Array:
+def _limit_ratios(legs: Array, points: Array, limits: Limits) -> Array:
     """Return the greatest strain (K - 1,) on each leg of the minimum-snap curve with such durations [s]."""
-    return np.asarray(limits.strain(*_derivatives(legs, points)).max(axis=0))
+    return np.asarray(limits.limit_ratio(*_derivatives(legs, points)).max(axis=0))
 
 
-def _within(legs: Array, points: Array, limits: Limits, samples: int = _SAMPLES_PER_LEG) -> Array:
+def _scaled_to_limits(legs: Array, points: Array, limits: Limits, samples: int = _SAMPLES_PER_LEG) -> Array:
     """Return the durations (K - 1,), all multiplied by the number that makes the greatest strain 1."""
     return legs * _least_scale(_derivatives(legs, points, samples), limits)
 
@@ -116,11 +116,11 @@ def _stretched(derivatives: tuple[Array, Array, Array], scale: float) -> tuple[A
 def _least_scale(derivatives: tuple[Array, Array, Array], limits: Limits) -> float:
     """Return the factor by which to multiply all times for the greatest strain to be 1."""
     low, high = 1e-3, 1.0
-    while limits.strain(*_stretched(derivatives, high)).max() > 1.0:
+    while limits.limit_ratio(*_stretched(derivatives, high)).max() > 1.0:
         low, high = high, 2.0 * high
     for _ in range(_HALVINGS):
         middle = np.sqrt(low * high)
-        if limits.strain(*_stretched(derivatives, middle)).max() > 1.0:
+        if limits.limit_ratio(*_stretched(derivatives, middle)).max() > 1.0:
             low = middle
         else:
             high = middle

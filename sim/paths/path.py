@@ -15,10 +15,10 @@ import numpy.typing as npt
 from dronevio.models.errors import ConfigError
 from dronevio.models.imu import GRAVITY_M_S2, Times
 from dronevio.models.rotation import log_so3
-from dronevio.sim.paths.plan import TIMED, FlightPlan
+from dronevio.sim.paths.plan import TIMED_WAYPOINTS, FlightPlan
 from dronevio.sim.paths.route import leg_clearances
-from dronevio.sim.paths.segments import Stage, shaped_tour, straight, timed_tour
-from dronevio.sim.paths.space import Place
+from dronevio.sim.paths.segments import PathSegment, shape_segment, straight, timed_segment
+from dronevio.sim.paths.space import FlightArea
 
 Array = npt.NDArray[np.float64]
 
@@ -79,13 +79,13 @@ class Reference:
 
 
 def plan_reference(
-    plan: FlightPlan, place: Place, standing_height_m: float, interval_ns: int, rng: np.random.Generator
+    plan: FlightPlan, area: FlightArea, standing_height_m: float, interval_ns: int, rng: np.random.Generator
 ) -> Reference:
     """Return the reference of a plan in a given place.
 
     Args:
         plan: What to fly.
-        place: Where: a world.
+        area: Where: a world.
         standing_height_m: Height of the centre of mass of the standing drone [m].
         interval_ns: Time between rows [ns].
         rng: Moves the waypoints.
@@ -96,24 +96,24 @@ def plan_reference(
     Raises:
         ConfigError: The plan does not fit into the place.
     """
-    stand = place.pad + [0.0, 0.0, standing_height_m]
+    stand = area.pad + [0.0, 0.0, standing_height_m]
     hover = stand + [0.0, 0.0, plan.height_m]
-    reach = _reach(plan, place, stand, hover)
-    tour = (timed_tour if plan.shape == TIMED else shaped_tour)(plan, place, hover, reach, rng)
+    reach = _reach(plan, area, stand, hover)
+    tour = (timed_segment if plan.shape == TIMED_WAYPOINTS else shape_segment)(plan, area, hover, reach, rng)
     # The tour's own time is exact where it is given, and so are the times of the climb and the descent.
-    limits = None if plan.shape == TIMED else plan.limits
+    limits = None if plan.shape == TIMED_WAYPOINTS else plan.limits
     climb = straight(stand, hover, plan.takeoff_s, 0.0, limits)
     yaw_rad = float(tour.heading(tour.duration_s))
     descent = straight(hover, stand - [0.0, 0.0, _SINK_M], plan.landing_s, yaw_rad, limits)
-    stages = (climb, tour, descent)
-    starts = plan.rest_s + np.cumsum([0.0, *(stage.duration_s for stage in stages)])
-    end_ns = -(-round((starts[-1] + plan.stand_s) * 1e9) // _WHOLE_NS) * _WHOLE_NS
+    segments = (climb, tour, descent)
+    starts = plan.initial_rest_s + np.cumsum([0.0, *(segment.duration_s for segment in segments)])
+    end_ns = -(-round((starts[-1] + plan.final_rest_s) * 1e9) // _WHOLE_NS) * _WHOLE_NS
     t_ns = np.arange(end_ns // interval_ns + 1, dtype=np.int64) * interval_ns
     t = np.asarray(t_ns * 1e-9, dtype=np.float64)
-    position, velocity, acceleration = (_evaluate(stages, starts, stand, t, order) for order in range(3))
-    yaw = _headings(stages, starts, t)
+    position, velocity, acceleration = (_evaluate(segments, starts, stand, t, order) for order in range(3))
+    yaw = _headings(segments, starts, t)
     landed = (t > starts[2]) & (position[:, 2] < stand[2] - _TOUCHDOWN_M)
-    flying = (t >= plan.rest_s) & ~landed
+    flying = (t >= plan.initial_rest_s) & ~landed
     rate = _rates(acceleration, yaw, interval_ns * 1e-9)
     change = np.gradient(rate, interval_ns * 1e-9, axis=0)
     return _begun_later(Reference(t_ns, position, velocity, acceleration, yaw, rate, change, flying), plan.skip_s)
@@ -128,21 +128,21 @@ def attitude(thrust_direction: Array, yaw_rad: Array) -> Array:
     return np.stack([np.cross(y, z), y, z], axis=-1)
 
 
-def _reach(plan: FlightPlan, place: Place, stand: Array, hover: Array) -> Array:
+def _reach(plan: FlightPlan, area: FlightArea, stand: Array, hover: Array) -> Array:
     """Return (2, 3) how far the path may go from the hover point in the free box, down and up each axis [m].
 
     Raises:
         ConfigError: The plan does not fit into the space, or something hangs above the pad.
     """
-    low, high = place.free_box[0] + plan.margin_m, place.free_box[1] - plan.margin_m
-    low[2] = stand[2] + plan.floor_m
+    low, high = area.free_box[0] + plan.margin_m, area.free_box[1] - plan.margin_m
+    low[2] = stand[2] + plan.min_height_m
     reach = np.stack([low - hover, high - hover])
     if np.any(reach[0] > 0.0) or np.any(reach[1] < 0.0):
         raise ConfigError(
             f"hover at {np.round(hover, 2).tolist()} m; expected between {np.round(low, 2).tolist()} and"
             f" {np.round(high, 2).tolist()} m, the free space less its margins"
         )
-    bottomless = replace(place.space, low=np.array([*place.space.low[:2], -np.inf]))
+    bottomless = replace(area.space, low=np.array([*area.space.low[:2], -np.inf]))
     clearance = float(leg_clearances(bottomless, stand[None], hover[None])[0])
     if clearance < plan.margin_m:
         raise ConfigError(
@@ -165,21 +165,21 @@ def _begun_later(reference: Reference, skip_s: float) -> Reference:
     return replace(Reference(**rest), t_ns=rest["t_ns"] - rest["t_ns"][0])
 
 
-def _evaluate(stages: Sequence[Stage], starts: Array, stand: Array, t: Array, order: int) -> Array:
-    """Return derivatives (N, 3) of consecutive stages' paths, at rest before the first and after the last."""
+def _evaluate(segments: Sequence[PathSegment], starts: Array, stand: Array, t: Array, order: int) -> Array:
+    """Return derivatives (N, 3) of consecutive segments' paths, at rest before the first and after the last."""
     values = np.tile(stand if order == 0 else np.zeros(3), (len(t), 1))
-    for stage, start in zip(stages, starts[:-1], strict=True):
+    for segment, start in zip(segments, starts[:-1], strict=True):
         begun = t > start
-        values[begun] = stage.path.derivative(order)(np.minimum(t[begun] - start, stage.duration_s))
+        values[begun] = segment.path.derivative(order)(np.minimum(t[begun] - start, segment.duration_s))
     return values
 
 
-def _headings(stages: Sequence[Stage], starts: Array, t: Array) -> Array:
-    """Return headings (N,) of consecutive stages [rad], 0 before the first."""
+def _headings(segments: Sequence[PathSegment], starts: Array, t: Array) -> Array:
+    """Return headings (N,) of consecutive segments [rad], 0 before the first."""
     values = np.zeros(len(t))
-    for stage, start in zip(stages, starts[:-1], strict=True):
+    for segment, start in zip(segments, starts[:-1], strict=True):
         begun = t > start
-        values[begun] = stage.heading(np.minimum(t[begun] - start, stage.duration_s))
+        values[begun] = segment.heading(np.minimum(t[begun] - start, segment.duration_s))
     return values
 
 

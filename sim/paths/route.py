@@ -17,7 +17,7 @@ from scipy.sparse.csgraph import dijkstra
 
 from dronevio.models.errors import ConfigError
 from dronevio.sim.paths.limits import Limits
-from dronevio.sim.paths.minimum_snap import minimum_snap, quickest_knots
+from dronevio.sim.paths.minimum_snap import minimum_snap, minimum_time_knots
 from dronevio.sim.paths.space import Space
 
 Array = npt.NDArray[np.float64]
@@ -38,11 +38,11 @@ def leg_clearances(space: Space, starts: Array, ends: Array) -> Array:
     legs = ends - starts
     if not len(legs):
         return np.zeros(0)
-    number, share, first = _stations(np.linalg.norm(legs, axis=1))
+    number, share, first = _leg_samples(np.linalg.norm(legs, axis=1))
     return np.asarray(np.minimum.reduceat(space.clearance(starts[number] + share[:, None] * legs[number]), first))
 
 
-def clear_polyline(space: Space, points: Array, margin_m: float, names: Sequence[str] = ()) -> Array:
+def collision_free_polyline(space: Space, points: Array, margin_m: float, names: Sequence[str] = ()) -> Array:
     """Return points (M, 3) whose straight legs are clear: those given (K, 3), and ways around what is between them.
 
     Args:
@@ -66,7 +66,7 @@ def clear_polyline(space: Space, points: Array, margin_m: float, names: Sequence
     blocked = leg_clearances(space, points[:-1], points[1:]) < margin_m
     way = [points[:1]]
     for k, (start, goal) in enumerate(pairwise(points)):
-        around = _way_around(space, tuple(start), tuple(goal), margin_m) if blocked[k] else np.zeros((0, 3))
+        around = _detour(space, tuple(start), tuple(goal), margin_m) if blocked[k] else np.zeros((0, 3))
         if around is None:
             raise ConfigError(
                 f"no way from {names[k]} at {np.round(start, 2).tolist()} m to {names[k + 1]} at"
@@ -76,19 +76,19 @@ def clear_polyline(space: Space, points: Array, margin_m: float, names: Sequence
     return np.concatenate(way)
 
 
-def clear_curve(space: Space, points: Array, margin_m: float, limits: Limits) -> tuple[Array, Array]:
+def collision_free_curve(space: Space, points: Array, margin_m: float, limits: Limits) -> tuple[Array, Array]:
     """Return times (M,) from 0 [s] and points (M, 3) whose minimum-snap curve keeps clear and within limits.
 
     Args:
         space: Where to fly.
-        points: (K, 3) Waypoints with clear straight legs, as from `clear_polyline` [m].
+        points: (K, 3) Waypoints with clear straight legs, as from `collision_free_polyline` [m].
         margin_m: Clearance to keep [m].
         limits: What not to exceed.
 
     Raises:
         ConfigError: A waypoint leaves the curve no room to turn.
     """
-    knots = quickest_knots(points, limits)
+    knots = minimum_time_knots(points, limits)
     for _ in range(_ROUNDS):
         low = _curve_clearances(space, knots, points)
         close = low < margin_m + _GUARD_M
@@ -97,7 +97,7 @@ def clear_curve(space: Space, points: Array, margin_m: float, limits: Limits) ->
         halves = np.flatnonzero(close) + 1
         points = np.insert(points, halves, 0.5 * (points[halves - 1] + points[halves]), axis=0)
         knots = np.insert(knots, halves, 0.5 * (knots[halves - 1] + knots[halves]))
-        knots = quickest_knots(points, limits, knots)
+        knots = minimum_time_knots(points, limits, knots)
     worst = int(low.argmin())
     raise ConfigError(
         f"the curve near {np.round(points[worst], 2).tolist()} m has {low[worst]:.2f} m of clearance; expected"
@@ -110,13 +110,13 @@ def _curve_clearances(space: Space, knots: Array, points: Array) -> Array:
     curve = minimum_snap(knots, points)
     rough = curve(np.linspace(knots[:-1], knots[1:], 9))
     length = np.linalg.norm(np.diff(rough, axis=0), axis=-1).sum(axis=0)
-    number, share, first = _stations(2.0 * length)  # as if twice as long: the curve is not flown evenly
+    number, share, first = _leg_samples(2.0 * length)  # as if twice as long: the curve is not flown evenly
     return np.asarray(
         np.minimum.reduceat(space.clearance(curve(knots[number] + share * np.diff(knots)[number])), first)
     )
 
 
-def _stations(lengths: Array) -> tuple[Index, Array, Index]:
+def _leg_samples(lengths: Array) -> tuple[Index, Array, Index]:
     """Return where to look on legs of some lengths (K,) [m]: of each place the leg's number and the share of the leg
     that is behind it, both ends included; and the row at which each leg's places begin.
     """
@@ -127,7 +127,7 @@ def _stations(lengths: Array) -> tuple[Index, Array, Index]:
 
 
 @lru_cache(maxsize=256)
-def _way_around(space: Space, start: tuple[float, ...], goal: tuple[float, ...], margin_m: float) -> Array | None:
+def _detour(space: Space, start: tuple[float, ...], goal: tuple[float, ...], margin_m: float) -> Array | None:
     """Return the points (M, 3) between a start and a goal of a short way that is clear, or none if there is none.
 
     Kept, since every lap asks for the same ways.
@@ -139,11 +139,11 @@ def _way_around(space: Space, start: tuple[float, ...], goal: tuple[float, ...],
         for wanted_m in (margin_m + _SWING_M, margin_m + 2.0 * _GUARD_M):
             way = grid.way(np.array(start), np.array(goal), margin_m, wanted_m)
             if way is not None:
-                return _straightened(space, way, wanted_m)[1:-1]
+                return _shortcut(space, way, wanted_m)[1:-1]
     return None
 
 
-def _straightened(space: Space, way: Array, margin_m: float) -> Array:
+def _shortcut(space: Space, way: Array, margin_m: float) -> Array:
     """Return the points (L, 3) of a way (M, 3) that are left when all that can be cut off is: first to last seen."""
     kept, here = [0], 0
     while here < len(way) - 1:

@@ -6,13 +6,13 @@ import numpy as np
 import numpy.typing as npt
 from scipy.interpolate import BSpline
 
-from dronevio.sim.paths.heading import Gaze, across, along, fixed, heading_curve, toward
+from dronevio.sim.paths.heading import HeadingProfile, across, along, fixed, heading_curve, toward
 from dronevio.sim.paths.limits import Limits
-from dronevio.sim.paths.minimum_snap import minimum_snap, quickest_knots
+from dronevio.sim.paths.minimum_snap import minimum_snap, minimum_time_knots
 from dronevio.sim.paths.plan import FlightPlan
-from dronevio.sim.paths.route import clear_curve, clear_polyline, leg_clearances
+from dronevio.sim.paths.route import collision_free_curve, collision_free_polyline, leg_clearances
 from dronevio.sim.paths.shapes import SHAPES, Arena, Course
-from dronevio.sim.paths.space import Place
+from dronevio.sim.paths.space import FlightArea
 from dronevio.sim.paths.timed_tour import timed_knots
 
 Array = npt.NDArray[np.float64]
@@ -23,7 +23,7 @@ _SLACK_M = 0.1  # clearance beside the margin that moved waypoints keep, for the
 
 
 @dataclass(frozen=True, eq=False)
-class Stage:
+class PathSegment:
     """A part of a flight that starts and ends at rest."""
 
     path: BSpline
@@ -34,36 +34,40 @@ class Stage:
     """How long it takes [s]."""
 
 
-def straight(start: Array, end: Array, least_s: float, yaw_rad: float, limits: Limits | None) -> Stage:
+def straight(start: Array, end: Array, least_s: float, yaw_rad: float, limits: Limits | None) -> PathSegment:
     """Return the way between two points (3,) [m] in a time [s], or in longer where there are limits that want it."""
     points = np.stack([start, end])
-    duration_s = least_s if limits is None else max(least_s, float(quickest_knots(points, limits)[-1]))
+    duration_s = least_s if limits is None else max(least_s, float(minimum_time_knots(points, limits)[-1]))
     knots = np.array([0.0, duration_s])
-    return Stage(minimum_snap(knots, points), minimum_snap(knots, np.full(2, yaw_rad)), duration_s)
+    return PathSegment(minimum_snap(knots, points), minimum_snap(knots, np.full(2, yaw_rad)), duration_s)
 
 
-def timed_tour(plan: FlightPlan, place: Place, hover: Array, reach: Array, rng: np.random.Generator) -> Stage:
+def timed_segment(
+    plan: FlightPlan, area: FlightArea, hover: Array, reach: Array, rng: np.random.Generator
+) -> PathSegment:
     """Return the tour of a plan that gives waypoints as fractions of the free space, and their time.
 
     Args:
         plan: What to fly.
-        place: Where.
+        area: Where.
         hover: (3,) Where it starts and ends [m].
         reach: (2, 3) How far it may go from there, down and up each axis [m].
         rng: Moves the waypoints.
     """
     fractions = np.array(plan.waypoints).reshape(-1, 3)
-    fractions = fractions + plan.jitter * rng.uniform(-1.0, 1.0, fractions.shape)
+    fractions = fractions + plan.waypoint_jitter * rng.uniform(-1.0, 1.0, fractions.shape)
     knots, offsets, yaw = timed_knots(fractions, plan.tour_s, reach)
-    return Stage(minimum_snap(knots, offsets + hover), minimum_snap(knots, plan.turning * yaw), plan.tour_s)
+    return PathSegment(minimum_snap(knots, offsets + hover), minimum_snap(knots, plan.heading_scale * yaw), plan.tour_s)
 
 
-def shaped_tour(plan: FlightPlan, place: Place, hover: Array, reach: Array, rng: np.random.Generator) -> Stage:
+def shape_segment(
+    plan: FlightPlan, area: FlightArea, hover: Array, reach: Array, rng: np.random.Generator
+) -> PathSegment:
     """Return the tour of a plan that names a shape, as quick as its limits allow and clear of everything.
 
     Args:
         plan: What to fly.
-        place: Where.
+        area: Where.
         hover: (3,) Where it starts and ends [m].
         reach: (2, 3) How far the free space reaches from there, down and up each axis [m].
         rng: Moves the waypoints.
@@ -71,35 +75,35 @@ def shaped_tour(plan: FlightPlan, place: Place, hover: Array, reach: Array, rng:
     Raises:
         ConfigError: Something is in the way.
     """
-    arena = Arena(place, hover + reach[0], hover + reach[1], plan.limits, np.array(plan.waypoints).reshape(-1, 3))
+    arena = Arena(area, hover + reach[0], hover + reach[1], plan.limits, np.array(plan.waypoints).reshape(-1, 3))
     course = SHAPES[plan.shape](arena)
     knots, points = (
-        _laps(plan, arena, hover, course, rng) if len(course.lap) else _on_the_spot(plan, place, hover, course)
+        _laps(plan, arena, hover, course, rng) if len(course.lap) else _on_the_spot(plan, area, hover, course)
     )
     path, end_s = minimum_snap(knots, points), float(knots[-1])
-    heading = heading_curve(_gaze(plan, place, course), path, end_s, plan.limits.yaw_rate_rad_s, 0.0)
-    return Stage(path, heading, end_s)
+    heading = heading_curve(_heading_profile(plan, area, course), path, end_s, plan.limits.yaw_rate_rad_s, 0.0)
+    return PathSegment(path, heading, end_s)
 
 
-def _gaze(plan: FlightPlan, place: Place, course: Course) -> Gaze:
+def _heading_profile(plan: FlightPlan, area: FlightArea, course: Course) -> HeadingProfile:
     """Return where to look."""
-    gazes = {
-        "shape": course.gaze,
+    profiles = {
+        "shape": course.heading,
         "along": along,
         "across": across,
         "fixed": fixed(0.0),
-        "toward": toward(place.pad[:2] + plan.toward_m),
+        "toward": toward(area.pad[:2] + plan.heading_target_m),
     }
-    return gazes[plan.heading]
+    return profiles[plan.heading]
 
 
-def _on_the_spot(plan: FlightPlan, place: Place, hover: Array, course: Course) -> tuple[Array, Array]:
+def _on_the_spot(plan: FlightPlan, area: FlightArea, hover: Array, course: Course) -> tuple[Array, Array]:
     """Return times (2,) and points (2, 3) of a course that stays where it is.
 
     Raises:
         ConfigError: Something is in the way.
     """
-    clear_polyline(place.space, hover[None], plan.margin_m, ["the hover above the pad"])
+    collision_free_polyline(area.space, hover[None], plan.margin_m, ["the hover above the pad"])
     laps = max(1, round(plan.tour_s / course.lap_s)) if plan.tour_s > 0.0 else plan.laps
     return np.array([0.0, laps * course.lap_s]), np.stack([hover, hover])
 
@@ -112,18 +116,22 @@ def _laps(
     Raises:
         ConfigError: There is no way to fly them.
     """
-    space = arena.place.space
-    lap = _jittered(course.lap, plan, arena, rng)
+    space = arena.area.space
+    lap = _perturbed(course.lap, plan, arena, rng)
     laps = plan.laps
     if plan.tour_s > 0.0:
-        one, two = (quickest_knots(_strung(hover, lap, n, course.closed)[0], plan.limits)[-1] for n in (1, 2))
+        one, two = (
+            minimum_time_knots(_waypoint_sequence(hover, lap, n, course.closed)[0], plan.limits)[-1] for n in (1, 2)
+        )
         laps = max(1, round(1.0 + (plan.tour_s - one) / (two - one)))
-    points, numbers = _strung(hover, lap, laps, course.closed)
+    points, numbers = _waypoint_sequence(hover, lap, laps, course.closed)
     names = [f"waypoint {k} of the {plan.shape}" if k >= 0 else "the hover above the pad" for k in numbers]
-    return clear_curve(space, clear_polyline(space, points, plan.margin_m, names), plan.margin_m, plan.limits)
+    return collision_free_curve(
+        space, collision_free_polyline(space, points, plan.margin_m, names), plan.margin_m, plan.limits
+    )
 
 
-def _strung(hover: Array, lap: Array, laps: int, closed: bool) -> tuple[Array, list[int]]:
+def _waypoint_sequence(hover: Array, lap: Array, laps: int, closed: bool) -> tuple[Array, list[int]]:
     """Return the points (K, 3) of all laps between two stays at the hover, and the number of each in its lap.
 
     A closed course leads back to its first point. The hover's number is -1. Points that nearly coincide with the one
@@ -140,11 +148,11 @@ def _strung(hover: Array, lap: Array, laps: int, closed: bool) -> tuple[Array, l
     return np.vstack([hover, lap[kept[1:]], hover]), [*kept, -1]
 
 
-def _jittered(lap: Array, plan: FlightPlan, arena: Arena, rng: np.random.Generator) -> Array:
+def _perturbed(lap: Array, plan: FlightPlan, arena: Arena, rng: np.random.Generator) -> Array:
     """Return the waypoints (M, 3) of a lap, moved by chance as far as the legs between them remain clear."""
-    moved = lap + plan.jitter * arena.half * rng.uniform(-1.0, 1.0, lap.shape)
+    moved = lap + plan.waypoint_jitter * arena.half * rng.uniform(-1.0, 1.0, lap.shape)
     for _ in range(_RETREATS):
-        clear = leg_clearances(arena.place.space, moved, np.roll(moved, -1, axis=0)) >= plan.margin_m + _SLACK_M
+        clear = leg_clearances(arena.area.space, moved, np.roll(moved, -1, axis=0)) >= plan.margin_m + _SLACK_M
         fine = clear & np.roll(clear, 1)
         moved = np.where(fine[:, None], moved, 0.5 * (moved + lap))
     return np.where(fine[:, None], moved, lap)

@@ -8,9 +8,9 @@ import numpy as np
 import numpy.typing as npt
 
 from dronevio.models.errors import ConfigError
-from dronevio.sim.paths.heading import Gaze, across, along, fixed, spinning
+from dronevio.sim.paths.heading import HeadingProfile, across, along, fixed, spinning
 from dronevio.sim.paths.limits import Limits
-from dronevio.sim.paths.space import Place
+from dronevio.sim.paths.space import FlightArea
 
 Array = npt.NDArray[np.float64]
 
@@ -25,7 +25,7 @@ _ZIGZAG_M = 1.7  # between the turning points of the aggressive zigzag
 class Arena:
     """What a shape has to fit into."""
 
-    place: Place
+    area: FlightArea
     """The world."""
     low: Array
     """(3,) Least corner of its free space, less the margin [m]."""
@@ -57,7 +57,7 @@ class Course:
 
     lap: Array
     """(M, 3) Waypoints of one lap, which leads back to the first [m]; none to stay where the drone is."""
-    gaze: Gaze = along
+    heading: HeadingProfile = along
     """Where to look."""
     lap_s: float = 0.0
     """How long a lap takes on the spot [s]."""
@@ -93,12 +93,12 @@ def via(arena: Arena) -> Course:
 
 def tour(arena: Arena) -> Course:
     """See the whole world, looking ahead."""
-    return Course(arena.place.route)
+    return Course(arena.area.route)
 
 
 def race(arena: Arena) -> Course:
     """Cut through the whole world lap after lap, looking ahead; only its limits tell it from a tour."""
-    return Course(arena.place.route)
+    return Course(arena.area.route)
 
 
 def figure_eight(arena: Arena) -> Course:
@@ -133,7 +133,7 @@ def square(arena: Arena) -> Course:
 def inspection(arena: Arena) -> Course:
     """Scan the nearest side of the free space from edge to edge at three heights, facing it."""
     middles = arena.at(np.array([[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]]))
-    side = int(arena.place.space.clearance(middles).argmin())
+    side = int(arena.area.space.clearance(middles).argmin())
     axis, sign = side % 2, 1.0 if side < 2 else -1.0
     stroke = np.linspace(-1.0, 1.0, 4)
     scan = np.concatenate([np.stack([s * stroke, np.full(4, z)], axis=1) for s, z in ((1, -0.9), (-1, 0.0), (1, 0.9))])

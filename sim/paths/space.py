@@ -67,7 +67,7 @@ class Space:
 
 
 @dataclass(frozen=True, eq=False)
-class Place:
+class FlightArea:
     """What a planner has to know of a world."""
 
     space: Space

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import mujoco
 import numpy as np
 
-TOUCHED_GROUP = 3
+COLLISION_GROUP = 3
 """The group of the geoms that are touched; MuJoCo's viewers do not draw it unless asked."""
 FEET = "foot"
 """How the names of a vehicle's feet begin."""
@@ -36,20 +36,20 @@ class Collision:
 
 def add_floor(spec: mujoco.MjSpec) -> None:
     """Add an endless floor at z = 0."""
-    spec.worldbody.add_geom(name="floor", type=mujoco.mjtGeom.mjGEOM_PLANE, size=[0.0, 0.0, 1.0], group=TOUCHED_GROUP)
+    spec.worldbody.add_geom(name="floor", type=mujoco.mjtGeom.mjGEOM_PLANE, size=[0.0, 0.0, 1.0], group=COLLISION_GROUP)
 
 
-def add_touched(spec: mujoco.MjSpec, surroundings: mujoco.MjSpec) -> None:
+def add_collision_geoms(spec: mujoco.MjSpec, surroundings: mujoco.MjSpec) -> None:
     """Add the touched geoms (group 3) of a world's static body, without anything that is only seen."""
     for geom in surroundings.worldbody.geoms:
-        if geom.group == TOUCHED_GROUP:
+        if geom.group == COLLISION_GROUP:
             copy = spec.worldbody.add_geom(**{name: getattr(geom, name) for name in _COPIED})
             for name in _COPIED_TURN:
                 setattr(copy.alt, name, getattr(geom.alt, name))
 
 
-class Touch:
-    """Looks at the physics' contacts for one that is not of a foot with something to stand on."""
+class CollisionDetector:
+    """Appearance at the physics' contacts for one that is not of a foot with something to stand on."""
 
     def __init__(self, model: mujoco.MjModel) -> None:
         self._model = model
@@ -57,15 +57,15 @@ class Touch:
         self._of_world = np.asarray(model.geom_bodyid) == 0
         self._feet = np.array([name.startswith(FEET) for name in self._names])
 
-    def collision(self, data: mujoco.MjData) -> tuple[str, str] | None:
-        """Return the names of the drone's part and of what it touches, or None where nothing is amiss."""
+    def detect(self, data: mujoco.MjData) -> tuple[str, str] | None:
+        """Return the names of the drone's part and of what it touches, or None where nothing is illegal."""
         if not data.ncon:
             return None
         pairs = data.contact.geom
         flipped = self._of_world[pairs[:, :1]]
         own, other = np.where(flipped, pairs[:, ::-1], pairs).T
-        amiss = ~(self._feet[own] & (np.abs(data.contact.frame[:, 2]) > _LEVEL))
-        if not amiss.any():
+        illegal = ~(self._feet[own] & (np.abs(data.contact.frame[:, 2]) > _LEVEL))
+        if not illegal.any():
             return None
-        first = int(np.argmax(amiss))
+        first = int(np.argmax(illegal))
         return self._names[own[first]], self._names[other[first]]

@@ -81,12 +81,12 @@ class SE3Controller:
         self._gains = gains = gains or Gains()
         self._step_s = float(reference.t_ns[1] - reference.t_ns[0]) * 1e-9
         self._mixer = Mixer(self._quadrotor)
-        self._aloft = bool(reference.flying[0])
+        self._airborne = bool(reference.flying[0])
         self._hover_speed = self._quadrotor.hover_speed_rad_s
-        speed = self._hover_speed if self._aloft else 0.0
+        speed = self._hover_speed if self._airborne else 0.0
         self._drive = RotorDrive(self._quadrotor, gains.rotor_response_s, speed)
-        self._push = DisturbanceObserver(gains.force_observer_rad_s, gains.force_max_m_s2)
-        self._twist = DisturbanceObserver(gains.torque_observer_rad_s, gains.torque_max_rad_s2)
+        self._force_observer = DisturbanceObserver(gains.force_observer_rad_s, gains.force_max_m_s2)
+        self._torque_observer = DisturbanceObserver(gains.torque_observer_rad_s, gains.torque_max_rad_s2)
         self._allocation = self._quadrotor.allocation
         self._T_imu_vehicle = inverse_pose(T_vehicle_imu)
         self._R_vehicle_imu = T_vehicle_imu[:3, :3]
@@ -117,33 +117,33 @@ class SE3Controller:
         momentum = self._inertia * rate
         momentum[2] += self._quadrotor.rotor_inertia_kg_m2 * float(self._spins @ self._drive.speeds_rad_s)
         gyroscopic = _cross(rate, momentum)
-        if self._off_the_ground(row):
-            self._push.update(velocity, self._pushed(R[:, 2], velocity, lift), self._step_s)
-            self._twist.update(rate, self._twisted(gyroscopic), self._step_s)
+        if self._has_taken_off(row):
+            self._force_observer.update(velocity, self._modelled_acceleration(R[:, 2], velocity, lift), self._step_s)
+            self._torque_observer.update(rate, self._modelled_angular_acceleration(gyroscopic), self._step_s)
         force = self._acceleration(row, T[:3, 3], velocity)
-        R_wanted = _attitude(force, float(self._reference.yaw_rad[row]))
-        torque = self._inertia * self._turn(row, R, R_wanted, rate) + gyroscopic
+        R_desired = _attitude(force, float(self._reference.yaw_rad[row]))
+        torque = self._inertia * self._angular_acceleration(row, R, R_desired, rate) + gyroscopic
         torque[2] = self._yaw_drag(torque[2])
         wanted = self._mixer.speeds(self._quadrotor.mass_kg * float(force @ R[:, 2]) / lift, torque)
         return self._drive.towards(wanted, self._step_s)
 
-    def _off_the_ground(self, row: int) -> bool:
+    def _has_taken_off(self, row: int) -> bool:
         """Return whether the drone has left the ground, which could push it as no air does."""
         height = self._reference.position_m[:, 2]
-        self._aloft = self._aloft or bool(height[row] - height[0] > _CLEAR_OF_GROUND_M)
-        return self._aloft
+        self._airborne = self._airborne or bool(height[row] - height[0] > _CLEAR_OF_GROUND_M)
+        return self._airborne
 
-    def _pushed(self, up: Array, velocity: Array, lift: float) -> Array:
+    def _modelled_acceleration(self, up: Array, velocity: Array, lift: float) -> Array:
         """Return the acceleration (3,) that the rotors, gravity and still air make now [m/s²], in the world."""
         speeds, drone = self._drive.speeds_rad_s, self._quadrotor
         thrust = lift * drone.thrust_n_per_rad2_s2 * float(speeds @ speeds) / drone.mass_kg
         return np.asarray(thrust * up - GRAVITY_M_S2 * _UP + self._drag(up, velocity, float(speeds.sum())))
 
-    def _twisted(self, gyroscopic: Array) -> Array:
+    def _modelled_angular_acceleration(self, gyroscopic: Array) -> Array:
         """Return the angular acceleration (3,) that the rotors make now [rad/s²], in the vehicle frame."""
         drive, drone = self._drive, self._quadrotor
         torque = self._allocation[1:] @ drive.speeds_rad_s**2
-        torque[2] -= drone.rotor_inertia_kg_m2 * float(self._spins @ drive.change_rad_s2)
+        torque[2] -= drone.rotor_inertia_kg_m2 * float(self._spins @ drive.acceleration_rad_s2)
         return np.asarray((torque - gyroscopic) / self._inertia)
 
     def _acceleration(self, row: int, position: Array, velocity: Array) -> Array:
@@ -154,7 +154,7 @@ class SE3Controller:
             gains.position_per_s2 * (reference.position_m[row] - position)
             + gains.velocity_per_s * (wanted - velocity)
             + reference.acceleration_m_s2[row]
-            - self._push.disturbance
+            - self._force_observer.disturbance
             + GRAVITY_M_S2 * _UP
         )
         size = sqrt(force @ force)
@@ -176,14 +176,14 @@ class SE3Controller:
         climb = float(up @ velocity)
         return np.asarray((across * velocity + (along - across) * climb * up) / -drone.mass_kg)
 
-    def _turn(self, row: int, R: Array, R_wanted: Array, rate: Array) -> Array:
+    def _angular_acceleration(self, row: int, R: Array, R_desired: Array, rate: Array) -> Array:
         """Return the angular acceleration (3,) to ask for, in the vehicle frame [rad/s²] (Lee 2010, eq. 16)."""
-        turn = R_wanted.T @ R
+        turn = R_desired.T @ R
         attitude_error = 0.5 * np.array([turn[2, 1] - turn[1, 2], turn[0, 2] - turn[2, 0], turn[1, 0] - turn[0, 1]])
-        wanted_rate = turn.T @ self._reference.rate_rad_s[row]
-        wanted_change = turn.T @ self._reference.angular_acceleration_rad_s2[row] - _cross(rate, wanted_rate)
-        errors = self._stiffness * attitude_error + self._damping * (rate - wanted_rate)
-        return np.asarray(wanted_change - errors - self._twist.disturbance)
+        desired_rate = turn.T @ self._reference.rate_rad_s[row]
+        desired_acceleration = turn.T @ self._reference.angular_acceleration_rad_s2[row] - _cross(rate, desired_rate)
+        errors = self._stiffness * attitude_error + self._damping * (rate - desired_rate)
+        return np.asarray(desired_acceleration - errors - self._torque_observer.disturbance)
 
     def _yaw_drag(self, torque_nm: float) -> float:
         """Return the part of a yaw torque [N m] that the rotors' drag is to give.

@@ -58,7 +58,7 @@ class RotorDrive:
         self._response_s = min(response_s, quadrotor.rotor_time_constant_s)
         self._fastest = quadrotor.rotor_speed_max_rad_s
         self.speeds_rad_s = np.full(4, speed_rad_s)
-        self.change_rad_s2 = np.zeros(4)
+        self.acceleration_rad_s2 = np.zeros(4)
 
     def towards(self, wanted_rad_s: Array, dt_s: float) -> Array:
         """Return commands (4,) [rad/s] for the next ``dt_s`` that bring the rotors towards speeds (4,) [rad/s]."""
@@ -66,6 +66,6 @@ class RotorDrive:
         lead = (1.0 - exp(-dt_s / self._response_s)) / follows
         command = self.speeds_rad_s + lead * (wanted_rad_s - self.speeds_rad_s)
         command = np.minimum(np.maximum(command, 0.0), self._fastest)
-        self.change_rad_s2 = (follows / dt_s) * (command - self.speeds_rad_s)
-        self.speeds_rad_s = self.speeds_rad_s + dt_s * self.change_rad_s2
+        self.acceleration_rad_s2 = (follows / dt_s) * (command - self.speeds_rad_s)
+        self.speeds_rad_s = self.speeds_rad_s + dt_s * self.acceleration_rad_s2
         return np.asarray(command)

@@ -12,11 +12,11 @@ from dronevio.models.quadrotor import RESEARCH, Quadrotor
 from dronevio.models.rig import Rig
 from dronevio.models.rotation import quat_wxyz_from_matrix
 from dronevio.models.state import NavState
-from dronevio.sim.physics.collisions import Collision, Touch
+from dronevio.sim.physics.collisions import Collision, CollisionDetector
 from dronevio.sim.physics.motion import Motion
 from dronevio.sim.physics.rotors import ALL_POWERED, Airflow, MotorFailure, Rotors
 from dronevio.sim.physics.vehicle import physics_model, standing_pose
-from dronevio.sim.physics.wind import CALM, Wind, air_of
+from dronevio.sim.physics.wind import CALM, Wind, make_air
 
 Array = npt.NDArray[np.float64]
 
@@ -69,11 +69,11 @@ class QuadrotorPlant:
         self._substeps = max(2, int(np.ceil(self.interval_s / LONGEST_STEP_S - 1e-9)))
         self._step_s = self.interval_s / self._substeps
         self._rotors = Rotors(self.quadrotor)
-        self._air = air_of(wind, rng)
+        self._air = make_air(wind, rng)
         self._failure = failure or MotorFailure(0, np.inf)
         self._model = physics_model(self.quadrotor, rig, self._step_s, surroundings)
         self._data = mujoco.MjData(self._model)
-        self._touch = Touch(self._model)
+        self._collision_detector = CollisionDetector(self._model)
         self._pad = np.zeros(3) if pad_m is None else np.asarray(pad_m, dtype=np.float64)
         self._standing = standing_pose(self.quadrotor, rig, self._step_s)
         self._standing[:3] += self._pad
@@ -141,15 +141,15 @@ class QuadrotorPlant:
             self._data.qpos[3:] = quat_wxyz_from_matrix(T_world_vehicle[:3, :3])
         self._data.qvel[:3] = 0.0 if velocity_m_s is None else velocity_m_s
         self._data.qvel[3:] = 0.0 if rate_rad_s is None else rate_rad_s
-        self._state = self._rotors.start(np.zeros(4) if rotor_speeds_rad_s is None else rotor_speeds_rad_s)
-        self._air.restart()
+        self._state = self._rotors.steady_state(np.zeros(4) if rotor_speeds_rad_s is None else rotor_speeds_rad_s)
+        self._air.reset()
         self._collision: Collision | None = None
         self._t_ns = 0
         self._sensed = 0
         self._times = [0]
         self._rows = [self._row()]
-        self._turned = [self._state.speed_rad_s]
-        between = self._cross_interval()
+        self._rotor_speeds = [self._state.speed_rad_s]
+        between = self._step_interval()
         self._between = [2.0 * self._rows[0] - between, between]  # before t = 0 it moved as it goes on
 
     def advance(self, t_ns: int, command: Array) -> None:
@@ -159,9 +159,9 @@ class QuadrotorPlant:
             self._t_ns += self.interval_ns
             self._times.append(self._t_ns)
             self._rows.append(self._row())
-            self._state = self._rotors.after(self._state, command, self.interval_s, self._powered())
-            self._turned.append(self._state.speed_rad_s)
-            self._between.append(self._cross_interval())
+            self._state = self._rotors.step(self._state, command, self.interval_s, self._powered())
+            self._rotor_speeds.append(self._state.speed_rad_s)
+            self._between.append(self._step_interval())
 
     def step_until(self, t_ns: int, command: Array) -> ImuSamples:
         """Hold a command (4,) of rotor speeds [rad/s] until ``t_ns`` and return the perfect IMU's points since.
@@ -178,7 +178,7 @@ class QuadrotorPlant:
         rows = np.array(self._rows[first:]).reshape(-1, 13)
         between = np.array(self._between[first:])
         times = np.array(self._times[first:], dtype=np.int64)
-        speeds = np.array(self._turned[first:]).reshape(-1, 4)
+        speeds = np.array(self._rotor_speeds[first:]).reshape(-1, 4)
         return Motion(times, self._step_s, rows[:, :7], rows[:, 7:], between[:, :7], between[:, 7:], speeds)
 
     def state(self) -> NavState:
@@ -218,7 +218,7 @@ class QuadrotorPlant:
             return ALL_POWERED
         return np.asarray(np.arange(4) != self._failure.rotor)
 
-    def _cross_interval(self) -> Array:
+    def _step_interval(self) -> Array:
         """Step the physics to the next IMU time stamp and return the (13,) row half-way.
 
         The physics are one interval ahead of the clock: the wrench there is settled, whatever is commanded now.
@@ -232,7 +232,7 @@ class QuadrotorPlant:
             mujoco.mj_step(model, data, 1)
             row = 0.5 * (row + self._row())
         mujoco.mj_step(model, data, half)
-        self._watch()
+        self._record_collision()
         return row
 
     def _airflow(self) -> Airflow:
@@ -240,12 +240,12 @@ class QuadrotorPlant:
         data = self._data
         R = _matrix(data.qpos[3:])
         through_air = data.qvel[:3] - self._air.velocity_m_s()
-        self._air.pass_by(np.asarray(sqrt(through_air @ through_air) * self.interval_s))
+        self._air.move_through(np.asarray(sqrt(through_air @ through_air) * self.interval_s))
         return Airflow(through_air @ R, data.qvel[3:], R[2], data.qpos[2] - self._pad[2])
 
-    def _watch(self) -> None:
+    def _record_collision(self) -> None:
         """Note the first collision; the physics are at the end of the interval that begins at the clock."""
-        touched = self._touch.collision(self._data)
+        touched = self._collision_detector.detect(self._data)
         if touched is not None and self._collision is None:
             speed = float(np.linalg.norm(self._rows[-1][7:10]))
             self._collision = Collision(self._t_ns + self.interval_ns, *touched, speed)

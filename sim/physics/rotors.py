@@ -48,7 +48,7 @@ class RotorState:
 
     speed_rad_s: Array
     """(…, 4) Speeds of the rotors [rad/s]."""
-    change_rad_s2: Array
+    acceleration_rad_s2: Array
     """(…, 4) Their accelerations over the last control step [rad/s²]."""
     charge: Array
     """(…) Charge of the battery, 1 full and 0 empty."""
@@ -99,14 +99,14 @@ class Rotors:
         hub_twists = np.concatenate([np.tile(np.eye(3), (4, 1, 1)), levers], axis=2)
         self._hub_twists = np.ascontiguousarray(hub_twists.transpose(1, 0, 2).reshape(12, 6))
 
-    def start(self, speeds_rad_s: Array) -> RotorState:
+    def steady_state(self, speeds_rad_s: Array) -> RotorState:
         """Return the state of rotors that turn steadily at speeds (…, 4) [rad/s] on a full battery."""
         speeds = np.array(speeds_rad_s, dtype=np.float64)
         steady = np.zeros_like(speeds)
         full = np.ones(speeds.shape[:-1])
         return RotorState(speeds, steady, full, self._quadrotor.battery.loaded_v(full, self._power_w(speeds, 0.0)))
 
-    def after(
+    def step(
         self, state: RotorState, commands_rad_s: Array, dt_s: float, powered: npt.NDArray[np.bool_] = ALL_POWERED
     ) -> RotorState:
         """Return the state after ``dt_s`` under held commands (…, 4) of rotor speeds [rad/s].
@@ -139,7 +139,7 @@ class Rotors:
         force[..., 2, :] += self._lift(air) * square
         wrench = force.reshape(*batch, 12) @ self._hub_twists
         wrench[..., :3] -= self._body_drag * velocity * np.sqrt((velocity * velocity).sum(axis=-1, keepdims=True))
-        turning = drone.torque_nm_per_rad2_s2 * square + drone.rotor_inertia_kg_m2 * state.change_rad_s2
+        turning = drone.torque_nm_per_rad2_s2 * square + drone.rotor_inertia_kg_m2 * state.acceleration_rad_s2
         momentum = drone.rotor_inertia_kg_m2 * (speeds @ self._spins)
         wrench[..., 3] -= rate[..., 1] * momentum
         wrench[..., 4] += rate[..., 0] * momentum
@@ -156,7 +156,7 @@ class Rotors:
 
     def power_w(self, state: RotorState) -> Array:
         """Return the electrical power (…) that is drawn from the battery [W]."""
-        return self._power_w(state.speed_rad_s, state.change_rad_s2)
+        return self._power_w(state.speed_rad_s, state.acceleration_rad_s2)
 
     def _power_w(self, speeds: Array, change: Array | float) -> Array:
         """Return avionics' and motors' power (…) [W]; a braking rotor gives nothing back."""

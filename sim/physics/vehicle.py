@@ -8,7 +8,7 @@ from dronevio.models.imu import GRAVITY_M_S2
 from dronevio.models.quadrotor import ROTOR_NAMES, Quadrotor
 from dronevio.models.rig import Rig
 from dronevio.models.rotation import quat_wxyz_from_matrix
-from dronevio.sim.physics.collisions import TOUCHED_GROUP, add_floor, add_touched
+from dronevio.sim.physics.collisions import COLLISION_GROUP, add_collision_geoms, add_floor
 
 Array = npt.NDArray[np.float64]
 
@@ -36,12 +36,12 @@ def physics_model(
     Its six controls are the wrench on the centre of mass, in the vehicle frame (see `Rotors`).
     """
     spec = quadrotor_spec(quadrotor, rig)
-    for geom in [geom for geom in spec.geoms if geom.group != TOUCHED_GROUP]:
+    for geom in [geom for geom in spec.geoms if geom.group != COLLISION_GROUP]:
         spec.delete(geom)
     if surroundings is None:
         add_floor(spec)
     else:
-        add_touched(spec, surroundings)
+        add_collision_geoms(spec, surroundings)
     spec.option.timestep = step_s
     spec.option.gravity = [0.0, 0.0, -GRAVITY_M_S2]
     spec.option.integrator = mujoco.mjtIntegrator.mjINT_EULER  # the one whose IMU can be exact; see `Motion`

@@ -86,13 +86,13 @@ CALM = Wind()
 class Air(Protocol):
     """The air around one vehicle or many."""
 
-    def restart(self) -> None:
+    def reset(self) -> None:
         """Begin a flight."""
 
     def velocity_m_s(self) -> Array:
         """Return the air's velocity (…, 3) in the world [m/s], here and now."""
 
-    def pass_by(self, distance_m: Array) -> None:
+    def move_through(self, distance_m: Array) -> None:
         """Move on through the air by distances (…) [m]."""
 
 
@@ -102,14 +102,14 @@ class SteadyAir:
     def __init__(self, wind: Wind) -> None:
         self._velocity = np.array(wind.mean_m_s)
 
-    def restart(self) -> None:
+    def reset(self) -> None:
         """Do nothing."""
 
     def velocity_m_s(self) -> Array:
         """Return the wind (3,) in the world [m/s]."""
         return self._velocity
 
-    def pass_by(self, distance_m: Array) -> None:
+    def move_through(self, distance_m: Array) -> None:
         """Do nothing: it is the same everywhere."""
 
 
@@ -135,9 +135,9 @@ class GustyAir:
         self._scales = wind.gust_deviations_m_s
         self._rng = rng
         self._shape = shape
-        self.restart()
+        self.reset()
 
-    def restart(self) -> None:
+    def reset(self) -> None:
         """Draw new gusts, as if it had blown for ever."""
         n = self._rng.standard_normal((2, *self._shape, 3))
         # the stationary covariance is [[1/2, 1/4], [1/4, 1/4]]
@@ -149,7 +149,7 @@ class GustyAir:
         gust = self._scales * (_DIRECT * self._first + _DELAYED * self._second)
         return np.asarray(self._mean + gust @ self._axes)
 
-    def pass_by(self, distance_m: Array) -> None:
+    def move_through(self, distance_m: Array) -> None:
         """Move on through the air by distances (…) [m]."""
         d = np.asarray(distance_m)[..., None] / self._lengths
         decay = np.exp(-d)
@@ -166,7 +166,7 @@ class GustyAir:
         self._first = decay * self._first + l11 * n[0]
 
 
-def air_of(wind: Wind, rng: np.random.Generator | None) -> Air:
+def make_air(wind: Wind, rng: np.random.Generator | None) -> Air:
     """Return the air of a wind.
 
     Raises:

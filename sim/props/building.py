@@ -10,7 +10,7 @@ import numpy.typing as npt
 
 from dronevio.models.rotation import rotation_z
 from dronevio.sim.appearance import pictures, textures_building
-from dronevio.sim.appearance.instances import Thing, one_thing
+from dronevio.sim.appearance.instances import Instance, single_instance
 from dronevio.sim.appearance.lightmap import AreaLight
 from dronevio.sim.appearance.solids import Box, Face, Paint, enclosure
 from dronevio.sim.appearance.textures import Image, plain
@@ -144,10 +144,10 @@ def landing_mat(middle: Array, side_m: float = 0.8) -> Box:
         return pictures.landing_pad(max(height, width))[:height, :width]
 
     half = 0.5 * np.array([side_m, side_m, _MAT_M])
-    return Box(middle + [0.0, 0.0, half[2]], half, paint, thing=Thing("landing_mat"))
+    return Box(middle + [0.0, 0.0, half[2]], half, paint, instance=Instance("landing_mat"))
 
 
-@one_thing
+@single_instance
 def ceiling_lamp(middle: Array, size_m: tuple[float, float], power: float, drop_m: float = 0.0) -> Piece:
     """Return a flat lamp under a ceiling.
 

@@ -10,7 +10,7 @@ import numpy.typing as npt
 from dronevio.models.rotation import rotation_z
 from dronevio.sim.appearance import textures
 from dronevio.sim.appearance import textures_race as race
-from dronevio.sim.appearance.instances import Thing
+from dronevio.sim.appearance.instances import Instance
 from dronevio.sim.appearance.solids import Box, Face, parts_of
 from dronevio.sim.appearance.textures import Colour
 
@@ -31,7 +31,7 @@ def flag(rng: Random) -> tuple[Box, ...]:
         Box(np.array([0.32, 0.0, 0.56 * high]), np.array([0.3, 0.008, 0.42 * high]), cloth, cloth, pixels_per_m=150.0),
         Box(np.array([0.0, 0.0, 0.03]), np.array([0.22, 0.22, 0.03]), _BLACK, pixels_per_m=100.0),
     ]
-    return parts_of(Thing("flag"), boxes)
+    return parts_of(Instance("flag"), boxes)
 
 
 def bales(rng: Random) -> tuple[Box, ...]:
@@ -41,7 +41,7 @@ def bales(rng: Random) -> tuple[Box, ...]:
     boxes = [Box(np.array([x, 0.0, half[2]]), half, straw, pixels_per_m=110.0) for x in (-0.47, 0.47)]
     if rng.random() < 0.6:
         boxes.append(Box(np.array([rng.uniform(-0.2, 0.2), 0.0, 3.0 * half[2]]), half, straw, pixels_per_m=110.0))
-    return parts_of(Thing("bales"), boxes)
+    return parts_of(Instance("bales"), boxes)
 
 
 def fence(half_m: Array) -> tuple[Face, ...]:
@@ -58,7 +58,7 @@ def fence(half_m: Array) -> tuple[Face, ...]:
             boards.append(
                 Face(np.array([*p, high]), right, np.array([0.0, 0.0, -high]), race.banner, pixels_per_m=96.0)
             )
-    return parts_of(Thing("fence"), boards)
+    return parts_of(Instance("fence"), boards)
 
 
 def stand(rng: Random, half_m: Array) -> tuple[Box, ...]:
@@ -85,7 +85,7 @@ def stand(rng: Random, half_m: Array) -> tuple[Box, ...]:
     # so far it looks along −y from the north; a box's front is its +y side
     turned = [replace(box, centre=-box.centre * [1.0, 1.0, -1.0]) for box in boxes]
     placed = [box.moved(rotation_z(np.pi) if north else np.eye(3), np.zeros(3)) for box in turned]
-    return parts_of(Thing("stand"), placed)
+    return parts_of(Instance("stand"), placed)
 
 
 def paddock(rng: Random, half_m: Array) -> tuple[Box, ...]:
@@ -119,7 +119,7 @@ def _tent(rng: Random) -> tuple[Box, ...]:
     boxes.append(Box(np.array([0.0, -1.5, 1.1]), np.array([1.5, 0.015, 1.1]), cloth, cloth, pixels_per_m=50.0))
     boxes.append(Box(np.array([0.0, 0.9, 0.72]), np.array([1.2, 0.35, 0.03]), pole, pixels_per_m=80.0))
     boxes.append(Box(np.array([0.0, 1.25, 0.36]), np.array([1.2, 0.01, 0.36]), words, words, pixels_per_m=100.0))
-    return parts_of(Thing("tent"), boxes)
+    return parts_of(Instance("tent"), boxes)
 
 
 def _container(rng: Random) -> tuple[Box, ...]:
@@ -129,4 +129,4 @@ def _container(rng: Random) -> tuple[Box, ...]:
     )
     steel = partial(race.container, colour=colour)
     half = np.array([3.0, 1.22, 1.3])
-    return (Box(np.array([0.0, 0.0, 1.3]), half, steel, steel, pixels_per_m=64.0, thing=Thing("container")),)
+    return (Box(np.array([0.0, 0.0, 1.3]), half, steel, steel, pixels_per_m=64.0, instance=Instance("container")),)

@@ -12,7 +12,7 @@ import numpy.typing as npt
 
 from dronevio.models.rotation import rotation_z
 from dronevio.sim.appearance import pictures, textures
-from dronevio.sim.appearance.instances import Thing, one_thing
+from dronevio.sim.appearance.instances import Instance, single_instance
 from dronevio.sim.appearance.lightmap import AreaLight
 from dronevio.sim.appearance.solids import Box, Paint, parts_of
 from dronevio.sim.appearance.textures import Colour
@@ -49,9 +49,9 @@ class Piece:
         boxes = tuple(box.moved(R, position) for box in self.boxes)
         return replace(self, boxes=boxes, lights=tuple(light.moved(R, position) for light in self.lights))
 
-    def called(self, kind: str) -> "Piece":
+    def as_instance(self, kind: str) -> "Piece":
         """Return it as one thing of a kind."""
-        return replace(self, boxes=parts_of(Thing(kind), self.boxes))
+        return replace(self, boxes=parts_of(Instance(kind), self.boxes))
 
     def hull(self) -> Box:
         """Return the upright box around the piece, in its own frame."""
@@ -75,7 +75,7 @@ def _legs(w: float, d: float, h: float, y: float, paint: Paint, thick: float = 0
     return [block(sx * x, y + sy * dy, 0.0, thick, thick, h, paint) for sx in (-1, 1) for sy in (-1, 1)]
 
 
-@one_thing
+@single_instance
 def bookcase(rng: Random) -> Piece:
     """Return a tall case of five shelves full of books."""
     w, d, h = rng.uniform(1.1, 1.4), 0.34, rng.uniform(1.95, 2.25)
@@ -100,7 +100,7 @@ def bookcase(rng: Random) -> Piece:
     return Piece(tuple(boxes), w, d, h)
 
 
-@one_thing
+@single_instance
 def sofa(rng: Random) -> Piece:
     """Return a sofa with cushions and pillows."""
     w, d = rng.uniform(1.8, 2.1), 0.88
@@ -119,7 +119,7 @@ def sofa(rng: Random) -> Piece:
     return Piece(tuple(boxes), w, d, 0.86, picture_above=True)
 
 
-@one_thing
+@single_instance
 def armchair(rng: Random) -> Piece:
     """Return an armchair, turned a little."""
     cloth = partial(textures.fabric, colour=pick(rng, CLOTHS))
@@ -137,7 +137,7 @@ def _chair(rng: Random, paint: Paint) -> list[Box]:
     return boxes + _legs(0.42, 0.42, 0.43, 0.0, paint, 0.04)
 
 
-@one_thing
+@single_instance
 def dining_table(rng: Random) -> Piece:
     """Return a laid table with a chair at each end."""
     paint = partial(textures.wood, colour=pick(rng, WOODS))
@@ -159,7 +159,7 @@ def dining_table(rng: Random) -> Piece:
     return Piece(tuple(boxes), w + 0.8, d + 0.06, 0.95, picture_above=True)
 
 
-@one_thing
+@single_instance
 def desk(rng: Random) -> Piece:
     """Return a desk with a computer, papers and books."""
     w, d = rng.uniform(1.3, 1.5), 0.65
@@ -179,7 +179,7 @@ def desk(rng: Random) -> Piece:
     return Piece(tuple(boxes), w, d, 1.19)
 
 
-@one_thing
+@single_instance
 def sideboard(rng: Random) -> Piece:
     """Return a low chest of drawers with things on top."""
     w, d, h = rng.uniform(1.4, 1.7), 0.45, 0.78
@@ -202,7 +202,7 @@ def sideboard(rng: Random) -> Piece:
     return Piece(tuple(boxes), w + 0.04, d, top + 0.4, picture_above=True, lights=(AreaLight(bulb[None], 0.2),))
 
 
-@one_thing
+@single_instance
 def wardrobe(rng: Random) -> Piece:
     """Return a wardrobe with two panelled doors and a carton on top."""
     w, d, h = rng.uniform(1.05, 1.25), 0.58, rng.uniform(1.9, 2.1)
@@ -216,7 +216,7 @@ def wardrobe(rng: Random) -> Piece:
     return Piece(tuple(boxes), w + 0.06, d, h + 0.33)
 
 
-@one_thing
+@single_instance
 def media_unit(rng: Random) -> Piece:
     """Return a low unit with a loudspeaker at each side of a screen."""
     w, d = rng.uniform(1.5, 1.7), 0.42
@@ -231,7 +231,7 @@ def media_unit(rng: Random) -> Piece:
     return Piece(tuple(boxes), w, d, 1.1, picture_above=True)
 
 
-@one_thing
+@single_instance
 def cartons(rng: Random) -> Piece:
     """Return a stack of cartons."""
     boxes, heights = [], []
@@ -247,7 +247,7 @@ def cartons(rng: Random) -> Piece:
     return Piece(tuple(boxes), 1.12, 0.66, max(heights), picture_above=max(heights) < 0.9)
 
 
-@one_thing
+@single_instance
 def plant(rng: Random) -> Piece:
     """Return a plant in a pot."""
     pot = partial(textures.plain, colour=textures.vary(rng, (150, 92, 66), 0.15))
@@ -265,7 +265,7 @@ def plant(rng: Random) -> Piece:
     return Piece(tuple(boxes), 0.72, 0.72, 0.5 + tall)
 
 
-@one_thing
+@single_instance
 def floor_lamp(rng: Random) -> Piece:
     """Return a lamp on a pole."""
     metal = partial(textures.plain, colour=METAL)
@@ -279,7 +279,7 @@ def floor_lamp(rng: Random) -> Piece:
     return Piece(boxes, 0.44, 0.46, 1.71, lights=(AreaLight(bulb[None], 0.5),))
 
 
-@one_thing
+@single_instance
 def window(rng: Random) -> Piece:
     """Return a window with a sill and a radiator below."""
     w, h, sill = 1.6, 1.35, 1.0
@@ -295,7 +295,7 @@ def window(rng: Random) -> Piece:
     return Piece(boxes, w + 0.1, 0.2, sill + h, lights=(daylight,))
 
 
-@one_thing
+@single_instance
 def room_door(rng: Random) -> Piece:
     """Return a closed door in its frame."""
     colour = pick(rng, WOODS)
@@ -310,7 +310,7 @@ def _picture(rng: Random) -> Paint:
     return pictures.PICTURES[int(rng.integers(len(pictures.PICTURES)))]
 
 
-@one_thing
+@single_instance
 def hung_picture(rng: Random, centre_z: float = 1.65) -> Piece:
     """Return a framed picture that hangs on the wall."""
     w, h = rng.uniform(0.6, 0.95), rng.uniform(0.5, 0.75)

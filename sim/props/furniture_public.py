@@ -9,7 +9,7 @@ from functools import partial
 import numpy as np
 
 from dronevio.sim.appearance import pictures, textures, textures_building
-from dronevio.sim.appearance.instances import one_thing
+from dronevio.sim.appearance.instances import single_instance
 from dronevio.sim.appearance.solids import Box
 from dronevio.sim.appearance.textures import Colour
 from dronevio.sim.props.furniture import CLOTHS, METAL, WHITE, WOODS, Piece, block, hung_picture, pick, plant
@@ -20,7 +20,7 @@ DOORS: tuple[Colour, ...] = ((168, 128, 84), (120, 140, 156), (150, 92, 70), (10
 LOCKERS: tuple[Colour, ...] = ((108, 134, 158), (150, 110, 84), (126, 146, 118), (168, 160, 140))
 
 
-@one_thing
+@single_instance
 def office_door(rng: Random) -> Piece:
     """Return a door with its frame, a number beside it and a stop on the floor."""
     colour, steel = pick(rng, DOORS), partial(textures.plain, colour=(92, 96, 102))
@@ -33,7 +33,7 @@ def office_door(rng: Random) -> Piece:
     return Piece(tuple(boxes), 1.85, 0.06, 0.0)
 
 
-@one_thing
+@single_instance
 def board(rng: Random) -> Piece:
     """Return a notice board."""
     w, h = rng.uniform(1.3, 1.9), rng.uniform(0.85, 1.05)
@@ -41,7 +41,7 @@ def board(rng: Random) -> Piece:
     return Piece((block(0.0, 0.02, 1.15, w, 0.04, h, edge, textures_building.notice_board),), w, 0.05, 0.0)
 
 
-@one_thing
+@single_instance
 def posters(rng: Random) -> Piece:
     """Return two or three framed pictures side by side."""
     boxes: list[Box] = []
@@ -54,7 +54,7 @@ def posters(rng: Random) -> Piece:
     return Piece(tuple(boxes), 0.72 * count, 0.03, 0.0)
 
 
-@one_thing
+@single_instance
 def locker_row(rng: Random) -> Piece:
     """Return a row of lockers with a box or two on top."""
     w, d, h = 0.32 * int(rng.integers(4, 8)), 0.42, 1.75
@@ -70,7 +70,7 @@ def locker_row(rng: Random) -> Piece:
     return Piece(tuple(boxes), w, d, h + 0.3)
 
 
-@one_thing
+@single_instance
 def bench(rng: Random) -> Piece:
     """Return a bench of slats with a bag on it."""
     w = rng.uniform(1.3, 1.7)
@@ -84,7 +84,7 @@ def bench(rng: Random) -> Piece:
     return Piece(tuple(boxes), w, 0.5, 0.88, picture_above=True)
 
 
-@one_thing
+@single_instance
 def hose_cabinet(rng: Random) -> Piece:
     """Return the red cabinet of a fire hose, an extinguisher below it."""
     red = partial(textures.plain, colour=(184, 36, 30))
@@ -94,7 +94,7 @@ def hose_cabinet(rng: Random) -> Piece:
     return Piece(tuple(boxes), 0.66, 0.2, 1.66)
 
 
-@one_thing
+@single_instance
 def vending_machine(rng: Random) -> Piece:
     """Return a vending machine."""
     colour = pick(rng, ((160, 44, 40), (40, 70, 120), (60, 64, 70)))
@@ -103,7 +103,7 @@ def vending_machine(rng: Random) -> Piece:
     return Piece((block(0.0, 0.4, 0.03, 0.95, 0.76, 1.8, body, front),), 1.0, 0.8, 1.83)
 
 
-@one_thing
+@single_instance
 def water_cooler(rng: Random) -> Piece:
     """Return a water cooler with its bottle and a bin."""
     white, blue = partial(textures.plain, colour=WHITE), partial(textures.plain, colour=(126, 168, 200))
@@ -117,7 +117,7 @@ def water_cooler(rng: Random) -> Piece:
     return Piece(boxes, 0.84, 0.38, 1.36, picture_above=True)
 
 
-@one_thing
+@single_instance
 def copier(rng: Random) -> Piece:
     """Return a copying machine, paper beside it."""
     grey, pale = partial(textures.drawers, colour=(122, 124, 130)), partial(textures.plain, colour=(196, 196, 192))

@@ -14,8 +14,8 @@ import numpy.typing as npt
 from dronevio.models.rotation import rotation_z
 from dronevio.sim.appearance import textures
 from dronevio.sim.appearance import textures_industrial as works
-from dronevio.sim.appearance.instances import Thing, one_thing
-from dronevio.sim.appearance.prisms import UNSEEN, filling, mantle
+from dronevio.sim.appearance.instances import Instance, single_instance
+from dronevio.sim.appearance.prisms import UNPAINTED, lateral_surface, prism_boxes
 from dronevio.sim.appearance.solids import Box, Paint, Sheet, parts_of
 from dronevio.sim.appearance.textures import Colour, scaled, vary
 
@@ -50,9 +50,9 @@ class Kit:
         sheets = tuple(replace(sheet, grid=sheet.grid @ R.T + position) for sheet in self.sheets)
         return Kit(boxes, sheets, obstacles)
 
-    def called(self, kind: str) -> "Kit":
+    def as_instance(self, kind: str) -> "Kit":
         """Return it as one thing of a kind."""
-        thing = Thing(kind)
+        thing = Instance(kind)
         return replace(self, boxes=parts_of(thing, self.boxes), sheets=parts_of(thing, self.sheets))
 
 
@@ -88,15 +88,15 @@ def drumlike(
     """Return an upright cylinder from z = 0, its lid flat or raised."""
     rings, spread = np.array([length_m, 0.0]), np.full(2, radius_m)
     top = np.array([length_m + lid_m, length_m + lid_m, length_m])
-    sheets = [Sheet(mantle(rings, spread, sides), paint, pixels_per_m=_PPM)]
-    sheets.append(Sheet(mantle(top, radius_m * np.array([0.0, 0.64, 1.0]), sides), cap, pixels_per_m=_PPM))
-    solid = filling(radius_m, 0.0, length_m, sides)
+    sheets = [Sheet(lateral_surface(rings, spread, sides), paint, pixels_per_m=_PPM)]
+    sheets.append(Sheet(lateral_surface(top, radius_m * np.array([0.0, 0.64, 1.0]), sides), cap, pixels_per_m=_PPM))
+    solid = prism_boxes(radius_m, 0.0, length_m, sides)
     if lid_m > 0.0:
-        solid += filling(0.64 * radius_m, length_m, length_m + lid_m, sides)
+        solid += prism_boxes(0.64 * radius_m, length_m, length_m + lid_m, sides)
     return Kit((), tuple(sheets), tuple(solid))
 
 
-@one_thing
+@single_instance
 def pipe_run(points: Sequence[Sequence[float]], radius_m: float, colour: Colour) -> Kit:
     """Return a pipe along legs that are parallel to the axes, with a collar at each bend."""
     path, parts = np.array(points, dtype=np.float64), []
@@ -104,16 +104,16 @@ def pipe_run(points: Sequence[Sequence[float]], radius_m: float, colour: Colour)
     for a, b in pairwise(path):
         length, axis = float(np.linalg.norm(b - a)), int(np.argmax(np.abs(b - a)))
         low = np.minimum(a, b)
-        grid = mantle(np.array([length, 0.0]), np.full(2, radius_m), _THIN_SIDES)
+        grid = lateral_surface(np.array([length, 0.0]), np.full(2, radius_m), _THIN_SIDES)
         R = (_R_ALONG_X, _R_ALONG_Y, np.eye(3))[axis]
-        tube = Kit((), (Sheet(grid, paint, pixels_per_m=_PPM),), tuple(filling(radius_m, 0.0, length, _THIN_SIDES)))
+        tube = Kit((), (Sheet(grid, paint, pixels_per_m=_PPM),), tuple(prism_boxes(radius_m, 0.0, length, _THIN_SIDES)))
         parts.append(tube.moved(R, low))
     collar = steel(scaled(colour, 0.8))
     joints = [Box(joint, np.full(3, 1.15 * radius_m), collar, pixels_per_m=80.0) for joint in path[1:-1]]
     return kit_of(joints, parts)
 
 
-@one_thing
+@single_instance
 def machine(rng: Random, w: float, d: float, h: float) -> Kit:
     """Return a machine tool: a plinth, a body in two steps, a cabinet at its side, pipes on top."""
     colour = vary(rng, MACHINE_COLOURS[int(rng.integers(len(MACHINE_COLOURS)))], 0.08)
@@ -141,7 +141,7 @@ def machine(rng: Random, w: float, d: float, h: float) -> Kit:
     return kit_of(boxes, [up])
 
 
-@one_thing
+@single_instance
 def turbine(rng: Random) -> Kit:
     """Return a large turbine on its bed, along x: a drum between two housings, a generator, a shaft."""
     colour = vary(rng, MACHINE_COLOURS[int(rng.integers(len(MACHINE_COLOURS)))], 0.08)
@@ -161,7 +161,7 @@ def turbine(rng: Random) -> Kit:
     return kit_of(boxes, [drum, feed])
 
 
-@one_thing
+@single_instance
 def tank(rng: Random, radius_m: float, height_m: float, number: int) -> Kit:
     """Return an upright tank on feet, a ladder at its front, a valve below."""
     colour = vary(rng, ((176, 180, 178), (196, 188, 164), (120, 146, 160), (164, 110, 84))[int(rng.integers(4))], 0.06)
@@ -187,7 +187,7 @@ def tank(rng: Random, radius_m: float, height_m: float, number: int) -> Kit:
     return with_lattice(solid, rails + rungs)
 
 
-@one_thing
+@single_instance
 def crates(rng: Random) -> Kit:
     """Return a stack of crates on a pallet."""
     colour = vary(rng, TIMBER, 0.1)
@@ -201,7 +201,7 @@ def crates(rng: Random) -> Kit:
     return kit_of(boxes)
 
 
-@one_thing
+@single_instance
 def drums(rng: Random) -> Kit:
     """Return steel drums on a pallet."""
     wood = partial(works.crate, colour=(140, 112, 80), ppm=_PPM)
@@ -217,7 +217,7 @@ def drums(rng: Random) -> Kit:
     return kit_of([block((0.0, 0.0, 0.0), (1.3, 1.3, 0.12), wood)], parts)
 
 
-@one_thing
+@single_instance
 def cabinet(rng: Random) -> Kit:
     """Return a control cabinet."""
     colour = vary(rng, (152, 156, 150), 0.08)
@@ -225,7 +225,7 @@ def cabinet(rng: Random) -> Kit:
     return kit_of([block((0.0, 0.0, 0.0), (1.1, 0.5, 2.0), steel(colour), front)])
 
 
-@one_thing
+@single_instance
 def catwalk(length_m: float, height_m: float) -> Kit:
     """Return a walkway along x on posts, with rails at its front, and cross braces."""
     plate = partial(works.grating, colour=STEEL, ppm=96.0)
@@ -250,10 +250,10 @@ def around(boxes: Sequence[Box]) -> Box:
     reach = np.array([np.abs(box.R) @ box.half for box in boxes])
     centres = np.array([box.centre for box in boxes])
     low, high = (centres - reach).min(axis=0), (centres + reach).max(axis=0)
-    return Box(0.5 * (low + high), 0.5 * (high - low), UNSEEN)
+    return Box(0.5 * (low + high), 0.5 * (high - low), UNPAINTED)
 
 
-@one_thing
+@single_instance
 def crane(rng: Random, span_m: float, height_m: float) -> Kit:
     """Return a bridge crane across y: two girders, a trolley, a hook on its rope."""
     paint = partial(works.casing, colour=works.YELLOW, ppm=80.0)

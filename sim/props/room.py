@@ -8,7 +8,7 @@ import numpy.typing as npt
 
 from dronevio.models.rotation import rotation_z
 from dronevio.sim.appearance import pictures, textures
-from dronevio.sim.appearance.instances import Thing, one_thing
+from dronevio.sim.appearance.instances import Instance, single_instance
 from dronevio.sim.appearance.lightmap import AreaLight
 from dronevio.sim.appearance.solids import Box, Face, Paint, enclosure, parts_of
 from dronevio.sim.appearance.textures import PIXELS_PER_M, Colour, Image, Pattern
@@ -139,7 +139,7 @@ def _paste(image: Image, patch: Image) -> None:
     image[top : top + patch.shape[0], left : left + patch.shape[1]] = patch
 
 
-@one_thing
+@single_instance
 def _pendant(rng: Random, x: float) -> Piece:
     """Return a lamp that hangs from the ceiling."""
     height = rng.uniform(2.75, 2.95)
@@ -165,4 +165,4 @@ def _woodwork(rng: Random) -> tuple[Box, ...]:
         for s in (-1.0, 1.0):
             boxes.append(Box(np.array([0.0, s * (y - 0.008), height]), np.array([x, 0.008, half]), white))
             boxes.append(Box(np.array([s * (x - 0.008), 0.0, height]), np.array([0.008, y - 0.016, half]), white))
-    return parts_of(Thing("woodwork"), boxes)
+    return parts_of(Instance("woodwork"), boxes)

@@ -8,7 +8,7 @@ import numpy as np
 import numpy.typing as npt
 
 from dronevio.sim.appearance import textures, textures_storage
-from dronevio.sim.appearance.instances import Thing, one_thing
+from dronevio.sim.appearance.instances import Instance, single_instance
 from dronevio.sim.appearance.solids import Box, Face, Paint, parts_of
 from dronevio.sim.appearance.textures import Colour, Image, to_image
 from dronevio.sim.props.furniture import METAL, Piece, block
@@ -55,7 +55,7 @@ def _outside(box: Box, px_per_m: float, sides_px_per_m: float, top: bool = True)
     for number, face in enumerate(box.faces()):  # +x, −x, +y, −y, +z, −z
         if number in ((0, 1, 2, 4) if top else (0, 1, 2)):
             density = px_per_m if number == 2 else sides_px_per_m
-            faces.append(Face(face.corner, face.right, face.down, face.paint, face.glow, density, face.thing))
+            faces.append(Face(face.corner, face.right, face.down, face.paint, face.glow, density, face.instance))
     return faces
 
 
@@ -75,10 +75,10 @@ def loaded_pallet(rng: Random, stock: Stock, R: Array, position: Array, most_m: 
     half = 0.5 * np.array([PALLET_M[0] - rng.uniform(0.02, 0.14), PALLET_M[1] - rng.uniform(0.02, 0.14), tall])
     load = Box(np.array([rng.uniform(-0.02, 0.02), 0.0, PALLET_M[2] + half[2]]), half, stock.side(number))
     faces += _outside(load.moved(R, position), _LOAD_PX_PER_M, _SIDE_PX_PER_M)
-    return list(parts_of(Thing("pallet"), faces)), float(PALLET_M[2] + tall)
+    return list(parts_of(Instance("pallet"), faces)), float(PALLET_M[2] + tall)
 
 
-@one_thing
+@single_instance
 def rack(bays: int, bay_m: float, depth_m: float, levels_m: tuple[float, ...], height_m: float) -> Piece:
     """Return the steel of a rack, its back at y = 0: uprights, beams, posts that guard its ends."""
     blue = partial(textures_storage.upright, colour=_BLUE, px_per_m=_STEEL_PX_PER_M)
@@ -96,7 +96,7 @@ def rack(bays: int, bay_m: float, depth_m: float, levels_m: tuple[float, ...], h
     return Piece(tuple(boxes), length, depth_m, height_m)
 
 
-@one_thing
+@single_instance
 def forklift(rng: Random) -> Piece:
     """Return a forklift, its forks to the front."""
     yellow = partial(textures.plain, colour=textures.vary(rng, (222, 164, 30), 0.06))
@@ -118,7 +118,7 @@ def forklift(rng: Random) -> Piece:
     return Piece(tuple(boxes), 1.15, 2.75, 2.55)
 
 
-@one_thing
+@single_instance
 def packing_table(rng: Random) -> Piece:
     """Return a table with cartons, tape and a screen."""
     wood, steel = partial(textures.wood, colour=(168, 134, 92)), partial(textures.plain, colour=METAL)
@@ -133,7 +133,7 @@ def packing_table(rng: Random) -> Piece:
     return Piece(tuple(boxes), 2.0, 0.9, 2.1)
 
 
-@one_thing
+@single_instance
 def truss(span_m: float, height_m: float) -> Piece:
     """Return a girder of steel along x, its lower edge at z = 0: two chords and diagonals."""
     steel = partial(textures.plain, colour=(120, 126, 132))

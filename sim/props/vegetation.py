@@ -13,9 +13,9 @@ from dronevio.models.rotation import rotation_z
 from dronevio.sim.appearance import textures
 from dronevio.sim.appearance import textures_nature as nature
 from dronevio.sim.appearance.cutouts import Cutouts, joined, spray
-from dronevio.sim.appearance.instances import Thing, one_thing
+from dronevio.sim.appearance.instances import Instance, single_instance
 from dronevio.sim.appearance.lightmap import Field
-from dronevio.sim.appearance.prisms import UNSEEN, filling, mantle
+from dronevio.sim.appearance.prisms import UNPAINTED, lateral_surface, prism_boxes
 from dronevio.sim.appearance.solids import Box
 from dronevio.sim.appearance.textures import Colour, Image, scaled
 
@@ -31,7 +31,7 @@ _SIDES = 8
 
 
 @dataclass(frozen=True, eq=False)
-class Plant:
+class Vegetation:
     """Something that grows, or lies on the ground."""
 
     wood: tuple[Cutouts, ...]
@@ -41,19 +41,19 @@ class Plant:
     obstacles: tuple[Box, ...]
     """What it fills within reach of a drone."""
 
-    def moved(self, R: Array, position: Array) -> "Plant":
+    def moved(self, R: Array, position: Array) -> "Vegetation":
         """Return it turned by R (3, 3), then shifted by ``position`` (3,)."""
         wood, leaves = (tuple(part.moved(R, position) for part in parts) for parts in (self.wood, self.leaves))
-        return Plant(wood, leaves, tuple(box.moved(R, position) for box in self.obstacles))
+        return Vegetation(wood, leaves, tuple(box.moved(R, position) for box in self.obstacles))
 
-    def called(self, kind: str) -> "Plant":
+    def as_instance(self, kind: str) -> "Vegetation":
         """Return it as one thing of a kind."""
-        thing = Thing(kind)
-        wood, leaves = (tuple(replace(part, thing=thing) for part in parts) for parts in (self.wood, self.leaves))
-        return Plant(wood, leaves, self.obstacles)
+        thing = Instance(kind)
+        wood, leaves = (tuple(replace(part, instance=thing) for part in parts) for parts in (self.wood, self.leaves))
+        return Vegetation(wood, leaves, self.obstacles)
 
 
-@one_thing
+@single_instance
 def tree(
     rng: Random,
     radius_m: float,
@@ -63,7 +63,7 @@ def tree(
     sun: Array,
     twigs: int,
     sides: int = _SIDES,
-) -> Plant:
+) -> Vegetation:
     """Return a tall tree: a bare trunk as thick as given up to ``within_m``, a crown above.
 
     Args:
@@ -79,17 +79,19 @@ def tree(
     flare = 0.3
     heights = np.array([0.8 * height_m, 0.5 * (0.8 * height_m + within_m), within_m, flare, -0.1])
     radii = radius_m * np.array([0.25, 0.7, 1.0, 1.0, 1.3])
-    bend = np.zeros((5, 2))
-    bend[:2] = np.cumsum(rng.uniform(-0.25, 0.25, (2, 2)), axis=0)[::-1]
-    trunk = Cutouts.of_grid(mantle(heights, radii, sides, bend), kind / BARKS, (kind + 1) / BARKS)
+    axis_offset = np.zeros((5, 2))
+    axis_offset[:2] = np.cumsum(rng.uniform(-0.25, 0.25, (2, 2)), axis=0)[::-1]
+    trunk = Cutouts.of_grid(lateral_surface(heights, radii, sides, axis_offset), kind / BARKS, (kind + 1) / BARKS)
     # the bark's rows follow the height, not the rings
     trunk.on_image[..., 1] = 1.0 - trunk.corners[..., 2] / (0.8 * height_m)
     base = within_m + 0.9 + rng.uniform(0.0, 0.1) * height_m
     half = np.array([rng.uniform(1.5, 2.3), rng.uniform(1.5, 2.3), 0.5 * (height_m - base)])
-    middle = np.array([*bend[0], 0.5 * (height_m + base)])
+    middle = np.array([*axis_offset[0], 0.5 * (height_m + base)])
     crown = foliage(rng, middle, half, rng.uniform(1.1, 1.6) * (150.0 / twigs) ** 0.3, twigs, sun)
-    root = Box(np.array([0.0, 0.0, 0.5 * flare]), np.array([0.85, 0.85, 0.0]) * radius_m + [0, 0, 0.5 * flare], UNSEEN)
-    return Plant((trunk,), (crown,), (*filling(radius_m, -0.1, within_m, sides), root)).moved(
+    root = Box(
+        np.array([0.0, 0.0, 0.5 * flare]), np.array([0.85, 0.85, 0.0]) * radius_m + [0, 0, 0.5 * flare], UNPAINTED
+    )
+    return Vegetation((trunk,), (crown,), (*prism_boxes(radius_m, -0.1, within_m, sides), root)).moved(
         _leaning(rng), np.zeros(3)
     )
 
@@ -120,8 +122,8 @@ def foliage(rng: Random, middle: Array, half: Array, twig_m: float, twigs: int, 
     return spray(rng, middle + outward * depth * half, outward, twig_m, cells, 2 * TONES)
 
 
-@one_thing
-def bush(rng: Random, sun: Array) -> Plant:
+@single_instance
+def bush(rng: Random, sun: Array) -> Vegetation:
     """Return a bush, knee to breast high."""
     half = np.array([rng.uniform(0.35, 0.6), rng.uniform(0.35, 0.6), rng.uniform(0.3, 0.55)])
     twig = 0.3
@@ -130,11 +132,11 @@ def bush(rng: Random, sun: Array) -> Plant:
     leaves.corners[..., 2] = np.maximum(leaves.corners[..., 2], 0.01)
     reach = np.abs(leaves.corners[..., :2]).max(axis=(0, 1))
     top = float(leaves.corners[..., 2].max())
-    return Plant((), (leaves,), (Box(np.array([0.0, 0.0, 0.5 * top]), np.array([*reach, 0.5 * top]), UNSEEN),))
+    return Vegetation((), (leaves,), (Box(np.array([0.0, 0.0, 0.5 * top]), np.array([*reach, 0.5 * top]), UNPAINTED),))
 
 
-@one_thing
-def fern(rng: Random, fronds: int = 9) -> Plant:
+@single_instance
+def fern(rng: Random, fronds: int = 9) -> Vegetation:
     """Return a low rosette of fronds, no obstacle: it gives way."""
     parts = []
     for k in range(fronds):
@@ -146,13 +148,13 @@ def fern(rng: Random, fronds: int = 9) -> Plant:
         turn = rotation_z(2.0 * np.pi * (k + rng.uniform(-0.3, 0.3)) / fronds)
         parts.append(Cutouts(frond[None] @ turn.T, on_image[None]))
     top = joined(parts)
-    return Plant((), (top, top.turned_over()), ())
+    return Vegetation((), (top, top.turned_over()), ())
 
 
-@one_thing
-def log(rng: Random, radius_m: float, length_m: float, kind: int) -> Plant:
+@single_instance
+def log(rng: Random, radius_m: float, length_m: float, kind: int) -> Vegetation:
     """Return a fallen trunk along y."""
-    trunk = mantle(np.array([0.5, -0.5]) * length_m, np.full(2, radius_m), _SIDES)
+    trunk = lateral_surface(np.array([0.5, -0.5]) * length_m, np.full(2, radius_m), _SIDES)
     bark = Cutouts.of_grid(trunk, kind / BARKS, (kind + 1) / BARKS, 0.1, 0.1 + 0.09 * length_m)
     ends = []
     ring = trunk[0]
@@ -166,7 +168,7 @@ def log(rng: Random, radius_m: float, length_m: float, kind: int) -> Plant:
             ends.append(Cutouts(corners[None], np.concatenate([cell, 0.5 + 0.02 * corners[:, 1:2]], axis=1)[None]))
     lie = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, 1.0], [0.0, -1.0, 0.0]])
     lift = np.array([0.0, 0.0, 0.85 * radius_m])
-    whole = Plant((bark, joined(ends)), (), tuple(filling(radius_m, -0.5 * length_m, 0.5 * length_m, _SIDES)))
+    whole = Vegetation((bark, joined(ends)), (), tuple(prism_boxes(radius_m, -0.5 * length_m, 0.5 * length_m, _SIDES)))
     return whole.moved(lie, lift).moved(rotation_z(rng.uniform(0.0, np.pi)), np.zeros(3))
 
 
@@ -184,7 +186,7 @@ def boulder(rng: Random, half: Array) -> tuple[Array, Box]:
     grid = ball * uneven * half
     reach = np.abs(grid).max(axis=(0, 1))
     top = float(grid[..., 2].max())
-    return grid, Box(np.array([0.0, 0.0, 0.5 * top]), np.array([*reach[:2], 0.5 * top]), UNSEEN)
+    return grid, Box(np.array([0.0, 0.0, 0.5 * top]), np.array([*reach[:2], 0.5 * top]), UNPAINTED)
 
 
 def bark_image(rng: Random, height: int, width: int, colours: tuple[Colour, ...], sun: Array) -> Image:

@@ -15,7 +15,7 @@ from dronevio.models.rotation import quat_wxyz_from_matrix
 from dronevio.models.state import Trajectory
 from dronevio.sim.cameras.atlas_renderer import MoverPoses
 from dronevio.sim.cameras.interpolation import interpolated_poses
-from dronevio.sim.world import Mover, build_world, things_of
+from dronevio.sim.world import Mover, build_world, instance_spec
 
 Array = npt.NDArray[np.float64]
 
@@ -23,14 +23,14 @@ _NEAREST_M = 0.3  # of the middle of a thing: nothing comes nearer
 
 
 @dataclass(frozen=True, eq=False)
-class Backdrop:
+class CompiledWorld:
     """A world, ready to be drawn by any process."""
 
     model_path: Path
     """The compiled model."""
-    things_path: Path
+    instances_path: Path
     """The same without its paint, a geom for each thing: what segmentation is drawn from."""
-    things: tuple[str, ...]
+    instance_names: tuple[str, ...]
     """What is seen, by the geoms' numbers in that model."""
     illumination: float
     """Light that falls in, relative to a well lit world."""
@@ -50,7 +50,7 @@ class Backdrop:
 
 
 @contextmanager
-def backdrop(world: str, seed: int, t_ns: Times) -> Iterator[Backdrop]:
+def compiled_world(world: str, seed: int, t_ns: Times) -> Iterator[CompiledWorld]:
     """Build a world, and keep it in a temporary file for as long as the context lasts.
 
     Args:
@@ -65,11 +65,11 @@ def backdrop(world: str, seed: int, t_ns: Times) -> Iterator[Backdrop]:
     with TemporaryDirectory(prefix="dronevio-") as scratch:
         whole, unpainted = Path(scratch) / "world.mjb", Path(scratch) / "things.mjb"
         mujoco.mj_saveModel(built.spec.compile(), str(whole), None)
-        things = things_of(world, seed).compile()
+        things = instance_spec(world, seed).compile()
         mujoco.mj_saveModel(things, str(unpainted), None)
         names = tuple(str(things.geom(number).name) for number in range(things.ngeom))
         movers = {mover.body: _sampled(mover, t_ns) for mover in built.movers}
-        yield Backdrop(whole, unpainted, names, built.illumination, movers)
+        yield CompiledWorld(whole, unpainted, names, built.illumination, movers)
 
 
 def _sampled(mover: Mover, t_ns: Times) -> Trajectory:

@@ -12,10 +12,10 @@ import numpy.typing as npt
 
 from dronevio.models.camera import CameraModel
 from dronevio.models.recordings.frame_truth import FrameTruth
-from dronevio.sim.cameras.atlas_renderer import Canvas
+from dronevio.sim.cameras.atlas_renderer import RenderContext
 from dronevio.sim.cameras.camera import OffscreenCamera
 from dronevio.sim.cameras.shutter import Shutter
-from dronevio.sim.rendering.compiled_world import Backdrop
+from dronevio.sim.rendering.compiled_world import CompiledWorld
 from dronevio.sim.rendering.render_job import RenderJob
 from dronevio.sim.rendering.truth_images import FOLDERS, depth_image, flow_image, segmentation_image
 from dronevio.sim.streams import generator
@@ -23,7 +23,7 @@ from dronevio.sim.streams import generator
 Array = npt.NDArray[np.float64]
 GreyImage = npt.NDArray[np.uint8]
 
-PARTIAL = ".partial"
+PARTIAL_SUFFIX = ".partial"
 """Suffix of an image that is being written."""
 _GLANCE_PX = 8  # a glance has a pixel for so many, each way
 _NEAR_PERCENTILE = 25  # of the depths: what is nearer fills a quarter of the image
@@ -35,33 +35,35 @@ class MeterTask:
 
     job: RenderJob
     """What they are frames of."""
-    scene: Backdrop
+    scene: CompiledWorld
     """Where."""
     indices: npt.NDArray[np.int64]
     """(K,) Their places in the schedule."""
     result: Path
     """Where the histograms (K, 256) go: the share of the main camera's pixels on each grey level."""
 
-    def carry_out(self) -> Iterator[None]:
+    def run(self) -> Iterator[None]:
         """Do it; a frame is a unit."""
         exposed_ns = self.job.schedule.exposed_ns[self.indices]
         histograms = np.zeros((len(self.indices), 256))
-        with _canvas(self.scene.model_path) as (model, canvas):
-            eye = OffscreenCamera(model, at_a_glance(self.job.rig.cameras[0].model), supersampling=1.0, canvas=canvas)
+        with _opened(self.scene.model_path) as (model, context):
+            camera = OffscreenCamera(
+                model, thumbnail(self.job.rig.cameras[0].model), supersampling=1.0, context=context
+            )
             for row, (t_ns, T_world_cam) in enumerate(zip(exposed_ns, self.job.poses(0)(exposed_ns), strict=True)):
-                image = eye.render(T_world_cam, self.scene.movers_at(int(t_ns)))
+                image = camera.render(T_world_cam, self.scene.movers_at(int(t_ns)))
                 histograms[row] = np.bincount(image.ravel(), minlength=256) / image.size
                 yield
         np.save(self.result, histograms)
 
 
 @dataclass(frozen=True, eq=False)
-class DrawTask:
+class RenderTask:
     """Draw, develop and write frames."""
 
     job: RenderJob
     """What they are frames of."""
-    scene: Backdrop
+    scene: CompiledWorld
     """Where."""
     indices: npt.NDArray[np.int64]
     """(K,) Their places in the schedule."""
@@ -70,40 +72,42 @@ class DrawTask:
     mav0: Path
     """The folder that holds ``cam0/data`` and its neighbours."""
 
-    def carry_out(self) -> Iterator[None]:
+    def run(self) -> Iterator[None]:
         """Do it; a frame, from all cameras, is a unit."""
         kinds = self.job.truth_images
         with ExitStack() as open_:
-            model, canvas = open_.enter_context(_canvas(self.scene.model_path))
-            cameras = [_FilmCamera(self, number, model, canvas) for number in range(len(self.job.rig.cameras))]
-            surveyors: list[_Surveyor | _Namer] = []
+            model, context = open_.enter_context(_opened(self.scene.model_path))
+            cameras = [_FrameRenderer(self, number, model, context) for number in range(len(self.job.rig.cameras))]
+            truth_renderers: list[_DepthFlowRenderer | _SegmentationRenderer] = []
             if "depth" in kinds or "flow" in kinds:
-                surveyors.append(_Surveyor(self, model, canvas))
+                truth_renderers.append(_DepthFlowRenderer(self, model, context))
             if "segmentation" in kinds:
-                surveyors.append(_Namer(self, *open_.enter_context(_canvas(self.scene.things_path))))
+                truth_renderers.append(
+                    _SegmentationRenderer(self, *open_.enter_context(_opened(self.scene.instances_path)))
+                )
             for index in self.indices.tolist():
                 name = f"{self.truth.t_ns[index]}.png"
-                for surveyor in surveyors:
-                    for folder, image in surveyor.take(index).items():
+                for renderer in truth_renderers:
+                    for folder, image in renderer.render(index).items():
                         write_png(self.mav0 / folder / "data" / name, image)
                 for number, camera in enumerate(cameras):
-                    write_png(self.mav0 / f"cam{number}" / "data" / name, camera.take(index))
+                    write_png(self.mav0 / f"cam{number}" / "data" / name, camera.render(index))
                 yield
 
 
-class _FilmCamera:
+class _FrameRenderer:
     """One camera of the rig: takes developed frames."""
 
-    def __init__(self, task: DrawTask, number: int, model: mujoco.MjModel, canvas: Canvas) -> None:
+    def __init__(self, task: RenderTask, number: int, model: mujoco.MjModel, context: RenderContext) -> None:
         """Prepare to take a camera's frames."""
         self._task, self._number = task, number
         camera = task.job.rig.cameras[number]
         self._poses, self._readout_s = task.job.poses(number), camera.readout_s
         self._shutter = Shutter(camera, task.job.margin_px(number))
-        self._eye = OffscreenCamera(model, self._shutter.drawn, canvas=canvas)
-        self._glance = OffscreenCamera(model, at_a_glance(camera.model), supersampling=1.0, canvas=canvas)
+        self._camera = OffscreenCamera(model, self._shutter.drawn, context=context)
+        self._thumbnail = OffscreenCamera(model, thumbnail(camera.model), supersampling=1.0, context=context)
 
-    def take(self, index: int) -> GreyImage:
+    def render(self, index: int) -> GreyImage:
         """Return a frame (H, W)."""
         job, scene, truth = self._task.job, self._task.scene, self._task.truth
         middle_ns, exposure_s = int(truth.exposed_ns[index]), float(truth.exposure_s[index])
@@ -111,20 +115,20 @@ class _FilmCamera:
         p_world_cam = self._pose(middle_ns)[:3, 3]
         swept_rad = scene.angle_swept_rad(middle_ns - half_ns, middle_ns + half_ns, p_world_cam)
         plan = self._shutter.plan(self._poses, middle_ns, exposure_s, self._nearest_m(middle_ns), swept_rad)
-        light = self._shutter.collect(plan, self._poses, self._view)
+        light = self._shutter.expose(plan, self._poses, self._view)
         irradiance = scene.illumination * float(truth.lit[index])
         gain = float(truth.gain[index])
-        return job.imaging.develop(
+        return job.imaging.digitize(
             light, irradiance, exposure_s, gain, generator(job.seed, "images", index, self._number)
         )
 
     def _view(self, t_ns: int, rows: slice) -> GreyImage:
         """Return rows of what is seen at a time [ns]."""
-        return self._eye.render(self._pose(t_ns), self._task.scene.movers_at(t_ns), rows)
+        return self._camera.render(self._pose(t_ns), self._task.scene.movers_at(t_ns), rows)
 
     def _nearest_m(self, t_ns: int) -> float:
         """Return the depth of what is near at a time [m]; infinite where nothing is."""
-        depth = self._glance.render_depth(self._pose(t_ns), self._task.scene.movers_at(t_ns))
+        depth = self._thumbnail.render_depth(self._pose(t_ns), self._task.scene.movers_at(t_ns))
         depth = depth[np.isfinite(depth)]
         return float(np.percentile(depth, _NEAR_PERCENTILE)) if depth.size else np.inf
 
@@ -133,53 +137,53 @@ class _FilmCamera:
         return np.asarray(self._poses(np.array([t_ns]))[0])
 
 
-class _Surveyor:
+class _DepthFlowRenderer:
     """Takes images of how far things are, and where they go."""
 
-    def __init__(self, task: DrawTask, model: mujoco.MjModel, canvas: Canvas) -> None:
+    def __init__(self, task: RenderTask, model: mujoco.MjModel, context: RenderContext) -> None:
         """Prepare to take them through the main camera's lens."""
         self._task, self._poses = task, task.job.poses(0)
-        self._eye = OffscreenCamera(model, task.job.rig.cameras[0].model, canvas=canvas)
+        self._camera = OffscreenCamera(model, task.job.rig.cameras[0].model, context=context)
 
-    def take(self, index: int) -> dict[str, npt.NDArray[np.uint16]]:
+    def render(self, index: int) -> dict[str, npt.NDArray[np.uint16]]:
         """Return what the job asks for of depth and flow at a frame, by folder."""
         kinds = self._task.job.truth_images
         exposed_ns = self._task.truth.exposed_ns[index : index + 2]
         poses, movers = self._poses(exposed_ns), [self._task.scene.movers_at(t_ns) for t_ns in exposed_ns.tolist()]
-        seen = self._eye.render_surfaces(poses[0], movers[0])
+        seen = self._camera.render_surfaces(poses[0], movers[0])
         images = {"depth": depth_image(seen)}
         if "flow" in kinds and len(poses) == 2:
-            images["flow"] = flow_image(self._eye.render_flow(*poses, *movers))
+            images["flow"] = flow_image(self._camera.render_flow(*poses, *movers))
         return {FOLDERS[kind]: images[kind] for kind in kinds if kind in images}
 
 
-class _Namer:
+class _SegmentationRenderer:
     """Takes images of what is what."""
 
-    def __init__(self, task: DrawTask, things: mujoco.MjModel, canvas: Canvas) -> None:
+    def __init__(self, task: RenderTask, things: mujoco.MjModel, context: RenderContext) -> None:
         """Prepare to take them through the main camera's lens."""
         self._task, self._poses = task, task.job.poses(0)
-        self._eye = OffscreenCamera(things, task.job.rig.cameras[0].model, canvas=canvas)
+        self._camera = OffscreenCamera(things, task.job.rig.cameras[0].model, context=context)
 
-    def take(self, index: int) -> dict[str, npt.NDArray[np.uint16]]:
+    def render(self, index: int) -> dict[str, npt.NDArray[np.uint16]]:
         """Return the numbers of the things in a frame, by folder."""
         exposed_ns = self._task.truth.exposed_ns[index : index + 1]
-        seen = self._eye.render_surfaces(self._poses(exposed_ns)[0], self._task.scene.movers_at(int(exposed_ns[0])))
+        seen = self._camera.render_surfaces(self._poses(exposed_ns)[0], self._task.scene.movers_at(int(exposed_ns[0])))
         return {FOLDERS["segmentation"]: segmentation_image(seen)}
 
 
 @contextmanager
-def _canvas(model_path: Path) -> Iterator[tuple[mujoco.MjModel, Canvas]]:
+def _opened(model_path: Path) -> Iterator[tuple[mujoco.MjModel, RenderContext]]:
     """Open the graphics memory for a world."""
     model = mujoco.MjModel.from_binary_path(str(model_path))
-    canvas = Canvas(model)
+    context = RenderContext(model)
     try:
-        yield model, canvas
+        yield model, context
     finally:
-        canvas.close()
+        context.close()
 
 
-def at_a_glance(model: CameraModel) -> CameraModel:
+def thumbnail(model: CameraModel) -> CameraModel:
     """Return a camera that sees the same in few pixels."""
     width, height = (max(size // _GLANCE_PX, 1) for size in (model.width, model.height))
     x, y = width / model.width, height / model.height
@@ -196,6 +200,6 @@ def at_a_glance(model: CameraModel) -> CameraModel:
 
 def write_png(path: Path, image: npt.NDArray[np.uint8] | npt.NDArray[np.uint16]) -> None:
     """Write an image beside its place and then move it there, so that nobody ever sees half of it."""
-    partial = path.with_suffix(PARTIAL)
+    partial = path.with_suffix(PARTIAL_SUFFIX)
     partial.write_bytes(cv2.imencode(".png", image)[1].tobytes())
     partial.replace(path)

@@ -1,8 +1,9 @@
 """Frames of a flight, drawn in parallel processes once the physics are done.
 
-Drawing is the whole cost of a simulated flight, and every frame is independent of the others. So a few processes share
-them, each with its own OpenGL; what a frame shows depends on the job and the frame's place in it alone, never on who
-drew it. Only auto-exposure looks back: for it the frames are first metered, by a glance of a hundredth of their pixels.
+Rendering dominates the cost of a simulated flight, and every frame is independent of the others. A few processes
+therefore share the frames, each with its own OpenGL context. The pixels of a frame depend on the job and on its index
+only, not on the process that renders it. Automatic exposure depends on earlier frames; for it, all frames are first
+metered with images of 1/64 of the pixels.
 """
 
 from collections.abc import Iterator
@@ -17,11 +18,11 @@ from dronevio.models.progress import Progress, silent
 from dronevio.models.recordings.euroc import INCOMPLETE
 from dronevio.models.recordings.files import write_text
 from dronevio.models.recordings.frame_truth import FRAME_TRUTH_FILE, FrameTruth, frame_truth_text
-from dronevio.sim.rendering.compiled_world import Backdrop, backdrop
-from dronevio.sim.rendering.frame_tasks import PARTIAL, DrawTask, MeterTask
+from dronevio.sim.rendering.compiled_world import CompiledWorld, compiled_world
+from dronevio.sim.rendering.frame_tasks import PARTIAL_SUFFIX, MeterTask, RenderTask
 from dronevio.sim.rendering.render_job import RenderJob
 from dronevio.sim.rendering.truth_images import FOLDERS, names_table
-from dronevio.sim.rendering.worker_pool import default_workers, run_crew
+from dronevio.sim.rendering.worker_pool import default_workers, run_tasks
 
 _FRAMES_WORTH_A_WORKER = 15  # it takes a second to start
 
@@ -59,12 +60,12 @@ def render(job: RenderJob, mav0: Path, progress: Progress = silent, workers: int
         progress(done, total)
 
     try:
-        with backdrop(job.world, job.seed, job.trajectory.t_ns) as scene, _unfinished(job, mav0):
+        with compiled_world(job.world, job.seed, job.trajectory.t_ns) as scene, _unfinished(job, mav0):
             truth = _exposed(job, scene, shares)
             write_text(mav0 / FRAME_TRUTH_FILE, frame_truth_text(truth))
             if "segmentation" in job.truth_images:
-                write_text(mav0 / FOLDERS["segmentation"] / "names.csv", names_table(scene.things))
-            run_crew([DrawTask(job, scene, share, truth, mav0) for share in shares], count, heard)
+                write_text(mav0 / FOLDERS["segmentation"] / "names.csv", names_table(scene.instance_names))
+            run_tasks([RenderTask(job, scene, share, truth, mav0) for share in shares], count, heard)
     except OSError as error:
         where = f"{error.filename}: " if error.filename else ""
         raise IncompleteError(f"stopped after {finished} of {count} frames: {where}{error.strerror}") from error
@@ -88,20 +89,20 @@ def _unfinished(job: RenderJob, mav0: Path) -> Iterator[None]:
         yield
     except BaseException:
         for folder in folders:
-            for half_written in folder.glob(f"*{PARTIAL}"):
+            for half_written in folder.glob(f"*{PARTIAL_SUFFIX}"):
                 half_written.unlink()
         raise
     mark.unlink()
 
 
-def _exposed(job: RenderJob, scene: Backdrop, shares: list[npt.NDArray[np.int64]]) -> FrameTruth:
+def _exposed(job: RenderJob, scene: CompiledWorld, shares: list[npt.NDArray[np.int64]]) -> FrameTruth:
     """Return how the frames are exposed, having metered them where the control asks for it."""
     schedule = job.schedule
     histograms = np.zeros((len(schedule), 256))
-    if job.imaging.control.meters:
+    if job.imaging.control.needs_histograms:
         results = [scene.model_path.with_name(f"histograms-{number}.npy") for number in range(len(shares))]
         tasks = [MeterTask(job, scene, share, result) for share, result in zip(shares, results, strict=True)]
-        run_crew(tasks, len(schedule))
+        run_tasks(tasks, len(schedule))
         for share, result in zip(shares, results, strict=True):
             histograms[share] = np.load(result)
     exposures = job.imaging.exposures(histograms, scene.illumination * schedule.lit.astype(np.float64))

@@ -28,7 +28,7 @@ _SYSTEM_ERROR = 4  # exit code of one that the system refused something: errno a
 class Task(Protocol):
     """What one worker does."""
 
-    def carry_out(self) -> Iterator[None]:
+    def run(self) -> Iterator[None]:
         """Do the work, and yield whenever a unit of it is done."""
 
 
@@ -38,7 +38,7 @@ def default_workers(units: int, units_worth_a_worker: int) -> int:
     return max(1, min(cores, _MOST_WORKERS, -(-units // units_worth_a_worker)))
 
 
-def run_crew(tasks: Sequence[Task], units: int, progress: Progress = silent) -> None:
+def run_tasks(tasks: Sequence[Task], units: int, progress: Progress = silent) -> None:
     """Carry out tasks, each in a process of its own; whatever happens, no process is left behind.
 
     Args:
@@ -127,7 +127,7 @@ def work() -> None:
     cv2.setNumThreads(1)
     task: Task = pickle.load(sys.stdin.buffer)
     try:
-        for _ in task.carry_out():
+        for _ in task.run():
             os.write(1, b".")
     except DronevioError as error:
         print(error, file=sys.stderr)  # noqa: T201

@@ -8,58 +8,58 @@ import numpy as np
 import numpy.typing as npt
 
 from dronevio.models.rotation import quat_wxyz_from_matrix
-from dronevio.sim.appearance.instances import Thing, names_of
-from dronevio.sim.appearance.scenery import Page, add_mirror, add_pages, add_thing, quads_of
+from dronevio.sim.appearance.instances import Instance, unique_names
+from dronevio.sim.appearance.scenery import Page, add_instance, add_mirror, add_pages, quads_of
 from dronevio.sim.appearance.solids import Box, Surface, visible_faces
 from dronevio.sim.appearance.textures import Image
 from dronevio.sim.paths.space import Space
-from dronevio.sim.worlds.layout import Layout, Moving
+from dronevio.sim.worlds.layout import Layout, MovingObject
 
 Array = npt.NDArray[np.float64]
 
-_TOUCHED_GROUP = 3  # MuJoCo's viewers do not draw it unless asked
+_COLLISION_GROUP = 3  # MuJoCo's viewers do not draw it unless asked
 _NEAR_M, _FAR_M = 0.03, 30.0
 
 
 @dataclass(frozen=True, eq=False)
-class Looks:
-    """What a layout looks like."""
+class Appearance:
+    """What a layout appearance like."""
 
     pages: Sequence[Page]
     """The painted scenery."""
     moving_pages: Sequence[Sequence[Page]]
-    """What each moving thing looks like."""
+    """What each moving thing appearance like."""
     mirror: Image | None
     """(H, W, 3) Pattern of the reflecting floor, lit, if there is one."""
 
 
-def assembled(layout: Layout, looks: Looks) -> mujoco.MjSpec:
+def assembled(layout: Layout, appearance: Appearance) -> mujoco.MjSpec:
     """Return the specification of a world."""
     spec = mujoco.MjSpec()
-    _set_up_view(spec, layout, np.concatenate([page.vertices for page in looks.pages]))
-    add_touched(spec, layout)
-    add_pages(spec, spec.worldbody, "scenery", looks.pages)
-    if layout.mirror is not None and looks.mirror is not None:
-        add_mirror(spec, layout.mirror.face, looks.mirror, layout.mirror.reflectance)
-    for thing, pages in zip(layout.moving, looks.moving_pages, strict=True):
+    _set_up_view(spec, layout, np.concatenate([page.vertices for page in appearance.pages]))
+    add_collision_geoms(spec, layout)
+    add_pages(spec, spec.worldbody, "scenery", appearance.pages)
+    if layout.mirror is not None and appearance.mirror is not None:
+        add_mirror(spec, layout.mirror.face, appearance.mirror, layout.mirror.reflectance)
+    for thing, pages in zip(layout.moving, appearance.moving_pages, strict=True):
         add_pages(spec, _add_mover(spec, thing), thing.name, pages)
     return spec
 
 
-def assembled_things(layout: Layout) -> mujoco.MjSpec:
+def assembled_instances(layout: Layout) -> mujoco.MjSpec:
     """Return what is seen of a world without its paint: a geom for each thing, under its name."""
-    quads: dict[Thing, list[Array]] = {}
+    quads: dict[Instance, list[Array]] = {}
     for surface in seen_surfaces(layout):
-        quads.setdefault(surface.thing, []).append(quads_of(surface.grid))
+        quads.setdefault(surface.instance, []).append(quads_of(surface.grid))
     for cutouts in (part for shared in layout.prints for part in shared.cutouts):
-        quads.setdefault(cutouts.thing, []).append(cutouts.corners)
+        quads.setdefault(cutouts.instance, []).append(cutouts.corners)
     spec = mujoco.MjSpec()
     _set_up_view(spec, layout, np.concatenate([part.reshape(-1, 3) for parts in quads.values() for part in parts]))
-    for name, parts in zip(names_of(quads), quads.values(), strict=True):
-        add_thing(spec, spec.worldbody, name, np.concatenate(parts))
+    for name, parts in zip(unique_names(quads), quads.values(), strict=True):
+        add_instance(spec, spec.worldbody, name, np.concatenate(parts))
     for thing in layout.moving:
         sides = [quads_of(face.grid) for box in thing.boxes for face in box.faces()]
-        add_thing(spec, _add_mover(spec, thing), thing.name, np.concatenate(sides))
+        add_instance(spec, _add_mover(spec, thing), thing.name, np.concatenate(sides))
     return spec
 
 
@@ -69,7 +69,7 @@ def seen_surfaces(layout: Layout) -> list[Surface]:
     return [*layout.shell, *visible_faces(layout.boxes, layout.low, layout.high), *mirror]
 
 
-def _add_mover(spec: mujoco.MjSpec, thing: Moving) -> mujoco.MjsBody:
+def _add_mover(spec: mujoco.MjSpec, thing: MovingObject) -> mujoco.MjsBody:
     """Add the body of something that moves, where it is in the beginning."""
     T_world_thing = thing.poses(np.zeros(1))[0]
     quat = quat_wxyz_from_matrix(T_world_thing[:3, :3])
@@ -104,7 +104,7 @@ def _set_up_view(spec: mujoco.MjSpec, layout: Layout, seen: Array) -> None:
     spec.visual.headlight.specular = [0.0, 0.0, 0.0]
 
 
-def add_touched(spec: mujoco.MjSpec, layout: Layout) -> None:
+def add_collision_geoms(spec: mujoco.MjSpec, layout: Layout) -> None:
     """Add what a drone can touch: the floor, walls and ceiling if there are any, and the obstacles."""
     middle = 0.5 * (layout.low + layout.high)
     planes = [("floor", 2, layout.low)]
@@ -124,7 +124,7 @@ def add_touched(spec: mujoco.MjSpec, layout: Layout) -> None:
             size=[0.0, 0.0, 1.0],
             pos=place,
             zaxis=inward,
-            group=_TOUCHED_GROUP,
+            group=_COLLISION_GROUP,
         )
     for number, box in enumerate(layout.obstacles):
         _add_block(spec, f"obstacle_{number}", box)
@@ -138,7 +138,7 @@ def _add_block(spec: mujoco.MjSpec, name: str, box: Box) -> None:
         size=box.half,
         pos=box.centre,
         quat=quat_wxyz_from_matrix(box.R),
-        group=_TOUCHED_GROUP,
+        group=_COLLISION_GROUP,
     )
 
 

@@ -12,7 +12,7 @@ import numpy.typing as npt
 
 from dronevio.models.rotation import rotation_z
 from dronevio.sim.appearance import textures, textures_building
-from dronevio.sim.appearance.instances import Thing
+from dronevio.sim.appearance.instances import Instance
 from dronevio.sim.appearance.solids import Box, Face, Paint, parts_of
 from dronevio.sim.appearance.textures import Colour
 from dronevio.sim.props.building import (
@@ -115,14 +115,14 @@ def _floors(rng: Random) -> tuple[Face, ...]:
     """Return the floor of the corridor, all of one stone."""
     stone = partial(textures_building.terrazzo, colour=pick(rng, _STONES), px_per_m=_FLOOR_PX_PER_M)
     faces = [level_face(low, high, 0.0, True, stone, _FLOOR_PX_PER_M) for low, high in _strips()]
-    return parts_of(Thing("floor"), faces)
+    return parts_of(Instance("floor"), faces)
 
 
 def _ceilings() -> tuple[Face, ...]:
     """Return the ceiling of the corridor."""
     panels = partial(textures_building.ceiling_panels, colour=(206, 206, 200), px_per_m=_CEILING_PX_PER_M)
     faces = [level_face(low, high, HIGH_M[2], False, panels, _CEILING_PX_PER_M) for low, high in _strips()]
-    return parts_of(Thing("ceiling"), faces)
+    return parts_of(Instance("ceiling"), faces)
 
 
 def _niche_places(rng: Random) -> list[float]:
@@ -138,7 +138,7 @@ def _wall_faces(wall: Wall, niches: list[float], paint: Paint) -> tuple[Face, ..
     for a, b in zip(edges[::2], edges[1::2], strict=True):
         cuts = [a, b] if b - a < _LONGEST_M else [a, 0.5 * (a + b), b]
         faces += [_panel(wall, (q, 0.0), (p, 0.0), paint) for p, q in pairwise(cuts)]
-    return parts_of(Thing("wall"), faces)
+    return parts_of(Instance("wall"), faces)
 
 
 def _panel(wall: Wall, left: tuple[float, float], right: tuple[float, float], paint: Paint) -> Face:
@@ -160,7 +160,7 @@ def _niche(wall: Wall, x: float, paint: Paint) -> tuple[Face, ...]:
         level_face(low, high, 0.0, True, wood, _FLOOR_PX_PER_M),
         level_face(low, high, HIGH_M[2], False, white, _CEILING_PX_PER_M),
     ]
-    return parts_of(Thing("niche"), faces)
+    return parts_of(Instance("niche"), faces)
 
 
 def _solid(centre: Array, size: Array) -> Box:
@@ -214,7 +214,7 @@ def _pilasters(wall: Wall) -> list[Piece]:
     """Return what covers the joint in the middle of a long wall."""
     white = partial(textures.plaster, colour=(196, 190, 176))
     cover = Piece((block(0.0, 0.06, 0.0, 0.36, 0.12, HIGH_M[2], white),), 0.36, 0.12, HIGH_M[2])
-    return [wall.put(cover.called("pilaster"), 0.0)]
+    return [wall.put(cover.as_instance("pilaster"), 0.0)]
 
 
 def _lamp_places() -> list[tuple[float, float, tuple[float, float]]]:
@@ -245,7 +245,7 @@ def _portals(rng: Random) -> list[Piece]:
         boxes += [block(s * (0.5 * width - 0.06), 0.0, 0.0, 0.12, 0.22, 2.52, steel) for s in (-1, 1)]
         lit = Box(np.array([0.0, 0.13, 2.7]), np.array([0.24, 0.02, 0.1]), dark, sign, glow=0.9)
         boxes += [lit, lit.moved(rotation_z(np.pi), np.zeros(3))]
-        portals.append(wall.put(Piece(tuple(boxes), width, 0.22, HIGH_M[2]).called("portal"), 0.0))
+        portals.append(wall.put(Piece(tuple(boxes), width, 0.22, HIGH_M[2]).as_instance("portal"), 0.0))
     return portals
 
 
@@ -255,7 +255,7 @@ def _trays() -> tuple[Box, ...]:
     (x, y, z) = HIGH_M
     boxes = [Box(np.array([0.0, s * (y - 0.16), z - 0.2]), np.array([x - 0.02, 0.11, 0.05]), steel) for s in (-1, 1)]
     boxes += [Box(np.array([s * (x - 0.16), 0.0, z - 0.2]), np.array([0.11, y - 0.3, 0.05]), steel) for s in (-1, 1)]
-    return parts_of(Thing("cable_tray"), boxes)
+    return parts_of(Instance("cable_tray"), boxes)
 
 
 CORRIDOR = WorldBuilder("a closed office corridor of 65 m around a core: made for closing loops", layout)

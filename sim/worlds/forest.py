@@ -11,11 +11,11 @@ from dronevio.models.rotation import rotation_z
 from dronevio.sim.appearance import pictures, textures
 from dronevio.sim.appearance import textures_nature as nature
 from dronevio.sim.appearance.cutouts import Print
-from dronevio.sim.appearance.instances import Thing
+from dronevio.sim.appearance.instances import Instance
 from dronevio.sim.appearance.solids import Box, Sheet
 from dronevio.sim.appearance.textures import Colour, Image, scaled
 from dronevio.sim.props import vegetation
-from dronevio.sim.props.vegetation import Plant
+from dronevio.sim.props.vegetation import Vegetation
 from dronevio.sim.worlds import outdoors
 from dronevio.sim.worlds.layout import Layout, WorldBuilder
 
@@ -89,21 +89,21 @@ def layout(rng: Random) -> Layout:
     plantation = _trees(rng, route, toward)
     loose, boulders = _undergrowth(rng, route, plantation, toward)
     growing = [plant for plant, _, _ in plantation] + loose
-    floor = Thing("floor")
+    floor = Instance("floor")
     ground = Sheet(
         outdoors.flat((-20.0, -16.0), (20.0, 16.0), 0.0),
         partial(_floor, season=season),
         pixels_per_m=_GROUND_PX_PER_M,
-        thing=floor,
+        instance=floor,
     )
     beyond = Sheet(
         outdoors.flat((-32.0, -32.0), (32.0, 32.0), -0.03),
         partial(_far_floor, season=season),
         pixels_per_m=24.0,
-        thing=floor,
+        instance=floor,
     )
     stone = partial(nature.stone, colour=_STONE)
-    stones = tuple(Sheet(grid, stone, pixels_per_m=160.0, thing=Thing("boulder")) for grid, _ in boulders)
+    stones = tuple(Sheet(grid, stone, pixels_per_m=160.0, instance=Instance("boulder")) for grid, _ in boulders)
     shade = [_shade(place, radius) for _, place, radius in plantation]
     obstacles = [box for plant in growing for box in plant.obstacles] + [box for _, box in boulders]
     wood = tuple(part for plant in growing for part in plant.wood)
@@ -127,7 +127,7 @@ def layout(rng: Random) -> Layout:
     )
 
 
-def _trees(rng: Random, route: Array, toward: Array) -> list[tuple[Plant, Array, float]]:
+def _trees(rng: Random, route: Array, toward: Array) -> list[tuple[Vegetation, Array, float]]:
     """Return the trees, each with its place (2,) and the radius of its trunk [m]."""
     girths = rng.choice([0.11, 0.15, 0.19, 0.24, 0.32], 900, p=[0.24, 0.28, 0.24, 0.16, 0.08])
     radii = girths * rng.uniform(0.9, 1.15, len(girths))
@@ -148,14 +148,14 @@ def _trees(rng: Random, route: Array, toward: Array) -> list[tuple[Plant, Array,
         plant = vegetation.tree(rng, radius, tall, _HIGH[2] + 0.2, kind, toward, twigs, sides)
         plant = plant.moved(np.eye(3), np.array([*place, 0.0]))
         if not inside:
-            plant = Plant(plant.wood, plant.leaves, ())
+            plant = Vegetation(plant.wood, plant.leaves, ())
         found.append((plant, place, float(radius)))
     return found
 
 
 def _undergrowth(
-    rng: Random, route: Array, trees: list[tuple[Plant, Array, float]], toward: Array
-) -> tuple[list[Plant], list[tuple[Array, Box]]]:
+    rng: Random, route: Array, trees: list[tuple[Vegetation, Array, float]], toward: Array
+) -> tuple[list[Vegetation], list[tuple[Array, Box]]]:
     """Return what grows and lies between the trees, and the boulders: surface and box of each."""
     radii = np.concatenate([[radius for _, _, radius in trees], np.full(420, 0.45)])
     thrown, _ = outdoors.scattered(rng, (-22.0, -20.0), (22.0, 20.0), 420, radii[-420:], 0.25)
@@ -164,7 +164,7 @@ def _undergrowth(
     low, high = _FREE_BOX_M[:, :2]
     clear &= ~np.all((thrown > low - 0.8) & (thrown < high + 0.8), axis=1)
     off_route = outdoors.distance_to_legs(thrown, route)
-    found: list[Plant] = []
+    found: list[Vegetation] = []
     boulders: list[tuple[Array, Box]] = []
     for place, off in zip(thrown[clear], off_route[clear], strict=True):
         inside = bool(np.all(np.abs(place) < _HIGH[:2] - 0.9))
@@ -217,7 +217,7 @@ def _thicket(rng: Random, season: Season) -> Sheet:
     grid = np.empty((3, columns + 1, 3))
     grid[..., 0], grid[..., 1] = _THICKET_M * np.cos(azimuth), _THICKET_M * np.sin(azimuth)
     grid[0, :, 2], grid[1, :, 2], grid[2, :, 2] = 11.0 + 0.8 * tops[np.arange(columns + 1) % columns], 5.5, -0.1
-    return outdoors.panorama(Thing("thicket"), grid, partial(_depths, season=season), _THICKET_WIDTH_PX)
+    return outdoors.panorama(Instance("thicket"), grid, partial(_depths, season=season), _THICKET_WIDTH_PX)
 
 
 def _depths(rng: Random, height: int, width: int, season: Season) -> Image:

@@ -12,12 +12,12 @@ from dronevio.sim.appearance import pictures, textures
 from dronevio.sim.appearance import textures_nature as nature
 from dronevio.sim.appearance import textures_race as race
 from dronevio.sim.appearance.cutouts import Print
-from dronevio.sim.appearance.instances import Thing
+from dronevio.sim.appearance.instances import Instance
 from dronevio.sim.appearance.lightmap import AreaLight
 from dronevio.sim.appearance.solids import Box, Paint, Sheet, parts_of
 from dronevio.sim.appearance.textures import Colour, Image, scaled
 from dronevio.sim.props import fairground, vegetation
-from dronevio.sim.props.vegetation import Plant
+from dronevio.sim.props.vegetation import Vegetation
 from dronevio.sim.worlds import outdoors
 from dronevio.sim.worlds.layout import Layout, WorldBuilder
 
@@ -93,7 +93,7 @@ def layout(rng: Random) -> Layout:
     stand, others = fairground.stand(rng, _FENCE_M), fairground.paddock(rng, _FENCE_M)
     trees = _trees(rng, toward)
     casting = [*frames, *beside, *stand, *others]
-    floor = Thing("floor")
+    floor = Instance("floor")
     ground = Sheet(
         outdoors.flat((-_FIELD_M[0], -_FIELD_M[1]), (_FIELD_M[0], _FIELD_M[1]), 0.0),
         partial(_field, colour=_GRASSES[int(rng.integers(4))], gates=gates, casting=casting, toward=toward),
@@ -159,7 +159,7 @@ def _course(rng: Random) -> list[_Gate]:
 def _placed(gate: _Gate, boxes: list[Box]) -> tuple[Box, ...]:
     """Return boxes of a gate's own frame (y where it is flown, the opening's middle at the origin) in the world."""
     R = rotation_z(gate.heading_rad - 0.5 * np.pi)
-    return parts_of(Thing("gate"), [box.moved(R, gate.middle) for box in boxes])
+    return parts_of(Instance("gate"), [box.moved(R, gate.middle) for box in boxes])
 
 
 def _square(rng: Random, gate: _Gate, number: int, colour: Colour) -> tuple[Box, ...]:
@@ -226,7 +226,7 @@ def _beside(rng: Random, route: Array, gates: list[_Gate]) -> list[Box]:
     return boxes
 
 
-def _trees(rng: Random, toward: Array) -> list[Plant]:
+def _trees(rng: Random, toward: Array) -> list[Vegetation]:
     """Return trees all around, behind everything else."""
     places, _ = outdoors.scattered(rng, (-48.0, -40.0), (48.0, 40.0), 420, np.full(420, 1.3), 0.6)
     outside = np.any(np.abs(places) > _FENCE_M + [9.5, 10.0], axis=1)
@@ -241,7 +241,7 @@ def _trees(rng: Random, toward: Array) -> list[Plant]:
     return found
 
 
-def _crown(tree: Plant) -> Box:
+def _crown(tree: Vegetation) -> Box:
     """Return an upright box a little smaller than a tree's crown."""
     corners = tree.leaves[0].corners.reshape(-1, 3)
     low, high = np.percentile(corners, [10.0, 90.0], axis=0)

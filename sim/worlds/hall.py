@@ -13,7 +13,7 @@ from dronevio.sim.appearance import pictures
 from dronevio.sim.appearance import textures_building as building
 from dronevio.sim.appearance import textures_industrial as works
 from dronevio.sim.appearance import textures_nature as nature
-from dronevio.sim.appearance.instances import Thing
+from dronevio.sim.appearance.instances import Instance
 from dronevio.sim.appearance.lightmap import AreaLight
 from dronevio.sim.appearance.solids import Box, Face, Surface, enclosure, parts_of
 from dronevio.sim.appearance.textures import Colour, Image, scaled, vary
@@ -55,7 +55,7 @@ _CRANE_Z_M = 7.3
 
 
 @dataclass(frozen=True)
-class _Looks:
+class _Palette:
     """The colours of a hall."""
 
     brick: Colour
@@ -64,22 +64,22 @@ class _Looks:
     iron: Colour
 
 
-_LOOKS: tuple[_Looks, ...] = (
-    _Looks((150, 98, 78), (104, 140, 126), (136, 134, 128), (92, 112, 106)),
-    _Looks((176, 168, 152), (96, 124, 150), (118, 134, 122), (150, 104, 68)),
-    _Looks((168, 136, 106), (150, 140, 110), (142, 132, 124), (86, 100, 120)),
-    _Looks((132, 120, 112), (150, 96, 72), (126, 128, 132), (110, 116, 118)),
+_PALETTES: tuple[_Palette, ...] = (
+    _Palette((150, 98, 78), (104, 140, 126), (136, 134, 128), (92, 112, 106)),
+    _Palette((176, 168, 152), (96, 124, 150), (118, 134, 122), (150, 104, 68)),
+    _Palette((168, 136, 106), (150, 140, 110), (142, 132, 124), (86, 100, 120)),
+    _Palette((132, 120, 112), (150, 96, 72), (126, 128, 132), (110, 116, 118)),
 )
 
 
 def layout(rng: Random) -> Layout:
     """Draw a machine hall."""
-    looks = _LOOKS[int(rng.integers(len(_LOOKS)))]
+    palette = _PALETTES[int(rng.integers(len(_PALETTES)))]
     route = _ROUTE_M + np.vstack([np.zeros(3), rng.uniform(-1.0, 1.0, (len(_ROUTE_M) - 1, 3)) * _JITTER_M])
     kits = [*_machines(rng), *_tanks(rng), *_stores(rng), *_overhead(rng)]
     walls, glass, lights = _windows(rng)
     lamps, shining = _lamps()
-    frame, trusses = _structure(looks)
+    frame, trusses = _structure(palette)
     boxes = [box for kit in kits for box in kit.boxes]
     sheets = tuple(sheet for kit in kits for sheet in kit.sheets)
     obstacles = [box for kit in kits for box in kit.obstacles]
@@ -89,7 +89,7 @@ def layout(rng: Random) -> Layout:
     return Layout(
         low=np.array([-_HALF_M[0], -_HALF_M[1], 0.0]),
         high=np.array([_HALF_M[0], _HALF_M[1], _SIZE_M[2]]),
-        shell=(*_shell(looks), *sheets),
+        shell=(*_shell(palette), *sheets),
         boxes=(*boxes, *structure, *walls, *glass, *lamps),
         obstacles=tuple(obstacles),
         lights=(*lights, *shining),
@@ -100,14 +100,14 @@ def layout(rng: Random) -> Layout:
     )
 
 
-def _shell(looks: _Looks) -> tuple[Surface, ...]:
+def _shell(palette: _Palette) -> tuple[Surface, ...]:
     """Return floor, roof and walls, seen from inside."""
     x, y, z = np.diag(_SIZE_M)
     corner = -0.5 * (x + y)
-    wall = partial(works.masonry, colour=looks.brick, dado=looks.dado, ppm=_WALL_PX_PER_M)
+    wall = partial(works.masonry, colour=palette.brick, dado=palette.dado, ppm=_WALL_PX_PER_M)
     roof = partial(works.profiled_roof, colour=(128, 130, 128), ppm=_ROOF_PX_PER_M)
     faces = (
-        Face(corner + y, x, -y, partial(_floor, looks=looks), pixels_per_m=_FLOOR_PX_PER_M),
+        Face(corner + y, x, -y, partial(_floor, palette=palette), pixels_per_m=_FLOOR_PX_PER_M),
         Face(corner + z, x, y, roof, pixels_per_m=_ROOF_PX_PER_M),
         Face(corner + x + z, -x, -z, wall, pixels_per_m=_WALL_PX_PER_M),
         Face(corner + x + y + z, -y, -z, wall, pixels_per_m=_WALL_PX_PER_M),
@@ -117,10 +117,10 @@ def _shell(looks: _Looks) -> tuple[Surface, ...]:
     return enclosure(faces)
 
 
-def _floor(rng: Random, height: int, width: int, looks: _Looks) -> Image:
+def _floor(rng: Random, height: int, width: int, palette: _Palette) -> Image:
     """Return the floor: concrete, lanes and stands painted on it, worn; the pad."""
     ppm = _FLOOR_PX_PER_M
-    bare = works.concrete_floor(rng, height, width, looks.floor, ppm)
+    bare = works.concrete_floor(rng, height, width, palette.floor, ppm)
     image = bare.copy()
     yellow, white = scaled(works.YELLOW, 0.92), (206, 204, 196)
 
@@ -212,9 +212,9 @@ def _overhead(rng: Random) -> list[Kit]:
     return [walk, bridge, *pipes]
 
 
-def _structure(looks: _Looks) -> tuple[list[Box], list[tuple[Box, ...]]]:
+def _structure(palette: _Palette) -> tuple[list[Box], list[tuple[Box, ...]]]:
     """Return pillars and crane rails, and the bars of each truss under the roof."""
-    iron = steel(looks.iron)
+    iron = steel(palette.iron)
     boxes: list[Box] = []
     trusses = []
     pillars = np.arange(-2.5, 2.6) * _BAY_M
@@ -222,9 +222,9 @@ def _structure(looks: _Looks) -> tuple[list[Box], list[tuple[Box, ...]]]:
         for x in pillars:
             pillar = block((x, s * (_HALF_M[1] - 0.16), 0.0), (0.34, 0.32, _SIZE_M[2]), iron, ppm=56.0)
             guard = block((x, s * (_HALF_M[1] - 0.34), 0.0), (0.36, 0.04, 1.6), works.hazard, ppm=72.0)
-            boxes += parts_of(Thing("pillar"), (pillar, guard))
+            boxes += parts_of(Instance("pillar"), (pillar, guard))
         rail = (0.0, s * (_HALF_M[1] - 0.5), _CRANE_Z_M - 0.34)
-        boxes += parts_of(Thing("crane_rail"), [block(rail, (_SIZE_M[0] - 0.02, 0.24, 0.3), iron, ppm=56.0)])
+        boxes += parts_of(Instance("crane_rail"), [block(rail, (_SIZE_M[0] - 0.02, 0.24, 0.3), iron, ppm=56.0)])
     for x in pillars:
         bars = [block((x, 0.0, z), (0.14, _SIZE_M[1] - 0.7, 0.14), iron, ppm=40.0) for z in (8.55, 9.33)]
         for k in range(12):
@@ -232,7 +232,7 @@ def _structure(looks: _Looks) -> tuple[list[Box], list[tuple[Box, ...]]]:
             R = np.array([[1.0, 0.0, 0.0], [0.0, c, -s], [0.0, s, c]])
             middle = np.array([x, -6.6 + 1.2 * k, 9.01])
             bars.append(Box(middle, np.array([0.035, 0.64, 0.035]), iron, R=R, pixels_per_m=40.0))
-        trusses.append(parts_of(Thing("truss"), bars))
+        trusses.append(parts_of(Instance("truss"), bars))
     return boxes, trusses
 
 
@@ -248,7 +248,7 @@ def _windows(rng: Random) -> tuple[list[Box], list[Box], list[AreaLight]]:
             R = rotation_z(0.0 if s < 0.0 else np.pi)
             half = np.array([1.75, 0.03, 0.85])
             glow = 0.97 if s == bright else 0.86
-            glass.append(Box(middle, half, frame, works.panes, R, glow, 72.0, Thing("window")))
+            glass.append(Box(middle, half, frame, works.panes, R, glow, 72.0, Instance("window")))
             grid = np.array([[x + dx, s * (_HALF_M[1] - 0.15), 6.1] for dx in (-0.9, 0.9)])
             lights.append(AreaLight(grid, 16.0 if s == bright else 4.0, np.array([0.0, -s, 0.0])))
     return _on_walls(rng), glass, lights
@@ -279,7 +279,7 @@ def _on_walls(rng: Random) -> list[Box]:
         middle = np.array([side * (_HALF_M[0] - 0.03), y, z])
         half = np.array([0.5 * wide, 0.03, 0.5 * high])
         R = rotation_z(side * 0.5 * np.pi)
-        boxes.append(Box(middle, half, frame, paint, R, pixels_per_m=96.0, thing=Thing(kind)))
+        boxes.append(Box(middle, half, frame, paint, R, pixels_per_m=96.0, instance=Instance(kind)))
     return boxes
 
 
@@ -290,7 +290,7 @@ def _lamps() -> tuple[list[Box], list[AreaLight]]:
     for x in np.arange(-2.0, 2.1) * _BAY_M:
         for y in (-3.6, 3.6):
             place, half = np.array([x, y, _LAMP_Z_M]), np.array([0.6, 0.16, 0.05])
-            boxes.append(Box(place, half, paint, glow=1.0, pixels_per_m=64.0, thing=Thing("lamp")))
+            boxes.append(Box(place, half, paint, glow=1.0, pixels_per_m=64.0, instance=Instance("lamp")))
             lights.append(AreaLight(np.array([[x, y, _LAMP_Z_M - 0.1]]), 3.0, np.array([0.0, 0.0, -1.0])))
     return boxes, lights
 

@@ -21,7 +21,7 @@ ROUTE_CLEARANCE_M = 0.6
 
 
 @dataclass(frozen=True, eq=False)
-class Moving:
+class MovingObject:
     """Something that moves by itself: seen, never touched, since paths keep away from where it goes."""
 
     name: str
@@ -71,7 +71,7 @@ class Layout:
     """What casts shadows; by default every box without light of its own. A few coarse boxes are lit much faster."""
     illumination: float = 1.0
     """Light that falls in, relative to a well lit room."""
-    moving: tuple[Moving, ...] = ()
+    moving: tuple[MovingObject, ...] = ()
     """What moves."""
     lanes: tuple[Box, ...] = ()
     """Where it moves: paths keep out, though there is nothing to hit but what is moving."""

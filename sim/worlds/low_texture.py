@@ -6,7 +6,7 @@ import numpy as np
 import numpy.typing as npt
 
 from dronevio.sim.appearance import pictures, textures, textures_building
-from dronevio.sim.appearance.instances import one_thing
+from dronevio.sim.appearance.instances import single_instance
 from dronevio.sim.appearance.lightmap import AreaLight
 from dronevio.sim.appearance.solids import Box
 from dronevio.sim.appearance.textures import Colour
@@ -59,14 +59,14 @@ def layout(rng: Random) -> Layout:
     )
 
 
-@one_thing
+@single_instance
 def _skirting(wall: Wall) -> Piece:
     """Return the shadow gap at the foot of a wall."""
     grey = partial(textures_building.whitewash, colour=(150, 149, 146))
     return wall.put(Piece((block(0.0, 0.006, 0.0, wall.length_m, 0.012, 0.06, grey),), wall.length_m, 0.012, 0.0), 0.0)
 
 
-@one_thing
+@single_instance
 def _door() -> Piece:
     """Return a flush white door."""
     white = partial(textures_building.whitewash, colour=(196, 195, 191))
@@ -75,7 +75,7 @@ def _door() -> Piece:
     return Piece(tuple(boxes), 1.0, 0.06, 0.0)
 
 
-@one_thing
+@single_instance
 def _painting(rng: Random) -> Piece:
     """Return the one picture that already hangs."""
     w, h = rng.uniform(0.9, 1.2), rng.uniform(0.7, 0.9)
@@ -84,7 +84,7 @@ def _painting(rng: Random) -> Piece:
     return Piece((block(0.0, 0.02, 1.25, w, 0.04, h, white, shown),), w, 0.04, 0.0)
 
 
-@one_thing
+@single_instance
 def _high_window() -> Piece:
     """Return a long window high up in the wall, of frosted glass."""
     glass = partial(textures_building.whitewash, colour=(236, 240, 244))
@@ -100,7 +100,7 @@ def _high_window() -> Piece:
     )
 
 
-@one_thing
+@single_instance
 def _plinth(rng: Random) -> Piece:
     """Return a white plinth, empty."""
     side, tall = rng.uniform(0.35, 0.6), rng.uniform(0.45, 1.15)

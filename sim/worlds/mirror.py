@@ -9,7 +9,7 @@ import numpy as np
 import numpy.typing as npt
 
 from dronevio.sim.appearance import textures, textures_building
-from dronevio.sim.appearance.instances import one_thing
+from dronevio.sim.appearance.instances import single_instance
 from dronevio.sim.appearance.solids import Box
 from dronevio.sim.appearance.textures import Colour, Image, scaled
 from dronevio.sim.props.building import ceiling_lamp, hall_faces, landing_mat, room_walls, shading, stand_along
@@ -126,7 +126,7 @@ def _coffers(rng: Random, height: int, width: int, colour: Colour) -> Image:
     return image
 
 
-@one_thing
+@single_instance
 def _chandelier(place: Array) -> Piece:
     """Return a lamp of three tiers on a rod, from a place (3,) on the ceiling."""
     brass = partial(textures.plain, colour=(176, 140, 70))

@@ -1,4 +1,4 @@
-"""Moving objects: a concourse where people walk round and round, carts roll among them and banners swing."""
+"""MovingObject objects: a concourse where people walk round and round, carts roll among them and banners swing."""
 
 from functools import partial
 
@@ -14,7 +14,7 @@ from dronevio.sim.props.building import ceiling_lamp, coarse, hall_faces, landin
 from dronevio.sim.props.furniture import METAL, Piece, pick
 from dronevio.sim.props.furniture_public import PUBLIC_FURNITURE
 from dronevio.sim.props.traffic import Lap, Swing, banner, cart, person
-from dronevio.sim.worlds.layout import Layout, Moving, WorldBuilder
+from dronevio.sim.worlds.layout import Layout, MovingObject, WorldBuilder
 
 Array = npt.NDArray[np.float64]
 Random = np.random.Generator
@@ -66,24 +66,24 @@ def layout(rng: Random) -> Layout:
     )
 
 
-def _traffic(rng: Random) -> tuple[Moving, ...]:
+def _traffic(rng: Random) -> tuple[MovingObject, ...]:
     """Return who walks one way, what rolls the other way outside of them, and the banners above."""
     things = []
     width = _OUTER_M - _INNER_M
     inner, outer = (tuple((_INNER_M + share * width).tolist()) for share in (0.27, 0.73))
     for k in range(_PEOPLE):
         start = (k + rng.uniform(-0.2, 0.2)) / _PEOPLE
-        things.append(Moving(f"person_{k}", person(rng), Lap(inner, 0.9, start, _WALK_M_S, bob_m=0.02)))
+        things.append(MovingObject(f"person_{k}", person(rng), Lap(inner, 0.9, start, _WALK_M_S, bob_m=0.02)))
     for k in range(2 * _WITH_CARTS):
         start, turn = (k + rng.uniform(-0.2, 0.2)) / (2 * _WITH_CARTS), -_ROLL_M_S
         if k % 2:
-            things.append(Moving(f"cart_{k // 2}", cart(rng), Lap(outer, 0.9, start, turn)))
+            things.append(MovingObject(f"cart_{k // 2}", cart(rng), Lap(outer, 0.9, start, turn)))
         else:
             walker = Lap(outer, 0.9, start, turn, bob_m=0.02)
-            things.append(Moving(f"person_{_PEOPLE + k // 2}", person(rng), walker))
+            things.append(MovingObject(f"person_{_PEOPLE + k // 2}", person(rng), walker))
     for k, (x, y, heading) in enumerate(_banner_places()):
         swing = Swing((x, y, _BANNER_TOP_M), heading, _BANNER_SWING_RAD, rng.uniform(2.8, 3.6), rng.uniform(0.0, 6.0))
-        things.append(Moving(f"banner_{k}", banner(rng, *_BANNER_M), swing))
+        things.append(MovingObject(f"banner_{k}", banner(rng, *_BANNER_M), swing))
     return tuple(things)
 
 

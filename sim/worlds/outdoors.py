@@ -9,7 +9,7 @@ import numpy as np
 import numpy.typing as npt
 
 from dronevio.sim.appearance import textures_nature as nature
-from dronevio.sim.appearance.instances import Thing
+from dronevio.sim.appearance.instances import Instance
 from dronevio.sim.appearance.lightmap import AreaLight
 from dronevio.sim.appearance.solids import Box, Paint, Sheet
 from dronevio.sim.appearance.textures import Colour, Image
@@ -67,10 +67,10 @@ def sky(weather: Weather, radius_m: float = _SKY_M) -> Sheet:
     grid = np.empty((len(elevation), len(azimuth), 3))
     grid[..., :2] = radius_m * np.cos(elevation)[:, None, None] * ring
     grid[..., 2] = radius_m * np.sin(elevation)[:, None]
-    return panorama(Thing("sky"), grid, partial(_painted_sky, weather=weather), _SKY_WIDTH_PX)
+    return panorama(Instance("sky"), grid, partial(_painted_sky, weather=weather), _SKY_WIDTH_PX)
 
 
-def panorama(thing: Thing, grid: Array, paint: Paint, width_px: int) -> Sheet:
+def panorama(thing: Instance, grid: Array, paint: Paint, width_px: int) -> Sheet:
     """Return a surface (R + 1, C + 1, 3) that glows by itself, under an image of so many columns."""
     around = float(np.linalg.norm(np.diff(grid, axis=1), axis=2).sum(axis=1).mean())
     return Sheet(grid, paint, 1.0, width_px / around, thing)

@@ -6,7 +6,7 @@ import numpy as np
 import numpy.typing as npt
 
 from dronevio.sim.appearance import textures_building
-from dronevio.sim.appearance.instances import Thing
+from dronevio.sim.appearance.instances import Instance
 from dronevio.sim.appearance.solids import Box
 from dronevio.sim.appearance.textures import Colour, Image
 from dronevio.sim.props.building import ceiling_lamp, hall_faces, landing_mat
@@ -34,7 +34,7 @@ def layout(rng: Random) -> Layout:
     xs = np.arange(-2, 3) * _PITCH_M
     half = np.array([0.5 * _COLUMN_M, 0.5 * _COLUMN_M, 0.5 * HIGH_M[2]])
     columns = tuple(
-        Box(np.array([x, s * _COLUMN_Y_M, half[2]]), half, wall, pixels_per_m=_PX_PER_M, thing=Thing("column"))
+        Box(np.array([x, s * _COLUMN_Y_M, half[2]]), half, wall, pixels_per_m=_PX_PER_M, instance=Instance("column"))
         for x in xs
         for s in (-1, 1)
     )

@@ -9,7 +9,7 @@ import numpy.typing as npt
 
 from dronevio.models.rotation import rotation_z
 from dronevio.sim.appearance import textures, textures_building, textures_storage
-from dronevio.sim.appearance.instances import one_thing
+from dronevio.sim.appearance.instances import single_instance
 from dronevio.sim.appearance.lightmap import AreaLight
 from dronevio.sim.appearance.solids import Box, Surface
 from dronevio.sim.appearance.textures import Image
@@ -173,7 +173,7 @@ def _loading_area(rng: Random, stock: Stock, pieces: list[Piece], obstacles: lis
         frame = [block(0.0, 0.03, 0.0, 2.9, 0.06, 3.4, steel, door)]
         frame += [block(s * 1.52, 0.07, 0.0, 0.14, 0.14, 3.5, textures_storage.hazard) for s in (-1, 1)]
         frame.append(block(0.0, 0.12, 3.4, 3.2, 0.24, 0.4, steel))
-        pieces.append(west.put(Piece(tuple(frame), 3.2, 0.24, 3.8).called("roller_door"), x))
+        pieces.append(west.put(Piece(tuple(frame), 3.2, 0.24, 3.8).as_instance("roller_door"), x))
         obstacles.append(west.hull(pieces[-1], x))
     standing = [(west, packing_table(rng), -2.5), (west, packing_table(rng), 2.5)]
     standing += [(west, hose_cabinet(rng), 7.2), (south, forklift(rng), -9.6), (west, hose_cabinet(rng), -7.2)]
@@ -194,7 +194,7 @@ def _loading_area(rng: Random, stock: Stock, pieces: list[Piece], obstacles: lis
         obstacles.append(Box(np.array([x, y, half[2]]), half, partial(textures.plain, colour=METAL), R=R))
 
 
-@one_thing
+@single_instance
 def _louvre() -> Piece:
     """Return an opening high up in a wall that lets air through, the switches of its fan below it."""
     fins, steel = partial(textures.radiator, colour=(150, 154, 158)), partial(textures.plain, colour=METAL)
@@ -229,7 +229,7 @@ def _roof(pieces: list[Piece], obstacles: list[Box]) -> None:
             )
             for s in (-1, 1)
         ]
-        pieces.append(Piece((plate, *rods), 1.0, 0.04, 0.0).called("sign"))
+        pieces.append(Piece((plate, *rods), 1.0, 0.04, 0.0).as_instance("sign"))
         obstacles.append(Box(sign + [0.0, y, 0.7], np.array([0.03, 0.5, 1.05]), grey))
 
 

@@ -68,8 +68,8 @@ def found(image: npt.NDArray[np.uint8], expected: Array) -> Array:
 )
 def test_points_land_where_the_model_projects_them(camera: CameraModel, tolerance_px: float) -> None:
     p_world, model = lamps(camera, T_WORLD_CAM, np.random.default_rng(0))
-    with OffscreenCamera(model, camera) as eye:
-        image = eye.render(T_WORLD_CAM)
+    with OffscreenCamera(model, camera) as offscreen:
+        image = offscreen.render(T_WORLD_CAM)
     expected = camera.project(in_camera(p_world, T_WORLD_CAM))
     off = np.linalg.norm(found(image, expected) - expected, axis=1)
     assert off.max() < tolerance_px
@@ -84,9 +84,9 @@ def test_a_stereo_pair_obeys_the_epipolar_line(name: str) -> None:
     p_world, model = lamps(left.model, T_WORLD_CAM, np.random.default_rng(1), margin_px=60.0)
     pixels = []
     for camera, T_world_cam in ((left.model, T_WORLD_CAM), (right.model, T_world_right)):
-        with OffscreenCamera(model, camera) as eye:
+        with OffscreenCamera(model, camera) as offscreen:
             expected = camera.project(in_camera(p_world, T_world_cam))
-            pixels.append(found(eye.render(T_world_cam), expected))
+            pixels.append(found(offscreen.render(T_world_cam), expected))
     # b_leftᵀ [t]× R b_right = 0, and its distance in the right image is it over its gradient there.
     normals = left.model.unproject(pixels[0]) @ skew(T_left_right[:3, 3]) @ T_left_right[:3, :3]
     normals /= np.linalg.norm(normals, axis=1, keepdims=True)
@@ -142,7 +142,7 @@ T_NOW = pose_matrix(R_AHEAD @ exp_so3(np.array([0.1, 0.2, 0.05])), np.array([-0.
 T_NEXT = T_NOW @ pose_matrix(exp_so3(np.array([0.01, -0.015, 0.02])), np.array([0.05, 0.02, 0.03]))
 
 
-def residual_of_warp(eye: OffscreenCamera, flow: Array, now: Array, then: Array) -> Array:
+def residual_of_warp(offscreen: OffscreenCamera, flow: Array, now: Array, then: Array) -> Array:
     """Return how far (N, 2) patches of a later image, brought back by the flow, still are from their place [px]."""
     height, width = now.shape
     u, v = np.meshgrid(np.arange(width, dtype=np.float32), np.arange(height, dtype=np.float32))
@@ -161,9 +161,9 @@ def residual_of_warp(eye: OffscreenCamera, flow: Array, now: Array, then: Array)
 
 @pytest.mark.parametrize("camera", [PINHOLE, EUROC_CAM0, UZH_FPV_CAMERA, TUM_VI_CAMERA])
 def test_depth_reprojects_one_frame_into_the_next(camera: CameraModel) -> None:
-    with OffscreenCamera(textured_box(), camera) as eye:
-        flow = eye.render_flow(T_NOW, T_NEXT)
-        off = residual_of_warp(eye, flow, eye.render(T_NOW), eye.render(T_NEXT))
+    with OffscreenCamera(textured_box(), camera) as offscreen:
+        flow = offscreen.render_flow(T_NOW, T_NEXT)
+        off = residual_of_warp(offscreen, flow, offscreen.render(T_NOW), offscreen.render(T_NEXT))
     assert np.median(np.linalg.norm(flow, axis=-1)) > 3.0
     assert len(off) > 150
     assert np.linalg.norm(off, axis=1).max() < 0.3
@@ -175,14 +175,14 @@ def test_flow_of_what_moves() -> None:
     before, after = (
         pose_matrix(exp_so3(np.array([0.0, 0.0, a])), np.array([1.1, x, -0.2])) for a, x in ((0.4, 0.3), (0.42, 0.27))
     )
-    with OffscreenCamera(model, camera) as eye:
-        seen = eye.render_surfaces(T_NOW, {"cart": before})
-        flow = eye.render_flow(T_NOW, T_NOW, {"cart": before}, {"cart": after})
-        now, then = eye.render(T_NOW, {"cart": before}), eye.render(T_NOW, {"cart": after})
-        off = residual_of_warp(eye, flow, now, then)
-        still = eye.render(T_NOW)
-        at_rest = eye.render(T_NOW, {"cart": pose_matrix(np.eye(3), np.array([1.0, 0.2, -0.3]))})
-    cart = seen.geom == eye.geom_names.index("cart")
+    with OffscreenCamera(model, camera) as offscreen:
+        seen = offscreen.render_surfaces(T_NOW, {"cart": before})
+        flow = offscreen.render_flow(T_NOW, T_NOW, {"cart": before}, {"cart": after})
+        now, then = offscreen.render(T_NOW, {"cart": before}), offscreen.render(T_NOW, {"cart": after})
+        off = residual_of_warp(offscreen, flow, now, then)
+        still = offscreen.render(T_NOW)
+        at_rest = offscreen.render(T_NOW, {"cart": pose_matrix(np.eye(3), np.array([1.0, 0.2, -0.3]))})
+    cart = seen.geom == offscreen.geom_names.index("cart")
     assert 0.02 < cart.mean() < 0.4
     assert np.abs(flow[~cart]).max() < 1e-3
     assert np.median(np.linalg.norm(flow[cart], axis=-1)) > 3.0
@@ -197,21 +197,21 @@ def test_flow_of_what_moves() -> None:
 
 
 def test_what_cannot_be_moved_is_refused() -> None:
-    with OffscreenCamera(textured_box(mover=True), PINHOLE) as eye:
+    with OffscreenCamera(textured_box(mover=True), PINHOLE) as offscreen:
         for name in ("ghost", "world"):
             with pytest.raises(ConfigError, match=name):
-                eye.render(T_NOW, {name: np.eye(4)})
+                offscreen.render(T_NOW, {name: np.eye(4)})
 
 
 def test_a_cube_of_views_shows_what_a_single_one_shows(monkeypatch: pytest.MonkeyPatch) -> None:
     model = textured_box()
-    with OffscreenCamera(model, EUROC_CAM0) as eye:
-        assert len(eye.views.views) == 1
-        single, depth = eye.render(T_NOW).astype(float), eye.render_depth(T_NOW)
+    with OffscreenCamera(model, EUROC_CAM0) as offscreen:
+        assert len(offscreen.views.views) == 1
+        single, depth = offscreen.render(T_NOW).astype(float), offscreen.render_depth(T_NOW)
     monkeypatch.setattr(views, "_WORTH_A_CUBE", np.inf)
-    with OffscreenCamera(model, EUROC_CAM0) as eye:
-        assert len(eye.views.views) > 1
-        cube, depth_of_cube = eye.render(T_NOW).astype(float), eye.render_depth(T_NOW)
+    with OffscreenCamera(model, EUROC_CAM0) as offscreen:
+        assert len(offscreen.views.views) > 1
+        cube, depth_of_cube = offscreen.render(T_NOW).astype(float), offscreen.render_depth(T_NOW)
     assert np.abs(cube - single).mean() < 1.0
     assert np.abs(cube - single).max() < 24.0  # how finely a wall is drawn differs, where it is does not
     assert np.median(np.abs(depth_of_cube / depth - 1.0)) < 1e-5
@@ -221,9 +221,9 @@ def test_where_the_lens_sees_nothing_nothing_is_seen() -> None:
     camera = CameraModel(320, 240, 90.0, 90.0, 159.5, 119.5, (0.02, -0.03, 0.004, -0.002), "equidistant")
     blind = np.isnan(camera.unproject(np.stack(np.meshgrid(np.arange(320), np.arange(240)), axis=-1))).any(axis=-1)
     assert 0.05 < blind.mean() < 0.6
-    with OffscreenCamera(textured_box(), camera) as eye:
-        image, seen = eye.render(T_NOW), eye.render_surfaces(T_NOW)
-        flow = eye.render_flow(T_NOW, T_NEXT)
+    with OffscreenCamera(textured_box(), camera) as offscreen:
+        image, seen = offscreen.render(T_NOW), offscreen.render_surfaces(T_NOW)
+        flow = offscreen.render_flow(T_NOW, T_NEXT)
     assert image[cv2.erode(blind.astype(np.uint8), np.ones((5, 5)), borderValue=1) > 0].max() == 0
     assert image[cv2.erode((~blind).astype(np.uint8), np.ones((5, 5))) > 0].mean() > 90
     np.testing.assert_array_equal(np.isnan(seen.depth_m), blind)
@@ -234,14 +234,14 @@ def test_where_the_lens_sees_nothing_nothing_is_seen() -> None:
 @pytest.mark.parametrize("camera", [PINHOLE, EUROC_CAM0, UZH_FPV_CAMERA, TUM_VI_CAMERA])
 def test_depth_and_geoms_of_a_box(camera: CameraModel) -> None:
     """Against the analytic box: along each ray the first wall that it meets."""
-    with OffscreenCamera(textured_box(2.0), camera) as eye:
-        seen = eye.render_surfaces(T_NOW)
+    with OffscreenCamera(textured_box(2.0), camera) as offscreen:
+        seen = offscreen.render_surfaces(T_NOW)
     rays = camera.unproject(np.stack(np.meshgrid(np.arange(camera.width), np.arange(camera.height)), axis=-1))
     in_world = rays @ T_NOW[:3, :3].T
     lengths = (np.where(in_world > 0.0, 2.0, -2.0) - T_NOW[:3, 3]) / in_world
     axis, length = lengths.argmin(axis=-1), lengths.min(axis=-1)
     wall = 2 * axis + (np.take_along_axis(in_world, axis[..., None], axis=-1)[..., 0] < 0.0)
-    names = np.array(eye.geom_names)[seen.geom]
+    names = np.array(offscreen.geom_names)[seen.geom]
     at_an_edge = np.diff(np.sort(lengths, axis=-1)[..., :2], axis=-1)[..., 0] < 0.02 * length
     assert (names == np.array([f"wall_{k}" for k in range(6)])[wall])[~at_an_edge].all()
     depth = length * rays[..., 2] if camera.lens == "radtan" else length
@@ -253,9 +253,9 @@ def test_depth_and_geoms_of_a_box(camera: CameraModel) -> None:
 def test_nothing_is_infinitely_far() -> None:
     spec = mujoco.MjSpec()
     spec.worldbody.add_geom(type=mujoco.mjtGeom.mjGEOM_SPHERE, size=[0.5, 0, 0], pos=[0.0, 0.0, 3.0])
-    with OffscreenCamera(spec.compile(), PINHOLE) as eye:
-        seen = eye.render_surfaces(np.eye(4))
-        flow = eye.render_flow(np.eye(4), np.eye(4))
+    with OffscreenCamera(spec.compile(), PINHOLE) as offscreen:
+        seen = offscreen.render_surfaces(np.eye(4))
+        flow = offscreen.render_flow(np.eye(4), np.eye(4))
     assert seen.depth_m[240, 367] == pytest.approx(2.5, abs=0.01)  # the ball is a polyhedron
     assert seen.geom[240, 367] == 0
     assert np.isinf(seen.depth_m[5, 5])
@@ -275,8 +275,8 @@ def test_a_shiny_floor_mirrors() -> None:
         )
         model = spec.compile()
         model.stat.extent, model.vis.map.znear, model.vis.map.zfar = 1.0, 0.03, 30.0
-        with OffscreenCamera(model, EUROC_CAM0) as eye:
-            images.append(eye.render(pose_matrix(R_AHEAD, np.array([0.0, 0.0, 0.7]))).astype(float))
+        with OffscreenCamera(model, EUROC_CAM0) as offscreen:
+            images.append(offscreen.render(pose_matrix(R_AHEAD, np.array([0.0, 0.0, 0.7]))).astype(float))
     mirrored = in_camera(np.array([[3.0, 0.2, -0.8]]), pose_matrix(R_AHEAD, np.array([0.0, 0.0, 0.7])))
     u, v = np.rint(EUROC_CAM0.project(mirrored))[0].astype(int)
     dull, shiny = (image[v - 3 : v + 4, u - 3 : u + 4].mean() for image in images)
@@ -311,30 +311,30 @@ def test_a_face_shows_its_picture_upright(small: CameraModel, size_m: tuple[floa
     pages = paint_pages([face], [np.ones((2, 2), np.float32)], np.random.default_rng(0))
     add_pages(spec, spec.worldbody, "face", pages)
     R_forward = np.array([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]])
-    with OffscreenCamera(spec.compile(), small) as eye:
-        image = eye.render(pose_matrix(R_forward, np.array([1.0, 0.0, 0.0])))
+    with OffscreenCamera(spec.compile(), small) as offscreen:
+        image = offscreen.render(pose_matrix(R_forward, np.array([1.0, 0.0, 0.0])))
     rows, columns = (32 + np.array([-1, 1]) * int(16 * v) for v in size_m)
     seen = image[np.ix_(rows, columns)].astype(float)
     np.testing.assert_allclose(seen, [[0, 80], [160, 240]], atol=3)
 
 
 @pytest.fixture
-def eye(small: CameraModel) -> Iterator[OffscreenCamera]:
+def offscreen(small: CameraModel) -> Iterator[OffscreenCamera]:
     with OffscreenCamera(mujoco.MjSpec().compile(), small) as opened:
         yield opened
 
 
-def test_two_cameras_draw_in_turn(small: CameraModel, eye: OffscreenCamera) -> None:
+def test_two_cameras_draw_in_turn(small: CameraModel, offscreen: OffscreenCamera) -> None:
     _, model = lamps(EUROC_CAM0, np.eye(4), np.random.default_rng(1))
     with OffscreenCamera(model, EUROC_CAM0) as other:
         first = other.render(np.eye(4))
-        assert eye.render(np.eye(4)).max() == 0
+        assert offscreen.render(np.eye(4)).max() == 0
         np.testing.assert_array_equal(other.render(np.eye(4)), first)
         assert first.max() > 200
 
 
-def test_a_closed_camera_says_so(eye: OffscreenCamera) -> None:
-    eye.close()
-    eye.close()
+def test_a_closed_camera_says_so(offscreen: OffscreenCamera) -> None:
+    offscreen.close()
+    offscreen.close()
     with pytest.raises(GraphicsError, match="closed"):
-        eye.render(np.eye(4))
+        offscreen.render(np.eye(4))

@@ -42,7 +42,7 @@ def test_the_bare_renderer_draws_the_same(camera: CameraModel, monkeypatch: pyte
     assert cost.bare_ms > 0.0
     assert cost.ratio == cost.camera_ms / cost.bare_ms
     with OffscreenCamera(model, small) as eye:
-        atlas = eye._drawing.colours(np.eye(4))[::-1]
+        atlas = eye._renderer.colours(np.eye(4))[::-1]
         views = eye.views.views
     assert cost.drawn_pixels == sum(image.shape[0] * image.shape[1] for image in drawn[-len(views) :])
     for view, image in zip(views, drawn[-len(views) :], strict=True):

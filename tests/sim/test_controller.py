@@ -116,12 +116,12 @@ def test_an_observer_is_as_fast_as_its_poles_within_its_limit() -> None:
 def test_slow_rotors_are_led_and_quick_ones_are_not() -> None:
     for drone, led in ((QUAD, False), (VEHICLES["nano"], True)):
         drive, rotors = RotorDrive(drone, 0.03, drone.hover_speed_rad_s), Rotors(drone)
-        state = rotors.start(drive.speeds_rad_s)
+        state = rotors.steady_state(drive.speeds_rad_s)
         wanted = 1.05 * drive.speeds_rad_s
         commands = []
         for _ in range(6):
             commands.append(drive.towards(wanted, 5e-3))
-            state = rotors.after(state, commands[-1], 5e-3)
+            state = rotors.step(state, commands[-1], 5e-3)
         reached = (state.speed_rad_s - drone.hover_speed_rad_s) / (0.05 * drone.hover_speed_rad_s)
         np.testing.assert_allclose(reached, 1.0 - np.exp(-1.0), rtol=1e-6)  # after 30 ms, whatever the rotors' own lag
         np.testing.assert_allclose(drive.speeds_rad_s, state.speed_rad_s, rtol=1e-9)

@@ -10,7 +10,7 @@ from dronevio.models.imu import ImuModel
 from dronevio.models.quadrotor import RESEARCH, VEHICLES, Quadrotor
 from dronevio.models.rig import Rig
 from dronevio.models.rotation import exp_so3, matrix_from_quat_wxyz, pose_matrix
-from dronevio.sim.physics.collisions import TOUCHED_GROUP
+from dronevio.sim.physics.collisions import COLLISION_GROUP
 from dronevio.sim.physics.motion import Motion
 from dronevio.sim.physics.plant import QuadrotorPlant
 from dronevio.sim.physics.rotors import Airflow, MotorFailure, Rotors
@@ -165,14 +165,14 @@ def test_a_lost_motor_turns_the_drone_over_onto_its_dead_corner(drone: Quadrotor
 def walled() -> mujoco.MjSpec:
     """Return a floor, a wall at x = 2, and a picture on it that cannot be touched."""
     spec = mujoco.MjSpec()
-    spec.worldbody.add_geom(name="floor", type=mujoco.mjtGeom.mjGEOM_PLANE, size=[0.0, 0.0, 1.0], group=TOUCHED_GROUP)
+    spec.worldbody.add_geom(name="floor", type=mujoco.mjtGeom.mjGEOM_PLANE, size=[0.0, 0.0, 1.0], group=COLLISION_GROUP)
     spec.worldbody.add_geom(
         name="wall",
         type=mujoco.mjtGeom.mjGEOM_PLANE,
         size=[0.0, 0.0, 1.0],
         pos=[2.0, 0.0, 0.0],
         zaxis=[-1.0, 0.0, 0.0],
-        group=TOUCHED_GROUP,
+        group=COLLISION_GROUP,
     )
     spec.worldbody.add_geom(
         name="picture", type=mujoco.mjtGeom.mjGEOM_BOX, size=[0.5, 0.5, 0.5], pos=[1.5, 0.0, 1.0], contype=0
@@ -214,9 +214,9 @@ def test_feet_on_the_floor_are_no_collision_and_a_propeller_is(drone: Quadrotor)
 def test_a_foot_against_a_kerb_collides_and_one_on_it_does_not() -> None:
     kerb = mujoco.MjSpec()
     kerb.worldbody.add_geom(
-        name="kerb", type=mujoco.mjtGeom.mjGEOM_BOX, size=[1.0, 1.0, 0.05], pos=[1.3, 0.0, -0.01], group=TOUCHED_GROUP
+        name="kerb", type=mujoco.mjtGeom.mjGEOM_BOX, size=[1.0, 1.0, 0.05], pos=[1.3, 0.0, -0.01], group=COLLISION_GROUP
     )
-    kerb.worldbody.add_geom(name="road", type=mujoco.mjtGeom.mjGEOM_PLANE, size=[0.0, 0.0, 1.0], group=TOUCHED_GROUP)
+    kerb.worldbody.add_geom(name="road", type=mujoco.mjtGeom.mjGEOM_PLANE, size=[0.0, 0.0, 1.0], group=COLLISION_GROUP)
     plant = QuadrotorPlant(RIG, surroundings=kerb)
     plant.reset(velocity_m_s=np.array([2.5, 0.0, 0.0]))
     plant.advance(SECOND_NS, np.zeros(4))
@@ -280,7 +280,7 @@ def test_a_batch_flies_as_its_drones_do_alone(drone: Quadrotor) -> None:
     batch = [mujoco.MjData(model) for _ in range(count)]
     for data, position, rate in zip(batch, starts, rates, strict=True):
         data.qpos[:3], data.qvel[3:] = position, rate
-    state = rotors.start(hover)
+    state = rotors.steady_state(hover)
     for command in commands:
         R = matrix_from_quat_wxyz(np.array([data.qpos[3:] for data in batch]))
         twist = np.array([data.qvel for data in batch])
@@ -289,7 +289,7 @@ def test_a_batch_flies_as_its_drones_do_alone(drone: Quadrotor) -> None:
         for data, wrench in zip(batch, rotors.wrench(state, airflow), strict=True):
             data.ctrl[:] = wrench
             mujoco.mj_step(model, data, 5)
-        state = rotors.after(state, command, dt)
+        state = rotors.step(state, command, dt)
 
     plant = QuadrotorPlant(RIG, drone)
     for k, data in enumerate(batch):

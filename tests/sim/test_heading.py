@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from dronevio.sim.paths.heading import Gaze, across, along, fixed, heading_curve, spinning, toward
+from dronevio.sim.paths.heading import HeadingProfile, across, along, fixed, heading_curve, spinning, toward
 from dronevio.sim.paths.minimum_snap import minimum_snap
 
 CIRCLE_S = 20.0
@@ -33,7 +33,7 @@ def test_wishes_by_geometry() -> None:
 
 
 @pytest.mark.parametrize(("gaze", "ahead"), [(along, 0.5 * np.pi), (across, np.pi), (toward(np.zeros(2)), np.pi)])
-def test_around_a_circle_the_heading_keeps_up(gaze: Gaze, ahead: float) -> None:
+def test_around_a_circle_the_heading_keeps_up(gaze: HeadingProfile, ahead: float) -> None:
     path = circle()
     heading = heading_curve(gaze, path, CIRCLE_S, 3.0, 0.0)
     t = np.linspace(4.0, CIRCLE_S - 3.0, 500)

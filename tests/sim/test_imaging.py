@@ -21,7 +21,7 @@ def histogram(image: np.ndarray) -> np.ndarray:
 def test_noise_has_the_variance_it_says(gain: float) -> None:
     sensor = Imaging(read_sigma=1.5, shot_sigma=3.0, vignetting=0.0)
     for level in (20, 120, 220):
-        noisy = sensor.develop(grey(level), 1.0, NOMINAL_S / gain, gain, np.random.default_rng(0)).astype(float)
+        noisy = sensor.digitize(grey(level), 1.0, NOMINAL_S / gain, gain, np.random.default_rng(0)).astype(float)
         signal = level / gain
         expected = gain**2 * (1.5**2 + 3.0**2 * signal / 255.0) + 1.0 / 12.0  # rounding adds its own
         assert abs(noisy.mean() - level) < 0.1
@@ -32,22 +32,22 @@ def test_light_is_what_counts_until_it_is_too_much() -> None:
     sensor = Imaging(read_sigma=0.0, shot_sigma=0.0, vignetting=0.0)
     rng = np.random.default_rng(0)
     for irradiance, exposure_s, gain in ((0.5, NOMINAL_S, 1.0), (1.0, 0.5 * NOMINAL_S, 1.0), (0.05, NOMINAL_S, 10.0)):
-        assert np.all(sensor.develop(grey(100), irradiance, exposure_s, gain, rng) == 50)
-    assert np.all(sensor.develop(grey(100), 1.0, 3.0 * NOMINAL_S, 1.0, rng) == 255)
-    fine = sensor.develop(np.full((4, 4), 10.3, np.float32), 0.1, NOMINAL_S, 10.0, rng)
+        assert np.all(sensor.digitize(grey(100), irradiance, exposure_s, gain, rng) == 50)
+    assert np.all(sensor.digitize(grey(100), 1.0, 3.0 * NOMINAL_S, 1.0, rng) == 255)
+    fine = sensor.digitize(np.full((4, 4), 10.3, np.float32), 0.1, NOMINAL_S, 10.0, rng)
     assert np.all(fine == 10)  # drawn light keeps its fractions up to the converter
 
 
 def test_vignetting_darkens_the_corners_only() -> None:
     sensor = Imaging(read_sigma=0.0, shot_sigma=0.0, vignetting=0.2)
-    dimmed = sensor.develop(grey(200, (101, 201)), 1.0, NOMINAL_S, 1.0, np.random.default_rng(0))
+    dimmed = sensor.digitize(grey(200, (101, 201)), 1.0, NOMINAL_S, 1.0, np.random.default_rng(0))
     assert dimmed[50, 100] == 200
     assert dimmed[0, 0] == dimmed[-1, -1] == 160
 
 
 def test_same_seed_same_bytes() -> None:
     sensor = Imaging()
-    one, two, other = (sensor.develop(grey(90), 1.0, NOMINAL_S, 1.0, np.random.default_rng(k)) for k in (0, 0, 1))
+    one, two, other = (sensor.digitize(grey(90), 1.0, NOMINAL_S, 1.0, np.random.default_rng(k)) for k in (0, 0, 1))
     np.testing.assert_array_equal(one, two)
     assert np.any(one != other)
 

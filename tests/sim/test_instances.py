@@ -8,13 +8,13 @@ import pytest
 
 from dronevio.models.camera import CameraModel
 from dronevio.models.rotation import pose_matrix, rotation_z
-from dronevio.sim.appearance.instances import Thing, names_of, one_thing
+from dronevio.sim.appearance.instances import Instance, single_instance, unique_names
 from dronevio.sim.appearance.solids import Box
 from dronevio.sim.appearance.textures import plain
 from dronevio.sim.cameras.camera import OffscreenCamera
 from dronevio.sim.cameras.surfaces import points_in_camera
 from dronevio.sim.props.furniture import Piece
-from dronevio.sim.world import WORLDS, build_world, place_of, things_of
+from dronevio.sim.world import WORLDS, build_world, flight_area, instance_spec
 from dronevio.sim.worlds.texturedness import poses_along
 
 EYE = CameraModel(width=188, height=120, fx=115.0, fy=115.0, cx=93.5, cy=59.5)
@@ -27,37 +27,42 @@ def names(spec: mujoco.MjSpec) -> list[str]:
 
 
 def test_two_of_a_kind_are_numbered() -> None:
-    assert names_of([Thing(kind) for kind in ("tree", "sky", "tree", "log")]) == ["tree_1", "sky", "tree_2", "log"]
+    assert unique_names([Instance(kind) for kind in ("tree", "sky", "tree", "log")]) == [
+        "tree_1",
+        "sky",
+        "tree_2",
+        "log",
+    ]
 
 
 def test_each_piece_that_is_made_is_a_thing_of_its_own() -> None:
-    @one_thing
+    @single_instance
     def _stool() -> Piece:
-        box = Box(np.zeros(3), np.ones(3), partial(plain, colour=(9.0, 9.0, 9.0)), thing=Thing("leg"))
+        box = Box(np.zeros(3), np.ones(3), partial(plain, colour=(9.0, 9.0, 9.0)), instance=Instance("leg"))
         return Piece((box, box), 1.0, 1.0, 1.0)
 
     first, second = (_stool().moved(rotation_z(1.0), np.ones(3)).boxes for _ in range(2))
-    assert first[0].thing is first[1].thing is not second[0].thing
-    assert first[0].thing.kind == "stool"
-    assert {face.thing for face in first[0].faces()} == {first[0].thing}
+    assert first[0].instance is first[1].instance is not second[0].instance
+    assert first[0].instance.kind == "stool"
+    assert {face.instance for face in first[0].faces()} == {first[0].instance}
 
 
 @pytest.mark.parametrize("world", WORLDS)
 def test_every_thing_has_a_name(world: str) -> None:
-    found = names(things_of(world, 4))
+    found = names(instance_spec(world, 4))
     assert len(set(found)) == len(found) > 20
     assert "floor" in found
     assert not [name for name in found if name.startswith("something")]
-    assert names(things_of(world, 4)) == found
+    assert names(instance_spec(world, 4)) == found
 
 
 def test_another_seed_is_another_forest() -> None:
-    assert names(things_of("forest", 5)) != names(things_of("forest", 6))
+    assert names(instance_spec("forest", 5)) != names(instance_spec("forest", 6))
 
 
 @pytest.mark.parametrize("world", ["mirror", "moving", "gates"])
 def test_things_are_where_the_painted_world_has_them(world: str) -> None:
-    painted, things = build_world(world, 2), things_of(world, 2)
+    painted, things = build_world(world, 2), instance_spec(world, 2)
     moved = {mover.body: mover.poses(np.array([7.0]))[0] for mover in painted.movers}
     seen = []
     for spec in (painted.spec, things):
@@ -71,24 +76,24 @@ def test_things_are_where_the_painted_world_has_them(world: str) -> None:
 
 @pytest.mark.parametrize("world", ["room", "warehouse", "mirror"])
 def test_the_floor_is_where_the_floor_is(world: str) -> None:
-    model = things_of(world, 1).compile()
+    model = instance_spec(world, 1).compile()
     with OffscreenCamera(model, EYE) as eye:
         floor, ceiling = (eye.geom_names.index(name) for name in ("floor", "ceiling"))
         shares = []
-        for T in poses_along(place_of(world, 1).route, 6):
+        for T in poses_along(flight_area(world, 1).route, 6):
             seen = eye.render_surfaces(T)
             z = points_in_camera(EYE, seen.depth_m) @ T[2, :3] + T[2, 3]
             atol = 0.06  # half a drawn pixel, at a grazing angle
             np.testing.assert_allclose(z[seen.geom == floor], 0.0, atol=atol)
-            np.testing.assert_allclose(z[seen.geom == ceiling], place_of(world, 1).space.high[2], atol=atol)
+            np.testing.assert_allclose(z[seen.geom == ceiling], flight_area(world, 1).space.high[2], atol=atol)
             assert np.mean(seen.geom[np.abs(z) < 1e-4] == floor) > 0.98  # all but the feet of what stands there
             shares.append(np.mean(seen.geom == floor))
     assert np.mean(shares) > 0.05
 
 
 def test_a_gate_has_the_number_by_which_it_is_flown() -> None:
-    route = place_of("gates", 3).route  # the start, then a point before and one behind each gate
-    with OffscreenCamera(things_of("gates", 3).compile(), EYE) as eye:
+    route = flight_area("gates", 3).route  # the start, then a point before and one behind each gate
+    with OffscreenCamera(instance_spec("gates", 3).compile(), EYE) as eye:
         for number, (before, behind) in enumerate(route[1:].reshape(-1, 2, 3), 1):
             way = behind - before
             T = pose_matrix(rotation_z(float(np.arctan2(way[1], way[0]))) @ R_LEVEL, before)
@@ -98,7 +103,7 @@ def test_a_gate_has_the_number_by_which_it_is_flown() -> None:
 
 
 def test_what_moves_goes_by_its_name() -> None:
-    model = things_of("moving", 1).compile()
+    model = instance_spec("moving", 1).compile()
     person = pose_matrix(np.eye(3), np.array([0.0, 0.0, 0.0]))
     T = pose_matrix(R_LEVEL, np.array([-2.0, 0.0, 1.2]))
     with OffscreenCamera(model, EYE) as eye:

@@ -11,7 +11,7 @@ from scipy.optimize import minimize
 from dronevio.models.errors import ConfigError
 from dronevio.models.imu import GRAVITY_M_S2
 from dronevio.sim.paths.limits import LIMITS, Limits
-from dronevio.sim.paths.minimum_snap import minimum_snap, quickest_knots
+from dronevio.sim.paths.minimum_snap import minimum_snap, minimum_time_knots
 
 
 def drawn(seed: int, count: int) -> tuple[np.ndarray, np.ndarray]:
@@ -124,7 +124,7 @@ def test_limits_hold_everywhere_and_are_nearly_reached_somewhere(
 ) -> None:
     points = drawn(seed, count)[1]
     limits = Limits(speed, accel, 1.0, tilt_rate, thrust, tilt)
-    knots = quickest_knots(points, limits)
+    knots = minimum_time_knots(points, limits)
     curve, t = minimum_snap(knots, points), np.linspace(0.0, knots[-1], 20_000)
     velocity, acceleration = curve.derivative(1)(t), curve.derivative(2)(t)
     force = acceleration + [0.0, 0.0, GRAVITY_M_S2]
@@ -149,7 +149,7 @@ def test_limits_hold_everywhere_and_are_nearly_reached_somewhere(
 @pytest.mark.parametrize("seed", range(2))
 def test_hardly_any_other_times_are_quicker(name: str, seed: int) -> None:
     points, limits = drawn(seed, 6)[1], LIMITS[name]
-    knots = quickest_knots(points, limits)
+    knots = minimum_time_knots(points, limits)
 
     def total_s(logarithms: np.ndarray) -> float:
         rival = np.concatenate([[0.0], np.cumsum(np.exp(logarithms))])
@@ -159,7 +159,7 @@ def test_hardly_any_other_times_are_quicker(name: str, seed: int) -> None:
         while high > 1.001 * low:
             scale = np.sqrt(low * high)
             v, a, j = (d / scale**order for order, d in enumerate(derivatives, 1))
-            low, high = (scale, high) if limits.strain(v, a, j).max() > 1.0 else (low, scale)
+            low, high = (scale, high) if limits.limit_ratio(v, a, j).max() > 1.0 else (low, scale)
         return float(rival[-1] * high)
 
     best = minimize(total_s, np.log(np.diff(knots)), method="Nelder-Mead", options={"maxfev": 250}).fun
@@ -168,8 +168,8 @@ def test_hardly_any_other_times_are_quicker(name: str, seed: int) -> None:
 
 def test_many_points_take_little_time_to_plan() -> None:
     points = drawn(0, 200)[1]
-    knots = quickest_knots(points, LIMITS["medium"])
-    again = quickest_knots(points, LIMITS["medium"], knots)
+    knots = minimum_time_knots(points, LIMITS["medium"])
+    again = minimum_time_knots(points, LIMITS["medium"], knots)
     assert again[-1] <= knots[-1] * 1.0001
     assert knots.shape == (200,) and np.all(np.diff(knots) > 0.0)
 
@@ -193,8 +193,8 @@ def test_impossible_limits_are_refused_by_name_and_value(name: str, value: float
 
 def test_strain_is_the_factor_by_which_time_must_stretch() -> None:
     limits, zero = Limits(2.0, 4.0, tilt_rate_rad_s=1.0), np.zeros(3)
-    assert limits.strain(np.array([4.0, 0.0, 0.0]), zero, zero) == pytest.approx(2.0 / 0.99)
-    assert limits.strain(zero, np.array([0.0, 16.0, 0.0]), zero) > 2.0
+    assert limits.limit_ratio(np.array([4.0, 0.0, 0.0]), zero, zero) == pytest.approx(2.0 / 0.99)
+    assert limits.limit_ratio(zero, np.array([0.0, 16.0, 0.0]), zero) > 2.0
     jerk = 8.0 * GRAVITY_M_S2 * np.array([1.0, 0.0, 0.0])  # turns the thrust of a hover at 8 rad/s
-    assert limits.strain(zero, zero, jerk) == pytest.approx(2.0 / np.cbrt(0.99))
-    assert limits.strain(zero, zero, zero) == 0.0
+    assert limits.limit_ratio(zero, zero, jerk) == pytest.approx(2.0 / np.cbrt(0.99))
+    assert limits.limit_ratio(zero, zero, zero) == 0.0

@@ -7,7 +7,7 @@ from dronevio.models.errors import ConfigError
 from dronevio.models.rotation import exp_so3
 from dronevio.sim.paths.path import Reference, attitude, plan_reference
 from dronevio.sim.paths.plan import FlightPlan
-from dronevio.sim.paths.space import Place, Space
+from dronevio.sim.paths.space import FlightArea, Space
 from dronevio.sim.scenarios import scenario
 
 BOX = np.array([[-2.8, -1.9, 0.0], [2.8, 1.9, 2.4]])
@@ -20,7 +20,7 @@ ROOM, SHORT = scenario("room-v0").plan, scenario("short-v0").plan
 def reference(plan: FlightPlan, seed: int = 0, box: np.ndarray = BOX) -> Reference:
     nothing = np.zeros((0, 3))
     space = Space(box[0], box[1] + [0.0, 0.0, 1.0], nothing, nothing, np.zeros((0, 3, 3)))
-    place = Place(space, box, np.zeros(3), nothing)
+    place = FlightArea(space, box, np.zeros(3), nothing)
     return plan_reference(plan, place, STANDING_M, STEP_NS, np.random.default_rng(seed))
 
 
@@ -47,12 +47,12 @@ def test_starts_and_ends_standing_on_the_pad(name: str) -> None:
     path = reference(plan)
     t = path.t_ns * 1e-9
     assert path.t_ns[0] == 0 and path.duration_s == pytest.approx(
-        plan.rest_s + plan.takeoff_s + plan.tour_s + plan.landing_s + plan.stand_s
+        plan.initial_rest_s + plan.takeoff_s + plan.tour_s + plan.landing_s + plan.final_rest_s
     )
-    resting = t <= plan.rest_s
+    resting = t <= plan.initial_rest_s
     np.testing.assert_array_equal(path.position_m[resting], np.tile([0.0, 0.0, STANDING_M], (resting.sum(), 1)))
-    assert not path.flying[t < plan.rest_s].any()
-    assert not path.flying[t > path.duration_s - plan.stand_s].any()
+    assert not path.flying[t < plan.initial_rest_s].any()
+    assert not path.flying[t > path.duration_s - plan.final_rest_s].any()
     np.testing.assert_allclose(path.position_m[-1], [0.0, 0.0, STANDING_M], atol=0.02)
     for still in (path.velocity_m_s, path.acceleration_m_s2, path.rate_rad_s):
         np.testing.assert_allclose(still[[0, -1]], 0.0, atol=1e-9)

@@ -6,7 +6,7 @@ import pytest
 
 from dronevio.sim.appearance.cutouts import Cutouts, Print, joined
 from dronevio.sim.appearance.lightmap import AreaLight, bake
-from dronevio.sim.appearance.prisms import filling, mantle
+from dronevio.sim.appearance.prisms import lateral_surface, prism_boxes
 from dronevio.sim.appearance.scenery import facing, paint_pages
 from dronevio.sim.appearance.solids import Face, Sheet, size_m
 from dronevio.sim.appearance.textures import Image
@@ -25,7 +25,7 @@ def ramp(rng: np.random.Generator, height: int, width: int) -> Image:
 
 @pytest.mark.parametrize("sides", [4, 8, 10, 16])
 def test_boxes_fill_a_prism_exactly(sides: int) -> None:
-    boxes = filling(1.3, 0.0, 2.0, sides)
+    boxes = prism_boxes(1.3, 0.0, 2.0, sides)
     space = Space(
         np.full(3, -9.0),
         np.full(3, 9.0),
@@ -44,7 +44,7 @@ def test_boxes_fill_a_prism_exactly(sides: int) -> None:
 
 
 def test_a_mantle_faces_outward_and_closes() -> None:
-    grid = mantle(np.array([2.0, 1.0, 0.0]), np.array([0.0, 1.0, 1.0]), 12)
+    grid = lateral_surface(np.array([2.0, 1.0, 0.0]), np.array([0.0, 1.0, 1.0]), 12)
     np.testing.assert_allclose(grid[:, 0], grid[:, -1], atol=1e-12)
     quads = np.stack([grid[:-1, :-1], grid[:-1, 1:], grid[1:, 1:], grid[1:, :-1]], axis=2).reshape(-1, 4, 3)
     normals = facing(quads)
@@ -83,7 +83,7 @@ def test_coarse_surfaces_have_coarse_images() -> None:
 
 
 def test_cutouts_share_an_image() -> None:
-    grid = mantle(np.array([1.0, 0.0]), np.full(2, 0.5), 8)
+    grid = lateral_surface(np.array([1.0, 0.0]), np.full(2, 0.5), 8)
     left, right = Cutouts.of_grid(grid, 0.0, 0.5), Cutouts.of_grid(grid + [3.0, 0.0, 0.0], 0.5, 1.0)
     whole = joined([left, right])
     page = Print(ramp, 10, 20, (left, right)).page(np.random.default_rng(0))

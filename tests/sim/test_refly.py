@@ -10,7 +10,7 @@ from dronevio.models.state import Trajectory
 from dronevio.sim.flight import Flight, fly
 from dronevio.sim.refly import cut, frame_stamps, refly
 from dronevio.sim.scenarios import scenario
-from dronevio.sim.world import place_of
+from dronevio.sim.world import flight_area
 
 START_NS = 1_403_715_273_262_142_976
 
@@ -45,7 +45,7 @@ def test_the_world_is_laid_around_the_path(recorded: Flight) -> None:
     flown = refly(path, None, rig_named("euroc"), "room", seed=3)
     T = flown.T_simworld_world
     laid = flown.truth.p_world_imu @ T[:3, :3].T + T[:3, 3]
-    assert place_of("room", 3).space.clearance(laid).min() >= 0.3
+    assert flight_area("room", 3).space.clearance(laid).min() >= 0.3
 
 
 def test_a_synthesized_imu_feels_the_path(recorded: Flight) -> None:

@@ -20,7 +20,7 @@ from dronevio.models.rig import Rig, RigCamera
 from dronevio.models.rotation import pose_matrix, quat_wxyz_from_matrix, rotation_z
 from dronevio.models.state import Trajectory
 from dronevio.sim.cameras.imaging import AutoExposure, FixedExposure, Imaging
-from dronevio.sim.cameras.schedule import FrameSchedule, beat, schedule_frames
+from dronevio.sim.cameras.schedule import FrameSchedule, nominal_stamps, schedule_frames
 from dronevio.sim.rendering.render import render
 from dronevio.sim.rendering.render_job import RenderJob
 
@@ -48,7 +48,7 @@ def at_rest() -> Trajectory:
 
 def job(**changes: Any) -> RenderJob:
     """Return six frames in a room."""
-    stamps_ns = beat(START_NS, START_NS + 300_000_000, 20.0)
+    stamps_ns = nominal_stamps(START_NS, START_NS + 300_000_000, 20.0)
     whole = RenderJob(
         "room",
         3,
@@ -76,7 +76,7 @@ def small_world(monkeypatch: pytest.MonkeyPatch) -> SimpleNamespace:
     spec.stat.extent = 10.0
     world = SimpleNamespace(spec=spec, illumination=1.0, movers=())
     monkeypatch.setattr("dronevio.sim.rendering.compiled_world.build_world", lambda name, seed: world)
-    monkeypatch.setattr("dronevio.sim.rendering.compiled_world.things_of", lambda name, seed: spec)
+    monkeypatch.setattr("dronevio.sim.rendering.compiled_world.instance_spec", lambda name, seed: spec)
     return world
 
 

@@ -11,7 +11,7 @@ from dronevio.models.camera import CameraModel
 from dronevio.models.errors import GraphicsError
 from dronevio.models.rig import EUROC_CAM0
 from dronevio.models.rig_presets import TUM_VI_CAMERA
-from dronevio.sim.cameras.atlas_renderer import Canvas
+from dronevio.sim.cameras.atlas_renderer import RenderContext
 from dronevio.sim.cameras.camera import OffscreenCamera
 
 SMALL = CameraModel(width=96, height=64, fx=60.0, fy=60.0, cx=47.5, cy=31.5)
@@ -36,46 +36,46 @@ def model() -> mujoco.MjModel:
 
 
 @pytest.fixture
-def canvas(model: mujoco.MjModel) -> Iterator[Canvas]:
-    opened = Canvas(model)
+def context(model: mujoco.MjModel) -> Iterator[RenderContext]:
+    opened = RenderContext(model)
     yield opened
     opened.close()
 
 
 @pytest.mark.parametrize("camera", [EUROC_CAM0, TUM_VI_CAMERA], ids=["single view", "cube"])
 def test_rows_are_those_of_the_whole_image(model: mujoco.MjModel, camera: CameraModel) -> None:
-    with OffscreenCamera(model, camera) as eye:
-        whole = eye.render(np.eye(4))
+    with OffscreenCamera(model, camera) as offscreen:
+        whole = offscreen.render(np.eye(4))
         assert whole.std() > 20.0
         for rows in (slice(0, 40), slice(100, 163), slice(camera.height - 1, camera.height), slice(2, camera.height)):
             turned = np.diag([-1.0, 1.0, -1.0, 1.0])
-            eye.render(turned)  # something else in the memory
-            part = eye.render(np.eye(4), rows=rows).astype(int)
+            offscreen.render(turned)  # something else in the memory
+            part = offscreen.render(np.eye(4), rows=rows).astype(int)
             assert part.shape == (rows.stop - rows.start, camera.width)
             assert np.abs(part - whole[rows]).max() <= 8  # a ball's outline may be drawn a hair's breadth off
             assert np.abs(part - whole[rows]).mean() < 1e-3
 
 
-def test_cameras_share_a_canvas(model: mujoco.MjModel, canvas: Canvas) -> None:
+def test_cameras_share_a_canvas(model: mujoco.MjModel, context: RenderContext) -> None:
     with OffscreenCamera(model, EUROC_CAM0) as alone:
         expected = alone.render(np.eye(4))
     with (
-        OffscreenCamera(model, SMALL, canvas=canvas) as small,
-        OffscreenCamera(model, EUROC_CAM0, canvas=canvas) as eye,
+        OffscreenCamera(model, SMALL, context=context) as small,
+        OffscreenCamera(model, EUROC_CAM0, context=context) as offscreen,
     ):
         assert small.render(np.eye(4)).max() > 100
-        np.testing.assert_array_equal(eye.render(np.eye(4)), expected)
+        np.testing.assert_array_equal(offscreen.render(np.eye(4)), expected)
         small.close()
-        np.testing.assert_array_equal(eye.render(np.eye(4)), expected)
-        canvas.close()
+        np.testing.assert_array_equal(offscreen.render(np.eye(4)), expected)
+        context.close()
         with pytest.raises(GraphicsError, match="closed"):
-            eye.render(np.eye(4))
+            offscreen.render(np.eye(4))
 
 
-def test_a_bigger_camera_does_not_change_a_smaller_one(model: mujoco.MjModel, canvas: Canvas) -> None:
-    with OffscreenCamera(model, SMALL, canvas=canvas) as small:
+def test_a_bigger_camera_does_not_change_a_smaller_one(model: mujoco.MjModel, context: RenderContext) -> None:
+    with OffscreenCamera(model, SMALL, context=context) as small:
         before = small.render(np.eye(4))
         big = replace(SMALL, width=500, height=400, cx=249.5, cy=199.5)
-        with OffscreenCamera(model, big, canvas=canvas) as eye:
-            assert eye.render(np.eye(4)).shape == (400, 500)
+        with OffscreenCamera(model, big, context=context) as offscreen:
+            assert offscreen.render(np.eye(4)).shape == (400, 500)
             np.testing.assert_array_equal(small.render(np.eye(4)), before)

@@ -20,8 +20,8 @@ def drone(request: pytest.FixtureRequest) -> Quadrotor:
 
 
 def turning(drone: Quadrotor, speeds: Array, change: Array | float = 0.0) -> RotorState:
-    state = Rotors(drone).start(speeds)
-    return replace(state, change_rad_s2=np.broadcast_to(change, speeds.shape))
+    state = Rotors(drone).steady_state(speeds)
+    return replace(state, acceleration_rad_s2=np.broadcast_to(change, speeds.shape))
 
 
 def flow(velocity: Array, rate: Array, height: float = HIGH_M, up: Array = UP) -> Airflow:
@@ -35,22 +35,22 @@ STILL = flow(np.zeros(3), np.zeros(3))
 def test_lag_is_first_order_and_independent_of_the_steps(drone: Quadrotor) -> None:
     rotors, fastest = Rotors(drone), drone.rotor_speed_max_rad_s
     start, command = fastest * np.array([0.0, 0.1, 0.5, 0.9]), fastest * np.array([0.6, 0.6, 0.0, 0.8])
-    once = rotors.after(rotors.start(start), command, 0.03).speed_rad_s
-    often = rotors.start(start)
+    once = rotors.step(rotors.steady_state(start), command, 0.03).speed_rad_s
+    often = rotors.steady_state(start)
     for _ in range(30):
-        often = rotors.after(often, command, 0.001)
+        often = rotors.step(often, command, 0.001)
     np.testing.assert_allclose(once, often.speed_rad_s, rtol=1e-12)
     np.testing.assert_allclose(once, command + (start - command) * np.exp(-0.03 / drone.rotor_time_constant_s))
 
 
 def test_speeds_stay_within_what_the_motors_can_do() -> None:
     rotors = Rotors(RESEARCH)
-    state = rotors.start(np.full(4, 500.0))
+    state = rotors.steady_state(np.full(4, 500.0))
     for _ in range(100):
-        state = rotors.after(state, np.array([900.0, -1e6, 300.0, 700.0]), 0.01)
+        state = rotors.step(state, np.array([900.0, -1e6, 300.0, 700.0]), 0.01)
     np.testing.assert_allclose(state.speed_rad_s, [900.0, 0.0, 300.0, 700.0], atol=1e-9)
     for _ in range(100):
-        state = rotors.after(state, np.full(4, 1e6), 0.01)
+        state = rotors.step(state, np.full(4, 1e6), 0.01)
     limit = RESEARCH.rotor_speed_per_v * float(state.voltage_v)
     assert np.all(state.speed_rad_s <= 1000.0)
     np.testing.assert_allclose(state.speed_rad_s, min(limit, 1000.0), rtol=1e-3)
@@ -60,9 +60,9 @@ def test_a_tired_battery_turns_the_rotors_more_slowly(drone: Quadrotor) -> None:
     rotors = Rotors(drone)
     fastest = []
     for charge in (1.0, 0.5, 0.1):
-        state = replace(rotors.start(np.zeros(4)), charge=np.array(charge))
+        state = replace(rotors.steady_state(np.zeros(4)), charge=np.array(charge))
         for _ in range(400):
-            state = rotors.after(state, np.full(4, 1e6), 0.005)
+            state = rotors.step(state, np.full(4, 1e6), 0.005)
         fastest.append(float(state.speed_rad_s[0]))
         assert state.charge < charge
     assert fastest[0] > 1.02 * fastest[1] > 1.04 * fastest[2]
@@ -70,10 +70,10 @@ def test_a_tired_battery_turns_the_rotors_more_slowly(drone: Quadrotor) -> None:
 
 def test_a_hover_drains_the_battery_by_its_current(drone: Quadrotor) -> None:
     rotors, hover = Rotors(drone), np.full(4, drone.hover_speed_rad_s)
-    state = rotors.start(hover)
+    state = rotors.steady_state(hover)
     used = 0.0
     for _ in range(2000):
-        state = rotors.after(state, hover, 0.005)
+        state = rotors.step(state, hover, 0.005)
         used += float(rotors.power_w(state) / state.voltage_v) * 0.005
     np.testing.assert_allclose((1.0 - state.charge) * drone.battery.capacity_ah * 3600.0, used, rtol=1e-9)
     endurance_min = 10.0 / 60.0 / (1.0 - float(state.charge))
@@ -110,13 +110,13 @@ def test_many_simulations_at_once_are_the_same_as_one_by_one(drone: Quadrotor) -
     up /= np.linalg.norm(up, axis=-1, keepdims=True)
     height, charge = rng.uniform(0.0, 1.0, (2, 5, 7))
     powered = rng.random((5, 7, 4)) < 0.8
-    start = replace(rotors.start(speeds), charge=charge)
-    together = rotors.after(start, commands, 0.005, powered)
+    start = replace(rotors.steady_state(speeds), charge=charge)
+    together = rotors.step(start, commands, 0.005, powered)
     wrenches = rotors.wrench(together, Airflow(velocity, rate, up, height))
     assert wrenches.shape == (5, 7, 6)
     for at in np.ndindex(5, 7):
-        alone = replace(rotors.start(speeds[at]), charge=charge[at])
-        alone = rotors.after(alone, commands[at], 0.005, powered[at])
+        alone = replace(rotors.steady_state(speeds[at]), charge=charge[at])
+        alone = rotors.step(alone, commands[at], 0.005, powered[at])
         np.testing.assert_allclose(alone.speed_rad_s, together.speed_rad_s[at], rtol=1e-13)
         np.testing.assert_allclose(alone.charge, together.charge[at], rtol=1e-13)
         np.testing.assert_allclose(alone.voltage_v, together.voltage_v[at], rtol=1e-13)
@@ -170,9 +170,9 @@ def test_speeding_up_turns_the_body_the_other_way(drone: Quadrotor) -> None:
 
 def test_electrical_power_covers_what_the_shafts_give_to_the_air(drone: Quadrotor) -> None:
     rng, rotors = np.random.default_rng(3), Rotors(drone)
-    state = rotors.start(drone.hover_speed_rad_s * rng.uniform(0.7, 1.2, 4))
+    state = rotors.steady_state(drone.hover_speed_rad_s * rng.uniform(0.7, 1.2, 4))
     command = drone.hover_speed_rad_s * rng.uniform(0.7, 1.2, 4)
-    after = rotors.after(state, command, 0.001)
+    after = rotors.step(state, command, 0.001)
     middle = 0.5 * (state.speed_rad_s + after.speed_rad_s)
     air = drone.torque_nm_per_rad2_s2 * middle**3
     stored = 0.5 * drone.rotor_inertia_kg_m2 * (after.speed_rad_s**2 - state.speed_rad_s**2) / 0.001
@@ -187,15 +187,15 @@ def test_electrical_power_covers_what_the_shafts_give_to_the_air(drone: Quadroto
 def test_a_rotor_without_power_coasts_and_gives_no_torque(drone: Quadrotor) -> None:
     rotors, hover = Rotors(drone), np.full(4, drone.hover_speed_rad_s)
     powered = np.array([True, False, True, True])
-    state = rotors.start(hover)
-    often = rotors.start(hover)
+    state = rotors.steady_state(hover)
+    often = rotors.steady_state(hover)
     for _ in range(100):
-        state = rotors.after(state, hover, 0.005, powered)
-        often = rotors.after(rotors.after(often, hover, 0.0025, powered), hover, 0.0025, powered)
+        state = rotors.step(state, hover, 0.005, powered)
+        often = rotors.step(rotors.step(often, hover, 0.0025, powered), hover, 0.0025, powered)
     np.testing.assert_allclose(state.speed_rad_s, often.speed_rad_s, rtol=1e-12)
     np.testing.assert_allclose(state.speed_rad_s[[0, 2, 3]], hover[0], rtol=1e-12)
     assert 0.0 < state.speed_rad_s[1] < 0.6 * hover[0]
-    shaft = drone.torque_nm_per_rad2_s2 * state.speed_rad_s**2 + drone.rotor_inertia_kg_m2 * state.change_rad_s2
+    shaft = drone.torque_nm_per_rad2_s2 * state.speed_rad_s**2 + drone.rotor_inertia_kg_m2 * state.acceleration_rad_s2
     assert abs(shaft[1]) < 0.02 * shaft[0]
 
 

@@ -9,7 +9,7 @@ from dronevio.models.errors import ConfigError
 from dronevio.models.rotation import rotation_z
 from dronevio.sim.paths.limits import LIMITS
 from dronevio.sim.paths.minimum_snap import minimum_snap
-from dronevio.sim.paths.route import clear_curve, clear_polyline, leg_clearances
+from dronevio.sim.paths.route import collision_free_curve, collision_free_polyline, leg_clearances
 from dronevio.sim.paths.space import Space
 
 MARGIN = 0.4
@@ -46,13 +46,13 @@ def test_the_least_clearance_of_legs_is_that_of_their_points() -> None:
 
 def test_a_clear_way_is_left_as_it_is() -> None:
     points = np.stack([START, GOAL])
-    np.testing.assert_array_equal(clear_polyline(hall(), points, MARGIN), points)
+    np.testing.assert_array_equal(collision_free_polyline(hall(), points, MARGIN), points)
 
 
 def test_the_way_leads_through_the_door() -> None:
     space, points = hall(*WALL_WITH_A_DOOR), np.stack([START, GOAL])
     assert leg_clearances(space, points[:1], points[1:])[0] < 0.0
-    way = clear_polyline(space, points, MARGIN)
+    way = collision_free_polyline(space, points, MARGIN)
     assert leg_clearances(space, way[:-1], way[1:]).min() >= MARGIN
     np.testing.assert_array_equal(way[[0, -1]], points)
     length = np.linalg.norm(np.diff(way, axis=0), axis=1).sum()
@@ -64,8 +64,8 @@ def test_the_way_leads_through_the_door() -> None:
 @pytest.mark.parametrize("level", ["easy", "race"])
 def test_the_curve_leads_through_the_door(level: str) -> None:
     space = hall(*WALL_WITH_A_DOOR)
-    way = clear_polyline(space, np.stack([START, GOAL, START + [0.0, 1.0, 0.5]]), MARGIN)
-    knots, points = clear_curve(space, way, MARGIN, LIMITS[level])
+    way = collision_free_polyline(space, np.stack([START, GOAL, START + [0.0, 1.0, 0.5]]), MARGIN)
+    knots, points = collision_free_curve(space, way, MARGIN, LIMITS[level])
     assert lowest(space, knots, points) >= MARGIN
     np.testing.assert_allclose(minimum_snap(knots, points)(knots[-1]), START + [0.0, 1.0, 0.5], atol=1e-9)
 
@@ -79,32 +79,32 @@ def test_curves_keep_clear_of_random_obstacles(seed: int) -> None:
     chances = rng.uniform(space.low + 0.6, space.high - 0.6, (200, 3))
     points = chances[space.clearance(chances) >= 0.55][:6]
     limits = LIMITS[("easy", "difficult", "race")[seed % 3]]
-    knots, points = clear_curve(space, clear_polyline(space, points, MARGIN), MARGIN, limits)
+    knots, points = collision_free_curve(space, collision_free_polyline(space, points, MARGIN), MARGIN, limits)
     assert lowest(space, knots, points) >= MARGIN
 
 
 def test_a_waypoint_in_a_wall_is_named_with_what_was_found() -> None:
     points = np.array([START, [5.0, 3.0, 1.5], GOAL])
     with pytest.raises(ConfigError, match=r"waypoint 1 at \[5.0, 3.0, 1.5\] m has -0.10 m .* expected at least 0.40 m"):
-        clear_polyline(hall(*WALL), points, MARGIN)
+        collision_free_polyline(hall(*WALL), points, MARGIN)
     with pytest.raises(ConfigError, match=r"the third gate at \[9.7"):
-        clear_polyline(hall(), np.array([START, [9.7, 3.0, 1.5]]), MARGIN, ["home", "the third gate"])
+        collision_free_polyline(hall(), np.array([START, [9.7, 3.0, 1.5]]), MARGIN, ["home", "the third gate"])
 
 
 def test_a_waypoint_that_is_no_number_is_refused() -> None:
     with pytest.raises(ConfigError, match="waypoint 1"):
-        clear_polyline(hall(), np.array([START, [np.nan, 3.0, 1.5]]), MARGIN)
+        collision_free_polyline(hall(), np.array([START, [np.nan, 3.0, 1.5]]), MARGIN)
 
 
 def test_where_there_is_no_way_the_leg_is_named() -> None:
     with pytest.raises(ConfigError, match=r"no way from waypoint 0 at \[1.0.* to waypoint 1 at \[9.0"):
-        clear_polyline(hall(*WALL), np.stack([START, GOAL]), MARGIN)
+        collision_free_polyline(hall(*WALL), np.stack([START, GOAL]), MARGIN)
     # The door of 1.6 m is too narrow for a margin of 0.85 m.
     with pytest.raises(ConfigError, match="no way"):
-        clear_polyline(hall(*WALL_WITH_A_DOOR), np.stack([START, GOAL]), 0.85)
+        collision_free_polyline(hall(*WALL_WITH_A_DOOR), np.stack([START, GOAL]), 0.85)
 
 
 def test_a_waypoint_without_room_to_turn_is_refused() -> None:
     points = np.array([[1.0, 3.0, 1.5], [9.6, 3.0, 1.5], [1.0, 3.2, 1.5]])  # to the wall as close as allowed
     with pytest.raises(ConfigError, match=r"curve near .* expected 0.40 m and some more"):
-        clear_curve(hall(), points, MARGIN, LIMITS["medium"])
+        collision_free_curve(hall(), points, MARGIN, LIMITS["medium"])

@@ -4,10 +4,10 @@ import numpy as np
 import pytest
 
 from dronevio.models.errors import ConfigError
-from dronevio.sim.cameras.schedule import FrameSchedule, beat, schedule_frames
+from dronevio.sim.cameras.schedule import FrameSchedule, nominal_stamps, schedule_frames
 
 START_NS = 1_403_715_273_262_142_976  # does not fit into a float: a real recording's
-BEAT_NS = beat(START_NS, START_NS + 1000 * 50_000_000, 20.0)
+BEAT_NS = nominal_stamps(START_NS, START_NS + 1000 * 50_000_000, 20.0)
 
 
 def rng() -> np.random.Generator:

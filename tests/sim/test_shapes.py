@@ -12,19 +12,19 @@ from dronevio.sim.paths.limits import LIMITS, Limits
 from dronevio.sim.paths.path import Reference, attitude, plan_reference
 from dronevio.sim.paths.plan import FlightPlan
 from dronevio.sim.paths.shapes import SHAPES
-from dronevio.sim.paths.space import Place, Space
-from dronevio.sim.world import WORLDS, place_of
+from dronevio.sim.paths.space import FlightArea, Space
+from dronevio.sim.world import WORLDS, flight_area
 
 STEP_NS = 5_000_000
 STANDING_M = 0.112
 EVERYWHERE = tuple(name for name in SHAPES if name != "via")
 
 
-def planned(plan: FlightPlan, place: Place, seed: int = 0) -> Reference:
+def planned(plan: FlightPlan, place: FlightArea, seed: int = 0) -> Reference:
     return plan_reference(plan, place, STANDING_M, STEP_NS, np.random.default_rng(seed))
 
 
-def hall(*boxes: tuple[list[float], list[float]]) -> Place:
+def hall(*boxes: tuple[list[float], list[float]]) -> FlightArea:
     """A hall of 20 × 12 × 5 m around a pad, with boxes of given middles and half sizes in it."""
     space = Space(
         np.array([-10.0, -6.0, 0.0]),
@@ -35,10 +35,10 @@ def hall(*boxes: tuple[list[float], list[float]]) -> Place:
     )
     free_box = np.array([[-4.0, -4.0, 0.0], [4.0, 4.0, 4.0]])
     route = np.array([[0.0, 0.0, 1.3], [8.0, -4.0, 2.0], [8.0, 4.0, 3.0], [-8.0, 4.0, 2.0], [-8.0, -4.0, 1.0]])
-    return Place(space, free_box, np.zeros(3), route)
+    return FlightArea(space, free_box, np.zeros(3), route)
 
 
-def aloft(path: Reference, place: Place) -> np.ndarray:
+def aloft(path: Reference, place: FlightArea) -> np.ndarray:
     """Which rows belong to the tour: neither standing nor on the vertical above the pad."""
     return np.linalg.norm(path.position_m[:, :2] - place.pad[:2], axis=1) > 1e-3
 
@@ -46,9 +46,9 @@ def aloft(path: Reference, place: Place) -> np.ndarray:
 @pytest.mark.parametrize("world", WORLDS)
 @pytest.mark.parametrize("shape", EVERYWHERE)
 def test_every_shape_fits_every_world(world: str, shape: str) -> None:
-    place = place_of(world, 1)
+    place = flight_area(world, 1)
     level = sorted(LIMITS)[(EVERYWHERE.index(shape) + sorted(WORLDS).index(world)) % len(LIMITS)]
-    plan = FlightPlan(shape=shape, limits=LIMITS[level], jitter=0.1)
+    plan = FlightPlan(shape=shape, limits=LIMITS[level], waypoint_jitter=0.1)
     path, limits = planned(plan, place), plan.limits
     # Clear of everything.
     away = aloft(path, place)
@@ -77,19 +77,19 @@ def test_every_shape_fits_every_world(world: str, shape: str) -> None:
 
 
 def test_same_seed_same_path_and_without_jitter_always_the_same() -> None:
-    place, plan = hall(), FlightPlan(shape="figure-8", jitter=0.1)
+    place, plan = hall(), FlightPlan(shape="figure-8", waypoint_jitter=0.1)
     first, again, other = (planned(plan, place, seed) for seed in (3, 3, 4))
     assert first.position_m.tobytes() == again.position_m.tobytes()
     assert first.yaw_rad.tobytes() == again.yaw_rad.tobytes()
     assert len(first) != len(other) or not np.array_equal(first.position_m, other.position_m)
-    exact = replace(plan, jitter=0.0)
+    exact = replace(plan, waypoint_jitter=0.0)
     np.testing.assert_array_equal(planned(exact, place, 3).position_m, planned(exact, place, 4).position_m)
 
 
 def test_jitter_moves_waypoints_as_far_as_is_clear() -> None:
     place = hall(([8.0, -2.5, 2.0], [0.3, 0.3, 2.0]), ([8.0, -5.5, 2.0], [0.3, 0.3, 2.0]))  # a gate in the route
     for seed in range(2):
-        path = planned(FlightPlan(shape="tour", jitter=2.0), place, seed)
+        path = planned(FlightPlan(shape="tour", waypoint_jitter=2.0), place, seed)
         assert place.space.clearance(path.position_m[aloft(path, place)]).min() >= 0.4
 
 
@@ -211,7 +211,7 @@ def test_headings_can_be_chosen() -> None:
     away = slice(2000, None)
     fixed = planned(replace(plan, heading="fixed"), place)
     np.testing.assert_array_equal(fixed.yaw_rad, 0.0)
-    toward = planned(replace(plan, heading="toward", toward_m=(0.5, 0.0)), place)
+    toward = planned(replace(plan, heading="toward", heading_target_m=(0.5, 0.0)), place)
     tour = aloft(toward, place)
     ahead = np.array([0.5, 0.0]) - toward.position_m[:, :2]
     ahead /= np.linalg.norm(ahead, axis=1, keepdims=True)
@@ -265,9 +265,9 @@ def test_a_pad_with_something_above_it_is_refused() -> None:
         ({"shape": "triangle"}, "unknown shape 'triangle'; expected waypoints or one of hover"),
         ({"shape": "tour", "laps": 0}, "laps = 0"),
         ({"shape": "tour", "margin_m": -0.1}, "margin_m = -0.1"),
-        ({"shape": "tour", "rest_s": float("nan")}, "rest_s = nan"),
+        ({"shape": "tour", "initial_rest_s": float("nan")}, "initial_rest_s = nan"),
         ({"shape": "tour", "takeoff_s": 0.0}, "takeoff_s = 0"),
-        ({"shape": "tour", "toward_m": (float("inf"), 0.0)}, "toward_m"),
+        ({"shape": "tour", "heading_target_m": (float("inf"), 0.0)}, "heading_target_m"),
         ({"tour_s": 0.0}, "tour_s = 0"),
         ({"shape": "via", "waypoints": ((0.0, float("nan"), 1.0),)}, "waypoints"),
     ],

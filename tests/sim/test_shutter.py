@@ -104,7 +104,7 @@ def test_markers_land_where_their_row_sees_them(
             drawn.append(rows.stop - rows.start)
             return eye.render(poses(np.array([t_ns]))[0], rows=rows)
 
-        light = shutter.collect(plan, poses, view)
+        light = shutter.expose(plan, poses, view)
     assert light.shape == (camera.height, camera.width)
     assert sum(drawn) <= (1.0 if not any(rate) else 5.0) * shutter.drawn.height
     expected = expected_pixels(rig_camera, poses, p_world)
@@ -144,7 +144,7 @@ def test_it_is_the_mean_over_every_row_s_exposure(exposure_s: float, readout_s: 
     since_ns = np.linspace(-0.5, 0.5, count) * (exposure_s + readout_s) * 1e9
     with OffscreenCamera(model, shutter.drawn) as eye, OffscreenCamera(model, TINY) as plain:
         plan = shutter.plan(poses, MIDDLE_NS, exposure_s, nearest_m=1.4)
-        light = shutter.collect(plan, poses, lambda t_ns, rows: eye.render(poses(np.array([t_ns]))[0], rows=rows))
+        light = shutter.expose(plan, poses, lambda t_ns, rows: eye.render(poses(np.array([t_ns]))[0], rows=rows))
         everything = np.stack([plain.render(T) for T in poses(MIDDLE_NS + np.rint(since_ns).astype(np.int64))])
     delays_ns = (np.arange(TINY.height) / (TINY.height - 1) - 0.5) * readout_s * 1e9
     exposed = np.abs(since_ns[:, None] - delays_ns) <= 0.5e9 * exposure_s + 1.0
@@ -159,9 +159,9 @@ def test_what_does_not_move_is_drawn_once_as_it_is() -> None:
     shutter = Shutter(RigCamera(SMALL, np.eye(4), readout_s=0.02), margin_px=3)
     poses = moving([0.002, 0.0, 0.0], [0.0, 0.002, 0.0])
     plan = shutter.plan(poses, MIDDLE_NS, 0.002, nearest_m=2.0)
-    assert plan.still and plan.keys_ns.tolist() == [MIDDLE_NS]
+    assert plan.static and plan.keys_ns.tolist() == [MIDDLE_NS]
     drawn = np.random.default_rng(0).integers(0, 255, (shutter.drawn.height, shutter.drawn.width), dtype=np.uint8)
-    light = shutter.collect(plan, poses, lambda t_ns, rows: drawn[rows])
+    light = shutter.expose(plan, poses, lambda t_ns, rows: drawn[rows])
     np.testing.assert_array_equal(light, drawn[3:-3, 3:-3])
 
 

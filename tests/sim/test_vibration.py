@@ -9,7 +9,7 @@ from dronevio.models.quadrotor import Quadrotor
 from dronevio.models.rig import euroc_rig
 from dronevio.models.vibration import EUROC_VIBRATION, RotorVibration
 from dronevio.sim.flight import fly
-from dronevio.sim.inertial.vibration import RotorTones, Stillness
+from dronevio.sim.inertial.vibration import NoVibration, RotorHarmonics
 from dronevio.sim.paths.plan import FlightPlan
 from dronevio.sim.scenario import Scenario
 
@@ -42,8 +42,8 @@ def test_imbalance_is_a_tone_at_the_rotors_speed_or_its_alias(frequency_hz: floa
     speed = 2.0 * np.pi * frequency_hz
     speeds = np.tile([speed, 0.0, 0.0, 0.0], (N, 1))
     alias_hz = min(frequency_hz, 200.0 - frequency_hz)
-    tones = RotorTones(shaken(imbalance_m=1e-6, imbalance_rad=1e-5), ALIGNED, np.random.default_rng(0))
-    gyro, accel = tones.felt(batch(), speeds)
+    tones = RotorHarmonics(shaken(imbalance_m=1e-6, imbalance_rad=1e-5), ALIGNED, np.random.default_rng(0))
+    gyro, accel = tones.sensed(batch(), speeds)
     for axis in (0, 1):
         np.testing.assert_allclose(amplitude(accel[:, axis], alias_hz), 1e-6 * speed**2, rtol=1e-9)
         np.testing.assert_allclose(amplitude(gyro[:, axis], alias_hz), 1e-5 * speed, rtol=1e-9)
@@ -55,7 +55,7 @@ def test_imbalance_is_a_tone_at_the_rotors_speed_or_its_alias(frequency_hz: floa
 def test_imbalance_turns_with_the_held_rotor_speed(rotor: int) -> None:
     quadrotor, speeds = shaken(imbalance_m=1e-6), np.zeros((N, 4))
     speeds[:, rotor] = np.random.default_rng(8).uniform(50.0, 600.0, N)  # less than half a turn an interval
-    _, accel = RotorTones(quadrotor, ALIGNED, np.random.default_rng(9)).felt(batch(), speeds)
+    _, accel = RotorHarmonics(quadrotor, ALIGNED, np.random.default_rng(9)).sensed(batch(), speeds)
     pull = accel[:, 0] + 1j * accel[:, 1]
     turned = np.angle(pull[1:] / pull[:-1])
     np.testing.assert_allclose(turned, quadrotor.rotor_directions[rotor] * speeds[:-1, rotor] * 5e-3, atol=1e-9)
@@ -65,7 +65,7 @@ def test_imbalance_turns_with_the_held_rotor_speed(rotor: int) -> None:
 def test_blades_pull_along_the_axis_as_often_as_they_pass(blades: int, harmonics: int) -> None:
     speed = 2.0 * np.pi * 20.0
     quadrotor = shaken(blade_pass_m=1e-6, blade_pass_rad=1e-5, blades=blades, harmonics=harmonics)
-    gyro, accel = RotorTones(quadrotor, ALIGNED, np.random.default_rng(0)).felt(
+    gyro, accel = RotorHarmonics(quadrotor, ALIGNED, np.random.default_rng(0)).sensed(
         batch(), np.tile([speed, 0.0, 0.0, 0.0], (N, 1))
     )
     np.testing.assert_allclose(amplitude(accel[:, 2], blades * 20.0), 1e-6 * speed**2, rtol=1e-9)
@@ -77,8 +77,12 @@ def test_blades_pull_along_the_axis_as_often_as_they_pass(blades: int, harmonics
 def test_the_kth_harmonic_is_k_squared_times_weaker() -> None:
     speed = 2.0 * np.pi * 10.0
     speeds = np.tile([speed, 0.0, 0.0, 0.0], (N, 1))
-    both = RotorTones(shaken(blade_pass_m=1e-6, harmonics=2), ALIGNED, np.random.default_rng(0)).felt(batch(), speeds)
-    one = RotorTones(shaken(blade_pass_m=1e-6, harmonics=1), ALIGNED, np.random.default_rng(0)).felt(batch(), speeds)
+    both = RotorHarmonics(shaken(blade_pass_m=1e-6, harmonics=2), ALIGNED, np.random.default_rng(0)).sensed(
+        batch(), speeds
+    )
+    one = RotorHarmonics(shaken(blade_pass_m=1e-6, harmonics=1), ALIGNED, np.random.default_rng(0)).sensed(
+        batch(), speeds
+    )
     np.testing.assert_allclose(amplitude((both[1] - one[1])[:, 2], 40.0), 0.25e-6 * speed**2, rtol=1e-9)
 
 
@@ -86,11 +90,11 @@ def test_an_increment_is_the_mean_of_the_points_in_its_interval() -> None:
     """However the speeds change from one interval to the next; by points 500 times as dense."""
     quadrotor, dense = replace(Quadrotor(), vibration=EUROC_VIBRATION), 500
     speeds = np.random.default_rng(1).uniform(300.0, 900.0, (100, 4))
-    means = RotorTones(quadrotor, WIDE, np.random.default_rng(2)).felt(batch(100, "increment"), speeds)
+    means = RotorHarmonics(quadrotor, WIDE, np.random.default_rng(2)).sensed(batch(100, "increment"), speeds)
     t_ns = np.arange(100 * dense + 1, dtype=np.int64) * (STEP_NS // dense)
     points = ImuSamples(t_ns, np.zeros((len(t_ns), 3)), np.zeros((len(t_ns), 3)))
     held = np.vstack([np.repeat(speeds, dense, axis=0), speeds[-1:]])
-    fine = RotorTones(quadrotor, WIDE, np.random.default_rng(2)).felt(points, held)
+    fine = RotorHarmonics(quadrotor, WIDE, np.random.default_rng(2)).sensed(points, held)
     for mean, signal in zip(means, fine, strict=True):
         np.testing.assert_allclose(
             mean, signal[:-1].reshape(100, dense, 3).mean(axis=1), atol=0.01 * np.abs(signal).max()
@@ -100,7 +104,7 @@ def test_an_increment_is_the_mean_of_the_points_in_its_interval() -> None:
 def test_a_filter_attenuates_by_3_db_at_its_bandwidth() -> None:
     rig = replace(ALIGNED, imu=replace(ALIGNED.imu, gyro_bandwidth_hz=60.0, accel_bandwidth_hz=120.0))
     speed = 2.0 * np.pi * 60.0
-    gyro, accel = RotorTones(shaken(imbalance_m=1e-6, imbalance_rad=1e-5), rig, np.random.default_rng(0)).felt(
+    gyro, accel = RotorHarmonics(shaken(imbalance_m=1e-6, imbalance_rad=1e-5), rig, np.random.default_rng(0)).sensed(
         batch(), np.tile([speed, 0.0, 0.0, 0.0], (N, 1))
     )
     np.testing.assert_allclose(amplitude(gyro[:, 0], 60.0), 1e-5 * speed / np.sqrt(2.0), rtol=1e-9)
@@ -112,9 +116,9 @@ def test_rotors_go_on_turning_between_batches(sampling: Sampling) -> None:
     quadrotor = replace(Quadrotor(), vibration=EUROC_VIBRATION)
     speeds = np.random.default_rng(3).uniform(300.0, 900.0, (N, 4))
     samples = batch(N, sampling)
-    whole = RotorTones(quadrotor, RIG, np.random.default_rng(4)).felt(samples, speeds)
-    tones, edges = RotorTones(quadrotor, RIG, np.random.default_rng(4)), (0, 1, 4, 4, 700, N)
-    parts = [tones.felt(samples[a:b], speeds[a:b]) for a, b in pairwise(edges)]
+    whole = RotorHarmonics(quadrotor, RIG, np.random.default_rng(4)).sensed(samples, speeds)
+    tones, edges = RotorHarmonics(quadrotor, RIG, np.random.default_rng(4)), (0, 1, 4, 4, 700, N)
+    parts = [tones.sensed(samples[a:b], speeds[a:b]) for a, b in pairwise(edges)]
     for k in (0, 1):
         np.testing.assert_allclose(np.vstack([part[k] for part in parts]), whole[k], atol=1e-9)
 
@@ -122,25 +126,25 @@ def test_rotors_go_on_turning_between_batches(sampling: Sampling) -> None:
 def test_the_mount_turns_what_is_felt() -> None:
     quadrotor = replace(Quadrotor(), vibration=EUROC_VIBRATION)
     speeds = np.full((N, 4), 650.0)
-    straight = RotorTones(quadrotor, ALIGNED, np.random.default_rng(5)).felt(batch(), speeds)
-    turned = RotorTones(quadrotor, WIDE, np.random.default_rng(5)).felt(batch(), speeds)
+    straight = RotorHarmonics(quadrotor, ALIGNED, np.random.default_rng(5)).sensed(batch(), speeds)
+    turned = RotorHarmonics(quadrotor, WIDE, np.random.default_rng(5)).sensed(batch(), speeds)
     for k in (0, 1):
         np.testing.assert_allclose(turned[k] @ WIDE.T_vehicle_imu[:3, :3].T, straight[k], atol=1e-12)
 
 
 def test_perfect_and_standing_rotors_shake_nothing() -> None:
-    perfect = RotorTones(Quadrotor(), RIG, np.random.default_rng(6)).felt(batch(), np.full((N, 4), 650.0))
-    standing = RotorTones(replace(Quadrotor(), vibration=EUROC_VIBRATION), RIG, np.random.default_rng(6)).felt(
+    perfect = RotorHarmonics(Quadrotor(), RIG, np.random.default_rng(6)).sensed(batch(), np.full((N, 4), 650.0))
+    standing = RotorHarmonics(replace(Quadrotor(), vibration=EUROC_VIBRATION), RIG, np.random.default_rng(6)).sensed(
         batch(), np.zeros((N, 4))
     )
     assert not any(
-        part.any() for felt in (perfect, standing, Stillness().felt(batch(), np.zeros((N, 4)))) for part in felt
+        part.any() for felt in (perfect, standing, NoVibration().sensed(batch(), np.zeros((N, 4)))) for part in felt
     )
 
 
 def test_the_shaken_quadrotor_shakes_as_eurocs_drone_does() -> None:
     """R.m.s. of flight V1_02 between 60 and 100 Hz: 1.08, 0.43, 0.86 m/s² and 0.008, 0.039, 0.018 rad/s."""
-    gyro, accel = RotorTones(replace(Quadrotor(), vibration=EUROC_VIBRATION), RIG, np.random.default_rng(7)).felt(
+    gyro, accel = RotorHarmonics(replace(Quadrotor(), vibration=EUROC_VIBRATION), RIG, np.random.default_rng(7)).sensed(
         batch(), np.tile([640.0, 655.0, 662.0, 671.0], (N, 1))
     )
     np.testing.assert_allclose(np.sqrt(np.square(accel).mean(axis=0)), [1.08, 0.65, 0.65], rtol=0.25)
@@ -149,7 +153,9 @@ def test_the_shaken_quadrotor_shakes_as_eurocs_drone_does() -> None:
 
 def test_a_flight_is_shaken_by_its_own_rotors() -> None:
     """All that a shaken IMU reads beyond a still one are the tones of the speeds at which its rotors turned."""
-    plan = FlightPlan(rest_s=0.3, takeoff_s=1.0, tour_s=1.5, landing_s=1.2, stand_s=0.3, height_m=0.6, floor_m=0.3)
+    plan = FlightPlan(
+        initial_rest_s=0.3, takeoff_s=1.0, tour_s=1.5, landing_s=1.2, final_rest_s=0.3, height_m=0.6, min_height_m=0.3
+    )
     calm = Scenario("calm", "a hover", plan)
     still, moved = fly(calm), fly(replace(calm, quadrotor=replace(Quadrotor(), vibration=EUROC_VIBRATION)))
     step = calm.rig.imu.accel_resolution_m_s2

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from dronevio.models.errors import ConfigError
-from dronevio.sim.physics.wind import CALM, GustyAir, SteadyAir, Wind, air_of
+from dronevio.sim.physics.wind import CALM, GustyAir, SteadyAir, Wind, make_air
 
 BREEZE = Wind((5.0, 0.0, 0.0), gusts=1.0)
 FOOT_M = 0.3048
@@ -29,7 +29,7 @@ def test_gust_statistics_do_not_depend_on_the_step_length(steps: int) -> None:
     before = air.velocity_m_s() - BREEZE.mean_m_s
     distance = 2.0
     for _ in range(steps):
-        air.pass_by(np.full(40_000, distance / steps))
+        air.move_through(np.full(40_000, distance / steps))
     after = air.velocity_m_s() - BREEZE.mean_m_s
     sigma, d = BREEZE.gust_deviations_m_s, distance / BREEZE.gust_lengths_m
     np.testing.assert_allclose(before.std(axis=0), sigma, rtol=0.015)
@@ -45,7 +45,7 @@ def test_spectra_are_the_standards() -> None:
     gusts = np.empty((samples, runs, 3))
     for k in range(samples):
         gusts[k] = air.velocity_m_s() - BREEZE.mean_m_s
-        air.pass_by(np.full(runs, step))
+        air.move_through(np.full(runs, step))
     window = np.hanning(samples)[:, None, None]
     density = np.mean(np.abs(np.fft.rfft(gusts * window, axis=0)) ** 2, axis=1)
     density *= 2.0 * step / (2.0 * np.pi) / np.sum(window**2)  # one-sided, by wave number
@@ -72,7 +72,7 @@ def test_parallel_gusts_are_independent_and_renewed_on_restart() -> None:
     air = GustyAir(BREEZE, np.random.default_rng(3), (2,))
     first = air.velocity_m_s()
     assert not np.any(first[0] == first[1])
-    air.restart()
+    air.reset()
     assert not np.any(air.velocity_m_s() == first)
     again = GustyAir(BREEZE, np.random.default_rng(3), (2,))
     np.testing.assert_array_equal(again.velocity_m_s(), first)
@@ -81,17 +81,17 @@ def test_parallel_gusts_are_independent_and_renewed_on_restart() -> None:
 def test_standing_in_the_frozen_field_nothing_changes() -> None:
     air = GustyAir(BREEZE, np.random.default_rng(4))
     before = air.velocity_m_s()
-    air.pass_by(np.float64(0.0))
+    air.move_through(np.float64(0.0))
     np.testing.assert_array_equal(air.velocity_m_s(), before)
 
 
 def test_no_gusts_need_no_random_numbers() -> None:
-    steady = air_of(Wind((1.0, 2.0, -0.5)), None)
-    steady.pass_by(np.float64(3.0))
+    steady = make_air(Wind((1.0, 2.0, -0.5)), None)
+    steady.move_through(np.float64(3.0))
     np.testing.assert_array_equal(steady.velocity_m_s(), [1.0, 2.0, -0.5])
-    assert isinstance(air_of(CALM, None), SteadyAir)
+    assert isinstance(make_air(CALM, None), SteadyAir)
     with pytest.raises(ConfigError, match="random generator"):
-        air_of(BREEZE, None)
+        make_air(BREEZE, None)
 
 
 @pytest.mark.parametrize(

@@ -15,7 +15,7 @@ from dronevio.sim.appearance.textures import Image
 from dronevio.sim.cameras.camera import OffscreenCamera
 from dronevio.sim.paths.space import Space
 from dronevio.sim.props.traffic import Lap, Swing
-from dronevio.sim.world import WORLDS, build_world, place_of
+from dronevio.sim.world import WORLDS, build_world, flight_area
 from dronevio.sim.worlds.assembly import space_of
 from dronevio.sim.worlds.contact_sheet import contact_sheet, sheet_of_worlds, viewpoints, views
 from dronevio.sim.worlds.layout import ROUTE_CLEARANCE_M, Layout
@@ -97,7 +97,7 @@ def test_seeds_draw_other_places_and_the_same_ones_again(name: str) -> None:
 
 
 def test_a_place_is_that_of_its_world() -> None:
-    world, place = build_world("repetitive", 2), place_of("repetitive", 2)
+    world, place = build_world("repetitive", 2), flight_area("repetitive", 2)
     np.testing.assert_array_equal(place.route, world.route)
     np.testing.assert_array_equal(place.space.centres, world.space.centres)
     np.testing.assert_array_equal(place.free_box, world.free_box)

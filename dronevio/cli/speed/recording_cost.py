@@ -17,7 +17,7 @@ from dronevio.models.rig_presets import rig_named
 from dronevio.recorder import record_flight
 from dronevio.sim.flight import fly
 from dronevio.sim.paths.plan import FlightPlan
-from dronevio.sim.rendering.frame_tasks import at_a_glance
+from dronevio.sim.rendering.frame_tasks import thumbnail
 from dronevio.sim.scenario import Scenario
 
 _MEASURE_MEMORY = "from dronevio.cli.speed.recording_cost import print_peak_memory; print_peak_memory()"
@@ -45,15 +45,15 @@ def measured_scenario(world: str, rig: Rig, seed: int, duration_s: float) -> Sce
     """Return a scenario of a given duration that flies small hops above the pad of a world."""
     tour_s = duration_s - _TAKEOFF_S - _LANDING_S - 2.0 * _STAND_S
     plan = FlightPlan(
-        rest_s=_STAND_S,
+        initial_rest_s=_STAND_S,
         takeoff_s=_TAKEOFF_S,
         tour_s=tour_s,
         landing_s=_LANDING_S,
-        stand_s=_STAND_S,
+        final_rest_s=_STAND_S,
         height_m=0.6,
-        floor_m=0.3,
+        min_height_m=0.3,
         waypoints=_HOPS * max(1, round(tour_s / (1.5 * len(_HOPS)))),
-        turning=0.5,
+        heading_scale=0.5,
     )
     return Scenario("speed", "hops above the pad", plan, world, rig, seed=seed)
 
@@ -64,7 +64,7 @@ def measured_rig(name: str, small_images: bool, rate_hz: float | None = None) ->
     cameras = [
         replace(
             camera,
-            model=at_a_glance(camera.model) if small_images else camera.model,
+            model=thumbnail(camera.model) if small_images else camera.model,
             rate_hz=camera.rate_hz if rate_hz is None else rate_hz,
         )
         for camera in rig.cameras
