@@ -31,12 +31,12 @@ from typing import Annotated, Literal
 
 import numpy as np
 import tyro
+from markdown import table
 from revision_differences import ABSENT, Arrays, Difference, differences
 from revision_probe import VERSION
 from rich.console import Console
 from rich.markup import escape
 from rich.table import Table
-from tables import table
 
 Subject = Literal["mono", "stereo", "rolling", "eqvio", "flight"]
 

@@ -1,8 +1,8 @@
-"""Fetch the uv binary from a Python package index, with nothing but Python's standard library.
+"""Download the uv binary from a Python package index with Python's standard library alone.
 
-Usage: ``python3 fetch_uv.py VERSION DESTINATION``. The index is PyPI, or what ``UV_DEFAULT_INDEX``, ``UV_INDEX_URL`` or
-``PIP_INDEX_URL`` name. Certificates come from ``PIP_CERT``, ``SSL_CERT_FILE`` or the system, proxies from
-``https_proxy``. The wheel's SHA-256 is checked against the one that the index gives (PEP 503).
+Usage: ``python3 fetch_uv.py VERSION DESTINATION``. The index is PyPI, or the one that ``UV_DEFAULT_INDEX``,
+``UV_INDEX_URL`` or ``PIP_INDEX_URL`` names. Certificates come from ``PIP_CERT``, ``SSL_CERT_FILE`` or the system,
+proxies from ``https_proxy``. The wheel's SHA-256 is checked against the one that the index gives (PEP 503).
 """
 
 import hashlib
@@ -28,7 +28,7 @@ def index_url() -> str:
 
 
 def download(url: str) -> bytes:
-    """Return what lies at an address, honouring a user and password in it."""
+    """Return the content at an address, which may contain a user name and a password."""
     parts = urllib.parse.urlsplit(url)
     bare = parts._replace(netloc=parts.netloc.rpartition("@")[2]).geturl()
     certificates = os.environ.get("PIP_CERT") or None
@@ -48,18 +48,18 @@ class Links(HTMLParser):
     """Collects the addresses of a page's links."""
 
     def __init__(self, page: str) -> None:
-        """Read a page."""
+        """Parse a page."""
         super().__init__()
         self.addresses: list[str] = []
         self.feed(page)
 
     def handle_starttag(self, tag: str, attrs: "list[tuple[str, str | None]]") -> None:
-        """Keep the address of a link."""
+        """Add the address of a link."""
         self.addresses += [value for name, value in attrs if tag == "a" and name == "href" and value]
 
 
 def fits_this_machine(wheel: str) -> bool:
-    """Say whether a wheel's name promises a binary for this system and processor."""
+    """Return whether the name of a wheel states this system and processor."""
     machine = platform.machine().lower()
     if platform.system() == "Darwin":
         return "macosx" in wheel and wheel.endswith(f"_{machine}.whl")
@@ -70,7 +70,7 @@ def find_wheel(version: str) -> "tuple[str, str]":
     """Return the address and the SHA-256 of uv's wheel for this machine.
 
     Raises:
-        LookupError: The index has none.
+        LookupError: The index has no such wheel.
     """
     page_url = index_url() + "uv/"
     for address in Links(download(page_url).decode()).addresses:
@@ -85,7 +85,7 @@ def fetch(version: str, destination: Path) -> None:
     """Write the uv binary to ``destination``.
 
     Raises:
-        LookupError: The index has no wheel for this machine, or one that is not what it promises.
+        LookupError: The index has no wheel for this machine, or the hash of the wheel is wrong.
     """
     url, expected = find_wheel(version)
     wheel = download(url)

@@ -1,10 +1,10 @@
-"""The same figures as other programs give, or why not: a table of every published row and whether ours agree.
+"""Compare the metrics with those of other programs: evo, the rpg toolbox, a KITTI evaluation and TUM's scripts.
 
-Needs a folder of public trajectories with the figures that evo, the rpg toolbox, a KITTI evaluation and TUM's scripts
-gave for them, named by DRONEVIO_DATA or on the command line::
+The script needs a folder of public trajectories with the figures of these programs, which DRONEVIO_DATA or the command
+line names::
 
-    python scripts/parity.py                  # a line for every row
-    python scripts/parity.py --brief FOLDER   # only sums and what disagrees
+    python scripts/parity.py                  # one line per row of figures
+    python scripts/parity.py --brief FOLDER   # only sums, and rows that differ
 """
 
 import json
@@ -43,30 +43,30 @@ from dronevio.models.state import Trajectory
 Array = npt.NDArray[np.float64]
 
 AGREEMENT = 1e-6
-"""Relative difference up to which two figures are the same."""
+"""Largest relative difference of two figures that are equal."""
 _STATISTICS = ("rmse", "mean", "median", "max", "min", "std")
 
 
 @dataclass(frozen=True)
-class Row:
-    """One row of published figures beside ours."""
+class Comparison:
+    """Comparison of one row of published figures with ours."""
 
     tool: str
-    """Whose figures."""
+    """Name of the other program."""
     what: str
-    """What was asked of it."""
+    """Options of the other program."""
     pairs: tuple[int | None, int | None]
-    """How many errors went into theirs and into ours; None where it is not said."""
+    """Numbers of errors from which their and our figures are computed; None if a number is not known."""
     figures: int
-    """How many figures were compared."""
+    """Number of compared figures."""
     worst: float
     """Largest relative difference."""
     reason: str = ""
-    """Why there is no comparison; empty where there is one."""
+    """Reason why there is no comparison; empty if there is one."""
 
     @property
     def verdict(self) -> str:
-        """``same``, ``differs`` or ``not expressible``."""
+        """Result: ``same``, ``differs`` or ``not expressible``."""
         if self.reason:
             return "not expressible"
         return "same" if self.worst <= AGREEMENT and self.pairs[0] in (None, self.pairs[1]) else "differs"
@@ -74,49 +74,49 @@ class Row:
 
 @cache
 def read_once(path: Path) -> Trajectory:
-    """Return a trajectory, all its rows."""
+    """Return a trajectory with all its rows."""
     return read_trajectory(path, "keep")
 
 
 def difference(ours: float, theirs: float) -> float:
-    """Return the relative difference; of a figure that is zero but for rounding, a millionth counts as its size."""
+    """Return the relative difference of two figures, with 1e-6 as the smallest denominator."""
     return abs(ours - theirs) / max(abs(theirs), 1e-6)
 
 
 def compared(ours: Statistics, theirs: dict[str, Any]) -> tuple[int, float]:
-    """Return how many statistics of theirs were compared, and the largest relative difference."""
-    wanted = {name: getattr(ours, name) for name in _STATISTICS} | {"sse": ours.n * ours.rmse**2}
-    found = [difference(wanted[name], theirs[name]) for name in wanted if name in theirs]
+    """Return the number of statistics that both have, and their largest relative difference."""
+    statistics = {name: getattr(ours, name) for name in _STATISTICS} | {"sse": ours.n * ours.rmse**2}
+    found = [difference(statistics[name], theirs[name]) for name in statistics if name in theirs]
     return len(found), max(found)
 
 
-def evo_rows(folder: Path) -> Iterator[Row]:
+def evo_rows(folder: Path) -> Iterator[Comparison]:
     """Compare every row of evo's figures."""
     for row in json.loads((folder / "evo_1.38.1_expected.json").read_text(encoding="utf-8")):
         words = row["cmd"].split()
         tool, what = words[0], " ".join(words[2:])
         missing = [name for name in words[2:4] if not (folder / "evo" / name).exists()]
         if missing:
-            yield Row(tool, what, (row["n"], None), 0, 0.0, f"{missing[0]} is not in the folder")
+            yield Comparison(tool, what, (row["n"], None), 0, 0.0, f"{missing[0]} is not in the folder")
         elif "full" in words:
-            yield Row(tool, what, (row["n"], None), 0, 0.0, "adds metres to radians; both are given apart")
+            yield Comparison(tool, what, (row["n"], None), 0, 0.0, "the sum of metres and radians is not computed")
         else:
             errors, motion = _evo_errors(folder / "evo", tool, words[2:4], words[4:])
             count, worst = compared(Statistics.of(errors), row)
             if row["sim3"] is not None:
                 count, worst = count + 1, max(worst, _transform_difference(motion, np.array(row["sim3"])))
-            yield Row(tool, what, (row["n"], len(errors)), count, worst)
+            yield Comparison(tool, what, (row["n"], len(errors)), count, worst)
 
 
 def _evo_errors(folder: Path, tool: str, names: list[str], flags: list[str]) -> tuple[Array, Alignment]:
-    """Return the errors that a command of evo is about, and the alignment."""
+    """Return the errors that a command of evo computes, and the alignment."""
 
     def value(flag: str, default: str) -> str:
         return flags[flags.index(flag) + 1] if flag in flags else default
 
     true, estimated = _evo_pairs(folder, names, value)
     orientations = true.quat_wxyz, estimated.quat_wxyz
-    if names[0].startswith("KITTI"):  # evo turns steps by the matrices as they are
+    if names[0].startswith("KITTI"):  # evo uses the matrices without orthonormalization
         orientations = tuple(read_kitti_poses(folder / name).Ts_world_cam[:, :, :3] for name in names)  # type: ignore[assignment]
     motion = _evo_alignment(true, estimated, flags, int(value("--n_to_align", "-1")))
     aligned = motion.apply(estimated)
@@ -154,7 +154,7 @@ def _evo_pairs(folder: Path, names: list[str], value: Callable[[str, str], str])
 
 
 def _stamped_in_doubles(trajectory: Trajectory) -> Trajectory:
-    """Return a trajectory whose time stamps are rounded as a double of seconds is: to 0.24 µs in our days."""
+    """Return a trajectory with time stamps rounded to doubles of seconds, which is 0.24 µs for present dates."""
     whole = trajectory.t_ns // 10**9
     rounded = (whole + (trajectory.t_ns - whole * 10**9) / 1e9) - whole
     t_ns, count = whole * 10**9 + np.rint(rounded * 1e9).astype(np.int64), np.arange(len(trajectory))
@@ -162,9 +162,16 @@ def _stamped_in_doubles(trajectory: Trajectory) -> Trajectory:
 
 
 def _evo_alignment(true: Trajectory, estimated: Trajectory, flags: list[str], n: int) -> Alignment:
-    """Return the alignment that flags of evo ask for."""
+    """Return the alignment that options of evo select.
+
+    Args:
+        true: N true poses.
+        estimated: N estimated poses.
+        flags: Options of evo.
+        n: Number of poses to align; negative for all.
+    """
     a, b = true.p_world_imu, estimated.p_world_imu
-    if "-s" in flags and "-a" not in flags:  # the best similarity's scale about the estimate's own origin
+    if "-s" in flags and "-a" not in flags:  # the scale of the best similarity about the origin of the estimate
         return Alignment(np.eye(3), np.zeros(3), umeyama(a, b, with_scale=True).scale)
     mode: AlignmentMode = "none"
     if "--align_origin" in flags:
@@ -176,17 +183,17 @@ def _evo_alignment(true: Trajectory, estimated: Trajectory, flags: list[str], n:
 
 
 def _transform_difference(ours: Alignment, theirs: Array) -> float:
-    """Return the largest difference between two similarities, relative to the size of either.
+    """Return the largest difference of two similarities, relative to their rotation and translation.
 
-    Where only the scale was applied, evo prints the whole similarity all the same.
+    If only the scale is applied, evo prints the whole similarity nevertheless.
     """
     if not ours.t_m.any() and ours.scale != 1.0:
         return difference(ours.scale, float(np.cbrt(np.linalg.det(theirs[:3, :3]))))
-    turn = np.abs(ours.scale * ours.R_truth_estimate - theirs[:3, :3]).max() / np.abs(theirs[:3, :3]).max()
-    return float(max(turn, np.abs(ours.t_m - theirs[:3, 3]).max() / max(1.0, np.abs(theirs[:3, 3]).max())))
+    rotation = np.abs(ours.scale * ours.R_truth_estimate - theirs[:3, :3]).max() / np.abs(theirs[:3, :3]).max()
+    return float(max(rotation, np.abs(ours.t_m - theirs[:3, 3]).max() / max(1.0, np.abs(theirs[:3, 3]).max())))
 
 
-def rpg_rows(folder: Path) -> Iterator[Row]:
+def rpg_rows(folder: Path) -> Iterator[Comparison]:
     """Compare every row of the rpg toolbox's figures."""
     modes: dict[str, AlignmentMode] = {"posyaw": "yaw", "se3": "se3", "sim3": "sim3", "none": "none"}
     for row in json.loads((folder / "rpg_expected.json").read_text(encoding="utf-8")):
@@ -210,15 +217,15 @@ def rpg_rows(folder: Path) -> Iterator[Row]:
         found.append((1, difference(truth.length_m, row["traj_length"])))
         found.append((1, difference(motion.scale, row["scale"])))
         lengths = tuple(float(length) for length in row["rel"])
-        pieces = errors_by_length(
+        segments = errors_by_length(
             true.p_world_imu,
             true.quat_wxyz,
             motion.scale * estimated.p_world_imu,
-            estimated.quat_wxyz,  # the toolbox takes the error apart in the estimate's own world
+            estimated.quat_wxyz,  # the toolbox decomposes the error in the world frame of the estimate
             lengths,
         )
         same = metres.n == row["n"]
-        for ours, theirs in zip(pieces, row["rel"].values(), strict=True):
+        for ours, theirs in zip(segments, row["rel"].values(), strict=True):
             per_metre = {name: value * ours.length_m for name, value in theirs["rel_rot_deg_per_m"].items()}
             for statistics, published in (
                 (ours.translation_m, theirs["rel_trans"]),
@@ -231,10 +238,10 @@ def rpg_rows(folder: Path) -> Iterator[Row]:
                 same &= statistics.n == theirs["rel_trans"]["num_samples"]
                 found.append(compared(statistics, published))
         worst = max(each for _, each in found) if same else float("inf")
-        yield Row("rpg toolbox", what, (row["n"], metres.n), sum(count for count, _ in found), worst)
+        yield Comparison("rpg toolbox", what, (row["n"], metres.n), sum(count for count, _ in found), worst)
 
 
-def kitti_rows(folder: Path) -> Iterator[Row]:
+def kitti_rows(folder: Path) -> Iterator[Comparison]:
     """Compare every row of the KITTI evaluation's figures."""
     modes: dict[str | None, KittiAlignment] = {None: "first", "6dof": "se3", "7dof": "sim3", "scale": "scale"}
     for row in json.loads((folder / "kitti_expected.json").read_text(encoding="utf-8")):
@@ -247,7 +254,7 @@ def kitti_rows(folder: Path) -> Iterator[Row]:
             number = row["result"].removeprefix("ex")
             paths = folder / "kitti" / f"gt_{sequence}.txt", folder / "kitti" / f"example_{number}_{sequence}.txt"
         if not paths[1].exists():
-            yield Row("kitti-odom-eval", what, (None, None), 0, 0.0, f"{paths[1].name} is not in the folder")
+            yield Comparison("kitti-odom-eval", what, (None, None), 0, 0.0, f"{paths[1].name} is not in the folder")
             continue
         truth, estimate = (read_kitti_poses(path) for path in paths)
         ours = kitti_scores(truth.Ts_world_cam, estimate.Ts_world_cam, estimate.frames, modes[row["align"]])
@@ -259,17 +266,17 @@ def kitti_rows(folder: Path) -> Iterator[Row]:
             "rpe_deg": ours.rpe_deg,
         }
         worst = max(difference(float(value or 0.0), row[name]) for name, value in found.items())
-        yield Row("kitti-odom-eval", what, (None, ours.pieces), len(found), worst)
+        yield Comparison("kitti-odom-eval", what, (None, ours.pieces), len(found), worst)
 
 
-def tum_rows(folder: Path) -> Iterator[Row]:
-    """Compare what TUM's scripts print, which is six decimals."""
+def tum_rows(folder: Path) -> Iterator[Comparison]:
+    """Compare the figures of TUM's scripts, which have six decimals."""
     names = "freiburg1_xyz-groundtruth.txt", "freiburg1_xyz-rgbdslam.txt"
     truth, estimate = (read_trajectory(folder / "evo" / name) for name in names)
     true, estimated = associate(truth, estimate, "nearest", 0.02)
     motion = align(true.p_world_imu, estimated.p_world_imu, "se3")
     ate = Statistics.of(translation_errors_m(true.p_world_imu, motion.positions(estimated.p_world_imu)))
-    yield Row("TUM evaluate_ate", "six decimals", (786, ate.n), 1, _printed(ate.rmse, 0.013473))
+    yield Comparison("TUM evaluate_ate", "six decimals", (786, ate.n), 1, _printed(ate.rmse, 0.013473))
     # Pairs are chosen on the whole estimate, those that end with its last pose are left out, and the motion is that
     # from the second pose back to the first.
     pairs = PairRule(1.0, "s", "all", "estimate", 0.9).choose(estimate.t_ns, estimate.p_world_imu, estimate.quat_wxyz)
@@ -280,28 +287,28 @@ def tum_rows(folder: Path) -> Iterator[Row]:
     metres, radians = relative_errors(*poses, (rows[pairs[1][kept]], rows[pairs[0][kept]]))
     rpe_m, rpe_deg = Statistics.of(metres), Statistics.of(np.degrees(radians))
     worst = max(_printed(rpe_m.rmse, 0.021217), _printed(rpe_deg.rmse, 0.934480))
-    yield Row("TUM evaluate_rpe", "--fixed_delta --delta 1, six decimals", (753, rpe_m.n), 2, worst)
+    yield Comparison("TUM evaluate_rpe", "--fixed_delta --delta 1, six decimals", (753, rpe_m.n), 2, worst)
 
 
 def _printed(ours: float, theirs: float) -> float:
-    """Return the relative difference between figures, none if they are the same to six decimals."""
+    """Return the relative difference of two figures; zero if they agree to six decimals."""
     return 0.0 if abs(round(ours, 6) - theirs) < 1e-9 else difference(ours, theirs)
 
 
-def all_rows(folder: Path) -> list[Row]:
-    """Compare all rows of all programs with files in a folder."""
+def all_rows(folder: Path) -> list[Comparison]:
+    """Compare all rows of all programs in a folder."""
     return [*evo_rows(folder), *rpg_rows(folder), *kitti_rows(folder), *tum_rows(folder)]
 
 
 def main(arguments: list[str]) -> int:
-    """Print the table; 1 if a row differs, 2 without a folder."""
+    """Print the table, and return 1 if a row differs and 2 without a folder."""
     brief = "--brief" in arguments
-    places = [word for word in arguments if word != "--brief"]
+    folders = [word for word in arguments if word != "--brief"]
     data = os.environ.get("DRONEVIO_DATA")
-    if not places and not data:
-        print("no folder: name one, or set DRONEVIO_DATA", file=sys.stderr)
+    if not folders and not data:
+        print("no folder; expected an argument, or DRONEVIO_DATA", file=sys.stderr)
         return 2
-    rows = all_rows(Path(places[0]) if places else Path(str(data)) / "trajectories")
+    rows = all_rows(Path(folders[0]) if folders else Path(str(data)) / "trajectories")
     for row in rows:
         if brief and row.verdict == "same":
             continue
@@ -312,7 +319,7 @@ def main(arguments: list[str]) -> int:
         counts = Counter(row.verdict for row in of_tool)
         figures = sum(row.figures for row in of_tool if row.verdict == "same")
         sums = ", ".join(f"{count} {verdict}" for verdict, count in counts.items())
-        print(f"{tool}: {len(of_tool)} rows: {sums}; {figures} figures the same to {AGREEMENT:g}")
+        print(f"{tool}: {len(of_tool)} rows: {sums}; {figures} figures agree to {AGREEMENT:g}")
     return int(any(row.verdict == "differs" for row in rows))
 
 

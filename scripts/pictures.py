@@ -1,8 +1,8 @@
-"""Make the pictures of the README anew, in docs/images: ``make pictures``.
+"""Make the pictures of the README in docs/images: ``make pictures``.
 
-Flies the default scenario, and looks at what comes of it as people do: the report in a browser, the recording in
-rerun's viewer. Needs chromium, and a Vulkan driver for the viewer; without a graphics card both are had with
-``apt-get install chromium mesa-vulkan-drivers``.
+The default scenario is run. Screenshots are taken of its report in a browser and of its rerun file in the viewer. This
+needs Chromium, and a Vulkan driver for the viewer. ``apt-get install chromium mesa-vulkan-drivers`` installs both on a
+machine without a graphics card.
 """
 
 import shutil
@@ -38,28 +38,28 @@ Picture = npt.NDArray[np.uint8]
 
 IMAGES = Path(__file__).resolve().parents[1] / "docs" / "images"
 BROWSERS = ("chromium", "chromium-browser", "google-chrome")
-REPORT_PX = (1200, 1284)  # down to where the error plots end
+REPORT_PX = (1200, 1284)  # to the end of the error plots
 RECORDING_PX = (1440, 900)
-RECORDING_TOP_PX = 38  # the viewer's own bar
-RECORDING_S = 17.0  # in the middle of the tour
+RECORDING_TOP_PX = 38  # height of the viewer's title bar
+RECORDING_S = 17.0  # time of the flight that is shown
 TAKE_OFF_S = 3.1
 TAKE_OFF_PX = (960, 600)
 ROOM_PX, ROOM_SHARE = 1504, 2 / 3  # the two upper rows of the contact sheet
 WORLDS_PX = 1240
-ESTIMATOR_S = 12.0  # in the middle of the way
-PATIENCE_S = 60.0
+ESTIMATOR_S = 12.0  # time of the flight that is shown
+VIEWER_TIMEOUT_S = 60.0
 
 
 def save(name: str, picture: Picture) -> None:
-    """Write a picture (H, W, 3) RGB as JPEG, letters kept sharp."""
+    """Write a picture (H, W, 3) RGB as JPEG without chroma subsampling, which would blur text."""
     sharp = [cv2.IMWRITE_JPEG_QUALITY, 88, cv2.IMWRITE_JPEG_SAMPLING_FACTOR, cv2.IMWRITE_JPEG_SAMPLING_FACTOR_444]
     path = IMAGES / name
     cv2.imwrite(str(path), picture[..., ::-1], sharp)
     print(f"{name}: {picture.shape[1]} × {picture.shape[0]} px, {path.stat().st_size * 1e-3:.0f} kB")
 
 
-def fitted(picture: Picture, width_px: int) -> Picture:
-    """Return a picture (H, W, 3) made smaller."""
+def resized(picture: Picture, width_px: int) -> Picture:
+    """Return a picture (H, W, 3) at a smaller width."""
     size = (width_px, round(picture.shape[0] * width_px / picture.shape[1]))
     return np.asarray(cv2.resize(picture, size, interpolation=cv2.INTER_AREA), dtype=np.uint8)
 
@@ -68,12 +68,12 @@ def read(path: Path) -> Picture:
     """Return a picture (H, W, 3) RGB."""
     image = cv2.imread(str(path), cv2.IMREAD_COLOR)
     if image is None:
-        sys.exit(f"pictures: {path} was not made")
+        sys.exit(f"pictures: {path} does not exist")
     return np.asarray(image[..., ::-1], dtype=np.uint8)
 
 
-def photograph_report(page: Path, scratch: Path) -> Picture:
-    """Return the head of a report as a browser shows it."""
+def report_screenshot(page: Path, scratch: Path) -> Picture:
+    """Return a screenshot of the beginning of a report in a browser."""
     browser = next(filter(None, map(shutil.which, BROWSERS)), None)
     if browser is None:
         sys.exit(f"pictures: no browser; expected one of {', '.join(BROWSERS)}")
@@ -86,7 +86,7 @@ def photograph_report(page: Path, scratch: Path) -> Picture:
 
 @contextmanager
 def viewer(recording: Path) -> Iterator[ViewerClient]:
-    """Show a recording in a viewer without a window while the context lasts."""
+    """Show a rerun file in a viewer without a window until the context ends."""
     port = free_port(0)
     size = "x".join(map(str, RECORDING_PX))
     options = ["--headless", "--bind", HOST, "--port", str(port), "--window-size", size]
@@ -99,22 +99,22 @@ def viewer(recording: Path) -> Iterator[ViewerClient]:
 
 
 def _connected(address: str) -> ViewerClient:
-    """Return a connection to a viewer that has loaded its recording."""
-    deadline = time.monotonic() + PATIENCE_S
+    """Return a connection to a viewer after it has loaded its file."""
+    deadline = time.monotonic() + VIEWER_TIMEOUT_S
     while time.monotonic() < deadline:
         try:
             client = ViewerClient.connect(address)
             state = client.get_state()
             if state.views and not state.loading:
                 return client
-        except (RuntimeError, ConnectionError):  # it is still starting
+        except (RuntimeError, ConnectionError):  # the viewer is starting
             pass
         time.sleep(0.5)
-    sys.exit("pictures: the viewer did not load the recording; does it find a Vulkan driver?")
+    sys.exit("pictures: the viewer did not load the file; expected a Vulkan driver")
 
 
-def photograph_recording(recording: Path, scratch: Path) -> Picture:
-    """Return rerun's viewer in the middle of the flight, once two looks at it show the same."""
+def recording_screenshot(recording: Path, scratch: Path) -> Picture:
+    """Return a screenshot of the rerun viewer in the middle of the flight, once two screenshots are equal."""
     shot, before = scratch / "recording.png", b""
     with viewer(recording) as client:
         client.set_time("time", duration=RECORDING_S, play_state="paused")
@@ -125,8 +125,8 @@ def photograph_recording(recording: Path, scratch: Path) -> Picture:
     return read(shot)[RECORDING_TOP_PX:]
 
 
-def photograph_take_off(run: Path) -> Picture:
-    """Return the drone as somebody in the room sees it take off."""
+def take_off_picture(run: Path) -> Picture:
+    """Return an image of the chase camera during take-off."""
     flown = scenario("room", 0)
     truth = read_tum(run / "groundtruth.tum")
     T_world_imu = truth.Ts_world_imu[np.searchsorted(truth.t_s, TAKE_OFF_S)]
@@ -138,7 +138,7 @@ def photograph_take_off(run: Path) -> Picture:
 
 
 def draw_estimator(flight: Path, picture: Path) -> None:
-    """Estimate a flight, and draw what the estimator followed, what it made of it, and what it thought of that."""
+    """Estimate a flight, and plot tracks in an image, path and landmarks from above, and health over time."""
     recording = open_recording(flight)
     run = estimate_recording(recording, VisualInertialOdometry(recording.rig))
     truth = recording.ground_truth
@@ -152,8 +152,8 @@ def draw_estimator(flight: Path, picture: Path) -> None:
     image.imshow(recording.frame(shown).images[0], cmap="gray", vmin=0, vmax=255)
     assert estimate.tracks is not None
     dots = image.scatter(*estimate.tracks.pixels.T, c=estimate.tracks.ages, s=14, cmap="viridis", vmin=0, vmax=60)
-    figure.colorbar(dots, ax=image, shrink=0.75, label="seen in so many frames")
-    image.set(title="features that are followed", xticks=(), yticks=())
+    figure.colorbar(dots, ax=image, shrink=0.75, label="age of the track [frames]")
+    image.set(title="tracked features", xticks=(), yticks=())
 
     points = np.concatenate([e.landmarks_world for e in run.estimates[:shown] if e.landmarks_world is not None])
     above.scatter(*scored.alignment.positions(points)[:, :2].T, s=1, color=palette.ROOM, alpha=0.3)
@@ -164,14 +164,16 @@ def draw_estimator(flight: Path, picture: Path) -> None:
     above.set(xlim=(low[0], high[0]), ylim=(low[1], high[1]))
     above.legend(loc="upper right")
 
-    told = [(e.t_ns, e.health_report) for e in run.estimates if e.health_report is not None]
-    t_s = np.array([t_ns - t0_ns for t_ns, _ in told]) * 1e-9
-    health.plot(t_s, [report.tracks for _, report in told], color=palette.ROOM, label="tracks")
-    health.plot(t_s, [report.landmarks for _, report in told], color=palette.ESTIMATE, label="landmarks that hold")
-    most = max(report.tracks for _, report in told)
+    reports = [(e.t_ns, e.health_report) for e in run.estimates if e.health_report is not None]
+    t_s = np.array([t_ns - t0_ns for t_ns, _ in reports]) * 1e-9
+    health.plot(t_s, [report.tracks for _, report in reports], color=palette.ROOM, label="tracks")
+    health.plot(t_s, [report.landmarks for _, report in reports], color=palette.ESTIMATE, label="landmarks")
+    most = max(report.tracks for _, report in reports)
     health.set(title="health", xlabel="time [s]", ylabel="features", ylim=(0, 1.35 * most))
     innovation = health.twinx()
-    innovation.plot(t_s, [report.innovation_px for _, report in told], color=palette.TRUTH, lw=0.8, label="innovation")
+    innovation.plot(
+        t_s, [report.innovation_px for _, report in reports], color=palette.TRUTH, lw=0.8, label="innovation"
+    )
     innovation.set(ylabel="median innovation [px]", ylim=(0, 2))
     lines = [*health.get_lines(), *innovation.get_lines()]
     health.legend(lines, [str(line.get_label()) for line in lines], loc="upper right")
@@ -179,7 +181,7 @@ def draw_estimator(flight: Path, picture: Path) -> None:
 
 
 def make_pictures(scratch: Path) -> None:
-    """Fly, look and save."""
+    """Run the commands, and save all pictures."""
     run = scratch / "room-0"
     for arguments in (
         ["run", "--out", str(run)],
@@ -189,13 +191,13 @@ def make_pictures(scratch: Path) -> None:
         if main(arguments) != 0:
             sys.exit(f"pictures: dronevio {' '.join(arguments)} failed")
     IMAGES.mkdir(parents=True, exist_ok=True)
-    save("recording.jpg", photograph_recording(run / "run.rrd", scratch))
-    save("report.jpg", photograph_report(run / "report.html", scratch))
-    save("take-off.jpg", photograph_take_off(run))
+    save("recording.jpg", recording_screenshot(run / "run.rrd", scratch))
+    save("report.jpg", report_screenshot(run / "report.html", scratch))
+    save("take-off.jpg", take_off_picture(run))
     sheet = contact_sheet(build_world("room", 0))
     rows = sheet[: int(ROOM_SHARE * len(sheet))]
-    save("room.jpg", fitted(rows, ROOM_PX))
-    save("worlds.jpg", fitted(sheet_of_worlds(0), WORLDS_PX))
+    save("room.jpg", resized(rows, ROOM_PX))
+    save("worlds.jpg", resized(sheet_of_worlds(0), WORLDS_PX))
     flight = scratch / "medium"
     main(["fly", "--scenario", "room-medium", "--rig", "euroc-stereo", "--out", str(flight)])
     draw_estimator(flight, scratch / "estimator.png")

@@ -1,8 +1,8 @@
-"""Fly seeds 0 to 9 and print what came of it as Markdown: ``make seeds``; ``ARGS=--write`` puts it into the README.
+"""Run a scenario with seeds 0 to 9 and print scores and costs as a Markdown table: ``make seeds``.
 
-Every seed is one ``dronevio run`` in a process of its own. Times are those of the whole command, from its start to its
-end; memory is the most that its processes together held at once, looked at ten times a second, pages that they share
-counted once (on Linux; elsewhere once in each).
+With ``ARGS=--write``, the table in the README is replaced. Each seed is one ``dronevio run`` in a process of its own.
+Times are those of the whole command. The memory is the peak of all its processes together, sampled ten times per
+second; shared pages count once on Linux, and once per process on other systems.
 """
 
 import json
@@ -18,38 +18,39 @@ from typing import Any
 import numpy as np
 import psutil
 import tyro
+from markdown import table
 
-LOOK_EVERY_S = 0.1
+SAMPLE_EVERY_S = 0.1
 README = Path(__file__).resolve().parents[1] / "README.md"
 BEGINNING, END = "<!-- seeds -->", "<!-- /seeds -->"
 
 
 @dataclass(frozen=True)
-class Seeds:
-    """Fly a scenario with several seeds and print a Markdown table of scores and costs."""
+class SeedsCommand:
+    """Run a scenario with several seeds and print a Markdown table of scores and costs."""
 
     seeds: tuple[int, ...] = tuple(range(10))
-    """Which seeds."""
+    """Seeds of the scenario."""
     scenario: str = "room"
-    """What to fly."""
+    """Name of the scenario."""
     write: bool = False
-    """Put the table into the README, too."""
+    """Replace the table in the README."""
 
 
 @dataclass(frozen=True)
-class Cost:
-    """What one command cost."""
+class CommandCost:
+    """Resources that one command used."""
 
     wall_s: float
-    """By the clock on the wall [s]."""
+    """Wall-clock time [s]."""
     cpu_s: float
-    """Processor time of all its processes [s]."""
+    """Processor time of all processes [s]."""
     memory_gb: float
-    """The most memory that they held together [GB]."""
+    """Peak memory of all processes together [GB]."""
 
 
 def largest(values: Iterable[float]) -> float:
-    """Return the number farthest from zero."""
+    """Return the number with the largest absolute value."""
     return max(values, key=abs)
 
 
@@ -58,13 +59,13 @@ class Column:
     """One column of the table."""
 
     title: str
-    """With its unit."""
+    """Heading with the unit."""
     form: str
-    """How a number is written."""
-    value: Callable[[Mapping[str, Any], Cost], float]
-    """Takes report and cost, returns the number."""
+    """Format specification of the numbers."""
+    value: Callable[[Mapping[str, Any], CommandCost], float]
+    """Function that returns the number from the report of a run and its cost."""
     worst: Callable[[Iterable[float]], float] = largest
-    """Picks the worst of several numbers."""
+    """Function that selects the worst of several numbers."""
 
 
 COLUMNS = (
@@ -75,85 +76,85 @@ COLUMNS = (
     Column("scale error [%]", "+.2f", lambda report, cost: report["scores"]["scale_error_percent"]),
     Column("coverage [%]", ".1f", lambda report, cost: report["scores"]["coverage_percent"], min),
     Column("NEES", ".1f", lambda report, cost: report["scores"]["nees_position"]),
-    Column("a frame [ms]", ".1f", lambda report, cost: report["timing"]["cpu_ms_mean"]),
+    Column("per frame [ms]", ".1f", lambda report, cost: report["timing"]["cpu_ms_mean"]),
     Column("wall [s]", ".0f", lambda report, cost: cost.wall_s),
     Column("CPU [s]", ".0f", lambda report, cost: cost.cpu_s),
     Column("memory [GB]", ".2f", lambda report, cost: cost.memory_gb),
 )
 
 
-def measure(command: Sequence[str]) -> tuple[str, Cost]:
-    """Run a command; return what it printed and what it cost."""
+def measure(command: Sequence[str]) -> tuple[str, CommandCost]:
+    """Run a command, and return its standard output and its cost. If it fails, this process ends with its error."""
     start = time.perf_counter()
     with tempfile.TemporaryFile("w+", encoding="utf-8") as output:
         process = psutil.Popen(command, stdout=output)
-        most = 0
+        peak = 0
         while True:
-            most = max(most, held(process))
+            peak = max(peak, memory_of(process))
             pid, status, usage = os.wait4(process.pid, os.WNOHANG)
             if pid:
                 break
-            time.sleep(LOOK_EVERY_S)
+            time.sleep(SAMPLE_EVERY_S)
         if os.waitstatus_to_exitcode(status) != 0:
             sys.exit(f"seeds: {' '.join(command)} failed")
         output.seek(0)
         printed = output.read()
-    return printed, Cost(time.perf_counter() - start, usage.ru_utime + usage.ru_stime, most * 1e-9)
+    return printed, CommandCost(time.perf_counter() - start, usage.ru_utime + usage.ru_stime, peak * 1e-9)
 
 
-def held(process: psutil.Process) -> int:
-    """Return how much memory a process and its descendants hold [bytes]."""
+def memory_of(process: psutil.Process) -> int:
+    """Return the memory of a process and its descendants [bytes]."""
     total = 0
     try:
         for each in (process, *process.children(recursive=True)):
             memory = each.memory_full_info()
             total += getattr(memory, "pss", memory.rss)
-    except (psutil.NoSuchProcess, psutil.AccessDenied):  # it ended while we looked
+    except (psutil.NoSuchProcess, psutil.AccessDenied):  # a process ended while it was sampled
         pass
     return total
 
 
-def row(cells: Sequence[str]) -> str:
-    """Return a row of a Markdown table."""
-    return f"| {' | '.join(cells)} |"
-
-
-def main(command: Seeds) -> None:
-    """Fly, and print the table row by row."""
-    lines: list[str] = []
-
-    def say(line: str) -> None:
-        print(line, flush=True)
-        lines.append(line)
-
-    say(row(["seed", *(column.title for column in COLUMNS)]))
-    say(row(["---:"] * (len(COLUMNS) + 1)))
+def main(command: SeedsCommand) -> int:
+    """Run all seeds, print the table, and replace that in the README if this is asked for."""
     values, report = [], {}
     with tempfile.TemporaryDirectory(prefix="dronevio-") as folder:
         for seed in command.seeds:
+            print(f"seed {seed}", file=sys.stderr, flush=True)
             out = Path(folder) / f"{seed}"
             options = ["--scenario", command.scenario, "--seed", str(seed), "--out", str(out), "--json"]
             printed, cost = measure([sys.executable, "-m", "dronevio.cli", "run", *options])
             report = json.loads(printed)
             values.append([float(column.value(report, cost)) for column in COLUMNS])
-            say(row([f"{seed}", *written(values[-1])]))
-    say(row(["mean", *written(np.mean(values, axis=0))]))
-    worst = [column.worst(figures) for column, figures in zip(COLUMNS, zip(*values, strict=True), strict=True)]
-    say(row(["worst", *written(worst)]))
-    say(f"\n{described(report)}")
+    text = f"{seeds_table(command.seeds, values)}\n\n{provenance(report)}"
+    print(text)
     if command.write:
         before, _, rest = README.read_text(encoding="utf-8").partition(BEGINNING)
         after = rest.partition(END)[2]
-        README.write_text("\n".join([before + BEGINNING, "", *lines, "", END]) + after, encoding="utf-8")
+        README.write_text("\n".join([before + BEGINNING, "", text, "", END]) + after, encoding="utf-8")
+    return 0
 
 
-def written(values: Sequence[float]) -> list[str]:
-    """Return the numbers of a row as text."""
+def seeds_table(seeds: Sequence[int], values: Sequence[Sequence[float]]) -> str:
+    """Return the Markdown table of all seeds with rows of means and of the worst values.
+
+    Args:
+        seeds: N seeds.
+        values: N rows with the values of `COLUMNS`.
+    """
+    worst = [column.worst(each) for column, each in zip(COLUMNS, zip(*values, strict=True), strict=True)]
+    rows = [(f"{seed}", row) for seed, row in zip(seeds, values, strict=True)]
+    rows += [("mean", np.mean(values, axis=0).tolist()), ("worst", worst)]
+    headings = ["seed", *(column.title for column in COLUMNS)]
+    return table(headings, [[name, *cells(row)] for name, row in rows], left=0)
+
+
+def cells(values: Sequence[float]) -> list[str]:
+    """Return the values of `COLUMNS` as text."""
     return [format(value, column.form) for value, column in zip(values, COLUMNS, strict=True)]
 
 
-def described(report: Mapping[str, Any]) -> str:
-    """Return which machine and which packages the numbers are from."""
+def provenance(report: Mapping[str, Any]) -> str:
+    """Return the machine and the packages of a run as text."""
     machine = report["machine"]
     system = machine["system"].split()[0]
     packages = ", ".join(f"{name} {version}" for name, version in report["versions"].items())
@@ -161,4 +162,4 @@ def described(report: Mapping[str, Any]) -> str:
 
 
 if __name__ == "__main__":
-    main(tyro.cli(Seeds, description=__doc__))
+    sys.exit(main(tyro.cli(SeedsCommand, description=__doc__)))

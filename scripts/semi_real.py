@@ -1,13 +1,13 @@
-"""Errors on the three semi-real sequences, beside those of others: images rendered along the true path of a real drone.
+"""Measure errors on three semi-real sequences: real trajectories and IMU samples of EuRoC with rendered images.
 
-The sequences are made by ``make_semi_real.py``, a tool that comes with the data folder (DRONEVIO_DATA), as
-NAME-SEED (NAME for seed 0)::
+The sequences are written by ``make_semi_real.py``, a tool that comes with the data folder (DRONEVIO_DATA), as NAME-SEED
+(NAME for seed 0)::
 
     python scripts/semi_real.py --sequences FOLDER --seeds 0-4
-    python scripts/semi_real.py --sequences FOLDER --make      # makes what is missing of them first
+    python scripts/semi_real.py --sequences FOLDER --make      # makes missing sequences first
 
-Every run is causal and scored with yaw and position aligned. A sequence counts with the median over seeds, all of them
-with the geometric mean; a failed run counts as infinitely wrong.
+Every run is causal and evaluated after alignment of yaw and position. The tables have the median over seeds of each
+sequence and the geometric mean of these medians; the error of a failed run is infinite.
 """
 
 import importlib.util
@@ -20,71 +20,88 @@ from pathlib import Path
 from typing import Any
 
 import tyro
-from figures import Figures, failures
-from measuring import CAMERAS, ONE_THREAD, Mode, Task, done, estimator_hash, provenance, write_json
-from tables import geometric_mean, median, numbers, table, text
+from estimation_tasks import (
+    CAMERAS,
+    ONE_THREAD,
+    EstimationTask,
+    Mode,
+    estimator_hash,
+    provenance,
+    run_all,
+    write_json,
+)
+from markdown import geometric_mean, median, numbers, table, text
+from run_metrics import RunMetrics, failures
 
 STARTS_S = {"V1_02": 0, "V2_01": 0, "MH_04": 15}
-"""The sequences, and where in the real flight they begin [s]."""
+"""Sequences, and the time in the real flight at which they begin [s]."""
 BOUNDS_M: dict[Mode, float] = {"mono": 0.038, "stereo": 0.0156}
-"""What the geometric mean of the ATE is to stay below [m]."""
-RIVALS: dict[Mode, tuple[str, dict[str, float]]] = {
+"""Bound of the geometric mean of the ATE [m]."""
+REFERENCES: dict[Mode, tuple[str, dict[str, float]]] = {
     "mono": ("OpenVINS mono", {"V1_02": 0.045, "V2_01": 0.094, "MH_04": 0.106}),
     "stereo": ("Basalt stereo", {"V1_02": 0.027, "V2_01": 0.011, "MH_04": 0.013}),
 }
-"""ATE of others on seed 0 [m], measured where the tool comes from."""
+"""ATE of other programs on seed 0, measured by the authors of the tool [m]."""
 
 
 @dataclass(frozen=True)
-class SemiReal:
+class SemiRealCommand:
     """Estimate the semi-real sequences and print Markdown tables."""
 
     sequences: Path
     """Folder of the sequences."""
     seeds: str = "0-4"
-    """Which renderings, such as 0-4 or 0,2."""
+    """Seeds of the rendered images, such as 0-4 or 0,2."""
     modes: tuple[Mode, ...] = ("mono", "stereo")
-    """How many cameras to use."""
+    """Cameras of the estimator."""
     names: tuple[str, ...] = tuple(STARTS_S)
-    """Which sequences."""
+    """Names of the sequences."""
     workers: int = 1
-    """How many runs at a time."""
+    """Number of runs at the same time."""
     results: Path | None = None
-    """Folder in which rows and estimates are kept, so that what is done need not be done again."""
+    """Folder of the cached metrics and estimates of runs."""
     make: bool = False
-    """Make missing sequences first; about two minutes each."""
+    """Make missing sequences first, which takes about two minutes each."""
     tools: Path | None = None
-    """Folder of make_semi_real.py and score.py; that beside DRONEVIO_DATA by default."""
+    """Folder of make_semi_real.py and score.py; the folder tools beside DRONEVIO_DATA by default."""
     json: Path | None = None
-    """File for all rows."""
+    """JSON file for the metrics of all runs."""
 
 
-def flight_area(folder: Path, name: str, seed: int) -> Path:
-    """Return where a sequence lies: NAME-SEED, or NAME for seed 0."""
+def sequence_folder(folder: Path, name: str, seed: int) -> Path:
+    """Return the folder of a sequence: NAME-SEED, or NAME for seed 0."""
     numbered = folder / f"{name}-{seed}"
     return folder / name if seed == 0 and not numbered.exists() else numbered
 
 
 def make_missing(folder: Path, names: Sequence[str], seeds: Sequence[int], cameras: int, tool: Path) -> None:
-    """Make the sequences that are not there, with all their cameras."""
+    """Make the sequences that do not exist or have too few cameras.
+
+    Args:
+        folder: Folder of the sequences.
+        names: Names of the sequences.
+        seeds: Seeds of the rendered images.
+        cameras: Number of cameras.
+        tool: Path of ``make_semi_real.py``.
+    """
     data = Path(os.environ.get("DRONEVIO_DATA", ""))
     for seed in seeds:
         for name in names:
-            place = flight_area(folder, name, seed)
-            if (place / "mav0" / f"cam{cameras - 1}" / "data").is_dir():
+            sequence = sequence_folder(folder, name, seed)
+            if (sequence / "mav0" / f"cam{cameras - 1}" / "data").is_dir():
                 continue
-            print(f"making {place}", file=sys.stderr, flush=True)
+            print(f"making {sequence}", file=sys.stderr, flush=True)
             real = data / "euroc" / name
             options = {"gt": real / "groundtruth.csv", "imu": real / "imu0.csv", "start-s": STARTS_S[name]}
-            options |= {"duration-s": 40, "rate-hz": 20, "seed": seed, "width": 752, "height": 480, "out": place}
+            options |= {"duration-s": 40, "rate-hz": 20, "seed": seed, "width": 752, "height": 480, "out": sequence}
             words = [word for option, value in options.items() for word in (f"--{option}", str(value))]
             environment = {**os.environ, **ONE_THREAD, "MUJOCO_GL": os.environ.get("MUJOCO_GL", "egl")}
             subprocess.run([sys.executable, str(tool), *words], check=True, env=environment)
 
 
-def summary(rows: Sequence[Figures], mode: Mode, names: Sequence[str], seeds: Sequence[int]) -> str:
-    """Return the table of one mode: medians over seeds, beside the rival's figures and the bound."""
-    rival, theirs = RIVALS[mode]
+def summary(rows: Sequence[RunMetrics], mode: Mode, names: Sequence[str], seeds: Sequence[int]) -> str:
+    """Return the table of one mode: medians over seeds, with those of another program and the bound."""
+    other, theirs = REFERENCES[mode]
     cells, medians = [], []
     for name in names:
         own = [row for row in rows if row.mode == mode and row.flight.rsplit("-", 1)[0] == name]
@@ -116,11 +133,11 @@ def summary(rows: Sequence[Figures], mode: Mode, names: Sequence[str], seeds: Se
         mode,
         "ATE [m]",
         "min–max",
-        rival,
+        other,
         "not worse",
         "RPE 1 s [m]",
         "RPE [°]",
-        "least coverage [%]",
+        "smallest coverage [%]",
         "latest first pose [s]",
         "scale [%]",
         "NEES position",
@@ -131,7 +148,7 @@ def summary(rows: Sequence[Figures], mode: Mode, names: Sequence[str], seeds: Se
     return table(headings, [*cells, last])
 
 
-def detail(rows: Sequence[Figures]) -> str:
+def detail(rows: Sequence[RunMetrics]) -> str:
     """Return a table of all runs."""
     cells = [
         [
@@ -159,23 +176,25 @@ def detail(rows: Sequence[Figures]) -> str:
     )
 
 
-def cross_check(rows: Sequence[Figures], command: SemiReal, tools: Path) -> str:
-    """Score the first good run of each mode with the data folder's own tool, and say how far the two agree."""
+def cross_check(rows: Sequence[RunMetrics], command: SemiRealCommand, tools: Path) -> str:
+    """Evaluate one successful run of each mode with the tool of the data folder, and return both results as text."""
     if command.results is None or not (tools / "score.py").exists():
         return ""
     spec = importlib.util.spec_from_file_location("score", tools / "score.py")
     assert spec is not None and spec.loader is not None
-    judge: Any = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(judge)
+    tool: Any = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(tool)
     lines = [""]
     for mode in command.modes:
-        good = sorted((row for row in rows if row.mode == mode and row.status == "ok"), key=lambda row: row.flight)
-        for row in good[:1]:
+        successful = sorted(
+            (row for row in rows if row.mode == mode and row.status == "ok"), key=lambda row: row.flight
+        )
+        for row in successful[:1]:
             name, _, seed = row.flight.rpartition("-")
-            folder = flight_area(command.sequences, name, int(seed))
-            key = Task(row.flight, folder, mode).key(estimator_hash())
+            folder = sequence_folder(command.sequences, name, int(seed))
+            key = EstimationTask(row.flight, folder, mode).key(estimator_hash())
             truth = folder / "mav0" / "state_groundtruth_estimate0" / "data.csv"
-            theirs = judge.evaluate(str(command.results / f"{key}.tum"), str(truth))
+            theirs = tool.evaluate(str(command.results / f"{key}.tum"), str(truth))
             lines.append(
                 f"score.py on {row.flight} {mode}: ATE {theirs['ate_yaw']:.5f} m (ours {row.ate_m:.5f}), RPE"
                 f" {theirs['rpe_m']:.5f} m (ours {row.rpe_m:.5f}), n {theirs['n']}, first {theirs['first_s']:.2f} s."
@@ -183,8 +202,8 @@ def cross_check(rows: Sequence[Figures], command: SemiReal, tools: Path) -> str:
     return "\n".join(lines)
 
 
-def main(command: SemiReal) -> int:
-    """Run all that is missing, print the tables; 1 if a bound is missed."""
+def main(command: SemiRealCommand) -> int:
+    """Execute the runs that are not cached, print the tables, and return 1 if a bound is missed."""
     seeds = numbers(command.seeds)
     tools = command.tools or Path(os.environ.get("DRONEVIO_DATA", ".")).parent / "tools"
     if command.make:
@@ -192,12 +211,12 @@ def main(command: SemiReal) -> int:
             command.sequences, command.names, seeds, max(CAMERAS[m] for m in command.modes), tools / "make_semi_real.py"
         )
     tasks = [
-        Task(f"{name}-{seed}", flight_area(command.sequences, name, seed), mode)
+        EstimationTask(f"{name}-{seed}", sequence_folder(command.sequences, name, seed), mode)
         for seed in seeds
         for name in command.names
         for mode in command.modes
     ]
-    rows = list(done(tasks, command.results, command.workers))
+    rows = list(run_all(tasks, command.results, command.workers))
     print(f"Seeds {command.seeds}; medians over seeds. {provenance()}\n")
     for mode in command.modes:
         print(summary(rows, mode, command.names, seeds) + "\n")
@@ -214,4 +233,4 @@ def main(command: SemiReal) -> int:
 
 
 if __name__ == "__main__":
-    sys.exit(main(tyro.cli(SemiReal, description=__doc__)))
+    sys.exit(main(tyro.cli(SemiRealCommand, description=__doc__)))

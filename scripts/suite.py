@@ -1,15 +1,15 @@
-"""Errors, failures and honesty over suites of simulated flights: room, hall, corridor, each easy, medium, difficult.
+"""Measure errors, failures and consistency over suites of simulated flights: room, hall and corridor at three levels.
 
-Flights are folders named SCENARIO-SEED, as ``dronevio fly --rig euroc-stereo`` makes them; what is there is measured::
+Flights are folders named SCENARIO-SEED, as ``dronevio fly --rig euroc-stereo`` writes them. Those that exist are used::
 
     python scripts/suite.py --flights FOLDER --results ROWS
     python scripts/suite.py --flights FOLDER --results ROWS --quick     # one flight of each scenario, mono
 
-A group of flights counts with its median, a failed run as infinitely wrong. The covariances are judged by the NEES: the
-gauge (position and yaw) is fixed at the first pose of each flight, and what is independent is a flight, never an
-instant. The mean over n flights of the NEES at one instant is χ² distributed with 3n degrees of freedom, divided by n,
-if the covariances are right; its two-sided 95 % band is given beside it. What was averaged along the flight first
-varies less, never more: a mean outside the band is outside with more than 95 % certainty.
+The tables have the median of each group of flights; the error of a failed run is infinite. Covariances are evaluated by
+the NEES with the gauge (position and yaw) fixed at the first pose of each flight. Flights are independent samples;
+instants of one flight are not. If the covariances are correct, n times the mean over n flights of the NEES at one
+instant is χ² distributed with 3n degrees of freedom. The tables have the two-sided 95 % interval of this mean. Averages
+over time have a smaller variance, so a mean outside the interval is outside with more than 95 % confidence.
 """
 
 import math
@@ -20,73 +20,73 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import tyro
-from figures import Figures, failures
-from measuring import Mode, Task, done, provenance, write_json
-from tables import median, numbers, table, text
+from estimation_tasks import EstimationTask, Mode, provenance, run_all, write_json
+from markdown import median, numbers, table, text
+from run_metrics import RunMetrics, failures
 
 from dronevio.eval.metrics.consistency import nees_bounds
 
 WORLDS = ("room", "hall", "corridor")
 LEVELS = ("easy", "medium", "difficult")
 BOUNDS_PERCENT: dict[Mode, float] = {"mono": 0.2, "stereo": 0.1}
-"""What the median ATE is to stay below [% of the path]."""
+"""Bound of the median ATE [% of the length of the path]."""
 _NAME = re.compile(r"(?P<world>\w+)-(?P<level>\w+)-v\d+-(?P<seed>\d+)")
 
 
 @dataclass(frozen=True)
-class Suite:
-    """Estimate the flights of the suites that are there and print Markdown tables."""
+class SuiteCommand:
+    """Estimate the existing flights of the suites and print Markdown tables."""
 
     flights: Path
-    """Folder of the flights, each named SCENARIO-SEED."""
+    """Folder of the flights, which are named SCENARIO-SEED."""
     results: Path
-    """Folder in which rows are kept, so that what is done need not be done again."""
+    """Folder of the cached metrics of runs."""
     modes: tuple[Mode, ...] = ("mono", "stereo")
-    """How many cameras to use."""
+    """Cameras of the estimator."""
     seeds: str = "0-11"
-    """Which flights, such as 0-11 or 0,3."""
+    """Seeds of the flights, such as 0-11 or 0,3."""
     worlds: tuple[str, ...] = WORLDS
-    """Where."""
+    """Worlds of the flights."""
     levels: tuple[str, ...] = LEVELS
-    """How lively."""
+    """Levels of the flights."""
     quick: bool = False
-    """Only the first seed of each scenario, mono."""
+    """Use only the first seed of each scenario and one camera."""
     workers: int = 1
-    """How many runs at a time."""
+    """Number of runs at the same time."""
     json: Path | None = None
-    """File for all rows."""
+    """JSON file for the metrics of all runs."""
 
 
 @dataclass(frozen=True)
-class Anees:
-    """The mean NEES of some flights, beside what a consistent estimator's would be."""
+class MeanNees:
+    """Mean NEES of several flights, with the interval that is expected of a consistent estimator."""
 
     flights: int
-    """How many there are."""
+    """Number of flights."""
     mean: float
     """Mean over the flights of the mean over time; infinite if a flight failed."""
     median: float
-    """Median over the flights of the mean over time: what a single bad flight does not move."""
+    """Median over the flights of the mean over time, which is robust against single bad flights."""
     low: float
-    """Lower end of the 95 % band for so many flights."""
+    """Lower end of the 95 % interval of the mean."""
     high: float
-    """Upper end of it."""
+    """Upper end of the 95 % interval of the mean."""
     inside_percent: float
-    """Share of the seconds since the first pose at which the mean over the flights is in the band [%]; 95 expected."""
+    """Share of the seconds since the first pose with a mean over the flights within the interval; expected: 95 [%]."""
 
     @property
     def inside(self) -> bool:
-        """Whether the mean is in the band."""
+        """Whether the mean is within the interval."""
         return self.low <= self.mean <= self.high
 
 
-def anees(means: Sequence[float], over_time: Sequence[Sequence[float]], degrees: int = 3) -> Anees:
-    """Return the mean NEES of flights, each of which counts once.
+def mean_nees(means: Sequence[float], over_time: Sequence[Sequence[float]], degrees: int = 3) -> MeanNees:
+    """Return the mean NEES of flights with equal weights.
 
     Args:
-        means: The mean over time of each flight; infinite of a failed one.
-        over_time: For each flight, the NEES at every second since its first pose; none of a failed one.
-        degrees: Size of the error.
+        means: Mean over time of each flight; infinite for a failed one.
+        over_time: NEES of each flight at every second since its first pose; empty for a failed one.
+        degrees: Dimension of the error.
     """
     n = len(means)
     low, high = nees_bounds(degrees, n)
@@ -94,30 +94,30 @@ def anees(means: Sequence[float], over_time: Sequence[Sequence[float]], degrees:
     instants = [math.fsum(values[second] for values in over_time) / n for second in range(shortest)]
     inside = sum(low <= value <= high for value in instants)
     share = 100.0 * inside / shortest if shortest else math.nan
-    return Anees(n, math.fsum(means) / n, median(means), low, high, share)
+    return MeanNees(n, math.fsum(means) / n, median(means), low, high, share)
 
 
-def known_flights(command: Suite) -> dict[str, Path]:
-    """Return the flights that are there and wanted, the first seed of all first."""
+def selected_flights(command: SuiteCommand) -> dict[str, Path]:
+    """Return the existing flights that the options select, by name, ordered by seed and then by scenario."""
     seeds = numbers(command.seeds)
     found: list[tuple[int, int, str, Path]] = []
-    for place in command.flights.iterdir():
-        named = _NAME.fullmatch(place.name)
-        if named is None or not (place / "mav0").is_dir() or (place / "mav0" / "INCOMPLETE").exists():
+    for folder in command.flights.iterdir():
+        parts = _NAME.fullmatch(folder.name)
+        if parts is None or not (folder / "mav0").is_dir() or (folder / "mav0" / "INCOMPLETE").exists():
             continue
-        world, level, seed = named["world"], named["level"], int(named["seed"])
+        world, level, seed = parts["world"], parts["level"], int(parts["seed"])
         if world in command.worlds and level in command.levels and seed in seeds:
             order = command.worlds.index(world) * len(command.levels) + command.levels.index(level)
-            found.append((seed, order, place.name, place))
+            found.append((seed, order, folder.name, folder))
     if command.quick:
         first = {order: seed for seed, order, _, _ in sorted(found, reverse=True)}
         found = [each for each in found if first[each[1]] == each[0]]
-    return {name: place for _, _, name, place in sorted(found)}
+    return {name: folder for _, _, name, folder in sorted(found)}
 
 
-def group_row(label: str, rows: Sequence[Figures]) -> list[str]:
-    """Return a row of the table: errors, failures and costs of some flights."""
-    position, orientation = _anees_of(rows)
+def group_row(label: str, rows: Sequence[RunMetrics]) -> list[str]:
+    """Return the cells of a group of flights, see `HEADINGS`."""
+    position, orientation = _mean_nees_of(rows)
     failed = sum(row.failed for row in rows)
     return [
         label,
@@ -137,11 +137,11 @@ def group_row(label: str, rows: Sequence[Figures]) -> list[str]:
     ]
 
 
-def _anees_of(rows: Sequence[Figures]) -> tuple[Anees, Anees]:
+def _mean_nees_of(rows: Sequence[RunMetrics]) -> tuple[MeanNees, MeanNees]:
     """Return the mean NEES of position and of orientation."""
     return (
-        anees([row.nees_position for row in rows], [row.nees_position_over_time for row in rows]),
-        anees([row.nees_orientation for row in rows], [row.nees_orientation_over_time for row in rows]),
+        mean_nees([row.nees_position for row in rows], [row.nees_position_over_time for row in rows]),
+        mean_nees([row.nees_orientation for row in rows], [row.nees_orientation_over_time for row in rows]),
     )
 
 
@@ -149,22 +149,22 @@ HEADINGS = (
     "flights",
     "n",
     "ATE [% of path], median",
-    "worst",
+    "largest",
     "failures",
     "RPE 1 s [m]",
     "scale [%]",
-    "least coverage [%]",
+    "smallest coverage [%]",
     "latest first pose [s]",
-    "ANEES position (median)",
-    "ANEES orientation (median)",
-    "95 % band",
+    "mean NEES of position (median)",
+    "mean NEES of orientation (median)",
+    "95 % interval",
     "CPU ms",
     "p99",
 )
 
 
-def summary(rows: Sequence[Figures], mode: Mode) -> str:
-    """Return the table of one mode: world × level, and all."""
+def summary(rows: Sequence[RunMetrics], mode: Mode) -> str:
+    """Return the table of one mode: each world and level, all worlds, all levels, and all flights."""
     own = [row for row in rows if row.mode == mode]
     cells = []
     for world in WORLDS:
@@ -172,35 +172,35 @@ def summary(rows: Sequence[Figures], mode: Mode) -> str:
             group = [row for row in own if row.flight.startswith(f"{world}-{level}-")]
             if group:
                 cells.append(group_row(f"{world} {level}", group))
-    cells += [group_row(f"all {level}", group) for level, group in _by(own, LEVELS, 1).items()]
-    cells += [group_row(f"all {world}", group) for world, group in _by(own, WORLDS, 0).items()]
+    cells += [group_row(f"all {level}", group) for level, group in _grouped(own, LEVELS, 1).items()]
+    cells += [group_row(f"all {world}", group) for world, group in _grouped(own, WORLDS, 0).items()]
     if own:
         cells.append(group_row("all", own))
     return table((f"{mode}: {HEADINGS[0]}", *HEADINGS[1:]), cells)
 
 
-def _by(rows: Sequence[Figures], names: Sequence[str], part: int) -> dict[str, list[Figures]]:
+def _grouped(rows: Sequence[RunMetrics], names: Sequence[str], part: int) -> dict[str, list[RunMetrics]]:
     groups = {name: [row for row in rows if row.flight.split("-")[part] == name] for name in names}
     return {name: group for name, group in groups.items() if group}
 
 
-def verdict(rows: Sequence[Figures], mode: Mode) -> str:
-    """Say whether one mode keeps what is asked of it."""
+def verdict(rows: Sequence[RunMetrics], mode: Mode) -> str:
+    """Return sentences on the bounds of one mode, and a list of its failed flights."""
     own = [row for row in rows if row.mode == mode]
     if not own:
         return f"{mode}: no flights"
-    middle = median(row.ate_percent for row in own)
+    typical = median(row.ate_percent for row in own)
     failed = [row for row in own if row.failed]
     lines = [
-        f"{mode}, {len(own)} flights: median ATE {text(middle)} % (≤ {BOUNDS_PERCENT[mode]} %:"
-        f" {'yes' if middle <= BOUNDS_PERCENT[mode] else '**no**'}), failures {len(failed)}"
+        f"{mode}, {len(own)} flights: median ATE {text(typical)} % (≤ {BOUNDS_PERCENT[mode]} %:"
+        f" {'yes' if typical <= BOUNDS_PERCENT[mode] else '**no**'}), failures {len(failed)}"
         f" (none: {'**no**' if failed else 'yes'})."
     ]
-    for name, found in zip(("position", "orientation"), _anees_of(own), strict=True):
+    for name, nees in zip(("position", "orientation"), _mean_nees_of(own), strict=True):
         lines.append(
-            f"ANEES of {name} {text(found.mean, '.2f')} (median of flights {text(found.median, '.2f')}), band"
-            f" {found.low:.2f}–{found.high:.2f}: {'inside' if found.inside else '**outside**'};"
-            f" at {text(found.inside_percent, '.0f')} % of the seconds the mean over flights is inside."
+            f"Mean NEES of {name} {text(nees.mean, '.2f')} (median of flights {text(nees.median, '.2f')}), interval"
+            f" {nees.low:.2f}–{nees.high:.2f}: {'inside' if nees.inside else '**outside**'};"
+            f" at {text(nees.inside_percent, '.0f')} % of the seconds the mean over flights is inside."
         )
     lines += [
         f"- failed: {row.flight}: {row.status} {row.reason} coverage {row.coverage_percent:.1f} %,"
@@ -210,8 +210,8 @@ def verdict(rows: Sequence[Figures], mode: Mode) -> str:
     return "\n".join(lines)
 
 
-def worst(rows: Iterable[Figures], count: int = 8) -> str:
-    """Return a table of the worst flights."""
+def largest_errors(rows: Iterable[RunMetrics], count: int = 8) -> str:
+    """Return a table of the flights with the largest errors relative to their paths."""
     ordered = sorted(rows, key=lambda row: -row.ate_percent)[:count]
     cells = [
         [
@@ -230,25 +230,34 @@ def worst(rows: Iterable[Figures], count: int = 8) -> str:
         ]
         for row in ordered
     ]
-    headings = ("worst flights", "", "ATE [%]", "ATE [m]", "max [m]", "scale [%]", "coverage [%]", "first pose [s]")
+    headings = (
+        "flights with the largest errors",
+        "",
+        "ATE [%]",
+        "ATE [m]",
+        "max [m]",
+        "scale [%]",
+        "coverage [%]",
+        "first pose [s]",
+    )
     return table((*headings, "NEES p", "NEES θ", "largest jump [m]", "at [s]"), cells, 2)
 
 
-def main(command: Suite) -> int:
-    """Run all that is missing, print the tables; 1 if a flight failed."""
-    flights = known_flights(command)
+def main(command: SuiteCommand) -> int:
+    """Execute the runs that are not cached, print the tables, and return 1 if a flight failed."""
+    flights = selected_flights(command)
     modes: tuple[Mode, ...] = ("mono",) if command.quick else command.modes
-    tasks = [Task(name, place, mode) for mode in modes for name, place in flights.items()]
-    rows = sorted(done(tasks, command.results, command.workers), key=lambda row: row.flight)
+    tasks = [EstimationTask(name, folder, mode) for mode in modes for name, folder in flights.items()]
+    rows = sorted(run_all(tasks, command.results, command.workers), key=lambda row: row.flight)
     print(f"{len(flights)} flights. {provenance()}\n")
     for mode in modes:
         print(summary(rows, mode) + "\n")
         print(verdict(rows, mode) + "\n")
-    print(worst(rows))
+    print(largest_errors(rows))
     print(failures(rows))
     write_json(command.json, rows)
     return int(any(row.failed for row in rows))
 
 
 if __name__ == "__main__":
-    sys.exit(main(tyro.cli(Suite, description=__doc__)))
+    sys.exit(main(tyro.cli(SuiteCommand, description=__doc__)))

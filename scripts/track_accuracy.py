@@ -1,14 +1,14 @@
-"""How accurate the front end's tracks and stereo matches are, beside the simulator's truth.
+"""Measure the errors of the front end's tracks and stereo matches with respect to the simulator's ground truth.
 
-Flies nothing and estimates nothing: follows the images of recordings that ``dronevio fly`` made, and asks the world
-they were drawn from how far each feature is. Where that point of the world really goes in the images that follow is
-known to a hundredth of a pixel; how far the track is from there, by its age in frames, is what is printed::
+The front end tracks features in the images of recordings that ``dronevio fly`` wrote. The depth of each new feature is
+rendered from the simulated world, so that its true image coordinates in later frames are known to a hundredth of a
+pixel. The script prints the distance of the tracks from them by age in frames::
 
     dronevio fly --scenario hall-medium-v0 --rig euroc-stereo --out flights/hall
     python scripts/track_accuracy.py flights/hall
     python scripts/track_accuracy.py flights/* --frames 400 --json tracks.json
 
-The world must stand still: nothing is known of what moves by itself.
+The world must be static: the motion of objects is not taken into account.
 """
 
 import json
@@ -40,124 +40,129 @@ from dronevio.recorder import SCENARIO_FILE
 Array = npt.NDArray[np.float64]
 Depth = npt.NDArray[np.float32]
 DepthAt = Callable[[Array], Depth]
-"""Maps the pose (4, 4) of the main camera to the depths (H, W) [m] of what its pixels see."""
+"""Maps the pose (4, 4) of the first camera to its depth image (H, W) [m]."""
 
 AGES = (1, 5, 10, 20, 40)
-"""Numbers of frames after which tracks are compared."""
-FLAT = 0.02
-"""Largest relative difference of depth within a feature's neighbourhood; where it is larger, an edge is near and what
-moves with the feature is ambiguous."""
+"""Ages of tracks for which errors are printed [frames]."""
+MAX_DEPTH_RANGE = 0.02
+"""Largest relative range of depth in the neighbourhood of a feature. A feature with a larger range is at an edge, where
+its depth is ambiguous."""
 OUTLIER_PX = 1.0
-"""A track or match that is further off is called wrong."""
+"""Error from which a track or match is an outlier [px]."""
 
 
 @dataclass(frozen=True)
-class TrackAccuracy:
-    """Measure how accurate tracks and stereo matches are."""
+class TrackAccuracyCommand:
+    """Measure the errors of tracks and stereo matches on simulated recordings."""
 
     recordings: tyro.conf.Positional[tuple[Path, ...]]
     """Folders that `dronevio fly` wrote."""
     frames: int = 400
-    """How many frames of each to look at, at most."""
+    """Largest number of frames of each recording."""
     first: int = 60
-    """The first of them; drones stand still before."""
+    """Index of the first frame; drones are stationary before it."""
     every: int = 4
-    """New features are taken every so many frames, as on keyframes."""
+    """Interval at which new features are detected, as on keyframes [frames]."""
     cameras: int = 2
-    """How many cameras to use, at most."""
+    """Largest number of cameras."""
     json: Path | None = None
-    """File for the figures."""
+    """JSON file for all figures."""
 
 
 @dataclass(frozen=True)
-class AgeFigures:
-    """How accurate tracks of one age are."""
+class AgeErrors:
+    """Errors of tracks of one age."""
 
     age: int
-    """Frames since the feature was first seen."""
+    """Number of frames since the feature was detected."""
     tracks: int
-    """How many got so old."""
+    """Number of tracks that reach this age."""
     median_px: float
-    """Median distance from where the landmark is [px]."""
+    """Median distance from the true image coordinates [px]."""
     p90_px: float
-    """Its 90th percentile [px]."""
-    wrong_percent: float
-    """Share of the tracks that are off by more than a pixel [%]."""
+    """90th percentile of this distance [px]."""
+    outlier_percent: float
+    """Share of the tracks with an error above 1 px [%]."""
 
 
 @dataclass(frozen=True)
-class TrackFigures:
-    """How accurate a front end is on one recording."""
+class TrackErrors:
+    """Errors of tracks and stereo matches, and processor time, on one recording."""
 
     name: str
-    """Of the recording."""
-    ages: tuple[AgeFigures, ...]
-    """Tracks by age."""
+    """Name of the recording."""
+    ages: tuple[AgeErrors, ...]
+    """Errors of tracks by age."""
     features: float
-    """Mean number of features in a frame."""
+    """Mean number of features per frame."""
     half_life_frames: float
-    """Median age at which a track ends, of those that have ended [frames]."""
+    """Median age of tracks at their end, without tracks that reach the last frame [frames]."""
     stereo_median_px: float | None
-    """Median distance of stereo matches from where the landmark is [px]."""
-    stereo_wrong_percent: float | None
-    """Share of the matches that are off by more than a pixel [%]."""
+    """Median distance of stereo matches from the true image coordinates; None without matches [px]."""
+    stereo_outlier_percent: float | None
+    """Share of the matches with an error above 1 px; None without matches [%]."""
     stereo_matched_percent: float | None
-    """Share of the features that were matched [%]."""
+    """Share of the features with a match; None for a single camera [%]."""
     track_ms: float
-    """Processor time of following into a frame [ms]."""
+    """Mean processor time of tracking per frame [ms]."""
     replenish_ms: float
-    """Processor time of new features and stereo matches, on a frame that takes them [ms]."""
+    """Mean processor time of detection and stereo matching per frame with new features [ms]."""
 
 
 @dataclass(frozen=True, eq=False)
 class Landmarks:
-    """Where in the world features are, by their identity."""
+    """True positions of features, indexed by their identity."""
 
     points: Array
-    """(N, 3) Positions in the world [m]; NaN where an edge is near, or nothing is seen."""
-    born: npt.NDArray[np.int64]
-    """(N,) Frame in which each was first seen; −1 for never."""
+    """(N, 3) Positions in the world frame; NaN for features at edges [m]."""
+    first_frame: npt.NDArray[np.int64]
+    """(N,) Index of the frame in which each feature was detected; −1 for unused identities."""
 
     @classmethod
     def none(cls, n: int = 1 << 17) -> "Landmarks":
-        """Return room for n identities."""
+        """Return arrays for n identities without any feature."""
         return cls(np.full((n, 3), np.nan), np.full(n, -1))
 
 
 @contextmanager
 def depth_of(recording: EurocRecording) -> Iterator[DepthAt]:
-    """Give what draws the depths of a recording's world."""
+    """Yield a function that renders depth images in the world of a recording."""
     os.environ.setdefault("LP_NUM_THREADS", "1")
     from dronevio.sim.cameras.camera import OffscreenCamera
     from dronevio.sim.world import build_world
 
     scenario = json.loads((recording.mav0.parent / SCENARIO_FILE).read_text(encoding="utf-8"))["scenario"]
     model = build_world(scenario["world"], scenario["seed"]).spec.compile()
-    with OffscreenCamera(model, recording.rig.cameras[0].model) as eye:
-        yield lambda T_world_cam: eye.render_surfaces(T_world_cam).depth_m
+    with OffscreenCamera(model, recording.rig.cameras[0].model) as camera:
+        yield lambda T_world_cam: camera.render_surfaces(T_world_cam).depth_m
 
 
-def points_seen(camera: CameraModel, depth_m: Depth, pixels: Array) -> Array:
-    """Return the points (N, 3) in the camera frame that pixels (N, 2) see; NaN at edges.
+def observed_points(camera: CameraModel, depth_m: Depth, pixels: Array) -> Array:
+    """Return the points (N, 3) in the camera frame at pixels (N, 2); NaN at edges [m].
 
-    The inverse of the depth is linear in the image on a plane, so that is what is interpolated.
+    On a plane, the inverse depth is linear in the image coordinates. It is therefore interpolated.
+
+    Args:
+        camera: Model of the camera.
+        depth_m: (H, W) Depth image [m].
+        pixels: (N, 2) Image coordinates [px].
     """
     corner = np.floor(pixels).astype(int)
-    across, down = np.meshgrid(np.arange(-1, 3), np.arange(-1, 3))
-    columns = np.clip(corner[:, 0, None] + across.ravel(), 0, camera.width - 1)
-    rows = np.clip(corner[:, 1, None] + down.ravel(), 0, camera.height - 1)
-    around = 1.0 / depth_m[rows, columns].astype(np.float64).reshape(-1, 4, 4)
-    flat = np.ptp(around, axis=(1, 2)) < FLAT * around.mean(axis=(1, 2))
+    dx, dy = np.meshgrid(np.arange(-1, 3), np.arange(-1, 3))
+    columns = np.clip(corner[:, 0, None] + dx.ravel(), 0, camera.width - 1)
+    rows = np.clip(corner[:, 1, None] + dy.ravel(), 0, camera.height - 1)
+    inverse = 1.0 / depth_m[rows, columns].astype(np.float64).reshape(-1, 4, 4)
+    flat = np.ptp(inverse, axis=(1, 2)) < MAX_DEPTH_RANGE * inverse.mean(axis=(1, 2))
     fx, fy = (pixels - corner).T
-    upper = around[:, 1, 1] * (1.0 - fx) + around[:, 1, 2] * fx
-    lower = around[:, 2, 1] * (1.0 - fx) + around[:, 2, 2] * fx
+    upper = inverse[:, 1, 1] * (1.0 - fx) + inverse[:, 1, 2] * fx
+    lower = inverse[:, 2, 1] * (1.0 - fx) + inverse[:, 2, 2] * fx
     depth = 1.0 / np.where(flat, upper * (1.0 - fy) + lower * fy, np.nan)
     rays = camera.unproject(pixels)
     return np.asarray(rays * (depth / (rays[:, 2] if camera.lens == "radtan" else 1.0))[:, None])
 
 
 def true_poses(recording: EurocRecording, t_ns: npt.NDArray[np.int64]) -> Trajectory:
-    """Return where the IMU truly was when frames were exposed."""
+    """Return the true poses of the IMU at the exposure of frames with time stamps (N,) [ns]."""
     assert recording.ground_truth is not None
     truth = recording.frame_truth
     exposed = t_ns if truth is None else truth.exposed_ns[np.searchsorted(truth.t_ns, t_ns)]
@@ -168,8 +173,16 @@ def true_poses(recording: EurocRecording, t_ns: npt.NDArray[np.int64]) -> Trajec
 
 def measure(
     recording: EurocRecording, front_end: FrontEnd, depth_at: DepthAt, frames: Sequence[int], every: int
-) -> TrackFigures:
-    """Run a front end over frames of a recording and compare it with the truth."""
+) -> TrackErrors:
+    """Run a front end over frames of a recording and compare its tracks with the ground truth.
+
+    Args:
+        recording: The recording.
+        front_end: The front end before its first frame.
+        depth_at: Renders depth images of the world.
+        frames: Indices of consecutive frames.
+        every: Interval at which new features are detected [frames].
+    """
     times = recording.frame_times_ns[list(frames)]
     poses = true_poses(recording, times)
     bias = np.zeros((len(times), 3)) if poses.gyro_bias_rad_s is None else poses.gyro_bias_rad_s
@@ -177,7 +190,7 @@ def measure(
     buffer, landmarks = ImuBuffer(), Landmarks.none()
     buffer.add(recording.imu)
     buffer.take_until(int(times[0]))
-    ages, errors, counts, stereo, matched, sightings = [], [], [], [], [], np.zeros(len(landmarks.born), np.int64)
+    ages, errors, counts, stereo, matched, last_age = [], [], [], [], [], np.zeros(len(landmarks.first_frame), np.int64)
     track_s, replenish_s = [], []
     for row, k in enumerate(frames):
         frame = recording.frame(k)
@@ -185,80 +198,81 @@ def measure(
         T_world_imu = poses.Ts_world_imu[row]
         T_world_cam = T_world_imu @ main.T_imu_cam
         start = time.process_time()
-        seen = front_end.track(frame, R_cur_prev)
+        observed = front_end.track(frame, R_cur_prev)
         track_s.append(time.process_time() - start)
-        ours = seen.camera == 0
-        ids = seen.ids[ours]
-        sightings[ids] = row - landmarks.born[ids]
+        in_main = observed.camera == 0
+        ids = observed.ids[in_main]
+        last_age[ids] = row - landmarks.first_frame[ids]
         T_cam_world = inverse_pose(T_world_cam)
         expected = main.model.project(landmarks.points[ids] @ T_cam_world[:3, :3].T + T_cam_world[:3, 3])
-        ages.append(sightings[ids])
-        errors.append(np.linalg.norm(seen.pixels[ours] - expected, axis=1))
-        counts.append(len(seen))
+        ages.append(last_age[ids])
+        errors.append(np.linalg.norm(observed.pixels[in_main] - expected, axis=1))
+        counts.append(len(observed))
         if row % every:
             continue
         start = time.process_time()
-        seen = front_end.replenish()
+        observed = front_end.replenish()
         replenish_s.append(time.process_time() - start)
-        ours = seen.camera == 0
-        points = points_seen(main.model, depth_at(T_world_cam), seen.pixels[ours])
+        in_main = observed.camera == 0
+        points = observed_points(main.model, depth_at(T_world_cam), observed.pixels[in_main])
         points = points @ T_world_cam[:3, :3].T + T_world_cam[:3, 3]
-        new = landmarks.born[seen.ids[ours]] < 0
-        landmarks.points[seen.ids[ours][new]], landmarks.born[seen.ids[ours][new]] = points[new], row
+        ids = observed.ids[in_main]
+        new = landmarks.first_frame[ids] < 0
+        landmarks.points[ids[new]], landmarks.first_frame[ids[new]] = points[new], row
         if len(recording.rig.cameras) > 1:
-            stereo.append(_match_errors(recording, seen, points, T_world_imu))
-            matched.append(len(seen.matches) / max(len(seen), 1))
+            stereo.append(_match_errors(recording, observed, points, T_world_imu))
+            matched.append(len(observed.matches) / max(len(observed), 1))
     age, error = np.concatenate(ages), np.concatenate(errors)
-    known = np.isfinite(error)
-    ended = (sightings > 0) & (landmarks.born + sightings < len(frames) - 1)
-    off = np.concatenate(stereo) if stereo else np.zeros(0)
-    off = off[np.isfinite(off)]
-    return TrackFigures(
+    finite = np.isfinite(error)
+    ended = (last_age > 0) & (landmarks.first_frame + last_age < len(frames) - 1)
+    match_px = np.concatenate(stereo) if stereo else np.zeros(0)
+    match_px = match_px[np.isfinite(match_px)]
+    return TrackErrors(
         recording.name,
-        tuple(_at_age(a, error[known & (age == a)]) for a in AGES),
+        tuple(_at_age(a, error[finite & (age == a)]) for a in AGES),
         float(np.mean(counts)),
-        float(np.median(sightings[ended])) if ended.any() else float("nan"),
-        float(np.median(off)) if len(off) else None,
-        float(100.0 * np.mean(off > OUTLIER_PX)) if len(off) else None,
+        float(np.median(last_age[ended])) if ended.any() else float("nan"),
+        float(np.median(match_px)) if len(match_px) else None,
+        float(100.0 * np.mean(match_px > OUTLIER_PX)) if len(match_px) else None,
         float(100.0 * np.mean(matched)) if matched else None,
         1e3 * float(np.mean(track_s)),
         1e3 * float(np.mean(replenish_s)),
     )
 
 
-def _match_errors(recording: EurocRecording, seen: Observations, points: Array, T_world_imu: Array) -> Array:
-    """Return how far matches (M,) of the main camera's features are from where these are now [px]."""
-    of_main = seen.ids[seen.camera == 0]
+def _match_errors(recording: EurocRecording, observed: Observations, points: Array, T_world_imu: Array) -> Array:
+    """Return the distances (M,) of matches of features of the first camera from their true image coordinates [px]."""
+    of_main = observed.ids[observed.camera == 0]
     errors = []
-    for j in np.unique(seen.matches.camera):
-        chosen = (seen.matches.camera == j) & np.isin(seen.matches.ids, of_main)
+    for j in np.unique(observed.matches.camera):
+        chosen = (observed.matches.camera == j) & np.isin(observed.matches.ids, of_main)
         camera = recording.rig.cameras[j]
         T_cam_world = inverse_pose(T_world_imu @ camera.T_imu_cam)
-        there = points[np.searchsorted(of_main, seen.matches.ids[chosen])]
-        expected = camera.model.project(there @ T_cam_world[:3, :3].T + T_cam_world[:3, 3])
-        xy = seen.matches.xy[chosen]
+        matched = points[np.searchsorted(of_main, observed.matches.ids[chosen])]
+        expected = camera.model.project(matched @ T_cam_world[:3, :3].T + T_cam_world[:3, 3])
+        xy = observed.matches.xy[chosen]
         errors.append(np.linalg.norm(camera.model.project(np.column_stack([xy, np.ones(len(xy))])) - expected, axis=1))
     return np.concatenate(errors) if errors else np.zeros(0)
 
 
-def _at_age(age: int, error_px: Array) -> AgeFigures:
+def _at_age(age: int, error_px: Array) -> AgeErrors:
     if not len(error_px):
-        return AgeFigures(age, 0, float("nan"), float("nan"), float("nan"))
-    wrong = 100.0 * float(np.mean(error_px > OUTLIER_PX))
-    return AgeFigures(age, len(error_px), float(np.median(error_px)), float(np.quantile(error_px, 0.9)), wrong)
+        return AgeErrors(age, 0, float("nan"), float("nan"), float("nan"))
+    outliers = 100.0 * float(np.mean(error_px > OUTLIER_PX))
+    return AgeErrors(age, len(error_px), float(np.median(error_px)), float(np.quantile(error_px, 0.9)), outliers)
 
 
-def report(rows: Sequence[TrackFigures]) -> str:
-    """Return a Markdown table."""
+def report(rows: Sequence[TrackErrors]) -> str:
+    """Return the Markdown table of all recordings."""
     headings = ["recording", *(f"{a.age} frames" for a in rows[0].ages), "features", "half-life", "stereo", "ms"]
     lines = [" | ".join(headings), " | ".join([":---"] + ["---:"] * (len(headings) - 1))]
     for row in rows:
         cells = [row.name]
-        cells += [f"{a.median_px:.3f} / {a.p90_px:.2f} / {a.wrong_percent:.1f} %" for a in row.ages]
+        cells += [f"{a.median_px:.3f} / {a.p90_px:.2f} / {a.outlier_percent:.1f} %" for a in row.ages]
         stereo = "–"
         if row.stereo_median_px is not None:
             stereo = (
-                f"{row.stereo_median_px:.3f} / {row.stereo_wrong_percent:.1f} % / {row.stereo_matched_percent:.0f} %"
+                f"{row.stereo_median_px:.3f} / {row.stereo_outlier_percent:.1f} % / {row.stereo_matched_percent:.0f} %"
             )
         cells += [f"{row.features:.0f}", f"{row.half_life_frames:.0f}", stereo]
         cells.append(f"{row.track_ms:.1f} + {row.replenish_ms:.1f}")
@@ -266,7 +280,7 @@ def report(rows: Sequence[TrackFigures]) -> str:
     return "\n".join(f"| {line} |" for line in lines)
 
 
-def main(command: TrackAccuracy) -> int:
+def main(command: TrackAccuracyCommand) -> int:
     """Measure all recordings and print a table."""
     cv2.setNumThreads(1)
     rows = []
@@ -277,10 +291,9 @@ def main(command: TrackAccuracy) -> int:
             front_end = RigTracker(recording.rig, TrackerConfig())
             rows.append(measure(recording, front_end, depth_at, range(command.first, last), command.every))
     print(
-        "Errors of tracks by age: median / 90th percentile [px] / share beyond 1 px; of stereo matches: median [px] /"
-    )
-    print(
-        "share beyond 1 px / share of the features matched; processor time: following + taking new ones and matching.\n"
+        "Errors of tracks by age: median / 90th percentile [px] / share above 1 px. Errors of stereo matches: median\n"
+        "[px] / share above 1 px / share of the features with a match. Processor time: tracking + detection and\n"
+        "stereo matching.\n"
     )
     print(report(rows))
     if command.json is not None:
@@ -289,4 +302,4 @@ def main(command: TrackAccuracy) -> int:
 
 
 if __name__ == "__main__":
-    sys.exit(main(tyro.cli(TrackAccuracy, description=__doc__)))
+    sys.exit(main(tyro.cli(TrackAccuracyCommand, description=__doc__)))

@@ -1,7 +1,7 @@
-"""What the scripts that measure the odometry share: runs, done each on its own, and a store of them.
+"""Runs of the odometry for the scripts that measure it, and a cache of their metrics.
 
-Each run is a process of its own, so that one that dies costs only itself, and a row that says so. A row is kept under a
-hash of all that it depends on (recording, code, libraries): who asks again gets it again, until one of them changes.
+Each run is a process of its own, so that a crash affects only one row, which states it. The metrics are cached under a
+hash of everything on which they depend: recording, code and libraries.
 """
 
 import hashlib
@@ -16,7 +16,7 @@ from pathlib import Path
 from typing import Any, Literal
 
 import numpy as np
-from figures import Figures, figures_of, recovery_s, window_drift_m
+from run_metrics import RunMetrics, metrics_of, recovery_s, window_drift_m
 
 import dronevio
 from dronevio.driver import estimate_recording
@@ -29,48 +29,61 @@ from dronevio.models.progress import Progress, silent
 from dronevio.models.recordings.tum import write_tum
 
 Mode = Literal["mono", "stereo"]
-"""How many of a recording's cameras are used."""
+"""Cameras that the estimator uses: the first, or the first two."""
 
 CAMERAS: dict[Mode, int] = {"mono": 1, "stereo": 2}
 ONE_THREAD = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "LP_NUM_THREADS"), "1")
-FIGURES_VERSION = 1
-"""Whoever changes what a figure means counts on, so that rows of before are done again."""
+METRICS_VERSION = 1
+"""Version of the metrics, which a change of their definition increments, so that cached rows become invalid."""
 _PACKAGES = ("python", "gtsam", "opencv-python-headless", "numpy")
-_HOUSE = Path(dronevio.__file__).parent
-_CODE = tuple(_HOUSE / name for name in ("estimator", "models", "eval/metrics", "driver.py"))
+_PACKAGE = Path(dronevio.__file__).parent
+_CODE = tuple(_PACKAGE / name for name in ("estimator", "models", "eval/metrics", "driver.py"))
 
 
 @dataclass(frozen=True)
-class Task:
-    """One run to be done."""
+class EstimationTask:
+    """One run of the odometry on a recording."""
 
     flight: str
-    """What to call it."""
+    """Name of the flight."""
     recording: Path
-    """Where it lies."""
+    """Folder or file of the recording."""
     mode: Mode
-    """Which of its cameras to use."""
+    """Cameras of the estimator."""
     front_end: str = ""
-    """Spoils the front end: a name of `spoiling.FRONT_ENDS`; empty for the estimator's own."""
+    """Name in `corrupted_tracks.CORRUPTED_FRONT_ENDS`; empty for the front end of the estimator."""
     window_s: tuple[float, float] | None = None
-    """A time to look at closely, from the first frame on: that of a fault, or of a hover [s]."""
+    """Time window after the first frame with metrics of its own, such as that of a fault [s]."""
 
     def key(self, digest: str) -> str:
-        """Return the name under which it is kept, given the hash of what estimates."""
+        """Return the name of the cached result.
+
+        Args:
+            digest: Hash of the estimator, see `estimator_hash`.
+        """
         parts = f"{digest} {recording_hash(self.recording)} {self.mode} {self.front_end} {self.window_s}"
         return f"{self.flight}-{self.mode}-{hashlib.sha256(parts.encode()).hexdigest()[:16]}"
 
 
 def estimator_hash() -> str:
-    """Return the hash of all that an estimate depends on besides the recording."""
+    """Return a hash of the code and the packages on which an estimate depends."""
     installed = versions_here()
     packages = " ".join(f"{name} {installed.get(name)}" for name in _PACKAGES)
-    return hashlib.sha256(f"{packages} {code_hash(*_CODE)} {FIGURES_VERSION}".encode()).hexdigest()[:16]
+    return hashlib.sha256(f"{packages} {code_hash(*_CODE)} {METRICS_VERSION}".encode()).hexdigest()[:16]
 
 
-def run_task(task: Task, trace: Path | None, progress: Progress = silent) -> dict[str, Any]:
-    """Estimate a recording's motion, and return the `Figures` as plain data."""
-    from spoiling import FRONT_ENDS
+def run_task(task: EstimationTask, trace: Path | None, progress: Progress = silent) -> dict[str, Any]:
+    """Estimate the trajectory of a recording, and return its `RunMetrics` as plain data.
+
+    Args:
+        task: The run.
+        trace: Path without suffix for the files of `write_trace`; None to write none.
+        progress: Called with the number of processed frames.
+
+    Raises:
+        EvaluationError: The recording has too few cameras or no ground truth.
+    """
+    from corrupted_tracks import CORRUPTED_FRONT_ENDS
 
     from dronevio.estimator.config import VioConfig
     from dronevio.estimator.frontend.rig import RigTracker
@@ -84,21 +97,21 @@ def run_task(task: Task, trace: Path | None, progress: Progress = silent) -> dic
         raise EvaluationError(f"{task.recording} has no ground truth")
     config = VioConfig()
     front_end = RigTracker(recording.rig, config.tracker)
-    spoilt = FRONT_ENDS[task.front_end](front_end) if task.front_end else front_end
-    estimator = VisualInertialOdometry(recording.rig, config, spoilt)
+    used = CORRUPTED_FRONT_ENDS[task.front_end](front_end) if task.front_end else front_end
+    estimator = VisualInertialOdometry(recording.rig, config, used)
     run = estimate_recording(recording, estimator, progress)
     if trace is not None:
         write_trace(trace, run)
     truth, frames = recording.ground_truth, recording.frame_times_ns
-    found = figures_of(task.flight, task.mode, run, truth, frames)
+    metrics = metrics_of(task.flight, task.mode, run, truth, frames)
     if task.window_s is not None:
-        found = replace(found, window_drift_m=window_drift_m(run, truth, task.window_s))
-        found = replace(found, recovery_s=recovery_s(run, task.window_s[1]))
-    return asdict(found)
+        drift_m = window_drift_m(run, truth, task.window_s)
+        metrics = replace(metrics, window_drift_m=drift_m, recovery_s=recovery_s(run, task.window_s[1]))
+    return asdict(metrics)
 
 
 def write_trace(path: Path, run: EstimatorRun) -> None:
-    """Write what came of each frame, for whoever looks into a run: PATH.tum with the poses, PATH.npz with the rest."""
+    """Write the results of all frames: the poses as PATH.tum, and states, health and processor times as PATH.npz."""
     path.parent.mkdir(parents=True, exist_ok=True)
     trajectory = run.trajectory
     if len(trajectory):
@@ -117,57 +130,59 @@ def write_trace(path: Path, run: EstimatorRun) -> None:
     )
 
 
-def done(tasks: Sequence[Task], results: Path | None, workers: int, timeout_s: float = 1800.0) -> Iterator[Figures]:
-    """Do the runs that have not been done, and yield the figures of all as they come.
+def run_all(
+    tasks: Sequence[EstimationTask], results: Path | None, workers: int, timeout_s: float = 1800.0
+) -> Iterator[RunMetrics]:
+    """Execute the tasks whose results are not cached, and yield the metrics of all tasks as they finish.
 
     Args:
-        tasks: What to run.
-        results: Folder in which rows and traces are kept; None to keep nothing.
-        workers: How many runs at a time.
-        timeout_s: How long one may take [s].
+        tasks: The runs.
+        results: Folder of the cached metrics and traces; None to cache nothing.
+        workers: Number of runs at the same time.
+        timeout_s: Time limit of one run [s].
     """
     digest = estimator_hash()
 
-    def carry_out(task: Task) -> Figures:
-        place = None if results is None else results / task.key(digest)
-        row = None if place is None else place.with_name(place.name + ".json")
+    def execute(task: EstimationTask) -> RunMetrics:
+        trace = None if results is None else results / task.key(digest)
+        row = None if trace is None else trace.with_name(trace.name + ".json")
         if row is not None and row.exists():
-            return Figures(**read_row(row))
+            return RunMetrics(**read_row(row))
         outcome = isolated(
             run_task,
             task,
-            place,
+            trace,
             timeout_s=timeout_s,
-            environment={**ONE_THREAD, "PYTHONPATH": f"{Path(__file__).parent}:{_HOUSE.parent}"},
+            environment={**ONE_THREAD, "PYTHONPATH": f"{Path(__file__).parent}:{_PACKAGE.parent}"},
         )
-        known = outcome.value or {"flight": task.flight, "mode": task.mode}
+        values = outcome.value or {"flight": task.flight, "mode": task.mode}
         if outcome.status != "ok":
-            known |= {"status": outcome.status, "reason": outcome.reason}
-        figures = Figures(**{**known, "peak_mb": outcome.peak_mb})
-        if row is not None and estimator_hash() == digest:  # else somebody has changed the code meanwhile
+            values |= {"status": outcome.status, "reason": outcome.reason}
+        metrics = RunMetrics(**{**values, "peak_mb": outcome.peak_mb})
+        if row is not None and estimator_hash() == digest:  # the code may have changed during the run
             row.parent.mkdir(parents=True, exist_ok=True)
-            row.write_text(json.dumps(asdict(figures)) + "\n", encoding="utf-8")
-        return figures
+            row.write_text(json.dumps(asdict(metrics)) + "\n", encoding="utf-8")
+        return metrics
 
     with ThreadPoolExecutor(max_workers=workers) as pool:
-        waiting = [pool.submit(carry_out, task) for task in tasks]
-        for number, future in enumerate(as_completed(waiting), start=1):
-            figures = future.result()
-            error = f"{1e3 * figures.ate_m:.1f} mm" if figures.status == "ok" else f"{figures.status}: {figures.reason}"
-            print(f"{number}/{len(tasks)} {figures.flight} {figures.mode}: {error}", file=sys.stderr, flush=True)
-            yield figures
+        futures = [pool.submit(execute, task) for task in tasks]
+        for number, future in enumerate(as_completed(futures), start=1):
+            metrics = future.result()
+            error = f"{1e3 * metrics.ate_m:.1f} mm" if metrics.status == "ok" else f"{metrics.status}: {metrics.reason}"
+            print(f"{number}/{len(tasks)} {metrics.flight} {metrics.mode}: {error}", file=sys.stderr, flush=True)
+            yield metrics
 
 
 def read_row(path: Path) -> dict[str, Any]:
-    """Read the row of a run."""
-    known = {each.name for each in fields(Figures)}
+    """Return the fields of `RunMetrics` in a cached row, without fields that no longer exist."""
+    names = {each.name for each in fields(RunMetrics)}
     values = json.loads(path.read_text(encoding="utf-8"))
     lists = {name: tuple(value) for name, value in values.items() if isinstance(value, list)}
-    return {name: value for name, value in {**values, **lists}.items() if name in known}
+    return {name: value for name, value in {**values, **lists}.items() if name in names}
 
 
 def provenance() -> str:
-    """Return which machine, packages and code the numbers are from."""
+    """Return the machine, the packages and the code on which the metrics depend, as text."""
     machine, versions = machine_here(), versions_here()
     packages = ", ".join(f"{name} {versions[name]}" for name in _PACKAGES if name in versions)
     return (
@@ -175,8 +190,8 @@ def provenance() -> str:
     )
 
 
-def write_json(path: Path | None, rows: Sequence[Figures]) -> None:
-    """Write all rows as one document, where that is wanted."""
+def write_json(path: Path | None, rows: Sequence[RunMetrics]) -> None:
+    """Write all rows to a JSON file; do nothing without a path."""
     if path is None:
         return
     document = {"provenance": provenance(), "runs": [_plain(asdict(row)) for row in rows]}
@@ -186,5 +201,5 @@ def write_json(path: Path | None, rows: Sequence[Figures]) -> None:
 
 
 def _plain(values: dict[str, Any]) -> dict[str, Any]:
-    """Return values as JSON has them: no infinity."""
+    """Return values for JSON, with infinite numbers and NaN as text."""
     return {k: str(v) if isinstance(v, float) and not math.isfinite(v) else v for k, v in values.items()}

@@ -1,4 +1,4 @@
-"""Numbers and tables, as the scripts that measure read and print them."""
+"""Numbers and Markdown tables of the scripts that measure the odometry."""
 
 import math
 import statistics
@@ -6,39 +6,50 @@ from collections.abc import Iterable, Sequence
 
 
 def numbers(text: str) -> tuple[int, ...]:
-    """Return the numbers that a text such as ``0-4`` or ``0,2,5-7`` names.
+    """Return the numbers that a text such as ``0-4`` or ``0,2,5-7`` lists.
 
     Raises:
-        ValueError: It names none.
+        ValueError: The text lists no numbers.
     """
     found: list[int] = []
     for part in text.split(","):
         first, _, last = part.partition("-")
         found += range(int(first), int(last or first) + 1)
     if not found:
-        raise ValueError(f"{text!r} names no seed; expected such as 0-4 or 0,2,5")
+        raise ValueError(f"{text!r} lists no number; expected a text such as 0-4 or 0,2,5")
     return tuple(dict.fromkeys(found))
 
 
 def median(values: Iterable[float | None]) -> float:
-    """Return the median, failed runs (infinite) included; nan of none or where one is not known."""
-    known = list(values)
-    return math.nan if not known or None in known else float(statistics.median(v for v in known if v is not None))
+    """Return the median with failed runs as infinity; NaN without values, or if one of them is None."""
+    given = list(values)
+    return math.nan if not given or None in given else float(statistics.median(v for v in given if v is not None))
 
 
 def geometric_mean(values: Sequence[float]) -> float:
-    """Return the geometric mean of positive numbers; nan of none."""
+    """Return the geometric mean of positive numbers; NaN without values."""
     return math.exp(math.fsum(math.log(value) for value in values) / len(values)) if values else math.nan
 
 
 def text(value: float | None, form: str = ".3f") -> str:
-    """Return a number for a table: a dash where there is none, ∞ where a run failed."""
+    """Return a number as text for a table: a dash for None and NaN, ∞ for a failed run.
+
+    Args:
+        value: The number.
+        form: Format specification of finite numbers.
+    """
     if value is None or math.isnan(value):
         return "–"
     return "∞" if math.isinf(value) else format(value, form)
 
 
 def table(headings: Sequence[str], rows: Iterable[Sequence[str]], left: int = 1) -> str:
-    """Return a Markdown table whose first ``left`` columns hold words."""
+    """Return a Markdown table.
+
+    Args:
+        headings: Headings of the columns.
+        rows: Cells of each row.
+        left: Number of left-aligned columns; the others are right-aligned.
+    """
     rule = [":---" if column < left else "---:" for column in range(len(headings))]
     return "\n".join(f"| {' | '.join(cells)} |" for cells in (headings, rule, *rows))
