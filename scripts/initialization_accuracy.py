@@ -32,7 +32,7 @@ Array = npt.NDArray[np.float64]
 
 SPAN_S = 2.0
 """Duration over which a scale is measured [s]."""
-FIRST_S, SECOND_S = 2.0, 10.0
+EARLY_AT_S, LATE_AT_S = 2.0, 10.0
 """Times after the first frame at which the scale is measured [s]."""
 EXCITED_M_S2 = 0.5
 """Root mean square of the acceleration from which an initialization is excited [m/s²]."""
@@ -138,7 +138,7 @@ def measure(section: RecordingSection, truth: Trajectory) -> InitializationMetri
     """
     run = estimate_recording(section, VisualInertialOdometry(section.rig))
     t0 = int(section.frame_times_ns[0])
-    beginning = truth[(truth.t_ns >= t0) & (truth.t_ns <= t0 + round(FIRST_S * 1e9))]
+    beginning = truth[(truth.t_ns >= t0) & (truth.t_ns <= t0 + round(EARLY_AT_S * 1e9))]
     coarse = beginning[:: max(len(beginning) // 20, 1)]
     assert coarse.velocity_m_s is not None, "expected ground truth with velocities"
     rates = np.diff(coarse.velocity_m_s, axis=0) / np.diff(coarse.t_s)[:, None]
@@ -154,7 +154,7 @@ def measure(section: RecordingSection, truth: Trajectory) -> InitializationMetri
     difference_m = alignment.positions(estimate.p_world_imu) - true.p_world_imu
     error_m = float(np.sqrt(np.mean(np.sum(difference_m**2, axis=1))))
     t_s = np.asarray((estimate.t_ns - t0) * 1e-9)
-    early, late = (scale_error(true, estimate, max(at_s, float(t_s[0])), t_s) for at_s in (FIRST_S, SECOND_S))
+    early, late = (scale_error(true, estimate, max(at_s, float(t_s[0])), t_s) for at_s in (EARLY_AT_S, LATE_AT_S))
     v_error = estimate.rotations[0].T @ estimate.velocity_m_s[0] - true.rotations[0].T @ true.velocity_m_s[0]
     sigma = float(np.sqrt(np.linalg.eigvalsh(estimate.covariance[0, 6:9, 6:9])[-1]))
     v_error_m_s = float(np.linalg.norm(v_error))
@@ -219,8 +219,8 @@ def print_summary(every: Sequence[InitializationMetrics], duration_s: float) -> 
     """Print the distribution of the metrics over all initializations of a given duration [s]."""
     excited = [each for each in every if each.acceleration_m_s2 >= EXCITED_M_S2]
     for label, some in (("all", every), ("excited", excited)):
-        print(summary(f"scale after {FIRST_S:g} s, {label}", np.array([each.early_scale for each in some]), 0.05))
-        print(summary(f"scale after {SECOND_S:g} s, {label}", np.array([each.late_scale for each in some]), 0.01))
+        print(summary(f"scale after {EARLY_AT_S:g} s, {label}", np.array([each.early_scale for each in some]), 0.05))
+        print(summary(f"scale after {LATE_AT_S:g} s, {label}", np.array([each.late_scale for each in some]), 0.01))
     first_s = np.array([each.first_s for each in every])
     print(f"first pose after {np.nanmedian(first_s):.2f} s (median), {np.nanmax(first_s):.2f} s (latest)")
     print(f"not initialized within {duration_s:g} s: {int(np.isnan(first_s).sum())}")
