@@ -118,9 +118,9 @@ def rig_of(name_or_file: str) -> Rig:
         if not path.exists() and (path.suffix or len(path.parts) > 1):
             raise ConfigError(f"no rig {name_or_file!r}; expected an existing file or folder, or {', '.join(RIGS)}")
         return rig_named(name_or_file)
-    from dronevio.models.recordings.open import rig_of_file
+    from dronevio.models.recordings.open import read_rig
 
-    return rig_of_file(path)
+    return read_rig(path)
 
 
 def _write_settings(folder: Path, settings: dict[str, object]) -> None:

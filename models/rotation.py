@@ -1,7 +1,7 @@
 """Rotation matrices and poses: the exponential map of SO(3), and conversions from and to quaternions.
 
-MuJoCo and EuRoC write quaternions wxyz; TUM files, scipy and rerun write them xyzw. Names of functions and arrays say
-which order they use. All functions broadcast over leading axes. `dronevio.models.quaternions` multiplies and
+MuJoCo and EuRoC order quaternions wxyz; TUM files, scipy and rerun order them xyzw. Names of functions and arrays
+contain the order. All functions broadcast over leading axes. `dronevio.models.quaternions` multiplies and
 interpolates quaternions.
 
 Reference: Solà, Deray, Atchuthan, "A micro Lie theory for state estimation in robotics", 2018 (eq. 132 and 145).

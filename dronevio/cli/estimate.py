@@ -51,11 +51,11 @@ def main(arguments: Sequence[str]) -> int:
 
     from dronevio.driver import ImuRateObserver, estimate_recording, require_poses
     from dronevio.estimator.vio import VisualInertialOdometry
-    from dronevio.models.recordings.files import check_place
+    from dronevio.models.recordings.files import check_output_path
     from dronevio.models.recordings.tum import write_tum
 
     for place in filter(None, (command.out, command.imu_rate)):
-        check_place(place)  # before the estimator runs
+        check_output_path(place)  # before the estimator runs
     recording = command.reading.open(command.recording)
     imu_rate = ImuRateObserver(recording.rig.imu, command.estimator.preintegration)
     observers = () if command.imu_rate is None else (imu_rate,)

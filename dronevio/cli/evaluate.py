@@ -220,9 +220,9 @@ def _frame_times_ns(truth: Path) -> "Times | None":
     """Return the (N,) time stamps of all frames [ns] if the truth is a recording with images, else None."""
     if not _is_recording(truth):
         return None
-    from dronevio.models.recordings.open import frame_times_ns
+    from dronevio.models.recordings.open import read_frame_times
 
-    return frame_times_ns(truth)
+    return read_frame_times(truth)
 
 
 def _is_recording(path: Path) -> bool:

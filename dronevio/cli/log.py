@@ -108,9 +108,9 @@ def _check(command: LogCommand) -> None:
         ConfigError: An option has an invalid value.
     """
     from dronevio.cli.output_files import require_free
-    from dronevio.models.recordings.files import check_place
+    from dronevio.models.recordings.files import check_output_path
 
-    check_place(command.out)
+    check_output_path(command.out)
     if command.out.suffix != ".rrd":
         raise InputError(command.out, f"a name that ends with {command.out.suffix!r}", "one that ends with .rrd")
     require_free(command.out, command.output.overwrite)

@@ -18,7 +18,7 @@ from dronevio.eval.metrics import ScoredTrajectory, nees_bounds, pairs_after_dis
 from dronevio.eval.report.figures import INK, Boxes, draw_boxes, draw_line, figure, save_png, set_log_scale
 from dronevio.eval.run import EstimatorRun
 from dronevio.models.imu import Times
-from dronevio.models.recordings.files import check_place
+from dronevio.models.recordings.files import check_output_path
 from dronevio.models.state import Trajectory
 
 Array = npt.NDArray[np.float64]
@@ -244,7 +244,7 @@ def write_score_plot(path: Path, scored: ScoredTrajectory) -> None:
     Raises:
         InputError: A folder is there, or a file where one of its folders should be.
     """
-    check_place(path)
+    check_output_path(path)
     path.parent.mkdir(parents=True, exist_ok=True)
     origin_ns = int(scored.truth.t_ns[0])
     with figure(14.0, 4.6, columns=3) as (fig, axes):

@@ -1,7 +1,8 @@
-"""Flights as EuRoC folders (the ASL format): images, IMU, calibration and the true motion, in and out.
+"""Recordings as EuRoC folders (ASL format): images, IMU samples, calibration and ground truth.
 
-The body frame is the IMU's, IMU samples are values at their time stamps, cameras are pinholes with radial-tangential
-distortion or equidistant fisheyes. Format: Burri et al., "The EuRoC micro aerial vehicle datasets", IJRR 2016.
+The body frame is that of the IMU, IMU samples are values at their time stamps, cameras are pinholes with
+radial-tangential distortion or equidistant fisheyes. Format: Burri et al., "The EuRoC micro aerial vehicle datasets",
+IJRR 2016.
 """
 
 from collections.abc import Iterator, Sequence
@@ -17,7 +18,7 @@ from dronevio.models.errors import ConfigError, InputError
 from dronevio.models.imu import ImuSamples, Times
 from dronevio.models.progress import Progress, silent
 from dronevio.models.protocols import Recording
-from dronevio.models.recordings.calibration.euroc import calibration_files, count_cameras, read_rig
+from dronevio.models.recordings.calibration.euroc import calibration_files, count_cameras, read_euroc_rig
 from dronevio.models.recordings.files import read_text, write_text
 from dronevio.models.recordings.frame_truth import FRAME_TRUTH_FILE, FrameTruth, frame_truth_text, read_frame_truth
 from dronevio.models.recordings.images import encode_png, read_grey
@@ -35,13 +36,13 @@ from dronevio.models.state import CameraFrame, Trajectory
 Array = npt.NDArray[np.float64]
 
 IMU_TABLE = TableFormat("an EuRoC IMU table", (7,), ",", parse_integer_ns, "whole nanoseconds")
-"""Time, angular velocity x y z [rad/s], specific force x y z [m/s²]."""
+"""Columns: time, angular velocity x y z [rad/s], specific force x y z [m/s²]."""
 GROUND_TRUTH_FILE = Path("state_groundtruth_estimate0") / "data.csv"
-"""Where the true motion is, below ``mav0``."""
+"""Path of the ground truth below ``mav0``."""
 INCOMPLETE = "INCOMPLETE"
-"""Name of a file that lies in ``mav0`` for as long as frames are missing there."""
+"""Name of a file in ``mav0`` that exists while frames are missing."""
 GROUND_TRUTH_TABLE = TableFormat("an EuRoC ground truth", (17, 8), ",", parse_integer_ns, "whole nanoseconds")
-"""Time, position, quaternion wxyz, then optionally velocity and the biases of gyroscope and accelerometer."""
+"""Columns: time, position, quaternion wxyz, and optionally velocity and the biases of gyroscope and accelerometer."""
 
 _IMU_HEADER = (
     "#timestamp [ns],w_RS_S_x [rad s^-1],w_RS_S_y [rad s^-1],w_RS_S_z [rad s^-1],"
@@ -57,56 +58,54 @@ _MOTION_HEADER = (
 
 @dataclass(frozen=True, eq=False)
 class EurocRecording:
-    """A flight that was read from an EuRoC folder; satisfies the `Recording` protocol."""
+    """A recording in an EuRoC folder; satisfies the `Recording` protocol."""
 
     name: str
-    """Name of the folder that holds ``mav0``."""
+    """Name of the parent folder of ``mav0``."""
     mav0: Path
-    """The folder ``mav0``."""
+    """Path of the folder ``mav0``."""
     rig: Rig
-    """The calibration."""
+    """Calibration of cameras and IMU."""
     imu: ImuSamples
-    """All IMU samples, point samples, in time order."""
+    """IMU samples of the whole recording, point samples."""
     frame_times_ns: Times
-    """(M,) Time stamps at which every camera has an image [ns], strictly increasing."""
+    """(M,) Time stamps at which every camera has an image, strictly increasing [ns]."""
     image_files: tuple[tuple[Path, ...], ...]
-    """For each camera, the M image files."""
+    """M image files of each camera."""
     ground_truth: Trajectory | None
-    """The true motion of the IMU, where the folder has it."""
+    """Ground truth of the IMU, None if the folder has none."""
     frame_truth: FrameTruth | None = None
-    """When and how frames were really exposed, where the folder has it; it may have frames that the recording lost."""
+    """Ground truth of the frames, None if the folder has none; it may include frames that the recording lost."""
     complete: bool = True
-    """False where writing it was cut off: then the frames are those of which every camera has its image."""
+    """Whether the recording was written completely; if not, it has the frames for which every camera has an image."""
 
     @classmethod
     def open(cls, folder: Path | str, cameras: int | None = None) -> Self:
-        """Read everything but the images, which `frame` reads one by one.
+        """Read everything except the images, which `frame` reads on request.
 
         Args:
-            folder: The folder ``mav0``, or the one that holds it.
-            cameras: Use only the first so many cameras; None for all that are there.
+            folder: The folder ``mav0`` or its parent.
+            cameras: Number of cameras to use; None for all.
 
         Raises:
-            InputError: Something is missing, damaged or not supported.
+            InputError: A file is missing, damaged or not supported.
         """
         mav0 = find_mav0(folder)
         used = count_cameras(mav0) if cameras is None else min(cameras, count_cameras(mav0))
         lists = [_read_image_list(mav0 / f"cam{i}") for i in range(used)]
         complete = not (mav0 / INCOMPLETE).exists()
         if not complete:
-            lists = [_those_there(t_ns, files) for t_ns, files in lists]
+            lists = [_existing(t_ns, files) for t_ns, files in lists]
         times = reduce(np.intersect1d, [t_ns for t_ns, _ in lists])
         if not len(times) and not complete:
-            raise InputError(mav0, "an incomplete recording without a single frame", "one frame at least")
+            raise InputError(mav0, "an incomplete recording without frames", "at least one frame")
         if not len(times):
-            raise InputError(
-                mav0, f"{used} cameras without a time stamp in common", "cameras that see at the same time"
-            )
+            raise InputError(mav0, f"{used} cameras without a time stamp in common", "synchronized cameras")
         truth, frame_truth = mav0 / GROUND_TRUTH_FILE, mav0 / FRAME_TRUTH_FILE
         return cls(
             name=mav0.resolve().parent.name,
             mav0=mav0,
-            rig=read_rig(mav0, used),
+            rig=read_euroc_rig(mav0, used),
             imu=read_imu(mav0 / "imu0" / "data.csv"),
             frame_times_ns=times,
             image_files=tuple(
@@ -118,10 +117,10 @@ class EurocRecording:
         )
 
     def frame(self, index: int) -> CameraFrame:
-        """Return the frame of the given index, 0 ≤ index < M.
+        """Return the frame with a given index, 0 ≤ index < M.
 
         Raises:
-            InputError: Its image is missing, damaged or not of the calibration's size.
+            InputError: An image is missing, damaged, or has another size than in the calibration.
         """
         models = [camera.model for camera in self.rig.cameras]
         images = tuple(
@@ -132,13 +131,13 @@ class EurocRecording:
 
 
 def find_mav0(folder: Path | str) -> Path:
-    """Return the folder ``mav0`` of a recording, given itself or the folder that holds it.
+    """Return the folder ``mav0`` of a recording, given ``mav0`` or its parent.
 
     Raises:
-        InputError: There is none.
+        InputError: The folder is not an EuRoC recording.
     """
     folder = Path(folder)
-    expected = "an EuRoC recording: a folder with mav0, or mav0 itself"
+    expected = "an EuRoC recording: the folder mav0 or its parent"
     if not folder.exists():
         raise InputError(folder, "no such folder", expected)
     if not folder.is_dir():
@@ -147,14 +146,14 @@ def find_mav0(folder: Path | str) -> Path:
         return folder / "mav0"
     if (folder / "cam0").is_dir() or (folder / "imu0").is_dir():
         return folder
-    raise InputError(folder, "neither mav0 nor cam0 in it", expected)
+    raise InputError(folder, "a folder without mav0, cam0 or imu0", expected)
 
 
 def ground_truth_file(folder: Path | str) -> Path:
-    """Return the ground-truth table of a recording, given ``mav0`` or the folder that holds it.
+    """Return the path of the ground-truth table of a recording, given ``mav0`` or its parent.
 
     Raises:
-        InputError: It has none.
+        InputError: The recording has none.
     """
     path = find_mav0(folder) / GROUND_TRUTH_FILE
     if not path.exists():
@@ -166,17 +165,17 @@ def read_imu(path: Path | str) -> ImuSamples:
     """Read an IMU table as point samples.
 
     Raises:
-        InputError: It is missing, empty, cut off or not such a table, or time does not increase.
+        InputError: The file is missing, empty, truncated or in another format, or its time stamps do not increase.
     """
     table = read_timed_table(Path(path), IMU_TABLE)
     return ImuSamples(table.t_ns, _columns(table.values, 0, 3), _columns(table.values, 3, 6), "point")
 
 
 def read_groundtruth(path: Path | str) -> Trajectory:
-    """Read a ground-truth table: poses, and velocity and biases where it has all 17 columns.
+    """Read a ground-truth table: poses, with velocities and biases if it has all 17 columns.
 
     Raises:
-        InputError: It is missing, empty, cut off or not such a table, or time does not increase.
+        InputError: The file is missing, empty, truncated or in another format, or its time stamps do not increase.
     """
     table = read_timed_table(Path(path), GROUND_TRUTH_TABLE)
     p, quat_wxyz = _columns(table.values, 0, 3), _columns(table.values, 3, 7)
@@ -193,11 +192,11 @@ def read_groundtruth(path: Path | str) -> Trajectory:
     )
 
 
-def read_frame_times(folder: Path | str) -> Times:
-    """Return the time stamps (M,) [ns] of the main camera's frames in a recording's folder.
+def read_euroc_frame_times(folder: Path | str) -> Times:
+    """Return the time stamps (M,) [ns] of the frames of the main camera in an EuRoC folder.
 
     Raises:
-        InputError: It has no ``cam0/data.csv``, or a damaged one.
+        InputError: The file ``cam0/data.csv`` is missing or damaged.
     """
     return _read_image_list(find_mav0(folder) / "cam0")[0]
 
@@ -210,25 +209,25 @@ def write_euroc(
     frame_times_ns: Times,
     frame_truth: FrameTruth | None = None,
 ) -> None:
-    """Write a flight as an EuRoC folder, all but the images, so that it is read back to the bit.
+    """Write an EuRoC folder except for its images, without loss of precision.
 
-    The images belong into ``mav0/cam*/data/<t_ns>.png``. The truth is written with 17 columns where it has velocity and
-    both biases, else with 8.
+    The images have to be written to ``mav0/cam*/data/<t_ns>.png``. The ground truth is written with 17 columns if it
+    has velocity and both biases, otherwise with 8.
 
     Args:
-        folder: Where ``mav0`` is made.
-        rig: The calibration.
-        imu: Point samples.
-        truth: True motion of the IMU, where it is known.
+        folder: Parent folder of ``mav0``.
+        rig: Calibration of cameras and IMU.
+        imu: IMU samples, point samples.
+        truth: Ground truth of the IMU, None if it is unknown.
         frame_times_ns: (M,) Time stamps of the frames [ns].
-        frame_truth: When and how the frames were really exposed, where it is known.
+        frame_truth: Ground truth of the frames, None if it is unknown.
 
     Raises:
         ConfigError: The IMU samples are increments.
-        InputError: It cannot be written there.
+        InputError: A file cannot be written.
     """
     if imu.sampling != "point":
-        raise ConfigError(f"IMU samples that are {imu.sampling}s; EuRoC folders hold point samples")
+        raise ConfigError(f"IMU samples with sampling {imu.sampling!r}; expected 'point' for an EuRoC folder")
     mav0 = Path(folder) / "mav0"
     for name, text in calibration_files(rig).items():
         write_text(mav0 / name, text)
@@ -246,21 +245,21 @@ def write_euroc(
 def write_euroc_recording(
     folder: Path, recording: Recording, progress: Progress = silent, frame_truth: FrameTruth | None = None
 ) -> None:
-    """Write a recording of any kind as an EuRoC folder, images and all, so that it is read back to the bit.
+    """Write a recording as an EuRoC folder with its images, without loss of precision.
 
     Args:
-        folder: Where ``mav0`` is made; while frames are missing, a file ``INCOMPLETE`` lies in it.
-        recording: What to write.
-        progress: Told how many frames are done.
-        frame_truth: When and how the frames were really exposed, where it is known.
+        folder: Parent folder of ``mav0``, which contains a file ``INCOMPLETE`` while frames are missing.
+        recording: Recording to write.
+        progress: Callback that receives the number of written frames.
+        frame_truth: Ground truth of the frames, None if it is unknown.
 
     Raises:
         ConfigError: The IMU samples are increments.
-        InputError: A frame cannot be read, or nothing can be written there.
+        InputError: A frame cannot be read, or a file cannot be written.
     """
     times, mav0 = recording.frame_times_ns, Path(folder) / "mav0"
     write_euroc(folder, recording.rig, recording.imu, recording.ground_truth, times, frame_truth)
-    write_text(mav0 / INCOMPLETE, "Frames are missing here: the recording is under way, or was cut off.\n")
+    write_text(mav0 / INCOMPLETE, "Frames are missing: the recording is being written, or writing was interrupted.\n")
     progress(0, len(times))
     for index, t_ns in enumerate(times.tolist()):
         for number, image in enumerate(recording.frame(index).images):
@@ -272,37 +271,37 @@ def write_euroc_recording(
 def _truth_text(truth: Trajectory) -> str:
     """Return the text of a ground-truth table."""
     motion = [a for a in (truth.velocity_m_s, truth.gyro_bias_rad_s, truth.accel_bias_m_s2) if a is not None]
-    whole = len(motion) == 3
-    header = f"{_POSE_HEADER}{_MOTION_HEADER if whole else ''}\n"
-    return header + _rows(truth.t_ns, [truth.p_world_imu, truth.quat_wxyz, *(motion if whole else [])])
+    has_motion = len(motion) == 3
+    header = f"{_POSE_HEADER}{_MOTION_HEADER if has_motion else ''}\n"
+    return header + _rows(truth.t_ns, [truth.p_world_imu, truth.quat_wxyz, *(motion if has_motion else [])])
 
 
-def _those_there(t_ns: Times, files: tuple[Path, ...]) -> tuple[Times, tuple[Path, ...]]:
-    """Return the images of a list that exist."""
-    there = np.array([file.exists() for file in files])
-    return t_ns[there], tuple(file for file, exists in zip(files, there.tolist(), strict=True) if exists)
+def _existing(t_ns: Times, files: tuple[Path, ...]) -> tuple[Times, tuple[Path, ...]]:
+    """Return the time stamps and files of those images of a list that exist."""
+    exists = np.array([file.exists() for file in files])
+    return t_ns[exists], tuple(file for file, kept in zip(files, exists.tolist(), strict=True) if kept)
 
 
 def _columns(values: Array, start: int, end: int) -> Array:
-    """Return the columns from start up to end, as an array of their own."""
+    """Return the columns from ``start`` to ``end``, exclusive, as a contiguous array."""
     return np.ascontiguousarray(values[:, start:end])
 
 
 def _rows(t_ns: Times, columns: Sequence[Array]) -> str:
-    """Return the rows of a table, every number with the digits that bring it back to the bit."""
+    """Return the rows of a table, each number with as many digits as it needs."""
     rows = zip(t_ns.tolist(), np.hstack(columns).tolist(), strict=True)
     return "".join(f"{t},{','.join(map(repr, row))}\n" for t, row in rows)
 
 
 def _read_image_list(camera: Path) -> tuple[Times, tuple[Path, ...]]:
-    """Return time stamps (M,) [ns] and image files of a camera's ``data.csv``, or raise InputError."""
+    """Return time stamps (M,) [ns] and image files of the ``data.csv`` of a camera, or raise InputError."""
     path = camera / "data.csv"
     text = read_text(path, "a list of images: rows of time stamp [ns], file name")
     rows = list(_image_rows(path, text))
     if not rows:
         raise InputError(path, "no rows", "rows of time stamp [ns], file name")
     if not text.endswith("\n"):
-        raise InputError(path, "a last row without a line end", "a whole file; this one seems cut off", rows[-1][0])
+        raise InputError(path, "a last row without a line end", "a complete file, not a truncated one", rows[-1][0])
     t_ns = np.array([t for _, t, _ in rows], dtype=np.int64)
     check_increasing(path, t_ns, np.array([line for line, _, _ in rows]))
     return t_ns, tuple(camera / "data" / name for _, _, name in rows)
@@ -321,7 +320,7 @@ def _image_rows(path: Path, text: str) -> Iterator[tuple[int, int, str]]:
             raise InputError(path, f"time stamp {stamp[:40]!r}", "whole nanoseconds", line) from None
         if not comma or not name or "," in name:
             raise InputError(path, repr(row[:60]), "two columns: time stamp [ns], file name", line)
-        # A list must not make anyone read files outside its own folder.
+        # A list must not refer to files outside its folder.
         if name in (".", "..") or any(character in name for character in "/\\\0"):
             raise InputError(path, f"file name {name[:60]!r}", "the name of a file in the folder data", line)
         if abs(t_ns) >= TIME_LIMIT_NS:

@@ -1,4 +1,4 @@
-"""Reading and writing text files, with errors that name them and without half-written ones."""
+"""Reading and atomic writing of text files, with errors that name the file."""
 
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
@@ -8,14 +8,14 @@ from dronevio.models.errors import ConfigError, InputError
 
 
 def read_text(path: Path, expected: str) -> str:
-    r"""Return the text of a file, every kind of line end turned into ``\n``.
+    r"""Return the text of a file, with every kind of line end converted to ``\n``.
 
     Args:
-        path: The file.
-        expected: What it should be, for the error.
+        path: The file to read.
+        expected: Description of the expected content, for the error message.
 
     Raises:
-        InputError: It is missing, a folder, not readable or not UTF-8.
+        InputError: The file is missing, a folder, not readable or not encoded in UTF-8.
     """
     try:
         return path.read_text(encoding="utf-8-sig")
@@ -26,14 +26,18 @@ def read_text(path: Path, expected: str) -> str:
     except UnicodeDecodeError as error:
         line = error.object.count(b"\n", 0, error.start) + 1
         raise InputError(
-            path, f"the byte 0x{error.object[error.start]:02x}, which is no UTF-8", expected, line
+            path, f"the byte 0x{error.object[error.start]:02x}, which is not UTF-8", expected, line
         ) from None
-    except (OSError, ValueError) as error:  # ValueError: a NUL in the name
+    except (OSError, ValueError) as error:  # ValueError: a NUL character in the name
         raise InputError(path, f"cannot be read ({error})", expected) from None
 
 
 def first_row(path: Path, expected: str) -> str:
     """Return the first line of a text file that is neither empty nor a comment.
+
+    Args:
+        path: The file to read.
+        expected: Description of the expected content, for the error message.
 
     Raises:
         InputError: The file cannot be read, or has no such line.
@@ -45,44 +49,44 @@ def first_row(path: Path, expected: str) -> str:
 
 
 def write_text(path: Path, text: str) -> None:
-    """Write a text file beside its place and then move it there, so that nobody ever sees half of it.
+    """Write a text file atomically: to a temporary file in the same folder, which then replaces the target.
 
-    Folders that are missing on the way are made.
+    Missing parent folders are created.
 
     Raises:
-        InputError: It cannot be written there.
+        InputError: The file cannot be written.
     """
-    beside = path.with_name(f".{path.name}.part")
+    temporary = path.with_name(f".{path.name}.part")
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
-        beside.write_text(text, encoding="utf-8", newline="\n")
-        beside.replace(path)
+        temporary.write_text(text, encoding="utf-8", newline="\n")
+        temporary.replace(path)
     except OSError as error:
         raise InputError(path, f"cannot be written ({error})", "a place to write a file") from None
     finally:
-        with suppress(OSError):  # such as that its folder is a file
-            beside.unlink(missing_ok=True)
+        with suppress(OSError):  # for example because its folder is a file
+            temporary.unlink(missing_ok=True)
 
 
 @contextmanager
-def blamed_on(path: Path) -> Iterator[None]:
-    """Turn what is raised for values that make no sense into the fault of the file that they were read from.
+def as_input_error(path: Path) -> Iterator[None]:
+    """Convert a ConfigError about invalid values into an InputError about the file that contains them.
 
     Raises:
-        InputError: In place of a ConfigError.
+        InputError: The body raised a ConfigError.
     """
     try:
         yield
     except ConfigError as error:
         found, _, expected = str(error).partition("; expected ")
-        raise InputError(path, found, expected or "values that make sense") from None
+        raise InputError(path, found, expected or "valid values") from None
 
 
-def check_place(path: Path) -> None:
-    """Check that a file can be written at a path, as far as can be told before.
+def check_output_path(path: Path) -> None:
+    """Check that a path can be the name of a new file.
 
     Raises:
-        InputError: A folder is there, or a file where one of its folders should be.
+        InputError: The path is a folder, or one of its parent folders is a file.
     """
     if path.is_dir():
         raise InputError(path, "a folder", "the name of a file to write")

@@ -1,7 +1,7 @@
-"""What is really true of a recording's frames: when they were exposed, for how long, and how much they were amplified.
+"""Ground truth of camera frames: true exposure times, exposure durations and gains.
 
-A table ``frame_groundtruth0/data.csv`` beside an EuRoC folder's other truth, of our own: other readers pass over it,
-and recordings need not have it. A real camera's stamps jitter and are off; here is by how much.
+The table ``frame_groundtruth0/data.csv`` of an EuRoC folder is an extension of the format, which other readers ignore
+and which is optional. It reveals the jitter and the offset of time stamps.
 """
 
 from dataclasses import dataclass
@@ -18,46 +18,46 @@ from dronevio.models.recordings.timed_table import TIME_LIMIT_NS, TableFormat, p
 Array = npt.NDArray[np.float64]
 
 FRAME_TRUTH_FILE = Path("frame_groundtruth0") / "data.csv"
-"""Where the table is, below ``mav0``."""
-FRAME_TRUTH_TABLE = TableFormat("a table of frames", (5,), ",", parse_integer_ns, "whole nanoseconds")
-"""Time stamp, true middle of the exposure [ns], exposure time [s], gain, 1 if lit."""
+"""Path of the table below ``mav0``."""
+FRAME_TRUTH_TABLE = TableFormat("a table of frame ground truth", (5,), ",", parse_integer_ns, "whole nanoseconds")
+"""Columns: time stamp, true middle of the exposure [ns], exposure duration [s], gain, and 1 if lit."""
 
 _HEADER = "#timestamp [ns],true middle of the exposure [ns],exposure time [s],gain,lit\n"
 
 
 @dataclass(frozen=True, eq=False)
 class FrameTruth:
-    """The truth about frames."""
+    """Ground truth of M frames."""
 
     t_ns: Times
-    """(M,) Time stamps, as recorded [ns]."""
+    """(M,) Recorded time stamps of the frames [ns]."""
     exposed_ns: Times
-    """(M,) True middle of the exposure of the middle row, on the IMU's clock [ns]."""
+    """(M,) True middle of the exposure of the middle row, on the IMU clock [ns]."""
     exposure_s: Array
-    """(M,) Exposure times [s]."""
+    """(M,) Exposure durations of the frames [s]."""
     gain: Array
-    """(M,) Amplification, relative to the nominal one."""
+    """(M,) Gains relative to the nominal gain."""
     lit: npt.NDArray[np.bool_]
-    """(M,) False where no light reached the cameras."""
+    """(M,) Whether light reached the cameras."""
 
 
 def read_frame_truth(path: Path) -> FrameTruth:
-    """Read the truth about frames.
+    """Read the ground truth of frames.
 
     Raises:
-        InputError: It is missing, cut off or not such a table, or time does not increase.
+        InputError: The file is missing, truncated or in another format, or its time stamps do not increase.
     """
     return parse_frame_truth(path, read_text(path, FRAME_TRUTH_TABLE.name))
 
 
 def parse_frame_truth(path: Path, text: str) -> FrameTruth:
-    """Read the truth about frames from its text, which comes from ``path``.
+    """Parse the ground truth of frames from a text that was read from ``path``.
 
     Raises:
-        InputError: It is cut off or not such a table, or time does not increase.
+        InputError: The text is truncated or in another format, or its time stamps do not increase.
     """
     table = parse_timed_table(path, text, FRAME_TRUTH_TABLE)
-    # 53 bits of a float do not hold a time since 1970 in nanoseconds, so this column is read again, as whole numbers.
+    # A float has 53 bits, too few for a time since 1970 in nanoseconds, so this column is parsed again as integers.
     rows = text.split("\n")
     exposed_ns = [_exposed_ns(path, rows[line - 1], line) for line in table.lines.tolist()]
     exposure_s, gain, lit = np.ascontiguousarray(table.values[:, 1:].T)
@@ -65,14 +65,14 @@ def parse_frame_truth(path: Path, text: str) -> FrameTruth:
 
 
 def frame_truth_text(truth: FrameTruth) -> str:
-    """Return the text of the table, which `read_frame_truth` reads back to the bit."""
+    """Return the text of the table without loss of precision."""
     columns = (truth.t_ns, truth.exposed_ns, truth.exposure_s, truth.gain, truth.lit.astype(int))
     rows = zip(*(column.tolist() for column in columns), strict=True)
     return _HEADER + "".join(f"{','.join(map(repr, row))}\n" for row in rows)
 
 
 def _exposed_ns(path: Path, row: str, line: int) -> int:
-    """Return the second column of a row, or raise InputError."""
+    """Return the second column of a row [ns], or raise InputError."""
     text = row.split(",")[1].strip()
     try:
         t_ns = parse_integer_ns(text)

@@ -1,4 +1,4 @@
-"""Grey images from files, refused when they are damaged."""
+"""Reading and writing of grey images; damaged files are refused."""
 
 import zlib
 from pathlib import Path
@@ -14,10 +14,10 @@ _PNG = b"\x89PNG\r\n\x1a\n"
 
 
 def read_grey(path: Path, width: int, height: int) -> Image:
-    """Return a grey (height, width) image.
+    """Return the grey image (height, width) in a file.
 
     Raises:
-        InputError: The file is missing, damaged, no image, or of another size.
+        InputError: The file is missing, damaged, not an image, or has another size.
     """
     try:
         data = path.read_bytes()
@@ -29,53 +29,55 @@ def read_grey(path: Path, width: int, height: int) -> Image:
 
 
 def decode_grey(path: Path, data: bytes, width: int, height: int, where: str = "") -> Image:
-    """Return the grey (height, width) image that a PNG, a JPEG or the like holds.
+    """Return the grey image (height, width) of encoded data, such as PNG or JPEG.
 
     Args:
-        path: The file that it comes from, for messages.
+        path: The file that contains the data, for error messages.
         data: The encoded image.
-        width: Columns that it should have [px].
-        height: Rows that it should have [px].
-        where: Where in the file it stands, for messages; with a colon and a space behind it.
+        width: Expected number of columns [px].
+        height: Expected number of rows [px].
+        where: Place of the image in the file, for error messages, with a colon and a space at its end.
 
     Raises:
-        InputError: It is damaged, no image, or of another size.
+        InputError: The data are damaged, not an image, or have another size.
     """
-    import cv2  # only those who look at images pay for it
+    import cv2  # slow to import, and needed only where images are decoded
 
     expected = _expected(width, height)
-    fault = _fault(data)
-    if fault:
-        raise InputError(path, f"{where}{fault}", expected)
+    damage = _damage(data)
+    if damage:
+        raise InputError(path, f"{where}{damage}", expected)
     image = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_GRAYSCALE)
     if image is None:
-        raise InputError(path, f"{where}no image that can be decoded", expected)
+        raise InputError(path, f"{where}data that cannot be decoded", expected)
     if image.shape != (height, width):
         raise InputError(path, f"{where}an image of {image.shape[1]} × {image.shape[0]} px", expected)
     return np.asarray(image, dtype=np.uint8)
 
 
 def encode_png(image: Image) -> bytes:
-    """Return a grey image as a PNG, quickly: the noise of a sensor hardly compresses however long one tries."""
+    """Return a grey image (H, W) as PNG, with fast compression because sensor noise hardly compresses."""
     import cv2
 
     return bytes(cv2.imencode(".png", image, [cv2.IMWRITE_PNG_COMPRESSION, 1])[1])
 
 
 def _expected(width: int, height: int) -> str:
-    """Return what an image should be, for messages."""
+    """Return the description of an image for error messages."""
     return f"an image of {width} × {height} px"
 
 
-def _fault(data: bytes) -> str | None:
-    """Return what is wrong with a file that OpenCV would complain of on the terminal, or raise for."""
+def _damage(data: bytes) -> str | None:
+    """Return a description of damage for which OpenCV prints a warning or raises an exception, None if there is
+    none.
+    """
     if not data:
         return "an empty file"
-    return _png_fault(data) if data.startswith(_PNG) else None
+    return _png_damage(data) if data.startswith(_PNG) else None
 
 
-def _png_fault(data: bytes) -> str | None:
-    """Return what is wrong with the chunks of a PNG: length, type, content, CRC of type and content."""
+def _png_damage(data: bytes) -> str | None:
+    """Return a description of damage to the chunks of a PNG (length, type, content, CRC), None if there is none."""
     start = len(_PNG)
     while start + 12 <= len(data):
         end = start + 12 + int.from_bytes(data[start : start + 4], "big")
@@ -86,4 +88,4 @@ def _png_fault(data: bytes) -> str | None:
         if data[start + 4 : start + 8] == b"IEND":
             return None
         start = end
-    return "a PNG that is cut off"
+    return "a truncated PNG"

@@ -12,7 +12,7 @@ import pytest
 from dronevio.cli import main
 from dronevio.models.recordings.calibration.exports import CONFIGURATIONS
 from dronevio.models.recordings.euroc import INCOMPLETE, write_euroc_recording
-from dronevio.models.recordings.open import open_recording, read_trajectory, rig_of_file
+from dronevio.models.recordings.open import open_recording, read_rig, read_trajectory
 
 
 @pytest.fixture
@@ -60,7 +60,7 @@ def test_calibrations_of_other_programs(tmp_path: Path, flight: Path, do: Callab
 def test_what_kalibr_gets_is_the_rig(tmp_path: Path, flight: Path, do: Callable[..., Any]) -> None:
     do(tmp_path, "convert", flight, tmp_path / "kalibr", "--to", "kalibr")
     for path in (tmp_path / "kalibr", tmp_path / "kalibr" / "camchain.yaml", flight):
-        rig = rig_of_file(path)
+        rig = read_rig(path)
         np.testing.assert_array_equal(rig.cameras[1].T_imu_cam, open_recording(flight).rig.cameras[1].T_imu_cam)
 
 

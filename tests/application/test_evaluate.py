@@ -143,7 +143,7 @@ def test_says_which_time_stamps_repeat(flight: Path, capsys: pytest.CaptureFixtu
     arguments = ["evaluate", str(flight), str(estimate), "--json"]
     assert main(arguments) == 0
     out, err = capsys.readouterr()
-    assert "1 row repeats the time stamp above; of each time the first counts" in err
+    assert "1 row repeats the previous time stamp; the first row of each time is used" in err
     assert json.loads(out)["n_poses"] == 81
     assert main([*arguments, "--repeated", "refuse"]) == 2
 
@@ -226,10 +226,10 @@ def spoil(flight: Path, fault: str) -> tuple[list[str], str]:
             )
         case "image cut off":
             rewritten(image, lambda content: content[:-10])
-            return estimating, f"{image}: a PNG that is cut off; expected an image of 32 × 24 px"
+            return estimating, f"{image}: a truncated PNG; expected an image of 32 × 24 px"
         case "no image at all":
             rewritten(image, lambda _: b"hello")
-            return estimating, f"{image}: no image that can be decoded; expected"
+            return estimating, f"{image}: data that cannot be decoded; expected"
         case "missing image":
             image.unlink()
             return estimating, f"{image}: no such file; expected"

@@ -18,7 +18,7 @@ from dronevio.eval.run import EstimatorRun
 from dronevio.models.camera import CameraModel
 from dronevio.models.errors import ConfigError
 from dronevio.models.imu import ImuSamples
-from dronevio.models.recordings.euroc import EurocRecording, read_frame_times, write_euroc
+from dronevio.models.recordings.euroc import EurocRecording, read_euroc_frame_times, write_euroc
 from dronevio.models.recordings.tum import read_tum
 from dronevio.models.rig import Rig, RigCamera
 from dronevio.models.rotation import pose_matrix
@@ -78,7 +78,7 @@ def test_command_tells_machines_what_it_wrote(drawn: Drawn, estimated: tuple[str
 
 def test_estimate_is_the_flight(drawn: Drawn, estimated: tuple[str, Path]) -> None:
     found = read_tum(estimated[1])
-    times = read_frame_times(drawn.folder)
+    times = read_euroc_frame_times(drawn.folder)
     np.testing.assert_array_equal(found.t_ns, times[-len(found) :])  # one a frame since the start
     truth = drawn.truth[np.searchsorted(drawn.truth.t_ns, found.t_ns)]
     fit = align(truth.p_world_imu, found.p_world_imu, "yaw")
@@ -156,7 +156,7 @@ def test_image_that_breaks_in_mid_flight_leaves_nothing_behind(
     victim.write_bytes(images[60].read_bytes()[:1000])
     out = tmp_path / "estimate.tum"
     message = refused(["estimate", str(broken), "--out", str(out), "--json"], capfd)
-    assert str(victim) in message and "cut off" in message
+    assert str(victim) in message and "truncated" in message
     assert not out.exists()
 
 
@@ -199,7 +199,7 @@ def on_the_ground(data_folder: Path) -> tuple[EstimatorRun, RealFrames]:
     """Return what is estimated from 95 frames, 4.7 s, of a drone that stands on the ground and moves by 3 mm."""
     folder, flight = data_folder / "euroc" / "V1_01_on_the_ground", read_feature_recording()
     assert "458.654" in (folder / "cam0" / "sensor.yaml").read_text(encoding="utf-8")  # the camera of that rig
-    times = read_frame_times(folder)
+    times = read_euroc_frame_times(folder)
     recording = RealFrames(folder, flight.rig, flight.imu.up_to(int(times[-1]) + 10_000_000), times)
     return estimate_recording(recording, VisualInertialOdometry(recording.rig)), recording
 

@@ -185,9 +185,9 @@ def test_repeated_time_stamps(tmp_path: Path) -> None:
     assert first.p_world_imu[:, 0].tolist() == [0, 1, 4, 5] and last.p_world_imu[:, 0].tolist() == [0, 3, 4, 5]
     assert keep.t_ns.tolist() == [10**9, 2 * 10**9, 2 * 10**9 + 1, 2 * 10**9 + 2, 2 * 10**9 + 3, 3 * 10**9]
     assert [notice.removeprefix(f"{path}: ") for notice in heard] == [
-        "2 rows repeat the time stamp above; of each time the first counts",
-        "2 rows repeat the time stamp above; of each time the last counts",
-        "2 rows repeat the time stamp above; all are kept",
+        "2 rows repeat the previous time stamp; the first row of each time is used",
+        "2 rows repeat the previous time stamp; the last row of each time is used",
+        "2 rows repeat the previous time stamp; all are kept",
     ]
     path.write_text("1.0 0 0 0 0 0 0 1\n2.0 0 0 0 0 0 0 1\n2.0 0 0 0 0 0 0 1\n1.5 0 0 0 0 0 0 1\n")
     for how in ("first", "last", "keep"):  # what runs backwards is never mended

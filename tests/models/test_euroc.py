@@ -17,7 +17,7 @@ from dronevio.models.protocols import Recording
 from dronevio.models.recordings.euroc import (
     INCOMPLETE,
     EurocRecording,
-    read_frame_times,
+    read_euroc_frame_times,
     read_groundtruth,
     write_euroc,
     write_euroc_recording,
@@ -186,7 +186,7 @@ def test_an_incomplete_recording_has_the_frames_that_exist(tmp_path: Path, camer
     assert [int(recording.frame(k).images[0].min()) for k in range(FRAMES - 1)] == [0, 10, 30]
     for image in (flight / "mav0" / "cam0" / "data").iterdir():
         image.unlink()
-    assert "incomplete recording without a single frame" in str(refused(flight))
+    assert "incomplete recording without frames" in str(refused(flight))
 
 
 def test_a_recording_without_truth_is_written_without(tmp_path: Path) -> None:
@@ -198,7 +198,7 @@ def test_a_recording_without_truth_is_written_without(tmp_path: Path) -> None:
 
 def test_refuses_to_write_increments(tmp_path: Path) -> None:
     imu, truth = motion()
-    with pytest.raises(ConfigError, match="point samples"):
+    with pytest.raises(ConfigError, match="expected 'point' for"):
         write_euroc(tmp_path, small_rig(), imu.increments(), truth, imu.t_ns[::10])
     assert not any(tmp_path.iterdir())
 
@@ -210,7 +210,7 @@ def test_accepts_mav0_itself_and_a_folder_without_truth(flight: Path) -> None:
     assert recording.name == "hall-3"
     assert recording.ground_truth is None
     np.testing.assert_array_equal(recording.rig.T_vehicle_imu, np.eye(4))
-    np.testing.assert_array_equal(read_frame_times(flight), recording.frame_times_ns)
+    np.testing.assert_array_equal(read_euroc_frame_times(flight), recording.frame_times_ns)
 
 
 def test_keeps_the_frames_that_every_camera_has(tmp_path: Path) -> None:
@@ -247,7 +247,7 @@ def test_refuses_what_is_no_recording(flight: Path, tmp_path: Path) -> None:
     assert "no such folder" in str(refused(tmp_path / "missing"))
     assert "a file" in str(refused(flight / "mav0" / "body.yaml"))
     (tmp_path / "empty").mkdir()
-    assert "neither mav0 nor cam0" in str(refused(tmp_path / "empty"))
+    assert "a folder without mav0" in str(refused(tmp_path / "empty"))
     shutil.rmtree(flight / "mav0" / "cam0")
     assert "no folder cam0" in str(refused(flight))
 
@@ -260,8 +260,18 @@ def test_refuses_what_is_no_recording(flight: Path, tmp_path: Path) -> None:
         ("cam0/sensor.yaml", "[32, 24]", "[32, 24.5]", "whole pixels"),
         ("cam0/sensor.yaml", "[32, 24]", "[32, 0]", "whole pixels"),
         ("cam0/sensor.yaml", "[20.333333333333332,", "[-20,", "focal lengths"),
-        ("imu0/sensor.yaml", "gyroscope_noise_density: 0.00016968", "gyroscope_noise_density: 0.0", "above zero"),
-        ("imu0/sensor.yaml", "gyroscope_noise_density: 0.00016968", "gyroscope_noise_density: -1.0", "above zero"),
+        (
+            "imu0/sensor.yaml",
+            "gyroscope_noise_density: 0.00016968",
+            "gyroscope_noise_density: 0.0",
+            "a positive number",
+        ),
+        (
+            "imu0/sensor.yaml",
+            "gyroscope_noise_density: 0.00016968",
+            "gyroscope_noise_density: -1.0",
+            "a positive number",
+        ),
         ("imu0/sensor.yaml", "gyroscope_noise_density: 0.00016968", "gyroscope_noise_density: .nan", "finite"),
         ("imu0/sensor.yaml", "accelerometer_random_walk", "accel_walk", "no field accelerometer_random_walk"),
         ("imu0/sensor.yaml", "data: [1.0", "data: [-1.0", "rigid"),
@@ -311,7 +321,7 @@ def test_a_missing_or_damaged_image_is_named(flight: Path) -> None:
     recording = EurocRecording.open(flight)
     image = recording.image_files[0][2]
     image.write_bytes(image.read_bytes()[:-20])
-    with pytest.raises(InputError, match="cut off") as caught:
+    with pytest.raises(InputError, match="truncated") as caught:
         recording.frame(2)
     assert caught.value.path == image
     image.unlink()
@@ -346,4 +356,4 @@ def test_reads_the_real_data_set(data_folder: Path) -> None:
     assert len(truth) == 16702
     assert truth.length_m == pytest.approx(75.8913, abs=1e-3)
     camera = data_folder / "euroc" / "V1_01_on_the_ground"
-    assert len(read_frame_times(camera)) == 95
+    assert len(read_euroc_frame_times(camera)) == 95

@@ -62,7 +62,7 @@ def test_refuses_what_is_no_such_image(scratch: Path, tmp_path: Path) -> None:
     with pytest.raises(InputError, match="an image of 32 × 24 px; expected an image of 24 × 32 px"):
         read_grey(scratch, 24, 32)
     scratch.write_text("no image")
-    with pytest.raises(InputError, match="no image that can be decoded"):
+    with pytest.raises(InputError, match="data that cannot be decoded"):
         read_grey(scratch, 32, 24)
     for path in (tmp_path, tmp_path / "missing.png"):
         with pytest.raises(InputError):

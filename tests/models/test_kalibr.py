@@ -175,7 +175,7 @@ def test_reads_openvins_own_spelling(scratch: Path) -> None:
 def test_finds_the_imu_beside_the_cameras(tmp_path: Path) -> None:
     rig = rig_named("euroc-stereo")
     (tmp_path / "camchain.yaml").write_text(camchain_yaml(rig))
-    with pytest.raises(InputError, match=r"Kalibr's imu\.yaml too"):
+    with pytest.raises(InputError, match=r"Kalibr's imu\.yaml as well"):
         read_kalibr(tmp_path / "camchain.yaml")
     (tmp_path / "elsewhere.yaml").write_text(imu_yaml(rig))
     assert_same_rig(read_kalibr(tmp_path / "camchain.yaml", tmp_path / "elsewhere.yaml"), rig)
@@ -198,26 +198,26 @@ def without(key: str) -> Callable[[str], str]:
         ("distortion_model: radtan", "distortion_model: fov", "cam0.distortion_model: fov"),
         ("distortion_coeffs: [-0.28340811,", "distortion_coeffs: [", "cam0.distortion_coeffs"),
         ("resolution: [752, 480]", "resolution: [752, 0]", "whole pixels"),
-        ("intrinsics: [458.654", "intrinsics: [-1", "focal lengths above zero"),
+        ("intrinsics: [458.654", "intrinsics: [-1", "positive focal lengths"),
         ("timeshift_cam_imu: 0.0", "timeshift_cam_imu: .nan", 'cam0.timeshift_cam_imu: ".nan"'),
         ("timeshift_cam_imu: 0.0", "timeshift_cam_imu: 0.1", "one time stamp"),
         ("rate_hz: 20.0", "rate_hz: 10.0", "one rate"),
         ("rate_hz: 20.0", "rate_hz: 20.0\n  readout_s: 1.0", "readout_s = 1.0"),
         ("T_imu_cam:\n    - [0.01486", "T_imu_cam:\n    - [0.9", "cam0.T_imu_cam"),
-        ("-0.0216401454975]", "0.5]", "what agrees with cam0.T_imu_cam"),
+        ("-0.0216401454975]", "0.5]", "a pose that agrees with cam0.T_imu_cam"),
         ("-0.0216401454975]", "word]", "four rows of four numbers"),
-        ("gyroscope_noise_density: 0.00016968", "gyroscope_noise_density: 0.0", "a number above zero"),
-        ("gyroscope_noise_density: 0.00016968", "gyroscope_noise_density: -1.0", "a number above zero"),
-        ("gyroscope_noise_density: 0.00016968", "gyroscope_noise_density: .nan", "a number above zero"),
-        ("gyroscope_noise_density: 0.00016968", "gyroscope_noise_density: 1e999", "a number above zero"),
+        ("gyroscope_noise_density: 0.00016968", "gyroscope_noise_density: 0.0", "a positive number"),
+        ("gyroscope_noise_density: 0.00016968", "gyroscope_noise_density: -1.0", "a positive number"),
+        ("gyroscope_noise_density: 0.00016968", "gyroscope_noise_density: .nan", "a positive number"),
+        ("gyroscope_noise_density: 0.00016968", "gyroscope_noise_density: 1e999", "a positive number"),
         ("accelerometer_random_walk: 0.003", "accelerometer_random_walk: null", "no field accelerometer_random_walk"),
         ("rostopic: /imu0", "rostopic: /imu0\nsampling: often", "point or increment"),
-        ("cam1:", "cam0:", "second time"),
+        ("cam1:", "cam0:", "a second"),
         ("cam0:", "cam0: &a", "single"),
         ("rate_hz: 20.0", "rate_hz: !!python/object/apply:os.system ['true']", "python/object"),
         ("rate_hz: 20.0", "rate_hz: *a", "alias"),
         ("rate_hz: 20.0", "rate_hz: [{a: 1}]", "a map in a list"),
-        ("rate_hz: 20.0", "? [1, 2]\n  : 3", "a key that is no word"),
+        ("rate_hz: 20.0", "? [1, 2]\n  : 3", "a key that is not a word"),
         ("rate_hz: 20.0", "rate_hz: @", "cannot start any token"),
         ("rate_hz: 20.0", "rate_hz: \x07", "special characters"),
     ],
@@ -236,7 +236,7 @@ def test_names_file_line_and_fault(scratch: Path, old: str, new: str, found: str
 @pytest.mark.parametrize(
     ("texts", "missing"),
     [
-        ([CHAIN], "Kalibr's imu.yaml too"),
+        ([CHAIN], "Kalibr's imu.yaml as well"),
         ([IMU], "Kalibr's camchain.yaml"),
         ([without("T_imu_cam")(without("T_cam_imu")(CHAIN)), IMU], "no field cam0.T_cam_imu"),
         ([without("resolution")(CHAIN), IMU], "no field cam0.resolution"),
@@ -246,11 +246,11 @@ def test_names_file_line_and_fault(scratch: Path, old: str, new: str, found: str
         ([CHAIN, CHAIN, IMU], "one file with cameras"),
         ([CHAIN, IMU, IMU], "one file with an IMU"),
         (["a: 1\n"], "neither cam0 nor"),
-        ([""], "no map"),
-        (["- 1\n"], "no map"),
+        ([""], "not a map"),
+        (["- 1\n"], "not a map"),
         (["a: &x [1.0]\nb: [*x, *x]\n"], "an alias, *x"),
         (["a" * 200_001], "at most"),
-        (["[" * 100_000], "in each other"),
+        (["[" * 100_000], "nested"),
     ],
 )
 def test_names_what_is_missing(scratch: Path, texts: list[str], missing: str) -> None:

@@ -84,7 +84,7 @@ def test_times_and_frame_numbers(tmp_path: Path) -> None:
     with pytest.raises(InputError, match="frame 7; expected frames below 7"):
         read_kitti(poses, times)
     (tmp_path / "x.tum").write_text("0.5 1 2 3 0 0 0 1\n")
-    with pytest.raises(InputError, match="one of KITTI's"):
+    with pytest.raises(InputError, match="a KITTI trajectory"):
         read_trajectory(tmp_path / "x.tum", times=times)
 
 
@@ -108,14 +108,14 @@ def test_its_world_stands_up() -> None:
     ("text", "line", "found"),
     [
         (IDENTITY + "1 0 0 0 0 1 0 0 0 0 1\n" + IDENTITY, 2, "11 columns"),
-        (IDENTITY + "1 0 0 0 0 1 0 0 0 0 1", 2, "a last row of 11 columns (a file cut off?)"),
+        (IDENTITY + "1 0 0 0 0 1 0 0 0 0 1", 2, "a last row of 11 columns (a truncated file?)"),
         (IDENTITY + "5 " + IDENTITY, 2, "13 columns"),
         (IDENTITY + IDENTITY.replace("1 0 0 0 0", "1 0 x 0 0"), 2, "'x'"),
         (IDENTITY + IDENTITY.replace("1 0 0 0 0", "1 0 nan 0 0"), 2, "'nan'"),
         (IDENTITY + IDENTITY.replace("1 0 0 0 0", "1 0 1e999 0 0"), 2, "'1e999'"),
-        ("\n#\n" + IDENTITY.replace("1 0 0 0 0", "2 0 0 0 0"), 3, "no rotation"),
-        ("-" + IDENTITY, 1, "no rotation"),
-        (IDENTITY.replace("1 0 0 0 0", "1e200 0 0 0 0"), 1, "no rotation"),
+        ("\n#\n" + IDENTITY.replace("1 0 0 0 0", "2 0 0 0 0"), 3, "not a rotation"),
+        ("-" + IDENTITY, 1, "not a rotation"),
+        (IDENTITY.replace("1 0 0 0 0", "1e200 0 0 0 0"), 1, "not a rotation"),
         ("0 " + IDENTITY + "0 " + IDENTITY, 2, "frame 0 after frame 0"),
         ("0.5 " + IDENTITY, 1, "frame 0.5"),
         ("-1 " + IDENTITY, 1, "frame -1"),

@@ -7,7 +7,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from dronevio.models.errors import InputError
-from dronevio.models.recordings.calibration.sensor_yaml import SensorYaml, Value, pose_yaml, read_sensor_yaml, shown
+from dronevio.models.recordings.calibration.sensor_yaml import SensorYaml, Value, pose_yaml, read_sensor_yaml, yaml_text
 from dronevio.models.rig import EUROC_T_IMU_CAM0
 
 CAMERA = """\
@@ -60,7 +60,7 @@ values = st.one_of(scalars, st.lists(st.floats(allow_nan=False, allow_infinity=F
 @settings(max_examples=300, deadline=None)
 @given(st.dictionaries(st.from_regex(r"[a-z_]{1,8}", fullmatch=True), values, max_size=5))
 def test_what_is_written_comes_back(scratch: Path, content: dict[str, Value]) -> None:
-    yaml = read(scratch, "".join(f"{key}: {shown(value)}\n" for key, value in content.items()))
+    yaml = read(scratch, "".join(f"{key}: {yaml_text(value)}\n" for key, value in content.items()))
     assert yaml.values == content
 
 
@@ -77,8 +77,8 @@ def test_poses_come_back_to_the_bit(scratch: Path, p: tuple[float, float, float]
     ("text", "line", "found"),
     [
         ("a: 1\nb 2\n", 2, "b 2"),
-        ("a: 1\na: 2\n", 2, "second time"),
-        ("a: [1, 2\n", 1, "list without its end"),
+        ("a: 1\na: 2\n", 2, "a second"),
+        ("a: [1, 2\n", 1, "list without an end"),
         ("a: [1, [2, 3]]\n", 1, ""),
         ("a: [1, 2] 3\n", 1, ""),
         ("a: .nan\n", 1, ".nan"),

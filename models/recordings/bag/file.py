@@ -1,7 +1,7 @@
-"""A ROS 2 bag as a file that may be damaged: its topics and messages, or one error that says what is wrong with it.
+"""Topics and messages of a ROS 2 bag, with damage reported as InputError.
 
-rosbags does the reading: MCAP, SQLite, a folder with ``metadata.yaml``, compressed or not. Messages are decoded by the
-definitions that we know, never by those that the bag brings along, which would have to be turned into code.
+The library rosbags reads MCAP, SQLite and folders with ``metadata.yaml``, compressed or not. Messages are decoded by
+the standard definitions and not by those in the bag, which would have to be compiled to code.
 """
 
 import weakref
@@ -25,19 +25,19 @@ _STORAGES = (".mcap", ".db3")
 
 @cache
 def typestore() -> Typestore:
-    """Return the definitions of the standard messages, which have not changed on the wire since Humble."""
+    """Return the definitions of the standard messages, whose serialization has not changed since ROS 2 Humble."""
     return get_typestore(Stores.ROS2_HUMBLE)
 
 
 @contextmanager
-def blamed_on_bag(path: Path) -> Iterator[None]:
-    """Turn whatever reading a bag raises into one error that names it.
+def any_as_input_error(path: Path) -> Iterator[None]:
+    """Convert any exception into an InputError about a bag.
 
-    A damaged bag makes the libraries below fail in every way there is (struct, sqlite, zstd, assertions, ord() of
-    nothing ...), so here, at their door, every exception is the file's fault.
+    Damaged bags cause exceptions of many types in the libraries (struct, sqlite3, zstd, assertions), so all types are
+    converted.
 
     Raises:
-        InputError: In place of it.
+        InputError: The body raised an exception.
     """
     try:
         yield
@@ -49,89 +49,89 @@ def blamed_on_bag(path: Path) -> Iterator[None]:
 
 
 class BagFile:
-    """A bag that is open for reading; it closes itself when nobody uses it any longer."""
+    """A bag that is open for reading. It is closed when the object is garbage-collected."""
 
     def __init__(self, path: Path) -> None:
         """Open a bag.
 
         Raises:
-            InputError: There is none, or it is damaged.
+            InputError: The bag is missing or damaged.
         """
         self.path = path
-        with blamed_on_bag(path):
-            for database in (path, *_storages_in(path)):
-                _check_whole(database)
+        with any_as_input_error(path):
+            for database in (path, *_storage_files(path)):
+                _check_not_truncated(database)
             self._reader = Reader(_storage(path))
             self._reader.open()
             weakref.finalize(self, self._reader.close)
             self.topics: dict[str, str] = {c.topic: c.msgtype for c in self._reader.connections if c.msgcount}
-            """The type of message of each topic that has any."""
+            """Message type of each topic that has messages."""
 
-    def of_type(self, *types: str) -> tuple[str, ...]:
-        """Return the topics of the given types, sorted."""
+    def topics_of_type(self, *types: str) -> tuple[str, ...]:
+        """Return the topics with messages of the given types, sorted by name."""
         return tuple(sorted(topic for topic, kind in self.topics.items() if kind in types))
 
-    def raw(self, topic: str, start_ns: int | None = None) -> Iterator[tuple[int, bytes]]:
-        """Yield when each message of a topic was written [ns], and its bytes, in that order.
+    def raw_messages(self, topic: str, start_ns: int | None = None) -> Iterator[tuple[int, bytes]]:
+        """Yield the log time [ns] and the serialized bytes of each message of a topic, in the order of log times.
 
         Args:
-            topic: Which.
-            start_ns: Only messages that were written then or later.
+            topic: Name of the topic.
+            start_ns: First log time of the messages [ns], None for all messages.
 
         Raises:
-            InputError: The bag is damaged there.
+            InputError: The bag is damaged.
         """
-        with blamed_on_bag(self.path):
+        with any_as_input_error(self.path):
             connections = [c for c in self._reader.connections if c.topic == topic]
             for _, logged_ns, raw in self._reader.messages(connections, start=start_ns):
                 yield logged_ns, raw
 
-    def decoded(self, topic: str) -> Iterator[object]:
+    def messages(self, topic: str) -> Iterator[object]:
         """Yield the messages of a topic.
 
         Raises:
-            InputError: The bag is damaged there.
+            InputError: The bag is damaged.
         """
-        for _, raw in self.raw(topic):
+        for _, raw in self.raw_messages(topic):
             yield self.decode(topic, raw)
 
-    def first(self, topic: str) -> object:
+    def first_message(self, topic: str) -> object:
         """Return the first message of a topic.
 
         Raises:
-            InputError: The bag is damaged there.
+            InputError: The bag is damaged.
         """
-        for message in self.decoded(topic):
+        for message in self.messages(topic):
             return message
         raise self._empty(topic)
 
     def decode(self, topic: str, raw: bytes) -> object:
-        """Return a message from its bytes.
+        """Return the message of a topic with given serialized bytes.
 
         Raises:
-            InputError: They are damaged.
+            InputError: The bytes are damaged.
         """
-        with blamed_on_bag(self.path):
+        with any_as_input_error(self.path):
             return typestore().deserialize_cdr(raw, self.topics[topic])
 
     def stamp_ns(self, topic: str, raw: bytes) -> int:
-        """Return the time stamp [ns] in the header of a message.
+        """Return the time stamp [ns] in the header of a serialized message.
 
         Raises:
-            InputError: It has none.
+            InputError: The message has no header.
         """
         try:
             return stamp_ns(raw)
         except ValueError as error:
             raise InputError(self.path, f"{topic}: {error}", "messages with a time stamp") from None
 
-    def stamped(self, topic: str) -> tuple[Times, list[object]]:
-        """Return the messages of a topic by their time stamps (N,) [ns], increasing.
+    def stamped_messages(self, topic: str) -> tuple[Times, list[object]]:
+        """Return the time stamps (N,) [ns] and the messages of a topic, sorted by time stamp.
 
         Raises:
-            InputError: They are damaged, or two have the same.
+            InputError: The messages are damaged, or two have the same time stamp.
         """
-        raws = [raw for _, raw in self.raw(topic)]
+        raws = [raw for _, raw in self.raw_messages(topic)]
         if not raws:
             raise self._empty(topic)
         t_ns = np.array([self.stamp_ns(topic, raw) for raw in raws], dtype=np.int64)
@@ -140,57 +140,57 @@ class BagFile:
         return t_ns[order], [self.decode(topic, raws[i]) for i in order.tolist()]
 
     def check_stamps(self, topic: str, t_ns: Times) -> None:
-        """Check that the time stamps (N,) [ns] of a topic, sorted, increase.
+        """Check that the sorted time stamps (N,) [ns] of a topic are distinct.
 
         Raises:
-            InputError: Two are the same.
+            InputError: Two time stamps are equal.
         """
         twice = np.flatnonzero(np.diff(t_ns) <= 0)
         if twice.size:
-            raise self.fault(f"{topic}: two messages of {t_ns[twice[0]]} ns", "a time stamp of its own for each")
+            raise self.error(f"{topic}: two messages of {t_ns[twice[0]]} ns", "distinct time stamps")
 
     def _empty(self, topic: str) -> InputError:
-        """Return the error that says that a topic has no messages."""
-        return self.fault(f"{topic}: no messages, though the bag counts some", "as many as it counts")
+        """Return the error for a topic without readable messages."""
+        return self.error(f"{topic}: no messages, although the bag lists some", "the messages that it lists")
 
-    def fault(self, found: str, expected: str) -> InputError:
-        """Return the error that says that something in the bag is not what it should be."""
+    def error(self, found: str, expected: str) -> InputError:
+        """Return the error for contents of the bag that differ from what is expected."""
         return InputError(self.path, found, expected)
 
 
 def _storage(path: Path) -> Path:
-    """Return what to hand to rosbags, or raise InputError."""
+    """Return the path that rosbags opens, or raise InputError."""
     if not path.exists():
         raise InputError(path, "no such file", _EXPECTED)
     if not path.is_dir():
         return path
     if (path / "metadata.yaml").exists():
         return path
-    inside = _storages_in(path)
-    if len(inside) != 1:
-        raise InputError(path, f"no metadata.yaml and {len(inside)} storage files", _EXPECTED)
-    return inside[0]
+    files = _storage_files(path)
+    if len(files) != 1:
+        raise InputError(path, f"no metadata.yaml and {len(files)} storage files", _EXPECTED)
+    return files[0]
 
 
-def _check_whole(path: Path) -> None:
-    """Raise InputError if a database ends before its last page: SQLite would read zeros there without a word.
+def _check_not_truncated(path: Path) -> None:
+    """Raise InputError if a database ends before its last page, where SQLite would silently read zeros.
 
-    Page size and number of pages stand in the header (https://www.sqlite.org/fileformat2.html, 1.3).
+    Page size and number of pages are in the header (https://www.sqlite.org/fileformat2.html, 1.3).
     """
     if path.suffix != ".db3" or not path.is_file():
         return
     with path.open("rb") as file:
         database = file.read(100)
     if len(database) < 100 or database[24:28] != database[92:96]:
-        return  # no database, or one whose header does not tell
+        return  # not a database, or one without a valid size in its header
     page = int.from_bytes(database[16:18], "big")
     size = (65536 if page == 1 else page) * int.from_bytes(database[28:32], "big")
     if path.stat().st_size < size:
-        raise InputError(path, f"{path.stat().st_size} bytes of {size}", "a whole file; this one is cut off")
+        raise InputError(path, f"{path.stat().st_size} bytes of {size}", "a complete file, not a truncated one")
 
 
-def _storages_in(folder: Path) -> Sequence[Path]:
-    """Return the storage files in a folder; none where it is none."""
+def _storage_files(folder: Path) -> Sequence[Path]:
+    """Return the storage files in a folder; none if the path is not a folder."""
     if not folder.is_dir():
         return ()
     return sorted(path for path in folder.iterdir() if path.suffix in _STORAGES)

@@ -1,7 +1,7 @@
-"""Our data as the standard messages of ROS 2, and back.
+"""Conversion between the data types of this package and standard messages of ROS 2.
 
-Times are whole nanoseconds on both sides and numbers are doubles on both, so nothing is rounded on the way. Frames of
-reference are ``world``, ``base_link`` (the vehicle), ``imu0``, ``cam0``, ``cam1``...
+Times are integer nanoseconds and numbers are doubles in both, so the conversion is exact. The frames of reference are
+``world``, ``base_link`` (the vehicle), ``imu0``, ``cam0``, ``cam1`` and so on.
 """
 
 import struct
@@ -30,11 +30,11 @@ PoseMessage: TypeAlias = (
 )
 
 WORLD, VEHICLE, IMU, CAMERA = "world", "base_link", "imu0", "cam{}"
-"""Frames of reference."""
+"""Names of the frames of reference."""
 LAST_NS = 2**31 * 10**9
-"""Where the time stamps of ROS end: their seconds have 31 bits [ns]."""
+"""Upper limit of time stamps in ROS, whose seconds have 31 bits [ns]."""
 
-# Bytes a pixel, and OpenCV's name of the way to grey.
+# Bytes per pixel, and OpenCV's conversion code to grey.
 _ENCODINGS: dict[str, tuple[int, str]] = {
     "mono8": (1, ""),
     "8UC1": (1, ""),
@@ -45,32 +45,32 @@ _ENCODINGS: dict[str, tuple[int, str]] = {
     "rgba8": (4, "COLOR_RGBA2GRAY"),
 }
 _ROS_LENSES = {"radtan": "plumb_bob", "equidistant": "equidistant"}
-_UNKNOWN = -1.0  # in the first element of a covariance: no such data (sensor_msgs/Imu)
+_UNKNOWN = -1.0  # in the first element of a covariance, for missing data (sensor_msgs/Imu)
 
 
 def header(t_ns: int, frame: str) -> ros.std_msgs__msg__Header:
-    """Return a header.
+    """Return a header with a time stamp and a frame of reference.
 
     Raises:
-        ConfigError: The time is before 1970 or after 2038, which ROS cannot express.
+        ConfigError: The time is before 1970 or after 2038, which ROS cannot represent.
     """
     if not 0 <= t_ns < LAST_NS:
-        raise ConfigError(f"a time stamp of {t_ns} ns; expected 0 to {LAST_NS}, all that ROS can express")
+        raise ConfigError(f"a time stamp of {t_ns} ns; expected 0 to {LAST_NS}, the range of ROS")
     sec, nanosec = divmod(t_ns, 10**9)
     return ros.std_msgs__msg__Header(ros.builtin_interfaces__msg__Time(sec, nanosec), frame)
 
 
 def stamp_ns(raw: bytes) -> int:
-    """Return the time stamp [ns] of a serialized message that begins with a header, without looking at the rest.
+    """Return the time stamp [ns] of a serialized message that begins with a header, without decoding the rest.
 
     Raises:
-        ValueError: It does not.
+        ValueError: The message does not begin with a header.
     """
     if len(raw) < 12 or raw[:2] not in (b"\0\0", b"\0\1"):
-        raise ValueError("no message that begins with a time stamp")
+        raise ValueError("a message that does not begin with a time stamp")
     sec, nanosec = struct.unpack_from("<iI" if raw[1] else ">iI", raw, 4)
     if nanosec >= 10**9:
-        raise ValueError(f"a time stamp with {nanosec} ns beside its seconds")
+        raise ValueError(f"a time stamp with {nanosec} ns in addition to its seconds")
     return int(sec) * 10**9 + int(nanosec)
 
 
@@ -85,26 +85,26 @@ def imu_messages(samples: ImuSamples, model: ImuModel) -> Iterator[tuple[int, ro
     level = ros.geometry_msgs__msg__Quaternion(0.0, 0.0, 0.0, 1.0)
     rows = zip(samples.t_ns.tolist(), samples.gyro_rad_s.tolist(), samples.accel_m_s2.tolist(), strict=True)
     for t_ns, w, a in rows:
-        turn, force = ros.geometry_msgs__msg__Vector3(*w), ros.geometry_msgs__msg__Vector3(*a)
-        yield t_ns, ros.sensor_msgs__msg__Imu(header(t_ns, IMU), level, unknown, turn, gyro, force, accel)
+        rate, force = ros.geometry_msgs__msg__Vector3(*w), ros.geometry_msgs__msg__Vector3(*a)
+        yield t_ns, ros.sensor_msgs__msg__Imu(header(t_ns, IMU), level, unknown, rate, gyro, force, accel)
 
 
 def odometry_messages(truth: Trajectory) -> Iterator[tuple[int, ros.nav_msgs__msg__Odometry]]:
     """Yield time stamp [ns] and message of each pose.
 
-    As ROS wants it, the twist is that of the IMU in its own frame: the true velocity, turned, and the mean angular
+    The twist is given in the child frame, that of the IMU, as ROS specifies: the true velocity, and the mean angular
     velocity until the next pose.
     """
-    exact = np.zeros(36)
-    known = np.zeros(36)
+    pose_covariance = np.zeros(36)
+    twist_covariance = np.zeros(36)
     linear, angular = np.zeros((len(truth), 3)), np.zeros((len(truth), 3))
     if truth.velocity_m_s is None or len(truth) < 2:
-        known[0] = _UNKNOWN
+        twist_covariance[0] = _UNKNOWN
     else:
         R = truth.rotations
         linear = np.einsum("nji,nj->ni", R, truth.velocity_m_s)
-        turn = log_so3(np.einsum("nji,njk->nik", R[:-1], R[1:]))
-        angular[:-1] = turn / (np.diff(truth.t_ns) * 1e-9)[:, None]
+        rotation = log_so3(np.einsum("nji,njk->nik", R[:-1], R[1:]))
+        angular[:-1] = rotation / (np.diff(truth.t_ns) * 1e-9)[:, None]
         angular[-1] = angular[-2]
     poses = zip(truth.t_ns.tolist(), truth.p_world_imu.tolist(), truth.quat_wxyz.tolist(), strict=True)
     for (t_ns, p, (qw, qx, qy, qz)), v, w in zip(poses, linear.tolist(), angular.tolist(), strict=True):
@@ -117,8 +117,8 @@ def odometry_messages(truth: Trajectory) -> Iterator[tuple[int, ros.nav_msgs__ms
             ros.nav_msgs__msg__Odometry(
                 header(t_ns, WORLD),
                 IMU,
-                ros.geometry_msgs__msg__PoseWithCovariance(pose, exact),
-                ros.geometry_msgs__msg__TwistWithCovariance(twist, known),
+                ros.geometry_msgs__msg__PoseWithCovariance(pose, pose_covariance),
+                ros.geometry_msgs__msg__TwistWithCovariance(twist, twist_covariance),
             ),
         )
 
@@ -135,14 +135,14 @@ def vector_messages(
 
 
 def transform_messages(truth: Trajectory) -> Iterator[tuple[int, ros.tf2_msgs__msg__TFMessage]]:
-    """Yield time stamp [ns] and message of each pose of the IMU in the world, for /tf."""
+    """Yield time stamp [ns] and message of each pose of the IMU in the world frame, for /tf."""
     rows = zip(truth.t_ns.tolist(), truth.p_world_imu.tolist(), truth.quat_wxyz.tolist(), strict=True)
     for t_ns, p, q in rows:
         yield t_ns, ros.tf2_msgs__msg__TFMessage([_transform(t_ns, WORLD, IMU, p, q)])
 
 
 def rig_transforms(rig: Rig, t_ns: int) -> ros.tf2_msgs__msg__TFMessage:
-    """Return where the vehicle and the cameras are in the IMU frame, for /tf_static."""
+    """Return the poses of the vehicle and the cameras in the IMU frame, for /tf_static."""
     poses = [(VEHICLE, inverse_pose(rig.T_vehicle_imu))]
     poses += [(CAMERA.format(number), camera.T_imu_cam) for number, camera in enumerate(rig.cameras)]
     return ros.tf2_msgs__msg__TFMessage(
@@ -154,11 +154,8 @@ def rig_transforms(rig: Rig, t_ns: int) -> ros.tf2_msgs__msg__TFMessage:
 
 
 def camera_info(model: CameraModel, t_ns: int, frame: str) -> ros.sensor_msgs__msg__CameraInfo:
-    """Return what a camera is, for who reads no other calibration.
-
-    The rolling shutter has no place in it.
-    """
-    k = [*model.distortion, 0.0] if model.lens == "radtan" else model.distortion  # plumb_bob has a third radial one
+    """Return the intrinsics of a camera as a message, which has no field for the readout time."""
+    k = [*model.distortion, 0.0] if model.lens == "radtan" else model.distortion  # plumb_bob has k3
     return ros.sensor_msgs__msg__CameraInfo(
         header=header(t_ns, frame),
         height=model.height,
@@ -175,15 +172,15 @@ def camera_info(model: CameraModel, t_ns: int, frame: str) -> ros.sensor_msgs__m
 
 
 def camera_model(path: Path, topic: str, info: ros.sensor_msgs__msg__CameraInfo) -> CameraModel:
-    """Return the camera that a message describes.
+    """Return the camera model of a CameraInfo message.
 
     Args:
-        path: The bag, for messages.
-        topic: Where it was published, for messages.
+        path: The bag, for error messages.
+        topic: Topic of the message, for error messages.
         info: The message.
 
     Raises:
-        InputError: It is of a model that is not supported, or not calibrated.
+        InputError: The lens model is not supported, or the camera is not calibrated.
     """
     d = tuple(float(value) for value in info.d)
     name = {"": "plumb_bob", "fisheye": "equidistant", "rational_polynomial": "plumb_bob"}.get(
@@ -192,7 +189,7 @@ def camera_model(path: Path, topic: str, info: ros.sensor_msgs__msg__CameraInfo)
     if name not in LENS_NAMES:
         raise InputError(path, f"{topic}: distortion_model {info.distortion_model!r}", "plumb_bob or equidistant")
     if any(d[4:]) or len(d) not in (0, 4, 5, 8):
-        raise InputError(path, f"{topic}: distortion coefficients {list(d)}", "four, and zeros behind them")
+        raise InputError(path, f"{topic}: distortion coefficients {list(d)}", "four, followed by zeros")
     fx, fy, cx, cy = (float(info.k[i]) for i in (0, 4, 2, 5))
     k = (*d[:4], 0.0, 0.0, 0.0, 0.0)
     try:
@@ -202,7 +199,7 @@ def camera_model(path: Path, topic: str, info: ros.sensor_msgs__msg__CameraInfo)
 
 
 def image_message(image: Image, t_ns: int, frame: str, png: bool) -> ImageMessage:
-    """Return a grey image as a message, pixel by pixel or as a PNG."""
+    """Return a grey image (H, W) as a message, uncompressed or as PNG."""
     if png:
         data = np.frombuffer(encode_png(image), np.uint8)
         return ros.sensor_msgs__msg__CompressedImage(header(t_ns, frame), "mono8; png compressed", data)
@@ -212,24 +209,24 @@ def image_message(image: Image, t_ns: int, frame: str, png: bool) -> ImageMessag
 
 
 def is_grey_or_colour(message: ImageMessage) -> bool:
-    """Say whether a message is an image that `grey_image` can read; a depth image is not."""
+    """Return whether a message is an image that `grey_image` can read, which a depth image is not."""
     if isinstance(message, ros.sensor_msgs__msg__CompressedImage):
         return "compressedDepth" not in message.format
     return message.encoding in _ENCODINGS
 
 
 def grey_image(path: Path, where: str, message: ImageMessage, width: int, height: int) -> Image:
-    """Return the grey (height, width) image of a message.
+    """Return the grey image (height, width) of a message.
 
     Args:
-        path: The bag, for messages.
-        where: Topic and time, for messages.
+        path: The bag, for error messages.
+        where: Topic and time, for error messages.
         message: The message.
-        width: Columns that it should have [px].
-        height: Rows that it should have [px].
+        width: Expected number of columns [px].
+        height: Expected number of rows [px].
 
     Raises:
-        InputError: It is of another size or encoding, or damaged.
+        InputError: The image is damaged, or has another size or encoding.
     """
     import cv2
 
@@ -237,14 +234,14 @@ def grey_image(path: Path, where: str, message: ImageMessage, width: int, height
         return decode_grey(path, message.data.tobytes(), width, height, f"{where}: ")
     if message.encoding not in _ENCODINGS:
         found = f"{where}: an image with encoding {message.encoding!r}"
-        raise InputError(path, found, f"eight bits a channel: {', '.join(_ENCODINGS)}")
+        raise InputError(path, found, f"eight bits per channel: {', '.join(_ENCODINGS)}")
     if (message.width, message.height) != (width, height):
         found = f"{where}: an image of {message.width} × {message.height} px"
         raise InputError(path, found, f"an image of {width} × {height} px")
     channels, to_grey = _ENCODINGS[message.encoding]
     if message.step < width * channels or len(message.data) != message.step * height:
         found = f"{where}: an image of {len(message.data)} bytes in rows of {message.step}"
-        raise InputError(path, found, f"{height} rows of {width * channels} bytes or more")
+        raise InputError(path, found, f"{height} rows of at least {width * channels} bytes")
     rows = message.data.reshape(height, message.step)[:, : width * channels]
     if not to_grey:
         return np.ascontiguousarray(rows)
@@ -253,10 +250,10 @@ def grey_image(path: Path, where: str, message: ImageMessage, width: int, height
 
 
 def imu_samples(messages: Sequence[ros.sensor_msgs__msg__Imu]) -> tuple[Array, Array]:
-    """Return angular velocities (N, 3) [rad/s] and specific forces (N, 3) [m/s²] of messages.
+    """Return angular velocities (N, 3) [rad/s] and specific forces (N, 3) [m/s²] of N messages.
 
     Raises:
-        ValueError: One says that it lacks either.
+        ValueError: A message has no angular velocity or no linear acceleration.
     """
     if any(m.angular_velocity_covariance[0] == _UNKNOWN or m.linear_acceleration_covariance[0] == _UNKNOWN
            for m in messages):  # fmt: skip
@@ -267,7 +264,7 @@ def imu_samples(messages: Sequence[ros.sensor_msgs__msg__Imu]) -> tuple[Array, A
 
 
 def position_and_quat_wxyz(message: PoseMessage) -> tuple[float, ...]:
-    """Return x, y, z [m] and the orientation w, x, y, z of a pose message."""
+    """Return position x, y, z [m] and quaternion w, x, y, z of a pose message."""
     if isinstance(message, ros.geometry_msgs__msg__TransformStamped):
         p, q = message.transform.translation, message.transform.rotation
         return (p.x, p.y, p.z, q.w, q.x, q.y, q.z)
@@ -277,7 +274,7 @@ def position_and_quat_wxyz(message: PoseMessage) -> tuple[float, ...]:
 
 
 def velocity_in_body(message: PoseMessage) -> tuple[float, float, float] | None:
-    """Return the velocity in the moving frame [m/s] of a pose message, None where it has none."""
+    """Return the velocity of a pose message in the body frame [m/s], None if it has none."""
     if not isinstance(message, ros.nav_msgs__msg__Odometry) or message.twist.covariance[0] == _UNKNOWN:
         return None
     v = message.twist.twist.linear
@@ -287,7 +284,7 @@ def velocity_in_body(message: PoseMessage) -> tuple[float, float, float] | None:
 def _transform(
     t_ns: int, parent: str, child: str, p: Sequence[float], quat_wxyz: Sequence[float]
 ) -> ros.geometry_msgs__msg__TransformStamped:
-    """Return the pose of a frame in its parent as a message."""
+    """Return the pose of a child frame in its parent frame as a message."""
     w, x, y, z = quat_wxyz
     return ros.geometry_msgs__msg__TransformStamped(
         header(t_ns, parent),

@@ -1,15 +1,15 @@
-"""What a user may say of a bag that does not explain itself."""
+"""Options for reading bags whose contents are ambiguous."""
 
 from dataclasses import dataclass
 
 
 @dataclass(frozen=True)
 class BagTopics:
-    """Topics of a bag; what is empty is found by type."""
+    """Topics of a bag. Empty fields are found by message type."""
 
     images: tuple[str, ...] = ()
-    """Images of each camera, in the order of the calibration (sensor_msgs Image or CompressedImage)."""
+    """Image topic of each camera in the order of the calibration (sensor_msgs Image or CompressedImage)."""
     imu: str = ""
-    """The IMU's samples (sensor_msgs Imu)."""
+    """Topic of the IMU samples (sensor_msgs Imu)."""
     truth: str = ""
-    """True poses of the IMU frame (nav_msgs Odometry, geometry_msgs PoseStamped or TransformStamped)."""
+    """Topic of the true poses of the IMU (nav_msgs Odometry, geometry_msgs PoseStamped or TransformStamped)."""

@@ -1,10 +1,11 @@
-"""Flights as ROS 2 bags, in: our own to the bit, other people's by what their messages say.
+"""Reading of recordings from ROS 2 bags.
 
-Topics are found by their type. What a bag of others does not say (the noise of its IMU, often where the cameras are)
-comes from Kalibr's files. Times are those of the headers; when a message was received does not matter. The images of a
-frame may be stamped apart by a little, and a frame is stamped as its first camera's image.
+Topics are found by their message type. Bags that this package wrote are read without loss of precision; for others, the
+calibration that is not in the bag (IMU noise, often the extrinsics of the cameras) comes from Kalibr's files. Times are
+those of the message headers, not the log times. The images of a frame may differ in their time stamps by a small
+tolerance; the time stamp of the frame is that of the image of the first camera.
 
-Opening a bag looks at each image once, for its time stamp, and keeps none; `BagRecording.frame` decodes one at a time.
+Opening a bag reads the time stamp of each image; `BagRecording.frame` decodes the images of one frame.
 """
 
 from collections.abc import Iterator, Sequence
@@ -30,34 +31,34 @@ from dronevio.models.state import CameraFrame, Trajectory
 
 Array = npt.NDArray[np.float64]
 
-SYNCHRONOUS_S = 1e-3
-"""How far apart the images of one frame may be stamped [s]."""
+SYNC_TOLERANCE_S = 1e-3
+"""Largest difference of the time stamps of the images of one frame [s]."""
 
 
 @dataclass(frozen=True, eq=False)
 class BagRecording:
-    """A flight that was read from a ROS 2 bag; satisfies the `Recording` protocol."""
+    """A recording in a ROS 2 bag; satisfies the `Recording` protocol."""
 
     name: str
-    """Name of the file or folder."""
+    """Name of the file or folder of the bag."""
     rig: Rig
-    """The calibration."""
+    """Calibration of cameras and IMU."""
     imu: ImuSamples
-    """All IMU samples, in time order."""
+    """IMU samples of the whole recording."""
     frame_times_ns: Times
-    """(M,) Time stamps of the first camera's images to which all others have one [ns], strictly increasing."""
+    """(M,) Time stamps of those images of the first camera that all other cameras match, strictly increasing [ns]."""
     ground_truth: Trajectory | None
-    """The true motion of the IMU, where the bag has it."""
+    """Ground truth of the IMU, None if the bag has none."""
     frame_truth: FrameTruth | None
-    """When and how frames were really exposed, where the bag has it."""
+    """Ground truth of the frames, None if the bag has none."""
     topics: BagTopics
-    """Which topics were read."""
+    """Topics that were read."""
     image_rows: npt.NDArray[np.int64] = field(repr=False)
-    """(M, C) For each frame, which of its topic's messages each camera's image is."""
+    """(M, C) Index of the message of each frame and camera in the image topic."""
     images: tuple["ImageTopic", ...] = field(repr=False)
-    """Of each camera, where its images are."""
+    """Image topic of each camera."""
     complete: bool = True
-    """A bag that was cut off cannot be opened."""
+    """Whether the recording is complete; a truncated bag cannot be opened."""
 
     @classmethod
     def open(
@@ -66,50 +67,49 @@ class BagRecording:
         cameras: int | None = None,
         calibration: Sequence[Path] = (),
         topics: BagTopics | None = None,
-        synchronous_s: float = SYNCHRONOUS_S,
+        sync_tolerance_s: float = SYNC_TOLERANCE_S,
     ) -> Self:
-        """Read everything but the images.
+        """Read everything except the images.
 
         Args:
-            path: An ``.mcap`` or ``.db3`` file, or a folder as ``ros2 bag`` makes it.
-            cameras: Use only the first so many cameras; None for all.
-            calibration: Kalibr's files, in place of what the bag says.
-            topics: Which topics to read, where they cannot be found by type, or shall be others.
-            synchronous_s: How far apart the images of one frame may be stamped [s].
+            path: An ``.mcap`` or ``.db3`` file, or a folder written by ``ros2 bag``.
+            cameras: Number of cameras to use; None for all.
+            calibration: Calibration files of Kalibr, which replace the calibration in the bag.
+            topics: Topics to read instead of those found by message type.
+            sync_tolerance_s: Largest difference of the time stamps of the images of one frame [s].
 
         Raises:
-            InputError: Something is missing, damaged or not supported, or it is not clear which topic is meant.
+            InputError: A topic or a field is missing, damaged, not supported or ambiguous.
         """
         bag, files = BagFile(Path(path)), [Path(file) for file in calibration]
-        calibrated = next((said.topics for said in read_calibrations(bag, files) if said.topics), ())
-        chosen = find_topics(bag, topics or BagTopics(), calibrated, cameras)
-        images = tuple(ImageTopic(bag, topic) for topic in chosen.images)
-        times, rows = synchronized(bag, images, synchronous_s)
-        rig, sampling = bag_rig(bag, chosen, read_calibrations(bag, files, _rate_hz(times)), _rate_hz(times))
-        t_ns, messages = bag.stamped(chosen.imu)
+        selected = find_topics(bag, topics or BagTopics(), _calibrated_topics(bag, files), cameras)
+        images = tuple(ImageTopic(bag, topic) for topic in selected.images)
+        times, rows = synchronized(bag, images, sync_tolerance_s)
+        rig, sampling = bag_rig(bag, selected, read_calibrations(bag, files, _rate_hz(times)), _rate_hz(times))
+        t_ns, messages = bag.stamped_messages(selected.imu)
         try:
             gyro, accel = imu_samples(cast("list[ros.sensor_msgs__msg__Imu]", messages))
         except ValueError as error:
-            raise bag.fault(f"{chosen.imu}: {error}", "both in each message") from None
+            raise bag.error(f"{selected.imu}: {error}", "both in each message") from None
         if not (np.isfinite(gyro).all() and np.isfinite(accel).all()):
-            raise bag.fault(f"{chosen.imu}: a number that is not finite", "finite numbers")
+            raise bag.error(f"{selected.imu}: a non-finite number", "finite numbers")
         return cls(
             name=Path(path).resolve().stem,
             rig=rig,
             imu=ImuSamples(t_ns, gyro, accel, sampling),
             frame_times_ns=times,
-            ground_truth=read_bag_truth(bag, chosen.truth) if chosen.truth else None,
+            ground_truth=read_bag_truth(bag, selected.truth) if selected.truth else None,
             frame_truth=read_bag_frame_truth(bag),
-            topics=chosen,
+            topics=selected,
             image_rows=rows,
             images=images,
         )
 
     def frame(self, index: int) -> CameraFrame:
-        """Return the frame of the given index, 0 ≤ index < M.
+        """Return the frame with a given index, 0 ≤ index < M.
 
         Raises:
-            InputError: An image of it is damaged, or not of the calibration's size.
+            InputError: An image is damaged, or has another size than in the calibration.
         """
         images = tuple(
             topic.image(row, camera.model.width, camera.model.height)
@@ -119,103 +119,118 @@ class BagRecording:
 
 
 class ImageTopic:
-    """The images of one topic, one at a time: quickest in their order, but any can be asked for."""
+    """Images of one topic, decoded one at a time; access in the order of time is fastest."""
 
     def __init__(self, bag: BagFile, topic: str) -> None:
-        """Look when they were taken.
+        """Read the time stamps of the images.
 
         Raises:
-            InputError: There are none, their time stamps do not increase, or the bag is damaged.
+            InputError: The topic has no images, two have the same time stamp, or the bag is damaged.
         """
         self._bag, self._topic = bag, topic
-        stamps = [(bag.stamp_ns(topic, raw), logged_ns) for logged_ns, raw in bag.raw(topic)]
+        stamps = [(bag.stamp_ns(topic, raw), logged_ns) for logged_ns, raw in bag.raw_messages(topic)]
         if not stamps:
-            raise bag.fault(f"{topic}: no messages", "images")
-        taken_ns, logged_ns = np.array(stamps, dtype=np.int64).T
-        order = np.argsort(taken_ns, kind="stable")
-        self.t_ns: Times = taken_ns[order]
-        """(K,) When they were taken [ns], increasing."""
+            raise bag.error(f"{topic}: no messages", "images")
+        stamps_ns, logged_ns = np.array(stamps, dtype=np.int64).T
+        order = np.argsort(stamps_ns, kind="stable")
+        self.t_ns: Times = stamps_ns[order]
+        """(K,) Time stamps of the images, increasing [ns]."""
         self._logged_ns = logged_ns[order]
         bag.check_stamps(topic, self.t_ns)
         self._reader: BagFile | None = None
-        self._ahead: Iterator[tuple[int, bytes]] = iter(())
+        self._following: Iterator[tuple[int, bytes]] = iter(())
 
     def image(self, row: int, width: int, height: int) -> npt.NDArray[np.uint8]:
-        """Return the grey (height, width) image of a row.
+        """Return the grey image (height, width) with index ``row`` in the order of time stamps.
 
         Raises:
-            InputError: It is damaged, or of another size.
+            InputError: The image is damaged or has another size.
         """
         message = cast(ImageMessage, self._bag.decode(self._topic, self._message(row)))
         return grey_image(self._bag.path, f"{self._topic} at {self.t_ns[row]} ns", message, width, height)
 
     def _message(self, row: int) -> bytes:
-        """Return the bytes of a message: the next one if that is the one, else found by when it was written."""
-        wanted = int(self.t_ns[row])
-        for _, raw in self._ahead:
-            if self._bag.stamp_ns(self._topic, raw) == wanted:
+        """Return the bytes of the message with index ``row``: the following one, or else found by its log time."""
+        stamp_ns = int(self.t_ns[row])
+        for _, raw in self._following:
+            if self._bag.stamp_ns(self._topic, raw) == stamp_ns:
                 return raw
             break
-        if self._reader is None:  # of its own, since one reader cannot be at two places in a file
+        if self._reader is None:  # a separate reader, because a reader has one position in the file
             self._reader = BagFile(self._bag.path)
-        self._ahead = self._reader.raw(self._topic, int(self._logged_ns[row]))
-        for _, raw in self._ahead:
-            if self._bag.stamp_ns(self._topic, raw) == wanted:
+        self._following = self._reader.raw_messages(self._topic, int(self._logged_ns[row]))
+        for _, raw in self._following:
+            if self._bag.stamp_ns(self._topic, raw) == stamp_ns:
                 return raw
-        raise self._bag.fault(f"{self._topic}: the image of {wanted} ns is gone", "a bag that nobody changes meanwhile")
+        raise self._bag.error(
+            f"{self._topic}: the image of {stamp_ns} ns is missing", "a bag that does not change while it is read"
+        )
 
 
 def read_truth(path: Path) -> Trajectory:
-    """Read the true motion in a bag, and nothing else of it.
+    """Read the ground truth of a bag.
 
     Raises:
-        InputError: The bag is damaged, or has none.
+        InputError: The bag is damaged or has no ground truth.
     """
     bag = BagFile(path)
     topic = truth_topic(bag)
     if not topic:
-        raise bag.fault("no true motion", f"one, such as {TRUTH_TOPIC}")
+        raise bag.error("no ground truth", f"a topic with true poses, such as {TRUTH_TOPIC}")
     return read_bag_truth(bag, topic)
 
 
 def read_bag_frame_times(path: Path) -> Times | None:
-    """Return the time stamps (M,) [ns] of the first camera's images in a bag, None where it has none.
+    """Return the time stamps (M,) [ns] of the images of the first camera in a bag, None if it has no images.
 
     Raises:
         InputError: The bag is damaged.
     """
     bag = BagFile(path)
-    if not bag.of_type(*IMAGE_TYPES):
+    if not bag.topics_of_type(*IMAGE_TYPES):
         return None
-    calibrated = next((said.topics for said in read_calibrations(bag, []) if said.topics), ())
-    return ImageTopic(bag, image_topics(bag, calibrated)[0]).t_ns
+    return ImageTopic(bag, image_topics(bag, _calibrated_topics(bag, ()))[0]).t_ns
+
+
+def _calibrated_topics(bag: BagFile, files: Sequence[Path]) -> tuple[str, ...]:
+    """Return the image topics that the calibration names, in Kalibr's files or in the bag; empty if there are none."""
+    calibrations = read_calibrations(bag, files)
+    return next((calibration.topics for calibration in calibrations if calibration.topics), ())
 
 
 def synchronized(
-    bag: BagFile, images: Sequence[ImageTopic], synchronous_s: float
+    bag: BagFile, images: Sequence[ImageTopic], sync_tolerance_s: float
 ) -> tuple[Times, npt.NDArray[np.int64]]:
-    """Return the frames: time stamps (M,) [ns], and for each which image (M, C) of each camera belongs to it.
+    """Return the synchronized frames of C cameras.
+
+    Args:
+        bag: The bag, for error messages.
+        images: C image topics.
+        sync_tolerance_s: Largest difference of the time stamps of the images of one frame [s].
+
+    Returns:
+        Time stamps (M,) [ns] of the first camera, and the index (M, C) of each image in its topic.
 
     Raises:
-        InputError: There is none.
+        InputError: No frame has an image of each camera.
     """
     times = images[0].t_ns
-    rows, apart = [np.arange(len(times))], [np.zeros(len(times), np.int64)]
+    rows, differences = [np.arange(len(times))], [np.zeros(len(times), np.int64)]
     for other in images[1:]:
         after = np.clip(np.searchsorted(other.t_ns, times), 1, max(len(other.t_ns) - 1, 1))
         before = after - 1
         after = np.minimum(after, len(other.t_ns) - 1)
-        nearer = np.where(np.abs(other.t_ns[after] - times) < np.abs(other.t_ns[before] - times), after, before)
-        rows.append(nearer)
-        apart.append(np.abs(other.t_ns[nearer] - times))
-    worst = np.max(apart, axis=0)
-    kept = worst <= synchronous_s * 1e9
+        nearest = np.where(np.abs(other.t_ns[after] - times) < np.abs(other.t_ns[before] - times), after, before)
+        rows.append(nearest)
+        differences.append(np.abs(other.t_ns[nearest] - times))
+    largest = np.max(differences, axis=0)
+    kept = largest <= sync_tolerance_s * 1e9
     if not kept.any():
-        found = f"no two images of all {len(images)} cameras closer in time than {worst.min() * 1e-9:.4g} s"
-        raise bag.fault(found, f"frames whose images are stamped within {synchronous_s:g} s")
+        found = f"no images of all {len(images)} cameras closer in time than {largest.min() * 1e-9:.4g} s"
+        raise bag.error(found, f"frames whose time stamps differ by at most {sync_tolerance_s:g} s")
     return times[kept], np.stack(rows, axis=1)[kept]
 
 
 def _rate_hz(times_ns: Times) -> float:
-    """Return the rate of frames [Hz]; 20 where there is but one."""
+    """Return the frame rate [Hz] of time stamps (M,) [ns]; 20 if there is only one."""
     return 1e9 / float(np.median(np.diff(times_ns))) if len(times_ns) > 1 else 20.0

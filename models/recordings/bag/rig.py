@@ -1,4 +1,4 @@
-"""The rig of a bag: from Kalibr's files, from our own calibration in it, or from CameraInfo and tf."""
+"""Calibration of a bag: from Kalibr's files, from the topic ``/calibration``, or from CameraInfo and tf."""
 
 import math
 from collections.abc import Sequence
@@ -17,7 +17,7 @@ from dronevio.models.recordings.bag.topics import camera_info_topic
 from dronevio.models.recordings.bag.writer import CALIBRATION_TOPIC
 from dronevio.models.recordings.calibration.kalibr import KalibrCalibration, calibration_of, read_calibration
 from dronevio.models.recordings.calibration.yaml_document import parse_yaml
-from dronevio.models.recordings.files import blamed_on
+from dronevio.models.recordings.files import as_input_error
 from dronevio.models.rig import Rig, RigCamera
 from dronevio.models.rotation import inverse_pose, matrix_from_quat_wxyz, pose_matrix
 
@@ -28,45 +28,53 @@ _UNIT_TOLERANCE = 1e-3
 
 
 def read_calibrations(bag: BagFile, files: Sequence[Path], rate_hz: float = 20.0) -> list[KalibrCalibration]:
-    """Return what is said of the rig, the most important first: by the user's files, by our own text in the bag.
-
-    Raises:
-        InputError: A file or the text is damaged.
-    """
-    said = [read_calibration(files, rate_hz)] if files else []
-    if bag.topics.get(CALIBRATION_TOPIC) == _STRING_TYPE:
-        message = cast("ros.std_msgs__msg__String", bag.first(CALIBRATION_TOPIC))
-        text = parse_yaml(Path(f"{bag.path}:{CALIBRATION_TOPIC}"), message.data)
-        said.append(calibration_of([text], rate_hz))
-    return said
-
-
-def bag_rig(bag: BagFile, topics: BagTopics, said: Sequence[KalibrCalibration], rate_hz: float) -> tuple[Rig, Sampling]:
-    """Return the rig whose cameras are those of the given topics, and what its IMU's samples are.
+    """Return the calibrations of a bag in the order of their precedence: that of files, that of ``/calibration``.
 
     Args:
         bag: The bag.
-        topics: Images and IMU.
-        said: What Kalibr's files say.
-        rate_hz: How often frames come [Hz].
+        files: Calibration files of Kalibr.
+        rate_hz: Frame rate of cameras without one in their calibration [Hz].
 
     Raises:
-        InputError: A piece is missing; the message says which.
+        InputError: A file or the text of the topic is damaged.
     """
-    imus = [calibration for calibration in said if calibration.imu is not None]
+    calibrations = [read_calibration(files, rate_hz)] if files else []
+    if bag.topics.get(CALIBRATION_TOPIC) == _STRING_TYPE:
+        message = cast("ros.std_msgs__msg__String", bag.first_message(CALIBRATION_TOPIC))
+        text = parse_yaml(Path(f"{bag.path}:{CALIBRATION_TOPIC}"), message.data)
+        calibrations.append(calibration_of([text], rate_hz))
+    return calibrations
+
+
+def bag_rig(
+    bag: BagFile, topics: BagTopics, calibrations: Sequence[KalibrCalibration], rate_hz: float
+) -> tuple[Rig, Sampling]:
+    """Return the rig of the given topics, and the sampling of its IMU.
+
+    Args:
+        bag: The bag.
+        topics: Topics of images and IMU.
+        calibrations: Calibrations of files or of the bag, in the order of their precedence.
+        rate_hz: Frame rate [Hz].
+
+    Raises:
+        InputError: A part of the calibration is missing; the message names it.
+    """
+    imus = [calibration for calibration in calibrations if calibration.imu is not None]
     if not imus:
-        raise bag.fault(
-            "nothing about the noise of its IMU", "Kalibr's imu.yaml with it (calibration): gyroscope_noise_density ..."
+        raise bag.error(
+            "no noise densities of the IMU",
+            "Kalibr's imu.yaml (calibration): gyroscope_noise_density and others",
         )
-    chains = [calibration for calibration in said if calibration.cameras]
+    chains = [calibration for calibration in calibrations if calibration.cameras]
     cameras = chains[0].cameras if chains else _cameras_of_messages(bag, topics, rate_hz)
     if len(cameras) < len(topics.images):
-        raise bag.fault(
-            f"{len(topics.images)} topics with images, but {len(cameras)} cameras in the calibration", "as many"
+        raise bag.error(
+            f"{len(topics.images)} topics with images, but {len(cameras)} cameras in the calibration", "equal numbers"
         )
     first = imus[0]
     assert first.imu is not None
-    with blamed_on(bag.path):
+    with as_input_error(bag.path):
         rig = Rig(
             cameras=cameras[: len(topics.images)],
             imu=first.imu,
@@ -77,40 +85,40 @@ def bag_rig(bag: BagFile, topics: BagTopics, said: Sequence[KalibrCalibration], 
 
 
 def _cameras_of_messages(bag: BagFile, topics: BagTopics, rate_hz: float) -> tuple[RigCamera, ...]:
-    """Return the cameras as CameraInfo and /tf_static describe them, or raise InputError."""
+    """Return the cameras according to CameraInfo and /tf_static, or raise InputError."""
     poses = _static_poses(bag)
     imu_frame = _frame_of(bag, topics.imu)
     cameras = []
     for topic in topics.images:
         info_topic = camera_info_topic(topic)
         if bag.topics.get(info_topic) != _INFO_TYPE:
-            raise bag.fault(f"{topic} without {info_topic}", "that, or Kalibr's camchain.yaml with it (calibration)")
-        info = cast("ros.sensor_msgs__msg__CameraInfo", bag.first(info_topic))
+            raise bag.error(f"{topic} without {info_topic}", "that topic, or Kalibr's camchain.yaml (calibration)")
+        info = cast("ros.sensor_msgs__msg__CameraInfo", bag.first_message(info_topic))
         frame = _frame_of(bag, topic)
         T_imu_cam = _pose_between(poses, imu_frame, frame)
         if T_imu_cam is None:
-            raise bag.fault(
-                f"no way from {imu_frame!r} to {frame!r} in /tf_static",
-                "where the camera is, or Kalibr's camchain.yaml with it (calibration)",
+            raise bag.error(
+                f"no transform from {imu_frame!r} to {frame!r} in /tf_static",
+                "the pose of the camera, or Kalibr's camchain.yaml (calibration)",
             )
-        with blamed_on(bag.path):
+        with as_input_error(bag.path):
             cameras.append(RigCamera(camera_model(bag.path, info_topic, info), T_imu_cam, rate_hz))
     return tuple(cameras)
 
 
 def _frame_of(bag: BagFile, topic: str) -> str:
-    """Return the frame of reference that a topic's first message names."""
-    message = bag.first(topic)
+    """Return the frame of reference in the first message of a topic."""
+    message = bag.first_message(topic)
     return str(cast("ros.sensor_msgs__msg__Image", message).header.frame_id).lstrip("/")
 
 
 def _static_poses(bag: BagFile) -> dict[tuple[str, str], Array]:
-    """Return the pose (4, 4) of each frame in each of its neighbours, by the names of the two, or raise InputError."""
+    """Return the poses (4, 4) between adjacent frames by (parent, child) and (child, parent), or raise InputError."""
     poses: dict[tuple[str, str], Array] = {}
-    for topic in bag.of_type(_TF_TYPE):
+    for topic in bag.topics_of_type(_TF_TYPE):
         if not topic.endswith("tf_static"):
             continue
-        for message in bag.decoded(topic):
+        for message in bag.messages(topic):
             for transform in cast("ros.tf2_msgs__msg__TFMessage", message).transforms:
                 t, q = transform.transform.translation, transform.transform.rotation
                 quat = np.array([q.w, q.x, q.y, q.z])
@@ -118,19 +126,19 @@ def _static_poses(bag: BagFile) -> dict[tuple[str, str], Array]:
                 length = math.hypot(*quat)
                 if not abs(length - 1.0) < _UNIT_TOLERANCE:
                     found = f"{topic}: a quaternion of length {length:.3g} from {parent!r} to {child!r}"
-                    raise bag.fault(found, "one of length 1")
+                    raise bag.error(found, "a unit quaternion")
                 T = pose_matrix(matrix_from_quat_wxyz(quat / length), np.array([t.x, t.y, t.z]))
                 poses[parent, child], poses[child, parent] = T, inverse_pose(T)
     return poses
 
 
 def _pose_between(poses: dict[tuple[str, str], Array], start: str, goal: str) -> Array | None:
-    """Return the pose (4, 4) of one frame in another along whatever chain of neighbours, None where there is none."""
-    reached, front = {start: np.eye(4)}, [start]
-    while front:
-        here = front.pop(0)
+    """Return the pose (4, 4) of frame ``goal`` in frame ``start`` by breadth-first search, None if not connected."""
+    reached, queue = {start: np.eye(4)}, [start]
+    while queue:
+        current = queue.pop(0)
         for (a, b), T_a_b in poses.items():
-            if a == here and b not in reached:
-                reached[b] = reached[here] @ T_a_b
-                front.append(b)
+            if a == current and b not in reached:
+                reached[b] = reached[current] @ T_a_b
+                queue.append(b)
     return reached.get(goal)

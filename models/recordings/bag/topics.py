@@ -1,4 +1,4 @@
-"""Which topics of a bag are the cameras, the IMU and the truth: found by type, or as the user says."""
+"""Selection of the topics of cameras, IMU and ground truth in a bag, by message type or by the user."""
 
 from collections.abc import Sequence
 from typing import cast
@@ -13,86 +13,95 @@ IMAGE_TYPES = ("sensor_msgs/msg/Image", "sensor_msgs/msg/CompressedImage")
 IMU_TYPES = ("sensor_msgs/msg/Imu",)
 POSE_TYPES = ("nav_msgs/msg/Odometry", "geometry_msgs/msg/PoseStamped", "geometry_msgs/msg/TransformStamped")
 
-_NAMES_OF_TRUTH = ("groundtruth", "ground_truth", "vicon", "mocap", "optitrack")
+_TRUTH_NAMES = ("groundtruth", "ground_truth", "vicon", "mocap", "optitrack")
 
 
-def find_topics(bag: BagFile, wanted: BagTopics, calibrated: Sequence[str], cameras: int | None) -> BagTopics:
-    """Return which topics to read; the truth's is empty where there is none.
+def find_topics(bag: BagFile, requested: BagTopics, calibrated: Sequence[str], cameras: int | None) -> BagTopics:
+    """Return the topics to read; that of the ground truth is empty if there is none.
 
     Args:
         bag: The bag.
-        wanted: What the user says.
-        calibrated: Of each camera of the calibration, if there is one, the topic that it names, or nothing.
-        cameras: Use only the first so many cameras; None for all.
+        requested: Topics that the user selected.
+        calibrated: Image topics that the calibration names, empty if it has none.
+        cameras: Number of cameras to use; None for all.
 
     Raises:
-        InputError: A topic is missing or of another type, or several could be meant.
+        InputError: A topic is missing, has another message type, or is ambiguous.
     """
-    images = tuple(_checked(bag, topic, IMAGE_TYPES) for topic in wanted.images) or image_topics(bag, calibrated)
+    images = tuple(_checked(bag, topic, IMAGE_TYPES) for topic in requested.images) or image_topics(bag, calibrated)
     return BagTopics(
         images[:cameras],
-        _checked(bag, wanted.imu, IMU_TYPES) if wanted.imu else _imu_topic(bag),
-        _checked(bag, wanted.truth, POSE_TYPES) if wanted.truth else truth_topic(bag),
+        _checked(bag, requested.imu, IMU_TYPES) if requested.imu else _imu_topic(bag),
+        _checked(bag, requested.truth, POSE_TYPES) if requested.truth else truth_topic(bag),
     )
 
 
 def camera_info_topic(image_topic: str) -> str:
-    """Return where the camera that takes a topic's images is described, as ROS has it: beside them."""
+    """Return the CameraInfo topic of an image topic, by the naming convention of ROS."""
     return f"{image_topic.removesuffix(COMPRESSED).rpartition('/')[0]}/camera_info"
 
 
 def _checked(bag: BagFile, topic: str, types: Sequence[str]) -> str:
-    """Return a topic that the user chose, or raise InputError."""
+    """Return a topic that the user selected if it has one of the given types, or raise InputError."""
     if topic not in bag.topics:
-        raise bag.fault(f"no topic {topic}", f"one of {', '.join(bag.of_type(*types)) or 'that type; there is none'}")
+        raise bag.error(
+            f"no topic {topic}",
+            f"one of {', '.join(bag.topics_of_type(*types)) or 'the topics of the bag, but none has this type'}",
+        )
     if bag.topics[topic] not in types:
-        raise bag.fault(f"{topic} with messages of {bag.topics[topic]}", f"messages of {' or '.join(types)}")
+        raise bag.error(f"{topic} with messages of {bag.topics[topic]}", f"messages of {' or '.join(types)}")
     return topic
 
 
 def image_topics(bag: BagFile, calibrated: Sequence[str]) -> tuple[str, ...]:
-    """Return the topics of the cameras; `find_topics` tells more.
+    """Return the image topics; see `find_topics`.
 
     Raises:
-        InputError: There is none, or several could be meant.
+        InputError: There is no image topic, or the selection is ambiguous.
     """
-    there = bag.of_type(*IMAGE_TYPES)
-    if calibrated and all(topic in there or topic + COMPRESSED in there for topic in calibrated):
-        return tuple(topic if topic in there else topic + COMPRESSED for topic in calibrated)
-    once = [topic for topic in there if topic.removesuffix(COMPRESSED) not in there or not topic.endswith(COMPRESSED)]
-    # A depth image is none of what a camera sees.
-    found = tuple(topic for topic in once if is_grey_or_colour(cast(ImageMessage, bag.first(topic))))
+    available = bag.topics_of_type(*IMAGE_TYPES)
+    if calibrated and all(topic in available or topic + COMPRESSED in available for topic in calibrated):
+        return tuple(topic if topic in available else topic + COMPRESSED for topic in calibrated)
+    distinct = [
+        topic
+        for topic in available
+        if topic.removesuffix(COMPRESSED) not in available or not topic.endswith(COMPRESSED)
+    ]
+    # Depth images are excluded.
+    found = tuple(topic for topic in distinct if is_grey_or_colour(cast(ImageMessage, bag.first_message(topic))))
     if not found:
-        raise bag.fault(f"no camera among the topics {_listed(there or tuple(bag.topics))}", " or ".join(IMAGE_TYPES))
+        raise bag.error(
+            f"no camera among the topics {_listed(available or tuple(bag.topics))}", " or ".join(IMAGE_TYPES)
+        )
     if calibrated and len(found) != len(calibrated):
-        raise bag.fault(
+        raise bag.error(
             f"{len(found)} topics with images, {_listed(found)}, for the {len(calibrated)} cameras of the calibration",
-            "as many, or to be told which (topics.images)",
+            "equal numbers, or a selection (topics.images)",
         )
     return found
 
 
 def _imu_topic(bag: BagFile) -> str:
     """Return the topic of the IMU, or raise InputError."""
-    found = bag.of_type(*IMU_TYPES)
+    found = bag.topics_of_type(*IMU_TYPES)
     if IMU_TOPIC in found:
         return IMU_TOPIC
     if not found:
-        raise bag.fault(f"no IMU among the topics {_listed(tuple(bag.topics))}", IMU_TYPES[0])
+        raise bag.error(f"no IMU among the topics {_listed(tuple(bag.topics))}", IMU_TYPES[0])
     if len(found) > 1:
-        raise bag.fault(f"several IMUs, {_listed(found)}", "one, or to be told which (topics.imu)")
+        raise bag.error(f"several IMUs, {_listed(found)}", "one, or a selection (topics.imu)")
     return found[0]
 
 
 def truth_topic(bag: BagFile) -> str:
-    """Return the topic of the truth, nothing where none is known: an odometry by another name may be an estimate."""
-    found = bag.of_type(*POSE_TYPES)
+    """Return the topic of the ground truth, empty if none has a known name; other odometry may be an estimate."""
+    found = bag.topics_of_type(*POSE_TYPES)
     if TRUTH_TOPIC in found:
         return TRUTH_TOPIC
-    named = [topic for topic in found if any(name in topic.lower() for name in _NAMES_OF_TRUTH)]
+    named = [topic for topic in found if any(name in topic.lower() for name in _TRUTH_NAMES)]
     return named[0] if len(named) == 1 else ""
 
 
 def _listed(topics: Sequence[str]) -> str:
-    """Return topics as a message can show them."""
-    return ", ".join(topics[:8]) + (" ..." if len(topics) > 8 else "") if topics else "(there are none)"
+    """Return a list of topics for an error message."""
+    return ", ".join(topics[:8]) + (" and others" if len(topics) > 8 else "") if topics else "(none)"

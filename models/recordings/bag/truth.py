@@ -1,4 +1,4 @@
-"""The truth in a bag: the motion of the IMU, and when frames were really exposed."""
+"""Ground truth in a bag: trajectory of the IMU, and exposure of the frames."""
 
 from pathlib import Path
 from typing import cast
@@ -17,61 +17,65 @@ from dronevio.models.state import Trajectory
 
 Array = npt.NDArray[np.float64]
 
-_UNIT_TOLERANCE = 0.05  # as for every trajectory that is read
+_UNIT_TOLERANCE = 0.05  # as for all trajectories
 
 
 def read_bag_truth(bag: BagFile, topic: str) -> Trajectory:
-    """Read the true motion.
+    """Read the true trajectory of the IMU.
 
-    Our own bags have velocity and biases on topics of their own, to the bit. Of other odometry the velocity is turned
-    from the moving frame into the world; other poses have none.
+    Bags that this package wrote have velocity and biases on separate topics. The velocity of other odometry is rotated
+    from the body frame into the world frame; other pose messages have no velocity.
+
+    Args:
+        bag: The bag.
+        topic: Topic of the poses.
 
     Raises:
-        InputError: A pose is none, time stamps do not increase, or what belongs together does not.
+        InputError: A pose is invalid, two time stamps are equal, or topics have different time stamps.
     """
-    t_ns, messages = bag.stamped(topic)
+    t_ns, messages = bag.stamped_messages(topic)
     poses = np.array([position_and_quat_wxyz(cast(PoseMessage, message)) for message in messages]).reshape(-1, 7)
-    with np.errstate(over="ignore", invalid="ignore"):  # what damaged bytes spell
+    with np.errstate(over="ignore", invalid="ignore"):  # damaged bytes may be arbitrary numbers
         lengths = np.linalg.norm(poses[:, 3:], axis=1)
     wrong = np.flatnonzero(~np.isfinite(poses).all(axis=1) | ~(np.abs(lengths - 1.0) < _UNIT_TOLERANCE))
     if wrong.size:
         found = f"{topic}: {poses[wrong[0]].tolist()} at {t_ns[wrong[0]]} ns"
-        raise bag.fault(found, "a finite position and a quaternion of length 1")
+        raise bag.error(found, "a finite position and a unit quaternion")
     p, quat_wxyz = np.ascontiguousarray(poses[:, :3]), np.ascontiguousarray(poses[:, 3:])
     if topic == TRUTH_TOPIC:
         vectors = {field: _vectors(bag, vector, t_ns) for vector, (field, _) in TRUE_VECTORS.items()}
         return Trajectory(t_ns, p, quat_wxyz, **vectors)
-    return Trajectory(t_ns, p, quat_wxyz, _turned_velocity([cast(PoseMessage, m) for m in messages], quat_wxyz))
+    return Trajectory(t_ns, p, quat_wxyz, _world_velocity([cast(PoseMessage, m) for m in messages], quat_wxyz))
 
 
 def read_bag_frame_truth(bag: BagFile) -> FrameTruth | None:
-    """Read when and how frames were really exposed, None where the bag does not say.
+    """Read the ground truth of the frames, None if the bag has none.
 
     Raises:
-        InputError: It is no such table.
+        InputError: The table of the topic is damaged.
     """
     if bag.topics.get(FRAME_TRUTH_TOPIC) != "std_msgs/msg/String":
         return None
-    message = cast("ros.std_msgs__msg__String", bag.first(FRAME_TRUTH_TOPIC))
+    message = cast("ros.std_msgs__msg__String", bag.first_message(FRAME_TRUTH_TOPIC))
     return parse_frame_truth(Path(f"{bag.path}:{FRAME_TRUTH_TOPIC}"), message.data)
 
 
 def _vectors(bag: BagFile, topic: str, t_ns: Times) -> Array | None:
-    """Return the vectors (N, 3) of a topic at the given times (N,) [ns], None where it is not there."""
+    """Return the vectors (N, 3) of a topic at the given times (N,) [ns], None if the topic is missing."""
     if bag.topics.get(topic) != "geometry_msgs/msg/Vector3Stamped":
         return None
-    times, messages = bag.stamped(topic)
+    times, messages = bag.stamped_messages(topic)
     if not np.array_equal(times, t_ns):
-        raise bag.fault(f"{topic}: other time stamps than {TRUTH_TOPIC}", "the same")
+        raise bag.error(f"{topic}: other time stamps than {TRUTH_TOPIC}", "equal time stamps")
     stamped = [cast("ros.geometry_msgs__msg__Vector3Stamped", message).vector for message in messages]
     vectors = np.array([(v.x, v.y, v.z) for v in stamped]).reshape(-1, 3)
     if not np.isfinite(vectors).all():
-        raise bag.fault(f"{topic}: a number that is not finite", "finite numbers")
+        raise bag.error(f"{topic}: a non-finite number", "finite numbers")
     return vectors
 
 
-def _turned_velocity(messages: list[PoseMessage], quat_wxyz: Array) -> Array | None:
-    """Return the velocities (N, 3) in the world [m/s], None where not every message has one."""
+def _world_velocity(messages: list[PoseMessage], quat_wxyz: Array) -> Array | None:
+    """Return the velocities (N, 3) in the world frame [m/s], None if a message has none."""
     in_body = [velocity for message in messages if (velocity := velocity_in_body(message)) is not None]
     if len(in_body) != len(messages) or not np.isfinite(in_body).all():
         return None

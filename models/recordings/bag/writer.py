@@ -1,19 +1,19 @@
-"""Flights as ROS 2 bags, out: standard messages that rosbag2, Foxglove and every node understand.
+"""Writing of recordings as ROS 2 bags with standard messages.
 
 =============================== ================================= =====================================================
-``/cam0/image_raw`` ...          sensor_msgs/Image                 or ``/cam0/image_raw/compressed``, CompressedImage
-``/cam0/camera_info`` ...        sensor_msgs/CameraInfo            the lens, one a frame
+``/cam0/image_raw``, others      sensor_msgs/Image                 or ``/cam0/image_raw/compressed``, CompressedImage
+``/cam0/camera_info``, others    sensor_msgs/CameraInfo            intrinsics, one message per frame
 ``/imu0``                        sensor_msgs/Imu                   without an orientation
 ``/groundtruth/odometry``        nav_msgs/Odometry                 pose of the IMU in the world, twist in the IMU frame
-``/groundtruth/velocity`` ...    geometry_msgs/Vector3Stamped      velocity in the world; ``gyro_bias``, ``accel_bias``
-``/groundtruth/frames``          std_msgs/String                   when and how frames were really exposed, as a table
+``/groundtruth/velocity``        geometry_msgs/Vector3Stamped      in the world; also ``gyro_bias``, ``accel_bias``
+``/groundtruth/frames``          std_msgs/String                   true exposure of the frames, as a table
 ``/tf``, ``/tf_static``          tf2_msgs/TFMessage                world to imu0; imu0 to base_link and to the cameras
-``/calibration``                 std_msgs/String                   the rig, to the bit, as Kalibr's camchain and imu0
+``/calibration``                 std_msgs/String                   the rig as Kalibr's camchain and imu0
 =============================== ================================= =====================================================
 
-What standard messages cannot hold is thus in the last four lines, as text where need be, and a bag is read back to the
-bit. Messages are written in the order of their time stamps, which are also when they are said to be received: there is
-one clock. They leave one at a time, so that memory does not grow with the flight.
+Vectors, tables and texts carry the fields that other standard messages lack, so that a bag is read without loss of
+precision. Messages are written in the order of their time stamps, which are also their log times, one at a time, so
+that memory does not grow with the length of the recording.
 """
 
 import heapq
@@ -51,17 +51,18 @@ Storage = Literal["mcap", "sqlite3"]
 Images = Literal["raw", "png"]
 
 CALIBRATION_TOPIC = "/calibration"
-"""Where the rig is, as the text of Kalibr's files."""
+"""Topic of the rig, as the text of Kalibr's files."""
 TRUTH_TOPIC, FRAME_TRUTH_TOPIC = "/groundtruth/odometry", "/groundtruth/frames"
-"""Where the true motion is, and the truth about the frames."""
+"""Topics of the true trajectory and of the ground truth of the frames."""
 TRUE_VECTORS = {
     "/groundtruth/velocity": ("velocity_m_s", WORLD),
     "/groundtruth/gyro_bias": ("gyro_bias_rad_s", IMU),
     "/groundtruth/accel_bias": ("accel_bias_m_s2", IMU),
 }
-"""Where each field of the true motion is that an Odometry cannot hold to the bit, and its frame of reference."""
+"""Topics of those fields of the true trajectory that Odometry lacks or rounds, with field name and frame of
+reference."""
 COMPRESSED = "/compressed"
-"""What ROS adds to the topic of images that are compressed."""
+"""Suffix of topics with compressed images, by the naming convention of ROS."""
 
 _METADATA_VERSION: Literal[8] = 8  # of rosbag2; the newest that distributions before Kilted read
 _LATCHED = Qos(
@@ -89,55 +90,55 @@ def write_bag(
     frame_truth: FrameTruth | None = None,
     overwrite: bool = False,
 ) -> None:
-    """Write a recording as a bag, all of it or nothing.
+    """Write a recording as a bag, atomically.
 
     Args:
-        path: An ``.mcap`` or ``.db3`` file, or else a folder as ``ros2 bag`` makes it, with ``metadata.yaml``.
-        recording: What to write.
-        storage: What the bag is made of.
-        images: Pixel by pixel, which every node reads, or PNG, which takes half the room.
-        progress: Told how many frames are done.
-        frame_truth: The truth about the frames, where it is known.
-        overwrite: Replace a bag that is there already, in the end.
+        path: An ``.mcap`` or ``.db3`` file, or a folder with ``metadata.yaml`` as ``ros2 bag`` writes it.
+        recording: Recording to write.
+        storage: Storage format of the bag.
+        images: ``raw`` for uncompressed images, which all nodes can read, or ``png``, which needs half of the space.
+        progress: Callback that receives the number of written frames.
+        frame_truth: Ground truth of the frames, None if it is unknown.
+        overwrite: Whether to replace an existing bag.
 
     Raises:
-        ConfigError: A time stamp is before 1970 or after 2038, which ROS cannot express.
-        InputError: A frame cannot be read, or something is in the way.
+        ConfigError: A time stamp is before 1970 or after 2038, which ROS cannot represent.
+        InputError: A frame cannot be read, or the path exists and must not be replaced.
     """
     path = Path(path).absolute()
-    _refuse_to_destroy(path, overwrite)
+    _check_replaceable(path, overwrite)
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
         scratch = Path(tempfile.mkdtemp(prefix=f".{path.name}.partial-", dir=path.parent))
     except OSError as error:
-        raise InputError(path, f"it cannot be made ({error.strerror})", "a place where I may write") from None
+        raise InputError(path, f"cannot be created ({error.strerror})", "a writable folder") from None
     try:
         folder = scratch / path.stem
         _write(folder, recording, storage, images, progress, frame_truth)
         suffix = ".mcap" if storage == "mcap" else ".db3"
-        made = folder / f"{path.stem}{suffix}" if path.suffix == suffix else folder
-        _refuse_to_destroy(path, overwrite)
+        written = folder / f"{path.stem}{suffix}" if path.suffix == suffix else folder
+        _check_replaceable(path, overwrite)
         if path.is_dir():
             path.rename(scratch / "old")
-        made.replace(path)
+        written.replace(path)
     finally:
         shutil.rmtree(scratch, ignore_errors=True)
 
 
-def _refuse_to_destroy(path: Path, overwrite: bool) -> None:
-    """Raise InputError if something is in the way that is no bag to replace."""
+def _check_replaceable(path: Path, overwrite: bool) -> None:
+    """Raise InputError if a path exists and is not a bag that may be replaced."""
     if not path.exists():
         return
     if not overwrite:
-        raise InputError(path, "it exists already", "a new name, or --overwrite")
+        raise InputError(path, "the path exists already", "a new name, or --overwrite")
     if path.is_dir() and not (path / "metadata.yaml").exists():
-        raise InputError(path, "it holds no metadata.yaml, so it is no bag", "a new name, or an earlier bag")
+        raise InputError(path, "a folder without metadata.yaml, which is not a bag", "a new name, or an earlier bag")
     if path.is_file() and path.suffix not in (".mcap", ".db3"):
-        raise InputError(path, "a file that is no bag", "a new name, or an earlier bag")
+        raise InputError(path, "a file that is not a bag", "a new name, or an earlier bag")
 
 
 def calibration_text(recording: Recording) -> str:
-    """Return the rig of a recording, to the bit, as one text that holds both of Kalibr's files."""
+    """Return the rig of a recording as one text with both of Kalibr's files, without loss of precision."""
     imu = imu_yaml(recording.rig, recording.imu.sampling)
     return f"{camchain_yaml(recording.rig)}imu0:\n{indented(imu)}"
 
@@ -172,7 +173,7 @@ def _write(
 
 
 def _latched(recording: Recording, frame_truth: FrameTruth | None) -> Iterator[Timed]:
-    """Yield what is said once, at the start."""
+    """Yield the messages that are written once, at the start."""
     starts = [times[0] for times in (recording.imu.t_ns, recording.frame_times_ns) if len(times)]
     if recording.ground_truth is not None and len(recording.ground_truth):
         starts.append(recording.ground_truth.t_ns[0])
@@ -184,22 +185,22 @@ def _latched(recording: Recording, frame_truth: FrameTruth | None) -> Iterator[T
 
 
 def _truth(truth: Trajectory) -> Iterator[Iterator[Timed]]:
-    """Yield the streams of the true motion."""
+    """Yield the message streams of the ground truth."""
     yield ((t_ns, TRUTH_TOPIC, message) for t_ns, message in odometry_messages(truth))
     yield ((t_ns, "/tf", message) for t_ns, message in transform_messages(truth))
     for topic, (field, frame) in TRUE_VECTORS.items():
         vectors = getattr(truth, field)
         if vectors is not None:
-            yield _on(topic, vector_messages(truth.t_ns, vectors, frame))
+            yield _with_topic(topic, vector_messages(truth.t_ns, vectors, frame))
 
 
-def _on(topic: str, messages: Iterator[tuple[int, object]]) -> Iterator[Timed]:
-    """Yield messages with their topic."""
+def _with_topic(topic: str, messages: Iterator[tuple[int, object]]) -> Iterator[Timed]:
+    """Return messages with their topic."""
     return ((t_ns, topic, message) for t_ns, message in messages)
 
 
 def _frames(recording: Recording, images: Images, progress: Progress) -> Iterator[Timed]:
-    """Yield the images and camera descriptions of each frame."""
+    """Yield the images and the CameraInfo messages of each frame."""
     count = len(recording.frame_times_ns)
     progress(0, count)
     for index in range(count):

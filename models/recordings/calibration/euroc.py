@@ -1,9 +1,9 @@
-"""The calibration files of an EuRoC folder: cameras, IMU and body, in and out.
+"""Calibration files of an EuRoC folder: cameras, IMU and body.
 
-Some facts of a `Rig` have no place in the format, so they stand under keys of our own, which other readers pass over:
+Fields of a `Rig` that the format does not include are written under additional keys, which other readers ignore:
 ``T_vehicle_imu`` (pose of the IMU in the vehicle frame) and ``time_offset_s`` (t_imu − t_cam) in ``body.yaml``,
-``readout_s`` in the ``sensor.yaml`` of a camera with a rolling shutter, and in that of the IMU what
-`dronevio.models.recordings.calibration.imu_fields` adds.
+``readout_s`` in the ``sensor.yaml`` of a camera with a rolling shutter, and the keys of
+`dronevio.models.recordings.calibration.imu_fields` in that of the IMU.
 """
 
 from pathlib import Path
@@ -15,8 +15,8 @@ from dronevio.models.errors import InputError
 from dronevio.models.imu import ImuModel
 from dronevio.models.lenses.lens import LensName
 from dronevio.models.recordings.calibration.imu_fields import imu_fields_yaml, read_imu_fields
-from dronevio.models.recordings.calibration.sensor_yaml import SensorYaml, pose_yaml, read_sensor_yaml, shown
-from dronevio.models.recordings.files import blamed_on
+from dronevio.models.recordings.calibration.sensor_yaml import SensorYaml, pose_yaml, read_sensor_yaml, yaml_text
+from dronevio.models.recordings.files import as_input_error
 from dronevio.models.rig import Rig, RigCamera
 
 LENS_NAMES: dict[str, LensName] = {
@@ -25,19 +25,19 @@ LENS_NAMES: dict[str, LensName] = {
     "plumb_bob": "radtan",
     "equidistant": "equidistant",
 }
-"""Lenses by what data sets, Kalibr and ROS call them."""
+"""Lens models by their names in data sets, Kalibr and ROS."""
 
 _EUROC_NAMES: dict[LensName, str] = {"radtan": "radial-tangential", "equidistant": "equidistant"}
 
 
-def read_rig(mav0: Path, cameras: int) -> Rig:
+def read_euroc_rig(mav0: Path, cameras: int) -> Rig:
     """Read the calibration of the IMU and the first ``cameras`` cameras of the folder ``mav0``.
 
     Raises:
-        InputError: A file or field is missing or not what it should be, or a model is not supported.
+        InputError: A file or field is missing or invalid, or a camera model is not supported.
     """
     body = read_sensor_yaml(mav0 / "body.yaml") if (mav0 / "body.yaml").exists() else SensorYaml(mav0, {}, {})
-    with blamed_on(mav0):
+    with as_input_error(mav0):
         return Rig(
             cameras=tuple(_read_camera(read_sensor_yaml(mav0 / f"cam{i}" / "sensor.yaml")) for i in range(cameras)),
             imu=_read_imu(read_sensor_yaml(mav0 / "imu0" / "sensor.yaml")),
@@ -47,7 +47,7 @@ def read_rig(mav0: Path, cameras: int) -> Rig:
 
 
 def calibration_files(rig: Rig) -> dict[str, str]:
-    """Return the texts of the calibration files of a rig by their path below ``mav0``."""
+    """Return the texts of the calibration files of a rig by their paths below ``mav0``."""
     texts = {f"cam{i}/sensor.yaml": _camera_yaml(camera) for i, camera in enumerate(rig.cameras)}
     texts["imu0/sensor.yaml"] = _imu_yaml(rig.imu)
     texts["state_groundtruth_estimate0/sensor.yaml"] = (
@@ -57,35 +57,35 @@ def calibration_files(rig: Rig) -> dict[str, str]:
         "%YAML:1.0\ncomment: the body frame is that of the IMU\n"
         "# pose of the IMU in the vehicle: x forward, y left, z up, at the centre of mass\n"
         f"{pose_yaml('T_vehicle_imu', rig.T_vehicle_imu)}"
-        f"# t_imu = t_cam + offset\ntime_offset_s: {shown(float(rig.time_offset_s))}\n"
+        f"# t_imu = t_cam + offset\ntime_offset_s: {yaml_text(float(rig.time_offset_s))}\n"
     )
     return texts
 
 
 def _read_camera(yaml: SensorYaml) -> RigCamera:
-    """Return the camera that a ``sensor.yaml`` describes, or raise InputError."""
+    """Return the camera of a ``sensor.yaml``, or raise InputError."""
     if yaml.word("camera_model") != "pinhole":
-        raise yaml.fault("camera_model", "pinhole, the only model supported")
+        raise yaml.error("camera_model", "pinhole, the only supported model")
     lens = yaml.word("distortion_model")
     if lens not in LENS_NAMES:
-        raise yaml.fault("distortion_model", f"one of {', '.join(LENS_NAMES)}")
+        raise yaml.error("distortion_model", f"one of {', '.join(LENS_NAMES)}")
     size = yaml.numbers("resolution", 2)
     if any(side < 1 or side != int(side) for side in size):
-        raise yaml.fault("resolution", "width and height in whole pixels")
+        raise yaml.error("resolution", "width and height in whole pixels")
     fx, fy, cx, cy = yaml.numbers("intrinsics", 4)
     if min(fx, fy) <= 0.0:
-        raise yaml.fault("intrinsics", "fu, fv, cu, cv with focal lengths above zero")
+        raise yaml.error("intrinsics", "fu, fv, cu, cv with positive focal lengths")
     k = yaml.numbers("distortion_coefficients", 4)
     model = CameraModel(int(size[0]), int(size[1]), fx, fy, cx, cy, (k[0], k[1], k[2], k[3]), LENS_NAMES[lens])
     readout_s = yaml.number("readout_s") if "readout_s" in yaml else 0.0
-    with blamed_on(yaml.path):
+    with as_input_error(yaml.path):
         return RigCamera(model, yaml.pose("T_BS"), yaml.positive("rate_hz"), readout_s)
 
 
 def _read_imu(yaml: SensorYaml) -> ImuModel:
-    """Return the IMU that a ``sensor.yaml`` describes, or raise InputError."""
+    """Return the IMU of a ``sensor.yaml``, or raise InputError."""
     if "T_BS.data" in yaml and not np.array_equal(yaml.pose("T_BS"), np.eye(4)):
-        raise yaml.fault("T_BS.data", "the identity: the body frame is the IMU's")
+        raise yaml.error("T_BS.data", "the identity, because the body frame is that of the IMU")
     return read_imu_fields(yaml, "comment", "rate_hz")
 
 
@@ -95,13 +95,13 @@ def _camera_yaml(camera: RigCamera) -> str:
     return (
         "%YAML:1.0\nsensor_type: camera\ncomment: pixel centres are whole numbers\n\n"
         f"# pose of the camera (x right, y down, z forward) in the body frame\n{pose_yaml('T_BS', camera.T_imu_cam)}\n"
-        f"rate_hz: {shown(float(camera.rate_hz))}\n"
+        f"rate_hz: {yaml_text(float(camera.rate_hz))}\n"
         f"resolution: [{m.width}, {m.height}]\n"
         "camera_model: pinhole\n"
-        f"intrinsics: {shown(tuple(map(float, (m.fx, m.fy, m.cx, m.cy))))} # fu, fv, cu, cv\n"
+        f"intrinsics: {yaml_text(tuple(map(float, (m.fx, m.fy, m.cx, m.cy))))} # fu, fv, cu, cv\n"
         f"distortion_model: {_EUROC_NAMES[m.lens]}\n"
-        f"distortion_coefficients: {shown(tuple(map(float, m.distortion)))}\n"
-    ) + (f"readout_s: {shown(float(camera.readout_s))} # first to last row\n" if camera.readout_s else "")
+        f"distortion_coefficients: {yaml_text(tuple(map(float, m.distortion)))}\n"
+    ) + (f"readout_s: {yaml_text(float(camera.readout_s))} # first to last row\n" if camera.readout_s else "")
 
 
 def _imu_yaml(imu: ImuModel) -> str:
@@ -111,10 +111,10 @@ def _imu_yaml(imu: ImuModel) -> str:
 
 
 def count_cameras(mav0: Path) -> int:
-    """Return how many cameras, cam0, cam1 and so on without a gap, the folder has.
+    """Return the number of camera folders ``cam0``, ``cam1`` and so on, without a gap.
 
     Raises:
-        InputError: It has none.
+        InputError: There is no ``cam0``.
     """
     count = 0
     while (mav0 / f"cam{count}").is_dir():

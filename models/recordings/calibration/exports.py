@@ -1,8 +1,8 @@
-"""What other estimators need to run on our recordings: their configuration files, written from the true rig.
+"""Configuration files with which other estimators run on a recording.
 
-The images and the IMU are those of the recording itself: an EuRoC folder for ORB-SLAM3, Basalt and Kimera, a bag for
-OpenVINS and VINS-Fusion. Every file has the fields of the program's own EuRoC example; the settings that are no
-calibration are that example's too, except that no calibration is estimated, because it is exact.
+Images and IMU samples are read from the recording itself: an EuRoC folder for ORB-SLAM3, Basalt and Kimera, a bag for
+OpenVINS and VINS-Fusion. Each file has the fields and the settings of the EuRoC example of its program, except that
+calibration is not estimated, because that of the rig is regarded as exact.
 """
 
 import json
@@ -26,7 +26,7 @@ from dronevio.models.recordings.calibration.kalibr import (
     indented,
     rows_yaml,
 )
-from dronevio.models.recordings.calibration.sensor_yaml import shown
+from dronevio.models.recordings.calibration.sensor_yaml import yaml_text
 from dronevio.models.rig import Rig
 from dronevio.models.rotation import inverse_pose, quat_wxyz_from_matrix
 
@@ -36,12 +36,12 @@ _OPENCV = "%YAML:1.0\n"
 
 
 def kalibr_files(rig: Rig, frame_times_ns: Times) -> dict[str, str]:
-    """Return Kalibr's calibration: ``camchain.yaml`` and ``imu.yaml``."""
+    """Return the calibration files of Kalibr: ``camchain.yaml`` and ``imu.yaml``."""
     return {CAMCHAIN_FILE: camchain_yaml(rig), IMU_FILE: imu_yaml(rig)}
 
 
 def openvins_files(rig: Rig, frame_times_ns: Times) -> dict[str, str]:
-    """Return a configuration folder of OpenVINS (Geneva et al., ICRA 2020), as ``config/euroc_mav`` in its sources."""
+    """Return the configuration of OpenVINS (Geneva et al., ICRA 2020), as in ``config/euroc_mav`` of its sources."""
     eye3, eye4, zero3 = np.eye(3), np.eye(4), np.zeros((3, 3))
     imu = rows_yaml("T_i_b", eye4) + imu_yaml(rig) + 'time_offset: 0.0\nmodel: "kalibr"\n'
     for key, matrix in {"Tw": eye3, "R_IMUtoGYRO": eye3, "Ta": eye3, "R_IMUtoACC": eye3, "Tg": zero3}.items():
@@ -60,10 +60,10 @@ def openvins_files(rig: Rig, frame_times_ns: Times) -> dict[str, str]:
 
 
 def vins_files(rig: Rig, frame_times_ns: Times) -> dict[str, str]:
-    """Return a configuration of VINS-Fusion (Qin et al., 2019), as ``config/euroc`` in its sources.
+    """Return the configuration of VINS-Fusion (Qin et al., 2019), as in ``config/euroc`` of its sources.
 
     Raises:
-        ConfigError: More than two cameras.
+        ConfigError: The rig has more than two cameras.
     """
     _require_at_most_two(rig, "VINS-Fusion")
     model, rate = rig.cameras[0].model, np.sqrt(rig.imu.rate_hz)
@@ -76,13 +76,13 @@ def vins_files(rig: Rig, frame_times_ns: Times) -> dict[str, str]:
         'output_path: "/tmp/"\nestimate_extrinsic: 0\nmultiple_thread: 1\n'
         "max_cnt: 150\nmin_dist: 30\nfreq: 10\nF_threshold: 1.0\nshow_track: 0\nflow_back: 1\n"
         "max_solver_time: 0.04\nmax_num_iterations: 8\nkeyframe_parallax: 10.0\n"
-        "# of one sample: densities times the root of the rate; the program's example has 0.1, 0.01, 0.001, 0.0001\n"
-        f"acc_n: {shown(float(rig.imu.accel_noise_density * rate))}\n"
-        f"gyr_n: {shown(float(rig.imu.gyro_noise_density * rate))}\n"
-        f"acc_w: {shown(float(rig.imu.accel_random_walk * rate))}\n"
-        f"gyr_w: {shown(float(rig.imu.gyro_random_walk * rate))}\n"
+        "# noise of one sample: density times the square root of the rate; the example has 0.1, 0.01, 0.001, 0.0001\n"
+        f"acc_n: {yaml_text(float(rig.imu.accel_noise_density * rate))}\n"
+        f"gyr_n: {yaml_text(float(rig.imu.gyro_noise_density * rate))}\n"
+        f"acc_w: {yaml_text(float(rig.imu.accel_random_walk * rate))}\n"
+        f"gyr_w: {yaml_text(float(rig.imu.gyro_random_walk * rate))}\n"
         f"g_norm: {GRAVITY_M_S2}\n"
-        f"estimate_td: 0\ntd: {shown(float(rig.time_offset_s))}  # t_imu = t_cam + td\n"
+        f"estimate_td: 0\ntd: {yaml_text(float(rig.time_offset_s))}  # t_imu = t_cam + td\n"
         'load_previous_pose_graph: 0\npose_graph_save_path: "/tmp/"\nsave_image: 0\n'
     )
     kind = "stereo" if len(rig.cameras) > 1 else "mono"
@@ -91,24 +91,24 @@ def vins_files(rig: Rig, frame_times_ns: Times) -> dict[str, str]:
 
 
 def orbslam3_files(rig: Rig, frame_times_ns: Times) -> dict[str, str]:
-    """Return the settings of ORB-SLAM3 (Campos et al., T-RO 2021), and the list of time stamps that it asks for.
+    """Return the settings of ORB-SLAM3 (Campos et al., T-RO 2021) and its list of time stamps.
 
-    It has no place for a time offset between camera and IMU.
+    ORB-SLAM3 has no setting for a time offset between camera and IMU.
 
     Raises:
-        ConfigError: More than two cameras, or cameras of two kinds.
+        ConfigError: The rig has more than two cameras, or cameras with different lens models.
     """
     _require_at_most_two(rig, "ORB-SLAM3")
     first = rig.cameras[0]
     if any(camera.model.lens != first.model.lens for camera in rig.cameras):
-        raise ConfigError("cameras of two kinds; expected two of one for ORB-SLAM3")
+        raise ConfigError("cameras with different lens models; expected the same for ORB-SLAM3")
     fisheye = first.model.lens == "equidistant"
     terms = ("k1", "k2", "k3", "k4") if fisheye else ("k1", "k2", "p1", "p2")
     text = f'{_OPENCV}File.version: "1.0"\nCamera.type: "{"KannalaBrandt8" if fisheye else "PinHole"}"\n'
     for i, camera in enumerate(rig.cameras, 1):
         m = camera.model
         numbers = {"fx": m.fx, "fy": m.fy, "cx": m.cx, "cy": m.cy, **dict(zip(terms, m.distortion, strict=True))}
-        text += "".join(f"Camera{i}.{name}: {shown(float(value))}\n" for name, value in numbers.items())
+        text += "".join(f"Camera{i}.{name}: {yaml_text(float(value))}\n" for name, value in numbers.items())
         if fisheye:
             text += f"Camera{i}.overlappingBegin: 0\nCamera{i}.overlappingEnd: {m.width - 1}\n"
     text += f"Camera.width: {first.model.width}\nCamera.height: {first.model.height}\n"
@@ -118,11 +118,11 @@ def orbslam3_files(rig: Rig, frame_times_ns: Times) -> dict[str, str]:
         text += _opencv_matrix("Stereo.T_c1_c2", T_cam0_cam1, "f") + "Stereo.ThDepth: 40.0\n"
     text += (
         f"{_opencv_matrix('IMU.T_b_c1', first.T_imu_cam, 'f')}"
-        f"IMU.NoiseGyro: {shown(float(rig.imu.gyro_noise_density))}\n"
-        f"IMU.NoiseAcc: {shown(float(rig.imu.accel_noise_density))}\n"
-        f"IMU.GyroWalk: {shown(float(rig.imu.gyro_random_walk))}\n"
-        f"IMU.AccWalk: {shown(float(rig.imu.accel_random_walk))}\n"
-        f"IMU.Frequency: {shown(float(rig.imu.rate_hz))}\n"
+        f"IMU.NoiseGyro: {yaml_text(float(rig.imu.gyro_noise_density))}\n"
+        f"IMU.NoiseAcc: {yaml_text(float(rig.imu.accel_noise_density))}\n"
+        f"IMU.GyroWalk: {yaml_text(float(rig.imu.gyro_random_walk))}\n"
+        f"IMU.AccWalk: {yaml_text(float(rig.imu.accel_random_walk))}\n"
+        f"IMU.Frequency: {yaml_text(float(rig.imu.rate_hz))}\n"
         "ORBextractor.nFeatures: 1200\nORBextractor.scaleFactor: 1.2\nORBextractor.nLevels: 8\n"
         "ORBextractor.iniThFAST: 20\nORBextractor.minThFAST: 7\n"
         "Viewer.KeyFrameSize: 0.05\nViewer.KeyFrameLineWidth: 1.0\nViewer.GraphLineWidth: 0.9\n"
@@ -133,7 +133,7 @@ def orbslam3_files(rig: Rig, frame_times_ns: Times) -> dict[str, str]:
 
 
 def basalt_files(rig: Rig, frame_times_ns: Times) -> dict[str, str]:
-    """Return the calibration of Basalt (Usenko et al., RA-L 2020), as ``data/*_calib.json`` in its sources."""
+    """Return the calibration of Basalt (Usenko et al., RA-L 2020), as in ``data/*_calib.json`` of its sources."""
     identity = _basalt_pose(np.eye(4))
     calibration = {
         "T_imu_cam": [_basalt_pose(camera.T_imu_cam) for camera in rig.cameras],
@@ -157,10 +157,10 @@ def basalt_files(rig: Rig, frame_times_ns: Times) -> dict[str, str]:
 
 
 def kimera_files(rig: Rig, frame_times_ns: Times) -> dict[str, str]:
-    """Return the calibration of Kimera-VIO (Rosinol et al., ICRA 2020), to put over a copy of its ``params/Euroc``.
+    """Return the calibration of Kimera-VIO (Rosinol et al., ICRA 2020), which replaces files of its ``params/Euroc``.
 
     Raises:
-        ConfigError: More than two cameras.
+        ConfigError: The rig has more than two cameras.
     """
     _require_at_most_two(rig, "Kimera-VIO")
     texts = calibration_files(rig)
@@ -181,8 +181,8 @@ CONFIGURATIONS: Mapping[str, Callable[[Rig, Times], dict[str, str]]] = MappingPr
         "kimera": kimera_files,
     }
 )
-"""By the name of the program, what makes its files: takes a rig and the time stamps of the frames [ns], returns the
-texts by the names of the files."""
+"""Functions that write the configuration of each program: they receive a rig and the time stamps of the frames [ns],
+and return the texts of the files by name."""
 
 _OPENVINS_SETTINGS: dict[str, object] = {
     "verbosity": "INFO",
@@ -265,15 +265,15 @@ def _require_at_most_two(rig: Rig, program: str) -> None:
 
 
 def _opencv_matrix(key: str, matrix: Array, kind: str) -> str:
-    """Return a matrix as OpenCV writes it: of doubles (``d``) or floats (``f``)."""
+    """Return the lines of a matrix in OpenCV's format, of doubles (``d``) or floats (``f``)."""
     rows, cols = matrix.shape
-    data = ",\n         ".join(", ".join(map(shown, row)) for row in matrix.tolist())
+    data = ",\n         ".join(", ".join(map(yaml_text, row)) for row in matrix.tolist())
     return f"{key}: !!opencv-matrix\n   rows: {rows}\n   cols: {cols}\n   dt: {kind}\n   data: [{data}]\n"
 
 
 def _camodocal_yaml(m: CameraModel) -> str:
-    """Return a camera as VINS-Fusion's camera models read it."""
-    if m.lens == "equidistant":  # its k2 to k5 are what others call k1 to k4
+    """Return the text of a camera in the format of camodocal, which VINS-Fusion uses."""
+    if m.lens == "equidistant":  # its k2 to k5 are k1 to k4 elsewhere
         kind, distortion = "KANNALA_BRANDT", dict[str, float]()
         projection = dict(zip(("k2", "k3", "k4", "k5"), m.distortion, strict=True))
         projection |= {"mu": m.fx, "mv": m.fy, "u0": m.cx, "v0": m.cy}
@@ -282,20 +282,20 @@ def _camodocal_yaml(m: CameraModel) -> str:
         distortion = dict(zip(("k1", "k2", "p1", "p2"), m.distortion, strict=True))
     text = f"{_OPENCV}---\nmodel_type: {kind}\ncamera_name: camera\nimage_width: {m.width}\nimage_height: {m.height}\n"
     for name, numbers in (("distortion_parameters", distortion), ("projection_parameters", projection)):
-        lines = "".join(f"   {key}: {shown(float(value))}\n" for key, value in numbers.items())
+        lines = "".join(f"   {key}: {yaml_text(float(value))}\n" for key, value in numbers.items())
         text += f"{name}:\n{lines}" if lines else ""
     return text
 
 
 def _basalt_pose(T: Array) -> dict[str, float]:
-    """Return a pose as Basalt writes it."""
+    """Return a pose in the format of Basalt."""
     w, x, y, z = quat_wxyz_from_matrix(T[:3, :3]).tolist()
     px, py, pz = T[:3, 3].tolist()
     return {"px": px, "py": py, "pz": pz, "qx": x, "qy": y, "qz": z, "qw": w}
 
 
 def _basalt_camera(m: CameraModel) -> dict[str, object]:
-    """Return a camera as Basalt writes it."""
+    """Return a camera in the format of Basalt."""
     numbers = {"fx": float(m.fx), "fy": float(m.fy), "cx": float(m.cx), "cy": float(m.cy)}
     if m.lens == "equidistant":
         return {
@@ -305,14 +305,14 @@ def _basalt_camera(m: CameraModel) -> dict[str, object]:
     if not any(m.distortion):
         return {"camera_type": "pinhole", "intrinsics": numbers}
     terms = dict(zip(("k1", "k2", "p1", "p2"), map(float, m.distortion), strict=True))
-    rest = {"k3": 0.0, "k4": 0.0, "k5": 0.0, "k6": 0.0, "rpmax": 0.0}  # 0: undistort as far as the image reaches
+    rest = {"k3": 0.0, "k4": 0.0, "k5": 0.0, "k6": 0.0, "rpmax": 0.0}  # rpmax 0 means no limit of the undistortion
     return {"camera_type": "pinhole-radtan8", "intrinsics": numbers | terms | rest}
 
 
 def _kimera_imu(sensor_yaml: str, time_offset_s: float) -> str:
-    """Return the IMU's parameters, which begin with those of an EuRoC folder."""
+    """Return the text of the IMU parameters, which extends the ``sensor.yaml`` of an EuRoC folder."""
     return (
         f"{sensor_yaml}imu_preintegration_type: 1\nimu_integration_sigma: 1.0e-8\n"
-        f"imu_time_shift: {shown(float(time_offset_s))}  # t_imu = t_cam + shift\n"
+        f"imu_time_shift: {yaml_text(float(time_offset_s))}  # t_imu = t_cam + shift\n"
         f"n_gravity: [0.0, 0.0, {-GRAVITY_M_S2}]\n"
     )

@@ -1,14 +1,14 @@
-"""What calibration files say of an IMU: EuRoC's and Kalibr's names for its densities, and ours for the rest.
+"""Fields of an IMU in calibration files of EuRoC and Kalibr.
 
-``gyroscope_turn_on_bias`` and ``accelerometer_turn_on_bias`` are keys of our own, and so are the names of `ImuModel`'s
-other fields, under which stands whatever else of the IMU is not perfect. Other readers pass over them.
+The noise densities have the keys of EuRoC and Kalibr. ``gyroscope_turn_on_bias``, ``accelerometer_turn_on_bias`` and
+the names of the other fields of `ImuModel` are additional keys, which other readers ignore.
 """
 
 from dataclasses import fields
 
 from dronevio.models.imu import ImuModel
-from dronevio.models.recordings.calibration.sensor_yaml import SensorYaml, shown
-from dronevio.models.recordings.files import blamed_on
+from dronevio.models.recordings.calibration.sensor_yaml import SensorYaml, yaml_text
+from dronevio.models.recordings.files import as_input_error
 
 _DENSITIES = {
     "gyroscope_noise_density": "gyro_noise_density",
@@ -28,25 +28,25 @@ _UNITS = {
     "gyroscope_turn_on_bias": "rad / s, standard deviation",
     "accelerometer_turn_on_bias": "m / s^2, standard deviation",
 }
-_IMPERFECTIONS = tuple(
+_OTHER_ERRORS = tuple(
     field.name for field in fields(ImuModel)[2:] if field.name not in (_DENSITIES | _TURN_ON_BIASES).values()
 )
 _DEFAULTS = {field.name: field.default for field in fields(ImuModel)}
 
 
 def read_imu_fields(yaml: SensorYaml, name_key: str, rate_key: str, prefix: str = "") -> ImuModel:
-    """Return the IMU that a calibration file describes.
+    """Return the IMU of a calibration file.
 
-    A density of zero says that a sensor is perfect, and breaks whatever filter believes it: it is refused.
+    Noise densities of zero are refused, because no filter can use them.
 
     Args:
-        yaml: The file.
-        name_key: Where the IMU's name stands, if anywhere.
-        rate_key: Where its rate stands [Hz].
-        prefix: The map that holds all these keys, with a dot behind it.
+        yaml: The calibration file.
+        name_key: Key of the name of the IMU, which is optional.
+        rate_key: Key of its rate [Hz].
+        prefix: Name of the map that contains these keys, with a dot at its end; empty for the top level.
 
     Raises:
-        InputError: A field is missing or not what it should be.
+        InputError: A field is missing or invalid.
     """
     name = yaml.word(prefix + name_key) if prefix + name_key in yaml else "imu0"
     values = {"rate_hz": yaml.positive(prefix + rate_key)}
@@ -54,22 +54,22 @@ def read_imu_fields(yaml: SensorYaml, name_key: str, rate_key: str, prefix: str 
     for theirs, ours in _TURN_ON_BIASES.items():
         values[ours] = yaml.number(prefix + theirs) if prefix + theirs in yaml else float(str(_DEFAULTS[ours]))
         if values[ours] < 0.0:
-            raise yaml.fault(prefix + theirs, "a standard deviation, zero or more")
-    values |= {ours: yaml.positive(prefix + ours) for ours in _IMPERFECTIONS if prefix + ours in yaml}
-    with blamed_on(yaml.path):
+            raise yaml.error(prefix + theirs, "a non-negative standard deviation")
+    values |= {ours: yaml.positive(prefix + ours) for ours in _OTHER_ERRORS if prefix + ours in yaml}
+    with as_input_error(yaml.path):
         return ImuModel(name=name, **values)
 
 
 def imu_fields_yaml(imu: ImuModel, name_key: str, rate_key: str) -> str:
-    """Return the lines that describe an IMU, which `read_imu_fields` reads back to the bit."""
-    lines = [f"{name_key}: {shown(imu.name)}", f"{rate_key}: {shown(float(imu.rate_hz))}"]
+    """Return the lines of an IMU in a calibration file, without loss of precision."""
+    lines = [f"{name_key}: {yaml_text(imu.name)}", f"{rate_key}: {yaml_text(float(imu.rate_hz))}"]
     lines += [
-        f"{theirs}: {shown(float(getattr(imu, ours)))}  # [ {_UNITS[theirs]} ]"
+        f"{theirs}: {yaml_text(float(getattr(imu, ours)))}  # [ {_UNITS[theirs]} ]"
         for theirs, ours in (_DENSITIES | _TURN_ON_BIASES).items()
     ]
     lines += [
-        f"{ours}: {shown(float(getattr(imu, ours)))}"
-        for ours in _IMPERFECTIONS
+        f"{ours}: {yaml_text(float(getattr(imu, ours)))}"
+        for ours in _OTHER_ERRORS
         if getattr(imu, ours) != _DEFAULTS[ours]
     ]
     return "".join(f"{line}\n" for line in lines)

@@ -1,12 +1,11 @@
-"""Calibrations as Kalibr writes them, in and out: ``camchain.yaml`` for the cameras, ``imu.yaml`` for the IMU.
+"""Calibration files of Kalibr: ``camchain.yaml`` for the cameras, ``imu.yaml`` for the IMU.
 
-What we write are the true parameters of a rig, as if calibrated without error. ``T_cam_imu`` takes points of the IMU
-frame into the camera's, ``T_cn_cnm1`` those of the previous camera, and t_imu = t_cam + ``timeshift_cam_imu``. Format:
-Kalibr's wiki, "yaml formats" (Furgale, Rehder and Siegwart, IROS 2013).
+``T_cam_imu`` maps points of the IMU frame into the camera frame, ``T_cn_cnm1`` those of the previous camera frame, and
+t_imu = t_cam + ``timeshift_cam_imu``. Format: Kalibr's wiki, "yaml formats" (Furgale, Rehder and Siegwart, IROS 2013).
 
-Keys of our own, which other readers pass over, bring a rig back to the bit: ``T_imu_cam`` (OpenVINS writes it too),
-``rate_hz`` and ``readout_s`` of a camera, ``T_vehicle_imu``, ``sampling`` and what
-`dronevio.models.recordings.calibration.imu_fields` adds of the IMU.
+Additional keys, which other readers ignore, preserve a rig without loss of precision: ``T_imu_cam`` (also used by
+OpenVINS), ``rate_hz`` and ``readout_s`` of a camera, ``T_vehicle_imu``, ``sampling``, and the keys of
+`dronevio.models.recordings.calibration.imu_fields`.
 """
 
 from collections.abc import Sequence
@@ -22,55 +21,59 @@ from dronevio.models.errors import InputError
 from dronevio.models.imu import ImuModel, Sampling
 from dronevio.models.recordings.calibration.euroc import LENS_NAMES
 from dronevio.models.recordings.calibration.imu_fields import imu_fields_yaml, read_imu_fields
-from dronevio.models.recordings.calibration.sensor_yaml import SensorYaml, shown
+from dronevio.models.recordings.calibration.sensor_yaml import SensorYaml, yaml_text
 from dronevio.models.recordings.calibration.yaml_document import read_yaml
-from dronevio.models.recordings.files import blamed_on
+from dronevio.models.recordings.files import as_input_error
 from dronevio.models.rig import Rig, RigCamera
 from dronevio.models.rotation import inverse_pose
 
 Array = npt.NDArray[np.float64]
 
 CAMCHAIN_FILE, IMU_FILE = "camchain.yaml", "imu.yaml"
-"""What Kalibr's documentation calls the files."""
+"""File names in the documentation of Kalibr."""
 CAMERA_TOPIC = "/cam{}/image_raw"
-"""The topic of a camera's images, as EuRoC's bags name it."""
+"""Topic of the images of a camera, as in EuRoC's bags."""
 IMU_TOPIC = "/imu0"
-"""The topic of the IMU's samples."""
+"""Topic of the IMU samples, as in EuRoC's bags."""
 
-_AGREEMENT = 1e-3  # two poses that say the same, rounded [rad, m]
-_SYNCHRONOUS_S = 5e-4  # cameras of one trigger, calibrated one by one
+_POSE_TOLERANCE = 1e-3  # largest difference of two specifications of the same pose [rad, m]
+_TIME_OFFSET_TOLERANCE_S = 5e-4  # between synchronized cameras that were calibrated separately
 
 
 @dataclass(frozen=True, eq=False)
 class KalibrCalibration:
-    """What Kalibr's files say: of cameras, of an IMU, or of both."""
+    """Content of Kalibr's files: cameras, an IMU or both."""
 
     paths: tuple[Path, ...]
-    """The files."""
+    """Paths of the files."""
     cameras: tuple[RigCamera, ...]
-    """The cameras; none where no file speaks of them."""
+    """Cameras of the files, possibly none."""
     topics: tuple[str, ...]
-    """Of each camera, the topic of its images; empty where the file does not say."""
+    """Image topic of each camera, empty if it is not specified."""
     time_offset_s: float
-    """t_imu = t_cam + offset [s]."""
+    """Time offset of the camera clock: t_imu = t_cam + offset [s]."""
     imu: ImuModel | None
-    """The IMU, where a file speaks of it."""
+    """IMU of the files, None if there is none."""
     T_vehicle_imu: Array
-    """(4, 4) Pose of the IMU in the vehicle frame; the identity where no file says."""
+    """(4, 4) Pose of the IMU in the vehicle frame, the identity if it is not specified."""
     sampling: Sampling
-    """What the IMU's samples are."""
+    """Sampling of the IMU."""
 
     def rig(self) -> Rig:
-        """Return the rig.
+        """Return the rig of the cameras and the IMU.
 
         Raises:
-            InputError: The files lack the cameras or the IMU.
+            InputError: The files have no camera or no IMU.
         """
         if not self.cameras:
             raise InputError(self.paths[0], "no camera", "Kalibr's camchain.yaml: cam0 with intrinsics and T_cam_imu")
         if self.imu is None:
-            raise InputError(self.paths[0], "no IMU", "Kalibr's imu.yaml too: gyroscope_noise_density and so on")
-        with blamed_on(self.paths[0]):
+            raise InputError(
+                self.paths[0],
+                "no IMU",
+                "Kalibr's imu.yaml as well, with the noise densities",
+            )
+        with as_input_error(self.paths[0]):
             return Rig(self.cameras, self.imu, self.T_vehicle_imu, self.time_offset_s)
 
 
@@ -78,12 +81,11 @@ def read_kalibr(path: Path, *more: Path) -> Rig:
     """Read a rig.
 
     Args:
-        path: A file with cameras and IMU; or a ``camchain.yaml`` beside which an ``imu.yaml`` lies, or the folder that
-            holds the two.
-        more: Other files, where what belongs together lies apart.
+        path: A file with cameras and IMU, a ``camchain.yaml`` with an ``imu.yaml`` in the same folder, or that folder.
+        more: Further files, if cameras and IMU are in different folders.
 
     Raises:
-        InputError: As `read_calibration`; or the cameras or the IMU are missing.
+        InputError: As `read_calibration`, or the cameras or the IMU are missing.
     """
     path = Path(path)
     chain = path / CAMCHAIN_FILE if path.is_dir() else path
@@ -95,21 +97,21 @@ def read_kalibr(path: Path, *more: Path) -> Rig:
 
 
 def read_calibration(paths: Sequence[Path], rate_hz: float = 20.0) -> KalibrCalibration:
-    """Read what one file says or several.
+    """Read the calibration of one or more files.
 
     Args:
-        paths: The files, in any order: cameras, IMU, or both in one.
-        rate_hz: Frame rate of cameras whose file does not say it [Hz]: Kalibr's own never do.
+        paths: The files in any order: cameras, IMU, or both in one file.
+        rate_hz: Frame rate of cameras without ``rate_hz`` [Hz]; the files of Kalibr do not specify it.
 
     Raises:
-        InputError: A file is missing or damaged, a field is missing or not what it should be, something is said twice,
-            or a model is not supported.
+        InputError: A file is missing or damaged, a field is missing, invalid or specified twice, or a camera model is
+            not supported.
     """
     return calibration_of([read_yaml(Path(path)) for path in paths], rate_hz)
 
 
 def calibration_of(files: Sequence[SensorYaml], rate_hz: float = 20.0) -> KalibrCalibration:
-    """Return what the texts of Kalibr's files say; see `read_calibration`.
+    """Return the calibration of parsed files; see `read_calibration`.
 
     Raises:
         InputError: As `read_calibration`.
@@ -119,7 +121,7 @@ def calibration_of(files: Sequence[SensorYaml], rate_hz: float = 20.0) -> Kalibr
     imu = _only([file for file in files if _imu_prefix(file) is not None], "an IMU")
     if chain is None and imu is None:
         raise InputError(
-            paths[0], "neither cam0 nor the noise of an IMU", "Kalibr's camchain.yaml or imu.yaml, or both in one"
+            paths[0], "neither cam0 nor IMU noise densities", "Kalibr's camchain.yaml or imu.yaml, or both in one"
         )
     cameras, topics, offsets = _read_chain(chain, rate_hz) if chain else ((), (), (0.0,))
     prefix = (imu and _imu_prefix(imu)) or ""
@@ -136,79 +138,79 @@ def calibration_of(files: Sequence[SensorYaml], rate_hz: float = 20.0) -> Kalibr
 
 
 def camchain_yaml(rig: Rig) -> str:
-    """Return the text of a ``camchain.yaml``, which `read_kalibr` reads back to the bit."""
+    """Return the text of a ``camchain.yaml`` for a rig, without loss of precision."""
     return "".join(_camera_yaml(rig, number) for number in range(len(rig.cameras)))
 
 
 def imu_yaml(rig: Rig, sampling: Sampling = "point") -> str:
-    """Return the text of an ``imu.yaml``, which `read_kalibr` reads back to the bit."""
+    """Return the text of an ``imu.yaml`` for a rig, without loss of precision."""
     fields = imu_fields_yaml(rig.imu, "name", "update_rate")
     kind = "" if sampling == "point" else f"sampling: {sampling}\n"
     return f"{fields}rostopic: {IMU_TOPIC}\n{kind}{rows_yaml('T_vehicle_imu', rig.T_vehicle_imu)}"
 
 
 def rows_yaml(key: str, T: Array) -> str:
-    """Return the lines of a matrix as a list of rows, to be read back to the bit."""
-    return f"{key}:\n" + "".join(f"  - {shown(tuple(row))}\n" for row in T.tolist())
+    """Return the lines of a matrix as a list of rows, without loss of precision."""
+    return f"{key}:\n" + "".join(f"  - {yaml_text(tuple(row))}\n" for row in T.tolist())
 
 
 def indented(text: str) -> str:
-    """Return lines, indented as those of a map in a map."""
+    """Return lines with the indentation of a nested map."""
     return "".join(f"  {line}\n" for line in text.splitlines())
 
 
 def _camera_yaml(rig: Rig, number: int) -> str:
-    """Return the part of a camchain that describes one camera."""
+    """Return the part of a ``camchain.yaml`` for one camera."""
     camera = rig.cameras[number]
     m, T_cam_imu = camera.model, inverse_pose(camera.T_imu_cam)
     others = ", ".join(str(other) for other in range(len(rig.cameras)) if other != number)
     text = (
         "camera_model: pinhole\n"
-        f"intrinsics: {shown(tuple(map(float, (m.fx, m.fy, m.cx, m.cy))))}\n"
+        f"intrinsics: {yaml_text(tuple(map(float, (m.fx, m.fy, m.cx, m.cy))))}\n"
         f"distortion_model: {m.lens}\n"
-        f"distortion_coeffs: {shown(tuple(map(float, m.distortion)))}\n"
+        f"distortion_coeffs: {yaml_text(tuple(map(float, m.distortion)))}\n"
         f"resolution: [{m.width}, {m.height}]\n"
         f"{rows_yaml('T_cam_imu', T_cam_imu)}"
     )
     if number:
         text += rows_yaml("T_cn_cnm1", T_cam_imu @ rig.cameras[number - 1].T_imu_cam)
     text += (
-        f"timeshift_cam_imu: {shown(float(rig.time_offset_s))}\n"
+        f"timeshift_cam_imu: {yaml_text(float(rig.time_offset_s))}\n"
         f"rostopic: {CAMERA_TOPIC.format(number)}\n"
         f"cam_overlaps: [{others}]\n"
         f"{rows_yaml('T_imu_cam', camera.T_imu_cam)}"
-        f"rate_hz: {shown(float(camera.rate_hz))}\n"
+        f"rate_hz: {yaml_text(float(camera.rate_hz))}\n"
     )
-    text += f"readout_s: {shown(float(camera.readout_s))}\n" if camera.readout_s else ""
+    text += f"readout_s: {yaml_text(float(camera.readout_s))}\n" if camera.readout_s else ""
     return f"cam{number}:\n{indented(text)}"
 
 
 def _only(files: list[SensorYaml], what: str) -> SensorYaml | None:
-    """Return the one file that speaks of something, None if none does, or raise InputError."""
+    """Return the only one of some files, None if there is none, or raise InputError if there are several."""
     if len(files) > 1:
-        raise InputError(files[1].path, f"{what}, as in {files[0].path} already", f"one file with {what}")
+        raise InputError(files[1].path, f"{what}, which {files[0].path} has as well", f"one file with {what}")
     return files[0] if files else None
 
 
 def _imu_prefix(file: SensorYaml) -> str | None:
-    """Return where in a file an IMU is described, None if nowhere."""
+    """Return the prefix of the IMU keys of a file, None if it has no IMU."""
     if "imu0" in file.lines:
         return "imu0."
     return "" if any(key.startswith(("gyroscope_", "accelerometer_")) for key in file.lines) else None
 
 
 def _sampling(yaml: SensorYaml, prefix: str) -> Sampling:
-    """Return what the IMU's samples are, or raise InputError."""
+    """Return the sampling of the IMU, or raise InputError."""
     key = f"{prefix}sampling"
     if key not in yaml:
         return "point"
     if yaml.values[key] not in ("point", "increment"):
-        raise yaml.fault(key, "point or increment")
+        raise yaml.error(key, "point or increment")
     return cast(Sampling, yaml.values[key])
 
 
 def _read_chain(yaml: SensorYaml, rate_hz: float) -> tuple[tuple[RigCamera, ...], tuple[str, ...], tuple[float, ...]]:
-    """Return the cameras of a camchain, their topics and their time offsets [s], or raise InputError."""
+    """Return the cameras of a ``camchain.yaml``, their topics and time offsets [s], or raise InputError."""
     cameras: list[RigCamera] = []
     while f"cam{len(cameras)}" in yaml.lines:
         cameras.append(_read_camera(yaml, f"cam{len(cameras)}.", cameras, rate_hz))
@@ -217,50 +219,50 @@ def _read_chain(yaml: SensorYaml, rate_hz: float) -> tuple[tuple[RigCamera, ...]
     shifts = [f"{cam}timeshift_cam_imu" for cam in names]
     offsets = tuple(yaml.number(key) if key in yaml else 0.0 for key in shifts)
     for key, offset_s in zip(shifts, offsets, strict=True):
-        if abs(offset_s - offsets[0]) > _SYNCHRONOUS_S:
-            raise yaml.fault(key, f"that of cam0, {offsets[0]:g} s: a frame has one time stamp")
+        if abs(offset_s - offsets[0]) > _TIME_OFFSET_TOLERANCE_S:
+            raise yaml.error(key, f"that of cam0, {offsets[0]:g} s, because a frame has one time stamp")
     return tuple(cameras), topics, offsets
 
 
-def _read_camera(yaml: SensorYaml, cam: str, before: list[RigCamera], rate_hz: float) -> RigCamera:
-    """Return a camera of a camchain, given those before it, or raise InputError."""
+def _read_camera(yaml: SensorYaml, cam: str, previous: list[RigCamera], rate_hz: float) -> RigCamera:
+    """Return a camera of a ``camchain.yaml``, given the previous ones, or raise InputError."""
     if yaml.word(f"{cam}camera_model") != "pinhole":
-        raise yaml.fault(f"{cam}camera_model", "pinhole, the only model supported")
+        raise yaml.error(f"{cam}camera_model", "pinhole, the only supported model")
     lens = yaml.word(f"{cam}distortion_model")
     k: Sequence[float] = (0.0, 0.0, 0.0, 0.0)
     if lens != "none":
         if lens not in LENS_NAMES:
-            raise yaml.fault(f"{cam}distortion_model", f"one of none, {', '.join(LENS_NAMES)}")
+            raise yaml.error(f"{cam}distortion_model", f"one of none, {', '.join(LENS_NAMES)}")
         k = yaml.numbers(f"{cam}distortion_coeffs", 4)
     size = yaml.numbers(f"{cam}resolution", 2)
     if any(side < 1 or side != int(side) for side in size):
-        raise yaml.fault(f"{cam}resolution", "width and height in whole pixels")
+        raise yaml.error(f"{cam}resolution", "width and height in whole pixels")
     fx, fy, cx, cy = yaml.numbers(f"{cam}intrinsics", 4)
     if min(fx, fy) <= 0.0:
-        raise yaml.fault(f"{cam}intrinsics", "fu, fv, pu, pv with focal lengths above zero")
+        raise yaml.error(f"{cam}intrinsics", "fu, fv, pu, pv with positive focal lengths")
     distortion = (k[0], k[1], k[2], k[3])
     model = CameraModel(int(size[0]), int(size[1]), fx, fy, cx, cy, distortion, LENS_NAMES.get(lens, "radtan"))
     rate_hz = yaml.positive(f"{cam}rate_hz") if f"{cam}rate_hz" in yaml else rate_hz
     readout_s = yaml.number(f"{cam}readout_s") if f"{cam}readout_s" in yaml else 0.0
-    with blamed_on(yaml.path):
-        return RigCamera(model, _T_imu_cam(yaml, cam, before), rate_hz, readout_s)
+    with as_input_error(yaml.path):
+        return RigCamera(model, _T_imu_cam(yaml, cam, previous), rate_hz, readout_s)
 
 
-def _T_imu_cam(yaml: SensorYaml, cam: str, before: list[RigCamera]) -> Array:
+def _T_imu_cam(yaml: SensorYaml, cam: str, previous: list[RigCamera]) -> Array:
     """Return the pose (4, 4) of a camera in the IMU frame, or raise InputError."""
-    said: dict[str, Array] = {}
+    poses: dict[str, Array] = {}
     if f"{cam}T_imu_cam" in yaml:
-        said[f"{cam}T_imu_cam"] = yaml.pose_of_rows(f"{cam}T_imu_cam")
+        poses[f"{cam}T_imu_cam"] = yaml.pose_of_rows(f"{cam}T_imu_cam")
     if f"{cam}T_cam_imu" in yaml:
-        said[f"{cam}T_cam_imu"] = inverse_pose(yaml.pose_of_rows(f"{cam}T_cam_imu"))
-    if f"{cam}T_cn_cnm1" in yaml and before:
-        said[f"{cam}T_cn_cnm1"] = before[-1].T_imu_cam @ inverse_pose(yaml.pose_of_rows(f"{cam}T_cn_cnm1"))
-    if not said:
-        raise yaml.fault(
-            f"{cam}T_cam_imu", "the pose of the IMU in the camera, as kalibr_calibrate_imu_camera finds it"
+        poses[f"{cam}T_cam_imu"] = inverse_pose(yaml.pose_of_rows(f"{cam}T_cam_imu"))
+    if f"{cam}T_cn_cnm1" in yaml and previous:
+        poses[f"{cam}T_cn_cnm1"] = previous[-1].T_imu_cam @ inverse_pose(yaml.pose_of_rows(f"{cam}T_cn_cnm1"))
+    if not poses:
+        raise yaml.error(
+            f"{cam}T_cam_imu", "the pose of the IMU in the camera frame, a result of kalibr_calibrate_imu_camera"
         )
-    first = next(iter(said))
-    for key, T in said.items():
-        if np.abs(T - said[first]).max() > _AGREEMENT:
-            raise yaml.fault(key, f"what agrees with {first}")
-    return said[first]
+    first = next(iter(poses))
+    for key, T in poses.items():
+        if np.abs(T - poses[first]).max() > _POSE_TOLERANCE:
+            raise yaml.error(key, f"a pose that agrees with {first}")
+    return poses[first]
