@@ -95,7 +95,7 @@ def nees_at_the_end(flight: Any, estimates: Sequence[Estimate], from_rest: bool)
 
 @pytest.mark.parametrize(
     ("rest_s", "duration_s", "runs", "degrees"),
-    [(1.0, 3.5, 8, (3, 3, 3)), (-5.0, 5.5, 6, (3, 3, 2))],
+    [(1.0, 3.5, 6, (3, 3, 3)), (-5.0, 5.5, 5, (3, 3, 2))],
     ids=["rest", "mid-air"],
 )
 def test_errors_are_as_large_as_covariances_say(
