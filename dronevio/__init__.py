@@ -1,9 +1,97 @@
 """Simulate a quadrotor, estimate its motion from camera and IMU, and evaluate the estimate.
 
+The public names are imported when they are first used, so that ``import dronevio`` loads nothing. By convention:
+
+    import dronevio as dv
+
+    recording = dv.fly("room", "recordings/room", seed=3)
+    run = dv.estimate(recording)
+    print(dv.evaluate(recording, run).scores.ate_m)
+
 The package consists of ``dronevio.models`` (data types, sensor models and recordings), ``dronevio.sim`` (physics and
 sensors with MuJoCo), ``dronevio.estimator`` (visual-inertial odometry with GTSAM and OpenCV), ``dronevio.eval``
-(metrics, benchmarks and reports) and the application layer (the command line and what connects the others). Importing
-``dronevio`` loads none of them.
+(metrics, benchmarks and reports) and the application layer (the command line and what connects the others).
 """
 
+from typing import TYPE_CHECKING
+
+from dronevio._lazy import attach
+
+if TYPE_CHECKING:
+    from dronevio.api import estimate, evaluate, fly
+    from dronevio.driver import estimate_recording
+    from dronevio.estimator.config import VioConfig
+    from dronevio.estimator.imu.forward_propagation import ImuRatePropagator
+    from dronevio.estimator.vio import VisualInertialOdometry
+    from dronevio.eval.metrics.scores import ScoredTrajectory, Scores
+    from dronevio.eval.run import EstimatorRun
+    from dronevio.models.camera import CameraModel
+    from dronevio.models.errors import DronevioError
+    from dronevio.models.imu import ImuModel, ImuSamples
+    from dronevio.models.protocols import Estimator, Recording, measurements
+    from dronevio.models.recordings.open import open_recording, read_trajectory
+    from dronevio.models.recordings.tum import write_tum
+    from dronevio.models.rig import Rig, RigCamera
+    from dronevio.models.rig_presets import rig_named
+    from dronevio.models.state import CameraFrame, Estimate, Health, NavState, Trajectory
+    from dronevio.sim.scenario import Scenario
+    from dronevio.sim.scenarios import scenario_named
+
+__all__ = [
+    "CameraFrame",
+    "CameraModel",
+    "DronevioError",
+    "Estimate",
+    "Estimator",
+    "EstimatorRun",
+    "Health",
+    "ImuModel",
+    "ImuRatePropagator",
+    "ImuSamples",
+    "NavState",
+    "Recording",
+    "Rig",
+    "RigCamera",
+    "Scenario",
+    "ScoredTrajectory",
+    "Scores",
+    "Trajectory",
+    "VioConfig",
+    "VisualInertialOdometry",
+    "estimate",
+    "estimate_recording",
+    "evaluate",
+    "fly",
+    "measurements",
+    "open_recording",
+    "read_trajectory",
+    "rig_named",
+    "scenario_named",
+    "write_tum",
+]
+
 __version__ = "0.1.0"
+
+__getattr__, __dir__ = attach(
+    __name__,
+    {
+        "dronevio.api": ("estimate", "evaluate", "fly"),
+        "dronevio.driver": ("estimate_recording",),
+        "dronevio.estimator.config": ("VioConfig",),
+        "dronevio.estimator.imu.forward_propagation": ("ImuRatePropagator",),
+        "dronevio.estimator.vio": ("VisualInertialOdometry",),
+        "dronevio.eval.metrics.scores": ("ScoredTrajectory", "Scores"),
+        "dronevio.eval.run": ("EstimatorRun",),
+        "dronevio.models.camera": ("CameraModel",),
+        "dronevio.models.errors": ("DronevioError",),
+        "dronevio.models.imu": ("ImuModel", "ImuSamples"),
+        "dronevio.models.protocols": ("Estimator", "Recording", "measurements"),
+        "dronevio.models.recordings.open": ("open_recording", "read_trajectory"),
+        "dronevio.models.recordings.tum": ("write_tum",),
+        "dronevio.models.rig": ("Rig", "RigCamera"),
+        "dronevio.models.rig_presets": ("rig_named",),
+        "dronevio.models.state": ("CameraFrame", "Estimate", "Health", "NavState", "Trajectory"),
+        "dronevio.sim.scenario": ("Scenario",),
+        "dronevio.sim.scenarios": ("scenario_named",),
+    },
+)

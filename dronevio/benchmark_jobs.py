@@ -102,9 +102,9 @@ def scenario_flights(names: Iterable[str], seeds: Sequence[int], rig: str | None
         ConfigError: There is no such scenario, suite or rig.
         InputError: The rig's file cannot be read.
     """
-    from dronevio.sim.scenarios import SUITES, scenario
+    from dronevio.sim.scenarios import SUITES, scenario_named
 
-    found = {name: scenario(name) for given in names for name in SUITES.get(given, (given,))}
+    found = {name: scenario_named(name) for given in names for name in SUITES.get(given, (given,))}
     unique = {flown.name: flown for flown in found.values()}
     if rig is not None:
         from dronevio.recorder import rig_of

@@ -12,7 +12,7 @@ from dronevio.models.serialization import to_jsonable
 from dronevio.sim.cameras.imaging import Imaging
 from dronevio.sim.flight import Flight, fly
 from dronevio.sim.refly import FlownPath
-from dronevio.sim.rendering.render import render
+from dronevio.sim.rendering.render import render_frames
 from dronevio.sim.rendering.render_job import RenderJob
 from dronevio.sim.rendering.truth_images import TruthImage
 from dronevio.sim.scenario import Scenario
@@ -59,7 +59,7 @@ def record_flight(
     )
     _write_settings(folder, {"scenario": to_jsonable(scenario), "imu_constants": to_jsonable(flight.imu_constants)})
     write_euroc(folder, scenario.rig, flight.imu, flight.truth, flight.schedule.stamps_ns)
-    render(job, folder / "mav0", rendering, workers)
+    render_frames(job, folder / "mav0", rendering, workers)
     return flight
 
 
@@ -100,7 +100,7 @@ def record_refly(
     settings = {"world": flown.world, "seed": seed, "rig": flown.rig, "T_simworld_world": flown.T_simworld_world}
     _write_settings(folder, {"refly": {**settings, "real_imu": flown.real_imu}})
     write_euroc(folder, flown.rig, flown.imu, flown.truth, flown.schedule.stamps_ns)
-    render(job, folder / "mav0", rendering, workers)
+    render_frames(job, folder / "mav0", rendering, workers)
 
 
 def rig_of(name_or_file: str) -> Rig:

@@ -1,1 +1,38 @@
-"""Turns what was sensed into motion and a map: GTSAM lives here, and only here."""
+"""Visual-inertial state estimation; the only package that imports GTSAM."""
+
+from typing import TYPE_CHECKING
+
+from dronevio._lazy import attach
+
+if TYPE_CHECKING:
+    from dronevio.estimator.baselines.dead_reckoning import DeadReckoning, DeadReckoningConfig
+    from dronevio.estimator.config import VioConfig
+    from dronevio.estimator.frontend.protocol import FrontEnd
+    from dronevio.estimator.imu.forward_propagation import ImuRatePropagator
+    from dronevio.estimator.types import Calibration, FramePacket, Matches, Observations
+    from dronevio.estimator.vio import VisualInertialOdometry
+
+__all__ = [
+    "Calibration",
+    "DeadReckoning",
+    "DeadReckoningConfig",
+    "FramePacket",
+    "FrontEnd",
+    "ImuRatePropagator",
+    "Matches",
+    "Observations",
+    "VioConfig",
+    "VisualInertialOdometry",
+]
+
+__getattr__, __dir__ = attach(
+    __name__,
+    {
+        "dronevio.estimator.baselines.dead_reckoning": ("DeadReckoning", "DeadReckoningConfig"),
+        "dronevio.estimator.config": ("VioConfig",),
+        "dronevio.estimator.frontend.protocol": ("FrontEnd",),
+        "dronevio.estimator.imu.forward_propagation": ("ImuRatePropagator",),
+        "dronevio.estimator.types": ("Calibration", "FramePacket", "Matches", "Observations"),
+        "dronevio.estimator.vio": ("VisualInertialOdometry",),
+    },
+)

@@ -10,8 +10,9 @@ On plain arrays, in three lines:
 Importing this package loads nothing; `dronevio.eval.metrics`, behind these names, needs nothing but numpy.
 """
 
-from importlib import import_module
 from typing import TYPE_CHECKING
+
+from dronevio._lazy import attach
 
 if TYPE_CHECKING:
     from dronevio.eval.metrics import (
@@ -46,15 +47,23 @@ __all__ = [
     "score_trajectory",
 ]
 
-_ELSEWHERE = {
-    "estimate_time_offset_s": "dronevio.eval.metrics.time_offset",
-    "kitti_scores": "dronevio.eval.metrics.kitti",
-    "running_scores": "dronevio.eval.run",
-}
-
-
-def __getattr__(name: str) -> object:
-    """Import a public name when it is asked for (PEP 562)."""
-    if name not in __all__:
-        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
-    return getattr(import_module(_ELSEWHERE.get(name, "dronevio.eval.metrics")), name)
+__getattr__, __dir__ = attach(
+    __name__,
+    {
+        "dronevio.eval.metrics": (
+            "align",
+            "anees",
+            "associate",
+            "ate",
+            "errors_by_length",
+            "nees",
+            "nees_bounds",
+            "rpe",
+            "score",
+            "score_trajectory",
+        ),
+        "dronevio.eval.metrics.kitti": ("kitti_scores",),
+        "dronevio.eval.metrics.time_offset": ("estimate_time_offset_s",),
+        "dronevio.eval.run": ("running_scores",),
+    },
+)

@@ -2,3 +2,86 @@
 
 The types are frozen dataclasses of numpy arrays. This package neither simulates, estimates nor evaluates.
 """
+
+from typing import TYPE_CHECKING
+
+from dronevio._lazy import attach
+
+if TYPE_CHECKING:
+    from dronevio.models.camera import CameraModel
+    from dronevio.models.errors import (
+        ConfigError,
+        DronevioError,
+        EvaluationError,
+        GraphicsError,
+        IncompleteError,
+        InputError,
+    )
+    from dronevio.models.imu import ImuModel, ImuSamples
+    from dronevio.models.imu_presets import imu_named
+    from dronevio.models.protocols import Controller, Estimator, Plant, Recording, measurements
+    from dronevio.models.quadrotor import Quadrotor, vehicle_named
+    from dronevio.models.rig import Rig, RigCamera, euroc_rig
+    from dronevio.models.rig_presets import rig_named
+    from dronevio.models.state import CameraFrame, Estimate, FeatureTracks, Health, HealthReport, NavState, Trajectory
+
+__all__ = [
+    "CameraFrame",
+    "CameraModel",
+    "ConfigError",
+    "Controller",
+    "DronevioError",
+    "Estimate",
+    "Estimator",
+    "EvaluationError",
+    "FeatureTracks",
+    "GraphicsError",
+    "Health",
+    "HealthReport",
+    "ImuModel",
+    "ImuSamples",
+    "IncompleteError",
+    "InputError",
+    "NavState",
+    "Plant",
+    "Quadrotor",
+    "Recording",
+    "Rig",
+    "RigCamera",
+    "Trajectory",
+    "euroc_rig",
+    "imu_named",
+    "measurements",
+    "rig_named",
+    "vehicle_named",
+]
+
+__getattr__, __dir__ = attach(
+    __name__,
+    {
+        "dronevio.models.camera": ("CameraModel",),
+        "dronevio.models.errors": (
+            "ConfigError",
+            "DronevioError",
+            "EvaluationError",
+            "GraphicsError",
+            "IncompleteError",
+            "InputError",
+        ),
+        "dronevio.models.imu": ("ImuModel", "ImuSamples"),
+        "dronevio.models.imu_presets": ("imu_named",),
+        "dronevio.models.protocols": ("Controller", "Estimator", "Plant", "Recording", "measurements"),
+        "dronevio.models.quadrotor": ("Quadrotor", "vehicle_named"),
+        "dronevio.models.rig": ("Rig", "RigCamera", "euroc_rig"),
+        "dronevio.models.rig_presets": ("rig_named",),
+        "dronevio.models.state": (
+            "CameraFrame",
+            "Estimate",
+            "FeatureTracks",
+            "Health",
+            "HealthReport",
+            "NavState",
+            "Trajectory",
+        ),
+    },
+)

@@ -30,7 +30,7 @@ from dronevio.models.recordings.open import open_recording
 from dronevio.models.recordings.tum import read_tum
 from dronevio.models.rotation import inverse_pose
 from dronevio.sim.chase_camera import ChaseCamera
-from dronevio.sim.scenarios import scenario
+from dronevio.sim.scenarios import scenario_named
 from dronevio.sim.world import build_world
 from dronevio.sim.worlds.contact_sheet import contact_sheet, sheet_of_worlds
 
@@ -127,7 +127,7 @@ def recording_screenshot(recording: Path, scratch: Path) -> Picture:
 
 def take_off_picture(run: Path) -> Picture:
     """Return an image of the chase camera during take-off."""
-    flown = scenario("room", 0)
+    flown = scenario_named("room", 0)
     truth = read_tum(run / "groundtruth.tum")
     T_world_imu = truth.Ts_world_imu[np.searchsorted(truth.t_s, TAKE_OFF_S)]
     onlooker = ChaseCamera(build_world(flown.world, flown.seed), flown.quadrotor, flown.rig, *TAKE_OFF_PX)

@@ -23,7 +23,7 @@ from run_metrics import RunMetrics, failures
 from dronevio.models.rig_presets import rig_named
 from dronevio.sim.physics.wind import Wind
 from dronevio.sim.scenario import Scenario
-from dronevio.sim.scenarios import SUITES, scenario
+from dronevio.sim.scenarios import SUITES, scenario_named
 
 HOVER_S = 60.0
 _HOVER_FROM_S = 5.0  # time after which the drone has climbed and hovers
@@ -73,23 +73,23 @@ class StressCommand:
 
 def trials() -> dict[str, Trial]:
     """Return all trials by name."""
-    named = {name: scenario(name) for name in SUITES["stress"]}
+    named = {name: scenario_named(name) for name in SUITES["stress"]}
     short = {name.removeprefix("room-").rpartition("-v")[0]: each for name, each in named.items()}
     fault_windows = {
         name: (each.faults.dark_from_s, each.faults.dark_from_s + each.faults.dark_for_s)
         for name, each in short.items()
         if each.faults.dark_for_s
     }
-    hover = scenario("hover")
+    hover = scenario_named("hover")
     calm = replace(hover, plan=replace(hover.plan, tour_s=HOVER_S + 2.0))
     gusty = replace(calm, wind=Wind((3.0, 0.0, 0.0), 1.0))
     hovering = (_HOVER_FROM_S, _HOVER_FROM_S + HOVER_S)
     return {
-        "none": Trial(scenario("room")),
+        "none": Trial(scenario_named("room")),
         **{name: Trial(each, fault_windows.get(name)) for name, each in short.items()},
-        "outliers": Trial(scenario("room"), front_end="outliers", recording="none"),
-        "low-texture": Trial(scenario("low-texture")),
-        "rotation": Trial(scenario("room-rotation")),
+        "outliers": Trial(scenario_named("room"), front_end="outliers", recording="none"),
+        "low-texture": Trial(scenario_named("low-texture")),
+        "rotation": Trial(scenario_named("room-rotation")),
         "hover": Trial(calm, hovering),
         "hover-gusts": Trial(gusty, hovering),
     }

@@ -182,7 +182,7 @@ SUITES: dict[str, tuple[str, ...]] = {
 """Scenarios that belong together: of one world, of one level, or of one kind."""
 
 
-def scenario(name: str, seed: int | None = None) -> Scenario:
+def scenario_named(name: str, seed: int | None = None) -> Scenario:
     """Return a scenario, with another seed if one is given.
 
     Args:

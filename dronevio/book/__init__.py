@@ -7,6 +7,8 @@ from collections.abc import Sequence
 
 from dronevio.cli.dispatch import CommandGroup, Subcommand
 
+__all__ = ["COMMANDS", "main"]
+
 COMMANDS = CommandGroup(
     "dronevio book",
     "Run the experiments of section 7.4, visual SLAM, of Introduction to Robotics and Perception by Dellaert and\n"

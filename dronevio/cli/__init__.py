@@ -11,6 +11,8 @@ from collections.abc import Sequence
 from dronevio.cli.dispatch import CommandGroup, Subcommand
 from dronevio.models.errors import DronevioError
 
+__all__ = ["COMMANDS", "main"]
+
 COMMANDS = CommandGroup(
     "dronevio",
     "Simulate a quadrotor, estimate its motion from camera and IMU, and evaluate the estimate.",

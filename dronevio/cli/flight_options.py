@@ -115,9 +115,9 @@ class FlightOptions:
         from dronevio.models.imu_presets import imu_named
         from dronevio.models.quadrotor import vehicle_named
         from dronevio.recorder import rig_of
-        from dronevio.sim.scenarios import scenario
+        from dronevio.sim.scenarios import scenario_named
 
-        base = scenario(self.scenario, self.seed)
+        base = scenario_named(self.scenario, self.seed)
         rig = base.rig if self.rig is None else rig_of(self.rig)
         return replace(
             base,
@@ -149,9 +149,9 @@ def parse_flight(command: type[Command], arguments: Sequence[str], name: str) ->
     Raises:
         ConfigError: There is no such scenario.
     """
-    from dronevio.sim.scenarios import scenario
+    from dronevio.sim.scenarios import scenario_named
 
     first = argparse.ArgumentParser(add_help=False, allow_abbrev=False)
     first.add_argument("--scenario", default=DEFAULT_SCENARIO)
     named = first.parse_known_args(list(arguments))[0].scenario
-    return parse(command, arguments, name, default=command(flight=FlightOptions.of(scenario(named))))  # type: ignore[call-arg]
+    return parse(command, arguments, name, default=command(flight=FlightOptions.of(scenario_named(named))))  # type: ignore[call-arg]

@@ -31,11 +31,11 @@ def main(arguments: Sequence[str]) -> int:
     import math
 
     from dronevio.sim.flight import plant_of, reference_of
-    from dronevio.sim.scenarios import SCENARIOS, SUITES, scenario
+    from dronevio.sim.scenarios import SCENARIOS, SUITES, scenario_named
 
     rows = []
     for name in SCENARIOS:
-        chosen = scenario(name, command.seed)
+        chosen = scenario_named(name, command.seed)
         reference = reference_of(chosen, plant_of(chosen))
         rows.append(
             {

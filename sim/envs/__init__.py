@@ -1,1 +1,19 @@
 """Gymnasium environments, plain: ``import dronevio.envs`` gives them their names."""
+
+from typing import TYPE_CHECKING
+
+from dronevio._lazy import attach
+
+if TYPE_CHECKING:
+    from dronevio.sim.envs.hover import Hover
+
+__all__ = [
+    "Hover",
+]
+
+__getattr__, __dir__ = attach(
+    __name__,
+    {
+        "dronevio.sim.envs.hover": ("Hover",),
+    },
+)

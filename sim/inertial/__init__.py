@@ -1,1 +1,19 @@
 """From a true motion to what an IMU measures."""
+
+from typing import TYPE_CHECKING
+
+from dronevio._lazy import attach
+
+if TYPE_CHECKING:
+    from dronevio.sim.inertial.imu import ImuErrors
+
+__all__ = [
+    "ImuErrors",
+]
+
+__getattr__, __dir__ = attach(
+    __name__,
+    {
+        "dronevio.sim.inertial.imu": ("ImuErrors",),
+    },
+)

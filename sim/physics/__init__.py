@@ -1,1 +1,26 @@
 """What moves the drone: rotors, air, contact, and the controller that steers them."""
+
+from typing import TYPE_CHECKING
+
+from dronevio._lazy import attach
+
+if TYPE_CHECKING:
+    from dronevio.sim.physics.controller import Gains, SE3Controller
+    from dronevio.sim.physics.plant import QuadrotorPlant
+    from dronevio.sim.physics.wind import Wind
+
+__all__ = [
+    "Gains",
+    "QuadrotorPlant",
+    "SE3Controller",
+    "Wind",
+]
+
+__getattr__, __dir__ = attach(
+    __name__,
+    {
+        "dronevio.sim.physics.controller": ("Gains", "SE3Controller"),
+        "dronevio.sim.physics.plant": ("QuadrotorPlant",),
+        "dronevio.sim.physics.wind": ("Wind",),
+    },
+)

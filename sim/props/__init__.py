@@ -1,1 +1,3 @@
 """What worlds are furnished with."""
+
+__all__: list[str] = []

@@ -27,7 +27,7 @@ from dronevio.sim.rendering.worker_pool import default_workers, run_tasks
 _FRAMES_WORTH_A_WORKER = 15  # it takes a second to start
 
 
-def render(job: RenderJob, mav0: Path, progress: Progress = silent, workers: int | None = None) -> FrameTruth:
+def render_frames(job: RenderJob, mav0: Path, progress: Progress = silent, workers: int | None = None) -> FrameTruth:
     """Write what a rig's cameras see: a grey ``cam{i}/data/<stamp>.png`` for each camera and frame.
 
     ``frame_groundtruth0/data.csv`` says when each frame was really taken, on the IMU's clock, and how it was exposed;

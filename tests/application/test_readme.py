@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+import dronevio as dv
 from dronevio.cli import COMMANDS, main
 from dronevio.models.imu import ImuSamples
 from dronevio.models.protocols import measurements
@@ -72,6 +73,22 @@ def test_your_own_camera_takes_ten_lines() -> None:
     assert len(lines) <= 10
 
 
+def test_the_steps_as_functions(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """The example flies, estimates and evaluates; the same files give the same score."""
+    monkeypatch.chdir(tmp_path)
+    namespace: dict[str, Any] = {}
+    exec(compile(example("import dronevio as dv"), "README.md", "exec"), namespace)
+    recording, run = namespace["recording"], namespace["run"]
+    score = dv.evaluate(recording, run).scores.ate_m
+    assert score is not None and score.rmse < 0.05
+    assert f"{score.rmse}" in capsys.readouterr().out
+    dv.write_tum(tmp_path / "estimate.tum", run.trajectory)
+    again = dv.evaluate(tmp_path / "recordings" / "short", tmp_path / "estimate.tum").scores.ate_m
+    assert again is not None and again.rmse == pytest.approx(score.rmse, abs=1e-6)
+
+
 def test_the_environment(capsys: pytest.CaptureFixture[str]) -> None:
     exec(compile(example("gymnasium"), "README.md", "exec"), {})
     printed = capsys.readouterr().out
@@ -79,7 +96,7 @@ def test_the_environment(capsys: pytest.CaptureFixture[str]) -> None:
 
 
 def test_every_example_is_run_here() -> None:
-    assert len(blocks("python")) == 2
+    assert len(blocks("python")) == 3
 
 
 def shell_lines() -> list[list[str]]:

@@ -10,7 +10,7 @@ from dronevio.models.rig_presets import rig_named
 from dronevio.models.rotation import log_so3
 from dronevio.sim.faults import Faults
 from dronevio.sim.flight import fly
-from dronevio.sim.scenarios import scenario
+from dronevio.sim.scenarios import scenario_named
 
 
 def test_without_faults_the_rig_is_the_calibrated_one() -> None:
@@ -40,7 +40,7 @@ def test_noise_and_range_of_the_imu() -> None:
 
 def test_a_flight_keeps_the_truth_of_its_faults() -> None:
     faults = Faults(dropped_frames=0.5, hidden_time_offset_s=0.005, dark_from_s=2.0, dark_for_s=1.0)
-    healthy, flight = fly(scenario("short")), fly(replace(scenario("short"), faults=faults))
+    healthy, flight = fly(scenario_named("short")), fly(replace(scenario_named("short"), faults=faults))
     assert np.array_equal(flight.truth.p_world_imu, healthy.truth.p_world_imu)  # it does not fly otherwise
     schedule = flight.schedule
     assert np.all(schedule.exposed_ns - schedule.stamps_ns == 5_000_000)
@@ -52,7 +52,7 @@ def test_a_flight_keeps_the_truth_of_its_faults() -> None:
 
 
 def test_a_failing_rotor_ends_the_flight_with_a_crash() -> None:
-    flight = fly(replace(scenario("hover"), faults=Faults(failing_rotor=1, rotor_fails_at_s=5.0)))
+    flight = fly(replace(scenario_named("hover"), faults=Faults(failing_rotor=1, rotor_fails_at_s=5.0)))
     assert flight.collision is not None and 5.0 < flight.collision.t_ns * 1e-9 < 7.0
     assert "floor" in str(flight.collision)
     assert flight.truth.t_s[-1] == pytest.approx(flight.collision.t_ns * 1e-9, abs=0.02)

@@ -8,12 +8,12 @@ from dronevio.models.rig import euroc_rig
 from dronevio.sim.flight import Flight, fly
 from dronevio.sim.props.room import FREE_BOX_M
 from dronevio.sim.scenario import Scenario
-from dronevio.sim.scenarios import SCENARIOS, scenario
+from dronevio.sim.scenarios import SCENARIOS, scenario_named
 
 
 @pytest.fixture(scope="module", params=[0, 13])
 def room(request: pytest.FixtureRequest) -> Flight:
-    return fly(scenario("room", request.param))
+    return fly(scenario_named("room", request.param))
 
 
 def vehicle_positions(flight: Flight) -> np.ndarray:
@@ -94,21 +94,21 @@ def sensed_bytes(flight: Flight) -> bytes:
 
 
 def test_same_seed_same_bytes() -> None:
-    first, again, other = (fly(scenario("short", seed)) for seed in (5, 5, 6))
+    first, again, other = (fly(scenario_named("short", seed)) for seed in (5, 5, 6))
     assert sensed_bytes(first) == sensed_bytes(again)
     assert not np.array_equal(first.imu.gyro_rad_s, other.imu.gyro_rad_s)
     assert np.abs(first.truth.p_world_imu - other.truth.p_world_imu).max() > 1e-3
 
 
 def test_path_does_not_depend_on_the_sensors_noise() -> None:
-    short = scenario("short")
+    short = scenario_named("short")
     noiseless = replace(short, rig=replace(short.rig, imu=replace(short.rig.imu, gyro_noise_density=0.0)))
     np.testing.assert_array_equal(fly(short).truth.p_world_imu, fly(noiseless).truth.p_world_imu)
 
 
 @pytest.mark.parametrize("name", ["hover", "short", "room-slow"])
 def test_the_other_scenarios_fly_well(name: str) -> None:
-    flight = fly(scenario(name))
+    flight = fly(scenario_named(name))
     error = np.linalg.norm(vehicle_positions(flight) - flight.reference.position_m, axis=1)
     assert error.max() < 0.10
     assert flight.truth.t_s[-1] == pytest.approx(flight.reference.duration_s)
@@ -117,7 +117,7 @@ def test_the_other_scenarios_fly_well(name: str) -> None:
 
 
 def test_a_camera_with_a_late_clock_is_taken_at_its_true_time() -> None:
-    short = scenario("short")
+    short = scenario_named("short")
     late = fly(replace(short, rig=replace(euroc_rig(), time_offset_s=0.0125)))
     on_time = fly(short)
     np.testing.assert_array_equal(late.frame_times_ns, on_time.frame_times_ns)
@@ -129,18 +129,18 @@ def test_a_camera_with_a_late_clock_is_taken_at_its_true_time() -> None:
 
 def test_progress_is_told_from_start_to_end() -> None:
     heard: list[tuple[int, int]] = []
-    fly(scenario("short"), lambda done, total: heard.append((done, total)))
+    fly(scenario_named("short"), lambda done, total: heard.append((done, total)))
     assert heard[0] == (0, 1200) and heard[-1] == (1200, 1200)
     assert heard == sorted(heard)
 
 
 def test_unknown_names_and_seeds_are_refused() -> None:
     with pytest.raises(ConfigError, match=r"'moon'.*room"):
-        scenario("moon")
+        scenario_named("moon")
     with pytest.raises(ConfigError, match="-1"):
-        scenario("room", -1)
+        scenario_named("room", -1)
     with pytest.raises(ConfigError, match="'moon'"):
-        fly(replace(scenario("short"), world="moon"))
+        fly(replace(scenario_named("short"), world="moon"))
 
 
 def test_subsystems_draw_from_streams_of_their_own() -> None:
@@ -151,8 +151,8 @@ def test_subsystems_draw_from_streams_of_their_own() -> None:
 
 
 def test_a_flight_may_be_joined_in_motion() -> None:
-    whole = fly(scenario("room"))
-    joined = fly(scenario("room-motion"))
+    whole = fly(scenario_named("room"))
+    joined = fly(scenario_named("room-motion"))
     assert joined.truth.t_ns[0] == 0 and joined.truth.velocity_m_s is not None
     assert np.linalg.norm(joined.truth.velocity_m_s[0]) > 0.5
     assert joined.collision is None
@@ -162,7 +162,7 @@ def test_a_flight_may_be_joined_in_motion() -> None:
 
 @pytest.mark.parametrize("name", ["corridor-difficult", "forest-medium", "gates-race", "room-aggressive", "nano"])
 def test_flights_in_other_worlds_come_home(name: str) -> None:
-    flight = fly(scenario(name, 2))
+    flight = fly(scenario_named(name, 2))
     assert flight.collision is None
     error = np.linalg.norm(vehicle_positions(flight) - flight.reference.position_m, axis=1)
     assert np.sqrt(np.mean(error**2)) < 0.10 and error.max() < 0.3

@@ -14,7 +14,7 @@ from dronevio.sim.paths.path import Reference, attitude
 from dronevio.sim.physics.controller import SE3Controller
 from dronevio.sim.physics.motion import Motion
 from dronevio.sim.physics.plant import QuadrotorPlant
-from dronevio.sim.scenarios import scenario
+from dronevio.sim.scenarios import scenario_named
 
 GRAVITY = np.array([0.0, 0.0, -9.81])
 T_VEHICLE_IMU = euroc_rig().T_vehicle_imu
@@ -23,7 +23,7 @@ T_VEHICLE_IMU = euroc_rig().T_vehicle_imu
 @pytest.fixture(scope="module")
 def flown() -> Motion:
     """The 30 s flight."""
-    room = scenario("room")
+    room = scenario_named("room")
     plant = QuadrotorPlant(room.rig)
     reference = reference_of(room, plant)
     controller = SE3Controller(reference, room.rig.T_vehicle_imu)

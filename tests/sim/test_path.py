@@ -8,13 +8,13 @@ from dronevio.models.rotation import exp_so3
 from dronevio.sim.paths.path import Reference, attitude, plan_reference
 from dronevio.sim.paths.plan import FlightPlan
 from dronevio.sim.paths.space import FlightArea, Space
-from dronevio.sim.scenarios import scenario
+from dronevio.sim.scenarios import scenario_named
 
 BOX = np.array([[-2.8, -1.9, 0.0], [2.8, 1.9, 2.4]])
 STEP_NS = 5_000_000
 STANDING_M = 0.112
-PLANS = {name: scenario(name).plan for name in ("room-v0", "room-slow-v0", "hover-v0", "short-v0")}
-ROOM, SHORT = scenario("room-v0").plan, scenario("short-v0").plan
+PLANS = {name: scenario_named(name).plan for name in ("room-v0", "room-slow-v0", "hover-v0", "short-v0")}
+ROOM, SHORT = scenario_named("room-v0").plan, scenario_named("short-v0").plan
 
 
 def reference(plan: FlightPlan, seed: int = 0, box: np.ndarray = BOX) -> Reference:

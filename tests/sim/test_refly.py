@@ -9,7 +9,7 @@ from dronevio.models.rig_presets import rig_named
 from dronevio.models.state import Trajectory
 from dronevio.sim.flight import Flight, fly
 from dronevio.sim.refly import cut, frame_stamps, refly
-from dronevio.sim.scenarios import scenario
+from dronevio.sim.scenarios import scenario_named
 from dronevio.sim.world import flight_area
 
 START_NS = 1_403_715_273_262_142_976
@@ -17,7 +17,7 @@ START_NS = 1_403_715_273_262_142_976
 
 @pytest.fixture(scope="module")
 def recorded() -> Flight:
-    return fly(scenario("short"))
+    return fly(scenario_named("short"))
 
 
 def _shifted(flight: Flight) -> tuple[Trajectory, ImuSamples]:

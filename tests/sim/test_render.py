@@ -21,7 +21,7 @@ from dronevio.models.rotation import pose_matrix, quat_wxyz_from_matrix, rotatio
 from dronevio.models.state import Trajectory
 from dronevio.sim.cameras.imaging import AutoExposure, FixedExposure, Imaging
 from dronevio.sim.cameras.schedule import FrameSchedule, nominal_stamps, schedule_frames
-from dronevio.sim.rendering.render import render
+from dronevio.sim.rendering.render import render_frames
 from dronevio.sim.rendering.render_job import RenderJob
 
 SMALL = CameraModel(width=188, height=120, fx=115.0, fy=115.0, cx=92.0, cy=62.0, distortion=(-0.28, 0.07, 0.0, 0.0))
@@ -96,8 +96,8 @@ def test_images_do_not_depend_on_the_workers(tmp_path: Path) -> None:
     told: list[tuple[int, int]] = []
     stereo = Rig((RigCamera(SMALL, np.eye(4), readout_s=0.01), RigCamera(SMALL, BASELINE)))
     work = job(rig=stereo, imaging=Imaging(control=AutoExposure(target_level=80.0, tolerance=0.0)))
-    truth = render(work, tmp_path / "one", lambda d, n: told.append((d, n)), workers=1)
-    render(work, tmp_path / "three", workers=3)
+    truth = render_frames(work, tmp_path / "one", lambda d, n: told.append((d, n)), workers=1)
+    render_frames(work, tmp_path / "three", workers=3)
     one = contents(tmp_path / "one")
     stamps = work.schedule.stamps_ns.tolist()
     assert sorted(one) == sorted(
@@ -119,7 +119,7 @@ def test_images_do_not_depend_on_the_workers(tmp_path: Path) -> None:
 def test_noise_differs_between_frames_and_cameras(tmp_path: Path) -> None:
     schedule = job().schedule
     twins = Rig((RigCamera(SMALL, np.eye(4)), RigCamera(SMALL, np.eye(4))))
-    render(job(rig=twins, trajectory=at_rest(), schedule=schedule[:2]), tmp_path, workers=1)
+    render_frames(job(rig=twins, trajectory=at_rest(), schedule=schedule[:2]), tmp_path, workers=1)
     first, second = schedule.stamps_ns[:2].tolist()
     one = read(tmp_path, first).astype(float)
     for other in (read(tmp_path, second), read(tmp_path, first, 1)):
@@ -130,14 +130,14 @@ def test_noise_differs_between_frames_and_cameras(tmp_path: Path) -> None:
 
 def test_what_goes_dark_is_black_but_for_noise(tmp_path: Path) -> None:
     schedule = schedule_frames(job().schedule.stamps_ns, np.random.default_rng(0), dark_from_s=0.05, dark_for_s=0.05)
-    render(job(schedule=schedule[:3]), tmp_path, workers=1)
+    render_frames(job(schedule=schedule[:3]), tmp_path, workers=1)
     means = [read(tmp_path, t).mean() for t in schedule.stamps_ns[:3].tolist()]
     assert means[1] < 1.0 and min(means[0], means[2]) > 50.0
 
 
 def test_truth_beside_the_frames(tmp_path: Path) -> None:
     work = job(truth_images=("depth", "segmentation", "flow"))
-    render(work, tmp_path, workers=1)
+    render_frames(work, tmp_path, workers=1)
     first, second, last = work.schedule.stamps_ns[[0, 1, -1]].tolist()
     depth, seg, flow = (
         cv2.imread(str(tmp_path / folder / "data" / f"{first}.png"), cv2.IMREAD_UNCHANGED)
@@ -169,8 +169,8 @@ def test_truth_beside_the_frames(tmp_path: Path) -> None:
 
 
 def test_what_is_told_besides_changes_nothing(tmp_path: Path) -> None:
-    render(job(truth_images=("segmentation", "flow", "depth")), tmp_path / "all", workers=1)
-    render(job(truth_images=("depth", "flow")), tmp_path / "two", workers=1)
+    render_frames(job(truth_images=("segmentation", "flow", "depth")), tmp_path / "all", workers=1)
+    render_frames(job(truth_images=("depth", "flow")), tmp_path / "two", workers=1)
     both, two = (contents(tmp_path / name) for name in ("all", "two"))
     assert {name: both[name] for name in two} == two
     assert {name.split("/")[0] for name in set(both) - set(two)} == {"seg0"}
@@ -190,9 +190,9 @@ def test_what_moves_is_where_it_is_at_that_time(tmp_path: Path, small_world: Sim
     small_world.movers = (SimpleNamespace(body="drifter", poses=poses),)
     noiseless = Imaging(control=FixedExposure(0.02), nominal_exposure_s=0.02, read_sigma=0.0, shot_sigma=0.0)
     resting = job(trajectory=at_rest(), imaging=noiseless)
-    render(resting, tmp_path / "moving", workers=1)
+    render_frames(resting, tmp_path / "moving", workers=1)
     small_world.movers = (SimpleNamespace(body="drifter", poses=lambda t_s: poses(0.0 * t_s - 100.0)),)
-    render(resting, tmp_path / "gone", workers=1)
+    render_frames(resting, tmp_path / "gone", workers=1)
     for t_ns in resting.schedule.stamps_ns.tolist()[1:4]:
         glowing = read(tmp_path / "moving", t_ns).astype(float) - read(tmp_path / "gone", t_ns)
         glowing = np.where(np.abs(glowing) > 4.0, glowing, 0.0)
@@ -211,7 +211,7 @@ def test_an_interruption_leaves_whole_images_and_says_so(tmp_path: Path) -> None
             raise KeyboardInterrupt
 
     with pytest.raises(KeyboardInterrupt):
-        render(job(), tmp_path, interrupt, workers=2)
+        render_frames(job(), tmp_path, interrupt, workers=2)
     left = sorted((tmp_path / "cam0" / "data").iterdir())
     assert 1 <= len(left) <= 6
     for file in left:
@@ -229,7 +229,7 @@ def test_a_full_disk_leaves_a_recording_that_can_be_read(tmp_path: Path) -> None
     write_euroc(tmp_path, stereo, rest, work.trajectory, stamps)
     (mav0 / "cam1" / "data" / f"{stamps[3]}.partial").symlink_to("/dev/full")
     with pytest.raises(IncompleteError, match=r"after 3 of 6 frames: No space left on device$"):
-        render(work, mav0, workers=1)
+        render_frames(work, mav0, workers=1)
     recording = EurocRecording.open(tmp_path)
     assert not recording.complete
     np.testing.assert_array_equal(recording.frame_times_ns, stamps[:3])
@@ -246,7 +246,7 @@ def test_a_worker_that_is_killed_is_reported(tmp_path: Path) -> None:
     stamps_ns = job().trajectory.t_ns
     many = job(schedule=FrameSchedule(stamps_ns, stamps_ns, np.ones(60, dtype=bool)))
     with pytest.raises(IncompleteError, match=r"of 60 frames: a rendering process was killed by SIGKILL"):
-        render(many, tmp_path, kill, workers=1)
+        render_frames(many, tmp_path, kill, workers=1)
     assert (tmp_path / INCOMPLETE).exists()
 
 
@@ -262,4 +262,4 @@ def test_jobs_that_make_no_sense_are_refused() -> None:
 def test_a_worker_that_dies_is_reported(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("MUJOCO_GL", "osmosis")
     with pytest.raises(GraphicsError, match="osmosis"):
-        render(job(), tmp_path, workers=1)
+        render_frames(job(), tmp_path, workers=1)

@@ -4,6 +4,8 @@ from collections.abc import Sequence
 
 from dronevio.cli.dispatch import CommandGroup, Subcommand
 
+__all__ = ["COMMANDS", "main"]
+
 COMMANDS = CommandGroup(
     "dronevio speed",
     "Measure the speed of dronevio on this machine, and print each figure beside its bound.",

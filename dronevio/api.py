@@ -1,0 +1,103 @@
+"""The steps of the command line as functions: simulate a flight, estimate its motion, evaluate the estimate."""
+
+from pathlib import Path
+
+from dronevio.driver import estimate_recording
+from dronevio.estimator.config import VioConfig
+from dronevio.estimator.vio import VisualInertialOdometry
+from dronevio.eval.metrics.alignment import AlignmentMode
+from dronevio.eval.metrics.scores import ScoredTrajectory, score_trajectory
+from dronevio.eval.run import EstimatorRun
+from dronevio.models.errors import EvaluationError
+from dronevio.models.progress import Progress, silent
+from dronevio.models.protocols import Estimator, Recording
+from dronevio.models.recordings.open import open_recording, read_trajectory
+from dronevio.models.state import Trajectory
+from dronevio.recorder import record_flight
+from dronevio.sim.scenario import Scenario
+from dronevio.sim.scenarios import scenario_named
+
+
+def fly(
+    scenario: str | Scenario, folder: str | Path, *, seed: int | None = None, workers: int | None = None
+) -> Recording:
+    """Simulate a flight, render its images and write the recording into a folder.
+
+    Args:
+        scenario: A scenario, or the name of one, such as ``"room"``.
+        folder: Folder of the recording in the EuRoC layout; it is made if it does not exist.
+        seed: Seed of a named scenario; its own by default.
+        workers: Number of rendering processes; the number of cores by default.
+
+    Returns:
+        The recording.
+
+    Raises:
+        ConfigError: There is no such scenario, or its settings contradict each other.
+        GraphicsError: There is no off-screen OpenGL.
+        IncompleteError: An image cannot be written.
+    """
+    flown = scenario_named(scenario, seed) if isinstance(scenario, str) else scenario
+    record_flight(flown, Path(folder), workers=workers)
+    return open_recording(Path(folder))
+
+
+def estimate(
+    recording: Recording | str | Path,
+    estimator: Estimator | VioConfig | None = None,
+    *,
+    progress: Progress = silent,
+) -> EstimatorRun:
+    """Estimate the motion of a recording, frame by frame.
+
+    Args:
+        recording: A recording, or the path of one.
+        estimator: An estimator before its first measurement, or the settings of the visual-inertial odometry; by
+            default the odometry with default settings.
+        progress: Called with the number of processed frames.
+
+    Returns:
+        The estimates of all frames and their cost.
+
+    Raises:
+        InputError: The recording cannot be read.
+    """
+    source = open_recording(Path(recording)) if isinstance(recording, str | Path) else recording
+    if estimator is None or isinstance(estimator, VioConfig):
+        estimator = VisualInertialOdometry(source.rig, estimator)
+    return estimate_recording(source, estimator, progress)
+
+
+def evaluate(
+    truth: Recording | Trajectory | str | Path,
+    estimated: EstimatorRun | Trajectory | str | Path,
+    alignment: AlignmentMode = "yaw",
+) -> ScoredTrajectory:
+    """Compare an estimate with the ground truth.
+
+    Args:
+        truth: The ground truth: a recording that has one, a trajectory, or the path of either.
+        estimated: The result of `estimate`, a trajectory, or the path of a trajectory.
+        alignment: Degrees of freedom that are removed before: ``"yaw"`` (yaw and position), ``"se3"``, ``"sim3"``, ...
+
+    Returns:
+        The scores and the errors over time.
+
+    Raises:
+        EvaluationError: The recording has no ground truth, or the two do not overlap in time.
+        InputError: A file cannot be read.
+    """
+    frame_times_ns = None
+    if isinstance(truth, str | Path):
+        path = Path(truth)
+        truth = open_recording(path) if path.is_dir() else read_trajectory(path)
+    if not isinstance(truth, Trajectory):
+        frame_times_ns = truth.frame_times_ns
+        if truth.ground_truth is None:
+            raise EvaluationError(f"{truth.name}: no ground truth; expected a recording with one")
+        truth = truth.ground_truth
+    if isinstance(estimated, EstimatorRun):
+        estimated = estimated.trajectory
+    elif isinstance(estimated, str | Path):
+        estimated = read_trajectory(Path(estimated))
+    return score_trajectory(truth, estimated, frame_times_ns, alignment)
