@@ -1,6 +1,6 @@
-"""A flight made of formulas: an analytic path, its IMU, and a front end that sees landmarks instead of images."""
+"""A synthetic flight: an analytic path, its IMU, and a front end that observes landmarks instead of images."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 
@@ -9,15 +9,19 @@ import numpy as np
 import numpy.typing as npt
 import pytest
 
+from dronevio.estimator.backend.landmarks import LandmarkConfig
+from dronevio.estimator.backend.smoother import KeyframeResult, KeyframeSmoother, SmootherConfig
 from dronevio.estimator.config import VioConfig
-from dronevio.estimator.types import Observations
+from dronevio.estimator.imu.buffer import ImuBuffer
+from dronevio.estimator.imu.preintegration import Preintegration, PreintegrationConfig, PreintegrationParams
+from dronevio.estimator.types import Calibration, Observations
 from dronevio.estimator.vio import VisualInertialOdometry
 from dronevio.models.camera import CameraModel
 from dronevio.models.imu import GRAVITY_M_S2, ImuSamples, Sampling
 from dronevio.models.protocols import measurements
 from dronevio.models.rig import Rig, euroc_rig
 from dronevio.models.rotation import exp_so3, inverse_pose, log_so3, pose_matrix, quat_wxyz_from_matrix
-from dronevio.models.state import CameraFrame, Estimate, Trajectory
+from dronevio.models.state import CameraFrame, Estimate, NavState, Trajectory
 
 Array = npt.NDArray[np.float64]
 Times = npt.NDArray[np.int64]
@@ -27,37 +31,53 @@ START_NS = 1_403_715_273_000_000_000
 IMU_STEP_NS, FRAME_STEP_NS = 5_000_000, 50_000_000
 
 
+def seconds(t_ns: Times) -> Array:
+    """Return the times (N,) since the start of a flight [s]."""
+    return (t_ns - START_NS).astype(np.float64) * 1e-9
+
+
 @dataclass(frozen=True, eq=False)
 class Kinematics:
-    """The motion of the IMU at N instants, in the world; the angular velocity is in the IMU frame."""
+    """The motion of the IMU at N instants."""
 
     R: Array
+    """(N, 3, 3) Orientations `R_world_imu`."""
     p: Array
+    """(N, 3) Positions in the world frame [m]."""
     v: Array
+    """(N, 3) Velocities in the world frame [m/s]."""
     a: Array
+    """(N, 3) Accelerations in the world frame [m/s²]."""
     omega: Array
+    """(N, 3) Angular velocities in the IMU frame [rad/s]."""
 
 
 @dataclass(frozen=True, eq=False)
 class Motion:
-    """Sums of sines for position and for yaw, pitch, roll, run by a clock that stands still at first."""
+    """Sums of sines for position and for yaw, pitch and roll, as functions of a clock that starts after a rest."""
 
     rest_s: float
-    """When the motion begins; negative for one that has long begun at t = 0."""
+    """Time at which the motion begins [s]; it is negative for a motion that is under way at t = 0."""
     ramp_s: float = 1.5
-    """How long the clock takes to come up to speed."""
-    places_m: Array = field(default_factory=lambda: np.array([[1.5, 0.3], [1.3, 0.35], [0.5, 0.2]]))
-    place_rates: Array = field(default_factory=lambda: np.array([[0.7, 1.9], [0.9, 1.7], [0.8, 2.3]]))
+    """Time that the clock takes to reach its rate [s]."""
+    positions_m: Array = field(default_factory=lambda: np.array([[1.5, 0.3], [1.3, 0.35], [0.5, 0.2]]))
+    """(3, 2) Amplitudes of two sines for each of x, y, z [m]."""
+    position_rates: Array = field(default_factory=lambda: np.array([[0.7, 1.9], [0.9, 1.7], [0.8, 2.3]]))
+    """(3, 2) Their angular frequencies [rad/s]."""
     angles_rad: Array = field(default_factory=lambda: np.array([[0.9, 0.15], [0.15, 0.08], [0.15, 0.08]]))
+    """(3, 2) Amplitudes of two sines for each of yaw, pitch, roll [rad]."""
     angle_rates: Array = field(default_factory=lambda: np.array([[0.5, 1.3], [1.1, 2.7], [0.9, 2.3]]))
+    """(3, 2) Their angular frequencies [rad/s]."""
     phases: Array = field(default_factory=lambda: np.zeros((2, 3, 2)))
+    """(2, 3, 2) Phases of the sines for positions and angles [rad]."""
     R_vehicle_imu: Array = field(default_factory=lambda: np.eye(3))
+    """(3, 3) Orientation of the IMU in the vehicle."""
 
     def at(self, t_s: Array) -> Kinematics:
-        """Return the motion at (N,) times."""
+        """Return the motion at times (N,) [s]."""
         tau, rate, acceleration = self._clock(t_s)
         rate, acceleration = rate[:, None], acceleration[:, None]
-        p, dp, ddp = _sines(tau, self.places_m, self.place_rates, self.phases[0])
+        p, dp, ddp = _sines(tau, self.positions_m, self.position_rates, self.phases[0])
         angle, d_angle, _ = _sines(tau, self.angles_rad, self.angle_rates, self.phases[1])
         yaw, pitch, roll = angle.T
         d_yaw, d_pitch, d_roll = (d_angle * rate).T
@@ -75,6 +95,7 @@ class Motion:
         return Kinematics(R @ B, p, dp * rate, ddp * rate**2 + dp * acceleration, omega @ B)
 
     def _clock(self, t_s: Array) -> tuple[Array, Array, Array]:
+        """Return the time of the clock (N,) [s] and its first two derivatives."""
         s = t_s - self.rest_s
         u = np.clip(s / self.ramp_s, 0.0, 1.0)
         tau = self.ramp_s * (u**3 - 0.5 * u**4) + np.maximum(s - self.ramp_s, 0.0)
@@ -92,7 +113,7 @@ def _sines(tau: Array, amplitude: Array, rate: Array, phase: Array) -> tuple[Arr
 
 
 class SyntheticFrontEnd:
-    """Sees landmarks where they are, give or take some noise; a landmark that was lost comes back under a new id."""
+    """Observes landmarks with noise; a landmark that was lost returns with a new identity."""
 
     def __init__(self, flight: "SyntheticFlight") -> None:
         self._flight = flight
@@ -105,7 +126,7 @@ class SyntheticFrontEnd:
         self._next_id = 0
         self._R_world_cam: Array | None = None
         self.prediction_errors_rad: list[float] = []
-        """How far the rotations were off that it was told."""
+        """Errors of the predicted rotations [rad]."""
 
     def track(
         self, frame: CameraFrame, R_cur_prev: Array, rotation_sigma_rad: float = 0.0, rig: Rig | None = None
@@ -130,15 +151,15 @@ class SyntheticFrontEnd:
         return self._observations()
 
     def _exposed(self, middle_ns: int) -> Array:
-        """Return the landmarks (L, 3) in the camera as its shutter sees them, each row at its own time."""
+        """Return the landmarks (L, 3) in the camera frame at the times when their image rows are exposed [m]."""
         flight, readout_s = self._flight, self._flight.rig.cameras[0].readout_s
-        late_ns, places = np.zeros(len(flight.landmarks), np.int64), flight.landmarks_at(middle_ns)
+        delay_ns, points = np.zeros(len(flight.landmarks), np.int64), flight.landmarks_at(middle_ns)
         for _ in range(5 if readout_s else 1):
-            T_cam_world = inverse_pose(flight.Ts_world_cam(middle_ns + late_ns))
-            p = np.einsum("nij,nj->ni", T_cam_world[:, :3, :3], places) + T_cam_world[:, :3, 3]
+            T_cam_world = inverse_pose(flight.Ts_world_cam(middle_ns + delay_ns))
+            p = np.einsum("nij,nj->ni", T_cam_world[:, :3, :3], points) + T_cam_world[:, :3, 3]
             row = np.nan_to_num(self._model.project(p)[:, 1]).clip(0.0, self._model.height - 1.0)
-            late_ns = np.rint((row / (self._model.height - 1) - 0.5) * readout_s * 1e9).astype(np.int64)
-        return p
+            delay_ns = np.rint((row / (self._model.height - 1) - 0.5) * readout_s * 1e9).astype(np.int64)
+        return np.asarray(p)
 
     def replenish(self, rig: Rig | None = None) -> Observations:
         free = np.flatnonzero(self._visible & (self._ids < 0))
@@ -149,7 +170,7 @@ class SyntheticFrontEnd:
         return self._observations()
 
     def discard(self, ids: npt.NDArray[np.int64]) -> None:
-        self._ids[np.isin(self._ids, ids)] = -1  # it may come back, as in an image
+        self._ids[np.isin(self._ids, ids)] = -1  # it may be detected again, as in an image
 
     def _observations(self) -> Observations:
         rows = np.flatnonzero(self._ids >= 0)
@@ -160,7 +181,7 @@ class SyntheticFrontEnd:
 
 @dataclass(frozen=True, eq=False)
 class SyntheticFlight:
-    """A recording without images; satisfies the `Recording` protocol."""
+    """A recording without images, which satisfies the `Recording` protocol."""
 
     motion: Motion
     duration_s: float
@@ -168,7 +189,7 @@ class SyntheticFlight:
     rig: Rig
     landmarks: Array
     imu_noise: float = 1.0
-    """Factor on the densities of the rig's IMU."""
+    """Factor on the noise densities of the rig's IMU."""
     pixel_noise: float = 0.2
     max_features: int = 60
     gyro_bias: Array = field(default_factory=lambda: np.zeros(3))
@@ -176,20 +197,20 @@ class SyntheticFlight:
     sampling: Sampling = "point"
     dark_s: tuple[float, float] = (0.0, 0.0)
     moving_share: float = 0.0
-    """Share of the landmarks that are no landmarks: they move."""
+    """Share of the landmarks that move, up to 1."""
     name: str = "formulas"
     ground_truth: Trajectory | None = None
 
     @cached_property
     def imu(self) -> ImuSamples:
-        """White noise is drawn in the vehicle frame, so that however the IMU is mounted it senses the same."""
+        """All samples. White noise is drawn in the vehicle frame, so that it does not depend on the IMU's mounting."""
         n = int(self.duration_s * 1e9) // IMU_STEP_NS + 1
         t_ns = START_NS + IMU_STEP_NS * np.arange(n)
-        k = self.motion.at((t_ns - START_NS) * 1e-9)
+        k = self.motion.at(seconds(t_ns))
         gyro, accel = k.omega, np.einsum("nji,nj->ni", k.R, k.a - GRAVITY)
         if self.sampling == "increment":
             dt = IMU_STEP_NS * 1e-9
-            before = self.motion.at((t_ns - START_NS) * 1e-9 - dt)
+            before = self.motion.at(seconds(t_ns) - dt)
             gyro = log_so3(np.swapaxes(before.R, 1, 2) @ k.R) / dt
             accel = np.einsum("nji,nj->ni", before.R, (k.v - before.v) / dt - GRAVITY)
         rng = np.random.default_rng([self.seed, 1])
@@ -211,34 +232,40 @@ class SyntheticFlight:
         return self.dark_s[0] <= (t_ns - START_NS) * 1e-9 < self.dark_s[1]
 
     def landmarks_at(self, t_ns: int) -> Array:
-        """Return the (L, 3) places of what the camera can see."""
+        """Return the positions (L, 3) of the landmarks in the world frame [m]."""
         n = len(self.landmarks)
         moving = np.random.default_rng([self.seed, 3]).random(n) < self.moving_share
         swing_m = 0.5 * np.sin((t_ns - START_NS) * 1e-9 + np.arange(n))
-        return self.landmarks + (moving * swing_m)[:, None]
+        return np.asarray(self.landmarks + (moving * swing_m)[:, None])
 
     def truth_at(self, t_ns: Times) -> Trajectory:
-        k = self.motion.at((t_ns - START_NS) * 1e-9)
+        """Return the true states, without covariances."""
+        k = self.motion.at(seconds(t_ns))
         n, B = len(t_ns), self.motion.R_vehicle_imu
         biases = np.tile(self.gyro_bias @ B, (n, 1)), np.tile(self.accel_bias @ B, (n, 1))
         return Trajectory(t_ns, k.p, quat_wxyz_from_matrix(k.R), k.v, *biases)
 
+    def state_at(self, t_ns: int) -> NavState:
+        """Return the true state, without a covariance."""
+        k, B = self.motion.at(np.array([(t_ns - START_NS) * 1e-9])), self.motion.R_vehicle_imu
+        return NavState(t_ns, pose_matrix(k.R, k.p)[0], k.v[0], self.gyro_bias @ B, self.accel_bias @ B)
+
     def Ts_world_cam(self, t_ns: Times) -> Array:
-        k = self.motion.at((t_ns - START_NS) * 1e-9)
+        k = self.motion.at(seconds(t_ns))
         return np.asarray(pose_matrix(k.R, k.p) @ self.rig.cameras[0].T_imu_cam)
 
     def front_end(self) -> SyntheticFrontEnd:
         return SyntheticFrontEnd(self)
 
     def cut_after(self, frames: int) -> "SyntheticFlight":
-        """Return the same flight, ended after some frames; its noise is what it was."""
+        """Return the same flight, with the same noise, up to some number of frames."""
         flight = replace(self, duration_s=(frames - 1) * FRAME_STEP_NS * 1e-9)
         whole = self.imu.up_to(int(self.frame_times_ns[frames - 1]))
         flight.__dict__.update(imu=whole, frame_times_ns=self.frame_times_ns[:frames])
         return flight
 
     def run(self, front_end: SyntheticFrontEnd | None = None, config: VioConfig | None = None) -> list[Estimate]:
-        """Push everything through the odometry; return one estimate a frame."""
+        """Return the odometry's estimate for each frame."""
         vio = VisualInertialOdometry(self.rig, config, front_end or self.front_end())
         estimates = []
         for measurement in measurements(self):
@@ -260,7 +287,7 @@ def room(rng: np.random.Generator, n: int = 1200) -> Array:
 
 @pytest.fixture(scope="session")
 def make_flight() -> Callable[..., SyntheticFlight]:
-    """Return a maker of flights; ``rest_s`` < 0 makes one that is in the air when the recording begins."""
+    """Return a maker of flights; with ``rest_s`` < 0 the drone is in motion when the recording begins."""
 
     def make(
         seed: int = 0,
@@ -273,10 +300,10 @@ def make_flight() -> Callable[..., SyntheticFlight]:
     ) -> SyntheticFlight:
         rng = np.random.default_rng(seed)
         rig = euroc_rig()
-        if R_mount is not None:  # turn the IMU in its mount; camera and vehicle stay where they are
-            turn = pose_matrix(R_mount, np.zeros(3))
-            camera = replace(rig.cameras[0], T_imu_cam=inverse_pose(turn) @ rig.cameras[0].T_imu_cam)
-            rig = replace(rig, cameras=(camera,), T_vehicle_imu=rig.T_vehicle_imu @ turn)
+        if R_mount is not None:  # rotate the IMU in its mount; camera and vehicle are the same
+            T_imu_new = pose_matrix(R_mount, np.zeros(3))
+            camera = replace(rig.cameras[0], T_imu_cam=inverse_pose(T_imu_new) @ rig.cameras[0].T_imu_cam)
+            rig = replace(rig, cameras=(camera,), T_vehicle_imu=rig.T_vehicle_imu @ T_imu_new)
         phases = rng.uniform(0.0, 2.0 * np.pi, (2, 3, 2))
         path = Motion(
             rest_s,
@@ -293,12 +320,86 @@ def make_flight() -> Callable[..., SyntheticFlight]:
     return make
 
 
+class KeyframeFeed:
+    """Adds the keyframes of a flight to a smoother; iteration adds one after another and yields the feed itself."""
+
+    def __init__(
+        self,
+        flight: SyntheticFlight,
+        start: NavState,
+        covariance: Array,
+        config: SmootherConfig | None = None,
+        params: Callable[[], PreintegrationParams] | None = None,
+        frames_per_keyframe: int = 4,
+        stationary: bool = False,
+    ) -> None:
+        """Create a smoother of one keyframe, the first frame of the flight.
+
+        Args:
+            flight: The flight.
+            start: State of the first frame.
+            covariance: (15, 15) Covariance of the first state.
+            config: Settings of the smoother.
+            params: Gives the noise of the IMU at each keyframe; by default that of the data sheet, inflated.
+            frames_per_keyframe: Number of frames from one keyframe to the next.
+            stationary: Whether the smoother is given the information that the drone does not move.
+        """
+        self.flight = flight
+        self.results: list[KeyframeResult] = []
+        self.states: list[NavState] = []
+        """State of each keyframe when it was added, without the first."""
+        self.points: list[Array] = []
+        """Landmarks (N, 3) after each keyframe [m]."""
+        self._step, self._stationary = frames_per_keyframe, stationary
+        default = PreintegrationParams.of(flight.rig.imu, PreintegrationConfig())
+        self._params = params or (lambda: default)
+        self._front_end, self._buffer = flight.front_end(), ImuBuffer()
+        self._buffer.add(flight.imu)
+        self._buffer.take_until(start.t_ns)
+        self._front_end.track(flight.frame(0), np.eye(3))
+        observations, calibration = self._front_end.replenish(), Calibration(flight.rig)
+        self.smoother = KeyframeSmoother(
+            calibration, config or SmootherConfig(), LandmarkConfig(), start, covariance, observations
+        )
+
+    def __iter__(self) -> Iterator["KeyframeFeed"]:
+        for index in range(self._step, len(self.flight.frame_times_ns), self._step):
+            t_ns = int(self.flight.frame_times_ns[index])
+            preintegration = Preintegration(self._params(), self.smoother.gtsam_state[1])
+            preintegration.integrate(self._buffer.take_until(t_ns))
+            self._front_end.track(self.flight.frame(index), np.eye(3))
+            observations = self._front_end.replenish()
+            measurements = preintegration.measurements
+            self.results.append(self.smoother.add_keyframe(t_ns, measurements, observations, self._stationary))
+            self._front_end.discard(self.results[-1].rejected)
+            self.states.append(self.smoother.state)
+            self.points.append(self.smoother.landmarks)
+            yield self
+
+    def finish(self) -> "KeyframeFeed":
+        """Add all keyframes and return the feed."""
+        for _ in self:
+            pass
+        return self
+
+    @property
+    def truth(self) -> Trajectory:
+        """True states of the keyframes, without the first."""
+        return self.flight.truth_at(np.array([state.t_ns for state in self.states]))
+
+
+@pytest.fixture(scope="session")
+def keyframe_feed() -> type[KeyframeFeed]:
+    """Return the class that adds the keyframes of a flight to a smoother."""
+    return KeyframeFeed
+
+
 WALL_M, TEXEL_M = 3.0, 0.006
 
 
 @pytest.fixture(scope="session")
 def see_wall() -> Callable[[CameraModel, Array], npt.NDArray[np.uint8]]:
-    """Return a camera on a textured wall across the world's z axis: (model, T_world_cam) to a grey picture."""
+    """Return a renderer of a textured wall across the z axis: (model, T_world_cam) to a grey image."""
     rng = np.random.default_rng(11)
     shades = sum(
         strength
@@ -314,10 +415,8 @@ def see_wall() -> Callable[[CameraModel, Array], npt.NDArray[np.uint8]]:
             rays[model] = model.unproject(pixels)
         ray = rays[model] @ T_world_cam[:3, :3].T
         depth = (WALL_M - T_world_cam[2, 3]) / ray[..., 2:]
-        texels = (T_world_cam[:2, 3] + ray[..., :2] * depth) / TEXEL_M + [1200.0, 1000.0]
-        grey = cv2.remap(
-            texture, *np.moveaxis(texels.astype(np.float32), 2, 0), cv2.INTER_CUBIC, borderMode=cv2.BORDER_REFLECT
-        )
+        texels = ((T_world_cam[:2, 3] + ray[..., :2] * depth) / TEXEL_M + [1200.0, 1000.0]).astype(np.float32)
+        grey = cv2.remap(texture, texels[..., 0], texels[..., 1], cv2.INTER_CUBIC, borderMode=cv2.BORDER_REFLECT)
         return np.asarray(np.clip(np.rint(grey), 0, 255).astype(np.uint8))
 
     return see

@@ -27,8 +27,8 @@ from dronevio.models.state import CameraFrame, Health, Trajectory
 CAMERA = CameraModel(376, 240, 229.0, 228.5, 183.5, 124.0, (-0.28, 0.07, 2e-4, 2e-5))
 T_WALL_WORLD = pose_matrix(np.array([[0.0, -1.0, 0.0], [0.0, 0.0, -1.0], [1.0, 0.0, 0.0]]), np.zeros(3))  # z ahead
 HOVER = {
-    "places_m": np.array([[0.25, 0.08], [0.45, 0.1], [0.25, 0.06]]),
-    "place_rates": np.array([[1.1, 2.9], [1.3, 2.7], [1.2, 3.1]]),
+    "positions_m": np.array([[0.25, 0.08], [0.45, 0.1], [0.25, 0.06]]),
+    "position_rates": np.array([[1.1, 2.9], [1.3, 2.7], [1.2, 3.1]]),
     "angles_rad": np.array([[0.15, 0.05], [0.05, 0.03], [0.06, 0.03]]),
 }
 

@@ -214,7 +214,7 @@ def test_long_darkness_ends_too(make_flight: Callable) -> None:
 def test_hover_does_not_drift(make_flight: Callable, seed: int) -> None:
     """Three centimetres to and fro, from the ground on: hardly any landmark is ever seen under 1°."""
     sway = {
-        "places_m": np.array([[0.03, 0.01], [0.03, 0.01], [0.02, 0.01]]),
+        "positions_m": np.array([[0.03, 0.01], [0.03, 0.01], [0.02, 0.01]]),
         "angles_rad": np.array([[0.01, 0.003], [0.006, 0.003], [0.006, 0.003]]),
     }
     flight = make_flight(seed, rest_s=REST, motion=sway)

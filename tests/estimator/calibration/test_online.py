@@ -28,7 +28,7 @@ ROTATION_RAD = np.radians([0.6, -0.5, 0.7])
 TRANSLATION_M = np.array([0.01, -0.008, 0.006])
 ON, OFF = CalibratedPart(True, 0.5, 0.0, 0.0), CalibratedPart(False, 0.02, 0.0, 0.0)
 ALL_OFF = CalibrationConfig(OFF, OFF, OFF, OFF, OFF)
-HOVER = {"places_m": np.zeros((3, 2)), "angles_rad": np.zeros((3, 2))}
+HOVER = {"positions_m": np.zeros((3, 2)), "angles_rad": np.zeros((3, 2))}
 NO_ROTATION = {"angles_rad": np.zeros((3, 2))}
 
 

@@ -1,9 +1,11 @@
-"""The IMU buffer loses and invents nothing; the preintegration is the motion's."""
+"""The IMU buffer and the preintegration of its increments."""
 
 from collections.abc import Callable
+from typing import TYPE_CHECKING
 
 import gtsam
 import numpy as np
+import numpy.typing as npt
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
@@ -14,19 +16,25 @@ from dronevio.models.errors import ConfigError
 from dronevio.models.imu import EUROC_IMU, GRAVITY_M_S2, ImuSamples, Sampling
 from dronevio.models.rotation import exp_so3
 
+if TYPE_CHECKING:
+    from tests.estimator.conftest import SyntheticFlight
+
+Array = npt.NDArray[np.float64]
+MakeFlight = Callable[..., "SyntheticFlight"]
+
 STEP_NS = 5_000_000
 START_NS = 1_403_715_273_262_142_976
 SAMPLINGS: tuple[Sampling, ...] = ("point", "increment")
 
 
 def stream(n: int, sampling: Sampling, seed: int = 0) -> ImuSamples:
-    """Return samples at irregular times."""
+    """Return random samples at irregular times."""
     rng = np.random.default_rng(seed)
     t_ns = START_NS + np.cumsum(rng.integers(STEP_NS // 2, 2 * STEP_NS, n))
     return ImuSamples(t_ns, rng.normal(size=(n, 3)), rng.normal(size=(n, 3)), sampling)
 
 
-def totals(parts: list[Increments]) -> tuple[float, np.ndarray, np.ndarray]:
+def totals(parts: list[Increments]) -> tuple[float, Array, Array]:
     """Return the time [s], the sum of ω dt [rad] and the sum of a dt [m/s]."""
     dt_s = np.concatenate([part.dt_s for part in parts])
     gyro = np.concatenate([part.gyro_rad_s for part in parts])
@@ -38,7 +46,7 @@ def totals(parts: list[Increments]) -> tuple[float, np.ndarray, np.ndarray]:
 @pytest.mark.parametrize("sampling", SAMPLINGS)
 @given(data=st.data())
 @settings(max_examples=60, deadline=None)
-def test_nothing_is_lost_however_the_stream_is_cut(sampling: Sampling, data: st.DataObject) -> None:
+def test_increments_do_not_depend_on_how_the_stream_is_cut(sampling: Sampling, data: st.DataObject) -> None:
     n = data.draw(st.integers(2, 30))
     samples = stream(n, sampling, seed=n)
     first, last = int(samples.t_ns[0]), int(samples.t_ns[-1])
@@ -58,11 +66,12 @@ def test_nothing_is_lost_however_the_stream_is_cut(sampling: Sampling, data: st.
         parts.append(buffer.take_until(t_ns))
     piecewise = totals(parts)
     assert at_once[0] == pytest.approx((last - first) * 1e-9, abs=1e-12)
-    for one, other in zip(piecewise, at_once, strict=True):
-        np.testing.assert_allclose(one, other, atol=1e-12)
+    assert piecewise[0] == pytest.approx(at_once[0], abs=1e-12)
+    for found, expected in zip(piecewise[1:], at_once[1:], strict=True):
+        np.testing.assert_allclose(found, expected, atol=1e-12)
 
 
-def test_whole_intervals_are_the_samples_own_increments() -> None:
+def test_whole_intervals_are_the_increments_of_the_samples() -> None:
     samples = stream(20, "point")
     buffer = ImuBuffer()
     buffer.add(samples)
@@ -74,20 +83,20 @@ def test_whole_intervals_are_the_samples_own_increments() -> None:
 
 
 def test_increments_cover_time_before_stamps_points_both_sides() -> None:
-    """A rate of 1 rad/s in the middle sample of three alone, 5 ms apart."""
+    """Of three samples 5 ms apart, only the second has an angular velocity, of 1 rad/s."""
     rates = np.outer([0.0, 1.0, 0.0], [1.0, 0.0, 0.0])
     t_ns = START_NS + STEP_NS * np.arange(3)
-    turned = {}
+    angles = {}
     for sampling in SAMPLINGS:
         buffer = ImuBuffer()
         buffer.add(ImuSamples(t_ns, rates, np.zeros((3, 3)), sampling))
-        turned[sampling] = [totals([buffer.take_until(int(t))])[1][0] for t in t_ns[1:]]
-    np.testing.assert_allclose(turned["increment"], [0.005, 0.0], atol=1e-15)
-    np.testing.assert_allclose(turned["point"], [0.0025, 0.0025], atol=1e-15)
+        angles[sampling] = [totals([buffer.take_until(int(t))])[1][0] for t in t_ns[1:]]
+    np.testing.assert_allclose(angles["increment"], [0.005, 0.0], atol=1e-15)
+    np.testing.assert_allclose(angles["point"], [0.0025, 0.0025], atol=1e-15)
 
 
 @pytest.mark.parametrize("sampling", SAMPLINGS)
-def test_last_sample_is_held_where_the_stream_ends_early(sampling: Sampling) -> None:
+def test_the_last_sample_is_held_up_to_the_frame(sampling: Sampling) -> None:
     samples = stream(5, sampling)
     buffer = ImuBuffer()
     buffer.add(samples)
@@ -102,13 +111,13 @@ def test_late_samples_count_once() -> None:
     samples = stream(30, "point")
     buffer, parts = ImuBuffer(), []
     buffer.add(samples[:10])
-    parts.append(buffer.take_until(int(samples.t_ns[14])))  # five samples are still on their way
+    parts.append(buffer.take_until(int(samples.t_ns[14])))  # five samples are missing
     buffer.add(samples[10:])
     parts.append(buffer.take_until(int(samples.t_ns[-1])))
     assert totals(parts)[0] == pytest.approx(float(samples.t_ns[-1] - samples.t_ns[0]) * 1e-9, abs=1e-12)
 
 
-def test_a_frame_before_or_without_any_imu_gets_nothing() -> None:
+def test_no_increments_before_the_first_sample() -> None:
     buffer = ImuBuffer()
     assert len(buffer.take_until(START_NS).dt_s) == 0
     samples = stream(5, "point")
@@ -116,7 +125,7 @@ def test_a_frame_before_or_without_any_imu_gets_nothing() -> None:
     assert len(buffer.take_until(int(samples.t_ns[0]) - 1).dt_s) == 0
 
 
-def test_same_frame_twice_gets_nothing_the_second_time() -> None:
+def test_increments_are_returned_once() -> None:
     samples = stream(10, "point")
     buffer = ImuBuffer()
     buffer.add(samples)
@@ -125,7 +134,7 @@ def test_same_frame_twice_gets_nothing_the_second_time() -> None:
     assert len(buffer.take_until(t_ns).dt_s) == 0
 
 
-def test_kinds_of_samples_do_not_mix() -> None:
+def test_points_and_increments_do_not_mix() -> None:
     buffer = ImuBuffer()
     samples, others = stream(10, "point"), stream(10, "increment")
     buffer.add(samples[:5])
@@ -158,7 +167,7 @@ def test_constant_rates_give_the_exact_rotation(cuts_ns: list[int], seed: int) -
 
 
 def preintegrated(parts: list[Increments], config: PreintegrationConfig | None = None) -> gtsam.NavState:
-    """Return where GTSAM's preintegration goes from rest at the origin."""
+    """Return the state that GTSAM's preintegration predicts from rest at the origin."""
     params = PreintegrationParams.of(EUROC_IMU, config or PreintegrationConfig())
     pim = Preintegration(params, gtsam.imuBias.ConstantBias())
     for part in parts:
@@ -169,11 +178,11 @@ def preintegrated(parts: list[Increments], config: PreintegrationConfig | None =
 @pytest.mark.parametrize("sampling", SAMPLINGS)
 @pytest.mark.parametrize("frame_offset_ns", [0, 1_300_000, 2_500_000])
 def test_preintegration_follows_an_analytic_path(
-    make_flight: Callable, sampling: Sampling, frame_offset_ns: int
+    make_flight: MakeFlight, sampling: Sampling, frame_offset_ns: int
 ) -> None:
-    """Two seconds of lively motion, the stream cut at every frame, on a sample or between two of them.
+    """Two seconds of motion, with the stream cut at every frame, on a sample or between two of them.
 
-    Preintegration begins anew every 0.2 s, as at keyframes: GTSAM's is not exact over long turns.
+    Preintegration restarts every 0.2 s, as at keyframes, because GTSAM's is not exact over long rotations.
     """
     flight = make_flight(0, rest_s=-5.0, duration_s=3.0, noisy=False, sampling=sampling)
     buffer = ImuBuffer()
@@ -182,6 +191,7 @@ def test_preintegration_follows_an_analytic_path(
     buffer.take_until(int(times[0]))
     truth = flight.truth_at(times)
     params, bias = PreintegrationParams.of(EUROC_IMU, PreintegrationConfig()), gtsam.imuBias.ConstantBias()
+    assert truth.velocity_m_s is not None
     state = gtsam.NavState(gtsam.Pose3(truth.Ts_world_imu[0]), truth.velocity_m_s[0])
     for k in range(1, 41, 4):
         pim = Preintegration(params, bias)
@@ -194,8 +204,8 @@ def test_preintegration_follows_an_analytic_path(
     np.testing.assert_allclose(state.position(), truth.p_world_imu[-1], atol=5e-4)
 
 
-def test_steps_that_do_not_commute_are_taken_in_order(make_flight: Callable) -> None:
-    """A second of lively turning about all axes, of which the increments are exact."""
+def test_rotations_are_multiplied_in_order(make_flight: MakeFlight) -> None:
+    """One second of rotation about all axes, of which the increments are exact."""
     flight = make_flight(0, rest_s=-5.0, duration_s=2.0, noisy=False, sampling="increment")
     buffer = ImuBuffer()
     buffer.add(flight.imu)
@@ -205,7 +215,7 @@ def test_steps_that_do_not_commute_are_taken_in_order(make_flight: Callable) -> 
     np.testing.assert_allclose(buffer.take_until(int(times[1])).rotation(np.zeros(3)), R0.T @ R1, atol=1e-12)
 
 
-def test_at_rest_gravity_cancels() -> None:
+def test_gravity_cancels_at_rest() -> None:
     n = 200
     rest = Increments(np.full(n, 0.005), np.zeros((n, 3)), np.tile([0.0, 0.0, GRAVITY_M_S2], (n, 1)))
     end = preintegrated([rest])

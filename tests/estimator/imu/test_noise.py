@@ -7,9 +7,6 @@ from typing import TYPE_CHECKING
 import numpy as np
 import pytest
 
-from dronevio.estimator.backend.landmarks import LandmarkConfig
-from dronevio.estimator.backend.smoother import KeyframeSmoother, SmootherConfig
-from dronevio.estimator.imu.buffer import ImuBuffer
 from dronevio.estimator.imu.noise import (
     ImuNoiseEstimator,
     ImuVarianceComponents,
@@ -17,14 +14,12 @@ from dronevio.estimator.imu.noise import (
     NoiseEstimationConfig,
     VarianceComponent,
 )
-from dronevio.estimator.imu.preintegration import Preintegration, PreintegrationConfig
+from dronevio.estimator.imu.preintegration import PreintegrationConfig
 from dronevio.estimator.initialization.static import InitialSigmas
-from dronevio.estimator.types import Calibration
 from dronevio.models.imu import EUROC_IMU
-from dronevio.models.state import NavState
 
 if TYPE_CHECKING:
-    from tests.estimator.conftest import SyntheticFlight
+    from tests.estimator.conftest import KeyframeFeed, SyntheticFlight
 
 DT_S = 0.2
 DENSITY = 2e-3
@@ -117,43 +112,25 @@ def test_preintegration_parameters_follow_the_estimate() -> None:
     for _ in range(500):
         noise.update(expected)
     assert noise.densities == pytest.approx(sheet, rel=1e-3)
-    found = noise.params.to_gtsam()
-    covariances = found.getGyroscopeCovariance(), found.getAccelerometerCovariance()
+    params = noise.params.to_gtsam()
+    covariances = params.getGyroscopeCovariance(), params.getAccelerometerCovariance()
     for covariance, density in zip(covariances, sheet, strict=True):
         np.testing.assert_allclose(covariance, density**2 * np.eye(3), rtol=3e-3)
 
 
 @pytest.mark.parametrize("imu_noise", [1.0, 10.0])
-def test_noise_of_a_flight_is_found(make_flight: Callable[..., "SyntheticFlight"], imu_noise: float) -> None:
-    """The smoother says of every interval that leaves it how well it fits; its noise is that of the simulation."""
+def test_noise_of_a_flight_is_estimated(
+    make_flight: Callable[..., "SyntheticFlight"], keyframe_feed: "type[KeyframeFeed]", imu_noise: float
+) -> None:
+    """The variance components of the intervals that leave a smoother's window give the simulated noise."""
     flight = make_flight(2, rest_s=-5.0, duration_s=15.0, imu_noise=imu_noise)
-    step = 4
-    times = flight.frame_times_ns[::step]
-    first = flight.truth_at(times[:1])
-    start = NavState(
-        int(times[0]),
-        first.Ts_world_imu[0],
-        first.velocity_m_s[0],
-        first.gyro_bias_rad_s[0],
-        first.accel_bias_m_s2[0],
-    )
-    front_end, buffer = flight.front_end(), ImuBuffer()
-    buffer.add(flight.imu)
-    buffer.take_until(start.t_ns)
-    front_end.track(flight.frame(0), np.eye(3))
-    P = InitialSigmas().covariance(start.T_world_imu[:3, :3])
-    smoother = KeyframeSmoother(
-        Calibration(flight.rig), SmootherConfig(), LandmarkConfig(), start, P, front_end.replenish()
-    )
+    start = flight.state_at(int(flight.frame_times_ns[0]))
     noise = ImuNoiseEstimator(flight.rig.imu, PreintegrationConfig(), NoiseEstimationConfig())
-    levels, sheet = [], np.array([flight.rig.imu.gyro_noise_density, flight.rig.imu.accel_noise_density])
-    for k, t_ns in enumerate(times[1:].tolist(), 1):
-        pim = Preintegration(noise.params, smoother.gtsam_state[1])
-        pim.integrate(buffer.take_until(t_ns))
-        front_end.track(flight.frame(step * k), np.eye(3))
-        result = smoother.add_keyframe(t_ns, pim.measurements, front_end.replenish(), stationary=False)
-        noise.update(result.imu_variance)
-        levels.append(noise.densities / sheet)
-    gyro, accel = np.mean(levels[-40:], axis=0)
+    covariance = InitialSigmas().covariance(start.T_world_imu[:3, :3])
+    factors, sheet = [], np.array([flight.rig.imu.gyro_noise_density, flight.rig.imu.accel_noise_density])
+    for feed in keyframe_feed(flight, start, covariance, params=lambda: noise.params):
+        noise.update(feed.results[-1].imu_variance)
+        factors.append(noise.densities / sheet)
+    gyro, accel = np.mean(factors[-40:], axis=0)
     assert gyro == pytest.approx(imu_noise, rel=0.35)
-    assert 0.7 * imu_noise < accel < 1.3 * imu_noise + 1.0  # the flight's IMU is sampled at points: that adds an error
+    assert 0.7 * imu_noise < accel < 1.3 * imu_noise + 1.0  # integration of point samples adds an error

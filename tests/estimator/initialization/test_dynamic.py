@@ -76,7 +76,7 @@ def test_with_noise_it_is_near(make_flight: Callable, seed: int) -> None:
 
 
 def test_turning_on_the_spot_tells_nothing(make_flight: Callable) -> None:
-    still = {"places_m": np.zeros((3, 2))}
+    still = {"positions_m": np.zeros((3, 2))}
     assert isinstance(start_of(make_flight(0, rest_s=-5.0, duration_s=2.0, motion=still)), NotObservable)
     assert isinstance(start_of(make_flight(0, rest_s=-5.0, duration_s=2.0, motion=still, noisy=False)), NotObservable)
 
@@ -92,8 +92,8 @@ def test_constant_velocity_does_not_tell_the_scale(make_flight: Callable, seed: 
     """A sine so slow that it is a line: 1.1 m/s, and plenty of parallax, yet every scale explains what is seen."""
     slow = 1e-4
     line = {
-        "places_m": np.array([[0.9, 0.0], [0.5, 0.0], [0.2, 0.0]]) / slow,
-        "place_rates": np.full((3, 2), slow),
+        "positions_m": np.array([[0.9, 0.0], [0.5, 0.0], [0.2, 0.0]]) / slow,
+        "position_rates": np.full((3, 2), slow),
         "phases": np.zeros((2, 3, 2)),
     }
     flight = make_flight(seed, rest_s=-1.5, duration_s=2.0, noisy=noisy, motion=line)
@@ -103,7 +103,7 @@ def test_constant_velocity_does_not_tell_the_scale(make_flight: Callable, seed: 
 @pytest.mark.parametrize("seed", range(12))
 def test_gentle_flights_are_told_well_or_not_at_all(make_flight: Callable, seed: int) -> None:
     """A few tenths of a m/s² that the accelerometer's bias may well be."""
-    gentle = {"places_m": 0.25 * np.array([[1.5, 0.3], [1.3, 0.35], [0.5, 0.2]])}
+    gentle = {"positions_m": 0.25 * np.array([[1.5, 0.3], [1.3, 0.35], [0.5, 0.2]])}
     flight = make_flight(seed, rest_s=-5.0, duration_s=2.0, pixel_noise=0.3, motion=gentle)
     state = start_of(flight)
     if isinstance(state, NavState):
