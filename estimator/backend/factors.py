@@ -1,4 +1,4 @@
-"""Factors of GTSAM between keyframes, and their place in the smoother's linear system."""
+"""GTSAM's factors between keyframes, and their columns in the smoother's linear system."""
 
 from collections.abc import Mapping
 from typing import NamedTuple, Self

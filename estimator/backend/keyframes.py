@@ -23,8 +23,8 @@ class KeyframeConfig:
     """Smallest share of the last keyframe's features that is still tracked. With fewer, the frame becomes a keyframe
     before `interval_s`."""
     max_innovation_px: float = 2.0
-    """Largest median innovation of the landmarks [px]. Beyond it, after a shock or with a wrong IMU, the frame becomes
-    a keyframe before `interval_s`."""
+    """Largest median innovation of the landmarks [px]. Beyond it, for example after a shock, the frame becomes a
+    keyframe before `interval_s`."""
     min_interval_s: float = 0.1
     """Shortest time to the last keyframe for a keyframe by innovation [s], so that the window does not become short."""
 

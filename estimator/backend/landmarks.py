@@ -65,10 +65,10 @@ class LandmarkDatabase:
         self.ids: Integers = np.zeros(0, np.int64)
         """(L,) Identities of the triangulated landmarks, in increasing order."""
         self.points: Array = np.zeros((0, 3))
-        """(L, 3) Positions of the triangulated landmarks in the world frame [m]; the optimizer replaces them."""
+        """(L, 3) Positions of the triangulated landmarks in the world frame [m]."""
 
     def set_points(self, points: Array) -> None:
-        """Set the positions (L, 3) of all landmarks [m], after a step of the optimization."""
+        """Set the positions (L, 3) of all triangulated landmarks in the world frame [m]."""
         self.points = points
 
     def add_observations(self, k: int, observations: Observations) -> None:
@@ -98,7 +98,7 @@ class LandmarkDatabase:
         Args:
             cameras: Poses of the rig's cameras at each keyframe.
             newest: The keyframe that observes the landmarks to triangulate.
-            retriangulate: Whether to triangulate all landmarks anew, also those of other keyframes.
+            retriangulate: Whether to triangulate all landmarks again, also those of other keyframes.
 
         Returns:
             The identities of the outliers, which are removed.
@@ -129,8 +129,8 @@ class LandmarkDatabase:
     def reject_outliers(self, residual: Array, depth_m: Array, observations: ObservationTable) -> Integers:
         """Remove the landmarks whose reprojection errors are too large, and return their identities.
 
-        The limit scales with the median error of the keyframe: where all landmarks are off, the pose of the keyframe
-        is wrong and not a landmark.
+        The limit scales with the median error of the keyframe: where all errors are large, the pose of the keyframe is
+        inaccurate, and not the landmarks.
 
         Args:
             residual: (N, 2) Residuals of observations of triangulated landmarks, in normalized coordinates.

@@ -17,7 +17,7 @@ States = Mapping[int, KeyframeState]
 
 IMU_ROBUST_SIGMAS = 5.0
 """Standard deviations at which the excess of a factor's residual halves its weight, as in Cauchy's loss, because the
-IMU is wrong after a shock, a saturation or a gap."""
+IMU is unreliable after a shock, a saturation or a gap."""
 
 
 @dataclass(frozen=True, eq=False)

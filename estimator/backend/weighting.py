@@ -25,7 +25,7 @@ def robust_thresholds(squared: Array, keyframe: Integers, robust_sigmas: float) 
     """Return the residuals (N,) at which Cauchy's loss halves the weight, in assumed standard deviations.
 
     The threshold scales with the median residual of the keyframe: where most residuals of a keyframe are large, its
-    pose is wrong and none of its observations is an outlier.
+    pose is inaccurate and none of its observations is an outlier.
 
     Args:
         squared: (N,) Squared residuals in units of the assumed variance.

@@ -118,11 +118,11 @@ class Window:
 
     @property
     def estimates(self) -> tuple[dict[int, KeyframeState], Array]:
-        """The current estimates of the states and the landmarks, for `restore`."""
+        """Current estimates of the keyframes and of the landmarks (L, 3), for `restore`."""
         return self.states, self.landmarks.points
 
     def restore(self, estimates: tuple[dict[int, KeyframeState], Array]) -> None:
-        """Return to earlier estimates of the same keyframes and landmarks."""
+        """Set the estimates to earlier ones of the same keyframes and landmarks."""
         self.states, points = estimates
         self.landmarks.set_points(points)
 

@@ -39,8 +39,8 @@ class Increments:
     accel_m_s2: Array
     """(N, 3) Mean specific force in the IMU frame at the start of the interval [m/s²]."""
     excess_sigma: Array = field(default_factory=lambda: np.zeros((1, 6)))
-    """(N, 6), or (1, 6) for all intervals. Standard deviations of errors of the angular velocity [rad/s] and specific
-    force [m/s²] beyond the sensor's noise, due to saturation or gaps."""
+    """(N, 6) or (1, 6) Standard deviations of errors of the angular velocity [rad/s] and specific force [m/s²] beyond
+    the sensor's noise, due to saturation or gaps; one row holds for all intervals."""
 
     @property
     def is_degraded(self) -> bool:

@@ -55,7 +55,7 @@ def window(
         landmarks.add_observations(k, Observations(ids, FOCAL_PX * xy, xy, ages, zncc=znccs, scale=scales))
     assert len(landmarks.triangulate(made.cameras, newest=KEYFRAMES - 1)) == 0
     if noise_sigmas > 0.0:
-        landmarks.points = points
+        landmarks.set_points(points)
     return made
 
 
