@@ -31,7 +31,7 @@ from typing import Annotated, Literal
 
 import numpy as np
 import tyro
-from markdown import table
+from markdown_tables import table
 from revision_differences import ABSENT, Arrays, Difference, differences
 from revision_probe import VERSION
 from rich.console import Console

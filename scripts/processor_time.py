@@ -23,7 +23,7 @@ from typing import Any
 import numpy as np
 import tyro
 from estimation_tasks import CAMERAS, ONE_THREAD, Mode, provenance
-from markdown import table, text
+from markdown_tables import table, text
 from profiler import OUTSIDE, Profile
 from repeated_recording import RepeatedRecording
 

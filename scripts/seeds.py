@@ -18,7 +18,7 @@ from typing import Any
 import numpy as np
 import psutil
 import tyro
-from markdown import table
+from markdown_tables import table
 
 SAMPLE_EVERY_S = 0.1
 README = Path(__file__).resolve().parents[1] / "README.md"

@@ -30,7 +30,7 @@ from estimation_tasks import (
     run_all,
     write_json,
 )
-from markdown import geometric_mean, median, numbers, table, text
+from markdown_tables import geometric_mean, median, numbers, table, text
 from run_metrics import RunMetrics, failures
 
 STARTS_S = {"V1_02": 0, "V2_01": 0, "MH_04": 15}

@@ -21,7 +21,7 @@ from pathlib import Path
 
 import tyro
 from estimation_tasks import EstimationTask, Mode, provenance, run_all, write_json
-from markdown import median, numbers, table, text
+from markdown_tables import median, numbers, table, text
 from run_metrics import RunMetrics, failures
 
 from dronevio.eval.metrics.consistency import nees_bounds

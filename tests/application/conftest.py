@@ -1,4 +1,4 @@
-"""One flight for all tests of the door, flown once."""
+"""Commands called as on the command line, and one flight that all tests share."""
 
 import contextlib
 import io
@@ -15,20 +15,29 @@ from dronevio.cli import main
 
 @dataclass(frozen=True)
 class Result:
-    """What a command left, and what it printed."""
+    """The result of a command."""
 
     folder: Path
+    """Folder or file of the result."""
     out: str
+    """Text on standard output."""
     err: str
+    """Text on standard error."""
 
     @property
     def document(self) -> dict[str, Any]:
-        """What was printed, as JSON."""
-        return json.loads(self.out)
+        """JSON document on standard output."""
+        document: dict[str, Any] = json.loads(self.out)
+        return document
 
 
-def carry_out(folder: Path, *arguments: str | Path) -> Result:
-    """Run a command that is expected to do well and to leave its result in a folder."""
+def run_successfully(folder: Path, *arguments: str | Path) -> Result:
+    """Run a command, check that it succeeds, and return its result.
+
+    Args:
+        folder: Folder or file to which the command writes.
+        arguments: The words after ``dronevio``.
+    """
     with contextlib.redirect_stdout(io.StringIO()) as out, contextlib.redirect_stderr(io.StringIO()) as err:
         status = main([str(argument) for argument in arguments])
     assert status == 0, err.getvalue()
@@ -36,13 +45,13 @@ def carry_out(folder: Path, *arguments: str | Path) -> Result:
 
 
 @pytest.fixture(scope="session")
-def do() -> Callable[..., Result]:
-    """Carries out a command: takes the folder that it writes to, and the command line."""
-    return carry_out
+def run_command() -> Callable[..., Result]:
+    """The function `run_successfully`."""
+    return run_successfully
 
 
 @pytest.fixture(scope="session")
 def flown(tmp_path_factory: pytest.TempPathFactory) -> Result:
-    """The short flight of seed 0: an EuRoC folder. Look at it, do not write into it."""
+    """The recording of the scenario ``short`` with seed 0, an EuRoC folder that tests must not change."""
     folder = tmp_path_factory.mktemp("flown") / "flight"
-    return carry_out(folder, "fly", "--scenario", "short", "--out", folder, "--json")
+    return run_successfully(folder, "fly", "--scenario", "short", "--out", folder, "--json")

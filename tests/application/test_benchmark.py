@@ -21,8 +21,8 @@ from dronevio.eval.benchmark.store import ResultStore
 from dronevio.models.errors import ConfigError, EvaluationError, InputError
 from dronevio.registry import ESTIMATORS, estimator_named
 
-Result = Any  # of conftest, which cannot be imported
-Do = Callable[..., Result]
+Result = Any  # the class of conftest, which cannot be imported
+CommandRunner = Callable[..., Result]
 
 PROGRAM = '''
 """Stands in for somebody's estimator: a bit off the truth, which the test, not the benchmark, tells it."""
@@ -70,12 +70,12 @@ def external(place: Path, flown: Result) -> Callable[[str, str], str]:
 
 
 @pytest.fixture(scope="module")
-def many(place: Path, flown: Result, external: Callable[[str, str], str], do: Do) -> Result:
+def many(place: Path, flown: Result, external: Callable[[str, str], str], run_command: CommandRunner) -> Result:
     """One flight and every kind of estimator; in two commands, as only one of them has to wait for the time to pass."""
     named = [external(how, how) for how in ("1.0", "segfault", "refuse", "lie")]
     common = ("--recordings", flown.folder, "--out", place / "many", "--workers", "2", "--json")
-    first = do(place / "many", "benchmark", "--estimators", "vio,dead-reckoning", *named, *common)
-    do(place / "many", "benchmark", "--estimators", external("hang", "hang"), *common, "--timeout-s", "3")
+    first = run_command(place / "many", "benchmark", "--estimators", "vio,dead-reckoning", *named, *common)
+    run_command(place / "many", "benchmark", "--estimators", external("hang", "hang"), *common, "--timeout-s", "3")
     return first
 
 
@@ -112,11 +112,13 @@ def test_every_run_is_a_row_however_it_ended(many: Result) -> None:
     assert many.document["rows"] == printed
 
 
-def test_the_numbers_are_those_of_the_other_commands(many: Result, flown: Result, place: Path, do: Do) -> None:
+def test_the_numbers_are_those_of_the_other_commands(
+    many: Result, flown: Result, place: Path, run_command: CommandRunner
+) -> None:
     row = by_estimator(many.folder)["vio"]
     estimate = place / "estimate.tum"
-    do(place, "estimate", flown.folder, "--out", estimate, "--json")
-    scores = do(place, "evaluate", flown.folder, estimate, "--json").document
+    run_command(place, "estimate", flown.folder, "--out", estimate, "--json")
+    scores = run_command(place, "evaluate", flown.folder, estimate, "--json").document
     for name in ("ate_m", "ate_deg", "rpe_m", "rpe_deg"):
         assert getattr(row, name) == pytest.approx(scores[name]["rmse"], rel=1e-4, abs=1e-6)
     assert row.coverage_percent == scores["coverage_percent"] == 100.0
@@ -178,17 +180,17 @@ def test_killed_in_the_middle_it_goes_on_with_what_is_missing(
     assert [how for how, *_ in notes(place)[first:]] == ["1.0", "hang", "hang"]
 
 
-def test_scenarios_are_flown_once_and_kept(place: Path, flown: Result, do: Do) -> None:
+def test_scenarios_are_flown_once_and_kept(place: Path, flown: Result, run_command: CommandRunner) -> None:
     cache, common = place / "cache", ["--scenarios", "short", "--seeds", "1"]
     where = ["--cache", cache, "--out", place / "flown", "--json"]
-    (first,) = do(place, "benchmark", *common, *where, "--estimators", "dead-reckoning").document["rows"]
+    (first,) = run_command(place, "benchmark", *common, *where, "--estimators", "dead-reckoning").document["rows"]
     assert (first["scenario"], first["world"], first["seed"], first["status"]) == ("short-v0", "room", 0, "ok")
     (kept,) = [entry for entry in cache.iterdir() if entry.is_dir()]
     assert kept.name == first["recording"]
     for file in flown.folder.rglob("*.png"):
         assert (kept / file.relative_to(flown.folder)).read_bytes() == file.read_bytes()
     drawn = {file: file.stat().st_mtime_ns for file in kept.rglob("*.png")}
-    sized = do(place, "benchmark", *common, *where, "--sizing", "--estimators", "dead-reckoning").document
+    sized = run_command(place, "benchmark", *common, *where, "--sizing", "--estimators", "dead-reckoning").document
     assert {file: file.stat().st_mtime_ns for file in kept.rglob("*.png")} == drawn
     one = sized["measured"]["flight"]
     assert one["cpu_s"] > 1.0
@@ -199,12 +201,16 @@ def test_scenarios_are_flown_once_and_kept(place: Path, flown: Result, do: Do) -
 
 
 def test_compare_and_gate(
-    place: Path, flown: Result, external: Callable[[str, str], str], do: Do, capsys: pytest.CaptureFixture[str]
+    place: Path,
+    flown: Result,
+    external: Callable[[str, str], str],
+    run_command: CommandRunner,
+    capsys: pytest.CaptureFixture[str],
 ) -> None:
     folders = [place / name for name in ("baseline", "same", "worse", "crash")]
     for folder, how in zip(folders, ("1.10", "1.1", "1.2", "segfault"), strict=True):
         estimators = ["--estimators", external("mine", how)]
-        do(folder, "benchmark", "--recordings", flown.folder, *estimators, "--out", folder, "--json")
+        run_command(folder, "benchmark", "--recordings", flown.folder, *estimators, "--out", folder, "--json")
     baseline, same, worse, crash = map(str, folders)
     assert main(["gate", same, "--baseline", f"{baseline}/results.parquet", "--max-regression", "5%"]) == 0
     assert "gate passed" in capsys.readouterr().out
@@ -334,7 +340,7 @@ def test_without_ray_its_engine_says_what_to_install(
 def alive(pid: str) -> bool:
     """Whether a process runs; a zombie that nobody has buried yet does not."""
     try:
-        return psutil.Process(int(pid)).status() != psutil.STATUS_ZOMBIE
+        return bool(psutil.Process(int(pid)).status() != psutil.STATUS_ZOMBIE)
     except psutil.NoSuchProcess:
         return False
 

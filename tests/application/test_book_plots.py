@@ -1,11 +1,11 @@
-"""The pictures of the book's experiments."""
+"""Geometry of the plots of the book's experiments."""
 
 import numpy as np
 
 from dronevio.book.plots import frustum
 
 
-def test_a_frustum_spans_from_the_camera_to_the_image_plane() -> None:
+def test_frustum_spans_from_the_camera_to_the_image_plane() -> None:
     T = np.eye(4)
     T[:3, 3] = [1.0, 2.0, 3.0]
     edges = frustum(T, focal_px=100.0, width_px=80, height_px=60, depth=0.5)

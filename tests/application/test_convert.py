@@ -1,4 +1,4 @@
-"""dronevio convert, by its door."""
+"""``dronevio convert``: conversions are lossless, and errors are one line."""
 
 import json
 from collections.abc import Callable
@@ -22,17 +22,17 @@ def flight(tmp_path: Path, noise_recording: Callable[..., Any]) -> Path:
     return tmp_path / "flight"
 
 
-def test_there_and_back_is_the_same_to_the_bit(
-    tmp_path: Path, flight: Path, do: Callable[..., Any], assert_same_recording: Callable[..., None]
+def test_conversions_are_lossless(
+    tmp_path: Path, flight: Path, run_command: Callable[..., Any], assert_same_recording: Callable[..., None]
 ) -> None:
     original = open_recording(flight)
-    said = do(tmp_path, "convert", flight, tmp_path / "a.mcap", "--json").document
-    assert said["to"] == "mcap" and said["complete"] is True
-    assert (said["cameras"], said["frames"], said["imu_samples"], said["poses"]) == (2, 4, 40, 40)
-    assert said["size_mb"] == pytest.approx((tmp_path / "a.mcap").stat().st_size * 1e-6)
-    do(tmp_path, "convert", tmp_path / "a.mcap", tmp_path / "bag", "--to", "bag", "--images", "png")
-    do(tmp_path, "convert", tmp_path / "bag", tmp_path / "old", "--to", "bag-sqlite")
-    do(tmp_path, "convert", tmp_path / "old", tmp_path / "back", "--to", "euroc")
+    document = run_command(tmp_path, "convert", flight, tmp_path / "a.mcap", "--json").document
+    assert document["to"] == "mcap" and document["complete"] is True
+    assert [document[name] for name in ("cameras", "frames", "imu_samples", "poses")] == [2, 4, 40, 40]
+    assert document["size_mb"] == pytest.approx((tmp_path / "a.mcap").stat().st_size * 1e-6)
+    run_command(tmp_path, "convert", tmp_path / "a.mcap", tmp_path / "bag", "--to", "bag", "--images", "png")
+    run_command(tmp_path, "convert", tmp_path / "bag", tmp_path / "old", "--to", "bag-sqlite")
+    run_command(tmp_path, "convert", tmp_path / "old", tmp_path / "back", "--to", "euroc")
     for name in ("a.mcap", "bag", "old", "back"):
         assert_same_recording(open_recording(tmp_path / name), original)
     tables = [path.relative_to(flight) for path in flight.rglob("*") if path.suffix in (".csv", ".yaml")]
@@ -41,8 +41,8 @@ def test_there_and_back_is_the_same_to_the_bit(
         assert (tmp_path / "back" / table).read_bytes() == (flight / table).read_bytes(), table
 
 
-def test_the_truth_alone(tmp_path: Path, flight: Path, do: Callable[..., Any]) -> None:
-    shown = do(tmp_path, "convert", flight, tmp_path / "truth.tum").out
+def test_ground_truth_is_converted_alone(tmp_path: Path, flight: Path, run_command: Callable[..., Any]) -> None:
+    shown = run_command(tmp_path, "convert", flight, tmp_path / "truth.tum").out
     assert "true poses" in shown and "wrote" in shown
     truth = open_recording(flight).ground_truth
     assert truth is not None
@@ -50,34 +50,36 @@ def test_the_truth_alone(tmp_path: Path, flight: Path, do: Callable[..., Any]) -
 
 
 @pytest.mark.parametrize("program", CONFIGURATIONS)
-def test_calibrations_of_other_programs(tmp_path: Path, flight: Path, do: Callable[..., Any], program: str) -> None:
-    do(tmp_path, "convert", flight, tmp_path / program, "--to", program)
+def test_calibrations_are_written_for_other_programs(
+    tmp_path: Path, flight: Path, run_command: Callable[..., Any], program: str
+) -> None:
+    run_command(tmp_path, "convert", flight, tmp_path / program, "--to", program)
     recording = open_recording(flight)
     written = {path.name: path.read_text() for path in (tmp_path / program).iterdir()}
     assert written == CONFIGURATIONS[program](recording.rig, recording.frame_times_ns)
 
 
-def test_what_kalibr_gets_is_the_rig(tmp_path: Path, flight: Path, do: Callable[..., Any]) -> None:
-    do(tmp_path, "convert", flight, tmp_path / "kalibr", "--to", "kalibr")
+def test_kalibr_files_describe_the_rig(tmp_path: Path, flight: Path, run_command: Callable[..., Any]) -> None:
+    run_command(tmp_path, "convert", flight, tmp_path / "kalibr", "--to", "kalibr")
     for path in (tmp_path / "kalibr", tmp_path / "kalibr" / "camchain.yaml", flight):
         rig = read_rig(path)
         np.testing.assert_array_equal(rig.cameras[1].T_imu_cam, open_recording(flight).rig.cameras[1].T_imu_cam)
 
 
-def test_an_incomplete_recording_is_said_to_be(tmp_path: Path, flight: Path, do: Callable[..., Any]) -> None:
+def test_incomplete_recordings_are_reported(tmp_path: Path, flight: Path, run_command: Callable[..., Any]) -> None:
     (flight / "mav0" / INCOMPLETE).touch()
     next(iter((flight / "mav0" / "cam1" / "data").iterdir())).unlink()
-    said = do(tmp_path, "convert", flight, tmp_path / "a.mcap", "--json").document
-    assert said["complete"] is False and said["frames"] == 3
-    assert "incomplete" in do(tmp_path, "convert", flight, tmp_path / "b.mcap").out
+    document = run_command(tmp_path, "convert", flight, tmp_path / "a.mcap", "--json").document
+    assert document["complete"] is False and document["frames"] == 3
+    assert "incomplete" in run_command(tmp_path, "convert", flight, tmp_path / "b.mcap").out
 
 
-def test_one_camera_of_two(tmp_path: Path, flight: Path, do: Callable[..., Any]) -> None:
-    do(tmp_path, "convert", flight, tmp_path / "a.mcap", "--cameras", 1)
+def test_cameras_can_be_left_out(tmp_path: Path, flight: Path, run_command: Callable[..., Any]) -> None:
+    run_command(tmp_path, "convert", flight, tmp_path / "a.mcap", "--cameras", 1)
     assert len(open_recording(tmp_path / "a.mcap").rig.cameras) == 1
 
 
-def refused(capsys: pytest.CaptureFixture[str], *arguments: object) -> str:
+def error_of(capsys: pytest.CaptureFixture[str], *arguments: object) -> str:
     capsys.readouterr()
     assert main([str(argument) for argument in arguments]) == 2
     captured = capsys.readouterr()
@@ -85,24 +87,24 @@ def refused(capsys: pytest.CaptureFixture[str], *arguments: object) -> str:
     return captured.err
 
 
-def test_nothing_is_lost_unasked(
-    tmp_path: Path, flight: Path, do: Callable[..., Any], capsys: pytest.CaptureFixture[str]
+def test_nothing_is_overwritten_without_the_option(
+    tmp_path: Path, flight: Path, run_command: Callable[..., Any], capsys: pytest.CaptureFixture[str]
 ) -> None:
-    forms = {"a.mcap": "mcap", "bag": "bag", "euroc": "euroc", "a.tum": "tum", "kalibr": "kalibr"}
-    for name, form in forms.items():
-        do(tmp_path, "convert", flight, tmp_path / name, "--to", form)
-        assert "--overwrite" in refused(capsys, "convert", flight, tmp_path / name, "--to", form)
-        do(tmp_path, "convert", flight, tmp_path / name, "--to", form, "--overwrite")
+    formats = {"a.mcap": "mcap", "bag": "bag", "euroc": "euroc", "a.tum": "tum", "kalibr": "kalibr"}
+    for name, form in formats.items():
+        run_command(tmp_path, "convert", flight, tmp_path / name, "--to", form)
+        assert "--overwrite" in error_of(capsys, "convert", flight, tmp_path / name, "--to", form)
+        run_command(tmp_path, "convert", flight, tmp_path / name, "--to", form, "--overwrite")
     (tmp_path / "mine").mkdir()
     (tmp_path / "mine" / "letter").write_text("dear")
     for form in ("bag", "euroc", "kalibr"):
-        refused(capsys, "convert", flight, tmp_path / "mine", "--to", form, "--overwrite", "--json")
+        error_of(capsys, "convert", flight, tmp_path / "mine", "--to", form, "--overwrite", "--json")
     assert (tmp_path / "mine" / "letter").read_text() == "dear"
-    assert sorted(path.name for path in tmp_path.iterdir()) == sorted(["flight", "mine", *forms])
+    assert sorted(path.name for path in tmp_path.iterdir()) == sorted(["flight", "mine", *formats])
 
 
 @pytest.mark.parametrize(
-    ("arguments", "found"),
+    ("arguments", "message"),
     [
         (["missing", "a.mcap"], "no such file or folder"),
         (["flight", "somewhere"], "expected --to"),
@@ -117,23 +119,25 @@ def test_bad_input_is_one_line(
     monkeypatch: pytest.MonkeyPatch,
     capsys: pytest.CaptureFixture[str],
     arguments: list[str],
-    found: str,
+    message: str,
 ) -> None:
     monkeypatch.chdir(flight.parent)
-    said = refused(capsys, "convert", *arguments, "--json")
-    assert found in said and said.count("\n") == 1
+    error = error_of(capsys, "convert", *arguments, "--json")
+    assert message in error and error.count("\n") == 1
     assert [path.name for path in flight.parent.iterdir()] == ["flight"]
 
 
-def test_without_truth_there_is_no_tum(
+def test_recording_without_truth_has_no_tum_file(
     tmp_path: Path, noise_recording: Callable[..., Any], capsys: pytest.CaptureFixture[str]
 ) -> None:
     write_euroc_recording(tmp_path / "flight", replace(noise_recording(), ground_truth=None))
-    assert "no ground truth" in refused(capsys, "convert", tmp_path / "flight", tmp_path / "a.tum", "--json")
+    assert "no ground truth" in error_of(capsys, "convert", tmp_path / "flight", tmp_path / "a.tum", "--json")
 
 
-def test_an_estimate_is_evaluated_against_a_bag(tmp_path: Path, flight: Path, do: Callable[..., Any]) -> None:
-    do(tmp_path, "convert", flight, tmp_path / "a.mcap")
-    do(tmp_path, "convert", flight, tmp_path / "truth.tum")
-    said = do(tmp_path, "evaluate", tmp_path / "a.mcap", tmp_path / "truth.tum", "--json")
-    assert json.loads(said.out)["ate_m"]["rmse"] == pytest.approx(0.0, abs=1e-9)
+def test_bag_is_the_ground_truth_of_an_evaluation(
+    tmp_path: Path, flight: Path, run_command: Callable[..., Any]
+) -> None:
+    run_command(tmp_path, "convert", flight, tmp_path / "a.mcap")
+    run_command(tmp_path, "convert", flight, tmp_path / "truth.tum")
+    result = run_command(tmp_path, "evaluate", tmp_path / "a.mcap", tmp_path / "truth.tum", "--json")
+    assert json.loads(result.out)["ate_m"]["rmse"] == pytest.approx(0.0, abs=1e-9)

@@ -16,28 +16,30 @@ from dronevio.models.recordings.tum import read_tum
 from dronevio.registry import ESTIMATORS, estimator_named
 from dronevio.sim.scenario import Scenario
 
-Result = Any  # of conftest, which cannot be imported
-Do = Callable[..., Result]
+Result = Any  # the class of conftest, which cannot be imported
+CommandRunner = Callable[..., Result]
 
 
 @pytest.fixture(scope="module")
-def stereo(tmp_path_factory: pytest.TempPathFactory, do: Do) -> Result:
-    """The short flight of seed 0 with two cameras: flown, estimated and scored; its recording is kept."""
+def stereo(tmp_path_factory: pytest.TempPathFactory, run_command: CommandRunner) -> Result:
+    """A run of the short flight of seed 0 with two cameras and its recording."""
     folder = tmp_path_factory.mktemp("stereo") / "run"
     words = ("--scenario", "short", "--rig", "euroc-stereo", "--out", folder, "--keep-recording", "--json")
-    return do(folder, "run", *words)
+    return run_command(folder, "run", *words)
 
 
 @pytest.fixture(scope="module")
-def rows(stereo: Result, tmp_path_factory: pytest.TempPathFactory, do: Do) -> dict[str, dict[str, Any]]:
-    """What every estimator of the house makes of it."""
+def rows(
+    stereo: Result, tmp_path_factory: pytest.TempPathFactory, run_command: CommandRunner
+) -> dict[str, dict[str, Any]]:
+    """Benchmark rows of all estimators on this recording, by the name of the estimator."""
     out = tmp_path_factory.mktemp("benchmarks") / "stereo"
     names = ",".join(ESTIMATORS)
     words = ("--recordings", stereo.folder / "recording", "--estimators", names, "--out", out, "--json")
-    return {row["estimator"]: row for row in do(out, "benchmark", *words).document["rows"]}
+    return {row["estimator"]: row for row in run_command(out, "benchmark", *words).document["rows"]}
 
 
-def test_every_estimator_of_the_house_has_a_row(rows: dict[str, dict[str, Any]]) -> None:
+def test_every_estimator_has_a_row(rows: dict[str, dict[str, Any]]) -> None:
     assert set(rows) == {"vio", "vio-stereo", "eqvio", "dead-reckoning"}
     assert {row["status"] for row in rows.values()} == {"ok"}, [row["reason"] for row in rows.values()]
     assert all(row["coverage_percent"] == 100.0 for row in rows.values())
@@ -46,47 +48,51 @@ def test_every_estimator_of_the_house_has_a_row(rows: dict[str, dict[str, Any]])
     assert max(rows["vio"]["ate_m"], rows["vio-stereo"]["ate_m"]) < rows["eqvio"]["ate_m"] < 0.2
 
 
-def test_all_cameras_are_used_unless_fewer_are_asked_for(
-    stereo: Result, rows: dict[str, dict[str, Any]], do: Do, tmp_path: Path
+def test_all_cameras_are_used_by_default(
+    stereo: Result, rows: dict[str, dict[str, Any]], run_command: CommandRunner, tmp_path: Path
 ) -> None:
     recording = stereo.folder / "recording"
     poses = {}
     for cameras, estimator in ((), "vio-stereo"), (("--cameras", "1"), "vio"):
         out = tmp_path / f"{estimator}.tum"
-        document = do(tmp_path, "estimate", recording, *cameras, "--out", out, "--json").document
+        document = run_command(tmp_path, "estimate", recording, *cameras, "--out", out, "--json").document
         assert document["cameras"] == (1 if cameras else 2)
-        scores = do(tmp_path, "evaluate", recording, out, "--json").document
+        scores = run_command(tmp_path, "evaluate", recording, out, "--json").document
         assert scores["ate_m"]["rmse"] == pytest.approx(rows[estimator]["ate_m"], rel=1e-4, abs=1e-6)
         poses[estimator] = read_tum(out)
     assert not np.array_equal(poses["vio"].p_world_imu[-100:], poses["vio-stereo"].p_world_imu[-100:])
     assert (tmp_path / "vio-stereo.tum").read_bytes() == (stereo.folder / "estimate.tum").read_bytes()
 
 
-def test_poses_at_imu_rate_are_as_accurate_as_those_of_frames(stereo: Result, do: Do, tmp_path: Path) -> None:
+def test_poses_at_imu_rate_are_as_accurate_as_at_frames(
+    stereo: Result, run_command: CommandRunner, tmp_path: Path
+) -> None:
     recording, files = stereo.folder / "recording", (tmp_path / "frames.tum", tmp_path / "imu.tum")
-    shown = do(tmp_path, "estimate", recording, "--cameras", "1", "--out", files[0], "--imu-rate", files[1])
+    shown = run_command(tmp_path, "estimate", recording, "--cameras", "1", "--out", files[0], "--imu-rate", files[1])
     assert f"wrote {files[0]} and {files[1]}" in shown.out
     frames, samples = (read_tum(path) for path in files)
     assert len(samples) > 9 * len(frames) and frames.t_ns[0] < samples.t_ns[0] < frames.t_ns[1]
-    scores = [do(tmp_path, "evaluate", recording, path, "--json").document["ate_m"]["rmse"] for path in files]
+    scores = [run_command(tmp_path, "evaluate", recording, path, "--json").document["ate_m"]["rmse"] for path in files]
     assert scores[1] < 1.2 * scores[0]
-    document = do(tmp_path, "estimate", recording, "--out", files[0], "--imu-rate", files[1], "--json").document
+    document = run_command(
+        tmp_path, "estimate", recording, "--out", files[0], "--imu-rate", files[1], "--json"
+    ).document
     assert document["imu_rate"] == str(files[1]) and document["imu_rate_poses"] == len(samples)
     assert sum(document["health"].values()) == document["frames"] and document["health"]["tracking"] > 80
 
 
-def test_what_never_starts_says_why(stereo: Result, tmp_path: Path, capsys: Any) -> None:
-    """A moment of it only, in which the drone has not stood still for long enough."""
-    moment = tmp_path / "moment"
-    shutil.copytree(stereo.folder / "recording", moment, ignore=shutil.ignore_patterns("cam1"))
-    table = moment / "mav0" / "cam0" / "data.csv"
+def test_error_states_why_there_is_no_pose(stereo: Result, tmp_path: Path, capsys: Any) -> None:
+    """The first frames alone, in which the drone is not stationary for long enough."""
+    beginning = tmp_path / "beginning"
+    shutil.copytree(stereo.folder / "recording", beginning, ignore=shutil.ignore_patterns("cam1"))
+    table = beginning / "mav0" / "cam0" / "data.csv"
     table.write_text("".join(table.read_text(encoding="utf-8").splitlines(keepends=True)[:9]))
-    assert main(["estimate", str(moment), "--cameras", "1", "--out", str(tmp_path / "x.tum")]) != 0
-    said = capsys.readouterr().err
-    assert "no pose after 8 frames (" in said and "s are needed" in said
+    assert main(["estimate", str(beginning), "--cameras", "1", "--out", str(tmp_path / "x.tum")]) != 0
+    error = capsys.readouterr().err
+    assert "no pose after 8 frames (" in error and "s are needed" in error
 
 
-def test_more_cameras_than_there_are_is_bad_input(stereo: Result, flown: Result, capsys: Any, tmp_path: Path) -> None:
+def test_number_of_cameras_is_checked(stereo: Result, flown: Result, capsys: Any, tmp_path: Path) -> None:
     for recording, cameras, found in (
         (stereo.folder / "recording", "3", "has 2"),
         (flown.folder, "2", "has 1"),
@@ -99,7 +105,7 @@ def test_more_cameras_than_there_are_is_bad_input(stereo: Result, flown: Result,
     assert list(tmp_path.iterdir()) == []
 
 
-def test_a_benchmark_flies_other_rigs(capsys: Any) -> None:
+def test_benchmark_simulates_other_rigs(capsys: Any) -> None:
     (mono,), (both,) = (scenario_flights(["short"], [0], rig) for rig in (None, "euroc-stereo"))
     assert mono.recording != both.recording and mono.scenario == both.scenario
     assert isinstance(both.source, Scenario) and len(both.source.rig.cameras) == 2
@@ -109,7 +115,7 @@ def test_a_benchmark_flies_other_rigs(capsys: Any) -> None:
     assert "a recording has its own rig" in capsys.readouterr().err
 
 
-def test_the_report_of_a_run_says_what_was_used(stereo: Result) -> None:
+def test_configuration_of_a_run_has_its_rig(stereo: Result) -> None:
     configuration = json.loads((stereo.folder / "configuration.json").read_text(encoding="utf-8"))
     assert len(configuration["scenario"]["rig"]["cameras"]) == 2
     assert stereo.document["scores"]["ate_m"]["rmse"] < 0.03

@@ -1,3 +1,5 @@
+"""``dronevio evaluate``: scores of files in all formats, and errors for damaged ones."""
+
 import json
 import shutil
 import subprocess
@@ -26,7 +28,7 @@ GROUND_TRUTH = Path("mav0") / "state_groundtruth_estimate0" / "data.csv"
 
 @pytest.fixture
 def flight(tmp_path: Path) -> Path:
-    """A folder with an EuRoC flight of 8 s, and an estimate that misses its first 4 s, is 5 % too large and tilted."""
+    """An EuRoC folder of 8 s, beside an estimate without the first 4 s that is 5 % too large and tilted."""
     t_ns = START_NS + 5_000_000 * np.arange(1601)
     t = (t_ns - START_NS) * 1e-9
     p = np.stack([2 * np.sin(t), np.sin(2 * t), 0.3 * np.sin(3 * t)], axis=1)
@@ -45,7 +47,7 @@ def flight(tmp_path: Path) -> Path:
     return folder
 
 
-def test_scores_for_people(flight: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_tables_have_scores_with_units(flight: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["evaluate", str(flight), str(flight.parent / "estimate.tum")]) == 0
     out = capsys.readouterr().out
     for text in (
@@ -59,7 +61,7 @@ def test_scores_for_people(flight: Path, capsys: pytest.CaptureFixture[str]) -> 
         assert text in out
 
 
-def test_scores_for_machines_agree_whatever_the_format(flight: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_scores_do_not_depend_on_the_format(flight: Path, capsys: pytest.CaptureFixture[str]) -> None:
     estimate = str(flight.parent / "estimate.tum")
     documents = []
     for truth in (flight, flight / "mav0", flight / GROUND_TRUTH, flight.parent / "truth.tum"):
@@ -69,22 +71,22 @@ def test_scores_for_machines_agree_whatever_the_format(flight: Path, capsys: pyt
         assert document["ate_m"] == documents[0]["ate_m"] and document["rpe_m"] == documents[0]["rpe_m"]
         assert document["scale_error_percent"] == pytest.approx(5.0)
         assert document["n_poses"] == 81 and document["first_s"] == 4.0
-    # Of 161 frames 100 are later than 3 s after the first; only a folder knows them.
+    # Of 161 frames, 100 are later than 3 s after the first. Only a folder contains the frames.
     assert [document["coverage_percent"] for document in documents[2:]] == [None, None]
     assert documents[0]["coverage_percent"] == documents[1]["coverage_percent"] == 81.0
 
 
-def test_takes_the_alignment_that_is_asked_for(flight: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_alignment_is_the_selected_one(flight: Path, capsys: pytest.CaptureFixture[str]) -> None:
     errors = {}
     for mode in ("none", "yaw", "se3", "sim3"):
         arguments = [str(flight), str(flight.parent / "estimate.tum"), "--alignment", mode, "--json"]
         assert main(["evaluate", *arguments]) == 0
         errors[mode] = json.loads(capsys.readouterr().out)["ate_m"]["rmse"]
-    assert errors["none"] == pytest.approx(3 * np.sqrt(3), rel=0.02)  # the shift by (3, 3, 3)
+    assert errors["none"] == pytest.approx(3 * np.sqrt(3), rel=0.02)  # the translation by (3, 3, 3)
     assert errors["none"] > errors["yaw"] > errors["se3"] > 0.01 > 1e-9 > errors["sim3"]
 
 
-def test_help_has_examples(capsys: pytest.CaptureFixture[str]) -> None:
+def test_help_has_options_and_examples(capsys: pytest.CaptureFixture[str]) -> None:
     with pytest.raises(SystemExit) as caught:
         main(["evaluate", "--help"])
     assert caught.value.code == 0
@@ -106,22 +108,22 @@ def test_evaluation_loads_no_heavy_package(flight: Path) -> None:
     )
 
 
-def test_reads_kitti_files_with_and_without_times(flight: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    """A level drive of 900 m: its world is the camera's, x right, y down and z forward."""
+def test_kitti_files_are_read_with_and_without_times(flight: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """A horizontal drive of 900 m in the camera's world frame: x right, y down, z forward."""
     folder, n = flight.parent, 901
     p = np.outer(np.arange(n), [0.0, 0.0, 1.0]) + np.outer(20.0 * np.sin(0.02 * np.arange(n)), [1.0, 0.0, 0.0])
     quat_wxyz = quat_wxyz_from_matrix(exp_so3(np.outer(0.3 * np.sin(0.02 * np.arange(n)), [0.0, 1.0, 0.0])))
     truth = Trajectory(100_000_000 * np.arange(n), p, quat_wxyz)
-    turn = exp_so3(np.array([0.0, 0.7, 0.0]))  # about KITTI's vertical
-    turned = quat_wxyz_from_matrix(turn @ truth.rotations)
+    R = exp_so3(np.array([0.0, 0.7, 0.0]))  # about the vertical axis of KITTI
+    rotated = quat_wxyz_from_matrix(R @ truth.rotations)
     write_kitti(folder / "truth.txt", truth)
-    write_kitti(folder / "estimate.txt", Trajectory(truth.t_ns, 1.01 * p @ turn.T + 5.0, turned))
+    write_kitti(folder / "estimate.txt", Trajectory(truth.t_ns, 1.01 * p @ R.T + 5.0, rotated))
     (folder / "times.txt").write_text("".join(f"{0.2 * i:e}\n" for i in range(n)))
     files = [str(folder / "truth.txt"), str(folder / "estimate.txt")]
     assert main(["evaluate", *files, "--kitti", "--json"]) == 0
     document = json.loads(capsys.readouterr().out)
     assert document["last_s"] == pytest.approx(90.0) and document["rpe_pairs"] == 891
-    assert document["ate_deg"]["max"] < 1e-6  # yaw is about the vertical
+    assert document["ate_deg"]["max"] < 1e-6  # the alignment of yaw removes the rotation
     assert document["drift_percent"] == pytest.approx(1.0, rel=0.05)
     assert document["kitti"]["translation_percent"] == pytest.approx(1.0, rel=0.05)
     assert main(["evaluate", *files, "--times", str(folder / "times.txt"), "--json"]) == 0
@@ -131,13 +133,13 @@ def test_reads_kitti_files_with_and_without_times(flight: Path, capsys: pytest.C
     assert main(["evaluate", *files, "--kitti"]) == 0
     shown = capsys.readouterr().out
     assert "KITTI benchmark" in shown and "800 m" in shown and "orientation, °/100 m" in shown
-    # The figures of other files than KITTI's come from their poses.
+    # The metrics of other files are computed from their poses.
     tum = [str(folder / "truth.tum"), str(folder / "truth.tum"), "--kitti", "--json"]
     assert main(["evaluate", *tum]) == 0
     assert json.loads(capsys.readouterr().out)["kitti"]["ate_m"] == 0.0
 
 
-def test_says_which_time_stamps_repeat(flight: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_repeated_time_stamps_are_reported(flight: Path, capsys: pytest.CaptureFixture[str]) -> None:
     estimate = flight.parent / "estimate.tum"
     rewritten(estimate, lambda content: content + content.split(b"\n")[-2] + b"\n")
     arguments = ["evaluate", str(flight), str(estimate), "--json"]
@@ -148,7 +150,7 @@ def test_says_which_time_stamps_repeat(flight: Path, capsys: pytest.CaptureFixtu
     assert main([*arguments, "--repeated", "refuse"]) == 2
 
 
-def test_a_time_offset_is_said_and_not_applied(flight: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_time_offset_is_estimated_and_not_applied(flight: Path, capsys: pytest.CaptureFixture[str]) -> None:
     truth = read_tum(flight.parent / "truth.tum")
     write_tum(flight.parent / "late.tum", replace(truth[::10], t_ns=truth.t_ns[::10] + 30_000_000))
     arguments = ["evaluate", str(flight), str(flight.parent / "late.tum"), "--json"]
@@ -156,14 +158,14 @@ def test_a_time_offset_is_said_and_not_applied(flight: Path, capsys: pytest.Capt
     for options in ([], ["--estimate-time-offset"], ["--time-offset-s", "-0.03"]):
         assert main([*arguments, *options]) == 0
         documents.append(json.loads(capsys.readouterr().out))
-    plain, asked, mended = documents
-    assert plain["best_time_offset_s"] is None and asked["best_time_offset_s"] == pytest.approx(-0.03, abs=1e-4)
-    assert asked["ate_m"] == plain["ate_m"] and plain["ate_m"]["rmse"] > 0.01 > mended["ate_m"]["rmse"]
+    plain, estimated, corrected = documents
+    assert plain["best_time_offset_s"] is None and estimated["best_time_offset_s"] == pytest.approx(-0.03, abs=1e-4)
+    assert estimated["ate_m"] == plain["ate_m"] and plain["ate_m"]["rmse"] > 0.01 > corrected["ate_m"]["rmse"]
     assert main([*arguments[:-1], "--estimate-time-offset"]) == 0
     assert "error is smallest: -0.0300" in capsys.readouterr().out
 
 
-def test_draws_a_plot(flight: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_plot_is_written(flight: Path, capsys: pytest.CaptureFixture[str]) -> None:
     picture = flight.parent / "plots" / "score.png"
     assert main(["evaluate", str(flight), str(flight.parent / "estimate.tum"), "--plot", str(picture)]) == 0
     image = cv2.imread(str(picture))
@@ -179,63 +181,63 @@ def rewritten(path: Path, change: Callable[[bytes], bytes]) -> None:
     assert path.read_bytes() != content
 
 
-def backwards(content: bytes) -> bytes:
+def with_decreasing_time(content: bytes) -> bytes:
     lines = content.split(b"\n")
     return b"\n".join([*lines[:20], lines[10], *lines[21:]])
 
 
-def spoil(flight: Path, fault: str) -> tuple[list[str], str]:
-    """Spoil a flight; return the command line that meets the fault, and what its message must say."""
+def corrupt(flight: Path, fault: str) -> tuple[list[str], str]:
+    """Corrupt a recording, and return the command line that fails with the beginning of its message."""
     estimate, truth = flight.parent / "estimate.tum", flight / GROUND_TRUTH
     imu, image = flight / "mav0" / "imu0" / "data.csv", flight / "mav0" / "cam0" / "data" / f"{START_NS}.png"
-    evaluate = ["evaluate", str(flight), str(estimate), "--json"]
-    estimating = ["estimate", str(flight), "--out", str(flight.parent / "out.tum"), "--json"]
+    evaluate_command = ["evaluate", str(flight), str(estimate), "--json"]
+    estimate_command = ["estimate", str(flight), "--out", str(flight.parent / "out.tum"), "--json"]
     match fault:
         case "missing folder":
             shutil.rmtree(flight)
-            return evaluate, f"{flight}: no such file; expected"
+            return evaluate_command, f"{flight}: no such file; expected"
         case "missing recording":
             shutil.rmtree(flight)
-            return estimating, f"{flight}: no such file or folder; expected an EuRoC folder"
+            return estimate_command, f"{flight}: no such file or folder; expected an EuRoC folder"
         case "missing estimate":
             estimate.unlink()
-            return evaluate, f"{estimate}: no such file; expected"
+            return evaluate_command, f"{estimate}: no such file; expected"
         case "empty truth":
             rewritten(truth, lambda _: b"")
-            return evaluate, f"{truth}: no rows; expected"
+            return evaluate_command, f"{truth}: no rows; expected"
         case "empty IMU":
             rewritten(imu, lambda content: content.split(b"\n")[0] + b"\n")
-            return estimating, f"{imu}: no rows; expected"
+            return estimate_command, f"{imu}: no rows; expected"
         case "truncated estimate":
             rewritten(estimate, lambda content: content[:-30])
-            return evaluate, f"{estimate}:82: a last row of"
+            return evaluate_command, f"{estimate}:82: a last row of"
         case "truncated IMU":
             rewritten(imu, lambda content: content[: len(content) // 2])
-            return estimating, "a last row"
+            return estimate_command, "a last row"
         case "time runs backwards in the truth":
-            rewritten(truth, backwards)
+            rewritten(truth, with_decreasing_time)
             return (
-                evaluate,
+                evaluate_command,
                 f"{truth}:21: time stamp {START_NS + 45_000_000} ns after {START_NS + 90_000_000} ns; expected",
             )
         case "time runs backwards in the IMU":
-            rewritten(imu, backwards)
+            rewritten(imu, with_decreasing_time)
             return (
-                estimating,
+                estimate_command,
                 f"{imu}:21: time stamp {START_NS + 45_000_000} ns after {START_NS + 90_000_000} ns; expected",
             )
         case "image cut off":
             rewritten(image, lambda content: content[:-10])
-            return estimating, f"{image}: a truncated PNG; expected an image of 32 × 24 px"
+            return estimate_command, f"{image}: a truncated PNG; expected an image of 32 × 24 px"
         case "no image at all":
             rewritten(image, lambda _: b"hello")
-            return estimating, f"{image}: data that cannot be decoded; expected"
+            return estimate_command, f"{image}: data that cannot be decoded; expected"
         case "missing image":
             image.unlink()
-            return estimating, f"{image}: no such file; expected"
+            return estimate_command, f"{image}: no such file; expected"
         case "no time in common":
             rewritten(estimate, lambda content: content.replace(b"\n14037", b"\n15037"))
-            return evaluate, "0 poses in common; expected at least 3"
+            return evaluate_command, "0 poses in common; expected at least 3"
     raise AssertionError(fault)
 
 
@@ -258,17 +260,17 @@ def spoil(flight: Path, fault: str) -> tuple[list[str], str]:
     ],
 )
 def test_bad_input_is_one_line_and_exit_code_2(flight: Path, fault: str, capfd: pytest.CaptureFixture[str]) -> None:
-    arguments, message = spoil(flight, fault)
+    arguments, message = corrupt(flight, fault)
     before = sorted(flight.parent.rglob("*"))
     assert main(arguments) == 2
     out, err = capfd.readouterr()
     assert out == ""
     assert err.startswith("dronevio: ") and err.endswith("\n") and err.count("\n") == 1
     assert message in err
-    assert sorted(flight.parent.rglob("*")) == before  # nothing half-written
+    assert sorted(flight.parent.rglob("*")) == before  # no partial result
 
 
-def test_unknown_choices_are_refused(flight: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_unknown_choice_is_bad_input(flight: Path, capsys: pytest.CaptureFixture[str]) -> None:
     arguments = ["evaluate", str(flight), str(flight.parent / "estimate.tum")]
     with pytest.raises(SystemExit) as caught:
         main([*arguments, "--alignment", "affine"])

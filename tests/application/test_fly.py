@@ -1,4 +1,4 @@
-"""dronevio fly, by its door."""
+"""``dronevio fly``: the recording of a simulated flight."""
 
 from pathlib import Path
 from typing import Any
@@ -10,30 +10,30 @@ from dronevio.cli import main
 from dronevio.models.recordings.euroc import EurocRecording
 
 
-def test_a_flight_is_a_recording(flown: Any) -> None:
-    said = flown.document
-    assert said["recording"] == str(flown.folder)
-    assert said["scenario"] == "short-v0" and said["seed"] == 0
-    assert said["frames"] == 120
-    assert said["peak_speed_m_s"] > 0.5
+def test_flight_is_an_euroc_recording(flown: Any) -> None:
+    document = flown.document
+    assert document["recording"] == str(flown.folder)
+    assert document["scenario"] == "short-v0" and document["seed"] == 0
+    assert document["frames"] == 120
+    assert document["peak_speed_m_s"] > 0.5
     recording = EurocRecording.open(flown.folder)
     assert recording.ground_truth is not None
     assert recording.rig.imu.rate_hz == 200.0
-    assert len(recording.frame_times_ns) == 120 and len(recording.imu) == said["imu_samples"]
+    assert len(recording.frame_times_ns) == 120 and len(recording.imu) == document["imu_samples"]
     assert recording.frame(119).images[0].shape == (480, 752)
-    assert recording.ground_truth.length_m == pytest.approx(said["path_m"], rel=1e-6)
+    assert recording.ground_truth.length_m == pytest.approx(document["path_m"], rel=1e-6)
     np.testing.assert_array_equal(np.diff(recording.frame_times_ns), 50_000_000)
     assert [entry.name for entry in flown.folder.parent.iterdir()] == ["flight"]
     assert sorted(entry.name for entry in flown.folder.iterdir()) == ["mav0", "scenario.json"]
 
 
-def test_it_is_not_flown_over_unasked(flown: Any, capsys: pytest.CaptureFixture[str]) -> None:
+def test_recording_is_not_overwritten_without_the_option(flown: Any, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["fly", "--scenario", "short", "--out", str(flown.folder)]) == 2
     assert "--overwrite" in capsys.readouterr().err
     assert len(EurocRecording.open(flown.folder).frame_times_ns) == 120
 
 
-def test_unknown_scenarios_are_named(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_unknown_scenario_is_bad_input(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["fly", "--scenario", "moon", "--out", str(tmp_path / "x")]) == 2
     error = capsys.readouterr().err.strip()
     assert "moon" in error

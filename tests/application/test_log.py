@@ -1,4 +1,4 @@
-"""``dronevio log``: results of any program over a recording."""
+"""``dronevio log``: estimates of any program in a rerun file."""
 
 import signal
 import subprocess
@@ -21,56 +21,58 @@ from dronevio.models.recordings.open import read_trajectory
 from dronevio.models.recordings.tum import write_tum
 from dronevio.models.rotation import exp_so3
 
-Result = Any  # of conftest, which cannot be imported
-Do = Callable[..., Result]
+Result = Any  # the class of conftest, which cannot be imported
+CommandRunner = Callable[..., Result]
 
 
 @pytest.fixture(scope="module")
 def results(flown: Result, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A folder with two results for the short flight: one turned about z, one 2 % too large and half as often."""
+    """Folder with two estimates of the short flight: one rotated about z, one 2 % too large with half the poses."""
     folder = tmp_path_factory.mktemp("results")
     truth = read_trajectory(flown.folder)[::10]
-    turned = truth.p_world_imu @ exp_so3(np.array([0.0, 0.0, 2.0])).T + 5.0
-    write_tum(folder / "turned.tum", replace(truth, p_world_imu=turned))
+    rotated = truth.p_world_imu @ exp_so3(np.array([0.0, 0.0, 2.0])).T + 5.0
+    write_tum(folder / "rotated.tum", replace(truth, p_world_imu=rotated))
     write_tum(folder / "large.tum", replace(truth[::2], p_world_imu=1.02 * truth.p_world_imu[::2]))
     return folder
 
 
 @pytest.fixture(scope="module")
-def logged(flown: Result, results: Path, do: Do) -> Result:
-    """Both of them, logged."""
+def logged(flown: Result, results: Path, run_command: CommandRunner) -> Result:
+    """The rerun file of both estimates."""
     out = results / "new" / "both.rrd"
-    estimates = [results / "turned.tum", results / "large.tum"]
-    return do(out, "log", flown.folder, *estimates, "--names", "Turned, 2 % large", "-o", out, "--json")
+    estimates = [results / "rotated.tum", results / "large.tum"]
+    return run_command(out, "log", flown.folder, *estimates, "--names", "Rotated, 2 % large", "-o", out, "--json")
 
 
 def entities(path: Path) -> set[str]:
-    """Return the entities of a recording."""
+    """Return the paths of the entities of a rerun file."""
     return {chunk.entity_path for chunk in RrdReader(path).stream()}
 
 
-def test_says_what_it_wrote(logged: Result, flown: Result) -> None:
+def test_document_has_file_and_errors(logged: Result, flown: Result) -> None:
     document = logged.document
     assert document["recording"] == str(flown.folder)
     assert document["out"] == str(logged.folder)
     assert document["size_mb"] == pytest.approx(logged.folder.stat().st_size * 1e-6)
-    assert [row["name"] for row in document["estimates"]] == ["Turned", "2 % large"]
-    turned, large = (row["ate_m"] for row in document["estimates"])
-    assert turned < 1e-6 < large < 0.1
+    assert [row["name"] for row in document["estimates"]] == ["Rotated", "2 % large"]
+    rotated, large = (row["ate_m"] for row in document["estimates"])
+    assert rotated < 1e-6 < large < 0.1
 
 
-def test_the_file_verifies_and_holds_both(logged: Result) -> None:
+def test_file_is_valid_and_contains_both_estimates(logged: Result) -> None:
     command = [*viewer_program(), "rrd", "verify", str(logged.folder)]
-    done = subprocess.run(command, capture_output=True, text=True, check=False)
-    assert done.returncode == 0, done.stderr
+    ended = subprocess.run(command, capture_output=True, text=True, check=False)
+    assert ended.returncode == 0, ended.stderr
     found = entities(logged.folder)
-    for name in ("Turned", "2\\ \\%\\ large"):
+    for name in ("Rotated", "2\\ \\%\\ large"):
         assert f"/world/estimates/{name}/path/flown" in found
         assert f"/error/position/{name}/aligned" in found
     assert [path.name for path in logged.folder.parent.iterdir()] == ["both.rrd"]
 
 
-def test_a_table_for_people(flown: Result, results: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_table_has_file_and_errors(
+    flown: Result, results: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     out = tmp_path / "one.rrd"
     assert main(["log", str(flown.folder), str(results / "large.tum"), "--out", str(out), "--crf", "63"]) == 0
     printed = capsys.readouterr().out
@@ -79,45 +81,45 @@ def test_a_table_for_people(flown: Result, results: Path, tmp_path: Path, capsys
 
 
 @pytest.mark.parametrize(
-    ("arguments", "complaint"),
+    ("arguments", "message"),
     [
         ([], "no estimate"),
-        (["turned.tum", "--names", "a,b"], "--names"),
-        (["turned.tum", "large.tum", "--names", "a,a"], "--names"),
-        (["turned.tum", "--out", "x.txt"], ".rrd"),
-        (["turned.tum", "--crf", "64"], "--crf 64"),
+        (["rotated.tum", "--names", "a,b"], "--names"),
+        (["rotated.tum", "large.tum", "--names", "a,a"], "--names"),
+        (["rotated.tum", "--out", "x.txt"], ".rrd"),
+        (["rotated.tum", "--crf", "64"], "--crf 64"),
         (["nothing.tum"], "nothing.tum"),
-        (["turned.tum", "--truth", "nothing.tum"], "nothing.tum"),
-        (["turned.tum", "late.tum"], "late: "),
+        (["rotated.tum", "--truth", "nothing.tum"], "nothing.tum"),
+        (["rotated.tum", "late.tum"], "late: "),
     ],
 )
-def test_bad_input_is_refused_in_one_line(
+def test_bad_input_is_one_line(
     flown: Result,
     results: Path,
     tmp_path: Path,
     monkeypatch: pytest.MonkeyPatch,
     capsys: pytest.CaptureFixture[str],
     arguments: list[str],
-    complaint: str,
+    message: str,
 ) -> None:
-    late = read_trajectory(results / "turned.tum")
+    late = read_trajectory(results / "rotated.tum")
     write_tum(results / "late.tum", replace(late, t_ns=late.t_ns + 10**12))
     monkeypatch.chdir(tmp_path)
     words = [str(results / word) if word.endswith(".tum") else word for word in arguments]
     assert main(["log", str(flown.folder), *words]) == 2
     error = capsys.readouterr().err
-    assert complaint in error
+    assert message in error
     assert error.count("\n") == 1
     assert list(tmp_path.iterdir()) == []
 
 
-def test_what_is_there_already_stays(logged: Result, flown: Result, results: Path) -> None:
+def test_existing_file_is_not_overwritten(logged: Result, flown: Result, results: Path) -> None:
     before = logged.folder.read_bytes()
     assert main(["log", str(flown.folder), str(results / "large.tum"), "-o", str(logged.folder)]) == 2
     assert logged.folder.read_bytes() == before
 
 
-def test_names_come_from_files_and_folders() -> None:
+def test_names_are_those_of_files_and_folders() -> None:
     assert names_of([Path("a/vins.tum"), Path("b/orb.tum")]) == ["vins", "orb"]
     assert names_of([Path("a/estimate.tum"), Path("b/estimate.tum")]) == ["a/estimate", "b/estimate"]
     assert names_of([Path("a.tum"), Path("b.tum")], "x, y z") == ["x", "y z"]
@@ -126,9 +128,9 @@ def test_names_come_from_files_and_folders() -> None:
 
 
 @pytest.mark.filterwarnings("ignore:RRD file has no footer")
-def test_killed_half_way_it_leaves_what_can_be_read(flown: Result, results: Path, tmp_path: Path) -> None:
+def test_killed_command_leaves_a_readable_file(flown: Result, results: Path, tmp_path: Path) -> None:
     unfinished = tmp_path / "x.incomplete.rrd"
-    command = [sys.executable, "-m", "dronevio.cli", "log", str(flown.folder), str(results / "turned.tum")]
+    command = [sys.executable, "-m", "dronevio.cli", "log", str(flown.folder), str(results / "rotated.tum")]
     with subprocess.Popen([*command, "-o", str(tmp_path / "x.rrd"), "--json"], stdout=subprocess.DEVNULL) as writer:
         while writer.poll() is None and not (unfinished.exists() and unfinished.stat().st_size > 100_000):
             time.sleep(0.005)

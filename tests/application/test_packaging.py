@@ -1,4 +1,4 @@
-"""What is installed, be it a checkout or a wheel; and, in a checkout, how the rooms hang together."""
+"""The installed package, and the links between the folders of a checkout."""
 
 import importlib.metadata
 import re
@@ -12,23 +12,23 @@ import pytest
 import dronevio
 from dronevio.sim.cameras.gl import INSTALL_COMMAND
 
-ROOMS = ("estimator", "eval", "models", "sim")
+SUBPACKAGES = ("estimator", "eval", "models", "sim")
 CHECKOUT = Path(__file__).resolve().parents[2]
 
 in_checkout = pytest.mark.skipif(not (CHECKOUT / "Makefile").exists(), reason="not a checkout")
 
 
-@pytest.mark.parametrize("room", ROOMS)
-def test_every_room_is_there(room: str) -> None:
-    assert (files("dronevio") / room / "__init__.py").is_file()
+@pytest.mark.parametrize("name", SUBPACKAGES)
+def test_every_subpackage_is_installed(name: str) -> None:
+    assert (files("dronevio") / name / "__init__.py").is_file()
 
 
-def test_types_are_promised() -> None:
+def test_package_is_marked_as_typed() -> None:
     assert (files("dronevio") / "py.typed").is_file()
 
 
-def test_models_of_the_drone_are_there_and_load() -> None:
-    models = sorted(path for path in (files("dronevio") / "models" / "mjcf").iterdir() if path.name.endswith(".xml"))
+def test_vehicle_models_are_installed_and_valid() -> None:
+    models = [path for path in (files("dronevio") / "models" / "mjcf").iterdir() if path.name.endswith(".xml")]
     assert models
     for model in models:
         assert mujoco.MjModel.from_xml_path(str(model)).nbody > 1
@@ -41,12 +41,12 @@ def test_command_is_installed_with_the_package() -> None:
 
 
 @in_checkout
-@pytest.mark.parametrize("room", ROOMS)
-def test_rooms_are_relative_links_in_the_door(room: str) -> None:
-    link = CHECKOUT / "dronevio" / room
+@pytest.mark.parametrize("name", SUBPACKAGES)
+def test_subpackages_are_relative_links(name: str) -> None:
+    link = CHECKOUT / "dronevio" / name
     assert link.is_symlink()
-    assert str(link.readlink()) == f"../{room}"
-    assert (CHECKOUT / room).is_dir() and not (CHECKOUT / room).is_symlink()
+    assert str(link.readlink()) == f"../{name}"
+    assert (CHECKOUT / name).is_dir() and not (CHECKOUT / name).is_symlink()
 
 
 @in_checkout
@@ -56,19 +56,19 @@ def test_lock_names_only_the_public_index() -> None:
 
 
 @in_checkout
-def test_changelog_knows_this_version() -> None:
+def test_changelog_has_this_version() -> None:
     changelog = (CHECKOUT / "CHANGELOG.md").read_text(encoding="utf-8")
     assert f"## [{dronevio.__version__}]" in changelog
 
 
 @in_checkout
-def test_lint_bans_importing_a_room_by_its_bare_name() -> None:
+def test_lint_bans_imports_of_a_subpackage_by_its_bare_name() -> None:
     settings = tomllib.loads((CHECKOUT / "pyproject.toml").read_text(encoding="utf-8"))
-    assert set(settings["tool"]["ruff"]["lint"]["flake8-tidy-imports"]["banned-api"]) == set(ROOMS)
+    assert set(settings["tool"]["ruff"]["lint"]["flake8-tidy-imports"]["banned-api"]) == set(SUBPACKAGES)
 
 
 @in_checkout
-def test_set_up_installs_what_the_doctor_advises() -> None:
+def test_set_up_installs_the_packages_of_the_doctor() -> None:
     setup = (CHECKOUT / "scripts" / "setup.sh").read_text(encoding="utf-8")
     installed = re.search(r"^packages=\((.+?)\)", setup, re.MULTILINE)
     assert installed is not None

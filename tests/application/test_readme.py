@@ -1,4 +1,4 @@
-"""The README keeps its word: its examples run, its commands and pictures are there."""
+"""The examples of the README run, and its commands, links and pictures exist."""
 
 import re
 import shlex
@@ -25,18 +25,20 @@ if (CHECKOUT / "docs").is_dir():
 
 
 def blocks(language: str) -> list[str]:
-    """Return the code blocks of a language."""
+    """Return the code blocks of a language in the README."""
     return re.findall(rf"^```{language}\n(.*?)^```$", README, re.MULTILINE | re.DOTALL)
 
 
 def example(imported: str) -> str:
-    """Return the one Python example whose first line imports something."""
+    """Return the Python example whose first line imports a module."""
     [found] = [code for code in blocks("python") if imported in code.splitlines()[0]]
     return found
 
 
-def test_your_own_camera(flown: Any, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
-    """The example, with a recorded flight for the reader's own drone, finds out how the drone moved."""
+def test_camera_example_estimates_the_motion(
+    flown: Any, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """The example runs on a recorded flight in place of the reader's drone."""
     recording = EurocRecording.open(flown.folder)
 
     def sensors() -> Iterator[tuple[object, ...]]:
@@ -51,7 +53,7 @@ def test_your_own_camera(flown: Any, monkeypatch: pytest.MonkeyPatch, capsys: py
     my_drone.__dict__.update(T_imu_cam=recording.rig.cameras[0].T_imu_cam, sensors=sensors)
     monkeypatch.setitem(sys.modules, "my_drone", my_drone)
     code = example("my_drone")
-    namespace: dict[str, object] = {}
+    namespace: dict[str, Any] = {}
     exec(compile(code, "README.md", "exec"), namespace)
 
     printed = capsys.readouterr().out.splitlines()
@@ -60,23 +62,23 @@ def test_your_own_camera(flown: Any, monkeypatch: pytest.MonkeyPatch, capsys: py
     estimate, truth = namespace["estimate"], recording.ground_truth
     assert truth is not None
     assert printed[-1].startswith(str(recording.frame_times_ns[-1]))
-    # What it says of the way from its first pose to its last is true, but for the heading, which nobody can know.
+    # The displacement from the first pose to the last is true but for its heading, which is not observable.
     first_ns, first_m = int(printed[0].split()[0]), np.array(re.findall(r"\[(.*?)\]", printed[0])[0].split(), float)
     start, end = (truth[np.searchsorted(truth.t_ns, [t])].Ts_world_imu[0] for t in (first_ns, estimate.t_ns))
     moved_m = estimate.state.T_world_imu[:3, 3] - first_m
     assert np.linalg.norm(moved_m) == pytest.approx(np.linalg.norm(end[:3, 3] - start[:3, 3]), abs=0.03)
-    assert np.linalg.norm(estimate.state.velocity_m_s) < 0.05  # it stands again
+    assert np.linalg.norm(estimate.state.velocity_m_s) < 0.05  # the drone is at rest again
 
 
-def test_your_own_camera_takes_ten_lines() -> None:
+def test_camera_example_has_ten_lines() -> None:
     lines = [line for line in example("my_drone").splitlines() if line and not line.startswith(("from", "import"))]
     assert len(lines) <= 10
 
 
-def test_the_steps_as_functions(
+def test_functions_do_the_single_steps(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """The example flies, estimates and evaluates; the same files give the same score."""
+    """The example simulates, estimates and evaluates; the same files give the same error."""
     monkeypatch.chdir(tmp_path)
     namespace: dict[str, Any] = {}
     exec(compile(example("import dronevio as dv"), "README.md", "exec"), namespace)
@@ -89,13 +91,13 @@ def test_the_steps_as_functions(
     assert again is not None and again.rmse == pytest.approx(score.rmse, abs=1e-6)
 
 
-def test_the_environment(capsys: pytest.CaptureFixture[str]) -> None:
+def test_environment_example_runs(capsys: pytest.CaptureFixture[str]) -> None:
     exec(compile(example("gymnasium"), "README.md", "exec"), {})
     printed = capsys.readouterr().out
     assert "(4, 6) (120, 188, 1)" in printed
 
 
-def test_every_example_is_run_here() -> None:
+def test_every_python_example_is_tested() -> None:
     assert len(blocks("python")) == 3
 
 
@@ -106,19 +108,19 @@ def shell_lines() -> list[list[str]]:
 
 
 @pytest.mark.parametrize("line", [line for line in shell_lines() if line[0] == "dronevio"], ids=" ".join)
-def test_commands_are_as_written(line: list[str], capsys: pytest.CaptureFixture[str]) -> None:
+def test_commands_and_their_options_exist(line: list[str], capsys: pytest.CaptureFixture[str]) -> None:
     _, *command = line
     assert command[0] in COMMANDS.subcommands
     depth = 2 if command[0] in ("speed", "book") else 1
     with pytest.raises(SystemExit):
         main([*command[:depth], "--help"])
-    explained = capsys.readouterr().out
+    help_text = capsys.readouterr().out
     for word in command[depth:]:
         if word.startswith("--"):
-            assert word in explained
+            assert word in help_text
 
 
-def test_targets_of_make_are_as_written() -> None:
+def test_targets_of_make_exist() -> None:
     makefile = CHECKOUT / "Makefile"
     if not makefile.exists():
         pytest.skip("not a checkout")
@@ -129,7 +131,7 @@ def test_targets_of_make_are_as_written() -> None:
 
 @pytest.mark.skipif(not (CHECKOUT / "docs").is_dir(), reason="not a checkout")
 @pytest.mark.parametrize("page", PAGES)
-def test_what_is_linked_is_there_and_pictures_are_small(page: str) -> None:
+def test_linked_files_exist_and_pictures_are_small(page: str) -> None:
     linked = re.findall(r"\]\(([^)#]+)\)|src=\"([^\"]+)\"", PAGES[page])
     for target in (one or other for one, other in linked):
         if "://" in target or target.startswith("reference/"):  # generated when the site is built
@@ -141,6 +143,6 @@ def test_what_is_linked_is_there_and_pictures_are_small(page: str) -> None:
 
 
 @pytest.mark.skipif(not (CHECKOUT / "docs").is_dir(), reason="not a checkout")
-def test_files_that_the_architecture_names_are_there() -> None:
+def test_files_that_the_architecture_page_names_exist() -> None:
     for name in re.findall(r"`([a-z_]+/[a-z_/.]*)`", PAGES["docs/architecture.md"]):
         assert (CHECKOUT / name).exists(), name

@@ -1,4 +1,4 @@
-"""dronevio refly, by its door: a flight's own truth and IMU, flown again by other eyes."""
+"""``dronevio refly``: images along a recorded trajectory, with its IMU samples or synthesized ones."""
 
 import shutil
 from pathlib import Path
@@ -11,36 +11,36 @@ from dronevio.cli import main
 from dronevio.models.recordings.euroc import EurocRecording
 
 
-def test_a_path_is_flown_again_with_its_own_imu(flown: Any, do: Any, tmp_path: Path) -> None:
+def test_recorded_imu_samples_are_kept(flown: Any, run_command: Any, tmp_path: Path) -> None:
     mav0 = flown.folder / "mav0"
     options = ("--start-s", "2", "--duration-s", "0.5", "--rig", "nano", "--world", "low-texture", "--json")
     paths = ("--trajectory", mav0, "--imu", mav0 / "imu0" / "data.csv", "--out", tmp_path / "again")
-    again = do(tmp_path / "again", "refly", *paths, *options)
+    again = run_command(tmp_path / "again", "refly", *paths, *options)
     assert again.document["imu"] == "real" and again.document["frames"] == 11
 
 
 @pytest.fixture(scope="module")
-def synthesized(flown: Any, do: Any, tmp_path_factory: pytest.TempPathFactory) -> Any:
+def synthesized(flown: Any, run_command: Any, tmp_path_factory: pytest.TempPathFactory) -> Any:
     folder = tmp_path_factory.mktemp("refly") / "out"
-    return do(
+    return run_command(
         folder, "refly", "--trajectory", flown.folder, "--rig", "euroc-stereo", "--world", "low-texture",
         "--start-s", "2", "--duration-s", "0.5", "--seed", "3", "--out", folder, "--json",
     )  # fmt: skip
 
 
-def test_an_imu_is_made_up_where_there_is_none(flown: Any, synthesized: Any) -> None:
+def test_imu_samples_are_synthesized_without_recorded_ones(flown: Any, synthesized: Any) -> None:
     assert synthesized.document["imu"] == "synthesized"
     original, again = EurocRecording.open(flown.folder), EurocRecording.open(synthesized.folder)
     assert original.ground_truth is not None and again.ground_truth is not None
-    assert np.all(np.isin(again.imu.t_ns, original.imu.t_ns))  # the clock is that of the recording
+    assert np.all(np.isin(again.imu.t_ns, original.imu.t_ns))  # the time stamps are those of the recording
     row = int(np.searchsorted(original.ground_truth.t_ns, again.ground_truth.t_ns[0]))
     truth = original.ground_truth[row : row + len(again.ground_truth)]
-    assert np.abs(again.ground_truth.p_world_imu - truth.p_world_imu).max() < 2e-3  # and so is the world
+    assert np.abs(again.ground_truth.p_world_imu - truth.p_world_imu).max() < 2e-3  # in its world frame
     frame = again.frame(5)
     assert len(frame.images) == 2 and frame.images[1].std() > 5.0
 
 
-def test_what_does_not_fit_is_said_in_one_line(flown: Any, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_bad_input_is_one_line(flown: Any, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     shutil.copytree(flown.folder / "mav0" / "state_groundtruth_estimate0", tmp_path / "truth")
     trajectory = str(tmp_path / "truth" / "data.csv")
     for options, expected in (

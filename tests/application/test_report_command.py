@@ -1,4 +1,7 @@
+"""``dronevio report``: pages and tables of a benchmark."""
+
 import csv
+from pathlib import Path
 
 import pytest
 
@@ -7,7 +10,8 @@ from dronevio.eval.benchmark.rows import Row, write_rows
 
 
 @pytest.fixture
-def folder(tmp_path):
+def folder(tmp_path: Path) -> Path:
+    """Folder of a benchmark with three runs, one of which crashed."""
     folder = tmp_path / "suite"
     folder.mkdir()
     made = ("a81c", "dronevio 1")
@@ -20,7 +24,7 @@ def folder(tmp_path):
     return folder
 
 
-def test_a_page_beside_the_results(folder, capsys):
+def test_page_is_written_beside_the_results(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["report", str(folder)]) == 0
     page = (folder / "report.html").read_text(encoding="utf-8")
     assert "<title>suite · dronevio</title>" in page
@@ -28,7 +32,7 @@ def test_a_page_beside_the_results(folder, capsys):
     assert sorted(p.name for p in folder.iterdir()) == ["report.html", "results.parquet"]
 
 
-def test_tables_on_standard_output(folder, capsys):
+def test_tables_are_printed_on_standard_output(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
     results = str(folder / "results.parquet")
     assert main(["report", results, "--format", "csv", "--measures", "ate_m"]) == 0
     lines = list(csv.DictReader(capsys.readouterr().out.splitlines()))
@@ -40,10 +44,10 @@ def test_tables_on_standard_output(folder, capsys):
     assert r"room-v0 & \textbf{0.0700} & failed, 1 of 2 failed \\" in capsys.readouterr().out
 
 
-def test_a_file_of_ones_own_choice(folder, tmp_path):
+def test_output_file_can_be_chosen(folder: Path, tmp_path: Path) -> None:
     out = tmp_path / "new" / "table.tex"
     assert main(["report", str(folder), "--format", "latex", "--title", "x", "--out", str(out)]) == 0
-    assert out.read_text(encoding="utf-8").count(r"\begin{table}") == 4  # three measures, and what failed
+    assert out.read_text(encoding="utf-8").count(r"\begin{table}") == 4  # three measures and the failed runs
     assert [p.name for p in out.parent.iterdir()] == ["table.tex"]
 
 
@@ -55,7 +59,7 @@ def test_a_file_of_ones_own_choice(folder, tmp_path):
         ["{folder}", "--out", "{folder}/results.parquet/report.html"],
     ],
 )
-def test_bad_input_is_told_in_a_line(folder, capsys, arguments):
+def test_bad_input_is_one_line(folder: Path, capsys: pytest.CaptureFixture[str], arguments: list[str]) -> None:
     before = (folder / "results.parquet").read_bytes()
     assert main(["report", *(argument.format(folder=folder) for argument in arguments)]) == 2
     assert capsys.readouterr().err.count("\n") == 1

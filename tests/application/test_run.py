@@ -1,4 +1,4 @@
-"""``dronevio run`` for real: it flies, estimates, scores and reports, and the steps apart give the same bytes."""
+"""``dronevio run``: its results are complete, and equal to those of the single steps."""
 
 import contextlib
 import json
@@ -24,7 +24,7 @@ from dronevio.models.recordings.euroc import EurocRecording
 from dronevio.models.recordings.tum import read_tum
 from dronevio.sim.cameras.gl import INSTALL_COMMAND
 
-PROMISED = {
+RESULTS = {
     "configuration.json",
     "estimate.tum",
     "groundtruth.tum",
@@ -37,35 +37,35 @@ PROMISED = {
 CAMERA, IMU, TRUTH = (Path("mav0") / part for part in ("cam0", "imu0", "state_groundtruth_estimate0"))
 SCENARIO = ["--scenario", "short"]
 
-Result = Any  # of conftest, which cannot be imported
-Do = Callable[..., Result]
+Result = Any  # the class of conftest, which cannot be imported
+CommandRunner = Callable[..., Result]
 
 
 @pytest.fixture(scope="module")
 def place(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Where the flights of this module lie."""
+    """Folder of the runs of this module."""
     return tmp_path_factory.mktemp("flights")
 
 
 @pytest.fixture(scope="module")
-def run(place: Path, do: Do) -> Result:
-    """The short flight of seed 0, run over an earlier result, its recording kept."""
+def run(place: Path, run_command: CommandRunner) -> Result:
+    """A run of the short flight of seed 0 that replaces an earlier result and keeps its recording."""
     folder = place / "run"
     folder.mkdir()
     (folder / "report.json").write_text("{}")
     (folder / "stale").write_text("from an earlier run")
-    return do(folder, "run", *SCENARIO, "--out", folder, "--overwrite", "--keep-recording")
+    return run_command(folder, "run", *SCENARIO, "--out", folder, "--overwrite", "--keep-recording")
 
 
 @pytest.fixture(scope="module")
-def another_run(place: Path, do: Do) -> Result:
-    """The short flight of seed 1, run where a result with its name is there already; printed as JSON."""
+def another_run(place: Path, run_command: CommandRunner) -> Result:
+    """A run of the short flight of seed 1, whose default name is taken, with JSON on standard output."""
     here = place / "elsewhere"
     taken = here / "runs" / "short-v0-1"
     taken.mkdir(parents=True)
     (taken / "report.json").write_text("{}")
     with contextlib.chdir(here):
-        return do(here / "runs" / "short-v0-1-2", "run", *SCENARIO, "--seed", "1", "--json")
+        return run_command(here / "runs" / "short-v0-1-2", "run", *SCENARIO, "--seed", "1", "--json")
 
 
 def names(folder: Path) -> set[str]:
@@ -83,16 +83,16 @@ def files(folder: Path) -> dict[str, bytes]:
     return {str(file.relative_to(folder)): file.read_bytes() for file in folder.rglob("*") if file.is_file()}
 
 
-def test_a_run_leaves_what_it_promises_and_nothing_else(run: Result, another_run: Result, place: Path) -> None:
-    assert names(another_run.folder) == PROMISED
-    assert names(run.folder) == {*PROMISED, "recording"}  # nor what was there before
+def test_run_writes_its_results_and_nothing_else(run: Result, another_run: Result, place: Path) -> None:
+    assert names(another_run.folder) == RESULTS
+    assert names(run.folder) == {*RESULTS, "recording"}  # without the files of the earlier result
     assert all(file.stat().st_size > 0 for file in run.folder.rglob("*") if file.is_file())
     assert names(place) == {"run", "elsewhere"}  # no hidden folders
     assert names(another_run.folder.parent) == {"short-v0-1", "short-v0-1-2"}
     assert names(another_run.folder.parent / "short-v0-1") == {"report.json"}
 
 
-def test_the_table_shows_the_numbers_of_the_report(run: Result) -> None:
+def test_table_has_the_numbers_of_the_report(run: Result) -> None:
     report = json.loads((run.folder / "report.json").read_text(encoding="utf-8"))
     scores, timing = report["scores"], report["timing"]
     shown = values_of_table(run.out)
@@ -109,17 +109,17 @@ def test_the_table_shows_the_numbers_of_the_report(run: Result) -> None:
         assert work in run.err
 
 
-def test_what_is_not_known_is_a_dash(capsys: pytest.CaptureFixture[str]) -> None:
-    nothing = {"ate_m": {"rmse": 0.25}, "rpe_m": None, "rpe_deg": None, "scale_error_percent": None}
+def test_unknown_values_are_dashes(capsys: pytest.CaptureFixture[str]) -> None:
+    short = {"ate_m": {"rmse": 0.25}, "rpe_m": None, "rpe_deg": None, "scale_error_percent": None}
     timing = {"cpu_ms_mean": 4.0, "cpu_ms_p99": 9.0, "real_time_factor": None}
     flight = {"path_m": 12.3}
-    scores = {**nothing, "coverage_percent": None, "path_m": 11.1}
+    scores = {**short, "coverage_percent": None, "path_m": 11.1}
     print_report("A run too short for a relative error", {"flight": flight, "scores": scores, "timing": timing})
     shown = values_of_table(capsys.readouterr().out)
     assert list(shown.values()) == ["12.3", "0.250", "–", "–", "–", "–", "4.0", "9.0", "–"]
 
 
-def test_machines_get_one_document(another_run: Result) -> None:
+def test_json_is_the_report(another_run: Result) -> None:
     document = dict(another_run.document)
     assert another_run.err == ""
     assert document.pop("run") == "runs/short-v0-1-2"
@@ -129,7 +129,7 @@ def test_machines_get_one_document(another_run: Result) -> None:
 
 
 @pytest.mark.parametrize("which", ["run", "another_run"])
-def test_the_estimate_is_good(which: str, request: pytest.FixtureRequest) -> None:
+def test_errors_are_small(which: str, request: pytest.FixtureRequest) -> None:
     scores = json.loads((request.getfixturevalue(which).folder / "report.json").read_text(encoding="utf-8"))["scores"]
     assert scores["ate_m"]["rmse"] < 0.03
     assert scores["rpe_m"]["rmse"] < 0.02
@@ -137,14 +137,14 @@ def test_the_estimate_is_good(which: str, request: pytest.FixtureRequest) -> Non
     assert scores["coverage_percent"] == 100.0
 
 
-def test_scoring_the_files_gives_the_numbers_of_the_report(run: Result, do: Do) -> None:
+def test_evaluating_the_files_gives_the_same_scores(run: Result, run_command: CommandRunner) -> None:
     report = json.loads((run.folder / "report.json").read_text(encoding="utf-8"))
     estimate = run.folder / "estimate.tum"
     printed = [
-        do(run.folder, "evaluate", truth, estimate, "--json").document
+        run_command(run.folder, "evaluate", truth, estimate, "--json").document
         for truth in (run.folder / "groundtruth.tum", run.folder / "recording")
     ]
-    assert printed[0]["coverage_percent"] is None  # a TUM file knows of no frames
+    assert printed[0]["coverage_percent"] is None  # a TUM file has no frames
     assert printed[1]["coverage_percent"] == report["scores"]["coverage_percent"]
     for document in printed:
         for name in ("ate_m", "ate_deg", "rpe_m", "rpe_deg"):
@@ -153,38 +153,40 @@ def test_scoring_the_files_gives_the_numbers_of_the_report(run: Result, do: Do) 
             assert document[name] == report["scores"][name]
 
 
-def test_a_plain_calculation_gives_the_numbers_of_the_report(run: Result) -> None:
-    """Yaw and position by a search over angles, the truth taken at the very stamps: they are samples of the IMU."""
+def test_independent_computation_gives_the_same_error(run: Result) -> None:
+    """Alignment by a search over yaw angles; frames have the time stamps of IMU samples."""
     scores = json.loads((run.folder / "report.json").read_text(encoding="utf-8"))["scores"]
     truth, estimate = read_tum(run.folder / "groundtruth.tum"), read_tum(run.folder / "estimate.tum")
     rows = np.searchsorted(truth.t_ns, estimate.t_ns)
     np.testing.assert_array_equal(truth.t_ns[rows], estimate.t_ns)
-    true_m, found_m = (p - p.mean(axis=0) for p in (truth.p_world_imu[rows], estimate.p_world_imu))
+    true_m, estimated_m = (p - p.mean(axis=0) for p in (truth.p_world_imu[rows], estimate.p_world_imu))
 
     def rmse_m(yaw: float) -> float:
         c, s = np.cos(yaw), np.sin(yaw)
-        turned = found_m @ np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]]).T
-        return float(np.sqrt(np.mean(np.sum((true_m - turned) ** 2, axis=1))))
+        rotated = estimated_m @ np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]]).T
+        return float(np.sqrt(np.mean(np.sum((true_m - rotated) ** 2, axis=1))))
 
     best = min(np.linspace(-np.pi, np.pi, 361), key=rmse_m)
     best = min(np.linspace(best - 0.02, best + 0.02, 2001), key=rmse_m)
     assert scores["ate_m"]["rmse"] == pytest.approx(rmse_m(best), rel=1e-3)
 
 
-def test_poses_come_at_every_frame_since_the_start(run: Result) -> None:
+def test_every_frame_since_initialization_has_a_pose(run: Result) -> None:
     frames = EurocRecording.open(run.folder / "recording").frame_times_ns
     poses = read_tum(run.folder / "estimate.tum").t_ns
     first = int(np.searchsorted(frames, poses[0]))
     np.testing.assert_array_equal(poses, frames[first:])
-    assert poses[0] - frames[0] <= 1.5e9  # it stands still for as long
+    assert poses[0] - frames[0] <= 1.5e9  # the drone is stationary for this time
 
 
-def test_the_steps_apart_give_the_same_bytes(run: Result, flown: Result, do: Do, tmp_path: Path) -> None:
+def test_single_steps_give_the_same_bytes(
+    run: Result, flown: Result, run_command: CommandRunner, tmp_path: Path
+) -> None:
     recording = flown.folder
     assert files(recording) == files(run.folder / "recording")
     assert len(files(recording / CAMERA / "data")) == 120
     assert (run.folder / "imu.csv").read_bytes() == (recording / IMU / "data.csv").read_bytes()
-    do(tmp_path, "estimate", recording, "--out", tmp_path / "estimate.tum", "--json")
+    run_command(tmp_path, "estimate", recording, "--out", tmp_path / "estimate.tum", "--json")
     assert (tmp_path / "estimate.tum").read_bytes() == (run.folder / "estimate.tum").read_bytes()
     truth, written = EurocRecording.open(recording).ground_truth, read_tum(run.folder / "groundtruth.tum")
     assert truth is not None
@@ -192,15 +194,15 @@ def test_the_steps_apart_give_the_same_bytes(run: Result, flown: Result, do: Do,
     np.testing.assert_allclose(written.p_world_imu, truth.p_world_imu, rtol=0, atol=1e-9)
 
 
-def test_another_seed_is_another_flight(run: Result, another_run: Result) -> None:
+def test_another_seed_gives_another_flight(run: Result, another_run: Result) -> None:
     for name in ("imu.csv", "groundtruth.tum", "estimate.tum"):
         assert (run.folder / name).read_bytes() != (another_run.folder / name).read_bytes()
 
 
-def test_the_estimator_sees_neither_the_truth_nor_the_future(
-    run: Result, flown: Result, do: Do, tmp_path: Path
+def test_estimates_depend_on_neither_truth_nor_future(
+    run: Result, flown: Result, run_command: CommandRunner, tmp_path: Path
 ) -> None:
-    """Without the truth, and cut off in mid-flight, a recording gives the same poses up to there."""
+    """A recording without ground truth that ends in mid-flight gives the same poses up to its end."""
     kept = 80
     beginning = tmp_path / "beginning"
     shutil.copytree(flown.folder, beginning, ignore=shutil.ignore_patterns(TRUTH.name))
@@ -209,8 +211,8 @@ def test_the_estimator_sees_neither_the_truth_nor_the_future(
         (beginning / CAMERA / "data" / f"{t_ns}.png").unlink()
     keep_rows(beginning / CAMERA / "data.csv", kept)
     imu_rows = int(np.searchsorted(EurocRecording.open(flown.folder).imu.t_ns, times_ns[kept - 1])) + 1
-    keep_rows(beginning / IMU / "data.csv", imu_rows)  # not a sample beyond the last frame
-    do(tmp_path, "estimate", beginning, "--out", tmp_path / "estimate.tum", "--json")
+    keep_rows(beginning / IMU / "data.csv", imu_rows)  # no sample after the last frame
+    run_command(tmp_path, "estimate", beginning, "--out", tmp_path / "estimate.tum", "--json")
     poses = (tmp_path / "estimate.tum").read_text().splitlines()
     whole = (run.folder / "estimate.tum").read_text().splitlines()
     assert len(poses) > kept // 2
@@ -218,13 +220,13 @@ def test_the_estimator_sees_neither_the_truth_nor_the_future(
 
 
 def keep_rows(table: Path, rows: int) -> None:
-    """Cut a CSV with one heading off after some rows."""
+    """Keep the heading and the first rows of a CSV file."""
     lines = table.read_bytes().splitlines(keepends=True)
     assert lines[0].startswith(b"#") and len(lines) > rows + 1
     table.write_bytes(b"".join(lines[: rows + 1]))
 
 
-def test_the_recording_is_whole_and_small(run: Result) -> None:
+def test_rerun_file_is_complete_and_small(run: Result) -> None:
     rrd = run.folder / "run.rrd"
     verified = subprocess.run(
         [*viewer_program(), "rrd", "verify", str(rrd)], capture_output=True, text=True, check=False
@@ -233,7 +235,7 @@ def test_the_recording_is_whole_and_small(run: Result) -> None:
     assert rrd.stat().st_size * 1e-6 < 30.0 * 120 / 600  # 30 MB for half a minute
 
 
-def test_the_configuration_is_all_that_was_set(another_run: Result) -> None:
+def test_configuration_has_all_settings(another_run: Result) -> None:
     configuration = json.loads((another_run.folder / "configuration.json").read_text(encoding="utf-8"))
     assert configuration["scenario"]["name"] == "short-v0" and configuration["scenario"]["seed"] == 1
     assert configuration["scenario"]["rig"]["cameras"][0]["model"]["width"] == 752
@@ -253,7 +255,7 @@ def test_the_configuration_is_all_that_was_set(another_run: Result) -> None:
         ([*SCENARIO, "--out", "taken/thesis.tex/x"], r"taken/thesis.tex/x: it cannot be made .*; expected"),
     ],
 )
-def test_what_cannot_be_flown_is_said_at_once(
+def test_bad_input_is_refused_before_the_simulation(
     what: str,
     arguments: Sequence[str],
     message: str,
@@ -262,7 +264,7 @@ def test_what_cannot_be_flown_is_said_at_once(
     capsys: pytest.CaptureFixture[str],
 ) -> None:
     monkeypatch.chdir(tmp_path)
-    monkeypatch.setattr("dronevio.sim.cameras.gl.require_gl", lambda: None)  # asked elsewhere, and it takes a second
+    monkeypatch.setattr("dronevio.sim.cameras.gl.require_gl", lambda: None)  # tested elsewhere, and it takes a second
     Path("taken").mkdir()
     Path("taken/thesis.tex").write_text("years of work")
     assert main([what, *arguments]) == 2
@@ -274,12 +276,12 @@ def test_what_cannot_be_flown_is_said_at_once(
 
 
 @pytest.mark.parametrize("what", ["run", "fly"])
-def test_without_opengl_there_is_one_line_and_no_folder(what: str, tmp_path: Path) -> None:
-    # As on a machine that has the libraries and no driver.
-    nothing = {"__EGL_VENDOR_LIBRARY_DIRS": str(tmp_path), "__EGL_VENDOR_LIBRARY_FILENAMES": str(tmp_path / "none")}
+def test_missing_opengl_is_one_line_and_leaves_no_folder(what: str, tmp_path: Path) -> None:
+    # This is the state of a machine that has the libraries and no driver.
+    no_driver = {"__EGL_VENDOR_LIBRARY_DIRS": str(tmp_path), "__EGL_VENDOR_LIBRARY_FILENAMES": str(tmp_path / "none")}
     command = [sys.executable, "-m", "dronevio.cli", what, *SCENARIO, "--out", str(tmp_path / "out")]
     ended = subprocess.run(
-        command, capture_output=True, text=True, check=False, env={**os.environ, "MUJOCO_GL": "egl", **nothing}
+        command, capture_output=True, text=True, check=False, env={**os.environ, "MUJOCO_GL": "egl", **no_driver}
     )
     assert ended.returncode == 2
     assert ended.stdout == ""
@@ -293,11 +295,11 @@ def test_without_opengl_there_is_one_line_and_no_folder(what: str, tmp_path: Pat
     [lambda pid: os.killpg(pid, signal.SIGINT), lambda pid: os.kill(pid, signal.SIGTERM)],
     ids=["Ctrl-C", "kill"],
 )
-def test_an_interrupted_run_leaves_nothing(tmp_path: Path, stop: Callable[[int], None]) -> None:
-    """In the middle of the drawing: a terminal tells all processes of the group, ``kill`` the command alone."""
+def test_interrupted_run_leaves_no_folder(tmp_path: Path, stop: Callable[[int], None]) -> None:
+    """While images are rendered: a terminal signals all processes of the group, ``kill`` the command alone."""
     command = [sys.executable, "-m", "dronevio.cli", "run", *SCENARIO, "--out", str(tmp_path / "out")]
 
-    def hear_ctrl_c() -> None:  # whoever runs these tests in the background has made their children deaf to it
+    def restore_ctrl_c() -> None:  # a shell that runs the tests in the background makes their children ignore it
         signal.signal(signal.SIGINT, signal.SIG_DFL)
 
     with subprocess.Popen(
@@ -305,25 +307,26 @@ def test_an_interrupted_run_leaves_nothing(tmp_path: Path, stop: Callable[[int],
         stderr=subprocess.PIPE,
         text=True,
         start_new_session=True,
-        preexec_fn=hear_ctrl_c,  # noqa: PLW1509 (one signal, no locks)
+        preexec_fn=restore_ctrl_c,  # noqa: PLW1509 (one signal, no locks)
     ) as process:
         try:
             wait_until(lambda: sum(1 for _ in tmp_path.rglob("*.png")) > 5 or process.poll() is not None)
-            family = psutil.Process(process.pid).children(recursive=True)
-            assert family  # they draw
+            workers = psutil.Process(process.pid).children(recursive=True)
+            assert workers  # they render
             stop(process.pid)
-            said = process.communicate(timeout=30)[1]
+            errors = process.communicate(timeout=30)[1]
         finally:
             process.kill()
     assert process.returncode == 130
-    assert said.rstrip().endswith("dronevio: interrupted")
-    assert "Traceback" not in said
+    assert errors.rstrip().endswith("dronevio: interrupted")
+    assert "Traceback" not in errors
     assert list(tmp_path.iterdir()) == []
-    assert not any(member.is_running() for member in family)
+    assert not any(worker.is_running() for worker in workers)
 
 
-def wait_until(happened: Callable[[], bool], patience_s: float = 60.0) -> None:
-    deadline = time.monotonic() + patience_s
-    while not happened():
+def wait_until(condition: Callable[[], bool], timeout_s: float = 60.0) -> None:
+    """Wait until a condition holds, and fail after the timeout."""
+    deadline = time.monotonic() + timeout_s
+    while not condition():
         assert time.monotonic() < deadline
         time.sleep(0.05)

@@ -51,6 +51,7 @@ def test_jumps_have_the_size_and_time_of_a_discontinuity(run_metrics: Any, seed:
 
 
 def run_of(estimate: Trajectory, healths: list[Health] | None = None) -> EstimatorRun:
+    assert estimate.velocity_m_s is not None
     states = [
         NavState(t, T, v, np.zeros(3), np.zeros(3), np.diag([1e-4] * 15))
         for t, T, v in zip(estimate.t_ns.tolist(), estimate.Ts_world_imu, estimate.velocity_m_s, strict=True)

@@ -1,3 +1,5 @@
+"""``dronevio scenarios``, and the registration of the environments."""
+
 import json
 import subprocess
 import sys
@@ -8,13 +10,13 @@ from dronevio.cli import main
 from dronevio.sim.scenarios import SCENARIOS
 
 
-def test_lists_every_scenario(capsys: pytest.CaptureFixture[str]) -> None:
+def test_table_lists_every_scenario(capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["scenarios"]) == 0
     printed = capsys.readouterr().out
     assert all(name in printed for name in SCENARIOS)
 
 
-def test_lists_them_for_machines(capsys: pytest.CaptureFixture[str]) -> None:
+def test_json_lists_every_scenario(capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["scenarios", "--json", "--seed", "3"]) == 0
     document = json.loads(capsys.readouterr().out)
     assert document["seed"] == 3
@@ -24,12 +26,12 @@ def test_lists_them_for_machines(capsys: pytest.CaptureFixture[str]) -> None:
     assert room["peak_speed_m_s"] >= 2.0 and room["peak_rate_deg_s"] >= 90.0
 
 
-def test_a_negative_seed_is_refused_in_one_line(capsys: pytest.CaptureFixture[str]) -> None:
+def test_negative_seed_is_bad_input(capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["scenarios", "--seed", "-1"]) == 2
     error = capsys.readouterr().err
     assert error.count("\n") == 1 and "seed -1" in error
 
 
-def test_registering_environments_does_not_load_the_simulator() -> None:
+def test_registration_does_not_load_the_simulator() -> None:
     code = "import sys, dronevio.envs; sys.exit('mujoco' in sys.modules or 'dronevio.sim' in sys.modules)"
     assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0

@@ -29,8 +29,8 @@ def fixture_of(name: str) -> Callable[[Callable[[str], Any]], Any]:
     return pytest.fixture(scope="module", name=name)(load)
 
 
-run_metrics, markdown, suite, stress, semi_real = map(
-    fixture_of, ("run_metrics", "markdown", "suite", "stress", "semi_real")
+run_metrics, markdown_tables, suite, stress, semi_real = map(
+    fixture_of, ("run_metrics", "markdown_tables", "suite", "stress", "semi_real")
 )
 corrupted_tracks, profiler, repeated_recording, processor_time, seeds, initialization_accuracy = map(
     fixture_of,
@@ -46,24 +46,26 @@ corrupted_tracks, profiler, repeated_recording, processor_time, seeds, initializ
 
 
 @given(st.lists(st.integers(0, 30), min_size=1, max_size=6))
-def test_numbers_are_lists_and_ranges(markdown: Any, numbers: list[int]) -> None:
-    assert markdown.numbers(",".join(map(str, numbers))) == tuple(dict.fromkeys(numbers))
+def test_numbers_are_lists_and_ranges(markdown_tables: Any, numbers: list[int]) -> None:
+    assert markdown_tables.numbers(",".join(map(str, numbers))) == tuple(dict.fromkeys(numbers))
     first, last = min(numbers), max(numbers)
-    assert markdown.numbers(f"{first}-{last}") == tuple(range(first, last + 1))
+    assert markdown_tables.numbers(f"{first}-{last}") == tuple(range(first, last + 1))
 
 
-def test_failed_runs_count_as_infinite_errors(run_metrics: Any, markdown: Any) -> None:
+def test_failed_runs_count_as_infinite_errors(run_metrics: Any, markdown_tables: Any) -> None:
     good, failed = 0.02, run_metrics.RunMetrics("V1_02-0", "mono", "failed").ate_m
-    assert markdown.median([good, good, failed]) == good
-    assert markdown.median([good, failed, failed]) == math.inf
-    assert markdown.geometric_mean([good, good, math.inf]) == math.inf
-    assert markdown.text(math.inf) == "∞"
+    assert markdown_tables.median([good, good, failed]) == good
+    assert markdown_tables.median([good, failed, failed]) == math.inf
+    assert markdown_tables.geometric_mean([good, good, math.inf]) == math.inf
+    assert markdown_tables.text(math.inf) == "∞"
 
 
 @given(st.lists(st.floats(1e-4, 10.0), min_size=1, max_size=5), st.floats(0.1, 10.0))
 @settings(deadline=None)
-def test_geometric_mean_scales_and_is_between_the_extremes(markdown: Any, values: list[float], factor: float) -> None:
-    mean = markdown.geometric_mean
+def test_geometric_mean_scales_and_is_between_the_extremes(
+    markdown_tables: Any, values: list[float], factor: float
+) -> None:
+    mean = markdown_tables.geometric_mean
     assert min(values) * (1 - 1e-9) <= mean(values) <= max(values) * (1 + 1e-9)
     assert mean([factor * v for v in values]) == pytest.approx(factor * mean(values))
 

@@ -1,3 +1,5 @@
+"""``dronevio speed``: measurements and their bounds."""
+
 import json
 from dataclasses import replace
 

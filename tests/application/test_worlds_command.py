@@ -1,3 +1,5 @@
+"""``dronevio worlds``: lists and contact sheets."""
+
 import json
 from pathlib import Path
 
@@ -8,14 +10,14 @@ from dronevio.cli import main
 from dronevio.sim.world import WORLDS
 
 
-def test_lists_every_world(capsys: pytest.CaptureFixture[str]) -> None:
+def test_table_lists_every_world(capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["worlds"]) == 0
     printed = capsys.readouterr().out
     assert all(name in printed for name in WORLDS)
     assert "hard" in printed
 
 
-def test_lists_them_for_machines(capsys: pytest.CaptureFixture[str]) -> None:
+def test_json_lists_every_world(capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["worlds", "--json", "--seed", "3"]) == 0
     document = json.loads(capsys.readouterr().out)
     assert document["seed"] == 3
@@ -25,7 +27,7 @@ def test_lists_them_for_machines(capsys: pytest.CaptureFixture[str]) -> None:
     assert room["difficulty"] == "normal"
 
 
-def test_draws_a_sheet(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_contact_sheet_is_drawn(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     path = tmp_path / "sheet.jpg"
     assert main(["worlds", "--world", "low-texture", "--sheet", str(path), "--json"]) == 0
     assert json.loads(capsys.readouterr().out)["sheet"] == str(path)
@@ -35,7 +37,7 @@ def test_draws_a_sheet(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> No
 
 
 @pytest.mark.parametrize(
-    ("arguments", "said"),
+    ("arguments", "message"),
     [
         (["--world", "moon"], "'moon'"),
         (["--seed", "-1"], "seed -1"),
@@ -44,12 +46,16 @@ def test_draws_a_sheet(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> No
         (["--world", "low-texture", "--sheet", "missing/sheet.png"], "missing/sheet.png"),
     ],
 )
-def test_bad_input_is_refused_in_one_line(
-    arguments: list[str], said: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+def test_bad_input_is_one_line(
+    arguments: list[str],
+    message: str,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
 ) -> None:
     monkeypatch.chdir(tmp_path)
     assert main(["worlds", *arguments]) == 2
     error = capsys.readouterr().err
     assert error.count("\n") == 1
-    assert said in error
+    assert message in error
     assert list(tmp_path.iterdir()) == []
