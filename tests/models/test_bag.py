@@ -1,6 +1,4 @@
-"""ROS 2 bags: ours come back to the bit, an independent reader finds in them what ROS defines, those of others are
-read as far as they explain themselves, damaged ones are refused.
-"""
+"""ROS 2 bags: round trip, an independent reader, bags of other programs, and damaged bags."""
 
 import tracemalloc
 from collections.abc import Callable, Iterator
@@ -10,6 +8,7 @@ from typing import Any
 
 import cv2
 import numpy as np
+import numpy.typing as npt
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
@@ -33,34 +32,36 @@ from dronevio.models.rig_presets import RIGS, rig_named
 from dronevio.models.rotation import matrix_from_quat_wxyz, pose_matrix
 from dronevio.models.state import Trajectory
 
+Array = npt.NDArray[np.float64]
+Image = npt.NDArray[np.uint8]
 Make = Callable[..., Any]
 T0_NS = 1_700_000_000_123_456_789
 STEP_NS = 50_000_000
 
 
-# Our own bags.
+# --- bags of this package
 
 
 @pytest.mark.parametrize("images", ["raw", "png"])
 @pytest.mark.parametrize(
     ("name", "storage"), [("a.mcap", "mcap"), ("folder", "mcap"), ("a.db3", "sqlite3"), ("old", "sqlite3")]
 )
-def test_what_is_written_comes_back_to_the_bit(
+def test_round_trip_is_exact(
     tmp_path: Path, noise_recording: Make, assert_same_recording: Make, name: str, storage: Any, images: Any
 ) -> None:
     recording = noise_recording()
-    heard: list[tuple[int, int]] = []
-    write_bag(tmp_path / name, recording, storage, images, lambda *said: heard.append(said), recording.frame_truth)
+    calls: list[tuple[int, int]] = []
+    write_bag(tmp_path / name, recording, storage, images, lambda *call: calls.append(call), recording.frame_truth)
     assert [entry.name for entry in tmp_path.iterdir()] == [name]
-    assert heard == [(done, 4) for done in range(5)]
+    assert calls == [(done, 4) for done in range(5)]
     back = open_recording(tmp_path / name)
     assert isinstance(back, BagRecording) and back.complete
     assert back.name == Path(name).stem
-    assert_same_recording(back, recording, order=(0, 1, 2, 3, 1, 0, 3, 3, 2))  # in order, and not
+    assert_same_recording(back, recording, order=(0, 1, 2, 3, 1, 0, 3, 3, 2))  # also in another order
 
 
 @pytest.mark.parametrize("rig", RIGS)
-def test_every_rig_comes_back_to_the_bit(
+def test_round_trip_of_every_rig_is_exact(
     tmp_path: Path, noise_recording: Make, assert_same_recording: Make, rig: str
 ) -> None:
     recording = replace(noise_recording(rig, sampling="increment"), frame_truth=None)
@@ -70,7 +71,7 @@ def test_every_rig_comes_back_to_the_bit(
 
 @settings(max_examples=25, deadline=None)
 @given(data=st.data())
-def test_any_numbers_come_back_to_the_bit(
+def test_round_trip_of_arbitrary_numbers_is_exact(
     tmp_path_factory: pytest.TempPathFactory, noise_recording: Make, assert_same_recording: Make, data: st.DataObject
 ) -> None:
     finite = st.floats(allow_nan=False, allow_infinity=False)
@@ -85,12 +86,12 @@ def test_any_numbers_come_back_to_the_bit(
         frame_truth=None,
     )
     path = tmp_path_factory.getbasetemp() / "any.mcap"
-    with np.errstate(over="ignore", invalid="ignore"):  # the twist of a flight at 1e308 m/s
+    with np.errstate(over="ignore", invalid="ignore"):  # the twist of velocities of 1e308 m/s
         write_bag(path, recording, overwrite=True)
     assert_same_recording(BagRecording.open(path), recording)
 
 
-def test_a_truth_of_poses_alone_and_none_at_all_come_back(
+def test_ground_truth_may_lack_velocities_or_be_missing(
     tmp_path: Path, noise_recording: Make, assert_same_recording: Make
 ) -> None:
     whole = noise_recording()
@@ -103,20 +104,20 @@ def test_a_truth_of_poses_alone_and_none_at_all_come_back(
         read_trajectory(tmp_path / "none.mcap")
 
 
-def test_truth_and_frames_can_be_read_alone(tmp_path: Path, noise_recording: Make) -> None:
+def test_trajectory_and_frame_times_can_be_read_alone(tmp_path: Path, noise_recording: Make) -> None:
     recording = noise_recording()
     write_bag(tmp_path / "bag", recording)
     np.testing.assert_array_equal(read_trajectory(tmp_path / "bag").p_world_imu, recording.ground_truth.p_world_imu)
     np.testing.assert_array_equal(read_frame_times(tmp_path / "bag"), recording.frame_times_ns)
 
 
-def test_the_first_camera_can_be_read_alone(tmp_path: Path, noise_recording: Make) -> None:
+def test_the_first_camera_can_be_selected(tmp_path: Path, noise_recording: Make) -> None:
     write_bag(tmp_path / "a.mcap", noise_recording())
     recording = open_recording(tmp_path / "a.mcap", cameras=1)
     assert len(recording.rig.cameras) == len(recording.frame(0).images) == 1
 
 
-def test_an_independent_reader_finds_what_ros_defines(tmp_path: Path, noise_recording: Make) -> None:
+def test_an_independent_reader_finds_standard_messages(tmp_path: Path, noise_recording: Make) -> None:
     recording = noise_recording()
     write_bag(tmp_path / "bag", recording)
     seen: dict[str, list[Any]] = {}
@@ -142,7 +143,7 @@ def test_an_independent_reader_finds_what_ros_defines(tmp_path: Path, noise_reco
         **{f"/cam{i}/{what}": 4 for i in (0, 1) for what in ("image_raw", "camera_info")},
     }
     imu, rig, truth = seen["/imu0"][7], recording.rig, recording.ground_truth
-    assert imu.orientation_covariance[0] == -1.0  # there is none
+    assert imu.orientation_covariance[0] == -1.0  # no orientation
     np.testing.assert_allclose(imu.angular_velocity_covariance[0], 200.0 * rig.imu.gyro_noise_density**2)
     image, info = seen["/cam1/image_raw"][2], seen["/cam1/camera_info"][2]
     assert (image.encoding, image.step, image.height) == ("mono8", 32, 24)
@@ -153,21 +154,21 @@ def test_an_independent_reader_finds_what_ros_defines(tmp_path: Path, noise_reco
     R = truth.rotations[5]
     v, w = odometry.twist.twist.linear, odometry.twist.twist.angular
     np.testing.assert_allclose(R @ [v.x, v.y, v.z], truth.velocity_m_s[5], atol=1e-12)
-    turned = R @ cv2.Rodrigues(np.array([w.x, w.y, w.z]) * 5e-3)[0]
-    np.testing.assert_allclose(turned, truth.rotations[6], atol=1e-9)
+    R_next = R @ cv2.Rodrigues(np.array([w.x, w.y, w.z]) * 5e-3)[0]
+    np.testing.assert_allclose(R_next, truth.rotations[6], atol=1e-9)
     links = {tf.child_frame_id: tf for tf in (*seen["/tf_static"][0].transforms, *seen["/tf"][5].transforms)}
-    T_world_cam1 = of_transform(links["imu0"]) @ of_transform(links["cam1"])
+    T_world_cam1 = pose_of_transform(links["imu0"]) @ pose_of_transform(links["cam1"])
     np.testing.assert_allclose(T_world_cam1, truth.Ts_world_imu[5] @ rig.cameras[1].T_imu_cam, atol=1e-9)
-    T_imu_vehicle = of_transform(links["base_link"])
+    T_imu_vehicle = pose_of_transform(links["base_link"])
     np.testing.assert_allclose(T_imu_vehicle @ rig.T_vehicle_imu, np.eye(4), atol=1e-12)
 
 
-def of_transform(stamped: Any) -> np.ndarray:
+def pose_of_transform(stamped: Any) -> Array:
     p, q = stamped.transform.translation, stamped.transform.rotation
     return pose_matrix(matrix_from_quat_wxyz(np.array([q.w, q.x, q.y, q.z])), np.array([p.x, p.y, p.z]))
 
 
-def test_evo_reads_the_truth(tmp_path: Path, noise_recording: Make) -> None:
+def test_evo_reads_the_ground_truth(tmp_path: Path, noise_recording: Make) -> None:
     from evo.tools.file_interface import read_bag_trajectory
 
     recording = noise_recording()
@@ -178,7 +179,7 @@ def test_evo_reads_the_truth(tmp_path: Path, noise_recording: Make) -> None:
     np.testing.assert_array_equal(theirs.orientations_quat_wxyz, recording.ground_truth.quat_wxyz)
 
 
-def test_memory_does_not_grow_with_the_flight(tmp_path: Path, noise_recording: Make) -> None:
+def test_memory_does_not_grow_with_the_recording(tmp_path: Path, noise_recording: Make) -> None:
     recording = noise_recording(frames=60)
     large = replace(recording.rig.cameras[0], model=replace(recording.rig.cameras[0].model, width=752, height=480))
     recording = replace(recording, rig=replace(recording.rig, cameras=(large,)))
@@ -200,21 +201,29 @@ class InterruptedOnceError(Exception):
     pass
 
 
-def test_nothing_half_written_stays(tmp_path: Path, noise_recording: Make) -> None:
-    class Torn(type(noise_recording())):
+def test_writing_is_atomic(tmp_path: Path, noise_recording: Make) -> None:
+    class Interrupted:
+        """A recording whose third frame raises an exception."""
+
+        def __init__(self, recording: Any) -> None:
+            self._recording = recording
+
+        def __getattr__(self, name: str) -> Any:
+            return getattr(self._recording, name)
+
         def frame(self, index: int) -> Any:
             if index == 2:
                 raise InterruptedOnceError
-            return super().frame(index)
+            return self._recording.frame(index)
 
-    torn = Torn(**vars(noise_recording()))
+    interrupted: Any = Interrupted(noise_recording())
     for name in ("a.mcap", "bag"):
         with pytest.raises(InterruptedOnceError):
-            write_bag(tmp_path / "deep" / name, torn)
+            write_bag(tmp_path / "deep" / name, interrupted)
     assert list((tmp_path / "deep").iterdir()) == []
 
 
-def test_only_bags_are_replaced_and_only_when_asked(
+def test_only_bags_are_replaced_and_only_on_request(
     tmp_path: Path, noise_recording: Make, assert_same_recording: Make
 ) -> None:
     recording = replace(noise_recording(), frame_truth=None)
@@ -234,19 +243,19 @@ def test_only_bags_are_replaced_and_only_when_asked(
 
 
 @pytest.mark.parametrize("t_ns", [-1, 2**31 * 10**9])
-def test_times_that_ros_cannot_express_are_refused(tmp_path: Path, noise_recording: Make, t_ns: int) -> None:
+def test_times_outside_the_range_of_ros_are_refused(tmp_path: Path, noise_recording: Make, t_ns: int) -> None:
     imu = ImuSamples(np.array([t_ns]), np.zeros((1, 3)), np.zeros((1, 3)))
     with pytest.raises(ConfigError, match=str(t_ns)):
         write_bag(tmp_path / "a.mcap", replace(noise_recording(), imu=imu))
     assert list(tmp_path.iterdir()) == []
 
 
-# Bags of others.
+# --- bags of other programs
 
 RIG = replace(rig_named("euroc-stereo"), imu=rig_named("fisheye").imu)
 
 
-def noise_image(seed: int, *shape: int) -> np.ndarray:
+def noise_image(seed: int, *shape: int) -> Image:
     return np.random.default_rng(seed).integers(0, 256, shape, dtype=np.uint8)
 
 
@@ -267,23 +276,23 @@ def imu_message(t_ns: int, frame: str = "imu_link") -> Any:
 
 
 def foreign(frames: int = 3, lag_ns: int = 0, prefix: str = "/camera", infos: bool = True) -> Iterator[Any]:
-    """A stereo flight as a driver would record it: logged later than stamped, with names of its own."""
-    late = 7_000_000
+    """Yield a stereo flight as a driver records it, with later log times and other names of topics and frames."""
+    delay_ns = 7_000_000
     static = rig_transforms(RIG, T0_NS)
     for transform in static.transforms:
         transform.header.frame_id = "imu_link"
         transform.child_frame_id += "_optical"
     yield T0_NS, "/tf_static", static
     for k in range(10 * frames):
-        yield T0_NS + k * STEP_NS // 10 + late, "/imu/data", imu_message(T0_NS + k * STEP_NS // 10)
+        yield T0_NS + k * STEP_NS // 10 + delay_ns, "/imu/data", imu_message(T0_NS + k * STEP_NS // 10)
     for k in range(frames):
         for i, camera in enumerate(RIG.cameras):
             t_ns = T0_NS + k * STEP_NS + i * lag_ns
             image = np.roll(IMAGE, 10 * k + i)
-            yield t_ns + late, f"{prefix}{i}/image", image_message(image, t_ns, f"cam{i}_optical", png=False)
+            yield t_ns + delay_ns, f"{prefix}{i}/image", image_message(image, t_ns, f"cam{i}_optical", png=False)
             if infos:
                 info = camera_info(camera.model, t_ns, f"cam{i}_optical")
-                yield t_ns + late, f"{prefix}{i}/camera_info", info
+                yield t_ns + delay_ns, f"{prefix}{i}/camera_info", info
 
 
 def save(path: Path, messages: Iterator[Any] | list[Any], little_endian: bool = True, **compression: Any) -> Path:
@@ -318,22 +327,22 @@ def assert_same_rig(ours: Rig, atol: float) -> None:
 
 
 @pytest.mark.parametrize("little_endian", [True, False])
-def test_a_bag_that_explains_itself_needs_the_noise_alone(
+def test_bags_with_camera_info_and_tf_need_imu_noise_only(
     tmp_path: Path, noise_yaml: Path, little_endian: bool
 ) -> None:
     path = save(tmp_path / "bag", foreign(), little_endian)
     with pytest.raises(InputError, match="no noise densities"):
         open_recording(path)
     recording = open_recording(path, calibration=[noise_yaml])
-    assert_same_rig(recording.rig, 1e-6)  # published rotations are orthonormal to 1e-6, quaternions are exact
-    np.testing.assert_array_equal(recording.frame_times_ns, T0_NS + STEP_NS * np.arange(3))  # stamped, not logged
+    assert_same_rig(recording.rig, 1e-6)  # published rotations are orthonormal up to 1e-6
+    np.testing.assert_array_equal(recording.frame_times_ns, T0_NS + STEP_NS * np.arange(3))  # of the headers
     np.testing.assert_array_equal(recording.imu.t_ns, T0_NS + STEP_NS // 10 * np.arange(30))
     np.testing.assert_array_equal(recording.imu.gyro_rad_s[4], [0.1, 0.2, 0.3])
     np.testing.assert_array_equal(recording.frame(2).images[1], np.roll(IMAGE, 21))
     assert recording.ground_truth is None
 
 
-def test_kalibr_s_files_say_the_rest(tmp_path: Path, noise_yaml: Path, chain_yaml: Path) -> None:
+def test_kalibrs_files_complete_the_calibration(tmp_path: Path, noise_yaml: Path, chain_yaml: Path) -> None:
     path = save(tmp_path / "bag", foreign(infos=False))
     with pytest.raises(InputError, match=r"without /camera0/camera_info.*camchain"):
         open_recording(path, calibration=[noise_yaml])
@@ -342,7 +351,7 @@ def test_kalibr_s_files_say_the_rest(tmp_path: Path, noise_yaml: Path, chain_yam
         open_recording(tmp_path, calibration=[noise_yaml])
 
 
-def test_images_stamped_apart_are_matched_within_a_tolerance(tmp_path: Path, noise_yaml: Path) -> None:
+def test_images_are_synchronized_within_a_tolerance(tmp_path: Path, noise_yaml: Path) -> None:
     path = save(tmp_path / "bag", foreign(4, lag_ns=300_000))
     recording = BagRecording.open(path, calibration=[noise_yaml])
     np.testing.assert_array_equal(recording.frame_times_ns, T0_NS + STEP_NS * np.arange(4))
@@ -369,13 +378,13 @@ COLOUR = noise_image(4, 480, 752, 3)
     ],
 )
 @pytest.mark.parametrize("padding", [0, 5])
-def test_every_encoding_of_eight_bits_is_read(
+def test_all_eight_bit_encodings_are_read(
     tmp_path: Path,
     noise_yaml: Path,
     chain_yaml: Path,
     encoding: str,
-    pixels: np.ndarray,
-    grey: np.ndarray,
+    pixels: Image,
+    grey: Image,
     padding: int,
 ) -> None:
     rows = np.pad(pixels.reshape(480, -1), ((0, 0), (0, padding)))
@@ -400,8 +409,8 @@ def raw_image(**changes: Any) -> Any:
     return message
 
 
-def test_compressed_images_are_read_once(tmp_path: Path, noise_yaml: Path, chain_yaml: Path) -> None:
-    """Of a camera that is there twice, the images that lost nothing."""
+def test_raw_images_have_precedence(tmp_path: Path, noise_yaml: Path, chain_yaml: Path) -> None:
+    """If a camera has raw and compressed images, the raw ones are read."""
     jpeg = cv2.imencode(".jpg", IMAGE)[1].tobytes()
     imu = (T0_NS, "/imu", imu_message(T0_NS))
     files = [noise_yaml, chain_yaml]
@@ -430,7 +439,7 @@ def test_compressed_images_are_read_once(tmp_path: Path, noise_yaml: Path, chain
         (compressed(cv2.imencode(".png", IMAGE[:, 1:])[1].tobytes()), "751 × 480 px"),
     ],
 )
-def test_an_image_that_cannot_be_used_is_named(
+def test_unusable_images_are_named(
     tmp_path: Path, noise_yaml: Path, chain_yaml: Path, message: Any, found: str
 ) -> None:
     path = save(tmp_path / "bag", [(T0_NS, "/i", message), (T0_NS, "/imu", imu_message(T0_NS))])
@@ -440,10 +449,10 @@ def test_an_image_that_cannot_be_used_is_named(
     assert caught.value.path == path and found in str(caught.value) and f"/i at {T0_NS} ns" in str(caught.value)
 
 
-def test_depth_is_no_camera(tmp_path: Path, noise_yaml: Path) -> None:
-    deep = image_message(IMAGE[:10, :20], T0_NS, "d", png=False)
-    deep.encoding = "16UC1"
-    path = save(tmp_path / "bag", [*foreign(), (T0_NS, "/aaa/depth", deep)])
+def test_depth_images_are_not_cameras(tmp_path: Path, noise_yaml: Path) -> None:
+    depth: Any = image_message(IMAGE[:10, :20], T0_NS, "d", png=False)
+    depth.encoding = "16UC1"
+    path = save(tmp_path / "bag", [*foreign(), (T0_NS, "/aaa/depth", depth)])
     recording = open_recording(path, calibration=[noise_yaml])
     assert isinstance(recording, BagRecording) and recording.topics.images == ("/camera0/image", "/camera1/image")
 
@@ -452,7 +461,7 @@ def without(topic: str, *more: Any) -> list[Any]:
     return [m for m in foreign() if m[1] != topic] + list(more)
 
 
-def bent(change: Callable[[Any], None], topic: str) -> list[Any]:
+def changed(change: Callable[[Any], None], topic: str) -> list[Any]:
     messages = list(foreign())
     for _, name, message in messages:
         if name == topic:
@@ -472,7 +481,7 @@ def set_nan(message: Any) -> None:
     message.angular_velocity.x = np.nan
 
 
-def set_blind(message: Any) -> None:
+def set_no_gyro(message: Any) -> None:
     message.angular_velocity_covariance = np.array([-1.0] + [0.0] * 8)
 
 
@@ -487,15 +496,15 @@ def set_blind(message: Any) -> None:
         (list(foreign()), BagTopics(imu="/nowhere"), "no topic /nowhere; expected one of /imu/data"),
         (list(foreign()), BagTopics(imu="/tf_static"), "/tf_static with messages of tf2_msgs/msg/TFMessage"),
         (list(foreign()), BagTopics(images=("/camera0/camera_info",)), "with messages of sensor_msgs/msg/CameraInfo"),
-        (bent(set_nan, "/imu/data"), None, "non-finite"),
-        (bent(set_blind, "/imu/data"), None, "without angular velocity"),
-        (bent(lambda m: m.k.fill(0.0), "/camera1/camera_info"), None, "/camera1/camera_info: camera fx = 0.0"),
-        (bent(lambda m: setattr(m, "distortion_model", "magic"), "/camera1/camera_info"), None, "'magic'"),
-        (bent(lambda m: setattr(m, "d", np.ones(5)), "/camera1/camera_info"), None, "followed by zeros"),
-        (bent(lambda m: setattr(m.transforms[1].transform.rotation, "w", 9.0), "/tf_static"), None, "of length 9"),
+        (changed(set_nan, "/imu/data"), None, "non-finite"),
+        (changed(set_no_gyro, "/imu/data"), None, "without angular velocity"),
+        (changed(lambda m: m.k.fill(0.0), "/camera1/camera_info"), None, "/camera1/camera_info: camera fx = 0.0"),
+        (changed(lambda m: setattr(m, "distortion_model", "magic"), "/camera1/camera_info"), None, "'magic'"),
+        (changed(lambda m: setattr(m, "d", np.ones(5)), "/camera1/camera_info"), None, "followed by zeros"),
+        (changed(lambda m: setattr(m.transforms[1].transform.rotation, "w", 9.0), "/tf_static"), None, "of length 9"),
     ],
 )
-def test_names_what_a_bag_lacks(
+def test_errors_name_the_missing_topic(
     tmp_path: Path, noise_yaml: Path, messages: list[Any], topics: BagTopics | None, found: str
 ) -> None:
     path = save(tmp_path / "bag", messages)
@@ -504,7 +513,7 @@ def test_names_what_a_bag_lacks(
     assert found in str(caught.value) and "\n" not in str(caught.value)
 
 
-def test_one_of_several_can_be_chosen(tmp_path: Path, noise_yaml: Path) -> None:
+def test_topics_can_be_selected(tmp_path: Path, noise_yaml: Path) -> None:
     path = save(tmp_path / "bag", without("", other_imu()))
     topics = BagTopics(images=("/camera1/image",), imu="/imu/data")
     recording = open_recording(path, calibration=[noise_yaml], topics=topics)
@@ -513,52 +522,42 @@ def test_one_of_several_can_be_chosen(tmp_path: Path, noise_yaml: Path) -> None:
 
 
 def poses_of(kind: str, topic: str) -> Iterator[Any]:
-    p, q = ros.geometry_msgs__msg__Point(1.0, 2.0, 3.0), ros.geometry_msgs__msg__Quaternion(0.0, 0.0, 0.6, 0.8)
-    pose, unknown = ros.geometry_msgs__msg__Pose(p, q), np.zeros(36)
+    """Yield three poses as messages of a kind, with the velocity (1, 0, 0) in the body frame for odometry."""
+    position, q = ros.geometry_msgs__msg__Point(1.0, 2.0, 3.0), ros.geometry_msgs__msg__Quaternion(0.0, 0.0, 0.6, 0.8)
+    pose, covariance = ros.geometry_msgs__msg__Pose(position, q), np.zeros(36)
     twist = ros.geometry_msgs__msg__Twist(
         ros.geometry_msgs__msg__Vector3(1.0, 0.0, 0.0), ros.geometry_msgs__msg__Vector3(0.0, 0.0, 0.0)
     )
     for k in range(3):
         h = header(T0_NS + k * STEP_NS, "map")
-        yield {
-            "odometry": lambda h=h: (
-                h.stamp.nanosec,
-                topic,
-                ros.nav_msgs__msg__Odometry(
-                    h,
-                    "imu_link",
-                    ros.geometry_msgs__msg__PoseWithCovariance(pose, unknown),
-                    ros.geometry_msgs__msg__TwistWithCovariance(twist, unknown),
-                ),
-            ),
-            "pose": lambda h=h: (h.stamp.nanosec, topic, ros.geometry_msgs__msg__PoseStamped(h, pose)),
-            "transform": lambda h=h: (
-                h.stamp.nanosec,
-                topic,
-                ros.geometry_msgs__msg__TransformStamped(
-                    h,
-                    "imu_link",
-                    ros.geometry_msgs__msg__Transform(ros.geometry_msgs__msg__Vector3(1.0, 2.0, 3.0), q),
-                ),
-            ),
-        }[kind]()
+        message: Any
+        if kind == "odometry":
+            pose_estimate = ros.geometry_msgs__msg__PoseWithCovariance(pose, covariance)
+            twist_estimate = ros.geometry_msgs__msg__TwistWithCovariance(twist, covariance)
+            message = ros.nav_msgs__msg__Odometry(h, "imu_link", pose_estimate, twist_estimate)
+        elif kind == "pose":
+            message = ros.geometry_msgs__msg__PoseStamped(h, pose)
+        else:
+            transform = ros.geometry_msgs__msg__Transform(ros.geometry_msgs__msg__Vector3(1.0, 2.0, 3.0), q)
+            message = ros.geometry_msgs__msg__TransformStamped(h, "imu_link", transform)
+        yield h.stamp.nanosec, topic, message
 
 
 @pytest.mark.parametrize("kind", ["odometry", "pose", "transform"])
-def test_the_truth_of_others_is_read_where_it_is_known_as_such(tmp_path: Path, noise_yaml: Path, kind: str) -> None:
+def test_ground_truth_is_found_by_topic_name(tmp_path: Path, noise_yaml: Path, kind: str) -> None:
     files = [noise_yaml]
-    known = save(tmp_path / "known", [*foreign(), *poses_of(kind, "/vicon/drone")])
-    truth = open_recording(known, calibration=files).ground_truth
+    named = save(tmp_path / "named", [*foreign(), *poses_of(kind, "/vicon/drone")])
+    truth = open_recording(named, calibration=files).ground_truth
     assert truth is not None
     np.testing.assert_array_equal(truth.p_world_imu[1], [1.0, 2.0, 3.0])
     np.testing.assert_array_equal(truth.quat_wxyz[1], [0.8, 0.0, 0.0, 0.6])
-    if kind == "odometry":  # its velocity is that of the moving frame
+    if kind == "odometry":  # whose velocity is in the body frame
         assert truth.velocity_m_s is not None
         np.testing.assert_allclose(truth.velocity_m_s[1], [0.28, 0.96, 0.0])
     else:
         assert truth.velocity_m_s is None
     unknown = save(tmp_path / "unknown", [*foreign(), *poses_of(kind, "/odom")])
-    assert open_recording(unknown, calibration=files).ground_truth is None  # it may be an estimate
+    assert open_recording(unknown, calibration=files).ground_truth is None  # may be an estimate
     chosen = open_recording(unknown, calibration=files, topics=BagTopics(truth="/odom"))
     assert chosen.ground_truth is not None and len(chosen.ground_truth) == 3
 
@@ -578,11 +577,11 @@ def test_compressed_bags_are_read(tmp_path: Path, noise_yaml: Path, mode: Compre
     np.testing.assert_array_equal(recording.frame(2).images[1], np.roll(IMAGE, 21))
 
 
-# Damaged bags.
+# --- damaged bags
 
 
 def refused_or_read(path: Path) -> bool:
-    """Open a bag and read its frames: it is either refused, by its name, or what comes makes sense."""
+    """Open a bag and read its frames; return whether it is refused, and check the recording if not."""
     try:
         recording = open_recording(path)
         frames = [recording.frame(index) for index in range(len(recording.frame_times_ns))]
@@ -613,31 +612,31 @@ def scratch(tmp_path_factory: pytest.TempPathFactory) -> Path:
 @settings(max_examples=150, deadline=None)
 @given(
     name=st.sampled_from(["a.mcap", "a.db3"]),
-    kind=st.sampled_from(["cut", "flip", "noise", "insert"]),
+    kind=st.sampled_from(["truncate", "flip", "overwrite", "insert"]),
     share=st.floats(0.0, 1.0, exclude_max=True),
     damage=st.binary(min_size=16, max_size=64),
 )
-def test_a_damaged_bag_is_refused_or_read(
+def test_damaged_bags_are_refused_or_read(
     scratch: Path, whole: Path, name: str, kind: str, share: float, damage: bytes
 ) -> None:
     content = bytearray((whole / name).read_bytes())
     where = int(share * len(content))
-    if kind == "cut":
+    if kind == "truncate":
         del content[where:]
     elif kind == "flip":
         content[where] ^= damage[0] or 1
-    elif kind == "noise":
+    elif kind == "overwrite":
         content[where : where + len(damage)] = damage
     else:
         content[where:where] = damage
     (scratch / name).write_bytes(content)
     refused = refused_or_read(scratch / name)
-    assert refused or kind != "cut"
+    assert refused or kind != "truncate"
 
 
 @settings(max_examples=60, deadline=None)
 @given(data=st.data())
-def test_a_damaged_description_is_refused_or_read(
+def test_damaged_metadata_is_refused_or_read(
     tmp_path_factory: pytest.TempPathFactory, noise_recording: Make, data: st.DataObject
 ) -> None:
     folder = tmp_path_factory.getbasetemp() / "described"
@@ -661,7 +660,7 @@ def test_a_damaged_description_is_refused_or_read(
         (lambda p: (p.mkdir(), (p / "metadata.yaml").write_text("a: 1")), "key is missing"),
     ],
 )
-def test_what_is_no_bag_is_refused(tmp_path: Path, make: Callable[[Path], object], found: str) -> None:
+def test_other_files_are_refused(tmp_path: Path, make: Callable[[Path], object], found: str) -> None:
     path = tmp_path / "a.mcap"
     make(path)
     with pytest.raises(InputError) as caught:
@@ -670,9 +669,7 @@ def test_what_is_no_bag_is_refused(tmp_path: Path, make: Callable[[Path], object
 
 
 @pytest.mark.parametrize("topic", ["/imu0", "/groundtruth/odometry", "/cam0/image_raw"])
-def test_a_description_of_topics_that_are_not_there_is_refused(
-    tmp_path: Path, noise_recording: Make, topic: str
-) -> None:
+def test_metadata_with_missing_topics_is_refused(tmp_path: Path, noise_recording: Make, topic: str) -> None:
     write_bag(tmp_path / "bag", noise_recording())
     renamed = topic.replace("/", "/vicon_", 1)
     text = (tmp_path / "bag" / "metadata.yaml").read_text()
@@ -681,7 +678,7 @@ def test_a_description_of_topics_that_are_not_there_is_refused(
         BagRecording.open(tmp_path / "bag", topics=BagTopics(images=(renamed,) if "image" in topic else ()))
 
 
-def test_a_description_cannot_point_outside_its_folder(tmp_path: Path, noise_recording: Make) -> None:
+def test_metadata_cannot_refer_outside_its_folder(tmp_path: Path, noise_recording: Make) -> None:
     write_bag(tmp_path / "secret.mcap", noise_recording())
     write_bag(tmp_path / "bag", noise_recording())
     text = (tmp_path / "bag" / "metadata.yaml").read_text()
@@ -690,29 +687,27 @@ def test_a_description_cannot_point_outside_its_folder(tmp_path: Path, noise_rec
         BagRecording.open(tmp_path / "bag")
 
 
-def test_a_folder_without_its_description_is_read(
-    tmp_path: Path, noise_recording: Make, assert_same_recording: Make
-) -> None:
+def test_folders_without_metadata_are_read(tmp_path: Path, noise_recording: Make, assert_same_recording: Make) -> None:
     recording = replace(noise_recording(), frame_truth=None)
     write_bag(tmp_path / "bag", recording)
     (tmp_path / "bag" / "metadata.yaml").unlink()
     assert_same_recording(open_recording(tmp_path / "bag"), recording)
 
 
-def test_a_calibration_in_a_bag_that_is_damaged_is_named(tmp_path: Path, noise_recording: Make) -> None:
+def test_damaged_calibration_in_a_bag_is_named(tmp_path: Path, noise_recording: Make) -> None:
     text = ros.std_msgs__msg__String("cam0: [")
     path = save(tmp_path / "bag", [*foreign(), (T0_NS, "/calibration", text)])
     with pytest.raises(InputError, match="bag:/calibration:1"):
         open_recording(path)
 
 
-def test_bags_of_ros_1_are_told_apart(tmp_path: Path) -> None:
+def test_bags_of_ros_1_are_refused(tmp_path: Path) -> None:
     (tmp_path / "a.bag").write_bytes(b"#ROSBAG V2.0\n")
     with pytest.raises(InputError, match="rosbags-convert"):
         open_recording(tmp_path / "a.bag")
 
 
-def test_an_image_of_another_camera_model_is_named(tmp_path: Path, noise_recording: Make) -> None:
+def test_images_of_another_size_are_refused(tmp_path: Path, noise_recording: Make) -> None:
     write_bag(tmp_path / "a.mcap", noise_recording("euroc"))
     recording = BagRecording.open(tmp_path / "a.mcap")
     other = replace(recording.rig.cameras[0], model=CameraModel(33, 24, 20.0, 20.0, 16.0, 12.0))

@@ -1,4 +1,4 @@
-"""Thousands of broken TUM and KITTI files: each is refused with file and line, or read as it stands there."""
+"""Fuzzed TUM and KITTI files: each is refused with file and line, or read exactly."""
 
 import re
 from collections.abc import Callable
@@ -11,12 +11,13 @@ from hypothesis import strategies as st
 
 from dronevio.models.errors import InputError
 from dronevio.models.recordings.kitti import read_kitti, read_times_ns
-from dronevio.models.recordings.timed_table import parse_decimal_seconds
+from dronevio.models.recordings.timed_table import Repeated, parse_decimal_seconds
 from dronevio.models.recordings.tum import read_trajectory, read_tum
 from dronevio.models.rotation import exp_so3, quat_wxyz_from_matrix, quat_xyzw_from_wxyz
 from dronevio.models.state import Trajectory
 
-_OF_THE_WHOLE_FILE = re.compile("no rows|no such file|cannot be read")  # faults that stand on no line
+_WITHOUT_LINE = re.compile("no rows|no such file|cannot be read")  # errors that concern the whole file
+REPETITIONS: tuple[Repeated, ...] = ("first", "last", "keep")
 _INTERESTING = [*b"0123456789+-.eE \t\n\r,#;xnaif\0", 0xFF, 0xC3, 0xA9, 0xE2, 0x80, 0xA8, 0x1C, 0x85, 0xA0]
 
 
@@ -39,7 +40,7 @@ def times_text(rng: np.random.Generator, n: int = 6) -> bytes:
 
 
 def mutated(content: bytes, rng: np.random.Generator) -> bytes:
-    """Return a file after one to four accidents."""
+    """Return a file after one to four random changes."""
     data = bytearray(content)
     for _ in range(rng.integers(1, 5)):
         at = int(rng.integers(0, len(data) + 1))
@@ -66,7 +67,7 @@ def mutated(content: bytes, rng: np.random.Generator) -> bytes:
 
 
 def rows_of(content: bytes) -> list[list[str]]:
-    """Read a table the slow and simple way."""
+    """Return the fields of a table by an independent parser."""
     text = content.decode("utf-8-sig").replace("\r\n", "\n").replace("\r", "\n")
     return [line.split() for line in text.split("\n") if line.strip() and not line.strip().startswith("#")]
 
@@ -78,7 +79,7 @@ def check_tum(path: Path, content: bytes) -> None:
     values = np.array([[float(x) for x in row[1:]] for row in rows])
     np.testing.assert_array_equal(read.p_world_imu, values[:, :3])
     np.testing.assert_array_equal(quat_xyzw_from_wxyz(read.quat_wxyz), values[:, 3:])
-    check_sane(read)
+    assert_valid(read)
 
 
 def check_kitti(path: Path, content: bytes) -> None:
@@ -89,14 +90,14 @@ def check_kitti(path: Path, content: bytes) -> None:
     T = values[:, -12:].reshape(-1, 3, 4)
     np.testing.assert_array_equal(read.p_world_imu, T[:, :, 3])
     np.testing.assert_allclose(read.rotations, T[:, :, :3], atol=0.06)
-    check_sane(read)
+    assert_valid(read)
 
 
 def check_times(path: Path, content: bytes) -> None:
     assert read_times_ns(path).tolist() == [parse_decimal_seconds(" ".join(row)) for row in rows_of(content)]
 
 
-def check_sane(read: Trajectory) -> None:
+def assert_valid(read: Trajectory) -> None:
     assert np.isfinite(read.p_world_imu).all() and np.all(np.diff(read.t_ns) > 0)
     np.testing.assert_allclose(np.linalg.norm(read.quat_wxyz, axis=1), 1.0, atol=0.05)
 
@@ -108,8 +109,8 @@ FORMATS: dict[str, tuple[Callable[[np.random.Generator], bytes], Callable[[Path,
 }
 
 
-def meet(path: Path, content: bytes, check: Callable[[Path, bytes], None]) -> bool:
-    """Read a file; return whether it was refused, which it must be in proper words."""
+def read_or_refuse(path: Path, content: bytes, check: Callable[[Path, bytes], None]) -> bool:
+    """Check a file, and return whether it is refused with a complete message."""
     path.write_bytes(content)
     try:
         check(path, content)
@@ -117,7 +118,7 @@ def meet(path: Path, content: bytes, check: Callable[[Path, bytes], None]) -> bo
         message = str(error)
         assert error.path == path and message.startswith(str(path))
         assert "expected" in message and "\n" not in message and len(message) < 500 + len(str(path))
-        assert error.line is not None or _OF_THE_WHOLE_FILE.search(message), message
+        assert error.line is not None or _WITHOUT_LINE.search(message), message
         if error.line is not None:
             assert 1 <= error.line <= content.count(b"\n") + content.count(b"\r") + 1
         return True
@@ -125,23 +126,23 @@ def meet(path: Path, content: bytes, check: Callable[[Path, bytes], None]) -> bo
 
 
 @pytest.mark.parametrize("form", FORMATS)
-def test_two_thousand_accidents(form: str, tmp_path: Path) -> None:
+def test_two_thousand_fuzzed_files(form: str, tmp_path: Path) -> None:
     make, check = FORMATS[form]
     refused = 0
     for seed in range(2000):
         rng = np.random.default_rng(seed)
-        refused += meet(tmp_path / "x.txt", mutated(make(rng), rng), check)
-    assert 200 < refused < 1950  # neither does everything pass, nor is everything refused
+        refused += read_or_refuse(tmp_path / "x.txt", mutated(make(rng), rng), check)
+    assert 200 < refused < 1950  # some files are still valid
 
 
 @pytest.mark.parametrize("form", FORMATS)
-def test_any_text_at_all(form: str, tmp_path_factory: pytest.TempPathFactory) -> None:
+def test_arbitrary_bytes_are_refused_or_read(form: str, tmp_path_factory: pytest.TempPathFactory) -> None:
     path, check = tmp_path_factory.mktemp("text") / "x.txt", FORMATS[form][1]
 
     @settings(max_examples=300, deadline=None)
     @given(st.one_of(st.binary(max_size=200), st.text(max_size=200).map(lambda text: text.encode("utf-8", "replace"))))
     def run(content: bytes) -> None:
-        meet(path, content, check)
+        read_or_refuse(path, content, check)
 
     run()
 
@@ -163,34 +164,37 @@ def test_any_text_at_all(form: str, tmp_path_factory: pytest.TempPathFactory) ->
     ),
     st.sampled_from([" ", "\t", "  ", ",", " , "]),
 )
-def test_rows_of_anything(tmp_path_factory: pytest.TempPathFactory, rows: list[list[str]], between: str) -> None:
+def test_rows_of_arbitrary_fields_are_refused_or_read(
+    tmp_path_factory: pytest.TempPathFactory, rows: list[list[str]], between: str
+) -> None:
     path = tmp_path_factory.getbasetemp() / "rows.txt"
     content = "".join(between.join(row) + "\n" for row in rows).encode()
     for check in (check_tum, check_kitti):
-        meet(path, content, check)
+        read_or_refuse(path, content, check)
     try:
-        check_sane(read_trajectory(path))  # whatever it takes it for
+        assert_valid(read_trajectory(path))  # in the format that is detected
     except InputError as error:
         assert error.path == path
 
 
-def test_repeated_time_stamps(tmp_path: Path) -> None:
-    path, heard = tmp_path / "x.tum", []
+def test_repeated_time_stamps_are_treated_as_requested(tmp_path: Path) -> None:
+    path = tmp_path / "x.tum"
+    notices: list[str] = []
     stamps = ["1.0", "2.0", "2.0", "2.0", "2.000000001", "3.0"]
     path.write_text("".join(f"{t} {i} 0 0 0 0 0 1\n" for i, t in enumerate(stamps)))
     with pytest.raises(InputError, match="after 2000000000 ns") as caught:
         read_tum(path)
     assert caught.value.line == 3
-    first, last, keep = (read_tum(path, how, heard.append) for how in ("first", "last", "keep"))
+    first, last, keep = (read_tum(path, treatment, notices.append) for treatment in REPETITIONS)
     assert first.p_world_imu[:, 0].tolist() == [0, 1, 4, 5] and last.p_world_imu[:, 0].tolist() == [0, 3, 4, 5]
     assert keep.t_ns.tolist() == [10**9, 2 * 10**9, 2 * 10**9 + 1, 2 * 10**9 + 2, 2 * 10**9 + 3, 3 * 10**9]
-    assert [notice.removeprefix(f"{path}: ") for notice in heard] == [
+    assert [notice.removeprefix(f"{path}: ") for notice in notices] == [
         "2 rows repeat the previous time stamp; the first row of each time is used",
         "2 rows repeat the previous time stamp; the last row of each time is used",
         "2 rows repeat the previous time stamp; all are kept",
     ]
     path.write_text("1.0 0 0 0 0 0 0 1\n2.0 0 0 0 0 0 0 1\n2.0 0 0 0 0 0 0 1\n1.5 0 0 0 0 0 0 1\n")
-    for how in ("first", "last", "keep"):  # what runs backwards is never mended
+    for treatment in REPETITIONS:  # decreasing time stamps are always refused
         with pytest.raises(InputError, match="1500000000 ns after 2000000000 ns") as caught:
-            read_tum(path, how)  # type: ignore[arg-type]
+            read_tum(path, treatment)
         assert caught.value.line == 4

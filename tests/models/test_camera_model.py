@@ -1,9 +1,10 @@
-"""The camera model, held against OpenCV's lenses and against itself there and back."""
+"""Camera models against OpenCV, and projection against its inverse."""
 
 from dataclasses import replace
 
 import cv2
 import numpy as np
+import numpy.typing as npt
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
@@ -14,6 +15,8 @@ from dronevio.models.lenses import equidistant, radtan
 from dronevio.models.lenses.lens import LENSES
 from dronevio.models.rig import EUROC_CAM0, EUROC_T_IMU_CAM0, euroc_rig
 
+Array = npt.NDArray[np.float64]
+
 PINHOLE = replace(EUROC_CAM0, distortion=(0.0, 0.0, 0.0, 0.0))
 BARREL = CameraModel(640, 480, 320.0, 310.0, 322.0, 241.0, (-0.15, 0.02, 1e-3, -2e-3))
 WIDE = CameraModel(640, 480, 226.0, 225.5, 318.0, 242.5, (-0.01, 4e-3, -2e-3, 2e-4), "equidistant")
@@ -22,45 +25,46 @@ CAMERAS = [PINHOLE, EUROC_CAM0, BARREL]
 ALL_CAMERAS = [*CAMERAS, WIDE, FISHEYE]
 
 
-def every_pixel(model: CameraModel, step: float = 16.0) -> np.ndarray:
-    """Return pixels (N, 2) over the whole image, its borders included."""
+def pixel_grid(model: CameraModel, step: float = 16.0) -> Array:
+    """Return pixels (N, 2) over the whole image, including its borders."""
     u = np.linspace(-0.5, model.width - 0.5, int(model.width / step))
     v = np.linspace(-0.5, model.height - 0.5, int(model.height / step))
     return np.stack(np.meshgrid(u, v), axis=-1).reshape(-1, 2)
 
 
 @pytest.mark.parametrize("model", CAMERAS)
-def test_projection_is_opencvs(model: CameraModel) -> None:
+def test_projection_agrees_with_opencv(model: CameraModel) -> None:
     p = np.random.default_rng(0).uniform([-2.0, -1.5, 2.0], [2.0, 1.5, 9.0], (200, 3))
     theirs, _ = cv2.projectPoints(p, np.zeros(3), np.zeros(3), model.K, np.array(model.distortion))
     np.testing.assert_allclose(model.project(p), theirs[:, 0], atol=1e-9)
 
 
 @pytest.mark.parametrize("model", [WIDE, FISHEYE])
-def test_fisheye_is_opencvs(model: CameraModel) -> None:
-    p = np.random.default_rng(1).uniform([-9.0, -9.0, 0.3], [9.0, 9.0, 3.0], (300, 1, 3))  # up to 89° off the axis
+def test_fisheye_projection_agrees_with_opencv(model: CameraModel) -> None:
+    p = np.random.default_rng(1).uniform([-9.0, -9.0, 0.3], [9.0, 9.0, 3.0], (300, 1, 3))  # up to 89° from the axis
     theirs, _ = cv2.fisheye.projectPoints(p, np.zeros(3), np.zeros(3), model.K, np.array(model.distortion))
     np.testing.assert_allclose(model.project(p), theirs, atol=1e-9)
-    ahead = np.isfinite(model.normalize(theirs)).all(axis=-1)
-    back = cv2.fisheye.undistortPoints(theirs[ahead][:, None], model.K, np.array(model.distortion))
-    near = np.linalg.norm(back, axis=-1) < 5.0  # OpenCV stops at 1e-8 rad
-    np.testing.assert_allclose(model.normalize(theirs[ahead][:, None])[near], back[near], atol=1e-6)
+    pixels = np.asarray(theirs, np.float64)
+    forward = pixels[np.isfinite(model.normalize(pixels)).all(axis=-1)][:, None]
+    xy = np.asarray(cv2.fisheye.undistortPoints(forward, model.K, np.array(model.distortion)))
+    near = np.linalg.norm(xy, axis=-1) < 5.0  # OpenCV stops at 1e-8 rad
+    np.testing.assert_allclose(model.normalize(forward)[near], xy[near], atol=1e-6)
 
 
-def test_fisheye_sees_behind_itself() -> None:
+def test_fisheye_field_of_view_exceeds_180_degrees() -> None:
     angles = np.deg2rad([0.0, 30.0, 89.0, 89.9, 90.1, 100.0])
     p = np.stack([np.sin(angles), np.zeros(6), np.cos(angles)], axis=-1) * 3.0
     k = FISHEYE.distortion
-    bent = angles * (1.0 + sum(k[i] * angles ** (2 * i + 2) for i in range(4)))
+    theta_d = angles * (1.0 + sum(k[i] * angles ** (2 * i + 2) for i in range(4)))
     pixels = FISHEYE.project(p)
-    np.testing.assert_allclose(pixels[:, 0], FISHEYE.cx + FISHEYE.fx * bent, atol=1e-9)
+    np.testing.assert_allclose(pixels[:, 0], FISHEYE.cx + FISHEYE.fx * theta_d, atol=1e-9)
     np.testing.assert_allclose(FISHEYE.unproject(pixels) * 3.0, p, atol=1e-9)
     np.testing.assert_array_equal(np.isnan(FISHEYE.normalize(pixels)).any(axis=-1), angles >= 0.5 * np.pi)
 
 
 @pytest.mark.parametrize("model", CAMERAS)
-def test_every_pixel_comes_back(model: CameraModel) -> None:
-    pixels = every_pixel(model)
+def test_normalization_inverts_projection(model: CameraModel) -> None:
+    pixels = pixel_grid(model)
     xy = model.normalize(pixels)
     back = model.project(np.column_stack([xy, np.ones(len(xy))]) * 3.7)
     np.testing.assert_allclose(back, pixels, atol=1e-9)
@@ -68,8 +72,8 @@ def test_every_pixel_comes_back(model: CameraModel) -> None:
 
 
 @pytest.mark.parametrize("model", ALL_CAMERAS)
-def test_bearings_have_unit_length_and_point_at_their_pixel(model: CameraModel) -> None:
-    pixels = every_pixel(model)
+def test_bearings_are_unit_vectors_of_their_pixels(model: CameraModel) -> None:
+    pixels = pixel_grid(model)
     bearings = model.unproject(pixels)
     np.testing.assert_allclose(np.linalg.norm(bearings, axis=1), 1.0, atol=1e-14)
     np.testing.assert_allclose(model.project(bearings * 2.5), pixels, atol=1e-9)
@@ -84,31 +88,31 @@ FOLDING = [
 
 
 @pytest.mark.parametrize("model", FOLDING)
-def test_a_lens_ends_where_it_would_fold(model: CameraModel) -> None:
-    """From the axis outwards pixels move outwards until the lens ends, and none comes back from beyond."""
+def test_the_lens_ends_before_its_image_folds(model: CameraModel) -> None:
+    """With the angle from the axis the radius in the image increases up to the limit, and is NaN beyond."""
     angles = np.linspace(0.0, np.pi, 4001)[1:-1]
     azimuths = np.linspace(0.0, 2.0 * np.pi, 12, endpoint=False)[:, None]
     p = np.stack(
         [np.sin(angles) * np.cos(azimuths), np.sin(angles) * np.sin(azimuths), np.cos(angles) + 0.0 * azimuths], axis=-1
     )
     pixels = model.project(p)
-    seen = np.isfinite(pixels).all(axis=-1)
-    assert (seen[:, :-1] >= seen[:, 1:]).all()  # one stretch, from the axis on
-    assert seen[:, 0].all()
+    valid = np.asarray(np.isfinite(pixels).all(axis=-1))
+    assert (valid[:, :-1] >= valid[:, 1:]).all()  # one interval, from the axis on
+    assert valid[:, 0].all()
     radius = np.linalg.norm(pixels - [model.cx, model.cy], axis=-1)
-    assert (np.diff(radius, axis=1)[seen[:, 1:]] > 0.0).all()
+    assert (np.diff(radius, axis=1)[valid[:, 1:]] > 0.0).all()
     bearings = model.unproject(pixels)
-    well_inside = np.roll(seen, -40, axis=1) & seen  # at the very edge the map is flat and its inverse ill conditioned
+    well_inside = np.roll(valid, -40, axis=1) & valid  # at the limit the inverse is ill conditioned
     np.testing.assert_allclose(bearings[well_inside], p[well_inside], atol=1e-9)
-    last = seen.sum(axis=1) - 1
+    last = valid.sum(axis=1) - 1
     outermost = pixels[np.arange(12), last]
     beyond = outermost + 0.05 * (outermost - [model.cx, model.cy])
     assert np.isnan(model.unproject(beyond)).all()
     assert np.isnan(model.normalize(beyond)).all()
 
 
-def test_reach_is_where_the_lens_turns() -> None:
-    for lens, coefficients, folds_at in (
+def test_valid_limit_is_the_first_stationary_point() -> None:
+    for lens, coefficients, limit in (
         (radtan, (-0.3, 0.0, 0.0, 0.0), np.sqrt(1.0 / 0.9)),
         (radtan, (-0.4, 0.05, 0.0, 0.0), np.sqrt((1.2 - np.sqrt(0.44)) / 0.5)),
         (radtan, EUROC_CAM0.distortion, np.inf),
@@ -117,12 +121,12 @@ def test_reach_is_where_the_lens_turns() -> None:
         (equidistant, (-0.1, 0.0, 0.0, 0.0), np.sqrt(1.0 / 0.3)),
         (equidistant, (0.0, 0.0, 0.0, 0.0), np.pi),
     ):
-        assert lens.valid_limit(coefficients) == pytest.approx(folds_at, rel=1e-12)
+        assert lens.valid_limit(coefficients) == pytest.approx(limit, rel=1e-12)
 
 
 @given(*[st.floats(-0.5, 0.5)] * 2, *[st.floats(-0.02, 0.02)] * 2)
 @settings(max_examples=40, deadline=None)
-def test_jacobian_of_radtan_is_positive_within_its_reach(k1: float, k2: float, p1: float, p2: float) -> None:
+def test_radtan_jacobian_is_positive_within_its_limit(k1: float, k2: float, p1: float, p2: float) -> None:
     coefficients = (k1, k2, p1, p2)
     radii = min(radtan.valid_limit(coefficients), 50.0) * np.linspace(0.0, 0.999, 50)[:, None]
     azimuths = np.linspace(0.0, 2.0 * np.pi, 36, endpoint=False)
@@ -142,14 +146,14 @@ def test_jacobian_of_radtan_is_positive_within_its_reach(k1: float, k2: float, p
         ({"distortion": (0.1, 0.0)}, "four"),
     ],
 )
-def test_a_camera_that_makes_no_sense_is_refused(change: dict[str, object], words: str) -> None:
+def test_invalid_cameras_are_refused(change: dict[str, object], words: str) -> None:
     with pytest.raises(ConfigError, match=words):
         replace(EUROC_CAM0, **change)  # type: ignore[arg-type]
 
 
 @given(st.floats(-0.7, 0.7), st.floats(-0.45, 0.45))
 @settings(max_examples=50, deadline=None)
-def test_jacobian_of_the_lens_is_its_derivative(x: float, y: float) -> None:
+def test_radtan_jacobian_is_the_derivative(x: float, y: float) -> None:
     xy, h = np.array([x, y]), 1e-6
     numeric = np.stack(
         [(EUROC_CAM0.distort(xy + h * e) - EUROC_CAM0.distort(xy - h * e)) / (2 * h) for e in np.eye(2)], axis=1
@@ -165,25 +169,25 @@ def test_camera_centre_and_nan_have_no_pixel() -> None:
     assert set(LENSES) == {model.lens for model in ALL_CAMERAS}
 
 
-def test_what_is_not_in_front_has_no_pixel() -> None:
+def test_points_behind_the_camera_have_no_pixel() -> None:
     pixels = EUROC_CAM0.project(np.array([[0.1, 0.1, -1.0], [0.1, 0.1, 0.0], [0.0, 0.0, 1.0]]))
     assert np.isnan(pixels[:2]).all()
     np.testing.assert_array_equal(pixels[2], [EUROC_CAM0.cx, EUROC_CAM0.cy])
 
 
-def test_no_points_and_many_axes_are_fine() -> None:
+def test_empty_and_multidimensional_arrays_are_supported() -> None:
     assert EUROC_CAM0.normalize(np.zeros((0, 2))).shape == (0, 2)
     assert EUROC_CAM0.project(np.zeros((0, 3))).shape == (0, 2)
-    pixels = every_pixel(EUROC_CAM0)[:24].reshape(2, 3, 4, 2)
+    pixels = pixel_grid(EUROC_CAM0)[:24].reshape(2, 3, 4, 2)
     np.testing.assert_array_equal(EUROC_CAM0.unproject(pixels).shape, (2, 3, 4, 3))
     np.testing.assert_allclose(EUROC_CAM0.normalize(pixels)[1, 2, 3], EUROC_CAM0.normalize(pixels[1, 2, 3]), atol=1e-12)
 
 
-def test_eurocs_rig_looks_ahead_of_the_vehicle() -> None:
+def test_eurocs_camera_faces_forward() -> None:
     rig = euroc_rig()
     T_vehicle_cam = rig.T_vehicle_imu @ rig.cameras[0].T_imu_cam
     for R in (EUROC_T_IMU_CAM0[:3, :3], rig.T_vehicle_imu[:3, :3]):
         np.testing.assert_allclose(R @ R.T, np.eye(3), atol=1e-9)
         assert np.linalg.det(R) == pytest.approx(1.0)
-    right, down, ahead = T_vehicle_cam[:3, :3].T
-    assert ahead[0] > 0.99 and right[1] < -0.99 and down[2] < -0.99
+    right, down, forward = T_vehicle_cam[:3, :3].T
+    assert forward[0] > 0.99 and right[1] < -0.99 and down[2] < -0.99

@@ -1,7 +1,10 @@
+"""EuRoC folders: round trip, the spelling of the data set, and refused files."""
+
 import shutil
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import cv2
 import numpy as np
@@ -77,7 +80,7 @@ def refused(folder: Path) -> InputError:
 
 
 @pytest.mark.parametrize("cameras", [1, 2])
-def test_what_is_written_comes_back_to_the_bit(tmp_path: Path, cameras: int) -> None:
+def test_round_trip_is_exact(tmp_path: Path, cameras: int) -> None:
     imu, truth = motion()
     rig = small_rig(cameras)
     recording: Recording = EurocRecording.open(write_flight(tmp_path / "hall-3", cameras))
@@ -104,7 +107,9 @@ def test_what_is_written_comes_back_to_the_bit(tmp_path: Path, cameras: int) -> 
 
 @settings(max_examples=50, deadline=None)
 @given(st.data())
-def test_any_numbers_come_back_to_the_bit(tmp_path_factory: pytest.TempPathFactory, data: st.DataObject) -> None:
+def test_round_trip_of_arbitrary_numbers_is_exact(
+    tmp_path_factory: pytest.TempPathFactory, data: st.DataObject
+) -> None:
     finite = st.floats(allow_nan=False, allow_infinity=False)
     positive = st.floats(1e-300, 1e300)
     t_ns = np.array(sorted(data.draw(st.sets(st.integers(0, 2**62 - 1), min_size=1, max_size=5))))
@@ -124,7 +129,7 @@ def test_any_numbers_come_back_to_the_bit(tmp_path_factory: pytest.TempPathFacto
     np.testing.assert_array_equal(back.frame_times_ns, t_ns)
 
 
-def test_a_truth_of_poses_alone_comes_back(tmp_path: Path) -> None:
+def test_ground_truth_may_have_poses_only(tmp_path: Path) -> None:
     imu, truth = motion()
     poses = Trajectory(truth.t_ns, truth.p_world_imu, truth.quat_wxyz)
     write_euroc(tmp_path, small_rig(), imu, poses, imu.t_ns[::10])
@@ -134,8 +139,8 @@ def test_a_truth_of_poses_alone_comes_back(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("name", RIGS)
-def test_every_rig_comes_back_to_the_bit(tmp_path: Path, name: str) -> None:
-    """Fisheyes, rolling shutters, stereo, and IMUs with a range and a resolution."""
+def test_round_trip_of_every_rig_is_exact(tmp_path: Path, name: str) -> None:
+    """The rigs include fisheyes, rolling shutters, stereo, and IMUs with range and resolution."""
     imu, truth = motion()
     rig = rig_named(name)
     write_euroc(tmp_path, rig, imu, truth, imu.t_ns[::10])
@@ -154,29 +159,29 @@ def frame_truth(imu: ImuSamples) -> FrameTruth:
     return FrameTruth(t_ns, exposed_ns, rng.random(len(t_ns)), rng.random(len(t_ns)), rng.random(len(t_ns)) > 0.5)
 
 
-def test_when_frames_were_really_exposed_comes_back_to_the_bit(tmp_path: Path) -> None:
+def test_round_trip_of_frame_truth_is_exact(tmp_path: Path) -> None:
     imu, truth = motion()
-    told = frame_truth(imu)
-    write_euroc(tmp_path, small_rig(), imu, truth, told.t_ns, told)
+    written = frame_truth(imu)
+    write_euroc(tmp_path, small_rig(), imu, truth, written.t_ns, written)
     back = EurocRecording.open(tmp_path).frame_truth
     assert back is not None
     for name in ("t_ns", "exposed_ns", "exposure_s", "gain", "lit"):
-        np.testing.assert_array_equal(getattr(back, name), getattr(told, name))
+        np.testing.assert_array_equal(getattr(back, name), getattr(written, name))
 
 
 @pytest.mark.parametrize("wrong", ["1.5e3", str(2**62), "x"])
-def test_refuses_a_wrong_time_of_exposure(flight: Path, wrong: str) -> None:
-    told = frame_truth(motion()[0])
+def test_invalid_exposure_times_are_refused(flight: Path, wrong: str) -> None:
+    written = frame_truth(motion()[0])
     path = flight / "mav0" / FRAME_TRUTH_FILE
     path.parent.mkdir()
-    path.write_text(frame_truth_text(told).replace(str(told.exposed_ns[1]), wrong))
+    path.write_text(frame_truth_text(written).replace(str(written.exposed_ns[1]), wrong))
     error = refused(flight)
     assert error.path == path and error.line == 3 and wrong in str(error)
 
 
 @pytest.mark.parametrize("cameras", [1, 2])
 def test_an_incomplete_recording_has_the_frames_that_exist(tmp_path: Path, cameras: int) -> None:
-    flight = write_flight(tmp_path / "cut-off", cameras)
+    flight = write_flight(tmp_path / "interrupted", cameras)
     assert EurocRecording.open(flight).complete
     (flight / "mav0" / INCOMPLETE).touch()
     (flight / "mav0" / f"cam{cameras - 1}" / "data" / f"{motion()[0].t_ns[20]}.png").unlink()
@@ -189,21 +194,21 @@ def test_an_incomplete_recording_has_the_frames_that_exist(tmp_path: Path, camer
     assert "incomplete recording without frames" in str(refused(flight))
 
 
-def test_a_recording_without_truth_is_written_without(tmp_path: Path) -> None:
+def test_ground_truth_is_optional(tmp_path: Path) -> None:
     imu, _ = motion()
     write_euroc(tmp_path, small_rig(), imu, None, imu.t_ns[::10])
     assert EurocRecording.open(tmp_path).ground_truth is None
     assert not (tmp_path / "mav0" / "state_groundtruth_estimate0" / "data.csv").exists()
 
 
-def test_refuses_to_write_increments(tmp_path: Path) -> None:
+def test_increments_are_refused(tmp_path: Path) -> None:
     imu, truth = motion()
     with pytest.raises(ConfigError, match="expected 'point' for"):
         write_euroc(tmp_path, small_rig(), imu.increments(), truth, imu.t_ns[::10])
     assert not any(tmp_path.iterdir())
 
 
-def test_accepts_mav0_itself_and_a_folder_without_truth(flight: Path) -> None:
+def test_mav0_itself_is_accepted(flight: Path) -> None:
     shutil.rmtree(flight / "mav0" / "state_groundtruth_estimate0")
     (flight / "mav0" / "body.yaml").unlink()
     recording = EurocRecording.open(flight / "mav0")
@@ -213,7 +218,7 @@ def test_accepts_mav0_itself_and_a_folder_without_truth(flight: Path) -> None:
     np.testing.assert_array_equal(read_euroc_frame_times(flight), recording.frame_times_ns)
 
 
-def test_keeps_the_frames_that_every_camera_has(tmp_path: Path) -> None:
+def test_frames_need_an_image_of_every_camera(tmp_path: Path) -> None:
     flight = write_flight(tmp_path / "stereo", cameras=2)
     edit(flight / "mav0" / "cam1" / "data.csv", lambda text: "\n".join(text.split("\n")[:2] + text.split("\n")[3:]))
     recording = EurocRecording.open(flight)
@@ -225,25 +230,25 @@ def test_keeps_the_frames_that_every_camera_has(tmp_path: Path) -> None:
     assert "in common" in str(refused(flight))
 
 
-def test_reads_the_data_set_s_own_spelling(flight: Path) -> None:
-    """Windows line ends, spaces after commas, exponents and numbers without a point."""
+def test_the_formatting_of_the_data_set_is_read(flight: Path) -> None:
+    """The data set has Windows line ends, and spaces after commas."""
     plain = EurocRecording.open(flight)
     for name in ("cam0/data.csv", "imu0/data.csv", "state_groundtruth_estimate0/data.csv", "imu0/sensor.yaml"):
         edit(flight / "mav0" / name, lambda text: text.replace(",", ", ").replace("\n", "\r\n"))
-    spelt = EurocRecording.open(flight)
-    np.testing.assert_array_equal(spelt.imu.accel_m_s2, plain.imu.accel_m_s2)
-    np.testing.assert_array_equal(spelt.frame_times_ns, plain.frame_times_ns)
-    assert spelt.image_files == plain.image_files
+    recording = EurocRecording.open(flight)
+    np.testing.assert_array_equal(recording.imu.accel_m_s2, plain.imu.accel_m_s2)
+    np.testing.assert_array_equal(recording.frame_times_ns, plain.frame_times_ns)
+    assert recording.image_files == plain.image_files
 
 
 @pytest.mark.parametrize("name", ["cam0/data.csv", "cam0/sensor.yaml", "imu0/data.csv", "imu0/sensor.yaml"])
-def test_refuses_a_folder_that_lacks_a_file(flight: Path, name: str) -> None:
+def test_missing_files_are_named(flight: Path, name: str) -> None:
     (flight / "mav0" / name).unlink()
     error = refused(flight)
     assert error.path == flight / "mav0" / name and "no such file" in str(error)
 
 
-def test_refuses_what_is_no_recording(flight: Path, tmp_path: Path) -> None:
+def test_other_paths_are_refused(flight: Path, tmp_path: Path) -> None:
     assert "no such folder" in str(refused(tmp_path / "missing"))
     assert "a file" in str(refused(flight / "mav0" / "body.yaml"))
     (tmp_path / "empty").mkdir()
@@ -288,7 +293,7 @@ def test_refuses_what_is_no_recording(flight: Path, tmp_path: Path) -> None:
         ("cam0/data.csv", "1403715273312142976.png", "..", "folder data"),
     ],
 )
-def test_names_file_line_and_fault(flight: Path, name: str, old: str, new: str, found: str) -> None:
+def test_errors_name_file_line_and_cause(flight: Path, name: str, old: str, new: str, found: str) -> None:
     path = flight / "mav0" / name
     before = path.read_text()
     edit(path, lambda text: text.replace(old, new, 1))
@@ -299,7 +304,7 @@ def test_names_file_line_and_fault(flight: Path, name: str, old: str, new: str, 
 
 
 @pytest.mark.parametrize("name", ["cam0/data.csv", "imu0/data.csv", "state_groundtruth_estimate0/data.csv"])
-def test_a_table_cut_anywhere_is_refused_or_gives_its_first_rows(flight: Path, name: str) -> None:
+def test_truncated_tables_are_refused_or_shorter(flight: Path, name: str) -> None:
     path = flight / "mav0" / name
     content = path.read_bytes()
     whole = EurocRecording.open(flight)
@@ -317,7 +322,7 @@ def test_a_table_cut_anywhere_is_refused_or_gives_its_first_rows(flight: Path, n
         np.testing.assert_array_equal(cut.ground_truth.quat_wxyz, whole.ground_truth.quat_wxyz[: len(cut.ground_truth)])
 
 
-def test_a_missing_or_damaged_image_is_named(flight: Path) -> None:
+def test_missing_and_damaged_images_are_named(flight: Path) -> None:
     recording = EurocRecording.open(flight)
     image = recording.image_files[0][2]
     image.write_bytes(image.read_bytes()[:-20])
@@ -330,7 +335,7 @@ def test_a_missing_or_damaged_image_is_named(flight: Path) -> None:
     assert recording.frame(1).t_ns == recording.frame_times_ns[1]
 
 
-def test_evo_reads_the_truth(flight: Path) -> None:
+def test_evo_reads_the_ground_truth(flight: Path) -> None:
     from evo.tools.file_interface import read_euroc_csv_trajectory
 
     truth = EurocRecording.open(flight).ground_truth
@@ -338,11 +343,11 @@ def test_evo_reads_the_truth(flight: Path) -> None:
     assert truth is not None
     np.testing.assert_array_equal(theirs.positions_xyz, truth.p_world_imu)
     np.testing.assert_array_equal(theirs.orientations_quat_wxyz, truth.quat_wxyz)
-    np.testing.assert_allclose(theirs.timestamps, truth.t_ns * 1e-9, atol=1e-6)  # a double holds no nanosecond of today
+    np.testing.assert_allclose(theirs.timestamps, truth.t_ns * 1e-9, atol=1e-6)  # limited by doubles
 
 
-def test_a_recording_of_any_kind_becomes_an_euroc_folder(
-    tmp_path: Path, noise_recording: Callable[..., Recording], assert_same_recording: Callable[..., None]
+def test_any_recording_can_be_written(
+    tmp_path: Path, noise_recording: Callable[..., Any], assert_same_recording: Callable[..., None]
 ) -> None:
     recording = noise_recording("fisheye-stereo")
     write_euroc_recording(tmp_path, recording, frame_truth=recording.frame_truth)
@@ -351,7 +356,7 @@ def test_a_recording_of_any_kind_becomes_an_euroc_folder(
     assert_same_recording(back, recording)
 
 
-def test_reads_the_real_data_set(data_folder: Path) -> None:
+def test_the_real_data_set_is_read(data_folder: Path) -> None:
     truth = read_groundtruth(data_folder / "euroc" / "V1_02" / "groundtruth.csv")
     assert len(truth) == 16702
     assert truth.length_m == pytest.approx(75.8913, abs=1e-3)

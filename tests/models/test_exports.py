@@ -1,15 +1,18 @@
-"""Configurations of other programs: with the fields of their own examples, and numbers that mean what they say.
+"""Configuration files of other programs have the fields of their examples, with the right meaning.
 
-What each program makes of a field is written down here anew: OpenCV reads the YAML as they do, and its own projections
-tell whether coefficients are in the right places.
+The interpretation of each program is implemented here independently: OpenCV parses the YAML files as the programs do,
+and its projections verify the order of the coefficients.
 """
 
 import json
+from collections.abc import Iterable
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import cv2
 import numpy as np
+import numpy.typing as npt
 import pytest
 
 from dronevio.models.camera import CameraModel
@@ -18,6 +21,8 @@ from dronevio.models.recordings.calibration.exports import CONFIGURATIONS
 from dronevio.models.rig import Rig
 from dronevio.models.rig_presets import RIGS, rig_named
 from dronevio.models.rotation import matrix_from_quat_wxyz, pose_matrix
+
+Array = npt.NDArray[np.float64]
 
 TIMES_NS = np.array([1403715273262142976, 1403715273312142976])
 P_CAM = np.array([[0.3, -0.2, 2.0], [-0.5, 0.4, 1.5], [0.0, 0.0, 3.0]])
@@ -36,30 +41,32 @@ def opened(path: Path) -> Any:
     return storage
 
 
-def rows(node: Any) -> np.ndarray:
+def rows(node: Any) -> Array:
     return np.array([[node.at(i).at(j).real() for j in range(node.at(i).size())] for i in range(node.size())])
 
 
-def numbers(node: Any) -> np.ndarray:
+def numbers(node: Any) -> Array:
     return np.array([node.at(i).real() for i in range(node.size())])
 
 
-def projected(lens: str, fx: float, fy: float, cx: float, cy: float, k: Any) -> np.ndarray:
-    """Pixels by OpenCV's own camera models."""
+def projected(lens: str, fx: float, fy: float, cx: float, cy: float, k: Any) -> Array:
+    """Return the pixels of `P_CAM` by the camera models of OpenCV."""
     K, k = np.array([[fx, 0.0, cx], [0.0, fy, cy], [0.0, 0.0, 1.0]]), np.array(k, dtype=np.float64)
     zero = np.zeros(3)
     if lens == "equidistant":
-        return cv2.fisheye.projectPoints(P_CAM[:, None], zero, zero, K, k)[0][:, 0]
-    return cv2.projectPoints(P_CAM[:, None], zero, zero, K, k)[0][:, 0]
+        return np.asarray(cv2.fisheye.projectPoints(P_CAM[:, None], zero, zero, K, k)[0][:, 0], np.float64)
+    return np.asarray(cv2.projectPoints(P_CAM[:, None], zero, zero, K, k)[0][:, 0], np.float64)
 
 
-def assert_is(model: CameraModel, fx: float, fy: float, cx: float, cy: float, k: Any) -> None:
+def assert_is(model: CameraModel, intrinsics: Iterable[float], k: Any) -> None:
+    """Assert that a camera is the same as that of four intrinsics and four coefficients."""
+    fx, fy, cx, cy = intrinsics
     np.testing.assert_allclose(projected(model.lens, fx, fy, cx, cy, k), model.project(P_CAM), atol=1e-9)
 
 
 @pytest.mark.parametrize("name", RIGS)
 def test_openvins(tmp_path: Path, name: str) -> None:
-    """Its parser is OpenCV's; it asks for the keys of ``config/euroc_mav``."""
+    """OpenVINS parses with OpenCV, and needs the keys of ``config/euroc_mav``."""
     rig = rig_named(name)
     files = files_of("openvins", rig, tmp_path)
     settings = opened(files["estimator_config.yaml"])
@@ -77,8 +84,8 @@ def test_openvins(tmp_path: Path, name: str) -> None:
         assert node.getNode("camera_model").string() == "pinhole"
         assert numbers(node.getNode("resolution")).tolist() == [camera.model.width, camera.model.height]
         assert node.getNode("rostopic").string() == f"/cam{i}/image_raw"
-        assert_is(camera.model, *numbers(node.getNode("intrinsics")), numbers(node.getNode("distortion_coeffs")))
-    storage = opened(files["kalibr_imu_chain.yaml"])  # its nodes live as long as it does
+        assert_is(camera.model, numbers(node.getNode("intrinsics")), numbers(node.getNode("distortion_coeffs")))
+    storage = opened(files["kalibr_imu_chain.yaml"])  # its nodes are valid while it exists
     imu = storage.getNode("imu0")
     assert imu.getNode("gyroscope_noise_density").real() == rig.imu.gyro_noise_density
     assert imu.getNode("accelerometer_random_walk").real() == rig.imu.accel_random_walk
@@ -111,12 +118,12 @@ def test_vins_fusion(tmp_path: Path, name: str) -> None:
         else:
             assert cam.getNode("model_type").string() == "PINHOLE"
             names, k = ("fx", "fy", "cx", "cy"), [distortion.getNode(n).real() for n in ("k1", "k2", "p1", "p2")]
-        assert_is(m, *(projection.getNode(n).real() for n in names), k)
+        assert_is(m, (projection.getNode(n).real() for n in names), k)
 
 
 @pytest.mark.parametrize("name", RIGS)
 def test_orbslam3(tmp_path: Path, name: str) -> None:
-    """Its reader insists that whole numbers are written as such, and others with a point."""
+    """The parser of ORB-SLAM3 distinguishes integers and numbers with a point."""
     rig = rig_named(name)
     files = files_of("orbslam3", rig, tmp_path)
     settings = opened(files["settings.yaml"])
@@ -133,9 +140,9 @@ def test_orbslam3(tmp_path: Path, name: str) -> None:
         nodes = [settings.getNode(f"Camera{i}.{n}") for n in names]
         assert all(node.isReal() for node in nodes)
         values = [node.real() for node in nodes]
-        assert_is(camera.model, *values[:4], values[4:])
+        assert_is(camera.model, values[:4], values[4:])
     np.testing.assert_allclose(settings.getNode("IMU.T_b_c1").mat(), rig.cameras[0].T_imu_cam, atol=1e-7)
-    if len(rig.cameras) > 1:  # takes points of the right camera into the left
+    if len(rig.cameras) > 1:  # maps points of the right camera into the left one
         T_left_right = settings.getNode("Stereo.T_c1_c2").mat()
         np.testing.assert_allclose(rig.cameras[0].T_imu_cam @ T_left_right, rig.cameras[1].T_imu_cam, atol=1e-5)
     assert files["times.txt"].read_text().split() == [str(t) for t in TIMES_NS.tolist()]
@@ -157,7 +164,7 @@ def test_basalt(tmp_path: Path, name: str) -> None:
         expected = {"equidistant": "kb4", "radtan": "pinhole-radtan8" if any(camera.model.distortion) else "pinhole"}
         assert intrinsics["camera_type"] == expected[camera.model.lens]
         names = ("k1", "k2", "k3", "k4") if camera.model.lens == "equidistant" else ("k1", "k2", "p1", "p2")
-        assert_is(camera.model, n["fx"], n["fy"], n["cx"], n["cy"], [n.get(key, 0.0) for key in names])
+        assert_is(camera.model, [n[key] for key in ("fx", "fy", "cx", "cy")], [n.get(key, 0.0) for key in names])
 
 
 def test_kimera(tmp_path: Path) -> None:
@@ -169,7 +176,7 @@ def test_kimera(tmp_path: Path) -> None:
         data = numbers(params.getNode("T_BS").getNode("data")).reshape(4, 4)
         np.testing.assert_array_equal(data, camera.T_imu_cam)
         k = numbers(params.getNode("distortion_coefficients"))
-        assert_is(camera.model, *numbers(params.getNode("intrinsics")), k)
+        assert_is(camera.model, numbers(params.getNode("intrinsics")), k)
         assert numbers(params.getNode("resolution")).tolist() == [752, 480]
     imu = opened(files["ImuParams.yaml"])
     assert imu.getNode("accelerometer_noise_density").real() == rig.imu.accel_noise_density
@@ -177,10 +184,8 @@ def test_kimera(tmp_path: Path) -> None:
     assert imu.getNode("imu_preintegration_type").real() == 1 and imu.getNode("rate_hz").real() == 200.0
 
 
-def test_each_format_has_its_own_sign_of_the_time_offset(tmp_path: Path) -> None:
-    """All of them write t_imu = t_cam + shift."""
-    from dataclasses import replace
-
+def test_time_offsets_have_the_right_sign(tmp_path: Path) -> None:
+    """All programs define t_imu = t_cam + shift."""
     rig = replace(rig_named("euroc"), time_offset_s=0.00125)
     vins = opened(files_of("vins", rig, tmp_path)["mono_imu_config.yaml"])
     assert vins.getNode("td").real() == 0.00125
@@ -193,13 +198,13 @@ def test_each_format_has_its_own_sign_of_the_time_offset(tmp_path: Path) -> None
 
 
 @pytest.mark.parametrize("program", ["vins", "orbslam3", "kimera"])
-def test_refuses_more_cameras_than_a_program_takes(program: str) -> None:
+def test_too_many_cameras_are_refused(program: str) -> None:
     two = rig_named("euroc-stereo").cameras
     with pytest.raises(ConfigError, match="one or two"):
         CONFIGURATIONS[program](Rig((*two, *two)), TIMES_NS)
 
 
-def test_orbslam3_takes_no_two_kinds_of_camera() -> None:
+def test_orbslam3_refuses_different_lens_models() -> None:
     cameras = (rig_named("euroc").cameras[0], rig_named("fisheye").cameras[0])
     with pytest.raises(ConfigError, match="different lens models"):
         CONFIGURATIONS["orbslam3"](Rig(cameras), TIMES_NS)

@@ -1,3 +1,5 @@
+"""Grey images from files, and the refusal of damaged ones."""
+
 from pathlib import Path
 
 import cv2
@@ -7,10 +9,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from dronevio.models.errors import InputError
-from dronevio.models.recordings.images import read_grey
+from dronevio.models.recordings.images import Image, read_grey
 
 
-def noise_image() -> np.ndarray:
+def noise_image() -> Image:
     return np.random.default_rng(0).integers(0, 256, (24, 32), dtype=np.uint8)
 
 
@@ -24,7 +26,7 @@ def scratch(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return tmp_path_factory.mktemp("images") / "image.png"
 
 
-def test_reads_the_pixels(scratch: Path) -> None:
+def test_pixels_are_read_exactly(scratch: Path) -> None:
     scratch.write_bytes(PNG)
     image = read_grey(scratch, 32, 24)
     assert image.dtype == np.uint8
@@ -33,13 +35,13 @@ def test_reads_the_pixels(scratch: Path) -> None:
     assert read_grey(scratch, 32, 24).shape == (24, 32)
 
 
-def test_turns_colour_into_grey(scratch: Path) -> None:
+def test_colour_is_converted_to_grey(scratch: Path) -> None:
     scratch.write_bytes(cv2.imencode(".png", cv2.cvtColor(IMAGE, cv2.COLOR_GRAY2BGR))[1].tobytes())
     np.testing.assert_array_equal(read_grey(scratch, 32, 24), IMAGE)
 
 
 @pytest.mark.parametrize("content", [PNG, JPEG], ids=["png", "jpeg"])
-def test_refuses_a_file_that_is_cut_anywhere(scratch: Path, content: bytes, capfd: pytest.CaptureFixture[str]) -> None:
+def test_truncated_files_are_refused(scratch: Path, content: bytes, capfd: pytest.CaptureFixture[str]) -> None:
     for end in [*range(0, len(content), 7), len(content) - 1]:
         scratch.write_bytes(content[:end])
         with pytest.raises(InputError, match="expected an image of 32 × 24 px"):
@@ -49,7 +51,7 @@ def test_refuses_a_file_that_is_cut_anywhere(scratch: Path, content: bytes, capf
 
 @settings(max_examples=300, deadline=None)
 @given(st.integers(0, len(PNG) - 1), st.integers(1, 255))
-def test_refuses_a_png_with_a_wrong_byte(scratch: Path, where: int, change: int) -> None:
+def test_a_png_with_a_wrong_byte_is_refused(scratch: Path, where: int, change: int) -> None:
     content = bytearray(PNG)
     content[where] ^= change
     scratch.write_bytes(content)
@@ -57,7 +59,7 @@ def test_refuses_a_png_with_a_wrong_byte(scratch: Path, where: int, change: int)
         read_grey(scratch, 32, 24)
 
 
-def test_refuses_what_is_no_such_image(scratch: Path, tmp_path: Path) -> None:
+def test_other_files_and_sizes_are_refused(scratch: Path, tmp_path: Path) -> None:
     scratch.write_bytes(PNG)
     with pytest.raises(InputError, match="an image of 32 × 24 px; expected an image of 24 × 32 px"):
         read_grey(scratch, 24, 32)

@@ -1,10 +1,11 @@
-"""Kalibr's calibrations: ours come back to the bit, theirs are read as documented, broken ones are refused."""
+"""Kalibr's files: round trip, the examples of Kalibr and OpenVINS, and refused files."""
 
 from collections.abc import Callable
 from dataclasses import fields, replace
 from pathlib import Path
 
 import numpy as np
+import numpy.typing as npt
 import pytest
 import yaml as independent
 from hypothesis import example, given, settings
@@ -14,6 +15,7 @@ from hypothesis.extra import numpy as hnp
 from dronevio.models.camera import CameraModel
 from dronevio.models.errors import InputError
 from dronevio.models.imu import ImuModel
+from dronevio.models.lenses.lens import LensName
 from dronevio.models.recordings.calibration.kalibr import (
     camchain_yaml,
     imu_yaml,
@@ -26,7 +28,7 @@ from dronevio.models.rig import EUROC_CAM0, EUROC_T_IMU_CAM0, Rig, RigCamera
 from dronevio.models.rig_presets import RIGS, rig_named
 from dronevio.models.rotation import exp_so3, inverse_pose, pose_matrix
 
-# The example of Kalibr's wiki ("yaml formats"), its second camera's poses completed to rigid ones.
+# The example of Kalibr's wiki ("yaml formats"), with the poses of the second camera completed to rigid ones.
 WIKI_CAMCHAIN = """\
 cam0:
   camera_model: pinhole
@@ -90,7 +92,7 @@ def assert_same_rig(ours: Rig, theirs: Rig) -> None:
 
 
 @pytest.mark.parametrize("name", RIGS)
-def test_every_rig_comes_back_to_the_bit(scratch: Path, name: str) -> None:
+def test_round_trip_of_every_rig_is_exact(scratch: Path, name: str) -> None:
     rig = replace(rig_named(name), time_offset_s=-1e-5 / 3)
     two = read_calibration(written(scratch, camchain_yaml(rig), imu_yaml(rig)))
     assert_same_rig(two.rig(), rig)
@@ -100,21 +102,23 @@ def test_every_rig_comes_back_to_the_bit(scratch: Path, name: str) -> None:
     assert (two.sampling, one.sampling) == ("point", "increment")
 
 
+LENSES_BY_NAME: tuple[LensName, ...] = ("radtan", "equidistant")
 finite = st.floats(-1e6, 1e6)
 positive = st.floats(1e-12, 1e6)
 
 
 @st.composite
 def rigs(draw: st.DrawFn) -> Rig:
-    def pose() -> np.ndarray:
-        turn, p = (draw(hnp.arrays(np.float64, 3, elements=st.floats(-3, 3))) for _ in range(2))
-        return pose_matrix(exp_so3(turn), p)
+    def pose() -> npt.NDArray[np.float64]:
+        phi, p = (draw(hnp.arrays(np.float64, 3, elements=st.floats(-3, 3))) for _ in range(2))
+        return pose_matrix(exp_so3(phi), p)
 
     def camera() -> RigCamera:
-        lens = draw(st.sampled_from(["radtan", "equidistant"]))
-        distortion = tuple(draw(st.lists(finite, min_size=4, max_size=4)))
-        size = [draw(st.integers(1, 10_000)) for _ in range(2)]
-        model = CameraModel(*size, draw(positive), draw(positive), draw(finite), draw(finite), distortion, lens)
+        lens = draw(st.sampled_from(LENSES_BY_NAME))
+        distortion = draw(st.tuples(finite, finite, finite, finite))
+        width, height = (draw(st.integers(1, 10_000)) for _ in range(2))
+        fx, fy, cx, cy = draw(st.tuples(positive, positive, finite, finite))
+        model = CameraModel(width, height, fx, fy, cx, cy, distortion, lens)
         return RigCamera(model, pose(), 20.0, draw(st.floats(0, 0.05)))
 
     numbers = [draw(positive) for _ in fields(ImuModel)[1:]]
@@ -124,20 +128,20 @@ def rigs(draw: st.DrawFn) -> Rig:
 
 @settings(max_examples=60, deadline=None)
 @given(rigs())
-def test_any_rig_comes_back_to_the_bit(scratch: Path, rig: Rig) -> None:
+def test_round_trip_of_arbitrary_rigs_is_exact(scratch: Path, rig: Rig) -> None:
     assert_same_rig(read_calibration(written(scratch, camchain_yaml(rig), imu_yaml(rig))).rig(), rig)
 
 
-def test_an_independent_reader_finds_what_kalibr_defines() -> None:
-    """PyYAML, Kalibr's own reader, on a stereo rig: numbers are numbers, and poses go the way that Kalibr says."""
+def test_an_independent_parser_finds_kalibrs_definitions() -> None:
+    """PyYAML, the parser of Kalibr, on a stereo rig: numbers are numbers, and poses have Kalibr's direction."""
     rig = replace(rig_named("euroc-stereo"), time_offset_s=3e-5)
     chain, imu = independent.safe_load(camchain_yaml(rig)), independent.safe_load(imu_yaml(rig))
-    assert list(chain) == ["cam0", "cam1"]  # Kalibr counts the keys
+    assert list(chain) == ["cam0", "cam1"]  # Kalibr uses the number of keys
     p_imu = np.array([0.3, -0.2, 1.5, 1.0])
     for i, cam in enumerate(chain.values()):
-        p_cam = np.array(cam["T_cam_imu"]) @ p_imu  # takes points of the IMU frame into the camera's
+        p_cam = np.array(cam["T_cam_imu"]) @ p_imu  # maps points of the IMU frame into the camera frame
         np.testing.assert_allclose(rig.cameras[i].T_imu_cam @ p_cam, p_imu, atol=1e-12)
-        assert cam["timeshift_cam_imu"] == 3e-5  # t_imu = t_cam + shift, as ours
+        assert cam["timeshift_cam_imu"] == 3e-5  # t_imu = t_cam + shift
         assert cam["cam_overlaps"] == [1 - i] and cam["resolution"] == [752, 480]
     T_c0_imu, T_c1_imu = (np.array(cam["T_cam_imu"]) for cam in chain.values())
     np.testing.assert_allclose(np.array(chain["cam1"]["T_cn_cnm1"]) @ T_c0_imu, T_c1_imu, atol=1e-9)
@@ -146,7 +150,7 @@ def test_an_independent_reader_finds_what_kalibr_defines() -> None:
     assert imu["update_rate"] == 200.0
 
 
-def test_reads_kalibr_s_own_examples(scratch: Path) -> None:
+def test_the_examples_of_kalibr_are_read(scratch: Path) -> None:
     calibration = read_calibration(written(scratch, KALIBR_IMU, WIKI_CAMCHAIN), rate_hz=30.0)
     rig = calibration.rig()
     assert rig.imu.gyro_noise_density == 1.87e-4 and rig.imu.accel_random_walk == 4.33e-4 and rig.imu.rate_hz == 500.0
@@ -154,11 +158,11 @@ def test_reads_kalibr_s_own_examples(scratch: Path) -> None:
     assert [camera.model.lens for camera in rig.cameras] == ["radtan", "equidistant"]
     assert [camera.rate_hz for camera in rig.cameras] == [30.0, 30.0]
     T_cam0_cam1 = inverse_pose(rig.cameras[0].T_imu_cam) @ rig.cameras[1].T_imu_cam
-    np.testing.assert_allclose(T_cam0_cam1[:3, 3], [0.11, 0.0, 0.0], atol=1e-5)  # its right camera is to the right
+    np.testing.assert_allclose(T_cam0_cam1[:3, 3], [0.11, 0.0, 0.0], atol=1e-5)  # the second camera is on the right
 
 
-def test_reads_openvins_own_spelling(scratch: Path) -> None:
-    """``%YAML:1.0`` and ``imu0`` as a map, with ``T_imu_cam`` in place of its inverse."""
+def test_the_files_of_openvins_are_read(scratch: Path) -> None:
+    """OpenVINS writes ``%YAML:1.0``, ``imu0`` as a map, and ``T_imu_cam`` instead of its inverse."""
     rows = "".join(f"    - {row}\n" for row in EUROC_T_IMU_CAM0.tolist())
     chain = (
         "%YAML:1.0\n\ncam0:\n  T_imu_cam: #rotation from camera to IMU R_CtoI, position of camera in IMU p_CinI\n"
@@ -172,7 +176,7 @@ def test_reads_openvins_own_spelling(scratch: Path) -> None:
     np.testing.assert_array_equal(rig.cameras[0].T_imu_cam, EUROC_T_IMU_CAM0)
 
 
-def test_finds_the_imu_beside_the_cameras(tmp_path: Path) -> None:
+def test_the_imu_file_is_found_in_the_same_folder(tmp_path: Path) -> None:
     rig = rig_named("euroc-stereo")
     (tmp_path / "camchain.yaml").write_text(camchain_yaml(rig))
     with pytest.raises(InputError, match=r"Kalibr's imu\.yaml as well"):
@@ -222,9 +226,9 @@ def without(key: str) -> Callable[[str], str]:
         ("rate_hz: 20.0", "rate_hz: \x07", "special characters"),
     ],
 )
-def test_names_file_line_and_fault(scratch: Path, old: str, new: str, found: str) -> None:
+def test_errors_name_file_and_cause(scratch: Path, old: str, new: str, found: str) -> None:
     paths = written(scratch, CHAIN.replace(old, new, 1), IMU.replace(old, new, 1))
-    if new == "cam0: &a":  # an anchor alone does no harm
+    if new == "cam0: &a":  # an anchor without an alias is allowed
         assert len(read_calibration(paths).cameras) == 2
         return
     with pytest.raises(InputError) as caught:
@@ -253,13 +257,13 @@ def test_names_file_line_and_fault(scratch: Path, old: str, new: str, found: str
         (["[" * 100_000], "nested"),
     ],
 )
-def test_names_what_is_missing(scratch: Path, texts: list[str], missing: str) -> None:
+def test_errors_name_missing_fields(scratch: Path, texts: list[str], missing: str) -> None:
     with pytest.raises(InputError) as caught:
         read_calibration(written(scratch, *texts)).rig()
     assert missing in str(caught.value)
 
 
-def test_a_missing_file_is_named(scratch: Path) -> None:
+def test_missing_files_are_named(scratch: Path) -> None:
     with pytest.raises(InputError, match="no such file"):
         read_calibration([scratch / "missing.yaml"])
 
@@ -268,7 +272,7 @@ def test_a_missing_file_is_named(scratch: Path) -> None:
 @example(1191, 8, "e")  # a rotation of 1e200
 @given(st.integers(0, len(CHAIN + IMU)), st.integers(0, 40), st.text("abT_:[],# \n\t-%\"'&*!{}0.1e", max_size=6))
 def test_broken_text_is_refused_or_read(start: int, length: int, inserted: str) -> None:
-    """A rig is either refused with file and reason, or one that makes sense."""
+    """A fuzzed file is refused with file and cause, or yields a valid rig."""
     from dronevio.models.recordings.calibration.kalibr import calibration_of
 
     text = f"{CHAIN}{IMU}"

@@ -1,3 +1,5 @@
+"""KITTI files: round trip, an independent reader, times, and refused files."""
+
 from pathlib import Path
 
 import numpy as np
@@ -38,7 +40,7 @@ def trajectories(draw: st.DrawFn) -> Trajectory:
 
 @settings(max_examples=200, deadline=None)
 @given(trajectories())
-def test_comes_back(scratch: Path, trajectory: Trajectory) -> None:
+def test_round_trip_is_exact_up_to_rotations(scratch: Path, trajectory: Trajectory) -> None:
     write_kitti(scratch, trajectory)
     for back in (read_kitti(scratch), read_trajectory(scratch)):
         np.testing.assert_array_equal(back.t_ns, trajectory.t_ns)
@@ -48,7 +50,7 @@ def test_comes_back(scratch: Path, trajectory: Trajectory) -> None:
         )
 
 
-def test_evo_reads_what_we_write(scratch: Path) -> None:
+def test_evo_reads_the_file(scratch: Path) -> None:
     from evo.tools import file_interface
 
     quat_wxyz = quat_wxyz_from_matrix(exp_so3(np.array([[0.1, -0.2, 0.3], [1.0, 2.0, -0.5]])))
@@ -63,7 +65,7 @@ def test_rounded_matrices_become_the_nearest_rotations(scratch: Path) -> None:
     rows = np.hstack([R, [[7.0], [8.0], [9.0]]])
     scratch.write_text(" ".join(f"{x:.3f}" for x in rows.ravel()) + "\n")
     poses = read_kitti_poses(scratch)
-    np.testing.assert_array_equal(poses.Ts_world_cam[0], np.round(rows, 3))  # as they stand there
+    np.testing.assert_array_equal(poses.Ts_world_cam[0], np.round(rows, 3))  # without conversion
     found = poses.trajectory().rotations[0]
     np.testing.assert_allclose(found @ found.T, np.eye(3), atol=1e-14)
     np.testing.assert_allclose(found, R, atol=1e-3)
@@ -88,7 +90,7 @@ def test_times_and_frame_numbers(tmp_path: Path) -> None:
         read_trajectory(tmp_path / "x.tum", times=times)
 
 
-def test_knows_its_files(tmp_path: Path) -> None:
+def test_the_format_is_detected(tmp_path: Path) -> None:
     (tmp_path / "a").write_text("# a comment\n\n" + IDENTITY)
     (tmp_path / "b").write_text("0.5 1 2 3 0 0 0 1\n")
     (tmp_path / "c").write_text("5,1,2,3,1,0,0,0\n")
@@ -97,7 +99,7 @@ def test_knows_its_files(tmp_path: Path) -> None:
     ]
 
 
-def test_its_world_stands_up() -> None:
+def test_world_axes_are_converted_to_z_up() -> None:
     down, forward = np.array([0.0, 1.0, 0.0]), np.array([0.0, 0.0, 1.0])
     np.testing.assert_array_equal(R_UP_KITTI @ down, [0.0, 0.0, -1.0])
     np.testing.assert_array_equal(R_UP_KITTI @ forward, [1.0, 0.0, 0.0])
@@ -123,7 +125,7 @@ def test_its_world_stands_up() -> None:
         (IDENTITY.replace("0\n", "0.25\n") + IDENTITY.replace("0\n", "0.2"), 2, "without a line end"),
     ],
 )
-def test_names_the_line_and_what_it_found(scratch: Path, text: str, line: int, found: str) -> None:
+def test_errors_name_the_line_and_the_cause(scratch: Path, text: str, line: int, found: str) -> None:
     scratch.write_text(text)
     with pytest.raises(InputError) as caught:
         read_kitti(scratch)
@@ -132,7 +134,7 @@ def test_names_the_line_and_what_it_found(scratch: Path, text: str, line: int, f
 
 
 @pytest.mark.parametrize("text", ["", "\n\n", "# nothing\n"])
-def test_refuses_an_empty_file(scratch: Path, text: str) -> None:
+def test_empty_files_are_refused(scratch: Path, text: str) -> None:
     scratch.write_text(text)
     with pytest.raises(InputError, match="no rows"):
         read_kitti(scratch)
@@ -143,7 +145,7 @@ def test_refuses_an_empty_file(scratch: Path, text: str) -> None:
 @pytest.mark.parametrize(
     ("text", "line"), [("0\n0.1\nx\n", 3), ("0\n0.1 0.2\n", 2), ("0.1\n0.1\n", 2), ("0.2\n0.1\n", 2), ("1e12\n", 1)]
 )
-def test_refuses_what_are_no_times(scratch: Path, text: str, line: int) -> None:
+def test_invalid_times_are_refused(scratch: Path, text: str, line: int) -> None:
     scratch.write_text(text)
     with pytest.raises(InputError) as caught:
         read_times_ns(scratch)

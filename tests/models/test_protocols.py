@@ -1,4 +1,4 @@
-"""The order in which a recording's measurements come."""
+"""Order of the measurements of a recording."""
 
 from dataclasses import dataclass
 
@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from dronevio.models.imu import ImuSamples
+from dronevio.models.imu import ImuSamples, Times
 from dronevio.models.protocols import measurements
 from dronevio.models.rig import Rig, euroc_rig
 from dronevio.models.state import CameraFrame, Trajectory
@@ -15,10 +15,10 @@ from dronevio.models.state import CameraFrame, Trajectory
 
 @dataclass(frozen=True, eq=False)
 class Stamps:
-    """A recording of nothing but time stamps."""
+    """A recording with time stamps only."""
 
     imu: ImuSamples
-    frame_times_ns: np.ndarray
+    frame_times_ns: Times
     name: str = "stamps"
     ground_truth: Trajectory | None = None
 
@@ -41,7 +41,7 @@ times = st.lists(st.integers(0, 60), max_size=40)
 
 @given(times, times)
 @settings(max_examples=300, deadline=None)
-def test_all_come_once_in_order_and_no_sample_comes_early(imu_ns: list[int], frames_ns: list[int]) -> None:
+def test_measurements_are_ordered_and_complete(imu_ns: list[int], frames_ns: list[int]) -> None:
     flight = recording(imu_ns, frames_ns)
     samples, frames = ImuSamples.empty(), []
     for measurement in measurements(flight):
@@ -53,7 +53,7 @@ def test_all_come_once_in_order_and_no_sample_comes_early(imu_ns: list[int], fra
         arrived = set(samples.t_ns.tolist())
         due = set(flight.imu.t_ns[flight.imu.t_ns <= measurement.t_ns].tolist())
         later = flight.imu.t_ns[flight.imu.t_ns > measurement.t_ns]
-        # Everything up to the frame and the first sample beyond; where one is stamped like the frame, nothing beyond.
+        # All samples up to the frame and the first one after it, unless a sample has the time stamp of the frame.
         assert due <= arrived
         assert arrived - due <= set(later[:1].tolist())
         assert measurement.t_ns in arrived or len(arrived - due) == min(len(later), 1)
@@ -62,13 +62,13 @@ def test_all_come_once_in_order_and_no_sample_comes_early(imu_ns: list[int], fra
     np.testing.assert_array_equal(samples.gyro_rad_s, flight.imu.gyro_rad_s)
 
 
-@pytest.mark.parametrize("stamped_alike", [True, False])
-def test_wait_for_the_imu_is_at_most_one_interval(stamped_alike: bool) -> None:
-    flight = recording(list(range(0, 100, 5)), [20, 40, 60] if stamped_alike else [22, 42, 62])
+@pytest.mark.parametrize("equal_stamps", [True, False])
+def test_delay_is_at_most_one_imu_interval(equal_stamps: bool) -> None:
+    flight = recording(list(range(0, 100, 5)), [20, 40, 60] if equal_stamps else [22, 42, 62])
     newest, waits = -1, []
     for measurement in measurements(flight):
         if isinstance(measurement, ImuSamples):
             newest = int(measurement.t_ns[-1])
         else:
             waits.append(newest - measurement.t_ns)
-    assert waits == ([0, 0, 0] if stamped_alike else [3, 3, 3])
+    assert waits == ([0, 0, 0] if equal_stamps else [3, 3, 3])

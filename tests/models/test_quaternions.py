@@ -1,4 +1,4 @@
-"""Quaternion algebra, compared with scipy's rotations and with the group's own laws."""
+"""Quaternion algebra against scipy and against the laws of the group."""
 
 import numpy as np
 import numpy.typing as npt
@@ -41,19 +41,19 @@ def random_quaternions(seed: int, n: int) -> Array:
     return np.asarray(q / np.linalg.norm(q, axis=1, keepdims=True))
 
 
-def scipys(quat_wxyz: Array) -> Rotation:
+def as_scipy(quat_wxyz: Array) -> Rotation:
     return Rotation.from_quat(quat_xyzw_from_wxyz(quat_wxyz))
 
 
 def assert_same_rotation(a: Array, b: Array, atol: float = 1e-12) -> None:
-    """Quaternions of either sign are one rotation."""
+    """Compare quaternions up to their sign, because both signs are the same rotation."""
     np.testing.assert_allclose(np.abs(np.sum(a * b, axis=-1)), 1.0, atol=atol)
 
 
 @settings(max_examples=50, deadline=None)
 @given(seeds)
-def test_product_is_that_of_rotations(seed: int) -> None:
-    q, r = np.random.default_rng(seed).normal(size=(2, 5, 4))  # of any length
+def test_product_agrees_with_matrices(seed: int) -> None:
+    q, r = np.random.default_rng(seed).normal(size=(2, 5, 4))  # of arbitrary length
     expected = matrix_from_quat_wxyz(q) @ matrix_from_quat_wxyz(r)
     np.testing.assert_allclose(matrix_from_quat_wxyz(quat_product_wxyz(q, r)), expected, atol=1e-12)
     found = quat_wxyz_from_components(product(components(q), components(r)))
@@ -62,7 +62,7 @@ def test_product_is_that_of_rotations(seed: int) -> None:
 
 @settings(max_examples=30, deadline=None)
 @given(seeds)
-def test_vectors_rotate_as_by_matrices(seed: int) -> None:
+def test_rotation_of_vectors_agrees_with_matrices(seed: int) -> None:
     rng = np.random.default_rng(seed)
     q, v = 3.0 * random_quaternions(seed, 6), rng.normal(size=(6, 3))
     expected = np.einsum("nij,nj->ni", matrix_from_quat_wxyz(q), v)
@@ -72,7 +72,7 @@ def test_vectors_rotate_as_by_matrices(seed: int) -> None:
 
 
 @pytest.mark.parametrize("angle_rad", [0.0, 1e-12, 1e-8, 1e-3, 1.0, 3.0, np.pi])
-def test_angles_are_exact_where_they_are_small(angle_rad: float) -> None:
+def test_small_angles_are_exact(angle_rad: float) -> None:
     axes = np.random.default_rng(1).normal(size=(20, 3))
     axes /= np.linalg.norm(axes, axis=1, keepdims=True)
     half = 0.5 * angle_rad
@@ -102,7 +102,7 @@ def test_yaw_leaves_a_rotation_about_a_horizontal_axis(seed: int) -> None:
 
 @settings(max_examples=50, deadline=None)
 @given(st.floats(-0.5, 1.5), seeds)
-def test_slerp_turns_evenly_along_the_shorter_arc(fraction: float, seed: int) -> None:
+def test_slerp_follows_the_shorter_arc(fraction: float, seed: int) -> None:
     q0, q1 = random_quaternions(seed, 2)
     found = slerp_quat_wxyz(q0, q1, np.array(fraction))
     assert np.linalg.norm(found) == pytest.approx(1.0, abs=1e-14)
@@ -111,12 +111,12 @@ def test_slerp_turns_evenly_along_the_shorter_arc(fraction: float, seed: int) ->
     np.testing.assert_allclose(slerp_quat_wxyz(q0, -q1, np.array(fraction)), found, atol=1e-12)
 
 
-def test_slerp_is_scipys() -> None:
+def test_slerp_agrees_with_scipy() -> None:
     q = random_quaternions(3, 2)
     fraction = np.linspace(0.0, 1.0, 11)
-    expected = Slerp([0.0, 1.0], scipys(q))(fraction)
+    expected = Slerp([0.0, 1.0], as_scipy(q))(fraction)
     found = slerp_quat_wxyz(np.tile(q[0], (11, 1)), np.tile(q[1], (11, 1)), fraction)
-    np.testing.assert_allclose((scipys(found).inv() * expected).magnitude(), 0.0, atol=1e-12)
+    np.testing.assert_allclose((as_scipy(found).inv() * expected).magnitude(), 0.0, atol=1e-12)
 
 
 @pytest.mark.parametrize("angle_rad", [0.0, 1e-13, 1e-11, 1e-7])
@@ -128,7 +128,7 @@ def test_slerp_between_nearly_equal_orientations(angle_rad: float) -> None:
     assert error == pytest.approx(0.5 * angle_rad, rel=1e-2, abs=1e-15)
 
 
-def test_components_are_those_of_the_rows() -> None:
+def test_components_preserve_the_quaternions() -> None:
     q = random_quaternions(5, 4)
     np.testing.assert_array_equal(quat_wxyz_from_components(components(q)), q)
     np.testing.assert_array_equal(quat_wxyz_from_components(select(components(q), slice(1, 3))), q[1:3])

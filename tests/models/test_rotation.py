@@ -1,6 +1,7 @@
-"""Rotations, held against scipy's and against the group's own laws."""
+"""Rotations against scipy and against the laws of the group."""
 
 import numpy as np
+import numpy.typing as npt
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
@@ -21,24 +22,26 @@ from dronevio.models.rotation import (
     yaw_rad_from_matrix,
 )
 
+Array = npt.NDArray[np.float64]
+
 ANGLES_RAD = [0.0, 1e-12, 1e-8, 0.9e-7, 1.1e-7, 1e-6, 1e-4, 0.1, 1.0, 3.0, np.pi - 1e-3, np.pi - 1e-6]
 vectors = st.lists(st.floats(-3.0, 3.0), min_size=3, max_size=3).map(np.array)
 
 
-def directions(n: int) -> np.ndarray:
+def directions(n: int) -> Array:
     v = np.random.default_rng(n).normal(size=(n, 3))
-    return v / np.linalg.norm(v, axis=1, keepdims=True)
+    return np.asarray(v / np.linalg.norm(v, axis=1, keepdims=True))
 
 
 @given(vectors, vectors)
 @settings(max_examples=50, deadline=None)
-def test_skew_is_the_cross_product(a: np.ndarray, b: np.ndarray) -> None:
+def test_skew_is_the_cross_product(a: Array, b: Array) -> None:
     np.testing.assert_allclose(skew(a) @ b, np.cross(a, b), atol=1e-14)
     np.testing.assert_array_equal(skew(a), -skew(a).T)
 
 
 @pytest.mark.parametrize("angle_rad", [*ANGLES_RAD, np.pi, 5.0, 20.0])
-def test_exponential_is_that_of_the_matrix_and_scipys(angle_rad: float) -> None:
+def test_exponential_agrees_with_scipy(angle_rad: float) -> None:
     phi = angle_rad * directions(20)
     R = exp_so3(phi)
     np.testing.assert_allclose(R, Rotation.from_rotvec(phi).as_matrix(), atol=1e-14)
@@ -48,26 +51,26 @@ def test_exponential_is_that_of_the_matrix_and_scipys(angle_rad: float) -> None:
 
 
 @pytest.mark.parametrize("angle_rad", ANGLES_RAD)
-def test_logarithm_undoes_the_exponential(angle_rad: float) -> None:
+def test_logarithm_inverts_the_exponential(angle_rad: float) -> None:
     phi = angle_rad * directions(50)
     np.testing.assert_allclose(log_so3(exp_so3(phi)), phi, rtol=1e-9, atol=1e-15)
 
 
-def test_half_a_turn_has_one_of_its_two_logarithms() -> None:
+def test_logarithm_of_rotations_by_pi() -> None:
     axes = np.vstack([np.eye(3), -np.eye(3), directions(50)])
     found = log_so3(exp_so3(np.pi * axes))
     np.testing.assert_allclose(np.abs(np.sum(found * axes, axis=1)), np.pi, atol=1e-7)
     np.testing.assert_allclose(exp_so3(found), exp_so3(np.pi * axes), atol=1e-7)
 
 
-def test_logarithm_is_the_shorter_way_round() -> None:
+def test_logarithm_is_the_shortest_rotation() -> None:
     phi = 5.0 * directions(20)
     np.testing.assert_allclose(np.linalg.norm(log_so3(exp_so3(phi)), axis=1), 2.0 * np.pi - 5.0, atol=1e-12)
 
 
-def test_quaternions_of_all_four_forms_come_back() -> None:
-    turned = [Rotation.from_rotvec(3.1 * axis) for axis in np.eye(3)]  # each makes another of the forms the best
-    R = np.concatenate([Rotation.random(500, random_state=1).as_matrix(), [r.as_matrix() for r in turned], [np.eye(3)]])
+def test_quaternions_of_all_four_forms_are_exact() -> None:
+    large = [Rotation.from_rotvec(3.1 * axis) for axis in np.eye(3)]  # each selects another form
+    R = np.concatenate([Rotation.random(500, random_state=1).as_matrix(), [r.as_matrix() for r in large], [np.eye(3)]])
     q = quat_wxyz_from_matrix(R)
     np.testing.assert_allclose(np.linalg.norm(q, axis=1), 1.0, atol=1e-14)
     assert np.all(q[:, 0] >= 0.0)
@@ -76,12 +79,12 @@ def test_quaternions_of_all_four_forms_come_back() -> None:
     np.testing.assert_allclose(quat_xyzw_from_wxyz(q), theirs, atol=1e-12)
 
 
-def test_matrices_do_not_mind_a_quaternions_length_or_sign() -> None:
+def test_matrices_ignore_length_and_sign_of_quaternions() -> None:
     q = quat_wxyz_from_matrix(Rotation.random(20, random_state=2).as_matrix())
     np.testing.assert_allclose(matrix_from_quat_wxyz(-3.7 * q), matrix_from_quat_wxyz(q), atol=1e-14)
 
 
-def test_orders_are_reordered_and_back() -> None:
+def test_reordering_is_inverted() -> None:
     np.testing.assert_array_equal(quat_xyzw_from_wxyz(np.array([1.0, 2.0, 3.0, 4.0])), [2.0, 3.0, 4.0, 1.0])
     q = np.random.default_rng(7).normal(size=(5, 2, 4))
     np.testing.assert_array_equal(quat_wxyz_from_xyzw(quat_xyzw_from_wxyz(q)), q)
@@ -97,13 +100,13 @@ def test_rotations_about_z_have_their_yaw() -> None:
 
 @given(vectors)
 @settings(max_examples=50, deadline=None)
-def test_yaw_is_that_of_the_nearest_rotation_about_z(phi: np.ndarray) -> None:
+def test_yaw_is_that_of_the_nearest_rotation_about_z(phi: Array) -> None:
     R = exp_so3(phi)
     best = np.trace(rotation_z(yaw_rad_from_matrix(R)).T @ R)
     assert best >= np.trace(rotation_z(np.linspace(-np.pi, np.pi, 721)).transpose(0, 2, 1) @ R, axis1=1, axis2=2).max()
 
 
-def test_poses_have_inverses() -> None:
+def test_inverse_poses_are_inverse_matrices() -> None:
     p = np.random.default_rng(7).normal(size=(30, 3))
     T = pose_matrix(Rotation.random(30, random_state=3).as_matrix(), p)
     np.testing.assert_array_equal(T[:, 3], np.tile([0.0, 0.0, 0.0, 1.0], (30, 1)))
@@ -111,7 +114,7 @@ def test_poses_have_inverses() -> None:
     np.testing.assert_allclose(inverse_pose(T[4]) @ T[4], np.eye(4), atol=1e-14)
 
 
-def test_everything_broadcasts_over_leading_axes() -> None:
+def test_functions_broadcast_over_leading_axes() -> None:
     phi = np.random.default_rng(7).normal(size=(2, 3, 3))
     R = exp_so3(phi)
     q = quat_wxyz_from_matrix(R)

@@ -1,3 +1,5 @@
+"""The YAML subset of sensor descriptions: round trip and refused texts."""
+
 import json
 from pathlib import Path
 
@@ -42,7 +44,7 @@ def read(path: Path, text: str) -> SensorYaml:
 
 
 @pytest.mark.parametrize("text", [CAMERA, CAMERA.replace("\n", "\r\n")])
-def test_reads_the_file_of_the_data_set(scratch: Path, text: str) -> None:
+def test_the_file_of_the_data_set_is_read(scratch: Path, text: str) -> None:
     yaml = read(scratch, text)
     assert yaml.word("comment") == "VI-Sensor cam0 (MT9M034)"
     assert yaml.number("rate_hz") == 20.0
@@ -59,14 +61,14 @@ values = st.one_of(scalars, st.lists(st.floats(allow_nan=False, allow_infinity=F
 
 @settings(max_examples=300, deadline=None)
 @given(st.dictionaries(st.from_regex(r"[a-z_]{1,8}", fullmatch=True), values, max_size=5))
-def test_what_is_written_comes_back(scratch: Path, content: dict[str, Value]) -> None:
+def test_round_trip_is_exact(scratch: Path, content: dict[str, Value]) -> None:
     yaml = read(scratch, "".join(f"{key}: {yaml_text(value)}\n" for key, value in content.items()))
     assert yaml.values == content
 
 
 @settings(max_examples=100, deadline=None)
 @given(st.tuples(*[st.floats(-10, 10)] * 3), st.floats(-3, 3))
-def test_poses_come_back_to_the_bit(scratch: Path, p: tuple[float, float, float], angle: float) -> None:
+def test_round_trip_of_poses_is_exact(scratch: Path, p: tuple[float, float, float], angle: float) -> None:
     T = np.eye(4)
     T[:2, :2] = [[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]]
     T[:3, 3] = p
@@ -94,7 +96,7 @@ def test_poses_come_back_to_the_bit(scratch: Path, p: tuple[float, float, float]
         ("a: 1\n%YAML:1.0\n", 2, "%YAML"),
     ],
 )
-def test_refuses_what_it_does_not_know(scratch: Path, text: str, line: int, found: str) -> None:
+def test_unsupported_yaml_is_refused(scratch: Path, text: str, line: int, found: str) -> None:
     with pytest.raises(InputError) as caught:
         read(scratch, text)
     assert caught.value.line == line and found in str(caught.value)
@@ -114,7 +116,7 @@ def test_refuses_what_it_does_not_know(scratch: Path, text: str, line: int, foun
         ("0.999557249008", "0.9", "T_BS.data"),
     ],
 )
-def test_names_the_field(scratch: Path, old: str, new: str, field: str) -> None:
+def test_errors_name_the_field(scratch: Path, old: str, new: str, field: str) -> None:
     yaml = read(scratch, CAMERA.replace(old, new))
     with pytest.raises(InputError, match=field):
         _ = yaml.positive("rate_hz"), yaml.numbers("resolution", 2), yaml.pose("T_BS")

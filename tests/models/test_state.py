@@ -1,4 +1,4 @@
-"""States and trajectories."""
+"""Navigation states, estimates and trajectories."""
 
 import numpy as np
 import pytest
@@ -9,7 +9,7 @@ from dronevio.models.state import Estimate, Health, NavState, Trajectory
 
 
 def states(n: int, covariances: int | None = None) -> list[NavState]:
-    """Return n states, the first so many of them with a covariance; by default all."""
+    """Return n states, of which the first ``covariances`` have a covariance; all by default."""
     known = n if covariances is None else covariances
     rng = np.random.default_rng(n)
     T = pose_matrix(exp_so3(rng.normal(size=(n, 3))), rng.normal(size=(n, 3)))
@@ -18,7 +18,7 @@ def states(n: int, covariances: int | None = None) -> list[NavState]:
     return [NavState(10**18 + 7 * k, T[k], v[k], b_gyro[k], b_accel[k], P[k]) for k in range(n)]
 
 
-def test_states_join_to_a_trajectory_and_nothing_is_lost() -> None:
+def test_trajectories_keep_all_fields_of_states() -> None:
     kept = states(6)
     trajectory = Trajectory.from_states(iter(kept))
     assert len(trajectory) == 6
@@ -28,16 +28,16 @@ def test_states_join_to_a_trajectory_and_nothing_is_lost() -> None:
     assert trajectory.t_ns.dtype == np.int64
 
 
-def test_covariances_are_all_or_none() -> None:
+def test_covariances_need_all_states() -> None:
     assert Trajectory.from_states(states(4, covariances=3)).covariance is None
 
 
-def test_no_states_make_an_empty_trajectory() -> None:
+def test_without_states_the_trajectory_is_empty() -> None:
     empty = Trajectory.from_states([])
     assert len(empty) == 0 and empty.length_m == 0.0 and empty.rotations.shape == (0, 3, 3)
 
 
-def test_rows_are_picked_from_everything() -> None:
+def test_selection_applies_to_all_fields() -> None:
     trajectory = Trajectory.from_states(states(6))
     for rows in (slice(1, 5, 2), np.array([True, False, True, False, False, True]), np.array([0, 3])):
         picked = trajectory[rows]
@@ -57,7 +57,7 @@ def test_shapes_and_time_are_checked() -> None:
         Trajectory(np.array([0, 1, 1]), p, q)
 
 
-def test_length_and_time_of_a_path() -> None:
+def test_path_length_and_relative_times() -> None:
     corners = np.array([[0.0, 0.0, 0.0], [3.0, 0.0, 0.0], [3.0, 4.0, 0.0], [3.0, 4.0, -2.0]])
     t_ns = 10**18 + 500_000_000 * np.arange(4)
     path = Trajectory(t_ns, corners, np.tile([1.0, 0.0, 0.0, 0.0], (4, 1)))
@@ -65,7 +65,7 @@ def test_length_and_time_of_a_path() -> None:
     np.testing.assert_allclose(path.t_s, [0.0, 0.5, 1.0, 1.5])
 
 
-def test_pose_in_the_map_needs_a_pose_and_a_closed_loop() -> None:
+def test_map_pose_needs_a_state_and_a_map_frame() -> None:
     state = states(1)[0]
     rng = np.random.default_rng(3)
     T_map_odom = pose_matrix(exp_so3(rng.normal(size=3)), rng.normal(size=3))

@@ -1,3 +1,5 @@
+"""Tables of numbers over time: exact values, and refused files with line and cause."""
+
 import math
 import re
 import time
@@ -38,7 +40,7 @@ def read(path: Path, text: str | bytes, form: TableFormat = CSV) -> TimedTable:
     return read_timed_table(path, form)
 
 
-def fault(path: Path, text: str | bytes, form: TableFormat = CSV) -> InputError:
+def refusal(path: Path, text: str | bytes, form: TableFormat = CSV) -> InputError:
     with pytest.raises(InputError) as caught:
         read(path, text, form)
     message = str(caught.value)
@@ -46,7 +48,7 @@ def fault(path: Path, text: str | bytes, form: TableFormat = CSV) -> InputError:
     return caught.value
 
 
-def test_reads_numbers_to_the_bit_and_times_to_the_nanosecond(scratch: Path) -> None:
+def test_numbers_and_times_are_exact(scratch: Path) -> None:
     table = read(scratch, GOOD)
     np.testing.assert_array_equal(table.t_ns, [1403715273262142976, 1403715273312143104, 1403715273362142976])
     np.testing.assert_array_equal(table.values, [[1.5, -2e-3], [0.25, 7.0], [0.5, 1.0]])
@@ -65,7 +67,7 @@ def test_reads_numbers_to_the_bit_and_times_to_the_nanosecond(scratch: Path) -> 
     ],
     ids=["crlf", "cr", "spaces", "byte order mark", "no header", "empty lines and comments"],
 )
-def test_tolerates_what_does_not_change_the_numbers(scratch: Path, text: str) -> None:
+def test_formatting_does_not_change_the_numbers(scratch: Path, text: str) -> None:
     table, plain = read(scratch, text), read(scratch, GOOD)
     np.testing.assert_array_equal(table.t_ns, plain.t_ns)
     np.testing.assert_array_equal(table.values, plain.values)
@@ -100,20 +102,20 @@ def test_tolerates_what_does_not_change_the_numbers(scratch: Path, text: str) ->
         ("0.25", "0.25 # why", 3, "'0.25 # why'"),
     ],
 )
-def test_names_the_line_and_what_it_found(scratch: Path, old: str, new: str, line: int, found: str) -> None:
-    error = fault(scratch, GOOD.replace(old, new))
+def test_errors_name_the_line_and_the_cause(scratch: Path, old: str, new: str, line: int, found: str) -> None:
+    error = refusal(scratch, GOOD.replace(old, new))
     assert error.line == line
     assert found in str(error)
 
 
 @pytest.mark.parametrize("text", ["", "\n\n", HEADER, "# nothing"])
-def test_refuses_an_empty_table(scratch: Path, text: str) -> None:
-    assert "no rows" in str(fault(scratch, text))
+def test_empty_tables_are_refused(scratch: Path, text: str) -> None:
+    assert "no rows" in str(refusal(scratch, text))
 
 
-def test_refuses_what_is_no_text_file(scratch: Path, tmp_path: Path) -> None:
-    assert fault(scratch, GOOD.encode() + b"\xff\xfe\n").line == 5
-    fault(scratch, b"\0" * 64)
+def test_other_files_are_refused(scratch: Path, tmp_path: Path) -> None:
+    assert refusal(scratch, GOOD.encode() + b"\xff\xfe\n").line == 5
+    refusal(scratch, b"\0" * 64)
     with pytest.raises(InputError, match="no such file"):
         read_timed_table(tmp_path / "missing.csv", CSV)
     with pytest.raises(InputError, match="a folder"):
@@ -121,9 +123,7 @@ def test_refuses_what_is_no_text_file(scratch: Path, tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(("form", "separator"), [(CSV, ","), (TUM, " ")])
-def test_a_file_cut_anywhere_is_refused_or_gives_its_first_rows(
-    scratch: Path, form: TableFormat, separator: str
-) -> None:
+def test_truncated_files_are_refused_or_shorter(scratch: Path, form: TableFormat, separator: str) -> None:
     width = form.columns[0] - 1
     rows = [(str(5 * i + 1), *(repr(math.sin(7.0 * i + k)) for k in range(width))) for i in range(6)]
     text = "# header\n" + "".join(separator.join(row) + "\n" for row in rows)
@@ -137,24 +137,24 @@ def test_a_file_cut_anywhere_is_refused_or_gives_its_first_rows(
         n = len(table.t_ns)
         np.testing.assert_array_equal(table.t_ns, whole.t_ns[:n])
         np.testing.assert_array_equal(table.values[:-1], whole.values[: n - 1])
-        # The last number may lack digits, but no more than another row does without.
+        # The last number may lack digits if another row has as few.
         np.testing.assert_allclose(table.values[-1], whole.values[n - 1], rtol=1e-12)
         accepted += 1
-    assert accepted >= 5  # one for each line end but the last and the header's
+    assert accepted >= 5  # one for each line end except the last one and that of the header
 
 
 def test_the_last_line_end_may_be_missing(scratch: Path) -> None:
     text = HEADER + "1,2.5,3.5\n2,4.5,5.5"
     np.testing.assert_array_equal(read(scratch, text).values, [[2.5, 3.5], [4.5, 5.5]])
-    fault(scratch, text[:-1])
-    fault(scratch, HEADER + "1,2.5,3.5")
+    refusal(scratch, text[:-1])
+    refusal(scratch, HEADER + "1,2.5,3.5")
 
 
 NUMBER = re.compile(r"[+-]?(\d+(\.\d*)?|\.\d+)([eE][+-]?\d+)?", re.ASCII)
 
 
 def expected_rows(text: str, columns: tuple[int, ...], separator: str | None) -> list[list[float]] | None:
-    """An independent, slow reading: rows with the time as an exact number; None where the text must be refused."""
+    """Return the rows by an independent parser, with exact times; None if the text has to be refused."""
     lines = text.replace("\r\n", "\n").replace("\r", "\n").split("\n")
     rows: list[list[float]] = []
     for line in (line.strip() for line in lines):
@@ -168,12 +168,12 @@ def expected_rows(text: str, columns: tuple[int, ...], separator: str | None) ->
         time_ns = int(fields[0]) if separator else round(Fraction(fields[0]) * 10**9)
         rows.append([time_ns, *map(float, fields[1:])])
     ends = [line.split(separator)[-1].strip() for line in map(str.strip, lines) if line and not line.startswith("#")]
-    unfinished = lines[-1].strip() != "" and not lines[-1].strip().startswith("#")
-    cut = unfinished and (len(ends) < 2 or len(ends[-1]) < min(map(len, ends[:-1])))
-    whole = bool(rows) and not cut and len(set(map(len, rows))) == 1
-    finite_rows = whole and all(math.isfinite(x) for row in rows for x in row[1:]) and abs(rows[-1][0]) < 2**62
-    rising = finite_rows and all(a[0] < b[0] for a, b in pairwise(rows))
-    return rows if rising and all(abs(row[0]) < 2**62 for row in rows) else None
+    lacks_line_end = lines[-1].strip() != "" and not lines[-1].strip().startswith("#")
+    is_truncated = lacks_line_end and (len(ends) < 2 or len(ends[-1]) < min(map(len, ends[:-1])))
+    is_complete = bool(rows) and not is_truncated and len(set(map(len, rows))) == 1
+    is_finite = is_complete and all(math.isfinite(x) for row in rows for x in row[1:]) and abs(rows[-1][0]) < 2**62
+    is_increasing = is_finite and all(a[0] < b[0] for a, b in pairwise(rows))
+    return rows if is_increasing and all(abs(row[0]) < 2**62 for row in rows) else None
 
 
 edits = st.lists(
@@ -201,14 +201,14 @@ def test_broken_text_is_refused_or_read_as_expected(
         text = text[:start] + inserted + text[start + length :]
     expected = expected_rows(text, form.columns, form.delimiter)
     if expected is None:
-        fault(scratch, text, form)
+        refusal(scratch, text, form)
     else:
         table = read(scratch, text, form)
         assert table.t_ns.tolist() == [row[0] for row in expected]
         np.testing.assert_array_equal(table.values, [row[1:] for row in expected])
 
 
-def test_a_comment_at_the_end_cuts_nothing_off(scratch: Path) -> None:
+def test_a_comment_at_the_end_is_no_truncation(scratch: Path) -> None:
     whole = "1,0.25,0.125,0.5\n2,0.25,0.125,0.5\n3,0.25,0.125,1\n"
     form = TableFormat("a table", (4,), ",", parse_integer_ns, "whole nanoseconds")
     for end in ("# done", "#", "   ", ""):
@@ -242,17 +242,17 @@ def test_decimal_seconds_round_to_the_nearest_nanosecond(t_s: object) -> None:
 @pytest.mark.parametrize(
     "text", ["", "1.2.3", "nan", "inf", "1e", "0x1", "1,5", "1e999999999999", "1" * 100, "1_0", "٣.5"]
 )
-def test_decimal_seconds_refuse_what_is_none(text: str) -> None:
+def test_invalid_decimal_seconds_are_refused(text: str) -> None:
     with pytest.raises(ValueError, match="not a number of seconds"):
         parse_decimal_seconds(text)
 
 
-def test_reads_a_long_table_fast(tmp_path: Path) -> None:
+def test_long_tables_are_read_fast(tmp_path: Path) -> None:
     n = 100_000
     values = np.random.default_rng(0).normal(size=(n, 6))
     rows = (f"{5_000_000 * i},{','.join(map(repr, row))}\n" for i, row in enumerate(values.tolist()))
     (tmp_path / "imu.csv").write_text("".join(rows))
     start = time.process_time()
     table = read_timed_table(tmp_path / "imu.csv", IMU_TABLE)
-    assert time.process_time() - start < 1.5  # 0.2 s where it was measured; a loop over rows and fields takes 3
+    assert time.process_time() - start < 1.5  # measured: 0.2 s; a loop over rows and fields takes 3 s
     np.testing.assert_array_equal(table.values, values)

@@ -1,3 +1,5 @@
+"""TUM files: round trip, an independent reader, and refused files."""
+
 from pathlib import Path
 
 import numpy as np
@@ -28,7 +30,7 @@ def trajectories(draw: st.DrawFn) -> Trajectory:
 
 @settings(max_examples=300, deadline=None)
 @given(trajectories())
-def test_comes_back_to_the_bit(scratch: Path, trajectory: Trajectory) -> None:
+def test_round_trip_is_exact(scratch: Path, trajectory: Trajectory) -> None:
     write_tum(scratch, trajectory)
     back = read_tum(scratch)
     np.testing.assert_array_equal(back.t_ns, trajectory.t_ns)
@@ -36,8 +38,8 @@ def test_comes_back_to_the_bit(scratch: Path, trajectory: Trajectory) -> None:
     np.testing.assert_array_equal(back.quat_wxyz, trajectory.quat_wxyz)
 
 
-def test_writes_what_others_read(scratch: Path) -> None:
-    """The benchmark's order is x y z w, and evo's reader agrees."""
+def test_evo_reads_the_file(scratch: Path) -> None:
+    """The quaternion order of the format is x y z w."""
     from evo.tools import file_interface
 
     q = np.array([[0.5, -0.5, 0.5, 0.5], [0.8, 0.6, 0.0, 0.0]])
@@ -49,7 +51,7 @@ def test_writes_what_others_read(scratch: Path) -> None:
     np.testing.assert_array_equal(theirs.orientations_quat_wxyz, q)
 
 
-def test_leaves_no_half_written_file(tmp_path: Path) -> None:
+def test_writing_is_atomic(tmp_path: Path) -> None:
     trajectory = Trajectory(np.array([0]), np.zeros((1, 3)), np.array([[1.0, 0.0, 0.0, 0.0]]))
     write_tum(tmp_path / "deep" / "down" / "a.tum", trajectory)
     assert [path.name for path in (tmp_path / "deep" / "down").iterdir()] == ["a.tum"]
@@ -60,14 +62,14 @@ def test_leaves_no_half_written_file(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("quaternion", ["0 0 0 0", "1 1 1 1", "0 0 0 2", "1e200 0 0 0"])
-def test_refuses_what_is_no_rotation(scratch: Path, quaternion: str) -> None:
+def test_quaternions_without_unit_length_are_refused(scratch: Path, quaternion: str) -> None:
     scratch.write_text(f"0.0 1 2 3 0 0 0 1\n0.1 1 2 3 {quaternion}\n")
     with pytest.raises(InputError, match="quaternion of length") as caught:
         read_tum(scratch)
     assert caught.value.line == 2
 
 
-def test_tells_the_formats_apart(tmp_path: Path) -> None:
+def test_formats_are_detected(tmp_path: Path) -> None:
     (tmp_path / "a.txt").write_text("# t x y z qx qy qz qw\n\n0.5 1 2 3 0 0 0 1\n")
     (tmp_path / "b.txt").write_text("500000000,1,2,3,1,0,0,0\n")
     (tmp_path / "mav0" / "state_groundtruth_estimate0").mkdir(parents=True)
@@ -81,7 +83,7 @@ def test_tells_the_formats_apart(tmp_path: Path) -> None:
         np.testing.assert_array_equal(trajectory.quat_wxyz, [[1, 0, 0, 0]])
 
 
-def test_refuses_what_is_no_trajectory(tmp_path: Path) -> None:
+def test_other_files_are_refused(tmp_path: Path) -> None:
     for content in ("", "# only a comment\n", "hello world\n", "1 2 3\n"):
         (tmp_path / "x").write_text(content)
         with pytest.raises(InputError):
