@@ -85,8 +85,7 @@ class Quadrotor:
     """Rotor speed at full throttle divided by the voltage of the battery under load: that of a 920 kV motor with a
     10-inch propeller; without load it would be 96 [(rad/s)/V]."""
     motor_efficiency: float = 0.8
-    """Ratio of shaft power to electrical power of motor and speed controller, typical of brushless motors of this
-    size."""
+    """Efficiency of motor and speed controller, shaft power over electrical power; typical of this size."""
     avionics_w: float = 10.0
     """Power consumption of computer, camera and radio [W]."""
     battery: Battery = _PACK

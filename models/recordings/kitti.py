@@ -34,8 +34,8 @@ FRAME_NS = 100_000_000
 """Interval between frames if no times are given: KITTI's cameras run at 10 Hz [ns]."""
 
 R_UP_KITTI = np.array([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]])
-"""(3, 3) Rotation from KITTI's world frame, that of the first camera (x right, y down, z forward), to x forward, y
-left, z up."""
+"""(3, 3) Rotation from KITTI's world frame, that of the first camera (x right, y down, z forward), to FLU axes
+(x forward, y left, z up)."""
 COLUMNS = (12, 13)
 """Allowed numbers of columns: the matrix without or with the frame number."""
 

@@ -1,8 +1,8 @@
 """Writing of recordings as ROS 2 bags with standard messages.
 
 =============================== ================================= =====================================================
-``/cam0/image_raw``, others      sensor_msgs/Image                 or ``/cam0/image_raw/compressed``, CompressedImage
-``/cam0/camera_info``, others    sensor_msgs/CameraInfo            intrinsics, one message per frame
+``/camN/image_raw``              sensor_msgs/Image                 or ``/camN/image_raw/compressed``, CompressedImage
+``/camN/camera_info``            sensor_msgs/CameraInfo            intrinsics, one message per frame
 ``/imu0``                        sensor_msgs/Imu                   without an orientation
 ``/groundtruth/odometry``        nav_msgs/Odometry                 pose of the IMU in the world, twist in the IMU frame
 ``/groundtruth/velocity``        geometry_msgs/Vector3Stamped      in the world; also ``gyro_bias``, ``accel_bias``
@@ -59,8 +59,7 @@ TRUE_VECTORS = {
     "/groundtruth/gyro_bias": ("gyro_bias_rad_s", IMU),
     "/groundtruth/accel_bias": ("accel_bias_m_s2", IMU),
 }
-"""Topics of those fields of the true trajectory that Odometry lacks or rounds, with field name and frame of
-reference."""
+"""Topics of those fields of the true trajectory that Odometry lacks or rounds, with their fields and frames."""
 COMPRESSED = "/compressed"
 """Suffix of topics with compressed images, by the naming convention of ROS."""
 
