@@ -9,8 +9,8 @@ import numpy as np
 
 import dronevio
 from dronevio.eval.benchmark.cache import code_hash, content_hash, recording_hash
-from dronevio.eval.benchmark.jobs import Flight
-from dronevio.eval.benchmark.rows import figures_of
+from dronevio.eval.benchmark.jobs import RecordingSpec
+from dronevio.eval.benchmark.rows import score_columns
 from dronevio.eval.provenance import versions_here
 from dronevio.models.errors import ConfigError, InputError
 from dronevio.models.serialization import to_jsonable
@@ -36,7 +36,7 @@ def versions() -> str:
 
 @dataclass(frozen=True)
 class Workbench:
-    """Flies and estimates; implements `Workshop`."""
+    """Flies and estimates; implements `BenchmarkPipeline`."""
 
     estimators: tuple[NamedEstimator, ...]
     """Who estimates."""
@@ -47,16 +47,16 @@ class Workbench:
         """Return what tells an estimator's settings apart."""
         return content_hash(self._named(estimator).settings())
 
-    def record(self, flight: Flight, folder: Path) -> None:
+    def record(self, spec: RecordingSpec, folder: Path) -> None:
         """Fly a scenario and write its recording."""
         from dronevio.recorder import record_flight
         from dronevio.sim.scenario import Scenario
 
         self._check_here()
-        assert isinstance(flight.source, Scenario)
-        record_flight(flight.source, folder, workers=1)
+        assert isinstance(spec.source, Scenario)
+        record_flight(spec.source, folder, workers=1)
 
-    def estimate(self, flight: Flight, recording: Path, estimator: str) -> dict[str, Any]:
+    def estimate(self, spec: RecordingSpec, recording: Path, estimator: str) -> dict[str, Any]:
         """Run an estimator on a recording and score it."""
         from dronevio.eval.metrics.scores import score
         from dronevio.models.recordings.open import open_recording
@@ -68,7 +68,7 @@ class Workbench:
         estimated = self._named(estimator).run(recording)
         frames = opened.frame_times_ns
         return {
-            **figures_of(score(opened.ground_truth, estimated.trajectory, frames)),
+            **score_columns(score(opened.ground_truth, estimated.trajectory, frames)),
             "duration_s": float(np.ptp(frames)) * 1e-9,
             "cpu_ms_mean": estimated.cpu_ms_mean,
             "cpu_ms_p99": estimated.cpu_ms_p99,
@@ -88,7 +88,7 @@ class Workbench:
             raise ConfigError(f"what runs here is {differing}, as where and when the benchmark was started")
 
 
-def scenario_flights(names: Iterable[str], seeds: Sequence[int], rig: str | None = None) -> tuple[Flight, ...]:
+def scenario_flights(names: Iterable[str], seeds: Sequence[int], rig: str | None = None) -> tuple[RecordingSpec, ...]:
     """Return the flights of some scenarios, every seed of each; a suite's name stands for its scenarios.
 
     The first seed of all comes first, then the second: whoever looks early sees something of everything.
@@ -114,7 +114,7 @@ def scenario_flights(names: Iterable[str], seeds: Sequence[int], rig: str | None
     return tuple(_flight(replace(flown, seed=seed)) for seed in seeds for flown in unique.values())
 
 
-def recorded_flights(paths: Iterable[Path]) -> tuple[Flight, ...]:
+def recorded_flights(paths: Iterable[Path]) -> tuple[RecordingSpec, ...]:
     """Return the flights of recordings from elsewhere, named as their files or folders are.
 
     Raises:
@@ -123,7 +123,7 @@ def recorded_flights(paths: Iterable[Path]) -> tuple[Flight, ...]:
     """
     from dronevio.models.recordings.open import read_trajectory
 
-    flights: dict[str, Flight] = {}
+    flights: dict[str, RecordingSpec] = {}
     for path in paths:
         whole = path.resolve().parent if path.resolve().name == "mav0" else path.resolve()
         digest = recording_hash(whole)
@@ -131,14 +131,14 @@ def recorded_flights(paths: Iterable[Path]) -> tuple[Flight, ...]:
         name = whole.stem if whole.is_file() else whole.name
         if name in flights:
             raise ConfigError(f"{path} and {flights[name].path}, both named {name}; expected names of their own")
-        flights[name] = Flight(name, "", None, digest, None, whole)
+        flights[name] = RecordingSpec(name, "", None, digest, None, whole)
     return tuple(flights.values())
 
 
-def _flight(flown: "Scenario") -> Flight:
+def _flight(flown: "Scenario") -> RecordingSpec:
     """Return a scenario's flight. Its recording's hash is that of all that draws it; a mere name does not."""
     installed = versions_here()
     settings = to_jsonable(replace(flown, name="", description=""))
     packages = {name: installed.get(name) for name in _DRAWING_PACKAGES}
     digest = content_hash({"scenario": settings, "packages": packages, "code": code_hash(*_DRAWS)})
-    return Flight(flown.name, flown.world, flown.seed, digest, flown)
+    return RecordingSpec(flown.name, flown.world, flown.seed, digest, flown)

@@ -99,7 +99,7 @@ class Estimated:
     """Mean processor time per frame of all threads; for a program, start-up and reading of images included [ms]."""
     cpu_ms_p99: float | None
     """99th percentile of the processor time per frame; None for a program, whose frames are not timed [ms]."""
-    real_time_factor: float
+    real_time_factor: float | None
     """Duration of the flight divided by the processor time."""
 
 
@@ -179,7 +179,7 @@ def estimator_named(text: str) -> NamedEstimator:
 
 def _run_program(command: list[str], path: Path) -> Estimated:
     """Run a program, without a shell, on the sensor data of a recording, and read the trajectory that it writes."""
-    from dronevio.eval.benchmark.isolation import CrashError, death
+    from dronevio.eval.benchmark.isolation import CrashError, exit_description
     from dronevio.models.recordings.euroc import EurocRecording
     from dronevio.models.recordings.tum import read_tum
 
@@ -191,9 +191,9 @@ def _run_program(command: list[str], path: Path) -> Estimated:
         with tempfile.TemporaryFile() as errors:
             code, cpu_s = _run_timed(words, errors)
             if code < 0:
-                raise CrashError(f"{words[0]} {death(code, errors)}")
+                raise CrashError(f"{words[0]} {exit_description(code, errors)}")
             if code > 0:
-                raise EvaluationError(f"{words[0]} {death(code, errors)}")
+                raise EvaluationError(f"{words[0]} {exit_description(code, errors)}")
         trajectory = read_tum(output)
     return _with_costs(trajectory, recording, cpu_s)
 

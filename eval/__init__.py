@@ -1,4 +1,4 @@
-"""Scores estimates, and shows them: metrics, reports, rerun recordings.
+"""Evaluation of estimates: metrics, benchmarks, reports and rerun recordings.
 
 On plain arrays, in three lines:
 
@@ -7,7 +7,7 @@ On plain arrays, in three lines:
     print(ate(p_truth, p_estimate, "yaw").rmse)
     print(rpe(p_truth, q_truth, p_estimate, q_estimate, 10.0, "m").translation_m.rmse)
 
-Importing this package loads nothing; `dronevio.eval.metrics`, behind these names, needs nothing but numpy.
+Importing this package loads nothing. The metrics need only numpy, and scipy for bounds of χ².
 """
 
 from typing import TYPE_CHECKING
@@ -29,7 +29,7 @@ if TYPE_CHECKING:
     )
     from dronevio.eval.metrics.kitti import kitti_scores
     from dronevio.eval.metrics.time_offset import estimate_time_offset_s
-    from dronevio.eval.run import running_scores
+    from dronevio.eval.run import score_run
 
 __all__ = [
     "align",
@@ -42,8 +42,8 @@ __all__ = [
     "nees",
     "nees_bounds",
     "rpe",
-    "running_scores",
     "score",
+    "score_run",
     "score_trajectory",
 ]
 
@@ -64,6 +64,6 @@ __getattr__, __dir__ = attach(
         ),
         "dronevio.eval.metrics.kitti": ("kitti_scores",),
         "dronevio.eval.metrics.time_offset": ("estimate_time_offset_s",),
-        "dronevio.eval.run": ("running_scores",),
+        "dronevio.eval.run": ("score_run",),
     },
 )

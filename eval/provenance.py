@@ -1,4 +1,4 @@
-"""Where numbers come from: the versions and the machine that made them."""
+"""Provenance of results: the versions and the machine that produced them."""
 
 import os
 import platform
@@ -7,11 +7,11 @@ from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 
 PACKAGES = ("dronevio", "gtsam", "mujoco", "opencv-python-headless", "numpy", "rerun-sdk")
-"""What can change a result."""
+"""Packages whose versions are recorded."""
 
 
 def versions_here() -> dict[str, str]:
-    """Return the versions of Python and of those `PACKAGES` that are installed."""
+    """Return the versions of Python and of the installed ones of `PACKAGES`."""
     found = {"python": platform.python_version()}
     for package in PACKAGES:
         try:
@@ -22,7 +22,7 @@ def versions_here() -> dict[str, str]:
 
 
 def machine_here() -> dict[str, str]:
-    """Return this machine's system, processor, and how many cores this process may use."""
+    """Return the system, the processor, and the number of cores that this process may use."""
     return {
         "system": f"{platform.system()} {platform.release()}",
         "processor": _processor(),
@@ -31,7 +31,7 @@ def machine_here() -> dict[str, str]:
 
 
 def _processor(cpuinfo: Path = Path("/proc/cpuinfo")) -> str:
-    """Return the processor's name where the system tells it, else its architecture."""
+    """Return the name of the processor if the system has it, or else the architecture."""
     try:
         names = [line.partition(":")[2] for line in cpuinfo.read_text().splitlines() if line.startswith("model name")]
     except OSError:
@@ -41,19 +41,19 @@ def _processor(cpuinfo: Path = Path("/proc/cpuinfo")) -> str:
 
 @dataclass(frozen=True)
 class RunInfo:
-    """What a report says of a run besides its results."""
+    """Provenance of a run, for its report."""
 
     title: str
-    """What was flown or read."""
+    """Title of the report: name of the scenario or recording."""
     command: str
-    """The command that made it."""
+    """Command that produced the run."""
     open_command: str
-    """The command that opens its recording."""
+    """Command that opens the recording of the run."""
     seed: int | None = None
-    """Seed of everything random; None for a recording of the real world."""
+    """Seed of all random numbers; None for a real recording."""
     configuration: dict[str, object] = field(default_factory=dict)
-    """Every setting that took effect, by name; nested as the settings are, of what JSON can hold."""
+    """All settings by name, nested, of types that JSON can represent."""
     versions: dict[str, str] = field(default_factory=versions_here)
     """Versions of Python and of `PACKAGES`."""
     machine: dict[str, str] = field(default_factory=machine_here)
-    """The machine that it ran on."""
+    """System, processor and number of cores."""

@@ -21,7 +21,7 @@ from run_metrics import RunMetrics, metrics_of, recovery_s, window_drift_m
 import dronevio
 from dronevio.driver import estimate_recording
 from dronevio.eval.benchmark.cache import code_hash, recording_hash
-from dronevio.eval.benchmark.isolation import isolated
+from dronevio.eval.benchmark.isolation import call_in_process
 from dronevio.eval.provenance import machine_here, versions_here
 from dronevio.eval.run import POSE_IS_VALID, EstimatorRun
 from dronevio.models.errors import EvaluationError
@@ -148,7 +148,7 @@ def run_all(
         row = None if trace is None else trace.with_name(trace.name + ".json")
         if row is not None and row.exists():
             return RunMetrics(**read_row(row))
-        outcome = isolated(
+        outcome = call_in_process(
             run_task,
             task,
             trace,

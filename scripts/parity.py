@@ -132,7 +132,7 @@ def _evo_errors(folder: Path, tool: str, names: list[str], flags: list[str]) -> 
         "truth" if "--pairs_from_reference" in flags else "estimate",
     )
     chosen = true if rule.source == "truth" else aligned
-    pairs = rule.choose(chosen.t_ns, chosen.p_world_imu, chosen.quat_wxyz)
+    pairs = rule.select(chosen.t_ns, chosen.p_world_imu, chosen.quat_wxyz)
     if value("-r", "") == "point_distance_error_ratio":
         return distance_errors_percent(true.p_world_imu, aligned.p_world_imu, pairs), motion
     p_scaled = motion.scale * estimated.p_world_imu
@@ -266,7 +266,7 @@ def kitti_rows(folder: Path) -> Iterator[Comparison]:
             "rpe_deg": ours.rpe_deg,
         }
         worst = max(difference(float(value or 0.0), row[name]) for name, value in found.items())
-        yield Comparison("kitti-odom-eval", what, (None, ours.pieces), len(found), worst)
+        yield Comparison("kitti-odom-eval", what, (None, ours.segments), len(found), worst)
 
 
 def tum_rows(folder: Path) -> Iterator[Comparison]:
@@ -279,7 +279,7 @@ def tum_rows(folder: Path) -> Iterator[Comparison]:
     yield Comparison("TUM evaluate_ate", "six decimals", (786, ate.n), 1, _printed(ate.rmse, 0.013473))
     # Pairs are chosen on the whole estimate, those that end with its last pose are left out, and the motion is that
     # from the second pose back to the first.
-    pairs = PairRule(1.0, "s", "all", "estimate", 0.9).choose(estimate.t_ns, estimate.p_world_imu, estimate.quat_wxyz)
+    pairs = PairRule(1.0, "s", "all", "estimate", 0.9).select(estimate.t_ns, estimate.p_world_imu, estimate.quat_wxyz)
     rows = np.searchsorted(estimated.t_ns, estimate.t_ns)
     known = np.isin(estimate.t_ns, estimated.t_ns)
     kept = (pairs[1] < len(estimate) - 1) & known[pairs[0]] & known[pairs[1]]

@@ -24,7 +24,7 @@ from dronevio.cli import main
 from dronevio.cli.view import HOST, free_port, viewer_program
 from dronevio.driver import estimate_recording
 from dronevio.estimator.vio import VisualInertialOdometry
-from dronevio.eval import style as palette
+from dronevio.eval import colours
 from dronevio.eval.metrics.scores import score_trajectory
 from dronevio.models.recordings.open import open_recording
 from dronevio.models.recordings.tum import read_tum
@@ -156,9 +156,9 @@ def draw_estimator(flight: Path, picture: Path) -> None:
     image.set(title="tracked features", xticks=(), yticks=())
 
     points = np.concatenate([e.landmarks_world for e in run.estimates[:shown] if e.landmarks_world is not None])
-    above.scatter(*scored.alignment.positions(points)[:, :2].T, s=1, color=palette.ROOM, alpha=0.3)
-    above.plot(*truth.p_world_imu[:, :2].T, color=palette.TRUTH, label="truth")
-    above.plot(*scored.alignment.positions(path.p_world_imu)[:, :2].T, color=palette.ESTIMATE, label="estimate")
+    above.scatter(*scored.alignment.positions(points)[:, :2].T, s=1, color=colours.SURROUNDINGS, alpha=0.3)
+    above.plot(*truth.p_world_imu[:, :2].T, color=colours.TRUTH, label="truth")
+    above.plot(*scored.alignment.positions(path.p_world_imu)[:, :2].T, color=colours.ESTIMATE, label="estimate")
     low, high = truth.p_world_imu.min(axis=0) - 3.0, truth.p_world_imu.max(axis=0) + 3.0
     above.set(title="path and landmarks, from above", xlabel="x [m]", ylabel="y [m]", aspect="equal")
     above.set(xlim=(low[0], high[0]), ylim=(low[1], high[1]))
@@ -166,13 +166,13 @@ def draw_estimator(flight: Path, picture: Path) -> None:
 
     reports = [(e.t_ns, e.health_report) for e in run.estimates if e.health_report is not None]
     t_s = np.array([t_ns - t0_ns for t_ns, _ in reports]) * 1e-9
-    health.plot(t_s, [report.tracks for _, report in reports], color=palette.ROOM, label="tracks")
-    health.plot(t_s, [report.landmarks for _, report in reports], color=palette.ESTIMATE, label="landmarks")
+    health.plot(t_s, [report.tracks for _, report in reports], color=colours.SURROUNDINGS, label="tracks")
+    health.plot(t_s, [report.landmarks for _, report in reports], color=colours.ESTIMATE, label="landmarks")
     most = max(report.tracks for _, report in reports)
     health.set(title="health", xlabel="time [s]", ylabel="features", ylim=(0, 1.35 * most))
     innovation = health.twinx()
     innovation.plot(
-        t_s, [report.innovation_px for _, report in reports], color=palette.TRUTH, lw=0.8, label="innovation"
+        t_s, [report.innovation_px for _, report in reports], color=colours.TRUTH, lw=0.8, label="innovation"
     )
     innovation.set(ylabel="median innovation [px]", ylim=(0, 2))
     lines = [*health.get_lines(), *innovation.get_lines()]

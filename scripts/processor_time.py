@@ -27,7 +27,7 @@ from markdown_tables import table, text
 from profiler import OUTSIDE, Profile
 from repeated_recording import RepeatedRecording
 
-from dronevio.eval.benchmark.isolation import isolated
+from dronevio.eval.benchmark.isolation import call_in_process
 from dronevio.models.imu import ImuSamples
 from dronevio.models.protocols import measurements
 
@@ -212,7 +212,7 @@ def main(command: ProcessorTimeCommand) -> int:
     """Measure, print the tables, and return 1 if a bound is missed or a run failed."""
     results, failed = [], []
     for mode in command.modes:
-        outcome = isolated(
+        outcome = call_in_process(
             measure,
             command.recording,
             mode,

@@ -150,7 +150,7 @@ def metrics_of(
         rpe_deg=s.rpe_deg.rmse,
         scale_error_percent=s.scale_error_percent,
         coverage_percent=s.coverage_percent or 0.0,
-        first_s=FAILED if s.initialized_s is None else s.initialized_s,
+        first_s=FAILED if s.initialization_s is None else s.initialization_s,
         longest_gap_s=s.longest_gap_s,
         step_error_m=step_error_m,
         step_jump_m=step_jump_m,

@@ -14,7 +14,7 @@ from mpl_toolkits.mplot3d.art3d import Line3DCollection
 
 from dronevio.estimator.book.imu import ImuExperiment
 from dronevio.estimator.book.sfm import SfmExperiment
-from dronevio.eval.style import AXES, BAND, ESTIMATE, ROOM, TRUTH
+from dronevio.eval.colours import AXES, ESTIMATE, SIGMA, SURROUNDINGS, TRUTH
 from dronevio.models.imu import Times
 from dronevio.models.rotation import inverse_pose
 
@@ -37,7 +37,7 @@ def draw_imu_path(experiment: ImuExperiment, path: Path) -> None:
     initial = experiment.Ts_world_imu_initial[:, :3, 3]
     axes.plot(*experiment.path_m.T, color=TRUTH, label=f"true path, radius {experiment.flight.radius_m:.2f} m")
     axes.scatter(
-        *initial.T, color=ROOM, marker="x", s=40, label=f"initial values, error {experiment.initial_error:.3g}"
+        *initial.T, color=SURROUNDINGS, marker="x", s=40, label=f"initial values, error {experiment.initial_error:.3g}"
     )
     axes.scatter(*estimated.T, color=ESTIMATE, s=30, label=f"estimate, error {experiment.final_error:.1g}")
     for axis, colour in enumerate(AXES):
@@ -70,9 +70,11 @@ def draw_factor_graph(factors: Sequence[Sequence[str]], path: Path) -> None:
         ends = {name: positions[name] for name in factor}
         centre = _prior_position(ends[factor[0]]) if len(factor) == 1 else _motion_position(ends)
         for name, end in ends.items():
-            axes.plot(*np.transpose([centre, end]), color=ROOM, linewidth=0.8 if name[0] == "b" else 1.3, zorder=1)
+            axes.plot(
+                *np.transpose([centre, end]), color=SURROUNDINGS, linewidth=0.8 if name[0] == "b" else 1.3, zorder=1
+            )
         axes.plot(*centre, "o" if len(factor) == 1 else "s", color="black", markersize=6, zorder=3)
-    colours = {"x": ESTIMATE, "v": BAND, "b": TRUTH}
+    colours = {"x": ESTIMATE, "v": SIGMA, "b": TRUTH}
     for name, (x, y) in positions.items():
         axes.plot(x, y, "o", markersize=28, markerfacecolor="white", markeredgecolor=colours[name[0]], zorder=2)
         axes.text(x, y, f"${name[0]}_{{{name[1:]}}}$", ha="center", va="center", fontsize=13, zorder=4)
@@ -139,7 +141,7 @@ def _draw_photograph(axes: Axes, experiment: SfmExperiment, camera: int) -> None
     observed = experiment.observation_camera == camera
     axes.imshow(image)
     x, y = (experiment.observed_px[observed] + centre).T
-    axes.scatter(x, y, s=28, facecolors="none", edgecolors=BAND, label="observed")
+    axes.scatter(x, y, s=28, facecolors="none", edgecolors=SIGMA, label="observed")
     x, y = (experiment.reprojected_px[observed] + centre).T
     axes.scatter(x, y, s=4, color=ESTIMATE, label="reprojected")
     axes.set_title(
@@ -198,8 +200,8 @@ def draw_two_paths(t_ns: Times, smoother_m: Array, eqvio_m: Array, path: Path) -
         axes.plot(eqvio_m[:, i], eqvio_m[:, j], color=TRUTH, label="EqVIO (GTSAM), a filter")
         axes.plot(smoother_m[:, i], smoother_m[:, j], color=ESTIMATE, label="dronevio, a fixed-lag smoother")
         start = smoother_m[0, [i, j]]
-        axes.plot(*start, "o", color=ROOM)
-        axes.annotate("start", (start[0], start[1]), textcoords="offset points", xytext=(8, -4), color=ROOM)
+        axes.plot(*start, "o", color=SURROUNDINGS)
+        axes.annotate("start", (start[0], start[1]), textcoords="offset points", xytext=(8, -4), color=SURROUNDINGS)
         axes.set(title=title, xlabel="x [m]", ylabel=f"{'xyz'[j]} [m]", aspect="equal")
         axes.grid(alpha=0.3)
     above.legend(loc="best")

@@ -14,7 +14,7 @@ from dronevio.models.errors import ConfigError
 if TYPE_CHECKING:
     from dronevio.eval.benchmark.engines import Engine
     from dronevio.eval.benchmark.rows import Row
-    from dronevio.eval.benchmark.runner import Benchmark, Listener
+    from dronevio.eval.benchmark.runner import BenchmarkPlan, ProgressListener
 
 _MANY = 10_000  # number of flights to which --sizing extrapolates
 
@@ -106,26 +106,26 @@ def main(arguments: Sequence[str]) -> int:
 
 def print_benchmark(rows: Sequence["Row"]) -> None:
     """Print the errors of each estimator on each scenario, and the failed runs."""
-    from dronevio.eval.benchmark.summary import Spread, failures, groups
+    from dronevio.eval.benchmark.summary import failed_runs, quartiles_of_errors, run_groups
 
     columns = (("ATE [m]", "ate_m"), ("RPE 1 s [m]", "rpe_m"))
     cells = []
-    for group in groups(rows):
-        errors = [Spread.of(group.rows, column) for _, column in columns]
-        cost = Spread.of([row for row in group.rows if row.status == "ok"], "cpu_ms_mean")
+    for group in run_groups(rows):
+        errors = [quartiles_of_errors(group.rows, column) for _, column in columns]
+        cost = quartiles_of_errors([row for row in group.rows if row.status == "ok"], "cpu_ms_mean")
         figures = ["–" if spread is None else spread.text(len(group.rows) > 1) for spread in errors]
         ok = f"{group.ok}/{len(group.rows)}"
         cells.append((group.scenario, group.estimator, ok, *figures, "–" if cost is None else f"{cost.median:.1f}"))
     headings = ("scenario", "estimator", "ok", *(heading for heading, _ in columns), "ms/frame")
     print_table("Median and quartiles over seeds; a failed run counts as ∞", headings, cells, left=("estimator",))
-    failed = failures(rows)
+    failed = failed_runs(rows)
     if failed:
         print(f"{len(failed)} of {len(rows)} runs failed:")
     for run, status, reason in failed:
         print(f"  {run}: {status}, {reason}")
 
 
-def _planned(command: BenchmarkCommand) -> "Benchmark":
+def _planned(command: BenchmarkCommand) -> "BenchmarkPlan":
     """Return the flights and estimators of a benchmark.
 
     Raises:
@@ -139,7 +139,7 @@ def _planned(command: BenchmarkCommand) -> "Benchmark":
         raise ConfigError(f"a timeout of {command.timeout_s:g} s; expected more than 0 s")
 
     from dronevio.benchmark_jobs import Workbench, recorded_flights, scenario_flights, versions
-    from dronevio.eval.benchmark.runner import Benchmark
+    from dronevio.eval.benchmark.runner import BenchmarkPlan
     from dronevio.registry import EXTERNAL, estimator_named
     from dronevio.sim.scenarios import SUITES
 
@@ -157,7 +157,7 @@ def _planned(command: BenchmarkCommand) -> "Benchmark":
     flights = scenario_flights(names, seeds, command.rig) + recorded_flights(command.recordings)
     if not flights:
         raise ConfigError("no flights; expected --suite, --scenarios or --recordings")
-    return Benchmark(
+    return BenchmarkPlan(
         flights,
         tuple(labels),
         Workbench(estimators, versions()),
@@ -168,15 +168,15 @@ def _planned(command: BenchmarkCommand) -> "Benchmark":
 
 
 def _engine(command: BenchmarkCommand) -> "Engine":
-    from dronevio.eval.benchmark.engines import LocalEngine, cores
+    from dronevio.eval.benchmark.engines import LocalEngine, available_cores
 
     if command.engine == "local":
         if command.address is not None:
             raise ConfigError(f"--address {command.address} with the engine local; expected --engine ray")
-        return LocalEngine(command.workers or cores())
+        return LocalEngine(command.workers or available_cores())
     from dronevio.eval.benchmark.ray_engine import RayEngine
 
-    return RayEngine(command.address, command.workers or cores())
+    return RayEngine(command.address, command.workers or available_cores())
 
 
 def _default_cache() -> Path:
@@ -185,7 +185,7 @@ def _default_cache() -> Path:
 
 
 @contextmanager
-def _run_progress(quiet: bool) -> Iterator["Listener"]:
+def _run_progress(quiet: bool) -> Iterator["ProgressListener"]:
     """Show on standard error the number of finished runs, the remaining time and the failures."""
     from rich.console import Console
     from rich.progress import BarColumn, MofNCompleteColumn, TextColumn, TimeElapsedColumn, TimeRemainingColumn
@@ -216,24 +216,24 @@ def _run_progress(quiet: bool) -> Iterator["Listener"]:
         yield listener
 
 
-def _print_sizing(command: BenchmarkCommand, benchmark: "Benchmark") -> int:
+def _print_sizing(command: BenchmarkCommand, benchmark: "BenchmarkPlan") -> int:
     """Measure the first flight, and print what many flights like it would take."""
-    from dronevio.eval.benchmark.engines import cores
+    from dronevio.eval.benchmark.engines import available_cores
     from dronevio.eval.benchmark.jobs import Job
-    from dronevio.eval.benchmark.sizing import measure
+    from dronevio.eval.benchmark.sizing import measure_job
 
-    flight = benchmark.flights[0]
+    flight = benchmark.recordings[0]
     if flight.path is not None:
         raise ConfigError("--sizing with recordings; expected scenarios, whose simulation is measured")
-    job = Job(flight, benchmark.estimators, benchmark.workshop, benchmark.cache, benchmark.timeout_s)
-    sizing, workers = measure(job), command.workers or cores()
+    job = Job(flight, benchmark.estimators, benchmark.pipeline, benchmark.cache, benchmark.timeout_s)
+    sizing, workers = measure_job(job), command.workers or available_cores()
     rows = sizing.scaled(_MANY, workers)
     if command.printing.json:
         names = ("work", "cpu_hours", "hours", "gigabytes")
         scaled = [dict(zip(names, row, strict=True)) for row in rows]
         print_json({"flight": flight.scenario, "measured": asdict(sizing), "flights": _MANY, "scaled": scaled})
         return 0
-    measured = [sizing.flight, *(cost for _, cost in sizing.estimates)]
+    measured = [sizing.recording, *(cost for _, cost in sizing.estimates)]
     table: list[tuple[str, ...]] = [
         (name, f"{one.cpu_s:.1f}", f"{one.disk_mb:.1f}", f"{cpu_h:.1f}", f"{hours:.1f}", f"{gigabytes:.1f}")
         for one, (name, cpu_h, hours, gigabytes) in zip(measured, rows, strict=False)

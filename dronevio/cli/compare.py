@@ -79,11 +79,11 @@ def read_pairs(
         EvaluationError: A run has no partner.
     """
     from dronevio.eval.benchmark.rows import read_results
-    from dronevio.eval.compare import pair_up
+    from dronevio.eval.compare import pair_runs
 
     a, b = read_results(first), read_results(second)
     if estimators is None:
-        return pair_up(a, b, allow_missing)
+        return pair_runs(a, b, allow_missing)
     chosen = []
     for path, rows, name in zip((first, second), (a, b), estimators, strict=True):
         present = {row.estimator: None for row in rows}
@@ -91,7 +91,7 @@ def read_pairs(
             raise ConfigError(f"{path}: no estimator {name!r}; expected one of {', '.join(present) or 'none'}")
         chosen.append([row for row in rows if row.estimator == name])
     # Rows are paired by estimator too: the second gets the name of the first for the pairing.
-    renamed = pair_up(chosen[0], [replace(row, estimator=estimators[0]) for row in chosen[1]], allow_missing)
+    renamed = pair_runs(chosen[0], [replace(row, estimator=estimators[0]) for row in chosen[1]], allow_missing)
     return [(one, replace(other, estimator=estimators[1])) for one, other in renamed]
 
 
@@ -112,15 +112,15 @@ def print_comparisons(title: str, comparisons: "Sequence[Comparison]") -> None:
     print_table(title, headings, cells, left=("metric",))
     for one in comparisons:
         for ratio in one.ratios:
-            print(f"{one.estimator}: {ratio.verdict}")
-            if ratio.unknown:
-                print(f"{one.estimator}: {ratio.unknown} pairs have no {ratio.metric}")
+            print(f"{one.estimator}: {ratio.conclusion}")
+            if ratio.missing:
+                print(f"{one.estimator}: {ratio.missing} pairs have no {ratio.metric}")
         if any(one.failed):
             print(f"{one.estimator}: {one.failed[0]} runs failed in the first, {one.failed[1]} in the second")
         for text in one.newly_failed:
             print(f"  newly failed: {text}")
-        if one.other_recordings:
-            print(f"{one.estimator}: {one.other_recordings} of {one.pairs} pairs were run on different recordings")
+        if one.different_recordings:
+            print(f"{one.estimator}: {one.different_recordings} of {one.pairs} pairs were run on different recordings")
 
 
 def document(comparisons: "Sequence[Comparison]") -> dict[str, object]:
@@ -128,7 +128,7 @@ def document(comparisons: "Sequence[Comparison]") -> dict[str, object]:
     from dronevio.models.serialization import to_jsonable
 
     rows = [
-        {**asdict(one), "ratios": [{**asdict(ratio), "verdict": ratio.verdict} for ratio in one.ratios]}
+        {**asdict(one), "ratios": [{**asdict(ratio), "conclusion": ratio.conclusion} for ratio in one.ratios]}
         for one in comparisons
     ]
     return {"comparisons": to_jsonable(rows)}

@@ -94,7 +94,7 @@ def main(arguments: Sequence[str]) -> int:
             ("first pose after", f"{summary['first_pose_s']:.2f}", "s"),
             ("length of the path", f"{trajectory.length_m:.2f}", "m"),
             ("processor time per frame", f"{run.cpu_ms.mean():.1f}", "ms"),
-            ("real-time factor", f"{run.real_time_factor:.1f}", ""),
+            ("real-time factor", "–" if run.real_time_factor is None else f"{run.real_time_factor:.1f}", ""),
         ),
     )
     if not recording.complete:

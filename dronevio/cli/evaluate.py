@@ -125,7 +125,7 @@ def main(arguments: Sequence[str]) -> int:
 
 def print_scores(title: str, scores: "Scores") -> None:
     """Print scores as tables with units; a dash stands for a value that is not known."""
-    over = f"over {scores.rpe_over}"
+    over = f"over {scores.rpe_interval}"
     errors: list[tuple[str, Statistics | None, int, str]] = [
         (f"ATE, position ({scores.alignment} aligned)", scores.ate_m, 4, "m"),
         ("ATE, orientation", scores.ate_deg, 3, "°"),
@@ -171,7 +171,7 @@ def print_kitti(kitti: "KittiScores") -> None:
         "KITTI benchmark",
         ("length", "position, %", "orientation, °/100 m"),
         [
-            (f"all {kitti.pieces} segments" if length is None else f"{length:g} m", _text(percent, 4), _text(deg, 4))
+            (f"all {kitti.segments} segments" if length is None else f"{length:g} m", _text(percent, 4), _text(deg, 4))
             for length, percent, deg in by_length
         ],
     )
@@ -193,9 +193,9 @@ def _other_scores(scores: "Scores", over: str) -> list[tuple[str, str, str]]:
         ("longest gap between compared poses", _text(scores.longest_gap_s, 3), "s"),
         (f"pairs {over}", f"{scores.rpe_pairs}", ""),
         ("length of the path", _text(scores.path_m, 2), "m"),
-        ("first pose, after the first true pose", _text(scores.first_s, 3), "s"),
-        ("first pose, after the first frame", _text(scores.initialized_s, 3), "s"),
-        ("last pose, after the first true pose", _text(scores.last_s, 3), "s"),
+        ("first pose, after the first true pose", _text(scores.first_pose_s, 3), "s"),
+        ("first pose, after the first frame", _text(scores.initialization_s, 3), "s"),
+        ("last pose, after the first true pose", _text(scores.last_pose_s, 3), "s"),
         *(consistency if scores.nees_position is not None else ()),
     ]
 

@@ -54,11 +54,11 @@ def main(arguments: Sequence[str]) -> int:
     pairs = read_pairs(command.baseline, command.results, allow_missing=command.allow_missing)
     verdict = gate(pairs, limit, command.metrics or DEFAULT_METRICS, command.seed)
     if command.printing.json:
-        result = {"passed": verdict.passed, "objections": list(verdict.objections)}
+        result = {"passed": verdict.passed, "violations": list(verdict.violations)}
         print_json({**result, **document(verdict.comparisons)})
         return 0 if verdict.passed else 1
     print_comparisons(f"{command.results} relative to {command.baseline}", verdict.comparisons)
-    for text in verdict.objections:
+    for text in verdict.violations:
         print(f"failed: {text}")
     print(f"gate {'passed' if verdict.passed else 'failed'}, limit {limit:g} %")
     return 0 if verdict.passed else 1

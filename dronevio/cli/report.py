@@ -10,7 +10,7 @@ import tyro
 from dronevio.cli.terminal import parse
 
 if TYPE_CHECKING:
-    from dronevio.eval.report.benchmark.model import Benchmark
+    from dronevio.eval.report.benchmark.model import BenchmarkResults
 
 
 @dataclass(frozen=True)
@@ -61,17 +61,17 @@ def main(arguments: Sequence[str]) -> int:
     return 0
 
 
-def _document(benchmark: "Benchmark", command: ReportCommand) -> str:
+def _document(benchmark: "BenchmarkResults", command: ReportCommand) -> str:
     """Return the benchmark in the format that is asked for."""
     if command.format == "html":
         from dronevio.eval.report.benchmark.page import benchmark_page
 
         return benchmark_page(benchmark)
 
-    from dronevio.eval.report.benchmark.model import MAIN_MEASURES, measure
+    from dronevio.eval.report.benchmark.model import MAIN_MEASURES, find_measure
     from dronevio.eval.report.benchmark.tables import as_csv, as_latex, as_markdown
 
     render = {"markdown": as_markdown, "latex": as_latex, "csv": as_csv}[command.format]
-    chosen = tuple(map(measure, command.measures))
+    chosen = tuple(map(find_measure, command.measures))
     default = tuple(m for m in benchmark.measures if command.format == "csv" or m.column in MAIN_MEASURES)
     return render(benchmark, chosen or default)

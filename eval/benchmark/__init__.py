@@ -1,6 +1,7 @@
-"""Many runs: suites of recordings × estimators, each run a process of its own and a row of a table.
+"""Benchmarks: many recordings × estimators, each run in a process of its own and stored as a row of a table.
 
-What only the door can do, to fly and to estimate, is handed in as `Workshop`.
+Simulation and estimation are passed in as a `dronevio.eval.benchmark.jobs.BenchmarkPipeline`, because this package
+imports neither the simulator nor the estimator.
 """
 
 from typing import TYPE_CHECKING

@@ -1,4 +1,4 @@
-"""Who does the jobs: processes of this machine, or a cluster."""
+"""Engines execute jobs: `LocalEngine` on this machine, `dronevio.eval.benchmark.ray_engine.RayEngine` on a cluster."""
 
 import os
 import queue
@@ -12,70 +12,70 @@ from dronevio.eval.benchmark.rows import Row
 
 
 @dataclass(frozen=True)
-class Ended:
-    """A job has ended; its rows have been heard of before."""
+class JobEnd:
+    """The end of a job, after all of its rows."""
 
     reason: str = ""
-    """Why, if it was not because all was done."""
+    """Why the job ended before all of its runs were done; empty if it was completed."""
 
 
-Heard: TypeAlias = tuple[int, Row | Ended]
-"""The number of a job, and what came of it: a row, or that there are no more."""
+JobEvent: TypeAlias = tuple[int, Row | JobEnd]
+"""The index of a job, and either a row that it produced or its end."""
 
 
 class Engine(Protocol):
-    """Does jobs."""
+    """Executes jobs."""
 
-    def run(self, jobs: Sequence[Job]) -> Iterator[Heard]:
-        """Yield the rows of all jobs as they come, and for each job its end."""
+    def run(self, jobs: Sequence[Job]) -> Iterator[JobEvent]:
+        """Yield the rows of all jobs as they are produced, and the end of each job."""
 
 
-def cores() -> int:
-    """Return how many cores this process may use."""
+def available_cores() -> int:
+    """Return the number of cores that this process may use."""
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
 @dataclass(frozen=True)
 class LocalEngine:
-    """Does jobs on this machine, some at a time; each run is a process of its own, and the threads here only wait."""
+    """Executes jobs on this machine. Each run is a process of its own; the threads of this class only wait."""
 
     workers: int
-    """How many at a time."""
+    """Number of jobs that are executed at the same time."""
 
-    def run(self, jobs: Sequence[Job]) -> Iterator[Heard]:
-        """Yield the rows of all jobs as they come, and for each job its end."""
+    def run(self, jobs: Sequence[Job]) -> Iterator[JobEvent]:
+        """Yield the rows of all jobs as they are produced, and the end of each job."""
         waiting: queue.SimpleQueue[int] = queue.SimpleQueue()
-        heard: queue.SimpleQueue[Heard] = queue.SimpleQueue()
+        events: queue.SimpleQueue[JobEvent] = queue.SimpleQueue()
         stop = threading.Event()
-        for number in range(len(jobs)):
-            waiting.put(number)
+        for index in range(len(jobs)):
+            waiting.put(index)
 
         def work() -> None:
             while not stop.is_set():
                 try:
-                    number = waiting.get_nowait()
+                    index = waiting.get_nowait()
                 except queue.Empty:
                     return
-                heard.put((number, _followed(number)))
+                events.put((index, _execute(index)))
 
-        def _followed(number: int) -> Ended:
+        def _execute(index: int) -> JobEnd:
             try:
-                for row in jobs[number].carry_out():
-                    heard.put((number, row))
+                for row in jobs[index].run():
+                    events.put((index, row))
                     if stop.is_set():
                         break
-            except Exception as error:  # a full disk, say: it costs this job, not the others
-                return Ended(f"{type(error).__name__}: {error}")
-            return Ended()
+            except Exception as error:  # a full disk, for example, ends this job and not the others
+                return JobEnd(f"{type(error).__name__}: {error}")
+            return JobEnd()
 
-        # Daemons: whoever interrupts the benchmark does not wait for them, and their processes end with this one.
+        # Daemon threads do not delay the end of an interrupted benchmark; their child processes end with this process.
         for _ in range(min(self.workers, len(jobs))):
             threading.Thread(target=work, daemon=True).start()
         try:
             open_jobs = len(jobs)
             while open_jobs:
-                number, what = heard.get()
-                open_jobs -= isinstance(what, Ended)
-                yield number, what
+                index, event = events.get()
+                open_jobs -= isinstance(event, JobEnd)
+                yield index, event
         finally:
             stop.set()

@@ -1,8 +1,9 @@
-"""A function called in a process of its own: whatever it does to that, the caller hears how it ended and goes on.
+"""Calls of functions in processes of their own, so that the caller survives crashes, hangs and memory exhaustion.
 
-A plain process, as multiprocessing would run the caller's script again. It gets function and arguments pickled on its
-standard input, from its own parent, and answers on its standard output. Its standard input stays open: once that ends,
-because the parent was killed, it takes itself and all that it started down, so that nothing goes on unseen.
+The child is a plain Python process, because `multiprocessing` would run the caller's script again. It reads the pickled
+function and arguments from its standard input and writes the pickled result to its standard output. The parent keeps
+the standard input open: when it is closed because the parent was killed, the child kills its process group, so that no
+process outlives the benchmark.
 """
 
 import os
@@ -23,14 +24,14 @@ from typing import IO, Any
 from dronevio.eval.benchmark.rows import Status
 from dronevio.models.errors import DronevioError
 
-_CHILD = "from dronevio.eval.benchmark.isolation import serve; serve()"
-_LOOK_EVERY_S = 0.02
-_TOLD = 4  # exit code of a child that has written its answer
+_CHILD_CODE = "from dronevio.eval.benchmark.isolation import serve; serve()"
+_POLL_INTERVAL_S = 0.02
+_EXIT_WITH_RESULT = 4  # exit code of a child that has written its result
 _BYTES_PER_RU_MAXRSS = 1 if sys.platform == "darwin" else 1024
 
 
 class CrashError(DronevioError):
-    """A program that was started died without a word of its own."""
+    """An external program died without an error message of its own."""
 
 
 @dataclass(frozen=True)
@@ -38,94 +39,98 @@ class Outcome:
     """How a call in a process of its own ended."""
 
     status: Status
-    """Whether there is a value, and if not, what kind of end it was."""
+    """Whether there is a value and, if not, how the call ended."""
     reason: str
-    """Why there is none; empty where there is."""
+    """Why there is no value; empty if there is one."""
     value: Any
-    """What the function returned."""
+    """Return value of the function."""
     wall_s: float
-    """How long the process lived [s]."""
+    """Elapsed time of the process [s]."""
     cpu_s: float
-    """Processor time of the process and of those that it waited for [s]."""
+    """Processor time of the process and of the children that it waited for [s]."""
     peak_mb: float | None
-    """The most memory that it, or any one of those, held [MB]; None where it could not tell any more."""
+    """Peak memory of the process, or of one of those children [MB]; None if the process died or was killed."""
 
 
-def isolated(
+def call_in_process(
     function: Callable[..., object],
     *arguments: object,
     timeout_s: float = float("inf"),
     environment: Mapping[str, str] | None = None,
 ) -> Outcome:
-    """Call a function in a process of its own, and return how that ended; it raises nothing that the function does.
+    """Call a function in a process of its own and return how the call ended; exceptions become outcomes.
 
     Args:
         function: A function of a module, which can be pickled.
-        *arguments: Its arguments, which can be pickled too.
-        timeout_s: After that long [s], the process and all that it started are killed.
-        environment: Variables to set for it.
+        *arguments: Arguments of the function, which can be pickled.
+        timeout_s: Time after which the process and its children are killed [s].
+        environment: Environment variables to set for the process.
     """
     start = time.perf_counter()
-    with tempfile.TemporaryFile() as answer, tempfile.TemporaryFile() as complaints:
+    with tempfile.TemporaryFile() as output, tempfile.TemporaryFile() as errors:
         process = subprocess.Popen(
-            [sys.executable, "-P", "-c", _CHILD],  # -P: the folder where we are holds no modules
+            [sys.executable, "-P", "-c", _CHILD_CODE],  # -P: no modules from the current folder
             stdin=subprocess.PIPE,
-            stdout=answer,
-            stderr=complaints,
+            stdout=output,
+            stderr=errors,
             start_new_session=True,
             env={**os.environ, **(environment or {})},
         )
         assert process.stdin is not None
         try:
-            with suppress(BrokenPipeError):  # it has died before it could listen, and will tell why
+            with suppress(BrokenPipeError):  # the child died before it read; its exit code gives the reason
                 pickle.dump((function, arguments), process.stdin)
                 process.stdin.flush()
             in_time, usage = _wait(process, start + timeout_s)
         finally:
-            _kill_group(process.pid)  # what it started and left behind, too
+            _kill_group(process.pid)  # includes children that it left behind
             with suppress(BrokenPipeError):
                 process.stdin.close()
         wall_s = time.perf_counter() - start
-        status, reason, value, peak_mb = _ending(process.returncode, answer, complaints)
+        status, reason, value, peak_mb = _result(process.returncode, output, errors)
     if not in_time:
-        status, reason, value, peak_mb = "timeout", f"no end after {timeout_s:g} s", None, None
+        status, reason, value, peak_mb = "timeout", f"not finished after {timeout_s:g} s", None, None
     return Outcome(status, reason, value, wall_s, usage.ru_utime + usage.ru_stime, peak_mb)
 
 
 def serve() -> None:
-    """Be the process: read what to call, call it, answer."""
+    """Run in the child: read the call, execute it, write the result, and exit."""
     function, arguments = pickle.load(sys.stdin.buffer)
     threading.Thread(target=_die_with_parent, daemon=True).start()
-    answer = os.fdopen(os.dup(1), "wb")
-    os.dup2(2, 1)  # what libraries print is no answer
+    output = os.fdopen(os.dup(1), "wb")
+    os.dup2(2, 1)  # text that libraries print is not part of the result
     try:
-        told = ("ok", "", function(*arguments))
+        result = ("ok", "", function(*arguments))
     except CrashError as error:
-        told = ("crashed", str(error), None)
+        result = ("crashed", str(error), None)
     except DronevioError as error:
-        told = ("failed", str(error), None)
+        result = ("failed", str(error), None)
     except Exception as error:
-        told = ("failed", f"{type(error).__name__}: {error}", None)
-    with answer:
-        pickle.dump((*told, _peak_mb()), answer)
+        result = ("failed", f"{type(error).__name__}: {error}", None)
+    with output:
+        pickle.dump((*result, _peak_mb()), output)
     sys.stderr.flush()
-    os._exit(_TOLD)  # a library that dies while it is taken down changes nothing any more
+    os._exit(_EXIT_WITH_RESULT)  # a library that crashes at shutdown does not change the result
 
 
 def _die_with_parent() -> None:
-    """Wait for the end of the standard input; take down the whole process group."""
+    """Wait until the standard input is closed, then kill the whole process group."""
     while os.read(0, 4096):
         pass
     _kill_group(os.getpid())
 
 
 def _kill_group(group: int) -> None:
-    with suppress(ProcessLookupError, PermissionError):  # macOS says the latter of one that has ended
+    with suppress(ProcessLookupError, PermissionError):  # macOS raises the latter for a group that has ended
         os.killpg(group, signal.SIGKILL)
 
 
 def _wait(process: "subprocess.Popen[bytes]", deadline: float) -> tuple[bool, Any]:
-    """Wait for a process, and kill its group at the deadline; say whether it kept it, and what it used."""
+    """Wait for a process, whose group is killed at the deadline.
+
+    Returns:
+        Whether the process ended in time, and its resource usage.
+    """
     in_time = True
     try:
         while True:
@@ -135,7 +140,7 @@ def _wait(process: "subprocess.Popen[bytes]", deadline: float) -> tuple[bool, An
             if in_time and time.perf_counter() > deadline:
                 in_time = False
                 _kill_group(process.pid)
-            time.sleep(_LOOK_EVERY_S)
+            time.sleep(_POLL_INTERVAL_S)
     except BaseException:
         _kill_group(process.pid)
         process.wait()
@@ -144,19 +149,19 @@ def _wait(process: "subprocess.Popen[bytes]", deadline: float) -> tuple[bool, An
     return in_time, usage
 
 
-def _ending(code: int, answer: IO[bytes], complaints: IO[bytes]) -> tuple[Status, str, Any, float | None]:
-    """Return status, reason, value and peak memory that a process left."""
-    if code == _TOLD:
-        answer.seek(0)
-        status, reason, value, peak_mb = pickle.load(answer)
+def _result(code: int, output: IO[bytes], errors: IO[bytes]) -> tuple[Status, str, Any, float | None]:
+    """Return status, reason, value and peak memory [MB] of a process that has ended with an exit code."""
+    if code == _EXIT_WITH_RESULT:
+        output.seek(0)
+        status, reason, value, peak_mb = pickle.load(output)
         return status, reason, value, peak_mb
-    return "crashed", death(code, complaints), None, None
+    return "crashed", exit_description(code, errors), None, None
 
 
 def _peak_mb(status: Path = Path("/proc/self/status")) -> float:
-    """Return the most memory that this process held, or a process that it waited for [MB]."""
+    """Return the peak memory of this process, or of a child that it waited for [MB]."""
     children = resource.getrusage(resource.RUSAGE_CHILDREN).ru_maxrss
-    try:  # getrusage would count the process that started this one, before it became itself
+    try:  # getrusage would count the memory of the parent before exec
         lines = status.read_text(encoding="ascii").splitlines()
         own = next(int(line.split()[1]) for line in lines if line.startswith("VmHWM:"))
     except OSError:
@@ -164,11 +169,11 @@ def _peak_mb(status: Path = Path("/proc/self/status")) -> float:
     return max(own, children) * _BYTES_PER_RU_MAXRSS * 1e-6
 
 
-def death(code: int, complaints: IO[bytes]) -> str:
-    """Return in words how a process died, from its exit code and the last line that it wrote."""
-    size = complaints.seek(0, os.SEEK_END)
-    complaints.seek(max(0, size - 4096))
-    lines = [line.strip() for line in complaints.read().decode(errors="replace").splitlines() if line.strip()]
+def exit_description(code: int, errors: IO[bytes]) -> str:
+    """Return how a process died, in words: its signal or exit code, and the last line of its standard error."""
+    size = errors.seek(0, os.SEEK_END)
+    errors.seek(max(0, size - 4096))
+    lines = [line.strip() for line in errors.read().decode(errors="replace").splitlines() if line.strip()]
     try:
         how = f"killed by {signal.Signals(-code).name}" if code < 0 else f"ended with code {code}"
     except ValueError:

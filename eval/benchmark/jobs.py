@@ -1,6 +1,7 @@
-"""One recording and the estimators to be run on it: the unit of work that an engine hands to a machine.
+"""Jobs: one recording and the estimators to run on it, the unit of work that an engine assigns to a machine.
 
-Recording and estimators stay together because frames are large and scenarios are small: whoever estimates renders.
+A recording and its estimators stay together because images are large and scenarios are small: the machine that
+estimates also renders.
 """
 
 import json
@@ -11,95 +12,96 @@ from pathlib import Path
 from typing import Any, Protocol, Self
 
 from dronevio.eval.benchmark.cache import RecordingCache
-from dronevio.eval.benchmark.isolation import Outcome, isolated
+from dronevio.eval.benchmark.isolation import Outcome, call_in_process
 from dronevio.eval.benchmark.rows import Row
 from dronevio.eval.provenance import machine_here
 
-COST_FILE = "cost.json"
-"""Beside a recording in the cache: what making it cost."""
+USAGE_FILE = "usage.json"
+"""Name of the file beside a cached recording with the `ResourceUsage` of making it."""
 _ONE_THREAD = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "LP_NUM_THREADS"), "1")
-"""Each run has one core: what it costs must not depend on how many others run beside it."""
+"""Each run uses one core, so that its cost does not depend on the number of runs beside it."""
 
 
 @dataclass(frozen=True)
-class Flight:
-    """What to estimate: a flight still to be simulated, or a recording from elsewhere."""
+class RecordingSpec:
+    """A recording of a benchmark: a flight that is simulated first, or a recording that exists."""
 
     scenario: str
-    """Its name."""
+    """Name of the scenario, or of the existing recording."""
     world: str
-    """Where it is flown; empty for a recording from elsewhere."""
+    """World in which the scenario is flown; empty for an existing recording."""
     seed: int | None
-    """The scenario's seed; None for a recording from elsewhere."""
-    recording: str
-    """Content hash of the recording."""
+    """Seed of the scenario; None for an existing recording."""
+    recording_hash: str
+    """Hash of the recording's content, or of everything that determines it."""
     source: object
-    """What the workshop makes the recording of; can be pickled."""
+    """The scenario from which the pipeline makes the recording; can be pickled. None for an existing recording."""
     path: Path | None = None
-    """Where the recording lies that is from elsewhere; each machine needs it there."""
+    """Path of an existing recording, which must be valid on every machine; None for a scenario."""
 
 
-class Workshop(Protocol):
-    """What only the door can do; can be pickled, and is called in processes of their own."""
+class BenchmarkPipeline(Protocol):
+    """The steps of a run that the application supplies; can be pickled, and is called in processes of their own."""
 
     @property
     def versions(self) -> str:
-        """All code that results depend on."""
+        """Versions of all code on which results depend."""
 
     def config_hash(self, estimator: str) -> str:
-        """Return what tells an estimator's settings apart."""
+        """Return a hash of an estimator's settings."""
 
-    def record(self, flight: Flight, folder: Path) -> None:
-        """Make a flight's recording in an empty folder."""
+    def record(self, spec: RecordingSpec, folder: Path) -> None:
+        """Simulate a scenario and write its recording into an empty folder."""
 
-    def estimate(self, flight: Flight, recording: Path, estimator: str) -> dict[str, Any]:
+    def estimate(self, spec: RecordingSpec, recording: Path, estimator: str) -> dict[str, Any]:
         """Run an estimator on a recording, score it, and return the columns of `Row` from ``coverage_percent`` on."""
 
 
 @dataclass(frozen=True)
-class Cost:
-    """What one piece of work took."""
+class ResourceUsage:
+    """Resources that a piece of work used."""
 
     cpu_s: float
     """Processor time [s]."""
     wall_s: float
-    """By the clock on the wall [s]."""
+    """Elapsed time [s]."""
     disk_mb: float
-    """What it left on the disk [MB]."""
+    """Size of the files that it wrote [MB]."""
 
     @classmethod
     def read(cls, path: Path) -> Self:
-        """Read what was noted beside a recording."""
+        """Read the file that is stored beside a recording."""
         return cls(**json.loads(path.read_text(encoding="utf-8")))
 
 
 class RecordingFailedError(Exception):
-    """A recording could not be made; holds how its process ended."""
+    """A recording cannot be made."""
 
     def __init__(self, outcome: Outcome) -> None:
+        """Take the outcome of the process that was to make the recording."""
         super().__init__(outcome.reason)
         self.outcome = outcome
 
 
 @dataclass(frozen=True)
 class Job:
-    """The unit of work; can be pickled."""
+    """One recording and the estimators to run on it; can be pickled."""
 
-    flight: Flight
-    """What to estimate."""
+    spec: RecordingSpec
+    """The recording."""
     estimators: tuple[str, ...]
-    """Who is to do it, one after the other."""
-    workshop: Workshop
-    """How that is done."""
+    """Labels of the estimators, which are run one after the other."""
+    pipeline: BenchmarkPipeline
+    """The steps of a run."""
     cache: Path
-    """Folder of the recordings on the machine that does the job."""
+    """Folder of the recordings on the machine that executes the job."""
     timeout_s: float
-    """How long one run may take, and the making of the recording [s]."""
-    keep: bool = True
-    """Whether the recording stays in the cache."""
+    """Largest duration of one run, and of making the recording [s]."""
+    keep_recording: bool = True
+    """Whether the recording stays in the cache after the job."""
 
-    def carry_out(self) -> Iterator[Row]:
-        """Run the estimators and yield a row for each, however it ended."""
+    def run(self) -> Iterator[Row]:
+        """Run the estimators and yield a row for each run, however it ended."""
         try:
             with self.recording() as folder:
                 for estimator in self.estimators:
@@ -107,27 +109,27 @@ class Job:
         except RecordingFailedError as error:
             for estimator in self.estimators:
                 yield self.row(estimator, error.outcome)
-        if not self.keep and self.flight.path is None:
-            RecordingCache(self.cache).drop(self.flight.recording)
+        if not self.keep_recording and self.spec.path is None:
+            RecordingCache(self.cache).remove(self.spec.recording_hash)
 
     @contextmanager
     def recording(self) -> Iterator[Path]:
-        """Give the recording's folder, made now where it is missing.
+        """Yield the recording's folder, which is made first if it is missing.
 
         Raises:
-            RecordingFailedError: It cannot be made.
+            RecordingFailedError: The recording cannot be made.
         """
-        if self.flight.path is not None:
-            yield self.flight.path
+        if self.spec.path is not None:
+            yield self.spec.path
             return
-        with RecordingCache(self.cache).borrow(self.flight.recording, self._record) as folder:
+        with RecordingCache(self.cache).acquire(self.spec.recording_hash, self._record) as folder:
             yield folder
 
     def estimate(self, recording: Path, estimator: str) -> Outcome:
         """Run one estimator in a process of its own."""
-        return isolated(
-            self.workshop.estimate,
-            replace(self.flight, source=None),  # the recording is there; a scenario brings half the simulator along
+        return call_in_process(
+            self.pipeline.estimate,
+            replace(self.spec, source=None),  # the recording exists, and a scenario would import the simulator
             recording,
             estimator,
             timeout_s=self.timeout_s,
@@ -135,36 +137,38 @@ class Job:
         )
 
     def row(self, estimator: str, outcome: Outcome) -> Row:
-        """Return the row of a run that ended so."""
+        """Return the row of a run with the given outcome."""
         return Row(
-            self.flight.scenario,
-            self.flight.world,
-            self.flight.seed,
+            self.spec.scenario,
+            self.spec.world,
+            self.spec.seed,
             estimator,
-            self.workshop.config_hash(estimator),
-            self.workshop.versions,
+            self.pipeline.config_hash(estimator),
+            self.pipeline.versions,
             outcome.status,
             outcome.reason,
             wall_s=outcome.wall_s,
             peak_mb=outcome.peak_mb,
-            recording=self.flight.recording,
+            recording_hash=self.spec.recording_hash,
             machine="{processor}, {cores} cores, {system}".format(**machine_here()),
             **(outcome.value or {}),
         )
 
     def _record(self, folder: Path) -> None:
-        """Make the recording in a process of its own, and note what it cost."""
-        outcome = isolated(self.workshop.record, self.flight, folder, timeout_s=self.timeout_s, environment=_ONE_THREAD)
+        """Make the recording in a process of its own, and store its resource usage."""
+        outcome = call_in_process(
+            self.pipeline.record, self.spec, folder, timeout_s=self.timeout_s, environment=_ONE_THREAD
+        )
         if outcome.status != "ok":
-            told = f"no recording to run on: {outcome.reason}"
+            reason = f"the recording cannot be made: {outcome.reason}"
             raise RecordingFailedError(
-                Outcome(outcome.status, told, None, outcome.wall_s, outcome.cpu_s, outcome.peak_mb)
+                Outcome(outcome.status, reason, None, outcome.wall_s, outcome.cpu_s, outcome.peak_mb)
             )
         disk_mb = sum(file.stat().st_size for file in folder.rglob("*") if file.is_file()) * 1e-6
-        cost = Cost(outcome.cpu_s, outcome.wall_s, disk_mb)
-        (folder / COST_FILE).write_text(json.dumps(asdict(cost)) + "\n", encoding="utf-8")
+        usage = ResourceUsage(outcome.cpu_s, outcome.wall_s, disk_mb)
+        (folder / USAGE_FILE).write_text(json.dumps(asdict(usage)) + "\n", encoding="utf-8")
 
 
-def lost(job: Job, estimators: Sequence[str], reason: str) -> list[Row]:
-    """Return the rows of runs of which no more is known than that the machine that did them is gone."""
+def lost_rows(job: Job, estimators: Sequence[str], reason: str) -> list[Row]:
+    """Return the rows of runs that were lost with the machine that executed them."""
     return [job.row(estimator, Outcome("crashed", reason, None, 0.0, 0.0, None)) for estimator in estimators]

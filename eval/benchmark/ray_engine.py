@@ -1,56 +1,59 @@
-"""Jobs done by Ray, on this machine or on a cluster (Moritz et al., OSDI 2018); an optional dependency."""
+"""An engine that executes jobs with Ray, on this machine or on a cluster (Moritz et al., OSDI 2018).
+
+Ray is an optional dependency.
+"""
 
 import os
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from dronevio.eval.benchmark.engines import Ended, Heard
+from dronevio.eval.benchmark.engines import JobEnd, JobEvent
 from dronevio.eval.benchmark.jobs import Job
 from dronevio.eval.benchmark.rows import Row
 from dronevio.models.errors import ConfigError
 
-_JOBS_A_CORE = 2  # handed out ahead, so that no core waits; more would only fill Ray's tables
+_JOBS_PER_CORE = 2  # submitted at a time, so that no core waits and Ray's tables stay small
 
 
 @dataclass(frozen=True)
 class RayEngine:
-    """Does jobs as Ray tasks of one core each."""
+    """Executes jobs as Ray tasks of one core each."""
 
     address: str | None = None
-    """Of a running cluster, ``auto`` for the one that this machine belongs to; None starts one here, which listens on
-    127.0.0.1 only (unless the program has imported Ray before: that settles where Ray listens)."""
+    """Address of a running cluster, or ``auto`` for the one that this machine belongs to. None starts a cluster on this
+    machine, which listens on 127.0.0.1 only unless the program has imported Ray before."""
     workers: int | None = None
-    """How many cores the one here has."""
+    """Number of cores of a cluster that is started on this machine; None for all."""
 
-    def run(self, jobs: Sequence[Job]) -> Iterator[Heard]:
-        """Yield the rows of all jobs as they come, and for each job its end.
+    def run(self, jobs: Sequence[Job]) -> Iterator[JobEvent]:
+        """Yield the rows of all jobs as they are produced, and the end of each job.
 
         Raises:
             ConfigError: Ray is not installed, or there is no cluster at the address.
         """
         if self.address is None:
-            # Ray's own name for "no cluster": all its servers then listen on 127.0.0.1 only. It reads it when imported.
+            # Without cluster support, all of Ray's servers listen on 127.0.0.1 only. Ray reads this at its import.
             os.environ.setdefault("RAY_ENABLE_WINDOWS_OR_OSX_CLUSTER", "0")
         os.environ.setdefault("RAY_USAGE_STATS_ENABLED", "0")
-        ray = _ray()
+        ray = _import_ray()
         self._connect(ray)
         try:
-            # A job that is lost with its machine is a row that says so, not a job done twice unseen.
+            # A job that is lost with its machine becomes a row with that reason; it is not repeated silently.
             task = ray.remote(num_cpus=1, max_retries=0, num_returns="streaming")(_rows)
             waiting = iter(range(len(jobs)))
             running: dict[Any, int] = {}
             while True:
-                room = _JOBS_A_CORE * max(1, int(ray.cluster_resources().get("CPU", 1))) - len(running)
-                for number, _ in zip(waiting, range(room), strict=False):
-                    running[task.remote(jobs[number])] = number
+                free = _JOBS_PER_CORE * max(1, int(ray.cluster_resources().get("CPU", 1))) - len(running)
+                for index, _ in zip(waiting, range(free), strict=False):
+                    running[task.remote(jobs[index])] = index
                 if not running:
                     return
                 ready, _ = ray.wait(list(running), num_returns=1, timeout=None, fetch_local=False)
                 for rows in ready:
-                    what = _next(ray, rows)
-                    yield running[rows], what
-                    if isinstance(what, Ended):
+                    event = _next_event(ray, rows)
+                    yield running[rows], event
+                    if isinstance(event, JobEnd):
                         del running[rows]
         finally:
             ray.shutdown()
@@ -67,26 +70,26 @@ class RayEngine:
 
 
 def _rows(job: Job) -> Iterator[Row]:
-    """Be the task."""
-    yield from job.carry_out()
+    """Run a job; this is the function of the Ray task."""
+    yield from job.run()
 
 
-def _next(ray: Any, rows: Any) -> Row | Ended:
-    """Return the next row of a task that has one ready, or how it ended."""
+def _next_event(ray: Any, rows: Any) -> Row | JobEnd:
+    """Return the next row of a task that has one ready, or the end of the task."""
     try:
         row: Row = ray.get(next(rows))
     except StopIteration:
-        return Ended()
-    except Exception as error:  # the task's own errors, and those of a machine that is gone
-        return Ended(f"{type(error).__name__}: {' '.join(str(error).split())[:300]}")
+        return JobEnd()
+    except Exception as error:  # errors of the task, and those of a machine that is lost
+        return JobEnd(f"{type(error).__name__}: {' '.join(str(error).split())[:300]}")
     return row
 
 
-def _ray() -> Any:
-    """Return Ray.
+def _import_ray() -> Any:
+    """Return the module of Ray.
 
     Raises:
-        ConfigError: It is not installed.
+        ConfigError: Ray is not installed.
     """
     try:
         import ray  # type: ignore[import-not-found, unused-ignore]

@@ -1,4 +1,4 @@
-"""The rows of a benchmark: one run each, the failed ones included, kept as Parquet."""
+"""Rows of a benchmark: one for each run, failed ones included, stored as Parquet."""
 
 import json
 from collections.abc import Iterable
@@ -16,99 +16,99 @@ if TYPE_CHECKING:
     from dronevio.eval.metrics.scores import Scores
 
 Status: TypeAlias = Literal["ok", "failed", "timeout", "crashed"]
-"""How a run ended: scored, with an error that was told, past its time, or with its process dead."""
+"""How a run ended: with scores, with an error message, at the time limit, or with the death of its process."""
 Identity: TypeAlias = tuple[str, int | None, str]
-"""What makes two runs of two benchmarks a pair: scenario, seed and estimator."""
+"""Scenario, seed and estimator: runs of two benchmarks with the same identity are compared with each other."""
 RESULTS_FILE = "results.parquet"
-"""All rows of a benchmark, in its folder."""
-_REPORT = "report.json"
+"""Name of the file with all rows of a benchmark, in its folder."""
+_REPORT_FILE = "report.json"
 
 
 @dataclass(frozen=True)
 class Row:
-    """One run. Of a failed one, all that follows ``reason`` may be None but ``wall_s`` and ``recording``."""
+    """One run. In a failed run, all columns after ``reason`` may be None except ``wall_s`` and ``recording_hash``."""
 
     scenario: str
-    """What was flown: a scenario's name, or that of a recording from elsewhere."""
+    """Name of the scenario, or of an existing recording."""
     world: str
-    """Where; empty for a recording from elsewhere."""
+    """World in which the scenario is flown; empty for an existing recording."""
     seed: int | None
-    """The scenario's seed; None for a recording from elsewhere."""
+    """Seed of the scenario; None for an existing recording."""
     estimator: str
-    """Who estimated: a name that `dronevio.registry` knows."""
+    """Label of the estimator, as given on the command line."""
     config_hash: str
-    """Tells the estimator's settings apart."""
+    """Hash of the estimator's settings."""
     versions: str
-    """What the run depends on: the package, its code, and the libraries."""
+    """Versions of the packages and hash of the code on which the result depends."""
     status: Status
     """How the run ended."""
     reason: str = ""
-    """Why it is not ok."""
+    """Why the status is not ok; empty if it is."""
     coverage_percent: float | None = None
     """Share of the frames later than 3 s after the first that have a pose [%]."""
-    first_s: float | None = None
-    """Time of the first pose after the truth's first [s]."""
+    first_pose_s: float | None = None
+    """Time of the first compared pose after the first true pose [s]."""
     path_m: float | None = None
     """Length of the true path over the compared poses [m]."""
     duration_s: float | None = None
     """Time from the first frame to the last [s]."""
     ate_m: float | None = None
-    """Absolute error of position, yaw and position aligned, root mean square [m]."""
+    """Absolute position error after alignment of yaw and position, root mean square [m]."""
     ate_deg: float | None = None
-    """Absolute error of orientation, root mean square [°]."""
+    """Absolute orientation error after the same alignment, root mean square [°]."""
     rpe_m: float | None = None
-    """Relative error of position over one second, root mean square [m]."""
+    """Relative position error over 1 s, root mean square [m]."""
     rpe_deg: float | None = None
-    """Relative error of orientation over one second, root mean square [°]."""
+    """Relative orientation error over 1 s, root mean square [°]."""
     scale_error_percent: float | None = None
-    """By how much the estimated path is too large [%]."""
+    """Relative error of the scale of the estimated path, positive if it is too large [%]."""
     drift_percent: float | None = None
-    """Mean drift over the sub-trajectories, by their lengths [%]."""
+    """Mean drift over sub-trajectories, relative to their lengths [%]."""
     nees_position: float | None = None
-    """Mean normalized squared error of position, 3 expected; None without covariances."""
+    """Mean normalized estimation error squared of the position, 3 expected; None without covariances."""
     nees_orientation: float | None = None
-    """The same of orientation."""
-    beyond_3_sigma_percent: float | None = None
-    """Share of position errors beyond three standard deviations [%]."""
+    """Mean normalized estimation error squared of the orientation, 3 expected; None without covariances."""
+    position_beyond_3_sigma_percent: float | None = None
+    """Share of position errors beyond three standard deviations [%]; None without covariances."""
     velocity_m_s: float | None = None
-    """Error of velocity, root mean square [m/s]; None where either side does not tell it."""
+    """Velocity error, root mean square [m/s]; None if the truth or the estimate has no velocities."""
     cpu_ms_mean: float | None = None
-    """Processor time a frame, of all threads [ms]."""
+    """Mean processor time of all threads per frame [ms]."""
     cpu_ms_p99: float | None = None
-    """Its 99th percentile [ms]; None for a program of which only the whole is known."""
+    """99th percentile of the processor time per frame [ms]; None for an external program."""
     real_time_factor: float | None = None
     """Seconds of flight that are estimated in one second of processor time."""
     wall_s: float = 0.0
-    """How long the run's process lived [s]."""
+    """Elapsed time of the run's process [s]."""
     peak_mb: float | None = None
-    """The most memory that the process held [MB]; of an external program, the largest of its processes."""
-    recording: str = ""
-    """Content hash of the recording."""
+    """Peak memory of the process, or of the largest process of an external program [MB]."""
+    recording_hash: str = ""
+    """Hash of the recording's content."""
     machine: str = ""
-    """What the run was done on: processor and cores; timings of different machines tell nothing."""
-    length_m: tuple[float, ...] = ()
+    """Processor, number of cores and system of the machine; timings of different machines are not comparable."""
+    sub_trajectory_m: tuple[float, ...] = ()
     """Lengths of the sub-trajectories: 10 % to 50 % of the true path [m]."""
-    rpe_len_m: tuple[float, ...] = ()
-    """Relative error of position over each of them, root mean square [m]."""
-    rpe_len_deg: tuple[float, ...] = ()
-    """Relative error of orientation over each of them, root mean square [°]."""
+    sub_trajectory_rpe_m: tuple[float, ...] = ()
+    """Relative position error over each of these lengths, root mean square [m]."""
+    sub_trajectory_rpe_deg: tuple[float, ...] = ()
+    """Relative orientation error over each of these lengths, root mean square [°]."""
 
     @property
     def identity(self) -> Identity:
-        """What this run is compared with in another benchmark."""
+        """Scenario, seed and estimator."""
         return self.scenario, self.seed, self.estimator
 
     @property
     def dependencies(self) -> tuple[str, str, str]:
-        """All that its result depends on: the run need not be done again while these are the same."""
-        return self.recording, self.config_hash, self.versions
+        """Everything on which the result depends: the run need not be repeated while this is the same."""
+        return self.recording_hash, self.config_hash, self.versions
 
 
-def figures_of(scores: "Scores") -> dict[str, Any]:
-    """Return the columns that come out of the scores of an estimate."""
+def score_columns(scores: "Scores") -> dict[str, Any]:
+    """Return the columns that are computed from the scores of an estimate."""
     return {
         "coverage_percent": scores.coverage_percent,
-        "first_s": scores.first_s,
+        "first_pose_s": scores.first_pose_s,
         "path_m": scores.path_m,
         "ate_m": scores.ate_m.rmse,
         "ate_deg": scores.ate_deg.rmse,
@@ -118,16 +118,16 @@ def figures_of(scores: "Scores") -> dict[str, Any]:
         "drift_percent": scores.drift_percent,
         "nees_position": scores.nees_position,
         "nees_orientation": scores.nees_orientation,
-        "beyond_3_sigma_percent": scores.position_beyond_3_sigma_percent,
+        "position_beyond_3_sigma_percent": scores.position_beyond_3_sigma_percent,
         "velocity_m_s": scores.velocity_m_s and scores.velocity_m_s.rmse,
-        "length_m": tuple(piece.length_m for piece in scores.lengths),
-        "rpe_len_m": tuple(piece.translation_m.rmse for piece in scores.lengths),
-        "rpe_len_deg": tuple(piece.rotation_deg.rmse for piece in scores.lengths),
+        "sub_trajectory_m": tuple(errors.length_m for errors in scores.lengths),
+        "sub_trajectory_rpe_m": tuple(errors.translation_m.rmse for errors in scores.lengths),
+        "sub_trajectory_rpe_deg": tuple(errors.rotation_deg.rmse for errors in scores.lengths),
     }
 
 
 def schema() -> "pyarrow.Schema":
-    """Return the columns and their types; ``reason`` and what follows may be null, as may ``seed``."""
+    """Return names and types of the columns; ``seed``, ``reason`` and the columns after it may be null."""
     import pyarrow as pa
 
     kinds = {int | None: pa.int64(), float: pa.float64(), float | None: pa.float64()}
@@ -141,25 +141,25 @@ def schema() -> "pyarrow.Schema":
 
 
 def write_rows(path: Path, rows: Iterable[Row]) -> None:
-    """Write rows as a Parquet file, beside its place first: nobody ever sees half of it."""
+    """Write rows to a Parquet file, which is renamed from a temporary one so that readers never see a part of it."""
     import pyarrow as pa
     from pyarrow import parquet
 
     columns = [field.name for field in fields(Row)]
     values = [{name: getattr(row, name) for name in columns} for row in rows]
-    beside = path.with_name(f".{path.name}.part")
-    parquet.write_table(pa.Table.from_pylist(values, schema()), beside)
-    beside.replace(path)
+    temporary = path.with_name(f".{path.name}.part")
+    parquet.write_table(pa.Table.from_pylist(values, schema()), temporary)
+    temporary.replace(path)
 
 
 def read_rows(path: Path) -> tuple[Row, ...]:
     """Read the rows of a benchmark.
 
     Args:
-        path: A Parquet file, or a benchmark's folder.
+        path: A Parquet file, or the folder of a benchmark.
 
     Raises:
-        InputError: It is missing, damaged, or no benchmark's; or one run is there twice.
+        InputError: The file is missing, damaged, not that of a benchmark, or holds a run twice.
     """
     import pyarrow as pa
     from pyarrow import parquet
@@ -180,40 +180,47 @@ def read_rows(path: Path) -> tuple[Row, ...]:
     except (pa.ArrowException, ValueError) as error:
         raise InputError(path, f"columns of other types ({str(error).splitlines()[0]})", expected) from None
     rows = tuple(_row(path, number, values) for number, values in enumerate(table.to_pylist(), start=1))
-    doubled = [identity for identity, count in _counted(rows).items() if count > 1]
-    if doubled:
-        raise InputError(path, f"{run_name(doubled[0])} is there twice", "one row for each run")
+    duplicates = [identity for identity, count in _counts(rows).items() if count > 1]
+    if duplicates:
+        raise InputError(path, f"two rows of {run_name(duplicates[0])}", "one row for each run")
     return rows
 
 
 def run_name(identity: Identity) -> str:
-    """Return what to call a run, for people."""
+    """Return the name of a run for messages."""
     scenario, seed, estimator = identity
     return f"{scenario}{'' if seed is None else f', seed {seed}'}, {estimator}"
 
 
 def read_results(path: Path) -> tuple[Row, ...]:
-    """Read the rows of a benchmark, or of a single ``dronevio run``, given its folder.
+    """Read the rows of a benchmark, or of a single ``dronevio run`` if its folder is given.
 
     Raises:
-        InputError: It is neither, or damaged.
+        InputError: The path is neither, or a file is damaged.
     """
-    return (_row_of_report(path / _REPORT),) if (path / _REPORT).exists() else read_rows(path)
+    return (_row_of_report(path / _REPORT_FILE),) if (path / _REPORT_FILE).exists() else read_rows(path)
 
 
 def _row_of_report(path: Path) -> Row:
-    """Return a run's report as a row."""
+    """Return the report of a run as a row."""
     expected = "the report.json of a `dronevio run`"
     try:
         report = json.loads(read_text(path, expected))
         scores, timing, configuration = report["scores"], report["timing"], report["configuration"]
-        flown, estimator = configuration["scenario"], configuration["estimator"]
+        scenario, estimator = configuration["scenario"], configuration["estimator"]
         errors = {name: scores[name] and scores[name]["rmse"] for name in ("ate_m", "ate_deg", "rpe_m", "rpe_deg")}
-        plain = ("coverage_percent", "first_s", "path_m", "scale_error_percent", "nees_position", "nees_orientation")
+        plain = (
+            "coverage_percent",
+            "first_pose_s",
+            "path_m",
+            "scale_error_percent",
+            "nees_position",
+            "nees_orientation",
+        )
         return Row(
-            flown["name"],
-            flown["world"],
-            flown["seed"],
+            scenario["name"],
+            scenario["world"],
+            scenario["seed"],
             "vio",
             config_hash=content_hash(estimator),
             versions=", ".join(f"{name} {version}" for name, version in report["versions"].items()),
@@ -231,12 +238,12 @@ def _row_of_report(path: Path) -> Row:
 
 
 def _row(path: Path, number: int, values: dict[str, Any]) -> Row:
-    """Return a row of the file, its cells checked as far as types do not do it."""
-    must = ("scenario", "estimator", "status", "wall_s")
-    empty = [name for name in must if values[name] is None]
+    """Return a row of the file after the checks that the types of its columns do not cover."""
+    required = ("scenario", "estimator", "status", "wall_s")
+    empty = [name for name in required if values[name] is None]
     if empty or values["status"] not in get_args(Status):
-        found = f"row {number} without {empty[0]}" if empty else f"row {number} of status {values['status']!r}"
-        raise InputError(path, found, f"rows with {', '.join(must)}; status one of {', '.join(get_args(Status))}")
+        found = f"row {number} without {empty[0]}" if empty else f"row {number} with status {values['status']!r}"
+        raise InputError(path, found, f"rows with {', '.join(required)}; status one of {', '.join(get_args(Status))}")
     for name, kind in Row.__annotations__.items():
         if kind == tuple[float, ...]:
             values[name] = tuple(values[name] or ())
@@ -245,7 +252,7 @@ def _row(path: Path, number: int, values: dict[str, Any]) -> Row:
     return Row(**values)
 
 
-def _counted(rows: Iterable[Row]) -> dict[Identity, int]:
+def _counts(rows: Iterable[Row]) -> dict[Identity, int]:
     counts: dict[Identity, int] = {}
     for row in rows:
         counts[row.identity] = counts.get(row.identity, 0) + 1

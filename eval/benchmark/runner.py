@@ -1,4 +1,4 @@
-"""Runs a benchmark: finds what is missing, has it done, and keeps every row as it comes."""
+"""Runs a benchmark: finds the runs that are missing, executes them, and stores every row as it is produced."""
 
 import time
 from collections.abc import Sequence
@@ -6,109 +6,115 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Protocol
 
-from dronevio.eval.benchmark.engines import Ended, Engine
-from dronevio.eval.benchmark.jobs import Flight, Job, Workshop, lost
+from dronevio.eval.benchmark.engines import Engine, JobEnd
+from dronevio.eval.benchmark.jobs import BenchmarkPipeline, Job, RecordingSpec, lost_rows
 from dronevio.eval.benchmark.rows import Row
 from dronevio.eval.benchmark.store import ResultStore
 
-_JOIN_EVERY_S = 30.0
+_TABLE_INTERVAL_S = 30.0
 
 
-class Listener(Protocol):
-    """Hears of every run that is done."""
+class ProgressListener(Protocol):
+    """Receives the progress of a benchmark."""
 
     def __call__(self, done: int, total: int, row: Row | None) -> None:
-        """Say that ``done`` of ``total`` missing runs are finished, the latest of them ``row``."""
+        """Report that ``done`` of ``total`` missing runs are finished, the latest of them ``row``."""
 
 
-def nobody(done: int, total: int, row: Row | None) -> None:
-    """Listen to nothing."""
+def ignore_progress(done: int, total: int, row: Row | None) -> None:
+    """Do nothing with the progress."""
 
 
 @dataclass(frozen=True)
-class Benchmark:
-    """Flights × estimators."""
+class BenchmarkPlan:
+    """The runs of a benchmark: every estimator on every recording."""
 
-    flights: tuple[Flight, ...]
-    """What to estimate."""
+    recordings: tuple[RecordingSpec, ...]
+    """The recordings."""
     estimators: tuple[str, ...]
-    """Who estimates."""
-    workshop: Workshop
-    """How that is done."""
+    """Labels of the estimators."""
+    pipeline: BenchmarkPipeline
+    """The steps of a run."""
     cache: Path
-    """Folder of the recordings."""
+    """Folder in which recordings are made and found again."""
     timeout_s: float
-    """How long one run may take [s]."""
-    keep: bool = True
+    """Largest duration of one run [s]."""
+    keep_recordings: bool = True
     """Whether recordings stay in the cache."""
 
     @property
     def size(self) -> int:
-        """How many runs it has."""
-        return len(self.flights) * len(self.estimators)
+        """Number of runs."""
+        return len(self.recordings) * len(self.estimators)
 
-    def jobs(self, store: ResultStore, retry: bool = False) -> list[Job]:
-        """Return what is still to be done.
+    def missing_jobs(self, store: ResultStore, retry: bool = False) -> list[Job]:
+        """Return the jobs of the runs that have not been done.
 
         Args:
-            store: What has been done. A row counts while all that it depends on is the same.
-            retry: Whether failed runs are to be done again.
+            store: Rows of earlier runs, which count while everything that they depend on is the same.
+            retry: Whether failed runs are repeated.
         """
         jobs = []
-        for flight in self.flights:
-            missing = tuple(name for name in self.estimators if not self._done(store, flight, name, retry))
-            # A recording that has to be made belongs to one job; on one that is there, estimators need not wait.
-            shares = [missing] if flight.path is None else [(name,) for name in missing]
+        for spec in self.recordings:
+            missing = tuple(name for name in self.estimators if not self._is_done(store, spec, name, retry))
+            # A recording that must be made belongs to one job; estimators of an existing one need not wait.
+            groups = [missing] if spec.path is None else [(name,) for name in missing]
             jobs += [
-                Job(flight, share, self.workshop, self.cache, self.timeout_s, self.keep) for share in shares if share
+                Job(spec, group, self.pipeline, self.cache, self.timeout_s, self.keep_recordings)
+                for group in groups
+                if group
             ]
         return jobs
 
-    def _done(self, store: ResultStore, flight: Flight, estimator: str, retry: bool) -> bool:
-        row = store.find((flight.scenario, flight.seed, estimator))
+    def _is_done(self, store: ResultStore, spec: RecordingSpec, estimator: str, retry: bool) -> bool:
+        row = store.find((spec.scenario, spec.seed, estimator))
         if row is None or (retry and row.status != "ok"):
             return False
-        return row.dependencies == (flight.recording, self.workshop.config_hash(estimator), self.workshop.versions)
+        return row.dependencies == (spec.recording_hash, self.pipeline.config_hash(estimator), self.pipeline.versions)
 
 
 def run_benchmark(
-    benchmark: Benchmark, store: ResultStore, engine: Engine, heard: Listener = nobody, retry: bool = False
+    plan: BenchmarkPlan,
+    store: ResultStore,
+    engine: Engine,
+    listener: ProgressListener = ignore_progress,
+    retry: bool = False,
 ) -> tuple[Row, ...]:
-    """Do all runs of a benchmark that have not been done, and return the rows of all.
+    """Execute the missing runs of a benchmark and return the rows of all of its runs.
 
-    Every row is on the disk before the listener hears of it, so that whatever ends this early, what is done stays done.
-    The joined table is brought up to date every half minute, and in the end, also where that is an interruption.
+    Every row is on disk before the listener is called, so that an interruption loses no finished run. The table of all
+    rows is written every half minute and at the end, also at an interruption.
 
     Args:
-        benchmark: What to run.
-        store: Where rows are kept.
-        engine: Who does it.
-        heard: Hears of every run.
-        retry: Whether failed runs are to be done again.
+        plan: The runs.
+        store: Stores the rows.
+        engine: Executes the jobs.
+        listener: Called after every run.
+        retry: Whether failed runs are repeated.
 
     Raises:
         ConfigError: The engine cannot be used.
     """
-    jobs = benchmark.jobs(store, retry)
-    missing = {(number, name) for number, job in enumerate(jobs) for name in job.estimators}
+    jobs = plan.missing_jobs(store, retry)
+    missing = {(index, name) for index, job in enumerate(jobs) for name in job.estimators}
     total = len(missing)
-    store.join()  # rather now than later, if that is impossible
-    joined = time.monotonic()
-    heard(0, total, None)
+    store.write_table()  # fails before the first run if it is impossible
+    written = time.monotonic()
+    listener(0, total, None)
     try:
-        for number, what in engine.run(jobs) if jobs else ():
-            rows: Sequence[Row] = [what] if isinstance(what, Row) else []
-            if isinstance(what, Ended):
-                left = sorted(name for other, name in missing if other == number)
-                rows = lost(jobs[number], left, what.reason or "its job ended without it")
+        for index, event in engine.run(jobs) if jobs else ():
+            rows: Sequence[Row] = [event] if isinstance(event, Row) else []
+            if isinstance(event, JobEnd):
+                unfinished = sorted(name for other, name in missing if other == index)
+                rows = lost_rows(jobs[index], unfinished, event.reason or "the job ended without this run")
             for row in rows:
                 store.add(row)
-                missing.discard((number, row.estimator))
-                heard(total - len(missing), total, row)
-            if time.monotonic() - joined > _JOIN_EVERY_S:
-                store.join()
-                joined = time.monotonic()
+                missing.discard((index, row.estimator))
+                listener(total - len(missing), total, row)
+            if time.monotonic() - written > _TABLE_INTERVAL_S:
+                store.write_table()
+                written = time.monotonic()
     finally:
-        store.join()
-    wanted = {(flight.scenario, flight.seed, name) for flight in benchmark.flights for name in benchmark.estimators}
-    return tuple(row for row in store.rows if row.identity in wanted)
+        store.write_table()
+    planned = {(spec.scenario, spec.seed, name) for spec in plan.recordings for name in plan.estimators}
+    return tuple(row for row in store.rows if row.identity in planned)

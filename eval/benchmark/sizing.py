@@ -1,47 +1,52 @@
-"""What many flights would take, from one that was measured."""
+"""The resources of a large benchmark, extrapolated from one job that is measured."""
 
 from dataclasses import dataclass
 
-from dronevio.eval.benchmark.jobs import COST_FILE, Cost, Job, RecordingFailedError
+from dronevio.eval.benchmark.jobs import USAGE_FILE, Job, RecordingFailedError, ResourceUsage
 from dronevio.models.errors import EvaluationError
 
 ROW_KB = 10.2
-"""Of the small file of one run; joined, a row takes less than a kilobyte [kB]."""
+"""Size of the file of one run [kB]; in the table of all rows, a row takes less than a kilobyte."""
 
 
 @dataclass(frozen=True)
-class Sizing:
-    """What one flight took, and its estimates."""
+class JobUsage:
+    """Resources of one job."""
 
-    flight: Cost
-    """Simulating, rendering and writing the recording."""
-    estimates: tuple[tuple[str, Cost], ...]
-    """Each estimator's run, the start of its process and the scoring included."""
+    recording: ResourceUsage
+    """Simulation, rendering and writing of the recording."""
+    estimates: tuple[tuple[str, ResourceUsage], ...]
+    """Label and resources of each estimator's run, with the start of its process and the scoring."""
 
-    def scaled(self, flights: int, cores: int) -> list[tuple[str, float, float, float]]:
-        """Return what many flights take: for each kind of work its name, CPU-hours, hours on some cores, and GB."""
-        work = [("recordings", self.flight), *self.estimates]
+    def scaled(self, recordings: int, cores: int) -> list[tuple[str, float, float, float]]:
+        """Return name, CPU-hours, hours on some cores, and GB of each kind of work for many recordings."""
+        work = [("recordings", self.recording), *self.estimates]
         rows = [
-            (name, cost.cpu_s / 3600.0 * flights, cost.cpu_s / 3600.0 * flights / cores, cost.disk_mb / 1e3 * flights)
-            for name, cost in work
+            (
+                name,
+                usage.cpu_s / 3600.0 * recordings,
+                usage.cpu_s / 3600.0 * recordings / cores,
+                usage.disk_mb / 1e3 * recordings,
+            )
+            for name, usage in work
         ]
         return [*rows, ("all", sum(row[1] for row in rows), sum(row[2] for row in rows), sum(row[3] for row in rows))]
 
 
-def measure(job: Job) -> Sizing:
-    """Make one recording and run its estimators on it, and return what that took.
+def measure_job(job: Job) -> JobUsage:
+    """Make the recording of a job, run its estimators, and return the resources that this took.
 
     Raises:
-        EvaluationError: The recording cannot be made, or an estimator does not come to an end.
+        EvaluationError: The recording cannot be made, or an estimator times out or crashes.
     """
     try:
         with job.recording() as folder:
-            estimates: list[tuple[str, Cost]] = []
+            estimates: list[tuple[str, ResourceUsage]] = []
             for estimator in job.estimators:
                 outcome = job.estimate(folder, estimator)
                 if outcome.status in ("timeout", "crashed"):
                     raise EvaluationError(f"{estimator}: {outcome.reason}; expected a run that can be measured")
-                estimates.append((estimator, Cost(outcome.cpu_s, outcome.wall_s, ROW_KB * 1e-3)))
-            return Sizing(Cost.read(folder / COST_FILE), tuple(estimates))
+                estimates.append((estimator, ResourceUsage(outcome.cpu_s, outcome.wall_s, ROW_KB * 1e-3)))
+            return JobUsage(ResourceUsage.read(folder / USAGE_FILE), tuple(estimates))
     except RecordingFailedError as error:
         raise EvaluationError(str(error)) from None

@@ -1,4 +1,4 @@
-"""The folder of a benchmark: every finished run a small file, and all of them joined."""
+"""The folder of a benchmark: a small file for every finished run, and a table of all rows."""
 
 import hashlib
 import re
@@ -10,20 +10,20 @@ from dronevio.models.errors import InputError
 
 
 class ResultStore:
-    """Keeps rows so that nothing finished is ever lost: a file each, put in its place whole, in ``runs/``."""
+    """Stores every row at once in a file of its own in ``runs/``, so that no finished run is lost."""
 
     def __init__(self, folder: Path) -> None:
-        """Open a folder, or make it.
+        """Open a folder, which is made if it is missing.
 
         Raises:
-            InputError: It cannot be made.
+            InputError: The folder cannot be made.
         """
         self.folder = folder
         self._runs = folder / "runs"
         try:
             self._runs.mkdir(parents=True, exist_ok=True)
         except OSError as error:
-            raise InputError(folder, f"it cannot be made ({error.strerror})", "a place where I may write") from None
+            raise InputError(folder, f"it cannot be made ({error.strerror})", "a writable place") from None
         self._rows = self._read()
 
     @property
@@ -32,22 +32,22 @@ class ResultStore:
         return tuple(sorted(self._rows.values(), key=_order))
 
     def find(self, identity: Identity) -> Row | None:
-        """Return the row of a run, None while there is none."""
+        """Return the row of a run, or None if the run has not been done."""
         return self._rows.get(identity)
 
     def add(self, row: Row) -> None:
-        """Keep the row of a run, in place of an earlier one."""
+        """Store the row of a run, which replaces an earlier one of the same identity."""
         write_rows(self._file(row.identity), [row])
         self._rows[row.identity] = row
 
-    def join(self) -> Path:
-        """Write all rows into one file and return its path."""
+    def write_table(self) -> Path:
+        """Write all rows to one file and return its path."""
         path = self.folder / RESULTS_FILE
         write_rows(path, self.rows)
         return path
 
     def _read(self) -> dict[Identity, Row]:
-        """Return the rows that are there; a damaged file is a run that has not been done."""
+        """Return the stored rows; a damaged file counts as a run that has not been done."""
         found = {}
         for path in sorted(self._runs.glob("*.parquet")):
             try:
@@ -58,8 +58,9 @@ class ResultStore:
         return found
 
     def _file(self, identity: Identity) -> Path:
+        """Return the path of a run's file; the hash distinguishes names that differ in replaced characters only."""
         words = re.sub(r"[^A-Za-z0-9._-]+", "-", "-".join(str(part) for part in identity if part is not None))[:80]
-        digest = hashlib.sha256(repr(identity).encode()).hexdigest()[:8]  # two names may read alike
+        digest = hashlib.sha256(repr(identity).encode()).hexdigest()[:8]
         return self._runs / f"{words}-{digest}.parquet"
 
 

@@ -1,70 +1,95 @@
-"""A benchmark in a table: estimator × scenario, the median over seeds and how far they spread."""
+"""Medians and quartiles over the runs of a benchmark, in which a failed run counts as the worst."""
 
 import math
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
-import numpy as np
-
 from dronevio.eval.benchmark.rows import Row, run_name
 
+QUARTILES = (0.25, 0.5, 0.75)
+"""Probabilities of the lower quartile, the median and the upper quartile."""
+
 
 @dataclass(frozen=True)
-class Spread:
-    """The middle of several runs, and the quarter of them on either side. A failed run is the worst of all: ∞."""
+class Quartiles:
+    """Quartiles of a figure over several runs; infinite where they fall on a failed run."""
 
-    low: float
+    lower: float
     """Lower quartile."""
     median: float
-    """Median."""
-    high: float
+    """Median of the runs."""
+    upper: float
     """Upper quartile."""
+    runs: int
+    """Number of runs, including those that failed."""
+    failed: int
+    """Number of runs that failed."""
 
     @classmethod
-    def of(cls, rows: Iterable[Row], column: str) -> "Spread | None":
-        """Return the spread of a column of errors; None where not one row that is ok tells it."""
-        rows = list(rows)
-        told = [getattr(row, column) for row in rows if row.status == "ok" and getattr(row, column) is not None]
-        failed = [math.inf for row in rows if row.status != "ok"]
-        if not told and not failed:
-            return None
-        # "higher": between a number and infinity there is nothing to interpolate.
-        low, middle, high = np.quantile([*told, *failed], (0.25, 0.5, 0.75), method="higher" if failed else "linear")
-        return cls(float(low), float(middle), float(high))
+    def of(cls, values: Iterable[float], runs: int, failed: int) -> "Quartiles":
+        """Return the quartiles of values; failed runs among them have the value ∞, or −∞ if large values are good."""
+        ordered = sorted(values)
+        lower, median, upper = (quantile(ordered, probability) for probability in QUARTILES)
+        return cls(lower, median, upper, runs, failed)
 
     def text(self, with_quartiles: bool = True) -> str:
-        """Return it for a table."""
-        low, middle, high = (
-            f"{value:.3g}" if math.isfinite(value) else "∞" for value in (self.low, self.median, self.high)
+        """Return the median for a table, with the quartiles on a second line if they are wanted."""
+        lower, median, upper = (
+            f"{value:.3g}" if math.isfinite(value) else "∞" for value in (self.lower, self.median, self.upper)
         )
-        return f"{middle}\n{low}–{high}" if with_quartiles else middle
+        return f"{median}\n{lower}–{upper}" if with_quartiles else median
+
+
+def quartiles_of_errors(rows: Iterable[Row], column: str) -> Quartiles | None:
+    """Return the quartiles of a column of errors; None if no run that is ok has a value."""
+    rows = list(rows)
+    scored = [row for row in rows if row.status == "ok"]
+    values = [getattr(row, column) for row in scored if getattr(row, column) is not None]
+    failed = len(rows) - len(scored)
+    if not values and (scored or not failed):
+        return None
+    return Quartiles.of([*values, *[math.inf] * failed], len(rows), failed)
+
+
+def quantile(ordered: Sequence[float], probability: float) -> float:
+    """Return a quantile of ordered values.
+
+    It is interpolated linearly between neighbours; if a value is infinite, it is the worse of the neighbours.
+    """
+    position = probability * (len(ordered) - 1)
+    low, high = math.floor(position), math.ceil(position)
+    if math.isinf(ordered[-1]):
+        return ordered[high]
+    if math.isinf(ordered[0]):
+        return ordered[low]
+    return ordered[low] + (position - low) * (ordered[high] - ordered[low])
 
 
 @dataclass(frozen=True)
-class Group:
+class RunGroup:
     """All runs of one estimator on one scenario."""
 
     scenario: str
-    """The scenario."""
+    """Name of the scenario."""
     estimator: str
-    """The estimator."""
+    """Label of the estimator."""
     rows: tuple[Row, ...]
-    """Its runs, one a seed."""
+    """Runs of all seeds."""
 
     @property
     def ok(self) -> int:
-        """How many were scored."""
+        """Number of runs that have scores."""
         return sum(row.status == "ok" for row in self.rows)
 
 
-def groups(rows: Sequence[Row]) -> tuple[Group, ...]:
+def run_groups(rows: Sequence[Row]) -> tuple[RunGroup, ...]:
     """Return the runs by scenario and estimator, in the order in which these first occur."""
     found: dict[tuple[str, str], list[Row]] = {}
     for row in rows:
         found.setdefault((row.scenario, row.estimator), []).append(row)
-    return tuple(Group(*names, tuple(members)) for names, members in found.items())
+    return tuple(RunGroup(*names, tuple(members)) for names, members in found.items())
 
 
-def failures(rows: Sequence[Row]) -> tuple[tuple[str, str, str], ...]:
-    """Return what run it was, how it ended and why, for each that failed."""
+def failed_runs(rows: Sequence[Row]) -> tuple[tuple[str, str, str], ...]:
+    """Return name, status and reason of each run that failed."""
     return tuple((run_name(row.identity), row.status, row.reason) for row in rows if row.status != "ok")

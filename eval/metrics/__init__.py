@@ -1,13 +1,13 @@
-"""How good an estimate is: alignment, absolute and relative errors, scale, coverage, consistency.
+"""Metrics of estimated trajectories: alignment, absolute and relative errors, scale, coverage and consistency.
 
-It imports only numpy; bounds of χ² import scipy when they are computed. The score of a trajectory in three lines:
+The metrics import only numpy; bounds of χ² import scipy when they are computed. To score a trajectory:
 
     from dronevio.eval.metrics import score
 
     scores = score(truth, estimate)
     print(scores.ate_m.rmse, scores.rpe_m)
 
-and on plain arrays, ``ate(p_truth, p_estimate, "yaw").rmse``.
+On plain arrays, ``ate(p_truth, p_estimate, "yaw").rmse`` gives the absolute trajectory error.
 """
 
 from dronevio.eval.metrics.alignment import IDENTITY, Alignment, AlignmentMode, align, umeyama

@@ -1,4 +1,4 @@
-"""Association: which true pose belongs to which estimated one."""
+"""Association of estimated poses with true poses by time stamp."""
 
 from typing import Literal, get_args
 
@@ -14,30 +14,30 @@ Array = npt.NDArray[np.float64]
 Rows = npt.NDArray[np.int64]
 
 Association = Literal["interpolate", "nearest", "evo"]
-"""Interpolate the truth at the estimate's time stamps; take the nearest true pose, each for one estimate only; or pair
-them as evo does."""
+"""How the true pose of an estimated pose is found: interpolated at its time stamp; the nearest in time, which is used
+once at most; or as evo does."""
 
 SAME_INSTANT_NS = 1_000
-"""Time stamps that differ by no more are the same [ns]: many programs write microseconds."""
+"""Largest difference of equal time stamps [ns]; many programs write microseconds."""
 _MAX_GAP_S = {"interpolate": 0.5, "nearest": 0.01, "evo": 0.01}
-_FEWEST_POSES = 3
+_MIN_POSES = 3
 
 
 def associate(
     truth: Trajectory, estimate: Trajectory, how: Association = "interpolate", max_gap_s: float | None = None
 ) -> tuple[Trajectory, Trajectory]:
-    """Return N true and N estimated poses that belong together, stamped alike.
+    """Return N true and N estimated poses at the same times.
 
     Args:
-        truth: The true motion.
-        estimate: The estimated one.
-        how: How to find the true pose that belongs to an estimated one.
-        max_gap_s: The longest gap of the truth to interpolate, or the largest difference in time to the nearest true
-            pose [s]; None for 0.5 s and 0.01 s.
+        truth: The true trajectory.
+        estimate: The estimated trajectory.
+        how: How the true pose of an estimated pose is found.
+        max_gap_s: Longest gap of the truth that is interpolated, or largest time difference to the nearest true pose
+            [s]; None for 0.5 s and 0.01 s, respectively.
 
     Raises:
         ConfigError: There is no such association.
-        EvaluationError: There are fewer than three.
+        EvaluationError: Fewer than three poses can be associated.
     """
     if how not in get_args(Association):
         raise ConfigError(f"unknown association {how!r}; expected one of {', '.join(get_args(Association))}")
@@ -46,39 +46,39 @@ def associate(
         true, rows = interpolate(truth, estimate.t_ns, limit_s)
         estimated = estimate[rows]
     else:
-        pair = nearest if how == "nearest" else paired_like_evo
+        pair = nearest if how == "nearest" else evo_pairs
         true_rows, rows = pair(truth.t_ns, estimate.t_ns, limit_s)
-        # Of evo's two, only in the sparser one no row comes twice, so that its stamps still increase.
+        # evo may use a row of the longer trajectory several times; only time stamps of the shorter one increase.
         by_truth = how == "evo" and len(estimate) > len(truth)
         t_ns = truth.t_ns[true_rows] if by_truth else estimate.t_ns[rows]
         true, estimated = _restamped(truth, true_rows, t_ns), _restamped(estimate, rows, t_ns)
-    if len(rows) < _FEWEST_POSES:
+    if len(rows) < _MIN_POSES:
         raise EvaluationError(
             f"truth ({_span(truth)}) and estimate ({_span(estimate)}) have {len(rows)} poses in common;"
-            f" expected at least {_FEWEST_POSES}"
+            f" expected at least {_MIN_POSES}"
         )
     return true, estimated
 
 
 def interpolate(truth: Trajectory, t_ns: Times, max_gap_s: float = 0.5) -> tuple[Trajectory, Rows]:
-    """Return the true poses at the given instants, and the instants' rows, where the truth is known.
+    """Return the true poses at given times, and the rows of those times at which the truth is known.
 
-    Positions, velocities and biases are interpolated linearly, orientations along the shorter arc. Nothing is
-    extrapolated, beyond the rounding of a time stamp, and no gap of the truth longer than ``max_gap_s`` is bridged.
+    Positions, velocities and biases are interpolated linearly, orientations by slerp. Nothing is extrapolated beyond
+    the rounding of a time stamp, and gaps of the truth longer than ``max_gap_s`` are not interpolated.
 
     Args:
-        truth: The true motion.
-        t_ns: (N,) Instants [ns], increasing.
-        max_gap_s: The longest interval between true poses that is interpolated [s].
+        truth: The true trajectory.
+        t_ns: (N,) Increasing time stamps [ns].
+        max_gap_s: Longest interval between true poses that is interpolated [s].
 
     Returns:
-        The truth at M of the instants (without covariances), and their rows (M,).
+        The true trajectory at M of the times, without covariances, and the rows (M,) of these times.
     """
     if len(truth) == 0 or len(t_ns) == 0:
         return truth[:0], np.zeros(0, np.int64)
     t = np.clip(t_ns, truth.t_ns[0], truth.t_ns[-1])
     before = np.searchsorted(truth.t_ns, t, side="right") - 1
-    after = before + (truth.t_ns[before] < t)  # the same row where a true pose stands at that instant
+    after = before + (truth.t_ns[before] < t)  # the same row if there is a true pose at that time
     gap_ns = truth.t_ns[after] - truth.t_ns[before]
     rows = np.flatnonzero((np.abs(t_ns - t) <= SAME_INSTANT_NS) & (gap_ns <= max_gap_s * 1e9))
     t, before, after, gap_ns = t[rows], before[rows], after[rows], gap_ns[rows]
@@ -98,10 +98,10 @@ def interpolate(truth: Trajectory, t_ns: Times, max_gap_s: float = 0.5) -> tuple
 
 
 def nearest(t_truth_ns: Times, t_estimate_ns: Times, max_gap_s: float = 0.01) -> tuple[Rows, Rows]:
-    """Return the rows (M,) of truth and estimate that belong together because they are close in time.
+    """Return the rows (M,) of truth and estimate that are paired because they are nearest in time.
 
-    Each estimated pose takes the true one nearest in time, if it is within ``max_gap_s``; of several that would
-    take the same, the nearest has it.
+    Each estimated pose is paired with the nearest true pose within ``max_gap_s``. Of several estimated poses with the
+    same nearest true pose, the nearest one is kept.
     """
     if len(t_truth_ns) == 0 or len(t_estimate_ns) == 0:
         return np.zeros(0, np.int64), np.zeros(0, np.int64)
@@ -114,17 +114,18 @@ def nearest(t_truth_ns: Times, t_estimate_ns: Times, max_gap_s: float = 0.01) ->
 
 
 def nearest_rows(t_ns: Times, wanted_ns: Times) -> Rows:
-    """Return for each wanted instant the row of ``t_ns`` (at least one, increasing) that is nearest in time."""
+    """Return the row of increasing time stamps ``t_ns`` (N,), N > 0, that is nearest to each of ``wanted_ns`` (M,)."""
     after = np.clip(np.searchsorted(t_ns, wanted_ns), 0, len(t_ns) - 1)
     before = np.maximum(after - 1, 0)
     return np.where(wanted_ns - t_ns[before] <= np.abs(t_ns[after] - wanted_ns), before, after)
 
 
-def paired_like_evo(t_truth_ns: Times, t_estimate_ns: Times, max_gap_s: float = 0.01) -> tuple[Rows, Rows]:
-    """Return the rows (M,) of truth and estimate that evo pairs, for who must reproduce its figures.
+def evo_pairs(t_truth_ns: Times, t_estimate_ns: Times, max_gap_s: float = 0.01) -> tuple[Rows, Rows]:
+    """Return the rows (M,) of truth and estimate that evo pairs, in order to reproduce its figures.
 
-    Each pose of the one that has fewer takes the nearest of the other, which may serve several. Time is compared in
-    seconds as doubles, 0.24 µs apart in our days, so that chance decides between two that are equally near.
+    Each pose of the shorter trajectory is paired with the nearest one of the longer trajectory, which may be used
+    several times. Times are compared in seconds as doubles, whose resolution is 0.24 µs for Unix time, so that rounding
+    decides between two poses that are equally near.
     """
     if len(t_truth_ns) == 0 or len(t_estimate_ns) == 0:
         return np.zeros(0, np.int64), np.zeros(0, np.int64)
@@ -140,13 +141,13 @@ def paired_like_evo(t_truth_ns: Times, t_estimate_ns: Times, max_gap_s: float = 
 
 
 def _seconds(t_ns: Times) -> Array:
-    """Return times [s] as doubles, rounded once."""
+    """Return times [s] as doubles with a single rounding."""
     whole = t_ns // 10**9
     return np.asarray(whole + (t_ns - whole * 10**9) / 1e9)
 
 
 def _restamped(trajectory: Trajectory, rows: Rows, t_ns: Times) -> Trajectory:
-    """Return rows of a trajectory, any of which may come several times, with time stamps of their own."""
+    """Return rows (M,) of a trajectory, which may repeat, with other time stamps (M,) [ns]."""
 
     def pick(values: Array | None) -> Array | None:
         return None if values is None else values[rows]
@@ -163,7 +164,7 @@ def _restamped(trajectory: Trajectory, rows: Rows, t_ns: Times) -> Trajectory:
 
 
 def _span(trajectory: Trajectory) -> str:
-    """Return the time that a trajectory spans, for messages."""
+    """Return the time span of a trajectory for messages."""
     if len(trajectory) == 0:
         return "empty"
     return f"{trajectory.t_ns[0] * 1e-9:.3f} to {trajectory.t_ns[-1] * 1e-9:.3f} s"

@@ -1,8 +1,8 @@
-"""Consistency: whether an estimator's errors are as large as it says they are.
+"""Consistency: whether errors agree with the covariances that an estimator computes.
 
-The squared error in units of the stated covariance (NEES) has a mean of 3 for position and 3 for orientation if the
-covariance is right; more means overconfident. The gauge (position and yaw, which no odometry can know) is fixed at the
-first pose, never by a best fit, which would take part of the error away.
+The normalized estimation error squared (NEES) has an expected value of 3 for the position and 3 for the orientation if
+the covariance is right; larger values mean that the estimator is overconfident. The gauge, position and yaw, which are
+unobservable for an odometry, is fixed at the first pose and not by a best fit, which would remove a part of the error.
 
 Reference: Bar-Shalom, Li, Kirubarajan, "Estimation with applications to tracking and navigation", 2001, section 5.4.
 """
@@ -23,44 +23,44 @@ Array = npt.NDArray[np.float64]
 
 @dataclass(frozen=True, eq=False)
 class Consistency:
-    """Errors and what the estimator says of them, at every pose but the first, where the gauge is fixed."""
+    """Errors with their estimated uncertainty, at all poses after the first, at which the gauge is fixed."""
 
     t_ns: Times
-    """(N,) Time stamps [ns]."""
+    """(N,) Time stamps of the poses [ns]."""
     position_error_m: Array
-    """(N, 3) Truth minus estimate in the true world [m]."""
+    """(N, 3) True minus estimated positions in the world frame of the truth [m]."""
     position_sigma_m: Array
-    """(N, 3) Stated standard deviation of it [m]."""
+    """(N, 3) Estimated standard deviations of the position errors [m]."""
     position_nees: Array
-    """(N,) Squared position error in units of the stated covariance; 3 expected."""
+    """(N,) NEES of the position; 3 expected."""
     orientation_error_rad: Array
-    """(N, 3) Rotation from estimate to truth, in the IMU frame [rad]."""
+    """(N, 3) Rotation vectors from estimate to truth in the IMU frame [rad]."""
     orientation_sigma_rad: Array
-    """(N, 3) Stated standard deviation of it [rad]."""
+    """(N, 3) Estimated standard deviations of the orientation errors [rad]."""
     orientation_nees: Array
-    """(N,) Squared orientation error in units of the stated covariance; 3 expected."""
+    """(N,) NEES of the orientation; 3 expected."""
 
     @property
     def position_exceedance(self) -> float:
-        """Share, 0 to 1, of position errors (every axis at every pose) beyond 3σ; 0.0027 expected."""
+        """Share, 0 to 1, of the position errors of all axes and poses beyond 3σ; 0.0027 expected."""
         return float(np.mean(np.abs(self.position_error_m) > 3.0 * self.position_sigma_m))
 
     @property
     def orientation_exceedance(self) -> float:
-        """Share, 0 to 1, of orientation errors (every axis at every pose) beyond 3σ; 0.0027 expected."""
+        """Share, 0 to 1, of the orientation errors of all axes and poses beyond 3σ; 0.0027 expected."""
         return float(np.mean(np.abs(self.orientation_error_rad) > 3.0 * self.orientation_sigma_rad))
 
 
 @dataclass(frozen=True, eq=False)
 class Anees:
-    """The NEES averaged over runs, instant by instant, beside what a consistent estimator's would be."""
+    """The average NEES (ANEES) over runs at each time, with the bounds of a consistent estimator."""
 
     mean: Array
-    """(N,) Mean over the runs."""
+    """(N,) Mean NEES over the runs."""
     bounds: tuple[float, float]
-    """Between what it lies with a probability of 95 %."""
+    """Two-sided bounds of the mean of a consistent estimator."""
     inside_percent: float
-    """Share of the instants at which it does [%]; 95 expected."""
+    """Share of the times at which the mean is within the bounds [%]; 95 expected by default."""
 
 
 def nees_bounds(degrees: int, runs: int = 1, probability: float = 0.95) -> tuple[float, float]:
@@ -92,9 +92,12 @@ def anees(nees_of_runs: Array, degrees: int = 3, probability: float = 0.95) -> A
     """Return the NEES averaged over independent runs.
 
     Args:
-        nees_of_runs: (M, N) NEES of M runs at the same N instants.
-        degrees: Size of the error: 3 for a position or an orientation.
-        probability: How sure the bounds are.
+        nees_of_runs: (M, N) NEES of M runs at the same N times.
+        degrees: Dimension of the error: 3 for a position or an orientation.
+        probability: Probability with which the mean of a consistent estimator lies within the bounds.
+
+    Raises:
+        ConfigError: An argument is out of range.
     """
     mean = np.mean(nees_of_runs, axis=0)
     low, high = nees_bounds(degrees, len(nees_of_runs), probability)
@@ -102,12 +105,12 @@ def anees(nees_of_runs: Array, degrees: int = 3, probability: float = 0.95) -> A
 
 
 def inside_percent(nees_of_run: Array, degrees: int = 3, probability: float = 0.95) -> float:
-    """Return the share [%] of the NEES values (N,) of one run that lie within their two-sided bounds."""
+    """Return the share [%] of the NEES values (N,) of one run within the two-sided bounds of a single value."""
     return anees(nees_of_run[None], degrees, probability).inside_percent
 
 
 def anchor_first(truth: Trajectory, estimate: Trajectory) -> Alignment:
-    """Return the alignment of position and yaw that makes the first poses meet; roll and pitch stay as they are."""
+    """Return the alignment of position and yaw at the first pose, which leaves roll and pitch unchanged."""
     return align(
         truth.p_world_imu,
         estimate.p_world_imu,
@@ -119,18 +122,20 @@ def anchor_first(truth: Trajectory, estimate: Trajectory) -> Alignment:
 
 
 def consistency(truth: Trajectory, estimate: Trajectory) -> Consistency:
-    """Compare errors with stated covariances.
+    """Return errors with their estimated uncertainty.
 
     Args:
-        truth: N true poses, at the instants of the estimate.
-        estimate: N estimated poses, N > 1, with covariances, in a world of its own.
+        truth: N true poses at the times of the estimate.
+        estimate: N estimated poses, N > 1, with covariances, in any world frame whose z axis is up.
 
     Raises:
-        EvaluationError: There are no covariances, or one is not positive definite.
+        EvaluationError: There are no covariances, or one of them is not positive definite.
     """
     covariance = estimate.covariance
     if covariance is None or len(estimate) < 2 or len(truth) != len(estimate):
-        raise EvaluationError("an estimate without covariances or of one pose; expected two poses with covariances")
+        raise EvaluationError(
+            "an estimate without covariances or of one pose; expected at least two poses with covariances"
+        )
     anchor = anchor_first(truth, estimate)
     R = anchor.R_truth_estimate
     truth, estimate, covariance = truth[1:], estimate[1:], covariance[1:]
@@ -158,9 +163,9 @@ def nees(errors: Array, covariances: Array) -> Array:
     try:
         whitened = np.linalg.solve(np.linalg.cholesky(covariances), errors[..., None])[..., 0]
     except np.linalg.LinAlgError:
-        raise EvaluationError("a covariance that is not positive definite") from None
+        raise EvaluationError("a covariance is not positive definite") from None
     if not np.isfinite(whitened).all():
-        raise EvaluationError("an error or a covariance that is not finite")
+        raise EvaluationError("an error or a covariance is not finite")
     return np.asarray(np.sum(whitened * whitened, axis=-1))
 
 

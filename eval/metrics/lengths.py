@@ -1,9 +1,8 @@
-"""Errors by sub-trajectory length: how the error grows with the way flown.
+"""Errors by sub-trajectory length: how the error grows with the length of the path.
 
-From every pose on, the estimate is compared with the truth after a certain length of the true path. Two numbers come
-out of every such piece: the relative error, for which the whole first pose is made to meet, and the drift, for which
-only its position and yaw are, because gravity tells a visual-inertial estimator roll and pitch and a tilt that it has
-wrong is an error of its own making.
+From every pose on, the estimate is compared with the truth after a given length of the true path. For the relative
+error, the complete first poses are aligned. For the drift, only their position and yaw are aligned: gravity makes roll
+and pitch observable, so that an error of theirs is an error of the estimator.
 
 Reference: Zhang and Scaramuzza, "A tutorial on quantitative trajectory evaluation for visual(-inertial) odometry", IROS
 2018, section IV.C.
@@ -21,57 +20,53 @@ from dronevio.models.quaternions import components, conjugate, euler_zyx_rad, pr
 
 Array = npt.NDArray[np.float64]
 
-SHARES = (0.1, 0.2, 0.3, 0.4, 0.5)
-"""The usual lengths, as shares of the whole path."""
-_TOLERANCE = 0.2  # of the length, by which a piece may miss it; that of the reference's toolbox
-_MOST = 100_000  # pieces of one length; of more, which overlap all the more, every so-many-th says as much
+DEFAULT_SHARES = (0.1, 0.2, 0.3, 0.4, 0.5)
+"""Default lengths as shares of the length of the path."""
+_TOLERANCE = 0.2  # of a sub-trajectory, as a share of the length: that of the rpg toolbox
+_MAX_PAIRS = 100_000  # of one length; more overlap so much that every k-th of them suffices
 
 
 @dataclass(frozen=True)
 class LengthErrors:
-    """Errors after one length of path."""
+    """Errors over sub-trajectories of one length."""
 
     length_m: float
     """Length of the true path [m]."""
     translation_m: Statistics
-    """Relative errors of position [m]."""
+    """Relative position errors [m]."""
     translation_percent: Statistics
-    """The same by the length [%]."""
+    """Relative position errors as a share of the length [%]."""
     rotation_deg: Statistics
-    """Relative errors of orientation [°]."""
+    """Relative orientation errors [°]."""
     yaw_deg: Statistics
-    """Their part about the vertical [°]."""
+    """Magnitudes of the yaw of these errors [°]."""
     tilt_deg: Statistics
-    """Their part that leaves the vertical [°]."""
+    """Root sum squares of pitch and roll of these errors [°]."""
     drift_percent: Statistics
-    """Errors of position, position and yaw aligned where the piece begins, by the length [%]."""
+    """Position errors at the end, with position and yaw aligned at the beginning, as a share of the length [%]."""
 
 
 def errors_by_length(
     p_truth: Array, quat_truth_wxyz: Array, p_estimate: Array, quat_estimate_wxyz: Array, lengths_m: tuple[float, ...]
 ) -> tuple[LengthErrors, ...]:
-    """Return the errors after each of some lengths that occurs on the path.
+    """Return the errors over sub-trajectories of several lengths; lengths that do not occur are omitted.
 
     Args:
         p_truth: (N, 3) True positions [m].
         quat_truth_wxyz: (N, 4) True orientations.
         p_estimate: (N, 3) Estimated positions [m].
-        quat_estimate_wxyz: (N, 4) Estimated orientations, in a world whose z axis is up.
+        quat_estimate_wxyz: (N, 4) Estimated orientations, in a world frame whose z axis is up.
         lengths_m: Lengths of the true path [m].
 
     Raises:
-        ConfigError: A length is not above zero.
+        ConfigError: A length is not positive.
     """
     truth, estimate = (p_truth, quat_truth_wxyz), (p_estimate, quat_estimate_wxyz)
     found = []
     for length_m in lengths_m:
-        if not 0.0 < length_m < 1e9:
-            raise ConfigError(f"sub-trajectories of {length_m:g} m; expected a length above zero")
-        first, second = pairs_after_distance(p_truth, length_m, _TOLERANCE * length_m)
-        if not len(first):
+        pairs = pairs_of_length(p_truth, length_m)
+        if not len(pairs[0]):
             continue
-        every = 1 + (len(first) - 1) // _MOST
-        pairs = first[::every], second[::every]
         errors_m, errors_rad = relative_errors(*truth, *estimate, pairs)
         yaw, tilt = _yaw_and_tilt_rad(quat_truth_wxyz, quat_estimate_wxyz, pairs)
         found.append(
@@ -88,10 +83,27 @@ def errors_by_length(
     return tuple(found)
 
 
+def pairs_of_length(p_truth: Array, length_m: float) -> Pairs:
+    """Return first and last rows (M,), (M,) of the sub-trajectories of a length, at most 100 000, evenly spread.
+
+    Args:
+        p_truth: (N, 3) True positions [m].
+        length_m: Length of the true path [m].
+
+    Raises:
+        ConfigError: The length is not positive.
+    """
+    if not 0.0 < length_m < 1e9:
+        raise ConfigError(f"sub-trajectories of {length_m:g} m; expected a length above zero")
+    first, last = pairs_after_distance(p_truth, length_m, _TOLERANCE * length_m)
+    step = 1 + max(len(first) - 1, 0) // _MAX_PAIRS
+    return first[::step], last[::step]
+
+
 def drifts_m(
     p_truth: Array, quat_truth_wxyz: Array, p_estimate: Array, quat_estimate_wxyz: Array, pairs: Pairs
 ) -> Array:
-    """Return the errors (M,) [m] of position at the ends of pairs whose beginnings meet in position and yaw.
+    """Return the position errors (M,) [m] at the end of pairs whose beginnings are aligned in position and yaw.
 
     Args:
         p_truth: (N, 3) True positions [m].
@@ -111,10 +123,10 @@ def drifts_m(
 
 
 def _yaw_and_tilt_rad(quat_truth_wxyz: Array, quat_estimate_wxyz: Array, pairs: Pairs) -> tuple[Array, Array]:
-    """Return the parts (M,), (M,) [rad] of the rotation errors about the vertical and away from it.
+    """Return the magnitude of yaw (M,) and the tilt (M,) of the relative orientation errors [rad].
 
-    The error, seen in the estimate's world, is taken apart into yaw, pitch and roll; the tilt is the root of the
-    squares of the last two, as in the reference's toolbox.
+    The error in the estimate's world frame is decomposed into yaw, pitch and roll; the tilt is the root sum square of
+    the latter two, as in the rpg toolbox.
     """
     end = components(quat_estimate_wxyz[pairs[1]])
     error = rotation_between(quat_truth_wxyz, quat_estimate_wxyz, pairs)

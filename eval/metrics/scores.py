@@ -1,4 +1,4 @@
-"""The score of an estimate: every figure at once, and the errors over time behind them."""
+"""Scores of an estimated trajectory: all metrics at once, and the errors over time from which they are computed."""
 
 from dataclasses import dataclass, replace
 
@@ -14,7 +14,7 @@ from dronevio.eval.metrics.errors import (
     rotation_errors_rad,
     translation_errors_m,
 )
-from dronevio.eval.metrics.lengths import SHARES, LengthErrors, errors_by_length
+from dronevio.eval.metrics.lengths import DEFAULT_SHARES, LengthErrors, errors_by_length
 from dronevio.eval.metrics.pairs import PairRule
 from dronevio.models.errors import EvaluationError
 from dronevio.models.imu import Times
@@ -23,105 +23,104 @@ from dronevio.models.state import Trajectory
 Array = npt.NDArray[np.float64]
 
 ONE_SECOND = PairRule()
-"""Pairs of poses one second apart, from every pose on."""
+"""Pairs of poses 1 s apart, one from every pose on."""
 START_UP_S = 3.0
-"""An estimator may take so long after the first frame before its poses are counted [s]."""
-_FRAME_TOLERANCE_NS = 1_000_000  # a pose and its frame carry one time stamp, however it was rounded
+"""Time after the first frame before which frames do not count for the coverage [s]."""
+_FRAME_TOLERANCE_NS = 1_000_000  # between the time stamps of a frame and of its pose, which may be rounded
 
 
 @dataclass(frozen=True)
 class Scores:
-    """How good an estimate is. Angles are in degrees, for people; all else is SI."""
+    """Scores of an estimated trajectory. Angles are in degrees, other quantities in SI units."""
 
     alignment: AlignmentMode
-    """What was taken out before poses were compared."""
+    """Alignment before errors were computed."""
     align_poses: int | None
-    """Over how many poses, from the first on; None for all."""
+    """Number of aligned poses, from the first on; None for all."""
     association: Association
-    """How the true pose that belongs to an estimated one was found."""
+    """How the true pose of an estimated pose was found."""
     time_offset_s: float
-    """What was added to the estimate's time stamps [s], as it was asked for."""
+    """Offset that was added to the estimate's time stamps [s]."""
     n_poses: int
-    """Estimated poses that were compared with the truth."""
+    """Number of estimated poses that were compared with the truth."""
     n_estimated: int
-    """Poses that the estimate has."""
-    first_s: float
-    """Time of the first compared pose after the truth's first [s]."""
-    last_s: float
-    """Time of the last compared pose after the truth's first [s]."""
+    """Number of poses of the estimate."""
+    first_pose_s: float
+    """Time of the first compared pose after the first true pose [s]."""
+    last_pose_s: float
+    """Time of the last compared pose after the first true pose [s]."""
     longest_gap_s: float
-    """Longest time between two compared poses [s]."""
+    """Longest time between two successive compared poses [s]."""
     path_m: float
     """Length of the true path over the compared poses [m]."""
     ate_m: Statistics
-    """Absolute error of position after alignment [m]."""
+    """Absolute position error after alignment [m]."""
     ate_deg: Statistics
-    """Absolute error of orientation after alignment [°]."""
-    rpe_over: str
-    """How far apart the two poses of a relative error are, for people: ``1 s``, ``100 m``."""
+    """Absolute orientation error after alignment [°]."""
+    rpe_interval: str
+    """Distance between the two poses of a relative error, such as ``1 s`` or ``100 m``."""
     rpe_delta_s: float | None
-    """The same in seconds [s]; None if it is in another unit."""
+    """The same distance [s]; None if its unit is not the second."""
     rpe_pairs: int
-    """Pairs of poses that far apart."""
+    """Number of pairs of poses at that distance."""
     rpe_m: Statistics | None
-    """Relative error of position over that [m]; None if no two poses are that far apart."""
+    """Relative position error [m]; None without such pairs."""
     rpe_deg: Statistics | None
-    """Relative error of orientation over that [°]; None if no two poses are that far apart."""
+    """Relative orientation error [°]; None without such pairs."""
     lengths: tuple[LengthErrors, ...]
-    """Errors by length of sub-trajectories."""
+    """Errors by sub-trajectory length."""
     drift_percent: float | None
-    """Mean over all of these of the error of position at the end, position and yaw aligned at the beginning, by the
-    length [%]; None if there are none."""
+    """Mean drift over all sub-trajectories, relative to their lengths [%]; None without sub-trajectories."""
     scale_error_percent: float | None
-    """By how much the estimated path is too large [%], from the best similarity; None for a straight path."""
+    """Relative error of the scale, positive if the estimated path is too large [%]; None for a straight path."""
     velocity_m_s: Statistics | None
-    """Error of velocity after alignment [m/s]; None where truth or estimate has none."""
+    """Velocity error after alignment [m/s]; None if truth or estimate has no velocities."""
     gyro_bias_rad_s: Statistics | None
-    """Error of the gyroscope's bias [rad/s]; None where truth or estimate has none."""
+    """Error of the gyroscope bias [rad/s]; None if truth or estimate has no biases."""
     accel_bias_m_s2: Statistics | None
-    """Error of the accelerometer's bias [m/s²]; None where truth or estimate has none."""
+    """Error of the accelerometer bias [m/s²]; None if truth or estimate has no biases."""
     coverage_percent: float | None
-    """Share of the frames later than 3 s after the first that have a pose [%]; None if frames are not known."""
-    initialized_s: float | None
-    """Time of the first estimated pose after the first frame [s]; None if frames are not known."""
+    """Share of the frames later than 3 s after the first that have a pose [%]; None without frame times."""
+    initialization_s: float | None
+    """Time from the first frame to the first estimated pose [s]; None without frame times."""
     nees_position: float | None
-    """Mean normalized squared error of position; 3 expected, more is overconfident; None without covariances."""
+    """Mean NEES of the position, 3 expected; larger values are overconfident; None without covariances."""
     nees_orientation: float | None
-    """Mean normalized squared error of orientation; 3 expected; None without covariances."""
+    """Mean NEES of the orientation, 3 expected; larger values are overconfident; None without covariances."""
     nees_position_inside_percent: float | None
-    """Share of poses whose NEES of position lies within its two-sided 95 % bounds [%]; 95 expected."""
+    """Share of poses whose NEES of the position is within its two-sided 95 % bounds [%]; None without covariances."""
     nees_orientation_inside_percent: float | None
-    """Share of poses whose NEES of orientation lies within its two-sided 95 % bounds [%]; 95 expected."""
+    """Share of poses whose NEES of the orientation is within these bounds [%]; None without covariances."""
     position_beyond_3_sigma_percent: float | None
-    """Share of position errors beyond three standard deviations [%]; 0.27 expected; None without covariances."""
+    """Share of position errors beyond 3σ [%]; 0.27 expected; None without covariances."""
     orientation_beyond_3_sigma_percent: float | None
-    """Share of orientation errors beyond three standard deviations [%]; 0.27 expected; None without covariances."""
+    """Share of orientation errors beyond 3σ [%]; 0.27 expected; None without covariances."""
 
 
 @dataclass(frozen=True, eq=False)
 class ScoredTrajectory:
-    """An estimate beside the truth, pose by pose."""
+    """An estimated trajectory with its errors at every pose."""
 
     truth: Trajectory
-    """N true poses at the estimate's time stamps."""
+    """N true poses at the times of the estimate."""
     estimate: Trajectory
-    """N estimated poses in the true world, aligned."""
+    """N estimated poses, aligned with the truth."""
     alignment: Alignment
-    """What brought the estimate into the true world."""
+    """Alignment of the estimate with the truth."""
     translation_error_m: Array
-    """(N,) Distances between true and estimated positions [m]."""
+    """(N,) Distances between true and aligned estimated positions [m]."""
     rotation_error_rad: Array
-    """(N,) Angles between true and estimated orientations [rad]."""
+    """(N,) Angles between true and aligned estimated orientations [rad]."""
     rpe_t_ns: Times
-    """(M,) Time stamps at which the pairs of the relative errors begin [ns]."""
+    """(M,) Time stamps of the first poses of the pairs of relative errors [ns]."""
     rpe_m: Array
-    """(M,) Relative errors of position [m]."""
+    """(M,) Relative position errors [m]."""
     rpe_rad: Array
-    """(M,) Relative errors of orientation [rad]."""
+    """(M,) Relative orientation errors [rad]."""
     consistency: Consistency | None
-    """Errors against stated covariances, the gauge fixed at the first pose; None without covariances."""
+    """Errors with estimated uncertainty, anchored at the first pose; None without covariances."""
     scores: Scores
-    """All in figures."""
+    """Scores computed from these errors."""
 
 
 def score(
@@ -137,7 +136,7 @@ def score(
     max_gap_s: float | None = None,
     time_offset_s: float = 0.0,
 ) -> Scores:
-    """Score an estimate against the truth; see `score_trajectory`, which also keeps the errors over time."""
+    """Return the scores of an estimate; see `score_trajectory`, which also returns the errors at every pose."""
     return score_trajectory(
         truth,
         estimate,
@@ -165,24 +164,24 @@ def score_trajectory(
     max_gap_s: float | None = None,
     time_offset_s: float = 0.0,
 ) -> ScoredTrajectory:
-    """Score an estimate against the truth.
+    """Return the scores of an estimate, and its errors at every pose.
 
     Args:
-        truth: The true motion of the IMU.
-        estimate: The estimated one, in any world whose z axis is up.
-        frame_times_ns: (M,) Time stamps of all frames [ns], for the coverage.
-        alignment: What to take out before poses are compared.
-        align_poses: Over how many poses to align, from the first on; None for all.
-        rpe: Between which pairs of poses to take relative errors.
+        truth: The true trajectory of the IMU.
+        estimate: The estimated trajectory, in any world frame whose z axis is up.
+        frame_times_ns: (M,) Time stamps of all frames [ns], from which the coverage is computed.
+        alignment: What is aligned before errors are computed.
+        align_poses: Number of poses to align, from the first on; None for all.
+        rpe: Rule by which the pairs of poses of relative errors are selected.
         lengths_m: Lengths of sub-trajectories [m]; None for 10 % to 50 % of the true path.
-        association: How to find the true pose that belongs to an estimated one.
-        max_gap_s: The longest gap of the truth to interpolate, or the largest difference in time to the nearest true
-            pose [s]; None for 0.5 s and 0.01 s.
-        time_offset_s: What to add to the estimate's time stamps [s]; see `estimate_time_offset_s`.
+        association: How the true pose of an estimated pose is found.
+        max_gap_s: Longest gap of the truth that is interpolated, or largest time difference to the nearest true pose
+            [s]; None for 0.5 s and 0.01 s, respectively.
+        time_offset_s: Offset to add to the estimate's time stamps [s]; see `estimate_time_offset_s`.
 
     Raises:
-        ConfigError: A choice that does not exist or makes no sense.
-        EvaluationError: Truth and estimate have fewer than three instants in common, or cannot be aligned.
+        ConfigError: An option does not exist or is out of range.
+        EvaluationError: Truth and estimate have fewer than three poses in common, or cannot be aligned.
     """
     shifted = replace(estimate, t_ns=estimate.t_ns + round(time_offset_s * 1e9)) if time_offset_s else estimate
     true, estimated = associate(truth, shifted, association, max_gap_s)
@@ -196,13 +195,13 @@ def score_trajectory(
     )
     aligned = motion.apply(estimated)
     poses = true.p_world_imu, true.quat_wxyz, aligned.p_world_imu, aligned.quat_wxyz
-    pairs = rpe.choose(true.t_ns, *(poses[:2] if rpe.source == "truth" else poses[2:]))
+    pairs = rpe.select(true.t_ns, *(poses[:2] if rpe.source == "truth" else poses[2:]))
     rpe_m, rpe_rad = relative_errors(*poses, pairs)
     translation_error_m = translation_errors_m(true.p_world_imu, aligned.p_world_imu)
     rotation_error_rad = rotation_errors_rad(true.quat_wxyz, aligned.quat_wxyz)
     path_m = true.length_m
-    lengths = errors_by_length(*poses, usual_lengths_m(path_m) if lengths_m is None else lengths_m)
-    stated = consistency(true, estimated) if estimated.covariance is not None else None
+    lengths = errors_by_length(*poses, default_lengths_m(path_m) if lengths_m is None else lengths_m)
+    anchored = consistency(true, estimated) if estimated.covariance is not None else None
     scores = Scores(
         alignment=alignment,
         align_poses=align_poses,
@@ -210,13 +209,13 @@ def score_trajectory(
         time_offset_s=time_offset_s,
         n_poses=len(true),
         n_estimated=len(estimate),
-        first_s=float(true.t_ns[0] - truth.t_ns[0]) * 1e-9,
-        last_s=float(true.t_ns[-1] - truth.t_ns[0]) * 1e-9,
+        first_pose_s=float(true.t_ns[0] - truth.t_ns[0]) * 1e-9,
+        last_pose_s=float(true.t_ns[-1] - truth.t_ns[0]) * 1e-9,
         longest_gap_s=float(np.diff(true.t_ns).max()) * 1e-9,
         path_m=path_m,
         ate_m=Statistics.of(translation_error_m),
         ate_deg=Statistics.of(np.degrees(rotation_error_rad)),
-        rpe_over=rpe.label,
+        rpe_interval=rpe.label,
         rpe_delta_s=rpe.delta if rpe.unit == "s" else None,
         rpe_pairs=len(rpe_m),
         rpe_m=Statistics.of(rpe_m) if len(rpe_m) else None,
@@ -228,13 +227,13 @@ def score_trajectory(
         gyro_bias_rad_s=_differences(true.gyro_bias_rad_s, aligned.gyro_bias_rad_s),
         accel_bias_m_s2=_differences(true.accel_bias_m_s2, aligned.accel_bias_m_s2),
         coverage_percent=None if frame_times_ns is None else coverage_percent(frame_times_ns, estimate.t_ns),
-        initialized_s=None if frame_times_ns is None else initialized_s(frame_times_ns, estimate.t_ns),
-        nees_position=None if stated is None else float(stated.position_nees.mean()),
-        nees_orientation=None if stated is None else float(stated.orientation_nees.mean()),
-        nees_position_inside_percent=None if stated is None else inside_percent(stated.position_nees),
-        nees_orientation_inside_percent=None if stated is None else inside_percent(stated.orientation_nees),
-        position_beyond_3_sigma_percent=None if stated is None else 100.0 * stated.position_exceedance,
-        orientation_beyond_3_sigma_percent=None if stated is None else 100.0 * stated.orientation_exceedance,
+        initialization_s=None if frame_times_ns is None else initialization_s(frame_times_ns, estimate.t_ns),
+        nees_position=None if anchored is None else float(anchored.position_nees.mean()),
+        nees_orientation=None if anchored is None else float(anchored.orientation_nees.mean()),
+        nees_position_inside_percent=None if anchored is None else inside_percent(anchored.position_nees),
+        nees_orientation_inside_percent=None if anchored is None else inside_percent(anchored.orientation_nees),
+        position_beyond_3_sigma_percent=None if anchored is None else 100.0 * anchored.position_exceedance,
+        orientation_beyond_3_sigma_percent=None if anchored is None else 100.0 * anchored.orientation_exceedance,
     )
     return ScoredTrajectory(
         true,
@@ -245,15 +244,15 @@ def score_trajectory(
         true.t_ns[pairs[0]],
         rpe_m,
         rpe_rad,
-        stated,
+        anchored,
         scores,
     )
 
 
-def usual_lengths_m(path_m: float) -> tuple[float, ...]:
-    """Return 10 % to 50 % of the length of a path [m], cut to centimetres; none for a path that hardly moves."""
-    cut = (int(share * path_m * 100.0) / 100.0 for share in SHARES)
-    return tuple(length_m for length_m in cut if length_m > 0.0)
+def default_lengths_m(path_m: float) -> tuple[float, ...]:
+    """Return 10 % to 50 % of the length of a path [m], rounded down to centimetres; lengths of zero are omitted."""
+    rounded = (int(share * path_m * 100.0) / 100.0 for share in DEFAULT_SHARES)
+    return tuple(length_m for length_m in rounded if length_m > 0.0)
 
 
 def mean_drift_percent(lengths: tuple[LengthErrors, ...]) -> float | None:
@@ -262,17 +261,17 @@ def mean_drift_percent(lengths: tuple[LengthErrors, ...]) -> float | None:
     return sum(errors.drift_percent.mean * errors.drift_percent.n for errors in lengths) / count if count else None
 
 
-def initialized_s(frame_times_ns: Times, t_estimate_ns: Times) -> float | None:
-    """Return the time [s] from the first frame to the first estimated pose; None where there is no such thing."""
+def initialization_s(frame_times_ns: Times, t_estimate_ns: Times) -> float | None:
+    """Return the time from the first frame to the first estimated pose [s]; None without frames or poses."""
     if len(frame_times_ns) == 0 or len(t_estimate_ns) == 0:
         return None
     return float(t_estimate_ns[0] - frame_times_ns[0]) * 1e-9
 
 
 def scale_error_percent(p_truth: Array, p_estimate: Array) -> float | None:
-    """Return by how much an estimated path (N, 3) is larger than the true one (N, 3) [%], after the best similarity.
+    """Return the relative error of the scale of an estimated path (N, 3), positive if it is too large [%].
 
-    None where the path is a point or a straight line and leaves the similarity open.
+    The scale is that of the least-squares similarity; None if the path is a point or a straight line.
     """
     try:
         scale = umeyama(p_truth, p_estimate, with_scale=True).scale
@@ -284,8 +283,8 @@ def scale_error_percent(p_truth: Array, p_estimate: Array) -> float | None:
 def coverage_percent(frame_times_ns: Times, t_estimate_ns: Times, start_up_s: float = START_UP_S) -> float | None:
     """Return the share [%] of the frames later than ``start_up_s`` after the first that have a pose.
 
-    Say it beside every error: an estimator that lost its way and fell silent must not look accurate. None where no
-    frame is that late.
+    It belongs beside every error: an estimator that loses track and stops publishing poses must not look accurate. None
+    if there is no such frame.
     """
     if len(frame_times_ns) == 0:
         return None
@@ -299,7 +298,7 @@ def coverage_percent(frame_times_ns: Times, t_estimate_ns: Times, start_up_s: fl
 
 
 def _differences(truth: Array | None, estimate: Array | None) -> Statistics | None:
-    """Return the statistics of the lengths of differences of vectors (N, 3); None where one of the two is missing."""
+    """Return the statistics of the norms of differences of vectors (N, 3); None if one of the two is missing."""
     if truth is None or estimate is None:
         return None
     return Statistics.of(translation_errors_m(truth, estimate))

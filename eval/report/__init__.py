@@ -1,4 +1,4 @@
-"""Reports of runs and benchmarks: HTML pages, plots and tables."""
+"""Reports of runs and benchmarks: HTML pages, JSON, plots and tables."""
 
 from typing import TYPE_CHECKING
 

@@ -1,7 +1,7 @@
-"""The drawing board of all pictures: one style, figures that become SVG or PNG, lines, bands and boxes.
+"""Figures of reports: one style, output as SVG or PNG, and lines, box plots and logarithmic axes.
 
-`figure` makes axes to draw into, `as_svg` and `save_png` turn the figure into something to look at. Nothing touches
-matplotlib's global state but the style, and that only while a figure is drawn. Same data, same bytes.
+`figure` makes axes to draw into; `as_svg` and `save_png` convert the figure. Matplotlib's global state is changed only
+while a figure is drawn. The same data give the same bytes.
 """
 
 import io
@@ -20,21 +20,21 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import FuncFormatter, LogLocator, NullLocator
 
-from dronevio.eval import style as palette
+from dronevio.eval import colours
 
 Array = npt.NDArray[np.float64]
 
 INK = "#1f2328"
-"""Colour of text and axes; an SVG's reader may replace it, for a dark page."""
+"""Colour of text and axes; pages replace it by one of the light or dark mode."""
 GRID = "#d0d7de"
-"""Colour of grid lines; likewise."""
+"""Colour of grid lines; pages replace it likewise."""
 
-_COLOURS_OF_THE_PAGE = {INK: "ink", GRID: "grid", palette.CLAIM: "blue"}  # those that a dark page has otherwise
-_MOST_POINTS = 1500  # of one line: more than that no screen shows
+_PAGE_COLOURS = {INK: "ink", GRID: "grid", colours.SECOND: "blue"}  # replaced by variables of the style sheet
+_MAX_POINTS = 1500  # of one line, more than a screen resolves
 _WHISKERS_PERCENT = (5.0, 95.0)
-_BOX_SHARE = 0.8  # of the room between two groups
-_WIDEST_BOX = 0.22  # of the same
-_FEW_DECADES = 1e3  # high over low; of more, 1, 2 and 5 would crowd
+_BOX_SHARE = 0.8  # of the distance between two groups that boxes take
+_MAX_BOX_WIDTH = 0.22  # in units of the same distance
+_MAX_RATIO_FOR_1_2_5 = 1e3  # of the limits of a logarithmic axis whose ticks are at 1, 2 and 5
 _STYLE: dict[Any, Any] = {
     "axes.edgecolor": GRID,
     "axes.grid": True,
@@ -54,9 +54,9 @@ _STYLE: dict[Any, Any] = {
     "lines.linewidth": 1.4,
     "lines.solid_capstyle": "round",
     "svg.fonttype": "none",
-    "svg.hashsalt": "dronevio",  # same data, same bytes
+    "svg.hashsalt": "dronevio",  # the same data give the same bytes
     "text.color": INK,
-    "text.parse_math": False,  # a name with two dollar signs is a name
+    "text.parse_math": False,  # a dollar sign in a name is a dollar sign
     "xtick.color": GRID,
     "xtick.labelcolor": INK,
     "ytick.color": GRID,
@@ -68,23 +68,23 @@ _LONG_FRACTION = re.compile(r"-?\d+\.\d{3,}")
 
 @dataclass(frozen=True, eq=False)
 class Boxes:
-    """A row of boxes of one colour, one in each group."""
+    """Box plots of one colour, one in each group."""
 
     label: str
-    """What they are of."""
+    """Name in the legend."""
     colour: str
-    """Their colour."""
+    """Colour of the boxes."""
     values: Sequence[Array]
-    """The values behind the box of each group; no box where there are none."""
+    """Values of each group; a group without values has no box."""
 
 
 @contextmanager
 def figure(
     width_in: float, height_in: float, columns: int = 1, legend_columns: int = 4
 ) -> Iterator[tuple[Figure, Sequence[Axes]]]:
-    """Make a figure with axes side by side, in the house's style; draw while the context lasts.
+    """Yield a figure with axes side by side, in the style of reports, to draw into while the context lasts.
 
-    The legend of the first axes stands below them all, where it hides nothing.
+    The legend of the first axes is placed below all axes.
     """
     with mpl.rc_context(_STYLE):
         fig = Figure(figsize=(width_in, height_in), layout="constrained")
@@ -96,11 +96,11 @@ def figure(
 
 
 def as_svg(fig: Figure, alt: str) -> Markup:
-    """Return a figure as an ``<svg>`` element, without a background, to be put into a page.
+    """Return a figure as an ``<svg>`` element without background, to be inserted into a page.
 
     Args:
         fig: The figure.
-        alt: What it shows, for those who cannot see it.
+        alt: Description for readers who cannot see it.
     """
     buffer = io.StringIO()
     with mpl.rc_context(_STYLE):
@@ -108,21 +108,21 @@ def as_svg(fig: Figure, alt: str) -> Markup:
     text = buffer.getvalue()
     text = re.sub(r"<metadata>.*?</metadata>\s*", "", text[text.index("<svg") :], flags=re.DOTALL)
     text = re.sub(r"<!--.*?-->\s*", "", text, flags=re.DOTALL)
-    text = re.sub(r'<g id="[^"]*"', "<g", text)  # else the drawings of a page have names in common
+    text = re.sub(r'<g id="[^"]*"', "<g", text)  # the figures of a page would share these ids
     text = _COORDINATES.sub(lambda m: _LONG_FRACTION.sub(_rounded, m[0]), text)
-    for colour, name in _COLOURS_OF_THE_PAGE.items():
+    for colour, name in _PAGE_COLOURS.items():
         text = text.replace(colour, f"var(--{name})")
     return Markup('<svg role="img" aria-label="{}"').format(alt) + Markup(text.removeprefix("<svg"))
 
 
-def drawing(height_in: float, draw: Callable[[Axes], None], alt: str = "", width_in: float = 4.8) -> Markup:
-    """Return a drawing with one pair of axes as an ``<svg>`` element.
+def svg_plot(height_in: float, draw: Callable[[Axes], None], alt: str = "", width_in: float = 4.8) -> Markup:
+    """Return a plot with one pair of axes as an ``<svg>`` element.
 
     Args:
-        height_in: Its height [in].
+        height_in: Height [in].
         draw: Draws into the axes.
-        alt: What it shows, behind its title, for those who cannot see it.
-        width_in: Its width [in].
+        alt: Description after the title for readers who cannot see the plot.
+        width_in: Width [in].
     """
     with figure(width_in, height_in) as (fig, axes):
         draw(axes[0])
@@ -131,25 +131,25 @@ def drawing(height_in: float, draw: Callable[[Axes], None], alt: str = "", width
 
 
 def save_png(fig: Figure, path: Path, dpi: int = 160) -> None:
-    """Write a figure as a PNG on white."""
+    """Write a figure as a PNG file on white."""
     with mpl.rc_context(_STYLE):
         fig.savefig(path, dpi=dpi, facecolor="white")
 
 
 def draw_line(ax: Axes, points: Array, **style: Any) -> None:
-    """Draw a line through points (N, 2), leaving out what nobody could see."""
-    step = max(1, len(points) // _MOST_POINTS)
+    """Draw a line through points (N, 2), thinned to what a screen resolves."""
+    step = max(1, len(points) // _MAX_POINTS)
     kept = np.concatenate([points[::step], points[-1:]])
     ax.plot(kept[:, 0], kept[:, 1], **style)
 
 
 def draw_boxes(ax: Axes, groups: Sequence[str], rows: Sequence[Boxes]) -> None:
-    """Draw boxes side by side in groups: median, quartiles, and whiskers from the 5th to the 95th percentile."""
+    """Draw box plots side by side in groups: median, quartiles, and whiskers from the 5th to the 95th percentile."""
     step = _BOX_SHARE / max(len(rows), 1)
-    width = min(0.85 * step, _WIDEST_BOX)
+    width = min(0.85 * step, _MAX_BOX_WIDTH)
     for i, row in enumerate(rows):
-        shift = (i - 0.5 * (len(rows) - 1)) * min(step, 1.2 * _WIDEST_BOX)
-        drawn = [(k + shift, v) for k, v in enumerate(row.values) if len(v)]
+        offset = (i - 0.5 * (len(rows) - 1)) * min(step, 1.2 * _MAX_BOX_WIDTH)
+        drawn = [(k + offset, v) for k, v in enumerate(row.values) if len(v)]
         line = {"color": row.colour, "linewidth": 1.1}
         if drawn:
             ax.boxplot(
@@ -174,15 +174,15 @@ def draw_boxes(ax: Axes, groups: Sequence[str], rows: Sequence[Boxes]) -> None:
 
 
 def set_log_scale(ax: Axes, which: Literal["x", "y"], low: float, high: float) -> None:
-    """Make an axis logarithmic from low to high, with plain numbers on it: at 1, 2 and 5 where decades are few."""
+    """Make an axis logarithmic from low to high with plain numbers, at 1, 2 and 5 if there are few decades."""
     ax.set(**{f"{which}scale": "log", f"{which}lim": (low, high)})
     axis = ax.xaxis if which == "x" else ax.yaxis
-    few = high < _FEW_DECADES * low
+    few = high < _MAX_RATIO_FOR_1_2_5 * low
     axis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0) if few else (1.0,), numticks=12))
     axis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
     axis.set_minor_locator(NullLocator())
 
 
 def _rounded(number: re.Match[str]) -> str:
-    """Return a coordinate to a hundredth of a point: finer than any screen."""
+    """Return a coordinate rounded to a hundredth of a point."""
     return f"{float(number[0]):.2f}".rstrip("0").rstrip(".")

@@ -1,12 +1,13 @@
-"""What the report of a run is about, and its numbers.
+"""The results that the report of a run shows, and their form in ``report.json``.
 
-``report.json`` holds, all in SI units unless the name says otherwise, ``null`` where something is not known:
+``report.json`` holds the following keys; values are in SI units unless the name gives another unit, and ``null`` where
+they are not known:
 
     format         "dronevio-report/1"
     title, command, open_command, seed          as in `RunInfo`
-    flight         name, duration_s, frames, path_m, peak_speed_m_s, peak_turn_rate_deg_s
-    scores         the fields of `Scores`, statistics as {rmse, mean, median, max}; null without truth
-    timing         cpu_ms_mean, cpu_ms_p99, wall_ms_mean, wall_ms_p99 (a frame), real_time_factor
+    flight         name, duration_s, frames, path_m, peak_speed_m_s, peak_angular_rate_deg_s
+    scores         the fields of `Scores`, with statistics as {rmse, mean, median, max, min, std, n}; null without truth
+    timing         cpu_ms_mean, cpu_ms_p99, wall_ms_mean, wall_ms_p99 per frame, real_time_factor
     estimator      poses, first_pose_s (after the first frame), mean_tracks, keyframes, health: {state: frames}
     configuration, versions, machine            as in `RunInfo`
 """
@@ -29,66 +30,66 @@ FORMAT = "dronevio-report/1"
 
 
 @dataclass(frozen=True, eq=False)
-class Subject:
-    """All that a report is about."""
+class RunResults:
+    """Everything that the report of a run shows."""
 
     info: RunInfo
-    """Where the run comes from."""
+    """Provenance of the run."""
     recording: Recording
-    """What was measured."""
+    """The measurements."""
     run: EstimatorRun
-    """What the estimator made of it."""
+    """The estimates of all frames and their costs."""
     scored: ScoredTrajectory | None
-    """Its trajectory beside the truth; None where there is no truth."""
+    """The estimated trajectory with its errors; None without ground truth."""
     outline: Array
-    """(L, 2, 3) Line segments of the surroundings [m], in the truth's world."""
+    """(L, 2, 3) Line segments of the surroundings in the world frame of the ground truth [m]."""
 
     @property
     def estimate(self) -> Trajectory:
-        """The estimated path, in the truth's world where that is known."""
+        """The estimated trajectory, in the world frame of the ground truth if that is known."""
         return (IDENTITY if self.scored is None else self.scored.alignment).apply(self.run.trajectory)
 
     @property
     def origin_ns(self) -> int:
-        """Time stamp of the first frame [ns]: zero on every time axis."""
+        """Time stamp of the first frame [ns], which is zero on all time axes."""
         return int(self.recording.frame_times_ns[0])
 
 
-def report_numbers(subject: Subject) -> dict[str, object]:
-    """Return what ``report.json`` holds."""
-    info = subject.info
+def report_values(results: RunResults) -> dict[str, object]:
+    """Return the content of ``report.json``."""
+    info = results.info
     return {
         "format": FORMAT,
         "title": info.title,
         "command": info.command,
         "open_command": info.open_command,
         "seed": info.seed,
-        "flight": _flight(subject),
-        "scores": None if subject.scored is None else asdict(subject.scored.scores),
-        "timing": _timing(subject.run),
-        "estimator": _estimator(subject),
+        "flight": _flight_values(results),
+        "scores": None if results.scored is None else asdict(results.scored.scores),
+        "timing": _timing_values(results.run),
+        "estimator": _estimator_values(results),
         "configuration": info.configuration,
         "versions": info.versions,
         "machine": info.machine,
     }
 
 
-def _flight(subject: Subject) -> dict[str, object]:
-    recording = subject.recording
-    flown = recording.ground_truth or subject.estimate
-    speed = np.linalg.norm(np.zeros((0, 3)) if flown.velocity_m_s is None else flown.velocity_m_s, axis=1)
-    turn_rate = np.linalg.norm(recording.imu.gyro_rad_s, axis=1)
+def _flight_values(results: RunResults) -> dict[str, object]:
+    recording = results.recording
+    trajectory = recording.ground_truth or results.estimate
+    velocity = np.zeros((0, 3)) if trajectory.velocity_m_s is None else trajectory.velocity_m_s
+    speed, angular_rate = (np.linalg.norm(v, axis=1) for v in (velocity, recording.imu.gyro_rad_s))
     return {
         "name": recording.name,
         "duration_s": float(np.ptp(recording.frame_times_ns)) * 1e-9,
         "frames": len(recording.frame_times_ns),
-        "path_m": flown.length_m,
+        "path_m": trajectory.length_m,
         "peak_speed_m_s": float(speed.max()) if len(speed) else None,
-        "peak_turn_rate_deg_s": float(np.degrees(turn_rate.max())) if len(turn_rate) else None,
+        "peak_angular_rate_deg_s": float(np.degrees(angular_rate.max())) if len(angular_rate) else None,
     }
 
 
-def _timing(run: EstimatorRun) -> dict[str, object]:
+def _timing_values(run: EstimatorRun) -> dict[str, object]:
     if not len(run.estimates):
         return dict.fromkeys(("cpu_ms_mean", "cpu_ms_p99", "wall_ms_mean", "wall_ms_p99", "real_time_factor"))
     return {
@@ -96,16 +97,16 @@ def _timing(run: EstimatorRun) -> dict[str, object]:
         "cpu_ms_p99": float(np.percentile(run.cpu_ms, 99)),
         "wall_ms_mean": float(run.wall_ms.mean()),
         "wall_ms_p99": float(np.percentile(run.wall_ms, 99)),
-        "real_time_factor": run.real_time_factor if np.isfinite(run.real_time_factor) else None,
+        "real_time_factor": run.real_time_factor,
     }
 
 
-def _estimator(subject: Subject) -> dict[str, object]:
-    run = subject.run
-    poses = run.trajectory.t_ns
+def _estimator_values(results: RunResults) -> dict[str, object]:
+    run = results.run
+    poses_ns = run.trajectory.t_ns
     return {
-        "poses": len(poses),
-        "first_pose_s": float(poses[0] - subject.origin_ns) * 1e-9 if len(poses) else None,
+        "poses": len(poses_ns),
+        "first_pose_s": float(poses_ns[0] - results.origin_ns) * 1e-9 if len(poses_ns) else None,
         "mean_tracks": float(run.n_tracks.mean()) if len(run.estimates) else None,
         "keyframes": sum("keyframe" in estimate.events for estimate in run.estimates),
         "health": dict(Counter(str(estimate.health) for estimate in run.estimates)),

@@ -1,7 +1,7 @@
 """Pages as HTML: Jinja templates with autoescaping, and the values that they show.
 
 A page is one self-contained file, readable on a wide screen and a telephone, in light and dark mode. All text is
-escaped; only drawings, style sheets and scripts, which come from this package, are inserted as they are.
+escaped; only plots, style sheets and scripts, which come from this package, are inserted as they are.
 """
 
 import math
@@ -20,18 +20,18 @@ _TEMPLATES = Path(__file__).parent / "templates"
 
 @dataclass(frozen=True)
 class Tile:
-    """One number that a reader looks for first."""
+    """A number that is shown large."""
 
     label: str
-    """What it is."""
+    """Name of the quantity."""
     value: str
-    """The number."""
+    """The number as text."""
     unit: str
-    """Its unit."""
+    """Unit of the number."""
     note: str = ""
-    """What else is to be known of it."""
+    """Further explanation in small print."""
     colour: str = ""
-    """Colour of a mark before the label; none where it is empty."""
+    """Colour of a mark before the label; no mark if it is empty."""
 
 
 def render_page(template: str, title: str, introduction: str, script: str = "", **values: object) -> str:
@@ -40,9 +40,9 @@ def render_page(template: str, title: str, introduction: str, script: str = "", 
     Args:
         template: Name of a template that extends ``page.html.j2``.
         title: Title of the page.
-        introduction: Text right below the title.
-        script: Name of a script of the templates' folder that the page runs; it must be readable without.
-        **values: What the template shows.
+        introduction: Text below the title.
+        script: Name of a script in the folder of templates; the page must be readable without it. Empty for none.
+        **values: Values that the template shows.
     """
     return (
         environment()
@@ -50,8 +50,8 @@ def render_page(template: str, title: str, introduction: str, script: str = "", 
         .render(
             title=title,
             introduction=introduction,
-            style_sheet=_source("report.css"),
-            script=_source(script) if script else "",
+            style_sheet=_read("report.css"),
+            script=_read(script) if script else "",
             **values,
         )
     )
@@ -73,7 +73,7 @@ def environment() -> Environment:
 
 
 def flattened(content: object, prefix: str = "") -> Iterator[tuple[str, str]]:
-    """Yield the leaves of nested settings, with dotted names."""
+    """Yield the values of nested settings as text, with dotted names."""
     if isinstance(content, Mapping):
         for name, value in content.items():
             yield from flattened(value, f"{prefix}.{name}" if prefix else str(name))
@@ -89,7 +89,7 @@ def flattened(content: object, prefix: str = "") -> Iterator[tuple[str, str]]:
 
 
 def number(value: object, decimals: int, sign: bool = False) -> str:
-    """Return a number for people; a dash where there is none."""
+    """Return a number with some decimals, or a dash if the value is not a number."""
     if not isinstance(value, int | float):
         return DASH
     return f"{value:{'+' if sign else ''}.{decimals}f}".replace("-", "−")
@@ -100,6 +100,6 @@ def sort_key(order: float) -> str:
     return f"{order:.6g}" if math.isfinite(order) else "Infinity"
 
 
-def _source(name: str) -> Markup:
-    """Return a style sheet or script of the templates' folder."""
+def _read(name: str) -> Markup:
+    """Return a style sheet or script of the folder of templates."""
     return Markup((_TEMPLATES / name).read_text(encoding="utf-8"))

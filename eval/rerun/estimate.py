@@ -10,7 +10,7 @@ import numpy as np
 import numpy.typing as npt
 import rerun as rr
 
-from dronevio.eval import style as palette
+from dronevio.eval import colours
 from dronevio.eval.metrics import (
     IDENTITY,
     Alignment,
@@ -41,10 +41,10 @@ _SIGMAS = 3.0
 _DEGREES = 180.0 / np.pi
 _GOOD = (Health.INITIALIZING, Health.TRACKING)
 _HEALTH_COLOURS = {
-    Health.INITIALIZING: palette.ROOM,
-    Health.TRACKING: palette.TRUTH,
-    Health.INERTIAL_ONLY: palette.MAP,
-    Health.LOST: palette.ESTIMATE,
+    Health.INITIALIZING: colours.SURROUNDINGS,
+    Health.TRACKING: colours.TRUTH,
+    Health.INERTIAL_ONLY: colours.LANDMARKS,
+    Health.LOST: colours.ESTIMATE,
 }
 
 
@@ -103,29 +103,31 @@ class EstimateLog:
     def _draw(self, axis_m: float) -> None:
         """Log how everything looks."""
         name, alone = self._name, self._alone
-        static, at, rgb = self._sink.static, self._at, palette.rgb(self._colour)
+        static, at, rgb = self._sink.static, self._at, colours.rgb(self._colour)
         static(at.flown, rr.LineStrips3D.from_fields(colors=rgb, radii=FLOWN_RADIUS))
         static(at.body, rr.TransformAxes3D(axis_m))
         static(at.covariance, rr.Ellipsoids3D.from_fields(colors=rgb, line_radii=rr.Radius.ui_points(0.6)))
         static(at.keyframes, rr.Points3D.from_fields(colors=rgb, radii=rr.Radius.ui_points(2.5)))
-        static(at.loops, rr.LineStrips3D.from_fields(colors=palette.rgb(palette.MAP), radii=rr.Radius.ui_points(1.2)))
+        static(
+            at.loops, rr.LineStrips3D.from_fields(colors=colours.rgb(colours.LANDMARKS), radii=rr.Radius.ui_points(1.2))
+        )
         static(at.markers, rr.Points3D.from_fields(colors=[255, 255, 255], radii=rr.Radius.ui_points(5.0)))
         static(at.tracks, rr.Points2D.from_fields(radii=rr.Radius.ui_points(2.5)))
         for entity, opacity, radius in ((at.map, 80, 0.8), (at.map_in_sight, 255, 1.3)):
-            colour = palette.rgb(palette.MAP if alone else self._colour)
+            colour = colours.rgb(colours.LANDMARKS if alone else self._colour)
             static(entity, rr.Points3D.from_fields(colors=[*colour, opacity], radii=rr.Radius.ui_points(radius)))
-        names, colours = [str(health) for health in Health], [palette.rgb(_HEALTH_COLOURS[h]) for h in Health]
-        static(at.health, rr.StateConfiguration(values=names, labels=names, colors=colours))
+        names, shades = [str(health) for health in Health], [colours.rgb(_HEALTH_COLOURS[h]) for h in Health]
+        static(at.health, rr.StateConfiguration(values=names, labels=names, colors=shades))
         for entity, label in ((at.speed, "estimated"), (at.cost, "CPU"), (at.track_count, "tracks")):
             self._sink.lines(entity, [label if alone else name], [self._colour])
         for entity in (at.gyro_bias, at.accel_bias):
-            self._sink.lines(entity, [f"{axis} {'estimated' if alone else name}" for axis in "xyz"], palette.AXES)
+            self._sink.lines(entity, [f"{axis} {'estimated' if alone else name}" for axis in "xyz"], colours.AXES)
 
     def whole(self, trajectory: Trajectory) -> None:
         """Log the whole path (N poses), faintly, where it is known beforehand."""
         if len(trajectory) > 1:
             p = self._into_view(trajectory).p_world_imu.astype(np.float32)
-            colour = [*palette.rgb(self._colour), 150]
+            colour = [*colours.rgb(self._colour), 150]
             self._sink.static(self._at.whole, rr.LineStrips3D([p], colors=colour, radii=WHOLE_RADIUS))
 
     def poses(self, trajectory: Trajectory) -> Trajectory:
@@ -205,9 +207,11 @@ class EstimateLog:
         self._errors_are_drawn = True
         at, name, alone = self._at, self._name, self._alone
         for error in (at.position_error, at.orientation_error):
-            self._sink.lines(error.aligned, ["aligned" if alone else name], [palette.ROOM if alone else self._colour])
+            self._sink.lines(
+                error.aligned, ["aligned" if alone else name], [colours.SURROUNDINGS if alone else self._colour]
+            )
             self._sink.lines(error.tied, ["tied at first pose" if alone else f"{name}, tied"], [self._colour])
-            self._sink.lines(error.band, ["3σ claimed" if alone else f"{name}, 3σ claimed"], [palette.BAND])
+            self._sink.lines(error.band, ["3σ claimed" if alone else f"{name}, 3σ claimed"], [colours.SIGMA])
 
     def _into_view(self, trajectory: Trajectory) -> Trajectory:
         """Return a trajectory in the world that is shown."""
@@ -220,7 +224,7 @@ class EstimateLog:
         tracks = [tracks_of(estimate) for estimate in estimates]
         columns = rr.Points2D.columns(
             positions=np.concatenate([track.pixels for track in tracks]) + 0.5,  # rerun's pixels are centred at .5
-            colors=palette.age_colours(np.concatenate([track.ages for track in tracks])),
+            colors=colours.age_colours(np.concatenate([track.ages for track in tracks])),
         ).partition([len(track.ids) for track in tracks])
         self._sink.columns(self._at.tracks, t_ns, columns)
 

@@ -9,7 +9,7 @@ from functools import reduce
 
 import numpy as np
 
-from dronevio.eval import style as palette
+from dronevio.eval import colours
 from dronevio.eval.rerun.blueprint import Shown, flight_blueprint
 from dronevio.eval.rerun.estimate import EstimateLog, tied_to
 from dronevio.eval.rerun.images import JpegLog
@@ -94,7 +94,7 @@ def watched(
         log.surroundings(surroundings, recording.frame_times_ns)
         if truth is not None:
             log.truth(truth, recording.frame_times_ns)
-        live = LiveLog(log, log.estimator(name, palette.ESTIMATE, tied_to(truth)), truth)
+        live = LiveLog(log, log.estimator(name, colours.ESTIMATE, tied_to(truth)), truth)
         try:
             yield live
         finally:

@@ -15,7 +15,7 @@ import numpy as np
 import numpy.typing as npt
 import rerun as rr
 
-from dronevio.eval import style as palette
+from dronevio.eval import colours
 from dronevio.eval.metrics import IDENTITY, Alignment, ScoredTrajectory, interpolate
 from dronevio.eval.rerun import entities as at
 from dronevio.eval.rerun.blueprint import Shown, flight_blueprint
@@ -63,7 +63,7 @@ class RerunLog:
         self._images = [cameras(sink, at.image(i), camera.rate_hz) for i, camera in enumerate(rig.cameras)]
         sink.static("world", rr.ViewCoordinates.RIGHT_HAND_Z_UP)
         for entity, label in ((at.GYRO, "rad/s"), (at.ACCEL, "m/s²")):
-            sink.lines(entity, [f"{axis} [{label}]" for axis in "xyz"], palette.AXES)
+            sink.lines(entity, [f"{axis} [{label}]" for axis in "xyz"], colours.AXES)
         self._draw_rig(rig)
 
     def __enter__(self) -> Self:
@@ -78,22 +78,22 @@ class RerunLog:
     def surroundings(self, surroundings: Surroundings, times_ns: Times) -> None:
         """Log the outline of the world, and where what moves is at times (N,) [ns] since the first of them."""
         if len(surroundings.outline):
-            colour = [*palette.rgb(palette.ROOM), 150]
+            colour = [*colours.rgb(colours.SURROUNDINGS), 150]
             strips = surroundings.outline.astype(np.float32)
             self._sink.static(at.ROOM, rr.LineStrips3D(strips, colors=colour, radii=rr.Radius.ui_points(0.5)))
         for mover in surroundings.movers:
             entity = f"{at.MOVERS}/{rr.escape_entity_path_part(mover.name)}"
-            box = rr.Boxes3D(mins=[mover.low], sizes=[mover.high - mover.low], colors=palette.rgb(palette.ROOM))
+            box = rr.Boxes3D(mins=[mover.low], sizes=[mover.high - mover.low], colors=colours.rgb(colours.SURROUNDINGS))
             self._sink.static(entity, box)
             self._sink.poses(entity, times_ns, mover.poses(np.asarray((times_ns - times_ns[:1]) * 1e-9)))
 
-    def truth(self, truth: Trajectory, frame_times_ns: Times, colour: str = palette.TRUTH) -> None:
+    def truth(self, truth: Trajectory, frame_times_ns: Times, colour: str = colours.TRUTH) -> None:
         """Log the true path, faintly as a whole and brightly as far as it has been flown, speed and biases.
 
         The rig is shown where it truly was at the frames' times (M,) [ns].
         """
         drawn = truth[:: max(1, len(truth) // _DRAWN_POINTS)]
-        t_ns, p, rgb = drawn.t_ns, drawn.p_world_imu, palette.rgb(colour)
+        t_ns, p, rgb = drawn.t_ns, drawn.p_world_imu, colours.rgb(colour)
         if len(p) > 1:
             whole = rr.LineStrips3D([p.astype(np.float32)], colors=[*rgb, 150], radii=WHOLE_RADIUS)
             self._sink.static(at.TRUE_WHOLE, whole)
@@ -105,7 +105,7 @@ class RerunLog:
             self._sink.values(f"{at.SPEED}/true", truth.t_ns, np.linalg.norm(truth.velocity_m_s, axis=1))
         for entity, bias in ((at.GYRO_BIAS, truth.gyro_bias_rad_s), (at.ACCEL_BIAS, truth.accel_bias_m_s2)):
             if bias is not None:
-                self._sink.lines(f"{entity}/true", [f"{axis} true" for axis in "xyz"], palette.AXES_PALE)
+                self._sink.lines(f"{entity}/true", [f"{axis} true" for axis in "xyz"], colours.AXES_PALE)
                 self._sink.values(f"{entity}/true", truth.t_ns, bias)
 
     def rig_poses(self, body: Trajectory) -> None:
@@ -142,7 +142,7 @@ class RerunLog:
                     resolution=[camera.model.width, camera.model.height],
                     camera_xyz=rr.ViewCoordinates.RDF,
                     image_plane_distance=self._image_plane_m,
-                    color=palette.rgb(palette.TRUTH),
+                    color=colours.rgb(colours.TRUTH),
                     line_width=-0.8,  # in points of the screen, since it is negative,
                 ),
             )
@@ -178,7 +178,7 @@ class RunFile:
         alignment = IDENTITY if scored is None else scored.alignment
         if self._recording.ground_truth is None:
             self._log.rig_poses(run.trajectory)
-        log = self._log.estimator(ESTIMATE, palette.ESTIMATE, _fixed(alignment))
+        log = self._log.estimator(ESTIMATE, colours.ESTIMATE, _fixed(alignment))
         _log_estimate(log, NamedEstimate(ESTIMATE, run.trajectory, alignment, scored, run))
 
 
@@ -274,7 +274,7 @@ def write_estimates(
         if truth is None and aligned:
             log.rig_poses(interpolate(aligned[0], recording.frame_times_ns)[0])
         for index, estimate in enumerate(estimates):
-            colour = palette.ESTIMATE if shown.alone else palette.ESTIMATORS[index % len(palette.ESTIMATORS)]
+            colour = colours.ESTIMATE if shown.alone else colours.ESTIMATORS[index % len(colours.ESTIMATORS)]
             _log_estimate(log.estimator(estimate.name, colour, _fixed(estimate.alignment), shown.alone), estimate)
         if not shown.alone:
             log.summary(summary_table(estimates))
@@ -306,7 +306,7 @@ def _flight_file(
     ):
         log.surroundings(surroundings, recording.frame_times_ns)
         if truth is not None:
-            colour = palette.TRUTH if shown.alone else _TRUTH_AMONG_MANY
+            colour = colours.TRUTH if shown.alone else _TRUTH_AMONG_MANY
             log.truth(truth, recording.frame_times_ns, colour)
         log.imu(recording.imu)
         yield log

@@ -14,7 +14,7 @@ import numpy.typing as npt
 import rerun as rr
 import rerun.blueprint as rrb
 
-from dronevio.eval import style as palette
+from dronevio.eval import colours
 from dronevio.models.imu import Times
 from dronevio.models.rotation import quat_wxyz_from_matrix, quat_xyzw_from_wxyz
 
@@ -87,9 +87,9 @@ class Sink:
             strips = np.stack([start, end], axis=1).astype(np.float32)
             self.columns(entity, t_ns, rr.LineStrips3D.columns(strips=strips))
 
-    def lines(self, entity: str, names: Sequence[str], colours: Sequence[str], width: float = 1.5) -> None:
+    def lines(self, entity: str, names: Sequence[str], curve_colours: Sequence[str], width: float = 1.5) -> None:
         """Say how the columns of an entity's `values` are drawn in a plot: what they are called, their colours."""
-        rgb = [palette.rgb(colour) for colour in colours]
+        rgb = [colours.rgb(colour) for colour in curve_colours]
         self.static(entity, rr.SeriesLines(names=list(names), colors=rgb, widths=[width] * len(names)))
 
     def values(self, entity: str, t_ns: Times, values: Array) -> None:

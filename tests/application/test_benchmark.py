@@ -16,7 +16,7 @@ from dronevio.benchmark_jobs import Workbench, recorded_flights, scenario_flight
 from dronevio.cli import main
 from dronevio.eval.benchmark.ray_engine import RayEngine
 from dronevio.eval.benchmark.rows import Row, read_rows
-from dronevio.eval.benchmark.runner import Benchmark, run_benchmark
+from dronevio.eval.benchmark.runner import BenchmarkPlan, run_benchmark
 from dronevio.eval.benchmark.store import ResultStore
 from dronevio.models.errors import ConfigError, EvaluationError, InputError
 from dronevio.registry import ESTIMATORS, estimator_named
@@ -106,7 +106,7 @@ def test_every_run_is_a_row_however_it_ended(many: Result) -> None:
     for row in rows.values():
         assert (row.scenario, row.world, row.seed) == (rows["vio"].scenario, "", None)
         assert row.wall_s > 0.0
-        assert len({row.recording, row.config_hash, row.versions}) == 3
+        assert len({row.recording_hash, row.config_hash, row.versions}) == 3
         assert row.status == "ok" or (row.ate_m is None and row.cpu_ms_mean is None)
     printed = json.loads(json.dumps([vars(row) for row in read_rows(many.folder) if row.estimator != "hang"]))
     assert many.document["rows"] == printed
@@ -122,7 +122,7 @@ def test_the_numbers_are_those_of_the_other_commands(
     for name in ("ate_m", "ate_deg", "rpe_m", "rpe_deg"):
         assert getattr(row, name) == pytest.approx(scores[name]["rmse"], rel=1e-4, abs=1e-6)
     assert row.coverage_percent == scores["coverage_percent"] == 100.0
-    assert len(row.length_m) == len(row.rpe_len_m) == len(row.rpe_len_deg) == 5
+    assert len(row.sub_trajectory_m) == len(row.sub_trajectory_rpe_m) == len(row.sub_trajectory_rpe_deg) == 5
     assert None not in (row.nees_position, row.velocity_m_s, row.cpu_ms_p99, row.real_time_factor, row.drift_percent)
 
 
@@ -133,7 +133,7 @@ def test_dead_reckoning_is_worse_than_vio_and_the_truth_is_exact(many: Result) -
     assert exact < 1e-6
     assert rows["1.0"].cpu_ms_p99 is None  # of a program only the whole is known
     assert 3.0 * (rows["vio"].ate_m or 1.0) < (rows["dead-reckoning"].ate_m or 0.0) < 1.0
-    assert (rows["dead-reckoning"].first_s or 9.0) < 1.5
+    assert (rows["dead-reckoning"].first_pose_s or 9.0) < 1.5
 
 
 def test_programs_see_what_was_sensed_and_no_truth(many: Result, place: Path, flown: Result) -> None:
@@ -186,13 +186,13 @@ def test_scenarios_are_flown_once_and_kept(place: Path, flown: Result, run_comma
     (first,) = run_command(place, "benchmark", *common, *where, "--estimators", "dead-reckoning").document["rows"]
     assert (first["scenario"], first["world"], first["seed"], first["status"]) == ("short-v0", "room", 0, "ok")
     (kept,) = [entry for entry in cache.iterdir() if entry.is_dir()]
-    assert kept.name == first["recording"]
+    assert kept.name == first["recording_hash"]
     for file in flown.folder.rglob("*.png"):
         assert (kept / file.relative_to(flown.folder)).read_bytes() == file.read_bytes()
     drawn = {file: file.stat().st_mtime_ns for file in kept.rglob("*.png")}
     sized = run_command(place, "benchmark", *common, *where, "--sizing", "--estimators", "dead-reckoning").document
     assert {file: file.stat().st_mtime_ns for file in kept.rglob("*.png")} == drawn
-    one = sized["measured"]["flight"]
+    one = sized["measured"]["recording"]
     assert one["cpu_s"] > 1.0
     assert one["disk_mb"] == pytest.approx(sum(f.stat().st_size for f in kept.rglob("*") if f.is_file()) * 1e-6, 0.01)
     parts = {part["work"]: part for part in sized["scaled"]}
@@ -218,7 +218,7 @@ def test_compare_and_gate(
     assert "failed: mine: ate_m" in capsys.readouterr().out
     assert main(["gate", crash, "--baseline", baseline, "--json"]) == 1
     told = json.loads(capsys.readouterr().out)
-    assert told["objections"][-2:] == [
+    assert told["violations"][-2:] == [
         "mine: 1 of 1 runs failed, 0 before",
         "mine: mean coverage 0.0 %, 100.0 % before",
     ]
@@ -293,7 +293,7 @@ def test_the_hash_depends_on_what_is_recorded_not_on_its_name(flown: Result, tmp
         ("short-v0", 1),
         ("hover-v0", 1),
     ]
-    assert len({flight.recording for flight in flights}) == 4
+    assert len({flight.recording_hash for flight in flights}) == 4
     (one,) = recorded_flights([flown.folder])
     assert recorded_flights([flown.folder / "mav0"]) == (one,)
     link = tmp_path / "elsewhere" / flown.folder.name
@@ -307,7 +307,7 @@ def test_ray_gives_the_same_rows_and_listens_on_localhost_only(place: Path, flow
     if find_spec("ray") is None:  # not importorskip: where Ray listens is settled when it is imported, by the engine
         pytest.skip("Ray is not installed")
     named = tuple(estimator_named(name) for name in ("vio", "dead-reckoning"))
-    work = Benchmark(
+    work = BenchmarkPlan(
         recorded_flights([flown.folder]), tuple(ESTIMATORS), Workbench(named, versions()), place / "cache", 100.0
     )
     listening: set[str] = set()

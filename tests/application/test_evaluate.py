@@ -70,7 +70,7 @@ def test_scores_do_not_depend_on_the_format(flight: Path, capsys: pytest.Capture
     for document in documents:
         assert document["ate_m"] == documents[0]["ate_m"] and document["rpe_m"] == documents[0]["rpe_m"]
         assert document["scale_error_percent"] == pytest.approx(5.0)
-        assert document["n_poses"] == 81 and document["first_s"] == 4.0
+        assert document["n_poses"] == 81 and document["first_pose_s"] == 4.0
     # Of 161 frames, 100 are later than 3 s after the first. Only a folder contains the frames.
     assert [document["coverage_percent"] for document in documents[2:]] == [None, None]
     assert documents[0]["coverage_percent"] == documents[1]["coverage_percent"] == 81.0
@@ -122,13 +122,13 @@ def test_kitti_files_are_read_with_and_without_times(flight: Path, capsys: pytes
     files = [str(folder / "truth.txt"), str(folder / "estimate.txt")]
     assert main(["evaluate", *files, "--kitti", "--json"]) == 0
     document = json.loads(capsys.readouterr().out)
-    assert document["last_s"] == pytest.approx(90.0) and document["rpe_pairs"] == 891
+    assert document["last_pose_s"] == pytest.approx(90.0) and document["rpe_pairs"] == 891
     assert document["ate_deg"]["max"] < 1e-6  # the alignment of yaw removes the rotation
     assert document["drift_percent"] == pytest.approx(1.0, rel=0.05)
     assert document["kitti"]["translation_percent"] == pytest.approx(1.0, rel=0.05)
     assert main(["evaluate", *files, "--times", str(folder / "times.txt"), "--json"]) == 0
     timed = json.loads(capsys.readouterr().out)
-    assert timed["last_s"] == pytest.approx(180.0) and timed["kitti"] is None
+    assert timed["last_pose_s"] == pytest.approx(180.0) and timed["kitti"] is None
     assert timed["ate_m"] == document["ate_m"]
     assert main(["evaluate", *files, "--kitti"]) == 0
     shown = capsys.readouterr().out

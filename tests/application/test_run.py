@@ -149,7 +149,7 @@ def test_evaluating_the_files_gives_the_same_scores(run: Result, run_command: Co
     for document in printed:
         for name in ("ate_m", "ate_deg", "rpe_m", "rpe_deg"):
             assert document[name] == pytest.approx(report["scores"][name], rel=1e-4, abs=1e-6)  # files round to 1e-9
-        for name in ("n_poses", "first_s", "last_s", "rpe_pairs"):
+        for name in ("n_poses", "first_pose_s", "last_pose_s", "rpe_pairs"):
             assert document[name] == report["scores"][name]
 
 

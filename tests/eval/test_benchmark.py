@@ -19,13 +19,13 @@ import pytest
 from pyarrow import parquet
 
 from dronevio.eval.benchmark.cache import RecordingCache, code_hash, content_hash, recording_hash
-from dronevio.eval.benchmark.engines import Ended, Heard, LocalEngine
-from dronevio.eval.benchmark.isolation import isolated
-from dronevio.eval.benchmark.jobs import Flight, Job
+from dronevio.eval.benchmark.engines import JobEnd, JobEvent, LocalEngine
+from dronevio.eval.benchmark.isolation import call_in_process
+from dronevio.eval.benchmark.jobs import Job, RecordingSpec
 from dronevio.eval.benchmark.rows import RESULTS_FILE, Row, read_results, read_rows, schema, write_rows
-from dronevio.eval.benchmark.runner import Benchmark, run_benchmark
+from dronevio.eval.benchmark.runner import BenchmarkPlan, run_benchmark
 from dronevio.eval.benchmark.store import ResultStore
-from dronevio.eval.benchmark.summary import Spread, failures, groups
+from dronevio.eval.benchmark.summary import Quartiles, failed_runs, quartiles_of_errors, run_groups
 from dronevio.models.errors import InputError
 
 OK = Row(
@@ -37,11 +37,11 @@ OK = Row(
     "versions",
     "ok",
     ate_m=0.1,
-    length_m=(1.0, 2.0),
-    rpe_len_m=(0.1, 0.2),
-    rpe_len_deg=(0.3, 0.4),
+    sub_trajectory_m=(1.0, 2.0),
+    sub_trajectory_rpe_m=(0.1, 0.2),
+    sub_trajectory_rpe_deg=(0.3, 0.4),
     wall_s=2.0,
-    recording="hash",
+    recording_hash="hash",
 )
 CRASHED = Row("room-v0", "room", None, "a=b c", "config", "versions", "crashed", "killed by SIGSEGV", wall_s=1.0)
 
@@ -50,50 +50,50 @@ CRASHED = Row("room-v0", "room", None, "a=b c", "config", "versions", "crashed",
 
 
 def test_an_isolated_call_returns_its_value_and_its_cost() -> None:
-    outcome = isolated(math.hypot, 3.0, 4.0)
+    outcome = call_in_process(math.hypot, 3.0, 4.0)
     assert (outcome.status, outcome.reason, outcome.value) == ("ok", "", 5.0)
     assert 0.0 < outcome.cpu_s < 10.0
     assert outcome.peak_mb is not None
     assert 5.0 < outcome.peak_mb < 300.0
-    assert isolated(os.getpid).value != os.getpid()
-    assert isolated(os.getenv, "COLOUR", environment={"COLOUR": "blue"}).value == "blue"
+    assert call_in_process(os.getpid).value != os.getpid()
+    assert call_in_process(os.getenv, "COLOUR", environment={"COLOUR": "blue"}).value == "blue"
 
 
 def test_what_is_raised_is_told() -> None:
-    outcome = isolated(math.sqrt, -1.0)
+    outcome = call_in_process(math.sqrt, -1.0)
     assert (outcome.status, outcome.value) == ("failed", None)
     assert outcome.reason.startswith("ValueError: ")
-    missing = isolated(read_rows, Path("nowhere.parquet"))
+    missing = call_in_process(read_rows, Path("nowhere.parquet"))
     assert missing.status == "failed"
     assert missing.reason.startswith("nowhere.parquet: no such file; expected ")
 
 
 def test_a_process_that_dies_is_told_from_one_that_ends_too_soon() -> None:
-    crashed = isolated(os.kill, 0, signal.SIGSEGV)  # 0: its whole group, which is no more than itself
+    crashed = call_in_process(os.kill, 0, signal.SIGSEGV)  # 0: its whole group, which is no more than itself
     assert (crashed.status, crashed.reason.split(":")[0]) == ("crashed", "killed by SIGSEGV")
-    left = isolated(os._exit, 7)
+    left = call_in_process(os._exit, 7)
     assert (left.status, left.reason) == ("crashed", "ended with code 7")
 
 
 def test_a_timeout_kills_the_process_and_all_its_children(tmp_path: Path) -> None:
     note = tmp_path / "pid"
     start = time.perf_counter()
-    outcome = isolated(subprocess.check_call, ["sh", "-c", f"echo $$ > {note}; sleep 60"], timeout_s=1.0)
-    assert (outcome.status, outcome.reason) == ("timeout", "no end after 1 s")
+    outcome = call_in_process(subprocess.check_call, ["sh", "-c", f"echo $$ > {note}; sleep 60"], timeout_s=1.0)
+    assert (outcome.status, outcome.reason) == ("timeout", "not finished after 1 s")
     assert time.perf_counter() - start < 20.0
     assert gone(int(note.read_text()))
 
 
 def test_what_is_printed_is_no_answer() -> None:
-    assert isolated(subprocess.check_call, ["echo", "hello"]).value == 0
+    assert call_in_process(subprocess.check_call, ["echo", "hello"]).value == 0
 
 
 def test_processes_end_when_the_one_that_started_them_is_killed(tmp_path: Path) -> None:
     note = tmp_path / "pid"
     work = ["sh", "-c", f"echo $$ > {note}; sleep 60"]
     script = (
-        "import subprocess; from dronevio.eval.benchmark.isolation import isolated;"
-        f" isolated(subprocess.check_call, {work!r})"
+        "import subprocess; from dronevio.eval.benchmark.isolation import call_in_process;"
+        f" call_in_process(subprocess.check_call, {work!r})"
     )
     parent = subprocess.Popen([sys.executable, "-c", script])
     wait_until(lambda: note.exists() and note.read_text().endswith("\n"))
@@ -145,10 +145,10 @@ def test_files_that_are_no_results_are_told_so(tmp_path: Path) -> None:
     with pytest.raises(InputError, match="no column scenario, world"):
         read_rows(path)
     write_rows(path, [OK, OK])
-    with pytest.raises(InputError, match="room-v0, seed 3, vio is there twice"):
+    with pytest.raises(InputError, match="two rows of room-v0, seed 3, vio"):
         read_rows(path)
     write_rows(path, [replace(OK, status=cast("Any", "fine"))])
-    with pytest.raises(InputError, match="row 1 of status 'fine'"):
+    with pytest.raises(InputError, match="row 1 with status 'fine'"):
         read_rows(path)
     write_rows(path, [OK])
     table = parquet.read_table(path)
@@ -167,7 +167,7 @@ def test_a_store_keeps_the_latest_row_and_ignores_damaged_files(tmp_path: Path) 
     again = ResultStore(store.folder)
     assert again.find(OK.identity) == replace(OK, ate_m=0.2)
     assert again.rows == (CRASHED, replace(OK, ate_m=0.2))
-    assert read_rows(again.join()) == again.rows
+    assert read_rows(again.write_table()) == again.rows
 
 
 # --- recordings
@@ -200,7 +200,7 @@ def test_a_recording_is_made_once_however_many_want_it(tmp_path: Path) -> None:
         (folder / "frame").write_text("grey")
 
     def borrow() -> None:
-        with cache.borrow("abc", make) as folder:
+        with cache.acquire("abc", make) as folder:
             seen.append((folder / "frame").read_text())
 
     threads = [threading.Thread(target=borrow) for _ in range(5)]
@@ -221,17 +221,17 @@ def test_partial_recordings_are_removed(tmp_path: Path) -> None:
         (folder / "half").write_text("")
         raise OSError("disk full")
 
-    with pytest.raises(OSError, match="disk full"), cache.borrow("abc", fail):
+    with pytest.raises(OSError, match="disk full"), cache.acquire("abc", fail):
         pass
     assert [entry.name for entry in tmp_path.iterdir()] == [".abc.lock"]
 
 
 def test_a_borrowed_recording_is_not_dropped(tmp_path: Path) -> None:
     cache = RecordingCache(tmp_path)
-    with cache.borrow("abc", lambda folder: None):
-        cache.drop("abc")
+    with cache.acquire("abc", lambda folder: None):
+        cache.remove("abc")
         assert cache.find("abc") is not None
-    cache.drop("abc")
+    cache.remove("abc")
     assert cache.find("abc") is None
 
 
@@ -239,7 +239,7 @@ def test_a_borrowed_recording_is_not_dropped(tmp_path: Path) -> None:
 
 
 @dataclass(frozen=True)
-class NoWorkshop:
+class NoPipeline:
     """Never called: the engines of these tests know all rows before."""
 
     versions: str = "1"
@@ -247,10 +247,10 @@ class NoWorkshop:
     def config_hash(self, estimator: str) -> str:
         return f"settings of {estimator}"
 
-    def record(self, flight: Flight, folder: Path) -> None:
+    def record(self, spec: RecordingSpec, folder: Path) -> None:
         raise NotImplementedError
 
-    def estimate(self, flight: Flight, recording: Path, estimator: str) -> dict[str, Any]:
+    def estimate(self, spec: RecordingSpec, recording: Path, estimator: str) -> dict[str, Any]:
         raise NotImplementedError
 
 
@@ -265,7 +265,7 @@ class Script:
     status: str = "ok"
     asked: int = 0
 
-    def run(self, jobs: Sequence[Job]) -> Iterator[Heard]:
+    def run(self, jobs: Sequence[Job]) -> Iterator[JobEvent]:
         for number, job in enumerate(jobs):
             for estimator in job.estimators:
                 if estimator == self.lose:
@@ -274,22 +274,22 @@ class Script:
                     raise KeyboardInterrupt
                 self.asked += 1
                 row = Row(
-                    job.flight.scenario,
+                    job.spec.scenario,
                     "room",
-                    job.flight.seed,
+                    job.spec.seed,
                     estimator,
-                    job.workshop.config_hash(estimator),
-                    job.workshop.versions,
+                    job.pipeline.config_hash(estimator),
+                    job.pipeline.versions,
                     cast("Any", self.status),
-                    recording=job.flight.recording,
+                    recording_hash=job.spec.recording_hash,
                 )
                 yield number, row
-            yield number, Ended("node lost" if self.lose else "")
+            yield number, JobEnd("node lost" if self.lose else "")
 
 
-def benchmark(tmp_path: Path, seeds: int = 3, **others: Any) -> Benchmark:
-    flights = tuple(Flight("room-v0", "room", seed, f"hash-{seed}", None) for seed in range(seeds))
-    return replace(Benchmark(flights, ("a", "b"), NoWorkshop(), tmp_path / "cache", 60.0), **others)
+def benchmark(tmp_path: Path, seeds: int = 3, **others: Any) -> BenchmarkPlan:
+    flights = tuple(RecordingSpec("room-v0", "room", seed, f"hash-{seed}", None) for seed in range(seeds))
+    return replace(BenchmarkPlan(flights, ("a", "b"), NoPipeline(), tmp_path / "cache", 60.0), **others)
 
 
 def test_an_interrupted_benchmark_resumes_where_it_stopped(tmp_path: Path) -> None:
@@ -315,8 +315,8 @@ def test_what_changed_is_done_again_and_nothing_else(tmp_path: Path) -> None:
     assert asked() == 0
     assert asked(seeds=4) == 2
     assert asked(estimators=("a", "b", "c")) == 3
-    assert asked(workshop=NoWorkshop("2")) == 6
-    assert asked(workshop=NoWorkshop("2"), flights=(Flight("room-v0", "room", 0, "another", None),)) == 2
+    assert asked(pipeline=NoPipeline("2")) == 6
+    assert asked(pipeline=NoPipeline("2"), recordings=(RecordingSpec("room-v0", "room", 0, "another", None),)) == 2
     assert len(read_rows(tmp_path)) == 4 * 2 + 3  # rows of larger benchmarks stay
 
 
@@ -339,7 +339,7 @@ def test_runs_that_are_lost_with_their_machine_are_rows(tmp_path: Path) -> None:
 def test_a_recording_that_cannot_be_made_fails_all_its_runs(tmp_path: Path) -> None:
     rows = run_benchmark(benchmark(tmp_path, seeds=1), ResultStore(tmp_path), LocalEngine(2))
     assert len(rows) == 2
-    assert all(row.status != "ok" and row.reason.startswith("no recording to run on: ") for row in rows)
+    assert all(row.status != "ok" and row.reason.startswith("the recording cannot be made: ") for row in rows)
     assert [entry.name for entry in (tmp_path / "cache").iterdir()] == [".hash-0.lock"]
 
 
@@ -352,21 +352,21 @@ def test_the_local_engine_survives_what_no_job_should_do(tmp_path: Path) -> None
 # --- tables
 
 
-def test_a_failed_run_is_the_worst_of_the_spread() -> None:
+def test_a_failed_run_is_the_worst_of_the_quartiles() -> None:
     rows = [replace(OK, seed=seed, ate_m=0.1 * (seed + 1)) for seed in range(4)]
-    spread = Spread.of(rows, "ate_m")
-    assert spread is not None
-    assert spread.median == pytest.approx(0.25)
+    quartiles = quartiles_of_errors(rows, "ate_m")
+    assert quartiles is not None
+    assert quartiles.median == pytest.approx(0.25)
     failed = [*rows[:2], replace(CRASHED, seed=8), replace(CRASHED, seed=9)]
-    assert Spread.of(failed, "ate_m") == Spread(pytest.approx(0.2), math.inf, math.inf)
-    assert Spread.of(rows, "rpe_m") is None
-    assert failures(failed)[0] == ("room-v0, seed 8, a=b c", "crashed", "killed by SIGSEGV")
-    assert [(group.estimator, group.ok) for group in groups(failed)] == [("vio", 2), ("a=b c", 0)]
+    assert quartiles_of_errors(failed, "ate_m") == Quartiles(pytest.approx(0.2), math.inf, math.inf, runs=4, failed=2)
+    assert quartiles_of_errors(rows, "rpe_m") is None
+    assert failed_runs(failed)[0] == ("room-v0, seed 8, a=b c", "crashed", "killed by SIGSEGV")
+    assert [(group.estimator, group.ok) for group in run_groups(failed)] == [("vio", 2), ("a=b c", 0)]
 
 
 @pytest.mark.skipif(platform.system() != "Linux", reason="looks into /proc")
 def test_peak_memory_excludes_the_parent_process() -> None:
     ballast = b"x" * 300_000_000
-    peak_mb = isolated(math.sqrt, 4.0).peak_mb
+    peak_mb = call_in_process(math.sqrt, 4.0).peak_mb
     assert peak_mb is not None
     assert peak_mb * 1e6 < len(ballast)

@@ -9,16 +9,16 @@ import numpy as np
 import pytest
 
 from dronevio.eval.benchmark.isolation import Outcome
-from dronevio.eval.benchmark.jobs import COST_FILE, Cost, Flight, Job
+from dronevio.eval.benchmark.jobs import USAGE_FILE, Job, RecordingSpec, ResourceUsage
 from dronevio.eval.benchmark.rows import Row, Status
-from dronevio.eval.benchmark.runner import Benchmark
-from dronevio.eval.benchmark.sizing import Sizing
+from dronevio.eval.benchmark.runner import BenchmarkPlan
+from dronevio.eval.benchmark.sizing import JobUsage
 from dronevio.eval.benchmark.store import ResultStore
-from dronevio.eval.benchmark.summary import Spread
+from dronevio.eval.benchmark.summary import Quartiles, quartiles_of_errors
 
 
 @dataclass(frozen=True)
-class Workshop:
+class BenchmarkPipeline:
     """Makes a recording of 1500 bytes, and estimates with an error of 0.1 m."""
 
     versions: str = "1"
@@ -26,12 +26,12 @@ class Workshop:
     def config_hash(self, estimator: str) -> str:
         return "settings"
 
-    def record(self, flight: Flight, folder: Path) -> None:
+    def record(self, spec: RecordingSpec, folder: Path) -> None:
         (folder / "mav0").mkdir()
         (folder / "mav0" / "data.csv").write_bytes(bytes(1000))
         (folder / "note").write_bytes(bytes(500))
 
-    def estimate(self, flight: Flight, recording: Path, estimator: str) -> dict[str, Any]:
+    def estimate(self, spec: RecordingSpec, recording: Path, estimator: str) -> dict[str, Any]:
         return {"ate_m": 0.1}
 
 
@@ -41,38 +41,38 @@ def here(function: Callable[..., object], *arguments: object, **options: object)
 
 
 def run(estimator: str, status: Status = "ok", seed: int = 0, ate_m: float | None = None) -> Row:
-    return Row("s", "w", seed, estimator, "settings", "1", status, recording="hash", ate_m=ate_m)
+    return Row("s", "w", seed, estimator, "settings", "1", status, recording_hash="hash", ate_m=ate_m)
 
 
 def test_many_flights_take_as_many_times_as_much() -> None:
     """100 flights of 36 s and 500 MB, and 72 s and 10 MB of an estimator: 1 h and 2 h of processor time."""
-    sizing = Sizing(Cost(36.0, 99.0, 500.0), (("vio", Cost(72.0, 99.0, 10.0)),))
-    rows = sizing.scaled(flights=100, cores=4)
+    sizing = JobUsage(ResourceUsage(36.0, 99.0, 500.0), (("vio", ResourceUsage(72.0, 99.0, 10.0)),))
+    rows = sizing.scaled(recordings=100, cores=4)
     assert [name for name, *_ in rows] == ["recordings", "vio", "all"]
-    # Hours of processor time, hours on four cores, and GB.
+    # Hours of processor time, hours on four available_cores, and GB.
     np.testing.assert_allclose([row[1:] for row in rows], [[1.0, 0.25, 50.0], [2.0, 0.5, 1.0], [3.0, 0.75, 51.0]])
 
 
 def test_a_spread_is_the_median_and_the_quartiles() -> None:
     rows = [run("vio", seed=seed, ate_m=ate_m) for seed, ate_m in enumerate((5.0, 1.0, 4.0, 2.0, 3.0))]
-    assert Spread.of(rows, "ate_m") == Spread(low=2.0, median=3.0, high=4.0)
+    assert quartiles_of_errors(rows, "ate_m") == Quartiles(lower=2.0, median=3.0, upper=4.0, runs=5, failed=0)
 
 
 def test_a_retry_repeats_failed_runs_only(tmp_path: Path) -> None:
     store = ResultStore(tmp_path)
     for row in (run("a"), run("b", "failed"), run("c", "timeout"), run("d", "crashed")):
         store.add(row)
-    flight = Flight("s", "w", 0, "hash", None)
-    benchmark = Benchmark((flight,), ("a", "b", "c", "d", "e"), Workshop(), tmp_path / "cache", 60.0)
-    assert [job.estimators for job in benchmark.jobs(store)] == [("e",)]
-    assert [job.estimators for job in benchmark.jobs(store, retry=True)] == [("b", "c", "d", "e")]
+    flight = RecordingSpec("s", "w", 0, "hash", None)
+    plan = BenchmarkPlan((flight,), ("a", "b", "c", "d", "e"), BenchmarkPipeline(), tmp_path / "cache", 60.0)
+    assert [job.estimators for job in plan.missing_jobs(store)] == [("e",)]
+    assert [job.estimators for job in plan.missing_jobs(store, retry=True)] == [("b", "c", "d", "e")]
 
 
 def test_a_job_notes_what_its_recording_and_its_runs_took(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("dronevio.eval.benchmark.jobs.isolated", here)
-    job = Job(Flight("s", "w", 4, "hash", None), ("vio",), Workshop(), tmp_path, timeout_s=60.0)
-    [row] = job.carry_out()
-    cost = Cost.read(tmp_path / "hash" / COST_FILE)
+    monkeypatch.setattr("dronevio.eval.benchmark.jobs.call_in_process", here)
+    job = Job(RecordingSpec("s", "w", 4, "hash", None), ("vio",), BenchmarkPipeline(), tmp_path, timeout_s=60.0)
+    [row] = job.run()
+    cost = ResourceUsage.read(tmp_path / "hash" / USAGE_FILE)
     assert (cost.cpu_s, cost.wall_s, cost.disk_mb) == pytest.approx((2.0, 1.0, 1.5e-3))
     assert (row.identity, row.status, row.ate_m, row.wall_s, row.peak_mb) == (("s", 4, "vio"), "ok", 0.1, 1.0, 3.0)
 
@@ -81,7 +81,7 @@ def test_a_job_notes_what_its_recording_and_its_runs_took(tmp_path: Path, monkey
 def test_a_recording_is_dropped_unless_it_is_to_be_kept(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, keep: bool
 ) -> None:
-    monkeypatch.setattr("dronevio.eval.benchmark.jobs.isolated", here)
-    job = Job(Flight("s", "w", 0, "hash", None), ("a", "b"), Workshop(), tmp_path, 60.0, keep)
-    assert [row.estimator for row in job.carry_out()] == ["a", "b"]
+    monkeypatch.setattr("dronevio.eval.benchmark.jobs.call_in_process", here)
+    job = Job(RecordingSpec("s", "w", 0, "hash", None), ("a", "b"), BenchmarkPipeline(), tmp_path, 60.0, keep)
+    assert [row.estimator for row in job.run()] == ["a", "b"]
     assert (tmp_path / "hash").exists() == keep

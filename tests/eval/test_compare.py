@@ -11,7 +11,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from dronevio.eval.benchmark.rows import Row
-from dronevio.eval.compare import Ratio, compare, gate, pair_up, ratio_of
+from dronevio.eval.compare import Ratio, compare, gate, metric_ratio, pair_runs
 from dronevio.models.errors import ConfigError, EvaluationError
 
 FAILED = None
@@ -32,21 +32,21 @@ def rows(values: Sequence[float | None], estimator: str = "vio", **others: objec
 
 
 def ratio(first: Sequence[float | None], second: Sequence[float | None]) -> Ratio:
-    return ratio_of("ate_m", pair_up(rows(first), rows(second)))
+    return metric_ratio("ate_m", pair_runs(rows(first), rows(second)))
 
 
 def passes(first: Sequence[float | None], second: Sequence[float | None], limit: float = 5.0) -> bool:
-    return gate(pair_up(rows(first), rows(second)), limit).passed
+    return gate(pair_runs(rows(first), rows(second)), limit).passed
 
 
 @given(st.lists(errors, min_size=1, max_size=12), st.floats(0.0, 50.0))
 @settings(max_examples=30, deadline=None)
 def test_a_benchmark_passes_against_itself(values: list[float | None], limit: float) -> None:
-    verdict = gate(pair_up(rows(values), rows(values)), limit)
-    assert verdict.passed
-    for found in verdict.comparisons[0].ratios:
+    result = gate(pair_runs(rows(values), rows(values)), limit)
+    assert result.passed
+    for found in result.comparisons[0].ratios:
         assert (found.median, found.low, found.high, found.p) == (1.0, 1.0, 1.0, 1.0)
-        assert found.verdict.endswith("is the same")
+        assert found.conclusion.endswith("is the same")
 
 
 @given(st.lists(st.floats(1e-4, 1e3), min_size=1, max_size=12))
@@ -80,9 +80,9 @@ def test_swapping_the_two_gives_the_reciprocal(pairs: list[tuple[float | None, f
 @settings(max_examples=40, deadline=None)
 def test_failing_never_helps(pairs: list[tuple[float | None, float | None]], which: int) -> None:
     first, second = (list(values) for values in zip(*pairs, strict=True))
-    before = gate(pair_up(rows(first), rows(second)), 5.0)
+    before = gate(pair_runs(rows(first), rows(second)), 5.0)
     second[which % len(second)] = FAILED
-    after = gate(pair_up(rows(first), rows(second)), 5.0)
+    after = gate(pair_runs(rows(first), rows(second)), 5.0)
     assert after.comparisons[0].pairs == len(pairs)
     assert after.comparisons[0].ratios[0].median >= before.comparisons[0].ratios[0].median
     assert before.passed or not after.passed
@@ -91,10 +91,10 @@ def test_failing_never_helps(pairs: list[tuple[float | None, float | None]], whi
 @pytest.mark.parametrize("count", [1, 2, 3, 10, 19])
 def test_one_failed_run_of_few_fails(count: int) -> None:
     first = [0.1] * count
-    verdict = gate(pair_up(rows(first), rows([FAILED, *first[1:]])), 5.0)
-    assert not verdict.passed
-    assert any(f"1 of {count} runs failed, 0 before" in text for text in verdict.objections)
-    assert verdict.comparisons[0].newly_failed == ("room-v0, seed 0, vio: crashed, killed by SIGSEGV",)
+    result = gate(pair_runs(rows(first), rows([FAILED, *first[1:]])), 5.0)
+    assert not result.passed
+    assert any(f"1 of {count} runs failed, 0 before" in text for text in result.violations)
+    assert result.comparisons[0].newly_failed == ("room-v0, seed 0, vio: crashed, killed by SIGSEGV",)
     assert passes([FAILED, *first[1:]], first)
 
 
@@ -115,12 +115,12 @@ def test_a_failed_run_is_worse_than_any_number_and_two_are_alike() -> None:
 def test_a_missing_figure_is_the_worst_unless_both_miss_it() -> None:
     first, second = rows([0.1, 0.1, 0.1]), rows([0.1, 0.1, 0.1])
     second[0] = replace(second[0], rpe_m=None)
-    assert ratio_of("rpe_m", pair_up(first, second)).high == math.inf
+    assert metric_ratio("rpe_m", pair_runs(first, second)).high == math.inf
     first[0] = replace(first[0], rpe_m=None)
-    found = ratio_of("rpe_m", pair_up(first, second))
-    assert (found.pairs, found.unknown, found.median) == (2, 1, 1.0)
-    with pytest.raises(EvaluationError, match="velocity_m_s is known of no run"):
-        ratio_of("velocity_m_s", pair_up(first, second))
+    found = metric_ratio("rpe_m", pair_runs(first, second))
+    assert (found.pairs, found.missing, found.median) == (2, 1, 1.0)
+    with pytest.raises(EvaluationError, match="no run has a value of velocity_m_s"):
+        metric_ratio("velocity_m_s", pair_runs(first, second))
 
 
 def test_the_signed_rank_test_is_that_of_scipy() -> None:
@@ -149,54 +149,54 @@ def test_the_interval_covers_the_median_as_often_as_stated() -> None:
 
 def test_the_bootstrap_is_seeded() -> None:
     rng = np.random.default_rng(7)
-    pairs = pair_up(rows([1.0] * 9), rows(rng.lognormal(0.0, 0.5, 9).tolist()))
-    assert ratio_of("ate_m", pairs, seed=1) == ratio_of("ate_m", pairs, seed=1)
+    pairs = pair_runs(rows([1.0] * 9), rows(rng.lognormal(0.0, 0.5, 9).tolist()))
+    assert metric_ratio("ate_m", pairs, seed=1) == metric_ratio("ate_m", pairs, seed=1)
 
 
 def test_words() -> None:
     rng = np.random.default_rng(11)
     first = rng.uniform(0.05, 0.2, 12).tolist()
-    assert "ate_m 20.0 % larger, clearly worse" in ratio(first, [1.2 * v for v in first]).verdict
-    assert "ate_m 20.0 % smaller, clearly better" in ratio(first, [0.8 * v for v in first]).verdict
-    assert "too few to tell it from chance" in ratio(first[:5], [1.2 * v for v in first[:5]]).verdict
+    assert "ate_m 20.0 % larger, significantly worse" in ratio(first, [1.2 * v for v in first]).conclusion
+    assert "ate_m 20.0 % smaller, significantly better" in ratio(first, [0.8 * v for v in first]).conclusion
+    assert "too few for a test of significance" in ratio(first[:5], [1.2 * v for v in first[:5]]).conclusion
     noise = ratio(first, [v * f for v, f in zip(first, rng.permutation([0.8, 1.25] * 6), strict=True)])
-    assert "no clear difference" in noise.verdict
+    assert "not significant" in noise.conclusion
 
 
 def test_lost_coverage_fails_though_what_is_left_is_accurate() -> None:
     first, second = rows([0.1] * 4), rows([0.05] * 4, coverage_percent=60.0)
-    verdict = gate(pair_up(first, second), 5.0)
-    assert verdict.objections == ("vio: mean coverage 60.0 %, 100.0 % before",)
+    result = gate(pair_runs(first, second), 5.0)
+    assert result.violations == ("vio: mean coverage 60.0 %, 100.0 % before",)
 
 
 def test_every_estimator_is_judged_by_itself() -> None:
     first = rows([0.1] * 3) + rows([0.1] * 3, "other")
     second = rows([0.05] * 3) + rows([0.2] * 3, "other")
-    verdict = gate(pair_up(first, second), 5.0)
-    assert [one.estimator for one in verdict.comparisons] == ["other", "vio"]
-    assert verdict.objections
-    assert all(text.startswith("other:") for text in verdict.objections)
+    result = gate(pair_runs(first, second), 5.0)
+    assert [one.estimator for one in result.comparisons] == ["other", "vio"]
+    assert result.violations
+    assert all(text.startswith("other:") for text in result.violations)
 
 
 def test_missing_partners_are_an_error_unless_allowed() -> None:
     first, second = rows([0.1] * 3), rows([0.1] * 5)
     with pytest.raises(EvaluationError, match=r"2 runs without a partner: room-v0, seed 3, vio \(only in the second\)"):
-        pair_up(first, second)
-    assert len(pair_up(first, second, allow_missing=True)) == 3
+        pair_runs(first, second)
+    assert len(pair_runs(first, second, allow_missing=True)) == 3
     with pytest.raises(EvaluationError, match="no run is in both"):
-        pair_up(first, rows([0.1], "other"), allow_missing=True)
+        pair_runs(first, rows([0.1], "other"), allow_missing=True)
 
 
 def test_signs_are_ignored_and_other_recordings_are_counted() -> None:
-    first = rows([0.1], scale_error_percent=-2.0, recording="a")
-    second = rows([0.1], scale_error_percent=3.0, recording="b")
-    (one,) = compare(pair_up(first, second), ["scale_error_percent"])
+    first = rows([0.1], scale_error_percent=-2.0, recording_hash="a")
+    second = rows([0.1], scale_error_percent=3.0, recording_hash="b")
+    (one,) = compare(pair_runs(first, second), ["scale_error_percent"])
     assert one.ratios[0].median == pytest.approx(1.5)
-    assert one.other_recordings == 1
+    assert one.different_recordings == 1
 
 
 def test_nonsense_is_refused() -> None:
-    pairs = pair_up(rows([0.1]), rows([0.1]))
+    pairs = pair_runs(rows([0.1]), rows([0.1]))
     with pytest.raises(ConfigError, match="nees_position; expected some of ate_m"):
         compare(pairs, ["nees_position"])
     for limit in (-1.0, math.nan, math.inf):

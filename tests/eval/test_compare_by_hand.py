@@ -3,7 +3,7 @@
 import pytest
 
 from dronevio.eval.benchmark.rows import Row
-from dronevio.eval.compare import Ratio, compare, gate, pair_up, ratio_of
+from dronevio.eval.compare import Ratio, compare, gate, metric_ratio, pair_runs
 
 
 def run(seed: int, coverage_percent: float | None, ate_m: float = 0.1) -> Row:
@@ -15,7 +15,7 @@ def against_one(errors_m: list[float]) -> Ratio:
     """The ratio of some errors to errors of 1 m."""
     first = [run(number, 100.0, 1.0) for number in range(len(errors_m))]
     second = [run(number, 100.0, ate_m) for number, ate_m in enumerate(errors_m)]
-    return ratio_of("ate_m", pair_up(first, second))
+    return metric_ratio("ate_m", pair_runs(first, second))
 
 
 def failed(seed: int) -> Row:
@@ -26,7 +26,7 @@ def test_a_failed_run_covers_nothing() -> None:
     """Mean of 90, 100 and 0 %; what a run that is ok does not know counts on neither side."""
     first = [run(0, 90.0), run(1, 100.0), failed(2), run(3, None)]
     second = [failed(0), failed(1), failed(2), run(3, None)]
-    (found,) = compare(pair_up(first, second))
+    (found,) = compare(pair_runs(first, second))
     assert found.coverage_percent == (190.0 / 3.0, None)
     assert found.failed == (1, 3)
     assert found.newly_failed == tuple(f"s, seed {seed}, vio: timeout, no end after 9 s" for seed in (0, 1))
@@ -36,11 +36,11 @@ def test_failed_runs_lower_the_coverage_of_a_gate() -> None:
     """One of four runs fails: a quarter of the runs, and of the coverage."""
     first = [run(seed, 100.0) for seed in range(4)]
     second = [*first[:3], failed(3)]
-    runs, coverage = gate(pair_up(first, second), 24.0).objections
+    runs, coverage = gate(pair_runs(first, second), 24.0).violations
     assert runs == "vio: 1 of 4 runs failed, 0 before"
     assert coverage == "vio: mean coverage 75.0 %, 100.0 % before"
-    assert gate(pair_up(first, second), 26.0).passed
-    assert gate(pair_up(second, first), 0.0).passed
+    assert gate(pair_runs(first, second), 26.0).passed
+    assert gate(pair_runs(second, first), 0.0).passed
 
 
 def test_a_gate_judges_the_median_not_its_interval() -> None:
@@ -50,17 +50,17 @@ def test_a_gate_judges_the_median_not_its_interval() -> None:
     assert (found.median, found.low, found.high) == pytest.approx((1.2, 0.5, 1.2))
     first = [run(seed, 100.0, 1.0) for seed in range(5)]
     second = [run(seed, 100.0, ate_m) for seed, ate_m in enumerate(errors_m)]
-    objections = gate(pair_up(first, second), 19.0).objections
+    objections = gate(pair_runs(first, second), 19.0).violations
     assert [text.partition(" (")[0] for text in objections] == ["vio: ate_m 20.0 % larger", "vio: rpe_m 20.0 % larger"]
-    assert gate(pair_up(first, second), 21.0).passed
+    assert gate(pair_runs(first, second), 21.0).passed
 
 
-def test_a_difference_is_clear_below_five_percent_only() -> None:
+def test_a_difference_is_significant_below_five_percent_only() -> None:
     """Six pairs: 4 of 2⁶ signs are as extreme where the least ratio has the other sign, 2 where none has."""
     mostly = against_one([0.99, 1.5, 1.6, 1.7, 1.8, 1.9])
     assert mostly.p == pytest.approx(1 / 16)
     assert mostly.low > 1.0
-    assert "no clear difference" in mostly.verdict
+    assert "not significant" in mostly.conclusion
     always = against_one([1.01, 1.5, 1.6, 1.7, 1.8, 1.9])
     assert always.p == pytest.approx(1 / 32)
-    assert "clearly worse" in always.verdict
+    assert "significantly worse" in always.conclusion

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from dronevio.eval.benchmark.rows import Row, figures_of, read_results
+from dronevio.eval.benchmark.rows import Row, read_results, score_columns
 from dronevio.eval.metrics import LengthErrors, Scores, Statistics, score
 from dronevio.models.state import Trajectory
 
@@ -30,8 +30,8 @@ def scores() -> Scores:
     square = Trajectory(10**9 * np.arange(4), p, np.tile([1.0, 0, 0, 0], (4, 1)))
     return replace(
         score(square, square),
-        first_s=1.0,
-        last_s=2.0,
+        first_pose_s=1.0,
+        last_pose_s=2.0,
         path_m=3.0,
         ate_m=statistics(4.0),
         ate_deg=statistics(5.0),
@@ -44,7 +44,7 @@ def scores() -> Scores:
         gyro_bias_rad_s=statistics(33.0),
         accel_bias_m_s2=statistics(34.0),
         coverage_percent=35.0,
-        initialized_s=36.0,
+        initialization_s=36.0,
         nees_position=37.0,
         nees_orientation=38.0,
         nees_position_inside_percent=39.0,
@@ -55,9 +55,9 @@ def scores() -> Scores:
 
 
 def test_figures_come_from_the_scores_of_their_names(scores: Scores) -> None:
-    assert figures_of(scores) == {
+    assert score_columns(scores) == {
         "coverage_percent": 35.0,
-        "first_s": 1.0,
+        "first_pose_s": 1.0,
         "path_m": 3.0,
         "ate_m": 4.0,
         "ate_deg": 5.0,
@@ -67,22 +67,28 @@ def test_figures_come_from_the_scores_of_their_names(scores: Scores) -> None:
         "drift_percent": 30.0,
         "nees_position": 37.0,
         "nees_orientation": 38.0,
-        "beyond_3_sigma_percent": 41.0,
+        "position_beyond_3_sigma_percent": 41.0,
         "velocity_m_s": 32.0,
-        "length_m": (10.0, 20.0),
-        "rpe_len_m": (11.0, 21.0),
-        "rpe_len_deg": (13.0, 23.0),
+        "sub_trajectory_m": (10.0, 20.0),
+        "sub_trajectory_rpe_m": (11.0, 21.0),
+        "sub_trajectory_rpe_deg": (13.0, 23.0),
     }
-    missing = figures_of(replace(scores, rpe_m=None, rpe_deg=None, velocity_m_s=None, lengths=()))
+    missing = score_columns(replace(scores, rpe_m=None, rpe_deg=None, velocity_m_s=None, lengths=()))
     assert {name for name, value in missing.items() if value is None} == {"rpe_m", "rpe_deg", "velocity_m_s"}
-    assert missing["length_m"] == ()
+    assert missing["sub_trajectory_m"] == ()
 
 
 def test_a_report_is_read_as_the_row_of_its_run(tmp_path: Path) -> None:
     def errors(rmse: float) -> dict[str, float]:
         return {"rmse": rmse, "mean": rmse + 0.5, "max": rmse + 0.7}
 
-    plain = {"coverage_percent": 1.0, "first_s": 2.0, "path_m": 3.0, "drift_percent": 4.0, "scale_error_percent": 5.0}
+    plain = {
+        "coverage_percent": 1.0,
+        "first_pose_s": 2.0,
+        "path_m": 3.0,
+        "drift_percent": 4.0,
+        "scale_error_percent": 5.0,
+    }
     consistency = {"nees_position": 6.0, "nees_orientation": 7.0}
     several = {"ate_m": errors(8.0), "ate_deg": errors(9.0), "rpe_m": errors(10.0), "rpe_deg": None}
     timing = {"cpu_ms_mean": 12.0, "cpu_ms_p99": 13.0, "real_time_factor": 14.0}

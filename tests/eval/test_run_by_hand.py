@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from dronevio.eval.run import EstimatorRun, Latency, running_scores
+from dronevio.eval.run import EstimatorRun, Latency, score_run
 from dronevio.models.state import Estimate, Health, NavState
 
 SECOND_NS = 1_000_000_000
@@ -30,10 +30,10 @@ def run_of(letters: str) -> EstimatorRun:
     ],
 )
 def test_losses_and_resets(letters: str, poses: int, lost: int, resets: int, coverage_percent: float) -> None:
-    found = running_scores(run_of(letters))
+    found = score_run(run_of(letters))
     assert (found.frames, found.poses, found.lost_frames, found.resets) == (8, poses, lost, resets)
     assert found.coverage_percent == coverage_percent
-    assert found.initialized_s == (2.0 if poses else None)
+    assert found.initialization_s == (2.0 if poses else None)
     assert (found.real_time_factor, found.real_time_factor_wall) == pytest.approx((7.0 / 0.8, 7.0 / 1.6))
 
 

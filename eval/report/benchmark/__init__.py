@@ -1,4 +1,4 @@
-"""Reports of benchmarks: their statistics, pages, plots and tables."""
+"""The report of a benchmark: an HTML page, and tables as Markdown, LaTeX and CSV."""
 
 from typing import TYPE_CHECKING
 

@@ -1,7 +1,7 @@
-"""What a benchmark says: medians and spreads of every estimator in every scenario, the failed runs included.
+"""The results of a benchmark: medians and quartiles of every measure, estimator and scenario, with failed runs.
 
-A run that failed is worse than any that did not, so an estimator cannot look good by giving up: it takes its place at
-the bad end when medians and quartiles are taken, and a median reads "failed" where it falls on such a run.
+A failed run ranks behind all others in medians and quartiles, so that an estimator does not look better by failing.
+A median that falls on a failed run is shown as "failed".
 """
 
 import math
@@ -13,42 +13,42 @@ from pathlib import Path
 from typing import Literal
 
 from dronevio.eval.benchmark.rows import Row, read_rows
+from dronevio.eval.benchmark.summary import Quartiles
 from dronevio.models.errors import ConfigError, InputError
 
 FAILED = "failed"
-"""What stands where a median falls on a failed run."""
-QUARTILES = (0.25, 0.5, 0.75)
+"""Text of a median that falls on a failed run."""
 
 
 @dataclass(frozen=True)
 class Measure:
-    """One number of a run, by which estimators are compared."""
+    """A figure of a run by which estimators are compared."""
 
     column: str
-    """Its name in the rows."""
+    """Name of the column of `Row`."""
     title: str
-    """What it is called."""
+    """Title for tables and plots."""
     unit: str
-    """Its unit; a dash where it has none."""
+    """Unit of the values; a dash if they have none."""
     best: Literal["low", "high", "three", "none"] = "low"
-    """Which value is best: the smallest, the largest, the one nearest to 3; or none is better than another."""
+    """Which value is best: the smallest, the largest, the one nearest to 3, or none."""
     counts_failed: bool = True
-    """Whether a failed run counts as the worst; if not, it is left out, because it says nothing."""
+    """Whether a failed run counts as the worst value; otherwise it is left out."""
     decimals: int | None = None
-    """Digits behind the point; None for three digits in all."""
+    """Number of decimals; None for three significant digits."""
 
     @property
     def heading(self) -> str:
-        """The title with its unit."""
+        """Title and unit."""
         return f"{self.title} [{self.unit}]"
 
     @property
     def worst(self) -> float:
-        """What a failed run counts as."""
+        """The value of a failed run: ∞, or −∞ if large values are good."""
         return -math.inf if self.best == "high" else math.inf
 
     def of(self, row: Row) -> float | None:
-        """Return the value of a run: `worst` if it failed and that counts, None if there is none."""
+        """Return the value of a run: `worst` if it failed and that counts, None if it has none."""
         if row.status != "ok" and self.counts_failed:
             return self.worst
         value: float | None = getattr(row, self.column)
@@ -56,14 +56,14 @@ class Measure:
             return None
         return abs(value) if self.column == "scale_error_percent" else value
 
-    def badness(self, value: float) -> float:
-        """Return how bad a value is; the best has the smallest."""
+    def ranking_key(self, value: float) -> float:
+        """Return the key by which values are ranked; the best value has the smallest key."""
         if self.best == "three":
             return abs(math.log(value / 3.0)) if 0.0 < value < math.inf else math.inf
         return {"low": value, "high": -value, "none": 0.0}[self.best]
 
     def text(self, value: float) -> str:
-        """Return a value for people."""
+        """Return a value as text."""
         if math.isinf(value):
             return FAILED
         digits = f"{value:.{self.decimals}f}" if self.decimals is not None else significant(value)
@@ -75,156 +75,141 @@ MEASURES = (
     Measure("ate_deg", "ATE, orientation", "°"),
     Measure("rpe_m", "RPE over 1 s, position", "m"),
     Measure("rpe_deg", "RPE over 1 s, orientation", "°"),
-    Measure("drift_percent", "Drift", "% of the way"),
-    Measure("scale_error_percent", "Scale error, size", "%"),
+    Measure("drift_percent", "Drift", "% of the path length"),
+    Measure("scale_error_percent", "Absolute scale error", "%"),
     Measure("velocity_m_s", "Velocity error", "m/s"),
     Measure("coverage_percent", "Coverage", "% of the frames", best="high", decimals=1),
-    Measure("first_s", "Time to the first pose", "s"),
-    Measure("nees_position", "NEES, position, 3 expected", "–", best="three"),
-    Measure("nees_orientation", "NEES, orientation, 3 expected", "–", best="three"),
-    Measure("beyond_3_sigma_percent", "Beyond 3σ, 0.27 expected", "% of the errors"),
-    Measure("cpu_ms_mean", "Processor time a frame, mean", "ms", counts_failed=False),
-    Measure("cpu_ms_p99", "Processor time a frame, 99 % under", "ms", counts_failed=False),
+    Measure("first_pose_s", "Time of the first pose", "s"),
+    Measure("nees_position", "NEES of the position, 3 expected", "–", best="three"),
+    Measure("nees_orientation", "NEES of the orientation, 3 expected", "–", best="three"),
+    Measure("position_beyond_3_sigma_percent", "Position errors beyond 3σ, 0.27 expected", "%"),
+    Measure("cpu_ms_mean", "Mean processor time per frame", "ms", counts_failed=False),
+    Measure("cpu_ms_p99", "99th percentile of the processor time per frame", "ms", counts_failed=False),
     Measure("real_time_factor", "Real-time factor", "×", best="high", counts_failed=False),
-    Measure("peak_mb", "Memory", "MB", counts_failed=False),
-    Measure("wall_s", "Time of the whole run", "s", best="none", counts_failed=False),
+    Measure("peak_mb", "Peak memory", "MB", counts_failed=False),
+    Measure("wall_s", "Elapsed time of the run", "s", best="none", counts_failed=False),
 )
-"""All that is compared; what no run has is left out."""
+"""All measures; those that no run has are omitted from reports."""
 MAIN_MEASURES = ("ate_m", "rpe_m", "drift_percent", "coverage_percent", "cpu_ms_mean")
-"""Columns of what tables for reading show unless told otherwise."""
+"""Columns of the measures that Markdown and LaTeX tables show by default."""
 
 
 @dataclass(frozen=True)
-class Spread:
-    """What many runs say of one measure, failed runs at the bad end."""
-
-    median: float
-    """Their median; infinite where it falls on a failed run."""
-    lower: float
-    """Lower quartile."""
-    upper: float
-    """Upper quartile."""
-    runs: int
-    """How many runs there are."""
-    failed: int
-    """How many of them failed."""
-
-
-@dataclass(frozen=True)
-class Failure:
-    """Runs that failed in the same way."""
+class FailureGroup:
+    """Runs of one estimator on one scenario that failed for the same reason."""
 
     estimator: str
-    """Who estimated."""
+    """Label of the estimator."""
     scenario: str
-    """What was flown."""
+    """Name of the scenario."""
     status: str
-    """How they ended."""
+    """How the runs ended."""
     reason: str
-    """Why."""
+    """Why the runs failed."""
     seeds: tuple[int | None, ...]
-    """Seeds of the runs, in order; None for recordings from elsewhere."""
+    """Seeds of the runs in ascending order; None for existing recordings."""
 
 
 @dataclass(frozen=True)
-class Benchmark:
+class BenchmarkResults:
     """The runs of a benchmark, by scenario and estimator."""
 
     title: str
-    """What to call it."""
+    """Title of the report."""
     rows: tuple[Row, ...]
-    """All runs."""
+    """All runs of the benchmark."""
 
     @cached_property
     def scenarios(self) -> tuple[str, ...]:
-        """What was flown, by name."""
+        """Names of the scenarios, sorted."""
         return tuple(sorted({row.scenario for row in self.rows}))
 
     @cached_property
     def estimators(self) -> tuple[str, ...]:
-        """Who estimated, by name."""
+        """Labels of the estimators, sorted."""
         return tuple(sorted({row.estimator for row in self.rows}))
 
     @cached_property
     def measures(self) -> tuple[Measure, ...]:
-        """What at least one run has been measured by."""
+        """The measures that at least one run has."""
         scored = [row for row in self.rows if row.status == "ok"] or self.rows
         return tuple(m for m in MEASURES if any(getattr(row, m.column) is not None for row in scored))
 
     @cached_property
-    def _by_cell(self) -> dict[tuple[str, str], list[Row]]:
+    def _rows_by_cell(self) -> dict[tuple[str, str], list[Row]]:
         cells: dict[tuple[str, str], list[Row]] = {}
         for row in self.rows:
             cells.setdefault((row.scenario, row.estimator), []).append(row)
         return cells
 
     @cached_property
-    def _who_tells(self) -> dict[str, frozenset[str]]:
-        told = {m.column: {r.estimator for r in self.rows if getattr(r, m.column) is not None} for m in MEASURES}
-        silent = frozenset(self.estimators) - {row.estimator for row in self.rows if row.status == "ok"}
-        return {column: silent | names for column, names in told.items()}
+    def _estimators_by_column(self) -> dict[str, frozenset[str]]:
+        """The estimators of which a run has a value in a column, and those of which no run has scores at all."""
+        found = {m.column: {r.estimator for r in self.rows if getattr(r, m.column) is not None} for m in MEASURES}
+        unscored = frozenset(self.estimators) - {row.estimator for row in self.rows if row.status == "ok"}
+        return {column: unscored | names for column, names in found.items()}
 
     def runs(self, estimator: str, scenario: str | None = None) -> list[Row]:
-        """Return the runs of an estimator, in one scenario or in all."""
+        """Return the runs of an estimator in one scenario, or in all if it is None."""
         chosen = self.scenarios if scenario is None else (scenario,)
-        return [row for name in chosen for row in self._by_cell.get((name, estimator), ())]
+        return [row for name in chosen for row in self._rows_by_cell.get((name, estimator), ())]
 
-    def spread(self, measure: Measure, estimator: str, scenario: str | None = None) -> Spread | None:
-        """Return what an estimator's runs say of a measure; None where they say nothing, or it never tells it."""
-        if estimator not in self._who_tells[measure.column]:
+    def quartiles(self, measure: Measure, estimator: str, scenario: str | None = None) -> Quartiles | None:
+        """Return the quartiles of a measure over an estimator's runs; None if it does not have the measure."""
+        if estimator not in self._estimators_by_column[measure.column]:
             return None
-        return spread(measure, self.runs(estimator, scenario))
+        return measure_quartiles(measure, self.runs(estimator, scenario))
 
-    def telling(self, measure: Measure) -> tuple[str, ...]:
-        """Return the estimators that have been measured by something, or might have been, had not all runs failed."""
-        return tuple(name for name in self.estimators if name in self._who_tells[measure.column])
+    def estimators_with(self, measure: Measure) -> tuple[str, ...]:
+        """Return the estimators that have a measure, and those of which all runs failed."""
+        return tuple(name for name in self.estimators if name in self._estimators_by_column[measure.column])
 
     def best(self, measure: Measure, scenario: str | None = None) -> frozenset[str]:
-        """Return the estimators with the best median; none where none is better than another."""
-        spreads = {name: self.spread(measure, name, scenario) for name in self.estimators}
-        badness = {name: measure.badness(s.median) for name, s in spreads.items() if s is not None}
-        least = min(badness.values(), default=math.inf)
-        found = frozenset(name for name, value in badness.items() if value == least)
-        return found if len(found) < len(badness) else frozenset()
+        """Return the estimators with the best median; none if all are equal."""
+        found = {name: self.quartiles(measure, name, scenario) for name in self.estimators}
+        keys = {name: measure.ranking_key(q.median) for name, q in found.items() if q is not None}
+        smallest = min(keys.values(), default=math.inf)
+        best = frozenset(name for name, key in keys.items() if key == smallest)
+        return best if len(best) < len(keys) else frozenset()
 
     def wins(self, measure: Measure) -> Counter[str]:
-        """Return in how many scenarios each estimator is the best, or one of them."""
+        """Return the number of scenarios in which each estimator has the best median, ties included."""
         return Counter(name for scenario in self.scenarios for name in self.best(measure, scenario))
 
-    def failures(self) -> tuple[Failure, ...]:
-        """Return the runs that failed, those that did so in the same way together."""
+    def failures(self) -> tuple[FailureGroup, ...]:
+        """Return the runs that failed, grouped by estimator, scenario, status and reason."""
         groups: dict[tuple[str, str, str, str], list[int | None]] = {}
         for row in self.rows:
             if row.status != "ok":
                 groups.setdefault((row.estimator, row.scenario, row.status, row.reason), []).append(row.seed)
         return tuple(
-            Failure(*group, tuple(sorted(seeds, key=lambda seed: -1 if seed is None else seed)))
+            FailureGroup(*group, tuple(sorted(seeds, key=lambda seed: -1 if seed is None else seed)))
             for group, seeds in sorted(groups.items())
         )
 
 
-def read_benchmark(path: Path) -> Benchmark:
+def read_benchmark(path: Path) -> BenchmarkResults:
     """Read the results of a benchmark.
 
     Args:
-        path: A Parquet file, or a benchmark's folder.
+        path: A Parquet file, or the folder of a benchmark.
 
     Raises:
-        InputError: It is missing, damaged, no benchmark's, or holds no run.
+        InputError: The file is missing, damaged, not that of a benchmark, or holds no run.
     """
     rows = read_rows(path)
     if not rows:
-        raise InputError(path, "no runs", "one at least")
-    name = path.resolve()
-    title = name.name if name.is_dir() else name.parent.name if name.stem == "results" else name.stem
-    return Benchmark(title, tuple(sorted(rows, key=_order)))
+        raise InputError(path, "no runs", "at least one")
+    whole = path.resolve()
+    title = whole.name if whole.is_dir() else whole.parent.name if whole.stem == "results" else whole.stem
+    return BenchmarkResults(title, tuple(sorted(rows, key=_order)))
 
 
-def measure(column: str) -> Measure:
-    """Return the measure of that column.
+def find_measure(column: str) -> Measure:
+    """Return the measure of a column.
 
     Raises:
-        ConfigError: There is none.
+        ConfigError: There is no such measure.
     """
     found = next((m for m in MEASURES if m.column == column), None)
     if found is None:
@@ -233,29 +218,17 @@ def measure(column: str) -> Measure:
     return found
 
 
-def spread(what: Measure, rows: Sequence[Row]) -> Spread | None:
-    """Return what runs say of a measure; None if none of those that ended well says anything."""
+def measure_quartiles(measure: Measure, rows: Sequence[Row]) -> Quartiles | None:
+    """Return the quartiles of a measure over runs; None if no run that is ok has the measure."""
     scored = [row for row in rows if row.status == "ok"]
-    values = sorted(value for row in rows if (value := what.of(row)) is not None)
-    if not values or (scored and all(what.of(row) is None for row in scored)):
+    values = [value for row in rows if (value := measure.of(row)) is not None]
+    if not values or (scored and all(measure.of(row) is None for row in scored)):
         return None
-    lower, median, upper = (quantile(values, share) for share in QUARTILES)
-    return Spread(median, lower, upper, len(rows), len(rows) - len(scored))
-
-
-def quantile(ordered: Sequence[float], share: float) -> float:
-    """Return a quantile of ordered values: linear between neighbours, or the worse of them where a run failed."""
-    place = share * (len(ordered) - 1)
-    low, high = math.floor(place), math.ceil(place)
-    if math.isinf(ordered[-1]):
-        return ordered[high]
-    if math.isinf(ordered[0]):
-        return ordered[low]
-    return ordered[low] + (place - low) * (ordered[high] - ordered[low])
+    return Quartiles.of(values, len(rows), len(rows) - len(scored))
 
 
 def significant(value: float, digits: int = 3) -> str:
-    """Return a number with so many digits, without an exponent where that can be read."""
+    """Return a number with some significant digits, with an exponent only if it is very small or large."""
     if value and not 1e-4 <= abs(value) < 1e6:
         return f"{value:.{digits - 1}e}"
     if abs(value) >= 10**digits:
@@ -264,7 +237,7 @@ def significant(value: float, digits: int = 3) -> str:
 
 
 def seed_ranges(seeds: Iterable[int | None]) -> str:
-    """Return seeds in order as ranges: ``0–4, 7``."""
+    """Return ascending seeds as ranges, such as ``0–4, 7``."""
     found: list[list[int]] = []
     for seed in (seed for seed in seeds if seed is not None):
         if found and seed == found[-1][1] + 1:

@@ -1,4 +1,4 @@
-"""The page of a benchmark: who is best and how sure, then every scenario, every run, and what failed."""
+"""The page of a benchmark: overview, results by scenario, all runs, consistency, cost, failures and provenance."""
 
 from collections import Counter
 from functools import partial
@@ -6,166 +6,170 @@ from functools import partial
 from markupsafe import Markup
 
 from dronevio.eval.metrics import nees_bounds
-from dronevio.eval.report.benchmark import plots as drawn
-from dronevio.eval.report.benchmark.model import Benchmark, Measure, measure
-from dronevio.eval.report.benchmark.tables import READING, failure_table, measure_table, spread_text
-from dronevio.eval.report.figures import drawing
+from dronevio.eval.report.benchmark import plots
+from dronevio.eval.report.benchmark.model import BenchmarkResults, Measure, find_measure
+from dronevio.eval.report.benchmark.tables import NOTE, failure_table, measure_table, quartile_range
+from dronevio.eval.report.figures import svg_plot
 from dronevio.eval.report.tables import DASH, Cell, Table
 from dronevio.eval.report.templating import Tile, render_page
 
-ATE, DRIFT, NEES = measure("ate_m"), measure("drift_percent"), measure("nees_position")
-OPENED = ("ate_m", "drift_percent")  # tables that are not folded away
+ATE, DRIFT, NEES = find_measure("ate_m"), find_measure("drift_percent"), find_measure("nees_position")
+OPEN_MEASURES = ("ate_m", "drift_percent")
+"""Columns of the measures whose tables are open when the page is loaded."""
 RUN_COLUMNS = ("ate_m", "rpe_m", "drift_percent", "coverage_percent", "nees_position", "cpu_ms_mean", "wall_s")
-_MOST_RUNS = 2000  # in the list of all runs: a page of more would be slow
-_GRAPH_IN, _ROW_IN, _FRAME_IN = 2.9, 0.15, 1.1  # heights: a drawing; one row of dots, and what is around the rows
+"""Columns of the list of all runs."""
+_MAX_LISTED_RUNS = 2000  # a page with a longer list is slow
+_PLOT_HEIGHT_IN = 2.9
+_ROW_HEIGHT_IN, _ROW_MARGIN_IN = 0.15, 1.1  # of one row of dots, and around all rows
 
 
-def benchmark_page(benchmark: Benchmark) -> str:
+def benchmark_page(results: BenchmarkResults) -> str:
     """Return the page as HTML."""
-    listed = len(benchmark.rows) <= _MOST_RUNS
+    listed = len(results.rows) <= _MAX_LISTED_RUNS
     return render_page(
         "benchmark.html.j2",
-        benchmark.title,
-        _summary(benchmark),
+        results.title,
+        _summary(results),
         script="report.js",
-        cards=[_card(benchmark, name) for name in benchmark.estimators],
-        ranking=_ranking(benchmark),
-        scenario_count=_count(len(benchmark.scenarios), "scenario"),
-        reading=READING,
-        measures=_measures(benchmark),
-        dots=[_dots(benchmark, what, what.title) for what in (ATE, DRIFT) if what in benchmark.measures],
-        run_count=_count(len(benchmark.rows), "run"),
-        run_table=_run_table(benchmark) if listed else None,
-        lengths=_length_drawings(benchmark, None),
-        lengths_by_scenario=_lengths_by_scenario(benchmark),
-        consistency=_consistency(benchmark),
-        cost=_cost_drawings(benchmark),
-        failures=failure_table(benchmark),
-        provenance=_provenance(benchmark),
+        cards=[_card(results, name) for name in results.estimators],
+        wins=_wins(results),
+        scenario_count=len(results.scenarios),
+        note=NOTE,
+        measures=_measure_tables(results),
+        run_plots=[_run_plot(results, m) for m in (ATE, DRIFT) if m in results.measures],
+        run_count=_count(len(results.rows), "run"),
+        run_table=_run_table(results) if listed else None,
+        sub_trajectory_plots=_sub_trajectory_plots(results, None),
+        sub_trajectory_plots_by_scenario=_sub_trajectory_plots_by_scenario(results),
+        consistency=_consistency(results),
+        cost_plots=_cost_plots(results),
+        failures=failure_table(results),
+        provenance=_provenance(results),
     )
 
 
-def _summary(benchmark: Benchmark) -> str:
-    """Return what was done, in a sentence."""
-    seeds = {row.seed for row in benchmark.rows}
-    parts = (
-        _count(len(benchmark.scenarios), "scenario"),
-        _count(len(benchmark.estimators), "estimator"),
+def _summary(results: BenchmarkResults) -> str:
+    """Return the numbers of runs, scenarios, estimators and seeds, and how the runs ended, as a sentence."""
+    seeds = {row.seed for row in results.rows}
+    factors = (
+        _count(len(results.scenarios), "scenario"),
+        _count(len(results.estimators), "estimator"),
         _count(len(seeds), "seed"),
     )
-    statuses = Counter[str](row.status for row in benchmark.rows if row.status != "ok")
-    ended = f"{len(benchmark.rows) - statuses.total()} gave a result"
-    how = (("failed", "failed"), ("timeout", "timed out"), ("crashed", "crashed"))
-    bad = [f"{statuses[status]} {words}" for status, words in how if statuses[status]]
-    return f"{_count(len(benchmark.rows), 'run')}, {' × '.join(parts)}: {', '.join([ended, *bad])}."
+    statuses = Counter[str](row.status for row in results.rows if row.status != "ok")
+    scored = f"{len(results.rows) - statuses.total()} with scores"
+    endings = (("failed", "failed"), ("timeout", "timed out"), ("crashed", "crashed"))
+    others = [f"{statuses[status]} {words}" for status, words in endings if statuses[status]]
+    return f"{_count(len(results.rows), 'run')}, {' × '.join(factors)}: {', '.join([scored, *others])}."
 
 
-def _ranking(benchmark: Benchmark) -> str:
-    """Return in how many scenarios each estimator is the best, in words."""
-    wins = benchmark.wins(ATE)
-    return ", ".join(f"{name} in {wins[name]}" for name in sorted(wins, key=lambda name: (-wins[name], name)))
+def _wins(results: BenchmarkResults) -> list[tuple[str, int]]:
+    """Return each estimator with the number of scenarios in which it has the smallest median ATE, best first."""
+    return sorted(results.wins(ATE).items(), key=lambda item: (-item[1], item[0]))
 
 
-def _card(benchmark: Benchmark, estimator: str) -> Tile:
-    runs = benchmark.runs(estimator)
+def _card(results: BenchmarkResults, estimator: str) -> Tile:
+    """Return the main results of an estimator over all scenarios."""
+    runs = results.runs(estimator)
     scored = sum(row.status == "ok" for row in runs)
-    notes = [f"{scored} of {_count(len(runs), 'run')} gave a result"]
-    for what, text in (
-        (DRIFT, "drift {} % of the way"),
-        (measure("coverage_percent"), "coverage {} %"),
-        (measure("cpu_ms_mean"), "{} ms a frame"),
+    notes = [f"{scored} of {_count(len(runs), 'run')} with scores"]
+    for measure, text in (
+        (DRIFT, "drift {} % of the path length"),
+        (find_measure("coverage_percent"), "coverage {} %"),
+        (find_measure("cpu_ms_mean"), "{} ms per frame"),
     ):
-        found = benchmark.spread(what, estimator)
-        notes += [] if found is None else [text.format(what.text(found.median))]
-    found = benchmark.spread(ATE, estimator)
-    value = DASH if found is None else ATE.text(found.median)
-    spread = "" if found is None else f" {spread_text(ATE, found)}"
-    colour = drawn.colour_of(benchmark, estimator)
-    return Tile(estimator, value, "m", "\n".join((f"median ATE{spread}", *notes)), colour)
+        quartiles = results.quartiles(measure, estimator)
+        notes += [] if quartiles is None else [text.format(measure.text(quartiles.median))]
+    quartiles = results.quartiles(ATE, estimator)
+    value = DASH if quartiles is None else ATE.text(quartiles.median)
+    ate_range = "" if quartiles is None else f" {quartile_range(ATE, quartiles)}"
+    colour = plots.colour_of(results, estimator)
+    return Tile(estimator, value, "m", "\n".join((f"median ATE{ate_range}", *notes)), colour)
 
 
-def _measures(benchmark: Benchmark) -> list[tuple[str, Table, bool]]:
-    """Return heading and table of each measure, and whether it is opened: the main ones."""
-    ordered = sorted(benchmark.measures, key=lambda what: what.column not in OPENED)
-    return [(what.heading, measure_table(benchmark, what), what.column in OPENED) for what in ordered]
+def _measure_tables(results: BenchmarkResults) -> list[tuple[str, Table, bool]]:
+    """Return heading and table of each measure, and whether it is open; open ones come first."""
+    ordered = sorted(results.measures, key=lambda measure: measure.column not in OPEN_MEASURES)
+    return [(m.heading, measure_table(results, m), m.column in OPEN_MEASURES) for m in ordered]
 
 
-def _dots(benchmark: Benchmark, what: Measure, title: str, expected: tuple[float, float] | None = None) -> Markup:
-    height = _FRAME_IN + _ROW_IN * len(benchmark.scenarios) * max(2, len(benchmark.estimators))
-    draw = partial(drawn.draw_runs, benchmark=benchmark, measure=what, title=title, expected=expected)
-    medians = ((name, benchmark.spread(what, name)) for name in benchmark.telling(what))
-    alt = ", ".join(f"{name} {what.text(found.median)}" for name, found in medians if found is not None)
-    return drawing(height, draw, f"{what.heading} of every run; medians {alt}")
+def _run_plot(results: BenchmarkResults, measure: Measure, expected: tuple[float, float] | None = None) -> Markup:
+    """Return a plot with a dot for each run, and with the medians as its description."""
+    height = _ROW_MARGIN_IN + _ROW_HEIGHT_IN * len(results.scenarios) * max(2, len(results.estimators))
+    draw = partial(plots.draw_runs, results=results, measure=measure, title=measure.title, expected=expected)
+    found = ((name, results.quartiles(measure, name)) for name in results.estimators_with(measure))
+    medians = ", ".join(f"{name} {measure.text(q.median)}" for name, q in found if q is not None)
+    return svg_plot(height, draw, f"{measure.heading} of every run; medians {medians}")
 
 
-def _length_drawings(benchmark: Benchmark, scenario: str | None) -> list[Markup]:
-    """Return the errors by length of the way in one scenario or over all; none where no run has any."""
-    if not any(row.length_m for row in benchmark.rows if scenario in (None, row.scenario)):
+def _sub_trajectory_plots(results: BenchmarkResults, scenario: str | None) -> list[Markup]:
+    """Return plots of relative errors in one scenario, or in all if it is None; none if no run has such errors."""
+    if not any(row.sub_trajectory_m for row in results.rows if scenario in (None, row.scenario)):
         return []
+    kinds: tuple[plots.Kind, ...] = ("position", "orientation")
     return [
-        drawing(_GRAPH_IN, partial(drawn.draw_lengths, benchmark=benchmark, scenario=scenario, kind=kind))
-        for kind in ("position", "orientation")
+        svg_plot(
+            _PLOT_HEIGHT_IN,
+            partial(plots.draw_sub_trajectory_errors, results=results, scenario=scenario, kind=kind),
+        )
+        for kind in kinds
     ]
 
 
-def _lengths_by_scenario(benchmark: Benchmark) -> list[tuple[str, list[Markup]]]:
-    """Return the errors by length of the way in each scenario, where there are several."""
-    scenarios = benchmark.scenarios if len(benchmark.scenarios) > 1 else ()
-    drawings = ((name, _length_drawings(benchmark, name)) for name in scenarios)
-    return [(name, found) for name, found in drawings if found]
+def _sub_trajectory_plots_by_scenario(results: BenchmarkResults) -> list[tuple[str, list[Markup]]]:
+    """Return name and plots of each scenario that has such errors, if there are several scenarios."""
+    scenarios = results.scenarios if len(results.scenarios) > 1 else ()
+    found = ((name, _sub_trajectory_plots(results, name)) for name in scenarios)
+    return [(name, of_scenario) for name, of_scenario in found if of_scenario]
 
 
-def _consistency(benchmark: Benchmark) -> dict[str, object] | None:
-    """Return the NEES of every run as drawings, and its bounds; None where no run has any."""
-    if NEES not in benchmark.measures:
+def _consistency(results: BenchmarkResults) -> dict[str, object] | None:
+    """Return the bounds of the NEES and its plots; None if no run has a NEES."""
+    if NEES not in results.measures:
         return None
     low, high = nees_bounds(3)
-    measures = (what for what in benchmark.measures if what.column.startswith("nees"))
-    return {
-        "low": low,
-        "high": high,
-        "drawings": [_dots(benchmark, what, what.title, (low, high)) for what in measures],
-    }
+    measures = (measure for measure in results.measures if measure.column.startswith("nees"))
+    return {"low": low, "high": high, "plots": [_run_plot(results, measure, (low, high)) for measure in measures]}
 
 
-def _cost_drawings(benchmark: Benchmark) -> list[Markup]:
-    if all(row.cpu_ms_mean is None for row in benchmark.rows):
+def _cost_plots(results: BenchmarkResults) -> list[Markup]:
+    if all(row.cpu_ms_mean is None for row in results.rows):
         return []
-    return [
-        drawing(_GRAPH_IN, partial(draw, benchmark=benchmark)) for draw in (drawn.draw_costs, drawn.draw_cost_histogram)
-    ]
+    draw = (plots.draw_costs, plots.draw_cost_histogram)
+    return [svg_plot(_PLOT_HEIGHT_IN, partial(function, results=results)) for function in draw]
 
 
-def _run_table(benchmark: Benchmark) -> Table:
-    shown = [what for what in benchmark.measures if what.column in RUN_COLUMNS]
+def _run_table(results: BenchmarkResults) -> Table:
+    """Return the table of all runs."""
+    shown = [measure for measure in results.measures if measure.column in RUN_COLUMNS]
     rows = []
-    for row in benchmark.rows:
+    for row in results.rows:
         seed = Cell(DASH if row.seed is None else str(row.seed), order=-1.0 if row.seed is None else float(row.seed))
         status = Cell("ok") if row.status == "ok" else Cell("", warning=row.status)
-        values = (what.of(row) if row.status == "ok" else None for what in shown)
+        values = (measure.of(row) if row.status == "ok" else None for measure in shown)
         cells = (
-            Cell(DASH, order=float("inf")) if v is None else Cell(what.text(v), order=v)
-            for what, v in zip(shown, values, strict=True)
+            Cell(DASH, order=float("inf")) if value is None else Cell(measure.text(value), order=value)
+            for measure, value in zip(shown, values, strict=True)
         )
         rows.append((Cell(row.scenario), seed, Cell(row.estimator), status, *cells))
-    columns = ("scenario", "seed", "estimator", "status", *(what.heading for what in shown))
-    return Table("All runs", columns, tuple(rows), words=frozenset((2, 3)))
+    columns = ("scenario", "seed", "estimator", "status", *(measure.heading for measure in shown))
+    return Table("All runs", columns, tuple(rows), text_columns=frozenset((2, 3)))
 
 
-def _provenance(benchmark: Benchmark) -> list[tuple[str, object, bool]]:
-    """Return what the results depend on: settings, versions and machine of each estimator, and the recordings."""
-    made = {}
-    for estimator in benchmark.estimators:
-        runs = benchmark.runs(estimator)
-        made[estimator] = {
+def _provenance(results: BenchmarkResults) -> list[tuple[str, object, bool]]:
+    """Return title and content of the tables on which the results depend, and whether each is open."""
+    estimators = {}
+    for estimator in results.estimators:
+        runs = results.runs(estimator)
+        estimators[estimator] = {
             "settings (hash)": sorted({row.config_hash for row in runs}),
             "versions": sorted({row.versions for row in runs}),
             "machine": sorted({row.machine for row in runs if row.machine}),
         }
-    recordings = {row.recording for row in benchmark.rows if row.recording}
-    worlds = sorted({row.world for row in benchmark.rows if row.world})
-    flown = {"scenarios": benchmark.scenarios, "worlds": worlds, "recordings": f"{len(recordings)} different ones"}
-    return [("Estimators", made, True), ("Flights", flown, False)]
+    recordings = {row.recording_hash for row in results.rows if row.recording_hash}
+    worlds = sorted({row.world for row in results.rows if row.world})
+    flights = {"scenarios": results.scenarios, "worlds": worlds, "recordings": f"{len(recordings)} different ones"}
+    return [("Estimators", estimators, True), ("Flights", flights, False)]
 
 
 def _count(n: int, name: str) -> str:

@@ -1,14 +1,16 @@
-"""A benchmark as tables, to be read, put into a paper or counted with: Markdown, LaTeX and CSV."""
+"""The results of a benchmark as tables: for the page, and as Markdown, LaTeX and CSV."""
 
 import csv
 import io
 import math
 from collections.abc import Iterator, Sequence
 
-from dronevio.eval.report.benchmark.model import Benchmark, Measure, Spread, seed_ranges
+from dronevio.eval.benchmark.summary import Quartiles
+from dronevio.eval.report.benchmark.model import BenchmarkResults, Measure, seed_ranges
 from dronevio.eval.report.tables import DASH, Cell, Table, latex_table, latex_text, markdown_table
 
 ALL_SCENARIOS = "all scenarios"
+"""Name of the last row of a table, which is over all scenarios."""
 CSV_COLUMNS = (
     "scenario",
     "estimator",
@@ -20,24 +22,24 @@ CSV_COLUMNS = (
     "lower_quartile",
     "upper_quartile",
 )
-"""Columns of the CSV: a line for each scenario, estimator and measure; ``inf`` where a failed run stands."""
-READING = (
-    "Medians over seeds, with quartiles; the best median of a row is marked. A failed run counts as worse than any"
-    " other, but is left out of times and memory."
+"""Columns of the CSV file, with a line for each scenario, estimator and measure; ``inf`` stands for a failed run."""
+NOTE = (
+    "Tables show medians over seeds with quartiles in parentheses; the best median of a row is highlighted. A failed"
+    " run ranks behind all others; it is left out of times and memory."
 )
-"""How to read the tables."""
-_LONGEST_REASON = 300  # letters; the rows hold the whole
+"""Explanation of the tables."""
+_MAX_REASON_LENGTH = 300  # characters; the rows hold the whole reason
 
 
-def measure_table(benchmark: Benchmark, measure: Measure) -> Table:
-    """Return a measure of every estimator in every scenario, and over all of them."""
-    rows = tuple(_row(benchmark, measure, scenario) for scenario in benchmark.scenarios)
-    total = _row(benchmark, measure, None) if len(benchmark.scenarios) > 1 else ()
-    return Table(measure.heading, ("scenario", *benchmark.estimators), rows, total)
+def measure_table(results: BenchmarkResults, measure: Measure) -> Table:
+    """Return the quartiles of a measure for every estimator, by scenario and over all scenarios."""
+    rows = tuple(_row(results, measure, scenario) for scenario in results.scenarios)
+    total = _row(results, measure, None) if len(results.scenarios) > 1 else ()
+    return Table(measure.heading, ("scenario", *results.estimators), rows, total)
 
 
-def failure_table(benchmark: Benchmark) -> Table:
-    """Return the runs that failed, and why."""
+def failure_table(results: BenchmarkResults) -> Table:
+    """Return the runs that failed, with their reasons."""
     rows = tuple(
         (
             Cell(failure.estimator),
@@ -46,81 +48,80 @@ def failure_table(benchmark: Benchmark) -> Table:
             Cell(str(len(failure.seeds)), order=float(len(failure.seeds))),
             Cell(seed_ranges(failure.seeds)),
         )
-        for failure in benchmark.failures()
+        for failure in results.failures()
     )
-    columns = ("estimator", "scenario", "why", "runs", "seeds")
-    return Table("Runs that failed", columns, rows, words=frozenset((1, 2, 4)))
+    columns = ("estimator", "scenario", "reason", "runs", "seeds")
+    return Table("Failed runs", columns, rows, text_columns=frozenset((1, 2, 4)))
 
 
-def as_markdown(benchmark: Benchmark, measures: Sequence[Measure]) -> str:
-    """Return the tables as Markdown."""
-    return "\n".join([f"{READING}\n", *(markdown_table(table) for table in _tables(benchmark, measures))])
+def as_markdown(results: BenchmarkResults, measures: Sequence[Measure]) -> str:
+    """Return the tables of some measures, and of the failed runs, as Markdown."""
+    return "\n".join([f"{NOTE}\n", *(markdown_table(table) for table in _tables(results, measures))])
 
 
-def as_latex(benchmark: Benchmark, measures: Sequence[Measure]) -> str:
+def as_latex(results: BenchmarkResults, measures: Sequence[Measure]) -> str:
     """Return the tables as LaTeX, for a document that uses the package booktabs."""
-    tables = (latex_table(table) for table in _tables(benchmark, measures))
-    return "\n".join(["% \\usepackage{booktabs}", f"% {latex_text(READING)}", *tables])
+    tables = (latex_table(table) for table in _tables(results, measures))
+    return "\n".join(["% \\usepackage{booktabs}", f"% {latex_text(NOTE)}", *tables])
 
 
-def as_csv(benchmark: Benchmark, measures: Sequence[Measure]) -> str:
+def as_csv(results: BenchmarkResults, measures: Sequence[Measure]) -> str:
     """Return a line for each scenario, estimator and measure; see `CSV_COLUMNS`."""
     text = io.StringIO()
     writer = csv.DictWriter(text, CSV_COLUMNS, lineterminator="\n")
     writer.writeheader()
-    writer.writerows(records(benchmark, measures))
+    writer.writerows(records(results, measures))
     return text.getvalue()
 
 
-def records(benchmark: Benchmark, measures: Sequence[Measure]) -> Iterator[dict[str, str | int | float]]:
-    """Yield what is known of each scenario, estimator and measure, by `CSV_COLUMNS`."""
-    for scenario in benchmark.scenarios:
-        for estimator in benchmark.estimators:
+def records(results: BenchmarkResults, measures: Sequence[Measure]) -> Iterator[dict[str, str | int | float]]:
+    """Yield the values of `CSV_COLUMNS` for each scenario, estimator and measure."""
+    for scenario in results.scenarios:
+        for estimator in results.estimators:
             for measure in measures:
-                found = benchmark.spread(measure, estimator, scenario)
-                if found is not None:
+                quartiles = results.quartiles(measure, estimator, scenario)
+                if quartiles is not None:
                     yield {
                         "scenario": scenario,
                         "estimator": estimator,
                         "measure": measure.column,
                         "unit": measure.unit,
-                        "runs": found.runs,
-                        "failed": found.failed,
-                        "median": found.median,
-                        "lower_quartile": found.lower,
-                        "upper_quartile": found.upper,
+                        "runs": quartiles.runs,
+                        "failed": quartiles.failed,
+                        "median": quartiles.median,
+                        "lower_quartile": quartiles.lower,
+                        "upper_quartile": quartiles.upper,
                     }
 
 
-def spread_text(measure: Measure, spread: Spread) -> str:
-    """Return the quartiles for people; nothing where there is but one run."""
-    if spread.runs < 2 or (math.isinf(spread.lower) and math.isinf(spread.upper)):
+def quartile_range(measure: Measure, quartiles: Quartiles) -> str:
+    """Return lower and upper quartile in parentheses; empty for a single run, or if both fall on failed runs."""
+    if quartiles.runs < 2 or (math.isinf(quartiles.lower) and math.isinf(quartiles.upper)):
         return ""
-    return f"({measure.text(spread.lower)}–{measure.text(spread.upper)})"
+    return f"({measure.text(quartiles.lower)}–{measure.text(quartiles.upper)})"
 
 
 def _shortened(reason: str) -> str:
-    flat = " ".join(reason.split())
-    return flat if len(flat) <= _LONGEST_REASON else f"{flat[: _LONGEST_REASON - 1]}…"
+    line = " ".join(reason.split())
+    return line if len(line) <= _MAX_REASON_LENGTH else f"{line[: _MAX_REASON_LENGTH - 1]}…"
 
 
-def _tables(benchmark: Benchmark, measures: Sequence[Measure]) -> list[Table]:
-    tables = [measure_table(benchmark, measure) for measure in measures]
-    failures = failure_table(benchmark)
+def _tables(results: BenchmarkResults, measures: Sequence[Measure]) -> list[Table]:
+    tables = [measure_table(results, measure) for measure in measures]
+    failures = failure_table(results)
     return [*tables, failures] if failures.rows else tables
 
 
-def _row(benchmark: Benchmark, measure: Measure, scenario: str | None) -> tuple[Cell, ...]:
-    best = benchmark.best(measure, scenario)
-    cells = (_cell(benchmark, measure, name, scenario, name in best) for name in benchmark.estimators)
+def _row(results: BenchmarkResults, measure: Measure, scenario: str | None) -> tuple[Cell, ...]:
+    best = results.best(measure, scenario)
+    cells = (_cell(results, measure, name, scenario, name in best) for name in results.estimators)
     return (Cell(ALL_SCENARIOS if scenario is None else scenario), *cells)
 
 
-def _cell(benchmark: Benchmark, measure: Measure, estimator: str, scenario: str | None, best: bool) -> Cell:
-    found = benchmark.spread(measure, estimator, scenario)
-    if found is None:
+def _cell(results: BenchmarkResults, measure: Measure, estimator: str, scenario: str | None, best: bool) -> Cell:
+    quartiles = results.quartiles(measure, estimator, scenario)
+    if quartiles is None:
         return Cell(DASH, order=math.inf)
-    failed = f"{found.failed} of {found.runs} failed" if found.failed else ""
-    text = measure.text(found.median)
-    order = found.median if measure.best == "none" else measure.badness(found.median)
-    return Cell(text, spread_text(measure, found), failed, best, order)
+    failed = f"{quartiles.failed} of {quartiles.runs} failed" if quartiles.failed else ""
+    order = quartiles.median if measure.best == "none" else measure.ranking_key(quartiles.median)
+    return Cell(measure.text(quartiles.median), quartile_range(measure, quartiles), failed, best, order)

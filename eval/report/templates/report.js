@@ -1,4 +1,4 @@
-// Tables sort by the column whose head is pressed; the row over all scenarios stays last.
+// Clicking a heading sorts its table by that column; the last row, over all scenarios, does not move.
 for (const table of document.querySelectorAll("table.sortable")) {
   const heads = [...table.tHead.rows[0].cells];
   heads.forEach((head, column) => {

@@ -23,7 +23,7 @@ from dronevio.eval.metrics import (
     score,
     translation_errors_m,
 )
-from dronevio.eval.metrics.association import paired_like_evo
+from dronevio.eval.metrics.association import evo_pairs
 from dronevio.models.recordings.tum import read_trajectory, read_tum
 from dronevio.models.rotation import exp_so3, quat_wxyz_from_matrix
 
@@ -164,7 +164,7 @@ def test_pairs_are_those_of_evo(seed: int, n: int, unit: str, all_pairs: bool) -
     except filters.FilterException:
         theirs = []
     rule = PairRule(delta, {"f": "frames", "m": "m", "d": "deg"}[unit], "all" if all_pairs else "consecutive")  # type: ignore[arg-type]
-    ours = rule.choose(np.arange(n), p, quat_wxyz_from_matrix(R))
+    ours = rule.select(np.arange(n), p, quat_wxyz_from_matrix(R))
     assert list(zip(*(rows.tolist() for rows in ours), strict=True)) == theirs
 
 
@@ -182,7 +182,7 @@ def test_associates_as_evo_does_on_request(seed: int, grain_ns: int) -> None:
     both = [PoseTrajectory3D(np.zeros((len(t), 3)), np.tile([1.0, 0, 0, 0], (len(t), 1)), t / 1e9) for t in stamps]
     for trajectory in both:
         trajectory.positions_xyz[:, 0] = np.arange(len(trajectory.timestamps))
-    ours = paired_like_evo(stamps[0], stamps[1], max_gap_s)
+    ours = evo_pairs(stamps[0], stamps[1], max_gap_s)
     try:
         theirs = sync.associate_trajectories(both[0], both[1], max_diff=max_gap_s)
     except sync.SyncException:
@@ -206,7 +206,9 @@ def test_agrees_with_an_independent_script(
     assert (ours.n_poses, ours.rpe_pairs) == (theirs["n"], theirs["rpe_n"])
     assert ours.ate_m.rmse == pytest.approx(theirs[f"ate_{mode}"], abs=AGREEMENT)
     assert ours.ate_m.max == pytest.approx(theirs[f"max_{mode}"], abs=AGREEMENT)
-    assert (ours.first_s, ours.last_s) == pytest.approx((theirs["first_s"], theirs["last_s"]), abs=AGREEMENT)
+    assert (ours.first_pose_s, ours.last_pose_s) == pytest.approx(
+        (theirs["first_pose_s"], theirs["last_pose_s"]), abs=AGREEMENT
+    )
     assert ours.path_m == pytest.approx(theirs["path_m"], abs=1e-5)
     assert ours.scale_error_percent is not None and ours.rpe_m is not None and ours.rpe_deg is not None
     assert 1.0 / (1.0 + ours.scale_error_percent / 100.0) == pytest.approx(theirs["scale"], abs=AGREEMENT)

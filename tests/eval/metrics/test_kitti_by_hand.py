@@ -24,8 +24,8 @@ def test_kitti_rotation_errors_are_in_degrees() -> None:
     lengths, _, deg_per_100_m = zip(*found.by_length, strict=True)
     assert lengths == (100.0, 200.0)  # none of 300 m: no frame lies beyond its end
     assert deg_per_100_m == pytest.approx((10.1, 10.05), rel=1e-6)
-    first, second = 20, 10  # pieces begin at every tenth frame, up to frames 190 and 90
-    assert found.pieces == first + second
+    first, second = 20, 10  # segments begin at every tenth frame, up to frames 190 and 90
+    assert found.segments == first + second
     assert found.rotation_deg_per_100_m == pytest.approx((first * 10.1 + second * 10.05) / 30, rel=1e-6)
 
 

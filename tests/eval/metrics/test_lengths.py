@@ -11,8 +11,14 @@ from dronevio.eval.metrics import Alignment, errors_by_length, relative_errors, 
 from dronevio.eval.metrics.errors import distance_errors_percent
 from dronevio.eval.metrics.kitti import kitti_scores
 from dronevio.eval.metrics.lengths import drifts_m
-from dronevio.eval.metrics.pairs import PairRule, consecutive_pairs, pairs_after_distance, pairs_after_turning, way_m
-from dronevio.eval.metrics.scores import usual_lengths_m
+from dronevio.eval.metrics.pairs import (
+    PairRule,
+    consecutive_pairs,
+    pairs_after_distance,
+    pairs_after_rotation,
+    path_lengths_m,
+)
+from dronevio.eval.metrics.scores import default_lengths_m
 from dronevio.models.errors import ConfigError, EvaluationError
 from dronevio.models.rotation import exp_so3, pose_matrix, quat_wxyz_from_matrix, rotation_z
 from dronevio.models.state import Trajectory
@@ -109,16 +115,16 @@ def test_lengths_that_do_not_occur_are_left_out() -> None:
     assert [of.length_m for of in errors_by_length(*arrays(truth, truth), (10.0, 500.0))] == [10.0]
     with pytest.raises(ConfigError, match="above zero"):
         errors_by_length(*arrays(truth, truth), (0.0,))
-    assert usual_lengths_m(75.891) == (7.58, 15.17, 22.76, 30.35, 37.94)
-    assert usual_lengths_m(0.0) == ()
+    assert default_lengths_m(75.891) == (7.58, 15.17, 22.76, 30.35, 37.94)
+    assert default_lengths_m(0.0) == ()
 
 
 def test_the_score_says_drift_and_lengths() -> None:
     truth = drive(2)
     scores = score(truth, disturbed(truth, 3))
-    assert [of.length_m for of in scores.lengths] == list(usual_lengths_m(scores.path_m))
-    pieces = [of.drift_percent for of in scores.lengths]
-    assert scores.drift_percent == pytest.approx(sum(x.mean * x.n for x in pieces) / sum(x.n for x in pieces))
+    assert [of.length_m for of in scores.lengths] == list(default_lengths_m(scores.path_m))
+    segments = [of.drift_percent for of in scores.lengths]
+    assert scores.drift_percent == pytest.approx(sum(x.mean * x.n for x in segments) / sum(x.n for x in segments))
     still = replace(truth, p_world_imu=0.0 * truth.p_world_imu)
     assert score(still, still).drift_percent is None
 
@@ -127,7 +133,7 @@ def test_a_very_long_path_is_sampled_evenly(monkeypatch: pytest.MonkeyPatch) -> 
     truth = drive(4, 1000)
     estimate = disturbed(truth, 5)
     [whole] = errors_by_length(*arrays(truth, estimate), (50.0,))
-    monkeypatch.setattr("dronevio.eval.metrics.lengths._MOST", 200)
+    monkeypatch.setattr("dronevio.eval.metrics.lengths._MAX_PAIRS", 200)
     [sampled] = errors_by_length(*arrays(truth, estimate), (50.0,))
     assert whole.translation_m.n > 900 and 150 < sampled.translation_m.n <= 200
     assert sampled.translation_m.rmse == pytest.approx(whole.translation_m.rmse, rel=0.1)
@@ -136,7 +142,7 @@ def test_a_very_long_path_is_sampled_evenly(monkeypatch: pytest.MonkeyPatch) -> 
 @settings(max_examples=30, deadline=None)
 @given(seeds, st.floats(0.5, 30.0))
 def test_consecutive_pairs_follow_one_another(seed: int, delta: float) -> None:
-    way = way_m(drive(seed, 120).p_world_imu * np.random.default_rng(seed).uniform(0.2, 3.0))
+    way = path_lengths_m(drive(seed, 120).p_world_imu * np.random.default_rng(seed).uniform(0.2, 3.0))
     first, second = consecutive_pairs(way, delta)
     np.testing.assert_array_equal(first[1:], second[:-1])
     assert np.all(way[second] - way[first] >= delta)
@@ -145,10 +151,10 @@ def test_consecutive_pairs_follow_one_another(seed: int, delta: float) -> None:
 
 
 @pytest.mark.parametrize("block", [1, 300, 1 << 22])
-def test_pairs_after_turning_are_those_of_a_plain_search(block: int, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("dronevio.eval.metrics.pairs._BLOCK", block)
+def test_pairs_after_rotation_are_those_of_a_plain_search(block: int, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("dronevio.eval.metrics.pairs._BLOCK_SIZE", block)
     truth = drive(6, 80)
-    found = list(zip(*(rows.tolist() for rows in pairs_after_turning(truth.quat_wxyz, 0.3, 0.05)), strict=True))
+    found = list(zip(*(rows.tolist() for rows in pairs_after_rotation(truth.quat_wxyz, 0.3, 0.05)), strict=True))
     R = truth.rotations
     angles = np.arccos(np.clip(0.5 * (np.einsum("iab,jab->ij", R, R) - 1.0), -1.0, 1.0))
     assert found == [(i, j) for i in range(80) for j in range(i + 1, 80) if abs(angles[i, j] - 0.3) <= 0.05]
@@ -159,10 +165,10 @@ def test_pairs_by_seconds_of_a_slow_camera() -> None:
     """KITTI's stamps are 103.7 ms apart: no pose is within 3 % of a second, the nearest is within half an interval."""
     for interval_ns in (103_700_000, 105_000_000):
         t_ns = interval_ns * np.arange(100)
-        first, second = PairRule().choose(t_ns, np.zeros((100, 3)), np.zeros((100, 4)))
+        first, second = PairRule().select(t_ns, np.zeros((100, 3)), np.zeros((100, 4)))
         assert len(first) == 90 and set((second - first).tolist()) == {10}
     gap = np.concatenate([t_ns[:40], t_ns[60:]])  # none across it
-    first, second = PairRule().choose(gap, np.zeros((80, 3)), np.zeros((80, 4)))
+    first, second = PairRule().select(gap, np.zeros((80, 3)), np.zeros((80, 4)))
     assert np.all(np.abs(gap[second] - gap[first] - 10**9) <= 52_500_000)
 
 
@@ -174,7 +180,7 @@ def test_pairs_by_seconds_of_a_slow_camera() -> None:
         {"delta": 1.5, "unit": "frames"},
         {"delta": 200.0, "unit": "deg"},
         {"unit": "furlongs"},
-        {"which": "some"},
+        {"selection": "some"},
         {"source": "both"},
         {"tolerance": 1.0},
         {"tolerance": float("nan")},
@@ -201,11 +207,11 @@ def test_kitti_by_hand(scale: float) -> None:
     beyond = {length: 100 * abs(scale - 1) * (length + 1) / length for length in range(100, 900, 100)}
     for length, percent, deg in found.by_length:
         assert percent == pytest.approx(beyond[round(length)], abs=1e-9) and deg == pytest.approx(0.0, abs=1e-5)
-    assert found.pieces == sum(1 + (899 - length) // 10 for length in range(100, 900, 100))
+    assert found.segments == sum(1 + (899 - length) // 10 for length in range(100, 900, 100))
     assert found.rpe_m == pytest.approx(abs(scale - 1), abs=1e-12)
     assert kitti_scores(T, S, alignment="scale").ate_m == pytest.approx(0.0, abs=1e-9)
     short = kitti_scores(T[:50], S[:50])
-    assert short.translation_percent is None and short.pieces == 0
+    assert short.translation_percent is None and short.segments == 0
 
 
 @settings(max_examples=10, deadline=None)
@@ -215,11 +221,11 @@ def test_kitti_agrees_with_exact_relative_errors(seed: int) -> None:
     truth = drive(seed, 300)
     estimate = disturbed(truth, seed + 1)
     found = kitti_scores(matrices(truth), matrices(estimate), lengths_m=(100.0,))
-    way = way_m(truth.p_world_imu)
+    way = path_lengths_m(truth.p_world_imu)
     pairs = [(i, int(np.searchsorted(way, way[i] + 100.0, side="right"))) for i in range(0, 300, 10)]
     i, j = np.array([pair for pair in pairs if pair[1] < 300]).T
     metres, radians = relative_errors(*arrays(truth, estimate), (i, j))
-    assert found.pieces == len(i)
+    assert found.segments == len(i)
     assert found.translation_percent == pytest.approx(metres.mean(), rel=1e-9)
     assert found.rotation_deg_per_100_m == pytest.approx(np.degrees(radians).mean(), rel=1e-6)
     moved = Alignment(exp_so3(np.array([0.1, -0.4, 2.0])), np.array([5.0, 6.0, 7.0])).apply(estimate)
@@ -234,7 +240,7 @@ def test_kitti_with_frames_left_out() -> None:
     frames = np.concatenate([np.arange(0, 50), np.arange(60, 300)])
     found = kitti_scores(matrices(truth), matrices(estimate)[frames], frames, lengths_m=(100.0,))
     whole = kitti_scores(matrices(truth), matrices(estimate), lengths_m=(100.0,))
-    assert 0 < found.pieces < whole.pieces
+    assert 0 < found.segments < whole.segments
     i = np.flatnonzero(np.diff(frames) == 1)
     step_m, _ = relative_errors(*arrays(truth, estimate), (frames[i], frames[i] + 1))
     assert found.rpe_m == pytest.approx(step_m.mean(), rel=1e-9)  # none across the gap

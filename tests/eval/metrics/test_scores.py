@@ -44,7 +44,7 @@ def test_a_perfect_estimate_in_a_world_of_its_own_has_no_error(
     assert scores.scale_error_percent == pytest.approx(0.0, abs=1e-7)
     assert scores.coverage_percent == 100.0
     assert (scores.n_poses, scores.n_estimated, scores.rpe_pairs) == (401, 401, 381)
-    assert (scores.first_s, scores.last_s) == (0.0, 20.0)
+    assert (scores.first_pose_s, scores.last_pose_s) == (0.0, 20.0)
     assert scores.path_m == pytest.approx(truth.length_m, rel=1e-3)
     assert scores.nees_position is None
 

@@ -16,11 +16,11 @@ SECOND_NS = 1_000_000_000
 START_NS = 1403715273262142976
 
 
-def trajectory(p: object, phi: object = 0.0, first_s: int = 0) -> Trajectory:
+def trajectory(p: object, phi: object = 0.0, first_pose_s: int = 0) -> Trajectory:
     """Poses one second apart: positions (N, 3) [m] and rotation vectors (N, 3) [rad]."""
     positions = np.asarray(p, dtype=np.float64)
     vectors = np.broadcast_to(np.asarray(phi, dtype=np.float64), positions.shape)
-    t_ns = START_NS + SECOND_NS * (first_s + np.arange(len(positions)))
+    t_ns = START_NS + SECOND_NS * (first_pose_s + np.arange(len(positions)))
     return Trajectory(t_ns, positions, quat_wxyz_from_matrix(exp_so3(vectors)))
 
 
@@ -58,9 +58,11 @@ def test_yaw_alignment_does_not_remove_a_tilt() -> None:
 def test_times_are_those_of_the_compared_poses() -> None:
     """A truth of ten seconds, an estimate from 2 s to 6 s that moves twice as far, so that it errs by 1 m a second."""
     truth = trajectory(along_x(11))
-    scored = score_trajectory(truth, trajectory(along_x(5, 2.0), first_s=2), alignment="none")
+    scored = score_trajectory(truth, trajectory(along_x(5, 2.0), first_pose_s=2), alignment="none")
     scores = scored.scores
-    assert (scores.first_s, scores.last_s, scores.longest_gap_s, scores.path_m) == pytest.approx((2.0, 6.0, 1.0, 4.0))
+    assert (scores.first_pose_s, scores.last_pose_s, scores.longest_gap_s, scores.path_m) == pytest.approx(
+        (2.0, 6.0, 1.0, 4.0)
+    )
     assert ((scored.rpe_t_ns - START_NS) // SECOND_NS).tolist() == [2, 3, 4, 5]
     np.testing.assert_allclose(scored.rpe_m, 1.0)
     np.testing.assert_allclose(scored.translation_error_m, [2, 1, 0, 1, 2])
@@ -73,14 +75,14 @@ def test_pairs_are_chosen_on_the_path_that_is_asked_for() -> None:
         scores = score(truth, estimate, rpe=PairRule(2.0, "m", source=source))  # type: ignore[arg-type]
         assert scores.rpe_m is not None
         assert (scores.rpe_pairs, scores.rpe_m.mean) == pytest.approx((pairs, error_m))
-        assert (scores.rpe_over, scores.rpe_delta_s) == ("2 m", None)
+        assert (scores.rpe_interval, scores.rpe_delta_s) == ("2 m", None)
 
 
 def test_the_tolerance_of_pairs_is_a_share_of_their_distance() -> None:
     """Poses at 0 s, 1 s and 4 s: the first and the last miss 3.8 s by 0.2 s, the other two by 0.8 s."""
     t_ns = START_NS + SECOND_NS * np.array([0, 1, 4])
     for tolerance, pairs in ((0.04, 0), (0.06, 1), (0.3, 2)):
-        found = PairRule(3.8, "s", tolerance=tolerance).choose(t_ns, np.zeros((3, 3)), np.zeros((3, 4)))
+        found = PairRule(3.8, "s", tolerance=tolerance).select(t_ns, np.zeros((3, 3)), np.zeros((3, 4)))
         assert len(found[0]) == pairs
 
 

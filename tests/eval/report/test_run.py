@@ -123,7 +123,7 @@ def test_the_page_draws_what_is_known(page, scored):
         "Relative position error",
         "Relative orientation error",
         "Consistency: NEES over time",
-        "Processor time: how often",
+        "Distribution of the processor time",
     ):
         assert title in text
     scores = scored.scores
@@ -141,9 +141,9 @@ def test_every_plot_has_a_title_and_every_axis_a_unit(page, html):
 
 
 def test_errors_by_length_are_those_of_the_scores(scored):
-    from dronevio.eval.report.plots import errors_by_length
+    from dronevio.eval.report.plots import length_errors
 
-    drawn = errors_by_length(scored)
+    drawn = length_errors(scored)
     assert len(drawn.labels) == len(scored.scores.lengths) > 3
     for errors, percent, deg in zip(scored.scores.lengths, drawn.translation_percent, drawn.rotation_deg, strict=True):
         assert np.median(percent) == pytest.approx(errors.translation_percent.median, rel=1e-12)
@@ -153,9 +153,9 @@ def test_errors_by_length_are_those_of_the_scores(scored):
 def test_state_errors_are_known_where_both_tell(scored):
     from dronevio.eval.report.plots import STATE_ERRORS
 
-    assert all(what.known(scored) for what in STATE_ERRORS)
+    assert all(what.is_known(scored) for what in STATE_ERRORS)
     blind = replace(scored, truth=replace(scored.truth, gyro_bias_rad_s=None))
-    assert [what.known(blind) for what in STATE_ERRORS] == [True, False, True]
+    assert [what.is_known(blind) for what in STATE_ERRORS] == [True, False, True]
 
 
 def test_drawings_take_the_colours_of_the_page(html):
@@ -197,7 +197,7 @@ def test_without_truth(flight_without_truth, tmp_path, read_page):
     assert numbers["flight"]["path_m"] == flight_without_truth.run.trajectory.length_m
     text = "".join(read_page((tmp_path / "report.html").read_text()).text)
     assert "ATE" not in text
-    assert "By length of the way" not in text
+    assert "sub-trajectory length" not in text
     assert "Position error" not in text
 
 

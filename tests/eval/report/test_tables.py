@@ -6,7 +6,7 @@ from html.parser import HTMLParser
 
 import markupsafe
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from dronevio.eval.report.tables import Cell, Table, latex_table, latex_text, markdown_table
@@ -89,6 +89,7 @@ def test_markdown_cells_stay_in_their_columns():
     assert rows[-1][::2] == ["all", "2"]
 
 
+@settings(deadline=None)
 @given(st.text(max_size=40))
 def test_no_name_breaks_a_row_of_any_table(name):
     table = Table(name, (name, "b"), ((Cell(name), Cell("1")),))

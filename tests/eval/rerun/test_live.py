@@ -12,7 +12,7 @@ import numpy as np
 import pyarrow as pa
 import pytest
 
-from dronevio.eval import style as palette
+from dronevio.eval import colours
 from dronevio.eval.rerun import entities as at
 from dronevio.eval.rerun.blueprint import Shown, flight_blueprint
 from dronevio.eval.rerun.entities import EstimateEntities
@@ -68,7 +68,7 @@ def log_live(path, flight, cameras, frame_done=lambda index: None):
         Sink.to_file(path, "live", BLUEPRINT, int(flight.recording.imu.t_ns[0])) as sink,
         RerunLog(sink, flight.recording.rig, cameras, NO_POINTS) as log,
     ):
-        live = LiveLog(log, log.estimator("estimate", palette.ESTIMATE, tied_to(truth)), truth)
+        live = LiveLog(log, log.estimator("estimate", colours.ESTIMATE, tied_to(truth)), truth)
         play(flight, live, frame_done)
         live.flush()
 
