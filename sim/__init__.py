@@ -1,4 +1,4 @@
-"""Makes the drone fly and sense: MuJoCo lives here, and only here."""
+"""Simulator of the quadrotor, its sensors and its worlds; the only package that imports MuJoCo."""
 
 from typing import TYPE_CHECKING
 
@@ -20,7 +20,7 @@ __all__ = [
     "scenario_named",
 ]
 
-choose_backend()  # before anything here imports MuJoCo, which reads the choice once
+choose_backend()  # before any module imports MuJoCo, which reads MUJOCO_GL on import
 
 __getattr__, __dir__ = attach(
     __name__,

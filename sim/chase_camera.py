@@ -1,4 +1,4 @@
-"""The onlooker: draws the drone in its world from outside, for people."""
+"""Chase camera: images of the drone in its world from a third-person viewpoint."""
 
 import mujoco
 import numpy as np
@@ -21,20 +21,20 @@ class ChaseCamera:
     """A camera that looks at the drone from a constant distance and direction, off screen. Close it after use."""
 
     def __init__(self, world: World, quadrotor: Quadrotor, rig: Rig, width: int = 640, height: int = 480) -> None:
-        """Prepare to draw.
+        """Load the world and the drone into graphics memory.
 
         Args:
-            world: Where the drone is; stays as it is.
+            world: The world of the drone; it is not modified.
             quadrotor: The vehicle.
-            rig: What it carries.
-            width: Columns of the pictures [px].
-            height: Rows [px].
+            rig: The sensors of the vehicle.
+            width: Width of the images [px].
+            height: Height of the images [px].
 
         Raises:
-            GraphicsError: No off-screen OpenGL.
+            GraphicsError: Off-screen OpenGL is not available.
         """
         spec = world.spec.copy()
-        spec.visual.quality.offsamples = 4  # smooth edges: few pictures, and nothing learns from them
+        spec.visual.quality.offsamples = 4  # antialiasing; these images are for display only
         spec.attach(quadrotor_spec(quadrotor, rig), prefix="drone/", frame=spec.worldbody.add_frame())
         self._model = spec.compile()
         self._data = mujoco.MjData(self._model)
@@ -51,13 +51,13 @@ class ChaseCamera:
         self._picture = np.empty((height, width, 3), np.uint8)
 
     def render(self, T_world_vehicle: Array) -> npt.NDArray[np.uint8]:
-        """Return a colour picture (H, W, 3) of the drone at a pose (4, 4).
+        """Return an RGB image (H, W, 3) of the drone at a pose T_world_vehicle (4, 4).
 
         Raises:
-            GraphicsError: The onlooker has been closed.
+            GraphicsError: The camera has been closed.
         """
         if self._gl is None:
-            raise GraphicsError("the onlooker has been closed")
+            raise GraphicsError("the chase camera has been closed")
         self._gl.make_current()
         self._data.qpos[:3] = T_world_vehicle[:3, 3]
         self._data.qpos[3:7] = quat_wxyz_from_matrix(T_world_vehicle[:3, :3])
@@ -67,10 +67,10 @@ class ChaseCamera:
         mujoco.mjv_updateScene(self._model, self._data, self._options, None, self._view, everything, self._scene)
         mujoco.mjr_render(self._rectangle, self._scene, self._drawing)
         mujoco.mjr_readPixels(self._picture, None, self._rectangle, self._drawing)
-        return self._picture[::-1].copy()  # OpenGL's first row is the lowest
+        return self._picture[::-1].copy()  # the first row of OpenGL is the lowest
 
     def close(self) -> None:
-        """Give the graphics memory back; more than once does no harm."""
+        """Release the graphics memory; further calls have no effect."""
         if self._gl is not None:
             self._gl.make_current()
             self._drawing.free()

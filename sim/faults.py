@@ -1,4 +1,4 @@
-"""What goes wrong on a flight, on purpose: the stress that an estimator is to survive."""
+"""Faults of vehicle and sensors that a scenario introduces on purpose, to test the robustness of estimators."""
 
 from dataclasses import dataclass, replace
 
@@ -16,38 +16,38 @@ Array = npt.NDArray[np.float64]
 
 @dataclass(frozen=True)
 class Faults:
-    """Everything that may go wrong; nothing does by default.
+    """Faults of one flight; there are none by default.
 
-    What is *hidden* is missing from the calibration that goes with the recording: the estimator believes a rig that is
-    not quite the one that flew. The truth of all of it is kept with the flight.
+    Faults called *hidden* are not part of the calibration that is stored with the recording: the estimator receives a
+    rig that differs from the one that flew. The true values of all faults are stored with the flight.
     """
 
     dropped_frames: float = 0.0
-    """Share of the frames that are lost, drawn one by one; the first one never is."""
+    """Fraction of the frames that are lost, each drawn independently; the first frame is never lost."""
     stamp_jitter_s: float = 0.0
-    """Standard deviation of the error of the frames' time stamps [s]."""
+    """Standard deviation of the error of the time stamps of the frames [s]."""
     dark_from_s: float = 0.0
-    """When the camera goes dark, from the flight's start [s]."""
+    """Time from the start of the flight at which the images become dark [s]."""
     dark_for_s: float = 0.0
-    """How long it then shows nothing but noise [s]."""
+    """Duration of the darkness, during which the images contain noise only [s]."""
     hidden_time_offset_s: float = 0.0
-    """Beside the rig's own time offset: frames are taken so much later than the calibration says [s]."""
+    """Time offset of the cameras that the calibration does not contain: frames are taken later than calibrated [s]."""
     hidden_tilt_rad: float = 0.0
-    """How far each camera is turned from where the calibration has it, about an axis drawn for each [rad]."""
+    """Angle of a rotation of each camera that the calibration does not contain, about a random axis [rad]."""
     imu_noise_factor: float = 1.0
-    """White noise and bias walks of the IMU, relative to what the calibration says."""
+    """Factor of the white noise and bias random walk of the IMU relative to the calibration."""
     gyro_range_rad_s: float = float("inf")
-    """The gyroscope reads no more than this about any axis [rad/s], whatever the calibration says."""
+    """Measurement range of the gyroscope on each axis, if smaller than the calibrated range [rad/s]."""
     failing_rotor: int = 0
-    """Which rotor fails, 0 to 3."""
+    """Index of the rotor that fails, 0 to 3."""
     rotor_fails_at_s: float = float("inf")
-    """When it loses its power, from the flight's start [s]."""
+    """Time from the start of the flight at which the rotor loses its power [s]."""
 
     def __post_init__(self) -> None:
-        """Check the numbers.
+        """Check the ranges of the values.
 
         Raises:
-            ConfigError: One of them is impossible.
+            ConfigError: A value is outside its range.
         """
         _require(0.0 <= self.dropped_frames < 1.0, "dropped_frames", self.dropped_frames, "from 0 to below 1")
         for name in ("stamp_jitter_s", "dark_from_s", "dark_for_s", "imu_noise_factor", "rotor_fails_at_s"):
@@ -55,19 +55,19 @@ class Faults:
         _require(self.gyro_range_rad_s > 0.0, "gyro_range_rad_s", self.gyro_range_rad_s, "more than 0")
         _require(self.failing_rotor in range(4), "failing_rotor", self.failing_rotor, "0, 1, 2 or 3")
         for name in ("hidden_time_offset_s", "hidden_tilt_rad"):
-            _require(abs(getattr(self, name)) < 1.0, name, getattr(self, name), "less than 1, else nothing hides it")
+            _require(abs(getattr(self, name)) < 1.0, name, getattr(self, name), "an absolute value below 1")
 
     @property
     def motor_failure(self) -> MotorFailure | None:
-        """Which rotor fails and when; None if none does."""
+        """The failing rotor and the time of its failure; None without a failure."""
         return MotorFailure(self.failing_rotor, self.rotor_fails_at_s) if np.isfinite(self.rotor_fails_at_s) else None
 
     def true_rig(self, calibrated: Rig, rng: np.random.Generator) -> Rig:
-        """Return the rig that really flies where the calibration says ``calibrated``.
+        """Return the true rig of a flight whose calibration is ``calibrated``.
 
         Args:
-            calibrated: What an estimator is told.
-            rng: Draws the axes about which the cameras are turned.
+            calibrated: The rig that the estimator receives.
+            rng: Generator of the rotation axes of the cameras.
         """
         axes = rng.standard_normal((len(calibrated.cameras), 3))
         tilts = self.hidden_tilt_rad * axes / np.linalg.norm(axes, axis=1, keepdims=True)
@@ -81,7 +81,7 @@ class Faults:
         return replace(calibrated, cameras=cameras, imu=self._true_imu(calibrated.imu), time_offset_s=offset_s)
 
     def _true_imu(self, calibrated: ImuModel) -> ImuModel:
-        """Return the IMU that really flies."""
+        """Return the true IMU of a flight."""
         factor = self.imu_noise_factor
         return replace(
             calibrated,
@@ -94,6 +94,6 @@ class Faults:
 
 
 def _require(holds: bool, name: str, value: float, expected: str) -> None:
-    """Raise ConfigError unless a number is as expected."""
+    """Raise ConfigError unless a value is as expected."""
     if not holds:
         raise ConfigError(f"faults.{name} {value:g}; expected {expected}")

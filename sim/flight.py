@@ -1,4 +1,4 @@
-"""A flight: physics, controller and IMU from take-off to landing; the images are rendered from it afterwards."""
+"""Simulation of a flight: physics, controller and IMU from take-off to landing. Images are rendered afterwards."""
 
 from dataclasses import dataclass, replace
 
@@ -28,26 +28,26 @@ _REPORT_EVERY = 100  # control steps between two reports of progress
 
 @dataclass(frozen=True, eq=False)
 class Flight:
-    """What was flown and what the IMU sensed; everything but the images."""
+    """Motion, IMU samples and frame times of a simulated flight, without images."""
 
     scenario: Scenario
-    """What was to be flown."""
+    """The scenario that was simulated."""
     true_rig: Rig
-    """The rig that really flew; the scenario's has what the calibration says."""
+    """The true rig; the rig of the scenario is the calibration that estimators receive."""
     imu: ImuSamples
-    """What the IMU measured, with its errors: points at its rate, from t = 0 to the end."""
+    """Measured IMU samples with errors: point samples at the rate of the IMU, from t = 0 to the end."""
     truth: Trajectory
-    """The IMU's true motion at each of its time stamps, with velocity and the true biases."""
+    """True pose, velocity and biases of the IMU at each of its time stamps."""
     schedule: FrameSchedule
-    """When the frames are taken, as stamped and in truth."""
+    """Recorded and true times of the frames."""
     reference: Reference
-    """The path that the controller was given."""
+    """The reference trajectory of the controller."""
     perfect_imu: ImuSamples
-    """What a perfect IMU would have read, at the time stamps of ``imu``."""
+    """Noise-free IMU samples at the time stamps of ``imu``."""
     imu_constants: ImuConstants
-    """What is constant of the IMU's errors: scale, misalignment, g-sensitivity and the biases at switch-on."""
+    """Constant errors of the IMU: scale, misalignment, g-sensitivity and turn-on biases."""
     collision: Collision | None
-    """What the drone flew into, which ended the flight; None if it came home."""
+    """The collision that ended the flight; None without a collision."""
 
     @property
     def frame_times_ns(self) -> Times:
@@ -56,12 +56,12 @@ class Flight:
 
     @property
     def Ts_world_cam(self) -> Array:
-        """(M, 4, 4) True poses of the main camera when its frames were taken."""
+        """(M, 4, 4) True poses T_world_cam of the first camera at the true times of its frames."""
         return interpolated_poses(self.truth, self.schedule.exposed_ns) @ self.true_rig.cameras[0].T_imu_cam
 
 
 def plant_of(scenario: Scenario) -> QuadrotorPlant:
-    """Return the vehicle of a scenario on its pad, in its world and wind."""
+    """Return the vehicle of a scenario, at rest on the landing pad in the world and wind of the scenario."""
     return QuadrotorPlant(
         scenario.true_rig,
         scenario.quadrotor,
@@ -74,27 +74,27 @@ def plant_of(scenario: Scenario) -> QuadrotorPlant:
 
 
 def reference_of(scenario: Scenario, plant: QuadrotorPlant) -> Reference:
-    """Return the path of a scenario on the plant's clock.
+    """Return the reference trajectory of a scenario, sampled at the interval of the plant.
 
     Raises:
-        ConfigError: There is no such world, or the plan does not fit into it.
+        ConfigError: The world is unknown, or the plan does not fit into it.
     """
     area = flight_area(scenario.world, scenario.seed)
     return plan_reference(scenario.plan, area, plant.standing_height_m, plant.interval_ns, scenario.generator("path"))
 
 
 def fly(scenario: Scenario, progress: Progress = silent) -> Flight:
-    """Fly a scenario: the controller follows the path by the true state, until it is done or the drone has crashed.
+    """Simulate a scenario: the controller tracks the reference with the true state until the end or a collision.
 
     Args:
-        scenario: What to fly.
-        progress: Hears of the control steps done.
+        scenario: The scenario to simulate.
+        progress: Callback that receives the number of completed control steps and their total.
 
     Returns:
         The flight; the same scenario gives the same bytes.
 
     Raises:
-        ConfigError: The scenario does not fit together.
+        ConfigError: The settings of the scenario are inconsistent.
     """
     rig = scenario.true_rig
     plant = plant_of(scenario)
@@ -121,9 +121,9 @@ def fly(scenario: Scenario, progress: Progress = silent) -> Flight:
 
 
 def _start_in_air(plant: QuadrotorPlant, reference: Reference) -> None:
-    """Put the vehicle where its path begins in the air, in the motion that it has there."""
+    """Set the vehicle to the state of the first row of a reference that starts in motion."""
     force = reference.acceleration_m_s2[0] + [0.0, 0.0, GRAVITY_M_S2]
-    speed = plant.quadrotor.hover_speed_rad_s * np.sqrt(np.linalg.norm(force) / GRAVITY_M_S2)  # thrust goes by ω²
+    speed = plant.quadrotor.hover_speed_rad_s * np.sqrt(np.linalg.norm(force) / GRAVITY_M_S2)  # thrust ∝ ω²
     plant.reset(
         pose_matrix(attitude(force, reference.yaw_rad[0]), reference.position_m[0]),
         reference.velocity_m_s[0],
@@ -133,7 +133,7 @@ def _start_in_air(plant: QuadrotorPlant, reference: Reference) -> None:
 
 
 def _schedule(scenario: Scenario, rig: Rig, truth: Trajectory) -> FrameSchedule:
-    """Return when the frames of a flight are taken; all within the known motion."""
+    """Return the frame times of a flight, all within the time span of the true motion."""
     first_ns, last_ns = int(truth.t_ns[0]), int(truth.t_ns[-1])
     faults = scenario.faults
     return schedule_frames(

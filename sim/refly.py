@@ -1,8 +1,7 @@
-"""Flying a recorded path again: a real drone's motion, seen by a camera of ours in a world of ours.
+"""Re-flying: rendering images along a recorded trajectory in a simulated world.
 
-The motion, its time stamps and its body frame stay those of the recording; the world is laid around the path. The IMU
-is either the real one that was recorded with it, whose noise no model imitates, or one that feels a smooth spline
-through the path.
+Motion, time stamps and body frame remain those of the recording; the world is placed around the path. The IMU samples
+are either the recorded ones, with their real noise, or synthesized along a smooth spline through the path.
 """
 
 from dataclasses import dataclass, replace
@@ -24,27 +23,27 @@ from dronevio.sim.world import flight_area
 Array = npt.NDArray[np.float64]
 
 MARGIN_M = 0.3
-"""Distance that a path laid into a world keeps from every surface [m]: the IMU is inside the drone."""
+"""Smallest distance between a placed path and any surface [m]; the IMU is inside the vehicle."""
 
 
 @dataclass(frozen=True, eq=False)
 class FlownPath:
-    """A path that was flown, with an IMU, and where the world lies around it."""
+    """A recorded trajectory with IMU samples, frame times and its placement in a simulated world."""
 
     rig: Rig
-    """The sensors."""
+    """The rig that observes the path."""
     truth: Trajectory
-    """The motion of the IMU, in the recording's world frame."""
+    """Trajectory of the IMU in the world frame of the recording."""
     imu: ImuSamples
-    """What the IMU measured, from the first pose to the last."""
+    """IMU samples from the first pose to the last."""
     schedule: FrameSchedule
-    """When the frames are taken."""
+    """Recorded and true times of the frames."""
     world: str
-    """Name of the world that is laid around it."""
+    """Name of the simulated world."""
     T_simworld_world: Array
-    """(4, 4) Where the recording's world frame lies in the simulated world."""
+    """(4, 4) Pose of the recording's world frame in the simulated world."""
     real_imu: bool
-    """Whether the IMU is the recorded one."""
+    """Whether the IMU samples are recorded ones."""
 
 
 def refly(
@@ -55,19 +54,19 @@ def refly(
     seed: int = 0,
     margin_m: float = MARGIN_M,
 ) -> FlownPath:
-    """Prepare to render along a recorded path.
+    """Place a recorded trajectory in a simulated world.
 
     Args:
-        recorded: The path of the IMU; z up.
-        imu: What was recorded with it; an IMU of the rig's kind is synthesized where there is none.
-        rig: The sensors.
-        world: Name of the world that is to be seen.
-        seed: Draws the world and the errors of a synthesized IMU.
-        margin_m: How far the path stays from every surface [m].
+        recorded: Trajectory of the IMU in a world frame with z up.
+        imu: Recorded IMU samples; None synthesizes samples of the rig's IMU.
+        rig: The rig that observes the path.
+        world: Name of the simulated world.
+        seed: Seed of the world and of the errors of a synthesized IMU.
+        margin_m: Smallest distance between the path and any surface [m].
 
     Raises:
-        ConfigError: There is no such world, or the path does not fit into it, is too short or has gaps, or shares no
-            time with the IMU.
+        ConfigError: The world is unknown; the path does not fit into it, is too short or has gaps; or path and IMU do
+            not overlap in time.
     """
     space = flight_area(world, seed).space
     if imu is None:
@@ -83,27 +82,27 @@ def refly(
 
 
 def cut(recorded: Trajectory, start_s: float, duration_s: float | None) -> Trajectory:
-    """Return a stretch of a path.
+    """Return a section of a trajectory.
 
     Args:
-        recorded: The whole.
-        start_s: Where to begin, from its first pose [s].
-        duration_s: How long; None for all the rest.
+        recorded: The whole trajectory.
+        start_s: Start of the section, from the first pose [s].
+        duration_s: Duration of the section [s]; None for the rest of the trajectory.
 
     Raises:
-        ConfigError: There is nothing in it.
+        ConfigError: The section has fewer than two poses.
     """
     end_s = np.inf if duration_s is None else start_s + duration_s
     stretch = recorded[(recorded.t_s >= start_s) & (recorded.t_s <= end_s)]
     if len(stretch) < 2:
         raise ConfigError(
-            f"a stretch from {start_s:g} to {end_s:g} s of a path of {recorded.t_s[-1]:.1f} s; expected one with poses"
+            f"section from {start_s:g} to {end_s:g} s of {recorded.t_s[-1]:.1f} s; expected two poses or more"
         )
     return stretch
 
 
 def frame_stamps(imu_ns: Times, rate_hz: float) -> Times:
-    """Return the IMU stamps (M,) [ns] that lie nearest to a camera's beat: sensors on one clock share their stamps."""
+    """Return the IMU time stamps (M,) [ns] nearest to the nominal frame times, since both sensors share a clock."""
     nominal_ns = np.arange(imu_ns[0], imu_ns[-1] + 1, round(1e9 / rate_hz), dtype=np.int64)
     after = np.clip(np.searchsorted(imu_ns, nominal_ns), 1, len(imu_ns) - 1)
     earlier = nominal_ns - imu_ns[after - 1] < imu_ns[after] - nominal_ns
@@ -111,19 +110,19 @@ def frame_stamps(imu_ns: Times, rate_hz: float) -> Times:
 
 
 def _shared(recorded: Trajectory, imu: ImuSamples) -> tuple[Trajectory, ImuSamples]:
-    """Return the stretches of a path and its IMU that cover the same time."""
+    """Return the sections of a trajectory and its IMU samples that cover the same time."""
     samples = imu[int(np.searchsorted(imu.t_ns, recorded.t_ns[0])) :].up_to(int(recorded.t_ns[-1]))
     if len(samples) < 2:
         raise ConfigError(
-            f"an IMU from {imu.t_ns[0]} to {imu.t_ns[-1]} ns and a path from {recorded.t_ns[0]} to"
-            f" {recorded.t_ns[-1]} ns; expected two that share some time"
+            f"IMU samples from {imu.t_ns[0]} to {imu.t_ns[-1]} ns and a path from {recorded.t_ns[0]} to"
+            f" {recorded.t_ns[-1]} ns; expected overlapping times"
         )
     within = (recorded.t_ns >= samples.t_ns[0]) & (recorded.t_ns <= samples.t_ns[-1])
     return recorded[within], samples
 
 
 def _synthesized(recorded: Trajectory, rig: Rig, seed: int) -> tuple[Trajectory, ImuSamples]:
-    """Return the smooth motion through a path, and what an IMU of the rig's kind feels on it."""
+    """Return the smooth motion through a trajectory and samples of the rig's IMU along it."""
     motion = SmoothMotion.through(recorded)
     t_ns = _imu_stamps(recorded.t_ns, rig.imu.rate_hz)
     imu, gyro_bias, accel_bias = ImuErrors(rig.imu, generator(seed, "imu")).add_to(motion.points(t_ns))
@@ -131,7 +130,7 @@ def _synthesized(recorded: Trajectory, rig: Rig, seed: int) -> tuple[Trajectory,
 
 
 def _imu_stamps(recorded_ns: Times, rate_hz: float) -> Times:
-    """Return the IMU's time stamps: the recording's own where it has its rate, else a beat from its first."""
+    """Return the IMU time stamps: those of the poses if they have the rate of the IMU, otherwise a uniform grid."""
     interval_ns = 1e9 / rate_hz
     if np.all(np.abs(np.diff(recorded_ns) - interval_ns) < 0.01 * interval_ns):
         return recorded_ns

@@ -1,4 +1,4 @@
-"""Scenarios: what is flown, where, with which sensors and faults, from which seed."""
+"""Scenarios: world, vehicle, flight plan, sensors, wind, faults and seed of one simulated flight."""
 
 from dataclasses import dataclass, field
 
@@ -15,34 +15,34 @@ from dronevio.sim.streams import Stream, generator
 
 @dataclass(frozen=True)
 class Scenario:
-    """One flight, complete: the same scenario gives the same bytes."""
+    """Complete description of one flight: the same scenario gives the same bytes."""
 
     name: str
-    """What to call it: a name and a version, which changes whenever what is flown does."""
+    """Name with a version, which increases whenever the flight changes."""
     description: str
-    """What is flown, for people."""
+    """Short description of the flight for listings."""
     plan: FlightPlan
-    """The path."""
+    """The plan of the path."""
     world: str = "room"
-    """Where: a name that `dronevio.sim.world.build_world` knows."""
+    """Name of the world, a key of `dronevio.sim.world.WORLDS`."""
     rig: Rig = field(default_factory=euroc_rig)
-    """The sensors, as the calibration has them; what is hidden of the truth is in ``faults``."""
+    """The calibrated sensors; deviations of the true rig are in ``faults``."""
     quadrotor: Quadrotor = field(default_factory=Quadrotor)
-    """The vehicle."""
+    """The vehicle that flies."""
     imaging: Imaging = field(default_factory=Imaging)
-    """What the cameras' sensors make of light."""
+    """Exposure control and noise of the image sensors."""
     wind: Wind = CALM
-    """How the air moves."""
+    """Mean wind and gusts."""
     faults: Faults = field(default_factory=Faults)
-    """What goes wrong."""
+    """Faults of vehicle and sensors."""
     seed: int = 0
-    """Draws the world's looks, the waypoints, the gusts and the sensors' errors, each from a stream of its own."""
+    """Seed of the world, the waypoints, the gusts and the sensor errors, each with its own random stream."""
 
     @property
     def true_rig(self) -> Rig:
-        """The rig that really flies, hidden faults and all."""
+        """The true rig, including hidden faults."""
         return self.faults.true_rig(self.rig, self.generator("faults"))
 
     def generator(self, stream: Stream) -> np.random.Generator:
-        """Return the random numbers of one subsystem, independent of those of the others."""
+        """Return the random generator of one subsystem, independent of those of the others."""
         return generator(self.seed, stream)

@@ -1,7 +1,7 @@
-"""The scenarios that come with the house, by name and version, and suites of them.
+"""The predefined scenarios, by name and version, and suites of them.
 
-A version says what is flown: two runs of one name and seed are comparable, whatever has been added since. Whoever
-changes a flight gives it the next number and keeps the old one.
+A version identifies a flight exactly: runs of one name and seed are comparable across releases. A changed flight gets
+the next version, and the old version remains.
 """
 
 import math
@@ -35,7 +35,7 @@ _TOUR = (
     (-0.9, -0.6, 0.2),
     (0.0, -0.8, -0.2),
 )
-"""Figures of eight and laps that see every wall, at changing heights."""
+"""Figures of eight and laps at changing heights that show every wall."""
 
 _ROOM = FlightPlan(
     initial_rest_s=2.0,
@@ -61,20 +61,20 @@ _SHORT = FlightPlan(
 )
 
 _FIRST_FLIGHTS = (
-    Scenario("room-v0", "a lively tour of a furnished room", _ROOM),
-    Scenario("room-slow-v0", "half of that tour at walking pace", replace(_ROOM, waypoints=_TOUR[:8])),
-    Scenario("hover-v0", "take off, hover on the spot, land", _HOVER),
-    Scenario("short-v0", "a quick look: one small hop", _SHORT),
+    Scenario("room-v0", "an agile tour of a furnished room", _ROOM),
+    Scenario("room-slow-v0", "half of the tour of room-v0 at walking pace", replace(_ROOM, waypoints=_TOUR[:8])),
+    Scenario("hover-v0", "take-off, hover, landing", _HOVER),
+    Scenario("short-v0", "a short hop for quick tests", _SHORT),
 )
 
 _LEVELS = ("easy", "medium", "difficult")
 _PLACES = {
     "room": "a furnished room",
-    "corridor": "an office floor's corridors, a closed loop",
+    "corridor": "the corridor of an office floor, a closed loop",
     "warehouse": "a warehouse",
     "hall": "a machine hall",
     "forest": "a forest",
-    "gates": "a field of gates",
+    "gates": "a race course with gates",
 }
 _TOUR_S = {"easy": 40.0, "medium": 40.0, "difficult": 35.0}
 
@@ -88,7 +88,7 @@ _TOURS = tuple(
     for world, place in _PLACES.items()
     for level in _LEVELS
 )
-"""Every normal world at three levels: peaks about as in EuRoC's rooms and hall of that name."""
+"""Every normal world at three levels, whose peak speeds and rates are close to those of EuRoC's levels."""
 
 _RACES = (
     Scenario(
@@ -105,71 +105,69 @@ _RACES = (
     ),
     Scenario(
         "room-aggressive-v0",
-        "quick reversals in a room, tilting hard",
+        "fast reversals in a room at large tilt angles",
         FlightPlan(tour_s=25.0, shape="aggressive", limits=LIMITS["race"]),
     ),
 )
-"""As fast as UZH-FPV's."""
+"""Flights as fast as those of the UZH-FPV dataset."""
 
 _MEDIUM = FlightPlan(tour_s=40.0, shape="tour", limits=LIMITS["medium"])
 _HARD_WORLDS = (
-    Scenario("low-texture-v0", "a tour of a white gallery, all but empty", _MEDIUM, world="low-texture"),
-    Scenario(
-        "repetitive-v0", "a tour of a tiled station where each place looks like the next", _MEDIUM, world="repetitive"
-    ),
+    Scenario("low-texture-v0", "a tour of a white gallery with little texture", _MEDIUM, world="low-texture"),
+    Scenario("repetitive-v0", "a tour of a tiled station with repetitive texture", _MEDIUM, world="repetitive"),
     Scenario(
         "dark-v0",
-        "a tour of a room at night, by a camera that adapts",
+        "a tour of a dark room with automatic exposure",
         _MEDIUM,
         world="dark",
         imaging=Imaging(control=AutoExposure()),
     ),
-    Scenario("mirror-v0", "a tour of a hall whose floor mirrors it", _MEDIUM, world="mirror"),
-    Scenario("moving-v0", "a tour of a concourse full of people and carts", _MEDIUM, world="moving"),
+    Scenario("mirror-v0", "a tour of a hall with a reflecting floor", _MEDIUM, world="mirror"),
+    Scenario("moving-v0", "a tour of a concourse with moving people and carts", _MEDIUM, world="moving"),
 )
 
 _SHAPES = tuple(
     Scenario(f"room-{shape}-v0", description, FlightPlan(tour_s=20.0, shape=shape, limits=LIMITS["medium"]))
     for shape, description in {
-        "rotation": "turning on the spot: no parallax",
+        "rotation": "rotation on the spot, without parallax",
         "figure-8": "figures of eight",
         "helix": "a helix",
-        "square": "laps of a square that come back to where they began",
-        "sideways": "flying sideways",
-        "inspection": "scanning a wall, facing it",
+        "square": "laps of a square, revisiting the same places",
+        "sideways": "figures of eight flown sideways",
+        "inspection": "inspection of a wall with the camera facing it",
     }.items()
 )
 
 _NANO = Scenario(
     "nano-v0",
-    "30 g of drone with a small rolling-shutter camera, at walking pace",
+    "a drone of 30 g with a small rolling-shutter camera at walking pace",
     FlightPlan(tour_s=20.0, shape="tour", limits=LIMITS["easy"], height_m=0.8),
     rig=rig_named("nano"),
     quadrotor=NANO,
 )
 
 _STRESS = tuple(
-    Scenario(f"room-{name}-v0", f"the lively tour of a room, {what}", _ROOM, faults=faults)
+    Scenario(f"room-{name}-v0", f"the agile tour of a room, {what}", _ROOM, faults=faults)
     for name, what, faults in (
-        ("dark-1s", "the camera dark for a second", Faults(dark_from_s=12.0, dark_for_s=1.0)),
-        ("dark-5s", "the camera dark for five seconds", Faults(dark_from_s=12.0, dark_for_s=5.0)),
-        ("drops", "half of its frames lost", Faults(dropped_frames=0.5)),
-        ("offset", "its camera 5 ms late and nobody knows", Faults(hidden_time_offset_s=0.005)),
-        ("tilt", "its camera turned by 1° and nobody knows", Faults(hidden_tilt_rad=math.radians(1.0))),
-        ("noise", "its IMU twice as noisy as it should be", Faults(imu_noise_factor=2.0)),
-        ("saturated", "its gyroscope at its limit from 57 °/s on", Faults(gyro_range_rad_s=1.0)),
+        ("dark-1s", "with dark images for 1 s", Faults(dark_from_s=12.0, dark_for_s=1.0)),
+        ("dark-5s", "with dark images for 5 s", Faults(dark_from_s=12.0, dark_for_s=5.0)),
+        ("drops", "with half of the frames lost", Faults(dropped_frames=0.5)),
+        ("offset", "with an uncalibrated camera time offset of 5 ms", Faults(hidden_time_offset_s=0.005)),
+        ("tilt", "with an uncalibrated camera rotation of 1°", Faults(hidden_tilt_rad=math.radians(1.0))),
+        ("noise", "with twice the calibrated IMU noise", Faults(imu_noise_factor=2.0)),
+        ("saturated", "with a gyroscope that saturates at 57 °/s", Faults(gyro_range_rad_s=1.0)),
     )
 )
 _STRESS = (
     *_STRESS,
-    Scenario("room-motion-v0", "the lively tour of a room, joined in motion", replace(_ROOM, skip_s=6.0)),
+    Scenario("room-motion-v0", "the agile tour of a room, started in motion", replace(_ROOM, skip_s=6.0)),
 )
 
 SCENARIOS: dict[str, Scenario] = {
     scenario.name: scenario
     for scenario in (*_FIRST_FLIGHTS, *_TOURS, *_RACES, *_SHAPES, _NANO, *_HARD_WORLDS, *_STRESS)
 }
-"""What can be flown, by name and version; each with seed 0."""
+"""All scenarios by name and version, each with seed 0."""
 
 SUITES: dict[str, tuple[str, ...]] = {
     **{world: tuple(s.name for s in _TOURS if s.world == world) for world in _PLACES},
@@ -179,18 +177,18 @@ SUITES: dict[str, tuple[str, ...]] = {
     "hard": tuple(s.name for s in _HARD_WORLDS),
     "stress": tuple(s.name for s in _STRESS),
 }
-"""Scenarios that belong together: of one world, of one level, or of one kind."""
+"""Names of the scenarios of each suite: those of one world, of one level, or of one kind."""
 
 
 def scenario_named(name: str, seed: int | None = None) -> Scenario:
-    """Return a scenario, with another seed if one is given.
+    """Return a scenario, optionally with another seed.
 
     Args:
-        name: One of `SCENARIOS`; without its version, the latest of that name.
+        name: A key of `SCENARIOS`; without a version, the latest version of that name.
         seed: Zero or more.
 
     Raises:
-        ConfigError: There is no such scenario, or the seed is negative.
+        ConfigError: The scenario is unknown, or the seed is negative.
     """
     versions = [known for known in SCENARIOS if known == name or known.rpartition("-v")[0] == name]
     if not versions:

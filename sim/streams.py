@@ -1,7 +1,7 @@
-"""Random numbers: one stream for each subsystem, all from one seed.
+"""Random number streams: one independent stream for each subsystem, all derived from one seed.
 
-So one more random number in a world's paint does not change the IMU's noise, and the noise of a frame does not depend
-on who drew the frames before it.
+A change of the number of draws in one subsystem therefore does not change another, and the noise of a frame does not
+depend on the process that rendered earlier frames.
 """
 
 from typing import Literal
@@ -9,7 +9,7 @@ from typing import Literal
 import numpy as np
 
 Stream = Literal["layout", "paint", "images", "frames", "path", "imu", "wind", "faults"]
-"""Who draws: a world's layout and its looks, the images' noise, the frames' timing, the way, the IMU, gusts, faults."""
+"""The subsystems: layout and textures of the world, image noise, frame times, path, IMU errors, gusts and faults."""
 
 _KEYS: dict[Stream, int] = {
     "layout": 10,
@@ -24,5 +24,5 @@ _KEYS: dict[Stream, int] = {
 
 
 def generator(seed: int, stream: Stream, *part: int) -> np.random.Generator:
-    """Return the random numbers of a subsystem, or of one part of its work, independent of all others."""
+    """Return the random generator of a subsystem, or of one part of its work, independent of all others."""
     return np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(_KEYS[stream], *part)))

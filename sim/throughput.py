@@ -1,4 +1,4 @@
-"""How fast the simulator is: figures with their bounds, measured as CPU time of this process."""
+"""Speed of the simulator: figures with their bounds, measured as processor time of this process."""
 
 import time
 
@@ -13,24 +13,24 @@ from dronevio.sim.flight import fly
 from dronevio.sim.scenario import Scenario
 from dronevio.sim.world import World
 
-_FORWARD = np.array([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]])  # a camera that looks along the world's x
-_EYE_HEIGHT_M = 1.2
+_FORWARD = np.array([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]])  # optical axis along world x
+_CAMERA_HEIGHT_M = 1.2
 
 
 def camera_figure(world: World, camera: CameraModel, frames: int) -> PerformanceFigure:
-    """Measure what a camera costs beside drawing what it needs, turning once around above the pad.
+    """Measure the cost of the camera model relative to bare rendering, over one rotation above the landing pad.
 
     Args:
-        world: What to look at.
-        camera: What to look with.
-        frames: How many directions to look in.
+        world: The world to render.
+        camera: The camera model.
+        frames: Number of directions.
 
     Raises:
-        GraphicsError: No off-screen OpenGL.
+        GraphicsError: Off-screen OpenGL is not available.
     """
-    turns = exp_so3(np.linspace(0.0, 2.0 * np.pi, frames, endpoint=False)[:, None] * [0.0, 0.0, 1.0])
-    eye = np.broadcast_to(world.pad + [0.0, 0.0, _EYE_HEIGHT_M], (frames, 3))
-    cost = camera_cost(world.spec.compile(), camera, pose_matrix(turns @ _FORWARD, eye))
+    rotations = exp_so3(np.linspace(0.0, 2.0 * np.pi, frames, endpoint=False)[:, None] * [0.0, 0.0, 1.0])
+    position = np.broadcast_to(world.pad + [0.0, 0.0, _CAMERA_HEIGHT_M], (frames, 3))
+    cost = camera_cost(world.spec.compile(), camera, pose_matrix(rotations @ _FORWARD, position))
     return PerformanceFigure(
         "drawing and lens, by bare drawing",
         cost.ratio,
@@ -43,7 +43,7 @@ def camera_figure(world: World, camera: CameraModel, frames: int) -> Performance
 
 
 def flight_figure(scenario: Scenario, progress: Progress = silent) -> PerformanceFigure:
-    """Measure how fast a scenario is flown without images: planning, physics, controller and IMU."""
+    """Measure the speed of a simulation without images: planning, physics, controller and IMU."""
     start_s = time.process_time()
     flight = fly(scenario, progress)
     spent_s = time.process_time() - start_s

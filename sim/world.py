@@ -1,4 +1,4 @@
-"""Worlds to fly in: textured, lit, drawn from a seed."""
+"""Construction of the simulated worlds: geometry, textures and lighting, drawn from a seed."""
 
 from dataclasses import dataclass
 from functools import lru_cache
@@ -49,57 +49,57 @@ WORLDS: dict[str, WorldBuilder] = {
     "mirror": MIRROR,
     "moving": MOVING,
 }
-"""The worlds that `build_world` knows, by name."""
+"""Builders of all worlds by name."""
 
 _MOVING_PAGE_PX = 1024
 
 
 @dataclass(frozen=True, eq=False)
 class Mover:
-    """Something in a world that moves by itself, along a path that is known beforehand."""
+    """An object of a world that moves along a path that does not depend on the flight."""
 
     body: str
-    """Name of its mocap body in the world's spec."""
+    """Name of its mocap body in the specification of the world."""
     poses: Poses
-    """Maps times (M,) since the start of the flight [s] to poses (M, 4, 4) in the world."""
+    """Function from times (M,) since the start of the flight [s] to poses T_world_body (M, 4, 4)."""
 
 
 @dataclass(frozen=True, eq=False)
 class World:
-    """A place without the drone."""
+    """A world without the drone."""
 
     name: str
-    """What it is called."""
+    """Name of the world."""
     seed: int
-    """What it was drawn from."""
+    """Seed of its layout and textures."""
     spec: mujoco.MjSpec
-    """Static geometry, to compile or to attach a drone to: what is seen (group 0) and what is touched (group 3)."""
+    """Specification to compile, or to attach a drone to: visible geoms in group 0, collision geoms in group 3."""
     outline: Array
-    """(L, 2, 3) Line segments of the walls and the furniture, for drawing [m]."""
+    """(L, 2, 3) Line segments of walls and furniture for wireframe drawings [m]."""
     free_box: Array
-    """(2, 3) Least and greatest corner of the space free of obstacles [m]; the pad is under its middle."""
+    """(2, 3) Lower and upper corner of a space free of obstacles [m]; the landing pad is below its centre."""
     space: Space
-    """Shell and obstacles: where a drone may fly."""
+    """Bounds and obstacles for path planning."""
     pad: Array
-    """(3,) Middle of the landing pad, on the floor [m]."""
+    """(3,) Centre of the landing pad on the floor [m]."""
     route: Array
-    """(R, 3) A tour through the whole world [m]: from above the pad, the straight legs between its points, and the one
-    from the last back to the first, keep 0.6 m clear of every surface."""
+    """(R, 3) Closed tour through the whole world that starts above the landing pad [m]; its straight legs keep 0.6 m of
+    clearance."""
     illumination: float = 1.0
-    """Light that falls in, relative to a well lit room; the images of 1 are exposed as painted."""
+    """Illumination relative to a well-lit room; at 1, images are exposed as the textures are painted."""
     movers: tuple[Mover, ...] = ()
-    """What moves."""
+    """Moving objects of the world."""
 
 
 def build_world(name: str, seed: int) -> World:
-    """Build a world.
+    """Build a world from its name and seed.
 
     Args:
-        name: One of `WORLDS`.
-        seed: Draws the layout, the patterns and the light; the same seed gives the same bytes.
+        name: A key of `WORLDS`.
+        seed: Seed of layout, textures and light; the same seed gives the same bytes.
 
     Raises:
-        ConfigError: There is no such world.
+        ConfigError: The world is unknown.
     """
     _require(name)
     layout, appearance = _painted(name, seed)
@@ -121,10 +121,10 @@ def build_world(name: str, seed: int) -> World:
 
 @lru_cache(maxsize=8)
 def flight_area(name: str, seed: int) -> FlightArea:
-    """Return where one may fly in a world: what `build_world` says of it, without the seconds of painting.
+    """Return what a path planner needs of a world, without painting its textures, which takes seconds.
 
     Raises:
-        ConfigError: There is no such world.
+        ConfigError: The world is unknown.
     """
     _require(name)
     layout = WORLDS[name].layout(_generators(seed)[0])
@@ -132,10 +132,10 @@ def flight_area(name: str, seed: int) -> FlightArea:
 
 
 def collision_spec(name: str, seed: int) -> mujoco.MjSpec:
-    """Return what a drone can touch of a world, and nothing that is only seen, without the seconds of painting.
+    """Return the collision geoms of a world, without visible geometry and without painting textures.
 
     Raises:
-        ConfigError: There is no such world.
+        ConfigError: The world is unknown.
     """
     _require(name)
     spec = mujoco.MjSpec()
@@ -144,27 +144,27 @@ def collision_spec(name: str, seed: int) -> mujoco.MjSpec:
 
 
 def instance_spec(name: str, seed: int) -> mujoco.MjSpec:
-    """Return what is seen of a world without its paint, so without the seconds of painting.
+    """Return the visible geometry of a world as one geom per object instance, without textures.
 
-    Each thing is one geom, and its name says what it is: ``floor``, ``sofa``, ``tree_12``. The same seed gives the same
-    things in the same order. What moves is on bodies of the same names as in `build_world`.
+    Each geom bears the name of its instance: ``floor``, ``sofa``, ``tree_12``. The same seed gives the same instances
+    in the same order. Moving objects are on bodies of the same names as in `build_world`.
 
     Raises:
-        ConfigError: There is no such world.
+        ConfigError: The world is unknown.
     """
     _require(name)
     return assembled_instances(WORLDS[name].layout(_generators(seed)[0]))
 
 
 def _require(name: str) -> None:
-    """Raise ConfigError unless there is a world of that name."""
+    """Raise ConfigError unless a world of that name exists."""
     if name not in WORLDS:
         raise ConfigError(f"unknown world {name!r}; expected one of {', '.join(WORLDS)}")
 
 
 @lru_cache(maxsize=2)
 def _painted(name: str, seed: int) -> tuple[Layout, Appearance]:
-    """Return the layout of a world and what it appearance like; kept, since painting takes a second or two."""
+    """Return layout and appearance of a world; cached, since painting takes seconds."""
     drawing, paint = _generators(seed)
     layout = WORLDS[name].layout(drawing)
     surfaces = seen_surfaces(layout)
@@ -175,7 +175,7 @@ def _painted(name: str, seed: int) -> tuple[Layout, Appearance]:
         shading = tuple(box for box in layout.boxes if box.glow == 0.0)
     light = bake(surfaces, shading, layout.lights)
     pages = paint_pages(faces, light[: len(faces)], paint)
-    pages = [shared.page(paint) for shared in layout.prints] + pages  # near things first: they hide what is behind
+    pages = [shared.page(paint) for shared in layout.prints] + pages  # near to far
     reflecting = [painted(face, light[-1], paint) for face in floor]
     moving_pages = []
     for thing in layout.moving:
@@ -185,5 +185,5 @@ def _painted(name: str, seed: int) -> tuple[Layout, Appearance]:
 
 
 def _generators(seed: int) -> tuple[np.random.Generator, np.random.Generator]:
-    """Return the random numbers of the layout and of the paint."""
+    """Return the random generators of layout and textures."""
     return generator(seed, "layout"), generator(seed, "paint")

@@ -1,4 +1,4 @@
-"""What the camera model costs on top of the bare renderer, measured in CPU time."""
+"""Cost of the camera model relative to bare rendering, in processor time."""
 
 import time
 from collections.abc import Sequence
@@ -19,31 +19,31 @@ Array = npt.NDArray[np.float64]
 
 @dataclass(frozen=True)
 class CameraCost:
-    """CPU time of a frame; all threads of the process together, so no other may be at work."""
+    """Processor time per frame of all threads of the process, which must therefore do no other work."""
 
     camera_ms: float
-    """`OffscreenCamera.render`: drawing, conversion to grey, lens [ms]."""
+    """Time of `OffscreenCamera.render`: rendering, conversion to grey, lens model [ms]."""
     bare_ms: float
-    """`mujoco.Renderer.render` of the same views, with the same flags and of the same drawn size [ms]."""
+    """Time of `mujoco.Renderer.render` for the same views, flags and sizes [ms]."""
     drawn_pixels: int
-    """Pixels that either draws."""
+    """Number of pixels that either renders."""
 
     @property
     def ratio(self) -> float:
-        """How many times as much the camera costs as the bare renderer."""
+        """Ratio of the two times."""
         return self.camera_ms / self.bare_ms
 
 
 def camera_cost(model: mujoco.MjModel, camera: CameraModel, Ts_world_cam: Array) -> CameraCost:
-    """Measure the cost of a camera against that of MuJoCo's own renderer, the two taking turns at every pose.
+    """Measure the cost of a camera relative to MuJoCo's renderer, alternating between the two at every pose.
 
     Args:
-        model: The world, compiled.
+        model: The compiled world.
         camera: The camera.
-        Ts_world_cam: (M, 4, 4) Poses to draw from; the first is drawn once more beforehand, unmeasured.
+        Ts_world_cam: (M, 4, 4) Camera poses; the first is rendered once more in advance, without measurement.
 
     Raises:
-        GraphicsError: No off-screen OpenGL.
+        GraphicsError: Off-screen OpenGL is not available.
     """
     with OffscreenCamera(model, camera) as rendered, ExitStack() as stack:
         bare = [(view, stack.enter_context(_renderer(model, view))) for view in rendered.views.views]
@@ -59,7 +59,7 @@ def camera_cost(model: mujoco.MjModel, camera: CameraModel, Ts_world_cam: Array)
 
 
 def _renderer(model: mujoco.MjModel, view: View) -> mujoco.Renderer:
-    """Return MuJoCo's renderer of a view's size, set to draw what the camera draws."""
+    """Return MuJoCo's renderer for a view, with the flags of the camera."""
     room = model.vis.global_
     before = room.offwidth, room.offheight
     room.offwidth, room.offheight = view.width, view.height
@@ -75,7 +75,7 @@ def _renderer(model: mujoco.MjModel, view: View) -> mujoco.Renderer:
 
 
 def _draw_bare(model: mujoco.MjModel, bare: Sequence[tuple[View, mujoco.Renderer]], T_world_cam: Array) -> None:
-    """Draw all views with MuJoCo's renderer."""
+    """Render all views with MuJoCo's renderer."""
     near_m, far_m = (float(v * model.stat.extent) for v in (model.vis.map.znear, model.vis.map.zfar))
     for view, renderer in bare:
         set_camera(renderer.scene, T_world_cam, view, near_m, far_m)

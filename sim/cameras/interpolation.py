@@ -1,4 +1,4 @@
-"""Poses between the stamps of a trajectory."""
+"""Interpolation of poses between the time stamps of a trajectory."""
 
 import numpy as np
 import numpy.typing as npt
@@ -12,10 +12,10 @@ Array = npt.NDArray[np.float64]
 
 
 def interpolated_poses(trajectory: Trajectory, t_ns: Times) -> Array:
-    """Return poses (M, 4, 4) at times (M,) [ns]: linear in position, along the arc in rotation.
+    """Return poses (M, 4, 4) at times (M,) [ns]: linear in position, spherical linear (slerp) in rotation.
 
-    Between stamps h apart the position is off by a h² / 8 at most: 31 µm at 10 m/s² and 200 Hz. Before the first and
-    after the last stamp the motion of the nearest interval goes on.
+    For an interval h and an acceleration a, the position error is at most a h² / 8: 31 µm at 10 m/s² and 200 Hz.
+    Outside the trajectory, the motion of the nearest interval is extrapolated.
     """
     after = np.clip(np.searchsorted(trajectory.t_ns, t_ns, side="right"), 1, len(trajectory) - 1)
     start, end = trajectory.t_ns[after - 1], trajectory.t_ns[after]

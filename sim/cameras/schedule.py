@@ -1,7 +1,7 @@
-"""When the cameras expose: time stamps, the true instants behind them, and what goes wrong with them.
+"""Frame times: recorded time stamps, true exposure times, and faults of the frames.
 
-All cameras of a rig share one trigger. A frame is stamped with the middle of its exposure on the cameras' clock; the
-truth is kept beside it, on the IMU's clock.
+All cameras of a rig share one trigger. The time stamp of a frame is the middle of its exposure on the clock of the
+cameras; the true time is stored beside it on the clock of the IMU.
 """
 
 from dataclasses import dataclass
@@ -17,20 +17,20 @@ _LARGEST_JITTER = 0.4  # of the time between two frames, so that they stay in or
 
 @dataclass(frozen=True, eq=False)
 class FrameSchedule:
-    """The frames of a flight."""
+    """Recorded and true times of the frames of a flight."""
 
     stamps_ns: Times
-    """(M,) Time stamps, as recorded [ns], strictly increasing."""
+    """(M,) Recorded time stamps [ns], strictly increasing."""
     exposed_ns: Times
-    """(M,) True middle of the exposure of the middle row, on the IMU's clock [ns]."""
+    """(M,) True times of the middle of the exposure of the middle row, on the clock of the IMU [ns]."""
     lit: npt.NDArray[np.bool_]
-    """(M,) False where no light reaches the cameras."""
+    """(M,) Whether light reaches the cameras."""
 
     def __post_init__(self) -> None:
-        """Check the shapes.
+        """Check shapes and order.
 
         Raises:
-            ConfigError: They differ, or time does not increase.
+            ConfigError: The lengths differ, or the time stamps do not increase.
         """
         count = len(self.stamps_ns)
         if self.exposed_ns.shape != (count,) or self.lit.shape != (count,):
@@ -47,12 +47,12 @@ class FrameSchedule:
         return FrameSchedule(self.stamps_ns[rows], self.exposed_ns[rows], self.lit[rows])
 
     def within(self, first_ns: int, last_ns: int) -> "FrameSchedule":
-        """Return the frames that are taken between two true times [ns], both included."""
+        """Return the frames whose true times lie between two times [ns], both included."""
         return self[(self.exposed_ns >= first_ns) & (self.exposed_ns <= last_ns)]
 
 
 def nominal_stamps(first_ns: int, end_ns: int, rate_hz: float) -> Times:
-    """Return a camera's undisturbed time stamps [ns], from ``first_ns`` to before ``end_ns``."""
+    """Return the nominal time stamps of a camera [ns], from ``first_ns`` to before ``end_ns``."""
     return np.arange(first_ns, end_ns, round(1e9 / rate_hz), dtype=np.int64)
 
 
@@ -65,19 +65,19 @@ def schedule_frames(
     dark_from_s: float = 0.0,
     dark_for_s: float = 0.0,
 ) -> FrameSchedule:
-    """Return when frames are taken and what is recorded of it.
+    """Return recorded and true times of frames with faults.
 
     Args:
-        nominal_ns: (N,) Undisturbed time stamps [ns], increasing, of any spacing.
-        rng: Draws jitter and losses.
-        time_offset_s: How much later than its stamp a frame is taken, on the IMU's clock: t_imu = t_cam + offset [s].
-        stamp_jitter_s: Standard deviation of the stamps' error [s]; frames never come out of order.
-        dropped_frames: Share of the frames that are lost; the first one never is.
-        dark_from_s: When light fails, from the first stamp [s].
-        dark_for_s: For how long [s].
+        nominal_ns: (N,) Nominal time stamps [ns], increasing, at any intervals.
+        rng: Generator of jitter and losses.
+        time_offset_s: Time offset of the cameras: t_imu = t_cam + offset [s].
+        stamp_jitter_s: Standard deviation of the error of the time stamps [s]; the order of frames is kept.
+        dropped_frames: Fraction of lost frames; the first frame is never lost.
+        dark_from_s: Start of the darkness, from the first time stamp [s].
+        dark_for_s: Duration of the darkness [s].
     """
     count = len(nominal_ns)
-    error_s, loss = rng.standard_normal(count) * stamp_jitter_s, rng.random(count)  # drawn whatever they are used for
+    error_s, loss = rng.standard_normal(count) * stamp_jitter_s, rng.random(count)  # always drawn
     reach_s = _LARGEST_JITTER * 1e-9 * float(np.diff(nominal_ns).min(initial=np.iinfo(np.int64).max))
     error_ns = np.rint(np.clip(error_s, -reach_s, reach_s) * 1e9).astype(np.int64)
     since_s = (nominal_ns - nominal_ns[:1]) * 1e-9

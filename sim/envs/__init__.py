@@ -1,4 +1,4 @@
-"""Gymnasium environments, plain: ``import dronevio.envs`` gives them their names."""
+"""Gymnasium environments; importing ``dronevio.envs`` registers them."""
 
 from typing import TYPE_CHECKING
 

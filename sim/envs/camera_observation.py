@@ -1,4 +1,4 @@
-"""CameraObservation: what an agent's camera adds to its observations, if it has one."""
+"""Camera observations: the images that an environment adds to its observations."""
 
 from dataclasses import replace
 from typing import Any, Protocol
@@ -16,27 +16,27 @@ Array = npt.NDArray[np.float64]
 
 
 class CameraObservation(Protocol):
-    """Adds entries to an observation."""
+    """Interface of an observation component with images."""
 
     def spaces(self) -> dict[str, spaces.Space[Any]]:
-        """Return the spaces of the entries that `observe` adds."""
+        """Return the spaces of the entries of `observe`."""
 
     def observe(self, T_world_imu: Array) -> dict[str, npt.NDArray[np.uint8]]:
-        """Return what is seen from a pose (4, 4) of the IMU."""
+        """Return the entries at a pose T_world_imu (4, 4)."""
 
     def close(self) -> None:
-        """Give back what drawing took."""
+        """Release the resources of rendering."""
 
 
 class NoCameraObservation:
-    """No camera; implements `CameraObservation`."""
+    """No images; implements `CameraObservation`."""
 
     def spaces(self) -> dict[str, spaces.Space[Any]]:
-        """Return nothing."""
+        """Return no entries."""
         return {}
 
     def observe(self, T_world_imu: Array) -> dict[str, npt.NDArray[np.uint8]]:
-        """Return nothing."""
+        """Return no entries."""
         return {}
 
     def close(self) -> None:
@@ -47,13 +47,13 @@ class RenderedObservation:
     """An image of reduced size from a camera of a rig in a world that is built at the first call of `observe`."""
 
     def __init__(self, mounted: RigCamera, scale: float, world: str, seed: int) -> None:
-        """Prepare to look.
+        """Define camera and world.
 
         Args:
-            mounted: The camera.
-            scale: Size of the images, relative to the camera's.
-            world: Where: a name that `build_world` knows.
-            seed: Draws the world.
+            mounted: The camera and its mounting on the rig.
+            scale: Width of the images relative to that of the camera.
+            world: Name of the world.
+            seed: Seed of the world.
         """
         self._model = scaled(mounted.model, scale)
         self._T_imu_cam = mounted.T_imu_cam
@@ -61,28 +61,28 @@ class RenderedObservation:
         self._camera: OffscreenCamera | None = None
 
     def spaces(self) -> dict[str, spaces.Space[Any]]:
-        """Return the space of ``image``: grey, (H, W, 1)."""
+        """Return the space of ``image``: a grey image (H, W, 1)."""
         return {"image": spaces.Box(0, 255, (self._model.height, self._model.width, 1), np.uint8)}
 
     def observe(self, T_world_imu: Array) -> dict[str, npt.NDArray[np.uint8]]:
-        """Return the ``image`` (H, W, 1) from a pose (4, 4) of the IMU.
+        """Return the ``image`` (H, W, 1) at a pose T_world_imu (4, 4).
 
         Raises:
-            GraphicsError: No off-screen OpenGL.
+            GraphicsError: Off-screen OpenGL is not available.
         """
         if self._camera is None:
             self._camera = OffscreenCamera(build_world(self._world, self._seed).spec.compile(), self._model)
         return {"image": self._camera.render(T_world_imu @ self._T_imu_cam)[..., None]}
 
     def close(self) -> None:
-        """Give the graphics memory back."""
+        """Release the graphics memory."""
         if self._camera is not None:
             self._camera.close()
             self._camera = None
 
 
 def scaled(camera: CameraModel, scale: float) -> CameraModel:
-    """Return a camera with the same view and an image ``scale`` times as wide and high, rounded to whole pixels."""
+    """Return a camera with the same field of view and an image of ``scale`` times the size, in whole pixels."""
     width, height = round(camera.width * scale), round(camera.height * scale)
     x, y = width / camera.width, height / camera.height
     return replace(
@@ -91,6 +91,6 @@ def scaled(camera: CameraModel, scale: float) -> CameraModel:
         height=height,
         fx=camera.fx * x,
         fy=camera.fy * y,
-        cx=(camera.cx + 0.5) * x - 0.5,  # pixel centres are integers: the image starts at −0.5
+        cx=(camera.cx + 0.5) * x - 0.5,  # pixel centres are at integers, so the image starts at −0.5
         cy=(camera.cy + 0.5) * y - 0.5,
     )

@@ -1,4 +1,4 @@
-"""Hover: bring a disturbed quadrotor to a point in a room and keep it there."""
+"""Environment Hover: bring a disturbed quadrotor to a point in a room and keep it there."""
 
 from typing import Any, SupportsFloat
 
@@ -23,59 +23,61 @@ Array = npt.NDArray[np.float64]
 Observation = dict[str, npt.NDArray[Any]]
 
 TARGET_M = np.array([0.0, 0.0, 1.2])
-"""(3,) Where the centre of mass should be, in the world [m]."""
+"""(3,) Target position of the centre of mass in the world frame [m]."""
 STEPS_PER_S = 50
-"""Actions a second."""
+"""Number of actions per second."""
 GYRO_RANGE_RAD_S = float(np.radians(1000.0))
-"""What the gyroscope can read [rad/s] (ADIS16448's data sheet); beyond, it saturates."""
+"""Measurement range of the gyroscope [rad/s] (data sheet of the ADIS16448)."""
 ACCEL_RANGE_M_S2 = 18.0 * 9.81
-"""What the accelerometer can read [m/s²] (ADIS16448's data sheet)."""
+"""Measurement range of the accelerometer [m/s²] (data sheet of the ADIS16448)."""
 
-_FARTHEST_M, _FASTEST_M_S = 5.0, 20.0  # bounds of the observation; episodes end long before
+_FARTHEST_M, _FASTEST_M_S = 5.0, 20.0  # bounds of the observation, beyond those of an episode
 _WORLD = "room"
-_CAMERA_SHARE = 0.25  # of the rig's camera's size
+_CAMERA_SCALE = 0.25  # relative to the size of the rig's camera
 _START_OFFSET_M, _START_SPEED_M_S, _START_TILT_RAD, _START_RATE_RAD_S = 0.5, 0.5, 0.2, 0.5
-_CRASH_HEIGHT_M = 0.03  # above the standing drone
+_CRASH_HEIGHT_M = 0.03  # above the height of the standing drone
 _REWARD_DISTANCE_M, _REWARD_RATE_RAD_S = 0.5, 5.0
 
 
 class Hover(gymnasium.Env[Observation, npt.NDArray[np.float32]]):
-    """Bring a disturbed quadrotor to a point 1.2 m above the floor, and keep it there.
+    """Bring a disturbed quadrotor to a point 1.2 m above the floor and keep it there.
 
     ## Description
-    A 1.5 kg quadrotor (`dronevio.models.quadrotor.Quadrotor`) in MuJoCo, with rotors that lag their commands by 30 ms,
-    thrust and torque by the square of their speed, drag, the ground's lift, and a battery that sags. It starts in the
-    air near the target, moving, tilted, its rotors at hover speed. The agent commands the four rotors 50 times a
-    second. It is told where it is, and what a real IMU senses; with ``camera=True`` also what the camera sees, so that
-    the position can be left out and found by sight.
+    A quadrotor of 1.5 kg (`dronevio.models.quadrotor.Quadrotor`) in MuJoCo, with a rotor lag of 30 ms, thrust and
+    torque proportional to the square of the rotor speed, drag, ground effect, and a battery whose voltage sags. It
+    starts in the air near the target, with random velocity and tilt, its rotors at hover speed. The agent commands the
+    speeds of the four rotors 50 times per second. It observes the true state and the samples of an IMU with errors;
+    with ``camera=True`` it also observes an image, so that the position can be removed from the observation and
+    estimated from images.
 
     ## Action space
-    ``Box(-1, 1, (4,), float32)``: the speed of each rotor. −1 is standstill, 0 the speed that carries the weight, 1 the
-    greatest; in between it is linear in the speed. The order is front right, rear left, front left, rear right; the
-    first two turn anticlockwise seen from above.
+    ``Box(-1, 1, (4,), float32)``: the speed of each rotor. −1 is standstill, 0 the hover speed and 1 the largest speed,
+    with linear interpolation between them. The order is front right, rear left, front left, rear right; the first two
+    turn anticlockwise seen from above.
 
     ## Observation space
     A ``Dict`` of ``Box`` (flatten it with `gymnasium.wrappers.FlattenObservation`):
 
-    | key | shape | holds |
+    | key | shape | content |
     |---|---|---|
-    | ``position`` | (3,) float32 | centre of mass from the target, in the world [m] |
+    | ``position`` | (3,) float32 | position of the centre of mass relative to the target, in the world frame [m] |
     | ``orientation`` | (4,) float32 | quaternion wxyz, vehicle (x forward, y left, z up) to world, w ≥ 0 |
-    | ``velocity`` | (3,) float32 | of the centre of mass, in the world [m/s] |
-    | ``rotors`` | (4,) float32 | rotor speeds, as shares of the greatest |
+    | ``velocity`` | (3,) float32 | velocity of the centre of mass in the world frame [m/s] |
+    | ``rotors`` | (4,) float32 | rotor speeds relative to the largest speed |
     | ``imu`` | (4, 6) float32 | the samples since the last action, at 200 Hz, in time order: angular velocity [rad/s] \
 and specific force [m/s²] in the IMU's frame, with noise and biases |
     | ``image`` | (120, 188, 1) uint8 | grey image of the forward camera; only with ``camera=True`` |
 
-    State and rotors are true, the IMU is not. Its frame has x up, y right and z forward, as on EuRoC's drone. After a
-    reset all rows of ``imu`` hold the one sample of the start.
+    State and rotor speeds are true values; the IMU samples have errors. The IMU frame has x up, y right and z forward,
+    as in EuRoC. After a reset all rows of ``imu`` contain the sample of the start.
 
     ## Reward
-    exp(−d / 0.5 m) · exp(−|ω| / 5 rad/s) a step, with d the distance from the target and ω the true angular velocity: 1
-    at perfect hover, and never below 0, so that it always pays to stay in the air.
+    exp(−d / 0.5 m) · exp(−|ω| / 5 rad/s) per step, with the distance d from the target and the true angular velocity ω:
+    1 at perfect hover and never negative, so that staying in the air is always rewarded.
 
     ## Starting state
     Uniform: position within ±0.5 m of the target and velocity within ±0.5 m/s on each axis, a rotation vector within
+        ±0.2 rad and an angular velocity within ±0.5 rad/s on each axis. The IMU biases are drawn at each reset.
     ±0.2 rad and an angular velocity within ±0.5 rad/s on each axis. IMU biases are drawn anew.
 
     ## Episode end
@@ -83,10 +85,10 @@ and specific force [m/s²] in the IMU's frame, with noise and biases |
     m), or tilts by more than 90°. Truncated after 500 steps, 10 s, by `gymnasium.make`.
 
     ## Arguments
-    ``camera`` adds the image, which costs some 10 ms a step without a GPU. ``world_seed`` draws the room that images
-    and pictures show. ``render_mode="rgb_array"`` lets `render` return pictures (480, 640, 3) of the drone from
-    outside. Image and picture build the room at their first use, which takes seconds, and need an off-screen OpenGL
-    (``dronevio doctor`` says whether there is one).
+    ``camera`` adds the image, which takes about 10 ms per step without a GPU. ``world_seed`` is the seed of the room in
+    images and renderings. With ``render_mode="rgb_array"``, `render` returns an RGB image (480, 640, 3) of the drone
+    from a chase camera. The room is built at the first image or rendering, which takes seconds and requires off-screen
+    OpenGL (``dronevio doctor`` checks it).
 
     ```python
     import gymnasium
@@ -103,15 +105,15 @@ and specific force [m/s²] in the IMU's frame, with noise and biases |
     metadata = {"render_modes": ["rgb_array"], "render_fps": STEPS_PER_S}  # noqa: RUF012 as Gymnasium declares it
 
     def __init__(self, render_mode: str | None = None, camera: bool = False, world_seed: int = 0) -> None:
-        """Build the physics; nothing that draws is built before it is needed.
+        """Build the physics; the renderers are built when they are first used.
 
         Args:
             render_mode: None or ``rgb_array``.
-            camera: Whether observations have an image.
-            world_seed: Draws the room.
+            camera: Whether observations contain an image.
+            world_seed: Seed of the room.
 
         Raises:
-            ConfigError: There is no such render mode.
+            ConfigError: The render mode is unknown.
         """
         if render_mode not in (None, *self.metadata["render_modes"]):
             raise ConfigError(f"render mode {render_mode!r}; expected None or 'rgb_array'")
@@ -124,7 +126,7 @@ and specific force [m/s²] in the IMU's frame, with noise and biases |
         self._samples = self._interval_ns // self._plant.interval_ns
         self._errors = ImuErrors(self._rig.imu, self.np_random)
         self._camera_observation: CameraObservation = (
-            RenderedObservation(self._rig.cameras[0], _CAMERA_SHARE, _WORLD, world_seed)
+            RenderedObservation(self._rig.cameras[0], _CAMERA_SCALE, _WORLD, world_seed)
             if camera
             else NoCameraObservation()
         )
@@ -140,11 +142,11 @@ and specific force [m/s²] in the IMU's frame, with noise and biases |
         """Start an episode.
 
         Args:
-            seed: Draws everything random from now on; without one, the draws go on.
-            options: Unused.
+            seed: Seed of all random numbers from now on; None continues the current stream.
+            options: Not used.
 
         Returns:
-            The first observation, and info.
+            The first observation and the info dictionary.
         """
         super().reset(seed=seed)
         rng = self.np_random
@@ -162,10 +164,10 @@ and specific force [m/s²] in the IMU's frame, with noise and biases |
         return self._observe(state, first), _info(state)
 
     def step(self, action: npt.NDArray[np.float32]) -> tuple[Observation, SupportsFloat, bool, bool, dict[str, Any]]:
-        """Hold an action (4,) for 20 ms.
+        """Apply an action (4,) for 20 ms.
 
         Returns:
-            Observation, reward, whether the episode ended, False (time limits are a wrapper's), info.
+            Observation, reward, terminated, truncated (always False: time limits are wrappers) and the info dictionary.
 
         Raises:
             ConfigError: The action is not four finite numbers.
@@ -176,10 +178,10 @@ and specific force [m/s²] in the IMU's frame, with noise and biases |
         return self._observe(state, samples), _reward(state), self._ended(state), False, _info(state)
 
     def render(self) -> npt.NDArray[np.uint8] | None:
-        """Return a colour picture (480, 640, 3) of the drone from outside; None without a render mode.
+        """Return an RGB image (480, 640, 3) from the chase camera; None without a render mode.
 
         Raises:
-            GraphicsError: No off-screen OpenGL.
+            GraphicsError: Off-screen OpenGL is not available.
         """
         if self.render_mode is None:
             return None
@@ -188,17 +190,17 @@ and specific force [m/s²] in the IMU's frame, with noise and biases |
         return self._chase_camera.render(self._plant.vehicle_state().T_world_imu)
 
     def close(self) -> None:
-        """Give the graphics memory back; more than once does no harm."""
+        """Release the graphics memory; further calls have no effect."""
         self._camera_observation.close()
         if self._chase_camera is not None:
             self._chase_camera.close()
             self._chase_camera = None
 
     def _rotor_speeds(self, action: Array) -> Array:
-        """Return rotor speeds (4,) [rad/s] of an action (4,).
+        """Return the rotor speeds (4,) [rad/s] of an action (4,).
 
         Raises:
-            ConfigError: It is not four finite numbers.
+            ConfigError: The action is not four finite numbers.
         """
         if action.shape != (4,) or not np.all(np.isfinite(action)):
             raise ConfigError(f"action {action.tolist()}; expected four finite numbers")
@@ -206,7 +208,7 @@ and specific force [m/s²] in the IMU's frame, with noise and biases |
         return np.interp(action, [-1.0, 0.0, 1.0], [0.0, hover, fastest])
 
     def _observe(self, state: NavState, samples: ImuSamples) -> Observation:
-        """Return the observation of a state and of the samples that led to it."""
+        """Return the observation of a state and of the IMU samples of the last step."""
         imu = np.hstack([samples.gyro_rad_s, samples.accel_m_s2])
         values: dict[str, Array] = {
             "position": state.T_world_imu[:3, 3] - TARGET_M,
@@ -219,7 +221,7 @@ and specific force [m/s²] in the IMU's frame, with noise and biases |
         return {**sensed, **self._camera_observation.observe(state.T_world_imu @ self._rig.T_vehicle_imu)}
 
     def _ended(self, state: NavState) -> bool:
-        """Return whether the drone has crashed, left or fallen over."""
+        """Return whether the drone has crashed, left the free space or tilted by more than 90°."""
         position, up = state.T_world_imu[:3, 3], state.T_world_imu[2, 2]
         outside = np.any(position < FREE_BOX_M[0]) or np.any(position > FREE_BOX_M[1])
         return bool(outside or up < 0.0 or position[2] < self._plant.standing_height_m + _CRASH_HEIGHT_M)
@@ -236,7 +238,7 @@ _BOUNDS: dict[str, tuple[float | Array, float | Array]] = {
 
 
 def _sensed_spaces(samples: int) -> dict[str, spaces.Space[Any]]:
-    """Return the spaces of all but the image, for so many IMU samples a step."""
+    """Return the spaces of all entries but the image, for a number of IMU samples per step."""
     shapes = {"position": (3,), "orientation": (4,), "velocity": (3,), "rotors": (4,), "imu": (samples, 6)}
     return {
         key: spaces.Box(_filled(shape, _BOUNDS[key][0]), _filled(shape, _BOUNDS[key][1]), shape, np.float32)
@@ -245,7 +247,7 @@ def _sensed_spaces(samples: int) -> dict[str, spaces.Space[Any]]:
 
 
 def _filled(shape: tuple[int, ...], bound: float | Array) -> npt.NDArray[np.float32]:
-    """Return a bound in the shape of a space."""
+    """Return a bound broadcast to the shape of a space."""
     return np.broadcast_to(bound, shape).astype(np.float32)
 
 
@@ -255,12 +257,12 @@ def _distance_m(state: NavState) -> float:
 
 
 def _reward(state: NavState) -> float:
-    """Return the reward of being in a state, in [0, 1]."""
+    """Return the reward of a state, in [0, 1]."""
     assert state.angular_velocity_rad_s is not None
     rate = float(np.linalg.norm(state.angular_velocity_rad_s))
     return float(np.exp(-_distance_m(state) / _REWARD_DISTANCE_M - rate / _REWARD_RATE_RAD_S))
 
 
 def _info(state: NavState) -> dict[str, Any]:
-    """Return what is worth knowing about a step."""
+    """Return the info dictionary of a state."""
     return {"distance_m": _distance_m(state), "t_ns": state.t_ns}

@@ -1,4 +1,4 @@
-"""How the biases of an IMU come about and wander: turn-on bias, random walk, and bias instability."""
+"""Simulation of IMU biases: turn-on bias, random walk, and bias instability."""
 
 import numpy as np
 import numpy.typing as npt
@@ -8,31 +8,32 @@ from dronevio.models.imu import ImuModel, Times
 Array = npt.NDArray[np.float64]
 
 FLICKER_TIMES_S = np.logspace(-1.0, 4.0, 6)
-"""(P,) Correlation times of the processes whose sum flickers [s]: a decade apart, from where white noise drowns the
-flicker to beyond any flight."""
+"""(P,) Correlation times of the Gauss-Markov processes that approximate flicker noise [s]: one per decade, from below
+the crossing with white noise to beyond the duration of any flight."""
 FLICKER_FLOOR = float(np.sqrt(2.0 * np.log(2.0) / np.pi))
-"""Floor of the Allan deviation of flicker noise by its coefficient B, 0.664 (IEEE 952, annex C)."""
+"""Ratio of the floor of the Allan deviation of flicker noise to its coefficient B, 0.664 (IEEE 952, annex C)."""
 FLICKER_SHARE = float(np.log(10.0) / np.pi)
-"""Variance of each process by B². Processes of variance v with correlation times a factor r apart add up to the
-one-sided density v / (f ln r); flicker noise has B² / (π f)."""
-_BLOCK_S = 30.0 * float(FLICKER_TIMES_S[0])  # within it no process forgets more than double precision holds
+"""Ratio of the variance of each process to B². Processes of variance v whose correlation times differ by factors r sum
+to the one-sided density v / (f ln r); flicker noise has B² / (π f)."""
+_BLOCK_S = 30.0 * float(FLICKER_TIMES_S[0])  # within a block no decay factor underflows the precision of a double
 
 
 class Biases:
     """The biases of one IMU from switch-on: three axes of the gyroscope, then three of the accelerometer.
 
-    A walk of density σ grows by σ √dt a step (Crassidis, "Sigma-point Kalman filtering for integrated GPS and inertial
-    navigation", 2006; the conventions of Kalibr). Bias instability, flicker noise, is the sum of first-order
-    Gauss-Markov processes, one a decade, each begun in its steady state and stepped exactly.
+    A random walk of density σ has increments of standard deviation σ √dt (Crassidis, "Sigma-point Kalman filtering for
+    integrated GPS and inertial navigation", 2006; the convention of Kalibr). Bias instability (flicker noise) is the
+    sum of first-order Gauss-Markov processes, one per decade, each started in its stationary state and propagated
+    exactly.
     """
 
     def __init__(self, model: ImuModel, rng: np.random.Generator, flicker_rng: np.random.Generator) -> None:
-        """Switch the IMU on.
+        """Draw the turn-on biases and the initial states.
 
         Args:
-            model: Spreads and densities.
-            rng: Draws turn-on biases and walks.
-            flicker_rng: Draws the bias instability.
+            model: Standard deviations and noise densities of the IMU.
+            rng: Generator of turn-on biases and random walks.
+            flicker_rng: Generator of the bias instability.
         """
         self._rng = rng
         self._flicker_rng = flicker_rng
@@ -47,7 +48,7 @@ class Biases:
         self._t_ns: int | None = None
 
     def advance_to(self, t_ns: Times) -> Array:
-        """Return the biases (N, 6) at N ≥ 1 times, later than those of the last call; none moved before the first."""
+        """Return the biases (N, 6) at N ≥ 1 times [ns] after those of the last call; constant before the first."""
         start_ns = int(t_ns[0]) if self._t_ns is None else self._t_ns
         dt_s = np.diff(t_ns, prepend=start_ns) * 1e-9
         steps = self._walk * np.sqrt(dt_s)[:, None] * self._rng.standard_normal((len(t_ns), 6))
@@ -64,7 +65,7 @@ class Biases:
         return np.concatenate([self._flickering_block(part) for part in np.split(dt_s, starts)])
 
     def _flickering_block(self, dt_s: Array) -> Array:
-        """Return it after N steps that all but the first are short: x_k = d_k (x_0 + Σ w_j / d_j), d_k the decay."""
+        """Return the bias instability (N, 6) within one block: x_k = d_k (x_0 + Σ w_j / d_j), d_k the decay."""
         dt = dt_s[:, None]
         noise = self._spread * np.sqrt(-np.expm1(-2.0 * dt / self._times_s))
         noise = noise * self._flicker_rng.standard_normal((len(self._times_s), len(dt_s), 6))

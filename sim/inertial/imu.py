@@ -1,4 +1,4 @@
-"""The errors of a real IMU: what it reads where a perfect one reads the truth."""
+"""Error model of an IMU, applied to noise-free samples."""
 
 import numpy as np
 import numpy.typing as npt
@@ -11,24 +11,24 @@ Array = npt.NDArray[np.float64]
 
 
 class ImuErrors:
-    """One IMU from switch-on: adds its errors to what a perfect one would read, batch after batch.
+    """Errors of one IMU unit from switch-on, added to consecutive batches of noise-free samples.
 
-    In the order of the signal: the airframe's vibration is added to the motion; scale errors, misalignment and
-    g-sensitivity distort it (`ImuModel` has the equations); biases and white noise come on top; the result is rounded
-    to the output's steps and clipped to its range. What is zero in the model adds nothing, to the bit.
+    The model follows the signal path: vibration of the airframe is added to the motion; scale errors, misalignment and
+    g-sensitivity distort it (`ImuModel` has the equations); biases and white noise are added; the result is quantized
+    and clipped to the measurement range. Errors that are zero in the model leave the samples bit-identical.
 
-    White noise of density σ has the standard deviation σ √f in points sampled at a rate f, whose filter is that of the
-    sampling, and σ / √dt in increments over dt, where it is the mean of the continuous noise (Crassidis 2006). Biases
-    are those of the time stamps; a walk moves within an interval by a thousandth of the noise.
+    White noise of density σ has the standard deviation σ √f in point samples at a rate f, whose filter is matched to
+    the rate, and σ / √dt in increments over dt, which are means of the continuous noise (Crassidis 2006). Biases are
+    evaluated at the time stamps; within an interval, a random walk changes by about a thousandth of the noise.
     """
 
     def __init__(self, model: ImuModel, rng: np.random.Generator, vibration: Vibration | None = None) -> None:
-        """Switch the IMU on: draw what is constant of it, and its first biases.
+        """Draw the constant errors and the initial biases.
 
         Args:
-            model: Rate, densities and spreads.
-            rng: Source of all errors; the same state and the same batches give the same bytes.
-            vibration: What shakes it; nothing by default.
+            model: Rate, noise densities and standard deviations of the constant errors.
+            rng: Generator of all errors; the same state and the same batches give the same bytes.
+            vibration: Vibration of the airframe; none by default.
         """
         self._model = model
         self._rng = rng
@@ -40,14 +40,14 @@ class ImuErrors:
         self.constants = _drawn_constants(model, constants_rng, self._biases.turn_on)
 
     def add_to(self, perfect: ImuSamples, rotor_speeds_rad_s: Array | None = None) -> tuple[ImuSamples, Array, Array]:
-        """Return what this IMU measures where a perfect one would measure ``perfect``.
+        """Return the measurements of this IMU for noise-free samples.
 
         Args:
             perfect: N noise-free samples, points or increments, later than those of the last call.
-            rotor_speeds_rad_s: (N, 4) Speeds of the rotors, for the vibration (see `Vibration`); standstill by default.
+            rotor_speeds_rad_s: (N, 4) Rotor speeds for the vibration [rad/s] (see `Vibration`); standstill by default.
 
         Returns:
-            The measured samples, the gyroscope's biases (N, 3) [rad/s] and the accelerometer's (N, 3) [m/s²].
+            The measured samples, the gyroscope biases (N, 3) [rad/s] and the accelerometer biases (N, 3) [m/s²].
         """
         n = len(perfect)
         if n == 0:
@@ -63,7 +63,7 @@ class ImuErrors:
         return ImuSamples(perfect.t_ns, gyro, accel, perfect.sampling), bias[:, :3], bias[:, 3:]
 
     def _root_rate(self, samples: ImuSamples) -> Array | float:
-        """Return the square root of the noise's bandwidth [√Hz]: a number, or one (N, 1) for each interval."""
+        """Return the square root of the noise bandwidth [√Hz]: a scalar, or one value (N, 1) per interval."""
         if samples.sampling == "point":
             return float(np.sqrt(self._model.rate_hz))
         interval_ns = round(1e9 / self._model.rate_hz)
@@ -73,7 +73,7 @@ class ImuErrors:
 
 
 def _drawn_constants(model: ImuModel, rng: np.random.Generator, turn_on: Array) -> ImuConstants:
-    """Return one unit of a model."""
+    """Return the constant errors of one unit, drawn from a model."""
     eye = np.eye(3)
     scale_and_tilt = rng.standard_normal((2, 3, 3))
     spread_gyro = np.where(eye > 0.0, model.gyro_scale_error, model.gyro_misalignment_rad)
@@ -88,6 +88,6 @@ def _drawn_constants(model: ImuModel, rng: np.random.Generator, turn_on: Array) 
 
 
 def _read_out(value: Array, step: float, limit: float) -> Array:
-    """Return values rounded to steps, if there are any, and clipped at ± a limit."""
+    """Return values quantized to a step, if it is positive, and clipped at ± a limit."""
     rounded = step * np.rint(value / step) if step > 0.0 else value
     return np.clip(rounded, -limit, limit)

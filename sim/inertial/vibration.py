@@ -1,4 +1,4 @@
-"""The lines that turning rotors draw into an IMU's spectrum."""
+"""Vibration of the airframe by the rotors, as an IMU measures it."""
 
 from typing import Protocol
 
@@ -13,15 +13,15 @@ Array = npt.NDArray[np.float64]
 
 
 class Vibration(Protocol):
-    """What shakes an IMU."""
+    """Interface of a vibration model."""
 
     def sensed(self, samples: ImuSamples, rotor_speeds_rad_s: Array) -> tuple[Array, Array]:
-        """Return the shaking at the times of a batch of samples, later than those of the last call.
+        """Return the vibration at the times of a batch of samples, later than those of the last call.
 
         Args:
-            samples: N samples; only their times and their sampling count.
-            rotor_speeds_rad_s: (N, 4) Speeds of the rotors [rad/s]: for points those held from each time stamp on, for
-                increments those held over the interval that each covers.
+            samples: N samples, of which only times and sampling are used.
+            rotor_speeds_rad_s: (N, 4) Rotor speeds [rad/s]: for points, the speeds from each time stamp on; for
+                increments, the speeds during each interval.
 
         Returns:
             Angular velocities (N, 3) [rad/s] and specific forces (N, 3) [m/s²] in the IMU frame.
@@ -30,7 +30,7 @@ class Vibration(Protocol):
 
 
 class NoVibration:
-    """No vibration at all."""
+    """Absence of vibration; implements `Vibration`."""
 
     def sensed(self, samples: ImuSamples, rotor_speeds_rad_s: Array) -> tuple[Array, Array]:
         """Return zeros (N, 3) and (N, 3)."""
@@ -38,23 +38,23 @@ class NoVibration:
 
 
 class RotorHarmonics:
-    """Tones at every rotor's true speed and at its blade-pass frequencies; implements `Vibration`.
+    """Harmonics of each rotor's true speed and of its blade-pass frequency; implements `Vibration`.
 
-    A tone is known for all times, since rotors keep their speed between two IMU samples: its phase is the integral of
-    the speed. A point sample is the tone's value at the stamp, an increment its exact mean over the interval. So
-    whatever lies above half the sampling rate appears where it would in a real IMU, as an alias, weakened by the output
-    filter only (second order, Butterworth) and, in increments, by the averaging.
+    Rotor speeds are constant between two IMU samples, so the phase of a harmonic, the integral of the speed, is known
+    at all times. A point sample is the value at the time stamp, an increment the exact mean over the interval.
+    Frequencies above half the sampling rate therefore alias as in a real IMU, attenuated by the output filter
+    (second-order Butterworth) and, in increments, by the averaging.
 
-    The vibration moves the IMU by micrometres; the true motion is that without.
+    The displacement of the IMU by vibration is a few micrometres; the true motion does not contain it.
     """
 
     def __init__(self, quadrotor: Quadrotor, rig: Rig, rng: np.random.Generator) -> None:
-        """Start the rotors at random angles.
+        """Draw the initial angles of the rotors.
 
         Args:
-            quadrotor: Where its rotors are, which way they turn and how they shake.
-            rig: How the IMU is mounted, its rate and its bandwidths.
-            rng: Draws the angles.
+            quadrotor: Positions, directions of rotation and vibration parameters of the rotors.
+            rig: Mounting, rate and bandwidths of the IMU.
+            rng: Generator of the angles.
         """
         vibration = quadrotor.vibration
         self._imu = rig.imu
@@ -64,7 +64,7 @@ class RotorHarmonics:
         self._t_ns: int | None = None
         orders = vibration.blades * np.arange(1, vibration.harmonics + 1)
         fading = 1.0 / np.arange(1, vibration.harmonics + 1) ** 2
-        self._orders = np.concatenate([[1.0, 1.0], orders])  # of each tone: imbalance along two axes, then the blades
+        self._orders = np.concatenate([[1.0, 1.0], orders])  # imbalance along two axes, then the blade-pass harmonics
         self._lags = np.concatenate([[0.0, -0.5 * np.pi], np.zeros(len(orders))])
         self._linear = _linear_amplitudes(quadrotor, fading)
         self._angular = _angular_amplitudes(quadrotor, fading)
@@ -86,7 +86,7 @@ class RotorHarmonics:
         return gyro @ self._R_imu_vehicle.T, accel @ self._R_imu_vehicle.T
 
     def _turn(self, samples: ImuSamples, speeds: Array) -> tuple[Array, Array]:
-        """Turn the rotors; return their angles (N, 4) amid what each sample sees, and how far they turn in it [rad]."""
+        """Advance the rotors; return their angles (N, 4) amid each sample and their rotation during it [rad]."""
         interval_s = 1.0 / self._imu.rate_hz
         if samples.sampling == "increment":
             start_ns = int(samples.t_ns[0]) - round(1e9 * interval_s) if self._t_ns is None else self._t_ns
@@ -103,7 +103,7 @@ class RotorHarmonics:
 
 
 def _linear_amplitudes(quadrotor: Quadrotor, fading: Array) -> Array:
-    """Return (4, tones, 3) accelerations by ω² [m] of each rotor's tones, in the vehicle frame."""
+    """Return (4, T, 3) acceleration amplitudes of the T harmonics divided by ω² [m], in the vehicle frame."""
     vibration = quadrotor.vibration
     swing = np.zeros((4, 2 + len(fading), 3))
     swing[:, 0, 0] = vibration.imbalance_m
@@ -113,9 +113,9 @@ def _linear_amplitudes(quadrotor: Quadrotor, fading: Array) -> Array:
 
 
 def _angular_amplitudes(quadrotor: Quadrotor, fading: Array) -> Array:
-    """Return (4, tones, 3) angular rates by ω [rad] of each rotor's tones, in the vehicle frame."""
+    """Return (4, T, 3) angular velocity amplitudes of the T harmonics divided by ω [rad], in the vehicle frame."""
     x, y = quadrotor.rotor_positions_m[:, 0], quadrotor.rotor_positions_m[:, 1]
-    across = np.stack([y, -x], axis=1) / np.hypot(x, y)[:, None]  # the axis about which a pull on the arm turns
+    across = np.stack([y, -x], axis=1) / np.hypot(x, y)[:, None]  # axis of the torque of a force on the arm
     vibration = quadrotor.vibration
     rocking = np.zeros((4, 2 + len(fading), 3))
     rocking[:, 0, 0] = vibration.imbalance_rad * quadrotor.rotor_directions
@@ -125,5 +125,5 @@ def _angular_amplitudes(quadrotor: Quadrotor, fading: Array) -> Array:
 
 
 def _filter_gain(frequency_hz: Array, bandwidth_hz: float) -> Array:
-    """Return the gain of a second-order Butterworth filter, 3 dB down at the bandwidth."""
+    """Return the gain of a second-order Butterworth filter whose gain at the bandwidth is −3 dB."""
     return np.asarray(1.0 / np.sqrt(1.0 + (frequency_hz / bandwidth_hz) ** 4))

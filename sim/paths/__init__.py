@@ -1,4 +1,4 @@
-"""Where to fly: shapes, minimum-snap paths within limits, clear of what stands in the way; and recorded paths."""
+"""Path planning: shapes, minimum-snap trajectories within limits and clear of obstacles, and recorded trajectories."""
 
 from typing import TYPE_CHECKING
 

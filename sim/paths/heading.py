@@ -1,4 +1,4 @@
-"""Where the nose points along a path: a wish for every instant, and a heading that follows it at a limited rate."""
+"""Heading along a path: a desired heading at every time, and a heading that follows it at limited rate."""
 
 import math
 from collections.abc import Callable
@@ -10,38 +10,38 @@ from scipy.interpolate import BSpline
 
 Array = npt.NDArray[np.float64]
 HeadingProfile = Callable[[Array, Array, Array], Array]
-"""Maps times (N,) since the path's start [s], positions (N, 3) [m] and velocities (N, 3) [m/s] to the headings (N,)
-that are wished for [rad]; NaN where any will do."""
+"""Function from times (N,) since the start of the path [s], positions (N, 3) [m] and velocities (N, 3) [m/s] to the
+desired headings (N,) [rad]; NaN where the heading is arbitrary."""
 Heading = Literal["shape", "along", "across", "fixed", "toward"]
-"""How a path may be flown: as its shape has it, nose first, right side first, always facing x, facing a point."""
+"""Modes of the heading: as defined by the shape, along the path, across it, fixed along x, or toward a point."""
 
-_DEGREE = 5  # the angular acceleration that it asks for is smooth, too
-_SLOW_M_S = 0.15  # below this speed a direction of motion is none
-_NEAR_M = 0.3  # a point closer than this, in the plane, has no direction
+_DEGREE = 5  # the angular acceleration is smooth, too
+_SLOW_M_S = 0.15  # below this speed, the direction of motion is undefined
+_NEAR_M = 0.3  # horizontal distance below which the direction to a point is undefined
 _SPACING_S = 0.1  # between the control points of the heading
-_YAW_ACCEL_RAD_S2 = 5.0  # a third of what the rotors' drag torque can do at hover
-_SOFT_S = 0.3  # how quickly a small error is made good
+_YAW_ACCEL_RAD_S2 = 5.0  # a third of the capability of the rotors at hover
+_SOFT_S = 0.3  # time constant of the correction of small errors
 _RESERVE = 0.999
 
 
 def along(t: Array, position: Array, velocity: Array) -> Array:
-    """Look where the path leads."""
+    """Return the headings along the velocity."""
     moving = np.hypot(velocity[:, 0], velocity[:, 1]) > _SLOW_M_S
     return np.where(moving, np.arctan2(velocity[:, 1], velocity[:, 0]), np.nan)
 
 
 def across(t: Array, position: Array, velocity: Array) -> Array:
-    """Fly with the right side first: look to the left of where the path leads."""
+    """Return the headings perpendicular to the velocity, with the right side of the drone first."""
     return along(t, position, velocity) + 0.5 * np.pi
 
 
 def fixed(yaw_rad: float) -> HeadingProfile:
-    """Look one way all the time."""
+    """Return the profile of a constant heading."""
     return lambda t, position, velocity: np.full(len(t), yaw_rad)
 
 
 def toward(point: Array) -> HeadingProfile:
-    """Look at a point (3,) of the world [m]."""
+    """Return the profile of headings toward a point (3,) in the world [m]."""
 
     def profile(t: Array, position: Array, velocity: Array) -> Array:
         ahead = point[:2] - position[:, :2]
@@ -52,7 +52,13 @@ def toward(point: Array) -> HeadingProfile:
 
 
 def spinning(rate_rad_s: float, turn_s: float, lap_s: float) -> HeadingProfile:
-    """Turn one way for half of some seconds, the other way for the other half, and stay so for the rest of a lap."""
+    """Return the profile of a rotation back and forth.
+
+    Args:
+        rate_rad_s: Angular velocity [rad/s].
+        turn_s: Duration of the rotation, half of it in each direction [s].
+        lap_s: Duration of a lap, in whose rest the heading is constant [s].
+    """
 
     def profile(t: Array, position: Array, velocity: Array) -> Array:
         phase = t % lap_s
@@ -64,39 +70,39 @@ def spinning(rate_rad_s: float, turn_s: float, lap_s: float) -> HeadingProfile:
 def heading_curve(
     profile: HeadingProfile, path: BSpline, end_s: float, yaw_rate_rad_s: float, yaw_rad: float
 ) -> BSpline:
-    """Return the heading [rad] over the times of a path, at rest at both ends.
+    """Return the heading [rad] over the time of a path, at rest at both ends.
 
-    Its control points follow what is wished for, the short way round. A spline changes no faster than its control
-    points do, and neither does its rate: what they keep to, the heading keeps to everywhere.
+    The control points follow the desired headings on the shorter way. The derivatives of a spline are bounded by the
+    differences of its control points, so the limits that these keep hold everywhere.
 
     Args:
-        profile: What is wished for.
+        profile: The desired headings.
         path: Positions (N, 3) over time [m].
-        end_s: The path's end; it starts at 0 [s].
-        yaw_rate_rad_s: How fast the heading may change [rad/s].
+        end_s: End time of the path, which starts at 0 [s].
+        yaw_rate_rad_s: Largest rate of the heading [rad/s].
         yaw_rad: The heading at the start [rad].
     """
     intervals = max(int(np.ceil(end_s / _SPACING_S)), 1)
     spacing = end_s / intervals
     knots = spacing * np.arange(-_DEGREE, intervals + _DEGREE + 1)
-    # A control point speaks for the middle of its basis function.
+    # A control point belongs to the middle of its basis function.
     t = np.clip(spacing * (np.arange(intervals + _DEGREE) - 0.5 * (_DEGREE - 1)), 0.0, end_s)
-    wishes = profile(t, path(t), path.derivative()(t))
+    desired = profile(t, path(t), path.derivative()(t))
     braking = int(np.ceil(yaw_rate_rad_s / (_YAW_ACCEL_RAD_S2 * spacing)))
-    wishes[:_DEGREE] = wishes[max(len(wishes) - _DEGREE - braking, 0) :] = np.nan
-    return BSpline(knots, _rate_limited(wishes, spacing, _RESERVE * yaw_rate_rad_s, yaw_rad), _DEGREE)
+    desired[:_DEGREE] = desired[max(len(desired) - _DEGREE - braking, 0) :] = np.nan
+    return BSpline(knots, _rate_limited(desired, spacing, _RESERVE * yaw_rate_rad_s, yaw_rad), _DEGREE)
 
 
-def _rate_limited(wishes: Array, step_s: float, rate_rad_s: float, yaw_rad: float) -> Array:
-    """Return headings (N,) that follow wishes (N,) at a limited rate and angular acceleration; NaN wishes for rest."""
+def _rate_limited(desired: Array, step_s: float, rate_rad_s: float, yaw_rad: float) -> Array:
+    """Return headings (N,) that follow desired ones (N,) at limited rate and angular acceleration; NaN means rest."""
     gain = _YAW_ACCEL_RAD_S2 * step_s
-    ahead = np.append(_wrapped(np.diff(wishes)) / step_s, np.nan)
-    yaw, rate, headings = yaw_rad, 0.0, np.empty(len(wishes))
-    for k, wish in enumerate(wishes.tolist()):
+    ahead = np.append(_wrapped(np.diff(desired)) / step_s, np.nan)
+    yaw, rate, headings = yaw_rad, 0.0, np.empty(len(desired))
+    for k, target in enumerate(desired.tolist()):
         wanted = 0.0
-        if np.isfinite(wish):
-            error = _wrapped(wish - yaw)
-            brisk = math.sqrt(2.0 * _YAW_ACCEL_RAD_S2 * abs(error))  # it can still be stopped in time
+        if np.isfinite(target):
+            error = _wrapped(target - yaw)
+            brisk = math.sqrt(2.0 * _YAW_ACCEL_RAD_S2 * abs(error))  # can still be stopped in time
             wanted = math.copysign(min(brisk, abs(error) / _SOFT_S), error)
             wanted += ahead[k] if abs(ahead[k]) < rate_rad_s else 0.0
         wanted = min(max(wanted, -rate_rad_s), rate_rad_s)
@@ -107,5 +113,5 @@ def _rate_limited(wishes: Array, step_s: float, rate_rad_s: float, yaw_rad: floa
 
 
 def _wrapped(angle: Any) -> Any:
-    """Return angles between -π and π [rad]."""
+    """Return angles wrapped to [−π, π) [rad]."""
     return (angle + np.pi) % (2.0 * np.pi) - np.pi

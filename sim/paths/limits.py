@@ -1,4 +1,4 @@
-"""What a flight may demand of the drone: speed, acceleration, thrust, tilt and turn rates."""
+"""Limits of planned trajectories: speed, acceleration, thrust, tilt and angular rates."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, fields
@@ -12,33 +12,33 @@ from dronevio.models.imu import GRAVITY_M_S2
 
 Array = npt.NDArray[np.float64]
 
-_RESERVE = 0.99  # share of a limit that a path is planned to: between the samples that are looked at it may be higher
+_RESERVE = 0.99  # fraction of a limit used in planning, since values between samples may be higher
 _GREATEST_TILT_RAD = 1.4  # 80°
-_LEAST_THRUST = 0.3  # of the weight: rotors that nearly stand still steer no more
+_LEAST_THRUST = 0.3  # relative to the weight: slow rotors have no control authority
 
 
 @dataclass(frozen=True)
 class Limits:
-    """Upper bounds on a planned path; what rotors must do for it follows (differential flatness)."""
+    """Upper bounds on the motion of a planned trajectory; those on the rotors follow by differential flatness."""
 
     speed_m_s: float = 2.0
     """Speed of the centre of mass [m/s]."""
     accel_m_s2: float = 3.0
-    """Its acceleration [m/s²]."""
+    """Acceleration of the centre of mass [m/s²]."""
     yaw_rate_rad_s: float = 1.6
-    """Rate at which the heading changes [rad/s]."""
+    """Rate of the heading [rad/s]."""
     tilt_rate_rad_s: float = 4.0
-    """Rate at which the thrust's direction changes: roll and pitch rate together [rad/s]."""
+    """Rate of the direction of the thrust, that is roll and pitch rate combined [rad/s]."""
     thrust_to_weight: float = 1.8
-    """Thrust over the weight; the house's quadrotor can give 2.3 and needs the rest to steer."""
+    """Ratio of thrust to weight; the research quadrotor reaches 2.3 and requires the difference for control."""
     tilt_rad: float = 1.0
-    """Angle between the thrust and the vertical [rad]; far below π/2, where a heading means nothing any more."""
+    """Angle between the thrust and the vertical [rad]; well below π/2, where the heading becomes undefined."""
 
     def __post_init__(self) -> None:
-        """Check them.
+        """Check the limits.
 
         Raises:
-            ConfigError: A limit is no positive number, or the thrust does not carry the drone.
+            ConfigError: A limit is not a positive number, or the thrust does not carry the drone.
         """
         for limit in fields(self):
             value = getattr(self, limit.name)
@@ -50,20 +50,20 @@ class Limits:
             raise ConfigError(f"limit thrust_to_weight = {self.thrust_to_weight:g}; expected more than 1, to hover")
 
     def limit_ratio(self, velocity_m_s: Array, acceleration_m_s2: Array, jerk_m_s3: Array) -> Array:
-        """Return the share (…) of the limits that a motion (…, 3) uses up; above 1 it breaks one.
+        """Return the largest ratio (…) of a motion (…, 3) to the limits; above 1 a limit is exceeded.
 
-        The share of an acceleration is counted as its square root, that of a tilt rate as its cube root, so that
-        a strain is the factor by which time must be stretched.
+        The ratio of accelerations is their square root and that of tilt rates their cube root, so that the result is
+        the factor by which time must be scaled.
         """
         thrust = acceleration_m_s2 + [0.0, 0.0, GRAVITY_M_S2]
         lift = np.maximum(_norm(thrust), 1e-9)
         accel = _norm(acceleration_m_s2)
-        # The thrust turns at |thrust × jerk| / thrust² (Mellinger and Kumar 2011, h_ω).
+        # The direction of the thrust changes at |thrust × jerk| / thrust² (Mellinger and Kumar 2011, h_ω).
         tilt_rate = _norm(np.cross(thrust, jerk_m_s3)) / np.maximum(lift, 0.1 * GRAVITY_M_S2) ** 2
         spare = (self.thrust_to_weight - 1.0) * GRAVITY_M_S2
         heavy = np.maximum(lift - GRAVITY_M_S2, 0.0) / spare
         light = np.maximum(GRAVITY_M_S2 - lift, 0.0) / ((1.0 - _LEAST_THRUST) * GRAVITY_M_S2)
-        # Tilted by its limit, the thrust's horizontal part is tan(limit) times the vertical one.
+        # At the tilt limit, the horizontal component of the thrust is tan(limit) times the vertical one.
         sideways = np.hypot(acceleration_m_s2[..., 0], acceleration_m_s2[..., 1]) / np.tan(self.tilt_rad)
         tilted = np.maximum(sideways - acceleration_m_s2[..., 2], 0.0) / GRAVITY_M_S2
         shares = (
@@ -82,9 +82,8 @@ LIMITS: Mapping[str, Limits] = MappingProxyType(
         "race": Limits(speed_m_s=9.0, accel_m_s2=13.0, yaw_rate_rad_s=3.6, tilt_rate_rad_s=8.0, thrust_to_weight=2.0),
     }
 )
-"""How flights are told apart: easy, medium and difficult like those of EuRoC (Burri et al., "The EuRoC micro aerial
-vehicle datasets", 2016), race like those of UZH-FPV (Delmerico et al., "Are we ready for autonomous drone racing?",
-2019)."""
+"""Limits by level: easy, medium and difficult similar to EuRoC (Burri et al., "The EuRoC micro aerial vehicle
+datasets", 2016), race similar to UZH-FPV (Delmerico et al., "Are we ready for autonomous drone racing?", 2019)."""
 
 
 def _norm(vectors: Array) -> Array:

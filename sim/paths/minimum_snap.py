@@ -1,10 +1,10 @@
-"""Minimum-snap curves through waypoints, and the times that fly them as quickly as the limits allow.
+"""Minimum-snap curves through waypoints, and their times for the fastest motion within limits.
 
-Of all curves through given points at given times, at rest at both ends, the spline of degree 7 has the least integral
-of squared snap (Mellinger and Kumar, "Minimum snap trajectory generation and control for quadrotors", 2011; Schoenberg
-for splines in general). Nobody gives the times. Here the sum of the legs' durations is made as small as their strain,
-the share of the limits that each uses up, lets it: a sequence of linear programs in a trust region (Fletcher and
-Sainz de la Maza, "Nonlinear programming and nonsmooth optimization by successive linear programming", 1989).
+Of all curves through given points at given times, at rest at both ends, the spline of degree 7 has the smallest
+integral of squared snap (Mellinger and Kumar, "Minimum snap trajectory generation and control for quadrotors", 2011;
+Schoenberg for splines in general). The times minimize the total duration under the limits of the motion by a sequence
+of linear programs in a trust region (Fletcher and Sainz de la Maza, "Nonlinear programming and nonsmooth optimization
+by successive linear programming", 1989).
 """
 
 import numpy as np
@@ -19,16 +19,16 @@ Array = npt.NDArray[np.float64]
 
 _DEGREE = 7
 _ZERO_AT_ENDS = (1, 2, 3)  # velocity, acceleration and jerk: the orders of derivatives
-_SAMPLES_PER_LEG = 12  # where a leg's strain is looked at during the search
-_FINAL_SAMPLES = 60  # and at its end; the leg is a polynomial of degree 7, so nothing to speak of hides between
-_SHARE = 0.6  # exponent by which a long leg takes longer at first: it is flown faster, too
-_AT_ENDS = 1.5  # how much longer the first and the last leg take at first, since the drone stands there
-_ROUNDS = 15  # of linear programs at most; what more of them win is below a percent
-_TRUST = 0.4  # by which share a leg's duration may change in the first
-_LEAST_TRUST, _LEAST_GAIN = 0.02, 0.002  # below this share the search ends
-_NUDGE = 0.01  # share by which durations are changed to see what follows
-_FAR = 6  # legs that are so far apart hardly feel each other: the influence of a spline's knot falls by 2/3 a leg
-_HALVINGS = 40  # of the bracket around the time scale
+_SAMPLES_PER_LEG = 12  # samples of the limit ratio on each leg during the search
+_FINAL_SAMPLES = 60  # and at its end; a polynomial of degree 7 varies little between them
+_SHARE = 0.6  # exponent of the initial duration as a function of the length of a leg
+_AT_ENDS = 1.5  # initial factor of the first and last leg, which start or end at rest
+_ROUNDS = 15  # largest number of linear programs; further ones gain less than a percent
+_TRUST = 0.4  # initial trust region: relative change of a leg's duration
+_LEAST_TRUST, _LEAST_GAIN = 0.02, 0.002  # trust region and relative gain at which the search ends
+_NUDGE = 0.01  # relative step of the finite differences
+_FAR = 6  # distance of legs with negligible mutual influence, which falls by 2/3 per leg
+_HALVINGS = 40  # bisections of the bracket of the time scale
 
 
 def minimum_snap(knots: Array, points: Array) -> BSpline:
@@ -38,13 +38,13 @@ def minimum_snap(knots: Array, points: Array) -> BSpline:
 
 
 def minimum_time_knots(points: Array, limits: Limits, knots: Array | None = None, rounds: int = _ROUNDS) -> Array:
-    """Return times (K,) from 0 at which the minimum-snap curve through points (K, 3) is quick and within limits.
+    """Return times (K,) from 0 of a fast minimum-snap curve through points (K, 3) within limits [s].
 
     Args:
-        points: Where to fly [m]; consecutive ones differ.
-        limits: What the curve may not exceed, and reaches in one place at least.
-        knots: Times to start the search from; by default long legs take longer.
-        rounds: How long to search.
+        points: Waypoints [m]; consecutive ones differ.
+        limits: Limits of the motion, one of which the curve reaches.
+        knots: Initial times of the search; by default from the lengths of the legs.
+        rounds: Largest number of iterations.
     """
     legs = _scaled_to_limits(np.diff(knots) if knots is not None else _initial_durations(points), points, limits)
     trust = _TRUST
@@ -61,16 +61,17 @@ def minimum_time_knots(points: Array, limits: Limits, knots: Array | None = None
 
 
 def _initial_durations(points: Array) -> Array:
-    """Return durations (K - 1,) of legs, longer for longer ones, of any scale."""
+    """Return initial durations (K - 1,) of legs as a function of their lengths, up to a common scale."""
     legs = np.linalg.norm(np.diff(points, axis=0), axis=1) ** _SHARE
     legs[[0, -1]] *= _AT_ENDS
     return np.asarray(legs)
 
 
 def _improvement(legs: Array, points: Array, limits: Limits, trust: float) -> Array:
-    """Return by which shares (K - 1,) to change the durations of legs for the least sum, all strains kept below 1.
+    """Return the relative changes (K - 1,) of durations with the smallest sum, with limit ratios of at most 1.
 
-    How strains depend on durations is found by changing every sixth of them at once: each touches its neighbours only.
+    The Jacobian is computed by finite differences of every sixth duration at once, since each affects its neighbours
+    only.
     """
     count = len(legs)
     strain = _limit_ratios(legs, points, limits)
@@ -89,17 +90,17 @@ def _improvement(legs: Array, points: Array, limits: Limits, trust: float) -> Ar
 
 
 def _limit_ratios(legs: Array, points: Array, limits: Limits) -> Array:
-    """Return the greatest strain (K - 1,) on each leg of the minimum-snap curve with such durations [s]."""
+    """Return the largest limit ratio (K - 1,) on each leg of the minimum-snap curve with these durations [s]."""
     return np.asarray(limits.limit_ratio(*_derivatives(legs, points)).max(axis=0))
 
 
 def _scaled_to_limits(legs: Array, points: Array, limits: Limits, samples: int = _SAMPLES_PER_LEG) -> Array:
-    """Return the durations (K - 1,), all multiplied by the number that makes the greatest strain 1."""
+    """Return the durations (K - 1,) scaled by a common factor so that the largest limit ratio is 1."""
     return legs * _least_scale(_derivatives(legs, points, samples), limits)
 
 
 def _derivatives(legs: Array, points: Array, samples: int = _SAMPLES_PER_LEG) -> tuple[Array, Array, Array]:
-    """Return velocity, acceleration and jerk (S, K - 1, 3) at times evenly spread over each leg."""
+    """Return velocity, acceleration and jerk (S, K - 1, 3) at times evenly spaced over each leg."""
     knots = np.concatenate([[0.0], np.cumsum(legs)])
     curve = minimum_snap(knots, points)
     t = np.linspace(knots[:-1], knots[1:], samples)
@@ -108,13 +109,13 @@ def _derivatives(legs: Array, points: Array, samples: int = _SAMPLES_PER_LEG) ->
 
 
 def _stretched(derivatives: tuple[Array, Array, Array], scale: float) -> tuple[Array, Array, Array]:
-    """Return what velocity, acceleration and jerk become where all times are multiplied by ``scale``."""
+    """Return velocity, acceleration and jerk after multiplication of all times by ``scale``."""
     velocity, acceleration, jerk = derivatives
     return velocity / scale, acceleration / scale**2, jerk / scale**3
 
 
 def _least_scale(derivatives: tuple[Array, Array, Array], limits: Limits) -> float:
-    """Return the factor by which to multiply all times for the greatest strain to be 1."""
+    """Return the factor of all times for which the largest limit ratio is 1."""
     low, high = 1e-3, 1.0
     while limits.limit_ratio(*_stretched(derivatives, high)).max() > 1.0:
         low, high = high, 2.0 * high

@@ -1,9 +1,9 @@
-"""The path to fly: from standing on the pad, through a shape, to standing on it again.
+"""Reference trajectories: from rest on the landing pad through a shape to rest on the pad.
 
 Positions are minimum-snap splines (`dronevio.sim.paths.minimum_snap`), headings follow at a limited rate
-(`dronevio.sim.paths.heading`). A quadrotor's attitude, rates and torques follow from position and heading (differential
-flatness; Mellinger and Kumar, "Minimum snap trajectory generation and control for quadrotors", 2011), so a smooth path
-is one that the rotors can follow.
+(`dronevio.sim.paths.heading`). Attitude, angular rates and torques of a quadrotor follow from position and heading
+(differential flatness; Mellinger and Kumar, "Minimum snap trajectory generation and control for quadrotors", 2011), so
+that the rotors can follow a smooth trajectory.
 """
 
 from collections.abc import Sequence
@@ -22,31 +22,31 @@ from dronevio.sim.paths.space import FlightArea
 
 Array = npt.NDArray[np.float64]
 
-_SINK_M = 0.015  # the landing aims this far below the floor: a path that ends on it would never touch it
-_TOUCHDOWN_M = 0.004  # and the rotors stop when it says that the feet are this deep
-_WHOLE_NS = 100_000_000  # the standing at the end is drawn out to a whole number of these
+_SINK_M = 0.015  # the descent ends below the floor, so that the drone touches it
+_TOUCHDOWN_M = 0.004  # depth of the feet at which the rotors stop
+_WHOLE_NS = 100_000_000  # the final rest is extended to a multiple of this
 
 
 @dataclass(frozen=True, eq=False)
 class Reference:
-    """Where the vehicle should be, row by row on a grid of time stamps; what a controller tracks."""
+    """Reference trajectory of a controller, sampled on a uniform grid of times."""
 
     t_ns: Times
-    """(N,) Time stamps from 0 at equal intervals [ns]."""
+    """(N,) Times from 0 at equal intervals [ns]."""
     position_m: Array
-    """(N, 3) Position of the centre of mass in the world [m]."""
+    """(N, 3) Positions of the centre of mass in the world frame [m]."""
     velocity_m_s: Array
-    """(N, 3) Its velocity [m/s]."""
+    """(N, 3) Velocities of the centre of mass in the world frame [m/s]."""
     acceleration_m_s2: Array
-    """(N, 3) Its acceleration [m/s²]."""
+    """(N, 3) Accelerations of the centre of mass in the world frame [m/s²]."""
     yaw_rad: Array
-    """(N,) Heading [rad]."""
+    """(N,) Headings, the yaw angle [rad]."""
     rate_rad_s: Array
-    """(N, 3) Angular velocity in the vehicle frame [rad/s]."""
+    """(N, 3) Angular velocities in the vehicle frame [rad/s]."""
     angular_acceleration_rad_s2: Array
-    """(N, 3) Its time derivative [rad/s²]."""
+    """(N, 3) Angular accelerations in the vehicle frame [rad/s²]."""
     flying: npt.NDArray[np.bool_]
-    """(N,) Whether the rotors should turn."""
+    """(N,) Whether the rotors turn."""
 
     def __len__(self) -> int:
         return len(self.t_ns)
@@ -55,7 +55,7 @@ class Reference:
         """Return the last row not after ``t_ns``.
 
         Raises:
-            ConfigError: The reference says nothing about that time.
+            ConfigError: The time is outside the reference.
         """
         index = int(np.searchsorted(self.t_ns, t_ns, side="right")) - 1
         if index < 0 or t_ns > self.t_ns[-1]:
@@ -64,43 +64,43 @@ class Reference:
 
     @property
     def duration_s(self) -> float:
-        """From the first to the last row [s]."""
+        """Time from the first to the last row [s]."""
         return float(self.t_ns[-1] - self.t_ns[0]) * 1e-9
 
     @property
     def peak_speed_m_s(self) -> float:
-        """Greatest speed [m/s]."""
+        """Largest speed [m/s]."""
         return float(np.linalg.norm(self.velocity_m_s, axis=1).max())
 
     @property
     def peak_rate_rad_s(self) -> float:
-        """Greatest angular velocity [rad/s]."""
+        """Largest angular velocity [rad/s]."""
         return float(np.linalg.norm(self.rate_rad_s, axis=1).max())
 
 
 def plan_reference(
     plan: FlightPlan, area: FlightArea, standing_height_m: float, interval_ns: int, rng: np.random.Generator
 ) -> Reference:
-    """Return the reference of a plan in a given place.
+    """Return the reference trajectory of a plan in a world.
 
     Args:
-        plan: What to fly.
-        area: Where: a world.
+        plan: The flight plan.
+        area: Bounds, obstacles and landing pad of the world.
         standing_height_m: Height of the centre of mass of the standing drone [m].
         interval_ns: Time between rows [ns].
-        rng: Moves the waypoints.
+        rng: Generator of the displacements of the waypoints.
 
     Returns:
-        Rows from t = 0, standing on the pad or in what motion the plan wants, to standing on the pad.
+        Rows from t = 0, at rest on the pad or in the motion after ``skip_s``, to rest on the pad.
 
     Raises:
-        ConfigError: The plan does not fit into the place.
+        ConfigError: The plan does not fit into the world.
     """
     stand = area.pad + [0.0, 0.0, standing_height_m]
     hover = stand + [0.0, 0.0, plan.height_m]
     reach = _reach(plan, area, stand, hover)
     tour = (timed_segment if plan.shape == TIMED_WAYPOINTS else shape_segment)(plan, area, hover, reach, rng)
-    # The tour's own time is exact where it is given, and so are the times of the climb and the descent.
+    # Given durations of tour, climb and descent are exact.
     limits = None if plan.shape == TIMED_WAYPOINTS else plan.limits
     climb = straight(stand, hover, plan.takeoff_s, 0.0, limits)
     yaw_rad = float(tour.heading(tour.duration_s))
@@ -129,10 +129,10 @@ def attitude(thrust_direction: Array, yaw_rad: Array) -> Array:
 
 
 def _reach(plan: FlightPlan, area: FlightArea, stand: Array, hover: Array) -> Array:
-    """Return (2, 3) how far the path may go from the hover point in the free box, down and up each axis [m].
+    """Return the usable extent (2, 3) of the free box relative to the hover point, below and above on each axis [m].
 
     Raises:
-        ConfigError: The plan does not fit into the space, or something hangs above the pad.
+        ConfigError: The plan does not fit into the space, or an obstacle is above the pad.
     """
     low, high = area.free_box[0] + plan.margin_m, area.free_box[1] - plan.margin_m
     low[2] = stand[2] + plan.min_height_m
@@ -153,10 +153,10 @@ def _reach(plan: FlightPlan, area: FlightArea, stand: Array, hover: Array) -> Ar
 
 
 def _begun_later(reference: Reference, skip_s: float) -> Reference:
-    """Return a reference without its first seconds; its clock starts at 0 again.
+    """Return a reference without its first seconds, on a clock that starts at 0.
 
     Raises:
-        ConfigError: Nothing would be left.
+        ConfigError: The reference is not longer than ``skip_s``.
     """
     first = int(np.searchsorted(reference.t_ns, round(skip_s * 1e9)))
     if first > len(reference) - 2:
@@ -166,7 +166,7 @@ def _begun_later(reference: Reference, skip_s: float) -> Reference:
 
 
 def _evaluate(segments: Sequence[PathSegment], starts: Array, stand: Array, t: Array, order: int) -> Array:
-    """Return derivatives (N, 3) of consecutive segments' paths, at rest before the first and after the last."""
+    """Return derivatives (N, 3) of the paths of consecutive segments, at rest before the first and after the last."""
     values = np.tile(stand if order == 0 else np.zeros(3), (len(t), 1))
     for segment, start in zip(segments, starts[:-1], strict=True):
         begun = t > start
@@ -184,7 +184,7 @@ def _headings(segments: Sequence[PathSegment], starts: Array, t: Array) -> Array
 
 
 def _rates(acceleration: Array, yaw_rad: Array, dt_s: float) -> Array:
-    """Return angular velocities (N, 3) [rad/s] in the vehicle frame: central differences of the flat attitude."""
+    """Return angular velocities (N, 3) in the vehicle frame [rad/s]: central differences of the flat attitude."""
     R = attitude(acceleration + [0.0, 0.0, GRAVITY_M_S2], yaw_rad)
     rate = np.zeros((len(R), 3))
     rate[1:-1] = log_so3(np.swapaxes(R[:-2], 1, 2) @ R[2:]) / (2.0 * dt_s)

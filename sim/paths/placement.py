@@ -1,4 +1,4 @@
-"""Where in a world a given path fits: turned about the vertical and shifted, never bent or scaled."""
+"""Placement of a recorded path in a world by a rotation about the vertical and a translation."""
 
 import numpy as np
 import numpy.typing as npt
@@ -11,27 +11,27 @@ from dronevio.sim.paths.space import Space
 
 Array = npt.NDArray[np.float64]
 
-_ENOUGH_M = 0.6  # more room than this is worth nothing
-_SPACING_M = 0.1  # between the points of the path that are looked at
-_TURNS = 24  # directions that are tried
-_SHIFTS = 9  # places that are tried along each horizontal axis
+_ENOUGH_M = 0.6  # clearance beyond this has no value
+_SPACING_M = 0.1  # between the evaluated points of the path
+_TURNS = 24  # candidate headings
+_SHIFTS = 9  # candidate positions along each horizontal axis
 _HEIGHTS = 4
-_CELL_M = 0.3  # of the map of clearances that the search reads
-_REFINED = 6  # of the best places, refined with exact clearances
-_LOW_IS_GOOD = 0.01  # metres of clearance that a metre of height costs: of equal places the lowest
+_CELL_M = 0.3  # cell of the clearance map of the search
+_REFINED = 6  # number of best candidates that are refined with exact clearances
+_LOW_IS_GOOD = 0.01  # clearance equivalent of a metre of height: prefers low placements
 
 
 def place_path(positions_m: Array, space: Space, margin_m: float, world: str) -> Array:
-    """Return T_world_path (4, 4), a turn about z and a shift, that keeps a path clear of everything in a space.
+    """Return T_world_path (4, 4), a rotation about z and a translation, that keeps a path clear of all surfaces.
 
     Args:
         positions_m: (N, 3) The path, z up [m].
-        space: Where it is to lie.
-        margin_m: Least distance to any surface [m].
+        space: Bounds and obstacles of the world.
+        margin_m: Smallest distance to any surface [m].
         world: Name of the world, for the error.
 
     Raises:
-        ConfigError: It fits nowhere.
+        ConfigError: No placement has the clearance.
     """
     points = _thinned(positions_m)
     middle = 0.5 * (points.min(axis=0) + points.max(axis=0))
@@ -64,14 +64,14 @@ def place_path(positions_m: Array, space: Space, margin_m: float, world: str) ->
     if clearance < margin_m:
         size = " × ".join(f"{v:.1f}" for v in np.ptp(points, axis=0))
         raise ConfigError(
-            f"a path of {size} m in world {world!r} comes within {clearance:.2f} m of a surface wherever it is laid;"
+            f"a path of {size} m in world {world!r} comes within {clearance:.2f} m of a surface in every placement;"
             f" expected at least {margin_m:g} m: try a larger world"
         )
     return T_world_path
 
 
 def _thinned(positions_m: Array) -> Array:
-    """Return points (M, 3) of the path that are some `_SPACING_M` apart."""
+    """Return points (M, 3) of the path at intervals of about `_SPACING_M`."""
     along = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(positions_m, axis=0), axis=1))])
     wanted = np.arange(0.0, along[-1] + _SPACING_M, _SPACING_M)
     rows = np.clip(np.searchsorted(along, wanted), 0, len(along) - 1)
@@ -79,7 +79,7 @@ def _thinned(positions_m: Array) -> Array:
 
 
 def _clearance_map(space: Space) -> RegularGridInterpolator:
-    """Return a function from points (N, 3) to clearances (N,) [m] that is quick and nearly right."""
+    """Return an approximate function from points (N, 3) to clearances (N,) [m] by interpolation on a grid."""
     axes = [
         np.linspace(low, high, max(2, round((high - low) / _CELL_M) + 1))
         for low, high in zip(space.low, space.high, strict=True)
@@ -89,7 +89,7 @@ def _clearance_map(space: Space) -> RegularGridInterpolator:
 
 
 def _shifts(turned: Array, space: Space) -> Array:
-    """Return shifts (S, 3) that are tried for a path around the origin: those that keep it inside the shell."""
+    """Return the candidate translations (S, 3) of a path around the origin that keep it inside the bounds."""
     low, high = space.low - turned.min(axis=0), space.high - turned.max(axis=0)
     axes = []
     for least, greatest, count in zip(low, high, (_SHIFTS, _SHIFTS, _HEIGHTS), strict=True):
@@ -98,5 +98,5 @@ def _shifts(turned: Array, space: Space) -> Array:
 
 
 def _around(place: Array) -> Array:
-    """Return the corners (5, 4) at which the refinement of a place (4,) begins."""
+    """Return the initial simplex (5, 4) of the refinement of a placement (4,)."""
     return np.asarray(place + np.vstack([np.zeros(4), np.diag([0.1, 0.3, 0.3, 0.2])]))

@@ -1,4 +1,4 @@
-"""What to fly, in numbers and names that a command line can change."""
+"""Flight plans: the settings of a planned trajectory."""
 
 from dataclasses import dataclass, field, fields
 
@@ -10,56 +10,57 @@ from dronevio.sim.paths.limits import Limits
 from dronevio.sim.paths.shapes import SHAPES
 
 TIMED_WAYPOINTS = "waypoints"
-"""The shape that is given by the plan's own waypoints and time instead of limits."""
+"""Name of the shape that is defined by relative waypoints and a duration instead of limits."""
 
 
 @dataclass(frozen=True)
 class FlightPlan:
-    """What to fly, in a space of any size: stand, take off, tour, land, stand."""
+    """Plan of a flight in a space of any size: rest, take-off, tour, landing, rest."""
 
     initial_rest_s: float = 2.0
-    """Standing still before take-off [s]."""
+    """Time at rest before take-off [s]."""
     takeoff_s: float = 2.0
-    """Climbing straight up [s]; longer where the limits want it."""
+    """Duration of the vertical climb [s]; longer if the limits require it."""
     tour_s: float = 0.0
-    """From hovering above the pad, through the shape, and back to hovering above the pad [s]. ``waypoints`` take
-    exactly this long; of other shapes as many laps are flown as come closest to it, 0 for ``laps``."""
+    """Duration of the tour from the hover above the landing pad and back to it [s]. The shape ``waypoints`` takes
+    exactly this time; of other shapes, as many laps are flown as come closest to it, and 0 means ``laps``."""
     landing_s: float = 3.0
-    """Sinking straight down [s]; longer where the limits want it."""
+    """Duration of the vertical descent [s]; longer if the limits require it."""
     final_rest_s: float = 1.0
-    """Standing still after the landing [s]; up to a tenth longer, for a whole number of tenths in all."""
+    """Time at rest after the landing [s]; extended so that the whole flight takes a multiple of 0.1 s."""
     height_m: float = 1.2
     """Height of the hover above the standing drone [m]."""
     waypoints: tuple[tuple[float, float, float], ...] = ()
-    """The tour of the shape ``waypoints``, (x, y, z) as fractions: ±1 in x and y is the edge of the space that the
-    drone may use, 0 its centre and the pad; in z, 0 is the hover's height, ±1 the highest and lowest it may fly.
-    Those of the shape ``via`` are metres in the world."""
+    """Waypoints (x, y, z) of the shapes ``waypoints`` and ``via``. For ``waypoints`` they are relative: in x and y, 0
+    is the landing pad and ±1 the edge of the usable space; in z, 0 is the hover height and ±1 the largest and smallest
+    usable height. For ``via`` they are positions in the world [m]."""
     waypoint_jitter: float = 0.0
-    """How far a seed moves each waypoint at most, as a fraction of half the free space."""
+    """Largest random displacement of each waypoint, relative to half the free space."""
     heading_scale: float = 1.0
-    """How far the camera looks along the path of ``waypoints``: 1 always, 0 never, which keeps the first heading."""
+    """Fraction of the path's heading that the shape ``waypoints`` follows: 1 looks along the path, 0 keeps the first
+    heading."""
     margin_m: float = 0.4
-    """Distance that the path keeps from everything: half the drone and its tracking error [m]."""
+    """Distance between the path and every surface [m]: half the size of the drone and its tracking error."""
     min_height_m: float = 0.5
-    """Least height of the tour above the standing drone [m]."""
+    """Smallest height of the tour above the standing drone [m]."""
     shape: str = TIMED_WAYPOINTS
-    """What to fly: ``waypoints``, or one of `dronevio.sim.paths.shapes.SHAPES`."""
+    """Shape of the tour: ``waypoints`` or a key of `dronevio.sim.paths.shapes.SHAPES`."""
     laps: int = 1
-    """How often."""
+    """Number of laps of the shape."""
     limits: Limits = field(default_factory=Limits)
-    """How quickly; ``waypoints`` are as quick as their time makes them."""
+    """Limits of speed, acceleration and rates; not used by the shape ``waypoints``."""
     heading: Heading = "shape"
-    """Where the nose points: as the shape has it, along the path, across it, fixed along x, toward a point."""
+    """Heading of the drone: defined by the shape, along the path, across it, fixed along x, or toward a point."""
     heading_target_m: tuple[float, float] = (0.0, 0.0)
-    """That point, x and y from the pad [m]."""
+    """Point of the heading ``toward``: x and y relative to the landing pad [m]."""
     skip_s: float = 0.0
-    """What is left out at the beginning [s]; the flight starts in motion where this is longer than rest and climb."""
+    """Time that is omitted at the beginning [s]; the flight starts in motion if it exceeds rest and climb."""
 
     def __post_init__(self) -> None:
-        """Check the numbers.
+        """Check the ranges of the values.
 
         Raises:
-            ConfigError: One of them makes no sense, or there is no such shape.
+            ConfigError: A value is outside its range, or the shape is unknown.
         """
         if self.shape != TIMED_WAYPOINTS and self.shape not in SHAPES:
             raise ConfigError(f"unknown shape {self.shape!r}; expected {TIMED_WAYPOINTS} or one of {', '.join(SHAPES)}")
@@ -71,8 +72,6 @@ class FlightPlan:
             raise ConfigError(f"plan's laps = {self.laps}; expected 1 or more")
         for name in ("takeoff_s", "landing_s", "height_m") + (("tour_s",) if self.shape == TIMED_WAYPOINTS else ()):
             if getattr(self, name) <= 0.0:
-                raise ConfigError(f"plan's {name} = 0; expected more")
+                raise ConfigError(f"plan's {name} = 0; expected a positive number")
         if not np.isfinite([*np.ravel(self.waypoints), *self.heading_target_m]).all():
-            raise ConfigError(
-                "plan's waypoints or heading_target_m hold something that is no number; expected finite ones"
-            )
+            raise ConfigError("plan's waypoints or heading_target_m are not finite; expected finite numbers")

@@ -1,8 +1,8 @@
-"""Ways through a space: whether a straight leg is clear, a way around where it is not, and curves kept off the walls.
+"""Collision-free routes: clearance of straight legs, detours around obstacles, and curves with clearance.
 
-A curve through waypoints swings out beside its straight legs. Where it comes too close to something, the leg there is
-halved by another waypoint on the straight line, which is clear, until the curve follows it closely enough (Richter,
-Bry and Roy, "Polynomial trajectory planning for aggressive quadrotor flight in dense indoor environments", 2016).
+A curve through waypoints deviates from its straight legs. Where its clearance is too small, a waypoint is inserted in
+the middle of the leg, which itself is clear, until the curve follows the legs closely enough (Richter, Bry and Roy,
+"Polynomial trajectory planning for aggressive quadrotor flight in dense indoor environments", 2016).
 """
 
 from collections.abc import Sequence
@@ -23,18 +23,18 @@ from dronevio.sim.paths.space import Space
 Array = npt.NDArray[np.float64]
 Index = npt.NDArray[np.int64]
 
-_SPACING_M = 0.05  # between the points at which clearance is looked at
-_GUARD_M = 0.005  # more than a surface's clearance can fall between two of them, 0.4 m away from its edge: 0.8 mm
-_SWING_M = 0.1  # room that a way around leaves beside the margin for the curve to swing out, where there is that much
-_ROUNDS = 9  # of halving legs: to a 500th
-_GRID_NODES = 20_000  # of the coarsest grid searched for a way around
-_CELL_M = (0.25, 0.6)  # least and greatest width of its cells
-_REFINEMENTS = 2  # how often the cells are halved where no way is found
+_SPACING_M = 0.05  # between the points at which clearance is evaluated
+_GUARD_M = 0.005  # more than clearance can fall between two of them: 0.8 mm at 0.4 m from an edge
+_SWING_M = 0.1  # preferred additional clearance of a detour, for the deviation of the curve
+_ROUNDS = 9  # largest number of bisections of a leg: to 1/512
+_GRID_NODES = 20_000  # of the coarsest search grid
+_CELL_M = (0.25, 0.6)  # smallest and largest width of its cells
+_REFINEMENTS = 2  # number of refinements of the grid if no route is found
 _STEPS = np.array([step for step in product((-1, 0, 1), repeat=3) if step > (0, 0, 0)])  # to half of the neighbours
 
 
 def leg_clearances(space: Space, starts: Array, ends: Array) -> Array:
-    """Return the least clearance (K,) on each straight leg from points (K, 3) to points (K, 3) [m]."""
+    """Return the smallest clearance (K,) on each straight leg between points (K, 3) [m]."""
     legs = ends - starts
     if not len(legs):
         return np.zeros(0)
@@ -43,20 +43,20 @@ def leg_clearances(space: Space, starts: Array, ends: Array) -> Array:
 
 
 def collision_free_polyline(space: Space, points: Array, margin_m: float, names: Sequence[str] = ()) -> Array:
-    """Return points (M, 3) whose straight legs are clear: those given (K, 3), and ways around what is between them.
+    """Return points (M, 3) with collision-free straight legs: the given ones (K, 3) and detours between them.
 
     Args:
-        space: Where to fly.
+        space: Bounds and obstacles.
         points: Waypoints [m].
-        margin_m: Clearance to keep [m].
-        names: What to call the points where one is at fault; ``waypoint 3`` and so on by default.
+        margin_m: Smallest clearance [m].
+        names: Names of the points for error messages; ``waypoint 3`` and so on by default.
 
     Raises:
-        ConfigError: A waypoint is too close to something, or there is no way from one to the next.
+        ConfigError: A waypoint is too close to a surface, or there is no route between two waypoints.
     """
     names = names or [f"waypoint {number}" for number in range(len(points))]
     clearance = space.clearance(points)
-    fine = clearance >= margin_m  # false for what is no number
+    fine = clearance >= margin_m  # False for NaN
     if not fine.all():
         k = int(fine.argmin())
         raise ConfigError(
@@ -64,29 +64,29 @@ def collision_free_polyline(space: Space, points: Array, margin_m: float, names:
             f" least {margin_m:.2f} m"
         )
     blocked = leg_clearances(space, points[:-1], points[1:]) < margin_m
-    way = [points[:1]]
+    route = [points[:1]]
     for k, (start, goal) in enumerate(pairwise(points)):
-        around = _detour(space, tuple(start), tuple(goal), margin_m) if blocked[k] else np.zeros((0, 3))
-        if around is None:
+        detour = _detour(space, tuple(start), tuple(goal), margin_m) if blocked[k] else np.zeros((0, 3))
+        if detour is None:
             raise ConfigError(
-                f"no way from {names[k]} at {np.round(start, 2).tolist()} m to {names[k + 1]} at"
-                f" {np.round(goal, 2).tolist()} m; expected one {margin_m:.2f} m clear of everything"
+                f"no route from {names[k]} at {np.round(start, 2).tolist()} m to {names[k + 1]} at"
+                f" {np.round(goal, 2).tolist()} m; expected one with {margin_m:.2f} m of clearance"
             )
-        way += [around, goal[None]]
-    return np.concatenate(way)
+        route += [detour, goal[None]]
+    return np.concatenate(route)
 
 
 def collision_free_curve(space: Space, points: Array, margin_m: float, limits: Limits) -> tuple[Array, Array]:
-    """Return times (M,) from 0 [s] and points (M, 3) whose minimum-snap curve keeps clear and within limits.
+    """Return times (M,) from 0 [s] and points (M, 3) of a minimum-snap curve that keeps clearance and limits.
 
     Args:
-        space: Where to fly.
-        points: (K, 3) Waypoints with clear straight legs, as from `collision_free_polyline` [m].
-        margin_m: Clearance to keep [m].
-        limits: What not to exceed.
+        space: Bounds and obstacles.
+        points: (K, 3) Waypoints with collision-free straight legs, as from `collision_free_polyline` [m].
+        margin_m: Smallest clearance [m].
+        limits: Limits of the motion.
 
     Raises:
-        ConfigError: A waypoint leaves the curve no room to turn.
+        ConfigError: A waypoint is too close to a surface for the curve around it.
     """
     knots = minimum_time_knots(points, limits)
     for _ in range(_ROUNDS):
@@ -101,24 +101,24 @@ def collision_free_curve(space: Space, points: Array, margin_m: float, limits: L
     worst = int(low.argmin())
     raise ConfigError(
         f"the curve near {np.round(points[worst], 2).tolist()} m has {low[worst]:.2f} m of clearance; expected"
-        f" {margin_m:.2f} m and some more to turn in"
+        f" more than {margin_m:.2f} m"
     )
 
 
 def _curve_clearances(space: Space, knots: Array, points: Array) -> Array:
-    """Return the least clearance (K - 1,) of the minimum-snap curve on each leg [m]."""
+    """Return the smallest clearance (K - 1,) of the minimum-snap curve on each leg [m]."""
     curve = minimum_snap(knots, points)
     rough = curve(np.linspace(knots[:-1], knots[1:], 9))
     length = np.linalg.norm(np.diff(rough, axis=0), axis=-1).sum(axis=0)
-    number, share, first = _leg_samples(2.0 * length)  # as if twice as long: the curve is not flown evenly
+    number, share, first = _leg_samples(2.0 * length)  # twice as many, since the speed along the curve varies
     return np.asarray(
         np.minimum.reduceat(space.clearance(curve(knots[number] + share * np.diff(knots)[number])), first)
     )
 
 
 def _leg_samples(lengths: Array) -> tuple[Index, Array, Index]:
-    """Return where to look on legs of some lengths (K,) [m]: of each place the leg's number and the share of the leg
-    that is behind it, both ends included; and the row at which each leg's places begin.
+    """Return the sample points on legs of some lengths (K,) [m]: the index of the leg and the fraction along it, both
+    ends included, of each sample, and the first sample of each leg.
     """
     counts = np.ceil(lengths / _SPACING_M).astype(np.int64) + 2
     first = np.concatenate([[0], np.cumsum(counts)[:-1]])
@@ -128,9 +128,9 @@ def _leg_samples(lengths: Array) -> tuple[Index, Array, Index]:
 
 @lru_cache(maxsize=256)
 def _detour(space: Space, start: tuple[float, ...], goal: tuple[float, ...], margin_m: float) -> Array | None:
-    """Return the points (M, 3) between a start and a goal of a short way that is clear, or none if there is none.
+    """Return the intermediate points (M, 3) of a short collision-free route, or None if there is none.
 
-    Kept, since every lap asks for the same ways.
+    Results are cached, since every lap requires the same routes.
     """
     volume = float(np.prod(space.high - space.low))
     cell_m = float(np.clip((volume / _GRID_NODES) ** (1.0 / 3.0), *_CELL_M))
@@ -144,7 +144,7 @@ def _detour(space: Space, start: tuple[float, ...], goal: tuple[float, ...], mar
 
 
 def _shortcut(space: Space, way: Array, margin_m: float) -> Array:
-    """Return the points (L, 3) of a way (M, 3) that are left when all that can be cut off is: first to last seen."""
+    """Return the points (L, 3) of a route (M, 3) that remain after shortcuts along clear lines of sight."""
     kept, here = [0], 0
     while here < len(way) - 1:
         beyond = way[here + 2 :]
@@ -156,30 +156,30 @@ def _shortcut(space: Space, way: Array, margin_m: float) -> Array:
 
 @dataclass(frozen=True, eq=False)
 class _Grid:
-    """Points in a space, and the legs from each to its 26 neighbours."""
+    """Grid of points in a space, with the legs from each point to its 26 neighbours."""
 
     space: Space
-    """Where it lies."""
+    """Bounds and obstacles of the space."""
     cell_m: float
     """Distance of neighbours along an axis [m]."""
     nodes: Array
-    """(N, 3) The points [m]."""
+    """(N, 3) Positions of the points [m]."""
     tails: Index
-    """(E,) Where each leg starts: a row of the nodes."""
+    """(E,) Index of the first point of each leg."""
     heads: Index
-    """(E,) Where it ends."""
+    """(E,) Index of the last point of each leg."""
     lengths: Array
-    """(E,) Its length [m]."""
+    """(E,) Length of each leg [m]."""
     least: Array
-    """(E,) A clearance that it nowhere falls below [m]."""
+    """(E,) Lower bound of the clearance on each leg [m]."""
 
     def way(self, start: Array, goal: Array, margin_m: float, wanted_m: float) -> Array | None:
-        """Return the shortest way (M, 3) along legs of a clearance, its ends included, or none if there is none.
+        """Return the shortest route (M, 3) along legs with clearance, both ends included, or None if there is none.
 
         Args:
-            start: (3,) Where it starts [m].
-            goal: (3,) Where it ends [m].
-            margin_m: Clearance of the legs that lead from the start and to the goal [m].
+            start: (3,) First point of the route [m].
+            goal: (3,) Last point of the route [m].
+            margin_m: Clearance of the legs at the start and the goal [m].
             wanted_m: Clearance of all other legs [m].
         """
         ends, n = np.stack([start, goal]), len(self.nodes)
@@ -202,12 +202,12 @@ class _Grid:
 
 @lru_cache(maxsize=4)
 def _grid(space: Space, cell_m: float) -> _Grid:
-    """Return a grid over a space; kept, since many ways may be sought in one space."""
+    """Return a grid over a space; cached, since many routes may be searched in one space."""
     axes = [np.arange(low + 0.5 * cell_m, high, cell_m) for low, high in zip(space.low, space.high, strict=True)]
     shape = np.array([len(axis) for axis in axes])
     nodes = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3)
     place = np.stack(np.unravel_index(np.arange(len(nodes)), shape), axis=-1)
-    blocks = np.lexsort((place // 4).T)  # points that are asked for together should be close together
+    blocks = np.lexsort((place // 4).T)  # points evaluated together should be close together
     clearance = np.empty(len(nodes))
     clearance[blocks] = space.clearance(nodes[blocks])
     tails, heads = [], []
@@ -217,6 +217,6 @@ def _grid(space: Space, cell_m: float) -> _Grid:
         heads.append(np.ravel_multi_index((place[tail] + step).T, shape))
     tail, head = np.concatenate(tails), np.concatenate(heads)
     lengths = np.linalg.norm(nodes[head] - nodes[tail], axis=1)
-    # Clearance changes by no more than the distance moved, so on a leg it nowhere falls below this.
+    # Clearance is Lipschitz continuous with constant 1, which bounds it on the leg.
     least = 0.5 * (clearance[tail] + clearance[head] - lengths)
     return _Grid(space, cell_m, nodes, tail, head, lengths, least)

@@ -1,4 +1,4 @@
-"""The parts of a flight that start and end at rest: the climb, the tour, the descent."""
+"""Segments of a flight that start and end at rest: climb, tour, descent."""
 
 from dataclasses import dataclass
 
@@ -17,9 +17,9 @@ from dronevio.sim.paths.timed_tour import timed_knots
 
 Array = npt.NDArray[np.float64]
 
-_APART_M = 0.25  # waypoints closer than this to the one before are left out
-_RETREATS = 6  # how often what a seed moved too close to something is moved half-way back
-_SLACK_M = 0.1  # clearance beside the margin that moved waypoints keep, for the curve to swing out
+_APART_M = 0.25  # waypoints closer than this to the previous one are omitted
+_RETREATS = 6  # number of halvings of random displacements without clearance
+_SLACK_M = 0.1  # additional clearance of displaced waypoints, for the deviation of the curve
 
 
 @dataclass(frozen=True, eq=False)
@@ -27,15 +27,15 @@ class PathSegment:
     """A part of a flight that starts and ends at rest."""
 
     path: BSpline
-    """Maps seconds (N,) since its start to positions (N, 3) in the world [m]."""
+    """Function from times (N,) since the start [s] to positions (N, 3) in the world [m]."""
     heading: BSpline
-    """Maps them to headings (N,) [rad]."""
+    """Function from times (N,) since the start [s] to headings (N,) [rad]."""
     duration_s: float
-    """How long it takes [s]."""
+    """Duration of the segment [s]."""
 
 
 def straight(start: Array, end: Array, least_s: float, yaw_rad: float, limits: Limits | None) -> PathSegment:
-    """Return the way between two points (3,) [m] in a time [s], or in longer where there are limits that want it."""
+    """Return the segment between two points (3,) [m] in a time [s], or longer if limits require it."""
     points = np.stack([start, end])
     duration_s = least_s if limits is None else max(least_s, float(minimum_time_knots(points, limits)[-1]))
     knots = np.array([0.0, duration_s])
@@ -45,14 +45,14 @@ def straight(start: Array, end: Array, least_s: float, yaw_rad: float, limits: L
 def timed_segment(
     plan: FlightPlan, area: FlightArea, hover: Array, reach: Array, rng: np.random.Generator
 ) -> PathSegment:
-    """Return the tour of a plan that gives waypoints as fractions of the free space, and their time.
+    """Return the tour of a plan with relative waypoints and a duration.
 
     Args:
-        plan: What to fly.
-        area: Where.
-        hover: (3,) Where it starts and ends [m].
-        reach: (2, 3) How far it may go from there, down and up each axis [m].
-        rng: Moves the waypoints.
+        plan: The flight plan.
+        area: Bounds and obstacles of the world.
+        hover: (3,) First and last point [m].
+        reach: (2, 3) Usable extent relative to the hover, below and above on each axis [m].
+        rng: Generator of the displacements of the waypoints.
     """
     fractions = np.array(plan.waypoints).reshape(-1, 3)
     fractions = fractions + plan.waypoint_jitter * rng.uniform(-1.0, 1.0, fractions.shape)
@@ -63,17 +63,17 @@ def timed_segment(
 def shape_segment(
     plan: FlightPlan, area: FlightArea, hover: Array, reach: Array, rng: np.random.Generator
 ) -> PathSegment:
-    """Return the tour of a plan that names a shape, as quick as its limits allow and clear of everything.
+    """Return the tour of a plan with a shape, as fast as its limits allow and clear of obstacles.
 
     Args:
-        plan: What to fly.
-        area: Where.
-        hover: (3,) Where it starts and ends [m].
-        reach: (2, 3) How far the free space reaches from there, down and up each axis [m].
-        rng: Moves the waypoints.
+        plan: The flight plan.
+        area: Bounds, obstacles and route of the world.
+        hover: (3,) First and last point [m].
+        reach: (2, 3) Extent of the free space relative to the hover, below and above on each axis [m].
+        rng: Generator of the displacements of the waypoints.
 
     Raises:
-        ConfigError: Something is in the way.
+        ConfigError: An obstacle blocks the tour.
     """
     arena = Arena(area, hover + reach[0], hover + reach[1], plan.limits, np.array(plan.waypoints).reshape(-1, 3))
     course = SHAPES[plan.shape](arena)
@@ -86,7 +86,7 @@ def shape_segment(
 
 
 def _heading_profile(plan: FlightPlan, area: FlightArea, course: Course) -> HeadingProfile:
-    """Return where to look."""
+    """Return the desired heading of a plan."""
     profiles = {
         "shape": course.heading,
         "along": along,
@@ -98,10 +98,10 @@ def _heading_profile(plan: FlightPlan, area: FlightArea, course: Course) -> Head
 
 
 def _on_the_spot(plan: FlightPlan, area: FlightArea, hover: Array, course: Course) -> tuple[Array, Array]:
-    """Return times (2,) and points (2, 3) of a course that stays where it is.
+    """Return times (2,) and points (2, 3) of laps on the spot.
 
     Raises:
-        ConfigError: Something is in the way.
+        ConfigError: The hover is too close to a surface.
     """
     collision_free_polyline(area.space, hover[None], plan.margin_m, ["the hover above the pad"])
     laps = max(1, round(plan.tour_s / course.lap_s)) if plan.tour_s > 0.0 else plan.laps
@@ -114,7 +114,7 @@ def _laps(
     """Return times (K,) and points (K, 3) of all laps of a course, from the hover and back to it.
 
     Raises:
-        ConfigError: There is no way to fly them.
+        ConfigError: There is no collision-free route.
     """
     space = arena.area.space
     lap = _perturbed(course.lap, plan, arena, rng)
@@ -132,10 +132,10 @@ def _laps(
 
 
 def _waypoint_sequence(hover: Array, lap: Array, laps: int, closed: bool) -> tuple[Array, list[int]]:
-    """Return the points (K, 3) of all laps between two stays at the hover, and the number of each in its lap.
+    """Return the points (K, 3) of all laps from the hover and back to it, and the index of each within its lap.
 
-    A closed course leads back to its first point. The hover's number is -1. Points that nearly coincide with the one
-    before, or at the end with the hover, are left out: between them the drone would have to dance on the spot.
+    A closed course returns to its first point. The index of the hover is -1. Points that nearly coincide with the
+    previous one, or at the end with the hover, are omitted, since the curve would have to reverse between them.
     """
     numbers = list(range(len(lap))) * laps + [0] * closed
     kept = [-1]
@@ -149,7 +149,7 @@ def _waypoint_sequence(hover: Array, lap: Array, laps: int, closed: bool) -> tup
 
 
 def _perturbed(lap: Array, plan: FlightPlan, arena: Arena, rng: np.random.Generator) -> Array:
-    """Return the waypoints (M, 3) of a lap, moved by chance as far as the legs between them remain clear."""
+    """Return the waypoints (M, 3) of a lap with random displacements as large as clear legs between them allow."""
     moved = lap + plan.waypoint_jitter * arena.half * rng.uniform(-1.0, 1.0, lap.shape)
     for _ in range(_RETREATS):
         clear = leg_clearances(arena.area.space, moved, np.roll(moved, -1, axis=0)) >= plan.margin_m + _SLACK_M

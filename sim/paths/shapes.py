@@ -1,4 +1,4 @@
-"""Shapes to fly: each a few waypoints, fitted into the space that a world leaves, and where to look on the way."""
+"""Shapes of tours: waypoints fitted into the free space of a world, and the heading along them."""
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
@@ -14,77 +14,77 @@ from dronevio.sim.paths.space import FlightArea
 
 Array = npt.NDArray[np.float64]
 
-_FILL = 0.88  # share of the free space that waypoints use up; the curve between them swings out a little
-_HOVER_S = 10.0  # of a lap on the spot
-_PAUSE_S = 3.0  # after turning on the spot, for the heading to catch up with the wish
-_SPIN_SHARE = 0.95  # of the greatest yaw rate, so that the heading keeps up with the wish
-_ZIGZAG_M = 1.7  # between the turning points of the aggressive zigzag
+_FILL = 0.88  # fraction of the free space that waypoints use; the curve between them exceeds it a little
+_HOVER_S = 10.0  # duration of a lap of the hover
+_PAUSE_S = 3.0  # after the rotation, until the heading has reached the desired one
+_SPIN_SHARE = 0.95  # of the largest yaw rate, so that the heading follows the desired one
+_ZIGZAG_M = 1.7  # distance between reversals of the aggressive zigzag
 
 
 @dataclass(frozen=True, eq=False)
 class Arena:
-    """What a shape has to fit into."""
+    """Free space, limits and waypoints to which a shape is fitted."""
 
     area: FlightArea
-    """The world."""
+    """Bounds, obstacles and route of the world."""
     low: Array
-    """(3,) Least corner of its free space, less the margin [m]."""
+    """(3,) Lower corner of the free space, reduced by the margin [m]."""
     high: Array
-    """(3,) Greatest corner [m]."""
+    """(3,) Upper corner of the free space, reduced by the margin [m]."""
     limits: Limits
-    """How quickly one may move and turn."""
+    """Limits of the motion."""
     waypoints: Array
-    """(M, 3) What the plan gives of its own, in the world [m]."""
+    """(M, 3) Waypoints of the plan in the world [m]."""
 
     @property
     def middle(self) -> Array:
-        """(3,) Middle of the free space [m]."""
+        """(3,) Centre of the free space [m]."""
         return 0.5 * (self.low + self.high)
 
     @property
     def half(self) -> Array:
-        """(3,) How far waypoints may be from it [m]."""
+        """(3,) Largest distance of waypoints from the centre on each axis [m]."""
         return 0.5 * _FILL * (self.high - self.low)
 
     def at(self, fractions: Array) -> Array:
-        """Return the points (M, 3) at fractions of the free space: 0 its middle, ±1 as far as waypoints may be."""
+        """Return points (M, 3) at relative positions in the free space: 0 is its centre, ±1 the largest distance."""
         return np.asarray(self.middle + self.half * fractions)
 
 
 @dataclass(frozen=True, eq=False)
 class Course:
-    """A shape in a place."""
+    """Waypoints and heading of a shape in a world."""
 
     lap: Array
-    """(M, 3) Waypoints of one lap, which leads back to the first [m]; none to stay where the drone is."""
+    """(M, 3) Waypoints of one lap, which returns to the first [m]; empty for a lap on the spot."""
     heading: HeadingProfile = along
-    """Where to look."""
+    """Desired heading along the lap."""
     lap_s: float = 0.0
-    """How long a lap takes on the spot [s]."""
+    """Duration of a lap on the spot [s]."""
     closed: bool = True
-    """Whether the last lap leads back to the first waypoint, before the drone goes home."""
+    """Whether the last lap returns to the first waypoint."""
 
 
 Shape = Callable[[Arena], Course]
 
 
 def hover(arena: Arena) -> Course:
-    """Stay above the pad."""
+    """Hover above the landing pad."""
     return Course(np.zeros((0, 3)), fixed(0.0), _HOVER_S)
 
 
 def rotation(arena: Arena) -> Course:
-    """Turn on the spot, once around and back."""
+    """Rotate on the spot, two turns in each direction."""
     rate = _SPIN_SHARE * arena.limits.yaw_rate_rad_s
     turn_s = 4.0 * np.pi / rate
     return Course(np.zeros((0, 3)), spinning(rate, turn_s, turn_s + _PAUSE_S), turn_s + _PAUSE_S)
 
 
 def via(arena: Arena) -> Course:
-    """Fly through the plan's own waypoints, given in metres, looking ahead.
+    """Fly through the waypoints of the plan, given in metres, with the heading along the path.
 
     Raises:
-        ConfigError: It gives none.
+        ConfigError: The plan has no waypoints.
     """
     if not len(arena.waypoints):
         raise ConfigError("the shape 'via' without waypoints; expected one at least, (x, y, z) in the world [m]")
@@ -92,28 +92,28 @@ def via(arena: Arena) -> Course:
 
 
 def tour(arena: Arena) -> Course:
-    """See the whole world, looking ahead."""
+    """Fly along the route through the whole world, with the heading along the path."""
     return Course(arena.area.route)
 
 
 def race(arena: Arena) -> Course:
-    """Cut through the whole world lap after lap, looking ahead; only its limits tell it from a tour."""
+    """Fly laps of the route through the whole world; it differs from a tour by its limits only."""
     return Course(arena.area.route)
 
 
 def figure_eight(arena: Arena) -> Course:
-    """Fly figures of eight, the long way of the free space, rising and sinking a little, looking ahead."""
+    """Fly figures of eight along the longer side of the free space at changing height, looking along the path."""
     phase = _phases(16)
     return Course(arena.at(_long_way(arena, np.sin(phase), np.sin(2.0 * phase), 0.4 * np.cos(phase))))
 
 
 def sideways(arena: Arena) -> Course:
-    """Fly the same figures of eight with one side first: what is seen moves across the image."""
+    """Fly the figures of eight with the right side first, so that the scene moves across the image."""
     return Course(figure_eight(arena).lap, across)
 
 
 def helix(arena: Arena) -> Course:
-    """Climb three turns around the middle and sink by three more, looking ahead."""
+    """Climb three turns around the centre and descend three more, with the heading along the path."""
     turns = 3
     phase = 2.0 * np.pi * np.arange(2 * turns * 8) / 8.0
     height = 1.0 - np.abs(np.linspace(-2.0, 2.0, len(phase) + 1)[:-1])
@@ -122,7 +122,7 @@ def helix(arena: Arena) -> Course:
 
 
 def square(arena: Arena) -> Course:
-    """Fly along the edges of a square at one height, past the same places in every lap, looking ahead."""
+    """Fly along the edges of a square at constant height, past the same places in every lap."""
     side = 0.95 * arena.half[:2].min() / arena.half[:2]
     corners = np.array(
         [[1.0, -1.0], [1.0, 0.0], [1.0, 1.0], [0.0, 1.0], [-1.0, 1.0], [-1.0, 0.0], [-1.0, -1.0], [0.0, -1.0]]
@@ -131,7 +131,7 @@ def square(arena: Arena) -> Course:
 
 
 def inspection(arena: Arena) -> Course:
-    """Scan the nearest side of the free space from edge to edge at three heights, facing it."""
+    """Scan the nearest side of the free space at three heights, with the camera facing it."""
     middles = arena.at(np.array([[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]]))
     side = int(arena.area.space.clearance(middles).argmin())
     axis, sign = side % 2, 1.0 if side < 2 else -1.0
@@ -143,7 +143,7 @@ def inspection(arena: Arena) -> Course:
 
 
 def aggressive(arena: Arena) -> Course:
-    """Zigzag from end to end and back, rolling and pitching as fast as the limits allow, without turning."""
+    """Fly a zigzag from end to end and back at constant heading, with the largest roll and pitch rates."""
     rows = 4
     reach = np.minimum(1.0, 0.5 * _ZIGZAG_M / arena.half)
     way = np.concatenate([np.linspace(-1.0, 1.0, rows), np.linspace(1.0, -1.0, rows)])
@@ -168,15 +168,15 @@ SHAPES: Mapping[str, Shape] = MappingProxyType(
         "aggressive": aggressive,
     }
 )
-"""What can be flown in any world, by name; the first line of each one's docstring describes it."""
+"""All shapes by name; the first line of each docstring is its description."""
 
 
 def _phases(count: int) -> Array:
-    """Return angles (count,) once around [rad]."""
+    """Return angles (count,) evenly spaced over a turn [rad]."""
     return np.asarray(2.0 * np.pi * np.arange(count) / count)
 
 
 def _long_way(arena: Arena, along_it: Array, across_it: Array, up: Array) -> Array:
-    """Return fractions (M, 3) with the first coordinate along the longer side of the free space."""
+    """Return relative positions (M, 3) with the first coordinate along the longer side of the free space."""
     sides = (along_it, across_it) if arena.half[0] >= arena.half[1] else (across_it, along_it)
     return np.stack([*sides, up], axis=1)

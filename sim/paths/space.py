@@ -1,4 +1,4 @@
-"""The space of a world: its shell and the boxes in it, how far a point is from touching any, and ways through it."""
+"""Space of a world for path planning: its bounds, its obstacles and the clearance of points."""
 
 from dataclasses import dataclass
 from functools import cached_property
@@ -8,28 +8,28 @@ import numpy.typing as npt
 
 Array = npt.NDArray[np.float64]
 
-_ROWS_AT_ONCE = 64  # points that are looked at together: along a path or in a grid they are close to each other
+_ROWS_AT_ONCE = 64  # points evaluated together, which are close to each other along a path or in a grid
 
 
 @dataclass(frozen=True, eq=False)
 class Space:
-    """An upright box to fly in, less the obstacles in it; each obstacle is an oriented box."""
+    """Axis-aligned box with obstacles, which are oriented boxes."""
 
     low: Array
-    """(3,) Least corner of the shell [m]; z is the floor."""
+    """(3,) Lower corner of the bounds [m]; z is the floor."""
     high: Array
-    """(3,) Greatest corner of the shell [m]; z is the ceiling, or how high one may fly outdoors."""
+    """(3,) Upper corner of the bounds [m]; z is the ceiling, or the largest height outdoors."""
     centres: Array
-    """(K, 3) Middles of the obstacles [m]."""
+    """(K, 3) Centres of the obstacles [m]."""
     halves: Array
-    """(K, 3) Half their widths, depths and heights [m]."""
+    """(K, 3) Half extents of the obstacles along their axes [m]."""
     rotations: Array
-    """(K, 3, 3) Their orientations."""
+    """(K, 3, 3) Orientations of the obstacles in the world."""
 
     def clearance(self, points: Array) -> Array:
-        """Return how far points (…, 3) are from the nearest surface [m]; negative outside the shell or in an obstacle.
+        """Return the signed distance of points (…, 3) to the nearest surface [m]; negative outside or in an obstacle.
 
-        It is the Euclidean distance outside a box, and the depth below its nearest face inside.
+        It is the Euclidean distance outside a box and the depth below the nearest face inside.
         """
         points = np.asarray(points, dtype=np.float64)
         flat = points.reshape(-1, 3)
@@ -39,8 +39,8 @@ class Space:
     def _clearance(self, points: Array) -> Array:
         """Return the clearance (N,) of points (N, 3).
 
-        Clearance changes by no more than the distance moved. So what a box far from their middle has to say about any
-        of them, if a near one has something to say, need not be asked.
+        Clearance is Lipschitz continuous with constant 1, so that boxes far from the centre of the points cannot
+        determine the clearance of any of them and are skipped.
         """
         to_shell = np.minimum(points - self.low, self.high - points).min(axis=1)
         if not len(self.centres):
@@ -52,29 +52,29 @@ class Space:
         return np.asarray(np.minimum(to_shell, self._to_boxes(points, near).min(axis=1, initial=np.inf)))
 
     def _to_boxes(self, points: Array, boxes: npt.NDArray[np.intp] | slice) -> Array:
-        """Return the distances (N, M) of points (N, 3) from some of the boxes; negative inside."""
-        turn, shift = (part[:, boxes].reshape(len(part), -1) for part in self._into_boxes)
-        beyond = np.abs((points @ turn + shift).reshape(len(points), -1, 3)) - self.halves[boxes]
+        """Return the signed distances (N, M) of points (N, 3) to some of the boxes; negative inside."""
+        rotation, translation = (part[:, boxes].reshape(len(part), -1) for part in self._into_boxes)
+        beyond = np.abs((points @ rotation + translation).reshape(len(points), -1, 3)) - self.halves[boxes]
         inside = np.minimum(beyond.max(axis=-1), 0.0)
         np.maximum(beyond, 0.0, out=beyond)
         return np.asarray(np.sqrt(np.einsum("nki,nki->nk", beyond, beyond)) + inside)
 
     @cached_property
     def _into_boxes(self) -> tuple[Array, Array]:
-        """Return turn (3, K, 3) and shift (1, K, 3) that take points into the boxes' frames, all in one product."""
-        turn = np.ascontiguousarray(self.rotations.transpose(1, 0, 2))
-        return turn, -np.einsum("kj,kji->ki", self.centres, self.rotations)[None]
+        """Return rotation (3, K, 3) and translation (1, K, 3) into the frames of the boxes, for one matrix product."""
+        rotation = np.ascontiguousarray(self.rotations.transpose(1, 0, 2))
+        return rotation, -np.einsum("kj,kji->ki", self.centres, self.rotations)[None]
 
 
 @dataclass(frozen=True, eq=False)
 class FlightArea:
-    """What a planner has to know of a world."""
+    """Input of the path planner: the space of a world, its landing pad and its route."""
 
     space: Space
-    """Shell and obstacles."""
+    """Bounds and obstacles of the world."""
     free_box: Array
-    """(2, 3) Least and greatest corner of a space free of obstacles [m]; the pad is under its middle."""
+    """(2, 3) Lower and upper corner of a box free of obstacles [m]; the landing pad is below its centre."""
     pad: Array
-    """(3,) Middle of the landing pad, on the floor [m]."""
+    """(3,) Centre of the landing pad on the floor [m]."""
     route: Array
-    """(R, 3) A tour through the whole world [m]; its legs, with the one back to the first point, are clear."""
+    """(R, 3) Closed tour through the whole world with collision-free straight legs [m]."""

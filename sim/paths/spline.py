@@ -1,10 +1,9 @@
-"""A smooth motion through recorded poses, and what an IMU on it would read.
+"""Smooth motion through recorded poses, and the IMU samples along it.
 
-A tracking system gives poses, with jitter; an IMU feels their second derivative, which jitter turns into nonsense. So
-the poses are approximated by a quintic B-spline with a knot every few samples: positions componentwise, orientations as
-quaternions that are normalized after evaluation. Velocity, acceleration and angular velocity then are exact derivatives
-of one smooth curve (cf. Furgale, Rehder and Siegwart, "Unified temporal and spatial calibration for multi-sensor
-systems", IROS 2013).
+Poses of a tracking system have jitter, which their second derivative amplifies. The poses are therefore approximated by
+a quintic B-spline with a knot every few samples: positions componentwise, orientations as quaternions that are
+normalized after evaluation. Velocity, acceleration and angular velocity are exact derivatives of one smooth curve (cf.
+Furgale, Rehder and Siegwart, "Unified temporal and spatial calibration for multi-sensor systems", IROS 2013).
 """
 
 from dataclasses import dataclass
@@ -23,37 +22,37 @@ from dronevio.models.state import Trajectory
 Array = npt.NDArray[np.float64]
 
 KNOT_INTERVAL_S = 0.05
-"""Time between knots [s]: the spline follows motion up to some 8 Hz, beyond what a drone's body does, and averages the
-jitter of ten poses at 200 Hz."""
+"""Time between knots [s]: the spline follows motion up to about 8 Hz, beyond the dynamics of a drone's body, and
+averages the jitter of ten poses at 200 Hz."""
 LONGEST_GAP_S = 0.25
-"""A longer stretch without a pose is not bridged [s]: at 90 °/s a drone turns by 20° in it."""
-_DEGREE = 5  # acceleration is a cubic spline: smooth enough to be integrated
+"""Longest gap between poses that is interpolated [s]: at 90 °/s a drone rotates by 20° in it."""
+_DEGREE = 5  # acceleration is a cubic spline
 _UP = np.array([0.0, 0.0, 1.0])
 
 
 @dataclass(frozen=True, eq=False)
 class SmoothMotion:
-    """The motion of a frame as splines over time."""
+    """Motion of a frame as splines over time."""
 
     origin_ns: int
-    """The spline's time 0 [ns]."""
+    """Time stamp of the time 0 of the splines [ns]."""
     end_s: float
-    """Where it ends [s]."""
+    """End time of the splines [s]."""
     position: BSpline
-    """Maps seconds (M,) to positions (M, 3) in the world [m]."""
+    """Function from times (M,) [s] to positions (M, 3) in the world [m]."""
     quaternion: BSpline
-    """Maps seconds (M,) to orientations (M, 4), wxyz, not normalized."""
+    """Function from times (M,) [s] to quaternions (M, 4), wxyz, not normalized."""
 
     @classmethod
     def through(cls, trajectory: Trajectory, knot_interval_s: float = KNOT_INTERVAL_S) -> Self:
-        """Fit a smooth motion to poses, by least squares.
+        """Fit a smooth motion to poses by least squares.
 
         Args:
-            trajectory: The poses, at any times not more than `LONGEST_GAP_S` apart.
-            knot_interval_s: Time between the spline's knots [s]; longer is smoother.
+            trajectory: Poses at any times not more than `LONGEST_GAP_S` apart.
+            knot_interval_s: Time between knots [s]; larger values are smoother.
 
         Raises:
-            ConfigError: There are too few poses, or too long a gap between two.
+            ConfigError: There are too few poses, or a gap between two is too long.
         """
         t = trajectory.t_s
         if len(t) <= _DEGREE + 1:
@@ -63,7 +62,7 @@ class SmoothMotion:
             where = float(t[int(gaps_s.argmax())])
             raise ConfigError(
                 f"trajectory with a gap of {gaps_s.max():.2f} s, {where:.2f} s after its start; expected poses at least"
-                f" every {LONGEST_GAP_S:g} s, since nobody knows the motion between"
+                f" every {LONGEST_GAP_S:g} s"
             )
         knots = _knots(t, knot_interval_s)
         position = make_lsq_spline(t, trajectory.p_world_imu, knots, _DEGREE)
@@ -74,7 +73,7 @@ class SmoothMotion:
         """Return poses and velocities at times (M,) [ns] within the motion.
 
         Raises:
-            ConfigError: A time lies outside.
+            ConfigError: A time is outside the motion.
         """
         t = self._seconds(t_ns)
         quat = self.quaternion(t)
@@ -89,14 +88,14 @@ class SmoothMotion:
         return np.asarray(2.0 * np.stack(vector, axis=-1) / np.sum(q * q, axis=1, keepdims=True))
 
     def points(self, t_ns: Times) -> ImuSamples:
-        """Return what a perfect IMU in the moving frame reads at times (M,) [ns]."""
+        """Return the samples of a noise-free IMU in the moving frame at times (M,) [ns]."""
         t = self._seconds(t_ns)
         R = matrix_from_quat_wxyz(self.trajectory(t_ns).quat_wxyz)
         force = np.einsum("nji,nj->ni", R, self.position(t, 2) + GRAVITY_M_S2 * _UP)
         return ImuSamples(t_ns, self.angular_velocity_rad_s(t_ns), force, "point")
 
     def increments(self, t_ns: Times) -> ImuSamples:
-        """Return what a perfect integrating IMU reads over the M − 1 intervals between times (M,) [ns]."""
+        """Return the increments of a noise-free IMU over the M − 1 intervals between times (M,) [ns]."""
         motion = self.trajectory(t_ns)
         assert motion.velocity_m_s is not None
         R = motion.rotations
@@ -106,7 +105,7 @@ class SmoothMotion:
         return ImuSamples(t_ns[1:], turn / dt_s, np.einsum("nji,nj->ni", R[:-1], gained), "increment")
 
     def _seconds(self, t_ns: Times) -> Array:
-        """Return times (M,) [s] of the spline, or raise ConfigError."""
+        """Return times (M,) of the splines [s], or raise ConfigError outside the motion."""
         t = np.asarray((t_ns - self.origin_ns) * 1e-9)
         if len(t) and (t.min() < -1e-9 or t.max() > self.end_s + 1e-9):
             raise ConfigError(
@@ -116,15 +115,15 @@ class SmoothMotion:
 
 
 def _continuous(quat_wxyz: Array) -> Array:
-    """Return the quaternions (N, 4) with signs such that each is on its predecessor's side."""
+    """Return the quaternions (N, 4) with signs such that consecutive ones have a non-negative scalar product."""
     same_side = np.sum(quat_wxyz[1:] * quat_wxyz[:-1], axis=1) >= 0.0
     signs = np.cumprod(np.concatenate([[1.0], np.where(same_side, 1.0, -1.0)]))
     return np.asarray(quat_wxyz * signs[:, None])
 
 
 def _knots(t: Array, interval_s: float) -> Array:
-    """Return knots for times (N,) [s]: so many inside that they are about so far apart, never closer than the poses."""
+    """Return the knots for times (N,) [s], about ``interval_s`` apart but not closer than the poses."""
     spans = int(max(1, min(round((t[-1] - t[0]) / interval_s), len(t) - _DEGREE - 1)))
-    every = np.linspace(0, len(t) - 1, spans + 1)[1:-1]  # by count of poses: each knot has its share, gap or not
+    every = np.linspace(0, len(t) - 1, spans + 1)[1:-1]  # by number of poses, so that every knot is supported
     inner = np.interp(every, np.arange(len(t)), t)
     return np.concatenate([np.full(_DEGREE + 1, t[0]), inner, np.full(_DEGREE + 1, t[-1])])

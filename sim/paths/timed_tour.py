@@ -1,4 +1,4 @@
-"""The tour that is given by fractions of a world's free space and by the time that it takes; no limits but these."""
+"""Tours through relative waypoints in a given duration, without limits."""
 
 import numpy as np
 import numpy.typing as npt
@@ -7,18 +7,18 @@ from dronevio.sim.paths.minimum_snap import minimum_snap
 
 Array = npt.NDArray[np.float64]
 
-_CHECK_STEP_S = 0.01  # how densely the tour is compared with the free space
+_CHECK_STEP_S = 0.01  # interval of the comparison with the free space
 
 
 def timed_knots(fractions: Array, tour_s: float, reach: Array) -> tuple[Array, Array, Array]:
-    """Return times (K,) from 0 [s], points (K, 3) from the hover [m] and headings (K,) [rad] of a tour.
+    """Return times (K,) from 0 [s], points (K, 3) relative to the hover [m] and headings (K,) [rad] of a tour.
 
-    The waypoints are scaled together, axis by axis, until the spline between them stays within reach.
+    The waypoints are scaled by a common factor on each axis until the spline through them stays within reach.
 
     Args:
-        fractions: (M, 3) Waypoints: ±1 is as far as the tour may go along an axis, 0 the hover's place.
-        tour_s: From the hover and back to it [s].
-        reach: (2, 3) How far it may go from there, down and up each axis [m].
+        fractions: (M, 3) Relative waypoints: ±1 is the usable extent on an axis, 0 the hover.
+        tour_s: Duration from the hover and back to it [s].
+        reach: (2, 3) Usable extent relative to the hover, below and above on each axis [m].
     """
     if not len(fractions):
         return np.array([0.0, tour_s]), np.zeros((2, 3)), np.zeros(2)
@@ -34,14 +34,14 @@ def timed_knots(fractions: Array, tour_s: float, reach: Array) -> tuple[Array, A
 
 
 def _allot_time(points: Array, total_s: float) -> Array:
-    """Return times (K,) of points (K, 3): by distance, with half as much again where the drone starts and stops."""
-    weight = np.linalg.norm(np.diff(points, axis=0), axis=1) ** 0.6  # long legs are flown faster
+    """Return times (K,) of points (K, 3) by distance, with 1.5 times the duration for the first and last leg."""
+    weight = np.linalg.norm(np.diff(points, axis=0), axis=1) ** 0.6  # long legs are flown at higher speed
     weight[[0, -1]] *= 1.5
     return np.asarray(np.concatenate([[0.0], np.cumsum(weight)]) * total_s / weight.sum())
 
 
 def _headings(knots: Array, points: Array) -> Array:
-    """Return headings (K,) [rad] that look along the path, smoothed; 0 at first, and the last one kept at the end."""
+    """Return smoothed headings (K,) along the path [rad]; 0 at first, and the last one held at the end."""
     velocity = minimum_snap(knots, points).derivative()(knots[1:-1])
     along = np.unwrap(np.concatenate([[0.0], np.arctan2(velocity[:, 1], velocity[:, 0])]))
     along = np.append(along, along[-1])
