@@ -1,4 +1,4 @@
-"""From a world to what a lens and a sensor make of it."""
+"""Camera models and image sensors: rendering, shutter, exposure, noise and frame times."""
 
 from typing import TYPE_CHECKING
 

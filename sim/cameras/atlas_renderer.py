@@ -1,4 +1,4 @@
-"""AtlasRenderer: a world, as it stands at one moment, on an atlas of views in the graphics memory."""
+"""Rendering of a world at one time into an atlas of pinhole views in graphics memory."""
 
 from collections.abc import Mapping
 from types import MappingProxyType
@@ -16,42 +16,42 @@ Array = npt.NDArray[np.float64]
 Colours = npt.NDArray[np.uint8]
 InverseDepth = npt.NDArray[np.float32]
 MoverPoses = Mapping[str, Array]
-"""Poses (4, 4) in the world of mocap bodies by their name."""
+"""Poses T_world_body (4, 4) of moving objects by the name of their mocap body."""
 
 NO_MOVERS: MoverPoses = MappingProxyType({})
-"""Everything stands where the world's spec puts it."""
+"""No poses: all objects are at the poses of the world's specification."""
 
 
 class RenderContext:
-    """Graphics memory: a world's meshes and textures, and room to draw. Close it after use."""
+    """Graphics memory with the meshes and textures of a world and a frame buffer. Close it after use."""
 
     def __init__(self, model: mujoco.MjModel) -> None:
-        """Load a world.
+        """Load a world into graphics memory.
 
         Raises:
-            GraphicsError: No off-screen OpenGL.
+            GraphicsError: Off-screen OpenGL is not available.
         """
-        self._gl: Context | None = create_context(1, 1)  # what is drawn lies in a buffer of its own
+        self._gl: Context | None = create_context(1, 1)  # images are rendered into a frame buffer of their own
         self.mjr_context = mujoco.MjrContext(model, mujoco.mjtFontScale.mjFONTSCALE_100)
-        """MuJoCo's handle."""
+        """MuJoCo's rendering context."""
         mujoco.mjr_setBuffer(mujoco.mjtFramebuffer.mjFB_OFFSCREEN, self.mjr_context)
         self.mjr_context.readDepthMap = mujoco.mjtDepthMap.mjDEPTH_ZEROFAR
 
     def activate(self, width: int, height: int) -> None:
-        """Draw here from now on, at least the given size [px].
+        """Make the context current with a frame buffer of at least the given size [px].
 
         Raises:
-            GraphicsError: It has been closed.
+            GraphicsError: The graphics memory has been released.
         """
         if self._gl is None:
             raise GraphicsError("the camera has been closed")
         self._gl.make_current()
-        room = self.mjr_context.offWidth, self.mjr_context.offHeight
-        if width > room[0] or height > room[1]:
-            mujoco.mjr_resizeOffscreen(max(width, room[0]), max(height, room[1]), self.mjr_context)
+        size = self.mjr_context.offWidth, self.mjr_context.offHeight
+        if width > size[0] or height > size[1]:
+            mujoco.mjr_resizeOffscreen(max(width, size[0]), max(height, size[1]), self.mjr_context)
 
     def close(self) -> None:
-        """Give the graphics memory back; more than once does no harm."""
+        """Release the graphics memory; further calls have no effect."""
         if self._gl is not None:
             self._gl.make_current()
             self.mjr_context.free()
@@ -60,15 +60,15 @@ class RenderContext:
 
 
 class AtlasRenderer:
-    """An atlas on a context, and the scene that is drawn on it."""
+    """Renderer of an atlas of views with its scene."""
 
     def __init__(self, model: mujoco.MjModel, views: Views, context: RenderContext) -> None:
-        """Prepare to draw.
+        """Create the scene.
 
         Args:
-            model: The world alone, compiled: its scenery lights itself.
-            views: What is drawn.
-            context: That world's; other drawings may use it in turn.
+            model: The compiled world without the drone; its textures contain the lighting.
+            views: The views of the atlas.
+            context: Graphics memory of the world, which several renderers may share.
         """
         self._model, self._views, self._context = model, views, context
         self.near_m, self.far_m = (float(v * model.stat.extent) for v in (model.vis.map.znear, model.vis.map.zfar))
@@ -86,18 +86,18 @@ class AtlasRenderer:
     def colours(
         self, T_world_cam: Array, mover_poses: MoverPoses = NO_MOVERS, rows: tuple[int, int] | None = None
     ) -> Colours:
-        """Return the atlas in colour (H', W', 3) from a camera's pose (4, 4); valid until the next drawing.
+        """Return the RGB atlas (H', W', 3) at a camera pose (4, 4); valid until the next rendering.
 
-        OpenGL's first row is the lowest.
+        The first row is the lowest one, as in OpenGL.
 
         Args:
-            T_world_cam: The camera's pose.
-            mover_poses: Poses (4, 4) of what moves.
-            rows: First row that is drawn, and first that no longer is; the others are undefined. None for all.
+            T_world_cam: (4, 4) Pose of the camera.
+            mover_poses: Poses (4, 4) of moving objects by name.
+            rows: First row to render and the row after the last; other rows are undefined. None renders all rows.
 
         Raises:
-            GraphicsError: The context has been closed.
-            ConfigError: There is no such mover.
+            GraphicsError: The graphics memory has been released.
+            ConfigError: A moving object is unknown.
         """
         low, high = rows or (0, self._views.height)
         self._scene.flags[mujoco.mjtRndFlag.mjRND_REFLECTION] = self._reflects
@@ -107,18 +107,18 @@ class AtlasRenderer:
         return self._colours
 
     def surfaces(self, T_world_cam: Array, mover_poses: MoverPoses = NO_MOVERS) -> tuple[InverseDepth, Colours]:
-        """Return inverse_depth (H', W') and id_colours (H', W', 3) of the atlas from a camera's pose (4, 4).
+        """Return inverse depth (H', W') and identifier colours (H', W', 3) of the atlas at a camera pose (4, 4).
 
-        Both are valid until the next drawing. InverseDepth is affine in the inverse of the z of a view: 1 at the near
-        plane, 0 at the far one. `geoms` says what the id_colours mean.
+        Both are valid until the next rendering. Inverse depth is affine in the inverse of the z of a view: 1 at the
+        near plane, 0 at the far plane. `geoms` decodes the identifier colours.
 
         Raises:
-            GraphicsError: The context has been closed.
-            ConfigError: There is no such mover.
+            GraphicsError: The graphics memory has been released.
+            ConfigError: A moving object is unknown.
         """
         id_flags = (mujoco.mjtRndFlag.mjRND_SEGMENT, mujoco.mjtRndFlag.mjRND_IDCOLOR)
         self._scene.flags[mujoco.mjtRndFlag.mjRND_REFLECTION] = False
-        for flag in id_flags:  # no textures: several times as fast
+        for flag in id_flags:  # without textures, which is several times as fast
             self._scene.flags[flag] = True
         self._draw(T_world_cam, mover_poses, 0, self._views.height)
         drawn = mujoco.MjrRect(0, 0, self._views.width, self._views.height)
@@ -128,17 +128,17 @@ class AtlasRenderer:
         return self._inverse_depth, self._colours
 
     def geoms(self, id_colours: Colours) -> npt.NDArray[np.int32]:
-        """Return the numbers (N,) in the model of the geoms that id_colours (N, 3) stand for; −1 for none."""
+        """Return the indices (N,) in the model of the geoms with identifier colours (N, 3); −1 for the background."""
         return self._geom_of_id[id_colours.astype(np.int32) @ np.array([1, 256, 65536], np.int32)]
 
     def motion_of_geoms(self, now: MoverPoses, then: MoverPoses) -> dict[int, Array]:
-        """Return for each geom that moves what maps its points in the world (4, 4) from one moment to another."""
+        """Return for each moving geom the transformation (4, 4) of its points in the world from one time to another."""
         poses = [self._poses_of_bodies(poses) for poses in (now, then)]
         body_of = {int(geom.objid): int(self._model.geom_bodyid[geom.objid]) for geom in self._moving}
         return {geom: poses[1][body] @ inverse_pose(poses[0][body]) for geom, body in body_of.items()}
 
     def _draw(self, T_world_cam: Array, mover_poses: MoverPoses, low: int, high: int) -> None:
-        """Draw rows of all views into the graphics memory."""
+        """Render rows of all views into graphics memory."""
         self._context.activate(self._views.width, self._views.height)
         self._place(mover_poses)
         for geom in self._moving:
@@ -151,47 +151,47 @@ class AtlasRenderer:
                 mujoco.mjr_render(place, self._scene, self._context.mjr_context)
 
     def _place(self, mover_poses: MoverPoses) -> None:
-        """Put the mocap bodies where they belong; those without a pose, where the model has them."""
+        """Set the poses of the mocap bodies; bodies without a pose get their initial one."""
         if not self._moving and not mover_poses:
             return
         mujoco.mj_resetData(self._model, self._data)
         for name, T_world_body in mover_poses.items():
             body = mujoco.mj_name2id(self._model, mujoco.mjtObj.mjOBJ_BODY, name)
             if body < 0 or self._model.body_mocapid[body] < 0:
-                raise ConfigError(f"nothing in the world is called {name!r} and can be moved")
+                raise ConfigError(f"unknown moving object {name!r}")
             mocap = self._model.body_mocapid[body]
             self._data.mocap_pos[mocap] = T_world_body[:3, 3]
             self._data.mocap_quat[mocap] = quat_wxyz_from_matrix(T_world_body[:3, :3])
         mujoco.mj_kinematics(self._model, self._data)
 
     def _poses_of_bodies(self, mover_poses: MoverPoses) -> Array:
-        """Return the poses (B, 4, 4) of all bodies in the world."""
+        """Return the poses T_world_body (B, 4, 4) of all bodies."""
         self._place(mover_poses)
         return pose_matrix(self._data.xmat.reshape(-1, 3, 3).copy(), self._data.xpos.copy())
 
     def _mover_of(self, geom: int) -> int:
-        """Return the number of the mocap body that a geom belongs to; −1 for what stands still."""
+        """Return the index of the mocap body of a geom; −1 for static geoms."""
         return int(self._model.body_mocapid[self._model.body_rootid[self._model.geom_bodyid[geom]]])
 
 
 def set_camera(scene: mujoco.MjvScene, T_world_cam: Array, view: View, near_m: float, far_m: float) -> None:
-    """Turn a scene's eyes into a view of a camera at a pose (4, 4)."""
+    """Set the camera of a scene to a view of a camera at a pose (4, 4)."""
     _, down, ahead = (T_world_cam[:3, :3] @ view.R_cam_view).T
-    for eye in scene.camera:  # two; MuJoCo draws from their mean
+    for eye in scene.camera:  # two eyes; MuJoCo renders from their mean
         eye.pos, eye.forward, eye.up = T_world_cam[:3, 3], ahead, -down
         eye.frustum_near, eye.frustum_far = near_m, far_m
         eye.frustum_center, eye.frustum_width, eye.frustum_bottom, eye.frustum_top = view.frustum(near_m)
 
 
 def disable_lights(scene: mujoco.MjvScene) -> None:
-    """Leave a scene no light but its own, and no effect that costs time; scenery carries its light in its textures."""
+    """Disable lights and expensive effects of a scene, whose textures contain the lighting."""
     scene.nlight = 0
     for effect in ("SHADOW", "REFLECTION", "SKYBOX", "FOG", "HAZE"):
         scene.flags[getattr(mujoco.mjtRndFlag, f"mjRND_{effect}")] = False
 
 
 def unlit_scene(model: mujoco.MjModel) -> mujoco.MjvScene:
-    """Return what is to be drawn: the geoms as they stand."""
+    """Return a scene of the geoms at their initial poses, without lights."""
     data, scene = mujoco.MjData(model), mujoco.MjvScene(model, maxgeom=model.ngeom + 10)
     mujoco.mj_kinematics(model, data)
     view = mujoco.MjvCamera()

@@ -1,9 +1,9 @@
-"""The camera: what a lens and a sensor make of the world, from a pose.
+"""Camera: rendering of the image of any lens model from a pose.
 
-The renderer knows only ideal pinholes. So wider and finer pinhole images are drawn (`dronevio.sim.cameras.views`), and
-every pixel of the real one is looked up where the camera's own model (`CameraModel.unproject`) says that its ray goes:
-each as the mean over its area, as a sensor's pixel collects its light, which keeps the image equally sharp from the
-middle to the edge of any lens.
+The renderer supports ideal pinhole projections only. Wider and finer pinhole images are therefore rendered
+(`dronevio.sim.cameras.views`), and every pixel of the camera is looked up where the camera model
+(`CameraModel.unproject`) projects its ray. Each pixel is the mean over its area, as the pixel of a sensor integrates
+light, so that images are equally sharp from the centre to the edge for every lens.
 """
 
 from functools import cached_property
@@ -24,16 +24,16 @@ Array = npt.NDArray[np.float64]
 GreyImage = npt.NDArray[np.uint8]
 
 SUPERSAMPLING = 1.5
-"""Drawn pixels per image pixel, along a line."""
+"""Rendered pixels per image pixel along each axis."""
 LENS_BLUR_PX = 0.35
-"""Standard deviation of the lens's blur [px]; with the pixel's area it makes 0.45 px."""
-_ACROSS = 2  # samples per image pixel, along a line
-_SUPPORT_PX = 3  # rows that the blur reaches
-_SAME_SURFACE = 0.02  # inverse_depth that differs by less between neighbours is that of one surface
+"""Standard deviation of the blur of the lens [px]; together with the pixel area it is 0.45 px."""
+_ACROSS = 2  # samples per image pixel along each axis
+_SUPPORT_PX = 3  # rows within the support of the blur
+_SAME_SURFACE = 0.02  # relative difference of inverse depth between neighbours on one surface
 
 
 class OffscreenCamera:
-    """Draws what a rig's camera sees of a world, off screen. Close it, or use it as a context."""
+    """Off-screen renderer of the images of a rig's camera. Close it, or use it as a context manager."""
 
     def __init__(
         self,
@@ -42,38 +42,39 @@ class OffscreenCamera:
         supersampling: float = SUPERSAMPLING,
         context: RenderContext | None = None,
     ) -> None:
-        """Prepare to draw.
+        """Create the renderer and the look-up tables.
 
         Args:
-            model: The world alone, compiled: its scenery lights itself.
+            model: The compiled world without the drone; its textures contain the lighting.
             camera: Projection and image size.
-            supersampling: Drawn pixels per image pixel, along a line, where the lens does not distort.
-            context: The world's, shared with other cameras and closed by who made it; one of its own by default.
+            supersampling: Rendered pixels per image pixel along each axis, where the lens does not distort.
+            context: Graphics memory of the world, shared with other cameras and closed by its creator; a new one by
+                default.
 
         Raises:
-            GraphicsError: No off-screen OpenGL.
+            GraphicsError: Off-screen OpenGL is not available.
         """
         self.camera = camera
         self.views = Views.around(camera, supersampling)
-        """What is drawn for an image."""
+        """Pinhole views from which an image is composed."""
         self.geom_names = tuple(str(model.geom(number).name) for number in range(model.ngeom))
-        """The world's geoms by their number, as `render_surfaces` gives it."""
+        """Names of the geoms of the world by the index that `render_surfaces` returns."""
         self._context, self._owns_context = context or RenderContext(model), context is None
         self._renderer = AtlasRenderer(model, self.views, self._context)
         self._lookup = self.views.lookup(pixel_rays(camera, _ACROSS))
         self._blur_px = LENS_BLUR_PX * _ACROSS
 
     def render(self, T_world_cam: Array, mover_poses: MoverPoses = NO_MOVERS, rows: slice = slice(None)) -> GreyImage:
-        """Return the grey image (H, W) that the camera sees, without noise.
+        """Return the noise-free grey image (H, W) at a pose.
 
         Args:
             T_world_cam: (4, 4) Pose of the camera.
-            mover_poses: Poses (4, 4) of what moves in the world, by name; without one it is where the spec has it.
-            rows: Which of the H rows are wanted; the cost is theirs.
+            mover_poses: Poses (4, 4) of moving objects by name; objects without one stay at their initial pose.
+            rows: Rows of the image to render; the cost is proportional to their number.
 
         Raises:
             GraphicsError: The camera has been closed.
-            ConfigError: There is no such mover.
+            ConfigError: A moving object is unknown.
         """
         first, last, _ = rows.indices(self.camera.height)
         top, end = max(first - _SUPPORT_PX, 0), min(last + _SUPPORT_PX, self.camera.height)
@@ -83,11 +84,11 @@ class OffscreenCamera:
         return self._through_lens(grey, (columns, levels))[first - top : last - top]
 
     def render_rgb(self, T_world_cam: Array, mover_poses: MoverPoses = NO_MOVERS) -> GreyImage:
-        """Return the same view in colour (H, W, 3), for people."""
+        """Return the RGB image (H, W, 3) at a pose T_world_cam (4, 4)."""
         return self._through_lens(self._renderer.colours(T_world_cam, mover_poses), self._lookup)
 
     def render_surfaces(self, T_world_cam: Array, mover_poses: MoverPoses = NO_MOVERS) -> Surfaces:
-        """Return depth and geom of what each pixel (H, W) of the same view sees at its middle."""
+        """Return depth and geom at the centre of each pixel (H, W) at a pose T_world_cam (4, 4)."""
         inverse_depth, id_colours = self._renderer.surfaces(T_world_cam, mover_poses)
         lookup = self._surface_lookup
         near_m, far_m = self._renderer.near_m, self._renderer.far_m
@@ -96,7 +97,7 @@ class OffscreenCamera:
         )
 
     def render_depth(self, T_world_cam: Array, mover_poses: MoverPoses = NO_MOVERS) -> Depth:
-        """Return the depth (H, W) of the same view [m]: z for ``radtan``, the ray's length for ``equidistant``."""
+        """Return the depth (H, W) [m]: z for ``radtan``, the length of the ray for ``equidistant``."""
         return self.render_surfaces(T_world_cam, mover_poses).depth_m
 
     def render_flow(
@@ -106,7 +107,7 @@ class OffscreenCamera:
         mover_poses: MoverPoses = NO_MOVERS,
         mover_poses_next: MoverPoses = NO_MOVERS,
     ) -> Flow:
-        """Return how far what each pixel sees moves in the image (H, W, 2) [px] from one moment to the next.
+        """Return the optical flow (H, W, 2) from one pose and time to the next [px].
 
         See `dronevio.sim.cameras.surfaces.optical_flow`.
         """
@@ -119,7 +120,7 @@ class OffscreenCamera:
         return _SurfaceLookup(self.views, self.camera)
 
     def close(self) -> None:
-        """Give the graphics memory back; more than once does no harm."""
+        """Release the graphics memory; further calls have no effect."""
         if self._owns_context:
             self._context.close()
 
@@ -132,7 +133,7 @@ class OffscreenCamera:
         self.close()
 
     def _atlas_rows(self, looked_up: Lookup) -> tuple[int, int]:
-        """Return the first row of the atlas that is looked up, and the first beyond the last."""
+        """Return the first row of the atlas that is looked up, and the row after the last."""
         inside = looked_up[looked_up >= 0.0]
         low, high = float(inside.min(initial=np.inf)), float(inside.max(initial=0.0))
         return max(int(min(low, high)) - 1, 0), min(int(high) + 3, self.views.height)
@@ -140,7 +141,7 @@ class OffscreenCamera:
     def _through_lens(
         self, atlas: npt.NDArray[np.uint8] | cv2.typing.MatLike, lookup: tuple[Lookup, Lookup]
     ) -> GreyImage:
-        """Return the image of the drawn views, or of the rows of a lookup-up: distorted, unsharp, each pixel a mean."""
+        """Return the image from the rendered views: distorted, blurred, each pixel the mean over its area."""
         fine = cv2.remap(atlas, *lookup, cv2.INTER_LINEAR)
         cv2.GaussianBlur(fine, (0, 0), self._blur_px, dst=fine)
         size = (self.camera.width, len(lookup[0]) // _ACROSS)
@@ -148,10 +149,10 @@ class OffscreenCamera:
 
 
 class _SurfaceLookup:
-    """Appearance up what the pixels' very middles see; no edge is smeared."""
+    """Look-up of surfaces at the centres of the pixels, without blending at edges."""
 
     def __init__(self, views: Views, camera: CameraModel) -> None:
-        """Find the four drawn pixels around each ray, and their weights."""
+        """Compute the four rendered pixels around each ray, and their weights."""
         rays = pixel_rays(camera)
         through = views.index_of(rays)
         self._seen = through >= 0
@@ -163,18 +164,18 @@ class _SurfaceLookup:
         self._weights = np.stack([(1 - dx) * (1 - dy), dx * (1 - dy), (1 - dx) * dy, dx * dy])
         self._nearest = np.take_along_axis(self._around, np.argmax(self._weights, axis=0)[None], axis=0)[0]
         ahead = np.stack([view.R_cam_view[:, 2] for view in views.views])[through[self._seen]]
-        # Depth is z in a view, times this.
+        # Ratio of depth to z in the view.
         self._stretch = (1.0 / np.sum(ahead * depth_rays(camera)[self._seen], axis=-1)).astype(np.float32)
 
     def nearest(self, atlas: npt.NDArray[np.uint8]) -> npt.NDArray[np.uint8]:
-        """Return what an atlas (H', W', 3) has nearest to each ray (N, 3)."""
+        """Return the pixel of an atlas (H', W', 3) nearest to each ray (N, 3)."""
         return np.asarray(atlas.reshape(-1, 3)[self._nearest])
 
     def interpolated(self, inverse_depth: npt.NDArray[np.float32]) -> npt.NDArray[np.float32]:
-        """Return the inverse_depth (N,) at each ray of an atlas of it (H', W').
+        """Return the inverse depth (N,) at each ray from an atlas (H', W').
 
-        On a plane it is affine in the drawn image, so it is interpolated where all four neighbours lie on one surface,
-        and taken from the nearest elsewhere.
+        On a plane, inverse depth is affine in the pinhole image. It is interpolated where all four neighbours lie on
+        one surface, and taken from the nearest one elsewhere.
         """
         flat = inverse_depth.ravel()
         around = flat[self._around]
@@ -185,8 +186,8 @@ class _SurfaceLookup:
     def surfaces(
         self, inverse_depth: npt.NDArray[np.float32], geoms: npt.NDArray[np.int32], near_m: float, far_m: float
     ) -> Surfaces:
-        """Return what is seen, given inverse_depth (N,) and geom (N,) at each ray."""
-        z = 1.0 / (1.0 / far_m + inverse_depth * (1.0 / near_m - 1.0 / far_m))  # reversed: 1 is near
+        """Return the surfaces from inverse depth (N,) and geom index (N,) at each ray."""
+        z = 1.0 / (1.0 / far_m + inverse_depth * (1.0 / near_m - 1.0 / far_m))  # reversed: 1 at the near plane
         depth_m, geom = np.full(self._seen.shape, np.nan, np.float32), np.full(self._seen.shape, -1, np.int32)
         depth_m[self._seen] = np.where(geoms >= 0, z * self._stretch, np.inf)
         geom[self._seen] = geoms

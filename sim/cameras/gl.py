@@ -1,8 +1,8 @@
-"""Off-screen OpenGL: which backend draws, whether it really draws, and what to type if it does not.
+"""Off-screen OpenGL: choice of the backend, a test that it renders, and advice if it does not.
 
-MuJoCo chooses its OpenGL by the environment variable MUJOCO_GL when it is imported, and breaks in ugly ways where the
-library is missing. This module decides before that (`dronevio.sim` calls `choose_backend` on import), and everything
-that draws asks it for its context.
+MuJoCo selects its OpenGL backend from the environment variable MUJOCO_GL on import, and fails with obscure errors where
+the library is missing. This module decides before that (`dronevio.sim` calls `choose_backend` on import), and all
+rendering code obtains its context here.
 """
 
 import ctypes
@@ -21,7 +21,7 @@ from typing import Protocol
 from dronevio.models.errors import GraphicsError
 
 INSTALL_COMMAND = "sudo apt-get install -y libegl1 libgl1-mesa-dri libopengl0"
-"""What brings an OpenGL that needs neither a display nor a GPU to Debian and Ubuntu."""
+"""Command that installs an OpenGL without display or GPU on Debian and Ubuntu."""
 
 _LIBRARIES = {"egl": ("libEGL.so.1",), "osmesa": ("libOSMesa.so.8", "libOSMesa.so.6", "libOSMesa.so")}
 _CHOICES = {"Linux": ("egl", "osmesa", "glfw"), "Darwin": ("cgl", "glfw")}
@@ -31,59 +31,59 @@ _PROBE = "from dronevio.sim.cameras.gl import draw_one_frame; draw_one_frame()"
 
 
 class Context(Protocol):
-    """An OpenGL context of MuJoCo's."""
+    """Interface of MuJoCo's OpenGL contexts."""
 
     def make_current(self) -> None:
-        """Draw with it from now on, in this thread."""
+        """Make the context current in this thread."""
 
     def free(self) -> None:
-        """Give its memory back."""
+        """Release its memory."""
 
 
 @dataclass(frozen=True)
 class Backend:
-    """What draws off screen."""
+    """Off-screen backend, or the reason why there is none."""
 
     name: str
-    """``egl``, ``osmesa``, ``glfw`` or ``cgl``; empty where there is none."""
+    """Name of the backend: ``egl``, ``osmesa``, ``glfw`` or ``cgl``; empty if there is none."""
     problem: str = ""
-    """Why there is none."""
+    """Reason why there is no backend."""
     advice: str = ""
-    """What to do about it."""
+    """Remedy for the problem."""
 
 
 @dataclass(frozen=True)
 class GlReport:
-    """What came of drawing one frame."""
+    """Result of a test that renders one frame."""
 
     works: bool
-    """Whether the frame showed what it should."""
+    """Whether the frame was rendered correctly."""
     backend: str
-    """The backend; empty where there is none."""
+    """Name of the backend; empty if there is none."""
     renderer: str = ""
-    """The driver's name for what draws, such as ``llvmpipe``."""
+    """Renderer name of the driver, such as ``llvmpipe``."""
     vendor: str = ""
-    """Who made the driver."""
+    """Vendor of the driver."""
     problem: str = ""
-    """Why it does not work."""
+    """Reason why rendering failed."""
     advice: str = ""
-    """What to do about it."""
+    """Remedy for the problem."""
 
 
 def pick_backend(environment: Mapping[str, str], system: str) -> Backend:
     """Return the backend for an environment and an operating system.
 
-    A MUJOCO_GL that the user set is respected. Without one, Linux draws by EGL, else by OSMesa, which need no display;
-    macOS by what MuJoCo takes there.
+    A value of MUJOCO_GL set by the user is respected. Without one, Linux uses EGL or, if that is missing, OSMesa, which
+    need no display; macOS uses MuJoCo's default.
 
     Args:
         environment: The environment variables.
-        system: As `platform.system` calls it.
+        system: The operating system, as `platform.system` names it.
     """
     wish = environment.get("MUJOCO_GL", "").strip().lower()
     choices = _CHOICES.get(system, ("glfw",))
     if wish in _OFF:
-        return Backend("", f"MUJOCO_GL={wish} turns drawing off", "type: unset MUJOCO_GL")
+        return Backend("", f"MUJOCO_GL={wish} turns rendering off", "type: unset MUJOCO_GL")
     if wish and wish not in choices:
         return Backend("", f"MUJOCO_GL={wish} is not one of {', '.join(choices)}", "type: unset MUJOCO_GL")
     if wish and not _loads(wish):
@@ -97,12 +97,12 @@ def pick_backend(environment: Mapping[str, str], system: str) -> Backend:
 
 
 def _advice(system: str) -> str:
-    """Return what to do where drawing fails."""
+    """Return the remedy for a failure of rendering."""
     return f"type: {INSTALL_COMMAND}" if system == "Linux" else "install the graphics driver"
 
 
 def _loads(backend: str) -> bool:
-    """Return whether a library of the backend can be loaded; True for those that bring their own."""
+    """Return whether a library of the backend can be loaded; True for backends that include their own."""
     if backend not in _LIBRARIES:
         return True
     for library in _LIBRARIES[backend]:
@@ -116,20 +116,20 @@ def _loads(backend: str) -> bool:
 
 @cache
 def choose_backend() -> Backend:
-    """Return this process's backend, and set MUJOCO_GL so that MuJoCo can be imported whatever it is."""
+    """Return the backend of this process, and set MUJOCO_GL so that MuJoCo can be imported in any case."""
     backend = pick_backend(os.environ, platform.system())
     if backend.name in _LIBRARIES:
         os.environ["MUJOCO_GL"] = backend.name
     elif backend.problem:
-        os.environ["MUJOCO_GL"] = "disable"  # physics need no OpenGL
+        os.environ["MUJOCO_GL"] = "disable"  # physics does not need OpenGL
     return backend
 
 
 def create_context(width: int, height: int) -> Context:
-    """Return a new OpenGL context for pictures of up to the given size [px], current in this thread.
+    """Return a new OpenGL context for images of up to the given size [px], current in this thread.
 
     Raises:
-        GraphicsError: There is none to be had.
+        GraphicsError: No context can be created.
     """
     backend = choose_backend()
     if backend.problem:
@@ -141,14 +141,14 @@ def create_context(width: int, height: int) -> Context:
 
 
 def _new_context(backend: Backend, width: int, height: int) -> Context:
-    """Return a new current context of a backend, or raise whatever the driver raises."""
+    """Return a new current context of a backend; errors of the driver are not converted."""
     context: Context = importlib.import_module(f"mujoco.{backend.name}").GLContext(width, height)
     context.make_current()
     return context
 
 
 def draw_one_frame() -> None:
-    """Draw a white square on black and print a `GlReport` as JSON: what the probe's process does."""
+    """Render a white square on black and print a `GlReport` as JSON: the work of the test process."""
     import mujoco
     import numpy as np
 
@@ -174,21 +174,23 @@ def draw_one_frame() -> None:
     drawing.free()
     context.free()
     works = bool(image[size // 2, size // 2].min() > 200 and image[0, 0].max() < 50)
-    report = GlReport(True, backend.name, renderer, vendor) if works else _broken(backend, "the frame came out wrong")
+    report = (
+        GlReport(True, backend.name, renderer, vendor) if works else _broken(backend, "the rendered frame is wrong")
+    )
     print(json.dumps(asdict(report)))  # noqa: T201
 
 
 def _driver_names() -> tuple[str, str]:
-    """Return the current context's renderer and vendor; empty where PyOpenGL cannot ask."""
+    """Return renderer and vendor of the current context; empty if PyOpenGL cannot query them."""
     try:
         GL = importlib.import_module("OpenGL.GL")
         return GL.glGetString(GL.GL_RENDERER).decode(), GL.glGetString(GL.GL_VENDOR).decode()
-    except Exception:  # PyOpenGL raises anything where a library is missing; names are a courtesy
+    except Exception:  # PyOpenGL raises anything if a library is missing; the names are optional
         return "", ""
 
 
 def probe_gl() -> GlReport:
-    """Draw one frame in a process of its own, so that a driver that crashes is survived, and say what came of it."""
+    """Render one frame in a separate process, which protects against crashes of the driver, and report the result."""
     backend = choose_backend()
     if backend.problem:
         return _refused(backend)
@@ -208,16 +210,16 @@ def probe_gl() -> GlReport:
         return GlReport(**json.loads(lines[-1]))
     if ran.returncode < 0:
         return _broken(backend, f"the driver crashed with {signal.Signals(-ran.returncode).name}")
-    return _broken(backend, (ran.stderr.strip().splitlines() or ["it said nothing"])[-1])
+    return _broken(backend, (ran.stderr.strip().splitlines() or ["no error message"])[-1])
 
 
 def _refused(backend: Backend) -> GlReport:
-    """Return the report where no backend can be had."""
+    """Return the report for a missing backend."""
     return GlReport(False, "", problem=backend.problem, advice=backend.advice)
 
 
 def _broken(backend: Backend, problem: str) -> GlReport:
-    """Return the report where a backend does not draw."""
+    """Return the report for a backend that failed."""
     return GlReport(False, backend.name, problem=problem, advice=_advice(platform.system()))
 
 
@@ -225,7 +227,7 @@ def require_gl() -> GlReport:
     """Return the report of `probe_gl`.
 
     Raises:
-        GraphicsError: No frame could be drawn; the message is one line with the command to type.
+        GraphicsError: No frame could be rendered; the message is one line with the remedy.
     """
     report = probe_gl()
     if not report.works:
@@ -234,7 +236,7 @@ def require_gl() -> GlReport:
 
 
 def _failure(report: GlReport) -> str:
-    """Return what went wrong and what to do, in one line."""
+    """Return problem and remedy in one line."""
     problem = " ".join(report.problem.split())
     where = f" ({report.backend})" if report.backend else ""
     return f"no off-screen OpenGL{where}: {problem}; {report.advice}"

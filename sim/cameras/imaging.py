@@ -1,11 +1,11 @@
-"""From light to grey levels: what a sensor makes of what falls on it while its shutter is open.
+"""Image sensor: grey levels from light and exposure.
 
-Grey levels are linear in light, as machine vision cameras deliver them: the worlds' textures are painted as such a
-camera shows them when it is well exposed, so that a drawn level *is* light, relative to saturation at the nominal
-exposure and a gain of 1. No gamma curve is applied on the way in or out.
+Grey levels are linear in light, as machine vision cameras deliver them: textures are painted as such a camera shows
+them when well exposed, so that a rendered level *is* light, relative to saturation at the nominal exposure and a gain
+of 1. No gamma curve is applied.
 
-The order is that of the EMVA standard 1288 (release 4.0, linear, eq. 2-11): irradiance × exposure time, lens, photon
-noise and read noise, then the gain, which amplifies both, saturation, quantization.
+The order follows the EMVA standard 1288 (release 4.0, linear, eq. 2-11): irradiance × exposure time, lens, photon noise
+and read noise; then the gain, which amplifies both, saturation and quantization.
 """
 
 from dataclasses import dataclass, field
@@ -22,52 +22,52 @@ Light = npt.NDArray[np.uint8] | npt.NDArray[np.float32]
 GreyImage = npt.NDArray[np.uint8]
 
 WHITE = 255.0
-"""The level at which the converter saturates [grey levels]."""
-_SETTLING_STEPS = 100  # of the exposure control before the first frame: it halves its error with each
+"""Grey level at which the converter saturates."""
+_SETTLING_STEPS = 100  # iterations of the exposure control before the first frame, each of which halves its error
 
 
 @dataclass(frozen=True, eq=False)
 class Exposures:
-    """How long each frame was exposed, and how much it was amplified: known truth."""
+    """True exposure time and gain of each frame."""
 
     time_s: Array
     """(M,) Exposure times [s]."""
     gain: Array
-    """(M,) Amplifications, 1 or more."""
+    """(M,) Gains, 1 or more."""
 
     def __len__(self) -> int:
         return len(self.time_s)
 
 
 class ExposureControl(Protocol):
-    """Chooses exposure time and gain of every frame."""
+    """Interface of an exposure control, which sets exposure time and gain of every frame."""
 
     @property
     def needs_histograms(self) -> bool:
-        """Whether it wants to see the frames' histograms."""
+        """Whether it uses the histograms of the frames."""
 
     @property
     def longest_s(self) -> float:
-        """The longest exposure that it chooses [s]."""
+        """Longest exposure time that it sets [s]."""
 
     def exposures(self, histograms: Array, irradiance: Array, nominal_s: float) -> Exposures:
-        """Return what is chosen for M frames, from earlier ones alone.
+        """Return exposure time and gain of M frames, each computed from earlier frames only.
 
         Args:
-            histograms: (M, 256) Share of the pixels on each grey level in a well lit world, nominally exposed.
-            irradiance: (M,) Light that falls in, relative to a well lit world.
-            nominal_s: Exposure that shows such a world as it is painted [s].
+            histograms: (M, 256) Fraction of the pixels on each grey level in a well-lit world at nominal exposure.
+            irradiance: (M,) Irradiance relative to a well-lit world.
+            nominal_s: Exposure time at which a well-lit world appears as painted [s].
         """
 
 
 @dataclass(frozen=True)
 class FixedExposure:
-    """The same exposure for every frame."""
+    """Constant exposure time and gain."""
 
     time_s: float = 0.002
-    """Exposure time [s]."""
+    """Exposure time of all frames [s]."""
     gain: float = 1.0
-    """Amplification, 1 or more."""
+    """Gain of all frames, 1 or more."""
 
     def __post_init__(self) -> None:
         """Check the values.
@@ -80,45 +80,45 @@ class FixedExposure:
 
     @property
     def needs_histograms(self) -> bool:
-        """False: it looks at nothing."""
+        """False, since the exposure is constant."""
         return False
 
     @property
     def longest_s(self) -> float:
-        """The exposure time [s]."""
+        """The constant exposure time [s]."""
         return self.time_s
 
     def exposures(self, histograms: Array, irradiance: Array, nominal_s: float) -> Exposures:
-        """Return the same for as many frames as there are irradiances (M,)."""
+        """Return constant values for as many frames as there are irradiances (M,)."""
         return Exposures(np.full(len(irradiance), self.time_s), np.full(len(irradiance), self.gain))
 
 
 @dataclass(frozen=True)
 class AutoExposure:
-    """Holds the mean level of the image: first by the exposure time, then, where that is at its limit, by the gain.
+    """Automatic exposure: controls the mean level of the image by the exposure time and, at its limit, by the gain.
 
-    What is measured on one frame takes effect two frames later, as in sensors that shift their settings in during
-    readout. The control is integral on the logarithm of exposure × gain,
+    A measurement on one frame takes effect two frames later, as in sensors that apply settings during readout. The
+    control is integral on the logarithm of exposure × gain,
 
         x[k + 2] = x[k + 1] + speed · log(target / mean[k]),
 
-    whose characteristic polynomial z² − z + speed has the double root ½ at speed = ¼: the fastest response that does
-    not overshoot. A frame that is mostly white does not tell how much too bright it is, so up to three times as much is
-    corrected then; the loop stays stable below a speed of 1.
+    whose characteristic polynomial z² − z + speed has the double root ½ at speed = ¼: the fastest response without
+    overshoot. A frame that is mostly saturated underestimates its error, so that up to three times the correction is
+    applied then; the loop is stable below a speed of 1.
     """
 
     target_level: float = 110.0
-    """Mean grey level that it aims at."""
+    """Desired mean grey level of the image."""
     tolerance: float = 0.05
-    """Relative error of the mean that is left alone, so that the image does not pump."""
+    """Relative error of the mean that is not corrected, which prevents oscillation."""
     speed: float = 0.25
-    """Share of the logarithmic error that is corrected with each frame."""
+    """Fraction of the logarithmic error that is corrected with each frame."""
     shortest_s: float = 2e-5
-    """Least exposure time [s]."""
+    """Shortest exposure time [s]."""
     longest_s: float = 0.010
-    """Greatest exposure time [s]: a compromise between noise and motion blur."""
+    """Longest exposure time [s]: a compromise between noise and motion blur."""
     largest_gain: float = 16.0
-    """Greatest amplification (24 dB, usual for global-shutter sensors)."""
+    """Largest gain (24 dB, common for global-shutter sensors)."""
 
     def __post_init__(self) -> None:
         """Check the values.
@@ -134,11 +134,11 @@ class AutoExposure:
 
     @property
     def needs_histograms(self) -> bool:
-        """True: it needs the frames' histograms."""
+        """True, since the mean level is computed from histograms."""
         return True
 
     def exposures(self, histograms: Array, irradiance: Array, nominal_s: float) -> Exposures:
-        """Return what is chosen for M frames; the camera has been looking at the first one for a while already."""
+        """Return exposure time and gain of M frames; the control has settled on the first one."""
         frames = len(irradiance)
         limits = np.log([self.shortest_s, self.longest_s * self.largest_gain])
         levels = np.arange(histograms.shape[1])
@@ -164,19 +164,19 @@ class AutoExposure:
 
 @dataclass(frozen=True)
 class Imaging:
-    """A sensor behind a lens: EMVA 1288's linear model, in grey levels."""
+    """Image sensor with vignetting: the linear model of EMVA 1288, in grey levels."""
 
     control: FixedExposure | AutoExposure = field(default_factory=FixedExposure)
-    """Chooses exposure time and gain of every frame."""
+    """Control of exposure time and gain."""
     nominal_exposure_s: float = 0.002
-    """Exposure that shows a well lit world as it is painted, at gain 1 [s]."""
+    """Exposure time at which a well-lit world appears as painted, at gain 1 [s]."""
     read_sigma: float = 1.2
-    """Noise of a black image at gain 1 [grey levels]."""
+    """Standard deviation of the noise of a black image at gain 1 [grey levels]."""
     shot_sigma: float = 2.2
-    """Photon noise of a white image at gain 1 [grey levels]; 2.2 means that (255 / 2.2)² = 13 000 electrons fill a
-    pixel, typical of pixels of 5 µm."""
+    """Standard deviation of the photon noise of a white image at gain 1 [grey levels]; 2.2 corresponds to a full-well
+    capacity of (255 / 2.2)² = 13 000 electrons, typical of pixels of 5 µm."""
     vignetting: float = 0.18
-    """How much less light falls on the furthest corner, relative."""
+    """Relative loss of light at the corner farthest from the centre."""
 
     def __post_init__(self) -> None:
         """Check the values.
@@ -190,22 +190,22 @@ class Imaging:
         _check(0.0 <= self.vignetting <= 1.0, "vignetting", self.vignetting, "between 0 and 1")
 
     def exposures(self, histograms: Array, irradiance: Array) -> Exposures:
-        """Return exposure time and gain of M frames, from `ExposureControl.exposures`' arguments."""
+        """Return exposure time and gain of M frames; see `ExposureControl.exposures`."""
         return self.control.exposures(histograms, irradiance, self.nominal_exposure_s)
 
     def digitize(
         self, light: Light, irradiance: float, exposure_s: float, gain: float, rng: np.random.Generator
     ) -> GreyImage:
-        """Return the grey image (H, W) that the sensor delivers.
+        """Return the grey image (H, W) that the sensor delivers for some light.
 
-        Noise before the gain: σ² = read² + shot² · signal / 255; quantization adds 1/12 after it.
+        The noise before the gain is σ² = read² + shot² · signal / 255; quantization adds 1/12 after it.
 
         Args:
-            light: (H, W) What a well lit world shows at the nominal exposure [grey levels].
-            irradiance: Light that falls in, relative to a well lit world.
+            light: (H, W) Image of the well-lit world at nominal exposure [grey levels].
+            irradiance: Irradiance relative to a well-lit world.
             exposure_s: Exposure time [s].
-            gain: Amplification.
-            rng: Draws the noise.
+            gain: Gain of the sensor.
+            rng: Generator of the noise.
         """
         lens = _lens(*light.shape, self.vignetting)
         signal = light * (lens * np.float32(irradiance * exposure_s / self.nominal_exposure_s))
@@ -216,12 +216,12 @@ class Imaging:
 
 @lru_cache(maxsize=8)
 def _lens(height: int, width: int, vignetting: float) -> npt.NDArray[np.float32]:
-    """Return the share of light (H, W) that comes through the lens."""
+    """Return the relative transmission (H, W) of the lens."""
     y, x = np.ogrid[-1.0 : 1.0 : height * 1j, -1.0 : 1.0 : width * 1j]
     return np.asarray(1.0 - vignetting * (x**2 + y**2) / 2.0, dtype=np.float32)
 
 
 def _check(holds: bool, name: str, value: float, expected: str) -> None:
-    """Raise ConfigError unless a value is as expected."""
+    """Raise ConfigError unless a value is in its range."""
     if not holds:
         raise ConfigError(f"imaging: {name} {value}; expected {expected}")

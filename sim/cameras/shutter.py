@@ -1,15 +1,15 @@
-"""The shutter: which light each row of the sensor collects while the camera moves.
+"""Shutter: the light that each row of the sensor integrates while the camera moves.
 
-Row r of H is exposed for the exposure time around ``middle + (r / (H − 1) − ½) readout``: all at once with a global
-shutter (readout 0), one after the other with a rolling one. What a row sees is the mean over its exposure, and that is
-integrated here as
+Row r of H is exposed for the exposure time around ``middle + (r / (H − 1) − ½) readout``: all rows at once with a
+global shutter (readout 0), one after the other with a rolling shutter. The light of a row is the mean over its
+exposure, which is integrated here as
 
     light(u) = 1/S Σ_s Σ_k w_k(t) I_k(π(R_kᵀ R(t) π⁻¹(u))),   t = the s-th instant within the exposure of u's row,
 
-from few images I_k drawn at key poses. Between them the turn of the camera is exact, since each key image is looked up
-through the camera's own model π, and the parallax is cross-faded: the weights w_k are the hat functions between the
-keys, whose spacing keeps the parallax between neighbours small, so that positions are interpolated linearly.
-Of each key image only the rows are drawn that look at it, and what does not move is drawn once.
+from few images I_k rendered at key poses. Between them the rotation of the camera is exact, since each key image is
+looked up through the camera model π, and the parallax is interpolated: the weights w_k are the hat functions between
+the keys, whose spacing keeps the parallax between neighbours small. Of each key image only the required rows are
+rendered, and static frames are rendered once.
 """
 
 from collections.abc import Callable
@@ -28,47 +28,47 @@ GreyImage = npt.NDArray[np.uint8]
 Light = npt.NDArray[np.uint8] | npt.NDArray[np.float32]
 
 Poses = Callable[[Times], Array]
-"""Maps true times (M,) [ns] to poses of the camera (M, 4, 4) in the world."""
+"""Function from true times (M,) [ns] to camera poses T_world_cam (M, 4, 4)."""
 View = Callable[[int, slice], GreyImage]
-"""Draws what `Shutter.drawn` sees at a true time [ns], on some of its rows."""
+"""Function that renders some rows of `Shutter.drawn` at a true time [ns]."""
 
 LARGEST_MARGIN_PX = 32
-"""How far outside the image a key image reaches at most [px]."""
-_STATIC_BLUR_PX = 0.3  # widens the image of an edge, σ ½ px of lens and pixel, by 1.5 %
-_STATIC_SKEW_PX = 0.1  # of the whole image, thus ± 0.05 px
-_STATIC_PARALLAX_PX = 0.2  # within the readout: thus ± 0.1 px
+"""Largest margin of a key image around the image [px]."""
+_STATIC_BLUR_PX = 0.3  # widens an edge, whose σ is ½ px, by 1.5 %
+_STATIC_SKEW_PX = 0.1  # over the whole image, that is ± 0.05 px
+_STATIC_PARALLAX_PX = 0.2  # within the readout, that is ± 0.1 px
 _KEY_SPACING_PX = 1.5  # parallax between key poses
-_SAMPLE_SPACING_PX = 0.75  # between the instants of the integral: below the lens's blur
-_SUPPORT_PX = 2  # for the interpolation
+_SAMPLE_SPACING_PX = 0.75  # image motion between samples of the integral, below the blur of the lens
+_SUPPORT_PX = 2  # support of the interpolation
 _MOST_KEYS, _MOST_SAMPLES = 33, 64
-_GRID_PX = 16  # the looked-up displacement bends by 1 / f²: bilinear between such points is good to 1e-3 px
+_GRID_PX = 16  # the curvature of the displacement is 1 / f², so bilinear interpolation errs by 1e-3 px
 
 
 @dataclass(frozen=True, eq=False)
 class ExposurePlan:
-    """At which instants a frame is drawn and summed up."""
+    """Times at which a frame is rendered and integrated."""
 
     middle_ns: int
     """True middle of the exposure of the middle row [ns]."""
     keys_ns: Times
-    """(K,) When the key images are drawn [ns]."""
+    """(K,) Times of the key images [ns]."""
     samples_ns: Times
-    """(S,) Instants of the integral, relative to the middle of a row's exposure [ns]."""
+    """(S,) Sample times of the integral, relative to the middle of the exposure of a row [ns]."""
     reach_px: int
-    """How far the camera's turn moves the image between a key pose and what is looked up in its image, at most [px]."""
+    """Largest image motion by the rotation between a key pose and the samples looked up in its image [px]."""
     static: bool
-    """Whether the key image is the frame."""
+    """Whether the frame equals the key image."""
 
 
 class Shutter:
-    """Collects the light of one camera of a rig."""
+    """Shutter of one camera of a rig."""
 
     def __init__(self, camera: RigCamera, margin_px: int = LARGEST_MARGIN_PX) -> None:
-        """Prepare.
+        """Prepare the look-up grid.
 
         Args:
             camera: The camera.
-            margin_px: How far the image moves at most by the camera's turn between two key poses [px].
+            margin_px: Largest image motion by the rotation between two key poses [px].
         """
         model = camera.model
         self.drawn: CameraModel = replace(
@@ -78,9 +78,9 @@ class Shutter:
             cx=model.cx + margin_px,
             cy=model.cy + margin_px,
         )
-        """The camera, with a margin all around."""
+        """The camera model with a margin on all sides."""
         self._model, self._margin_px, self._readout_ns = model, margin_px, camera.readout_s * 1e9
-        # The grid's points are where `cv2.resize` has its pixels' centres, one beyond each border.
+        # The grid points are the pixel centres of `cv2.resize`, one beyond each border.
         self._columns_px, self._rows_px = (
             (np.arange((size - 1) // _GRID_PX + 3, dtype=np.float64) - 0.5) * _GRID_PX - 0.5
             for size in (model.width, model.height)
@@ -93,14 +93,14 @@ class Shutter:
     def plan(
         self, poses: Poses, middle_ns: int, exposure_s: float, nearest_m: float, swept_rad: float = 0.0
     ) -> ExposurePlan:
-        """Return how to expose a frame with no more work than its motion asks for.
+        """Return the exposure plan of a frame with as few images as its motion allows.
 
         Args:
-            poses: Where the camera is.
+            poses: Poses of the camera.
             middle_ns: True middle of the exposure of the middle row [ns].
             exposure_s: Exposure time [s].
-            nearest_m: Depth of what is near [m]; infinite where nothing is.
-            swept_rad: How far things in the world move meanwhile, as the camera sees them [rad].
+            nearest_m: Depth of near surfaces [m]; infinite if there are none.
+            swept_rad: Largest motion of moving objects during the exposure as seen from the camera [rad].
         """
         exposure_ns = exposure_s * 1e9
         span_ns = exposure_ns + self._readout_ns
@@ -112,7 +112,7 @@ class Shutter:
         blur, skew = (share * (turn_px + parallax_px) for share in (within_exposure, 1.0 - within_exposure))
         rolling = (1.0 - within_exposure) * parallax_px > _STATIC_PARALLAX_PX
         spacings = max(parallax_px / _KEY_SPACING_PX, turn_px / LARGEST_MARGIN_PX)
-        # Rows at the border of a rolling shutter's image see keys of their own; a blur's ends need none.
+        # The first and last rows of a rolling shutter require keys of their own; the ends of a blur do not.
         keys = min(int(np.ceil(max(spacings, 1.0))) + rolling, _MOST_KEYS)
         samples = 1 if blur <= _STATIC_BLUR_PX else max(2, int(np.ceil(blur / _SAMPLE_SPACING_PX)))
         return ExposurePlan(
@@ -124,7 +124,7 @@ class Shutter:
         )
 
     def expose(self, plan: ExposurePlan, poses: Poses, view: View) -> Light:
-        """Return the light (H, W) that the rows collect [grey levels]."""
+        """Return the light (H, W) that the rows integrate [grey levels]."""
         height, margin = self._model.height, self._margin_px
         if plan.static:
             return view(plan.middle_ns, slice(margin, margin + height))[:, margin : margin + self._model.width]
@@ -148,26 +148,26 @@ class Shutter:
         return light
 
     def _weights(self, plan: ExposurePlan) -> npt.NDArray[np.float32]:
-        """Return the weight (K, S, H) of each key image in what each row collects at each instant."""
+        """Return the weight (K, S, H) of each key image for each row at each sample time."""
         since_ns = plan.samples_ns[:, None] + self._row_delays_ns
         keys_ns = plan.keys_ns - plan.middle_ns
         hats = [np.interp(since_ns, keys_ns, hat) for hat in np.eye(len(keys_ns))]
         return (np.stack(hats) / len(plan.samples_ns)).astype(np.float32)
 
     def _delays_ns(self, rows_px: Array) -> Array:
-        """Return how much later than the middle row's each row's exposure is [ns]."""
+        """Return the delay of the exposure of each row relative to the middle row [ns]."""
         return np.asarray((rows_px / max(self._model.height - 1, 1) - 0.5) * self._readout_ns)
 
     def _looked_up(self, image: GreyImage, first: int, R_key_rows: Array, rows: slice) -> GreyImage:
-        """Return what rows of the frame see of a key image.
+        """Return rows of the frame looked up in a key image.
 
         Args:
             image: Rows of the key image, with its margin.
-            first: The first of these rows.
-            R_key_rows: (G, 3, 3) For each row of the grid, the turn from the camera then to the key.
-            rows: Which rows of the frame.
+            first: First of these rows.
+            R_key_rows: (G, 3, 3) Rotation from the camera at the time of each grid row to the camera at the key.
+            rows: Rows of the frame.
         """
-        low = (2 * rows.start + 1 + _GRID_PX) // (2 * _GRID_PX)  # the grid's row at or above the first
+        low = (2 * rows.start + 1 + _GRID_PX) // (2 * _GRID_PX)  # grid row at or above the first row
         high = (2 * rows.stop - 1 + _GRID_PX) // (2 * _GRID_PX) + 1
         grid = slice(low, high + 1)
         seen = self.drawn.project(np.einsum("gij,gcj->gci", R_key_rows[grid], self._bearings[grid]))
@@ -182,7 +182,7 @@ class Shutter:
 
 
 def turn_in_pixels(model: CameraModel, Ts_world_a: Array, Ts_world_b: Array) -> float:
-    """Return how far the image moves at most by the turns between poses (…, 4, 4) of a camera [px]."""
+    """Return the largest image motion by the rotations between poses (…, 4, 4) of a camera [px]."""
     u, v = np.meshgrid(np.linspace(0.0, model.width - 1.0, 3), np.linspace(0.0, model.height - 1.0, 3))
     pixels = np.stack([u, v], axis=-1).reshape(-1, 2)
     Rs_b_a = np.swapaxes(Ts_world_b[..., :3, :3], -1, -2) @ Ts_world_a[..., :3, :3]
@@ -191,13 +191,13 @@ def turn_in_pixels(model: CameraModel, Ts_world_a: Array, Ts_world_b: Array) -> 
 
 
 def _spread(length_ns: float, count: int, ends: bool) -> Times:
-    """Return ``count`` instants spread evenly over a length around 0 [ns], with its ends or as the middles of parts."""
+    """Return ``count`` times evenly spaced around 0 [ns], including both ends, or at the centres of equal parts."""
     if ends and count > 1:
         return np.rint(np.linspace(-0.5, 0.5, count) * length_ns).astype(np.int64)
     return np.rint(((np.arange(count) + 0.5) / count - 0.5) * length_ns).astype(np.int64)
 
 
 def _extent(flags: npt.NDArray[np.bool_]) -> tuple[int, int]:
-    """Return the index of the first flag that is set and the one after the last; 0, 0 where none is."""
+    """Return the index of the first True and the index after the last; 0, 0 if there is none."""
     found = np.flatnonzero(flags)
     return (int(found[0]), int(found[-1]) + 1) if len(found) else (0, 0)

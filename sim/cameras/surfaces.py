@@ -1,7 +1,7 @@
-"""Surfaces: what a camera sees, how far it is, and where it goes.
+"""Visible surfaces of a camera: depth, geom and optical flow.
 
-Depth is planar, the z of the camera frame, for a ``radtan`` lens; for a fisheye, to which z means nothing at 90° off
-the axis, it is the length of the ray.
+Depth is the z coordinate in the camera frame for ``radtan`` lenses, and the length of the ray for fisheye lenses, where
+z is not meaningful at 90° from the optical axis.
 """
 
 from collections.abc import Mapping
@@ -22,18 +22,18 @@ Flow = npt.NDArray[np.float32]
 
 @dataclass(frozen=True, eq=False)
 class Surfaces:
-    """What each pixel of a camera sees, at its very middle: nothing is mixed at an edge."""
+    """Depth and geom at the centre of each pixel of a camera, without blending at edges."""
 
     depth_m: Depth
-    """(H, W) z in the camera frame for ``radtan``, the ray's length for ``equidistant`` [m]; inf where nothing is seen,
-    NaN where the lens sees nothing."""
+    """(H, W) Depth: z in the camera frame for ``radtan``, length of the ray for ``equidistant`` [m]; inf without a
+    surface, NaN outside the field of view."""
     geom: npt.NDArray[np.int32]
-    """(H, W) Number of the geom in the world's model; −1 where nothing is seen."""
+    """(H, W) Index of the geom in the model of the world; −1 without a surface."""
 
 
 @lru_cache(maxsize=4)
 def depth_rays(camera: CameraModel) -> Array:
-    """Return rays (H, W, 3) in the camera frame whose length is that of one metre of depth; not to be written to."""
+    """Return rays (H, W, 3) in the camera frame, scaled to one metre of depth; the array is read-only."""
     rays = pixel_rays(camera)
     rays = rays / rays[..., 2:] if camera.lens == "radtan" else rays
     rays.flags.writeable = False
@@ -41,7 +41,7 @@ def depth_rays(camera: CameraModel) -> Array:
 
 
 def points_in_camera(camera: CameraModel, depth_m: Depth) -> Array:
-    """Return the points (H, W, 3) in the camera frame that an image of depths (H, W) shows [m]; NaN where none is."""
+    """Return the points (H, W, 3) of a depth image (H, W) in the camera frame [m]; NaN without depth."""
     depth = np.where(np.isfinite(depth_m), depth_m, np.nan).astype(np.float64)
     return np.asarray(depth_rays(camera) * depth[..., None])
 
@@ -53,19 +53,19 @@ def optical_flow(
     T_world_cam_next: Array,
     Ts_next_now: Mapping[int, Array] | None = None,
 ) -> Flow:
-    """Return how far what each pixel sees moves in the image (H, W, 2) [px] until the camera is elsewhere.
+    """Return the optical flow (H, W, 2) of each pixel to another camera pose [px].
 
-    It is the motion of the thing, whether the camera still sees it then or something else stands before it.
+    The flow is the motion of the visible point, regardless of later occlusion.
 
     Args:
-        camera: The camera.
-        seen: What it sees now.
-        T_world_cam: (4, 4) Where it is now.
-        T_world_cam_next: (4, 4) Where it will be.
-        Ts_next_now: For each geom that moves, what maps its points in the world (4, 4) from now to then.
+        camera: The camera model.
+        seen: Surfaces at the current pose.
+        T_world_cam: (4, 4) Current pose of the camera.
+        T_world_cam_next: (4, 4) Next pose of the camera.
+        Ts_next_now: Transformation (4, 4) of the points of each moving geom in the world from now to the next time.
 
     Returns:
-        The displacement x, y; NaN where nothing is seen, or where the lens will not see it.
+        The displacement x, y; NaN without a surface, or where the point leaves the field of view.
     """
     p_world = points_in_camera(camera, seen.depth_m) @ T_world_cam[:3, :3].T + T_world_cam[:3, 3]
     for geom, T_next_now in (Ts_next_now or {}).items():

@@ -1,4 +1,4 @@
-"""From a true motion to what an IMU measures."""
+"""IMU errors: biases, noise, vibration and output limits."""
 
 from typing import TYPE_CHECKING
 

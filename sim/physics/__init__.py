@@ -1,4 +1,4 @@
-"""What moves the drone: rotors, air, contact, and the controller that steers them."""
+"""Dynamics of the quadrotor: rotors, aerodynamics, wind, contacts, and the controller."""
 
 from typing import TYPE_CHECKING
 

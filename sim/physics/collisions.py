@@ -1,4 +1,4 @@
-"""Collisions: what of a world can be touched, and when a drone has touched it otherwise than with its feet."""
+"""Collision geometry of a world, and detection of contacts other than those of the feet with the ground."""
 
 from dataclasses import dataclass
 
@@ -6,27 +6,27 @@ import mujoco
 import numpy as np
 
 COLLISION_GROUP = 3
-"""The group of the geoms that are touched; MuJoCo's viewers do not draw it unless asked."""
+"""Group of the collision geoms; MuJoCo's viewers hide it by default."""
 FEET = "foot"
-"""How the names of a vehicle's feet begin."""
+"""Prefix of the names of a vehicle's feet."""
 
 _COPIED = ("name", "type", "size", "pos", "quat", "group")
-_COPIED_TURN = ("type", "axisangle", "xyaxes", "zaxis", "euler")  # other ways to say an orientation
-_LEVEL = 0.7  # a foot stands where the contact's normal points upwards by this much
+_COPIED_TURN = ("type", "axisangle", "xyaxes", "zaxis", "euler")  # alternative parameters of an orientation
+_LEVEL = 0.7  # smallest vertical component of the contact normal of a foot on the ground
 
 
 @dataclass(frozen=True)
 class Collision:
-    """The drone touched something that it should not have."""
+    """A contact of the drone other than that of a foot with the ground."""
 
     t_ns: int
-    """When [ns]."""
+    """Time of the contact [ns]."""
     part: str
-    """With which of its parts."""
+    """Name of the part of the drone."""
     against: str
-    """What it was."""
+    """Name of the object."""
     speed_m_s: float
-    """How fast it flew just before [m/s]."""
+    """Speed of the drone before the contact [m/s]."""
 
     def __str__(self) -> str:
         return (
@@ -35,12 +35,12 @@ class Collision:
 
 
 def add_floor(spec: mujoco.MjSpec) -> None:
-    """Add an endless floor at z = 0."""
+    """Add an infinite floor at z = 0."""
     spec.worldbody.add_geom(name="floor", type=mujoco.mjtGeom.mjGEOM_PLANE, size=[0.0, 0.0, 1.0], group=COLLISION_GROUP)
 
 
 def add_collision_geoms(spec: mujoco.MjSpec, surroundings: mujoco.MjSpec) -> None:
-    """Add the touched geoms (group 3) of a world's static body, without anything that is only seen."""
+    """Add the collision geoms (group 3) of a world's static body, without visible geometry."""
     for geom in surroundings.worldbody.geoms:
         if geom.group == COLLISION_GROUP:
             copy = spec.worldbody.add_geom(**{name: getattr(geom, name) for name in _COPIED})
@@ -49,7 +49,7 @@ def add_collision_geoms(spec: mujoco.MjSpec, surroundings: mujoco.MjSpec) -> Non
 
 
 class CollisionDetector:
-    """Appearance at the physics' contacts for one that is not of a foot with something to stand on."""
+    """Detector of contacts other than those of a foot with the ground."""
 
     def __init__(self, model: mujoco.MjModel) -> None:
         self._model = model
@@ -58,7 +58,7 @@ class CollisionDetector:
         self._feet = np.array([name.startswith(FEET) for name in self._names])
 
     def detect(self, data: mujoco.MjData) -> tuple[str, str] | None:
-        """Return the names of the drone's part and of what it touches, or None where nothing is illegal."""
+        """Return the names of the drone's part and of the object of a collision, or None without one."""
         if not data.ncon:
             return None
         pairs = data.contact.geom

@@ -1,10 +1,10 @@
-"""The controller: geometric tracking on SE(3), down to the speed of each rotor.
+"""Geometric tracking controller on SE(3), down to the speed of each rotor.
 
-Lee, Leok, McClamroch, "Geometric tracking control of a quadrotor UAV on SE(3)", CDC 2010. The position error asks for
-a force; the force, with the heading, asks for an attitude; the errors of attitude and rate ask for a torque. The
-reference's own acceleration, rates and angular acceleration are fed forward, and so are the drag in still air and the
-lift that the floor, at z = 0, adds. What else pushes (wind, a wrong mass) is observed from how the velocity differs
-from what the rotors should have made of it, and countered.
+Lee, Leok, McClamroch, "Geometric tracking control of a quadrotor UAV on SE(3)", CDC 2010. The position error determines
+a force; force and heading determine an attitude; the errors of attitude and angular rate determine a torque.
+Acceleration, angular rate and angular acceleration of the reference are fed forward, as are the drag in still air and
+the ground effect of a floor at z = 0. Other disturbances (wind, a wrong mass) are estimated by observers and
+compensated.
 """
 
 from dataclasses import dataclass
@@ -26,55 +26,55 @@ from dronevio.sim.physics.rotors import ground_effect
 Array = npt.NDArray[np.float64]
 
 _UP = np.array([0.0, 0.0, 1.0])
-_CLEAR_OF_GROUND_M = 0.05  # above its start: from there on no foot carries weight
+_CLEAR_OF_GROUND_M = 0.05  # height above the start from which no foot carries weight
 
 
 @dataclass(frozen=True)
 class Gains:
-    """Stiffness and damping by unit mass and inertia, so that they hold for every quadrotor."""
+    """Gains of the controller per unit mass and inertia, valid for quadrotors of any size."""
 
     position_per_s2: float = 9.0
-    """Acceleration by position error [1/s²]: a natural frequency of 3 rad/s."""
+    """Acceleration per position error [1/s²]: a natural frequency of 3 rad/s."""
     velocity_per_s: float = 5.0
-    """Acceleration by velocity error [1/s]."""
+    """Acceleration per velocity error [1/s]."""
     tilt_per_s2: float = 140.0
-    """Angular acceleration of roll and pitch by attitude error [1/s²]: 12 rad/s, a third of the rotors' 33."""
+    """Angular acceleration of roll and pitch per attitude error [1/s²]: 12 rad/s, a third of the rotors' 33."""
     tilt_rate_per_s: float = 18.0
-    """Angular acceleration of roll and pitch by rate error [1/s]."""
+    """Angular acceleration of roll and pitch per rate error [1/s]."""
     yaw_per_s2: float = 30.0
-    """Angular acceleration of yaw by attitude error [1/s²]: the rotors' drag torque is weak."""
+    """Angular acceleration of yaw per attitude error [1/s²]; small, since the drag torque of rotors is weak."""
     yaw_rate_per_s: float = 9.0
-    """Angular acceleration of yaw by rate error [1/s]."""
+    """Angular acceleration of yaw per rate error [1/s]."""
     force_observer_rad_s: float = 5.0
-    """Poles of the observer of what pushes [rad/s]: below the tilt's, which must do what it asks for."""
+    """Poles of the force disturbance observer [rad/s], slower than the attitude loop."""
     force_max_m_s2: float = 5.0
-    """Greatest push that is countered on each axis, by unit mass [m/s²]."""
+    """Largest compensated force disturbance on each axis per unit mass [m/s²]."""
     torque_observer_rad_s: float = 12.0
-    """Poles of the observer of what turns [rad/s]: below the rotors', which must do what it asks for."""
+    """Poles of the torque disturbance observer [rad/s], slower than the rotors."""
     torque_max_rad_s2: float = 60.0
-    """Greatest twist that is countered on each axis, by unit inertia [rad/s²]."""
+    """Largest compensated torque disturbance on each axis per unit inertia [rad/s²]."""
     rotor_response_s: float = 0.03
-    """Time constant that slower rotors are driven to by leading their command [s]."""
+    """Time constant to which the lead compensation speeds up slower rotors [s]."""
 
 
 class SE3Controller:
-    """Flies a reference; implements `Controller`.
+    """Tracks a reference trajectory; implements `Controller`.
 
-    It works on the vehicle frame at the centre of mass, and takes the state of the IMU wherever that is mounted. It
-    keeps its own idea of the rotors' speeds (at hover, where the reference begins in the air), and must be asked for
-    every step of the reference in turn.
+    It controls the vehicle frame at the centre of mass from the state of the IMU, wherever that is mounted. It models
+    the rotor speeds itself (starting at hover speed if the reference begins in the air), and must be called for every
+    step of the reference in order.
     """
 
     def __init__(
         self, reference: Reference, T_vehicle_imu: Array, quadrotor: Quadrotor | None = None, gains: Gains | None = None
     ) -> None:
-        """Prepare to fly.
+        """Define reference, vehicle and gains.
 
         Args:
-            reference: Where to be, when.
-            T_vehicle_imu: (4, 4) Where the IMU is mounted.
-            quadrotor: Whose mass, inertia and rotors to count with; the house's 1.5 kg one by default.
-            gains: How stiffly to fly.
+            reference: The reference trajectory.
+            T_vehicle_imu: (4, 4) Mounting of the IMU.
+            quadrotor: Parameters of the vehicle; the research quadrotor of 1.5 kg by default.
+            gains: Gains of the controller.
         """
         self._reference = reference
         self._quadrotor = quadrotor or RESEARCH
@@ -98,7 +98,7 @@ class SE3Controller:
         self._yaw_drag_nm = 0.0
 
     def command(self, state: NavState, t_ns: int) -> Array:
-        """Return rotor speeds (4,) [rad/s] for the state at ``t_ns``; zeros while the drone should stand.
+        """Return rotor speeds (4,) [rad/s] for the state at ``t_ns``; zeros while the drone is to stand.
 
         Raises:
             ConfigError: The state has no angular velocity, or the reference ends before ``t_ns``.
@@ -128,26 +128,26 @@ class SE3Controller:
         return self._drive.towards(wanted, self._step_s)
 
     def _has_taken_off(self, row: int) -> bool:
-        """Return whether the drone has left the ground, which could push it as no air does."""
+        """Return whether the drone has left the ground, whose contact forces are no disturbance."""
         height = self._reference.position_m[:, 2]
         self._airborne = self._airborne or bool(height[row] - height[0] > _CLEAR_OF_GROUND_M)
         return self._airborne
 
     def _modelled_acceleration(self, up: Array, velocity: Array, lift: float) -> Array:
-        """Return the acceleration (3,) that the rotors, gravity and still air make now [m/s²], in the world."""
+        """Return the modelled acceleration (3,) by rotors, gravity and still air in the world frame [m/s²]."""
         speeds, drone = self._drive.speeds_rad_s, self._quadrotor
         thrust = lift * drone.thrust_n_per_rad2_s2 * float(speeds @ speeds) / drone.mass_kg
         return np.asarray(thrust * up - GRAVITY_M_S2 * _UP + self._drag(up, velocity, float(speeds.sum())))
 
     def _modelled_angular_acceleration(self, gyroscopic: Array) -> Array:
-        """Return the angular acceleration (3,) that the rotors make now [rad/s²], in the vehicle frame."""
+        """Return the modelled angular acceleration (3,) by the rotors in the vehicle frame [rad/s²]."""
         drive, drone = self._drive, self._quadrotor
         torque = self._allocation[1:] @ drive.speeds_rad_s**2
         torque[2] -= drone.rotor_inertia_kg_m2 * float(self._spins @ drive.acceleration_rad_s2)
         return np.asarray((torque - gyroscopic) / self._inertia)
 
     def _acceleration(self, row: int, position: Array, velocity: Array) -> Array:
-        """Return the specific force (3,) that the rotors should give, in the world [m/s²] (Lee 2010, eq. 15)."""
+        """Return the desired specific force (3,) of the rotors in the world frame [m/s²] (Lee 2010, eq. 15)."""
         reference, gains = self._reference, self._gains
         wanted = reference.velocity_m_s[row]
         force = (
@@ -162,12 +162,12 @@ class SE3Controller:
         return np.asarray(force - self._drag(force / size, wanted, speeds))
 
     def _drag(self, up: Array, velocity: Array, speeds: float) -> Array:
-        """Return the acceleration (3,) by drag in still air [m/s²], in the world; see `Rotors`.
+        """Return the acceleration (3,) by drag in still air in the world frame [m/s²]; see `Rotors`.
 
         Args:
-            up: (3,) The vehicle's z axis in the world.
-            velocity: (3,) In the world [m/s].
-            speeds: Sum of the rotors' speeds [rad/s].
+            up: (3,) The z axis of the vehicle in the world frame.
+            velocity: (3,) Velocity in the world frame [m/s].
+            speeds: Sum of the rotor speeds [rad/s].
         """
         drone = self._quadrotor
         body = 0.5 * AIR_DENSITY_KG_M3 * sqrt(velocity @ velocity)
@@ -177,7 +177,7 @@ class SE3Controller:
         return np.asarray((across * velocity + (along - across) * climb * up) / -drone.mass_kg)
 
     def _angular_acceleration(self, row: int, R: Array, R_desired: Array, rate: Array) -> Array:
-        """Return the angular acceleration (3,) to ask for, in the vehicle frame [rad/s²] (Lee 2010, eq. 16)."""
+        """Return the desired angular acceleration (3,) in the vehicle frame [rad/s²] (Lee 2010, eq. 16)."""
         turn = R_desired.T @ R
         attitude_error = 0.5 * np.array([turn[2, 1] - turn[1, 2], turn[0, 2] - turn[2, 0], turn[1, 0] - turn[0, 1]])
         desired_rate = turn.T @ self._reference.rate_rad_s[row]
@@ -186,10 +186,10 @@ class SE3Controller:
         return np.asarray(desired_acceleration - errors - self._torque_observer.disturbance)
 
     def _yaw_drag(self, torque_nm: float) -> float:
-        """Return the part of a yaw torque [N m] that the rotors' drag is to give.
+        """Return the part of a yaw torque that the drag of the rotors is to provide [N m].
 
-        Speeding a rotor up turns the body at once by the reaction, and later by the drag: together
-        (1 + T s) times the drag, with T = J / (2 k_m ω) (Smeur, Chu, de Croon 2016). The inverse of that is applied.
+        An acceleration of a rotor acts on the body immediately by its reaction torque and later by its drag: together
+        (1 + T s) times the drag, with T = J / (2 k_m ω) (Smeur, Chu, de Croon 2016). The inverse of this is applied.
         """
         drone = self._quadrotor
         speed = max(float(self._drive.speeds_rad_s.mean()), IDLE_SHARE * drone.rotor_speed_max_rad_s)
@@ -199,7 +199,7 @@ class SE3Controller:
 
 
 def _attitude(force: Array, yaw_rad: float) -> Array:
-    """Return the attitude (3, 3) with z along a force (3,) and x heading to a yaw: `path.attitude` for one, quickly."""
+    """Return the attitude (3, 3) with z along a force (3,) and a yaw: a fast scalar version of `path.attitude`."""
     z = force / sqrt(force @ force)
     y = _cross(z, np.array([cos(yaw_rad), sin(yaw_rad), 0.0]))
     y /= sqrt(y @ y)
@@ -209,7 +209,7 @@ def _attitude(force: Array, yaw_rad: float) -> Array:
 
 
 def _cross(a: Array, b: Array) -> Array:
-    """Return a × b of two (3,) vectors; `np.cross` takes ten times as long for so few numbers."""
+    """Return a × b of two (3,) vectors; ten times as fast as `np.cross` for single vectors."""
     ax, ay, az = a.tolist()
     bx, by, bz = b.tolist()
     return np.array([ay * bz - az * by, az * bx - ax * bz, ax * by - ay * bx])

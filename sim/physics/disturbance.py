@@ -1,4 +1,4 @@
-"""The disturbance observer: what pushes or turns a drone beside what its model knows of."""
+"""Disturbance observer: accelerations that a model of the drone does not explain."""
 
 import numpy as np
 import numpy.typing as npt
@@ -7,11 +7,11 @@ Array = npt.NDArray[np.float64]
 
 
 class DisturbanceObserver:
-    """Estimates the acceleration that a model does not know, from velocities, linear or angular.
+    """Estimates the unmodelled acceleration from velocities, linear or angular.
 
-    A Luenberger observer of velocity and a constant disturbance, both poles at the same place (as Tomić and Haddadin,
-    "A unified framework for external wrench estimation …", IROS 2014). Nothing is integrated but the model's error, so
-    nothing winds up when rotors saturate or the path is far.
+    A Luenberger observer of velocity and a constant disturbance, with a double pole (as Tomić and Haddadin, "A unified
+    framework for external wrench estimation …", IROS 2014). Only the error of the model is integrated, so that there is
+    no windup when rotors saturate or the path is far.
     """
 
     def __init__(self, pole_rad_s: float, limit: float) -> None:
@@ -22,7 +22,7 @@ class DisturbanceObserver:
         self.disturbance = np.zeros(3)
 
     def update(self, velocity: Array, modelled: Array, dt_s: float) -> None:
-        """Take the velocity (3,) now, and the acceleration (3,) that the model expects until the next call."""
+        """Update with the current velocity (3,) and the modelled acceleration (3,) until the next call."""
         if self._predicted is None:
             self._predicted = velocity
         error = velocity - self._predicted

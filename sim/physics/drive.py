@@ -1,4 +1,4 @@
-"""The drive: from a thrust and torques to rotor speeds, and from there to commands."""
+"""Control allocation: rotor speeds from thrust and torques, and commands with lead compensation."""
 
 from math import exp
 
@@ -10,11 +10,11 @@ from dronevio.models.quadrotor import Quadrotor
 Array = npt.NDArray[np.float64]
 
 IDLE_SHARE = 0.1
-"""Least speed of a rotor in the air, by the greatest: rotors never stop there."""
+"""Smallest speed of a rotor in flight relative to the largest; rotors never stop in the air."""
 
 
 class Mixer:
-    """Turns thrust and torques into rotor speeds, and gives way sensibly where the rotors cannot."""
+    """Control allocation with priorities under the limits of the rotor speeds."""
 
     def __init__(self, quadrotor: Quadrotor) -> None:
         self._inverse = np.linalg.inv(quadrotor.allocation)
@@ -24,8 +24,8 @@ class Mixer:
     def speeds(self, thrust_n: float, torque_nm: Array) -> Array:
         """Return rotor speeds (4,) [rad/s] for a thrust and torques (3,) about x, y, z.
 
-        Where a rotor would leave its range, yaw is given up first, then thrust, last roll and pitch: a drone that
-        keeps its tilt keeps its path.
+        Where a rotor would leave its range, yaw is reduced first, then thrust, and roll and pitch last, since the tilt
+        determines the path.
         """
         low, high = self._low, self._high
         tilt = self._inverse[:, 1:3] @ torque_nm[:2]
@@ -41,18 +41,18 @@ class Mixer:
 
 
 class RotorDrive:
-    """Turns the speeds that rotors should have into commands, by a model of how they follow.
+    """Lead compensation: commands for desired rotor speeds, by a model of the rotors' response.
 
-    Rotors slower than wanted are led: commanded beyond where they should be, as far as their range allows.
+    The command of rotors slower than desired exceeds the desired speed as far as their range allows.
     """
 
     def __init__(self, quadrotor: Quadrotor, response_s: float, speed_rad_s: float = 0.0) -> None:
-        """Take the rotors to turn at a speed.
+        """Start the model at a speed of all rotors.
 
         Args:
-            quadrotor: Whose rotors.
-            response_s: Time constant to drive them with, if they are slower [s].
-            speed_rad_s: What they turn at now [rad/s].
+            quadrotor: Parameters of the rotors.
+            response_s: Time constant of the compensated response, if rotors are slower [s].
+            speed_rad_s: Initial speed [rad/s].
         """
         self._lag_s = quadrotor.rotor_time_constant_s
         self._response_s = min(response_s, quadrotor.rotor_time_constant_s)
@@ -61,7 +61,7 @@ class RotorDrive:
         self.acceleration_rad_s2 = np.zeros(4)
 
     def towards(self, wanted_rad_s: Array, dt_s: float) -> Array:
-        """Return commands (4,) [rad/s] for the next ``dt_s`` that bring the rotors towards speeds (4,) [rad/s]."""
+        """Return commands (4,) for the next ``dt_s`` toward desired speeds (4,) of the rotors [rad/s]."""
         follows = 1.0 - exp(-dt_s / self._lag_s)
         lead = (1.0 - exp(-dt_s / self._response_s)) / follows
         command = self.speeds_rad_s + lead * (wanted_rad_s - self.speeds_rad_s)

@@ -1,9 +1,8 @@
-"""The true motion of the vehicle, and what a perfect IMU bolted to it reads.
+"""True motion of the vehicle, and the samples of a noise-free IMU.
 
-MuJoCo's Euler integrator is semi-implicit, that is leapfrog: the velocity that it shows beside a pose belongs half a
-step before it. Here every pose is moved back by that half step, so that positions, velocities and forces speak of the
-same instant to second order in the step; dead reckoning of the samples then follows the truth. All functions work on
-whole flights at once.
+MuJoCo's Euler integrator is semi-implicit (leapfrog): the velocity stored with a pose belongs to half a step earlier.
+Here every pose is moved back by half a step, so that positions, velocities and forces belong to the same time to second
+order in the step, and dead reckoning of the samples reproduces the truth. All functions operate on whole flights.
 """
 
 from dataclasses import dataclass
@@ -22,28 +21,28 @@ _GRAVITY = np.array([0.0, 0.0, -GRAVITY_M_S2])
 
 @dataclass(frozen=True, eq=False)
 class Motion:
-    """The physics' state at the IMU's time stamps, and half-way between them.
+    """States of the physics at the IMU time stamps, and at the middle between them.
 
-    Linear parts are in the world, angular velocities in the vehicle frame, as in MuJoCo's free joint.
+    Linear quantities are in the world frame, angular velocities in the vehicle frame, as in MuJoCo's free joint.
     """
 
     t_ns: Times
-    """(N,) Time stamps [ns]."""
+    """(N,) Time stamps of the IMU [ns]."""
     step_s: float
-    """The physics' time step [s]."""
+    """Time step of the physics [s]."""
     pose: Array
-    """(N, 7) Position of the centre of mass [m], then orientation quat_wxyz of the vehicle."""
+    """(N, 7) Position of the centre of mass [m] and orientation quat_wxyz of the vehicle."""
     twist: Array
-    """(N, 6) Velocity [m/s], then angular velocity [rad/s]."""
+    """(N, 6) Velocity [m/s] and angular velocity [rad/s]."""
     pose_between: Array
-    """(N + 1, 7) The poses half an IMU interval before each time stamp, and after the last."""
+    """(N + 1, 7) Poses half an IMU interval before each time stamp, and after the last one."""
     twist_between: Array
-    """(N + 1, 6) The twists at those times."""
+    """(N + 1, 6) Twists at the times of ``pose_between``."""
     rotor_speeds_rad_s: Array
-    """(N, 4) Speeds of the rotors [rad/s], held from each time stamp to the next."""
+    """(N, 4) Rotor speeds from each time stamp to the next [rad/s]."""
 
     def trajectory(self, T_vehicle_sensor: Array) -> Trajectory:
-        """Return the path of a frame fixed to the vehicle, with its velocity in the world."""
+        """Return the trajectory of a frame fixed to the vehicle, with its velocity in the world frame."""
         R = _rotations(self.pose, self.twist, self.step_s)
         lever = T_vehicle_sensor[:3, 3]
         p = self.pose[:, :3] - 0.5 * self.step_s * self.twist[:, :3] + R @ lever
@@ -55,23 +54,23 @@ class Motion:
         return np.asarray(self.twist[:, 3:] @ T_vehicle_sensor[:3, :3])
 
     def points(self, T_vehicle_imu: Array, interval_s: float) -> ImuSamples:
-        """Return what a perfect IMU reads at each time stamp.
+        """Return the point samples of a noise-free IMU at each time stamp.
 
-        The gyroscope reads the rate at the stamp. The accelerometer reads the mean over one interval centred on it, as
-        the filter in a real one does: the rotors' force jumps and a landing shock are over between two stamps, and an
-        instant's value would alias them into a velocity error that never heals. Averaging neighbours (the textbook
-        midpoint rule) then neither lags nor drifts more than sampling must:
+        The gyroscope measures the angular rate at the time stamp. The accelerometer measures the mean over one interval
+        centred on it, as the filter of a real one does: force steps of the rotors and landing shocks are shorter than
+        an interval, and instantaneous values would alias them into a permanent velocity error. The midpoint rule on
+        neighbouring samples then errs by sampling only:
 
-        - The rate is known at both ends of an interval only. Its mean is missed by its curvature, dt²/12 ω̈, and the
-          turn also by coning, dt²/12 ω₀ × ω₁ (Bortz, "A new mathematical formulation for strapdown inertial
-          navigation", 1971). Both add up: some 2e-3 rad over a minute at 3 rad/s, nothing to speak of at 1 rad/s.
-        - A velocity is missed by dt/4 of the acceleration's jump at the stamp. That does not add up, but a force that
-          is turned by a wrong attitude does.
+        - The angular rate is known at both ends of an interval only. The error of its mean is dt²/12 ω̈, and the
+        rotation also has the coning error dt²/12 ω₀ × ω₁ (Bortz, "A new mathematical formulation for strapdown inertial
+        navigation", 1971). Both accumulate: about 2e-3 rad over a minute at 3 rad/s, and negligibly at 1 rad/s.
+        - A step of the acceleration at a time stamp causes a velocity error of dt/4 of the step, which does not
+          accumulate, except through the attitude error.
 
-        Increments lose none of it.
+        Increments have none of these errors.
 
         Args:
-            T_vehicle_imu: (4, 4) Where the IMU is mounted.
+            T_vehicle_imu: (4, 4) Mounting of the IMU.
             interval_s: Time between the stamps [s].
         """
         lever = T_vehicle_imu[:3, 3]
@@ -83,9 +82,9 @@ class Motion:
         return ImuSamples(self.t_ns, self.angular_velocity_rad_s(T_vehicle_imu), force, "point")
 
     def increments(self, T_vehicle_imu: Array) -> ImuSamples:
-        """Return what a perfect integrating IMU reads over the N − 1 intervals between the time stamps.
+        """Return the increments of a noise-free integrating IMU over the N − 1 intervals between the time stamps.
 
-        Exact by construction: R₁ = R₀ exp(gyro · dt) and v₁ = v₀ + R₀ accel · dt + g dt to rounding.
+        They are exact by construction: R₁ = R₀ exp(gyro · dt) and v₁ = v₀ + R₀ accel · dt + g dt to rounding.
         """
         R = _rotations(self.pose, self.twist, self.step_s)
         v = _velocity_of(T_vehicle_imu[:3, 3], self.twist, R)
@@ -97,7 +96,7 @@ class Motion:
 
 
 def _rotations(pose: Array, twist: Array, step_s: float) -> Array:
-    """Return (N, 3, 3) orientations of the vehicle at the instants of the velocities."""
+    """Return (N, 3, 3) orientations of the vehicle at the times of the velocities."""
     return np.asarray(matrix_from_quat_wxyz(pose[:, 3:]) @ exp_so3(-0.5 * step_s * twist[:, 3:]))
 
 

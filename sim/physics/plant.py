@@ -1,4 +1,4 @@
-"""The plant: MuJoCo's physics of a quadrotor in a world, on an integer-nanosecond clock."""
+"""Plant: MuJoCo's physics of a quadrotor in a world, on a clock of integer nanoseconds."""
 
 from math import sqrt
 
@@ -21,18 +21,18 @@ from dronevio.sim.physics.wind import CALM, Wind, make_air
 Array = npt.NDArray[np.float64]
 
 LONGEST_STEP_S = 1e-3
-"""The physics steps at most this long [s]; the step divides the IMU's interval."""
+"""Longest time step of the physics [s]; the step divides the IMU interval."""
 LOWEST_IMU_RATE_HZ = 100.0
-"""The rotors' forces are held from one IMU sample to the next: slower, and they would no longer be true."""
+"""Lowest supported IMU rate [Hz], since rotor forces are constant between IMU samples."""
 _VEHICLE = np.eye(4)
 
 
 class QuadrotorPlant:
-    """A quadrotor that takes rotor speed commands and senses with a noise-free IMU; implements `Plant`.
+    """Quadrotor with rotor speed commands and a noise-free IMU; implements `Plant`.
 
-    Time advances in IMU intervals. Within one, the rotors' wrench, computed from their speeds and the body's motion at
-    its start, is held over the physics steps; the command therefore acts from the next interval on, which is the
-    latency of a real motor controller. It starts at t = 0 standing at rest on its pad, facing x.
+    Time advances in IMU intervals. The wrench of the rotors, computed from their speeds and the motion of the body at
+    the start of an interval, is constant over its physics steps; a command therefore acts from the next interval on,
+    similar to the latency of a real motor controller. The plant starts at t = 0 at rest on its pad, heading along x.
     """
 
     def __init__(
@@ -46,19 +46,20 @@ class QuadrotorPlant:
         failure: MotorFailure | None = None,
         rng: np.random.Generator | None = None,
     ) -> None:
-        """Build the physics.
+        """Compile the physics model.
 
         Args:
-            rig: Where the IMU sits, and its rate.
-            quadrotor: The vehicle; the house's 1.5 kg one by default.
-            surroundings: A world's spec, whose static geoms of group 3 can be hit; by default there is only a floor.
-            pad_m: (3,) Where the drone stands at first, on the floor [m]; the origin by default.
-            wind: How the air moves.
-            failure: Which rotor loses its power, and when; none by default.
-            rng: Draws the gusts.
+            rig: Mounting and rate of the IMU.
+            quadrotor: The vehicle; the research quadrotor of 1.5 kg by default.
+            surroundings: Specification of a world, whose static geoms of group 3 are obstacles; only a floor by
+                default.
+            pad_m: (3,) Initial position on the floor [m]; the origin by default.
+            wind: Mean wind and gusts.
+            failure: Failure of a rotor; none by default.
+            rng: Generator of the gusts.
 
         Raises:
-            ConfigError: The IMU is slower than the rotors need, or there are gusts but no ``rng``.
+            ConfigError: The IMU rate is too low, or there are gusts without an ``rng``.
         """
         if rig.imu.rate_hz < LOWEST_IMU_RATE_HZ:
             raise ConfigError(f"IMU rate of {rig.imu.rate_hz:g} Hz; expected at least {LOWEST_IMU_RATE_HZ:g} Hz")
@@ -81,7 +82,7 @@ class QuadrotorPlant:
 
     @property
     def t_ns(self) -> int:
-        """The plant's clock [ns]."""
+        """Current time of the plant [ns]."""
         return self._t_ns
 
     @property
@@ -91,12 +92,12 @@ class QuadrotorPlant:
 
     @property
     def battery_charge(self) -> float:
-        """Charge of the battery, 1 full and 0 empty."""
+        """State of charge of the battery, from 1 (full) to 0 (empty)."""
         return float(self._state.charge)
 
     @property
     def battery_v(self) -> float:
-        """Voltage of the battery under its load [V]."""
+        """Voltage of the battery under load [V]."""
         return float(self._state.voltage_v)
 
     @property
@@ -106,12 +107,12 @@ class QuadrotorPlant:
 
     @property
     def wind_m_s(self) -> Array:
-        """(3,) Velocity of the air in the world [m/s], where the drone is."""
+        """(3,) Velocity of the air at the drone in the world frame [m/s]."""
         return self._air.velocity_m_s().copy()
 
     @property
     def collision(self) -> Collision | None:
-        """The first time since the reset that anything but a foot on the ground touched something; None so far."""
+        """First collision since the reset; None so far."""
         return self._collision
 
     @property
@@ -126,7 +127,7 @@ class QuadrotorPlant:
         rate_rad_s: Array | None = None,
         rotor_speeds_rad_s: Array | None = None,
     ) -> None:
-        """Set the clock to 0, charge the battery, and set the vehicle to a state; gusts are drawn anew.
+        """Reset clock, battery, gusts and vehicle state.
 
         Args:
             T_world_vehicle: (4, 4) Pose; standing on the floor by default.
@@ -150,10 +151,10 @@ class QuadrotorPlant:
         self._rows = [self._row()]
         self._rotor_speeds = [self._state.speed_rad_s]
         between = self._step_interval()
-        self._between = [2.0 * self._rows[0] - between, between]  # before t = 0 it moved as it goes on
+        self._between = [2.0 * self._rows[0] - between, between]  # extrapolated to before t = 0
 
     def advance(self, t_ns: int, command: Array) -> None:
-        """Hold a command (4,) of rotor speeds [rad/s] up to the last IMU time stamp not after ``t_ns``."""
+        """Apply a command (4,) of rotor speeds [rad/s] up to the last IMU time stamp not after ``t_ns``."""
         command = np.asarray(command, dtype=np.float64)
         while self._t_ns + self.interval_ns <= t_ns:
             self._t_ns += self.interval_ns
@@ -164,9 +165,10 @@ class QuadrotorPlant:
             self._between.append(self._step_interval())
 
     def step_until(self, t_ns: int, command: Array) -> ImuSamples:
-        """Hold a command (4,) of rotor speeds [rad/s] until ``t_ns`` and return the perfect IMU's points since.
+        """Apply a command (4,) of rotor speeds [rad/s] until ``t_ns`` and return the new noise-free IMU samples.
 
-        The first call returns the sample of t = 0 too. Stops at the last IMU time stamp not after ``t_ns``.
+        The first call includes the sample of t = 0. The last sample is that of the last IMU time stamp not after
+        ``t_ns``.
         """
         self.advance(t_ns, command)
         samples = self.motion(self._sensed).points(self.rig.T_vehicle_imu, self.interval_s)
@@ -174,7 +176,7 @@ class QuadrotorPlant:
         return samples
 
     def motion(self, first: int = 0) -> Motion:
-        """Return the true motion since the reset at the IMU's time stamps, from the ``first`` one on."""
+        """Return the true motion since the reset at the IMU time stamps, from index ``first`` on."""
         rows = np.array(self._rows[first:]).reshape(-1, 13)
         between = np.array(self._between[first:])
         times = np.array(self._times[first:], dtype=np.int64)
@@ -182,15 +184,15 @@ class QuadrotorPlant:
         return Motion(times, self._step_s, rows[:, :7], rows[:, 7:], between[:, :7], between[:, 7:], speeds)
 
     def state(self) -> NavState:
-        """Return the true state of the IMU now, with zero biases: what a perfect estimator would say."""
+        """Return the current true state of the IMU, with zero biases."""
         return self._state_of(self.rig.T_vehicle_imu)
 
     def vehicle_state(self) -> NavState:
-        """Return the true state of the vehicle frame now, at the centre of mass."""
+        """Return the current true state of the vehicle frame at the centre of mass."""
         return self._state_of(_VEHICLE)
 
     def _state_of(self, T_vehicle_sensor: Array) -> NavState:
-        """Return the true state of a frame fixed to the vehicle: the last row of `Motion.trajectory`, but quickly."""
+        """Return the true state of a frame fixed to the vehicle: the last row of `Motion.trajectory`, but faster."""
         row = self._rows[-1]
         position, quat, velocity, rate = row[:3], row[3:7].copy(), row[7:10], row[10:]
         mujoco.mju_quatIntegrate(quat, rate, -0.5 * self._step_s)
@@ -209,26 +211,26 @@ class QuadrotorPlant:
         )
 
     def _row(self) -> Array:
-        """Return the (13,) pose and twist of the physics."""
+        """Return pose and twist (13,) of the physics."""
         return np.concatenate([self._data.qpos, self._data.qvel])
 
     def _powered(self) -> npt.NDArray[np.bool_]:
-        """Return which rotors (4,) have power over the interval that ends now."""
+        """Return which rotors (4,) have power during the interval that ends now."""
         if self._t_ns * 1e-9 <= self._failure.t_s:
             return ALL_POWERED
         return np.asarray(np.arange(4) != self._failure.rotor)
 
     def _step_interval(self) -> Array:
-        """Step the physics to the next IMU time stamp and return the (13,) row half-way.
+        """Step the physics to the next IMU time stamp and return the row (13,) of the middle of the interval.
 
-        The physics are one interval ahead of the clock: the wrench there is settled, whatever is commanded now.
+        The physics are one interval ahead of the clock, since the wrench does not depend on the current command.
         """
         model, data = self._model, self._data
         data.ctrl[:] = self._rotors.wrench(self._state, self._airflow())
         half = self._substeps // 2
         mujoco.mj_step(model, data, half)
         row = self._row()
-        if self._substeps % 2:  # half-way is between two steps
+        if self._substeps % 2:  # the middle is between two steps
             mujoco.mj_step(model, data, 1)
             row = 0.5 * (row + self._row())
         mujoco.mj_step(model, data, half)
@@ -236,7 +238,7 @@ class QuadrotorPlant:
         return row
 
     def _airflow(self) -> Airflow:
-        """Return how the drone moves through the air where the physics are, and move on through it."""
+        """Return the airflow at the drone, and advance the gusts by the distance of an interval."""
         data = self._data
         R = _matrix(data.qpos[3:])
         through_air = data.qvel[:3] - self._air.velocity_m_s()
@@ -244,7 +246,7 @@ class QuadrotorPlant:
         return Airflow(through_air @ R, data.qvel[3:], R[2], data.qpos[2] - self._pad[2])
 
     def _record_collision(self) -> None:
-        """Note the first collision; the physics are at the end of the interval that begins at the clock."""
+        """Store the first collision; the physics are at the end of the interval that starts at the clock."""
         touched = self._collision_detector.detect(self._data)
         if touched is not None and self._collision is None:
             speed = float(np.linalg.norm(self._rows[-1][7:10]))
@@ -252,12 +254,12 @@ class QuadrotorPlant:
 
 
 def _matrix(quat_wxyz: Array) -> Array:
-    """Return the rotation (3, 3) of one unit quaternion; ten times as fast as the function for many."""
+    """Return the rotation (3, 3) of one unit quaternion, ten times as fast as the vectorized function."""
     R = np.empty(9)
     mujoco.mju_quat2Mat(R, quat_wxyz)
     return R.reshape(3, 3)
 
 
 def _cross(a: Array, b: Array) -> Array:
-    """Return a × b of two (3,) vectors; `np.cross` takes ten times as long for so few numbers."""
+    """Return a × b of two (3,) vectors; ten times as fast as `np.cross` for single vectors."""
     return np.array([a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]])

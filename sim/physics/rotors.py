@@ -1,7 +1,7 @@
-"""Rotors and air: how rotor speeds follow commands, and what force and torque they and the air put on the body.
+"""Rotor and aerodynamic model: response of the rotors, and force and torque of rotors and air on the body.
 
-One model for one simulation or many at once: everything broadcasts over leading axes. It is evaluated once a control
-step, and its result is held over the steps of the physics.
+All functions broadcast over leading axes, for one simulation or many. The model is evaluated once per control step, and
+its wrench is constant over the steps of the physics.
 """
 
 from dataclasses import dataclass
@@ -17,24 +17,24 @@ from dronevio.models.rotation import skew
 Array = npt.NDArray[np.float64]
 
 ALL_POWERED = np.ones(4, dtype=bool)
-"""(4,) No rotor has failed."""
-_NEAREST_GROUND = 0.5  # rotor radii: nearer, the potential flow has a singularity and measurements end
+"""(4,) Mask of four rotors with power."""
+_NEAREST_GROUND = 0.5  # in rotor radii: below, the potential flow is singular and there are no measurements
 
 
 @dataclass(frozen=True)
 class MotorFailure:
-    """A rotor that loses its power, and from then on is only braked by the air."""
+    """Loss of power of a rotor, which is then decelerated by its drag only."""
 
     rotor: int
-    """Which one, by its place in `ROTOR_NAMES`."""
+    """Index of the rotor in `ROTOR_NAMES`."""
     t_s: float
-    """When, since the start of the flight [s]."""
+    """Time of the failure since the start of the flight [s]."""
 
     def __post_init__(self) -> None:
-        """Check the numbers.
+        """Check the ranges of the values.
 
         Raises:
-            ConfigError: There is no such rotor, or the time is none.
+            ConfigError: The rotor does not exist, or the time is negative or NaN.
         """
         if self.rotor not in range(4):
             raise ConfigError(f"failing rotor {self.rotor}; expected 0, 1, 2 or 3")
@@ -44,25 +44,25 @@ class MotorFailure:
 
 @dataclass(frozen=True, eq=False)
 class RotorState:
-    """Rotors and battery of one simulation or many."""
+    """State of rotors and battery of one simulation or many."""
 
     speed_rad_s: Array
     """(…, 4) Speeds of the rotors [rad/s]."""
     acceleration_rad_s2: Array
-    """(…, 4) Their accelerations over the last control step [rad/s²]."""
+    """(…, 4) Accelerations of the rotors over the last control step [rad/s²]."""
     charge: Array
-    """(…) Charge of the battery, 1 full and 0 empty."""
+    """(…) State of charge of the battery, from 1 (full) to 0 (empty)."""
     voltage_v: Array
-    """(…) Voltage of the battery under the load that these speeds need [V]; spinning up, shorter than the chemistry's
-    own time constants, is not counted."""
+    """(…) Voltage of the battery under the steady load of these speeds [V]; accelerations, shorter than the time
+    constants of the cell chemistry, are not included."""
 
 
 @dataclass(frozen=True, eq=False)
 class Airflow:
-    """How a vehicle moves through the air, and where the ground is."""
+    """Motion of a vehicle relative to the air and the ground."""
 
     velocity_m_s: Array
-    """(…, 3) Velocity of the centre of mass through the air, in the vehicle frame [m/s]."""
+    """(…, 3) Velocity of the centre of mass relative to the air, in the vehicle frame [m/s]."""
     rate_rad_s: Array
     """(…, 3) Angular velocity in the vehicle frame [rad/s]."""
     up: Array
@@ -72,15 +72,17 @@ class Airflow:
 
 
 class Rotors:
-    """The motor and aerodynamic model of one vehicle type.
+    """Rotor and aerodynamic model of one vehicle type.
 
-    A rotor at speed ω, moving with its hub through the air at (u, v, w) in the vehicle frame, gives along its axis the
-    thrust g k ω² − k_i ω w (g the ground effect), in its disc the drag −k_d ω (u, v), and about its axis the torque
-    −s (k_m ω² + J ω̇): its drag and its inertia's reaction (s = ±1 its sense of rotation). All rotors together have
-    the angular momentum H = J Σ s ω along z, whose turning with the body takes the torque −Ω × H. The body itself has
-    the drag −½ ρ A_i |V| V_i along each axis.
+    A rotor at speed ω, whose hub moves through the air at (u, v, w) in the vehicle frame, exerts along its axis the
+    thrust g k ω² − k_i ω w (g the ground effect), in its disc the drag −k_d ω (u, v), and about its axis the torque −s
+    (k_m ω² + J ω̇), the sum of drag and reaction (s = ±1 the direction of rotation). All rotors together have the
+    angular momentum H = J Σ s ω along z, whose rotation with the body requires the torque −Ω × H. The body has the drag
+    −½ ρ A_i |V| V_i along each axis.
 
     Sources: Mahony, Kumar, Corke, "Multirotor aerial vehicles", IEEE RAM 2012 (thrust, torque, gyroscopic torque);
+        Martin and Salaün 2010 (rotor drag); Smeur, Chu, de Croon, "Adaptive incremental nonlinear dynamic inversion",
+        JGCD 2016 (reaction torque). Aerodynamic interaction with surfaces other than the floor is not modelled.
     Martin and Salaün 2010 (rotor drag); Smeur, Chu, de Croon, "Adaptive incremental nonlinear dynamic inversion", JGCD
     2016 (reaction torque). Nothing here depends on how fast the drone crosses the ground or on what it passes but the
     floor.
@@ -100,7 +102,7 @@ class Rotors:
         self._hub_twists = np.ascontiguousarray(hub_twists.transpose(1, 0, 2).reshape(12, 6))
 
     def steady_state(self, speeds_rad_s: Array) -> RotorState:
-        """Return the state of rotors that turn steadily at speeds (…, 4) [rad/s] on a full battery."""
+        """Return the steady state of rotors at speeds (…, 4) [rad/s] with a full battery."""
         speeds = np.array(speeds_rad_s, dtype=np.float64)
         steady = np.zeros_like(speeds)
         full = np.ones(speeds.shape[:-1])
@@ -109,16 +111,16 @@ class Rotors:
     def step(
         self, state: RotorState, commands_rad_s: Array, dt_s: float, powered: npt.NDArray[np.bool_] = ALL_POWERED
     ) -> RotorState:
-        """Return the state after ``dt_s`` under held commands (…, 4) of rotor speeds [rad/s].
+        """Return the state after ``dt_s`` under constant commands (…, 4) of rotor speeds [rad/s].
 
-        A speed follows its command with a first-order lag, solved exactly, but no further than the battery's voltage
-        lets it. A rotor without power slows by its drag, J ω̇ = −k_m ω², solved exactly too.
+        A speed follows its command as a first-order system, integrated exactly, up to the speed that the voltage of the
+        battery allows. A rotor without power is decelerated by its drag, J ω̇ = −k_m ω², integrated exactly, too.
 
         Args:
-            state: The state before.
-            commands_rad_s: (…, 4) Commands; those outside [0, greatest speed] are clipped.
+            state: State at the start of the step.
+            commands_rad_s: (…, 4) Commands, clipped to [0, largest speed].
             dt_s: Length of the step [s].
-            powered: (…, 4) Which rotors have power.
+            powered: (…, 4) Mask of the rotors with power.
         """
         drone, before = self._quadrotor, state.speed_rad_s
         fastest = np.minimum(drone.rotor_speed_max_rad_s, drone.rotor_speed_per_v * state.voltage_v)[..., None]
@@ -131,7 +133,7 @@ class Rotors:
         return RotorState(speeds, change, charge, voltage)
 
     def wrench(self, state: RotorState, air: Airflow) -> Array:
-        """Return force [N] and torque [N m] (…, 6) on the centre of mass, in the vehicle frame."""
+        """Return force [N] and torque [N m] (…, 6) at the centre of mass, in the vehicle frame."""
         drone, speeds, velocity, rate = self._quadrotor, state.speed_rad_s, air.velocity_m_s, air.rate_rad_s
         batch, square = speeds.shape[:-1], speeds * speeds
         hubs = (np.concatenate([velocity, rate], axis=-1) @ self._hub_twists.T).reshape(*batch, 3, 4)
@@ -147,19 +149,19 @@ class Rotors:
         return np.asarray(wrench)
 
     def _lift(self, air: Airflow) -> Array:
-        """Return each rotor's thrust by its squared speed (…, 4), with the ground effect.
+        """Return the thrust of each rotor per squared speed (…, 4), with ground effect.
 
-        Each rotor has its own height, so that a tilted drone is pushed level; upside down, none blows at the ground.
+        Each rotor has its own height, so that the ground effect levels a tilted drone; there is none upside down.
         """
         gain = ground_effect(self._quadrotor, air.height_m[..., None] + air.up @ self._hubs.T) - 1.0
         return np.asarray(self._quadrotor.thrust_n_per_rad2_s2 * (1.0 + np.maximum(air.up[..., 2:], 0.0) * gain))
 
     def power_w(self, state: RotorState) -> Array:
-        """Return the electrical power (…) that is drawn from the battery [W]."""
+        """Return the electrical power (…) drawn from the battery [W]."""
         return self._power_w(state.speed_rad_s, state.acceleration_rad_s2)
 
     def _power_w(self, speeds: Array, change: Array | float) -> Array:
-        """Return avionics' and motors' power (…) [W]; a braking rotor gives nothing back."""
+        """Return the power (…) of avionics and motors [W]; decelerating rotors do not recuperate."""
         drone = self._quadrotor
         torque = drone.torque_nm_per_rad2_s2 * speeds * speeds + drone.rotor_inertia_kg_m2 * change
         shafts = np.maximum(torque * speeds, 0.0).sum(axis=-1)
@@ -167,11 +169,12 @@ class Rotors:
 
 
 def ground_effect(quadrotor: Quadrotor, height_m: Array) -> Array:
-    """Return thrust near the ground by thrust far from it, at heights (…) of a rotor above it [m].
+    """Return the ratio of thrust near the ground to that in free air, at heights (…) of a rotor [m].
 
-    Potential flow with an image of each of the four rotors below the ground (Sanchez-Cuevas, Heredia, Ollero,
-    "Characterization of the aerodynamic ground effect and its influence in multirotor control", Int. J. Aerospace
-    Engineering 2017), without its last term, the fountain's lift on the body, which each body must be measured for.
+    The model is potential flow with an image of each of the four rotors below the ground (Sanchez-Cuevas, Heredia,
+    Ollero, "Characterization of the aerodynamic ground effect and its influence in multirotor control", Int. J.
+    Aerospace Engineering 2017), without its last term, the fountain effect on the body, which requires measurements of
+    each vehicle.
     """
     R, d = quadrotor.rotor_radius_m, quadrotor.arm_m * np.sqrt(2.0)
     z = np.maximum(height_m, _NEAREST_GROUND * R)

@@ -1,4 +1,4 @@
-"""The vehicle in MuJoCo: its body with the constants of a quadrotor, to look at or to fly."""
+"""MuJoCo models of the vehicle, for rendering and for the physics."""
 
 import mujoco
 import numpy as np
@@ -12,11 +12,11 @@ from dronevio.sim.physics.collisions import COLLISION_GROUP, add_collision_geoms
 
 Array = npt.NDArray[np.float64]
 
-_SETTLING_S = 1.0  # until the feet's springs have come to rest
+_SETTLING_S = 1.0  # until the springs of the feet are at rest
 
 
 def quadrotor_spec(quadrotor: Quadrotor, rig: Rig) -> mujoco.MjSpec:
-    """Return the vehicle's MjSpec with its constants and the IMU's site in place, ready to compile or to attach."""
+    """Return the specification of the vehicle with its parameters and the site of the IMU."""
     spec = mujoco.MjSpec.from_file(str(quadrotor.mjcf))
     body = spec.body("quadrotor")
     body.mass = quadrotor.mass_kg
@@ -31,9 +31,9 @@ def quadrotor_spec(quadrotor: Quadrotor, rig: Rig) -> mujoco.MjSpec:
 def physics_model(
     quadrotor: Quadrotor, rig: Rig, step_s: float, surroundings: mujoco.MjSpec | None = None
 ) -> mujoco.MjModel:
-    """Return the vehicle among what can be touched of a world, without looks; by default above an endless floor.
+    """Return the vehicle with the collision geoms of a world, without visible geometry; with a floor by default.
 
-    Its six controls are the wrench on the centre of mass, in the vehicle frame (see `Rotors`).
+    The six controls are the wrench at the centre of mass in the vehicle frame (see `Rotors`).
     """
     spec = quadrotor_spec(quadrotor, rig)
     for geom in [geom for geom in spec.geoms if geom.group != COLLISION_GROUP]:
@@ -44,13 +44,13 @@ def physics_model(
         add_collision_geoms(spec, surroundings)
     spec.option.timestep = step_s
     spec.option.gravity = [0.0, 0.0, -GRAVITY_M_S2]
-    spec.option.integrator = mujoco.mjtIntegrator.mjINT_EULER  # the one whose IMU can be exact; see `Motion`
-    spec.option.cone = mujoco.mjtCone.mjCONE_ELLIPTIC  # the feet stand without creeping
+    spec.option.integrator = mujoco.mjtIntegrator.mjINT_EULER  # permits exact IMU samples; see `Motion`
+    spec.option.cone = mujoco.mjtCone.mjCONE_ELLIPTIC  # no creep of the feet
     return spec.compile()
 
 
 def standing_pose(quadrotor: Quadrotor, rig: Rig, step_s: float) -> Array:
-    """Return the (7,) pose in which a drone stands at rest on the origin: the feet's springs carry the weight."""
+    """Return the pose (7,) of a drone at rest at the origin, with its weight on the springs of the feet."""
     model = physics_model(quadrotor, rig, step_s)
     data = mujoco.MjData(model)
     mujoco.mj_step(model, data, round(_SETTLING_S / step_s))

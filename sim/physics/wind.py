@@ -1,8 +1,8 @@
-"""Wind: a steady part, and the Dryden gusts that come with it near the ground.
+"""Wind: a constant mean and Dryden gusts near the ground.
 
-MIL-F-8785C ("Flying qualities of piloted airplanes", 1980, §3.7) describes turbulence as a frozen field that is blown
-past, or flown through: its spectra are functions of distance. So are the filters here, and their steps are exact for
-any distance (Van Loan 1978): neither the variances nor the spectra depend on how time is cut.
+MIL-F-8785C ("Flying qualities of piloted airplanes", 1980, §3.7) describes turbulence as a frozen field: its spectra
+are functions of distance. The filters here are functions of distance, too, and their steps are exact for any distance
+(Van Loan 1978), so that variances and spectra do not depend on the time step.
 """
 
 from dataclasses import dataclass
@@ -16,29 +16,29 @@ from dronevio.models.errors import ConfigError
 Array = npt.NDArray[np.float64]
 
 _FOOT_M = 0.3048
-_LOW_FT, _HIGH_FT = 10.0, 1000.0  # where the standard's low-altitude model holds
-_GAUGE_FT, _ROUGHNESS_FT = 20.0, 0.15  # where its wind is measured; the roughness of its approach and landing phase
+_LOW_FT, _HIGH_FT = 10.0, 1000.0  # validity of the standard's low-altitude model
+_GAUGE_FT, _ROUGHNESS_FT = 20.0, 0.15  # reference height of the wind; roughness for approach and landing
 _DIRECT = np.sqrt([2.0, 3.0, 3.0])
 _DELAYED = np.array([0.0, 1.0 - np.sqrt(3.0), 1.0 - np.sqrt(3.0)])
-_LEAST = 1e-300  # keeps 0 / 0 away where nothing has been passed
+_LEAST = 1e-300  # avoids 0 / 0 for a distance of 0
 
 
 @dataclass(frozen=True)
 class Wind:
-    """How the air moves."""
+    """Mean wind and strength of gusts."""
 
     mean_m_s: tuple[float, float, float] = (0.0, 0.0, 0.0)
-    """Velocity of the steady part in the world [m/s]."""
+    """Mean velocity of the air in the world frame [m/s]."""
     gusts: float = 0.0
-    """Strength of the gusts, relative to what the standard expects at this wind: 1 is outdoors, 0 none."""
+    """Strength of the gusts relative to the standard at this wind: 1 is typical outdoors, 0 means no gusts."""
     height_m: float = 3.048
-    """Height above the ground that the gusts are those of [m]; the standard has values from 3.048 to 304.8 m."""
+    """Height above the ground for which gusts are computed [m]; the standard covers 3.048 to 304.8 m."""
 
     def __post_init__(self) -> None:
-        """Check the numbers.
+        """Check the ranges of the values.
 
         Raises:
-            ConfigError: Gusts without wind or of negative strength, a height that the standard does not know.
+            ConfigError: A value is not finite, or the strength or height of gusts is outside its range.
         """
         if not np.all(np.isfinite(self.mean_m_s)):
             raise ConfigError(f"wind of {self.mean_m_s} m/s; expected finite numbers")
@@ -49,7 +49,7 @@ class Wind:
 
     @property
     def speed_m_s(self) -> float:
-        """Speed of the steady part along the ground [m/s]."""
+        """Horizontal speed of the mean wind [m/s]."""
         return float(np.hypot(self.mean_m_s[0], self.mean_m_s[1]))
 
     @property
@@ -63,7 +63,7 @@ class Wind:
     def gust_deviations_m_s(self) -> Array:
         """(3,) Standard deviations of the gusts along the wind, across it and upwards [m/s] (figure 11).
 
-        The wind at 20 ft, which they are told by, follows from the one here by the standard's logarithmic profile.
+        The reference wind at 20 ft follows from the wind at this height by the standard's logarithmic profile.
         """
         h = self.height_m / _FOOT_M
         at_gauge = self.speed_m_s * np.log(_GAUGE_FT / _ROUGHNESS_FT) / np.log(h / _ROUGHNESS_FT)
@@ -73,31 +73,31 @@ class Wind:
 
     @property
     def axes(self) -> Array:
-        """(3, 3) Rows: along the wind, across it to the left, up; in the world."""
+        """(3, 3) Axes of the gusts as rows in the world frame: along the wind, across it to the left, up."""
         heading = np.arctan2(self.mean_m_s[1], self.mean_m_s[0])
         c, s = np.cos(heading), np.sin(heading)
         return np.array([[c, s, 0.0], [-s, c, 0.0], [0.0, 0.0, 1.0]])
 
 
 CALM = Wind()
-"""No wind."""
+"""Still air."""
 
 
 class Air(Protocol):
-    """The air around one vehicle or many."""
+    """Interface of the air around one vehicle or many."""
 
     def reset(self) -> None:
-        """Begin a flight."""
+        """Start a new flight."""
 
     def velocity_m_s(self) -> Array:
-        """Return the air's velocity (…, 3) in the world [m/s], here and now."""
+        """Return the current velocity (…, 3) of the air in the world frame [m/s]."""
 
     def move_through(self, distance_m: Array) -> None:
-        """Move on through the air by distances (…) [m]."""
+        """Advance by distances (…) through the air [m]."""
 
 
 class SteadyAir:
-    """Air without gusts; implements `Air`."""
+    """Wind without gusts; implements `Air`."""
 
     def __init__(self, wind: Wind) -> None:
         self._velocity = np.array(wind.mean_m_s)
@@ -106,28 +106,28 @@ class SteadyAir:
         """Do nothing."""
 
     def velocity_m_s(self) -> Array:
-        """Return the wind (3,) in the world [m/s]."""
+        """Return the velocity (3,) of the air in the world frame [m/s]."""
         return self._velocity
 
     def move_through(self, distance_m: Array) -> None:
-        """Do nothing: it is the same everywhere."""
+        """Do nothing, since the wind is uniform."""
 
 
 class GustyAir:
     """Wind with Dryden gusts; implements `Air`.
 
-    With p the derivative by the distance in scale lengths, the component along the wind is √2 / (1 + p) times white
-    noise, the others (1 + √3 p) / (1 + p)² times it, all scaled by their standard deviations. In the states
-    x₁' = −x₁ + n and x₂' = −x₂ + x₁ that is √2 x₁ and √3 x₁ + (1 − √3) x₂.
+    With p the derivative with respect to distance in scale lengths, the component along the wind is √2 / (1 + p)
+    applied to white noise, the others (1 + √3 p) / (1 + p)², all scaled by their standard deviations. In the states x₁'
+    = −x₁ + n and x₂' = −x₂ + x₁ these are √2 x₁ and √3 x₁ + (1 − √3) x₂.
     """
 
     def __init__(self, wind: Wind, rng: np.random.Generator, shape: tuple[int, ...] = ()) -> None:
-        """Prepare to blow.
+        """Draw the initial gusts.
 
         Args:
-            wind: How strongly.
-            rng: Draws the gusts.
-            shape: Of the batch of vehicles; each has gusts of its own.
+            wind: Mean wind and strength of gusts.
+            rng: Generator of the gusts.
+            shape: Shape of the batch of vehicles, each with independent gusts.
         """
         self._mean = np.array(wind.mean_m_s)
         self._lengths = wind.gust_lengths_m
@@ -138,23 +138,23 @@ class GustyAir:
         self.reset()
 
     def reset(self) -> None:
-        """Draw new gusts, as if it had blown for ever."""
+        """Draw gusts from the stationary distribution."""
         n = self._rng.standard_normal((2, *self._shape, 3))
         # the stationary covariance is [[1/2, 1/4], [1/4, 1/4]]
         self._first = np.sqrt(0.5) * n[0]
         self._second = np.sqrt(0.125) * (n[0] + n[1])
 
     def velocity_m_s(self) -> Array:
-        """Return the air's velocity (…, 3) in the world [m/s]."""
+        """Return the velocity (…, 3) of the air in the world frame [m/s]."""
         gust = self._scales * (_DIRECT * self._first + _DELAYED * self._second)
         return np.asarray(self._mean + gust @ self._axes)
 
     def move_through(self, distance_m: Array) -> None:
-        """Move on through the air by distances (…) [m]."""
+        """Advance by distances (…) through the air [m]."""
         d = np.asarray(distance_m)[..., None] / self._lengths
         decay = np.exp(-d)
         left = decay * decay
-        # what the transition Φ = e⁻ᵈ [[1, 0], [d, 1]] takes from the stationary covariance, noise gives back
+        # noise covariance P − Φ P Φᵀ of the transition Φ = e⁻ᵈ [[1, 0], [d, 1]] and stationary covariance P
         q11 = 0.5 * (1.0 - left)
         q12 = 0.25 - left * (0.5 * d + 0.25)
         q22 = 0.25 - left * (0.5 * d * (d + 1.0) + 0.25)
@@ -167,13 +167,13 @@ class GustyAir:
 
 
 def make_air(wind: Wind, rng: np.random.Generator | None) -> Air:
-    """Return the air of a wind.
+    """Return the air model of a wind.
 
     Raises:
-        ConfigError: There are gusts, and nothing to draw them from.
+        ConfigError: There are gusts, but no random generator.
     """
     if not np.any(wind.gust_deviations_m_s):
         return SteadyAir(wind)
     if rng is None:
-        raise ConfigError("gusts without a random generator; expected one to draw them from")
+        raise ConfigError("gusts without a random generator; expected one")
     return GustyAir(wind, rng)

@@ -1,4 +1,4 @@
-"""A recording's frames, drawn by several processes."""
+"""Rendering of the frames of a recording by several processes."""
 
 from typing import TYPE_CHECKING
 

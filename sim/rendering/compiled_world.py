@@ -1,4 +1,4 @@
-"""The backdrop: a world as the rendering processes get it, compiled, lit, and with what moves in it."""
+"""Compiled worlds: the models, illumination and moving objects that rendering processes load."""
 
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -19,30 +19,30 @@ from dronevio.sim.world import Mover, build_world, instance_spec
 
 Array = npt.NDArray[np.float64]
 
-_NEAREST_M = 0.3  # of the middle of a thing: nothing comes nearer
+_NEAREST_M = 0.3  # smallest distance of the centre of a moving object
 
 
 @dataclass(frozen=True, eq=False)
 class CompiledWorld:
-    """A world, ready to be drawn by any process."""
+    """A world in files that any process can load and render."""
 
     model_path: Path
-    """The compiled model."""
+    """File of the compiled model."""
     instances_path: Path
-    """The same without its paint, a geom for each thing: what segmentation is drawn from."""
+    """File of the model without textures and with one geom per object instance, for segmentation."""
     instance_names: tuple[str, ...]
-    """What is seen, by the geoms' numbers in that model."""
+    """Names of the object instances by the index of their geom."""
     illumination: float
-    """Light that falls in, relative to a well lit world."""
+    """Illumination relative to a well-lit world."""
     movers: dict[str, Trajectory]
-    """Paths of what moves, by the names of its bodies, on the clock of the IMU."""
+    """Trajectories of the moving objects by the name of their body, on the clock of the IMU."""
 
     def movers_at(self, t_ns: int) -> MoverPoses:
-        """Return where everything that moves is at a time [ns]."""
+        """Return the poses of all moving objects at a time [ns]."""
         return {name: interpolated_poses(path, np.array([t_ns]))[0] for name, path in self.movers.items()}
 
     def angle_swept_rad(self, from_ns: int, to_ns: int, p_world: Array) -> float:
-        """Return how far anything moves between two times [ns], at most, as seen from a point (3,) [rad]."""
+        """Return the largest motion of any object between two times [ns] as seen from a point (3,) [rad]."""
         ends = [interpolated_poses(path, np.array([from_ns, to_ns]))[:, :3, 3] for path in self.movers.values()]
         ranges_m = (max(float(np.linalg.norm(start - p_world)), _NEAREST_M) for start, _ in ends)
         paths_m = (float(np.linalg.norm(end - start)) for start, end in ends)
@@ -51,15 +51,15 @@ class CompiledWorld:
 
 @contextmanager
 def compiled_world(world: str, seed: int, t_ns: Times) -> Iterator[CompiledWorld]:
-    """Build a world, and keep it in a temporary file for as long as the context lasts.
+    """Build a world and keep it in temporary files during the context.
 
     Args:
-        world: A name that `build_world` knows.
-        seed: Draws its looks.
-        t_ns: (N,) Times at which the paths of what moves are kept [ns]; the flight starts at the first.
+        world: Name of the world.
+        seed: Seed of the world.
+        t_ns: (N,) Times of the trajectories of moving objects [ns]; the flight starts at the first.
 
     Raises:
-        ConfigError: There is no such world.
+        ConfigError: The world is unknown.
     """
     built = build_world(world, seed)
     with TemporaryDirectory(prefix="dronevio-") as scratch:
@@ -73,6 +73,6 @@ def compiled_world(world: str, seed: int, t_ns: Times) -> Iterator[CompiledWorld
 
 
 def _sampled(mover: Mover, t_ns: Times) -> Trajectory:
-    """Return a mover's path at the given times."""
+    """Return the trajectory of a moving object at the given times."""
     poses = mover.poses((t_ns - t_ns[0]) * 1e-9)
     return Trajectory(t_ns, poses[:, :3, 3].copy(), quat_wxyz_from_matrix(poses[:, :3, :3]))

@@ -1,4 +1,4 @@
-"""What a rendering process does: look at frames to meter them, or draw, develop and write them."""
+"""Tasks of the rendering processes: metering frames, and rendering and writing them."""
 
 from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
@@ -24,26 +24,26 @@ Array = npt.NDArray[np.float64]
 GreyImage = npt.NDArray[np.uint8]
 
 PARTIAL_SUFFIX = ".partial"
-"""Suffix of an image that is being written."""
-_GLANCE_PX = 8  # a glance has a pixel for so many, each way
-_NEAR_PERCENTILE = 25  # of the depths: what is nearer fills a quarter of the image
+"""Suffix of the file of an image that is being written."""
+_THUMBNAIL_PX = 8  # image pixels per pixel of a thumbnail along each axis
+_NEAR_PERCENTILE = 25  # percentile of the depths: nearer surfaces fill a quarter of the image
 
 
 @dataclass(frozen=True, eq=False)
 class MeterTask:
-    """Measure the light of frames."""
+    """Task that measures the brightness of frames."""
 
     job: RenderJob
-    """What they are frames of."""
+    """Job of the frames."""
     scene: CompiledWorld
-    """Where."""
+    """World to render."""
     indices: npt.NDArray[np.int64]
-    """(K,) Their places in the schedule."""
+    """(K,) Indices of the frames in the schedule."""
     result: Path
-    """Where the histograms (K, 256) go: the share of the main camera's pixels on each grey level."""
+    """File for the histograms (K, 256): the fraction of the first camera's pixels on each grey level."""
 
     def run(self) -> Iterator[None]:
-        """Do it; a frame is a unit."""
+        """Meter the frames, and yield after each."""
         exposed_ns = self.job.schedule.exposed_ns[self.indices]
         histograms = np.zeros((len(self.indices), 256))
         with _opened(self.scene.model_path) as (model, context):
@@ -59,21 +59,21 @@ class MeterTask:
 
 @dataclass(frozen=True, eq=False)
 class RenderTask:
-    """Draw, develop and write frames."""
+    """Task that renders and writes frames."""
 
     job: RenderJob
-    """What they are frames of."""
+    """Job of the frames."""
     scene: CompiledWorld
-    """Where."""
+    """World to render."""
     indices: npt.NDArray[np.int64]
-    """(K,) Their places in the schedule."""
+    """(K,) Indices of the frames in the schedule."""
     truth: FrameTruth
-    """How all frames of the job are exposed."""
+    """True times and exposures of all frames of the job."""
     mav0: Path
-    """The folder that holds ``cam0/data`` and its neighbours."""
+    """Folder ``mav0``, which contains ``cam0/data`` and its siblings."""
 
     def run(self) -> Iterator[None]:
-        """Do it; a frame, from all cameras, is a unit."""
+        """Render the frames, and yield after each frame of all cameras."""
         kinds = self.job.truth_images
         with ExitStack() as open_:
             model, context = open_.enter_context(_opened(self.scene.model_path))
@@ -96,10 +96,10 @@ class RenderTask:
 
 
 class _FrameRenderer:
-    """One camera of the rig: takes developed frames."""
+    """Renderer of the frames of one camera, with shutter and image sensor."""
 
     def __init__(self, task: RenderTask, number: int, model: mujoco.MjModel, context: RenderContext) -> None:
-        """Prepare to take a camera's frames."""
+        """Create the renderers of a camera."""
         self._task, self._number = task, number
         camera = task.job.rig.cameras[number]
         self._poses, self._readout_s = task.job.poses(number), camera.readout_s
@@ -108,7 +108,7 @@ class _FrameRenderer:
         self._thumbnail = OffscreenCamera(model, thumbnail(camera.model), supersampling=1.0, context=context)
 
     def render(self, index: int) -> GreyImage:
-        """Return a frame (H, W)."""
+        """Return the frame (H, W) with an index."""
         job, scene, truth = self._task.job, self._task.scene, self._task.truth
         middle_ns, exposure_s = int(truth.exposed_ns[index]), float(truth.exposure_s[index])
         half_ns = round(0.5e9 * (exposure_s + self._readout_s))
@@ -123,30 +123,30 @@ class _FrameRenderer:
         )
 
     def _view(self, t_ns: int, rows: slice) -> GreyImage:
-        """Return rows of what is seen at a time [ns]."""
+        """Return rows of the noise-free image at a time [ns]."""
         return self._camera.render(self._pose(t_ns), self._task.scene.movers_at(t_ns), rows)
 
     def _nearest_m(self, t_ns: int) -> float:
-        """Return the depth of what is near at a time [m]; infinite where nothing is."""
+        """Return the depth of near surfaces at a time [m]; infinite if there are none."""
         depth = self._thumbnail.render_depth(self._pose(t_ns), self._task.scene.movers_at(t_ns))
         depth = depth[np.isfinite(depth)]
         return float(np.percentile(depth, _NEAR_PERCENTILE)) if depth.size else np.inf
 
     def _pose(self, t_ns: int) -> Array:
-        """Return the camera's pose (4, 4) at a time [ns]."""
+        """Return the pose T_world_cam (4, 4) at a time [ns]."""
         return np.asarray(self._poses(np.array([t_ns]))[0])
 
 
 class _DepthFlowRenderer:
-    """Takes images of how far things are, and where they go."""
+    """Renderer of the depth and flow images of the first camera."""
 
     def __init__(self, task: RenderTask, model: mujoco.MjModel, context: RenderContext) -> None:
-        """Prepare to take them through the main camera's lens."""
+        """Create the renderer."""
         self._task, self._poses = task, task.job.poses(0)
         self._camera = OffscreenCamera(model, task.job.rig.cameras[0].model, context=context)
 
     def render(self, index: int) -> dict[str, npt.NDArray[np.uint16]]:
-        """Return what the job asks for of depth and flow at a frame, by folder."""
+        """Return the depth and flow images of a frame that the job requests, by folder."""
         kinds = self._task.job.truth_images
         exposed_ns = self._task.truth.exposed_ns[index : index + 2]
         poses, movers = self._poses(exposed_ns), [self._task.scene.movers_at(t_ns) for t_ns in exposed_ns.tolist()]
@@ -158,15 +158,15 @@ class _DepthFlowRenderer:
 
 
 class _SegmentationRenderer:
-    """Takes images of what is what."""
+    """Renderer of the segmentation images of the first camera."""
 
     def __init__(self, task: RenderTask, things: mujoco.MjModel, context: RenderContext) -> None:
-        """Prepare to take them through the main camera's lens."""
+        """Create the renderer."""
         self._task, self._poses = task, task.job.poses(0)
         self._camera = OffscreenCamera(things, task.job.rig.cameras[0].model, context=context)
 
     def render(self, index: int) -> dict[str, npt.NDArray[np.uint16]]:
-        """Return the numbers of the things in a frame, by folder."""
+        """Return the segmentation image of a frame, by folder."""
         exposed_ns = self._task.truth.exposed_ns[index : index + 1]
         seen = self._camera.render_surfaces(self._poses(exposed_ns)[0], self._task.scene.movers_at(int(exposed_ns[0])))
         return {FOLDERS["segmentation"]: segmentation_image(seen)}
@@ -174,7 +174,7 @@ class _SegmentationRenderer:
 
 @contextmanager
 def _opened(model_path: Path) -> Iterator[tuple[mujoco.MjModel, RenderContext]]:
-    """Open the graphics memory for a world."""
+    """Load a model into graphics memory for the duration of the context."""
     model = mujoco.MjModel.from_binary_path(str(model_path))
     context = RenderContext(model)
     try:
@@ -184,8 +184,8 @@ def _opened(model_path: Path) -> Iterator[tuple[mujoco.MjModel, RenderContext]]:
 
 
 def thumbnail(model: CameraModel) -> CameraModel:
-    """Return a camera that sees the same in few pixels."""
-    width, height = (max(size // _GLANCE_PX, 1) for size in (model.width, model.height))
+    """Return a camera with the same field of view and an image of 1/8 of the width and height."""
+    width, height = (max(size // _THUMBNAIL_PX, 1) for size in (model.width, model.height))
     x, y = width / model.width, height / model.height
     return replace(
         model,
@@ -199,7 +199,7 @@ def thumbnail(model: CameraModel) -> CameraModel:
 
 
 def write_png(path: Path, image: npt.NDArray[np.uint8] | npt.NDArray[np.uint16]) -> None:
-    """Write an image beside its place and then move it there, so that nobody ever sees half of it."""
+    """Write an image to a temporary name and rename it, so that no partial image is visible."""
     partial = path.with_suffix(PARTIAL_SUFFIX)
     partial.write_bytes(cv2.imencode(".png", image)[1].tobytes())
     partial.replace(path)

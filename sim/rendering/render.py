@@ -1,4 +1,4 @@
-"""Frames of a flight, drawn in parallel processes once the physics are done.
+"""Rendering of the frames of a flight in parallel processes, after the simulation of its motion.
 
 Rendering dominates the cost of a simulated flight, and every frame is independent of the others. A few processes
 therefore share the frames, each with its own OpenGL context. The pixels of a frame depend on the job and on its index
@@ -24,37 +24,37 @@ from dronevio.sim.rendering.render_job import RenderJob
 from dronevio.sim.rendering.truth_images import FOLDERS, names_table
 from dronevio.sim.rendering.worker_pool import default_workers, run_tasks
 
-_FRAMES_WORTH_A_WORKER = 15  # it takes a second to start
+_FRAMES_WORTH_A_WORKER = 15  # a process takes a second to start
 
 
 def render_frames(job: RenderJob, mav0: Path, progress: Progress = silent, workers: int | None = None) -> FrameTruth:
-    """Write what a rig's cameras see: a grey ``cam{i}/data/<stamp>.png`` for each camera and frame.
+    """Render the frames of a rig: a grey image ``cam{i}/data/<stamp>.png`` for each camera and frame.
 
-    ``frame_groundtruth0/data.csv`` says when each frame was really taken, on the IMU's clock, and how it was exposed;
-    what else the job asks for lies beside the frames (`dronevio.sim.rendering.truth_images`). While frames are
-    missing, a file ``INCOMPLETE`` lies there too.
+    ``frame_groundtruth0/data.csv`` contains the true time on the clock of the IMU and the exposure of each frame;
+    images of depth, segmentation and flow lie beside the frames (`dronevio.sim.rendering.truth_images`). A file
+    ``INCOMPLETE`` exists while frames are missing.
 
     Args:
-        job: What to render.
-        mav0: Where to write; it is made where it is missing.
-        progress: Told how many frames are done.
-        workers: Processes; as many as there are cores by default. The images do not depend on it.
+        job: The frames to render.
+        mav0: Output folder, created if it is missing.
+        progress: Callback that receives the number of completed frames and their total.
+        workers: Number of processes, by default that of the cores; the images do not depend on it.
 
     Returns:
-        When and how each frame was really exposed.
+        True time and exposure of each frame.
 
     Raises:
-        ConfigError: No world has the job's name.
-        IncompleteError: The system refused something on the way, such as more room on the disk, or a worker died; the
-            frames that are done stay.
-        GraphicsError: No off-screen OpenGL, or no worker did anything.
+        ConfigError: The world is unknown.
+        IncompleteError: A system error occurred, such as a full disk, or a worker process ended; completed frames are
+            kept.
+        GraphicsError: Off-screen OpenGL is not available, or no worker completed a frame.
     """
     count = len(job.schedule)
-    crew = workers or default_workers(count, _FRAMES_WORTH_A_WORKER)
-    shares = [np.arange(number, count, crew) for number in range(min(crew, count))]
+    processes = workers or default_workers(count, _FRAMES_WORTH_A_WORKER)
+    shares = [np.arange(number, count, processes) for number in range(min(processes, count))]
     finished = 0
 
-    def heard(done: int, total: int) -> None:
+    def report(done: int, total: int) -> None:
         nonlocal finished
         finished = done
         progress(done, total)
@@ -65,7 +65,7 @@ def render_frames(job: RenderJob, mav0: Path, progress: Progress = silent, worke
             write_text(mav0 / FRAME_TRUTH_FILE, frame_truth_text(truth))
             if "segmentation" in job.truth_images:
                 write_text(mav0 / FOLDERS["segmentation"] / "names.csv", names_table(scene.instance_names))
-            run_tasks([RenderTask(job, scene, share, truth, mav0) for share in shares], count, heard)
+            run_tasks([RenderTask(job, scene, share, truth, mav0) for share in shares], count, report)
     except OSError as error:
         where = f"{error.filename}: " if error.filename else ""
         raise IncompleteError(f"stopped after {finished} of {count} frames: {where}{error.strerror}") from error
@@ -78,7 +78,7 @@ def render_frames(job: RenderJob, mav0: Path, progress: Progress = silent, worke
 
 @contextmanager
 def _unfinished(job: RenderJob, mav0: Path) -> Iterator[None]:
-    """Make the folders, and mark them as long as the work in them is not done."""
+    """Create the folders and a file that marks them as incomplete during the context."""
     names = [f"cam{number}" for number in range(len(job.rig.cameras))] + [FOLDERS[kind] for kind in job.truth_images]
     folders = [mav0 / name / "data" for name in names]
     for folder in folders:
@@ -96,7 +96,7 @@ def _unfinished(job: RenderJob, mav0: Path) -> Iterator[None]:
 
 
 def _exposed(job: RenderJob, scene: CompiledWorld, shares: list[npt.NDArray[np.int64]]) -> FrameTruth:
-    """Return how the frames are exposed, having metered them where the control asks for it."""
+    """Return times and exposures of the frames, after metering if the exposure control requires it."""
     schedule = job.schedule
     histograms = np.zeros((len(schedule), 256))
     if job.imaging.control.needs_histograms:

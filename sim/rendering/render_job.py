@@ -1,4 +1,4 @@
-"""What is to be rendered: a rig's frames along a motion through a world."""
+"""Render jobs: the frames of a rig along a trajectory through a world."""
 
 from dataclasses import dataclass, field
 
@@ -17,42 +17,43 @@ from dronevio.sim.rendering.truth_images import TruthImage
 
 Array = npt.NDArray[np.float64]
 
-_MARGIN_AROUND_PX = 2  # for the interpolation
+_MARGIN_AROUND_PX = 2  # support of the interpolation
 
 
 @dataclass(frozen=True, eq=False)
 class RenderJob:
-    """One recording's frames, complete: the same job gives the same bytes."""
+    """Complete description of the frames of a recording: the same job gives the same bytes."""
 
     world: str
-    """A name that `dronevio.sim.world.build_world` knows."""
+    """Name of the world, a key of `dronevio.sim.world.WORLDS`."""
     seed: int
-    """Draws the world's looks and the sensors' noise."""
+    """Seed of the world and of the noise of the image sensors."""
     rig: Rig
-    """The cameras, as they really are."""
+    """The true rig with its cameras."""
     trajectory: Trajectory
-    """True motion of the IMU, over all of the frames."""
+    """True trajectory of the IMU over the time span of all frames."""
     schedule: FrameSchedule
-    """When the frames are taken."""
+    """Recorded and true times of the frames."""
     imaging: Imaging = field(default_factory=Imaging)
-    """What the sensors make of light."""
+    """Exposure control and noise of the image sensors."""
     truth_images: tuple[TruthImage, ...] = ()
-    """What is written beside the frames of the main camera."""
+    """Kinds of ground-truth images of the first camera to write."""
     T_simworld_world: Array = field(default_factory=lambda: np.eye(4))
-    """(4, 4) Where the trajectory's world lies in the simulated one."""
+    """(4, 4) Pose of the trajectory's world frame in the simulated world."""
 
     def __post_init__(self) -> None:
-        """Check that it fits together.
+        """Check that the settings are consistent.
 
         Raises:
-            ConfigError: There is nothing to see, or with nothing, or frames cannot be taken as fast as they should.
+            ConfigError: There is no camera or no frame, the trajectory has fewer than two poses, or an exposure exceeds
+                the frame interval.
         """
         if not self.rig.cameras:
-            raise ConfigError("rig without a camera; expected one at least")
+            raise ConfigError("rig without a camera; expected at least one")
         if not len(self.schedule):
-            raise ConfigError("no frame within the motion; expected one at least")
+            raise ConfigError("no frame within the motion; expected at least one")
         if len(self.trajectory) < 2:
-            raise ConfigError(f"a motion of {len(self.trajectory)} poses; expected two at least")
+            raise ConfigError(f"a motion of {len(self.trajectory)} poses; expected at least two")
         for number, camera in enumerate(self.rig.cameras):
             if self.imaging.control.longest_s > 1.0 / camera.rate_hz:
                 raise ConfigError(
@@ -61,7 +62,7 @@ class RenderJob:
                 )
 
     def poses(self, camera: int) -> Poses:
-        """Return where a camera of the rig is in the simulated world, as a function of time."""
+        """Return the poses T_simworld_cam of a camera of the rig as a function of time."""
         T_imu_cam = self.rig.cameras[camera].T_imu_cam
 
         def poses_at(t_ns: Times) -> Array:
@@ -70,7 +71,7 @@ class RenderJob:
         return poses_at
 
     def margin_px(self, camera: int) -> int:
-        """Return how far a camera's key images must reach beyond its image [px]."""
+        """Return the margin of a camera's key images around its image [px]."""
         half_ns = round(0.5e9 * (self.imaging.control.longest_s + self.rig.cameras[camera].readout_s))
         poses, model = self.poses(camera), self.rig.cameras[camera].model
         first, last = (poses(self.schedule.exposed_ns + sign * half_ns) for sign in (-1, 1))

@@ -1,7 +1,7 @@
-"""Processes that share a piece of work, each with its own OpenGL.
+"""Worker pool: processes that share the rendering, each with its own OpenGL context.
 
-These are plain processes: multiprocessing would run the caller's script again in each. A worker gets its task pickled
-on stdin, from its own parent, and writes a byte to stdout whenever a unit is done.
+The workers are plain processes, since multiprocessing would import the caller's script in each. A worker receives its
+pickled task on stdin from its parent and writes a byte to stdout after each unit of work.
 """
 
 import json
@@ -20,35 +20,35 @@ from dronevio.models.errors import DronevioError, GraphicsError
 from dronevio.models.progress import Progress, silent
 
 _WORKER = "from dronevio.sim.rendering.worker_pool import work; work()"
-_MOST_WORKERS = 4  # each holds the world's textures, some 350 MB
-_KNOWN_ERROR = 3  # exit code of a worker whose last line on stderr is meant for the user
-_SYSTEM_ERROR = 4  # exit code of one that the system refused something: errno and file name, as JSON
+_MOST_WORKERS = 4  # each holds the textures of the world, about 350 MB
+_KNOWN_ERROR = 3  # exit code of a worker whose last line on stderr is a message for the user
+_SYSTEM_ERROR = 4  # exit code of a worker with a system error: errno and file name as JSON on stderr
 
 
 class Task(Protocol):
-    """What one worker does."""
+    """Interface of the task of a worker."""
 
     def run(self) -> Iterator[None]:
-        """Do the work, and yield whenever a unit of it is done."""
+        """Run the task, and yield after each unit of work."""
 
 
 def default_workers(units: int, units_worth_a_worker: int) -> int:
-    """Return how many processes are worth starting."""
+    """Return the number of processes for some units of work."""
     cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
     return max(1, min(cores, _MOST_WORKERS, -(-units // units_worth_a_worker)))
 
 
 def run_tasks(tasks: Sequence[Task], units: int, progress: Progress = silent) -> None:
-    """Carry out tasks, each in a process of its own; whatever happens, no process is left behind.
+    """Run tasks, each in its own process; all processes have ended on return.
 
     Args:
-        tasks: The tasks, one a worker.
-        units: How many units they have together.
-        progress: Told how many are done.
+        tasks: The tasks, one per worker.
+        units: Number of units of work of all tasks.
+        progress: Callback that receives the number of completed units and their total.
 
     Raises:
-        OSError: The system refused a worker something, such as more room on the disk.
-        GraphicsError: A worker failed otherwise.
+        OSError: A system error occurred in a worker, such as a full disk.
+        GraphicsError: A worker failed for another reason.
     """
     progress(0, units)
     with _started(tasks) as processes:
@@ -57,8 +57,8 @@ def run_tasks(tasks: Sequence[Task], units: int, progress: Progress = silent) ->
 
 @contextmanager
 def _started(tasks: Sequence[Task]) -> Iterator[list["subprocess.Popen[bytes]"]]:
-    """Run a worker a task, and end them all in the end."""
-    environment = {**os.environ, "LP_NUM_THREADS": "1"}  # Mesa's renderer would start a thread a core in each
+    """Start a worker for each task, and end them all at the end of the context."""
+    environment = {**os.environ, "LP_NUM_THREADS": "1"}  # Mesa's renderer would start one thread per core in each
     processes: list[subprocess.Popen[bytes]] = []
     try:
         for task in tasks:
@@ -68,11 +68,11 @@ def _started(tasks: Sequence[Task]) -> Iterator[list["subprocess.Popen[bytes]"]]
                 stdout=subprocess.PIPE,
                 stderr=subprocess.PIPE,
                 env=environment,
-                start_new_session=True,  # Ctrl-C reaches the parent only, which ends the workers
+                start_new_session=True,  # Ctrl-C interrupts the parent only, which ends the workers
             )
             processes.append(process)
             assert process.stdin is not None
-            with suppress(BrokenPipeError):  # it died before it listened: `_check` says of what
+            with suppress(BrokenPipeError):  # the worker ended early: `_check` reports the reason
                 pickle.dump(task, process.stdin)
                 process.stdin.close()
         yield processes
@@ -87,7 +87,7 @@ def _started(tasks: Sequence[Task]) -> Iterator[list["subprocess.Popen[bytes]"]]
 
 
 def _follow(processes: Sequence["subprocess.Popen[bytes]"], units: int, progress: Progress) -> None:
-    """Report the workers' progress, a byte on stdout a unit, until all are done."""
+    """Report the progress of the workers, one byte on stdout per unit, until all have ended."""
     done = 0
     with selectors.DefaultSelector() as selector:
         for process in processes:
@@ -105,23 +105,23 @@ def _follow(processes: Sequence["subprocess.Popen[bytes]"], units: int, progress
 
 
 def _check(process: "subprocess.Popen[bytes]") -> None:
-    """Raise a worker's error as our own."""
+    """Raise the error of a worker in this process."""
     assert process.stderr is not None
-    said = process.stderr.read().decode(errors="replace").strip().splitlines() or ["it said nothing"]
+    lines = process.stderr.read().decode(errors="replace").strip().splitlines() or ["no error message"]
     code = process.wait()
     if code == _SYSTEM_ERROR:
-        number, name = json.loads(said[-1])
+        number, name = json.loads(lines[-1])
         raise OSError(number, os.strerror(number), name or None)
     if code == _KNOWN_ERROR:
-        raise GraphicsError(said[-1])
+        raise GraphicsError(lines[-1])
     if code < 0:
         raise GraphicsError(f"a rendering process was killed by {signal.Signals(-code).name}")
     if code:
-        raise GraphicsError(f"a rendering process failed: {said[-1]}")
+        raise GraphicsError(f"a rendering process failed: {lines[-1]}")
 
 
 def work() -> None:
-    """Carry out the task on stdin: what a worker's process does."""
+    """Run the task on stdin: the main function of a worker process."""
     import cv2
 
     cv2.setNumThreads(1)
