@@ -23,6 +23,7 @@ CLEAN: tuple[str, ...] = (
     "estimator/frontend/tracker.py",
     "estimator/imu",
     "models",
+    "sim",
 )
 """Folders and files, relative to the checkout, whose names and docstrings keep the conventions. A folder is added once
 ``scripts/conventions.py FOLDER`` reports no violation in it."""

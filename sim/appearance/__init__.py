@@ -1,3 +1,3 @@
-"""What surfaces look like: geometry, paint and light, laid out on textures."""
+"""Appearance of worlds: surfaces, textures and light maps, and their conversion to MuJoCo meshes."""
 
 __all__: list[str] = []

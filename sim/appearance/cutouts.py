@@ -1,7 +1,7 @@
-"""Many things that wear the same few images: trunks, twigs, rocks. A forest has thousands, and memory for few.
+"""Cutouts: many objects that share a few textures, such as trunks, twigs and rocks, to save memory.
 
-Each is made of quadrangles, and each shows a part of an image that all share. Leaves are cut out of theirs by
-their outline, not by transparency: what is drawn is what is there, in the depth image too.
+Each object consists of quadrangles that show parts of a shared texture. Leaves are cut out by their outline instead of
+transparency, so that they appear in depth images, too.
 """
 
 from collections.abc import Sequence
@@ -21,49 +21,49 @@ Indices = npt.NDArray[np.intp]
 
 @dataclass(frozen=True, eq=False)
 class Cutouts:
-    """Quadrangles cut out of an image."""
+    """Quadrangles that show parts of a texture."""
 
     corners: Array
-    """(F, 4, 3) Corners [m]: clockwise as one looks at each."""
+    """(F, 4, 3) Corners [m], clockwise as seen from the visible side."""
     on_image: Array
-    """(F, 4, 2) Where they lie on the image, as fractions of its width and height from its top left corner."""
+    """(F, 4, 2) Texture coordinates as fractions of width and height from the top left corner."""
     instance: Instance = UNNAMED
-    """What they belong to."""
+    """Object instance of the quadrangles."""
 
     @classmethod
     def of_grid(
         cls, grid: Array, left: float = 0.0, right: float = 1.0, top: float = 0.0, bottom: float = 1.0
     ) -> "Cutouts":
-        """Return the cells of a grid of points (R + 1, C + 1, 3), under a part of an image spread evenly over it."""
+        """Return the cells of a grid of points (R + 1, C + 1, 3) with a part of the texture spread evenly over them."""
         u, v = np.meshgrid(np.linspace(left, right, grid.shape[1]), np.linspace(top, bottom, grid.shape[0]))
         points = np.concatenate([grid, u[..., None], v[..., None]], axis=2)
         cells = np.stack([points[:-1, :-1], points[:-1, 1:], points[1:, 1:], points[1:, :-1]], axis=2).reshape(-1, 4, 5)
         return cls(cells[..., :3], cells[..., 3:])
 
     def moved(self, R: Array, position: Array) -> "Cutouts":
-        """Return them turned by R (3, 3) about the origin, then shifted by ``position`` (3,)."""
+        """Return the quadrangles rotated by R (3, 3) about the origin, then translated by ``position`` (3,)."""
         return replace(self, corners=self.corners @ R.T + position)
 
     def turned_over(self) -> "Cutouts":
-        """Return their backs."""
+        """Return the quadrangles seen from behind."""
         return replace(self, corners=self.corners[:, ::-1], on_image=self.on_image[:, ::-1])
 
 
 def joined(parts: Sequence[Cutouts]) -> Cutouts:
-    """Return several as one; what they belonged to is forgotten."""
+    """Return several cutouts as one, without their instances."""
     return Cutouts(np.concatenate([part.corners for part in parts]), np.concatenate([part.on_image for part in parts]))
 
 
 def spray(rng: Random, centres: Array, outward: Array, length_m: float, cells: Indices, of: int) -> Cutouts:
-    """Return a leafy twig at each centre: a kite that hangs outward, seen from below.
+    """Return a twig with leaves at each centre: a kite that hangs outward, seen from below.
 
     Args:
-        rng: Turns and sizes them.
-        centres: (N, 3) Where they are [m].
+        rng: Generator of orientations and sizes.
+        centres: (N, 3) Positions of the twigs [m].
         outward: (N, 3) Unit vectors out of the crown.
-        length_m: Of a twig [m].
-        cells: (N,) Which of the image's ``of`` columns each shows.
-        of: How many columns the image has.
+        length_m: Length of a twig [m].
+        cells: (N,) Index of the texture column of each twig.
+        of: Number of texture columns.
     """
     count = len(centres)
     axis = outward * 0.5 + rng.standard_normal((count, 3)) * 0.6 + [0.0, 0.0, -0.35]
@@ -84,19 +84,19 @@ def spray(rng: Random, centres: Array, outward: Array, length_m: float, cells: I
 
 @dataclass(frozen=True, eq=False)
 class Print:
-    """An image that many things share, and the things."""
+    """A texture with the cutouts that share it."""
 
     paint: Paint
-    """Draws the image, its light included."""
+    """Function that draws the texture, including its lighting."""
     height: int
-    """Rows of the image [px]."""
+    """Height of the texture [px]."""
     width: int
-    """Columns [px]."""
+    """Width of the texture [px]."""
     cutouts: tuple[Cutouts, ...]
-    """What shows it."""
+    """Cutouts that show the texture."""
 
     def page(self, rng: Random) -> Page:
-        """Return the page, painted."""
+        """Return the painted page."""
         whole = joined(self.cutouts)
         normals = np.repeat(facing(whole.corners), 4, axis=0)
         corners, on_image = whole.corners.reshape(-1, 3), whole.on_image.reshape(-1, 2)

@@ -1,4 +1,4 @@
-"""Things: what surfaces belong to, so that an image can say which thing each pixel shows."""
+"""Object instances: the objects to which surfaces belong, for instance segmentation."""
 
 from collections import Counter
 from collections.abc import Callable, Iterable
@@ -9,21 +9,21 @@ from typing import ParamSpec, Protocol, Self, TypeVar
 
 @dataclass(frozen=True, eq=False)
 class Instance:
-    """One sofa, one tree, one wall: two of a kind are two things."""
+    """One object, such as a sofa, a tree or a wall; two objects of one kind are two instances."""
 
     kind: str
-    """What it is, such as ``sofa``."""
+    """Kind of the object, such as ``sofa``."""
 
 
 UNNAMED = Instance("something")
-"""What surfaces belong to that nobody has named."""
+"""Instance of all surfaces without a name."""
 
 
 class _Made(Protocol):
-    """What is made of surfaces."""
+    """Interface of objects that consist of surfaces."""
 
     def as_instance(self, kind: str) -> Self:
-        """Return it as one thing of a kind, whatever its parts belonged to."""
+        """Return the object with all its surfaces as one instance of a kind."""
 
 
 _Arguments = ParamSpec("_Arguments")
@@ -31,7 +31,7 @@ _Piece = TypeVar("_Piece", bound=_Made)
 
 
 def single_instance(make: Callable[_Arguments, _Piece]) -> Callable[_Arguments, _Piece]:
-    """Let each piece that a function makes be one thing, whose kind is the function's name."""
+    """Decorate a function so that each object it returns is one instance, whose kind is the name of the function."""
 
     @wraps(make)
     def named(*args: _Arguments.args, **kwargs: _Arguments.kwargs) -> _Piece:
@@ -40,12 +40,13 @@ def single_instance(make: Callable[_Arguments, _Piece]) -> Callable[_Arguments, 
     return named
 
 
-def unique_names(things: Iterable[Instance]) -> list[str]:
-    """Return names in the same order, no two alike: the kind if there is one of it, else ``tree_1``, ``tree_2``."""
-    listed = list(things)
-    total, seen = Counter(thing.kind for thing in listed), Counter[str]()
+def unique_names(instances: Iterable[Instance]) -> list[str]:
+    """Return unique names in the same order: the kind if there is one of it, otherwise ``tree_1``, ``tree_2``."""
+    listed = list(instances)
+    total, seen = Counter(instance.kind for instance in listed), Counter[str]()
     names = []
-    for thing in listed:
-        seen[thing.kind] += 1
-        names.append(thing.kind if total[thing.kind] == 1 else f"{thing.kind}_{seen[thing.kind]}")
+    for instance in listed:
+        kind = instance.kind
+        seen[kind] += 1
+        names.append(kind if total[kind] == 1 else f"{kind}_{seen[kind]}")
     return names

@@ -1,7 +1,7 @@
-"""Baked light: how bright each patch of a room is under its lamps and windows, with soft shadows.
+"""Light maps: the brightness of each surface patch under lamps and windows, with soft shadows.
 
-MuJoCo's renderer lights the corners of a face only, and its shadows cost more than all the rest of a frame. The rooms
-never change, so their light is computed once and painted into the textures: it costs nothing when a frame is drawn.
+MuJoCo's renderer computes light at the corners of faces only, and its shadows dominate the cost of a frame. Since the
+lighting is static, it is computed once and multiplied into the textures, at no cost per frame.
 """
 
 from collections.abc import Sequence
@@ -17,44 +17,44 @@ from dronevio.sim.appearance.textures import PIXELS_PER_M
 Array = npt.NDArray[np.float64]
 Field = npt.NDArray[np.float32]
 
-_PATCHES_PER_M = 7.0  # at the full resolution of a pattern
+_PATCHES_PER_M = 7.0  # at the full resolution of a texture
 _SKY_DIRECTIONS = 20
-_SKY_REACH_M = 0.9  # further away, what stands in the way hardly darkens a lit room
-_OFFSET_M = 0.004  # rays start this far off their face, so as not to hit it
-_SMALLEST_SHADOW_M = 0.16  # half a diagonal: cups and books cast no shadow of their own
-_LAMP_SIZE_M2 = 0.3  # a lamp is no point: this keeps a surface close to it from burning out
-_AMBIENT, _DIRECT = 0.50, 0.55  # the shares of scattered light and of the lamps where the room is well lit
+_SKY_REACH_M = 0.9  # more distant occluders have little influence in a lit room
+_OFFSET_M = 0.004  # distance of the origins of rays from their face
+_SMALLEST_SHADOW_M = 0.16  # half diagonal; smaller boxes cast no shadows
+_LAMP_SIZE_M2 = 0.3  # size of a lamp, which bounds the irradiance close to it
+_AMBIENT, _DIRECT = 0.50, 0.55  # fractions of scattered and direct light in a well-lit place
 _BRIGHTEST = 1.15
-_SIDE, _FROM_ABOVE = 0.82, 0.2  # of things that move: brightness of their sides, and what their tops have more
+_SIDE, _FROM_ABOVE = 0.82, 0.2  # moving objects: brightness of sides, and addition of tops
 
 
 @dataclass(frozen=True, eq=False)
 class AreaLight:
-    """A glowing rectangle, sampled at a few points."""
+    """An area light, sampled at a few points."""
 
     points: Array
-    """(S, 3) Where it is sampled [m]."""
+    """(S, 3) Sample points of the light [m]."""
     power: float
-    """Its strength: the irradiance one metre in front, relative to the other lights."""
+    """Irradiance at a distance of one metre in front, relative to the other lights."""
     normal: Array | None = None
-    """(3,) Where it faces; None shines all around."""
+    """(3,) Normal of the emitting side; None emits in all directions."""
 
     def moved(self, R: Array, position: Array) -> "AreaLight":
-        """Return the light turned by R (3, 3) about the origin, then shifted by ``position`` (3,)."""
+        """Return the light rotated by R (3, 3) about the origin, then translated by ``position`` (3,)."""
         normal = None if self.normal is None else R @ self.normal
         return AreaLight(self.points @ R.T + position, self.power, normal)
 
 
 def bake(faces: Sequence[Surface], blockers: Sequence[Box], lights: Sequence[AreaLight]) -> list[Field]:
-    """Return each face's brightness as a small image (rows, columns), 1 where the room is well lit.
+    """Return the light map (rows, columns) of each face, 1 in a well-lit place.
 
-    Direct light is cast from every light's samples with shadow rays against the boxes; scattered light is dimmed by
-    what is near (ambient occlusion, Zhukov, Iones, Kronin, "An ambient light illumination model", 1998).
+    Direct light is computed from the samples of every light with shadow rays against the boxes; scattered light is
+    reduced by ambient occlusion (Zhukov, Iones, Kronin, "An ambient light illumination model", 1998).
 
     Args:
-        faces: What is lit.
-        blockers: The boxes that cast shadows.
-        lights: The lights.
+        faces: The surfaces to light.
+        blockers: Boxes that cast shadows.
+        lights: The area lights.
     """
     shapes, points, normals = [], [], []
     for face in faces:
@@ -67,7 +67,7 @@ def bake(faces: Sequence[Surface], blockers: Sequence[Box], lights: Sequence[Are
     p, n = (np.concatenate(parts).T.astype(np.float32, order="C") for parts in (points, normals))
     direct = _direct_light(p, n, blockers, lights)
     direct *= _DIRECT / max(float(np.percentile(direct, 80)), 1e-6)
-    light = (_AMBIENT * _openness(p, n, blockers) + direct) ** 0.75  # towards how a display, or a camera, shows it
+    light = (_AMBIENT * _openness(p, n, blockers) + direct) ** 0.75  # tone curve
     light = np.minimum(light, _BRIGHTEST)
     cuts = np.cumsum([rows * columns for rows, columns in shapes])[:-1]
     return [
@@ -77,9 +77,9 @@ def bake(faces: Sequence[Surface], blockers: Sequence[Box], lights: Sequence[Are
 
 
 def daylight(faces: Sequence[Surface]) -> list[Field]:
-    """Return the brightness (2, 2) of faces under even light from above: for what moves, and meets all kinds of light.
+    """Return the light maps (2, 2) of faces of moving objects, under uniform light from above.
 
-    Tops are brightest; sides grow darker towards their lower edge.
+    Tops are brightest; sides become darker towards their lower edge.
     """
     maps = []
     for face in faces:
@@ -107,7 +107,7 @@ def _spread_over(grid: Array, rows: int, columns: int) -> tuple[Array, Array]:
 
 
 def apply_light(image: npt.NDArray[np.uint8], light: Field) -> npt.NDArray[np.uint8]:
-    """Return an image (H, W, 3) lit by a small brightness map."""
+    """Return an image (H, W, 3) multiplied by a light map."""
     height, width = image.shape[:2]
     smooth = cv2.resize(light, (width, height), interpolation=cv2.INTER_LINEAR)
     return np.asarray(cv2.multiply(image, cv2.merge([smooth] * 3), dtype=cv2.CV_8U), dtype=np.uint8)
@@ -135,7 +135,7 @@ def _direct_light(p: Field, n: Field, blockers: Sequence[Box], lights: Sequence[
 
 
 def _entry(origin: Field, ray: Field, box: Box) -> Field:
-    """Return where rays (3, N) enter a box, as a fraction of their length (N,); inf for a miss.
+    """Return the fractions (N,) of their length at which rays (3, N) enter a box; inf without an intersection.
 
     Source: Kay, Kajiya, "Ray tracing complex scenes", 1986 (slabs).
     """
@@ -152,7 +152,7 @@ def _entry(origin: Field, ray: Field, box: Box) -> Field:
 
 
 def _openness(p: Field, n: Field, blockers: Sequence[Box]) -> Field:
-    """Return the share (N,) of the cosine-weighted hemisphere over each point (3, N) that nothing near covers."""
+    """Return the unoccluded fraction (N,) of the cosine-weighted hemisphere over each point (3, N)."""
     sky = _sphere(_SKY_DIRECTIONS)
     covered = np.zeros((p.shape[1], len(sky)), np.float32)
     for box in blockers:
@@ -169,7 +169,7 @@ def _openness(p: Field, n: Field, blockers: Sequence[Box]) -> Field:
 
 
 def _sphere(count: int) -> Field:
-    """Return ``count`` directions (count, 3) spread evenly (Fibonacci's lattice)."""
+    """Return directions (count, 3) evenly distributed over the sphere (Fibonacci lattice)."""
     k = np.arange(count) + 0.5
     z, angle = 1.0 - 2.0 * k / count, np.pi * (1.0 + 5.0**0.5) * k
     r = np.sqrt(1.0 - z**2)

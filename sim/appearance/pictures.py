@@ -1,6 +1,6 @@
-"""Pictures: what hangs on the walls of a room, what is seen through its windows, the pad that a drone starts from.
+"""Pictures: textures of wall pictures, window views and the landing pad.
 
-Like `dronevio.sim.appearance.textures`: (H, W, 3) uint8 RGB images drawn from a seed, row 0 at the top.
+As in `dronevio.sim.appearance.textures`, they are (H, W, 3) uint8 RGB images drawn from a seed, with row 0 at the top.
 """
 
 from collections.abc import Callable
@@ -80,11 +80,11 @@ def chart(rng: np.random.Generator, height: int, width: int) -> Image:
 
 
 PICTURES: tuple[Picture, ...] = (landscape, composition, circles, chart)
-"""What hangs on walls."""
+"""Pictures on walls."""
 
 
 def window_view(rng: np.random.Generator, height: int, width: int) -> Image:
-    """Return what is seen through a window: sky, hills, and the bars of the frame."""
+    """Return the view through a window: sky, hills, and the bars of the frame."""
     image = to_image(landscape(rng, height, width).astype(np.float32) * 0.8 + 75.0)
     for x in (0.0, 1.0 / 3.0, 2.0 / 3.0, 1.0):
         cv2.line(image, (int(x * width), 0), (int(x * width), height), (240, 238, 232), 14)
@@ -96,7 +96,7 @@ def window_view(rng: np.random.Generator, height: int, width: int) -> Image:
 
 
 def landing_pad(size: int) -> Image:
-    """Return the square pad that a drone starts from: a ring and an H."""
+    """Return the texture of the square landing pad: a ring and an H."""
     image = np.empty((size, size, 3), np.uint8)
     image[:] = (58, 62, 68)
     centre, stroke = (size // 2, size // 2), size // 16

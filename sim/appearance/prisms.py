@@ -1,6 +1,6 @@
-"""Round things, of flat sides: their surfaces, and the boxes that fill them.
+"""Prisms that approximate round objects: their lateral surfaces, and the boxes that fill them.
 
-A prism over a regular polygon of an even number of sides is exactly the union of the boxes over its opposite sides.
+A prism over a regular polygon with an even number of sides is exactly the union of the boxes over its opposite sides.
 """
 
 from functools import partial
@@ -15,17 +15,17 @@ from dronevio.sim.appearance.solids import Box
 Array = npt.NDArray[np.float64]
 
 UNPAINTED = partial(textures.plain, colour=(0.0, 0.0, 0.0))
-"""The paint of boxes that are obstacles only."""
+"""Paint of boxes that are obstacles only and are never visible."""
 
 
 def lateral_surface(heights: Array, radii: Array, sides: int, axis_offset: Array | None = None) -> Array:
-    """Return the mantle of an upright round thing, a grid (S, sides + 1, 3) [m], seen from outside.
+    """Return the lateral surface of an upright round object, a grid (S, sides + 1, 3) [m], seen from outside.
 
     Args:
-        heights: (S,) Of its rings, from the top to the bottom [m].
-        radii: (S,) Of its rings, from the axis to the corners [m].
-        sides: How many it has; the first corner is on the x axis.
-        axis_offset: (S, 2) How far each ring lies off the axis [m]; none by default.
+        heights: (S,) Heights of its rings, from top to bottom [m].
+        radii: (S,) Radii of its rings, from the axis to the corners [m].
+        sides: Number of sides; the first corner is on the x axis.
+        axis_offset: (S, 2) Offset of each ring from the axis [m]; none by default.
     """
     angle = np.linspace(0.0, 2.0 * np.pi, sides + 1)
     ring = np.stack([np.cos(angle), np.sin(angle)], axis=1)
@@ -36,13 +36,13 @@ def lateral_surface(heights: Array, radii: Array, sides: int, axis_offset: Array
 
 
 def prism_boxes(radius_m: float, low_m: float, high_m: float, sides: int) -> list[Box]:
-    """Return the boxes whose union is the upright prism around the z axis with a corner on the x axis.
+    """Return boxes whose union is the upright prism around the z axis with a corner on the x axis.
 
     Args:
-        radius_m: From its axis to its corners [m].
-        low_m: Its lower end [m].
-        high_m: Its upper end [m].
-        sides: How many it has, an even number.
+        radius_m: Distance from the axis to the corners [m].
+        low_m: Height of the lower end [m].
+        high_m: Height of the upper end [m].
+        sides: Number of sides, which is even.
     """
     across, along = radius_m * np.sin(np.pi / sides), radius_m * np.cos(np.pi / sides)
     half = np.array([along, across, 0.5 * (high_m - low_m)])

@@ -1,7 +1,7 @@
-"""From painted faces to what MuJoCo draws: one mesh a page, each face on its own part of the page's texture.
+"""Scenery: painted surfaces as meshes with texture atlases (pages) in MuJoCo.
 
-``type="2d"`` textures smear over the sides of MuJoCo's boxes, and its lights know no soft shadow. A mesh with texture
-coordinates shows exactly what was painted, and few meshes are drawn faster than many boxes.
+MuJoCo stretches ``type="2d"`` textures over the sides of boxes and has no soft shadows. A mesh with texture coordinates
+shows a texture exactly, and a few meshes are faster to render than many boxes.
 """
 
 from collections.abc import Sequence
@@ -20,44 +20,45 @@ Array = npt.NDArray[np.float64]
 Triangles = npt.NDArray[np.int32]
 
 PAGE_WIDTH_PX = 4160
-"""Columns of a page [px]: what holds a wall of 16 m at full resolution, gutter included."""
-_PAGE_HEIGHT_PX = 4096  # every OpenGL since 2010 takes 8192
-_GUTTER_PX = 8  # repeats each face's border, so that coarse mipmap levels do not mix neighbours
+"""Width of a page [px]: a wall of 16 m at full resolution, including gutters."""
+_PAGE_HEIGHT_PX = 4096  # all OpenGL implementations since 2010 support 8192
+_GUTTER_PX = 8  # repeated border of each face, so that coarse mipmap levels do not blend neighbours
 _SMALLEST_PX = 6
 
 
 @dataclass(frozen=True, eq=False)
 class Page:
-    """A texture and the mesh that wears it."""
+    """A texture atlas and its mesh."""
 
     texture: Image
-    """(H, W, 3) RGB."""
+    """(H, W, 3) Texture, an RGB image."""
     vertices: Array
-    """(4 F, 3) Corners of the quadrangles [m]: top left and right, bottom right and left, as one looks at each."""
+    """(4 F, 3) Corners of the quadrangles [m]: top left and right, bottom right and left, as seen from the visible
+    side."""
     texture_coordinates: Array
-    """(4 F, 2) Where the corners lie on the texture, (0, 0) at its first row and column."""
+    """(4 F, 2) Texture coordinates of the corners, (0, 0) at the first row and column."""
     normals: Array
-    """(4 F, 3) Unit normals."""
+    """(4 F, 3) Unit normals at the corners."""
 
     @property
     def triangles(self) -> Triangles:
-        """(2 F, 3) Corners of the triangles, anticlockwise as one looks at them."""
+        """(2 F, 3) Corners of the triangles, anticlockwise as seen from the visible side."""
         return _triangles(len(self.vertices) // 4)
 
 
 def paint_pages(
     faces: Sequence[Surface], light: Sequence[Field], rng: np.random.Generator, width_px: int = PAGE_WIDTH_PX
 ) -> list[Page]:
-    """Paint the faces, light them, and lay them out on pages.
+    """Paint faces, apply their light maps, and arrange them on pages.
 
     Args:
-        faces: What is seen.
-        light: Each face's brightness map.
-        rng: Draws the patterns.
-        width_px: Columns of a page; no face may be wider and higher than that.
+        faces: The visible surfaces.
+        light: Light map of each face.
+        rng: Generator of the textures.
+        width_px: Width of a page [px]; the shorter side of each face must fit.
     """
     images = [painted(face, brightness, rng) for face, brightness in zip(faces, light, strict=True)]
-    lying = [image.shape[0] > image.shape[1] for image in images]  # tall ones are laid on their side to save space
+    lying = [image.shape[0] > image.shape[1] for image in images]  # tall images are rotated to save space
     images = [image.transpose(1, 0, 2) if lies else image for image, lies in zip(images, lying, strict=True)]
     pages = []
     for slots, height in _shelves([(image.shape[0], image.shape[1]) for image in images], width_px):
@@ -79,20 +80,20 @@ def paint_pages(
 
 
 def facing(quads: Array) -> Array:
-    """Return the unit normals (F, 3) of quadrangles (F, 4, 3), clockwise as one sees them; a side may be a point."""
+    """Return the unit normals (F, 3) of quadrangles (F, 4, 3), clockwise as seen; a side may have length 0."""
     a, b, c, d = np.moveaxis(quads, 1, 0)
     normal = np.cross(c - a, b - d)
     return np.asarray(normal / np.maximum(np.linalg.norm(normal, axis=1, keepdims=True), 1e-12))
 
 
 def _triangles(count: int) -> Triangles:
-    """Return the triangles (2 F, 3) that quadrangles are made of, their corners being numbered one after the other."""
+    """Return the triangles (2 F, 3) of quadrangles whose corners are numbered consecutively."""
     quads = np.arange(4 * count, dtype=np.int32).reshape(-1, 4)
     return np.concatenate([quads[:, [0, 2, 1]], quads[:, [0, 3, 2]]])
 
 
 def painted(face: Surface, brightness: Field, rng: np.random.Generator) -> Image:
-    """Return the image (H, W, 3) of a surface under its light."""
+    """Return the texture (H, W, 3) of a surface with its light map applied."""
     height, width = (max(round(v * face.pixels_per_m), _SMALLEST_PX) for v in size_m(face))
     return apply_light(face.paint(rng, height, width), brightness)
 
@@ -104,16 +105,16 @@ def quads_of(grid: Array) -> Array:
 
 
 def _even_grid(rows: int, columns: int) -> Array:
-    """Return (rows, columns, 2): how far right and down each point of a grid lies on its image, from 0 to 1."""
+    """Return the texture coordinates (rows, columns, 2) of a grid, x and y from 0 to 1."""
     right, down = np.meshgrid(np.linspace(0.0, 1.0, columns), np.linspace(0.0, 1.0, rows))
     return np.stack([right, down], axis=-1)
 
 
 def _shelves(sizes: Sequence[tuple[int, int]], width_px: int) -> list[tuple[list[tuple[int, int, int]], int]]:
-    """Pack images of (height, width) in rows, tallest first.
+    """Pack images of (height, width) into shelves, tallest first.
 
     Returns:
-        For each page its slots (index, row, column), gutter included, and its height.
+        For each page its slots (index, row, column), including gutters, and its height.
     """
     pages: list[tuple[list[tuple[int, int, int]], int]] = []
     slots: list[tuple[int, int, int]] = []
@@ -131,7 +132,7 @@ def _shelves(sizes: Sequence[tuple[int, int]], width_px: int) -> list[tuple[list
 
 
 def add_pages(spec: mujoco.MjSpec, body: mujoco.MjsBody, name: str, pages: Sequence[Page]) -> None:
-    """Add pages to a body of a model as geoms that are seen but not touched, named ``name_0``, ``name_1``, …."""
+    """Add pages to a body of a model as visible geoms without collision, named ``name_0``, ``name_1`` and so on."""
     for number, page in enumerate(pages):
         _add_page(spec, body, f"{name}_{number}", page)
 
@@ -147,14 +148,14 @@ def _add_page(spec: mujoco.MjSpec, body: mujoco.MjsBody, name: str, page: Page) 
 
 
 def add_instance(spec: mujoco.MjSpec, body: mujoco.MjsBody, name: str, quads: Array) -> None:
-    """Add quadrangles (F, 4, 3) to a body of a model as one geom without paint, to tell what an image shows."""
+    """Add quadrangles (F, 4, 3) to a body of a model as one geom without texture, for segmentation."""
     _add_seen_mesh(spec, body, name, quads.reshape(-1, 3), _triangles(len(quads)))
 
 
 def _add_seen_mesh(
     spec: mujoco.MjSpec, body: mujoco.MjsBody, name: str, vertices: Array, triangles: Triangles
 ) -> mujoco.MjsMesh:
-    """Add a mesh of vertices (V, 3) and triangles (T, 3) to a body as a geom that is seen but not touched."""
+    """Add a mesh of vertices (V, 3) and triangles (T, 3) to a body as a visible geom without collision."""
     mesh = spec.add_mesh(name=name, inertia=mujoco.mjtMeshInertia.mjMESH_INERTIA_SHELL)
     mesh.uservert, mesh.userface = vertices.ravel(), triangles.ravel()
     body.add_geom(name=name, type=mujoco.mjtGeom.mjGEOM_MESH, meshname=name, contype=0, conaffinity=0)
@@ -162,16 +163,16 @@ def _add_seen_mesh(
 
 
 def add_mirror(spec: mujoco.MjSpec, face: Face, image: Image, reflectance: float) -> None:
-    """Add a polished floor to a model: it is seen, with what it reflects, but not touched.
+    """Add a reflecting floor to a model as a visible geom without collision.
 
-    MuJoCo reflects in planes alone, and only where the renderer is told to. It spreads an image over a plane with its
-    first row at the greatest y and its first column at the least x: as one sees it.
+    MuJoCo supports reflections in planes only, if the renderer enables them. It spreads an image over a plane with the
+    first row at the largest y and the first column at the smallest x, as seen from above.
 
     Args:
-        spec: The model.
-        face: Where the floor is; its right edge is along x.
-        image: (H, W, 3) Its pattern, lit.
-        reflectance: Share of the light that it reflects.
+        spec: Specification of the model.
+        face: Rectangle of the floor, whose right edge is along x.
+        image: (H, W, 3) Texture of the floor with its light map applied.
+        reflectance: Fraction of the light that it reflects.
     """
     _add_painted_material(spec, "mirror", image).reflectance = reflectance
     height, width = size_m(face)
@@ -187,9 +188,10 @@ def add_mirror(spec: mujoco.MjSpec, face: Face, image: Image, reflectance: float
 
 
 def _add_painted_material(spec: mujoco.MjSpec, name: str, image: Image) -> mujoco.MjsMaterial:
-    """Add a material that shows an image (H, W, 3) as it is painted.
+    """Add a material that shows an image (H, W, 3) unchanged.
 
-    The light is in the image: it glows at exactly its own brightness, and the lamps that light a drone add nothing.
+    The image includes the lighting: the material emits it at its own brightness, and the lights of the scene contribute
+    nothing.
     """
     texture = spec.add_texture(name=name, type=mujoco.mjtTexture.mjTEXTURE_2D)
     texture.height, texture.width, texture.nchannel = image.shape
@@ -199,4 +201,4 @@ def _add_painted_material(spec: mujoco.MjSpec, name: str, image: Image) -> mujoc
     return material
 
 
-_DARK = 1.0 / 256.0  # how much of the lamps' light the scenery reflects
+_DARK = 1.0 / 256.0  # reflectance of the scenery for the lights of the scene

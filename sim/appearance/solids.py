@@ -1,4 +1,4 @@
-"""Boxes and the faces they show: the geometry that a room and its furniture are built from."""
+"""Boxes, faces and curved sheets: the geometry of rooms and furniture."""
 
 import itertools
 from collections.abc import Callable, Iterable
@@ -13,37 +13,37 @@ from dronevio.sim.appearance.textures import PIXELS_PER_M, Image
 
 Array = npt.NDArray[np.float64]
 Paint = Callable[[np.random.Generator, int, int], Image]
-"""Draws an image of the given height and width [px]."""
+"""Function that draws an image of the given height and width [px]."""
 
-_HIDDEN_BELOW_M = 0.03  # a face this close to what it faces is never seen
+_HIDDEN_BELOW_M = 0.03  # a face this close to a wall is never visible
 
 
 class Surface(Protocol):
-    """Something flat or curved that is painted, lit and drawn: a grid of points under an image."""
+    """Interface of painted surfaces, flat or curved: a grid of points with a texture."""
 
     @property
     def grid(self) -> Array:
-        """(R + 1, C + 1, 3) Points on it [m]: the first row is its top, the first column its left, as one sees it."""
+        """(R + 1, C + 1, 3) Points of the surface [m]: the first row is the top, the first column the left, as seen."""
 
     @property
     def paint(self) -> Paint:
-        """What it shows."""
+        """Paint of the surface."""
 
     @property
     def glow(self) -> float:
-        """Light of its own, relative to a well lit surface."""
+        """Emission relative to a well-lit surface."""
 
     @property
     def pixels_per_m(self) -> float:
-        """Resolution of its image [px/m]."""
+        """Resolution of the texture [px/m]."""
 
     @property
     def instance(self) -> Instance:
-        """What it belongs to."""
+        """Object instance of the surface."""
 
 
 def size_m(surface: Surface) -> tuple[float, float]:
-    """Return the height and the width of a surface [m]: the mean lengths of its columns and rows, rolled out flat."""
+    """Return height and width of a surface [m]: the mean lengths of its columns and rows."""
     grid = surface.grid
     down, along = (np.linalg.norm(np.diff(grid, axis=axis), axis=2).sum(axis=axis).mean() for axis in (0, 1))
     return float(down), float(along)
@@ -51,19 +51,19 @@ def size_m(surface: Surface) -> tuple[float, float]:
 
 @dataclass(frozen=True, eq=False)
 class Sheet:
-    """A painted curved surface: the mantle of a tank, a hill, the sky."""
+    """A painted curved surface, such as the wall of a tank, a hill or the sky."""
 
     grid: Array
-    """(R + 1, C + 1, 3) Points on it [m]: the first row is its top and the first column its left, as one looks at it.
-    The image is spread evenly over the cells between them."""
+    """(R + 1, C + 1, 3) Points of the surface [m]: the first row is the top and the first column the left, as seen. The
+    texture is spread evenly over the cells between them."""
     paint: Paint
-    """What it shows."""
+    """Paint of the surface."""
     glow: float = 0.0
-    """Light of its own, relative to a well lit surface."""
+    """Emission relative to a well-lit surface."""
     pixels_per_m: float = PIXELS_PER_M
-    """Resolution of its image [px/m]."""
+    """Resolution of the texture [px/m]."""
     instance: Instance = UNNAMED
-    """What it belongs to."""
+    """Object instance of the surface."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -71,29 +71,29 @@ class Face:
     """A painted rectangle in space."""
 
     corner: Array
-    """(3,) Top left corner as one looks at it [m]."""
+    """(3,) Top left corner as seen from the visible side [m]."""
     right: Array
     """(3,) Edge from the left to the right [m]."""
     down: Array
     """(3,) Edge from the top to the bottom [m]."""
     paint: Paint
-    """What it shows."""
+    """Paint of the face."""
     glow: float = 0.0
-    """Light of its own, relative to a well lit surface."""
+    """Emission relative to a well-lit surface."""
     pixels_per_m: float = PIXELS_PER_M
-    """Resolution of its image [px/m]."""
+    """Resolution of the texture [px/m]."""
     instance: Instance = UNNAMED
-    """What it belongs to."""
+    """Object instance of the face."""
 
     @property
     def grid(self) -> Array:
-        """(2, 2, 3) Its corners [m]: top left and right, bottom left and right."""
+        """(2, 2, 3) Corners of the face [m]: top left and right, bottom left and right."""
         top = np.stack([self.corner, self.corner + self.right])
         return np.stack([top, top + self.down])
 
     @property
     def normal(self) -> Array:
-        """(3,) Unit vector toward the one who looks at it."""
+        """(3,) Unit normal of the visible side."""
         normal = np.cross(self.down, self.right)
         return np.asarray(normal / np.linalg.norm(normal))
 
@@ -108,24 +108,24 @@ class Box:
     """A painted box; its local y axis points to the front."""
 
     centre: Array
-    """(3,) Centre [m]."""
+    """(3,) Centre of the box [m]."""
     half: Array
-    """(3,) Half of its width (x), depth (y) and height (z) [m]."""
+    """(3,) Half extents: width (x), depth (y) and height (z) [m]."""
     paint: Paint
-    """What covers it."""
+    """Paint of all sides."""
     front: Paint | None = None
-    """What covers its front (+y) instead."""
+    """Paint of the front (+y) instead, if there is one."""
     R: Array = field(default_factory=lambda: np.eye(3))
-    """(3, 3) Orientation."""
+    """(3, 3) Orientation of the box."""
     glow: float = 0.0
-    """Light of its own, relative to a well lit surface."""
+    """Emission relative to a well-lit surface."""
     pixels_per_m: float = PIXELS_PER_M
-    """Resolution of its images [px/m]."""
+    """Resolution of the textures [px/m]."""
     instance: Instance = UNNAMED
-    """What it belongs to."""
+    """Object instance of the box."""
 
     def moved(self, R: Array, position: Array) -> "Box":
-        """Return the box turned by R (3, 3) about the origin, then shifted by ``position`` (3,)."""
+        """Return the box rotated by R (3, 3) about the origin, then translated by ``position`` (3,)."""
         return replace(self, centre=R @ self.centre + position, R=R @ self.R)
 
     def faces(self) -> Iterable[Face]:
@@ -149,23 +149,23 @@ _Part = TypeVar("_Part", Box, Face, Sheet)
 
 
 def parts_of(instance: Instance, parts: Iterable[_Part]) -> tuple[_Part, ...]:
-    """Return parts as those of a thing."""
+    """Return parts that belong to one instance."""
     return tuple(replace(part, instance=instance) for part in parts)
 
 
 def enclosure(faces: Iterable[Face]) -> tuple[Face, ...]:
-    """Return the inside of a room as the things that it is: floor, ceiling and walls, in this order."""
+    """Return the faces of a room as instances: floor, ceiling and walls, in this order."""
     kinds = itertools.chain(("floor", "ceiling"), itertools.repeat("wall"))
     return tuple(replace(face, instance=Instance(kind)) for face, kind in zip(faces, kinds, strict=False))
 
 
 def visible_faces(boxes: Iterable[Box], room_min: Array, room_max: Array) -> list[Face]:
-    """Return the boxes' faces without those that lie against the floor, the ceiling or a wall.
+    """Return the faces of boxes except those against the floor, the ceiling or a wall.
 
     Args:
         boxes: The boxes.
-        room_min: (3,) Corner of the room [m].
-        room_max: (3,) Opposite corner [m].
+        room_min: (3,) Lower corner of the room [m].
+        room_max: (3,) Upper corner of the room [m].
     """
     kept = []
     for face in (face for box in boxes for face in box.faces()):

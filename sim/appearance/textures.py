@@ -1,8 +1,8 @@
-"""Patterns that cover the things of a room: wood, brick, fabric, books, paintings, all drawn from a seed.
+"""Textures of rooms and furniture: wood, brick, fabric, books and others, all drawn from a seed.
 
-Every pattern is an (H, W, 3) uint8 RGB image, row 0 at the top, at `PIXELS_PER_M`: what a camera 1.8 m away sees one to
-one. Real surfaces have structure at every scale, and a visual estimator lives on it: each pattern mixes edges, pieces
-that differ (so that repetition is never exact) and fractal grain.
+Every texture is an (H, W, 3) uint8 RGB image with row 0 at the top and `PIXELS_PER_M`, one pixel per image pixel at a
+distance of 1.8 m. Real surfaces have structure at every scale, on which visual estimators depend: each texture combines
+edges, varied elements (so that repetition is never exact) and fractal noise.
 """
 
 from itertools import pairwise
@@ -18,14 +18,14 @@ Colour = tuple[float, float, float]
 
 
 class Pattern(Protocol):
-    """Draws a surface of a given colour."""
+    """Interface of functions that draw a texture of a given colour."""
 
     def __call__(self, rng: np.random.Generator, height: int, width: int, colour: Colour) -> Image:
         """Return an image of the given height and width [px]."""
 
 
 PIXELS_PER_M = 256
-"""Resolution of every pattern [px/m]."""
+"""Resolution of the textures [px/m]."""
 
 
 def grain(rng: np.random.Generator, height: int, width: int, cells_px: tuple[float, ...] = (1, 3, 9, 27)) -> Field:
@@ -45,7 +45,7 @@ def streaks(rng: np.random.Generator, height: int, width: int, length_px: float 
 
 
 def scaled(colour: Colour, factor: float) -> Colour:
-    """Return a colour made brighter or darker."""
+    """Return a colour with its brightness multiplied by a factor."""
     r, g, b = (min(factor * c, 255.0) for c in colour)
     return r, g, b
 
@@ -62,13 +62,13 @@ def to_image(values: npt.NDArray[np.float32]) -> Image:
 
 
 def vary(rng: np.random.Generator, colour: Colour, amount: float) -> Colour:
-    """Return a colour of slightly other brightness and hue."""
+    """Return a colour of slightly different brightness and hue."""
     factors = (1.0 + amount * rng.standard_normal()) * (1.0 + 0.16 * amount * rng.standard_normal(3))
     r, g, b = np.clip(np.asarray(colour) * factors, 8.0, 245.0)
     return float(r), float(g), float(b)
 
 
-# --- what covers large surfaces -------------------------------------------------------------------------------------
+# --- floors and walls
 
 
 def planks(
@@ -206,7 +206,7 @@ def _diamond(image: Image, x: int, y: int, radius: int, colour: Colour) -> None:
     cv2.fillConvexPoly(image, corners, colour, cv2.LINE_AA)
 
 
-# --- what covers furniture ------------------------------------------------------------------------------------------
+# --- furniture
 
 
 def wood(rng: np.random.Generator, height: int, width: int, colour: Colour) -> Image:

@@ -19,18 +19,18 @@ _PAPERS: tuple[Colour, ...] = ((238, 236, 228), (238, 236, 228), (246, 226, 120)
 
 
 def text(image: Image, words: str, middle: tuple[int, int], height_px: float, ink: Colour) -> None:
-    """Write words in capitals of a height on an image, centred at x, y [px]."""
+    """Write words in capitals of a given height on an image, centred at x, y [px]."""
     scale, stroke = height_px / 22.0, max(round(height_px / 9.0), 1)
     (width, tall), _ = cv2.getTextSize(words, cv2.FONT_HERSHEY_SIMPLEX, scale, stroke)
     corner = (middle[0] - width // 2, middle[1] + tall // 2)
     cv2.putText(image, words, corner, cv2.FONT_HERSHEY_SIMPLEX, scale, ink, stroke, cv2.LINE_AA)
 
 
-# --- floors, walls, ceilings ----------------------------------------------------------------------------------------
+# --- floors, walls, ceilings
 
 
 def terrazzo(rng: Random, height: int, width: int, colour: Colour, px_per_m: float, slab_m: float = 0.9) -> Image:
-    """Return polished slabs full of chips of stone."""
+    """Return terrazzo: polished slabs with chips of stone."""
     image = shade(colour, grain(rng, height, width, (2, 9, 60)), 0.04)
     for cell_m, threshold, factor in ((0.02, 1.25, 0.7), (0.016, 1.35, 1.22), (0.03, 1.7, 0.5), (0.012, 1.3, 0.8)):
         chips = grain(rng, height, width, (max(cell_m * px_per_m, 1.5),)) > threshold
@@ -54,7 +54,7 @@ def painted_wall(
     rail, skirting = max(int(0.035 * px_per_m), 3), int(0.1 * px_per_m)
     image[top - rail : top] = shade(scaled(dado, 0.62), tone[top - rail : top], 0.05)
     image[height - skirting :] = shade(scaled(dado, 0.5), tone[height - skirting :], 0.08)
-    for _ in range(int(2.0 * width / px_per_m)):  # trolleys and shoes leave marks, most of them low
+    for _ in range(int(2.0 * width / px_per_m)):  # scuff marks, mostly near the floor
         x, y = int(rng.uniform(0, width)), int(height - abs(rng.normal(0.0, 0.45)) * px_per_m - skirting)
         length, slope = rng.uniform(0.03, 0.2) * px_per_m, rng.uniform(-0.1, 0.1)
         tint = (0.7, 1.25)[int(rng.random() < 0.3)]
@@ -78,7 +78,7 @@ def ceiling_panels(
                 slice(int(column * size), int((column + 1) * size)),
             )
             image[part] = to_image(image[part] * np.float32(rng.uniform(0.93, 1.03)))
-            if rng.random() < 0.04:  # it once leaked
+            if rng.random() < 0.04:  # water stain
                 centre = (int((column + rng.uniform(0.2, 0.8)) * size), int((row + rng.uniform(0.2, 0.8)) * size))
                 cv2.circle(image, centre, int(rng.uniform(0.06, 0.16) * px_per_m), scaled(colour, 0.8), 2, cv2.LINE_AA)
     bar = max(round(0.022 * px_per_m), 2)
@@ -91,7 +91,7 @@ def ceiling_panels(
 
 @lru_cache(maxsize=8)
 def _one_tile(size: int, joint: int, colour: Colour, grout: Colour) -> Image:
-    """Return the one glazed tile that a wall repeats: a bevelled edge, a soft sheen, a joint at the right and below."""
+    """Return the glazed tile that a wall repeats: a bevelled edge, a gradient, a joint on the right and below."""
     tile = np.empty((size, size, 3), np.float32)
     tile[:] = grout
     face = size - joint
@@ -113,7 +113,7 @@ def tiles(
     tile_m: float = 0.2,
     checker: Colour | None = None,
 ) -> Image:
-    """Return glazed tiles, every one exactly like every other; with ``checker``, of two colours in turn.
+    """Return identical glazed tiles; with ``checker``, of two alternating colours.
 
     Args:
         rng: Is not used: nothing in this pattern is left to chance.
@@ -134,7 +134,7 @@ def tiles(
 
 
 def marble(rng: Random, height: int, width: int, colour: Colour, px_per_m: float, slab_m: float = 1.0) -> Image:
-    """Return slabs of veined marble, each cut from another place."""
+    """Return slabs of veined marble, each with a different pattern."""
     size = min(int(slab_m * px_per_m), 512)
     block = 3 * size
     warp = grain(rng, block, block, (12, 40, 110))
@@ -155,7 +155,7 @@ def marble(rng: Random, height: int, width: int, colour: Colour, px_per_m: float
 
 
 def whitewash(rng: Random, height: int, width: int, colour: Colour) -> Image:
-    """Return a smooth white wall: almost nothing to hold on to."""
+    """Return a smooth white wall with almost no texture."""
     clouds = rng.standard_normal((max(height // 160, 2), max(width // 160, 2)), dtype=np.float32)
     return shade(colour, np.asarray(cv2.resize(clouds, (width, height)), np.float32), 0.004)
 
@@ -191,7 +191,7 @@ def concrete(rng: Random, height: int, width: int, colour: Colour, px_per_m: flo
 
 
 def _crack(rng: Random, image: Image, ink: Colour, px_per_m: float) -> None:
-    """Draw a crack: a path that wanders."""
+    """Draw a crack along a random walk."""
     steps = int(rng.integers(6, 18))
     turn = np.cumsum(rng.normal(0.0, 0.35, steps)) + rng.uniform(0.0, 2.0 * np.pi)
     way = 0.07 * px_per_m * np.stack([np.cos(turn), np.sin(turn)], axis=1)
@@ -219,7 +219,7 @@ def sheet_metal(rng: Random, height: int, width: int, colour: Colour, px_per_m: 
     return speckle(rng, image, 0.05)
 
 
-# --- what hangs and stands ------------------------------------------------------------------------------------------
+# --- furniture and equipment
 
 
 def notice_board(rng: Random, height: int, width: int) -> Image:
@@ -334,7 +334,7 @@ def vending_machine(rng: Random, height: int, width: int, colour: Colour) -> Ima
 
 
 def exit_sign(rng: Random, height: int, width: int) -> Image:
-    """Return a lit sign that shows the way out."""
+    """Return an illuminated exit sign."""
     image = np.empty((height, width, 3), np.uint8)
     image[:] = (20, 132, 70)
     white, side = (244.0, 248.0, 244.0), 1 if rng.random() < 0.5 else -1

@@ -1,4 +1,4 @@
-"""Patterns of a works hall: worn concrete, masonry, sheet metal, machines, tanks, pipes, crates.
+"""Textures of a machine hall: worn concrete, masonry, sheet metal, machines, tanks, pipes, crates.
 
 Like `dronevio.sim.appearance.textures`, but the resolution is an argument, as in
 `dronevio.sim.appearance.textures_nature`.

@@ -24,7 +24,7 @@ def tiled(tile: Image, height: int, width: int) -> Image:
 
 
 def closing_grain(rng: Random, height: int, width: int, cells_px: tuple[int, ...]) -> Field:
-    """Return fractal noise (height, width) whose opposite borders fit; zero mean, about unit variance."""
+    """Return periodic fractal noise (height, width) of zero mean and about unit variance."""
     total = np.zeros((height, width), np.float32)
     for cell in cells_px:
         shape = (max(round(height / cell), 3), max(round(width / cell), 3))
@@ -37,7 +37,7 @@ def closing_grain(rng: Random, height: int, width: int, cells_px: tuple[int, ...
 
 
 def _on_torus(places: npt.NDArray[np.float64], size: int, reach: int) -> tuple[Indices, npt.NDArray[np.float64]]:
-    """Return indices (M,) and places (M, 2) of what is to be drawn on a tile, again where it crosses a border."""
+    """Return indices (M,) and positions (M, 2) of objects on a periodic tile, repeated where they cross a border."""
     shifts = np.array([[x, y] for x in (0, size, -size) for y in (0, size, -size)], dtype=np.float64)
     all_places = places[:, None] + shifts
     index, copy = np.nonzero(np.all((all_places > -reach) & (all_places < size + reach), axis=2))
@@ -58,7 +58,7 @@ def mixed(a: Image, b: Image, share: Field) -> Image:
 
 
 def grass_tile(rng: Random, colour: Colour, blades: int = 30000, size: int = _TILE_PX) -> Image:
-    """Return a square of grass from above: blades of many greens, some dry, over dark earth; it repeats."""
+    """Return a periodic tile of grass from above: blades in many greens, some dry, over dark soil."""
     image = shade(scaled(colour, 0.72), closing_grain(rng, size, size, (1, 2, 8, 32)), 0.2)
     which, roots = _on_torus(rng.uniform(0, size, (blades, 2)), size, 14)
     angle, length = rng.uniform(0, 2 * np.pi, blades), rng.uniform(4.0, 11.0, blades)
@@ -72,7 +72,7 @@ def grass_tile(rng: Random, colour: Colour, blades: int = 30000, size: int = _TI
 
 
 def litter_tile(rng: Random, colours: tuple[Colour, ...], leaves: int = 15000, size: int = _TILE_PX) -> Image:
-    """Return a square of forest floor: fallen leaves over each other, twigs, earth between them; it repeats."""
+    """Return a periodic tile of forest floor: overlapping fallen leaves, twigs, and soil between them."""
     image = shade((84, 66, 48), closing_grain(rng, size, size, (1, 2, 8, 32)), 0.25)
     which, places = _on_torus(rng.uniform(0, size, (leaves, 2)), size, 15)
     angles, lengths, tones = rng.uniform(0, 360, leaves), rng.uniform(3, 7, leaves), rng.uniform(0.55, 1.25, leaves)
@@ -94,7 +94,7 @@ def litter_tile(rng: Random, colours: tuple[Colour, ...], leaves: int = 15000, s
 
 
 def forest_floor(rng: Random, height: int, width: int, colours: tuple[Colour, ...], moss: Colour, ppm: float) -> Image:
-    """Return leaf litter with patches of moss and grass, and tones that change from place to place."""
+    """Return leaf litter with patches of moss and grass and spatially varying tones."""
     ground = tiled(litter_tile(rng, colours), height, width)
     return _varied(rng, ground, tiled(grass_tile(rng, moss), height, width), ppm, (4, 10, 24), 0.75, 0.16)
 
@@ -102,7 +102,7 @@ def forest_floor(rng: Random, height: int, width: int, colours: tuple[Colour, ..
 def _varied(
     rng: Random, image: Image, patches: Image, ppm: float, cells: tuple[int, ...], rarity: float, contrast: float
 ) -> Image:
-    """Return ground with patches of other ground, its tone and hue changing from place to place.
+    """Return ground with patches of other ground and spatially varying tone and hue.
 
     Args:
         rng: Draws it.
@@ -127,7 +127,7 @@ def meadow(rng: Random, height: int, width: int, colour: Colour, ppm: float) -> 
 
 
 def mown(image: Image, stripe_px: float) -> Image:
-    """Return grass mown in stripes along its columns, lighter and darker in turn."""
+    """Return grass mown in alternating lighter and darker stripes along its columns."""
     wave = np.sin(np.pi * (np.arange(image.shape[1]) + 0.5) / stripe_px)
     tone = (1.0 + 0.08 * np.tanh(6.0 * wave)).astype(np.float32)
     return np.asarray(
@@ -136,7 +136,7 @@ def mown(image: Image, stripe_px: float) -> Image:
 
 
 def distance(rng: Random, height: int, width: int, colours: tuple[Colour, ...]) -> Image:
-    """Return ground too far away to show what it is made of: patches of some colours."""
+    """Return distant ground: patches of some colours."""
     r, g, b = np.mean(colours, axis=0).tolist()
     image = shade((r, g, b), closing_grain(rng, height, width, (1, 2, 5, 20)), 0.16)
     for colour in colours:
@@ -146,7 +146,7 @@ def distance(rng: Random, height: int, width: int, colours: tuple[Colour, ...]) 
 
 
 def bark(rng: Random, height: int, width: int, colour: Colour) -> Image:
-    """Return the bark around a trunk: ridges and fissures upward, knots, lichen, moss near the ground; it closes."""
+    """Return the periodic bark of a trunk: vertical ridges and fissures, knots, lichen, moss near the ground."""
     tall = cv2.resize(np.abs(closing_grain(rng, max(height // 12, 1), width, (3, 8))), (width, height))
     warp = cv2.resize(closing_grain(rng, max(height // 16, 1), width, (8, 24)), (width, height))
     x, y = np.meshgrid(np.arange(width, dtype=np.float32), np.arange(height, dtype=np.float32))
@@ -167,7 +167,7 @@ def bark(rng: Random, height: int, width: int, colour: Colour) -> Image:
 
 
 def leaves(rng: Random, height: int, width: int, colour: Colour, count: int = 260) -> Image:
-    """Return a dense spray of leaves, those behind in the shade of those in front."""
+    """Return a dense layer of leaves, darker where others occlude them."""
     image = shade(scaled(colour, 0.28), grain(rng, height, width, (3, 12)), 0.3)
     for depth in np.linspace(0.0, 1.0, count):
         x, y = rng.uniform(0, width), rng.uniform(0, height)
@@ -199,7 +199,7 @@ def stone(rng: Random, height: int, width: int, colour: Colour) -> Image:
 
 
 def sky(rng: Random, height: int, width: int, zenith: Colour, horizon: Colour, cover: float) -> Image:
-    """Return the sky all around: rows from the zenith down to 10° below the horizon, columns once around; it closes.
+    """Return the panorama of the sky: rows from the zenith to 10° below the horizon, periodic columns.
 
     Args:
         rng: Draws the clouds.
@@ -212,10 +212,10 @@ def sky(rng: Random, height: int, width: int, zenith: Colour, horizon: Colour, c
     elevation = np.linspace(90.0, -10.0, height, dtype=np.float32)
     haze = np.exp(-np.maximum(elevation, 0.0) / 16.0)[:, None, None]
     image = np.asarray(zenith, np.float32) * (1.0 - haze) + np.asarray(horizon, np.float32) * haze
-    # clouds lie in a plane overhead: far ones are small and flat; they are soft, so half the resolution will do
+    # clouds lie in a horizontal plane; they are soft, so half the resolution is enough
     size = 1024
     plane = closing_grain(rng, size, size, (3, 7, 16, 40, 60, 125)) * np.float32(1.25)
-    edge = (0.62 - cover) * 2.4  # of a normal distribution
+    edge = (0.62 - cover) * 2.4  # quantile of a normal distribution
     coarse = elevation[::2]
     azimuth = np.linspace(0.0, 2.0 * np.pi, width // 2, dtype=np.float32)
     reach = 0.03 * size / np.tan(np.radians(np.maximum(coarse, 3.5)) * 0.9 + 0.06)
@@ -244,7 +244,7 @@ def ridges(rng: Random, image: Image, far: Colour, near: Colour, horizon: float,
     low = shown[int((horizon - 0.12) * height) :]
     for depth in np.linspace(0.0, 1.0, layers):
         line = closing_grain(rng, 3, width, (40, 130, 400))[1] * (1.2 - 0.6 * depth) * 0.012
-        line -= np.abs(closing_grain(rng, 3, width, (2, 5))[1]) * (0.001 + 0.005 * depth)  # tree tops
+        line -= np.abs(closing_grain(rng, 3, width, (2, 5))[1]) * (0.001 + 0.005 * depth)  # treetops
         top = (line + 0.085 + 0.034 * depth) * height
         r, g, b = (a + depth * (z - a) for a, z in zip(far, near, strict=True))
         tone = closing_grain(rng, low.shape[0], width, (2, 4, 12))

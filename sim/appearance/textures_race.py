@@ -1,4 +1,4 @@
-"""What is printed for a race: gates, flags, banners along the track, people in the stand, tents.
+"""Textures of a race course: gates, flags, banners, spectators, tents.
 
 Like `dronevio.sim.appearance.textures`: (H, W, 3) uint8 RGB images drawn from a seed, row 0 at the top. They scale with
 their size.
@@ -27,7 +27,7 @@ PAINTS: tuple[Colour, ...] = (
     (20, 160, 178),
     (226, 70, 138),
 )
-"""Colours that are seen from afar."""
+"""Colours of high visibility."""
 _WORDS = (
     "VIO",
     "APEX",
@@ -46,7 +46,7 @@ _WORDS = (
 
 
 def chequers(rng: Random, height: int, width: int, colour: Colour) -> Image:
-    """Return a band of chequers two rows wide between plain edges, along the longer side."""
+    """Return a chequered band of two rows between plain edges, along the longer side."""
     tall = height > width
     long, short = (height, width) if tall else (width, height)
     image = np.empty((short, long, 3), np.uint8)

@@ -1,4 +1,4 @@
-"""Patterns of a warehouse: stacks of cartons, sacks, crates, film, pallets, racks, roller doors, hazard stripes."""
+"""Textures of a warehouse: stacks of cartons, sacks, crates, film, pallets, racks, roller doors, hazard stripes."""
 
 from collections.abc import Callable
 from itertools import pairwise
@@ -11,7 +11,7 @@ from dronevio.sim.appearance.textures_building import text
 
 Random = np.random.Generator
 Load = Callable[[Random, int, int], Image]
-"""Draws the side of a load, of the given height and width [px]."""
+"""Function that draws the side of a load with a given height and width [px]."""
 
 _KRAFT: Colour = (182, 144, 100)
 _BRANDS: tuple[Colour, ...] = ((40, 80, 140), (170, 50, 40), (44, 110, 70), (60, 60, 66), (200, 130, 40))
@@ -123,7 +123,7 @@ def crate(rng: Random, height: int, width: int) -> Image:
 
 
 LOADS: tuple[Load, ...] = (cartons, wrapped, cartons, sacks, crate, one_carton, cartons)
-"""What pallets carry, the frequent more than once."""
+"""Kinds of loads of pallets; frequent ones are listed more than once."""
 
 
 def pallet(rng: Random, height: int, width: int) -> Image:
@@ -193,7 +193,7 @@ def roller_door(rng: Random, height: int, width: int, colour: Colour, number: st
 
 
 def aisle_sign(rng: Random, height: int, width: int, letter: str) -> Image:
-    """Return the sign that names an aisle."""
+    """Return the sign with the name of an aisle."""
     image = speckle(rng, shade((28, 70, 130), grain(rng, height, width, (3, 20)), 0.04), 0.02)
     text(image, letter, (width // 2, height // 2), 0.6 * height, (244, 244, 240))
     cv2.rectangle(image, (0, 0), (width - 1, height - 1), (244, 244, 240), max(height // 24, 2))

@@ -62,8 +62,9 @@ class Motion:
         neighbouring samples then errs by sampling only:
 
         - The angular rate is known at both ends of an interval only. The error of its mean is dt²/12 ω̈, and the
-        rotation also has the coning error dt²/12 ω₀ × ω₁ (Bortz, "A new mathematical formulation for strapdown inertial
-        navigation", 1971). Both accumulate: about 2e-3 rad over a minute at 3 rad/s, and negligibly at 1 rad/s.
+          rotation also has the coning error dt²/12 ω₀ × ω₁ (Bortz, "A new mathematical formulation for strapdown
+          inertial navigation", 1971). Both accumulate: about 2e-3 rad over a minute at 3 rad/s, and
+          negligibly at 1 rad/s.
         - A step of the acceleration at a time stamp causes a velocity error of dt/4 of the step, which does not
           accumulate, except through the attitude error.
 

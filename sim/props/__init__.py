@@ -1,3 +1,3 @@
-"""What worlds are furnished with."""
+"""Objects of the worlds: furniture, machines, vegetation, vehicles and people."""
 
 __all__: list[str] = []

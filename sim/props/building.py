@@ -1,4 +1,4 @@
-"""What buildings are made of: walls with a front that things stand along, floors, ceilings, lamps, landing mats."""
+"""Building elements: walls and the furniture along them, floors, ceilings, lamps, landing mats."""
 
 import itertools
 from collections.abc import Callable, Sequence
@@ -20,41 +20,41 @@ Array = npt.NDArray[np.float64]
 Random = np.random.Generator
 
 _DOWN = np.array([0.0, 0.0, -1.0])
-_SHADY_M = 0.04  # half the thickness of the thinnest thing that casts a shadow
-_MAT_M = 0.006  # thick enough not to flicker against the floor, thin enough to stand on as if it were the floor
+_SHADY_M = 0.04  # half thickness of the thinnest box that casts a shadow
+_MAT_M = 0.006  # thick enough to avoid z-fighting with the floor, thin enough to be ignored by the physics
 
 
 @dataclass(frozen=True, eq=False)
 class Wall:
-    """A stretch of wall; in its own frame x runs along it, y away from it into the open, z up, from its middle."""
+    """A section of a wall; in its frame x runs along it, y into the room, z up, from the centre of its foot."""
 
     middle: Array
-    """(3,) Middle of its foot [m]."""
+    """(3,) Centre of the foot of the wall [m]."""
     turn_rad: float
-    """Heading of its x axis in the world."""
+    """Heading of the wall's x axis in the world [rad]."""
     length_m: float
-    """How long it is [m]."""
+    """Length of the wall [m]."""
 
     def at(self, x: float, y: float, z: float) -> Array:
-        """Return a point of the wall's frame in the world (3,) [m]."""
+        """Return the position (3,) in the world of a point in the frame of the wall [m]."""
         return np.asarray(rotation_z(self.turn_rad) @ np.array([x, y, z]) + self.middle)
 
     def put(self, piece: Piece, x: float, y: float = 0.0) -> Piece:
-        """Return a piece of furniture with its back at the wall, or ``y`` in front of it, its middle at ``x`` [m]."""
+        """Return a piece of furniture with its back at distance ``y`` from the wall and its centre at ``x`` [m]."""
         return piece.moved(rotation_z(self.turn_rad), self.at(x, y, 0.0))
 
     def hull(self, piece: Piece, x: float, y: float = 0.0) -> Box:
-        """Return the box around a piece that stands there."""
+        """Return the bounding box of a piece at that position."""
         return piece.hull().moved(rotation_z(self.turn_rad), self.at(x, y, 0.0))
 
     def face(self, left: Sequence[float], right: Sequence[float], top: float, paint: Paint, px_per_m: float) -> Face:
-        """Return an upright face from the floor to ``top``, its ends (x, y) given as one looks at it [m]."""
+        """Return an upright face from the floor to ``top`` with the ends (x, y), left and right as seen [m]."""
         a, b = self.at(left[0], left[1], top), self.at(right[0], right[1], top)
         return Face(a, b - a, top * _DOWN, paint, pixels_per_m=px_per_m)
 
 
 def level_face(low: Array, high: Array, z: float, up: bool, paint: Paint, px_per_m: float) -> Face:
-    """Return a floor, or a ceiling that looks down, between two corners (x, y) [m]."""
+    """Return a floor, or a ceiling that faces down, between two corners (x, y) [m]."""
     (x0, y0), (x1, y1) = low, high
     right, toward_y = np.array([x1 - x0, 0.0, 0.0]), np.array([0.0, y1 - y0, 0.0])
     if up:
@@ -63,7 +63,7 @@ def level_face(low: Array, high: Array, z: float, up: bool, paint: Paint, px_per
 
 
 def room_walls(low: Array, high: Array) -> tuple[Wall, Wall, Wall, Wall]:
-    """Return the south, east, north and west wall of a hall between two corners (3,) [m]."""
+    """Return the south, east, north and west walls of a hall between two corners (3,) [m]."""
     (x, y), (w, d) = 0.5 * (low + high)[:2], (high - low)[:2]
     return (
         Wall(np.array([x, low[1], low[2]]), 0.0, float(w)),
@@ -76,7 +76,7 @@ def room_walls(low: Array, high: Array) -> tuple[Wall, Wall, Wall, Wall]:
 def hall_faces(
     low: Array, high: Array, floor: Paint, ceiling: Paint, walls: Sequence[Paint], px_per_m: tuple[float, float, float]
 ) -> tuple[Face, ...]:
-    """Return the inside of a hall between two corners (3,) [m].
+    """Return the inner faces of a hall between two corners (3,) [m].
 
     Args:
         low: Least corner.
@@ -104,7 +104,7 @@ def stand_along(
     margin_m: float = 0.25,
     gaps_m: tuple[float, float] = (0.15, 0.6),
 ) -> tuple[list[Piece], list[Box]]:
-    """Put things along a wall, one after the other until it is full, with pictures above where there is room.
+    """Place furniture along a wall until it is full, with pictures above where there is space.
 
     Args:
         rng: Draws the things and the gaps.
@@ -138,7 +138,7 @@ def stand_along(
 
 
 def landing_mat(middle: Array, side_m: float = 0.8) -> Box:
-    """Return a thin mat to start from and to land on, its middle on the floor (3,) [m]."""
+    """Return a thin landing mat with its centre on the floor at (3,) [m]."""
 
     def paint(rng: Random, height: int, width: int) -> Image:
         return pictures.landing_pad(max(height, width))[:height, :width]
@@ -173,12 +173,12 @@ def ceiling_lamp(middle: Array, size_m: tuple[float, float], power: float, drop_
 
 
 def coarse(boxes: Sequence[Box], px_per_m: float) -> tuple[Box, ...]:
-    """Return boxes with images of another resolution [px/m]."""
+    """Return boxes with textures of another resolution [px/m]."""
     return tuple(replace(box, pixels_per_m=px_per_m) for box in boxes)
 
 
 def shading(boxes: Sequence[Box]) -> tuple[Box, ...]:
-    """Return the boxes that cast a shadow.
+    """Return the boxes that cast shadows.
 
     What is thin hangs on a wall: its shadow would be a smudge around it, light being painted coarsely.
     """

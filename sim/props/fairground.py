@@ -1,4 +1,4 @@
-"""What stands around a race: banners, flags, bales of straw, a stand with spectators, tents, containers."""
+"""Objects around a race course: banners, flags, straw bales, a grandstand, tents, containers."""
 
 from dataclasses import replace
 from functools import partial
@@ -35,7 +35,7 @@ def flag(rng: Random) -> tuple[Box, ...]:
 
 
 def bales(rng: Random) -> tuple[Box, ...]:
-    """Return a few bales of straw, stacked."""
+    """Return a few stacked straw bales."""
     straw = partial(race.bale, colour=textures.vary(rng, _STRAW, 0.08))
     half = np.array([0.45, 0.24, 0.2])
     boxes = [Box(np.array([x, 0.0, half[2]]), half, straw, pixels_per_m=110.0) for x in (-0.47, 0.47)]
@@ -62,7 +62,7 @@ def fence(half_m: Array) -> tuple[Face, ...]:
 
 
 def stand(rng: Random, half_m: Array) -> tuple[Box, ...]:
-    """Return a stand with spectators along the north or the south side of a field of half a size (2,), under a roof."""
+    """Return a grandstand with spectators on the north or south side of a field of half size (2,) [m]."""
     seats = partial(race.crowd, colour=race.PAINTS[int(rng.integers(len(race.PAINTS)))])
     plain, cloth = partial(textures.plain, colour=(172, 170, 164)), partial(race.tarpaulin, colour=(232, 230, 224))
     wide, at, north = 12.0, half_m[1] + 2.0, rng.random() < 0.5
@@ -82,7 +82,7 @@ def stand(rng: Random, half_m: Array) -> tuple[Box, ...]:
     boxes.append(Box(np.array([0.0, at + 2.4, 5.7]), np.array([wide + 0.6, 3.4, 0.07]), cloth, pixels_per_m=20.0))
     valance = np.array([wide + 0.6, 0.03, 0.3])
     boxes.append(Box(np.array([0.0, at - 1.02, 5.45]), valance, race.banner, race.banner, pixels_per_m=60.0))
-    # so far it looks along −y from the north; a box's front is its +y side
+    # so far it faces −y from the north; the front of a box is its +y side
     turned = [replace(box, centre=-box.centre * [1.0, 1.0, -1.0]) for box in boxes]
     placed = [box.moved(rotation_z(np.pi) if north else np.eye(3), np.zeros(3)) for box in turned]
     return parts_of(Instance("stand"), placed)

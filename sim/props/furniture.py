@@ -32,7 +32,7 @@ class Piece:
     """A piece of furniture."""
 
     boxes: tuple[Box, ...]
-    """What it is made of."""
+    """Boxes of the piece."""
     width_m: float
     """Extent along the wall, centred [m]."""
     depth_m: float
@@ -42,25 +42,25 @@ class Piece:
     picture_above: bool = False
     """Whether the wall above it is free for a picture."""
     lights: tuple[AreaLight, ...] = ()
-    """What shines on it."""
+    """Area lights of the piece."""
 
     def moved(self, R: Array, position: Array) -> "Piece":
-        """Return the piece turned by R (3, 3) about the origin, then shifted by ``position`` (3,)."""
+        """Return the piece rotated by R (3, 3) about the origin, then translated by ``position`` (3,)."""
         boxes = tuple(box.moved(R, position) for box in self.boxes)
         return replace(self, boxes=boxes, lights=tuple(light.moved(R, position) for light in self.lights))
 
     def as_instance(self, kind: str) -> "Piece":
-        """Return it as one thing of a kind."""
+        """Return the piece as one instance of a kind."""
         return replace(self, boxes=parts_of(Instance(kind), self.boxes))
 
     def hull(self) -> Box:
-        """Return the upright box around the piece, in its own frame."""
+        """Return the bounding box of the piece in its own frame."""
         half = 0.5 * np.array([self.width_m, self.depth_m, self.height_m])
         return replace(self.boxes[0], centre=np.array([0.0, half[1], half[2]]), half=half, R=np.eye(3))
 
 
 def block(x: float, y: float, z: float, w: float, d: float, h: float, paint: Paint, front: Paint | None = None) -> Box:
-    """Return a box by the middle of its bottom and its full size [m]."""
+    """Return a box from the centre of its base and its full size [m]."""
     return Box(np.array([x, y, z + 0.5 * h]), 0.5 * np.array([w, d, h]), paint, front)
 
 
@@ -338,4 +338,4 @@ FURNITURE: tuple[Callable[[Random], Piece], ...] = (
     hung_picture,
     hung_picture,
 )
-"""What stands in a furnished room, besides the door and the windows."""
+"""Furniture of a furnished room, without doors and windows."""

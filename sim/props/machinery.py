@@ -1,4 +1,4 @@
-"""What stands in a works hall: machines, tanks, pipes, crates, a catwalk, a crane.
+"""Equipment of a machine hall: machines, tanks, pipes, crates, a catwalk, a crane.
 
 Each piece stands at the origin of its own frame, its front toward +y, x along it, z up.
 """
@@ -35,29 +35,29 @@ _R_ALONG_Y = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, 1.0], [0.0, -1.0, 0.0]])  # t
 
 @dataclass(frozen=True, eq=False)
 class Kit:
-    """Something made of flat and of round parts."""
+    """An object of flat and curved parts."""
 
     boxes: tuple[Box, ...] = ()
-    """Its flat parts."""
+    """Flat parts of the object."""
     sheets: tuple[Sheet, ...] = ()
-    """Its round parts."""
+    """Curved parts of the object."""
     obstacles: tuple[Box, ...] = ()
-    """What a drone would hit."""
+    """Collision boxes of the object."""
 
     def moved(self, R: Array, position: Array) -> "Kit":
-        """Return it turned by R (3, 3) about the origin, then shifted by ``position`` (3,)."""
+        """Return the object rotated by R (3, 3) about the origin, then translated by ``position`` (3,)."""
         boxes, obstacles = (tuple(box.moved(R, position) for box in part) for part in (self.boxes, self.obstacles))
         sheets = tuple(replace(sheet, grid=sheet.grid @ R.T + position) for sheet in self.sheets)
         return Kit(boxes, sheets, obstacles)
 
     def as_instance(self, kind: str) -> "Kit":
-        """Return it as one thing of a kind."""
+        """Return the object as one instance of a kind."""
         thing = Instance(kind)
         return replace(self, boxes=parts_of(thing, self.boxes), sheets=parts_of(thing, self.sheets))
 
 
 def kit_of(boxes: Sequence[Box], parts: Sequence[Kit] = ()) -> Kit:
-    """Return boxes that are solid, with other kits, as one."""
+    """Return an object of solid boxes and other objects."""
     return Kit(
         tuple(boxes) + tuple(box for part in parts for box in part.boxes),
         tuple(sheet for part in parts for sheet in part.sheets),
@@ -72,7 +72,7 @@ def block(
     front: Paint | None = None,
     ppm: float = _PPM,
 ) -> Box:
-    """Return a box by the middle of its bottom and its width, depth and height [m]."""
+    """Return a box from the centre of its base and its width, depth and height [m]."""
     w, d, h = size
     return Box(np.array(place) + [0.0, 0.0, 0.5 * h], 0.5 * np.array([w, d, h]), paint, front, pixels_per_m=ppm)
 
@@ -98,7 +98,7 @@ def drumlike(
 
 @single_instance
 def pipe_run(points: Sequence[Sequence[float]], radius_m: float, colour: Colour) -> Kit:
-    """Return a pipe along legs that are parallel to the axes, with a collar at each bend."""
+    """Return a pipe along legs that are parallel to the axes, with a collar at each corner."""
     path, parts = np.array(points, dtype=np.float64), []
     paint = partial(works.pipe, colour=colour, ppm=_PPM)
     for a, b in pairwise(path):
@@ -241,12 +241,12 @@ def catwalk(length_m: float, height_m: float) -> Kit:
 
 
 def with_lattice(kit: Kit, bars: Sequence[Box]) -> Kit:
-    """Return a kit with upright bars that no drone passes between: one obstacle around them all."""
+    """Return an object with vertical bars, and one obstacle around them, since a drone cannot pass between them."""
     return Kit((*kit.boxes, *bars), kit.sheets, (*kit.obstacles, around(bars)))
 
 
 def around(boxes: Sequence[Box]) -> Box:
-    """Return the upright obstacle around boxes."""
+    """Return the bounding box of some boxes."""
     reach = np.array([np.abs(box.R) @ box.half for box in boxes])
     centres = np.array([box.centre for box in boxes])
     low, high = (centres - reach).min(axis=0), (centres + reach).max(axis=0)

@@ -1,4 +1,4 @@
-"""The room: where its walls, windows, furniture and lamps are, drawn from a seed."""
+"""Furnished room: walls, windows, furniture and lamps, drawn from a seed."""
 
 from dataclasses import dataclass
 from functools import partial
@@ -18,14 +18,14 @@ Array = npt.NDArray[np.float64]
 Random = np.random.Generator
 
 SIZE_M = np.array([8.0, 6.0, 3.5])
-"""(3,) Length (x), width (y) and height (z) of the room [m]; the floor's middle is the origin."""
+"""(3,) Length (x), width (y) and height (z) of the room [m]; the origin is the centre of the floor."""
 FREE_BOX_M = np.array([[-2.8, -1.9, 0.0], [2.8, 1.9, 2.4]])
-"""(2, 3) Corners of the space that nothing stands or hangs in [m]."""
+"""(2, 3) Corners of the space free of obstacles [m]."""
 PAD_SIZE_M = 0.8
 """Side of the landing pad at the origin [m]."""
 
 _WALLS = ("south", "east", "north", "west")
-_USABLE_M = {"south": 7.8, "east": 3.7, "north": 7.8, "west": 3.7}  # the long walls have the corners
+_USABLE_M = {"south": 7.8, "east": 3.7, "north": 7.8, "west": 3.7}  # the long walls include the corners
 _TURNS = {"south": 0.0, "east": 0.5 * np.pi, "north": np.pi, "west": -0.5 * np.pi}
 _WALL_COLOURS: tuple[Colour, ...] = (
     (188, 178, 152),
@@ -51,15 +51,15 @@ class Room:
     shell: tuple[Face, ...]
     """Floor, ceiling and walls."""
     boxes: tuple[Box, ...]
-    """Furniture, pictures, lamps, beams."""
+    """Boxes of furniture, pictures, lamps and beams."""
     obstacles: tuple[Box, ...]
-    """One box around each piece of furniture: what a drone would hit."""
+    """Collision boxes, one around each piece of furniture."""
     lights: tuple[AreaLight, ...]
-    """What lights it."""
+    """Area lights of the room."""
 
 
 def furnished_room(rng: Random) -> Room:
-    """Draw a room: furniture along the walls, the middle (`FREE_BOX_M`) free to fly in."""
+    """Draw a room with furniture along the walls; its middle (`FREE_BOX_M`) is free to fly in."""
     placed: list[Piece] = []
     obstacles: list[Box] = []
     for wall, pieces in _assign(rng).items():
@@ -79,7 +79,7 @@ def furnished_room(rng: Random) -> Room:
 
 
 def _assign(rng: Random) -> dict[str, list[Piece]]:
-    """Give each wall the pieces that stand along it."""
+    """Return the pieces of furniture of each wall."""
     bright = str(rng.choice(["south", "north"]))
     walls: dict[str, list[Piece]] = {wall: [] for wall in _WALLS}
     walls[bright] = [window(rng), window(rng)]
@@ -95,7 +95,7 @@ def _assign(rng: Random) -> dict[str, list[Piece]]:
 
 
 def _spread(rng: Random, pieces: list[Piece], length_m: float) -> list[tuple[Piece, float]]:
-    """Shuffle pieces and return each with where its middle comes along the wall [m]."""
+    """Return shuffled pieces, each with the position of its centre along the wall [m]."""
     shuffled = [pieces[i] for i in rng.permutation(len(pieces))]
     widths = np.array([piece.width_m for piece in shuffled])
     gaps = rng.dirichlet(np.full(len(shuffled) + 1, 3.0)) * (length_m - widths.sum())

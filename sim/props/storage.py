@@ -1,4 +1,4 @@
-"""What a warehouse is full of: pallets with their loads, racks, a forklift, packing tables."""
+"""Equipment of a warehouse: pallets with loads, racks, a forklift, packing tables."""
 
 from dataclasses import dataclass
 from functools import partial
@@ -26,20 +26,20 @@ _ORANGE: Colour = (216, 110, 36)
 
 @dataclass(frozen=True, eq=False)
 class Stock:
-    """Sides of loads, painted once: a warehouse is full of the same goods."""
+    """Textures of the sides of loads, painted once and shared by all pallets."""
 
     images: tuple[Image, ...]
-    """Each (H, W, 3)."""
+    """Textures of the kinds of goods, each (H, W, 3)."""
 
     @classmethod
     def painted(cls, rng: Random) -> "Stock":
-        """Paint it."""
+        """Paint the textures."""
         size = round(_LOAD_PX_PER_M * PALLET_M[0])
         paints = textures_storage.LOADS
         return cls(tuple(paints[k % len(paints)](rng, size, size) for k in range(_VARIANTS)))
 
     def side(self, number: int) -> Paint:
-        """Return what covers a side of a load of a kind of goods, in a shade of its own."""
+        """Return the paint of a side of a load of one kind of goods, with a random brightness."""
         return partial(_restocked, image=self.images[number])
 
 
@@ -50,7 +50,7 @@ def _restocked(rng: Random, height: int, width: int, image: Image) -> Image:
 
 
 def _outside(box: Box, px_per_m: float, sides_px_per_m: float, top: bool = True) -> list[Face]:
-    """Return the faces of a box that are seen of a load in a rack: front, sides, top; not the back, nor the bottom."""
+    """Return the faces of a box that are visible in a rack: front, sides and optionally the top."""
     faces = []
     for number, face in enumerate(box.faces()):  # +x, −x, +y, −y, +z, −z
         if number in ((0, 1, 2, 4) if top else (0, 1, 2)):
@@ -60,7 +60,7 @@ def _outside(box: Box, px_per_m: float, sides_px_per_m: float, top: bool = True)
 
 
 def loaded_pallet(rng: Random, stock: Stock, R: Array, position: Array, most_m: float) -> tuple[list[Face], float]:
-    """Return the faces of a pallet and of its load, and how high it is [m].
+    """Return the faces of a pallet with its load, and its height [m].
 
     Args:
         rng: Draws what lies on it.

@@ -1,4 +1,4 @@
-"""What moves through a busy place: people, carts, banners in a draught; and the ways that they move."""
+"""Moving objects of a concourse: people, carts and banners, and their motions."""
 
 from dataclasses import dataclass
 from functools import partial
@@ -27,23 +27,23 @@ _SHIRTS: tuple[Colour, ...] = (
     (106, 66, 120),
 )
 _TROUSERS: tuple[Colour, ...] = ((52, 62, 88), (70, 66, 60), (120, 104, 80), (40, 42, 46))
-_STEP_S, _BOB_M, _SWAY_RAD = 0.55, 0.02, 0.06  # of somebody who walks
+_STEP_S, _BOB_M, _SWAY_RAD = 0.55, 0.02, 0.06  # of a walking person
 
 
 @dataclass(frozen=True)
 class Lap:
-    """Laps round a rectangle with rounded corners, at constant speed."""
+    """Laps around a rectangle with rounded corners at constant speed."""
 
     half_m: tuple[float, float]
-    """Half its extent along x and y [m]."""
+    """Half extents of the rectangle along x and y [m]."""
     radius_m: float
-    """Of its corners [m]."""
+    """Radius of the corners [m]."""
     start: float
-    """Where the lap begins, as a share of it."""
+    """Initial position as a fraction of a lap."""
     speed_m_s: float
-    """Along the lap, anticlockwise seen from above; negative the other way [m/s]."""
+    """Speed along the lap, positive anticlockwise as seen from above [m/s]."""
     bob_m: float = 0.0
-    """How far each step lifts [m]."""
+    """Height of the vertical oscillation of each step [m]."""
 
     @property
     def length_m(self) -> float:
@@ -51,7 +51,7 @@ class Lap:
         return 4.0 * (sum(self.half_m) - 2.0 * self.radius_m) + 2.0 * np.pi * self.radius_m
 
     def __call__(self, times_s: Array) -> Array:
-        """Return poses (M, 4, 4) at times (M,) [s]; y points where it goes."""
+        """Return poses (M, 4, 4) at times (M,) [s]; y is the direction of motion."""
         times_s = np.asarray(times_s, dtype=np.float64)
         r, (a, b) = self.radius_m, (v - self.radius_m for v in self.half_m)
         arc = 0.5 * np.pi * r
@@ -61,7 +61,7 @@ class Lap:
         part = np.clip(np.searchsorted(ends, s, side="right") - 1, 0, 7)
         side, along = part // 2, s - ends[part]
         turned = np.where(part % 2 == 1, along / r, 0.0)
-        # Each quarter in its own frame: the straight runs along +y at x = reach + r, then the corner turns left.
+        # Each quarter in its own frame: straight along +y at x = reach + r, then a corner to the left.
         reach, half = np.where(side % 2 == 0, a, b), np.where(side % 2 == 0, b, a)
         x = reach + r * np.cos(turned)
         y = np.where(part % 2 == 1, half + r * np.sin(turned), along - half)
@@ -79,18 +79,18 @@ class Lap:
 
 @dataclass(frozen=True)
 class Swing:
-    """A swing about a level axis, its x; what swings hangs below."""
+    """Pendulum motion about the horizontal x axis of an object that hangs below it."""
 
     pivot_m: tuple[float, float, float]
-    """Where it hangs [m]."""
+    """Position of the axis [m]."""
     heading_rad: float
-    """Heading of the axis."""
+    """Heading of the axis in the world [rad]."""
     amplitude_rad: float
-    """How far it swings to either side."""
+    """Amplitude to either side [rad]."""
     period_s: float
-    """Of a swing there and back [s]."""
+    """Period of the oscillation [s]."""
     phase_rad: float = 0.0
-    """Where in it the flight begins."""
+    """Phase at the start of the flight [rad]."""
 
     def __call__(self, times_s: Array) -> Array:
         """Return poses (M, 4, 4) at times (M,) [s]."""
@@ -103,7 +103,7 @@ class Swing:
 
 
 def person(rng: Random) -> tuple[Box, ...]:
-    """Return somebody who walks along y, upright at the origin."""
+    """Return a person who walks along y, upright at the origin."""
     skin, hair, shirt = pick(rng, _SKINS), pick(rng, _HAIRS), pick(rng, _SHIRTS)
     cloth, jeans = partial(_shirt, colour=shirt), partial(textures.fabric, colour=pick(rng, _TROUSERS))
     bare, crop = partial(textures.plain, colour=skin), partial(textures.plain, colour=hair)

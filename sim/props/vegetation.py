@@ -1,4 +1,4 @@
-"""What grows, and what lies about in the open: trees, bushes, rocks, logs.
+"""Vegetation and rocks: trees, bushes, ferns, logs, boulders.
 
 Each returns cutouts of shared images, in the frame of its own foot, and the boxes that it fills. Trunks are prisms of
 eight sides.
@@ -23,31 +23,31 @@ Array = npt.NDArray[np.float64]
 Random = np.random.Generator
 
 BARKS = 4
-"""Kinds of bark that lie side by side on the bark image."""
+"""Number of kinds of bark, side by side on the bark texture."""
 TONES = 4
-"""Kinds of leaves on the leaf image, each in the shade (left) and in the sun (right)."""
+"""Number of kinds of leaves on the leaf texture, each in the shade (left) and in the sun (right)."""
 
 _SIDES = 8
 
 
 @dataclass(frozen=True, eq=False)
 class Vegetation:
-    """Something that grows, or lies on the ground."""
+    """A plant or log."""
 
     wood: tuple[Cutouts, ...]
-    """Its parts on the bark image."""
+    """Parts with the bark texture."""
     leaves: tuple[Cutouts, ...]
-    """Its parts on the leaf image."""
+    """Parts with the leaf texture."""
     obstacles: tuple[Box, ...]
-    """What it fills within reach of a drone."""
+    """Collision boxes within the flight space."""
 
     def moved(self, R: Array, position: Array) -> "Vegetation":
-        """Return it turned by R (3, 3), then shifted by ``position`` (3,)."""
+        """Return the plant rotated by R (3, 3), then translated by ``position`` (3,)."""
         wood, leaves = (tuple(part.moved(R, position) for part in parts) for parts in (self.wood, self.leaves))
         return Vegetation(wood, leaves, tuple(box.moved(R, position) for box in self.obstacles))
 
     def as_instance(self, kind: str) -> "Vegetation":
-        """Return it as one thing of a kind."""
+        """Return the plant as one instance of a kind."""
         thing = Instance(kind)
         wood, leaves = (tuple(replace(part, instance=thing) for part in parts) for parts in (self.wood, self.leaves))
         return Vegetation(wood, leaves, self.obstacles)
@@ -64,7 +64,7 @@ def tree(
     twigs: int,
     sides: int = _SIDES,
 ) -> Vegetation:
-    """Return a tall tree: a bare trunk as thick as given up to ``within_m``, a crown above.
+    """Return a tall tree: a bare trunk of a given radius up to ``within_m``, and a crown above.
 
     Args:
         rng: Draws it.
@@ -97,14 +97,14 @@ def tree(
 
 
 def _leaning(rng: Random) -> Array:
-    """Return a rotation (3, 3) that tips what is upright by up to 2.5°."""
+    """Return a random rotation (3, 3) that tilts an upright object by up to 2.5°."""
     tip, toward = np.radians(rng.uniform(0.0, 2.5)), rotation_z(rng.uniform(0.0, 2.0 * np.pi))
     c, s = np.cos(tip), np.sin(tip)
     return np.asarray(toward @ np.array([[c, 0.0, s], [0.0, 1.0, 0.0], [-s, 0.0, c]]) @ toward.T)
 
 
 def foliage(rng: Random, middle: Array, half: Array, twig_m: float, twigs: int, sun: Array) -> Cutouts:
-    """Return twigs on an ellipsoid, lit on the side of the sun.
+    """Return twigs on an ellipsoid, lit from the direction of the sun.
 
     Args:
         rng: Draws them.
@@ -124,7 +124,7 @@ def foliage(rng: Random, middle: Array, half: Array, twig_m: float, twigs: int, 
 
 @single_instance
 def bush(rng: Random, sun: Array) -> Vegetation:
-    """Return a bush, knee to breast high."""
+    """Return a bush of about 0.5 to 1 m height."""
     half = np.array([rng.uniform(0.35, 0.6), rng.uniform(0.35, 0.6), rng.uniform(0.3, 0.55)])
     twig = 0.3
     inside = foliage(rng, np.array([0.0, 0.0, 0.7 * half[2]]), half, twig, 100, sun)
@@ -137,7 +137,7 @@ def bush(rng: Random, sun: Array) -> Vegetation:
 
 @single_instance
 def fern(rng: Random, fronds: int = 9) -> Vegetation:
-    """Return a low rosette of fronds, no obstacle: it gives way."""
+    """Return a fern, a low rosette of fronds without collision geometry."""
     parts = []
     for k in range(fronds):
         length, width, pitch = rng.uniform(0.35, 0.6), rng.uniform(0.06, 0.1), rng.uniform(0.3, 0.7)
@@ -173,13 +173,13 @@ def log(rng: Random, radius_m: float, length_m: float, kind: int) -> Vegetation:
 
 
 def boulder(rng: Random, half: Array) -> tuple[Array, Box]:
-    """Return the surface of a boulder, a grid (R + 1, C + 1, 3) [m], and the box that it fills."""
+    """Return the surface of a boulder, a grid (R + 1, C + 1, 3) [m], and its bounding box."""
     rows, columns = 6, 10
     v, u = np.meshgrid(
         np.linspace(0.5 * np.pi, -0.35, rows + 1), np.linspace(0.0, 2.0 * np.pi, columns + 1), indexing="ij"
     )
     ball = np.stack([np.cos(v) * np.cos(u), np.cos(v) * np.sin(u), np.sin(v)], axis=2)
-    ball = np.sign(ball) * np.abs(ball) ** 0.62  # squarer than a ball
+    ball = np.sign(ball) * np.abs(ball) ** 0.62  # between a sphere and a cube
     ball /= np.abs(ball).max(axis=(0, 1))
     uneven = rng.uniform(0.82, 1.0, (rows + 1, columns + 1, 1))
     uneven[:, -1], uneven[:2] = uneven[:, 0], 1.0
@@ -190,7 +190,7 @@ def boulder(rng: Random, half: Array) -> tuple[Array, Box]:
 
 
 def bark_image(rng: Random, height: int, width: int, colours: tuple[Colour, ...], sun: Array) -> Image:
-    """Return `BARKS` barks side by side, each lit as it is on a trunk whose image begins at the x axis."""
+    """Return the bark texture with `BARKS` kinds side by side, each lit as on a trunk from the x axis on."""
     each = width // BARKS
     angle = np.linspace(0.0, 2.0 * np.pi, each, dtype=np.float32)
     facing = np.maximum(np.cos(angle) * sun[0] + np.sin(angle) * sun[1], 0.0)
@@ -200,7 +200,7 @@ def bark_image(rng: Random, height: int, width: int, colours: tuple[Colour, ...]
 
 
 def leaf_image(rng: Random, height: int, width: int, colours: tuple[Colour, ...]) -> Image:
-    """Return sprays of leaves in ``2 * TONES`` columns: of each colour in the shade, then of each in the sun."""
+    """Return the leaf texture in ``2 * TONES`` columns: each colour in the shade, then each in the sun."""
     each = width // (2 * TONES)
     inks = [scaled(colour, f) for f in (0.7, 1.3) for colour in colours]
     return np.concatenate([nature.leaves(rng, height, each, ink, 170) for ink in inks], axis=1)

@@ -4,13 +4,13 @@ They belong to the middle of the exposure of the middle row of the first camera,
 blur and rolling shutter.
 
 - ``depth0``: 16-bit PNG in millimetres; z for ``radtan`` lenses, the length of the ray for ``equidistant`` ones; 0
-without a surface or beyond 65.5 m.
+  without a surface or beyond 65.5 m.
 - ``seg0``: 16-bit PNG with the number of the visible object instance; 0 without a surface. ``seg0/names.csv`` maps
-numbers to names: after the line ``#number,name`` it has one line for each instance of the world, visible or not, such
-as ``12,sofa`` or ``47,tree_31``. Names are unique: instances of one kind are numbered from 1, gates in the order of the
-course; moving objects have the names of the world (``person_0``). The same world and seed give the same table.
+  numbers to names: after the line ``#number,name`` it has one line for each instance of the world, visible or not, such
+  as ``12,sofa`` or ``47,tree_31``. Names are unique: instances of one kind are numbered from 1, gates in the order of
+  the course; moving objects have the names of the world (``person_0``). The same world and seed give the same table.
 - ``flow0``: 16-bit PNG with the channels u, v, valid, in the format of KITTI's development kit (Menze and Geiger, CVPR
-2015): displacement to the next frame [px] = (value − 2¹⁵) / 64. The last frame has none.
+  2015): displacement to the next frame [px] = (value − 2¹⁵) / 64. The last frame has none.
 """
 
 from typing import Literal

@@ -1,3 +1,3 @@
-"""The worlds, a module each: a function that draws a `dronevio.sim.worlds.layout.Layout` from random numbers."""
+"""The worlds: one module each, with a function that draws a `dronevio.sim.worlds.layout.Layout` from a generator."""
 
 __all__: list[str] = []

@@ -1,4 +1,4 @@
-"""From a painted layout to MuJoCo's specification: what is seen, what is touched, and how it is looked at."""
+"""Assembly of MuJoCo specifications from layouts: visible geometry, collision geometry and camera settings."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -17,20 +17,20 @@ from dronevio.sim.worlds.layout import Layout, MovingObject
 
 Array = npt.NDArray[np.float64]
 
-_COLLISION_GROUP = 3  # MuJoCo's viewers do not draw it unless asked
+_COLLISION_GROUP = 3  # hidden in MuJoCo's viewers by default
 _NEAR_M, _FAR_M = 0.03, 30.0
 
 
 @dataclass(frozen=True, eq=False)
 class Appearance:
-    """What a layout appearance like."""
+    """Painted textures of a layout."""
 
     pages: Sequence[Page]
-    """The painted scenery."""
+    """Pages of the static scenery."""
     moving_pages: Sequence[Sequence[Page]]
-    """What each moving thing appearance like."""
+    """Pages of each moving object."""
     mirror: Image | None
-    """(H, W, 3) Pattern of the reflecting floor, lit, if there is one."""
+    """(H, W, 3) Texture of the reflecting floor with its light map applied, if there is one."""
 
 
 def assembled(layout: Layout, appearance: Appearance) -> mujoco.MjSpec:
@@ -47,7 +47,7 @@ def assembled(layout: Layout, appearance: Appearance) -> mujoco.MjSpec:
 
 
 def assembled_instances(layout: Layout) -> mujoco.MjSpec:
-    """Return what is seen of a world without its paint: a geom for each thing, under its name."""
+    """Return the visible geometry of a world without textures, one geom per object instance."""
     quads: dict[Instance, list[Array]] = {}
     for surface in seen_surfaces(layout):
         quads.setdefault(surface.instance, []).append(quads_of(surface.grid))
@@ -64,20 +64,20 @@ def assembled_instances(layout: Layout) -> mujoco.MjSpec:
 
 
 def seen_surfaces(layout: Layout) -> list[Surface]:
-    """Return every surface that is painted for itself and stands still; a reflecting floor comes last."""
+    """Return all static surfaces with textures of their own; a reflecting floor is the last."""
     mirror = [] if layout.mirror is None else [layout.mirror.face]
     return [*layout.shell, *visible_faces(layout.boxes, layout.low, layout.high), *mirror]
 
 
 def _add_mover(spec: mujoco.MjSpec, thing: MovingObject) -> mujoco.MjsBody:
-    """Add the body of something that moves, where it is in the beginning."""
+    """Add the body of a moving object at its initial pose."""
     T_world_thing = thing.poses(np.zeros(1))[0]
     quat = quat_wxyz_from_matrix(T_world_thing[:3, :3])
     return spec.worldbody.add_body(name=thing.name, mocap=True, pos=T_world_thing[:3, 3], quat=quat)
 
 
 def space_of(layout: Layout) -> Space:
-    """Return a layout's bounds, its obstacles, and the lanes of what moves."""
+    """Return the space of a layout: its bounds, its obstacles, and the lanes of moving objects."""
     boxes = (*layout.obstacles, *layout.lanes)
     centres, halves = (np.array([getattr(box, part) for box in boxes]).reshape(-1, 3) for part in ("centre", "half"))
     rotations = np.array([box.R for box in boxes]).reshape(-1, 3, 3)
@@ -85,13 +85,13 @@ def space_of(layout: Layout) -> Space:
 
 
 def outline_of(layout: Layout) -> Array:
-    """Return the edges (L, 2, 3) of a layout's bounds and of its obstacles [m]."""
+    """Return the edges (L, 2, 3) of the bounds and the obstacles of a layout [m]."""
     bounds = _edges(0.5 * (layout.low + layout.high), 0.5 * (layout.high - layout.low), np.eye(3))
     return np.concatenate([bounds, *(_edges(box.centre, box.half, box.R) for box in layout.obstacles)])
 
 
 def _set_up_view(spec: mujoco.MjSpec, layout: Layout, seen: Array) -> None:
-    """Set what every camera needs to see points (N, 3): clipping planes, a light for the drone, no shadow maps."""
+    """Set clipping planes for visible points (N, 3), a light for the drone, and no shadow maps."""
     reach_m = float(np.linalg.norm(np.ptp(seen, axis=0)))
     spec.stat.extent = float(np.linalg.norm(layout.high - layout.low))
     spec.stat.center = 0.5 * (layout.low + layout.high)
@@ -105,7 +105,7 @@ def _set_up_view(spec: mujoco.MjSpec, layout: Layout, seen: Array) -> None:
 
 
 def add_collision_geoms(spec: mujoco.MjSpec, layout: Layout) -> None:
-    """Add what a drone can touch: the floor, walls and ceiling if there are any, and the obstacles."""
+    """Add the collision geoms: floor, walls and ceiling if there are any, and obstacles."""
     middle = 0.5 * (layout.low + layout.high)
     planes = [("floor", 2, layout.low)]
     if layout.walled:
@@ -131,7 +131,7 @@ def add_collision_geoms(spec: mujoco.MjSpec, layout: Layout) -> None:
 
 
 def _add_block(spec: mujoco.MjSpec, name: str, box: Box) -> None:
-    """Add a box that can be touched."""
+    """Add a collision box."""
     spec.worldbody.add_geom(
         name=name,
         type=mujoco.mjtGeom.mjGEOM_BOX,

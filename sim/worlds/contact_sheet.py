@@ -1,4 +1,4 @@
-"""Contact sheets: worlds seen from a few places each, for people to judge them at a glance."""
+"""Contact sheets: pictures of worlds from several viewpoints, for inspection."""
 
 from collections.abc import Sequence
 from pathlib import Path
@@ -19,33 +19,33 @@ from dronevio.sim.worlds.texturedness import poses_along
 Array = npt.NDArray[np.float64]
 
 LENS = CameraModel(width=480, height=300, fx=250.0, fy=250.0, cx=239.5, cy=149.5)
-"""What takes the pictures: 88° wide, without distortion."""
+"""Camera of the pictures: 88° wide, without distortion."""
 VIEWS = 12
-"""Pictures on the sheet of one world."""
+"""Number of pictures on the sheet of one world."""
 
 _COLUMNS = 4
-_WORLDS_A_ROW, _VIEWS_EACH = 2, 3  # on the sheet of many
-_CANDIDATES = 4  # places that are tried for each view: the one that sees farthest is taken
-_FAR_PERCENT = 85  # of a view's pixels are nearer than what counts as how far it sees
-_GLANCE_RAD = 0.45  # views look aside in turn, to the left and to the right
+_WORLDS_A_ROW, _VIEWS_EACH = 2, 3  # on the sheet of several worlds
+_CANDIDATES = 4  # candidate positions of each view, of which the one with the largest depth is used
+_FAR_PERCENT = 85  # percentile of the depths of a view that is compared
+_VIEW_OFFSET_RAD = 0.45  # heading of the views off the route, alternating left and right
 _DOWN_RAD = 0.06
-_GAMMA = 2.2  # of a display: what is dark looks less dark than its light is little
+_GAMMA = 2.2  # gamma of a display
 _GAP_PX, _CAPTION_PX = 6, 30
 _PAPER, _INK, _FAINT = (24, 26, 30), (240, 240, 236), (168, 172, 178)
 _SUPERSAMPLING = 2.0
 
 
 def viewpoints(route: Array, count: int) -> Array:
-    """Return poses (count, 4, 4) of a camera along a closed route (R, 3), looking a little aside and down."""
+    """Return camera poses (count, 4, 4) along a closed route (R, 3), with alternating heading and slightly downward."""
     poses = poses_along(route, count)
     for number, T in enumerate(poses):
-        aside = _GLANCE_RAD * (-1.0, 1.0, 0.0)[number % 3]
+        aside = _VIEW_OFFSET_RAD * (-1.0, 1.0, 0.0)[number % 3]
         T[:3, :3] = rotation_z(aside) @ T[:3, :3] @ exp_so3(np.array([-_DOWN_RAD, 0.0, 0.0]))
     return poses
 
 
 def views(world: World, count: int, camera: CameraModel = LENS) -> list[Image]:
-    """Return pictures (H, W, 3) of a world, spread along its route; what is dark is shown as a display would.
+    """Return pictures (H, W, 3) of a world along its route; dark worlds are shown with the gamma of a display.
 
     Raises:
         GraphicsError: No off-screen OpenGL.
@@ -92,7 +92,7 @@ def sheet_of_worlds(
 
 
 def write_picture(path: Path, picture: Image) -> None:
-    """Write a picture (H, W, 3), as what the file's ending says.
+    """Write a picture (H, W, 3) in the format of the file's suffix.
 
     Raises:
         InputError: The ending names no kind of image.
@@ -103,7 +103,7 @@ def write_picture(path: Path, picture: Image) -> None:
 
 
 def require_picture(path: Path) -> None:
-    """Raise InputError unless a file can be there, and its ending names a kind of image that can be written."""
+    """Raise InputError unless the file can be written and its suffix is that of an image format."""
     if not path.parent.is_dir():
         raise InputError(path, "no such folder", "a file in a folder that exists")
     if not path.suffix or not cv2.haveImageWriter(path.name):
@@ -111,7 +111,7 @@ def require_picture(path: Path) -> None:
 
 
 def _in_rows(pictures: Sequence[Image], columns: int) -> Image:
-    """Return pictures (H, W, 3) of one size as one, in rows; places that are left over stay empty."""
+    """Return pictures (H, W, 3) of one size arranged in rows; unused cells are empty."""
     filled = [*pictures, *[np.full_like(pictures[0], _PAPER)] * (-len(pictures) % columns)]
     return np.vstack([np.hstack(filled[k : k + columns]) for k in range(0, len(filled), columns)])
 

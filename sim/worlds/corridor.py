@@ -1,4 +1,4 @@
-"""The corridor: one floor of an office building, a closed loop around a core; made for closing loops.
+"""World corridor: one floor of an office building, a closed loop around a core, for loop closures.
 
 Its four wings are built alike, and differ in their colours and in what stands along their walls.
 """
@@ -39,7 +39,7 @@ CORE_M = np.array([9.2, 4.2])
 _NICHE_WIDTH_M, _NICHE_DEPTH_M = 2.2, 1.0
 _MIDDLE_M = 0.5 * (HIGH_M[:2] + CORE_M)  # of the corridor, from the middle of the building
 _PAD_M = np.array([0.0, -_MIDDLE_M[1], 0.0])
-_LONGEST_M = 12.2  # a wall longer than this is painted in two parts, with a pilaster between them
+_LONGEST_M = 12.2  # longest wall in one texture; longer ones have two, with a pilaster between them
 _WALL_PX_PER_M, _FLOOR_PX_PER_M, _CEILING_PX_PER_M, _THING_PX_PER_M = 172.0, 128.0, 96.0, 144.0
 
 _PAINT: Colour = (206, 202, 188)
@@ -52,7 +52,7 @@ def layout(rng: Random) -> Layout:
     dados = [_DADOS[int(i)] for i in rng.permutation(4)]
     outer = room_walls(LOW_M, HIGH_M)
     core_low, core_high = np.array([*-CORE_M, 0.0]), np.array([*CORE_M, HIGH_M[2]])
-    inner = tuple(  # the core's walls look outward
+    inner = tuple(  # the walls of the core face outward
         Wall(wall.middle, wall.turn_rad + np.pi, wall.length_m) for wall in room_walls(core_low, core_high)
     )
     painted = partial(textures_building.painted_wall, colour=_PAINT, px_per_m=_WALL_PX_PER_M)
@@ -164,7 +164,7 @@ def _niche(wall: Wall, x: float, paint: Paint) -> tuple[Face, ...]:
 
 
 def _solid(centre: Array, size: Array) -> Box:
-    """Return a box that is there to be hit."""
+    """Return a collision box."""
     return Box(centre, 0.5 * size, partial(textures.plain, colour=METAL))
 
 
@@ -175,7 +175,7 @@ def _core() -> list[Box]:
 
 
 def _core_front(wall: Wall, niches: list[float]) -> list[Box]:
-    """Return what is solid between the niches of a wall."""
+    """Return the collision boxes between the niches of a wall."""
     if not niches:
         return []
     half = 0.5 * wall.length_m
@@ -189,19 +189,19 @@ def _core_front(wall: Wall, niches: list[float]) -> list[Box]:
 
 
 def _furniture(rng: Random, windows: bool = False) -> list[Callable[[Random], Piece]]:
-    """Return what stands along a wall, in an order of its own; every third is a window if it has any."""
+    """Return shuffled furniture of a wall; every third piece is a window if the wall has windows."""
     makers = [PUBLIC_FURNITURE[int(i)] for i in rng.permutation(len(PUBLIC_FURNITURE))]
     return [window if windows and k % 3 == 1 else make for k, make in enumerate(makers)]
 
 
 def _blocked(wall: Wall, niches: list[float]) -> list[tuple[float, float]]:
-    """Return where nothing can stand at a wall, and how far around: niches and the pilaster [m]."""
+    """Return the positions along a wall and half widths where nothing can stand: niches and the pilaster [m]."""
     pilaster = [(0.0, 0.3)] if wall.length_m > _LONGEST_M else []
     return [(x, 0.5 * _NICHE_WIDTH_M + 0.1) for x in niches] + pilaster
 
 
 def _fill_niche(rng: Random, wall: Wall, x: float, pieces: list[Piece], obstacles: list[Box]) -> None:
-    """Put a machine and a plant, or a bench, into a niche."""
+    """Add a machine and a plant, or a bench, in a niche."""
     machine = rng.random() < 0.6
     things = [(vending_machine(rng), -0.5), (plant(rng), 0.6)] if machine else [(bench(rng), 0.0)]
     for piece, aside in things:
@@ -211,7 +211,7 @@ def _fill_niche(rng: Random, wall: Wall, x: float, pieces: list[Piece], obstacle
 
 
 def _pilasters(wall: Wall) -> list[Piece]:
-    """Return what covers the joint in the middle of a long wall."""
+    """Return the pilaster over the joint in the middle of a long wall."""
     white = partial(textures.plaster, colour=(196, 190, 176))
     cover = Piece((block(0.0, 0.06, 0.0, 0.36, 0.12, HIGH_M[2], white),), 0.36, 0.12, HIGH_M[2])
     return [wall.put(cover.as_instance("pilaster"), 0.0)]

@@ -1,4 +1,4 @@
-"""The dark: a furnished room at night, its lamps off; what light there is falls in through the windows."""
+"""World dark: the furnished room at night with its lamps off, lit through the windows only."""
 
 from dataclasses import replace
 from functools import partial
@@ -11,13 +11,13 @@ from dronevio.sim.worlds import room
 from dronevio.sim.worlds.layout import Layout, WorldBuilder
 
 ILLUMINATION = 0.025
-"""Light that falls in, relative to a well lit room."""
-_NIGHT = np.array([0.5, 0.62, 0.9], np.float32)  # how much of a day's red, green and blue is left outside
+"""Illumination relative to a well-lit room."""
+_NIGHT = np.array([0.5, 0.62, 0.9], np.float32)  # red, green and blue of the outside relative to the day
 _MOON_GLOW = 0.8
 
 
 def layout(rng: np.random.Generator) -> Layout:
-    """Draw a furnished room, and switch its lamps off."""
+    """Draw a furnished room with its lamps off."""
     lit = room.layout(rng)
     boxes = tuple(
         replace(box, front=partial(_night_view), glow=_MOON_GLOW)
@@ -25,14 +25,14 @@ def layout(rng: np.random.Generator) -> Layout:
         else replace(box, glow=0.0)
         for box in lit.boxes
     )
-    windows = tuple(light for light in lit.lights if light.normal is not None)  # lamps shine all around
+    windows = tuple(light for light in lit.lights if light.normal is not None)  # lamps emit in all directions
     return replace(lit, boxes=boxes, lights=windows, illumination=ILLUMINATION)
 
 
 def _night_view(rng: np.random.Generator, height: int, width: int) -> Image:
-    """Return what is seen through a window by moonlight."""
+    """Return the view through a window by moonlight."""
     return to_image(pictures.window_view(rng, height, width) * _NIGHT)
 
 
-DARK = WorldBuilder("the furnished room at night, lamps off: 2.5 % of its light", layout, "hard")
+DARK = WorldBuilder("the furnished room at night with 2.5 % of its illumination", layout, "hard")
 """The dark room."""

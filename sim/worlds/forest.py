@@ -1,4 +1,4 @@
-"""The forest: tall trees around a clearing, boulders, bushes and logs between them, under a sky with clouds."""
+"""World forest: tall trees around a clearing, with boulders, bushes and logs, under a cloudy sky."""
 
 from dataclasses import dataclass, replace
 from functools import partial
@@ -43,26 +43,26 @@ _ROUTE_M = np.array(
 )
 _ROUTE_JITTER_M = np.array([0.7, 0.7, 0.25])
 _PASSAGE_M = 1.15  # from the route to the nearest bark
-_LOOSE_M = 1.0  # from the route, seen from above, to what lies on the ground
+_LOOSE_M = 1.0  # horizontal distance from the route to objects on the ground
 _GROUND_PX_PER_M = 103.0
-_WOODS_M = 25.0  # as far as trees stand
-_THICKET_M = 27.0  # what is behind them is painted
+_WOODS_M = 25.0  # largest distance of trees from the centre
+_THICKET_M = 27.0  # distance of the painted background
 _THICKET_WIDTH_PX = 4096
 _PAD_M = 0.9
 
 
 @dataclass(frozen=True)
 class Season:
-    """The colours of a time of the year."""
+    """Colours of a season."""
 
     litter: tuple[Colour, ...]
-    """Fallen leaves."""
+    """Colours of fallen leaves."""
     moss: Colour
-    """What grows on the ground."""
+    """Colour of the ground vegetation."""
     leaves: tuple[Colour, ...]
-    """Leaves on the trees, `vegetation.TONES` of them."""
+    """Colours of the leaves on trees, `vegetation.TONES` of them."""
     mist: Colour
-    """What the depth of the wood fades to."""
+    """Colour of the distant forest."""
 
 
 _EARTH: tuple[Colour, ...] = ((146, 104, 64), (116, 84, 54), (164, 128, 80), (94, 70, 48), (128, 92, 62))
@@ -128,7 +128,7 @@ def layout(rng: Random) -> Layout:
 
 
 def _trees(rng: Random, route: Array, toward: Array) -> list[tuple[Vegetation, Array, float]]:
-    """Return the trees, each with its place (2,) and the radius of its trunk [m]."""
+    """Return the trees, each with its position (2,) and the radius of its trunk [m]."""
     girths = rng.choice([0.11, 0.15, 0.19, 0.24, 0.32], 900, p=[0.24, 0.28, 0.24, 0.16, 0.08])
     radii = girths * rng.uniform(0.9, 1.15, len(girths))
     places, radii = outdoors.scattered(rng, (-_WOODS_M,) * 2, (_WOODS_M,) * 2, len(radii), radii, 1.9)
@@ -189,7 +189,7 @@ def _undergrowth(
 
 
 def _shade(place: Array, radius_m: float) -> Box:
-    """Return the box whose shadow a trunk casts."""
+    """Return the box that casts the shadow of a trunk."""
     half = np.array([0.85 * radius_m, 0.85 * radius_m, 4.0])
     return Box(np.array([*place, 4.0]), half, partial(textures.plain, colour=(0.0, 0.0, 0.0)))
 
@@ -210,7 +210,7 @@ def _far_floor(rng: Random, height: int, width: int, season: Season) -> Image:
 
 
 def _thicket(rng: Random, season: Season) -> Sheet:
-    """Return the depth of the wood, painted on a wall around it whose upper edge is the tops of trees."""
+    """Return the distant forest, painted on a wall around the world whose upper edge is the treetops."""
     columns = 240
     azimuth = np.linspace(0.0, -2.0 * np.pi, columns + 1)
     tops = nature.closing_grain(rng, 3, columns, (2, 4, 12))[0]
@@ -221,7 +221,7 @@ def _thicket(rng: Random, season: Season) -> Sheet:
 
 
 def _depths(rng: Random, height: int, width: int, season: Season) -> Image:
-    """Return trunks behind trunks, the further the paler, leaves above and undergrowth below."""
+    """Return trunks in layers that fade with distance, with leaves above and undergrowth below."""
     mist = np.array(season.mist)
     up = np.linspace(1.0, 0.0, height, dtype=np.float32)[:, None, None]
     image = textures.to_image(np.broadcast_to(mist * (0.8 + 0.2 * up), (height, width, 3)).astype(np.float32))
@@ -247,7 +247,7 @@ def _dabs(
     band: tuple[float, float],
     count: int,
 ) -> None:
-    """Dab leaves into a band of rows (fractions of the height), the thinner the lower its middle."""
+    """Paint leaves into a band of rows (fractions of the height), with density decreasing below its middle."""
     height, width = image.shape[:2]
     rows = (band[0] + (band[1] - band[0]) * rng.beta(1.0, 1.6, count)) * height
     for y, x, kind, tone in zip(

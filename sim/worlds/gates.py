@@ -1,4 +1,4 @@
-"""The race: coloured gates on a mown field, to be flown through in order; banners, a stand and trees around it."""
+"""World gates: a race course of coloured gates on a mown field, with banners, a grandstand and trees around it."""
 
 from dataclasses import dataclass
 from functools import partial
@@ -41,17 +41,17 @@ _GATES_M = np.array(
         [-2.4, -7.8, 1.8],
     ]
 )
-"""Middles of the gates, before they are moved at random."""
+"""Nominal centres of the gates, before random displacements [m]."""
 _JITTER_M = np.array([0.7, 0.7, 0.25])
-_RUN_M = 1.7  # the route is straight so far before and behind a gate
+_RUN_M = 1.7  # length of the straight route before and behind a gate
 _OPENINGS_M = (1.9, 2.4)
 _BAR_M = 0.28  # of a gate's frame
-_LOOSE_M = 1.3  # from the route, seen from above, to what stands beside it
+_LOOSE_M = 1.3  # horizontal distance from the route to objects beside it
 _FIELD_M = np.array([26.0, 18.0])  # half the mown grass
 _FIELD_PX_PER_M = 79.0
 _FENCE_M = np.array([23.2, 15.6])  # half of what the banners enclose
 _PAD_M = 1.2
-_WOODS_M, _PASTURE_PX_PER_M = 66.0, 9.0  # half of what lies around, and its resolution
+_WOODS_M, _PASTURE_PX_PER_M = 66.0, 9.0  # half extent of the surroundings, and their resolution
 
 _GRASSES: tuple[Colour, ...] = ((112, 140, 66), (128, 146, 74), (140, 144, 80), (104, 132, 72))
 _LEAVES: tuple[tuple[Colour, ...], ...] = (
@@ -64,18 +64,18 @@ _NOTHING: Paint = partial(textures.plain, colour=race.BLACK)
 
 @dataclass(frozen=True, eq=False)
 class _Gate:
-    """A gate."""
+    """A gate of the race course."""
 
     middle: Array
-    """(3,) Middle of its opening [m]."""
+    """(3,) Centre of the opening [m]."""
     heading_rad: float
-    """Direction in which it is flown."""
+    """Heading of the passage through the gate [rad]."""
     opening_m: float
-    """Width and height of its opening [m]."""
+    """Width and height of the opening [m]."""
 
     @property
     def ahead(self) -> Array:
-        """(3,) Unit vector in which it is flown."""
+        """(3,) Unit vector of the passage through the gate."""
         return np.array([np.cos(self.heading_rad), np.sin(self.heading_rad), 0.0])
 
 
@@ -147,7 +147,7 @@ def layout(rng: Random) -> Layout:
 
 
 def _course(rng: Random) -> list[_Gate]:
-    """Return the gates in order, each turned toward where the route goes on."""
+    """Return the gates in order, each facing along the route."""
     middles = _GATES_M + rng.uniform(-1.0, 1.0, _GATES_M.shape) * _JITTER_M
     around = np.vstack([_START_M, middles, _START_M])
     way = around[2:] - around[:-2]
@@ -188,7 +188,7 @@ def _square(rng: Random, gate: _Gate, number: int, colour: Colour) -> tuple[Box,
 
 
 def _arch(rng: Random, gate: _Gate, number: int, colour: Colour) -> tuple[Box, ...]:
-    """Return an inflated arch: two pillars, and segments that bend over the opening."""
+    """Return an inflated arch: two pillars, and segments of an arc over the opening."""
     bar, z = 0.5 * (_BAR_M + 0.14), gate.middle[2]
     radius = 0.5 * gate.opening_m + 0.25 + bar  # to the middle of the tube
     pattern = partial((race.chequers, race.lettered)[int(rng.integers(2))], colour=colour)
@@ -205,14 +205,14 @@ def _arch(rng: Random, gate: _Gate, number: int, colour: Colour) -> tuple[Box, .
         tangent = np.array([[s, 0.0, c], [0.0, 1.0, 0.0], [-c, 0.0, s]])  # its z axis points away from the middle
         shown = label if k == count // 2 else pattern
         centre = radius * np.array([c, 0.0, s])
-        # every other one is a hair thinner: where they overlap, no two faces lie in one plane
+        # every other segment is slightly thinner, so that overlapping faces are not coplanar
         thick = bar - 0.004 * (k % 2) - 0.002
         boxes.append(Box(centre, np.array([along, thick, thick]), shown, shown, R=tangent, pixels_per_m=150.0))
     return _placed(gate, boxes)
 
 
 def _beside(rng: Random, route: Array, gates: list[_Gate]) -> list[Box]:
-    """Return what stands along the course: flags, bales of straw."""
+    """Return the objects along the course: flags and straw bales."""
     boxes: list[Box] = []
     taken = np.array([gate.middle[:2] for gate in gates])
     places, _ = outdoors.scattered(rng, _LOW[:2] + 1.2, _HIGH[:2] - 1.2, 240, np.full(240, 0.5), 1.3)
@@ -251,14 +251,14 @@ def _crown(tree: Vegetation) -> Box:
 def _pasture(
     rng: Random, height: int, width: int, colours: tuple[Colour, ...], casting: list[Box], toward: Array
 ) -> Image:
-    """Return the grass around the field, with the shadows of trees."""
+    """Return the texture of the grass around the field, with the shadows of trees."""
     return outdoors.shadowed(nature.distance(rng, height, width, colours), _PASTURE_PX_PER_M, casting, toward)
 
 
 def _field(
     rng: Random, height: int, width: int, colour: Colour, gates: list[_Gate], casting: list[Box], toward: Array
 ) -> Image:
-    """Return the mown field: lines between the gates, the pad, and the shadows of what stands on it."""
+    """Return the texture of the mown field: lines between the gates, the landing pad, and shadows."""
     image = nature.mown(nature.meadow(rng, height, width, colour, _FIELD_PX_PER_M), 2.0 * _FIELD_PX_PER_M)
     for gate in gates:
         _chalk(image, gate)

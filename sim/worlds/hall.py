@@ -1,4 +1,4 @@
-"""The machine hall: machines, tanks, pipes and crates under a crane; lanes painted on the floor, high windows."""
+"""World hall: machines, tanks, pipes and crates under a crane, lanes painted on the floor, high windows."""
 
 from dataclasses import dataclass
 from functools import partial
@@ -49,14 +49,14 @@ _ROUTE_M = np.array(
 _JITTER_M = np.array([0.25, 0.2, 0.2])
 _FLOOR_PX_PER_M, _WALL_PX_PER_M, _ROOF_PX_PER_M = 147.0, 80.0, 56.0
 _PAD_M = 1.0
-_BAY_M = 4.6  # from pillar to pillar
+_BAY_M = 4.6  # distance between pillars
 _LAMP_Z_M = 8.2
 _CRANE_Z_M = 7.3
 
 
 @dataclass(frozen=True)
 class _Palette:
-    """The colours of a hall."""
+    """Colours of a hall."""
 
     brick: Colour
     dado: Colour
@@ -182,7 +182,7 @@ def _tanks(rng: Random) -> list[Kit]:
 
 
 def _stores(rng: Random) -> list[Kit]:
-    """Return what is stored in the west and in the corners."""
+    """Return the stored goods in the west and in the corners."""
     found = []
     for y in (-5.6, -3.8, -2.6, 2.8, 4.6):
         make = machinery.crates if rng.random() < 0.62 else machinery.drums
@@ -195,7 +195,7 @@ def _stores(rng: Random) -> list[Kit]:
 
 
 def _overhead(rng: Random) -> list[Kit]:
-    """Return what runs above: catwalk, crane, pipes and ducts along the walls."""
+    """Return the overhead structures: catwalk, crane, pipes and ducts along the walls."""
     inks = [machinery.PIPE_COLOURS[int(i)] for i in rng.permutation(5)]
     span = 2.0 * _HALF_M[1] - 0.7
     walk = machinery.catwalk(24.0, 3.6).moved(np.eye(3), np.array([0.0, -7.35, 0.0]))
@@ -237,7 +237,7 @@ def _structure(palette: _Palette) -> tuple[list[Box], list[tuple[Box, ...]]]:
 
 
 def _windows(rng: Random) -> tuple[list[Box], list[Box], list[AreaLight]]:
-    """Return what hangs on the walls, glowing windows, and the light that falls through these."""
+    """Return wall-mounted objects, windows with emission, and the area lights of the windows."""
     glass, lights = [], []
     frame = steel((70, 78, 76))
     bays = np.arange(-2.0, 2.1) * _BAY_M
@@ -255,7 +255,7 @@ def _windows(rng: Random) -> tuple[list[Box], list[Box], list[AreaLight]]:
 
 
 def _on_walls(rng: Random) -> list[Box]:
-    """Return what is fixed to the end walls: a large door, signs, boards, fans."""
+    """Return the objects on the end walls: a large door, signs, boards, fans."""
     frame = steel((70, 78, 76))
     number, ink = int(rng.integers(1, 10)), ((38, 74, 122), (140, 40, 36), (40, 92, 66))[int(rng.integers(3))]
     gate = partial(works.roller_door, colour=vary(rng, (96, 116, 136), 0.15), ppm=_WALL_PX_PER_M)
@@ -284,7 +284,7 @@ def _on_walls(rng: Random) -> list[Box]:
 
 
 def _lamps() -> tuple[list[Box], list[AreaLight]]:
-    """Return lamps under the roof, and their light."""
+    """Return the lamps under the roof and their area lights."""
     boxes, lights = [], []
     paint = partial(works.casing_plain, colour=(244, 240, 226))
     for x in np.arange(-2.0, 2.1) * _BAY_M:

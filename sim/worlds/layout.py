@@ -1,4 +1,4 @@
-"""A layout: the plain parts that a world is made of, before anything is painted, lit or given to MuJoCo."""
+"""Layouts: the parts of a world before painting, lighting and conversion to MuJoCo."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -13,81 +13,82 @@ from dronevio.sim.appearance.solids import Box, Face, Surface
 
 Array = npt.NDArray[np.float64]
 Poses = Callable[[Array], Array]
-"""Maps times (M,) since the start of the flight [s] to poses (M, 4, 4) in the world."""
+"""Function from times (M,) since the start of the flight [s] to poses (M, 4, 4) in the world."""
 Difficulty = Literal["normal", "hard"]
 
 ROUTE_CLEARANCE_M = 0.6
-"""How far a world's route keeps from every surface [m]."""
+"""Smallest clearance of the route of a world [m]."""
 
 
 @dataclass(frozen=True, eq=False)
 class MovingObject:
-    """Something that moves by itself: seen, never touched, since paths keep away from where it goes."""
+    """A moving object: visible, but without collision geometry, since paths avoid its lane."""
 
     name: str
-    """What it is called; its body in the model has this name, too."""
+    """Name of the object and of its body in the model."""
     boxes: tuple[Box, ...]
-    """What it is made of, in its own frame."""
+    """Boxes of the object in its own frame."""
     poses: Poses
-    """Where it is, and when."""
+    """Pose of the object as a function of time."""
 
 
 @dataclass(frozen=True, eq=False)
 class Mirror:
-    """A polished floor: it shows what it is painted with, and what stands on it upside down."""
+    """A reflecting floor, which shows its texture and a reflection."""
 
     face: Face
-    """Where it is, and its pattern; it looks up, its right edge is along x."""
+    """Rectangle and texture of the floor, facing up with its right edge along x."""
     reflectance: float
-    """Share of the light that it reflects, 0 to 1."""
+    """Fraction of the light that is reflected, 0 to 1."""
 
 
 @dataclass(frozen=True, eq=False)
 class Layout:
-    """Where everything in a world is."""
+    """Geometry of a world."""
 
     low: Array
-    """(3,) Least corner of the space to fly in [m]; z is the floor."""
+    """(3,) Lower corner of the flight space [m]; z is the floor."""
     high: Array
-    """(3,) Greatest corner [m]; z is the ceiling, or how high one may fly outdoors."""
+    """(3,) Upper corner of the flight space [m]; z is the ceiling, or the largest height outdoors."""
     shell: tuple[Surface, ...]
-    """What bounds the view: floor, walls and ceiling, or ground and sky. Other surfaces that are no boxes go here."""
+    """Surfaces that bound the view: floor, walls and ceiling, or ground and sky; also other surfaces that are no
+    boxes."""
     boxes: tuple[Box, ...]
-    """Everything else that is seen; faces that lie against the bounds of the space are left out."""
+    """All other visible boxes; faces against the bounds of the flight space are omitted."""
     obstacles: tuple[Box, ...]
-    """What a drone would hit: upright or turned boxes around the things that are seen; their paint does not matter."""
+    """Collision boxes around the visible objects; their paint is not used."""
     lights: tuple[AreaLight, ...]
-    """What lights it."""
+    """Area lights of the world."""
     pad: Array
-    """(3,) Middle of the landing pad, on the floor [m]."""
+    """(3,) Centre of the landing pad on the floor [m]."""
     free_box: Array
-    """(2, 3) Least and greatest corner of a space free of obstacles, its middle above the pad [m]."""
+    """(2, 3) Lower and upper corner of a space free of obstacles [m]; its centre is above the landing pad."""
     route: Array
-    """(R, 3) A tour through the whole world [m], from above the pad; its legs, with the one from the last point back to
-    the first, keep `ROUTE_CLEARANCE_M` from every surface."""
+    """(R, 3) Closed tour through the whole world that starts above the landing pad [m]; its legs keep
+    `ROUTE_CLEARANCE_M` of clearance."""
     walled: bool = True
-    """Whether walls and a ceiling bound the space; outdoors there is only the ground to hit."""
+    """Whether walls and a ceiling bound the space; outdoors there is only the ground."""
     shading: tuple[Box, ...] | None = None
-    """What casts shadows; by default every box without light of its own. A few coarse boxes are lit much faster."""
+    """Boxes that cast shadows; by default all boxes without emission. A few coarse boxes are much faster."""
     illumination: float = 1.0
-    """Light that falls in, relative to a well lit room."""
+    """Illumination relative to a well-lit room."""
     moving: tuple[MovingObject, ...] = ()
-    """What moves."""
+    """Moving objects of the world."""
     lanes: tuple[Box, ...] = ()
-    """Where it moves: paths keep out, though there is nothing to hit but what is moving."""
+    """Lanes of the moving objects, which planned paths avoid."""
     mirror: Mirror | None = None
-    """The floor, where it reflects."""
+    """The reflecting floor, if there is one."""
     prints: tuple[Print, ...] = ()
-    """What shares images that bring their own light: trunks and leaves."""
+    """Cutouts with shared textures that include their lighting, such as trunks and leaves."""
 
 
 @dataclass(frozen=True)
 class WorldBuilder:
-    """How a world comes about."""
+    """Description and layout function of a world."""
 
     description: str
-    """What it is, in a few words, for people."""
+    """Short description for listings."""
     layout: Callable[[np.random.Generator], Layout]
-    """Draws it."""
+    """Function that draws the layout from a random generator."""
     difficulty: Difficulty = "normal"
-    """Whether a camera finds plenty to hold on to, or the world is made to be hard on it."""
+    """Whether the world has enough features for visual estimators, or is difficult by design."""

@@ -1,4 +1,4 @@
-"""Low texture: a gallery before the exhibition, all white; walls, floor and ceiling offer next to nothing."""
+"""World low-texture: an empty white gallery, whose walls, floor and ceiling have almost no texture."""
 
 from functools import partial
 
@@ -21,7 +21,7 @@ LOW_M, HIGH_M = np.array([-5.0, -4.0, 0.0]), np.array([5.0, 4.0, 3.6])
 """Corners of the gallery [m]."""
 _WHITE: Colour = (208, 207, 203)
 _FLOOR: Colour = (186, 184, 178)
-_PX_PER_M, _CEILING_PX_PER_M = 224.0, 128.0  # light is painted as finely as texture: soft shadows are all there is
+_PX_PER_M, _CEILING_PX_PER_M = 224.0, 128.0  # fine light maps, since soft shadows are the only structure
 _ROUTE_M = np.array(
     [[0.0, 0.0, 1.2], [2.6, -1.6, 1.0], [2.6, 1.6, 1.8], [0.0, 0.3, 1.4], [-2.6, -1.6, 1.6], [-2.6, 1.6, 1.1]]
 )
@@ -77,7 +77,7 @@ def _door() -> Piece:
 
 @single_instance
 def _painting(rng: Random) -> Piece:
-    """Return the one picture that already hangs."""
+    """Return the only picture in the gallery."""
     w, h = rng.uniform(0.9, 1.2), rng.uniform(0.7, 0.9)
     white = partial(textures_building.whitewash, colour=_WHITE)
     shown = pictures.PICTURES[int(rng.integers(len(pictures.PICTURES)))]
@@ -102,7 +102,7 @@ def _high_window() -> Piece:
 
 @single_instance
 def _plinth(rng: Random) -> Piece:
-    """Return a white plinth, empty."""
+    """Return an empty white plinth."""
     side, tall = rng.uniform(0.35, 0.6), rng.uniform(0.45, 1.15)
     white = partial(textures_building.whitewash, colour=(204, 203, 199))
     return Piece((block(0.0, 0.5 * side, 0.0, side, side, tall, white),), side, side, tall)

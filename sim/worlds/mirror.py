@@ -1,4 +1,4 @@
-"""Mirror: the hall of a grand hotel; its polished floor shows everything a second time, upside down."""
+"""World mirror: the hall of a hotel with a polished, reflecting floor."""
 
 from collections.abc import Callable
 from functools import partial
@@ -79,7 +79,7 @@ def layout(rng: Random) -> Layout:
 
 
 def _furniture(rng: Random, windows: bool) -> list[Callable[[Random], Piece]]:
-    """Return what stands along a wall, in an order of its own."""
+    """Return the shuffled furniture along a wall."""
     makers = [sofa, plant, hung_picture, sideboard, armchair, room_door, bookcase, hung_picture]
     chosen = [makers[int(i)] for i in rng.permutation(len(makers))]
     return [window if windows and k % 2 == 0 else make for k, make in enumerate(chosen)]
@@ -139,12 +139,12 @@ def _chandelier(place: Array) -> Piece:
 
 
 def _around(lamp: Piece) -> Box:
-    """Return the box from a lamp up to the ceiling."""
+    """Return the collision box from a lamp up to the ceiling."""
     widest = max(lamp.boxes, key=lambda box: float(box.half[0]))
     bottom = min(float(box.centre[2] - box.half[2]) for box in lamp.boxes)
     half = np.array([widest.half[0], widest.half[1], 0.5 * (HIGH_M[2] - bottom)])
     return Box(np.array([*widest.centre[:2], HIGH_M[2] - half[2]]), half, widest.paint)
 
 
-MIRROR = WorldBuilder("the hall of a hotel with a polished floor that shows everything twice", layout, "hard")
-"""The hall with the mirror-like floor."""
+MIRROR = WorldBuilder("the hall of a hotel with a polished, reflecting floor", layout, "hard")
+"""World with a reflecting floor."""

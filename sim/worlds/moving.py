@@ -1,4 +1,4 @@
-"""MovingObject objects: a concourse where people walk round and round, carts roll among them and banners swing."""
+"""World moving: a concourse with walking people, rolling carts and swinging banners."""
 
 from functools import partial
 
@@ -21,7 +21,7 @@ Random = np.random.Generator
 
 LOW_M, HIGH_M = np.array([-8.0, -6.3, 0.0]), np.array([8.0, 6.3, 4.8])
 """Corners of the concourse [m]."""
-_INNER_M, _OUTER_M = np.array([4.2, 2.6]), np.array([6.3, 4.7])  # half the extents of the lane's edges
+_INNER_M, _OUTER_M = np.array([4.2, 2.6]), np.array([6.3, 4.7])  # half extents of the edges of the lane
 _TALLEST_M = 2.1
 _FLOOR_PX_PER_M, _WALL_PX_PER_M, _CEILING_PX_PER_M, _THING_PX_PER_M = 120.0, 128.0, 72.0, 128.0
 _PEOPLE, _WITH_CARTS = 8, 4  # on the inner and on the outer track
@@ -67,7 +67,7 @@ def layout(rng: Random) -> Layout:
 
 
 def _traffic(rng: Random) -> tuple[MovingObject, ...]:
-    """Return who walks one way, what rolls the other way outside of them, and the banners above."""
+    """Return people who walk in one direction, carts that roll in the other outside of them, and banners above."""
     things = []
     width = _OUTER_M - _INNER_M
     inner, outer = (tuple((_INNER_M + share * width).tolist()) for share in (0.27, 0.73))
@@ -88,14 +88,14 @@ def _traffic(rng: Random) -> tuple[MovingObject, ...]:
 
 
 def _banner_places() -> list[tuple[float, float, float]]:
-    """Return where banners hang, above the lane: x, y and the heading of their long side."""
+    """Return the positions of the banners above the lane: x, y and the heading of their long side."""
     x, y = 0.5 * (_INNER_M + _OUTER_M)
     along_x = [(s * 2.4, t * y, 0.0) for s in (-1.0, 1.0) for t in (-1.0, 1.0)]
     return along_x + [(s * x, 0.0, 0.5 * np.pi) for s in (-1.0, 1.0)]
 
 
 def _lanes() -> tuple[Box, ...]:
-    """Return the four stretches of the lane that people and carts go round, and where banners swing above it."""
+    """Return the four sections of the lane of people and carts, and the volumes of the banners above it."""
     grey = partial(textures.plain, colour=METAL)
     middle, half = 0.5 * (_INNER_M + _OUTER_M), 0.5 * (_OUTER_M - _INNER_M)
     boxes = []
@@ -122,5 +122,5 @@ def _floor(rng: Random, height: int, width: int, colour: Colour) -> Image:
     return image
 
 
-MOVING = WorldBuilder("a concourse: people walk round the drone, carts roll among them, banners swing", layout, "hard")
+MOVING = WorldBuilder("a concourse with walking people, rolling carts and swinging banners", layout, "hard")
 """The concourse."""

@@ -1,4 +1,4 @@
-"""What worlds under the open sky share: the sky, the sun, ground and rocks, clear ways through what grows."""
+"""Common parts of outdoor worlds: sky, sun, ground, shadows, and random placement."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -17,24 +17,24 @@ from dronevio.sim.appearance.textures import Colour, Image
 Array = npt.NDArray[np.float64]
 Random = np.random.Generator
 
-_SKY_M = 80.0  # far enough to seem to stand still
-_SUN_M = 150.0  # its rays are parallel within a few degrees over a world
-_SKY_WIDTH_PX = 2560  # once around: a pixel of a usual camera
+_SKY_M = 80.0  # far enough for negligible parallax
+_SUN_M = 150.0  # rays are parallel within a few degrees over a world
+_SKY_WIDTH_PX = 2560  # full circle, about the resolution of a typical camera
 _DOWN_RAD = np.radians(10.0)  # `textures_nature.sky` ends so far below the horizon
 
-_SHADOW = 0.58  # light that the sky sends where the sun does not reach, relative
+_SHADOW = 0.58  # relative light of the sky in shadow
 
 
 @dataclass(frozen=True)
 class Weather:
-    """Light and air."""
+    """Colours and clouds of the sky."""
 
     zenith: Colour
     """Colour of the sky overhead."""
     horizon: Colour
     """Colour of the haze at the horizon."""
     cover: float
-    """How much of the sky is clouds, 0 to 1."""
+    """Fraction of the sky covered by clouds, 0 to 1."""
     hills: Colour
     """Colour of the nearest hills."""
 
@@ -45,17 +45,17 @@ WEATHERS: tuple[Weather, ...] = (
     Weather((120, 144, 168), (208, 210, 210), 0.62, (78, 88, 74)),
     Weather((86, 116, 164), (232, 208, 178), 0.46, (92, 84, 60)),
 )
-"""Fair days, at different hours."""
+"""Fair weather at different hours."""
 
 
 def sun(rng: Random) -> Array:
-    """Return a unit vector (3,) toward the sun, between 35° and 55° high."""
+    """Return a unit vector (3,) toward the sun, 35° to 55° above the horizon."""
     azimuth, height = rng.uniform(0.0, 2.0 * np.pi), np.radians(rng.uniform(35.0, 55.0))
     return np.array([np.cos(azimuth) * np.cos(height), np.sin(azimuth) * np.cos(height), np.sin(height)])
 
 
 def sunlight(toward: Array) -> AreaLight:
-    """Return the light of a sun in a direction (3,)."""
+    """Return the area light of a sun in a direction (3,)."""
     return AreaLight(_SUN_M * toward[None], 1.0 * _SUN_M**2)
 
 
@@ -71,7 +71,7 @@ def sky(weather: Weather, radius_m: float = _SKY_M) -> Sheet:
 
 
 def panorama(thing: Instance, grid: Array, paint: Paint, width_px: int) -> Sheet:
-    """Return a surface (R + 1, C + 1, 3) that glows by itself, under an image of so many columns."""
+    """Return a surface (R + 1, C + 1, 3) with emission and a texture of a given width."""
     around = float(np.linalg.norm(np.diff(grid, axis=1), axis=2).sum(axis=1).mean())
     return Sheet(grid, paint, 1.0, width_px / around, thing)
 
@@ -99,19 +99,19 @@ def dappled(rng: Random, image: Image, cells: float, depth: float) -> Image:
 
 
 def lay(image: Image, patch: Image) -> None:
-    """Lay a patch on the middle of an image."""
+    """Paste a patch onto the centre of an image."""
     top, left = (image.shape[0] - patch.shape[0]) // 2, (image.shape[1] - patch.shape[1]) // 2
     image[top : top + patch.shape[0], left : left + patch.shape[1]] = patch
 
 
 def flat(low: tuple[float, float], high: tuple[float, float], z: float) -> Array:
-    """Return a level rectangle as a grid (2, 2, 3) seen from above, its rows along −y [m]."""
+    """Return a horizontal rectangle as a grid (2, 2, 3) seen from above, with rows along −y [m]."""
     (x0, y0), (x1, y1) = low, high
     return np.array([[[x0, y1, z], [x1, y1, z]], [[x0, y0, z], [x1, y0, z]]])
 
 
 def distance_to_legs(points: Array, route: Array) -> Array:
-    """Return how far points (N, 2) are, seen from above, from the legs of a closed route (R, 2 or 3) [m]."""
+    """Return the horizontal distances of points (N, 2) from the legs of a closed route (R, 2 or 3) [m]."""
     start, way = route[:, :2], np.roll(route, -1, axis=0)[:, :2] - route[:, :2]
     offset = points[:, None] - start
     share = np.clip(np.sum(offset * way, axis=2) / np.maximum(np.sum(way * way, axis=1), 1e-12), 0.0, 1.0)
@@ -121,7 +121,7 @@ def distance_to_legs(points: Array, route: Array) -> Array:
 def scattered(
     rng: Random, low: npt.ArrayLike, high: npt.ArrayLike, tries: int, radii: Array, apart_m: float
 ) -> tuple[Array, Array]:
-    """Scatter discs at random, none closer to another than ``apart_m``.
+    """Place discs at random with at least ``apart_m`` between them.
 
     Args:
         rng: Draws the places.
@@ -144,13 +144,13 @@ def scattered(
 
 
 def on_ground(image: Image, ppm: float, points: Array) -> Array:
-    """Return where points (…, 3) lie on the image of a ground around the origin, x along its columns [px]."""
+    """Return the positions of points (…, 3) on the texture of a ground around the origin, x along its columns [px]."""
     height, width = image.shape[:2]
     return np.asarray(points[..., :2] * [ppm, -ppm] + [0.5 * width, 0.5 * height])
 
 
 def shadowed(image: Image, ppm: float, casting: Sequence[Box], toward: Array) -> Image:
-    """Return the image of a ground around the origin with the shadows of boxes on it.
+    """Return the texture of a ground around the origin with the shadows of boxes.
 
     Args:
         image: (H, W, 3) The ground.

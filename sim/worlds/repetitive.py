@@ -1,4 +1,4 @@
-"""Repetitive texture: an underground station, tiled all over; every tile, column and lamp is like every other."""
+"""World repetitive: a tiled underground station with identical tiles, columns and lamps."""
 
 from functools import partial
 
@@ -19,13 +19,13 @@ LOW_M, HIGH_M = np.array([-8.0, -4.8, 0.0]), np.array([8.0, 4.8, 4.2])
 """Corners of the station [m]: whole tiles."""
 _PITCH_M, _COLUMN_M, _COLUMN_Y_M = 3.2, 0.6, 2.4
 _TILE_M, _SLAB_M, _PANEL_M, _PX_PER_M = 0.2, 0.4, 0.4, 160.0
-_BANDS_M = ((1.0, 1.4), (3.0, 3.2))  # rows of coloured tiles, above the floor
+_BANDS_M = ((1.0, 1.4), (3.0, 3.2))  # heights of coloured tiles
 _GLAZES: tuple[Colour, ...] = ((46, 96, 84), (52, 74, 120), (134, 50, 46), (150, 108, 40))
 _WHITE: Colour = (206, 204, 194)
 
 
 def layout(rng: Random) -> Layout:
-    """Draw a station: its seed picks a colour, and nothing else could differ."""
+    """Draw a station; the seed determines a colour only."""
     glaze = _GLAZES[int(rng.integers(len(_GLAZES)))]
     wall = partial(_tiled, glaze=glaze)
     slabs = partial(textures_building.tiles, px_per_m=_PX_PER_M)
@@ -74,5 +74,5 @@ def _tiled(rng: Random, height: int, width: int, glaze: Colour) -> Image:
     return image
 
 
-REPETITIVE = WorldBuilder("an underground station, tiled all over: each place looks like the next", layout, "hard")
+REPETITIVE = WorldBuilder("a tiled underground station with repetitive texture", layout, "hard")
 """The station."""

@@ -1,4 +1,4 @@
-"""The room: furnished, lived in, a tour of eight by six metres."""
+"""World room: a furnished room of eight by six metres."""
 
 import numpy as np
 
@@ -8,7 +8,7 @@ from dronevio.sim.worlds.layout import Layout, WorldBuilder
 ROUTE_M = np.array(
     [[0.0, 0.0, 1.2], [2.1, -1.2, 1.0], [2.1, 1.2, 1.7], [0.0, 0.2, 0.9], [-2.1, -1.2, 1.5], [-2.1, 1.2, 1.1]]
 )
-"""(6, 3) A tour of the free box of a room [m]."""
+"""(6, 3) Closed tour through the free box of the room [m]."""
 
 
 def layout(rng: np.random.Generator) -> Layout:

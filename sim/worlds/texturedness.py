@@ -1,4 +1,4 @@
-"""Texturedness: how much a camera that flies through a world finds to hold on to."""
+"""Texturedness: the number of corners that a camera observes on a flight through a world."""
 
 from dataclasses import dataclass
 
@@ -16,20 +16,20 @@ Array = npt.NDArray[np.float64]
 Image = npt.NDArray[np.uint8]
 
 GOOD_CORNERS = 150
-"""How many good corners a frame of a normal world shows."""
+"""Required number of good corners in a frame of a normal world."""
 GOOD_SHARE = 0.95
-"""In how many of the frames along a route, at least."""
+"""Required fraction of frames with that many corners."""
 
-_SCORE = 4e-4  # smallest eigenvalue of the gradient matrix, image scaled to 0…1: what the tracker takes for a corner
+_SCORE = 4e-4  # smallest eigenvalue of the gradient matrix for image values in [0, 1], as in the tracker
 _APART_PX = 15.0
 _MOST = 400
-_TURN_RAD, _TILT_RAD = 0.5, 0.12  # headings and attitudes of a lively flight, off the direction of travel; one sigma
-_R_LEVEL_CAM = np.array([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]])  # looks along x, upright
+_TURN_RAD, _TILT_RAD = 0.5, 0.12  # standard deviations of heading and tilt of an agile flight
+_R_LEVEL_CAM = np.array([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]])  # optical axis along x
 
 
 @dataclass(frozen=True, eq=False)
 class Texturedness:
-    """What was counted along a route."""
+    """Number of corners and brightness of frames along a route."""
 
     corners: npt.NDArray[np.int64]
     """(N,) Good corners in each frame."""
@@ -38,12 +38,12 @@ class Texturedness:
 
     @property
     def share_good(self) -> float:
-        """Share of the frames that show `GOOD_CORNERS` or more."""
+        """Fraction of the frames with `GOOD_CORNERS` or more."""
         return float(np.mean(self.corners >= GOOD_CORNERS))
 
 
 def good_corners(image: Image) -> int:
-    """Return how many good corners a grey image (480, 752) shows, at most 400.
+    """Return the number of good corners of a grey image (480, 752), at most 400.
 
     A good corner is one by Shi and Tomasi ("Good features to track", 1994), strong in absolute terms, whatever else the
     image shows: the smaller eigenvalue of the gradient matrix over 5 × 5 pixels is at least 4e-4. No two are closer
@@ -58,7 +58,7 @@ def good_corners(image: Image) -> int:
 
 
 def poses_along(route: Array, count: int, rng: np.random.Generator | None = None) -> Array:
-    """Return poses (count, 4, 4) of a camera spread evenly along a closed route (R, 3), looking where it goes.
+    """Return camera poses (count, 4, 4) evenly spaced along a closed route (R, 3), looking along it.
 
     Args:
         route: Corners of the route [m].
@@ -80,7 +80,7 @@ def poses_along(route: Array, count: int, rng: np.random.Generator | None = None
 
 
 def texturedness(world: World, frames: int = 60, seed: int = 0, camera: CameraModel = EUROC_CAM0) -> Texturedness:
-    """Count good corners along the route of a world, at the headings and attitudes of a lively flight.
+    """Count good corners along the route of a world, with the headings and attitudes of an agile flight.
 
     Args:
         world: The world; what moves in it stands still.

@@ -1,4 +1,4 @@
-"""The warehouse: three aisles between high racks full of pallets, and a loading area before them."""
+"""World warehouse: three aisles between high racks of pallets, and a loading area."""
 
 from dataclasses import replace
 from functools import partial
@@ -26,11 +26,11 @@ LOW_M, HIGH_M = np.array([-12.0, -8.0, 0.0]), np.array([12.0, 8.0, 7.0])
 """Corners of the hall [m]."""
 _BAYS, _BAY_M, _DEPTH_M, _HEIGHT_M = 6, 2.4, 1.1, 5.4
 _LEVELS_M = (0.0, 1.55, 3.1, 4.65)
-_RACK_X_M = 3.0  # middle of the racks
+_RACK_X_M = 3.0  # centre of the racks
 _RACKS = ((-8.0, 0.0), (-2.8, np.pi), (-2.8, 0.0), (2.8, np.pi), (2.8, 0.0), (8.0, np.pi))  # y of the back, heading
-_TOP_M = 6.1  # of the highest loads
+_TOP_M = 6.1  # height of the highest loads
 _AISLES_M = (-5.35, 0.0, 5.35)
-_EMPTY = 0.12  # share of the places
+_EMPTY = 0.12  # fraction of empty places
 _PAD_M = np.array([-8.0, 0.0, 0.0])
 _FLOOR_PX_PER_M, _WALL_PX_PER_M, _CEILING_PX_PER_M, _THING_PX_PER_M = 84.0, 72.0, 48.0, 96.0
 _CLOSE_PX_PER_M = 144.0
@@ -82,7 +82,7 @@ def _hall(rng: Random) -> tuple[Surface, ...]:
     roof = partial(textures_building.sheet_metal, colour=(168, 172, 174), px_per_m=_CEILING_PX_PER_M, rib_m=0.5)
     density = (_FLOOR_PX_PER_M, _WALL_PX_PER_M, _CEILING_PX_PER_M)
     faces = list(hall_faces(LOW_M, HIGH_M, _floor, roof, walls, density))
-    faces[3] = replace(  # the east wall is looked at from close by
+    faces[3] = replace(  # the east wall is seen from a short distance
         faces[3], paint=partial(walls[1], px_per_m=_CLOSE_PX_PER_M), pixels_per_m=_CLOSE_PX_PER_M
     )
     return tuple(faces)
@@ -127,7 +127,7 @@ def _wall(rng: Random, height: int, width: int, colour: textures.Colour, px_per_
 
 
 def _goods(rng: Random, stock: Stock, R: Array, back: Array) -> list[Surface]:
-    """Return what lies in a rack whose back is at ``back`` (3,) and that is turned by R (3, 3)."""
+    """Return the goods of a rack with its back at ``back`` (3,) and orientation R (3, 3)."""
     faces: list[Surface] = []
     tops = (*np.diff(_LEVELS_M) - 0.2, _TOP_M - _LEVELS_M[-1])
     for level, room in zip(_LEVELS_M, tops, strict=True):
@@ -140,7 +140,7 @@ def _goods(rng: Random, stock: Stock, R: Array, back: Array) -> list[Surface]:
 
 
 def _shelves(R: Array, back: Array) -> list[Box]:
-    """Return a plate below each level of a rack but the lowest: what casts its shadow, the goods being too many."""
+    """Return a plate below each level of a rack but the lowest, which casts the shadow of the goods."""
     grey = partial(textures.plain, colour=METAL)
     half = np.array([0.5 * _BAYS * _BAY_M, 0.45, 0.01])
     return [Box(np.array([0.0, 0.54, level - 0.02]), half, grey).moved(R, back) for level in _LEVELS_M[1:]]
@@ -196,7 +196,7 @@ def _loading_area(rng: Random, stock: Stock, pieces: list[Piece], obstacles: lis
 
 @single_instance
 def _louvre() -> Piece:
-    """Return an opening high up in a wall that lets air through, the switches of its fan below it."""
+    """Return a ventilation louvre high on a wall, with the switches of its fan below."""
     fins, steel = partial(textures.radiator, colour=(150, 154, 158)), partial(textures.plain, colour=METAL)
     boxes = [block(0.0, 0.03, 3.1, 1.0, 0.06, 1.0, steel, fins), block(0.3, 0.05, 2.5, 0.3, 0.1, 0.4, steel)]
     boxes.append(block(0.3, 0.02, 2.9, 0.04, 0.04, 0.2, steel))
@@ -234,7 +234,7 @@ def _roof(pieces: list[Piece], obstacles: list[Box]) -> None:
 
 
 def _skylight() -> list[AreaLight]:
-    """Return even light from the whole roof, as of many lamps."""
+    """Return area lights that approximate the many lamps of the roof."""
     points = np.array([[x, y, 6.2] for x in (-9.0, -3.0, 3.0, 9.0) for y in (-5.35, 5.35)])
     return [AreaLight(points, 4.0, np.array([0.0, 0.0, -1.0]))]
 

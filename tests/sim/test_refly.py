@@ -81,7 +81,7 @@ def test_frames_take_the_imus_stamps_nearest_to_their_beat() -> None:
 def test_paths_that_cannot_be_flown_are_refused(recorded: Flight) -> None:
     path, imu = _shifted(recorded)
     late = ImuSamples(imu.t_ns + 10**12, imu.gyro_rad_s, imu.accel_m_s2)
-    with pytest.raises(ConfigError, match="share some time"):
+    with pytest.raises(ConfigError, match="overlapping times"):
         refly(path, late, rig_named("euroc"), "room")
     with pytest.raises(ConfigError, match="larger world"):
         wide = Trajectory(path.t_ns, 40.0 * path.p_world_imu, path.quat_wxyz)

@@ -97,10 +97,10 @@ def test_a_waypoint_that_is_no_number_is_refused() -> None:
 
 
 def test_where_there_is_no_way_the_leg_is_named() -> None:
-    with pytest.raises(ConfigError, match=r"no way from waypoint 0 at \[1.0.* to waypoint 1 at \[9.0"):
+    with pytest.raises(ConfigError, match=r"no route from waypoint 0 at \[1.0.* to waypoint 1 at \[9.0"):
         collision_free_polyline(hall(*WALL), np.stack([START, GOAL]), MARGIN)
     # The door of 1.6 m is too narrow for a margin of 0.85 m.
-    with pytest.raises(ConfigError, match="no way"):
+    with pytest.raises(ConfigError, match="no route"):
         collision_free_polyline(hall(*WALL_WITH_A_DOOR), np.stack([START, GOAL]), 0.85)
 
 
