@@ -96,7 +96,7 @@ def cut(recorded: Trajectory, start_s: float, duration_s: float | None) -> Traje
     stretch = recorded[(recorded.t_s >= start_s) & (recorded.t_s <= end_s)]
     if len(stretch) < 2:
         raise ConfigError(
-            f"section from {start_s:g} to {end_s:g} s of {recorded.t_s[-1]:.1f} s; expected two poses or more"
+            f"section from {start_s:g} to {end_s:g} s of a path of {recorded.t_s[-1]:.1f} s; expected two poses or more"
         )
     return stretch
 

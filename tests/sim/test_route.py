@@ -106,5 +106,5 @@ def test_where_there_is_no_way_the_leg_is_named() -> None:
 
 def test_a_waypoint_without_room_to_turn_is_refused() -> None:
     points = np.array([[1.0, 3.0, 1.5], [9.6, 3.0, 1.5], [1.0, 3.2, 1.5]])  # to the wall as close as allowed
-    with pytest.raises(ConfigError, match=r"curve near .* expected 0.40 m and some more"):
+    with pytest.raises(ConfigError, match=r"curve near .* expected more than 0.40 m"):
         collision_free_curve(hall(), points, MARGIN, LIMITS["medium"])

@@ -243,7 +243,7 @@ def test_ones_own_waypoints_are_flown_through_and_around_things() -> None:
     ("waypoint", "told"),
     [
         ((3.0, 0.0, 1.5), r"waypoint 1 of the via at \[3.0, 0.0, 1.5\] m has -0.20 m"),
-        ((6.0, 0.0, 1.5), r"no way from waypoint 0 of the via .* to waypoint 1 of the via"),
+        ((6.0, 0.0, 1.5), r"no route from waypoint 0 of the via .* to waypoint 1 of the via"),
         ((60.0, 0.0, 1.5), r"waypoint 1 of the via at \[60.0"),
     ],
 )
