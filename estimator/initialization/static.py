@@ -30,7 +30,7 @@ class InitialSigmas:
     """Standard deviations of an initial state."""
 
     tilt_rad: float = 0.1
-    """Standard deviation of roll and pitch [rad]; in a static initialization they absorb the accelerometer bias."""
+    """Standard deviation of roll and pitch [rad]; a static initialization attributes the accelerometer bias to them."""
     velocity_m_s: float = 0.05
     """Standard deviation of the velocity [m/s]."""
     gyro_bias_rad_s: float = 0.005
