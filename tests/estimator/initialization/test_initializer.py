@@ -1,0 +1,89 @@
+"""The initializer: when a window of frame packets yields a smoother, on synthetic flights."""
+
+from collections.abc import Callable
+from typing import TYPE_CHECKING
+
+import numpy as np
+import pytest
+
+from dronevio.estimator.backend.keyframes import KeyframeConfig, KeyframePolicy
+from dronevio.estimator.backend.landmarks import LandmarkConfig
+from dronevio.estimator.backend.smoother import KeyframeSmoother, SmootherConfig
+from dronevio.estimator.imu.buffer import ImuBuffer
+from dronevio.estimator.imu.preintegration import PreintegrationConfig, PreintegrationParams
+from dronevio.estimator.initialization.gauge import Gauge, LastPublished, WorldOrigin
+from dronevio.estimator.initialization.initializer import Initializer, InitializerConfig
+from dronevio.estimator.initialization.static import NotObservable
+from dronevio.estimator.types import Calibration, FramePacket
+
+if TYPE_CHECKING:
+    from tests.estimator.conftest import SyntheticFlight
+
+FRAME_S = 0.05
+CONFIG = InitializerConfig()
+
+
+@pytest.fixture(scope="module")
+def stationary_flight(make_flight: Callable[..., "SyntheticFlight"]) -> "SyntheticFlight":
+    """A flight whose drone does not move for its whole duration."""
+    return make_flight(3, rest_s=5.0, duration_s=2.0)
+
+
+def packets_of(flight: "SyntheticFlight", count: int) -> list[FramePacket]:
+    """Return the first packets of a flight; each of them has features, all but the first have IMU increments."""
+    front_end, buffer, packets = flight.front_end(), ImuBuffer(), []
+    buffer.add(flight.imu)
+    for index in range(count):
+        t_ns = int(flight.frame_times_ns[index])
+        increments = buffer.take_until(t_ns)
+        front_end.track(flight.frame(index), np.eye(3))
+        packets.append(FramePacket(t_ns, increments, front_end.replenish()))
+    return packets
+
+
+def initializer_at(gauge: Gauge) -> Initializer:
+    """Return an initializer without frames."""
+    return Initializer(CONFIG, SmootherConfig(), LandmarkConfig(), KeyframePolicy(KeyframeConfig()), gauge)
+
+
+def add(
+    initializer: Initializer, flight: "SyntheticFlight", packet: FramePacket, stationary_s: float, gauge: Gauge
+) -> KeyframeSmoother | NotObservable:
+    """Add a packet with the calibration and the noise of a flight's rig."""
+    params = PreintegrationParams.of(flight.rig.imu, PreintegrationConfig())
+    return initializer.add(packet, stationary_s, Calibration(flight.rig), gauge, params)
+
+
+def test_first_packet_after_a_loss_at_rest_is_not_enough(stationary_flight: "SyntheticFlight") -> None:
+    """The zero-velocity detector continues after a loss, so that it reports a stationary time at the first packet."""
+    packets = packets_of(stationary_flight, 8)
+    gauge = LastPublished.of(stationary_flight.state_at(packets[0].t_ns))
+    initializer = initializer_at(gauge)
+    for index, packet in enumerate(packets[5:]):
+        result = add(initializer, stationary_flight, packet, 2.0 + FRAME_S * index, gauge)
+        assert isinstance(result, NotObservable)
+        expected = "stationary for" if index else "one frame since the start of the initialization"
+        assert result.reason.startswith(expected)
+        if index == 0:  # one packet has no increments of the window, so that the bias stays that of the gauge
+            np.testing.assert_array_equal(initializer.gyro_bias[0], gauge.gyro_bias_rad_s)
+            assert initializer.gyro_bias[1] == gauge.gyro_bias_sigma_rad_s
+
+
+@pytest.mark.parametrize("stationary_before_s", [0.0, 2.0], ids=["first start", "after a loss"])
+def test_static_window_yields_a_smoother(stationary_flight: "SyntheticFlight", stationary_before_s: float) -> None:
+    """The window must be full, however long the drone has been stationary before its first packet."""
+    gauge = WorldOrigin(gyro_bias_sigma_rad_s=0.05)
+    initializer, last = initializer_at(gauge), round(CONFIG.static_window_s / FRAME_S)
+    packets = packets_of(stationary_flight, last + 1)
+    results = [
+        add(initializer, stationary_flight, packet, stationary_before_s + FRAME_S * index, gauge)
+        for index, packet in enumerate(packets)
+    ]
+    assert all(isinstance(result, NotObservable) for result in results[:last])
+    smoother = results[last]
+    assert isinstance(smoother, KeyframeSmoother)
+    assert smoother.state.t_ns == packets[last].t_ns
+    truth = stationary_flight.state_at(packets[last].t_ns)
+    np.testing.assert_allclose(smoother.state.velocity_m_s, np.zeros(3), atol=0.01)
+    np.testing.assert_allclose(smoother.state.T_world_imu[:3, 3], np.zeros(3), atol=0.01)
+    np.testing.assert_allclose(smoother.state.gyro_bias_rad_s, truth.gyro_bias_rad_s, atol=2e-3)
