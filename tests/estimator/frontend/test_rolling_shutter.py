@@ -1,4 +1,4 @@
-"""ObservationTable of known late instants, moved to the time of their frame."""
+"""Compensation of exposure times, on observations with known exposure times."""
 
 from dataclasses import dataclass, replace
 
@@ -23,18 +23,18 @@ GLOBAL = RigCamera(PINHOLE, T_IMU_CAM)
 
 @dataclass(frozen=True, eq=False)
 class Path:
-    """A motion of the IMU: turning about one axis, which itself turns, and moving as a polynomial of time."""
+    """A motion of the IMU whose rotation and position are polynomials of time."""
 
     omega: Array
     """(3,) Angular velocity at t = 0 [rad/s]."""
     alpha: Array
-    """(3,) How fast it grows [rad/s²]."""
+    """(3,) Angular acceleration [rad/s²]."""
     velocity: Array
-    """(3,) At t = 0 [m/s]."""
+    """(3,) Velocity at t = 0 in the world frame [m/s]."""
     acceleration: Array
-    """(3,) [m/s²]."""
+    """(3,) Acceleration in the world frame [m/s²]."""
     imu_s: float = 0.005
-    """Time between IMU samples [s]."""
+    """Interval between IMU samples [s]."""
 
     def T_world_imu(self, t_s: Array) -> Array:
         t = np.asarray(t_s)[..., None]
@@ -53,26 +53,26 @@ def begin(times: ExposureCompensation, path: Path, t_s: float) -> None:
 
 
 def landmarks(n: int = 150, depth_m: tuple[float, float] = (2.0, 6.0)) -> Array:
-    """Return (n, 3) places that the camera at the world's origin sees."""
+    """Return landmarks (n, 3) that are visible from the origin of the world."""
     rng = np.random.default_rng(5)
     pixels = rng.uniform([40.0, 40.0], [PINHOLE.width - 40.0, PINHOLE.height - 40.0], (n, 2))
     rays = np.column_stack([PINHOLE.normalize(pixels), np.ones(n)]) * rng.uniform(*depth_m, (n, 1))
     return np.asarray(rays @ T_IMU_CAM[:3, :3].T + T_IMU_CAM[:3, 3])
 
 
-def projected(path: Path, camera: RigCamera, places: Array, t_s: Array) -> Array:
-    """Return (N, 2) where places are in the image, each at its own time [px]."""
+def projected(path: Path, camera: RigCamera, points: Array, t_s: Array) -> Array:
+    """Return the projections (N, 2) of points (N, 3), each at its own time (N,) [px]."""
     T_cam_world = inverse_pose(path.T_world_imu(t_s) @ camera.T_imu_cam)
-    p_cam = np.einsum("nij,nj->ni", T_cam_world[:, :3, :3], places) + T_cam_world[:, :3, 3]
+    p_cam = np.einsum("nij,nj->ni", T_cam_world[:, :3, :3], points) + T_cam_world[:, :3, 3]
     return camera.model.project(p_cam)
 
 
-def exposed(path: Path, camera: RigCamera, places: Array, t_s: float, offset_s: float = 0.0) -> Array:
-    """Return (N, 2) where a shutter sees places in a frame of time t, whose middle row is late by an offset [px]."""
-    late_s = np.full(len(places), offset_s)
+def exposed(path: Path, camera: RigCamera, points: Array, t_s: float, offset_s: float = 0.0) -> Array:
+    """Return the observations (N, 2) of points by a rolling shutter whose middle row is exposed at t + offset [px]."""
+    delay_s = np.full(len(points), offset_s)
     for _ in range(20):
-        pixels = projected(path, camera, places, t_s + late_s)
-        late_s = (pixels[:, 1] / (camera.model.height - 1) - 0.5) * camera.readout_s + offset_s
+        pixels = projected(path, camera, points, t_s + delay_s)
+        delay_s = (pixels[:, 1] / (camera.model.height - 1) - 0.5) * camera.readout_s + offset_s
     return pixels
 
 
@@ -89,53 +89,56 @@ def errors_px(
     new: slice = slice(0, 0),
     ahead_s: float = 0.03,
 ) -> tuple[Array, Array]:
-    """Return how far sightings of the second of two frames are from where a global shutter sees them, [px].
+    """Return the errors of observations in the second of two frames against those of a global shutter.
 
     Returns:
-        (M,) after moving, (N,) before it.
+        Errors (M,) after the compensation and (N,) before it [px].
     """
-    places, times = landmarks(), ExposureCompensation()
+    points, times = landmarks(), ExposureCompensation()
     calibration = Calibration(Rig((camera,)), time_offset_correction_s=offset_s)
     for t_s in (-dt_s, 0.0):
-        seen = observations(exposed(path, camera, places, t_s, offset_s))
+        seen = observations(exposed(path, camera, points, t_s, offset_s))
         if t_s < 0.0:
-            known = np.ones(len(places), dtype=np.bool_)
+            known = np.ones(len(points), dtype=np.bool_)
             known[new] = False
             seen = Observations(seen.ids[known], seen.pixels[known], seen.xy[known], seen.ages[known])
         before = path.increments(t_s - dt_s, t_s)
         times.begin_frame(before, path.increments(t_s, t_s + ahead_s), O)
-        moved = times.at_frame_time(seen, calibration)
-    wanted = projected(path, camera, places, np.zeros(len(places)))
+        compensated = times.at_frame_time(seen, calibration)
+    expected = projected(path, camera, points, np.zeros(len(points)))
     after = np.linalg.norm(
-        PINHOLE.project(np.column_stack([moved.xy, np.ones(len(moved))])) - wanted[moved.ids], axis=1
+        PINHOLE.project(np.column_stack([compensated.xy, np.ones(len(compensated))])) - expected[compensated.ids],
+        axis=1,
     )
-    return after, np.linalg.norm(seen.pixels - wanted, axis=1)
+    return after, np.linalg.norm(seen.pixels - expected, axis=1)
 
 
 O = np.zeros(3)  # noqa: E741
-TURN = np.array([0.9, -1.6, 1.2])
-SPIN_UP = np.array([8.0, -12.0, 10.0])
+RATE = np.array([0.9, -1.6, 1.2])
+ANGULAR_ACCELERATION = np.array([8.0, -12.0, 10.0])
 R_IMU_CAM = T_IMU_CAM[:3, :3]
-AGGRESSIVE = Path(TURN, SPIN_UP, R_IMU_CAM @ np.array([1.0, 0.6, 1.2]), R_IMU_CAM @ np.array([2.0, -2.0, 1.0]))
+AGGRESSIVE = Path(
+    RATE, ANGULAR_ACCELERATION, R_IMU_CAM @ np.array([1.0, 0.6, 1.2]), R_IMU_CAM @ np.array([2.0, -2.0, 1.0])
+)
 
 
 @pytest.mark.parametrize("offset_s", [0.0, 0.005, -0.008])
-def test_a_turn_alone_is_taken_out_exactly(offset_s: float) -> None:
-    after, before = errors_px(Path(TURN, SPIN_UP, O, O), offset_s=offset_s)
-    lever_arm_px = 0.15  # the camera is 7 cm from the IMU that turns on the spot
+def test_pure_rotation_is_compensated_exactly(offset_s: float) -> None:
+    after, before = errors_px(Path(RATE, ANGULAR_ACCELERATION, O, O), offset_s=offset_s)
+    lever_arm_px = 0.15  # the camera is 7 cm from the IMU, which rotates in place
     assert np.median(before) > 3.0
     assert after.max() < lever_arm_px
 
 
-def test_a_steady_motion_across_the_view_is_taken_out_exactly() -> None:
+def test_constant_lateral_motion_is_compensated_exactly() -> None:
     after, before = errors_px(Path(O, O, R_IMU_CAM @ np.array([1.5, -0.8, 0.0]), O), offset_s=0.004)
     assert np.median(before) > 1.0
     assert after.max() < 1e-6
 
 
 @pytest.mark.parametrize("camera", [ROLLING, GLOBAL], ids=["rolling", "global"])
-def test_what_is_left_is_of_second_order(camera: RigCamera) -> None:
-    """The same motion at half the times leaves a quarter of the error."""
+def test_the_remaining_error_is_of_second_order(camera: RigCamera) -> None:
+    """Half of the delays and intervals leave a quarter of the error."""
     path = replace(AGGRESSIVE, imu_s=0.0005)
     half = replace(camera, readout_s=0.5 * camera.readout_s)
     long, _ = errors_px(path, camera, 0.004)
@@ -144,92 +147,93 @@ def test_what_is_left_is_of_second_order(camera: RigCamera) -> None:
     assert 3.3 < ratio < 4.7
 
 
-def test_aggressive_flight_keeps_a_quarter_of_a_pixel() -> None:
+def test_the_error_of_aggressive_flight_is_below_half_a_pixel() -> None:
     after, before = errors_px(AGGRESSIVE)
     assert np.median(before) > 5.0
     assert np.median(after) < 0.1 and after.max() < 0.5
 
 
-def test_a_global_shutter_on_the_same_clock_is_left_alone() -> None:
+def test_a_synchronized_global_shutter_is_unchanged() -> None:
     times = ExposureCompensation()
-    seen = observations(exposed(Path(TURN, O, O, O), GLOBAL, landmarks(), 0.0))
-    begin(times, Path(TURN, O, O, O), 0.0)
+    seen = observations(exposed(Path(RATE, O, O, O), GLOBAL, landmarks(), 0.0))
+    begin(times, Path(RATE, O, O, O), 0.0)
     assert times.at_frame_time(seen, Calibration(Rig((GLOBAL,)))) is seen
 
 
-def test_gyro_bias_is_taken_out() -> None:
-    path, bias = Path(TURN, SPIN_UP, O, O), np.array([0.05, -0.1, 0.08])
+def test_gyro_bias_is_subtracted() -> None:
+    path, bias = Path(RATE, ANGULAR_ACCELERATION, O, O), np.array([0.05, -0.1, 0.08])
     before, ahead = (path.increments(*span) for span in ((-FRAME_S, 0.0), (0.0, 0.03)))
     biased = [Increments(i.dt_s, i.gyro_rad_s + bias, i.accel_m_s2) for i in (before, ahead)]
     t_s = np.linspace(-0.05, 0.03, 17)
-    wanted = log_so3(path.T_world_imu(t_s)[:, :3, :3])
-    np.testing.assert_allclose(LocalRotation.of(*biased, bias).at(t_s), wanted, atol=2e-5)
+    expected = log_so3(path.T_world_imu(t_s)[:, :3, :3])
+    rotation = LocalRotation.of(biased[0], biased[1], bias)
+    np.testing.assert_allclose(rotation.at(t_s), np.asarray(expected), atol=2e-5)
 
 
-def test_beyond_the_known_motion_the_rate_is_held() -> None:
-    turn = LocalRotation.of(
-        Path(TURN, O, O, O).increments(-FRAME_S, 0.0), Increments(np.zeros(0), *np.zeros((2, 0, 3))), O
+def test_the_rate_is_held_beyond_the_measured_motion() -> None:
+    rotation = LocalRotation.of(
+        Path(RATE, O, O, O).increments(-FRAME_S, 0.0), Increments(np.zeros(0), *np.zeros((2, 0, 3))), O
     )
-    np.testing.assert_allclose(turn.at(np.array([0.02, -0.07])), np.outer([0.02, -0.07], TURN), atol=1e-9)
+    np.testing.assert_allclose(rotation.at(np.array([0.02, -0.07])), np.outer([0.02, -0.07], RATE), atol=1e-9)
 
 
-def test_nothing_sensed_is_no_turn() -> None:
+def test_without_increments_there_is_no_rotation() -> None:
     nothing = Increments(np.zeros(0), *np.zeros((2, 0, 3)))
     np.testing.assert_array_equal(LocalRotation.of(nothing, nothing, O).at(np.array([-0.01, 0.01])), np.zeros((2, 3)))
 
 
-def test_a_new_feature_is_left_out_until_it_shows_its_velocity() -> None:
+def test_new_features_are_omitted_until_they_have_a_velocity() -> None:
     after, before = errors_px(AGGRESSIVE, new=slice(0, 30))
     assert len(after) == len(before) - 30
     assert after.max() < 0.5
 
 
-def test_what_was_seen_on_time_tells_velocities_to_what_is_late() -> None:
-    """The clocks' offset turns up between two frames; features that are known by then are used at once."""
-    path, places, times = AGGRESSIVE, landmarks(), ExposureCompensation()
+def test_velocities_include_uncompensated_observations() -> None:
+    """The time offset is corrected between two frames; features observed before it are used at once."""
+    path, points, times = AGGRESSIVE, landmarks(), ExposureCompensation()
     given = Calibration(Rig((GLOBAL,)))
     corrected = replace(given, time_offset_correction_s=0.004)
     begin(times, path, -FRAME_S)
-    times.at_frame_time(observations(exposed(path, GLOBAL, places, -FRAME_S)), given)
+    times.at_frame_time(observations(exposed(path, GLOBAL, points, -FRAME_S)), given)
     begin(times, path, 0.0)
-    moved = times.at_frame_time(observations(exposed(path, GLOBAL, places, 0.0, 0.004)), corrected)
-    assert len(moved) == len(places)
+    compensated = times.at_frame_time(observations(exposed(path, GLOBAL, points, 0.0, 0.004)), corrected)
+    assert len(compensated) == len(points)
 
 
-def test_says_how_fast_the_imu_turns() -> None:
+def test_angular_velocity_at_the_frame() -> None:
     times = ExposureCompensation()
-    begin(times, Path(TURN, SPIN_UP, O, O), 0.0)
-    np.testing.assert_allclose(times.angular_velocity_rad_s, TURN, atol=1e-3)
+    begin(times, Path(RATE, ANGULAR_ACCELERATION, O, O), 0.0)
+    np.testing.assert_allclose(times.angular_velocity_rad_s, RATE, atol=1e-3)
 
 
-def test_asking_twice_in_a_frame_gives_the_same() -> None:
-    path, places, times = Path(TURN, SPIN_UP, O, O), landmarks(), ExposureCompensation()
+def test_compensation_can_be_repeated_within_a_frame() -> None:
+    path, points, times = Path(RATE, ANGULAR_ACCELERATION, O, O), landmarks(), ExposureCompensation()
     calibration = Calibration(Rig((ROLLING,)))
     for t_s in (-FRAME_S, 0.0):
-        seen = observations(exposed(path, ROLLING, places, t_s))
+        seen = observations(exposed(path, ROLLING, points, t_s))
         begin(times, path, t_s)
         first, second = (times.at_frame_time(seen, calibration) for _ in range(2))
     np.testing.assert_array_equal(first.xy, second.xy)
-    assert np.array_equal(first.ids, second.ids) and len(first) == len(places)
+    assert np.array_equal(first.ids, second.ids) and len(first) == len(points)
 
 
-def test_sightings_of_further_cameras_move_too() -> None:
-    """Each by the time of its own row, in its own image."""
+def test_matches_of_other_cameras_are_compensated() -> None:
+    """Each match is compensated by the exposure time of its row in its image."""
     second = RigCamera(PINHOLE, EUROC_T_IMU_CAM1, readout_s=0.03)
-    path = Path(TURN, SPIN_UP, R_IMU_CAM @ np.array([0.8, 0.4, 0.2]), O)
-    places, times = landmarks(), ExposureCompensation()
+    path = Path(RATE, ANGULAR_ACCELERATION, R_IMU_CAM @ np.array([0.8, 0.4, 0.2]), O)
+    points, times = landmarks(), ExposureCompensation()
     calibration = Calibration(Rig((ROLLING, second)))
     for t_s in (-FRAME_S, 0.0):
-        there = exposed(path, second, places, t_s)
-        matches = Matches(np.arange(len(places)), np.ones(len(places), np.int64), PINHOLE.normalize(there))
+        pixels = exposed(path, second, points, t_s)
+        matches = Matches(np.arange(len(points)), np.ones(len(points), np.int64), PINHOLE.normalize(pixels))
         begin(times, path, t_s)
-        seen = observations(exposed(path, ROLLING, places, t_s), matches=matches, miscalibrated=matches)
-        moved = times.at_frame_time(seen, calibration)
-    wanted = projected(path, second, places, np.zeros(len(places)))
-    found = PINHOLE.project(np.column_stack([moved.matches.xy, np.ones(len(places))]))
-    assert np.median(np.linalg.norm(there - wanted, axis=1)) > 4.0
-    assert np.linalg.norm(found - wanted, axis=1).max() < 0.4
-    np.testing.assert_array_equal(moved.miscalibrated.xy, moved.matches.xy)
+        seen = observations(exposed(path, ROLLING, points, t_s), matches=matches, miscalibrated=matches)
+        compensated = times.at_frame_time(seen, calibration)
+    expected = projected(path, second, points, np.zeros(len(points)))
+    found = PINHOLE.project(np.column_stack([compensated.matches.xy, np.ones(len(points))]))
+    assert np.median(np.linalg.norm(pixels - expected, axis=1)) > 4.0
+    assert np.linalg.norm(found - expected, axis=1).max() < 0.4
+    np.testing.assert_array_equal(compensated.miscalibrated.xy, compensated.matches.xy)
 
 
 def test_lookahead_covers_readout_and_time_offset() -> None:
@@ -240,12 +244,14 @@ def test_lookahead_covers_readout_and_time_offset() -> None:
 
 
 def test_corrected_extrinsics_are_used_at_once() -> None:
-    """The rotation within the readout acts in the camera's own axes: a correction must reach it with the next frame."""
+    """The rotation within the readout acts in the camera frame, so corrected extrinsics apply at the next frame."""
     wrong = replace(ROLLING, T_imu_cam=T_IMU_CAM @ pose_matrix(exp_so3(np.radians([0.0, 0.0, 90.0])), np.zeros(3)))
-    path, places, times = Path(TURN, SPIN_UP, O, O), landmarks(), ExposureCompensation()
+    path, points, times = Path(RATE, ANGULAR_ACCELERATION, O, O), landmarks(), ExposureCompensation()
     for camera, t_s in ((wrong, -FRAME_S), (ROLLING, 0.0), (ROLLING, FRAME_S)):
         begin(times, path, t_s)
-        moved = times.at_frame_time(observations(exposed(path, ROLLING, places, t_s)), Calibration(Rig((camera,))))
-    wanted = projected(path, ROLLING, places, np.full(len(places), FRAME_S))
-    found = PINHOLE.project(np.column_stack([moved.xy, np.ones(len(moved))]))
-    assert np.linalg.norm(found - wanted[moved.ids], axis=1).max() < 0.3
+        compensated = times.at_frame_time(
+            observations(exposed(path, ROLLING, points, t_s)), Calibration(Rig((camera,)))
+        )
+    expected = projected(path, ROLLING, points, np.full(len(points), FRAME_S))
+    found = PINHOLE.project(np.column_stack([compensated.xy, np.ones(len(compensated))]))
+    assert np.linalg.norm(found - expected[compensated.ids], axis=1).max() < 0.3
