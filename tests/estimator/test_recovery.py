@@ -1,9 +1,11 @@
-"""Loss and recovery: an estimate that means nothing is given up, and a new one begins by itself."""
+"""Loss and recovery: a failed estimate is discarded, and the odometry initializes again."""
 
 from collections.abc import Callable
 from dataclasses import replace
+from typing import TYPE_CHECKING
 
 import numpy as np
+import numpy.typing as npt
 import pytest
 
 from dronevio.estimator.imu.buffer import Increments
@@ -15,6 +17,13 @@ from dronevio.models.errors import ConfigError
 from dronevio.models.imu import ImuSamples
 from dronevio.models.rotation import exp_so3, pose_matrix
 from dronevio.models.state import Estimate, Health, NavState, Trajectory
+
+if TYPE_CHECKING:
+    from tests.estimator.conftest import SyntheticFlight
+
+MakeFlight = Callable[..., "SyntheticFlight"]
+
+Times = npt.NDArray[np.int64]
 
 ZERO = np.zeros(3)
 FRAME_NS = 50_000_000
@@ -29,12 +38,12 @@ def recovered_at(estimates: list[Estimate]) -> int:
 
 
 def is_sound(estimates: list[Estimate]) -> bool:
-    """Say whether every state is made of numbers, and every frame without one says why."""
-    told = all(e.state is None or np.isfinite(e.state.T_world_imu).all() for e in estimates)
-    return told and all(e.health_report.reason for e in estimates if e.state is None)
+    """Return whether every state is finite and every frame without a state has a reason."""
+    finite = all(e.state is None or np.isfinite(e.state.T_world_imu).all() for e in estimates)
+    return finite and all(e.health_report and e.health_report.reason for e in estimates if e.state is None)
 
 
-def test_half_a_minute_of_darkness_is_a_loss(make_flight: Callable) -> None:
+def test_half_a_minute_of_darkness_is_a_loss(make_flight: MakeFlight) -> None:
     flight = make_flight(0, rest_s=1.5, dark_s=(5.0, 35.0), duration_s=42.0)
     estimates = flight.run()
     assert is_sound(estimates)
@@ -49,7 +58,7 @@ def test_half_a_minute_of_darkness_is_a_loss(make_flight: Callable) -> None:
     before, after = estimates[lost - 1].state, estimates[again].state
     assert before is not None and after is not None
     jump_m = np.linalg.norm(after.T_world_imu[:3, 3] - before.T_world_imu[:3, 3])
-    assert jump_m < 4.0  # what was flown while the new start was looked for, and no more
+    assert jump_m < 4.0  # the distance flown during the new initialization
     truth = flight.truth_at(flight.frame_times_ns[[lost - 1, again]])
     turned = truth.rotations[0].T @ truth.rotations[1]
     error = before.T_world_imu[:3, :3].T @ after.T_world_imu[:3, :3] @ turned.T
@@ -59,7 +68,7 @@ def test_half_a_minute_of_darkness_is_a_loss(make_flight: Callable) -> None:
     assert np.abs(np.array(speeds) - true_speeds).max() < 0.15
 
 
-def test_position_after_a_loss_is_as_unsure_as_it_should_be(make_flight: Callable) -> None:
+def test_position_covariance_after_a_loss_covers_the_error(make_flight: MakeFlight) -> None:
     flight = make_flight(1, rest_s=1.5, dark_s=(5.0, 35.0), duration_s=42.0)
     estimates = flight.run()
     again = estimates[recovered_at(estimates)].state
@@ -72,7 +81,7 @@ def test_position_after_a_loss_is_as_unsure_as_it_should_be(make_flight: Callabl
     assert error_m < 4.0 * sigma_m
 
 
-def test_imu_that_contradicts_the_camera_is_a_loss(make_flight: Callable) -> None:
+def test_imu_that_contradicts_the_camera_is_a_loss(make_flight: MakeFlight) -> None:
     """For three seconds the gyroscope reads another flight's rotation."""
     flight = make_flight(2, rest_s=1.5, duration_s=16.0)
     t_s = (flight.imu.t_ns - flight.imu.t_ns[0]) * 1e-9
@@ -91,7 +100,7 @@ def test_imu_that_contradicts_the_camera_is_a_loss(make_flight: Callable) -> Non
     assert np.linalg.norm(in_imu - np.einsum("nji,nj->ni", truth.rotations, truth.velocity_m_s), axis=1).max() < 0.15
 
 
-def test_a_gap_in_the_imu_is_survived_and_told(make_flight: Callable) -> None:
+def test_an_imu_gap_is_bridged_and_reported(make_flight: MakeFlight) -> None:
     flight = make_flight(0, rest_s=1.5, duration_s=9.0)
     t_s = (flight.imu.t_ns - flight.imu.t_ns[0]) * 1e-9
     kept = (t_s < 5.0) | (t_s > 5.2)
@@ -110,7 +119,9 @@ def test_a_gap_in_the_imu_is_survived_and_told(make_flight: Callable) -> None:
 
 
 @pytest.mark.parametrize("spoil", [lambda t: t[::-1], lambda t: np.repeat(t, 2)[: len(t)]], ids=["order", "repeated"])
-def test_stamps_in_disorder_are_an_error_after_which_it_goes_on(make_flight: Callable, spoil: Callable) -> None:
+def test_disordered_stamps_raise_and_the_odometry_continues(
+    make_flight: MakeFlight, spoil: Callable[[Times], Times]
+) -> None:
     flight = make_flight(0, rest_s=1.5, duration_s=4.0)
     vio = VisualInertialOdometry(flight.rig, front_end=flight.front_end())
     for k, t_ns in enumerate(flight.frame_times_ns.tolist()):
@@ -119,7 +130,7 @@ def test_stamps_in_disorder_are_an_error_after_which_it_goes_on(make_flight: Cal
             with pytest.raises(ConfigError, match="do not increase"):
                 vio.add_imu(ImuSamples(spoil(batch.t_ns), batch.gyro_rad_s, batch.accel_m_s2, batch.sampling))
             with pytest.raises(ConfigError, match="do not increase"):
-                vio.add_imu(flight.imu.up_to(t_ns - FRAME_NS))  # these it has had
+                vio.add_imu(flight.imu.up_to(t_ns - FRAME_NS))  # already added
         vio.add_imu(batch)
         estimate = vio.add_frame(flight.frame(k))
     assert estimate.health is Health.TRACKING and estimate.state is not None
@@ -133,25 +144,25 @@ def turning(rng: np.random.Generator, n: int = 40) -> Increments:
 def test_recovery_keeps_last_position_and_gyroscope_yaw(seed: int) -> None:
     rng = np.random.default_rng(seed)
     R, bias = exp_so3(rng.normal(size=3)), 0.02 * rng.normal(size=3)
-    believed = NavState(0, pose_matrix(R, rng.normal(size=3)), rng.normal(size=3), bias, ZERO, np.eye(15) * 1e-4)
+    published = NavState(0, pose_matrix(R, rng.normal(size=3)), rng.normal(size=3), bias, ZERO, np.eye(15) * 1e-4)
     lost, window = turning(rng), turning(rng)
-    origin = LastPublished.of(believed).propagated(lost).propagated(window)
+    origin = LastPublished.of(published).propagated(lost).propagated(window)
     R_true = R @ lost.rotation(bias)  # at the start of the window
     yaw = exp_so3(np.array([0.0, 0.0, rng.uniform(-3.0, 3.0)]))
     start = NavState(10**9, pose_matrix(yaw @ R_true, ZERO), yaw @ np.array([0.3, 0.4, 0.5]), bias, ZERO)
     placed = origin.align(start, window)
     np.testing.assert_allclose(placed.T_world_imu[:3, :3], R_true, atol=1e-9)
-    np.testing.assert_allclose(placed.T_world_imu[:3, 3], believed.T_world_imu[:3, 3])
+    np.testing.assert_allclose(placed.T_world_imu[:3, 3], published.T_world_imu[:3, 3])
     np.testing.assert_allclose(
         R_true.T @ placed.velocity_m_s, (yaw @ R_true).T @ start.velocity_m_s
     )  # seen from the IMU
     np.testing.assert_allclose(placed.T_world_imu[2, :3], start.T_world_imu[2, :3], atol=1e-9)  # gravity is the start's
     P = origin.covariance(placed, InitialSigmas())
     assert np.linalg.eigvalsh(P).min() > 0.0
-    assert np.sqrt(P[3, 3]) > 0.9 * np.linalg.norm(believed.velocity_m_s)  # for a second, it may have flown on
+    assert np.sqrt(P[3, 3]) > 0.9 * np.linalg.norm(published.velocity_m_s)  # for a second, it may have flown on
 
 
-def test_the_first_start_is_where_the_world_begins() -> None:
+def test_first_initialization_defines_the_world_frame() -> None:
     start = NavState(5, pose_matrix(exp_so3(np.ones(3)), ZERO), np.ones(3), ZERO, ZERO)
     origin = WorldOrigin(gyro_bias_sigma_rad_s=0.05)
     assert origin.propagated(turning(np.random.default_rng(0))) is origin

@@ -2,6 +2,7 @@
 
 from collections.abc import Callable
 from dataclasses import replace
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import pytest
@@ -14,6 +15,12 @@ from dronevio.models.protocols import Estimator, measurements
 from dronevio.models.rotation import exp_so3
 from dronevio.models.state import Estimate, Health, Trajectory
 
+if TYPE_CHECKING:
+    from tests.estimator.conftest import SyntheticFlight
+
+MakeFlight = Callable[..., "SyntheticFlight"]
+Flown = Callable[[int, float], "tuple[SyntheticFlight, list[Estimate]]"]
+
 REST, AIR = 1.5, -5.0  # when the motion begins [s]
 SEEDS = range(4)
 
@@ -22,7 +29,7 @@ def poses(estimates: list[Estimate]) -> Trajectory:
     return Trajectory.from_states(e.state for e in estimates if e.state is not None)
 
 
-def ate_m(flight: object, found: Trajectory) -> float:
+def ate_m(flight: "SyntheticFlight", found: Trajectory) -> float:
     truth = flight.truth_at(found.t_ns)
     fit = align(truth.p_world_imu, found.p_world_imu, "yaw")
     return float(np.sqrt(np.mean(np.sum((truth.p_world_imu - fit.positions(found.p_world_imu)) ** 2, axis=1))))
@@ -38,11 +45,11 @@ def contents(estimate: Estimate) -> bytes:
 
 
 @pytest.fixture(scope="module")
-def flown(make_flight: Callable) -> Callable[[int, float], tuple[object, list[Estimate]]]:
+def flown(make_flight: MakeFlight) -> Flown:
     """Return a flight and its estimates for a seed and a start; each is flown once."""
-    done: dict[tuple[int, float], tuple[object, list[Estimate]]] = {}
+    done: dict[tuple[int, float], tuple[SyntheticFlight, list[Estimate]]] = {}
 
-    def fly(seed: int, rest_s: float) -> tuple[object, list[Estimate]]:
+    def fly(seed: int, rest_s: float) -> "tuple[SyntheticFlight, list[Estimate]]":
         if (seed, rest_s) not in done:
             flight = make_flight(seed, rest_s=rest_s)
             done[seed, rest_s] = flight, flight.run()
@@ -53,7 +60,7 @@ def flown(make_flight: Callable) -> Callable[[int, float], tuple[object, list[Es
 
 @pytest.mark.parametrize("seed", SEEDS)
 @pytest.mark.parametrize(("rest_s", "latest_s", "bound_m"), [(REST, 1.2, 0.02), (AIR, 2.6, 0.05)])
-def test_path_is_that_of_the_flight(flown: Callable, seed: int, rest_s: float, latest_s: float, bound_m: float) -> None:
+def test_path_is_that_of_the_flight(flown: Flown, seed: int, rest_s: float, latest_s: float, bound_m: float) -> None:
     flight, estimates = flown(seed, rest_s)
     assert [e.t_ns for e in estimates] == flight.frame_times_ns.tolist()
     found = poses(estimates)
@@ -65,7 +72,7 @@ def test_path_is_that_of_the_flight(flown: Callable, seed: int, rest_s: float, l
 
 @pytest.mark.parametrize("seed", SEEDS)
 @pytest.mark.parametrize("rest_s", [REST, AIR])
-def test_whole_state_is_that_of_the_flight(flown: Callable, seed: int, rest_s: float) -> None:
+def test_whole_state_is_that_of_the_flight(flown: Flown, seed: int, rest_s: float) -> None:
     flight, estimates = flown(seed, rest_s)
     found = poses(estimates)[-100:]  # the last five seconds
     truth = flight.truth_at(found.t_ns)
@@ -79,7 +86,7 @@ def test_whole_state_is_that_of_the_flight(flown: Callable, seed: int, rest_s: f
 
 
 @pytest.mark.parametrize("rest_s", [REST, AIR])
-def test_without_noise_hardly_any_error_is_left(make_flight: Callable, rest_s: float) -> None:
+def test_without_noise_hardly_any_error_is_left(make_flight: MakeFlight, rest_s: float) -> None:
     flight = make_flight(1, rest_s=rest_s, noisy=False, sampling="increment", duration_s=8.0)
     estimates = flight.run()
     assert ate_m(flight, poses(estimates)) < 1e-3
@@ -95,14 +102,14 @@ def test_without_noise_hardly_any_error_is_left(make_flight: Callable, rest_s: f
 
 
 @pytest.mark.parametrize("rest_s", [REST, AIR])
-def test_covariances_are_proper(flown: Callable, rest_s: float) -> None:
+def test_covariances_are_proper(flown: Flown, rest_s: float) -> None:
     P = poses(flown(0, rest_s)[1]).covariance
     np.testing.assert_allclose(P, np.swapaxes(P, 1, 2), atol=1e-12)
     assert np.linalg.eigvalsh(P).min() > 0.0
 
 
 @pytest.mark.parametrize("rest_s", [REST, AIR])
-def test_what_was_said_does_not_depend_on_what_comes_later(flown: Callable, rest_s: float) -> None:
+def test_what_was_said_does_not_depend_on_what_comes_later(flown: Flown, rest_s: float) -> None:
     """The recording ends after k frames: its k estimates are those of the longer one, to the bit."""
     flight, estimates = flown(0, rest_s)
     for frames in (12, 47, 90):
@@ -111,7 +118,7 @@ def test_what_was_said_does_not_depend_on_what_comes_later(flown: Callable, rest
         assert [contents(e) for e in cut.run()] == [contents(e) for e in estimates[:frames]]
 
 
-def test_what_was_said_is_never_revised(make_flight: Callable) -> None:
+def test_what_was_said_is_never_revised(make_flight: MakeFlight) -> None:
     flight = make_flight(1, rest_s=REST, duration_s=6.0)
     vio: Estimator = VisualInertialOdometry(flight.rig, front_end=flight.front_end())
     said: list[tuple[Estimate, bytes]] = []
@@ -125,14 +132,14 @@ def test_what_was_said_is_never_revised(make_flight: Callable) -> None:
 
 
 @pytest.mark.parametrize("rest_s", [REST, AIR])
-def test_same_input_same_bytes(flown: Callable, make_flight: Callable, rest_s: float) -> None:
+def test_same_input_same_bytes(flown: Flown, make_flight: MakeFlight, rest_s: float) -> None:
     _, estimates = flown(2, rest_s)
     again = make_flight(2, rest_s=rest_s).run()
     assert [contents(e) for e in again] == [contents(e) for e in estimates]
 
 
 @pytest.mark.parametrize("batch", [1, 7, 400])
-def test_imu_may_come_in_any_batches(flown: Callable, batch: int) -> None:
+def test_imu_may_come_in_any_batches(flown: Flown, batch: int) -> None:
     flight, estimates = flown(0, REST)
     vio = VisualInertialOdometry(flight.rig, front_end=flight.front_end())
     sent, said = 0, []
@@ -149,7 +156,7 @@ def test_imu_may_come_in_any_batches(flown: Callable, batch: int) -> None:
 
 @pytest.mark.parametrize("rest_s", [REST, AIR])
 @pytest.mark.parametrize("seed", range(3))
-def test_imu_may_be_mounted_in_any_way(make_flight: Callable, flown: Callable, seed: int, rest_s: float) -> None:
+def test_imu_may_be_mounted_in_any_way(make_flight: MakeFlight, flown: Flown, seed: int, rest_s: float) -> None:
     """The same flight, sensed by an IMU that is turned in its mount: the same path, up to yaw."""
     R_mount = exp_so3(np.random.default_rng([seed, 77]).normal(size=3) * 2.0)
     turned = make_flight(0, rest_s=rest_s, R_mount=R_mount)
@@ -162,7 +169,7 @@ def test_imu_may_be_mounted_in_any_way(make_flight: Callable, flown: Callable, s
 
 
 @pytest.mark.parametrize("rest_s", [REST, AIR])
-def test_front_end_is_told_how_its_camera_turned(make_flight: Callable, rest_s: float) -> None:
+def test_front_end_is_told_how_its_camera_turned(make_flight: MakeFlight, rest_s: float) -> None:
     """To a gyroscope's bias before the start, to a hundredth of a degree after it."""
     flight = make_flight(2, rest_s=rest_s, R_mount=exp_so3(np.array([1.0, -2.0, 0.5])), duration_s=8.0)
     front_end = flight.front_end()
@@ -176,13 +183,13 @@ def test_front_end_is_told_how_its_camera_turned(make_flight: Callable, rest_s: 
 
 
 @pytest.mark.parametrize("sampling", ["point", "increment"])
-def test_both_kinds_of_samples_do(make_flight: Callable, sampling: str) -> None:
+def test_both_kinds_of_samples_do(make_flight: MakeFlight, sampling: str) -> None:
     flight = make_flight(3, rest_s=REST, sampling=sampling, duration_s=8.0)
     assert ate_m(flight, poses(flight.run())) < 0.02
 
 
 @pytest.mark.parametrize("rest_s", [REST, AIR])
-def test_dark_second_is_bridged_by_the_imu(make_flight: Callable, rest_s: float) -> None:
+def test_dark_second_is_bridged_by_the_imu(make_flight: MakeFlight, rest_s: float) -> None:
     flight = make_flight(0, rest_s=rest_s, dark_s=(6.0, 7.0))
     estimates = flight.run()
     t_s = (flight.frame_times_ns - flight.frame_times_ns[0]) * 1e-9
@@ -198,7 +205,7 @@ def test_dark_second_is_bridged_by_the_imu(make_flight: Callable, rest_s: float)
     assert sigma_m[after] > 1.5 * sigma_m[before]  # and it knows that it is less sure
 
 
-def test_long_darkness_ends_too(make_flight: Callable) -> None:
+def test_long_darkness_ends_too(make_flight: MakeFlight) -> None:
     """Five seconds of dead reckoning go astray; sight brings the velocity back, and nothing is ever NaN."""
     flight = make_flight(0, rest_s=REST, dark_s=(4.0, 9.0), duration_s=15.0)
     estimates = flight.run()
@@ -211,7 +218,7 @@ def test_long_darkness_ends_too(make_flight: Callable) -> None:
 
 
 @pytest.mark.parametrize("seed", range(2))
-def test_hover_does_not_drift(make_flight: Callable, seed: int) -> None:
+def test_hover_does_not_drift(make_flight: MakeFlight, seed: int) -> None:
     """Three centimetres to and fro, from the ground on: hardly any landmark is ever seen under 1°."""
     sway = {
         "positions_m": np.array([[0.03, 0.01], [0.03, 0.01], [0.02, 0.01]]),
@@ -228,7 +235,7 @@ def test_hover_does_not_drift(make_flight: Callable, seed: int) -> None:
     ids=str,
 )
 @pytest.mark.parametrize("rest_s", [REST, AIR])
-def test_hardships_cost_accuracy_and_no_more(make_flight: Callable, rest_s: float, settings: dict) -> None:
+def test_hardships_cost_accuracy_and_no_more(make_flight: MakeFlight, rest_s: float, settings: dict[str, Any]) -> None:
     flight = make_flight(1, rest_s=rest_s, **settings)
     found = poses(flight.run())
     assert len(found) > 100
@@ -236,32 +243,32 @@ def test_hardships_cost_accuracy_and_no_more(make_flight: Callable, rest_s: floa
     assert ate_m(flight, found) < 0.15
 
 
-def test_nothing_is_said_before_there_is_something_to_say(make_flight: Callable) -> None:
+def test_nothing_is_said_before_there_is_something_to_say(make_flight: MakeFlight) -> None:
     blind = make_flight(0, rest_s=REST, dark_s=(0.0, 99.0), duration_s=4.0).run()
     assert all(e.health == Health.INITIALIZING and e.state is None for e in blind)
 
 
-def test_without_an_imu_it_waits(make_flight: Callable) -> None:
+def test_without_an_imu_it_waits(make_flight: MakeFlight) -> None:
     flight = make_flight(0, rest_s=REST, duration_s=3.0)
     vio = VisualInertialOdometry(flight.rig, front_end=flight.front_end())
     said = [vio.add_frame(flight.frame(k)) for k in range(40)]
     assert all(e.health == Health.INITIALIZING and e.state is None for e in said)
 
 
-def test_frames_may_come_before_the_imu_does(make_flight: Callable) -> None:
+def test_frames_may_come_before_the_imu_does(make_flight: MakeFlight) -> None:
     flight = make_flight(0, rest_s=2.5, duration_s=8.0)
     late = replace(flight)
     late.__dict__.update(imu=flight.imu[150:], frame_times_ns=flight.frame_times_ns)
     assert ate_m(flight, poses(late.run())) < 0.03
 
 
-def test_frames_between_samples_do_as_well(make_flight: Callable) -> None:
+def test_frames_between_samples_do_as_well(make_flight: MakeFlight) -> None:
     flight = make_flight(0, rest_s=REST, duration_s=8.0)
     flight.__dict__["frame_times_ns"] = flight.frame_times_ns[:-1] + 2_345_678
     assert ate_m(flight, poses(flight.run())) < 0.02
 
 
-def test_events_tell_the_start_and_the_keyframes(flown: Callable) -> None:
+def test_events_tell_the_start_and_the_keyframes(flown: Flown) -> None:
     _, estimates = flown(0, REST)
     events = [e.events for e in estimates]
     assert sum("initialized" in e for e in events) == 1
@@ -272,7 +279,7 @@ def test_events_tell_the_start_and_the_keyframes(flown: Callable) -> None:
 
 
 @pytest.mark.parametrize("offset_s", [0.012, -0.03])
-def test_a_known_time_offset_costs_nothing(make_flight: Callable, offset_s: float) -> None:
+def test_a_known_time_offset_costs_nothing(make_flight: MakeFlight, offset_s: float) -> None:
     """Frames are taken so much later than stamped; states are those at the stamps by the IMU's clock."""
     flight = make_flight(0, rest_s=REST, duration_s=8.0)
     late = replace(flight, rig=replace(flight.rig, time_offset_s=offset_s))
@@ -285,14 +292,14 @@ def test_a_known_time_offset_costs_nothing(make_flight: Callable, offset_s: floa
     assert np.linalg.norm(in_imu[0] - in_imu[1], axis=1)[-60:].max() < 0.05
 
 
-def test_a_rolling_shutter_costs_little(make_flight: Callable) -> None:
+def test_a_rolling_shutter_costs_little(make_flight: MakeFlight) -> None:
     flight = make_flight(0, rest_s=REST, duration_s=8.0)
     camera = replace(flight.rig.cameras[0], readout_s=0.03)
     rolling = replace(flight, rig=replace(flight.rig, cameras=(camera,)))
     assert ate_m(flight, poses(rolling.run())) < 0.02
 
 
-def test_refuses_a_frame_that_is_not_later(make_flight: Callable) -> None:
+def test_refuses_a_frame_that_is_not_later(make_flight: MakeFlight) -> None:
     flight = make_flight(0, duration_s=1.0)
     vio = VisualInertialOdometry(flight.rig, front_end=flight.front_end())
     vio.add_frame(flight.frame(1))
@@ -302,7 +309,7 @@ def test_refuses_a_frame_that_is_not_later(make_flight: Callable) -> None:
 
 
 @pytest.mark.parametrize("walk", [1e-9, 1.6e-5])
-def test_an_imu_whose_biases_hardly_walk_is_no_trouble(make_flight: Callable, walk: float) -> None:
+def test_an_imu_whose_biases_hardly_walk_is_no_trouble(make_flight: MakeFlight, walk: float) -> None:
     """The solver cannot take them at their word: it would get numbers beyond its digits."""
     flight = make_flight(0, rest_s=REST, duration_s=8.0)
     imu = replace(flight.rig.imu, gyro_random_walk=0.03 * walk, accel_random_walk=walk)
