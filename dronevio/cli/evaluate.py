@@ -5,7 +5,7 @@ import sys
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Literal, Optional, Union
+from typing import TYPE_CHECKING, Annotated, Literal
 
 import tyro
 
@@ -36,9 +36,6 @@ class EvaluateCommand:
       dronevio evaluate truth.csv estimate.tum --json
     """
 
-    # Options without a value are Optional and not `| None`, which tyro checks with typeguard on Python 3.11 to 3.13.
-    # Its import takes 0.08 s, a fifth of this command's processor time.
-
     truth: Annotated[tyro.conf.Positional[Path], tyro.conf.arg(metavar="TRUTH")]
     """Ground truth: TUM, KITTI or EuRoC file, EuRoC folder or ROS 2 bag."""
     estimate: Annotated[tyro.conf.Positional[Path], tyro.conf.arg(metavar="ESTIMATE")]
@@ -47,18 +44,18 @@ class EvaluateCommand:
     """Transformation of the estimate that minimizes the errors before they are computed: yaw and position (yaw, for
     visual-inertial odometry), rotation and position (se3), also the scale (sim3), the transformation that makes the
     first poses equal (first), that and the scale (scale, as in KITTI's tools), or the identity (none)."""
-    align_poses: Optional[int] = None
+    align_poses: int | None = None
     """Number of poses over which the estimate is aligned, from the first on. All poses are used by default; with 1, the
     first orientations are made equal."""
     association: Literal["interpolate", "nearest", "evo"] = "interpolate"
     """How poses are associated: interpolate the ground truth at the time stamps of the estimate, take the true pose
     that is nearest in time, or associate as evo does."""
-    max_gap_s: Optional[float] = None
+    max_gap_s: float | None = None
     """Largest gap of the ground truth that is interpolated (0.5 s by default), or largest difference between the time
     stamps of associated poses (0.01 s by default) [s]."""
     repeated: Literal["first", "last", "keep", "refuse"] = "first"
     """Which row of a TUM file counts when several have the same time stamp. With refuse, such a file is an error."""
-    times: Optional[Path] = None
+    times: Path | None = None
     """The times.txt that belongs to KITTI files, in seconds. Without it, frames are 0.1 s apart."""
     time_offset_s: float = 0.0
     """Offset that is added to the time stamps of the estimate [s]."""
@@ -72,14 +69,14 @@ class EvaluateCommand:
     """Pairs of poses for relative errors: overlapping ones from every pose on, or consecutive ones."""
     rpe_source: Literal["truth", "estimate"] = "truth"
     """Trajectory on which the distances between the poses of a pair are measured."""
-    rpe_tolerance: Optional[float] = None
+    rpe_tolerance: float | None = None
     """Largest relative deviation of a pair from --rpe-delta. The default is 0.1 for metres and degrees and 0.03 for
     seconds."""
-    lengths_m: Union[None, tuple[float, ...]] = None
+    lengths_m: tuple[float, ...] | None = None
     """Lengths of the sub-trajectories for errors by length [m]. The default is 10, 20, 30, 40 and 50 % of the path."""
     kitti: bool = False
     """Also compute the metrics of the KITTI odometry benchmark, with its definitions."""
-    plot: Optional[Path] = None
+    plot: Path | None = None
     """PNG file for a plot of the paths and the errors."""
     printing: Printing = field(default_factory=PrintOptions)
     """How results are printed."""

@@ -9,6 +9,8 @@ from typing import TYPE_CHECKING, TypeVar
 
 import tyro
 
+from dronevio.cli.fields import REGISTRY
+
 if TYPE_CHECKING:
     from rich.progress import Progress as RichProgress
 
@@ -31,8 +33,10 @@ def parse(command: type[Command], arguments: Sequence[str], name: str, default: 
     description = inspect.cleandoc(command.__doc__ or "")  # tyro itself would drop the examples
     prog = f"dronevio {name}"
     if default is None:
-        return tyro.cli(command, args=list(arguments), prog=prog, description=description)
-    return tyro.cli(command, args=list(arguments), prog=prog, description=description, default=default)
+        return tyro.cli(command, args=list(arguments), prog=prog, description=description, registry=REGISTRY)
+    return tyro.cli(
+        command, args=list(arguments), prog=prog, description=description, registry=REGISTRY, default=default
+    )
 
 
 @contextmanager

@@ -1,6 +1,6 @@
 """Tables and options that all commands share."""
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import pytest
@@ -15,7 +15,10 @@ class Command:
     """A command with shared groups of options."""
 
     size: float = 1.5
-    """Size of something [m]."""
+    """Size of something that is described at such a length
+    that its docstring has a second line [m]."""
+    lengths: tuple[float, ...] | None = None
+    """Lengths of something [m]."""
     reading: RecordingInput = field(default_factory=RecordingOptions)
     """How the recording is read."""
     output: Output = field(default_factory=OutputOptions)
@@ -52,6 +55,22 @@ def test_shared_options_have_no_prefix() -> None:
     assert (command.reading.cameras, command.reading.calibration) == (1, (Path("a"), Path("b")))
     assert command.reading.topics.imu == "/imu"
     assert command.output == OutputOptions(json=True, overwrite=True)
+
+
+def test_defaults_are_those_of_the_dataclass_or_of_an_instance() -> None:
+    assert parse(Command, [], "test") == Command()
+    other = Command(2.5, (1.0, 2.0), RecordingOptions(cameras=1), OutputOptions(json=True))
+    assert parse(Command, [], "test", default=other) == other
+    assert parse(Command, ["--size", "3", "--lengths", "4"], "test", other) == replace(other, size=3.0, lengths=(4.0,))
+
+
+def test_help_texts_have_no_line_breaks(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
+    monkeypatch.setenv("COLUMNS", "200")
+    with pytest.raises(SystemExit):
+        parse(Command, ["--help"], "test")
+    shown = capsys.readouterr().out
+    assert "Size of something that is described at such a length that its docstring has a second line [m]." in shown
+    assert "Print one JSON document instead of tables." in shown  # from the base of `OutputOptions`
 
 
 def test_wrong_options_end_with_exit_code_2(capsys: pytest.CaptureFixture[str]) -> None:

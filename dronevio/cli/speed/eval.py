@@ -59,7 +59,7 @@ def _measured(command: EvalCommand, progress: "Progress") -> list["PerformanceFi
     if (command.truth is None) != (command.estimate is None):
         raise ConfigError("only one of --truth and --estimate; expected both or none")
     files = None if command.truth is None or command.estimate is None else (command.truth, command.estimate)
-    poses, tries = (10_000, 2) if command.quick else (1_000_000, 3)
+    poses, tries = (10_000, 3) if command.quick else (1_000_000, 3)
     steps, figures = 4, []
     progress(0, steps)
     if has_evo():
