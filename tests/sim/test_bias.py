@@ -35,7 +35,8 @@ def test_biases_of_a_thousand_hours_spread_as_walks_do() -> None:
 def allan_variance(rate: np.ndarray, m: int, step_s: float) -> np.ndarray:
     """Return the overlapping Allan variances (axes,) of rates (N, axes) averaged over m steps (SP 1065, eq. 11)."""
     angle = np.vstack([np.zeros(rate.shape[1]), np.cumsum(rate, axis=0)]) * step_s
-    return np.square(angle[2 * m :] - 2.0 * angle[m:-m] + angle[: -2 * m]).mean(axis=0) / (2.0 * (m * step_s) ** 2)
+    second = angle[2 * m :] - 2.0 * angle[m:-m] + angle[: -2 * m]
+    return np.asarray(np.square(second).mean(axis=0) / (2.0 * (m * step_s) ** 2))
 
 
 def expected_variance(
@@ -77,7 +78,7 @@ def curve_and_band(model: ImuModel, seed: int, hours: float) -> list[tuple[np.nd
     curves = []
     for kind, rate in (("gyro", measured.gyro_rad_s), ("accel", measured.accel_m_s2)):
         parts = expected_variance(model, kind, m, step_s)
-        seen = np.stack([allan_variance(rate, int(k), step_s) for k in m]) / sum(parts)[:, None]
+        seen = np.stack([allan_variance(rate, int(k), step_s) for k in m]) / np.sum(parts, axis=0)[:, None]
         freedom = degrees_of_freedom(n, m)
         tail = 0.025 / len(m)
         curves.append((seen, chi2.ppf(tail, freedom) / freedom, chi2.ppf(1.0 - tail, freedom) / freedom))
@@ -109,8 +110,9 @@ def test_another_curve_leaves_the_band(wrong: dict[str, float]) -> None:
     step_s = 1.0 / SLOW.rate_hz
     for kind, (seen, low, high) in zip(("gyro", "accel"), curve_and_band(other, 1, 6.0), strict=True):
         m = 2 ** np.arange(len(seen))
-        believed = sum(expected_variance(other, kind, m, step_s)) / sum(expected_variance(SLOW, kind, m, step_s))
-        assert not np.all((seen * believed[:, None] > low[:, None]) & (seen * believed[:, None] < high[:, None]))
+        other_variance, variance = (np.sum(expected_variance(one, kind, m, step_s), axis=0) for one in (other, SLOW))
+        scaled = seen * (other_variance / variance)[:, None]
+        assert not np.all((scaled > low[:, None]) & (scaled < high[:, None]))
 
 
 def test_flicker_has_a_flat_floor_where_it_says() -> None:

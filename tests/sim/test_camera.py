@@ -18,8 +18,8 @@ from dronevio.models.rotation import exp_so3, inverse_pose, pose_matrix, skew
 from dronevio.sim.appearance.scenery import add_pages, paint_pages
 from dronevio.sim.appearance.solids import Face
 from dronevio.sim.cameras import views
-from dronevio.sim.cameras.camera import OffscreenCamera
-from dronevio.sim.cameras.surfaces import points_in_camera
+from dronevio.sim.cameras.camera import GreyImage, OffscreenCamera
+from dronevio.sim.cameras.surfaces import Flow, points_in_camera
 
 Array = npt.NDArray[np.float64]
 
@@ -142,7 +142,7 @@ T_NOW = pose_matrix(R_AHEAD @ exp_so3(np.array([0.1, 0.2, 0.05])), np.array([-0.
 T_NEXT = T_NOW @ pose_matrix(exp_so3(np.array([0.01, -0.015, 0.02])), np.array([0.05, 0.02, 0.03]))
 
 
-def residual_of_warp(offscreen: OffscreenCamera, flow: Array, now: Array, then: Array) -> Array:
+def residual_of_warp(offscreen: OffscreenCamera, flow: Flow, now: GreyImage, then: GreyImage) -> Array:
     """Return how far (N, 2) patches of a later image, brought back by the flow, still are from their place [px]."""
     height, width = now.shape
     u, v = np.meshgrid(np.arange(width, dtype=np.float32), np.arange(height, dtype=np.float32))
@@ -219,7 +219,9 @@ def test_a_cube_of_views_shows_what_a_single_one_shows(monkeypatch: pytest.Monke
 
 def test_where_the_lens_sees_nothing_nothing_is_seen() -> None:
     camera = CameraModel(320, 240, 90.0, 90.0, 159.5, 119.5, (0.02, -0.03, 0.004, -0.002), "equidistant")
-    blind = np.isnan(camera.unproject(np.stack(np.meshgrid(np.arange(320), np.arange(240)), axis=-1))).any(axis=-1)
+    blind = np.asarray(
+        np.isnan(camera.unproject(np.stack(np.meshgrid(np.arange(320), np.arange(240)), axis=-1))).any(axis=-1)
+    )
     assert 0.05 < blind.mean() < 0.6
     with OffscreenCamera(textured_box(), camera) as offscreen:
         image, seen = offscreen.render(T_NOW), offscreen.render_surfaces(T_NOW)

@@ -4,6 +4,7 @@ from typing import Any
 import gymnasium
 import numpy as np
 import pytest
+from gymnasium import spaces
 from gymnasium.utils.env_checker import check_env
 
 import dronevio.envs  # noqa: F401 registers
@@ -92,7 +93,9 @@ def test_no_action_holds_the_height_for_a_moment() -> None:
     for _ in range(5):
         observation, *_ = env.step(np.zeros(4, np.float32))
     np.testing.assert_allclose(observation["position"], start + 0.1 * velocity, atol=0.02)
-    np.testing.assert_allclose(observation["rotors"], env.observation_space["rotors"].high * 0.656, atol=1e-3)
+    space: object = env.observation_space
+    assert isinstance(space, spaces.Dict) and isinstance(space["rotors"], spaces.Box)
+    np.testing.assert_allclose(observation["rotors"], space["rotors"].high * 0.656, atol=1e-3)
 
 
 @pytest.mark.parametrize(("action", "share"), [(-1.0, 0.0), (1.0, 1.0)])

@@ -74,4 +74,4 @@ def test_a_failing_rotor_ends_the_flight_with_a_crash() -> None:
 )
 def test_impossible_faults_are_refused_by_name(field: str, value: float) -> None:
     with pytest.raises(ConfigError, match=rf"{field} .*; expected"):
-        Faults(**{field: value})
+        Faults(**{field: value})  # type: ignore[arg-type]

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from scipy.interpolate import BSpline
 
 from dronevio.sim.paths.heading import HeadingProfile, across, along, fixed, heading_curve, spinning, toward
 from dronevio.sim.paths.minimum_snap import minimum_snap
@@ -11,7 +12,7 @@ from dronevio.sim.paths.minimum_snap import minimum_snap
 CIRCLE_S = 20.0
 
 
-def circle(laps: int = 2) -> object:
+def circle(laps: int = 2) -> BSpline:
     angle = np.linspace(0.0, 2.0 * np.pi * laps, 12 * laps + 1)
     points = np.stack([2.0 * np.cos(angle), 2.0 * np.sin(angle), np.ones_like(angle)], axis=1)
     return minimum_snap(CIRCLE_S * angle / angle[-1], points)
@@ -21,7 +22,7 @@ def wrapped(angle: np.ndarray) -> np.ndarray:
     return (angle + np.pi) % (2.0 * np.pi) - np.pi
 
 
-def test_wishes_by_geometry() -> None:
+def test_desired_headings_by_geometry() -> None:
     t = np.arange(3.0)
     position = np.array([[0.0, -2.0, 1.0], [2.0, 0.0, 1.0], [0.1, 0.0, 1.0]])
     velocity = np.array([[1.0, 0.0, 0.0], [0.0, 2.0, 5.0], [0.0, 0.01, 3.0]])
@@ -32,10 +33,13 @@ def test_wishes_by_geometry() -> None:
     np.testing.assert_allclose(spinning(2.0, 4.0, 5.0)(np.arange(7.0), position, velocity), [0, 2, 4, 2, 0, 0, 2])
 
 
-@pytest.mark.parametrize(("gaze", "ahead"), [(along, 0.5 * np.pi), (across, np.pi), (toward(np.zeros(2)), np.pi)])
-def test_around_a_circle_the_heading_keeps_up(gaze: HeadingProfile, ahead: float) -> None:
+PROFILES: list[tuple[HeadingProfile, float]] = [(along, 0.5 * np.pi), (across, np.pi), (toward(np.zeros(2)), np.pi)]
+
+
+@pytest.mark.parametrize(("profile", "ahead"), PROFILES)
+def test_around_a_circle_the_heading_keeps_up(profile: HeadingProfile, ahead: float) -> None:
     path = circle()
-    heading = heading_curve(gaze, path, CIRCLE_S, 3.0, 0.0)
+    heading = heading_curve(profile, path, CIRCLE_S, 3.0, 0.0)
     t = np.linspace(4.0, CIRCLE_S - 3.0, 500)
     where = np.arctan2(path(t)[:, 1], path(t)[:, 0])
     assert np.abs(wrapped(heading(t) - where - ahead)).max() < 0.2
@@ -47,8 +51,8 @@ def test_rate_and_angular_acceleration_are_limited(seed: int, rate: float, end_s
     rng = np.random.default_rng(seed)
 
     def whims(t: np.ndarray, position: np.ndarray, velocity: np.ndarray) -> np.ndarray:
-        wishes = np.repeat(rng.uniform(-10.0, 10.0, len(t)), rng.integers(1, 30))[: len(t)]
-        return np.where(rng.random(len(t)) < 0.1, np.nan, wishes)
+        desired = np.repeat(rng.uniform(-10.0, 10.0, len(t)), rng.integers(1, 30))[: len(t)]
+        return np.where(rng.random(len(t)) < 0.1, np.nan, desired)
 
     heading = heading_curve(whims, minimum_snap(np.array([0.0, end_s]), np.zeros((2, 3))), end_s, rate, start)
     t = np.linspace(0.0, end_s, 5000)

@@ -145,7 +145,7 @@ def test_constant_errors_have_a_stream_of_their_own() -> None:
     for model in (wandering, smooth):
         measured, bias, _ = ImuErrors(model, np.random.default_rng(7)).add_to(STILL)
         noises.append(measured.gyro_rad_s - bias)
-    np.testing.assert_allclose(*noises, atol=1e-12)
+    np.testing.assert_allclose(noises[0], noises[1], atol=1e-12)
 
 
 def test_readings_come_in_steps_and_end_at_the_range() -> None:
@@ -186,7 +186,7 @@ def test_impossible_numbers_are_refused_by_name() -> None:
     for field in fields(ImuModel)[1:]:
         for wrong in (-1.0, float("nan")):
             with pytest.raises(ConfigError, match=field.name):
-                replace(EUROC_IMU, **{field.name: wrong})
+                replace(EUROC_IMU, **{field.name: wrong})  # type: ignore[arg-type]
     with pytest.raises(ConfigError, match="rate_hz 0"):
         ImuModel(rate_hz=0.0)
 

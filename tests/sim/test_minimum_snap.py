@@ -64,7 +64,7 @@ def polynomial_legs(knots: np.ndarray, points: np.ndarray) -> np.ndarray:
     A = np.array(demands)
     system = np.block([[cost, A.T], [A, np.zeros((len(A), len(A)))]])
     right = np.concatenate([np.zeros((n, d)), np.array(wanted)])
-    return np.linalg.lstsq(system, right, rcond=None)[0][:n].reshape(-1, 8, d)
+    return np.asarray(np.linalg.lstsq(system, right, rcond=None)[0][:n].reshape(-1, 8, d))
 
 
 @pytest.mark.parametrize("seed", range(3))

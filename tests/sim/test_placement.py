@@ -21,7 +21,7 @@ ONE_PILLAR = Space(
 def _wander(seed: int, size_m: float) -> np.ndarray:
     steps = np.cumsum(np.random.default_rng(seed).standard_normal((300, 3)), axis=0)
     low, high = steps.min(axis=0), steps.max(axis=0)
-    return (steps - low) / (high - low) * [size_m, size_m, 1.0] + [100.0, -50.0, -7.0]
+    return np.asarray((steps - low) / (high - low) * [size_m, size_m, 1.0] + [100.0, -50.0, -7.0])
 
 
 @settings(max_examples=8, deadline=None)

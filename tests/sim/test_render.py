@@ -135,21 +135,25 @@ def test_what_goes_dark_is_black_but_for_noise(tmp_path: Path) -> None:
     assert means[1] < 1.0 and min(means[0], means[2]) > 50.0
 
 
+def read_png(file: Path) -> np.ndarray:
+    """Return an image as it is stored."""
+    image = cv2.imread(str(file), cv2.IMREAD_UNCHANGED)
+    assert image is not None
+    return np.asarray(image)
+
+
 def test_truth_beside_the_frames(tmp_path: Path) -> None:
     work = job(truth_images=("depth", "segmentation", "flow"))
     render_frames(work, tmp_path, workers=1)
     first, second, last = work.schedule.stamps_ns[[0, 1, -1]].tolist()
-    depth, seg, flow = (
-        cv2.imread(str(tmp_path / folder / "data" / f"{first}.png"), cv2.IMREAD_UNCHANGED)
-        for folder in ("depth0", "seg0", "flow0")
-    )
+    depth, seg, flow = (read_png(tmp_path / folder / "data" / f"{first}.png") for folder in ("depth0", "seg0", "flow0"))
     assert depth.dtype == seg.dtype == flow.dtype == np.uint16
     assert depth.shape == seg.shape == (120, 188) and flow.shape == (120, 188, 3)
     names = (tmp_path / "seg0" / "names.csv").read_text().splitlines()
     assert len(names) == 201 and names[7].split(",") == ["7", "pillar_6"]
     assert (depth[seg == 0] == 0).all() and (depth[seg > 0] > 1000).all() and 0.2 < np.mean(seg > 0) < 1.0
     # What is seen now is seen in the next frame where the flow says, at the depth that it has there then.
-    later = cv2.imread(str(tmp_path / "depth0" / "data" / f"{second}.png"), cv2.IMREAD_UNCHANGED)
+    later = read_png(tmp_path / "depth0" / "data" / f"{second}.png")
     seen = flow[..., 0] == 1
     assert np.all(seg[seen] > 0) and seen.mean() > 0.3
     v, u = np.nonzero(seen)
@@ -216,7 +220,7 @@ def test_an_interruption_leaves_whole_images_and_says_so(tmp_path: Path) -> None
     assert 1 <= len(left) <= 6
     for file in left:
         assert file.suffix == ".png"
-        assert cv2.imread(str(file), cv2.IMREAD_UNCHANGED).shape == (120, 188)
+        assert read_png(file).shape == (120, 188)
     assert (tmp_path / INCOMPLETE).exists()
 
 

@@ -38,9 +38,9 @@ def hall(*boxes: tuple[list[float], list[float]]) -> FlightArea:
     return FlightArea(space, free_box, np.zeros(3), route)
 
 
-def aloft(path: Reference, place: FlightArea) -> np.ndarray:
+def aloft(path: Reference, area: FlightArea) -> np.ndarray:
     """Which rows belong to the tour: neither standing nor on the vertical above the pad."""
-    return np.linalg.norm(path.position_m[:, :2] - place.pad[:2], axis=1) > 1e-3
+    return np.asarray(np.linalg.norm(path.position_m[:, :2] - area.pad[:2], axis=1) > 1e-3)
 
 
 @pytest.mark.parametrize("world", WORLDS)
@@ -122,7 +122,8 @@ def nose(path: Reference) -> np.ndarray:
 
 
 def way(path: Reference) -> np.ndarray:
-    return path.velocity_m_s[:, :2] / np.maximum(np.linalg.norm(path.velocity_m_s[:, :2], axis=1, keepdims=True), 1e-9)
+    velocity = path.velocity_m_s[:, :2]
+    return np.asarray(velocity / np.maximum(np.linalg.norm(velocity, axis=1, keepdims=True), 1e-9))
 
 
 @pytest.mark.parametrize("shape", ["tour", "figure-8", "helix", "square"])

@@ -75,7 +75,7 @@ def centroid(light: np.ndarray, around: np.ndarray, reach: int) -> np.ndarray:
     assert patch.shape == (2 * reach + 1, 2 * reach + 1)
     assert patch.sum() > 500.0
     y, x = np.mgrid[top : top + 2 * reach + 1, left : left + 2 * reach + 1]
-    return np.array([(x * patch).sum(), (y * patch).sum()]) / patch.sum()
+    return np.asarray(np.array([(x * patch).sum(), (y * patch).sum()]) / patch.sum())
 
 
 @pytest.mark.parametrize("camera", [SMALL, FISHEYE], ids=["radtan", "fisheye"])

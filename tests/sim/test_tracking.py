@@ -37,8 +37,8 @@ def figure_of_eight(half_width_m: float, speed_m_s: float, standing_m: float, se
     change = np.gradient(rate, STEP_S, axis=0)
     t_ns = np.arange(n, dtype=np.int64) * round(STEP_S * 1e9)
     within = slice(4, -4)
-    rows = (values[within] for values in (position, velocity, acceleration, yaw, rate, change))
-    return Reference(t_ns, *rows, flying=np.ones(n, dtype=bool))
+    p, v, a, yaw, rate, change = (values[within] for values in (position, velocity, acceleration, yaw, rate, change))
+    return Reference(t_ns, p, v, a, yaw, rate, change, np.ones(n, dtype=bool))
 
 
 @pytest.mark.parametrize("name", VEHICLES)

@@ -33,7 +33,7 @@ def amplitude(signal: np.ndarray, frequency_hz: float) -> float:
     t = np.arange(len(signal)) * 5e-3
     basis = np.stack([np.cos(2.0 * np.pi * frequency_hz * t), np.sin(2.0 * np.pi * frequency_hz * t)], axis=1)
     weights, *_ = np.linalg.lstsq(basis, signal, rcond=None)
-    np.testing.assert_allclose(basis @ weights, signal, atol=1e-9 * np.linalg.norm(weights))
+    np.testing.assert_allclose(basis @ weights, signal, atol=1e-9 * float(np.linalg.norm(weights)))
     return float(np.linalg.norm(weights))
 
 

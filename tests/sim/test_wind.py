@@ -81,13 +81,13 @@ def test_parallel_gusts_are_independent_and_renewed_on_restart() -> None:
 def test_standing_in_the_frozen_field_nothing_changes() -> None:
     air = GustyAir(BREEZE, np.random.default_rng(4))
     before = air.velocity_m_s()
-    air.move_through(np.float64(0.0))
+    air.move_through(np.array(0.0))
     np.testing.assert_array_equal(air.velocity_m_s(), before)
 
 
 def test_no_gusts_need_no_random_numbers() -> None:
     steady = make_air(Wind((1.0, 2.0, -0.5)), None)
-    steady.move_through(np.float64(3.0))
+    steady.move_through(np.array(3.0))
     np.testing.assert_array_equal(steady.velocity_m_s(), [1.0, 2.0, -0.5])
     assert isinstance(make_air(CALM, None), SteadyAir)
     with pytest.raises(ConfigError, match="random generator"):
