@@ -67,7 +67,8 @@ def run_tests(checkout: Path, tests: Sequence[str]) -> Verdict:
         )
     except subprocess.TimeoutExpired:
         return Verdict.INVALID
-    if finished.returncode not in (0, 1):  # pytest: 0 all passed, 1 a test failed, else no test could be run
+    # Status of pytest: 0 if all tests passed, 1 if one failed, and else if they could not be run
+    if finished.returncode not in (0, 1):
         print(finished.stdout, finished.stderr, file=sys.stderr)
     return {0: Verdict.SURVIVED, 1: Verdict.KILLED}.get(finished.returncode, Verdict.INVALID)
 
@@ -121,9 +122,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
         verdicts.append(judge(mutant))
         print(f"{mutant.name:{width}}  {verdicts[-1]:8}  {time.perf_counter() - start:8.1f}", flush=True)
     print(f"{verdicts.count(Verdict.KILLED)} of {len(verdicts)} killed")
-    if Verdict.INVALID in verdicts:
-        return 2
-    return 1 if Verdict.SURVIVED in verdicts else 0
+    if Verdict.SURVIVED in verdicts:
+        return 1
+    return 2 if Verdict.INVALID in verdicts else 0
 
 
 if __name__ == "__main__":
