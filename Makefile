@@ -8,7 +8,7 @@ help:
 	@echo "make check                   lint, format, types and import contracts"
 	@echo "make docs                    build the documentation site in build/site"
 	@echo "make docs-serve              show it on 127.0.0.1:8000 while pages are edited"
-	@echo "make pictures                make the README's pictures anew"
+	@echo "make pictures                make the README's table and pictures anew, from the same runs"
 	@echo "make seeds                   fly seeds 0 to 9 and print the README's table"
 	@echo "make setup                   only set up; the others do it too"
 
@@ -42,7 +42,9 @@ docs-serve: setup
 	@scripts/docs.sh serve --dev-addr 127.0.0.1:8000
 
 pictures: setup
-	.venv/bin/python scripts/pictures.py
+	rm -rf build/pictures
+	.venv/bin/python scripts/seeds.py --write --keep build/pictures
+	.venv/bin/python scripts/pictures.py --run build/pictures/0
 
 seeds: setup
 	@.venv/bin/python scripts/seeds.py $(ARGS)

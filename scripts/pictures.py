@@ -1,10 +1,13 @@
 """Make the pictures of the README in docs/images: ``make pictures``.
 
-The default scenario is run. Screenshots are taken of its report in a browser and of its rerun file in the viewer. This
-needs Chromium, and a Vulkan driver for the viewer. ``apt-get install chromium mesa-vulkan-drivers`` installs both on a
-machine without a graphics card.
+Screenshots are taken of a run's report in a browser and of its rerun file in the viewer. ``docs/images/figures.json``
+records the scores of that run and the hashes of the pictures, so that the tests notice pictures of another run than
+that of the README's table; ``make pictures`` makes both from the same runs. This needs Chromium, and a Vulkan driver
+for the viewer. ``apt-get install chromium mesa-vulkan-drivers`` installs both on a machine without a graphics card.
 """
 
+import hashlib
+import json
 import shutil
 import subprocess
 import sys
@@ -12,13 +15,16 @@ import tempfile
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
+from dataclasses import dataclass
 from pathlib import Path
 
 import cv2
 import numpy as np
 import numpy.typing as npt
+import tyro
 from matplotlib.figure import Figure
 from rerun.experimental import ViewerClient
+from seeds import accuracy
 
 from dronevio.cli import main
 from dronevio.cli.view import HOST, free_port, viewer_program
@@ -180,14 +186,21 @@ def draw_estimator(flight: Path, picture: Path) -> None:
     figure.savefig(picture, dpi=90)
 
 
-def make_pictures(scratch: Path) -> None:
-    """Run the commands, and save all pictures."""
-    run = scratch / "room-0"
-    for arguments in (
-        ["run", "--out", str(run)],
+def make_pictures(scratch: Path, shown: Path | None) -> None:
+    """Run the commands, save all pictures, and record what they show.
+
+    Args:
+        scratch: Folder for intermediate files.
+        shown: Folder of the run to show; by default the default scenario is run.
+    """
+    run = shown or scratch / "room-0"
+    commands = [
         ["book", "imu", "--out", str(scratch / "imu")],
         ["book", "eqvio", "--out", str(scratch / "eqvio")],
-    ):
+    ]
+    if shown is None:
+        commands.insert(0, ["run", "--out", str(run)])
+    for arguments in commands:
         if main(arguments) != 0:
             sys.exit(f"pictures: dronevio {' '.join(arguments)} failed")
     IMAGES.mkdir(parents=True, exist_ok=True)
@@ -204,8 +217,31 @@ def make_pictures(scratch: Path) -> None:
     save("estimator.jpg", read(scratch / "estimator.png"))
     save("book-imu.jpg", read(scratch / "imu" / "path.png"))
     save("book-eqvio.jpg", read(scratch / "eqvio" / "paths.png"))
+    record_figures(run)
+
+
+def record_figures(run: Path) -> None:
+    """Write the scores of the run that the pictures show, and the hashes of the pictures."""
+    report = json.loads((run / "report.json").read_text(encoding="utf-8"))
+    document = {
+        "command": report["command"],
+        "seed": report["seed"],
+        "figures": accuracy(report),
+        "pictures": {path.name: hashlib.sha256(path.read_bytes()).hexdigest() for path in sorted(IMAGES.glob("*.jpg"))},
+    }
+    text = json.dumps(document, indent=2, ensure_ascii=False)
+    (IMAGES / "figures.json").write_text(text + "\n", encoding="utf-8")
+
+
+@dataclass(frozen=True)
+class PicturesCommand:
+    """Make the pictures of the README."""
+
+    run: Path | None = None
+    """Folder of the run to show; by default the default scenario is run."""
 
 
 if __name__ == "__main__":
+    given = tyro.cli(PicturesCommand, description=__doc__)
     with tempfile.TemporaryDirectory(prefix="dronevio-") as folder:
-        make_pictures(Path(folder))
+        make_pictures(Path(folder), given.run)

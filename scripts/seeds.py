@@ -35,6 +35,8 @@ class SeedsCommand:
     """Name of the scenario."""
     write: bool = False
     """Replace the table in the README."""
+    keep: Path | None = None
+    """Folder in which the runs are kept, in a subfolder for each seed; by default they are deleted."""
 
 
 @dataclass(frozen=True)
@@ -81,6 +83,8 @@ COLUMNS = (
     Column("CPU [s]", ".0f", lambda report, cost: cost.cpu_s),
     Column("memory [GB]", ".2f", lambda report, cost: cost.memory_gb),
 )
+ACCURACY = 7
+"""Number of columns, from the first on, that do not depend on the machine."""
 
 
 def measure(command: Sequence[str]) -> tuple[str, CommandCost]:
@@ -120,7 +124,7 @@ def main(command: SeedsCommand) -> int:
     with tempfile.TemporaryDirectory(prefix="dronevio-") as folder:
         for seed in command.seeds:
             print(f"seed {seed}", file=sys.stderr, flush=True)
-            out = Path(folder) / f"{seed}"
+            out = (command.keep or Path(folder)) / f"{seed}"
             options = ["--scenario", command.scenario, "--seed", str(seed), "--out", str(out), "--json"]
             printed, cost = measure([sys.executable, "-m", "dronevio.cli", "run", *options])
             report = json.loads(printed)
@@ -146,6 +150,12 @@ def seeds_table(seeds: Sequence[int], values: Sequence[Sequence[float]]) -> str:
     rows += [("mean", np.mean(values, axis=0).tolist()), ("worst", worst)]
     headings = ["seed", *(column.title for column in COLUMNS)]
     return table(headings, [[name, *cells(row)] for name, row in rows], left=0)
+
+
+def accuracy(report: Mapping[str, Any]) -> dict[str, str]:
+    """Return the cells of a run that do not depend on the machine, by the titles of their columns."""
+    free = CommandCost(0.0, 0.0, 0.0)
+    return {column.title: format(float(column.value(report, free)), column.form) for column in COLUMNS[:ACCURACY]}
 
 
 def cells(values: Sequence[float]) -> list[str]:

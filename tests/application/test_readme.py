@@ -1,5 +1,7 @@
 """The examples of the README run, and its commands, links and pictures exist."""
 
+import hashlib
+import json
 import re
 import shlex
 import sys
@@ -146,3 +148,16 @@ def test_linked_files_exist_and_pictures_are_small(page: str) -> None:
 def test_files_that_the_architecture_page_names_exist() -> None:
     for name in re.findall(r"`([a-z_]+/[a-z_/.]*)`", PAGES["docs/architecture.md"]):
         assert (CHECKOUT / name).exists(), name
+
+
+def test_pictures_are_those_of_the_table() -> None:
+    """The scores of the run in the pictures are those of its seed's row, and the pictures are those that were made."""
+    recorded = json.loads((CHECKOUT / "docs" / "images" / "figures.json").read_text(encoding="utf-8"))
+    text = (CHECKOUT / "README.md").read_text(encoding="utf-8")
+    lines = [line for line in text.partition("<!-- seeds -->")[2].splitlines() if line.startswith("|")]
+    rows = [[cell.strip() for cell in line.strip("|").split("|")] for line in lines]
+    [row] = [dict(zip(rows[0], cells, strict=True)) for cells in rows[2:] if cells[0] == str(recorded["seed"])]
+    assert recorded["figures"] and {title: row[title] for title in recorded["figures"]} == recorded["figures"]
+    images = {path.name: path for path in (CHECKOUT / "docs" / "images").glob("*.jpg")}
+    hashes = {name: hashlib.sha256(path.read_bytes()).hexdigest() for name, path in images.items()}
+    assert hashes == recorded["pictures"]
