@@ -58,15 +58,15 @@ def main(arguments: Sequence[str]) -> int:
     _check(command)
 
     from dronevio.cli.output_files import atomic_file
-    from dronevio.eval.rerun.compare import laid_together
-    from dronevio.eval.rerun.log import write_estimates
+    from dronevio.eval.rerun.compare import align_estimates
+    from dronevio.eval.rerun.files import write_estimates
     from dronevio.eval.rerun.video import VideoSettings
     from dronevio.models.recordings.open import read_trajectory
 
     recording = command.reading.open(command.recording)
     truth = recording.ground_truth if command.truth is None else read_trajectory(command.truth)
     trajectories = [read_trajectory(path) for path in command.estimates]
-    estimates = laid_together(names, trajectories, truth, recording.frame_times_ns, command.alignment)
+    estimates = align_estimates(names, trajectories, truth, recording.frame_times_ns, command.alignment)
     with progress_bars(quiet=command.output.json) as bars, atomic_file(command.out) as unfinished:
         video = VideoSettings(crf=command.crf)
         write_estimates(unfinished, recording, truth, estimates, progress=bars.bar("logging"), video=video)

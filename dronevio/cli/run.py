@@ -98,7 +98,7 @@ def _run(scenario: "Scenario", command: RunCommand, folder: Path, target: Path, 
     from dronevio.eval.metrics.scores import score_trajectory
     from dronevio.eval.provenance import RunInfo
     from dronevio.eval.report.run import write_report
-    from dronevio.eval.rerun.log import run_file
+    from dronevio.eval.rerun.files import run_file
     from dronevio.models.recordings.euroc import EurocRecording
     from dronevio.models.recordings.tum import write_tum
     from dronevio.models.serialization import to_jsonable
@@ -147,9 +147,9 @@ def _viewers(recording: "Recording", surroundings: "Surroundings", live: bool) -
         yield ()
         return
     from dronevio.cli.view import viewer_process
-    from dronevio.eval.rerun.live import watched
+    from dronevio.eval.rerun.live import viewer_log
 
-    with viewer_process() as address, watched(address, recording, surroundings) as viewer:
+    with viewer_process() as address, viewer_log(address, recording, surroundings) as viewer:
         yield (viewer,)
 
 

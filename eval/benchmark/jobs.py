@@ -88,7 +88,7 @@ class Job:
     """One recording and the estimators to run on it; can be pickled."""
 
     spec: RecordingSpec
-    """The recording."""
+    """The recording to estimate."""
     estimators: tuple[str, ...]
     """Labels of the estimators, which are run one after the other."""
     pipeline: BenchmarkPipeline

@@ -30,7 +30,7 @@ class BenchmarkPlan:
     """The runs of a benchmark: every estimator on every recording."""
 
     recordings: tuple[RecordingSpec, ...]
-    """The recordings."""
+    """The recordings to estimate."""
     estimators: tuple[str, ...]
     """Labels of the estimators."""
     pipeline: BenchmarkPipeline

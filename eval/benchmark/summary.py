@@ -15,11 +15,11 @@ class Quartiles:
     """Quartiles of a figure over several runs; infinite where they fall on a failed run."""
 
     lower: float
-    """Lower quartile."""
+    """Lower quartile of the runs."""
     median: float
     """Median of the runs."""
     upper: float
-    """Upper quartile."""
+    """Upper quartile of the runs."""
     runs: int
     """Number of runs, including those that failed."""
     failed: int

@@ -36,7 +36,7 @@ class RunResults:
     info: RunInfo
     """Provenance of the run."""
     recording: Recording
-    """The measurements."""
+    """The measurements of the run."""
     run: EstimatorRun
     """The estimates of all frames and their costs."""
     scored: ScoredTrajectory | None

@@ -5,7 +5,8 @@ from typing import TYPE_CHECKING
 from dronevio._lazy import attach
 
 if TYPE_CHECKING:
-    from dronevio.eval.rerun.log import RerunLog, write_estimates, write_rrd
+    from dronevio.eval.rerun.files import write_estimates, write_rrd
+    from dronevio.eval.rerun.log import RerunLog
 
 __all__ = [
     "RerunLog",
@@ -16,6 +17,7 @@ __all__ = [
 __getattr__, __dir__ = attach(
     __name__,
     {
-        "dronevio.eval.rerun.log": ("RerunLog", "write_estimates", "write_rrd"),
+        "dronevio.eval.rerun.files": ("write_estimates", "write_rrd"),
+        "dronevio.eval.rerun.log": ("RerunLog",),
     },
 )

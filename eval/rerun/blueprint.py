@@ -1,4 +1,4 @@
-"""How a flight is laid out in rerun's viewer: one estimator in depth, or several beside each other."""
+"""Layout of a recording in the rerun viewer: one estimator in detail, or several beside each other."""
 
 from collections.abc import Iterable
 from dataclasses import dataclass
@@ -7,58 +7,62 @@ import numpy as np
 import numpy.typing as npt
 import rerun.blueprint as rrb
 
-from dronevio.eval.rerun import entities as at
+from dronevio.eval.rerun import entities
 from dronevio.eval.rerun.entities import EstimateEntities
 
 Array = npt.NDArray[np.float64]
 
-VIEWER_FIELD_OF_VIEW_RAD = np.radians(55.0)  # rerun's, from top to bottom
-VIEW_ASPECT = 1.6  # the 3D view's width by its height, a little less than in a 16:10 window
+VIEWER_FIELD_OF_VIEW_RAD = np.radians(55.0)
+"""Vertical field of view of the viewer's 3D view."""
+VIEW_ASPECT = 1.6
+"""Width of the 3D view relative to its height, a little less than in a window of 16:10."""
 MARGIN = 1.04
+"""Factor on the smallest distance from which the 3D view contains the whole scene."""
 TIMELINE = "time"
 _BACKGROUND = [18, 21, 26]
+_FIT_ITERATIONS = 10
+_MIN_DISTANCE_M = 1.0
 
 
 @dataclass(frozen=True)
-class Shown:
-    """What there is to lay out."""
+class RecordingContents:
+    """What a recording contains, which determines its layout."""
 
     names: tuple[str, ...]
-    """The estimators."""
+    """Names of the estimators."""
     n_cameras: int
-    """Cameras of the rig."""
-    truth_is_known: bool = True
-    """Whether there is a true path, and errors with it."""
-    answers: bool = True
-    """Whether estimators answered frame by frame: with tracks, health, events and costs."""
+    """Number of cameras of the rig."""
+    has_truth: bool = True
+    """Whether there are a true path and errors."""
+    has_frame_estimates: bool = True
+    """Whether there are estimates of all frames, with tracks, health, events and costs."""
 
     @property
     def estimates(self) -> tuple[EstimateEntities, ...]:
-        """Where the estimators' things are."""
+        """Paths of the entities of each estimator."""
         return tuple(EstimateEntities(name) for name in self.names)
 
     @property
-    def alone(self) -> bool:
-        """Whether there is no other estimator to compare one with."""
+    def is_single(self) -> bool:
+        """Whether there is only one estimator."""
         return len(self.names) == 1
 
 
-def flight_blueprint(shown: Shown, points: Array) -> rrb.Blueprint:
-    """Return the layout: the world and the errors on the left, what was seen and felt on the right.
+def flight_blueprint(contents: RecordingContents, points: Array) -> rrb.Blueprint:
+    """Return the layout: world and errors on the left, images and sensor data on the right.
 
     Args:
-        shown: What there is.
-        points: (N, 3) Places that the 3D view shall show [m].
+        contents: What the recording contains.
+        points: (N, 3) Points that the 3D view shows [m].
     """
-    left: list[rrb.Container | rrb.View] = [_world(shown, points), *([_errors(shown)] if shown.truth_is_known else [])]
-    right = [_images(shown), _in_short(shown), _in_detail(shown)]
+    left: list[rrb.Container | rrb.View] = [_world(contents, points)]
+    left += [_errors(contents)] if contents.has_truth else []
+    right = [_images(contents), _overview(contents), _details(contents)]
+    several_images = contents.n_cameras > 1 and (contents.is_single or not contents.has_frame_estimates)
     return rrb.Blueprint(
         rrb.Horizontal(
             rrb.Vertical(*left, row_shares=[2.2, 1.0][: len(left)]),
-            rrb.Vertical(
-                *right,
-                row_shares=[1.0 if shown.n_cameras > 1 and (shown.alone or not shown.answers) else 1.7, 0.8, 1.5],
-            ),
+            rrb.Vertical(*right, row_shares=[1.0 if several_images else 1.7, 0.8, 1.5]),
             column_shares=[1.6, 1.0],
         ),
         rrb.BlueprintPanel(state="collapsed"),
@@ -69,111 +73,129 @@ def flight_blueprint(shown: Shown, points: Array) -> rrb.Blueprint:
     )
 
 
-def _world(shown: Shown, points: Array) -> rrb.Spatial3DView:
-    """Return the view of the world: paths as far as they have been flown, all that was ever mapped."""
+def _world(contents: RecordingContents, points: Array) -> rrb.Spatial3DView:
+    """Return the 3D view, with paths up to the time cursor and all landmarks at all times."""
     beginning, end = rrb.TimeRangeBoundary.infinite(), rrb.TimeRangeBoundary.infinite()
     so_far = rrb.VisibleTimeRanges(timeline=TIMELINE, start=beginning, end=rrb.TimeRangeBoundary.cursor_relative())
     always = rrb.VisibleTimeRanges(timeline=TIMELINE, start=beginning, end=end)
-    title = "World: estimate laid on the truth" if shown.alone else "World: estimates laid on the truth (white)"
+    title = "World, estimate and truth" if contents.is_single else "World, estimates and truth (white)"
     return rrb.Spatial3DView(
         origin="world",
-        name=title if shown.truth_is_known else "World of the estimator",
-        eye_controls=_eye(points),
+        name=title if contents.has_truth else "World frame of the estimator",
+        eye_controls=_eye_controls(points),
         line_grid=False,
         background=_BACKGROUND,
-        contents=["$origin/**", f"- /{at.image(0)}/tracks/**"],
+        contents=["$origin/**", f"- /{entities.image(0)}/tracks/**"],
         overrides={
-            at.TRUE_FLOWN: so_far,
-            **{entity: so_far for e in shown.estimates for entity in (e.flown, e.keyframes, e.loops, e.markers)},
-            **{estimate.map: always for estimate in shown.estimates},
+            entities.TRUE_PATH_SO_FAR: so_far,
+            **{
+                entity: so_far
+                for estimate in contents.estimates
+                for entity in (estimate.path_so_far, estimate.keyframes, estimate.loops, estimate.event_markers)
+            },
+            **{estimate.landmarks: always for estimate in contents.estimates},
         },
     )
 
 
-def _errors(shown: Shown) -> rrb.Horizontal:
-    """Return the plots of the errors: of one estimator with what it claims, of several after alignment."""
-    corner = rrb.Corner2D.LeftTop  # they grow
-    if shown.alone:
+def _errors(contents: RecordingContents) -> rrb.Horizontal:
+    """Return the plots of the errors: of one estimator with 3σ, of several after alignment."""
+    corner = rrb.Corner2D.LeftTop  # errors grow towards the right
+    if contents.is_single:
         return rrb.Horizontal(
-            _plot("Position error [m]", at.POSITION_ERROR, corner),
-            _plot("Orientation error [°]", at.ORIENTATION_ERROR, corner),
+            _plot("Position error [m]", entities.POSITION_ERROR, corner),
+            _plot("Orientation error [°]", entities.ORIENTATION_ERROR, corner),
         )
-    of_position = [estimate.position_error.aligned for estimate in shown.estimates]
-    of_orientation = [estimate.orientation_error.aligned for estimate in shown.estimates]
+    position = [estimate.position_error.aligned for estimate in contents.estimates]
+    orientation = [estimate.orientation_error.aligned for estimate in contents.estimates]
     return rrb.Horizontal(
-        _plot("Position error, aligned [m]", at.POSITION_ERROR, corner, of_position),
-        _plot("Orientation error, aligned [°]", at.ORIENTATION_ERROR, corner, of_orientation),
+        _plot("Position error, aligned [m]", entities.POSITION_ERROR, corner, position),
+        _plot("Orientation error, aligned [°]", entities.ORIENTATION_ERROR, corner, orientation),
     )
 
 
-def _images(shown: Shown) -> rrb.Container | rrb.View:
-    """Return the views of the cameras; several estimators' tracks lie in tabs behind each other."""
-    if not shown.answers:
-        return _side_by_side([_image(i, f"Camera {i}") for i in range(shown.n_cameras)])
-    others = [_image(i, f"Camera {i}") for i in range(1, shown.n_cameras)]
-    if shown.alone:
-        title = "Camera, and tracks from new (blue) to old (yellow)" if not others else "Camera 0, tracks by age"
-        return _side_by_side([_image(0, title, shown.estimates[0]), *others])
-    followed = [_image(0, f"Tracks of {n}", e) for n, e in zip(shown.names, shown.estimates, strict=True)]
-    return rrb.Tabs(*followed, *others, active_tab=0)
+def _images(contents: RecordingContents) -> rrb.Container | rrb.View:
+    """Return the views of the cameras; the tracks of several estimators are in tabs."""
+    if not contents.has_frame_estimates:
+        return _side_by_side([_image(i, f"Camera {i}") for i in range(contents.n_cameras)])
+    others = [_image(i, f"Camera {i}") for i in range(1, contents.n_cameras)]
+    if contents.is_single:
+        title = "Camera, tracks from new (blue) to old (yellow)" if not others else "Camera 0, tracks by age"
+        return _side_by_side([_image(0, title, contents.estimates[0]), *others])
+    tracks = [_image(0, f"Tracks of {n}", e) for n, e in zip(contents.names, contents.estimates, strict=True)]
+    return rrb.Tabs(*tracks, *others, active_tab=0)
 
 
 def _image(index: int, name: str, estimate: EstimateEntities | None = None) -> rrb.Spatial2DView:
-    """Return the view of a camera, with what an estimator follows in it."""
+    """Return the view of a camera, with the tracks of an estimator if one is given."""
     tracks = [] if estimate is None else [f"+ /{estimate.tracks}"]
-    return rrb.Spatial2DView(origin=at.image(index), name=name, contents=["$origin", *tracks])
+    return rrb.Spatial2DView(origin=entities.image(index), name=name, contents=["$origin", *tracks])
 
 
 def _side_by_side(views: list[rrb.Container | rrb.View]) -> rrb.Container | rrb.View:
     return views[0] if len(views) == 1 else rrb.Horizontal(*views)
 
 
-def _in_short(shown: Shown) -> rrb.Container | rrb.View:
-    """Return what is looked at first: the speed of one, the scores of several."""
-    speed = _plot("Speed [m/s]", at.SPEED)
-    if shown.alone:
+def _overview(contents: RecordingContents) -> rrb.Container | rrb.View:
+    """Return the speed of one estimator, or the scores of several."""
+    speed = _plot("Speed [m/s]", entities.SPEED)
+    if contents.is_single:
         return speed
-    return rrb.Tabs(rrb.TextDocumentView(origin=at.SUMMARY, name="Scores"), speed, active_tab=0)
+    return rrb.Tabs(rrb.TextDocumentView(origin=entities.SUMMARY, name="Scores"), speed, active_tab=0)
 
 
-def _in_detail(shown: Shown) -> rrb.Tabs:
-    """Return the tabs of what can be looked up."""
-    biases = [_plot("Gyroscope bias [rad/s]", at.GYRO_BIAS), _plot("Accelerometer bias [m/s²]", at.ACCEL_BIAS)]
-    imu = rrb.Vertical(_plot("Gyroscope [rad/s]", at.GYRO), _plot("Accelerometer [m/s²]", at.ACCEL), name="IMU")
-    if not shown.answers:
+def _details(contents: RecordingContents) -> rrb.Tabs:
+    """Return the tabs with IMU, biases, cost and events."""
+    biases = [
+        _plot("Gyroscope bias [rad/s]", entities.GYRO_BIAS),
+        _plot("Accelerometer bias [m/s²]", entities.ACCEL_BIAS),
+    ]
+    imu = rrb.Vertical(
+        _plot("Gyroscope [rad/s]", entities.GYRO), _plot("Accelerometer [m/s²]", entities.ACCEL), name="IMU"
+    )
+    if not contents.has_frame_estimates:
         return rrb.Tabs(imu, rrb.Vertical(*biases, name="Biases"), active_tab=0)
-    costs = rrb.Vertical(_plot("CPU a frame [ms]", at.COST), _plot("Tracks a frame", at.TRACK_COUNT), name="Cost")
-    said = rrb.Vertical(
-        rrb.StateTimelineView(origin=at.HEALTH, name="Health"),
-        rrb.TextLogView(origin=at.EVENTS, name="What happened"),
+    cost = rrb.Vertical(
+        _plot("Processor time per frame [ms]", entities.COST),
+        _plot("Tracks per frame", entities.TRACK_COUNT),
+        name="Cost",
+    )
+    events = rrb.Vertical(
+        rrb.StateTimelineView(origin=entities.HEALTH, name="Health"),
+        rrb.TextLogView(origin=entities.EVENTS, name="Event log"),
         row_shares=[1.0, 2.0],
         name="Events",
     )
-    order = [imu, rrb.Vertical(*biases, name="Biases"), costs, said]
-    return rrb.Tabs(*(order if shown.alone else [costs, said, *order[:2]]), active_tab=0)
+    order = [imu, rrb.Vertical(*biases, name="Biases"), cost, events]
+    return rrb.Tabs(*(order if contents.is_single else [cost, events, *order[:2]]), active_tab=0)
 
 
 def _plot(
     name: str, origin: str, legend: rrb.Corner2D = rrb.Corner2D.RightTop, curves: Iterable[str] | None = None
 ) -> rrb.TimeSeriesView:
-    """Return a plot of all that lies below ``origin``, or of some of it."""
+    """Return a plot of all entities below ``origin``, or of some of them."""
     contents = ["$origin/**"] if curves is None else [f"+ /{curve}" for curve in curves]
     return rrb.TimeSeriesView(origin=origin, name=name, plot_legend=rrb.PlotLegend(legend), contents=contents)
 
 
-def _eye(points: Array) -> rrb.EyeControls3D:
-    """Look at the scene from a corner above, from as near as lets all of it into the view."""
+def _eye_controls(points: Array) -> rrb.EyeControls3D:
+    """Return the eye of the 3D view, above a corner of the scene at the smallest distance that shows all of it."""
     if len(points) == 0:
         return rrb.EyeControls3D()
-    position, target = look_at_all(points)
+    position, target = fit_eye(points)
     return rrb.EyeControls3D(kind=rrb.Eye3DKind.Orbital, position=position, look_target=target, eye_up=[0.0, 0.0, 1.0])
 
 
-def look_at_all(points: Array, azimuth_deg: float = 40.0, elevation_deg: float = 38.0) -> tuple[Array, Array]:
-    """Return from where (3,) and whither (3,) to look, so that points (N, 3) fill the 3D view [m].
+def fit_eye(points: Array, azimuth_deg: float = 40.0, elevation_deg: float = 38.0) -> tuple[Array, Array]:
+    """Return position (3,) and target (3,) of an eye such that points fill the 3D view [m].
 
-    Seen from a distance D, a point h above the middle of the picture and d nearer to the eye than the middle is in view
-    if |h| ≤ (D − d) tan(fov / 2), and so for the width. The nearest eye is the least D that serves all points.
+    From a distance D, a point at height h above the optical axis and depth d in front of the target is visible if
+    |h| ≤ (D − d) tan(fov / 2), and likewise for the width. The distance is the smallest D for which all points are.
+
+    Args:
+        points: (N, 3) Points that are to be visible [m], N > 0.
+        azimuth_deg: Direction of view in the horizontal plane, from the x axis [°].
+        elevation_deg: Elevation of the eye above the target [°].
     """
     azimuth, elevation = np.radians([azimuth_deg, elevation_deg])
     back = np.array([-np.cos(elevation) * np.cos(azimuth), -np.cos(elevation) * np.sin(azimuth), np.sin(elevation)])
@@ -183,12 +205,12 @@ def look_at_all(points: Array, azimuth_deg: float = 40.0, elevation_deg: float =
     tangent = np.tan(0.5 * VIEWER_FIELD_OF_VIEW_RAD) * np.array([VIEW_ASPECT, 1.0])
     axes = np.stack([right, up])
 
-    def nearest_m(across: Array, depth: Array) -> float:
-        return max(1.0, MARGIN * float(np.max(np.abs(across) / tangent + depth[:, None])))
+    def distance_for(offsets: Array, depth: Array) -> float:
+        return max(_MIN_DISTANCE_M, MARGIN * float(np.max(np.abs(offsets) / tangent + depth[:, None])))
 
-    for _ in range(10):  # what is near looks larger: move the picture's middle to the middle, look again
-        across, depth = (points - target) @ axes.T, (points - target) @ back
-        distance_m = nearest_m(across, depth)
-        seen = across / (distance_m - depth[:, None])
-        target = target + 0.5 * (seen.min(axis=0) + seen.max(axis=0)) * distance_m @ axes
-    return target + nearest_m((points - target) @ axes.T, (points - target) @ back) * back, target
+    for _ in range(_FIT_ITERATIONS):  # near points appear larger: centre the image of the points, and repeat
+        offsets, depth = (points - target) @ axes.T, (points - target) @ back
+        distance_m = distance_for(offsets, depth)
+        projected = offsets / (distance_m - depth[:, None])
+        target = target + 0.5 * (projected.min(axis=0) + projected.max(axis=0)) * distance_m @ axes
+    return target + distance_for((points - target) @ axes.T, (points - target) @ back) * back, target

@@ -1,4 +1,4 @@
-"""Several estimates of one flight, laid into one world to be seen beside each other."""
+"""Several estimates of one flight, aligned with each other for display."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -12,56 +12,56 @@ from dronevio.models.state import Trajectory
 
 @dataclass(frozen=True, eq=False)
 class NamedEstimate:
-    """What one of several estimators made of a recording."""
+    """An estimate of a flight with its name."""
 
     name: str
-    """What it is called."""
+    """Name of the estimator."""
     trajectory: Trajectory
-    """The poses that it stands by, in its own world."""
+    """The valid poses, in the world frame of the estimator."""
     alignment: Alignment = IDENTITY
-    """Lays them into the world that is shown."""
+    """Alignment with the displayed world frame."""
     scored: ScoredTrajectory | None = None
-    """The same beside the truth; None where there is no truth."""
+    """The trajectory with its errors; None without ground truth."""
     run: EstimatorRun | None = None
-    """Its answers to each frame; None where only its trajectory is known."""
+    """The estimates of all frames; None if only the trajectory is known."""
 
 
-def laid_together(
+def align_estimates(
     names: Sequence[str],
     trajectories: Sequence[Trajectory],
     truth: Trajectory | None,
     frame_times_ns: Times,
     alignment: AlignmentMode = "yaw",
 ) -> list[NamedEstimate]:
-    """Return estimates laid on the truth and scored; without a truth, laid on the first of them and not scored.
+    """Return estimates aligned with the truth and scored; without truth, aligned with the first one and not scored.
 
     Args:
-        names: What they are called.
-        trajectories: The estimated motions, each in a world of its own.
-        truth: The true motion, where it is known.
-        frame_times_ns: (M,) Time stamps of all frames [ns], for the coverage.
-        alignment: What to take out.
+        names: Names of the estimators.
+        trajectories: The estimated trajectories, each in a world frame of its own.
+        truth: The true trajectory; None if it is not known.
+        frame_times_ns: (M,) Time stamps of all frames [ns], from which the coverage is computed.
+        alignment: What is aligned.
 
     Raises:
-        EvaluationError: One of them has fewer than three instants in common with what it is laid on, or cannot be
-            aligned; the message names it.
+        EvaluationError: An estimate has fewer than three poses in common with the truth or the first estimate, or
+            cannot be aligned; the message begins with its name.
     """
-    laid = []
+    aligned = []
     for name, trajectory in zip(names, trajectories, strict=True):
         try:
             scored = score_trajectory(truth or trajectories[0], trajectory, frame_times_ns, alignment)
         except EvaluationError as error:
             raise EvaluationError(f"{name}: {error}") from error
-        laid.append(NamedEstimate(name, trajectory, scored.alignment, None if truth is None else scored))
-    return laid
+        aligned.append(NamedEstimate(name, trajectory, scored.alignment, None if truth is None else scored))
+    return aligned
 
 
 def summary_table(estimates: Sequence[NamedEstimate]) -> str:
-    """Return a table (Markdown) of what matters most of each estimate."""
+    """Return the main scores of each estimate as a Markdown table."""
     rows = ["| | ATE | ATE | RPE | coverage |", "|---|---:|---:|---:|---:|"]
     for estimate in estimates:
         scores = None if estimate.scored is None else estimate.scored.scores
-        figures = (
+        values = (
             (None, None, None, None)
             if scores is None
             else (
@@ -71,10 +71,10 @@ def summary_table(estimates: Sequence[NamedEstimate]) -> str:
                 scores.coverage_percent,
             )
         )
-        units = ((".3f", " m"), (".2f", "°"), (".3f", " m"), (".1f", " %"))
+        formats = ((".3f", " m"), (".2f", "°"), (".3f", " m"), (".1f", " %"))
         cells = [
-            "–" if figure is None else format(figure, form) + unit
-            for figure, (form, unit) in zip(figures, units, strict=True)
+            "–" if value is None else format(value, spec) + unit
+            for value, (spec, unit) in zip(values, formats, strict=True)
         ]
         rows.append(f"| {estimate.name} | {' | '.join(cells)} |")
     return "\n".join(rows) + "\n"

@@ -1,13 +1,13 @@
-"""Where in a recording things are."""
+"""Paths of the entities of a recording."""
 
 from typing import NamedTuple
 
 import rerun as rr
 
-ROOM = "world/room"
-MOVERS = "world/movers"
-TRUE_WHOLE = "world/truth/whole"
-TRUE_FLOWN = "world/truth/flown"
+SURROUNDINGS = "world/surroundings"
+MOVING_OBJECTS = "world/moving_objects"
+TRUE_PATH = "world/truth/path"
+TRUE_PATH_SO_FAR = "world/truth/path_so_far"
 ESTIMATES = "world/estimates"
 RIG = "world/rig"
 EVENTS = "events"
@@ -25,37 +25,37 @@ SUMMARY = "summary"
 
 
 def camera(index: int) -> str:
-    """Return where a camera of the rig is."""
+    """Return the path of a camera of the rig."""
     return f"{RIG}/cam{index}"
 
 
 def image(index: int) -> str:
-    """Return where the images of a camera are."""
+    """Return the path of the images of a camera."""
     return f"{RIG}/cam{index}/image"
 
 
 class ErrorEntities(NamedTuple):
-    """The curves of one kind of error of one estimator."""
+    """Paths of the curves of one kind of error of one estimator."""
 
     aligned: str
-    """After alignment."""
-    tied: str
-    """Tied to the truth at the first pose."""
-    band: str
-    """Three standard deviations, as claimed."""
+    """Path of the error after alignment."""
+    anchored: str
+    """Path of the error with yaw and position anchored at the first pose."""
+    three_sigma: str
+    """Path of three estimated standard deviations."""
 
 
 class EstimateEntities:
-    """Where the things of one estimator are."""
+    """Paths of the entities of one estimator."""
 
     def __init__(self, name: str) -> None:
-        """Take the estimator's name."""
+        """Take the name of the estimator."""
         self.part = rr.escape_entity_path_part(name)
         root = f"{ESTIMATES}/{self.part}"
-        self.whole, self.flown = f"{root}/path/whole", f"{root}/path/flown"
-        self.body, self.covariance = f"{root}/imu", f"{root}/covariance"
-        self.keyframes, self.loops, self.markers = f"{root}/keyframes", f"{root}/loops", f"{root}/events"
-        self.map, self.map_in_sight = f"{root}/map/all", f"{root}/map/in_sight"
+        self.path, self.path_so_far = f"{root}/path", f"{root}/path_so_far"
+        self.imu, self.covariance = f"{root}/imu", f"{root}/covariance"
+        self.keyframes, self.loops, self.event_markers = f"{root}/keyframes", f"{root}/loops", f"{root}/events"
+        self.landmarks, self.visible_landmarks = f"{root}/landmarks/all", f"{root}/landmarks/visible"
         self.tracks = f"{image(0)}/tracks/{self.part}"
         self.events, self.health = f"{EVENTS}/{self.part}", f"{HEALTH}/{self.part}"
         self.speed = f"{SPEED}/{self.part}"
@@ -65,4 +65,4 @@ class EstimateEntities:
         self.orientation_error = self._errors(ORIENTATION_ERROR)
 
     def _errors(self, kind: str) -> ErrorEntities:
-        return ErrorEntities(*(f"{kind}/{self.part}/{curve}" for curve in ("aligned", "tied", "three_sigma")))
+        return ErrorEntities(*(f"{kind}/{self.part}/{curve}" for curve in ErrorEntities._fields))

@@ -1,4 +1,4 @@
-"""A camera's images in a recording: a video in a file, single JPEGs to a viewer that watches a flight go on."""
+"""Images of a camera in a recording: a video in a file, or JPEG images for a viewer during the flight."""
 
 from typing import Protocol
 
@@ -13,20 +13,27 @@ _JPEG_QUALITY = 75
 
 
 class ImageLog(Protocol):
-    """Takes the images of one camera."""
+    """Logs the images of one camera."""
 
     def add(self, t_ns: int, image: Image) -> None:
-        """Take the next image (H, W) with its time stamp [ns]."""
+        """Add the next image (H, W) with its time stamp [ns]."""
 
     def close(self) -> None:
-        """Hand over what is still missing."""
+        """Log the images that have not been logged yet."""
 
 
 class VideoLog:
-    """Encodes images as AV1, and hands them over a keyframe interval at a time: each such chunk plays by itself."""
+    """Encodes images as AV1 and logs one keyframe interval at a time, which can be decoded by itself."""
 
     def __init__(self, sink: Sink, entity: str, rate_hz: float, settings: VideoSettings) -> None:
-        """Take where to log, the camera's rate [Hz] and the video's quality."""
+        """Start the video.
+
+        Args:
+            sink: Output of the rows.
+            entity: Path of the images.
+            rate_hz: Frame rate of the camera [Hz].
+            settings: Size and quality of the video.
+        """
         self._sink, self._entity = sink, entity
         self._encoder = Av1Encoder(rate_hz, settings)
         self._t_ns: list[int] = []
@@ -34,18 +41,18 @@ class VideoLog:
         sink.static(entity, rr.VideoStream(codec=rr.VideoCodec.AV1))
 
     def add(self, t_ns: int, image: Image) -> None:
-        """Take the next image; log the interval before, when a new one begins."""
+        """Add the next image (H, W); a keyframe logs the interval before it."""
         self._t_ns.append(t_ns)
         for sample in self._encoder.encode(image):
-            self._take(sample)
+            self._add_sample(sample)
 
     def close(self) -> None:
         """Log the last interval."""
         for sample in self._encoder.finish():
-            self._take(sample)
+            self._add_sample(sample)
         self._flush()
 
-    def _take(self, sample: VideoSample) -> None:
+    def _add_sample(self, sample: VideoSample) -> None:
         if sample.is_keyframe:
             self._flush()
         self._samples.append(sample)
@@ -63,16 +70,16 @@ class VideoLog:
 
 
 class JpegLog:
-    """Encodes images as JPEG, and hands over ``batch`` at a time: nothing waits for later frames, no thread helps."""
+    """Encodes images as JPEG and logs a batch at a time, without waiting for later frames and without threads."""
 
     def __init__(self, sink: Sink, entity: str, batch: int) -> None:
-        """Take where to log, and how many images make one call."""
+        """Take the output, the path of the images, and the number of images of a batch."""
         self._sink, self._entity, self._batch = sink, entity, batch
         self._t_ns: list[int] = []
         self._blobs: list[bytes] = []
 
     def add(self, t_ns: int, image: Image) -> None:
-        """Take the next image."""
+        """Add the next image (H, W); a full batch is logged."""
         _, blob = cv2.imencode(".jpg", image, [cv2.IMWRITE_JPEG_QUALITY, _JPEG_QUALITY])
         self._t_ns.append(t_ns)
         self._blobs.append(blob.tobytes())
@@ -80,7 +87,7 @@ class JpegLog:
             self.close()
 
     def close(self) -> None:
-        """Log what there is."""
+        """Log the images that have not been logged yet."""
         if not self._blobs:
             return
         columns = rr.EncodedImage.columns(blob=self._blobs, media_type=["image/jpeg"] * len(self._blobs))

@@ -1,7 +1,7 @@
-"""Where a flight's recording goes, a file or a viewer that runs, and how rows get there: as columns.
+"""Output of rows to a rerun file or viewer, in columns.
 
-Everything lies on one timeline, ``time``: seconds of flight. Rows are handed over many at a time, because logging them
-one by one costs a millisecond a call.
+All data are on the timeline ``time``, in seconds of flight. Many rows are sent at a time, because a call for each row
+takes about a millisecond.
 """
 
 from collections.abc import Iterator, Sequence
@@ -25,7 +25,7 @@ TIMELINE = "time"
 
 
 class Sink:
-    """A stream of rerun's, written to in columns with time stamps of ours."""
+    """A rerun recording stream to which columns with time stamps in nanoseconds are written."""
 
     def __init__(self, stream: rr.RecordingStream, origin_ns: int) -> None:
         """Take the stream, and the time stamp [ns] that is zero on the timeline."""
@@ -35,10 +35,9 @@ class Sink:
     @classmethod
     @contextmanager
     def to_file(cls, path: Path, name: str, blueprint: rrb.Blueprint, origin_ns: int) -> Iterator[Self]:
-        """Write a file; closing it writes the index that tools jump about with.
+        """Write a file, whose index is written when the context is left.
 
-        The file can be read while it grows, and when its writer is killed: up to what was last written, which happens
-        five times a second.
+        The file is flushed five times a second. It can be read while it grows, and after its writer was killed.
         """
         stream = rr.RecordingStream(APPLICATION)
         stream.save(path)
@@ -48,7 +47,7 @@ class Sink:
     @classmethod
     @contextmanager
     def to_viewer(cls, url: str, name: str, blueprint: rrb.Blueprint, origin_ns: int) -> Iterator[Self]:
-        """Send to a viewer or its server, which listens at ``url`` (``rerun+http://127.0.0.1:9876/proxy``)."""
+        """Send to a viewer or server at a URL such as ``rerun+http://127.0.0.1:9876/proxy``."""
         stream = rr.RecordingStream(APPLICATION)
         stream.connect_grpc(url)
         with cls._opened(stream, name, blueprint, origin_ns) as sink:
@@ -57,7 +56,7 @@ class Sink:
     @classmethod
     @contextmanager
     def _opened(cls, stream: rr.RecordingStream, name: str, blueprint: rrb.Blueprint, origin_ns: int) -> Iterator[Self]:
-        stream.send_blueprint(blueprint)  # active, not only default: a viewer keeps the last flight's layout otherwise
+        stream.send_blueprint(blueprint)  # as the active one: a viewer would keep the layout of the previous flight
         stream.send_recording_name(name)
         try:
             yield cls(stream, origin_ns)
@@ -66,7 +65,7 @@ class Sink:
             stream.disconnect()
 
     def static(self, entity: str, archetype: rr.AsComponents) -> None:
-        """Log what holds at all times."""
+        """Log data that are valid at all times."""
         self._stream.log(entity, archetype, static=True, strict=True)
 
     def columns(self, entity: str, t_ns: Times, columns: rr.ComponentColumnList) -> None:
@@ -76,28 +75,30 @@ class Sink:
             self._stream.send_columns(entity, [times], columns, strict=True)
 
     def poses(self, entity: str, t_ns: Times, Ts: Array) -> None:
-        """Log poses (N, 4, 4) of an entity in its parent."""
+        """Log poses (N, 4, 4) of an entity in its parent frame at times (N,) [ns]."""
         if len(t_ns):
             columns = rr.Transform3D.columns(translation=Ts[:, :3, 3], quaternion=quat_xyzw(Ts[:, :3, :3]))
             self.columns(entity, t_ns, columns)
 
     def segments(self, entity: str, t_ns: Times, start: Array, end: Array) -> None:
-        """Log N straight lines, from ``start`` (N, 3) to ``end`` (N, 3) [m]."""
+        """Log N line segments from ``start`` (N, 3) to ``end`` (N, 3) [m] at times (N,) [ns]."""
         if len(t_ns):
             strips = np.stack([start, end], axis=1).astype(np.float32)
             self.columns(entity, t_ns, rr.LineStrips3D.columns(strips=strips))
 
-    def lines(self, entity: str, names: Sequence[str], curve_colours: Sequence[str], width: float = 1.5) -> None:
-        """Say how the columns of an entity's `values` are drawn in a plot: what they are called, their colours."""
+    def curve_styles(
+        self, entity: str, names: Sequence[str], curve_colours: Sequence[str], width_points: float = 1.5
+    ) -> None:
+        """Log names, colours and width of the curves of an entity whose `values` are plotted."""
         rgb = [colours.rgb(colour) for colour in curve_colours]
-        self.static(entity, rr.SeriesLines(names=list(names), colors=rgb, widths=[width] * len(names)))
+        self.static(entity, rr.SeriesLines(names=list(names), colors=rgb, widths=[width_points] * len(names)))
 
     def values(self, entity: str, t_ns: Times, values: Array) -> None:
-        """Log values (N, C) or (N,) of a plot."""
+        """Log values (N, C) or (N,) of a plot at times (N,) [ns]."""
         if len(t_ns):
             self.columns(entity, t_ns, rr.Scalars.columns(scalars=values.reshape(len(t_ns), -1)))
 
 
 def quat_xyzw(R: Array) -> npt.NDArray[np.float32]:
-    """Return rotations (N, 3, 3) as rerun's quaternions (N, 4)."""
+    """Return rotations (N, 3, 3) as rerun's quaternions xyzw (N, 4)."""
     return np.asarray(quat_xyzw_from_wxyz(quat_wxyz_from_matrix(R)), dtype=np.float32)

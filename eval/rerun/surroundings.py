@@ -1,4 +1,4 @@
-"""What stands and moves around the drone, as it is drawn in a recording."""
+"""Outlines of what surrounds the drone, for drawings."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -11,27 +11,27 @@ Array = npt.NDArray[np.float64]
 
 @dataclass(frozen=True, eq=False)
 class MovingBox:
-    """Something that moves by itself, as large as a box."""
+    """The bounding box of a moving object."""
 
     name: str
-    """What it is called."""
+    """Name of the object."""
     low: Array
-    """(3,) Least corner in its own frame [m]."""
+    """(3,) Smallest corner in the frame of the object [m]."""
     high: Array
-    """(3,) Greatest corner in its own frame [m]."""
+    """(3,) Largest corner in the frame of the object [m]."""
     poses: Callable[[Array], Array]
-    """Maps times (M,) since the start of the flight [s] to poses (M, 4, 4) in the world."""
+    """Function from times (M,) since the start of the flight [s] to poses (M, 4, 4) in the world frame."""
 
 
 @dataclass(frozen=True, eq=False)
 class Surroundings:
-    """What stands and moves around the drone."""
+    """The surroundings of a flight."""
 
     outline: Array
-    """(L, 2, 3) Line segments [m], in the truth's world."""
-    movers: tuple[MovingBox, ...] = ()
-    """What moves."""
+    """(L, 2, 3) Line segments in the world frame of the ground truth [m]."""
+    moving_boxes: tuple[MovingBox, ...] = ()
+    """Moving objects in the same frame."""
 
 
-NOTHING_KNOWN = Surroundings(np.zeros((0, 2, 3)))
-"""The surroundings of a flight of which nobody wrote them down."""
+NO_SURROUNDINGS = Surroundings(np.zeros((0, 2, 3)))
+"""Surroundings that are not known."""

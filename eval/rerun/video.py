@@ -1,7 +1,7 @@
-"""Grey frames as an AV1 video: a twentieth of their raw size, and still good enough to look for a corner in.
+"""Grey images as an AV1 video, at about a twentieth of their uncompressed size.
 
-Rerun's viewer decodes AV1 by itself, native and web, where other codecs need ffmpeg. The encoder is SVT-AV1,
-which comes with PyAV's wheel.
+The rerun viewer decodes AV1 itself, natively and in a browser, while other codecs need ffmpeg. The encoder is SVT-AV1,
+which is part of PyAV's wheel.
 """
 
 import os
@@ -14,20 +14,20 @@ import numpy as np
 import numpy.typing as npt
 from av.video.reformatter import ColorRange
 
-_NO_COLOUR = 128  # both colour differences, as they are stored
+_NEUTRAL_CHROMA = 128  # of both colour differences
 Image = npt.NDArray[np.uint8]
 
 
 @dataclass(frozen=True)
 class VideoSettings:
-    """How to trade size for quality and speed."""
+    """Settings that trade size for quality and speed."""
 
     crf: int = 42
-    """Constant rate factor, 0 (best) to 63: at 42 a 752×480 frame of a flight indoors takes 8 kB, at 38 10 kB."""
+    """Constant rate factor, from 0 for the best quality to 63 for the smallest size."""
     preset: int = 13
-    """SVT-AV1's speed, 0 (slowest) to 13: there such a frame takes 3 ms of processor time, at 10 twice that."""
+    """Speed preset of SVT-AV1, from 0 for the slowest to 13 for the fastest."""
     keyframe_interval: int = 40
-    """Frames from one keyframe to the next: how far a viewer must decode when the time cursor jumps."""
+    """Number of frames between keyframes, which a viewer decodes when the time cursor jumps."""
 
 
 @dataclass(frozen=True)
@@ -35,57 +35,56 @@ class VideoSample:
     """One encoded frame."""
 
     data: bytes
-    """An AV1 temporal unit, in the low-overhead bitstream format."""
+    """AV1 temporal unit in the low-overhead bitstream format."""
     is_keyframe: bool
-    """Whether decoding can start here."""
+    """Whether decoding can begin with this frame."""
 
 
 class Av1Encoder:
-    """Encodes grey images of one size; gives one sample a frame, in order.
+    """Encodes grey images of one size into one sample per frame, in order.
 
-    The stream has no frames that refer to later ones (``pred-struct=1``), so that each sample is one frame, known by
-    its place, and comes at once: nothing runs on in the background, into the times that others are measuring.
-    ``rtc=1`` makes the fast presets search motion better: they are made for video calls. One thread does the work
-    (``lp=1``): more of them take half as much processor time again. The restoration filter, which mends nothing
-    that one would see here, is left out.
+    No frame refers to a later one (``pred-struct=1``), so that each sample is one frame and is returned at once, and no
+    work continues in the background while the estimator is timed. ``rtc=1`` improves the motion search of the fast
+    presets. One thread (``lp=1``) uses the least processor time. The restoration filter has no visible effect here and
+    is disabled.
     """
 
     def __init__(self, rate_hz: float, settings: VideoSettings) -> None:
-        """Take the frame rate [Hz], which the choice of bits depends on, and the settings."""
+        """Take the frame rate [Hz], which influences the bit rate, and the settings."""
         self._rate_hz = rate_hz
         self._settings = settings
-        self._encoder: av.VideoCodecContext | None = None  # its size is that of the first image
+        self._encoder: av.VideoCodecContext | None = None  # made for the size of the first image
         self._count = 0
 
     def encode(self, image: Image) -> list[VideoSample]:
-        """Take the next image (H, W) and return the samples that are done."""
+        """Encode the next image (H, W) and return the finished samples."""
         if self._encoder is None:
             height, width = (n + n % 2 for n in image.shape)
-            self._encoder = _encoder(width, height, self._rate_hz, self._settings)
-        frame = av.VideoFrame.from_ndarray(_without_colour(image), format="yuv420p")
+            self._encoder = _make_encoder(width, height, self._rate_hz, self._settings)
+        frame = av.VideoFrame.from_ndarray(_as_yuv420(image), format="yuv420p")
         frame.color_range = ColorRange.JPEG
         frame.pts = self._count
         self._count += 1
         return _samples(self._encoder.encode(frame))
 
     def finish(self) -> list[VideoSample]:
-        """Return the samples that are still missing, when all images have been taken."""
+        """Return the remaining samples after the last image."""
         return [] if self._encoder is None else _samples(self._encoder.encode(None))
 
 
-def _without_colour(image: Image) -> Image:
-    """Return a grey image (H, W) as planar YUV (3 H / 2, W); an odd size is made even by its last row or column."""
+def _as_yuv420(image: Image) -> Image:
+    """Return a grey image (H, W) as planar YUV (3 H / 2, W); odd sizes repeat the last row or column."""
     image = np.pad(image, [(0, n % 2) for n in image.shape], mode="edge")
     height, width = image.shape
-    return np.concatenate([image, np.full((height // 2, width), _NO_COLOUR, np.uint8)])
+    return np.concatenate([image, np.full((height // 2, width), _NEUTRAL_CHROMA, np.uint8)])
 
 
-def _encoder(width: int, height: int, rate_hz: float, settings: VideoSettings) -> av.VideoCodecContext:
-    os.environ.setdefault("SVT_LOG", "1")  # errors only: else it writes thirty lines on standard error
+def _make_encoder(width: int, height: int, rate_hz: float, settings: VideoSettings) -> av.VideoCodecContext:
+    os.environ.setdefault("SVT_LOG", "1")  # only errors; the default writes thirty lines to standard error
     encoder = av.CodecContext.create("libsvtav1", "w")
     encoder.width, encoder.height = width, height
     encoder.pix_fmt = "yuv420p"
-    encoder.color_range = ColorRange.JPEG  # 0 is black and 255 white, as in the images
+    encoder.color_range = ColorRange.JPEG  # 0 is black and 255 is white, as in the images
     encoder.framerate = Fraction(rate_hz).limit_denominator(1000)
     encoder.time_base = 1 / encoder.framerate
     encoder.gop_size = settings.keyframe_interval

@@ -101,7 +101,7 @@ def test_every_run_is_a_row_however_it_ended(many: Result) -> None:
     }
     assert rows["segfault"].reason.endswith("killed by SIGSEGV: about to die")
     assert rows["refuse"].reason.endswith("ended with code 1: no licence")
-    assert rows["hang"].reason == "no end after 3 s"
+    assert rows["hang"].reason == "not finished after 3 s"
     assert "estimate.tum:1: " in rows["lie"].reason
     for row in rows.values():
         assert (row.scenario, row.world, row.seed) == (rows["vio"].scenario, "", None)
@@ -226,7 +226,7 @@ def test_compare_and_gate(
     assert main(["gate", baseline, "--baseline", crash]) == 0
     capsys.readouterr()
     assert main(["compare", baseline, worse]) == 0
-    assert "pairs are too few to tell it from chance" in capsys.readouterr().out
+    assert "pairs are too few for a test of significance" in capsys.readouterr().out
 
 
 def test_gates_that_cannot_be_judged_are_bad_input(

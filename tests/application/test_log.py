@@ -65,7 +65,7 @@ def test_file_is_valid_and_contains_both_estimates(logged: Result) -> None:
     assert ended.returncode == 0, ended.stderr
     found = entities(logged.folder)
     for name in ("Rotated", "2\\ \\%\\ large"):
-        assert f"/world/estimates/{name}/path/flown" in found
+        assert f"/world/estimates/{name}/path_so_far" in found
         assert f"/error/position/{name}/aligned" in found
     assert [path.name for path in logged.folder.parent.iterdir()] == ["both.rrd"]
 
@@ -137,4 +137,4 @@ def test_killed_command_leaves_a_readable_file(flown: Result, results: Path, tmp
         writer.send_signal(signal.SIGKILL)
         assert writer.wait(10) == -signal.SIGKILL
     assert [path.name for path in tmp_path.iterdir()] == ["x.incomplete.rrd"]
-    assert "/world/truth/flown" in entities(unfinished)
+    assert "/world/truth/path_so_far" in entities(unfinished)

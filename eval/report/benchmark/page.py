@@ -33,7 +33,7 @@ def benchmark_page(results: BenchmarkResults) -> str:
         script="report.js",
         cards=[_card(results, name) for name in results.estimators],
         wins=_wins(results),
-        scenario_count=len(results.scenarios),
+        scenario_count=_count(len(results.scenarios), "scenario"),
         note=NOTE,
         measures=_measure_tables(results),
         run_plots=[_run_plot(results, m) for m in (ATE, DRIFT) if m in results.measures],

@@ -13,12 +13,12 @@ import pyarrow as pa
 import pytest
 
 from dronevio.eval import colours
-from dronevio.eval.rerun import entities as at
-from dronevio.eval.rerun.blueprint import Shown, flight_blueprint
+from dronevio.eval.rerun import entities
+from dronevio.eval.rerun.blueprint import RecordingContents, flight_blueprint
 from dronevio.eval.rerun.entities import EstimateEntities
-from dronevio.eval.rerun.estimate import tied_to
+from dronevio.eval.rerun.estimate import anchored_to
 from dronevio.eval.rerun.images import JpegLog, VideoLog
-from dronevio.eval.rerun.live import LiveLog, watched
+from dronevio.eval.rerun.live import LiveLog, viewer_log
 from dronevio.eval.rerun.log import RerunLog
 from dronevio.eval.rerun.sink import Sink
 from dronevio.eval.rerun.video import VideoSettings
@@ -28,7 +28,7 @@ from dronevio.models.protocols import measurements
 RERUN = str(Path(find_spec("rerun_cli").origin).with_name("rerun"))
 ESTIMATE = EstimateEntities("estimate")
 NO_POINTS = np.zeros((0, 3))
-BLUEPRINT = flight_blueprint(Shown(("estimate",), 1), NO_POINTS)
+BLUEPRINT = flight_blueprint(RecordingContents(("estimate",), 1), NO_POINTS)
 
 
 def video(sink, entity, rate_hz):
@@ -68,7 +68,7 @@ def log_live(path, flight, cameras, frame_done=lambda index: None):
         Sink.to_file(path, "live", BLUEPRINT, int(flight.recording.imu.t_ns[0])) as sink,
         RerunLog(sink, flight.recording.rig, cameras, NO_POINTS) as log,
     ):
-        live = LiveLog(log, log.estimator("estimate", colours.ESTIMATE, tied_to(truth)), truth)
+        live = LiveLog(log, log.estimator("estimate", colours.ESTIMATE, anchored_to(truth)), truth)
         play(flight, live, frame_done)
         live.flush()
 
@@ -82,16 +82,16 @@ def test_all_that_was_heard_is_in_the_file(flight, tmp_path, read_rrd, verify_rr
     log_live(path, flight, jpegs)
     verify_rrd(path)
     columns = read_rrd(path)
-    assert np.allclose(np.array(columns[at.GYRO]["scalars"].to_pylist()), flight.recording.imu.gyro_rad_s)
-    assert times_ns(columns[at.image(0)]).tolist() == flight.recording.frame_times_ns.tolist()
-    assert times_ns(columns[ESTIMATE.body]).tolist() == flight.run.trajectory.t_ns.tolist()
+    assert np.allclose(np.array(columns[entities.GYRO]["scalars"].to_pylist()), flight.recording.imu.gyro_rad_s)
+    assert times_ns(columns[entities.image(0)]).tolist() == flight.recording.frame_times_ns.tolist()
+    assert times_ns(columns[ESTIMATE.imu]).tolist() == flight.run.trajectory.t_ns.tolist()
     assert times_ns(columns[ESTIMATE.tracks]).tolist() == flight.run.t_ns.tolist()
     assert np.array(columns[ESTIMATE.cost]["scalars"].to_pylist())[:, 0].tolist() == flight.run.cpu_ms.tolist()
 
 
 def test_the_first_pose_is_aligned_and_errors_are_logged(flight, tmp_path, read_rrd):
     log_live(tmp_path / "live.rrd", flight, jpegs)
-    error = read_rrd(tmp_path / "live.rrd")[ESTIMATE.position_error.tied]
+    error = read_rrd(tmp_path / "live.rrd")[ESTIMATE.position_error.anchored]
     values = np.array(error["scalars"].to_pylist())[:, 0]
     assert times_ns(error).tolist() == flight.run.trajectory.t_ns.tolist()
     assert values[0] == pytest.approx(0.0, abs=1e-9)
@@ -101,7 +101,7 @@ def test_the_first_pose_is_aligned_and_errors_are_logged(flight, tmp_path, read_
 def test_without_truth_the_rig_goes_where_the_estimate_is(flight_without_truth, tmp_path, read_rrd):
     log_live(tmp_path / "live.rrd", flight_without_truth, jpegs)
     columns = read_rrd(tmp_path / "live.rrd")
-    places = np.array(columns[at.RIG]["translation"].to_pylist())[:, 0]
+    places = np.array(columns[entities.RIG]["translation"].to_pylist())[:, 0]
     assert np.allclose(places, flight_without_truth.run.trajectory.p_world_imu, atol=1e-5)
     assert not any(entity.startswith("error") for entity in columns)
 
@@ -140,9 +140,9 @@ def test_a_file_whose_writer_was_killed_can_be_read(tmp_path, read_rrd, verify_r
         writer.send_signal(signal.SIGKILL)
         assert writer.wait(10) == -signal.SIGKILL
     columns = read_rrd(path)
-    assert len(columns[at.image(0)]["sample"]) == 80  # two keyframe intervals
-    assert len(times_ns(columns[ESTIMATE.body])) >= 70
-    assert len(columns[at.GYRO]["scalars"]) >= 800
+    assert len(columns[entities.image(0)]["sample"]) == 80  # two keyframe intervals
+    assert len(times_ns(columns[ESTIMATE.imu])) >= 70
+    assert len(columns[entities.GYRO]["scalars"]) >= 800
 
 
 @pytest.mark.filterwarnings("ignore:RRD file has no footer")
@@ -156,7 +156,7 @@ def test_a_viewer_hears_all_of_it(flight, tmp_path, read_rrd):
     with subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL) as server:
         try:
             wait_for(port)
-            with watched(f"rerun+http://127.0.0.1:{port}/proxy", flight.recording) as live:
+            with viewer_log(f"rerun+http://127.0.0.1:{port}/proxy", flight.recording) as live:
                 play(flight, live)
             time.sleep(1.0)
         finally:
@@ -166,9 +166,9 @@ def test_a_viewer_hears_all_of_it(flight, tmp_path, read_rrd):
             finally:
                 server.kill()
     columns = read_rrd(heard)
-    assert len(columns[at.image(0)]["blob"]) == len(flight.recording.frame_times_ns)
-    assert times_ns(columns[ESTIMATE.body]).tolist() == flight.run.trajectory.t_ns.tolist()
-    assert len(columns[at.TRUE_FLOWN]["strips"]) > 100
+    assert len(columns[entities.image(0)]["blob"]) == len(flight.recording.frame_times_ns)
+    assert times_ns(columns[ESTIMATE.imu]).tolist() == flight.run.trajectory.t_ns.tolist()
+    assert len(columns[entities.TRUE_PATH_SO_FAR]["strips"]) > 100
 
 
 def wait_for(port):

@@ -7,10 +7,10 @@ import pytest
 from rerun.chunk import RrdReader
 
 from dronevio.eval.metrics import score_trajectory
-from dronevio.eval.rerun import entities as at
-from dronevio.eval.rerun.blueprint import VIEW_ASPECT, VIEWER_FIELD_OF_VIEW_RAD, look_at_all
+from dronevio.eval.rerun import entities
+from dronevio.eval.rerun.blueprint import VIEW_ASPECT, VIEWER_FIELD_OF_VIEW_RAD, fit_eye
 from dronevio.eval.rerun.entities import EstimateEntities
-from dronevio.eval.rerun.log import run_file, write_rrd
+from dronevio.eval.rerun.files import run_file, write_rrd
 from dronevio.eval.rerun.surroundings import Surroundings
 from dronevio.eval.run import EstimatorRun, tracks_of
 from dronevio.models.errors import EvaluationError, InputError
@@ -52,7 +52,7 @@ def test_the_file_verifies(rrd, verify_rrd):
 
 
 def test_every_frame_is_in_the_video(flight, columns):
-    image = columns[at.image(0)]
+    image = columns[entities.image(0)]
     assert times_ns(image).tolist() == (flight.recording.frame_times_ns - flight.recording.imu.t_ns[0]).tolist()
     decoder = av.CodecContext.create("libdav1d", "r")
     packets = [av.Packet(bytes(sample[0].values.to_numpy())) for sample in image["sample"]]
@@ -79,18 +79,18 @@ def test_tracks_lie_where_they_were_seen(flight, columns):
 
 
 def test_paths_are_whole_and_the_estimate_lies_on_the_truth(flight, columns):
-    truth = np.array(columns[at.TRUE_WHOLE]["strips"][0].as_py()[0])
-    estimate = np.array(columns[ESTIMATE.whole]["strips"][0].as_py()[0])
+    truth = np.array(columns[entities.TRUE_PATH]["strips"][0].as_py()[0])
+    estimate = np.array(columns[ESTIMATE.path]["strips"][0].as_py()[0])
     assert np.allclose(truth[0], flight.recording.ground_truth.p_world_imu[0], atol=1e-5)
     assert len(estimate) == len(flight.run.trajectory)
     expected = flight.recording.ground_truth.p_world_imu[::10][10:]
     assert np.linalg.norm(estimate - expected, axis=1).max() < 0.05  # it was turned by 1.1 rad before it was aligned
-    flown = columns[ESTIMATE.flown]
+    flown = columns[ESTIMATE.path_so_far]
     assert times_ns(flown).tolist() == flight.run.trajectory.t_ns[1:].tolist()
 
 
 def test_the_camera_is_where_it_truly_was(flight, columns):
-    rig, camera = columns[at.RIG], columns[at.camera(0)]
+    rig, camera = columns[entities.RIG], columns[entities.camera(0)]
     index = 80
     expected = flight.recording.ground_truth[::10].Ts_world_imu[index]
     x, y, z, w = rig["quaternion"][index].as_py()[0]
@@ -102,7 +102,7 @@ def test_the_camera_is_where_it_truly_was(flight, columns):
 
 
 def test_the_map_was_aligned_with_the_path(flight, columns):
-    points = np.array(columns[ESTIMATE.map_in_sight]["positions"][-1].as_py())
+    points = np.array(columns[ESTIMATE.visible_landmarks]["positions"][-1].as_py())
     assert len(points) > 20
     low, high = points.min(axis=0), points.max(axis=0)
     assert np.all(low > np.array([-3.0, -2.5, 0.0]) - 0.2)
@@ -110,11 +110,11 @@ def test_the_map_was_aligned_with_the_path(flight, columns):
 
 
 def test_imu_biases_errors_and_events(flight, columns):
-    gyro = columns[at.GYRO]
+    gyro = columns[entities.GYRO]
     assert np.allclose(np.array(gyro["scalars"].to_pylist()), flight.recording.imu.gyro_rad_s)
     assert np.array(columns[ESTIMATE.accel_bias]["scalars"].to_pylist()).shape == (FRAMES - 10, 3)
-    error = np.array(columns[ESTIMATE.position_error.tied]["scalars"].to_pylist())
-    band = np.array(columns[ESTIMATE.position_error.band]["scalars"].to_pylist())
+    error = np.array(columns[ESTIMATE.position_error.anchored]["scalars"].to_pylist())
+    band = np.array(columns[ESTIMATE.position_error.three_sigma]["scalars"].to_pylist())
     assert error.shape == band.shape == (FRAMES - 11, 1)  # all poses but the first
     sigma_m = 5e-3 + 8e-3 * 0.05 * np.arange(1, FRAMES - 10)
     assert np.allclose(band[:, 0], 3.0 * np.sqrt(3.0) * sigma_m)
@@ -142,9 +142,9 @@ def test_the_file_carries_its_layout(rrd):
 def test_without_truth_the_estimate_is_shown_as_it_is(flight_without_truth, tmp_path, read_rrd):
     write_rrd(tmp_path / "run.rrd", flight_without_truth.recording, flight_without_truth.run, None)
     columns = read_rrd(tmp_path / "run.rrd")
-    strip = np.array(columns[ESTIMATE.whole]["strips"][0].as_py()[0])
+    strip = np.array(columns[ESTIMATE.path]["strips"][0].as_py()[0])
     assert np.allclose(strip, flight_without_truth.run.trajectory.p_world_imu, atol=1e-5)
-    assert at.ROOM not in columns
+    assert entities.SURROUNDINGS not in columns
     assert not any(entity.startswith("error") for entity in columns)
 
 
@@ -153,8 +153,8 @@ def test_an_estimator_that_never_started(flight, tmp_path, read_rrd):
     run = EstimatorRun(silent, flight.run.cpu_ms, flight.run.wall_ms)
     write_rrd(tmp_path / "run.rrd", flight.recording, run, None)
     columns = read_rrd(tmp_path / "run.rrd")
-    assert len(columns[at.image(0)]["sample"]) == FRAMES
-    assert ESTIMATE.whole not in columns
+    assert len(columns[entities.image(0)]["sample"]) == FRAMES
+    assert ESTIMATE.path not in columns
 
 
 def test_a_run_of_another_recording_is_refused(flight, tmp_path):
@@ -185,14 +185,14 @@ def test_what_was_written_before_an_unreadable_image_can_be_read(flight, tmp_pat
     with pytest.raises(InputError):
         write_rrd(path, Broken(flight.recording, 70), flight.run, None)
     columns = read_rrd(path)
-    assert len(columns[at.image(0)]["sample"]) == 70
-    assert len(columns[at.GYRO]["scalars"]) == len(flight.recording.imu)
+    assert len(columns[entities.image(0)]["sample"]) == 70
+    assert len(columns[entities.GYRO]["scalars"]) == len(flight.recording.imu)
 
 
 @pytest.mark.parametrize("seed", range(5))
 def test_the_view_holds_everything_from_the_least_distance(seed):
     points = np.random.default_rng(seed).uniform(-1.0, 1.0, (50, 3)) * [5.0, 3.0, 1.5] + [10.0, -4.0, 1.0]
-    position, target = look_at_all(points)
+    position, target = fit_eye(points)
     forward = (target - position) / np.linalg.norm(target - position)
     right = np.cross(forward, [0.0, 0.0, 1.0])
     right /= np.linalg.norm(right)
