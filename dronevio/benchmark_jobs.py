@@ -39,9 +39,9 @@ class Workbench:
     """Flies and estimates; implements `BenchmarkPipeline`."""
 
     estimators: tuple[NamedEstimator, ...]
-    """Who estimates."""
+    """The estimators of the benchmark."""
     versions: str
-    """Of the machine that planned the benchmark; the others must have the same."""
+    """Versions of the machine that planned the benchmark; all machines must have the same."""
 
     def config_hash(self, estimator: str) -> str:
         """Return what tells an estimator's settings apart."""
@@ -89,9 +89,9 @@ class Workbench:
 
 
 def scenario_flights(names: Iterable[str], seeds: Sequence[int], rig: str | None = None) -> tuple[RecordingSpec, ...]:
-    """Return the flights of some scenarios, every seed of each; a suite's name stands for its scenarios.
+    """Return the flights of scenarios, every seed of each; the name of a suite stands for its scenarios.
 
-    The first seed of all comes first, then the second: whoever looks early sees something of everything.
+    The first seed of all scenarios comes first, then the second, so that early results cover all scenarios.
 
     Args:
         names: Of scenarios and suites.

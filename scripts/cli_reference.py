@@ -122,7 +122,7 @@ def _group(title: str, lines: list[str]) -> Group:
         options[-1][0].append(name)
         if explanation:
             options[-1][1].append(explanation)
-    named = tuple((" ".join(names), " ".join(told)) for names, told in options)
+    named = tuple((" ".join(names), " ".join(explanations)) for names, explanations in options)
     return Group(title, " ".join(line.strip() for line in description), named)
 
 

@@ -136,11 +136,11 @@ def take_off_picture(run: Path) -> Picture:
     flown = scenario_named("room", 0)
     truth = read_tum(run / "groundtruth.tum")
     T_world_imu = truth.Ts_world_imu[np.searchsorted(truth.t_s, TAKE_OFF_S)]
-    onlooker = ChaseCamera(build_world(flown.world, flown.seed), flown.quadrotor, flown.rig, *TAKE_OFF_PX)
+    chase_camera = ChaseCamera(build_world(flown.world, flown.seed), flown.quadrotor, flown.rig, *TAKE_OFF_PX)
     try:
-        return onlooker.render(T_world_imu @ inverse_pose(flown.rig.T_vehicle_imu))
+        return chase_camera.render(T_world_imu @ inverse_pose(flown.rig.T_vehicle_imu))
     finally:
-        onlooker.close()
+        chase_camera.close()
 
 
 def draw_estimator(flight: Path, picture: Path) -> None:
