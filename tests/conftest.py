@@ -110,9 +110,9 @@ def assert_same_recording() -> Callable[..., None]:
             np.testing.assert_array_equal(a.T_imu_cam, b.T_imu_cam)
         np.testing.assert_array_equal(ours.frame_times_ns, theirs.frame_times_ns)
         for index in order or range(len(ours.frame_times_ns)):
-            a, b = ours.frame(index), theirs.frame(index)
-            assert a.t_ns == b.t_ns
-            for left, right in zip(a.images, b.images, strict=True):
+            frame, other = ours.frame(index), theirs.frame(index)
+            assert frame.t_ns == other.t_ns
+            for left, right in zip(frame.images, other.images, strict=True):
                 np.testing.assert_array_equal(left, right)
 
     return same
