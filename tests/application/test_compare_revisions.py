@@ -14,8 +14,6 @@ import pytest
 
 from dronevio.models.rotation import exp_so3
 
-SCRIPTS = Path(__file__).resolve().parents[2] / "scripts"
-
 
 @pytest.fixture(scope="module")
 def apart(script: Callable[[str], Any]) -> Any:
@@ -95,9 +93,10 @@ def test_names_of_the_package_are_found(probe: Any) -> None:
         assert callable(probe.found(name))
 
 
-def test_the_probe_refuses_other_code(tmp_path: Path) -> None:
-    command = [sys.executable, str(SCRIPTS / "revision_probe.py"), "check", "--code"]
-    assert subprocess.run([*command, str(SCRIPTS.parent)], check=False).returncode == 0
+def test_the_probe_refuses_other_code(probe: Any, tmp_path: Path) -> None:
+    source = Path(probe.__file__)
+    command = [sys.executable, str(source), "check", "--code"]
+    assert subprocess.run([*command, str(source.parents[1])], check=False).returncode == 0
     done = subprocess.run([*command, str(tmp_path)], capture_output=True, text=True, check=False)
     assert done.returncode == 1
     assert "expected it below" in done.stderr
