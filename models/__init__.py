@@ -21,6 +21,7 @@ if TYPE_CHECKING:
     from dronevio.models.imu_presets import imu_named
     from dronevio.models.protocols import Controller, Estimator, Plant, Recording, measurements
     from dronevio.models.quadrotor import Quadrotor, vehicle_named
+    from dronevio.models.reconstruction import Reconstruction
     from dronevio.models.rig import Rig, RigCamera, euroc_rig
     from dronevio.models.rig_presets import rig_named
     from dronevio.models.state import CameraFrame, Estimate, FeatureTracks, Health, HealthReport, NavState, Trajectory
@@ -45,6 +46,7 @@ __all__ = [
     "NavState",
     "Plant",
     "Quadrotor",
+    "Reconstruction",
     "Recording",
     "Rig",
     "RigCamera",
@@ -72,6 +74,7 @@ __getattr__, __dir__ = attach(
         "dronevio.models.imu_presets": ("imu_named",),
         "dronevio.models.protocols": ("Controller", "Estimator", "Plant", "Recording", "measurements"),
         "dronevio.models.quadrotor": ("Quadrotor", "vehicle_named"),
+        "dronevio.models.reconstruction": ("Reconstruction",),
         "dronevio.models.rig": ("Rig", "RigCamera", "euroc_rig"),
         "dronevio.models.rig_presets": ("rig_named",),
         "dronevio.models.state": (
