@@ -1,4 +1,4 @@
-"""A flight made of formulas: a smooth path in a room, textured images, tracks of landmarks, a drifting estimate."""
+"""Fixtures of the evaluation tests: an analytic flight with a drifting estimate; readers of HTML and rerun files."""
 
 import base64
 import json
@@ -29,10 +29,19 @@ from dronevio.models.state import CameraFrame, Estimate, FeatureTracks, Health, 
 ROOM_HALF_M = np.array([3.0, 2.5])
 ROOM_HEIGHT_M = 3.0
 
+EntityColumns = dict[str, dict[str, pa.Array]]
+"""Columns of each entity of a rerun file, by component name; the times are the column "time"."""
+ReadRrd = Callable[[Path], EntityColumns]
+"""Function that reads a rerun file."""
+VerifyRrd = Callable[[Path], None]
+"""Function that fails if a rerun file is invalid."""
+Browse = Callable[[Path, int, str], Any]
+"""Function that evaluates a JavaScript expression in a page of a given width [px] and returns its JSON value."""
+
 
 @dataclass(frozen=True, eq=False)
 class SyntheticRecording:
-    """Implements the Recording protocol."""
+    """A recording in memory, which implements the Recording protocol."""
 
     name: str
     rig: Rig
@@ -42,7 +51,7 @@ class SyntheticRecording:
     texture: npt.NDArray[np.uint8]
 
     def frame(self, index: int) -> CameraFrame:
-        """Cut a moving window out of the texture, and add noise of the frame's own."""
+        """Return a window of the texture that moves from frame to frame, with noise that depends on the frame."""
         model = self.rig.cameras[0].model
         span = np.array(self.texture.shape) - [model.height, model.width]
         row, column = (span * (0.5 + 0.5 * np.sin(0.05 * index + np.array([0.0, 1.0])))).astype(int)
@@ -53,15 +62,16 @@ class SyntheticRecording:
 
 @dataclass(frozen=True, eq=False)
 class SyntheticFlight:
-    """A recording, what an estimator made of it, and the room around it."""
+    """A recording, the run of an estimator on it, and the room around it."""
 
     recording: SyntheticRecording
+    truth: Trajectory
     run: EstimatorRun
     outline: npt.NDArray[np.float64]
 
 
 def make_flight(duration_s: float = 6.0, size: tuple[int, int] = (376, 240), seed: int = 0) -> SyntheticFlight:
-    """Make a flight at 200 Hz IMU and 20 Hz camera; the estimate starts 0.5 s after the first frame."""
+    """Return a flight with an IMU at 200 Hz and a camera at 20 Hz; the estimate starts 0.5 s after the first frame."""
     rng = np.random.default_rng(seed)
     width, height = size
     scale = width / 752
@@ -69,18 +79,19 @@ def make_flight(duration_s: float = 6.0, size: tuple[int, int] = (376, 240), see
     rig = Rig(cameras=(RigCamera(model, EUROC_T_IMU_CAM0),))
     truth = _truth(np.arange(0, int(duration_s * 200) + 1) * 5_000_000, rng)
     frame_times_ns = truth.t_ns[::10]
-    texture = cv2.resize(rng.integers(0, 256, (60, 100), dtype=np.uint8), (width * 3, height * 3), interpolation=2)
+    coarse = rng.integers(0, 256, (60, 100), dtype=np.uint8)
+    texture = np.asarray(cv2.resize(coarse, (width * 3, height * 3), interpolation=cv2.INTER_CUBIC), dtype=np.uint8)
     imu = ImuSamples(
         truth.t_ns, rng.normal(0.0, 0.5, (len(truth), 3)), rng.normal(0, 1, (len(truth), 3)) + [9.81, 0, 0]
     )
     recording = SyntheticRecording("synthetic", rig, imu, frame_times_ns, truth, texture)
     estimates = _estimates(truth[::10], rig, rng)
     cpu_ms = rng.uniform(5.0, 15.0, len(estimates))
-    return SyntheticFlight(recording, EstimatorRun(estimates, cpu_ms, cpu_ms * 1.1), _outline())
+    return SyntheticFlight(recording, truth, EstimatorRun(estimates, cpu_ms, cpu_ms * 1.1), _outline())
 
 
 def _truth(t_ns: npt.NDArray[np.int64], rng: np.random.Generator) -> Trajectory:
-    """Fly a Lissajous figure, the camera along the motion; EuRoC's IMU has x up and z forward."""
+    """Return a Lissajous path whose camera looks forward; the x axis of EuRoC's IMU is up, its z axis forward."""
     t = t_ns * 1e-9
     ramp = np.clip((t - 0.5) / 2.0, 0.0, 1.0) ** 2
     phase = 0.9 * t
@@ -98,22 +109,24 @@ def _truth(t_ns: npt.NDArray[np.int64], rng: np.random.Generator) -> Trajectory:
 
 
 def _estimates(truth: Trajectory, rig: Rig, rng: np.random.Generator) -> tuple[Estimate, ...]:
-    """Turn and shift the truth into an odometry frame, let it drift, and follow random landmarks."""
+    """Return the truth in a rotated and shifted odometry frame, with drift and tracks of random landmarks."""
+    assert truth.velocity_m_s is not None
+    assert truth.gyro_bias_rad_s is not None and truth.accel_bias_m_s2 is not None
     camera = rig.cameras[0]
     landmarks = rng.uniform([-3.0, -2.5, 0.0], [6.0, 2.5, 3.0], (400, 3))
     T_odom_world = pose_matrix(exp_so3(np.array([0.0, 0.0, 1.1])), np.array([1.0, -2.0, 0.3]))
     drift_m = 0.03 * np.stack([np.sin(0.4 * truth.t_s), 0.5 * truth.t_s / 6.0, np.cos(0.5 * truth.t_s)], axis=1)
-    first_seen = np.full(len(landmarks), -1)
+    first_visible = np.full(len(landmarks), -1)
     estimates = []
     for i, T_world_imu in enumerate(truth.Ts_world_imu):
         t_ns = int(truth.t_ns[i])
         T_cam_world = inverse_pose(T_world_imu @ camera.T_imu_cam)
         pixels = camera.model.project(landmarks @ T_cam_world[:3, :3].T + T_cam_world[:3, 3])
-        seen = np.all((pixels >= 0) & (pixels <= [camera.model.width - 1, camera.model.height - 1]), axis=1)
-        first_seen[~seen] = -1
-        first_seen[seen & (first_seen < 0)] = i
-        ids = np.flatnonzero(seen)
-        tracks = FeatureTracks(ids.astype(np.int64), pixels[ids], (i - first_seen[ids] + 1).astype(np.int64))
+        visible = np.all((pixels >= 0) & (pixels <= [camera.model.width - 1, camera.model.height - 1]), axis=1)
+        first_visible[~visible] = -1
+        first_visible[visible & (first_visible < 0)] = i
+        ids = np.flatnonzero(visible)
+        tracks = FeatureTracks(ids.astype(np.int64), pixels[ids], (i - first_visible[ids] + 1).astype(np.int64))
         if i < 10:
             estimates.append(Estimate(t_ns, Health.INITIALIZING, None, tracks))
             continue
@@ -129,9 +142,9 @@ def _estimates(truth: Trajectory, rig: Rig, rng: np.random.Generator) -> tuple[E
             truth.accel_bias_m_s2[i] + 1e-2,
             np.diag(sigmas**2),
         )
-        on_map = landmarks[ids] @ T_odom_world[:3, :3].T + T_odom_world[:3, 3] if i % 5 == 0 else None
+        landmarks_odom = landmarks[ids] @ T_odom_world[:3, :3].T + T_odom_world[:3, 3] if i % 5 == 0 else None
         events = ("initialized",) if i == 10 else ("keyframe",) if i % 5 == 0 else ()
-        estimates.append(Estimate(t_ns, Health.TRACKING, state, tracks, on_map, events))
+        estimates.append(Estimate(t_ns, Health.TRACKING, state, tracks, landmarks_odom, events))
     return tuple(estimates)
 
 
@@ -140,98 +153,102 @@ def _outline() -> npt.NDArray[np.float64]:
     (x, y), z = ROOM_HALF_M, ROOM_HEIGHT_M
     floor = np.array([[-x, -y, 0.0], [x, -y, 0.0], [x, y, 0.0], [-x, y, 0.0]])
     ceiling = floor + [0.0, 0.0, z]
-    around = [np.stack([ring, np.roll(ring, -1, axis=0)], axis=1) for ring in (floor, ceiling)]
-    return np.concatenate([*around, np.stack([floor, ceiling], axis=1)])
+    horizontal = [np.stack([corners, np.roll(corners, -1, axis=0)], axis=1) for corners in (floor, ceiling)]
+    return np.concatenate([*horizontal, np.stack([floor, ceiling], axis=1)])
 
 
 @pytest.fixture(scope="session")
 def flight() -> SyntheticFlight:
-    """Six seconds of synthetic flight."""
+    """Return a synthetic flight of six seconds."""
     return make_flight()
 
 
 @pytest.fixture(scope="session")
 def flight_without_truth(flight: SyntheticFlight) -> SyntheticFlight:
-    """The same, where nobody knows the truth."""
+    """Return the same flight as a recording without ground truth."""
     return replace(flight, recording=replace(flight.recording, ground_truth=None))
 
 
-VOID = {"meta", "br", "img", "link", "input", "hr"}
+VOID_ELEMENTS = {"meta", "br", "img", "link", "input", "hr"}
 
 
 class Page(HTMLParser):
-    """Collects a page's text, elements, links and alternative texts, and checks that elements are closed in order."""
+    """Collects the text, elements, links and alternative texts of a page, and checks that elements are nested."""
 
     def __init__(self, html: str) -> None:
         super().__init__()
         self.text: list[str] = []
         self.tags: list[str] = []
-        self.links: list[str | None] = []
-        self.alts: list[str | None] = []
+        self.links: list[str] = []
+        self.alts: list[str] = []
         self._open: list[str] = []
         self.feed(html)
         self.close()
         assert self._open == []
 
     def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
-        """Note what begins."""
+        """Add an element and mark it as open."""
         self.handle_startendtag(tag, attrs)
-        if tag not in VOID:
+        if tag not in VOID_ELEMENTS:
             self._open.append(tag)
 
     def handle_startendtag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
-        """Note what stands there."""
+        """Add an element with its links and its alternative text."""
         self.tags.append(tag)
-        self.links += [value for name, value in attrs if name in ("href", "src", "xlink:href", "data", "srcset")]
-        self.alts += [dict(attrs).get("aria-label")] if tag == "svg" else []
+        self.links += [value or "" for name, value in attrs if name in ("href", "src", "xlink:href", "data", "srcset")]
+        self.alts += [dict(attrs).get("aria-label") or ""] if tag == "svg" else []
 
     def handle_endtag(self, tag: str) -> None:
-        """Check that what ends is what was begun last."""
+        """Check that the element is the one that was opened last."""
         assert self._open.pop() == tag
 
     def handle_data(self, data: str) -> None:
-        """Keep the text."""
+        """Add text."""
         self.text.append(data)
 
 
+ReadPage = Callable[[str], Page]
+"""Function that parses HTML and fails if it is not well formed."""
+
+
 @pytest.fixture(scope="session")
-def read_page() -> Callable[[str], Page]:
-    """Reads HTML, and fails where it is not well formed."""
+def read_page() -> ReadPage:
+    """Return a parser of HTML that fails if the elements are not nested."""
     return Page
 
 
 @pytest.fixture
-def browse(tmp_path: Path) -> Callable[[Path, int, str], Any]:
-    """Opens a page in a browser of a given width and returns what an expression says there; `r` is its root."""
+def browse(tmp_path: Path) -> Browse:
+    """Return a function that evaluates an expression in a page in a browser; `r` is the root element of the page."""
     browser = next(filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome"))), None)
     if browser is None:
-        pytest.skip("no chromium to look at the report with")
+        pytest.skip("no Chromium is installed to open the report")
 
-    def look(page: Path, width: int, expression: str) -> Any:
-        # A frame of that width, because a headless window has a least width of its own.
-        probe = tmp_path / "probe.html"
-        probe.write_text(
+    def evaluate(page: Path, width: int, expression: str) -> Any:
+        # The page is shown in a frame of that width, because a headless window has a minimum width.
+        wrapper = tmp_path / "wrapper.html"
+        wrapper.write_text(
             f'<iframe id="f" src="{page.as_uri()}" width="{width}" height="900" style="border:0"></iframe>'
             "<script>onload = () => { const page = document.getElementById('f').contentDocument;"
-            " const said = ((document, r) => JSON.stringify(" + expression + "))(page, page.documentElement);"
-            " document.body.append(`said ${btoa(unescape(encodeURIComponent(said)))} so`) }</script>"
+            " const value = ((document, r) => JSON.stringify(" + expression + "))(page, page.documentElement);"
+            " document.body.append(`result ${btoa(unescape(encodeURIComponent(value)))} end`) }</script>"
         )
         flags = ["--headless=new", "--no-sandbox", "--disable-gpu", "--allow-file-access-from-files", "--dump-dom"]
-        command = [browser, *flags, f"--user-data-dir={tmp_path}/profile", probe.as_uri()]
+        command = [browser, *flags, f"--user-data-dir={tmp_path}/profile", wrapper.as_uri()]
         done = subprocess.run(command, capture_output=True, text=True, check=False, timeout=60)
-        found = re.search(r"said (\S+) so</body>", done.stdout)
+        found = re.search(r"result (\S+) end</body>", done.stdout)
         assert found, done.stdout[-500:] + done.stderr[-500:]
         return json.loads(base64.b64decode(found[1]))
 
-    return look
+    return evaluate
 
 
 @pytest.fixture(scope="session")
-def read_rrd() -> Callable[[Path], dict[str, dict[str, Any]]]:
-    """Reads a rerun file: the columns of each entity, the rows of all chunks together; times under "time"."""
+def read_rrd() -> ReadRrd:
+    """Return a reader of rerun files, which concatenates the rows of all chunks of an entity."""
 
-    def read(path: Path) -> dict[str, dict[str, Any]]:
-        columns: dict[str, dict[str, list[Any]]] = {}
+    def read(path: Path) -> EntityColumns:
+        columns: dict[str, dict[str, list[pa.Array]]] = {}
         for chunk in RrdReader(path).stream():
             batch = chunk.to_record_batch()
             assert set(chunk.timeline_names) <= {"time"}, chunk.entity_path
@@ -247,12 +264,19 @@ def read_rrd() -> Callable[[Path], dict[str, dict[str, Any]]]:
 
 
 @pytest.fixture(scope="session")
-def verify_rrd() -> Callable[[Path], None]:
-    """Checks a rerun file with rerun's own tool."""
-    rerun = str(Path(find_spec("rerun_cli").origin).with_name("rerun"))
+def rerun_program() -> str:
+    """Return the path of the rerun executable."""
+    spec = find_spec("rerun_cli")
+    assert spec is not None and spec.origin is not None
+    return str(Path(spec.origin).with_name("rerun"))
+
+
+@pytest.fixture(scope="session")
+def verify_rrd(rerun_program: str) -> VerifyRrd:
+    """Return a check of rerun files by `rerun rrd verify`."""
 
     def verify(path: Path) -> None:
-        done = subprocess.run([rerun, "rrd", "verify", str(path)], capture_output=True, text=True, check=False)
+        done = subprocess.run([rerun_program, "rrd", "verify", str(path)], capture_output=True, text=True, check=False)
         assert done.returncode == 0, done.stderr
 
     return verify

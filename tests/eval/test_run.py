@@ -1,4 +1,7 @@
+"""Runs of estimators: valid poses, real-time factor, and consistency with the recording."""
+
 from dataclasses import replace
+from typing import TYPE_CHECKING
 
 import numpy as np
 import pytest
@@ -7,8 +10,11 @@ from dronevio.eval.run import EstimatorRun, tracks_of
 from dronevio.models.errors import EvaluationError
 from dronevio.models.state import Health
 
+if TYPE_CHECKING:
+    from tests.eval.conftest import SyntheticFlight
 
-def test_the_trajectory_holds_only_valid_poses(flight):
+
+def test_the_trajectory_holds_only_valid_poses(flight: "SyntheticFlight") -> None:
     estimates = list(flight.run.estimates)
     estimates[20] = replace(estimates[20], health=Health.LOST)
     estimates[30] = replace(estimates[30], health=Health.INERTIAL_ONLY)
@@ -18,31 +24,32 @@ def test_the_trajectory_holds_only_valid_poses(flight):
     assert run.trajectory.covariance is not None
 
 
-def test_real_time_factor(flight):
-    costs = np.full(len(flight.run.estimates), 5.0)
-    run = EstimatorRun(flight.run.estimates, costs, costs)
-    frames = len(costs)
+def test_the_real_time_factor_is_flight_time_by_processor_time(flight: "SyntheticFlight") -> None:
+    costs_ms = np.full(len(flight.run.estimates), 5.0)
+    run = EstimatorRun(flight.run.estimates, costs_ms, costs_ms)
+    frames = len(costs_ms)
     assert run.real_time_factor == pytest.approx(((frames - 1) * 0.05) / (frames * 0.005))
 
 
-def test_an_empty_run():
+def test_an_empty_run_has_no_poses_and_no_real_time_factor() -> None:
     run = EstimatorRun((), np.zeros(0), np.zeros(0))
     assert len(run.trajectory) == 0
     assert run.n_tracks.shape == (0,)
     assert run.real_time_factor is None
 
 
-def test_costs_must_belong_to_the_estimates(flight):
+def test_costs_must_belong_to_the_estimates(flight: "SyntheticFlight") -> None:
     with pytest.raises(EvaluationError, match=r"expected \(121,\)"):
         EstimatorRun(flight.run.estimates, np.zeros(3), np.zeros(3))
 
 
-def test_a_run_must_belong_to_its_recording(flight):
+def test_a_run_must_belong_to_its_recording(flight: "SyntheticFlight") -> None:
     flight.run.check_belongs_to(flight.recording)
     shorter = replace(flight.recording, frame_times_ns=flight.recording.frame_times_ns[:-1])
     with pytest.raises(EvaluationError, match="120 frames"):
         flight.run.check_belongs_to(shorter)
 
 
-def test_no_tracks_are_zero_tracks(flight):
-    assert len(tracks_of(replace(flight.run.estimates[0], tracks=None)).ids) == 0
+def test_an_estimate_without_tracks_has_empty_tracks(flight: "SyntheticFlight") -> None:
+    tracks = tracks_of(replace(flight.run.estimates[0], tracks=None))
+    assert (tracks.ids.shape, tracks.pixels.shape) == ((0,), (0, 2))

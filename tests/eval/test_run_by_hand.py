@@ -1,4 +1,4 @@
-"""How an estimator ran, worked out by hand for a few frames."""
+"""Availability and cost of runs of a few frames, with values worked out by hand."""
 
 import numpy as np
 import pytest
@@ -10,12 +10,12 @@ SECOND_NS = 1_000_000_000
 
 
 def run_of(letters: str) -> EstimatorRun:
-    """A run at one frame a second: T tracking, L lost, I inertial only, and a dot before there is a pose."""
-    healths = {"T": Health.TRACKING, "L": Health.LOST, "I": Health.INERTIAL_ONLY, ".": Health.INITIALIZING}
+    """Return a run at one frame a second; a letter per frame: T tracking, L lost, I inertial only, dot initializing."""
+    health_of = {"T": Health.TRACKING, "L": Health.LOST, "I": Health.INERTIAL_ONLY, ".": Health.INITIALIZING}
     estimates = []
     for index, letter in enumerate(letters):
         state = None if letter == "." else NavState(index * SECOND_NS, np.eye(4), *np.zeros((3, 3)))
-        estimates.append(Estimate(index * SECOND_NS, healths[letter], state))
+        estimates.append(Estimate(index * SECOND_NS, health_of[letter], state))
     return EstimatorRun(tuple(estimates), np.full(len(letters), 100.0), np.full(len(letters), 200.0))
 
 
@@ -23,13 +23,13 @@ def run_of(letters: str) -> EstimatorRun:
     ("letters", "poses", "lost", "resets", "coverage_percent"),
     [
         ("..TTTTTT", 6, 0, 0, 100.0),
-        ("..TTTLLL", 3, 3, 0, 25.0),  # lost for good: it never began again; of four frames after 3 s, one has a pose
+        ("..TTTLLL", 3, 3, 0, 25.0),  # no pose follows the loss; one of the four frames after 3 s has a pose
         ("..TLLTLT", 3, 3, 2, 50.0),
         ("..TIITLT", 5, 1, 1, 75.0),
         ("........", 0, 0, 0, 0.0),
     ],
 )
-def test_losses_and_resets(letters: str, poses: int, lost: int, resets: int, coverage_percent: float) -> None:
+def test_losses_resets_and_coverage(letters: str, poses: int, lost: int, resets: int, coverage_percent: float) -> None:
     found = score_run(run_of(letters))
     assert (found.frames, found.poses, found.lost_frames, found.resets) == (8, poses, lost, resets)
     assert found.coverage_percent == coverage_percent

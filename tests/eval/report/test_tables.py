@@ -1,8 +1,11 @@
+"""Tables as HTML, Markdown and LaTeX: no text of a cell changes the structure of a table."""
+
 import re
 import shutil
 import subprocess
 from html import unescape
 from html.parser import HTMLParser
+from pathlib import Path
 
 import markupsafe
 import pytest
@@ -24,8 +27,8 @@ TABLE = Table(
 )
 
 
-def html_table(table):
-    """Return a table as a page shows it."""
+def html_table(table: Table) -> str:
+    """Return a table as HTML, made by the template of the pages."""
     source = '{% import "parts.html.j2" as parts %}{{ parts.results_table(table) }}'
     return environment().from_string(source).render(table=table).strip()
 
@@ -33,32 +36,35 @@ def html_table(table):
 class Cells(HTMLParser):
     """Collects the text of each cell, row by row."""
 
-    def __init__(self, html):
+    def __init__(self, html: str) -> None:
         super().__init__()
-        self.rows, self.tags = [], set()
+        self.rows: list[list[str]] = []
+        self.tags: set[str] = set()
         self.feed(html)
         self.close()
 
-    def handle_starttag(self, tag, attrs):
+    def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
+        """Begin a row or a cell."""
         self.tags.add(tag)
         if tag == "tr":
             self.rows.append([])
         elif tag in ("th", "td"):
             self.rows[-1].append("")
 
-    def handle_data(self, data):
+    def handle_data(self, data: str) -> None:
+        """Add text to the last cell."""
         if self.rows and self.rows[-1]:
             self.rows[-1][-1] += data
 
 
-def markdown_cells(text):
-    """Split the rows of a Markdown table as a reader of it does: at bars that are not escaped."""
+def markdown_cells(text: str) -> list[list[str]]:
+    """Return the rows of a Markdown table, split at bars that are not escaped."""
     lines = [line for line in text.splitlines() if line.startswith("|")]
     rows = [re.split(r"(?<!\\)\|", line)[1:-1] for line in lines if not line.startswith("| ---")]
     return [[re.sub(r"\\(.)", r"\1", cell.strip()) for cell in row] for row in rows]
 
 
-def test_html_shows_names_and_runs_none_of_them():
+def test_html_shows_scripts_in_names_as_text() -> None:
     found = Cells(html_table(TABLE))
     assert "script" not in found.tags
     assert found.rows[0] == ["scenario", HOSTILE, "vio"]
@@ -66,7 +72,7 @@ def test_html_shows_names_and_runs_none_of_them():
     assert [len(row) for row in found.rows] == [3, 3, 3, 3]
 
 
-def test_html_takes_every_part_of_a_table_as_text():
+def test_html_escapes_every_part_of_a_table() -> None:
     cell = Cell(HOSTILE, HOSTILE, HOSTILE)
     found = Cells(html := html_table(Table(HOSTILE, (HOSTILE,), ((cell,),), (cell,))))
     assert found.rows == [[HOSTILE], [3 * HOSTILE], [3 * HOSTILE]]
@@ -74,14 +80,14 @@ def test_html_takes_every_part_of_a_table_as_text():
     assert f'aria-label="{markupsafe.escape(HOSTILE)}"' in html
 
 
-def test_html_marks_the_best_and_says_how_to_sort():
+def test_html_marks_the_best_value_and_the_sorting_key() -> None:
     html = html_table(TABLE)
     assert '<td class="best" data-order="2.5">−0.2</td>' in html
     assert html.count('class="best"') == 1
-    assert html.index("<tfoot") > html.index("</tbody>")  # the last row stays the last
+    assert html.index("<tfoot") > html.index("</tbody>")  # sorting leaves the last row in its place
 
 
-def test_markdown_cells_stay_in_their_columns():
+def test_markdown_keeps_cells_in_their_columns() -> None:
     rows = markdown_cells(markdown_table(TABLE))
     assert rows[0] == ["scenario", HOSTILE, "vio"]
     assert rows[1] == [HOSTILE, "0.1 (0.05–0.2), 1 of 3 failed", "**−0.2**"]
@@ -91,7 +97,7 @@ def test_markdown_cells_stay_in_their_columns():
 
 @settings(deadline=None)
 @given(st.text(max_size=40))
-def test_no_name_breaks_a_row_of_any_table(name):
+def test_no_name_breaks_a_row_of_any_table(name: str) -> None:
     table = Table(name, (name, "b"), ((Cell(name), Cell("1")),))
     shown = "".join(letter for letter in " ".join(name.split()) if letter.isprintable())
     rows = markdown_cells(markdown_table(table))
@@ -104,14 +110,14 @@ def test_no_name_breaks_a_row_of_any_table(name):
     assert line.count("{") - line.count(r"\{") == line.count("}") - line.count(r"\}")
 
 
-def test_latex_text_sets_what_stands_there():
+def test_latex_text_is_escaped() -> None:
     assert latex_text(r"50 % of $x_1$ & \y") == r"50 \% of \$x\_1\$ \& \textbackslash{}y"
     assert latex_text("0.1–0.2 °") == r"0.1--0.2 $^\circ$"
     assert latex_text("é 日") == "é [U+65E5]"
 
 
-@pytest.mark.skipif(shutil.which("pdflatex") is None, reason="no LaTeX to set the tables with")
-def test_latex_compiles(tmp_path):
+@pytest.mark.skipif(shutil.which("pdflatex") is None, reason="pdflatex is not installed")
+def test_latex_compiles(tmp_path: Path) -> None:
     document = "\\documentclass{article}\\usepackage{booktabs}\\begin{document}\n%s\\end{document}\n"
     (tmp_path / "t.tex").write_text(document % latex_table(TABLE), encoding="utf-8")
     command = ["pdflatex", "-halt-on-error", "-interaction=nonstopmode", "t.tex"]
