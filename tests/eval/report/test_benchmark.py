@@ -1,19 +1,25 @@
+"""Reports of benchmarks: quartiles with failed runs, rankings, tables, and self-contained pages of escaped text."""
+
 import csv
 import io
 import math
 import re
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from dronevio.eval.benchmark.rows import Row, write_rows
-from dronevio.eval.benchmark.summary import quantile
+from dronevio.eval.benchmark.rows import Row, Status, write_rows
+from dronevio.eval.benchmark.summary import Quartiles, quantile
 from dronevio.eval.report.benchmark.model import (
     MEASURES,
     BenchmarkResults,
+    Measure,
     find_measure,
     measure_quartiles,
     read_benchmark,
@@ -24,15 +30,18 @@ from dronevio.eval.report.benchmark.page import benchmark_page
 from dronevio.eval.report.benchmark.tables import as_csv, as_latex, as_markdown, failure_table
 from dronevio.models.errors import ConfigError, InputError
 
+if TYPE_CHECKING:
+    from tests.eval.conftest import Browse, ReadPage
 ATE, COVERAGE, COST, NEES = map(find_measure, ("ate_m", "coverage_percent", "cpu_ms_mean", "nees_position"))
 BASE = Row("room-v0", "room", 0, "vio", "a81c", "dronevio 1, numpy 2", "ok", recording_hash="r0", wall_s=30.0)
 SHARES = np.array([0.1, 0.2, 0.3, 0.4, 0.5])
 HOSTILE = '</td><script>alert("1")</script>$x$ & <b>|'
 
 
-def scored(scenario, seed, estimator, ate_m, **others):
+def scored(scenario: str, seed: int | None, estimator: str, ate_m: float, **others: Any) -> Row:
+    """Return a run with scores in proportion to its position error, but for the given columns."""
     lengths = SHARES * 60.0
-    values = {
+    values: dict[str, Any] = {
         "coverage_percent": 99.0,
         "path_m": 60.0,
         "ate_m": ate_m,
@@ -47,11 +56,15 @@ def scored(scenario, seed, estimator, ate_m, **others):
     return replace(BASE, scenario=scenario, seed=seed, estimator=estimator, **(values | others))
 
 
-def failed(scenario, seed, estimator, status="crashed", reason="signal 11"):
+def failed(
+    scenario: str, seed: int | None, estimator: str, status: Status = "crashed", reason: str = "signal 11"
+) -> Row:
+    """Return a run without scores."""
     return replace(BASE, scenario=scenario, seed=seed, estimator=estimator, status=status, reason=reason)
 
 
-def make_rows(scenarios, seeds):
+def make_rows(scenarios: Sequence[str], seeds: int) -> Iterator[Row]:
+    """Yield the runs of three estimators of different accuracy; some runs of two of them fail."""
     rng = np.random.default_rng(5)
     for scenario in scenarios:
         for seed in range(seeds):
@@ -65,13 +78,22 @@ def make_rows(scenarios, seeds):
 SMALL = BenchmarkResults("small", tuple(make_rows(("room-v0", "hall-v0"), 4)))
 
 
+def known_quartiles(measure: Measure, rows: Sequence[Row]) -> Quartiles:
+    """Return the quartiles of runs of which at least one has the measure."""
+    quartiles = measure_quartiles(measure, rows)
+    assert quartiles is not None
+    return quartiles
+
+
 @pytest.fixture(scope="module")
-def large():
+def large() -> str:
+    """Return the page of a benchmark of 360 runs."""
     return benchmark_page(BenchmarkResults("large", tuple(make_rows([f"scenario-{i}-v0" for i in range(12)], 10))))
 
 
 @pytest.fixture(scope="module")
-def large_file(large, tmp_path_factory):
+def large_file(large: str, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Return the same page as a file."""
     path = tmp_path_factory.mktemp("large") / "report.html"
     path.write_text(large, encoding="utf-8")
     return path
@@ -79,32 +101,33 @@ def large_file(large, tmp_path_factory):
 
 @settings(deadline=None)
 @given(st.lists(st.floats(0.0, 1e6), min_size=1, max_size=30), st.sampled_from((0.25, 0.5, 0.75)))
-def test_quantiles_of_finite_values_are_numpys(values, share):
+def test_quantiles_of_finite_values_agree_with_numpy(values: list[float], share: float) -> None:
     assert quantile(sorted(values), share) == pytest.approx(np.quantile(values, share), rel=1e-12, abs=1e-12)
 
 
 @settings(deadline=None)
 @given(st.lists(st.floats(1e-3, 1e3), min_size=1, max_size=20), st.integers(0, 19), st.sampled_from((ATE, COVERAGE)))
-def test_failing_never_looks_better(values, which, what):
-    rows = [replace(scored("s", seed, "vio", 1.0), **{what.column: v}) for seed, v in enumerate(values)]
-    worse = list(rows)
-    worse[which % len(rows)] = failed("s", which % len(rows), "vio")
-    before, after = measure_quartiles(what, rows), measure_quartiles(what, worse)
+def test_a_failed_run_never_improves_the_quartiles(values: list[float], index: int, measure: Measure) -> None:
+    columns: list[dict[str, Any]] = [{measure.column: value} for value in values]
+    rows = [replace(scored("s", seed, "vio", 1.0), **column) for seed, column in enumerate(columns)]
+    with_failure = list(rows)
+    with_failure[index % len(rows)] = failed("s", index % len(rows), "vio")
+    before, after = known_quartiles(measure, rows), known_quartiles(measure, with_failure)
     for name in ("median", "lower", "upper"):
-        assert what.ranking_key(getattr(after, name)) >= what.ranking_key(getattr(before, name))
+        assert measure.ranking_key(getattr(after, name)) >= measure.ranking_key(getattr(before, name))
     assert (before.failed, after.failed) == (0, 1)
 
 
-def test_a_median_on_a_failed_run_says_so():
+def test_a_median_that_falls_on_a_failed_run_is_failed() -> None:
     rows = [scored("s", 0, "vio", 0.1), failed("s", 1, "vio"), failed("s", 2, "vio")]
-    found = measure_quartiles(ATE, rows)
+    found = known_quartiles(ATE, rows)
     assert (found.median, found.runs, found.failed) == (math.inf, 3, 2)
     assert ATE.text(found.median) == "failed"
-    assert COVERAGE.text(measure_quartiles(COVERAGE, rows).median) == "failed"
-    assert measure_quartiles(COST, rows).median == 20.0  # a dead process says nothing of what a frame costs
+    assert COVERAGE.text(known_quartiles(COVERAGE, rows).median) == "failed"
+    assert known_quartiles(COST, rows).median == 20.0  # a failed run has no cost per frame
 
 
-def test_the_best_is_the_smallest_largest_or_nearest_to_three():
+def test_the_best_is_the_smallest_largest_or_nearest_to_three() -> None:
     rows = (
         scored("s", 0, "a", 0.1, coverage_percent=90.0, nees_position=0.2),
         scored("s", 0, "b", 0.2, coverage_percent=99.0, nees_position=4.0),
@@ -115,22 +138,23 @@ def test_the_best_is_the_smallest_largest_or_nearest_to_three():
     assert benchmark.best(COVERAGE) == {"b"}
     assert benchmark.best(NEES) == {"b"}
     assert benchmark.wins(ATE) == {"a": 1}
-    draw = (*rows, scored("s", 0, "d", 0.1))
-    assert BenchmarkResults("b", draw).best(ATE) == {"a", "d"}
-    assert BenchmarkResults("b", draw[::3]).best(ATE) == frozenset()  # all alike
-    assert BenchmarkResults("b", rows[:1]).best(ATE) == frozenset()  # nothing to choose between
+    tie = (*rows, scored("s", 0, "d", 0.1))
+    assert BenchmarkResults("b", tie).best(ATE) == {"a", "d"}
+    assert BenchmarkResults("b", tie[::3]).best(ATE) == frozenset()  # all are equal
+    assert BenchmarkResults("b", rows[:1]).best(ATE) == frozenset()  # one estimator has no competitor
     assert BenchmarkResults("b", (failed("s", 0, "a"), failed("s", 0, "b"))).best(ATE) == frozenset()
 
 
-def test_who_never_tells_a_covariance_has_no_consistency_to_fail():
+def test_estimators_without_covariances_have_no_consistency() -> None:
     rows = (scored("s", 0, "mine", 0.1), failed("t", 0, "mine"), scored("s", 0, "vio", 0.1), failed("t", 0, "vio"))
     benchmark = BenchmarkResults("b", rows)
     assert benchmark.estimators_with(NEES) == ("vio",)
     assert benchmark.quartiles(NEES, "mine", "t") is None
-    assert benchmark.quartiles(NEES, "vio", "t").median == math.inf
+    quartiles = benchmark.quartiles(NEES, "vio", "t")
+    assert quartiles is not None and quartiles.median == math.inf
 
 
-def test_figures_for_people():
+def test_numbers_and_seeds_are_written_briefly() -> None:
     values = (0.0, 0.04567, 1.0, 12.34, 99.99, 1234.5, 3.2e-6)
     assert [significant(v) for v in values] == ["0", "0.0457", "1.00", "12.3", "100", "1234", "3.20e-06"]
     assert seed_ranges((0, 1, 2, 5, 7, 8)) == "0–2, 5, 7–8"
@@ -140,7 +164,7 @@ def test_figures_for_people():
         find_measure("speed")
 
 
-def test_failures_of_one_kind_stand_together():
+def test_failures_are_grouped_by_reason() -> None:
     rows = [failed("s", seed, "vio") for seed in (3, 1, 2)] + [failed("s", 5, "vio", "timeout", "not done after 9 s")]
     table = failure_table(BenchmarkResults("b", tuple(rows)))
     assert [[cell.text for cell in row] for row in table.rows] == [
@@ -150,19 +174,21 @@ def test_failures_of_one_kind_stand_together():
     assert [row[2].warning for row in table.rows] == ["crashed", "timeout"]
 
 
-def test_csv_holds_the_quartiles_of_the_runs():
+def test_csv_holds_the_quartiles_of_the_runs() -> None:
     lines = list(csv.DictReader(io.StringIO(as_csv(SMALL, SMALL.measures))))
     assert {line["measure"] for line in lines} <= {m.column for m in MEASURES}
     (line,) = (
         r for r in lines if (r["scenario"], r["estimator"], r["measure"]) == ("hall-v0", "dead-reckoning", "ate_m")
     )
-    values = [row.ate_m for row in SMALL.rows if (row.scenario, row.estimator) == ("hall-v0", "dead-reckoning")]
+    runs = [row for row in SMALL.rows if (row.scenario, row.estimator) == ("hall-v0", "dead-reckoning")]
+    values = [row.ate_m for row in runs if row.ate_m is not None]
+    assert len(values) == 4
     quartiles = [float(line[name]) for name in ("lower_quartile", "median", "upper_quartile")]
     assert quartiles == pytest.approx(np.quantile(values, (0.25, 0.5, 0.75)), rel=1e-14)
     assert (line["runs"], line["failed"], line["unit"]) == ("4", "0", "m")
 
 
-def test_markdown_and_latex_have_every_measure_and_failure():
+def test_markdown_and_latex_have_every_measure_and_failure() -> None:
     chosen = (ATE, COVERAGE)
     markdown, latex = as_markdown(SMALL, chosen), as_latex(SMALL, chosen)
     assert re.findall(r"^\*\*(.*)\*\*$", markdown, re.MULTILINE) == [
@@ -175,13 +201,14 @@ def test_markdown_and_latex_have_every_measure_and_failure():
     assert "signal 11" in latex
 
 
-def test_the_page_says_first_how_it_went(read_page):
+def test_the_page_shows_the_summary_and_all_sections(read_page: "ReadPage") -> None:
     page = read_page(benchmark_page(SMALL))
     text = " ".join("".join(page.text).split())
-    bad = sum(row.status != "ok" for row in SMALL.rows)
-    assert bad > 0
-    assert f"24 runs, 2 scenarios × 3 estimators × 4 seeds: {24 - bad} with scores, {bad} crashed." in text
+    crashed = sum(row.status != "ok" for row in SMALL.rows)
+    assert crashed > 0
+    assert f"24 runs, 2 scenarios × 3 estimators × 4 seeds: {24 - crashed} with scores, {crashed} crashed." in text
     vio = SMALL.quartiles(ATE, "vio")
+    assert vio is not None
     assert f"vio{ATE.text(vio.median)} m" in text
     assert f"{vio.runs - vio.failed} of {vio.runs} runs with scores" in text
     for heading in (
@@ -198,18 +225,18 @@ def test_the_page_says_first_how_it_went(read_page):
     assert "a81c" in text
 
 
-def test_the_page_needs_nothing_but_itself(large, read_page):
+def test_the_page_is_self_contained(large: str, read_page: "ReadPage") -> None:
     page = read_page(large)
     assert all(link.startswith("#") for link in page.links)
     assert page.tags.count("script") == 1
     assert not {"link", "iframe", "object", "img"} & set(page.tags)
     assert not re.search(r"url\((?!#)|@import", large)
-    assert "http" not in re.sub(r'"http://www\.w3\.org/(2000/svg|1999/xlink)"', "", large)  # names, not addresses
+    assert "http" not in re.sub(r'"http://www\.w3\.org/(2000/svg|1999/xlink)"', "", large)  # XML namespaces
     assert page.alts and all(page.alts)
     assert len(large.encode()) < 2e6
 
 
-def test_every_run_is_a_dot_and_a_line(large, read_page):
+def test_every_run_is_a_dot_of_the_plot_and_a_row_of_the_list(large: str, read_page: "ReadPage") -> None:
     text = "".join(read_page(large).text)
     assert "List of 360 runs" in text
     ate = large.split('<svg role="img" aria-label="ATE')[1].partition("</svg>")[0]
@@ -218,7 +245,7 @@ def test_every_run_is_a_dot_and_a_line(large, read_page):
     assert listed.count("<tr>") == 361
 
 
-def test_names_and_reasons_from_files_are_text(read_page):
+def test_names_and_reasons_are_shown_as_text(read_page: "ReadPage") -> None:
     rows = (
         scored(HOSTILE, 0, HOSTILE, 0.1),
         scored(HOSTILE, 0, "--><svg onload=alert(1)>", 0.2),
@@ -233,7 +260,7 @@ def test_names_and_reasons_from_files_are_text(read_page):
     assert text.count(HOSTILE) > 10
 
 
-def test_same_rows_same_bytes_in_whatever_order(tmp_path):
+def test_the_page_does_not_depend_on_the_order_of_the_rows(tmp_path: Path) -> None:
     for name, rows in (("a", SMALL.rows), ("b", SMALL.rows[::-1])):
         (tmp_path / name / "small").mkdir(parents=True)
         write_rows(tmp_path / name / "small" / "results.parquet", rows)
@@ -265,21 +292,25 @@ def test_same_rows_same_bytes_in_whatever_order(tmp_path):
         ),
     ],
 )
-def test_little_is_shown_as_little(rows, read_page):
+def test_benchmarks_of_few_values_have_a_page_and_tables(rows: tuple[Row, ...], read_page: "ReadPage") -> None:
     benchmark = BenchmarkResults("little", rows)
-    read_page(benchmark_page(benchmark))
-    as_markdown(benchmark, benchmark.measures)
-    as_latex(benchmark, benchmark.measures)
+    text = " ".join("".join(read_page(benchmark_page(benchmark)).text).split())
+    assert "little" in text and "dronevio 1, numpy 2" in text
+    markdown = as_markdown(benchmark, benchmark.measures)
+    latex = as_latex(benchmark, benchmark.measures)
+    failures = any(row.status != "ok" for row in rows)
+    assert ("**Failed runs**" in markdown) == failures
+    assert latex.count(r"\begin{tabular}") == latex.count(r"\end{tabular}") == len(benchmark.measures) + failures
 
 
-def test_ten_thousand_runs_are_still_a_page(read_page):
+def test_the_page_of_ten_thousand_runs_omits_their_list(read_page: "ReadPage") -> None:
     rows = tuple(scored("s", seed, "vio", 0.1 + 1e-4 * seed, sub_trajectory_m=()) for seed in range(10_000))
     html = benchmark_page(BenchmarkResults("many", rows))
     assert "The list of 10000 runs is omitted" in "".join(read_page(html).text)
     assert len(html) < 5e5
 
 
-def test_what_is_no_benchmark_is_refused(tmp_path):
+def test_a_folder_without_results_is_refused(tmp_path: Path) -> None:
     with pytest.raises(InputError):
         read_benchmark(tmp_path)
     write_rows(tmp_path / "results.parquet", [])
@@ -288,14 +319,14 @@ def test_what_is_no_benchmark_is_refused(tmp_path):
 
 
 @pytest.mark.parametrize("width", [420, 1280])
-def test_a_browser_lays_it_out_within_its_width_and_sorts(large_file, browse, width):
+def test_the_page_fits_the_width_of_the_browser_and_sorts(large_file: Path, browse: "Browse", width: int) -> None:
     first = "document.querySelector('table.sortable').tBodies[0].rows[0].cells[0].textContent"
-    press = "document.querySelectorAll('table.sortable button')[1].click()"
-    best = "[...document.querySelector('table.sortable').tBodies[0].rows].map(x => Number(x.cells[1].dataset.order))"
-    scroll, client, before, _, order, _, reverse = browse(
-        large_file, width, f"[r.scrollWidth, r.clientWidth, {first}, {press}, {best}, {press}, {best}]"
+    click = "document.querySelectorAll('table.sortable button')[1].click()"
+    keys = "[...document.querySelector('table.sortable').tBodies[0].rows].map(x => Number(x.cells[1].dataset.order))"
+    scroll, client, before, _, ascending, _, descending = browse(
+        large_file, width, f"[r.scrollWidth, r.clientWidth, {first}, {click}, {keys}, {click}, {keys}]"
     )
     assert scroll == client <= width
     assert before == "scenario-0-v0"
-    assert len(order) == 12
-    assert order == sorted(order) == reverse[::-1]
+    assert len(ascending) == 12
+    assert ascending == sorted(ascending) == descending[::-1]
