@@ -5,13 +5,14 @@ import json
 import re
 import shutil
 import subprocess
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass, replace
 from html.parser import HTMLParser
 from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
+import av
 import cv2
 import numpy as np
 import numpy.typing as npt
@@ -35,6 +36,8 @@ ReadRrd = Callable[[Path], EntityColumns]
 """Function that reads a rerun file."""
 VerifyRrd = Callable[[Path], None]
 """Function that fails if a rerun file is invalid."""
+DecodeAv1 = Callable[[Iterable[bytes]], list[npt.NDArray[np.uint8]]]
+"""Function that decodes AV1 temporal units into grey images (H, W)."""
 Browse = Callable[[Path, int, str], Any]
 """Function that evaluates a JavaScript expression in a page of a given width [px] and returns its JSON value."""
 
@@ -261,6 +264,20 @@ def read_rrd() -> ReadRrd:
         }
 
     return read
+
+
+@pytest.fixture(scope="session")
+def decode_av1() -> DecodeAv1:
+    """Return a decoder of AV1 by dav1d, which the rerun viewer also uses."""
+
+    def decode(samples: Iterable[bytes]) -> list[npt.NDArray[np.uint8]]:
+        decoder = av.CodecContext.create("libdav1d", "r")
+        assert isinstance(decoder, av.VideoCodecContext)
+        packets = [av.Packet(sample) for sample in samples]
+        frames = [frame for packet in [*packets, None] for frame in decoder.decode(packet)]
+        return [np.asarray(frame.to_ndarray(format="gray"), dtype=np.uint8) for frame in frames]
+
+    return decode
 
 
 @pytest.fixture(scope="session")

@@ -1,7 +1,11 @@
-from dataclasses import replace
+"""Recordings of a flight: images, measurements, ground truth and an estimate, as they are read back from the file."""
 
-import av
+from dataclasses import replace
+from pathlib import Path
+from typing import TYPE_CHECKING
+
 import numpy as np
+import numpy.typing as npt
 import pyarrow as pa
 import pytest
 from rerun.chunk import RrdReader
@@ -14,22 +18,30 @@ from dronevio.eval.rerun.files import run_file, write_rrd
 from dronevio.eval.rerun.surroundings import Surroundings
 from dronevio.eval.run import EstimatorRun, tracks_of
 from dronevio.models.errors import EvaluationError, InputError
+from dronevio.models.imu import ImuSamples, Times
+from dronevio.models.protocols import Recording
+from dronevio.models.rig import Rig
 from dronevio.models.rotation import matrix_from_quat_wxyz
-from dronevio.models.state import Health
+from dronevio.models.state import CameraFrame, Health, Trajectory
+
+if TYPE_CHECKING:
+    from tests.eval.conftest import DecodeAv1, EntityColumns, ReadRrd, SyntheticFlight, VerifyRrd
 
 FRAMES = 121
 ESTIMATE = EstimateEntities("estimate")
 
 
-def times_ns(columns):
+def times_ns(columns: dict[str, pa.Array]) -> npt.NDArray[np.int64]:
+    """Return the times of the rows of an entity since the start of the recording [ns]."""
     return np.array(columns["time"].cast(pa.int64()))
 
 
 @pytest.fixture(scope="module")
-def rrd(flight, tmp_path_factory):
+def rrd(flight: "SyntheticFlight", tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Return a file with the flight and the aligned estimate."""
     path = tmp_path_factory.mktemp("rerun") / "run.rrd"
-    calls = []
-    scored = score_trajectory(flight.recording.ground_truth, flight.run.trajectory)
+    calls: list[tuple[int, int]] = []
+    scored = score_trajectory(flight.truth, flight.run.trajectory)
     write_rrd(
         path,
         flight.recording,
@@ -43,20 +55,21 @@ def rrd(flight, tmp_path_factory):
 
 
 @pytest.fixture(scope="module")
-def columns(rrd, read_rrd):
+def columns(rrd: Path, read_rrd: "ReadRrd") -> "EntityColumns":
+    """Return the content of the file."""
     return read_rrd(rrd)
 
 
-def test_the_file_verifies(rrd, verify_rrd):
+def test_the_file_is_valid(rrd: Path, verify_rrd: "VerifyRrd") -> None:
     verify_rrd(rrd)
 
 
-def test_every_frame_is_in_the_video(flight, columns):
+def test_every_frame_is_in_the_video(
+    flight: "SyntheticFlight", columns: "EntityColumns", decode_av1: "DecodeAv1"
+) -> None:
     image = columns[entities.image(0)]
     assert times_ns(image).tolist() == (flight.recording.frame_times_ns - flight.recording.imu.t_ns[0]).tolist()
-    decoder = av.CodecContext.create("libdav1d", "r")
-    packets = [av.Packet(bytes(sample[0].values.to_numpy())) for sample in image["sample"]]
-    frames = [f.to_ndarray(format="gray") for packet in [*packets, None] for f in decoder.decode(packet)]
+    frames = decode_av1(bytes(sample[0].values.to_numpy()) for sample in image["sample"])
     assert len(frames) == FRAMES
     for index in (0, 60, FRAMES - 1):
         original = flight.recording.frame(index).images[0]
@@ -64,12 +77,12 @@ def test_every_frame_is_in_the_video(flight, columns):
         assert np.mean(np.abs(frames[index].astype(float) - original)) < 4.0
 
 
-def test_a_frame_is_small(rrd, flight):
+def test_the_file_takes_less_than_50_kb_per_frame(rrd: Path, flight: "SyntheticFlight") -> None:
     pixels = flight.recording.rig.cameras[0].model.width * flight.recording.rig.cameras[0].model.height
     assert rrd.stat().st_size / FRAMES < 50_000 * pixels / (752 * 480)  # 30 MB for 600 frames of 752 × 480
 
 
-def test_tracks_lie_where_they_were_seen(flight, columns):
+def test_tracks_are_drawn_at_their_pixels(flight: "SyntheticFlight", columns: "EntityColumns") -> None:
     tracks = columns[ESTIMATE.tracks]
     assert times_ns(tracks).tolist() == flight.run.t_ns.tolist()
     for index in (0, 50, FRAMES - 1):
@@ -78,30 +91,32 @@ def test_tracks_lie_where_they_were_seen(flight, columns):
         assert len(tracks["colors"][index]) == len(expected)
 
 
-def test_paths_are_whole_and_the_estimate_lies_on_the_truth(flight, columns):
+def test_paths_are_complete_and_aligned(flight: "SyntheticFlight", columns: "EntityColumns") -> None:
     truth = np.array(columns[entities.TRUE_PATH]["strips"][0].as_py()[0])
     estimate = np.array(columns[ESTIMATE.path]["strips"][0].as_py()[0])
-    assert np.allclose(truth[0], flight.recording.ground_truth.p_world_imu[0], atol=1e-5)
+    assert np.allclose(truth[0], flight.truth.p_world_imu[0], atol=1e-5)
     assert len(estimate) == len(flight.run.trajectory)
-    expected = flight.recording.ground_truth.p_world_imu[::10][10:]
-    assert np.linalg.norm(estimate - expected, axis=1).max() < 0.05  # it was turned by 1.1 rad before it was aligned
-    flown = columns[ESTIMATE.path_so_far]
-    assert times_ns(flown).tolist() == flight.run.trajectory.t_ns[1:].tolist()
+    expected = flight.truth.p_world_imu[::10][10:]
+    assert np.linalg.norm(estimate - expected, axis=1).max() < 0.05  # its odometry frame is rotated by 1.1 rad
+    path_so_far = columns[ESTIMATE.path_so_far]
+    assert times_ns(path_so_far).tolist() == flight.run.trajectory.t_ns[1:].tolist()
 
 
-def test_the_camera_is_where_it_truly_was(flight, columns):
+def test_the_rig_is_at_the_true_pose(flight: "SyntheticFlight", columns: "EntityColumns") -> None:
     rig, camera = columns[entities.RIG], columns[entities.camera(0)]
     index = 80
-    expected = flight.recording.ground_truth[::10].Ts_world_imu[index]
+    expected = flight.truth[::10].Ts_world_imu[index]
     x, y, z, w = rig["quaternion"][index].as_py()[0]
     assert np.allclose(rig["translation"][index].as_py()[0], expected[:3, 3], atol=1e-5)
     assert np.allclose(matrix_from_quat_wxyz(np.array([w, x, y, z])), expected[:3, :3], atol=1e-5)
     T_imu_cam = flight.recording.rig.cameras[0].T_imu_cam
     assert np.allclose(camera["translation"][0].as_py()[0], T_imu_cam[:3, 3], atol=1e-6)
-    assert np.allclose(np.reshape(camera["mat3x3"][0].as_py()[0], (3, 3)).T, T_imu_cam[:3, :3], atol=1e-6)  # by columns
+    assert np.allclose(
+        np.reshape(camera["mat3x3"][0].as_py()[0], (3, 3)).T, T_imu_cam[:3, :3], atol=1e-6
+    )  # column-major
 
 
-def test_the_map_was_aligned_with_the_path(flight, columns):
+def test_landmarks_are_aligned_with_the_trajectory(columns: "EntityColumns") -> None:
     points = np.array(columns[ESTIMATE.visible_landmarks]["positions"][-1].as_py())
     assert len(points) > 20
     low, high = points.min(axis=0), points.max(axis=0)
@@ -109,20 +124,20 @@ def test_the_map_was_aligned_with_the_path(flight, columns):
     assert np.all(high < np.array([6.0, 2.5, 3.0]) + 0.2)
 
 
-def test_imu_biases_errors_and_events(flight, columns):
+def test_imu_biases_errors_and_events_are_logged(flight: "SyntheticFlight", columns: "EntityColumns") -> None:
     gyro = columns[entities.GYRO]
     assert np.allclose(np.array(gyro["scalars"].to_pylist()), flight.recording.imu.gyro_rad_s)
     assert np.array(columns[ESTIMATE.accel_bias]["scalars"].to_pylist()).shape == (FRAMES - 10, 3)
     error = np.array(columns[ESTIMATE.position_error.anchored]["scalars"].to_pylist())
     band = np.array(columns[ESTIMATE.position_error.three_sigma]["scalars"].to_pylist())
-    assert error.shape == band.shape == (FRAMES - 11, 1)  # all poses but the first
+    assert error.shape == band.shape == (FRAMES - 11, 1)  # of all poses but the first
     sigma_m = 5e-3 + 8e-3 * 0.05 * np.arange(1, FRAMES - 10)
     assert np.allclose(band[:, 0], 3.0 * np.sqrt(3.0) * sigma_m)
     texts = [row[0].as_py() for row in columns[ESTIMATE.events]["text"]]
     assert texts == ["health: initializing", "initialized", "health: tracking"]
 
 
-def test_trouble_is_logged_as_a_warning(flight, tmp_path, read_rrd):
+def test_bad_health_is_logged_as_a_warning(flight: "SyntheticFlight", tmp_path: Path, read_rrd: "ReadRrd") -> None:
     estimates = list(flight.run.estimates)
     estimates[50:60] = [replace(e, health=Health.INERTIAL_ONLY) for e in estimates[50:60]]
     write_rrd(tmp_path / "run.rrd", flight.recording, replace(flight.run, estimates=tuple(estimates)), None)
@@ -132,14 +147,16 @@ def test_trouble_is_logged_as_a_warning(flight, tmp_path, read_rrd):
     assert times_ns(events)[-2:].tolist() == [50 * 50_000_000, 60 * 50_000_000]
 
 
-def test_the_file_carries_its_layout(rrd):
+def test_the_file_contains_its_layout(rrd: Path) -> None:
     blueprints = RrdReader(rrd).blueprints()
     assert len(blueprints) >= 1
-    entities = {chunk.entity_path for chunk in RrdReader(rrd).stream(store=blueprints[0])}
-    assert sum("ViewContents" in entity for entity in entities) >= 11
+    paths = {chunk.entity_path for chunk in RrdReader(rrd).stream(store=blueprints[0])}
+    assert sum("ViewContents" in path for path in paths) >= 11
 
 
-def test_without_truth_the_estimate_is_shown_as_it_is(flight_without_truth, tmp_path, read_rrd):
+def test_without_truth_the_estimate_is_not_aligned(
+    flight_without_truth: "SyntheticFlight", tmp_path: Path, read_rrd: "ReadRrd"
+) -> None:
     write_rrd(tmp_path / "run.rrd", flight_without_truth.recording, flight_without_truth.run, None)
     columns = read_rrd(tmp_path / "run.rrd")
     strip = np.array(columns[ESTIMATE.path]["strips"][0].as_py()[0])
@@ -148,49 +165,56 @@ def test_without_truth_the_estimate_is_shown_as_it_is(flight_without_truth, tmp_
     assert not any(entity.startswith("error") for entity in columns)
 
 
-def test_an_estimator_that_never_started(flight, tmp_path, read_rrd):
-    silent = tuple(replace(e, state=None, landmarks_world=None, tracks=None) for e in flight.run.estimates)
-    run = EstimatorRun(silent, flight.run.cpu_ms, flight.run.wall_ms)
+def test_a_run_without_poses_has_images_but_no_path(
+    flight: "SyntheticFlight", tmp_path: Path, read_rrd: "ReadRrd"
+) -> None:
+    estimates = tuple(replace(e, state=None, landmarks_world=None, tracks=None) for e in flight.run.estimates)
+    run = EstimatorRun(estimates, flight.run.cpu_ms, flight.run.wall_ms)
     write_rrd(tmp_path / "run.rrd", flight.recording, run, None)
     columns = read_rrd(tmp_path / "run.rrd")
     assert len(columns[entities.image(0)]["sample"]) == FRAMES
     assert ESTIMATE.path not in columns
 
 
-def test_a_run_of_another_recording_is_refused(flight, tmp_path):
+def test_a_run_of_another_recording_is_refused(flight: "SyntheticFlight", tmp_path: Path) -> None:
     other = replace(flight.recording, frame_times_ns=flight.recording.frame_times_ns + 1)
     with pytest.raises(EvaluationError):
         write_rrd(tmp_path / "run.rrd", other, flight.run, None)
     assert not (tmp_path / "run.rrd").exists()
 
 
-class Broken:
+class DamagedRecording:
     """A recording whose images cannot be read from some frame on."""
 
-    def __init__(self, recording, first_broken):
+    def __init__(self, recording: Recording, first_unreadable: int) -> None:
+        self.name: str = recording.name
+        self.rig: Rig = recording.rig
+        self.imu: ImuSamples = recording.imu
+        self.frame_times_ns: Times = recording.frame_times_ns
+        self.ground_truth: Trajectory | None = recording.ground_truth
         self._recording = recording
-        self._first_broken = first_broken
+        self._first_unreadable = first_unreadable
 
-    def __getattr__(self, name):
-        return getattr(self._recording, name)
-
-    def frame(self, index):
-        if index >= self._first_broken:
+    def frame(self, index: int) -> CameraFrame:
+        """Return a frame if it can be read."""
+        if index >= self._first_unreadable:
             raise InputError("frame.png", "nothing", "an image")
         return self._recording.frame(index)
 
 
-def test_what_was_written_before_an_unreadable_image_can_be_read(flight, tmp_path, read_rrd):
+def test_rows_before_an_unreadable_image_are_in_the_file(
+    flight: "SyntheticFlight", tmp_path: Path, read_rrd: "ReadRrd"
+) -> None:
     path = tmp_path / "run.rrd"
     with pytest.raises(InputError):
-        write_rrd(path, Broken(flight.recording, 70), flight.run, None)
+        write_rrd(path, DamagedRecording(flight.recording, 70), flight.run, None)
     columns = read_rrd(path)
     assert len(columns[entities.image(0)]["sample"]) == 70
     assert len(columns[entities.GYRO]["scalars"]) == len(flight.recording.imu)
 
 
 @pytest.mark.parametrize("seed", range(5))
-def test_the_view_holds_everything_from_the_least_distance(seed):
+def test_the_initial_view_contains_all_points_and_is_close(seed: int) -> None:
     points = np.random.default_rng(seed).uniform(-1.0, 1.0, (50, 3)) * [5.0, 3.0, 1.5] + [10.0, -4.0, 1.0]
     position, target = fit_eye(points)
     forward = (target - position) / np.linalg.norm(target - position)
@@ -199,21 +223,23 @@ def test_the_view_holds_everything_from_the_least_distance(seed):
     up = np.cross(right, forward)
     depth = (points - position) @ forward
     tangent = np.tan(0.5 * VIEWER_FIELD_OF_VIEW_RAD)
-    across = np.abs((points - position) @ right) / depth / tangent / VIEW_ASPECT
-    upwards = np.abs((points - position) @ up) / depth / tangent
+    horizontal = np.abs((points - position) @ right) / depth / tangent / VIEW_ASPECT
+    vertical = np.abs((points - position) @ up) / depth / tangent
     assert np.all(depth > 0.0)
-    assert 0.85 < max(across.max(), upwards.max()) <= 1.0
+    assert 0.85 < max(horizontal.max(), vertical.max()) <= 1.0
 
 
-def test_a_live_file_equals_one_written_after_the_run(flight, tmp_path, read_rrd, columns):
+def test_a_live_file_equals_one_written_after_the_run(
+    flight: "SyntheticFlight", tmp_path: Path, read_rrd: "ReadRrd", columns: "EntityColumns"
+) -> None:
     path = tmp_path / "run.rrd"
-    scored = score_trajectory(flight.recording.ground_truth, flight.run.trajectory)
+    scored = score_trajectory(flight.truth, flight.run.trajectory)
     with run_file(path, flight.recording, surroundings=Surroundings(flight.outline)) as file:
-        for index, (answer, cpu_ms) in enumerate(zip(flight.run.estimates, flight.run.cpu_ms, strict=True)):
-            file.frame(flight.recording.frame(index), answer, float(cpu_ms))
+        for index, (estimate, cpu_ms) in enumerate(zip(flight.run.estimates, flight.run.cpu_ms, strict=True)):
+            file.frame(flight.recording.frame(index), estimate, float(cpu_ms))
         file.finish(flight.run, scored)
     found = read_rrd(path)
     assert found.keys() == columns.keys()
-    for entity in found.keys() - {"__properties"}:  # which say when the file was made
+    for entity in found.keys() - {"__properties"}:  # which contain the time of writing
         for name, values in found[entity].items():
             assert values.to_pylist() == columns[entity][name].to_pylist(), (entity, name)
