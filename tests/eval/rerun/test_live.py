@@ -1,56 +1,75 @@
-"""Logging while an estimator runs: to a file, to a viewer, until somebody kills it; and what it costs."""
+"""Logging while an estimator runs: to a file, to a viewer, by a process that is killed; and its processor time."""
 
 import signal
 import socket
 import subprocess
 import sys
 import time
-from importlib.util import find_spec
+from collections.abc import Callable
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
+import numpy.typing as npt
 import pyarrow as pa
 import pytest
+from rerun.chunk import RrdReader
 
 from dronevio.eval import colours
 from dronevio.eval.rerun import entities
 from dronevio.eval.rerun.blueprint import RecordingContents, flight_blueprint
 from dronevio.eval.rerun.entities import EstimateEntities
 from dronevio.eval.rerun.estimate import anchored_to
-from dronevio.eval.rerun.images import JpegLog, VideoLog
+from dronevio.eval.rerun.images import ImageLog, JpegLog, VideoLog
 from dronevio.eval.rerun.live import LiveLog, viewer_log
-from dronevio.eval.rerun.log import RerunLog
+from dronevio.eval.rerun.log import ImageLogFactory, RerunLog
 from dronevio.eval.rerun.sink import Sink
 from dronevio.eval.rerun.video import VideoSettings
 from dronevio.models.imu import ImuSamples
 from dronevio.models.protocols import measurements
 
-RERUN = str(Path(find_spec("rerun_cli").origin).with_name("rerun"))
+if TYPE_CHECKING:
+    from tests.eval.conftest import ReadRrd, SyntheticFlight, VerifyRrd
+
+FrameDone = Callable[[int], None]
+"""Function that is called with the index of each frame after it is logged."""
+Image = npt.NDArray[np.uint8]
 ESTIMATE = EstimateEntities("estimate")
 NO_POINTS = np.zeros((0, 3))
 BLUEPRINT = flight_blueprint(RecordingContents(("estimate",), 1), NO_POINTS)
 
 
-def video(sink, entity, rate_hz):
+def ignore_index(index: int) -> None:
+    """Do nothing after a frame."""
+
+
+def video_log(sink: Sink, entity: str, rate_hz: float) -> ImageLog:
+    """Return a log of images as a video."""
     return VideoLog(sink, entity, rate_hz, VideoSettings())
 
 
-def jpegs(sink, entity, rate_hz):
+def jpeg_log(sink: Sink, entity: str, rate_hz: float) -> ImageLog:
+    """Return a log of images as JPEG."""
     return JpegLog(sink, entity, batch=20)
 
 
-class Silent:
-    """A camera's log that logs nothing."""
-
-    def add(self, t_ns, image):
-        pass
-
-    def close(self):
-        pass
+def null_log(sink: Sink, entity: str, rate_hz: float) -> ImageLog:
+    """Return a log without images."""
+    return NullLog()
 
 
-def play(flight, live, frame_done=lambda index: None):
-    """Tell a watcher what happened in a flight, in order."""
+class NullLog:
+    """A log that ignores the images."""
+
+    def add(self, t_ns: int, image: Image) -> None:
+        """Ignore an image."""
+
+    def close(self) -> None:
+        """Do nothing."""
+
+
+def log_measurements(flight: "SyntheticFlight", live: LiveLog, frame_done: FrameDone = ignore_index) -> None:
+    """Log the measurements and estimates of a flight in time order."""
     index = 0
     for measurement in measurements(flight.recording):
         if isinstance(measurement, ImuSamples):
@@ -61,25 +80,30 @@ def play(flight, live, frame_done=lambda index: None):
         index += 1
 
 
-def log_live(path, flight, cameras, frame_done=lambda index: None):
-    """Log a flight to a file as if it happened now."""
+def log_live(
+    path: Path, flight: "SyntheticFlight", make_image_log: ImageLogFactory, frame_done: FrameDone = ignore_index
+) -> None:
+    """Log a flight to a file as a running estimator does."""
     truth = flight.recording.ground_truth
     with (
         Sink.to_file(path, "live", BLUEPRINT, int(flight.recording.imu.t_ns[0])) as sink,
-        RerunLog(sink, flight.recording.rig, cameras, NO_POINTS) as log,
+        RerunLog(sink, flight.recording.rig, make_image_log, NO_POINTS) as log,
     ):
         live = LiveLog(log, log.estimator("estimate", colours.ESTIMATE, anchored_to(truth)), truth)
-        play(flight, live, frame_done)
+        log_measurements(flight, live, frame_done)
         live.flush()
 
 
-def times_ns(columns):
+def times_ns(columns: dict[str, pa.Array]) -> npt.NDArray[np.int64]:
+    """Return the times of the rows of an entity since the start of the recording [ns]."""
     return np.array(columns["time"].cast(pa.int64()))
 
 
-def test_all_that_was_heard_is_in_the_file(flight, tmp_path, read_rrd, verify_rrd):
+def test_all_measurements_and_estimates_are_in_the_file(
+    flight: "SyntheticFlight", tmp_path: Path, read_rrd: "ReadRrd", verify_rrd: "VerifyRrd"
+) -> None:
     path = tmp_path / "live.rrd"
-    log_live(path, flight, jpegs)
+    log_live(path, flight, jpeg_log)
     verify_rrd(path)
     columns = read_rrd(path)
     assert np.allclose(np.array(columns[entities.GYRO]["scalars"].to_pylist()), flight.recording.imu.gyro_rad_s)
@@ -89,54 +113,57 @@ def test_all_that_was_heard_is_in_the_file(flight, tmp_path, read_rrd, verify_rr
     assert np.array(columns[ESTIMATE.cost]["scalars"].to_pylist())[:, 0].tolist() == flight.run.cpu_ms.tolist()
 
 
-def test_the_first_pose_is_aligned_and_errors_are_logged(flight, tmp_path, read_rrd):
-    log_live(tmp_path / "live.rrd", flight, jpegs)
+def test_the_first_pose_is_aligned_and_errors_are_logged(
+    flight: "SyntheticFlight", tmp_path: Path, read_rrd: "ReadRrd"
+) -> None:
+    log_live(tmp_path / "live.rrd", flight, jpeg_log)
     error = read_rrd(tmp_path / "live.rrd")[ESTIMATE.position_error.anchored]
     values = np.array(error["scalars"].to_pylist())[:, 0]
     assert times_ns(error).tolist() == flight.run.trajectory.t_ns.tolist()
     assert values[0] == pytest.approx(0.0, abs=1e-9)
-    assert 0.01 < values.max() < 0.08  # it was turned by 1.1 rad and shifted by 2 m, and drifts by some cm
+    assert 0.01 < values.max() < 0.08  # the drift, without the rotation by 1.1 rad of its frame
 
 
-def test_without_truth_the_rig_goes_where_the_estimate_is(flight_without_truth, tmp_path, read_rrd):
-    log_live(tmp_path / "live.rrd", flight_without_truth, jpegs)
+def test_without_truth_the_rig_is_at_the_estimated_pose(
+    flight_without_truth: "SyntheticFlight", tmp_path: Path, read_rrd: "ReadRrd"
+) -> None:
+    log_live(tmp_path / "live.rrd", flight_without_truth, jpeg_log)
     columns = read_rrd(tmp_path / "live.rrd")
-    places = np.array(columns[entities.RIG]["translation"].to_pylist())[:, 0]
-    assert np.allclose(places, flight_without_truth.run.trajectory.p_world_imu, atol=1e-5)
+    positions = np.array(columns[entities.RIG]["translation"].to_pylist())[:, 0]
+    assert np.allclose(positions, flight_without_truth.run.trajectory.p_world_imu, atol=1e-5)
     assert not any(entity.startswith("error") for entity in columns)
 
 
-def test_rows_go_in_by_the_second(flight, tmp_path):
-    log_live(tmp_path / "live.rrd", flight, jpegs)
-    from rerun.chunk import RrdReader
-
-    chunks = [chunk.to_record_batch().num_rows for chunk in RrdReader(tmp_path / "live.rrd").stream()]
-    assert max(chunks) >= 200  # a second of IMU
-    assert len(chunks) < 300  # of 3000 rows
+def test_rows_are_written_in_chunks_of_a_second(flight: "SyntheticFlight", tmp_path: Path) -> None:
+    log_live(tmp_path / "live.rrd", flight, jpeg_log)
+    rows = [chunk.to_record_batch().num_rows for chunk in RrdReader(tmp_path / "live.rrd").stream()]
+    assert max(rows) >= 200  # IMU samples of one second
+    assert len(rows) < 300  # chunks of 3000 rows
 
 
-KILLED = """
+ENDLESS_WRITER = """
 import sys
 from pathlib import Path
-sys.path[:0] = [{folder!r}, {above!r}]
-import conftest, test_live as here
+sys.path[:0] = [{folder!r}, {parent!r}]
+import conftest, test_live
 
 def frame_done(index):
     if index == 90:
-        print("there", flush=True)
+        print("frame 90", flush=True)
         while True: pass
 
-here.log_live(Path(sys.argv[1]), conftest.make_flight(), here.video, frame_done)
+test_live.log_live(Path(sys.argv[1]), conftest.make_flight(), test_live.video_log, frame_done)
 """
+"""Program that logs 91 frames and never ends."""
 
 
 @pytest.mark.filterwarnings("ignore:RRD file has no footer")
-def test_a_file_whose_writer_was_killed_can_be_read(tmp_path, read_rrd, verify_rrd):
+def test_the_file_of_a_killed_process_can_be_read(tmp_path: Path, read_rrd: "ReadRrd") -> None:
     path = tmp_path / "run.rrd"
-    code = KILLED.format(folder=str(Path(__file__).parent), above=str(Path(__file__).parents[1]))
+    code = ENDLESS_WRITER.format(folder=str(Path(__file__).parent), parent=str(Path(__file__).parents[1]))
     with subprocess.Popen([sys.executable, "-c", code, str(path)], stdout=subprocess.PIPE) as writer:
-        assert writer.stdout.readline() == b"there\n"
-        time.sleep(1.0)  # it is written five times a second
+        assert writer.stdout is not None and writer.stdout.readline() == b"frame 90\n"
+        time.sleep(1.0)  # rerun writes five times a second
         writer.send_signal(signal.SIGKILL)
         assert writer.wait(10) == -signal.SIGKILL
     columns = read_rrd(path)
@@ -146,51 +173,61 @@ def test_a_file_whose_writer_was_killed_can_be_read(tmp_path, read_rrd, verify_r
 
 
 @pytest.mark.filterwarnings("ignore:RRD file has no footer")
-def test_a_viewer_hears_all_of_it(flight, tmp_path, read_rrd):
-    """Rerun's own server in the viewer's place: it saves what it hears, and listens to this machine only."""
-    with socket.socket() as probe:
-        probe.bind(("127.0.0.1", 0))
-        port = probe.getsockname()[1]
-    heard = tmp_path / "heard.rrd"
-    command = [RERUN, "--bind", "127.0.0.1", "--port", str(port), "--save", str(heard)]
+def test_a_viewer_receives_all_rows(
+    flight: "SyntheticFlight", tmp_path: Path, read_rrd: "ReadRrd", rerun_program: str
+) -> None:
+    """The server of rerun takes the place of the viewer and saves the rows; it is reachable from this machine only."""
+    with socket.socket() as unused:
+        unused.bind(("127.0.0.1", 0))
+        port = unused.getsockname()[1]
+    received = tmp_path / "received.rrd"
+    command = [rerun_program, "--bind", "127.0.0.1", "--port", str(port), "--save", str(received)]
     with subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL) as server:
         try:
-            wait_for(port)
+            wait_for_server(port)
             with viewer_log(f"rerun+http://127.0.0.1:{port}/proxy", flight.recording) as live:
-                play(flight, live)
+                log_measurements(flight, live)
             time.sleep(1.0)
         finally:
-            server.terminate()  # not Ctrl-C: who is started in the background does not hear that
+            server.terminate()  # processes in the background ignore SIGINT
             try:
                 server.wait(20)
             finally:
                 server.kill()
-    columns = read_rrd(heard)
+    columns = read_rrd(received)
     assert len(columns[entities.image(0)]["blob"]) == len(flight.recording.frame_times_ns)
     assert times_ns(columns[ESTIMATE.imu]).tolist() == flight.run.trajectory.t_ns.tolist()
     assert len(columns[entities.TRUE_PATH_SO_FAR]["strips"]) > 100
 
 
-def wait_for(port):
+def wait_for_server(port: int) -> None:
+    """Wait until a server accepts connections.
+
+    Raises:
+        AssertionError: No server accepts connections within ten seconds.
+    """
     for _ in range(200):
         try:
             with socket.create_connection(("127.0.0.1", port), timeout=1.0):
                 return
         except OSError:
             time.sleep(0.05)
-    raise AssertionError(f"nobody listens at {port}")
+    raise AssertionError(f"no server accepts connections at port {port}")
 
 
-def test_what_logging_costs(flight, tmp_path, capsys):
-    """A frame of a mission takes 60 ms or more of processor time, drawn and estimated; 5 % of that are 3 ms."""
-    costs = {}
-    for name, cameras in (("no images", lambda *_: Silent()), ("JPEG", jpegs), ("video", video)):
-        log_live(tmp_path / "warm.rrd", flight, lambda *_: Silent())
-        started = time.process_time()
-        log_live(tmp_path / f"{name}.rrd", flight, cameras)
-        costs[name] = (time.process_time() - started) / len(flight.run.estimates) * 1e3
+def test_logging_takes_little_processor_time(
+    flight: "SyntheticFlight", tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Rendering and estimation take 60 ms or more of processor time per frame; 5 % of that are 3 ms."""
+    costs_ms = {}
+    for name, make_image_log in (("no images", null_log), ("JPEG", jpeg_log), ("video", video_log)):
+        log_live(tmp_path / "warm-up.rrd", flight, null_log)
+        start_s = time.process_time()
+        log_live(tmp_path / f"{name}.rrd", flight, make_image_log)
+        costs_ms[name] = (time.process_time() - start_s) / len(flight.run.estimates) * 1e3
     with capsys.disabled():
-        print("\nlogging, CPU-ms a frame of 376 × 240:", {name: round(cost, 2) for name, cost in costs.items()})
-    assert costs["no images"] < 3.0
-    assert costs["JPEG"] < 6.0
-    assert costs["video"] < 12.0
+        rounded = {name: round(cost_ms, 2) for name, cost_ms in costs_ms.items()}
+        print("\nprocessor time of logging per frame of 376 × 240 [ms]:", rounded)
+    assert costs_ms["no images"] < 3.0
+    assert costs_ms["JPEG"] < 6.0
+    assert costs_ms["video"] < 12.0
