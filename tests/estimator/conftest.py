@@ -1,8 +1,9 @@
-"""A synthetic flight: an analytic path, its IMU, and a front end that observes landmarks instead of images."""
+"""Synthetic flights: an analytic path, its IMU, and a front end that observes landmarks instead of images."""
 
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field, replace
 from functools import cached_property
+from typing import Any
 
 import cv2
 import numpy as np
@@ -54,28 +55,31 @@ class Kinematics:
 
 @dataclass(frozen=True, eq=False)
 class Motion:
-    """Sums of sines for position and for yaw, pitch and roll, as functions of a clock that starts after a rest."""
+    """Sums of sines for position and for yaw, pitch and roll, as functions of a phase time.
+
+    The phase time is constant at first and then grows smoothly until its rate is 1.
+    """
 
     rest_s: float
-    """Time at which the motion begins [s]; it is negative for a motion that is under way at t = 0."""
+    """Time at which the motion begins [s]. If it is negative, the vehicle is already in motion at t = 0."""
     ramp_s: float = 1.5
-    """Time that the clock takes to reach its rate [s]."""
+    """Time in which the rate of the phase time grows from 0 to 1 [s]."""
     positions_m: Array = field(default_factory=lambda: np.array([[1.5, 0.3], [1.3, 0.35], [0.5, 0.2]]))
     """(3, 2) Amplitudes of two sines for each of x, y, z [m]."""
     position_rates: Array = field(default_factory=lambda: np.array([[0.7, 1.9], [0.9, 1.7], [0.8, 2.3]]))
-    """(3, 2) Their angular frequencies [rad/s]."""
+    """(3, 2) Angular frequencies of the sines for x, y, z [rad/s]."""
     angles_rad: Array = field(default_factory=lambda: np.array([[0.9, 0.15], [0.15, 0.08], [0.15, 0.08]]))
     """(3, 2) Amplitudes of two sines for each of yaw, pitch, roll [rad]."""
     angle_rates: Array = field(default_factory=lambda: np.array([[0.5, 1.3], [1.1, 2.7], [0.9, 2.3]]))
-    """(3, 2) Their angular frequencies [rad/s]."""
+    """(3, 2) Angular frequencies of the sines for yaw, pitch, roll [rad/s]."""
     phases: Array = field(default_factory=lambda: np.zeros((2, 3, 2)))
     """(2, 3, 2) Phases of the sines for positions and angles [rad]."""
     R_vehicle_imu: Array = field(default_factory=lambda: np.eye(3))
-    """(3, 3) Orientation of the IMU in the vehicle."""
+    """(3, 3) Orientation of the IMU in the vehicle frame."""
 
     def at(self, t_s: Array) -> Kinematics:
         """Return the motion at times (N,) [s]."""
-        tau, rate, acceleration = self._clock(t_s)
+        tau, rate, acceleration = self._phase_time(t_s)
         rate, acceleration = rate[:, None], acceleration[:, None]
         p, dp, ddp = _sines(tau, self.positions_m, self.position_rates, self.phases[0])
         angle, d_angle, _ = _sines(tau, self.angles_rad, self.angle_rates, self.phases[1])
@@ -94,8 +98,8 @@ class Motion:
         B = self.R_vehicle_imu
         return Kinematics(R @ B, p, dp * rate, ddp * rate**2 + dp * acceleration, omega @ B)
 
-    def _clock(self, t_s: Array) -> tuple[Array, Array, Array]:
-        """Return the time of the clock (N,) [s] and its first two derivatives."""
+    def _phase_time(self, t_s: Array) -> tuple[Array, Array, Array]:
+        """Return the phase time (N,) [s] and its first two derivatives."""
         s = t_s - self.rest_s
         u = np.clip(s / self.ramp_s, 0.0, 1.0)
         tau = self.ramp_s * (u**3 - 0.5 * u**4) + np.maximum(s - self.ramp_s, 0.0)
@@ -113,7 +117,7 @@ def _sines(tau: Array, amplitude: Array, rate: Array, phase: Array) -> tuple[Arr
 
 
 class SyntheticFrontEnd:
-    """Observes landmarks with noise; a landmark that was lost returns with a new identity."""
+    """A `FrontEnd` that observes landmarks with noise; a landmark that was lost gets a new identity."""
 
     def __init__(self, flight: "SyntheticFlight") -> None:
         self._flight = flight
@@ -126,11 +130,12 @@ class SyntheticFrontEnd:
         self._next_id = 0
         self._R_world_cam: Array | None = None
         self.prediction_errors_rad: list[float] = []
-        """Errors of the predicted rotations [rad]."""
+        """Angle of the error of each predicted rotation [rad]."""
 
     def track(
         self, frame: CameraFrame, R_cur_prev: Array, rotation_sigma_rad: float = 0.0, rig: Rig | None = None
     ) -> Observations:
+        """Observe the landmarks that are tracked from the previous frame."""
         assert np.allclose(R_cur_prev @ R_cur_prev.T, np.eye(3), atol=1e-9)
         flight = self._flight
         middle_ns = frame.t_ns + round(flight.rig.time_offset_s * 1e9)
@@ -139,10 +144,10 @@ class SyntheticFrontEnd:
             error = log_so3(R_cur_prev.T @ T_world_cam[:3, :3].T @ self._R_world_cam)
             self.prediction_errors_rad.append(float(np.linalg.norm(error)))
         self._R_world_cam = T_world_cam[:3, :3]
-        p = self._exposed(middle_ns)
+        p = self._at_exposure(middle_ns)
         pixels = self._model.project(p) + flight.pixel_noise * self._rng.normal(size=(len(p), 2))
         with np.errstate(divide="ignore", invalid="ignore"):
-            near_axis = np.linalg.norm(p[:, :2] / p[:, 2:], axis=1) < 1.1  # the lens model folds back further out
+            near_axis = np.linalg.norm(p[:, :2] / p[:, 2:], axis=1) < 1.1  # the distortion is not monotonic further out
         inside = np.all((pixels > 12) & (pixels < [self._model.width - 13, self._model.height - 13]), axis=1)
         self._visible = near_axis & inside & (p[:, 2] > 0.3) & (not flight.is_dark(frame.t_ns))
         self._pixels = pixels
@@ -150,7 +155,7 @@ class SyntheticFrontEnd:
         self._ages = np.where(self._ids >= 0, self._ages + 1, 0)
         return self._observations()
 
-    def _exposed(self, middle_ns: int) -> Array:
+    def _at_exposure(self, middle_ns: int) -> Array:
         """Return the landmarks (L, 3) in the camera frame at the times when their image rows are exposed [m]."""
         flight, readout_s = self._flight, self._flight.rig.cameras[0].readout_s
         delay_ns, points = np.zeros(len(flight.landmarks), np.int64), flight.landmarks_at(middle_ns)
@@ -162,6 +167,7 @@ class SyntheticFrontEnd:
         return np.asarray(p)
 
     def replenish(self, rig: Rig | None = None) -> Observations:
+        """Observe further visible landmarks, up to the largest number of features."""
         free = np.flatnonzero(self._visible & (self._ids < 0))
         chosen = free[: max(self._flight.max_features - int((self._ids >= 0).sum()), 0)]
         self._ids[chosen] = self._next_id + np.arange(len(chosen))
@@ -170,6 +176,7 @@ class SyntheticFrontEnd:
         return self._observations()
 
     def discard(self, ids: npt.NDArray[np.int64]) -> None:
+        """Stop tracking features (N,)."""
         self._ids[np.isin(self._ids, ids)] = -1  # it may be detected again, as in an image
 
     def _observations(self) -> Observations:
@@ -184,26 +191,39 @@ class SyntheticFlight:
     """A recording without images, which satisfies the `Recording` protocol."""
 
     motion: Motion
+    """The true motion of the IMU."""
     duration_s: float
+    """Time of the last frame [s]."""
     seed: int
+    """Seed of all random numbers."""
     rig: Rig
+    """Calibration of the cameras and the IMU."""
     landmarks: Array
+    """(L, 3) Positions of the landmarks in the world frame [m]."""
     imu_noise: float = 1.0
     """Factor on the noise densities of the rig's IMU."""
     pixel_noise: float = 0.2
+    """Standard deviation of the observations [px]."""
     max_features: int = 60
+    """Largest number of features in a frame."""
     gyro_bias: Array = field(default_factory=lambda: np.zeros(3))
+    """(3,) Gyroscope bias in the vehicle frame [rad/s]."""
     accel_bias: Array = field(default_factory=lambda: np.zeros(3))
+    """(3,) Accelerometer bias in the vehicle frame [m/s²]."""
     sampling: Sampling = "point"
+    """What an IMU sample measures: "point" or "increment"."""
     dark_s: tuple[float, float] = (0.0, 0.0)
+    """Begin and end of the time without any visible landmark [s]."""
     moving_share: float = 0.0
     """Share of the landmarks that move, up to 1."""
-    name: str = "formulas"
+    name: str = "synthetic"
+    """Name of the recording."""
     ground_truth: Trajectory | None = None
+    """Always None; see `truth_at` for the true states."""
 
     @cached_property
     def imu(self) -> ImuSamples:
-        """All samples. White noise is drawn in the vehicle frame, so that it does not depend on the IMU's mounting."""
+        """All samples; white noise is drawn in the vehicle frame and so is independent of the IMU's orientation."""
         n = int(self.duration_s * 1e9) // IMU_STEP_NS + 1
         t_ns = START_NS + IMU_STEP_NS * np.arange(n)
         k = self.motion.at(seconds(t_ns))
@@ -223,38 +243,43 @@ class SyntheticFlight:
 
     @cached_property
     def frame_times_ns(self) -> Times:
+        """(N,) Time stamps of the frames [ns]."""
         return START_NS + FRAME_STEP_NS * np.arange(int(self.duration_s * 1e9) // FRAME_STEP_NS + 1)
 
     def frame(self, index: int) -> CameraFrame:
+        """Return a frame, without images, by its index."""
         return CameraFrame(int(self.frame_times_ns[index]), ())
 
     def is_dark(self, t_ns: int) -> bool:
+        """Return whether no landmark is visible at a time [ns]."""
         return self.dark_s[0] <= (t_ns - START_NS) * 1e-9 < self.dark_s[1]
 
     def landmarks_at(self, t_ns: int) -> Array:
         """Return the positions (L, 3) of the landmarks in the world frame [m]."""
         n = len(self.landmarks)
         moving = np.random.default_rng([self.seed, 3]).random(n) < self.moving_share
-        swing_m = 0.5 * np.sin((t_ns - START_NS) * 1e-9 + np.arange(n))
-        return np.asarray(self.landmarks + (moving * swing_m)[:, None])
+        displacement_m = 0.5 * np.sin((t_ns - START_NS) * 1e-9 + np.arange(n))
+        return np.asarray(self.landmarks + (moving * displacement_m)[:, None])
 
     def truth_at(self, t_ns: Times) -> Trajectory:
-        """Return the true states, without covariances."""
+        """Return the true states at times (N,) [ns], without covariances."""
         k = self.motion.at(seconds(t_ns))
         n, B = len(t_ns), self.motion.R_vehicle_imu
         biases = np.tile(self.gyro_bias @ B, (n, 1)), np.tile(self.accel_bias @ B, (n, 1))
         return Trajectory(t_ns, k.p, quat_wxyz_from_matrix(k.R), k.v, *biases)
 
     def state_at(self, t_ns: int) -> NavState:
-        """Return the true state, without a covariance."""
+        """Return the true state at a time [ns], without a covariance."""
         k, B = self.motion.at(np.array([(t_ns - START_NS) * 1e-9])), self.motion.R_vehicle_imu
         return NavState(t_ns, pose_matrix(k.R, k.p)[0], k.v[0], self.gyro_bias @ B, self.accel_bias @ B)
 
     def Ts_world_cam(self, t_ns: Times) -> Array:
+        """Return the true poses (N, 4, 4) of the first camera at times (N,) [ns]."""
         k = self.motion.at(seconds(t_ns))
         return np.asarray(pose_matrix(k.R, k.p) @ self.rig.cameras[0].T_imu_cam)
 
     def front_end(self) -> SyntheticFrontEnd:
+        """Return a new front end that observes the landmarks of the flight."""
         return SyntheticFrontEnd(self)
 
     def cut_after(self, frames: int) -> "SyntheticFlight":
@@ -287,7 +312,7 @@ def room(rng: np.random.Generator, n: int = 1200) -> Array:
 
 @pytest.fixture(scope="session")
 def make_flight() -> Callable[..., SyntheticFlight]:
-    """Return a maker of flights; with ``rest_s`` < 0 the drone is in motion when the recording begins."""
+    """Return a function that creates flights; with ``rest_s`` < 0 the drone is in motion when the recording begins."""
 
     def make(
         seed: int = 0,
@@ -295,27 +320,25 @@ def make_flight() -> Callable[..., SyntheticFlight]:
         duration_s: float = 12.0,
         R_mount: Array | None = None,
         noisy: bool = True,
-        motion: dict[str, object] | None = None,
-        **settings: object,
+        motion: dict[str, Any] | None = None,
+        **settings: Any,
     ) -> SyntheticFlight:
         rng = np.random.default_rng(seed)
         rig = euroc_rig()
-        if R_mount is not None:  # rotate the IMU in its mount; camera and vehicle are the same
+        if R_mount is not None:  # rotate the IMU in the vehicle; the camera's pose in the vehicle is the same
             T_imu_new = pose_matrix(R_mount, np.zeros(3))
             camera = replace(rig.cameras[0], T_imu_cam=inverse_pose(T_imu_new) @ rig.cameras[0].T_imu_cam)
             rig = replace(rig, cameras=(camera,), T_vehicle_imu=rig.T_vehicle_imu @ T_imu_new)
         phases = rng.uniform(0.0, 2.0 * np.pi, (2, 3, 2))
-        path = Motion(
-            rest_s,
-            **{"phases": phases, "R_vehicle_imu": rig.T_vehicle_imu[:3, :3], **(motion or {})},  # type: ignore[arg-type]
-        )
+        motion = {"phases": phases, "R_vehicle_imu": rig.T_vehicle_imu[:3, :3], **(motion or {})}
         landmarks = room(rng)
         biases = {
             "gyro_bias": noisy * rig.imu.gyro_turn_on_bias_rad_s * rng.normal(size=3),
             "accel_bias": noisy * rig.imu.accel_turn_on_bias_m_s2 * rng.normal(size=3),
         }
         noises = {"imu_noise": float(noisy), "pixel_noise": 0.2 * noisy}
-        return SyntheticFlight(path, duration_s, seed, rig, landmarks, **{**biases, **noises, **settings})  # type: ignore[arg-type]
+        settings = {**biases, **noises, **settings}
+        return SyntheticFlight(Motion(rest_s, **motion), duration_s, seed, rig, landmarks, **settings)
 
     return make
 
@@ -340,16 +363,17 @@ class KeyframeFeed:
             start: State of the first frame.
             covariance: (15, 15) Covariance of the first state.
             config: Settings of the smoother.
-            params: Gives the noise of the IMU at each keyframe; by default that of the data sheet, inflated.
+            params: Returns the noise of the IMU for each keyframe; by default that of the data sheet, inflated.
             frames_per_keyframe: Number of frames from one keyframe to the next.
-            stationary: Whether the smoother is given the information that the drone does not move.
+            stationary: Whether zero-velocity updates are added to all keyframes.
         """
         self.flight = flight
         self.results: list[KeyframeResult] = []
+        """Result of each keyframe, without the first."""
         self.states: list[NavState] = []
         """State of each keyframe when it was added, without the first."""
         self.points: list[Array] = []
-        """Landmarks (N, 3) after each keyframe [m]."""
+        """(N, 3) Positions of the landmarks in the world frame after each keyframe [m]."""
         self._step, self._stationary = frames_per_keyframe, stationary
         default = PreintegrationParams.of(flight.rig.imu, PreintegrationConfig())
         self._params = params or (lambda: default)
@@ -384,7 +408,7 @@ class KeyframeFeed:
 
     @property
     def truth(self) -> Trajectory:
-        """True states of the keyframes, without the first."""
+        """True states at the keyframes, without the first."""
         return self.flight.truth_at(np.array([state.t_ns for state in self.states]))
 
 
@@ -398,8 +422,8 @@ WALL_M, TEXEL_M = 3.0, 0.006
 
 
 @pytest.fixture(scope="session")
-def see_wall() -> Callable[[CameraModel, Array], npt.NDArray[np.uint8]]:
-    """Return a renderer of a textured wall across the z axis: (model, T_world_cam) to a grey image."""
+def render_wall() -> Callable[[CameraModel, Array], npt.NDArray[np.uint8]]:
+    """Return a function from (model, T_world_cam) to a grey image of a textured wall normal to the z axis."""
     rng = np.random.default_rng(11)
     shades = sum(
         strength
@@ -409,7 +433,7 @@ def see_wall() -> Callable[[CameraModel, Array], npt.NDArray[np.uint8]]:
     texture = np.clip(128.0 + 38.0 * shades, 0, 255).astype(np.float32)
     rays: dict[CameraModel, Array] = {}
 
-    def see(model: CameraModel, T_world_cam: Array) -> npt.NDArray[np.uint8]:
+    def render(model: CameraModel, T_world_cam: Array) -> npt.NDArray[np.uint8]:
         if model not in rays:
             pixels = np.stack(np.meshgrid(np.arange(model.width), np.arange(model.height)), axis=-1).astype(float)
             rays[model] = model.unproject(pixels)
@@ -419,4 +443,4 @@ def see_wall() -> Callable[[CameraModel, Array], npt.NDArray[np.uint8]]:
         grey = cv2.remap(texture, texels[..., 0], texels[..., 1], cv2.INTER_CUBIC, borderMode=cv2.BORDER_REFLECT)
         return np.asarray(np.clip(np.rint(grey), 0, 255).astype(np.uint8))
 
-    return see
+    return render

@@ -1,6 +1,7 @@
-"""The health monitor: what holds an estimate, and from when on it is worth nothing."""
+"""The health monitor: what constrains an estimate, and when it is lost."""
 
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -8,7 +9,7 @@ import pytest
 
 from dronevio.estimator.backend.landmarks import TriangulatedLandmarks
 from dronevio.estimator.health import HealthConfig, HealthMonitor
-from dronevio.estimator.types import Calibration, Observations
+from dronevio.estimator.types import NO_FEATURES, Calibration, Observations
 from dronevio.models.rig_presets import rig_named
 from dronevio.models.rotation import exp_so3, inverse_pose, pose_matrix
 from dronevio.models.state import Health, HealthReport, NavState
@@ -30,7 +31,7 @@ START = NavState(
 
 
 def landmarks(n: int, rng: np.random.Generator) -> TriangulatedLandmarks:
-    """Return landmarks before the first camera of the start."""
+    """Return n landmarks in front of the first camera at the start."""
     depth = rng.uniform(2.0, 8.0, (n, 1))
     in_cam = np.hstack([rng.uniform(-0.5, 0.5, (n, 2)) * depth, depth])
     T_world_cam = START.T_world_imu @ RIG.cameras[0].T_imu_cam
@@ -38,41 +39,47 @@ def landmarks(n: int, rng: np.random.Generator) -> TriangulatedLandmarks:
     return TriangulatedLandmarks(7 + 2 * np.arange(n), points, np.linspace(0.01, 0.05, n))
 
 
-def sightings(
-    known: TriangulatedLandmarks, state: NavState, cameras: npt.NDArray[np.int64], noise_px: Array
+def observe(
+    triangulated: TriangulatedLandmarks, state: NavState, cameras: npt.NDArray[np.int64], errors_px: Array
 ) -> Observations:
-    """Return what the rig's cameras see of landmarks from a state, so many pixels off."""
+    """Return the observations of N landmarks from a state, each by one of the rig's cameras (N,).
+
+    The errors of the observations are (N, 2), or (2,) for all of them [px].
+    """
     Ts_cam_world = inverse_pose(state.T_world_imu @ np.stack([c.T_imu_cam for c in RIG.cameras]))[cameras]
-    p = np.einsum("nij,nj->ni", Ts_cam_world[:, :3, :3], known.points) + Ts_cam_world[:, :3, 3]
+    p = np.einsum("nij,nj->ni", Ts_cam_world[:, :3, :3], triangulated.points) + Ts_cam_world[:, :3, 3]
     focal = np.array([c.model.fx for c in RIG.cameras])[cameras]
-    xy = p[:, :2] / p[:, 2:] + noise_px / focal[:, None]
-    return Observations(known.ids, xy, xy, np.ones(len(xy), np.int64), cameras)
+    xy = p[:, :2] / p[:, 2:] + errors_px / focal[:, None]
+    return Observations(triangulated.ids, xy, xy, np.ones(len(xy), np.int64), cameras)
 
 
-def monitor(known: TriangulatedLandmarks, config: HealthConfig = CONFIG) -> HealthMonitor:
-    made = HealthMonitor(RIG.imu, config, SIGMA_PX)
-    made.set_reference(START, known)
-    return made
+def monitor_of(triangulated: TriangulatedLandmarks) -> HealthMonitor:
+    """Return a health monitor whose keyframe is the start."""
+    monitor = HealthMonitor(RIG.imu, CONFIG, SIGMA_PX)
+    monitor.set_reference(START, triangulated)
+    return monitor
 
 
-def assess(watcher: HealthMonitor, seen: Observations, predicted: NavState, stationary: bool) -> HealthReport:
-    return watcher.assess(seen, predicted, stationary, Calibration(RIG))
+def assess(
+    monitor: HealthMonitor, observations: Observations, predicted: NavState, stationary: bool = False
+) -> HealthReport:
+    return monitor.assess(observations, predicted, stationary, Calibration(RIG))
 
 
-def after(k: int, state: NavState = START, **changes: object) -> NavState:
-    """Return a state at the k-th frame."""
-    return replace(state, t_ns=START.t_ns + k * STEP_NS, **changes)  # type: ignore[arg-type]
+def state_after(frames: int, **changes: Any) -> NavState:
+    """Return the start, at the time of a later frame, with some fields changed."""
+    return replace(START, t_ns=START.t_ns + frames * STEP_NS, **changes)
 
 
-def seen(n: int, off_px: float = 0.0) -> tuple[TriangulatedLandmarks, Observations]:
-    rng = np.random.default_rng(1)
-    known = landmarks(n, rng)
-    return known, sightings(known, START, np.zeros(n, np.int64), np.array([off_px, 0.0]))
+def landmarks_and_observations(n: int, error_px: float = 0.0) -> tuple[TriangulatedLandmarks, Observations]:
+    """Return n landmarks and their observations from the start, with a horizontal error [px]."""
+    triangulated = landmarks(n, np.random.default_rng(1))
+    return triangulated, observe(triangulated, START, np.zeros(n, np.int64), np.array([error_px, 0.0]))
 
 
-def test_landmarks_hold_it_and_the_figures_are_theirs() -> None:
-    known, observations = seen(40, off_px=0.5)
-    report = assess(monitor(known), observations, START, stationary=False)
+def test_report_describes_landmarks_and_uncertainty() -> None:
+    triangulated, observations = landmarks_and_observations(40, error_px=0.5)
+    report = assess(monitor_of(triangulated), observations, START)
     assert report.health == Health.TRACKING and report.reason == "constrained by 40 landmarks"
     assert (report.tracks, report.landmarks) == (40, 40)
     assert report.innovation_px == pytest.approx(0.5, abs=1e-9)
@@ -84,10 +91,10 @@ def test_landmarks_hold_it_and_the_figures_are_theirs() -> None:
 
 
 def test_innovation_of_consistent_noise_is_one() -> None:
-    """The pose is drawn from the prediction's covariance, the pixels from theirs, seen by both cameras."""
+    """The pose is drawn from the prediction's covariance, the pixels of both cameras from theirs."""
     rng = np.random.default_rng(3)
-    known = landmarks(120, rng)
-    watcher = monitor(known)
+    triangulated = landmarks(120, rng)
+    monitor = monitor_of(triangulated)
     cameras = rng.integers(0, 2, 120)
     t = 0.2
     predicted = replace(
@@ -100,99 +107,97 @@ def test_innovation_of_consistent_noise_is_one() -> None:
         velocity_m_s=START.velocity_m_s + np.array([0.3, 0.0, 0.1]) * t,
     )
     P = np.zeros((6, 6))
-    P[:3, :3] = 1e-8 * t**2 * np.eye(3)  # the gyroscope's bias
-    P[3:, 3:] = 1e-4 * t**2 * np.eye(3)  # the velocity
+    P[:3, :3] = 1e-8 * t**2 * np.eye(3)  # from the gyroscope bias
+    P[3:, 3:] = 1e-4 * t**2 * np.eye(3)  # from the velocity
     nis = []
     for _ in range(60):
         d = rng.multivariate_normal(np.zeros(6), P)
         R, p = predicted.T_world_imu[:3, :3] @ exp_so3(d[:3]), predicted.T_world_imu[:3, 3] + d[3:]
         true = replace(predicted, T_world_imu=pose_matrix(R, p))
-        observations = sightings(known, true, cameras, SIGMA_PX * rng.normal(size=(120, 2)))
-        report = assess(watcher, observations, predicted, stationary=False)
+        observations = observe(triangulated, true, cameras, SIGMA_PX * rng.normal(size=(120, 2)))
+        report = assess(monitor, observations, predicted)
         assert report.innovation_nis is not None
         nis.append(report.innovation_nis)
     assert np.mean(nis) == pytest.approx(1.0, abs=0.08)
     assert max(nis) < 3.0
 
 
-def test_tracks_that_are_no_landmarks_hold_nothing() -> None:
-    known, observations = seen(CONFIG.min_landmarks - 1)
+def test_tracks_without_parallax_do_not_constrain() -> None:
+    triangulated, observations = landmarks_and_observations(CONFIG.min_landmarks - 1)
     others = Observations(
         1000 + np.arange(100), np.zeros((100, 2)), np.zeros((100, 2)), np.ones(100, np.int64)
-    )  # followed, but never seen with parallax
+    )  # tracked, but without parallax
     both = Observations(
-        *(
-            np.concatenate([getattr(observations, name), getattr(others, name)])
-            for name in ("ids", "pixels", "xy", "ages")
-        )
+        np.concatenate([observations.ids, others.ids]),
+        np.concatenate([observations.pixels, others.pixels]),
+        np.concatenate([observations.xy, others.xy]),
+        np.concatenate([observations.ages, others.ages]),
     )
-    watcher = monitor(known)
-    reports = [assess(watcher, both, after(k), stationary=False) for k in range(20)]
+    monitor = monitor_of(triangulated)
+    reports = [assess(monitor, both, state_after(k)) for k in range(20)]
     settling = round(CONFIG.settling_s / 0.05) + 1
     assert {r.health for r in reports[:settling]} == {Health.TRACKING}  # they may become landmarks
     assert {r.health for r in reports[settling:]} == {Health.INERTIAL_ONLY}
     assert (
         reports[-1].tracks == 107 and reports[-1].landmarks == 7 and reports[-1].inertial_only_s == pytest.approx(0.95)
     )
-    assert assess(watcher, both, after(20), stationary=True).health == Health.TRACKING
-    assert assess(watcher, observations, after(21), stationary=False).health == Health.INERTIAL_ONLY
-    nothing = assess(monitor(landmarks(0, np.random.default_rng(0))), others, START, stationary=False)
-    assert nothing.innovation_px is None and nothing.median_parallax_rad is None and nothing.innovation_nis is None
+    assert assess(monitor, both, state_after(20), stationary=True).health == Health.TRACKING
+    assert assess(monitor, observations, state_after(21)).health == Health.INERTIAL_ONLY
+    report = assess(monitor_of(landmarks(0, np.random.default_rng(0))), others, START)
+    assert report.innovation_px is None and report.median_parallax_rad is None and report.innovation_nis is None
 
 
-def blind(monitored: HealthMonitor, frames: int, speed_sigma_m_s: float) -> list[HealthReport]:
-    """Let a monitor see nothing for some frames, while the position's uncertainty grows."""
-    none = Observations(np.zeros(0, np.int64), np.zeros((0, 2)), np.zeros((0, 2)), np.zeros(0, np.int64))
+def assess_without_features(monitor: HealthMonitor, frames: int, speed_sigma_m_s: float) -> list[HealthReport]:
+    """Return the reports of frames without features, while the position's uncertainty grows."""
     reports = []
     for k in range(1, frames + 1):
         P = np.diag(np.repeat([1e-6, 1e-4 + (speed_sigma_m_s * k * 0.05) ** 2, 1e-2, 1e-8, 1e-6], 3))
-        reports.append(assess(monitored, none, after(k, covariance=P), stationary=False))
+        reports.append(assess(monitor, NO_FEATURES, state_after(k, covariance=P)))
     return reports
 
 
-def test_blind_is_inertial_only_until_the_position_is_gone() -> None:
-    known, observations = seen(40)
-    watcher = monitor(known)
-    assess(watcher, observations, START, stationary=False)
-    reports = blind(watcher, 120, speed_sigma_m_s=0.2)
+def test_inertial_only_until_the_position_is_too_uncertain() -> None:
+    triangulated, observations = landmarks_and_observations(40)
+    monitor = monitor_of(triangulated)
+    assess(monitor, observations, START)
+    reports = assess_without_features(monitor, 120, speed_sigma_m_s=0.2)
     lost = [r.health for r in reports].index(Health.LOST)
     assert lost == pytest.approx(100, abs=1)  # a metre, at 0.2 m/s
     assert {r.health for r in reports[:lost]} == {Health.INERTIAL_ONLY}
     assert [r.inertial_only_s for r in reports] == pytest.approx(0.05 * np.arange(1, 121))
     assert "1.0 m" in reports[lost].reason
-    assert assess(watcher, observations, after(121), stationary=False).health == Health.LOST  # until it starts anew
+    assert assess(monitor, observations, state_after(121)).health == Health.LOST  # until the next initialization
 
 
-def test_what_was_unsure_before_is_not_held_against_the_dark() -> None:
-    known, observations = seen(40)
-    watcher = monitor(known)
-    far = np.diag(np.repeat([1e-6, 25.0, 1e-4, 1e-8, 1e-6], 3))  # after a long flight: 5 m of drift
-    assert assess(watcher, observations, after(0, covariance=far), stationary=False).health == Health.TRACKING
-    dark = Observations(np.zeros(0, np.int64), np.zeros((0, 2)), np.zeros((0, 2)), np.zeros(0, np.int64))
-    assert assess(watcher, dark, after(1, covariance=1.02 * far), stationary=False).health == Health.INERTIAL_ONLY
-    assert assess(watcher, dark, after(2, covariance=1.05 * far), stationary=False).health == Health.LOST
+def test_earlier_drift_does_not_count_for_a_loss() -> None:
+    triangulated, observations = landmarks_and_observations(40)
+    monitor = monitor_of(triangulated)
+    P = np.diag(np.repeat([1e-6, 25.0, 1e-4, 1e-8, 1e-6], 3))  # after a long flight: 5 m of drift
+    assert assess(monitor, observations, state_after(0, covariance=P)).health == Health.TRACKING
+    assert assess(monitor, NO_FEATURES, state_after(1, covariance=1.02 * P)).health == Health.INERTIAL_ONLY
+    assert assess(monitor, NO_FEATURES, state_after(2, covariance=1.05 * P)).health == Health.LOST
 
 
-def test_contradiction_must_last() -> None:
-    known, observations = seen(40, off_px=2.0 * CONFIG.max_innovation_px)
-    _, agreeing = seen(40)
+def test_only_a_lasting_contradiction_is_a_loss() -> None:
+    triangulated, contradicting = landmarks_and_observations(40, error_px=2.0 * CONFIG.max_innovation_px)
+    _, agreeing = landmarks_and_observations(40)
     frames = round(CONFIG.max_contradiction_s / 0.05)
-    watcher = monitor(known)
-    assess(watcher, agreeing, START, stationary=False)
+    monitor = monitor_of(triangulated)
+    assess(monitor, agreeing, START)
     for k in range(1, frames):
-        assert assess(watcher, observations, after(k), stationary=False).health == Health.TRACKING
-    assess(watcher, agreeing, after(frames), stationary=False)
-    states = [assess(watcher, observations, after(frames + k), stationary=False).health for k in range(1, frames + 3)]
-    assert states.index(Health.LOST) == frames
+        assert assess(monitor, contradicting, state_after(k)).health == Health.TRACKING
+    assess(monitor, agreeing, state_after(frames))
+    health = [assess(monitor, contradicting, state_after(frames + k)).health for k in range(1, frames + 3)]
+    assert health.index(Health.LOST) == frames
 
 
 def test_a_fifth_of_outliers_is_no_contradiction() -> None:
-    known, observations = seen(40)
-    rows = np.arange(40) % 5 == 0
-    xy = observations.xy + rows[:, None] * 0.5
-    watcher = monitor(known)
+    triangulated, observations = landmarks_and_observations(40)
+    outliers = np.arange(40) % 5 == 0
+    xy = observations.xy + outliers[:, None] * 0.5
+    monitor = monitor_of(triangulated)
     for k in range(60):
-        report = assess(watcher, replace(observations, xy=xy), after(k), stationary=False)
+        report = assess(monitor, replace(observations, xy=xy), state_after(k))
         assert report.health == Health.TRACKING and report.innovation_nis == pytest.approx(0.0, abs=1e-12)
 
 
@@ -208,11 +213,10 @@ def test_a_fifth_of_outliers_is_no_contradiction() -> None:
         ({"covariance": np.full((15, 15), np.nan)}, "the state is not finite"),
     ],
 )
-def test_what_cannot_be_is_lost_at_once(changes: dict[str, object], reason: str) -> None:
-    known, observations = seen(40)
-    empty = Observations(np.zeros(0, np.int64), np.zeros((0, 2)), np.zeros((0, 2)), np.zeros(0, np.int64))
-    for what in (empty,) if reason == "inf m" else (empty, observations):
-        watcher = monitor(known)
-        assess(watcher, observations, START, stationary=False)
-        report = assess(watcher, what, after(1, **changes), stationary=False)
+def test_implausible_states_are_lost_at_once(changes: dict[str, Any], reason: str) -> None:
+    triangulated, observations = landmarks_and_observations(40)
+    for tracked in (NO_FEATURES,) if reason == "inf m" else (NO_FEATURES, observations):
+        monitor = monitor_of(triangulated)
+        assess(monitor, observations, START)
+        report = assess(monitor, tracked, state_after(1, **changes))
         assert report.health == Health.LOST and reason in report.reason

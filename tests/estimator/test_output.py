@@ -1,4 +1,4 @@
-"""The published estimates: withheld until certain, and the events of the sensors."""
+"""The published estimates: states are withheld until their velocity is certain, and events describe the sensors."""
 
 from dataclasses import replace
 
@@ -22,20 +22,23 @@ def state(velocity_sigma_m_s: float) -> NavState:
 
 
 def packet(matched: tuple[int, ...] = (), miscalibrated: tuple[int, ...] = ()) -> FramePacket:
-    def by(cameras: tuple[int, ...]) -> Matches:
+    """Return a frame with matches in the given cameras, and others that contradict the extrinsic calibration."""
+
+    def matches_in(cameras: tuple[int, ...]) -> Matches:
         n = len(cameras)
         return Matches(np.arange(n), np.array(cameras), np.zeros((n, 2))) if n else NO_MATCHES
 
-    return FramePacket(0, NO_INCREMENTS, replace(NO_FEATURES, matches=by(matched), miscalibrated=by(miscalibrated)))
+    observations = replace(NO_FEATURES, matches=matches_in(matched), miscalibrated=matches_in(miscalibrated))
+    return FramePacket(0, NO_INCREMENTS, observations)
 
 
-def publisher() -> Publisher:
+def new_publisher() -> Publisher:
     return Publisher(InitializerConfig(), RATE_HZ)
 
 
 def test_miscalibration_and_its_end_are_reported_once() -> None:
-    published = publisher()
-    shown = [
+    publisher = new_publisher()
+    packets = [
         packet((1, 1)),
         packet((2,), (1, 1)),
         packet(),
@@ -43,7 +46,7 @@ def test_miscalibration_and_its_end_are_reported_once() -> None:
         packet((1, 1)),
         packet((1,)),
     ]
-    events = [published.without_state(each, "").events for each in shown]
+    events = [publisher.without_state(each, "").events for each in packets]
     assert events == [
         (),
         ("camera 1 contradicts its extrinsic calibration: not used for depth",),
@@ -55,25 +58,25 @@ def test_miscalibration_and_its_end_are_reported_once() -> None:
 
 
 def test_nothing_is_published_before_it_is_certain() -> None:
-    published = publisher()
-    found = [published.estimate(packet(), state(s), REPORT, ("keyframe",)) for s in (9.0, 0.051, 0.049, 9.0)]
-    assert [each.state is None for each in found] == [True, True, False, False]
-    assert found[0].health is Health.INITIALIZING and found[0].health_report is not None
-    assert "1.00 ± 9.00 m/s" in found[0].health_report.reason
-    assert [each.events for each in found[2:]] == [("initialized", "keyframe"), ("keyframe",)]
-    lost = published.lost(packet(), HealthReport(Health.LOST, "a speed of 99 m/s"))
+    publisher = new_publisher()
+    estimates = [publisher.estimate(packet(), state(s), REPORT, ("keyframe",)) for s in (9.0, 0.051, 0.049, 9.0)]
+    assert [each.state is None for each in estimates] == [True, True, False, False]
+    assert estimates[0].health is Health.INITIALIZING and estimates[0].health_report is not None
+    assert "1.00 ± 9.00 m/s" in estimates[0].health_report.reason
+    assert [each.events for each in estimates[2:]] == [("initialized", "keyframe"), ("keyframe",)]
+    lost = publisher.lost(packet(), HealthReport(Health.LOST, "a speed of 99 m/s"))
     assert lost.state is None and lost.events == ("lost: a speed of 99 m/s",)
-    again = [published.estimate(packet(), state(s), REPORT) for s in (1.0, 0.01)]
-    assert again[0].state is None and again[0].health is Health.LOST
-    assert again[1].events == ("recovered",)
+    later = [publisher.estimate(packet(), state(s), REPORT) for s in (1.0, 0.01)]
+    assert later[0].state is None and later[0].health is Health.LOST
+    assert later[1].events == ("recovered",)
 
 
 def test_an_imu_gap_is_reported_at_its_begin_and_end() -> None:
-    def frame(longest_s: float) -> FramePacket:
-        increments = Increments(np.array([0.005, longest_s]), np.zeros((2, 3)), np.zeros((2, 3)))
+    def packet_with_gap(gap_s: float) -> FramePacket:
+        increments = Increments(np.array([0.005, gap_s]), np.zeros((2, 3)), np.zeros((2, 3)))
         return replace(packet(), increments=increments)
 
-    published, gaps_s = publisher(), (0.015, 0.03, 0.005, 0.25, 0.25, 0.05, 0.005, 0.005, 0.25)
-    events = [published.without_state(frame(s), "").events for s in gaps_s]
+    publisher, gaps_s = new_publisher(), (0.015, 0.03, 0.005, 0.25, 0.25, 0.05, 0.005, 0.005, 0.25)
+    events = [publisher.without_state(packet_with_gap(s), "").events for s in gaps_s]
     short, long = ("no IMU for 0.03 s",), ("no IMU for 0.25 s",)
     assert events == [(), short, (), long, (), (), ("IMU again after a gap of 0.55 s",), (), long]

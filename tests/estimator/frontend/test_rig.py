@@ -84,8 +84,8 @@ def replenished_once(render: RenderWall, rig: Rig) -> tuple[WallSequence, RigTra
     ],
     ids=["stereo", "vertical baseline", "fisheyes", "three cameras"],
 )
-def test_matches_are_at_the_projections_of_landmarks(see_wall: RenderWall, rig: Rig) -> None:
-    wall, tracker, seen = replenished_once(see_wall, rig)
+def test_matches_are_at_the_projections_of_landmarks(render_wall: RenderWall, rig: Rig) -> None:
+    wall, tracker, seen = replenished_once(render_wall, rig)
     for rotation_deg, p_m in (([1.0, -2.0, 0.5], [0.05, 0.0, 0.1]), ([2.0, -3.0, 1.0], [0.1, -0.05, 0.3])):
         error_px = wall.match_errors_px(seen)
         for j in range(1, len(rig.cameras)):
@@ -100,16 +100,16 @@ def test_matches_are_at_the_projections_of_landmarks(see_wall: RenderWall, rig: 
         break
 
 
-def test_matches_belong_to_observed_features(see_wall: RenderWall) -> None:
-    _, _, seen = replenished_once(see_wall, STEREO)
+def test_matches_belong_to_observed_features(render_wall: RenderWall) -> None:
+    _, _, seen = replenished_once(render_wall, STEREO)
     assert np.isin(seen.matches.ids, seen.ids).all() and np.all(np.diff(seen.matches.ids) > 0)
     np.testing.assert_array_equal(seen.camera, 0)
     np.testing.assert_array_equal(seen.matches.camera, 1)
 
 
-def test_one_camera_gives_the_result_of_its_tracker(see_wall: RenderWall) -> None:
+def test_one_camera_gives_the_result_of_its_tracker(render_wall: RenderWall) -> None:
     rig = rig_of((LEFT, np.eye(3), [0, 0, 0]))
-    wall, single = WallSequence(see_wall, rig), FeatureTracker(LEFT, CONFIG)
+    wall, single = WallSequence(render_wall, rig), FeatureTracker(LEFT, CONFIG)
     whole: FrontEnd = RigTracker(rig, CONFIG)
     assert len(whole.replenish()) == 0  # before any frame
     for k in range(4):
@@ -125,9 +125,9 @@ def test_one_camera_gives_the_result_of_its_tracker(see_wall: RenderWall) -> Non
         single.discard(seen.ids[:3])
 
 
-def test_displaced_patches_are_not_matched(see_wall: RenderWall) -> None:
+def test_displaced_patches_are_not_matched(render_wall: RenderWall) -> None:
     """A part of the second image is displaced across the epipolar lines."""
-    wall, tracker = WallSequence(see_wall, STEREO), RigTracker(STEREO, CONFIG)
+    wall, tracker = WallSequence(render_wall, STEREO), RigTracker(STEREO, CONFIG)
     frame = wall.frame()
     box, second = (slice(60, 180), slice(100, 240)), frame.images[1].copy()
     second[box] = np.roll(second, 6, axis=0)[box]
@@ -146,9 +146,9 @@ def misaligned(rig: Rig, rotation_deg: Sequence[float]) -> Rig:
 
 
 @pytest.mark.parametrize("rotation_deg", [[1.0, 0.0, 0.0], [0.6, -0.4, -0.7], [-0.5, 0.8, 0.3], [0.2, -0.3, 1.5]])
-def test_miscalibrated_cameras_give_no_depth(see_wall: RenderWall, rotation_deg: Sequence[float]) -> None:
+def test_miscalibrated_cameras_give_no_depth(render_wall: RenderWall, rotation_deg: Sequence[float]) -> None:
     true_rig = misaligned(STEREO, rotation_deg)
-    wall, tracker = WallSequence(see_wall, true_rig), RigTracker(STEREO, CONFIG)
+    wall, tracker = WallSequence(render_wall, true_rig), RigTracker(STEREO, CONFIG)
     frame = wall.frame()
     tracker.track(frame, np.eye(3))
     for _ in range(2):
@@ -163,21 +163,21 @@ def test_miscalibrated_cameras_give_no_depth(see_wall: RenderWall, rotation_deg:
     assert np.median(wall.match_errors_px(seen)) < 0.15
 
 
-def test_small_misalignment_is_tolerated(see_wall: RenderWall) -> None:
-    wall, tracker = WallSequence(see_wall, misaligned(STEREO, [0.05, -0.05, 0.05])), RigTracker(STEREO, CONFIG)
+def test_small_misalignment_is_tolerated(render_wall: RenderWall) -> None:
+    wall, tracker = WallSequence(render_wall, misaligned(STEREO, [0.05, -0.05, 0.05])), RigTracker(STEREO, CONFIG)
     tracker.track(wall.frame(), np.eye(3))
     seen = tracker.replenish()
     assert len(seen.miscalibrated) == 0 and len(seen.matches) > 0.7 * len(seen)
 
 
-def test_corrected_extrinsics_apply_to_all_trackers(see_wall: RenderWall) -> None:
+def test_corrected_extrinsics_apply_to_all_trackers(render_wall: RenderWall) -> None:
     """The predicted rotation of a second tracker depends on its extrinsics; with wrong ones its features are lost."""
     true_rig, wrong_rig = (
         rig_of((LEFT, np.eye(3), [0, 0, 0]), (RIGHT, exp_so3(np.radians([0.0, 50.0, roll_deg])), [0, 0, 0]))
         for roll_deg in (0.0, 90.0)
     )
     trackers = [RigTracker(wrong_rig, CONFIG), RigTracker(true_rig, CONFIG)]
-    wall, R = WallSequence(see_wall, true_rig), exp_so3(np.radians([0.0, 0.0, 8.0]))
+    wall, R = WallSequence(render_wall, true_rig), exp_so3(np.radians([0.0, 0.0, 8.0]))
     for frame, R_cur_prev in ((wall.frame(), np.eye(3)), (wall.frame(pose_matrix(R, np.zeros(3))), R.T)):
         for tracker in trackers:
             tracker.track(frame, R_cur_prev, rig=true_rig)
@@ -186,8 +186,8 @@ def test_corrected_extrinsics_apply_to_all_trackers(see_wall: RenderWall) -> Non
     assert np.any(seen[0].camera == 1)
 
 
-def test_a_dark_second_image_yields_no_matches(see_wall: RenderWall) -> None:
-    wall, tracker = WallSequence(see_wall, STEREO), RigTracker(STEREO, CONFIG)
+def test_a_dark_second_image_yields_no_matches(render_wall: RenderWall) -> None:
+    wall, tracker = WallSequence(render_wall, STEREO), RigTracker(STEREO, CONFIG)
     frame = wall.frame()
     tracker.track(replace(frame, images=(frame.images[0], np.zeros_like(frame.images[1]))), np.eye(3))
     dark = tracker.replenish()
@@ -196,7 +196,7 @@ def test_a_dark_second_image_yields_no_matches(see_wall: RenderWall) -> None:
     assert len(tracker.replenish().matches) > 0.7 * len(dark)
 
 
-def test_cameras_without_overlap_track_separately(see_wall: RenderWall) -> None:
+def test_cameras_without_overlap_track_separately(render_wall: RenderWall) -> None:
     """The second camera faces backwards, and its rotation is predicted from that of the first camera."""
     R_back = exp_so3(np.array([0.0, np.pi, 0.0]))
     rig = rig_of((LEFT, np.eye(3), [0, 0, 0]), (RIGHT, R_back, [0.0, 0.0, -0.1]))
@@ -206,8 +206,8 @@ def test_cameras_without_overlap_track_separately(see_wall: RenderWall) -> None:
     for k in range(3):
         R = exp_so3(np.radians(k * step_deg))
         images = (
-            see_wall(LEFT, pose_matrix(R, np.zeros(3))),
-            see_wall(RIGHT, pose_matrix(R_back.T @ R @ R_back, np.zeros(3))),
+            render_wall(LEFT, pose_matrix(R, np.zeros(3))),
+            render_wall(RIGHT, pose_matrix(R_back.T @ R @ R_back, np.zeros(3))),
         )
         tracked = tracker.track(CameraFrame(k, images), R.T @ R_previous)
         seen.append((tracked, tracker.replenish()))

@@ -40,8 +40,8 @@ class WallSequence:
 
 
 @pytest.fixture
-def wall(see_wall: RenderWall) -> WallSequence:
-    return WallSequence(see_wall)
+def wall(render_wall: RenderWall) -> WallSequence:
+    return WallSequence(render_wall)
 
 
 def true_pixels(pixels: Array, R_world_cam: Array, p_m: Array | None = None) -> Array:
@@ -299,9 +299,9 @@ def test_an_image_smaller_than_a_cell_has_no_features() -> None:
     assert len(tracker.replenish()) == 0
 
 
-def test_same_images_give_the_same_features(wall: WallSequence, see_wall: RenderWall) -> None:
+def test_same_images_give_the_same_features(wall: WallSequence, render_wall: RenderWall) -> None:
     cv2.setNumThreads(1)
-    one, other = track_sequence(wall, 6), track_sequence(WallSequence(see_wall), 6)
+    one, other = track_sequence(wall, 6), track_sequence(WallSequence(render_wall), 6)
     for pair, other_pair in zip(one, other, strict=True):
         for observations, others in zip(pair, other_pair, strict=True):
             for name in ("ids", "pixels", "xy", "ages"):
