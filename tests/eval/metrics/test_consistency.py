@@ -1,3 +1,5 @@
+"""Consistency of estimates: NEES of errors drawn from a covariance, anchoring, and invalid covariances."""
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -11,40 +13,40 @@ from dronevio.models.rotation import exp_so3, quat_wxyz_from_matrix, rotation_z
 from dronevio.models.state import Trajectory
 
 
-def flight(n: int, seed: int, claimed: float = 1.0) -> tuple[Trajectory, Trajectory]:
-    """A truth, and an estimate whose errors are drawn from a covariance; it claims a multiple of that covariance."""
+def flight(n: int, seed: int, covariance_factor: float = 1.0) -> tuple[Trajectory, Trajectory]:
+    """Return a truth and an estimate with errors drawn from a covariance, of which it reports a multiple."""
     rng = np.random.default_rng(seed)
     t_ns = 50_000_000 * np.arange(n)
     p, R = np.cumsum(rng.normal(size=(n, 3)), axis=0), exp_so3(rng.normal(size=(n, 3)))
     L = 1e-3 * rng.normal(size=(n, 15, 15))
     error = (L @ rng.normal(size=(n, 15, 1)))[..., 0]
-    error[0] = 0.0  # the gauge is fixed there
+    error[0] = 0.0  # the estimate is anchored there
     truth = Trajectory(t_ns, p, quat_wxyz_from_matrix(R))
     R_estimate = R @ np.swapaxes(exp_so3(error[:, :3]), -1, -2)  # truth = estimate · exp(δθ)
-    covariance = claimed * L @ np.swapaxes(L, -1, -2)
+    covariance = covariance_factor * L @ np.swapaxes(L, -1, -2)
     return truth, Trajectory(t_ns, p - error[:, 3:6], quat_wxyz_from_matrix(R_estimate), covariance=covariance)
 
 
-def test_an_honest_estimator_has_a_mean_of_three() -> None:
+def test_the_nees_of_a_consistent_estimate_is_three_on_average() -> None:
     result = consistency(*flight(20_001, 0))
-    spread = 5 * np.sqrt(6 / 20_000)  # five standard errors of the mean of a χ² with 3 degrees of freedom
+    five_sigma = 5 * np.sqrt(6 / 20_000)  # of the mean of χ² variables with three degrees of freedom
     for values in (result.position_nees, result.orientation_nees):
         assert len(values) == 20_000
-        assert abs(values.mean() - 3.0) < spread
+        assert abs(values.mean() - 3.0) < five_sigma
         assert np.mean(values > chi2.ppf(0.95, 3)) == pytest.approx(0.05, abs=0.01)
     assert result.position_exceedance == pytest.approx(0.0027, abs=0.001)
 
 
-@pytest.mark.parametrize("claimed", [0.1, 10.0])
-def test_a_boaster_shows_and_so_does_a_coward(claimed: float) -> None:
-    result = consistency(*flight(20_001, 1, claimed))
-    assert result.position_nees.mean() == pytest.approx(3.0 / claimed, rel=0.1)
-    assert result.orientation_nees.mean() == pytest.approx(3.0 / claimed, rel=0.1)
+@pytest.mark.parametrize("covariance_factor", [0.1, 10.0])
+def test_a_wrong_covariance_divides_the_nees_by_its_factor(covariance_factor: float) -> None:
+    result = consistency(*flight(20_001, 1, covariance_factor))
+    assert result.position_nees.mean() == pytest.approx(3.0 / covariance_factor, rel=0.1)
+    assert result.orientation_nees.mean() == pytest.approx(3.0 / covariance_factor, rel=0.1)
 
 
 @settings(max_examples=30, deadline=None)
 @given(st.integers(0, 2**32 - 1), st.floats(-3.1, 3.1), st.tuples(*[st.floats(-50, 50)] * 3))
-def test_does_not_depend_on_the_gauge(seed: int, yaw: float, t: tuple[float, float, float]) -> None:
+def test_consistency_does_not_depend_on_the_gauge(seed: int, yaw: float, t: tuple[float, float, float]) -> None:
     truth, estimate = flight(20, seed)
     plain = consistency(truth, estimate)
     moved = consistency(truth, Alignment(rotation_z(yaw), np.array(t)).apply(estimate))
@@ -54,7 +56,7 @@ def test_does_not_depend_on_the_gauge(seed: int, yaw: float, t: tuple[float, flo
     np.testing.assert_allclose(moved.position_error_m, plain.position_error_m, atol=1e-8)
 
 
-def test_the_anchor_meets_the_first_pose_and_keeps_the_vertical() -> None:
+def test_the_anchor_aligns_the_first_pose_in_yaw_and_position() -> None:
     truth, estimate = flight(5, 3)
     tilted = Trajectory(
         estimate.t_ns, estimate.p_world_imu, quat_wxyz_from_matrix(exp_so3(np.array([0.1, 0, 0])) @ truth.rotations)
@@ -67,10 +69,11 @@ def test_the_anchor_meets_the_first_pose_and_keeps_the_vertical() -> None:
 
 
 def test_nees_by_hand() -> None:
+    """Errors of 3 and 4 with standard deviations of 3 and 2: 1² + 2² = 5."""
     np.testing.assert_allclose(nees(np.array([[3.0, 4.0]]), np.diag([9.0, 4.0])[None]), [5.0])
 
 
-def test_refuses_what_is_no_covariance() -> None:
+def test_missing_and_invalid_covariances_are_refused() -> None:
     truth, estimate = flight(5, 0)
     with pytest.raises(EvaluationError, match="without covariances"):
         consistency(truth, truth)

@@ -1,4 +1,4 @@
-"""KITTI's figures, worked out by hand."""
+"""KITTI's scores, worked out by hand."""
 
 import numpy as np
 import numpy.typing as npt
@@ -11,18 +11,18 @@ Array = npt.NDArray[np.float64]
 
 
 def road(frames: int, turn_deg: float = 0.0, step_m: float = 1.0) -> Array:
-    """Poses (N, 3, 4) on a straight road along z, each turned further about the vertical y by an angle."""
+    """Return poses (N, 3, 4) along z, each rotated by a further angle about the vertical axis y."""
     n = np.arange(frames)
     R = exp_so3(np.outer(np.radians(turn_deg) * n, [0.0, 1.0, 0.0]))
     return pose_matrix(R, np.outer(step_m * n, [0.0, 0.0, 1.0]))[:, :3]
 
 
 def test_kitti_rotation_errors_are_in_degrees() -> None:
-    """A tenth of a degree a metre; a piece ends at the first frame beyond its length, one metre further."""
+    """A tenth of a degree per metre; a segment ends at the first frame beyond its length, one metre further."""
     found = kitti_scores(road(301), road(301, turn_deg=0.1))
     assert found.rpe_deg == pytest.approx(0.1, rel=1e-6)
     lengths, _, deg_per_100_m = zip(*found.by_length, strict=True)
-    assert lengths == (100.0, 200.0)  # none of 300 m: no frame lies beyond its end
+    assert lengths == (100.0, 200.0)  # no frame lies beyond 300 m
     assert deg_per_100_m == pytest.approx((10.1, 10.05), rel=1e-6)
     first, second = 20, 10  # segments begin at every tenth frame, up to frames 190 and 90
     assert found.segments == first + second
@@ -30,13 +30,12 @@ def test_kitti_rotation_errors_are_in_degrees() -> None:
 
 
 def test_kitti_aligns_the_first_estimated_frame() -> None:
-    """Frames 5 to 10 of a road that turns, in a world of their own: no error, but for a scale of 1.1."""
+    """Frames 5 to 10 of a curved road in another world frame: the error is zero, and that of a scale of 1.1 not."""
     truth = road(11, turn_deg=5.0)
-    there = np.eye(4)
-    there[:3, :3], there[:3, 3] = exp_so3(np.array([0.3, -0.2, 0.5])), [7.0, 8.0, 9.0]
+    R, t_m = exp_so3(np.array([0.3, -0.2, 0.5])), np.array([7.0, 8.0, 9.0])
     frames = np.arange(5, 11)
-    estimate = there[:3, :3] @ truth[frames]
-    estimate[:, :, 3] += there[:3, 3]
+    estimate = R @ truth[frames]
+    estimate[:, :, 3] += t_m
     found = kitti_scores(truth, estimate, frames)
     assert (found.ate_m, found.rpe_m) == pytest.approx((0.0, 0.0), abs=1e-12)
     estimate[:, :, 3] *= 1.1
