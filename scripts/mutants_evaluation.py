@@ -33,7 +33,7 @@ EVALUATION = (
         "eval/metrics/scores.py",
         'poses[:2] if rpe.source == "truth" else poses[2:]',
         'poses[2:] if rpe.source == "truth" else poses[:2]',
-        ("tests/eval/metrics/test_scores_by_hand.py::test_pairs_are_chosen_on_the_path_that_is_asked_for",),
+        ("tests/eval/metrics/test_scores_by_hand.py::test_pairs_are_selected_on_the_requested_path",),
     ),
     Mutant(
         "score-relative-errors-end",
@@ -153,7 +153,7 @@ EVALUATION = (
         "eval/metrics/lengths.py",
         "components(quat_truth_wxyz[i]), conjugate(components(quat_estimate_wxyz[i]))",
         "components(quat_truth_wxyz[j]), conjugate(components(quat_estimate_wxyz[j]))",
-        ("tests/eval/metrics/test_scores_by_hand.py::test_drift_aligns_the_yaw_at_the_beginning_of_a_piece",),
+        ("tests/eval/metrics/test_scores_by_hand.py::test_drift_aligns_the_yaw_at_the_beginning_of_a_pair",),
     ),
     Mutant(
         "pairs-tolerance-in-seconds",

@@ -1,20 +1,20 @@
-"""The same figures as other programs give: evo always, and published results where the data sets are at hand."""
+"""Agreement with other programs: evo always, and published results if the data sets are present."""
 
 import importlib.util
 import json
 import sys
 from collections import Counter
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from dronevio.cli import main
 from dronevio.eval.metrics import (
+    AlignmentMode,
     PairRule,
     align,
     pairs_after_distance,
@@ -24,40 +24,41 @@ from dronevio.eval.metrics import (
     translation_errors_m,
 )
 from dronevio.eval.metrics.association import evo_pairs
+from dronevio.eval.metrics.pairs import Unit
 from dronevio.models.recordings.tum import read_trajectory, read_tum
 from dronevio.models.rotation import exp_so3, quat_wxyz_from_matrix
 
-Array = npt.NDArray[np.float64]
 AGREEMENT = 1e-6
-
+"""Largest difference from the results of other programs."""
+UNITS: tuple[Unit, ...] = ("frames", "m", "deg")
 CHECKOUT = Path(__file__).resolve().parents[3]
 
 
 def module_at(path: Path) -> Any:
     """Return a module that belongs to no package."""
     if not path.exists():
-        pytest.skip(f"{path} is not there")
+        pytest.skip(f"{path} does not exist")
     spec = importlib.util.spec_from_file_location(path.stem, path)
     assert spec is not None and spec.loader is not None
     module = importlib.util.module_from_spec(spec)
-    sys.modules[path.stem] = module  # its dataclasses look themselves up there
+    sys.modules[path.stem] = module  # dataclasses look up their module there
     spec.loader.exec_module(module)
     return module
 
 
 @settings(max_examples=10, deadline=None)
 @given(st.integers(0, 2**32 - 1))
-def test_agrees_with_evo(seed: int) -> None:
+def test_absolute_and_relative_errors_agree_with_evo(seed: int) -> None:
     from evo.core import metrics
     from evo.core.trajectory import PoseTrajectory3D
 
     rng, n = np.random.default_rng(seed), 120
     p, R = np.cumsum(rng.normal(size=(n, 3)), axis=0), exp_so3(np.cumsum(0.2 * rng.normal(size=(n, 3)), axis=0))
-    turn, noise = exp_so3(rng.normal(size=3)), exp_so3(0.05 * rng.normal(size=(n, 3)))
-    p_estimate = 0.9 * (p + 0.1 * rng.normal(size=(n, 3))) @ turn.T + 5.0
-    q, q_estimate = quat_wxyz_from_matrix(R), quat_wxyz_from_matrix(turn @ R @ noise)
+    R_estimate_world, noise = exp_so3(rng.normal(size=3)), exp_so3(0.05 * rng.normal(size=(n, 3)))
+    p_estimate = 0.9 * (p + 0.1 * rng.normal(size=(n, 3))) @ R_estimate_world.T + 5.0
+    q, q_estimate = quat_wxyz_from_matrix(R), quat_wxyz_from_matrix(R_estimate_world @ R @ noise)
 
-    def theirs(scale: bool, metric: Any) -> Any:
+    def evo_errors(scale: bool, metric: Any) -> Any:
         reference = PoseTrajectory3D(p, q, np.arange(n) * 0.1)
         estimate = PoseTrajectory3D(p_estimate.copy(), q_estimate.copy(), np.arange(n) * 0.1)
         estimate.align(reference, correct_scale=scale)
@@ -65,31 +66,34 @@ def test_agrees_with_evo(seed: int) -> None:
         return metric.error
 
     relations = metrics.PoseRelation
-    for mode, scale in (("se3", False), ("sim3", True)):
-        motion = align(p, p_estimate, mode)  # type: ignore[arg-type]
+    modes: list[tuple[AlignmentMode, bool]] = [("se3", False), ("sim3", True)]
+    for mode, scale in modes:
+        motion = align(p, p_estimate, mode)
         aligned = motion.positions(p_estimate), motion.orientations(q_estimate)
-        ape = theirs(scale, metrics.APE(relations.translation_part))
+        ape = evo_errors(scale, metrics.APE(relations.translation_part))
         np.testing.assert_allclose(translation_errors_m(p, aligned[0]), ape, rtol=1e-7)
-        ape = theirs(scale, metrics.APE(relations.rotation_angle_rad))
+        ape = evo_errors(scale, metrics.APE(relations.rotation_angle_rad))
         np.testing.assert_allclose(rotation_errors_rad(q, aligned[1]), ape, atol=1e-7)
         pairs = np.arange(n - 10), np.arange(10, n)
         metres, radians = relative_errors(p, q, *aligned, pairs)
-        by_ten = {"delta": 10, "delta_unit": metrics.Unit.frames, "all_pairs": True}
-        np.testing.assert_allclose(metres, theirs(scale, metrics.RPE(relations.translation_part, **by_ten)), rtol=1e-7)
-        rpe = theirs(scale, metrics.RPE(relations.rotation_angle_rad, **by_ten))
+        ten_frames = {"delta": 10, "delta_unit": metrics.Unit.frames, "all_pairs": True}
+        rpe = evo_errors(scale, metrics.RPE(relations.translation_part, **ten_frames))
+        np.testing.assert_allclose(metres, rpe, rtol=1e-7)
+        rpe = evo_errors(scale, metrics.RPE(relations.rotation_angle_rad, **ten_frames))
         np.testing.assert_allclose(radians, rpe, atol=1e-7)
-        by_way = {"delta": 5.0, "delta_unit": metrics.Unit.meters, "all_pairs": True, "pairs_from_reference": True}
+        five_m = {"delta": 5.0, "delta_unit": metrics.Unit.meters, "all_pairs": True, "pairs_from_reference": True}
         metres, _ = relative_errors(p, q, *aligned, pairs_after_distance(p, 5.0))
-        np.testing.assert_allclose(metres, theirs(scale, metrics.RPE(relations.translation_part, **by_way)), rtol=1e-7)
+        rpe = evo_errors(scale, metrics.RPE(relations.translation_part, **five_m))
+        np.testing.assert_allclose(metres, rpe, rtol=1e-7)
 
 
-def test_every_published_figure_is_ours_too(data_folder: Path) -> None:
-    """All rows of evo, the rpg toolbox, a KITTI evaluation and TUM's scripts, every statistic, with equal counts."""
+def test_published_results_are_reproduced(data_folder: Path) -> None:
+    """All statistics of evo, the rpg toolbox, a KITTI evaluation and TUM's scripts agree, with equal counts."""
     parity = module_at(CHECKOUT / "scripts" / "parity.py")
     rows = parity.all_rows(data_folder / "trajectories")
     assert [row for row in rows if row.verdict == "differs"] == []
     reasons = Counter(row.reason.removeprefix("KITTI_00_SPTAM.txt ") for row in rows if row.reason)
-    assert reasons.pop("is not in the folder", 0) in (0, 6)  # an estimate that the folder may lack
+    assert reasons.pop("is not in the folder", 0) in (0, 6)  # KITTI_00_SPTAM.txt is optional
     assert reasons == {"adds metres to radians; both are given apart": 1}
     same = Counter(row.tool for row in rows if row.verdict == "same")
     assert same["evo_ape"] >= 28 and same["evo_rpe"] == 25
@@ -133,87 +137,87 @@ COMMANDS = [
 
 
 @pytest.mark.parametrize(("command", "options", "figure"), COMMANDS)
-def test_the_command_gives_published_figures(
+def test_the_command_reproduces_results_of_evo(
     data_folder: Path, command: str, options: str, figure: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
     folder = data_folder / "trajectories"
     rows = json.loads((folder / "evo_1.38.1_expected.json").read_text())
-    theirs = next(row for row in rows if row["cmd"] == command)
+    expected = next(row for row in rows if row["cmd"] == command)
     files = [str(folder / "evo" / name) for name in command.split()[2:4]]
-    usual = ["--association", "evo", "--repeated", "keep", "--json"]
+    common = ["--association", "evo", "--repeated", "keep", "--json"]
     unit = ["--rpe-unit", "m"] if "--rpe-unit" not in options else []
-    assert main(["evaluate", *files, *options.split(), *usual, *unit]) == 0
-    ours = json.loads(capsys.readouterr().out)[figure]
-    assert ours["n"] == theirs["n"]
-    assert ours["rmse"] == pytest.approx(theirs["rmse"], rel=AGREEMENT)
+    assert main(["evaluate", *files, *options.split(), *common, *unit]) == 0
+    found = json.loads(capsys.readouterr().out)[figure]
+    assert found["n"] == expected["n"]
+    assert found["rmse"] == pytest.approx(expected["rmse"], rel=AGREEMENT)
 
 
 @settings(max_examples=40, deadline=None)
-@given(st.integers(0, 2**32 - 1), st.integers(2, 60), st.sampled_from(["f", "m", "d"]), st.booleans())
-def test_pairs_are_those_of_evo(seed: int, n: int, unit: str, all_pairs: bool) -> None:
+@given(st.integers(0, 2**32 - 1), st.integers(2, 60), st.sampled_from(UNITS), st.booleans())
+def test_pairs_agree_with_evo(seed: int, n: int, unit: Unit, all_pairs: bool) -> None:
     from evo.core import filters, metrics
 
     rng = np.random.default_rng(seed)
-    p = np.cumsum(rng.normal(size=(n, 3)) * (rng.random((n, 1)) < 0.8), axis=0)  # it stands still now and then
+    p = np.cumsum(rng.normal(size=(n, 3)) * (rng.random((n, 1)) < 0.8), axis=0)  # some steps are zero
     R = exp_so3(np.cumsum(0.1 * rng.normal(size=(n, 3)), axis=0))
     poses = [np.block([[R[i], p[i][:, None]], [np.zeros((1, 3)), np.ones((1, 1))]]) for i in range(n)]
-    delta = int(rng.integers(1, 8)) if unit == "f" else float(rng.uniform(1.0, 20.0))
-    units = {"f": metrics.Unit.frames, "m": metrics.Unit.meters, "d": metrics.Unit.degrees}
+    delta = int(rng.integers(1, 8)) if unit == "frames" else float(rng.uniform(1.0, 20.0))
+    units = {"frames": metrics.Unit.frames, "m": metrics.Unit.meters, "deg": metrics.Unit.degrees}
     try:
-        theirs = metrics.id_pairs_from_delta(poses, delta, units[unit], 0.1, all_pairs)
+        expected = metrics.id_pairs_from_delta(poses, delta, units[unit], 0.1, all_pairs)
     except filters.FilterException:
-        theirs = []
-    rule = PairRule(delta, {"f": "frames", "m": "m", "d": "deg"}[unit], "all" if all_pairs else "consecutive")  # type: ignore[arg-type]
-    ours = rule.select(np.arange(n), p, quat_wxyz_from_matrix(R))
-    assert list(zip(*(rows.tolist() for rows in ours), strict=True)) == theirs
+        expected = []
+    rule = PairRule(delta, unit, "all" if all_pairs else "consecutive")
+    found = rule.select(np.arange(n), p, quat_wxyz_from_matrix(R))
+    assert list(zip(*(rows.tolist() for rows in found), strict=True)) == expected
 
 
 @settings(max_examples=80, deadline=None)
 @given(st.integers(0, 2**32 - 1), st.sampled_from([1, 62_500_000]))
-def test_associates_as_evo_does_on_request(seed: int, grain_ns: int) -> None:
-    """Stamps at random; and on a grid that doubles hold exactly, where many repeat or are equally near."""
+def test_the_association_evo_agrees_with_evo(seed: int, grid_ns: int) -> None:
+    """Random stamps, and stamps on a grid that is exact in floating point, where many repeat or are equally near."""
     from evo.core import sync
     from evo.core.trajectory import PoseTrajectory3D
 
-    rng, span = np.random.default_rng(seed), max(40, 10**9 // grain_ns)
-    start_ns = 1403715273262142976 if grain_ns == 1 else 0
-    stamps = [np.sort(start_ns + grain_ns * rng.integers(0, span, rng.integers(3, 40))) for _ in range(2)]
-    max_gap_s = 0.03 if grain_ns == 1 else 0.2
-    both = [PoseTrajectory3D(np.zeros((len(t), 3)), np.tile([1.0, 0, 0, 0], (len(t), 1)), t / 1e9) for t in stamps]
-    for trajectory in both:
+    rng, span = np.random.default_rng(seed), max(40, 10**9 // grid_ns)
+    start_ns = 1403715273262142976 if grid_ns == 1 else 0
+    stamps = [np.sort(start_ns + grid_ns * rng.integers(0, span, rng.integers(3, 40))) for _ in range(2)]
+    max_gap_s = 0.03 if grid_ns == 1 else 0.2
+    trajectories = [
+        PoseTrajectory3D(np.zeros((len(t), 3)), np.tile([1.0, 0, 0, 0], (len(t), 1)), t / 1e9) for t in stamps
+    ]
+    for trajectory in trajectories:
         trajectory.positions_xyz[:, 0] = np.arange(len(trajectory.timestamps))
-    ours = evo_pairs(stamps[0], stamps[1], max_gap_s)
+    found = evo_pairs(stamps[0], stamps[1], max_gap_s)
     try:
-        theirs = sync.associate_trajectories(both[0], both[1], max_diff=max_gap_s)
+        expected = sync.associate_trajectories(*trajectories, max_diff=max_gap_s)
     except sync.SyncException:
-        assert len(ours[0]) == 0
+        assert len(found[0]) == 0
         return
-    for rows, trajectory in zip(ours, theirs, strict=True):
+    for rows, trajectory in zip(found, expected, strict=True):
         np.testing.assert_array_equal(rows, trajectory.positions_xyz[:, 0])
 
 
 @pytest.mark.filterwarnings("ignore::ResourceWarning")
 @pytest.mark.parametrize("sequence", ["V1_02", "MH_04"])
 @pytest.mark.parametrize("mode", ["yaw", "se3", "sim3"])
-def test_agrees_with_an_independent_script(
-    data_folder: Path, sequence: str, mode: Literal["yaw", "se3", "sim3"]
-) -> None:
+def test_scores_agree_with_an_independent_script(data_folder: Path, sequence: str, mode: AlignmentMode) -> None:
     module = module_at(data_folder.parent / "tools" / "score.py")
     estimate = data_folder / "trajectories" / "rpg" / "vislam_rp" / sequence / "stamped_traj_estimate0.txt"
     truth = data_folder / "euroc" / sequence / "groundtruth.csv"
-    theirs = module.evaluate(str(estimate), str(truth))
-    ours = score(read_trajectory(truth), read_tum(estimate), alignment=mode)
-    assert (ours.n_poses, ours.rpe_pairs) == (theirs["n"], theirs["rpe_n"])
-    assert ours.ate_m.rmse == pytest.approx(theirs[f"ate_{mode}"], abs=AGREEMENT)
-    assert ours.ate_m.max == pytest.approx(theirs[f"max_{mode}"], abs=AGREEMENT)
-    assert (ours.first_pose_s, ours.last_pose_s) == pytest.approx(
-        (theirs["first_pose_s"], theirs["last_pose_s"]), abs=AGREEMENT
+    expected = module.evaluate(str(estimate), str(truth))
+    found = score(read_trajectory(truth), read_tum(estimate), alignment=mode)
+    assert (found.n_poses, found.rpe_pairs) == (expected["n"], expected["rpe_n"])
+    assert found.ate_m.rmse == pytest.approx(expected[f"ate_{mode}"], abs=AGREEMENT)
+    assert found.ate_m.max == pytest.approx(expected[f"max_{mode}"], abs=AGREEMENT)
+    assert (found.first_pose_s, found.last_pose_s) == pytest.approx(
+        (expected["first_pose_s"], expected["last_pose_s"]), abs=AGREEMENT
     )
-    assert ours.path_m == pytest.approx(theirs["path_m"], abs=1e-5)
-    assert ours.scale_error_percent is not None and ours.rpe_m is not None and ours.rpe_deg is not None
-    assert 1.0 / (1.0 + ours.scale_error_percent / 100.0) == pytest.approx(theirs["scale"], abs=AGREEMENT)
+    assert found.path_m == pytest.approx(expected["path_m"], abs=1e-5)
+    assert found.scale_error_percent is not None and found.rpe_m is not None and found.rpe_deg is not None
+    assert 1.0 / (1.0 + found.scale_error_percent / 100.0) == pytest.approx(expected["scale"], abs=AGREEMENT)
     if mode != "sim3":
-        assert ours.rpe_m.rmse == pytest.approx(theirs["rpe_m"], abs=AGREEMENT)
-    assert ours.rpe_deg.rmse == pytest.approx(theirs["rpe_deg"], abs=1e-5)
+        assert found.rpe_m.rmse == pytest.approx(expected["rpe_m"], abs=AGREEMENT)
+    assert found.rpe_deg.rmse == pytest.approx(expected["rpe_deg"], abs=1e-5)
     if mode == "se3":
-        assert ours.ate_deg.rmse == pytest.approx(theirs["rot_deg_se3"], abs=1e-5)
+        assert found.ate_deg.rmse == pytest.approx(expected["rot_deg_se3"], abs=1e-5)

@@ -1,4 +1,4 @@
-"""Scores of small trajectories, every figure worked out by hand."""
+"""Scores of small trajectories, with values worked out by hand."""
 
 from dataclasses import replace
 
@@ -8,6 +8,7 @@ import pytest
 
 from dronevio.eval.metrics import PairRule, errors_by_length, rpe, score, score_trajectory
 from dronevio.eval.metrics.lengths import drifts_m
+from dronevio.eval.metrics.pairs import Source
 from dronevio.models.rotation import exp_so3, quat_wxyz_from_matrix, rotation_z
 from dronevio.models.state import Trajectory
 
@@ -16,8 +17,8 @@ SECOND_NS = 1_000_000_000
 START_NS = 1403715273262142976
 
 
-def trajectory(p: object, phi: object = 0.0, first_pose_s: int = 0) -> Trajectory:
-    """Poses one second apart: positions (N, 3) [m] and rotation vectors (N, 3) [rad]."""
+def trajectory(p: npt.ArrayLike, phi: npt.ArrayLike = 0.0, first_pose_s: int = 0) -> Trajectory:
+    """Return poses one second apart, from positions (N, 3) [m] and rotation vectors (N, 3) [rad]."""
     positions = np.asarray(p, dtype=np.float64)
     vectors = np.broadcast_to(np.asarray(phi, dtype=np.float64), positions.shape)
     t_ns = START_NS + SECOND_NS * (first_pose_s + np.arange(len(positions)))
@@ -25,11 +26,12 @@ def trajectory(p: object, phi: object = 0.0, first_pose_s: int = 0) -> Trajector
 
 
 def along_x(n: int, step_m: float = 1.0) -> Array:
+    """Return positions (n, 3) along the x axis [m]."""
     return np.outer(np.arange(n), [step_m, 0.0, 0.0])
 
 
 def test_orientation_errors_are_in_degrees() -> None:
-    """An estimate that rolls by 5° a second: 0°, 5°, …, 20° after five poses, and 5° over every second."""
+    """An estimate that rolls by 5° per second: 0°, 5°, …, 20° at five poses, and 5° over every second."""
     roll_rad = np.outer(np.radians(5.0 * np.arange(5)), [1.0, 0.0, 0.0])
     scores = score(trajectory(along_x(5)), trajectory(along_x(5), roll_rad))
     ate_deg, rpe_deg = scores.ate_deg, scores.rpe_deg
@@ -48,15 +50,15 @@ def test_yaw_alignment_does_not_remove_a_tilt() -> None:
     scores = score(trajectory(square), tilted)
     assert scores.alignment == "yaw"
     assert (scores.ate_m.min, scores.ate_m.max, scores.ate_deg.min, scores.ate_deg.max) == pytest.approx((1, 1, 60, 60))
-    turned = replace(tilted, p_world_imu=tilted.p_world_imu @ rotation_z(0.7).T + [4.0, 5.0, 6.0])
-    assert score(trajectory(square), turned).ate_m.rmse == pytest.approx(1.0)
-    best = score(trajectory(square), tilted, alignment="se3")
-    assert best.ate_m.max == pytest.approx(0.0, abs=1e-12)
-    assert best.ate_deg.max == pytest.approx(0.0, abs=1e-5)
+    rotated = replace(tilted, p_world_imu=tilted.p_world_imu @ rotation_z(0.7).T + [4.0, 5.0, 6.0])
+    assert score(trajectory(square), rotated).ate_m.rmse == pytest.approx(1.0)
+    by_se3 = score(trajectory(square), tilted, alignment="se3")
+    assert by_se3.ate_m.max == pytest.approx(0.0, abs=1e-12)
+    assert by_se3.ate_deg.max == pytest.approx(0.0, abs=1e-5)
 
 
 def test_times_are_those_of_the_compared_poses() -> None:
-    """A truth of ten seconds, an estimate from 2 s to 6 s that moves twice as far, so that it errs by 1 m a second."""
+    """A truth of ten seconds, an estimate from 2 s to 6 s at twice the speed, with an error of 1 m over a second."""
     truth = trajectory(along_x(11))
     scored = score_trajectory(truth, trajectory(along_x(5, 2.0), first_pose_s=2), alignment="none")
     scores = scored.scores
@@ -68,11 +70,12 @@ def test_times_are_those_of_the_compared_poses() -> None:
     np.testing.assert_allclose(scored.translation_error_m, [2, 1, 0, 1, 2])
 
 
-def test_pairs_are_chosen_on_the_path_that_is_asked_for() -> None:
-    """Over 2 m, the truth moves for two seconds and the estimate, which is twice too large, for one."""
+def test_pairs_are_selected_on_the_requested_path() -> None:
+    """The truth moves 2 m in two seconds, the estimate, which is twice too large, in one."""
     truth, estimate = trajectory(along_x(11)), trajectory(along_x(11, 2.0))
-    for source, pairs, error_m in (("truth", 9, 2.0), ("estimate", 10, 1.0)):
-        scores = score(truth, estimate, rpe=PairRule(2.0, "m", source=source))  # type: ignore[arg-type]
+    expected: list[tuple[Source, int, float]] = [("truth", 9, 2.0), ("estimate", 10, 1.0)]
+    for source, pairs, error_m in expected:
+        scores = score(truth, estimate, rpe=PairRule(2.0, "m", source=source))
         assert scores.rpe_m is not None
         assert (scores.rpe_pairs, scores.rpe_m.mean) == pytest.approx((pairs, error_m))
         assert (scores.rpe_interval, scores.rpe_delta_s) == ("2 m", None)
@@ -87,17 +90,18 @@ def test_the_tolerance_of_pairs_is_a_share_of_their_distance() -> None:
 
 
 def test_relative_errors_of_arrays() -> None:
-    """A roll of 5° a second; over 2 m, which the estimate moves in one second and the truth in two."""
+    """A roll of 5° per second; the estimate moves 2 m in one second and the truth in two."""
     roll_rad = np.outer(np.radians(5.0 * np.arange(5)), [1.0, 0.0, 0.0])
     truth, estimate = trajectory(along_x(5)), trajectory(along_x(5, 2.0), roll_rad)
     poses = truth.p_world_imu, truth.quat_wxyz, estimate.p_world_imu, estimate.quat_wxyz
-    for source, pairs, error_deg in (("truth", 3, 10.0), ("estimate", 4, 5.0)):
-        found = rpe(*poses, 2.0, "m", source=source).rotation_deg  # type: ignore[arg-type]
+    expected: list[tuple[Source, int, float]] = [("truth", 3, 10.0), ("estimate", 4, 5.0)]
+    for source, pairs, error_deg in expected:
+        found = rpe(*poses, 2.0, "m", source=source).rotation_deg
         assert (found.n, found.min, found.max) == pytest.approx((pairs, error_deg, error_deg))
 
 
-def test_drift_aligns_the_yaw_at_the_beginning_of_a_piece() -> None:
-    """A metre along x, true in both; a yaw that is 60° wrong at its beginning turns it to where it is 1 m away."""
+def test_drift_aligns_the_yaw_at_the_beginning_of_a_pair() -> None:
+    """An exact metre along x: alignment of a yaw that is wrong by 60° at its beginning moves its end by 1 m."""
     truth = trajectory(along_x(2))
     start, end = np.radians([[0, 0, 60], [0, 0, 0]]), np.radians([[0, 0, 0], [0, 0, 60]])
     for phi, drift_m in ((start, 1.0), (-start, 1.0), (end, 0.0)):
@@ -108,18 +112,18 @@ def test_drift_aligns_the_yaw_at_the_beginning_of_a_piece() -> None:
 
 
 def test_yaw_and_tilt_errors_of_a_drone_that_pitches() -> None:
-    """An estimate that turns by 0.1° a metre about the vertical has no tilt error, however the drone moves."""
+    """An estimate that yaws by 0.1° per metre has no tilt error, also if the drone pitches."""
     yaw_rad, pitch_rad = np.radians(0.1 * np.arange(41)), 0.1 * np.arange(41)
     pitch = exp_so3(np.outer(pitch_rad, [0.0, 1.0, 0.0]))
     q_truth = quat_wxyz_from_matrix(pitch)
     q_estimate = quat_wxyz_from_matrix(exp_so3(np.outer(yaw_rad, [0.0, 0.0, 1.0])) @ pitch)
     [errors] = errors_by_length(along_x(41), q_truth, along_x(41), q_estimate, (10.0,))
     found = errors.yaw_deg.min, errors.tilt_deg.max, errors.rotation_deg.median
-    assert found == pytest.approx((0.8, 0.0, 1.0), abs=1e-9)  # the last pieces lack two metres
+    assert found == pytest.approx((0.8, 0.0, 1.0), abs=1e-9)  # the last sub-trajectories lack two metres
 
 
 def test_coverage_counts_poses_that_have_no_truth() -> None:
-    """The truth ends after five of ten seconds; the estimator goes on, and has a pose for every frame but the last."""
+    """The truth ends after five of ten seconds; the estimate has a pose at every frame but the last."""
     frames = START_NS + SECOND_NS * np.arange(11)
     scores = score(trajectory(along_x(6)), trajectory(along_x(10)), frames)
     assert (scores.n_poses, scores.n_estimated) == (6, 10)
@@ -127,15 +131,15 @@ def test_coverage_counts_poses_that_have_no_truth() -> None:
 
 
 def test_consistency_by_hand() -> None:
-    """Three errors after an exact first pose, in an estimate whose world is turned by 90° about the vertical.
+    """Three errors after an exact first pose, in a world frame that is rotated by 90° about the vertical.
 
-    The standard deviations in the true world are .1, .2 and .5 m, and .01, .02 and .04 rad in the frame of the IMU, so
-    that the estimate's world, whose x axis is the true y axis, has .2, .1 and .5 m.
+    The standard deviations are 0.1, 0.2 and 0.5 m in the true world frame, and 0.01, 0.02 and 0.04 rad in the IMU
+    frame. The x axis of the estimate's world frame is the true y axis, so that they are 0.2, 0.1 and 0.5 m there.
     """
     p_truth = np.array([[0.0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 1]])
     error_m = np.array([[0.0, 0, 0], [0.4, 0, 0], [0, -0.2, 0], [0, 0, 1.25]])
     error_rad = np.array([[0.0, 0, 0], [0.05, 0, 0], [0, -0.05, 0], [0, 0, 0.2]])
-    R = rotation_z(-np.pi / 2.0)  # maps the estimate's world into the true one
+    R = rotation_z(-np.pi / 2.0)  # from the estimate's world frame to the true one
     phi = np.array([[0.0, 0, 0], [0.3, 0, 0], [0, 0.3, 0], [0, 0, 0.3]])
     R_estimate = R.T @ exp_so3(phi) @ np.swapaxes(exp_so3(error_rad), -1, -2)  # truth = R · estimate · exp(δθ)
     sigmas = np.r_[[0.01, 0.02, 0.04], [0.2, 0.1, 0.5], np.full(9, 100.0)]
@@ -166,7 +170,7 @@ def test_consistency_by_hand() -> None:
 
 @pytest.mark.parametrize("factor", [0.1, 10.0])
 def test_a_covariance_too_large_by_a_factor_divides_the_nees(factor: float) -> None:
-    """Errors of two standard deviations along one axis: 4 each, divided by the factor on the covariance."""
+    """Errors of two standard deviations along one axis give a NEES of 4, divided by the factor on the covariance."""
     truth = trajectory(along_x(5))
     error_m = np.outer([0, 1, 1, 1, 1], [0.0, 0.2, 0.0])
     variances = factor * np.full(15, 0.1**2)
