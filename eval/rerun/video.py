@@ -4,10 +4,12 @@ The rerun viewer decodes AV1 itself, natively and in a browser, while other code
 which is part of PyAV's wheel.
 """
 
+import contextlib
 import os
 from collections.abc import Iterable
 from dataclasses import dataclass
 from fractions import Fraction
+from pathlib import Path
 
 import av
 import numpy as np
@@ -90,7 +92,24 @@ def _make_encoder(width: int, height: int, rate_hz: float, settings: VideoSettin
     encoder.gop_size = settings.keyframe_interval
     parameters = "pred-struct=1:rtc=1:lp=1:enable-restoration=0"
     encoder.options = {"preset": str(settings.preset), "crf": str(settings.crf), "svtav1-params": parameters}
+    _open_with_normal_priority(encoder)
     return encoder
+
+
+def _open_with_normal_priority(encoder: av.VideoCodecContext) -> None:
+    """Open an encoder, and undo the real-time priority that SVT-AV1, run as root, gives its threads and the caller.
+
+    Child processes would inherit the priority, and on a machine with few cores they would halt all other programs.
+    """
+    if not hasattr(os, "sched_getscheduler"):
+        encoder.open()
+        return
+    policy, parameters = os.sched_getscheduler(0), os.sched_getparam(0)
+    encoder.open()
+    if os.sched_getscheduler(0) != policy:
+        for thread in Path("/proc/self/task").iterdir():
+            with contextlib.suppress(ProcessLookupError):  # the thread has ended
+                os.sched_setscheduler(int(thread.name), policy, parameters)
 
 
 def _samples(packets: "Iterable[av.Packet[av.VideoStream]]") -> list[VideoSample]:

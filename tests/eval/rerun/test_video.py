@@ -1,6 +1,8 @@
 """AV1 videos of grey images: quality, size, keyframes and latency of the encoder."""
 
+import os
 from collections.abc import Iterable, Iterator
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 import cv2
@@ -124,3 +126,13 @@ def test_each_sample_is_returned_without_delay(images: list[Image]) -> None:
     encoder = Av1Encoder(RATE_HZ, VideoSettings())
     assert [len(encoder.encode(image)) for image in images] == [1] * len(images)
     assert encoder.finish() == []
+
+
+@pytest.mark.skipif(not hasattr(os, "sched_getscheduler"), reason="the system has no scheduling policies")
+def test_the_encoder_keeps_the_priority_of_threads(images: list[Image]) -> None:
+    """SVT-AV1 gives all its threads and the caller real-time priority if it runs as root."""
+    encoder = Av1Encoder(RATE_HZ, VideoSettings())
+    encoder.encode(images[0])
+    policies = {os.sched_getscheduler(int(thread.name)) for thread in Path("/proc/self/task").iterdir()}
+    encoder.finish()
+    assert policies == {os.SCHED_OTHER}
