@@ -281,7 +281,7 @@ EVALUATION = (
         "eval/run.py",
         "~since_first[:-1] & since_first[1:]",
         "since_first[:-1] & ~since_first[1:]",
-        ("tests/eval/test_run_by_hand.py::test_losses_and_resets",),
+        ("tests/eval/test_run_by_hand.py::test_losses_resets_and_coverage",),
     ),
     Mutant(
         "run-percentile-of-latency",
@@ -329,7 +329,7 @@ EVALUATION = (
         "eval/metrics/association.py",
         "pick(trajectory.covariance)",
         "None",
-        ("tests/eval/metrics/test_association_by_hand.py::test_associations_keep_all_that_an_estimate_holds",),
+        ("tests/eval/metrics/test_association_by_hand.py::test_associations_keep_all_fields_of_an_estimate",),
     ),
 )
 """Faults of the evaluation."""
