@@ -169,7 +169,7 @@ EVALUATION = (
         "eval/compare.py",
         "return sum(known) / (len(known) + failed) if known else None",
         "return sum(known) / len(known) if known else None",
-        ("tests/eval/test_compare_by_hand.py::test_a_failed_run_covers_nothing",),
+        ("tests/eval/test_compare_by_hand.py::test_a_failed_run_has_zero_coverage",),
     ),
     Mutant(
         "compare-gate-on-interval",
@@ -177,7 +177,7 @@ EVALUATION = (
         "eval/compare.py",
         "if ratio.median > 1.0 + limit:",
         "if ratio.low > 1.0 + limit:",
-        ("tests/eval/test_compare_by_hand.py::test_a_gate_judges_the_median_not_its_interval",),
+        ("tests/eval/test_compare_by_hand.py::test_a_gate_tests_the_median_not_its_interval",),
     ),
     Mutant(
         "compare-chance-of-10-percent",
@@ -193,7 +193,7 @@ EVALUATION = (
         "eval/benchmark/rows.py",
         '"ate_m": scores.ate_m.rmse',
         '"ate_m": scores.ate_m.mean',
-        ("tests/eval/test_rows_by_hand.py::test_figures_come_from_the_scores_of_their_names",),
+        ("tests/eval/test_rows_by_hand.py::test_columns_hold_the_scores_of_their_names",),
     ),
     Mutant(
         "rows-metres-for-degrees",
@@ -201,7 +201,7 @@ EVALUATION = (
         "eval/benchmark/rows.py",
         '"rpe_deg": scores.rpe_deg and scores.rpe_deg.rmse',
         '"rpe_deg": scores.rpe_m and scores.rpe_m.rmse',
-        ("tests/eval/test_rows_by_hand.py::test_figures_come_from_the_scores_of_their_names",),
+        ("tests/eval/test_rows_by_hand.py::test_columns_hold_the_scores_of_their_names",),
     ),
     Mutant(
         "rows-nees-of-position",
@@ -209,7 +209,7 @@ EVALUATION = (
         "eval/benchmark/rows.py",
         '"nees_orientation": scores.nees_orientation',
         '"nees_orientation": scores.nees_position',
-        ("tests/eval/test_rows_by_hand.py::test_figures_come_from_the_scores_of_their_names",),
+        ("tests/eval/test_rows_by_hand.py::test_columns_hold_the_scores_of_their_names",),
     ),
     Mutant(
         "rows-report-mean-for-rmse",
@@ -217,7 +217,7 @@ EVALUATION = (
         "eval/benchmark/rows.py",
         'scores[name]["rmse"]',
         'scores[name]["mean"]',
-        ("tests/eval/test_rows_by_hand.py::test_a_report_is_read_as_the_row_of_its_run",),
+        ("tests/eval/test_rows_by_hand.py::test_a_report_is_read_as_a_row",),
     ),
     Mutant(
         "summary-quartiles",
@@ -225,7 +225,7 @@ EVALUATION = (
         "eval/benchmark/summary.py",
         "(0.25, 0.5, 0.75)",
         "(0.1, 0.5, 0.9)",
-        ("tests/eval/test_benchmark_by_hand.py::test_a_spread_is_the_median_and_the_quartiles",),
+        ("tests/eval/test_benchmark_by_hand.py::test_quartiles_and_median_of_five_runs",),
     ),
     Mutant(
         "benchmark-retries-everything",
@@ -241,7 +241,7 @@ EVALUATION = (
         "eval/benchmark/sizing.py",
         "usage.cpu_s / 3600.0 * recordings,\n                usage.cpu_s / 3600.0 * recordings / cores",
         "usage.cpu_s / 60.0 * recordings,\n                usage.cpu_s / 60.0 * recordings / cores",
-        ("tests/eval/test_benchmark_by_hand.py::test_many_flights_take_as_many_times_as_much",),
+        ("tests/eval/test_benchmark_by_hand.py::test_resources_scale_with_the_number_of_recordings",),
     ),
     Mutant(
         "sizing-on-one-core",
@@ -249,7 +249,7 @@ EVALUATION = (
         "eval/benchmark/sizing.py",
         "usage.cpu_s / 3600.0 * recordings / cores",
         "usage.cpu_s / 3600.0 * recordings",
-        ("tests/eval/test_benchmark_by_hand.py::test_many_flights_take_as_many_times_as_much",),
+        ("tests/eval/test_benchmark_by_hand.py::test_resources_scale_with_the_number_of_recordings",),
     ),
     Mutant(
         "jobs-cost-swapped",
@@ -257,7 +257,7 @@ EVALUATION = (
         "eval/benchmark/jobs.py",
         "ResourceUsage(outcome.cpu_s, outcome.wall_s, disk_mb)",
         "ResourceUsage(outcome.wall_s, outcome.cpu_s, disk_mb)",
-        ("tests/eval/test_benchmark_by_hand.py::test_a_job_notes_what_its_recording_and_its_runs_took",),
+        ("tests/eval/test_benchmark_by_hand.py::test_a_job_records_the_resources_of_recording_and_runs",),
     ),
     Mutant(
         "jobs-size-in-kilobytes",
@@ -265,7 +265,7 @@ EVALUATION = (
         "eval/benchmark/jobs.py",
         "if file.is_file()) * 1e-6",
         "if file.is_file()) * 1e-3",
-        ("tests/eval/test_benchmark_by_hand.py::test_a_job_notes_what_its_recording_and_its_runs_took",),
+        ("tests/eval/test_benchmark_by_hand.py::test_a_job_records_the_resources_of_recording_and_runs",),
     ),
     Mutant(
         "jobs-wall-of-processor",
@@ -273,7 +273,7 @@ EVALUATION = (
         "eval/benchmark/jobs.py",
         "wall_s=outcome.wall_s,\n            peak",
         "wall_s=outcome.cpu_s,\n            peak",
-        ("tests/eval/test_benchmark_by_hand.py::test_a_job_notes_what_its_recording_and_its_runs_took",),
+        ("tests/eval/test_benchmark_by_hand.py::test_a_job_records_the_resources_of_recording_and_runs",),
     ),
     Mutant(
         "run-resets-count-losses",
@@ -297,7 +297,7 @@ EVALUATION = (
         "eval/benchmark/jobs.py",
         "if not self.keep_recording and",
         "if self.keep_recording and",
-        ("tests/eval/test_benchmark_by_hand.py::test_a_recording_is_dropped_unless_it_is_to_be_kept",),
+        ("tests/eval/test_benchmark_by_hand.py::test_a_recording_is_removed_unless_it_is_to_be_kept",),
     ),
     Mutant(
         "kitti-rpe-in-radians",

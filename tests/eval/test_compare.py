@@ -1,4 +1,4 @@
-"""Comparing benchmarks: what stays when the two change places, and what a gate must not let pass."""
+"""Comparisons of benchmarks: symmetry, significance, and gates against worse errors, failures and coverage."""
 
 import math
 from collections.abc import Sequence
@@ -17,11 +17,11 @@ from dronevio.models.errors import ConfigError, EvaluationError
 FAILED = None
 
 errors = st.one_of(st.none(), st.floats(1e-4, 1e3))
-several = st.lists(st.tuples(errors, errors), min_size=1, max_size=12)
+pairs_of_errors = st.lists(st.tuples(errors, errors), min_size=1, max_size=12)
 
 
 def rows(values: Sequence[float | None], estimator: str = "vio", **others: object) -> list[Row]:
-    """A run for each error, of one seed each; None for one that failed."""
+    """Return a run for each error, with seeds from 0 on; None is the error of a failed run."""
     made = []
     for seed, value in enumerate(values):
         row = Row("room-v0", "room", seed, estimator, "c", "v", "ok", ate_m=value, rpe_m=value, coverage_percent=100.0)
@@ -32,10 +32,12 @@ def rows(values: Sequence[float | None], estimator: str = "vio", **others: objec
 
 
 def ratio(first: Sequence[float | None], second: Sequence[float | None]) -> Ratio:
+    """Return the ratio of the position errors of two benchmarks."""
     return metric_ratio("ate_m", pair_runs(rows(first), rows(second)))
 
 
 def passes(first: Sequence[float | None], second: Sequence[float | None], limit: float = 5.0) -> bool:
+    """Return whether the second benchmark passes a gate against the first."""
     return gate(pair_runs(rows(first), rows(second)), limit).passed
 
 
@@ -60,7 +62,7 @@ def test_ten_percent_worse_fails_and_ten_percent_better_passes(values: list[floa
     assert ratio(values, worse).low == pytest.approx(1.1)
 
 
-@given(several)
+@given(pairs_of_errors)
 @settings(max_examples=60, deadline=None)
 def test_swapping_the_two_gives_the_reciprocal(pairs: list[tuple[float | None, float | None]]) -> None:
     first, second = zip(*pairs, strict=True)
@@ -76,12 +78,12 @@ def test_swapping_the_two_gives_the_reciprocal(pairs: list[tuple[float | None, f
     assert 0.0 < there.p <= 1.0
 
 
-@given(several, st.integers(0, 11))
+@given(pairs_of_errors, st.integers(0, 11))
 @settings(max_examples=40, deadline=None)
-def test_failing_never_helps(pairs: list[tuple[float | None, float | None]], which: int) -> None:
+def test_a_failed_run_never_helps_to_pass(pairs: list[tuple[float | None, float | None]], index: int) -> None:
     first, second = (list(values) for values in zip(*pairs, strict=True))
     before = gate(pair_runs(rows(first), rows(second)), 5.0)
-    second[which % len(second)] = FAILED
+    second[index % len(second)] = FAILED
     after = gate(pair_runs(rows(first), rows(second)), 5.0)
     assert after.comparisons[0].pairs == len(pairs)
     assert after.comparisons[0].ratios[0].median >= before.comparisons[0].ratios[0].median
@@ -89,7 +91,7 @@ def test_failing_never_helps(pairs: list[tuple[float | None, float | None]], whi
 
 
 @pytest.mark.parametrize("count", [1, 2, 3, 10, 19])
-def test_one_failed_run_of_few_fails(count: int) -> None:
+def test_one_failed_run_of_few_violates_the_gate(count: int) -> None:
     first = [0.1] * count
     result = gate(pair_runs(rows(first), rows([FAILED, *first[1:]])), 5.0)
     assert not result.passed
@@ -104,7 +106,7 @@ def test_one_failed_run_of_a_hundred_is_one_percent() -> None:
     assert not passes(first, second, limit=0.5)
 
 
-def test_a_failed_run_is_worse_than_any_number_and_two_are_alike() -> None:
+def test_a_failed_run_is_worse_than_any_error() -> None:
     assert ratio([0.1], [FAILED]).median == math.inf
     assert ratio([FAILED], [1e9]).median == 0.0
     assert ratio([FAILED], [FAILED]).median == 1.0
@@ -112,7 +114,7 @@ def test_a_failed_run_is_worse_than_any_number_and_two_are_alike() -> None:
     assert ratio([0.0], [1e-9]).median == math.inf
 
 
-def test_a_missing_figure_is_the_worst_unless_both_miss_it() -> None:
+def test_a_missing_value_is_the_worst_unless_both_lack_it() -> None:
     first, second = rows([0.1, 0.1, 0.1]), rows([0.1, 0.1, 0.1])
     second[0] = replace(second[0], rpe_m=None)
     assert metric_ratio("rpe_m", pair_runs(first, second)).high == math.inf
@@ -123,7 +125,7 @@ def test_a_missing_figure_is_the_worst_unless_both_miss_it() -> None:
         metric_ratio("velocity_m_s", pair_runs(first, second))
 
 
-def test_the_signed_rank_test_is_that_of_scipy() -> None:
+def test_the_signed_rank_test_agrees_with_scipy() -> None:
     rng = np.random.default_rng(3)
     first = rng.uniform(0.05, 0.2, 25)
     second = first * rng.lognormal(0.1, 0.2, 25)
@@ -138,7 +140,7 @@ def test_the_signed_rank_test_is_that_of_scipy() -> None:
     assert ratio([1.0] * 6, [1.1] * 6).p == 2 / 2**6
 
 
-def test_the_interval_covers_the_median_as_often_as_stated() -> None:
+def test_the_confidence_interval_covers_the_median() -> None:
     rng, covered, trials = np.random.default_rng(5), 0, 120
     for _ in range(trials):
         logs = rng.normal(0.1, 0.3, 20)
@@ -147,13 +149,13 @@ def test_the_interval_covers_the_median_as_often_as_stated() -> None:
     assert 0.88 <= covered / trials <= 1.0
 
 
-def test_the_bootstrap_is_seeded() -> None:
+def test_the_bootstrap_is_reproducible_by_its_seed() -> None:
     rng = np.random.default_rng(7)
     pairs = pair_runs(rows([1.0] * 9), rows(rng.lognormal(0.0, 0.5, 9).tolist()))
     assert metric_ratio("ate_m", pairs, seed=1) == metric_ratio("ate_m", pairs, seed=1)
 
 
-def test_words() -> None:
+def test_conclusions_state_direction_and_significance() -> None:
     rng = np.random.default_rng(11)
     first = rng.uniform(0.05, 0.2, 12).tolist()
     assert "ate_m 20.0 % larger, significantly worse" in ratio(first, [1.2 * v for v in first]).conclusion
@@ -163,22 +165,22 @@ def test_words() -> None:
     assert "not significant" in noise.conclusion
 
 
-def test_lost_coverage_fails_though_what_is_left_is_accurate() -> None:
+def test_less_coverage_violates_the_gate_despite_less_error() -> None:
     first, second = rows([0.1] * 4), rows([0.05] * 4, coverage_percent=60.0)
     result = gate(pair_runs(first, second), 5.0)
     assert result.violations == ("vio: mean coverage 60.0 %, 100.0 % before",)
 
 
-def test_every_estimator_is_judged_by_itself() -> None:
+def test_each_estimator_is_compared_separately() -> None:
     first = rows([0.1] * 3) + rows([0.1] * 3, "other")
     second = rows([0.05] * 3) + rows([0.2] * 3, "other")
     result = gate(pair_runs(first, second), 5.0)
-    assert [one.estimator for one in result.comparisons] == ["other", "vio"]
+    assert [comparison.estimator for comparison in result.comparisons] == ["other", "vio"]
     assert result.violations
     assert all(text.startswith("other:") for text in result.violations)
 
 
-def test_missing_partners_are_an_error_unless_allowed() -> None:
+def test_runs_without_a_partner_are_refused_unless_allowed() -> None:
     first, second = rows([0.1] * 3), rows([0.1] * 5)
     with pytest.raises(EvaluationError, match=r"2 runs without a partner: room-v0, seed 3, vio \(only in the second\)"):
         pair_runs(first, second)
@@ -190,12 +192,12 @@ def test_missing_partners_are_an_error_unless_allowed() -> None:
 def test_signs_are_ignored_and_other_recordings_are_counted() -> None:
     first = rows([0.1], scale_error_percent=-2.0, recording_hash="a")
     second = rows([0.1], scale_error_percent=3.0, recording_hash="b")
-    (one,) = compare(pair_runs(first, second), ["scale_error_percent"])
-    assert one.ratios[0].median == pytest.approx(1.5)
-    assert one.different_recordings == 1
+    (comparison,) = compare(pair_runs(first, second), ["scale_error_percent"])
+    assert comparison.ratios[0].median == pytest.approx(1.5)
+    assert comparison.different_recordings == 1
 
 
-def test_nonsense_is_refused() -> None:
+def test_unknown_metrics_and_invalid_limits_are_refused() -> None:
     pairs = pair_runs(rows([0.1]), rows([0.1]))
     with pytest.raises(ConfigError, match="nees_position; expected some of ate_m"):
         compare(pairs, ["nees_position"])

@@ -1,4 +1,4 @@
-"""Rows of a benchmark: each column holds the figure whose name it bears."""
+"""Rows of a benchmark: each column holds the score of its name."""
 
 import json
 from dataclasses import fields, replace
@@ -14,18 +14,18 @@ from dronevio.models.state import Trajectory
 
 
 def statistics(rmse: float) -> Statistics:
-    """Statistics of which no two figures are the same, nor the same as those of another root mean square."""
+    """Return statistics of distinct values, which also differ from those of other integer arguments."""
     return Statistics(rmse, rmse + 0.1, rmse + 0.2, rmse + 0.3, rmse + 0.4, rmse + 0.5, n=7)
 
 
-def distinct(first: float) -> LengthErrors:
-    """Errors of a length, all of them different: the first of seven consecutive numbers is the length."""
+def distinct_errors(first: float) -> LengthErrors:
+    """Return distinct errors over a length, which is the first of seven consecutive numbers."""
     return LengthErrors(first, *(statistics(first + k) for k in range(1, 7)))
 
 
 @pytest.fixture
 def scores() -> Scores:
-    """Scores of which no two figures are the same."""
+    """Return scores of distinct values."""
     p = np.array([[0.0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0]])
     square = Trajectory(10**9 * np.arange(4), p, np.tile([1.0, 0, 0, 0], (4, 1)))
     return replace(
@@ -37,7 +37,7 @@ def scores() -> Scores:
         ate_deg=statistics(5.0),
         rpe_m=statistics(6.0),
         rpe_deg=statistics(7.0),
-        lengths=(distinct(10.0), distinct(20.0)),
+        lengths=(distinct_errors(10.0), distinct_errors(20.0)),
         drift_percent=30.0,
         scale_error_percent=31.0,
         velocity_m_s=statistics(32.0),
@@ -54,7 +54,7 @@ def scores() -> Scores:
     )
 
 
-def test_figures_come_from_the_scores_of_their_names(scores: Scores) -> None:
+def test_columns_hold_the_scores_of_their_names(scores: Scores) -> None:
     assert score_columns(scores) == {
         "coverage_percent": 35.0,
         "first_pose_s": 1.0,
@@ -78,7 +78,7 @@ def test_figures_come_from_the_scores_of_their_names(scores: Scores) -> None:
     assert missing["sub_trajectory_m"] == ()
 
 
-def test_a_report_is_read_as_the_row_of_its_run(tmp_path: Path) -> None:
+def test_a_report_is_read_as_a_row(tmp_path: Path) -> None:
     def errors(rmse: float) -> dict[str, float]:
         return {"rmse": rmse, "mean": rmse + 0.5, "max": rmse + 0.7}
 
@@ -105,8 +105,8 @@ def test_a_report_is_read_as_the_row_of_its_run(tmp_path: Path) -> None:
     assert (row.identity, row.world, row.status) == (("room-v0", 3, "vio"), "room", "ok")
     assert row.versions == "dronevio 1, numpy 2"
     empty = Row("", "", None, "", "", "", "ok")
-    named = {"scenario", "world", "seed", "estimator", "config_hash", "versions", "status"}
-    others = {field.name for field in fields(Row)} - named
-    assert {name: getattr(row, name) for name in others} == {
-        name: expected.get(name, getattr(empty, name)) for name in others
+    identifying = {"scenario", "world", "seed", "estimator", "config_hash", "versions", "status"}
+    columns = {field.name for field in fields(Row)} - identifying
+    assert {name: getattr(row, name) for name in columns} == {
+        name: expected.get(name, getattr(empty, name)) for name in columns
     }
