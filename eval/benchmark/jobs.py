@@ -59,7 +59,7 @@ class BenchmarkPipeline(Protocol):
 
 @dataclass(frozen=True)
 class ResourceUsage:
-    """Resources that a piece of work used."""
+    """Resources that an operation used."""
 
     cpu_s: float
     """Processor time [s]."""

@@ -3,7 +3,7 @@
 import math
 from collections.abc import Sequence
 from dataclasses import replace
-
+from typing import Any
 import numpy as np
 import pytest
 import scipy.stats
@@ -20,14 +20,14 @@ errors = st.one_of(st.none(), st.floats(1e-4, 1e3))
 pairs_of_errors = st.lists(st.tuples(errors, errors), min_size=1, max_size=12)
 
 
-def rows(values: Sequence[float | None], estimator: str = "vio", **others: object) -> list[Row]:
+def rows(values: Sequence[float | None], estimator: str = "vio", **others: Any) -> list[Row]:
     """Return a run for each error, with seeds from 0 on; None is the error of a failed run."""
     made = []
     for seed, value in enumerate(values):
         row = Row("room-v0", "room", seed, estimator, "c", "v", "ok", ate_m=value, rpe_m=value, coverage_percent=100.0)
         if value is FAILED:
             row = Row("room-v0", "room", seed, estimator, "c", "v", "crashed", reason="killed by SIGSEGV")
-        made.append(replace(row, **others))  # type: ignore[arg-type]
+        made.append(replace(row, **others))
     return made
 
 

@@ -57,7 +57,7 @@ def test_errors_do_not_depend_on_the_gauge(seed: int, R: Array, t: Array, yaw: f
     assert ate(truth, estimate @ R.T + t, "se3").max == pytest.approx(ate(truth, estimate, "se3").max, rel=1e-8)
     both = ate(truth @ R.T + t, estimate @ R.T + t, "none").median
     assert both == pytest.approx(ate(truth, estimate, "none").median, rel=1e-8)
-    # An alignment by an isometry gives the same error whichever trajectory is moved.
+    # An alignment by an isometry gives the same error if the two trajectories change places.
     for mode in BY_FREEDOM[:3]:
         assert ate(truth, estimate, mode).rmse == pytest.approx(ate(estimate, truth, mode).rmse, rel=1e-8)
 
@@ -141,11 +141,11 @@ def test_alignments_apply_to_poses_velocities_and_covariances() -> None:
         np.array([0]), np.array([[1.0, 2, 3]]), q[None], np.array([[4.0, 5, 6]]), covariance=(L @ L.T)[None]
     )
     motion = Alignment(exp_so3(np.array([0.1, 0.7, -0.4])), np.array([7.0, 8.0, 9.0]), 2.0)
-    moved = motion.apply(estimate)
+    transformed = motion.apply(estimate)
     R = motion.R_truth_estimate
-    np.testing.assert_allclose(moved.p_world_imu[0], 2.0 * R @ [1, 2, 3] + [7, 8, 9])
-    np.testing.assert_allclose(moved.rotations[0], R @ estimate.rotations[0], atol=1e-12)
-    assert moved.velocity_m_s is not None and moved.covariance is not None
-    np.testing.assert_allclose(moved.velocity_m_s[0], 2.0 * R @ [4, 5, 6])
+    np.testing.assert_allclose(transformed.p_world_imu[0], 2.0 * R @ [1, 2, 3] + [7, 8, 9])
+    np.testing.assert_allclose(transformed.rotations[0], R @ estimate.rotations[0], atol=1e-12)
+    assert transformed.velocity_m_s is not None and transformed.covariance is not None
+    np.testing.assert_allclose(transformed.velocity_m_s[0], 2.0 * R @ [4, 5, 6])
     L[3:6], L[6:9] = 2.0 * R @ L[3:6], 2.0 * R @ L[6:9]
-    np.testing.assert_allclose(moved.covariance[0], L @ L.T, atol=1e-12)
+    np.testing.assert_allclose(transformed.covariance[0], L @ L.T, atol=1e-12)

@@ -49,11 +49,11 @@ def test_a_wrong_covariance_divides_the_nees_by_its_factor(covariance_factor: fl
 def test_consistency_does_not_depend_on_the_gauge(seed: int, yaw: float, t: tuple[float, float, float]) -> None:
     truth, estimate = flight(20, seed)
     plain = consistency(truth, estimate)
-    moved = consistency(truth, Alignment(rotation_z(yaw), np.array(t)).apply(estimate))
-    np.testing.assert_allclose(moved.position_nees, plain.position_nees, rtol=1e-4)
-    np.testing.assert_allclose(moved.orientation_nees, plain.orientation_nees, rtol=1e-4)
-    np.testing.assert_allclose(moved.position_sigma_m, plain.position_sigma_m, rtol=1e-6)
-    np.testing.assert_allclose(moved.position_error_m, plain.position_error_m, atol=1e-8)
+    transformed = consistency(truth, Alignment(rotation_z(yaw), np.array(t)).apply(estimate))
+    np.testing.assert_allclose(transformed.position_nees, plain.position_nees, rtol=1e-4)
+    np.testing.assert_allclose(transformed.orientation_nees, plain.orientation_nees, rtol=1e-4)
+    np.testing.assert_allclose(transformed.position_sigma_m, plain.position_sigma_m, rtol=1e-6)
+    np.testing.assert_allclose(transformed.position_error_m, plain.position_error_m, atol=1e-8)
 
 
 def test_the_anchor_aligns_the_first_pose_in_yaw_and_position() -> None:

@@ -75,12 +75,12 @@ def test_relative_errors_do_not_depend_on_the_gauge(
     truth, estimate = trajectory(seed), trajectory(seed + 1)
     pairs = pairs_after_time(truth.t_ns, 1.0)
     R = exp_so3(np.array(phi))
-    moved = (estimate.p_world_imu @ R.T + t, quat_wxyz_from_matrix(R @ estimate.rotations))
+    transformed = (estimate.p_world_imu @ R.T + t, quat_wxyz_from_matrix(R @ estimate.rotations))
     before = relative_errors(truth.p_world_imu, truth.quat_wxyz, estimate.p_world_imu, estimate.quat_wxyz, pairs)
     np.testing.assert_allclose(
-        relative_errors(truth.p_world_imu, truth.quat_wxyz, *moved, pairs), before, rtol=1e-6, atol=1e-9
+        relative_errors(truth.p_world_imu, truth.quat_wxyz, *transformed, pairs), before, rtol=1e-6, atol=1e-9
     )
-    assert np.max(relative_errors(estimate.p_world_imu, estimate.quat_wxyz, *moved, pairs)) < 1e-9
+    assert np.max(relative_errors(estimate.p_world_imu, estimate.quat_wxyz, *transformed, pairs)) < 1e-9
 
 
 def test_a_scale_error_is_in_proportion_to_the_distance() -> None:

@@ -56,9 +56,11 @@ def arrays(truth: Trajectory, estimate: Trajectory) -> tuple[Array, Array, Array
 def test_errors_by_length_do_not_depend_on_the_gauge(seed: int, yaw: float, t: tuple[float, ...]) -> None:
     truth = smooth_path(seed)
     estimate = disturbed(truth, seed + 1)
-    moved = Alignment(rotation_z(yaw), np.array(t)).apply(estimate)
-    by_length, by_length_moved = (errors_by_length(*arrays(truth, x), (20.0, 100.0)) for x in (estimate, moved))
-    for plain, other in zip(by_length, by_length_moved, strict=True):
+    transformed = Alignment(rotation_z(yaw), np.array(t)).apply(estimate)
+    by_length, by_length_transformed = (
+        errors_by_length(*arrays(truth, x), (20.0, 100.0)) for x in (estimate, transformed)
+    )
+    for plain, other in zip(by_length, by_length_transformed, strict=True):
         assert other.translation_m.rmse == pytest.approx(plain.translation_m.rmse, rel=1e-6)
         assert other.rotation_deg.max == pytest.approx(plain.rotation_deg.max, rel=1e-6)
         assert other.drift_percent.mean == pytest.approx(plain.drift_percent.mean, rel=1e-6)
@@ -234,8 +236,8 @@ def test_kitti_agrees_with_relative_errors(seed: int) -> None:
     assert found.segments == len(i)
     assert found.translation_percent == pytest.approx(metres.mean(), rel=1e-9)
     assert found.rotation_deg_per_100_m == pytest.approx(np.degrees(radians).mean(), rel=1e-6)
-    moved = Alignment(exp_so3(np.array([0.1, -0.4, 2.0])), np.array([5.0, 6.0, 7.0])).apply(estimate)
-    other = kitti_scores(matrices(truth), matrices(moved), lengths_m=(100.0,))
+    transformed = Alignment(exp_so3(np.array([0.1, -0.4, 2.0])), np.array([5.0, 6.0, 7.0])).apply(estimate)
+    other = kitti_scores(matrices(truth), matrices(transformed), lengths_m=(100.0,))
     assert other.ate_m == pytest.approx(found.ate_m, rel=1e-6)
     assert other.translation_percent == pytest.approx(found.translation_percent, rel=1e-9)
 

@@ -160,16 +160,16 @@ def test_nees_averaged_over_runs(covariance_factor: float, inside: float | None)
 def test_the_time_offset_is_estimated_on_request_only(seed: int, offset_s: float) -> None:
     truth = smooth_trajectory(seed)
     noise = np.random.default_rng(seed).normal(0.0, 0.01, (400, 3))
-    moved = Alignment(rotation_z(0.7), np.array([1.0, -2.0, 3.0])).apply(
+    transformed = Alignment(rotation_z(0.7), np.array([1.0, -2.0, 3.0])).apply(
         replace(truth, p_world_imu=truth.p_world_imu + noise, t_ns=truth.t_ns - round(offset_s * 1e9))
     )
-    found = estimate_time_offset_s(truth, moved)
+    found = estimate_time_offset_s(truth, transformed)
     assert found == pytest.approx(offset_s, abs=3e-3)
-    corrected = score(truth, moved, time_offset_s=found)
+    corrected = score(truth, transformed, time_offset_s=found)
     assert corrected.time_offset_s == found and corrected.ate_m.rmse < 0.02
-    assert score(truth, moved).time_offset_s == 0.0
+    assert score(truth, transformed).time_offset_s == 0.0
     if abs(offset_s) > 0.05:
-        assert score(truth, moved).ate_m.rmse > 2.0 * corrected.ate_m.rmse
+        assert score(truth, transformed).ate_m.rmse > 2.0 * corrected.ate_m.rmse
 
 
 def test_a_time_offset_that_cannot_be_estimated_is_refused() -> None:
