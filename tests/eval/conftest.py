@@ -65,12 +65,14 @@ class SyntheticRecording:
 
 @dataclass(frozen=True, eq=False)
 class SyntheticFlight:
-    """A recording, the run of an estimator on it, and the room around it."""
+    """A recording, the true trajectory behind it, the run of an estimator, and the room."""
 
     recording: SyntheticRecording
     truth: Trajectory
+    """True trajectory, also of a recording without ground truth."""
     run: EstimatorRun
     outline: npt.NDArray[np.float64]
+    """(L, 2, 3) Edges of the room in the world frame [m]."""
 
 
 def make_flight(duration_s: float = 6.0, size: tuple[int, int] = (376, 240), seed: int = 0) -> SyntheticFlight:
@@ -268,7 +270,7 @@ def read_rrd() -> ReadRrd:
 
 @pytest.fixture(scope="session")
 def decode_av1() -> DecodeAv1:
-    """Return a decoder of AV1 by dav1d, which the rerun viewer also uses."""
+    """Return a decoder of AV1 by dav1d."""
 
     def decode(samples: Iterable[bytes]) -> list[npt.NDArray[np.uint8]]:
         decoder = av.CodecContext.create("libdav1d", "r")

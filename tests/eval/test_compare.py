@@ -4,6 +4,7 @@ import math
 from collections.abc import Sequence
 from dataclasses import replace
 from typing import Any
+
 import numpy as np
 import pytest
 import scipy.stats
