@@ -22,6 +22,7 @@ if TYPE_CHECKING:
     from dronevio.models.protocols import Controller, Estimator, Plant, Recording, measurements
     from dronevio.models.quadrotor import Quadrotor, vehicle_named
     from dronevio.models.reconstruction import Reconstruction
+    from dronevio.models.reconstructions.formats import read_reconstruction, write_reconstruction
     from dronevio.models.rig import Rig, RigCamera, euroc_rig
     from dronevio.models.rig_presets import rig_named
     from dronevio.models.state import CameraFrame, Estimate, FeatureTracks, Health, HealthReport, NavState, Trajectory
@@ -54,8 +55,10 @@ __all__ = [
     "euroc_rig",
     "imu_named",
     "measurements",
+    "read_reconstruction",
     "rig_named",
     "vehicle_named",
+    "write_reconstruction",
 ]
 
 __getattr__, __dir__ = attach(
@@ -75,6 +78,7 @@ __getattr__, __dir__ = attach(
         "dronevio.models.protocols": ("Controller", "Estimator", "Plant", "Recording", "measurements"),
         "dronevio.models.quadrotor": ("Quadrotor", "vehicle_named"),
         "dronevio.models.reconstruction": ("Reconstruction",),
+        "dronevio.models.reconstructions.formats": ("read_reconstruction", "write_reconstruction"),
         "dronevio.models.rig": ("Rig", "RigCamera", "euroc_rig"),
         "dronevio.models.rig_presets": ("rig_named",),
         "dronevio.models.state": (

@@ -1,4 +1,4 @@
-"""Reading and atomic writing of text files, with errors that name the file."""
+"""Reading and atomic writing of files, with errors that name the file."""
 
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
@@ -18,16 +18,31 @@ def read_text(path: Path, expected: str) -> str:
         InputError: The file is missing, a folder, not readable or not encoded in UTF-8.
     """
     try:
-        return path.read_text(encoding="utf-8-sig")
-    except FileNotFoundError:
-        raise InputError(path, "no such file", expected) from None
-    except IsADirectoryError:
-        raise InputError(path, "a folder", expected) from None
+        text = read_bytes(path, expected).decode("utf-8-sig")
     except UnicodeDecodeError as error:
         line = error.object.count(b"\n", 0, error.start) + 1
         raise InputError(
             path, f"the byte 0x{error.object[error.start]:02x}, which is not UTF-8", expected, line
         ) from None
+    return text.replace("\r\n", "\n").replace("\r", "\n")
+
+
+def read_bytes(path: Path, expected: str) -> bytes:
+    """Return the contents of a file.
+
+    Args:
+        path: The file to read.
+        expected: Description of the expected content, for the error message.
+
+    Raises:
+        InputError: The file is missing, a folder or not readable.
+    """
+    try:
+        return path.read_bytes()
+    except FileNotFoundError:
+        raise InputError(path, "no such file", expected) from None
+    except IsADirectoryError:
+        raise InputError(path, "a folder", expected) from None
     except (OSError, ValueError) as error:  # ValueError: a NUL character in the name
         raise InputError(path, f"cannot be read ({error})", expected) from None
 
@@ -49,7 +64,16 @@ def first_row(path: Path, expected: str) -> str:
 
 
 def write_text(path: Path, text: str) -> None:
-    """Write a text file atomically: to a temporary file in the same folder, which then replaces the target.
+    r"""Write a text file in UTF-8 with line ends ``\n``, atomically; see `write_bytes`.
+
+    Raises:
+        InputError: The file cannot be written.
+    """
+    write_bytes(path, text.encode("utf-8"))
+
+
+def write_bytes(path: Path, content: bytes) -> None:
+    """Write a file atomically: to a temporary file in the same folder, which then replaces the target.
 
     Missing parent folders are created.
 
@@ -59,7 +83,7 @@ def write_text(path: Path, text: str) -> None:
     temporary = path.with_name(f".{path.name}.part")
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
-        temporary.write_text(text, encoding="utf-8", newline="\n")
+        temporary.write_bytes(content)
         temporary.replace(path)
     except OSError as error:
         raise InputError(path, f"cannot be written ({error})", "a place to write a file") from None

@@ -1,0 +1,41 @@
+"""Reconstructions of scenes as files: sparse models of COLMAP, files of Bundler, and point clouds in PLY."""
+
+from typing import TYPE_CHECKING
+
+from dronevio._lazy import attach
+
+if TYPE_CHECKING:
+    from dronevio.models.reconstructions.bundler import read_bundler, write_bundler
+    from dronevio.models.reconstructions.colmap import read_colmap, write_colmap
+    from dronevio.models.reconstructions.formats import (
+        ReconstructionFormat,
+        read_reconstruction,
+        write_reconstruction,
+    )
+    from dronevio.models.reconstructions.ply import read_ply, write_ply
+
+__all__ = [
+    "ReconstructionFormat",
+    "read_bundler",
+    "read_colmap",
+    "read_ply",
+    "read_reconstruction",
+    "write_bundler",
+    "write_colmap",
+    "write_ply",
+    "write_reconstruction",
+]
+
+__getattr__, __dir__ = attach(
+    __name__,
+    {
+        "dronevio.models.reconstructions.bundler": ("read_bundler", "write_bundler"),
+        "dronevio.models.reconstructions.colmap": ("read_colmap", "write_colmap"),
+        "dronevio.models.reconstructions.formats": (
+            "ReconstructionFormat",
+            "read_reconstruction",
+            "write_reconstruction",
+        ),
+        "dronevio.models.reconstructions.ply": ("read_ply", "write_ply"),
+    },
+)

@@ -1,0 +1,120 @@
+"""Camera models of COLMAP, and their conversion from and to ours.
+
+The centre of the first pixel is (0.5, 0.5) in COLMAP and (0, 0) here, so that principal points and observations differ
+by half a pixel. COLMAP's ``OPENCV`` is our ``radtan``, its ``OPENCV_FISHEYE`` our ``equidistant``; the others that are
+read are special cases of ``OPENCV``. Source: COLMAP's ``src/colmap/sensor/models.h``.
+"""
+
+from pathlib import Path
+
+from dronevio.models.camera import CameraModel
+from dronevio.models.errors import ConfigError, InputError
+from dronevio.models.reconstructions.parsing import check_image_size
+
+PIXEL_SHIFT = 0.5
+"""Coordinate of the centre of the first pixel in COLMAP minus that here [px]."""
+
+MODEL_IDS = {"SIMPLE_PINHOLE": 0, "PINHOLE": 1, "SIMPLE_RADIAL": 2, "RADIAL": 3, "OPENCV": 4, "OPENCV_FISHEYE": 5}
+"""Numbers of the supported models in binary files, by name."""
+
+PARAMETERS = {
+    "SIMPLE_PINHOLE": ("f", "cx", "cy"),
+    "PINHOLE": ("fx", "fy", "cx", "cy"),
+    "SIMPLE_RADIAL": ("f", "cx", "cy", "k1"),
+    "RADIAL": ("f", "cx", "cy", "k1", "k2"),
+    "OPENCV": ("fx", "fy", "cx", "cy", "k1", "k2", "p1", "p2"),
+    "OPENCV_FISHEYE": ("fx", "fy", "cx", "cy", "k1", "k2", "k3", "k4"),
+}
+"""Parameters of the supported models, in the order of the files."""
+
+_OTHER_MODELS = (
+    "FULL_OPENCV",
+    "FOV",
+    "SIMPLE_RADIAL_FISHEYE",
+    "RADIAL_FISHEYE",
+    "THIN_PRISM_FISHEYE",
+    "RAD_TAN_THIN_PRISM_FISHEYE",
+    "SIMPLE_DIVISION",
+    "DIVISION",
+    "SIMPLE_FISHEYE",
+    "FISHEYE",
+    "EUCM",
+    "EQUIRECTANGULAR",
+)
+"""Names of the models that are not supported; the first has the number 6."""
+_NAMES = {number: name for name, number in MODEL_IDS.items()} | dict(enumerate(_OTHER_MODELS, 6))
+
+
+def model_name(model_id: int) -> str:
+    """Return the name of a camera model, given its number in a binary file."""
+    return _NAMES.get(model_id, f"number {model_id}")
+
+
+def check_supported(path: Path, camera_id: int, name: str, line: int | None = None) -> None:
+    """Check that a camera model of COLMAP is one of those that are supported.
+
+    Raises:
+        InputError: The model is another one; the message names the camera and the supported models.
+    """
+    if name not in PARAMETERS:
+        raise InputError(path, f"camera {camera_id}: camera model {name[:40]}", f"one of {', '.join(PARAMETERS)}", line)
+
+
+def camera_from_colmap(
+    path: Path,
+    camera_id: int,
+    name: str,
+    size_px: tuple[int, int],
+    parameters: list[float],
+    line: int | None = None,
+) -> CameraModel:
+    """Return the camera model of a camera of COLMAP.
+
+    Args:
+        path: The file that contains the camera, for error messages.
+        camera_id: Number of the camera, for error messages.
+        name: Name of its model.
+        size_px: Width and height of the image [px].
+        parameters: Parameters in the order of `PARAMETERS`.
+        line: Line number of the camera in a text file.
+
+    Raises:
+        InputError: The model is not supported, or a value is invalid.
+    """
+    where = f"camera {camera_id}: "
+    check_supported(path, camera_id, name, line)
+    names = PARAMETERS[name]
+    if len(parameters) != len(names):
+        expected = f"{len(names)} parameters ({', '.join(names)})"
+        raise InputError(path, f"{where}{len(parameters)} parameters of {name}", expected, line)
+    check_image_size(path, *size_px, where, line)
+    p = dict(zip(names, parameters, strict=True))
+    fisheye = name == "OPENCV_FISHEYE"
+    k1, k2, k3, k4 = (p.get(key, 0.0) for key in ("k1", "k2", *(("k3", "k4") if fisheye else ("p1", "p2"))))
+    try:
+        return CameraModel(
+            width=size_px[0],
+            height=size_px[1],
+            fx=p["fx"] if "fx" in p else p["f"],
+            fy=p["fy"] if "fy" in p else p["f"],
+            cx=p["cx"] - PIXEL_SHIFT,
+            cy=p["cy"] - PIXEL_SHIFT,
+            distortion=(k1, k2, k3, k4),
+            lens="equidistant" if fisheye else "radtan",
+        )
+    except ConfigError as error:
+        found, _, expected = str(error).partition("; expected ")
+        raise InputError(path, where + found, expected, line) from None
+
+
+def camera_to_colmap(camera: CameraModel) -> tuple[str, list[float]]:
+    """Return the name and the parameters of the model of COLMAP that equals a camera.
+
+    It is ``PINHOLE`` for a ``radtan`` lens without distortion.
+    """
+    parameters = [camera.fx, camera.fy, camera.cx + PIXEL_SHIFT, camera.cy + PIXEL_SHIFT]
+    if camera.lens == "equidistant":
+        return "OPENCV_FISHEYE", [*parameters, *camera.distortion]
+    if any(camera.distortion):
+        return "OPENCV", [*parameters, *camera.distortion]
+    return "PINHOLE", parameters

@@ -1,0 +1,69 @@
+"""Reading and writing of reconstructions in any supported format, which is recognized when a file is read."""
+
+from pathlib import Path
+from typing import Literal, get_args
+
+from dronevio.models.errors import ConfigError, InputError
+from dronevio.models.reconstruction import Reconstruction
+from dronevio.models.reconstructions.bundler import HEADER, read_bundler, write_bundler
+from dronevio.models.reconstructions.colmap import is_colmap, read_colmap, write_colmap
+from dronevio.models.reconstructions.ply import MAGIC, read_ply, write_ply
+
+ReconstructionFormat = Literal["colmap-text", "colmap-binary", "bundler", "ply"]
+"""Names of the formats that `write_reconstruction` writes."""
+
+_EXPECTED = "a folder of a COLMAP model, a file of Bundler (v0.3) or a PLY file"
+
+
+def read_reconstruction(path: Path | str) -> Reconstruction:
+    """Read a reconstruction, whose format is recognized from the contents of the path.
+
+    Args:
+        path: A folder that contains a sparse model of COLMAP or a ``bundle.out``, a file of Bundler, or a PLY file.
+
+    Raises:
+        InputError: The path is none of these, or is damaged.
+    """
+    path = Path(path)
+    if path.is_dir():
+        if is_colmap(path):
+            return read_colmap(path)
+        if (path / "bundle.out").is_file():
+            return read_bundler(path / "bundle.out")
+        raise InputError(path, "a folder without images.bin, images.txt and bundle.out", _EXPECTED)
+    try:
+        with path.open("rb") as file:
+            start = file.read(64)
+    except FileNotFoundError:
+        raise InputError(path, "no such file or folder", _EXPECTED) from None
+    except (OSError, ValueError) as error:  # ValueError: a NUL character in the name
+        raise InputError(path, f"cannot be read ({error})", _EXPECTED) from None
+    if start.startswith(HEADER.encode("ascii")):
+        return read_bundler(path)
+    if start.startswith((MAGIC + b"\n", MAGIC + b"\r\n")):
+        return read_ply(path)
+    raise InputError(path, "a file of another format", _EXPECTED)
+
+
+def write_reconstruction(reconstruction: Reconstruction, path: Path | str, format: ReconstructionFormat) -> None:
+    """Write a reconstruction.
+
+    Args:
+        reconstruction: The reconstruction to write.
+        path: A folder for the formats of COLMAP, a file for the others.
+        format: ``colmap-text``, ``colmap-binary``, ``bundler`` (and a list of the images beside it) or ``ply`` (only
+            the points, binary).
+
+    Raises:
+        InputError: The path cannot be written to, or has files of another model.
+        ConfigError: The format is unknown or cannot represent a camera of the reconstruction.
+    """
+    path = Path(path)
+    if format in ("colmap-text", "colmap-binary"):
+        write_colmap(path, reconstruction, binary=format == "colmap-binary")
+    elif format == "bundler":
+        write_bundler(path, reconstruction)
+    elif format == "ply":
+        write_ply(path, reconstruction)
+    else:
+        raise ConfigError(f"format {format!r}; expected one of {', '.join(get_args(ReconstructionFormat))}")
