@@ -1,4 +1,4 @@
-"""How biases wander, against the closed forms of Allan variance (IEEE 952; Riley, NIST SP 1065)."""
+"""Random walks and flicker noise of biases against the forms of Allan variance (IEEE 952; Riley, NIST SP 1065)."""
 
 from dataclasses import replace
 
@@ -14,13 +14,13 @@ from dronevio.sim.inertial.imu import ImuErrors
 MINUTE_NS = 60_000_000_000
 
 
-def still(count: int, step_ns: int) -> ImuSamples:
+def stationary_samples(count: int, step_ns: int) -> ImuSamples:
     return ImuSamples(np.arange(count, dtype=np.int64) * step_ns, np.zeros((count, 3)), np.zeros((count, 3)))
 
 
-def test_biases_of_a_thousand_hours_spread_as_walks_do() -> None:
-    """The walk depends on the time that has gone by, not on how often one looks."""
-    minutes, rng = still(61, MINUTE_NS), np.random.default_rng(0)
+def test_bias_variance_grows_linearly_with_time() -> None:
+    """The random walk depends on the elapsed time, not on the number of samples."""
+    minutes, rng = stationary_samples(61, MINUTE_NS), np.random.default_rng(0)
     hours = [np.hstack(ImuErrors(EUROC_IMU, rng).add_to(minutes)[1:]) for _ in range(1000)]
     walks = np.stack(hours) / np.repeat([EUROC_IMU.gyro_random_walk, EUROC_IMU.accel_random_walk], 3)
     walks = walks - walks[:, :1]
@@ -50,15 +50,15 @@ def expected_variance(
     white = (noise**2 + step**2 / 12.0 * step_s) / tau
     r = np.exp(-step_s / FLICKER_TIMES_S)  # a process from one sample to the next
     r_m = np.exp(-tau[:, None] / FLICKER_TIMES_S)
-    of_a_mean = m[:, None] * (1.0 + r) / (1.0 - r) - 2.0 * r * (1.0 - r_m) / (1.0 - r) ** 2
-    of_neighbours = r * (1.0 - r_m) ** 2 / (1.0 - r) ** 2
-    markov = (of_a_mean - of_neighbours) / m[:, None] ** 2
+    mean_term = m[:, None] * (1.0 + r) / (1.0 - r) - 2.0 * r * (1.0 - r_m) / (1.0 - r) ** 2
+    covariance_term = r * (1.0 - r_m) ** 2 / (1.0 - r) ** 2
+    markov = (mean_term - covariance_term) / m[:, None] ** 2
     flicker = (floor / FLICKER_FLOOR) ** 2 * FLICKER_SHARE * markov.sum(axis=1)
     return white, flicker, walk**2 * tau / 3.0 * (1.0 + 0.5 / m**2)
 
 
 def degrees_of_freedom(n: int, m: np.ndarray) -> np.ndarray:
-    """Return those of the overlapping estimate (M,) under white, flicker or walk, the fewest (SP 1065, table 5)."""
+    """Return the fewest degrees of freedom (M,) of the estimate over three noise types (SP 1065, table 5)."""
     n_angles = n + 1
     white = (3.0 * (n_angles - 1) / (2.0 * m) - 2.0 * (n_angles - 2) / n_angles) * 4.0 * m**2 / (4.0 * m**2 + 5.0)
     flicker = 5.0 * n_angles**2 / (4.0 * m * (n_angles + 3.0 * m))
@@ -67,21 +67,21 @@ def degrees_of_freedom(n: int, m: np.ndarray) -> np.ndarray:
 
 
 def curve_and_band(model: ImuModel, seed: int, hours: float) -> list[tuple[np.ndarray, np.ndarray, np.ndarray]]:
-    """Return an Allan curve by its expectation (M, 3), and its 95 % band (M, 1), of gyroscope and accelerometer.
+    """Return the Allan variances of both sensors over their expectation (M, 3), and the bounds (M,) of their 95 % band.
 
-    The band is that of the whole curve: each of its M points has its share of the 5 %.
+    The band is that of the whole curve: each of its M points has an equal share of the 5 %.
     """
     step_s = 1.0 / model.rate_hz
     n = round(hours * 3600.0 / step_s)
-    measured = ImuErrors(model, np.random.default_rng(seed)).add_to(still(n, round(1e9 * step_s)))[0]
+    measured = ImuErrors(model, np.random.default_rng(seed)).add_to(stationary_samples(n, round(1e9 * step_s)))[0]
     m = 2 ** np.arange(int(np.log2(n / 8)))
     curves = []
     for kind, rate in (("gyro", measured.gyro_rad_s), ("accel", measured.accel_m_s2)):
         parts = expected_variance(model, kind, m, step_s)
-        seen = np.stack([allan_variance(rate, int(k), step_s) for k in m]) / np.sum(parts, axis=0)[:, None]
+        ratio = np.stack([allan_variance(rate, int(k), step_s) for k in m]) / np.sum(parts, axis=0)[:, None]
         freedom = degrees_of_freedom(n, m)
         tail = 0.025 / len(m)
-        curves.append((seen, chi2.ppf(tail, freedom) / freedom, chi2.ppf(1.0 - tail, freedom) / freedom))
+        curves.append((ratio, chi2.ppf(tail, freedom) / freedom, chi2.ppf(1.0 - tail, freedom) / freedom))
     return curves
 
 
@@ -89,10 +89,10 @@ SLOW = replace(ADIS16448, rate_hz=20.0)
 
 
 @pytest.mark.parametrize("model", [SLOW, replace(TACTICAL, rate_hz=20.0)], ids=["ADIS16448", "tactical"])
-def test_the_allan_curve_lies_in_its_band(model: ImuModel) -> None:
-    for seen, low, high in curve_and_band(model, 1, 6.0):
-        assert len(seen) == 15  # 50 ms to 14 minutes
-        assert np.all((seen > low[:, None]) & (seen < high[:, None]))
+def test_allan_variance_is_within_its_confidence_band(model: ImuModel) -> None:
+    for ratio, low, high in curve_and_band(model, 1, 6.0):
+        assert len(ratio) == 15  # 50 ms to 14 minutes
+        assert np.all((ratio > low[:, None]) & (ratio < high[:, None]))
 
 
 @pytest.mark.parametrize(
@@ -104,39 +104,39 @@ def test_the_allan_curve_lies_in_its_band(model: ImuModel) -> None:
     ],
     ids=["noise", "instability", "walk"],
 )
-def test_another_curve_leaves_the_band(wrong: dict[str, float]) -> None:
-    """The band is narrow enough to tell: 5 % of white noise, half of the floor."""
+def test_wrong_noise_leaves_the_confidence_band(wrong: dict[str, float]) -> None:
+    """The band excludes an error of 5 % of the white noise, or of 60 % of the bias instability."""
     other = replace(SLOW, **{name: factor * getattr(SLOW, name) for name, factor in wrong.items()})
     step_s = 1.0 / SLOW.rate_hz
-    for kind, (seen, low, high) in zip(("gyro", "accel"), curve_and_band(other, 1, 6.0), strict=True):
-        m = 2 ** np.arange(len(seen))
+    for kind, (ratio, low, high) in zip(("gyro", "accel"), curve_and_band(other, 1, 6.0), strict=True):
+        m = 2 ** np.arange(len(ratio))
         other_variance, variance = (np.sum(expected_variance(one, kind, m, step_s), axis=0) for one in (other, SLOW))
-        scaled = seen * (other_variance / variance)[:, None]
+        scaled = ratio * (other_variance / variance)[:, None]
         assert not np.all((scaled > low[:, None]) & (scaled < high[:, None]))
 
 
-def test_flicker_has_a_flat_floor_where_it_says() -> None:
+def test_flicker_noise_has_the_stated_bias_instability() -> None:
     """The sum of processes a decade apart is flat within a few per cent between the first and the last of them."""
     model = replace(SLOW, gyro_noise_density=0.0, gyro_random_walk=0.0, gyro_resolution_rad_s=0.0)
     _, flicker, _ = expected_variance(model, "gyro", np.geomspace(20.0, 2e4, 50), 0.05)  # 1 to 1000 s
     np.testing.assert_allclose(np.sqrt(flicker), model.gyro_bias_instability_rad_s, rtol=0.05)
 
 
-def test_flicker_does_not_depend_on_how_time_is_cut() -> None:
-    """Whatever the batches and the gaps between samples, its spread stays and it is remembered as it should be."""
+def test_flicker_noise_does_not_depend_on_the_batches() -> None:
+    """Variance and autocorrelation are the same for all batches and gaps between samples."""
     model = replace(EUROC_IMU, gyro_random_walk=0.0, gyro_turn_on_bias_rad_s=0.0, gyro_bias_instability_rad_s=1.0)
     variance = len(FLICKER_TIMES_S) * FLICKER_SHARE / FLICKER_FLOOR**2
     t_ns = np.cumsum(np.array([0, 1, 10, 100, 1_000, 3_000, 60_000, 400_000, 5_000]) * 1_000_000)
-    looks = ImuSamples(t_ns, np.zeros((9, 3)), np.zeros((9, 3)))
+    samples = ImuSamples(t_ns, np.zeros((9, 3)), np.zeros((9, 3)))
     rng = np.random.default_rng(2)
-    at_once = np.stack([ImuErrors(model, rng).add_to(looks)[1] for _ in range(2000)])
+    at_once = np.stack([ImuErrors(model, rng).add_to(samples)[1] for _ in range(2000)])
     cut = []
     for _ in range(2000):
         errors = ImuErrors(model, rng)
-        cut.append(np.concatenate([errors.add_to(looks[k : k + 1])[1] for k in range(9)]))
+        cut.append(np.concatenate([errors.add_to(samples[k : k + 1])[1] for k in range(9)]))
     gaps_s = np.diff(t_ns) * 1e-9
     for biases in (at_once, np.stack(cut)):
         np.testing.assert_allclose(biases.var(axis=(0, 2)), variance, rtol=0.06)
-        remembered = np.exp(-gaps_s / FLICKER_TIMES_S[:, None]).mean(axis=0)
+        autocorrelation = np.exp(-gaps_s / FLICKER_TIMES_S[:, None]).mean(axis=0)
         products = (biases[:, 1:] * biases[:, :-1]).mean(axis=(0, 2)) / variance
-        np.testing.assert_allclose(products, remembered, atol=0.05)
+        np.testing.assert_allclose(products, autocorrelation, atol=0.05)

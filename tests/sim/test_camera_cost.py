@@ -1,4 +1,4 @@
-"""The measurement of the camera's cost: it compares like with like."""
+"""The measured cost of a camera is relative to that of MuJoCo's renderer with the same images."""
 
 import mujoco
 import numpy as np
@@ -12,8 +12,8 @@ from dronevio.sim.cameras.camera import OffscreenCamera
 from dronevio.sim.envs.camera_observation import scaled
 
 
-def lit_by_itself() -> mujoco.MjModel:
-    """Return a world with a glowing ball and one that only lamps would show."""
+def emissive_model() -> mujoco.MjModel:
+    """Return a model of two spheres, one of them emissive and the other without any light on it."""
     spec = mujoco.MjSpec()
     spec.add_material(name="glow", rgba=[1.0, 1.0, 1.0, 1.0], emission=0.8)
     for x, material in ((-0.5, "glow"), (0.5, "")):
@@ -24,26 +24,26 @@ def lit_by_itself() -> mujoco.MjModel:
 
 
 @pytest.mark.parametrize("camera", [EUROC_CAM0, TUM_VI_CAMERA])
-def test_the_bare_renderer_draws_the_same(camera: CameraModel, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_both_renderers_draw_the_same_images(camera: CameraModel, monkeypatch: pytest.MonkeyPatch) -> None:
     drawn: list[np.ndarray] = []
-    bare_render = mujoco.Renderer.render
+    original_render = mujoco.Renderer.render
 
-    def kept(renderer: mujoco.Renderer) -> np.ndarray:
-        drawn.append(bare_render(renderer))
+    def recording_render(renderer: mujoco.Renderer) -> np.ndarray:
+        drawn.append(original_render(renderer))
         return drawn[-1]
 
-    monkeypatch.setattr(mujoco.Renderer, "render", kept)
+    monkeypatch.setattr(mujoco.Renderer, "render", recording_render)
     small = scaled(camera, 0.25)
-    model = lit_by_itself()
+    model = emissive_model()
     size_before = model.vis.global_.offwidth, model.vis.global_.offheight
     cost = measured.camera_cost(model, small, np.eye(4)[None])
     assert (model.vis.global_.offwidth, model.vis.global_.offheight) == size_before
     assert cost.camera_ms > 0.0
     assert cost.bare_ms > 0.0
     assert cost.ratio == cost.camera_ms / cost.bare_ms
-    with OffscreenCamera(model, small) as eye:
-        atlas = eye._renderer.colours(np.eye(4))[::-1]
-        views = eye.views.views
+    with OffscreenCamera(model, small) as offscreen:
+        atlas = offscreen._renderer.colours(np.eye(4))[::-1]
+        views = offscreen.views.views
     assert cost.drawn_pixels == sum(image.shape[0] * image.shape[1] for image in drawn[-len(views) :])
     for view, image in zip(views, drawn[-len(views) :], strict=True):
         ours = atlas[atlas.shape[0] - view.height :, view.column : view.column + view.width]

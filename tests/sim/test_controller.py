@@ -30,7 +30,7 @@ def hovering(seconds: float, yaw_rad: float = 0.0) -> Reference:
     return Reference(t_ns, zero + TARGET, zero, zero, np.full(n, yaw_rad), zero, zero, np.ones(n, dtype=bool))
 
 
-def test_mixer_gives_what_is_asked_where_it_can() -> None:
+def test_mixer_inverts_the_allocation_within_the_limits() -> None:
     rng = np.random.default_rng(0)
     for _ in range(100):
         thrust, torque = WEIGHT_N * rng.uniform(0.7, 1.5), rng.uniform(-1, 1, 3) * [0.3, 0.3, 0.03]
@@ -38,28 +38,28 @@ def test_mixer_gives_what_is_asked_where_it_can() -> None:
         np.testing.assert_allclose(wrench, [thrust, *torque], atol=1e-9)
 
 
-def test_mixer_gives_up_yaw_first() -> None:
+def test_mixer_reduces_the_yaw_torque_first() -> None:
     thrust, torque = 1.5 * WEIGHT_N, np.array([0.5, -0.3, 5.0])
-    got = QUAD.allocation @ MIXER.speeds(thrust, torque) ** 2
-    np.testing.assert_allclose(got[:3], [thrust, 0.5, -0.3], atol=1e-9)
-    assert 0.0 < got[3] < 5.0
+    wrench = QUAD.allocation @ MIXER.speeds(thrust, torque) ** 2
+    np.testing.assert_allclose(wrench[:3], [thrust, 0.5, -0.3], atol=1e-9)
+    assert 0.0 < wrench[3] < 5.0
 
 
-def test_mixer_gives_up_thrust_before_tilt() -> None:
+def test_mixer_reduces_thrust_before_roll_and_pitch() -> None:
     for thrust in (0.0, 10.0 * WEIGHT_N):
-        got = QUAD.allocation @ MIXER.speeds(thrust, np.array([1.0, 0.5, 0.0])) ** 2
-        np.testing.assert_allclose(got[1:], [1.0, 0.5, 0.0], atol=1e-9)
+        wrench = QUAD.allocation @ MIXER.speeds(thrust, np.array([1.0, 0.5, 0.0])) ** 2
+        np.testing.assert_allclose(wrench[1:], [1.0, 0.5, 0.0], atol=1e-9)
 
 
-def test_mixer_never_leaves_the_rotors_range() -> None:
+def test_mixer_respects_the_range_of_rotor_speeds() -> None:
     rng = np.random.default_rng(1)
     for _ in range(300):
         speeds = MIXER.speeds(rng.uniform(-50, 200), rng.normal(size=3) * 20.0)
         assert np.all((speeds >= LOWEST - 1e-9) & (speeds <= HIGHEST + 1e-9))
 
 
-def flown(plant: QuadrotorPlant, reference: Reference, drone: Quadrotor) -> np.ndarray:
-    """Fly a reference with a controller that believes in a drone, and return the poses (N, 4, 4)."""
+def fly_reference(plant: QuadrotorPlant, reference: Reference, drone: Quadrotor) -> np.ndarray:
+    """Fly a reference with a controller that is designed for a drone, and return the poses (N, 4, 4)."""
     controller = SE3Controller(reference, plant.rig.T_vehicle_imu, drone)
     for t_ns in reference.t_ns[:-1].tolist():
         plant.advance(t_ns + plant.interval_ns, controller.command(plant.state(), t_ns))
@@ -73,7 +73,7 @@ def test_recovers_from_any_tilt_and_heading(name: str, angle: list[float]) -> No
     plant = QuadrotorPlant(euroc_rig(), drone)
     start = pose_matrix(exp_so3(np.array(angle)), TARGET + [0.5, -0.4, 0.3])
     plant.reset(start, rotor_speeds_rad_s=np.full(4, drone.hover_speed_rad_s))
-    end = flown(plant, hovering(6.0, yaw_rad=0.3), drone)[-1]
+    end = fly_reference(plant, hovering(6.0, yaw_rad=0.3), drone)[-1]
     np.testing.assert_allclose(end[:3, 3], TARGET, atol=0.01)
     np.testing.assert_allclose(end[:3, :3], exp_so3(np.array([0.0, 0.0, 0.3])), atol=0.01)
 
@@ -83,38 +83,38 @@ def test_a_steady_wind_leaves_no_position_error(name: str) -> None:
     drone = VEHICLES[name]
     plant = QuadrotorPlant(euroc_rig(), drone, wind=Wind((-2.0, 3.0, 0.5)))
     plant.reset(pose_matrix(np.eye(3), TARGET), rotor_speeds_rad_s=np.full(4, drone.hover_speed_rad_s))
-    end = flown(plant, hovering(6.0), drone)[-1]
+    end = fly_reference(plant, hovering(6.0), drone)[-1]
     np.testing.assert_allclose(end[:3, 3], TARGET, atol=2e-3)
     assert end[0, 2] > 0.02 and end[1, 2] < -0.03  # into the wind
 
 
 @pytest.mark.parametrize("name", VEHICLES)
 @pytest.mark.parametrize("change", [{"mass_kg": 1.15}, {"thrust_n_per_rad2_s2": 0.88}, {"rotor_time_constant_s": 1.3}])
-def test_a_wrong_idea_of_the_drone_is_made_up_for(name: str, change: dict[str, float]) -> None:
+def test_errors_of_the_vehicle_model_are_compensated(name: str, change: dict[str, float]) -> None:
     drone = VEHICLES[name]
     true = replace(drone, **{field: share * getattr(drone, field) for field, share in change.items()})
     plant = QuadrotorPlant(euroc_rig(), true)
     plant.reset(pose_matrix(np.eye(3), TARGET), rotor_speeds_rad_s=np.full(4, drone.hover_speed_rad_s))
-    poses = flown(plant, hovering(6.0), drone)
+    poses = fly_reference(plant, hovering(6.0), drone)
     np.testing.assert_allclose(poses[-1, :3, 3], TARGET, atol=5e-3)
     assert np.abs(poses[:, :3, 3] - TARGET).max() < 0.3
 
 
-def test_an_observer_is_as_fast_as_its_poles_within_its_limit() -> None:
-    observer, pole, push = DisturbanceObserver(8.0, 3.0), 8.0, np.array([1.0, -2.0, 9.0])
+def test_disturbance_observer_has_its_poles_and_its_limit() -> None:
+    observer, pole, disturbance_m_s2 = DisturbanceObserver(8.0, 3.0), 8.0, np.array([1.0, -2.0, 9.0])
     velocity, found = np.zeros(3), []
     for _ in range(400):
         observer.update(velocity, np.array([0.0, 0.0, 0.5]), 5e-3)
-        velocity = velocity + 5e-3 * (push + [0.0, 0.0, 0.5])
+        velocity = velocity + 5e-3 * (disturbance_m_s2 + [0.0, 0.0, 0.5])
         found.append(observer.disturbance)
     t = 5e-3 * np.arange(400)
     step = 1.0 - (1.0 + pole * t) * np.exp(-pole * t)  # of a double pole
-    np.testing.assert_allclose(np.array(found)[:, :2], step[:, None] * push[:2], atol=0.05)
+    np.testing.assert_allclose(np.array(found)[:, :2], step[:, None] * disturbance_m_s2[:2], atol=0.05)
     np.testing.assert_allclose(found[-1], [1.0, -2.0, 3.0], rtol=1e-3)
 
 
-def test_slow_rotors_are_led_and_quick_ones_are_not() -> None:
-    for drone, led in ((QUAD, False), (VEHICLES["nano"], True)):
+def test_lead_compensation_of_slow_rotors_only() -> None:
+    for drone, compensated in ((QUAD, False), (VEHICLES["nano"], True)):
         drive, rotors = RotorDrive(drone, 0.03, drone.hover_speed_rad_s), Rotors(drone)
         state = rotors.steady_state(drive.speeds_rad_s)
         wanted = 1.05 * drive.speeds_rad_s
@@ -123,16 +123,17 @@ def test_slow_rotors_are_led_and_quick_ones_are_not() -> None:
             commands.append(drive.towards(wanted, 5e-3))
             state = rotors.step(state, commands[-1], 5e-3)
         reached = (state.speed_rad_s - drone.hover_speed_rad_s) / (0.05 * drone.hover_speed_rad_s)
-        np.testing.assert_allclose(reached, 1.0 - np.exp(-1.0), rtol=1e-6)  # after 30 ms, whatever the rotors' own lag
+        # After 30 ms, with any time constant of the rotors
+        np.testing.assert_allclose(reached, 1.0 - np.exp(-1.0), rtol=1e-6)
         np.testing.assert_allclose(drive.speeds_rad_s, state.speed_rad_s, rtol=1e-9)
-        assert bool(np.all(commands[0] > 1.01 * wanted)) is led
+        assert bool(np.all(commands[0] > 1.01 * wanted)) is compensated
 
 
-def test_a_turn_on_the_spot_neither_overshoots_nor_lags() -> None:
-    """The rotors' spin-up turns the drone before their drag does; the controller counts with both."""
+def test_a_yaw_step_neither_overshoots_nor_lags() -> None:
+    """The controller accounts for the reaction to rotor acceleration as well as for rotor drag."""
     plant = QuadrotorPlant(euroc_rig())
     plant.reset(pose_matrix(np.eye(3), TARGET), rotor_speeds_rad_s=np.full(4, QUAD.hover_speed_rad_s))
-    poses = flown(plant, hovering(3.0, yaw_rad=0.5), QUAD)
+    poses = fly_reference(plant, hovering(3.0, yaw_rad=0.5), QUAD)
     yaw = np.arctan2(poses[:, 1, 0], poses[:, 0, 0])
     assert yaw.max() < 0.55
     assert yaw[200] > 0.4
@@ -140,22 +141,23 @@ def test_a_turn_on_the_spot_neither_overshoots_nor_lags() -> None:
     np.testing.assert_allclose(poses[:, :3, 3], np.tile(TARGET, (len(poses), 1)), atol=0.02)
 
 
-def test_at_the_target_it_carries_the_weight() -> None:
+def test_command_at_the_target_is_hover() -> None:
     rig = euroc_rig()
     plant = QuadrotorPlant(rig)
     plant.reset(pose_matrix(np.eye(3), TARGET))
     command = SE3Controller(hovering(1.0), rig.T_vehicle_imu).command(plant.state(), 0)
-    np.testing.assert_allclose(command, QUAD.hover_speed_rad_s, rtol=1e-5)  # 20 m up the ground still helps a little
+    # At 20 m the ground effect is small but not zero
+    np.testing.assert_allclose(command, QUAD.hover_speed_rad_s, rtol=1e-5)
 
 
-def test_what_a_spinning_body_does_by_itself_is_counted_with() -> None:
+def test_gyroscopic_torque_is_compensated() -> None:
     rig = euroc_rig()
     plant = QuadrotorPlant(rig)
     plant.reset(pose_matrix(np.eye(3), TARGET), rate_rad_s=np.array([2.0, 0.0, 3.0]))
     command = SE3Controller(hovering(1.0), rig.T_vehicle_imu).command(plant.state(), 0)
     x, _, z = QUAD.inertia_kg_m2
     torque = QUAD.allocation[1:] @ command**2
-    np.testing.assert_allclose(torque[1], (x - z) * 2.0 * 3.0, rtol=1e-2)  # of Ω × IΩ, about y, where it rests
+    np.testing.assert_allclose(torque[1], (x - z) * 2.0 * 3.0, rtol=1e-2)  # of Ω × IΩ about y, where the rate is zero
     assert torque[0] < -0.1 and torque[2] < 0.0
 
 

@@ -25,17 +25,17 @@ def hover(request: pytest.FixtureRequest) -> Iterator[gymnasium.Env[Any, Any]]:
 
 
 def rollout(env: gymnasium.Env[Any, Any], seed: int, steps: int) -> list[bytes]:
-    """Return everything that an agent with fixed habits gets to see."""
+    """Return the observations and rewards of a fixed sequence of actions as bytes."""
     actions = np.random.default_rng(seed).uniform(-0.1, 0.1, (steps, 4)).astype(np.float32)
     observation, _ = env.reset(seed=seed)
-    seen = [b"".join(v.tobytes() for v in observation.values())]
+    outputs = [b"".join(v.tobytes() for v in observation.values())]
     for action in actions:
         observation, reward, *_ = env.step(action)
-        seen.append(b"".join(v.tobytes() for v in observation.values()) + np.float64(reward).tobytes())
-    return seen
+        outputs.append(b"".join(v.tobytes() for v in observation.values()) + np.float64(reward).tobytes())
+    return outputs
 
 
-def test_gymnasiums_own_checks_find_nothing(hover: gymnasium.Env[Any, Any]) -> None:
+def test_check_env_reports_nothing(hover: gymnasium.Env[Any, Any]) -> None:
     check_env(hover.unwrapped)  # a warning is an error in these tests
 
 
@@ -45,24 +45,24 @@ def test_rollouts_repeat_to_the_byte(hover: gymnasium.Env[Any, Any]) -> None:
     assert all(a != b for a, b in zip(first, other, strict=True))
 
 
-def test_two_at_once_do_not_disturb_each_other(hover: gymnasium.Env[Any, Any]) -> None:
-    alone = rollout(hover, 3, 6)
+def test_environments_are_independent(hover: gymnasium.Env[Any, Any]) -> None:
+    expected = rollout(hover, 3, 6)
     other = gymnasium.make(ID, render_mode="rgb_array", camera=True, world_seed=0)
     observation, _ = hover.reset(seed=3)
-    seen = [b"".join(v.tobytes() for v in observation.values())]
+    outputs = [b"".join(v.tobytes() for v in observation.values())]
     other.reset(seed=9)
     for action in np.random.default_rng(3).uniform(-0.1, 0.1, (6, 4)).astype(np.float32):
         other.step(-action)
         other.render()
         observation, reward, *_ = hover.step(action)
-        seen.append(b"".join(v.tobytes() for v in observation.values()) + np.float64(reward).tobytes())
+        outputs.append(b"".join(v.tobytes() for v in observation.values()) + np.float64(reward).tobytes())
     other.close()
-    observation, *_ = hover.step(np.zeros(4, np.float32))  # the other's end is not this one's
-    assert seen == alone
+    observation, *_ = hover.step(np.zeros(4, np.float32))  # closing one environment does not close the other
+    assert outputs == expected
     assert observation in hover.observation_space
 
 
-def test_pictures_show_the_drone_move(hover: gymnasium.Env[Any, Any]) -> None:
+def test_rendered_images_show_the_motion(hover: gymnasium.Env[Any, Any]) -> None:
     hover.reset(seed=0)
     before: Any = hover.render()
     for _ in range(5):
@@ -80,12 +80,12 @@ def test_the_camera_sees_the_room() -> None:
         assert observation["image"].std() > 15.0
 
 
-def test_both_ways_of_making_it() -> None:
+def test_environment_can_be_made_by_module_and_id() -> None:
     with gymnasium.make("dronevio.envs:dronevio/Hover-v0") as env:
         assert isinstance(env.unwrapped, Hover)
 
 
-def test_no_action_holds_the_height_for_a_moment() -> None:
+def test_zero_action_is_hover_thrust() -> None:
     env = Hover()
     observation, _ = env.reset(seed=1)
     start = observation["position"].copy()
@@ -130,7 +130,7 @@ def test_a_fall_ends_the_episode() -> None:
     assert 0.0 <= float(reward) < 0.2
 
 
-def test_turning_over_ends_the_episode() -> None:
+def test_an_inverted_drone_ends_the_episode() -> None:
     env = Hover()
     env.reset(seed=0)
     for _ in range(60):
@@ -156,7 +156,7 @@ def test_rewards_are_best_at_the_target() -> None:
 
 
 def test_a_simple_controller_survives_until_the_time_limit() -> None:
-    """The state observation suffices to hover: tilt towards the target, damp, mix."""
+    """The state observation suffices for a PD controller to hover."""
     env = gymnasium.make(ID)
     observation, _ = env.reset(seed=2)
     mix = np.array([[1, -1, -1, -1], [1, 1, 1, -1], [1, 1, -1, 1], [1, -1, 1, 1]], dtype=np.float64)
@@ -165,12 +165,15 @@ def test_a_simple_controller_survives_until_the_time_limit() -> None:
     while not truncated:
         w, x, y, z = observation["orientation"].astype(float)
         rate = T_vehicle_imu @ observation["imu"][-1, :3]
-        wish = -1.0 * observation["position"] - 1.2 * observation["velocity"]
+        wanted = -1.0 * observation["position"] - 1.2 * observation["velocity"]
         yaw = 2.0 * np.arctan2(z, w)
-        ahead, left = wish[0] * np.cos(yaw) + wish[1] * np.sin(yaw), wish[1] * np.cos(yaw) - wish[0] * np.sin(yaw)
+        ahead, left = (
+            wanted[0] * np.cos(yaw) + wanted[1] * np.sin(yaw),
+            wanted[1] * np.cos(yaw) - wanted[0] * np.sin(yaw),
+        )
         tilt = np.clip([-left / 9.81, ahead / 9.81], -0.3, 0.3) - 2.0 * np.array([x, y]) * np.sign(w)
         torque = np.array([*(0.4 * tilt - 0.08 * rate[:2]), -0.2 * yaw - 0.2 * rate[2]])
-        action = np.clip(mix @ [0.1 * wish[2], *torque], -1.0, 1.0).astype(np.float32)
+        action = np.clip(mix @ [0.1 * wanted[2], *torque], -1.0, 1.0).astype(np.float32)
         observation, reward, terminated, truncated, _ = env.step(action)
         assert not terminated
         total, steps = total + float(reward), steps + 1
@@ -179,7 +182,7 @@ def test_a_simple_controller_survives_until_the_time_limit() -> None:
     assert np.linalg.norm(observation["position"]) < 0.2
 
 
-def test_vector_environments_work() -> None:
+def test_vector_environment_has_independent_states() -> None:
     envs = gymnasium.make_vec(ID, num_envs=2, vectorization_mode="sync")
     observation, _ = envs.reset(seed=0)
     assert observation["position"].shape == (2, 3)
@@ -188,7 +191,7 @@ def test_vector_environments_work() -> None:
 
 
 @pytest.mark.parametrize("action", [np.full(4, np.nan), np.zeros(3)])
-def test_impossible_actions_are_refused(action: np.ndarray) -> None:
+def test_invalid_actions_are_refused(action: np.ndarray) -> None:
     env = Hover()
     env.reset(seed=0)
     with pytest.raises(ConfigError, match="four finite numbers"):
@@ -200,7 +203,7 @@ def test_unknown_render_modes_are_refused() -> None:
         Hover(render_mode="human")
 
 
-def test_closing_twice_does_no_harm() -> None:
+def test_environment_can_be_closed_twice() -> None:
     env = Hover(render_mode="rgb_array", camera=True)
     env.reset(seed=0)
     env.render()
@@ -208,7 +211,7 @@ def test_closing_twice_does_no_harm() -> None:
     env.close()
 
 
-def test_smaller_images_have_the_same_view() -> None:
+def test_scaled_camera_has_the_same_field_of_view() -> None:
     small: CameraModel = scaled(EUROC_CAM0, 0.25)
     assert (small.width, small.height) == (188, 120)
     corners = np.array([[-0.5, -0.5], [751.5, 479.5]])
@@ -216,6 +219,6 @@ def test_smaller_images_have_the_same_view() -> None:
     np.testing.assert_allclose(small.normalize(small_corners), EUROC_CAM0.normalize(corners), atol=1e-9)
 
 
-def test_the_target_is_where_the_docs_say() -> None:
+def test_documented_target_is_the_target() -> None:
     np.testing.assert_array_equal(TARGET_M, [0.0, 0.0, 1.2])
     assert "1.2 m above the floor" in (Hover.__doc__ or "")

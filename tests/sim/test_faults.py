@@ -1,4 +1,4 @@
-"""Faults: what the calibration does not say, and what is kept of it as truth."""
+"""Sensor and motor faults: their effect, and the ground truth about them."""
 
 from dataclasses import replace
 
@@ -21,12 +21,12 @@ def test_without_faults_the_rig_is_the_calibrated_one() -> None:
         assert np.array_equal(camera.T_imu_cam, calibrated.T_imu_cam)
 
 
-def test_hidden_tilts_have_their_size_and_move_no_camera() -> None:
+def test_hidden_tilt_changes_only_the_orientation() -> None:
     rig = rig_named("euroc-stereo")
     true = Faults(hidden_tilt_rad=0.017).true_rig(rig, np.random.default_rng(0))
     for camera, calibrated in zip(true.cameras, rig.cameras, strict=True):
-        turn = log_so3((calibrated.T_imu_cam[:3, :3].T @ camera.T_imu_cam[:3, :3])[None])[0]
-        assert np.linalg.norm(turn) == pytest.approx(0.017)
+        rotation = log_so3((calibrated.T_imu_cam[:3, :3].T @ camera.T_imu_cam[:3, :3])[None])[0]
+        assert np.linalg.norm(rotation) == pytest.approx(0.017)
         assert camera.T_imu_cam[:3, 3] == pytest.approx(calibrated.T_imu_cam[:3, 3])
 
 
@@ -41,13 +41,13 @@ def test_noise_and_range_of_the_imu() -> None:
 def test_a_flight_keeps_the_truth_of_its_faults() -> None:
     faults = Faults(dropped_frames=0.5, hidden_time_offset_s=0.005, dark_from_s=2.0, dark_for_s=1.0)
     healthy, flight = fly(scenario_named("short")), fly(replace(scenario_named("short"), faults=faults))
-    assert np.array_equal(flight.truth.p_world_imu, healthy.truth.p_world_imu)  # it does not fly otherwise
+    assert np.array_equal(flight.truth.p_world_imu, healthy.truth.p_world_imu)  # the flight itself is the same
     schedule = flight.schedule
     assert np.all(schedule.exposed_ns - schedule.stamps_ns == 5_000_000)
     assert 35 < len(schedule) < 85 and len(healthy.schedule) == 120
     dark = ~schedule.lit
     assert dark.any() and np.all((schedule.stamps_ns[dark] >= 2e9) & (schedule.stamps_ns[dark] < 3e9))
-    assert flight.scenario.rig.time_offset_s == 0.0  # which is what an estimator is told
+    assert flight.scenario.rig.time_offset_s == 0.0  # the calibration given to estimators
     assert flight.true_rig.time_offset_s == 0.005
 
 
@@ -72,6 +72,6 @@ def test_a_failing_rotor_ends_the_flight_with_a_crash() -> None:
         ("hidden_tilt_rad", 3.0),
     ],
 )
-def test_impossible_faults_are_refused_by_name(field: str, value: float) -> None:
+def test_invalid_faults_are_refused_by_name(field: str, value: float) -> None:
     with pytest.raises(ConfigError, match=rf"{field} .*; expected"):
         Faults(**{field: value})  # type: ignore[arg-type]

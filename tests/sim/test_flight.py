@@ -22,7 +22,7 @@ def vehicle_positions(flight: Flight) -> np.ndarray:
     return flight.truth.p_world_imu - R @ T[:3, 3]
 
 
-def test_the_default_flight_is_lively(room: Flight) -> None:
+def test_the_default_flight_is_dynamic(room: Flight) -> None:
     assert room.truth.velocity_m_s is not None
     speed = np.linalg.norm(room.truth.velocity_m_s, axis=1)
     rate = np.linalg.norm(room.perfect_imu.gyro_rad_s, axis=1)
@@ -31,47 +31,47 @@ def test_the_default_flight_is_lively(room: Flight) -> None:
     assert room.truth.length_m > 30.0
 
 
-def test_it_follows_its_reference(room: Flight) -> None:
+def test_flight_follows_its_reference(room: Flight) -> None:
     error = np.linalg.norm(vehicle_positions(room) - room.reference.position_m, axis=1)
     assert np.sqrt(np.mean(error**2)) < 0.015
     assert error.max() < 0.04
 
 
-def test_it_stays_in_the_free_space(room: Flight) -> None:
+def test_flight_stays_in_the_free_space(room: Flight) -> None:
     position, radius = vehicle_positions(room), 0.33  # arm and propeller
     assert np.all(position[:, :2] - radius > FREE_BOX_M[0, :2])
     assert np.all(position + radius < FREE_BOX_M[1])
     assert position[:, 2].min() > 0.10
 
 
-def test_it_stands_still_before_and_after(room: Flight) -> None:
+def test_drone_is_stationary_before_and_after(room: Flight) -> None:
     t = room.truth.t_s
-    for still in (t < 2.0, t > 29.0):
-        accel = room.perfect_imu.accel_m_s2[still]
+    for stationary in (t < 2.0, t > 29.0):
+        accel = room.perfect_imu.accel_m_s2[stationary]
         np.testing.assert_allclose(accel, np.tile([9.81, 0.0, 0.0], (len(accel), 1)), atol=2e-3)
-        np.testing.assert_allclose(room.perfect_imu.gyro_rad_s[still], 0.0, atol=1e-4)
+        np.testing.assert_allclose(room.perfect_imu.gyro_rad_s[stationary], 0.0, atol=1e-4)
     np.testing.assert_allclose(vehicle_positions(room)[-1, :2], 0.0, atol=0.02)
 
 
-def test_it_lands_gently(room: Flight) -> None:
+def test_landing_is_gentle(room: Flight) -> None:
     landing = room.truth.t_s > 25.0
     assert np.linalg.norm(room.perfect_imu.accel_m_s2[landing], axis=1).max() < 2.5 * 9.81
 
 
-def test_time_stamps_are_whole_and_complete(room: Flight) -> None:
+def test_time_stamps_are_regular_and_complete(room: Flight) -> None:
     np.testing.assert_array_equal(room.imu.t_ns, np.arange(6001) * 5_000_000)
     np.testing.assert_array_equal(room.truth.t_ns, room.imu.t_ns)
     np.testing.assert_array_equal(room.frame_times_ns, np.arange(600) * 50_000_000)
     assert room.Ts_world_cam.shape == (600, 4, 4)
 
 
-def test_cameras_ride_on_the_imu(room: Flight) -> None:
+def test_camera_poses_follow_from_the_imu_poses(room: Flight) -> None:
     expected = room.truth.Ts_world_imu[:-1:10] @ room.scenario.rig.cameras[0].T_imu_cam
     np.testing.assert_allclose(room.Ts_world_cam, expected, atol=1e-9)
-    assert room.Ts_world_cam[0, 0, 2] > 0.99  # at rest it looks along the world's x
+    assert room.Ts_world_cam[0, 0, 2] > 0.99  # initially, the optical axis is the world's x
 
 
-def test_imu_is_the_perfect_one_plus_its_errors(room: Flight) -> None:
+def test_imu_is_the_ideal_one_plus_noise_and_biases(room: Flight) -> None:
     assert room.truth.gyro_bias_rad_s is not None and room.truth.accel_bias_m_s2 is not None
     model = room.scenario.rig.imu
     gyro = room.imu.gyro_rad_s - room.perfect_imu.gyro_rad_s - room.truth.gyro_bias_rad_s
@@ -80,7 +80,7 @@ def test_imu_is_the_perfect_one_plus_its_errors(room: Flight) -> None:
     np.testing.assert_allclose(accel.std(), model.accel_noise_density * np.sqrt(200.0), rtol=0.05)
 
 
-def sensed_bytes(flight: Flight) -> bytes:
+def sensor_bytes(flight: Flight) -> bytes:
     return b"".join(
         values.tobytes()
         for values in (
@@ -95,19 +95,19 @@ def sensed_bytes(flight: Flight) -> bytes:
 
 def test_same_seed_same_bytes() -> None:
     first, again, other = (fly(scenario_named("short", seed)) for seed in (5, 5, 6))
-    assert sensed_bytes(first) == sensed_bytes(again)
+    assert sensor_bytes(first) == sensor_bytes(again)
     assert not np.array_equal(first.imu.gyro_rad_s, other.imu.gyro_rad_s)
     assert np.abs(first.truth.p_world_imu - other.truth.p_world_imu).max() > 1e-3
 
 
-def test_path_does_not_depend_on_the_sensors_noise() -> None:
+def test_path_does_not_depend_on_the_sensor_noise() -> None:
     short = scenario_named("short")
     noiseless = replace(short, rig=replace(short.rig, imu=replace(short.rig.imu, gyro_noise_density=0.0)))
     np.testing.assert_array_equal(fly(short).truth.p_world_imu, fly(noiseless).truth.p_world_imu)
 
 
 @pytest.mark.parametrize("name", ["hover", "short", "room-slow"])
-def test_the_other_scenarios_fly_well(name: str) -> None:
+def test_other_scenarios_follow_their_references(name: str) -> None:
     flight = fly(scenario_named(name))
     error = np.linalg.norm(vehicle_positions(flight) - flight.reference.position_m, axis=1)
     assert error.max() < 0.10
@@ -116,7 +116,7 @@ def test_the_other_scenarios_fly_well(name: str) -> None:
     np.testing.assert_allclose(flight.perfect_imu.gyro_rad_s[-20:], 0.0, atol=1e-3)
 
 
-def test_a_camera_with_a_late_clock_is_taken_at_its_true_time() -> None:
+def test_exposures_follow_the_stamps_by_the_time_offset() -> None:
     short = scenario_named("short")
     late = fly(replace(short, rig=replace(euroc_rig(), time_offset_s=0.0125)))
     on_time = fly(short)
@@ -127,11 +127,11 @@ def test_a_camera_with_a_late_clock_is_taken_at_its_true_time() -> None:
     np.testing.assert_allclose(np.linalg.norm(offset, axis=1), lever, atol=1e-3)
 
 
-def test_progress_is_told_from_start_to_end() -> None:
-    heard: list[tuple[int, int]] = []
-    fly(scenario_named("short"), lambda done, total: heard.append((done, total)))
-    assert heard[0] == (0, 1200) and heard[-1] == (1200, 1200)
-    assert heard == sorted(heard)
+def test_progress_is_reported_from_start_to_end() -> None:
+    reported: list[tuple[int, int]] = []
+    fly(scenario_named("short"), lambda done, total: reported.append((done, total)))
+    assert reported[0] == (0, 1200) and reported[-1] == (1200, 1200)
+    assert reported == sorted(reported)
 
 
 def test_unknown_names_and_seeds_are_refused() -> None:
@@ -143,25 +143,25 @@ def test_unknown_names_and_seeds_are_refused() -> None:
         fly(replace(scenario_named("short"), world="moon"))
 
 
-def test_subsystems_draw_from_streams_of_their_own() -> None:
+def test_subsystems_have_independent_random_streams() -> None:
     one: Scenario = SCENARIOS["room-v0"]
     assert one.generator("path").random() != one.generator("imu").random()
     assert one.generator("path").random() == one.generator("path").random()
     assert one.generator("path").random() != replace(one, seed=1).generator("path").random()
 
 
-def test_a_flight_may_be_joined_in_motion() -> None:
+def test_a_recording_may_start_in_motion() -> None:
     whole = fly(scenario_named("room"))
-    joined = fly(scenario_named("room-motion"))
-    assert joined.truth.t_ns[0] == 0 and joined.truth.velocity_m_s is not None
-    assert np.linalg.norm(joined.truth.velocity_m_s[0]) > 0.5
-    assert joined.collision is None
+    started_in_motion = fly(scenario_named("room-motion"))
+    assert started_in_motion.truth.t_ns[0] == 0 and started_in_motion.truth.velocity_m_s is not None
+    assert np.linalg.norm(started_in_motion.truth.velocity_m_s[0]) > 0.5
+    assert started_in_motion.collision is None
     later = whole.truth.p_world_imu[1200:]
-    assert np.abs(joined.truth.p_world_imu[: len(later)] - later).max() < 0.1
+    assert np.abs(started_in_motion.truth.p_world_imu[: len(later)] - later).max() < 0.1
 
 
 @pytest.mark.parametrize("name", ["corridor-difficult", "forest-medium", "gates-race", "room-aggressive", "nano"])
-def test_flights_in_other_worlds_come_home(name: str) -> None:
+def test_flights_in_other_worlds_do_not_collide(name: str) -> None:
     flight = fly(scenario_named(name, 2))
     assert flight.collision is None
     error = np.linalg.norm(vehicle_positions(flight) - flight.reference.position_m, axis=1)

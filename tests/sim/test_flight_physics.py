@@ -1,4 +1,4 @@
-"""What mechanics says of a flying body: energy, momentum, impacts, and that a batch flies as one alone does."""
+"""Mechanics of flight: energy, momentum, collisions, and batches of simulations."""
 
 from dataclasses import replace
 
@@ -38,11 +38,11 @@ def states(motion: Motion) -> tuple[Array, Array, Array, Array]:
 
 def energy(drone: Quadrotor, motion: Motion) -> Array:
     position, velocity, _, rate = states(motion)
-    moving = 0.5 * drone.mass_kg * (velocity**2).sum(axis=1) + 0.5 * rate**2 @ np.array(drone.inertia_kg_m2)
-    return np.asarray(moving + drone.mass_kg * 9.81 * position[:, 2])
+    kinetic = 0.5 * drone.mass_kg * (velocity**2).sum(axis=1) + 0.5 * rate**2 @ np.array(drone.inertia_kg_m2)
+    return np.asarray(kinetic + drone.mass_kg * 9.81 * position[:, 2])
 
 
-def test_a_body_thrown_in_vacuum_flies_a_parabola() -> None:
+def test_trajectory_in_vacuum_is_a_parabola() -> None:
     plant = QuadrotorPlant(RIG, AIRLESS)
     start, velocity = HIGH[:3, 3], np.array([2.0, -1.0, 6.0])
     plant.reset(HIGH, velocity, np.array([0.5, -0.3, 2.0]))
@@ -55,7 +55,7 @@ def test_a_body_thrown_in_vacuum_flies_a_parabola() -> None:
     np.testing.assert_allclose(kept, kept[0], rtol=2e-5)
 
 
-def test_a_tumbling_body_keeps_its_angular_momentum() -> None:
+def test_free_rotation_conserves_angular_momentum() -> None:
     plant = QuadrotorPlant(RIG, AIRLESS)
     plant.reset(HIGH, rate_rad_s=np.array([3.0, 0.5, 4.0]))
     plant.advance(2 * SECOND_NS, np.zeros(4))
@@ -64,11 +64,11 @@ def test_a_tumbling_body_keeps_its_angular_momentum() -> None:
     np.testing.assert_allclose(
         momentum, np.tile(momentum[0], (len(R), 1)), atol=0.01 * float(np.linalg.norm(momentum[0]))
     )
-    assert np.ptp(rate[:, 0]) > 3.0  # while the rate itself turned round
+    assert np.ptp(rate[:, 0]) > 3.0  # while the angular velocity changes
 
 
-def test_body_and_rotors_together_keep_their_angular_momentum() -> None:
-    """In a vacuum, rotors that speed up and slow down turn the body, and carry what it has lost."""
+def test_body_and_rotors_conserve_angular_momentum() -> None:
+    """In a vacuum, accelerating rotors exchange angular momentum with the body."""
     vacuum = replace(
         AIRLESS,
         thrust_n_per_rad2_s2=1e-20,
@@ -82,7 +82,7 @@ def test_body_and_rotors_together_keep_their_angular_momentum() -> None:
         plant.advance((step + 1) * SECOND_NS, np.array(command))
     motion = plant.motion()
     _, _, R, rate = states(motion)
-    # the reaction to a change of speed comes with the interval that it is held over, as the thrust does
+    # The reaction torque is constant over an interval of the command, as the thrust is
     held = np.vstack([motion.rotor_speeds_rad_s[:1], motion.rotor_speeds_rad_s[:-1]])
     spin = vacuum.rotor_inertia_kg_m2 * held @ vacuum.rotor_directions
     body = rate * vacuum.inertia_kg_m2
@@ -101,7 +101,7 @@ def test_a_falling_body_reaches_its_terminal_velocity(axis: int, drone: Quadroto
     np.testing.assert_allclose(plant.vehicle_state().velocity_m_s, [0.0, 0.0, -terminal], rtol=5e-3, atol=1e-6)
 
 
-def test_wind_drags_a_drone_until_it_drifts_with_the_air(drone: Quadrotor) -> None:
+def test_drag_vanishes_at_the_velocity_of_the_wind(drone: Quadrotor) -> None:
     wind = np.array([2.0, -1.0, 0.0])
     plant = QuadrotorPlant(RIG, drone, wind=Wind(tuple(wind)))
     hover = np.full(4, drone.hover_speed_rad_s)
@@ -125,20 +125,20 @@ def test_the_accelerometer_measures_drag_and_thrust(drone: Quadrotor) -> None:
     np.testing.assert_allclose(plant.step_until(0, hover).accel_m_s2[0], [0.0, 0.0, 1.21 * 9.81], atol=0.01)
 
 
-def test_a_drone_that_bounces_never_gains_energy(drone: Quadrotor) -> None:
+def test_a_bounce_never_adds_energy(drone: Quadrotor) -> None:
     plant = QuadrotorPlant(RIG, drone)
     plant.reset(pose_matrix(exp_so3(np.array([0.3, -0.2, 1.0])), np.array([0.0, 0.0, 0.8])), np.array([1.0, 0.5, 0.0]))
     plant.advance(4 * SECOND_NS, np.zeros(4))
     left = energy(drone, plant.motion())
-    lost = np.maximum.accumulate(left[::-1])[::-1]  # the most that it ever has from then on
+    lost = np.maximum.accumulate(left[::-1])[::-1]  # the largest energy from then on
     assert np.all(lost <= left[0] * (1.0 + 1e-6))
-    assert np.all(lost - left < 0.1 * left[0])  # what the contact springs have swallowed and give back
+    assert np.all(lost - left < 0.1 * left[0])  # stored in the contact springs and returned
     position, velocity, _, _ = states(plant.motion())
     assert np.linalg.norm(velocity[-1]) < 0.01
     assert position[:, 2].min() > 0.0
 
 
-def test_ground_effect_softens_a_landing(drone: Quadrotor) -> None:
+def test_ground_effect_adds_thrust_near_the_ground(drone: Quadrotor) -> None:
     plant, hover = QuadrotorPlant(RIG, drone), np.full(4, drone.hover_speed_rad_s)
     rise = []
     for height in (1.0 * drone.rotor_radius_m, 4.0 * drone.rotor_radius_m, 50.0):
@@ -150,7 +150,7 @@ def test_ground_effect_softens_a_landing(drone: Quadrotor) -> None:
     assert abs(rise[2]) < 1e-3 * rise[1] + 1e-6
 
 
-def test_a_lost_motor_turns_the_drone_over_onto_its_dead_corner(drone: Quadrotor) -> None:
+def test_a_motor_failure_rotates_the_drone_towards_it(drone: Quadrotor) -> None:
     plant = QuadrotorPlant(RIG, drone, failure=MotorFailure(0, 0.1))  # front right
     hover = np.full(4, drone.hover_speed_rad_s)
     plant.reset(HIGH, rotor_speeds_rad_s=hover)
@@ -164,8 +164,8 @@ def test_a_lost_motor_turns_the_drone_over_onto_its_dead_corner(drone: Quadrotor
     np.testing.assert_allclose(plant.rotor_speeds_rad_s[1:], hover[1:], rtol=1e-9)
 
 
-def walled() -> mujoco.MjSpec:
-    """Return a floor, a wall at x = 2, and a picture on it that cannot be touched."""
+def floor_and_wall() -> mujoco.MjSpec:
+    """Return a floor, a wall at x = 2, and a box in front of it without collisions."""
     spec = mujoco.MjSpec()
     spec.worldbody.add_geom(name="floor", type=mujoco.mjtGeom.mjGEOM_PLANE, size=[0.0, 0.0, 1.0], group=COLLISION_GROUP)
     spec.worldbody.add_geom(
@@ -177,34 +177,34 @@ def walled() -> mujoco.MjSpec:
         group=COLLISION_GROUP,
     )
     spec.worldbody.add_geom(
-        name="picture", type=mujoco.mjtGeom.mjGEOM_BOX, size=[0.5, 0.5, 0.5], pos=[1.5, 0.0, 1.0], contype=0
+        name="visual", type=mujoco.mjtGeom.mjGEOM_BOX, size=[0.5, 0.5, 0.5], pos=[1.5, 0.0, 1.0], contype=0
     )
     return spec
 
 
 def test_a_collision_reports_the_object_the_time_and_the_speed(drone: Quadrotor) -> None:
-    plant = QuadrotorPlant(RIG, drone, surroundings=walled())
+    plant = QuadrotorPlant(RIG, drone, surroundings=floor_and_wall())
     plant.reset(pose_matrix(np.eye(3), np.array([1.2, 0.0, 1.0])), np.array([3.0, 0.0, 0.0]))
     plant.advance(SECOND_NS // 10, np.zeros(4))
     before = plant.collision
     plant.advance(2 * SECOND_NS, np.zeros(4))
-    crash = plant.collision
-    assert before is None and crash is not None
-    assert crash.against == "wall" and crash.part.startswith("propeller_front")
-    assert 3.0 < crash.speed_m_s < 4.0  # it has fallen a little
-    assert str(crash) == (
-        f"crashed at t = {crash.t_ns * 1e-9:.2f} s: {crash.part} against wall at {crash.speed_m_s:.1f} m/s"
+    collision = plant.collision
+    assert before is None and collision is not None
+    assert collision.against == "wall" and collision.part.startswith("propeller_front")
+    assert 3.0 < collision.speed_m_s < 4.0  # gravity has added to it
+    assert str(collision) == (
+        f"crashed at t = {collision.t_ns * 1e-9:.2f} s: {collision.part} against wall at {collision.speed_m_s:.1f} m/s"
     )
     positions, _, _, _ = states(plant.motion())
     assert positions[:, 0].max() < 2.0 - 0.5 * drone.arm_m
-    reach = drone.arm_m / np.sqrt(2.0) + drone.rotor_radius_m
-    np.testing.assert_allclose(np.interp(crash.t_ns, plant.motion().t_ns, positions[:, 0]), 2.0 - reach, atol=0.03)
+    radius = drone.arm_m / np.sqrt(2.0) + drone.rotor_radius_m
+    np.testing.assert_allclose(np.interp(collision.t_ns, plant.motion().t_ns, positions[:, 0]), 2.0 - radius, atol=0.03)
     plant.reset()
     assert plant.collision is None
 
 
-def test_feet_on_the_floor_are_no_collision_and_a_propeller_is(drone: Quadrotor) -> None:
-    plant = QuadrotorPlant(RIG, drone, surroundings=walled())
+def test_propellers_collide_with_the_floor_and_feet_do_not(drone: Quadrotor) -> None:
+    plant = QuadrotorPlant(RIG, drone, surroundings=floor_and_wall())
     plant.advance(SECOND_NS // 2, np.zeros(4))
     standing = plant.collision
     plant.reset(pose_matrix(exp_so3(np.array([2.0, 0.0, 0.0])), np.array([0.0, 0.0, 1.0])))
@@ -213,7 +213,7 @@ def test_feet_on_the_floor_are_no_collision_and_a_propeller_is(drone: Quadrotor)
     assert plant.collision.against == "floor"
 
 
-def test_a_foot_against_a_kerb_collides_and_one_on_it_does_not() -> None:
+def test_a_foot_collides_with_the_side_of_a_kerb_only() -> None:
     kerb = mujoco.MjSpec()
     kerb.worldbody.add_geom(
         name="kerb", type=mujoco.mjtGeom.mjGEOM_BOX, size=[1.0, 1.0, 0.05], pos=[1.3, 0.0, -0.01], group=COLLISION_GROUP
@@ -222,8 +222,8 @@ def test_a_foot_against_a_kerb_collides_and_one_on_it_does_not() -> None:
     plant = QuadrotorPlant(RIG, surroundings=kerb)
     plant.reset(velocity_m_s=np.array([2.5, 0.0, 0.0]))
     plant.advance(SECOND_NS, np.zeros(4))
-    crash = plant.collision
-    assert crash is not None and crash.against == "kerb" and crash.part.startswith("foot_front")
+    collision = plant.collision
+    assert collision is not None and collision.against == "kerb" and collision.part.startswith("foot_front")
     plant.reset(pose_matrix(np.eye(3), np.array([1.0, 0.0, 0.2])))
     plant.advance(SECOND_NS, np.zeros(4))
     assert plant.collision is None
@@ -235,22 +235,22 @@ def test_gusts_differ_between_flights_and_repeat_with_the_seed() -> None:
         plant.advance(SECOND_NS // 2, np.zeros(4))
         return plant.wind_m_s
 
-    gusty = Wind((4.0, 0.0, 0.0), gusts=1.0)
-    plant, same = (QuadrotorPlant(RIG, wind=gusty, rng=np.random.default_rng(1)) for _ in range(2))
+    wind = Wind((4.0, 0.0, 0.0), gusts=1.0)
+    plant, same = (QuadrotorPlant(RIG, wind=wind, rng=np.random.default_rng(1)) for _ in range(2))
     first, second = wind_after(plant), wind_after(plant)
     assert not np.any(first == second)
     np.testing.assert_array_equal(wind_after(same), first)
-    fell = plant.wind_m_s
+    before = plant.wind_m_s
     plant.reset(HIGH)
-    assert np.linalg.norm(plant.wind_m_s - fell) > 0.3  # not where the last flight ended
-    fell = plant.wind_m_s
+    assert np.linalg.norm(plant.wind_m_s - before) > 0.3  # not the gusts at the end of the previous flight
+    before = plant.wind_m_s
     plant.advance(SECOND_NS, np.zeros(4))
-    assert not np.any(plant.wind_m_s == fell)  # it falls through the gusts
+    assert not np.any(plant.wind_m_s == before)  # gusts change along the path of the fall
 
 
-def test_it_stands_on_its_pad_wherever_that_is(drone: Quadrotor) -> None:
+def test_the_drone_starts_standing_on_its_pad(drone: Quadrotor) -> None:
     pad = np.array([-3.0, 1.0, 0.0])
-    plant = QuadrotorPlant(RIG, drone, surroundings=walled(), pad_m=pad)
+    plant = QuadrotorPlant(RIG, drone, surroundings=floor_and_wall(), pad_m=pad)
     samples = plant.step_until(SECOND_NS // 2, np.zeros(4))
     np.testing.assert_allclose(
         plant.vehicle_state().T_world_imu[:3, 3], pad + [0, 0, plant.standing_height_m], atol=1e-6
@@ -258,7 +258,7 @@ def test_it_stands_on_its_pad_wherever_that_is(drone: Quadrotor) -> None:
     np.testing.assert_allclose(samples.accel_m_s2, np.tile([0.0, 0.0, 9.81], (101, 1)), atol=1e-6)
 
 
-def test_the_state_is_the_end_of_the_motion(drone: Quadrotor) -> None:
+def test_the_state_is_the_last_of_the_motion(drone: Quadrotor) -> None:
     rig = replace(RIG, T_vehicle_imu=pose_matrix(exp_so3(np.array([0.3, 1.0, -2.0])), np.array([0.05, -0.02, 0.03])))
     plant = QuadrotorPlant(rig, drone)
     plant.reset(HIGH, np.array([1.0, 2.0, 3.0]), np.array([5.0, -3.0, 2.0]), np.full(4, drone.hover_speed_rad_s))
@@ -271,8 +271,8 @@ def test_the_state_is_the_end_of_the_motion(drone: Quadrotor) -> None:
     np.testing.assert_allclose(state.angular_velocity_rad_s, rates[-1], atol=1e-12)
 
 
-def test_a_batch_flies_as_its_drones_do_alone(drone: Quadrotor) -> None:
-    """The same model, evaluated once for all drones, drives each of them to where it goes by itself."""
+def test_a_batch_equals_single_simulations(drone: Quadrotor) -> None:
+    """A rotor model that is evaluated once for all drones gives each of them the motion of a single simulation."""
     rng, count, steps, dt = np.random.default_rng(5), 3, 100, 5e-3
     commands = drone.hover_speed_rad_s * rng.uniform(0.8, 1.2, (steps, count, 4))
     starts, rates = np.array([0.0, 0.0, 0.5]) + rng.uniform(0, 0.3, (count, 3)), rng.normal(size=(count, 3))

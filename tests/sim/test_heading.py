@@ -1,4 +1,4 @@
-"""Headings: what is wished for, and how it is followed."""
+"""Heading profiles, and heading curves that follow them within limits."""
 
 import numpy as np
 import pytest
@@ -36,13 +36,13 @@ def test_desired_headings_by_geometry() -> None:
 PROFILES: list[tuple[HeadingProfile, float]] = [(along, 0.5 * np.pi), (across, np.pi), (toward(np.zeros(2)), np.pi)]
 
 
-@pytest.mark.parametrize(("profile", "ahead"), PROFILES)
-def test_around_a_circle_the_heading_keeps_up(profile: HeadingProfile, ahead: float) -> None:
+@pytest.mark.parametrize(("profile", "offset"), PROFILES)
+def test_heading_follows_the_profile_on_a_circle(profile: HeadingProfile, offset: float) -> None:
     path = circle()
     heading = heading_curve(profile, path, CIRCLE_S, 3.0, 0.0)
     t = np.linspace(4.0, CIRCLE_S - 3.0, 500)
-    where = np.arctan2(path(t)[:, 1], path(t)[:, 0])
-    assert np.abs(wrapped(heading(t) - where - ahead)).max() < 0.2
+    azimuth = np.arctan2(path(t)[:, 1], path(t)[:, 0])
+    assert np.abs(wrapped(heading(t) - azimuth - offset)).max() < 0.2
 
 
 @given(seed=st.integers(0, 1000), rate=st.floats(0.1, 6.0), end_s=st.floats(0.5, 60.0), start=st.floats(-3.0, 3.0))
@@ -50,11 +50,11 @@ def test_around_a_circle_the_heading_keeps_up(profile: HeadingProfile, ahead: fl
 def test_rate_and_angular_acceleration_are_limited(seed: int, rate: float, end_s: float, start: float) -> None:
     rng = np.random.default_rng(seed)
 
-    def whims(t: np.ndarray, position: np.ndarray, velocity: np.ndarray) -> np.ndarray:
+    def random_profile(t: np.ndarray, position: np.ndarray, velocity: np.ndarray) -> np.ndarray:
         desired = np.repeat(rng.uniform(-10.0, 10.0, len(t)), rng.integers(1, 30))[: len(t)]
         return np.where(rng.random(len(t)) < 0.1, np.nan, desired)
 
-    heading = heading_curve(whims, minimum_snap(np.array([0.0, end_s]), np.zeros((2, 3))), end_s, rate, start)
+    heading = heading_curve(random_profile, minimum_snap(np.array([0.0, end_s]), np.zeros((2, 3))), end_s, rate, start)
     t = np.linspace(0.0, end_s, 5000)
     assert np.abs(heading.derivative(1)(t)).max() <= rate
     assert np.abs(heading.derivative(2)(t)).max() <= 5.0 * (1.0 + 1e-9)
@@ -63,7 +63,7 @@ def test_rate_and_angular_acceleration_are_limited(seed: int, rate: float, end_s
         np.testing.assert_allclose(heading.derivative(order)([0.0, end_s]), 0.0, atol=1e-6)
 
 
-def test_the_short_way_round_is_taken() -> None:
+def test_the_shorter_rotation_is_taken() -> None:
     path = minimum_snap(np.array([0.0, 10.0]), np.zeros((2, 3)))
     heading = heading_curve(fixed(np.radians(170.0)), path, 10.0, 2.0, np.radians(-170.0))
     assert np.degrees(heading(10.0)) == pytest.approx(-190.0, abs=0.1)

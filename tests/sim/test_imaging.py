@@ -1,4 +1,4 @@
-"""The sensor against its own equations: noise, gain, saturation, vignetting; the exposure control against theory."""
+"""The image sensor against its equations (noise, gain, saturation, vignetting); exposure control against theory."""
 
 import numpy as np
 import pytest
@@ -18,31 +18,31 @@ def histogram(image: np.ndarray) -> np.ndarray:
 
 
 @pytest.mark.parametrize("gain", [1.0, 4.0])
-def test_noise_has_the_variance_it_says(gain: float) -> None:
+def test_noise_has_the_stated_variance(gain: float) -> None:
     sensor = Imaging(read_sigma=1.5, shot_sigma=3.0, vignetting=0.0)
     for level in (20, 120, 220):
         noisy = sensor.digitize(grey(level), 1.0, NOMINAL_S / gain, gain, np.random.default_rng(0)).astype(float)
         signal = level / gain
-        expected = gain**2 * (1.5**2 + 3.0**2 * signal / 255.0) + 1.0 / 12.0  # rounding adds its own
+        expected = gain**2 * (1.5**2 + 3.0**2 * signal / 255.0) + 1.0 / 12.0  # the last term is that of rounding
         assert abs(noisy.mean() - level) < 0.1
         assert noisy.var() == pytest.approx(expected, rel=0.03)
 
 
-def test_light_is_what_counts_until_it_is_too_much() -> None:
+def test_level_is_proportional_to_light_until_saturation() -> None:
     sensor = Imaging(read_sigma=0.0, shot_sigma=0.0, vignetting=0.0)
     rng = np.random.default_rng(0)
     for irradiance, exposure_s, gain in ((0.5, NOMINAL_S, 1.0), (1.0, 0.5 * NOMINAL_S, 1.0), (0.05, NOMINAL_S, 10.0)):
         assert np.all(sensor.digitize(grey(100), irradiance, exposure_s, gain, rng) == 50)
     assert np.all(sensor.digitize(grey(100), 1.0, 3.0 * NOMINAL_S, 1.0, rng) == 255)
     fine = sensor.digitize(np.full((4, 4), 10.3, np.float32), 0.1, NOMINAL_S, 10.0, rng)
-    assert np.all(fine == 10)  # drawn light keeps its fractions up to the converter
+    assert np.all(fine == 10)  # light is not rounded before the converter
 
 
 def test_vignetting_darkens_the_corners_only() -> None:
     sensor = Imaging(read_sigma=0.0, shot_sigma=0.0, vignetting=0.2)
-    dimmed = sensor.digitize(grey(200, (101, 201)), 1.0, NOMINAL_S, 1.0, np.random.default_rng(0))
-    assert dimmed[50, 100] == 200
-    assert dimmed[0, 0] == dimmed[-1, -1] == 160
+    image = sensor.digitize(grey(200, (101, 201)), 1.0, NOMINAL_S, 1.0, np.random.default_rng(0))
+    assert image[50, 100] == 200
+    assert image[0, 0] == image[-1, -1] == 160
 
 
 def test_same_seed_same_bytes() -> None:
@@ -56,7 +56,7 @@ def control(auto: AutoExposure, histograms: list[np.ndarray], irradiance: np.nda
     return auto.exposures(np.stack(histograms), irradiance, NOMINAL_S)
 
 
-def test_a_steady_scene_is_held_at_the_target() -> None:
+def test_a_constant_scene_has_the_target_level() -> None:
     scene = histogram(np.random.default_rng(0).integers(20, 140, (60, 90)))
     exposures = control(AutoExposure(tolerance=0.0), [scene] * 3, np.ones(3))
     mean = scene @ np.minimum(np.arange(256) * exposures.time_s[0] / NOMINAL_S, 255.0)
@@ -65,7 +65,7 @@ def test_a_steady_scene_is_held_at_the_target() -> None:
     assert np.all(exposures.gain == 1.0)
 
 
-def test_white_counts_as_white_however_bright_it_is() -> None:
+def test_saturated_pixels_count_as_white() -> None:
     scene = 0.4 * histogram(grey(250)) + 0.6 * histogram(grey(20))  # as through a window
     exposures = control(AutoExposure(tolerance=0.0, target_level=150.0, longest_s=0.05), [scene] * 60, np.ones(60))
     assert exposures.time_s[-1] / NOMINAL_S == pytest.approx((150.0 - 0.4 * 255.0) / (0.6 * 20.0), rel=1e-3)
@@ -75,14 +75,15 @@ def test_exposure_follows_a_step_of_light_without_overshoot() -> None:
     scene = histogram(grey(100))
     light = np.where(np.arange(40) < 10, 1.0, 0.25)
     x = np.log(control(AutoExposure(tolerance=0.0, longest_s=0.05), [scene] * 40, light).time_s)
-    np.testing.assert_allclose(x[:12], x[0], atol=1e-9)  # frame 10 is dark, frame 12 the first that can know
+    # Frame 10 is dark; frame 12 is the first that its histogram affects
+    np.testing.assert_allclose(x[:12], x[0], atol=1e-9)
     step = (x[12:] - x[0]) / np.log(4.0)
     n = np.arange(len(step))
     np.testing.assert_allclose(1.0 - step, (0.5 * (n + 1) + 1.0) * 0.5 ** (n + 1.0), atol=1e-3)  # (a + b n) ½ⁿ
     assert np.all(np.diff(step) > -1e-9)
 
 
-def test_it_recovers_from_the_dark_in_half_a_second() -> None:
+def test_exposure_recovers_from_darkness_in_half_a_second() -> None:
     scene = histogram(np.random.default_rng(0).integers(20, 200, (60, 90)))
     light = np.where((np.arange(60) >= 10) & (np.arange(60) < 20), 1e-4, 1.0)
     exposures = control(AutoExposure(), [scene] * 60, light)
@@ -92,7 +93,7 @@ def test_it_recovers_from_the_dark_in_half_a_second() -> None:
     assert brightness[20:].min() > 0.6
 
 
-def test_gain_helps_out_only_where_time_is_at_its_limit() -> None:
+def test_gain_increases_only_at_the_longest_exposure() -> None:
     scene = histogram(grey(110))
     for light, time_s, gain in ((0.5, 0.004, 1.0), (0.05, 0.010, 4.0), (0.0001, 0.010, 16.0), (1000.0, 2e-5, 1.0)):
         exposures = control(AutoExposure(tolerance=0.0), [scene] * 60, np.full(60, light))
@@ -100,7 +101,7 @@ def test_gain_helps_out_only_where_time_is_at_its_limit() -> None:
         assert exposures.gain[-1] == pytest.approx(gain, rel=1e-3)
 
 
-def test_small_errors_are_left_alone() -> None:
+def test_errors_within_the_tolerance_are_ignored() -> None:
     scenes = [histogram(grey(level)) for level in (110, 112, 108, 111, 110, 140, 140, 140)]
     exposures = control(AutoExposure(tolerance=0.05), scenes, np.ones(8))
     assert np.all(exposures.time_s[:7] == exposures.time_s[0])
@@ -119,7 +120,7 @@ def test_small_errors_are_left_alone() -> None:
         (lambda: Imaging(read_sigma=float("nan")), "read_sigma"),
     ],
 )
-def test_nonsense_is_refused_by_name(make: object, name: str) -> None:
+def test_invalid_settings_are_refused_by_name(make: object, name: str) -> None:
     assert callable(make)
     with pytest.raises(ConfigError, match=name):
         make()

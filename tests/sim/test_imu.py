@@ -10,8 +10,8 @@ from dronevio.sim.inertial.imu import ImuErrors
 
 N = 40_000
 STEP_NS = 5_000_000
-STILL = ImuSamples(np.arange(N, dtype=np.int64) * STEP_NS, np.zeros((N, 3)), np.zeros((N, 3)))
-SILENT = ImuModel(
+STATIONARY = ImuSamples(np.arange(N, dtype=np.int64) * STEP_NS, np.zeros((N, 3)), np.zeros((N, 3)))
+NOISELESS = ImuModel(
     gyro_noise_density=0.0,
     gyro_random_walk=0.0,
     accel_noise_density=0.0,
@@ -21,27 +21,27 @@ SILENT = ImuModel(
 )
 
 
-def lively(sampling: Sampling = "point") -> ImuSamples:
+def random_samples(sampling: Sampling = "point") -> ImuSamples:
     rng = np.random.default_rng(5)
-    return ImuSamples(STILL.t_ns, rng.normal(size=(N, 3)), 9.81 * rng.normal(size=(N, 3)), sampling)
+    return ImuSamples(STATIONARY.t_ns, rng.normal(size=(N, 3)), 9.81 * rng.normal(size=(N, 3)), sampling)
 
 
 @pytest.mark.parametrize("sampling", ["point", "increment"])
 @pytest.mark.parametrize("name", IMUS)
-def test_white_noise_has_the_density_that_was_asked_for(name: str, sampling: Sampling) -> None:
+def test_white_noise_has_the_requested_density(name: str, sampling: Sampling) -> None:
     model = replace(IMUS[name], gyro_resolution_rad_s=0.0, accel_resolution_m_s2=0.0)
     t_ns = np.arange(N, dtype=np.int64) * round(1e9 / model.rate_hz)
-    still = ImuSamples(t_ns, np.zeros((N, 3)), np.zeros((N, 3)), sampling)
-    noisy, gyro_bias, accel_bias = ImuErrors(model, np.random.default_rng(0)).add_to(still)
+    stationary = ImuSamples(t_ns, np.zeros((N, 3)), np.zeros((N, 3)), sampling)
+    noisy, gyro_bias, accel_bias = ImuErrors(model, np.random.default_rng(0)).add_to(stationary)
     gyro, accel = noisy.gyro_rad_s - gyro_bias, noisy.accel_m_s2 - accel_bias
     np.testing.assert_allclose(gyro.std(axis=0), model.gyro_noise_density * np.sqrt(model.rate_hz), rtol=0.02)
     np.testing.assert_allclose(accel.std(axis=0), model.accel_noise_density * np.sqrt(model.rate_hz), rtol=0.02)
     correlation = np.corrcoef(np.hstack([gyro[1:], accel[1:], gyro[:-1], accel[:-1]]).T)
-    assert np.abs(correlation - np.eye(12)).max() < 0.03  # white, and no axis knows of another
+    assert np.abs(correlation - np.eye(12)).max() < 0.03  # white, and independent between axes
 
 
-def test_the_noise_of_an_increment_is_its_interval_mean() -> None:
-    model = replace(SILENT, gyro_noise_density=1e-3, accel_noise_density=1e-2)
+def test_increments_have_the_mean_noise_of_their_interval() -> None:
+    model = replace(NOISELESS, gyro_noise_density=1e-3, accel_noise_density=1e-2)
     dt_ns = np.where(np.arange(N) % 2 == 0, STEP_NS, 4 * STEP_NS)
     uneven = ImuSamples(np.cumsum(dt_ns), np.zeros((N, 3)), np.zeros((N, 3)), "increment")
     errors = ImuErrors(model, np.random.default_rng(1))
@@ -51,17 +51,17 @@ def test_the_noise_of_an_increment_is_its_interval_mean() -> None:
         np.testing.assert_allclose(gyro[phase::10].std(), 1e-3 / np.sqrt(dt_s), rtol=0.04)
 
 
-def test_biases_at_switch_on_have_the_spread_that_was_asked_for() -> None:
-    starts = [ImuErrors(EUROC_IMU, np.random.default_rng(seed)).add_to(STILL[:1])[1:] for seed in range(1000)]
+def test_turn_on_biases_have_the_requested_deviation() -> None:
+    starts = [ImuErrors(EUROC_IMU, np.random.default_rng(seed)).add_to(STATIONARY[:1])[1:] for seed in range(1000)]
     gyro, accel = (np.concatenate(s) for s in zip(*starts, strict=True))
     np.testing.assert_allclose(gyro.std(), EUROC_IMU.gyro_turn_on_bias_rad_s, rtol=0.05)
     np.testing.assert_allclose(accel.std(), EUROC_IMU.accel_turn_on_bias_m_s2, rtol=0.05)
 
 
 @pytest.mark.parametrize("sampling", ["point", "increment"])
-def test_a_perfect_sensor_adds_nothing(sampling: Sampling) -> None:
-    perfect = lively(sampling)
-    errors = ImuErrors(SILENT, np.random.default_rng(2))
+def test_a_sensor_without_errors_adds_nothing(sampling: Sampling) -> None:
+    perfect = random_samples(sampling)
+    errors = ImuErrors(NOISELESS, np.random.default_rng(2))
     noisy, gyro_bias, accel_bias = errors.add_to(perfect)
     np.testing.assert_array_equal(noisy.gyro_rad_s, perfect.gyro_rad_s)
     np.testing.assert_array_equal(noisy.accel_m_s2, perfect.accel_m_s2)
@@ -73,33 +73,33 @@ def test_a_perfect_sensor_adds_nothing(sampling: Sampling) -> None:
 
 
 @pytest.mark.parametrize("name", IMUS)
-def test_biases_and_constants_explain_every_sample(name: str) -> None:
-    """What is kept as truth is all that is not noise, and the noise has the size that it should."""
+def test_residuals_of_biases_and_constants_are_noise(name: str) -> None:
+    """The ground truth contains all errors except the noise, which has the stated density."""
     model = IMUS[name]
-    errors, perfect = ImuErrors(model, np.random.default_rng(3)), lively()
+    errors, perfect = ImuErrors(model, np.random.default_rng(3)), random_samples()
     measured, gyro_bias, accel_bias = errors.add_to(perfect)
     gyro, accel = errors.constants.response(perfect.gyro_rad_s, perfect.accel_m_s2)
-    reach = np.abs(gyro) < 0.9 * model.gyro_range_rad_s, np.abs(accel) < 0.9 * model.accel_range_m_s2
-    left_gyro = (measured.gyro_rad_s - gyro - gyro_bias)[reach[0]]
-    left_accel = (measured.accel_m_s2 - accel - accel_bias)[reach[1]]
+    in_range = np.abs(gyro) < 0.9 * model.gyro_range_rad_s, np.abs(accel) < 0.9 * model.accel_range_m_s2
+    gyro_residual = (measured.gyro_rad_s - gyro - gyro_bias)[in_range[0]]
+    accel_residual = (measured.accel_m_s2 - accel - accel_bias)[in_range[1]]
     root_rate = np.sqrt(model.rate_hz)
     np.testing.assert_allclose(
-        left_gyro.std(),
+        gyro_residual.std(),
         np.hypot(model.gyro_noise_density * root_rate, model.gyro_resolution_rad_s / 12**0.5),
         rtol=0.02,
     )
     np.testing.assert_allclose(
-        left_accel.std(),
+        accel_residual.std(),
         np.hypot(model.accel_noise_density * root_rate, model.accel_resolution_m_s2 / 12**0.5),
         rtol=0.02,
     )
-    np.testing.assert_allclose(left_gyro.mean(), 0.0, atol=0.01 * left_gyro.std())
-    np.testing.assert_allclose(left_accel.mean(), 0.0, atol=0.01 * left_accel.std())
+    np.testing.assert_allclose(gyro_residual.mean(), 0.0, atol=0.01 * gyro_residual.std())
+    np.testing.assert_allclose(accel_residual.mean(), 0.0, atol=0.01 * accel_residual.std())
 
 
 def test_scale_misalignment_and_g_sensitivity_have_their_sigmas() -> None:
     model = replace(
-        SILENT,
+        NOISELESS,
         gyro_scale_error=0.02,
         accel_scale_error=0.01,
         gyro_misalignment_rad=0.004,
@@ -118,41 +118,43 @@ def test_scale_misalignment_and_g_sensitivity_have_their_sigmas() -> None:
     sensitivity = np.stack([unit.gyro_g_sensitivity for unit in units])
     np.testing.assert_allclose(sensitivity.std(), 1e-4, rtol=0.05)
     drawn = np.hstack([part.reshape(1000, 9) for part in (gyro, accel, sensitivity)])
-    assert np.abs(np.corrcoef(drawn.T) - np.eye(27)).max() < 0.15  # each by itself
+    assert np.abs(np.corrcoef(drawn.T) - np.eye(27)).max() < 0.15  # all constants are independent
 
 
-def test_each_axis_reads_its_own_row_of_the_constants() -> None:
-    model = replace(SILENT, gyro_scale_error=0.1, gyro_misalignment_rad=0.1, gyro_g_sensitivity_rad_s_per_m_s2=1e-2)
+def test_rows_of_the_constants_belong_to_axes() -> None:
+    model = replace(NOISELESS, gyro_scale_error=0.1, gyro_misalignment_rad=0.1, gyro_g_sensitivity_rad_s_per_m_s2=1e-2)
     errors = ImuErrors(model, np.random.default_rng(6))
-    spin = ImuSamples(STILL.t_ns[:3], np.eye(3), np.zeros((3, 3)))  # turn about one axis after the other
-    np.testing.assert_array_equal(errors.add_to(spin)[0].gyro_rad_s, errors.constants.gyro_matrix.T)
-    push = ImuSamples(STILL.t_ns[3:6], np.zeros((3, 3)), np.eye(3))
-    pushed = errors.add_to(push)[0]
-    np.testing.assert_array_equal(pushed.gyro_rad_s, errors.constants.gyro_g_sensitivity.T)
-    np.testing.assert_array_equal(pushed.accel_m_s2, np.eye(3))
+    rotation = ImuSamples(STATIONARY.t_ns[:3], np.eye(3), np.zeros((3, 3)))  # about one axis after the other
+    np.testing.assert_array_equal(errors.add_to(rotation)[0].gyro_rad_s, errors.constants.gyro_matrix.T)
+    force = ImuSamples(STATIONARY.t_ns[3:6], np.zeros((3, 3)), np.eye(3))
+    measured = errors.add_to(force)[0]
+    np.testing.assert_array_equal(measured.gyro_rad_s, errors.constants.gyro_g_sensitivity.T)
+    np.testing.assert_array_equal(measured.accel_m_s2, np.eye(3))
 
 
-def test_constant_errors_have_a_stream_of_their_own() -> None:
-    """Noise and biases do not change when a unit gets a scale error: a rig may be made worse one error at a time."""
+def test_constant_errors_have_an_independent_random_stream() -> None:
+    """A scale error does not change noise and biases, so that errors can be added one at a time."""
     good, bad = EUROC_IMU, replace(EUROC_IMU, gyro_scale_error=0.01, accel_misalignment_rad=0.01)
-    (first, *biases), (second, *other) = (ImuErrors(m, np.random.default_rng(7)).add_to(STILL) for m in (good, bad))
+    (first, *biases), (second, *other) = (
+        ImuErrors(m, np.random.default_rng(7)).add_to(STATIONARY) for m in (good, bad)
+    )
     np.testing.assert_array_equal(first.gyro_rad_s, second.gyro_rad_s)
     np.testing.assert_array_equal(first.accel_m_s2, second.accel_m_s2)
     np.testing.assert_array_equal(biases, other)
-    wandering = replace(EUROC_IMU, gyro_bias_instability_rad_s=1e-3, gyro_resolution_rad_s=0.0)
+    flickering = replace(EUROC_IMU, gyro_bias_instability_rad_s=1e-3, gyro_resolution_rad_s=0.0)
     smooth = replace(EUROC_IMU, gyro_resolution_rad_s=0.0)
     noises = []
-    for model in (wandering, smooth):
-        measured, bias, _ = ImuErrors(model, np.random.default_rng(7)).add_to(STILL)
+    for model in (flickering, smooth):
+        measured, bias, _ = ImuErrors(model, np.random.default_rng(7)).add_to(STATIONARY)
         noises.append(measured.gyro_rad_s - bias)
     np.testing.assert_allclose(noises[0], noises[1], atol=1e-12)
 
 
-def test_readings_come_in_steps_and_end_at_the_range() -> None:
+def test_readings_are_quantized_and_saturated() -> None:
     model = replace(
-        SILENT, gyro_range_rad_s=2.0, gyro_resolution_rad_s=0.25, accel_range_m_s2=19.9, accel_resolution_m_s2=0.5
+        NOISELESS, gyro_range_rad_s=2.0, gyro_resolution_rad_s=0.25, accel_range_m_s2=19.9, accel_resolution_m_s2=0.5
     )
-    perfect = lively()
+    perfect = random_samples()
     read = ImuErrors(model, np.random.default_rng(8)).add_to(perfect)[0]
     assert np.abs(read.gyro_rad_s).max() == 2.0 and np.abs(read.accel_m_s2).max() == 19.9
     inside = np.abs(perfect.gyro_rad_s) < 2.0
@@ -162,12 +164,12 @@ def test_readings_come_in_steps_and_end_at_the_range() -> None:
     np.testing.assert_array_equal(read.gyro_rad_s[perfect.gyro_rad_s < -2.125], -2.0)
 
 
-def test_batches_go_on_where_the_last_one_ended() -> None:
+def test_the_random_walk_continues_between_batches() -> None:
     walking = ImuModel(gyro_noise_density=0.0, accel_noise_density=0.0)
     errors = ImuErrors(walking, np.random.default_rng(3))
-    first, gyro_bias, _ = errors.add_to(STILL[:1000])
-    errors.add_to(STILL[1000:1000])
-    second, _, _ = errors.add_to(STILL[1000:2000])
+    first, gyro_bias, _ = errors.add_to(STATIONARY[:1000])
+    errors.add_to(STATIONARY[1000:1000])
+    second, _, _ = errors.add_to(STATIONARY[1000:2000])
     np.testing.assert_array_equal(first.gyro_rad_s, gyro_bias)
     jump = np.abs(second.gyro_rad_s[0] - first.gyro_rad_s[-1]) / (walking.gyro_random_walk * np.sqrt(5e-3))
     assert np.all(jump > 0.0) and np.all(jump < 5.0)
@@ -176,13 +178,13 @@ def test_batches_go_on_where_the_last_one_ended() -> None:
 @pytest.mark.parametrize("name", IMUS)
 def test_same_seed_same_bytes(name: str) -> None:
     model = IMUS[name]
-    one, other, stranger = (ImuErrors(model, np.random.default_rng(s)).add_to(STILL[:100])[0] for s in (0, 0, 1))
+    one, other, different = (ImuErrors(model, np.random.default_rng(s)).add_to(STATIONARY[:100])[0] for s in (0, 0, 1))
     assert one.gyro_rad_s.tobytes() == other.gyro_rad_s.tobytes()
     assert one.accel_m_s2.tobytes() == other.accel_m_s2.tobytes()
-    assert np.mean(one.gyro_rad_s == stranger.gyro_rad_s) < 0.1  # the steps are coarse: some coincide
+    assert np.mean(one.gyro_rad_s == different.gyro_rad_s) < 0.1  # some coincide because of the coarse quantization
 
 
-def test_impossible_numbers_are_refused_by_name() -> None:
+def test_invalid_parameters_are_refused_by_name() -> None:
     for field in fields(ImuModel)[1:]:
         for wrong in (-1.0, float("nan")):
             with pytest.raises(ConfigError, match=field.name):
@@ -192,7 +194,7 @@ def test_impossible_numbers_are_refused_by_name() -> None:
 
 
 def test_presets_agree_with_their_data_sheets() -> None:
-    """Figures that the sheets print in other units than those that the presets were converted from."""
+    """The data sheets also state these values in other units than those that the presets are converted from."""
     adis, bmi, mpu, tactical = (imu_named(name) for name in ("ADIS16448", "BMI088", "MPU-6050", "tactical"))
     assert np.degrees(adis.gyro_noise_density) * 60.0 == pytest.approx(0.81)  # °/√h; the sheet's 0.66 is at rest
     assert adis.accel_noise_density * 60.0 == pytest.approx(0.11, rel=0.25)  # m/s/√h

@@ -1,4 +1,4 @@
-"""Poses between stamps: exact for steady motion, microns for a drone's."""
+"""Interpolated poses are exact for constant velocities and accurate for the motion of a drone."""
 
 import numpy as np
 
@@ -15,7 +15,7 @@ def seconds(t_ns: np.ndarray) -> np.ndarray:
     return ((t_ns - START_NS) * 1e-9)[:, None]
 
 
-def test_steady_motion_is_exact_between_and_beyond_the_stamps() -> None:
+def test_constant_velocities_are_interpolated_exactly() -> None:
     velocity = np.array([3.0, -1.0, 0.2])
     path = Trajectory(T_NS, seconds(T_NS) * velocity, quat_wxyz_from_matrix(exp_so3(seconds(T_NS) * W)))
     t_ns = START_NS + np.array([-7_000_000, 0, 1, 123_456_789, 995_000_000, 999_999_999, 1_004_000_000])
@@ -24,8 +24,8 @@ def test_steady_motion_is_exact_between_and_beyond_the_stamps() -> None:
     np.testing.assert_allclose(T[:, :3, :3], exp_so3(seconds(t_ns) * W), atol=1e-9)
 
 
-def test_a_drone_s_motion_is_good_to_what_it_says() -> None:
-    def p(t_ns: np.ndarray) -> np.ndarray:  # 10 m/s² across, at 1.6 Hz
+def test_drone_motion_has_the_documented_accuracy() -> None:
+    def p(t_ns: np.ndarray) -> np.ndarray:  # 10 m/s² at 1.6 Hz
         s = seconds(t_ns)
         return 0.1 * np.concatenate([np.sin(10.0 * s), np.cos(10.0 * s), 0.0 * s], axis=1)
 

@@ -1,4 +1,4 @@
-"""Minimum-snap curves against an independent solution and against their rivals; their times against their limits."""
+"""Minimum-snap curves against an independent solution and other curves; their times against the limits."""
 
 import numpy as np
 import pytest
@@ -14,13 +14,13 @@ from dronevio.sim.paths.limits import LIMITS, Limits
 from dronevio.sim.paths.minimum_snap import minimum_snap, minimum_time_knots
 
 
-def drawn(seed: int, count: int) -> tuple[np.ndarray, np.ndarray]:
+def random_points(seed: int, count: int) -> tuple[np.ndarray, np.ndarray]:
     rng = np.random.default_rng(seed)
     return np.concatenate([[0.0], np.cumsum(rng.uniform(0.4, 2.0, count - 1))]), rng.uniform(-3.0, 3.0, (count, 3))
 
 
 def snap_of(curve: BSpline, knots: np.ndarray) -> float:
-    """The integral of squared snap, exactly: on each leg a polynomial of degree 6, so four Gauss points are enough."""
+    """Return the integral of squared snap; four Gauss points are exact for a polynomial of degree 6 on each leg."""
     x, weights = np.polynomial.legendre.leggauss(4)
     half = 0.5 * np.diff(knots)
     t = knots[:-1, None] + half[:, None] * (1.0 + x)
@@ -28,10 +28,10 @@ def snap_of(curve: BSpline, knots: np.ndarray) -> float:
 
 
 def polynomial_legs(knots: np.ndarray, points: np.ndarray) -> np.ndarray:
-    """Coefficients (K - 1, 8, D) of the least-snap piecewise polynomial, from the KKT system of its quadratic program.
+    """Return the coefficients (K - 1, 8, D) of minimum-snap polynomials, from the KKT system of a quadratic program.
 
-    Nothing is shared with the spline: each leg has eight free coefficients; passing through the points, rest at the
-    ends and continuity up to the third derivative alone are demanded.
+    The formulation is independent of the spline: each leg has eight free coefficients, and the constraints are the
+    points, zero derivatives at the ends and continuity up to the third derivative.
     """
     legs, d = np.diff(knots), points.shape[1]
     powers = np.arange(8)
@@ -41,35 +41,35 @@ def polynomial_legs(knots: np.ndarray, points: np.ndarray) -> np.ndarray:
         return factor * t ** np.maximum(powers - order, 0)
 
     n = 8 * len(legs)
-    cost, demands, wanted = np.zeros((n, n)), [], []
+    cost, constraints, values = np.zeros((n, n)), [], []
 
-    def demand(parts: list[tuple[int, np.ndarray]], value: np.ndarray) -> None:
+    def constrain(parts: list[tuple[int, np.ndarray]], value: np.ndarray) -> None:
         line = np.zeros(n)
         for leg, coefficients in parts:
             line[8 * leg : 8 * leg + 8] += coefficients
-        demands.append(line)
-        wanted.append(value)
+        constraints.append(line)
+        values.append(value)
 
     for leg, length in enumerate(legs):
         block, _ = quad_vec(lambda t: np.outer(row(t, 4), row(t, 4)), 0.0, length)
         cost[8 * leg : 8 * leg + 8, 8 * leg : 8 * leg + 8] = block
-        demand([(leg, row(0.0, 0))], points[leg])
-        demand([(leg, row(length, 0))], points[leg + 1])
+        constrain([(leg, row(0.0, 0))], points[leg])
+        constrain([(leg, row(length, 0))], points[leg + 1])
         if leg:
             for order in (1, 2, 3):
-                demand([(leg - 1, row(legs[leg - 1], order)), (leg, -row(0.0, order))], np.zeros(d))
+                constrain([(leg - 1, row(legs[leg - 1], order)), (leg, -row(0.0, order))], np.zeros(d))
     for order in (1, 2, 3):
-        demand([(0, row(0.0, order))], np.zeros(d))
-        demand([(len(legs) - 1, row(legs[-1], order))], np.zeros(d))
-    A = np.array(demands)
+        constrain([(0, row(0.0, order))], np.zeros(d))
+        constrain([(len(legs) - 1, row(legs[-1], order))], np.zeros(d))
+    A = np.array(constraints)
     system = np.block([[cost, A.T], [A, np.zeros((len(A), len(A)))]])
-    right = np.concatenate([np.zeros((n, d)), np.array(wanted)])
+    right = np.concatenate([np.zeros((n, d)), np.array(values)])
     return np.asarray(np.linalg.lstsq(system, right, rcond=None)[0][:n].reshape(-1, 8, d))
 
 
 @pytest.mark.parametrize("seed", range(3))
 def test_the_curve_is_the_solution_of_the_quadratic_program(seed: int) -> None:
-    knots, points = drawn(seed, 5)
+    knots, points = random_points(seed, 5)
     curve, legs = minimum_snap(knots, points), polynomial_legs(knots, points)
     for start, length, coefficients in zip(knots[:-1], np.diff(knots), legs, strict=True):
         t = np.linspace(0.0, length, 20)
@@ -78,31 +78,31 @@ def test_the_curve_is_the_solution_of_the_quadratic_program(seed: int) -> None:
 
 @given(seed=st.integers(0, 10_000), count=st.integers(2, 12))
 @settings(max_examples=40, deadline=None)
-def test_no_other_curve_with_the_same_constraints_has_less_snap(seed: int, count: int) -> None:
-    knots, points = drawn(seed, count)
+def test_no_curve_with_the_same_constraints_has_less_snap(seed: int, count: int) -> None:
+    knots, points = random_points(seed, count)
     curve = minimum_snap(knots, points)
-    # A rival passes the points at the same times and rests at the ends: the curve and something that vanishes there.
+    # Another feasible curve is the sum of the curve and one that vanishes at the points and rests at the ends.
     dense = np.sort(np.concatenate([knots, knots[:-1] + 0.5 * np.diff(knots)]))
     values = np.zeros((len(dense), 3))
     values[1::2] = 0.1 * np.random.default_rng(seed).normal(size=(len(knots) - 1, 3))
-    aside = minimum_snap(dense, values)
-    least, added = snap_of(curve, knots), snap_of(aside, dense)
-    rival = minimum_snap(dense, curve(dense) + values)
+    difference = minimum_snap(dense, values)
+    least, added = snap_of(curve, knots), snap_of(difference, dense)
+    other = minimum_snap(dense, curve(dense) + values)
     assert added > 0.0
-    assert snap_of(rival, dense) == pytest.approx(least + added, rel=1e-6)  # Pythagoras: they are orthogonal
-    assert snap_of(rival, dense) > least
+    assert snap_of(other, dense) == pytest.approx(least + added, rel=1e-6)  # Pythagoras: they are orthogonal
+    assert snap_of(other, dense) > least
 
 
 @pytest.mark.parametrize("order", range(7))
 def test_curves_are_smooth_beyond_the_snap(order: int) -> None:
-    knots, points = drawn(3, 9)
+    knots, points = random_points(3, 9)
     derivative = minimum_snap(knots, points).derivative(order)
     before, after = derivative(knots[1:-1] - 1e-9), derivative(knots[1:-1] + 1e-9)
     np.testing.assert_allclose(before, after, atol=1e-6 * max(1.0, np.abs(derivative.c).max()))
 
 
 def test_curves_pass_their_points_and_rest_at_the_ends() -> None:
-    knots, points = drawn(4, 9)
+    knots, points = random_points(4, 9)
     curve = minimum_snap(knots, points)
     np.testing.assert_allclose(curve(knots), points, atol=1e-9)
     for order in (1, 2, 3):
@@ -119,10 +119,10 @@ def test_curves_pass_their_points_and_rest_at_the_ends() -> None:
     tilt=st.floats(0.2, 1.3),
 )
 @settings(max_examples=60, deadline=None)
-def test_limits_hold_everywhere_and_are_nearly_reached_somewhere(
+def test_limits_hold_and_are_nearly_reached(
     seed: int, count: int, speed: float, accel: float, tilt_rate: float, thrust: float, tilt: float
 ) -> None:
-    points = drawn(seed, count)[1]
+    points = random_points(seed, count)[1]
     limits = Limits(speed, accel, 1.0, tilt_rate, thrust, tilt)
     knots = minimum_time_knots(points, limits)
     curve, t = minimum_snap(knots, points), np.linspace(0.0, knots[-1], 20_000)
@@ -130,14 +130,14 @@ def test_limits_hold_everywhere_and_are_nearly_reached_somewhere(
     force = acceleration + [0.0, 0.0, GRAVITY_M_S2]
     lift = np.linalg.norm(force, axis=1)
     up = force / lift[:, None]
-    # The tilt rate by differences, not by the formula under test.
-    turned = np.linalg.norm(np.diff(up, axis=0), axis=1) / np.diff(t)
+    # The tilt rate is differentiated numerically, independent of the formula under test.
+    tilt_rates = np.linalg.norm(np.diff(up, axis=0), axis=1) / np.diff(t)
     shares = {
         "speed": np.linalg.norm(velocity, axis=1).max() / speed,
         "acceleration": np.linalg.norm(acceleration, axis=1).max() / accel,
         "thrust": lift.max() / (thrust * GRAVITY_M_S2),
         "tilt": np.arccos(np.clip(up[:, 2], -1.0, 1.0)).max() / tilt,
-        "tilt rate": turned.max() / tilt_rate,
+        "tilt rate": tilt_rates.max() / tilt_rate,
     }
     assert max(shares.values()) <= 1.0, shares
     light = (GRAVITY_M_S2 - lift.min()) / (0.7 * GRAVITY_M_S2)
@@ -147,27 +147,27 @@ def test_limits_hold_everywhere_and_are_nearly_reached_somewhere(
 
 @pytest.mark.parametrize("name", LIMITS)
 @pytest.mark.parametrize("seed", range(2))
-def test_hardly_any_other_times_are_quicker(name: str, seed: int) -> None:
-    points, limits = drawn(seed, 6)[1], LIMITS[name]
+def test_times_are_nearly_optimal(name: str, seed: int) -> None:
+    points, limits = random_points(seed, 6)[1], LIMITS[name]
     knots = minimum_time_knots(points, limits)
 
     def total_s(logarithms: np.ndarray) -> float:
-        rival = np.concatenate([[0.0], np.cumsum(np.exp(logarithms))])
-        curve, t = minimum_snap(rival, points), np.linspace(rival[:-1], rival[1:], 24)
+        other = np.concatenate([[0.0], np.cumsum(np.exp(logarithms))])
+        curve, t = minimum_snap(other, points), np.linspace(other[:-1], other[1:], 24)
         derivatives = [curve.derivative(order)(t) for order in (1, 2, 3)]
         low, high = 0.1, 10.0
         while high > 1.001 * low:
             scale = np.sqrt(low * high)
             v, a, j = (d / scale**order for order, d in enumerate(derivatives, 1))
             low, high = (scale, high) if limits.limit_ratio(v, a, j).max() > 1.0 else (low, scale)
-        return float(rival[-1] * high)
+        return float(other[-1] * high)
 
     best = minimize(total_s, np.log(np.diff(knots)), method="Nelder-Mead", options={"maxfev": 250}).fun
     assert knots[-1] < 1.04 * best
 
 
-def test_many_points_take_little_time_to_plan() -> None:
-    points = drawn(0, 200)[1]
+def test_two_hundred_points_can_be_planned() -> None:
+    points = random_points(0, 200)[1]
     knots = minimum_time_knots(points, LIMITS["medium"])
     again = minimum_time_knots(points, LIMITS["medium"], knots)
     assert again[-1] <= knots[-1] * 1.0001
@@ -186,15 +186,15 @@ def test_many_points_take_little_time_to_plan() -> None:
         ("tilt_rad", 1.5),
     ],
 )
-def test_impossible_limits_are_refused_by_name_and_value(name: str, value: float) -> None:
+def test_invalid_limits_are_refused_by_name_and_value(name: str, value: float) -> None:
     with pytest.raises(ConfigError, match=rf"{name} = {value:g}; expected"):
         Limits(**{name: value})
 
 
-def test_strain_is_the_factor_by_which_time_must_stretch() -> None:
+def test_limit_ratio_is_the_factor_of_the_required_time() -> None:
     limits, zero = Limits(2.0, 4.0, tilt_rate_rad_s=1.0), np.zeros(3)
     assert limits.limit_ratio(np.array([4.0, 0.0, 0.0]), zero, zero) == pytest.approx(2.0 / 0.99)
     assert limits.limit_ratio(zero, np.array([0.0, 16.0, 0.0]), zero) > 2.0
-    jerk = 8.0 * GRAVITY_M_S2 * np.array([1.0, 0.0, 0.0])  # turns the thrust of a hover at 8 rad/s
+    jerk = 8.0 * GRAVITY_M_S2 * np.array([1.0, 0.0, 0.0])  # rotates the thrust of a hover at 8 rad/s
     assert limits.limit_ratio(zero, zero, jerk) == pytest.approx(2.0 / np.cbrt(0.99))
     assert limits.limit_ratio(zero, zero, zero) == 0.0

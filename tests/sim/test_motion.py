@@ -1,4 +1,4 @@
-"""The perfect IMU, by an independent dead reckoning (scipy's rotations) and by motions with a formula."""
+"""The ideal IMU against an independent dead reckoning with SciPy's rotations and against analytic motions."""
 
 import numpy as np
 import pytest
@@ -21,8 +21,8 @@ T_VEHICLE_IMU = euroc_rig().T_vehicle_imu
 
 
 @pytest.fixture(scope="module")
-def flown() -> Motion:
-    """The 30 s flight."""
+def room_flight() -> Motion:
+    """Return the motion of the scenario `room`, of 30 s."""
     room = scenario_named("room")
     plant = QuadrotorPlant(room.rig)
     reference = reference_of(room, plant)
@@ -34,7 +34,7 @@ def flown() -> Motion:
 
 @pytest.fixture(scope="module")
 def aggressive() -> Motion:
-    """60 s of hard turns high above the ground: up to 10 rad/s and 20 m/s², 3 rad/s and 13 m/s² r.m.s."""
+    """Return 60 s of aggressive motion without ground effect: up to 10 rad/s and 20 m/s², 3 rad/s and 13 m/s² RMS."""
     rig, t = euroc_rig(), np.arange(12_001) * 5e-3
     rates, sizes, step = np.array([2.6, 3.4, 2.0]), np.array([1.6, 1.3, 1.0]), 1e-3
     before, position, after = (
@@ -43,15 +43,15 @@ def aggressive() -> Motion:
     acceleration = (after - 2.0 * position + before) / step**2
     yaw = 1.5 * (t - np.tanh(t))
     R = Rotation.from_matrix(attitude(acceleration - GRAVITY, yaw))
-    turning = np.vstack([np.zeros(3), (R[:-2].inv() * R[2:]).as_rotvec() / 10e-3, np.zeros(3)])
+    rates_rad_s = np.vstack([np.zeros(3), (R[:-2].inv() * R[2:]).as_rotvec() / 10e-3, np.zeros(3)])
     reference = Reference(
         np.arange(12_001, dtype=np.int64) * 5_000_000,
         position + [0.0, 0.0, 50.0],
         (after - before) / (2.0 * step),
         acceleration,
         yaw,
-        turning,
-        np.gradient(turning, 5e-3, axis=0),
+        rates_rad_s,
+        np.gradient(rates_rad_s, 5e-3, axis=0),
         np.ones(12_001, dtype=bool),
     )
     plant, controller = QuadrotorPlant(rig), SE3Controller(reference, rig.T_vehicle_imu)
@@ -68,8 +68,8 @@ def dead_reckoned(increments: ImuSamples, truth: Trajectory) -> tuple[np.ndarray
     assert truth.velocity_m_s is not None
     dt = 5e-3
     R = [Rotation.from_quat(np.roll(truth.quat_wxyz[0], -1)).as_matrix()]
-    for turn in Rotation.from_rotvec(increments.gyro_rad_s * dt).as_matrix():
-        R.append(R[-1] @ turn)
+    for rotation in Rotation.from_rotvec(increments.gyro_rad_s * dt).as_matrix():
+        R.append(R[-1] @ rotation)
     a = np.einsum("nij,nj->ni", R[:-1], increments.accel_m_s2) + GRAVITY
     v = truth.velocity_m_s[0] + np.cumsum(a * dt, axis=0)
     p = truth.p_world_imu[0] + np.cumsum((v - 0.5 * a * dt) * dt, axis=0)
@@ -96,10 +96,10 @@ MOUNTS = pytest.mark.parametrize(
 
 
 @MOUNTS
-def test_increments_carry_an_aggressive_minute(aggressive: Motion, T_vehicle_imu: np.ndarray) -> None:
+def test_increments_integrate_aggressive_motion_exactly(aggressive: Motion, T_vehicle_imu: np.ndarray) -> None:
     truth = aggressive.trajectory(T_vehicle_imu)
     assert truth.velocity_m_s is not None and truth.t_ns[-1] == 60_000_000_000
-    assert np.linalg.norm(aggressive.twist[:, 3:], axis=1).max() > 5.0  # it is aggressive
+    assert np.linalg.norm(aggressive.twist[:, 3:], axis=1).max() > 5.0  # the motion is aggressive
     assert np.sqrt(np.square(np.diff(truth.velocity_m_s, axis=0) / 5e-3).sum(axis=1).mean()) > 10.0
     attitude_rad, velocity_m_s, position_m = drift(aggressive.increments(T_vehicle_imu), truth)
     assert attitude_rad.max() < 1e-9
@@ -108,51 +108,53 @@ def test_increments_carry_an_aggressive_minute(aggressive: Motion, T_vehicle_imu
 
 
 @MOUNTS
-def test_points_describe_a_fast_minute_within_their_sampling(aggressive: Motion, T_vehicle_imu: np.ndarray) -> None:
-    """What the midpoint rule loses is what `Motion.points` says that it must; given that, nothing else is lost."""
+def test_points_integrate_within_the_sampling_error(aggressive: Motion, T_vehicle_imu: np.ndarray) -> None:
+    """The error of the midpoint rule is the one that `Motion.points` documents; without it, the error is small."""
     truth, points, dt = aggressive.trajectory(T_vehicle_imu), aggressive.points(T_vehicle_imu, 5e-3), 5e-3
     assert truth.velocity_m_s is not None
     attitude_rad, velocity_m_s, position_m = drift(points.increments(), truth)
 
     before, after = points.gyro_rad_s[:-1], points.gyro_rad_s[1:]
-    amid = aggressive.twist_between[1:-1, 3:] @ T_vehicle_imu[:3, :3]
-    lost = dt**2 / 12.0 * np.cross(before, after) + dt * 2.0 / 3.0 * (amid - 0.5 * (before + after))
-    allowed_rad = np.cumsum(np.linalg.norm(lost, axis=1)) + 1e-9  # of rounding
+    middle = aggressive.twist_between[1:-1, 3:] @ T_vehicle_imu[:3, :3]
+    sampling_error = dt**2 / 12.0 * np.cross(before, after) + dt * 2.0 / 3.0 * (middle - 0.5 * (before + after))
+    allowed_rad = np.cumsum(np.linalg.norm(sampling_error, axis=1)) + 1e-9  # for rounding
     jumps = np.linalg.norm(np.diff(truth.velocity_m_s, n=2, axis=0) / dt, axis=1).max()
     force = np.linalg.norm(points.accel_m_s2, axis=1)[1:]
     allowed_m_s = np.cumsum(force * allowed_rad * dt) + 0.5 * dt * jumps
     assert np.all(attitude_rad <= allowed_rad)
     assert np.all(velocity_m_s <= allowed_m_s)
     assert np.all(position_m <= np.cumsum(allowed_m_s * dt))
-    assert attitude_rad.max() > 1e-3  # and it is lost: points are not increments
+    assert attitude_rad.max() > 1e-3  # points are not equivalent to increments
 
-    turn = dt * 0.5 * (before + after) + lost
-    turned = np.einsum("nij,nj->ni", Rotation.from_rotvec(turn).as_matrix(), points.accel_m_s2[1:])
-    given = ImuSamples(points.t_ns[1:], turn / dt, 0.5 * (points.accel_m_s2[:-1] + turned), "increment")
-    attitude_rad, velocity_m_s, position_m = drift(given, truth)
+    turn = dt * 0.5 * (before + after) + sampling_error
+    rotated = np.einsum("nij,nj->ni", Rotation.from_rotvec(turn).as_matrix(), points.accel_m_s2[1:])
+    corrected = ImuSamples(points.t_ns[1:], turn / dt, 0.5 * (points.accel_m_s2[:-1] + rotated), "increment")
+    attitude_rad, velocity_m_s, position_m = drift(corrected, truth)
     assert attitude_rad.max() < 1e-4
     assert velocity_m_s.max() < 0.5 * dt * jumps + 1e-3
     assert position_m.max() < 0.05
 
 
-def test_points_carry_the_whole_flight_by_the_midpoint_rule(flown: Motion) -> None:
-    truth = flown.trajectory(T_VEHICLE_IMU)
-    attitude_rad, velocity_m_s, position_m = drift(flown.points(T_VEHICLE_IMU, 5e-3).increments(), truth)
-    in_flight = truth.t_s[1:] < 27.5  # the landing's shock is shorter than the sampling
+def test_points_integrate_a_flight_by_the_midpoint_rule(room_flight: Motion) -> None:
+    truth = room_flight.trajectory(T_VEHICLE_IMU)
+    attitude_rad, velocity_m_s, position_m = drift(room_flight.points(T_VEHICLE_IMU, 5e-3).increments(), truth)
+    in_flight = truth.t_s[1:] < 27.5  # the impact of the landing is shorter than the sampling interval
     assert attitude_rad.max() < 1e-4
     assert velocity_m_s[in_flight].max() < 2e-3
     assert position_m.max() < 0.02
 
 
-def test_increments_carry_the_whole_flight_through_its_landing(flown: Motion) -> None:
-    attitude_rad, velocity_m_s, position_m = drift(flown.increments(T_VEHICLE_IMU), flown.trajectory(T_VEHICLE_IMU))
+def test_increments_integrate_a_flight_with_its_landing(room_flight: Motion) -> None:
+    attitude_rad, velocity_m_s, position_m = drift(
+        room_flight.increments(T_VEHICLE_IMU), room_flight.trajectory(T_VEHICLE_IMU)
+    )
     assert attitude_rad.max() < 1e-9
     assert velocity_m_s.max() < 1e-9
     assert position_m.max() < 3e-4
 
 
 def test_rotor_speeds_belong_to_the_interval_after_their_stamp() -> None:
-    """Nearly at rest the specific force is that of the thrust; while rotors speed up, another interval's differs."""
+    """At a low speed the thrust alone determines the specific force, and it changes between intervals."""
     quadrotor, start = Quadrotor(), pose_matrix(np.eye(3), np.array([0.0, 0.0, 50.0]))
     plant = QuadrotorPlant(euroc_rig(), quadrotor)
     hover = np.full(4, quadrotor.hover_speed_rad_s)
@@ -165,26 +167,26 @@ def test_rotor_speeds_belong_to_the_interval_after_their_stamp() -> None:
     np.testing.assert_allclose(motion.increments(np.eye(4)).accel_m_s2[:, 2] * quadrotor.mass_kg, thrust, rtol=0.01)
 
 
-def test_true_velocity_is_the_slope_of_the_true_position(flown: Motion) -> None:
-    truth = flown.trajectory(T_VEHICLE_IMU)
+def test_velocity_is_the_derivative_of_the_position(room_flight: Motion) -> None:
+    truth = room_flight.trajectory(T_VEHICLE_IMU)
     assert truth.velocity_m_s is not None
-    slope = (truth.p_world_imu[2:] - truth.p_world_imu[:-2]) / 10e-3
+    derivative = (truth.p_world_imu[2:] - truth.p_world_imu[:-2]) / 10e-3
     in_flight = truth.t_s[1:-1] < 27.5
-    np.testing.assert_allclose(truth.velocity_m_s[1:-1][in_flight], slope[in_flight], atol=2e-3)
+    np.testing.assert_allclose(truth.velocity_m_s[1:-1][in_flight], derivative[in_flight], atol=2e-3)
 
 
 def circling(offset_s: float) -> tuple[np.ndarray, np.ndarray]:
-    """Return pose (N, 7) and twist (N, 6) on a circle of 2 m at 1.5 rad/s, nose ahead, as leapfrog keeps them."""
+    """Return pose (N, 7) and twist (N, 6) on a circle of 2 m at 1.5 rad/s, at the times of a leapfrog integrator."""
     t, radius, rate, half = np.arange(200) * 5e-3 + offset_s, 2.0, 1.5, 0.5e-3
-    ahead = t + half  # MuJoCo's poses are half a step later than its velocities
-    position = radius * np.stack([np.sin(rate * ahead), -np.cos(rate * ahead), 0 * t], axis=1)
-    quat_xyzw = Rotation.from_rotvec(np.outer(rate * ahead, [0, 0, 1])).as_quat()
+    t_pose = t + half  # MuJoCo's poses are half a step later than its velocities
+    position = radius * np.stack([np.sin(rate * t_pose), -np.cos(rate * t_pose), 0 * t], axis=1)
+    quat_xyzw = Rotation.from_rotvec(np.outer(rate * t_pose, [0, 0, 1])).as_quat()
     velocity = radius * rate * np.stack([np.cos(rate * t), np.sin(rate * t), 0 * t], axis=1)
     spin = np.tile([0.0, 0.0, rate], (len(t), 1))
     return np.hstack([position, np.roll(quat_xyzw, 1, axis=1)]), np.hstack([velocity, spin])
 
 
-def test_a_circle_is_sensed_as_the_textbook_says() -> None:
+def test_specific_force_on_a_circle_is_centripetal() -> None:
     pose, twist = circling(0.0)
     pose_before, twist_before = circling(-2.5e-3)
     pose_after, twist_after = circling(2.5e-3)

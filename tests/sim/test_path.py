@@ -25,7 +25,7 @@ def reference(plan: FlightPlan, seed: int = 0, box: np.ndarray = BOX) -> Referen
 
 
 @pytest.mark.parametrize("name", PLANS)
-def test_derivatives_belong_to_the_path(name: str) -> None:
+def test_velocity_and_acceleration_are_derivatives(name: str) -> None:
     path = reference(PLANS[name])
     dt = STEP_NS * 1e-9
     velocity = (path.position_m[2:] - path.position_m[:-2]) / (2 * dt)
@@ -49,17 +49,17 @@ def test_starts_and_ends_standing_on_the_pad(name: str) -> None:
     assert path.t_ns[0] == 0 and path.duration_s == pytest.approx(
         plan.initial_rest_s + plan.takeoff_s + plan.tour_s + plan.landing_s + plan.final_rest_s
     )
-    resting = t <= plan.initial_rest_s
-    np.testing.assert_array_equal(path.position_m[resting], np.tile([0.0, 0.0, STANDING_M], (resting.sum(), 1)))
+    at_rest = t <= plan.initial_rest_s
+    np.testing.assert_array_equal(path.position_m[at_rest], np.tile([0.0, 0.0, STANDING_M], (at_rest.sum(), 1)))
     assert not path.flying[t < plan.initial_rest_s].any()
     assert not path.flying[t > path.duration_s - plan.final_rest_s].any()
     np.testing.assert_allclose(path.position_m[-1], [0.0, 0.0, STANDING_M], atol=0.02)
-    for still in (path.velocity_m_s, path.acceleration_m_s2, path.rate_rad_s):
-        np.testing.assert_allclose(still[[0, -1]], 0.0, atol=1e-9)
+    for derivative in (path.velocity_m_s, path.acceleration_m_s2, path.rate_rad_s):
+        np.testing.assert_allclose(derivative[[0, -1]], 0.0, atol=1e-9)
 
 
 @pytest.mark.parametrize("seed", range(20))
-def test_the_tour_is_lively_and_within_bounds_whatever_the_seed(seed: int) -> None:
+def test_the_tour_is_dynamic_and_within_bounds(seed: int) -> None:
     plan = ROOM
     path = reference(plan, seed)
     assert 2.2 <= path.peak_speed_m_s <= 3.5
@@ -70,22 +70,22 @@ def test_the_tour_is_lively_and_within_bounds_whatever_the_seed(seed: int) -> No
     assert np.degrees(np.arccos(tilt[:, 2] / np.linalg.norm(tilt, axis=1))).max() < 45.0
 
 
-def test_seeds_draw_different_tours_and_the_same_one_again() -> None:
+def test_tours_are_determined_by_the_seed() -> None:
     plan = ROOM
     first, again, other = reference(plan, 3), reference(plan, 3), reference(plan, 4)
     assert first.position_m.tobytes() == again.position_m.tobytes()
-    apart = np.linalg.norm(first.position_m - other.position_m, axis=1)
-    assert 0.1 < apart.max() < 2.0
+    distance = np.linalg.norm(first.position_m - other.position_m, axis=1)
+    assert 0.1 < distance.max() < 2.0
 
 
-def test_rates_belong_to_the_attitude() -> None:
+def test_rates_are_the_derivative_of_the_attitude() -> None:
     path = reference(ROOM)
     R = attitude(path.acceleration_m_s2 + [0.0, 0.0, 9.81], path.yaw_rad)
-    turned = R[:-1] @ exp_so3(0.5 * (path.rate_rad_s[:-1] + path.rate_rad_s[1:]) * 5e-3)
-    np.testing.assert_allclose(turned, R[1:], atol=1e-4)
+    rotated = R[:-1] @ exp_so3(0.5 * (path.rate_rad_s[:-1] + path.rate_rad_s[1:]) * 5e-3)
+    np.testing.assert_allclose(rotated, R[1:], atol=1e-4)
 
 
-def test_attitude_points_thrust_and_nose() -> None:
+def test_attitude_aligns_thrust_and_heading() -> None:
     rng = np.random.default_rng(0)
     thrust, yaw = rng.normal(size=(50, 3)) + [0, 0, 4], rng.uniform(-3, 3, 50)
     R = attitude(thrust, yaw)
@@ -97,16 +97,16 @@ def test_attitude_points_thrust_and_nose() -> None:
     np.testing.assert_allclose(np.einsum("ni,ni->n", R[:, :, 1], heading), 0.0, atol=1e-12)
 
 
-def test_the_camera_looks_along_the_way() -> None:
+def test_heading_follows_the_direction_of_motion() -> None:
     path = reference(ROOM)
     cruising = np.linalg.norm(path.velocity_m_s[:, :2], axis=1) > 1.0
-    way = path.velocity_m_s[cruising, :2]
+    direction = path.velocity_m_s[cruising, :2]
     nose = np.stack([np.cos(path.yaw_rad[cruising]), np.sin(path.yaw_rad[cruising])], axis=1)
-    cosine = np.sum(way * nose, axis=1) / np.linalg.norm(way, axis=1)
+    cosine = np.sum(direction * nose, axis=1) / np.linalg.norm(direction, axis=1)
     assert np.degrees(np.arccos(np.mean(cosine))) < 30.0
 
 
-def test_a_small_room_shrinks_the_tour() -> None:
+def test_a_tour_is_scaled_to_a_small_room() -> None:
     box = np.array([[-1.5, -1.0, 0.0], [1.5, 1.0, 2.2]])
     path = reference(ROOM, box=box)
     assert np.all(np.abs(path.position_m[:, :2]) <= box[1, :2] - 0.4 + 1e-3)

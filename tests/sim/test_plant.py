@@ -13,15 +13,15 @@ from dronevio.sim.physics.plant import QuadrotorPlant
 
 QUAD = Quadrotor()
 HOVER = np.full(4, QUAD.hover_speed_rad_s)
-ALOFT = pose_matrix(np.eye(3), np.array([0.0, 0.0, 50.0]))
-AT_THE_MIDDLE = Rig(cameras=(), imu=ImuModel(rate_hz=200.0))
+HIGH = pose_matrix(np.eye(3), np.array([0.0, 0.0, 50.0]))
+CENTRED_IMU = Rig(cameras=(), imu=ImuModel(rate_hz=200.0))
 FRONT_RIGHT, REAR_LEFT, FRONT_LEFT, REAR_RIGHT = np.eye(4)
 SECOND_NS = 1_000_000_000
-SMOOTH = replace(QUAD, drag_area_m2=(0.0, 0.0, 0.0))  # with rotors at rest, no air holds it back
+DRAGLESS = replace(QUAD, drag_area_m2=(0.0, 0.0, 0.0))  # without drag if the rotors do not spin
 
 
 @pytest.mark.parametrize("name", VEHICLES)
-def test_mjcf_and_constants_agree(name: str) -> None:
+def test_mjcf_and_parameters_agree(name: str) -> None:
     drone = VEHICLES[name]
     model = mujoco.MjModel.from_xml_path(str(drone.mjcf))
     body = model.body("quadrotor")
@@ -32,9 +32,9 @@ def test_mjcf_and_constants_agree(name: str) -> None:
         np.testing.assert_allclose(model.site(rotor).pos, position, atol=1e-5)
 
 
-def test_another_quadrotor_has_its_own_mass() -> None:
+def test_the_mass_of_the_quadrotor_is_used() -> None:
     heavy = QuadrotorPlant(euroc_rig(), replace(QUAD, mass_kg=3.0))
-    heavy.reset(ALOFT, rotor_speeds_rad_s=HOVER)
+    heavy.reset(HIGH, rotor_speeds_rad_s=HOVER)
     accel = heavy.step_until(0, HOVER).accel_m_s2[0]
     np.testing.assert_allclose(np.linalg.norm(accel), 9.81 / 2.0, rtol=1e-3)
 
@@ -52,26 +52,24 @@ def test_another_quadrotor_has_its_own_mass() -> None:
     ],
     ids=["roll right", "nose down", "yaw left", "roll left", "nose up", "yaw right"],
 )
-def test_every_axis_turns_as_the_gyroscope_measures(
-    name: str, more: np.ndarray, less: np.ndarray, axis: int, sign: int
-) -> None:
-    plant = QuadrotorPlant(AT_THE_MIDDLE, VEHICLES[name])
+def test_torques_agree_with_the_gyroscope(name: str, more: np.ndarray, less: np.ndarray, axis: int, sign: int) -> None:
+    plant = QuadrotorPlant(CENTRED_IMU, VEHICLES[name])
     hover = np.full(4, plant.quadrotor.hover_speed_rad_s)
-    plant.reset(ALOFT, rotor_speeds_rad_s=hover)
+    plant.reset(HIGH, rotor_speeds_rad_s=hover)
     gyro = plant.step_until(SECOND_NS // 5, hover * (1.0 + 0.03 * (more - less))).gyro_rad_s
     assert np.all(sign * gyro[3:, axis] > 0.0)
     assert sign * gyro[-1, axis] > 0.05
     assert np.all(np.abs(np.delete(gyro[-1], axis)) < 0.05 * abs(gyro[-1, axis]))
     up = plant.vehicle_state().T_world_imu[:3, :3] @ np.eye(3)[(axis + 1) % 3]
-    assert sign * up[(axis + 2) % 3] > 0.0  # a right-handed turn: y toward z, z toward x, x toward y
+    assert sign * up[(axis + 2) % 3] > 0.0  # a right-handed rotation: y toward z, z toward x, x toward y
 
 
 @pytest.mark.parametrize("name", VEHICLES)
 @pytest.mark.parametrize(("share", "sign"), [(1.1, 1), (0.9, -1)])
-def test_thrust_lifts_and_the_accelerometer_says_so(name: str, share: float, sign: int) -> None:
-    plant = QuadrotorPlant(AT_THE_MIDDLE, VEHICLES[name])
+def test_thrust_changes_velocity_and_specific_force(name: str, share: float, sign: int) -> None:
+    plant = QuadrotorPlant(CENTRED_IMU, VEHICLES[name])
     hover = np.full(4, plant.quadrotor.hover_speed_rad_s)
-    plant.reset(ALOFT, rotor_speeds_rad_s=hover)
+    plant.reset(HIGH, rotor_speeds_rad_s=hover)
     accel = plant.step_until(SECOND_NS // 2, share * hover).accel_m_s2
     velocity = plant.vehicle_state().velocity_m_s
     assert sign * velocity[2] > 0.4
@@ -81,25 +79,25 @@ def test_thrust_lifts_and_the_accelerometer_says_so(name: str, share: float, sig
 
 @pytest.mark.parametrize("name", VEHICLES)
 @pytest.mark.parametrize(("angle", "expected"), [([0.0, 0.2, 0.0], [1, 0]), ([0.2, 0.0, 0.0], [0, -1])])
-def test_tilt_accelerates_to_where_it_points(name: str, angle: list[float], expected: list[int]) -> None:
-    plant = QuadrotorPlant(AT_THE_MIDDLE, VEHICLES[name])
+def test_tilt_accelerates_in_its_direction(name: str, angle: list[float], expected: list[int]) -> None:
+    plant = QuadrotorPlant(CENTRED_IMU, VEHICLES[name])
     hover = np.full(4, plant.quadrotor.hover_speed_rad_s)
-    plant.reset(pose_matrix(exp_so3(np.array(angle)), ALOFT[:3, 3]), rotor_speeds_rad_s=hover)
+    plant.reset(pose_matrix(exp_so3(np.array(angle)), HIGH[:3, 3]), rotor_speeds_rad_s=hover)
     plant.advance(SECOND_NS // 5, hover)
     np.testing.assert_array_equal(np.sign(np.round(plant.vehicle_state().velocity_m_s[:2], 3)), expected)
 
 
-def test_hover_senses_gravity_upwards_in_the_imus_own_frame() -> None:
+def test_hover_measures_gravity_in_the_imu_frame() -> None:
     plant = QuadrotorPlant(euroc_rig())
-    plant.reset(ALOFT, rotor_speeds_rad_s=HOVER)
+    plant.reset(HIGH, rotor_speeds_rad_s=HOVER)
     samples = plant.step_until(SECOND_NS, HOVER)
     assert len(samples) == 201
-    # EuRoC: x is up; at a height of 50 m the ground's effect is some 1e-6 of the thrust
+    # EuRoC: x is up; at a height of 50 m the ground effect is about 1e-6 of the thrust
     np.testing.assert_allclose(samples.accel_m_s2, np.tile([9.81, 0.0, 0.0], (201, 1)), atol=1e-3)
     np.testing.assert_allclose(samples.gyro_rad_s, 0.0, atol=1e-9)
 
 
-def test_standing_on_the_floor_is_still() -> None:
+def test_a_standing_drone_does_not_move() -> None:
     plant = QuadrotorPlant(euroc_rig())
     samples = plant.step_until(3 * SECOND_NS, np.zeros(4))
     np.testing.assert_allclose(samples.accel_m_s2, np.tile([9.81, 0.0, 0.0], (601, 1)), atol=1e-9)
@@ -118,17 +116,17 @@ def test_comes_to_rest_after_a_hard_tilted_landing() -> None:
     np.testing.assert_allclose(samples.gyro_rad_s, 0.0, atol=1e-4)
 
 
-def test_free_fall_senses_nothing() -> None:
-    plant = QuadrotorPlant(euroc_rig(), SMOOTH)
-    plant.reset(ALOFT, velocity_m_s=np.array([1.0, -2.0, 3.0]))
+def test_free_fall_has_no_specific_force() -> None:
+    plant = QuadrotorPlant(euroc_rig(), DRAGLESS)
+    plant.reset(HIGH, velocity_m_s=np.array([1.0, -2.0, 3.0]))
     samples = plant.step_until(SECOND_NS, np.zeros(4))
     np.testing.assert_allclose(samples.accel_m_s2, 0.0, atol=1e-9)
 
 
-def test_lever_arm_and_mounting_of_a_spinning_fall() -> None:
+def test_lever_arm_and_mounting_of_a_rotating_imu() -> None:
     rig, spin = euroc_rig(), np.array([0.0, 0.0, 4.0])
-    plant = QuadrotorPlant(rig, SMOOTH)
-    plant.reset(ALOFT, rate_rad_s=spin)
+    plant = QuadrotorPlant(rig, DRAGLESS)
+    plant.reset(HIGH, rate_rad_s=spin)
     samples = plant.step_until(SECOND_NS, np.zeros(4))
     R, lever = rig.T_vehicle_imu[:3, :3], rig.T_vehicle_imu[:3, 3]
     np.testing.assert_allclose(samples.gyro_rad_s @ R.T, np.tile(spin, (201, 1)), atol=1e-9)
@@ -140,26 +138,26 @@ def test_lever_arm_and_mounting_of_a_spinning_fall() -> None:
 def test_true_velocity_is_that_of_the_imu() -> None:
     rig, spin = euroc_rig(), np.array([0.0, 0.0, 4.0])
     plant = QuadrotorPlant(rig)
-    plant.reset(ALOFT, rate_rad_s=spin)
+    plant.reset(HIGH, rate_rad_s=spin)
     state = plant.state()
     np.testing.assert_allclose(state.velocity_m_s, np.cross(spin, rig.T_vehicle_imu[:3, 3]), atol=1e-3)
 
 
-def test_samples_do_not_depend_on_how_time_is_cut() -> None:
+def test_samples_do_not_depend_on_the_time_steps() -> None:
     command = HOVER + [10.0, -10.0, 5.0, 0.0]
-    whole, cut = QuadrotorPlant(euroc_rig()), QuadrotorPlant(euroc_rig())
-    for plant in (whole, cut):
-        plant.reset(ALOFT, rotor_speeds_rad_s=HOVER)
+    whole, split = QuadrotorPlant(euroc_rig()), QuadrotorPlant(euroc_rig())
+    for plant in (whole, split):
+        plant.reset(HIGH, rotor_speeds_rad_s=HOVER)
     at_once = whole.step_until(SECOND_NS, command)
-    parts = cut.step_until(0, command)
+    parts = split.step_until(0, command)
     for t_ns in (1, 4_999_999, 5_000_000, 33_000_000, 640_000_000, SECOND_NS):
-        parts = parts.extended(cut.step_until(t_ns, command))
+        parts = parts.extended(split.step_until(t_ns, command))
     np.testing.assert_array_equal(parts.t_ns, at_once.t_ns)
     np.testing.assert_array_equal(parts.gyro_rad_s, at_once.gyro_rad_s)
     np.testing.assert_array_equal(parts.accel_m_s2, at_once.accel_m_s2)
 
 
-def test_a_reset_forgets_everything() -> None:
+def test_a_reset_restores_the_initial_state() -> None:
     plant = QuadrotorPlant(euroc_rig())
     first = plant.step_until(SECOND_NS // 2, 1.1 * HOVER)
     plant.reset()
@@ -169,10 +167,10 @@ def test_a_reset_forgets_everything() -> None:
 
 
 @pytest.mark.parametrize("rate_hz", [100.0, 400.0, 1000.0])
-def test_other_imu_rates_fly_too(rate_hz: float) -> None:
+def test_other_imu_rates_are_supported(rate_hz: float) -> None:
     rig = Rig(cameras=(), imu=ImuModel(rate_hz=rate_hz))
-    plant = QuadrotorPlant(rig, SMOOTH)
-    plant.reset(ALOFT, velocity_m_s=np.array([1.0, 0.0, 0.0]))
+    plant = QuadrotorPlant(rig, DRAGLESS)
+    plant.reset(HIGH, velocity_m_s=np.array([1.0, 0.0, 0.0]))
     samples = plant.step_until(SECOND_NS, np.zeros(4))
     assert len(samples) == rate_hz + 1
     assert samples.t_ns[-1] == SECOND_NS

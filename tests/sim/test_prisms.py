@@ -1,4 +1,4 @@
-"""Round things: the boxes fill them exactly; what is painted on curves is lit and laid out like what is flat."""
+"""Prisms: collision boxes, lateral surfaces, and their lightmaps and textures."""
 
 import numpy as np
 import numpy.typing as npt
@@ -24,7 +24,7 @@ def ramp(rng: np.random.Generator, height: int, width: int) -> Image:
 
 
 @pytest.mark.parametrize("sides", [4, 8, 10, 16])
-def test_boxes_fill_a_prism_exactly(sides: int) -> None:
+def test_boxes_cover_exactly_the_prism(sides: int) -> None:
     boxes = prism_boxes(1.3, 0.0, 2.0, sides)
     space = Space(
         np.full(3, -9.0),
@@ -43,7 +43,7 @@ def test_boxes_fill_a_prism_exactly(sides: int) -> None:
     assert clearance[near].max() < 0.1
 
 
-def test_a_mantle_faces_outward_and_closes() -> None:
+def test_a_lateral_surface_is_closed_and_faces_outward() -> None:
     grid = lateral_surface(np.array([2.0, 1.0, 0.0]), np.array([0.0, 1.0, 1.0]), 12)
     np.testing.assert_allclose(grid[:, 0], grid[:, -1], atol=1e-12)
     quads = np.stack([grid[:-1, :-1], grid[:-1, 1:], grid[1:, 1:], grid[1:, :-1]], axis=2).reshape(-1, 4, 3)
@@ -52,7 +52,7 @@ def test_a_mantle_faces_outward_and_closes() -> None:
     assert (np.sum(normals * (quads.mean(axis=1) - [0.0, 0.0, 0.5]), axis=1) > 0.0).all()
 
 
-def test_a_flat_sheet_is_a_face() -> None:
+def test_a_flat_sheet_equals_a_face() -> None:
     face = Face(np.array([-1.0, 1.0, 0.0]), np.array([2.0, 0.0, 0.0]), np.array([0.0, -2.0, 0.0]), ramp)
     u, v = np.meshgrid(np.linspace(0.0, 1.0, 5), np.linspace(0.0, 1.0, 4))
     sheet = Sheet(face.corner + u[..., None] * face.right + v[..., None] * face.down, ramp)
@@ -61,7 +61,7 @@ def test_a_flat_sheet_is_a_face() -> None:
     flat, gridded = (bake([surface], [], [lamp])[0] for surface in (face, sheet))
     np.testing.assert_allclose(flat, gridded, rtol=1e-5)
     (page,) = paint_pages([sheet], [gridded], np.random.default_rng(0))
-    # what a corner of the grid shows is what the painted face shows there
+    # The texture at a vertex of the grid is that of the face at the same position
     shape = page.texture.shape
     at = (page.texture_coordinates * [shape[1], shape[0]]).astype(int)
     red = page.texture[np.minimum(at[:, 1], shape[0] - 1), at[:, 0] - 1, 0].astype(float)
@@ -70,7 +70,7 @@ def test_a_flat_sheet_is_a_face() -> None:
     assert np.corrcoef(red[inner], right[inner])[0, 1] > 0.9
 
 
-def test_coarse_surfaces_have_coarse_images() -> None:
+def test_texture_size_follows_the_resolution() -> None:
     faces = [
         Face(np.zeros(3), np.array([2.0, 0.0, 0.0]), np.array([0.0, -1.0, 0.0]), ramp, 1.0, ppm)
         for ppm in (50.0, 100.0)
@@ -82,7 +82,7 @@ def test_coarse_surfaces_have_coarse_images() -> None:
     np.testing.assert_allclose(np.sort(spans[:, 0]), [100.0, 200.0])
 
 
-def test_cutouts_share_an_image() -> None:
+def test_cutouts_share_a_texture() -> None:
     grid = lateral_surface(np.array([1.0, 0.0]), np.full(2, 0.5), 8)
     left, right = Cutouts.of_grid(grid, 0.0, 0.5), Cutouts.of_grid(grid + [3.0, 0.0, 0.0], 0.5, 1.0)
     whole = joined([left, right])
@@ -91,5 +91,5 @@ def test_cutouts_share_an_image() -> None:
     assert len(page.vertices) == 4 * 16
     assert page.texture_coordinates[:32, 0].max() == pytest.approx(0.5)
     assert page.texture_coordinates[32:, 0].min() == pytest.approx(0.5)
-    back = whole.turned_over()
-    np.testing.assert_allclose(facing(back.corners), -facing(whole.corners), atol=1e-12)
+    reversed_sides = whole.turned_over()
+    np.testing.assert_allclose(facing(reversed_sides.corners), -facing(whole.corners), atol=1e-12)

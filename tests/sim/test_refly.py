@@ -1,4 +1,4 @@
-"""Flying a recorded path again: time stamps and frames stay, and the IMU fits the path."""
+"""Simulation along a recorded path: time stamps and poses are kept, and the IMU agrees with the path."""
 
 import numpy as np
 import pytest
@@ -21,44 +21,44 @@ def recorded() -> Flight:
 
 
 def _shifted(flight: Flight) -> tuple[Trajectory, ImuSamples]:
-    """The flight as somebody else would have recorded it: another clock, another origin."""
+    """Return the trajectory and the IMU of a flight with another clock and another origin."""
     truth, imu = flight.truth, flight.imu
     p = truth.p_world_imu + [40.0, -3.0, 12.0]
     samples = ImuSamples(imu.t_ns + START_NS - 250_000_000, imu.gyro_rad_s, imu.accel_m_s2)
     return Trajectory(truth.t_ns + START_NS, p, truth.quat_wxyz), samples
 
 
-def test_a_real_imu_is_kept_as_it_is(recorded: Flight) -> None:
+def test_a_recorded_imu_is_not_changed(recorded: Flight) -> None:
     path, imu = _shifted(recorded)
-    flown = refly(path, imu, rig_named("euroc"), "room")
-    assert flown.real_imu
+    simulated = refly(path, imu, rig_named("euroc"), "room")
+    assert simulated.real_imu
     first = int(np.searchsorted(imu.t_ns, START_NS))
-    assert np.array_equal(flown.imu.gyro_rad_s, imu.gyro_rad_s[first:])
-    assert np.array_equal(flown.imu.t_ns, imu.t_ns[first:])
-    assert np.array_equal(flown.truth.p_world_imu, path.p_world_imu[: len(flown.truth)])
-    assert np.all(np.isin(flown.schedule.stamps_ns, imu.t_ns))
-    assert np.unique(np.diff(flown.schedule.stamps_ns)).tolist() == [50_000_000]
+    assert np.array_equal(simulated.imu.gyro_rad_s, imu.gyro_rad_s[first:])
+    assert np.array_equal(simulated.imu.t_ns, imu.t_ns[first:])
+    assert np.array_equal(simulated.truth.p_world_imu, path.p_world_imu[: len(simulated.truth)])
+    assert np.all(np.isin(simulated.schedule.stamps_ns, imu.t_ns))
+    assert np.unique(np.diff(simulated.schedule.stamps_ns)).tolist() == [50_000_000]
 
 
-def test_the_world_is_laid_around_the_path(recorded: Flight) -> None:
+def test_the_path_is_placed_clear_of_obstacles(recorded: Flight) -> None:
     path, _ = _shifted(recorded)
-    flown = refly(path, None, rig_named("euroc"), "room", seed=3)
-    T = flown.T_simworld_world
-    laid = flown.truth.p_world_imu @ T[:3, :3].T + T[:3, 3]
-    assert flight_area("room", 3).space.clearance(laid).min() >= 0.3
+    simulated = refly(path, None, rig_named("euroc"), "room", seed=3)
+    T = simulated.T_simworld_world
+    placed = simulated.truth.p_world_imu @ T[:3, :3].T + T[:3, 3]
+    assert flight_area("room", 3).space.clearance(placed).min() >= 0.3
 
 
-def test_a_synthesized_imu_feels_the_path(recorded: Flight) -> None:
+def test_a_synthesized_imu_agrees_with_the_path(recorded: Flight) -> None:
     path, _ = _shifted(recorded)
-    flown = refly(path, None, rig_named("euroc"), "room")
-    assert not flown.real_imu
-    assert np.array_equal(flown.imu.t_ns, path.t_ns)  # the recording's own stamps
-    assert np.abs(flown.truth.p_world_imu - path.p_world_imu).max() < 2e-3
-    truth = flown.truth
+    simulated = refly(path, None, rig_named("euroc"), "room")
+    assert not simulated.real_imu
+    assert np.array_equal(simulated.imu.t_ns, path.t_ns)  # the recording's own stamps
+    assert np.abs(simulated.truth.p_world_imu - path.p_world_imu).max() < 2e-3
+    truth = simulated.truth
     assert truth.gyro_bias_rad_s is not None and truth.accel_bias_m_s2 is not None
     flying = (path.t_s > 2.0) & (path.t_s < 5.0)
-    gyro = flown.imu.gyro_rad_s - truth.gyro_bias_rad_s - recorded.perfect_imu.gyro_rad_s
-    accel = flown.imu.accel_m_s2 - truth.accel_bias_m_s2 - recorded.perfect_imu.accel_m_s2
+    gyro = simulated.imu.gyro_rad_s - truth.gyro_bias_rad_s - recorded.perfect_imu.gyro_rad_s
+    accel = simulated.imu.accel_m_s2 - truth.accel_bias_m_s2 - recorded.perfect_imu.accel_m_s2
     assert np.sqrt(np.mean(gyro[flying] ** 2)) < 0.02
     assert np.sqrt(np.mean(accel[flying] ** 2)) < 0.2
 
@@ -70,15 +70,15 @@ def test_same_seed_same_imu(recorded: Flight) -> None:
     assert not np.array_equal(first.gyro_rad_s, other.gyro_rad_s)
 
 
-def test_frames_take_the_imus_stamps_nearest_to_their_beat() -> None:
+def test_frames_have_the_nearest_stamps_of_the_imu() -> None:
     imu_ns = START_NS + np.cumsum(np.random.default_rng(0).integers(4_990_000, 5_010_000, 400))
     stamps = frame_stamps(imu_ns, 20.0)
-    beat = imu_ns[0] + 50_000_000 * np.arange(len(stamps))
+    nominal_ns = imu_ns[0] + 50_000_000 * np.arange(len(stamps))
     assert np.all(np.isin(stamps, imu_ns))
-    assert np.abs(stamps - beat).max() < 5_010_000
+    assert np.abs(stamps - nominal_ns).max() < 5_010_000
 
 
-def test_paths_that_cannot_be_flown_are_refused(recorded: Flight) -> None:
+def test_unusable_paths_are_refused(recorded: Flight) -> None:
     path, imu = _shifted(recorded)
     late = ImuSamples(imu.t_ns + 10**12, imu.gyro_rad_s, imu.accel_m_s2)
     with pytest.raises(ConfigError, match="overlapping times"):

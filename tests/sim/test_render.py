@@ -1,4 +1,4 @@
-"""Frames drawn in parallel: the same bytes whoever draws them, and nothing half-done left behind."""
+"""Parallel rendering: images do not depend on the number of workers, and no partial files remain."""
 
 from dataclasses import replace
 from pathlib import Path
@@ -30,17 +30,17 @@ BASELINE = pose_matrix(np.eye(3), np.array([0.11, 0.0, 0.0]))
 START_NS = 1_403_715_273_262_142_976  # as a real recording's
 
 
-def turning(stamps_ns: np.ndarray) -> Trajectory:
-    """Return a drone that looks around in a room; its body frame is the camera's."""
+def rotating(stamps_ns: np.ndarray) -> Trajectory:
+    """Return the path of a camera that rotates about the vertical and moves along x."""
     s = (stamps_ns - stamps_ns[0]) * 1e-9
     R = np.stack([rotation_z(6.0 * t) @ R_LEVEL for t in s])
     p = np.stack([4.0 * s - 0.5, 0.0 * s + 0.1, 0.0 * s + 1.2], axis=1)
     return Trajectory(stamps_ns, p, quat_wxyz_from_matrix(R))
 
 
-def at_rest() -> Trajectory:
-    """Return a drone that stays where `turning` starts."""
-    path = turning(np.arange(START_NS, START_NS + 300_000_000, 5_000_000))
+def stationary() -> Trajectory:
+    """Return the path of a camera that stays at the first pose of `rotating`."""
+    path = rotating(np.arange(START_NS, START_NS + 300_000_000, 5_000_000))
     return replace(
         path, p_world_imu=np.tile(path.p_world_imu[0], (60, 1)), quat_wxyz=np.tile(path.quat_wxyz[0], (60, 1))
     )
@@ -53,7 +53,7 @@ def job(**changes: Any) -> RenderJob:
         "room",
         3,
         Rig((RigCamera(SMALL, np.eye(4)),)),
-        turning(np.arange(START_NS, START_NS + 300_000_000, 5_000_000)),
+        rotating(np.arange(START_NS, START_NS + 300_000_000, 5_000_000)),
         FrameSchedule(stamps_ns, stamps_ns, np.ones(6, dtype=bool)),
     )
     return replace(whole, **changes)
@@ -61,7 +61,7 @@ def job(**changes: Any) -> RenderJob:
 
 @pytest.fixture(autouse=True)
 def small_world(monkeypatch: pytest.MonkeyPatch) -> SimpleNamespace:
-    """Let every world be a hall of coloured pillars: it is built and drawn in no time."""
+    """Replace every world by emissive pillars, which are built and rendered quickly."""
     rng = np.random.default_rng(5)
     spec = mujoco.MjSpec()
     for k in range(200):
@@ -93,10 +93,10 @@ def read(mav0: Path, stamp: int, camera: int = 0) -> np.ndarray:
 
 
 def test_images_do_not_depend_on_the_workers(tmp_path: Path) -> None:
-    told: list[tuple[int, int]] = []
+    progress: list[tuple[int, int]] = []
     stereo = Rig((RigCamera(SMALL, np.eye(4), readout_s=0.01), RigCamera(SMALL, BASELINE)))
     work = job(rig=stereo, imaging=Imaging(control=AutoExposure(target_level=80.0, tolerance=0.0)))
-    truth = render_frames(work, tmp_path / "one", lambda d, n: told.append((d, n)), workers=1)
+    truth = render_frames(work, tmp_path / "one", lambda d, n: progress.append((d, n)), workers=1)
     render_frames(work, tmp_path / "three", workers=3)
     one = contents(tmp_path / "one")
     stamps = work.schedule.stamps_ns.tolist()
@@ -104,8 +104,8 @@ def test_images_do_not_depend_on_the_workers(tmp_path: Path) -> None:
         [f"cam{i}/data/{t}.png" for t in stamps for i in (0, 1)] + ["frame_groundtruth0/data.csv"]
     )
     assert one == contents(tmp_path / "three")
-    assert told[0] == (0, 6)
-    assert told[-1] == (6, 6)
+    assert progress[0] == (0, 6)
+    assert progress[-1] == (6, 6)
     for t in stamps:
         left, right = read(tmp_path / "one", t, 0), read(tmp_path / "one", t, 1)
         assert left.shape == right.shape == (120, 188) and left.dtype == np.uint8
@@ -119,7 +119,7 @@ def test_images_do_not_depend_on_the_workers(tmp_path: Path) -> None:
 def test_noise_differs_between_frames_and_cameras(tmp_path: Path) -> None:
     schedule = job().schedule
     twins = Rig((RigCamera(SMALL, np.eye(4)), RigCamera(SMALL, np.eye(4))))
-    render_frames(job(rig=twins, trajectory=at_rest(), schedule=schedule[:2]), tmp_path, workers=1)
+    render_frames(job(rig=twins, trajectory=stationary(), schedule=schedule[:2]), tmp_path, workers=1)
     first, second = schedule.stamps_ns[:2].tolist()
     one = read(tmp_path, first).astype(float)
     for other in (read(tmp_path, second), read(tmp_path, first, 1)):
@@ -128,7 +128,7 @@ def test_noise_differs_between_frames_and_cameras(tmp_path: Path) -> None:
         assert abs(difference.mean()) < 0.05
 
 
-def test_what_goes_dark_is_black_but_for_noise(tmp_path: Path) -> None:
+def test_dark_frames_are_black_except_for_noise(tmp_path: Path) -> None:
     schedule = schedule_frames(job().schedule.stamps_ns, np.random.default_rng(0), dark_from_s=0.05, dark_for_s=0.05)
     render_frames(job(schedule=schedule[:3]), tmp_path, workers=1)
     means = [read(tmp_path, t).mean() for t in schedule.stamps_ns[:3].tolist()]
@@ -142,7 +142,7 @@ def read_png(file: Path) -> np.ndarray:
     return np.asarray(image)
 
 
-def test_truth_beside_the_frames(tmp_path: Path) -> None:
+def test_depth_segmentation_and_flow_are_consistent(tmp_path: Path) -> None:
     work = job(truth_images=("depth", "segmentation", "flow"))
     render_frames(work, tmp_path, workers=1)
     first, second, last = work.schedule.stamps_ns[[0, 1, -1]].tolist()
@@ -152,27 +152,27 @@ def test_truth_beside_the_frames(tmp_path: Path) -> None:
     names = (tmp_path / "seg0" / "names.csv").read_text().splitlines()
     assert len(names) == 201 and names[7].split(",") == ["7", "pillar_6"]
     assert (depth[seg == 0] == 0).all() and (depth[seg > 0] > 1000).all() and 0.2 < np.mean(seg > 0) < 1.0
-    # What is seen now is seen in the next frame where the flow says, at the depth that it has there then.
+    # The flow leads to the projection of the same point in the next frame, at its new depth.
     later = read_png(tmp_path / "depth0" / "data" / f"{second}.png")
     seen = flow[..., 0] == 1
     assert np.all(seg[seen] > 0) and seen.mean() > 0.3
     v, u = np.nonzero(seen)
-    move = (flow[v, u][:, [2, 1]].astype(float) - 2**15) / 64.0
+    displacement = (flow[v, u][:, [2, 1]].astype(float) - 2**15) / 64.0
     p_cam = SMALL.normalize(np.stack([u, v], axis=-1))
     p_cam = np.concatenate([p_cam, np.ones((len(u), 1))], axis=-1) * depth[v, u][:, None] * 1e-3
     T_now, T_next = work.poses(0)(work.schedule.exposed_ns[:2])
     T_next_now = np.linalg.inv(T_next) @ T_now
     p_next = p_cam @ T_next_now[:3, :3].T + T_next_now[:3, 3]
-    np.testing.assert_allclose(np.stack([u, v], axis=-1) + move, SMALL.project(p_next), atol=0.2)
-    there = np.rint(np.stack([u, v], axis=-1) + move).astype(int)
-    inside = np.all((there >= 0) & (there < [188, 120]), axis=-1)
-    error = later[there[inside, 1], there[inside, 0]] * 1e-3 - p_next[inside, 2]
+    np.testing.assert_allclose(np.stack([u, v], axis=-1) + displacement, SMALL.project(p_next), atol=0.2)
+    target = np.rint(np.stack([u, v], axis=-1) + displacement).astype(int)
+    inside = np.all((target >= 0) & (target < [188, 120]), axis=-1)
+    error = later[target[inside, 1], target[inside, 0]] * 1e-3 - p_next[inside, 2]
     assert np.median(np.abs(error)) < 0.02
     assert not (tmp_path / "flow0" / "data" / f"{last}.png").exists()
     assert (tmp_path / "depth0" / "data" / f"{last}.png").exists()
 
 
-def test_what_is_told_besides_changes_nothing(tmp_path: Path) -> None:
+def test_truth_images_are_independent_of_each_other(tmp_path: Path) -> None:
     render_frames(job(truth_images=("segmentation", "flow", "depth")), tmp_path / "all", workers=1)
     render_frames(job(truth_images=("depth", "flow")), tmp_path / "two", workers=1)
     both, two = (contents(tmp_path / name) for name in ("all", "two"))
@@ -180,52 +180,52 @@ def test_what_is_told_besides_changes_nothing(tmp_path: Path) -> None:
     assert {name.split("/")[0] for name in set(both) - set(two)} == {"seg0"}
 
 
-def test_what_moves_is_where_it_is_at_that_time(tmp_path: Path, small_world: SimpleNamespace) -> None:
+def test_moving_bodies_are_rendered_at_the_exposure_time(tmp_path: Path, small_world: SimpleNamespace) -> None:
     glow = small_world.spec.add_material(name="lamp", emission=1.0, rgba=[1.0, 1.0, 1.0, 1.0])
-    body = small_world.spec.worldbody.add_body(name="drifter", mocap=True)
+    body = small_world.spec.worldbody.add_body(name="sphere", mocap=True)
     body.add_geom(name="lamp", type=mujoco.mjtGeom.mjGEOM_SPHERE, size=[0.03, 0.0, 0.0], material=glow.name)
 
     def poses(t_s: np.ndarray) -> np.ndarray:
-        y = 0.3 - 3.0 * t_s  # to the right, 1.2 m ahead of where the flight starts
+        y = 0.3 - 3.0 * t_s  # to the right, 1.2 m in front of the first pose
         return pose_matrix(
             np.broadcast_to(np.eye(3), (len(t_s), 3, 3)), np.stack([0.7 + 0 * y, y, 1.2 + 0 * y], axis=1)
         )
 
-    small_world.movers = (SimpleNamespace(body="drifter", poses=poses),)
+    small_world.movers = (SimpleNamespace(body="sphere", poses=poses),)
     noiseless = Imaging(control=FixedExposure(0.02), nominal_exposure_s=0.02, read_sigma=0.0, shot_sigma=0.0)
-    resting = job(trajectory=at_rest(), imaging=noiseless)
-    render_frames(resting, tmp_path / "moving", workers=1)
-    small_world.movers = (SimpleNamespace(body="drifter", poses=lambda t_s: poses(0.0 * t_s - 100.0)),)
-    render_frames(resting, tmp_path / "gone", workers=1)
-    for t_ns in resting.schedule.stamps_ns.tolist()[1:4]:
+    work = job(trajectory=stationary(), imaging=noiseless)
+    render_frames(work, tmp_path / "moving", workers=1)
+    small_world.movers = (SimpleNamespace(body="sphere", poses=lambda t_s: poses(0.0 * t_s - 100.0)),)
+    render_frames(work, tmp_path / "gone", workers=1)
+    for t_ns in work.schedule.stamps_ns.tolist()[1:4]:
         glowing = read(tmp_path / "moving", t_ns).astype(float) - read(tmp_path / "gone", t_ns)
         glowing = np.where(np.abs(glowing) > 4.0, glowing, 0.0)
         middle = SMALL.project((poses(np.array([t_ns - START_NS]) * 1e-9)[0, :3, 3] - [-0.5, 0.1, 1.2]) @ R_LEVEL)
         columns, rows = np.nonzero(glowing.any(axis=0))[0], np.nonzero(glowing.any(axis=1))[0]
         assert abs(np.mean([columns[0], columns[-1]]) - middle[0]) < 1.0
         assert abs(np.mean([rows[0], rows[-1]]) - middle[1]) < 1.0
-        streak_px = 0.02 * 3.0 / 1.2 * SMALL.fx  # 5.75 px, plus the lamp's own 5.75; its ends are faint
-        assert abs(columns[-1] - columns[0] - streak_px - 5.75) < 3.0
+        blur_px = 0.02 * 3.0 / 1.2 * SMALL.fx  # 5.75 px, in addition to the diameter of 5.75 px; its ends are faint
+        assert abs(columns[-1] - columns[0] - blur_px - 5.75) < 3.0
         assert rows[-1] - rows[0] < 7.5
 
 
-def test_an_interruption_leaves_whole_images_and_says_so(tmp_path: Path) -> None:
+def test_an_interruption_leaves_complete_images_and_a_marker(tmp_path: Path) -> None:
     def interrupt(done: int, total: int) -> None:
         if done >= 1:
             raise KeyboardInterrupt
 
     with pytest.raises(KeyboardInterrupt):
         render_frames(job(), tmp_path, interrupt, workers=2)
-    left = sorted((tmp_path / "cam0" / "data").iterdir())
-    assert 1 <= len(left) <= 6
-    for file in left:
+    files = sorted((tmp_path / "cam0" / "data").iterdir())
+    assert 1 <= len(files) <= 6
+    for file in files:
         assert file.suffix == ".png"
         assert read_png(file).shape == (120, 188)
     assert (tmp_path / INCOMPLETE).exists()
 
 
 @pytest.mark.skipif(not Path("/dev/full").exists(), reason="no /dev/full, which is a full disk")
-def test_a_full_disk_leaves_a_recording_that_can_be_read(tmp_path: Path) -> None:
+def test_a_full_disk_leaves_a_readable_recording(tmp_path: Path) -> None:
     stereo = Rig((RigCamera(SMALL, np.eye(4)), RigCamera(SMALL, BASELINE)))
     work, mav0 = job(rig=stereo), tmp_path / "mav0"
     stamps = work.schedule.stamps_ns
@@ -254,7 +254,7 @@ def test_a_worker_that_is_killed_is_reported(tmp_path: Path) -> None:
     assert (tmp_path / INCOMPLETE).exists()
 
 
-def test_jobs_that_make_no_sense_are_refused() -> None:
+def test_invalid_jobs_are_refused() -> None:
     with pytest.raises(ConfigError, match="without a camera"):
         job(rig=Rig(()))
     with pytest.raises(ConfigError, match="no frame"):
@@ -263,7 +263,7 @@ def test_jobs_that_make_no_sense_are_refused() -> None:
         job(imaging=Imaging(control=AutoExposure(longest_s=0.06)))
 
 
-def test_a_worker_that_dies_is_reported(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_worker_that_fails_is_reported(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("MUJOCO_GL", "osmosis")
     with pytest.raises(GraphicsError, match="osmosis"):
         render_frames(job(), tmp_path, workers=1)

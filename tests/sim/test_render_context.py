@@ -1,4 +1,4 @@
-"""Cameras that share graphics memory, and parts of images: the same pixels."""
+"""Cameras that share a render context, and partial images, have the pixels of separate whole images."""
 
 from collections.abc import Iterator
 from dataclasses import replace
@@ -19,16 +19,16 @@ SMALL = CameraModel(width=96, height=64, fx=60.0, fy=60.0, cx=47.5, cy=31.5)
 
 @pytest.fixture(scope="module")
 def model() -> mujoco.MjModel:
-    """A swarm of glowing balls all around."""
+    """Return glowing spheres in all directions."""
     rng = np.random.default_rng(3)
     spec = mujoco.MjSpec()
     for k in range(300):
         glow = spec.add_material(name=f"glow_{k}", emission=1.0, rgba=[*rng.uniform(0.2, 1.0, 3), 1.0])
-        away = rng.standard_normal(3)
+        direction = rng.standard_normal(3)
         spec.worldbody.add_geom(
             type=mujoco.mjtGeom.mjGEOM_SPHERE,
             size=[0.3, 0.0, 0.0],
-            pos=2.0 * away / np.linalg.norm(away),
+            pos=2.0 * direction / np.linalg.norm(direction),
             material=glow.name,
         )
     spec.stat.extent = 5.0
@@ -43,22 +43,22 @@ def context(model: mujoco.MjModel) -> Iterator[RenderContext]:
 
 
 @pytest.mark.parametrize("camera", [EUROC_CAM0, TUM_VI_CAMERA], ids=["single view", "cube"])
-def test_rows_are_those_of_the_whole_image(model: mujoco.MjModel, camera: CameraModel) -> None:
+def test_partial_images_equal_the_rows_of_the_image(model: mujoco.MjModel, camera: CameraModel) -> None:
     with OffscreenCamera(model, camera) as offscreen:
         whole = offscreen.render(np.eye(4))
         assert whole.std() > 20.0
         for rows in (slice(0, 40), slice(100, 163), slice(camera.height - 1, camera.height), slice(2, camera.height)):
-            turned = np.diag([-1.0, 1.0, -1.0, 1.0])
-            offscreen.render(turned)  # something else in the memory
+            T_backward = np.diag([-1.0, 1.0, -1.0, 1.0])
+            offscreen.render(T_backward)  # overwrites the graphics memory
             part = offscreen.render(np.eye(4), rows=rows).astype(int)
             assert part.shape == (rows.stop - rows.start, camera.width)
-            assert np.abs(part - whole[rows]).max() <= 8  # a ball's outline may be drawn a hair's breadth off
+            assert np.abs(part - whole[rows]).max() <= 8  # the outline of a sphere may differ by a fraction of a pixel
             assert np.abs(part - whole[rows]).mean() < 1e-3
 
 
-def test_cameras_share_a_canvas(model: mujoco.MjModel, context: RenderContext) -> None:
-    with OffscreenCamera(model, EUROC_CAM0) as alone:
-        expected = alone.render(np.eye(4))
+def test_cameras_share_a_render_context(model: mujoco.MjModel, context: RenderContext) -> None:
+    with OffscreenCamera(model, EUROC_CAM0) as separate:
+        expected = separate.render(np.eye(4))
     with (
         OffscreenCamera(model, SMALL, context=context) as small,
         OffscreenCamera(model, EUROC_CAM0, context=context) as offscreen,

@@ -1,4 +1,4 @@
-"""Rotors and air, against formulas, a thrust stand's measurements, and the laws of mechanics."""
+"""The rotor model against formulas, the measurements of a thrust stand, and the laws of mechanics."""
 
 from dataclasses import replace
 
@@ -11,7 +11,7 @@ from dronevio.sim.physics.rotors import Airflow, MotorFailure, Rotors, RotorStat
 
 Array = np.ndarray
 UP = np.array([0.0, 0.0, 1.0])
-HIGH_M = 1e9  # where no ground has an effect
+HIGH_M = 1e9  # without ground effect
 
 
 @pytest.fixture(params=list(VEHICLES))
@@ -19,7 +19,7 @@ def drone(request: pytest.FixtureRequest) -> Quadrotor:
     return VEHICLES[request.param]
 
 
-def turning(drone: Quadrotor, speeds: Array, change: Array | float = 0.0) -> RotorState:
+def rotor_state(drone: Quadrotor, speeds: Array, change: Array | float = 0.0) -> RotorState:
     state = Rotors(drone).steady_state(speeds)
     return replace(state, acceleration_rad_s2=np.broadcast_to(change, speeds.shape))
 
@@ -29,7 +29,7 @@ def flow(velocity: Array, rate: Array, height: float = HIGH_M, up: Array = UP) -
     return Airflow(velocity, rate, np.broadcast_to(up, velocity.shape), np.broadcast_to(height, shape))
 
 
-STILL = flow(np.zeros(3), np.zeros(3))
+STILL_AIR = flow(np.zeros(3), np.zeros(3))
 
 
 def test_lag_is_first_order_and_independent_of_the_steps(drone: Quadrotor) -> None:
@@ -95,14 +95,14 @@ BITCRAZE = np.array(
 def test_the_nano_has_the_thrust_and_power_of_its_test_stand() -> None:
     current, grams, voltage, throttle, rpm = BITCRAZE.T
     speeds = np.repeat((rpm * np.pi / 30.0)[:, None], 4, axis=1)
-    state = turning(NANO, speeds)
+    state = rotor_state(NANO, speeds)
     calm = flow(np.zeros((5, 3)), np.zeros((5, 3)))
     np.testing.assert_allclose(Rotors(NANO).wrench(state, calm)[:, 2], grams * 9.81e-3, rtol=0.04)
     np.testing.assert_allclose(Rotors(NANO).power_w(state), current * voltage, rtol=0.2)
     np.testing.assert_allclose(speeds[-1, 0], NANO.rotor_speed_per_v * voltage[-1] * throttle[-1] / 100.0, rtol=0.02)
 
 
-def test_many_simulations_at_once_are_the_same_as_one_by_one(drone: Quadrotor) -> None:
+def test_batches_equal_single_simulations(drone: Quadrotor) -> None:
     rng, rotors = np.random.default_rng(0), Rotors(drone)
     speeds, commands = drone.rotor_speed_max_rad_s * rng.uniform(0.0, 1.2, (2, 5, 7, 4))
     velocity, rate = 5.0 * rng.normal(size=(2, 5, 7, 3))
@@ -114,14 +114,14 @@ def test_many_simulations_at_once_are_the_same_as_one_by_one(drone: Quadrotor) -
     together = rotors.step(start, commands, 0.005, powered)
     wrenches = rotors.wrench(together, Airflow(velocity, rate, up, height))
     assert wrenches.shape == (5, 7, 6)
-    for at in np.ndindex(5, 7):
-        alone = replace(rotors.steady_state(speeds[at]), charge=charge[at])
-        alone = rotors.step(alone, commands[at], 0.005, powered[at])
-        np.testing.assert_allclose(alone.speed_rad_s, together.speed_rad_s[at], rtol=1e-13)
-        np.testing.assert_allclose(alone.charge, together.charge[at], rtol=1e-13)
-        np.testing.assert_allclose(alone.voltage_v, together.voltage_v[at], rtol=1e-13)
-        wrench = rotors.wrench(alone, Airflow(velocity[at], rate[at], up[at], height[at]))
-        np.testing.assert_allclose(wrenches[at], wrench, rtol=1e-12, atol=1e-12 * np.abs(wrench).max())
+    for index in np.ndindex(5, 7):
+        alone = replace(rotors.steady_state(speeds[index]), charge=charge[index])
+        alone = rotors.step(alone, commands[index], 0.005, powered[index])
+        np.testing.assert_allclose(alone.speed_rad_s, together.speed_rad_s[index], rtol=1e-13)
+        np.testing.assert_allclose(alone.charge, together.charge[index], rtol=1e-13)
+        np.testing.assert_allclose(alone.voltage_v, together.voltage_v[index], rtol=1e-13)
+        wrench = rotors.wrench(alone, Airflow(velocity[index], rate[index], up[index], height[index]))
+        np.testing.assert_allclose(wrenches[index], wrench, rtol=1e-12, atol=1e-12 * np.abs(wrench).max())
 
 
 def test_wrench_is_the_sum_of_the_forces_at_the_hubs(drone: Quadrotor) -> None:
@@ -138,37 +138,39 @@ def test_wrench_is_the_sum_of_the_forces_at_the_hubs(drone: Quadrotor) -> None:
         momentum = drone.rotor_inertia_kg_m2 * spin * omega * UP
         torque += np.cross(hub, f) - spin * drone.torque_nm_per_rad2_s2 * omega**2 * UP
         torque -= drone.rotor_inertia_kg_m2 * spin * faster * UP + np.cross(rate, momentum)
-    wrench = Rotors(drone).wrench(turning(drone, speeds, change), flow(velocity, rate))
+    wrench = Rotors(drone).wrench(rotor_state(drone, speeds, change), flow(velocity, rate))
     np.testing.assert_allclose(wrench, np.concatenate([force, torque]), rtol=1e-10)
 
 
-def test_air_only_ever_takes_energy(drone: Quadrotor) -> None:
+def test_aerodynamic_drag_dissipates_energy(drone: Quadrotor) -> None:
     rng, rotors = np.random.default_rng(2), Rotors(drone)
-    state = turning(drone, drone.hover_speed_rad_s * rng.uniform(0.5, 1.3, (500, 4)))
+    state = rotor_state(drone, drone.hover_speed_rad_s * rng.uniform(0.5, 1.3, (500, 4)))
     velocity, rate = 3.0 * rng.normal(size=(2, 500, 3))
     passive = rotors.wrench(state, flow(velocity, rate)) - rotors.wrench(state, flow(0 * velocity, 0 * rate))
     assert np.all(np.sum(passive * np.hstack([velocity, rate]), axis=1) < 0.0)
 
 
-def test_turning_rotor_axes_takes_a_torque_but_no_power() -> None:
-    one = np.array([600.0, 0.0, 0.0, 0.0])  # it turns anticlockwise: its momentum points up
+def test_gyroscopic_torque_of_the_rotors() -> None:
+    one = np.array([600.0, 0.0, 0.0, 0.0])  # anticlockwise: its angular momentum points upwards
     bare = replace(RESEARCH, drag_n_s2_per_rad_m=0.0, inflow_n_s2_per_rad_m=0.0)
     rolling = np.array([2.0, 0.0, 0.0])
-    torque = [Rotors(bare).wrench(turning(bare, one), flow(np.zeros(3), rate))[3:] for rate in (rolling, 0 * rolling)]
-    # rolled to the right, the momentum is turned to the right (−y); the body feels the opposite
+    torque = [
+        Rotors(bare).wrench(rotor_state(bare, one), flow(np.zeros(3), rate))[3:] for rate in (rolling, 0 * rolling)
+    ]
+    # A roll to the right changes the angular momentum towards −y, and the reaction on the body is towards +y
     np.testing.assert_allclose(torque[0] - torque[1], [0.0, 2.0 * RESEARCH.rotor_inertia_kg_m2 * 600.0, 0.0])
 
 
-def test_speeding_up_turns_the_body_the_other_way(drone: Quadrotor) -> None:
+def test_rotor_acceleration_has_an_opposite_reaction_torque(drone: Quadrotor) -> None:
     speeds = np.full(4, drone.hover_speed_rad_s)
     for rotor, spin in enumerate(drone.rotor_directions):
         change = np.zeros(4)
         change[rotor] = 100.0
-        torque = Rotors(drone).wrench(turning(drone, speeds, change), STILL)[5]
+        torque = Rotors(drone).wrench(rotor_state(drone, speeds, change), STILL_AIR)[5]
         np.testing.assert_allclose(torque, -spin * 100.0 * drone.rotor_inertia_kg_m2, rtol=1e-9)
 
 
-def test_electrical_power_covers_what_the_shafts_give_to_the_air(drone: Quadrotor) -> None:
+def test_electrical_power_covers_the_shaft_power(drone: Quadrotor) -> None:
     rng, rotors = np.random.default_rng(3), Rotors(drone)
     state = rotors.steady_state(drone.hover_speed_rad_s * rng.uniform(0.7, 1.2, 4))
     command = drone.hover_speed_rad_s * rng.uniform(0.7, 1.2, 4)
@@ -179,8 +181,8 @@ def test_electrical_power_covers_what_the_shafts_give_to_the_air(drone: Quadroto
     shafts = (air + stored).clip(0.0).sum()
     electrical = float(rotors.power_w(after)) - drone.avionics_w
     np.testing.assert_allclose(electrical * drone.motor_efficiency, shafts, rtol=0.05)
-    lifted = float(rotors.wrench(after, STILL)[2])
-    ideal_w = lifted * np.sqrt(lifted / (2.0 * 1.225 * 4.0 * np.pi * drone.rotor_radius_m**2))
+    thrust_n = float(rotors.wrench(after, STILL_AIR)[2])
+    ideal_w = thrust_n * np.sqrt(thrust_n / (2.0 * 1.225 * 4.0 * np.pi * drone.rotor_radius_m**2))
     assert 0.3 < ideal_w / shafts < 0.8  # momentum theory's least power: the figure of merit of small propellers
 
 
@@ -208,7 +210,7 @@ def test_ground_effect_follows_cheeseman_and_bennett() -> None:
     assert np.all(four > alone)
     assert np.all(np.diff(four) < 0.0)
     assert four[0] < 1.4 and four[-1] < 1.02
-    # the third term of the paper's equation, written out, one radius above the ground
+    # The third term of the paper's equation at a height of one radius
     d = RESEARCH.arm_m * np.sqrt(2.0)
     images = 1 / 16 + R**3 / (d**2 + 4 * R**2) ** 1.5 + 0.5 * R**3 / (2 * d**2 + 4 * R**2) ** 1.5
     np.testing.assert_allclose(four[1], 1.0 / (1.0 - images))
@@ -217,17 +219,17 @@ def test_ground_effect_follows_cheeseman_and_bennett() -> None:
     )
 
 
-def test_ground_effect_levels_a_tilt_but_not_upside_down(drone: Quadrotor) -> None:
-    state = turning(drone, np.full(4, drone.hover_speed_rad_s))
+def test_ground_effect_reduces_tilt_unless_inverted(drone: Quadrotor) -> None:
+    state = rotor_state(drone, np.full(4, drone.hover_speed_rad_s))
     low = 2.0 * drone.rotor_radius_m
     right_side_down = np.array([0.0, np.sin(0.1), np.cos(0.1)])  # the world's z in the frame of a roll by 0.1 rad
     wrench = Rotors(drone).wrench(state, flow(np.zeros(3), np.zeros(3), low, right_side_down))
     assert wrench[3] < 0.0
     inverted = Rotors(drone).wrench(state, flow(np.zeros(3), np.zeros(3), low, -UP))
-    np.testing.assert_allclose(inverted, Rotors(drone).wrench(state, STILL), rtol=1e-12, atol=1e-12)
+    np.testing.assert_allclose(inverted, Rotors(drone).wrench(state, STILL_AIR), rtol=1e-12, atol=1e-12)
 
 
-def test_impossible_failures_are_refused() -> None:
+def test_invalid_failures_are_refused() -> None:
     with pytest.raises(ConfigError, match="rotor 4"):
         MotorFailure(4, 1.0)
     with pytest.raises(ConfigError, match="-1 s"):

@@ -1,4 +1,4 @@
-"""Ways through spaces with walls in them: around, through doors, and not at all."""
+"""Collision-free polylines and curves: around obstacles, through doors, and errors where none exists."""
 
 import numpy as np
 import pytest
@@ -16,14 +16,14 @@ MARGIN = 0.4
 START, GOAL = np.array([1.0, 3.0, 1.5]), np.array([9.0, 3.0, 1.5])
 
 
-def hall(*boxes: tuple[list[float], list[float]], turn: float = 0.0) -> Space:
-    """A hall of 10 × 6 × 4 m with boxes of given middles and half sizes in it."""
+def hall(*boxes: tuple[list[float], list[float]], yaw_rad: float = 0.0) -> Space:
+    """Return a space of 10 × 6 × 4 m with boxes of given centres and half sizes, rotated about z by an angle."""
     return Space(
         np.zeros(3),
         np.array([10.0, 6.0, 4.0]),
         np.array([middle for middle, _ in boxes]).reshape(-1, 3),
         np.array([half for _, half in boxes]).reshape(-1, 3),
-        np.tile(rotation_z(turn), (len(boxes), 1, 1)),
+        np.tile(rotation_z(yaw_rad), (len(boxes), 1, 1)),
     )
 
 
@@ -35,8 +35,8 @@ def lowest(space: Space, knots: np.ndarray, points: np.ndarray) -> float:
     return float(space.clearance(minimum_snap(knots, points)(np.linspace(0.0, knots[-1], 20_000))).min())
 
 
-def test_the_least_clearance_of_legs_is_that_of_their_points() -> None:
-    space = hall(*WALL_WITH_A_DOOR, turn=0.2)
+def test_leg_clearance_is_the_smallest_of_its_points() -> None:
+    space = hall(*WALL_WITH_A_DOOR, yaw_rad=0.2)
     rng = np.random.default_rng(0)
     starts, ends = rng.uniform(space.low, space.high, (2, 40, 3))
     dense = starts[:, None] + np.linspace(0.0, 1.0, 3000)[:, None] * (ends - starts)[:, None]
@@ -44,28 +44,28 @@ def test_the_least_clearance_of_legs_is_that_of_their_points() -> None:
     assert len(leg_clearances(space, starts[:0], ends[:0])) == 0
 
 
-def test_a_clear_way_is_left_as_it_is() -> None:
+def test_a_clear_polyline_is_unchanged() -> None:
     points = np.stack([START, GOAL])
     np.testing.assert_array_equal(collision_free_polyline(hall(), points, MARGIN), points)
 
 
-def test_the_way_leads_through_the_door() -> None:
+def test_a_polyline_leads_through_the_door() -> None:
     space, points = hall(*WALL_WITH_A_DOOR), np.stack([START, GOAL])
     assert leg_clearances(space, points[:1], points[1:])[0] < 0.0
-    way = collision_free_polyline(space, points, MARGIN)
-    assert leg_clearances(space, way[:-1], way[1:]).min() >= MARGIN
-    np.testing.assert_array_equal(way[[0, -1]], points)
-    length = np.linalg.norm(np.diff(way, axis=0), axis=1).sum()
-    shortest = np.linalg.norm([4.0, 1.4]) * 2.0  # by the nearest point that is clear of the door's post
+    route = collision_free_polyline(space, points, MARGIN)
+    assert leg_clearances(space, route[:-1], route[1:]).min() >= MARGIN
+    np.testing.assert_array_equal(route[[0, -1]], points)
+    length = np.linalg.norm(np.diff(route, axis=0), axis=1).sum()
+    shortest = np.linalg.norm([4.0, 1.4]) * 2.0  # through the nearest point with clearance from the edge of the door
     assert shortest < length < 1.1 * shortest
-    assert len(way) <= 6  # straightened: no staircase of the grid
+    assert len(route) <= 6  # without the steps of the search grid
 
 
 @pytest.mark.parametrize("level", ["easy", "race"])
-def test_the_curve_leads_through_the_door(level: str) -> None:
+def test_a_curve_leads_through_the_door(level: str) -> None:
     space = hall(*WALL_WITH_A_DOOR)
-    way = collision_free_polyline(space, np.stack([START, GOAL, START + [0.0, 1.0, 0.5]]), MARGIN)
-    knots, points = collision_free_curve(space, way, MARGIN, LIMITS[level])
+    route = collision_free_polyline(space, np.stack([START, GOAL, START + [0.0, 1.0, 0.5]]), MARGIN)
+    knots, points = collision_free_curve(space, route, MARGIN, LIMITS[level])
     assert lowest(space, knots, points) >= MARGIN
     np.testing.assert_allclose(minimum_snap(knots, points)(knots[-1]), START + [0.0, 1.0, 0.5], atol=1e-9)
 
@@ -75,15 +75,15 @@ def test_the_curve_leads_through_the_door(level: str) -> None:
 def test_curves_keep_clear_of_random_obstacles(seed: int) -> None:
     rng = np.random.default_rng(seed)
     boxes = [(list(rng.uniform([1.5, 1.0, 0.5], [8.5, 5.0, 2.0])), list(rng.uniform(0.1, 0.5, 3))) for _ in range(6)]
-    space = hall(*boxes, turn=rng.uniform(0.0, np.pi))
-    chances = rng.uniform(space.low + 0.6, space.high - 0.6, (200, 3))
-    points = chances[space.clearance(chances) >= 0.55][:6]
+    space = hall(*boxes, yaw_rad=rng.uniform(0.0, np.pi))
+    candidates = rng.uniform(space.low + 0.6, space.high - 0.6, (200, 3))
+    points = candidates[space.clearance(candidates) >= 0.55][:6]
     limits = LIMITS[("easy", "difficult", "race")[seed % 3]]
     knots, points = collision_free_curve(space, collision_free_polyline(space, points, MARGIN), MARGIN, limits)
     assert lowest(space, knots, points) >= MARGIN
 
 
-def test_a_waypoint_in_a_wall_is_named_with_what_was_found() -> None:
+def test_a_waypoint_in_a_wall_is_named_with_its_clearance() -> None:
     points = np.array([START, [5.0, 3.0, 1.5], GOAL])
     with pytest.raises(ConfigError, match=r"waypoint 1 at \[5.0, 3.0, 1.5\] m has -0.10 m .* expected at least 0.40 m"):
         collision_free_polyline(hall(*WALL), points, MARGIN)
@@ -91,12 +91,12 @@ def test_a_waypoint_in_a_wall_is_named_with_what_was_found() -> None:
         collision_free_polyline(hall(), np.array([START, [9.7, 3.0, 1.5]]), MARGIN, ["home", "the third gate"])
 
 
-def test_a_waypoint_that_is_no_number_is_refused() -> None:
+def test_a_waypoint_that_is_not_finite_is_refused() -> None:
     with pytest.raises(ConfigError, match="waypoint 1"):
         collision_free_polyline(hall(), np.array([START, [np.nan, 3.0, 1.5]]), MARGIN)
 
 
-def test_where_there_is_no_way_the_leg_is_named() -> None:
+def test_a_leg_without_a_route_is_named() -> None:
     with pytest.raises(ConfigError, match=r"no route from waypoint 0 at \[1.0.* to waypoint 1 at \[9.0"):
         collision_free_polyline(hall(*WALL), np.stack([START, GOAL]), MARGIN)
     # The door of 1.6 m is too narrow for a margin of 0.85 m.
@@ -104,7 +104,8 @@ def test_where_there_is_no_way_the_leg_is_named() -> None:
         collision_free_polyline(hall(*WALL_WITH_A_DOOR), np.stack([START, GOAL]), 0.85)
 
 
-def test_a_waypoint_without_room_to_turn_is_refused() -> None:
-    points = np.array([[1.0, 3.0, 1.5], [9.6, 3.0, 1.5], [1.0, 3.2, 1.5]])  # to the wall as close as allowed
+def test_a_curve_without_clearance_is_refused() -> None:
+    # At the smallest allowed distance from the wall
+    points = np.array([[1.0, 3.0, 1.5], [9.6, 3.0, 1.5], [1.0, 3.2, 1.5]])
     with pytest.raises(ConfigError, match=r"curve near .* expected more than 0.40 m"):
         collision_free_curve(hall(), points, MARGIN, LIMITS["medium"])

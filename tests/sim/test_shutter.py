@@ -1,4 +1,4 @@
-"""The shutter: markers land where their own row sees them, blurred ones in the middle of the exposure."""
+"""Rolling shutter and motion blur: points appear at the pose of their row in the middle of its exposure."""
 
 import mujoco
 import numpy as np
@@ -27,7 +27,7 @@ MIDDLE_NS = 1_403_715_273_262_142_976
 
 
 def moving(velocity_m_s: list[float], rate_rad_s: list[float]) -> Poses:
-    """Return a camera that flies straight and turns steadily, both in its own frame; at `T_START` in the middle."""
+    """Return poses of constant velocity and rate in the camera frame, with `T_START` at `MIDDLE_NS`."""
     v, w = np.array(velocity_m_s), np.array(rate_rad_s)
 
     def poses(t_ns: np.ndarray) -> np.ndarray:
@@ -37,8 +37,8 @@ def moving(velocity_m_s: list[float], rate_rad_s: list[float]) -> Poses:
     return poses
 
 
-def lamps(camera: CameraModel, rng: np.random.Generator) -> tuple[np.ndarray, mujoco.MjModel]:
-    """Return the centres (N, 3) of small glowing balls spread over the view from `T_START`, and their model."""
+def glowing_spheres(camera: CameraModel, rng: np.random.Generator) -> tuple[np.ndarray, mujoco.MjModel]:
+    """Return the centres (N, 3) of small glowing spheres distributed over the image at `T_START`, and their model."""
     u, v = np.meshgrid(np.linspace(30, camera.width - 31, 7), np.linspace(30, camera.height - 31, 5))
     pixels = np.stack([u, v], axis=-1).reshape(-1, 2) + rng.uniform(-4.0, 4.0, (35, 2))
     p_cam = camera.unproject(pixels) * rng.uniform(1.5, 4.0, (35, 1))
@@ -46,35 +46,35 @@ def lamps(camera: CameraModel, rng: np.random.Generator) -> tuple[np.ndarray, mu
     spec = mujoco.MjSpec()
     spec.add_material(name="glow", rgba=[1.0, 1.0, 1.0, 1.0], emission=1.0)
     for p in p_world:
-        radius = 2.7 / camera.fx * float(np.linalg.norm(p - T_START[:3, 3]))  # 2.7 px, whatever the distance
+        radius = 2.7 / camera.fx * float(np.linalg.norm(p - T_START[:3, 3]))  # 2.7 px at any distance
         spec.worldbody.add_geom(type=mujoco.mjtGeom.mjGEOM_SPHERE, size=[radius, 0, 0], pos=p, material="glow")
     spec.visual.quality.numslices = spec.visual.quality.numstacks = 32
     spec.stat.extent = 5.0
     return p_world, spec.compile()
 
 
-def seen_from(T_world_cam: np.ndarray, camera: CameraModel, p_world: np.ndarray) -> np.ndarray:
-    """Return the pixels (N, 2) of points (N, 3) from poses (N, 4, 4)."""
+def project_points(T_world_cam: np.ndarray, camera: CameraModel, p_world: np.ndarray) -> np.ndarray:
+    """Return the pixels (N, 2) of points (N, 3), each from one of the camera poses (N, 4, 4)."""
     T = inverse_pose(T_world_cam)
     return camera.project(np.einsum("nij,nj->ni", T[:, :3, :3], p_world) + T[:, :3, 3])
 
 
 def expected_pixels(rig_camera: RigCamera, poses: Poses, p_world: np.ndarray) -> np.ndarray:
-    """Return where points (N, 3) are seen, each from the pose at the middle of its own row's exposure."""
+    """Return the pixels (N, 2) of points (N, 3), each at the camera pose in the middle of its row's exposure."""
     camera, delay_s = rig_camera.model, np.zeros(len(p_world))
     for _ in range(20):  # the row depends on the pose, the pose on the row
-        pixels = seen_from(poses(MIDDLE_NS + np.rint(delay_s * 1e9).astype(np.int64)), camera, p_world)
+        pixels = project_points(poses(MIDDLE_NS + np.rint(delay_s * 1e9).astype(np.int64)), camera, p_world)
         delay_s = (pixels[:, 1] / (camera.height - 1) - 0.5) * rig_camera.readout_s
     return pixels
 
 
-def centroid(light: np.ndarray, around: np.ndarray, reach: int) -> np.ndarray:
-    """Return the centroid (2,) of what glows around a pixel."""
-    left, top = (round(v) - reach for v in around.tolist())
-    patch = light[top : top + 2 * reach + 1, left : left + 2 * reach + 1].astype(np.float64)
-    assert patch.shape == (2 * reach + 1, 2 * reach + 1)
+def centroid(light: np.ndarray, around: np.ndarray, half_width: int) -> np.ndarray:
+    """Return the intensity centroid (2,) of an image around a pixel."""
+    left, top = (round(v) - half_width for v in around.tolist())
+    patch = light[top : top + 2 * half_width + 1, left : left + 2 * half_width + 1].astype(np.float64)
+    assert patch.shape == (2 * half_width + 1, 2 * half_width + 1)
     assert patch.sum() > 500.0
-    y, x = np.mgrid[top : top + 2 * reach + 1, left : left + 2 * reach + 1]
+    y, x = np.mgrid[top : top + 2 * half_width + 1, left : left + 2 * half_width + 1]
     return np.asarray(np.array([(x * patch).sum(), (y * patch).sum()]) / patch.sum())
 
 
@@ -89,20 +89,20 @@ def centroid(light: np.ndarray, around: np.ndarray, reach: int) -> np.ndarray:
     ],
     ids=["still", "blurred", "rolling", "both"],
 )
-def test_markers_land_where_their_row_sees_them(
+def test_points_appear_at_the_pose_of_their_row(
     camera: CameraModel, velocity: list[float], rate: list[float], exposure_s: float, readout_s: float
 ) -> None:
     poses = moving(velocity, rate)
     rig_camera = RigCamera(camera, np.eye(4), readout_s=readout_s)
-    p_world, model = lamps(camera, np.random.default_rng(0))
+    p_world, model = glowing_spheres(camera, np.random.default_rng(0))
     shutter = Shutter(rig_camera)
     plan = shutter.plan(poses, MIDDLE_NS, exposure_s, nearest_m=1.5)
     drawn = []
-    with OffscreenCamera(model, shutter.drawn) as eye:
+    with OffscreenCamera(model, shutter.drawn) as offscreen:
 
         def view(t_ns: int, rows: slice) -> np.ndarray:
             drawn.append(rows.stop - rows.start)
-            return eye.render(poses(np.array([t_ns]))[0], rows=rows)
+            return offscreen.render(poses(np.array([t_ns]))[0], rows=rows)
 
         light = shutter.expose(plan, poses, view)
     assert light.shape == (camera.height, camera.width)
@@ -111,12 +111,12 @@ def test_markers_land_where_their_row_sees_them(
     assert len(expected) == 35
     error = np.array([centroid(light, pixel, 12) - pixel for pixel in expected])
     assert np.abs(error).max() < 0.1
-    if any(velocity) and readout_s:  # the rows do matter
-        assert np.abs(seen_from(np.tile(T_START, (35, 1, 1)), camera, p_world) - expected).max() > 2.0
+    if any(velocity) and readout_s:  # the rolling shutter has an effect
+        assert np.abs(project_points(np.tile(T_START, (35, 1, 1)), camera, p_world) - expected).max() > 2.0
 
 
 def clutter() -> mujoco.MjModel:
-    """Return boxes of many greys, near and far, before `T_START`."""
+    """Return boxes of different grey levels and distances in front of `T_START`."""
     rng = np.random.default_rng(8)
     spec = mujoco.MjSpec()
     greys = np.linspace(0.1, 1.0, 20)
@@ -136,26 +136,26 @@ def clutter() -> mujoco.MjModel:
 
 
 @pytest.mark.parametrize(("exposure_s", "readout_s"), [(0.008, 0.0), (0.001, 0.02)], ids=["blurred", "rolling"])
-def test_it_is_the_mean_over_every_row_s_exposure(exposure_s: float, readout_s: float) -> None:
+def test_images_are_the_mean_over_the_exposure_of_rows(exposure_s: float, readout_s: float) -> None:
     poses, model = moving([2.0, -1.0, 2.0], [1.0, 2.4, -1.2]), clutter()
     camera = RigCamera(TINY, np.eye(4), readout_s=readout_s)
     shutter = Shutter(camera)
     count = 85 if readout_s else 31
     since_ns = np.linspace(-0.5, 0.5, count) * (exposure_s + readout_s) * 1e9
-    with OffscreenCamera(model, shutter.drawn) as eye, OffscreenCamera(model, TINY) as plain:
+    with OffscreenCamera(model, shutter.drawn) as offscreen, OffscreenCamera(model, TINY) as plain:
         plan = shutter.plan(poses, MIDDLE_NS, exposure_s, nearest_m=1.4)
-        light = shutter.expose(plan, poses, lambda t_ns, rows: eye.render(poses(np.array([t_ns]))[0], rows=rows))
-        everything = np.stack([plain.render(T) for T in poses(MIDDLE_NS + np.rint(since_ns).astype(np.int64))])
+        light = shutter.expose(plan, poses, lambda t_ns, rows: offscreen.render(poses(np.array([t_ns]))[0], rows=rows))
+        images = np.stack([plain.render(T) for T in poses(MIDDLE_NS + np.rint(since_ns).astype(np.int64))])
     delays_ns = (np.arange(TINY.height) / (TINY.height - 1) - 0.5) * readout_s * 1e9
     exposed = np.abs(since_ns[:, None] - delays_ns) <= 0.5e9 * exposure_s + 1.0
-    exact = np.einsum("th,thw->hw", exposed / exposed.sum(axis=0), everything)
-    unmoved = np.abs(everything[count // 2] - exact).mean()
-    assert unmoved > 4.0
-    assert np.abs(light - exact).mean() < 0.25 * unmoved
-    assert np.abs(light - exact)[:, :12].mean() < 0.3 * unmoved  # the border sees what comes into view
+    exact = np.einsum("th,thw->hw", exposed / exposed.sum(axis=0), images)
+    static_error = np.abs(images[count // 2] - exact).mean()
+    assert static_error > 4.0
+    assert np.abs(light - exact).mean() < 0.25 * static_error
+    assert np.abs(light - exact)[:, :12].mean() < 0.3 * static_error  # the border contains what enters the image
 
 
-def test_what_does_not_move_is_drawn_once_as_it_is() -> None:
+def test_a_static_view_is_rendered_once() -> None:
     shutter = Shutter(RigCamera(SMALL, np.eye(4), readout_s=0.02), margin_px=3)
     poses = moving([0.002, 0.0, 0.0], [0.0, 0.002, 0.0])
     plan = shutter.plan(poses, MIDDLE_NS, 0.002, nearest_m=2.0)
@@ -165,7 +165,7 @@ def test_what_does_not_move_is_drawn_once_as_it_is() -> None:
     np.testing.assert_array_equal(light, drawn[3:-3, 3:-3])
 
 
-def test_effort_follows_the_motion() -> None:
+def test_number_of_renderings_follows_the_motion() -> None:
     shutter = Shutter(RigCamera(SMALL, np.eye(4), readout_s=0.02))
 
     def effort(poses: Poses, nearest_m: float = 2.0, exposure_s: float = 0.001) -> tuple[int, int]:
@@ -173,9 +173,9 @@ def test_effort_follows_the_motion() -> None:
         return len(plan.keys_ns), len(plan.samples_ns)
 
     turning = moving([0.0, 0.0, 0.0], [0.0, 1.0, 0.0])
-    assert effort(turning, exposure_s=0.0005) == (1, 1)  # 4.5 px while it is read out, but no parallax
+    assert effort(turning, exposure_s=0.0005) == (1, 1)  # 4.5 px during the readout, but no parallax
     assert effort(turning, exposure_s=0.01)[1] >= 3
-    assert effort(moving([0.0, 0.0, 0.0], [0.0, 8.0, 0.0]))[0] >= 2  # an image's margin is not endless
+    assert effort(moving([0.0, 0.0, 0.0], [0.0, 8.0, 0.0]))[0] >= 2  # the margin of an image is limited
     assert effort(moving([2.0, 0.0, 0.0], [0.0, 0.0, 0.0]), nearest_m=np.inf) == (1, 1)
     near, far = (effort(moving([2.0, 0.0, 0.0], [0.0, 0.0, 0.0]), nearest_m)[0] for nearest_m in (0.5, 4.0))
     assert 2 <= far < near <= 20

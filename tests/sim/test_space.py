@@ -1,4 +1,4 @@
-"""The space of a world: clearances that can be worked out by hand."""
+"""Clearances in the space of a world, against hand-worked values."""
 
 import numpy as np
 import pytest
@@ -18,12 +18,12 @@ def _hall(*boxes: tuple[list[float], list[float], float]) -> Space:
     )
 
 
-def test_an_empty_space_is_bounded_by_its_shell() -> None:
+def test_clearance_of_an_empty_space_is_that_of_its_bounds() -> None:
     space = _hall()
     assert space.clearance(np.array([[0.0, 0.0, 1.0], [4.5, 0.0, 2.0], [6.0, 0.0, 2.0]])) == pytest.approx([1, 0.5, -1])
 
 
-def test_a_box_is_left_by_its_faces_and_its_corners() -> None:
+def test_clearance_of_faces_corners_and_interior() -> None:
     space = _hall(([0.0, 0.0, 2.0], [1.0, 1.0, 1.0], 0.0))
     beside, off_corner, within = space.clearance(np.array([[1.5, 0.0, 2.0], [1.3, 1.4, 2.0], [0.8, 0.0, 2.0]]))
     assert beside == pytest.approx(0.5)
@@ -31,19 +31,19 @@ def test_a_box_is_left_by_its_faces_and_its_corners() -> None:
     assert within == pytest.approx(-0.2)
 
 
-def test_a_turned_box_turns_its_clearance() -> None:
+def test_clearance_of_a_rotated_box() -> None:
     space = _hall(([1.0, 0.0, 2.0], [1.0, 0.1, 1.0], np.pi / 2))
     assert space.clearance(np.array([1.5, 0.0, 2.0])) == pytest.approx(0.4)
 
 
-def test_many_points_at_once_are_as_good_as_one_by_one() -> None:
+def test_clearances_of_many_points_equal_single_ones() -> None:
     space = _hall(([0.0, 0.0, 2.0], [1.0, 0.5, 1.0], 0.3), ([3.0, 1.0, 1.0], [0.5, 0.5, 1.0], 1.0))
     points = np.random.default_rng(0).uniform([-5, -5, 0], [5, 5, 4], (10_000, 3))
     assert space.clearance(points)[::1000] == pytest.approx([float(space.clearance(p)) for p in points[::1000]])
 
 
 @pytest.mark.parametrize("spacing_m", [0.02, 0.5])
-def test_boxes_far_away_are_left_out_rightly(spacing_m: float) -> None:
+def test_clearance_with_many_boxes_is_exact(spacing_m: float) -> None:
     rng = np.random.default_rng(1)
     boxes = [
         (list(rng.uniform([-5, -5, 0], [5, 5, 4])), list(rng.uniform(0.05, 0.6, 3)), rng.uniform(0, 3))

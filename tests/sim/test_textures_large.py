@@ -1,4 +1,4 @@
-"""Patterns of large worlds: structure at any size, tiles that repeat, a sky that closes."""
+"""Textures of large worlds: contrast at any size, periodic tiles, and a panorama without a seam."""
 
 from collections.abc import Callable
 from functools import partial
@@ -54,7 +54,7 @@ PRINTS = [PATTERNS[name] for name in ("chequers", "bars", "lettered", "numbered"
 
 
 @pytest.mark.parametrize("name", PATTERNS)
-def test_patterns_have_structure_at_any_size(name: str) -> None:
+def test_textures_have_contrast_at_any_size(name: str) -> None:
     draw = PATTERNS[name]
     for height, width in ((6, 90), (90, 6)):
         image = draw(np.random.default_rng(0), height, width)
@@ -70,21 +70,21 @@ def test_patterns_have_structure_at_any_size(name: str) -> None:
 
 
 def seam(image: Image, axis: int) -> float:
-    """Return how much opposite borders differ, relative to how much neighbours do."""
+    """Return the mean difference of opposite borders, relative to that of neighbouring lines."""
     lines = np.moveaxis(image.astype(float), axis, 0)
     steps = np.abs(np.diff(lines, axis=0)).mean()
     return float(np.abs(lines[0] - lines[-1]).mean() / steps)
 
 
 @pytest.mark.parametrize("axis", [0, 1])
-def test_tiles_repeat_without_a_seam(axis: int) -> None:
+def test_tiles_are_periodic(axis: int) -> None:
     rng = np.random.default_rng(0)
     for tile in (nature.grass_tile(rng, GREY, 3000, 256), nature.litter_tile(rng, BROWN, 1500, 256)):
         assert seam(tile, axis) < 1.5
         assert nature.tiled(tile, 300, 700).shape == (300, 700, 3)
 
 
-def test_bark_and_sky_close() -> None:
+def test_bark_and_sky_are_periodic_around_the_axis() -> None:
     rng = np.random.default_rng(0)
     assert seam(nature.bark(rng, 300, 200, GREY), 1) < 1.5
     sky = nature.sky(rng, 200, 800, (80, 120, 180), (220, 220, 220), 0.4)
@@ -94,13 +94,13 @@ def test_bark_and_sky_close() -> None:
     assert closed[-1].mean() < sky[-1].mean() - 30.0  # hills are darker than the haze
 
 
-def test_words_can_be_read_along_a_tall_print() -> None:
+def test_text_runs_along_a_tall_texture() -> None:
     lying, standing = (race.lettered(np.random.default_rng(4), h, w, GREY) for h, w in ((60, 400), (400, 60)))
-    turned = cv2.rotate(standing, cv2.ROTATE_90_CLOCKWISE)
-    assert np.corrcoef(lying.mean(axis=2).ravel(), turned.mean(axis=2).ravel())[0, 1] > 0.9
+    rotated = cv2.rotate(standing, cv2.ROTATE_90_CLOCKWISE)
+    assert np.corrcoef(lying.mean(axis=2).ravel(), rotated.mean(axis=2).ravel())[0, 1] > 0.9
 
 
-def test_bark_is_bright_toward_the_sun() -> None:
+def test_bark_is_brighter_towards_the_sun() -> None:
     sun = np.array([0.0, 0.8, 0.6])  # a quarter of the way around
     image = vegetation.bark_image(np.random.default_rng(0), 200, 400, (GREY,) * vegetation.BARKS, sun)
     each = image.mean(axis=(0, 2)).reshape(vegetation.BARKS, -1)

@@ -1,4 +1,4 @@
-"""Wind against the standard's formulas: variances, correlations over distance, spectra."""
+"""The wind model against the formulas of the standard: variances, correlations over distance, spectra."""
 
 from dataclasses import replace
 
@@ -12,14 +12,15 @@ BREEZE = Wind((5.0, 0.0, 0.0), gusts=1.0)
 FOOT_M = 0.3048
 
 
-def test_scales_are_the_standards() -> None:
+def test_lengths_and_deviations_are_those_of_the_standard() -> None:
     low, high = BREEZE, replace(BREEZE, height_m=1000.0 * FOOT_M)
     np.testing.assert_allclose(low.gust_lengths_m / FOOT_M, [75.67, 75.67, 10.0], rtol=1e-3)
     np.testing.assert_allclose(high.gust_lengths_m / FOOT_M, 1000.0)  # where turbulence becomes isotropic
     np.testing.assert_allclose(high.gust_deviations_m_s, high.gust_deviations_m_s[2])
     at_gauge = replace(BREEZE, height_m=20.0 * FOOT_M)
     np.testing.assert_allclose(at_gauge.gust_deviations_m_s[2], 0.5)  # a tenth of the wind at 20 ft
-    assert np.all(low.gust_deviations_m_s > at_gauge.gust_deviations_m_s)  # the same wind lower down is a stronger one
+    # The same mean wind at a lower height implies stronger gusts
+    assert np.all(low.gust_deviations_m_s > at_gauge.gust_deviations_m_s)
     np.testing.assert_allclose(replace(BREEZE, gusts=0.5).gust_deviations_m_s, 0.5 * low.gust_deviations_m_s)
 
 
@@ -39,7 +40,7 @@ def test_gust_statistics_do_not_depend_on_the_step_length(steps: int) -> None:
     np.testing.assert_allclose(np.mean(before * after, axis=0) / sigma**2, expected, atol=0.015)
 
 
-def test_spectra_are_the_standards() -> None:
+def test_spectra_are_those_of_the_standard() -> None:
     runs, samples, step = 200, 2048, 0.5
     air = GustyAir(BREEZE, np.random.default_rng(1), (runs,))
     gusts = np.empty((samples, runs, 3))
@@ -60,7 +61,7 @@ def test_spectra_are_the_standards() -> None:
         np.testing.assert_allclose(part.mean(axis=0), 1.0, atol=0.07)
 
 
-def test_gusts_blow_along_the_wind_wherever_it_comes_from() -> None:
+def test_gust_axes_follow_the_direction_of_the_wind() -> None:
     wind = Wind((-3.0, 4.0, 0.0), gusts=1.0)
     gusts = GustyAir(wind, np.random.default_rng(2), (40_000,)).velocity_m_s() - wind.mean_m_s
     np.testing.assert_allclose(gusts @ wind.axes.T @ wind.axes, gusts, atol=1e-12)
@@ -78,14 +79,14 @@ def test_parallel_gusts_are_independent_and_renewed_on_restart() -> None:
     np.testing.assert_array_equal(again.velocity_m_s(), first)
 
 
-def test_standing_in_the_frozen_field_nothing_changes() -> None:
+def test_gusts_do_not_change_without_motion() -> None:
     air = GustyAir(BREEZE, np.random.default_rng(4))
     before = air.velocity_m_s()
     air.move_through(np.array(0.0))
     np.testing.assert_array_equal(air.velocity_m_s(), before)
 
 
-def test_no_gusts_need_no_random_numbers() -> None:
+def test_steady_wind_needs_no_random_generator() -> None:
     steady = make_air(Wind((1.0, 2.0, -0.5)), None)
     steady.move_through(np.array(3.0))
     np.testing.assert_array_equal(steady.velocity_m_s(), [1.0, 2.0, -0.5])
@@ -98,6 +99,6 @@ def test_no_gusts_need_no_random_numbers() -> None:
     ("change", "message"),
     [({"gusts": -1.0}, "-1"), ({"height_m": 1.0}, "1 m above"), ({"mean_m_s": (np.nan, 0.0, 0.0)}, "nan")],
 )
-def test_impossible_winds_are_refused(change: dict[str, object], message: str) -> None:
+def test_invalid_winds_are_refused(change: dict[str, object], message: str) -> None:
     with pytest.raises(ConfigError, match=message):
         replace(BREEZE, **change)  # type: ignore[arg-type]

@@ -1,4 +1,4 @@
-"""Rooms: the same from the same seed, free in the middle, rich in corners."""
+"""Rooms: determined by the seed, free of obstacles in the middle, with textured surfaces."""
 
 import itertools
 
@@ -21,13 +21,13 @@ COLOUR = (150.0, 120.0, 90.0)
 
 
 def extent(box: Box) -> Array:
-    """Return the least and greatest corner (2, 3) of the upright box around a box."""
-    reach = np.abs(box.R) @ box.half
-    return np.stack([box.centre - reach, box.centre + reach])
+    """Return the lowest and highest corner (2, 3) of the axis-aligned box around a box."""
+    half = np.abs(box.R) @ box.half
+    return np.stack([box.centre - half, box.centre + half])
 
 
 def overlap_m(a: Array, b: Array) -> float:
-    """Return by how much two upright boxes (2, 3) overlap along the axis where they do least; negative if apart."""
+    """Return the overlap of two axis-aligned boxes (2, 3) along the axis of the least overlap; negative if separate."""
     return float(np.min(np.minimum(a[1], b[1]) - np.maximum(a[0], b[0])))
 
 
@@ -41,7 +41,7 @@ def room(request: pytest.FixtureRequest) -> Room:
     return furnished_room(np.random.default_rng(request.param))
 
 
-def test_nothing_reaches_into_the_free_box(room: Room) -> None:
+def test_the_free_box_contains_no_objects(room: Room) -> None:
     for box in (*room.boxes, *room.obstacles):
         assert overlap_m(extent(box), FREE_BOX_M) <= 0.0
 
@@ -54,13 +54,13 @@ def test_everything_is_inside_the_room(room: Room) -> None:
         assert (found[1] < high + 0.001).all()
 
 
-def test_furniture_stands_apart(room: Room) -> None:
+def test_furniture_does_not_overlap(room: Room) -> None:
     assert len(room.obstacles) >= 10
     for a, b in itertools.combinations(room.obstacles, 2):
         assert overlap_m(extent(a), extent(b)) <= 0.0
 
 
-def test_seeds_make_the_room() -> None:
+def test_rooms_are_determined_by_the_seed() -> None:
     def fingerprint(name: str, seed: int) -> tuple[bytes, bytes]:
         model = build_world(name, seed).spec.compile()
         return model.tex_data.tobytes(), model.geom_pos.tobytes()
@@ -68,11 +68,11 @@ def test_seeds_make_the_room() -> None:
     first, other = fingerprint("room", 0), fingerprint("room", 5)
     assert first[0] != other[0]
     assert first[1] != other[1]
-    _painted.cache_clear()  # or the second would be the first
+    _painted.cache_clear()  # otherwise the cached world would be returned
     assert fingerprint("room", 0) == first
 
 
-def test_the_world_compiles_small(world: World) -> None:
+def test_the_model_has_few_geoms_and_separate_collisions(world: World) -> None:
     model = world.spec.compile()
     assert model.ngeom <= 150
     seen = model.geom_group == 0
@@ -82,7 +82,7 @@ def test_the_world_compiles_small(world: World) -> None:
     assert model.vis.map.zfar * model.stat.extent > np.linalg.norm(SIZE_M)
 
 
-def test_a_ball_comes_to_rest_inside(world: World) -> None:
+def test_a_bouncing_ball_stays_inside(world: World) -> None:
     spec = build_world("room", 0).spec
     body = spec.worldbody.add_body(name="ball", pos=[0.0, 0.0, 1.0])
     body.add_freejoint()
@@ -95,7 +95,7 @@ def test_a_ball_comes_to_rest_inside(world: World) -> None:
     assert data.qpos[2] == pytest.approx(0.1, abs=0.01)
 
 
-def test_the_outline_is_the_room_s(world: World) -> None:
+def test_the_outline_is_that_of_the_room(world: World) -> None:
     assert world.outline.shape[1:] == (2, 3)
     np.testing.assert_allclose(world.outline.reshape(-1, 3).max(axis=0), [4.0, 3.0, 3.5])
     np.testing.assert_allclose(world.outline.reshape(-1, 3).min(axis=0), [-4.0, -3.0, 0.0])
@@ -128,7 +128,7 @@ def test_unknown_worlds_are_named() -> None:
         textures.screen,
     ],
 )
-def test_patterns_have_structure_at_any_size(pattern: textures.Pattern) -> None:
+def test_textures_have_contrast_at_any_size(pattern: textures.Pattern) -> None:
     for height, width in ((300, 420), (6, 200), (200, 6)):
         image = pattern(np.random.default_rng(0), height, width, COLOUR)
         assert image.shape == (height, width, 3)
@@ -146,7 +146,7 @@ def test_pictures_have_contrast(picture: pictures.Picture) -> None:
     assert image.mean(axis=2).std() > 12.0
 
 
-def test_light_falls_off_and_is_blocked() -> None:
+def test_light_decreases_with_distance_and_is_occluded() -> None:
     def paint(rng: np.random.Generator, height: int, width: int) -> textures.Image:
         return np.zeros((height, width, 3), np.uint8)
 
@@ -157,7 +157,7 @@ def test_light_falls_off_and_is_blocked() -> None:
     assert bare.max() == bare[13:15, 13:15].max()
     table = Box(np.array([0.0, 0.0, 1.5]), np.array([0.4, 0.4, 0.02]), paint)
     (shaded,) = bake([floor], [table], [lamp])
-    # by similar triangles the table of half width 0.4, half a metre below the lamp, shades 1.6 m either way
+    # By similar triangles, the table of half width 0.4 m, 0.5 m below the lamp, casts a shadow of half width 1.6 m
     x = (np.arange(28) + 0.5) / 7.0 - 2.0
     inside = (np.abs(x)[:, None] < 1.55) & (np.abs(x)[None] < 1.55)
     outside = (np.abs(x)[:, None] > 1.65) | (np.abs(x)[None] > 1.65)
@@ -165,7 +165,7 @@ def test_light_falls_off_and_is_blocked() -> None:
     np.testing.assert_allclose(shaded[inside], shaded[inside][0], atol=1e-5)
 
 
-def test_corners_are_darker_where_nothing_shines() -> None:
+def test_ambient_light_is_occluded_in_corners() -> None:
     def paint(rng: np.random.Generator, height: int, width: int) -> textures.Image:
         return np.zeros((height, width, 3), np.uint8)
 

@@ -1,4 +1,4 @@
-"""The hall, the forest and the race: their routes are free, what is seen can be hit, gates are flown through."""
+"""Large worlds: clear routes, collision boxes of visible objects, and gates on the route."""
 
 import numpy as np
 import numpy.typing as npt
@@ -17,20 +17,20 @@ WORLDS = {"hall": hall.HALL, "forest": forest.FOREST, "gates": gates.GATES}
 SEEDS = range(6)
 
 
-def drawn(builder: WorldBuilder, seed: int) -> Layout:
+def layout_of(builder: WorldBuilder, seed: int) -> Layout:
     """Return a world's layout."""
     return builder.layout(np.random.default_rng(seed))
 
 
-def along(route: Array) -> Array:
+def points_along(route: Array) -> Array:
     """Return points (N, 3) every 5 cm or less along the closed route (R, 3)."""
-    way = np.roll(route, -1, axis=0) - route
-    count = int(np.linalg.norm(way, axis=1).max() / 0.05) + 1
-    return np.asarray((route[:, None] + np.linspace(0.0, 1.0, count)[:, None] * way[:, None]).reshape(-1, 3))
+    legs = np.roll(route, -1, axis=0) - route
+    count = int(np.linalg.norm(legs, axis=1).max() / 0.05) + 1
+    return np.asarray((route[:, None] + np.linspace(0.0, 1.0, count)[:, None] * legs[:, None]).reshape(-1, 3))
 
 
-def obstacles_alone(layout: Layout) -> Space:
-    """Return the space of the obstacles in bounds too far away to matter."""
+def unbounded_space(layout: Layout) -> Space:
+    """Return the space of the obstacles, with distant bounds."""
     space = space_of(layout)
     return Space(layout.low - 100.0, layout.high + 100.0, space.centres, space.halves, space.rotations)
 
@@ -38,8 +38,8 @@ def obstacles_alone(layout: Layout) -> Space:
 @pytest.mark.parametrize("seed", SEEDS)
 @pytest.mark.parametrize("name", WORLDS)
 def test_the_route_is_clear_and_starts_above_the_pad(name: str, seed: int) -> None:
-    layout = drawn(WORLDS[name], seed)
-    assert space_of(layout).clearance(along(layout.route)).min() >= ROUTE_CLEARANCE_M
+    layout = layout_of(WORLDS[name], seed)
+    assert space_of(layout).clearance(points_along(layout.route)).min() >= ROUTE_CLEARANCE_M
     np.testing.assert_allclose(layout.route[0, :2], layout.pad[:2])
     assert len(layout.route) >= 8
     assert np.linalg.norm(np.ptp(layout.route[:, :2], axis=0)) > 20.0
@@ -48,20 +48,20 @@ def test_the_route_is_clear_and_starts_above_the_pad(name: str, seed: int) -> No
 @pytest.mark.parametrize("seed", SEEDS)
 @pytest.mark.parametrize("name", WORLDS)
 def test_the_free_box_is_free_above_the_pad(name: str, seed: int) -> None:
-    layout = drawn(WORLDS[name], seed)
+    layout = layout_of(WORLDS[name], seed)
     low, high = layout.free_box
     axes = [np.linspace(a, b, max(int((b - a) / 0.25), 2)) for a, b in zip(low, high, strict=True)]
     grid = np.stack(np.meshgrid(*axes), axis=-1)
-    assert obstacles_alone(layout).clearance(grid).min() > 0.0
+    assert unbounded_space(layout).clearance(grid).min() > 0.0
     np.testing.assert_allclose(layout.free_box.mean(axis=0)[:2], layout.pad[:2], atol=1e-9)
     assert (low >= layout.low).all()
     assert (high <= layout.high).all()
 
 
 @pytest.mark.parametrize("name", WORLDS)
-def test_seeds_draw_other_places_and_the_same_ones_again(name: str) -> None:
+def test_layouts_are_determined_by_the_seed(name: str) -> None:
     def places(seed: int) -> Array:
-        layout = drawn(WORLDS[name], seed)
+        layout = layout_of(WORLDS[name], seed)
         return np.concatenate([layout.route, [box.centre for box in layout.obstacles]])
 
     first, again, other = places(3), places(3), places(4)
@@ -75,50 +75,50 @@ def inside(layout: Layout, points: Array) -> Array:
     return flat[np.all((flat > layout.low + 0.08) & (flat < layout.high - 0.08), axis=1)]
 
 
-def test_what_is_seen_in_the_hall_can_be_hit() -> None:
-    layout = drawn(hall.HALL, 1)
+def test_visible_surfaces_of_the_hall_have_collision_boxes() -> None:
+    layout = layout_of(hall.HALL, 1)
     corners = np.array([[x, y, z] for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)])
     on_boxes = [box.centre + corners * box.half @ box.R.T for box in layout.boxes]
     on_sheets = [sheet.grid for sheet in layout.shell[6:]]
     seen = np.concatenate([inside(layout, points) for points in (*on_boxes, *on_sheets)])
     assert len(seen) > 2000
-    assert obstacles_alone(layout).clearance(seen).max() < 0.07
+    assert unbounded_space(layout).clearance(seen).max() < 0.07
 
 
-def test_trunks_in_reach_can_be_hit_where_they_are_seen() -> None:
-    layout = drawn(forest.FOREST, 1)
+def test_visible_trunks_have_collision_boxes() -> None:
+    layout = layout_of(forest.FOREST, 1)
     wood = inside(layout, joined(layout.prints[0].cutouts).corners)
     assert len(wood) > 300
-    assert obstacles_alone(layout).clearance(wood).max() < 0.02
+    assert unbounded_space(layout).clearance(wood).max() < 0.02
 
 
-def test_leaves_in_reach_belong_to_something_that_can_be_hit() -> None:
-    layout = drawn(forest.FOREST, 1)
+def test_visible_leaves_have_collision_boxes() -> None:
+    layout = layout_of(forest.FOREST, 1)
     leaves = inside(layout, joined(layout.prints[1].cutouts).corners)
-    high = leaves[leaves[:, 2] > 0.75]  # below, there are ferns, which give way
-    assert len(high) > 20
-    assert obstacles_alone(layout).clearance(high).max() < 0.02
+    upper = leaves[leaves[:, 2] > 0.75]  # ferns below this height have no collision boxes
+    assert len(upper) > 20
+    assert unbounded_space(layout).clearance(upper).max() < 0.02
 
 
 @pytest.mark.parametrize("seed", SEEDS)
-def test_the_route_passes_every_gate_in_its_middle(seed: int) -> None:
-    layout = drawn(gates.GATES, seed)
-    space = obstacles_alone(layout)
+def test_the_route_passes_the_centre_of_every_gate(seed: int) -> None:
+    layout = layout_of(gates.GATES, seed)
+    space = unbounded_space(layout)
     entries, exits = layout.route[1::2], layout.route[2::2]
     assert len(entries) == len(exits) >= 8
-    for entry, leave in zip(entries, exits, strict=True):
-        middle, ahead = 0.5 * (entry + leave), (leave - entry) / np.linalg.norm(leave - entry)
+    for entry, exit_ in zip(entries, exits, strict=True):
+        middle, ahead = 0.5 * (entry + exit_), (exit_ - entry) / np.linalg.norm(exit_ - entry)
         side = np.cross([0.0, 0.0, 1.0], ahead)
-        reach = np.linspace(0.7, 1.6, 91)[:, None]
-        left, right = (space.clearance(middle + s * reach * side) < 0.0 for s in (1.0, -1.0))
-        above = space.clearance(middle + reach * [0.0, 0.0, 1.0]) < 0.0
+        distance = np.linspace(0.7, 1.6, 91)[:, None]
+        left, right = (space.clearance(middle + s * distance * side) < 0.0 for s in (1.0, -1.0))
+        above = space.clearance(middle + distance * [0.0, 0.0, 1.0]) < 0.0
         assert left.any()
         assert right.any()
         assert above.any()
         np.testing.assert_allclose(left.argmax(), right.argmax(), atol=1)
 
 
-def test_gates_have_flags_and_bales_beside_them() -> None:
-    layout = drawn(gates.GATES, 0)
+def test_gates_are_surrounded_by_flags_and_bales() -> None:
+    layout = layout_of(gates.GATES, 0)
     frames: list[Box] = [box for box in layout.obstacles if box.pixels_per_m >= 150.0]
     assert len(layout.obstacles) > len(frames) + 20
