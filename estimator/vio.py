@@ -203,7 +203,7 @@ class VisualInertialOdometry:
 
     def _tracking(self, smoother: KeyframeSmoother, monitor: HealthMonitor, observations: Observations) -> Tracking:
         """Return the tracking state at the smoother's newest keyframe."""
-        monitor.set_reference(smoother.state, smoother.known_landmarks)
+        monitor.set_reference(smoother.state, smoother.triangulated_landmarks)
         propagator = Propagator(self._noise.params, self._imu, self._keyframe_policy, smoother, observations)
         return Tracking(smoother, monitor, propagator)
 

@@ -19,7 +19,7 @@ EXCLUDED = ("dronevio.cli",)
 
 @dataclass(frozen=True)
 class Module:
-    """A module or package, by what its source says."""
+    """A module or package, as described by its source."""
 
     name: str
     """Full name, such as ``dronevio.eval.metrics``."""
@@ -31,7 +31,7 @@ class Module:
 
 
 def read_module(path: Path, name: str) -> Module:
-    """Return what is to be known of a module; ``path`` is its file. Packages are imported, modules are only read."""
+    """Return the description of a module in the file ``path``. Packages are imported, modules are only parsed."""
     is_package = path.name == "__init__.py"
     exported = getattr(importlib.import_module(name), "__all__", None) if is_package else None
     paragraph = (ast.get_docstring(ast.parse(path.read_text(encoding="utf-8"), path)) or "").split("\n\n")[0]

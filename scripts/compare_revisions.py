@@ -256,7 +256,7 @@ def made(folder: Path) -> Path:
 
 
 def fly(revision: Revision, subject: Subject, out: Path) -> None:
-    """Let a revision fly a recording."""
+    """Fly a recording with a revision."""
     with tempfile.TemporaryDirectory() as scratch:
         rig = Path(scratch) / "camchain.yaml"
         rig.write_text(RIGS.get(subject, ""), encoding="utf-8")
@@ -274,7 +274,7 @@ def recording_of(base: Revision, subject: Subject, work: Path) -> Path:
 
 
 def compute(revision: Revision, base: Revision, subject: Subject, work: Path, out: Path) -> None:
-    """Let a revision compute a subject's quantities, and write them into a file."""
+    """Compute the quantities of a subject with a revision, and write them into a file."""
     with tempfile.TemporaryDirectory(dir=made(work / "scratch")) as name:
         scratch = Path(name)
         probe = ("--code", revision.code, "--out", scratch / "result.npz")

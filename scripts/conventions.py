@@ -1,4 +1,4 @@
-"""The conventions of names, docstrings and tests that no linter knows, checked by syntax tree.
+"""The conventions of names, docstrings and tests that no linter checks; they are checked on the syntax tree.
 
 Usage::
 
@@ -61,8 +61,8 @@ REPLACED = {
     "zoom": "scale",
     "zooms": "scales",
 }
-"""Words that this project does not use, each with what the field says instead. A word stands here only if no technical
-use of it is right in this project, because it is refused in every name and docstring."""
+"""Words that this project does not use, each with the standard term. Only words without any correct technical use in
+this project are listed, because they are refused in every name and docstring."""
 
 _RANDOM = {"default_rng", "RandomState", "SeedSequence", "Generator", "PCG64", "Philox", "SFC64", "MT19937", "Random"}
 _SIZE = r"(?:[A-Za-z0-9_]+(?: [A-Z])?|…)"  # also a product such as 4 N
@@ -81,16 +81,16 @@ class Violation:
     line: int
     """Line of the file, from 1 on."""
     text: str
-    """What is wrong there and what is expected instead."""
+    """The violation and what is expected instead."""
 
 
 def check_test(tree: ast.Module) -> list[Violation]:
-    """Return what a module of tests does against the conventions of tests."""
+    """Return the violations of the conventions of tests in a module."""
     return sorted([*long_test_names(tree), *shared_randomness(tree)])
 
 
 def check_package(tree: ast.Module) -> list[Violation]:
-    """Return what a module of a package does against the conventions of docstrings and words."""
+    """Return the violations of the conventions of docstrings and words in a module."""
     return sorted([*incomplete_field_docstrings(tree), *replaced_words(tree)])
 
 
@@ -222,10 +222,10 @@ def replaced_words(tree: ast.Module) -> Iterator[Violation]:
 
 
 def replacements(text: str) -> list[str]:
-    """Return for each replaced word of a name or a text what to say instead.
+    """Return a message with the replacement for each replaced word of a name or a text.
 
-    Names are split at underscores and capitals, so that ``zoomLevel`` and ``_zoom`` hold ``zoom`` and ``zoological``
-    does not.
+    Names are split at underscores and capitals, so that a word is found in camel case and snake case, but not within a
+    longer word.
     """
     parts = "_".join(part.lower() for part in _WORD_PARTS.findall(text))
     found = {word for word in REPLACED if f"_{word}_" in f"_{parts}_"}
@@ -253,7 +253,7 @@ def _defined_names(tree: ast.Module) -> Iterator[tuple[int, str]]:
 
 
 def violations_in_tests(folder: Path) -> list[str]:
-    """Return what the Python files below a folder do against the conventions of tests, as ``path:line: text``.
+    """Return the violations of the conventions of tests in the Python files below a folder, as ``path:line: text``.
 
     Raises:
         FileNotFoundError: There is no Python file below the folder.
@@ -262,7 +262,7 @@ def violations_in_tests(folder: Path) -> list[str]:
 
 
 def violations_in_package(folder: Path) -> list[str]:
-    """Return what the Python files below a folder do against the conventions of packages, as ``path:line: text``.
+    """Return the violations of the conventions of packages in the Python files below a folder, as ``path:line: text``.
 
     Raises:
         FileNotFoundError: There is no Python file below the folder.

@@ -21,7 +21,7 @@ class MathMlProcessor(Treeprocessor):
                 opening, tex = element.text[:2], element.text[2:-2].strip()
                 formula = fromstring(convert(tex, display="block" if opening == r"\[" else "inline"))
                 for part in formula.iter():
-                    part.tag = part.tag.rpartition("}")[2]  # HTML knows MathML without its namespace
+                    part.tag = part.tag.rpartition("}")[2]  # MathML in HTML has no namespace
                 element.text = None
                 element.append(formula)
 

@@ -8,7 +8,7 @@ of the checkout, never to the working tree. Run all mutants, or some of them by 
     .venv/bin/python scripts/mutants.py --list
 
 The named tests are first run without any mutant, where they must pass. The exit status is 0 if every mutant is killed,
-1 if one survives, and 2 if a mutant cannot be judged: it does not apply, or its tests fail without it.
+1 if one survives, and 2 if a mutant cannot be evaluated: it does not apply, or its tests fail without it.
 """
 
 import argparse
@@ -73,7 +73,7 @@ def run_tests(checkout: Path, tests: Sequence[str]) -> Verdict:
     return {0: Verdict.SURVIVED, 1: Verdict.KILLED}.get(finished.returncode, Verdict.INVALID)
 
 
-def judge(mutant: Mutant) -> Verdict:
+def evaluate(mutant: Mutant) -> Verdict:
     """Apply a mutant to a copy of the checkout and run its tests there."""
     with tempfile.TemporaryDirectory(prefix="dronevio-mutant-") as folder:
         copy_checkout(Path(folder))
@@ -119,7 +119,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     print(f"{'mutant':{width}}  {'verdict':8}  {'time [s]':>8}")
     for mutant in mutants:
         start = time.perf_counter()
-        verdicts.append(judge(mutant))
+        verdicts.append(evaluate(mutant))
         print(f"{mutant.name:{width}}  {verdicts[-1]:8}  {time.perf_counter() - start:8.1f}", flush=True)
     print(f"{verdicts.count(Verdict.KILLED)} of {len(verdicts)} killed")
     if Verdict.SURVIVED in verdicts:

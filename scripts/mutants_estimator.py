@@ -37,7 +37,7 @@ ESTIMATOR = (
     ),
     Mutant(
         "calibration-factor-swapped-biases",
-        "Calibration: the preintegration is asked at the biases of the wrong sensors.",
+        "Calibration: the preintegration is evaluated with the biases of gyroscope and accelerometer exchanged.",
         "estimator/calibration/imu_factor.py",
         "ConstantBias(bias[3:], bias[:3])",
         "ConstantBias(bias[:3], bias[3:])",
@@ -159,8 +159,8 @@ ESTIMATOR = (
         "covariance-10-first-keyframe",
         "Smoother: the first keyframe is ten times as uncertain as stated.",
         "estimator/backend/smoother.py",
-        "np.asarray(np.linalg.inv(covariance_there), dtype=np.float64)",
-        "np.asarray(0.1 * np.linalg.inv(covariance_there), dtype=np.float64)",
+        "np.asarray(np.linalg.inv(gtsam_covariance), dtype=np.float64)",
+        "np.asarray(0.1 * np.linalg.inv(gtsam_covariance), dtype=np.float64)",
         ("tests/estimator/test_consistency.py::test_first_keyframe_has_the_given_covariance",),
     ),
     Mutant(
@@ -245,7 +245,7 @@ ESTIMATOR = (
     ),
     Mutant(
         "covariance-10-degraded-readings",
-        "Preintegration: what a sensor at its limit hides counts ten times.",
+        "Preintegration: the additional variance of saturated readings is ten times as large.",
         "estimator/imu/preintegration.py",
         "gyro_noise + np.diag(excess[:3])",
         "gyro_noise + 10.0 * np.diag(excess[:3])",
@@ -309,7 +309,7 @@ ESTIMATOR = (
     ),
     Mutant(
         "variance-factor-below-one",
-        "Smoother: observations that happen to fit well weigh more than their noise lets them.",
+        "Smoother: observations with small residuals have more weight than their assumed noise permits.",
         "estimator/backend/weighting.py",
         "max(1.0, float(np.median(squared)) / MEDIAN",
         "max(0.1, float(np.median(squared)) / MEDIAN",

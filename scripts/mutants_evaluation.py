@@ -173,7 +173,7 @@ EVALUATION = (
     ),
     Mutant(
         "compare-gate-on-interval",
-        "Comparison: a gate judges the lower end of the confidence interval.",
+        "Comparison: a gate tests the lower end of the confidence interval.",
         "eval/compare.py",
         "if ratio.median > 1.0 + limit:",
         "if ratio.low > 1.0 + limit:",

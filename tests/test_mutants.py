@@ -1,4 +1,4 @@
-"""The table of mutants: it fits the code as it is, and the command that runs it tells killed from surviving."""
+"""The table of mutants matches the code, and the command distinguishes killed, surviving and invalid mutants."""
 
 import re
 from collections.abc import Callable

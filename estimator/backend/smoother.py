@@ -137,7 +137,7 @@ class KeyframeSmoother:
         return self._window.landmarks.points.copy()
 
     @property
-    def known_landmarks(self) -> TriangulatedLandmarks:
+    def triangulated_landmarks(self) -> TriangulatedLandmarks:
         """The landmarks that constrain the window."""
         return self._window.landmarks.triangulated(self._window.cameras)
 
@@ -173,16 +173,16 @@ class KeyframeSmoother:
             self._solution = self._read_solution(t_ns, solver)
             marginalizes = self._is_full and self._has_moved(parallax_px)
             imu_variance = window.oldest_imu_variance(solver) if marginalizes else None
-            wrong = window.landmarks.reject_outliers(*window.residuals())
-            window.remove_landmarks(wrong.tolist())
-            self._make_room(parallax_px)
+            outliers = window.landmarks.reject_outliers(*window.residuals())
+            window.remove_landmarks(outliers.tolist())
+            self._reduce_window(parallax_px)
         except (SingularError, np.linalg.LinAlgError) as error:
             covariance = self._solution.covariance
             self._window, self._solution = self._begin(_nav_state(t_ns, predicted), covariance, observations)
             self._position_covariance = covariance[3:6, 3:6]
             self._last_observed = observations, observations
             return KeyframeResult(rejected, (f"solver restored: {error}",))
-        return KeyframeResult(np.union1d(rejected, wrong), imu_variance=imu_variance)
+        return KeyframeResult(np.union1d(rejected, outliers), imu_variance=imu_variance)
 
     def initial_adjustment(self, keyframes: Sequence[Keyframe]) -> float | None:
         """Add the first keyframes together and adjust them by Levenberg-Marquardt.
@@ -203,7 +203,7 @@ class KeyframeSmoother:
             self._solution = self._read_solution(keyframes[-1].t_ns, solver)
             error = np.linalg.norm(window.residuals()[0], axis=1)
             while self._is_full:
-                self._make_room(np.inf)
+                self._reduce_window(np.inf)
         except (SingularError, np.linalg.LinAlgError):
             return None
         return float(np.median(error)) * self._focal_px if len(error) else float("inf")
@@ -232,11 +232,11 @@ class KeyframeSmoother:
         """
         bias = gtsam.imuBias.ConstantBias(start.accel_bias_m_s2, start.gyro_bias_rad_s)
         first = KeyframeState(gtsam.Pose3(start.T_world_imu), start.velocity_m_s, bias)
-        anchored = covariance.copy()
-        anchored[3:6, :] = anchored[:, 3:6] = 0.0
-        anchored[3:6, 3:6] = GAUGE_SIGMA**2 * np.eye(3)
-        covariance_there = covariance_to_gtsam(anchored, start.T_world_imu[:3, :3])
-        information = np.asarray(np.linalg.inv(covariance_there), dtype=np.float64)
+        gauge_fixed = covariance.copy()
+        gauge_fixed[3:6, :] = gauge_fixed[:, 3:6] = 0.0
+        gauge_fixed[3:6, 3:6] = GAUGE_SIGMA**2 * np.eye(3)
+        gtsam_covariance = covariance_to_gtsam(gauge_fixed, start.T_world_imu[:3, :3])
+        information = np.asarray(np.linalg.inv(gtsam_covariance), dtype=np.float64)
         landmarks = LandmarkDatabase(self._focal_px, self._landmark_config)
         landmarks.add_observations(0, observations)
         c, Ts_imu_cam = self._config, self._calibration.Ts_imu_cam
@@ -260,7 +260,7 @@ class KeyframeSmoother:
         window.landmarks.add_observations(k, keyframe.observations)
         self._last_observed = self._last_observed[1], keyframe.observations
 
-    def _make_room(self, parallax_px: float) -> None:
+    def _reduce_window(self, parallax_px: float) -> None:
         """Remove a keyframe if there is one too many: the second-newest if it has hardly moved, else the oldest."""
         window = self._window
         if self._is_full and self._has_moved(parallax_px):

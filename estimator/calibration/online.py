@@ -206,9 +206,11 @@ class OnlineCalibration:
         """Apply the corrections that are significant and large enough, and return whether there are any."""
         difference = np.abs(self._mean - self._applied)
         sigmas = np.sqrt(np.diag(self._covariance))
-        wrong = self._estimated & (difference > np.maximum(self._config.significance * sigmas, self._min_correction))
-        self._significant[self._part[wrong]] = True
-        if not wrong.any():
+        significant = self._estimated & (
+            difference > np.maximum(self._config.significance * sigmas, self._min_correction)
+        )
+        self._significant[self._part[significant]] = True
+        if not significant.any():
             return False
         self._applied = np.where(self._significant[self._part] & self._estimated, self._mean, self._applied)
         self._calibration = _corrected(self._given, self.applied)

@@ -122,11 +122,11 @@ class RigTracker:
         if not self._images:
             return _merged(observations)
         found = [self._match(k, extrinsics.matchers[k], observations) for k in range(len(self._pairs))]
-        wrong = [matcher.is_miscalibrated for matcher in extrinsics.matchers]
+        miscalibrated = [matcher.is_miscalibrated for matcher in extrinsics.matchers]
         return replace(
             _merged(observations),
-            matches=_joined([matches for matches, bad in zip(found, wrong, strict=True) if not bad]),
-            miscalibrated=_joined([matches for matches, bad in zip(found, wrong, strict=True) if bad]),
+            matches=_joined([matches for matches, bad in zip(found, miscalibrated, strict=True) if not bad]),
+            miscalibrated=_joined([matches for matches, bad in zip(found, miscalibrated, strict=True) if bad]),
         )
 
     def discard(self, ids: Integers) -> None:

@@ -1,7 +1,7 @@
-"""Patterns of large buildings: painted corridors, terrazzo, ceiling panels, tiles, marble, doors, boards and signs.
+"""Textures of large buildings: painted corridors, terrazzo, ceiling panels, tiles, marble, doors, boards and signs.
 
-Like `dronevio.sim.appearance.textures`, but at whatever resolution suits the size of the building:
-``px_per_m`` says which.
+They are like those of `dronevio.sim.appearance.textures`, but their resolution ``px_per_m`` is an argument, because it
+depends on the size of the building.
 """
 
 from functools import lru_cache
@@ -116,12 +116,12 @@ def tiles(
     """Return identical glazed tiles; with ``checker``, of two alternating colours.
 
     Args:
-        rng: Is not used: nothing in this pattern is left to chance.
-        height: Of the image [px].
-        width: Of the image [px].
-        colour: Of the tiles.
+        rng: Not used, because the texture is deterministic.
+        height: Height of the image [px].
+        width: Width of the image [px].
+        colour: Colour of the tiles.
         px_per_m: Resolution of the image [px/m].
-        tile_m: Side of a tile with its joint [m].
+        tile_m: Side length of a tile with its joint [m].
         checker: Colour of every second tile.
     """
     size = round(tile_m * px_per_m)

@@ -1,6 +1,6 @@
 """Textures of a machine hall: worn concrete, masonry, sheet metal, machines, tanks, pipes, crates.
 
-Like `dronevio.sim.appearance.textures`, but the resolution is an argument, as in
+They are like those of `dronevio.sim.appearance.textures`, but their resolution is an argument, as in
 `dronevio.sim.appearance.textures_nature`.
 """
 
@@ -10,7 +10,7 @@ import cv2
 import numpy as np
 
 from dronevio.sim.appearance.textures import Colour, Field, Image, grain, scaled, shade, speckle, to_image, vary
-from dronevio.sim.appearance.textures_nature import closing_grain, tiled, tinted
+from dronevio.sim.appearance.textures_nature import periodic_noise, tiled, tinted
 
 Random = np.random.Generator
 
@@ -24,15 +24,15 @@ _RUST = np.array([120.0, 70.0, 42.0], np.float32)
 def concrete_floor(rng: Random, height: int, width: int, colour: Colour, ppm: float) -> Image:
     """Return a floor poured in slabs: pits, cracks, stains of oil, tracks of wheels."""
     size = 1024
-    tile = shade(colour, closing_grain(rng, size, size, (1, 2, 6, 24)), 0.07)
+    tile = shade(colour, periodic_noise(rng, size, size, (1, 2, 6, 24)), 0.07)
     _dots(rng, tile, 1800, 0.75)
     image = tiled(tile, height, width)
     coarse = (int(8 * height / ppm) + 1, int(8 * width / ppm) + 1)
-    tone = 1.0 + 0.07 * closing_grain(rng, *coarse, (2, 8, 30, 70))
-    tone -= 0.5 * np.clip(closing_grain(rng, *coarse, (3, 6, 12)) - 1.6, 0.0, 0.9)  # oil
+    tone = 1.0 + 0.07 * periodic_noise(rng, *coarse, (2, 8, 30, 70))
+    tone -= 0.5 * np.clip(periodic_noise(rng, *coarse, (3, 6, 12)) - 1.6, 0.0, 0.9)  # oil
     for _ in range(7):
         _track(rng, tone)
-    hue = 0.03 * closing_grain(rng, *coarse, (10, 40))
+    hue = 0.03 * periodic_noise(rng, *coarse, (10, 40))
     image = tinted(image, np.stack([tone + hue, tone, tone - hue], axis=2).astype(np.float32))
     for axis, length in ((0, height), (1, width)):
         for at in np.arange(4.0 * ppm, length - ppm, 4.0 * ppm).astype(int):
@@ -81,7 +81,7 @@ def _crack(rng: Random, image: Image, ppm: float) -> None:
 
 
 def masonry(rng: Random, height: int, width: int, colour: Colour, dado: Colour, ppm: float) -> Image:
-    """Return a wall of bricks, painted up to the height of a man, sooty above."""
+    """Return a wall of bricks, painted up to eye height, with soot above."""
     course, length = 0.085 * ppm, 0.26 * ppm
     rows, columns = int(height / course) + 1, int(width / length) + 2
     tone = 1.0 + 0.16 * rng.standard_normal((rows, columns, 1)).astype(np.float32)
@@ -99,7 +99,7 @@ def masonry(rng: Random, height: int, width: int, colour: Colour, dado: Colour, 
     image[painted:] = to_image(0.35 * image[painted:] + 0.65 * np.array(dado, np.float32))
     image[painted : painted + max(int(0.07 * ppm), 1)] = scaled(dado, 0.6)
     coarse = (max(int(4 * height / ppm), 3), max(int(4 * width / ppm), 3))
-    soot = 1.0 + 0.09 * closing_grain(rng, *coarse, (1, 3, 9, 20))
+    soot = 1.0 + 0.09 * periodic_noise(rng, *coarse, (1, 3, 9, 20))
     return tinted(image, np.repeat(soot[..., None], 3, axis=2).astype(np.float32))
 
 
@@ -118,7 +118,7 @@ def profiled_roof(rng: Random, height: int, width: int, colour: Colour, ppm: flo
 
 
 def panes(rng: Random, height: int, width: int) -> Image:
-    """Return a works window: small panes, each a little different, some dim, some open, bars between them."""
+    """Return a factory window: small panes of different tones, some dim, some open, with bars between them."""
     image = np.empty((height, width, 3), np.uint8)
     rows, columns = max(round(height / 26), 2), max(round(width / 30), 2)
     ys, xs = np.linspace(0, height, rows + 1).astype(int), np.linspace(0, width, columns + 1).astype(int)
@@ -257,8 +257,8 @@ def casing_plain(rng: Random, height: int, width: int, colour: Colour) -> Image:
     return image
 
 
-def tank_mantle(rng: Random, height: int, width: int, colour: Colour, ppm: float, number: int) -> Image:
-    """Return the mantle of a tank: welds, bands of rivets, a number on every side, a scale, runs of rust."""
+def tank_side(rng: Random, height: int, width: int, colour: Colour, ppm: float, number: int) -> Image:
+    """Return the lateral surface of a tank: welds, rivets, a number on every side, a scale, runs of rust."""
     image = shade(colour, grain(rng, height, width, (1, 4, 16, 60)), 0.05)
     for share in np.linspace(0.0, 1.0, max(round(height / (1.1 * ppm)), 1) + 1):
         y = int(np.clip(share * height, 0.03 * ppm, height - 0.03 * ppm))
@@ -280,7 +280,7 @@ def tank_mantle(rng: Random, height: int, width: int, colour: Colour, ppm: float
 
 
 def pipe(rng: Random, height: int, width: int, colour: Colour, ppm: float) -> Image:
-    """Return the mantle of a pipe, along its columns: flanges, coloured rings, arrows of flow."""
+    """Return the lateral surface of a pipe, along its columns: flanges, coloured rings, arrows of flow."""
     image = shade(colour, grain(rng, height, width, (1, 3, 12, 40)), 0.06)
     band = max(int(0.05 * ppm), 2)
     for y in np.arange(rng.uniform(0.2, 0.8) * ppm, height, 1.5 * ppm).astype(int):
@@ -348,7 +348,7 @@ def crate(rng: Random, height: int, width: int, colour: Colour, ppm: float) -> I
 
 
 def drum(rng: Random, height: int, width: int, colour: Colour, ppm: float) -> Image:
-    """Return the mantle of a steel drum: hoops, a label, dents."""
+    """Return the lateral surface of a steel drum: hoops, a label, dents."""
     image = shade(colour, grain(rng, height, width, (1, 4, 16)), 0.07)
     for share in (0.02, 0.34, 0.66, 0.97):
         y = int(share * height)
@@ -393,7 +393,7 @@ def sign(rng: Random, height: int, width: int, colour: Colour, words: str) -> Im
 
 
 def fan(rng: Random, height: int, width: int, colour: Colour) -> Image:
-    """Return a ventilator in its frame: blades behind a grid."""
+    """Return a fan in its frame: blades behind a grid."""
     image = casing_plain(rng, height, width, colour)
     centre, radius = (width // 2, height // 2), int(0.42 * min(height, width))
     cv2.circle(image, centre, radius, (28, 30, 32), -1, cv2.LINE_AA)

@@ -1,8 +1,8 @@
-"""Patterns of the outdoors: sky, grass, leaf litter, bark, foliage, stone, all drawn from a seed.
+"""Outdoor textures: sky, grass, leaf litter, bark, foliage, stone, all drawn from a seed.
 
-Like `dronevio.sim.appearance.textures`, but for things of any size: the resolution is an argument. Where a surface is
-large, a tile carries what is fine, and a coarse field, unique everywhere, what is large: millions of pixels in tenths
-of a second.
+They are like those of `dronevio.sim.appearance.textures`, but for objects of any size: the resolution is an argument.
+The texture of a large surface is a periodic tile of fine structure, modulated by a coarse field that does not repeat,
+which draws millions of pixels in some tenths of a second.
 """
 
 import cv2
@@ -23,7 +23,7 @@ def tiled(tile: Image, height: int, width: int) -> Image:
     return np.ascontiguousarray(np.tile(tile, times)[:height, :width])
 
 
-def closing_grain(rng: Random, height: int, width: int, cells_px: tuple[int, ...]) -> Field:
+def periodic_noise(rng: Random, height: int, width: int, cells_px: tuple[int, ...]) -> Field:
     """Return periodic fractal noise (height, width) of zero mean and about unit variance."""
     total = np.zeros((height, width), np.float32)
     for cell in cells_px:
@@ -59,7 +59,7 @@ def mixed(a: Image, b: Image, share: Field) -> Image:
 
 def grass_tile(rng: Random, colour: Colour, blades: int = 30000, size: int = _TILE_PX) -> Image:
     """Return a periodic tile of grass from above: blades in many greens, some dry, over dark soil."""
-    image = shade(scaled(colour, 0.72), closing_grain(rng, size, size, (1, 2, 8, 32)), 0.2)
+    image = shade(scaled(colour, 0.72), periodic_noise(rng, size, size, (1, 2, 8, 32)), 0.2)
     which, roots = _on_torus(rng.uniform(0, size, (blades, 2)), size, 14)
     angle, length = rng.uniform(0, 2 * np.pi, blades), rng.uniform(4.0, 11.0, blades)
     tips = roots + (length * np.stack([np.cos(angle), np.sin(angle)])).T[which]
@@ -73,7 +73,7 @@ def grass_tile(rng: Random, colour: Colour, blades: int = 30000, size: int = _TI
 
 def litter_tile(rng: Random, colours: tuple[Colour, ...], leaves: int = 15000, size: int = _TILE_PX) -> Image:
     """Return a periodic tile of forest floor: overlapping fallen leaves, twigs, and soil between them."""
-    image = shade((84, 66, 48), closing_grain(rng, size, size, (1, 2, 8, 32)), 0.25)
+    image = shade((84, 66, 48), periodic_noise(rng, size, size, (1, 2, 8, 32)), 0.25)
     which, places = _on_torus(rng.uniform(0, size, (leaves, 2)), size, 15)
     angles, lengths, tones = rng.uniform(0, 360, leaves), rng.uniform(3, 7, leaves), rng.uniform(0.55, 1.25, leaves)
     inks = np.minimum(tones[:, None] * np.array(colours)[rng.integers(0, len(colours), leaves)], 255.0)
@@ -105,18 +105,18 @@ def _varied(
     """Return ground with patches of other ground and spatially varying tone and hue.
 
     Args:
-        rng: Draws it.
+        rng: Source of the patches and tones.
         image: (H, W, 3) The ground.
         patches: (H, W, 3) The other ground.
         ppm: Resolution [px/m].
         cells: Sizes of the patches [0.25 m].
-        rarity: How rare they are, in standard deviations.
-        contrast: How much the tone changes, relative.
+        rarity: Threshold of the noise above which there is a patch, in standard deviations.
+        contrast: Relative variation of the tone.
     """
     coarse = (int(4 * image.shape[0] / ppm) + 1, int(4 * image.shape[1] / ppm) + 1)
-    ground = mixed(image, patches, 2.0 * (closing_grain(rng, *coarse, cells) - rarity))
-    tone = 1.0 + contrast * closing_grain(rng, *coarse, (1, 3, 8, 20))
-    hue = 0.05 * closing_grain(rng, *coarse, (2, 9))
+    ground = mixed(image, patches, 2.0 * (periodic_noise(rng, *coarse, cells) - rarity))
+    tone = 1.0 + contrast * periodic_noise(rng, *coarse, (1, 3, 8, 20))
+    hue = 0.05 * periodic_noise(rng, *coarse, (2, 9))
     return tinted(ground, np.stack([tone + hue, tone, tone - hue], axis=2))
 
 
@@ -138,22 +138,22 @@ def mown(image: Image, stripe_px: float) -> Image:
 def distance(rng: Random, height: int, width: int, colours: tuple[Colour, ...]) -> Image:
     """Return distant ground: patches of some colours."""
     r, g, b = np.mean(colours, axis=0).tolist()
-    image = shade((r, g, b), closing_grain(rng, height, width, (1, 2, 5, 20)), 0.16)
+    image = shade((r, g, b), periodic_noise(rng, height, width, (1, 2, 5, 20)), 0.16)
     for colour in colours:
-        other = shade(colour, closing_grain(rng, height, width, (1, 2, 5)), 0.16)
-        image = mixed(image, other, closing_grain(rng, height // 4 + 1, width // 4 + 1, (3, 8, 20)) - 0.3)
+        other = shade(colour, periodic_noise(rng, height, width, (1, 2, 5)), 0.16)
+        image = mixed(image, other, periodic_noise(rng, height // 4 + 1, width // 4 + 1, (3, 8, 20)) - 0.3)
     return image
 
 
 def bark(rng: Random, height: int, width: int, colour: Colour) -> Image:
     """Return the periodic bark of a trunk: vertical ridges and fissures, knots, lichen, moss near the ground."""
-    tall = cv2.resize(np.abs(closing_grain(rng, max(height // 12, 1), width, (3, 8))), (width, height))
-    warp = cv2.resize(closing_grain(rng, max(height // 16, 1), width, (8, 24)), (width, height))
+    tall = cv2.resize(np.abs(periodic_noise(rng, max(height // 12, 1), width, (3, 8))), (width, height))
+    warp = cv2.resize(periodic_noise(rng, max(height // 16, 1), width, (8, 24)), (width, height))
     x, y = np.meshgrid(np.arange(width, dtype=np.float32), np.arange(height, dtype=np.float32))
     fissures = cv2.remap(tall, x + 6.0 * warp, y, cv2.INTER_LINEAR, borderMode=cv2.BORDER_WRAP)
-    tone = 1.1 * np.minimum(fissures, 1.3) - 0.75 + 0.3 * closing_grain(rng, height, width, (1, 3, 9, 60))
+    tone = 1.1 * np.minimum(fissures, 1.3) - 0.75 + 0.3 * periodic_noise(rng, height, width, (1, 3, 9, 60))
     image = shade(colour, tone, 0.5)
-    lichen = closing_grain(rng, height, width, (4, 14, 50)) > 1.3
+    lichen = periodic_noise(rng, height, width, (4, 14, 50)) > 1.3
     image[lichen] = to_image(0.5 * image[lichen] + 0.5 * np.array([150.0, 160.0, 130.0], np.float32))
     for _ in range(max(height * width // 60000, 2)):
         centre = (int(rng.uniform(0.1, 0.9) * width), int(rng.uniform(0, 0.8) * height))
@@ -162,7 +162,7 @@ def bark(rng: Random, height: int, width: int, colour: Colour) -> Image:
             axes = (max(int(radius * wide), 1), max(int(1.3 * radius * wide), 1))
             cv2.ellipse(image, centre, axes, 0, 0, 360, scaled(colour, f), -1, cv2.LINE_AA)
     low = np.linspace(0.0, 1.0, height, dtype=np.float32)[:, None]
-    moss = np.clip(6.0 * (low - 0.9) + 0.5 * closing_grain(rng, height, width, (2, 8, 30)), 0.0, 1.0) * (low > 0.75)
+    moss = np.clip(6.0 * (low - 0.9) + 0.5 * periodic_noise(rng, height, width, (2, 8, 30)), 0.0, 1.0) * (low > 0.75)
     return to_image(image * (1.0 - 0.7 * moss[..., None]) + 0.7 * moss[..., None] * np.array([70.0, 92.0, 44.0]))
 
 
@@ -202,19 +202,19 @@ def sky(rng: Random, height: int, width: int, zenith: Colour, horizon: Colour, c
     """Return the panorama of the sky: rows from the zenith to 10° below the horizon, periodic columns.
 
     Args:
-        rng: Draws the clouds.
-        height: Rows [px].
-        width: Columns [px].
-        zenith: Colour overhead.
+        rng: Source of the clouds.
+        height: Number of rows [px].
+        width: Number of columns [px].
+        zenith: Colour of the sky overhead.
         horizon: Colour of the haze at the horizon.
-        cover: How much of the sky is clouds, 0 to 1.
+        cover: Fraction of the sky covered by clouds, 0 to 1.
     """
     elevation = np.linspace(90.0, -10.0, height, dtype=np.float32)
     haze = np.exp(-np.maximum(elevation, 0.0) / 16.0)[:, None, None]
     image = np.asarray(zenith, np.float32) * (1.0 - haze) + np.asarray(horizon, np.float32) * haze
     # clouds lie in a horizontal plane; they are soft, so half the resolution is enough
     size = 1024
-    plane = closing_grain(rng, size, size, (3, 7, 16, 40, 60, 125)) * np.float32(1.25)
+    plane = periodic_noise(rng, size, size, (3, 7, 16, 40, 60, 125)) * np.float32(1.25)
     edge = (0.62 - cover) * 2.4  # quantile of a normal distribution
     coarse = elevation[::2]
     azimuth = np.linspace(0.0, 2.0 * np.pi, width // 2, dtype=np.float32)
@@ -232,22 +232,22 @@ def ridges(rng: Random, image: Image, far: Colour, near: Colour, horizon: float,
     """Return a sky's image with wooded hills along the horizon.
 
     Args:
-        rng: Draws the hills.
-        image: (H, W, 3), as `sky` returns it.
+        rng: Source of the hills.
+        image: (H, W, 3) Image of the sky, as `sky` returns it.
         far: Colour of the furthest hills, in the haze.
-        near: Colour of the nearest.
+        near: Colour of the nearest hills.
         horizon: Row of the horizon, as a fraction of the height.
-        layers: How many hills are behind each other.
+        layers: Number of layers of hills.
     """
     height, width = image.shape[:2]
     shown = image.copy()
     low = shown[int((horizon - 0.12) * height) :]
     for depth in np.linspace(0.0, 1.0, layers):
-        line = closing_grain(rng, 3, width, (40, 130, 400))[1] * (1.2 - 0.6 * depth) * 0.012
-        line -= np.abs(closing_grain(rng, 3, width, (2, 5))[1]) * (0.001 + 0.005 * depth)  # treetops
+        line = periodic_noise(rng, 3, width, (40, 130, 400))[1] * (1.2 - 0.6 * depth) * 0.012
+        line -= np.abs(periodic_noise(rng, 3, width, (2, 5))[1]) * (0.001 + 0.005 * depth)  # treetops
         top = (line + 0.085 + 0.034 * depth) * height
         r, g, b = (a + depth * (z - a) for a, z in zip(far, near, strict=True))
-        tone = closing_grain(rng, low.shape[0], width, (2, 4, 12))
+        tone = periodic_noise(rng, low.shape[0], width, (2, 4, 12))
         covered = np.arange(low.shape[0])[:, None] > top[None]
         low[covered] = shade((r, g, b), tone, 0.05 + 0.15 * depth)[covered]
     return shown

@@ -1,7 +1,7 @@
 """Textures of a race course: gates, flags, banners, spectators, tents.
 
-Like `dronevio.sim.appearance.textures`: (H, W, 3) uint8 RGB images drawn from a seed, row 0 at the top. They scale with
-their size.
+They are (H, W, 3) uint8 RGB images drawn from a seed with row 0 at the top, as in `dronevio.sim.appearance.textures`.
+Their patterns scale with the size of the image.
 """
 
 from collections.abc import Callable
@@ -10,10 +10,10 @@ import cv2
 import numpy as np
 
 from dronevio.sim.appearance.textures import Colour, Image, grain, scaled, shade, to_image, vary
-from dronevio.sim.appearance.textures_nature import closing_grain
+from dronevio.sim.appearance.textures_nature import periodic_noise
 
 Random = np.random.Generator
-FlightArea = tuple[int, int]
+PixelPosition = tuple[int, int]
 
 WHITE: Colour = (236, 234, 228)
 BLACK: Colour = (30, 31, 34)
@@ -137,7 +137,7 @@ def crowd(rng: Random, height: int, width: int, colour: Colour) -> Image:
 
 def tarpaulin(rng: Random, height: int, width: int, colour: Colour) -> Image:
     """Return stretched cloth: seams, folds, a hem."""
-    folds = closing_grain(rng, height, width, (6, 30, 120))
+    folds = periodic_noise(rng, height, width, (6, 30, 120))
     image = shade(colour, folds, 0.06)
     for x in range(0, width, max(width // 4, 8)):
         cv2.line(image, (x, 0), (x, height), scaled(colour, 0.75), 2)
@@ -170,8 +170,8 @@ def container(rng: Random, height: int, width: int, colour: Colour) -> Image:
     return image
 
 
-def _word(image: Image, word: str, corner: FlightArea, size: int, ink: Colour) -> int:
-    """Write a word of a height with its top left corner at a place (x, y), and return where it ends."""
+def _word(image: Image, word: str, corner: PixelPosition, size: int, ink: Colour) -> int:
+    """Write a word of a given height with its top left corner at (x, y), and return the column of its end."""
     font, thick = cv2.FONT_HERSHEY_DUPLEX, max(size // 9, 1)
     (wide, high), _ = cv2.getTextSize(word, font, 1.0, thick)
     scale = size / max(high, 1)
@@ -179,17 +179,17 @@ def _word(image: Image, word: str, corner: FlightArea, size: int, ink: Colour) -
     return corner[0] + int(wide * scale)
 
 
-def _ring(image: Image, centre: FlightArea, radius: int, ink: Colour) -> None:
+def _ring(image: Image, centre: PixelPosition, radius: int, ink: Colour) -> None:
     cv2.circle(image, centre, radius, ink, max(radius // 3, 1), cv2.LINE_AA)
 
 
-def _triangle(image: Image, centre: FlightArea, radius: int, ink: Colour) -> None:
+def _triangle(image: Image, centre: PixelPosition, radius: int, ink: Colour) -> None:
     angle = np.radians([-90.0, 30.0, 150.0])
     corners = np.array(centre) + radius * np.stack([np.cos(angle), np.sin(angle)], axis=1)
     cv2.fillPoly(image, [corners.astype(np.int32)], ink, cv2.LINE_AA)
 
 
-def _rotors(image: Image, centre: FlightArea, radius: int, ink: Colour) -> None:
+def _rotors(image: Image, centre: PixelPosition, radius: int, ink: Colour) -> None:
     for x in (-1, 1):
         for y in (-1, 1):
             at = (centre[0] + int(0.62 * x * radius), centre[1] + int(0.62 * y * radius))
@@ -197,10 +197,10 @@ def _rotors(image: Image, centre: FlightArea, radius: int, ink: Colour) -> None:
             cv2.circle(image, at, max(int(0.4 * radius), 1), ink, max(radius // 8, 1), cv2.LINE_AA)
 
 
-_MARKS: tuple[Callable[[Image, FlightArea, int, Colour], None], ...] = (_ring, _triangle, _rotors)
+_MARKS: tuple[Callable[[Image, PixelPosition, int, Colour], None], ...] = (_ring, _triangle, _rotors)
 
 
-def _mark(rng: Random, image: Image, centre: FlightArea, radius: int, ink: Colour) -> None:
+def _mark(rng: Random, image: Image, centre: PixelPosition, radius: int, ink: Colour) -> None:
     """Draw an emblem."""
     _MARKS[int(rng.integers(len(_MARKS)))](image, centre, max(radius, 2), ink)
 

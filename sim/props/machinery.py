@@ -146,7 +146,7 @@ def turbine(rng: Random) -> Kit:
     """Return a large turbine on its bed, along x: a drum between two housings, a generator, a shaft."""
     colour = vary(rng, MACHINE_COLOURS[int(rng.integers(len(MACHINE_COLOURS)))], 0.08)
     skin = partial(works.casing, colour=colour, ppm=_PPM)
-    bands = partial(works.tank_mantle, colour=colour, ppm=_PPM, number=int(rng.integers(1, 9)))
+    bands = partial(works.tank_side, colour=colour, ppm=_PPM, number=int(rng.integers(1, 9)))
     boxes = [
         block((0.0, 0.0, 0.0), (3.7, 2.3, 0.35), works.hazard),
         block((0.0, 0.0, 0.35), (3.5, 1.6, 0.4), skin),
@@ -165,7 +165,7 @@ def turbine(rng: Random) -> Kit:
 def tank(rng: Random, radius_m: float, height_m: float, number: int) -> Kit:
     """Return an upright tank on feet, a ladder at its front, a valve below."""
     colour = vary(rng, ((176, 180, 178), (196, 188, 164), (120, 146, 160), (164, 110, 84))[int(rng.integers(4))], 0.06)
-    skin = partial(works.tank_mantle, colour=colour, ppm=_PPM, number=number)
+    skin = partial(works.tank_side, colour=colour, ppm=_PPM, number=number)
     lift = 0.45
     lid = partial(textures.plain, colour=scaled(colour, 0.92))
     body = drumlike(radius_m, height_m - lift - 0.18 * radius_m, skin, lid, 0.18 * radius_m)

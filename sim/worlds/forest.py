@@ -213,7 +213,7 @@ def _thicket(rng: Random, season: Season) -> Sheet:
     """Return the distant forest, painted on a wall around the world whose upper edge is the treetops."""
     columns = 240
     azimuth = np.linspace(0.0, -2.0 * np.pi, columns + 1)
-    tops = nature.closing_grain(rng, 3, columns, (2, 4, 12))[0]
+    tops = nature.periodic_noise(rng, 3, columns, (2, 4, 12))[0]
     grid = np.empty((3, columns + 1, 3))
     grid[..., 0], grid[..., 1] = _THICKET_M * np.cos(azimuth), _THICKET_M * np.sin(azimuth)
     grid[0, :, 2], grid[1, :, 2], grid[2, :, 2] = 11.0 + 0.8 * tops[np.arange(columns + 1) % columns], 5.5, -0.1
@@ -234,7 +234,7 @@ def _depths(rng: Random, height: int, width: int, season: Season) -> Image:
             cv2.line(image, (int(x), foot), (int(x + rng.uniform(-5, 5)), 0), ink, max(int(wide), 1), cv2.LINE_AA)
         _dabs(rng, image, season.leaves, mist, depth, (0.0, 0.62 - 0.1 * depth), int(width * 3.0))
         _dabs(rng, image, (season.moss, *season.litter[:2]), mist, depth, (0.9 + 0.04 * depth, 1.0), int(width * 0.7))
-    light = 1.0 + 0.14 * nature.closing_grain(rng, height // 8, width // 8, (2, 5, 12))
+    light = 1.0 + 0.14 * nature.periodic_noise(rng, height // 8, width // 8, (2, 5, 12))
     return nature.tinted(image, np.repeat(light[..., None], 3, axis=2))
 
 

@@ -145,7 +145,7 @@ def _floor(rng: Random, height: int, width: int, palette: _Palette) -> Image:
     for number, (x, y) in enumerate(((-6.2, 3.2), (-2.0, 3.2), (2.4, 3.2), (-6.2, -3.2), (5.4, -3.2))):
         size = 0.5 * ppm / 22.0
         cv2.putText(image, f"{number + 1:02d}", at(x, y - 0.2), cv2.FONT_HERSHEY_DUPLEX, size, yellow, 5, cv2.LINE_AA)
-    worn = np.clip(nature.closing_grain(rng, height // 12, width // 12, (1, 3, 8)) - 0.7, 0.0, 0.85)
+    worn = np.clip(nature.periodic_noise(rng, height // 12, width // 12, (1, 3, 8)) - 0.7, 0.0, 0.85)
     image = nature.mixed(image, bare, worn)
     outdoors.lay(image, pictures.landing_pad(round(_PAD_M * ppm)))
     return image

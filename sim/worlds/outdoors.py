@@ -93,7 +93,7 @@ def dappled(rng: Random, image: Image, cells: float, depth: float) -> Image:
         depth: How much darker the shadows are, relative.
     """
     shape = (int(image.shape[0] / cells), int(image.shape[1] / cells))
-    light = nature.closing_grain(rng, *shape, (3, 6, 14))
+    light = nature.periodic_noise(rng, *shape, (3, 6, 14))
     light = cv2.GaussianBlur(np.clip(2.2 * (light + 0.15), -1.0, 1.0), (0, 0), 0.8)
     return nature.tinted(image, np.repeat((1.3 - depth * (0.5 - 0.5 * light))[..., None], 3, axis=2))
 

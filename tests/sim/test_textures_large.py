@@ -24,7 +24,7 @@ PATTERNS: dict[str, Draw] = {
     "panes": works.panes,
     "casing": partial(works.casing, colour=GREY, ppm=120.0),
     "console": partial(works.console, colour=GREY, ppm=120.0),
-    "tank": partial(works.tank_mantle, colour=GREY, ppm=120.0, number=3),
+    "tank": partial(works.tank_side, colour=GREY, ppm=120.0, number=3),
     "pipe": partial(works.pipe, colour=GREY, ppm=120.0),
     "hazard": works.hazard,
     "grating": partial(works.grating, colour=GREY, ppm=90.0),

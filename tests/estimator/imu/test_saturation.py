@@ -41,7 +41,7 @@ def quantized(values: Array, step: float) -> Array:
 
 
 def detected(detector: SaturationDetector, values: Array, batch: int) -> npt.NDArray[np.bool_]:
-    """Return whether readings (N, 3) are saturated, by a detector that knows them up to the same batch."""
+    """Return whether readings (N, 3) are saturated; each batch updates the detector before its query."""
     found = []
     for start in range(0, len(values), batch):
         detector.update(values[start : start + batch])
