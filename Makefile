@@ -29,13 +29,9 @@ lint: setup
 format: setup
 	.venv/bin/ruff format --check
 
-# The other tests are not fully annotated yet.
-TYPED = scripts tests/conftest.py tests/test_conventions.py tests/test_mutants.py tests/test_public_api.py tests/application \
-	tests/models tests/sim $(addprefix tests/estimator/,backend baselines book calibration frontend imu initialization)
-
 types: setup
 	.venv/bin/mypy
-	.venv/bin/mypy --explicit-package-bases $(TYPED)
+	.venv/bin/mypy --explicit-package-bases scripts tests
 
 contracts: setup
 	.venv/bin/lint-imports

@@ -79,7 +79,7 @@ def noise_recording() -> Callable[..., NoiseRecording]:
         quat_wxyz /= np.linalg.norm(quat_wxyz, axis=1, keepdims=True)
         gyro, accel, p, v, b_gyro, b_accel = rng.normal(size=(6, len(t_ns), 3))
         times = t_ns[3::10]
-        told = FrameTruth(
+        frame_truth = FrameTruth(
             times,
             times + rng.integers(-(10**6), 10**6, frames),
             rng.random(frames),
@@ -88,7 +88,7 @@ def noise_recording() -> Callable[..., NoiseRecording]:
         )
         truth = Trajectory(t_ns, p, quat_wxyz, v, b_gyro, b_accel)
         whole = replace(named, cameras=cameras, time_offset_s=-1e-3 / 7)
-        return NoiseRecording("noise", whole, ImuSamples(t_ns, gyro, accel, sampling), times, truth, told)
+        return NoiseRecording("noise", whole, ImuSamples(t_ns, gyro, accel, sampling), times, truth, frame_truth)
 
     return make
 

@@ -217,12 +217,12 @@ def test_compare_and_gate(
     assert main(["gate", worse, "--baseline", baseline]) == 1
     assert "failed: mine: ate_m" in capsys.readouterr().out
     assert main(["gate", crash, "--baseline", baseline, "--json"]) == 1
-    told = json.loads(capsys.readouterr().out)
-    assert told["violations"][-2:] == [
+    result = json.loads(capsys.readouterr().out)
+    assert result["violations"][-2:] == [
         "mine: 1 of 1 runs failed, 0 before",
         "mine: mean coverage 0.0 %, 100.0 % before",
     ]
-    assert told["comparisons"][0]["ratios"][0]["median"] == "inf"
+    assert result["comparisons"][0]["ratios"][0]["median"] == "inf"
     assert main(["gate", baseline, "--baseline", crash]) == 0
     capsys.readouterr()
     assert main(["compare", baseline, worse]) == 0
@@ -278,7 +278,7 @@ def test_estimators_are_named_or_commands() -> None:
         estimator_named("external:run '{recording} {output}")
 
 
-def test_programs_that_are_not_there_are_told(flown: Result) -> None:
+def test_missing_programs_are_reported(flown: Result) -> None:
     with pytest.raises(ConfigError, match="no-such-program: No such file"):
         estimator_named("external:no-such-program {recording} {output}").run(flown.folder)
     with pytest.raises((EvaluationError, InputError), match=r"estimate\.tum: no such file"):

@@ -42,7 +42,7 @@ class Kinematics:
     """The motion of the IMU at N instants."""
 
     R: Array
-    """(N, 3, 3) Orientations `R_world_imu`."""
+    """(N, 3, 3) Orientations `R_world_imu` over time."""
     p: Array
     """(N, 3) Positions in the world frame [m]."""
     v: Array

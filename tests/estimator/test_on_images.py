@@ -201,7 +201,7 @@ class RealFrames:
     folder: Path
     """The folder of the frames."""
     rig: Rig
-    """The calibration."""
+    """The calibration of the sensors."""
     imu: ImuSamples
     """All samples of the IMU."""
     frame_times_ns: npt.NDArray[np.int64]
