@@ -14,8 +14,8 @@ COMMANDS = CommandGroup(
     "Run the experiments of section 7.4, visual SLAM, of Introduction to Robotics and Perception by Dellaert and\n"
     "Hutchinson (https://www.roboticsbook.org).",
     {
-        "imu": Subcommand("dronevio.book.imu", "dead reckoning on a loop as a factor graph (section 7.4.1)"),
-        "sfm": Subcommand("dronevio.book.sfm", "structure from motion from five photographs (section 7.4.2)"),
+        "imu": Subcommand("dronevio.book.imu", "IMU factors, and a camera that stops their drift (section 7.4.1)"),
+        "sfm": Subcommand("dronevio.book.sfm", "bundle adjustment of five photographs (section 7.4.2)"),
         "eqvio": Subcommand("dronevio.book.eqvio", "a real flight: fixed-lag smoother and equivariant filter compared"),
     },
     ("dronevio book imu", "dronevio book sfm --out villa"),

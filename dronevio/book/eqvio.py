@@ -47,7 +47,7 @@ def main(arguments: Sequence[str]) -> int:
 
     import numpy as np
 
-    from dronevio.book.plots import draw_two_paths
+    from dronevio.book.eqvio_plots import draw_two_paths
     from dronevio.driver import estimate_recording, require_poses
     from dronevio.estimator.book.eqvio import ReplayFrontEnd, read_feature_recording, run_eqvio
     from dronevio.estimator.vio import VisualInertialOdometry

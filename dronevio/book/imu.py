@@ -1,31 +1,54 @@
-"""``dronevio book imu``: dead reckoning as a factor graph."""
+"""``dronevio book imu``: IMU factors, their solution and covariance, the drift, and the camera that stops it."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Literal
 
 from dronevio.cli.options import Printing, PrintOptions
-from dronevio.cli.terminal import parse, print_json, print_values
+from dronevio.cli.terminal import parse, print_json, progress_bars
+from dronevio.models.errors import ConfigError
+
+_PLOTS = ("path.png", "graph.png", "graph.svg", "graph.dot", "drift.png", "camera.png")
 
 
 @dataclass(frozen=True)
 class ImuCommand:
-    """Estimate dead reckoning on a loop as a factor graph.
+    """Run the experiments of section 7.4.1: IMU factors, their drift, and the same factors with a camera.
 
-    The drone flies forward at 2 m/s and pitches up at 30 °/s. Its IMU has a rate of 10 Hz, and each IMU factor
-    preintegrates 5 samples. From inaccurate initial states, Levenberg-Marquardt converges to states without any error.
-    The command writes path.png, graph.png and graph.dot.
+    1. The drone flies forward at 2 m/s and pitches up at 30 °/s, on a circle with a radius of 3.82 m. Its IMU has a
+    rate of 10 Hz, and an IMU factor preintegrates 5 samples. Levenberg-Marquardt and iSAM2 estimate the states from
+    inaccurate initial values, with their covariance.
+
+    2. Many flights of one minute on this circle, for each IMU of dronevio.models.imu_presets, measure how far dead
+    reckoning drifts. The result is compared with the drift that theory predicts.
+
+    3. The same IMU factors together with the observations of a camera: the drift stops.
+
+    The command writes path.png, graph.png, graph.svg, graph.dot, drift.png and camera.png.
 
     Examples:
       dronevio book imu
-      dronevio book imu --seed 3 --out loop
-      dronevio book imu --json
+      dronevio book imu --counting equal --seed 3 --out loop
+      dronevio book imu --runs 20 --camera-runs 2 --json
     """
 
     out: Path = Path("runs/book-imu")
     """Folder for the plots."""
     seed: int = 0
-    """Seed of the IMU noise and of the initial states."""
+    """Seed of the IMU errors, the initial values and the landmarks."""
+    counting: Literal["book", "equal"] = "book"
+    """Distribution of the 35 samples over the IMU factors of the first experiment. ``book``: as the loop in the book
+    counts, six factors, of which the first has six samples; four samples remain unused. ``equal``: seven factors with
+    five samples each."""
+    runs: int = 100
+    """Number of flights for each IMU in the drift study."""
+    camera_runs: int = 10
+    """Number of flights with a camera."""
+    duration_s: float = 60.0
+    """Duration of the flights of the drift study and of those with a camera [s]."""
+    imu: str = "euroc"
+    """IMU of the flights with a camera, one of those of the drift study."""
     printing: Printing = field(default_factory=PrintOptions)
     """How results are printed."""
 
@@ -33,42 +56,60 @@ class ImuCommand:
 def main(arguments: Sequence[str]) -> int:
     """Run the command and return its exit code."""
     command = parse(ImuCommand, arguments, "book imu")
+    if command.runs < 1 or command.camera_runs < 1:
+        raise ConfigError(f"--runs {command.runs} --camera-runs {command.camera_runs}; expected 1 or more")
+    if not 5.0 <= command.duration_s <= 600.0:
+        raise ConfigError(f"--duration-s {command.duration_s}; expected 5 to 600")
 
     import numpy as np
 
-    from dronevio.book.plots import draw_factor_graph, draw_imu_path
+    from dronevio.book.imu_lesson import (
+        experiment_json,
+        print_camera,
+        print_covariance,
+        print_drift,
+        print_experiment,
+        studies_json,
+    )
+    from dronevio.book.imu_plots import draw_camera, draw_drift, draw_factor_graph, draw_imu_path
+    from dronevio.estimator.book.drift import run_drift_study
     from dronevio.estimator.book.imu import run_imu_experiment
+    from dronevio.estimator.book.loop import LoopFlight
+    from dronevio.estimator.book.visual_inertial import run_camera_study
+    from dronevio.models.imu_presets import IMUS, imu_named
 
-    experiment = run_imu_experiment(np.random.default_rng(command.seed))
+    camera_imu = imu_named(command.imu)
     command.out.mkdir(parents=True, exist_ok=True)
+    rng, *streams = map(np.random.default_rng, np.random.SeedSequence(command.seed).spawn(len(IMUS) + 2))
+    experiment = run_imu_experiment(rng, LoopFlight(counting=command.counting))
+    with progress_bars(quiet=command.printing.json) as bars:
+        studies = {
+            name: run_drift_study(
+                imu, stream, runs=command.runs, duration_s=command.duration_s, progress=bars.bar(name)
+            )
+            for (name, imu), stream in zip(IMUS.items(), streams[1:], strict=True)
+        }
+        camera = run_camera_study(
+            camera_imu,
+            streams[0],
+            runs=command.camera_runs,
+            duration_s=command.duration_s,
+            progress=bars.bar("with camera"),
+        )
+
     draw_imu_path(experiment, command.out / "path.png")
-    draw_factor_graph(experiment.factors, command.out / "graph.png")
+    for name in ("graph.png", "graph.svg"):
+        draw_factor_graph(experiment.factors, command.out / name)
     (command.out / "graph.dot").write_text(experiment.dot, encoding="utf-8")
+    draw_drift(studies, command.out / "drift.png")
+    draw_camera(camera, command.imu, command.out / "camera.png")
 
     if command.printing.json:
-        print_json(
-            {
-                "states": len(experiment.t_s),
-                "factors": len(experiment.factors),
-                "initial_error": experiment.initial_error,
-                "final_error": experiment.final_error,
-                "iterations": experiment.iterations,
-                "radius_m": experiment.flight.radius_m,
-                "drift_m": experiment.drift_m,
-                "out": str(command.out),
-            }
-        )
+        print_json({**experiment_json(experiment), **studies_json(studies, camera), "out": str(command.out)})
         return 0
-    print_values(
-        "Dead reckoning on a loop",
-        (
-            ("states, factors", f"{len(experiment.t_s)}, {len(experiment.factors)}", ""),
-            ("initial error", f"{experiment.initial_error:.4g}", ""),
-            ("final error", f"{experiment.final_error:.1e}", ""),
-            ("iterations", f"{experiment.iterations}", ""),
-            ("radius of the loop", f"{experiment.flight.radius_m:.3f}", "m"),
-            (f"drift after {experiment.flight.duration_s:g} s", f"{experiment.drift_m:.3f}", "m"),
-        ),
-    )
-    print(f"plots: {command.out}/path.png {command.out}/graph.png")
+    print_experiment(experiment)
+    print_covariance(experiment)
+    print_drift(studies)
+    print_camera(camera, command.imu)
+    print("\n".join(f"plot: {command.out / name}" for name in _PLOTS))
     return 0

@@ -8,13 +8,19 @@ import rerun as rr
 import rerun.blueprint as rrb
 
 from dronevio.estimator.book.sfm import SfmExperiment
+from dronevio.eval.colours import SURROUNDINGS, rgb
 
 _POINT_RADIUS = 0.006
 _PLANE_DISTANCE = 0.3  # distance of a photograph from its camera, in units of the reconstruction
 
 
 def write_sfm_rerun(experiment: SfmExperiment, path: Path) -> None:
-    """Write the coloured points and the cameras with their photographs to a rerun file ``path`` (.rrd)."""
+    """Write points and cameras with their photographs to a rerun file.
+
+    Args:
+        experiment: The reconstruction. Its points before the adjustment are grey.
+        path: File to write (.rrd).
+    """
     blueprint = rrb.Blueprint(rrb.Spatial3DView(origin="/", name="Villa Balbianello"), collapse_panels=True)
     with rr.RecordingStream("dronevio_book_sfm") as stream:
         stream.save(path, default_blueprint=blueprint)
@@ -22,6 +28,11 @@ def write_sfm_rerun(experiment: SfmExperiment, path: Path) -> None:
         stream.log("/", rr.ViewCoordinates.RIGHT_HAND_Y_UP, static=True)
         stream.log(
             "points", rr.Points3D(experiment.points, colors=experiment.colours, radii=_POINT_RADIUS), static=True
+        )
+        stream.log(
+            "points_before",
+            rr.Points3D(experiment.points_initial, colors=rgb(SURROUNDINGS), radii=0.5 * _POINT_RADIUS),
+            static=True,
         )
         for i, photograph in enumerate(experiment.photographs):
             _record_camera(stream, experiment, i, photograph)

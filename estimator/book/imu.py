@@ -1,7 +1,9 @@
-"""Dead reckoning as a factor graph: preintegrated IMU factors between states, and a prior on the first state.
+"""The experiment of section 7.4.1: preintegrated IMU factors between states, and priors on the first state.
 
-The drone flies a loop with constant velocity and constant angular velocity in the body frame. Only IMU factors connect
-the states, so a solution with zero error exists, and Levenberg-Marquardt finds it from distant initial values.
+The drone flies on a vertical circle (`dronevio.estimator.book.loop`). IMU factors alone connect the states. As many
+residuals as unknowns exist, so a solution without any error exists, and Levenberg-Marquardt finds it from distant
+initial values. This solution is dead reckoning: it agrees with the measurements exactly, and with the truth only as far
+as the measurements do.
 
 Sources: Dellaert and Hutchinson, *Introduction to Robotics*, section 7.4.1; Forster, Carlone, Dellaert, Scaramuzza,
 "On-manifold preintegration for real-time visual-inertial odometry", 2017.
@@ -15,6 +17,10 @@ import numpy as np
 import numpy.typing as npt
 from gtsam.symbol_shorthand import B, V, X
 
+from dronevio.estimator.book.loop import LoopFlight
+from dronevio.estimator.book.optimization import LinearizedGraph, largest_difference, solve_batch, solve_incrementally
+from dronevio.models.rotation import pose_matrix
+
 Array = npt.NDArray[np.float64]
 
 GRAVITY_M_S2 = 9.8
@@ -23,44 +29,34 @@ GYRO_NOISE_DENSITY = np.radians(0.5) / 60.0
 """White noise density of the gyroscope, 0.5 °/√h [rad/s/√Hz]."""
 ACCEL_NOISE_DENSITY = 0.1 / 60.0
 """White noise density of the accelerometer, 0.1 m/s/√h [m/s²/√Hz]."""
+INTEGRATION_SIGMA = 1e-7
+"""Standard deviation of the position error of the integration itself, which is regarded as exact [m/√s]."""
 ACCEL_BIAS_M_S2 = (0.0, 0.1, 0.0)
-"""(3,) Accelerometer bias, known to the estimator [m/s²]."""
+"""(3,) Accelerometer bias, which the prior states correctly [m/s²]."""
 PRIOR_SIGMA = 0.1
 """Standard deviation of the priors and of the errors of the initial values [rad, m, m/s and the units of bias]."""
 
-_INTEGRATION_SIGMA = 1e-7  # integration is regarded as exact [m/√s]
 _PATH_POINTS = 200
 
 
 @dataclass(frozen=True)
-class LoopFlight:
-    """Motion of the drone and rate of its IMU."""
+class GraphFactor:
+    """A factor as the graph contains it."""
 
-    speed_m_s: float = 2.0
-    """Forward speed along the x axis of the body frame [m/s]."""
-    pitch_rate_rad_s: float = float(np.radians(30.0))
-    """Rate at which the nose rises [rad/s]."""
-    duration_s: float = 3.5
-    """Duration of the flight [s]."""
-    imu_rate_hz: float = 10.0
-    """Sampling rate of the IMU [Hz]."""
-    samples_per_factor: int = 5
-    """Number of IMU samples in each IMU factor."""
+    kind: str
+    """Name of GTSAM's class, such as ImuFactor."""
+    variables: tuple[str, ...]
+    """Names of the variables that it connects: x0, x1 and so on for poses, v0 for velocities, b0 for the bias."""
 
-    @property
-    def scenario(self) -> gtsam.ConstantTwistScenario:
-        """The motion as a GTSAM scenario; with y to the left, the nose rises with a negative rotation about y."""
-        return gtsam.ConstantTwistScenario([0.0, -self.pitch_rate_rad_s, 0.0], [self.speed_m_s, 0.0, 0.0])
 
-    @property
-    def radius_m(self) -> float:
-        """Radius of the loop, v/ω [m]."""
-        return self.speed_m_s / self.pitch_rate_rad_s
+@dataclass(frozen=True)
+class ErrorSource:
+    """The effect of one prior, or of the IMU noise, on the last position."""
 
-    @property
-    def factors(self) -> int:
-        """Number of IMU factors."""
-        return round(self.duration_s * self.imu_rate_hz) // self.samples_per_factor
+    name: str
+    """Name of the source."""
+    sigma_m: float
+    """Standard deviation of the last position due to this source, the root of the sum over three axes [m]."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -68,9 +64,9 @@ class ImuExperiment:
     """The factor graph and its solution: K + 1 states connected by K IMU factors."""
 
     flight: LoopFlight
-    """Motion and IMU rate of the experiment."""
+    """Motion, IMU rate and distribution of the samples over the factors."""
     t_s: Array
-    """(K+1,) Times of the states [s]."""
+    """(K+1,) Times of the states, at the end of the samples of each factor [s]."""
     Ts_world_imu_true: Array
     """(K+1, 4, 4) True poses of the IMU."""
     Ts_world_imu_initial: Array
@@ -79,6 +75,15 @@ class ImuExperiment:
     """(K+1, 4, 4) Estimated poses of the IMU."""
     velocity_m_s: Array
     """(K+1, 3) Estimated velocities in the world frame [m/s]."""
+    covariance_m2: Array
+    """(K+1, 3, 3) Marginal covariances of the estimated positions in the world frame [m²]."""
+    noise_covariance_m2: Array
+    """(K+1, 3, 3) The part of these covariances that is due to the noise of the IMU: those of an exactly known first
+    state and bias [m²]."""
+    sources: tuple[ErrorSource, ...]
+    """Standard deviation of the last position by source; the sum of their squares is that of all together."""
+    condition: float
+    """Condition number of the whitened Jacobian at the solution."""
     path_m: Array
     """(N, 3) True path at a finer sampling [m]."""
     initial_error: float
@@ -87,9 +92,17 @@ class ImuExperiment:
     """Error of the graph at the solution."""
     iterations: int
     """Number of iterations of the optimizer."""
-    factors: tuple[tuple[str, ...], ...]
-    """Names of the variables that each factor connects: x0, x1 and so on for poses, v0 for velocities, b0 for the
-    bias."""
+    incremental_difference: float
+    """Largest difference between the batch solution and that of iSAM2 in local coordinates [rad, m, m/s]."""
+    incremental_updates: int
+    """Number of updates of iSAM2 until its solution settled."""
+    dead_reckoning_difference_m: float
+    """Largest distance between a position of the solution and that of integration from the true first state [m]."""
+    noise_free_drift_m: float
+    """Distance of the last position from the true one when the measurements have no noise: the effect of the IMU's
+    sampling [m]."""
+    factors: tuple[GraphFactor, ...]
+    """All factors of the graph, in its order."""
     dot: str
     """The graph in the DOT language of Graphviz."""
 
@@ -98,94 +111,163 @@ class ImuExperiment:
         """Distance between the last estimated position and the true one [m]."""
         return float(np.linalg.norm(self.Ts_world_imu[-1, :3, 3] - self.Ts_world_imu_true[-1, :3, 3]))
 
+    @property
+    def sigma_m(self) -> Array:
+        """(K+1,) Standard deviations of the positions, the root of the sum over three axes [m]."""
+        return np.asarray(np.sqrt(np.trace(self.covariance_m2, axis1=1, axis2=2)))
+
 
 def run_imu_experiment(rng: np.random.Generator, flight: LoopFlight | None = None) -> ImuExperiment:
-    """Simulate the flight, build the factor graph and optimize it.
+    """Simulate the flight, build the factor graph and solve it, both in batch and incrementally.
 
     Args:
         rng: Random generator of the IMU noise and of the errors of the initial values.
         flight: Motion and IMU rate; those of the chapter if not given.
 
     Returns:
-        The graph with its initial values and its solution.
+        The graph with its initial values, its solution and the covariance.
     """
     flight = flight or LoopFlight()
     bias = gtsam.imuBias.ConstantBias(ACCEL_BIAS_M_S2, [0.0, 0.0, 0.0])
-    graph = _imu_graph(flight, bias, rng)
-    truth = [flight.scenario.navState(t) for t in _state_times_s(flight)]
-    initial = _initial_values(truth, bias, rng)
-    params = gtsam.LevenbergMarquardtParams()
-    # The whitened equations differ by a factor of 1e6, which Cholesky squares; QR converges, Cholesky does not.
-    params.setLinearSolverType("MULTIFRONTAL_QR")
-    optimizer = gtsam.LevenbergMarquardtOptimizer(graph, initial, params)
-    result = optimizer.optimize()
-    fine_s = np.linspace(0.0, flight.duration_s, _PATH_POINTS)
+    preintegrated = _preintegrated(flight, bias, rng)
+    graph = _imu_graph(flight, bias, preintegrated)
+    initial = _initial_values(flight, bias, rng)
+    batch, incremental = solve_batch(graph, initial), solve_incrementally(graph, initial)
+    linear = LinearizedGraph.of(graph, batch.values)
+    states = len(flight.t_s)
+    truth, Ts_world_imu = flight.states(flight.t_s), _poses(batch.values, states)
+    reckoned_m = _dead_reckoning(flight, bias, preintegrated)
+    noise_free_m = _dead_reckoning(flight, bias, _preintegrated(flight, bias, None))
     return ImuExperiment(
         flight=flight,
-        t_s=_state_times_s(flight),
-        Ts_world_imu_true=np.stack([state.pose().matrix() for state in truth]),
-        Ts_world_imu_initial=_poses(initial, len(truth)),
-        Ts_world_imu=_poses(result, len(truth)),
-        velocity_m_s=np.stack([result.atVector(V(i)) for i in range(len(truth))]),
-        path_m=np.stack([flight.scenario.pose(t).translation() for t in fine_s]),
+        t_s=flight.t_s,
+        Ts_world_imu_true=pose_matrix(truth.R_world_imu, truth.p_world_imu),
+        Ts_world_imu_initial=_poses(initial, states),
+        Ts_world_imu=Ts_world_imu,
+        velocity_m_s=np.stack([batch.values.atVector(V(i)) for i in range(states)]),
+        covariance_m2=_position_covariances(linear, Ts_world_imu, slice(0, linear.residuals[-1].stop)),
+        noise_covariance_m2=_position_covariances(linear, Ts_world_imu, _imu_residuals(linear)),
+        sources=_sources(linear, states - 1),
+        condition=linear.condition,
+        path_m=flight.states(np.linspace(0.0, flight.duration_s, _PATH_POINTS)).p_world_imu,
         initial_error=graph.error(initial),
-        final_error=graph.error(result),
-        iterations=optimizer.iterations(),
-        factors=tuple(tuple(map(_name, graph.at(i).keys())) for i in range(graph.size())),
-        dot=graph.dot(result, _name),
+        final_error=graph.error(batch.values),
+        iterations=batch.iterations,
+        incremental_difference=largest_difference(batch.values, incremental.values),
+        incremental_updates=incremental.updates,
+        dead_reckoning_difference_m=float(np.linalg.norm(Ts_world_imu[:, :3, 3] - reckoned_m, axis=1).max()),
+        noise_free_drift_m=float(np.linalg.norm(noise_free_m[-1] - truth.p_world_imu[-1])),
+        factors=tuple(map(_factor, (graph.at(i) for i in range(graph.size())))),
+        dot=graph.dot(batch.values, _name),
     )
 
 
-def _imu_graph(
-    flight: LoopFlight, bias: gtsam.imuBias.ConstantBias, rng: np.random.Generator
-) -> gtsam.NonlinearFactorGraph:
-    """Return the graph: priors on the first state and the bias, and the IMU factors."""
+def _preintegrated(
+    flight: LoopFlight, bias: gtsam.imuBias.ConstantBias, rng: np.random.Generator | None
+) -> list[gtsam.PreintegratedImuMeasurements]:
+    """Return the preintegrated measurements of each factor; without a random generator they have no noise."""
     params = gtsam.PreintegrationParams.MakeSharedU(GRAVITY_M_S2)
     params.setGyroscopeCovariance(GYRO_NOISE_DENSITY**2 * np.eye(3))
     params.setAccelerometerCovariance(ACCEL_NOISE_DENSITY**2 * np.eye(3))
-    params.setIntegrationCovariance(_INTEGRATION_SIGMA**2 * np.eye(3))
-    dt_s = 1.0 / flight.imu_rate_hz
-    scenario = flight.scenario  # the runner keeps a reference only, so this has to outlive it
+    params.setIntegrationCovariance(INTEGRATION_SIGMA**2 * np.eye(3))
+    dt_s, scenario = flight.dt_s, flight.scenario  # the runner keeps a reference only, so the scenario is a variable
     runner = gtsam.ScenarioRunner(scenario, params, dt_s, bias)
-
-    graph = gtsam.NonlinearFactorGraph()
-    start = scenario.navState(0.0)
-    graph.addPriorPose3(X(0), start.pose(), gtsam.noiseModel.Isotropic.Sigma(6, PRIOR_SIGMA))
-    graph.addPriorVector(V(0), start.velocity(), gtsam.noiseModel.Isotropic.Sigma(3, PRIOR_SIGMA))
-    graph.addPriorConstantBias(B(0), bias, gtsam.noiseModel.Isotropic.Sigma(6, PRIOR_SIGMA))
-    pim = gtsam.PreintegratedImuMeasurements(params, bias)
-    for factor in range(flight.factors):
-        for sample in range(flight.samples_per_factor):
+    preintegrated, sample = [], 0
+    for count in flight.factor_samples:
+        pim = gtsam.PreintegratedImuMeasurements(params, bias)
+        for _ in range(count):
             # GTSAM holds a sample until the next one, in the body frame at its time.
-            t_s = (factor * flight.samples_per_factor + sample) * dt_s
-            gyro_noise, accel_noise = rng.standard_normal((2, 3)) / np.sqrt(dt_s)
+            t_s = sample * dt_s
+            gyro_noise, accel_noise = np.zeros((2, 3)) if rng is None else rng.standard_normal((2, 3)) / np.sqrt(dt_s)
             gyro_rad_s = runner.actualAngularVelocity(t_s) + bias.gyroscope() + GYRO_NOISE_DENSITY * gyro_noise
             accel_m_s2 = runner.actualSpecificForce(t_s) + bias.accelerometer() + ACCEL_NOISE_DENSITY * accel_noise
             pim.integrateMeasurement(accel_m_s2, gyro_rad_s, dt_s)
-        graph.push_back(gtsam.ImuFactor(X(factor), V(factor), X(factor + 1), V(factor + 1), B(0), pim))
-        pim.resetIntegration()
+            sample += 1
+        preintegrated.append(pim)
+    return preintegrated
+
+
+def _imu_graph(
+    flight: LoopFlight,
+    bias: gtsam.imuBias.ConstantBias,
+    preintegrated: list[gtsam.PreintegratedImuMeasurements],
+) -> gtsam.NonlinearFactorGraph:
+    """Return the graph: priors on the first state and the bias, and the IMU factors."""
+    graph, start = gtsam.NonlinearFactorGraph(), flight.scenario.navState(0.0)
+    graph.addPriorPose3(X(0), start.pose(), gtsam.noiseModel.Isotropic.Sigma(6, PRIOR_SIGMA))
+    graph.addPriorVector(V(0), start.velocity(), gtsam.noiseModel.Isotropic.Sigma(3, PRIOR_SIGMA))
+    graph.addPriorConstantBias(B(0), bias, gtsam.noiseModel.Isotropic.Sigma(6, PRIOR_SIGMA))
+    for i, pim in enumerate(preintegrated):
+        graph.push_back(gtsam.ImuFactor(X(i), V(i), X(i + 1), V(i + 1), B(0), pim))
     return graph
 
 
-def _initial_values(
-    truth: list[gtsam.NavState], bias: gtsam.imuBias.ConstantBias, rng: np.random.Generator
-) -> gtsam.Values:
-    """Return the true first state and bias, and all later states with Gaussian errors."""
-    values = gtsam.Values()
+def _initial_values(flight: LoopFlight, bias: gtsam.imuBias.ConstantBias, rng: np.random.Generator) -> gtsam.Values:
+    """Return the true first state and bias, and all later states at their nominal times with Gaussian errors."""
+    values, scenario = gtsam.Values(), flight.scenario
     values.insert(B(0), bias)
-    for i, state in enumerate(truth):
+    for i, t_s in enumerate(flight.nominal_t_s.tolist()):
+        state = scenario.navState(t_s)
         error = np.zeros(9) if i == 0 else rng.normal(scale=PRIOR_SIGMA, size=9)
         values.insert(X(i), state.pose().retract(error[:6]))
         values.insert(V(i), state.velocity() + error[6:])
     return values
 
 
-def _state_times_s(flight: LoopFlight) -> Array:
-    return np.arange(flight.factors + 1) * flight.samples_per_factor / flight.imu_rate_hz
+def _dead_reckoning(
+    flight: LoopFlight,
+    bias: gtsam.imuBias.ConstantBias,
+    preintegrated: list[gtsam.PreintegratedImuMeasurements],
+) -> Array:
+    """Return the positions (K+1, 3) that follow from the true first state by integration [m]."""
+    state = flight.scenario.navState(0.0)
+    positions = [state.position()]
+    for pim in preintegrated:
+        state = pim.predict(state, bias)
+        positions.append(state.position())
+    return np.stack(positions)
+
+
+def _position_covariances(linear: LinearizedGraph, Ts_world_imu: Array, residuals: slice) -> Array:
+    """Return the covariances (K+1, 3, 3) of all positions due to some residuals, in the world frame [m²].
+
+    GTSAM's perturbation of a position is in the body frame.
+    """
+    response = np.stack([linear.response[linear.columns[X(i)]][3:, residuals] for i in range(len(Ts_world_imu))])
+    response = Ts_world_imu[:, :3, :3] @ response
+    return np.asarray(response @ response.swapaxes(1, 2))
+
+
+def _imu_residuals(linear: LinearizedGraph) -> slice:
+    """Return the columns of the residuals of all IMU factors, which follow those of the three priors."""
+    return slice(linear.residuals[3].start, linear.residuals[-1].stop)
+
+
+def _sources(linear: LinearizedGraph, state: int) -> tuple[ErrorSource, ...]:
+    """Return the standard deviation of the position of a state by source.
+
+    GTSAM orders a pose as rotation and position, and a bias as accelerometer and gyroscope.
+    """
+    response = linear.response[linear.columns[X(state)]][3:]
+    pose, velocity, bias = (linear.residuals[i].start for i in range(3))
+    columns = {
+        "initial orientation": slice(pose, pose + 3),
+        "initial position": slice(pose + 3, pose + 6),
+        "initial velocity": slice(velocity, velocity + 3),
+        "accelerometer bias": slice(bias, bias + 3),
+        "gyroscope bias": slice(bias + 3, bias + 6),
+        "IMU noise": _imu_residuals(linear),
+    }
+    return tuple(ErrorSource(name, float(np.linalg.norm(response[:, part]))) for name, part in columns.items())
 
 
 def _poses(values: gtsam.Values, count: int) -> Array:
     return np.stack([values.atPose3(X(i)).matrix() for i in range(count)])
+
+
+def _factor(factor: gtsam.NonlinearFactor) -> GraphFactor:
+    """Return the class of a factor and the names of its variables."""
+    return GraphFactor(type(factor).__name__, tuple(map(_name, factor.keys())))
 
 
 def _name(key: SupportsInt | SupportsIndex) -> str:

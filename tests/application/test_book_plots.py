@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from dronevio.book.plots import frustum
+from dronevio.book.sfm_plots import frustum
 
 
 def test_frustum_spans_from_the_camera_to_the_image_plane() -> None:

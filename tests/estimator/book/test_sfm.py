@@ -4,19 +4,51 @@ import matplotlib.image
 import numpy as np
 import pytest
 
-from dronevio.estimator.book.sfm import SfmExperiment, run_sfm_experiment
+from dronevio.estimator.book.sfm import POSITION_SIGMA, SfmExperiment, run_sfm_experiment
+from dronevio.models.errors import ConfigError
 
 
 @pytest.fixture(scope="module")
 def experiment() -> SfmExperiment:
-    return run_sfm_experiment()
+    return run_sfm_experiment(np.random.default_rng(0))
 
 
-def test_errors_are_those_of_the_book(experiment: SfmExperiment) -> None:
+def test_perturbed_start_leads_to_the_error_of_the_book(experiment: SfmExperiment) -> None:
     assert experiment.Ts_world_cam.shape == (5, 4, 4)
     assert experiment.points.shape == (544, 3)
-    assert experiment.initial_error == pytest.approx(126.9, abs=0.05)
+    assert experiment.bundler_error == pytest.approx(126.9, abs=0.05)
+    assert experiment.initial_error > 1e5
     assert experiment.final_error == pytest.approx(125.5, abs=0.05)
+
+
+def test_without_perturbation_errors_are_those_of_the_book(experiment: SfmExperiment) -> None:
+    book = run_sfm_experiment(np.random.default_rng(0), perturbation=0.0)
+    assert book.initial_error == book.bundler_error == experiment.bundler_error
+    np.testing.assert_array_equal(book.points_initial, book.points_bundler)
+    assert book.final_error == pytest.approx(experiment.final_error, abs=1e-3)
+    np.testing.assert_allclose(np.median(np.abs(book.points - experiment.points)), 0.0, atol=1e-5)
+
+
+def test_perturbation_is_seeded_and_spares_the_gauge(experiment: SfmExperiment) -> None:
+    moved = experiment.points_initial - experiment.points_bundler
+    np.testing.assert_array_equal(moved[0], 0.0)
+    assert np.std(moved[1:]) == pytest.approx(POSITION_SIGMA, rel=0.1)
+    other = run_sfm_experiment(np.random.default_rng(1))
+    again = run_sfm_experiment(np.random.default_rng(0))
+    np.testing.assert_array_equal(again.points_initial, experiment.points_initial)
+    assert other.initial_error != experiment.initial_error
+    np.testing.assert_allclose(other.Ts_world_cam_initial[0], experiment.Ts_world_cam_initial[0], atol=0.0)
+    assert not np.allclose(other.Ts_world_cam_initial[1], experiment.Ts_world_cam_initial[1], atol=1e-3)
+
+
+def test_adjustment_brings_points_and_pixels_together(experiment: SfmExperiment) -> None:
+    assert experiment.initial_reprojection_rms_px > 10.0 > 1.0 > experiment.reprojection_rms_px
+    assert experiment.initial_distance > 0.05 > 0.01 > experiment.final_distance
+
+
+def test_negative_perturbation_is_refused() -> None:
+    with pytest.raises(ConfigError, match="perturbation -1"):
+        run_sfm_experiment(np.random.default_rng(0), perturbation=-1.0)
 
 
 def test_error_is_half_the_squared_reprojection_error(experiment: SfmExperiment) -> None:
