@@ -216,6 +216,7 @@ def make_pictures(scratch: Path, shown: Path | None) -> None:
     draw_estimator(flight, scratch / "estimator.png")
     save("estimator.jpg", read(scratch / "estimator.png"))
     save("book-imu.jpg", read(scratch / "imu" / "path.png"))
+    save("book-camera.jpg", read(scratch / "imu" / "camera.png"))
     save("book-eqvio.jpg", read(scratch / "eqvio" / "paths.png"))
     record_figures(run)
 
