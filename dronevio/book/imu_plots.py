@@ -34,7 +34,7 @@ _PLANE = [0, 2]  # the path is in the plane of x and z
 def draw_imu_path(experiment: ImuExperiment, path: Path) -> None:
     """Draw the path from the side with ellipses of covariance: of the IMU noise alone, and with the priors."""
     figure = Figure(figsize=(13.0, 6.2), layout="constrained")
-    noise, priors = figure.subplots(1, 2, width_ratios=(1.0, 1.6))
+    noise, priors = figure.subplots(1, 2, width_ratios=(1.0, 1.3))
     flight = experiment.flight
     _draw_states(noise, experiment)
     initial = experiment.Ts_world_imu_initial[:, _PLANE, 3]
@@ -50,7 +50,8 @@ def draw_imu_path(experiment: ImuExperiment, path: Path) -> None:
         title=f"With the priors on the first state,\n1σ ellipses; σ of the last position {experiment.sigma_m[-1]:.1f} m"
     )
     for axes, place in ((noise, "upper left"), (priors, "lower right")):
-        axes.set(xlabel="x [m]", ylabel="z [m]", aspect="equal")
+        axes.set(xlabel="x [m]", ylabel="z [m]")
+        axes.set_aspect("equal", adjustable="datalim")
         axes.margins(0.08)
         axes.grid(alpha=0.3)
         axes.legend(loc=place, fontsize="small")

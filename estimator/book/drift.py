@@ -1,9 +1,10 @@
 """The drift of dead reckoning: its spread over many flights, and the spread that theory predicts.
 
-"Without any external measurements the estimate drifts" (section 7.4.1). Here many flights on the same circle differ in
-their IMU errors only: white noise and the random walks of the biases, as the IMU factors model them. All begin with an
-exactly known state and bias; turn-on biases, bias instability, scale errors and quantization are left out. Dead
-reckoning is the solution of the graph of IMU factors, so that its errors are those of that graph.
+Section 7.4.1 of the book (Dellaert and Hutchinson, *Introduction to Robotics*) states that an estimate from the IMU
+alone drifts. Here many flights on the same circle measure by how much. They differ in their IMU errors only, white
+noise and the random walks of the biases, as the IMU factors model them. All begin with an exactly known state and bias;
+turn-on biases, bias instability, scale errors and quantization are left out. Dead reckoning is the solution of the
+graph of IMU factors, so that its errors are those of that graph.
 
 The prediction propagates the covariance of the state forward in time (Forster et al., "On-manifold preintegration for
 real-time visual-inertial odometry", T-RO 2017, eq. 44; `dronevio.estimator.imu.covariance`), as a Kalman filter does
