@@ -46,7 +46,7 @@ class ImuCommand:
     camera_runs: int = 10
     """Number of flights with a camera."""
     duration_s: float = 60.0
-    """Duration of the flights of the drift study and of those with a camera [s]."""
+    """Duration of the flights of the drift study and of those with a camera, 5 to 120 [s]."""
     imu: str = "euroc"
     """IMU of the flights with a camera, one of those of the drift study."""
     printing: Printing = field(default_factory=PrintOptions)
@@ -58,8 +58,8 @@ def main(arguments: Sequence[str]) -> int:
     command = parse(ImuCommand, arguments, "book imu")
     if command.runs < 1 or command.camera_runs < 1:
         raise ConfigError(f"--runs {command.runs} --camera-runs {command.camera_runs}; expected 1 or more")
-    if not 5.0 <= command.duration_s <= 600.0:
-        raise ConfigError(f"--duration-s {command.duration_s}; expected 5 to 600")
+    if not 5.0 <= command.duration_s <= 120.0:
+        raise ConfigError(f"--duration-s {command.duration_s}; expected 5 to 120")
 
     import numpy as np
 
