@@ -18,7 +18,8 @@ _CODE = "dronevio.estimator.book"
 def print_experiment(experiment: ImuExperiment) -> None:
     """Print the flight, the graph and both solutions."""
     flight, counts = experiment.flight, [str(n) for n in experiment.flight.factor_samples]
-    unused = flight.samples - sum(flight.factor_samples)
+    unused, t_s = flight.samples - sum(flight.factor_samples), float(experiment.t_s[-1])
+    held_m = flight.speed_m_s * flight.pitch_rate_rad_s * math.radians(1.5) * 0.5 * t_s**2
     print_lesson(
         "1. The flight",
         "7.4.1 (motion: 7.2)",
@@ -98,9 +99,10 @@ def print_experiment(experiment: ImuExperiment) -> None:
         compares the states with the measurements, not with the truth. The initial error is large because the factors
         are precise: initial values are wrong by 0.1 rad and 0.1 m, where a factor expects 0.1 mrad and 0.3 mm. There
         are as many residuals as unknowns, so that states exist that agree with all measurements exactly, wrong
-        measurements included. Here the sampling is wrong more than the noise: at 30 °/s the acceleration turns by 3°
-        until the next sample, and a sample is held until then, so that its direction is 1.5° behind on average:
-        vω · 1.5° · t²/2 = 0.13 m after 3.1 s."""
+        measurements included. Here the sampling is wrong more than the noise: at 30 °/s the acceleration vω turns by 3°
+        until the next sample, and a sample is held until then, so that its direction is 1.5° behind on average. That
+        makes about vω · 1.5° · t²/2 = {held_m:.2f} m after {t_s:.1f} s, and somewhat less because the direction of the
+        error turns as well."""
     )
 
 
