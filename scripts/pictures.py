@@ -86,7 +86,7 @@ def report_screenshot(page: Path, scratch: Path) -> Picture:
     size = ",".join(map(str, REPORT_PX))
     flags = ["--headless=new", "--no-sandbox", "--disable-gpu", "--hide-scrollbars", f"--window-size={size}"]
     shot = scratch / "report.png"
-    subprocess.run([browser, *flags, f"--screenshot={shot}", page.as_uri()], check=True, capture_output=True)
+    subprocess.run([browser, *flags, f"--screenshot={shot}", page.resolve().as_uri()], check=True, capture_output=True)
     return read(shot)
 
 
