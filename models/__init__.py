@@ -17,6 +17,11 @@ if TYPE_CHECKING:
         IncompleteError,
         InputError,
     )
+    from dronevio.models.image_sets.folder import image_folder
+    from dronevio.models.image_sets.image_set import ImageSet
+    from dronevio.models.image_sets.open import open_images
+    from dronevio.models.image_sets.recording import image_recording
+    from dronevio.models.image_sets.video import image_video
     from dronevio.models.imu import ImuModel, ImuSamples
     from dronevio.models.imu_presets import imu_named
     from dronevio.models.protocols import Controller, Estimator, Plant, Recording, measurements
@@ -40,6 +45,7 @@ __all__ = [
     "GraphicsError",
     "Health",
     "HealthReport",
+    "ImageSet",
     "ImuModel",
     "ImuSamples",
     "IncompleteError",
@@ -53,8 +59,12 @@ __all__ = [
     "RigCamera",
     "Trajectory",
     "euroc_rig",
+    "image_folder",
+    "image_recording",
+    "image_video",
     "imu_named",
     "measurements",
+    "open_images",
     "read_reconstruction",
     "rig_named",
     "vehicle_named",
@@ -73,6 +83,11 @@ __getattr__, __dir__ = attach(
             "IncompleteError",
             "InputError",
         ),
+        "dronevio.models.image_sets.folder": ("image_folder",),
+        "dronevio.models.image_sets.image_set": ("ImageSet",),
+        "dronevio.models.image_sets.open": ("open_images",),
+        "dronevio.models.image_sets.recording": ("image_recording",),
+        "dronevio.models.image_sets.video": ("image_video",),
         "dronevio.models.imu": ("ImuModel", "ImuSamples"),
         "dronevio.models.imu_presets": ("imu_named",),
         "dronevio.models.protocols": ("Controller", "Estimator", "Plant", "Recording", "measurements"),

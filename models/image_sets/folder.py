@@ -1,0 +1,154 @@
+"""Image sets from folders of photographs."""
+
+import re
+from dataclasses import dataclass
+from pathlib import Path, PurePosixPath
+from typing import Literal, get_args
+
+import numpy as np
+
+from dronevio.models.camera import CameraModel
+from dronevio.models.errors import ConfigError, InputError
+from dronevio.models.image_sets.image_set import FocalSource, Image, ImageSet, Indices
+from dronevio.models.image_sets.intrinsics import initial_camera
+from dronevio.models.image_sets.masks import find_masks
+from dronevio.models.image_sets.photos import PHOTO_SUFFIXES, PhotoHeader, read_photo, read_photo_header
+
+CameraSharing = Literal["shared", "per-image"]
+"""Whether images of the same size with the same EXIF data of camera and lens share a camera, or each has its own."""
+
+
+@dataclass(frozen=True, eq=False)
+class PhotoFiles:
+    """Image files of I images; the object is called with the index of an image."""
+
+    files: tuple[Path, ...]
+    """(I,) Path of each image."""
+    image_camera: Indices
+    """(I,) Index of the camera of each image."""
+    cameras: tuple[CameraModel, ...]
+    """Camera models, which have the sizes of the images."""
+
+    def __call__(self, index: int) -> Image:
+        """Return the image with a given index: grey (H, W), or red, green and blue (H, W, 3).
+
+        Raises:
+            InputError: The file is missing, damaged, or has another size than its camera.
+        """
+        camera = self.cameras[self.image_camera[index]]
+        return read_photo(self.files[index], camera.width, camera.height)
+
+
+def image_folder(
+    path: Path | str,
+    *,
+    camera: CameraSharing = "shared",
+    model: CameraModel | None = None,
+    masks: Path | str | None = None,
+) -> ImageSet:
+    """Return the images in a folder and its subfolders, in natural order of their names.
+
+    Hidden files and the folder of the masks are left out. Sizes and EXIF data are read at once, pixels on request.
+
+    Args:
+        path: The folder.
+        camera: ``shared`` for one camera for all images of the same size with the same EXIF data of camera and lens,
+            ``per-image`` for a camera for each image.
+        model: Calibration of the one camera of all images; None for initial values from EXIF data or an assumed field
+            of view.
+        masks: A folder of masks or one mask for all images; see `dronevio.models.image_sets.masks`.
+
+    Raises:
+        InputError: The folder does not exist or has no images, a file is not an image, an image has another size than
+            the calibration, or the masks are missing or in the same folder.
+        ConfigError: A calibration is given for ``per-image`` cameras.
+    """
+    if camera not in get_args(CameraSharing):
+        raise ConfigError(f"camera {camera!r}; expected one of {', '.join(get_args(CameraSharing))}")
+    if model is not None and camera == "per-image":
+        raise ConfigError("a calibration for per-image cameras; expected one shared camera")
+    folder, mask_path = Path(path), Path(masks) if masks is not None else None
+    names = find_photos(folder, mask_path)
+    files = tuple(folder / name for name in names)
+    headers = [read_photo_header(file) for file in files]
+    if model is None:
+        image_camera, cameras, sources = _initial_cameras(headers, camera)
+    else:
+        _check_sizes(files, headers, model)
+        image_camera, cameras, sources = np.zeros(len(files), np.int64), (model,), ("calibration",)
+    return ImageSet(
+        names=names,
+        image_camera=image_camera,
+        cameras=cameras,
+        is_calibrated=np.full(len(cameras), model is not None),
+        is_ordered=False,
+        t_ns=None,
+        frame=None,
+        Ts_imu_cam=None,
+        read=PhotoFiles(files, image_camera, cameras),
+        read_mask=find_masks(mask_path, names, image_camera, cameras),
+        focal_source=sources,
+    )
+
+
+def find_photos(folder: Path, masks: Path | None = None) -> tuple[str, ...]:
+    """Return the paths of the images below a folder, relative to it and in natural order.
+
+    Args:
+        folder: The folder.
+        masks: A file or folder to leave out.
+
+    Raises:
+        InputError: The folder does not exist or has no images, or it is within the folder of the masks.
+    """
+    expected = f"a folder of images ({', '.join(PHOTO_SUFFIXES)})"
+    if not folder.exists():
+        raise InputError(folder, "no such folder", expected)
+    if not folder.is_dir():
+        raise InputError(folder, "a file", expected)
+    left_out = masks.resolve() if masks is not None else None
+    if left_out is not None and folder.resolve().is_relative_to(left_out):
+        raise InputError(left_out, "a folder that contains the images", "a separate folder of masks")
+    names = []
+    for file in folder.rglob("*"):
+        name = PurePosixPath(file.relative_to(folder).as_posix())
+        if file.suffix.lower() not in PHOTO_SUFFIXES or any(part.startswith(".") for part in name.parts):
+            continue
+        if left_out is not None and file.resolve().is_relative_to(left_out):
+            continue
+        if file.is_file():
+            names.append(str(name))
+    if not names:
+        raise InputError(folder, "a folder without images", expected)
+    return tuple(sorted(names, key=natural_key))
+
+
+def natural_key(name: str) -> tuple[tuple[tuple[str | int, ...], ...], str]:
+    """Return a sort key of paths by which numbers are in numeric order: ``a2`` before ``a10``."""
+    parts = tuple(
+        tuple(int(text) if i % 2 else text for i, text in enumerate(re.split("([0-9]+)", part)))
+        for part in name.split("/")
+    )
+    return parts, name
+
+
+def _initial_cameras(
+    headers: list[PhotoHeader], sharing: CameraSharing
+) -> tuple[Indices, tuple[CameraModel, ...], tuple[FocalSource, ...]]:
+    """Return the camera of each image, and the initial model and source of the focal length of each camera."""
+    keys = list(enumerate(headers)) if sharing == "per-image" else [(0, header) for header in headers]
+    unique = {key: number for number, key in enumerate(dict.fromkeys(keys))}
+    initial = [initial_camera(header.width, header.height, header.exif) for _, header in unique]
+    image_camera = np.array([unique[key] for key in keys], dtype=np.int64)
+    return image_camera, tuple(model for model, _ in initial), tuple(source for _, source in initial)
+
+
+def _check_sizes(files: tuple[Path, ...], headers: list[PhotoHeader], model: CameraModel) -> None:
+    """Raise InputError if an image has another size than the calibration."""
+    for file, header in zip(files, headers, strict=True):
+        if (header.width, header.height) != (model.width, model.height):
+            raise InputError(
+                file,
+                f"an image of {header.width} × {header.height} px",
+                f"{model.width} × {model.height} px as in the calibration",
+            )

@@ -1,0 +1,74 @@
+"""Opening of image sets: a folder of photographs, a video or a recording, which is recognized from the path."""
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+
+from dronevio.models.camera import CameraModel
+from dronevio.models.errors import ConfigError, InputError
+from dronevio.models.image_sets.folder import CameraSharing, image_folder
+from dronevio.models.image_sets.image_set import ImageSet
+from dronevio.models.image_sets.photos import PHOTO_SUFFIXES
+from dronevio.models.image_sets.recording import image_recording
+from dronevio.models.image_sets.video import VIDEO_SUFFIXES, image_video
+from dronevio.models.recordings.open import is_bag
+
+
+def open_images(
+    path: Path | str,
+    *,
+    camera: CameraSharing | None = None,
+    model: CameraModel | None = None,
+    masks: Path | str | None = None,
+    every: int | None = None,
+    cameras: Sequence[int] | None = None,
+    frames: int | Sequence[int] | None = None,
+) -> ImageSet:
+    """Return the images of a folder, a video or a recording.
+
+    Args:
+        path: A folder of images, a video (``.mp4``, ``.avi``, ``.mov``, ``.mkv`` or ``.webm``), or a recording that
+            `open_recording` opens.
+        camera: For folders: ``shared`` cameras, the default, or ``per-image``; see `image_folder`.
+        model: For folders and videos: calibration of the one camera; None for initial values.
+        masks: A folder of masks or one mask for all images; see `dronevio.models.image_sets.masks`.
+        every: For videos: distance between the frames to use, by default 1.
+        cameras: For recordings: indices of the cameras to use, by default the first.
+        frames: For recordings: number of frames, spread evenly, or their indices; by default all.
+
+    Raises:
+        InputError: The path is none of these, or is damaged.
+        ConfigError: An option is given that does not apply, or has an invalid value.
+    """
+    path = Path(path)
+    options = {"camera": camera, "model": model, "every": every, "cameras": cameras, "frames": frames}
+    if is_recording(path):
+        _check_options(path, "a recording", options, ("cameras", "frames"))
+        return image_recording(path, cameras=(0,) if cameras is None else cameras, frames=frames, masks=masks)
+    if path.suffix.lower() in VIDEO_SUFFIXES:
+        _check_options(path, "a video", options, ("model", "every"))
+        return image_video(path, 1 if every is None else every, model, masks)
+    if not path.exists():
+        raise InputError(path, "no such file or folder", _expected())
+    if not path.is_dir():
+        raise InputError(path, "a file that is neither a video nor a recording", _expected())
+    _check_options(path, "a folder of images", options, ("camera", "model"))
+    return image_folder(path, camera=camera or "shared", model=model, masks=masks)
+
+
+def is_recording(path: Path) -> bool:
+    """Return whether a path is that of a recording: an EuRoC folder or a bag."""
+    if path.suffix == ".bag":
+        return True  # of ROS 1, which is refused with instructions for its conversion
+    return is_bag(path) or (path / "mav0").is_dir() or (path / "cam0" / "data.csv").is_file()
+
+
+def _check_options(path: Path, kind: str, options: Mapping[str, object], allowed: tuple[str, ...]) -> None:
+    """Raise ConfigError if an option is given that does not apply to a kind of images."""
+    for name, value in options.items():
+        if value is not None and name not in allowed:
+            raise ConfigError(f"{path}: the option {name} for {kind}; expected only {', '.join(allowed)}")
+
+
+def _expected() -> str:
+    """Return the description of a path for error messages."""
+    return f"a folder of images ({', '.join(PHOTO_SUFFIXES)}), a video ({', '.join(VIDEO_SUFFIXES)}) or a recording"

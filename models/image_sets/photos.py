@@ -1,0 +1,140 @@
+"""Image files: their size, EXIF data and pixels.
+
+Pixels are returned as they are stored in the file; the orientation for display in EXIF data is ignored, as COLMAP
+does, so that pixel coordinates and camera models refer to the sensor. Of 16 bits per channel the upper 8 are returned.
+An alpha channel is dropped.
+"""
+
+import warnings
+from collections.abc import Callable
+from contextlib import AbstractContextManager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, TypeVar
+
+import numpy as np
+
+from dronevio.models.errors import InputError
+from dronevio.models.image_sets.image_set import Image
+from dronevio.models.image_sets.intrinsics import ExifCamera, exif_camera
+
+if TYPE_CHECKING:
+    from PIL import Image as PillowImage
+
+PHOTO_SUFFIXES = (".jpg", ".jpeg", ".png", ".tif", ".tiff", ".bmp", ".webp")
+"""Suffixes of image files, in lower case."""
+
+Result = TypeVar("Result")
+
+_EXPECTED = "an image (JPEG, PNG, TIFF, BMP or WebP)"
+_FORMATS = ("JPEG", "PNG", "TIFF", "BMP", "WEBP")
+_ORIENTATION, _EXIF_IFD = 0x0112, 0x8769
+_SIDEWAYS = (5, 6, 7, 8)  # orientations that exchange rows and columns
+
+
+@dataclass(frozen=True)
+class PhotoHeader:
+    """Properties of an image file that are known before its pixels are decoded."""
+
+    width: int
+    """Number of columns of the stored image [px]."""
+    height: int
+    """Number of rows of the stored image [px]."""
+    exif: ExifCamera
+    """Properties of camera and lens in the EXIF data."""
+
+
+def read_photo_header(path: Path) -> PhotoHeader:
+    """Return the size and the EXIF data of an image file. Invalid EXIF data are ignored.
+
+    Raises:
+        InputError: The file is missing or not a supported image.
+    """
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # of invalid EXIF data
+        return _decoded(path, _header)
+
+
+def read_photo(path: Path, width: int | None = None, height: int | None = None) -> Image:
+    """Return the pixels of an image file: grey (H, W), or red, green and blue (H, W, 3).
+
+    Args:
+        path: The file.
+        width: Expected number of columns [px], None for any.
+        height: Expected number of rows [px], None for any.
+
+    Raises:
+        InputError: The file is missing, damaged, not a supported image, or has another size.
+    """
+    image = _decoded(path, _pixels)
+    if image is None:
+        raise InputError(path, "an image with 32 bits per channel", "8 or 16 bits per channel")
+    rows, columns = image.shape[:2]
+    if (width is not None and columns != width) or (height is not None and rows != height):
+        raise InputError(path, f"an image of {columns} × {rows} px", f"an image of {width} × {height} px")
+    return image
+
+
+def _decoded(path: Path, function: "Callable[[PillowImage.Image], Result]") -> Result:
+    """Return the result of a function of an opened image file, or raise InputError."""
+    from PIL import Image as PillowImage
+    from PIL import UnidentifiedImageError
+
+    try:
+        opened: AbstractContextManager[PillowImage.Image] = PillowImage.open(path, formats=_FORMATS)
+        with opened as image:
+            return function(image)
+    except FileNotFoundError:
+        raise InputError(path, "no such file", _EXPECTED) from None
+    except UnidentifiedImageError:
+        raise InputError(path, "a file that is not a supported image", _EXPECTED) from None
+    except Exception as error:  # decoders raise many kinds for damaged files
+        raise InputError(path, f"an image that cannot be decoded ({error})", _EXPECTED) from None
+
+
+def _header(image: "PillowImage.Image") -> PhotoHeader:
+    """Return size and EXIF data of an opened image."""
+    width, height = image.size
+    if _tiff_orientation(image) in _SIDEWAYS:
+        width, height = height, width
+    return PhotoHeader(width, height, exif_camera(_exif_tags(image)))
+
+
+def _exif_tags(image: "PillowImage.Image") -> dict[int, object]:
+    """Return the values of EXIF tags by number; none if the data are damaged."""
+    try:
+        exif = image.getexif()
+        return {**exif, **exif.get_ifd(_EXIF_IFD)}
+    except Exception:  # the parser raises many kinds for damaged data
+        return {}
+
+
+def _tiff_orientation(image: "PillowImage.Image") -> int:
+    """Return the orientation that Pillow applies when it decodes an image, which it does for TIFF only; 1 if none."""
+    return int(image.getexif().get(_ORIENTATION, 1)) if image.format == "TIFF" else 1
+
+
+def _pixels(image: "PillowImage.Image") -> Image | None:
+    """Return the pixels (H, W) or (H, W, 3) of an opened image as stored, None for 32 bits per channel."""
+    from PIL.Image import Transpose
+
+    inverse = {
+        2: Transpose.FLIP_LEFT_RIGHT,
+        3: Transpose.ROTATE_180,
+        4: Transpose.FLIP_TOP_BOTTOM,
+        5: Transpose.TRANSPOSE,
+        6: Transpose.ROTATE_90,
+        7: Transpose.TRANSVERSE,
+        8: Transpose.ROTATE_270,
+    }.get(_tiff_orientation(image))
+    image.load()
+    stored = image if inverse is None else image.transpose(inverse)
+    if stored.mode in ("I", "F"):
+        return None
+    if stored.mode.startswith("I;16"):
+        return (np.asarray(stored).astype(np.uint16) >> 8).astype(np.uint8)
+    if stored.mode in ("1", "L", "LA"):
+        return np.array(stored.convert("L"), dtype=np.uint8)
+    if stored.mode in ("La", "RGBa"):  # colours multiplied by alpha
+        stored = stored.convert(stored.mode.upper())
+    return np.array(stored.convert("L" if stored.mode == "LA" else "RGB"), dtype=np.uint8)

@@ -1,0 +1,111 @@
+"""Image sets from recordings, whose rig gives the calibration and the mounting of the cameras."""
+
+import threading
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+
+from dronevio.models.errors import ConfigError
+from dronevio.models.image_sets.image_set import FocalSource, Image, ImageSet, Indices
+from dronevio.models.image_sets.masks import find_masks
+from dronevio.models.protocols import Recording
+from dronevio.models.recordings.open import open_recording
+from dronevio.models.state import CameraFrame
+
+
+class RecordedImages:
+    """Images of a recording; the object is called with the index of an image. Several threads may call it."""
+
+    def __init__(self, recording: Recording, frames: Indices, cameras: tuple[int, ...]) -> None:
+        """Take the images to read, all cameras of the first frame first.
+
+        Args:
+            recording: The recording.
+            frames: (F,) Index of each frame in the recording.
+            cameras: Index of each camera in the recording.
+        """
+        self._recording, self._frames, self._cameras = recording, frames, cameras
+        self._lock = threading.Lock()
+        self._latest: tuple[int, CameraFrame] | None = None
+
+    def __call__(self, index: int) -> Image:
+        """Return the grey image (H, W) with a given index.
+
+        Raises:
+            InputError: The image is missing, damaged, or has another size than in the calibration.
+        """
+        images = len(self._frames) * len(self._cameras)
+        row, camera = divmod(range(images)[index], len(self._cameras))
+        number = int(self._frames[row])
+        with self._lock:
+            if self._latest is None or self._latest[0] != number:
+                self._latest = number, self._recording.frame(number)
+            return self._latest[1].images[self._cameras[camera]]
+
+
+def image_recording(
+    recording: Recording | Path | str,
+    *,
+    cameras: Sequence[int] = (0,),
+    frames: int | Sequence[int] | None = None,
+    masks: Path | str | None = None,
+) -> ImageSet:
+    """Return images of a recording with its calibration, in the order of time.
+
+    The images of a frame follow each other, in the order of ``cameras``. The time stamps are those of the camera clock.
+
+    Args:
+        recording: A recording, or the path of one that `open_recording` opens.
+        cameras: Indices of the cameras to use.
+        frames: Number of frames, spread evenly from the first to the last, or the indices of the frames; None for all.
+        masks: A folder of masks or one mask for all images; see `dronevio.models.image_sets.masks`.
+
+    Raises:
+        InputError: The recording is damaged or not supported, or there are no masks.
+        ConfigError: A camera or a frame does not exist, or is given twice.
+    """
+    chosen_cameras = tuple(cameras)
+    if isinstance(recording, Path | str):
+        recording = open_recording(recording, max((0, *chosen_cameras)) + 1)
+    _check_indices("camera", chosen_cameras, len(recording.rig.cameras))
+    chosen_frames = _frame_indices(frames, len(recording.frame_times_ns))
+    rig_cameras = [recording.rig.cameras[i] for i in chosen_cameras]
+    frame = np.repeat(np.arange(len(chosen_frames), dtype=np.int64), len(chosen_cameras))
+    image_camera = np.tile(np.arange(len(chosen_cameras), dtype=np.int64), len(chosen_frames))
+    t_ns = recording.frame_times_ns[chosen_frames][frame]
+    calibration: FocalSource = "calibration"
+    models = tuple(camera.model for camera in rig_cameras)
+    names = tuple(f"cam{chosen_cameras[k]}/{t}" for k, t in zip(image_camera.tolist(), t_ns.tolist(), strict=True))
+    return ImageSet(
+        names=names,
+        image_camera=image_camera,
+        cameras=models,
+        is_calibrated=np.full(len(models), True),
+        is_ordered=True,
+        t_ns=t_ns,
+        frame=frame,
+        Ts_imu_cam=np.stack([camera.T_imu_cam for camera in rig_cameras]),
+        read=RecordedImages(recording, chosen_frames, chosen_cameras),
+        read_mask=find_masks(Path(masks) if masks is not None else None, names, image_camera, models),
+        focal_source=(calibration,) * len(models),
+    )
+
+
+def _frame_indices(frames: int | Sequence[int] | None, count: int) -> Indices:
+    """Return the indices of the frames to use of ``count`` frames, increasing, or raise ConfigError."""
+    if frames is None:
+        return np.arange(count, dtype=np.int64)
+    if isinstance(frames, int):
+        if not 1 <= frames <= count:
+            raise ConfigError(f"{frames} frames of a recording with {count}; expected 1 to {count}")
+        return np.round(np.linspace(0, count - 1, frames)).astype(np.int64)
+    _check_indices("frame", frames, count)
+    return np.array(sorted(frames), dtype=np.int64)
+
+
+def _check_indices(name: str, indices: Sequence[int], count: int) -> None:
+    """Raise ConfigError unless the indices are unique and below a count."""
+    if not len(indices) or len(set(indices)) < len(indices) or min(indices) < 0 or max(indices) >= count:
+        listed = ", ".join(map(str, indices)) or "none"
+        raise ConfigError(f"{name} indices {listed} of a recording; expected different ones from 0 to {count - 1}")
