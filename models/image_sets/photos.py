@@ -133,8 +133,7 @@ def _pixels(image: "PillowImage.Image") -> Image | None:
         return None
     if stored.mode.startswith("I;16"):
         return (np.asarray(stored).astype(np.uint16) >> 8).astype(np.uint8)
-    if stored.mode in ("1", "L", "LA"):
-        return np.array(stored.convert("L"), dtype=np.uint8)
     if stored.mode in ("La", "RGBa"):  # colours multiplied by alpha
         stored = stored.convert(stored.mode.upper())
-    return np.array(stored.convert("L" if stored.mode == "LA" else "RGB"), dtype=np.uint8)
+    mode = "L" if stored.mode in ("1", "L", "LA") else "RGB"
+    return np.array(stored if stored.mode == mode else stored.convert(mode), dtype=np.uint8)
