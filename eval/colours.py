@@ -26,7 +26,7 @@ SURROUNDINGS = "#8a8f98"
 """Colour of the surroundings: grey."""
 
 _OLDEST_TRACK_FRAMES = 60
-_AGE_STOPS = np.array([[70, 110, 200], [33, 145, 140], [94, 201, 98], [253, 231, 37]])  # viridis without its dark end
+_STOPS = np.array([[70, 110, 200], [33, 145, 140], [94, 201, 98], [253, 231, 37]])  # viridis without its dark end
 
 
 def rgb(colour: str) -> tuple[int, int, int]:
@@ -39,6 +39,16 @@ def age_colours(ages_frames: npt.NDArray[np.int64]) -> npt.NDArray[np.uint8]:
 
     The scale is logarithmic because most tracks are short.
     """
-    level = np.log(np.clip(ages_frames, 1, _OLDEST_TRACK_FRAMES)) / np.log(_OLDEST_TRACK_FRAMES)
-    stops = np.linspace(0.0, 1.0, len(_AGE_STOPS))
-    return np.stack([np.interp(level, stops, channel) for channel in _AGE_STOPS.T], axis=-1).round().astype(np.uint8)
+    return _on_scale(np.log(np.clip(ages_frames, 1, _OLDEST_TRACK_FRAMES)) / np.log(_OLDEST_TRACK_FRAMES))
+
+
+def residual_colours(errors_px: npt.NDArray[np.float64], limit_px: float) -> npt.NDArray[np.uint8]:
+    """Return (N, 3) RGB colours of reprojection errors: blue for zero, yellow from a limit on, grey for NaN."""
+    level = np.clip(np.nan_to_num(errors_px) / max(limit_px, np.finfo(float).tiny), 0.0, 1.0)
+    return np.where(np.isnan(errors_px)[:, None], np.array(rgb(SURROUNDINGS), np.uint8), _on_scale(level))
+
+
+def _on_scale(level: npt.NDArray[np.float64]) -> npt.NDArray[np.uint8]:
+    """Return (N, 3) RGB colours of levels (N,) from 0, blue, to 1, yellow."""
+    stops = np.linspace(0.0, 1.0, len(_STOPS))
+    return np.stack([np.interp(level, stops, channel) for channel in _STOPS.T], axis=-1).round().astype(np.uint8)

@@ -86,10 +86,10 @@ class Reconstruction:
         relative = self.points[self.observation_point] - T_world_cam[:, :3, 3]
         return np.asarray(np.einsum("mji,mj->mi", T_world_cam[:, :3, :3], relative))
 
-    def reprojection_errors_px(self) -> Array:
-        """Return the distance (M,) between each observation and the projection of its point [px].
+    def reprojection_residuals_px(self) -> Array:
+        """Return the vector (M, 2) from each observation to the projection of its point [px].
 
-        The distance is NaN where the point does not project into the image, for example behind a camera.
+        The vector is NaN where the point does not project into the image, for example behind a camera.
         """
         in_cameras = self.points_in_cameras()
         projected = np.full_like(self.observation_px, np.nan)
@@ -97,7 +97,11 @@ class Reconstruction:
         for index, camera in enumerate(self.cameras):
             mask = camera_of_observation == index
             projected[mask] = camera.project(in_cameras[mask])
-        return np.asarray(np.linalg.norm(projected - self.observation_px, axis=1))
+        return np.asarray(projected - self.observation_px)
+
+    def reprojection_errors_px(self) -> Array:
+        """Return the length (M,) of the vectors of `reprojection_residuals_px` [px]; NaN where they are NaN."""
+        return np.asarray(np.linalg.norm(self.reprojection_residuals_px(), axis=1))
 
     def transformed(self, scale: float, R: Array, t: Array) -> Self:
         """Return the reconstruction in a new world frame.

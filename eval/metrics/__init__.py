@@ -1,4 +1,4 @@
-"""Metrics of estimated trajectories: alignment, absolute and relative errors, scale, coverage and consistency.
+"""Metrics of trajectories (alignment, absolute and relative errors, scale, coverage, consistency) and reconstructions.
 
 The metrics import only numpy; bounds of χ² import scipy when they are computed. To score a trajectory:
 
@@ -24,6 +24,14 @@ from dronevio.eval.metrics.errors import (
 )
 from dronevio.eval.metrics.lengths import LengthErrors, errors_by_length
 from dronevio.eval.metrics.pairs import PairRule, pairs_after_distance, pairs_after_time
+from dronevio.eval.metrics.reconstruction import (
+    PositionComparison,
+    ReconstructionStatistics,
+    ResidualField,
+    compare_positions,
+    reconstruction_statistics,
+    residual_field,
+)
 from dronevio.eval.metrics.scores import (
     ScoredTrajectory,
     Scores,
@@ -42,7 +50,10 @@ __all__ = [
     "Consistency",
     "LengthErrors",
     "PairRule",
+    "PositionComparison",
+    "ReconstructionStatistics",
     "RelativeErrors",
+    "ResidualField",
     "ScoredTrajectory",
     "Scores",
     "Statistics",
@@ -51,6 +62,7 @@ __all__ = [
     "anees",
     "associate",
     "ate",
+    "compare_positions",
     "consistency",
     "coverage_percent",
     "errors_by_length",
@@ -60,7 +72,9 @@ __all__ = [
     "nees_bounds",
     "pairs_after_distance",
     "pairs_after_time",
+    "reconstruction_statistics",
     "relative_errors",
+    "residual_field",
     "rotation_errors_rad",
     "rpe",
     "scale_error_percent",

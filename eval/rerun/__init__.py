@@ -7,10 +7,12 @@ from dronevio._lazy import attach
 if TYPE_CHECKING:
     from dronevio.eval.rerun.files import write_estimates, write_rrd
     from dronevio.eval.rerun.log import RerunLog
+    from dronevio.eval.rerun.reconstruction import write_reconstruction_rerun
 
 __all__ = [
     "RerunLog",
     "write_estimates",
+    "write_reconstruction_rerun",
     "write_rrd",
 ]
 
@@ -19,5 +21,6 @@ __getattr__, __dir__ = attach(
     {
         "dronevio.eval.rerun.files": ("write_estimates", "write_rrd"),
         "dronevio.eval.rerun.log": ("RerunLog",),
+        "dronevio.eval.rerun.reconstruction": ("write_reconstruction_rerun",),
     },
 )

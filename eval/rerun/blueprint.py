@@ -9,19 +9,13 @@ import rerun.blueprint as rrb
 
 from dronevio.eval.rerun import entities
 from dronevio.eval.rerun.entities import EstimateEntities
+from dronevio.eval.scene import fit_eye
 
 Array = npt.NDArray[np.float64]
 
-VIEWER_FIELD_OF_VIEW_RAD = np.radians(55.0)
-"""Vertical field of view of the viewer's 3D view."""
-VIEW_ASPECT = 1.6
-"""Width of the 3D view relative to its height, a little less than in a window of 16:10."""
-MARGIN = 1.04
-"""Factor on the smallest distance from which the 3D view contains the whole scene."""
 TIMELINE = "time"
-_BACKGROUND = [18, 21, 26]
-_FIT_ITERATIONS = 10
-_MIN_DISTANCE_M = 1.0
+BACKGROUND = [18, 21, 26]
+"""Colour of the background of 3D views: red, green, blue."""
 
 
 @dataclass(frozen=True)
@@ -84,7 +78,7 @@ def _world(contents: RecordingContents, points: Array) -> rrb.Spatial3DView:
         name=title if contents.has_truth else "World frame of the estimator",
         eye_controls=_eye_controls(points),
         line_grid=False,
-        background=_BACKGROUND,
+        background=BACKGROUND,
         contents=["$origin/**", f"- /{entities.image(0)}/tracks/**"],
         overrides={
             entities.TRUE_PATH_SO_FAR: so_far,
@@ -184,33 +178,3 @@ def _eye_controls(points: Array) -> rrb.EyeControls3D:
         return rrb.EyeControls3D()
     position, target = fit_eye(points)
     return rrb.EyeControls3D(kind=rrb.Eye3DKind.Orbital, position=position, look_target=target, eye_up=[0.0, 0.0, 1.0])
-
-
-def fit_eye(points: Array, azimuth_deg: float = 40.0, elevation_deg: float = 38.0) -> tuple[Array, Array]:
-    """Return position (3,) and target (3,) of an eye such that points fill the 3D view [m].
-
-    From a distance D, a point at height h above the optical axis and depth d in front of the target is visible if
-    |h| ≤ (D − d) tan(fov / 2), and likewise for the width. The distance is the smallest D for which all points are.
-
-    Args:
-        points: (N, 3) Points that are to be visible [m], N > 0.
-        azimuth_deg: Direction of view in the horizontal plane, from the x axis [°].
-        elevation_deg: Elevation of the eye above the target [°].
-    """
-    azimuth, elevation = np.radians([azimuth_deg, elevation_deg])
-    back = np.array([-np.cos(elevation) * np.cos(azimuth), -np.cos(elevation) * np.sin(azimuth), np.sin(elevation)])
-    right = np.array([np.sin(azimuth), -np.cos(azimuth), 0.0])
-    up = np.cross(back, right)
-    target = 0.5 * (points.min(axis=0) + points.max(axis=0))
-    tangent = np.tan(0.5 * VIEWER_FIELD_OF_VIEW_RAD) * np.array([VIEW_ASPECT, 1.0])
-    axes = np.stack([right, up])
-
-    def distance_for(offsets: Array, depth: Array) -> float:
-        return max(_MIN_DISTANCE_M, MARGIN * float(np.max(np.abs(offsets) / tangent + depth[:, None])))
-
-    for _ in range(_FIT_ITERATIONS):  # near points appear larger: centre the image of the points, and repeat
-        offsets, depth = (points - target) @ axes.T, (points - target) @ back
-        distance_m = distance_for(offsets, depth)
-        projected = offsets / (distance_m - depth[:, None])
-        target = target + 0.5 * (projected.min(axis=0) + projected.max(axis=0)) * distance_m @ axes
-    return target + distance_for((points - target) @ axes.T, (points - target) @ back) * back, target

@@ -66,3 +66,24 @@ class EstimateEntities:
 
     def _errors(self, kind: str) -> ErrorEntities:
         return ErrorEntities(*(f"{kind}/{self.part}/{curve}" for curve in ErrorEntities._fields))
+
+
+IMAGE_TIMELINE = "image"
+"""Timeline of a recording of a reconstruction: the number of the image."""
+CURRENT_IMAGE = "image"
+KEYPOINTS = f"{CURRENT_IMAGE}/keypoints"
+RESIDUALS = f"{CURRENT_IMAGE}/residuals"
+
+
+class ComponentEntities:
+    """Paths of the entities of one component of a reconstruction."""
+
+    def __init__(self, index: int) -> None:
+        """Take the index of the component."""
+        self.root = f"component{index}"
+        self.points, self.observed_points = f"{self.root}/points", f"{self.root}/observed_points"
+        self.current_camera = f"{self.root}/current_camera"
+
+    def camera(self, image_name: str) -> str:
+        """Return the path of the camera of an image."""
+        return f"{self.root}/cameras/{rr.escape_entity_path_part(image_name)}"

@@ -1,7 +1,7 @@
 """Output of rows to a rerun file or viewer, in columns.
 
-All data are on the timeline ``time``, in seconds of flight. Many rows are sent at a time, because a call for each row
-takes about a millisecond.
+The data of a flight are on the timeline ``time``, in seconds of flight. Many rows are sent at a time, because a call
+for each row takes about a millisecond.
 """
 
 from collections.abc import Iterator, Sequence
@@ -73,6 +73,10 @@ class Sink:
         if len(t_ns):
             times = rr.TimeColumn(TIMELINE, duration=(t_ns - self._origin_ns).astype("timedelta64[ns]"))
             self._stream.send_columns(entity, [times], columns, strict=True)
+
+    def row(self, entity: str, timeline: str, index: int, columns: rr.ComponentColumnList) -> None:
+        """Log one row at an index of a timeline that counts."""
+        self._stream.send_columns(entity, [rr.TimeColumn(timeline, sequence=[index])], columns, strict=True)
 
     def poses(self, entity: str, t_ns: Times, Ts: Array) -> None:
         """Log poses (N, 4, 4) of an entity in its parent frame at times (N,) [ns]."""

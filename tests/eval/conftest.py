@@ -1,4 +1,4 @@
-"""Fixtures of the evaluation tests: an analytic flight with a drifting estimate; readers of HTML and rerun files."""
+"""Fixtures of the evaluation tests: an analytic flight, a reconstruction; readers of HTML and rerun files."""
 
 import base64
 import json
@@ -23,6 +23,7 @@ from rerun.chunk import RrdReader
 from dronevio.eval.run import EstimatorRun
 from dronevio.models.camera import CameraModel
 from dronevio.models.imu import ImuSamples
+from dronevio.models.reconstruction import Reconstruction
 from dronevio.models.rig import EUROC_T_IMU_CAM0, Rig, RigCamera
 from dronevio.models.rotation import exp_so3, inverse_pose, pose_matrix, quat_wxyz_from_matrix
 from dronevio.models.state import CameraFrame, Estimate, FeatureTracks, Health, NavState, Trajectory
@@ -31,7 +32,7 @@ ROOM_HALF_M = np.array([3.0, 2.5])
 ROOM_HEIGHT_M = 3.0
 
 EntityColumns = dict[str, dict[str, pa.Array]]
-"""Columns of each entity of a rerun file, by component name; the times are the column "time"."""
+"""Columns of each entity of a rerun file, by component name; the times are the column "time" or "image"."""
 ReadRrd = Callable[[Path], EntityColumns]
 """Function that reads a rerun file."""
 VerifyRrd = Callable[[Path], None]
@@ -174,6 +175,75 @@ def flight_without_truth(flight: SyntheticFlight) -> SyntheticFlight:
     return replace(flight, recording=replace(flight.recording, ground_truth=None))
 
 
+@dataclass(frozen=True, eq=False)
+class SyntheticReconstruction:
+    """A reconstruction of a wall and the floor before it, with its photographs and the true camera positions."""
+
+    reconstruction: Reconstruction
+    """Reconstruction in a rotated world frame of another scale, with noise of 0.3 px."""
+    up: npt.NDArray[np.float64]
+    """(3,) Up direction in the world frame of the reconstruction."""
+    images: dict[str, npt.NDArray[np.uint8]]
+    """Photograph (H, W, 3) of each image name."""
+    true_positions_m: dict[str, npt.NDArray[np.float64]]
+    """True position (3,) of each camera by image name, in a frame with z up [m]."""
+
+
+def make_reconstruction(images: int = 12, points: int = 400, seed: int = 0) -> SyntheticReconstruction:
+    """Return level cameras on an arc of 6 m around a wall, which they look at from the side of negative y."""
+    rng = np.random.default_rng(seed)
+    camera = CameraModel(376, 240, 230.0, 229.0, 187.5, 119.5, (-0.05, 0.01, 0.0, 0.0))
+    wall = rng.uniform([-3.0, 0.0, 0.0], [3.0, 0.0, 2.5], (points // 2, 3))
+    floor = rng.uniform([-3.0, -2.0, 0.0], [3.0, 0.0, 0.0], (points - points // 2, 3))
+    p_true = np.concatenate([wall, floor])
+    colours = rng.integers(40, 256, (points, 3), dtype=np.uint8)
+    angle = np.linspace(-0.7, 0.7, images)
+    position = np.stack([6.0 * np.sin(angle), -6.0 * np.cos(angle), 1.5 + 0.3 * np.sin(5.0 * angle)], axis=1)
+    right = np.stack([np.cos(angle), np.sin(angle), 0.0 * angle], axis=1)
+    forward = np.stack([-np.sin(angle), np.cos(angle), 0.0 * angle], axis=1)
+    down = np.tile([0.0, 0.0, -1.0], (images, 1))
+    Ts = pose_matrix(np.stack([right, down, forward], axis=2), position)
+    names = tuple(f"photos/{i:03d}.jpg" for i in range(images))
+    rows = []
+    for i, T in enumerate(inverse_pose(Ts)):
+        pixels = camera.project(p_true @ T[:3, :3].T + T[:3, 3]) + rng.normal(0.0, 0.3, (points, 2))
+        inside = np.all((pixels >= 0.0) & (pixels <= [camera.width - 1, camera.height - 1]), axis=1)
+        rows += [(i, k, *pixels[k]) for k in np.flatnonzero(inside)]
+    table = np.array(rows)
+    world = Reconstruction(
+        cameras=(camera,),
+        image_names=names,
+        image_camera=np.zeros(images, np.int64),
+        Ts_world_cam=Ts,
+        points=p_true,
+        colours=colours,
+        observation_image=table[:, 0].astype(np.int64),
+        observation_point=table[:, 1].astype(np.int64),
+        observation_px=table[:, 2:],
+    )
+    R = exp_so3(np.array([0.4, -1.1, 0.7]))
+    photographs = {name: _photograph(world, i) for i, name in enumerate(names)}
+    true_positions_m = dict(zip(names, position, strict=True))
+    transformed = world.transformed(0.2, R, np.array([1.0, 2.0, -3.0]))
+    return SyntheticReconstruction(transformed, R[:, 2], photographs, true_positions_m)
+
+
+def _photograph(world: Reconstruction, index: int) -> npt.NDArray[np.uint8]:
+    """Return an image with a disc in the colour of each observed point."""
+    camera = world.cameras[0]
+    image = np.full((camera.height, camera.width, 3), 90, np.uint8)
+    seen = world.observation_image == index
+    for (x, y), point in zip(world.observation_px[seen], world.observation_point[seen], strict=True):
+        cv2.circle(image, (round(x), round(y)), 2, world.colours[point].tolist(), cv2.FILLED)
+    return image
+
+
+@pytest.fixture(scope="session")
+def synthetic() -> SyntheticReconstruction:
+    """Return a synthetic reconstruction of 400 points from twelve photographs."""
+    return make_reconstruction()
+
+
 VOID_ELEMENTS = {"meta", "br", "img", "link", "input", "hr"}
 
 
@@ -256,7 +326,7 @@ def read_rrd() -> ReadRrd:
         columns: dict[str, dict[str, list[pa.Array]]] = {}
         for chunk in RrdReader(path).stream():
             batch = chunk.to_record_batch()
-            assert set(chunk.timeline_names) <= {"time"}, chunk.entity_path
+            assert set(chunk.timeline_names) <= {"time", "image"}, chunk.entity_path
             for name, values in zip(batch.schema.names, batch.columns, strict=True):
                 if not name.startswith("rerun"):
                     columns.setdefault(chunk.entity_path.strip("/"), {}).setdefault(name, []).append(values)

@@ -30,6 +30,7 @@ def two_views() -> Reconstruction:
 
 def test_reprojection_errors_by_hand() -> None:
     # The point projects to (100, 50 + 80 * 0.5 / 4) in the first image and to (100 - 80 / 4, 60) in the second.
+    np.testing.assert_allclose(two_views().reprojection_residuals_px(), [[0.0, 0.0], [-3.0, -4.0]], atol=1e-12)
     np.testing.assert_allclose(two_views().reprojection_errors_px(), [0.0, 5.0], atol=1e-12)
     assert two_views().track_lengths().tolist() == [2]
 

@@ -12,11 +12,11 @@ from rerun.chunk import RrdReader
 
 from dronevio.eval.metrics import score_trajectory
 from dronevio.eval.rerun import entities
-from dronevio.eval.rerun.blueprint import VIEW_ASPECT, VIEWER_FIELD_OF_VIEW_RAD, fit_eye
 from dronevio.eval.rerun.entities import EstimateEntities
 from dronevio.eval.rerun.files import run_file, write_rrd
 from dronevio.eval.rerun.surroundings import Surroundings
 from dronevio.eval.run import EstimatorRun, tracks_of
+from dronevio.eval.scene import VIEW_ASPECT, VIEWER_FIELD_OF_VIEW_RAD, fit_eye
 from dronevio.models.errors import EvaluationError, InputError
 from dronevio.models.imu import ImuSamples, Times
 from dronevio.models.protocols import Recording
