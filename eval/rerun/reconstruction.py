@@ -1,8 +1,8 @@
 """Rerun files of reconstructions from images.
 
 The 3D view shows the coloured points, and the frusta of the cameras with small images. The timeline counts the
-registered images: at each, its camera and the points that it observes are highlighted, and another view shows the image
-with the observations and their residuals.
+registered images: at each, its camera is highlighted, the points that it observes are larger, and another view shows
+the image with the observations and their residuals.
 """
 
 from collections.abc import Callable, Sequence
@@ -33,10 +33,11 @@ THUMBNAIL_PX = 256
 """Length of the longer side of the images in the 3D view [px]."""
 IMAGE_PX = 1280
 """Largest length of the longer side of the images in the image view [px]."""
-_POINT_RADIUS = rr.Radius.ui_points(1.3)
-_OBSERVED_RADIUS = rr.Radius.ui_points(2.2)
+_POINT_RADIUS = rr.Radius.ui_points(1.2)
+_OBSERVED_RADIUS = rr.Radius.ui_points(2.6)
 _KEYPOINT_RADIUS = rr.Radius.ui_points(2.5)
 _RESIDUAL_RADIUS = rr.Radius.ui_points(0.8)
+_NO_AXES = rr.TransformAxes3D(0.0)  # the viewer draws axes of every camera otherwise
 _IMAGES_PER_S = 2.0  # speed of the playback
 
 
@@ -136,8 +137,8 @@ def _log_component(
     """Log the points and the images of a component, whose first image has a number on the timeline."""
     points = component.points.astype(np.float32)
     sink.static(paths.points, rr.Points3D(points, colors=component.colours, radii=_POINT_RADIUS))
-    highlight = colours.rgb(colours.LANDMARKS)
-    sink.static(paths.observed_points, rr.Points3D.from_fields(colors=highlight, radii=_OBSERVED_RADIUS))
+    sink.static(paths.observed_points, rr.Points3D.from_fields(radii=_OBSERVED_RADIUS))
+    sink.static(f"{paths.current_camera}/image", _NO_AXES)
     depth = frustum_depth(component)
     residuals = component.reprojection_residuals_px()
     for i, name in enumerate(component.image_names):
@@ -145,12 +146,14 @@ def _log_component(
         image = None if images is None else images(name)
         pose = rr.Transform3D(translation=T[:3, 3], mat3x3=T[:3, :3])
         sink.static(paths.camera(name), pose)
+        sink.static(f"{paths.camera(name)}/image", _NO_AXES)
         _log_thumbnail(sink, f"{paths.camera(name)}/image", model, image, depth)
         is_seen = component.observation_image == i
         row = _ImageRow(sink, first + i)
         row.log_camera(paths.current_camera, T, model, 1.02 * depth)  # in front of the image of the static one
-        seen = points[component.observation_point[is_seen]]
-        row.log(paths.observed_points, rr.Points3D.columns(positions=seen).partition([len(seen)]))
+        seen = component.observation_point[is_seen]
+        larger = rr.Points3D.columns(positions=points[seen], colors=component.colours[seen])
+        row.log(paths.observed_points, larger.partition([len(seen)]))
         row.log_image(image, model, component.observation_px[is_seen], residuals[is_seen], style)
         row.log_summary(name, residuals[is_seen])
 
