@@ -72,6 +72,16 @@ class Rig:
             )
 
 
+def check_camera_count(cameras: int | None) -> None:
+    """Check a number of cameras to use, where None means all cameras of a recording.
+
+    Raises:
+        ConfigError: The number is less than 1.
+    """
+    if cameras is not None and cameras < 1:
+        raise ConfigError(f"cameras = {cameras}; expected 1 or more, or None for all")
+
+
 def _require_rigid(name: str, T: Array) -> None:
     """Raise ConfigError unless T is a rigid transform (4, 4)."""
     if np.shape(T) != (4, 4):

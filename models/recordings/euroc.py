@@ -30,7 +30,7 @@ from dronevio.models.recordings.timed_table import (
     parse_integer_ns,
     read_timed_table,
 )
-from dronevio.models.rig import Rig
+from dronevio.models.rig import Rig, check_camera_count
 from dronevio.models.state import CameraFrame, Trajectory
 
 Array = npt.NDArray[np.float64]
@@ -89,7 +89,9 @@ class EurocRecording:
 
         Raises:
             InputError: A file is missing, damaged or not supported.
+            ConfigError: The number of cameras is less than 1.
         """
+        check_camera_count(cameras)
         mav0 = find_mav0(folder)
         used = count_cameras(mav0) if cameras is None else min(cameras, count_cameras(mav0))
         lists = [_read_image_list(mav0 / f"cam{i}") for i in range(used)]

@@ -40,7 +40,8 @@ def open_recording(
 
     Raises:
         InputError: The path is none of these, damaged or not supported.
-        ConfigError: Calibration or topics are given for an EuRoC folder, which contains its own.
+        ConfigError: The number of cameras is less than 1, or calibration or topics are given for an EuRoC folder, which
+            contains its own.
     """
     path = Path(path)
     if is_bag(path):

@@ -194,6 +194,12 @@ def test_an_incomplete_recording_has_the_frames_that_exist(tmp_path: Path, camer
     assert "incomplete recording without frames" in str(refused(flight))
 
 
+@pytest.mark.parametrize("cameras", [0, -1])
+def test_fewer_cameras_than_one_are_refused(cameras: int, flight: Path) -> None:
+    with pytest.raises(ConfigError, match=f"cameras = {cameras}; expected 1 or more, or None for all"):
+        EurocRecording.open(flight, cameras=cameras)
+
+
 def test_ground_truth_is_optional(tmp_path: Path) -> None:
     imu, _ = motion()
     write_euroc(tmp_path, small_rig(), imu, None, imu.t_ns[::10])

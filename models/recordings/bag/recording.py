@@ -26,7 +26,7 @@ from dronevio.models.recordings.bag.topics import IMAGE_TYPES, find_topics, imag
 from dronevio.models.recordings.bag.truth import read_bag_frame_truth, read_bag_truth
 from dronevio.models.recordings.bag.writer import TRUTH_TOPIC
 from dronevio.models.recordings.frame_truth import FrameTruth
-from dronevio.models.rig import Rig
+from dronevio.models.rig import Rig, check_camera_count
 from dronevio.models.state import CameraFrame, Trajectory
 
 Array = npt.NDArray[np.float64]
@@ -80,7 +80,9 @@ class BagRecording:
 
         Raises:
             InputError: A topic or a field is missing, damaged, not supported or ambiguous.
+            ConfigError: The number of cameras is less than 1.
         """
+        check_camera_count(cameras)
         bag, files = BagFile(Path(path)), [Path(file) for file in calibration]
         selected = find_topics(bag, topics or BagTopics(), _calibrated_topics(bag, files), cameras)
         images = tuple(ImageTopic(bag, topic) for topic in selected.images)
