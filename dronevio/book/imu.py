@@ -16,14 +16,14 @@ _PLOTS = ("path.png", "graph.png", "graph.svg", "graph.dot", "drift.png", "camer
 class ImuCommand:
     """Run the experiments of section 7.4.1: IMU factors, their drift, and the same factors with a camera.
 
-    1. The drone flies forward at 2 m/s and pitches up at 30 °/s, on a circle with a radius of 3.82 m. Its IMU has a
-    rate of 10 Hz, and an IMU factor preintegrates 5 samples. Levenberg-Marquardt and iSAM2 estimate the states from
-    inaccurate initial values, with their covariance.
+    Experiment 1: The drone flies forward at 2 m/s and pitches up at 30 °/s, on a circle with a radius of 3.82 m. Its
+    IMU has a rate of 10 Hz, and an IMU factor preintegrates 5 samples. Levenberg-Marquardt and iSAM2 estimate the
+    states from inaccurate initial values, with their covariance.
 
-    2. Many flights of one minute on this circle, for each IMU of dronevio.models.imu_presets, measure how far dead
-    reckoning drifts. The result is compared with the drift that theory predicts.
+    Experiment 2: Many flights of one minute on this circle, for each IMU of dronevio.models.imu_presets, measure how
+    far dead reckoning drifts. The result is compared with the drift that theory predicts.
 
-    3. The same IMU factors together with the observations of a camera: the drift stops.
+    Experiment 3: The same IMU factors are combined with the observations of a camera, and the drift stops.
 
     The command writes path.png, graph.png, graph.svg, graph.dot, drift.png and camera.png.
 

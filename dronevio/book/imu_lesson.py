@@ -60,13 +60,13 @@ def print_experiment(experiment: ImuExperiment) -> None:
                 "9 for each state, 6 for the bias: as many as residuals",
             ),
             ("error before", f"{experiment.initial_error:.4g}", "1", "½ Σ (residual/σ)² at the initial values"),
-            ("error after", f"{experiment.final_error:.1e}", "1", "the same at the solution; zero but for rounding"),
+            ("error after", f"{experiment.final_error:.1e}", "1", "the same at the solution; zero except for rounding"),
             ("iterations", f"{experiment.iterations}", "1", "of Levenberg-Marquardt, until the error stops decreasing"),
             (
                 "iSAM2 updates",
                 f"{experiment.incremental_updates}",
                 "1",
-                "one for each state, then until the solution settles",
+                "one for each state, then until the solution converges",
             ),
             (
                 "batch − iSAM2",
@@ -99,10 +99,10 @@ def print_experiment(experiment: ImuExperiment) -> None:
         compares the states with the measurements, not with the truth. The initial error is large because the factors
         are precise: initial values are wrong by 0.1 rad and 0.1 m, where a factor expects 0.1 mrad and 0.3 mm. There
         are as many residuals as unknowns, so that states exist that agree with all measurements exactly, wrong
-        measurements included. Here the sampling is wrong more than the noise: at 30 °/s the acceleration vω turns by 3°
-        until the next sample, and a sample is held until then, so that its direction is 1.5° behind on average. That
-        makes about vω · 1.5° · t²/2 = {held_m:.2f} m after {t_s:.1f} s, and somewhat less because the direction of the
-        error turns as well."""
+        measurements included. Here the sampling causes more error than the noise: at 30 °/s the acceleration vω turns by
+        3° until the next sample, and a sample is held until then, so that its direction lags by 1.5° on average. The
+        resulting error is about vω · 1.5° · t²/2 = {held_m:.2f} m after {t_s:.1f} s, and somewhat less because its
+        direction turns as well."""
     )
 
 
@@ -133,11 +133,11 @@ def print_covariance(experiment: ImuExperiment) -> None:
     )
     print_paragraph(
         f"""The book gives all priors σ = 0.1. For a position that is 10 cm; for a tilt it is 5.7°, and for a gyroscope
-        5.7 °/s, as bad as the cheapest one without calibration. These priors, not the IMU, make the path uncertain by
-        metres. The actual first state is exact in this experiment, which the graph does not know. A note on the
-        computation: the condition number of the whitened Jacobian A is {experiment.condition:.1e}; the normal equations
-        AᵀA square it. With Cholesky factorization, GTSAM 4.3 stops at an error of 1e-4; QR factorization of A reaches
-        zero."""
+        5.7 °/s, as large as for the cheapest ones without calibration. These priors, not the IMU, make the path
+        uncertain by metres. In this experiment the first state is exact, but no factor contains this information. A
+        note on the computation: the condition number of the whitened Jacobian A is {experiment.condition:.1e}; the
+        normal equations AᵀA square it. With Cholesky factorization, GTSAM 4.3 stops at an error of 1e-4; QR
+        factorization of A reaches zero."""
     )
 
 
@@ -165,9 +165,9 @@ def print_drift(studies: Mapping[str, DriftStudy]) -> None:
         """Measured: root mean square distance from the true position over all flights, each with white noise and biases
         that walk from an exactly known start. Predicted: the covariance of the state, propagated forward in time.
         Ratio: measured by predicted, 1 if the theory is right, with its standard deviation (±) for this number of
-        flights. The percentages are shares of the predicted variance by source. With the book: without external
-        measurements the estimate drifts, by metres in a minute even with an expensive IMU; the errors grow like t^1.5
-        to t^3.5, so that half the time is much less than half the error."""
+        flights. The percentages are shares of the predicted variance by source. As the book states, the estimate drifts
+        without external measurements: by metres in a minute even with an expensive IMU. The errors grow like t^1.5 to
+        t^3.5, so that half the duration gives much less than half the error."""
     )
 
 
@@ -205,9 +205,9 @@ def print_camera(camera: CameraStudy, name: str) -> None:
         ),
     )
     print_paragraph(
-        """Every estimate uses the measurements before it only. During the first round the error grows slowly, because
-        each new landmark is located relative to those before it. After 12 s the drone returns to landmarks that it
-        knows, and the error remains at a few centimetres until the end."""
+        """Every estimate uses the measurements before it only. One round takes 12 s. During the first round the error
+        grows slowly, because each new landmark is located relative to those before it. From the second round on, the
+        drone observes landmarks that are already in the graph, and the error remains at a few centimetres."""
     )
 
 

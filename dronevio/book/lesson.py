@@ -1,4 +1,4 @@
-"""How the commands of the book explain what they print: every value with its unit and one line on its meaning."""
+"""Tables of explained values for the commands of the book: each value has its unit and one line on its meaning."""
 
 import sys
 import textwrap

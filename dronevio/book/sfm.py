@@ -18,7 +18,7 @@ class SfmCommand:
     """Reconstruct Villa Balbianello from five photographs by bundle adjustment.
 
     Each observation of a point in a photograph is a factor with a standard deviation of 1 px. The reconstruction that
-    comes with the photographs is optimal but for details, so cameras and points are perturbed first; the
+    comes with the photographs is optimal except for details, so cameras and points are perturbed first; the
     Levenberg-Marquardt method then estimates poses and intrinsics of the cameras and the points. The command writes
     cloud.png, which shows both states, and cloud.rrd, a rerun file. With a perturbation of 0 the adjustment starts near
     the solution, as in the book; with 5 it starts too far away, and most seeds do not reach it.

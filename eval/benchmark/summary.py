@@ -33,11 +33,11 @@ class Quartiles:
         return cls(lower, median, upper, runs, failed)
 
     def text(self, with_quartiles: bool = True) -> str:
-        """Return the median for a table, with the quartiles on a second line if they are wanted."""
+        """Return the median for a table, followed by the quartiles in parentheses if they are requested."""
         lower, median, upper = (
             f"{value:.3g}" if math.isfinite(value) else "∞" for value in (self.lower, self.median, self.upper)
         )
-        return f"{median}\n{lower}–{upper}" if with_quartiles else median
+        return f"{median} ({lower}–{upper})" if with_quartiles else median
 
 
 def quartiles_of_errors(rows: Iterable[Row], column: str) -> Quartiles | None:

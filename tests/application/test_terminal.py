@@ -5,8 +5,10 @@ from pathlib import Path
 
 import pytest
 
+from dronevio.cli.benchmark import print_benchmark
 from dronevio.cli.options import Output, OutputOptions, RecordingInput, RecordingOptions
 from dronevio.cli.terminal import parse, print_table, print_values
+from dronevio.eval.benchmark.rows import Row
 from dronevio.models.errors import ConfigError
 
 
@@ -40,6 +42,17 @@ def test_first_and_named_columns_are_left_aligned(capsys: pytest.CaptureFixture[
 def test_table_without_title_or_rows_has_headings(capsys: pytest.CaptureFixture[str]) -> None:
     print_values("", ())
     assert capsys.readouterr().out == "  value  unit\n  ─────  ────\n\n"
+
+
+def test_benchmark_table_has_one_line_per_estimator(capsys: pytest.CaptureFixture[str]) -> None:
+    rows = [
+        Row("short-v0", "room", seed, "vio", "a", "b", "ok", ate_m=0.1 * seed, rpe_m=0.2, cpu_ms_mean=9.0)
+        for seed in range(1, 4)
+    ]
+    print_benchmark(rows)
+    table = capsys.readouterr().out.splitlines()[1:-1]
+    assert len(table) == 3  # headings, rule, and one estimator on one scenario
+    assert table[2].split() == ["short-v0", "vio", "3/3", "0.2", "(0.15–0.25)", "0.2", "(0.2–0.2)", "9.0"]
 
 
 def test_rows_of_other_lengths_are_refused() -> None:

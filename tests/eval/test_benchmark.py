@@ -297,7 +297,7 @@ class FakeEngine:
 
 
 def benchmark(tmp_path: Path, seeds: int = 3, **others: Any) -> BenchmarkPlan:
-    """Return the plan of a benchmark of two estimators, but for the given fields."""
+    """Return the plan of a benchmark of two estimators with the given fields replaced."""
     recordings = tuple(RecordingSpec("room-v0", "room", seed, f"hash-{seed}", None) for seed in range(seeds))
     return replace(BenchmarkPlan(recordings, ("a", "b"), NoPipeline(), tmp_path / "cache", 60.0), **others)
 

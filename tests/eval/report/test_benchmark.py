@@ -39,7 +39,7 @@ HOSTILE = '</td><script>alert("1")</script>$x$ & <b>|'
 
 
 def scored(scenario: str, seed: int | None, estimator: str, ate_m: float, **others: Any) -> Row:
-    """Return a run with scores in proportion to its position error, but for the given columns."""
+    """Return a run with scores in proportion to its position error, except for the given columns."""
     lengths = SHARES * 60.0
     values: dict[str, Any] = {
         "coverage_percent": 99.0,
