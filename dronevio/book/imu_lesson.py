@@ -101,8 +101,8 @@ def print_experiment(experiment: ImuExperiment) -> None:
         are as many residuals as unknowns, so that states exist that agree with all measurements exactly, wrong
         measurements included. Here the sampling causes more error than the noise: at 30 °/s the acceleration vω turns by
         3° until the next sample, and a sample is held until then, so that its direction lags by 1.5° on average. The
-        resulting error is about vω · 1.5° · t²/2 = {held_m:.2f} m after {t_s:.1f} s, and somewhat less because its
-        direction turns as well."""
+        resulting error is about vω · 1.5° · t²/2 = {held_m:.2f} m after {t_s:.1f} s, and somewhat less because
+        its direction turns as well."""
     )
 
 
