@@ -99,8 +99,8 @@ def print_experiment(experiment: ImuExperiment) -> None:
         compares the states with the measurements, not with the truth. The initial error is large because the factors
         are precise: initial values are wrong by 0.1 rad and 0.1 m, where a factor expects 0.1 mrad and 0.3 mm. There
         are as many residuals as unknowns, so that states exist that agree with all measurements exactly, wrong
-        measurements included. Here the sampling causes more error than the noise: at 30 °/s the acceleration vω turns by
-        3° until the next sample, and a sample is held until then, so that its direction lags by 1.5° on average. The
+        measurements included. Here the sampling causes more error than the noise: at 30 °/s the acceleration vω turns
+        by 3° until the next sample, and a sample is held until then, so that its direction lags by 1.5° on average. The
         resulting error is about vω · 1.5° · t²/2 = {held_m:.2f} m after {t_s:.1f} s, and somewhat less because
         its direction turns as well."""
     )
