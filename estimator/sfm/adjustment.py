@@ -1,0 +1,157 @@
+"""Bundle adjustment by GTSAM's Levenberg-Marquardt optimizer.
+
+Each inlier observation is a factor on the pose of its image, on its point and, if the camera is not calibrated, on the
+focal length and two radial distortion coefficients of its camera. A prior on one pose and on the distance to a second
+fixes the gauge.
+"""
+
+from dataclasses import dataclass, replace
+
+import gtsam
+import numpy as np
+import numpy.typing as npt
+from gtsam.symbol_shorthand import K, P, X
+
+from dronevio.estimator.sfm.model import Scene, SfmState
+from dronevio.models.camera import CameraModel
+
+Array = npt.NDArray[np.float64]
+Indices = npt.NDArray[np.int64]
+Mask = npt.NDArray[np.bool_]
+
+FIXED_SIGMA = 1e-7
+"""Standard deviation of the prior of a pose that does not change, relative to the scale of the scene and in radians."""
+RANGE_SIGMA = 1e-5
+"""Standard deviation of the prior that fixes the scale, relative to the distance."""
+PIXEL_SIGMA = 1.0
+"""Standard deviation of an observation [px]."""
+
+
+@dataclass(frozen=True)
+class AdjustmentConfig:
+    """Bundle adjustment."""
+
+    max_iterations: int = 50
+    """Largest number of iterations."""
+    relative_tolerance: float = 1e-6
+    """Relative decrease of the error at which the optimizer stops."""
+    cauchy_px: float | None = None
+    """Scale of the Cauchy loss [px]; None for a squared loss."""
+
+
+def adjust(
+    scene: Scene, state: SfmState, free_images: Mask, selected: Mask, config: AdjustmentConfig
+) -> SfmState:
+    """Adjust poses, points and cameras.
+
+    Args:
+        scene: The measurements.
+        state: The initial values.
+        free_images: (I,) Images whose poses are adjusted; other images that observe a selected point are held fixed.
+        selected: (M,) Observations that are used, a subset of `SfmState.used`.
+        config: Settings of the optimizer.
+    """
+    index = np.flatnonzero(selected)
+    image, track = scene.tracks.image[index], scene.tracks.track[index]
+    images, tracks = np.unique(image), np.unique(track)
+    values, graph = gtsam.Values(), gtsam.NonlinearFactorGraph()
+    for i in images:
+        values.insert(X(i), gtsam.Pose3(state.Ts_world_cam[i]))
+    for t in tracks:
+        values.insert(P(t), state.points[t])
+    calibrations = _insert_cameras(scene, state, np.unique(scene.image_camera[images]), values, graph)
+    _add_projections(graph, scene, state, index, calibrations, _noise(config))
+    _fix_gauge(graph, state, images, free_images)
+
+    parameters = gtsam.LevenbergMarquardtParams()
+    parameters.setMaxIterations(config.max_iterations)
+    parameters.setRelativeErrorTol(config.relative_tolerance)
+    parameters.setAbsoluteErrorTol(1e-12)
+    result = gtsam.LevenbergMarquardtOptimizer(graph, values, parameters).optimize()
+
+    Ts_world_cam, points = state.Ts_world_cam.copy(), state.points.copy()
+    for i in images[free_images[images]]:
+        Ts_world_cam[i] = result.atPose3(X(i)).matrix()
+    for t in tracks:
+        points[t] = result.atPoint3(P(t))
+    cameras = list(state.cameras)
+    for k in np.unique(scene.image_camera[images]):
+        if not scene.is_calibrated[k]:
+            cameras[k] = _from_bundler(cameras[k], result.atCal3Bundler(K(k)))
+    return replace(state, cameras=tuple(cameras), Ts_world_cam=Ts_world_cam, points=points)
+
+
+def _noise(config: AdjustmentConfig) -> gtsam.noiseModel.Base:
+    gaussian = gtsam.noiseModel.Isotropic.Sigma(2, PIXEL_SIGMA)
+    if config.cauchy_px is None:
+        return gaussian
+    return gtsam.noiseModel.Robust.Create(gtsam.noiseModel.mEstimator.Cauchy.Create(config.cauchy_px), gaussian)
+
+
+def _insert_cameras(
+    scene: Scene, state: SfmState, used: Indices, values: gtsam.Values, graph: gtsam.NonlinearFactorGraph
+) -> dict[int, gtsam.Cal3DS2 | gtsam.Cal3Fisheye | None]:
+    """Insert the cameras (K,) that are estimated, with weak priors, and return the others."""
+    calibrations: dict[int, gtsam.Cal3DS2 | gtsam.Cal3Fisheye | None] = {}
+    for k in used.tolist():
+        camera = state.cameras[k]
+        if scene.is_calibrated[k]:
+            model = gtsam.Cal3DS2 if camera.lens == "radtan" else gtsam.Cal3Fisheye
+            calibrations[k] = model(camera.fx, camera.fy, 0.0, camera.cx, camera.cy, *camera.distortion)
+            continue
+        calibrations[k] = None
+        bundler = gtsam.Cal3Bundler(camera.fx, camera.distortion[0], camera.distortion[1], camera.cx, camera.cy)
+        values.insert(K(k), bundler)
+        # Few images do not determine the intrinsics: the prior keeps them finite.
+        sigmas = gtsam.noiseModel.Diagonal.Sigmas(np.array([0.5 * camera.fx, 1.0, 1.0]))
+        graph.push_back(gtsam.PriorFactorCal3Bundler(K(k), bundler, sigmas))
+    return calibrations
+
+
+def _add_projections(
+    graph: gtsam.NonlinearFactorGraph,
+    scene: Scene,
+    state: SfmState,
+    index: Indices,
+    calibrations: dict[int, gtsam.Cal3DS2 | gtsam.Cal3Fisheye | None],
+    noise: gtsam.noiseModel.Base,
+) -> None:
+    image, track = scene.tracks.image[index], scene.tracks.track[index]
+    camera = scene.image_camera[image]
+    rows = zip(scene.pixels[index], image.tolist(), track.tolist(), camera.tolist(), strict=True)
+    factor_types = {
+        k: gtsam.GenericProjectionFactorCal3DS2
+        if state.cameras[k].lens == "radtan"
+        else gtsam.GenericProjectionFactorCal3Fisheye
+        for k in calibrations
+    }
+    for pixel, i, t, k in rows:
+        calibration = calibrations[k]
+        if calibration is None:
+            graph.push_back(gtsam.GeneralSFMFactor2Cal3Bundler(pixel, noise, X(i), P(t), K(k)))
+        else:
+            graph.push_back(factor_types[k](pixel, noise, X(i), P(t), calibration, False, False))
+
+
+def _fix_gauge(
+    graph: gtsam.NonlinearFactorGraph, state: SfmState, images: Indices, free_images: Mask
+) -> None:
+    """Hold the fixed images; if there are fewer than two, hold the first pose and its distance to the farthest one."""
+    fixed = images[~free_images[images]]
+    anchor = fixed if len(fixed) else images[:1]
+    positions = state.Ts_world_cam[images, :3, 3]
+    distances = np.linalg.norm(positions - state.Ts_world_cam[anchor[0], :3, 3], axis=1)
+    scale = float(distances.max())
+    sigmas = np.array([FIXED_SIGMA] * 3 + [FIXED_SIGMA * scale] * 3)
+    noise = gtsam.noiseModel.Diagonal.Sigmas(sigmas)
+    for i in anchor.tolist():
+        graph.push_back(gtsam.PriorFactorPose3(X(i), gtsam.Pose3(state.Ts_world_cam[i]), noise))
+    if len(fixed) < 2 and scale > 0.0:
+        far = int(images[np.argmax(distances)])
+        noise = gtsam.noiseModel.Isotropic.Sigma(1, RANGE_SIGMA * scale)
+        graph.push_back(gtsam.RangeFactorPose3(X(int(anchor[0])), X(far), scale, noise))
+
+
+def _from_bundler(camera: CameraModel, calibration: gtsam.Cal3Bundler) -> CameraModel:
+    f = float(calibration.fx())
+    return replace(camera, fx=f, fy=f, distortion=(float(calibration.k1()), float(calibration.k2()), 0.0, 0.0))

@@ -1,0 +1,86 @@
+"""Features of images: positions and descriptors of scale-invariant keypoints.
+
+Keypoints and descriptors are SIFT (Lowe, "Distinctive image features from scale-invariant keypoints", IJCV 2004),
+compared as RootSIFT (Arandjelović and Zisserman, "Three things everyone should know to improve object retrieval",
+CVPR 2012): the inner product of two descriptors is the Bhattacharyya coefficient of their histograms.
+"""
+
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+import numpy.typing as npt
+
+Array = npt.NDArray[np.float64]
+
+DESCRIPTOR_SCALE = 512.0
+"""A stored descriptor is the unit vector times this number, rounded to a byte."""
+
+
+@dataclass(frozen=True)
+class FeatureConfig:
+    """Detection of features."""
+
+    max_features: int = 3000
+    """Largest number of features of an image; those of highest contrast are kept."""
+    contrast_threshold: float = 0.02
+    """Smallest contrast of a keypoint, in the scale of OpenCV."""
+    edge_threshold: float = 10.0
+    """Largest ratio of the principal curvatures of a keypoint."""
+
+
+@dataclass(frozen=True, eq=False)
+class Features:
+    """Features of one image."""
+
+    pixels: Array
+    """(N, 2) Positions; pixel centres have integer coordinates [px]."""
+    sizes_px: Array
+    """(N,) Diameters of the described neighbourhoods [px]."""
+    descriptors: npt.NDArray[np.uint8]
+    """(N, 128) Descriptors of length `DESCRIPTOR_SCALE`."""
+    colours: npt.NDArray[np.uint8]
+    """(N, 3) Colours at the features: red, green, blue."""
+
+    def __len__(self) -> int:
+        """Return the number of features."""
+        return len(self.pixels)
+
+
+def detect_features(
+    image: npt.NDArray[np.uint8], config: FeatureConfig, mask: npt.NDArray[np.bool_] | None = None
+) -> Features:
+    """Detect and describe the features of an image.
+
+    Args:
+        image: (H, W) Grey image, or (H, W, 3) image with channels red, green, blue.
+        config: Settings of the detection.
+        mask: (H, W) False where no feature is detected; None for the whole image.
+    """
+    grey = image if image.ndim == 2 else cv2.cvtColor(image, cv2.COLOR_RGB2GRAY)
+    detector = cv2.SIFT_create(
+        nfeatures=config.max_features,
+        contrastThreshold=config.contrast_threshold,
+        edgeThreshold=config.edge_threshold,
+        enable_precise_upscale=True,
+    )
+    keypoints, described = detector.detectAndCompute(grey, None if mask is None else mask.astype(np.uint8))
+    if not keypoints:
+        empty = np.empty((0, 2))
+        return Features(empty, np.empty(0), np.empty((0, 128), np.uint8), np.empty((0, 3), np.uint8))
+    # Keypoints of one position have several orientations: an order without ties keeps the result deterministic.
+    pixels = np.asarray(cv2.KeyPoint.convert(keypoints), np.float64)
+    sizes = np.array([keypoint.size for keypoint in keypoints])
+    angles = np.array([keypoint.angle for keypoint in keypoints])
+    order = np.lexsort([angles, pixels[:, 0], pixels[:, 1], -sizes])
+    column, row = np.round(pixels[order]).astype(int).T
+    colours = image[np.clip(row, 0, grey.shape[0] - 1), np.clip(column, 0, grey.shape[1] - 1)]
+    if colours.ndim == 1:
+        colours = np.repeat(colours[:, None], 3, axis=1)
+    return Features(pixels[order], sizes[order], _root_sift(described[order]), colours)
+
+
+def _root_sift(described: npt.NDArray[np.float32]) -> npt.NDArray[np.uint8]:
+    """Return RootSIFT descriptors (N, 128) of SIFT descriptors (N, 128)."""
+    total = np.maximum(described.sum(axis=1, keepdims=True), 1e-6)
+    return np.minimum(np.round(DESCRIPTOR_SCALE * np.sqrt(described / total)), 255.0).astype(np.uint8)

@@ -1,0 +1,47 @@
+"""Matching of features: mutual nearest neighbours in the space of descriptors.
+
+A match is accepted if its descriptor is clearly nearer than the second-nearest one (the ratio test of Lowe, "Distinctive
+image features from scale-invariant keypoints", IJCV 2004) and if it is the nearest in both directions.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from dronevio.estimator.sfm.features import DESCRIPTOR_SCALE, Features
+
+Matches = npt.NDArray[np.int64]
+
+
+@dataclass(frozen=True)
+class MatchingConfig:
+    """Matching of features."""
+
+    ratio: float = 0.8
+    """Largest ratio of the distance to the nearest descriptor and to the second nearest."""
+    max_angle_rad: float = 0.7
+    """Largest angle between the descriptors of a match [rad]."""
+
+
+def match_features(first: Features, second: Features, config: MatchingConfig) -> Matches:
+    """Return the matches (K, 2) of two images: indices of features of the first and of the second."""
+    if min(len(first), len(second)) < 2:
+        return np.empty((0, 2), np.int64)
+    similarity = _unit(first) @ _unit(second).T
+    rows = np.arange(len(first))
+    nearest = np.argmax(similarity, axis=1)
+    is_mutual = np.argmax(similarity, axis=0)[nearest] == rows
+    rows, nearest = rows[is_mutual], nearest[is_mutual]
+    candidates = similarity[rows]
+    best = candidates[np.arange(len(rows)), nearest]
+    candidates[np.arange(len(rows)), nearest] = -1.0
+    second_best = candidates.max(axis=1)
+    distance, second_distance = (np.sqrt(np.maximum(2.0 - 2.0 * s, 0.0)) for s in (best, second_best))
+    accepted = (distance <= config.ratio * second_distance) & (best >= np.cos(config.max_angle_rad))
+    return np.column_stack([rows[accepted], nearest[accepted]]).astype(np.int64)
+
+
+def _unit(features: Features) -> npt.NDArray[np.float32]:
+    """Return descriptors (N, 128) of length 1."""
+    return features.descriptors.astype(np.float32) / np.float32(DESCRIPTOR_SCALE)

@@ -1,0 +1,89 @@
+"""State of an incremental reconstruction, an immutable value that each step replaces."""
+
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from dronevio.estimator.sfm.tracks import Tracks
+from dronevio.models.camera import CameraModel
+
+Array = npt.NDArray[np.float64]
+Indices = npt.NDArray[np.int64]
+Mask = npt.NDArray[np.bool_]
+
+
+@dataclass(frozen=True, eq=False)
+class Scene:
+    """The measurements: I images with M observations of T tracks. They do not change while the scene is mapped."""
+
+    tracks: Tracks
+    """Tracks of features."""
+    pixels: Array
+    """(M, 2) Pixel of each observation."""
+    image_camera: Indices
+    """(I,) Index of the camera of each image."""
+    is_calibrated: Mask
+    """(K,) Whether the model of each camera is known and stays fixed."""
+
+    @property
+    def images(self) -> int:
+        """Number of images I."""
+        return len(self.image_camera)
+
+
+@dataclass(frozen=True, eq=False)
+class SfmState:
+    """Cameras, poses and points that have been estimated so far, in a frame of arbitrary scale."""
+
+    cameras: tuple[CameraModel, ...]
+    """(K,) Camera models."""
+    Ts_world_cam: Array
+    """(I, 4, 4) Poses of the cameras; NaN for images that are not registered."""
+    points: Array
+    """(T, 3) Points of the tracks; NaN for tracks that are not triangulated."""
+    is_inlier: Mask
+    """(M,) Whether an observation belongs to the point of its track."""
+
+    @property
+    def is_registered(self) -> Mask:
+        """(I,) Whether the pose of each image is known."""
+        return np.isfinite(self.Ts_world_cam[:, 0, 3])
+
+    @property
+    def has_point(self) -> Mask:
+        """(T,) Whether each track is triangulated."""
+        return np.isfinite(self.points[:, 0])
+
+    def used(self, scene: Scene) -> Mask:
+        """Return which observations (M,) are inliers of a point in a registered image."""
+        return np.asarray(
+            self.is_inlier & self.is_registered[scene.tracks.image] & self.has_point[scene.tracks.track]
+        )
+
+    def bearings(self, scene: Scene, selected: Mask | Indices) -> Array:
+        """Return unit vectors (S, 3) in the camera frames of the selected observations, NaN where there is none."""
+        camera = scene.image_camera[scene.tracks.image[selected]]
+        pixels = scene.pixels[selected]
+        result = np.full((len(pixels), 3), np.nan)
+        for index in np.unique(camera):
+            mask = camera == index
+            result[mask] = self.cameras[index].unproject(pixels[mask])
+        return result
+
+    def errors_px(self, scene: Scene, selected: Mask | Indices) -> Array:
+        """Return reprojection errors (S,) of the selected observations [px]; infinite where there is no projection."""
+        image, track = scene.tracks.image[selected], scene.tracks.track[selected]
+        T = self.Ts_world_cam[image]
+        in_camera = np.einsum("mji,mj->mi", T[:, :3, :3], self.points[track] - T[:, :3, 3])
+        camera, pixels = scene.image_camera[image], scene.pixels[selected]
+        errors = np.full(len(pixels), np.inf)
+        for index in np.unique(camera):
+            mask = camera == index
+            errors[mask] = np.linalg.norm(self.cameras[index].project(in_camera[mask]) - pixels[mask], axis=1)
+        return np.where(np.isfinite(errors), errors, np.inf)
+
+    def focal_px(self, scene: Scene, selected: Mask | Indices) -> Array:
+        """Return the focal length (S,) of the camera of the selected observations [px]."""
+        focal = np.array([np.sqrt(camera.fx * camera.fy) for camera in self.cameras])
+        return np.asarray(focal[scene.image_camera[scene.tracks.image[selected]]])

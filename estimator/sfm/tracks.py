@@ -1,0 +1,92 @@
+"""Feature tracks: the features of all images that verified matches connect, at most one in each image."""
+
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import connected_components
+
+from dronevio.estimator.sfm.two_view import TwoView
+
+Indices = npt.NDArray[np.int64]
+
+MAX_ROUNDS = 20
+"""Largest number of rounds in which matches of inconsistent tracks are removed."""
+
+
+@dataclass(frozen=True, eq=False)
+class Tracks:
+    """M observations of T tracks, in the order of the tracks."""
+
+    image: Indices
+    """(M,) Image of each observation."""
+    feature: Indices
+    """(M,) Feature of each observation in its image."""
+    track: Indices
+    """(M,) Track of each observation, non-decreasing, from 0 to T − 1."""
+
+    @property
+    def count(self) -> int:
+        """Number of tracks T."""
+        return int(self.track[-1]) + 1 if len(self.track) else 0
+
+
+def connect_tracks(pairs: list[TwoView], feature_counts: Indices) -> Tracks:
+    """Connect verified matches to tracks.
+
+    A component of the graph of matches that contains two features of one image is inconsistent. Its least supported
+    matches, those that few triangles of matches confirm, are removed until it falls apart; features that remain in
+    conflict are dropped.
+
+    Args:
+        pairs: Verified pairs.
+        feature_counts: (I,) Number of features of each image.
+    """
+    offsets = np.concatenate([[0], np.cumsum(feature_counts)]).astype(np.int64)
+    total = int(offsets[-1])
+    image_of = np.repeat(np.arange(len(feature_counts)), feature_counts)
+    if not pairs:
+        return Tracks(*(np.empty(0, np.int64) for _ in range(3)))
+    edges = np.concatenate([pair.matches + offsets[[pair.first, pair.second]] for pair in pairs])
+    support = _triangles(edges, total)
+    for _ in range(MAX_ROUNDS):
+        labels = _components(edges, total)
+        in_conflict = _conflicts(labels, image_of)[labels[edges[:, 0]]]
+        if not in_conflict.any():
+            break
+        # Within each inconsistent component, the matches with the least support go.
+        least = np.full(total, np.iinfo(np.int64).max)
+        np.minimum.at(least, labels[edges[in_conflict, 0]], support[in_conflict])
+        keep = ~(in_conflict & (support <= least[labels[edges[:, 0]]]))
+        edges, support = edges[keep], support[keep]
+    labels = _components(edges, total)
+    used = np.unique(edges)
+    used = used[~_conflicts(labels, image_of)[labels[used]]]
+    order = np.lexsort([used, labels[used]])
+    nodes = used[order]
+    _, track = np.unique(labels[nodes], return_inverse=True)
+    # Tracks in the order of their first feature, whatever the order in which components were numbered.
+    return Tracks(image_of[nodes], nodes - offsets[image_of[nodes]], track.astype(np.int64))
+
+
+def _components(edges: Indices, total: int) -> Indices:
+    graph = coo_array((np.ones(len(edges), np.int8), (edges[:, 0], edges[:, 1])), shape=(total, total))
+    return connected_components(graph, directed=False)[1].astype(np.int64)
+
+
+def _conflicts(labels: Indices, image_of: Indices) -> npt.NDArray[np.bool_]:
+    """Return for each component whether it contains two features of one image."""
+    counts = np.bincount(labels)
+    keys = labels * (image_of.max() + 1) + image_of
+    distinct = np.bincount(np.unique(keys) // (image_of.max() + 1), minlength=len(counts))
+    return np.asarray(distinct < counts)
+
+
+def _triangles(edges: Indices, total: int) -> Indices:
+    """Return how many triangles of matches contain each match (E,)."""
+    i, j = edges.min(axis=1), edges.max(axis=1)
+    graph = coo_array((np.ones(len(edges), np.int64), (i, j)), shape=(total, total)).tocsr()
+    graph = ((graph + graph.T) > 0).astype(np.int64)
+    common = (graph @ graph).multiply(graph).tocsr()
+    return np.asarray(common[i, j]).reshape(-1).astype(np.int64)
