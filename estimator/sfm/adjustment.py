@@ -5,6 +5,7 @@ focal length and two radial distortion coefficients of its camera. A prior on on
 fixes the gauge.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import gtsam
@@ -25,6 +26,20 @@ RANGE_SIGMA = 1e-5
 """Standard deviation of the prior that fixes the scale, relative to the distance."""
 PIXEL_SIGMA = 1.0
 """Standard deviation of an observation [px]."""
+RIG_SIGMAS = (1e-5, 1e-5)
+"""Standard deviations of a known relative pose: rotation [rad], translation in units of the scene."""
+
+
+@dataclass(frozen=True, eq=False)
+class RelativePose:
+    """A known pose of one camera in the frame of another, which determines the scale."""
+
+    first: int
+    """Index of the first image."""
+    second: int
+    """Index of the second image."""
+    T_first_second: Array
+    """(4, 4) Pose of the second camera in the frame of the first."""
 
 
 @dataclass(frozen=True)
@@ -40,7 +55,12 @@ class AdjustmentConfig:
 
 
 def adjust(
-    scene: Scene, state: SfmState, free_images: Mask, selected: Mask, config: AdjustmentConfig
+    scene: Scene,
+    state: SfmState,
+    free_images: Mask,
+    selected: Mask,
+    config: AdjustmentConfig,
+    rig: Sequence[RelativePose] = (),
 ) -> SfmState:
     """Adjust poses, points and cameras.
 
@@ -50,6 +70,7 @@ def adjust(
         free_images: (I,) Images whose poses are adjusted; other images that observe a selected point are held fixed.
         selected: (M,) Observations that are used, a subset of `SfmState.used`.
         config: Settings of the optimizer.
+        rig: Known relative poses of images.
     """
     index = np.flatnonzero(selected)
     image, track = scene.tracks.image[index], scene.tracks.track[index]
@@ -61,7 +82,8 @@ def adjust(
         values.insert(P(t), state.points[t])
     calibrations = _insert_cameras(scene, state, np.unique(scene.image_camera[images]), values, graph)
     _add_projections(graph, scene, state, index, calibrations, _noise(config))
-    _fix_gauge(graph, state, images, free_images)
+    _add_rig(graph, rig)
+    _fix_gauge(graph, state, images, free_images, has_scale=bool(rig))
 
     parameters = gtsam.LevenbergMarquardtParams()
     parameters.setMaxIterations(config.max_iterations)
@@ -119,22 +141,28 @@ def _add_projections(
     image, track = scene.tracks.image[index], scene.tracks.track[index]
     camera = scene.image_camera[image]
     rows = zip(scene.pixels[index], image.tolist(), track.tolist(), camera.tolist(), strict=True)
-    factor_types = {
-        k: gtsam.GenericProjectionFactorCal3DS2
-        if state.cameras[k].lens == "radtan"
-        else gtsam.GenericProjectionFactorCal3Fisheye
-        for k in calibrations
-    }
     for pixel, i, t, k in rows:
         calibration = calibrations[k]
         if calibration is None:
             graph.push_back(gtsam.GeneralSFMFactor2Cal3Bundler(pixel, noise, X(i), P(t), K(k)))
+        elif isinstance(calibration, gtsam.Cal3DS2):
+            graph.push_back(gtsam.GenericProjectionFactorCal3DS2(pixel, noise, X(i), P(t), calibration, False, False))
         else:
-            graph.push_back(factor_types[k](pixel, noise, X(i), P(t), calibration, False, False))
+            graph.push_back(
+                gtsam.GenericProjectionFactorCal3Fisheye(pixel, noise, X(i), P(t), calibration, False, False)
+            )
+
+
+def _add_rig(graph: gtsam.NonlinearFactorGraph, rig: Sequence[RelativePose]) -> None:
+    noise = gtsam.noiseModel.Diagonal.Sigmas(np.repeat(RIG_SIGMAS, 3))
+    for pair in rig:
+        graph.push_back(
+            gtsam.BetweenFactorPose3(X(pair.first), X(pair.second), gtsam.Pose3(pair.T_first_second), noise)
+        )
 
 
 def _fix_gauge(
-    graph: gtsam.NonlinearFactorGraph, state: SfmState, images: Indices, free_images: Mask
+    graph: gtsam.NonlinearFactorGraph, state: SfmState, images: Indices, free_images: Mask, has_scale: bool
 ) -> None:
     """Hold the fixed images; if there are fewer than two, hold the first pose and its distance to the farthest one."""
     fixed = images[~free_images[images]]
@@ -146,7 +174,7 @@ def _fix_gauge(
     noise = gtsam.noiseModel.Diagonal.Sigmas(sigmas)
     for i in anchor.tolist():
         graph.push_back(gtsam.PriorFactorPose3(X(i), gtsam.Pose3(state.Ts_world_cam[i]), noise))
-    if len(fixed) < 2 and scale > 0.0:
+    if len(fixed) < 2 and scale > 0.0 and not has_scale:
         far = int(images[np.argmax(distances)])
         noise = gtsam.noiseModel.Isotropic.Sigma(1, RANGE_SIGMA * scale)
         graph.push_back(gtsam.RangeFactorPose3(X(int(anchor[0])), X(far), scale, noise))

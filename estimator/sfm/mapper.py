@@ -300,9 +300,7 @@ class _Mapper:
         for iterations in (10, self.config.max_iterations):
             state = self.filter(self._complete(state))
             config = AdjustmentConfig(max_iterations=iterations)
-            state = self.filter(
-                adjust(self.scene, state, state.is_registered, state.used(self.scene), config)
-            )
+            state = self.filter(adjust(self.scene, state, state.is_registered, state.used(self.scene), config))
         return state
 
 

@@ -1,7 +1,7 @@
 """Matching of features: mutual nearest neighbours in the space of descriptors.
 
-A match is accepted if its descriptor is clearly nearer than the second-nearest one (the ratio test of Lowe, "Distinctive
-image features from scale-invariant keypoints", IJCV 2004) and if it is the nearest in both directions.
+A match is accepted if its descriptor is clearly nearer than the second-nearest one (the ratio test of Lowe,
+"Distinctive image features from scale-invariant keypoints", IJCV 2004) and if it is the nearest in both directions.
 """
 
 from dataclasses import dataclass

@@ -57,9 +57,7 @@ class SfmState:
 
     def used(self, scene: Scene) -> Mask:
         """Return which observations (M,) are inliers of a point in a registered image."""
-        return np.asarray(
-            self.is_inlier & self.is_registered[scene.tracks.image] & self.has_point[scene.tracks.track]
-        )
+        return np.asarray(self.is_inlier & self.is_registered[scene.tracks.image] & self.has_point[scene.tracks.track])
 
     def bearings(self, scene: Scene, selected: Mask | Indices) -> Array:
         """Return unit vectors (S, 3) in the camera frames of the selected observations, NaN where there is none."""

@@ -31,9 +31,7 @@ class ResectionConfig:
     """Largest number of hypotheses of RANSAC."""
 
 
-def resect(
-    points: Array, bearings: Array, focal_px: float, config: ResectionConfig
-) -> tuple[Array, Mask] | None:
+def resect(points: Array, bearings: Array, focal_px: float, config: ResectionConfig) -> tuple[Array, Mask] | None:
     """Return the pose (4, 4) of a camera in the world frame and the inliers (N,), None if there are too few.
 
     Args:

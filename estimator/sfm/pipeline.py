@@ -1,0 +1,233 @@
+"""Structure from motion from images alone: detection, matching, verification, tracks and incremental mapping.
+
+Source: Dellaert and Hutchinson, *Introduction to Robotics and Perception*, section 7.4.2; Schönberger and Frahm,
+"Structure-from-motion revisited", CVPR 2016.
+"""
+
+import time
+from collections.abc import Callable, Iterable, Iterator
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+from itertools import groupby
+from typing import TypeVar
+
+import cv2
+import numpy as np
+import numpy.typing as npt
+
+from dronevio.estimator.sfm.features import FeatureConfig, Features, detect_features
+from dronevio.estimator.sfm.mapper import MapperConfig, map_scene
+from dronevio.estimator.sfm.matching import MatchingConfig, match_features
+from dronevio.estimator.sfm.model import Scene, SfmState
+from dronevio.estimator.sfm.pairs import PairConfig, select_pairs
+from dronevio.estimator.sfm.rig import impose_rig
+from dronevio.estimator.sfm.tracks import connect_tracks
+from dronevio.estimator.sfm.two_view import TwoView, VerificationConfig, verify, view_of
+from dronevio.estimator.sfm.workspace import Workspace, digest
+from dronevio.models.image_sets import ImageSet
+from dronevio.models.progress import Progress, silent
+from dronevio.models.reconstruction import Reconstruction
+
+Item = TypeVar("Item")
+Result = TypeVar("Result")
+Stages = Callable[[str], Progress]
+
+
+@dataclass(frozen=True)
+class SfmConfig:
+    """Structure from motion."""
+
+    features: FeatureConfig = field(default_factory=FeatureConfig)
+    """Detection of features."""
+    pairs: PairConfig = field(default_factory=PairConfig)
+    """Pairs of images that are matched."""
+    matching: MatchingConfig = field(default_factory=MatchingConfig)
+    """Matching of features."""
+    verification: VerificationConfig = field(default_factory=VerificationConfig)
+    """Geometric verification of matches."""
+    mapper: MapperConfig = field(default_factory=MapperConfig)
+    """Incremental mapping."""
+    threads: int = 2
+    """Number of threads that detect and match features."""
+
+
+@dataclass(frozen=True, eq=False)
+class SfmResult:
+    """Reconstructions of a set of images."""
+
+    reconstructions: tuple[Reconstruction, ...]
+    """One for each component, the one with the most images first; empty if no pair of images can be reconstructed."""
+    match_counts: npt.NDArray[np.int64]
+    """(I, I) Number of verified matches of each pair of images, symmetric."""
+    feature_counts: npt.NDArray[np.int64]
+    """(I,) Number of features of each image."""
+    times_s: dict[str, float]
+    """Elapsed time of each stage [s]."""
+
+
+def _no_progress(stage: str) -> Progress:
+    return silent
+
+
+def reconstruct(
+    images: ImageSet,
+    config: SfmConfig | None = None,
+    workspace: Workspace | None = None,
+    stages: Stages = _no_progress,
+) -> SfmResult:
+    """Reconstruct cameras and points from images.
+
+    Args:
+        images: The images, with calibrated cameras or a first guess of them.
+        config: Settings.
+        workspace: Where features and matches are kept; an earlier result is used if input and settings are the same.
+        stages: Returns the progress callback of a stage by its name.
+
+    Raises:
+        InputError: An image cannot be read.
+    """
+    config = config or SfmConfig()
+    workspace = workspace or Workspace(None)
+    clock = _Clock()
+    with _one_thread_each(), ThreadPoolExecutor(config.threads) as pool:
+        features, keys = _detect(images, config, workspace, pool, stages("features"))
+        clock.lap("features")
+        pairs = _match(images, features, keys, config, workspace, pool, stages("matching"))
+        clock.lap("matching")
+    scene = _scene(images, features, pairs)
+    states = map_scene(scene, images.cameras, pairs, config.mapper, stages("mapping"))
+    states = [impose_rig(scene, state, images) for state in states]
+    clock.lap("mapping")
+    counts = np.zeros((len(features), len(features)), np.int64)
+    for pair in pairs:
+        counts[pair.first, pair.second] = counts[pair.second, pair.first] = len(pair.matches)
+    return SfmResult(
+        tuple(_reconstruction(scene, state, images.names, features) for state in states),
+        counts,
+        np.array([len(f) for f in features], np.int64),
+        clock.times_s,
+    )
+
+
+def _detect(
+    images: ImageSet, config: SfmConfig, workspace: Workspace, pool: ThreadPoolExecutor, progress: Progress
+) -> tuple[list[Features], list[str]]:
+    """Return the features of each image, and the hashes of what they depend on."""
+
+    def detect(index: int) -> tuple[Features, str]:
+        image, mask = images.read(index), images.read_mask(index)
+        key = digest(image, image.shape, mask, config.features)
+        features = workspace.load_features(index, key)
+        if features is None:
+            features = detect_features(image, config.features, mask)
+            workspace.save_features(index, key, features)
+        return features, key
+
+    found = list(_counted(pool, detect, range(len(images.names)), progress))
+    return [features for features, _ in found], [key for _, key in found]
+
+
+def _match(
+    images: ImageSet,
+    features: list[Features],
+    keys: list[str],
+    config: SfmConfig,
+    workspace: Workspace,
+    pool: ThreadPoolExecutor,
+    progress: Progress,
+) -> list[TwoView]:
+    """Return the verified pairs in the order of their images."""
+    views = [
+        view_of(f.pixels, images.cameras[camera], bool(images.is_calibrated[camera]))
+        for f, camera in zip(features, images.image_camera.tolist(), strict=True)
+    ]
+
+    def match(group: tuple[int, list[int]]) -> list[TwoView]:
+        first, others = group
+        cameras = [images.cameras[images.image_camera[i]] for i in (first, *others)]
+        key = digest(config.matching, config.verification, cameras, others, *(keys[i] for i in (first, *others)))
+        stored = workspace.load_pairs(first, key)
+        if stored is not None:
+            return stored
+        found = []
+        for other in others:
+            matches = match_features(features[first], features[other], config.matching)
+            pair = verify(first, other, (views[first], views[other]), matches, config.verification)
+            if pair is not None:
+                found.append(pair)
+        workspace.save_pairs(first, key, found)
+        return found
+
+    chosen = select_pairs(features, images.is_ordered, config.pairs)
+    groups = [(first, [j for _, j in rows]) for first, rows in groupby(chosen, key=lambda pair: pair[0])]
+    return [pair for found in _counted(pool, match, groups, progress) for pair in found]
+
+
+def _scene(images: ImageSet, features: list[Features], pairs: list[TwoView]) -> Scene:
+    counts = np.array([len(f) for f in features], np.int64)
+    tracks = connect_tracks(pairs, counts)
+    pixels = np.concatenate([f.pixels for f in features])
+    offsets = np.cumsum(counts) - counts
+    return Scene(tracks, pixels[offsets[tracks.image] + tracks.feature], images.image_camera, images.is_calibrated)
+
+
+def _reconstruction(scene: Scene, state: SfmState, names: tuple[str, ...], features: list[Features]) -> Reconstruction:
+    """Return the registered images and the triangulated tracks of a state, numbered anew."""
+    images, points = np.flatnonzero(state.is_registered), np.flatnonzero(state.has_point)
+    used = np.flatnonzero(state.used(scene))
+    image, track = scene.tracks.image[used], scene.tracks.track[used]
+    counts = np.array([len(f) for f in features], np.int64)
+    row = (np.cumsum(counts) - counts)[image] + scene.tracks.feature[used]
+    colours = np.concatenate([f.colours for f in features])[row].astype(np.float64)
+    new_point = np.searchsorted(points, track)
+    sums = np.stack([np.bincount(new_point, colours[:, k], len(points)) for k in range(3)], axis=1)
+    lengths = np.bincount(new_point, minlength=len(points))
+    cameras = np.unique(scene.image_camera[images])
+    return Reconstruction(
+        cameras=tuple(state.cameras[k] for k in cameras),
+        image_names=tuple(names[i] for i in images),
+        image_camera=np.searchsorted(cameras, scene.image_camera[images]).astype(np.int64),
+        Ts_world_cam=state.Ts_world_cam[images],
+        points=state.points[points],
+        colours=np.round(sums / np.maximum(lengths, 1)[:, None]).astype(np.uint8),
+        observation_image=np.searchsorted(images, image).astype(np.int64),
+        observation_point=new_point.astype(np.int64),
+        observation_px=scene.pixels[used],
+    )
+
+
+def _counted(
+    pool: ThreadPoolExecutor, function: Callable[[Item], Result], items: Iterable[Item], progress: Progress
+) -> Iterator[Result]:
+    """Yield the results of a function in the order of the items, which a pool processes, and report the progress."""
+    items = list(items)
+    progress(0, len(items))
+    for done, result in enumerate(pool.map(function, items), 1):
+        progress(done, len(items))
+        yield result
+
+
+@contextmanager
+def _one_thread_each() -> Iterator[None]:
+    """Run OpenCV without threads of its own while a pool keeps the cores busy."""
+    threads = cv2.getNumThreads()
+    cv2.setNumThreads(1)
+    try:
+        yield
+    finally:
+        cv2.setNumThreads(threads)
+
+
+class _Clock:
+    """Elapsed times of successive stages."""
+
+    def __init__(self) -> None:
+        self.times_s: dict[str, float] = {}
+        self._last = time.perf_counter()
+
+    def lap(self, stage: str) -> None:
+        """Record the time since the last lap."""
+        now = time.perf_counter()
+        self.times_s[stage] = now - self._last
+        self._last = now

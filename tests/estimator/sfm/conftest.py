@@ -1,0 +1,70 @@
+"""A synthetic scene of known cameras and points, with verified pairs of its images."""
+
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+import pytest
+
+from dronevio.estimator.sfm.features import Features
+from dronevio.models.camera import CameraModel
+from dronevio.models.rotation import exp_so3, pose_matrix
+
+Array = npt.NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False)
+class SyntheticScene:
+    """Points around a circle of cameras, and the noisy features of each image."""
+
+    camera: CameraModel
+    """The camera of all images."""
+    Ts_world_cam: Array
+    """(I, 4, 4) True poses."""
+    points: Array
+    """(N, 3) True points."""
+    features: tuple[Features, ...]
+    """Features of each image, in random order; a point has nearly the same descriptor in all images."""
+    point_of: tuple[npt.NDArray[np.int64], ...]
+    """Point of each feature of each image."""
+
+
+def make_scene(
+    images: int = 8,
+    points: int = 400,
+    sigma_px: float = 0.3,
+    camera: CameraModel | None = None,
+    seed: int = 0,
+    flat: bool = False,
+    rotation_only: bool = False,
+) -> SyntheticScene:
+    """Return a scene of cameras on an arc that look at a cloud of points, on a plane if it is flat."""
+    rng = np.random.default_rng(seed)
+    camera = camera or CameraModel(640, 480, 500.0, 500.0, 320.0, 240.0, (-0.1, 0.02, 0.0, 0.0))
+    cloud = rng.uniform([-2.0, -1.5, 4.0], [2.0, 1.5, 7.0], (points, 3))
+    if flat:
+        cloud[:, 2] = 5.0 + 0.3 * cloud[:, 0]
+    descriptors = rng.integers(0, 90, (points, 128))
+    poses, features, point_of = [], [], []
+    for k in range(images):
+        angle = 0.08 * (k - 0.5 * images)
+        R = exp_so3(np.array([0.02 * np.sin(k), angle if rotation_only else -angle, 0.01 * k]))
+        p = np.zeros(3) if rotation_only else np.array([5.5 * np.sin(angle), 0.1 * np.cos(2.0 * k), 0.3 * angle])
+        T = pose_matrix(R, p)
+        pixels = camera.project((cloud - p) @ R)
+        inside = np.all((pixels > 0.0) & (pixels < [camera.width - 1.0, camera.height - 1.0]), axis=1)
+        visible = rng.permutation(np.flatnonzero(inside))
+        noisy = pixels[visible] + rng.normal(scale=sigma_px, size=(len(visible), 2))
+        described = np.clip(descriptors[visible] + rng.integers(-3, 4, (len(visible), 128)), 0, 255)
+        unit = described / np.linalg.norm(described, axis=1, keepdims=True)
+        grey = np.full((len(visible), 3), 128, np.uint8)
+        features.append(Features(noisy, np.full(len(visible), 5.0), np.round(512.0 * unit).astype(np.uint8), grey))
+        poses.append(T)
+        point_of.append(visible)
+    return SyntheticScene(camera, np.stack(poses), cloud, tuple(features), tuple(point_of))
+
+
+@pytest.fixture(scope="session")
+def scene() -> SyntheticScene:
+    """The scene with default settings."""
+    return make_scene()

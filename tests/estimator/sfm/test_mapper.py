@@ -1,0 +1,150 @@
+"""Triangulation, resection, bundle adjustment and incremental mapping of synthetic scenes."""
+
+from dataclasses import replace
+from itertools import combinations
+
+import numpy as np
+import pytest
+
+from dronevio.estimator.sfm.mapper import MapperConfig, map_scene
+from dronevio.estimator.sfm.matching import MatchingConfig, match_features
+from dronevio.estimator.sfm.model import Scene, SfmState
+from dronevio.estimator.sfm.resection import ResectionConfig, resect
+from dronevio.estimator.sfm.tracks import connect_tracks
+from dronevio.estimator.sfm.triangulation import TriangulationConfig, triangulate_tracks
+from dronevio.estimator.sfm.two_view import TwoView, VerificationConfig, verify, view_of
+from dronevio.eval.metrics.alignment import umeyama
+from dronevio.models.camera import CameraModel
+from dronevio.models.rotation import exp_so3, log_so3
+
+from .conftest import Array, SyntheticScene, make_scene
+
+
+def measured(scene: SyntheticScene, camera: CameraModel, is_calibrated: bool) -> tuple[Scene, list[TwoView]]:
+    """Return the tracks and the verified pairs of a scene, with a camera model that may be a guess."""
+    views = [view_of(f.pixels, camera, is_calibrated) for f in scene.features]
+    pairs = []
+    for i, j in combinations(range(len(views)), 2):
+        matches = match_features(scene.features[i], scene.features[j], MatchingConfig())
+        pair = verify(i, j, (views[i], views[j]), matches, VerificationConfig())
+        pairs += [pair] if pair is not None else []
+    tracks = connect_tracks(pairs, np.array([len(f) for f in scene.features]))
+    pixels = np.stack([scene.features[i].pixels[f] for i, f in zip(tracks.image, tracks.feature, strict=True)])
+    return Scene(tracks, pixels, np.zeros(len(views), np.int64), np.array([is_calibrated])), pairs
+
+
+def position_errors(scene: SyntheticScene, state: SfmState) -> Array:
+    """Return the distances of the registered cameras from the true positions after a similarity transformation."""
+    true, estimated = scene.Ts_world_cam[state.is_registered, :3, 3], state.Ts_world_cam[state.is_registered, :3, 3]
+    found = umeyama(true, estimated, with_scale=True)
+    return np.asarray(np.linalg.norm(true - (found.scale * estimated @ found.R_truth_estimate.T + found.t_m), axis=1))
+
+
+def test_a_calibrated_scene_is_reconstructed(scene: SyntheticScene) -> None:
+    problem, pairs = measured(scene, scene.camera, is_calibrated=True)
+    [state] = map_scene(problem, (scene.camera,), pairs, MapperConfig())
+    assert state.is_registered.all()
+    assert state.has_point.mean() > 0.95
+    assert position_errors(scene, state).max() < 0.005
+    errors = state.errors_px(problem, np.flatnonzero(state.used(problem)))
+    # The distances of two coordinates with a standard deviation of .3 px have a median of .3 * 1.18 px.
+    assert 0.28 < np.median(errors) < 0.36
+    assert state.cameras == (scene.camera,)
+
+
+def test_an_unknown_focal_length_is_estimated(scene: SyntheticScene) -> None:
+    guess = CameraModel(640, 480, 700.0, 700.0, 320.0, 240.0)
+    problem, pairs = measured(scene, guess, is_calibrated=False)
+    [state] = map_scene(problem, (guess,), pairs, MapperConfig())
+    assert state.is_registered.all()
+    assert state.cameras[0].fx == pytest.approx(500.0, rel=0.02)
+    assert state.cameras[0].distortion[0] == pytest.approx(-0.1, abs=0.03)
+
+
+def test_fisheye_images_are_reconstructed() -> None:
+    fisheye = CameraModel(640, 640, 200.0, 200.0, 320.0, 320.0, (0.02, -0.003, 0.0, 0.0), "equidistant")
+    scene = make_scene(camera=fisheye)
+    problem, pairs = measured(scene, fisheye, is_calibrated=True)
+    [state] = map_scene(problem, (fisheye,), pairs, MapperConfig())
+    assert state.is_registered.all()
+    assert position_errors(scene, state).max() < 0.02
+
+
+def test_two_scenes_are_two_components() -> None:
+    first, second = make_scene(images=6, seed=1), make_scene(images=4, seed=2)
+    both = replace(
+        first,
+        Ts_world_cam=np.concatenate([first.Ts_world_cam, second.Ts_world_cam]),
+        features=first.features + second.features,
+        point_of=first.point_of + second.point_of,
+    )
+    problem, pairs = measured(both, first.camera, is_calibrated=True)
+    states = map_scene(problem, (first.camera,), pairs, MapperConfig())
+    assert [np.flatnonzero(state.is_registered).tolist() for state in states] == [[0, 1, 2, 3, 4, 5], [6, 7, 8, 9]]
+
+
+@pytest.mark.parametrize("degenerate", [{"flat": True}, {"rotation_only": True}], ids=["plane", "rotation"])
+def test_degenerate_pairs_are_not_seeds(degenerate: dict[str, bool]) -> None:
+    scene = make_scene(images=4, **degenerate)  # type: ignore[arg-type]
+    problem, pairs = measured(scene, scene.camera, is_calibrated=True)
+    assert pairs
+    assert map_scene(problem, (scene.camera,), pairs, MapperConfig()) == []
+
+
+def test_the_same_input_gives_the_same_bytes(scene: SyntheticScene) -> None:
+    problem, pairs = measured(scene, scene.camera, is_calibrated=True)
+    a, b = (map_scene(problem, (scene.camera,), pairs, MapperConfig())[0] for _ in range(2))
+    np.testing.assert_array_equal(a.Ts_world_cam, b.Ts_world_cam)
+    np.testing.assert_array_equal(a.points, b.points)
+
+
+def test_triangulation_removes_an_outlier() -> None:
+    origins = np.array([[0.0, 0, 0], [1.0, 0, 0], [2.0, 0, 0], [3.0, 0, 0]])
+    point = np.array([1.0, 0.5, 6.0])
+    rays = point - origins
+    rays[2] += [1.0, 2.0, 0.0]
+    rays /= np.linalg.norm(rays, axis=1, keepdims=True)
+    found = triangulate_tracks(
+        np.zeros(4, np.int64), origins, rays, np.full(4, 500.0), TriangulationConfig(), np.random.default_rng(0)
+    )
+    assert found.is_inlier.tolist() == [True, True, False, True]
+    np.testing.assert_allclose(found.points, [point], atol=1e-9)
+
+
+def test_small_angles_are_not_triangulated() -> None:
+    point = np.array([0.0, 0.0, 100.0])
+    origins = np.array([[0.0, 0, 0], [2.0, 0, 0]])  # an angle of 1.15 degrees
+    rays = (point - origins) / np.linalg.norm(point - origins, axis=1, keepdims=True)
+    arguments = np.zeros(2, np.int64), origins, rays, np.full(2, 500.0)
+    rng = np.random.default_rng(0)
+    assert np.isnan(triangulate_tracks(*arguments, TriangulationConfig(min_angle_deg=1.5), rng).points).all()
+    assert np.isfinite(triangulate_tracks(*arguments, TriangulationConfig(min_angle_deg=1.0), rng).points).all()
+
+
+def test_resection_with_outliers(scene: SyntheticScene) -> None:
+    rng = np.random.default_rng(3)
+    pixels, points = scene.features[2].pixels, scene.points[scene.point_of[2]].copy()
+    wrong = rng.random(len(points)) < 0.3
+    points[wrong] = rng.permutation(points[wrong])
+    found = resect(points, scene.camera.unproject(pixels), 500.0, ResectionConfig())
+    assert found is not None
+    T, is_inlier = found
+    assert np.linalg.norm(T[:3, 3] - scene.Ts_world_cam[2, :3, 3]) < 0.005
+    assert np.linalg.norm(log_so3(T[:3, :3].T @ scene.Ts_world_cam[2, :3, :3])) < 0.001
+    assert is_inlier[~wrong].all()
+
+
+def test_resection_without_consensus_fails(scene: SyntheticScene) -> None:
+    rng = np.random.default_rng(4)
+    bearings = scene.camera.unproject(scene.features[2].pixels)
+    assert resect(rng.normal(size=(len(bearings), 3)) + [0, 0, 5], bearings, 500.0, ResectionConfig()) is None
+
+
+def test_a_new_world_frame_gives_the_same_pose(scene: SyntheticScene) -> None:
+    R, t = exp_so3(np.array([0.4, -1.0, 0.3])), np.array([3.0, -2.0, 1.0])
+    bearings, points = scene.camera.unproject(scene.features[1].pixels), scene.points[scene.point_of[1]]
+    a, b = (resect(p, bearings, 500.0, ResectionConfig()) for p in (points, points @ R.T + t))
+    assert a is not None
+    assert b is not None
+    np.testing.assert_allclose(b[0][:3, :3], R @ a[0][:3, :3], atol=1e-5)
+    np.testing.assert_allclose(b[0][:3, 3], R @ a[0][:3, 3] + t, atol=1e-4)

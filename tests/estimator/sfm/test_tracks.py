@@ -1,0 +1,49 @@
+"""Tracks from verified matches: components, conflicts, and their order."""
+
+import numpy as np
+
+from dronevio.estimator.sfm.tracks import Tracks, connect_tracks
+from dronevio.estimator.sfm.two_view import Geometry, TwoView
+
+
+def pair(first: int, second: int, *matches: tuple[int, int]) -> TwoView:
+    return TwoView(first, second, np.array(matches, np.int64), Geometry.GENERAL, np.eye(4), 0.1)
+
+
+def as_sets(tracks: Tracks) -> list[set[tuple[int, int]]]:
+    rows = list(zip(tracks.track.tolist(), tracks.image.tolist(), tracks.feature.tolist(), strict=True))
+    return [{(i, f) for t, i, f in rows if t == track} for track in range(tracks.count)]
+
+
+def test_matches_are_joined() -> None:
+    tracks = connect_tracks([pair(0, 1, (0, 5), (1, 6)), pair(1, 2, (5, 2))], np.array([10, 10, 10]))
+    assert as_sets(tracks) == [{(0, 0), (1, 5), (2, 2)}, {(0, 1), (1, 6)}]
+
+
+def test_a_wrong_match_between_two_tracks_is_removed() -> None:
+    # Two tracks over three images, each confirmed by a triangle of matches, and one wrong match between them.
+    pairs = [pair(0, 1, (0, 0), (1, 1)), pair(1, 2, (0, 0), (1, 1)), pair(0, 2, (0, 0), (1, 1)), pair(0, 3, (0, 3))]
+    wrong = pair(1, 3, (1, 3))
+    tracks = connect_tracks([*pairs, wrong], np.array([4, 4, 4, 4]))
+    found = as_sets(tracks)
+    assert {(0, 1), (1, 1), (2, 1)} in found
+    assert any({(0, 0), (1, 0), (2, 0)} <= track for track in found)
+
+
+def test_no_track_has_two_features_of_an_image() -> None:
+    rng = np.random.default_rng(0)
+    pairs = [
+        pair(i, j, *zip(rng.permutation(30)[:20].tolist(), rng.permutation(30)[:20].tolist(), strict=True))
+        for i in range(6)
+        for j in range(i + 1, 6)
+    ]
+    tracks = connect_tracks(pairs, np.full(6, 30))
+    keys = tracks.track * 6 + tracks.image
+    assert tracks.count > 0
+    assert len(np.unique(keys)) == len(keys)
+    assert np.bincount(tracks.track).min() >= 2
+    assert np.all(np.diff(tracks.track) >= 0)
+
+
+def test_without_matches_there_are_no_tracks() -> None:
+    assert connect_tracks([], np.array([3, 3])).count == 0

@@ -1,0 +1,74 @@
+"""Matching and geometric verification of two images."""
+
+import numpy as np
+import pytest
+
+from dronevio.estimator.sfm.matching import MatchingConfig, match_features
+from dronevio.estimator.sfm.two_view import Geometry, TwoView, VerificationConfig, verify, view_of
+from dronevio.models.camera import CameraModel
+from dronevio.models.rotation import inverse_pose, log_so3
+
+from .conftest import SyntheticScene, make_scene
+
+FISHEYE = CameraModel(640, 640, 200.0, 200.0, 320.0, 320.0, (0.02, -0.003, 0.0, 0.0), "equidistant")
+
+
+def verified(scene: SyntheticScene, i: int, j: int, is_calibrated: bool = True) -> TwoView:
+    views = tuple(view_of(scene.features[k].pixels, scene.camera, is_calibrated) for k in (i, j))
+    matches = match_features(scene.features[i], scene.features[j], MatchingConfig())
+    pair = verify(i, j, (views[0], views[1]), matches, VerificationConfig())
+    assert pair is not None
+    return pair
+
+
+def test_matches_are_the_same_points(scene: SyntheticScene) -> None:
+    matches = match_features(scene.features[0], scene.features[3], MatchingConfig())
+    common = np.intersect1d(scene.point_of[0], scene.point_of[3])
+    assert len(matches) > 0.95 * len(common)
+    assert np.mean(scene.point_of[0][matches[:, 0]] == scene.point_of[3][matches[:, 1]]) > 0.99
+    assert len(np.unique(matches[:, 0])) == len(np.unique(matches[:, 1])) == len(matches)
+
+
+@pytest.mark.parametrize("camera", [None, FISHEYE], ids=["radtan", "fisheye"])
+def test_relative_pose_is_the_true_one(camera: CameraModel | None) -> None:
+    scene = make_scene(camera=camera)
+    pair = verified(scene, 0, 4)
+    true = inverse_pose(scene.Ts_world_cam[0]) @ scene.Ts_world_cam[4]
+    assert pair.geometry is Geometry.GENERAL
+    assert np.degrees(np.linalg.norm(log_so3(true[:3, :3].T @ pair.T_first_second[:3, :3]))) < 0.5
+    direction = true[:3, 3] / np.linalg.norm(true[:3, 3])
+    assert np.degrees(np.arccos(direction @ pair.T_first_second[:3, 3])) < 2.0
+
+
+def test_outliers_are_rejected(scene: SyntheticScene) -> None:
+    rng = np.random.default_rng(1)
+    matches = match_features(scene.features[0], scene.features[4], MatchingConfig())
+    wrong = np.column_stack([rng.integers(0, len(scene.features[k]), len(matches) // 2) for k in (0, 4)])
+    views = tuple(view_of(scene.features[k].pixels, scene.camera, True) for k in (0, 4))
+    mixed = np.concatenate([matches, wrong])
+    pair = verify(0, 4, (views[0], views[1]), mixed, VerificationConfig())
+    assert pair is not None
+    is_right = scene.point_of[0][pair.matches[:, 0]] == scene.point_of[4][pair.matches[:, 1]]
+    assert is_right.mean() > 0.95
+    assert is_right.sum() > 0.95 * len(matches)
+
+
+def test_planes_are_recognized() -> None:
+    assert verified(make_scene(flat=True), 0, 4).geometry is Geometry.PLANAR
+
+
+@pytest.mark.parametrize("is_calibrated", [True, False])
+def test_rotations_without_translation_are_recognized(is_calibrated: bool) -> None:
+    scene = make_scene(rotation_only=True)
+    pair = verified(scene, 2, 4, is_calibrated)
+    assert pair.geometry is Geometry.ROTATION
+    true = inverse_pose(scene.Ts_world_cam[2]) @ scene.Ts_world_cam[4]
+    assert np.degrees(np.linalg.norm(log_so3(true[:3, :3].T @ pair.T_first_second[:3, :3]))) < 0.1
+
+
+def test_unrelated_images_are_not_a_pair(scene: SyntheticScene) -> None:
+    other = make_scene(seed=9)
+    views = tuple(view_of(f.pixels, scene.camera, True) for f in (scene.features[0], other.features[0]))
+    rng = np.random.default_rng(0)
+    random = np.column_stack([rng.permutation(len(f.pixels))[:100] for f in (scene.features[0], other.features[0])])
+    assert verify(0, 1, (views[0], views[1]), random, VerificationConfig(min_inliers=40)) is None
