@@ -58,7 +58,7 @@ def detect_features(
         mask: (H, W) False where no feature is detected; None for the whole image.
     """
     grey = image if image.ndim == 2 else cv2.cvtColor(image, cv2.COLOR_RGB2GRAY)
-    detector = cv2.SIFT_create(
+    detector = cv2.SIFT.create(
         nfeatures=config.max_features,
         contrastThreshold=config.contrast_threshold,
         edgeThreshold=config.edge_threshold,
@@ -77,10 +77,11 @@ def detect_features(
     colours = image[np.clip(row, 0, grey.shape[0] - 1), np.clip(column, 0, grey.shape[1] - 1)]
     if colours.ndim == 1:
         colours = np.repeat(colours[:, None], 3, axis=1)
-    return Features(pixels[order], sizes[order], _root_sift(described[order]), colours)
+    return Features(pixels[order], sizes[order], _root_sift(np.asarray(described, np.float32)[order]), colours)
 
 
 def _root_sift(described: npt.NDArray[np.float32]) -> npt.NDArray[np.uint8]:
     """Return RootSIFT descriptors (N, 128) of SIFT descriptors (N, 128)."""
     total = np.maximum(described.sum(axis=1, keepdims=True), 1e-6)
-    return np.minimum(np.round(DESCRIPTOR_SCALE * np.sqrt(described / total)), 255.0).astype(np.uint8)
+    scaled = np.round(DESCRIPTOR_SCALE * np.sqrt(described / total))
+    return np.asarray(np.minimum(scaled, 255.0), np.uint8)

@@ -1,8 +1,9 @@
 """Incremental mapping: a seed pair grows by one image at a time (Schönberger and Frahm, "Structure-from-motion
 revisited", CVPR 2016).
 
-Each image is registered against the points that it observes, tracks that it completes are triangulated, and its
-neighbourhood is adjusted. The whole reconstruction is adjusted whenever it has grown by a given ratio.
+Each image is registered against the points that it observes, and the tracks that it completes are triangulated. The
+whole reconstruction is adjusted on a subset of its observations whenever it has grown by a given ratio, and on all of
+them at the end.
 """
 
 from dataclasses import dataclass, field, replace
@@ -28,8 +29,8 @@ SEED_TRIALS = 10
 """Largest number of seed pairs that are tried in each stage."""
 VISIBILITY_LEVELS = 6
 """Number of levels of the grids that measure how evenly the visible points cover an image."""
-LOCAL_CAUCHY_PX = 1.0
-"""Scale of the loss of adjustments before outliers are removed [px]."""
+INTERMEDIATE_CAUCHY_PX = 1.0
+"""Scale of the Cauchy loss of the adjustments before the last [px]."""
 MAX_FOCAL_CHANGE = 10.0
 """Largest factor between the focal length of a camera and its longest side, in both directions."""
 
@@ -42,14 +43,14 @@ class MapperConfig:
     """Triangulation of tracks."""
     resection: ResectionConfig = field(default_factory=ResectionConfig)
     """Registration of images."""
-    local_images: int = 6
-    """Number of images that a local adjustment moves."""
     global_ratio: float = 1.2
     """Growth of the number of images between two adjustments of the whole reconstruction."""
-    intermediate_observations: int = 400
+    intermediate_observations: int = 300
     """Number of observations of an image in the adjustments before the last; tracks of many images are preferred."""
     max_iterations: int = 50
     """Largest number of iterations of the last adjustment."""
+    final_cauchy_px: float = 0.5
+    """Scale of the Cauchy loss of the last adjustment [px]."""
 
 
 def map_scene(
@@ -129,7 +130,7 @@ class _Mapper:
                 if registered is None:
                     failed_at[image] = visible[image]
                     continue
-                state = self._adjust_local(self.triangulate(registered), image)
+                state = self.filter(self.triangulate(registered))
                 count = int(state.is_registered.sum())
                 self.progress(count, scene.images)
                 if count >= config.global_ratio * adjusted_images:
@@ -153,9 +154,9 @@ class _Mapper:
         score = np.zeros(scene.images)
         for level in range(1, VISIBILITY_LEVELS + 1):
             cells = (relative * 2**level).astype(np.int64)
-            key = (image * 2**level + cells[:, 0]) * 2**level + cells[:, 1]
-            occupied = np.unique(key) // 4**level
-            score += 4**level * np.bincount(occupied, minlength=scene.images)
+            is_occupied = np.zeros((scene.images, 4**level), np.bool_)
+            is_occupied[image, cells[:, 0] * 2**level + cells[:, 1]] = True
+            score += 4**level * is_occupied.sum(axis=1)
         return np.bincount(image, minlength=scene.images), score
 
     def _register(self, state: SfmState, image: int) -> SfmState | None:
@@ -204,28 +205,6 @@ class _Mapper:
         points[tracks], is_inlier[index] = found.points, found.is_inlier
         return replace(state, points=points, is_inlier=is_inlier)
 
-    def _adjust_local(self, state: SfmState, image: int) -> SfmState:
-        """Adjust an image and those that share most points with it."""
-        scene = self.scene
-        used = state.used(scene)
-        own = np.zeros(scene.tracks.count, np.bool_)
-        own[scene.tracks.track[used & (scene.tracks.image == image)]] = True
-        shared = np.bincount(scene.tracks.image[used & own[scene.tracks.track]], minlength=scene.images)
-        free = np.zeros(scene.images, np.bool_)
-        free[np.argsort(-shared, kind="stable")[: self.config.local_images]] = True
-        free &= shared > 0
-        free[image] = True
-        if free.sum() >= state.is_registered.sum():
-            return self.filter(self.adjust_all(state))
-        by_local = np.zeros(scene.tracks.count, np.bool_)
-        by_local[scene.tracks.track[used & free[scene.tracks.image]]] = True
-        selected = self._subset(state, used & by_local[scene.tracks.track], free)
-        config = AdjustmentConfig(max_iterations=10, relative_tolerance=1e-4, cauchy_px=LOCAL_CAUCHY_PX)
-        adjusted = adjust(scene, replace(state, cameras=state.cameras), free, selected, config)
-        moved = np.zeros(scene.tracks.count, np.bool_)
-        moved[scene.tracks.track[used & free[scene.tracks.image]]] = True
-        return self.filter(self._repair(adjusted, moved), moved)
-
     def _subset(self, state: SfmState, used: Mask, images: Mask) -> Mask:
         """Return a subset of the used observations: per image, those of the longest tracks."""
         scene = self.scene
@@ -243,7 +222,7 @@ class _Mapper:
         """Adjust the whole reconstruction on a subset of its observations, with a robust loss."""
         used = state.used(self.scene)
         selected = self._subset(state, used, state.is_registered)
-        config = AdjustmentConfig(max_iterations=15, relative_tolerance=1e-4, cauchy_px=LOCAL_CAUCHY_PX)
+        config = AdjustmentConfig(max_iterations=15, relative_tolerance=1e-4, cauchy_px=INTERMEDIATE_CAUCHY_PX)
         adjusted = adjust(self.scene, state, state.is_registered, selected, config)
         return self._repair(adjusted, np.ones(self.scene.tracks.count, np.bool_))
 
@@ -296,12 +275,10 @@ class _Mapper:
         return self.filter(self.adjust_all(self._complete(state)))
 
     def _finish(self, state: SfmState) -> SfmState:
-        """Adjust all observations until the error settles, with outliers removed in between."""
-        for iterations in (10, self.config.max_iterations):
-            state = self.filter(self._complete(state))
-            config = AdjustmentConfig(max_iterations=iterations)
-            state = self.filter(adjust(self.scene, state, state.is_registered, state.used(self.scene), config))
-        return state
+        """Adjust all observations until the error settles, and remove outliers."""
+        state = self.filter(self._complete(state))
+        config = AdjustmentConfig(self.config.max_iterations, 1e-3, self.config.final_cauchy_px)
+        return self.filter(adjust(self.scene, state, state.is_registered, state.used(self.scene), config))
 
 
 def _seeds(pairs: list[TwoView], available: Mask, scene: Scene) -> list[TwoView]:

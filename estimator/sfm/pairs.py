@@ -1,8 +1,8 @@
 """Choice of the pairs of images that are matched.
 
-All pairs of a small set are matched. In a sequence, each image is matched to the next ones and, at distances that double,
-to later ones; images of the same place are found by their appearance, the VLAD descriptor (Jégou, Douze, Schmid and
-Pérez, "Aggregating local descriptors into a compact image representation", CVPR 2010).
+All pairs of a small set are matched. In a sequence, each image is matched to the next ones and, at distances that
+double, to later ones; images of the same place are found by their appearance, the VLAD descriptor (Jégou, Douze,
+Schmid and Pérez, "Aggregating local descriptors into a compact image representation", CVPR 2010).
 """
 
 from collections.abc import Sequence

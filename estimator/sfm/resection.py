@@ -60,8 +60,8 @@ def resect(points: Array, bearings: Array, focal_px: float, config: ResectionCon
         return None
     if not found or r is None:
         return None
-    R_cam_world = exp_so3(np.asarray(r).reshape(3))
-    T = pose_matrix(R_cam_world.T, -R_cam_world.T @ np.asarray(t).reshape(3))
+    R_cam_world = exp_so3(np.asarray(r, np.float64).reshape(3))
+    T = pose_matrix(R_cam_world.T, -R_cam_world.T @ np.asarray(t, np.float64).reshape(3))
     threshold_rad = config.max_error_px / focal_px
     T = refine_pose(T, points, bearings, 0.25 * threshold_rad)
     is_inlier = angles_rad((points - T[:3, 3]) @ T[:3, :3], bearings) < threshold_rad

@@ -72,7 +72,7 @@ def connect_tracks(pairs: list[TwoView], feature_counts: Indices) -> Tracks:
 
 def _components(edges: Indices, total: int) -> Indices:
     graph = coo_array((np.ones(len(edges), np.int8), (edges[:, 0], edges[:, 1])), shape=(total, total))
-    return connected_components(graph, directed=False)[1].astype(np.int64)
+    return np.asarray(connected_components(graph, directed=False)[1], np.int64)
 
 
 def _conflicts(labels: Indices, image_of: Indices) -> npt.NDArray[np.bool_]:

@@ -190,7 +190,7 @@ def _rotation(f0: Array, f1: Array) -> Array:
 
 def _pose(E: Array, f0: Array, f1: Array) -> tuple[Array, Mask]:
     """Return the pose (4, 4) of the second camera in the first, and which matches (K,) lie in front of both cameras."""
-    R1, R2, t = cv2.decomposeEssentialMat(E)
+    R1, R2, t = (np.asarray(part, np.float64) for part in cv2.decomposeEssentialMat(E))
     best = np.eye(4), np.zeros(len(f0), np.bool_)
     for R_1_0, t_1 in ((R1, t), (R1, -t), (R2, t), (R2, -t)):
         T_first_second = pose_matrix(R_1_0.T, -R_1_0.T @ t_1[:, 0])

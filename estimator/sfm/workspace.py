@@ -9,9 +9,9 @@ import os
 import tempfile
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
 from dronevio.estimator.sfm.features import Features
 from dronevio.estimator.sfm.two_view import Geometry, TwoView
@@ -80,7 +80,7 @@ class Workspace:
             angle_rad=np.array([pair.angle_rad for pair in pairs]),
         )
 
-    def _load(self, name: str, key: str) -> dict[str, npt.NDArray[np.generic]] | None:
+    def _load(self, name: str, key: str) -> dict[str, Any] | None:
         """Return the arrays of a file; None if it is absent, damaged or has another hash."""
         if self.folder is None:
             return None
@@ -90,7 +90,7 @@ class Workspace:
         except (OSError, ValueError, KeyError, EOFError):
             return None
 
-    def _save(self, name: str, key: str, **arrays: npt.NDArray[np.generic]) -> None:
+    def _save(self, name: str, key: str, **arrays: Any) -> None:
         if self.folder is None:
             return
         self.folder.mkdir(parents=True, exist_ok=True)

@@ -1,5 +1,6 @@
 """A synthetic scene of known cameras and points, with verified pairs of its images."""
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -11,6 +12,7 @@ from dronevio.models.camera import CameraModel
 from dronevio.models.rotation import exp_so3, pose_matrix
 
 Array = npt.NDArray[np.float64]
+MakeScene = Callable[..., "SyntheticScene"]
 
 
 @dataclass(frozen=True, eq=False)
@@ -29,7 +31,7 @@ class SyntheticScene:
     """Point of each feature of each image."""
 
 
-def make_scene(
+def build_scene(
     images: int = 8,
     points: int = 400,
     sigma_px: float = 0.3,
@@ -65,6 +67,12 @@ def make_scene(
 
 
 @pytest.fixture(scope="session")
+def make_scene() -> MakeScene:
+    """The function that makes scenes with other settings."""
+    return build_scene
+
+
+@pytest.fixture(scope="session")
 def scene() -> SyntheticScene:
     """The scene with default settings."""
-    return make_scene()
+    return build_scene()

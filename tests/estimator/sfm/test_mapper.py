@@ -2,8 +2,10 @@
 
 from dataclasses import replace
 from itertools import combinations
+from typing import TYPE_CHECKING
 
 import numpy as np
+import numpy.typing as npt
 import pytest
 
 from dronevio.estimator.sfm.mapper import MapperConfig, map_scene
@@ -17,10 +19,13 @@ from dronevio.eval.metrics.alignment import umeyama
 from dronevio.models.camera import CameraModel
 from dronevio.models.rotation import exp_so3, log_so3
 
-from .conftest import Array, SyntheticScene, make_scene
+if TYPE_CHECKING:
+    from tests.estimator.sfm.conftest import MakeScene, SyntheticScene
+
+Array = npt.NDArray[np.float64]
 
 
-def measured(scene: SyntheticScene, camera: CameraModel, is_calibrated: bool) -> tuple[Scene, list[TwoView]]:
+def measured(scene: "SyntheticScene", camera: CameraModel, is_calibrated: bool) -> tuple[Scene, list[TwoView]]:
     """Return the tracks and the verified pairs of a scene, with a camera model that may be a guess."""
     views = [view_of(f.pixels, camera, is_calibrated) for f in scene.features]
     pairs = []
@@ -33,14 +38,14 @@ def measured(scene: SyntheticScene, camera: CameraModel, is_calibrated: bool) ->
     return Scene(tracks, pixels, np.zeros(len(views), np.int64), np.array([is_calibrated])), pairs
 
 
-def position_errors(scene: SyntheticScene, state: SfmState) -> Array:
+def position_errors(scene: "SyntheticScene", state: SfmState) -> Array:
     """Return the distances of the registered cameras from the true positions after a similarity transformation."""
     true, estimated = scene.Ts_world_cam[state.is_registered, :3, 3], state.Ts_world_cam[state.is_registered, :3, 3]
     found = umeyama(true, estimated, with_scale=True)
     return np.asarray(np.linalg.norm(true - (found.scale * estimated @ found.R_truth_estimate.T + found.t_m), axis=1))
 
 
-def test_a_calibrated_scene_is_reconstructed(scene: SyntheticScene) -> None:
+def test_a_calibrated_scene_is_reconstructed(scene: "SyntheticScene") -> None:
     problem, pairs = measured(scene, scene.camera, is_calibrated=True)
     [state] = map_scene(problem, (scene.camera,), pairs, MapperConfig())
     assert state.is_registered.all()
@@ -52,7 +57,7 @@ def test_a_calibrated_scene_is_reconstructed(scene: SyntheticScene) -> None:
     assert state.cameras == (scene.camera,)
 
 
-def test_an_unknown_focal_length_is_estimated(scene: SyntheticScene) -> None:
+def test_an_unknown_focal_length_is_estimated(scene: "SyntheticScene") -> None:
     guess = CameraModel(640, 480, 700.0, 700.0, 320.0, 240.0)
     problem, pairs = measured(scene, guess, is_calibrated=False)
     [state] = map_scene(problem, (guess,), pairs, MapperConfig())
@@ -61,7 +66,7 @@ def test_an_unknown_focal_length_is_estimated(scene: SyntheticScene) -> None:
     assert state.cameras[0].distortion[0] == pytest.approx(-0.1, abs=0.03)
 
 
-def test_fisheye_images_are_reconstructed() -> None:
+def test_fisheye_images_are_reconstructed(make_scene: "MakeScene") -> None:
     fisheye = CameraModel(640, 640, 200.0, 200.0, 320.0, 320.0, (0.02, -0.003, 0.0, 0.0), "equidistant")
     scene = make_scene(camera=fisheye)
     problem, pairs = measured(scene, fisheye, is_calibrated=True)
@@ -70,7 +75,7 @@ def test_fisheye_images_are_reconstructed() -> None:
     assert position_errors(scene, state).max() < 0.02
 
 
-def test_two_scenes_are_two_components() -> None:
+def test_two_scenes_are_two_components(make_scene: "MakeScene") -> None:
     first, second = make_scene(images=6, seed=1), make_scene(images=4, seed=2)
     both = replace(
         first,
@@ -84,14 +89,14 @@ def test_two_scenes_are_two_components() -> None:
 
 
 @pytest.mark.parametrize("degenerate", [{"flat": True}, {"rotation_only": True}], ids=["plane", "rotation"])
-def test_degenerate_pairs_are_not_seeds(degenerate: dict[str, bool]) -> None:
-    scene = make_scene(images=4, **degenerate)  # type: ignore[arg-type]
+def test_degenerate_pairs_are_not_seeds(degenerate: dict[str, bool], make_scene: "MakeScene") -> None:
+    scene = make_scene(images=4, **degenerate)
     problem, pairs = measured(scene, scene.camera, is_calibrated=True)
     assert pairs
     assert map_scene(problem, (scene.camera,), pairs, MapperConfig()) == []
 
 
-def test_the_same_input_gives_the_same_bytes(scene: SyntheticScene) -> None:
+def test_the_same_input_gives_the_same_bytes(scene: "SyntheticScene") -> None:
     problem, pairs = measured(scene, scene.camera, is_calibrated=True)
     a, b = (map_scene(problem, (scene.camera,), pairs, MapperConfig())[0] for _ in range(2))
     np.testing.assert_array_equal(a.Ts_world_cam, b.Ts_world_cam)
@@ -121,7 +126,7 @@ def test_small_angles_are_not_triangulated() -> None:
     assert np.isfinite(triangulate_tracks(*arguments, TriangulationConfig(min_angle_deg=1.0), rng).points).all()
 
 
-def test_resection_with_outliers(scene: SyntheticScene) -> None:
+def test_resection_with_outliers(scene: "SyntheticScene") -> None:
     rng = np.random.default_rng(3)
     pixels, points = scene.features[2].pixels, scene.points[scene.point_of[2]].copy()
     wrong = rng.random(len(points)) < 0.3
@@ -134,13 +139,13 @@ def test_resection_with_outliers(scene: SyntheticScene) -> None:
     assert is_inlier[~wrong].all()
 
 
-def test_resection_without_consensus_fails(scene: SyntheticScene) -> None:
+def test_resection_without_consensus_fails(scene: "SyntheticScene") -> None:
     rng = np.random.default_rng(4)
     bearings = scene.camera.unproject(scene.features[2].pixels)
     assert resect(rng.normal(size=(len(bearings), 3)) + [0, 0, 5], bearings, 500.0, ResectionConfig()) is None
 
 
-def test_a_new_world_frame_gives_the_same_pose(scene: SyntheticScene) -> None:
+def test_a_new_world_frame_gives_the_same_pose(scene: "SyntheticScene") -> None:
     R, t = exp_so3(np.array([0.4, -1.0, 0.3])), np.array([3.0, -2.0, 1.0])
     bearings, points = scene.camera.unproject(scene.features[1].pixels), scene.points[scene.point_of[1]]
     a, b = (resect(p, bearings, 500.0, ResectionConfig()) for p in (points, points @ R.T + t))

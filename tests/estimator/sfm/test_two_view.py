@@ -1,5 +1,7 @@
 """Matching and geometric verification of two images."""
 
+from typing import TYPE_CHECKING
+
 import numpy as np
 import pytest
 
@@ -8,12 +10,13 @@ from dronevio.estimator.sfm.two_view import Geometry, TwoView, VerificationConfi
 from dronevio.models.camera import CameraModel
 from dronevio.models.rotation import inverse_pose, log_so3
 
-from .conftest import SyntheticScene, make_scene
+if TYPE_CHECKING:
+    from tests.estimator.sfm.conftest import MakeScene, SyntheticScene
 
 FISHEYE = CameraModel(640, 640, 200.0, 200.0, 320.0, 320.0, (0.02, -0.003, 0.0, 0.0), "equidistant")
 
 
-def verified(scene: SyntheticScene, i: int, j: int, is_calibrated: bool = True) -> TwoView:
+def verified(scene: "SyntheticScene", i: int, j: int, is_calibrated: bool = True) -> TwoView:
     views = tuple(view_of(scene.features[k].pixels, scene.camera, is_calibrated) for k in (i, j))
     matches = match_features(scene.features[i], scene.features[j], MatchingConfig())
     pair = verify(i, j, (views[0], views[1]), matches, VerificationConfig())
@@ -21,7 +24,7 @@ def verified(scene: SyntheticScene, i: int, j: int, is_calibrated: bool = True) 
     return pair
 
 
-def test_matches_are_the_same_points(scene: SyntheticScene) -> None:
+def test_matches_are_the_same_points(scene: "SyntheticScene") -> None:
     matches = match_features(scene.features[0], scene.features[3], MatchingConfig())
     common = np.intersect1d(scene.point_of[0], scene.point_of[3])
     assert len(matches) > 0.95 * len(common)
@@ -30,7 +33,7 @@ def test_matches_are_the_same_points(scene: SyntheticScene) -> None:
 
 
 @pytest.mark.parametrize("camera", [None, FISHEYE], ids=["radtan", "fisheye"])
-def test_relative_pose_is_the_true_one(camera: CameraModel | None) -> None:
+def test_relative_pose_is_the_true_one(camera: CameraModel | None, make_scene: "MakeScene") -> None:
     scene = make_scene(camera=camera)
     pair = verified(scene, 0, 4)
     true = inverse_pose(scene.Ts_world_cam[0]) @ scene.Ts_world_cam[4]
@@ -40,7 +43,7 @@ def test_relative_pose_is_the_true_one(camera: CameraModel | None) -> None:
     assert np.degrees(np.arccos(direction @ pair.T_first_second[:3, 3])) < 2.0
 
 
-def test_outliers_are_rejected(scene: SyntheticScene) -> None:
+def test_outliers_are_rejected(scene: "SyntheticScene") -> None:
     rng = np.random.default_rng(1)
     matches = match_features(scene.features[0], scene.features[4], MatchingConfig())
     wrong = np.column_stack([rng.integers(0, len(scene.features[k]), len(matches) // 2) for k in (0, 4)])
@@ -53,12 +56,12 @@ def test_outliers_are_rejected(scene: SyntheticScene) -> None:
     assert is_right.sum() > 0.95 * len(matches)
 
 
-def test_planes_are_recognized() -> None:
+def test_planes_are_recognized(make_scene: "MakeScene") -> None:
     assert verified(make_scene(flat=True), 0, 4).geometry is Geometry.PLANAR
 
 
 @pytest.mark.parametrize("is_calibrated", [True, False])
-def test_rotations_without_translation_are_recognized(is_calibrated: bool) -> None:
+def test_rotations_without_translation_are_recognized(is_calibrated: bool, make_scene: "MakeScene") -> None:
     scene = make_scene(rotation_only=True)
     pair = verified(scene, 2, 4, is_calibrated)
     assert pair.geometry is Geometry.ROTATION
@@ -66,7 +69,7 @@ def test_rotations_without_translation_are_recognized(is_calibrated: bool) -> No
     assert np.degrees(np.linalg.norm(log_so3(true[:3, :3].T @ pair.T_first_second[:3, :3]))) < 0.1
 
 
-def test_unrelated_images_are_not_a_pair(scene: SyntheticScene) -> None:
+def test_unrelated_images_are_not_a_pair(scene: "SyntheticScene", make_scene: "MakeScene") -> None:
     other = make_scene(seed=9)
     views = tuple(view_of(f.pixels, scene.camera, True) for f in (scene.features[0], other.features[0]))
     rng = np.random.default_rng(0)
