@@ -24,6 +24,7 @@ COMMANDS = CommandGroup(
         "benchmark": Subcommand("dronevio.cli.benchmark", "run estimators on many flights and tabulate their errors"),
         "compare": Subcommand("dronevio.cli.compare", "compare two benchmarks or two runs statistically"),
         "gate": Subcommand("dronevio.cli.gate", "fail if a benchmark is worse than an earlier one"),
+        "sfm": Subcommand("dronevio.cli.sfm", "reconstruct cameras and points from images alone"),
         "refly": Subcommand("dronevio.cli.refly", "render images along the recorded trajectory of a real drone"),
         "convert": Subcommand("dronevio.cli.convert", "convert a recording, or export its calibration"),
         "scenarios": Subcommand("dronevio.cli.scenarios", "list the scenarios and the suites"),

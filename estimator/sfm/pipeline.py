@@ -58,6 +58,8 @@ class SfmResult:
 
     reconstructions: tuple[Reconstruction, ...]
     """One for each component, the one with the most images first; empty if no pair of images can be reconstructed."""
+    is_metric: bool
+    """Whether the unit of all reconstructions is the metre, from the baselines of a rig; otherwise it is arbitrary."""
     match_counts: npt.NDArray[np.int64]
     """(I, I) Number of verified matches of each pair of images, symmetric."""
     feature_counts: npt.NDArray[np.int64]
@@ -97,13 +99,14 @@ def reconstruct(
         clock.lap("matching")
     scene = _scene(images, features, pairs)
     states = map_scene(scene, images.cameras, pairs, config.mapper, stages("mapping"))
-    states = [impose_rig(scene, state, images) for state in states]
+    scaled = [impose_rig(scene, state, images, config.mapper.final_cauchy_px) for state in states]
     clock.lap("mapping")
     counts = np.zeros((len(features), len(features)), np.int64)
     for pair in pairs:
         counts[pair.first, pair.second] = counts[pair.second, pair.first] = len(pair.matches)
     return SfmResult(
-        tuple(_reconstruction(scene, state, images.names, features) for state in states),
+        tuple(_reconstruction(scene, state, images.names, features) for state, _ in scaled),
+        all(is_metric for _, is_metric in scaled),
         counts,
         np.array([len(f) for f in features], np.int64),
         clock.times_s,

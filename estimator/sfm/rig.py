@@ -41,13 +41,17 @@ def rig_scale(state: SfmState, poses: list[RelativePose]) -> float | None:
     return float(np.median(ratios)) if ratios else None
 
 
-def impose_rig(scene: Scene, state: SfmState, images: ImageSet) -> SfmState:
-    """Return the reconstruction in metres, adjusted with the known mounting of the cameras; unchanged without a rig."""
+def impose_rig(scene: Scene, state: SfmState, images: ImageSet, cauchy_px: float) -> tuple[SfmState, bool]:
+    """Return the reconstruction in metres, adjusted with the known mounting of the cameras, and whether it is metric.
+
+    Without a frame of which two cameras are registered, the reconstruction does not change.
+    """
     poses = rig_poses(images, state.is_registered)
     scale = rig_scale(state, poses)
     if scale is None:
-        return state
+        return state, False
     Ts_world_cam = state.Ts_world_cam.copy()
     Ts_world_cam[:, :3, 3] *= scale
+    config = AdjustmentConfig(relative_tolerance=1e-3, cauchy_px=cauchy_px)
     state = replace(state, Ts_world_cam=Ts_world_cam, points=scale * state.points)
-    return adjust(scene, state, state.is_registered, state.used(scene), AdjustmentConfig(), poses)
+    return adjust(scene, state, state.is_registered, state.used(scene), config, poses), True

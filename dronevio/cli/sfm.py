@@ -1,0 +1,191 @@
+"""``dronevio sfm``: structure from motion, a reconstruction of a scene from images alone."""
+
+import shutil
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any, Literal
+
+import tyro
+
+from dronevio.cli.options import Output, OutputOptions
+from dronevio.cli.terminal import parse, print_json, print_values, progress_bars
+from dronevio.estimator.sfm.pipeline import SfmConfig
+
+if TYPE_CHECKING:
+    from dronevio.estimator.sfm.pipeline import SfmResult
+    from dronevio.models.camera import CameraModel
+    from dronevio.models.image_sets import ImageSet
+
+Format = Literal["colmap-binary", "colmap-text", "bundler", "ply"]
+
+
+@dataclass(frozen=True)
+class SfmCommand:
+    """Reconstruct cameras and points from images alone (structure from motion).
+
+    IMAGES is a folder of photographs, a video or a recording of this program. Without a calibration, focal length and
+    distortion are estimated, from EXIF data or a guess; the cameras of a recording are calibrated. With two or more
+    cameras of a recording, the reconstruction is in metres; otherwise its scale is arbitrary. The result is a folder
+    with the reconstruction in each format, a report with pictures and a rerun file.
+
+    An interrupted reconstruction continues where it stopped when the same command is repeated.
+
+    Examples:
+      dronevio sfm photographs
+      dronevio sfm photographs --camera per-image --masks masks --out house
+      dronevio sfm flight.mp4 --every 10
+      dronevio sfm recordings/room-0 --frames 100
+      dronevio sfm V1_01_easy --cameras 0 1 --frames 100 --pairs.overlap 20 --format colmap-text
+      colmap gui --import_path house/colmap-binary/0 --database_path house.db --image_path photographs
+    """
+
+    images: Annotated[tyro.conf.Positional[Path], tyro.conf.arg(metavar="IMAGES")]
+    """Folder of images, video, or recording (EuRoC folder or ROS 2 bag)."""
+    out: Path | None = None
+    """Folder to make; runs/sfm-NAME by default."""
+    format: tuple[Format, ...] = ("colmap-binary", "ply")
+    """Formats of the reconstruction: COLMAP's binary or text model, Bundler's file, the points as PLY."""
+    camera: Literal["shared", "per-image"] | None = None
+    """For folders: whether images of one size and lens share a camera, as by default, or each has its own."""
+    calibration: Path | None = None
+    """For folders and videos: calibration of the camera, a Kalibr camchain.yaml or a recording; it stays fixed."""
+    masks: Path | None = None
+    """Folder of masks with the names of the images, or one mask for all; no features are detected where it is black."""
+    every: int | None = None
+    """For videos: distance between the frames to use."""
+    cameras: tuple[int, ...] | None = None
+    """For recordings: cameras to use, counted from 0; the first by default."""
+    frames: int | None = None
+    """For recordings: number of frames to use, spread evenly; all by default."""
+    output: Output = field(default_factory=OutputOptions)
+    """How the result is written and printed."""
+    sfm: Annotated[SfmConfig, tyro.conf.arg(name="")] = field(default_factory=SfmConfig)
+    """Settings of the reconstruction."""
+
+
+def main(arguments: Sequence[str]) -> int:
+    """Run the command and return its exit code."""
+    command = parse(SfmCommand, arguments, "sfm")
+
+    from dronevio.cli.output_files import atomic_folder, require_free
+    from dronevio.estimator.sfm.pipeline import reconstruct
+    from dronevio.estimator.sfm.workspace import Workspace
+    from dronevio.models.errors import InputError
+    from dronevio.models.image_sets import open_images
+
+    target = command.out or Path("runs") / f"sfm-{command.images.resolve().stem}"
+    require_free(target, command.output.overwrite)  # before the images are read
+    images = open_images(
+        command.images,
+        camera=command.camera,
+        model=None if command.calibration is None else _calibrated(command.calibration),
+        masks=command.masks,
+        every=command.every,
+        cameras=command.cameras,
+        frames=command.frames,
+    )
+    work = target.absolute().with_name(f".{target.name}.work")
+    with progress_bars(quiet=command.output.json) as bars:
+        result = reconstruct(images, command.sfm, Workspace(work), bars.bar)
+    if not result.reconstructions:
+        raise InputError(
+            command.images,
+            f"{len(images.names)} images, no two of which determine the motion of a camera",
+            "images of one scene that overlap, from different positions",
+        )
+    with atomic_folder(target, command.output.overwrite, mark="report.json") as folder:
+        _write(folder, target, command, images, result)
+    shutil.rmtree(work, ignore_errors=True)
+    if command.output.json:
+        print_json(_summary(target, images, result))
+        return 0
+    _print(target, images, result)
+    return 0
+
+
+def _calibrated(path: Path) -> "CameraModel":
+    """Return the model of the first camera of a calibration."""
+    from dronevio.models.recordings.open import read_rig
+
+    return read_rig(path).cameras[0].model
+
+
+def _write(folder: Path, target: Path, command: SfmCommand, images: "ImageSet", result: "SfmResult") -> None:
+    """Write the reconstruction, its report and its rerun file."""
+    from dronevio import __version__
+    from dronevio.eval.provenance import RunInfo
+    from dronevio.eval.report.reconstruction import ReconstructionResults, write_reconstruction_report
+    from dronevio.eval.rerun.reconstruction import write_reconstruction_rerun
+    from dronevio.models.reconstructions import write_reconstruction
+    from dronevio.models.serialization import to_jsonable
+
+    for kind in command.format:
+        for number, reconstruction in enumerate(result.reconstructions):
+            name = {"bundler": f"bundle-{number}.out", "ply": f"points-{number}.ply"}.get(kind, f"{kind}/{number}")
+            write_reconstruction(reconstruction, folder / name, kind)
+    read = _reader(images)
+    registered = {name for reconstruction in result.reconstructions for name in reconstruction.image_names}
+    info = RunInfo(
+        title=f"Structure from motion: {command.images.name}",
+        command=f"dronevio sfm {command.images}",
+        open_command=f"dronevio view {target}",
+        configuration={"dronevio": __version__, "sfm": to_jsonable(command.sfm)},
+    )
+    results = ReconstructionResults(
+        components=result.reconstructions,
+        all_image_names=images.names,
+        unregistered={name: _reason(result, i) for i, name in enumerate(images.names) if name not in registered},
+        times_s=result.times_s,
+        match_counts=result.match_counts,
+        read_image=read,
+        unit="m" if result.is_metric else "",
+    )
+    write_reconstruction_report(folder, info, results)
+    write_reconstruction_rerun(result.reconstructions, folder / "run.rrd", read, name=target.name)
+
+
+def _reader(images: "ImageSet") -> Callable[[str], Any]:
+    """Return a function that reads an image by its name."""
+    index = {name: i for i, name in enumerate(images.names)}
+    return lambda name: images.read(index[name])
+
+
+def _reason(result: "SfmResult", image: int) -> str:
+    """Return why an image is not registered."""
+    if result.feature_counts[image] == 0:
+        return "no features"
+    if not result.match_counts[image].any():
+        return "no verified matches with another image"
+    return "too few of its features belong to points of the reconstruction"
+
+
+def _summary(target: Path, images: "ImageSet", result: "SfmResult") -> dict[str, Any]:
+    from dronevio.eval.metrics.reconstruction import reconstruction_statistics
+    from dronevio.models.serialization import to_jsonable
+
+    statistics = to_jsonable(reconstruction_statistics(result.reconstructions, len(images.names)))
+    assert isinstance(statistics, dict)
+    return {"out": str(target), **statistics, "metric": result.is_metric, "times_s": result.times_s}
+
+
+def _print(target: Path, images: "ImageSet", result: "SfmResult") -> None:
+    from dronevio.eval.metrics.reconstruction import reconstruction_statistics
+
+    statistics = reconstruction_statistics(result.reconstructions, len(images.names))
+    print_values(
+        "Structure from motion",
+        (
+            ("images registered", f"{statistics.registered_images} of {statistics.images}", ""),
+            ("components", f"{statistics.components}", ""),
+            ("points", f"{statistics.points}", ""),
+            ("observations", f"{statistics.observations}", ""),
+            ("mean track length", f"{statistics.mean_track_length:.2f}", "images"),
+            ("reprojection error, median", f"{statistics.error_median_px:.2f}", "px"),
+            ("reprojection error, RMS", f"{statistics.error_rms_px:.2f}", "px"),
+            ("scale", "metric" if result.is_metric else "arbitrary", ""),
+            *((stage, f"{seconds:.1f}", "s") for stage, seconds in result.times_s.items()),
+        ),
+    )
+    print(f"report:   {target}/report.html")
+    print(f"open it:  dronevio view {target}")
