@@ -1,14 +1,19 @@
-"""The steps of the command line as functions: simulate a flight, estimate its motion, evaluate the estimate."""
+"""The steps of the command line as functions: simulate a flight, estimate its motion, evaluate the estimate, and
+reconstruct a scene from images.
+"""
 
 from pathlib import Path
 
 from dronevio.driver import estimate_recording
 from dronevio.estimator.config import VioConfig
+from dronevio.estimator.sfm.pipeline import SfmConfig, SfmResult, reconstruct
+from dronevio.estimator.sfm.workspace import Workspace
 from dronevio.estimator.vio import VisualInertialOdometry
 from dronevio.eval.metrics.alignment import AlignmentMode
 from dronevio.eval.metrics.scores import ScoredTrajectory, score_trajectory
 from dronevio.eval.run import EstimatorRun
 from dronevio.models.errors import EvaluationError
+from dronevio.models.image_sets import ImageSet, open_images
 from dronevio.models.progress import Progress, silent
 from dronevio.models.protocols import Estimator, Recording
 from dronevio.models.recordings.open import open_recording, read_trajectory
@@ -101,3 +106,23 @@ def evaluate(
     elif isinstance(estimated, str | Path):
         estimated = read_trajectory(Path(estimated))
     return score_trajectory(truth, estimated, frame_times_ns, alignment)
+
+
+def sfm(
+    images: ImageSet | str | Path, config: SfmConfig | None = None, *, workspace: str | Path | None = None
+) -> SfmResult:
+    """Reconstruct cameras and points from images alone (structure from motion).
+
+    Args:
+        images: A set of images, or the path of a folder of images, a video or a recording.
+        config: Settings.
+        workspace: Folder in which features and matches are kept; with it, an interrupted reconstruction continues.
+
+    Returns:
+        The reconstructions, one for each component, and the numbers of features and matches.
+
+    Raises:
+        InputError: The path holds no images, or an image cannot be read.
+    """
+    opened = images if isinstance(images, ImageSet) else open_images(images)
+    return reconstruct(opened, config, Workspace(None if workspace is None else Path(workspace)))

@@ -21,7 +21,7 @@ DESCRIPTOR_SCALE = 512.0
 class FeatureConfig:
     """Detection of features."""
 
-    max_features: int = 3000
+    max_features: int = 2000
     """Largest number of features of an image; those of highest contrast are kept."""
     contrast_threshold: float = 0.02
     """Smallest contrast of a keypoint, in the scale of OpenCV."""

@@ -31,6 +31,12 @@ VISIBILITY_LEVELS = 6
 """Number of levels of the grids that measure how evenly the visible points cover an image."""
 INTERMEDIATE_CAUCHY_PX = 1.0
 """Scale of the Cauchy loss of the adjustments before the last [px]."""
+MAX_DISCARDS = 2
+"""Largest number of times that an image is registered anew."""
+CALIBRATED_TOLERANCE = 1e-3
+"""Relative decrease of the error at which the last adjustment stops."""
+UNCALIBRATED_TOLERANCE = 1e-5
+"""The same if intrinsics are estimated, which converge more slowly."""
 MAX_FOCAL_CHANGE = 10.0
 """Largest factor between the focal length of a camera and its longest side, in both directions."""
 
@@ -47,6 +53,9 @@ class MapperConfig:
     """Growth of the number of images between two adjustments of the whole reconstruction."""
     intermediate_observations: int = 300
     """Number of observations of an image in the adjustments before the last; tracks of many images are preferred."""
+    min_support: float = 0.6
+    """Smallest ratio of the inliers of a registered image to the points that it observes; an image below it is
+    registered anew."""
     max_iterations: int = 50
     """Largest number of iterations of the last adjustment."""
     final_cauchy_px: float = 0.5
@@ -119,6 +128,7 @@ class _Mapper:
         scene, config = self.scene, self.config
         adjusted_images = int(state.is_registered.sum())
         failed_at = np.zeros(scene.images, np.int64)  # number of visible points at the last failure
+        discards = np.zeros(scene.images, np.int64)  # how often each image was registered with a wrong pose
         while True:
             visible, score = self._visibility(state)
             # An image that failed is tried again when it sees a quarter more points.
@@ -134,13 +144,13 @@ class _Mapper:
                 count = int(state.is_registered.sum())
                 self.progress(count, scene.images)
                 if count >= config.global_ratio * adjusted_images:
-                    state = self._refine(state)
+                    state = self._discard(self._refine(state), discards)
                     adjusted_images = count
                 continue
             count = int(state.is_registered.sum())
             if count == adjusted_images:
                 return self._finish(state)
-            state = self._refine(state)  # better points may admit further images
+            state = self._discard(self._refine(state), discards)  # better points may admit further images
             adjusted_images = count
             failed_at[:] = 0
 
@@ -274,10 +284,32 @@ class _Mapper:
         """Complete, adjust and filter the whole reconstruction."""
         return self.filter(self.adjust_all(self._complete(state)))
 
+    def _discard(self, state: SfmState, discards: Indices) -> SfmState:
+        """Remove images with a wrong pose, which contradicts many of the points that they observe.
+
+        Args:
+            state: The adjusted reconstruction.
+            discards: (I,) How often each image has been removed; it is increased.
+        """
+        scene = self.scene
+        seen = state.has_point[scene.tracks.track] & state.is_registered[scene.tracks.image]
+        visible = np.bincount(scene.tracks.image[seen], minlength=scene.images)
+        inliers = np.bincount(scene.tracks.image[state.used(scene)], minlength=scene.images)
+        is_wrong = state.is_registered & (inliers < self.config.min_support * visible) & (discards < MAX_DISCARDS)
+        if not is_wrong.any() or (state.is_registered & ~is_wrong).sum() < 2:
+            return state
+        discards[is_wrong] += 1
+        Ts_world_cam = state.Ts_world_cam.copy()
+        Ts_world_cam[is_wrong] = np.nan
+        is_inlier = state.is_inlier & ~is_wrong[scene.tracks.image]
+        return self.filter(replace(state, Ts_world_cam=Ts_world_cam, is_inlier=is_inlier))
+
     def _finish(self, state: SfmState) -> SfmState:
         """Adjust all observations until the error settles, and remove outliers."""
         state = self.filter(self._complete(state))
-        config = AdjustmentConfig(self.config.max_iterations, 1e-3, self.config.final_cauchy_px)
+        is_calibrated = self.scene.is_calibrated.all()
+        tolerance = CALIBRATED_TOLERANCE if is_calibrated else UNCALIBRATED_TOLERANCE
+        config = AdjustmentConfig(self.config.max_iterations, tolerance, self.config.final_cauchy_px)
         return self.filter(adjust(self.scene, state, state.is_registered, state.used(self.scene), config))
 
 

@@ -21,7 +21,7 @@ GAUSS_NEWTON_STEPS = 8
 class ResectionConfig:
     """Registration of images."""
 
-    max_error_px: float = 8.0
+    max_error_px: float = 6.0
     """Largest reprojection error of an inlier [px]."""
     min_inliers: int = 15
     """Smallest number of inliers of a registered image."""

@@ -7,6 +7,7 @@ renamed, so that each is complete or absent.
 import hashlib
 import os
 import tempfile
+import zipfile
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -87,7 +88,7 @@ class Workspace:
         try:
             with np.load(self.folder / name, allow_pickle=False) as file:
                 return dict(file) if str(file["key"]) == key else None
-        except (OSError, ValueError, KeyError, EOFError):
+        except (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile):
             return None
 
     def _save(self, name: str, key: str, **arrays: Any) -> None:

@@ -39,8 +39,12 @@ def build_scene(
     seed: int = 0,
     flat: bool = False,
     rotation_only: bool = False,
+    baseline_m: float = 0.0,
 ) -> SyntheticScene:
-    """Return a scene of cameras on an arc that look at a cloud of points, on a plane if it is flat."""
+    """Return a scene of cameras on an arc that look at a cloud of points, on a plane if it is flat.
+
+    With a baseline, every second camera is mounted beside the one before it, and the two are a frame of a stereo rig.
+    """
     rng = np.random.default_rng(seed)
     camera = camera or CameraModel(640, 480, 500.0, 500.0, 320.0, 240.0, (-0.1, 0.02, 0.0, 0.0))
     cloud = rng.uniform([-2.0, -1.5, 4.0], [2.0, 1.5, 7.0], (points, 3))
@@ -53,6 +57,9 @@ def build_scene(
         R = exp_so3(np.array([0.02 * np.sin(k), angle if rotation_only else -angle, 0.01 * k]))
         p = np.zeros(3) if rotation_only else np.array([5.5 * np.sin(angle), 0.1 * np.cos(2.0 * k), 0.3 * angle])
         T = pose_matrix(R, p)
+        if baseline_m > 0.0 and k % 2 == 1:
+            T = poses[-1] @ pose_matrix(np.eye(3), np.array([baseline_m, 0.0, 0.0]))
+            R, p = T[:3, :3], T[:3, 3]
         pixels = camera.project((cloud - p) @ R)
         inside = np.all((pixels > 0.0) & (pixels < [camera.width - 1.0, camera.height - 1.0]), axis=1)
         visible = rng.permutation(np.flatnonzero(inside))

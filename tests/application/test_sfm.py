@@ -1,0 +1,94 @@
+"""``dronevio sfm`` and ``dv.sfm``: from five photographs to a reconstruction, its report and its files."""
+
+import json
+import shutil
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import cv2
+import gtsam
+import numpy as np
+import pytest
+
+import dronevio as dv
+from dronevio.cli import main
+from dronevio.eval.metrics.alignment import umeyama
+from dronevio.models.reconstructions import read_reconstruction
+
+Result = Any  # the class of conftest, which cannot be imported
+CommandRunner = Callable[..., Result]
+
+
+@pytest.fixture(scope="module")
+def photographs() -> Path:
+    """Folder with five photographs of Villa Balbianello."""
+    return Path(gtsam.findExampleDataFile("Balbianello/BalbianelloMedium-1.jpg")).parent
+
+
+@pytest.fixture(scope="module")
+def reconstructed(photographs: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Folder of the result of the command on the photographs."""
+    folder = tmp_path_factory.mktemp("sfm") / "villa"
+    formats = ("colmap-binary", "colmap-text", "ply")
+    assert main(["sfm", str(photographs), "--out", str(folder), "--format", *formats, "--json"]) == 0
+    return folder
+
+
+def test_the_villa_agrees_with_bundler(reconstructed: Path) -> None:
+    result = read_reconstruction(reconstructed / "colmap-binary" / "0")
+    assert len(result.image_names) == 5
+    assert np.median(result.reprojection_errors_px()) < 0.6
+    bundler = gtsam.SfmData.FromBundlerFile(gtsam.findExampleDataFile("Balbianello.out"))
+    others = np.stack([bundler.camera(i).pose().translation() for i in range(5)])
+    found = umeyama(others, result.positions, with_scale=True)
+    residuals = others - (found.scale * result.positions @ found.R_truth_estimate.T + found.t_m)
+    extent = others - others.mean(axis=0)
+    assert np.sqrt((residuals**2).sum() / (extent**2).sum()) < 0.015
+
+
+def test_files_of_a_result(reconstructed: Path) -> None:
+    names = {"colmap-binary", "colmap-text", "points-0.ply", "run.rrd"}
+    names |= {"reconstruction.png", "report.html", "report.json"}
+    assert {path.name for path in reconstructed.iterdir()} == names
+    assert list(reconstructed.parent.iterdir()) == [reconstructed]  # intermediate results are removed
+    report = json.loads((reconstructed / "report.json").read_text(encoding="utf-8"))
+    assert report["statistics"]["registered_images"] == 5
+    binary, text = (read_reconstruction(reconstructed / name / "0") for name in ("colmap-binary", "colmap-text"))
+    np.testing.assert_allclose(text.Ts_world_cam, binary.Ts_world_cam, atol=1e-9)
+    assert len(read_reconstruction(reconstructed / "points-0.ply").points) == len(binary.points)
+
+
+def test_the_function_gives_the_same(photographs: Path, reconstructed: Path) -> None:
+    [result] = dv.sfm(photographs).reconstructions
+    stored = read_reconstruction(reconstructed / "colmap-binary" / "0")
+    np.testing.assert_allclose(result.positions, stored.positions, atol=1e-9)
+    assert result.image_names == stored.image_names
+
+
+def test_an_interrupted_reconstruction_continues(photographs: Path, tmp_path: Path) -> None:
+    first = dv.sfm(photographs, workspace=tmp_path / "work")
+    stored = {path.name: path.stat().st_mtime_ns for path in (tmp_path / "work").iterdir()}
+    assert sum(name.startswith("features-") for name in stored) == 5
+    damaged = tmp_path / "work" / "features-000002.npz"
+    damaged.write_bytes(damaged.read_bytes()[:1000])
+    second = dv.sfm(photographs, workspace=tmp_path / "work")
+    again = {path.name for path in (tmp_path / "work").iterdir() if path.stat().st_mtime_ns != stored[path.name]}
+    assert again == {"features-000002.npz"}
+    np.testing.assert_array_equal(first.reconstructions[0].points, second.reconstructions[0].points)
+
+
+def test_unrelated_images_are_bad_input(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    rng = np.random.default_rng(0)
+    for k in range(3):
+        cv2.imwrite(str(tmp_path / f"{k}.png"), rng.integers(0, 256, (120, 160), dtype=np.uint8))
+    assert main(["sfm", str(tmp_path), "--out", str(tmp_path / "out")]) == 2
+    assert "no two of which determine the motion" in capsys.readouterr().err
+    assert not (tmp_path / "out").exists()
+
+
+def test_an_existing_result_is_not_replaced(photographs: Path, reconstructed: Path, tmp_path: Path) -> None:
+    copy = tmp_path / "copy"
+    shutil.copytree(reconstructed, copy)
+    assert main(["sfm", str(photographs), "--out", str(copy)]) == 2
+    assert (copy / "report.html").read_bytes() == (reconstructed / "report.html").read_bytes()
