@@ -85,7 +85,8 @@ def adjust(
     _add_rig(graph, rig)
     _fix_gauge(graph, state, images, free_images, has_scale=bool(rig))
 
-    parameters = gtsam.LevenbergMarquardtParams()
+    # Damping by the diagonal of the Hessian: focal lengths, distortion and rotations differ in scale by orders.
+    parameters = gtsam.LevenbergMarquardtParams.CeresDefaults()
     parameters.setMaxIterations(config.max_iterations)
     parameters.setRelativeErrorTol(config.relative_tolerance)
     parameters.setAbsoluteErrorTol(1e-12)

@@ -86,7 +86,7 @@ class Workspace:
         if self.folder is None:
             return None
         try:
-            with np.load(self.folder / name, allow_pickle=False) as file:
+            with (self.folder / name).open("rb") as stream, np.load(stream, allow_pickle=False) as file:
                 return dict(file) if str(file["key"]) == key else None
         except (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile):
             return None

@@ -51,7 +51,9 @@ def build_scene(
     if flat:
         cloud[:, 2] = 5.0 + 0.3 * cloud[:, 0]
     descriptors = rng.integers(0, 90, (points, 128))
-    poses, features, point_of = [], [], []
+    poses: list[Array] = []
+    features: list[Features] = []
+    point_of: list[npt.NDArray[np.int64]] = []
     for k in range(images):
         angle = 0.08 * (k - 0.5 * images)
         R = exp_so3(np.array([0.02 * np.sin(k), angle if rotation_only else -angle, 0.01 * k]))
