@@ -6,7 +6,8 @@ from pathlib import Path
 
 from dronevio.driver import estimate_recording
 from dronevio.estimator.config import VioConfig
-from dronevio.estimator.sfm.pipeline import SfmConfig, SfmResult, reconstruct
+from dronevio.estimator.sfm.config import SfmConfig
+from dronevio.estimator.sfm.pipeline import SfmResult, reconstruct
 from dronevio.estimator.sfm.workspace import Workspace
 from dronevio.estimator.vio import VisualInertialOdometry
 from dronevio.eval.metrics.alignment import AlignmentMode

@@ -1,4 +1,4 @@
-"""Visual-inertial state estimation; the only package that imports GTSAM."""
+"""Visual-inertial odometry and structure from motion; the only package that imports GTSAM."""
 
 from typing import TYPE_CHECKING
 

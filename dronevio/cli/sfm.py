@@ -10,7 +10,7 @@ import tyro
 
 from dronevio.cli.options import Output, OutputOptions
 from dronevio.cli.terminal import parse, print_json, print_values, progress_bars
-from dronevio.estimator.sfm.pipeline import SfmConfig
+from dronevio.estimator.sfm.config import SfmConfig
 
 if TYPE_CHECKING:
     from dronevio.estimator.sfm.pipeline import SfmResult
@@ -37,7 +37,6 @@ class SfmCommand:
       dronevio sfm flight.mp4 --every 10
       dronevio sfm recordings/room-0 --frames 100
       dronevio sfm V1_01_easy --cameras 0 1 --frames 100 --pairs.overlap 20 --format colmap-text
-      colmap gui --import_path house/colmap-binary/0 --database_path house.db --image_path photographs
     """
 
     images: Annotated[tyro.conf.Positional[Path], tyro.conf.arg(metavar="IMAGES")]

@@ -11,22 +11,12 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
+from dronevio.estimator.sfm.config import FeatureConfig
+
 Array = npt.NDArray[np.float64]
 
 DESCRIPTOR_SCALE = 512.0
 """A stored descriptor is the unit vector times this number, rounded to a byte."""
-
-
-@dataclass(frozen=True)
-class FeatureConfig:
-    """Detection of features."""
-
-    max_features: int = 2000
-    """Largest number of features of an image; those of highest contrast are kept."""
-    contrast_threshold: float = 0.02
-    """Smallest contrast of a keypoint, in the scale of OpenCV."""
-    edge_threshold: float = 10.0
-    """Largest ratio of the principal curvatures of a keypoint."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -6,15 +6,16 @@ whole reconstruction is adjusted on a subset of its observations whenever it has
 them at the end.
 """
 
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 import numpy.typing as npt
 
 from dronevio.estimator.sfm.adjustment import AdjustmentConfig, adjust
+from dronevio.estimator.sfm.config import MapperConfig
 from dronevio.estimator.sfm.model import Scene, SfmState
-from dronevio.estimator.sfm.resection import ResectionConfig, resect
-from dronevio.estimator.sfm.triangulation import TriangulationConfig, triangulate_tracks, widest_angles
+from dronevio.estimator.sfm.resection import resect
+from dronevio.estimator.sfm.triangulation import triangulate_tracks, widest_angles
 from dronevio.estimator.sfm.two_view import Geometry, TwoView
 from dronevio.models.camera import CameraModel
 from dronevio.models.progress import Progress, silent
@@ -39,27 +40,6 @@ UNCALIBRATED_TOLERANCE = 1e-5
 """The same if intrinsics are estimated, which converge more slowly."""
 MAX_FOCAL_CHANGE = 10.0
 """Largest factor between the focal length of a camera and its longest side, in both directions."""
-
-
-@dataclass(frozen=True)
-class MapperConfig:
-    """Incremental mapping."""
-
-    triangulation: TriangulationConfig = field(default_factory=TriangulationConfig)
-    """Triangulation of tracks."""
-    resection: ResectionConfig = field(default_factory=ResectionConfig)
-    """Registration of images."""
-    global_ratio: float = 1.2
-    """Growth of the number of images between two adjustments of the whole reconstruction."""
-    intermediate_observations: int = 300
-    """Number of observations of an image in the adjustments before the last; tracks of many images are preferred."""
-    min_support: float = 0.6
-    """Smallest ratio of the inliers of a registered image to the points that it observes; an image below it is
-    registered anew."""
-    max_iterations: int = 50
-    """Largest number of iterations of the last adjustment."""
-    final_cauchy_px: float = 0.5
-    """Scale of the Cauchy loss of the last adjustment [px]."""
 
 
 def map_scene(

@@ -4,24 +4,13 @@ A match is accepted if its descriptor is clearly nearer than the second-nearest 
 "Distinctive image features from scale-invariant keypoints", IJCV 2004) and if it is the nearest in both directions.
 """
 
-from dataclasses import dataclass
-
 import numpy as np
 import numpy.typing as npt
 
+from dronevio.estimator.sfm.config import MatchingConfig
 from dronevio.estimator.sfm.features import DESCRIPTOR_SCALE, Features
 
 Matches = npt.NDArray[np.int64]
-
-
-@dataclass(frozen=True)
-class MatchingConfig:
-    """Matching of features."""
-
-    ratio: float = 0.8
-    """Largest ratio of the distance to the nearest descriptor and to the second nearest."""
-    max_angle_rad: float = 0.7
-    """Largest angle between the descriptors of a match [rad]."""
 
 
 def match_features(first: Features, second: Features, config: MatchingConfig) -> Matches:

@@ -37,7 +37,7 @@ class SfmState:
     """Cameras, poses and points that have been estimated so far, in a frame of arbitrary scale."""
 
     cameras: tuple[CameraModel, ...]
-    """(K,) Camera models."""
+    """(K,) Models of the cameras."""
     Ts_world_cam: Array
     """(I, 4, 4) Poses of the cameras; NaN for images that are not registered."""
     points: Array

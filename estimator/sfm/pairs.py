@@ -6,34 +6,18 @@ Schmid and Pérez, "Aggregating local descriptors into a compact image represent
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
-from typing import Literal
 
 import numpy as np
 import numpy.typing as npt
 from scipy.cluster.vq import kmeans2
 
+from dronevio.estimator.sfm.config import PairConfig
 from dronevio.estimator.sfm.features import Features
 
 WORDS = 64
 """Number of visual words of the descriptor of an image."""
 TRAINING_DESCRIPTORS = 20_000
 """Number of descriptors from which the words are learnt."""
-
-
-@dataclass(frozen=True)
-class PairConfig:
-    """Pairs of images that are matched."""
-
-    method: Literal["automatic", "exhaustive", "sequential", "retrieval"] = "automatic"
-    """All pairs, neighbours in the sequence and similar images, or similar images alone; ``automatic`` matches all
-    pairs of at most `max_exhaustive` images, and otherwise decides by whether the images are a sequence."""
-    max_exhaustive: int = 40
-    """Largest number of images of which ``automatic`` matches all pairs."""
-    overlap: int = 10
-    """Number of next images in a sequence to which an image is matched."""
-    similar: int = 10
-    """Number of similar images to which an image is matched, besides its neighbours in the sequence."""
 
 
 def select_pairs(features: Sequence[Features], is_ordered: bool, config: PairConfig) -> list[tuple[int, int]]:

@@ -8,7 +8,7 @@ import time
 from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from itertools import groupby
 from typing import TypeVar
 
@@ -16,14 +16,15 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
-from dronevio.estimator.sfm.features import FeatureConfig, Features, detect_features
-from dronevio.estimator.sfm.mapper import MapperConfig, map_scene
-from dronevio.estimator.sfm.matching import MatchingConfig, match_features
+from dronevio.estimator.sfm.config import SfmConfig
+from dronevio.estimator.sfm.features import Features, detect_features
+from dronevio.estimator.sfm.mapper import map_scene
+from dronevio.estimator.sfm.matching import match_features
 from dronevio.estimator.sfm.model import Scene, SfmState
-from dronevio.estimator.sfm.pairs import PairConfig, select_pairs
+from dronevio.estimator.sfm.pairs import select_pairs
 from dronevio.estimator.sfm.rig import impose_rig
 from dronevio.estimator.sfm.tracks import connect_tracks
-from dronevio.estimator.sfm.two_view import TwoView, VerificationConfig, verify, view_of
+from dronevio.estimator.sfm.two_view import TwoView, verify, view_of
 from dronevio.estimator.sfm.workspace import Workspace, digest
 from dronevio.models.image_sets import ImageSet
 from dronevio.models.progress import Progress, silent
@@ -32,24 +33,6 @@ from dronevio.models.reconstruction import Reconstruction
 Item = TypeVar("Item")
 Result = TypeVar("Result")
 Stages = Callable[[str], Progress]
-
-
-@dataclass(frozen=True)
-class SfmConfig:
-    """Structure from motion."""
-
-    features: FeatureConfig = field(default_factory=FeatureConfig)
-    """Detection of features."""
-    pairs: PairConfig = field(default_factory=PairConfig)
-    """Pairs of images that are matched."""
-    matching: MatchingConfig = field(default_factory=MatchingConfig)
-    """Matching of features."""
-    verification: VerificationConfig = field(default_factory=VerificationConfig)
-    """Geometric verification of matches."""
-    mapper: MapperConfig = field(default_factory=MapperConfig)
-    """Incremental mapping."""
-    threads: int = 2
-    """Number of threads that detect and match features."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -1,12 +1,11 @@
 """Pose of an image from points whose positions are known (perspective-n-point)."""
 
-from dataclasses import dataclass
-
 import cv2
 import numpy as np
 import numpy.typing as npt
 
 from dronevio.estimator.sfm.bearings import angles_rad, tangent_bases
+from dronevio.estimator.sfm.config import ResectionConfig
 from dronevio.models.rotation import exp_so3, pose_matrix, skew
 
 Array = npt.NDArray[np.float64]
@@ -15,20 +14,6 @@ Mask = npt.NDArray[np.bool_]
 MAX_PINHOLE_RAD = np.radians(75.0)
 """Largest angle from the optical axis of the points that RANSAC uses [rad]."""
 GAUSS_NEWTON_STEPS = 8
-
-
-@dataclass(frozen=True)
-class ResectionConfig:
-    """Registration of images."""
-
-    max_error_px: float = 6.0
-    """Largest reprojection error of an inlier [px]."""
-    min_inliers: int = 15
-    """Smallest number of inliers of a registered image."""
-    min_ratio: float = 0.25
-    """Smallest ratio of the inliers to the points that the image observes."""
-    max_iterations: int = 5000
-    """Largest number of hypotheses of RANSAC."""
 
 
 def resect(points: Array, bearings: Array, focal_px: float, config: ResectionConfig) -> tuple[Array, Mask] | None:

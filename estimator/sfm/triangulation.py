@@ -11,6 +11,7 @@ import numpy as np
 import numpy.typing as npt
 
 from dronevio.estimator.sfm.bearings import angles_rad
+from dronevio.estimator.sfm.config import TriangulationConfig
 
 Array = npt.NDArray[np.float64]
 Indices = npt.NDArray[np.int64]
@@ -20,16 +21,6 @@ HYPOTHESES = 8
 """Number of pairs of rays of a track that are tried."""
 REFINEMENTS = 2
 """Number of refinements of the consensus."""
-
-
-@dataclass(frozen=True)
-class TriangulationConfig:
-    """Triangulation of tracks."""
-
-    max_error_px: float = 4.0
-    """Largest reprojection error of an inlier [px]."""
-    min_angle_deg: float = 1.5
-    """Smallest angle between two rays of a point [deg]."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -13,6 +13,7 @@ import numpy as np
 import numpy.typing as npt
 
 from dronevio.estimator.sfm.bearings import angles_rad, nearest_point
+from dronevio.estimator.sfm.config import VerificationConfig
 from dronevio.estimator.sfm.matching import Matches
 from dronevio.models.camera import CameraModel
 from dronevio.models.rotation import pose_matrix
@@ -24,20 +25,6 @@ MAX_PINHOLE_RAD = np.radians(65.0)
 """Largest angle from the optical axis of the matches that determine the essential matrix [rad]."""
 CONFIDENCE = 0.9999
 """Probability that RANSAC draws a sample without outliers."""
-
-
-@dataclass(frozen=True)
-class VerificationConfig:
-    """Geometric verification of matches."""
-
-    max_error_px: float = 3.0
-    """Largest distance of an inlier from its epipolar line [px]."""
-    min_inliers: int = 15
-    """Smallest number of inliers of a verified pair."""
-    max_homography_ratio: float = 0.8
-    """Smallest ratio of the inliers of a homography to those of the essential matrix at which a pair is planar."""
-    max_iterations: int = 5000
-    """Largest number of hypotheses of RANSAC."""
 
 
 class Geometry(StrEnum):

@@ -5,10 +5,12 @@ import functools
 import importlib
 import re
 import shlex
+import shutil
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
+import gtsam
 import pytest
 import yaml
 
@@ -92,6 +94,8 @@ def test_files_that_pages_name_exist(page: str) -> None:
 def test_python_examples_run(page: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     (tmp_path / "benchmarks" / "room").mkdir(parents=True)
     write_rows(tmp_path / "benchmarks" / "room" / "results.parquet", [])
+    villa = Path(gtsam.findExampleDataFile("Balbianello/BalbianelloMedium-1.jpg")).parent
+    shutil.copytree(villa, tmp_path / "photographs")
     monkeypatch.chdir(tmp_path)
     for code in blocks(page, "python"):
         exec(compile(code, page, "exec"), {})

@@ -22,9 +22,9 @@ class SyntheticScene:
     camera: CameraModel
     """The camera of all images."""
     Ts_world_cam: Array
-    """(I, 4, 4) True poses."""
+    """(I, 4, 4) True poses of the cameras."""
     points: Array
-    """(N, 3) True points."""
+    """(N, 3) True points of the scene."""
     features: tuple[Features, ...]
     """Features of each image, in random order; a point has nearly the same descriptor in all images."""
     point_of: tuple[npt.NDArray[np.int64], ...]

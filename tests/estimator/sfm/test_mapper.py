@@ -8,13 +8,20 @@ import numpy as np
 import numpy.typing as npt
 import pytest
 
-from dronevio.estimator.sfm.mapper import MapperConfig, map_scene
-from dronevio.estimator.sfm.matching import MatchingConfig, match_features
+from dronevio.estimator.sfm.config import (
+    MapperConfig,
+    MatchingConfig,
+    ResectionConfig,
+    TriangulationConfig,
+    VerificationConfig,
+)
+from dronevio.estimator.sfm.mapper import map_scene
+from dronevio.estimator.sfm.matching import match_features
 from dronevio.estimator.sfm.model import Scene, SfmState
-from dronevio.estimator.sfm.resection import ResectionConfig, resect
+from dronevio.estimator.sfm.resection import resect
 from dronevio.estimator.sfm.tracks import connect_tracks
-from dronevio.estimator.sfm.triangulation import TriangulationConfig, triangulate_tracks
-from dronevio.estimator.sfm.two_view import TwoView, VerificationConfig, verify, view_of
+from dronevio.estimator.sfm.triangulation import triangulate_tracks
+from dronevio.estimator.sfm.two_view import TwoView, verify, view_of
 from dronevio.eval.metrics.alignment import umeyama
 from dronevio.models.camera import CameraModel
 from dronevio.models.rotation import exp_so3, log_so3

@@ -5,8 +5,9 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from dronevio.estimator.sfm.config import PairConfig
 from dronevio.estimator.sfm.features import Features
-from dronevio.estimator.sfm.pairs import PairConfig, image_similarities, select_pairs
+from dronevio.estimator.sfm.pairs import image_similarities, select_pairs
 
 if TYPE_CHECKING:
     from tests.estimator.sfm.conftest import MakeScene

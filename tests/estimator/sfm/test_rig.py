@@ -7,7 +7,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 import pytest
 
-from dronevio.estimator.sfm.pipeline import SfmConfig, reconstruct
+from dronevio.estimator.sfm.config import SfmConfig
+from dronevio.estimator.sfm.pipeline import reconstruct
 from dronevio.estimator.sfm.rig import rig_poses
 from dronevio.estimator.sfm.workspace import Workspace, digest
 from dronevio.models.image_sets import ImageSet

@@ -5,8 +5,9 @@ from typing import TYPE_CHECKING
 import numpy as np
 import pytest
 
-from dronevio.estimator.sfm.matching import MatchingConfig, match_features
-from dronevio.estimator.sfm.two_view import Geometry, TwoView, VerificationConfig, verify, view_of
+from dronevio.estimator.sfm.config import MatchingConfig, VerificationConfig
+from dronevio.estimator.sfm.matching import match_features
+from dronevio.estimator.sfm.two_view import Geometry, TwoView, verify, view_of
 from dronevio.models.camera import CameraModel
 from dronevio.models.rotation import inverse_pose, log_so3
 

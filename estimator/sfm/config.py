@@ -1,0 +1,118 @@
+"""Settings of structure from motion; this module imports none of the libraries that it uses."""
+
+from dataclasses import dataclass, field
+from typing import Literal
+
+
+@dataclass(frozen=True)
+class FeatureConfig:
+    """Detection of features."""
+
+    max_features: int = 2000
+    """Largest number of features of an image; those of highest contrast are kept."""
+    contrast_threshold: float = 0.02
+    """Smallest contrast of a keypoint, in the scale of OpenCV."""
+    edge_threshold: float = 10.0
+    """Largest ratio of the principal curvatures of a keypoint."""
+
+
+@dataclass(frozen=True)
+class PairConfig:
+    """Pairs of images that are matched."""
+
+    method: Literal["automatic", "exhaustive", "sequential", "retrieval"] = "automatic"
+    """All pairs, neighbours in the sequence and similar images, or similar images alone; ``automatic`` matches all
+    pairs of at most `max_exhaustive` images, and otherwise decides by whether the images are a sequence."""
+    max_exhaustive: int = 40
+    """Largest number of images of which ``automatic`` matches all pairs."""
+    overlap: int = 10
+    """Number of next images in a sequence to which an image is matched."""
+    similar: int = 10
+    """Number of similar images to which an image is matched, besides its neighbours in the sequence."""
+
+
+@dataclass(frozen=True)
+class MatchingConfig:
+    """Matching of features."""
+
+    ratio: float = 0.8
+    """Largest ratio of the distance to the nearest descriptor and to the second nearest."""
+    max_angle_rad: float = 0.7
+    """Largest angle between the descriptors of a match [rad]."""
+
+
+@dataclass(frozen=True)
+class VerificationConfig:
+    """Geometric verification of matches."""
+
+    max_error_px: float = 3.0
+    """Largest distance of an inlier from its epipolar line [px]."""
+    min_inliers: int = 15
+    """Smallest number of inliers of a verified pair."""
+    max_homography_ratio: float = 0.8
+    """Smallest ratio of the inliers of a homography to those of the essential matrix at which a pair is planar."""
+    max_iterations: int = 5000
+    """Largest number of hypotheses of RANSAC."""
+
+
+@dataclass(frozen=True)
+class TriangulationConfig:
+    """Triangulation of tracks."""
+
+    max_error_px: float = 4.0
+    """Largest reprojection error of an inlier [px]."""
+    min_angle_deg: float = 1.5
+    """Smallest angle between two rays of a point [deg]."""
+
+
+@dataclass(frozen=True)
+class ResectionConfig:
+    """Registration of images."""
+
+    max_error_px: float = 6.0
+    """Largest reprojection error of an inlier [px]."""
+    min_inliers: int = 15
+    """Smallest number of inliers of a registered image."""
+    min_ratio: float = 0.25
+    """Smallest ratio of the inliers to the points that the image observes."""
+    max_iterations: int = 5000
+    """Largest number of hypotheses of RANSAC."""
+
+
+@dataclass(frozen=True)
+class MapperConfig:
+    """Incremental mapping."""
+
+    triangulation: TriangulationConfig = field(default_factory=TriangulationConfig)
+    """Triangulation of tracks."""
+    resection: ResectionConfig = field(default_factory=ResectionConfig)
+    """Registration of images."""
+    global_ratio: float = 1.2
+    """Growth of the number of images between two adjustments of the whole reconstruction."""
+    intermediate_observations: int = 300
+    """Number of observations of an image in the adjustments before the last; tracks of many images are preferred."""
+    min_support: float = 0.6
+    """Smallest ratio of the inliers of a registered image to the points that it observes; an image below it is
+    registered anew."""
+    max_iterations: int = 50
+    """Largest number of iterations of the last adjustment."""
+    final_cauchy_px: float = 0.5
+    """Scale of the Cauchy loss of the last adjustment [px]."""
+
+
+@dataclass(frozen=True)
+class SfmConfig:
+    """Structure from motion."""
+
+    features: FeatureConfig = field(default_factory=FeatureConfig)
+    """Detection of features."""
+    pairs: PairConfig = field(default_factory=PairConfig)
+    """Pairs of images that are matched."""
+    matching: MatchingConfig = field(default_factory=MatchingConfig)
+    """Matching of features."""
+    verification: VerificationConfig = field(default_factory=VerificationConfig)
+    """Geometric verification of matches."""
+    mapper: MapperConfig = field(default_factory=MapperConfig)
+    """Incremental mapping of the images."""
+    threads: int = 2
+    """Number of threads that detect and match features."""
