@@ -6,7 +6,7 @@ The public names are imported when they are first used, so that ``import dronevi
 
     recording = dv.fly("room", "recordings/room", seed=3)
     run = dv.estimate(recording)
-    print(dv.evaluate(recording, run).scores.ate_m)
+    print(dv.evaluate(recording, run).scores.ate_m.rmse)
 
 The package consists of ``dronevio.models`` (data types, sensor models and recordings), ``dronevio.sim`` (physics and
 sensors with MuJoCo), ``dronevio.estimator`` (visual-inertial odometry with GTSAM and OpenCV), ``dronevio.eval``
