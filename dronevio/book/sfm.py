@@ -14,7 +14,7 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True)
-class SfmCommand:
+class BookSfmCommand:
     """Reconstruct Villa Balbianello from five photographs by bundle adjustment.
 
     Each observation of a point in a photograph is a factor with a standard deviation of 1 px. The reconstruction that
@@ -43,7 +43,7 @@ class SfmCommand:
 
 def main(arguments: Sequence[str]) -> int:
     """Run the command and return its exit code."""
-    command = parse(SfmCommand, arguments, "book sfm")
+    command = parse(BookSfmCommand, arguments, "book sfm")
 
     import numpy as np
 

@@ -107,7 +107,7 @@ class Patches:
 
 
 @dataclass(frozen=True, eq=False)
-class Alignment:
+class PatchAlignment:
     """Result of the alignment of N patches with an image."""
 
     pixels: Array
@@ -176,7 +176,7 @@ class PatchAligner:
         warp = np.tile(np.eye(2), (n, 1, 1))
         return Patches(template, steepest_descent, np.linalg.inv(H), prior_weight, norm, warp)
 
-    def align(self, image: ScaleSpace, patches: Patches, pixels: Array) -> Alignment:
+    def align(self, image: ScaleSpace, patches: Patches, pixels: Array) -> PatchAlignment:
         """Align patches with an image.
 
         Args:
@@ -197,7 +197,7 @@ class PatchAligner:
         scale_squared = np.linalg.det(warp)
         noise_loss = (c.blurred_noise_ratio * image.noise * c.side_px / patches.norm) ** 2  # of correlation
         valid = (zncc > c.min_zncc - noise_loss) & (scale_squared > c.max_scale**-2) & (scale_squared < c.max_scale**2)
-        return Alignment(pixels, replace(patches, warp=warp), zncc, valid & np.isfinite(pixels).all(axis=1))
+        return PatchAlignment(pixels, replace(patches, warp=warp), zncc, valid & np.isfinite(pixels).all(axis=1))
 
     def _sampled(self, image: ScaleSpace, pixels: Array, warp: Array | None = None) -> Array32:
         """Return the grey levels (N, P) of an image on warped grids around pixels (N, 2)."""

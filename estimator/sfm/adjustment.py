@@ -43,7 +43,7 @@ class RelativePose:
 
 
 @dataclass(frozen=True)
-class AdjustmentConfig:
+class BundleAdjustmentConfig:
     """Bundle adjustment."""
 
     max_iterations: int = 50
@@ -59,7 +59,7 @@ def adjust(
     state: SfmState,
     free_images: Mask,
     selected: Mask,
-    config: AdjustmentConfig,
+    config: BundleAdjustmentConfig,
     rig: Sequence[RelativePose] = (),
 ) -> SfmState:
     """Adjust poses, points and cameras.
@@ -104,7 +104,7 @@ def adjust(
     return replace(state, cameras=tuple(cameras), Ts_world_cam=Ts_world_cam, points=points)
 
 
-def _noise(config: AdjustmentConfig) -> gtsam.noiseModel.Base:
+def _noise(config: BundleAdjustmentConfig) -> gtsam.noiseModel.Base:
     gaussian = gtsam.noiseModel.Isotropic.Sigma(2, PIXEL_SIGMA)
     if config.cauchy_px is None:
         return gaussian

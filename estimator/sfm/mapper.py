@@ -11,7 +11,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 import numpy.typing as npt
 
-from dronevio.estimator.sfm.adjustment import AdjustmentConfig, adjust
+from dronevio.estimator.sfm.adjustment import BundleAdjustmentConfig, adjust
 from dronevio.estimator.sfm.config import MapperConfig
 from dronevio.estimator.sfm.model import Scene, SfmState
 from dronevio.estimator.sfm.resection import resect
@@ -212,7 +212,7 @@ class _Mapper:
         """Adjust the whole reconstruction on a subset of its observations, with a robust loss."""
         used = state.used(self.scene)
         selected = self._subset(state, used, state.is_registered)
-        config = AdjustmentConfig(max_iterations=15, relative_tolerance=1e-4, cauchy_px=INTERMEDIATE_CAUCHY_PX)
+        config = BundleAdjustmentConfig(max_iterations=15, relative_tolerance=1e-4, cauchy_px=INTERMEDIATE_CAUCHY_PX)
         adjusted = adjust(self.scene, state, state.is_registered, selected, config)
         return self._repair(adjusted, np.ones(self.scene.tracks.count, np.bool_))
 
@@ -289,7 +289,7 @@ class _Mapper:
         state = self.filter(self._complete(state))
         is_calibrated = self.scene.is_calibrated.all()
         tolerance = CALIBRATED_TOLERANCE if is_calibrated else UNCALIBRATED_TOLERANCE
-        config = AdjustmentConfig(self.config.max_iterations, tolerance, self.config.final_cauchy_px)
+        config = BundleAdjustmentConfig(self.config.max_iterations, tolerance, self.config.final_cauchy_px)
         return self.filter(adjust(self.scene, state, state.is_registered, state.used(self.scene), config))
 
 

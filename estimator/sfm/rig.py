@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import numpy.typing as npt
 
-from dronevio.estimator.sfm.adjustment import AdjustmentConfig, RelativePose, adjust
+from dronevio.estimator.sfm.adjustment import BundleAdjustmentConfig, RelativePose, adjust
 from dronevio.estimator.sfm.model import Scene, SfmState
 from dronevio.models.image_sets import ImageSet
 from dronevio.models.rotation import inverse_pose
@@ -52,6 +52,6 @@ def impose_rig(scene: Scene, state: SfmState, images: ImageSet, cauchy_px: float
         return state, False
     Ts_world_cam = state.Ts_world_cam.copy()
     Ts_world_cam[:, :3, 3] *= scale
-    config = AdjustmentConfig(relative_tolerance=1e-3, cauchy_px=cauchy_px)
+    config = BundleAdjustmentConfig(relative_tolerance=1e-3, cauchy_px=cauchy_px)
     state = replace(state, Ts_world_cam=Ts_world_cam, points=scale * state.points)
     return adjust(scene, state, state.is_registered, state.used(scene), config, poses), True

@@ -2,7 +2,7 @@
 
 An essential matrix explains the matches of two views of a static scene, and a homography those of a plane or of a
 rotation without translation; neither of the latter determines a depth that can be relied upon (Hartley and Zisserman,
-*Multiple View Geometry*, 2004, section 11.9). Without calibration, a fundamental matrix verifies the matches.
+*Multiple ImageView Geometry*, 2004, section 11.9). Without calibration, a fundamental matrix verifies the matches.
 """
 
 from dataclasses import dataclass
@@ -57,7 +57,7 @@ class TwoView:
 
 
 @dataclass(frozen=True, eq=False)
-class View:
+class ImageView:
     """Pixels of an image together with what verification needs of its camera."""
 
     pixels: Array
@@ -70,13 +70,13 @@ class View:
     """Whether the camera model is known; otherwise it is a guess."""
 
 
-def view_of(pixels: Array, camera: CameraModel, is_calibrated: bool) -> View:
+def view_of(pixels: Array, camera: CameraModel, is_calibrated: bool) -> ImageView:
     """Return the view of an image from the pixels (N, 2) of its features."""
-    return View(pixels, camera.unproject(pixels), float(np.sqrt(camera.fx * camera.fy)), is_calibrated)
+    return ImageView(pixels, camera.unproject(pixels), float(np.sqrt(camera.fx * camera.fy)), is_calibrated)
 
 
 def verify(
-    first: int, second: int, views: tuple[View, View], matches: Matches, config: VerificationConfig
+    first: int, second: int, views: tuple[ImageView, ImageView], matches: Matches, config: VerificationConfig
 ) -> TwoView | None:
     """Return the verified matches of two images, None if there are too few.
 

@@ -29,7 +29,7 @@ _HISTOGRAM_BINS = 40
 
 
 @dataclass(frozen=True)
-class View:
+class PathView:
     """An orthographic view of a path along an axis of the world frame."""
 
     title: str
@@ -40,11 +40,11 @@ class View:
     """Index of the world axis on the y axis of the plot."""
 
 
-TOP_VIEW = View("Path from above", 0, 1)
-SIDE_VIEW = View("Path from the side", 0, 2)
+TOP_VIEW = PathView("Path from above", 0, 1)
+SIDE_VIEW = PathView("Path from the side", 0, 2)
 
 
-def draw_path(ax: Axes, view: View, estimate: Trajectory, truth: Trajectory | None, outline: Array) -> None:
+def draw_path(ax: Axes, view: PathView, estimate: Trajectory, truth: Trajectory | None, outline: Array) -> None:
     """Draw the estimated and the true path to scale, with a ring at the start and a square at the end.
 
     Args:

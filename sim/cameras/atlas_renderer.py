@@ -10,7 +10,7 @@ import numpy.typing as npt
 from dronevio.models.errors import ConfigError, GraphicsError
 from dronevio.models.rotation import inverse_pose, pose_matrix, quat_wxyz_from_matrix
 from dronevio.sim.cameras.gl import Context, create_context
-from dronevio.sim.cameras.views import View, Views
+from dronevio.sim.cameras.views import PinholeView, Views
 
 Array = npt.NDArray[np.float64]
 Colours = npt.NDArray[np.uint8]
@@ -174,7 +174,7 @@ class AtlasRenderer:
         return int(self._model.body_mocapid[self._model.body_rootid[self._model.geom_bodyid[geom]]])
 
 
-def set_camera(scene: mujoco.MjvScene, T_world_cam: Array, view: View, near_m: float, far_m: float) -> None:
+def set_camera(scene: mujoco.MjvScene, T_world_cam: Array, view: PinholeView, near_m: float, far_m: float) -> None:
     """Set the camera of a scene to a view of a camera at a pose (4, 4)."""
     _, down, ahead = (T_world_cam[:3, :3] @ view.R_cam_view).T
     for eye in scene.camera:  # two eyes; MuJoCo renders from their mean

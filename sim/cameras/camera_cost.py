@@ -12,7 +12,7 @@ import numpy.typing as npt
 from dronevio.models.camera import CameraModel
 from dronevio.sim.cameras.atlas_renderer import disable_lights, set_camera
 from dronevio.sim.cameras.camera import OffscreenCamera
-from dronevio.sim.cameras.views import View
+from dronevio.sim.cameras.views import PinholeView
 
 Array = npt.NDArray[np.float64]
 
@@ -58,7 +58,7 @@ def camera_cost(model: mujoco.MjModel, camera: CameraModel, Ts_world_cam: Array)
         return CameraCost(float(camera_ms), float(bare_ms), rendered.views.pixels)
 
 
-def _renderer(model: mujoco.MjModel, view: View) -> mujoco.Renderer:
+def _renderer(model: mujoco.MjModel, view: PinholeView) -> mujoco.Renderer:
     """Return MuJoCo's renderer for a view, with the flags of the camera."""
     room = model.vis.global_
     before = room.offwidth, room.offheight
@@ -74,7 +74,7 @@ def _renderer(model: mujoco.MjModel, view: View) -> mujoco.Renderer:
     return renderer
 
 
-def _draw_bare(model: mujoco.MjModel, bare: Sequence[tuple[View, mujoco.Renderer]], T_world_cam: Array) -> None:
+def _draw_bare(model: mujoco.MjModel, bare: Sequence[tuple[PinholeView, mujoco.Renderer]], T_world_cam: Array) -> None:
     """Render all views with MuJoCo's renderer."""
     near_m, far_m = (float(v * model.stat.extent) for v in (model.vis.map.znear, model.vis.map.zfar))
     for view, renderer in bare:

@@ -29,7 +29,7 @@ Light = npt.NDArray[np.uint8] | npt.NDArray[np.float32]
 
 Poses = Callable[[Times], Array]
 """Function from true times (M,) [ns] to camera poses T_world_cam (M, 4, 4)."""
-View = Callable[[int, slice], GreyImage]
+RowView = Callable[[int, slice], GreyImage]
 """Function that renders some rows of `Shutter.drawn` at a true time [ns]."""
 
 LARGEST_MARGIN_PX = 32
@@ -123,7 +123,7 @@ class Shutter:
             static=blur <= _STATIC_BLUR_PX and skew <= _STATIC_SKEW_PX,
         )
 
-    def expose(self, plan: ExposurePlan, poses: Poses, view: View) -> Light:
+    def expose(self, plan: ExposurePlan, poses: Poses, view: RowView) -> Light:
         """Return the light (H, W) that the rows integrate [grey levels]."""
         height, margin = self._model.height, self._margin_px
         if plan.static:

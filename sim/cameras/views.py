@@ -33,7 +33,7 @@ _CUBE = np.stack(  # right, down and ahead of each face as columns, in the camer
 
 
 @dataclass(frozen=True, eq=False)
-class View:
+class PinholeView:
     """A pinhole view in the atlas."""
 
     R_cam_view: Array
@@ -55,7 +55,7 @@ class View:
         right, bottom = (np.array([self.width, self.height]) - 0.5 - self.c) / self.f
         return near_m * (left + right) / 2.0, near_m * (right - left) / 2.0, -near_m * bottom, -near_m * top
 
-    def rows(self, low: int, high: int) -> "View":
+    def rows(self, low: int, high: int) -> "PinholeView":
         """Return the part of the view from row ``low`` to before ``high``, counted from below."""
         above = np.array([0.0, self.height - high])
         return replace(self, c=self.c - above, height=high - low)
@@ -71,7 +71,7 @@ class View:
 class Views:
     """All views that the image of a camera requires."""
 
-    views: tuple[View, ...]
+    views: tuple[PinholeView, ...]
     """The views, side by side."""
     width: int
     """Width of the atlas [px]."""
@@ -97,7 +97,7 @@ class Views:
     @classmethod
     def _side_by_side(cls, faces: Array, rays: Array, f: Array) -> "Views":
         """Return the views of faces (F, 3, 3) that rays (N, 3) intersect, cropped to these rays."""
-        views: list[View] = []
+        views: list[PinholeView] = []
         through = _face_of(rays, faces)
         column = 0
         for face, R_cam_view in enumerate(faces):
@@ -106,7 +106,7 @@ class Views:
                 drawn = in_view[:, :2] / in_view[:, 2:] * f
                 low = np.floor(drawn.min(axis=0)) - MARGIN_PX
                 width, height = (np.ceil(drawn.max(axis=0)) + MARGIN_PX - low).astype(int) + 1
-                views.append(View(R_cam_view, f, -low, column, int(width), int(height)))
+                views.append(PinholeView(R_cam_view, f, -low, column, int(width), int(height)))
                 column += int(width)
         return cls(tuple(views), column, max(view.height for view in views))
 

@@ -5,7 +5,7 @@ import numpy.typing as npt
 import pytest
 
 from dronevio.estimator.frontend import klt
-from dronevio.estimator.frontend.patches import Alignment, PatchAligner, PatchConfig, noise_sigma
+from dronevio.estimator.frontend.patches import PatchAligner, PatchAlignment, PatchConfig, noise_sigma
 
 Array = npt.NDArray[np.float64]
 Image = npt.NDArray[np.uint8]
@@ -40,7 +40,7 @@ def warped(points: Array, warp: Array, shift: Array) -> Array:
     return (points - CENTRE) @ warp.T + CENTRE + shift
 
 
-def aligned(first: Image, second: Image, start: Array, config: PatchConfig = CONFIG, frames: int = 1) -> Alignment:
+def aligned(first: Image, second: Image, start: Array, config: PatchConfig = CONFIG, frames: int = 1) -> PatchAlignment:
     """Extract patches from one image and align them with another, repeatedly as if in several frames."""
     aligner = PatchAligner(config)
     patches, target = aligner.extract(aligner.scale_space(first), POINTS), aligner.scale_space(second)
