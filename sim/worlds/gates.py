@@ -281,5 +281,5 @@ def _chalk(image: Image, gate: _Gate) -> None:
         cv2.line(image, (u0, v0), (u1, v1), (222, 224, 214), round(0.1 * _FIELD_PX_PER_M), cv2.LINE_AA)
 
 
-GATES = WorldBuilder("coloured gates on a field, to be raced through in order", layout)
+GATES = WorldBuilder("coloured gates on a field that are flown through in order", layout)
 """The race."""

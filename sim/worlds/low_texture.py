@@ -108,5 +108,5 @@ def _plinth(rng: Random) -> Piece:
     return Piece((block(0.0, 0.5 * side, 0.0, side, side, tall, white),), side, side, tall)
 
 
-LOW_TEXTURE = WorldBuilder("a white gallery, all but empty: walls and floor without texture", layout, "hard")
+LOW_TEXTURE = WorldBuilder("a white, nearly empty gallery: walls and floor without texture", layout, "hard")
 """The white gallery."""
