@@ -15,7 +15,7 @@ from dronevio.estimator.sfm.adjustment import BundleAdjustmentConfig, adjust
 from dronevio.estimator.sfm.config import MapperConfig
 from dronevio.estimator.sfm.model import Scene, SfmState
 from dronevio.estimator.sfm.resection import resect
-from dronevio.estimator.sfm.triangulation import triangulate_tracks, widest_angles
+from dronevio.estimator.sfm.structure import complete, remove_outliers, repair, triangulate
 from dronevio.estimator.sfm.two_view import Geometry, TwoView
 from dronevio.models.camera import CameraModel
 from dronevio.models.progress import Progress, silent
@@ -33,7 +33,7 @@ VISIBILITY_LEVELS = 6
 INTERMEDIATE_CAUCHY_PX = 1.0
 """Scale of the Cauchy loss of the adjustments before the last [px]."""
 MAX_DISCARDS = 2
-"""Largest number of times that an image is registered anew."""
+"""Number of wrong registrations after which an image is left out."""
 CALIBRATED_TOLERANCE = 1e-3
 """Relative decrease of the error at which the last adjustment stops."""
 UNCALIBRATED_TOLERANCE = 1e-5
@@ -93,10 +93,10 @@ class _Mapper:
         state = SfmState(
             cameras, Ts_world_cam, np.full((scene.tracks.count, 3), np.nan), np.zeros(len(scene.pixels), np.bool_)
         )
-        state = self.triangulate(state)
+        state = triangulate(scene, state, self.config.triangulation)
         if state.has_point.sum() < 10:
             return None
-        state = self.filter(self.adjust_all(state))
+        state = self.clean(self.adjust_all(state))
         is_plausible = all(
             1.0 / MAX_FOCAL_CHANGE < camera.fx / max(camera.width, camera.height) < MAX_FOCAL_CHANGE
             for camera in state.cameras
@@ -113,14 +113,14 @@ class _Mapper:
             visible, score = self._visibility(state)
             # An image that failed is tried again when it sees a quarter more points.
             candidates = available & ~state.is_registered & (visible >= config.resection.min_inliers)
-            candidates &= 4 * visible > 5 * failed_at
+            candidates &= (4 * visible > 5 * failed_at) & (discards < MAX_DISCARDS)
             if candidates.any():
                 image = int(np.argmax(np.where(candidates, score, -1.0)))
                 registered = self._register(state, image)
                 if registered is None:
                     failed_at[image] = visible[image]
                     continue
-                state = self.filter(self.triangulate(registered))
+                state = self.clean(triangulate(scene, registered, config.triangulation))
                 count = int(state.is_registered.sum())
                 self.progress(count, scene.images)
                 if count >= config.global_ratio * adjusted_images:
@@ -169,32 +169,6 @@ class _Mapper:
         is_inlier[index] = found[1]
         return replace(state, Ts_world_cam=Ts_world_cam, is_inlier=is_inlier)
 
-    def triangulate(self, state: SfmState, again: Mask | None = None) -> SfmState:
-        """Triangulate tracks without a point, and those (T,) marked to be triangulated again."""
-        scene = self.scene
-        wanted = ~state.has_point if again is None else ~state.has_point | again
-        index = np.flatnonzero(state.is_registered[scene.tracks.image] & wanted[scene.tracks.track])
-        bearings = state.bearings(scene, index)
-        is_defined = np.isfinite(bearings[:, 0])
-        index, bearings = index[is_defined], bearings[is_defined]
-        tracks, track = np.unique(scene.tracks.track[index], return_inverse=True)
-        enough = np.bincount(track, minlength=len(tracks)) >= 2
-        index, bearings = index[enough[track]], bearings[enough[track]]
-        tracks, track = np.unique(scene.tracks.track[index], return_inverse=True)
-        T = state.Ts_world_cam[scene.tracks.image[index]]
-        rng = np.random.default_rng(0)
-        found = triangulate_tracks(
-            track.astype(np.int64),
-            T[:, :3, 3],
-            np.einsum("mij,mj->mi", T[:, :3, :3], bearings),
-            state.focal_px(scene, index),
-            self.config.triangulation,
-            rng,
-        )
-        points, is_inlier = state.points.copy(), state.is_inlier.copy()
-        points[tracks], is_inlier[index] = found.points, found.is_inlier
-        return replace(state, points=points, is_inlier=is_inlier)
-
     def _subset(self, state: SfmState, used: Mask, images: Mask) -> Mask:
         """Return a subset of the used observations: per image, those of the longest tracks."""
         scene = self.scene
@@ -214,55 +188,15 @@ class _Mapper:
         selected = self._subset(state, used, state.is_registered)
         config = BundleAdjustmentConfig(max_iterations=15, relative_tolerance=1e-4, cauchy_px=INTERMEDIATE_CAUCHY_PX)
         adjusted = adjust(self.scene, state, state.is_registered, selected, config)
-        return self._repair(adjusted, np.ones(self.scene.tracks.count, np.bool_))
+        return repair(self.scene, adjusted, self.config.triangulation)
 
-    def _repair(self, state: SfmState, moved: Mask) -> SfmState:
-        """Triangulate again the points that an adjustment of a subset has left behind."""
-        errors = self._errors(state, moved)
-        worst = np.zeros(self.scene.tracks.count)
-        np.maximum.at(worst, self.scene.tracks.track, errors)
-        return self.triangulate(state, moved & (worst > 1.0))
-
-    def _errors(self, state: SfmState, tracks: Mask) -> Array:
-        """Return reprojection errors (M,) of the used observations of some tracks, zero for others [px]."""
-        errors = np.zeros(len(self.scene.pixels))
-        index = np.flatnonzero(state.used(self.scene) & tracks[self.scene.tracks.track])
-        errors[index] = state.errors_px(self.scene, index)
-        return errors
-
-    def filter(self, state: SfmState, tracks: Mask | None = None) -> SfmState:
-        """Remove outliers, and points with fewer than two observations or too small an angle."""
-        scene, config = self.scene, self.config.triangulation
-        tracks = state.has_point if tracks is None else state.has_point & tracks
-        is_inlier = state.is_inlier & (self._errors(state, tracks) <= config.max_error_px)
-        state = replace(state, is_inlier=is_inlier)
-        index = np.flatnonzero(state.used(scene) & tracks[scene.tracks.track])
-        ids, track = np.unique(scene.tracks.track[index], return_inverse=True)
-        keep = np.zeros(scene.tracks.count, np.bool_)
-        if len(index):
-            counts = np.bincount(track)
-            starts = np.concatenate([[0], np.cumsum(counts)[:-1]])
-            origins = state.Ts_world_cam[scene.tracks.image[index], :3, 3]
-            angles = widest_angles(track, starts, state.points[ids], origins, np.ones(len(index), np.bool_))
-            keep[ids] = (counts >= 2) & (angles >= np.radians(config.min_angle_deg))
-        points = state.points.copy()
-        points[tracks & ~keep] = np.nan
-        return replace(state, points=points, is_inlier=is_inlier & np.isfinite(points[scene.tracks.track, 0]))
-
-    def _complete(self, state: SfmState) -> SfmState:
-        """Add observations that agree with the point of their track, and triangulate tracks without a point."""
-        scene = self.scene
-        state = self.triangulate(state)
-        index = np.flatnonzero(
-            ~state.is_inlier & state.is_registered[scene.tracks.image] & state.has_point[scene.tracks.track]
-        )
-        is_inlier = state.is_inlier.copy()
-        is_inlier[index] = state.errors_px(scene, index) <= self.config.triangulation.max_error_px
-        return replace(state, is_inlier=is_inlier)
+    def clean(self, state: SfmState) -> SfmState:
+        """Remove outliers and points that are not determined."""
+        return remove_outliers(self.scene, state, self.config.triangulation)
 
     def _refine(self, state: SfmState) -> SfmState:
         """Complete, adjust and filter the whole reconstruction."""
-        return self.filter(self.adjust_all(self._complete(state)))
+        return self.clean(self.adjust_all(complete(self.scene, state, self.config.triangulation)))
 
     def _discard(self, state: SfmState, discards: Indices) -> SfmState:
         """Remove images with a wrong pose, which contradicts many of the points that they observe.
@@ -275,22 +209,22 @@ class _Mapper:
         seen = state.has_point[scene.tracks.track] & state.is_registered[scene.tracks.image]
         visible = np.bincount(scene.tracks.image[seen], minlength=scene.images)
         inliers = np.bincount(scene.tracks.image[state.used(scene)], minlength=scene.images)
-        is_wrong = state.is_registered & (inliers < self.config.min_support * visible) & (discards < MAX_DISCARDS)
+        is_wrong = state.is_registered & (inliers < self.config.min_support * visible)
         if not is_wrong.any() or (state.is_registered & ~is_wrong).sum() < 2:
             return state
         discards[is_wrong] += 1
         Ts_world_cam = state.Ts_world_cam.copy()
         Ts_world_cam[is_wrong] = np.nan
         is_inlier = state.is_inlier & ~is_wrong[scene.tracks.image]
-        return self.filter(replace(state, Ts_world_cam=Ts_world_cam, is_inlier=is_inlier))
+        return self.clean(replace(state, Ts_world_cam=Ts_world_cam, is_inlier=is_inlier))
 
     def _finish(self, state: SfmState) -> SfmState:
         """Adjust all observations until the error settles, and remove outliers."""
-        state = self.filter(self._complete(state))
+        state = self.clean(complete(self.scene, state, self.config.triangulation))
         is_calibrated = self.scene.is_calibrated.all()
         tolerance = CALIBRATED_TOLERANCE if is_calibrated else UNCALIBRATED_TOLERANCE
         config = BundleAdjustmentConfig(self.config.max_iterations, tolerance, self.config.final_cauchy_px)
-        return self.filter(adjust(self.scene, state, state.is_registered, state.used(self.scene), config))
+        return self.clean(adjust(self.scene, state, state.is_registered, state.used(self.scene), config))
 
 
 def _seeds(pairs: list[TwoView], available: Mask, scene: Scene) -> list[TwoView]:
