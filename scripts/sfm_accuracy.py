@@ -1,0 +1,197 @@
+"""Accuracy and time of structure from motion in simulated worlds, beside COLMAP.
+
+For each scenario, 100 moving frames are spread evenly over a flight and reconstructed with the true calibration. The
+error is the root mean square distance of the camera positions from the true ones after a similarity transformation.
+COLMAP (pycolmap) matches the pairs that this project has verified, with two threads, and is run with several seeds, of
+which the median error counts. Times are elapsed times on this machine::
+
+    .venv/bin/python scripts/sfm_accuracy.py --work build/sfm
+    .venv/bin/python scripts/sfm_accuracy.py --work build/sfm --scenarios room-v0 --colmap-seeds 0
+"""
+
+import shutil
+import statistics
+import time
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import cv2
+import numpy as np
+import numpy.typing as npt
+import tyro
+
+from dronevio.cli import main as dronevio
+from dronevio.cli.terminal import print_table
+from dronevio.estimator.sfm.pipeline import reconstruct
+from dronevio.eval.metrics.alignment import umeyama
+from dronevio.models.image_sets import ImageSet, image_recording
+from dronevio.models.protocols import Recording
+from dronevio.models.recordings.open import open_recording
+from dronevio.models.rotation import matrix_from_quat_wxyz
+
+Array = npt.NDArray[np.float64]
+
+MIN_SPEED_M_S = 0.1
+"""Speed above which a frame counts as moving [m/s]."""
+SCENARIOS = (
+    "room-v0",
+    "corridor-medium-v0",
+    "warehouse-medium-v0",
+    "hall-medium-v0",
+    "forest-medium-v0",
+    "gates-medium-v0",
+)
+
+
+@dataclass(frozen=True)
+class SfmAccuracyCommand:
+    """Measure the accuracy and the time of structure from motion in simulated worlds."""
+
+    work: Path
+    """Folder of the recordings and of COLMAP's files; existing recordings are used again."""
+    scenarios: tuple[str, ...] = SCENARIOS
+    """Scenarios that are flown with their own seeds."""
+    frames: int = 100
+    """Number of frames of each flight."""
+    colmap_seeds: int = 3
+    """Number of runs of COLMAP in each world; 0 measures only this project."""
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """One reconstruction."""
+
+    registered: int
+    """Number of registered images in the largest component."""
+    rmse_mm: float
+    """Root mean square error of the positions of the registered cameras [mm]."""
+    times_s: dict[str, float]
+    """Elapsed time of each stage [s]."""
+
+
+def true_positions(recording: Recording, rows: npt.NDArray[np.int64]) -> Array:
+    """Return the true positions (N, 3) of the first camera at some frames [m]."""
+    truth = recording.ground_truth
+    assert truth is not None
+    nearest = np.searchsorted(truth.t_ns, recording.frame_times_ns[rows])
+    offset = recording.rig.cameras[0].T_imu_cam[:3, 3]
+    rotations = matrix_from_quat_wxyz(truth.quat_wxyz[nearest])
+    return np.asarray(truth.p_world_imu[nearest] + rotations @ offset)
+
+
+def moving_frames(recording: Recording, count: int) -> npt.NDArray[np.int64]:
+    """Return the indices of some moving frames, spread evenly, at which there is a true pose."""
+    truth = recording.ground_truth
+    assert truth is not None
+    assert truth.velocity_m_s is not None
+    rows = np.flatnonzero(np.isin(recording.frame_times_ns, truth.t_ns))
+    speed = np.linalg.norm(truth.velocity_m_s[np.searchsorted(truth.t_ns, recording.frame_times_ns[rows])], axis=1)
+    moving = rows[speed > MIN_SPEED_M_S]
+    return np.asarray(moving[np.round(np.linspace(0, len(moving) - 1, count)).astype(np.int64)])
+
+
+def rmse_mm(true: Array, estimated: Array) -> float:
+    """Return the root mean square distance after a similarity transformation [mm]."""
+    found = umeyama(true, estimated, with_scale=True)
+    residuals = true - (found.scale * estimated @ found.R_truth_estimate.T + found.t_m)
+    return float(1e3 * np.sqrt(np.mean(np.sum(residuals**2, axis=1))))
+
+
+def ours(images: ImageSet, true: Array) -> tuple[Outcome, list[tuple[int, int]]]:
+    """Return our reconstruction and the pairs with verified matches."""
+    result = reconstruct(images)
+    pairs = [(int(i), int(j)) for i, j in np.argwhere(np.triu(result.match_counts))]
+    if not result.reconstructions:
+        return Outcome(0, np.inf, result.times_s), pairs
+    largest = result.reconstructions[0]
+    rows = [images.names.index(name) for name in largest.image_names]
+    return Outcome(len(rows), rmse_mm(true[rows], largest.positions), result.times_s), pairs
+
+
+def colmap(images: ImageSet, true: Array, pairs: Sequence[tuple[int, int]], folder: Path, seed: int) -> Outcome:
+    """Return COLMAP's reconstruction of the same images and pairs."""
+    import pycolmap
+
+    shutil.rmtree(folder, ignore_errors=True)
+    (folder / "images").mkdir(parents=True)
+    names = [f"{i:06d}.png" for i in range(len(images.names))]
+    for i, name in enumerate(names):
+        cv2.imwrite(str(folder / "images" / name), images.read(i))
+    (folder / "pairs.txt").write_text("\n".join(f"{names[i]} {names[j]}" for i, j in pairs))
+    camera = images.cameras[0]
+    values = (camera.fx, camera.fy, camera.cx + 0.5, camera.cy + 0.5, *camera.distortion)
+    pycolmap.set_random_seed(seed)
+    reader = pycolmap.ImageReaderOptions(camera_model="OPENCV", camera_params=",".join(map(str, values)))
+    extraction = pycolmap.FeatureExtractionOptions(num_threads=2, use_gpu=False)
+    matching = pycolmap.FeatureMatchingOptions(num_threads=2, use_gpu=False)
+    mapping = pycolmap.IncrementalPipelineOptions(
+        num_threads=2,
+        ba_refine_focal_length=False,
+        ba_refine_principal_point=False,
+        ba_refine_extra_params=False,
+    )
+    database = folder / "database.db"
+    times = [time.perf_counter()]
+    pycolmap.extract_features(
+        database,
+        folder / "images",
+        camera_mode=pycolmap.CameraMode.SINGLE,
+        reader_options=reader,
+        extraction_options=extraction,
+    )
+    times.append(time.perf_counter())
+    pairing = pycolmap.ImportedPairingOptions(match_list_path=folder / "pairs.txt")
+    pycolmap.match_image_pairs(database, matching_options=matching, pairing_options=pairing)
+    times.append(time.perf_counter())
+    models = pycolmap.incremental_mapping(database, folder / "images", folder / "models", options=mapping)
+    times.append(time.perf_counter())
+    stages = dict(zip(("features", "matching", "mapping"), np.diff(times).tolist(), strict=True))
+    if not models:
+        return Outcome(0, np.inf, stages)
+    largest = max(models.values(), key=lambda model: model.num_reg_images())
+    posed = [image for image in largest.images.values() if image.has_pose]
+    rows = [int(image.name[:6]) for image in posed]
+    positions = np.stack([image.projection_center() for image in posed])
+    return Outcome(len(rows), rmse_mm(true[rows], positions), stages)
+
+
+def row(name: str, program: str, outcome: Outcome, frames: int) -> list[str]:
+    """Return a row of the table."""
+    registered = f"{outcome.registered} of {frames}"
+    times = [f"{outcome.times_s[stage]:.1f}" for stage in ("features", "matching", "mapping")]
+    return [name, program, registered, f"{outcome.rmse_mm:.2f}", *times, f"{sum(outcome.times_s.values()):.1f}"]
+
+
+def measure(command: SfmAccuracyCommand) -> None:
+    """Fly, reconstruct and print the table."""
+    rows = []
+    for scenario in command.scenarios:
+        flight = command.work / scenario
+        if not flight.exists():
+            dronevio(["fly", "--scenario", scenario, "--out", str(flight)])
+        recording = open_recording(flight)
+        frames = moving_frames(recording, command.frames)
+        images, true = image_recording(recording, frames=frames.tolist()), true_positions(recording, frames)
+        outcome, pairs = ours(images, true)
+        rows.append(row(scenario, "dronevio", outcome, command.frames))
+        others = [colmap(images, true, pairs, command.work / "colmap", seed) for seed in range(command.colmap_seeds)]
+        if others:
+            median = statistics.median_low([other.rmse_mm for other in others])
+            chosen = next(other for other in others if other.rmse_mm == median)
+            rows.append(row(scenario, f"COLMAP, median of {len(others)}", chosen, command.frames))
+        heading = (
+            "scenario",
+            "program",
+            "registered",
+            "RMSE [mm]",
+            "features [s]",
+            "matching [s]",
+            "mapping [s]",
+            "all [s]",
+        )
+        print_table("Structure from motion", heading, rows, left=("scenario", "program"))
+
+
+if __name__ == "__main__":
+    measure(tyro.cli(SfmAccuracyCommand, description=__doc__))
