@@ -92,3 +92,28 @@ def test_an_existing_result_is_not_replaced(photographs: Path, reconstructed: Pa
     shutil.copytree(reconstructed, copy)
     assert main(["sfm", str(photographs), "--out", str(copy)]) == 2
     assert (copy / "report.html").read_bytes() == (reconstructed / "report.html").read_bytes()
+
+
+def test_accuracy_script_selects_moving_frames(script: Callable[[str], Any], flown: Result) -> None:
+    accuracy = script("sfm_accuracy")
+    recording = dv.open_recording(flown.folder)
+    truth = recording.ground_truth
+    assert truth is not None
+    assert truth.velocity_m_s is not None
+    frames = accuracy.moving_frames(recording, 10)
+    assert len(frames) == 10
+    assert np.all(np.diff(frames) > 0)
+    rows = np.searchsorted(truth.t_ns, recording.frame_times_ns[frames])
+    assert np.linalg.norm(truth.velocity_m_s[rows], axis=1).min() > 0.1
+    # The camera is as far from the IMU as its mounting says, whatever the orientation.
+    offsets = accuracy.true_positions(recording, frames) - truth.p_world_imu[rows]
+    mounted = np.linalg.norm(recording.rig.cameras[0].T_imu_cam[:3, 3])
+    np.testing.assert_allclose(np.linalg.norm(offsets, axis=1), mounted, atol=1e-6)
+
+
+def test_accuracy_script_ignores_a_similarity(script: Callable[[str], Any]) -> None:
+    accuracy = script("sfm_accuracy")
+    true = np.array([[0.0, 0.0, 0.0], [2.0, 0.0, 0.0], [0.0, 2.0, 0.0], [0.0, 0.0, 1.0]])
+    turned = 3.0 * true[:, [1, 2, 0]] + 5.0
+    assert accuracy.rmse_mm(true, turned) < 1e-9
+    assert accuracy.rmse_mm(true, turned + np.array([[0.3, 0, 0], [0, 0, 0], [0, 0, 0], [0, 0, 0]])) > 10.0
