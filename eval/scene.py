@@ -190,7 +190,7 @@ def fit_eye(points: Array, azimuth_deg: float = 40.0, elevation_deg: float = 38.
     |h| ≤ (D − d) tan(fov / 2), and likewise for the width. The distance is the smallest D for which all points are.
 
     Args:
-        points: (N, 3) Points that are to be visible [m], N > 0.
+        points: (N, 3) Points that the view contains, N > 0 [m].
         azimuth_deg: Direction of view in the horizontal plane, from the x axis [°].
         elevation_deg: Elevation of the eye above the target [°].
     """

@@ -1,5 +1,6 @@
 """``dronevio sfm``: structure from motion, a reconstruction of a scene from images alone."""
 
+import shlex
 import shutil
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
@@ -24,7 +25,7 @@ Format = Literal["colmap-binary", "colmap-text", "bundler", "ply"]
 class SfmCommand:
     """Reconstruct cameras and points from images alone (structure from motion).
 
-    IMAGES is a folder of photographs, a video or a recording of this program. Without a calibration, focal length and
+    IMAGES is a folder of photographs, a video or a recording. Without a calibration, focal length and
     distortion are estimated, from EXIF data or a guess; the cameras of a recording are calibrated. With two or more
     cameras of a recording, the reconstruction is in metres; otherwise its scale is arbitrary. The result is a folder
     with the reconstruction in each format, a report with pictures and a rerun file.
@@ -88,13 +89,14 @@ def main(arguments: Sequence[str]) -> int:
     with progress_bars(quiet=command.output.json) as bars:
         result = reconstruct(images, command.sfm, Workspace(work), bars.bar)
     if not result.reconstructions:
+        shutil.rmtree(work, ignore_errors=True)
         raise InputError(
             command.images,
             f"{len(images.names)} images, no two of which determine the motion of a camera",
             "images of one scene that overlap, from different positions",
         )
     with atomic_folder(target, command.output.overwrite, mark="report.json") as folder:
-        _write(folder, target, command, images, result)
+        _write(folder, target, command, arguments, images, result)
     shutil.rmtree(work, ignore_errors=True)
     if command.output.json:
         print_json(_summary(target, images, result))
@@ -110,7 +112,14 @@ def _calibrated(path: Path) -> "CameraModel":
     return read_rig(path).cameras[0].model
 
 
-def _write(folder: Path, target: Path, command: SfmCommand, images: "ImageSet", result: "SfmResult") -> None:
+def _write(
+    folder: Path,
+    target: Path,
+    command: SfmCommand,
+    arguments: Sequence[str],
+    images: "ImageSet",
+    result: "SfmResult",
+) -> None:
     """Write the reconstruction, its report and its rerun file."""
     from dronevio import __version__
     from dronevio.eval.provenance import RunInfo
@@ -127,7 +136,7 @@ def _write(folder: Path, target: Path, command: SfmCommand, images: "ImageSet", 
     registered = {name for reconstruction in result.reconstructions for name in reconstruction.image_names}
     info = RunInfo(
         title=f"Structure from motion: {command.images.name}",
-        command=f"dronevio sfm {command.images}",
+        command=shlex.join(["dronevio", "sfm", *arguments]),
         open_command=f"dronevio view {target}",
         configuration={"dronevio": __version__, "sfm": to_jsonable(command.sfm)},
     )

@@ -21,7 +21,7 @@ Indices = npt.NDArray[np.int64]
 Mask = npt.NDArray[np.bool_]
 
 FIXED_SIGMA = 1e-7
-"""Standard deviation of the prior of a pose that does not change, relative to the scale of the scene and in radians."""
+"""Standard deviation of the prior of the first pose: rotation [rad], position relative to the scale of the scene."""
 RANGE_SIGMA = 1e-5
 """Standard deviation of the prior that fixes the scale, relative to the distance."""
 PIXEL_SIGMA = 1.0
@@ -57,7 +57,6 @@ class BundleAdjustmentConfig:
 def adjust(
     scene: Scene,
     state: SfmState,
-    free_images: Mask,
     selected: Mask,
     config: BundleAdjustmentConfig,
     rig: Sequence[RelativePose] = (),
@@ -67,7 +66,6 @@ def adjust(
     Args:
         scene: The measurements.
         state: The initial values.
-        free_images: (I,) Images whose poses are adjusted; other images that observe a selected point are held fixed.
         selected: (M,) Observations that are used, a subset of `SfmState.used`.
         config: Settings of the optimizer.
         rig: Known relative poses of images.
@@ -83,7 +81,7 @@ def adjust(
     calibrations = _insert_cameras(scene, state, np.unique(scene.image_camera[images]), values, graph)
     _add_projections(graph, scene, state, index, calibrations, _noise(config))
     _add_rig(graph, rig)
-    _fix_gauge(graph, state, images, free_images, has_scale=bool(rig))
+    _fix_gauge(graph, state, images, has_scale=bool(rig))
 
     # Damping by the diagonal of the Hessian: focal lengths, distortion and rotations differ in scale by orders.
     parameters = gtsam.LevenbergMarquardtParams.CeresDefaults()
@@ -93,7 +91,7 @@ def adjust(
     result = gtsam.LevenbergMarquardtOptimizer(graph, values, parameters).optimize()
 
     Ts_world_cam, points = state.Ts_world_cam.copy(), state.points.copy()
-    for i in images[free_images[images]]:
+    for i in images:
         Ts_world_cam[i] = result.atPose3(X(i)).matrix()
     for t in tracks:
         points[t] = result.atPoint3(P(t))
@@ -162,23 +160,17 @@ def _add_rig(graph: gtsam.NonlinearFactorGraph, rig: Sequence[RelativePose]) -> 
         )
 
 
-def _fix_gauge(
-    graph: gtsam.NonlinearFactorGraph, state: SfmState, images: Indices, free_images: Mask, has_scale: bool
-) -> None:
-    """Hold the fixed images; if there are fewer than two, hold the first pose and its distance to the farthest one."""
-    fixed = images[~free_images[images]]
-    anchor = fixed if len(fixed) else images[:1]
-    positions = state.Ts_world_cam[images, :3, 3]
-    distances = np.linalg.norm(positions - state.Ts_world_cam[anchor[0], :3, 3], axis=1)
+def _fix_gauge(graph: gtsam.NonlinearFactorGraph, state: SfmState, images: Indices, has_scale: bool) -> None:
+    """Hold the first pose and, unless other factors determine the scale, its distance to the farthest one."""
+    first = int(images[0])
+    distances = np.linalg.norm(state.Ts_world_cam[images, :3, 3] - state.Ts_world_cam[first, :3, 3], axis=1)
     scale = float(distances.max())
-    sigmas = np.array([FIXED_SIGMA] * 3 + [FIXED_SIGMA * scale] * 3)
-    noise = gtsam.noiseModel.Diagonal.Sigmas(sigmas)
-    for i in anchor.tolist():
-        graph.push_back(gtsam.PriorFactorPose3(X(i), gtsam.Pose3(state.Ts_world_cam[i]), noise))
-    if len(fixed) < 2 and scale > 0.0 and not has_scale:
-        far = int(images[np.argmax(distances)])
-        noise = gtsam.noiseModel.Isotropic.Sigma(1, RANGE_SIGMA * scale)
-        graph.push_back(gtsam.RangeFactorPose3(X(int(anchor[0])), X(far), scale, noise))
+    pose_noise = gtsam.noiseModel.Diagonal.Sigmas(np.repeat([FIXED_SIGMA, FIXED_SIGMA * scale], 3))
+    graph.push_back(gtsam.PriorFactorPose3(X(first), gtsam.Pose3(state.Ts_world_cam[first]), pose_noise))
+    if not has_scale:
+        farthest = int(images[np.argmax(distances)])
+        range_noise = gtsam.noiseModel.Isotropic.Sigma(1, RANGE_SIGMA * scale)
+        graph.push_back(gtsam.RangeFactorPose3(X(first), X(farthest), scale, range_noise))
 
 
 def _from_bundler(camera: CameraModel, calibration: gtsam.Cal3Bundler) -> CameraModel:

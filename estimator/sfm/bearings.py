@@ -1,6 +1,6 @@
-"""Rays of pixels, and the residual of a ray on the plane that touches the unit sphere at it.
+"""Geometry of bearings, the unit vectors of pixels.
 
-The residual is defined for every lens, also beyond 90° from the optical axis, where normalized coordinates are not.
+Bearings exist for every lens, also beyond 90° from the optical axis, where normalized coordinates do not.
 """
 
 import numpy as np
@@ -17,26 +17,20 @@ def tangent_bases(bearings: Array) -> Array:
     return np.stack([first, np.cross(bearings, first)], axis=-2)
 
 
-def angles_rad(a: Array, b: Array) -> Array:
+def angles_between_rad(a: Array, b: Array) -> Array:
     """Return the angles (…) between vectors (…, 3) of any length [rad]."""
     return np.asarray(np.arctan2(np.linalg.norm(np.cross(a, b), axis=-1), np.sum(a * b, axis=-1)))
 
 
-def nearest_point(origins: Array, bearings: Array, weights: Array) -> Array:
-    """Return the points (…, 3) nearest to bundles of V rays: the weighted least squares of the distances.
-
-    Args:
-        origins: (…, V, 3) Origins of the rays.
-        bearings: (…, V, 3) Unit directions of the rays.
-        weights: (…, V) Weights of the rays; zero excludes a ray.
-
-    Returns:
-        Points, NaN where the rays with a weight are parallel.
-    """
-    projectors = np.eye(3) - bearings[..., :, None] * bearings[..., None, :]
-    A = np.einsum("...v,...vij->...ij", weights, projectors)
-    b = np.einsum("...v,...vij,...vj->...i", weights, projectors, origins)
-    determinant = np.linalg.det(A)
-    is_defined = determinant > 1e-12 * np.maximum(np.trace(A, axis1=-2, axis2=-1), 1e-300) ** 3
-    A = np.where(is_defined[..., None, None], A, np.eye(3))
-    return np.where(is_defined[..., None], np.linalg.solve(A, b[..., None])[..., 0], np.nan)
+def midpoints(c0: Array, r0: Array, c1: Array, r1: Array) -> Array:
+    """Return the midpoints (L, 3) of pairs of rays; NaN for parallel rays and for points behind a camera."""
+    cosine = np.sum(r0 * r1, axis=1)
+    between = c1 - c0
+    d0, d1 = np.sum(between * r0, axis=1), np.sum(between * r1, axis=1)
+    determinant = 1.0 - cosine**2
+    with np.errstate(divide="ignore", invalid="ignore"):
+        s0 = (d0 - cosine * d1) / determinant
+        s1 = (cosine * d0 - d1) / determinant
+    valid = (determinant > 1e-12) & (s0 > 0.0) & (s1 > 0.0)
+    points = 0.5 * (c0 + s0[:, None] * r0 + c1 + s1[:, None] * r1)
+    return np.where(valid[:, None], points, np.nan)

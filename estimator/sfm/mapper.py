@@ -169,11 +169,11 @@ class _Mapper:
         is_inlier[index] = found[1]
         return replace(state, Ts_world_cam=Ts_world_cam, is_inlier=is_inlier)
 
-    def _subset(self, state: SfmState, used: Mask, images: Mask) -> Mask:
+    def _subset(self, used: Mask) -> Mask:
         """Return a subset of the used observations: per image, those of the longest tracks."""
         scene = self.scene
         lengths = np.bincount(scene.tracks.track[used], minlength=scene.tracks.count)
-        index = np.flatnonzero(used & images[scene.tracks.image])
+        index = np.flatnonzero(used)
         order = index[np.lexsort([scene.tracks.track[index], -lengths[scene.tracks.track[index]]])]
         order = order[np.argsort(scene.tracks.image[order], kind="stable")]
         counts = np.bincount(scene.tracks.image[order], minlength=scene.images)
@@ -185,9 +185,9 @@ class _Mapper:
     def adjust_all(self, state: SfmState) -> SfmState:
         """Adjust the whole reconstruction on a subset of its observations, with a robust loss."""
         used = state.used(self.scene)
-        selected = self._subset(state, used, state.is_registered)
+        selected = self._subset(used)
         config = BundleAdjustmentConfig(max_iterations=15, relative_tolerance=1e-4, cauchy_px=INTERMEDIATE_CAUCHY_PX)
-        adjusted = adjust(self.scene, state, state.is_registered, selected, config)
+        adjusted = adjust(self.scene, state, selected, config)
         return repair(self.scene, adjusted, self.config.triangulation)
 
     def clean(self, state: SfmState) -> SfmState:
@@ -224,7 +224,7 @@ class _Mapper:
         is_calibrated = self.scene.is_calibrated.all()
         tolerance = CALIBRATED_TOLERANCE if is_calibrated else UNCALIBRATED_TOLERANCE
         config = BundleAdjustmentConfig(self.config.max_iterations, tolerance, self.config.final_cauchy_px)
-        return self.clean(adjust(self.scene, state, state.is_registered, state.used(self.scene), config))
+        return self.clean(adjust(self.scene, state, state.used(self.scene), config))
 
 
 def _seeds(pairs: list[TwoView], available: Mask, scene: Scene) -> list[TwoView]:

@@ -4,7 +4,7 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
-from dronevio.estimator.sfm.bearings import angles_rad, tangent_bases
+from dronevio.estimator.sfm.bearings import angles_between_rad, tangent_bases
 from dronevio.estimator.sfm.config import ResectionConfig
 from dronevio.models.rotation import exp_so3, pose_matrix, skew
 
@@ -49,7 +49,7 @@ def resect(points: Array, bearings: Array, focal_px: float, config: ResectionCon
     T = pose_matrix(R_cam_world.T, -R_cam_world.T @ np.asarray(t, np.float64).reshape(3))
     threshold_rad = config.max_error_px / focal_px
     T = refine_pose(T, points, bearings, 0.25 * threshold_rad)
-    is_inlier = angles_rad((points - T[:3, 3]) @ T[:3, :3], bearings) < threshold_rad
+    is_inlier = angles_between_rad((points - T[:3, 3]) @ T[:3, :3], bearings) < threshold_rad
     if is_inlier.sum() < max(config.min_inliers, config.min_ratio * len(points)):
         return None
     return T, is_inlier

@@ -45,6 +45,12 @@ def impose_rig(scene: Scene, state: SfmState, images: ImageSet, cauchy_px: float
     """Return the reconstruction in metres, adjusted with the known mounting of the cameras, and whether it is metric.
 
     Without a frame of which two cameras are registered, the reconstruction does not change.
+
+    Args:
+        scene: The measurements.
+        state: The reconstruction, of arbitrary scale.
+        images: The images, with the mounting of their cameras.
+        cauchy_px: Scale of the Cauchy loss of the adjustment [px].
     """
     poses = rig_poses(images, state.is_registered)
     scale = rig_scale(state, poses)
@@ -54,4 +60,4 @@ def impose_rig(scene: Scene, state: SfmState, images: ImageSet, cauchy_px: float
     Ts_world_cam[:, :3, 3] *= scale
     config = BundleAdjustmentConfig(relative_tolerance=1e-3, cauchy_px=cauchy_px)
     state = replace(state, Ts_world_cam=Ts_world_cam, points=scale * state.points)
-    return adjust(scene, state, state.is_registered, state.used(scene), config, poses), True
+    return adjust(scene, state, state.used(scene), config, poses), True

@@ -66,7 +66,6 @@ def connect_tracks(pairs: list[TwoView], feature_counts: Indices) -> Tracks:
     order = np.lexsort([used, labels[used]])
     nodes = used[order]
     _, track = np.unique(labels[nodes], return_inverse=True)
-    # Tracks in the order of their first feature, whatever the order in which components were numbered.
     return Tracks(image_of[nodes], nodes - offsets[image_of[nodes]], track.astype(np.int64))
 
 

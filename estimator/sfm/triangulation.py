@@ -10,7 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from dronevio.estimator.sfm.bearings import angles_rad
+from dronevio.estimator.sfm.bearings import angles_between_rad, midpoints
 from dronevio.estimator.sfm.config import TriangulationConfig
 
 Array = npt.NDArray[np.float64]
@@ -63,9 +63,9 @@ def triangulate_tracks(
         first = np.zeros(len(counts), np.int64) if number == 0 else _draw(rng, counts)
         other = counts - 1 if number == 0 else (first + 1 + _draw(rng, np.maximum(counts - 1, 1))) % counts
         a, b = starts + first, starts + other
-        points = _midpoints(origins[a], rays[a], origins[b], rays[b])
+        points = midpoints(origins[a], rays[a], origins[b], rays[b])
         # The angle breaks ties between hypotheses with equally many inliers.
-        angle = angles_rad(rays[a], rays[b])
+        angle = angles_between_rad(rays[a], rays[b])
         inliers = _angles(points[track], origins, rays) < threshold_rad
         score = np.add.reduceat(inliers.astype(np.float64), starts) + 0.5 * np.minimum(angle, 1.0)
         better = (score > best_score) & np.isfinite(points[:, 0])
@@ -91,9 +91,9 @@ def widest_angles(track: Indices, starts: Indices, points: Array, origins: Array
     """
     directions = origins - points[track]
     first = _arg_extreme(track, starts, np.where(is_inlier, 1.0, -1.0))
-    angle = np.where(is_inlier, angles_rad(directions, directions[first][track]), -1.0)
+    angle = np.where(is_inlier, angles_between_rad(directions, directions[first][track]), -1.0)
     farthest = _arg_extreme(track, starts, np.nan_to_num(angle, nan=-1.0))
-    angle = np.where(is_inlier, angles_rad(directions, directions[farthest][track]), 0.0)
+    angle = np.where(is_inlier, angles_between_rad(directions, directions[farthest][track]), 0.0)
     return np.asarray(np.maximum.reduceat(np.nan_to_num(angle), starts))
 
 
@@ -109,23 +109,9 @@ def _draw(rng: np.random.Generator, counts: Indices) -> Indices:
     return (rng.random(len(counts)) * counts).astype(np.int64)
 
 
-def _midpoints(c0: Array, r0: Array, c1: Array, r1: Array) -> Array:
-    """Return the midpoints (L, 3) of pairs of rays; NaN for parallel rays and for points behind a camera."""
-    cosine = np.sum(r0 * r1, axis=1)
-    between = c1 - c0
-    d0, d1 = np.sum(between * r0, axis=1), np.sum(between * r1, axis=1)
-    determinant = 1.0 - cosine**2
-    with np.errstate(divide="ignore", invalid="ignore"):
-        s0 = (d0 - cosine * d1) / determinant
-        s1 = (cosine * d0 - d1) / determinant
-    valid = (determinant > 1e-12) & (s0 > 0.0) & (s1 > 0.0)
-    points = 0.5 * (c0 + s0[:, None] * r0 + c1 + s1[:, None] * r1)
-    return np.where(valid[:, None], points, np.nan)
-
-
 def _angles(points: Array, origins: Array, rays: Array) -> Array:
     """Return the angles (M,) between rays and the directions to points [rad]; infinite for undefined points."""
-    angle = angles_rad(points - origins, rays)
+    angle = angles_between_rad(points - origins, rays)
     return np.where(np.isfinite(angle), angle, np.inf)
 
 

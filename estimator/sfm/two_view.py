@@ -12,7 +12,7 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
-from dronevio.estimator.sfm.bearings import angles_rad, nearest_point
+from dronevio.estimator.sfm.bearings import angles_between_rad, midpoints
 from dronevio.estimator.sfm.config import VerificationConfig
 from dronevio.estimator.sfm.matching import Matches
 from dronevio.models.camera import CameraModel
@@ -112,13 +112,13 @@ def verify(
     geometry, R_rotation = _classify(f0, f1, focal_px, config)
     if geometry is Geometry.ROTATION:
         T = pose_matrix(R_rotation.T, np.zeros(3))
-        angle = float(np.median(angles_rad(f0, f1 @ R_rotation)))
+        angle = float(np.median(angles_between_rad(f0, f1 @ R_rotation)))
         return TwoView(first, second, matches, geometry, T, angle)
     T, is_in_front = _pose(E, f0, f1)
     if is_in_front.sum() < config.min_inliers:
         return None
     matches, f0, f1 = matches[is_in_front], f0[is_in_front], f1[is_in_front]
-    angle = float(np.median(angles_rad(f0, f1 @ T[:3, :3].T)))
+    angle = float(np.median(angles_between_rad(f0, f1 @ T[:3, :3].T)))
     return TwoView(first, second, matches, geometry, T, angle)
 
 
@@ -155,12 +155,12 @@ def _classify(f0: Array, f1: Array, focal_px: float, config: VerificationConfig)
     threshold_rad = config.max_error_px / focal_px
     R = _rotation(f0, f1)
     for _ in range(5):  # least squares over the matches that the rotation explains
-        explained = angles_rad(f0 @ R.T, f1) < 2.0 * threshold_rad
+        explained = angles_between_rad(f0 @ R.T, f1) < 2.0 * threshold_rad
         if explained.sum() < 3:
             break
         R = _rotation(f0[explained], f1[explained])
     needed = config.max_homography_ratio * len(f0)
-    if np.sum(angles_rad(f0 @ R.T, f1) < threshold_rad) >= needed:
+    if np.sum(angles_between_rad(f0 @ R.T, f1) < threshold_rad) >= needed:
         return Geometry.ROTATION, R
     is_central = (f0[:, 2] > np.cos(MAX_PINHOLE_RAD)) & (f1[:, 2] > np.cos(MAX_PINHOLE_RAD))
     xy0, xy1 = (focal_px * f[is_central, :2] / f[is_central, 2:] for f in (f0, f1))
@@ -181,11 +181,8 @@ def _pose(E: Array, f0: Array, f1: Array) -> tuple[Array, Mask]:
     best = np.eye(4), np.zeros(len(f0), np.bool_)
     for R_1_0, t_1 in ((R1, t), (R1, -t), (R2, t), (R2, -t)):
         T_first_second = pose_matrix(R_1_0.T, -R_1_0.T @ t_1[:, 0])
-        origins = np.stack([np.zeros(3), T_first_second[:3, 3]])
-        rays = np.stack([f0, f1 @ R_1_0], axis=1)
-        points = nearest_point(np.broadcast_to(origins, rays.shape), rays, np.ones(rays.shape[:2]))
-        along = np.einsum("kvi,kvi->kv", points[:, None] - origins, rays)
-        is_in_front = (along > 0.0).all(axis=1)  # false where the point is NaN
+        points = midpoints(np.zeros(3), f0, T_first_second[:3, 3], f1 @ R_1_0)
+        is_in_front = np.isfinite(points[:, 0])
         if is_in_front.sum() > best[1].sum():
             best = T_first_second, is_in_front
     return best

@@ -8,6 +8,7 @@ import numpy as np
 import numpy.typing as npt
 import pytest
 
+from dronevio.estimator.sfm.bearings import midpoints
 from dronevio.estimator.sfm.config import (
     MapperConfig,
     MatchingConfig,
@@ -15,7 +16,7 @@ from dronevio.estimator.sfm.config import (
     TriangulationConfig,
     VerificationConfig,
 )
-from dronevio.estimator.sfm.mapper import map_scene
+from dronevio.estimator.sfm.mapper import _Mapper, map_scene
 from dronevio.estimator.sfm.matching import match_features
 from dronevio.estimator.sfm.model import Scene, SfmState
 from dronevio.estimator.sfm.resection import resect
@@ -24,6 +25,7 @@ from dronevio.estimator.sfm.triangulation import triangulate_tracks
 from dronevio.estimator.sfm.two_view import TwoView, verify, view_of
 from dronevio.eval.metrics.alignment import umeyama
 from dronevio.models.camera import CameraModel
+from dronevio.models.progress import silent
 from dronevio.models.rotation import exp_so3, log_so3
 
 if TYPE_CHECKING:
@@ -160,3 +162,34 @@ def test_a_new_world_frame_gives_the_same_pose(scene: "SyntheticScene") -> None:
     assert b is not None
     np.testing.assert_allclose(b[0][:3, :3], R @ a[0][:3, :3], atol=1e-5)
     np.testing.assert_allclose(b[0][:3, 3], R @ a[0][:3, 3] + t, atol=1e-4)
+
+
+def test_an_image_with_a_wrong_pose_is_registered_anew(scene: "SyntheticScene") -> None:
+    problem, pairs = measured(scene, scene.camera, is_calibrated=True)
+    [state] = map_scene(problem, (scene.camera,), pairs, MapperConfig())
+    # A third of the observations of image 3 agree with a wrong pose, as on a repetitive texture.
+    of_image = np.flatnonzero(problem.tracks.image == 3)
+    Ts_world_cam, is_inlier = state.Ts_world_cam.copy(), state.is_inlier.copy()
+    Ts_world_cam[3, :3, 3] += 0.5
+    is_inlier[of_image[len(of_image) // 3 :]] = False
+    wrong = replace(state, Ts_world_cam=Ts_world_cam, is_inlier=is_inlier)
+    mapper, discards = _Mapper(problem, MapperConfig(), silent), np.zeros(problem.images, np.int64)
+    cleaned = mapper._discard(wrong, discards)
+    assert np.flatnonzero(~cleaned.is_registered).tolist() == [3]
+    assert discards.tolist() == [0, 0, 0, 1, 0, 0, 0, 0]
+    again = mapper._grow(cleaned, np.ones(problem.images, np.bool_))
+    assert again.is_registered.all()
+    assert position_errors(scene, again).max() < 0.005
+
+
+def test_midpoints_by_hand() -> None:
+    # Rays from (0, 0, 0) and (2, 0, 0) meet at (1, 0, 1); the reversed second ray leads away from it.
+    diagonal = np.sqrt(0.5)
+    first, second = np.array([[diagonal, 0.0, diagonal]]), np.array([[-diagonal, 0.0, diagonal]])
+    origins = np.zeros((1, 3)), np.array([[2.0, 0.0, 0.0]])
+    np.testing.assert_allclose(midpoints(origins[0], first, origins[1], second), [[1.0, 0.0, 1.0]], atol=1e-12)
+    # A ray that passes one unit beside the first in y: the midpoint lies half a unit beside.
+    beside = origins[1] + [0.0, 1.0, 0.0]
+    np.testing.assert_allclose(midpoints(origins[0], first, beside, second), [[1.0, 0.5, 1.0]], atol=1e-12)
+    assert np.isnan(midpoints(origins[0], first, origins[1], -second)).all()
+    assert np.isnan(midpoints(origins[0], first, origins[1], first)).all()
