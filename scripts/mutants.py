@@ -25,6 +25,7 @@ from pathlib import Path
 from mutant import Mutant
 from mutants_estimator import ESTIMATOR
 from mutants_evaluation import EVALUATION
+from mutants_sfm import SFM
 
 CHECKOUT = Path(__file__).resolve().parents[1]
 TIMEOUT_S = 600.0
@@ -42,7 +43,7 @@ class Verdict(StrEnum):
     """The tests could not be run with it, or took too long."""
 
 
-MUTANTS = (*ESTIMATOR, *EVALUATION)
+MUTANTS = (*ESTIMATOR, *EVALUATION, *SFM)
 
 
 def copy_checkout(target: Path) -> None:

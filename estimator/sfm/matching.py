@@ -8,9 +8,12 @@ import numpy as np
 import numpy.typing as npt
 
 from dronevio.estimator.sfm.config import MatchingConfig
-from dronevio.estimator.sfm.features import DESCRIPTOR_SCALE, Features
+from dronevio.estimator.sfm.features import Features
 
 Matches = npt.NDArray[np.int64]
+
+ROUNDING = 0.01
+"""Distance of two descriptors that the rounding of their elements to bytes hides, √128 · 0.3 / 512 in each."""
 
 
 def match_features(first: Features, second: Features, config: MatchingConfig) -> Matches:
@@ -26,11 +29,14 @@ def match_features(first: Features, second: Features, config: MatchingConfig) ->
     best = candidates[np.arange(len(rows)), nearest]
     candidates[np.arange(len(rows)), nearest] = -1.0
     second_best = candidates.max(axis=1)
-    distance, second_distance = (np.sqrt(np.maximum(2.0 - 2.0 * s, 0.0)) for s in (best, second_best))
+    distance, second_distance = (
+        np.maximum(np.sqrt(np.maximum(2.0 - 2.0 * s, 0.0)), ROUNDING) for s in (best, second_best)
+    )
     accepted = (distance <= config.ratio * second_distance) & (best >= np.cos(config.max_angle_rad))
     return np.column_stack([rows[accepted], nearest[accepted]]).astype(np.int64)
 
 
 def _unit(features: Features) -> npt.NDArray[np.float32]:
     """Return descriptors (N, 128) of length 1."""
-    return features.descriptors.astype(np.float32) / np.float32(DESCRIPTOR_SCALE)
+    descriptors = features.descriptors.astype(np.float32)
+    return np.asarray(descriptors / np.maximum(np.linalg.norm(descriptors, axis=1, keepdims=True), 1.0))

@@ -11,9 +11,6 @@ from dronevio.estimator.sfm.two_view import TwoView
 
 Indices = npt.NDArray[np.int64]
 
-MAX_ROUNDS = 20
-"""Largest number of rounds in which matches of inconsistent tracks are removed."""
-
 
 @dataclass(frozen=True, eq=False)
 class Tracks:
@@ -36,8 +33,7 @@ def connect_tracks(pairs: list[TwoView], feature_counts: Indices) -> Tracks:
     """Connect verified matches to tracks.
 
     A component of the graph of matches that contains two features of one image is inconsistent. Its least supported
-    matches, those that few triangles of matches confirm, are removed until it falls apart; features that remain in
-    conflict are dropped.
+    matches, those that few triangles of matches confirm, are removed until it falls apart.
 
     Args:
         pairs: Verified pairs.
@@ -50,7 +46,7 @@ def connect_tracks(pairs: list[TwoView], feature_counts: Indices) -> Tracks:
         return Tracks(*(np.empty(0, np.int64) for _ in range(3)))
     edges = np.concatenate([pair.matches + offsets[[pair.first, pair.second]] for pair in pairs])
     support = _triangles(edges, total)
-    for _ in range(MAX_ROUNDS):
+    while True:
         labels = _components(edges, total)
         in_conflict = _conflicts(labels, image_of)[labels[edges[:, 0]]]
         if not in_conflict.any():
@@ -60,9 +56,7 @@ def connect_tracks(pairs: list[TwoView], feature_counts: Indices) -> Tracks:
         np.minimum.at(least, labels[edges[in_conflict, 0]], support[in_conflict])
         keep = ~(in_conflict & (support <= least[labels[edges[:, 0]]]))
         edges, support = edges[keep], support[keep]
-    labels = _components(edges, total)
     used = np.unique(edges)
-    used = used[~_conflicts(labels, image_of)[labels[used]]]
     order = np.lexsort([used, labels[used]])
     nodes = used[order]
     _, track = np.unique(labels[nodes], return_inverse=True)

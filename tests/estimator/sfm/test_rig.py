@@ -74,3 +74,14 @@ def test_relative_poses_by_hand(make_scene: "MakeScene", tmp_path: "Path") -> No
     poses = rig_poses(images, np.array([True, True, False, True]))
     assert [(pose.first, pose.second) for pose in poses] == [(0, 1)]
     np.testing.assert_allclose(poses[0].T_first_second[:3, 3], [BASELINE_M, 0.0, 0.0])
+
+
+def test_stored_features_belong_to_their_settings(make_scene: "MakeScene", tmp_path: "Path") -> None:
+    features = make_scene(images=2).features[0]
+    workspace = Workspace(tmp_path)
+    workspace.save_features(0, digest("first settings"), features)
+    loaded = workspace.load_features(0, digest("first settings"))
+    assert loaded is not None
+    np.testing.assert_array_equal(loaded.pixels, features.pixels)
+    assert workspace.load_features(0, digest("other settings")) is None
+    assert workspace.load_features(1, digest("first settings")) is None

@@ -1,11 +1,13 @@
 """Matching and geometric verification of two images."""
 
+from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import numpy as np
 import pytest
 
 from dronevio.estimator.sfm.config import MatchingConfig, VerificationConfig
+from dronevio.estimator.sfm.features import Features
 from dronevio.estimator.sfm.matching import match_features
 from dronevio.estimator.sfm.two_view import Geometry, TwoView, verify, view_of
 from dronevio.models.camera import CameraModel
@@ -31,6 +33,29 @@ def test_matches_are_the_same_points(scene: "SyntheticScene") -> None:
     assert len(matches) > 0.95 * len(common)
     assert np.mean(scene.point_of[0][matches[:, 0]] == scene.point_of[3][matches[:, 1]]) > 0.99
     assert len(np.unique(matches[:, 0])) == len(np.unique(matches[:, 1])) == len(matches)
+
+
+def doubled(features: Features) -> Features:
+    """Return each feature twice, as on a repetitive texture."""
+    return replace(
+        features,
+        pixels=np.tile(features.pixels, (2, 1)),
+        sizes_px=np.tile(features.sizes_px, 2),
+        descriptors=np.tile(features.descriptors, (2, 1)),
+        colours=np.tile(features.colours, (2, 1)),
+    )
+
+
+def test_ambiguous_features_are_not_matched(scene: "SyntheticScene") -> None:
+    first, second = scene.features[0], scene.features[1]
+    assert len(match_features(first, second, MatchingConfig())) > 100
+    assert len(match_features(first, doubled(second), MatchingConfig())) == 0
+
+
+def test_no_feature_is_matched_twice(scene: "SyntheticScene") -> None:
+    matches = match_features(doubled(scene.features[0]), scene.features[1], MatchingConfig())
+    assert len(matches) > 100
+    assert len(np.unique(matches[:, 1])) == len(matches)
 
 
 @pytest.mark.parametrize("camera", [None, FISHEYE], ids=["radtan", "fisheye"])
