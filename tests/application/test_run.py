@@ -297,18 +297,12 @@ def test_missing_opengl_is_one_line_and_leaves_no_folder(what: str, tmp_path: Pa
 )
 def test_interrupted_run_leaves_no_folder(tmp_path: Path, stop: Callable[[int], None]) -> None:
     """While images are rendered: a terminal signals all processes of the group, ``kill`` the command alone."""
-    command = [sys.executable, "-m", "dronevio.cli", "run", *SCENARIO, "--out", str(tmp_path / "out")]
-
-    def restore_ctrl_c() -> None:  # a shell that runs the tests in the background makes their children ignore it
-        signal.signal(signal.SIGINT, signal.SIG_DFL)
-
-    with subprocess.Popen(
-        command,
-        stderr=subprocess.PIPE,
-        text=True,
-        start_new_session=True,
-        preexec_fn=restore_ctrl_c,  # noqa: PLW1509 (one signal, no locks)
-    ) as process:
+    # A shell that runs the tests in the background makes their children ignore SIGINT. The command itself restores the
+    # handler: a `preexec_fn` may deadlock, since the tests have threads at the time of the fork.
+    restored = "import signal; signal.signal(signal.SIGINT, signal.default_int_handler)"
+    code = f"{restored}; from dronevio.cli import main; raise SystemExit(main())"
+    command = [sys.executable, "-c", code, "run", *SCENARIO, "--out", str(tmp_path / "out")]
+    with subprocess.Popen(command, stderr=subprocess.PIPE, text=True, start_new_session=True) as process:
         try:
             wait_until(lambda: sum(1 for _ in tmp_path.rglob("*.png")) > 5 or process.poll() is not None)
             workers = psutil.Process(process.pid).children(recursive=True)

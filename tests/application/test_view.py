@@ -86,9 +86,10 @@ def test_web_viewer_is_local_and_ends_with_the_command(run_folder: Path) -> None
             assert len(listening) == 2  # the viewer and the recording
             assert {at.ip for at in listening} == {"127.0.0.1"}
             assert process.children(recursive=True) == []
-        finally:
-            viewer.send_signal(signal.SIGTERM)
+            viewer.terminate()
             viewer.wait(10)
+        finally:
+            viewer.kill()
     with pytest.raises(OSError, match="refused"):
         urllib.request.urlopen(address, timeout=2)
 

@@ -162,10 +162,12 @@ def test_the_file_of_a_killed_process_can_be_read(tmp_path: Path, read_rrd: "Rea
     path = tmp_path / "run.rrd"
     code = ENDLESS_WRITER.format(folder=str(Path(__file__).parent), parent=str(Path(__file__).parents[1]))
     with subprocess.Popen([sys.executable, "-c", code, str(path)], stdout=subprocess.PIPE) as writer:
-        assert writer.stdout is not None and writer.stdout.readline() == b"frame 90\n"
-        time.sleep(1.0)  # rerun writes five times a second
-        writer.send_signal(signal.SIGKILL)
-        assert writer.wait(10) == -signal.SIGKILL
+        try:
+            assert writer.stdout is not None and writer.stdout.readline() == b"frame 90\n"
+            time.sleep(1.0)  # rerun writes five times a second
+        finally:
+            writer.kill()
+    assert writer.returncode == -signal.SIGKILL
     columns = read_rrd(path)
     assert len(columns[entities.image(0)]["sample"]) == 80  # two keyframe intervals
     assert len(times_ns(columns[ESTIMATE.imu])) >= 70
