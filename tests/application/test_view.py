@@ -1,7 +1,6 @@
 """``dronevio view``: the file of a run, and a web viewer that serves this machine only."""
 
 import os
-import signal
 import socket
 import subprocess
 import sys
