@@ -140,7 +140,7 @@ def test_unknown_option_is_bad_input(words: str, capsys: pytest.CaptureFixture[s
 
 
 def test_closed_standard_output_ends_the_command_quietly() -> None:
-    command = [sys.executable, "-m", "dronevio.cli", "scenarios", "--json"]
+    command = [sys.executable, "-m", "dronevio.cli", "scenarios", "--help"]
     with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as process:
         assert process.stdout is not None
         process.stdout.close()
