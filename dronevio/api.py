@@ -14,12 +14,14 @@ from dronevio.eval.metrics.alignment import AlignmentMode
 from dronevio.eval.metrics.scores import ScoredTrajectory, score_trajectory
 from dronevio.eval.run import EstimatorRun
 from dronevio.models.errors import EvaluationError
-from dronevio.models.image_sets import ImageSet, open_images
+from dronevio.models.image_sets import ImageSet, open_images, with_earlier
 from dronevio.models.progress import Progress, silent
 from dronevio.models.protocols import Estimator, Recording
+from dronevio.models.reconstruction import Reconstruction
 from dronevio.models.recordings.open import open_recording, read_trajectory
 from dronevio.models.state import Trajectory
 from dronevio.recorder import record_flight
+from dronevio.sfm_inputs import EarlierResult, read_earlier
 from dronevio.sim.scenario import Scenario
 from dronevio.sim.scenarios import scenario_named
 
@@ -110,7 +112,11 @@ def evaluate(
 
 
 def sfm(
-    images: ImageSet | str | Path, config: SfmConfig | None = None, *, workspace: str | Path | None = None
+    images: ImageSet | str | Path,
+    config: SfmConfig | None = None,
+    *,
+    workspace: str | Path | None = None,
+    add_to: Reconstruction | str | Path | None = None,
 ) -> SfmResult:
     """Reconstruct cameras and points from images alone (structure from motion).
 
@@ -118,12 +124,20 @@ def sfm(
         images: A set of images, or the path of a folder of images, a video or a recording.
         config: Settings.
         workspace: Folder in which features and matches are kept; with it, an interrupted reconstruction continues.
+        add_to: An earlier reconstruction of some of the images, or the path of a result or of a model of COLMAP; the
+            other images are added to it, and its world frame and scale stay.
 
     Returns:
         The reconstructions, one for each component, and the numbers of features and matches.
 
     Raises:
         InputError: The path holds no images, or an image cannot be read.
+        ConfigError: The earlier reconstruction contradicts the images, or has all of them.
     """
     opened = images if isinstance(images, ImageSet) else open_images(images)
-    return reconstruct(opened, config, Workspace(None if workspace is None else Path(workspace)))
+    kept = Workspace(None if workspace is None else Path(workspace))
+    if add_to is None:
+        return reconstruct(opened, config, kept)
+    earlier = EarlierResult(add_to) if isinstance(add_to, Reconstruction) else read_earlier(Path(add_to))
+    opened = with_earlier(opened, earlier.reconstruction.image_names, opened, is_one_source=True)
+    return reconstruct(opened, config, kept, earlier=earlier.reconstruction, earlier_world=earlier.world)

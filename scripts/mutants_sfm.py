@@ -4,6 +4,7 @@ from mutant import Mutant
 
 _MAPPER = "tests/estimator/sfm/test_mapper.py"
 _TWO_VIEW = "tests/estimator/sfm/test_two_view.py"
+_EARLIER = "tests/estimator/sfm/test_earlier.py"
 
 SFM = (
     Mutant(
@@ -77,5 +78,29 @@ SFM = (
         'return dict(file) if str(file["key"]) == key else None',
         "return dict(file)",
         ("tests/estimator/sfm/test_rig.py::test_stored_features_belong_to_their_settings",),
+    ),
+    Mutant(
+        "sfm-known-pairs-matched-again",
+        "Added images: the images of the earlier reconstruction are matched to each other again.",
+        "estimator/sfm/pipeline.py",
+        "if not (is_known[i] and is_known[j])",
+        "if not (is_known[i] and is_known[j] and i == j)",
+        (f"{_EARLIER}::test_earlier_images_are_not_matched_again",),
+    ),
+    Mutant(
+        "sfm-similarity-without-scale",
+        "World frame: the similarity transformation has no scale.",
+        "estimator/sfm/gauge.py",
+        "    scale = scale if scale > 0.0 else 1.0\n",
+        "    scale = 1.0\n",
+        (f"{_EARLIER}::test_similarity_by_hand",),
+    ),
+    Mutant(
+        "sfm-far-features-identified",
+        "Added images: an earlier observation is identified with any feature, however far.",
+        "estimator/sfm/earlier.py",
+        "        chosen = chosen[distance[chosen] <= MAX_DISTANCE_PX]\n",
+        "",
+        (f"{_EARLIER}::test_other_features_are_matched_anew",),
     ),
 )

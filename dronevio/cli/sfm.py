@@ -30,10 +30,12 @@ class SfmCommand:
     cameras of a recording, the reconstruction is in metres; otherwise its scale is arbitrary. The result is a folder
     with the reconstruction in each format, a report with pictures and a rerun file.
 
-    An interrupted reconstruction continues where it stopped when the same command is repeated.
+    An interrupted reconstruction continues where it stopped when the same command is repeated. Images are added to an
+    earlier result with --add-to.
 
     Examples:
       dronevio sfm photographs
+      dronevio sfm photographs --add-to runs/sfm-photographs --out house-2
       dronevio sfm photographs --camera per-image --masks masks --out house
       dronevio sfm flight.mp4 --every 10
       dronevio sfm recordings/room-0 --frames 100
@@ -58,6 +60,11 @@ class SfmCommand:
     """For recordings: cameras to use, counted from 0; the first by default."""
     frames: int | None = None
     """For recordings: number of frames to use, spread evenly; all by default."""
+    add_to: Path | None = None
+    """Result of an earlier ``dronevio sfm``, or model of COLMAP, to which the images that it lacks are added. Its world
+    frame and its scale stay; its cameras are adjusted again. IMAGES contains its images, too, or --earlier-images."""
+    earlier_images: Path | None = None
+    """With --add-to: folder, video or recording of the images of the earlier result; IMAGES by default."""
     output: Output = field(default_factory=OutputOptions)
     """How the result is written and printed."""
     sfm: Annotated[SfmConfig, tyro.conf.arg(name="")] = field(default_factory=SfmConfig)
@@ -72,22 +79,22 @@ def main(arguments: Sequence[str]) -> int:
     from dronevio.estimator.sfm.pipeline import reconstruct
     from dronevio.estimator.sfm.workspace import Workspace
     from dronevio.models.errors import InputError
-    from dronevio.models.image_sets import open_images
+    from dronevio.sfm_inputs import read_earlier
 
     target = command.out or Path("runs") / f"sfm-{command.images.resolve().stem}"
     require_free(target, command.output.overwrite)  # before the images are read
-    images = open_images(
-        command.images,
-        camera=command.camera,
-        model=None if command.calibration is None else _calibrated(command.calibration),
-        masks=command.masks,
-        every=command.every,
-        cameras=command.cameras,
-        frames=command.frames,
-    )
+    earlier = None if command.add_to is None else read_earlier(command.add_to)
+    images = _open(command, () if earlier is None else earlier.reconstruction.image_names)
     work = target.absolute().with_name(f".{target.name}.work")
     with progress_bars(quiet=command.output.json) as bars:
-        result = reconstruct(images, command.sfm, Workspace(work), bars.bar)
+        result = reconstruct(
+            images,
+            command.sfm,
+            Workspace(work),
+            bars.bar,
+            earlier=None if earlier is None else earlier.reconstruction,
+            earlier_world=None if earlier is None else earlier.world,
+        )
     if not result.reconstructions:
         shutil.rmtree(work, ignore_errors=True)
         raise InputError(
@@ -103,6 +110,27 @@ def main(arguments: Sequence[str]) -> int:
         return 0
     _print(target, images, result)
     return 0
+
+
+def _open(command: SfmCommand, earlier: tuple[str, ...]) -> "ImageSet":
+    """Return the images of the command, together with those of an earlier result by their names."""
+    from dronevio.models.errors import ConfigError
+    from dronevio.models.image_sets import open_images, with_earlier
+
+    if command.earlier_images is not None and command.add_to is None:
+        raise ConfigError("--earlier-images without --add-to; expected both")
+    options: dict[str, Any] = {
+        "camera": command.camera,
+        "model": None if command.calibration is None else _calibrated(command.calibration),
+        "masks": command.masks,
+        "cameras": command.cameras,
+    }
+    images = open_images(command.images, **options, every=command.every, frames=command.frames)
+    if command.add_to is None:
+        return images
+    is_one_source = command.earlier_images is None
+    available = open_images(command.earlier_images or command.images, **options)
+    return with_earlier(images, earlier, available, is_one_source)
 
 
 def _calibrated(path: Path) -> "CameraModel":
@@ -148,9 +176,17 @@ def _write(
         match_counts=result.match_counts,
         read_image=read,
         unit="m" if result.is_metric else "",
+        up=_up(result),
     )
     write_reconstruction_report(folder, info, results)
-    write_reconstruction_rerun(result.reconstructions, folder / "run.rrd", read, name=target.name)
+    write_reconstruction_rerun(result.reconstructions, folder / "run.rrd", read, up=results.up, name=target.name)
+
+
+def _up(result: "SfmResult") -> Any:
+    """Return the up direction (3,) of the world frames, None if it is not known in all of them."""
+    import numpy as np
+
+    return np.array([0.0, 0.0, 1.0]) if all(world.is_vertical for world in result.worlds) else None
 
 
 def _reader(images: "ImageSet") -> Callable[[str], Any]:

@@ -1,8 +1,8 @@
 """Bundle adjustment by GTSAM's Levenberg-Marquardt optimizer.
 
 Each inlier observation is a factor on the pose of its image, on its point and, if the camera is not calibrated, on the
-focal length and two radial distortion coefficients of its camera. A prior on one pose and on the distance to a second
-fixes the gauge.
+focal length and two radial distortion coefficients of its camera. Known poses are held or have priors; without them, a
+prior on one pose and on the distance to a second fixes the gauge.
 """
 
 from collections.abc import Sequence
@@ -13,7 +13,7 @@ import numpy as np
 import numpy.typing as npt
 from gtsam.symbol_shorthand import K, P, X
 
-from dronevio.estimator.sfm.model import Scene, SfmState
+from dronevio.estimator.sfm.model import KnownPoses, Scene, SfmState
 from dronevio.models.camera import CameraModel
 
 Array = npt.NDArray[np.float64]
@@ -21,7 +21,7 @@ Indices = npt.NDArray[np.int64]
 Mask = npt.NDArray[np.bool_]
 
 FIXED_SIGMA = 1e-7
-"""Standard deviation of the prior of the first pose: rotation [rad], position relative to the scale of the scene."""
+"""Standard deviation of a pose that is held: rotation [rad], position relative to the scale of the scene."""
 RANGE_SIGMA = 1e-5
 """Standard deviation of the prior that fixes the scale, relative to the distance."""
 PIXEL_SIGMA = 1.0
@@ -60,8 +60,9 @@ def adjust(
     selected: Mask,
     config: BundleAdjustmentConfig,
     rig: Sequence[RelativePose] = (),
+    priors: KnownPoses | None = None,
 ) -> SfmState:
-    """Adjust poses, points and cameras.
+    """Adjust poses, points and cameras; the images of `Scene.is_fixed` keep their poses.
 
     Args:
         scene: The measurements.
@@ -69,6 +70,7 @@ def adjust(
         selected: (M,) Observations that are used, a subset of `SfmState.used`.
         config: Settings of the optimizer.
         rig: Known relative poses of images.
+        priors: Measured poses of at least two images, which then determine the world frame.
     """
     index = np.flatnonzero(selected)
     image, track = scene.tracks.image[index], scene.tracks.track[index]
@@ -81,7 +83,10 @@ def adjust(
     calibrations = _insert_cameras(scene, state, np.unique(scene.image_camera[images]), values, graph)
     _add_projections(graph, scene, state, index, calibrations, _noise(config))
     _add_rig(graph, rig)
-    _fix_gauge(graph, state, images, has_scale=bool(rig))
+    if priors is None:
+        _fix_gauge(graph, state, images, scene.is_fixed[images], has_scale=bool(rig))
+    else:
+        _add_priors(graph, priors, images)
 
     # Damping by the diagonal of the Hessian: focal lengths, distortion and rotations differ in scale by orders.
     parameters = gtsam.LevenbergMarquardtParams.CeresDefaults()
@@ -91,7 +96,7 @@ def adjust(
     result = gtsam.LevenbergMarquardtOptimizer(graph, values, parameters).optimize()
 
     Ts_world_cam, points = state.Ts_world_cam.copy(), state.points.copy()
-    for i in images:
+    for i in images[~scene.is_fixed[images]]:
         Ts_world_cam[i] = result.atPose3(X(i)).matrix()
     for t in tracks:
         points[t] = result.atPoint3(P(t))
@@ -160,14 +165,25 @@ def _add_rig(graph: gtsam.NonlinearFactorGraph, rig: Sequence[RelativePose]) -> 
         )
 
 
-def _fix_gauge(graph: gtsam.NonlinearFactorGraph, state: SfmState, images: Indices, has_scale: bool) -> None:
-    """Hold the first pose and, unless other factors determine the scale, its distance to the farthest one."""
-    first = int(images[0])
-    distances = np.linalg.norm(state.Ts_world_cam[images, :3, 3] - state.Ts_world_cam[first, :3, 3], axis=1)
+def _add_priors(graph: gtsam.NonlinearFactorGraph, priors: KnownPoses, images: Indices) -> None:
+    noise = gtsam.noiseModel.Diagonal.Sigmas(np.repeat([priors.sigma_rad, priors.sigma_m], 3))
+    for i in images[priors.is_known[images]].tolist():
+        graph.push_back(gtsam.PriorFactorPose3(X(i), gtsam.Pose3(priors.Ts_world_cam[i]), noise))
+
+
+def _fix_gauge(
+    graph: gtsam.NonlinearFactorGraph, state: SfmState, images: Indices, is_fixed: Mask, has_scale: bool
+) -> None:
+    """Hold the fixed poses, or else the first, and its distance to the farthest one unless the scale is determined."""
+    held = images[is_fixed] if is_fixed.any() else images[:1]
+    first = int(held[0])
+    positions = state.Ts_world_cam[:, :3, 3]
+    distances = np.linalg.norm(positions[images] - positions[first], axis=1)
     scale = float(distances.max())
     pose_noise = gtsam.noiseModel.Diagonal.Sigmas(np.repeat([FIXED_SIGMA, FIXED_SIGMA * scale], 3))
-    graph.push_back(gtsam.PriorFactorPose3(X(first), gtsam.Pose3(state.Ts_world_cam[first]), pose_noise))
-    if not has_scale:
+    for i in held.tolist():
+        graph.push_back(gtsam.PriorFactorPose3(X(i), gtsam.Pose3(state.Ts_world_cam[i]), pose_noise))
+    if not has_scale and len(held) == 1:
         farthest = int(images[np.argmax(distances)])
         range_noise = gtsam.noiseModel.Isotropic.Sigma(1, RANGE_SIGMA * scale)
         graph.push_back(gtsam.RangeFactorPose3(X(first), X(farthest), scale, range_noise))

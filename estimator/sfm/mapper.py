@@ -13,11 +13,12 @@ import numpy.typing as npt
 
 from dronevio.estimator.sfm.adjustment import BundleAdjustmentConfig, adjust
 from dronevio.estimator.sfm.config import MapperConfig
-from dronevio.estimator.sfm.model import Scene, SfmState
+from dronevio.estimator.sfm.model import Scene, SfmState, initial_state
 from dronevio.estimator.sfm.resection import resect
 from dronevio.estimator.sfm.structure import complete, remove_outliers, repair, triangulate
 from dronevio.estimator.sfm.two_view import Geometry, TwoView
 from dronevio.models.camera import CameraModel
+from dronevio.models.errors import ConfigError
 from dronevio.models.progress import Progress, silent
 
 Array = npt.NDArray[np.float64]
@@ -28,6 +29,8 @@ SEED_STAGES = ((100, 16.0), (50, 8.0), (30, 4.0), (20, 2.0))
 """Smallest numbers of matches of a seed pair and smallest median angles [deg], from the strictest to the weakest."""
 SEED_TRIALS = 10
 """Largest number of seed pairs that are tried in each stage."""
+MIN_POINTS = 10
+"""Smallest number of points of the reconstruction that a component starts from."""
 VISIBILITY_LEVELS = 6
 """Number of levels of the grids that measure how evenly the visible points cover an image."""
 INTERMEDIATE_CAUCHY_PX = 1.0
@@ -48,6 +51,7 @@ def map_scene(
     pairs: list[TwoView],
     config: MapperConfig,
     progress: Progress = silent,
+    start: SfmState | None = None,
 ) -> list[SfmState]:
     """Reconstruct all components of a scene, the one with the most images first.
 
@@ -57,17 +61,22 @@ def map_scene(
         pairs: Verified pairs, from which the seeds are taken.
         config: Settings.
         progress: Receives the number of registered images.
+        start: Known poses and cameras, from which the first component grows, whatever its size; None without any.
     """
     mapper = _Mapper(scene, config, progress)
-    components: list[SfmState] = []
     available = np.ones(scene.images, np.bool_)
+    grown = None if start is None else mapper.extend(start)
+    if grown is not None:
+        available &= ~grown.is_registered
+    components: list[SfmState] = []
     while available.sum() >= 2:
         state = mapper.component(cameras, pairs, available)
         if state is None:
             break
         components.append(state)
         available &= ~state.is_registered
-    return sorted(components, key=lambda state: -int(state.is_registered.sum()))
+    components.sort(key=lambda state: -int(state.is_registered.sum()))
+    return components if grown is None else [grown, *components]
 
 
 @dataclass(frozen=True, eq=False)
@@ -84,24 +93,35 @@ class _Mapper:
                 return self._grow(state, available)
         return None
 
+    def extend(self, start: SfmState) -> SfmState:
+        """Return the reconstruction that grows from known poses and cameras.
+
+        Raises:
+            ConfigError: The poses contradict the images.
+        """
+        state = self.clean(triangulate(self.scene, start, self.config.triangulation))
+        if state.has_point.sum() < MIN_POINTS:
+            raise ConfigError(
+                f"{state.has_point.sum()} points agree with the known poses; expected at least {MIN_POINTS} (poses of"
+                " the cameras or of the IMU as stated, and the right calibration)"
+            )
+        return self._grow(state, np.ones(self.scene.images, np.bool_))
+
     def _initialize(self, cameras: tuple[CameraModel, ...], seed: TwoView) -> SfmState | None:
         """Return the adjusted reconstruction of a seed pair, None if it does not hold."""
         scene = self.scene
         Ts_world_cam = np.full((scene.images, 4, 4), np.nan)
         Ts_world_cam[seed.first] = np.eye(4)
         Ts_world_cam[seed.second] = seed.T_first_second
-        state = SfmState(
-            cameras, Ts_world_cam, np.full((scene.tracks.count, 3), np.nan), np.zeros(len(scene.pixels), np.bool_)
-        )
-        state = triangulate(scene, state, self.config.triangulation)
-        if state.has_point.sum() < 10:
+        state = triangulate(scene, initial_state(scene, cameras, Ts_world_cam), self.config.triangulation)
+        if state.has_point.sum() < MIN_POINTS:
             return None
         state = self.clean(self.adjust_all(state))
         is_plausible = all(
             1.0 / MAX_FOCAL_CHANGE < camera.fx / max(camera.width, camera.height) < MAX_FOCAL_CHANGE
             for camera in state.cameras
         )
-        return state if is_plausible and state.has_point.sum() >= 10 else None
+        return state if is_plausible and state.has_point.sum() >= MIN_POINTS else None
 
     def _grow(self, state: SfmState, available: Mask) -> SfmState:
         """Register images until none is left that can be."""
@@ -209,7 +229,7 @@ class _Mapper:
         seen = state.has_point[scene.tracks.track] & state.is_registered[scene.tracks.image]
         visible = np.bincount(scene.tracks.image[seen], minlength=scene.images)
         inliers = np.bincount(scene.tracks.image[state.used(scene)], minlength=scene.images)
-        is_wrong = state.is_registered & (inliers < self.config.min_support * visible)
+        is_wrong = state.is_registered & ~scene.is_fixed & (inliers < self.config.min_support * visible)
         if not is_wrong.any() or (state.is_registered & ~is_wrong).sum() < 2:
             return state
         discards[is_wrong] += 1

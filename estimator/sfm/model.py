@@ -7,10 +7,45 @@ import numpy.typing as npt
 
 from dronevio.estimator.sfm.tracks import Tracks
 from dronevio.models.camera import CameraModel
+from dronevio.models.errors import ConfigError
 
 Array = npt.NDArray[np.float64]
 Indices = npt.NDArray[np.int64]
 Mask = npt.NDArray[np.bool_]
+
+
+@dataclass(frozen=True, eq=False)
+class KnownPoses:
+    """Known poses of images, exact or with standard deviations."""
+
+    Ts_world_cam: Array
+    """(I, 4, 4) Pose of each image; NaN for images whose pose is unknown."""
+    sigma_rad: float = 0.0
+    """Standard deviation of the rotations [rad]; 0 if the poses are exact."""
+    sigma_m: float = 0.0
+    """Standard deviation of the positions [m]; 0 if the poses are exact."""
+
+    def __post_init__(self) -> None:
+        """Check the standard deviations.
+
+        Raises:
+            ConfigError: One of them is negative, or only one is zero.
+        """
+        if min(self.sigma_rad, self.sigma_m) < 0.0 or (self.sigma_rad > 0.0) != (self.sigma_m > 0.0):
+            raise ConfigError(
+                f"standard deviations of {self.sigma_m:g} m and {np.degrees(self.sigma_rad):g}° of known poses;"
+                " expected both above zero, or both zero for poses that are exact"
+            )
+
+    @property
+    def is_exact(self) -> bool:
+        """Whether the poses are exact and stay fixed."""
+        return self.sigma_m == 0.0
+
+    @property
+    def is_known(self) -> Mask:
+        """(I,) Whether the pose of each image is known."""
+        return np.isfinite(self.Ts_world_cam[:, 0, 3])
 
 
 @dataclass(frozen=True, eq=False)
@@ -25,6 +60,13 @@ class Scene:
     """(I,) Index of the camera of each image."""
     is_calibrated: Mask
     """(K,) Whether the model of each camera is known and stays fixed."""
+    fixed_images: Mask | None = None
+    """(I,) Images whose poses are known and stay fixed; None if there are none."""
+
+    @property
+    def is_fixed(self) -> Mask:
+        """(I,) Whether the pose of each image is known and stays fixed."""
+        return np.zeros(self.images, np.bool_) if self.fixed_images is None else self.fixed_images
 
     @property
     def images(self) -> int:
@@ -85,3 +127,15 @@ class SfmState:
         """Return the focal length (S,) of the camera of the selected observations [px]."""
         focal = np.array([np.sqrt(camera.fx * camera.fy) for camera in self.cameras])
         return np.asarray(focal[scene.image_camera[scene.tracks.image[selected]]])
+
+
+def initial_state(scene: Scene, cameras: tuple[CameraModel, ...], Ts_world_cam: Array) -> SfmState:
+    """Return a state without points.
+
+    Args:
+        scene: The measurements.
+        cameras: (K,) Camera models.
+        Ts_world_cam: (I, 4, 4) Known poses; NaN for images that are not registered.
+    """
+    points = np.full((scene.tracks.count, 3), np.nan)
+    return SfmState(cameras, Ts_world_cam, points, np.zeros(len(scene.pixels), np.bool_))

@@ -5,10 +5,10 @@ Source: Dellaert and Hutchinson, *Introduction to Robotics and Perception*, sect
 """
 
 import time
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import groupby
 from typing import TypeVar
 
@@ -17,19 +17,23 @@ import numpy as np
 import numpy.typing as npt
 
 from dronevio.estimator.sfm.config import SfmConfig
+from dronevio.estimator.sfm.earlier import earlier_cameras, earlier_images, earlier_pairs, shared_points
 from dronevio.estimator.sfm.features import Features, detect_features
+from dronevio.estimator.sfm.gauge import aligned
 from dronevio.estimator.sfm.mapper import map_scene
 from dronevio.estimator.sfm.matching import match_features
-from dronevio.estimator.sfm.model import Scene, SfmState
+from dronevio.estimator.sfm.model import KnownPoses, Scene, SfmState, initial_state
 from dronevio.estimator.sfm.pairs import select_pairs
-from dronevio.estimator.sfm.rig import impose_rig
-from dronevio.estimator.sfm.tracks import connect_tracks
+from dronevio.estimator.sfm.tracks import MatchedPair, connect_tracks
 from dronevio.estimator.sfm.two_view import TwoView, verify, view_of
 from dronevio.estimator.sfm.workspace import Workspace, digest
+from dronevio.estimator.sfm.world import WorldFrame, place
+from dronevio.models.errors import ConfigError
 from dronevio.models.image_sets import ImageSet
 from dronevio.models.progress import Progress, silent
 from dronevio.models.reconstruction import Reconstruction
 
+Indices = npt.NDArray[np.int64]
 Item = TypeVar("Item")
 Result = TypeVar("Result")
 Stages = Callable[[str], Progress]
@@ -42,13 +46,15 @@ class SfmResult:
     reconstructions: tuple[Reconstruction, ...]
     """One for each component, the one with the most images first; empty if no pair of images can be reconstructed."""
     is_metric: bool
-    """Whether the unit of all reconstructions is the metre, from the baselines of a rig; otherwise it is arbitrary."""
+    """Whether the unit of all reconstructions is the metre; otherwise it is arbitrary."""
     match_counts: npt.NDArray[np.int64]
     """(I, I) Number of verified matches of each pair of images, symmetric."""
     feature_counts: npt.NDArray[np.int64]
     """(I,) Number of features of each image."""
     times_s: dict[str, float]
     """Elapsed time of each stage [s]."""
+    worlds: tuple[WorldFrame, ...] = ()
+    """How the world frame of each reconstruction is determined."""
 
 
 def _no_progress(stage: str) -> Progress:
@@ -60,6 +66,10 @@ def reconstruct(
     config: SfmConfig | None = None,
     workspace: Workspace | None = None,
     stages: Stages = _no_progress,
+    *,
+    earlier: Reconstruction | None = None,
+    earlier_world: WorldFrame | None = None,
+    poses: KnownPoses | None = None,
 ) -> SfmResult:
     """Reconstruct cameras and points from images.
 
@@ -68,31 +78,56 @@ def reconstruct(
         config: Settings.
         workspace: Where features and matches are kept; an earlier result is used if input and settings are the same.
         stages: Returns the progress callback of a stage by its name.
+        earlier: A reconstruction of some of the images, to which the others are added. The first component of the
+            result contains it, in its world frame and scale.
+        earlier_world: How the world frame of the earlier reconstruction is determined; None if it is arbitrary.
+        poses: Known poses of some of the images, which determine the world frame and the scale of the first component.
 
     Raises:
         InputError: An image cannot be read.
+        ConfigError: The earlier reconstruction contradicts the images, or the known poses contradict them.
     """
     config = config or SfmConfig()
     workspace = workspace or Workspace(None)
+    if earlier is not None and poses is not None:
+        raise ConfigError("an earlier reconstruction and known poses; expected one of them")
+    index = np.empty(0, np.int64) if earlier is None else earlier_images(images, earlier)
+    if earlier is not None:
+        images = replace(images, cameras=earlier_cameras(images, earlier))
     clock = _Clock()
     with _one_thread_each(), ThreadPoolExecutor(config.threads) as pool:
         features, keys = _detect(images, config, workspace, pool, stages("features"))
         clock.lap("features")
-        pairs = _match(images, features, keys, config, workspace, pool, stages("matching"))
+        known = None if earlier is None else earlier_pairs(index, earlier, features)
+        matched = index if known is not None else index[:0]
+        pairs = _match(images, features, keys, matched, config, workspace, pool, stages("matching"))
         clock.lap("matching")
-    scene = _scene(images, features, pairs)
-    states = map_scene(scene, images.cameras, pairs, config.mapper, stages("mapping"))
-    scaled = [impose_rig(scene, state, images, config.mapper.final_cauchy_px) for state in states]
+    scene = _scene(images, features, [*(known or []), *pairs])
+    Ts_earlier = np.full((len(images), 4, 4), np.nan)
+    start = None
+    if earlier is not None:
+        Ts_earlier[index] = earlier.Ts_world_cam
+        start = initial_state(scene, images.cameras, Ts_earlier)
+    elif poses is not None and poses.is_exact:
+        scene = replace(scene, fixed_images=poses.is_known)
+        start = initial_state(scene, images.cameras, poses.Ts_world_cam)
+    states = map_scene(scene, images.cameras, pairs, config.mapper, stages("mapping"), start)
+    placed = [place(scene, state, images, config, poses) for state in states]
+    if earlier is not None:
+        placed[0] = aligned(placed[0][0], Ts_earlier), earlier_world or WorldFrame()
     clock.lap("mapping")
     counts = np.zeros((len(features), len(features)), np.int64)
+    if earlier is not None:
+        counts = shared_points(index, earlier, len(features))
     for pair in pairs:
         counts[pair.first, pair.second] = counts[pair.second, pair.first] = len(pair.matches)
     return SfmResult(
-        tuple(_reconstruction(scene, state, images.names, features) for state, _ in scaled),
-        all(is_metric for _, is_metric in scaled),
+        tuple(_reconstruction(scene, state, images.names, features) for state, _ in placed),
+        all(world.is_metric for _, world in placed),
         counts,
         np.array([len(f) for f in features], np.int64),
         clock.times_s,
+        tuple(world for _, world in placed),
     )
 
 
@@ -118,12 +153,13 @@ def _match(
     images: ImageSet,
     features: list[Features],
     keys: list[str],
+    known: Indices,
     config: SfmConfig,
     workspace: Workspace,
     pool: ThreadPoolExecutor,
     progress: Progress,
 ) -> list[TwoView]:
-    """Return the verified pairs in the order of their images."""
+    """Return the verified pairs in the order of their images, except those of two images whose matches are known."""
     views = [
         view_of(f.pixels, images.cameras[camera], bool(images.is_calibrated[camera]))
         for f, camera in zip(features, images.image_camera.tolist(), strict=True)
@@ -145,12 +181,15 @@ def _match(
         workspace.save_pairs(first, key, found)
         return found
 
-    chosen = select_pairs(features, images.is_ordered, config.pairs)
+    is_known = np.isin(np.arange(len(features)), known)
+    chosen = [
+        (i, j) for i, j in select_pairs(features, images.is_ordered, config.pairs) if not (is_known[i] and is_known[j])
+    ]
     groups = [(first, [j for _, j in rows]) for first, rows in groupby(chosen, key=lambda pair: pair[0])]
     return [pair for found in _counted(pool, match, groups, progress) for pair in found]
 
 
-def _scene(images: ImageSet, features: list[Features], pairs: list[TwoView]) -> Scene:
+def _scene(images: ImageSet, features: list[Features], pairs: Sequence[MatchedPair]) -> Scene:
     counts = np.array([len(f) for f in features], np.int64)
     tracks = connect_tracks(pairs, counts)
     pixels = np.concatenate([f.pixels for f in features])

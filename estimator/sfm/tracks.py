@@ -1,15 +1,31 @@
 """Feature tracks: the features of all images that verified matches connect, at most one in each image."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Protocol
 
 import numpy as np
 import numpy.typing as npt
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
-from dronevio.estimator.sfm.two_view import TwoView
-
 Indices = npt.NDArray[np.int64]
+
+
+class MatchedPair(Protocol):
+    """Two images with matches, of which `TwoView` is an example."""
+
+    @property
+    def first(self) -> int:
+        """Index of the first image."""
+
+    @property
+    def second(self) -> int:
+        """Index of the second image."""
+
+    @property
+    def matches(self) -> Indices:
+        """(K, 2) Matches: indices of features of the first image and of the second."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -29,14 +45,14 @@ class Tracks:
         return int(self.track[-1]) + 1 if len(self.track) else 0
 
 
-def connect_tracks(pairs: list[TwoView], feature_counts: Indices) -> Tracks:
+def connect_tracks(pairs: Sequence[MatchedPair], feature_counts: Indices) -> Tracks:
     """Connect verified matches to tracks.
 
     A component of the graph of matches that contains two features of one image is inconsistent. Its least supported
     matches, those that few triangles of matches confirm, are removed until it falls apart.
 
     Args:
-        pairs: Verified pairs.
+        pairs: Pairs with verified matches.
         feature_counts: (I,) Number of features of each image.
     """
     offsets = np.concatenate([[0], np.cumsum(feature_counts)]).astype(np.int64)

@@ -5,6 +5,7 @@ from typing import TYPE_CHECKING
 from dronevio._lazy import attach
 
 if TYPE_CHECKING:
+    from dronevio.models.image_sets.combined import joined, subset, with_earlier
     from dronevio.models.image_sets.folder import CameraSharing, image_folder
     from dronevio.models.image_sets.image_set import FocalSource, ImageSet
     from dronevio.models.image_sets.open import open_images
@@ -18,12 +19,16 @@ __all__ = [
     "image_folder",
     "image_recording",
     "image_video",
+    "joined",
     "open_images",
+    "subset",
+    "with_earlier",
 ]
 
 __getattr__, __dir__ = attach(
     __name__,
     {
+        "dronevio.models.image_sets.combined": ("joined", "subset", "with_earlier"),
         "dronevio.models.image_sets.folder": ("CameraSharing", "image_folder"),
         "dronevio.models.image_sets.image_set": ("FocalSource", "ImageSet"),
         "dronevio.models.image_sets.open": ("open_images",),

@@ -19,7 +19,8 @@ def read_reconstruction(path: Path | str) -> Reconstruction:
     """Read a reconstruction, whose format is recognized from the contents of the path.
 
     Args:
-        path: A folder that contains a sparse model of COLMAP or a ``bundle.out``, a file of Bundler, or a PLY file.
+        path: A folder that contains a sparse model of COLMAP or a ``bundle.out``, the folder of a result of
+            ``dronevio sfm``, of which the first component is read, a file of Bundler, or a PLY file.
 
     Raises:
         InputError: The path is none of these, or is damaged.
@@ -28,8 +29,12 @@ def read_reconstruction(path: Path | str) -> Reconstruction:
     if path.is_dir():
         if is_colmap(path):
             return read_colmap(path)
-        if (path / "bundle.out").is_file():
-            return read_bundler(path / "bundle.out")
+        for name in ("colmap-binary/0", "colmap-text/0"):
+            if is_colmap(path / name):
+                return read_colmap(path / name)
+        for name in ("bundle.out", "bundle-0.out"):
+            if (path / name).is_file():
+                return read_bundler(path / name)
         raise InputError(path, "a folder without images.bin, images.txt and bundle.out", _EXPECTED)
     try:
         with path.open("rb") as file:

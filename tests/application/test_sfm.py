@@ -3,6 +3,7 @@
 import json
 import shutil
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -14,7 +15,7 @@ import pytest
 import dronevio as dv
 from dronevio.cli import main
 from dronevio.eval.metrics.alignment import umeyama
-from dronevio.models.reconstructions import read_reconstruction
+from dronevio.models.reconstructions import read_reconstruction, write_reconstruction
 
 Result = Any  # the class of conftest, which cannot be imported
 CommandRunner = Callable[..., Result]
@@ -93,6 +94,43 @@ def test_an_existing_result_is_not_replaced(photographs: Path, reconstructed: Pa
     shutil.copytree(reconstructed, copy)
     assert main(["sfm", str(photographs), "--out", str(copy)]) == 2
     assert (copy / "report.html").read_bytes() == (reconstructed / "report.html").read_bytes()
+
+
+def test_a_photograph_is_added(photographs: Path, reconstructed: Path, tmp_path: Path) -> None:
+    whole = read_reconstruction(reconstructed)
+    first = whole.observation_image < 4
+    points, rows = np.unique(whole.observation_point[first], return_inverse=True)
+    earlier = replace(
+        whole,
+        image_names=whole.image_names[:4],
+        image_camera=whole.image_camera[:4],
+        Ts_world_cam=whole.Ts_world_cam[:4],
+        points=whole.points[points],
+        colours=whole.colours[points],
+        observation_image=whole.observation_image[first],
+        observation_point=rows,
+        observation_px=whole.observation_px[first],
+    )
+    write_reconstruction(earlier, tmp_path / "earlier" / "colmap-text" / "0", "colmap-text")
+    assert main(["sfm", str(photographs), "--add-to", str(tmp_path / "earlier"), "--out", str(tmp_path / "more")]) == 0
+    found = read_reconstruction(tmp_path / "more")
+    assert found.image_names == whole.image_names
+    extent = float(np.linalg.norm(np.ptp(whole.positions, axis=0)))
+    np.testing.assert_allclose(found.positions, whole.positions, atol=0.005 * extent)
+    values = json.loads((tmp_path / "more" / "report.json").read_text(encoding="utf-8"))
+    assert (values["unit"], values["up"]) == ("", None)
+
+
+def test_nothing_to_add_is_bad_input(
+    photographs: Path, reconstructed: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    out = str(tmp_path / "more")
+    assert main(["sfm", str(photographs), "--add-to", str(reconstructed), "--out", out]) == 2
+    assert "all 5 images are in the earlier reconstruction" in capsys.readouterr().err
+    assert main(["sfm", str(photographs), "--add-to", str(reconstructed / "points-0.ply"), "--out", out]) == 2
+    assert "points without images" in capsys.readouterr().err
+    assert main(["sfm", str(photographs), "--earlier-images", str(photographs), "--out", out]) == 2
+    assert "--earlier-images without --add-to" in capsys.readouterr().err
 
 
 def test_accuracy_script_selects_moving_frames(script: Callable[[str], Any], flown: Result) -> None:

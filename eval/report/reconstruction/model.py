@@ -10,6 +10,8 @@
     images         name, component, camera, observations, error_median_px of each registered image
     unregistered   {image: reason}
     times_s        {stage: processing time}
+    unit           unit of the world frames, such as m; empty if their scale is arbitrary
+    up             up direction in the world frames, three numbers; null if it is not known
     positions      component, images, rmse_m, extent_m, rmse_percent, scale, reason of each component; empty without
                    true positions; the reason is null unless positions cannot be compared
     configuration, versions, machine            as in `RunInfo`
@@ -203,6 +205,8 @@ def report_values(info: RunInfo, results: ReconstructionResults) -> dict[str, ob
         "images": [asdict(summary) for summary in image_summaries(results)],
         "unregistered": results.reasons(),
         "times_s": dict(results.times_s),
+        "unit": results.unit,
+        "up": None if results.up is None else results.up.tolist(),
         "positions": [_position_values(positions) for positions in position_comparisons(results)],
         "configuration": info.configuration,
         "versions": info.versions,

@@ -2,17 +2,22 @@
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from pathlib import Path
 
 import numpy as np
 import numpy.typing as npt
 import pytest
 
+from dronevio.estimator.sfm.config import FeatureConfig
 from dronevio.estimator.sfm.features import Features
+from dronevio.estimator.sfm.workspace import Workspace, digest
 from dronevio.models.camera import CameraModel
+from dronevio.models.image_sets import ImageSet
 from dronevio.models.rotation import exp_so3, pose_matrix
 
 Array = npt.NDArray[np.float64]
 MakeScene = Callable[..., "SyntheticScene"]
+MakeImages = Callable[..., tuple[ImageSet, Workspace]]
 
 
 @dataclass(frozen=True, eq=False)
@@ -73,6 +78,38 @@ def build_scene(
         poses.append(T)
         point_of.append(visible)
     return SyntheticScene(camera, np.stack(poses), cloud, tuple(features), tuple(point_of))
+
+
+def stored_images(scene: SyntheticScene, folder: Path, baseline_m: float = 0.0) -> tuple[ImageSet, Workspace]:
+    """Return a set of blank images, of a stereo rig with a baseline, and a workspace that has their features."""
+    count = len(scene.features)
+    # The value of all pixels tells the images apart, so that stored features belong to an image wherever it is.
+    blank = [np.full((scene.camera.height, scene.camera.width), i, np.uint8) for i in range(count)]
+    workspace = Workspace(folder)
+    for i, features in enumerate(scene.features):
+        workspace.save_features(i, digest(blank[i], blank[i].shape, None, FeatureConfig()), features)
+    Ts_imu_cam = np.tile(np.eye(4), (2, 1, 1))
+    Ts_imu_cam[1, 0, 3] = baseline_m
+    is_rig = baseline_m > 0.0
+    images = ImageSet(
+        names=tuple(f"{i}" for i in range(count)),
+        image_camera=np.arange(count) % 2 if is_rig else np.zeros(count, np.int64),
+        cameras=(scene.camera,) * (2 if is_rig else 1),
+        is_calibrated=np.array([True, True] if is_rig else [True]),
+        is_ordered=True,
+        t_ns=None,
+        frame=np.arange(count) // 2 if is_rig else None,
+        Ts_imu_cam=Ts_imu_cam if is_rig else None,
+        read=lambda index: blank[index],
+        read_mask=lambda index: None,
+    )
+    return images, workspace
+
+
+@pytest.fixture(scope="session")
+def make_images() -> MakeImages:
+    """The function that makes sets of images with stored features."""
+    return stored_images
 
 
 @pytest.fixture(scope="session")

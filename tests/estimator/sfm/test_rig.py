@@ -11,44 +11,19 @@ from dronevio.estimator.sfm.config import SfmConfig
 from dronevio.estimator.sfm.pipeline import reconstruct
 from dronevio.estimator.sfm.rig import rig_poses
 from dronevio.estimator.sfm.workspace import Workspace, digest
-from dronevio.models.image_sets import ImageSet
 from dronevio.models.rotation import inverse_pose
 
 if TYPE_CHECKING:
     from pathlib import Path
 
-    from tests.estimator.sfm.conftest import MakeScene, SyntheticScene
+    from tests.estimator.sfm.conftest import MakeImages, MakeScene
 
 BASELINE_M = 0.2
 
 
-def stored_images(scene: "SyntheticScene", folder: "Path", config: SfmConfig) -> tuple[ImageSet, Workspace]:
-    """Return a set of blank images of a stereo rig, and a workspace that has the features of the scene."""
-    count = len(scene.features)
-    blank = np.zeros((scene.camera.height, scene.camera.width), np.uint8)
-    workspace = Workspace(folder)
-    for i, features in enumerate(scene.features):
-        workspace.save_features(i, digest(blank, blank.shape, None, config.features), features)
-    Ts_imu_cam = np.tile(np.eye(4), (2, 1, 1))
-    Ts_imu_cam[1, 0, 3] = BASELINE_M
-    images = ImageSet(
-        names=tuple(f"{i}" for i in range(count)),
-        image_camera=np.arange(count) % 2,
-        cameras=(scene.camera, scene.camera),
-        is_calibrated=np.array([True, True]),
-        is_ordered=True,
-        t_ns=None,
-        frame=np.arange(count) // 2,
-        Ts_imu_cam=Ts_imu_cam,
-        read=lambda index: blank,
-        read_mask=lambda index: None,
-    )
-    return images, workspace
-
-
-def test_a_stereo_rig_gives_metres(make_scene: "MakeScene", tmp_path: "Path") -> None:
+def test_a_stereo_rig_gives_metres(make_scene: "MakeScene", make_images: "MakeImages", tmp_path: "Path") -> None:
     scene = make_scene(images=8, baseline_m=BASELINE_M)
-    images, workspace = stored_images(scene, tmp_path, SfmConfig())
+    images, workspace = make_images(scene, tmp_path, BASELINE_M)
     result = reconstruct(images, SfmConfig(), workspace)
     assert result.is_metric
     [found] = result.reconstructions
@@ -61,16 +36,18 @@ def test_a_stereo_rig_gives_metres(make_scene: "MakeScene", tmp_path: "Path") ->
         np.testing.assert_allclose(T[:3, 3], [BASELINE_M, 0.0, 0.0], atol=1e-4)
 
 
-def test_without_a_rig_the_scale_is_arbitrary(make_scene: "MakeScene", tmp_path: "Path") -> None:
+def test_without_a_rig_the_scale_is_arbitrary(
+    make_scene: "MakeScene", make_images: "MakeImages", tmp_path: "Path"
+) -> None:
     scene = make_scene(images=6, baseline_m=BASELINE_M)
-    images, workspace = stored_images(scene, tmp_path, SfmConfig())
+    images, workspace = make_images(scene, tmp_path, BASELINE_M)
     alone = replace(images, frame=None, Ts_imu_cam=None)
     assert not reconstruct(alone, SfmConfig(), workspace).is_metric
 
 
-def test_relative_poses_by_hand(make_scene: "MakeScene", tmp_path: "Path") -> None:
+def test_relative_poses_by_hand(make_scene: "MakeScene", make_images: "MakeImages", tmp_path: "Path") -> None:
     scene = make_scene(images=4, baseline_m=BASELINE_M)
-    images, _ = stored_images(scene, tmp_path, SfmConfig())
+    images, _ = make_images(scene, tmp_path, BASELINE_M)
     poses = rig_poses(images, np.array([True, True, False, True]))
     assert [(pose.first, pose.second) for pose in poses] == [(0, 1)]
     np.testing.assert_allclose(poses[0].T_first_second[:3, 3], [BASELINE_M, 0.0, 0.0])
