@@ -2,8 +2,8 @@
 
 For each scenario, 100 moving frames are spread evenly over a flight and reconstructed with the true calibration. The
 error is the root mean square distance of the camera positions from the true ones after a similarity transformation.
-COLMAP (pycolmap) matches the pairs that this project has verified, with two threads, and is run with several seeds, of
-which the median error counts. Times are elapsed times on this machine::
+COLMAP (pycolmap) matches the pairs that this project has verified, with two threads, and maps them with several seeds,
+of which the median error counts. Times are elapsed times on this machine, and the processor time of all stages::
 
     .venv/bin/python scripts/sfm_accuracy.py --work build/sfm
     .venv/bin/python scripts/sfm_accuracy.py --work build/sfm --scenarios room-v0 --colmap-seeds 0
@@ -55,7 +55,7 @@ class SfmAccuracyCommand:
     frames: int = 100
     """Number of frames of each flight."""
     colmap_seeds: int = 3
-    """Number of runs of COLMAP in each world; 0 measures only this project."""
+    """Number of mappings by COLMAP in each world; 0 measures only this project."""
 
 
 @dataclass(frozen=True)
@@ -68,6 +68,8 @@ class Outcome:
     """Root mean square error of the positions of the registered cameras [mm]."""
     times_s: dict[str, float]
     """Elapsed time of each stage [s]."""
+    cpu_s: float
+    """Processor time of all stages [s]."""
 
 
 def true_positions(recording: Recording, rows: npt.NDArray[np.int64]) -> Array:
@@ -100,17 +102,19 @@ def rmse_mm(true: Array, estimated: Array) -> float:
 
 def ours(images: ImageSet, true: Array) -> tuple[Outcome, list[tuple[int, int]]]:
     """Return our reconstruction and the pairs with verified matches."""
+    start_s = time.process_time()
     result = reconstruct(images)
+    cpu_s = time.process_time() - start_s
     pairs = [(int(i), int(j)) for i, j in np.argwhere(np.triu(result.match_counts))]
     if not result.reconstructions:
-        return Outcome(0, np.inf, result.times_s), pairs
+        return Outcome(0, np.inf, result.times_s, cpu_s), pairs
     largest = result.reconstructions[0]
     rows = [images.names.index(name) for name in largest.image_names]
-    return Outcome(len(rows), rmse_mm(true[rows], largest.positions), result.times_s), pairs
+    return Outcome(len(rows), rmse_mm(true[rows], largest.positions), result.times_s, cpu_s), pairs
 
 
-def colmap(images: ImageSet, true: Array, pairs: Sequence[tuple[int, int]], folder: Path, seed: int) -> Outcome:
-    """Return COLMAP's reconstruction of the same images and pairs."""
+def colmap(images: ImageSet, true: Array, pairs: Sequence[tuple[int, int]], folder: Path, seeds: int) -> list[Outcome]:
+    """Return COLMAP's reconstructions of the same images and pairs, one for each seed of the mapping."""
     import pycolmap
 
     shutil.rmtree(folder, ignore_errors=True)
@@ -121,7 +125,6 @@ def colmap(images: ImageSet, true: Array, pairs: Sequence[tuple[int, int]], fold
     (folder / "pairs.txt").write_text("\n".join(f"{names[i]} {names[j]}" for i, j in pairs))
     camera = images.cameras[0]
     values = (camera.fx, camera.fy, camera.cx + 0.5, camera.cy + 0.5, *camera.distortion)
-    pycolmap.set_random_seed(seed)
     reader = pycolmap.ImageReaderOptions(camera_model="OPENCV", camera_params=",".join(map(str, values)))
     extraction = pycolmap.FeatureExtractionOptions(num_threads=2, use_gpu=False)
     matching = pycolmap.FeatureMatchingOptions(num_threads=2, use_gpu=False)
@@ -132,7 +135,8 @@ def colmap(images: ImageSet, true: Array, pairs: Sequence[tuple[int, int]], fold
         ba_refine_extra_params=False,
     )
     database = folder / "database.db"
-    times = [time.perf_counter()]
+    pycolmap.set_random_seed(0)
+    clock = Clock()
     pycolmap.extract_features(
         database,
         folder / "images",
@@ -140,27 +144,61 @@ def colmap(images: ImageSet, true: Array, pairs: Sequence[tuple[int, int]], fold
         reader_options=reader,
         extraction_options=extraction,
     )
-    times.append(time.perf_counter())
+    clock.lap("features")
     pairing = pycolmap.ImportedPairingOptions(match_list_path=folder / "pairs.txt")
     pycolmap.match_image_pairs(database, matching_options=matching, pairing_options=pairing)
-    times.append(time.perf_counter())
-    models = pycolmap.incremental_mapping(database, folder / "images", folder / "models", options=mapping)
-    times.append(time.perf_counter())
-    stages = dict(zip(("features", "matching", "mapping"), np.diff(times).tolist(), strict=True))
-    if not models:
-        return Outcome(0, np.inf, stages)
-    largest = max(models.values(), key=lambda model: model.num_reg_images())
-    posed = [image for image in largest.images.values() if image.has_pose]
-    rows = [int(image.name[:6]) for image in posed]
-    positions = np.stack([image.projection_center() for image in posed])
-    return Outcome(len(rows), rmse_mm(true[rows], positions), stages)
+    clock.lap("matching")
+    outcomes = []
+    for seed in range(seeds):
+        pycolmap.set_random_seed(seed)
+        clock.restart()
+        models = pycolmap.incremental_mapping(database, folder / "images", folder / f"models-{seed}", options=mapping)
+        clock.lap("mapping")
+        times_s, cpu_s = dict(clock.times_s), sum(clock.cpu_times_s.values())
+        if not models:
+            outcomes.append(Outcome(0, np.inf, times_s, cpu_s))
+            continue
+        largest = max(models.values(), key=lambda model: model.num_reg_images())
+        posed = [image for image in largest.images.values() if image.has_pose]
+        rows = [int(image.name[:6]) for image in posed]
+        positions = np.stack([image.projection_center() for image in posed])
+        outcomes.append(Outcome(len(rows), rmse_mm(true[rows], positions), times_s, cpu_s))
+    return outcomes
+
+
+class Clock:
+    """Elapsed time and processor time of successive stages."""
+
+    def __init__(self) -> None:
+        """Start the first stage."""
+        self.times_s: dict[str, float] = {}
+        self.cpu_times_s: dict[str, float] = {}
+        self._last = time.perf_counter(), time.process_time()
+
+    def restart(self) -> None:
+        """Start a stage, without the time since the last one."""
+        self._last = time.perf_counter(), time.process_time()
+
+    def lap(self, stage: str) -> None:
+        """Record the time of a stage, in place of an earlier one of the same name, and start the next."""
+        now = time.perf_counter(), time.process_time()
+        self.times_s[stage], self.cpu_times_s[stage] = now[0] - self._last[0], now[1] - self._last[1]
+        self._last = now
 
 
 def row(name: str, program: str, outcome: Outcome, frames: int) -> list[str]:
     """Return a row of the table."""
     registered = f"{outcome.registered} of {frames}"
     times = [f"{outcome.times_s[stage]:.1f}" for stage in ("features", "matching", "mapping")]
-    return [name, program, registered, f"{outcome.rmse_mm:.2f}", *times, f"{sum(outcome.times_s.values()):.1f}"]
+    return [
+        name,
+        program,
+        registered,
+        f"{outcome.rmse_mm:.2f}",
+        *times,
+        f"{sum(outcome.times_s.values()):.1f}",
+        f"{outcome.cpu_s:.1f}",
+    ]
 
 
 def measure(command: SfmAccuracyCommand) -> None:
@@ -175,8 +213,8 @@ def measure(command: SfmAccuracyCommand) -> None:
         images, true = image_recording(recording, frames=frames.tolist()), true_positions(recording, frames)
         outcome, pairs = ours(images, true)
         rows.append(row(scenario, "dronevio", outcome, command.frames))
-        others = [colmap(images, true, pairs, command.work / "colmap", seed) for seed in range(command.colmap_seeds)]
-        if others:
+        if command.colmap_seeds > 0:
+            others = colmap(images, true, pairs, command.work / "colmap", command.colmap_seeds)
             median = statistics.median_low([other.rmse_mm for other in others])
             chosen = next(other for other in others if other.rmse_mm == median)
             rows.append(row(scenario, f"COLMAP, median of {len(others)}", chosen, command.frames))
@@ -189,6 +227,7 @@ def measure(command: SfmAccuracyCommand) -> None:
             "matching [s]",
             "mapping [s]",
             "all [s]",
+            "processor [s]",
         )
         print_table("Structure from motion", heading, rows, left=("scenario", "program"))
 
