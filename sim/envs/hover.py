@@ -77,8 +77,7 @@ and specific force [m/s²] in the IMU's frame, with noise and biases |
 
     ## Starting state
     Uniform: position within ±0.5 m of the target and velocity within ±0.5 m/s on each axis, a rotation vector within
-        ±0.2 rad and an angular velocity within ±0.5 rad/s on each axis. The IMU biases are drawn at each reset.
-    ±0.2 rad and an angular velocity within ±0.5 rad/s on each axis. IMU biases are drawn anew.
+    ±0.2 rad and an angular velocity within ±0.5 rad/s on each axis. The IMU biases are drawn at each reset.
 
     ## Episode end
     Terminated when the drone comes within 3 cm of standing on the floor, leaves the room's free space (5.6 × 3.8 × 2.4

@@ -81,11 +81,8 @@ class Rotors:
     −½ ρ A_i |V| V_i along each axis.
 
     Sources: Mahony, Kumar, Corke, "Multirotor aerial vehicles", IEEE RAM 2012 (thrust, torque, gyroscopic torque);
-        Martin and Salaün 2010 (rotor drag); Smeur, Chu, de Croon, "Adaptive incremental nonlinear dynamic inversion",
-        JGCD 2016 (reaction torque). Aerodynamic interaction with surfaces other than the floor is not modelled.
     Martin and Salaün 2010 (rotor drag); Smeur, Chu, de Croon, "Adaptive incremental nonlinear dynamic inversion", JGCD
-    2016 (reaction torque). Nothing here depends on how fast the drone crosses the ground or on what it passes but the
-    floor.
+    2016 (reaction torque). Aerodynamic interaction with surfaces other than the floor is not modelled.
     """
 
     def __init__(self, quadrotor: Quadrotor) -> None:
