@@ -8,6 +8,7 @@ import contextlib
 import io
 import os
 import re
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from unittest.mock import patch
@@ -173,14 +174,14 @@ def write(folder: Path) -> list[Path]:
     return write_changed(folder, contents)
 
 
-def write_changed(folder: Path, contents: dict[str, str]) -> list[Path]:
-    """Make a folder hold these Markdown files and no others; write only what changes, so that no rebuild is caused."""
-    paths = {folder / name: text for name, text in contents.items()}
-    for path, text in paths.items():
+def write_changed(folder: Path, contents: Mapping[str, str | bytes]) -> list[Path]:
+    """Make a folder hold these files and no others; write only what changes, so that no rebuild is caused."""
+    paths = {folder / name: text.encode() if isinstance(text, str) else text for name, text in contents.items()}
+    for path, content in paths.items():
         path.parent.mkdir(parents=True, exist_ok=True)
-        if not path.is_file() or path.read_text(encoding="utf-8") != text:
-            path.write_text(text, encoding="utf-8")
-    for path in set(folder.rglob("*.md")) - set(paths):
+        if not path.is_file() or path.read_bytes() != content:
+            path.write_bytes(content)
+    for path in {path for path in folder.rglob("*") if path.is_file()} - set(paths):
         path.unlink()
     return list(paths)
 

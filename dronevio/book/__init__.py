@@ -14,11 +14,12 @@ COMMANDS = CommandGroup(
     "Run the experiments of section 7.4, visual SLAM, of Introduction to Robotics and Perception by Dellaert and\n"
     "Hutchinson (https://www.roboticsbook.org).",
     {
+        "open": Subcommand("dronevio.book.open_lesson", "copy a lesson out as a Jupyter notebook, or list the lessons"),
         "imu": Subcommand("dronevio.book.imu", "IMU factors, and a camera that stops their drift (section 7.4.1)"),
         "sfm": Subcommand("dronevio.book.sfm", "bundle adjustment of five photographs (section 7.4.2)"),
         "eqvio": Subcommand("dronevio.book.eqvio", "a real flight: fixed-lag smoother and equivariant filter compared"),
     },
-    ("dronevio book imu", "dronevio book sfm --out villa"),
+    ("dronevio book open imu", "dronevio book imu", "dronevio book sfm --out villa"),
 )
 """The experiments."""
 

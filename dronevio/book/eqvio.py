@@ -48,6 +48,7 @@ def main(arguments: Sequence[str]) -> int:
     import numpy as np
 
     from dronevio.book.eqvio_plots import draw_two_paths
+    from dronevio.book.figures import save_figure
     from dronevio.driver import estimate_recording, require_poses
     from dronevio.estimator.book.eqvio import ReplayFrontEnd, read_feature_recording, run_eqvio
     from dronevio.estimator.vio import VisualInertialOdometry
@@ -65,7 +66,7 @@ def main(arguments: Sequence[str]) -> int:
     distance_m = np.linalg.norm(ours.p_world_imu - theirs_m, axis=1)
 
     command.out.mkdir(parents=True, exist_ok=True)
-    draw_two_paths(ours.t_ns, ours.p_world_imu, theirs_m, command.out / "paths.png")
+    save_figure(draw_two_paths(ours.t_ns, ours.p_world_imu, theirs_m), command.out / "paths.png")
     write_tum(command.out / "smoother.tum", ours)
     identities = np.tile([1.0, 0.0, 0.0, 0.0], (len(filtered.t_ns), 1))
     write_tum(command.out / "eqvio.tum", Trajectory(filtered.t_ns, filtered.p_world_imu, identities))

@@ -1,7 +1,5 @@
 """Figure of the experiment ``dronevio book eqvio``."""
 
-from pathlib import Path
-
 import numpy as np
 import numpy.typing as npt
 from matplotlib.figure import Figure
@@ -11,17 +9,14 @@ from dronevio.models.imu import Times
 
 Array = npt.NDArray[np.float64]
 
-_DPI = 120
 
-
-def draw_two_paths(t_ns: Times, smoother_m: Array, eqvio_m: Array, path: Path) -> None:
+def draw_two_paths(t_ns: Times, smoother_m: Array, eqvio_m: Array) -> Figure:
     """Draw two aligned paths from above and from the side, and the distance between them over time.
 
     Args:
         t_ns: (N,) Time stamps of both paths [ns].
         smoother_m: (N, 3) Positions of the smoother [m].
         eqvio_m: (N, 3) Positions of the filter at the same times, aligned to the smoother [m].
-        path: PNG file to write.
     """
     figure = Figure(figsize=(12.0, 7.0), layout="constrained")
     above, side, distance = figure.subplot_mosaic([["above", "side"], ["above", "distance"]]).values()
@@ -43,4 +38,4 @@ def draw_two_paths(t_ns: Times, smoother_m: Array, eqvio_m: Array, path: Path) -
     )
     distance.grid(alpha=0.3)
     figure.suptitle("Half a minute of EuRoC V1_01: real IMU samples, real image features")
-    figure.savefig(path, dpi=_DPI)
+    return figure

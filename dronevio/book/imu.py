@@ -63,6 +63,7 @@ def main(arguments: Sequence[str]) -> int:
 
     import numpy as np
 
+    from dronevio.book.figures import save_figure
     from dronevio.book.imu_lesson import (
         experiment_json,
         print_camera,
@@ -97,12 +98,13 @@ def main(arguments: Sequence[str]) -> int:
             progress=bars.bar("with camera"),
         )
 
-    draw_imu_path(experiment, command.out / "path.png")
+    save_figure(draw_imu_path(experiment), command.out / "path.png")
+    graph = draw_factor_graph(experiment.factors)
     for name in ("graph.png", "graph.svg"):
-        draw_factor_graph(experiment.factors, command.out / name)
+        save_figure(graph, command.out / name)
     (command.out / "graph.dot").write_text(experiment.dot, encoding="utf-8")
-    draw_drift(studies, command.out / "drift.png")
-    draw_camera(camera, command.imu, command.out / "camera.png")
+    save_figure(draw_drift(studies), command.out / "drift.png")
+    save_figure(draw_camera(camera, command.imu), command.out / "camera.png")
 
     if command.printing.json:
         print_json({**experiment_json(experiment), **studies_json(studies, camera), "out": str(command.out)})

@@ -2,9 +2,7 @@
 
 from collections.abc import Mapping, Sequence
 from itertools import cycle
-from pathlib import Path
 
-import matplotlib
 import numpy as np
 import numpy.typing as npt
 from matplotlib.axes import Axes
@@ -23,7 +21,6 @@ NOISE_MAGNIFICATION = 30
 RATIO_BOUNDS = (0.8, 1.25)
 """Bounds between which measured and predicted drift are regarded as equal."""
 
-_DPI = 120
 _AXIS_M = 0.35
 _LABEL_OFFSET_M = 0.28
 _CIRCLE = np.linspace(0.0, 2.0 * np.pi, 61)
@@ -31,7 +28,7 @@ _BELOW_VELOCITIES = 0.65  # of the rows of the factor graph
 _PLANE = [0, 2]  # the path is in the plane of x and z
 
 
-def draw_imu_path(experiment: ImuExperiment, path: Path) -> None:
+def draw_imu_path(experiment: ImuExperiment) -> Figure:
     """Draw the path from the side with ellipses of covariance: of the IMU noise alone, and with the priors."""
     figure = Figure(figsize=(13.0, 6.2), layout="constrained")
     noise, priors = figure.subplots(1, 2, width_ratios=(1.0, 1.3))
@@ -59,15 +56,14 @@ def draw_imu_path(experiment: ImuExperiment, path: Path) -> None:
         f"Dead reckoning on a circle of {flight.radius_m:.2f} m: {len(flight.factor_samples)} IMU factors in "
         f"{experiment.t_s[-1]:.1f} s"
     )
-    figure.savefig(path, dpi=_DPI)
+    return figure
 
 
-def draw_factor_graph(factors: Sequence[GraphFactor], path: Path) -> None:
+def draw_factor_graph(factors: Sequence[GraphFactor]) -> Figure:
     """Draw a factor graph with poses x, velocities v and biases b in three rows.
 
     Args:
         factors: The factors with their variables, read from the graph.
-        path: Image file to write, in the format of its suffix.
     """
     names = sorted({name for factor in factors for name in factor.variables})
     positions = {name: _variable_position(name, names) for name in names}
@@ -96,16 +92,14 @@ def draw_factor_graph(factors: Sequence[GraphFactor], path: Path) -> None:
     axes.text(1.0, 0.0, lines, transform=axes.transAxes, ha="right", va="bottom", fontsize=8)
     axes.set(xlim=(-0.8, states - 0.5), ylim=(-0.5, 2.5), title="x poses   v velocities   b bias")
     axes.axis("off")
-    with matplotlib.rc_context({"svg.hashsalt": "dronevio"}):  # the same graph gives the same file
-        figure.savefig(path, dpi=_DPI, metadata={"Date": None} if path.suffix == ".svg" else None)
+    return figure
 
 
-def draw_drift(studies: Mapping[str, DriftStudy], path: Path) -> None:
+def draw_drift(studies: Mapping[str, DriftStudy]) -> Figure:
     """Draw the spread of dead reckoning over time, measured and predicted, and the ratio of both.
 
     Args:
         studies: One study for each name of an IMU.
-        path: Image file to write.
     """
     figure = Figure(figsize=(13.0, 5.6), layout="constrained")
     spread, ratio = figure.subplots(1, 2)
@@ -129,16 +123,15 @@ def draw_drift(studies: Mapping[str, DriftStudy], path: Path) -> None:
     figure.suptitle(
         f"Dead reckoning with the IMU alone, {len(next(iter(studies.values())).error_m)} flights for each IMU"
     )
-    figure.savefig(path, dpi=_DPI)
+    return figure
 
 
-def draw_camera(study: CameraStudy, name: str, path: Path) -> None:
+def draw_camera(study: CameraStudy, name: str) -> Figure:
     """Draw error and standard deviation of the position over time, with and without the camera.
 
     Args:
         study: Errors and standard deviations.
         name: Name of the IMU.
-        path: Image file to write.
     """
     figure = Figure(figsize=(9.0, 5.6), layout="constrained")
     axes: Axes = figure.add_subplot(111)
@@ -153,7 +146,7 @@ def draw_camera(study: CameraStudy, name: str, path: Path) -> None:
     axes.set(title=f"The newest position with the IMU {name}: a camera stops the drift")
     axes.grid(alpha=0.3, which="both")
     axes.legend(fontsize="small")
-    figure.savefig(path, dpi=_DPI)
+    return figure
 
 
 def _draw_states(axes: Axes, experiment: ImuExperiment) -> None:

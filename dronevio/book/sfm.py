@@ -47,13 +47,14 @@ def main(arguments: Sequence[str]) -> int:
 
     import numpy as np
 
+    from dronevio.book.figures import save_figure
     from dronevio.book.rerun_file import write_sfm_rerun
     from dronevio.book.sfm_plots import draw_sfm_cloud
     from dronevio.estimator.book.sfm import run_sfm_experiment
 
     experiment = run_sfm_experiment(np.random.default_rng(command.seed), command.perturbation)
     command.out.mkdir(parents=True, exist_ok=True)
-    draw_sfm_cloud(experiment, command.out / "cloud.png")
+    save_figure(draw_sfm_cloud(experiment), command.out / "cloud.png")
     write_sfm_rerun(experiment, command.out / "cloud.rrd")
 
     if command.printing.json:

@@ -1,7 +1,5 @@
 """Figures of the experiment ``dronevio book sfm``."""
 
-from pathlib import Path
-
 import matplotlib.image
 import numpy as np
 import numpy.typing as npt
@@ -18,14 +16,13 @@ from dronevio.models.rotation import inverse_pose
 
 Array = npt.NDArray[np.float64]
 
-_DPI = 120
 _BOX_SCALE = 1.15  # compensates the wide margins of Matplotlib around a 3D box
 _OUTLIER_DEVIATIONS = 6.0  # points farther from the median than this many median deviations are not drawn
 _FRUSTUM_DEPTH = 0.2
 _T_VIEW_CAM = np.array([[1.0, 0.0, 0.0, 0.0], [0.0, 0.0, 1.0, 0.0], [0.0, -1.0, 0.0, 0.0], [0.0, 0.0, 0.0, 1.0]])
 
 
-def draw_sfm_cloud(experiment: SfmExperiment, path: Path) -> None:
+def draw_sfm_cloud(experiment: SfmExperiment) -> Figure:
     """Draw points and cameras in 3D, and a photograph with its observations, before and after the adjustment."""
     figure = Figure(figsize=(13.0, 9.6), layout="constrained")
     camera = len(experiment.photographs) // 2
@@ -62,7 +59,7 @@ def draw_sfm_cloud(experiment: SfmExperiment, path: Path) -> None:
         f"Villa Balbianello: bundle adjustment of {len(experiment.photographs)} cameras and {len(experiment.points)} "
         f"points; photograph {camera + 1}"
     )
-    figure.savefig(path, dpi=_DPI)
+    return figure
 
 
 def frustum(T_world_cam: Array, focal_px: float, width_px: int, height_px: int, depth: float) -> Array:

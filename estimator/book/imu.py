@@ -19,6 +19,7 @@ from gtsam.symbol_shorthand import B, V, X
 
 from dronevio.estimator.book.loop import LoopFlight
 from dronevio.estimator.book.optimization import LinearizedGraph, largest_difference, solve_batch, solve_incrementally
+from dronevio.estimator.imu.buffer import Increments
 from dronevio.models.rotation import pose_matrix
 
 Array = npt.NDArray[np.float64]
@@ -128,8 +129,8 @@ def run_imu_experiment(rng: np.random.Generator, flight: LoopFlight | None = Non
         The graph with its initial values, its solution and the covariance.
     """
     flight = flight or LoopFlight()
-    bias = gtsam.imuBias.ConstantBias(ACCEL_BIAS_M_S2, [0.0, 0.0, 0.0])
-    preintegrated = _preintegrated(flight, bias, rng)
+    bias = _bias()
+    preintegrated = _preintegrated(flight, bias, simulate_samples(flight, rng))
     graph = _imu_graph(flight, bias, preintegrated)
     initial = _initial_values(flight, bias, rng)
     batch, incremental = solve_batch(graph, initial), solve_incrementally(graph, initial)
@@ -137,7 +138,7 @@ def run_imu_experiment(rng: np.random.Generator, flight: LoopFlight | None = Non
     states = len(flight.t_s)
     truth, Ts_world_imu = flight.states(flight.t_s), _poses(batch.values, states)
     reckoned_m = _dead_reckoning(flight, bias, preintegrated)
-    noise_free_m = _dead_reckoning(flight, bias, _preintegrated(flight, bias, None))
+    noise_free_m = _dead_reckoning(flight, bias, _preintegrated(flight, bias, simulate_samples(flight, None)))
     return ImuExperiment(
         flight=flight,
         t_s=flight.t_s,
@@ -162,28 +163,50 @@ def run_imu_experiment(rng: np.random.Generator, flight: LoopFlight | None = Non
     )
 
 
-def _preintegrated(
-    flight: LoopFlight, bias: gtsam.imuBias.ConstantBias, rng: np.random.Generator | None
-) -> list[gtsam.PreintegratedImuMeasurements]:
-    """Return the preintegrated measurements of each factor; without a random generator they have no noise."""
+def simulate_samples(flight: LoopFlight, rng: np.random.Generator | None) -> Increments:
+    """Return the IMU samples of all factors, one after another.
+
+    A sample is held until the next one: it contains the angular velocity and the specific force at the start of its
+    interval, with the accelerometer bias and white noise.
+
+    Args:
+        flight: Motion, IMU rate and number of samples.
+        rng: Random generator of the noise; without one the samples have no noise.
+    """
+    bias, scenario, dt_s = _bias(), flight.scenario, flight.dt_s  # the runner only refers to the scenario
+    runner = gtsam.ScenarioRunner(scenario, _preintegration_params(), dt_s, bias)
+    gyro_rad_s, accel_m_s2 = [], []
+    for sample in range(sum(flight.factor_samples)):
+        t_s = sample * dt_s
+        gyro_noise, accel_noise = np.zeros((2, 3)) if rng is None else rng.standard_normal((2, 3)) / np.sqrt(dt_s)
+        gyro_rad_s.append(runner.actualAngularVelocity(t_s) + bias.gyroscope() + GYRO_NOISE_DENSITY * gyro_noise)
+        accel_m_s2.append(runner.actualSpecificForce(t_s) + bias.accelerometer() + ACCEL_NOISE_DENSITY * accel_noise)
+    return Increments(np.full(len(gyro_rad_s), dt_s), np.array(gyro_rad_s), np.array(accel_m_s2))
+
+
+def _bias() -> gtsam.imuBias.ConstantBias:
+    return gtsam.imuBias.ConstantBias(ACCEL_BIAS_M_S2, [0.0, 0.0, 0.0])
+
+
+def _preintegration_params() -> gtsam.PreintegrationParams:
     params = gtsam.PreintegrationParams.MakeSharedU(GRAVITY_M_S2)
     params.setGyroscopeCovariance(GYRO_NOISE_DENSITY**2 * np.eye(3))
     params.setAccelerometerCovariance(ACCEL_NOISE_DENSITY**2 * np.eye(3))
     params.setIntegrationCovariance(INTEGRATION_SIGMA**2 * np.eye(3))
-    dt_s, scenario = flight.dt_s, flight.scenario  # the runner keeps a reference only, so the scenario is a variable
-    runner = gtsam.ScenarioRunner(scenario, params, dt_s, bias)
-    preintegrated, sample = [], 0
+    return params
+
+
+def _preintegrated(
+    flight: LoopFlight, bias: gtsam.imuBias.ConstantBias, samples: Increments
+) -> list[gtsam.PreintegratedImuMeasurements]:
+    """Return the preintegrated measurements of each factor."""
+    params, preintegrated, sample = _preintegration_params(), [], 0
     for count in flight.factor_samples:
         pim = gtsam.PreintegratedImuMeasurements(params, bias)
-        for _ in range(count):
-            # GTSAM holds a sample until the next one, in the body frame at its time.
-            t_s = sample * dt_s
-            gyro_noise, accel_noise = np.zeros((2, 3)) if rng is None else rng.standard_normal((2, 3)) / np.sqrt(dt_s)
-            gyro_rad_s = runner.actualAngularVelocity(t_s) + bias.gyroscope() + GYRO_NOISE_DENSITY * gyro_noise
-            accel_m_s2 = runner.actualSpecificForce(t_s) + bias.accelerometer() + ACCEL_NOISE_DENSITY * accel_noise
-            pim.integrateMeasurement(accel_m_s2, gyro_rad_s, dt_s)
-            sample += 1
+        for i in range(sample, sample + count):
+            pim.integrateMeasurement(samples.accel_m_s2[i], samples.gyro_rad_s[i], flight.dt_s)
         preintegrated.append(pim)
+        sample += count
     return preintegrated
 
 

@@ -1,6 +1,7 @@
 """Commands called as on the command line, and one flight that all tests share."""
 
 import contextlib
+import importlib
 import io
 import json
 from collections.abc import Callable
@@ -55,3 +56,22 @@ def flown(tmp_path_factory: pytest.TempPathFactory) -> Result:
     """The recording of the scenario ``short`` with seed 0, an EuRoC folder that tests must not change."""
     folder = tmp_path_factory.mktemp("flown") / "flight"
     return run_successfully(folder, "fly", "--scenario", "short", "--out", folder, "--json")
+
+
+@pytest.fixture(scope="session")
+def exists() -> Callable[[str], bool]:
+    """Tells whether a dotted name is a module, or an attribute of one; fields of dataclasses are attributes, too."""
+
+    def found(name: str) -> bool:
+        parts = name.split(".")
+        for size in range(len(parts), 0, -1):
+            with contextlib.suppress(ModuleNotFoundError):
+                value: Any = importlib.import_module(".".join(parts[:size]))
+                for attribute in parts[size:]:
+                    if attribute in getattr(value, "__dataclass_fields__", ()):
+                        return True
+                    value = getattr(value, attribute, None)
+                return value is not None
+        return False
+
+    return found

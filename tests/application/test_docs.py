@@ -1,12 +1,11 @@
 """The documentation site: its navigation is complete, its examples name what exists, its tables are well formed."""
 
-import contextlib
 import functools
 import importlib
 import re
 import shlex
 import shutil
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
@@ -20,7 +19,7 @@ from dronevio.eval.benchmark.rows import write_rows
 
 CHECKOUT = Path(__file__).resolve().parents[2]
 DOCS = CHECKOUT / "docs"
-GENERATED = ("reference/cli/", "reference/api/")
+GENERATED = ("lessons/", "reference/cli/", "reference/api/")
 FOREIGN_OPTIONS = {"--correct_scale", "--dataset-type"}
 """Options of other programs that pages name."""
 
@@ -32,7 +31,7 @@ def pages() -> list[str]:
     return sorted(
         name
         for name in (path.relative_to(DOCS).as_posix() for path in DOCS.rglob("*.md"))
-        if not name.startswith("reference/")
+        if not name.startswith(GENERATED)
     )
 
 
@@ -54,18 +53,6 @@ def test_navigation_names_every_page_once() -> None:
     assert sorted(navigation()) == sorted([*pages(), *GENERATED])
 
 
-def exists(name: str) -> bool:
-    """Tell whether a dotted name is a module, or an attribute of one."""
-    parts = name.split(".")
-    for size in range(len(parts), 0, -1):
-        with contextlib.suppress(ModuleNotFoundError):
-            found: object = importlib.import_module(".".join(parts[:size]))
-            for attribute in parts[size:]:
-                found = getattr(found, attribute, None)
-            return found is not None
-    return False
-
-
 PAGES = pages() if DOCS.is_dir() else []
 
 
@@ -80,7 +67,7 @@ def blocks(page: str, language: str) -> list[str]:
 
 
 @pytest.mark.parametrize("page", PAGES)
-def test_python_names_in_pages_exist(page: str) -> None:
+def test_python_names_in_pages_exist(page: str, exists: Callable[[str], bool]) -> None:
     assert [name for name in re.findall(r"`(dronevio(?:\.\w+)+)", text_of(page)) if not exists(name)] == []
 
 
