@@ -3,6 +3,7 @@
 from mutant import Mutant
 
 _MAPPER = "tests/estimator/sfm/test_mapper.py"
+_INERTIAL = "tests/estimator/sfm/test_inertial.py"
 _TWO_VIEW = "tests/estimator/sfm/test_two_view.py"
 _EARLIER = "tests/estimator/sfm/test_earlier.py"
 
@@ -102,5 +103,29 @@ SFM = (
         "        chosen = chosen[distance[chosen] <= MAX_DISTANCE_PX]\n",
         "",
         (f"{_EARLIER}::test_other_features_are_matched_anew",),
+    ),
+    Mutant(
+        "sfm-imu-without-lever-arm",
+        "IMU: the camera is taken to be at the position of the IMU.",
+        "estimator/sfm/inertial.py",
+        "R @ motion.p - intervals.lever_m[k]",
+        "R @ motion.p",
+        (f"{_INERTIAL}::test_gravity_scale_and_biases",),
+    ),
+    Mutant(
+        "sfm-imu-time-offset-sign",
+        "IMU: the time offset of the cameras has the wrong sign.",
+        "estimator/sfm/inertial.py",
+        "t_ns + round(inertial",
+        "t_ns - round(inertial",
+        (f"{_INERTIAL}::test_gravity_scale_and_biases",),
+    ),
+    Mutant(
+        "sfm-imu-any-motion",
+        "IMU: the scale is used however uncertain it is.",
+        "estimator/sfm/world.py",
+        "found.scale_sigma > config.max_scale_sigma",
+        "found.scale_sigma > np.inf",
+        (f"{_INERTIAL}::test_an_imu_that_does_not_suffice",),
     ),
 )

@@ -2,6 +2,7 @@
 
 For each scenario, 100 moving frames are spread evenly over a flight and reconstructed with the true calibration. The
 error is the root mean square distance of the camera positions from the true ones after a similarity transformation.
+The scale of that transformation and the direction of z show how well the IMU determines metres and gravity.
 COLMAP (pycolmap) matches the pairs that this project has verified, with two threads, and maps them with several seeds,
 of which the median error counts. Times are elapsed times on this machine, and the processor time of all stages::
 
@@ -70,6 +71,10 @@ class Outcome:
     """Elapsed time of each stage [s]."""
     cpu_s: float
     """Processor time of all stages [s]."""
+    scale_percent: float = np.nan
+    """Error of the scale that the IMU determines [%]; NaN without one."""
+    tilt_deg: float = np.nan
+    """Angle between the z axis and the true vertical [deg]; NaN if the z axis is arbitrary."""
 
 
 def true_positions(recording: Recording, rows: npt.NDArray[np.int64]) -> Array:
@@ -110,7 +115,16 @@ def ours(images: ImageSet, true: Array) -> tuple[Outcome, list[tuple[int, int]]]
         return Outcome(0, np.inf, result.times_s, cpu_s), pairs
     largest = result.reconstructions[0]
     rows = [images.names.index(name) for name in largest.image_names]
-    return Outcome(len(rows), rmse_mm(true[rows], largest.positions), result.times_s, cpu_s), pairs
+    found = umeyama(true[rows], largest.positions, with_scale=True)
+    world, vertical = result.worlds[0], found.R_truth_estimate[:, 2]
+    return Outcome(
+        len(rows),
+        rmse_mm(true[rows], largest.positions),
+        result.times_s,
+        cpu_s,
+        100.0 * (1.0 / found.scale - 1.0) if world.is_metric else np.nan,
+        float(np.degrees(np.arctan2(np.hypot(*vertical[:2]), vertical[2]))) if world.is_vertical else np.nan,
+    ), pairs
 
 
 def colmap(images: ImageSet, true: Array, pairs: Sequence[tuple[int, int]], folder: Path, seeds: int) -> list[Outcome]:
@@ -190,11 +204,13 @@ def row(name: str, program: str, outcome: Outcome, frames: int) -> list[str]:
     """Return a row of the table."""
     registered = f"{outcome.registered} of {frames}"
     times = [f"{outcome.times_s[stage]:.1f}" for stage in ("features", "matching", "mapping")]
+    metric = [f"{value:.3f}" if np.isfinite(value) else "–" for value in (outcome.scale_percent, outcome.tilt_deg)]
     return [
         name,
         program,
         registered,
         f"{outcome.rmse_mm:.2f}",
+        *metric,
         *times,
         f"{sum(outcome.times_s.values()):.1f}",
         f"{outcome.cpu_s:.1f}",
@@ -223,6 +239,8 @@ def measure(command: SfmAccuracyCommand) -> None:
             "program",
             "registered",
             "RMSE [mm]",
+            "scale [%]",
+            "tilt [°]",
             "features [s]",
             "matching [s]",
             "mapping [s]",

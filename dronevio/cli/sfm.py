@@ -15,6 +15,7 @@ from dronevio.estimator.sfm.config import SfmConfig
 
 if TYPE_CHECKING:
     from dronevio.estimator.sfm.pipeline import SfmResult
+    from dronevio.estimator.sfm.world import WorldFrame
     from dronevio.models.camera import CameraModel
     from dronevio.models.image_sets import ImageSet
 
@@ -26,9 +27,10 @@ class SfmCommand:
     """Reconstruct cameras and points from images alone (structure from motion).
 
     IMAGES is a folder of photographs, a video or a recording. Without a calibration, focal length and
-    distortion are estimated, from EXIF data or a guess; the cameras of a recording are calibrated. With two or more
-    cameras of a recording, the reconstruction is in metres; otherwise its scale is arbitrary. The result is a folder
-    with the reconstruction in each format, a report with pictures and a rerun file.
+    distortion are estimated, from EXIF data or a guess; the cameras of a recording are calibrated. The IMU of a
+    recording, if the motion suffices, or two or more cameras give a reconstruction in metres; otherwise its scale is
+    arbitrary. With an IMU, z points up. The result is a folder with the reconstruction in each format, a report with
+    pictures and a rerun file.
 
     An interrupted reconstruction continues where it stopped when the same command is repeated. Images are added to an
     earlier result with --add-to.
@@ -210,7 +212,22 @@ def _summary(target: Path, images: "ImageSet", result: "SfmResult") -> dict[str,
 
     statistics = to_jsonable(reconstruction_statistics(result.reconstructions, len(images.names)))
     assert isinstance(statistics, dict)
-    return {"out": str(target), **statistics, "metric": result.is_metric, "times_s": result.times_s}
+    worlds = to_jsonable(result.worlds)
+    return {"out": str(target), **statistics, "metric": result.is_metric, "worlds": worlds, "times_s": result.times_s}
+
+
+def _world_values(world: "WorldFrame") -> list[tuple[str, str, str]]:
+    """Return the rows of the table about the world frame of the first component."""
+    import numpy as np
+
+    sources = {"rig": "metric (baselines of the rig)", "imu": "metric (IMU)", "poses": "metric (known poses)"}
+    scale = sources.get(world.scale, "as in the earlier result" if world.scale == "earlier" else world.scale)
+    rows = [("scale", scale, "")]
+    if world.imu is not None and world.scale == "imu":
+        rows.append(("scale, standard deviation", f"{100.0 * world.imu.scale_sigma:.2f}", "%"))
+    if world.imu is not None and world.is_vertical:
+        rows.append(("gravity, standard deviation", f"{np.degrees(world.imu.tilt_sigma_rad):.3f}", "°"))
+    return [*rows, ("IMU not used", world.note, "")] if world.note else rows
 
 
 def _print(target: Path, images: "ImageSet", result: "SfmResult") -> None:
@@ -227,7 +244,7 @@ def _print(target: Path, images: "ImageSet", result: "SfmResult") -> None:
             ("mean track length", f"{statistics.mean_track_length:.2f}", "images"),
             ("reprojection error, median", f"{statistics.error_median_px:.2f}", "px"),
             ("reprojection error, RMS", f"{statistics.error_rms_px:.2f}", "px"),
-            ("scale", "metric" if result.is_metric else "arbitrary", ""),
+            *_world_values(result.worlds[0]),
             *((stage, f"{seconds:.1f}", "s") for stage, seconds in result.times_s.items()),
         ),
     )

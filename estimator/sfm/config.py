@@ -101,6 +101,24 @@ class MapperConfig:
 
 
 @dataclass(frozen=True)
+class InertialConfig:
+    """Gravity and scale from the IMU of a recording."""
+
+    use: Literal["automatic", "required", "off"] = "automatic"
+    """``automatic`` uses the IMU if the motion suffices, ``required`` fails if it does not, ``off`` ignores the IMU."""
+    max_scale_sigma: float = 0.03
+    """Largest standard deviation of the scale, relative to the scale, at which the result is in metres."""
+    max_tilt_sigma_deg: float = 1.0
+    """Largest standard deviation of the direction of gravity at which the z axis of the result points up [deg]."""
+    max_interval_s: float = 2.0
+    """Longest time between two images over which the IMU is integrated [s]."""
+    noise_inflation: float = 5.0
+    """Factor on the white noise of the accelerometer, which also senses the vibration of the airframe."""
+    accel_bias_m_s2: float = 0.1
+    """Standard deviation of the accelerometer bias [m/s²]."""
+
+
+@dataclass(frozen=True)
 class SfmConfig:
     """Structure from motion."""
 
@@ -114,5 +132,7 @@ class SfmConfig:
     """Geometric verification of matches."""
     mapper: MapperConfig = field(default_factory=MapperConfig)
     """Incremental mapping of the images."""
+    inertial: InertialConfig = field(default_factory=InertialConfig)
+    """Gravity and scale from the IMU of a recording."""
     threads: int = 2
     """Number of threads that detect and match features."""

@@ -24,6 +24,8 @@ class KnownPoses:
     """Standard deviation of the rotations [rad]; 0 if the poses are exact."""
     sigma_m: float = 0.0
     """Standard deviation of the positions [m]; 0 if the poses are exact."""
+    is_vertical: bool = False
+    """Whether the z axis of the world frame points up."""
 
     def __post_init__(self) -> None:
         """Check the standard deviations.

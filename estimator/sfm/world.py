@@ -1,20 +1,30 @@
 """World frame of a reconstruction: position, orientation and scale, which images alone do not determine.
 
-Known poses determine all of them, the baselines of a rig the scale. Without either, the frame is arbitrary.
+Known poses determine all of them. Otherwise the baselines of a rig determine the scale, or else the IMU of a recording,
+which also determines the direction of gravity. Without any of them, the frame is arbitrary.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Literal
 
+import numpy as np
+import numpy.typing as npt
+
+from dronevio.estimator.initialization.static import level_rotation
 from dronevio.estimator.sfm.adjustment import BundleAdjustmentConfig, adjust
-from dronevio.estimator.sfm.config import SfmConfig
-from dronevio.estimator.sfm.gauge import aligned
+from dronevio.estimator.sfm.config import InertialConfig, SfmConfig
+from dronevio.estimator.sfm.gauge import aligned, transformed
+from dronevio.estimator.sfm.inertial import InertialAlignment, align_with_imu
 from dronevio.estimator.sfm.model import KnownPoses, Scene, SfmState
 from dronevio.estimator.sfm.rig import impose_rig
+from dronevio.models.errors import ConfigError
 from dronevio.models.image_sets import ImageSet
+from dronevio.models.rotation import rotation_z, yaw_rad_from_matrix
 
-ScaleSource = Literal["arbitrary", "rig", "poses", "earlier"]
+Indices = npt.NDArray[np.int64]
+ScaleSource = Literal["arbitrary", "rig", "imu", "poses", "earlier"]
 """What determines the unit of a reconstruction; if it is not arbitrary, the unit is the metre."""
+
 MIN_POSES = 3
 """Smallest number of images with measured poses that determine a world frame."""
 PRIOR_TOLERANCE = 1e-3
@@ -29,6 +39,10 @@ class WorldFrame:
     """What determines the scale."""
     is_vertical: bool = False
     """Whether the z axis points up."""
+    imu: InertialAlignment | None = None
+    """Gravity and scale by the IMU, None if it was not used."""
+    note: str = ""
+    """Why the IMU does not determine gravity or scale, empty if it does or was not used."""
 
     @property
     def is_metric(self) -> bool:
@@ -44,19 +58,81 @@ def place(
     Args:
         scene: The measurements.
         state: The reconstruction, of arbitrary scale unless some of its poses are fixed.
-        images: The images, with the mounting of their cameras on a rig.
+        images: The images, with the mounting of their cameras on a rig and the IMU.
         config: Settings.
         poses: Known poses of the images, None without any.
+
+    Raises:
+        ConfigError: The IMU is required and does not determine gravity and scale.
     """
     if poses is not None:
         known = int((poses.is_known & state.is_registered).sum())
         if poses.is_exact and (scene.is_fixed & state.is_registered).any():
-            return state, WorldFrame("poses")
+            return state, WorldFrame("poses", poses.is_vertical)
         if not poses.is_exact and known >= MIN_POSES:
             adjustment = BundleAdjustmentConfig(
                 relative_tolerance=PRIOR_TOLERANCE, cauchy_px=config.mapper.final_cauchy_px
             )
-            state = aligned(state, poses.Ts_world_cam)
-            return adjust(scene, state, state.used(scene), adjustment, priors=poses), WorldFrame("poses")
+            state = adjust(scene, aligned(state, poses.Ts_world_cam), state.used(scene), adjustment, priors=poses)
+            return state, WorldFrame("poses", poses.is_vertical)
     state, is_metric = impose_rig(scene, state, images, config.mapper.final_cauchy_px)
-    return state, WorldFrame("rig" if is_metric else "arbitrary")
+    return _level(state, images, config.inertial, WorldFrame("rig" if is_metric else "arbitrary"))
+
+
+def _level(state: SfmState, images: ImageSet, config: InertialConfig, world: WorldFrame) -> tuple[SfmState, WorldFrame]:
+    """Return a reconstruction with z up, and in metres unless it was before, as far as an IMU determines it.
+
+    The origin of the new frame is the first position of the IMU, in arbitrary units that of the camera. The yaw of the
+    first pose of the IMU is zero.
+    """
+    if config.use == "off":
+        return state, world
+    if images.inertial is None or images.t_ns is None or images.Ts_imu_cam is None:
+        if config.use == "required":
+            raise ConfigError("images without measurements of an IMU, which is required; expected a recording with one")
+        return state, world
+    index = _one_per_frame(state, images)
+    Ts_imu_cam = images.Ts_imu_cam[images.image_camera[index]]
+    found = align_with_imu(
+        images.t_ns[index], state.Ts_world_cam[index], Ts_imu_cam, images.inertial, config, world.is_metric
+    )
+    note, has_scale = _insufficient(found, config)
+    if note and config.use == "required":
+        raise ConfigError(f"the IMU does not determine gravity and scale: {note}")
+    if isinstance(found, str) or np.degrees(found.tilt_sigma_rad) > config.max_tilt_sigma_deg:
+        return state, replace(world, note=note)
+    R_world_imu = state.Ts_world_cam[index[0], :3, :3] @ Ts_imu_cam[0, :3, :3].T
+    R = level_rotation(-found.gravity)
+    R = rotation_z(-yaw_rad_from_matrix(R @ R_world_imu)) @ R
+    state = transformed(state, found.scale if has_scale else 1.0, R, np.zeros(3))
+    source: ScaleSource = "imu" if has_scale and not world.is_metric else world.scale
+    # In arbitrary units, the distance between camera and IMU is unknown.
+    lever = R @ R_world_imu @ Ts_imu_cam[0, :3, 3] if source != "arbitrary" else np.zeros(3)
+    origin = state.Ts_world_cam[index[0], :3, 3] - lever
+    return transformed(state, 1.0, np.eye(3), -origin), WorldFrame(source, True, found, note)
+
+
+def _insufficient(found: InertialAlignment | str, config: InertialConfig) -> tuple[str, bool]:
+    """Return why the IMU does not determine gravity or scale, empty if it does, and whether the scale is determined."""
+    if isinstance(found, str):
+        return found, False
+    tilt_deg, scale_percent = float(np.degrees(found.tilt_sigma_rad)), 100.0 * found.scale_sigma
+    if tilt_deg > config.max_tilt_sigma_deg:
+        limit = f"{config.max_tilt_sigma_deg:g}°"
+        return (
+            f"the direction of gravity has a standard deviation of {tilt_deg:.1f}°; at most {limit} is allowed",
+            False,
+        )
+    if found.scale <= 0.0 or found.scale_sigma > config.max_scale_sigma:
+        deviation = f"the scale has a standard deviation of {scale_percent:.1f} %"
+        limit = f"{100.0 * config.max_scale_sigma:g} %"
+        return f"too little acceleration: {deviation}; at most {limit} is allowed", False
+    return "", True
+
+
+def _one_per_frame(state: SfmState, images: ImageSet) -> Indices:
+    """Return the registered images in the order of time, one of each time."""
+    assert images.t_ns is not None
+    index = np.flatnonzero(state.is_registered)
+    _, first = np.unique(images.t_ns[index], return_index=True)
+    return np.asarray(index[first])

@@ -36,7 +36,7 @@ def joined(first: ImageSet, second: ImageSet) -> ImageSet:
     """Return the images of two sets, those of the first before those of the second, without an order in time.
 
     A camera of the second set that is not calibrated is taken to be one of the first set with the same initial model.
-    Time stamps and rigs are dropped, because the clocks of two sets differ.
+    Time stamps, rigs and IMU are dropped, because the clocks of two sets differ.
 
     Raises:
         ConfigError: An image of the second set has the name of one of the first.

@@ -9,7 +9,7 @@ import numpy.typing as npt
 
 from dronevio.models.camera import CameraModel
 from dronevio.models.errors import ConfigError
-from dronevio.models.imu import Times
+from dronevio.models.imu import ImuModel, ImuSamples, Times
 
 Array = npt.NDArray[np.float64]
 Image = npt.NDArray[np.uint8]
@@ -19,6 +19,18 @@ Mask = npt.NDArray[np.bool_]
 FocalSource = Literal["calibration", "exif-35mm", "exif-focal-plane", "assumed"]
 """Source of a focal length: a calibration, the 35 mm equivalent or the resolution of the focal plane in EXIF data, or
 the assumed field of view of `dronevio.models.image_sets.intrinsics`."""
+
+
+@dataclass(frozen=True, eq=False)
+class InertialData:
+    """Measurements of the IMU on which the cameras of a set of images are mounted."""
+
+    samples: ImuSamples
+    """Samples of the whole recording."""
+    model: ImuModel
+    """Noise of the IMU."""
+    time_offset_s: float
+    """Time offset of the camera clock: t_imu = t_cam + offset [s]."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -52,6 +64,8 @@ class ImageSet:
     whole image is used. It raises InputError as `read` does."""
     focal_source: tuple[FocalSource, ...] = ()
     """(K,) Source of the focal length of each camera, empty if it is unknown."""
+    inertial: InertialData | None = None
+    """Measurements of the IMU during the images, None without any."""
 
     def __post_init__(self) -> None:
         """Check shapes, indices and names.

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 
 from dronevio.models.errors import ConfigError
-from dronevio.models.image_sets.image_set import FocalSource, Image, ImageSet, Indices
+from dronevio.models.image_sets.image_set import FocalSource, Image, ImageSet, Indices, InertialData
 from dronevio.models.image_sets.masks import find_masks
 from dronevio.models.protocols import Recording
 from dronevio.models.recordings.open import open_recording
@@ -89,6 +89,9 @@ def image_recording(
         read=RecordedImages(recording, chosen_frames, chosen_cameras),
         read_mask=find_masks(Path(masks) if masks is not None else None, names, image_camera, models),
         focal_source=(calibration,) * len(models),
+        inertial=InertialData(recording.imu, recording.rig.imu, recording.rig.time_offset_s)
+        if len(recording.imu)
+        else None,
     )
 
 
