@@ -2,19 +2,21 @@
 
 For each scenario, 100 moving frames are spread evenly over a flight and reconstructed with the true calibration. The
 error is the root mean square distance of the camera positions from the true ones after a similarity transformation.
-The scale of that transformation and the direction of z show how well the IMU determines metres and gravity.
+The scale of that transformation and the direction of z show how well a rig or the IMU determines metres and gravity.
 COLMAP (pycolmap) matches the pairs that this project has verified, with two threads, and maps them with several seeds,
 of which the median error counts. Times are elapsed times on this machine, and the processor time of all stages::
 
     .venv/bin/python scripts/sfm_accuracy.py --work build/sfm
     .venv/bin/python scripts/sfm_accuracy.py --work build/sfm --scenarios room-v0 --colmap-seeds 0
+    .venv/bin/python scripts/sfm_accuracy.py --work build/sfm --scenarios --recordings MH_01_real
 """
 
 import shutil
 import statistics
 import time
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from itertools import chain
 from pathlib import Path
 
 import cv2
@@ -26,13 +28,17 @@ from dronevio.cli import main as dronevio
 from dronevio.cli.terminal import print_table
 from dronevio.estimator.sfm.pipeline import reconstruct
 from dronevio.eval.metrics.alignment import umeyama
+from dronevio.eval.metrics.association import interpolate
 from dronevio.models.image_sets import ImageSet, image_recording
 from dronevio.models.protocols import Recording
-from dronevio.models.recordings.open import open_recording
+from dronevio.models.recordings.open import open_recording, read_trajectory
 from dronevio.models.rotation import matrix_from_quat_wxyz
+from dronevio.models.state import Trajectory
 
 Array = npt.NDArray[np.float64]
 
+STAGES = ("features [s]", "matching [s]", "mapping [s]")
+"""Headings of the times of the stages."""
 MIN_SPEED_M_S = 0.1
 """Speed above which a frame counts as moving [m/s]."""
 SCENARIOS = (
@@ -53,8 +59,10 @@ class SfmAccuracyCommand:
     """Folder of the recordings and of COLMAP's files; existing recordings are used again."""
     scenarios: tuple[str, ...] = SCENARIOS
     """Scenarios that are flown with their own seeds."""
+    recordings: tuple[Path, ...] = ()
+    """Further recordings, in which all cameras are used; the truth is that of the recording or groundtruth.tum."""
     frames: int = 100
-    """Number of frames of each flight."""
+    """Number of frames of each flight or recording."""
     colmap_seeds: int = 3
     """Number of mappings by COLMAP in each world; 0 measures only this project."""
 
@@ -72,19 +80,22 @@ class Outcome:
     cpu_s: float
     """Processor time of all stages [s]."""
     scale_percent: float = np.nan
-    """Error of the scale that the IMU determines [%]; NaN without one."""
+    """Error of the scale that the IMU or a rig determines [%]; NaN without one."""
     tilt_deg: float = np.nan
     """Angle between the z axis and the true vertical [deg]; NaN if the z axis is arbitrary."""
 
 
-def true_positions(recording: Recording, rows: npt.NDArray[np.int64]) -> Array:
-    """Return the true positions (N, 3) of the first camera at some frames [m]."""
-    truth = recording.ground_truth
-    assert truth is not None
-    nearest = np.searchsorted(truth.t_ns, recording.frame_times_ns[rows])
-    offset = recording.rig.cameras[0].T_imu_cam[:3, 3]
-    rotations = matrix_from_quat_wxyz(truth.quat_wxyz[nearest])
-    return np.asarray(truth.p_world_imu[nearest] + rotations @ offset)
+def true_positions(truth: Trajectory, images: ImageSet) -> tuple[Array, npt.NDArray[np.bool_]]:
+    """Return the true positions (I, 3) of the cameras [m], and at which images (I,) they are known; NaN elsewhere."""
+    assert images.t_ns is not None
+    assert images.Ts_imu_cam is not None
+    times, frame = np.unique(images.t_ns, return_inverse=True)
+    poses, known = interpolate(truth, times)
+    p_world_imu, R = np.full((len(times), 3), np.nan), np.full((len(times), 3, 3), np.nan)
+    p_world_imu[known], R[known] = poses.p_world_imu, matrix_from_quat_wxyz(poses.quat_wxyz)
+    offsets = images.Ts_imu_cam[images.image_camera, :3, 3]
+    positions = p_world_imu[frame] + np.einsum("nij,nj->ni", R[frame], offsets)
+    return positions, np.isfinite(positions[:, 0])
 
 
 def moving_frames(recording: Recording, count: int) -> npt.NDArray[np.int64]:
@@ -98,11 +109,30 @@ def moving_frames(recording: Recording, count: int) -> npt.NDArray[np.int64]:
     return np.asarray(moving[np.round(np.linspace(0, len(moving) - 1, count)).astype(np.int64)])
 
 
-def rmse_mm(true: Array, estimated: Array) -> float:
-    """Return the root mean square distance after a similarity transformation [mm]."""
+@dataclass(frozen=True)
+class Alignment:
+    """Differences of estimated positions to the true ones by the best similarity transformation."""
+
+    rmse_mm: float
+    """Root mean square distance after the transformation [mm]."""
+    scale_percent: float
+    """Relative error of estimated lengths [%]."""
+    tilt_deg: float
+    """Angle between the z axis of the estimate and the true vertical [deg]."""
+
+
+def align(true: Array, estimated: Array) -> Alignment:
+    """Return the differences between positions (N, 3), without those whose true value is NaN."""
+    known = np.isfinite(true[:, 0])
+    true, estimated = true[known], estimated[known]
     found = umeyama(true, estimated, with_scale=True)
     residuals = true - (found.scale * estimated @ found.R_truth_estimate.T + found.t_m)
-    return float(1e3 * np.sqrt(np.mean(np.sum(residuals**2, axis=1))))
+    vertical = found.R_truth_estimate[:, 2]
+    return Alignment(
+        float(1e3 * np.sqrt(np.mean(np.sum(residuals**2, axis=1)))),
+        100.0 * (1.0 / found.scale - 1.0),
+        float(np.degrees(np.arctan2(np.hypot(*vertical[:2]), vertical[2]))),
+    )
 
 
 def ours(images: ImageSet, true: Array) -> tuple[Outcome, list[tuple[int, int]]]:
@@ -113,18 +143,12 @@ def ours(images: ImageSet, true: Array) -> tuple[Outcome, list[tuple[int, int]]]
     pairs = [(int(i), int(j)) for i, j in np.argwhere(np.triu(result.match_counts))]
     if not result.reconstructions:
         return Outcome(0, np.inf, result.times_s, cpu_s), pairs
-    largest = result.reconstructions[0]
+    largest, world = result.reconstructions[0], result.worlds[0]
     rows = [images.names.index(name) for name in largest.image_names]
-    found = umeyama(true[rows], largest.positions, with_scale=True)
-    world, vertical = result.worlds[0], found.R_truth_estimate[:, 2]
-    return Outcome(
-        len(rows),
-        rmse_mm(true[rows], largest.positions),
-        result.times_s,
-        cpu_s,
-        100.0 * (1.0 / found.scale - 1.0) if world.is_metric else np.nan,
-        float(np.degrees(np.arctan2(np.hypot(*vertical[:2]), vertical[2]))) if world.is_vertical else np.nan,
-    ), pairs
+    found = align(true[rows], largest.positions)
+    scale_percent = found.scale_percent if world.is_metric else np.nan
+    tilt_deg = found.tilt_deg if world.is_vertical else np.nan
+    return Outcome(len(rows), found.rmse_mm, result.times_s, cpu_s, scale_percent, tilt_deg), pairs
 
 
 def colmap(images: ImageSet, true: Array, pairs: Sequence[tuple[int, int]], folder: Path, seeds: int) -> list[Outcome]:
@@ -176,7 +200,7 @@ def colmap(images: ImageSet, true: Array, pairs: Sequence[tuple[int, int]], fold
         posed = [image for image in largest.images.values() if image.has_pose]
         rows = [int(image.name[:6]) for image in posed]
         positions = np.stack([image.projection_center() for image in posed])
-        outcomes.append(Outcome(len(rows), rmse_mm(true[rows], positions), times_s, cpu_s))
+        outcomes.append(Outcome(len(rows), align(true[rows], positions).rmse_mm, times_s, cpu_s))
     return outcomes
 
 
@@ -200,54 +224,61 @@ class Clock:
         self._last = now
 
 
-def row(name: str, program: str, outcome: Outcome, frames: int) -> list[str]:
+def row(name: str, program: str, outcome: Outcome, images: int) -> list[str]:
     """Return a row of the table."""
-    registered = f"{outcome.registered} of {frames}"
-    times = [f"{outcome.times_s[stage]:.1f}" for stage in ("features", "matching", "mapping")]
     metric = [f"{value:.3f}" if np.isfinite(value) else "–" for value in (outcome.scale_percent, outcome.tilt_deg)]
-    return [
-        name,
-        program,
-        registered,
-        f"{outcome.rmse_mm:.2f}",
-        *metric,
-        *times,
-        f"{sum(outcome.times_s.values()):.1f}",
-        f"{outcome.cpu_s:.1f}",
-    ]
+    times = [f"{outcome.times_s[stage]:.1f}" for stage in ("features", "matching", "mapping")]
+    totals = [f"{sum(outcome.times_s.values()):.1f}", f"{outcome.cpu_s:.1f}"]
+    return [name, program, f"{outcome.registered} of {images}", f"{outcome.rmse_mm:.2f}", *metric, *times, *totals]
 
 
-def measure(command: SfmAccuracyCommand) -> None:
-    """Fly, reconstruct and print the table."""
-    rows = []
+def simulated(command: SfmAccuracyCommand) -> Iterator[list[str]]:
+    """Fly the scenarios, reconstruct them with both programs, and yield the rows of the table."""
     for scenario in command.scenarios:
         flight = command.work / scenario
         if not flight.exists():
             dronevio(["fly", "--scenario", scenario, "--out", str(flight)])
         recording = open_recording(flight)
-        frames = moving_frames(recording, command.frames)
-        images, true = image_recording(recording, frames=frames.tolist()), true_positions(recording, frames)
+        assert recording.ground_truth is not None
+        images = image_recording(recording, frames=moving_frames(recording, command.frames).tolist())
+        true, _ = true_positions(recording.ground_truth, images)
         outcome, pairs = ours(images, true)
-        rows.append(row(scenario, "dronevio", outcome, command.frames))
+        yield row(scenario, "dronevio", outcome, len(images.names))
         if command.colmap_seeds > 0:
             others = colmap(images, true, pairs, command.work / "colmap", command.colmap_seeds)
             median = statistics.median_low([other.rmse_mm for other in others])
             chosen = next(other for other in others if other.rmse_mm == median)
-            rows.append(row(scenario, f"COLMAP, median of {len(others)}", chosen, command.frames))
-        heading = (
-            "scenario",
-            "program",
-            "registered",
-            "RMSE [mm]",
-            "scale [%]",
-            "tilt [°]",
-            "features [s]",
-            "matching [s]",
-            "mapping [s]",
-            "all [s]",
-            "processor [s]",
-        )
-        print_table("Structure from motion", heading, rows, left=("scenario", "program"))
+            yield row(scenario, f"COLMAP, median of {len(others)}", chosen, len(images.names))
+
+
+def recorded(command: SfmAccuracyCommand) -> Iterator[list[str]]:
+    """Reconstruct recordings from all their cameras, and yield the rows of the table."""
+    for folder in command.recordings:
+        recording = open_recording(folder)
+        truth = recording.ground_truth or read_trajectory(folder / "groundtruth.tum")
+        cameras = range(len(recording.rig.cameras))
+        images = image_recording(recording, cameras=cameras, frames=command.frames)
+        outcome, _ = ours(images, true_positions(truth, images)[0])
+        yield row(folder.name, "dronevio", outcome, len(images.names))
+
+
+def measure(command: SfmAccuracyCommand) -> None:
+    """Reconstruct all scenarios and recordings, and print the table after each row."""
+    heading = (
+        "images",
+        "program",
+        "registered",
+        "RMSE [mm]",
+        "scale [%]",
+        "tilt [°]",
+        *STAGES,
+        "all [s]",
+        "processor [s]",
+    )
+    rows = []
+    for added in chain(simulated(command), recorded(command)):
+        rows.append(added)
+        print_table("Structure from motion", heading, rows, left=("images", "program"))
 
 
 if __name__ == "__main__":

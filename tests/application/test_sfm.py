@@ -15,6 +15,7 @@ import pytest
 import dronevio as dv
 from dronevio.cli import main
 from dronevio.eval.metrics.alignment import umeyama
+from dronevio.models.image_sets import image_recording
 from dronevio.models.reconstructions import read_reconstruction, write_reconstruction
 
 Result = Any  # the class of conftest, which cannot be imported
@@ -145,7 +146,10 @@ def test_accuracy_script_selects_moving_frames(script: Callable[[str], Any], flo
     rows = np.searchsorted(truth.t_ns, recording.frame_times_ns[frames])
     assert np.linalg.norm(truth.velocity_m_s[rows], axis=1).min() > 0.1
     # The camera is as far from the IMU as its mounting says, whatever the orientation.
-    offsets = accuracy.true_positions(recording, frames) - truth.p_world_imu[rows]
+    images = image_recording(recording, frames=frames.tolist())
+    positions, is_known = accuracy.true_positions(truth, images)
+    assert is_known.all()
+    offsets = positions - truth.p_world_imu[rows]
     mounted = np.linalg.norm(recording.rig.cameras[0].T_imu_cam[:3, 3])
     np.testing.assert_allclose(np.linalg.norm(offsets, axis=1), mounted, atol=1e-6)
 
@@ -154,5 +158,8 @@ def test_accuracy_script_ignores_a_similarity(script: Callable[[str], Any]) -> N
     accuracy = script("sfm_accuracy")
     true = np.array([[0.0, 0.0, 0.0], [2.0, 0.0, 0.0], [0.0, 2.0, 0.0], [0.0, 0.0, 1.0]])
     turned = 3.0 * true[:, [1, 2, 0]] + 5.0
-    assert accuracy.rmse_mm(true, turned) < 1e-9
-    assert accuracy.rmse_mm(true, turned + np.array([[0.3, 0, 0], [0, 0, 0], [0, 0, 0], [0, 0, 0]])) > 10.0
+    found = accuracy.align(true, turned)
+    assert found.rmse_mm < 1e-9
+    assert found.scale_percent == pytest.approx(200.0)
+    assert found.tilt_deg == pytest.approx(90.0)  # z of the estimate is x of the truth
+    assert accuracy.align(true, turned + np.array([[0.3, 0, 0], [0, 0, 0], [0, 0, 0], [0, 0, 0]])).rmse_mm > 10.0
