@@ -87,6 +87,7 @@ def execute(name: str) -> Any:
             timeout_func=lambda cell: max(1, int(LIMIT_S - (time.monotonic() - start))),
             resources={"metadata": {"path": folder}},
             extra_arguments=["--log-level=ERROR"],
+            coalesce_streams=True,
         )
         client.execute()
     seconds = time.monotonic() - start

@@ -19,6 +19,7 @@ if TYPE_CHECKING:
 
 LESSONS = {
     "imu": "IMU factors: preintegration, the factor graph, its covariance, the drift, a camera (section 7.4.1)",
+    "sfm": "structure from motion: features, matches, triangulation, resection, bundle adjustment (section 7.4.2)",
 }
 """The lessons with their summaries, in the order in which they are read."""
 

@@ -95,6 +95,11 @@ class SfmExperiment:
         return _median_length(self.points - self.points_bundler)
 
 
+def photograph_folder() -> Path:
+    """Return the folder of the five photographs, which come with the gtsam package."""
+    return Path(gtsam.findExampleDataFile("Balbianello/BalbianelloMedium-1.jpg")).parent
+
+
 def run_sfm_experiment(rng: np.random.Generator, perturbation: float = 1.0) -> SfmExperiment:
     """Perturb the reconstruction of Villa Balbianello, and run the bundle adjustment.
 
@@ -192,4 +197,4 @@ def _median_length(differences: Array) -> float:
 
 
 def _photograph(camera: int) -> Path:
-    return Path(gtsam.findExampleDataFile(f"Balbianello/BalbianelloMedium-{camera + 1}.jpg"))
+    return photograph_folder() / f"BalbianelloMedium-{camera + 1}.jpg"

@@ -4,10 +4,10 @@
 # This lesson follows section 7.4.1 of F. Dellaert and S. Hutchinson,
 # *Introduction to Robotics and Perception*
 # ([roboticsbook.org](https://www.roboticsbook.org)): the samples of an inertial
-# measurement unit (IMU) become factors of a graph, and the solution of the graph
-# is a trajectory. The motion is that of section 7.2. The lesson computes each
-# quantity twice where that is possible: once in a few lines of NumPy, from the
-# equation, and once with the function of dronevio that the estimator uses.
+# measurement unit (IMU) become factors of a graph, and the solution of the
+# graph is a trajectory. The motion is that of section 7.2. The lesson computes
+# each quantity twice where that is possible: once in a few lines of NumPy, from
+# the equation, and once with the function of dronevio that the estimator uses.
 #
 # | symbol | meaning | unit |
 # | --- | --- | --- |
@@ -43,9 +43,9 @@ SEED = 0
 # \end{split}$$
 #
 # The class `dronevio.estimator.book.loop.LoopFlight` describes this motion, and
-# its method `states` returns orientation, position and velocity at any time. The
-# default values are those of the chapter: 2 m/s, 30 °/s, 3.5 s, an IMU of 10 Hz.
-# The setting `counting` is explained in exercise 1.
+# its method `states` returns orientation, position and velocity at any time.
+# The default values are those of the chapter: 2 m/s, 30 °/s, 3.5 s, an IMU of
+# 10 Hz. The setting `counting` is explained in exercise 1.
 
 # %%
 from dronevio.estimator.book.loop import LoopFlight
@@ -58,18 +58,18 @@ print(f"samples of the IMU factors: {flight.factor_samples}")
 # ## 2. What the IMU measures
 #
 # The gyroscope measures the angular velocity. The accelerometer measures the
-# specific force, the acceleration minus gravity. Both have a bias and white noise
-# $n$:
+# specific force, the acceleration minus gravity. Both have a bias and white
+# noise $n$:
 #
 # $$\begin{split}
 # \omega_\text{measured} &= \omega + b_g + n_g \\
 # a_\text{measured} &= R^\top (\dot v - g) + b_a + n_a
 # \end{split}$$
 #
-# The chapter gives a noise density $\sigma$ of 0.5 °/√h for the gyroscope and 0.1
-# m/s/√h for the accelerometer. A sample that covers $\Delta t$ has noise with the
-# standard deviation $\sigma / \sqrt{\Delta t}$. The accelerometer has the bias
-# $(0, 0.1, 0)$ m/s², which the estimator knows.
+# The chapter gives a noise density $\sigma$ of 0.5 °/√h for the gyroscope and
+# 0.1 m/s/√h for the accelerometer. A sample that covers $\Delta t$ has noise
+# with the standard deviation $\sigma / \sqrt{\Delta t}$. The accelerometer has
+# the bias $(0, 0.1, 0)$ m/s², which the estimator knows.
 #
 # `dronevio.estimator.book.imu.simulate_samples` returns the samples. Each one
 # contains the values at the start of its interval, and is held until the next
@@ -88,7 +88,9 @@ for axis, name in enumerate("xyz"):
     gyro.plot(t_s, np.degrees(samples.gyro_rad_s[:, axis]), ".-", label=name)
     accel.plot(t_s, samples.accel_m_s2[:, axis], ".-", label=name)
 gyro.set(title="gyroscope", xlabel="time [s]", ylabel="angular velocity [°/s]")
-accel.set(title="accelerometer", xlabel="time [s]", ylabel="specific force [m/s²]")
+accel.set(
+    title="accelerometer", xlabel="time [s]", ylabel="specific force [m/s²]"
+)
 for axes in (gyro, accel):
     axes.grid(alpha=0.3)
     axes.legend()
@@ -96,15 +98,15 @@ plt.show()
 
 # %% [markdown]
 # The gyroscope shows −30 °/s about the y axis. The specific force begins near
-# $g + v\omega$ = 9.8 + 1.05 m/s² upward, and moves from the z axis to the x axis
-# while the nose rises: a drone that points straight up feels gravity along x. The
-# y axis shows the bias.
+# $g + v\omega$ = 9.8 + 1.05 m/s² upward, and moves from the z axis to the x
+# axis while the nose rises: a drone that points straight up feels gravity along
+# x. The y axis shows the bias.
 #
 # ## 3. Preintegration
 #
-# A factor between two states summarizes all samples between them. The sums below
-# do not depend on the states, only on the samples and on the biases that are
-# subtracted, so that they are computed once (Forster et al., "On-manifold
+# A factor between two states summarizes all samples between them. The sums
+# below do not depend on the states, only on the samples and on the biases that
+# are subtracted, so that they are computed once (Forster et al., "On-manifold
 # preintegration for real-time visual-inertial odometry", T-RO 2017). With the
 # corrected samples $\tilde\omega_k = \omega_k - b_g$ and
 # $\tilde a_k = a_k - b_a$:
@@ -115,8 +117,8 @@ plt.show()
 # \Delta p &\leftarrow \Delta p + \Delta v \, \Delta t + \tfrac12 \Delta R \, \tilde a_k \, \Delta t^2
 # \end{split}$$
 #
-# The right-hand sides use the values before the step. The three sums describe the
-# motion in the frame of the first state, as if there were no gravity and no
+# The right-hand sides use the values before the step. The three sums describe
+# the motion in the frame of the first state, as if there were no gravity and no
 # initial velocity. Both are added when the sums are applied to a state:
 #
 # $$\begin{split}
@@ -156,8 +158,8 @@ def predict(state, preintegrated):
 
 
 # %% [markdown]
-# Applied to one factor after another, from the true first state, these equations
-# are dead reckoning.
+# Applied to one factor after another, from the true first state, these
+# equations are dead reckoning.
 
 # %%
 truth = flight.states(flight.t_s)
@@ -178,32 +180,35 @@ by_hand_m = np.array([p for _, p, _ in states])
 
 for t, p, true_p in zip(flight.t_s, by_hand_m, truth.p_world_imu, strict=True):
     error_m = np.linalg.norm(p - true_p)
-    print(
-        f"{t:.1f} s: p = ({p[0]:.3f}, {p[1]:.3f}, {p[2]:.3f}) m, off by {error_m:.3f} m"
-    )
+    x, y, z = p
+    print(f"{t:.1f} s: ({x:.3f}, {y:.3f}, {z:.3f}) m, off by {error_m:.3f} m")
 
 # %% [markdown]
 # In the estimator, the class
-# `dronevio.estimator.imu.preintegration.Preintegration` computes these sums with
-# GTSAM, which also propagates their covariance, and their derivatives with
-# respect to the biases. The experiment of the next section uses GTSAM in the same
-# way, and its positions are those by hand.
+# `dronevio.estimator.imu.preintegration.Preintegration` computes these sums
+# with GTSAM, which also propagates their covariance, and their derivatives with
+# respect to the biases. The experiment of the next section uses GTSAM in the
+# same way, and its positions are those by hand.
 
 # %%
 from dronevio.estimator.book.imu import run_imu_experiment
 
 experiment = run_imu_experiment(np.random.default_rng(SEED), flight)
 difference_m = np.abs(experiment.Ts_world_imu[:, :3, 3] - by_hand_m).max()
-print(f"positions by hand and those of the graph differ by {difference_m:.1e} m")
-assert difference_m < 1e-3, "the positions by hand differ from those of the graph"
+print(
+    f"positions by hand and those of the graph differ by {difference_m:.1e} m"
+)
+assert difference_m < 1e-3, (
+    "the positions by hand differ from those of the graph"
+)
 
 # %% [markdown]
 # ## 4. The factor graph and its solution
 #
-# `dronevio.estimator.book.imu.run_imu_experiment` builds the graph of the chapter
-# and solves it. The unknowns are a pose $x_k$ and a velocity $v_k$ for each state
-# and one bias $b_0$. An IMU factor connects two states and the bias; its residual
-# is the difference between the states and the sums of section 3:
+# `dronevio.estimator.book.imu.run_imu_experiment` builds the graph of the
+# chapter and solves it. The unknowns are a pose $x_k$ and a velocity $v_k$ for
+# each state and one bias $b_0$. An IMU factor connects two states and the bias;
+# its residual is the difference between the states and the sums of section 3:
 #
 # $$\begin{split}
 # r_R &= \mathrm{Log}\big(\Delta R^\top R_i^\top R_j\big) \\
@@ -231,10 +236,11 @@ draw_factor_graph(experiment.factors)
 
 # %%
 print(f"error before {experiment.initial_error:.3g}")
+print(f"error after {experiment.final_error:.1e}")
+print(f"iterations {experiment.iterations}")
 print(
-    f"error after {experiment.final_error:.1e}, {experiment.iterations} iterations"
+    f"difference of iSAM2 {experiment.incremental_difference:.1e} (rad, m, m/s)"
 )
-print(f"difference of iSAM2 {experiment.incremental_difference:.1e} (rad, m, m/s)")
 print(f"last position is {experiment.drift_m:.3f} m from the true one")
 
 # %% [markdown]
@@ -268,10 +274,10 @@ for name, pair in (("truth", true_states), ("solution", solution)):
     print(f"residual at the {name}: {r[:3]} mrad, {r[3:6]} mm, {r[6:]} mm/s")
 
 # %% [markdown]
-# At the truth, the residual of the position is a few millimetres in each factor,
-# from noise and, mostly, from the sampling: at 30 °/s, the specific force turns
-# by 3° until the next sample, and the sample is held. The solution has no
-# residual because it takes the wrong measurements for right. It is dead
+# At the truth, the residual of the position is a few millimetres in each
+# factor, from noise and, mostly, from the sampling: at 30 °/s, the specific
+# force turns by 3° until the next sample, and the sample is held. The solution
+# has no residual because it takes the wrong measurements for right. It is dead
 # reckoning, written as an optimization. What the graph adds is the covariance,
 # and the possibility to add other measurements.
 #
@@ -279,8 +285,8 @@ for name, pair in (("truth", true_states), ("solution", solution)):
 #
 # With the whitened Jacobian $A$ at the solution, the covariance of all unknowns
 # is $(A^\top A)^{-1}$; `dronevio.estimator.book.optimization.LinearizedGraph`
-# computes it by QR factorization, because the normal equations $A^\top A$ square
-# the condition number.
+# computes it by QR factorization, because the normal equations $A^\top A$
+# square the condition number.
 
 # %%
 print(f"condition number of A: {experiment.condition:.1e}")
@@ -296,9 +302,9 @@ draw_imu_path(experiment)
 
 # %% [markdown]
 # The priors dominate. For a position, σ = 0.1 is 10 cm; for a tilt it is 5.7°,
-# which lets gravity accelerate the estimate sideways, and for a gyroscope bias it
-# is 5.7 °/s. With an exactly known first state and bias, the noise of this IMU
-# makes the last position uncertain by 15 mm only.
+# which lets gravity accelerate the estimate sideways, and for a gyroscope bias
+# it is 5.7 °/s. With an exactly known first state and bias, the noise of this
+# IMU makes the last position uncertain by 15 mm only.
 #
 # ## 6. The drift
 #
@@ -313,8 +319,8 @@ draw_imu_path(experiment)
 # $$\sigma_p^2 = \tfrac13 \sigma_a^2 t^3 + \tfrac1{20} \sigma_{ba}^2 t^5
 #   + g^2 \big(\tfrac1{20} \sigma_g^2 t^5 + \tfrac1{252} \sigma_{bg}^2 t^7\big)$$
 #
-# for each horizontal axis, with the noise densities $\sigma_a$, $\sigma_g$ of the
-# sensors and $\sigma_{ba}$, $\sigma_{bg}$ of the walks of their biases.
+# for each horizontal axis, with the noise densities $\sigma_a$, $\sigma_g$ of
+# the sensors and $\sigma_{ba}$, $\sigma_{bg}$ of the walks of their biases.
 
 # %%
 # Figure: the drift of five IMUs over one minute, measured and predicted
@@ -332,9 +338,9 @@ studies = {
 draw_drift(studies)
 
 # %% [markdown]
-# Even the tactical IMU is wrong by metres after a minute. The prediction explains
-# the measured spread; the remaining difference is about as large as one expects
-# from 50 flights.
+# Even the tactical IMU is wrong by metres after a minute. The prediction
+# explains the measured spread; the remaining difference is about as large as
+# one expects from 50 flights.
 #
 # ## 7. The same factors with a camera
 #
@@ -355,17 +361,25 @@ from dronevio.estimator.book.visual_inertial import run_camera_study
 
 CAMERA_SECONDS = 60.0
 study = run_camera_study(
-    IMUS["euroc"], np.random.default_rng(SEED), runs=3, duration_s=CAMERA_SECONDS
+    IMUS["euroc"],
+    np.random.default_rng(SEED),
+    runs=3,
+    duration_s=CAMERA_SECONDS,
 )
 draw_camera(study, "euroc")
 
 # %%
 rms_m, sigma_m = study.rms_m, study.rms_sigma_m
-print(f"RMS error and predicted standard deviation after {CAMERA_SECONDS:.0f} s:")
-print(f"  IMU alone   {study.imu_rms_m[-1]:7.3f} m, {study.imu_sigma_m[-1]:7.3f} m")
-print(f"  with camera {rms_m[-1]:7.3f} m, {sigma_m[-1]:7.3f} m")
 print(
-    f"  with camera {rms_m.max():7.3f} m at worst, at {study.t_s[rms_m.argmax()]:.1f} s"
+    f"RMS error and predicted standard deviation after {CAMERA_SECONDS:.0f} s:"
+)
+print(
+    f"  IMU alone   {study.imu_rms_m[-1]:7.3f} m, {study.imu_sigma_m[-1]:7.3f} m"
+)
+print(f"  with camera {rms_m[-1]:7.3f} m, {sigma_m[-1]:7.3f} m")
+worst = rms_m.argmax()
+print(
+    f"largest error with camera {rms_m[worst]:.3f} m, at {study.t_s[worst]:.1f} s"
 )
 assert rms_m[-1] < 0.5 * rms_m.max(), "the error still grows"
 
@@ -400,18 +414,18 @@ assert rms_m[-1] < 0.5 * rms_m.max(), "the error still grows"
 #
 # <details markdown="1"><summary>Hint</summary>
 #
-# Compare `experiment.drift_m` with `experiment.noise_free_drift_m`, the distance
-# without any noise. The error of holding a sample is proportional to the
-# interval, so that it decreases by a factor of 20, to 8 mm. The noise of the
-# integrated motion does not depend on the rate, because its density is given; it
-# makes the total 17 mm with this seed.
+# Compare `experiment.drift_m` with `experiment.noise_free_drift_m`, the
+# distance without any noise. The error of holding a sample is proportional to
+# the interval, so that it decreases by a factor of 20, to 8 mm. The noise of
+# the integrated motion does not depend on the rate, because its density is
+# given; it makes the total 17 mm with this seed.
 #
 # </details>
 #
 # **3. Verify the closed form.** For the IMU `euroc` and t = 60 s, evaluate the
 # formula of section 6 with the fields `gyro_noise_density`, `gyro_random_walk`,
-# `accel_noise_density` and `accel_random_walk` of `IMUS["euroc"]`. Which term is
-# the largest? Compare with `studies["euroc"].sigma_m[-1]`.
+# `accel_noise_density` and `accel_random_walk` of `IMUS["euroc"]`. Which term
+# is the largest? Compare with `studies["euroc"].sigma_m[-1]`.
 #
 # <details markdown="1"><summary>Answer</summary>
 #
@@ -419,40 +433,42 @@ assert rms_m[-1] < 0.5 * rms_m.max(), "the error still grows"
 # tilt error lets gravity accelerate the estimate, 19 m to that of the
 # accelerometer, 10 m to the noise of the gyroscope, and 0.5 m to that of the
 # accelerometer. The root of the sum of the squares is 29 m. The study has 31 m.
-# It adds three axes of a drone that flies on a circle, whereas the formula holds
-# for one horizontal axis of a drone at rest, so that only the order of magnitude
-# has to agree; `studies["euroc"].source_sigma_m` contains its four parts.
+# It adds three axes of a drone that flies on a circle, whereas the formula
+# holds for one horizontal axis of a drone at rest, so that only the order of
+# magnitude has to agree; `studies["euroc"].source_sigma_m` contains its four
+# parts.
 #
 # </details>
 #
-# **4. Ask for less.** How many flights are needed to distinguish a ratio of 1.05
-# from 1 with two standard deviations? See
+# **4. Ask for less.** How many flights are needed to distinguish a ratio of
+# 1.05 from 1 with two standard deviations? See
 # `dronevio.estimator.book.drift.DriftStudy.ratio_sigma`, and change
 # `DRIFT_FLIGHTS`.
 #
 # <details markdown="1"><summary>Answer</summary>
 #
-# The standard deviation of the ratio decreases with the square root of the number
-# of flights. It has to be 0.025; with 50 flights `studies["euroc"].ratio_sigma`
-# is 0.07, so that 50 · (0.07 / 0.025)² ≈ 400 flights are needed.
+# The standard deviation of the ratio decreases with the square root of the
+# number of flights. It has to be 0.025; with 50 flights
+# `studies["euroc"].ratio_sigma` is 0.07, so that 50 · (0.07 / 0.025)² ≈ 400
+# flights are needed.
 #
 # </details>
 #
 # ## What to change to see it break
 #
-# Each of these changes makes a check of the lesson fail with an `AssertionError`.
-# Explain the error before you look at the reason.
+# Each of these changes makes a check of the lesson fail with an
+# `AssertionError`. Explain the error before you look at the reason.
 #
 # **Gravity.** In section 3, use a gravity that is wrong by one percent. The
-# position by hand is wrong by ½ · 0.098 · 3.5² = 0.6 m: an IMU cannot distinguish
-# an error of gravity from an acceleration.
+# position by hand is wrong by ½ · 0.098 · 3.5² = 0.6 m: an IMU cannot
+# distinguish an error of gravity from an acceleration.
 #
 # ```python
 # GRAVITY = np.array([0.0, 0.0, -9.7])
 # ```
 #
-# **Bias.** In section 3, do not subtract the bias of the accelerometer. The path
-# by hand drifts sideways, also by 0.6 m.
+# **Bias.** In section 3, do not subtract the bias of the accelerometer. The
+# path by hand drifts sideways, also by 0.6 m.
 #
 # ```python
 # ACCEL_BIAS = np.array([0.0, 0.0, 0.0])
