@@ -7,6 +7,7 @@ from pathlib import Path
 from dronevio.driver import estimate_recording
 from dronevio.estimator.config import VioConfig
 from dronevio.estimator.sfm.config import SfmConfig
+from dronevio.estimator.sfm.model import KnownPoses
 from dronevio.estimator.sfm.pipeline import SfmResult, reconstruct
 from dronevio.estimator.sfm.workspace import Workspace
 from dronevio.estimator.vio import VisualInertialOdometry
@@ -21,7 +22,7 @@ from dronevio.models.reconstruction import Reconstruction
 from dronevio.models.recordings.open import open_recording, read_trajectory
 from dronevio.models.state import Trajectory
 from dronevio.recorder import record_flight
-from dronevio.sfm_inputs import EarlierResult, read_earlier
+from dronevio.sfm_inputs import EarlierResult, read_earlier, read_poses
 from dronevio.sim.scenario import Scenario
 from dronevio.sim.scenarios import scenario_named
 
@@ -117,6 +118,7 @@ def sfm(
     *,
     workspace: str | Path | None = None,
     add_to: Reconstruction | str | Path | None = None,
+    poses: KnownPoses | str | Path | None = None,
 ) -> SfmResult:
     """Reconstruct cameras and points from images alone (structure from motion).
 
@@ -126,6 +128,8 @@ def sfm(
         workspace: Folder in which features and matches are kept; with it, an interrupted reconstruction continues.
         add_to: An earlier reconstruction of some of the images, or the path of a result or of a model of COLMAP; the
             other images are added to it, and its world frame and scale stay.
+        poses: Known poses of images, or the path of a trajectory of the IMU or of a model of COLMAP, whose poses are
+            exact; they determine the world frame and the scale.
 
     Returns:
         The reconstructions, one for each component, and the numbers of features and matches.
@@ -136,8 +140,10 @@ def sfm(
     """
     opened = images if isinstance(images, ImageSet) else open_images(images)
     kept = Workspace(None if workspace is None else Path(workspace))
+    if isinstance(poses, str | Path):
+        poses = read_poses(Path(poses), opened)
     if add_to is None:
-        return reconstruct(opened, config, kept)
+        return reconstruct(opened, config, kept, poses=poses)
     earlier = EarlierResult(add_to) if isinstance(add_to, Reconstruction) else read_earlier(Path(add_to))
     opened = with_earlier(opened, earlier.reconstruction.image_names, opened, is_one_source=True)
-    return reconstruct(opened, config, kept, earlier=earlier.reconstruction, earlier_world=earlier.world)
+    return reconstruct(opened, config, kept, earlier=earlier.reconstruction, earlier_world=earlier.world, poses=poses)

@@ -1,13 +1,29 @@
-"""Inputs of structure from motion besides the images: an earlier reconstruction."""
+"""Inputs of structure from motion besides the images: an earlier reconstruction, and known poses."""
 
 import json
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Literal
 
+import numpy as np
+import numpy.typing as npt
+
+from dronevio.estimator.sfm.model import KnownPoses
 from dronevio.estimator.sfm.world import WorldFrame
-from dronevio.models.errors import InputError
+from dronevio.eval.metrics.association import interpolate
+from dronevio.models.errors import ConfigError, InputError
+from dronevio.models.image_sets import ImageSet
 from dronevio.models.reconstruction import Reconstruction
 from dronevio.models.reconstructions import read_reconstruction
+from dronevio.models.reconstructions.colmap import is_colmap
+from dronevio.models.recordings.open import read_trajectory
+
+Array = npt.NDArray[np.float64]
+PosesOf = Literal["imu", "camera"]
+"""Whose poses a trajectory states."""
+
+MAX_GAP_S = 0.1
+"""Longest time between two poses of a trajectory between which it is interpolated [s]."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -40,3 +56,57 @@ def _world(report: Path) -> WorldFrame:
     except (OSError, ValueError, AttributeError):
         return WorldFrame()
     return WorldFrame("earlier" if is_metric else "arbitrary", is_vertical=up == [0.0, 0.0, 1.0])
+
+
+def read_poses(
+    path: Path, images: ImageSet, of: PosesOf | None = None, sigma_m: float = 0.0, sigma_rad: float = 0.0
+) -> KnownPoses:
+    """Read known poses of images.
+
+    Args:
+        path: A model of COLMAP or a result of ``dronevio sfm``, whose images are found by their names, or a trajectory
+            (TUM, EuRoC, or a recording with ground truth), which is interpolated at the time stamps of the images.
+        images: The images.
+        of: Whether a trajectory is that of the IMU, the default where the mounting of the cameras is known, or that of
+            the camera.
+        sigma_m: Standard deviation of the positions [m]; 0 for exact poses.
+        sigma_rad: Standard deviation of the rotations [rad]; 0 for exact poses.
+
+    Raises:
+        InputError: The path is none of these, or is damaged.
+        ConfigError: A trajectory cannot be assigned to the images, or no image has a pose.
+    """
+    if path.is_dir() and any(is_colmap(path / name) for name in ("", "colmap-binary/0", "colmap-text/0")):
+        if of is not None:
+            raise ConfigError(f"{path}: poses of the {of}; a model of COLMAP has those of the cameras")
+        Ts_world_cam, is_vertical = _poses_by_name(path, images), False
+    else:
+        Ts_world_cam, is_vertical = _poses_by_time(path, images, of), True
+    known = int(np.isfinite(Ts_world_cam[:, 0, 3]).sum())
+    if known < 2:
+        raise ConfigError(f"{path}: poses of {known} of the {len(images)} images; expected at least 2")
+    return KnownPoses(Ts_world_cam, sigma_rad, sigma_m, is_vertical)
+
+
+def _poses_by_name(path: Path, images: ImageSet) -> Array:
+    """Return the poses (I, 4, 4) of the images that a reconstruction has, NaN for the others."""
+    reconstruction = read_reconstruction(path)
+    row = {name: i for i, name in enumerate(reconstruction.image_names)}
+    unknown = np.full((4, 4), np.nan)
+    return np.stack([reconstruction.Ts_world_cam[row[n]] if n in row else unknown for n in images.names])
+
+
+def _poses_by_time(path: Path, images: ImageSet, of: PosesOf | None) -> Array:
+    """Return the poses (I, 4, 4) of the images at whose times a trajectory has one, NaN for the others."""
+    if images.t_ns is None:
+        raise ConfigError(f"{path}: poses with time stamps for images without; expected a model of COLMAP")
+    if images.Ts_imu_cam is None and of == "imu":
+        raise ConfigError(f"{path}: poses of the IMU, whose mounting is unknown; expected poses of the camera")
+    trajectory = read_trajectory(path)
+    offset_ns = 0 if images.inertial is None or of == "camera" else round(images.inertial.time_offset_s * 1e9)
+    times, row = np.unique(images.t_ns + offset_ns, return_inverse=True)
+    found, used = interpolate(trajectory, times, MAX_GAP_S)
+    Ts = np.full((len(times), 4, 4), np.nan)
+    Ts[used] = found.Ts_world_imu
+    Ts = Ts[row]
+    return Ts if of == "camera" or images.Ts_imu_cam is None else Ts @ images.Ts_imu_cam[images.image_camera]

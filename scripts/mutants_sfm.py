@@ -4,6 +4,7 @@ from mutant import Mutant
 
 _MAPPER = "tests/estimator/sfm/test_mapper.py"
 _INERTIAL = "tests/estimator/sfm/test_inertial.py"
+_POSES = "tests/estimator/sfm/test_known_poses.py"
 _TWO_VIEW = "tests/estimator/sfm/test_two_view.py"
 _EARLIER = "tests/estimator/sfm/test_earlier.py"
 
@@ -127,5 +128,29 @@ SFM = (
         "found.scale_sigma > config.max_scale_sigma",
         "found.scale_sigma > np.inf",
         (f"{_INERTIAL}::test_an_imu_that_does_not_suffice",),
+    ),
+    Mutant(
+        "sfm-known-poses-move",
+        "Known poses: exact poses are adjusted.",
+        "estimator/sfm/pipeline.py",
+        "        scene = replace(scene, fixed_images=poses.is_known)\n",
+        "",
+        (f"{_POSES}::test_exact_poses_stay",),
+    ),
+    Mutant(
+        "sfm-measured-poses-without-priors",
+        "Known poses: measured poses align the result, but do not constrain the adjustment.",
+        "estimator/sfm/adjustment.py",
+        "        _add_priors(graph, priors, images)\n",
+        "        _fix_gauge(graph, state, images, scene.is_fixed[images], has_scale=bool(rig))\n",
+        (f"{_POSES}::test_precise_poses_outweigh_the_images",),
+    ),
+    Mutant(
+        "sfm-poses-of-the-imu-as-of-the-camera",
+        "Known poses: the poses of the IMU are taken for those of the camera.",
+        "dronevio/sfm_inputs.py",
+        "Ts @ images.Ts_imu_cam[images.image_camera]",
+        "Ts",
+        ("tests/application/test_sfm_inputs.py::test_poses_of_the_imu_and_of_the_camera",),
     ),
 )

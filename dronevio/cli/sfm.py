@@ -1,5 +1,6 @@
 """``dronevio sfm``: structure from motion, a reconstruction of a scene from images alone."""
 
+import math
 import shlex
 import shutil
 from collections.abc import Callable, Sequence
@@ -41,6 +42,7 @@ class SfmCommand:
       dronevio sfm photographs --camera per-image --masks masks --out house
       dronevio sfm flight.mp4 --every 10
       dronevio sfm recordings/room-0 --frames 100
+      dronevio sfm recordings/room-0 --frames 100 --poses recordings/room-0
       dronevio sfm V1_01_easy --cameras 0 1 --frames 100 --pairs.overlap 20 --format colmap-text
     """
 
@@ -67,6 +69,15 @@ class SfmCommand:
     frame and its scale stay; its cameras are adjusted again. IMAGES contains its images, too, or --earlier-images."""
     earlier_images: Path | None = None
     """With --add-to: folder, video or recording of the images of the earlier result; IMAGES by default."""
+    poses: Path | None = None
+    """Known poses of images: a trajectory (TUM or EuRoC), a recording with ground truth, or a model of COLMAP. They
+    determine the world frame and the scale; images without one are registered as usual."""
+    poses_of: Literal["imu", "camera"] | None = None
+    """Whether a trajectory of --poses is that of the IMU, the default for recordings, or of the camera."""
+    pose_sigma_m: float = 0.0
+    """Standard deviation of the positions of --poses [m]; 0 for exact poses, which stay fixed."""
+    pose_sigma_deg: float = 0.0
+    """Standard deviation of the rotations of --poses [deg]; 0 for exact poses, which stay fixed."""
     output: Output = field(default_factory=OutputOptions)
     """How the result is written and printed."""
     sfm: Annotated[SfmConfig, tyro.conf.arg(name="")] = field(default_factory=SfmConfig)
@@ -81,12 +92,14 @@ def main(arguments: Sequence[str]) -> int:
     from dronevio.estimator.sfm.pipeline import reconstruct
     from dronevio.estimator.sfm.workspace import Workspace
     from dronevio.models.errors import InputError
-    from dronevio.sfm_inputs import read_earlier
+    from dronevio.sfm_inputs import read_earlier, read_poses
 
     target = command.out or Path("runs") / f"sfm-{command.images.resolve().stem}"
     require_free(target, command.output.overwrite)  # before the images are read
     earlier = None if command.add_to is None else read_earlier(command.add_to)
     images = _open(command, () if earlier is None else earlier.reconstruction.image_names)
+    sigmas = command.pose_sigma_m, math.radians(command.pose_sigma_deg)
+    poses = None if command.poses is None else read_poses(command.poses, images, command.poses_of, *sigmas)
     work = target.absolute().with_name(f".{target.name}.work")
     with progress_bars(quiet=command.output.json) as bars:
         result = reconstruct(
@@ -96,6 +109,7 @@ def main(arguments: Sequence[str]) -> int:
             bars.bar,
             earlier=None if earlier is None else earlier.reconstruction,
             earlier_world=None if earlier is None else earlier.world,
+            poses=poses,
         )
     if not result.reconstructions:
         shutil.rmtree(work, ignore_errors=True)

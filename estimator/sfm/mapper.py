@@ -31,6 +31,8 @@ SEED_TRIALS = 10
 """Largest number of seed pairs that are tried in each stage."""
 MIN_POINTS = 10
 """Smallest number of points of the reconstruction that a component starts from."""
+MIN_AGREEMENT = 0.2
+"""Smallest share of the observations that agree with known poses from which a reconstruction grows."""
 VISIBILITY_LEVELS = 6
 """Number of levels of the grids that measure how evenly the visible points cover an image."""
 INTERMEDIATE_CAUCHY_PX = 1.0
@@ -100,10 +102,12 @@ class _Mapper:
             ConfigError: The poses contradict the images.
         """
         state = self.clean(triangulate(self.scene, start, self.config.triangulation))
-        if state.has_point.sum() < MIN_POINTS:
+        visible = state.is_registered[self.scene.tracks.image]
+        agreement = float(state.used(self.scene).sum() / max(visible.sum(), 1))
+        if state.has_point.sum() < MIN_POINTS or agreement < MIN_AGREEMENT:
             raise ConfigError(
-                f"{state.has_point.sum()} points agree with the known poses; expected at least {MIN_POINTS} (poses of"
-                " the cameras or of the IMU as stated, and the right calibration)"
+                f"{agreement:.0%} of the observations agree with the known poses; expected at least"
+                f" {MIN_AGREEMENT:.0%} (poses of the cameras or of the IMU as stated, and the right calibration)"
             )
         return self._grow(state, np.ones(self.scene.images, np.bool_))
 

@@ -91,6 +91,8 @@ def reconstruct(
     workspace = workspace or Workspace(None)
     if earlier is not None and poses is not None:
         raise ConfigError("an earlier reconstruction and known poses; expected one of them")
+    if poses is not None and len(poses.Ts_world_cam) != len(images):
+        raise ConfigError(f"known poses of {len(poses.Ts_world_cam)} images; expected {len(images)} (NaN if unknown)")
     index = np.empty(0, np.int64) if earlier is None else earlier_images(images, earlier)
     if earlier is not None:
         images = replace(images, cameras=earlier_cameras(images, earlier))
