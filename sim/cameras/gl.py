@@ -28,6 +28,11 @@ _CHOICES = {"Linux": ("egl", "osmesa", "glfw"), "Darwin": ("cgl", "glfw")}
 _OFF = ("disable", "disabled", "off", "false", "0")
 _PROBE_TIMEOUT_S = 60.0
 _PROBE = "from dronevio.sim.cameras.gl import draw_one_frame; draw_one_frame()"
+_FORKED = (
+    "this process was forked from one that has rendered, whose graphics driver does not work after a fork; "
+    'start processes with the method "spawn" or "forkserver", for example gymnasium.make_vec(…, '
+    'vectorization_mode="async", vector_kwargs={"context": "spawn"})'
+)
 
 
 class Context(Protocol):
@@ -129,15 +134,30 @@ def create_context(width: int, height: int) -> Context:
     """Return a new OpenGL context for images of up to the given size [px], current in this thread.
 
     Raises:
-        GraphicsError: No context can be created.
+        GraphicsError: No context can be created, or this process was forked from one that has created one.
     """
     backend = choose_backend()
     if backend.problem:
         raise GraphicsError(_failure(_refused(backend)))
+    _check_not_forked()
     try:
         return _new_context(backend, width, height)
     except Exception as error:  # drivers and PyOpenGL raise anything from ImportError to AttributeError
         raise GraphicsError(_failure(_broken(backend, f"{type(error).__name__}: {error}"))) from error
+
+
+@cache
+def _rendering_process() -> int:
+    """Return the process that created the first context; a forked process inherits the answer."""
+    return os.getpid()
+
+
+def _check_not_forked() -> None:
+    """Raise GraphicsError in a process that was forked after rendering: the driver would wait forever for its threads,
+    which a fork does not copy.
+    """
+    if _rendering_process() != os.getpid():
+        raise GraphicsError(_FORKED)
 
 
 def _new_context(backend: Backend, width: int, height: int) -> Context:

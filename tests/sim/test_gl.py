@@ -111,3 +111,34 @@ def test_doctor_reports_what_is_missing() -> None:
     broken = run_cli(["doctor", "--json"], MUJOCO_GL="bogus")
     assert broken.returncode == 2
     assert "unset MUJOCO_GL" in json.loads(broken.stdout)["advice"]
+
+
+FORK = """
+import os
+from dronevio.models.errors import GraphicsError
+from dronevio.sim.cameras.gl import create_context
+
+before = {before}
+if before:
+    create_context(8, 8)
+if (child := os.fork()) == 0:
+    try:
+        create_context(8, 8)
+        print("created", flush=True)
+    except GraphicsError as error:
+        print(error, flush=True)
+    os._exit(0)
+os.waitpid(child, 0)
+if before:
+    create_context(8, 8)  # the parent can go on
+"""
+"""Program that creates a context in a forked process, before or after the parent has created one."""
+
+
+@pytest.mark.skipif(platform.system() != "Linux", reason="EGL is Linux's")
+@pytest.mark.parametrize(("before", "message"), [(False, "created"), (True, 'context": "spawn"')])
+def test_forks_after_rendering_are_refused(before: bool, message: str) -> None:
+    command = [sys.executable, "-c", FORK.format(before=before)]
+    ran = subprocess.run(command, capture_output=True, text=True, check=False, timeout=60)
+    assert ran.returncode == 0, ran.stderr
+    assert message in ran.stdout
