@@ -38,6 +38,7 @@ from dataclasses import replace
 
 import matplotlib.pyplot as plt
 import numpy as np
+from matplotlib.patches import Circle
 
 from dronevio.models.rotation import skew
 
@@ -92,13 +93,10 @@ print("features in each image:", [len(found) for found in features])
 # Figure: features of the first photograph as circles of their size
 figure, ax = plt.subplots(figsize=(8, 5.3), layout="constrained")
 ax.imshow(images.read(0), alpha=0.7)
-for (x, y), size in zip(
-    features[0].pixels[::4], features[0].sizes_px[::4], strict=True
-):
+some = features[0].pixels[::4], features[0].sizes_px[::4]
+for pixel, size in zip(*some, strict=True):
     ax.add_patch(
-        plt.Circle(
-            (x, y), 0.5 * size, fill=False, color="#d55e00", linewidth=0.7
-        )
+        Circle(pixel, 0.5 * size, fill=False, color="#d55e00", linewidth=0.7)
     )
 ax.set_title("every fourth feature of image 0")
 ax.axis("off")
@@ -172,6 +170,7 @@ views = [
 pair = verify(
     FIRST, SECOND, (views[FIRST], views[SECOND]), matches, VerificationConfig()
 )
+assert pair is not None, "there are too few correct matches"
 print(f"{len(pair.matches)} of {len(matches)} matches are verified")
 print(f"geometry: {pair.geometry}")
 print(f"median angle between the rays: {np.degrees(pair.angle_rad):.1f}°")
@@ -179,6 +178,7 @@ print(f"median angle between the rays: {np.degrees(pair.angle_rad):.1f}°")
 
 def epipolar_px(matches):
     """Return the distances of matches from their epipolar planes."""
+    assert pair is not None
     R, t = pair.T_first_second[:3, :3], pair.T_first_second[:3, 3]
     normals = views[SECOND].bearings[matches[:, 1]] @ (skew(t) @ R).T
     sines = np.sum(views[FIRST].bearings[matches[:, 0]] * normals, axis=1)
@@ -258,13 +258,13 @@ seed = next(p for p in pairs if (p.first, p.second) == SEED_PAIR)
 T_1, T_2 = np.eye(4), seed.T_first_second
 r_1 = views[seed.first].bearings[seed.matches[:, 0]] @ T_1[:3, :3].T
 r_2 = views[seed.second].bearings[seed.matches[:, 1]] @ T_2[:3, :3].T
-by_hand = []
+midpoints = []
 for one, other in zip(r_1, r_2, strict=True):
     cosine, between = one @ other, T_2[:3, 3] - T_1[:3, 3]
     A = np.array([[1.0, -cosine], [cosine, -1.0]])
     s_1, s_2 = np.linalg.solve(A, [one @ between, other @ between])
-    by_hand.append(0.5 * (T_1[:3, 3] + s_1 * one + T_2[:3, 3] + s_2 * other))
-by_hand = np.array(by_hand)
+    midpoints.append(0.5 * (T_1[:3, 3] + s_1 * one + T_2[:3, 3] + s_2 * other))
+points_by_hand = np.array(midpoints)
 
 # %% [markdown]
 # `dronevio.estimator.sfm.structure.triangulate` does the same for all tracks at
@@ -303,7 +303,7 @@ describe("seed", state)
 rows = np.flatnonzero(tracks.image == seed.first)
 track_of = dict(zip(tracks.feature[rows], tracks.track[rows], strict=True))
 relative = []
-for p, feature in zip(by_hand, seed.matches[:, 0], strict=True):
+for p, feature in zip(points_by_hand, seed.matches[:, 0], strict=True):
     if feature in track_of:
         q = state.points[track_of[feature]]
         relative.append(np.linalg.norm(p - q) / np.linalg.norm(q))
