@@ -69,7 +69,8 @@ def main(arguments: Sequence[str]) -> int:
         print_camera,
         print_covariance,
         print_drift,
-        print_experiment,
+        print_flight,
+        print_solution,
         studies_json,
     )
     from dronevio.book.imu_plots import draw_camera, draw_drift, draw_factor_graph, draw_imu_path
@@ -109,7 +110,8 @@ def main(arguments: Sequence[str]) -> int:
     if command.printing.json:
         print_json({**experiment_json(experiment), **studies_json(studies, camera), "out": str(command.out)})
         return 0
-    print_experiment(experiment)
+    print_flight(experiment.flight)
+    print_solution(experiment)
     print_covariance(experiment)
     print_drift(studies)
     print_camera(camera, command.imu)

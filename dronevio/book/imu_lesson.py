@@ -10,16 +10,16 @@ from dronevio.book.lesson import print_lesson, print_paragraph
 from dronevio.cli.terminal import print_table
 from dronevio.estimator.book.drift import DriftStudy
 from dronevio.estimator.book.imu import ImuExperiment
+from dronevio.estimator.book.loop import LoopFlight
 from dronevio.estimator.book.visual_inertial import CameraStudy
 
 _CODE = "dronevio.estimator.book"
 
 
-def print_experiment(experiment: ImuExperiment) -> None:
-    """Print the flight, the graph and both solutions."""
-    flight, counts = experiment.flight, [str(n) for n in experiment.flight.factor_samples]
-    unused, t_s = flight.samples - sum(flight.factor_samples), float(experiment.t_s[-1])
-    held_m = flight.speed_m_s * flight.pitch_rate_rad_s * math.radians(1.5) * 0.5 * t_s**2
+def print_flight(flight: LoopFlight) -> None:
+    """Print the motion, and the distribution of the IMU samples over the factors."""
+    counts = ", ".join(map(str, flight.factor_samples))
+    unused = flight.samples - sum(flight.factor_samples)
     print_lesson(
         "1. The flight",
         "7.4.1 (motion: 7.2)",
@@ -33,7 +33,7 @@ def print_experiment(experiment: ImuExperiment) -> None:
                 f"ω t: the part of the circle in {flight.duration_s} s",
             ),
             ("IMU samples", f"{flight.samples}", "1", f"{flight.imu_rate_hz:g} Hz for {flight.duration_s} s"),
-            ("IMU factors", f"{len(counts)}", "1", f"samples in each: {', '.join(counts)}; unused: {unused}"),
+            ("IMU factors", f"{len(flight.factor_samples)}", "1", f"samples in each: {counts}; unused: {unused}"),
         ),
     )
     if flight.counting == "book":
@@ -42,60 +42,46 @@ def print_experiment(experiment: ImuExperiment) -> None:
             has six samples, every estimated state is one sample later than the time of its initial value, and the last
             four samples are unused. The option --counting equal makes seven factors with five samples each."""
         )
+
+
+def print_solution(experiment: ImuExperiment) -> None:
+    """Print the graph and its solutions, in batch and incremental."""
+    e, t_s = experiment, float(experiment.t_s[-1])
+    held_m = e.flight.speed_m_s * e.flight.pitch_rate_rad_s * math.radians(1.5) * 0.5 * t_s**2
     print_lesson(
         "2. The factor graph and its solution",
         "7.4.1",
         f"{_CODE}.imu, {_CODE}.optimization",
         (
-            (
-                "factors",
-                f"{len(experiment.factors)}",
-                "1",
-                "priors on pose, velocity and bias; all others are IMU factors",
-            ),
-            (
-                "unknowns",
-                f"{9 * len(experiment.t_s) + 6}",
-                "1",
-                "9 for each state, 6 for the bias: as many as residuals",
-            ),
-            ("error before", f"{experiment.initial_error:.4g}", "1", "½ Σ (residual/σ)² at the initial values"),
-            ("error after", f"{experiment.final_error:.1e}", "1", "the same at the solution; zero except for rounding"),
-            ("iterations", f"{experiment.iterations}", "1", "of Levenberg-Marquardt, until the error stops decreasing"),
-            (
-                "iSAM2 updates",
-                f"{experiment.incremental_updates}",
-                "1",
-                "one for each state, then until the solution converges",
-            ),
+            ("factors", f"{len(e.factors)}", "1", "priors on pose, velocity and bias; all others are IMU factors"),
+            ("unknowns", f"{9 * len(e.t_s) + 6}", "1", "9 for each state, 6 for the bias: as many as residuals"),
+            ("error before", f"{e.initial_error:.4g}", "1", "½ Σ (residual/σ)² at the initial values"),
+            ("error after", f"{e.final_error:.1e}", "1", "the same at the solution; zero except for rounding"),
+            ("iterations", f"{e.iterations}", "1", "of Levenberg-Marquardt, until the error stops decreasing"),
+            ("iSAM2 updates", f"{e.incremental_updates}", "1", "one for each state, then until the solution converges"),
             (
                 "batch − iSAM2",
-                f"{experiment.incremental_difference:.1e}",
+                f"{e.incremental_difference:.1e}",
                 "rad, m, m/s",
                 "largest difference in local coordinates: the same solution",
             ),
             (
                 "to integration",
-                f"{experiment.dead_reckoning_difference_m:.1e}",
+                f"{e.dead_reckoning_difference_m:.1e}",
                 "m",
                 "distance from plain integration: the solution is dead reckoning",
             ),
-            (
-                "distance to truth",
-                f"{experiment.drift_m:.3f}",
-                "m",
-                f"of the last state, after {experiment.t_s[-1]:.1f} s",
-            ),
+            ("distance to truth", f"{e.drift_m:.3f}", "m", f"of the last state, after {t_s:.1f} s"),
             (
                 "without noise",
-                f"{experiment.noise_free_drift_m:.3f}",
+                f"{e.noise_free_drift_m:.3f}",
                 "m",
                 "the same for noise-free samples: the effect of 10 Hz",
             ),
         ),
     )
     print_paragraph(
-        f"""Why is the error zero and the position wrong by {100.0 * experiment.drift_m:.0f} cm? The error of a graph
+        f"""Why is the error zero and the position wrong by {100.0 * e.drift_m:.0f} cm? The error of a graph
         compares the states with the measurements, not with the truth. The initial error is large because the factors
         are precise: initial values are wrong by 0.1 rad and 0.1 m, where a factor expects 0.1 mrad and 0.3 mm. There
         are as many residuals as unknowns, so that states exist that agree with all measurements exactly, wrong
