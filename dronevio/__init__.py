@@ -18,7 +18,7 @@ from typing import TYPE_CHECKING
 from dronevio._lazy import attach
 
 if TYPE_CHECKING:
-    from dronevio.api import estimate, evaluate, fly, sfm
+    from dronevio.api import dense, estimate, evaluate, fly, sfm
     from dronevio.driver import estimate_recording
     from dronevio.estimator.config import VioConfig
     from dronevio.estimator.imu.forward_propagation import ImuRatePropagator
@@ -58,6 +58,7 @@ __all__ = [
     "Trajectory",
     "VioConfig",
     "VisualInertialOdometry",
+    "dense",
     "estimate",
     "estimate_recording",
     "evaluate",
@@ -76,7 +77,7 @@ __version__ = "0.1.0"
 __getattr__, __dir__ = attach(
     __name__,
     {
-        "dronevio.api": ("estimate", "evaluate", "fly", "sfm"),
+        "dronevio.api": ("dense", "estimate", "evaluate", "fly", "sfm"),
         "dronevio.driver": ("estimate_recording",),
         "dronevio.estimator.config": ("VioConfig",),
         "dronevio.estimator.imu.forward_propagation": ("ImuRatePropagator",),

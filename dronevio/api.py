@@ -6,6 +6,8 @@ from pathlib import Path
 
 from dronevio.driver import estimate_recording
 from dronevio.estimator.config import VioConfig
+from dronevio.estimator.dense.config import DenseConfig
+from dronevio.estimator.dense.pipeline import DenseResult, densify
 from dronevio.estimator.sfm.config import SfmConfig
 from dronevio.estimator.sfm.model import KnownPoses
 from dronevio.estimator.sfm.pipeline import SfmResult, reconstruct
@@ -14,7 +16,7 @@ from dronevio.estimator.vio import VisualInertialOdometry
 from dronevio.eval.metrics.alignment import AlignmentMode
 from dronevio.eval.metrics.scores import ScoredTrajectory, score_trajectory
 from dronevio.eval.run import EstimatorRun
-from dronevio.models.errors import EvaluationError
+from dronevio.models.errors import EvaluationError, InputError
 from dronevio.models.image_sets import ImageSet, open_images, with_earlier
 from dronevio.models.progress import Progress, silent
 from dronevio.models.protocols import Estimator, Recording
@@ -147,3 +149,30 @@ def sfm(
     earlier = EarlierResult(add_to) if isinstance(add_to, Reconstruction) else read_earlier(Path(add_to))
     opened = with_earlier(opened, earlier.reconstruction.image_names, opened, is_one_source=True)
     return reconstruct(opened, config, kept, earlier=earlier.reconstruction, earlier_world=earlier.world, poses=poses)
+
+
+def dense(
+    images: ImageSet | str | Path,
+    reconstruction: SfmResult | Reconstruction,
+    config: DenseConfig | None = None,
+) -> DenseResult:
+    """Compute the surfaces of a scene from images with known cameras (multi-view stereo).
+
+    Args:
+        images: A set of images, or the path of a folder of images, a video or a recording.
+        reconstruction: The result of `sfm`, of which the component with the most images is used, or a reconstruction
+            of another program; see `dronevio.models.read_reconstruction`.
+        config: Settings.
+
+    Returns:
+        The points with normals and colours, a mesh, and the depth map of each image.
+
+    Raises:
+        InputError: The path holds no images, an image cannot be read, or no image is registered.
+    """
+    opened = images if isinstance(images, ImageSet) else open_images(images)
+    if isinstance(reconstruction, SfmResult):
+        if not reconstruction.reconstructions:
+            raise InputError("images", "a reconstruction without components", "at least one registered image")
+        reconstruction = reconstruction.reconstructions[0]
+    return densify(opened, reconstruction, config)

@@ -25,6 +25,7 @@ COMMANDS = CommandGroup(
         "compare": Subcommand("dronevio.cli.compare", "compare two benchmarks or two runs statistically"),
         "gate": Subcommand("dronevio.cli.gate", "fail if a benchmark is worse than an earlier one"),
         "sfm": Subcommand("dronevio.cli.sfm", "reconstruct cameras and points from images alone"),
+        "dense": Subcommand("dronevio.cli.dense", "compute the surfaces of a scene from the result of sfm"),
         "refly": Subcommand("dronevio.cli.refly", "render images along the recorded trajectory of a real drone"),
         "convert": Subcommand("dronevio.cli.convert", "convert a recording, or export its calibration"),
         "scenarios": Subcommand("dronevio.cli.scenarios", "list the scenarios and the suites"),

@@ -169,6 +169,7 @@ def _write(
     from dronevio.eval.provenance import RunInfo
     from dronevio.eval.report.reconstruction import ReconstructionResults, write_reconstruction_report
     from dronevio.eval.rerun.reconstruction import write_reconstruction_rerun
+    from dronevio.models.image_sets.source import ImageSource, write_image_source
     from dronevio.models.reconstructions import write_reconstruction
     from dronevio.models.serialization import to_jsonable
 
@@ -176,6 +177,8 @@ def _write(
         for number, reconstruction in enumerate(result.reconstructions):
             name = {"bundler": f"bundle-{number}.out", "ply": f"points-{number}.ply"}.get(kind, f"{kind}/{number}")
             write_reconstruction(reconstruction, folder / name, kind)
+    source = ImageSource(command.images, command.masks, command.every, command.cameras, command.frames)
+    write_image_source(folder / "images.json", source)
     read = _reader(images)
     registered = {name for reconstruction in result.reconstructions for name in reconstruction.image_names}
     info = RunInfo(

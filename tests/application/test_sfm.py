@@ -50,7 +50,7 @@ def test_the_villa_agrees_with_bundler(reconstructed: Path) -> None:
 
 
 def test_files_of_a_result(reconstructed: Path) -> None:
-    names = {"colmap-binary", "colmap-text", "points-0.ply", "run.rrd"}
+    names = {"colmap-binary", "colmap-text", "images.json", "points-0.ply", "run.rrd"}
     names |= {"reconstruction.png", "report.html", "report.json"}
     assert {path.name for path in reconstructed.iterdir()} == names
     assert list(reconstructed.parent.iterdir()) == [reconstructed]  # intermediate results are removed

@@ -1,0 +1,182 @@
+"""Undistorted images with their poses, the input of multi-view stereo."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import lru_cache
+
+import cv2
+import numpy as np
+import numpy.typing as npt
+
+from dronevio.estimator.dense.config import ViewConfig
+from dronevio.models.camera import CameraModel
+from dronevio.models.errors import InputError
+from dronevio.models.image_sets import ImageSet
+from dronevio.models.reconstruction import Reconstruction
+
+Array = npt.NDArray[np.float64]
+Floats = npt.NDArray[np.float32]
+Mask = npt.NDArray[np.bool_]
+Image = npt.NDArray[np.uint8]
+
+_CACHED_VIEWS = 24  # images in memory
+_BORDER_SAMPLES = 65  # on the central row and column, whose undistorted positions bound the new image
+
+
+@dataclass(frozen=True, eq=False)
+class Pinhole:
+    """Pinhole camera without distortion; pixel centres have integer coordinates."""
+
+    width: int
+    """Number of columns [px]."""
+    height: int
+    """Number of rows [px]."""
+    K: Array
+    """(3, 3) Intrinsic matrix [px]."""
+
+    def halved(self) -> "Pinhole":
+        """Return the camera of the image at half the resolution, in which a pixel is the mean of four."""
+        width, height = -(-self.width // 2), -(-self.height // 2)
+        S = np.array([[0.5, 0.0, -0.25], [0.0, 0.5, -0.25], [0.0, 0.0, 1.0]])
+        return Pinhole(width, height, S @ self.K)
+
+    def rays(self) -> Floats:
+        """Return the rays (H, W, 3) of all pixels in the camera frame, at depth 1."""
+        u, v = np.meshgrid(np.arange(self.width, dtype=np.float64), np.arange(self.height, dtype=np.float64))
+        x, y = (u - self.K[0, 2]) / self.K[0, 0], (v - self.K[1, 2]) / self.K[1, 1]
+        return np.stack([x, y, np.ones_like(x)], axis=-1).astype(np.float32)
+
+
+@dataclass(frozen=True, eq=False)
+class View:
+    """An undistorted image with its pose."""
+
+    camera: Pinhole
+    """Camera of the undistorted image."""
+    T_world_cam: Array
+    """(4, 4) Pose of the camera in the world frame."""
+    grey: Floats
+    """(H, W) Grey values, 0 to 255."""
+    mask: Mask
+    """(H, W) True where the undistorted image has content."""
+    colours: Image
+    """(H, W, 3) Red, green and blue."""
+
+    def halved(self) -> "View":
+        """Return the view at half the resolution."""
+        camera = self.camera.halved()
+        rows, columns = 2 * camera.height - self.camera.height, 2 * camera.width - self.camera.width
+        pad = ((0, rows), (0, columns))
+
+        def reduced(image: Floats) -> Floats:
+            padded = np.pad(image, pad, mode="edge")
+            return np.asarray(cv2.resize(padded, (camera.width, camera.height), interpolation=cv2.INTER_AREA))
+
+        mask = reduced(self.mask.astype(np.float32)) > 0.99
+        colours = self.colours[::2, ::2]
+        return View(camera, self.T_world_cam, reduced(self.grey), mask, colours)
+
+
+@dataclass(frozen=True, eq=False)
+class Undistortion:
+    """Map from the pixels of an undistorted image to those of the image of a camera."""
+
+    camera: Pinhole
+    """Camera of the undistorted image."""
+    size: tuple[int, int]
+    """Width and height to which the image is reduced before it is undistorted [px]."""
+    map_px: Floats
+    """(H, W, 2) Pixel of the reduced image at each undistorted pixel [px]."""
+    mask: Mask
+    """(H, W) True where the pixel lies in the image."""
+
+    @classmethod
+    def of(cls, model: CameraModel, config: ViewConfig) -> "Undistortion":
+        """Return the undistortion of a camera.
+
+        The undistorted image has the resolution of the camera at its centre, reduced to the largest size. It extends to
+        the middle of each side of the image, but not beyond the largest angle; stretched corners are cut.
+        """
+        low, high = _bounds(model, np.tan(np.radians(config.max_angle_deg)))
+        full = np.array([model.fx, model.fy]) * (high - low)
+        scale = min(1.0, config.max_side_px / float(full.max()))
+        f = scale * np.array([model.fx, model.fy])
+        width, height = (max(8, int(n)) for n in np.floor(f * (high - low)))
+        cx, cy = -f * low - 0.5
+        camera = Pinhole(width, height, np.array([[f[0], 0.0, cx], [0.0, f[1], cy], [0.0, 0.0, 1.0]]))
+        pixels = model.project(camera.rays().astype(np.float64))
+        with np.errstate(invalid="ignore"):
+            inside = np.all((pixels >= 0.0) & (pixels <= [model.width - 1.0, model.height - 1.0]), axis=-1)
+        size = max(1, round(scale * model.width)), max(1, round(scale * model.height))
+        factor = np.array(size) / [model.width, model.height]
+        reduced = (pixels + 0.5) * factor - 0.5
+        return cls(camera, size, np.where(inside[..., None], reduced, -1.0).astype(np.float32), inside)
+
+    def apply(self, image: Image) -> Image:
+        """Return the undistorted image (H, W, …) of an image of the camera."""
+        if (image.shape[1], image.shape[0]) != self.size:
+            image = np.asarray(cv2.resize(image, self.size, interpolation=cv2.INTER_AREA))
+        return np.asarray(cv2.remap(image, self.map_px, None, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE))
+
+
+def _bounds(model: CameraModel, limit: float) -> tuple[Array, Array]:
+    """Return the smallest and largest normalized coordinates (2,), (2,) on the central row and column."""
+    right, bottom = model.width - 0.5, model.height - 0.5
+    u, v = np.linspace(-0.5, right, _BORDER_SAMPLES), np.linspace(-0.5, bottom, _BORDER_SAMPLES)
+    cross = np.concatenate([np.stack([u, np.full_like(u, model.cy)], 1), np.stack([np.full_like(v, model.cx), v], 1)])
+    xy = model.normalize(cross)
+    xy = np.clip(xy[np.isfinite(xy).all(axis=1)], -limit, limit)
+    return xy.min(axis=0), xy.max(axis=0)
+
+
+class ViewLoader:
+    """Reads and undistorts the registered images of a reconstruction on request, and keeps the latest in memory."""
+
+    def __init__(self, images: ImageSet, reconstruction: Reconstruction, config: ViewConfig) -> None:
+        """Take the images and their cameras.
+
+        Args:
+            images: The images, of which the reconstruction registers some by name.
+            reconstruction: Poses and cameras of the registered images.
+            config: Settings.
+
+        Raises:
+            InputError: A registered image is not among the images.
+        """
+        index = {name: i for i, name in enumerate(images.names)}
+        missing = [name for name in reconstruction.image_names if name not in index]
+        if missing:
+            raise InputError(missing[0], "no such image", f"the images of the reconstruction, such as {images.names[0]}")
+        self._rows = [index[name] for name in reconstruction.image_names]
+        self._images, self._reconstruction = images, reconstruction
+        self._undistortions = [Undistortion.of(model, config) for model in reconstruction.cameras]
+        self._load: Callable[[int], View] = lru_cache(_CACHED_VIEWS)(self._read)
+
+    def __len__(self) -> int:
+        return len(self._rows)
+
+    def __call__(self, index: int) -> View:
+        """Return the undistorted image with an index in the reconstruction.
+
+        Raises:
+            InputError: The image cannot be read.
+        """
+        return self._load(index)
+
+    def camera(self, index: int) -> Pinhole:
+        """Return the camera of an undistorted image without reading it."""
+        return self._undistortion(index).camera
+
+    def _undistortion(self, index: int) -> Undistortion:
+        return self._undistortions[self._reconstruction.image_camera[index]]
+
+    def _read(self, index: int) -> View:
+        undistortion = self._undistortion(index)
+        row = self._rows[index]
+        image, mask = self._images.read(row), self._images.read_mask(row)
+        colours = undistortion.apply(image if image.ndim == 3 else np.repeat(image[..., None], 3, axis=2))
+        grey = cv2.cvtColor(colours, cv2.COLOR_RGB2GRAY).astype(np.float32)
+        valid = undistortion.mask
+        if mask is not None:
+            valid = valid & (undistortion.apply(mask.astype(np.uint8) * np.uint8(255)) > 127)
+        return View(undistortion.camera, self._reconstruction.Ts_world_cam[index], grey, valid, colours)

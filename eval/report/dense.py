@@ -1,0 +1,200 @@
+"""The report of dense surfaces: pictures of the points and of the mesh, images beside their depths, and numbers.
+
+``report.json`` holds the following keys:
+
+    format         "dronevio-dense-report/1"
+    title, command, open_command               as in `RunInfo`
+    statistics     images, points, vertices, triangles, known_percent (pixels with a depth)
+    times_s        {stage: processing time}
+    configuration, versions, machine           as in `RunInfo`
+"""
+
+import base64
+import json
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import cv2
+import numpy as np
+import numpy.typing as npt
+
+from dronevio.eval.images import Image, downscaled, jpeg
+from dronevio.eval.provenance import RunInfo
+from dronevio.eval.report.tables import Cell, Table
+from dronevio.eval.report.templating import Tile, number, render_page
+from dronevio.eval.scene import VIEWER_FIELD_OF_VIEW_RAD, reconstruction_eye, upright_rotation
+from dronevio.eval.splatting import Eye, shaded, splat
+from dronevio.models.reconstruction import Reconstruction
+from dronevio.models.recordings.files import write_bytes, write_text
+from dronevio.models.surfaces import Mesh, PointCloud
+
+Array = npt.NDArray[np.float64]
+Floats = npt.NDArray[np.float32]
+
+FORMAT = "dronevio-dense-report/1"
+MAX_PHOTOGRAPHS = 6
+"""Number of images that the page shows with their depths."""
+_PICTURE_PX = (1600, 1000)
+_PHOTOGRAPH_PX = 640  # length of the longer side
+_DEPTH_PERCENT = (2.0, 98.0)  # percentiles of the depths at the ends of the colour scale
+
+
+@dataclass(frozen=True, eq=False)
+class DenseResults:
+    """Everything that the report of dense surfaces shows."""
+
+    reconstruction: Reconstruction
+    """Cameras and points from which the surfaces were computed."""
+    cloud: PointCloud
+    """Points of the surfaces."""
+    mesh: Mesh
+    """Triangles of the surfaces."""
+    inverse_depths: Sequence[Floats]
+    """Inverse depths (H, W) of the undistorted images; 0 where unknown."""
+    read_image: Callable[[int], Image]
+    """Function that returns the undistorted image (H, W, 3) with an index in the reconstruction."""
+    point_size: float
+    """Distance between neighbouring points on the surfaces, in the unit of the world frame."""
+    times_s: Mapping[str, float] = field(default_factory=dict)
+    """Processing time of each stage by its name [s]."""
+
+    def known_percent(self) -> float:
+        """Return the share of the pixels with a depth [%]."""
+        known = sum(int(np.count_nonzero(w)) for w in self.inverse_depths)
+        return 100.0 * known / max(sum(w.size for w in self.inverse_depths), 1)
+
+
+@dataclass(frozen=True)
+class DepthPhotograph:
+    """An image beside its depths."""
+
+    caption: str
+    """Name of the image and range of its depths."""
+    image_base64: str
+    """JPEG of the image."""
+    depth_base64: str
+    """JPEG of the coloured depths."""
+
+
+def write_dense_report(folder: Path, info: RunInfo, results: DenseResults) -> None:
+    """Write ``report.html``, ``report.json`` and the pictures ``dense.jpg`` and ``mesh.jpg``.
+
+    Args:
+        folder: Folder for the files; it is created if it does not exist.
+        info: Provenance of the surfaces.
+        results: The surfaces and what belongs to them.
+
+    Raises:
+        InputError: A file cannot be written, or an image cannot be read.
+    """
+    points, mesh = pictures(results)
+    write_text(folder / "report.json", json.dumps(_values(info, results), indent=2, ensure_ascii=False) + "\n")
+    page = render_page(
+        "dense.html.j2",
+        info.title,
+        f"{len(results.cloud)} points and {len(results.mesh.triangles)} triangles from "
+        f"{len(results.inverse_depths)} images",
+        tiles=list(_tiles(results)),
+        points_base64=_base64(points),
+        mesh_base64=_base64(mesh),
+        photographs=list(_photographs(results)),
+        times=_time_table(results),
+        open_command=info.open_command,
+        provenance=[
+            (title, content, title == "Run")
+            for title, content in (
+                ("Run", {"command": info.command}),
+                ("Configuration", info.configuration),
+                ("Versions", info.versions),
+                ("Machine", info.machine),
+            )
+        ],
+    )
+    write_text(folder / "report.html", page)
+    write_bytes(folder / "dense.jpg", jpeg(points, quality=90))
+    write_bytes(folder / "mesh.jpg", jpeg(mesh, quality=90))
+
+
+def pictures(results: DenseResults) -> tuple[Image, Image]:
+    """Return perspective pictures of the points and of the mesh, seen from behind the cameras."""
+    up = upright_rotation(results.reconstruction)
+    position, target = reconstruction_eye(results.reconstruction, up)
+    eye = Eye.looking_at(position, target, up[2], VIEWER_FIELD_OF_VIEW_RAD, *_PICTURE_PX)
+    mesh = results.mesh
+    return (
+        splat(eye, results.cloud.points, results.cloud.colours, results.point_size),
+        splat(eye, mesh.vertices, shaded(mesh.normals, eye), 1.5 * results.point_size),
+    )
+
+
+def depth_colours(inverse_depth: Floats) -> Image:
+    """Return a picture (H, W, 3) of inverse depths (H, W): red is near, blue far, black unknown."""
+    known = inverse_depth > 0.0
+    if not known.any():
+        return np.zeros((*inverse_depth.shape, 3), np.uint8)
+    low, high = np.percentile(inverse_depth[known], _DEPTH_PERCENT)
+    level = np.clip((inverse_depth - low) / max(high - low, np.finfo(np.float32).tiny), 0.0, 1.0)
+    coloured = cv2.applyColorMap(np.round(255.0 * level).astype(np.uint8), cv2.COLORMAP_TURBO)
+    return np.where(known[..., None], cv2.cvtColor(coloured, cv2.COLOR_BGR2RGB), 0).astype(np.uint8)
+
+
+def _photographs(results: DenseResults) -> Iterator[DepthPhotograph]:
+    """Yield images spread evenly over all, with their depths."""
+    count = len(results.inverse_depths)
+    shares = (np.arange(MAX_PHOTOGRAPHS) + 0.5) / MAX_PHOTOGRAPHS
+    for i in sorted({int(share * count) for share in shares if count}):
+        inverse_depth = results.inverse_depths[i]
+        known = inverse_depth[inverse_depth > 0.0]
+        name = results.reconstruction.image_names[i]
+        caption = f"{name}: {100.0 * len(known) / inverse_depth.size:.0f} % of the pixels have a depth"
+        if len(known):
+            near, far = 1.0 / np.percentile(known, _DEPTH_PERCENT[::-1])
+            caption += f", {near:.3g} (red) to {far:.3g} (blue)"
+        coloured = depth_colours(inverse_depth)
+        yield DepthPhotograph(
+            caption,
+            _base64(downscaled(results.read_image(i), _PHOTOGRAPH_PX)),
+            _base64(downscaled(coloured, _PHOTOGRAPH_PX)),
+        )
+
+
+def _tiles(results: DenseResults) -> Iterator[Tile]:
+    """Yield the numbers at the top of the page."""
+    yield Tile("Points", f"{len(results.cloud)}", "", "with normals and colours")
+    yield Tile("Triangles", f"{len(results.mesh.triangles)}", "", f"between {len(results.mesh.vertices)} vertices")
+    yield Tile("Pixels with a depth", number(results.known_percent(), 0), "%", "that other images confirm")
+    if results.times_s:
+        yield Tile("Processing time", number(sum(results.times_s.values()), 1), "s", "sum of all stages")
+
+
+def _time_table(results: DenseResults) -> Table:
+    """Return the processing time of each stage."""
+    rows = tuple((Cell(stage), Cell(number(s, 1), order=s)) for stage, s in results.times_s.items())
+    return Table("Processing times", ("stage", "time [s]"), rows)
+
+
+def _values(info: RunInfo, results: DenseResults) -> dict[str, object]:
+    """Return the content of ``report.json``."""
+    return {
+        "format": FORMAT,
+        "title": info.title,
+        "command": info.command,
+        "open_command": info.open_command,
+        "statistics": {
+            "images": len(results.inverse_depths),
+            "points": len(results.cloud),
+            "vertices": len(results.mesh.vertices),
+            "triangles": len(results.mesh.triangles),
+            "known_percent": results.known_percent(),
+        },
+        "times_s": dict(results.times_s),
+        "configuration": info.configuration,
+        "versions": info.versions,
+        "machine": info.machine,
+    }
+
+
+def _base64(image: Image) -> str:
+    """Return an image as JPEG in base64."""
+    return base64.b64encode(jpeg(image)).decode("ascii")

@@ -1,0 +1,86 @@
+"""Rerun files of dense surfaces: the coloured points, the mesh, and the frusta of the cameras."""
+
+from pathlib import Path
+
+import numpy as np
+import rerun as rr
+import rerun.blueprint as rrb
+
+from dronevio.eval import colours
+from dronevio.eval.rerun.blueprint import BACKGROUND
+from dronevio.eval.rerun.sink import Sink
+from dronevio.eval.scene import frusta, frustum_depth, reconstruction_eye, upright_rotation
+from dronevio.models.reconstruction import Reconstruction
+from dronevio.models.recordings.files import check_output_path
+from dronevio.models.surfaces import Mesh, PointCloud
+
+POINTS = "dense/points"
+MESH = "dense/mesh"
+CAMERAS = "dense/cameras"
+
+
+def write_dense_rerun(
+    reconstruction: Reconstruction,
+    cloud: PointCloud,
+    mesh: Mesh,
+    path: Path,
+    *,
+    point_size: float,
+    name: str = "dense",
+) -> None:
+    """Write a rerun file of dense surfaces.
+
+    Args:
+        reconstruction: Cameras and points from which the surfaces were computed.
+        cloud: Points of the surfaces.
+        mesh: Triangles of the surfaces.
+        path: File to write, with the suffix ``.rrd``.
+        point_size: Distance between neighbouring points, in the unit of the world frame.
+        name: Name of the recording in the viewer.
+
+    Raises:
+        InputError: The path is a folder, or one of its folders is a file.
+    """
+    check_output_path(path)
+    path.parent.mkdir(parents=True, exist_ok=True)
+    with Sink.to_file(path, name, _blueprint(reconstruction), origin_ns=0) as sink:
+        points = rr.Points3D(cloud.points.astype(np.float32), colors=cloud.colours, radii=0.5 * point_size)
+        sink.static(POINTS, points)
+        sink.static(
+            MESH,
+            rr.Mesh3D(
+                vertex_positions=mesh.vertices.astype(np.float32),
+                triangle_indices=mesh.triangles.astype(np.uint32),
+                vertex_normals=mesh.normals.astype(np.float32),
+                vertex_colors=mesh.colours,
+            ),
+        )
+        edges = frusta(reconstruction, frustum_depth(reconstruction)).astype(np.float32)
+        sink.static(CAMERAS, rr.LineStrips3D(edges, colors=colours.rgb(colours.ESTIMATE), radii=rr.Radius.ui_points(0.8)))
+
+
+def _blueprint(reconstruction: Reconstruction) -> rrb.Blueprint:
+    """Return the layout: the points and the mesh side by side, seen from behind the cameras."""
+    R_scene_world = upright_rotation(reconstruction)
+    position, target = reconstruction_eye(reconstruction, R_scene_world)
+    views = [
+        rrb.Spatial3DView(
+            origin="/",
+            contents=[f"/{entity}", f"/{CAMERAS}"],
+            name=title,
+            eye_controls=rrb.EyeControls3D(
+                kind=rrb.Eye3DKind.Orbital, position=position, look_target=target, eye_up=R_scene_world[2]
+            ),
+            line_grid=False,
+            background=BACKGROUND,
+        )
+        for entity, title in ((POINTS, "Points"), (MESH, "Mesh"))
+    ]
+    return rrb.Blueprint(
+        rrb.Horizontal(*views),
+        rrb.BlueprintPanel(state="collapsed"),
+        rrb.SelectionPanel(state="collapsed"),
+        rrb.TimePanel(state="hidden"),
+        auto_views=False,
+        auto_layout=False,
+    )

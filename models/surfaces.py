@@ -1,0 +1,84 @@
+"""Surfaces of a scene: coloured point clouds with normals, and triangle meshes."""
+
+from dataclasses import dataclass, replace
+from typing import Self
+
+import numpy as np
+import numpy.typing as npt
+
+from dronevio.models.errors import ConfigError
+
+Array = npt.NDArray[np.float64]
+Colours = npt.NDArray[np.uint8]
+Triangles = npt.NDArray[np.int64]
+
+
+@dataclass(frozen=True, eq=False)
+class PointCloud:
+    """N points on surfaces."""
+
+    points: Array
+    """(N, 3) Points in the world frame."""
+    normals: Array
+    """(N, 3) Unit normals of the surfaces, towards the side from which they were seen."""
+    colours: Colours
+    """(N, 3) Colours of the points: red, green, blue."""
+
+    def __post_init__(self) -> None:
+        """Check the shapes.
+
+        Raises:
+            ConfigError: The fields have different lengths; the message names the field.
+        """
+        _check_shapes("point cloud", len(self.points), points=self.points, normals=self.normals, colours=self.colours)
+
+    def __len__(self) -> int:
+        return len(self.points)
+
+    def transformed(self, scale: float, R: Array, t: Array) -> Self:
+        """Return the cloud in a new world frame, as `Reconstruction.transformed` does."""
+        return replace(self, points=scale * self.points @ R.T + t, normals=self.normals @ R.T)
+
+    def selected(self, which: npt.NDArray[np.bool_] | Triangles) -> Self:
+        """Return some of the points, by a mask (N,) or by their indices."""
+        return replace(self, points=self.points[which], normals=self.normals[which], colours=self.colours[which])
+
+
+@dataclass(frozen=True, eq=False)
+class Mesh:
+    """Triangles between N vertices."""
+
+    vertices: Array
+    """(N, 3) Vertices in the world frame."""
+    normals: Array
+    """(N, 3) Unit normals of the vertices, towards the side from which they were seen."""
+    colours: Colours
+    """(N, 3) Colours of the vertices: red, green, blue."""
+    triangles: Triangles
+    """(F, 3) Indices of the vertices of each triangle, counterclockwise as seen from the side of the normals."""
+
+    def __post_init__(self) -> None:
+        """Check shapes and indices.
+
+        Raises:
+            ConfigError: A shape or an index contradicts the others; the message names the field.
+        """
+        count = len(self.vertices)
+        _check_shapes("mesh", count, vertices=self.vertices, normals=self.normals, colours=self.colours)
+        _check_shapes("mesh", len(self.triangles), triangles=self.triangles)
+        if len(self.triangles) and not (self.triangles.min() >= 0 and self.triangles.max() < count):
+            raise ConfigError(
+                f"mesh: triangles have values from {self.triangles.min()} to {self.triangles.max()};"
+                f" expected 0 to {count - 1}"
+            )
+
+    def transformed(self, scale: float, R: Array, t: Array) -> Self:
+        """Return the mesh in a new world frame, as `Reconstruction.transformed` does."""
+        return replace(self, vertices=scale * self.vertices @ R.T + t, normals=self.normals @ R.T)
+
+
+def _check_shapes(kind: str, count: int, **values: npt.NDArray[np.generic]) -> None:
+    """Raise ConfigError unless all values have the shape (count, 3)."""
+    for name, value in values.items():
+        if value.shape != (count, 3):
+            raise ConfigError(f"{kind}: {name} has shape {value.shape}; expected {(count, 3)}")
