@@ -11,12 +11,10 @@ class ViewConfig:
     """Largest length of the longer side of the undistorted images; larger photographs are reduced [px]."""
     max_angle_deg: float = 60.0
     """Largest angle from the optical axis that undistorted images contain; fisheye images are cut there [deg]."""
-    neighbours: int = 4
+    neighbours: int = 6
     """Number of neighbouring images that an image is compared with."""
-    angle_deg: float = 10.0
+    angle_deg: float = 6.0
     """Preferred angle between the rays of two neighbouring images to a point [deg]."""
-    min_angle_deg: float = 1.0
-    """Smallest median angle between the rays of two neighbouring images [deg]."""
 
 
 @dataclass(frozen=True)
@@ -27,12 +25,18 @@ class DepthConfig:
     """Side of the square window of the correlation, an odd number [px]."""
     best_views: int = 2
     """Number of neighbouring images with the best correlation whose mean is the cost; the others may be occluded."""
-    max_planes: int = 160
-    """Largest number of depths of the first sweep, which is made at half the resolution."""
+    max_planes: int = 128
+    """Largest number of planes of a sweep."""
+    directions: int = 3
+    """Number of surface orientations of the scene along which planes are swept, besides the optical axis."""
     range_margin: float = 0.3
     """Margin of the depth range around the points of the reconstruction, as a share of the nearest and farthest."""
+    levels: int = 3
+    """Number of resolutions, each half the next one; planes are swept at the lowest."""
     refinement_steps: int = 4
-    """Number of depths on either side of the first result that the refinement examines, half a pixel apart."""
+    """Number of depths on either side of the result of a lower resolution that the refinement examines."""
+    refinement_step: float = 0.5
+    """Distance between the depths of the refinement [px]."""
     small_penalty: float = 0.06
     """Penalty of semi-global matching for a change by one depth step between neighbouring pixels; costs are 0 to 1."""
     large_penalty: float = 0.4
@@ -43,7 +47,7 @@ class DepthConfig:
 class ConsistencyConfig:
     """Photometric and geometric consistency of depths."""
 
-    min_correlation: float = 0.5
+    min_correlation: float = 0.3
     """Smallest mean correlation (ZNCC) of a depth."""
     min_views: int = 2
     """Smallest number of other depth maps that confirm a depth."""
@@ -81,5 +85,7 @@ class DenseConfig:
     """Consistency of depths."""
     mesh: MeshConfig = field(default_factory=MeshConfig)
     """Mesh of the surface."""
+    spacing_px: float = 1.0
+    """Distance between neighbouring points of the cloud, in pixels of the undistorted images at the median depth."""
     threads: int = 2
     """Number of threads that compute depth maps."""

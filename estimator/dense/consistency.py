@@ -4,6 +4,7 @@ Source: Galliani, Lasinger and Schindler, "Massively parallel multiview stereops
 2015, section 5; Yao et al., "MVSNet", ECCV 2018, section 4.3.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import cv2
@@ -18,6 +19,7 @@ Floats = npt.NDArray[np.float32]
 Mask = npt.NDArray[np.bool_]
 
 _SAME_SURFACE = 0.01  # relative difference of inverse depths of neighbouring pixels that are interpolated
+_OUTSIDE_PX = -10.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -38,19 +40,35 @@ class PosedDepth:
         return np.asarray(self.camera.rays() * depth[..., None])
 
 
-@dataclass(frozen=True, eq=False)
-class Confirmation:
-    """What another depth map says about the depths of a reference."""
+def consistent_depth(
+    reference: PosedDepth, others: Sequence[PosedDepth], config: ConsistencyConfig
+) -> tuple[Floats, npt.NDArray[np.uint8]]:
+    """Return the mean of the inverse depths that agree at each pixel, and how many other depth maps agree.
 
-    confirmed: Mask
-    """(H, W) True where the depths agree."""
-    points: Floats
-    """(H, W, 3) Points of the other depth map in the camera frame of the reference; NaN where it has none."""
-    pixels: Floats
-    """(H, W, 2) Projection of the points of the reference in the other image [px]."""
+    An inverse depth w has the weight w² of the depth map that it is from, because the error of a depth grows with it.
+
+    Args:
+        reference: Depth map to confirm.
+        others: Depth maps of other images.
+        config: Tolerances.
+
+    Returns:
+        (H, W) Inverse depths, 0 where fewer than `min_views` agree; (H, W) numbers of other depth maps.
+    """
+    w = reference.inverse_depth
+    weights = w * w
+    sums, count = w * weights, np.zeros(w.shape, np.uint8)
+    for other in others:
+        agrees, seen, weight = confirm(reference, other, config)
+        weight *= agrees
+        weights += weight
+        sums += np.where(agrees, seen, np.float32(0.0)) * weight
+        count += agrees
+    is_kept = count >= config.min_views
+    return np.divide(sums, weights, out=np.zeros_like(w), where=is_kept & (weights > 0.0)), count
 
 
-def confirm(reference: PosedDepth, other: PosedDepth, config: ConsistencyConfig) -> Confirmation:
+def confirm(reference: PosedDepth, other: PosedDepth, config: ConsistencyConfig) -> tuple[Mask, Floats, Floats]:
     """Return where another depth map confirms the depths of a reference.
 
     A point of the reference is projected into the other image; the point of the other depth map at this pixel is
@@ -60,43 +78,40 @@ def confirm(reference: PosedDepth, other: PosedDepth, config: ConsistencyConfig)
         reference: Depth map to confirm.
         other: Depth map of another image.
         config: Tolerances.
+
+    Returns:
+        (H, W) Where they agree; (H, W) inverse depth of the other points in the reference; (H, W) weight w² of these,
+        with w in the other depth map.
     """
     T = np.linalg.inv(other.T_world_cam) @ reference.T_world_cam
-    points = reference.points()
-    in_other = points @ T[:3, :3].T.astype(np.float32) + T[:3, 3].astype(np.float32)
-    pixels = _projected(other.camera, in_other)
-    inverse_depth = _sampled(other.inverse_depth, pixels)
-    known = inverse_depth > 0.0
-    depth = np.divide(1.0, inverse_depth, out=np.full_like(inverse_depth, np.nan), where=known)
-    x = (pixels[..., 0] - other.camera.K[0, 2]) / other.camera.K[0, 0]
-    y = (pixels[..., 1] - other.camera.K[1, 2]) / other.camera.K[1, 1]
-    seen = np.stack([x * depth, y * depth, depth], axis=-1)
-    back = np.linalg.inv(T)
-    returned = (seen @ back[:3, :3].T + back[:3, 3]).astype(np.float32)
-    moved = _projected(reference.camera, returned) - _grid(reference.camera)
-    with np.errstate(invalid="ignore"):
-        near = np.hypot(moved[..., 0], moved[..., 1]) <= config.max_reprojection_px
-        same = np.abs(returned[..., 2] - points[..., 2]) <= config.max_depth_ratio * points[..., 2]
-    return Confirmation(near & same, returned, pixels)
+    height, width = reference.inverse_depth.shape
+    x, y = np.arange(width, dtype=np.float32)[None], np.arange(height, dtype=np.float32)[:, None]
+    w = reference.inverse_depth
+    u, v, z = _transferred(reference.camera, other.camera, T, x, y, w)
+    ahead = (z > 0.0) & (w > 0.0)
+    u, v = (np.where(ahead, a, np.float32(_OUTSIDE_PX)) for a in (u, v))
+    found = _sampled(other.inverse_depth, u, v)
+    known = found > 0.0
+    back_u, back_v, back_z = _transferred(other.camera, reference.camera, np.linalg.inv(T), u, v, found)
+    seen = np.divide(found, back_z, out=np.zeros_like(found), where=known & (back_z > 0.0))
+    agrees = known & ((back_u - x) ** 2 + (back_v - y) ** 2 <= np.float32(config.max_reprojection_px**2))
+    agrees &= np.abs(seen - w) <= np.float32(config.max_depth_ratio) * w
+    return agrees, seen, found * found
 
 
-def _projected(camera: Pinhole, points: Floats) -> Floats:
-    """Return pixels (H, W, 2) of points (H, W, 3) in the camera frame; NaN behind the camera."""
-    z = np.where(points[..., 2] > 0.0, points[..., 2], np.nan)
-    u = camera.K[0, 0] * points[..., 0] / z + camera.K[0, 2]
-    v = camera.K[1, 1] * points[..., 1] / z + camera.K[1, 2]
-    return np.stack([u, v], axis=-1).astype(np.float32)
+def _transferred(
+    camera: Pinhole, other: Pinhole, T_other_cam: Array, x: Floats, y: Floats, inverse_depth: Floats
+) -> tuple[Floats, Floats, Floats]:
+    """Return columns and rows in another image of pixels with inverse depths w, and z · w with the depth z there."""
+    H = (other.K @ T_other_cam[:3, :3] @ np.linalg.inv(camera.K)).astype(np.float32)
+    e = (other.K @ T_other_cam[:3, 3]).astype(np.float32)
+    a, b, z = ((H[k, 0] * x + (H[k, 1] * y + H[k, 2])) + inverse_depth * e[k] for k in range(3))
+    scale = np.divide(1.0, z, out=np.zeros_like(z), where=z > 1e-9)
+    return a * scale, b * scale, z
 
 
-def _sampled(inverse_depth: Floats, pixels: Floats) -> Floats:
-    """Return inverse depths (H, W) at pixels (H, W, 2): interpolated on a surface, else the nearest; 0 for none."""
-    at = np.nan_to_num(pixels, nan=-10.0, posinf=-10.0, neginf=-10.0)
-    linear = np.asarray(cv2.remap(inverse_depth, at, None, cv2.INTER_LINEAR, borderValue=0.0))
-    nearest = np.asarray(cv2.remap(inverse_depth, at, None, cv2.INTER_NEAREST, borderValue=0.0))
+def _sampled(inverse_depth: Floats, u: Floats, v: Floats) -> Floats:
+    """Return inverse depths (H, W) at pixels: interpolated on a surface, else the nearest; 0 for none."""
+    linear = np.asarray(cv2.remap(inverse_depth, u, v, cv2.INTER_LINEAR, borderValue=0.0))
+    nearest = np.asarray(cv2.remap(inverse_depth, u, v, cv2.INTER_NEAREST, borderValue=0.0))
     return np.where(np.abs(linear - nearest) <= _SAME_SURFACE * nearest, linear, nearest)
-
-
-def _grid(camera: Pinhole) -> Floats:
-    """Return the coordinates (H, W, 2) of all pixels."""
-    u, v = np.meshgrid(np.arange(camera.width, dtype=np.float32), np.arange(camera.height, dtype=np.float32))
-    return np.stack([u, v], axis=-1)

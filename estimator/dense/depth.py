@@ -1,6 +1,8 @@
-"""Depth map of an image: a plane sweep at half the resolution, and a refinement around its result.
+"""Depth map of an image: plane sweeps at a low resolution, and refinements around their result at higher ones.
 
-Both examine inverse depths in steps, and choose among them by semi-global matching and a parabola.
+Planes are swept along the optical axis and along the normals of the large surfaces of the scene (Gallup et al.,
+"Real-time plane-sweeping stereo with multiple sweeping directions", CVPR 2007). Each sweep and each refinement chooses
+among the depths of a pixel by semi-global matching and a parabola.
 """
 
 from collections.abc import Sequence
@@ -18,7 +20,10 @@ from dronevio.estimator.dense.views import View
 Array = npt.NDArray[np.float64]
 Floats = npt.NDArray[np.float32]
 
-_MEDIAN_PX = 5  # side of the median filter of the first result
+_MEDIAN_PX = 5  # side of the median filter of a result before it is refined
+_CHOICE_PX = (5, 5)  # windows over which the sums of two sweeps are compared
+_PERCENTILES = (1.0, 99.0)  # of the depths of the points, between which planes are swept
+_MIN_SLOPE = 0.05  # least ratio of the inverse depth and that of the plane, to avoid planes through the camera
 
 
 @dataclass(frozen=True, eq=False)
@@ -31,49 +36,100 @@ class DepthMap:
     """(H, W) Mean correlation (ZNCC) with the neighbours that match best, 0 to 1."""
 
 
+@dataclass(frozen=True, eq=False)
+class _Found:
+    """Result of a search."""
+
+    inverse_depth: Floats
+    """(H, W) Inverse depth with the lowest sum of costs."""
+    cost: Floats
+    """(H, W) Cost of this depth, 0 to 1."""
+    total: Floats
+    """(H, W) Sum of the costs of the paths of semi-global matching."""
+
+
 def estimate_depth(
-    reference: View, sources: Sequence[View], near: float, far: float, config: DepthConfig
+    reference: View, sources: Sequence[View], points: Array, normals: Array, config: DepthConfig
 ) -> DepthMap:
     """Return the depth map of an image.
 
     Args:
         reference: The image.
         sources: Its neighbours, at least one.
-        near: Smallest depth of the sweep, in the unit of the reconstruction.
-        far: Largest depth of the sweep.
+        points: (N, 3) Points in the world frame that the image observes, at least one; they bound the depths.
+        normals: (D, 3) Unit normals in the world frame of planes to sweep, besides planes parallel to the image.
         config: Settings.
     """
-    half = reference.halved()
-    warps = [Warp(half, source.halved()) for source in sources]
-    w_far, w_near = 1.0 / far, 1.0 / near
-    step = max(_step(warps, 0.5 * (w_far + w_near)), (w_near - w_far) / (config.max_planes - 1))
-    planes = np.arange(0, max(3, int(np.ceil((w_near - w_far) / step)) + 1)) * step + w_far
-    inverse_depth, _ = _search(half, warps, None, planes.astype(np.float32), config)
-    median = cv2.medianBlur(inverse_depth, _MEDIAN_PX)
-    start = _enlarged(np.asarray(median), reference.grey.shape, step)
-    warps = [Warp(reference, source) for source in sources]
-    offsets = np.arange(-config.refinement_steps, config.refinement_steps + 1) * (0.25 * step)
-    inverse_depth, cost = _search(reference, warps, start, offsets.astype(np.float32), config)
-    known = reference.mask & (inverse_depth > 0.0)
-    return DepthMap(np.where(known, inverse_depth, 0.0).astype(np.float32), 1.0 - cost)
+    levels = [(reference, list(sources))]
+    for _ in range(config.levels - 1):
+        view, nearby = levels[-1]
+        levels.append((view.halved(), [source.halved() for source in nearby]))
+    (view, nearby), *finer = reversed(levels)
+    warps = [Warp(view, source) for source in nearby]
+    in_camera = (points - reference.T_world_cam[:3, 3]) @ reference.T_world_cam[:3, :3]
+    step = _pixel_step(warps, 1.0 / float(np.median(in_camera[:, 2])))
+    axes = np.concatenate([[[0.0, 0.0, 1.0]], normals @ reference.T_world_cam[:3, :3]])
+    sweeps = [_sweep_planes(view, warps, in_camera, axis, step, config) for axis in axes]
+    found = _best([result for result in sweeps if result is not None])
+    offsets = config.refinement_step * np.arange(-config.refinement_steps, config.refinement_steps + 1)
+    for finer_view, finer_nearby in finer:
+        start = _enlarged(np.asarray(cv2.medianBlur(found.inverse_depth, _MEDIAN_PX)), finer_view.grey.shape, step)
+        step *= 0.5
+        finer_warps = [Warp(finer_view, source) for source in finer_nearby]
+        found = _search(finer_view, finer_warps, start, None, (step * offsets).astype(np.float32), config)
+    known = reference.mask & (found.inverse_depth > 0.0)
+    return DepthMap(np.where(known, found.inverse_depth, 0.0).astype(np.float32), 1.0 - found.cost)
 
 
-def _step(warps: Sequence[Warp], inverse_depth: float) -> float:
-    """Return the change of inverse depth that moves no projection by more than a pixel, for most neighbours."""
+def _pixel_step(warps: Sequence[Warp], inverse_depth: float) -> float:
+    """Return the change of inverse depth that moves a projection by a pixel, for most pixels and neighbours."""
     return float(np.median([warp.step(inverse_depth) for warp in warps]))
 
 
+def _sweep_planes(
+    view: View, warps: Sequence[Warp], points: Array, normal: Array, step: float, config: DepthConfig
+) -> _Found | None:
+    """Return the result of a sweep of planes with a normal (3,) in the camera frame; None if no point is in front.
+
+    The inverse depth of a plane at distance d is |n · r(x)| / d at the pixel with the ray r(x) of depth 1. Planes on
+    both sides of the camera are swept at once, since each pixel sees one of them.
+    """
+    slope = np.abs(view.camera.rays() @ normal.astype(np.float32))
+    distances = np.abs(points @ normal)
+    near, far = np.percentile(distances, _PERCENTILES)
+    lowest, highest = 1.0 / (far * (1.0 + config.range_margin)), 1.0 / max(near * (1.0 - config.range_margin), 1e-9)
+    interval = step / float(np.median(slope))
+    highest = min(highest, lowest + interval * (config.max_planes - 1))
+    count = max(3, int(np.ceil((highest - lowest) / interval)) + 1)
+    planes = (lowest + interval * np.arange(count)).astype(np.float32)
+    is_frontal = abs(normal[2]) > 1.0 - 1e-9
+    return _search(view, warps, None, None if is_frontal else np.maximum(slope, _MIN_SLOPE), planes, config)
+
+
 def _search(
-    view: View, warps: Sequence[Warp], base: Floats | None, offsets: Floats, config: DepthConfig
-) -> tuple[Floats, Floats]:
-    """Return the best inverse depth (H, W) and its cost (H, W)."""
-    costs = sweep(view, warps, base, offsets, config.window_px, config.best_views)
+    view: View, warps: Sequence[Warp], base: Floats | None, slope: Floats | None, offsets: Floats, config: DepthConfig
+) -> _Found:
+    """Return the best of the inverse depths base + slope · offset of each pixel."""
+    costs = sweep(view, warps, base, slope, offsets, config.window_px, config.best_views)
     total = aggregate(costs, view.grey, SCALE * config.small_penalty, SCALE * config.large_penalty)
     index, shift = subpixel_minimum(total)
-    step = offsets[1] - offsets[0]
-    cost = np.take_along_axis(costs, index[:, None], axis=1)[:, 0].astype(np.float32) / SCALE
-    found = offsets[index] + shift * step
-    return found if base is None else base + found, cost
+    chosen = offsets[index] + shift * (offsets[1] - offsets[0])
+    if slope is not None:
+        chosen = slope * chosen
+    if base is not None:
+        chosen = base + chosen
+    cost, lowest = (np.take_along_axis(volume, index[:, None], axis=1)[:, 0] for volume in (costs, total))
+    return _Found(chosen.astype(np.float32), cost.astype(np.float32) / SCALE, lowest.astype(np.float32))
+
+
+def _best(results: Sequence[_Found]) -> _Found:
+    """Return at each pixel the result whose sum of costs is the lowest around it."""
+    chosen = np.argmin([cv2.blur(result.total, _CHOICE_PX) for result in results], axis=0)
+
+    def pick(maps: Sequence[Floats]) -> Floats:
+        return np.choose(chosen, maps)
+
+    return _Found(*(pick([getattr(r, name) for r in results]) for name in ("inverse_depth", "cost", "total")))
 
 
 def _enlarged(inverse_depth: Floats, shape: tuple[int, ...], step: float) -> Floats:

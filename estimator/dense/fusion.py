@@ -1,108 +1,85 @@
-"""Fusion of depth maps into one point cloud.
+"""Fusion of depth maps into one point cloud: the mean of the points in each voxel.
 
-Each pixel whose depth enough other depth maps confirm gives a point, the weighted mean of all that agree. The pixels of
-the other images that are part of it give no further point. Source: Merrell et al., "Real-time visibility-based fusion
-of depth maps", ICCV 2007; Schönberger et al., "Pixelwise view selection for unstructured multi-view stereo", ECCV
-2016, section 4.5.
+The depth maps have been averaged over the images that confirm them; see `dronevio.estimator.dense.consistency`.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Iterable
 
 import numpy as np
 import numpy.typing as npt
 
-from dronevio.estimator.dense.config import ConsistencyConfig
-from dronevio.estimator.dense.consistency import PosedDepth, confirm
-from dronevio.models.progress import Progress, silent
+from dronevio.estimator.dense.consistency import PosedDepth
 from dronevio.models.surfaces import PointCloud
 
 Array = npt.NDArray[np.float64]
 Floats = npt.NDArray[np.float32]
-Indices = npt.NDArray[np.int64]
 Mask = npt.NDArray[np.bool_]
+Image = npt.NDArray[np.uint8]
+
+_MAX_PENDING = 4_000_000  # points that are collected before they are merged
 
 
-def fuse(
-    depths: Sequence[PosedDepth],
-    neighbours: Sequence[Indices],
-    colours: Callable[[int], npt.NDArray[np.uint8]],
-    config: ConsistencyConfig,
-    progress: Progress = silent,
-) -> tuple[PointCloud, list[Floats]]:
-    """Return the point cloud of depth maps, and the depth maps without what is not consistent.
+def fuse(depths: Iterable[tuple[PosedDepth, Image]], spacing: float) -> PointCloud:
+    """Return the point cloud of depth maps.
+
+    Points in a voxel are averaged with the weights w² of their inverse depths w, because near images are more accurate.
 
     Args:
-        depths: (I,) Depth maps.
-        neighbours: (I,) Indices of the depth maps with which each is compared.
-        colours: Returns the undistorted image (H, W, 3) with an index.
-        config: Tolerances.
-        progress: Called with the number of finished depth maps.
-
-    Returns:
-        The cloud, and the inverse depths (H, W) of each image, averaged over those that agree and 0 elsewhere.
+        depths: Depth maps with the undistorted images (H, W, 3).
+        spacing: Side of the voxels, about the distance between neighbouring points.
     """
-    is_used = [np.zeros(depth.inverse_depth.shape, bool) for depth in depths]
-    filtered, clouds = [], []
-    for i, depth in enumerate(depths):
-        points, count, confirmations = _mean_points(depth, [depths[j] for j in neighbours[i]], config)
-        consistent = count >= config.min_views
-        with np.errstate(invalid="ignore", divide="ignore"):
-            filtered.append(np.where(consistent, 1.0 / points[..., 2], 0.0).astype(np.float32))
-        normals = surface_normals(points, consistent)
-        emitted = consistent & ~is_used[i] & np.isfinite(normals[..., 0])
-        T = depth.T_world_cam
-        clouds.append(
-            PointCloud(
-                points[emitted].astype(np.float64) @ T[:3, :3].T + T[:3, 3],
-                normals[emitted].astype(np.float64) @ T[:3, :3].T,
-                colours(i)[emitted],
-            )
-        )
-        for j, (confirmed, pixels) in zip(neighbours[i], confirmations, strict=True):
-            part = np.round(pixels[emitted & confirmed]).astype(np.int64)
-            is_used[j][part[:, 1], part[:, 0]] = True
-        progress(i + 1, len(depths))
-    return concatenated(clouds), filtered
+    pending, count = [], 0
+    for depth, image in depths:
+        rows = _merged(_rows(depth, image), spacing)
+        pending.append(rows)
+        count += len(rows)
+        if count > _MAX_PENDING:
+            pending = [_merged(np.concatenate(pending), spacing)]
+            count = len(pending[0])
+    rows = _merged(np.concatenate([np.zeros((0, 10)), *pending]), spacing)
+    weight = rows[:, 9:]
+    length = np.linalg.norm(rows[:, 3:6], axis=1, keepdims=True)
+    normals = np.divide(rows[:, 3:6], length, out=np.tile([0.0, 0.0, 1.0], (len(rows), 1)), where=length > 0.0)
+    return PointCloud(rows[:, :3] / weight, normals, np.round(rows[:, 6:9] / weight).astype(np.uint8))
 
 
-def _mean_points(
-    depth: PosedDepth, others: Sequence[PosedDepth], config: ConsistencyConfig
-) -> tuple[Floats, Indices, list[tuple[Mask, Floats]]]:
-    """Return the mean (H, W, 3) of the points that agree in the camera frame, and who confirms each.
-
-    Points have the weight z⁻², because the error of a depth grows at least with the depth.
-    """
+def _rows(depth: PosedDepth, image: Image) -> Array:
+    """Return positions, normals, colours, each multiplied by the weight, and the weight (N, 10) of all pixels."""
     points = depth.points()
-    weight = 1.0 / points[..., 2] ** 2
-    sums, weights = points * weight[..., None], weight.copy()
-    count = np.zeros(weight.shape, np.int64)
-    found = []
-    for other in others:
-        confirmation = confirm(depth, other, config)
-        confirmed = confirmation.confirmed
-        T = np.linalg.inv(other.T_world_cam) @ depth.T_world_cam
-        z = confirmation.points[confirmed] @ T[2, :3].astype(np.float32) + np.float32(T[2, 3])
-        sums[confirmed] += confirmation.points[confirmed] / z[:, None] ** 2
-        weights[confirmed] += 1.0 / z**2
-        count += confirmed
-        found.append((confirmed, confirmation.pixels))
-    return sums / weights[..., None], count, found
+    normals = surface_normals(points)
+    known = np.isfinite(normals[..., 0])
+    T = depth.T_world_cam
+    rows = np.empty((int(known.sum()), 10))
+    rows[:, :3] = points[known] @ T[:3, :3].T + T[:3, 3]
+    rows[:, 3:6] = normals[known] @ T[:3, :3].T
+    rows[:, 6:9] = image[known]
+    rows[:, 9] = depth.inverse_depth[known] ** 2
+    rows[:, :9] *= rows[:, 9:]
+    return rows
 
 
-def surface_normals(points: Floats, valid: Mask) -> Floats:
+def _merged(rows: Array, side: float) -> Array:
+    """Return the sums of the rows (N, 10) in each voxel, in the order of the voxels."""
+    if not len(rows):
+        return rows
+    cells = np.floor(rows[:, :3] / (rows[:, 9:] * side)).astype(np.int64)
+    cells -= cells.min(axis=0)
+    keys = np.ravel_multi_index(tuple(cells.T), tuple(cells.max(axis=0) + 1))
+    order = np.argsort(keys, kind="stable")
+    first = np.flatnonzero(np.diff(keys[order], prepend=-1))
+    return np.add.reduceat(rows[order], first, axis=0)
+
+
+def surface_normals(points: Floats) -> Floats:
     """Return the normals (H, W, 3) of the surface through points (H, W, 3), towards the camera; NaN where unknown.
 
     They are cross products of the differences of the neighbours on either side, or of one of them and the point.
     """
-    p = np.where(valid[..., None], points, np.nan)
-    along = _difference(p, axis=1)
-    down = _difference(p, axis=0)
-    normal = np.cross(down, along)  # x × y is along z, away from the camera
-    length = np.linalg.norm(normal, axis=-1, keepdims=True)
     with np.errstate(invalid="ignore", divide="ignore"):
-        normal = normal / length
-        facing = np.sum(normal * p, axis=-1, keepdims=True) > 0.0
-    return np.where(facing, -normal, normal)
+        normal = np.cross(_difference(points, axis=0), _difference(points, axis=1))
+        normal /= np.linalg.norm(normal, axis=-1, keepdims=True)
+        facing_away = np.sum(normal * points, axis=-1, keepdims=True) > 0.0
+    return np.where(facing_away, -normal, normal)
 
 
 def _difference(points: Floats, axis: int) -> Floats:
@@ -114,12 +91,3 @@ def _difference(points: Floats, axis: int) -> Floats:
     before, after = padded.take(range(count), axis), padded.take(range(2, count + 2), axis)
     both = after - before
     return np.where(np.isfinite(both), both, np.where(np.isfinite(after), after - points, points - before))
-
-
-def concatenated(clouds: Sequence[PointCloud]) -> PointCloud:
-    """Return the points of several clouds as one."""
-    return PointCloud(
-        np.concatenate([np.zeros((0, 3)), *(c.points for c in clouds)]),
-        np.concatenate([np.zeros((0, 3)), *(c.normals for c in clouds)]),
-        np.concatenate([np.zeros((0, 3), np.uint8), *(c.colours for c in clouds)]),
-    )

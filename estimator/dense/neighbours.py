@@ -15,7 +15,6 @@ Indices = npt.NDArray[np.int64]
 
 _NARROW_SHARE = 0.4  # standard deviation of the score below the preferred angle, relative to this angle
 _WIDE_SHARE = 1.0  # standard deviation above
-_PERCENTILES = (1.0, 99.0)
 
 
 def select_neighbours(reconstruction: Reconstruction, config: ViewConfig) -> list[Indices]:
@@ -51,30 +50,14 @@ def _score(to_i: Array, to_j: Array, config: ViewConfig) -> float:
     """Return the score of two images from the vectors (N, 3), (N, 3) from their common points to them."""
     d_i, d_j = np.linalg.norm(to_i, axis=1), np.linalg.norm(to_j, axis=1)
     angle = np.degrees(np.arccos(np.clip(np.sum(to_i * to_j, axis=1) / (d_i * d_j), -1.0, 1.0)))
-    if np.median(angle) < config.min_angle_deg:
-        return 0.0
     sigma = config.angle_deg * np.where(angle < config.angle_deg, _NARROW_SHARE, _WIDE_SHARE)
     weight = np.exp(-0.5 * ((angle - config.angle_deg) / sigma) ** 2)
     ratio = np.minimum(d_i, d_j) / np.maximum(d_i, d_j)
     return float(np.sum(weight * ratio**2))
 
 
-def depth_range(reconstruction: Reconstruction, image: int, margin: float) -> tuple[float, float]:
-    """Return the nearest and the farthest depth of an image, from the points that it observes and a margin.
-
-    Args:
-        reconstruction: Cameras and points.
-        image: Index of the image.
-        margin: Share by which the range exceeds the points on either side.
-
-    Returns:
-        Two depths above zero; (0, 0) if the image observes no point in front of it.
-    """
+def observed_points(reconstruction: Reconstruction, image: int) -> Array:
+    """Return the points (N, 3) in the world frame that an image observes in front of it."""
     points = reconstruction.points[reconstruction.observation_point[reconstruction.observation_image == image]]
     T = reconstruction.Ts_world_cam[image]
-    depths = (points - T[:3, 3]) @ T[:3, 2]
-    depths = depths[depths > 0.0]
-    if not len(depths):
-        return 0.0, 0.0
-    near, far = np.percentile(depths, _PERCENTILES)
-    return float(near * (1.0 - margin)), float(far * (1.0 + margin))
+    return points[(points - T[:3, 3]) @ T[:3, 2] > 0.0]

@@ -5,20 +5,23 @@ problem; Furukawa and Hernández, *Multi-View Stereo: A Tutorial*, 2015, for the
 """
 
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass
+from contextlib import contextmanager
+from dataclasses import dataclass, replace
 
 import cv2
 import numpy as np
 import numpy.typing as npt
 
 from dronevio.estimator.dense.config import DenseConfig
-from dronevio.estimator.dense.consistency import PosedDepth
+from dronevio.estimator.dense.consistency import PosedDepth, consistent_depth
 from dronevio.estimator.dense.depth import estimate_depth
+from dronevio.estimator.dense.directions import dominant_normals
 from dronevio.estimator.dense.fusion import fuse
 from dronevio.estimator.dense.mesh import build_mesh
-from dronevio.estimator.dense.neighbours import depth_range, select_neighbours
+from dronevio.estimator.dense.neighbours import observed_points, select_neighbours
+from dronevio.estimator.dense.tsdf import pixel_size
 from dronevio.estimator.dense.views import ViewLoader
 from dronevio.models.image_sets import ImageSet
 from dronevio.models.progress import Progress, silent
@@ -26,6 +29,7 @@ from dronevio.models.reconstruction import Reconstruction
 from dronevio.models.surfaces import Mesh, PointCloud
 
 Floats = npt.NDArray[np.float32]
+Indices = npt.NDArray[np.int64]
 Stages = Callable[[str], Progress]
 
 
@@ -55,6 +59,14 @@ def densify(
 ) -> DenseResult:
     """Return the surfaces of a scene from images with known cameras.
 
+    To compute them step by step, or to see the depth map of one image::
+
+        load = ViewLoader(images, reconstruction, ViewConfig())
+        neighbours = select_neighbours(reconstruction, ViewConfig())
+        normals = dominant_normals(reconstruction.points, 3)
+        sources = [load(j) for j in neighbours[0]]
+        depth = estimate_depth(load(0), sources, observed_points(reconstruction, 0), normals, DepthConfig())
+
     Args:
         images: The images.
         reconstruction: Cameras, poses and points of the images, as `dronevio.estimator.sfm.reconstruct` returns.
@@ -65,35 +77,88 @@ def densify(
         InputError: A registered image is not among the images, or cannot be read.
     """
     config = config or DenseConfig()
-    start = time.perf_counter()
     load = ViewLoader(images, reconstruction, config.views)
     neighbours = select_neighbours(reconstruction, config.views)
-    progress = stages("depth maps")
-    threads = cv2.getNumThreads()
-    cv2.setNumThreads(1)
+    times = [time.perf_counter()]
+    with _one_thread_each():
+        depths = estimate_depths(load, reconstruction, neighbours, config, stages("depth maps"))
+        times.append(time.perf_counter())
+        consistent = filter_depths(depths, neighbours, config, stages("consistency"))
+        spacing = config.spacing_px * pixel_size(consistent)
+        cloud = fuse(((depth, load(i).colours) for i, depth in enumerate(consistent)), spacing)
+        times.append(time.perf_counter())
+        mesh = build_mesh(consistent, cloud, config.mesh, stages("mesh"))
+    times.append(time.perf_counter())
+    elapsed = np.diff(times).tolist()
+    return DenseResult(cloud, mesh, tuple(consistent), dict(zip(("depth maps", "fusion", "mesh"), elapsed, strict=True)))
+
+
+def estimate_depths(
+    load: ViewLoader,
+    reconstruction: Reconstruction,
+    neighbours: Sequence[Indices],
+    config: DenseConfig,
+    progress: Progress = silent,
+) -> list[PosedDepth]:
+    """Return the depth map of each image, without the depths at which the images correlate too little.
+
+    Args:
+        load: Returns undistorted images.
+        reconstruction: Cameras and points.
+        neighbours: (I,) Neighbours of each image.
+        config: Settings.
+        progress: Called with the number of finished depth maps.
+    """
+    normals = dominant_normals(reconstruction.points, config.depth.directions)
 
     def estimate(i: int) -> PosedDepth:
         camera, T = load.camera(i), reconstruction.Ts_world_cam[i]
-        near, far = depth_range(reconstruction, i, config.depth.range_margin)
-        sources = neighbours[i][: config.views.neighbours]
-        if not len(sources) or not near < far:
+        points = observed_points(reconstruction, i)
+        if not len(neighbours[i]) or not len(points):
             return PosedDepth(camera, T, np.zeros((camera.height, camera.width), np.float32))
-        found = estimate_depth(load(i), [load(int(j)) for j in sources], near, far, config.depth)
+        sources = [load(int(j)) for j in neighbours[i]]
+        found = estimate_depth(load(i), sources, points, normals, config.depth)
         known = found.correlation >= config.consistency.min_correlation
-        return PosedDepth(camera, T, np.where(known, found.inverse_depth, 0.0).astype(np.float32))
+        return PosedDepth(camera, T, np.where(known, found.inverse_depth, np.float32(0.0)))
 
+    with ThreadPoolExecutor(config.threads) as pool:
+        return list(_counted(pool.map(estimate, range(len(load))), len(load), progress))
+
+
+def filter_depths(
+    depths: Sequence[PosedDepth], neighbours: Sequence[Indices], config: DenseConfig, progress: Progress = silent
+) -> list[PosedDepth]:
+    """Return the depth maps with the depths that others confirm, averaged over those that agree.
+
+    Args:
+        depths: (I,) Depth maps.
+        neighbours: (I,) Depth maps with which each is compared.
+        config: Settings.
+        progress: Called with the number of finished depth maps.
+    """
+
+    def check(i: int) -> PosedDepth:
+        found, _ = consistent_depth(depths[i], [depths[j] for j in neighbours[i]], config.consistency)
+        return replace(depths[i], inverse_depth=found)
+
+    with ThreadPoolExecutor(config.threads) as pool:
+        return list(_counted(pool.map(check, range(len(depths))), len(depths), progress))
+
+
+def _counted(results: Iterator[PosedDepth], count: int, progress: Progress) -> Iterator[PosedDepth]:
+    """Yield results and report their number."""
+    progress(0, count)
+    for done, result in enumerate(results, 1):
+        progress(done, count)
+        yield result
+
+
+@contextmanager
+def _one_thread_each() -> Iterator[None]:
+    """Run OpenCV without threads of its own while a pool keeps the cores busy."""
+    threads = cv2.getNumThreads()
+    cv2.setNumThreads(1)
     try:
-        with ThreadPoolExecutor(config.threads) as pool:
-            depths = []
-            for depth in pool.map(estimate, range(len(load))):
-                depths.append(depth)
-                progress(len(depths), len(load))
+        yield
     finally:
         cv2.setNumThreads(threads)
-    middle = time.perf_counter()
-    cloud, consistent = fuse(depths, neighbours, lambda i: load(i).colours, config.consistency, stages("fusion"))
-    filtered = tuple(PosedDepth(d.camera, d.T_world_cam, w) for d, w in zip(depths, consistent, strict=True))
-    last = time.perf_counter()
-    mesh = build_mesh(filtered, cloud, config.mesh, stages("mesh"))
-    times_s = {"depth maps": middle - start, "fusion": last - middle, "mesh": time.perf_counter() - last}
-    return DenseResult(cloud, mesh, filtered, times_s)

@@ -104,9 +104,15 @@ class Correlation:
 
 
 def sweep(
-    reference: View, warps: Sequence[Warp], base: Floats | None, offsets: Floats, window: int, best: int
+    reference: View,
+    warps: Sequence[Warp],
+    base: Floats | None,
+    slope: Floats | None,
+    offsets: Floats,
+    window: int,
+    best: int,
 ) -> Costs:
-    """Return the cost of each offset of the inverse depth of each pixel.
+    """Return the cost of each inverse depth base + slope · offset of each pixel.
 
     The cost is 1 − ZNCC within 0 and 1, the mean over the neighbours with the best correlation at this depth (Kang,
     Szeliski and Chai, "Handling occlusions in dense multi-view stereo", CVPR 2001). It is 1 where a neighbour does not
@@ -116,6 +122,7 @@ def sweep(
         reference: The reference image.
         warps: Warps of the neighbours.
         base: (H, W) Inverse depth to which the offsets are added; None for 0.
+        slope: (H, W) Factor of the offsets; None for 1.
         offsets: (D,) Offsets of the inverse depth.
         window: Side of the windows [px].
         best: Number of neighbours in the mean.
@@ -129,8 +136,9 @@ def sweep(
     best = min(best, len(warps))
     for k, offset in enumerate(offsets):
         lowest: list[Floats] = []
+        surface = None if base is None and slope is None else _surface(base, slope, offset)
         for warp in warps:
-            warped = warp.plane(float(offset)) if base is None else warp.surface(base + offset)
+            warped = warp.plane(float(offset)) if surface is None else warp.surface(surface)
             outside = warped < 0.0
             np.maximum(warped, 0.0, out=warped)
             cost = correlation(warped)
@@ -142,6 +150,14 @@ def sweep(
         mean *= np.float32(SCALE / best)
         costs[:, k] = np.rint(mean, out=mean)
     return costs
+
+
+def _surface(base: Floats | None, slope: Floats | None, offset: np.float32) -> Floats:
+    """Return the inverse depth (H, W) of a surface."""
+    if slope is None:
+        assert base is not None
+        return base + offset
+    return slope * offset if base is None else base + slope * offset
 
 
 def _insert(lowest: list[Floats], cost: Floats, count: int) -> None:
