@@ -33,7 +33,9 @@ def select_neighbours(reconstruction: Reconstruction, config: ViewConfig) -> lis
     C = len(reconstruction.image_names)
     order = np.argsort(reconstruction.observation_image, kind="stable")
     starts = np.searchsorted(reconstruction.observation_image[order], np.arange(C + 1))
-    observed = [np.unique(reconstruction.observation_point[order[a:b]]) for a, b in zip(starts, starts[1:], strict=False)]
+    observed = [
+        np.unique(reconstruction.observation_point[order[a:b]]) for a, b in zip(starts, starts[1:], strict=False)
+    ]
     scores = np.zeros((C, C))
     for i in range(C):
         for j in range(i):

@@ -90,7 +90,9 @@ def densify(
         mesh = build_mesh(consistent, cloud, config.mesh, stages("mesh"))
     times.append(time.perf_counter())
     elapsed = np.diff(times).tolist()
-    return DenseResult(cloud, mesh, tuple(consistent), dict(zip(("depth maps", "fusion", "mesh"), elapsed, strict=True)))
+    return DenseResult(
+        cloud, mesh, tuple(consistent), dict(zip(("depth maps", "fusion", "mesh"), elapsed, strict=True))
+    )
 
 
 def estimate_depths(

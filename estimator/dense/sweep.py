@@ -63,7 +63,10 @@ class Warp:
 
     def step(self, inverse_depth: float) -> float:
         """Return the change of inverse depth that moves a projection by one pixel, the median over the image."""
-        x, y, z = (a[::8, ::8].astype(np.float64) + inverse_depth * e for a, e in zip(self._at_infinity, self._epipole, strict=True))
+        x, y, z = (
+            a[::8, ::8].astype(np.float64) + inverse_depth * e
+            for a, e in zip(self._at_infinity, self._epipole, strict=True)
+        )
         z = np.where(z > 0.0, z, np.nan)
         du, dv = ((self._epipole[k] * z - self._epipole[2] * a) / z**2 for k, a in ((0, x), (1, y)))
         moved = np.hypot(du, dv)

@@ -115,7 +115,10 @@ def _update(volume: Volume, depth: PosedDepth, truncation: float) -> None:
         weight = np.where(seen, w * w, np.float32(0.0))
         old = volume.weights[rows].reshape(len(rows), -1)
         total = old + weight
-        mean = volume.distances[rows].reshape(len(rows), -1) * old + np.where(seen, np.minimum(distance, 1.0), 0.0) * weight
+        mean = (
+            volume.distances[rows].reshape(len(rows), -1) * old
+            + np.where(seen, np.minimum(distance, 1.0), 0.0) * weight
+        )
         shape = (len(rows), BLOCK, BLOCK, BLOCK)
         volume.distances[rows] = np.divide(mean, total, out=np.zeros_like(mean), where=total > 0.0).reshape(shape)
         volume.weights[rows] = total.reshape(shape)
@@ -136,7 +139,9 @@ def _visible(volume: Volume, depth: PosedDepth, truncation: float) -> Iterator[I
     v = camera.K[1, 1] * centres[:, 1] + camera.K[1, 2] * z
     margin = radius * (np.array([camera.K[0, 0], camera.K[1, 1]]) + [camera.width, camera.height])
     near = (z > -radius) & (z < farthest + radius)
-    near &= (u > -margin[0]) & (u < camera.width * z + margin[0]) & (v > -margin[1]) & (v < camera.height * z + margin[1])
+    near &= (
+        (u > -margin[0]) & (u < camera.width * z + margin[0]) & (v > -margin[1]) & (v < camera.height * z + margin[1])
+    )
     rows = np.flatnonzero(near)
     for start in range(0, len(rows), _CHUNK):
         yield rows[start : start + _CHUNK]

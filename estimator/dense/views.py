@@ -146,7 +146,9 @@ class ViewLoader:
         index = {name: i for i, name in enumerate(images.names)}
         missing = [name for name in reconstruction.image_names if name not in index]
         if missing:
-            raise InputError(missing[0], "no such image", f"the images of the reconstruction, such as {images.names[0]}")
+            raise InputError(
+                missing[0], "no such image", f"the images of the reconstruction, such as {images.names[0]}"
+            )
         self._rows = [index[name] for name in reconstruction.image_names]
         self._images, self._reconstruction = images, reconstruction
         self._undistortions = [Undistortion.of(model, config) for model in reconstruction.cameras]

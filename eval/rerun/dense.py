@@ -56,7 +56,9 @@ def write_dense_rerun(
             ),
         )
         edges = frusta(reconstruction, frustum_depth(reconstruction)).astype(np.float32)
-        sink.static(CAMERAS, rr.LineStrips3D(edges, colors=colours.rgb(colours.ESTIMATE), radii=rr.Radius.ui_points(0.8)))
+        sink.static(
+            CAMERAS, rr.LineStrips3D(edges, colors=colours.rgb(colours.ESTIMATE), radii=rr.Radius.ui_points(0.8))
+        )
 
 
 def _blueprint(reconstruction: Reconstruction) -> rrb.Blueprint:

@@ -38,9 +38,7 @@ class ImageSource:
         Raises:
             InputError: They are no longer there, or damaged.
         """
-        return open_images(
-            self.path, masks=self.masks, every=self.every, cameras=self.cameras, frames=self.frames
-        )
+        return open_images(self.path, masks=self.masks, every=self.every, cameras=self.cameras, frames=self.frames)
 
 
 def write_image_source(path: Path, source: ImageSource) -> None:
