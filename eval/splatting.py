@@ -67,11 +67,8 @@ def splat(eye: Eye, points: Array, colours: Image, size: float) -> Image:
     order = np.argsort(-in_eye[:, 2], kind="stable")  # the last one assigned to a pixel is the nearest
     in_eye, colours = in_eye[order], colours[order]
     side = np.clip(np.ceil(eye.focal_px * size / in_eye[:, 2]), 1, _MAX_SIDE_PX).astype(np.int64)
-    first = np.floor(
-        eye.focal_px * in_eye[:, :2] / in_eye[:, 2:]
-        + 0.5 * np.array([eye.width, eye.height])
-        - 0.5 * (side[:, None] - 1)
-    ).astype(np.int64)
+    centre = eye.focal_px * in_eye[:, :2] / in_eye[:, 2:] + 0.5 * np.array([eye.width, eye.height])
+    first = np.floor(centre - 0.5 * (side[:, None] - 1)).astype(np.int64)
     rows, pixels = [], []
     for dy in range(int(side.max())):
         for dx in range(int(side.max())):

@@ -177,7 +177,7 @@ def _write(
         for number, reconstruction in enumerate(result.reconstructions):
             name = {"bundler": f"bundle-{number}.out", "ply": f"points-{number}.ply"}.get(kind, f"{kind}/{number}")
             write_reconstruction(reconstruction, folder / name, kind)
-    source = ImageSource(command.images, command.masks, command.every, command.cameras, command.frames)
+    source = ImageSource(command.images, command.earlier_images, command.masks, command.cameras)
     write_image_source(folder / "images.json", source)
     read = _reader(images)
     registered = {name for reconstruction in result.reconstructions for name in reconstruction.image_names}

@@ -27,6 +27,8 @@ class DepthConfig:
     """Number of neighbouring images with the best correlation whose mean is the cost; the others may be occluded."""
     max_planes: int = 128
     """Largest number of planes of a sweep."""
+    plane_step: float = 1.0
+    """Distance between the planes of a sweep, at the lowest resolution [px]."""
     directions: int = 3
     """Number of surface orientations of the scene along which planes are swept, besides the optical axis."""
     range_margin: float = 0.3

@@ -98,7 +98,7 @@ def _sweep_planes(
     distances = np.abs(points @ normal)
     near, far = np.percentile(distances, _PERCENTILES)
     lowest, highest = 1.0 / (far * (1.0 + config.range_margin)), 1.0 / max(near * (1.0 - config.range_margin), 1e-9)
-    interval = step / float(np.median(slope))
+    interval = config.plane_step * step / float(np.median(slope))
     highest = min(highest, lowest + interval * (config.max_planes - 1))
     count = max(3, int(np.ceil((highest - lowest) / interval)) + 1)
     planes = (lowest + interval * np.arange(count)).astype(np.float32)
@@ -127,7 +127,7 @@ def _best(results: Sequence[_Found]) -> _Found:
     chosen = np.argmin([cv2.blur(result.total, _CHOICE_PX) for result in results], axis=0)
 
     def pick(maps: Sequence[Floats]) -> Floats:
-        return np.choose(chosen, maps)
+        return np.asarray(np.choose(chosen, maps), dtype=np.float32)
 
     return _Found(*(pick([getattr(r, name) for r in results]) for name in ("inverse_depth", "cost", "total")))
 

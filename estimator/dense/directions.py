@@ -33,7 +33,8 @@ def dominant_normals(points: Array, count: int) -> Array:
     planar = deviations[:, 2] < _MAX_FLATNESS * deviations[:, 1]
     normals = axes[planar, 2]
     normals = normals[:: max(1, len(normals) // _MAX_CANDIDATES)]
-    total, found = len(normals), []
+    found: list[Array] = []
+    total = len(normals)
     while len(found) < count and len(normals):
         alignment = np.abs(normals @ normals.T)
         support = np.count_nonzero(alignment > _SAME_DIRECTION, axis=1)

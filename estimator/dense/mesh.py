@@ -60,4 +60,4 @@ def vertex_normals(vertices: Array, triangles: Indices) -> Array:
     corner = triangles.T.ravel()
     total = np.stack([np.bincount(corner, np.tile(face[:, k], 3), len(vertices)) for k in range(3)], axis=1)
     length = np.linalg.norm(total, axis=1, keepdims=True)
-    return np.divide(total, length, out=np.tile([0.0, 0.0, 1.0], (len(vertices), 1)), where=length > 0.0)
+    return np.asarray(total / np.maximum(length, np.finfo(float).tiny))

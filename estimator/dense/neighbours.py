@@ -4,6 +4,8 @@ Source: Goesele et al., "Multi-view stereo for community photo collections", ICC
 "MVSNet", ECCV 2018, section 4.1 (score of a pair).
 """
 
+from itertools import pairwise
+
 import numpy as np
 import numpy.typing as npt
 
@@ -33,9 +35,7 @@ def select_neighbours(reconstruction: Reconstruction, config: ViewConfig) -> lis
     C = len(reconstruction.image_names)
     order = np.argsort(reconstruction.observation_image, kind="stable")
     starts = np.searchsorted(reconstruction.observation_image[order], np.arange(C + 1))
-    observed = [
-        np.unique(reconstruction.observation_point[order[a:b]]) for a, b in zip(starts, starts[1:], strict=False)
-    ]
+    observed = [np.unique(reconstruction.observation_point[order[a:b]]) for a, b in pairwise(starts)]
     scores = np.zeros((C, C))
     for i in range(C):
         for j in range(i):
@@ -62,4 +62,4 @@ def observed_points(reconstruction: Reconstruction, image: int) -> Array:
     """Return the points (N, 3) in the world frame that an image observes in front of it."""
     points = reconstruction.points[reconstruction.observation_point[reconstruction.observation_image == image]]
     T = reconstruction.Ts_world_cam[image]
-    return points[(points - T[:3, 3]) @ T[:3, 2] > 0.0]
+    return np.asarray(points[(points - T[:3, 3]) @ T[:3, 2] > 0.0])

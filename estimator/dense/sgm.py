@@ -3,9 +3,12 @@
 Source: Hirschmüller, "Stereo processing by semiglobal matching and mutual information", PAMI 2008, section 2.2.
 """
 
+from typing import TypeVar
+
 import numpy as np
 import numpy.typing as npt
 
+Number = TypeVar("Number", np.float32, np.uint16)
 Floats = npt.NDArray[np.float32]
 Costs = npt.NDArray[np.uint8]
 Sums = npt.NDArray[np.uint16]
@@ -14,7 +17,7 @@ _EDGE_GREY = 20.0  # difference of grey values of neighbours at which the penalt
 
 
 def aggregate(costs: Costs, grey: Floats, small_penalty: float, large_penalty: float) -> Sums:
-    """Return the sum over eight directions r of the path costs
+    """Return the sum over eight directions r of the path costs L_r.
 
         L_r(p, d) = C(p, d) + min(L_r(p−r, d), L_r(p−r, d±1) + P1, min_i L_r(p−r, i) + P2) − min_k L_r(p−r, k).
 
@@ -75,7 +78,7 @@ def _step(paths: Sums, costs: Costs, P2: Sums, P1: np.uint16, shifts: tuple[int,
     return new
 
 
-def _shifted(row: npt.NDArray[np.generic], shift: int) -> npt.NDArray[np.generic]:
+def _shifted(row: npt.NDArray[Number], shift: int) -> npt.NDArray[Number]:
     """Return values (…, W) moved by one column; the first or last column is repeated."""
     if shift == 0:
         return row

@@ -81,7 +81,7 @@ def _surrounding_cells(voxels: Indices, axis: Indices) -> Indices:
     cells = np.repeat(voxels[:, None], 4, axis=1)
     second, third = (axis + 1) % 3, (axis + 2) % 3
     rows = np.arange(len(voxels))
-    for k, (j, l) in enumerate(((0, 0), (-1, 0), (-1, -1), (0, -1))):
+    for k, (j, m) in enumerate(((0, 0), (-1, 0), (-1, -1), (0, -1))):
         cells[rows, k, second] += j
-        cells[rows, k, third] += l
+        cells[rows, k, third] += m
     return cells

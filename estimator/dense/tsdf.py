@@ -135,13 +135,11 @@ def _visible(volume: Volume, depth: PosedDepth, truncation: float) -> Iterator[I
         return
     farthest = 1.0 / float(known.min()) + truncation
     z = centres[:, 2]
-    u = camera.K[0, 0] * centres[:, 0] + camera.K[0, 2] * z
-    v = camera.K[1, 1] * centres[:, 1] + camera.K[1, 2] * z
-    margin = radius * (np.array([camera.K[0, 0], camera.K[1, 1]]) + [camera.width, camera.height])
-    near = (z > -radius) & (z < farthest + radius)
-    near &= (
-        (u > -margin[0]) & (u < camera.width * z + margin[0]) & (v > -margin[1]) & (v < camera.height * z + margin[1])
-    )
-    rows = np.flatnonzero(near)
+    inside = (z > -radius) & (z < farthest + radius)
+    for k, side in enumerate((camera.width, camera.height)):  # the slab between the planes through two image borders
+        at = camera.K[k, k] * centres[:, k] + camera.K[k, 2] * z
+        margin = radius * (camera.K[k, k] + side)
+        inside &= (at > -margin) & (at < side * z + margin)
+    rows = np.flatnonzero(inside)
     for start in range(0, len(rows), _CHUNK):
         yield rows[start : start + _CHUNK]

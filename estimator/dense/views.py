@@ -116,7 +116,8 @@ class Undistortion:
         """Return the undistorted image (H, W, …) of an image of the camera."""
         if (image.shape[1], image.shape[0]) != self.size:
             image = np.asarray(cv2.resize(image, self.size, interpolation=cv2.INTER_AREA))
-        return np.asarray(cv2.remap(image, self.map_px, None, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE))
+        u, v = self.map_px[..., 0], self.map_px[..., 1]
+        return np.asarray(cv2.remap(image, u, v, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE))
 
 
 def _bounds(model: CameraModel, limit: float) -> tuple[Array, Array]:
@@ -170,7 +171,8 @@ class ViewLoader:
         return self._undistortion(index).camera
 
     def _undistortion(self, index: int) -> Undistortion:
-        return self._undistortions[self._reconstruction.image_camera[index]]
+        camera = int(self._reconstruction.image_camera[index])
+        return self._undistortions[camera]
 
     def _read(self, index: int) -> View:
         undistortion = self._undistortion(index)

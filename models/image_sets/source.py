@@ -1,79 +1,74 @@
 """Where the images of a result come from, as a JSON file, so that a later step finds and reads them again.
 
-The file holds the arguments of `open_images`: ``path`` and ``masks``, absolute, and ``every``, ``cameras`` and
-``frames``; ``null`` where an argument was not given.
+The file holds the fields of `ImageSource`; paths are absolute.
 """
 
 import json
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 from dronevio.models.errors import InputError
+from dronevio.models.image_sets.combined import joined
 from dronevio.models.image_sets.image_set import ImageSet
 from dronevio.models.image_sets.open import open_images
 from dronevio.models.recordings.files import read_text, write_text
 
+_PATHS = ("path", "earlier_path", "masks")
 _EXPECTED = "a description of images as `dronevio sfm` writes it"
 
 
 @dataclass(frozen=True)
 class ImageSource:
-    """Arguments with which images were opened."""
+    """Where images are."""
 
     path: Path
     """Folder of images, video or recording."""
+    earlier_path: Path | None = None
+    """Further folder of images, video or recording, None if there is none."""
     masks: Path | None = None
     """Folder of masks or one mask for all images, None if there are none."""
-    every: int | None = None
-    """Distance between the frames of a video, None for all."""
     cameras: tuple[int, ...] | None = None
     """Indices of the cameras of a recording, None for the first."""
-    frames: int | None = None
-    """Number of frames of a recording, None for all."""
 
     def open(self) -> ImageSet:
-        """Return the images.
+        """Return all images at these places, of which a result may use some.
 
         Raises:
             InputError: They are no longer there, or damaged.
+            ConfigError: Two of them have one name.
         """
-        return open_images(self.path, masks=self.masks, every=self.every, cameras=self.cameras, frames=self.frames)
+        images = open_images(self.path, masks=self.masks, cameras=self.cameras)
+        if self.earlier_path is None:
+            return images
+        return joined(open_images(self.earlier_path, masks=self.masks, cameras=self.cameras), images)
 
 
 def write_image_source(path: Path, source: ImageSource) -> None:
-    """Write a description of images, with absolute paths.
+    """Write where images are.
 
     Raises:
         InputError: The file cannot be written.
     """
-    values = asdict(source)
-    for name in ("path", "masks"):
-        if values[name] is not None:
-            values[name] = str(values[name].resolve())
+    values: dict[str, Any] = {"cameras": source.cameras}
+    for name in _PATHS:
+        value = getattr(source, name)
+        values[name] = None if value is None else str(value.resolve())
     write_text(path, json.dumps(values, indent=2, ensure_ascii=False) + "\n")
 
 
 def read_image_source(path: Path) -> ImageSource:
-    """Read a description of images.
+    """Read where images are.
 
     Raises:
         InputError: The file is missing or damaged.
     """
     text = read_text(path, _EXPECTED)
     try:
-        return _parsed(json.loads(text))
+        values = json.loads(text)
+        cameras = values["cameras"]
+        earlier, masks = (None if values[name] is None else Path(values[name]) for name in ("earlier_path", "masks"))
+        chosen = None if cameras is None else tuple(int(camera) for camera in cameras)
+        return ImageSource(Path(values["path"]), earlier, masks, chosen)
     except (ValueError, KeyError, TypeError) as error:
         raise InputError(path, f"other contents ({error!r})", _EXPECTED) from None
-
-
-def _parsed(values: dict[str, Any]) -> ImageSource:
-    """Return the source that a JSON document describes; ValueError, KeyError or TypeError if it is another one."""
-    masks, every, cameras, frames = (values[name] for name in ("masks", "every", "cameras", "frames"))
-    return ImageSource(
-        Path(values["path"]),
-        None if masks is None else Path(masks),
-        None if every is None else int(every),
-        None if cameras is None else tuple(int(camera) for camera in cameras),
-        None if frames is None else int(frames),
-    )
