@@ -27,7 +27,7 @@ class DepthConfig:
     """Number of neighbouring images with the best correlation whose mean is the cost; the others may be occluded."""
     max_planes: int = 128
     """Largest number of planes of a sweep."""
-    plane_step: float = 1.0
+    plane_step: float = 1.5
     """Distance between the planes of a sweep, at the lowest resolution [px]."""
     directions: int = 3
     """Number of surface orientations of the scene along which planes are swept, besides the optical axis."""
@@ -82,12 +82,12 @@ class DenseConfig:
     views: ViewConfig = field(default_factory=ViewConfig)
     """Undistorted images, and the neighbours of each image."""
     depth: DepthConfig = field(default_factory=DepthConfig)
-    """Depth maps."""
+    """Depth maps of the images."""
     consistency: ConsistencyConfig = field(default_factory=ConsistencyConfig)
     """Consistency of depths."""
     mesh: MeshConfig = field(default_factory=MeshConfig)
     """Mesh of the surface."""
-    spacing_px: float = 1.0
+    spacing_px: float = 1.5
     """Distance between neighbouring points of the cloud, in pixels of the undistorted images at the median depth."""
     threads: int = 2
     """Number of threads that compute depth maps."""

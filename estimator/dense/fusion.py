@@ -16,7 +16,7 @@ Floats = npt.NDArray[np.float32]
 Mask = npt.NDArray[np.bool_]
 Image = npt.NDArray[np.uint8]
 
-_MAX_PENDING = 4_000_000  # points that are collected before they are merged
+_MIN_PENDING = 1_000_000  # points that are collected before they are merged
 
 
 def fuse(depths: Iterable[tuple[PosedDepth, Image]], spacing: float) -> PointCloud:
@@ -28,28 +28,25 @@ def fuse(depths: Iterable[tuple[PosedDepth, Image]], spacing: float) -> PointClo
         depths: Depth maps with the undistorted images (H, W, 3).
         spacing: Side of the voxels, about the distance between neighbouring points.
     """
-    pending, count = [], 0
+    merged, pending = np.zeros((0, 10), np.float32), []
     for depth, image in depths:
-        rows = _merged(_rows(depth, image), spacing)
-        pending.append(rows)
-        count += len(rows)
-        if count > _MAX_PENDING:
-            pending = [_merged(np.concatenate(pending), spacing)]
-            count = len(pending[0])
-    rows = _merged(np.concatenate([np.zeros((0, 10)), *pending]), spacing)
+        pending.append(_merged(_rows(depth, image), spacing))
+        if sum(map(len, pending)) > max(_MIN_PENDING, len(merged)):  # so that the effort is linear in the points
+            merged, pending = _merged(np.concatenate([merged, *pending]), spacing), []
+    rows = _merged(np.concatenate([merged, *pending]), spacing).astype(np.float64)
     weight = rows[:, 9:]
     length = np.linalg.norm(rows[:, 3:6], axis=1, keepdims=True)
     normals = np.divide(rows[:, 3:6], length, out=np.tile([0.0, 0.0, 1.0], (len(rows), 1)), where=length > 0.0)
     return PointCloud(rows[:, :3] / weight, normals, np.round(rows[:, 6:9] / weight).astype(np.uint8))
 
 
-def _rows(depth: PosedDepth, image: Image) -> Array:
+def _rows(depth: PosedDepth, image: Image) -> Floats:
     """Return positions, normals, colours, each multiplied by the weight, and the weight (N, 10) of all pixels."""
     points = depth.points()
     normals = surface_normals(points)
     known = np.isfinite(normals[..., 0])
     T = depth.T_world_cam
-    rows = np.empty((int(known.sum()), 10))
+    rows = np.empty((int(known.sum()), 10), np.float32)
     rows[:, :3] = points[known] @ T[:3, :3].T + T[:3, 3]
     rows[:, 3:6] = normals[known] @ T[:3, :3].T
     rows[:, 6:9] = image[known]
@@ -58,16 +55,16 @@ def _rows(depth: PosedDepth, image: Image) -> Array:
     return rows
 
 
-def _merged(rows: Array, side: float) -> Array:
+def _merged(rows: Floats, side: float) -> Floats:
     """Return the sums of the rows (N, 10) in each voxel, in the order of the voxels."""
     if not len(rows):
         return rows
-    cells = np.floor(rows[:, :3] / (rows[:, 9:] * side)).astype(np.int64)
+    cells = np.floor(rows[:, :3].astype(np.float64) / (rows[:, 9:] * side)).astype(np.int64)
     cells -= cells.min(axis=0)
     keys = np.ravel_multi_index(tuple(cells.T), tuple(cells.max(axis=0) + 1))
     order = np.argsort(keys, kind="stable")
     first = np.flatnonzero(np.diff(keys[order], prepend=-1))
-    return np.add.reduceat(rows[order], first, axis=0)
+    return np.asarray(np.add.reduceat(rows[order], first, axis=0))
 
 
 def surface_normals(points: Floats) -> Floats:
@@ -79,7 +76,7 @@ def surface_normals(points: Floats) -> Floats:
         normal = np.cross(_difference(points, axis=0), _difference(points, axis=1))
         normal /= np.linalg.norm(normal, axis=-1, keepdims=True)
         facing_away = np.sum(normal * points, axis=-1, keepdims=True) > 0.0
-    return np.where(facing_away, -normal, normal)
+    return np.where(np.isfinite(points), np.where(facing_away, -normal, normal), np.float32(np.nan))
 
 
 def _difference(points: Floats, axis: int) -> Floats:

@@ -106,7 +106,7 @@ class Undistortion:
         camera = Pinhole(width, height, np.array([[f[0], 0.0, cx], [0.0, f[1], cy], [0.0, 0.0, 1.0]]))
         pixels = model.project(camera.rays().astype(np.float64))
         with np.errstate(invalid="ignore"):
-            inside = np.all((pixels >= 0.0) & (pixels <= [model.width - 1.0, model.height - 1.0]), axis=-1)
+            inside = np.all((pixels >= -0.5) & (pixels <= [model.width - 0.5, model.height - 0.5]), axis=-1)
         size = max(1, round(scale * model.width)), max(1, round(scale * model.height))
         factor = np.array(size) / [model.width, model.height]
         reduced = (pixels + 0.5) * factor - 0.5
@@ -147,9 +147,8 @@ class ViewLoader:
         index = {name: i for i, name in enumerate(images.names)}
         missing = [name for name in reconstruction.image_names if name not in index]
         if missing:
-            raise InputError(
-                missing[0], "no such image", f"the images of the reconstruction, such as {images.names[0]}"
-            )
+            found = f"{len(missing)} images of the reconstruction that are not among the {len(images)} images"
+            raise InputError(missing[0], found, "the images from which it was made")
         self._rows = [index[name] for name in reconstruction.image_names]
         self._images, self._reconstruction = images, reconstruction
         self._undistortions = [Undistortion.of(model, config) for model in reconstruction.cameras]

@@ -15,7 +15,9 @@ import pytest
 import dronevio as dv
 from dronevio.cli import main
 from dronevio.eval.metrics.alignment import umeyama
+from dronevio.models.errors import InputError
 from dronevio.models.image_sets import image_recording
+from dronevio.models.image_sets.source import ImageSource, read_image_source, write_image_source
 from dronevio.models.reconstructions import read_reconstruction, write_reconstruction
 
 Result = Any  # the class of conftest, which cannot be imported
@@ -163,3 +165,40 @@ def test_accuracy_script_ignores_a_similarity(script: Callable[[str], Any]) -> N
     assert found.scale_percent == pytest.approx(200.0)
     assert found.tilt_deg == pytest.approx(90.0)  # z of the estimate is x of the truth
     assert accuracy.align(true, turned + np.array([[0.3, 0, 0], [0, 0, 0], [0, 0, 0], [0, 0, 0]])).rmse_mm > 10.0
+
+
+def test_surfaces_of_the_villa(
+    reconstructed: Path, photographs: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    small = ["--views.max-side-px", "240", "--depth.levels", "2", "--mesh.min-triangles", "20", "--json"]
+    assert main(["dense", str(reconstructed), "--out", str(tmp_path / "dense"), *small]) == 0
+    summary = json.loads(capsys.readouterr().out)
+    names = {"dense.jpg", "dense.ply", "mesh.jpg", "mesh.ply", "report.html", "report.json", "run.rrd"}
+    assert {path.name for path in (tmp_path / "dense").iterdir()} == names
+    points = read_reconstruction(tmp_path / "dense" / "dense.ply").points
+    assert len(points) == summary["points"] > 2000
+    assert len(read_reconstruction(tmp_path / "dense" / "mesh.ply").points) == summary["vertices"] > 500
+    sparse = read_reconstruction(reconstructed / "colmap-binary" / "0").points
+    low, high = np.percentile(sparse, (1, 99), axis=0)
+    margin = high - low
+    assert np.mean(((points > low - margin) & (points < high + margin)).all(axis=1)) > 0.95
+    model = str(reconstructed / "colmap-binary" / "0")
+    assert main(["dense", model, "--out", str(tmp_path / "other")]) == 2
+    assert "or --images" in capsys.readouterr().err
+    assert main(["dense", model, "--images", str(photographs), "--out", str(tmp_path / "dense")]) == 2
+    assert "--overwrite" in capsys.readouterr().err
+    assert main(["dense", str(reconstructed), "--component", "3", "--out", str(tmp_path / "other")]) == 2
+    assert "no reconstruction of component 3" in capsys.readouterr().err
+
+
+def test_the_folder_of_the_images_is_remembered(reconstructed: Path, photographs: Path, tmp_path: Path) -> None:
+    source = read_image_source(reconstructed / "images.json")
+    assert source == ImageSource(photographs.resolve())
+    assert len(source.open()) == 5
+    changed = ImageSource(photographs, masks=tmp_path / "masks", cameras=(0, 1))
+    write_image_source(tmp_path / "images.json", changed)
+    again = read_image_source(tmp_path / "images.json")
+    assert (again.masks, again.cameras) == ((tmp_path / "masks").resolve(), (0, 1))
+    (tmp_path / "images.json").write_text("{}", encoding="utf-8")
+    with pytest.raises(InputError, match="other contents"):
+        read_image_source(tmp_path / "images.json")

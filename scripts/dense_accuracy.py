@@ -1,0 +1,303 @@
+"""Accuracy of dense reconstruction in simulated worlds, beside OpenCV's semi-global block matching.
+
+For each scenario, 100 moving frames are spread evenly over a flight, as in ``sfm_accuracy.py``, and reconstructed with
+the true calibration. Their surfaces are compared with the true depths of the same frames, fused in voxels of 1 cm up to
+a depth of 10 m, after the similarity transformation that aligns the camera positions; the points are not registered to
+each other. The estimated points are reduced to the same voxels, and those beyond 10 m of all images are left out.
+Accuracy is the share of estimated points that are near a true one, completeness the share of true points that are near
+an estimated one, and F their harmonic mean.
+
+The baseline is a fusion of `cv2.StereoSGBM` of rectified pairs of the same images with the same poses: each image is
+matched to its best neighbours, the median of the depths is taken, and consistency and fusion are the same as ours::
+
+    .venv/bin/python scripts/dense_accuracy.py --work build/dense
+    .venv/bin/python scripts/dense_accuracy.py --work build/dense --scenarios room-v0 --seed 7 --no-sgbm
+"""
+
+import json
+import time
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass, field, replace
+from pathlib import Path
+
+import cv2
+import numpy as np
+import numpy.typing as npt
+import tyro
+from sfm_accuracy import SCENARIOS, moving_frames, true_positions
+
+from dronevio.cli import main as dronevio
+from dronevio.cli.terminal import print_table
+from dronevio.estimator.dense.config import DenseConfig
+from dronevio.estimator.dense.consistency import PosedDepth
+from dronevio.estimator.dense.fusion import fuse
+from dronevio.estimator.dense.neighbours import observed_points, select_neighbours
+from dronevio.estimator.dense.pipeline import densify, filter_depths
+from dronevio.estimator.dense.tsdf import pixel_size
+from dronevio.estimator.dense.views import View, ViewLoader
+from dronevio.estimator.sfm.pipeline import reconstruct
+from dronevio.eval.metrics.alignment import umeyama
+from dronevio.eval.metrics.clouds import CloudScore, compare_clouds, voxel_means
+from dronevio.models.image_sets import ImageSet, image_recording
+from dronevio.models.protocols import Recording
+from dronevio.models.reconstruction import Reconstruction
+from dronevio.models.reconstructions import read_reconstruction, write_reconstruction
+from dronevio.models.recordings.open import open_recording
+from dronevio.models.rotation import matrix_from_quat_wxyz
+
+Array = npt.NDArray[np.float64]
+Floats = npt.NDArray[np.float32]
+Indices = npt.NDArray[np.int64]
+
+VOXEL_M = 0.01
+"""Side of the voxels to which both clouds are reduced [m]."""
+FARTHEST_M = 10.0
+"""Largest depth of a true point, and of an estimated one in its nearest image [m]."""
+DISTANCES_M = (0.01, 0.05, 0.1)
+"""Distances below which a point counts as right [m]."""
+MERGED_FRAMES = 10
+
+
+@dataclass(frozen=True)
+class SgbmConfig:
+    """Settings of the baseline."""
+
+    pairs: int = 4
+    """Number of neighbours with which each image is matched."""
+    block: int = 5
+    """Side of the blocks [px]."""
+    uniqueness: int = 5
+    """Margin by which the best cost must be lower than the second best [%]."""
+
+
+@dataclass(frozen=True)
+class DenseAccuracyCommand:
+    """Measure the accuracy of dense reconstruction in simulated worlds."""
+
+    work: Path
+    """Folder of recordings, reconstructions and results; existing ones are used again."""
+    scenarios: tuple[str, ...] = SCENARIOS
+    """Scenarios that are flown."""
+    seed: int | None = None
+    """Seed of the flights; by default, each scenario has its own."""
+    frames: int = 100
+    """Number of frames of each flight."""
+    sgbm: bool = True
+    """Whether the baseline is measured as well."""
+    dense: DenseConfig = field(default_factory=DenseConfig)
+    """Settings of dense reconstruction."""
+    baseline: SgbmConfig = field(default_factory=SgbmConfig)
+    """Settings of the baseline."""
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """Scores of one program in one world."""
+
+    program: str
+    """Name of the program."""
+    points: int
+    """Number of points before they are reduced to voxels."""
+    time_s: float
+    """Elapsed time [s]."""
+    processor_s: float
+    """Processor time [s]."""
+    scores: tuple[CloudScore, ...]
+    """Scores at each distance."""
+
+
+def true_depth(flight: Path, recording: Recording, frame: int) -> Array:
+    """Return the true z (H, W) of the first camera at a frame [m]; 0 for the sky."""
+    path = flight / "mav0" / "depth0" / "data" / f"{recording.frame_times_ns[frame]}.png"
+    millimetres = cv2.imread(str(path), cv2.IMREAD_UNCHANGED)
+    assert millimetres is not None, path
+    return np.asarray(millimetres, dtype=np.float64) * 1e-3
+
+
+def true_cloud(flight: Path, recording: Recording, frames: Indices) -> Array:
+    """Return the true points (N, 3) that the frames see, one in each voxel, in the world frame of the truth [m]."""
+    truth, camera = recording.ground_truth, recording.rig.cameras[0]
+    assert truth is not None
+    rows, columns = np.mgrid[: camera.model.height, : camera.model.width]
+    rays = camera.model.unproject(np.stack([columns, rows], axis=-1).astype(np.float64))
+    rays /= rays[..., 2:]
+    merged, pending = np.zeros((0, 3)), []
+    for number, frame in enumerate(frames, 1):
+        depth = true_depth(flight, recording, int(frame))
+        row = np.searchsorted(truth.t_ns, recording.frame_times_ns[frame])
+        R_world_imu = matrix_from_quat_wxyz(truth.quat_wxyz[row])
+        seen = (depth > 0.0) & (depth <= FARTHEST_M) & np.isfinite(rays[..., 0])
+        in_imu = (rays[seen] * depth[seen][:, None]) @ camera.T_imu_cam[:3, :3].T + camera.T_imu_cam[:3, 3]
+        pending.append(voxel_means(in_imu @ R_world_imu.T + truth.p_world_imu[row], VOXEL_M))
+        if number % MERGED_FRAMES == 0 or number == len(frames):
+            merged, pending = voxel_means(np.concatenate([merged, *pending]), VOXEL_M), []
+    return merged
+
+
+def near_points(points: Array, reconstruction: Reconstruction) -> Array:
+    """Return the points (N, 3) whose depth in an image that contains them is within the limit."""
+    is_near = np.zeros(len(points), bool)
+    for camera, T in zip(reconstruction.image_camera, reconstruction.Ts_world_cam, strict=True):
+        model = reconstruction.cameras[camera]
+        rest = np.flatnonzero(~is_near)
+        in_camera = (points[rest] - T[:3, 3]) @ T[:3, :3]
+        ahead = (in_camera[:, 2] > 0.0) & (in_camera[:, 2] <= FARTHEST_M)
+        pixels = model.project(in_camera[ahead])
+        with np.errstate(invalid="ignore"):
+            inside = np.all((pixels >= -0.5) & (pixels <= [model.width - 0.5, model.height - 0.5]), axis=1)
+        is_near[rest[ahead][inside]] = True
+    return points[is_near]
+
+
+def score(true: Array, points: Array, reconstruction: Reconstruction) -> tuple[CloudScore, ...]:
+    """Return the scores of estimated points (N, 3) in the world frame of the truth."""
+    return compare_clouds(true, voxel_means(near_points(points, reconstruction), VOXEL_M), DISTANCES_M)
+
+
+def sgbm_depth(view: View, others: Sequence[View], points: Array, config: SgbmConfig, margin: float) -> PosedDepth:
+    """Return the depth map of an image, the median over its rectified pairs, by OpenCV's block matching."""
+    maps = [sgbm_pair(view, other, points, config, margin) for other in others]
+    stack = np.stack(
+        [np.where(m > 0.0, m, np.nan) for m in maps if m is not None] or [np.full(view.grey.shape, np.nan)]
+    )
+    known = np.isfinite(stack).any(axis=0)
+    median = np.zeros(view.grey.shape, np.float32)
+    median[known] = np.nanmedian(stack[:, known], axis=0)
+    return PosedDepth(view.camera, view.T_world_cam, median)
+
+
+def sgbm_pair(view: View, other: View, points: Array, config: SgbmConfig, margin: float) -> Floats | None:
+    """Return the inverse depths (H, W) of an image from one pair; None if the pair cannot be rectified.
+
+    The rectified cameras have the x axis along the baseline (Fusiello, Trucco and Verri, "A compact algorithm for
+    rectification of stereo pairs", 2000). Pairs along the optical axis are left out.
+    """
+    baseline = other.T_world_cam[:3, 3] - view.T_world_cam[:3, 3]
+    length = float(np.linalg.norm(baseline))
+    x = baseline / length
+    forward = view.T_world_cam[:3, 2] + other.T_world_cam[:3, 2]
+    forward -= (forward @ x) * x
+    if np.linalg.norm(forward) < 2.0 * np.sin(np.radians(40.0)):
+        return None
+    z = forward / np.linalg.norm(forward)
+    R_rectified_world = np.stack([x, np.cross(z, x), z])
+    f = view.camera.K[0, 0]
+    corners = np.array([[0, 0, 1], [1, 0, 1], [0, 1, 1], [1, 1, 1]]) * [
+        view.camera.width - 1,
+        view.camera.height - 1,
+        1,
+    ]
+    rays = corners @ np.linalg.inv(view.camera.K).T @ (R_rectified_world @ view.T_world_cam[:3, :3]).T
+    if rays[:, 2].min() < 0.1:
+        return None
+    low, high = ((f * rays[:, :2] / rays[:, 2:]).min(axis=0), (f * rays[:, :2] / rays[:, 2:]).max(axis=0))
+    size = tuple(np.minimum(np.ceil(high - low).astype(int), 1600).tolist())
+    K = np.array([[f, 0.0, -low[0]], [0.0, f, -low[1]], [0.0, 0.0, 1.0]])
+    depths = (points - view.T_world_cam[:3, 3]) @ z
+    near, far = np.percentile(depths[depths > 0.0], (1.0, 99.0)) * [1.0 - margin, 1.0 + margin]
+    first = int(f * length / far)
+    count = 16 * int(np.clip(np.ceil((f * length / near - first) / 16), 1, 24))
+    H = [K @ R_rectified_world @ v.T_world_cam[:3, :3] @ np.linalg.inv(v.camera.K) for v in (view, other)]
+    left, right = (
+        cv2.warpPerspective(np.where(v.mask, v.grey, 0.0).round().astype(np.uint8), h, size)
+        for v, h in zip((view, other), H, strict=True)
+    )
+    matcher = cv2.StereoSGBM.create(
+        first,
+        count,
+        config.block,
+        P1=8 * config.block**2,
+        P2=32 * config.block**2,
+        disp12MaxDiff=1,
+        preFilterCap=31,
+        uniquenessRatio=config.uniqueness,
+        speckleWindowSize=100,
+        speckleRange=2,
+        mode=cv2.STEREO_SGBM_MODE_HH,
+    )
+    padded = [cv2.copyMakeBorder(image, 0, 0, first + count, 0, cv2.BORDER_CONSTANT) for image in (left, right)]
+    disparity = matcher.compute(*padded)[:, first + count :].astype(np.float32) / 16.0
+    inverse = np.where(disparity >= max(first, 1), disparity / np.float32(f * length), 0.0).astype(np.float32)
+    # Inverse depth along the rectified axis at each pixel of the image, then along its own axis.
+    in_rectified = view.camera.rays().astype(np.float64) @ (R_rectified_world @ view.T_world_cam[:3, :3]).T
+    uv = (in_rectified @ K.T)[..., :2] / in_rectified[..., 2:]
+    u, v = (np.ascontiguousarray(a, dtype=np.float32) for a in np.moveaxis(uv, -1, 0))
+    sampled = cv2.remap(inverse, u, v, cv2.INTER_NEAREST, borderValue=0.0)
+    return np.asarray(np.where(view.mask, sampled * in_rectified[..., 2], 0.0), dtype=np.float32)
+
+
+def baseline(images: ImageSet, reconstruction: Reconstruction, command: DenseAccuracyCommand) -> Array:
+    """Return the points (N, 3) of the baseline, which shares neighbours, consistency and fusion with ours."""
+    config, sgbm = command.dense, command.baseline
+    load = ViewLoader(images, reconstruction, config.views)
+    neighbours = select_neighbours(reconstruction, config.views)
+    depths = [
+        sgbm_depth(
+            load(i),
+            [load(int(j)) for j in neighbours[i][: sgbm.pairs]],
+            observed_points(reconstruction, i),
+            sgbm,
+            config.depth.range_margin,
+        )
+        for i in range(len(load))
+    ]
+    found = filter_depths(depths, neighbours, config)
+    return fuse(((d, load(i).colours) for i, d in enumerate(found)), config.spacing_px * pixel_size(found)).points
+
+
+def timed(
+    program: str, true: Array, reconstruction: Reconstruction, points: Array, start: tuple[float, float]
+) -> Outcome:
+    """Return the outcome of a program that began at an elapsed time and a processor time."""
+    elapsed, processor = time.perf_counter() - start[0], time.process_time() - start[1]
+    return Outcome(program, len(points), elapsed, processor, score(true, points, reconstruction))
+
+
+def measure_world(scenario: str, command: DenseAccuracyCommand) -> list[Outcome]:
+    """Return the scores of all programs in a world."""
+    name = scenario if command.seed is None else f"{scenario}-{command.seed}"
+    flight = command.work / name
+    if not flight.exists():
+        seed = [] if command.seed is None else ["--seed", str(command.seed)]
+        dronevio(["fly", "--scenario", scenario, *seed, "--truth-images", "depth", "--out", str(flight)])
+    recording = open_recording(flight)
+    frames = moving_frames(recording, command.frames)
+    images = image_recording(recording, frames=frames.tolist())
+    model = command.work / f"{name}-{command.frames}"
+    if not model.exists():
+        write_reconstruction(reconstruct(images).reconstructions[0], model, "colmap-binary")
+    reconstruction = read_reconstruction(model)
+    rows = [images.names.index(image) for image in reconstruction.image_names]
+    found = umeyama(true_positions(recording, frames)[rows], reconstruction.positions, with_scale=True)
+    reconstruction = reconstruction.transformed(found.scale, found.R_truth_estimate, found.t_m)
+    true = true_cloud(flight, recording, frames[rows])
+    start = time.perf_counter(), time.process_time()
+    result = densify(images, reconstruction, command.dense)
+    outcomes = [timed("dronevio, points", true, reconstruction, result.cloud.points, start)]
+    mesh = replace(outcomes[0], program="dronevio, mesh", points=len(result.mesh.vertices))
+    outcomes.append(replace(mesh, scores=score(true, result.mesh.vertices, reconstruction)))
+    if command.sgbm:
+        start = time.perf_counter(), time.process_time()
+        points = baseline(images, reconstruction, command)
+        outcomes.append(timed("StereoSGBM, points", true, reconstruction, points, start))
+    return outcomes
+
+
+def measure(command: DenseAccuracyCommand) -> None:
+    """Fly, reconstruct and print the table."""
+    rows = []
+    columns = [f"{name} {1e2 * d:.0f} cm" for d in DISTANCES_M for name in ("accuracy", "completeness", "F")]
+    for scenario in command.scenarios:
+        outcomes = measure_world(scenario, command)
+        values = [asdict(outcome) for outcome in outcomes]
+        (command.work / f"{scenario}.json").write_text(json.dumps(values, indent=1), encoding="utf-8")
+        for outcome in outcomes:
+            scores = [v for s in outcome.scores for v in (s.accuracy, s.completeness, s.f_score)]
+            cost = [f"{outcome.points}", f"{outcome.processor_s:.0f}", f"{outcome.time_s:.0f}"]
+            rows.append([scenario, outcome.program, *(f"{value:.3f}" for value in scores), *cost])
+        heading = ("scenario", "program", *columns, "points", "processor [s]", "elapsed [s]")
+        print_table("Dense reconstruction", heading, rows, left=("scenario", "program"))
+
+
+if __name__ == "__main__":
+    measure(tyro.cli(DenseAccuracyCommand, description=__doc__))
