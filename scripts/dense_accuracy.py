@@ -268,7 +268,9 @@ def measure_world(scenario: str, command: DenseAccuracyCommand) -> list[Outcome]
         write_reconstruction(reconstruct(images).reconstructions[0], model, "colmap-binary")
     reconstruction = read_reconstruction(model)
     rows = [images.names.index(image) for image in reconstruction.image_names]
-    found = umeyama(true_positions(recording, frames)[rows], reconstruction.positions, with_scale=True)
+    assert recording.ground_truth is not None
+    true_m, _ = true_positions(recording.ground_truth, images)
+    found = umeyama(true_m[rows], reconstruction.positions, with_scale=True)
     reconstruction = reconstruction.transformed(found.scale, found.R_truth_estimate, found.t_m)
     true = true_cloud(flight, recording, frames[rows])
     start = time.perf_counter(), time.process_time()
