@@ -20,6 +20,7 @@ if TYPE_CHECKING:
 LESSONS = {
     "imu": "IMU factors: preintegration, the factor graph, its covariance, the drift, a camera (section 7.4.1)",
     "sfm": "structure from motion: features, matches, triangulation, resection, bundle adjustment (section 7.4.2)",
+    "dense": "multi-view stereo: plane sweep, semi-global matching, consistency, fusion, mesh (section 7.4.2)",
     "odometry": "visual-inertial odometry: each part of the estimator on five frames of a flight (section 7.4.3)",
 }
 """The lessons with their summaries, in the order in which they are read."""

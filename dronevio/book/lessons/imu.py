@@ -460,8 +460,8 @@ assert rms_m[-1] < 0.5 * rms_m.max(), "the error still grows"
 # `AssertionError`. Explain the error before you look at the reason.
 #
 # **Gravity.** In section 3, use a gravity that is wrong by one percent. The
-# position by hand is wrong by ½ · 0.1 · 3.5² = 0.6 m: an IMU cannot
-# distinguish an error of gravity from an acceleration.
+# position by hand is wrong by ½ · 0.1 · 3.5² = 0.6 m: an IMU cannot distinguish
+# an error of gravity from an acceleration.
 #
 # ```python
 # GRAVITY = np.array([0.0, 0.0, -9.7])

@@ -490,7 +490,7 @@ assert residual < 0.03 * extent, "the camera positions are wrong"
 # The whole pipeline, with further tests for wrong images, masks, several
 # cameras, and robust loss functions, is one call: `dronevio.api.sfm`, or
 # `dronevio sfm FOLDER` on the command line. It also writes the formats of other
-# programs.
+# programs. The lesson `dense` goes on from its points to surfaces.
 
 # %%
 import dronevio as dv
