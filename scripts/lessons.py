@@ -73,7 +73,6 @@ def execute(name: str) -> Any:
         RuntimeError: A cell writes to standard error, which belongs on no page.
     """
     import nbformat
-    from nbclient import NotebookClient
 
     path, digest = EXECUTED / f"{name}.ipynb", _digest(name)
     if path.is_file():
@@ -81,6 +80,8 @@ def execute(name: str) -> Any:
         if notebook.metadata.get("dronevio", {}).get("digest") == digest:
             return notebook
     notebook, start = read_lesson(name), time.monotonic()
+    from nbclient import NotebookClient
+
     with tempfile.TemporaryDirectory() as folder:
         client = NotebookClient(
             notebook,
