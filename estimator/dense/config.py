@@ -87,7 +87,7 @@ class DenseConfig:
     """Consistency of depths."""
     mesh: MeshConfig = field(default_factory=MeshConfig)
     """Mesh of the surface."""
-    spacing_px: float = 1.5
+    spacing_px: float = 1.0
     """Distance between neighbouring points of the cloud, in pixels of the undistorted images at the median depth."""
     threads: int = 2
     """Number of threads that compute depth maps."""

@@ -42,15 +42,15 @@ def fuse(depths: Iterable[tuple[PosedDepth, Image]], spacing: float) -> PointClo
 
 def _rows(depth: PosedDepth, image: Image) -> Floats:
     """Return positions, normals, colours, each multiplied by the weight, and the weight (N, 10) of all pixels."""
-    points = depth.points()
-    normals = surface_normals(points)
+    normals = surface_normals(depth)
     known = np.isfinite(normals[..., 0])
+    w = depth.inverse_depth[known]
     T = depth.T_world_cam
-    rows = np.empty((int(known.sum()), 10), np.float32)
-    rows[:, :3] = points[known] @ T[:3, :3].T + T[:3, 3]
+    rows = np.empty((len(w), 10), np.float32)
+    rows[:, :3] = (depth.camera.rays()[known] / w[:, None]) @ T[:3, :3].T + T[:3, 3]
     rows[:, 3:6] = normals[known] @ T[:3, :3].T
     rows[:, 6:9] = image[known]
-    rows[:, 9] = depth.inverse_depth[known] ** 2
+    rows[:, 9] = w * w
     rows[:, :9] *= rows[:, 9:]
     return rows
 
@@ -67,24 +67,26 @@ def _merged(rows: Floats, side: float) -> Floats:
     return np.asarray(np.add.reduceat(rows[order], first, axis=0))
 
 
-def surface_normals(points: Floats) -> Floats:
-    """Return the normals (H, W, 3) of the surface through points (H, W, 3), towards the camera; NaN where unknown.
+def surface_normals(depth: PosedDepth) -> Floats:
+    """Return the normals (H, W, 3) of the surface in the camera frame, towards the camera; NaN where unknown.
 
-    They are cross products of the differences of the neighbours on either side, or of one of them and the point.
+    On the plane n · X = 1, the inverse depth at the ray r of depth 1 is n · r. Its derivatives with respect to the
+    pixel give n = (fx w_u, fy w_v, w − (u − cx) w_u − (v − cy) w_v), which points away from the camera.
     """
+    K, w = depth.camera.K.astype(np.float32), depth.inverse_depth
+    w_u, w_v = _derivative(w), _derivative(w.T).T
+    u, v = np.arange(w.shape[1], dtype=np.float32)[None], np.arange(w.shape[0], dtype=np.float32)[:, None]
+    normal = np.stack([K[0, 0] * w_u, K[1, 1] * w_v, w - (u - K[0, 2]) * w_u - (v - K[1, 2]) * w_v], axis=-1)
     with np.errstate(invalid="ignore", divide="ignore"):
-        normal = np.cross(_difference(points, axis=0), _difference(points, axis=1))
-        normal /= np.linalg.norm(normal, axis=-1, keepdims=True)
-        facing_away = np.sum(normal * points, axis=-1, keepdims=True) > 0.0
-    return np.where(np.isfinite(points), np.where(facing_away, -normal, normal), np.float32(np.nan))
+        normal /= -np.sqrt(np.einsum("ijk,ijk->ij", normal, normal))[..., None]
+    return normal
 
 
-def _difference(points: Floats, axis: int) -> Floats:
-    """Return the central difference (H, W, 3) along an axis, a one-sided one where a neighbour is missing."""
-    pad = [(0, 0)] * 3
-    pad[axis] = (1, 1)
-    padded = np.pad(points, pad, constant_values=np.nan)
-    count = points.shape[axis]
-    before, after = padded.take(range(count), axis), padded.take(range(2, count + 2), axis)
-    both = after - before
-    return np.where(np.isfinite(both), both, np.where(np.isfinite(after), after - points, points - before))
+def _derivative(w: Floats) -> Floats:
+    """Return the derivative (H, W) of inverse depths along the rows, one-sided where a neighbour is unknown, or NaN."""
+    known = np.pad(np.where(w > 0.0, w, np.float32(np.nan)), ((0, 0), (1, 1)), constant_values=np.nan)
+    before, here, after = known[:, :-2], known[:, 1:-1], known[:, 2:]
+    forward, backward = after - here, here - before
+    both = 0.5 * (forward + backward)
+    one = np.where(np.isfinite(forward), forward, backward)
+    return np.asarray(np.where(np.isfinite(both), both, one), dtype=np.float32)

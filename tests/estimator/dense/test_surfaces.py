@@ -62,10 +62,12 @@ def test_weighted_means_of_depths_by_hand() -> None:
 
 def test_normals_are_those_of_the_surface() -> None:
     n = np.array([0.0, -0.6, -0.8])
-    rays = CAMERA.rays()
-    depth = -1.6 / (rays @ n)
-    normals = surface_normals((rays * depth[..., None]).astype(np.float32))
-    np.testing.assert_allclose(normals, np.broadcast_to(n, normals.shape), atol=2e-3)
+    inverse_depth = CAMERA.rays() @ n / -1.6  # of the plane n · X = −1.6
+    inverse_depth[10, 10:12] = 0.0
+    normals = surface_normals(PosedDepth(CAMERA, np.eye(4), inverse_depth.astype(np.float32)))
+    known = inverse_depth > 0.0
+    np.testing.assert_allclose(normals[known], np.broadcast_to(n, normals[known].shape), atol=2e-3)
+    assert np.isnan(normals[~known]).all()
 
 
 def test_fused_points_have_their_spacing_and_colours() -> None:
