@@ -46,6 +46,10 @@ class Eye:
         """Focal length [px]."""
         return float(0.5 * self.height / np.tan(0.5 * self.field_of_view_rad))
 
+    def faces(self, points: Array, normals: Array) -> npt.NDArray[np.bool_]:
+        """Return which points (N,) of surfaces with outward normals (N, 3) face the eye."""
+        return np.asarray(np.einsum("ij,ij->i", self.position - points, normals) > 0.0)
+
 
 def splat(eye: Eye, points: Array, colours: Image, size: float) -> Image:
     """Return a picture (H, W, 3) of points.

@@ -123,7 +123,6 @@ def _write(
 ) -> None:
     """Write the surfaces, their report and their rerun file."""
     from dronevio import __version__
-    from dronevio.estimator.dense.tsdf import pixel_size
     from dronevio.estimator.dense.views import ViewLoader
     from dronevio.eval.provenance import RunInfo
     from dronevio.eval.report.dense import DenseResults, write_dense_report
@@ -140,19 +139,19 @@ def _write(
         configuration={"dronevio": __version__, "dense": to_jsonable(command.dense)},
     )
     views = ViewLoader(images, reconstruction, command.dense.views)
-    size = pixel_size(result.depths)
     results = DenseResults(
         reconstruction=reconstruction,
         cloud=result.cloud,
         mesh=result.mesh,
         inverse_depths=[depth.inverse_depth for depth in result.depths],
         read_image=lambda i: views(i).colours,
-        point_size=size,
+        point_size=result.spacing,
+        mesh_size=result.voxel,
         times_s=result.times_s,
     )
     write_dense_report(folder, info, results)
     rerun = folder / "run.rrd"
-    write_dense_rerun(reconstruction, result.cloud, result.mesh, rerun, point_size=size, name=target.name)
+    write_dense_rerun(reconstruction, result.cloud, result.mesh, rerun, point_size=result.spacing, name=target.name)
 
 
 def _summary(target: Path, result: "DenseResult") -> dict[str, Any]:

@@ -1,6 +1,4 @@
-"""Mesh of the surfaces in depth maps, with the colours of a point cloud."""
-
-from collections.abc import Sequence
+"""Mesh of the surfaces in a volume of signed distances, with the colours of a point cloud."""
 
 import numpy as np
 import numpy.typing as npt
@@ -8,30 +6,23 @@ from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 
-from dronevio.estimator.dense.config import MeshConfig
-from dronevio.estimator.dense.consistency import PosedDepth
 from dronevio.estimator.dense.surface_nets import surface_nets
-from dronevio.estimator.dense.tsdf import integrate
-from dronevio.models.progress import Progress, silent
+from dronevio.estimator.dense.tsdf import Volume
 from dronevio.models.surfaces import Mesh, PointCloud
 
 Array = npt.NDArray[np.float64]
 Indices = npt.NDArray[np.int64]
 
 
-def build_mesh(
-    depths: Sequence[PosedDepth], cloud: PointCloud, config: MeshConfig, progress: Progress = silent
-) -> Mesh:
-    """Return the mesh of depth maps.
+def build_mesh(volume: Volume, cloud: PointCloud, min_triangles: int) -> Mesh:
+    """Return the mesh of the surfaces in a volume.
 
     Args:
-        depths: Consistent depth maps.
+        volume: Signed distances.
         cloud: Points from whose nearest the vertices take their colours.
-        config: Settings.
-        progress: Called with the number of integrated depth maps.
+        min_triangles: Smallest number of triangles of a connected part.
     """
-    vertices, triangles = surface_nets(integrate(depths, config, progress))
-    vertices, triangles = without_small_parts(vertices, triangles, config.min_triangles)
+    vertices, triangles = without_small_parts(*surface_nets(volume), min_triangles)
     normals = vertex_normals(vertices, triangles)
     colours = np.full((len(vertices), 3), 128, np.uint8)
     if len(vertices) and len(cloud):

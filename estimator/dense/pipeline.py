@@ -21,7 +21,7 @@ from dronevio.estimator.dense.directions import dominant_normals
 from dronevio.estimator.dense.fusion import fuse
 from dronevio.estimator.dense.mesh import build_mesh
 from dronevio.estimator.dense.neighbours import observed_points, select_neighbours
-from dronevio.estimator.dense.tsdf import pixel_size
+from dronevio.estimator.dense.tsdf import integrate, pixel_size
 from dronevio.estimator.dense.views import ViewLoader
 from dronevio.models.image_sets import ImageSet
 from dronevio.models.progress import Progress, silent
@@ -41,6 +41,10 @@ class DenseResult:
     """Points of all surfaces that enough images see."""
     mesh: Mesh
     """Triangles of the same surfaces."""
+    spacing: float
+    """Distance between neighbouring points of the cloud, in the unit of the reconstruction."""
+    voxel: float
+    """Side of the voxels of the mesh, in the unit of the reconstruction."""
     depths: tuple[PosedDepth, ...]
     """(I,) Consistent depths of the undistorted images of the reconstruction."""
     times_s: dict[str, float]
@@ -87,12 +91,12 @@ def densify(
         spacing = config.spacing_px * pixel_size(consistent)
         cloud = fuse(((depth, load(i).colours) for i, depth in enumerate(consistent)), spacing)
         times.append(time.perf_counter())
-        mesh = build_mesh(consistent, cloud, config.mesh, stages("mesh"))
+        volume = integrate(consistent, config.mesh, stages("mesh"))
+        mesh = build_mesh(volume, cloud, config.mesh.min_triangles)
     times.append(time.perf_counter())
     elapsed = np.diff(times).tolist()
-    return DenseResult(
-        cloud, mesh, tuple(consistent), dict(zip(("depth maps", "fusion", "mesh"), elapsed, strict=True))
-    )
+    times_s = dict(zip(("depth maps", "fusion", "mesh"), elapsed, strict=True))
+    return DenseResult(cloud, mesh, spacing, volume.voxel, tuple(consistent), times_s)
 
 
 def estimate_depths(

@@ -103,7 +103,7 @@ def sphere_depths() -> list[PosedDepth]:
 def test_the_mesh_of_a_ball_is_closed_and_round() -> None:
     depths = sphere_depths()
     nothing = PointCloud(np.zeros((0, 3)), np.zeros((0, 3)), np.zeros((0, 3), np.uint8))
-    mesh = build_mesh(depths, nothing, MeshConfig(voxel=0.06))
+    mesh = build_mesh(integrate(depths, MeshConfig(voxel=0.06)), nothing, 100)
     radius = np.linalg.norm(mesh.vertices, axis=1)
     assert abs(radius.mean() - 1.0) < 0.01
     assert np.abs(radius - 1.0).max() < 0.03
