@@ -23,6 +23,7 @@ from enum import StrEnum
 from pathlib import Path
 
 from mutant import Mutant
+from mutants_dense import DENSE
 from mutants_estimator import ESTIMATOR
 from mutants_evaluation import EVALUATION
 from mutants_sfm import SFM
@@ -43,7 +44,7 @@ class Verdict(StrEnum):
     """The tests could not be run with it, or took too long."""
 
 
-MUTANTS = (*ESTIMATOR, *EVALUATION, *SFM)
+MUTANTS = (*ESTIMATOR, *EVALUATION, *SFM, *DENSE)
 
 
 def copy_checkout(target: Path) -> None:
