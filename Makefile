@@ -50,6 +50,7 @@ lessons: setup
 pictures: setup
 	rm -rf build/pictures
 	.venv/bin/python scripts/seeds.py --write --keep build/pictures
+	.venv/bin/python scripts/dense_picture.py
 	.venv/bin/python scripts/pictures.py --run build/pictures/0
 
 seeds: setup
