@@ -83,7 +83,8 @@ def confirm(reference: PosedDepth, other: PosedDepth, config: ConsistencyConfig)
         (H, W) Where they agree; (H, W) inverse depth of the other points in the reference; (H, W) weight w² of these,
         with w in the other depth map.
     """
-    T = np.linalg.inv(other.T_world_cam) @ reference.T_world_cam
+    T = np.asarray(np.linalg.inv(other.T_world_cam) @ reference.T_world_cam, dtype=np.float64)
+    T_reference_other = np.asarray(np.linalg.inv(T), dtype=np.float64)
     height, width = reference.inverse_depth.shape
     x, y = np.arange(width, dtype=np.float32)[None], np.arange(height, dtype=np.float32)[:, None]
     w = reference.inverse_depth
@@ -92,7 +93,7 @@ def confirm(reference: PosedDepth, other: PosedDepth, config: ConsistencyConfig)
     u, v = (np.where(ahead, a, np.float32(_OUTSIDE_PX)) for a in (u, v))
     found = _sampled(other.inverse_depth, u, v)
     known = found > 0.0
-    back_u, back_v, back_z = _transferred(other.camera, reference.camera, np.linalg.inv(T), u, v, found)
+    back_u, back_v, back_z = _transferred(other.camera, reference.camera, T_reference_other, u, v, found)
     seen = np.divide(found, back_z, out=np.zeros_like(found), where=known & (back_z > 0.0))
     agrees = known & ((back_u - x) ** 2 + (back_v - y) ** 2 <= np.float32(config.max_reprojection_px**2))
     agrees &= np.abs(seen - w) <= np.float32(config.max_depth_ratio) * w

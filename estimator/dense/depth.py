@@ -119,7 +119,7 @@ def _search(
     if base is not None:
         chosen = base + chosen
     cost, lowest = (np.take_along_axis(volume, index[:, None], axis=1)[:, 0] for volume in (costs, total))
-    return _Found(chosen.astype(np.float32), cost.astype(np.float32) / SCALE, lowest.astype(np.float32))
+    return _Found(chosen.astype(np.float32), cost.astype(np.float32) / np.float32(SCALE), lowest.astype(np.float32))
 
 
 def _best(results: Sequence[_Found]) -> _Found:

@@ -69,7 +69,7 @@ def _step(paths: Sums, costs: Costs, P2: Sums, P1: np.uint16, shifts: tuple[int,
     if shifts != (0,):
         paths = np.stack([_shifted(path, s) for path, s in zip(paths, shifts, strict=True)])
     lowest = paths.min(axis=1, keepdims=True)
-    new = np.minimum(paths, lowest + P2)
+    new: Sums = np.minimum(paths, lowest + P2)
     raised = paths + P1
     np.minimum(new[:, 1:], raised[:, :-1], out=new[:, 1:])
     np.minimum(new[:, :-1], raised[:, 1:], out=new[:, :-1])

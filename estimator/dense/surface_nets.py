@@ -71,7 +71,8 @@ def _next(values: Floats, blocks: Indices, axis: int) -> Floats:
     wanted = np.ravel_multi_index(tuple((blocks + step - lowest).T), extent)
     at = np.minimum(np.searchsorted(keys, wanted), len(keys) - 1)
     is_there = keys[at] == wanted
-    face = np.where(is_there[:, None, None], values.take(0, axis=axis + 1)[at], 0.0)
+    faces: Floats = np.take(values, 0, axis=axis + 1)
+    face = np.where(is_there[:, None, None], faces[at], 0.0)
     rest = values.take(range(1, BLOCK), axis=axis + 1)
     return np.concatenate([rest, np.expand_dims(face, axis + 1)], axis=axis + 1).astype(np.float32)
 

@@ -391,13 +391,15 @@ plt.show()
 # more than $\tau$ are not updated. `dronevio.estimator.dense.tsdf.integrate`
 # computes the function in blocks near the surface,
 # `dronevio.estimator.dense.surface_nets.surface_nets` its zero level, and
-# `dronevio.estimator.dense.mesh.build_mesh` both.
+# `dronevio.estimator.dense.mesh.build_mesh` the mesh with colours.
 
 # %%
 from dronevio.estimator.dense.config import MeshConfig
 from dronevio.estimator.dense.mesh import build_mesh
+from dronevio.estimator.dense.tsdf import integrate
 
-mesh = build_mesh(consistent, cloud, MeshConfig())
+volume = integrate(consistent, MeshConfig())
+mesh = build_mesh(volume, cloud, MeshConfig().min_triangles)
 print(f"{len(mesh.vertices)} vertices, {len(mesh.triangles)} triangles")
 
 # %% jupyter={"source_hidden": true}

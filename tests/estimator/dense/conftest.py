@@ -47,7 +47,7 @@ def texture(points: Array) -> Array:
     rng = np.random.default_rng(0)
     directions = rng.normal(size=(40, 3))
     waves = directions / np.linalg.norm(directions, axis=1, keepdims=True) / rng.uniform(0.1, 0.5, (40, 1))
-    return 128.0 + 14.0 * np.cos(2.0 * np.pi * points @ waves.T + rng.uniform(0.0, 6.3, 40)).sum(axis=-1)
+    return np.asarray(128.0 + 14.0 * np.cos(2.0 * np.pi * points @ waves.T + rng.uniform(0.0, 6.3, 40)).sum(axis=-1))
 
 
 @dataclass(frozen=True, eq=False)
@@ -64,7 +64,7 @@ class DenseScene:
     def depths(self, T_world_cam: Array, rays: Array) -> Array:
         """Return the z (…) of the nearest surface along rays (…, 3) of depth 1 in the camera frame."""
         R, p = T_world_cam[:3, :3], T_world_cam[:3, 3]
-        return np.min([surface(p, rays @ R.T) for surface in self.surfaces], axis=0)
+        return np.asarray(np.min([surface(p, rays @ R.T) for surface in self.surfaces], axis=0))
 
 
 def build_dense_scene(
