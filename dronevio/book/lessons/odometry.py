@@ -24,7 +24,6 @@
 # %%
 import tempfile
 from dataclasses import replace
-from pathlib import Path
 
 import matplotlib.pyplot as plt
 import numpy as np
@@ -44,8 +43,8 @@ SEED = 0
 # whole flight has more frames, but the computations are the same.
 
 # %%
-folder = Path(tempfile.mkdtemp())
-recording = dv.fly("short", folder / "flight", seed=SEED)
+folder = tempfile.TemporaryDirectory()  # it is removed when the kernel ends
+recording = dv.fly("short", folder.name, seed=SEED)
 rig, imu = recording.rig, recording.rig.imu
 frames = [32, 35, 38, 41, 44]
 t_ns = recording.frame_times_ns[frames]
