@@ -9,7 +9,7 @@ import numpy as np
 import numpy.typing as npt
 
 from dronevio.estimator.sfm.model import KnownPoses
-from dronevio.estimator.sfm.world import WorldFrame
+from dronevio.estimator.sfm.placement.world import WorldFrame
 from dronevio.eval.metrics.association import interpolate
 from dronevio.models.errors import ConfigError, InputError
 from dronevio.models.image_sets import ImageSet

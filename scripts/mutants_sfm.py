@@ -6,6 +6,7 @@ _MAPPER = "tests/estimator/sfm/test_mapper.py"
 _INERTIAL = "tests/estimator/sfm/test_inertial.py"
 _POSES = "tests/estimator/sfm/test_known_poses.py"
 _TWO_VIEW = "tests/estimator/sfm/test_two_view.py"
+_COMPLETION = "tests/estimator/sfm/test_completion.py"
 _EARLIER = "tests/estimator/sfm/test_earlier.py"
 
 SFM = (
@@ -92,7 +93,7 @@ SFM = (
     Mutant(
         "sfm-similarity-without-scale",
         "World frame: the similarity transformation has no scale.",
-        "estimator/sfm/gauge.py",
+        "estimator/sfm/placement/gauge.py",
         "    scale = scale if scale > 0.0 else 1.0\n",
         "    scale = 1.0\n",
         (f"{_EARLIER}::test_similarity_by_hand",),
@@ -108,7 +109,7 @@ SFM = (
     Mutant(
         "sfm-imu-without-lever-arm",
         "IMU: the camera is taken to be at the position of the IMU.",
-        "estimator/sfm/inertial.py",
+        "estimator/sfm/placement/inertial.py",
         "R @ motion.p - intervals.lever_m[k]",
         "R @ motion.p",
         (f"{_INERTIAL}::test_gravity_scale_and_biases",),
@@ -116,7 +117,7 @@ SFM = (
     Mutant(
         "sfm-imu-time-offset-sign",
         "IMU: the time offset of the cameras has the wrong sign.",
-        "estimator/sfm/inertial.py",
+        "estimator/sfm/placement/inertial.py",
         "t_ns + round(inertial",
         "t_ns - round(inertial",
         (f"{_INERTIAL}::test_gravity_scale_and_biases",),
@@ -124,7 +125,7 @@ SFM = (
     Mutant(
         "sfm-imu-any-motion",
         "IMU: the scale is used however uncertain it is.",
-        "estimator/sfm/world.py",
+        "estimator/sfm/placement/world.py",
         "found.scale_sigma > config.max_scale_sigma",
         "found.scale_sigma > np.inf",
         (f"{_INERTIAL}::test_an_imu_that_does_not_suffice",),
@@ -152,5 +153,61 @@ SFM = (
         "Ts @ images.Ts_imu_cam[images.image_camera]",
         "Ts",
         ("tests/application/test_sfm_inputs.py::test_poses_of_the_imu_and_of_the_camera",),
+    ),
+    Mutant(
+        "sfm-weak-pairs-count-as-strong",
+        "Tracks: conflicts are resolved by triangles of matches, however few matches the pairs have.",
+        "estimator/sfm/tracks.py",
+        "np.repeat(counts, counts) * (triangles.max(initial=0) + 1) + triangles",
+        "triangles",
+        ("tests/estimator/sfm/test_tracks.py::test_matches_of_a_weak_pair_are_removed",),
+    ),
+    Mutant(
+        "sfm-no-last-trial",
+        "Mapping: an image that was left out is not tried again at the end.",
+        "estimator/sfm/mapper.py",
+        "                discards[discards >= MAX_DISCARDS] = MAX_DISCARDS - 1\n",
+        "",
+        (f"{_MAPPER}::test_an_image_that_was_left_out_has_a_last_trial",),
+    ),
+    Mutant(
+        "sfm-merge-any-descriptor",
+        "Merging: tracks are merged whatever their descriptors are.",
+        "estimator/sfm/completion/merging.py",
+        ">= np.cos(config.merge_angle_rad)",
+        ">= -1.0",
+        (f"{_COMPLETION}::test_other_descriptors_are_not_merged",),
+    ),
+    Mutant(
+        "sfm-merge-within-an-image",
+        "Merging: tracks with features of the same image are merged.",
+        "estimator/sfm/completion/merging.py",
+        "np.flatnonzero(is_explained & is_disjoint)",
+        "np.flatnonzero(is_explained)",
+        (f"{_COMPLETION}::test_tracks_of_an_image_are_not_merged",),
+    ),
+    Mutant(
+        "sfm-guided-any-descriptor",
+        "Guided completion: a feature near a projection is added whatever its descriptor is.",
+        "estimator/sfm/completion/guided.py",
+        ">= np.cos(config.guided_angle_rad)",
+        ">= -1.0",
+        (f"{_COMPLETION}::test_features_with_other_descriptors_are_not_added",),
+    ),
+    Mutant(
+        "sfm-fisheye-with-any-focal-length",
+        "Fisheye: the first focal length is the first that is tried.",
+        "estimator/sfm/focal.py",
+        "int(np.argmax(scores))",
+        "0",
+        ("tests/estimator/sfm/test_fisheye.py::test_the_first_focal_length_of_a_fisheye",),
+    ),
+    Mutant(
+        "sfm-fisheye-distortion-is-lost",
+        "Fisheye: the estimated distortion is not kept.",
+        "estimator/sfm/adjustment.py",
+        "replace(camera, fx=f, fy=f, distortion=distortion)",
+        "replace(camera, fx=f, fy=f)",
+        ("tests/estimator/sfm/test_fisheye.py::test_a_fisheye_is_estimated",),
     ),
 )

@@ -16,7 +16,7 @@ from dronevio.estimator.sfm.config import SfmConfig
 
 if TYPE_CHECKING:
     from dronevio.estimator.sfm.pipeline import SfmResult
-    from dronevio.estimator.sfm.world import WorldFrame
+    from dronevio.estimator.sfm.placement.world import WorldFrame
     from dronevio.models.camera import CameraModel
     from dronevio.models.image_sets import ImageSet
 
@@ -56,6 +56,9 @@ class SfmCommand:
     """For folders: whether images of one size and lens share a camera, as by default, or each has its own."""
     calibration: Path | None = None
     """For folders and videos: calibration of the camera, a Kalibr camchain.yaml or a recording; it stays fixed."""
+    lens: Literal["pinhole", "fisheye"] | None = None
+    """For folders and videos without a calibration: kind of the lens, a pinhole by default. Focal length and distortion
+    are estimated: two coefficients of a pinhole with radial distortion, four of an equidistant fisheye."""
     masks: Path | None = None
     """Folder of masks with the names of the images, or one mask for all; no features are detected where it is black."""
     every: int | None = None
@@ -140,6 +143,7 @@ def _open(command: SfmCommand, earlier: tuple[str, ...]) -> "ImageSet":
         "model": None if command.calibration is None else _calibrated(command.calibration),
         "masks": command.masks,
         "cameras": command.cameras,
+        "lens": {None: None, "pinhole": "radtan", "fisheye": "equidistant"}[command.lens],
     }
     images = open_images(command.images, **options, every=command.every, frames=command.frames)
     if command.add_to is None:

@@ -1,8 +1,8 @@
 """Bundle adjustment by GTSAM's Levenberg-Marquardt optimizer.
 
 Each inlier observation is a factor on the pose of its image, on its point and, if the camera is not calibrated, on the
-focal length and two radial distortion coefficients of its camera. Known poses are held or have priors; without them, a
-prior on one pose and on the distance to a second fixes the gauge.
+focal length and the radial distortion of its camera: two coefficients of a pinhole, four of a fisheye. Known poses are
+held or have priors; without them, a prior on one pose and on the distance to a second fixes the gauge.
 """
 
 from collections.abc import Sequence
@@ -26,6 +26,10 @@ RANGE_SIGMA = 1e-5
 """Standard deviation of the prior that fixes the scale, relative to the distance."""
 PIXEL_SIGMA = 1.0
 """Standard deviation of an observation [px]."""
+FISHEYE_SIGMAS = (0.1, 0.1, 0.1, 0.1)
+"""Standard deviations of the priors of the distortion coefficients of a fisheye."""
+MIN_FISHEYE_COSINE = 0.1
+"""Smallest cosine of the angle from the optical axis of the observations that an estimated fisheye is adjusted to."""
 RIG_SIGMAS = (1e-5, 1e-5)
 """Standard deviations of a known relative pose: rotation [rad], translation in units of the scene."""
 
@@ -72,7 +76,7 @@ def adjust(
         rig: Known relative poses of images.
         priors: Measured poses of at least two images, which then determine the world frame.
     """
-    index = np.flatnonzero(selected)
+    index = _projected(scene, state, np.flatnonzero(selected))
     image, track = scene.tracks.image[index], scene.tracks.track[index]
     images, tracks = np.unique(image), np.unique(track)
     values, graph = gtsam.Values(), gtsam.NonlinearFactorGraph()
@@ -103,8 +107,24 @@ def adjust(
     cameras = list(state.cameras)
     for k in np.unique(scene.image_camera[images]):
         if not scene.is_calibrated[k]:
-            cameras[k] = _from_bundler(cameras[k], result.atCal3Bundler(K(k)))
+            cameras[k] = _estimated(cameras[k], result, k)
     return replace(state, cameras=tuple(cameras), Ts_world_cam=Ts_world_cam, points=points)
+
+
+def _projected(scene: Scene, state: SfmState, index: Indices) -> Indices:
+    """Return the observations without those that GTSAM does not project with an estimated fisheye, at 90° and beyond.
+
+    Points that have fewer than two other observations are left out.
+    """
+    is_fisheye = np.array([camera.lens == "equidistant" for camera in state.cameras]) & ~scene.is_calibrated
+    if not is_fisheye.any():
+        return index
+    image, track = scene.tracks.image[index], scene.tracks.track[index]
+    relative = state.points[track] - state.Ts_world_cam[image, :3, 3]
+    cosine = np.sum(relative * state.Ts_world_cam[image, :3, 2], axis=1) / np.linalg.norm(relative, axis=1)
+    index = index[~is_fisheye[scene.image_camera[image]] | (cosine > MIN_FISHEYE_COSINE)]
+    counts = np.bincount(scene.tracks.track[index], minlength=scene.tracks.count)
+    return np.asarray(index[counts[scene.tracks.track[index]] >= 2])
 
 
 def _noise(config: BundleAdjustmentConfig) -> gtsam.noiseModel.Base:
@@ -126,6 +146,11 @@ def _insert_cameras(
             calibrations[k] = model(camera.fx, camera.fy, 0.0, camera.cx, camera.cy, *camera.distortion)
             continue
         calibrations[k] = None
+        if camera.lens == "equidistant":
+            fisheye = gtsam.Cal3Fisheye(camera.fx, camera.fy, 0.0, camera.cx, camera.cy, *camera.distortion)
+            values.insert(K(k), fisheye)
+            graph.push_back(gtsam.PriorFactorCal3Fisheye(K(k), fisheye, _fisheye_prior(camera.fx)))
+            continue
         bundler = gtsam.Cal3Bundler(camera.fx, camera.distortion[0], camera.distortion[1], camera.cx, camera.cy)
         values.insert(K(k), bundler)
         # Few images do not determine the intrinsics: the prior keeps them finite.
@@ -148,7 +173,12 @@ def _add_projections(
     for pixel, i, t, k in rows:
         calibration = calibrations[k]
         if calibration is None:
-            graph.push_back(gtsam.GeneralSFMFactor2Cal3Bundler(pixel, noise, X(i), P(t), K(k)))
+            factor = (
+                gtsam.GeneralSFMFactor2Cal3Fisheye
+                if state.cameras[k].lens == "equidistant"
+                else gtsam.GeneralSFMFactor2Cal3Bundler
+            )
+            graph.push_back(factor(pixel, noise, X(i), P(t), K(k)))
         elif isinstance(calibration, gtsam.Cal3DS2):
             graph.push_back(gtsam.GenericProjectionFactorCal3DS2(pixel, noise, X(i), P(t), calibration, False, False))
         else:
@@ -189,6 +219,23 @@ def _fix_gauge(
         graph.push_back(gtsam.RangeFactorPose3(X(first), X(farthest), scale, range_noise))
 
 
-def _from_bundler(camera: CameraModel, calibration: gtsam.Cal3Bundler) -> CameraModel:
-    f = float(calibration.fx())
-    return replace(camera, fx=f, fy=f, distortion=(float(calibration.k1()), float(calibration.k2()), 0.0, 0.0))
+def _fisheye_prior(focal_px: float) -> gtsam.noiseModel.Base:
+    """Return the noise of the prior of a fisheye: one focal length, no skew, and the principal point at the centre.
+
+    The order of the parameters is fx, fy, skew, cx, cy, k1, k2, k3, k4.
+    """
+    covariance = np.diag(np.square([1.0, 1.0, 1e-6, 1e-3, 1e-3, *FISHEYE_SIGMAS]))
+    covariance[:2, :2] = (0.5 * focal_px) ** 2 * (np.ones((2, 2)) + 1e-10 * np.eye(2))
+    return gtsam.noiseModel.Gaussian.Covariance(covariance)
+
+
+def _estimated(camera: CameraModel, values: gtsam.Values, k: int) -> CameraModel:
+    """Return a camera with the estimated focal length and distortion."""
+    if camera.lens == "equidistant":
+        fisheye = values.atCal3Fisheye(K(k))
+        f = float(0.5 * (fisheye.fx() + fisheye.fy()))
+        distortion = float(fisheye.k1()), float(fisheye.k2()), float(fisheye.k3()), float(fisheye.k4())
+        return replace(camera, fx=f, fy=f, distortion=distortion)
+    bundler = values.atCal3Bundler(K(k))
+    f = float(bundler.fx())
+    return replace(camera, fx=f, fy=f, distortion=(float(bundler.k1()), float(bundler.k2()), 0.0, 0.0))

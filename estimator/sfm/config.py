@@ -80,6 +80,26 @@ class ResectionConfig:
 
 
 @dataclass(frozen=True)
+class CompletionConfig:
+    """Longer tracks of a finished reconstruction."""
+
+    merge: bool = True
+    """Whether tracks of the same point are merged."""
+    guided: bool = True
+    """Whether features near the projections of points are added to their tracks."""
+    merge_error_px: float = 2.0
+    """Largest reprojection error of the observations of merged tracks [px]."""
+    merge_angle_rad: float = 0.5
+    """Largest angle between the mean descriptors of merged tracks [rad]."""
+    guided_error_px: float = 1.0
+    """Largest distance between an added feature and the projection of its point [px]."""
+    guided_angle_rad: float = 0.35
+    """Largest angle between the descriptor of an added feature and the mean descriptor of its track [rad]."""
+    merge_rounds: int = 3
+    """Largest number of rounds, in each of which a track is merged with one other."""
+
+
+@dataclass(frozen=True)
 class MapperConfig:
     """Incremental mapping."""
 
@@ -132,6 +152,8 @@ class SfmConfig:
     """Geometric verification of matches."""
     mapper: MapperConfig = field(default_factory=MapperConfig)
     """Incremental mapping of the images."""
+    completion: CompletionConfig = field(default_factory=CompletionConfig)
+    """Longer tracks of a finished reconstruction."""
     inertial: InertialConfig = field(default_factory=InertialConfig)
     """Gravity and scale from the IMU of a recording."""
     threads: int = 2

@@ -54,6 +54,7 @@ def map_scene(
     config: MapperConfig,
     progress: Progress = silent,
     start: SfmState | None = None,
+    is_final: bool = True,
 ) -> list[SfmState]:
     """Reconstruct all components of a scene, the one with the most images first.
 
@@ -64,6 +65,7 @@ def map_scene(
         config: Settings.
         progress: Receives the number of registered images.
         start: Known poses and cameras, from which the first component grows, whatever its size; None without any.
+        is_final: Whether all observations are adjusted at the end, as by `finish`.
     """
     mapper = _Mapper(scene, config, progress)
     available = np.ones(scene.images, np.bool_)
@@ -78,7 +80,17 @@ def map_scene(
         components.append(state)
         available &= ~state.is_registered
     components.sort(key=lambda state: -int(state.is_registered.sum()))
-    return components if grown is None else [grown, *components]
+    if grown is not None:
+        components.insert(0, grown)
+    return [finish(scene, state, config) for state in components] if is_final else components
+
+
+def finish(scene: Scene, state: SfmState, config: MapperConfig) -> SfmState:
+    """Return a reconstruction of which all observations are adjusted until the error settles, without outliers."""
+    state = remove_outliers(scene, complete(scene, state, config.triangulation), config.triangulation)
+    tolerance = CALIBRATED_TOLERANCE if scene.is_calibrated.all() else UNCALIBRATED_TOLERANCE
+    adjustment = BundleAdjustmentConfig(config.max_iterations, tolerance, config.final_cauchy_px)
+    return remove_outliers(scene, adjust(scene, state, state.used(scene), adjustment), config.triangulation)
 
 
 @dataclass(frozen=True, eq=False)
@@ -133,6 +145,7 @@ class _Mapper:
         adjusted_images = int(state.is_registered.sum())
         failed_at = np.zeros(scene.images, np.int64)  # number of visible points at the last failure
         discards = np.zeros(scene.images, np.int64)  # how often each image was registered with a wrong pose
+        is_last = False  # whether images that were left out have had their last trial
         while True:
             visible, score = self._visibility(state)
             # An image that failed is tried again when it sees a quarter more points.
@@ -152,8 +165,12 @@ class _Mapper:
                     adjusted_images = count
                 continue
             count = int(state.is_registered.sum())
+            if count == adjusted_images and (is_last or not (discards >= MAX_DISCARDS).any()):
+                return state
             if count == adjusted_images:
-                return self._finish(state)
+                # An image that was left out may have been right where the others were not: it has a last trial.
+                is_last = True
+                discards[discards >= MAX_DISCARDS] = MAX_DISCARDS - 1
             state = self._discard(self._refine(state), discards)  # better points may admit further images
             adjusted_images = count
             failed_at[:] = 0
@@ -241,14 +258,6 @@ class _Mapper:
         Ts_world_cam[is_wrong] = np.nan
         is_inlier = state.is_inlier & ~is_wrong[scene.tracks.image]
         return self.clean(replace(state, Ts_world_cam=Ts_world_cam, is_inlier=is_inlier))
-
-    def _finish(self, state: SfmState) -> SfmState:
-        """Adjust all observations until the error settles, and remove outliers."""
-        state = self.clean(complete(self.scene, state, self.config.triangulation))
-        is_calibrated = self.scene.is_calibrated.all()
-        tolerance = CALIBRATED_TOLERANCE if is_calibrated else UNCALIBRATED_TOLERANCE
-        config = BundleAdjustmentConfig(self.config.max_iterations, tolerance, self.config.final_cauchy_px)
-        return self.clean(adjust(self.scene, state, state.used(self.scene), config))
 
 
 def _seeds(pairs: list[TwoView], available: Mask, scene: Scene) -> list[TwoView]:

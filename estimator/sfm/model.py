@@ -113,11 +113,18 @@ class SfmState:
             result[mask] = self.cameras[index].unproject(pixels[mask])
         return result
 
-    def errors_px(self, scene: Scene, selected: Mask | Indices) -> Array:
-        """Return reprojection errors (S,) of the selected observations [px]; infinite where there is no projection."""
+    def errors_px(self, scene: Scene, selected: Mask | Indices, points: Array | None = None) -> Array:
+        """Return reprojection errors (S,) of the selected observations [px]; infinite where there is no projection.
+
+        Args:
+            scene: The measurements.
+            selected: The observations.
+            points: (S, 3) The point of each observation; by default that of its track.
+        """
         image, track = scene.tracks.image[selected], scene.tracks.track[selected]
         T = self.Ts_world_cam[image]
-        in_camera = np.einsum("mji,mj->mi", T[:, :3, :3], self.points[track] - T[:, :3, 3])
+        observed = self.points[track] if points is None else points
+        in_camera = np.einsum("mji,mj->mi", T[:, :3, :3], observed - T[:, :3, 3])
         camera, pixels = scene.image_camera[image], scene.pixels[selected]
         errors = np.full(len(pixels), np.inf)
         for index in np.unique(camera):

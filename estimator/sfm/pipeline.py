@@ -16,18 +16,20 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
+from dronevio.estimator.sfm.completion import add_observations, merge_tracks
 from dronevio.estimator.sfm.config import SfmConfig
 from dronevio.estimator.sfm.earlier import earlier_cameras, earlier_images, earlier_pairs, shared_points
 from dronevio.estimator.sfm.features import Features, detect_features
-from dronevio.estimator.sfm.gauge import aligned
-from dronevio.estimator.sfm.mapper import map_scene
+from dronevio.estimator.sfm.focal import guess_fisheyes
+from dronevio.estimator.sfm.mapper import finish, map_scene
 from dronevio.estimator.sfm.matching import match_features
 from dronevio.estimator.sfm.model import KnownPoses, Scene, SfmState, initial_state
 from dronevio.estimator.sfm.pairs import select_pairs
+from dronevio.estimator.sfm.placement.gauge import aligned
+from dronevio.estimator.sfm.placement.world import WorldFrame, place
 from dronevio.estimator.sfm.tracks import MatchedPair, connect_tracks
 from dronevio.estimator.sfm.two_view import TwoView, verify, view_of
 from dronevio.estimator.sfm.workspace import Workspace, digest
-from dronevio.estimator.sfm.world import WorldFrame, place
 from dronevio.models.errors import ConfigError
 from dronevio.models.image_sets import ImageSet
 from dronevio.models.progress import Progress, silent
@@ -102,7 +104,11 @@ def reconstruct(
         clock.lap("features")
         known = None if earlier is None else earlier_pairs(index, earlier, features)
         matched = index if known is not None else index[:0]
-        pairs = _match(images, features, keys, matched, config, workspace, pool, stages("matching"))
+        chosen = _chosen_pairs(images, features, matched, config)
+        if earlier is None:
+            cameras = guess_fisheyes(images, features, chosen, config.matching, config.verification)
+            images = replace(images, cameras=cameras)
+        pairs = _match(images, features, keys, chosen, config, workspace, pool, stages("matching"))
         clock.lap("matching")
     scene = _scene(images, features, [*(known or []), *pairs])
     Ts_earlier = np.full((len(images), 4, 4), np.nan)
@@ -113,10 +119,11 @@ def reconstruct(
     elif poses is not None and poses.is_exact:
         scene = replace(scene, fixed_images=poses.is_known)
         start = initial_state(scene, images.cameras, poses.Ts_world_cam)
-    states = map_scene(scene, images.cameras, pairs, config.mapper, stages("mapping"), start)
-    placed = [place(scene, state, images, config, poses) for state in states]
+    states = map_scene(scene, images.cameras, pairs, config.mapper, stages("mapping"), start, is_final=False)
+    completed = [_completed(scene, state, features, config) for state in states]
+    placed = [(own, *place(own, state, images, config, poses)) for own, state in completed]
     if earlier is not None:
-        placed[0] = aligned(placed[0][0], Ts_earlier), earlier_world or WorldFrame()
+        placed[0] = placed[0][0], aligned(placed[0][1], Ts_earlier), earlier_world or WorldFrame()
     clock.lap("mapping")
     counts = np.zeros((len(features), len(features)), np.int64)
     if earlier is not None:
@@ -124,12 +131,12 @@ def reconstruct(
     for pair in pairs:
         counts[pair.first, pair.second] = counts[pair.second, pair.first] = len(pair.matches)
     return SfmResult(
-        tuple(_reconstruction(scene, state, images.names, features) for state, _ in placed),
-        all(world.is_metric for _, world in placed),
+        tuple(_reconstruction(own, state, images.names, features) for own, state, _ in placed),
+        all(world.is_metric for *_, world in placed),
         counts,
         np.array([len(f) for f in features], np.int64),
         clock.times_s,
-        tuple(world for _, world in placed),
+        tuple(world for *_, world in placed),
     )
 
 
@@ -151,20 +158,31 @@ def _detect(
     return [features for features, _ in found], [key for _, key in found]
 
 
+def _chosen_pairs(
+    images: ImageSet, features: list[Features], known: Indices, config: SfmConfig
+) -> list[tuple[int, int]]:
+    """Return the pairs of images that are matched, except those of two images whose matches are known."""
+    is_known = np.isin(np.arange(len(features)), known)
+    return [
+        (i, j) for i, j in select_pairs(features, images.is_ordered, config.pairs) if not (is_known[i] and is_known[j])
+    ]
+
+
 def _match(
     images: ImageSet,
     features: list[Features],
     keys: list[str],
-    known: Indices,
+    chosen: list[tuple[int, int]],
     config: SfmConfig,
     workspace: Workspace,
     pool: ThreadPoolExecutor,
     progress: Progress,
 ) -> list[TwoView]:
-    """Return the verified pairs in the order of their images, except those of two images whose matches are known."""
+    """Return the verified pairs among some pairs, in the order of their images."""
+    # Fisheyes have a focal length with which the essential matrix explains their matches.
     views = [
-        view_of(f.pixels, images.cameras[camera], bool(images.is_calibrated[camera]))
-        for f, camera in zip(features, images.image_camera.tolist(), strict=True)
+        view_of(f.pixels, images.cameras[k], bool(images.is_calibrated[k]) or images.cameras[k].lens == "equidistant")
+        for f, k in zip(features, images.image_camera.tolist(), strict=True)
     ]
 
     def match(group: tuple[int, list[int]]) -> list[TwoView]:
@@ -183,10 +201,6 @@ def _match(
         workspace.save_pairs(first, key, found)
         return found
 
-    is_known = np.isin(np.arange(len(features)), known)
-    chosen = [
-        (i, j) for i, j in select_pairs(features, images.is_ordered, config.pairs) if not (is_known[i] and is_known[j])
-    ]
     groups = [(first, [j for _, j in rows]) for first, rows in groupby(chosen, key=lambda pair: pair[0])]
     return [pair for found in _counted(pool, match, groups, progress) for pair in found]
 
@@ -197,6 +211,15 @@ def _scene(images: ImageSet, features: list[Features], pairs: Sequence[MatchedPa
     pixels = np.concatenate([f.pixels for f in features])
     offsets = np.cumsum(counts) - counts
     return Scene(tracks, pixels[offsets[tracks.image] + tracks.feature], images.image_camera, images.is_calibrated)
+
+
+def _completed(scene: Scene, state: SfmState, features: list[Features], config: SfmConfig) -> tuple[Scene, SfmState]:
+    """Return a reconstruction with longer tracks, finally adjusted, and its measurements."""
+    if config.completion.merge:
+        scene, state = merge_tracks(scene, state, features, config.completion)
+    if config.completion.guided:
+        scene, state = add_observations(scene, state, features, config.completion)
+    return scene, finish(scene, state, config.mapper)
 
 
 def _reconstruction(scene: Scene, state: SfmState, names: tuple[str, ...], features: list[Features]) -> Reconstruction:

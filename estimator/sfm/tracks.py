@@ -48,8 +48,10 @@ class Tracks:
 def connect_tracks(pairs: Sequence[MatchedPair], feature_counts: Indices) -> Tracks:
     """Connect verified matches to tracks.
 
-    A component of the graph of matches that contains two features of one image is inconsistent. Its least supported
-    matches, those that few triangles of matches confirm, are removed until it falls apart.
+    A component of the graph of matches that contains two features of one image is inconsistent. Its matches between
+    the images with the fewest matches are removed, and so on until it falls apart: where a scene repeats itself, images
+    of different places have few matches, and images of one place many. Of equal pairs, the matches that fewer triangles
+    of matches confirm are removed first.
 
     Args:
         pairs: Pairs with verified matches.
@@ -61,17 +63,26 @@ def connect_tracks(pairs: Sequence[MatchedPair], feature_counts: Indices) -> Tra
     if not pairs:
         return Tracks(*(np.empty(0, np.int64) for _ in range(3)))
     edges = np.concatenate([pair.matches + offsets[[pair.first, pair.second]] for pair in pairs])
-    support = _triangles(edges, total)
-    while True:
-        labels = _components(edges, total)
-        in_conflict = _conflicts(labels, image_of)[labels[edges[:, 0]]]
-        if not in_conflict.any():
-            break
-        # Within each inconsistent component, the matches with the least support go.
-        least = np.full(total, np.iinfo(np.int64).max)
-        np.minimum.at(least, labels[edges[in_conflict, 0]], support[in_conflict])
-        keep = ~(in_conflict & (support <= least[labels[edges[:, 0]]]))
+    counts = [len(pair.matches) for pair in pairs]
+    triangles = _triangles(edges, total)
+    support = np.repeat(counts, counts) * (triangles.max(initial=0) + 1) + triangles
+    consistent = [np.empty((0, 2), np.int64)]
+    while len(edges):
+        # Only the features of inconsistent components are left, and numbered anew.
+        nodes, compact = np.unique(edges, return_inverse=True)
+        compact = compact.reshape(edges.shape)
+        labels = _components(compact, len(nodes))
+        label = labels[compact[:, 0]]
+        in_conflict = _conflicts(labels, image_of[nodes])[label]
+        consistent.append(edges[~in_conflict])
+        edges, support, label = edges[in_conflict], support[in_conflict], label[in_conflict]
+        # Within each inconsistent component, the matches of the weakest pairs of images go.
+        least = np.full(len(nodes), np.iinfo(np.int64).max)
+        np.minimum.at(least, label, support)
+        keep = support > least[label]
         edges, support = edges[keep], support[keep]
+    edges = np.concatenate(consistent)
+    labels = _components(edges, total)
     used = np.unique(edges)
     order = np.lexsort([used, labels[used]])
     nodes = used[order]

@@ -13,6 +13,7 @@ from dronevio.models.image_sets.image_set import FocalSource, Image, ImageSet, I
 from dronevio.models.image_sets.intrinsics import initial_camera
 from dronevio.models.image_sets.masks import find_masks
 from dronevio.models.image_sets.photos import PHOTO_SUFFIXES, PhotoHeader, read_photo, read_photo_header
+from dronevio.models.lenses.lens import LensName
 
 CameraSharing = Literal["shared", "per-image"]
 """Whether images of the same size with the same EXIF data of camera and lens share a camera, or each has its own."""
@@ -45,6 +46,7 @@ def image_folder(
     camera: CameraSharing = "shared",
     model: CameraModel | None = None,
     masks: Path | str | None = None,
+    lens: LensName = "radtan",
 ) -> ImageSet:
     """Return the images in a folder and its subfolders, in natural order of their names.
 
@@ -57,6 +59,7 @@ def image_folder(
         model: Calibration of the one camera of all images; None for initial values from EXIF data or an assumed field
             of view.
         masks: A folder of masks or one mask for all images; see `dronevio.models.image_sets.masks`.
+        lens: Lens model without a calibration: ``radtan``, a pinhole, or ``equidistant``, a fisheye.
 
     Raises:
         InputError: The folder does not exist or has no images, a file is not an image, an image has another size than
@@ -72,7 +75,7 @@ def image_folder(
     files = tuple(folder / name for name in names)
     headers = [read_photo_header(file) for file in files]
     if model is None:
-        image_camera, cameras, sources = _initial_cameras(headers, camera)
+        image_camera, cameras, sources = _initial_cameras(headers, camera, lens)
     else:
         _check_sizes(files, headers, model)
         image_camera, cameras, sources = np.zeros(len(files), np.int64), (model,), ("calibration",)
@@ -133,12 +136,12 @@ def natural_key(name: str) -> tuple[tuple[tuple[str | int, ...], ...], str]:
 
 
 def _initial_cameras(
-    headers: list[PhotoHeader], sharing: CameraSharing
+    headers: list[PhotoHeader], sharing: CameraSharing, lens: LensName
 ) -> tuple[Indices, tuple[CameraModel, ...], tuple[FocalSource, ...]]:
     """Return the camera of each image, and the initial model and source of the focal length of each camera."""
     keys = list(enumerate(headers)) if sharing == "per-image" else [(0, header) for header in headers]
     unique = {key: number for number, key in enumerate(dict.fromkeys(keys))}
-    initial = [initial_camera(header.width, header.height, header.exif) for _, header in unique]
+    initial = [initial_camera(header.width, header.height, header.exif, lens) for _, header in unique]
     image_camera = np.array([unique[key] for key in keys], dtype=np.int64)
     return image_camera, tuple(model for model, _ in initial), tuple(source for _, source in initial)
 

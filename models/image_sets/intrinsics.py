@@ -16,10 +16,14 @@ from dataclasses import dataclass
 
 from dronevio.models.camera import CameraModel
 from dronevio.models.image_sets.image_set import FocalSource
+from dronevio.models.lenses.lens import LensName
 
 ASSUMED_FOCAL_RATIO = 1.2
 """Focal length without any information, relative to the longer side of the image: a field of view of 45°, as in
 COLMAP."""
+ASSUMED_FISHEYE_FOCAL_RATIO = 0.4
+"""Focal length of a fisheye relative to the longer side of the image: a field of view of 143° along it. Those of TUM-VI
+and UZH-FPV have 0.37 and 0.43."""
 FILM_DIAGONAL_MM = math.hypot(36.0, 24.0)
 """Diagonal of an image on 35 mm film [mm]."""
 SMALLEST_SENSOR_MM = 4.0
@@ -104,16 +108,24 @@ def exif_focal_px(exif: ExifCamera, width: int, height: int) -> tuple[float, Foc
     return None
 
 
-def initial_camera(width: int, height: int, exif: ExifCamera | None = None) -> tuple[CameraModel, FocalSource]:
+def initial_camera(
+    width: int, height: int, exif: ExifCamera | None = None, lens: LensName = "radtan"
+) -> tuple[CameraModel, FocalSource]:
     """Return the initial model of a camera that is not calibrated, and the source of its focal length.
 
-    The model is a pinhole without distortion, with the principal point at the centre of the image.
+    The model has no distortion, and the principal point is at the centre of the image. The focal length of a fisheye is
+    assumed, because EXIF data state that of a pinhole.
 
     Args:
         width: Number of columns [px].
         height: Number of rows [px].
         exif: EXIF data, None without any.
+        lens: ``radtan``, a pinhole, or ``equidistant``, a fisheye.
     """
+    if lens == "equidistant":
+        focal_px = ASSUMED_FISHEYE_FOCAL_RATIO * max(width, height)
+        centre = (width - 1) / 2, (height - 1) / 2
+        return CameraModel(width, height, focal_px, focal_px, *centre, lens="equidistant"), "assumed"
     found = exif_focal_px(exif, width, height) if exif is not None else None
     focal_px, source = found or (ASSUMED_FOCAL_RATIO * max(width, height), "assumed")
     camera = CameraModel(width, height, focal_px, focal_px, (width - 1) / 2, (height - 1) / 2)

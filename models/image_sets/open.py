@@ -10,6 +10,7 @@ from dronevio.models.image_sets.image_set import ImageSet
 from dronevio.models.image_sets.photos import PHOTO_SUFFIXES
 from dronevio.models.image_sets.recording import image_recording
 from dronevio.models.image_sets.video import VIDEO_SUFFIXES, image_video
+from dronevio.models.lenses.lens import LensName
 from dronevio.models.recordings.open import is_bag
 
 
@@ -22,6 +23,7 @@ def open_images(
     every: int | None = None,
     cameras: Sequence[int] | None = None,
     frames: int | Sequence[int] | None = None,
+    lens: LensName | None = None,
 ) -> ImageSet:
     """Return the images of a folder, a video or a recording.
 
@@ -34,25 +36,29 @@ def open_images(
         every: For videos: distance between the frames to use, by default 1.
         cameras: For recordings: indices of the cameras to use, by default the first.
         frames: For recordings: number of frames, spread evenly, or their indices; by default all.
+        lens: For folders and videos without a calibration: ``radtan``, a pinhole and the default, or ``equidistant``, a
+            fisheye.
 
     Raises:
         InputError: The path is none of these, or is damaged.
         ConfigError: An option is given that does not apply, or has an invalid value.
     """
     path = Path(path)
-    options = {"camera": camera, "model": model, "every": every, "cameras": cameras, "frames": frames}
+    options = {"camera": camera, "model": model, "every": every, "cameras": cameras, "frames": frames, "lens": lens}
+    if model is not None and lens is not None:
+        raise ConfigError(f"{path}: a lens beside a calibration, which has one; expected only one of them")
     if is_recording(path):
         _check_options(path, "a recording", options, ("cameras", "frames"))
         return image_recording(path, cameras=(0,) if cameras is None else cameras, frames=frames, masks=masks)
     if path.suffix.lower() in VIDEO_SUFFIXES:
-        _check_options(path, "a video", options, ("model", "every"))
-        return image_video(path, 1 if every is None else every, model, masks)
+        _check_options(path, "a video", options, ("model", "every", "lens"))
+        return image_video(path, 1 if every is None else every, model, masks, lens or "radtan")
     if not path.exists():
         raise InputError(path, "no such file or folder", _expected())
     if not path.is_dir():
         raise InputError(path, "a file that is neither a video nor a recording", _expected())
-    _check_options(path, "a folder of images", options, ("camera", "model"))
-    return image_folder(path, camera=camera or "shared", model=model, masks=masks)
+    _check_options(path, "a folder of images", options, ("camera", "model", "lens"))
+    return image_folder(path, camera=camera or "shared", model=model, masks=masks, lens=lens or "radtan")
 
 
 def is_recording(path: Path) -> bool:

@@ -20,6 +20,7 @@ from dronevio.models.errors import ConfigError, InputError
 from dronevio.models.image_sets.image_set import FocalSource, Image, ImageSet, Indices
 from dronevio.models.image_sets.intrinsics import initial_camera
 from dronevio.models.image_sets.masks import find_masks
+from dronevio.models.lenses.lens import LensName
 
 if TYPE_CHECKING:
     from av.video.frame import VideoFrame
@@ -49,7 +50,11 @@ class VideoIndex:
 
 
 def image_video(
-    path: Path | str, every: int = 1, model: CameraModel | None = None, masks: Path | str | None = None
+    path: Path | str,
+    every: int = 1,
+    model: CameraModel | None = None,
+    masks: Path | str | None = None,
+    lens: LensName = "radtan",
 ) -> ImageSet:
     """Return frames of a video.
 
@@ -58,6 +63,7 @@ def image_video(
         every: Distance between the frames to return: 1 for all, 10 for each tenth.
         model: Calibration of the camera, None for an assumed field of view.
         masks: A folder of masks or one mask for all images; see `dronevio.models.image_sets.masks`.
+        lens: Lens model without a calibration: ``radtan``, a pinhole, or ``equidistant``, a fisheye.
 
     Raises:
         InputError: The video is missing, damaged, or has another size than the calibration.
@@ -74,7 +80,9 @@ def image_video(
             f"{model.width} × {model.height} px as in the calibration",
         )
     source: FocalSource
-    camera, source = (model, "calibration") if model is not None else initial_camera(index.width, index.height)
+    camera, source = initial_camera(index.width, index.height, lens=lens)
+    if model is not None:
+        camera, source = model, "calibration"
     chosen = np.arange(0, len(index.pts), every, dtype=np.int64)
     names = tuple(f"frame-{i:06d}" for i in chosen.tolist())
     image_camera = np.zeros(len(chosen), np.int64)

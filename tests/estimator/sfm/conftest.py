@@ -45,6 +45,7 @@ def build_scene(
     flat: bool = False,
     rotation_only: bool = False,
     baseline_m: float = 0.0,
+    wide: bool = False,
 ) -> SyntheticScene:
     """Return a scene of cameras on an arc that look at a cloud of points, on a plane if it is flat.
 
@@ -55,6 +56,8 @@ def build_scene(
     cloud = rng.uniform([-2.0, -1.5, 4.0], [2.0, 1.5, 7.0], (points, 3))
     if flat:
         cloud[:, 2] = 5.0 + 0.3 * cloud[:, 0]
+    if wide:  # up to 75° from the optical axis
+        cloud[:, :2] *= 6.0
     descriptors = rng.integers(0, 90, (points, 128))
     poses: list[Array] = []
     features: list[Features] = []

@@ -8,10 +8,10 @@ import pytest
 
 from dronevio.estimator.sfm import pipeline
 from dronevio.estimator.sfm.earlier import earlier_cameras, earlier_images, earlier_pairs
-from dronevio.estimator.sfm.gauge import similarity
 from dronevio.estimator.sfm.matching import match_features
 from dronevio.estimator.sfm.pipeline import reconstruct
-from dronevio.estimator.sfm.world import WorldFrame
+from dronevio.estimator.sfm.placement.gauge import similarity
+from dronevio.estimator.sfm.placement.world import WorldFrame
 from dronevio.models.camera import CameraModel
 from dronevio.models.errors import ConfigError
 from dronevio.models.image_sets import ImageSet, joined, subset, with_earlier

@@ -10,11 +10,11 @@ from scipy.interpolate import CubicSpline
 from scipy.spatial.transform import Rotation, RotationSpline
 
 from dronevio.estimator.sfm.config import InertialConfig, SfmConfig
-from dronevio.estimator.sfm.inertial import InertialAlignment, align_with_imu
 from dronevio.estimator.sfm.model import Scene, initial_state
 from dronevio.estimator.sfm.pipeline import reconstruct
+from dronevio.estimator.sfm.placement.inertial import InertialAlignment, align_with_imu
+from dronevio.estimator.sfm.placement.world import WorldFrame, place
 from dronevio.estimator.sfm.tracks import Tracks
-from dronevio.estimator.sfm.world import WorldFrame, place
 from dronevio.models.camera import CameraModel
 from dronevio.models.errors import ConfigError
 from dronevio.models.image_sets import ImageSet, InertialData

@@ -16,7 +16,7 @@ from dronevio.estimator.sfm.config import (
     TriangulationConfig,
     VerificationConfig,
 )
-from dronevio.estimator.sfm.mapper import _Mapper, map_scene
+from dronevio.estimator.sfm.mapper import MAX_DISCARDS, _Mapper, map_scene
 from dronevio.estimator.sfm.matching import match_features
 from dronevio.estimator.sfm.model import Scene, SfmState
 from dronevio.estimator.sfm.resection import resect
@@ -180,6 +180,25 @@ def test_an_image_with_a_wrong_pose_is_registered_anew(scene: "SyntheticScene") 
     again = mapper._grow(cleaned, np.ones(problem.images, np.bool_))
     assert again.is_registered.all()
     assert position_errors(scene, again).max() < 0.005
+
+
+def test_an_image_that_was_left_out_has_a_last_trial(scene: "SyntheticScene", monkeypatch: pytest.MonkeyPatch) -> None:
+    problem, pairs = measured(scene, scene.camera, is_calibrated=True)
+    trials: list[int] = []
+
+    def discard(mapper: _Mapper, state: SfmState, discards: npt.NDArray[np.int64]) -> SfmState:
+        if not state.is_registered[3] or trials:
+            return state
+        trials.append(int(state.is_registered.sum()))
+        discards[3] = MAX_DISCARDS
+        Ts_world_cam = state.Ts_world_cam.copy()
+        Ts_world_cam[3] = np.nan
+        return mapper.clean(replace(state, Ts_world_cam=Ts_world_cam))
+
+    monkeypatch.setattr(_Mapper, "_discard", discard)
+    [state] = map_scene(problem, (scene.camera,), pairs, MapperConfig())
+    assert len(trials) == 1
+    assert state.is_registered.all()
 
 
 def test_midpoints_by_hand() -> None:

@@ -9,7 +9,7 @@ import pytest
 
 from dronevio.estimator.sfm.config import SfmConfig
 from dronevio.estimator.sfm.pipeline import reconstruct
-from dronevio.estimator.sfm.rig import rig_poses
+from dronevio.estimator.sfm.placement.rig import rig_poses
 from dronevio.estimator.sfm.workspace import Workspace, digest
 from dronevio.models.rotation import inverse_pose
 

@@ -30,6 +30,15 @@ def test_a_wrong_match_between_two_tracks_is_removed() -> None:
     assert any({(0, 0), (1, 0), (2, 0)} <= track for track in found)
 
 
+def test_matches_of_a_weak_pair_are_removed() -> None:
+    # A repetitive scene: weak pairs of images confirm a wrong match by triangles, strong pairs contradict it.
+    strong = [pair(0, 1, *((k, k) for k in range(5))), pair(1, 2, *((k, k) for k in range(5)))]
+    weak = [pair(0, 2, (0, 1)), pair(0, 3, (0, 7)), pair(2, 3, (1, 7))]
+    found = as_sets(connect_tracks([*strong, *weak], np.full(4, 10)))
+    assert any({(0, 0), (1, 0), (2, 0)} <= track for track in found)
+    assert any({(0, 1), (1, 1), (2, 1)} <= track for track in found)
+
+
 def test_no_track_has_two_features_of_an_image() -> None:
     rng = np.random.default_rng(0)
     pairs = [

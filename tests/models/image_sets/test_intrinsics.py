@@ -8,7 +8,8 @@ import pytest
 from PIL import Image as PillowImage
 from PIL.TiffImagePlugin import IFDRational
 
-from dronevio.models import image_folder
+from dronevio.models import image_folder, open_images
+from dronevio.models.errors import ConfigError
 from dronevio.models.image_sets.intrinsics import ExifCamera, exif_camera, exif_focal_px, initial_camera
 
 MAKE, MODEL, EXIF_IFD = 0x010F, 0x0110, 0x8769
@@ -120,3 +121,11 @@ def test_photographs_of_villa_balbianello() -> None:
     assert images.image_camera.tolist() == [0] * 5 and images.focal_source == ("assumed",)
     assert images.cameras[0].fx == 768.0
     assert images.read(4).shape == (427, 640, 3)
+
+
+def test_a_fisheye_folder(tmp_path: Path) -> None:
+    PillowImage.new("L", (50, 20)).save(tmp_path / "0.png")
+    [camera] = open_images(tmp_path, lens="equidistant").cameras
+    assert (camera.lens, camera.fx, camera.cx, camera.cy) == ("equidistant", 20.0, 24.5, 9.5)
+    with pytest.raises(ConfigError, match="a lens beside a calibration"):
+        open_images(tmp_path, lens="equidistant", model=camera)

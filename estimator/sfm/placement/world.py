@@ -13,10 +13,10 @@ import numpy.typing as npt
 from dronevio.estimator.initialization.static import level_rotation
 from dronevio.estimator.sfm.adjustment import BundleAdjustmentConfig, adjust
 from dronevio.estimator.sfm.config import InertialConfig, SfmConfig
-from dronevio.estimator.sfm.gauge import aligned, transformed
-from dronevio.estimator.sfm.inertial import InertialAlignment, align_with_imu
 from dronevio.estimator.sfm.model import KnownPoses, Scene, SfmState
-from dronevio.estimator.sfm.rig import impose_rig
+from dronevio.estimator.sfm.placement.gauge import aligned, transformed
+from dronevio.estimator.sfm.placement.inertial import InertialAlignment, align_with_imu
+from dronevio.estimator.sfm.placement.rig import impose_rig
 from dronevio.models.errors import ConfigError
 from dronevio.models.image_sets import ImageSet
 from dronevio.models.rotation import rotation_z, yaw_rad_from_matrix
