@@ -15,10 +15,13 @@ import pytest
 import dronevio as dv
 from dronevio.cli import main
 from dronevio.eval.metrics.alignment import umeyama
+from dronevio.models.camera import CameraModel
 from dronevio.models.errors import InputError
 from dronevio.models.image_sets import image_recording
 from dronevio.models.image_sets.source import ImageSource, read_image_source, write_image_source
+from dronevio.models.reconstruction import Reconstruction
 from dronevio.models.reconstructions import read_reconstruction, write_reconstruction
+from dronevio.models.rotation import exp_so3
 
 Result = Any  # the class of conftest, which cannot be imported
 CommandRunner = Callable[..., Result]
@@ -202,3 +205,29 @@ def test_the_folder_of_the_images_is_remembered(reconstructed: Path, photographs
     (tmp_path / "images.json").write_text("{}", encoding="utf-8")
     with pytest.raises(InputError, match="other contents"):
         read_image_source(tmp_path / "images.json")
+
+
+def test_real_images_are_compared_with_their_mounting(script: Callable[[str], Any]) -> None:
+    real = script("sfm_real")
+    turned = np.eye(4)
+    turned[:3, :3] = exp_so3(np.radians([0.0, 0.0, 1.0]))
+    turned[:3, 3] = [3.0, 0.0, 0.0]
+    none = np.empty(0, np.int64)
+    found = Reconstruction(
+        cameras=(CameraModel(8, 6, 10.0, 10.0, 3.5, 2.5),),
+        image_names=("right", "left"),
+        image_camera=np.zeros(2, np.int64),
+        Ts_world_cam=np.stack([turned, np.eye(4)]),
+        points=np.empty((0, 3)),
+        colours=np.empty((0, 3), np.uint8),
+        observation_image=none,
+        observation_point=none,
+        observation_px=np.empty((0, 2)),
+    )
+    T_left_right = np.eye(4)
+    T_left_right[:2, 3] = [1.0, 1.0]
+    known = real.differences(found, real.RealSet("", None, (("left", "right"), ("a", "b")), T_left_right))
+    assert known.rotation_deg == pytest.approx(1.0)
+    assert known.direction_deg == pytest.approx(45.0)
+    assert known.baseline_percent == 0.0
+    assert np.isnan(known.disparity_px)
