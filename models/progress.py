@@ -1,5 +1,6 @@
 """Callbacks by which long operations report their progress."""
 
+from collections.abc import Callable
 from typing import Protocol
 
 
@@ -12,3 +13,12 @@ class Progress(Protocol):
 
 def silent(done: int, total: int) -> None:
     """Ignore the progress; the default of all functions that report it."""
+
+
+Stages = Callable[[str], Progress]
+"""Function that returns the callback of a stage of an operation by its name."""
+
+
+def silent_stages(stage: str) -> Progress:
+    """Ignore the progress of all stages."""
+    return silent

@@ -5,12 +5,10 @@ problem; Furukawa and Hernández, *Multi-View Stereo: A Tutorial*, 2015, for the
 """
 
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
-from contextlib import contextmanager
 from dataclasses import dataclass, replace
 
-import cv2
 import numpy as np
 import numpy.typing as npt
 
@@ -23,14 +21,14 @@ from dronevio.estimator.dense.mesh import build_mesh
 from dronevio.estimator.dense.neighbours import observed_points, select_neighbours
 from dronevio.estimator.dense.tsdf import integrate, pixel_size
 from dronevio.estimator.dense.views import ViewLoader
+from dronevio.estimator.threads import map_with_progress, one_opencv_thread
 from dronevio.models.image_sets import ImageSet
-from dronevio.models.progress import Progress, silent
+from dronevio.models.progress import Progress, Stages, silent, silent_stages
 from dronevio.models.reconstruction import Reconstruction
 from dronevio.models.surfaces import Mesh, PointCloud
 
 Floats = npt.NDArray[np.float32]
 Indices = npt.NDArray[np.int64]
-Stages = Callable[[str], Progress]
 
 
 @dataclass(frozen=True, eq=False)
@@ -51,15 +49,11 @@ class DenseResult:
     """Elapsed time of each stage [s]."""
 
 
-def _no_progress(stage: str) -> Progress:
-    return silent
-
-
 def densify(
     images: ImageSet,
     reconstruction: Reconstruction,
     config: DenseConfig | None = None,
-    stages: Stages = _no_progress,
+    stages: Stages = silent_stages,
 ) -> DenseResult:
     """Return the surfaces of a scene from images with known cameras.
 
@@ -84,7 +78,7 @@ def densify(
     load = ViewLoader(images, reconstruction, config.views)
     neighbours = select_neighbours(reconstruction, config.views)
     times = [time.perf_counter()]
-    with _one_thread_each():
+    with one_opencv_thread():
         depths = estimate_depths(load, reconstruction, neighbours, config, stages("depth maps"))
         times.append(time.perf_counter())
         consistent = filter_depths(depths, neighbours, config, stages("consistency"))
@@ -128,7 +122,7 @@ def estimate_depths(
         return PosedDepth(camera, T, np.where(known, found.inverse_depth, np.float32(0.0)))
 
     with ThreadPoolExecutor(config.threads) as pool:
-        return list(_counted(pool.map(estimate, range(len(load))), len(load), progress))
+        return map_with_progress(pool, estimate, range(len(load)), progress)
 
 
 def filter_depths(
@@ -148,23 +142,4 @@ def filter_depths(
         return replace(depths[i], inverse_depth=found)
 
     with ThreadPoolExecutor(config.threads) as pool:
-        return list(_counted(pool.map(check, range(len(depths))), len(depths), progress))
-
-
-def _counted(results: Iterator[PosedDepth], count: int, progress: Progress) -> Iterator[PosedDepth]:
-    """Yield results and report their number."""
-    progress(0, count)
-    for done, result in enumerate(results, 1):
-        progress(done, count)
-        yield result
-
-
-@contextmanager
-def _one_thread_each() -> Iterator[None]:
-    """Run OpenCV without threads of its own while a pool keeps the cores busy."""
-    threads = cv2.getNumThreads()
-    cv2.setNumThreads(1)
-    try:
-        yield
-    finally:
-        cv2.setNumThreads(threads)
+        return map_with_progress(pool, check, range(len(depths)), progress)

@@ -5,14 +5,11 @@ Source: Dellaert and Hutchinson, *Introduction to Robotics and Perception*, sect
 """
 
 import time
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
-from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from itertools import groupby
-from typing import TypeVar
 
-import cv2
 import numpy as np
 import numpy.typing as npt
 
@@ -30,15 +27,13 @@ from dronevio.estimator.sfm.placement.world import WorldFrame, place
 from dronevio.estimator.sfm.tracks import MatchedPair, connect_tracks
 from dronevio.estimator.sfm.two_view import TwoView, verify, view_of
 from dronevio.estimator.sfm.workspace import Workspace, digest
+from dronevio.estimator.threads import map_with_progress, one_opencv_thread
 from dronevio.models.errors import ConfigError
 from dronevio.models.image_sets import ImageSet
-from dronevio.models.progress import Progress, silent
+from dronevio.models.progress import Progress, Stages, silent_stages
 from dronevio.models.reconstruction import Reconstruction
 
 Indices = npt.NDArray[np.int64]
-Item = TypeVar("Item")
-Result = TypeVar("Result")
-Stages = Callable[[str], Progress]
 
 
 @dataclass(frozen=True, eq=False)
@@ -59,15 +54,11 @@ class SfmResult:
     """How the world frame of each reconstruction is determined."""
 
 
-def _no_progress(stage: str) -> Progress:
-    return silent
-
-
 def reconstruct(
     images: ImageSet,
     config: SfmConfig | None = None,
     workspace: Workspace | None = None,
-    stages: Stages = _no_progress,
+    stages: Stages = silent_stages,
     *,
     earlier: Reconstruction | None = None,
     earlier_world: WorldFrame | None = None,
@@ -99,7 +90,7 @@ def reconstruct(
     if earlier is not None:
         images = replace(images, cameras=earlier_cameras(images, earlier))
     clock = _Clock()
-    with _one_thread_each(), ThreadPoolExecutor(config.threads) as pool:
+    with one_opencv_thread(), ThreadPoolExecutor(config.threads) as pool:
         features, keys = _detect(images, config, workspace, pool, stages("features"))
         clock.lap("features")
         known = None if earlier is None else earlier_pairs(index, earlier, features)
@@ -154,7 +145,7 @@ def _detect(
             workspace.save_features(index, key, features)
         return features, key
 
-    found = list(_counted(pool, detect, range(len(images.names)), progress))
+    found = map_with_progress(pool, detect, range(len(images.names)), progress)
     return [features for features, _ in found], [key for _, key in found]
 
 
@@ -202,7 +193,7 @@ def _match(
         return found
 
     groups = [(first, [j for _, j in rows]) for first, rows in groupby(chosen, key=lambda pair: pair[0])]
-    return [pair for found in _counted(pool, match, groups, progress) for pair in found]
+    return [pair for found in map_with_progress(pool, match, groups, progress) for pair in found]
 
 
 def _scene(images: ImageSet, features: list[Features], pairs: Sequence[MatchedPair]) -> Scene:
@@ -245,28 +236,6 @@ def _reconstruction(scene: Scene, state: SfmState, names: tuple[str, ...], featu
         observation_point=new_point.astype(np.int64),
         observation_px=scene.pixels[used],
     )
-
-
-def _counted(
-    pool: ThreadPoolExecutor, function: Callable[[Item], Result], items: Iterable[Item], progress: Progress
-) -> Iterator[Result]:
-    """Yield the results of a function in the order of the items, which a pool processes, and report the progress."""
-    items = list(items)
-    progress(0, len(items))
-    for done, result in enumerate(pool.map(function, items), 1):
-        progress(done, len(items))
-        yield result
-
-
-@contextmanager
-def _one_thread_each() -> Iterator[None]:
-    """Run OpenCV without threads of its own while a pool keeps the cores busy."""
-    threads = cv2.getNumThreads()
-    cv2.setNumThreads(1)
-    try:
-        yield
-    finally:
-        cv2.setNumThreads(threads)
 
 
 class _Clock:
