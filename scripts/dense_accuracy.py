@@ -8,17 +8,18 @@ Accuracy is the share of estimated points that are near a true one, completeness
 an estimated one, and F their harmonic mean.
 
 The baseline is a fusion of `cv2.StereoSGBM` of rectified pairs of the same images with the same poses: each image is
-matched to its best neighbours, the median of the depths is taken, and consistency and fusion are the same as ours::
+matched to its best neighbours with which it can be rectified, the median of the depths is taken, and consistency and
+fusion are the same as ours::
 
     .venv/bin/python scripts/dense_accuracy.py --work build/dense
-    .venv/bin/python scripts/dense_accuracy.py --work build/dense --scenarios room-v0 --seed 7 --no-sgbm
+    .venv/bin/python scripts/dense_accuracy.py --work build/dense --scenarios room-v0 --seed 7 --programs dronevio
 """
 
-import json
 import time
-from collections.abc import Sequence
-from dataclasses import asdict, dataclass, field, replace
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass, field, replace
 from pathlib import Path
+from typing import Literal
 
 import cv2
 import numpy as np
@@ -56,17 +57,20 @@ FARTHEST_M = 10.0
 DISTANCES_M = (0.01, 0.05, 0.1)
 """Distances below which a point counts as right [m]."""
 MERGED_FRAMES = 10
+MIN_ANGLE_DEG = 35.0  # between the baseline and the optical axes of a pair that is rectified
+MAX_TANGENT = 1.3  # of the angles from the rectified axis that a rectified image contains
+CANDIDATES = 30  # neighbours among which those are found that can be rectified
 
 
 @dataclass(frozen=True)
 class SgbmConfig:
     """Settings of the baseline."""
 
-    pairs: int = 4
+    pairs: int = 2
     """Number of neighbours with which each image is matched."""
     block: int = 5
     """Side of the blocks [px]."""
-    uniqueness: int = 5
+    uniqueness: int = 10
     """Margin by which the best cost must be lower than the second best [%]."""
 
 
@@ -82,8 +86,8 @@ class DenseAccuracyCommand:
     """Seed of the flights; by default, each scenario has its own."""
     frames: int = 100
     """Number of frames of each flight."""
-    sgbm: bool = True
-    """Whether the baseline is measured as well."""
+    programs: tuple[Literal["dronevio", "sgbm"], ...] = ("dronevio", "sgbm")
+    """Programs that are measured."""
     dense: DenseConfig = field(default_factory=DenseConfig)
     """Settings of dense reconstruction."""
     baseline: SgbmConfig = field(default_factory=SgbmConfig)
@@ -154,12 +158,16 @@ def score(true: Array, points: Array, reconstruction: Reconstruction) -> tuple[C
     return compare_clouds(true, voxel_means(near_points(points, reconstruction), VOXEL_M), DISTANCES_M)
 
 
-def sgbm_depth(view: View, others: Sequence[View], points: Array, config: SgbmConfig, margin: float) -> PosedDepth:
-    """Return the depth map of an image, the median over its rectified pairs, by OpenCV's block matching."""
-    maps = [sgbm_pair(view, other, points, config, margin) for other in others]
-    stack = np.stack(
-        [np.where(m > 0.0, m, np.nan) for m in maps if m is not None] or [np.full(view.grey.shape, np.nan)]
-    )
+def sgbm_depth(view: View, others: Iterable[View], points: Array, config: SgbmConfig, margin: float) -> PosedDepth:
+    """Return the depth map of an image, the median over its first pairs that can be rectified."""
+    maps: list[Floats] = []
+    for other in others:
+        found = sgbm_pair(view, other, points, config, margin)
+        if found is not None:
+            maps.append(found)
+        if len(maps) == config.pairs:
+            break
+    stack = np.stack([np.where(m > 0.0, m, np.nan) for m in maps] or [np.full(view.grey.shape, np.nan)])
     known = np.isfinite(stack).any(axis=0)
     median = np.zeros(view.grey.shape, np.float32)
     median[known] = np.nanmedian(stack[:, known], axis=0)
@@ -177,7 +185,7 @@ def sgbm_pair(view: View, other: View, points: Array, config: SgbmConfig, margin
     x = baseline / length
     forward = view.T_world_cam[:3, 2] + other.T_world_cam[:3, 2]
     forward -= (forward @ x) * x
-    if np.linalg.norm(forward) < 2.0 * np.sin(np.radians(40.0)):
+    if np.linalg.norm(forward) < 2.0 * np.sin(np.radians(MIN_ANGLE_DEG)):
         return None
     z = forward / np.linalg.norm(forward)
     R_rectified_world = np.stack([x, np.cross(z, x), z])
@@ -188,18 +196,19 @@ def sgbm_pair(view: View, other: View, points: Array, config: SgbmConfig, margin
         1,
     ]
     rays = corners @ np.linalg.inv(view.camera.K).T @ (R_rectified_world @ view.T_world_cam[:3, :3]).T
-    if rays[:, 2].min() < 0.1:
-        return None
-    low, high = ((f * rays[:, :2] / rays[:, 2:]).min(axis=0), (f * rays[:, :2] / rays[:, 2:]).max(axis=0))
-    size = tuple(np.minimum(np.ceil(high - low).astype(int), 1600).tolist())
+    tangents = np.clip(rays[:, :2] / np.maximum(rays[:, 2:], 1e-3), -MAX_TANGENT, MAX_TANGENT)
+    low, high = f * tangents.min(axis=0), f * tangents.max(axis=0)
+    size = np.ceil(high - low).astype(int).tolist()
     K = np.array([[f, 0.0, -low[0]], [0.0, f, -low[1]], [0.0, 0.0, 1.0]])
     depths = (points - view.T_world_cam[:3, 3]) @ z
     near, far = np.percentile(depths[depths > 0.0], (1.0, 99.0)) * [1.0 - margin, 1.0 + margin]
     first = int(f * length / far)
     count = 16 * int(np.clip(np.ceil((f * length / near - first) / 16), 1, 24))
-    H = [K @ R_rectified_world @ v.T_world_cam[:3, :3] @ np.linalg.inv(v.camera.K) for v in (view, other)]
+    pad = first + count  # columns on the left, of which the right image has contents
+    shift = np.array([[1.0, 0.0, pad], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]])
+    H = [shift @ K @ R_rectified_world @ v.T_world_cam[:3, :3] @ np.linalg.inv(v.camera.K) for v in (view, other)]
     left, right = (
-        cv2.warpPerspective(np.where(v.mask, v.grey, 0.0).round().astype(np.uint8), h, size)
+        cv2.warpPerspective(np.where(v.mask, v.grey, 0.0).round().astype(np.uint8), h, (size[0] + pad, size[1]))
         for v, h in zip((view, other), H, strict=True)
     )
     matcher = cv2.StereoSGBM.create(
@@ -215,8 +224,7 @@ def sgbm_pair(view: View, other: View, points: Array, config: SgbmConfig, margin
         speckleRange=2,
         mode=cv2.STEREO_SGBM_MODE_HH,
     )
-    padded = [cv2.copyMakeBorder(image, 0, 0, first + count, 0, cv2.BORDER_CONSTANT) for image in (left, right)]
-    disparity = matcher.compute(*padded)[:, first + count :].astype(np.float32) / 16.0
+    disparity = matcher.compute(left, right)[:, pad:].astype(np.float32) / 16.0
     inverse = np.where(disparity >= max(first, 1), disparity / np.float32(f * length), 0.0).astype(np.float32)
     # Inverse depth along the rectified axis at each pixel of the image, then along its own axis.
     in_rectified = view.camera.rays().astype(np.float64) @ (R_rectified_world @ view.T_world_cam[:3, :3]).T
@@ -231,10 +239,11 @@ def baseline(images: ImageSet, reconstruction: Reconstruction, command: DenseAcc
     config, sgbm = command.dense, command.baseline
     load = ViewLoader(images, reconstruction, config.views)
     neighbours = select_neighbours(reconstruction, config.views)
+    candidates = select_neighbours(reconstruction, replace(config.views, neighbours=CANDIDATES))
     depths = [
         sgbm_depth(
             load(i),
-            [load(int(j)) for j in neighbours[i][: sgbm.pairs]],
+            (load(int(j)) for j in candidates[i]),
             observed_points(reconstruction, i),
             sgbm,
             config.depth.range_margin,
@@ -253,17 +262,30 @@ def timed(
     return Outcome(program, len(points), elapsed, processor, score(true, points, reconstruction))
 
 
-def measure_world(scenario: str, command: DenseAccuracyCommand) -> list[Outcome]:
-    """Return the scores of all programs in a world."""
-    name = scenario if command.seed is None else f"{scenario}-{command.seed}"
-    flight = command.work / name
+def reconstructed(
+    work: Path, scenario: str, seed: int | None, count: int
+) -> tuple[Path, Recording, Indices, ImageSet, Reconstruction]:
+    """Return a flight with its frames, their images and their reconstruction, which are made if they do not exist.
+
+    Args:
+        work: Folder of the recordings and reconstructions.
+        scenario: Name of the scenario.
+        seed: Seed of the flight, None for that of the scenario.
+        count: Number of frames.
+
+    Returns:
+        Folder of the recording, the recording, indices (F,) of the frames, the images, and the reconstruction in the
+        world frame of the truth.
+    """
+    name = scenario if seed is None else f"{scenario}-{seed}"
+    flight = work / name
     if not flight.exists():
-        seed = [] if command.seed is None else ["--seed", str(command.seed)]
-        dronevio(["fly", "--scenario", scenario, *seed, "--truth-images", "depth", "--out", str(flight)])
+        seeds = [] if seed is None else ["--seed", str(seed)]
+        dronevio(["fly", "--scenario", scenario, *seeds, "--truth-images", "depth", "--out", str(flight)])
     recording = open_recording(flight)
-    frames = moving_frames(recording, command.frames)
+    frames = moving_frames(recording, count)
     images = image_recording(recording, frames=frames.tolist())
-    model = command.work / f"{name}-{command.frames}"
+    model = work / f"{name}-{count}"
     if not model.exists():
         write_reconstruction(reconstruct(images).reconstructions[0], model, "colmap-binary")
     reconstruction = read_reconstruction(model)
@@ -271,34 +293,37 @@ def measure_world(scenario: str, command: DenseAccuracyCommand) -> list[Outcome]
     assert recording.ground_truth is not None
     true_m, _ = true_positions(recording.ground_truth, images)
     found = umeyama(true_m[rows], reconstruction.positions, with_scale=True)
-    reconstruction = reconstruction.transformed(found.scale, found.R_truth_estimate, found.t_m)
-    true = true_cloud(flight, recording, frames[rows])
-    start = time.perf_counter(), time.process_time()
-    result = densify(images, reconstruction, command.dense)
-    outcomes = [timed("dronevio, points", true, reconstruction, result.cloud.points, start)]
-    mesh = replace(outcomes[0], program="dronevio, mesh", points=len(result.mesh.vertices))
-    outcomes.append(replace(mesh, scores=score(true, result.mesh.vertices, reconstruction)))
-    if command.sgbm:
+    in_truth = reconstruction.transformed(found.scale, found.R_truth_estimate, found.t_m)
+    return flight, recording, frames[rows], images, in_truth
+
+
+def measure_world(scenario: str, command: DenseAccuracyCommand) -> Iterator[Outcome]:
+    """Yield the scores of the programs in a world."""
+    made = reconstructed(command.work, scenario, command.seed, command.frames)
+    flight, recording, frames, images, reconstruction = made
+    true = true_cloud(flight, recording, frames)
+    if "dronevio" in command.programs:
+        start = time.perf_counter(), time.process_time()
+        result = densify(images, reconstruction, command.dense)
+        yield timed("dronevio, points", true, reconstruction, result.cloud.points, start)
+        yield timed("dronevio, mesh", true, reconstruction, result.mesh.vertices, start)
+    if "sgbm" in command.programs:
         start = time.perf_counter(), time.process_time()
         points = baseline(images, reconstruction, command)
-        outcomes.append(timed("StereoSGBM, points", true, reconstruction, points, start))
-    return outcomes
+        yield timed("StereoSGBM, points", true, reconstruction, points, start)
 
 
 def measure(command: DenseAccuracyCommand) -> None:
-    """Fly, reconstruct and print the table."""
+    """Fly, reconstruct and print the table whenever a row is complete."""
     rows = []
     columns = [f"{name} {1e2 * d:.0f} cm" for d in DISTANCES_M for name in ("accuracy", "completeness", "F")]
+    heading = ("scenario", "program", *columns, "points", "processor [s]", "elapsed [s]")
     for scenario in command.scenarios:
-        outcomes = measure_world(scenario, command)
-        values = [asdict(outcome) for outcome in outcomes]
-        (command.work / f"{scenario}.json").write_text(json.dumps(values, indent=1), encoding="utf-8")
-        for outcome in outcomes:
+        for outcome in measure_world(scenario, command):
             scores = [v for s in outcome.scores for v in (s.accuracy, s.completeness, s.f_score)]
             cost = [f"{outcome.points}", f"{outcome.processor_s:.0f}", f"{outcome.time_s:.0f}"]
             rows.append([scenario, outcome.program, *(f"{value:.3f}" for value in scores), *cost])
-        heading = ("scenario", "program", *columns, "points", "processor [s]", "elapsed [s]")
-        print_table("Dense reconstruction", heading, rows, left=("scenario", "program"))
+            print_table("Dense reconstruction", heading, rows, left=("scenario", "program"))
 
 
 if __name__ == "__main__":
