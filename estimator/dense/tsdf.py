@@ -20,7 +20,9 @@ Indices = npt.NDArray[np.int64]
 
 BLOCK = 8
 """Number of voxels along each side of a block."""
-_GROWTH = 1.26  # factor on the side of the voxels if there are too many; they become half as many or fewer
+_MIN_GROWTH = 1.1  # smallest factor on the side of the voxels if there are too many
+_BITS = 20  # of each coordinate of a block in one number
+_MASK, _HALF = (1 << _BITS) - 1, 1 << (_BITS - 1)
 _CHUNK = 1024  # blocks that are updated at a time
 _STRIDE = 2  # of the pixels whose points allocate blocks
 
@@ -56,7 +58,8 @@ def integrate(depths: Sequence[PosedDepth], config: MeshConfig, progress: Progre
     voxel = config.voxel or config.voxel_px * pixel_size(depths)
     blocks = _occupied_blocks(depths, voxel, config.truncation_voxels)
     while len(blocks) * BLOCK**3 > config.max_voxels:
-        voxel *= _GROWTH
+        growth = max(_MIN_GROWTH, 0.9 * np.sqrt(len(blocks) * BLOCK**3 / config.max_voxels))  # surfaces are areas
+        voxel *= growth
         blocks = _occupied_blocks(depths, voxel, config.truncation_voxels)
     shape = (len(blocks), BLOCK, BLOCK, BLOCK)
     volume = Volume(voxel, blocks, np.zeros(shape, np.float32), np.zeros(shape, np.float32))
@@ -79,7 +82,7 @@ def pixel_size(depths: Sequence[PosedDepth]) -> float:
 def _occupied_blocks(depths: Sequence[PosedDepth], voxel: float, truncation_voxels: float) -> Indices:
     """Return the blocks (B, 3) within the truncation distance of a surface along a ray."""
     side = BLOCK * voxel
-    found = [np.zeros((0, 3), np.int64)]
+    found = [np.zeros(0, np.int64)]
     for depth in depths:
         T = depth.T_world_cam
         points = depth.points()[::_STRIDE, ::_STRIDE].reshape(-1, 3)
@@ -88,8 +91,15 @@ def _occupied_blocks(depths: Sequence[PosedDepth], voxel: float, truncation_voxe
         for k in (-1.0, 0.0, 1.0):
             along = points + k * truncation_voxels * voxel * direction
             cells = np.floor((along @ T[:3, :3].T + T[:3, 3]) / side).astype(np.int64)
-            found.append(np.unique(cells, axis=0))
-    return np.unique(np.concatenate(found), axis=0)
+            found.append(np.unique(_keys(cells)))
+    keys = np.unique(np.concatenate(found))
+    return np.stack([(keys >> shift & _MASK) - _HALF for shift in (2 * _BITS, _BITS, 0)], axis=1)
+
+
+def _keys(cells: Indices) -> Indices:
+    """Return one number (N,) for each cell (N, 3), in lexicographic order."""
+    x, y, z = (np.clip(cells + _HALF, 0, _MASK)).T
+    return np.asarray(x << 2 * _BITS | y << _BITS | z)
 
 
 def _update(volume: Volume, depth: PosedDepth, truncation: float) -> None:
