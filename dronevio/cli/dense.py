@@ -25,11 +25,12 @@ SOURCE = "images.json"
 class DenseCommand:
     """Compute the surfaces of a scene from images with known cameras (multi-view stereo).
 
-    SCENE is a folder that `dronevio sfm` wrote, or a COLMAP model or Bundler file of another program. The result is a
-    folder with the points as dense.ply, a mesh as mesh.ply, a report with pictures and a rerun file.
+    SCENE is a folder that `dronevio sfm photographs --out house` wrote, or a COLMAP model or Bundler file of another
+    program. The result is a folder with the points as dense.ply, a mesh as mesh.ply, a report with pictures and a rerun
+    file.
 
     Examples:
-      dronevio sfm photographs --out house && dronevio dense house
+      dronevio dense house
       dronevio dense house --views.max-side-px 1600 --mesh.voxel 0.02
       dronevio dense colmap/sparse/0 --images colmap/images --out surfaces
     """
