@@ -3,7 +3,7 @@
 For each scenario, 100 moving frames are spread evenly over a flight and reconstructed with the true calibration. The
 error is the root mean square distance of the camera positions from the true ones after a similarity transformation.
 The scale of that transformation and the direction of z show how well a rig or the IMU determines metres and gravity.
-COLMAP (pycolmap) matches the pairs that this project has verified, with two threads, and maps them with several seeds,
+COLMAP (pycolmap) matches the same pairs of images as this project, with two threads, and maps them with several seeds,
 of which the median error counts. Times are elapsed times on this machine, and the processor time of all stages::
 
     .venv/bin/python scripts/sfm_accuracy.py --work build/sfm
@@ -26,6 +26,9 @@ import tyro
 
 from dronevio.cli import main as dronevio
 from dronevio.cli.terminal import print_table
+from dronevio.estimator.sfm.config import SfmConfig
+from dronevio.estimator.sfm.features import detect_features
+from dronevio.estimator.sfm.pairs import select_pairs
 from dronevio.estimator.sfm.pipeline import reconstruct
 from dronevio.eval.metrics.alignment import umeyama
 from dronevio.eval.metrics.association import interpolate
@@ -135,20 +138,26 @@ def align(true: Array, estimated: Array) -> Alignment:
     )
 
 
-def ours(images: ImageSet, true: Array) -> tuple[Outcome, list[tuple[int, int]]]:
-    """Return our reconstruction and the pairs with verified matches."""
+def matched_pairs(images: ImageSet) -> list[tuple[int, int]]:
+    """Return the pairs of images that this project matches."""
+    config = SfmConfig()
+    features = [detect_features(images.read(i), config.features) for i in range(len(images.names))]
+    return select_pairs(features, images.is_ordered, config.pairs)
+
+
+def ours(images: ImageSet, true: Array) -> Outcome:
+    """Return our reconstruction."""
     start_s = time.process_time()
     result = reconstruct(images)
     cpu_s = time.process_time() - start_s
-    pairs = [(int(i), int(j)) for i, j in np.argwhere(np.triu(result.match_counts))]
     if not result.reconstructions:
-        return Outcome(0, np.inf, result.times_s, cpu_s), pairs
+        return Outcome(0, np.inf, result.times_s, cpu_s)
     largest, world = result.reconstructions[0], result.worlds[0]
     rows = [images.names.index(name) for name in largest.image_names]
     found = align(true[rows], largest.positions)
     scale_percent = found.scale_percent if world.is_metric else np.nan
     tilt_deg = found.tilt_deg if world.is_vertical else np.nan
-    return Outcome(len(rows), found.rmse_mm, result.times_s, cpu_s, scale_percent, tilt_deg), pairs
+    return Outcome(len(rows), found.rmse_mm, result.times_s, cpu_s, scale_percent, tilt_deg)
 
 
 def colmap(images: ImageSet, true: Array, pairs: Sequence[tuple[int, int]], folder: Path, seeds: int) -> list[Outcome]:
@@ -242,9 +251,10 @@ def simulated(command: SfmAccuracyCommand) -> Iterator[list[str]]:
         assert recording.ground_truth is not None
         images = image_recording(recording, frames=moving_frames(recording, command.frames).tolist())
         true, _ = true_positions(recording.ground_truth, images)
-        outcome, pairs = ours(images, true)
+        outcome = ours(images, true)
         yield row(scenario, "dronevio", outcome, len(images.names))
         if command.colmap_seeds > 0:
+            pairs = matched_pairs(images)
             others = colmap(images, true, pairs, command.work / "colmap", command.colmap_seeds)
             median = statistics.median_low([other.rmse_mm for other in others])
             chosen = next(other for other in others if other.rmse_mm == median)
@@ -258,7 +268,7 @@ def recorded(command: SfmAccuracyCommand) -> Iterator[list[str]]:
         truth = recording.ground_truth or read_trajectory(folder / "groundtruth.tum")
         cameras = range(len(recording.rig.cameras))
         images = image_recording(recording, cameras=cameras, frames=command.frames)
-        outcome, _ = ours(images, true_positions(truth, images)[0])
+        outcome = ours(images, true_positions(truth, images)[0])
         yield row(folder.name, "dronevio", outcome, len(images.names))
 
 
