@@ -42,16 +42,19 @@ class SfmResult:
 
     reconstructions: tuple[Reconstruction, ...]
     """One for each component, the one with the most images first; empty if no pair of images can be reconstructed."""
-    is_metric: bool
-    """Whether the unit of all reconstructions is the metre; otherwise it is arbitrary."""
     match_counts: npt.NDArray[np.int64]
     """(I, I) Number of verified matches of each pair of images, symmetric."""
     feature_counts: npt.NDArray[np.int64]
     """(I,) Number of features of each image."""
     times_s: dict[str, float]
     """Elapsed time of each stage [s]."""
-    worlds: tuple[WorldFrame, ...] = ()
+    worlds: tuple[WorldFrame, ...]
     """How the world frame of each reconstruction is determined."""
+
+    @property
+    def is_metric(self) -> bool:
+        """Whether the unit of all reconstructions is the metre; otherwise it is arbitrary."""
+        return all(world.is_metric for world in self.worlds)
 
 
 def reconstruct(
@@ -82,10 +85,7 @@ def reconstruct(
     """
     config = config or SfmConfig()
     workspace = workspace or Workspace(None)
-    if earlier is not None and poses is not None:
-        raise ConfigError("an earlier reconstruction and known poses; expected one of them")
-    if poses is not None and len(poses.Ts_world_cam) != len(images):
-        raise ConfigError(f"known poses of {len(poses.Ts_world_cam)} images; expected {len(images)} (NaN if unknown)")
+    _check_known(images, earlier, poses)
     index = np.empty(0, np.int64) if earlier is None else earlier_images(images, earlier)
     if earlier is not None:
         images = replace(images, cameras=earlier_cameras(images, earlier))
@@ -116,19 +116,30 @@ def reconstruct(
     if earlier is not None:
         placed[0] = placed[0][0], aligned(placed[0][1], Ts_earlier), earlier_world or WorldFrame()
     clock.lap("mapping")
-    counts = np.zeros((len(features), len(features)), np.int64)
-    if earlier is not None:
-        counts = shared_points(index, earlier, len(features))
-    for pair in pairs:
-        counts[pair.first, pair.second] = counts[pair.second, pair.first] = len(pair.matches)
+    shared = None if earlier is None else shared_points(index, earlier, len(features))
     return SfmResult(
         tuple(_reconstruction(own, state, images.names, features) for own, state, _ in placed),
-        all(world.is_metric for *_, world in placed),
-        counts,
+        _match_counts(pairs, len(features), shared),
         np.array([len(f) for f in features], np.int64),
         clock.times_s,
         tuple(world for *_, world in placed),
     )
+
+
+def _check_known(images: ImageSet, earlier: Reconstruction | None, poses: KnownPoses | None) -> None:
+    """Raise ConfigError unless at most one of both is given, and the poses are those of the images."""
+    if earlier is not None and poses is not None:
+        raise ConfigError("an earlier reconstruction and known poses; expected one of them")
+    if poses is not None and len(poses.Ts_world_cam) != len(images):
+        raise ConfigError(f"known poses of {len(poses.Ts_world_cam)} images; expected {len(images)} (NaN if unknown)")
+
+
+def _match_counts(pairs: Sequence[TwoView], count: int, shared: Indices | None) -> Indices:
+    """Return the matches of each pair of images (I, I), for unmatched pairs the shared points of earlier images."""
+    counts = np.zeros((count, count), np.int64) if shared is None else shared.copy()
+    for pair in pairs:
+        counts[pair.first, pair.second] = counts[pair.second, pair.first] = len(pair.matches)
+    return counts
 
 
 def _detect(
