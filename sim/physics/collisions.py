@@ -9,10 +9,11 @@ COLLISION_GROUP = 3
 """Group of the collision geoms; MuJoCo's viewers hide it by default."""
 FEET = "foot"
 """Prefix of the names of a vehicle's feet."""
+LEVEL = 0.7
+"""Smallest vertical component of the contact normal of a foot on the ground."""
 
 _COPIED = ("name", "type", "size", "pos", "quat", "group")
 _COPIED_TURN = ("type", "axisangle", "xyaxes", "zaxis", "euler")  # alternative parameters of an orientation
-_LEVEL = 0.7  # smallest vertical component of the contact normal of a foot on the ground
 
 
 @dataclass(frozen=True)
@@ -64,7 +65,7 @@ class CollisionDetector:
         pairs = data.contact.geom
         flipped = self._of_world[pairs[:, :1]]
         own, other = np.where(flipped, pairs[:, ::-1], pairs).T
-        illegal = ~(self._feet[own] & (np.abs(data.contact.frame[:, 2]) > _LEVEL))
+        illegal = ~(self._feet[own] & (np.abs(data.contact.frame[:, 2]) > LEVEL))
         if not illegal.any():
             return None
         first = int(np.argmax(illegal))

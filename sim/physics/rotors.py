@@ -13,6 +13,7 @@ import numpy.typing as npt
 from dronevio.models.errors import ConfigError
 from dronevio.models.quadrotor import AIR_DENSITY_KG_M3, Quadrotor
 from dronevio.models.rotation import skew
+from dronevio.sim.physics.vehicle_states import Rows, VehicleParameters
 
 Array = npt.NDArray[np.float64]
 
@@ -56,6 +57,12 @@ class RotorState:
     """(…) Voltage of the battery under the steady load of these speeds [V]; accelerations, shorter than the time
     constants of the cell chemistry, are not included."""
 
+    def rows(self, rows: Rows) -> "RotorState":
+        """Return the selected rows of the states of many simulations."""
+        return RotorState(
+            self.speed_rad_s[rows], self.acceleration_rad_s2[rows], self.charge[rows], self.voltage_v[rows]
+        )
+
 
 @dataclass(frozen=True, eq=False)
 class Airflow:
@@ -72,7 +79,7 @@ class Airflow:
 
 
 class Rotors:
-    """Rotor and aerodynamic model of one vehicle type.
+    """Rotor and aerodynamic model of one vehicle type, or of n vehicles whose parameters differ.
 
     A rotor at speed ω, whose hub moves through the air at (u, v, w) in the vehicle frame, exerts along its axis the
     thrust g k ω² − k_i ω w (g the ground effect), in its disc the drag −k_d ω (u, v), and about its axis the torque −s
@@ -85,25 +92,41 @@ class Rotors:
     2016 (reaction torque). Aerodynamic interaction with surfaces other than the floor is not modelled.
     """
 
-    def __init__(self, quadrotor: Quadrotor) -> None:
+    def __init__(self, quadrotor: Quadrotor, parameters: VehicleParameters | None = None) -> None:
+        """Define the vehicles.
+
+        Args:
+            quadrotor: Parameters of the vehicle type.
+            parameters: Differing parameters of n vehicles, for states with n rows; those of the type by default.
+        """
         self._quadrotor = quadrotor
         self._hubs = quadrotor.rotor_positions_m
         self._spins = quadrotor.rotor_directions
         self._body_drag = 0.5 * AIR_DENSITY_KG_M3 * np.array(quadrotor.drag_area_m2)
         across, along = quadrotor.drag_n_s2_per_rad_m, quadrotor.inflow_n_s2_per_rad_m
         self._rotor_drag = np.array([[across], [across], [along]])
-        self._coasting = quadrotor.torque_nm_per_rad2_s2 / quadrotor.rotor_inertia_kg_m2
+        self._time_constant_s: Array | float = quadrotor.rotor_time_constant_s
+        self._thrust: Array | float = quadrotor.thrust_n_per_rad2_s2
+        self._torque: Array | float = quadrotor.torque_nm_per_rad2_s2
+        if parameters is not None:
+            self._body_drag = parameters.drag_scale[:, None] * self._body_drag
+            self._rotor_drag = parameters.drag_scale[:, None, None] * self._rotor_drag
+            self._time_constant_s = parameters.rotor_time_constant_s[:, None]
+            self._thrust = parameters.thrust_scale[:, None] * self._thrust
+            self._torque = parameters.thrust_scale[:, None] * self._torque
+        self._coasting = self._torque / quadrotor.rotor_inertia_kg_m2
         # the hubs move with v + Ω × r; forces f there sum up to Σ f and Σ r × f: the same matrix, transposed
         levers = np.swapaxes(skew(self._hubs), 1, 2)
         hub_twists = np.concatenate([np.tile(np.eye(3), (4, 1, 1)), levers], axis=2)
         self._hub_twists = np.ascontiguousarray(hub_twists.transpose(1, 0, 2).reshape(12, 6))
 
-    def steady_state(self, speeds_rad_s: Array) -> RotorState:
-        """Return the steady state of rotors at speeds (…, 4) [rad/s] with a full battery."""
+    def steady_state(self, speeds_rad_s: Array, charge: Array | float = 1.0) -> RotorState:
+        """Return the steady state of rotors at speeds (…, 4) [rad/s] with a charge (…), a full battery by default."""
         speeds = np.array(speeds_rad_s, dtype=np.float64)
         steady = np.zeros_like(speeds)
-        full = np.ones(speeds.shape[:-1])
-        return RotorState(speeds, steady, full, self._quadrotor.battery.loaded_v(full, self._power_w(speeds, 0.0)))
+        charges = charge * np.ones(speeds.shape[:-1])
+        voltage = self._quadrotor.battery.loaded_v(charges, self._power_w(speeds, 0.0))
+        return RotorState(speeds, steady, charges, voltage)
 
     def step(
         self, state: RotorState, commands_rad_s: Array, dt_s: float, powered: npt.NDArray[np.bool_] = ALL_POWERED
@@ -122,7 +145,7 @@ class Rotors:
         drone, before = self._quadrotor, state.speed_rad_s
         fastest = np.minimum(drone.rotor_speed_max_rad_s, drone.rotor_speed_per_v * state.voltage_v)[..., None]
         target = np.minimum(np.maximum(commands_rad_s, 0.0), fastest)
-        driven = target + (before - target) * exp(-dt_s / drone.rotor_time_constant_s)
+        driven = target + (before - target) * _exp(-dt_s / self._time_constant_s)
         speeds = np.where(powered, driven, before / (1.0 + before * (self._coasting * dt_s)))
         change = (speeds - before) / dt_s
         voltage = drone.battery.loaded_v(state.charge, self._power_w(speeds, 0.0))
@@ -138,7 +161,7 @@ class Rotors:
         force[..., 2, :] += self._lift(air) * square
         wrench = force.reshape(*batch, 12) @ self._hub_twists
         wrench[..., :3] -= self._body_drag * velocity * np.sqrt((velocity * velocity).sum(axis=-1, keepdims=True))
-        turning = drone.torque_nm_per_rad2_s2 * square + drone.rotor_inertia_kg_m2 * state.acceleration_rad_s2
+        turning = self._torque * square + drone.rotor_inertia_kg_m2 * state.acceleration_rad_s2
         momentum = drone.rotor_inertia_kg_m2 * (speeds @ self._spins)
         wrench[..., 3] -= rate[..., 1] * momentum
         wrench[..., 4] += rate[..., 0] * momentum
@@ -151,7 +174,7 @@ class Rotors:
         Each rotor has its own height, so that the ground effect levels a tilted drone; there is none upside down.
         """
         gain = ground_effect(self._quadrotor, air.height_m[..., None] + air.up @ self._hubs.T) - 1.0
-        return np.asarray(self._quadrotor.thrust_n_per_rad2_s2 * (1.0 + np.maximum(air.up[..., 2:], 0.0) * gain))
+        return np.asarray(self._thrust * (1.0 + np.maximum(air.up[..., 2:], 0.0) * gain))
 
     def power_w(self, state: RotorState) -> Array:
         """Return the electrical power (…) drawn from the battery [W]."""
@@ -160,9 +183,14 @@ class Rotors:
     def _power_w(self, speeds: Array, change: Array | float) -> Array:
         """Return the power (…) of avionics and motors [W]; decelerating rotors do not recuperate."""
         drone = self._quadrotor
-        torque = drone.torque_nm_per_rad2_s2 * speeds * speeds + drone.rotor_inertia_kg_m2 * change
+        torque = self._torque * speeds * speeds + drone.rotor_inertia_kg_m2 * change
         shafts = np.maximum(torque * speeds, 0.0).sum(axis=-1)
         return np.asarray(drone.avionics_w + shafts / drone.motor_efficiency)
+
+
+def _exp(x: Array | float) -> Array | float:
+    """Return the exponential of a number, for which `math.exp` is faster, or of an array."""
+    return exp(x) if isinstance(x, float) else np.exp(x)
 
 
 def ground_effect(quadrotor: Quadrotor, height_m: Array) -> Array:

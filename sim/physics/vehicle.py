@@ -35,6 +35,13 @@ def physics_model(
 
     The six controls are the wrench at the centre of mass in the vehicle frame (see `Rotors`).
     """
+    return physics_spec(quadrotor, rig, step_s, surroundings).compile()
+
+
+def physics_spec(
+    quadrotor: Quadrotor, rig: Rig, step_s: float, surroundings: mujoco.MjSpec | None = None
+) -> mujoco.MjSpec:
+    """Return the specification of `physics_model`."""
     spec = quadrotor_spec(quadrotor, rig)
     for geom in [geom for geom in spec.geoms if geom.group != COLLISION_GROUP]:
         spec.delete(geom)
@@ -46,7 +53,7 @@ def physics_model(
     spec.option.gravity = [0.0, 0.0, -GRAVITY_M_S2]
     spec.option.integrator = mujoco.mjtIntegrator.mjINT_EULER  # permits exact IMU samples; see `Motion`
     spec.option.cone = mujoco.mjtCone.mjCONE_ELLIPTIC  # no creep of the feet
-    return spec.compile()
+    return spec
 
 
 def standing_pose(quadrotor: Quadrotor, rig: Rig, step_s: float) -> Array:

@@ -6,12 +6,14 @@ are functions of distance. The filters here are functions of distance, too, and 
 """
 
 from dataclasses import dataclass
-from typing import Protocol
+from typing import Protocol, Self
 
 import numpy as np
 import numpy.typing as npt
 
 from dronevio.models.errors import ConfigError
+from dronevio.models.rotation import rotation_z
+from dronevio.sim.physics.vehicle_states import Rows, Table
 
 Array = npt.NDArray[np.float64]
 
@@ -83,6 +85,21 @@ CALM = Wind()
 """Still air."""
 
 
+@dataclass(frozen=True, eq=False)
+class Winds(Table):
+    """Mean winds and strengths of gusts at n vehicles."""
+
+    mean_m_s: Array
+    """(n, 3) Mean velocities of the air in the world frame [m/s]."""
+    gusts: Array
+    """(n,) Strengths of the gusts relative to the standard at this wind, as in `Wind`."""
+
+    @classmethod
+    def of(cls, wind: Wind, count: int) -> Self:
+        """Return the same wind at ``count`` vehicles."""
+        return cls(np.tile(np.array(wind.mean_m_s), (count, 1)), np.full(count, wind.gusts))
+
+
 class Air(Protocol):
     """Interface of the air around one vehicle or many."""
 
@@ -139,10 +156,7 @@ class GustyAir:
 
     def reset(self) -> None:
         """Draw gusts from the stationary distribution."""
-        n = self._rng.standard_normal((2, *self._shape, 3))
-        # the stationary covariance is [[1/2, 1/4], [1/4, 1/4]]
-        self._first = np.sqrt(0.5) * n[0]
-        self._second = np.sqrt(0.125) * (n[0] + n[1])
+        self._first, self._second = _stationary(self._rng.standard_normal((2, *self._shape, 3)))
 
     def velocity_m_s(self) -> Array:
         """Return the velocity (…, 3) of the air in the world frame [m/s]."""
@@ -151,19 +165,91 @@ class GustyAir:
 
     def move_through(self, distance_m: Array) -> None:
         """Advance by distances (…) through the air [m]."""
-        d = np.asarray(distance_m)[..., None] / self._lengths
-        decay = np.exp(-d)
-        left = decay * decay
-        # noise covariance P − Φ P Φᵀ of the transition Φ = e⁻ᵈ [[1, 0], [d, 1]] and stationary covariance P
-        q11 = 0.5 * (1.0 - left)
-        q12 = 0.25 - left * (0.5 * d + 0.25)
-        q22 = 0.25 - left * (0.5 * d * (d + 1.0) + 0.25)
-        l11 = np.sqrt(q11)
-        l21 = q12 / np.maximum(l11, _LEAST)
-        l22 = np.sqrt(np.maximum(q22 - l21 * l21, 0.0))
         n = self._rng.standard_normal((2, *self._shape, 3))
-        self._second = decay * (d * self._first + self._second) + l21 * n[0] + l22 * n[1]
-        self._first = decay * self._first + l11 * n[0]
+        distance = np.asarray(distance_m)[..., None] / self._lengths
+        self._first, self._second = _moved(self._first, self._second, distance, n)
+
+
+class BatchAir:
+    """Air around n vehicles, each with its own wind and independent gusts.
+
+    Renewals and steps draw from two generators, so that the gusts at a vehicle do not depend on the times at which
+    others are renewed.
+    """
+
+    def __init__(self, winds: Winds, rng: np.random.Generator, height_m: float = CALM.height_m) -> None:
+        """Draw the initial gusts.
+
+        Args:
+            winds: Mean winds and strengths of gusts.
+            rng: Generator of the gusts.
+            height_m: Height above the ground for which gusts are computed [m], as in `Wind`.
+        """
+        self._unit = Wind((1.0, 0.0, 0.0), 1.0, height_m)
+        self._rng, self._renewal_rng = rng.spawn(2)
+        self._winds = winds
+        n = len(winds)
+        self._scales, self._axes = np.zeros((n, 3)), np.zeros((n, 3, 3))
+        self._first, self._second = np.zeros((n, 3)), np.zeros((n, 3))
+        self._gusty = False
+        self.renew(np.arange(n), winds)
+
+    @property
+    def winds(self) -> Winds:
+        """Mean winds and strengths of gusts."""
+        return self._winds
+
+    def renew(self, rows: npt.NDArray[np.intp], winds: Winds) -> None:
+        """Draw gusts from the stationary distribution of new winds, for k rows.
+
+        Args:
+            rows: (k,) Indices of the vehicles.
+            winds: The winds of all vehicles after the renewal; those of other rows are unchanged.
+        """
+        self._winds = winds
+        mean = winds.mean_m_s[rows]
+        speed = np.hypot(mean[:, 0], mean[:, 1])
+        self._scales[rows] = (winds.gusts[rows] * speed)[:, None] * self._unit.gust_deviations_m_s
+        self._axes[rows] = np.swapaxes(rotation_z(np.arctan2(mean[:, 1], mean[:, 0])), 1, 2)
+        self._gusty = bool(self._scales.any())
+        if self._gusty:
+            self._first[rows], self._second[rows] = _stationary(self._renewal_rng.standard_normal((2, len(rows), 3)))
+
+    def velocity_m_s(self, rows: Rows = slice(None)) -> Array:
+        """Return the current velocities (k, 3) of the air in the world frame [m/s] at the selected vehicles."""
+        if not self._gusty:
+            return self._winds.mean_m_s[rows]
+        gust = self._scales[rows] * (_DIRECT * self._first[rows] + _DELAYED * self._second[rows])
+        return np.asarray(self._winds.mean_m_s[rows] + (gust[:, None, :] @ self._axes[rows])[:, 0])
+
+    def move_through(self, distance_m: Array, rows: Rows = slice(None)) -> None:
+        """Advance the gusts at the selected vehicles by distances (k,) through the air [m]."""
+        if not self._gusty:
+            return
+        rng = self._rng if isinstance(rows, slice) else self._renewal_rng
+        n = rng.standard_normal((2, len(distance_m), 3))
+        distance = distance_m[:, None] / self._unit.gust_lengths_m
+        self._first[rows], self._second[rows] = _moved(self._first[rows], self._second[rows], distance, n)
+
+
+def _stationary(n: Array) -> tuple[Array, Array]:
+    """Return both states of gusts of unit variance, (…, 3) each, drawn by standard normal numbers (2, …, 3)."""
+    # the stationary covariance is [[1/2, 1/4], [1/4, 1/4]]
+    return np.sqrt(0.5) * n[0], np.sqrt(0.125) * (n[0] + n[1])
+
+
+def _moved(first: Array, second: Array, distance: Array, n: Array) -> tuple[Array, Array]:
+    """Return both states of gusts after distances (…, 3) in scale lengths, by standard normal numbers (2, …, 3)."""
+    decay = np.exp(-distance)
+    left = decay * decay
+    # noise covariance P − Φ P Φᵀ of the transition Φ = e⁻ᵈ [[1, 0], [d, 1]] and stationary covariance P
+    q11 = 0.5 * (1.0 - left)
+    q12 = 0.25 - left * (0.5 * distance + 0.25)
+    q22 = 0.25 - left * (0.5 * distance * (distance + 1.0) + 0.25)
+    l11 = np.sqrt(q11)
+    l21 = q12 / np.maximum(l11, _LEAST)
+    l22 = np.sqrt(np.maximum(q22 - l21 * l21, 0.0))
+    return decay * first + l11 * n[0], decay * (distance * first + second) + l21 * n[0] + l22 * n[1]
 
 
 def make_air(wind: Wind, rng: np.random.Generator | None) -> Air:

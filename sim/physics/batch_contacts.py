@@ -1,0 +1,59 @@
+"""Contacts of many simulations of one model, other than those of a foot with the ground."""
+
+import mujoco
+import numpy as np
+import numpy.typing as npt
+from mujoco.batch import Batch
+
+from dronevio.sim.physics.collisions import COLLISION_GROUP, FEET, LEVEL
+
+Array = npt.NDArray[np.float64]
+
+_SLOTS = 4  # contacts of one geom that are examined
+_FOUND_AND_NORMAL = sum(
+    1 << int(field) for field in (mujoco.mjtConDataField.mjCONDATA_FOUND, mujoco.mjtConDataField.mjCONDATA_NORMAL)
+)
+
+
+class BatchContacts:
+    """Detector of contacts, as `CollisionDetector`, for simulations in `mujoco.batch`.
+
+    A batch has no access to contacts, and contact sensors would add to the cost of every step. The sensors are
+    therefore those of a second model, which is evaluated for the simulations that have contacts.
+    """
+
+    def __init__(self, spec: mujoco.MjSpec, count: int, nthread: int) -> None:
+        """Compile the model with sensors.
+
+        Args:
+            spec: Specification of the physics; it is not changed.
+            count: Number of simulations.
+            nthread: Number of threads; 0 means one for each processor.
+        """
+        spec = spec.copy()
+        geoms = [geom for geom in spec.body("quadrotor").geoms if geom.group == COLLISION_GROUP]
+        for geom in geoms:
+            spec.add_sensor(
+                name=f"contact_{geom.name}",
+                type=mujoco.mjtSensor.mjSENS_CONTACT,
+                objtype=mujoco.mjtObj.mjOBJ_GEOM,
+                objname=geom.name,
+                intprm=[_FOUND_AND_NORMAL, 0, _SLOTS],
+            )
+        self._foot = np.array([geom.name.startswith(FEET) for geom in geoms])
+        self._batch = Batch(spec.compile(), count, nthread)
+        self._pose = self._batch.bind("qpos")
+        self._sensed = self._batch.bind("sensordata")
+
+    def detect(self, rows: npt.NDArray[np.intp], pose: Array) -> npt.NDArray[np.bool_]:
+        """Return which of k simulations collide (k,).
+
+        Args:
+            rows: (k,) Indices of the simulations.
+            pose: (k, 7) Positions and orientations of the vehicle.
+        """
+        self._pose[rows] = pose
+        self._batch.forward(rows)
+        sensed = self._sensed[rows].reshape(len(rows), len(self._foot), _SLOTS, 4)
+        level = self._foot[:, None] & (np.abs(sensed[..., 3]) > LEVEL)
+        return np.asarray(np.any((sensed[..., 0] > 0.0) & ~level, axis=(1, 2)))

@@ -1,0 +1,127 @@
+"""True states and physical parameters of many vehicles of one type, as arrays with one row a vehicle."""
+
+from collections.abc import Callable
+from dataclasses import dataclass, fields
+from typing import Any, Self
+
+import numpy as np
+import numpy.typing as npt
+
+from dronevio.models.errors import ConfigError
+from dronevio.models.quadrotor import Quadrotor
+
+Array = npt.NDArray[np.float64]
+Mask = npt.NDArray[np.bool_]
+Rows = slice | npt.NDArray[np.intp]
+"""Selection of rows: all of them as ``slice(None)``, or an array of indices."""
+
+
+class Table:
+    """Base of dataclasses whose fields are arrays with one row a vehicle."""
+
+    def __len__(self) -> int:
+        return len(getattr(self, fields(self)[0].name))  # type: ignore[arg-type]
+
+    def rows(self, rows: Rows) -> Self:
+        """Return the selected rows."""
+        return self._mapped(lambda name: getattr(self, name)[rows])
+
+    def replaced(self, mask: Mask, other: Self) -> Self:
+        """Return a copy whose rows in a mask (n,) are those of another table of the same length."""
+        return self._mapped(
+            lambda name: np.where(
+                mask.reshape(-1, *[1] * (getattr(self, name).ndim - 1)), getattr(other, name), getattr(self, name)
+            )
+        )
+
+    def _mapped(self, function: Callable[[str], Array]) -> Self:
+        """Return a table of the values of a function of the names of the fields."""
+        values: dict[str, Any] = {field.name: function(field.name) for field in fields(self)}  # type: ignore[arg-type]
+        return type(self)(**values)
+
+
+@dataclass(frozen=True, eq=False)
+class VehicleStates(Table):
+    """True states of n vehicles, at their centres of mass."""
+
+    position_m: Array
+    """(n, 3) Positions of the centres of mass in the world [m]."""
+    R_world_vehicle: Array
+    """(n, 3, 3) Rotations from the vehicle frames to the world."""
+    velocity_m_s: Array
+    """(n, 3) Velocities in the world frame [m/s]."""
+    rate_rad_s: Array
+    """(n, 3) Angular velocities in the vehicle frame [rad/s]."""
+    rotor_speed_rad_s: Array
+    """(n, 4) Speeds of the rotors [rad/s]."""
+    battery_charge: Array
+    """(n,) States of charge of the batteries, from 1 (full) to 0 (empty)."""
+    battery_v: Array
+    """(n,) Voltages of the batteries under load [V]; computed from charge and rotor speeds when a plant is reset."""
+
+    @classmethod
+    def at(
+        cls,
+        position_m: Array,
+        R_world_vehicle: Array | None = None,
+        velocity_m_s: npt.ArrayLike = 0.0,
+        rate_rad_s: npt.ArrayLike = 0.0,
+        rotor_speed_rad_s: npt.ArrayLike = 0.0,
+        battery_charge: npt.ArrayLike = 1.0,
+    ) -> Self:
+        """Return states at positions (n, 3) [m]; other values are broadcast to n rows, level and at rest by default."""
+        n = len(position_m)
+        return cls(
+            np.array(position_m, dtype=np.float64),
+            _filled(np.eye(3) if R_world_vehicle is None else R_world_vehicle, (n, 3, 3)),
+            _filled(velocity_m_s, (n, 3)),
+            _filled(rate_rad_s, (n, 3)),
+            _filled(rotor_speed_rad_s, (n, 4)),
+            _filled(battery_charge, (n,)),
+            np.zeros(n),
+        )
+
+
+@dataclass(frozen=True, eq=False)
+class VehicleParameters(Table):
+    """Physical parameters of n vehicles that may differ from those of their type."""
+
+    mass_kg: Array
+    """(n,) Total masses [kg]."""
+    inertia_kg_m2: Array
+    """(n, 3) Principal moments of inertia about x, y, z [kg m²]."""
+    rotor_time_constant_s: Array
+    """(n,) Time constants of the response of the rotor speeds to commands [s]."""
+    thrust_scale: Array
+    """(n,) Thrust and torque coefficients of the rotors relative to those of the type."""
+    drag_scale: Array
+    """(n,) Drag coefficients of rotors and body, and the inflow coefficient, relative to those of the type."""
+
+    def __post_init__(self) -> None:
+        """Check the ranges of the values.
+
+        Raises:
+            ConfigError: A mass, inertia, time constant or thrust is not positive, or a drag is negative.
+        """
+        for field in fields(self):
+            value = getattr(self, field.name)
+            if not (np.all(np.isfinite(value)) and np.all(value > 0.0 if field.name != "drag_scale" else value >= 0.0)):
+                raise ConfigError(
+                    f"{field.name} from {np.min(value):g} to {np.max(value):g}; expected positive numbers"
+                )
+
+    @classmethod
+    def of(cls, quadrotor: Quadrotor, count: int) -> Self:
+        """Return the parameters of ``count`` vehicles of one type."""
+        return cls(
+            _filled(quadrotor.mass_kg, (count,)),
+            _filled(quadrotor.inertia_kg_m2, (count, 3)),
+            _filled(quadrotor.rotor_time_constant_s, (count,)),
+            np.ones(count),
+            np.ones(count),
+        )
+
+
+def _filled(value: npt.ArrayLike, shape: tuple[int, ...]) -> Array:
+    """Return a value broadcast to a shape, as an array of its own."""
+    return np.array(np.broadcast_to(np.asarray(value, dtype=np.float64), shape))

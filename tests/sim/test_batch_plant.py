@@ -1,0 +1,169 @@
+"""The batch plant against the single plant, and the independence of its rows."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from dronevio.models.errors import ConfigError
+from dronevio.models.quadrotor import VEHICLES, Quadrotor
+from dronevio.models.rig import euroc_rig
+from dronevio.models.rotation import exp_so3, pose_matrix
+from dronevio.sim.physics.batch_plant import BatchPlant
+from dronevio.sim.physics.plant import QuadrotorPlant
+from dronevio.sim.physics.vehicle_states import VehicleParameters, VehicleStates
+from dronevio.sim.physics.wind import Wind, Winds
+
+RIG = euroc_rig()
+EVERY = np.ones(3, dtype=bool)
+MIDDLE = np.array([False, True, False])
+
+
+def drawn_states(drone: Quadrotor, rng: np.random.Generator, count: int = 3) -> VehicleStates:
+    return VehicleStates.at(
+        rng.uniform([-1.0, -1.0, 3.0], [1.0, 1.0, 5.0], (count, 3)),
+        exp_so3(0.3 * rng.standard_normal((count, 3))),
+        rng.standard_normal((count, 3)),
+        rng.standard_normal((count, 3)),
+        drone.hover_speed_rad_s * rng.uniform(0.8, 1.2, (count, 4)),
+    )
+
+
+def drawn_parameters(drone: Quadrotor, rng: np.random.Generator, count: int = 3) -> VehicleParameters:
+    return VehicleParameters(
+        drone.mass_kg * rng.uniform(0.8, 1.2, count),
+        np.array(drone.inertia_kg_m2) * rng.uniform(0.8, 1.2, (count, 3)),
+        drone.rotor_time_constant_s * rng.uniform(0.8, 1.2, count),
+        rng.uniform(0.8, 1.2, count),
+        rng.uniform(0.5, 1.5, count),
+    )
+
+
+def with_parameters(drone: Quadrotor, parameters: VehicleParameters, row: int) -> Quadrotor:
+    thrust, drag = float(parameters.thrust_scale[row]), float(parameters.drag_scale[row])
+    along, across, up = drone.drag_area_m2
+    x, y, z = parameters.inertia_kg_m2[row].tolist()
+    return replace(
+        drone,
+        mass_kg=float(parameters.mass_kg[row]),
+        inertia_kg_m2=(x, y, z),
+        rotor_time_constant_s=float(parameters.rotor_time_constant_s[row]),
+        thrust_n_per_rad2_s2=thrust * drone.thrust_n_per_rad2_s2,
+        torque_nm_per_rad2_s2=thrust * drone.torque_nm_per_rad2_s2,
+        drag_n_s2_per_rad_m=drag * drone.drag_n_s2_per_rad_m,
+        inflow_n_s2_per_rad_m=drag * drone.inflow_n_s2_per_rad_m,
+        drag_area_m2=(drag * along, drag * across, drag * up),
+    )
+
+
+@pytest.mark.parametrize("name", VEHICLES)
+def test_a_row_equals_a_single_plant(name: str) -> None:
+    drone, rng, wind = VEHICLES[name], np.random.default_rng(0), Wind((1.0, -2.0, 0.3))
+    states, parameters = drawn_states(drone, rng), drawn_parameters(drone, rng)
+    batch = BatchPlant(3, RIG, drone)
+    batch.reset(EVERY, states, parameters, Winds.of(wind, 3))
+    singles = [QuadrotorPlant(RIG, with_parameters(drone, parameters, k), wind=wind) for k in range(3)]
+    for k, single in enumerate(singles):
+        pose = pose_matrix(states.R_world_vehicle[k], states.position_m[k])
+        single.reset(pose, states.velocity_m_s[k], states.rate_rad_s[k], states.rotor_speed_rad_s[k])
+        first = single.step_until(0, np.zeros(4))
+        np.testing.assert_allclose(batch.samples.gyro_rad_s[k], first.gyro_rad_s[0], atol=1e-9)
+        np.testing.assert_allclose(batch.samples.accel_m_s2[k], first.accel_m_s2[0], atol=1e-9)
+    for _ in range(100):
+        commands = drone.hover_speed_rad_s * rng.uniform(0.9, 1.1, (3, 4))
+        sampled, reached = batch.advance(commands), batch.states
+        for k, single in enumerate(singles):
+            expected = single.step_until(single.t_ns + single.interval_ns, commands[k])
+            true = single.vehicle_state()
+            np.testing.assert_allclose(sampled.gyro_rad_s[k], expected.gyro_rad_s[0], atol=1e-9)
+            np.testing.assert_allclose(sampled.accel_m_s2[k], expected.accel_m_s2[0], atol=1e-9)
+            np.testing.assert_allclose(reached.position_m[k], true.T_world_imu[:3, 3], atol=1e-9)
+            np.testing.assert_allclose(reached.R_world_vehicle[k], true.T_world_imu[:3, :3], atol=1e-9)
+            np.testing.assert_allclose(reached.velocity_m_s[k], true.velocity_m_s, atol=1e-9)
+            np.testing.assert_allclose(reached.rotor_speed_rad_s[k], single.rotor_speeds_rad_s, atol=1e-9)
+            np.testing.assert_allclose(reached.battery_charge[k], single.battery_charge, atol=1e-9)
+            np.testing.assert_allclose(reached.battery_v[k], single.battery_v, atol=1e-9)
+
+
+def flown(plant: BatchPlant, steps: int, first: int = 0, spoilt: int | None = None) -> list[np.ndarray]:
+    """Return states and samples after each step of flights under commands that depend on the number of the step."""
+    rows = []
+    for step in range(first, first + steps):
+        rng = np.random.default_rng(step)
+        commands = plant.quadrotor.hover_speed_rad_s * rng.uniform(0.9, 1.1, (plant.count, 4))
+        if step == spoilt:
+            commands[1, 2] = np.nan
+        samples, states = plant.advance(commands), plant.states
+        rows.append(np.hstack([states.position_m, states.velocity_m_s, samples.gyro_rad_s, samples.accel_m_s2]))
+    return rows
+
+
+def gusty_plant(nthread: int = 1) -> BatchPlant:
+    plant = BatchPlant(3, RIG, rng=np.random.default_rng(2), nthread=nthread)
+    rng = np.random.default_rng(3)
+    states, parameters = drawn_states(plant.quadrotor, rng), drawn_parameters(plant.quadrotor, rng)
+    plant.reset(EVERY, states, parameters, Winds.of(Wind((3.0, 1.0, 0.0), gusts=1.0), 3))
+    return plant
+
+
+def test_the_number_of_threads_does_not_change_the_bytes() -> None:
+    np.testing.assert_array_equal(flown(gusty_plant(1), 40), flown(gusty_plant(2), 40))
+
+
+def test_a_reset_of_one_row_leaves_the_others_identical() -> None:
+    undisturbed, plant = flown(gusty_plant(), 40), gusty_plant()
+    before = flown(plant, 20)
+    states = drawn_states(plant.quadrotor, np.random.default_rng(4))
+    plant.reset(MIDDLE, states, drawn_parameters(plant.quadrotor, np.random.default_rng(5)))
+    np.testing.assert_array_equal(plant.t_ns // plant.interval_ns, [20, 0, 20])
+    np.testing.assert_allclose(plant.states.position_m[1], states.position_m[1], atol=1e-2)
+    rows = flown(plant, 20, first=20)
+    np.testing.assert_array_equal(np.array(before + rows)[:, ~MIDDLE], np.array(undisturbed)[:, ~MIDDLE])
+
+
+def test_a_command_of_nan_is_marked_and_stays_in_its_row() -> None:
+    undisturbed, plant = flown(gusty_plant(), 30), gusty_plant()
+    rows = flown(plant, 30, spoilt=10)
+    np.testing.assert_array_equal(plant.diverged, MIDDLE)
+    assert np.isfinite(rows).all()
+    np.testing.assert_array_equal(rows[-1][1, 3:6], 0.0)
+    np.testing.assert_array_equal(np.array(rows)[:, ~MIDDLE], np.array(undisturbed)[:, ~MIDDLE])
+    plant.reset(MIDDLE, drawn_states(plant.quadrotor, np.random.default_rng(4)))
+    assert not plant.diverged.any()
+
+
+def test_divergence_is_marked_and_stays_in_its_row() -> None:
+    plants = gusty_plant(), gusty_plant()
+    for plant, inertia in zip(plants, (1e-2, 1e-9), strict=True):
+        parameters = replace(plant.parameters, inertia_kg_m2=np.full((3, 3), inertia))
+        plant.reset(MIDDLE, plant.states, parameters)
+    undisturbed, rows = flown(plants[0], 30), flown(plants[1], 30)
+    np.testing.assert_array_equal(plants[1].diverged, MIDDLE)
+    assert np.isfinite(rows).all()
+    np.testing.assert_array_equal(np.array(rows)[:, ~MIDDLE], np.array(undisturbed)[:, ~MIDDLE])
+
+
+@pytest.mark.parametrize("value", [np.nan, 1e5])
+def test_impossible_initial_states_are_refused(value: float) -> None:
+    plant = gusty_plant()
+    states = plant.states
+    states.velocity_m_s[1] = value
+    with pytest.raises(ConfigError, match="velocity"):
+        plant.reset(MIDDLE, states)
+
+
+def test_collisions_are_contacts_other_than_standing() -> None:
+    plant = BatchPlant(3, RIG)
+    stand = plant.standing_height_m
+    tilted = np.stack([np.eye(3), exp_so3(np.array([np.pi, 0.0, 0.0])), np.eye(3)])
+    plant.reset(EVERY, VehicleStates.at(np.array([[0.0, 0.0, stand], [0.0, 0.0, 0.3], [0.0, 0.0, 2.0]]), tilted))
+    for _ in range(60):
+        plant.advance(np.zeros((3, 4)))
+    np.testing.assert_array_equal(plant.touched, MIDDLE)
+    np.testing.assert_allclose(plant.states.position_m[0], [0.0, 0.0, stand], atol=1e-9)
+
+
+@pytest.mark.parametrize("step_s", [3e-3, 5e-3, 0.0, -1e-3])
+def test_time_steps_that_do_not_divide_are_refused(step_s: float) -> None:
+    with pytest.raises(ConfigError, match="time step"):
+        BatchPlant(1, RIG, step_s=step_s)
