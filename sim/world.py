@@ -128,7 +128,7 @@ def flight_area(name: str, seed: int) -> FlightArea:
     """
     _require(name)
     layout = WORLDS[name].layout(_generators(seed)[0])
-    return FlightArea(space_of(layout), layout.free_box, layout.pad, layout.route)
+    return FlightArea(space_of(layout), layout.free_box, layout.pad, layout.route, layout.gates)
 
 
 def collision_spec(name: str, seed: int) -> mujoco.MjSpec:

@@ -67,8 +67,25 @@ class Space:
 
 
 @dataclass(frozen=True, eq=False)
+class Gate:
+    """A gate of a race course, with a square opening."""
+
+    middle: Array
+    """(3,) Centre of the opening [m]."""
+    heading_rad: float
+    """Heading of the passage through the gate [rad]."""
+    opening_m: float
+    """Width and height of the opening [m]."""
+
+    @property
+    def ahead(self) -> Array:
+        """(3,) Unit vector of the passage through the gate."""
+        return np.array([np.cos(self.heading_rad), np.sin(self.heading_rad), 0.0])
+
+
+@dataclass(frozen=True, eq=False)
 class FlightArea:
-    """Input of the path planner: the space of a world, its landing pad and its route."""
+    """Input of the path planner and of tasks: the space of a world, its landing pad, its route and its gates."""
 
     space: Space
     """Bounds and obstacles of the world."""
@@ -78,3 +95,5 @@ class FlightArea:
     """(3,) Centre of the landing pad on the floor [m]."""
     route: Array
     """(R, 3) Closed tour through the whole world with collision-free straight legs [m]."""
+    gates: tuple[Gate, ...] = ()
+    """Gates in the order of passage, for a world with a race course."""

@@ -1,6 +1,5 @@
 """World gates: a race course of coloured gates on a mown field, with banners, a grandstand and trees around it."""
 
-from dataclasses import dataclass
 from functools import partial
 
 import cv2
@@ -16,6 +15,7 @@ from dronevio.sim.appearance.instances import Instance
 from dronevio.sim.appearance.lightmap import AreaLight
 from dronevio.sim.appearance.solids import Box, Paint, Sheet, parts_of
 from dronevio.sim.appearance.textures import Colour, Image, scaled
+from dronevio.sim.paths.space import Gate
 from dronevio.sim.props import fairground, vegetation
 from dronevio.sim.props.vegetation import Vegetation
 from dronevio.sim.worlds import outdoors
@@ -60,23 +60,6 @@ _LEAVES: tuple[tuple[Colour, ...], ...] = (
 )
 _BARKS: tuple[Colour, ...] = ((120, 98, 76), (104, 90, 76), (140, 128, 116), (112, 86, 64))
 _NOTHING: Paint = partial(textures.plain, colour=race.BLACK)
-
-
-@dataclass(frozen=True, eq=False)
-class _Gate:
-    """A gate of the race course."""
-
-    middle: Array
-    """(3,) Centre of the opening [m]."""
-    heading_rad: float
-    """Heading of the passage through the gate [rad]."""
-    opening_m: float
-    """Width and height of the opening [m]."""
-
-    @property
-    def ahead(self) -> Array:
-        """(3,) Unit vector of the passage through the gate."""
-        return np.array([np.cos(self.heading_rad), np.sin(self.heading_rad), 0.0])
 
 
 def layout(rng: Random) -> Layout:
@@ -129,6 +112,7 @@ def layout(rng: Random) -> Layout:
         route=route,
         walled=False,
         shading=tuple(stand),
+        gates=tuple(gates),
         prints=(
             Print(
                 partial(vegetation.bark_image, colours=_BARKS, sun=toward),
@@ -146,23 +130,23 @@ def layout(rng: Random) -> Layout:
     )
 
 
-def _course(rng: Random) -> list[_Gate]:
+def _course(rng: Random) -> list[Gate]:
     """Return the gates in order, each facing along the route."""
     middles = _GATES_M + rng.uniform(-1.0, 1.0, _GATES_M.shape) * _JITTER_M
     around = np.vstack([_START_M, middles, _START_M])
     way = around[2:] - around[:-2]
     headings = np.arctan2(way[:, 1], way[:, 0])
     openings = rng.uniform(*_OPENINGS_M, len(middles))
-    return [_Gate(m, float(h), float(o)) for m, h, o in zip(middles, headings, openings, strict=True)]
+    return [Gate(m, float(h), float(o)) for m, h, o in zip(middles, headings, openings, strict=True)]
 
 
-def _placed(gate: _Gate, boxes: list[Box]) -> tuple[Box, ...]:
+def _placed(gate: Gate, boxes: list[Box]) -> tuple[Box, ...]:
     """Return boxes of a gate's own frame (y where it is flown, the opening's middle at the origin) in the world."""
     R = rotation_z(gate.heading_rad - 0.5 * np.pi)
     return parts_of(Instance("gate"), [box.moved(R, gate.middle) for box in boxes])
 
 
-def _square(rng: Random, gate: _Gate, number: int, colour: Colour) -> tuple[Box, ...]:
+def _square(rng: Random, gate: Gate, number: int, colour: Colour) -> tuple[Box, ...]:
     """Return a square gate on legs."""
     half, bar, z = 0.5 * gate.opening_m, 0.5 * _BAR_M, gate.middle[2]
     pattern = (race.chequers, race.bars, race.lettered)[int(rng.integers(3))]
@@ -187,7 +171,7 @@ def _square(rng: Random, gate: _Gate, number: int, colour: Colour) -> tuple[Box,
     return _placed(gate, boxes)
 
 
-def _arch(rng: Random, gate: _Gate, number: int, colour: Colour) -> tuple[Box, ...]:
+def _arch(rng: Random, gate: Gate, number: int, colour: Colour) -> tuple[Box, ...]:
     """Return an inflated arch: two pillars, and segments of an arc over the opening."""
     bar, z = 0.5 * (_BAR_M + 0.14), gate.middle[2]
     radius = 0.5 * gate.opening_m + 0.25 + bar  # to the middle of the tube
@@ -211,7 +195,7 @@ def _arch(rng: Random, gate: _Gate, number: int, colour: Colour) -> tuple[Box, .
     return _placed(gate, boxes)
 
 
-def _beside(rng: Random, route: Array, gates: list[_Gate]) -> list[Box]:
+def _beside(rng: Random, route: Array, gates: list[Gate]) -> list[Box]:
     """Return the objects along the course: flags and straw bales."""
     boxes: list[Box] = []
     taken = np.array([gate.middle[:2] for gate in gates])
@@ -256,7 +240,7 @@ def _pasture(
 
 
 def _field(
-    rng: Random, height: int, width: int, colour: Colour, gates: list[_Gate], casting: list[Box], toward: Array
+    rng: Random, height: int, width: int, colour: Colour, gates: list[Gate], casting: list[Box], toward: Array
 ) -> Image:
     """Return the texture of the mown field: lines between the gates, the landing pad, and shadows."""
     image = nature.mown(nature.meadow(rng, height, width, colour, _FIELD_PX_PER_M), 2.0 * _FIELD_PX_PER_M)
@@ -266,7 +250,7 @@ def _field(
     return outdoors.shadowed(image, _FIELD_PX_PER_M, casting, toward)
 
 
-def _chalk(image: Image, gate: _Gate) -> None:
+def _chalk(image: Image, gate: Gate) -> None:
     """Draw an arrow and a line of chalk under a gate."""
     side = np.array([-gate.ahead[1], gate.ahead[0], 0.0])
     foot = gate.middle * [1.0, 1.0, 0.0]

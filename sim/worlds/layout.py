@@ -10,6 +10,7 @@ import numpy.typing as npt
 from dronevio.sim.appearance.cutouts import Print
 from dronevio.sim.appearance.lightmap import AreaLight
 from dronevio.sim.appearance.solids import Box, Face, Surface
+from dronevio.sim.paths.space import Gate
 
 Array = npt.NDArray[np.float64]
 Poses = Callable[[Array], Array]
@@ -80,6 +81,8 @@ class Layout:
     """The reflecting floor, if there is one."""
     prints: tuple[Print, ...] = ()
     """Cutouts with shared textures that include their lighting, such as trunks and leaves."""
+    gates: tuple[Gate, ...] = ()
+    """Gates of a race course in the order of passage."""
 
 
 @dataclass(frozen=True)
