@@ -1,5 +1,6 @@
 """Batch plant: the physics of many quadrotors of one type in one world, stepped together by `mujoco.batch`."""
 
+import copy
 from dataclasses import dataclass, fields
 
 import mujoco
@@ -17,7 +18,7 @@ from dronevio.sim.physics.plant import LONGEST_STEP_S, LOWEST_IMU_RATE_HZ
 from dronevio.sim.physics.rotors import Airflow, Rotors, RotorState
 from dronevio.sim.physics.vehicle import physics_spec, standing_pose
 from dronevio.sim.physics.vehicle_states import Mask, Rows, VehicleParameters, VehicleStates
-from dronevio.sim.physics.wind import CALM, BatchAir, Winds
+from dronevio.sim.physics.wind import CALM, AirState, BatchAir, Winds
 
 Array = npt.NDArray[np.float64]
 
@@ -36,6 +37,32 @@ class PointSamples:
     """(n, 3) Angular velocities in the IMU frame [rad/s]."""
     accel_m_s2: Array
     """(n, 3) Specific forces in the IMU frame [m/s²]."""
+
+
+@dataclass(frozen=True, eq=False)
+class PlantState:
+    """Complete state of a `BatchPlant`."""
+
+    physics: Array
+    """(n, S) States of MuJoCo."""
+    rotors: RotorState
+    """States of rotors and batteries."""
+    parameters: VehicleParameters
+    """Physical parameters."""
+    air: AirState
+    """State of the air."""
+    elapsed: npt.NDArray[np.int64]
+    """(n,) IMU intervals since the resets."""
+    touched: Mask
+    """(n,) Which vehicles have collided."""
+    diverged: Mask
+    """(n,) Which simulations have diverged."""
+    row: Array
+    """(n, 13) Poses and twists at the clock."""
+    velocity_between: Array
+    """(n, 3) Velocities of the IMUs half an interval after the clock [m/s]."""
+    samples: PointSamples
+    """IMU samples of the clock."""
 
 
 class BatchPlant:
@@ -165,6 +192,41 @@ class BatchPlant:
     def wind_m_s(self) -> Array:
         """(n, 3) Current velocities of the air at the vehicles in the world frame [m/s]."""
         return self._air.velocity_m_s().copy()
+
+    def reseed(self, rng: np.random.Generator) -> None:
+        """Draw gusts from streams of another generator from now on."""
+        self._air.reseed(rng)
+
+    def save(self) -> PlantState:
+        """Return the state of vehicles, gusts and clocks, with arrays of its own."""
+        return copy.deepcopy(
+            PlantState(
+                self._batch.state,
+                self._state,
+                self._parameters,
+                self._air.save(),
+                self._elapsed,
+                self._touched,
+                self._diverged,
+                self._row,
+                self._velocity_between,
+                self._samples,
+            )
+        )
+
+    def restore(self, saved: PlantState) -> None:
+        """Return to a state of a plant of the same vehicle type, world and rates, with as many vehicles."""
+        saved = copy.deepcopy(saved)
+        self._parameters, self._state = saved.parameters, saved.rotors
+        self._rotors = Rotors(self.quadrotor, self._parameters)
+        self._masses[:, self._body] = self._parameters.mass_kg
+        self._inertias[:, self._body] = self._parameters.inertia_kg_m2
+        self._batch.set_const()
+        self._batch.reset(stage=mujoco.mjtStage.mjSTAGE_NONE)
+        self._batch.state[:] = saved.physics
+        self._air.restore(saved.air)
+        self._elapsed, self._touched, self._diverged = saved.elapsed, saved.touched, saved.diverged
+        self._row, self._velocity_between, self._samples = saved.row, saved.velocity_between, saved.samples
 
     def reset(
         self,

@@ -5,8 +5,9 @@ are functions of distance. The filters here are functions of distance, too, and 
 (Van Loan 1978), so that variances and spectra do not depend on the time step.
 """
 
+from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Protocol, Self
+from typing import Any, Protocol, Self
 
 import numpy as np
 import numpy.typing as npt
@@ -170,6 +171,20 @@ class GustyAir:
         self._first, self._second = _moved(self._first, self._second, distance, n)
 
 
+@dataclass(frozen=True, eq=False)
+class AirState:
+    """Complete state of a `BatchAir`."""
+
+    winds: Winds
+    """Mean winds and strengths of gusts."""
+    first: Array
+    """(n, 3) First states of the gusts."""
+    second: Array
+    """(n, 3) Second states of the gusts."""
+    generators: tuple[Mapping[str, Any], Mapping[str, Any]]
+    """States of the generators of steps and of renewals."""
+
+
 class BatchAir:
     """Air around n vehicles, each with its own wind and independent gusts.
 
@@ -193,6 +208,22 @@ class BatchAir:
         self._first, self._second = np.zeros((n, 3)), np.zeros((n, 3))
         self._gusty = False
         self.renew(np.arange(n), winds)
+
+    def reseed(self, rng: np.random.Generator) -> None:
+        """Draw from streams of another generator from now on."""
+        self._rng, self._renewal_rng = rng.spawn(2)
+
+    def save(self) -> AirState:
+        """Return the state of winds, gusts and random numbers."""
+        generators = (self._rng.bit_generator.state, self._renewal_rng.bit_generator.state)
+        return AirState(self._winds, self._first.copy(), self._second.copy(), generators)
+
+    def restore(self, saved: AirState) -> None:
+        """Return to a state of as many vehicles."""
+        everyone = np.arange(len(saved.winds))
+        self.renew(everyone, saved.winds)
+        self._first[:], self._second[:] = saved.first, saved.second
+        self._rng.bit_generator.state, self._renewal_rng.bit_generator.state = saved.generators
 
     @property
     def winds(self) -> Winds:

@@ -167,3 +167,43 @@ def test_collisions_are_contacts_other_than_standing() -> None:
 def test_time_steps_that_do_not_divide_are_refused(step_s: float) -> None:
     with pytest.raises(ConfigError, match="time step"):
         BatchPlant(1, RIG, step_s=step_s)
+
+
+def outputs(plant: BatchPlant, commands: np.ndarray) -> list[bytes]:
+    """Return the bytes of IMU samples and states of some intervals."""
+    found = []
+    for command in commands:
+        sampled, reached = plant.advance(command), plant.states
+        values = (sampled.gyro_rad_s, sampled.accel_m_s2, reached.position_m, reached.battery_charge, plant.wind_m_s)
+        found.append(b"".join(value.tobytes() for value in values))
+    return found
+
+
+def gusty_plant(seed: int) -> BatchPlant:
+    drone, rng = VEHICLES["research"], np.random.default_rng(seed)
+    plant = BatchPlant(3, RIG, drone, rng=rng)
+    winds = Winds.of(Wind((1.0, -2.0, 0.3), 1.0), 3)
+    plant.reset(EVERY, drawn_states(drone, rng), drawn_parameters(drone, rng), winds)
+    return plant
+
+
+def test_a_restored_plant_continues_with_the_same_bytes() -> None:
+    plant, other = gusty_plant(0), gusty_plant(1)
+    commands = 650.0 * np.random.default_rng(2).uniform(0.9, 1.1, (12, 3, 4))
+    outputs(plant, commands[:4])
+    saved = plant.save()
+    expected = outputs(plant, commands[4:])
+    assert outputs(plant, commands[4:]) != expected
+    plant.restore(saved)
+    assert outputs(plant, commands[4:]) == expected
+    other.restore(saved)
+    assert outputs(other, commands[4:]) == expected
+
+
+def test_a_new_generator_determines_the_gusts() -> None:
+    plant, results = gusty_plant(0), []
+    for seed in (5, 5, 6):
+        plant.reseed(np.random.default_rng(seed))
+        plant.reset(EVERY, VehicleStates.at(np.tile([0.0, 0.0, 4.0], (3, 1))))
+        results.append(outputs(plant, np.full((4, 3, 4), 650.0)))
+    assert results[0] == results[1] != results[2]
