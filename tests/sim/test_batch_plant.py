@@ -179,7 +179,7 @@ def outputs(plant: BatchPlant, commands: np.ndarray) -> list[bytes]:
     return found
 
 
-def gusty_plant(seed: int) -> BatchPlant:
+def windy_plant(seed: int) -> BatchPlant:
     drone, rng = VEHICLES["research"], np.random.default_rng(seed)
     plant = BatchPlant(3, RIG, drone, rng=rng)
     winds = Winds.of(Wind((1.0, -2.0, 0.3), 1.0), 3)
@@ -188,7 +188,7 @@ def gusty_plant(seed: int) -> BatchPlant:
 
 
 def test_a_restored_plant_continues_with_the_same_bytes() -> None:
-    plant, other = gusty_plant(0), gusty_plant(1)
+    plant, other = windy_plant(0), windy_plant(1)
     commands = 650.0 * np.random.default_rng(2).uniform(0.9, 1.1, (12, 3, 4))
     outputs(plant, commands[:4])
     saved = plant.save()
@@ -201,7 +201,7 @@ def test_a_restored_plant_continues_with_the_same_bytes() -> None:
 
 
 def test_a_new_generator_determines_the_gusts() -> None:
-    plant, results = gusty_plant(0), []
+    plant, results = windy_plant(0), []
     for seed in (5, 5, 6):
         plant.reseed(np.random.default_rng(seed))
         plant.reset(EVERY, VehicleStates.at(np.tile([0.0, 0.0, 4.0], (3, 1))))
