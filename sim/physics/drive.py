@@ -1,6 +1,10 @@
-"""Control allocation: rotor speeds from thrust and torques, and commands with lead compensation."""
+"""Control allocation: rotor speeds from thrust and torques, and commands with lead compensation.
+
+All functions broadcast over leading axes, for one vehicle or many.
+"""
 
 from math import exp
+from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -21,23 +25,31 @@ class Mixer:
         self._high = quadrotor.rotor_speed_max_rad_s**2
         self._low = IDLE_SHARE**2 * self._high
 
-    def speeds(self, thrust_n: float, torque_nm: Array) -> Array:
-        """Return rotor speeds (4,) [rad/s] for a thrust and torques (3,) about x, y, z.
+    def speeds(self, thrust_n: Array | float, torque_nm: Array) -> Array:
+        """Return rotor speeds (…, 4) [rad/s] for thrusts (…) and torques (…, 3) about x, y, z.
 
         Where a rotor would leave its range, yaw is reduced first, then thrust, and roll and pitch last, since the tilt
         determines the path.
         """
         low, high = self._low, self._high
-        tilt = self._inverse[:, 1:3] @ torque_nm[:2]
-        least, most = float(tilt.min()), float(tilt.max())
-        share = min(1.0, (high - low) / max(most - least, 1e-9))
-        tilt = share * tilt
-        lift = min(max(self._inverse[0, 0] * thrust_n, low - share * least), high - share * most)
-        base = lift + tilt
-        yaw = self._inverse[:, 3] * torque_nm[2]
+        tilt = np.matvec(self._inverse[:, 1:3], torque_nm[..., :2])
+        least, most = np.minimum.reduce(tilt, axis=-1), np.maximum.reduce(tilt, axis=-1)
+        share = np.minimum(1.0, (high - low) / np.maximum(most - least, 1e-9))
+        lift = np.minimum(np.maximum(self._inverse[0, 0] * thrust_n, low - share * least), high - share * most)
+        base = lift[..., None] + share[..., None] * tilt
+        yaw = self._inverse[:, 3] * torque_nm[..., 2:]
         room = np.where(yaw > 0.0, high - base, base - low)
-        share = min(1.0, float((room / np.maximum(np.abs(yaw), 1e-9)).min()))
-        return np.asarray(np.sqrt(np.minimum(np.maximum(base + share * yaw, low), high)))
+        share = np.minimum(1.0, np.minimum.reduce(room / np.maximum(np.abs(yaw), 1e-9), axis=-1))
+        return np.asarray(np.sqrt(np.minimum(np.maximum(base + share[..., None] * yaw, low), high)))
+
+
+class DriveState(NamedTuple):
+    """Modelled state of the rotors."""
+
+    speeds_rad_s: Array
+    """(…, 4) Modelled speeds [rad/s]."""
+    acceleration_rad_s2: Array
+    """(…, 4) Modelled mean accelerations until the next call [rad/s²]."""
 
 
 class RotorDrive:
@@ -46,26 +58,30 @@ class RotorDrive:
     The command of rotors slower than desired exceeds the desired speed as far as their range allows.
     """
 
-    def __init__(self, quadrotor: Quadrotor, response_s: float, speed_rad_s: float = 0.0) -> None:
-        """Start the model at a speed of all rotors.
+    def __init__(self, quadrotor: Quadrotor, response_s: float, interval_s: float) -> None:
+        """Define the response.
 
         Args:
             quadrotor: Parameters of the rotors.
             response_s: Time constant of the compensated response, if rotors are slower [s].
-            speed_rad_s: Initial speed [rad/s].
+            interval_s: Time between two commands [s].
         """
-        self._lag_s = quadrotor.rotor_time_constant_s
-        self._response_s = min(response_s, quadrotor.rotor_time_constant_s)
+        lag_s = quadrotor.rotor_time_constant_s
+        follows = 1.0 - exp(-interval_s / lag_s)
+        self._lead = (1.0 - exp(-interval_s / min(response_s, lag_s))) / follows
+        self._per_interval = follows / interval_s
+        self._interval_s = interval_s
         self._fastest = quadrotor.rotor_speed_max_rad_s
-        self.speeds_rad_s = np.full(4, speed_rad_s)
-        self.acceleration_rad_s2 = np.zeros(4)
 
-    def towards(self, wanted_rad_s: Array, dt_s: float) -> Array:
-        """Return commands (4,) for the next ``dt_s`` toward desired speeds (4,) of the rotors [rad/s]."""
-        follows = 1.0 - exp(-dt_s / self._lag_s)
-        lead = (1.0 - exp(-dt_s / self._response_s)) / follows
-        command = self.speeds_rad_s + lead * (wanted_rad_s - self.speeds_rad_s)
+    @staticmethod
+    def at(speeds_rad_s: Array) -> DriveState:
+        """Return the state of rotors at steady speeds (…, 4) [rad/s]."""
+        return DriveState(speeds_rad_s, np.zeros_like(speeds_rad_s))
+
+    def towards(self, state: DriveState, wanted_rad_s: Array) -> tuple[Array, DriveState]:
+        """Return commands (…, 4) for the next interval toward desired speeds (…, 4) [rad/s], and the state after it."""
+        speeds = state.speeds_rad_s
+        command = speeds + self._lead * (wanted_rad_s - speeds)
         command = np.minimum(np.maximum(command, 0.0), self._fastest)
-        self.acceleration_rad_s2 = (follows / dt_s) * (command - self.speeds_rad_s)
-        self.speeds_rad_s = self.speeds_rad_s + dt_s * self.acceleration_rad_s2
-        return np.asarray(command)
+        acceleration = self._per_interval * (command - speeds)
+        return command, DriveState(speeds + self._interval_s * acceleration, acceleration)

@@ -101,12 +101,13 @@ def test_errors_of_the_vehicle_model_are_compensated(name: str, change: dict[str
 
 
 def test_disturbance_observer_has_its_poles_and_its_limit() -> None:
-    observer, pole, disturbance_m_s2 = DisturbanceObserver(8.0, 3.0), 8.0, np.array([1.0, -2.0, 9.0])
+    observer, pole, disturbance_m_s2 = DisturbanceObserver(8.0, 3.0, 5e-3), 8.0, np.array([1.0, -2.0, 9.0])
     velocity, found = np.zeros(3), []
+    state = observer.at(velocity)
     for _ in range(400):
-        observer.update(velocity, np.array([0.0, 0.0, 0.5]), 5e-3)
+        state = observer.update(state, velocity, np.array([0.0, 0.0, 0.5]))
         velocity = velocity + 5e-3 * (disturbance_m_s2 + [0.0, 0.0, 0.5])
-        found.append(observer.disturbance)
+        found.append(state.disturbance)
     t = 5e-3 * np.arange(400)
     step = 1.0 - (1.0 + pole * t) * np.exp(-pole * t)  # of a double pole
     np.testing.assert_allclose(np.array(found)[:, :2], step[:, None] * disturbance_m_s2[:2], atol=0.05)
@@ -115,17 +116,19 @@ def test_disturbance_observer_has_its_poles_and_its_limit() -> None:
 
 def test_lead_compensation_of_slow_rotors_only() -> None:
     for drone, compensated in ((QUAD, False), (VEHICLES["nano"], True)):
-        drive, rotors = RotorDrive(drone, 0.03, drone.hover_speed_rad_s), Rotors(drone)
-        state = rotors.steady_state(drive.speeds_rad_s)
-        wanted = 1.05 * drive.speeds_rad_s
+        drive, rotors = RotorDrive(drone, 0.03, 5e-3), Rotors(drone)
+        model = drive.at(np.full(4, drone.hover_speed_rad_s))
+        state = rotors.steady_state(model.speeds_rad_s)
+        wanted = 1.05 * model.speeds_rad_s
         commands = []
         for _ in range(6):
-            commands.append(drive.towards(wanted, 5e-3))
+            command, model = drive.towards(model, wanted)
+            commands.append(command)
             state = rotors.step(state, commands[-1], 5e-3)
         reached = (state.speed_rad_s - drone.hover_speed_rad_s) / (0.05 * drone.hover_speed_rad_s)
         # After 30 ms, with any time constant of the rotors
         np.testing.assert_allclose(reached, 1.0 - np.exp(-1.0), rtol=1e-6)
-        np.testing.assert_allclose(drive.speeds_rad_s, state.speed_rad_s, rtol=1e-9)
+        np.testing.assert_allclose(model.speeds_rad_s, state.speed_rad_s, rtol=1e-9)
         assert bool(np.all(commands[0] > 1.01 * wanted)) is compensated
 
 
