@@ -58,8 +58,8 @@ class ImuErrors:
         bias = self._biases.advance_to(perfect.t_ns)
         errors = bias + self._density * self._root_rate(perfect) * self._rng.standard_normal((n, 6))
         model = self._model
-        gyro = _read_out(gyro + errors[:, :3], model.gyro_resolution_rad_s, model.gyro_range_rad_s)
-        accel = _read_out(accel + errors[:, 3:], model.accel_resolution_m_s2, model.accel_range_m_s2)
+        gyro = read_out(gyro + errors[:, :3], model.gyro_resolution_rad_s, model.gyro_range_rad_s)
+        accel = read_out(accel + errors[:, 3:], model.accel_resolution_m_s2, model.accel_range_m_s2)
         return ImuSamples(perfect.t_ns, gyro, accel, perfect.sampling), bias[:, :3], bias[:, 3:]
 
     def _root_rate(self, samples: ImuSamples) -> Array | float:
@@ -87,7 +87,7 @@ def _drawn_constants(model: ImuModel, rng: np.random.Generator, turn_on: Array) 
     )
 
 
-def _read_out(value: Array, step: float, limit: float) -> Array:
+def read_out(value: Array, step: float, limit: float) -> Array:
     """Return values quantized to a step, if it is positive, and clipped at ± a limit."""
     rounded = step * np.rint(value / step) if step > 0.0 else value
     return np.clip(rounded, -limit, limit)

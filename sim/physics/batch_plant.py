@@ -48,7 +48,7 @@ class PlantState:
     rotors: RotorState
     """States of rotors and batteries."""
     parameters: VehicleParameters
-    """Physical parameters."""
+    """Physical parameters of the vehicles."""
     air: AirState
     """State of the air."""
     elapsed: npt.NDArray[np.int64]

@@ -1,0 +1,138 @@
+"""Errors of many IMUs of one model, sample by sample."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from dronevio.models.imu import ImuModel
+from dronevio.sim.inertial.bias import FLICKER_FLOOR, FLICKER_SHARE, FLICKER_TIMES_S
+from dronevio.sim.inertial.imu import read_out
+
+Array = npt.NDArray[np.float64]
+Rows = npt.NDArray[np.intp]
+
+_GYRO, _ACCEL = slice(0, 3), slice(3, 6)
+
+
+@dataclass(frozen=True, eq=False)
+class BatchImuState:
+    """Complete state of a `BatchImuErrors`."""
+
+    walked: Array
+    """(n, 6) Turn-on biases with their random walks, of gyroscopes [rad/s] and accelerometers [m/s²]."""
+    flicker: Array
+    """(n, P, 6) States of the processes of bias instability."""
+    response: Array
+    """(n, 6, 6) Constant errors; see `BatchImuErrors.response`."""
+    generators: tuple[Mapping[str, Any], Mapping[str, Any]]
+    """States of the generators of samples and of resets."""
+
+
+class BatchImuErrors:
+    """Errors of n IMUs of one model, each from its switch-on, added to one noise-free point sample of each at a time.
+
+    The model is that of `ImuErrors` without vibration. Samples and resets draw from two generators, so that the
+    errors of a unit do not depend on the times at which others are reset. An error that is zero in the model leaves
+    the samples bit-identical.
+    """
+
+    def __init__(self, model: ImuModel, count: int, rng: np.random.Generator) -> None:
+        """Switch on all units.
+
+        Args:
+            model: Rate, noise densities and standard deviations of the constant errors.
+            count: Number of units.
+            rng: Generator of all errors.
+        """
+        self._model = model
+        self._rng, self._reset_rng = rng.spawn(2)
+        self._turn_on = np.repeat([model.gyro_turn_on_bias_rad_s, model.accel_turn_on_bias_m_s2], 3)
+        self._noise = np.repeat([model.gyro_noise_density, model.accel_noise_density], 3) * np.sqrt(model.rate_hz)
+        self._walk = np.repeat([model.gyro_random_walk, model.accel_random_walk], 3) / np.sqrt(model.rate_hz)
+        floor = np.repeat([model.gyro_bias_instability_rad_s, model.accel_bias_instability_m_s2], 3)
+        self._spread = np.sqrt(FLICKER_SHARE) * floor / FLICKER_FLOOR
+        self._times_s = FLICKER_TIMES_S[:, None] if floor.any() else np.zeros((0, 1))
+        self._decay = np.exp(-1.0 / (model.rate_hz * self._times_s))
+        self._flicker_noise = self._spread * np.sqrt(1.0 - self._decay**2)
+        self._constants = _deviations_of_response(model)
+        self._walked = np.zeros((count, 6))
+        self._flicker = np.zeros((count, len(self._times_s), 6))
+        self._response = np.tile(np.eye(6), (count, 1, 1))
+        self.reset(np.ones(count, dtype=bool))
+
+    @property
+    def response(self) -> Array:
+        """(n, 6, 6) Matrices from true angular velocities and specific forces to those without biases and noise."""
+        return self._response.copy()
+
+    def reseed(self, rng: np.random.Generator) -> None:
+        """Draw from streams of another generator from now on."""
+        self._rng, self._reset_rng = rng.spawn(2)
+
+    def reset(self, mask: npt.NDArray[np.bool_]) -> None:
+        """Replace the units in a mask (n,) by others that have just been switched on."""
+        rows = np.flatnonzero(mask)
+        k, rng = len(rows), self._reset_rng
+        self._walked[rows] = self._turn_on * rng.standard_normal((k, 6))
+        self._flicker[rows] = self._spread * rng.standard_normal((k, len(self._times_s), 6))
+        if self._constants.any():
+            self._response[rows] = np.eye(6) + self._constants * rng.standard_normal((k, 6, 6))
+
+    def add_to(self, perfect: Array) -> tuple[Array, Array]:
+        """Return the measurements (n, 6) of all units one sample later, and their biases (n, 6).
+
+        Args:
+            perfect: (n, 6) Noise-free angular velocities [rad/s] and specific forces [m/s²] in the IMU frame.
+        """
+        walk, white = self._rng.standard_normal((2, *perfect.shape))
+        self._walked += self._walk * walk
+        if len(self._times_s):
+            self._flicker = self._decay * self._flicker
+            self._flicker += self._flicker_noise * self._rng.standard_normal(self._flicker.shape)
+        bias = self._walked + self._flicker.sum(axis=1)
+        return self._read(self._responding(perfect, slice(None)) + (bias + self._noise * white)), bias
+
+    def first(self, perfect: Array, rows: Rows) -> tuple[Array, Array]:
+        """Return the measurements (k, 6) of some units at their reset, and their biases (k, 6).
+
+        Args:
+            perfect: (k, 6) Noise-free angular velocities [rad/s] and specific forces [m/s²] in the IMU frame.
+            rows: (k,) Indices of the units.
+        """
+        bias = self._walked[rows] + self._flicker[rows].sum(axis=1)
+        white = self._reset_rng.standard_normal(perfect.shape)
+        return self._read(self._responding(perfect, rows) + (bias + self._noise * white)), bias
+
+    def save(self) -> BatchImuState:
+        """Return the state of errors and random numbers."""
+        generators = (self._rng.bit_generator.state, self._reset_rng.bit_generator.state)
+        return BatchImuState(self._walked.copy(), self._flicker.copy(), self._response.copy(), generators)
+
+    def restore(self, saved: BatchImuState) -> None:
+        """Return to a state of as many units of the same model."""
+        self._walked[:], self._flicker, self._response[:] = saved.walked, saved.flicker.copy(), saved.response
+        self._rng.bit_generator.state, self._reset_rng.bit_generator.state = saved.generators
+
+    def _responding(self, perfect: Array, rows: Rows | slice) -> Array:
+        """Return samples (k, 6) with the constant errors of the selected units."""
+        return np.matvec(self._response[rows], perfect) if self._constants.any() else perfect
+
+    def _read(self, value: Array) -> Array:
+        """Return values (k, 6) quantized and clipped to the range."""
+        model = self._model
+        gyro = read_out(value[:, _GYRO], model.gyro_resolution_rad_s, model.gyro_range_rad_s)
+        accel = read_out(value[:, _ACCEL], model.accel_resolution_m_s2, model.accel_range_m_s2)
+        return np.concatenate([gyro, accel], axis=1)
+
+
+def _deviations_of_response(model: ImuModel) -> Array:
+    """Return the standard deviations (6, 6) of scale errors, misalignments and g-sensitivity."""
+    diagonal = np.eye(3) > 0.0
+    deviations = np.zeros((6, 6))
+    deviations[_GYRO, _GYRO] = np.where(diagonal, model.gyro_scale_error, model.gyro_misalignment_rad)
+    deviations[_ACCEL, _ACCEL] = np.where(diagonal, model.accel_scale_error, model.accel_misalignment_rad)
+    deviations[_GYRO, _ACCEL] = model.gyro_g_sensitivity_rad_s_per_m_s2
+    return deviations
