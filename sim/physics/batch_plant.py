@@ -1,7 +1,6 @@
 """Batch plant: the physics of many quadrotors of one type in one world, stepped together by `mujoco.batch`."""
 
 import copy
-from dataclasses import dataclass, fields
 
 import mujoco
 import numpy as np
@@ -9,60 +8,34 @@ import numpy.typing as npt
 from mujoco.batch import Batch
 
 from dronevio.models.errors import ConfigError
-from dronevio.models.imu import GRAVITY_M_S2
 from dronevio.models.quadrotor import RESEARCH, Quadrotor
 from dronevio.models.rig import Rig
-from dronevio.models.rotation import matrix_from_quat_wxyz, quat_wxyz_from_matrix
+from dronevio.models.rotation import quat_wxyz_from_matrix
 from dronevio.sim.physics.batch_contacts import BatchContacts
+from dronevio.sim.physics.batch_motion import (
+    POSITION,
+    QUATERNION,
+    RATE,
+    VELOCITY,
+    rotated_back,
+    rotations,
+    rotations_at_velocities,
+    specific_forces,
+    velocities_of,
+)
+from dronevio.sim.physics.batch_state import PlantState, PointSamples
 from dronevio.sim.physics.plant import LONGEST_STEP_S, LOWEST_IMU_RATE_HZ
-from dronevio.sim.physics.rotors import Airflow, Rotors, RotorState
+from dronevio.sim.physics.rotors import Airflow, Rotors
 from dronevio.sim.physics.vehicle import physics_spec, standing_pose
 from dronevio.sim.physics.vehicle_states import Mask, Rows, VehicleParameters, VehicleStates
-from dronevio.sim.physics.wind import CALM, AirState, BatchAir, Winds
+from dronevio.sim.physics.wind import CALM, BatchAir, Winds
 
 Array = npt.NDArray[np.float64]
 
 FASTEST = 1e4
 """Largest component of a velocity [m/s] or angular velocity [rad/s] that is not divergence."""
 _ALL = slice(None)
-_GRAVITY = np.array([0.0, 0.0, -GRAVITY_M_S2])
 _RECORDED = int(mujoco.mjtState.mjSTATE_QPOS | mujoco.mjtState.mjSTATE_QVEL)
-
-
-@dataclass(frozen=True, eq=False)
-class PointSamples:
-    """One noise-free point sample of the IMU of each of n vehicles."""
-
-    gyro_rad_s: Array
-    """(n, 3) Angular velocities in the IMU frame [rad/s]."""
-    accel_m_s2: Array
-    """(n, 3) Specific forces in the IMU frame [m/s²]."""
-
-
-@dataclass(frozen=True, eq=False)
-class PlantState:
-    """Complete state of a `BatchPlant`."""
-
-    physics: Array
-    """(n, S) States of MuJoCo."""
-    rotors: RotorState
-    """States of rotors and batteries."""
-    parameters: VehicleParameters
-    """Physical parameters of the vehicles."""
-    air: AirState
-    """State of the air."""
-    elapsed: npt.NDArray[np.int64]
-    """(n,) IMU intervals since the resets."""
-    touched: Mask
-    """(n,) Which vehicles have collided."""
-    diverged: Mask
-    """(n,) Which simulations have diverged."""
-    row: Array
-    """(n, 13) Poses and twists at the clock."""
-    velocity_between: Array
-    """(n, 3) Velocities of the IMUs half an interval after the clock [m/s]."""
-    samples: PointSamples
-    """IMU samples of the clock."""
 
 
 class BatchPlant:
@@ -85,6 +58,7 @@ class BatchPlant:
         step_s: float = LONGEST_STEP_S,
         surroundings: mujoco.MjSpec | None = None,
         ground_m: float = 0.0,
+        imu: bool = True,
         rng: np.random.Generator | None = None,
         nthread: int = 0,
     ) -> None:
@@ -98,6 +72,7 @@ class BatchPlant:
             surroundings: Specification of a world, whose static geoms of group 3 are obstacles; only a floor by
                 default.
             ground_m: Height of the ground of the ground effect [m].
+            imu: Whether IMU samples are computed.
             rng: Generator of the gusts; a fixed seed by default.
             nthread: Number of threads; 0 means one for each processor.
 
@@ -117,6 +92,7 @@ class BatchPlant:
         self._substeps = _substeps(self.interval_s, step_s)
         self._step_s = self.interval_s / self._substeps
         self._ground_m = ground_m
+        self._imu = imu
         spec = physics_spec(self.quadrotor, rig, self._step_s, surroundings)
         model = spec.compile()
         model.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_AUTORESET
@@ -134,8 +110,9 @@ class BatchPlant:
         self._air = BatchAir(Winds.of(CALM, count), rng or np.random.default_rng(0))
         self._elapsed = np.zeros(count, dtype=np.int64)
         self._touched, self._diverged = np.zeros(count, dtype=bool), np.zeros(count, dtype=bool)
-        self._row = np.zeros((count, 13))
-        self._velocity_between = np.zeros((count, 3))
+        self._motion = np.zeros((13, count))
+        self._velocity_between = np.zeros((3, count))
+        self._record = np.zeros((count, self._substeps, 13))
         self._samples = PointSamples(np.zeros((count, 3)), np.zeros((count, 3)))
         self.reset(np.ones(count, dtype=bool), VehicleStates.at(np.tile([0.0, 0.0, self._standing_m], (count, 1))))
 
@@ -152,12 +129,13 @@ class BatchPlant:
     @property
     def states(self) -> VehicleStates:
         """True states of the vehicles."""
-        position = self._row[:, :3] - 0.5 * self._step_s * self._row[:, 7:10]
+        position = self._motion[POSITION] - 0.5 * self._step_s * self._motion[VELOCITY]
+        R = rotations_at_velocities(self._motion, self._step_s)
         return VehicleStates(
-            position,
-            _rotations(self._row, self._step_s),
-            self._row[:, 7:10].copy(),
-            self._row[:, 10:].copy(),
+            np.ascontiguousarray(position.T),
+            np.ascontiguousarray(R.transpose(2, 0, 1)),
+            np.ascontiguousarray(self._motion[VELOCITY].T),
+            np.ascontiguousarray(self._motion[RATE].T),
             self._state.speed_rad_s.copy(),
             self._state.charge.copy(),
             self._state.voltage_v.copy(),
@@ -165,7 +143,7 @@ class BatchPlant:
 
     @property
     def samples(self) -> PointSamples:
-        """Noise-free IMU samples at the current time, of t = 0 after a reset."""
+        """Noise-free IMU samples at the current time, of t = 0 after a reset; zeros in a plant without IMUs."""
         return self._samples
 
     @property
@@ -208,7 +186,7 @@ class BatchPlant:
                 self._elapsed,
                 self._touched,
                 self._diverged,
-                self._row,
+                self._motion,
                 self._velocity_between,
                 self._samples,
             )
@@ -226,7 +204,7 @@ class BatchPlant:
         self._batch.state[:] = saved.physics
         self._air.restore(saved.air)
         self._elapsed, self._touched, self._diverged = saved.elapsed, saved.touched, saved.diverged
-        self._row, self._velocity_between, self._samples = saved.row, saved.velocity_between, saved.samples
+        self._motion, self._velocity_between, self._samples = saved.motion, saved.velocity_between, saved.samples
 
     def reset(
         self,
@@ -249,7 +227,7 @@ class BatchPlant:
         rows = np.flatnonzero(mask)
         if rows.size == 0:
             return
-        _check_states(states.rows(rows))
+        states.rows(rows).check(FASTEST)
         if parameters is not None:
             self._parameters = self._parameters.replaced(mask, parameters)
             self._rotors = Rotors(self.quadrotor, self._parameters)
@@ -263,16 +241,19 @@ class BatchPlant:
         self._twist[rows, :3] = states.velocity_m_s[rows]
         self._twist[rows, 3:] = states.rate_rad_s[rows]
         steady = self._rotors_of(rows).steady_state(states.rotor_speed_rad_s[rows], states.battery_charge[rows])
-        self._state = _with_rows(self._state, rows, steady)
+        self._state = self._state.with_rows(rows, steady)
         for flags in (self._touched, self._diverged):
             flags[rows] = False
         self._elapsed[rows] = 0
-        self._row[rows] = self._physics_row(rows)
+        self._motion[:, rows] = self._physics_motion(rows)
         middle = self._step_interval(rows)
-        before = 2.0 * self._row[rows] - middle  # extrapolated to before t = 0
-        self._velocity_between[rows] = self._imu_velocity(before)
-        gyro, accel = self._sample(rows, middle)
-        self._samples.gyro_rad_s[rows], self._samples.accel_m_s2[rows] = gyro, accel
+        if self._imu:
+            before = 2.0 * self._motion[:, rows] - middle  # extrapolated to before t = 0
+            self._velocity_between[:, rows] = velocities_of(self.rig.T_vehicle_imu[:3, 3], before, self._step_s)
+            sampled = self._sample(rows, middle)
+            gyro, accel = self._samples.gyro_rad_s.copy(), self._samples.accel_m_s2.copy()
+            gyro[rows], accel[rows] = sampled.gyro_rad_s, sampled.accel_m_s2
+            self._samples = PointSamples(gyro, accel)
 
     def advance(self, commands: Array) -> PointSamples:
         """Apply commands (n, 4) of rotor speeds [rad/s] for one IMU interval, and return the IMU samples at its end."""
@@ -281,75 +262,81 @@ class BatchPlant:
             self._diverged |= ~finite
             commands = np.where(finite[:, None], commands, 0.0)
         self._elapsed += 1
-        self._row = self._physics_row(_ALL)
+        self._motion = self._physics_motion(_ALL)
         self._state = self._rotors.step(self._state, commands, self.interval_s)
-        self._samples = PointSamples(*self._sample(_ALL, self._step_interval(_ALL)))
+        middle = self._step_interval(_ALL)
+        if self._imu:
+            self._samples = self._sample(_ALL, middle)
         return self._samples
 
     def _rotors_of(self, rows: Rows) -> Rotors:
         """Return the rotors of the selected vehicles."""
         return self._rotors if isinstance(rows, slice) else Rotors(self.quadrotor, self._parameters.rows(rows))
 
-    def _physics_row(self, rows: Rows) -> Array:
-        """Return poses and twists (k, 13) of the physics."""
-        return np.concatenate([self._pose[rows], self._twist[rows]], axis=1)
+    def _physics_motion(self, rows: Rows) -> Array:
+        """Return the motion (13, k) of the physics."""
+        return np.concatenate([self._pose[rows].T, self._twist[rows].T])
 
     def _step_interval(self, rows: Rows) -> Array:
-        """Step the physics by an interval and return the rows (k, 13) of its middle."""
+        """Step the physics by an interval and return the motion (13, k) in its middle."""
         ids = None if isinstance(rows, slice) else rows
         state = self._state if ids is None else self._state.rows(rows)
         self._control[rows] = self._rotors_of(rows).wrench(state, self._airflow(rows))
-        recorded = self._batch.rollout(self._substeps, record=[_RECORDED], ids=ids)[_RECORDED]
+        record = self._record if ids is None else np.empty((len(ids), *self._record.shape[1:]))
+        self._batch.rollout(self._substeps, record=[_RECORDED], ids=ids, out={_RECORDED: record})
         half = self._substeps // 2
-        middle = np.array(recorded[:, half - 1])
+        middle = np.ascontiguousarray(record[:, half - 1].T)
         if self._substeps % 2:  # the middle is between two steps
-            middle = 0.5 * (middle + recorded[:, half])
-        self._detect_contacts(rows, recorded[:, -2, :7])
-        return self._contain_divergence(rows, recorded[:, -1], middle)
+            middle = 0.5 * (middle + record[:, half].T)
+        self._detect_contacts(rows, record[:, -2, :7])
+        self._contain_divergence(rows, record[:, -1], middle)
+        return middle
 
     def _airflow(self, rows: Rows) -> Airflow:
         """Return the airflow at the selected vehicles, and advance the gusts by the distance of an interval."""
-        pose, twist = self._pose[rows], self._twist[rows]
-        R = matrix_from_quat_wxyz(pose[:, 3:])
-        through_air = twist[:, :3] - self._air.velocity_m_s(rows)
-        self._air.move_through(np.sqrt(np.sum(through_air * through_air, axis=1)) * self.interval_s, rows)
-        return Airflow(_rotated_back(R, through_air), twist[:, 3:], R[:, 2], pose[:, 2] - self._ground_m)
+        motion = self._motion[:, rows]
+        R = rotations(motion[QUATERNION])
+        through_air = motion[VELOCITY] - self._air.velocity_m_s(rows).T
+        self._air.move_through(np.sqrt((through_air * through_air).sum(axis=0)) * self.interval_s, rows)
+        return Airflow(rotated_back(R, through_air).T, motion[RATE].T, R[2].T, motion[2] - self._ground_m)
 
     def _detect_contacts(self, rows: Rows, pose: Array) -> None:
         """Record collisions of the selected vehicles, given the poses (k, 7) before the last step."""
-        indices = np.arange(self.count)[rows]
-        candidates = np.flatnonzero((self._contacts[rows] > 0) & ~self._touched[rows] & np.isfinite(pose).all(axis=1))
+        candidates = np.flatnonzero((self._contacts[rows] > 0) & ~self._touched[rows])
+        candidates = candidates[np.isfinite(pose[candidates]).all(axis=1)]
         if candidates.size:
-            self._touched[indices[candidates]] = self._detector.detect(indices[candidates], pose[candidates])
+            indices = np.arange(self.count)[rows][candidates]
+            self._touched[indices] = self._detector.detect(indices, pose[candidates])
 
-    def _contain_divergence(self, rows: Rows, end: Array, middle: Array) -> Array:
-        """Mark and stop diverging vehicles, given rows (k, 13) of the end and the middle; return the middle."""
+    def _contain_divergence(self, rows: Rows, end: Array, middle: Array) -> None:
+        """Mark and stop diverging vehicles.
+
+        Args:
+            rows: The selected vehicles.
+            end: (k, 13) Motion at the end of the interval.
+            middle: (13, k) Motion in its middle, which is replaced for stopped vehicles.
+        """
         valid = (np.abs(end) < FASTEST).all(axis=1) & ~self._batch.warning[rows, :, 1].any(axis=1)
-        stopped = ~valid | self._diverged[rows]
-        if not stopped.any():
-            return middle
+        stopped = np.flatnonzero(~valid | self._diverged[rows])
+        if stopped.size == 0:
+            return
         indices = np.arange(self.count)[rows][stopped]
         self._diverged[indices] = True
-        self._row[indices, 7:] = 0.0
+        self._motion[VELOCITY, indices] = 0.0
+        self._motion[RATE, indices] = 0.0
         self._batch.reset(indices, stage=mujoco.mjtStage.mjSTAGE_NONE)
-        self._pose[indices] = self._row[indices, :7]
+        self._pose[indices] = self._motion[:7, indices].T
         self._twist[indices] = 0.0
-        middle[stopped] = self._row[indices]
-        return middle
+        middle[:, stopped] = self._motion[:, indices]
 
-    def _sample(self, rows: Rows, middle: Array) -> tuple[Array, Array]:
-        """Return gyroscope and accelerometer samples (k, 3), given the rows (k, 13) in the middle of the interval."""
-        T = self.rig.T_vehicle_imu
-        after = self._imu_velocity(middle)
-        R_imu = _rotations(self._row[rows], self._step_s) @ T[:3, :3]
-        force = _rotated_back(R_imu, (after - self._velocity_between[rows]) / self.interval_s - _GRAVITY)
-        self._velocity_between[rows] = after
-        return self._row[rows, 10:] @ T[:3, :3], force
-
-    def _imu_velocity(self, row: Array) -> Array:
-        """Return velocities (k, 3) of the IMU in the world frame [m/s], given poses and twists (k, 13)."""
-        lever = np.cross(row[:, 10:], self.rig.T_vehicle_imu[:3, 3])
-        return np.asarray(row[:, 7:10] + (_rotations(row, self._step_s) @ lever[..., None])[..., 0])
+    def _sample(self, rows: Rows, middle: Array) -> PointSamples:
+        """Return the samples of k IMUs, given the motion (13, k) in the middle of the next interval."""
+        T, motion = self.rig.T_vehicle_imu, self._motion[:, rows]
+        before, after = self._velocity_between[:, rows], velocities_of(T[:3, 3], middle, self._step_s)
+        R = rotations_at_velocities(motion, self._step_s)
+        force = specific_forces(R, before, after, self.interval_s)  # in the vehicle frame
+        self._velocity_between[:, rows] = after
+        return PointSamples(motion[RATE].T @ T[:3, :3], force.T @ T[:3, :3])
 
 
 def _substeps(interval_s: float, step_s: float) -> int:
@@ -364,54 +351,3 @@ def _substeps(interval_s: float, step_s: float) -> int:
             f"time step of {step_s:g} s; expected a half, third, … of the IMU interval of {interval_s:g} s"
         )
     return count
-
-
-def _check_states(states: VehicleStates) -> None:
-    """Raise an error for states that the physics cannot start from.
-
-    Raises:
-        ConfigError: A value is not finite, or a velocity is above `FASTEST`.
-    """
-    for field in fields(states):
-        if not np.isfinite(getattr(states, field.name)).all():
-            raise ConfigError(f"initial {field.name} is not finite; expected finite numbers")
-    if max(np.abs(states.velocity_m_s).max(), np.abs(states.rate_rad_s).max()) >= FASTEST:
-        raise ConfigError(f"initial velocity or angular velocity of {FASTEST:g} or more; expected less")
-
-
-def _with_rows(state: RotorState, rows: npt.NDArray[np.intp], other: RotorState) -> RotorState:
-    """Return a rotor state in which k rows are those of another one."""
-    speed, acceleration = state.speed_rad_s.copy(), state.acceleration_rad_s2.copy()
-    charge, voltage = state.charge.copy(), state.voltage_v.copy()
-    speed[rows], acceleration[rows] = other.speed_rad_s, other.acceleration_rad_s2
-    charge[rows], voltage[rows] = other.charge, other.voltage_v
-    return RotorState(speed, acceleration, charge, voltage)
-
-
-def _rotations(row: Array, step_s: float) -> Array:
-    """Return orientations (n, 3, 3) at the times of the velocities, half a step earlier than the poses (see `Motion`).
-
-    Args:
-        row: (n, 13) Poses and twists of the physics.
-        step_s: Time step of the physics [s].
-    """
-    half = -0.25 * step_s * row[:, 10:]  # half the rotation vector
-    angle = np.sqrt(np.sum(half * half, axis=1))
-    cosine, sine = np.cos(angle), np.sinc(angle / np.pi)
-    w, x, y, z = row[:, 3:7].T
-    a, b, c = (sine[:, None] * half).T
-    turned = np.stack(
-        [
-            w * cosine - x * a - y * b - z * c,
-            w * a + x * cosine + y * c - z * b,
-            w * b - x * c + y * cosine + z * a,
-            w * c + x * b - y * a + z * cosine,
-        ],
-        axis=1,
-    )
-    return matrix_from_quat_wxyz(turned)
-
-
-def _rotated_back(R: Array, v: Array) -> Array:
-    """Return Rᵀ v (n, 3)."""
-    return np.asarray(np.einsum("nji,nj->ni", R, v))

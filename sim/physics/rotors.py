@@ -63,6 +63,14 @@ class RotorState:
             self.speed_rad_s[rows], self.acceleration_rad_s2[rows], self.charge[rows], self.voltage_v[rows]
         )
 
+    def with_rows(self, rows: npt.NDArray[np.intp], other: "RotorState") -> "RotorState":
+        """Return a copy in which k rows (k,) are those of another state."""
+        speed, acceleration = self.speed_rad_s.copy(), self.acceleration_rad_s2.copy()
+        charge, voltage = self.charge.copy(), self.voltage_v.copy()
+        speed[rows], acceleration[rows] = other.speed_rad_s, other.acceleration_rad_s2
+        charge[rows], voltage[rows] = other.charge, other.voltage_v
+        return RotorState(speed, acceleration, charge, voltage)
+
 
 @dataclass(frozen=True, eq=False)
 class Airflow:

@@ -81,6 +81,21 @@ class VehicleStates(Table):
             np.zeros(n),
         )
 
+    def check(self, fastest: float) -> None:
+        """Check that the physics can start from these states.
+
+        Args:
+            fastest: Smallest component of a velocity [m/s] or angular velocity [rad/s] that is refused.
+
+        Raises:
+            ConfigError: A value is not finite, or a vehicle is too fast.
+        """
+        for field in fields(self):
+            if not np.isfinite(getattr(self, field.name)).all():
+                raise ConfigError(f"initial {field.name} is not finite; expected finite numbers")
+        if max(np.abs(self.velocity_m_s).max(), np.abs(self.rate_rad_s).max()) >= fastest:
+            raise ConfigError(f"initial velocity or angular velocity of {fastest:g} or more; expected less")
+
 
 @dataclass(frozen=True, eq=False)
 class VehicleParameters(Table):

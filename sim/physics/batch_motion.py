@@ -1,0 +1,90 @@
+"""True motion of many vehicles and noise-free samples of their IMUs, at one time: `Motion` for many vehicles.
+
+Arrays have one column a vehicle, so that numpy computes each component for all vehicles at once. Motion (13, n)
+holds positions [m], orientations quat_wxyz, velocities in the world [m/s] and angular velocities in the vehicle frame
+[rad/s] of MuJoCo's free joints.
+"""
+
+import numpy as np
+import numpy.typing as npt
+
+from dronevio.models.imu import GRAVITY_M_S2
+
+Array = npt.NDArray[np.float64]
+
+POSITION, QUATERNION, VELOCITY, RATE = slice(0, 3), slice(3, 7), slice(7, 10), slice(10, 13)
+"""Rows of a block of motion."""
+_LEAST = 1e-300  # avoids 0 / 0 without rotation
+
+
+def rotations(quaternion: Array) -> Array:
+    """Return rotations (3, 3, n) of quaternions quat_wxyz (4, n), which need not be of unit length."""
+    w, x, y, z = quaternion
+    scale = 2.0 / (w * w + x * x + y * y + z * z)
+    xs, ys, zs = x * scale, y * scale, z * scale
+    wx, wy, wz = w * xs, w * ys, w * zs
+    xx, xy, xz = x * xs, x * ys, x * zs
+    yy, yz, zz = y * ys, y * zs, z * zs
+    R = np.empty((3, 3, len(w)))
+    R[0, 0], R[0, 1], R[0, 2] = 1.0 - (yy + zz), xy - wz, xz + wy
+    R[1, 0], R[1, 1], R[1, 2] = xy + wz, 1.0 - (xx + zz), yz - wx
+    R[2, 0], R[2, 1], R[2, 2] = xz - wy, yz + wx, 1.0 - (xx + yy)
+    return R
+
+
+def rotations_at_velocities(motion: Array, step_s: float) -> Array:
+    """Return rotations (3, 3, n) at the times of the velocities, half a step earlier than the poses (see `Motion`).
+
+    Args:
+        motion: (13, n) Motion of the physics.
+        step_s: Time step of the physics [s].
+    """
+    half = (-0.25 * step_s) * motion[RATE]  # half the rotation vector
+    angle = np.sqrt(half[0] * half[0] + half[1] * half[1] + half[2] * half[2])
+    scale = np.sin(angle) / np.maximum(angle, _LEAST)
+    w, x, y, z = motion[QUATERNION]
+    d, (a, b, c) = np.cos(angle), scale * half
+    turned = np.empty((4, motion.shape[1]))
+    turned[0] = w * d - x * a - y * b - z * c
+    turned[1] = w * a + x * d + y * c - z * b
+    turned[2] = w * b - x * c + y * d + z * a
+    turned[3] = w * c + x * b - y * a + z * d
+    return rotations(turned)
+
+
+def rotated(R: Array, vectors: Array) -> Array:
+    """Return R v (3, n) of rotations (3, 3, n) and vectors (3, n)."""
+    return np.asarray((R * vectors).sum(axis=1))
+
+
+def rotated_back(R: Array, vectors: Array) -> Array:
+    """Return Rᵀ v (3, n) of rotations (3, 3, n) and vectors (3, n)."""
+    return np.asarray((R * vectors[:, None]).sum(axis=0))
+
+
+def velocities_of(lever: Array, motion: Array, step_s: float) -> Array:
+    """Return velocities (3, n) in the world of a point fixed to each vehicle [m/s].
+
+    Args:
+        lever: (3,) Position of the point in the vehicle frame [m].
+        motion: (13, n) Motion of the physics.
+        step_s: Time step of the physics [s].
+    """
+    x, y, z = motion[RATE]
+    a, b, c = lever.tolist()
+    relative = np.stack([y * c - z * b, z * a - x * c, x * b - y * a])
+    return motion[VELOCITY] + rotated(rotations_at_velocities(motion, step_s), relative)
+
+
+def specific_forces(R: Array, before: Array, after: Array, interval_s: float) -> Array:
+    """Return mean specific forces (3, n) over one interval centred on a time [m/s²].
+
+    Args:
+        R: (3, 3, n) Rotations from the frame of the result to the world at this time.
+        before: (3, n) Velocities of the IMU half an interval earlier, in the world [m/s].
+        after: (3, n) Velocities half an interval later [m/s].
+        interval_s: Length of the interval [s].
+    """
+    force = (after - before) / interval_s
+    force[2] += GRAVITY_M_S2
+    return rotated_back(R, force)
