@@ -1,6 +1,6 @@
 """Camera model: projection of points in the camera frame to pixels, and its inverse."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import numpy.typing as npt
@@ -53,6 +53,25 @@ class CameraModel:
                 raise ConfigError(f"camera {name} = {getattr(self, name)}; expected a finite number")
         if len(self.distortion) != 4 or not np.all(np.isfinite(self.distortion)):
             raise ConfigError(f"camera distortion = {self.distortion}; expected four finite numbers")
+
+    def resized(self, width: int, height: int) -> "CameraModel":
+        """Return a camera with the same field of view and an image of another size [px].
+
+        Pixels are no longer square if the ratio of the sides differs.
+
+        Raises:
+            ConfigError: A side is less than one pixel.
+        """
+        x, y = width / self.width, height / self.height
+        return replace(
+            self,
+            width=width,
+            height=height,
+            fx=self.fx * x,
+            fy=self.fy * y,
+            cx=(self.cx + 0.5) * x - 0.5,  # pixel centres are at integers, so the image starts at −0.5
+            cy=(self.cy + 0.5) * y - 0.5,
+        )
 
     @property
     def K(self) -> Array:

@@ -8,9 +8,10 @@ from dronevio.models.errors import GraphicsError
 from dronevio.models.quadrotor import Quadrotor
 from dronevio.models.rig import Rig
 from dronevio.models.rotation import quat_wxyz_from_matrix
-from dronevio.sim.cameras.gl import Context, create_context
+from dronevio.sim.cameras.gl import Context, create_context, free, is_usable, make_current
 from dronevio.sim.physics.vehicle import quadrotor_spec
-from dronevio.sim.world import World
+from dronevio.sim.rendering.shared import Lease, SharedPool
+from dronevio.sim.world import World, build_world
 
 Array = npt.NDArray[np.float64]
 
@@ -58,7 +59,7 @@ class ChaseCamera:
         """
         if self._gl is None:
             raise GraphicsError("the chase camera has been closed")
-        self._gl.make_current()
+        make_current(self._gl)
         self._data.qpos[:3] = T_world_vehicle[:3, 3]
         self._data.qpos[3:7] = quat_wxyz_from_matrix(T_world_vehicle[:3, :3])
         mujoco.mj_kinematics(self._model, self._data)
@@ -69,10 +70,35 @@ class ChaseCamera:
         mujoco.mjr_readPixels(self._picture, None, self._rectangle, self._drawing)
         return self._picture[::-1].copy()  # the first row of OpenGL is the lowest
 
+    def usable(self) -> bool:
+        """Return whether the graphics memory is neither released nor lost."""
+        return self._gl is not None and is_usable(self._gl)
+
     def close(self) -> None:
         """Release the graphics memory; further calls have no effect."""
         if self._gl is not None:
-            self._gl.make_current()
+            make_current(self._gl)
             self._drawing.free()
-            self._gl.free()
+            free(self._gl)
             self._gl = None
+
+
+CHASE_CAMERAS: SharedPool[ChaseCamera] = SharedPool(idle_max=1)
+"""All chase cameras that the environments of this process share."""
+
+
+def lease_chase_camera(world: str, seed: int, quadrotor: Quadrotor, rig: Rig) -> Lease[ChaseCamera]:
+    """Return a lease of a chase camera of 640 × 480 px, shared by all users of the same world and vehicle.
+
+    Args:
+        world: Name of the world.
+        seed: Seed of the world.
+        quadrotor: The vehicle.
+        rig: The sensors of the vehicle.
+
+    Raises:
+        ConfigError: The world is unknown.
+        GraphicsError: Off-screen OpenGL is not available.
+    """
+    key = (world, seed, quadrotor_spec(quadrotor, rig).to_xml())
+    return CHASE_CAMERAS.lease(key, lambda: ChaseCamera(build_world(world, seed), quadrotor, rig))

@@ -91,19 +91,23 @@ class World:
     """Moving objects of the world."""
 
 
-def build_world(name: str, seed: int) -> World:
+def build_world(name: str, seed: int, texture_seed: int | None = None, texture_reduction: int = 1) -> World:
     """Build a world from its name and seed.
 
     Args:
         name: A key of `WORLDS`.
         seed: Seed of layout, textures and light; the same seed gives the same bytes.
+        texture_seed: Seed of the textures, by default that of the world. The layout, and with it the colours of the
+            objects, does not depend on it.
+        texture_reduction: Factor by which the textures are smaller along each axis, at most the gutter between
+            textures. A reduced world takes less memory, and suits small images.
 
     Raises:
         ConfigError: The world is unknown.
     """
     _require(name)
-    layout, appearance = _painted(name, seed)
-    spec = assembled(layout, appearance)
+    layout, appearance = _painted(name, seed, seed if texture_seed is None else texture_seed)
+    spec = assembled(layout, appearance if texture_reduction == 1 else appearance.reduced(texture_reduction))
     spec.modelname = f"{name}-{seed}"
     return World(
         name,
@@ -163,9 +167,9 @@ def _require(name: str) -> None:
 
 
 @lru_cache(maxsize=2)
-def _painted(name: str, seed: int) -> tuple[Layout, Appearance]:
+def _painted(name: str, seed: int, texture_seed: int) -> tuple[Layout, Appearance]:
     """Return layout and appearance of a world; cached, since painting takes seconds."""
-    drawing, paint = _generators(seed)
+    drawing, paint = _generators(seed)[0], _generators(texture_seed)[1]
     layout = WORLDS[name].layout(drawing)
     surfaces = seen_surfaces(layout)
     standing = len(surfaces) - (layout.mirror is not None)

@@ -5,7 +5,7 @@ shows a texture exactly, and a few meshes are faster to render than many boxes.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import cv2
 import mujoco
@@ -44,6 +44,16 @@ class Page:
     def triangles(self) -> Triangles:
         """(2 F, 3) Corners of the triangles, anticlockwise as seen from the visible side."""
         return _triangles(len(self.vertices) // 4)
+
+    def reduced(self, factor: int) -> "Page":
+        """Return the page with a texture that is smaller by a factor along each axis."""
+        return replace(self, texture=reduced_image(self.texture, factor))
+
+
+def reduced_image(image: Image, factor: int) -> Image:
+    """Return an image (H, W, 3) that is smaller by a factor along each axis, each pixel the mean over its area."""
+    size = max(image.shape[1] // factor, 1), max(image.shape[0] // factor, 1)
+    return np.asarray(cv2.resize(image, size, interpolation=cv2.INTER_AREA), dtype=np.uint8)
 
 
 def paint_pages(

@@ -9,7 +9,7 @@ import numpy.typing as npt
 
 from dronevio.models.errors import ConfigError, GraphicsError
 from dronevio.models.rotation import inverse_pose, pose_matrix, quat_wxyz_from_matrix
-from dronevio.sim.cameras.gl import Context, create_context
+from dronevio.sim.cameras.gl import Context, blend_no_mipmaps, create_context, free, is_usable, make_current
 from dronevio.sim.cameras.views import PinholeView, Views
 
 Array = npt.NDArray[np.float64]
@@ -25,8 +25,12 @@ NO_MOVERS: MoverPoses = MappingProxyType({})
 class RenderContext:
     """Graphics memory with the meshes and textures of a world and a frame buffer. Close it after use."""
 
-    def __init__(self, model: mujoco.MjModel) -> None:
+    def __init__(self, model: mujoco.MjModel, blend_mipmaps: bool = True) -> None:
         """Load a world into graphics memory.
+
+        Args:
+            model: The compiled world.
+            blend_mipmaps: Whether the sizes of a texture are blended; without that, small images are rendered faster.
 
         Raises:
             GraphicsError: Off-screen OpenGL is not available.
@@ -36,26 +40,38 @@ class RenderContext:
         """MuJoCo's rendering context."""
         mujoco.mjr_setBuffer(mujoco.mjtFramebuffer.mjFB_OFFSCREEN, self.mjr_context)
         self.mjr_context.readDepthMap = mujoco.mjtDepthMap.mjDEPTH_ZEROFAR
+        if not blend_mipmaps:
+            types, numbers = self.mjr_context.textureType, self.mjr_context.texture
+            flat = mujoco.mjtTexture.mjTEXTURE_2D
+            blend_no_mipmaps([int(numbers[k]) for k in range(self.mjr_context.ntexture) if types[k] == flat])
 
     def activate(self, width: int, height: int) -> None:
         """Make the context current with a frame buffer of at least the given size [px].
 
         Raises:
-            GraphicsError: The graphics memory has been released.
+            GraphicsError: The graphics memory has been released or lost, or the process was forked after rendering.
         """
         if self._gl is None:
             raise GraphicsError("the camera has been closed")
-        self._gl.make_current()
+        make_current(self._gl)
         size = self.mjr_context.offWidth, self.mjr_context.offHeight
         if width > size[0] or height > size[1]:
             mujoco.mjr_resizeOffscreen(max(width, size[0]), max(height, size[1]), self.mjr_context)
 
+    def usable(self) -> bool:
+        """Return whether the graphics memory is neither released nor lost."""
+        return self._gl is not None and is_usable(self._gl)
+
     def close(self) -> None:
-        """Release the graphics memory; further calls have no effect."""
+        """Release the graphics memory; further calls have no effect.
+
+        Raises:
+            GraphicsError: The graphics memory has been lost, or the process was forked after rendering.
+        """
         if self._gl is not None:
-            self._gl.make_current()
+            make_current(self._gl)
             self.mjr_context.free()
-            self._gl.free()
+            free(self._gl)
             self._gl = None
 
 

@@ -1,96 +1,209 @@
-"""Camera observations: the images that an environment adds to its observations."""
+"""Camera observations: the images that environments add to their observations."""
 
-from dataclasses import replace
-from typing import Any, Protocol
+from dataclasses import dataclass
+from typing import Any, Literal, Protocol
 
 import numpy as np
 import numpy.typing as npt
 from gymnasium import spaces
 
 from dronevio.models.camera import CameraModel
+from dronevio.models.errors import ConfigError
+from dronevio.models.imu import Times
 from dronevio.models.rig import RigCamera
-from dronevio.sim.cameras.camera import OffscreenCamera
-from dronevio.sim.world import build_world
+from dronevio.sim.appearance.textures import PIXELS_PER_M
+from dronevio.sim.cameras.atlas_renderer import NO_MOVERS, MoverPoses
+from dronevio.sim.cameras.camera import SUPERSAMPLING, OffscreenCamera
+from dronevio.sim.rendering.loaded_world import LoadedWorld, WorldKey, lease_world
+from dronevio.sim.rendering.shared import Lease
 
 Array = npt.NDArray[np.float64]
+Images = dict[str, npt.NDArray[Any]]
+ImageKind = Literal["grey", "rgb", "depth"]
+
+_CHANNELS: dict[ImageKind, int] = {"grey": 1, "rgb": 3, "depth": 1}
+_SHARP_FROM_M = 1.5  # distance from which reduced textures are as fine as the rendered pixels
+_REDUCTIONS = (4, 2, 1)
 
 
 class CameraObservation(Protocol):
-    """Interface of an observation component with images."""
+    """Interface of the renderer of the images of environments."""
 
-    def spaces(self) -> dict[str, spaces.Space[Any]]:
-        """Return the spaces of the entries of `observe`."""
+    def spaces(self) -> dict[str, spaces.Box]:
+        """Return the spaces of the images of one environment by name."""
 
-    def observe(self, T_world_imu: Array) -> dict[str, npt.NDArray[np.uint8]]:
-        """Return the entries at a pose T_world_imu (4, 4)."""
+    def observe(self, T_world_imu: Array, t_ns: Times | None = None) -> Images:
+        """Return images by name.
+
+        Args:
+            T_world_imu: (k, 4, 4) Poses of the IMUs of k environments.
+            t_ns: (k,) Times since the starts of their episodes [ns], at which moving objects are shown; 0 by default.
+
+        Returns:
+            Arrays (k, H, W, C).
+        """
 
     def close(self) -> None:
-        """Release the resources of rendering."""
+        """Release the resources of rendering; further calls have no effect."""
 
 
 class NoCameraObservation:
     """No images; implements `CameraObservation`."""
 
-    def spaces(self) -> dict[str, spaces.Space[Any]]:
-        """Return no entries."""
+    def spaces(self) -> dict[str, spaces.Box]:
+        """Return no spaces."""
         return {}
 
-    def observe(self, T_world_imu: Array) -> dict[str, npt.NDArray[np.uint8]]:
-        """Return no entries."""
+    def observe(self, T_world_imu: Array, t_ns: Times | None = None) -> Images:
+        """Return no images."""
         return {}
 
     def close(self) -> None:
         """Do nothing."""
 
 
-class RenderedObservation:
-    """An image of reduced size from a camera of a rig in a world that is built at the first call of `observe`."""
+@dataclass(frozen=True)
+class ImageSettings:
+    """Kinds and size of the images of an environment."""
 
-    def __init__(self, mounted: RigCamera, scale: float, world: str, seed: int) -> None:
+    kinds: tuple[ImageKind, ...] = ("grey",)
+    """Kinds of images: ``grey``, ``rgb`` or ``depth``. Each is rendered separately."""
+    width: int = 64
+    """Width of the images [px]."""
+    height: int = 64
+    """Height of the images [px]. The field of view is that of the rig's camera for any width and height."""
+    depth_max_m: float = 20.0
+    """Largest depth: farther surfaces, and pixels without a surface, have this depth [m]."""
+
+    def __post_init__(self) -> None:
+        """Check the values.
+
+        Raises:
+            ConfigError: A kind is unknown or listed twice, or a number is out of range.
+        """
+        if not self.kinds or len(set(self.kinds)) < len(self.kinds) or not set(self.kinds) <= set(_CHANNELS):
+            raise ConfigError(f"images of kinds {self.kinds}; expected some of {', '.join(_CHANNELS)}, each once")
+        if min(self.width, self.height) < 1:
+            raise ConfigError(f"images of {self.width} × {self.height} px; expected at least 1 × 1 px")
+        if not 0.0 < self.depth_max_m < np.inf:
+            raise ConfigError(f"depth_max_m = {self.depth_max_m}; expected a positive number")
+
+
+@dataclass(frozen=True, eq=False)
+class _Renderer:
+    """A camera in a loaded world."""
+
+    lease: Lease[LoadedWorld]
+    camera: OffscreenCamera
+
+    def movers_at(self, t_ns: int) -> MoverPoses:
+        """Return the poses of the moving objects at a time since the start of the episode [ns]."""
+        movers = self.lease.value.movers
+        return {mover.body: mover.poses(np.array([1e-9 * t_ns]))[0] for mover in movers} if movers else NO_MOVERS
+
+    def image(self, kind: ImageKind, T_world_cam: Array, movers: MoverPoses) -> npt.NDArray[Any]:
+        """Return an image (H, W), or (H, W, 3) for ``rgb``."""
+        if kind == "grey":
+            return self.camera.render(T_world_cam, movers)
+        if kind == "rgb":
+            return self.camera.render_rgb(T_world_cam, movers)
+        return self.camera.render_depth(T_world_cam, movers)
+
+
+class RenderedObservation:
+    """Images of one camera of a rig in one world, for any number of environments; implements `CameraObservation`.
+
+    The world is loaded at the first call of `observe` and shared with the other environments of the process. The lens
+    is that of the rig's camera. Images have no noise and no motion blur, and are exposed as the textures are painted.
+    Depth is the z coordinate in the camera frame for ``radtan`` lenses, and the length of the ray for ``equidistant``.
+    """
+
+    def __init__(
+        self,
+        mounted: RigCamera,
+        world: str,
+        seed: int,
+        settings: ImageSettings | None = None,
+        texture_seed: int | None = None,
+    ) -> None:
         """Define camera and world.
 
         Args:
             mounted: The camera and its mounting on the rig.
-            scale: Width of the images relative to that of the camera.
             world: Name of the world.
             seed: Seed of the world.
+            settings: Kinds and size of the images.
+            texture_seed: Seed of the textures, by default that of the world.
         """
-        self._model = scaled(mounted.model, scale)
+        self._settings = settings or ImageSettings()
+        self._model = mounted.model.resized(self._settings.width, self._settings.height)
         self._T_imu_cam = mounted.T_imu_cam
-        self._world, self._seed = world, seed
-        self._camera: OffscreenCamera | None = None
+        self._key = WorldKey(
+            world, seed, seed if texture_seed is None else texture_seed, texture_reduction(self._model)
+        )
+        self._renderer: _Renderer | None = None
 
-    def spaces(self) -> dict[str, spaces.Space[Any]]:
-        """Return the space of ``image``: a grey image (H, W, 1)."""
-        return {"image": spaces.Box(0, 255, (self._model.height, self._model.width, 1), np.uint8)}
+    def spaces(self) -> dict[str, spaces.Box]:
+        """Return the spaces of the images of one environment.
 
-    def observe(self, T_world_imu: Array) -> dict[str, npt.NDArray[np.uint8]]:
-        """Return the ``image`` (H, W, 1) at a pose T_world_imu (4, 4).
+        ``grey`` (H, W, 1) and ``rgb`` (H, W, 3) are uint8; ``depth`` (H, W, 1) is float32 [m].
+        """
+        return {kind: _space(kind, self._settings) for kind in self._settings.kinds}
+
+    def observe(self, T_world_imu: Array, t_ns: Times | None = None) -> Images:
+        """Return the images of k environments by kind.
+
+        Args:
+            T_world_imu: (k, 4, 4) Poses of the IMUs.
+            t_ns: (k,) Times since the starts of the episodes [ns], at which moving objects are shown; 0 by default.
+
+        Returns:
+            Arrays (k, H, W, 1), or (k, H, W, 3) for ``rgb``.
 
         Raises:
+            ConfigError: The world is unknown.
             GraphicsError: Off-screen OpenGL is not available.
         """
-        if self._camera is None:
-            self._camera = OffscreenCamera(build_world(self._world, self._seed).spec.compile(), self._model)
-        return {"image": self._camera.render(T_world_imu @ self._T_imu_cam)[..., None]}
+        Ts_world_cam = T_world_imu @ self._T_imu_cam
+        times_ns = np.zeros(len(Ts_world_cam), np.int64) if t_ns is None else t_ns
+        images = {kind: np.empty((len(Ts_world_cam), *s.shape), s.dtype) for kind, s in self.spaces().items()}
+        for row, (T_world_cam, time_ns) in enumerate(zip(Ts_world_cam, times_ns.tolist(), strict=True)):
+            for kind, image in self._rendered(T_world_cam, time_ns).items():
+                images[kind][row] = image.reshape(images[kind].shape[1:])
+        return images
 
     def close(self) -> None:
-        """Release the graphics memory."""
-        if self._camera is not None:
-            self._camera.close()
-            self._camera = None
+        """Release the renderer; the process keeps recently used worlds for other environments."""
+        if self._renderer is not None:
+            renderer, self._renderer = self._renderer, None
+            renderer.lease.release()
+
+    def __getstate__(self) -> dict[str, Any]:
+        """Return the attributes without the renderer, which cannot be pickled."""
+        return {**self.__dict__, "_renderer": None}
+
+    def _rendered(self, T_world_cam: Array, t_ns: int) -> Images:
+        """Return the images of one environment."""
+        if self._renderer is None:
+            lease = lease_world(self._key)
+            camera = OffscreenCamera(lease.value.model, self._model, context=lease.value.context)
+            self._renderer = _Renderer(lease, camera)
+        movers = self._renderer.movers_at(t_ns)
+        images: Images = {kind: self._renderer.image(kind, T_world_cam, movers) for kind in self._settings.kinds}
+        if "depth" in images:
+            images["depth"] = np.fmin(images["depth"], np.float32(self._settings.depth_max_m))  # also for NaN
+        return images
 
 
-def scaled(camera: CameraModel, scale: float) -> CameraModel:
-    """Return a camera with the same field of view and an image of ``scale`` times the size, in whole pixels."""
-    width, height = round(camera.width * scale), round(camera.height * scale)
-    x, y = width / camera.width, height / camera.height
-    return replace(
-        camera,
-        width=width,
-        height=height,
-        fx=camera.fx * x,
-        fy=camera.fy * y,
-        cx=(camera.cx + 0.5) * x - 0.5,  # pixel centres are at integers, so the image starts at −0.5
-        cy=(camera.cy + 0.5) * y - 0.5,
-    )
+def _space(kind: ImageKind, settings: ImageSettings) -> spaces.Box:
+    """Return the space of an image of a kind."""
+    shape = settings.height, settings.width, _CHANNELS[kind]
+    if kind == "depth":
+        return spaces.Box(0.0, settings.depth_max_m, shape, np.float32)
+    return spaces.Box(0, 255, shape, np.uint8)
+
+
+def texture_reduction(camera: CameraModel) -> int:
+    """Return the factor by which textures can be smaller for a camera, which sees them from one metre or more."""
+    rendered_px_per_m = SUPERSAMPLING * max(camera.fx, camera.fy) / _SHARP_FROM_M
+    return next((factor for factor in _REDUCTIONS if rendered_px_per_m * factor <= PIXELS_PER_M), 1)

@@ -1,6 +1,7 @@
 """Environment Hover: bring a disturbed quadrotor to a point in a room and keep it there."""
 
-from typing import Any, SupportsFloat
+from collections.abc import Mapping
+from typing import Any, SupportsFloat, TypeVar
 
 import gymnasium
 import numpy as np
@@ -12,15 +13,22 @@ from dronevio.models.imu import ImuSamples
 from dronevio.models.rig import euroc_rig
 from dronevio.models.rotation import exp_so3, pose_matrix, quat_wxyz_from_matrix
 from dronevio.models.state import NavState
-from dronevio.sim.chase_camera import ChaseCamera
-from dronevio.sim.envs.camera_observation import CameraObservation, NoCameraObservation, RenderedObservation
+from dronevio.sim.chase_camera import ChaseCamera, lease_chase_camera
+from dronevio.sim.envs.camera_observation import (
+    CameraObservation,
+    ImageSettings,
+    NoCameraObservation,
+    RenderedObservation,
+)
 from dronevio.sim.inertial.imu import ImuErrors
 from dronevio.sim.physics.plant import QuadrotorPlant
 from dronevio.sim.props.room import FREE_BOX_M
-from dronevio.sim.world import build_world
+from dronevio.sim.rendering.shared import Lease
+from dronevio.sim.rendering.window import Window, has_display, require_display
 
 Array = npt.NDArray[np.float64]
 Observation = dict[str, npt.NDArray[Any]]
+_Content = TypeVar("_Content")
 
 TARGET_M = np.array([0.0, 0.0, 1.2])
 """(3,) Target position of the centre of mass in the world frame [m]."""
@@ -33,7 +41,7 @@ ACCEL_RANGE_M_S2 = 18.0 * 9.81
 
 _FARTHEST_M, _FASTEST_M_S = 5.0, 20.0  # bounds of the observation, beyond those of an episode
 _WORLD = "room"
-_CAMERA_SCALE = 0.25  # relative to the size of the rig's camera
+_IMAGES = ImageSettings(width=188, height=120)
 _START_OFFSET_M, _START_SPEED_M_S, _START_TILT_RAD, _START_RATE_RAD_S = 0.5, 0.5, 0.2, 0.5
 _CRASH_HEIGHT_M = 0.03  # above the height of the standing drone
 _REWARD_DISTANCE_M, _REWARD_RATE_RAD_S = 0.5, 5.0
@@ -86,8 +94,9 @@ and specific force [m/s²] in the IMU's frame, with noise and biases |
     ## Arguments
     ``camera`` adds the image, which takes about 10 ms per step without a GPU. ``world_seed`` is the seed of the room in
     images and renderings. With ``render_mode="rgb_array"``, `render` returns an RGB image (480, 640, 3) of the drone
-    from a chase camera. The room is built at the first image or rendering, which takes seconds and requires off-screen
-    OpenGL (``dronevio doctor`` checks it).
+    from a chase camera; with ``render_mode="human"``, `reset` and `step` show these images in a window, in real time.
+    The first image of a process takes seconds, in which the room is built, and requires off-screen OpenGL (``dronevio
+    doctor`` checks it); later environments share the room.
 
     ```python
     import gymnasium
@@ -101,21 +110,26 @@ and specific force [m/s²] in the IMU's frame, with noise and biases |
     actions give the same bytes.
     """
 
-    metadata = {"render_modes": ["rgb_array"], "render_fps": STEPS_PER_S}  # noqa: RUF012 as Gymnasium declares it
+    metadata = {"render_modes": ["human", "rgb_array"], "render_fps": STEPS_PER_S}  # noqa: RUF012 as Gymnasium declares it
 
     def __init__(self, render_mode: str | None = None, camera: bool = False, world_seed: int = 0) -> None:
         """Build the physics; the renderers are built when they are first used.
 
         Args:
-            render_mode: None or ``rgb_array``.
+            render_mode: None, ``rgb_array`` or ``human``.
             camera: Whether observations contain an image.
             world_seed: Seed of the room.
 
         Raises:
             ConfigError: The render mode is unknown.
+            GraphicsError: The render mode is ``human``, and there is no display.
         """
         if render_mode not in (None, *self.metadata["render_modes"]):
-            raise ConfigError(f"render mode {render_mode!r}; expected None or 'rgb_array'")
+            raise ConfigError(f"render mode {render_mode!r}; expected None, 'rgb_array' or 'human'")
+        if render_mode == "human":
+            require_display()
+        if not has_display():  # Gymnasium's `check_env` tries all modes
+            self.metadata = {**self.metadata, "render_modes": ["rgb_array"]}
         self.render_mode = render_mode
         self._world_seed = world_seed
         self._rig = euroc_rig()
@@ -125,14 +139,13 @@ and specific force [m/s²] in the IMU's frame, with noise and biases |
         self._samples = self._interval_ns // self._plant.interval_ns
         self._errors = ImuErrors(self._rig.imu, self.np_random)
         self._camera_observation: CameraObservation = (
-            RenderedObservation(self._rig.cameras[0], _CAMERA_SCALE, _WORLD, world_seed)
-            if camera
-            else NoCameraObservation()
+            RenderedObservation(self._rig.cameras[0], _WORLD, world_seed, _IMAGES) if camera else NoCameraObservation()
         )
-        self._chase_camera: ChaseCamera | None = None
+        self._chase_camera: Lease[ChaseCamera] | None = None
+        self._window: Window | None = None
         self.action_space = spaces.Box(-1.0, 1.0, (4,), np.float32)
         self.observation_space: spaces.Space[Observation] = spaces.Dict(  # type: ignore[assignment]
-            {**_sensed_spaces(self._samples), **self._camera_observation.spaces()}
+            {**_sensed_spaces(self._samples), **_named(self._camera_observation.spaces())}
         )
 
     def reset(
@@ -160,6 +173,8 @@ and specific force [m/s²] in the IMU's frame, with noise and biases |
         self._errors = ImuErrors(self._rig.imu, rng)
         first, _, _ = self._errors.add_to(self._plant.step_until(0, np.zeros(4)))
         state = self._plant.vehicle_state()
+        if self.render_mode == "human":
+            self.render()
         return self._observe(state, first), _info(state)
 
     def step(self, action: npt.NDArray[np.float32]) -> tuple[Observation, SupportsFloat, bool, bool, dict[str, Any]]:
@@ -174,10 +189,14 @@ and specific force [m/s²] in the IMU's frame, with noise and biases |
         command = self._rotor_speeds(np.asarray(action, dtype=np.float64))
         samples, _, _ = self._errors.add_to(self._plant.step_until(self._plant.t_ns + self._interval_ns, command))
         state = self._plant.vehicle_state()
+        if self.render_mode == "human":
+            self.render()
         return self._observe(state, samples), _reward(state), self._ended(state), False, _info(state)
 
     def render(self) -> npt.NDArray[np.uint8] | None:
-        """Return an RGB image (480, 640, 3) from the chase camera; None without a render mode.
+        """Return an RGB image (480, 640, 3) from the chase camera, or show it; None without a render mode.
+
+        With ``render_mode="human"``, `reset` and `step` show the images in a window, in real time.
 
         Raises:
             GraphicsError: Off-screen OpenGL is not available.
@@ -185,15 +204,24 @@ and specific force [m/s²] in the IMU's frame, with noise and biases |
         if self.render_mode is None:
             return None
         if self._chase_camera is None:
-            self._chase_camera = ChaseCamera(build_world(_WORLD, self._world_seed), self._quadrotor, self._rig)
-        return self._chase_camera.render(self._plant.vehicle_state().T_world_imu)
+            self._chase_camera = lease_chase_camera(_WORLD, self._world_seed, self._quadrotor, self._rig)
+        image = self._chase_camera.value.render(self._plant.vehicle_state().T_world_imu)
+        if self.render_mode == "rgb_array":
+            return image
+        if self._window is None:
+            self._window = Window(image.shape[1], image.shape[0], "dronevio", STEPS_PER_S)
+        self._window.show(image)
+        return None
 
     def close(self) -> None:
-        """Release the graphics memory; further calls have no effect."""
+        """Release the renderers and close the window; further calls have no effect."""
         self._camera_observation.close()
         if self._chase_camera is not None:
-            self._chase_camera.close()
+            self._chase_camera.release()
             self._chase_camera = None
+        if self._window is not None:
+            self._window.close()
+            self._window = None
 
     def _rotor_speeds(self, action: Array) -> Array:
         """Return the rotor speeds (4,) [rad/s] of an action (4,).
@@ -217,7 +245,9 @@ and specific force [m/s²] in the IMU's frame, with noise and biases |
             "imu": np.resize(imu, (self._samples, 6)),  # repeats the one sample of a reset
         }
         sensed = {key: np.clip(v, *_BOUNDS[key]).astype(np.float32) for key, v in values.items()}
-        return {**sensed, **self._camera_observation.observe(state.T_world_imu @ self._rig.T_vehicle_imu)}
+        T_world_imu = state.T_world_imu @ self._rig.T_vehicle_imu
+        images = self._camera_observation.observe(T_world_imu[None])
+        return {**sensed, **_named({kind: batch[0] for kind, batch in images.items()})}
 
     def _ended(self, state: NavState) -> bool:
         """Return whether the drone has crashed, left the free space or tilted by more than 90°."""
@@ -248,6 +278,11 @@ def _sensed_spaces(samples: int) -> dict[str, spaces.Space[Any]]:
 def _filled(shape: tuple[int, ...], bound: float | Array) -> npt.NDArray[np.float32]:
     """Return a bound broadcast to the shape of a space."""
     return np.broadcast_to(bound, shape).astype(np.float32)
+
+
+def _named(images: Mapping[str, _Content]) -> dict[str, _Content]:
+    """Return the grey image, or its space, under its name in the observation; nothing without images."""
+    return {"image": images["grey"]} if images else {}
 
 
 def _distance_m(state: NavState) -> float:

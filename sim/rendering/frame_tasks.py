@@ -2,7 +2,7 @@
 
 from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 
 import cv2
@@ -186,16 +186,7 @@ def _opened(model_path: Path) -> Iterator[tuple[mujoco.MjModel, RenderContext]]:
 def thumbnail(model: CameraModel) -> CameraModel:
     """Return a camera with the same field of view and an image of 1/8 of the width and height."""
     width, height = (max(size // _THUMBNAIL_PX, 1) for size in (model.width, model.height))
-    x, y = width / model.width, height / model.height
-    return replace(
-        model,
-        width=width,
-        height=height,
-        fx=model.fx * x,
-        fy=model.fy * y,
-        cx=(model.cx + 0.5) * x - 0.5,
-        cy=(model.cy + 0.5) * y - 0.5,
-    )
+    return model.resized(width, height)
 
 
 def write_png(path: Path, image: npt.NDArray[np.uint8] | npt.NDArray[np.uint16]) -> None:

@@ -9,7 +9,7 @@ import numpy.typing as npt
 
 from dronevio.models.rotation import quat_wxyz_from_matrix
 from dronevio.sim.appearance.instances import Instance, unique_names
-from dronevio.sim.appearance.scenery import Page, add_instance, add_mirror, add_pages, quads_of
+from dronevio.sim.appearance.scenery import Page, add_instance, add_mirror, add_pages, quads_of, reduced_image
 from dronevio.sim.appearance.solids import Box, Surface, visible_faces
 from dronevio.sim.appearance.textures import Image
 from dronevio.sim.paths.space import Space
@@ -31,6 +31,14 @@ class Appearance:
     """Pages of each moving object."""
     mirror: Image | None
     """(H, W, 3) Texture of the reflecting floor with its light map applied, if there is one."""
+
+    def reduced(self, factor: int) -> "Appearance":
+        """Return the appearance with textures that are smaller by a factor along each axis."""
+        return Appearance(
+            [page.reduced(factor) for page in self.pages],
+            [[page.reduced(factor) for page in pages] for pages in self.moving_pages],
+            None if self.mirror is None else reduced_image(self.mirror, factor),
+        )
 
 
 def assembled(layout: Layout, appearance: Appearance) -> mujoco.MjSpec:

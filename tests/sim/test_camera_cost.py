@@ -9,7 +9,6 @@ from dronevio.models.rig import EUROC_CAM0
 from dronevio.models.rig_presets import TUM_VI_CAMERA
 from dronevio.sim.cameras import camera_cost as measured
 from dronevio.sim.cameras.camera import OffscreenCamera
-from dronevio.sim.envs.camera_observation import scaled
 
 
 def emissive_model() -> mujoco.MjModel:
@@ -33,7 +32,7 @@ def test_both_renderers_draw_the_same_images(camera: CameraModel, monkeypatch: p
         return drawn[-1]
 
     monkeypatch.setattr(mujoco.Renderer, "render", recording_render)
-    small = scaled(camera, 0.25)
+    small = camera.resized(round(0.25 * camera.width), round(0.25 * camera.height))
     model = emissive_model()
     size_before = model.vis.global_.offwidth, model.vis.global_.offheight
     cost = measured.camera_cost(model, small, np.eye(4)[None])

@@ -1,4 +1,6 @@
+import sys
 from collections.abc import Iterator
+from pathlib import Path
 from typing import Any
 
 import gymnasium
@@ -9,10 +11,11 @@ from gymnasium.utils.env_checker import check_env
 
 import dronevio.envs  # noqa: F401 registers
 from dronevio.models.camera import CameraModel
-from dronevio.models.errors import ConfigError
+from dronevio.models.errors import ConfigError, GraphicsError
 from dronevio.models.rig import EUROC_CAM0, euroc_rig
-from dronevio.sim.envs.camera_observation import scaled
+from dronevio.sim.chase_camera import CHASE_CAMERAS
 from dronevio.sim.envs.hover import TARGET_M, Hover
+from dronevio.sim.rendering.loaded_world import LOADED_WORLDS
 
 ID = "dronevio/Hover-v0"
 
@@ -199,8 +202,31 @@ def test_invalid_actions_are_refused(action: np.ndarray) -> None:
 
 
 def test_unknown_render_modes_are_refused() -> None:
-    with pytest.raises(ConfigError, match="human"):
-        Hover(render_mode="human")
+    with pytest.raises(ConfigError, match="'human'"):
+        Hover(render_mode="ansi")
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="displays are Linux's")
+def test_a_window_needs_a_display(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.delenv("DISPLAY", raising=False)
+    monkeypatch.delenv("WAYLAND_DISPLAY", raising=False)
+    with pytest.raises(GraphicsError, match="no display"):
+        gymnasium.make(ID, render_mode="human")
+    with gymnasium.make(ID, render_mode="rgb_array", camera=True) as env:  # rendering still works
+        assert env.reset(seed=0)[0]["image"].std() > 15.0
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="counts the open files as Linux lists them")
+def test_environments_with_cameras_leak_nothing() -> None:
+    def lived() -> tuple[int, int]:
+        with gymnasium.make(ID, render_mode="rgb_array", camera=True) as env:
+            env.reset(seed=0)
+            env.render()
+        return len(LOADED_WORLDS) + len(CHASE_CAMERAS), len(list(Path("/proc/self/fd").iterdir()))
+
+    lived()
+    counts = {lived() for _ in range(20)}
+    assert len(counts) == 1
 
 
 def test_environment_can_be_closed_twice() -> None:
@@ -212,7 +238,7 @@ def test_environment_can_be_closed_twice() -> None:
 
 
 def test_scaled_camera_has_the_same_field_of_view() -> None:
-    small: CameraModel = scaled(EUROC_CAM0, 0.25)
+    small: CameraModel = EUROC_CAM0.resized(188, 120)
     assert (small.width, small.height) == (188, 120)
     corners = np.array([[-0.5, -0.5], [751.5, 479.5]])
     small_corners = np.array([[-0.5, -0.5], [187.5, 119.5]])

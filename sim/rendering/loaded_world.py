@@ -1,0 +1,73 @@
+"""Loaded worlds: compiled worlds in graphics memory, which the environments of a process share."""
+
+from dataclasses import dataclass
+from functools import lru_cache, partial
+
+import mujoco
+
+from dronevio.sim.cameras.atlas_renderer import RenderContext
+from dronevio.sim.rendering.shared import Lease, SharedPool
+from dronevio.sim.world import Mover, build_world
+
+
+@dataclass(frozen=True)
+class WorldKey:
+    """The arguments of `build_world` that determine a loaded world."""
+
+    name: str
+    """Name of the world."""
+    seed: int
+    """Seed of its layout."""
+    texture_seed: int
+    """Seed of its textures."""
+    texture_reduction: int = 1
+    """Factor by which its textures are smaller along each axis; if it is not 1, mipmaps are not blended."""
+
+
+@dataclass(frozen=True, eq=False)
+class LoadedWorld:
+    """A world in graphics memory."""
+
+    model: mujoco.MjModel
+    """The compiled world."""
+    movers: tuple[Mover, ...]
+    """Its moving objects."""
+    context: RenderContext
+    """Its graphics memory."""
+
+    def usable(self) -> bool:
+        """Return whether the graphics memory is neither released nor lost."""
+        return self.context.usable()
+
+    def close(self) -> None:
+        """Release the graphics memory."""
+        self.context.close()
+
+
+LOADED_WORLDS: SharedPool[LoadedWorld] = SharedPool()
+"""All loaded worlds of this process."""
+
+
+def lease_world(key: WorldKey) -> Lease[LoadedWorld]:
+    """Return a lease of a loaded world, which is built by the first lease of the process, in seconds.
+
+    Raises:
+        ConfigError: The world is unknown.
+        GraphicsError: Off-screen OpenGL is not available.
+    """
+    return LOADED_WORLDS.lease(key, partial(_loaded, key))
+
+
+def _loaded(key: WorldKey) -> LoadedWorld:
+    """Load a world into graphics memory."""
+    model, movers = _compiled(key)
+    return LoadedWorld(model, movers, RenderContext(model, blend_mipmaps=key.texture_reduction == 1))
+
+
+@lru_cache(maxsize=2)
+def _compiled(key: WorldKey) -> tuple[mujoco.MjModel, tuple[Mover, ...]]:
+    """Return the compiled model of a world and its moving objects."""
+    world = build_world(key.name, key.seed, key.texture_seed, key.texture_reduction)
+    size = world.spec.visual.global_
+    size.offwidth = size.offheight = 1  # the frame buffer grows to what is rendered; a small one is faster
+    return world.spec.compile(), world.movers
