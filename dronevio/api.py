@@ -5,6 +5,7 @@ reconstruct a scene from images.
 from pathlib import Path
 
 from dronevio.driver import estimate_recording
+from dronevio.estimator.array_store import ArrayStore
 from dronevio.estimator.config import VioConfig
 from dronevio.estimator.dense.config import DenseConfig
 from dronevio.estimator.dense.pipeline import DenseResult, densify
@@ -155,6 +156,8 @@ def dense(
     images: ImageSet | str | Path,
     reconstruction: SfmResult | Reconstruction,
     config: DenseConfig | None = None,
+    *,
+    workspace: str | Path | None = None,
 ) -> DenseResult:
     """Compute the surfaces of a scene from images with known cameras (multi-view stereo).
 
@@ -163,6 +166,7 @@ def dense(
         reconstruction: The result of `sfm`, of which the component with the most images is used, or a reconstruction
             of another program; see `dronevio.models.read_reconstruction`.
         config: Settings.
+        workspace: Folder in which depth maps are kept; with it, an interrupted computation continues.
 
     Returns:
         The points with normals and colours, a mesh, and the depth map of each image.
@@ -175,4 +179,5 @@ def dense(
         if not reconstruction.reconstructions:
             raise InputError("images", "a reconstruction without components", "at least one registered image")
         reconstruction = reconstruction.reconstructions[0]
-    return densify(opened, reconstruction, config)
+    store = ArrayStore(None if workspace is None else Path(workspace))
+    return densify(opened, reconstruction, config, store=store)

@@ -77,7 +77,7 @@ SFM = (
     Mutant(
         "sfm-stale-workspace",
         "Workspace: stored results are used whatever the input was.",
-        "estimator/sfm/workspace.py",
+        "estimator/array_store.py",
         'return dict(file) if str(file["key"]) == key else None',
         "return dict(file)",
         ("tests/estimator/sfm/test_rig.py::test_stored_features_belong_to_their_settings",),

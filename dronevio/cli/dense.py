@@ -1,6 +1,7 @@
 """``dronevio dense``: the surfaces of a scene from the images and the result of ``dronevio sfm``."""
 
 import shlex
+import shutil
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -29,6 +30,8 @@ class DenseCommand:
     program. The result is a folder with the points as dense.ply, a mesh as mesh.ply, a report with pictures and a rerun
     file.
 
+    An interrupted computation continues with the finished depth maps when the same command is repeated.
+
     Examples:
       dronevio dense house
       dronevio dense house --views.max-side-px 1600 --mesh.voxel 0.02
@@ -56,6 +59,7 @@ def main(arguments: Sequence[str]) -> int:
     command = parse(DenseCommand, arguments, "dense")
 
     from dronevio.cli.output_files import atomic_folder, require_free
+    from dronevio.estimator.array_store import ArrayStore
     from dronevio.estimator.dense.pipeline import densify
     from dronevio.models.errors import InputError
     from dronevio.models.reconstructions import read_reconstruction
@@ -64,9 +68,11 @@ def main(arguments: Sequence[str]) -> int:
     require_free(target, command.output.overwrite)  # before the images are read
     reconstruction = read_reconstruction(find_model(command.scene, command.component))
     images = _open(command)
+    work = target.absolute().with_name(f".{target.name}.work")
     with progress_bars(quiet=command.output.json) as bars:
-        result = densify(images, reconstruction, command.dense, bars.bar)
+        result = densify(images, reconstruction, command.dense, bars.bar, ArrayStore(work))
     if not len(result.cloud):
+        shutil.rmtree(work, ignore_errors=True)
         raise InputError(
             command.scene,
             f"{len(reconstruction.image_names)} images without a depth that another image confirms",
@@ -74,6 +80,7 @@ def main(arguments: Sequence[str]) -> int:
         )
     with atomic_folder(target, command.output.overwrite, mark="report.json") as folder:
         _write(folder, target, command, arguments, images, reconstruction, result)
+    shutil.rmtree(work, ignore_errors=True)
     if command.output.json:
         print_json(_summary(target, result))
         return 0

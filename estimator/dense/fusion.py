@@ -3,7 +3,8 @@
 The depth maps have been averaged over the images that confirm them; see `dronevio.estimator.dense.consistency`.
 """
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
+from dataclasses import fields
 
 import numpy as np
 import numpy.typing as npt
@@ -13,10 +14,11 @@ from dronevio.models.surfaces import PointCloud
 
 Array = npt.NDArray[np.float64]
 Floats = npt.NDArray[np.float32]
-Mask = npt.NDArray[np.bool_]
+Indices = npt.NDArray[np.int64]
 Image = npt.NDArray[np.uint8]
 
-_MIN_PENDING = 1_000_000  # points that are collected before they are merged
+_SLAB = 64  # thickness of the slabs of space that are merged apart, in voxels, so that memory is needed for one
+_MIN_PENDING = 100_000  # points of a slab that are collected before they are merged
 
 
 def fuse(depths: Iterable[tuple[PosedDepth, Image]], spacing: float) -> PointCloud:
@@ -28,16 +30,49 @@ def fuse(depths: Iterable[tuple[PosedDepth, Image]], spacing: float) -> PointClo
         depths: Depth maps with the undistorted images (H, W, 3).
         spacing: Side of the voxels, about the distance between neighbouring points.
     """
-    merged, pending = np.zeros((0, 10), np.float32), []
+    slabs: dict[int, _Slab] = {}
     for depth, image in depths:
-        pending.append(_merged(_rows(depth, image), spacing))
-        if sum(map(len, pending)) > max(_MIN_PENDING, len(merged)):  # so that the effort is linear in the points
-            merged, pending = _merged(np.concatenate([merged, *pending]), spacing), []
-    rows = _merged(np.concatenate([merged, *pending]), spacing).astype(np.float64)
-    weight = rows[:, 9:]
-    length = np.linalg.norm(rows[:, 3:6], axis=1, keepdims=True)
-    normals = np.divide(rows[:, 3:6], length, out=np.tile([0.0, 0.0, 1.0], (len(rows), 1)), where=length > 0.0)
-    return PointCloud(rows[:, :3] / weight, normals, np.round(rows[:, 6:9] / weight).astype(np.uint8))
+        for key, rows in _by_slab(_merged(_rows(depth, image), spacing), spacing):
+            slabs.setdefault(key, _Slab()).add(rows, spacing)
+    clouds = [_cloud(slabs.pop(key).merged(spacing)) for key in sorted(slabs)]
+    nothing = PointCloud(np.zeros((0, 3)), np.zeros((0, 3)), np.zeros((0, 3), np.uint8))
+    return PointCloud(*(np.concatenate([getattr(c, f.name) for c in (nothing, *clouds)]) for f in fields(PointCloud)))
+
+
+class _Slab:
+    """Sums of the points in the voxels of a slab."""
+
+    def __init__(self) -> None:
+        self._rows = np.zeros((0, 10), np.float32)
+        self._pending: list[Floats] = []
+
+    def add(self, rows: Floats, side: float) -> None:
+        """Add points (N, 10), and merge them if they are many, so that the effort is linear in the points."""
+        self._pending.append(rows)
+        if sum(map(len, self._pending)) > max(_MIN_PENDING, len(self._rows)):
+            self.merged(side)
+
+    def merged(self, side: float) -> Floats:
+        """Return the sums (N, 10) in each voxel."""
+        self._rows, self._pending = _merged(np.concatenate([self._rows, *self._pending]), side), []
+        return self._rows
+
+
+def _by_slab(rows: Floats, side: float) -> Iterator[tuple[int, Floats]]:
+    """Yield the slabs along x that contain points, with their points, of rows (N, 10) in the order of the voxels."""
+    if len(rows):
+        slab = _cells(rows[:, 0], rows[:, 9], side) // _SLAB
+        starts = np.flatnonzero(np.diff(slab, prepend=slab[0] - 1))
+        yield from zip(slab[starts].tolist(), np.split(rows, starts[1:]), strict=True)
+
+
+def _cloud(rows: Floats) -> PointCloud:
+    """Return the means of rows (N, 10) as points."""
+    sums = rows.astype(np.float64)
+    weight = sums[:, 9:]
+    length = np.linalg.norm(sums[:, 3:6], axis=1, keepdims=True)
+    normals = np.divide(sums[:, 3:6], length, out=np.tile([0.0, 0.0, 1.0], (len(sums), 1)), where=length > 0.0)
+    return PointCloud(sums[:, :3] / weight, normals, np.round(sums[:, 6:9] / weight).astype(np.uint8))
 
 
 def _rows(depth: PosedDepth, image: Image) -> Floats:
@@ -59,12 +94,17 @@ def _merged(rows: Floats, side: float) -> Floats:
     """Return the sums of the rows (N, 10) in each voxel, in the order of the voxels."""
     if not len(rows):
         return rows
-    cells = np.floor(rows[:, :3].astype(np.float64) / (rows[:, 9:] * side)).astype(np.int64)
-    cells -= cells.min(axis=0)
-    keys = np.ravel_multi_index(tuple(cells.T), tuple(cells.max(axis=0) + 1))
+    x, y, z = (_cells(rows[:, k], rows[:, 9], side) for k in range(3))
+    x, y, z = (cells - cells.min() for cells in (x, y, z))
+    keys = (x * (y.max() + 1) + y) * (z.max() + 1) + z
     order = np.argsort(keys, kind="stable")
     first = np.flatnonzero(np.diff(keys[order], prepend=-1))
     return np.asarray(np.add.reduceat(rows[order], first, axis=0))
+
+
+def _cells(sums: Floats, weights: Floats, side: float) -> Indices:
+    """Return the coordinates (N,) of the voxels of weighted means."""
+    return np.floor(sums.astype(np.float64) / (weights * side)).astype(np.int64)
 
 
 def surface_normals(depth: PosedDepth) -> Floats:

@@ -8,10 +8,12 @@ import time
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
+from itertools import chain
 
 import numpy as np
 import numpy.typing as npt
 
+from dronevio.estimator.array_store import ArrayStore, digest
 from dronevio.estimator.dense.config import DenseConfig
 from dronevio.estimator.dense.consistency import PosedDepth, consistent_depth
 from dronevio.estimator.dense.depth import estimate_depth
@@ -54,6 +56,7 @@ def densify(
     reconstruction: Reconstruction,
     config: DenseConfig | None = None,
     stages: Stages = silent_stages,
+    store: ArrayStore | None = None,
 ) -> DenseResult:
     """Return the surfaces of a scene from images with known cameras.
 
@@ -70,6 +73,7 @@ def densify(
         reconstruction: Cameras, poses and points of the images, as `dronevio.estimator.sfm.reconstruct` returns.
         config: Settings.
         stages: Returns the progress callback of a stage by its name.
+        store: Where depth maps are kept; an earlier one is used if its images, cameras and settings are the same.
 
     Raises:
         InputError: A registered image is not among the images, or cannot be read.
@@ -79,7 +83,7 @@ def densify(
     neighbours = select_neighbours(reconstruction, config.views)
     times = [time.perf_counter()]
     with one_opencv_thread():
-        depths = estimate_depths(load, reconstruction, neighbours, config, stages("depth maps"))
+        depths = estimate_depths(load, reconstruction, neighbours, config, stages("depth maps"), store)
         times.append(time.perf_counter())
         consistent = filter_depths(depths, neighbours, config, stages("consistency"))
         spacing = config.spacing_px * pixel_size(consistent)
@@ -99,6 +103,7 @@ def estimate_depths(
     neighbours: Sequence[Indices],
     config: DenseConfig,
     progress: Progress = silent,
+    store: ArrayStore | None = None,
 ) -> list[PosedDepth]:
     """Return the depth map of each image, without the depths at which the images correlate too little.
 
@@ -108,7 +113,9 @@ def estimate_depths(
         neighbours: (I,) Neighbours of each image.
         config: Settings.
         progress: Called with the number of finished depth maps.
+        store: Where depth maps are kept; an earlier one is used if its images, cameras and settings are the same.
     """
+    store = store or ArrayStore()
     normals = dominant_normals(reconstruction.points, config.depth.directions)
 
     def estimate(i: int) -> PosedDepth:
@@ -116,10 +123,17 @@ def estimate_depths(
         points = observed_points(reconstruction, i)
         if not len(neighbours[i]) or not len(points):
             return PosedDepth(camera, T, np.zeros((camera.height, camera.width), np.float32))
-        sources = [load(int(j)) for j in neighbours[i]]
-        found = estimate_depth(load(i), sources, points, normals, config.depth)
-        known = found.correlation >= config.consistency.min_correlation
-        return PosedDepth(camera, T, np.where(known, found.inverse_depth, np.float32(0.0)))
+        reference, sources = load(i), [load(int(j)) for j in neighbours[i]]
+        name, threshold = f"depth-{i:06d}.npz", config.consistency.min_correlation
+        inputs = chain.from_iterable(view.inputs() for view in (reference, *sources))
+        key = digest(config.depth, threshold, points, normals, camera.width, *inputs)
+        stored = store.load(name, key)
+        if stored is not None:
+            return PosedDepth(camera, T, stored["inverse_depth"])
+        found = estimate_depth(reference, sources, points, normals, config.depth)
+        inverse_depth = np.where(found.correlation >= threshold, found.inverse_depth, np.float32(0.0))
+        store.save(name, key, inverse_depth=inverse_depth)
+        return PosedDepth(camera, T, inverse_depth)
 
     with ThreadPoolExecutor(config.threads) as pool:
         return map_with_progress(pool, estimate, range(len(load)), progress)

@@ -62,6 +62,10 @@ class View:
     colours: Image
     """(H, W, 3) Red, green and blue."""
 
+    def inputs(self) -> tuple[Array, Array, Floats, Mask]:
+        """Return what a depth map depends on: intrinsic matrix, pose, grey values and mask."""
+        return self.camera.K, self.T_world_cam, self.grey, self.mask
+
     def halved(self) -> "View":
         """Return the view at half the resolution."""
         camera = self.camera.halved()

@@ -13,6 +13,7 @@ from itertools import groupby
 import numpy as np
 import numpy.typing as npt
 
+from dronevio.estimator.array_store import digest
 from dronevio.estimator.sfm.completion import add_observations, merge_tracks
 from dronevio.estimator.sfm.config import SfmConfig
 from dronevio.estimator.sfm.earlier import earlier_cameras, earlier_images, earlier_pairs, shared_points
@@ -26,7 +27,7 @@ from dronevio.estimator.sfm.placement.gauge import aligned
 from dronevio.estimator.sfm.placement.world import WorldFrame, place
 from dronevio.estimator.sfm.tracks import MatchedPair, connect_tracks
 from dronevio.estimator.sfm.two_view import TwoView, verify, view_of
-from dronevio.estimator.sfm.workspace import Workspace, digest
+from dronevio.estimator.sfm.workspace import Workspace
 from dronevio.estimator.threads import map_with_progress, one_opencv_thread
 from dronevio.models.errors import ConfigError
 from dronevio.models.image_sets import ImageSet

@@ -1,19 +1,23 @@
 """Consistency of depth maps, their fusion, signed distances and meshes, and the whole of multi-view stereo."""
 
 from dataclasses import replace
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 import pytest
 
+from dronevio.estimator.array_store import ArrayStore
+from dronevio.estimator.dense import fusion
 from dronevio.estimator.dense.config import ConsistencyConfig, DenseConfig, DepthConfig, MeshConfig
 from dronevio.estimator.dense.consistency import PosedDepth, consistent_depth
 from dronevio.estimator.dense.fusion import fuse, surface_normals
 from dronevio.estimator.dense.mesh import build_mesh, vertex_normals, without_small_parts
-from dronevio.estimator.dense.pipeline import DenseResult, densify
+from dronevio.estimator.dense.pipeline import DenseResult, densify, estimate_depths
 from dronevio.estimator.dense.tsdf import integrate, pixel_size
-from dronevio.estimator.dense.views import Pinhole
+from dronevio.estimator.dense.views import Pinhole, ViewLoader
+from dronevio.models.reconstruction import Reconstruction
 from dronevio.models.surfaces import PointCloud
 
 Array = npt.NDArray[np.float64]
@@ -143,7 +147,46 @@ def test_points_and_mesh_lie_on_the_plane(surfaces: DenseResult) -> None:
     assert len(surfaces.mesh.triangles) > 1000
 
 
-def test_the_same_input_gives_the_same_surfaces(slanted: Scene, surfaces: DenseResult) -> None:
-    again = densify(slanted.images, slanted.reconstruction, replace(SMALL, threads=1))
+def test_the_same_input_gives_the_same_surfaces(slanted: Scene, surfaces: DenseResult, tmp_path: Path) -> None:
+    again = densify(slanted.images, slanted.reconstruction, replace(SMALL, threads=1), store=ArrayStore(tmp_path))
     np.testing.assert_array_equal(again.cloud.points, surfaces.cloud.points)
     np.testing.assert_array_equal(again.mesh.vertices, surfaces.mesh.vertices)
+    # An interrupted computation continues with the depth maps that are complete.
+    stored = {path.name: path.stat().st_mtime_ns for path in tmp_path.iterdir()}
+    assert sorted(stored) == [f"depth-{k:06d}.npz" for k in range(5)]
+    damaged = tmp_path / "depth-000002.npz"
+    damaged.write_bytes(damaged.read_bytes()[:1000])
+    continued = densify(slanted.images, slanted.reconstruction, SMALL, store=ArrayStore(tmp_path))
+    assert {path.name for path in tmp_path.iterdir() if path.stat().st_mtime_ns != stored[path.name]} == {damaged.name}
+    np.testing.assert_array_equal(continued.cloud.points, surfaces.cloud.points)
+
+
+def test_stored_depths_belong_to_their_input(slanted: Scene, tmp_path: Path) -> None:
+    config = replace(SMALL, depth=DepthConfig(levels=2, directions=0))
+    neighbours = [np.array([1]), *[np.empty(0, np.int64)] * 4]  # one depth map
+
+    def key(reconstruction: Reconstruction, settings: DenseConfig) -> str:
+        load = ViewLoader(slanted.images, reconstruction, settings.views)
+        estimate_depths(load, reconstruction, neighbours, settings, store=ArrayStore(tmp_path))
+        with np.load(tmp_path / "depth-000000.npz") as file:
+            return str(file["key"])
+
+    Ts_moved = slanted.reconstruction.Ts_world_cam.copy()
+    Ts_moved[1, 0, 3] += 1e-9
+    first = key(slanted.reconstruction, config)
+    assert key(slanted.reconstruction, config) == first
+    assert key(replace(slanted.reconstruction, Ts_world_cam=Ts_moved), config) != first
+    assert key(slanted.reconstruction, replace(config, depth=replace(config.depth, window_px=9))) != first
+
+
+def test_points_do_not_depend_on_the_slabs(monkeypatch: pytest.MonkeyPatch) -> None:
+    rng = np.random.default_rng(0)
+    depths = sphere_depths()
+    images = [rng.integers(0, 256, (120, 120, 3), dtype=np.uint8) for _ in depths]
+    whole = fuse(zip(depths, images, strict=True), 0.02)
+    monkeypatch.setattr(fusion, "_SLAB", 3)
+    monkeypatch.setattr(fusion, "_MIN_PENDING", 100)
+    divided = fuse(zip(depths, images, strict=True), 0.02)
+    np.testing.assert_allclose(divided.points, whole.points, atol=1e-5)
+    np.testing.assert_allclose(divided.normals, whole.normals, atol=1e-4)
+    assert np.abs(divided.colours.astype(int) - whole.colours).max() <= 1

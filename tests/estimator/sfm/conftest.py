@@ -8,9 +8,10 @@ import numpy as np
 import numpy.typing as npt
 import pytest
 
+from dronevio.estimator.array_store import digest
 from dronevio.estimator.sfm.config import FeatureConfig
 from dronevio.estimator.sfm.features import Features
-from dronevio.estimator.sfm.workspace import Workspace, digest
+from dronevio.estimator.sfm.workspace import Workspace
 from dronevio.models.camera import CameraModel
 from dronevio.models.image_sets import ImageSet
 from dronevio.models.rotation import exp_so3, pose_matrix
