@@ -3,9 +3,9 @@
 For each scenario, 100 moving frames are spread evenly over a flight, as in ``sfm_accuracy.py``, and reconstructed with
 the true calibration. Their surfaces are compared with the true depths of the same frames, fused in voxels of 1 cm up to
 a depth of 10 m, after the similarity transformation that aligns the camera positions; the points are not registered to
-each other. The estimated points are reduced to the same voxels, and those beyond 10 m of all images are left out.
-Accuracy is the share of estimated points that are near a true one, completeness the share of true points that are near
-an estimated one, and F their harmonic mean.
+each other. The estimated points, and points on the triangles of the mesh, are reduced to the same voxels, and those
+beyond 10 m of all images are left out. Accuracy is the share of estimated points that are near a true one, completeness
+the share of true points that are near an estimated one, and F their harmonic mean.
 
 The baseline is a fusion of `cv2.StereoSGBM` of rectified pairs of the same images with the same poses: each image is
 matched to its best neighbours with which it can be rectified, the median of the depths is taken, and consistency and
@@ -38,7 +38,7 @@ from dronevio.estimator.dense.tsdf import pixel_size
 from dronevio.estimator.dense.views import View, ViewLoader
 from dronevio.estimator.sfm.pipeline import reconstruct
 from dronevio.eval.metrics.alignment import umeyama
-from dronevio.eval.metrics.clouds import CloudScore, compare_clouds, voxel_means
+from dronevio.eval.metrics.clouds import CloudScore, compare_clouds, mesh_points, voxel_means
 from dronevio.models.image_sets import ImageSet, image_recording
 from dronevio.models.protocols import Recording
 from dronevio.models.reconstruction import Reconstruction
@@ -254,12 +254,15 @@ def baseline(images: ImageSet, reconstruction: Reconstruction, command: DenseAcc
     return fuse(((d, load(i).colours) for i, d in enumerate(found)), config.spacing_px * pixel_size(found)).points
 
 
-def timed(
-    program: str, true: Array, reconstruction: Reconstruction, points: Array, start: tuple[float, float]
-) -> Outcome:
-    """Return the outcome of a program that began at an elapsed time and a processor time."""
-    elapsed, processor = time.perf_counter() - start[0], time.process_time() - start[1]
-    return Outcome(program, len(points), elapsed, processor, score(true, points, reconstruction))
+class Stopwatch:
+    """Elapsed time and processor time since it was made."""
+
+    def __init__(self) -> None:
+        self._start = time.perf_counter(), time.process_time()
+
+    def read(self) -> tuple[float, float]:
+        """Return the elapsed time and the processor time [s]."""
+        return time.perf_counter() - self._start[0], time.process_time() - self._start[1]
 
 
 def reconstructed(
@@ -303,14 +306,17 @@ def measure_world(scenario: str, command: DenseAccuracyCommand) -> Iterator[Outc
     flight, recording, frames, images, reconstruction = made
     true = true_cloud(flight, recording, frames)
     if "dronevio" in command.programs:
-        start = time.perf_counter(), time.process_time()
+        stopwatch = Stopwatch()
         result = densify(images, reconstruction, command.dense)
-        yield timed("dronevio, points", true, reconstruction, result.cloud.points, start)
-        yield timed("dronevio, mesh", true, reconstruction, result.mesh.vertices, start)
+        cost = stopwatch.read()
+        sampled = mesh_points(result.mesh.vertices, result.mesh.triangles, VOXEL_M)
+        for name, points in (("points", result.cloud.points), ("mesh", sampled)):
+            yield Outcome(f"dronevio, {name}", len(points), *cost, score(true, points, reconstruction))
     if "sgbm" in command.programs:
-        start = time.perf_counter(), time.process_time()
+        stopwatch = Stopwatch()
         points = baseline(images, reconstruction, command)
-        yield timed("StereoSGBM, points", true, reconstruction, points, start)
+        cost = stopwatch.read()
+        yield Outcome("StereoSGBM, points", len(points), *cost, score(true, points, reconstruction))
 
 
 def measure(command: DenseAccuracyCommand) -> None:

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from dronevio.eval.metrics.clouds import CloudScore, compare_clouds, nearest_distances, voxel_means
+from dronevio.eval.metrics.clouds import CloudScore, compare_clouds, mesh_points, nearest_distances, voxel_means
 from dronevio.models.errors import EvaluationError
 
 TRUE = np.array([[0.0, 0.0, 0.0], [1.0, 0.0, 0.0], [2.0, 0.0, 0.0], [3.0, 0.0, 0.0]])
@@ -36,3 +36,16 @@ def test_voxel_means_by_hand() -> None:
     found = voxel_means(points, 1.0)
     np.testing.assert_allclose(found, [[-0.2, 0.0, 0.0], [0.2, 0.1, 0.3], [1.5, 0.0, 0.0]])
     assert len(voxel_means(np.zeros((0, 3)), 1.0)) == 0
+
+
+def test_points_on_triangles_by_hand() -> None:
+    vertices = np.array([[0.0, 0.0, 0.0], [3.0, 0.0, 0.0], [0.0, 3.0, 0.0], [0.0, 0.0, 1.0], [0.0, 0.5, 1.0]])
+    triangles = np.array([[0, 1, 2], [0, 3, 4]])
+    found = mesh_points(vertices, triangles, 1.5)  # the longest edges are 4.24 and 1.12 long
+    np.testing.assert_allclose(found[0], [0.0, 0.5 / 3.0, 2.0 / 3.0])  # the centroid of the smaller one
+    assert len(found) == 1 + 6
+    shares = (np.array([[2, 0, 0], [1, 1, 0], [1, 0, 1], [0, 2, 0], [0, 1, 1], [0, 0, 2]]) + 1.0 / 3.0) / 3.0
+    expected = np.sort(3.0 * shares[:, 1:] @ [[1.0, 0.0], [0.0, 1.0]], axis=0)
+    np.testing.assert_allclose(np.sort(found[1:, :2], axis=0), expected)
+    assert not found[1:, 2].any()
+    assert len(mesh_points(vertices, triangles[:0], 1.0)) == 0
