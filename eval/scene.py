@@ -183,7 +183,9 @@ def reconstruction_eye(reconstruction: Reconstruction, R_scene_world: Array) -> 
     return position / scale @ R_scene_world, target / scale @ R_scene_world
 
 
-def fit_eye(points: Array, azimuth_deg: float = 40.0, elevation_deg: float = 38.0) -> tuple[Array, Array]:
+def fit_eye(
+    points: Array, azimuth_deg: float = 40.0, elevation_deg: float = 38.0, aspect: float = VIEW_ASPECT
+) -> tuple[Array, Array]:
     """Return position (3,) and target (3,) of an eye such that points fill the 3D view [m].
 
     From a distance D, a point at height h above the optical axis and depth d in front of the target is visible if
@@ -193,10 +195,11 @@ def fit_eye(points: Array, azimuth_deg: float = 40.0, elevation_deg: float = 38.
         points: (N, 3) Points that the view contains, N > 0 [m].
         azimuth_deg: Direction of view in the horizontal plane, from the x axis [°].
         elevation_deg: Elevation of the eye above the target [°].
+        aspect: Width of the view relative to its height.
     """
     back, right, up = view_axes(azimuth_deg, elevation_deg)
     target = 0.5 * (points.min(axis=0) + points.max(axis=0))
-    tangent = np.tan(0.5 * VIEWER_FIELD_OF_VIEW_RAD) * np.array([VIEW_ASPECT, 1.0])
+    tangent = np.tan(0.5 * VIEWER_FIELD_OF_VIEW_RAD) * np.array([aspect, 1.0])
     axes = np.stack([right, up])
 
     def distance_for(offsets: Array, depth: Array) -> float:

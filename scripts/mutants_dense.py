@@ -7,6 +7,14 @@ _SURFACES = "tests/estimator/dense/test_surfaces.py"
 
 DENSE = (
     Mutant(
+        "dense-stale-depths",
+        "Pipeline: the poses of the images are not part of the hash of a depth map.",
+        "estimator/dense/views.py",
+        "return self.camera.K, self.T_world_cam, self.grey, self.mask",
+        "return self.camera.K, self.camera.K, self.grey, self.mask",
+        (f"{_SURFACES}::test_stored_depths_belong_to_their_input",),
+    ),
+    Mutant(
         "dense-unconfirmed-depths",
         "Consistency: depths that no other depth map confirms are kept.",
         "estimator/dense/consistency.py",

@@ -5,6 +5,7 @@ Planes are swept along the optical axis and along the normals of the large surfa
 among the depths of a pixel by semi-global matching and a parabola.
 """
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -68,6 +69,9 @@ def estimate_depth(
     warps = [Warp(view, source) for source in nearby]
     in_camera = (points - reference.T_world_cam[:3, 3]) @ reference.T_world_cam[:3, :3]
     step = _pixel_step(warps, 1.0 / float(np.median(in_camera[:, 2])))
+    if not math.isfinite(step):
+        unknown = np.zeros_like(reference.grey)
+        return DepthMap(unknown, unknown)
     axes = np.concatenate([[[0.0, 0.0, 1.0]], normals @ reference.T_world_cam[:3, :3]])
     sweeps = [_sweep_planes(view, warps, in_camera, axis, step, config) for axis in axes]
     found = _best([result for result in sweeps if result is not None])
@@ -82,8 +86,12 @@ def estimate_depth(
 
 
 def _pixel_step(warps: Sequence[Warp], inverse_depth: float) -> float:
-    """Return the change of inverse depth that moves a projection by a pixel, for most pixels and neighbours."""
-    return float(np.median([warp.step(inverse_depth) for warp in warps]))
+    """Return the change of inverse depth that moves a projection by a pixel, for most pixels and neighbours.
+
+    It is infinite if all neighbours have the same position, or none sees points of this inverse depth.
+    """
+    steps = [step for step in (warp.step(inverse_depth) for warp in warps) if math.isfinite(step)]
+    return float(np.median(steps)) if steps else math.inf
 
 
 def _sweep_planes(

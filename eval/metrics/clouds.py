@@ -33,7 +33,9 @@ class CloudScore:
         return 2.0 * self.accuracy * self.completeness / total if total > 0.0 else 0.0
 
 
-def compare_clouds(true: Array, estimated: Array, distances_m: Sequence[float]) -> tuple[CloudScore, ...]:
+def compare_clouds(
+    true: Array, estimated: Array, distances_m: Sequence[float], *, every: int = 1
+) -> tuple[CloudScore, ...]:
     """Return the agreement of two point clouds in the same frame at some distances.
 
     Both should have an even density, for example that of `voxel_means`, since each point counts once.
@@ -42,6 +44,7 @@ def compare_clouds(true: Array, estimated: Array, distances_m: Sequence[float]) 
         true: (N, 3) True points [m].
         estimated: (M, 3) Estimated points [m].
         distances_m: Distances below which a point counts as right [m].
+        every: The shares are those of every n-th point, which saves time; the nearest points are sought among all.
 
     Raises:
         EvaluationError: There are no true points.
@@ -51,7 +54,8 @@ def compare_clouds(true: Array, estimated: Array, distances_m: Sequence[float]) 
     if not len(estimated):
         return tuple(CloudScore(float(d), 0.0, 0.0) for d in distances_m)
     limit = max(distances_m)
-    to_true, to_estimated = nearest_distances(estimated, true, limit), nearest_distances(true, estimated, limit)
+    to_true = nearest_distances(estimated[::every], true, limit)
+    to_estimated = nearest_distances(true[::every], estimated, limit)
     return tuple(
         CloudScore(float(d), float(np.mean(to_true <= d)), float(np.mean(to_estimated <= d))) for d in distances_m
     )
@@ -61,7 +65,8 @@ def nearest_distances(points: Array, others: Array, limit: float) -> Array:
     """Return the distance (N,) from each point (N, 3) to the nearest of others (M, 3), infinite beyond a limit."""
     from scipy.spatial import cKDTree
 
-    distances, _ = cKDTree(others).query(points, distance_upper_bound=np.nextafter(limit, np.inf))
+    tree = cKDTree(others, balanced_tree=False, compact_nodes=False)  # faster to build, and as exact
+    distances, _ = tree.query(points, distance_upper_bound=np.nextafter(limit, np.inf))
     return np.asarray(distances)
 
 

@@ -23,8 +23,9 @@ from dronevio.eval.images import Image, downscaled, jpeg
 from dronevio.eval.provenance import RunInfo
 from dronevio.eval.report.tables import Cell, Table
 from dronevio.eval.report.templating import Tile, number, render_page
-from dronevio.eval.scene import VIEWER_FIELD_OF_VIEW_RAD, fit_eye, upright_rotation, view_axes, view_azimuth_deg
+from dronevio.eval.scene import VIEWER_FIELD_OF_VIEW_RAD, upright_rotation
 from dronevio.eval.splatting import Eye, shaded, splat
+from dronevio.eval.surface_eye import surface_eye
 from dronevio.models.reconstruction import Reconstruction
 from dronevio.models.recordings.files import write_bytes, write_text
 from dronevio.models.surfaces import Mesh, PointCloud
@@ -37,15 +38,6 @@ MAX_PHOTOGRAPHS = 6
 """Number of images that the page shows with their depths."""
 _PICTURE_PX = (1600, 1000)
 _PHOTOGRAPH_PX = 640  # length of the longer side
-_MAX_FITTED = 50_000  # points from which the eye is chosen
-_INNER_PERCENT = (3.0, 97.0)  # percentiles of the coordinates of the points that fill a picture
-_FITTED_SIZE_M = 100.0
-_MIN_COMMON = 0.6  # length of the mean optical axis in the plane, above which the cameras look in one direction
-_OFFSET_DEG = 15.0  # between the view and this direction
-_LOW_ELEVATION_DEG = 8.0  # of an eye beside the cameras
-_ELEVATION_DEG = 40.0  # of an eye outside the scene
-_FILLED_PERCENT = 90.0  # share of the points within the picture
-_FIT_ITERATIONS = 3
 _DEPTH_PERCENT = (2.0, 98.0)  # percentiles of the depths at the ends of the colour scale
 
 
@@ -132,48 +124,15 @@ def pictures(results: DenseResults) -> tuple[Image, Image]:
 
     Only surfaces that face the eye are drawn, so that a room is seen into from outside.
     """
-    eye = scene_eye(results.reconstruction, results.cloud)
     cloud, mesh = results.cloud, results.mesh
+    up = upright_rotation(results.reconstruction)[2]
+    placed = surface_eye(results.reconstruction, cloud.points, _PICTURE_PX[0] / _PICTURE_PX[1])
+    eye = Eye.looking_at(*placed, up, VIEWER_FIELD_OF_VIEW_RAD, *_PICTURE_PX)
     seen = eye.faces(cloud.points, cloud.normals)
     points = splat(eye, cloud.points[seen], cloud.colours[seen], 1.4 * results.point_size)
     seen = eye.faces(mesh.vertices, mesh.normals)
     surface = splat(eye, mesh.vertices[seen], shaded(mesh.normals[seen], eye), 1.4 * results.mesh_size)
     return points, surface
-
-
-def scene_eye(reconstruction: Reconstruction, cloud: PointCloud) -> Eye:
-    """Return an eye from which the inner points of a cloud fill a picture.
-
-    It is beside the cameras if they look in one direction, and otherwise outside and above the scene.
-    """
-    R_scene_world = upright_rotation(reconstruction)
-    Rs_scene_cam = R_scene_world @ reconstruction.Ts_world_cam[:, :3, :3]
-    points = cloud.points[:: max(1, len(cloud) // _MAX_FITTED)] @ R_scene_world.T
-    target = np.median(points, axis=0)
-    if np.linalg.norm(Rs_scene_cam[:, :2, 2].mean(axis=0)) > _MIN_COMMON:
-        away = (reconstruction.positions @ R_scene_world.T).mean(axis=0) - target
-        azimuth = np.arctan2(-away[1], -away[0]) + np.radians(_OFFSET_DEG)
-        position = _fitted(points, target, float(np.linalg.norm(away)), np.degrees(azimuth))
-    else:
-        low, high = np.percentile(points, _INNER_PERCENT, axis=0)
-        inner = points[np.all((points >= low) & (points <= high), axis=1)]
-        scale = _FITTED_SIZE_M / max(float(np.ptp(inner, axis=0).max()), np.finfo(float).tiny)  # it expects metres
-        position, target = (p / scale for p in fit_eye(inner * scale, view_azimuth_deg(Rs_scene_cam), _ELEVATION_DEG))
-    in_world = (position @ R_scene_world, target @ R_scene_world)
-    return Eye.looking_at(*in_world, R_scene_world[2], VIEWER_FIELD_OF_VIEW_RAD, *_PICTURE_PX)
-
-
-def _fitted(points: Array, target: Array, distance: float, azimuth_deg: float) -> Array:
-    """Return the position of an eye that looks at a target, at a distance at which most points fill the picture."""
-    back, right, up = view_axes(azimuth_deg, _LOW_ELEVATION_DEG)
-    tangent = np.tan(0.5 * VIEWER_FIELD_OF_VIEW_RAD)
-    for _ in range(_FIT_ITERATIONS):
-        relative = points - target
-        depth = distance - relative @ back
-        ahead = depth > 0.1 * distance
-        sizes = (np.abs(relative[ahead] @ axis) / depth[ahead] / limit for axis, limit in ((right, 1.6), (up, 1.0)))
-        distance *= max(float(np.percentile(size, _FILLED_PERCENT)) for size in sizes) / tangent
-    return target + distance * back
 
 
 def depth_colours(inverse_depth: Floats) -> Image:

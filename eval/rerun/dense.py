@@ -9,7 +9,8 @@ import rerun.blueprint as rrb
 from dronevio.eval import colours
 from dronevio.eval.rerun.blueprint import BACKGROUND
 from dronevio.eval.rerun.sink import Sink
-from dronevio.eval.scene import frusta, frustum_depth, reconstruction_eye, upright_rotation
+from dronevio.eval.scene import frusta, frustum_depth, upright_rotation
+from dronevio.eval.surface_eye import surface_eye
 from dronevio.models.reconstruction import Reconstruction
 from dronevio.models.recordings.files import check_output_path
 from dronevio.models.surfaces import Mesh, PointCloud
@@ -17,6 +18,7 @@ from dronevio.models.surfaces import Mesh, PointCloud
 POINTS = "dense/points"
 MESH = "dense/mesh"
 CAMERAS = "dense/cameras"
+_VIEW_ASPECT = 0.85  # width of one of two views side by side relative to its height
 
 
 def write_dense_rerun(
@@ -43,8 +45,10 @@ def write_dense_rerun(
     """
     check_output_path(path)
     path.parent.mkdir(parents=True, exist_ok=True)
-    with Sink.to_file(path, name, _blueprint(reconstruction), origin_ns=0) as sink:
-        points = rr.Points3D(cloud.points.astype(np.float32), colors=cloud.colours, radii=0.5 * point_size)
+    with Sink.to_file(path, name, _blueprint(reconstruction, cloud), origin_ns=0) as sink:
+        points = rr.Points3D(
+            cloud.points.astype(np.float32), colors=cloud.colours, radii=0.5 * point_size, point_shading="Flat"
+        )
         sink.static(POINTS, points)
         sink.static(
             MESH,
@@ -53,6 +57,7 @@ def write_dense_rerun(
                 triangle_indices=mesh.triangles.astype(np.uint32),
                 vertex_normals=mesh.normals.astype(np.float32),
                 vertex_colors=mesh.colours,
+                face_rendering="Front",  # rooms are seen into from outside
             ),
         )
         edges = frusta(reconstruction, frustum_depth(reconstruction)).astype(np.float32)
@@ -61,10 +66,10 @@ def write_dense_rerun(
         )
 
 
-def _blueprint(reconstruction: Reconstruction) -> rrb.Blueprint:
-    """Return the layout: the points and the mesh side by side, seen from behind the cameras."""
+def _blueprint(reconstruction: Reconstruction, cloud: PointCloud) -> rrb.Blueprint:
+    """Return the layout: the points and the mesh side by side, such that they fill the views."""
     R_scene_world = upright_rotation(reconstruction)
-    position, target = reconstruction_eye(reconstruction, R_scene_world)
+    position, target = surface_eye(reconstruction, cloud.points, _VIEW_ASPECT)
     views = [
         rrb.Spatial3DView(
             origin="/",

@@ -186,6 +186,7 @@ def test_surfaces_of_the_villa(
     margin = high - low
     assert np.mean(((points > low - margin) & (points < high + margin)).all(axis=1)) > 0.95
     model = str(reconstructed / "colmap-binary" / "0")
+    assert not list(tmp_path.glob(".*"))  # intermediate results are removed
     assert main(["dense", model, "--out", str(tmp_path / "other")]) == 2
     assert "or --images" in capsys.readouterr().err
     assert main(["dense", model, "--images", str(photographs), "--out", str(tmp_path / "dense")]) == 2

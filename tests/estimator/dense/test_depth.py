@@ -42,6 +42,20 @@ def test_depths_of_a_slanted_plane(slanted: Scene) -> None:
     assert np.median(correlation) > 0.9
 
 
+def test_neighbours_that_look_away_do_not_matter(slanted: Scene) -> None:
+    load = ViewLoader(slanted.images, slanted.reconstruction, ViewConfig())
+    points = observed_points(slanted.reconstruction, 2)
+    behind = np.diag([-1.0, 1.0, -1.0, 1.0])
+    away = [replace(load(i), T_world_cam=load(i).T_world_cam @ behind) for i in (0, 3, 4)]
+    with_them = estimate_depth(load(2), [load(1), *away], points, np.zeros((0, 3)), SMALL)
+    true = slanted.depths(slanted.reconstruction.Ts_world_cam[2], load.camera(2).rays().astype(np.float64))
+    errors = np.abs(with_them.inverse_depth * true - 1.0)[:, 30:130]
+    assert np.median(errors) < 0.02
+    alone = estimate_depth(load(2), away, points, np.zeros((0, 3)), SMALL)
+    assert not alone.inverse_depth.any()
+    assert not alone.correlation.any()
+
+
 def test_depths_of_a_ball_and_a_wall(ball: Scene) -> None:
     errors, _ = relative_errors(ball, SMALL, np.zeros((0, 3)))
     assert np.median(errors) < 0.008  # 0.15 px

@@ -31,6 +31,12 @@ def test_scores_without_points() -> None:
         compare_clouds(np.zeros((0, 3)), TRUE, (0.1,))
 
 
+def test_every_second_point_is_scored() -> None:
+    estimated = TRUE + [[0.0, 0.5 * (k % 2), 0.0] for k in range(len(TRUE))]
+    [score] = compare_clouds(TRUE, estimated, (0.1,), every=2)
+    assert (score.accuracy, score.completeness) == (1.0, 1.0)
+
+
 def test_voxel_means_by_hand() -> None:
     points = np.array([[0.1, 0.1, 0.1], [0.3, 0.1, 0.5], [1.5, 0.0, 0.0], [-0.2, 0.0, 0.0]])
     found = voxel_means(points, 1.0)
