@@ -46,7 +46,6 @@ def make(command: DensePictureCommand) -> None:
         inverse_depths=[depth.inverse_depth for depth in result.depths],
         read_image=lambda i: load(i).colours,
         point_size=result.spacing,
-        mesh_size=result.voxel,
     )
     upper = np.hstack([load(2).colours, depth_colours(result.depths[2].inverse_depth)])
     lower = np.hstack(pictures(results))

@@ -154,7 +154,6 @@ def _write(
         inverse_depths=[depth.inverse_depth for depth in result.depths],
         read_image=lambda i: views(i).colours,
         point_size=result.spacing,
-        mesh_size=result.voxel,
         times_s=result.times_s,
     )
     write_dense_report(folder, info, results)

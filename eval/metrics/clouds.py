@@ -82,23 +82,24 @@ def voxel_means(points: Array, side: float) -> Array:
 
 
 def mesh_points(vertices: Array, triangles: npt.NDArray[np.int64], spacing: float) -> Array:
-    """Return points (N, 3) on triangles, at least one on each, whose distance from their neighbours is at most a limit.
+    """Return points (N, 3 + K) on triangles, at least one on each.
 
     A triangle whose longest edge has the length L is divided into n² equal ones, n = ⌈L / spacing⌉. The centroids of
     those that are not turned upside down are returned.
 
     Args:
-        vertices: (V, 3) Vertices.
+        vertices: (V, 3 + K) Vertices, with further values that are interpolated.
         triangles: (F, 3) Indices of the vertices of the triangles.
         spacing: Largest distance between neighbouring points of a triangle.
     """
     corners = vertices[triangles]
-    longest = np.sqrt(np.max(np.sum((corners - np.roll(corners, 1, axis=1)) ** 2, axis=2), axis=1, initial=0.0))
+    edges = corners[..., :3] - np.roll(corners[..., :3], 1, axis=1)
+    longest = np.sqrt(np.max(np.sum(edges**2, axis=2), axis=1, initial=0.0))
     count = np.maximum(np.ceil(longest / spacing).astype(np.int64), 1)
-    found = [np.zeros((0, 3))]
+    found = [np.zeros((0, vertices.shape[1]))]
     for n in np.unique(count).tolist():
         i, j = np.divmod(np.arange(n * n), n)
         i, j = i[i + j < n], j[i + j < n]
         shares = (np.stack([i, j, n - 1 - i - j], axis=1) + 1.0 / 3.0) / n
-        found.append(np.einsum("sk,fkd->fsd", shares, corners[count == n]).reshape(-1, 3))
+        found.append(np.einsum("sk,fkd->fsd", shares, corners[count == n]).reshape(-1, vertices.shape[1]))
     return np.concatenate(found)

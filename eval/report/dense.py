@@ -20,6 +20,7 @@ import numpy as np
 import numpy.typing as npt
 
 from dronevio.eval.images import Image, downscaled, jpeg
+from dronevio.eval.metrics.clouds import mesh_points
 from dronevio.eval.provenance import RunInfo
 from dronevio.eval.report.tables import Cell, Table
 from dronevio.eval.report.templating import Tile, number, render_page
@@ -38,6 +39,7 @@ MAX_PHOTOGRAPHS = 6
 """Number of images that the page shows with their depths."""
 _PICTURE_PX = (1600, 1000)
 _PHOTOGRAPH_PX = 640  # length of the longer side
+_MESH_PX = 2.0  # distance of the drawn points of the mesh in the middle of the picture
 _DEPTH_PERCENT = (2.0, 98.0)  # percentiles of the depths at the ends of the colour scale
 
 
@@ -57,8 +59,6 @@ class DenseResults:
     """Function that returns the undistorted image (H, W, 3) with an index in the reconstruction."""
     point_size: float
     """Distance between neighbouring points on the surfaces, in the unit of the world frame."""
-    mesh_size: float
-    """Side of a voxel of the mesh, in the unit of the world frame."""
     times_s: Mapping[str, float] = field(default_factory=dict)
     """Processing time of each stage by its name [s]."""
 
@@ -130,8 +130,11 @@ def pictures(results: DenseResults) -> tuple[Image, Image]:
     eye = Eye.looking_at(*placed, up, VIEWER_FIELD_OF_VIEW_RAD, *_PICTURE_PX)
     seen = eye.faces(cloud.points, cloud.normals)
     points = splat(eye, cloud.points[seen], cloud.colours[seen], 1.4 * results.point_size)
-    seen = eye.faces(mesh.vertices, mesh.normals)
-    surface = splat(eye, mesh.vertices[seen], shaded(mesh.normals[seen], eye), 1.4 * results.mesh_size)
+    seen = eye.faces(mesh.vertices, mesh.normals)[mesh.triangles].any(axis=1)
+    spacing = _MESH_PX * float(np.linalg.norm(placed[1] - placed[0])) / eye.focal_px
+    rows = mesh_points(np.hstack([mesh.vertices, mesh.normals]), mesh.triangles[seen], spacing)
+    normals = rows[:, 3:] / np.linalg.norm(rows[:, 3:], axis=1, keepdims=True)
+    surface = splat(eye, rows[:, :3], shaded(normals, eye), spacing)
     return points, surface
 
 
