@@ -7,10 +7,11 @@ from typing import TYPE_CHECKING
 import numpy as np
 import pytest
 
+from dronevio.estimator.array_store import digest
 from dronevio.estimator.sfm.config import SfmConfig
 from dronevio.estimator.sfm.pipeline import reconstruct
 from dronevio.estimator.sfm.placement.rig import rig_poses
-from dronevio.estimator.sfm.workspace import Workspace, digest
+from dronevio.estimator.sfm.workspace import Workspace
 from dronevio.models.rotation import inverse_pose
 
 if TYPE_CHECKING:
