@@ -15,6 +15,7 @@ from dronevio.cli.speed.recording_cost import (
 )
 from dronevio.models.performance import PerformanceFigure
 from dronevio.models.rig_presets import rig_named
+from dronevio.sim.batch_throughput import BatchTiming, figures_of
 from dronevio.sim.flight import fly
 
 
@@ -46,6 +47,25 @@ def test_evaluation_is_measured(capsys: pytest.CaptureFixture[str]) -> None:
     assert 0.5 < memory["value"] < 1.1
     assert main(["speed", "eval", "--quick", "--truth", "x.txt"]) == 2
     assert "only one of --truth and --estimate; expected both or none" in capsys.readouterr().err
+
+
+def test_many_vehicles_are_measured(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["speed", "gym", "--quick", "--json"]) == 0
+    document = json.loads(capsys.readouterr().out)
+    assert (document["subject"], document["envs"], document["runs"]) == ("gym", 16, 2)
+    assert [figure["bound"] for figure in document["figures"]] == [0.6, 0.75, 300.0]
+    full, blind, speed = (figure["value"] for figure in document["figures"])
+    assert 0.0 < full < 1.0 and 0.0 < blind < 1.5
+    assert speed > 5.0
+    assert main(["speed", "gym", "--runs", "0"]) == 2
+    assert "0 runs; expected 1 or more" in capsys.readouterr().err
+
+
+def test_ratios_of_many_vehicles_are_medians_of_runs() -> None:
+    timings = [BatchTiming(2.0, 4.0, 2.5), BatchTiming(3.0, 3.0, 3.0), BatchTiming(2.0, 10.0, 4.0)]
+    full, blind, speed = figures_of(timings, count=100, actions=50)
+    assert (full.value, blind.value, speed.value) == (0.5, 0.8, 100.0 / 4.0)
+    assert not full.met and blind.met and not speed.met
 
 
 def test_bounds_are_upper_or_lower() -> None:

@@ -1,0 +1,46 @@
+"""``dronevio speed gym``: speed of the simulation of many vehicles at once."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+
+from dronevio.cli.options import Printing, PrintOptions
+from dronevio.cli.speed.printing import print_speed
+from dronevio.cli.terminal import parse, progress_bars
+
+
+@dataclass(frozen=True)
+class GymCommand:
+    """Measure the speed of the simulation of many vehicles in one thread, beside the bare physics of MuJoCo.
+
+    The figures are processor times, and both sides run in turn, but other programs that use the same processor still
+    disturb them.
+
+    Examples:
+      dronevio speed gym
+      dronevio speed gym --envs 256 --json
+    """
+
+    envs: int = 1024
+    """Number of vehicles."""
+    runs: int = 7
+    """Number of runs, of which the medians are printed."""
+    quick: bool = False
+    """Test in seconds whether everything can be measured, with few vehicles. The figures are not accurate."""
+    printing: Printing = field(default_factory=PrintOptions)
+    """How results are printed."""
+
+
+def main(arguments: Sequence[str]) -> int:
+    """Run the command and return its exit code."""
+    command = parse(GymCommand, arguments, "speed gym")
+
+    from dronevio.sim.batch_throughput import batch_figures
+
+    count, actions, runs = (16, 3, 2) if command.quick else (command.envs, 25, command.runs)
+    with progress_bars(quiet=command.printing.json) as bars:
+        figures = batch_figures(count, actions, runs, bars.bar("measuring"))
+    settings = {"subject": "gym", "envs": count, "runs": runs}
+    print_speed(
+        f"{count} vehicles at once", settings, figures, ("dronevio", "mujoco", "numpy"), json=command.printing.json
+    )
+    return 0
