@@ -4,17 +4,17 @@ The rerun viewer decodes AV1 itself, natively and in a browser, while other code
 which is part of PyAV's wheel.
 """
 
-import contextlib
 import os
 from collections.abc import Iterable
 from dataclasses import dataclass
 from fractions import Fraction
-from pathlib import Path
 
 import av
 import numpy as np
 import numpy.typing as npt
 from av.video.reformatter import ColorRange
+
+from dronevio.eval.rerun.encoder_threads import open_encoder, wait_until_idle
 
 _NEUTRAL_CHROMA = 128  # of both colour differences
 Image = npt.NDArray[np.uint8]
@@ -45,10 +45,11 @@ class VideoSample:
 class Av1Encoder:
     """Encodes grey images of one size into one sample per frame, in order.
 
-    No frame refers to a later one (``pred-struct=1``), so that each sample is one frame and is returned at once, and no
-    work continues in the background while the estimator is timed. ``rtc=1`` improves the motion search of the fast
-    presets. One thread (``lp=1``) uses the least processor time. The restoration filter has no visible effect here and
-    is disabled.
+    No frame refers to a later one (``pred-struct=1``), so that each sample is one frame and is returned at once. The
+    encoder's threads are idle before the sample is returned, so that no work continues in the background while the
+    estimator is timed, and for the reason in `dronevio.eval.rerun.encoder_threads`. ``rtc=1`` improves the motion
+    search of the fast presets. The lowest level of parallelism (``lp=1``) uses the least processor time. The
+    restoration filter has no visible effect here and is disabled.
     """
 
     def __init__(self, rate_hz: float, settings: VideoSettings) -> None:
@@ -56,6 +57,7 @@ class Av1Encoder:
         self._rate_hz = rate_hz
         self._settings = settings
         self._encoder: av.VideoCodecContext | None = None  # made for the size of the first image
+        self._threads: frozenset[int] = frozenset()  # those of the encoder
         self._count = 0
 
     def encode(self, image: Image) -> list[VideoSample]:
@@ -63,11 +65,14 @@ class Av1Encoder:
         if self._encoder is None:
             height, width = (n + n % 2 for n in image.shape)
             self._encoder = _make_encoder(width, height, self._rate_hz, self._settings)
+            self._threads = open_encoder(self._encoder)
         frame = av.VideoFrame.from_ndarray(_as_yuv420(image), format="yuv420p")
         frame.color_range = ColorRange.JPEG
         frame.pts = self._count
         self._count += 1
-        return _samples(self._encoder.encode(frame))
+        samples = _samples(self._encoder.encode(frame))
+        wait_until_idle(self._threads)
+        return samples
 
     def finish(self) -> list[VideoSample]:
         """Return the remaining samples after the last image."""
@@ -92,24 +97,7 @@ def _make_encoder(width: int, height: int, rate_hz: float, settings: VideoSettin
     encoder.gop_size = settings.keyframe_interval
     parameters = "pred-struct=1:rtc=1:lp=1:enable-restoration=0"
     encoder.options = {"preset": str(settings.preset), "crf": str(settings.crf), "svtav1-params": parameters}
-    _open_with_normal_priority(encoder)
     return encoder
-
-
-def _open_with_normal_priority(encoder: av.VideoCodecContext) -> None:
-    """Open an encoder, and undo the real-time priority that SVT-AV1, run as root, gives its threads and the caller.
-
-    Child processes would inherit the priority, and on a machine with few cores they would halt all other programs.
-    """
-    if not hasattr(os, "sched_getscheduler"):
-        encoder.open()
-        return
-    policy, parameters = os.sched_getscheduler(0), os.sched_getparam(0)
-    encoder.open()
-    if os.sched_getscheduler(0) != policy:
-        for thread in Path("/proc/self/task").iterdir():
-            with contextlib.suppress(ProcessLookupError):  # the thread has ended
-                os.sched_setscheduler(int(thread.name), policy, parameters)
 
 
 def _samples(packets: "Iterable[av.Packet[av.VideoStream]]") -> list[VideoSample]:
