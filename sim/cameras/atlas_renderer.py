@@ -95,6 +95,10 @@ class AtlasRenderer:
         for geom in geoms:
             self._geom_of_id[geom.segid + 1] = geom.objid
         self._data = mujoco.MjData(model)
+        self._mocap_start = self._data.mocap_pos.copy(), self._data.mocap_quat.copy()
+        self._mocap_of = {
+            str(model.body(number).name): int(mocap) for number, mocap in enumerate(model.body_mocapid) if mocap >= 0
+        }
         self._moving = [geom for geom in geoms if self._mover_of(geom.objid) >= 0]
         self._colours = np.empty((views.height, views.width, 3), np.uint8)
         self._inverse_depth = np.empty((views.height, views.width), np.float32)
@@ -170,14 +174,13 @@ class AtlasRenderer:
         """Set the poses of the mocap bodies; bodies without a pose get their initial one."""
         if not self._moving and not mover_poses:
             return
-        mujoco.mj_resetData(self._model, self._data)
-        for name, T_world_body in mover_poses.items():
-            body = mujoco.mj_name2id(self._model, mujoco.mjtObj.mjOBJ_BODY, name)
-            if body < 0 or self._model.body_mocapid[body] < 0:
-                raise ConfigError(f"unknown moving object {name!r}")
-            mocap = self._model.body_mocapid[body]
-            self._data.mocap_pos[mocap] = T_world_body[:3, 3]
-            self._data.mocap_quat[mocap] = quat_wxyz_from_matrix(T_world_body[:3, :3])
+        self._data.mocap_pos[:], self._data.mocap_quat[:] = self._mocap_start
+        if unknown := [name for name in mover_poses if name not in self._mocap_of]:
+            raise ConfigError(f"unknown moving object {unknown[0]!r}")
+        if mover_poses:
+            mocaps, Ts_world_body = [self._mocap_of[name] for name in mover_poses], np.stack([*mover_poses.values()])
+            self._data.mocap_pos[mocaps] = Ts_world_body[:, :3, 3]
+            self._data.mocap_quat[mocaps] = quat_wxyz_from_matrix(Ts_world_body[:, :3, :3])
         mujoco.mj_kinematics(self._model, self._data)
 
     def _poses_of_bodies(self, mover_poses: MoverPoses) -> Array:

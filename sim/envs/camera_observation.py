@@ -96,10 +96,13 @@ class _Renderer:
     lease: Lease[LoadedWorld]
     camera: OffscreenCamera
 
-    def movers_at(self, t_ns: int) -> MoverPoses:
-        """Return the poses of the moving objects at a time since the start of the episode [ns]."""
+    def mover_poses(self, t_ns: Times | None, count: int) -> list[MoverPoses]:
+        """Return the poses of the moving objects of ``count`` environments at their times (count,) [ns]."""
         movers = self.lease.value.movers
-        return {mover.body: mover.poses(np.array([1e-9 * t_ns]))[0] for mover in movers} if movers else NO_MOVERS
+        if t_ns is None or not movers:
+            return [NO_MOVERS] * count
+        poses = {mover.body: mover.poses(np.asarray(1e-9 * t_ns, dtype=np.float64)) for mover in movers}
+        return [{body: each[row] for body, each in poses.items()} for row in range(count)]
 
     def image(self, kind: ImageKind, T_world_cam: Array, movers: MoverPoses) -> npt.NDArray[Any]:
         """Return an image (H, W), or (H, W, 3) for ``rgb``."""
@@ -164,12 +167,17 @@ class RenderedObservation:
             ConfigError: The world is unknown.
             GraphicsError: Off-screen OpenGL is not available.
         """
+        renderer = self._opened()
         Ts_world_cam = T_world_imu @ self._T_imu_cam
-        times_ns = np.zeros(len(Ts_world_cam), np.int64) if t_ns is None else t_ns
-        images = {kind: np.empty((len(Ts_world_cam), *s.shape), s.dtype) for kind, s in self.spaces().items()}
-        for row, (T_world_cam, time_ns) in enumerate(zip(Ts_world_cam, times_ns.tolist(), strict=True)):
-            for kind, image in self._rendered(T_world_cam, time_ns).items():
-                images[kind][row] = image.reshape(images[kind].shape[1:])
+        movers = renderer.mover_poses(t_ns, len(Ts_world_cam))
+        images: Images = {}
+        for kind in self._settings.kinds:
+            space = _space(kind, self._settings)
+            images[kind] = batch = np.empty((len(Ts_world_cam), *space.shape), space.dtype)
+            for image, T_world_cam, poses in zip(batch, Ts_world_cam, movers, strict=True):
+                image[:] = renderer.image(kind, T_world_cam, poses).reshape(space.shape)
+        if "depth" in images:
+            np.fmin(images["depth"], np.float32(self._settings.depth_max_m), out=images["depth"])  # also for NaN
         return images
 
     def close(self) -> None:
@@ -182,17 +190,13 @@ class RenderedObservation:
         """Return the attributes without the renderer, which cannot be pickled."""
         return {**self.__dict__, "_renderer": None}
 
-    def _rendered(self, T_world_cam: Array, t_ns: int) -> Images:
-        """Return the images of one environment."""
+    def _opened(self) -> _Renderer:
+        """Return the renderer, which is created if there is none."""
         if self._renderer is None:
             lease = lease_world(self._key)
             camera = OffscreenCamera(lease.value.model, self._model, context=lease.value.context)
             self._renderer = _Renderer(lease, camera)
-        movers = self._renderer.movers_at(t_ns)
-        images: Images = {kind: self._renderer.image(kind, T_world_cam, movers) for kind in self._settings.kinds}
-        if "depth" in images:
-            images["depth"] = np.fmin(images["depth"], np.float32(self._settings.depth_max_m))  # also for NaN
-        return images
+        return self._renderer
 
 
 def _space(kind: ImageKind, settings: ImageSettings) -> spaces.Box:

@@ -1,0 +1,29 @@
+"""The rate of images is measured where the drone can fly, in all directions."""
+
+import numpy as np
+
+from dronevio.sim.envs.image_rate import REQUIRED_PER_CPU_S, image_figure, image_rates
+from dronevio.sim.envs.image_rate import _camera_poses as camera_poses
+
+
+def test_image_rates_are_measured_by_world_and_kind() -> None:
+    done: list[tuple[int, int]] = []
+    rates = image_rates(("low-texture",), ("grey", "depth"), 4, 1, progress=lambda *state: done.append(state))
+    assert done == [(0, 2), (1, 2), (2, 2)]
+    assert [(rate.world, rate.kind) for rate in rates] == [("low-texture", "grey"), ("low-texture", "depth")]
+    for rate in rates:
+        assert 10.0 < rate.per_cpu_s < 1e5
+        figure = image_figure(rate)
+        assert figure.met == (rate.per_cpu_s >= REQUIRED_PER_CPU_S)
+        assert rate.kind in figure.name and "64 × 64 px" in figure.name
+
+
+def test_poses_are_spread_over_route_and_directions() -> None:
+    route = np.array([[0.0, 0.0, 1.0], [4.0, 0.0, 1.0], [4.0, 4.0, 2.0]])
+    T = camera_poses(route, 60)
+    np.testing.assert_allclose(T[20, :3, 3], route[1], atol=1e-9)
+    np.testing.assert_allclose(T[50, :3, 3], [2.0, 2.0, 1.5], atol=1e-9)  # halfway back to the start
+    ahead = T[:, :3, 2]
+    np.testing.assert_allclose(ahead[:, 2], 0.0, atol=1e-12)  # level
+    headings = np.sort(np.arctan2(ahead[:, 1], ahead[:, 0]))
+    assert np.diff(headings).max() < np.radians(15.0)
