@@ -1,0 +1,63 @@
+"""Arrangement of named observations: a dict or one vector, for a policy, and apart for a critic."""
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+from gymnasium import spaces
+
+POLICY, CRITIC = "policy", "critic"
+"""Names of the two entries of an observation with privileged observations."""
+
+
+class Arrangement:
+    """Space of the observations of an environment, and the composition of observations of many environments."""
+
+    def __init__(
+        self, boxes: Mapping[str, spaces.Box], policy: tuple[str, ...], privileged: tuple[str, ...], flat: bool
+    ) -> None:
+        """Define names and form.
+
+        Args:
+            boxes: Spaces of the named observations of one environment.
+            policy: Names of the observations of the policy.
+            privileged: Names of the observations of the critic; without any, there is no entry for a critic.
+            flat: Whether the observations are concatenated to one vector, in the order of the names.
+        """
+        self._policy, self._privileged, self._flat = policy, privileged, flat
+        self.space: spaces.Space[Any] = self._space(boxes, policy)
+        """Space of the observations of one environment."""
+        if privileged:
+            self.space = spaces.Dict({POLICY: self.space, CRITIC: self._space(boxes, privileged)})
+
+    def arranged(self, values: Mapping[str, npt.NDArray[Any]]) -> Any:
+        """Return the observations of n environments.
+
+        Args:
+            values: Arrays of n rows by the names of the observations.
+        """
+        policy = self._composed(values, self._policy)
+        return {POLICY: policy, CRITIC: self._composed(values, self._privileged)} if self._privileged else policy
+
+    def _space(self, boxes: Mapping[str, spaces.Box], names: tuple[str, ...]) -> spaces.Space[Any]:
+        """Return the space of some observations."""
+        if not self._flat:
+            return spaces.Dict({name: boxes[name] for name in names})
+        low = np.concatenate([boxes[name].low.ravel() for name in names])
+        high = np.concatenate([boxes[name].high.ravel() for name in names])
+        return spaces.Box(low, high, low.shape, np.float32)
+
+    def _composed(self, values: Mapping[str, npt.NDArray[Any]], names: tuple[str, ...]) -> Any:
+        """Return the values of some observations."""
+        if not self._flat:
+            return {name: values[name].copy() for name in names}
+        return np.concatenate([values[name].reshape(len(values[name]), -1) for name in names], axis=1)
+
+
+def rows_of(observations: Any, rows: npt.NDArray[np.intp] | int) -> Any:
+    """Return the observations of some environments, or of one."""
+    if isinstance(observations, dict):
+        return {name: rows_of(value, rows) for name, value in observations.items()}
+    value = observations[rows]
+    return value.copy() if isinstance(rows, int) else value

@@ -1,0 +1,70 @@
+"""Rendering of environments: pictures of the drone by a chase camera, as arrays or in a window."""
+
+import numpy as np
+import numpy.typing as npt
+
+from dronevio.models.errors import ConfigError
+from dronevio.sim.chase_camera import ChaseCamera, lease_chase_camera
+from dronevio.sim.envs.settings import EnvironmentSettings
+from dronevio.sim.rendering.shared import Lease
+from dronevio.sim.rendering.window import Window, require_display
+
+Array = npt.NDArray[np.float64]
+Picture = npt.NDArray[np.uint8]
+
+RENDER_MODES = ("human", "rgb_array")
+"""Render modes of a single environment; vectors have ``rgb_array`` only."""
+
+
+def check_render_mode(render_mode: str | None, modes: tuple[str, ...]) -> None:
+    """Check a render mode, and that there is a display for ``human``.
+
+    Raises:
+        ConfigError: The render mode is unknown.
+        GraphicsError: The render mode is ``human``, and there is no display.
+    """
+    if render_mode not in (None, *modes):
+        raise ConfigError(f"render mode {render_mode!r}; expected None or {' or '.join(map(repr, modes))}")
+    if render_mode == "human":
+        require_display()
+
+
+class DronePictures:
+    """Pictures of the drone by a chase camera, which is leased when the first one is taken."""
+
+    def __init__(self, settings: EnvironmentSettings) -> None:
+        """Define world and vehicle."""
+        self._settings = settings
+        self._camera: Lease[ChaseCamera] | None = None
+        self._window: Window | None = None
+
+    def picture(self, T_world_vehicle: Array) -> Picture:
+        """Return an RGB image (480, 640, 3) of the drone at a pose T_world_vehicle (4, 4).
+
+        Raises:
+            GraphicsError: Off-screen OpenGL is not available.
+        """
+        if self._camera is None:
+            chosen = self._settings
+            self._camera = lease_chase_camera(chosen.world, chosen.world_seed, chosen.vehicle, chosen.rig)
+        return self._camera.value.render(T_world_vehicle)
+
+    def show(self, T_world_vehicle: Array) -> None:
+        """Show a picture in a window, in real time.
+
+        Raises:
+            GraphicsError: Off-screen OpenGL or a display is not available.
+        """
+        picture = self.picture(T_world_vehicle)
+        if self._window is None:
+            self._window = Window(picture.shape[1], picture.shape[0], "dronevio", self._settings.action_rate_hz)
+        self._window.show(picture)
+
+    def close(self) -> None:
+        """Release the camera and close the window; further calls have no effect."""
+        if self._camera is not None:
+            self._camera.release()
+            self._camera = None
+        if self._window is not None:
+            self._window.close()
+            self._window = None

@@ -1,0 +1,140 @@
+"""Settings of an environment: task, vehicle, world, sensors, actions, observations, randomization and rates."""
+
+from dataclasses import dataclass, field, fields, replace
+from typing import Any
+
+from dronevio.models.errors import ConfigError
+from dronevio.models.quadrotor import RESEARCH, Quadrotor, vehicle_named
+from dronevio.models.rig import Rig, euroc_rig
+from dronevio.sim.envs.actions import ACTION_MODES, ActionLimits
+from dronevio.sim.envs.camera_observation import IMAGE_KINDS, ImageKind
+from dronevio.sim.envs.randomization import NOTHING_RANDOM, Randomization
+from dronevio.sim.envs.tasks import AnyTask, Hover, task_named
+from dronevio.sim.physics.wind import CALM, Wind
+
+
+@dataclass(frozen=True, eq=False)
+class EnvironmentSettings:
+    """Settings that all environments have; each is a keyword argument of `gymnasium.make`."""
+
+    task: AnyTask = field(default_factory=Hover)
+    """Task, or its name: ``hover``, ``waypoints``, ``track``, ``race`` or ``navigate``."""
+    world: str = ""
+    """Name of the world; that of the task by default. ``dronevio worlds`` lists all."""
+    world_seed: int = 0
+    """Seed of the layout of the world, and of its textures unless they are randomized."""
+    vehicle: Quadrotor = RESEARCH
+    """Vehicle, or its name: ``research`` or ``nano``."""
+    rig: Rig = field(default_factory=euroc_rig)
+    """Cameras and IMU with their mounting; those of EuRoC's drone by default."""
+    wind: Wind = CALM
+    """Mean wind and gusts, to which those of the randomization are added."""
+    action: str = ""
+    """Action mode: ``rotors``, ``rates``, ``attitude`` or ``velocity``; that of the task by default."""
+    action_limits: ActionLimits = field(default_factory=ActionLimits)
+    """Largest rates, tilt and velocities that actions command."""
+    observations: tuple[str, ...] = ()
+    """Names of the observations, see `dronevio.sim.envs.observations`; those of the task by default."""
+    privileged: tuple[str, ...] = ()
+    """Names of further observations for a critic. The observation is then a ``Dict`` with the entries ``policy`` and
+    ``critic``."""
+    flat: bool = False
+    """Whether the observation is one vector, with the observations in the order of their names, instead of a
+    ``Dict``."""
+    randomization: Randomization = NOTHING_RANDOM
+    """Distributions of the parameters that are drawn for each episode."""
+    image_size: tuple[int, int] = (64, 64)
+    """Width and height of images [px]."""
+    physics_rate_hz: float = 1000.0
+    """Rate of the physics, 2, 3 or more times that of the IMU [Hz]."""
+    imu_rate_hz: float = 0.0
+    """Rate of IMU samples and of the inner control loops [Hz]; that of the rig by default."""
+    action_rate_hz: float = 50.0
+    """Rate of the actions, a fraction of that of the IMU [Hz]."""
+    camera_rate_hz: float = 0.0
+    """Rate of images, a fraction of that of the actions [Hz]; in between, the last image is repeated. That of the
+    actions by default."""
+    threads: int = 1
+    """Number of threads of the physics; 0 means one for each processor. Results do not depend on it."""
+
+    def __post_init__(self) -> None:
+        """Check names, rates and combinations.
+
+        Raises:
+            ConfigError: A value is unknown or not possible, or two values exclude each other.
+        """
+        if self.action not in ACTION_MODES:
+            raise ConfigError(f"unknown action mode {self.action!r}; expected one of {', '.join(ACTION_MODES)}")
+        for name, group in (("observations", self.observations), ("privileged", self.privileged)):
+            if isinstance(group, str):
+                raise ConfigError(f"{name} = {group!r}; expected a tuple of names, such as ({group!r},)")
+            if len(set(group)) < len(group):
+                raise ConfigError(f"{name} = {', '.join(group)}; expected each name once")
+        images = self.images
+        if self.flat and images:
+            raise ConfigError(f"flat observations with {images[0]!r}; expected no images, or flat=False")
+        if any(size < 1 for size in self.image_size):
+            raise ConfigError(f"image_size = {self.image_size}; expected positive numbers of pixels")
+        if images and not self.rig.cameras:
+            raise ConfigError(f"observation {images[0]!r} of a rig without cameras; expected a camera")
+        _require_fraction("action_rate_hz", self.action_rate_hz, "imu_rate_hz", self.imu_rate_hz)
+        _require_fraction("camera_rate_hz", self.camera_rate_hz, "action_rate_hz", self.action_rate_hz)
+        _require_fraction("imu_rate_hz", self.imu_rate_hz, "physics_rate_hz", self.physics_rate_hz)
+
+    @property
+    def samples(self) -> int:
+        """Number of IMU samples per action."""
+        return round(self.imu_rate_hz / self.action_rate_hz)
+
+    @property
+    def images(self) -> tuple[ImageKind, ...]:
+        """Names of all observed images."""
+        named = {*self.observations, *self.privileged}
+        return tuple(kind for kind in IMAGE_KINDS if kind in named)
+
+    @property
+    def episode_steps(self) -> int:
+        """Number of actions until the time limit of the task."""
+        return round(self.task.episode_s * self.action_rate_hz)
+
+
+def settings_of(
+    task: AnyTask | str = "hover", vehicle: Quadrotor | str = RESEARCH, rig: Rig | None = None, **others: Any
+) -> EnvironmentSettings:
+    """Return settings, with the defaults of the task for values that are not given.
+
+    Args:
+        task: Task or name of a task.
+        vehicle: Vehicle or name of a vehicle.
+        rig: Cameras and IMU; those of EuRoC's drone by default.
+        others: Other fields of `EnvironmentSettings` by name.
+
+    Raises:
+        ConfigError: A name is unknown, or a value is not possible.
+    """
+    known = {one.name for one in fields(EnvironmentSettings)}
+    unknown = sorted(set(others) - known)
+    if unknown:
+        raise ConfigError(f"unknown argument {unknown[0]!r}; expected some of {', '.join(sorted(known))}")
+    chosen = task_named(task) if isinstance(task, str) else task
+    rig = rig or euroc_rig()
+    imu_rate_hz = others.pop("imu_rate_hz", 0.0) or rig.imu.rate_hz
+    action_rate_hz = others.pop("action_rate_hz", 50.0)
+    return EnvironmentSettings(
+        task=chosen,
+        world=others.pop("world", "") or chosen.world,
+        vehicle=vehicle_named(vehicle) if isinstance(vehicle, str) else vehicle,
+        rig=replace(rig, imu=replace(rig.imu, rate_hz=imu_rate_hz)),
+        action=others.pop("action", "") or chosen.default_action,
+        observations=others.pop("observations", ()) or chosen.default_observations,
+        imu_rate_hz=imu_rate_hz,
+        action_rate_hz=action_rate_hz,
+        camera_rate_hz=others.pop("camera_rate_hz", 0.0) or action_rate_hz,
+        **others,
+    )
+
+
+def _require_fraction(name: str, rate_hz: float, of: str, whole_hz: float) -> None:
+    """Raise ConfigError unless a rate is positive and a fraction 1/k of another one."""
+    if not (rate_hz > 0.0 and whole_hz > 0.0 and abs(whole_hz / rate_hz - round(whole_hz / rate_hz)) < 1e-9):
+        raise ConfigError(f"{name} = {rate_hz:g} with {of} = {whole_hz:g}; expected a fraction 1/k of it, k = 1, 2, 3")

@@ -1,0 +1,44 @@
+"""Tasks of the environments: how episodes start, what is rewarded, and when they end."""
+
+from dronevio.models.errors import ConfigError
+from dronevio.sim.envs.tasks.hover import Hover
+from dronevio.sim.envs.tasks.navigate import Navigate
+from dronevio.sim.envs.tasks.race import Race
+from dronevio.sim.envs.tasks.task import AnyTask, Objective, Start, Task, Transition
+from dronevio.sim.envs.tasks.track import Track
+from dronevio.sim.envs.tasks.waypoints import Waypoints
+
+__all__ = [
+    "TASKS",
+    "AnyTask",
+    "Hover",
+    "Navigate",
+    "Objective",
+    "Race",
+    "Start",
+    "Task",
+    "Track",
+    "Transition",
+    "Waypoints",
+    "task_named",
+]
+
+TASKS: dict[str, AnyTask] = {
+    "hover": Hover(),
+    "waypoints": Waypoints(),
+    "track": Track(),
+    "race": Race(),
+    "navigate": Navigate(),
+}
+"""The tasks by name, with default settings."""
+
+
+def task_named(name: str) -> AnyTask:
+    """Return the task with a given name.
+
+    Raises:
+        ConfigError: There is no task with this name.
+    """
+    if name not in TASKS:
+        raise ConfigError(f"unknown task {name!r}; expected one of {', '.join(TASKS)}")
+    return TASKS[name]

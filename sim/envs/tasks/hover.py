@@ -1,0 +1,147 @@
+"""Task Hover: bring a disturbed quadrotor to a point and keep it there."""
+
+from dataclasses import dataclass, replace
+from typing import ClassVar
+
+import numpy as np
+import numpy.typing as npt
+
+from dronevio.models.quadrotor import Quadrotor
+from dronevio.sim.envs.tasks.task import (
+    Mask,
+    Objective,
+    Start,
+    Transition,
+    action_change,
+    distance_m,
+    rate_rad_s,
+)
+from dronevio.sim.paths.space import FlightArea
+from dronevio.sim.physics.vehicle_states import Table, VehicleStates
+
+Array = npt.NDArray[np.float64]
+
+_START = Start()
+
+
+@dataclass(frozen=True, eq=False)
+class HoverGoals(Table):
+    """Targets of n episodes."""
+
+    target_m: Array
+    """(n, 3) Positions to keep in the world [m]."""
+
+
+@dataclass(frozen=True)
+class Hover:
+    """Bring a disturbed quadrotor to a point 1.2 m above the landing pad and keep it there: ``dronevio/Hover-v0``.
+
+    ## Description
+    The quadrotor starts in the air near the target with random velocity and tilt, its rotors at hover speed. It has to
+    fly to the target and stay there. The world is the furnished room, of which the free space in the middle is used.
+
+    ## Action space
+    ``Box(-1, 1, (4,), float32)``. By default the speeds of the four rotors (mode ``rotors``): −1 is standstill, 0 the
+    hover speed and 1 the largest speed. `dronevio.sim.envs.actions` describes the other modes.
+
+    ## Observation space
+    A ``Dict`` of ``Box`` with these entries by default; `dronevio.sim.envs.observations` describes all that can be
+    chosen.
+
+    | key | shape | content |
+    |---|---|---|
+    | ``position`` | (3,) float32 | position relative to the target, in the world frame [m] |
+    | ``orientation`` | (4,) float32 | quaternion wxyz, vehicle to world, w ≥ 0 |
+    | ``velocity`` | (3,) float32 | velocity in the world frame [m/s] |
+    | ``rotors`` | (4,) float32 | rotor speeds relative to the largest speed |
+    | ``imu`` | (4, 6) float32 | IMU samples since the last action at 200 Hz: angular velocity [rad/s] and specific \
+force [m/s²] in the IMU's frame, with noise and biases |
+
+    ## Rewards
+    The sum of two terms per step, which are in ``info["reward_terms"]``. With the distance d from the target, the
+    angular velocity ω and the change Δa of the action:
+
+    - ``closeness``: exp(−d / 0.5 m − |ω| / 5 rad/s), 1 at perfect hover
+    - ``smoothness``: −0.01 · mean of Δa²
+
+    ## Starting state
+    Uniform: position within ±0.5 m of the target, velocity within ±0.5 m/s, rotation vector within ±0.2 rad and angular
+    velocity within ±0.5 rad/s, each on each axis (``start``).
+
+    ## Episode end
+    Terminated by a contact with the floor, outside the free space of the world (5.6 × 3.8 × 2.4 m in the room), and if
+    the vehicle tilts by more than 90°. Truncated after 10 s, 500 steps. ``info["success"]`` tells whether the distance
+    is below 0.1 m.
+
+    ## Arguments
+    `dronevio.sim.envs.single.DroneEnv` describes the arguments that all environments have. Those of this task are the
+    fields of this class: ``gymnasium.make("dronevio/Hover-v0", task=Hover(height_m=1.5))``.
+
+    ## Version history
+    - v0: initial version.
+    """
+
+    default_observations: ClassVar[tuple[str, ...]] = ("position", "orientation", "velocity", "rotors", "imu")
+    """Names of the default observations."""
+    default_action: ClassVar[str] = "rotors"
+    """Name of the default action mode."""
+
+    world: str = "room"
+    """Name of the world."""
+    episode_s: float = 10.0
+    """Time limit of an episode [s]."""
+    height_m: float = 1.2
+    """Height of the target above the landing pad [m]."""
+    start: Start = _START
+    """Spread of the starting states around the target."""
+    tolerance_m: float = 0.1
+    """Largest distance from the target at which hovering is a success [m]."""
+    distance_scale_m: float = 0.5
+    """Distance at which the closeness has decreased by the factor e [m]."""
+    rate_scale_rad_s: float = 5.0
+    """Angular velocity at which the closeness has decreased by the factor e [rad/s]."""
+    smoothness: float = 0.01
+    """Weight of the mean squared change of the action."""
+    obstacles: bool = False
+    """Whether the obstacles of the world are part of the physics; there are none in the free space of a world."""
+
+    def bounds_m(self, area: FlightArea) -> Array:
+        """Return the free box (2, 3) of the world [m]."""
+        return area.free_box
+
+    def begin(
+        self, area: FlightArea, quadrotor: Quadrotor, rng: np.random.Generator, count: int
+    ) -> tuple[VehicleStates, HoverGoals]:
+        """Draw initial states around the target."""
+        target = np.tile(area.pad + [0.0, 0.0, self.height_m], (count, 1))
+        return self.start.states(target, quadrotor, rng), HoverGoals(target)
+
+    def objective(self, area: FlightArea, goals: HoverGoals, t_s: Array) -> Objective:
+        """Return the targets."""
+        return Objective.of(goals.target_m[:, None])
+
+    def advance(self, area: FlightArea, goals: HoverGoals, step: Transition) -> HoverGoals:
+        """Return the goals, which do not change."""
+        return goals
+
+    def reward_terms(
+        self, area: FlightArea, before: HoverGoals, goals: HoverGoals, step: Transition
+    ) -> dict[str, Array]:
+        """Return closeness and smoothness."""
+        distance, rate = distance_m(step.after, goals.target_m), rate_rad_s(step.after)
+        return {
+            "closeness": np.exp(-distance / self.distance_scale_m - rate / self.rate_scale_rad_s),
+            "smoothness": -self.smoothness * action_change(step),
+        }
+
+    def finished(self, goals: HoverGoals) -> Mask:
+        """Return False everywhere: hovering goes on until the time limit."""
+        return np.zeros(len(goals), dtype=np.bool_)
+
+    def success(self, area: FlightArea, goals: HoverGoals, step: Transition) -> Mask:
+        """Return which vehicles are at their targets."""
+        return distance_m(step.after, goals.target_m) < self.tolerance_m
+
+    def with_goal(self, goals: HoverGoals, goal_m: Array) -> HoverGoals:
+        """Return goals with given targets (n, 3) [m]."""
+        return replace(goals, target_m=goal_m)

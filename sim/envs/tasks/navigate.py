@@ -1,0 +1,197 @@
+"""Task Navigate: reach a goal among obstacles by camera."""
+
+from dataclasses import dataclass, replace
+from functools import lru_cache
+from typing import ClassVar
+
+import numpy as np
+import numpy.typing as npt
+
+from dronevio.models.errors import ConfigError
+from dronevio.models.quadrotor import Quadrotor
+from dronevio.sim.envs.tasks.task import (
+    Mask,
+    Objective,
+    Start,
+    Transition,
+    action_change,
+    distance_m,
+    rate_rad_s,
+)
+from dronevio.sim.paths.space import FlightArea
+from dronevio.sim.physics.vehicle_states import Table, VehicleStates
+
+Array = npt.NDArray[np.float64]
+
+_START = Start(position_m=0.1, velocity_m_s=0.3, tilt_rad=0.1, rate_rad_s=0.3)
+_PLACES = 2048  # random places of a world, of whose free ones starts and goals are drawn
+_CELL_M = 2.0
+_TRIES = 16  # goals drawn for each start, of which the first at a suitable distance is taken
+_PLACES_SEED = 0  # of the free places, which do not depend on the seed of an environment
+
+
+@dataclass(frozen=True, eq=False)
+class NavigateGoals(Table):
+    """Goals of n episodes."""
+
+    goal_m: Array
+    """(n, 3) Places to reach in the world [m]."""
+    reached: Mask
+    """(n,) Whether the goals have been reached."""
+
+
+@dataclass(frozen=True)
+class Navigate:
+    """Reach a goal among the trees of a forest by a depth camera: ``dronevio/Navigate-v0``.
+
+    ## Description
+    Start and goal are random places with 0.6 m of clearance from all obstacles, 5 to 12 m apart. The quadrotor starts
+    with its camera towards the goal. It knows where the goal is, but sees the obstacles in the depth image only.
+
+    ## Action space
+    ``Box(-1, 1, (4,), float32)``. By default velocity and yaw rate (mode ``velocity``); `dronevio.sim.envs.actions`
+    describes all modes and their units.
+
+    ## Observation space
+    A ``Dict`` of ``Box`` with these entries by default; `dronevio.sim.envs.observations` describes all that can be
+    chosen.
+
+    | key | shape | content |
+    |---|---|---|
+    | ``depth`` | (64, 64, 1) float32 | depth along the optical axis of the forward camera, at most 20 m [m] |
+    | ``goals`` | (1, 3) float32 | goal relative to the vehicle, in its frame [m] |
+    | ``rotation`` | (3, 3) float32 | rotation matrix, vehicle to world |
+    | ``body_velocity`` | (3,) float32 | velocity in the vehicle frame [m/s] |
+    | ``last_action`` | (4,) float32 | action of the last step |
+
+    ## Rewards
+    The sum of these terms per step, which are in ``info["reward_terms"]``:
+
+    - ``progress``: 1 per metre of approach to the goal
+    - ``reached``: 10 for reaching the goal
+    - ``rate``: −0.02 per rad/s of angular velocity
+    - ``smoothness``: −0.02 · mean of the squared change of the action
+    - ``failure``: −10 if the episode ends by a failure
+
+    ## Starting state
+    At a random free place between 1 and 2.5 m above the ground, heading to the goal. The deviations are uniform:
+    position within ±0.1 m, velocity within ±0.3 m/s, rotation vector within ±0.1 rad and angular velocity within
+    ±0.3 rad/s, each on each axis (``start``).
+
+    ## Episode end
+    Terminated with success within 0.5 m of the goal. Terminated by a contact with ground or obstacles, outside the
+    bounds of the world, and if the vehicle tilts by more than 90°. Truncated after 30 s, 1500 steps.
+
+    ## Arguments
+    `dronevio.sim.envs.single.DroneEnv` describes the arguments that all environments have; ``world`` and ``world_seed``
+    select the obstacles. Those of this task are the fields of this class:
+    ``gymnasium.make("dronevio/Navigate-v0", task=Navigate(distance_m=(3.0, 6.0)), world="room")``.
+
+    ## Version history
+    - v0: initial version.
+    """
+
+    default_observations: ClassVar[tuple[str, ...]] = ("depth", "goals", "rotation", "body_velocity", "last_action")
+    """Names of the default observations."""
+    default_action: ClassVar[str] = "velocity"
+    """Name of the default action mode."""
+
+    world: str = "forest"
+    """Name of the world."""
+    episode_s: float = 30.0
+    """Time limit of an episode [s]."""
+    distance_m: tuple[float, float] = (5.0, 12.0)
+    """Smallest and largest distance from start to goal [m]."""
+    height_m: tuple[float, float] = (1.0, 2.5)
+    """Smallest and largest height of start and goal above the floor [m]."""
+    clearance_m: float = 0.6
+    """Smallest distance of start and goal from obstacles [m]."""
+    tolerance_m: float = 0.5
+    """Distance from the goal at which it is reached [m]."""
+    start: Start = _START
+    """Spread of the starting states."""
+    progress: float = 1.0
+    """Reward of a metre of approach [1/m]."""
+    reached: float = 10.0
+    """Reward of reaching the goal."""
+    rate: float = 0.02
+    """Weight of the angular velocity [s/rad]."""
+    smoothness: float = 0.02
+    """Weight of the mean squared change of the action."""
+    failure: float = 10.0
+    """Penalty of a failure."""
+    obstacles: bool = True
+    """Whether the obstacles and walls of the world are part of the physics."""
+
+    def bounds_m(self, area: FlightArea) -> Array:
+        """Return the bounds (2, 3) of the world [m]."""
+        return np.stack([area.space.low, area.space.high])
+
+    def begin(
+        self, area: FlightArea, quadrotor: Quadrotor, rng: np.random.Generator, count: int
+    ) -> tuple[VehicleStates, NavigateGoals]:
+        """Draw starts and goals in free space."""
+        places = _free_places(area, self.height_m, self.clearance_m)
+        start = places[rng.integers(0, len(places), count)]
+        candidates = places[rng.integers(0, len(places), (_TRIES, count))]
+        distance = np.linalg.norm(candidates - start, axis=2)
+        # how far each distance is from the demanded range; 0 within
+        excess = np.maximum(np.maximum(self.distance_m[0] - distance, distance - self.distance_m[1]), 0.0)
+        goal = candidates[np.argmin(excess, axis=0), np.arange(count)]
+        way = goal - start
+        states = self.start.states(start, quadrotor, rng, np.arctan2(way[:, 1], way[:, 0]))
+        return states, NavigateGoals(goal, np.zeros(count, dtype=np.bool_))
+
+    def objective(self, area: FlightArea, goals: NavigateGoals, t_s: Array) -> Objective:
+        """Return the goals."""
+        return Objective.of(goals.goal_m[:, None])
+
+    def advance(self, area: FlightArea, goals: NavigateGoals, step: Transition) -> NavigateGoals:
+        """Note which goals are reached."""
+        return replace(goals, reached=goals.reached | (distance_m(step.after, goals.goal_m) < self.tolerance_m))
+
+    def reward_terms(
+        self, area: FlightArea, before: NavigateGoals, goals: NavigateGoals, step: Transition
+    ) -> dict[str, Array]:
+        """Return the terms of the reward."""
+        approach = distance_m(step.before, goals.goal_m) - distance_m(step.after, goals.goal_m)
+        return {
+            "progress": self.progress * approach,
+            "reached": self.reached * (goals.reached & ~before.reached),
+            "rate": -self.rate * rate_rad_s(step.after),
+            "smoothness": -self.smoothness * action_change(step),
+            "failure": -self.failure * step.failed,
+        }
+
+    def finished(self, goals: NavigateGoals) -> Mask:
+        """Return which goals have been reached."""
+        return goals.reached
+
+    def success(self, area: FlightArea, goals: NavigateGoals, step: Transition) -> Mask:
+        """Return which goals have been reached."""
+        return goals.reached
+
+    def with_goal(self, goals: NavigateGoals, goal_m: Array) -> NavigateGoals:
+        """Return given goals (n, 3) [m]."""
+        return replace(goals, goal_m=goal_m)
+
+
+@lru_cache(maxsize=8)
+def _free_places(area: FlightArea, height_m: tuple[float, float], clearance_m: float) -> Array:
+    """Return places (P, 3) in the free space of a world.
+
+    Raises:
+        ConfigError: There are none at these heights with this clearance.
+    """
+    rng = np.random.default_rng(_PLACES_SEED)
+    low, high = area.space.low.copy(), area.space.high.copy()
+    low[2], high[2] = area.pad[2] + height_m[0], area.pad[2] + height_m[1]
+    points = rng.uniform(low, high, (_PLACES, 3))
+    points = points[np.lexsort(np.round(points[:, :2].T / _CELL_M))]  # neighbours together, which is faster
+    free = points[area.space.clearance(points) >= clearance_m]
+    if len(free) < 2:
+        raise ConfigError(
+            f"no free places {height_m[0]:g} to {height_m[1]:g} m above the floor with {clearance_m:g} m of clearance; "
+            "expected another world, height_m or clearance_m"
+        )
+    return free

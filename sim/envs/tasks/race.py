@@ -1,0 +1,210 @@
+"""Task Race: fly laps of a course of gates."""
+
+from dataclasses import dataclass, replace
+from typing import ClassVar
+
+import numpy as np
+import numpy.typing as npt
+
+from dronevio.models.errors import ConfigError
+from dronevio.models.quadrotor import Quadrotor
+from dronevio.sim.envs.tasks.task import (
+    Mask,
+    Objective,
+    Start,
+    Transition,
+    action_change,
+    rate_rad_s,
+)
+from dronevio.sim.paths.space import FlightArea
+from dronevio.sim.physics.vehicle_states import Table, VehicleStates
+
+Array = npt.NDArray[np.float64]
+
+_START = Start(position_m=0.3)
+_START_HEIGHT_M = 1.5  # above the landing pad
+_BEHIND_M = 2.0  # distance behind a gate at which episodes start on the course
+_MARGIN_M = 0.1  # between the centre of the vehicle and the frame of a gate
+_AHEAD = 2  # observed gates: the current one and the next
+
+
+@dataclass(frozen=True, eq=False)
+class RaceGoals(Table):
+    """Progress of n episodes on the course."""
+
+    first: npt.NDArray[np.int64]
+    """(n,) Indices of the first gates of the episodes."""
+    passed: npt.NDArray[np.int64]
+    """(n,) Numbers of gates that have been passed."""
+    total: npt.NDArray[np.int64]
+    """(n,) Numbers of gates to pass."""
+
+
+@dataclass(frozen=True)
+class Race:
+    """Fly three laps through the gates of a race course: ``dronevio/Race-v0``.
+
+    ## Description
+    Ten gates stand on a field of 44 × 29 m in the world ``gates``, whose seed determines their positions, heights and
+    openings of 1.9 to 2.4 m. A gate counts when the centre of the vehicle crosses the plane of its opening in
+    the direction of the course, 10 cm or more from the frame. Gates have to be passed in order. Frames and objects
+    beside the course are obstacles.
+
+    ## Action space
+    ``Box(-1, 1, (4,), float32)``. By default collective thrust and body rates (mode ``rates``);
+    `dronevio.sim.envs.actions` describes all modes and their units.
+
+    ## Observation space
+    A ``Dict`` of ``Box`` with these entries by default; `dronevio.sim.envs.observations` describes all that can be
+    chosen.
+
+    | key | shape | content |
+    |---|---|---|
+    | ``gates`` | (2, 4, 3) float32 | corners of the openings of the next two gates relative to the vehicle, in its \
+frame [m] |
+    | ``rotation`` | (3, 3) float32 | rotation matrix, vehicle to world |
+    | ``body_velocity`` | (3,) float32 | velocity in the vehicle frame [m/s] |
+    | ``rate`` | (3,) float32 | angular velocity in the vehicle frame [rad/s] |
+    | ``last_action`` | (4,) float32 | action of the last step |
+
+    ## Rewards
+    The sum of these terms per step, which are in ``info["reward_terms"]``:
+
+    - ``progress``: 1 per metre of approach to the centre of the current gate
+    - ``passed``: 5 for each gate that is passed
+    - ``rate``: −0.01 per rad/s of angular velocity
+    - ``smoothness``: −0.02 · mean of the squared change of the action
+    - ``failure``: −20 if the episode ends by a failure
+
+    ## Starting state
+    Half of the episodes start above the landing pad before the first gate, the others 2 m behind a random gate with the
+    next one ahead; ``on_course`` is the fraction of the latter. The deviations are uniform: position within ±0.3 m,
+    velocity within ±0.5 m/s, rotation vector within ±0.2 rad and angular velocity within ±0.5 rad/s, each on each axis
+    (``start``). All episodes have the same number of gates to pass.
+
+    ## Episode end
+    Terminated with success when all gates of all laps are passed. Terminated by a contact with ground or obstacles,
+    outside the field, and if the vehicle tilts by more than 90°. Truncated after 90 s, 4500 steps.
+
+    ## Arguments
+    `dronevio.sim.envs.single.DroneEnv` describes the arguments that all environments have; ``world_seed`` selects the
+    course. Those of this task are the fields of this class: ``gymnasium.make("dronevio/Race-v0", task=Race(laps=1))``.
+
+    ## Version history
+    - v0: initial version.
+    """
+
+    default_observations: ClassVar[tuple[str, ...]] = ("gates", "rotation", "body_velocity", "rate", "last_action")
+    """Names of the default observations."""
+    default_action: ClassVar[str] = "rates"
+    """Name of the default action mode."""
+
+    world: str = "gates"
+    """Name of the world, which must have gates."""
+    episode_s: float = 90.0
+    """Time limit of an episode [s]."""
+    laps: int = 3
+    """Number of laps."""
+    on_course: float = 0.5
+    """Fraction of the episodes that start behind a random gate instead of above the landing pad."""
+    start: Start = _START
+    """Spread of the starting states."""
+    progress: float = 1.0
+    """Reward of a metre of approach [1/m]."""
+    passed: float = 5.0
+    """Reward of a gate that is passed."""
+    rate: float = 0.01
+    """Weight of the angular velocity [s/rad]."""
+    smoothness: float = 0.02
+    """Weight of the mean squared change of the action."""
+    failure: float = 20.0
+    """Penalty of a failure."""
+    obstacles: bool = True
+    """Whether gates and other obstacles are part of the physics."""
+
+    def bounds_m(self, area: FlightArea) -> Array:
+        """Return the bounds (2, 3) of the field [m]."""
+        return np.stack([area.space.low, area.space.high])
+
+    def begin(
+        self, area: FlightArea, quadrotor: Quadrotor, rng: np.random.Generator, count: int
+    ) -> tuple[VehicleStates, RaceGoals]:
+        """Draw initial states on the course."""
+        middles, ahead, _ = _course(area)
+        on_course = rng.random(count) < self.on_course
+        behind = rng.integers(0, len(middles), count)
+        pad = area.pad + [0.0, 0.0, _START_HEIGHT_M]
+        place = np.where(on_course[:, None], middles[behind] + _BEHIND_M * ahead[behind], pad)
+        first = np.where(on_course, (behind + 1) % len(middles), 0)
+        way = middles[first] - place
+        states = self.start.states(place, quadrotor, rng, np.arctan2(way[:, 1], way[:, 0]))
+        total = np.full(count, self.laps * len(middles), dtype=np.int64)
+        return states, RaceGoals(first, np.zeros(count, dtype=np.int64), total)
+
+    def objective(self, area: FlightArea, goals: RaceGoals, t_s: Array) -> Objective:
+        """Return the current and the next gate."""
+        middles, ahead, openings = _course(area)
+        index = (goals.first + goals.passed)[:, None] + np.arange(_AHEAD)
+        index %= len(middles)
+        return Objective(middles[index], ahead[index], openings[index])
+
+    def advance(self, area: FlightArea, goals: RaceGoals, step: Transition) -> RaceGoals:
+        """Count the gates that are passed."""
+        objective = self.objective(area, goals, step.t_s)
+        middle, ahead = objective.position_m[:, 0], objective.direction[:, 0]
+        from_before = _along(step.before.position_m - middle, ahead)
+        from_after = _along(step.after.position_m - middle, ahead)
+        crossed = (from_before < 0.0) & (from_after >= 0.0)
+        share = from_before / np.where(crossed, from_before - from_after, 1.0)
+        at = step.before.position_m + share[:, None] * (step.after.position_m - step.before.position_m) - middle
+        beside = np.abs(at[:, 0] * ahead[:, 1] - at[:, 1] * ahead[:, 0])
+        reach = 0.5 * objective.size_m[:, 0] - _MARGIN_M
+        passed = crossed & (beside < reach) & (np.abs(at[:, 2]) < reach)
+        return replace(goals, passed=goals.passed + passed)
+
+    def reward_terms(self, area: FlightArea, before: RaceGoals, goals: RaceGoals, step: Transition) -> dict[str, Array]:
+        """Return the terms of the reward."""
+        middle = self.objective(area, before, step.t_s).position_m[:, 0]
+        approach = np.linalg.norm(step.before.position_m - middle, axis=1) - np.linalg.norm(
+            step.after.position_m - middle, axis=1
+        )
+        return {
+            "progress": self.progress * approach,
+            "passed": self.passed * (goals.passed - before.passed),
+            "rate": -self.rate * rate_rad_s(step.after),
+            "smoothness": -self.smoothness * action_change(step),
+            "failure": -self.failure * step.failed,
+        }
+
+    def finished(self, goals: RaceGoals) -> Mask:
+        """Return where all laps are complete."""
+        return goals.passed >= goals.total
+
+    def success(self, area: FlightArea, goals: RaceGoals, step: Transition) -> Mask:
+        """Return where all laps are complete."""
+        return self.finished(goals)
+
+    def with_goal(self, goals: RaceGoals, goal_m: Array) -> RaceGoals:
+        """Raise ConfigError, since the course has no other goals."""
+        raise ConfigError("a goal for the task Race; expected none, since the gates of the world are its goals")
+
+
+def _course(area: FlightArea) -> tuple[Array, Array, Array]:
+    """Return centres (G, 3), directions (G, 3) and openings (G,) of the gates.
+
+    Raises:
+        ConfigError: The world has no gates.
+    """
+    if not area.gates:
+        raise ConfigError("the task Race in a world without gates; expected the world 'gates'")
+    gates = area.gates
+    return (
+        np.stack([gate.middle for gate in gates]),
+        np.stack([gate.ahead for gate in gates]),
+        np.array([gate.opening_m for gate in gates]),
+    )
+
+
+def _along(vectors: Array, directions: Array) -> Array:
+    """Return the scalar products (n,) of vectors (n, 3) with directions (n, 3)."""
+    return np.asarray(np.einsum("nk,nk->n", vectors, directions))

@@ -1,0 +1,178 @@
+"""Interface of tasks: what the vehicles are to do, how they start, what is rewarded, and when an episode ends.
+
+All functions are pure and operate on n episodes at once; row k of every array belongs to episode k.
+"""
+
+from dataclasses import dataclass
+from typing import Any, ClassVar, Protocol, TypeVar
+
+import numpy as np
+import numpy.typing as npt
+
+from dronevio.models.quadrotor import Quadrotor
+from dronevio.models.rotation import exp_so3
+from dronevio.sim.paths.space import FlightArea
+from dronevio.sim.physics.vehicle_states import Table, VehicleStates
+
+Array = npt.NDArray[np.float64]
+Mask = npt.NDArray[np.bool_]
+Goals = TypeVar("Goals")
+
+
+@dataclass(frozen=True, eq=False)
+class Objective(Table):
+    """Places that n vehicles are to reach, now and next."""
+
+    position_m: Array
+    """(n, K, 3) Current goal and the following ones in the world [m]."""
+    direction: Array
+    """(n, K, 3) Unit vectors in which gates are to be passed; zeros without gates."""
+    size_m: Array
+    """(n, K) Width and height of the openings of gates [m]; zeros without gates."""
+
+    @classmethod
+    def of(cls, position_m: Array) -> "Objective":
+        """Return the objective of reaching points (n, K, 3) [m]."""
+        return cls(position_m, np.zeros_like(position_m), np.zeros(position_m.shape[:2]))
+
+
+@dataclass(frozen=True, eq=False)
+class Transition:
+    """One step of n episodes."""
+
+    before: VehicleStates
+    """States before the step."""
+    after: VehicleStates
+    """States after the step."""
+    action: Array
+    """(n, 4) Actions of the step."""
+    previous_action: Array
+    """(n, 4) Actions of the step before; zeros in the first step of an episode."""
+    t_s: Array
+    """(n,) Times since the start of the episodes, at the end of the step [s]."""
+    failed: Mask
+    """(n,) Whether the episodes end in this step by a collision, outside the bounds, upside down or diverged."""
+
+
+@dataclass(frozen=True)
+class Start:
+    """Spread of the starting states; all components are uniformly distributed."""
+
+    position_m: float = 0.5
+    """Largest distance from the place of the start along each axis [m]."""
+    velocity_m_s: float = 0.5
+    """Largest velocity along each axis [m/s]."""
+    tilt_rad: float = 0.2
+    """Largest component of the rotation vector from level flight along x [rad]."""
+    rate_rad_s: float = 0.5
+    """Largest angular velocity about each axis [rad/s]."""
+
+    def states(
+        self, place_m: Array, quadrotor: Quadrotor, rng: np.random.Generator, yaw_rad: Array | None = None
+    ) -> VehicleStates:
+        """Return states near places (n, 3), with the rotors at hover speed and full batteries.
+
+        Args:
+            place_m: (n, 3) Places of the start [m].
+            quadrotor: The type of the vehicles.
+            rng: Generator of the deviations.
+            yaw_rad: (n,) Headings [rad]; along x by default.
+        """
+        n = len(place_m)
+        deviation = rng.uniform(-1.0, 1.0, (4, n, 3))
+        R = exp_so3(self.tilt_rad * deviation[1])
+        if yaw_rad is not None:
+            R = exp_so3(np.stack([np.zeros(n), np.zeros(n), yaw_rad], axis=1)) @ R
+        return VehicleStates.at(
+            place_m + self.position_m * deviation[0],
+            R,
+            self.velocity_m_s * deviation[2],
+            self.rate_rad_s * deviation[3],
+            quadrotor.hover_speed_rad_s,
+        )
+
+
+class Task(Protocol[Goals]):
+    """Interface of a task. ``Goals`` is a frozen dataclass of arrays with the goals and the progress of n episodes."""
+
+    default_observations: ClassVar[tuple[str, ...]]
+    """Names of the default observations; see `dronevio.sim.envs.observations`."""
+    default_action: ClassVar[str]
+    """Name of the default action mode; see `dronevio.sim.envs.actions`."""
+
+    @property
+    def world(self) -> str:
+        """Name of the world."""
+
+    @property
+    def episode_s(self) -> float:
+        """Time limit of an episode [s]."""
+
+    @property
+    def obstacles(self) -> bool:
+        """Whether the obstacles and walls of the world are part of the physics; otherwise only a floor is."""
+
+    def bounds_m(self, area: FlightArea) -> Array:
+        """Return the box (2, 3) that vehicles must not leave [m]."""
+
+    def begin(
+        self, area: FlightArea, quadrotor: Quadrotor, rng: np.random.Generator, count: int
+    ) -> tuple[VehicleStates, Goals]:
+        """Draw the initial states and the goals of ``count`` episodes."""
+
+    def objective(self, area: FlightArea, goals: Goals, t_s: Array) -> Objective:
+        """Return the current and the following goals at times (n,) since the start of the episodes [s]."""
+
+    def advance(self, area: FlightArea, goals: Goals, step: Transition) -> Goals:
+        """Return the goals after a step."""
+
+    def reward_terms(self, area: FlightArea, before: Goals, goals: Goals, step: Transition) -> dict[str, Array]:
+        """Return the terms of the reward (n,) by name, whose sum is the reward.
+
+        Args:
+            area: The world.
+            before: The goals before the step.
+            goals: The goals after the step.
+            step: The step.
+        """
+
+    def finished(self, goals: Goals) -> Mask:
+        """Return in which episodes (n,) the task is accomplished, which ends them."""
+
+    def success(self, area: FlightArea, goals: Goals, step: Transition) -> Mask:
+        """Return in which episodes (n,) the vehicles do at this time what the task demands."""
+
+    def with_goal(self, goals: Goals, goal_m: Array) -> Goals:
+        """Return goals whose first goal is given, (n, 3) [m].
+
+        Raises:
+            ConfigError: The goals of this task cannot be given.
+        """
+
+
+AnyTask = Task[Any]
+"""A task with goals of any type."""
+
+
+def flight_box_m(area: FlightArea, margin_m: float) -> Array:
+    """Return the box (2, 3) without obstacles of a world, reduced by a margin on all sides but at least that above the
+    floor [m].
+    """
+    low, high = area.free_box[0] + margin_m, area.free_box[1] - margin_m
+    low[2] = max(low[2], area.pad[2] + margin_m)
+    return np.stack([np.minimum(low, high), high])
+
+
+def distance_m(states: VehicleStates, goal_m: Array) -> Array:
+    """Return the distances (n,) of vehicles from goals (n, 3) [m]."""
+    return np.asarray(np.linalg.norm(states.position_m - goal_m, axis=1))
+
+
+def rate_rad_s(states: VehicleStates) -> Array:
+    """Return the angular speeds (n,) of vehicles [rad/s]."""
+    return np.asarray(np.linalg.norm(states.rate_rad_s, axis=1))
+
+
+def action_change(step: Transition) -> Array:
+    """Return the mean squared changes (n,) of the components of the actions."""
+    return np.asarray(np.square(step.action - step.previous_action).mean(axis=1))
