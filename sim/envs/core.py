@@ -11,7 +11,6 @@ from gymnasium import spaces
 
 from dronevio.models.errors import ConfigError
 from dronevio.models.rotation import pose_matrix
-from dronevio.sim.envs._imu_stub import ImuErrorsOfBatch
 from dronevio.sim.envs.actions import action_mode
 from dronevio.sim.envs.arrangement import Arrangement
 from dronevio.sim.envs.batches import with_rows
@@ -23,6 +22,7 @@ from dronevio.sim.envs.options import overridden
 from dronevio.sim.envs.randomization import Draws
 from dronevio.sim.envs.settings import EnvironmentSettings
 from dronevio.sim.envs.tasks import Objective, Transition
+from dronevio.sim.inertial.batch_imu import BatchImuErrors
 from dronevio.sim.physics.batch_plant import BatchPlant
 from dronevio.sim.physics.vehicle_states import Mask, VehicleStates
 from dronevio.sim.physics.wind import Winds
@@ -77,7 +77,7 @@ class DroneCore:
         )
         self._mode = action_mode(settings.action, self.quadrotor, settings.action_limits, count, self.plant.interval_s)
         self._delayed = DelayedActions(count, settings.samples, self.plant.interval_s)
-        self._errors = ImuErrorsOfBatch(settings.rig.imu, count)
+        self._errors = BatchImuErrors(settings.rig.imu, count, np.random.default_rng(0))
         self._images = _rendered(count, settings)
         standing = float(self.area.pad[2]) + self.plant.standing_height_m
         self._bounds = Bounds(self.task.bounds_m(self.area), standing + GROUND_M)
@@ -89,6 +89,7 @@ class DroneCore:
         self._action = np.zeros((count, 4))
         limits = self._limits()
         chosen = (*settings.observations, *settings.privileged)
+        self._senses = not {"imu", "imu_bias"}.isdisjoint(chosen)
         self._named = {name: observation_named(name, limits) for name in chosen if name not in IMAGE_KINDS}
         boxes: dict[str, spaces.Box] = {name: one.space for name, one in self._named.items()}
         if self._images is not None:
@@ -135,8 +136,9 @@ class DroneCore:
             self._images.randomize(
                 rows, draws.camera_rotation_rad, draws.camera_translation_m, draws.light, draws.texture_seed
             )
-        first = self._measured()[rows]
-        self._imu[rows] = first[:, None]
+        perfect = self._perfect()[rows]
+        first, bias = _scaled(perfect, *self._errors.first(perfect, rows), draws.imu_errors)
+        self._imu[rows], self._bias[rows] = first[:, None], bias
         return self._reset_info()
 
     def step(self, actions: npt.NDArray[np.floating[Any]]) -> StepResult:
@@ -153,7 +155,10 @@ class DroneCore:
         self._delayed.push(action)
         for interval in range(self.settings.samples):
             self.plant.advance(self._mode.commands(self._delayed.at(interval), lambda: self.plant.states))
-            self._imu[:, interval] = self._measured()
+            if self._senses:
+                perfect = self._perfect()
+                sample, self._bias = _scaled(perfect, *self._errors.add_to(perfect), self._draws.imu_errors)
+                self._imu[:, interval] = sample
         self._states = after = self.plant.states
         reason = failures(after, self.plant.touched, self.plant.diverged, self._bounds)
         step = Transition(before, after, action, self._action, self.plant.t_ns * 1e-9, reason > 0)
@@ -243,12 +248,10 @@ class DroneCore:
             raise ConfigError(f"action {action[row].tolist()} of environment {row}; expected four finite numbers")
         return np.clip(action, -1.0, 1.0)
 
-    def _measured(self) -> Array:
-        """Return the IMU samples (n, 6) of the current time with errors, and store the biases."""
+    def _perfect(self) -> Array:
+        """Return the noise-free IMU samples (n, 6) of the current time."""
         samples = self.plant.samples
-        perfect = np.concatenate([samples.gyro_rad_s, samples.accel_m_s2], axis=1)
-        measured, self._bias = self._errors.add_to(perfect)
-        return np.asarray(perfect + self._draws.imu_errors[:, None] * (measured - perfect))
+        return np.concatenate([samples.gyro_rad_s, samples.accel_m_s2], axis=1)
 
     def _winds(self) -> Winds:
         """Return the winds at all vehicles: that of the settings, and the drawn ones."""
@@ -289,3 +292,8 @@ def _rendered(count: int, settings: EnvironmentSettings) -> RenderedObservation 
     width, height = settings.image_size
     images = ImageSettings(settings.images, width, height, round(1e9 / settings.camera_rate_hz))
     return RenderedObservation(count, settings.rig.cameras[0], settings.world, settings.world_seed, images)
+
+
+def _scaled(perfect: Array, measured: Array, bias: Array, factor: Array) -> tuple[Array, Array]:
+    """Return IMU samples (n, 6) and biases (n, 6) whose errors are multiplied by factors (n,)."""
+    return perfect + factor[:, None] * (measured - perfect), factor[:, None] * bias

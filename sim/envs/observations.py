@@ -11,14 +11,14 @@
 | ``rate`` | (3,) | angular velocity in the vehicle frame [rad/s] |
 | ``rotors`` | (4,) | rotor speeds relative to the largest speed |
 | ``battery`` | (1,) | charge of the battery, from 1 (full) to 0 (empty) |
-| ``imu`` | (N, 6) | IMU samples since the last action in time order, with errors: angular velocity [rad/s] and specific \
-force [m/s²] in the IMU frame |
+| ``imu`` | (N, 6) | IMU samples since the last action in time order, with errors: angular velocity [rad/s] and \
+specific force [m/s²] in the IMU frame |
 | ``goals`` | (K, 3) | current goal and the following ones relative to the vehicle, in its frame [m] |
 | ``gates`` | (K, 4, 3) | corners of the openings of the next gates relative to the vehicle, in its frame [m]; \
 only in the task Race |
 | ``last_action`` | (4,) | action of the last step; zeros after a reset |
-| ``parameters`` | (14,) | drawn values of the randomization: mass, inertia (3), rotor time constant, thrust and drag as \
-factors, wind (3) [m/s], gusts, latency [s], and errors of the IMU as a factor, light |
+| ``parameters`` | (14,) | drawn values of the randomization: mass, inertia (3), rotor time constant, thrust and drag \
+as factors, wind (3) [m/s], gusts, latency [s], and errors of the IMU as a factor, light |
 | ``wind`` | (3,) | velocity of the air at the vehicle in the world frame [m/s] |
 | ``imu_bias`` | (6,) | biases of gyroscope [rad/s] and accelerometer [m/s²] in the IMU frame |
 | ``grey`` | (H, W, 1) uint8 | grey image of the main camera |

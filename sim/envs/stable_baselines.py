@@ -103,7 +103,9 @@ class StableBaselinesVecEnv(VecEnv):  # type: ignore[misc]  # the library is not
             ConfigError: Indices of some environments are given, which share their attributes with the others.
         """
         if len(self._rows(indices)) < self.num_envs:
-            raise ConfigError(f"attribute {attr_name!r} of some environments; expected all, which share their attributes")
+            raise ConfigError(
+                f"attribute {attr_name!r} of some environments; expected all, which share their attributes"
+            )
         setattr(self.envs, attr_name, value)
 
     def env_method(self, method_name: str, *arguments: Any, indices: Indices = None, **keywords: Any) -> list[Any]:

@@ -109,8 +109,8 @@ class DroneVectorEnv(VectorEnv[Any, npt.NDArray[np.float32], Array]):
 
         Args:
             seed: Seed of all random numbers from now on; None continues the current stream.
-            options: ``reset_mask`` is a mask (n,) of the environments to reset; `dronevio.sim.envs.options` lists values
-                to use instead of drawn ones.
+            options: ``reset_mask`` is a mask (n,) of the environments to reset; `dronevio.sim.envs.options` lists
+                values to use instead of drawn ones.
 
         Returns:
             The observations of all environments, and the infos of those that were reset.
@@ -243,8 +243,8 @@ def _checked_mask(mask: Any, count: int) -> Mask:
     array = np.asarray(mask)
     if array.dtype != np.bool_ or array.shape != (count,) or not array.any():
         raise ConfigError(
-            f"reset_mask of type {array.dtype} and shape {array.shape} with {int(np.count_nonzero(array))} environments; "
-            f"expected a mask of type bool and shape {(count,)} with one or more"
+            f"reset_mask of type {array.dtype} and shape {array.shape} with {int(np.count_nonzero(array))} environments"
+            f"; expected a mask of type bool and shape {(count,)} with one or more"
         )
     return array.copy()
 

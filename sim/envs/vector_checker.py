@@ -1,7 +1,7 @@
 """Checker of vector environments, the counterpart of Gymnasium's `check_env` for single ones.
 
-It checks any `gymnasium.vector.VectorEnv` against the documented behaviour of `SyncVectorEnv`: spaces, seeds, shapes and
-types, masks of infos, data that belong to the caller, the three autoreset modes and ``reset_mask``.
+It checks any `gymnasium.vector.VectorEnv` against the documented behaviour of `SyncVectorEnv`: spaces, seeds, shapes
+and types, masks of infos, data that belong to the caller, the three autoreset modes and ``reset_mask``.
 """
 
 import copy

@@ -26,7 +26,7 @@ Array = npt.NDArray[np.float64]
 _START = Start(position_m=0.1, velocity_m_s=0.3, tilt_rad=0.1, rate_rad_s=0.3)
 _PLACES = 2048  # random places of a world, of whose free ones starts and goals are drawn
 _CELL_M = 2.0
-_TRIES = 16  # goals drawn for each start, of which the first at a suitable distance is taken
+_TRIES = 64  # goals drawn for each start, of which the first at a suitable distance is taken
 _PLACES_SEED = 0  # of the free places, which do not depend on the seed of an environment
 
 
