@@ -5,15 +5,44 @@ from typing import TYPE_CHECKING
 from dronevio._lazy import attach
 
 if TYPE_CHECKING:
-    from dronevio.sim.envs.hover import Hover
+    from dronevio.sim.envs.actions import ActionLimits
+    from dronevio.sim.envs.distributions import Constant, LogUniform, Normal, Uniform
+    from dronevio.sim.envs.randomization import MODERATE, Randomization
+    from dronevio.sim.envs.settings import EnvironmentSettings
+    from dronevio.sim.envs.single import DroneEnv
+    from dronevio.sim.envs.tasks import Hover, Navigate, Race, Track, Waypoints
+    from dronevio.sim.envs.vector import DroneVectorEnv
+    from dronevio.sim.envs.vector_checker import check_vector_env
 
 __all__ = [
+    "MODERATE",
+    "ActionLimits",
+    "Constant",
+    "DroneEnv",
+    "DroneVectorEnv",
+    "EnvironmentSettings",
     "Hover",
+    "LogUniform",
+    "Navigate",
+    "Normal",
+    "Race",
+    "Randomization",
+    "Track",
+    "Uniform",
+    "Waypoints",
+    "check_vector_env",
 ]
 
 __getattr__, __dir__ = attach(
     __name__,
     {
-        "dronevio.sim.envs.hover": ("Hover",),
+        "dronevio.sim.envs.actions": ("ActionLimits",),
+        "dronevio.sim.envs.distributions": ("Constant", "LogUniform", "Normal", "Uniform"),
+        "dronevio.sim.envs.randomization": ("MODERATE", "Randomization"),
+        "dronevio.sim.envs.settings": ("EnvironmentSettings",),
+        "dronevio.sim.envs.single": ("DroneEnv",),
+        "dronevio.sim.envs.tasks": ("Hover", "Navigate", "Race", "Track", "Waypoints"),
+        "dronevio.sim.envs.vector": ("DroneVectorEnv",),
+        "dronevio.sim.envs.vector_checker": ("check_vector_env",),
     },
 )

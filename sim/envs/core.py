@@ -14,8 +14,9 @@ from dronevio.models.rotation import pose_matrix
 from dronevio.sim.envs.actions import action_mode
 from dronevio.sim.envs.arrangement import Arrangement
 from dronevio.sim.envs.batches import with_rows
-from dronevio.sim.envs.camera_observation import IMAGE_KINDS, ImageSettings, RenderedObservation
+from dronevio.sim.envs.camera_observation import ImageSettings, RenderedObservation
 from dronevio.sim.envs.endings import GROUND_M, REASONS, Bounds, failures
+from dronevio.sim.envs.held_images import HeldImages
 from dronevio.sim.envs.latency import DelayedActions
 from dronevio.sim.envs.observations import Limits, Situation, observation_named
 from dronevio.sim.envs.options import overridden
@@ -65,6 +66,8 @@ class DroneCore:
         """
         self.count, self.settings = count, settings
         self.task, self.quadrotor = settings.task, settings.vehicle
+        chosen = (*settings.observations, *settings.privileged)
+        self._senses = not {"imu", "imu_bias"}.isdisjoint(chosen)
         self.area = flight_area(settings.world, settings.world_seed)
         self.plant = BatchPlant(
             count,
@@ -73,6 +76,7 @@ class DroneCore:
             step_s=1.0 / settings.physics_rate_hz,
             surroundings=collision_spec(settings.world, settings.world_seed) if self.task.obstacles else None,
             ground_m=float(self.area.pad[2]),
+            imu=self._senses,
             nthread=settings.threads,
         )
         self._mode = action_mode(settings.action, self.quadrotor, settings.action_limits, count, self.plant.interval_s)
@@ -88,9 +92,7 @@ class DroneCore:
         self._bias = np.zeros((count, 6))
         self._action = np.zeros((count, 4))
         limits = self._limits()
-        chosen = (*settings.observations, *settings.privileged)
-        self._senses = not {"imu", "imu_bias"}.isdisjoint(chosen)
-        self._named = {name: observation_named(name, limits) for name in chosen if name not in IMAGE_KINDS}
+        self._named = {name: observation_named(name, limits) for name in chosen if name not in settings.images}
         boxes: dict[str, spaces.Box] = {name: one.space for name, one in self._named.items()}
         if self._images is not None:
             boxes.update(self._images.spaces())
@@ -133,9 +135,7 @@ class DroneCore:
         self._errors.reset(mask)
         self._action[rows] = 0.0
         if self._images is not None:
-            self._images.randomize(
-                rows, draws.camera_rotation_rad, draws.camera_translation_m, draws.light, draws.texture_seed
-            )
+            self._images.reset(mask)
         perfect = self._perfect()[rows]
         first, bias = _scaled(perfect, *self._errors.first(perfect, rows), draws.imu_errors)
         self._imu[rows], self._bias[rows] = first[:, None], bias
@@ -159,6 +159,8 @@ class DroneCore:
                 perfect = self._perfect()
                 sample, self._bias = _scaled(perfect, *self._errors.add_to(perfect), self._draws.imu_errors)
                 self._imu[:, interval] = sample
+        if self._images is not None:
+            self._images.step()
         self._states = after = self.plant.states
         reason = failures(after, self.plant.touched, self.plant.diverged, self._bounds)
         step = Transition(before, after, action, self._action, self.plant.t_ns * 1e-9, reason > 0)
@@ -183,7 +185,7 @@ class DroneCore:
         values: dict[str, npt.NDArray[Any]] = {name: one.observe(situation) for name, one in self._named.items()}
         if self._images is not None:
             T_world_imu = self.T_world_vehicle @ self.settings.rig.T_vehicle_imu
-            values.update(self._images.observe(T_world_imu, self.plant.t_ns))
+            values.update(self._images.observe(T_world_imu, self.plant.t_ns, self._draws))
         return self._arrangement.arranged(values)
 
     @property
@@ -204,7 +206,7 @@ class DroneCore:
                 "errors": self._errors.save(),
                 "mode": self._mode.state(),
                 "delayed": self._delayed.state(),
-                "images": None if self._images is None else self._images.state(),
+                "images": None if self._images is None else self._images.save(),
                 "rng": self._rng.bit_generator.state,
                 "draws": self._draws,
                 "goals": self._goals,
@@ -285,13 +287,19 @@ class DroneCore:
         )
 
 
-def _rendered(count: int, settings: EnvironmentSettings) -> RenderedObservation | None:
+def _rendered(count: int, settings: EnvironmentSettings) -> HeldImages | None:
     """Return the images of n environments; None without images."""
     if not settings.images:
         return None
     width, height = settings.image_size
-    images = ImageSettings(settings.images, width, height, round(1e9 / settings.camera_rate_hz))
-    return RenderedObservation(count, settings.rig.cameras[0], settings.world, settings.world_seed, images)
+    images = ImageSettings(settings.images, width, height)
+    mounted, world, seed = settings.rig.cameras[0], settings.world, settings.world_seed
+    return HeldImages(
+        count,
+        settings.steps_per_image,
+        lambda texture_seed: RenderedObservation(mounted, world, seed, images, texture_seed),
+        seed,
+    )
 
 
 def _scaled(perfect: Array, measured: Array, bias: Array, factor: Array) -> tuple[Array, Array]:

@@ -38,7 +38,7 @@ from gymnasium import spaces
 
 from dronevio.models.errors import ConfigError
 from dronevio.models.rotation import quat_wxyz_from_matrix
-from dronevio.sim.envs.camera_observation import IMAGE_KINDS
+from dronevio.sim.envs.camera_observation import ImageKind
 from dronevio.sim.envs.randomization import Draws
 from dronevio.sim.envs.tasks.task import Objective
 from dronevio.sim.physics.vehicle_states import VehicleStates
@@ -46,6 +46,8 @@ from dronevio.sim.physics.vehicle_states import VehicleStates
 Array = npt.NDArray[np.float64]
 Array32 = npt.NDArray[np.float32]
 
+IMAGES: tuple[ImageKind, ...] = ("grey", "rgb", "depth")
+"""Names of the observations that are images."""
 GYRO_RANGE_RAD_S = float(np.radians(1000.0))
 """Bound of observed angular velocities [rad/s], the measurement range of the ADIS16448."""
 ACCEL_RANGE_M_S2 = 18.0 * 9.81
@@ -122,7 +124,7 @@ def observation_named(name: str, limits: Limits) -> Observation:
         ConfigError: There is no such observation, or the task has no gates.
     """
     if name not in NAMES:
-        raise ConfigError(f"unknown observation {name!r}; expected some of {', '.join((*NAMES, *IMAGE_KINDS))}")
+        raise ConfigError(f"unknown observation {name!r}; expected some of {', '.join((*NAMES, *IMAGES))}")
     return NAMES[name](limits)
 
 

@@ -7,7 +7,8 @@ from dronevio.models.errors import ConfigError
 from dronevio.models.quadrotor import RESEARCH, Quadrotor, vehicle_named
 from dronevio.models.rig import Rig, euroc_rig
 from dronevio.sim.envs.actions import ACTION_MODES, ActionLimits
-from dronevio.sim.envs.camera_observation import IMAGE_KINDS, ImageKind
+from dronevio.sim.envs.camera_observation import ImageKind
+from dronevio.sim.envs.observations import IMAGES
 from dronevio.sim.envs.randomization import NOTHING_RANDOM, Randomization
 from dronevio.sim.envs.tasks import AnyTask, Hover, task_named
 from dronevio.sim.physics.wind import CALM, Wind
@@ -90,7 +91,12 @@ class EnvironmentSettings:
     def images(self) -> tuple[ImageKind, ...]:
         """Names of all observed images."""
         named = {*self.observations, *self.privileged}
-        return tuple(kind for kind in IMAGE_KINDS if kind in named)
+        return tuple(kind for kind in IMAGES if kind in named)
+
+    @property
+    def steps_per_image(self) -> int:
+        """Number of actions from one image to the next."""
+        return round(self.action_rate_hz / self.camera_rate_hz)
 
     @property
     def episode_steps(self) -> int:
