@@ -24,7 +24,8 @@ import numpy.typing as npt
 
 from dronevio.models.errors import ConfigError
 from dronevio.models.quadrotor import Quadrotor
-from dronevio.sim.physics.cascade import Body, Cascade, CascadeState, Gains, attitude_along
+from dronevio.sim.physics.cascade import Body, Cascade, CascadeState, attitude_along
+from dronevio.sim.physics.gains import Gains
 from dronevio.sim.physics.vehicle_states import Mask, VehicleStates
 
 Array = npt.NDArray[np.float64]

@@ -39,7 +39,7 @@ class StepResult:
     """Result of a step of n environments."""
 
     reward: Array
-    """(n,) Rewards."""
+    """(n,) Sums of the terms of the reward."""
     terminated: Mask
     """(n,) Whether the episodes have ended by success or failure."""
     info: dict[str, Any]
@@ -163,7 +163,7 @@ class DroneCore:
             self._images.step()
         self._states = after = self.plant.states
         reason = failures(after, self.plant.touched, self.plant.diverged, self._bounds)
-        step = Transition(before, after, action, self._action, self.plant.t_ns * 1e-9, reason > 0)
+        step = Transition(before, after, action, self._action, self._t_s, reason > 0)
         self._action = action
         self._goals = self.task.advance(self.area, goals, step)
         terms = self.task.reward_terms(self.area, goals, self._goals, step)
@@ -192,6 +192,11 @@ class DroneCore:
     def T_world_vehicle(self) -> Array:
         """(n, 4, 4) Poses of the vehicles."""
         return pose_matrix(self._states.R_world_vehicle, self._states.position_m)
+
+    @property
+    def _t_s(self) -> Array:
+        """(n,) Times since the start of the episodes [s]."""
+        return np.asarray(self.plant.t_ns * 1e-9, dtype=np.float64)
 
     @property
     def states(self) -> VehicleStates:
@@ -262,7 +267,7 @@ class DroneCore:
 
     def _objective(self) -> Objective:
         """Return the current and the following goals."""
-        return self.task.objective(self.area, self._goals, self.plant.t_ns * 1e-9)
+        return self.task.objective(self.area, self._goals, self._t_s)
 
     def _state_info(self) -> dict[str, Any]:
         """Return values by name, arrays of n rows, that describe the current state."""

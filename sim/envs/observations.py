@@ -57,8 +57,8 @@ FASTEST_M_S = 30.0
 
 _IMU_RANGE = np.repeat([GYRO_RANGE_RAD_S, ACCEL_RANGE_M_S2], 3)
 _BIAS_RANGE = np.repeat([1.0, 10.0], 3)
-_PARAMETERS = ("mass", "inertia", "rotor_time_constant", "thrust", "drag", "wind_m_s", "gusts", "latency_s")
-_PARAMETERS += ("imu_errors", "light")
+_PHYSICAL = ("mass", "inertia", "rotor_time_constant", "thrust", "drag", "wind_m_s", "gusts")
+_PARAMETERS = (*_PHYSICAL, "latency_s", "imu_errors", "light")
 _PARAMETERS_WIDTH, _PARAMETERS_BOUND = 14, 100.0
 _CORNERS = np.array([[-0.5, -0.5], [0.5, -0.5], [0.5, 0.5], [-0.5, 0.5]])  # along the opening's width and height
 

@@ -76,7 +76,9 @@ def _overridden_draws(draws: Draws, values: Mapping[str, Any], rows: Rows, count
     for name in values:
         if name not in known:
             raise ConfigError(f"unknown randomization {name!r} in the options; expected some of {', '.join(known)}")
-    given = {name: _rows_of(name, value, getattr(draws, name), rows, count) for name, value in values.items()}
+    given: dict[str, Any] = {
+        name: _rows_of(name, value, getattr(draws, name), rows, count) for name, value in values.items()
+    }
     return replace(draws, **given)
 
 

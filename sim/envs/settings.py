@@ -66,7 +66,8 @@ class EnvironmentSettings:
         """
         if self.action not in ACTION_MODES:
             raise ConfigError(f"unknown action mode {self.action!r}; expected one of {', '.join(ACTION_MODES)}")
-        for name, group in (("observations", self.observations), ("privileged", self.privileged)):
+        groups: dict[str, Any] = {"observations": self.observations, "privileged": self.privileged}
+        for name, group in groups.items():
             if isinstance(group, str):
                 raise ConfigError(f"{name} = {group!r}; expected a tuple of names, such as ({group!r},)")
             if len(set(group)) < len(group):

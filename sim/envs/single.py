@@ -17,7 +17,7 @@ from dronevio.sim.envs.tasks import AnyTask
 _ALL = np.ones(1, dtype=np.bool_)
 
 
-class DroneEnv(gymnasium.Env[Any, npt.NDArray[np.float32]]):
+class DroneEnv(gymnasium.Env[Any, npt.NDArray[np.floating[Any]]]):
     """A quadrotor with a task: the class of all environments of dronevio.
 
     The tasks are `Hover`, `Waypoints`, `Track`, `Race` and `Navigate` in `dronevio.sim.envs.tasks`, whose docstrings
@@ -98,7 +98,7 @@ class DroneEnv(gymnasium.Env[Any, npt.NDArray[np.float32]]):
         self._show()
         return rows_of(self._core.observe(), 0), row_of(info, 0)
 
-    def step(self, action: npt.NDArray[np.float32]) -> tuple[Any, SupportsFloat, bool, bool, Info]:
+    def step(self, action: npt.NDArray[np.floating[Any]]) -> tuple[Any, SupportsFloat, bool, bool, Info]:
         """Apply an action (4,), clipped to [−1, 1], for the time between two actions.
 
         Returns:

@@ -73,7 +73,7 @@ class StableBaselinesVecEnv(VecEnv):  # type: ignore[misc]  # the library is not
         ended = terminated | truncated
         listed: list[dict[str, Any]] = [{} for _ in range(self.num_envs)]
         final = _without_masks(infos.get("final_info", {}))
-        for row in np.flatnonzero(ended):
+        for row in np.flatnonzero(ended).tolist():
             listed[row] = {
                 **row_of(final, row),
                 "terminal_observation": infos["final_obs"][row],

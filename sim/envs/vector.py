@@ -23,7 +23,7 @@ RENDER_MODES = ("rgb_array",)
 """Render modes of vectors; Gymnasium's wrapper `HumanRendering` shows their images in a window."""
 
 
-class DroneVectorEnv(VectorEnv[Any, npt.NDArray[np.float32], Array]):
+class DroneVectorEnv(VectorEnv[Any, npt.NDArray[np.floating[Any]], Any]):
     """Many quadrotors with the same task; `gymnasium.make_vec` makes it.
 
     It behaves like a `SyncVectorEnv` of `DroneEnv`, but one call of the physics and of numpy serves all environments,
@@ -130,7 +130,7 @@ class DroneVectorEnv(VectorEnv[Any, npt.NDArray[np.float32], Array]):
         self._started = True
         return self._core.observe(), with_masks(info, mask)
 
-    def step(self, actions: npt.NDArray[np.float32]) -> StepReturn:
+    def step(self, actions: npt.NDArray[np.floating[Any]]) -> StepReturn:
         """Apply actions (n, 4), clipped to [−1, 1], for the time between two actions.
 
         Returns:

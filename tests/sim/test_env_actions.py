@@ -1,6 +1,5 @@
 """Action modes, latency and observations of the core, against values worked out by hand."""
 
-from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -14,6 +13,7 @@ from dronevio.sim.envs.distributions import Constant, LogUniform, Normal, Unifor
 from dronevio.sim.envs.latency import DelayedActions
 from dronevio.sim.envs.randomization import MODERATE, Randomization
 from dronevio.sim.envs.settings import settings_of
+from dronevio.sim.envs.tasks import Race
 
 STATE = ("position", "velocity", "rate", "rotors")
 
@@ -125,11 +125,10 @@ def test_observations_are_those_of_the_state() -> None:
 
 
 def test_gates_are_observed_by_their_corners() -> None:
-    core = DroneCore(1, settings_of("race", observations=("gates",)))
+    core = DroneCore(1, settings_of(Race(on_course=0.0), observations=("gates",)))
     core.reseed(np.random.default_rng(0))
     gate = core.area.gates[0]
     start = {"position_m": gate.middle - 3.0 * gate.ahead, "quat_wxyz": np.array([1.0, 0.0, 0.0, 0.0])}
-    core.task = replace(core.task, on_course=0.0)
     core.reset(np.ones(1, np.bool_), start)
     corners = core.observe()["gates"][0, 0]
     np.testing.assert_allclose(corners.mean(axis=0), 3.0 * gate.ahead, atol=2e-3)

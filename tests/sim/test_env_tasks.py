@@ -1,6 +1,7 @@
 """Tasks: initial states, goals, rewards and ends of episodes, against values worked out by hand."""
 
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -32,10 +33,10 @@ AREA = FlightArea(
 )
 
 
-def step(before: Array, after: Array, failed: bool = False, t_s: float = 0.02) -> Transition:
+def step(before: Any, after: Any, failed: bool = False, t_s: float = 0.02) -> Transition:
     """Return a transition of one vehicle between positions, at rest and with zero actions."""
-    states = [VehicleStates.at(np.array([position])) for position in (before, after)]
-    return Transition(*states, np.zeros((1, 4)), np.zeros((1, 4)), np.array([t_s]), np.array([failed]))
+    first, last = (VehicleStates.at(np.array([position])) for position in (before, after))
+    return Transition(first, last, np.zeros((1, 4)), np.zeros((1, 4)), np.array([t_s]), np.array([failed]))
 
 
 @pytest.mark.parametrize("name", TASKS)

@@ -121,29 +121,28 @@ def test_a_row_equals_a_single_environment(mode: str) -> None:
     rng = np.random.default_rng(0)
     settings: dict[str, Any] = {"observations": STATE, "randomization": MODERATE, "action": mode}
     envs = DroneVectorEnv(3, "hover", **settings)
-    given = {
+    drawn: dict[str, Any] = {
+        "mass": rng.uniform(0.9, 1.1, 3),
+        "inertia": rng.uniform(0.8, 1.2, (3, 3)),
+        "rotor_time_constant": rng.uniform(0.7, 1.4, 3),
+        "thrust": rng.uniform(0.97, 1.03, 3),
+        "drag": rng.uniform(0.5, 2.0, 3),
+        "wind_m_s": rng.uniform(-0.2, 0.2, (3, 3)),
+        "gusts": np.zeros(3),
+        "latency_s": np.array([0.0, 0.01, 0.025]),
+    }
+    given: dict[str, Any] = {
         "position_m": rng.uniform([-0.3, -0.3, 1.2], [0.3, 0.3, 1.6], (3, 3)),
         "velocity_m_s": rng.uniform(-0.1, 0.1, (3, 3)),
         "rate_rad_s": rng.uniform(-0.1, 0.1, (3, 3)),
-        "quat_wxyz": np.array([1.0, 0.0, 0.0, 0.0]),
-        "randomization": {
-            "mass": rng.uniform(0.9, 1.1, 3),
-            "inertia": rng.uniform(0.8, 1.2, (3, 3)),
-            "rotor_time_constant": rng.uniform(0.7, 1.4, 3),
-            "thrust": rng.uniform(0.97, 1.03, 3),
-            "drag": rng.uniform(0.5, 2.0, 3),
-            "wind_m_s": rng.uniform(-0.2, 0.2, (3, 3)),
-            "gusts": 0.0,
-            "latency_s": np.array([0.0, 0.01, 0.025]),
-        },
+        "quat_wxyz": np.array([[1.0, 0.0, 0.0, 0.0]] * 3),
     }
-    envs.reset(seed=0, options=given)
-    row = {**given, "quat_wxyz": given["quat_wxyz"][None].repeat(3, axis=0)}
+    envs.reset(seed=0, options={**given, "randomization": drawn})
     singles = [DroneEnv("hover", **settings) for _ in range(3)]
     for k, single in enumerate(singles):
-        drawn = {name: value[k] if np.ndim(value) else value for name, value in given["randomization"].items()}
-        values = {name: value[k] for name, value in row.items() if name != "randomization"}
-        single.reset(seed=7 + k, options={**values, "randomization": drawn})
+        values = {name: value[k] for name, value in given.items()}
+        own = {name: value[k] for name, value in drawn.items()}
+        single.reset(seed=7 + k, options={**values, "randomization": own})
     amplitude, steps = (0.02, 100) if mode == "rotors" else (0.2, 25)
     for _ in range(steps):
         actions = rng.uniform(-amplitude, amplitude, (3, 4))

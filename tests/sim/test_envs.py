@@ -58,7 +58,7 @@ def same(first: Any, second: Any) -> bool:
 
 @pytest.mark.parametrize("name", TASKS)
 def test_check_env_reports_nothing_for_any_id(name: str) -> None:
-    chosen = {"observations": STATE, "world": "room"} if name == "navigate" else {}
+    chosen: dict[str, Any] = {"observations": STATE, "world": "room"} if name == "navigate" else {}
     checked(gymnasium.make(f"dronevio/{name.capitalize()}-v0", **chosen))
 
 
@@ -169,7 +169,7 @@ def test_failures_end_the_episode_with_a_reason(action: Any, options: Any, reaso
     terminated = False
     while not terminated:
         observation, reward, terminated, truncated, info = env.step(np.array(action))
-        assert observation in env.observation_space and np.isfinite(reward) and not truncated
+        assert observation in env.observation_space and np.isfinite(float(reward)) and not truncated
         assert info["t_ns"] <= latest_s * 1e9
     assert info["termination"] == reason and not info["success"]
 
@@ -309,7 +309,7 @@ def test_wrappers_of_gymnasium_work(tmp_path: Path) -> None:
     assert observation.shape == (3, 38)
     assert np.isfinite(env.step(env.action_space.sample())[0]).all()
     pytest.importorskip("moviepy")
-    filmed = RecordVideo(DroneEnv("hover", "rgb_array", world=QUICK_WORLD), str(tmp_path))
+    filmed: Any = RecordVideo(DroneEnv("hover", "rgb_array", world=QUICK_WORLD), str(tmp_path))
     filmed.reset(seed=0)
     filmed.step(filmed.action_space.sample())
     filmed.close()

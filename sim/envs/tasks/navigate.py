@@ -17,6 +17,7 @@ from dronevio.sim.envs.tasks.task import (
     action_change,
     distance_m,
     rate_rad_s,
+    weighted,
 )
 from dronevio.sim.paths.space import FlightArea
 from dronevio.sim.physics.vehicle_states import Table, VehicleStates
@@ -157,10 +158,10 @@ class Navigate:
         approach = distance_m(step.before, goals.goal_m) - distance_m(step.after, goals.goal_m)
         return {
             "progress": self.progress * approach,
-            "reached": self.reached * (goals.reached & ~before.reached),
+            "reached": weighted(self.reached, goals.reached & ~before.reached),
             "rate": -self.rate * rate_rad_s(step.after),
             "smoothness": -self.smoothness * action_change(step),
-            "failure": -self.failure * step.failed,
+            "failure": weighted(-self.failure, step.failed),
         }
 
     def finished(self, goals: NavigateGoals) -> Mask:

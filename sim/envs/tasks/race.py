@@ -15,6 +15,7 @@ from dronevio.sim.envs.tasks.task import (
     Transition,
     action_change,
     rate_rad_s,
+    weighted,
 )
 from dronevio.sim.paths.space import FlightArea
 from dronevio.sim.physics.vehicle_states import Table, VehicleStates
@@ -170,10 +171,10 @@ frame [m] |
         )
         return {
             "progress": self.progress * approach,
-            "passed": self.passed * (goals.passed - before.passed),
+            "passed": weighted(self.passed, goals.passed - before.passed),
             "rate": -self.rate * rate_rad_s(step.after),
             "smoothness": -self.smoothness * action_change(step),
-            "failure": -self.failure * step.failed,
+            "failure": weighted(-self.failure, step.failed),
         }
 
     def finished(self, goals: RaceGoals) -> Mask:

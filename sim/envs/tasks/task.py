@@ -176,3 +176,8 @@ def rate_rad_s(states: VehicleStates) -> Array:
 def action_change(step: Transition) -> Array:
     """Return the mean squared changes (n,) of the components of the actions."""
     return np.asarray(np.square(step.action - step.previous_action).mean(axis=1))
+
+
+def weighted(weight: float, values: npt.ArrayLike) -> Array:
+    """Return values (n,), which may be counts or masks, multiplied by a weight."""
+    return np.asarray(weight * np.asarray(values, dtype=np.float64))

@@ -35,7 +35,7 @@ class TrackGoals(Table):
     centre_m: Array
     """(n, 3) Centres of the curves in the world [m]."""
     amplitude_m: Array
-    """(n, 3) Amplitudes [m]."""
+    """(n, 3) Amplitudes along the axes [m]."""
     frequency_rad_s: Array
     """(n, 3) Angular frequencies [rad/s]."""
     phase_rad: Array

@@ -16,6 +16,7 @@ from dronevio.sim.envs.tasks.task import (
     distance_m,
     flight_box_m,
     rate_rad_s,
+    weighted,
 )
 from dronevio.sim.paths.space import FlightArea
 from dronevio.sim.physics.vehicle_states import Table, VehicleStates
@@ -155,10 +156,10 @@ class Waypoints:
         current = before.ahead_m(1)[:, 0]
         return {
             "progress": self.progress * (distance_m(step.before, current) - distance_m(step.after, current)),
-            "reached": self.reached * (goals.reached - before.reached),
+            "reached": weighted(self.reached, goals.reached - before.reached),
             "rate": -self.rate * rate_rad_s(step.after),
             "smoothness": -self.smoothness * action_change(step),
-            "failure": -self.failure * step.failed,
+            "failure": weighted(-self.failure, step.failed),
         }
 
     def finished(self, goals: WaypointsGoals) -> Mask:
