@@ -119,7 +119,7 @@ def build_world(name: str, seed: int, texture_seed: int | None = None, texture_r
         layout.pad.copy(),
         layout.route.copy(),
         layout.illumination,
-        tuple(Mover(thing.name, thing.poses) for thing in layout.moving),
+        _movers(layout),
     )
 
 
@@ -133,6 +133,16 @@ def flight_area(name: str, seed: int) -> FlightArea:
     _require(name)
     layout = WORLDS[name].layout(_generators(seed)[0])
     return FlightArea(space_of(layout), layout.free_box, layout.pad, layout.route, layout.gates)
+
+
+def movers(name: str, seed: int) -> tuple[Mover, ...]:
+    """Return the moving objects of a world, without painting its textures.
+
+    Raises:
+        ConfigError: The world is unknown.
+    """
+    _require(name)
+    return _movers(WORLDS[name].layout(_generators(seed)[0]))
 
 
 def collision_spec(name: str, seed: int) -> mujoco.MjSpec:
@@ -158,6 +168,11 @@ def instance_spec(name: str, seed: int) -> mujoco.MjSpec:
     """
     _require(name)
     return assembled_instances(WORLDS[name].layout(_generators(seed)[0]))
+
+
+def _movers(layout: Layout) -> tuple[Mover, ...]:
+    """Return the moving objects of a layout."""
+    return tuple(Mover(thing.name, thing.poses) for thing in layout.moving)
 
 
 def _require(name: str) -> None:

@@ -2,6 +2,7 @@ import os
 
 os.environ.setdefault("OMP_NUM_THREADS", "1")  # before NumPy is imported: threads that spin make small systems slower
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+os.environ.setdefault("DRONEVIO_WORLD_FILES", "0")  # tests neither depend on files of earlier runs nor leave any
 
 import importlib
 from collections.abc import Callable

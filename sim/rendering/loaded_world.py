@@ -7,7 +7,8 @@ import mujoco
 
 from dronevio.sim.cameras.atlas_renderer import RenderContext
 from dronevio.sim.rendering.shared import Lease, SharedPool
-from dronevio.sim.world import Mover, build_world
+from dronevio.sim.rendering.world_files import compiled
+from dronevio.sim.world import Mover, build_world, movers
 
 
 @dataclass(frozen=True)
@@ -67,7 +68,12 @@ def _loaded(key: WorldKey) -> LoadedWorld:
 @lru_cache(maxsize=2)
 def _compiled(key: WorldKey) -> tuple[mujoco.MjModel, tuple[Mover, ...]]:
     """Return the compiled model of a world and its moving objects."""
+    return compiled(repr(key), partial(_built, key)), movers(key.name, key.seed)
+
+
+def _built(key: WorldKey) -> mujoco.MjModel:
+    """Build and compile a world."""
     world = build_world(key.name, key.seed, key.texture_seed, key.texture_reduction)
     size = world.spec.visual.global_
     size.offwidth = size.offheight = 1  # the frame buffer grows to what is rendered; a small one is faster
-    return world.spec.compile(), world.movers
+    return world.spec.compile()
