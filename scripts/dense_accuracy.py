@@ -156,9 +156,9 @@ def near_points(points: Array, reconstruction: Reconstruction) -> Array:
 
 def score(true: Array, points: Array, reconstruction: Reconstruction) -> tuple[CloudScore, ...]:
     """Return the scores of estimated points (N, 3) in the world frame of the truth."""
-    return compare_clouds(
-        true, voxel_means(near_points(points, reconstruction), VOXEL_M), DISTANCES_M, every=SCORED_EVERY
-    )
+    reduced = voxel_means(points, VOXEL_M)
+    scored = near_points(reduced[::SCORED_EVERY], reconstruction)
+    return compare_clouds(true, reduced, DISTANCES_M, scored_true=true[::SCORED_EVERY], scored_estimated=scored)
 
 
 def sgbm_depth(view: View, others: Iterable[View], points: Array, config: SgbmConfig, margin: float) -> PosedDepth:

@@ -34,7 +34,12 @@ class CloudScore:
 
 
 def compare_clouds(
-    true: Array, estimated: Array, distances_m: Sequence[float], *, every: int = 1
+    true: Array,
+    estimated: Array,
+    distances_m: Sequence[float],
+    *,
+    scored_true: Array | None = None,
+    scored_estimated: Array | None = None,
 ) -> tuple[CloudScore, ...]:
     """Return the agreement of two point clouds in the same frame at some distances.
 
@@ -44,7 +49,8 @@ def compare_clouds(
         true: (N, 3) True points [m].
         estimated: (M, 3) Estimated points [m].
         distances_m: Distances below which a point counts as right [m].
-        every: The shares are those of every n-th point, which saves time; the nearest points are sought among all.
+        scored_true: (K, 3) The true points that are counted, if not all.
+        scored_estimated: (L, 3) The estimated points that are counted, if not all.
 
     Raises:
         EvaluationError: There are no true points.
@@ -54,8 +60,8 @@ def compare_clouds(
     if not len(estimated):
         return tuple(CloudScore(float(d), 0.0, 0.0) for d in distances_m)
     limit = max(distances_m)
-    to_true = nearest_distances(estimated[::every], true, limit)
-    to_estimated = nearest_distances(true[::every], estimated, limit)
+    to_true = nearest_distances(estimated if scored_estimated is None else scored_estimated, true, limit)
+    to_estimated = nearest_distances(true if scored_true is None else scored_true, estimated, limit)
     return tuple(
         CloudScore(float(d), float(np.mean(to_true <= d)), float(np.mean(to_estimated <= d))) for d in distances_m
     )
