@@ -12,7 +12,7 @@ BACKGROUND = (18, 21, 26)
 """Colour where there is no point; that of the 3D view in the rerun viewer."""
 _MAX_SIDE_PX = 9  # of the square of a point
 _NEAR_SHARE = 0.02  # of the median depth of the points, below which they are not drawn
-_AMBIENT = 0.35  # brightness of surfaces that face away from the light
+_AMBIENT = 0.2  # brightness of surfaces that are opposite to the light
 
 
 @dataclass(frozen=True, eq=False)
@@ -93,5 +93,5 @@ def shaded(normals: Array, eye: Eye) -> Image:
     right, down, forward = eye.axes
     light = -forward - 0.5 * right - 0.7 * down
     light /= np.linalg.norm(light)
-    brightness = _AMBIENT + (1.0 - _AMBIENT) * np.clip(normals @ light, 0.0, 1.0)
+    brightness = _AMBIENT + (1.0 - _AMBIENT) * 0.5 * (1.0 + normals @ light)  # not constant in the shade
     return np.repeat(np.round(235.0 * brightness)[:, None], 3, axis=1).astype(np.uint8)

@@ -18,6 +18,8 @@ from dronevio.models.surfaces import Mesh, PointCloud
 POINTS = "dense/points"
 MESH = "dense/mesh"
 CAMERAS = "dense/cameras"
+MAX_POINTS = 3_000_000
+"""Largest number of points in a file; of more points, every n-th is written."""
 _VIEW_ASPECT = 0.85  # width of one of two views side by side relative to its height
 
 
@@ -46,10 +48,10 @@ def write_dense_rerun(
     check_output_path(path)
     path.parent.mkdir(parents=True, exist_ok=True)
     with Sink.to_file(path, name, _blueprint(reconstruction, cloud), origin_ns=0) as sink:
-        points = rr.Points3D(
-            cloud.points.astype(np.float32), colors=cloud.colours, radii=0.5 * point_size, point_shading="Flat"
-        )
-        sink.static(POINTS, points)
+        every = -(-len(cloud) // MAX_POINTS) or 1
+        radius = 0.5 * point_size * np.sqrt(every)
+        positions = cloud.points[::every].astype(np.float32)
+        sink.static(POINTS, rr.Points3D(positions, colors=cloud.colours[::every], radii=radius, point_shading="Flat"))
         sink.static(
             MESH,
             rr.Mesh3D(
