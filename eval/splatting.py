@@ -93,5 +93,5 @@ def shaded(normals: Array, eye: Eye) -> Image:
     right, down, forward = eye.axes
     light = -forward - 0.5 * right - 0.7 * down
     light /= np.linalg.norm(light)
-    brightness = _AMBIENT + (1.0 - _AMBIENT) * 0.5 * (1.0 + normals @ light)  # not constant in the shade
+    brightness = _AMBIENT + (1.0 - _AMBIENT) * (0.5 + 0.5 * normals @ light) ** 2  # not constant in the shade
     return np.repeat(np.round(235.0 * brightness)[:, None], 3, axis=1).astype(np.uint8)
