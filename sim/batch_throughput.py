@@ -70,6 +70,19 @@ def batch_figures(
     return figures_of(timings, count, actions)
 
 
+def batch_speed(count: int, actions: int, runs: int, step_s: float) -> float:
+    """Return the simulated seconds of vehicles with IMUs per second of processor time, the median of some runs.
+
+    Args:
+        count: Number of vehicles.
+        actions: Number of actions in each run.
+        runs: Number of runs.
+        step_s: Time step of the physics [s].
+    """
+    step = _flying(count, imu=True, step_s=step_s)
+    return count * actions / ACTIONS_PER_S / float(np.median([_spent_s(step, actions) for _ in range(runs)]))
+
+
 def figures_of(
     timings: list[BatchTiming], count: int, actions: int
 ) -> tuple[PerformanceFigure, PerformanceFigure, PerformanceFigure]:
@@ -137,10 +150,10 @@ def _bare(count: int) -> Callable[[int], None]:
     return step
 
 
-def _flying(count: int, imu: bool) -> Callable[[int], None]:
+def _flying(count: int, imu: bool, step_s: float = STEP_S) -> Callable[[int], None]:
     """Return a function that runs plant and IMUs for one action, given its number."""
     rig, rng = euroc_rig(), np.random.default_rng(0)
-    plant = BatchPlant(count, rig, step_s=STEP_S, imu=imu, rng=rng, nthread=1)
+    plant = BatchPlant(count, rig, step_s=step_s, imu=imu, rng=rng, nthread=1)
     states, parameters = _initial(count)
     winds = Winds.of(_WIND, count)
     errors = BatchImuErrors(rig.imu, count, rng)

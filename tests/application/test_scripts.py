@@ -45,6 +45,27 @@ corrupted_tracks, profiler, repeated_recording, processor_time, seeds, initializ
 )
 
 
+gym_speed, physics_rates = map(fixture_of, ("gym_speed", "physics_rates"))
+
+
+def test_rows_of_other_simulators_have_ratios(gym_speed: Any) -> None:
+    measured = [{"version": "3.0.0", "settings": "two vehicles", "speed": 72.4}]
+    rows = gym_speed.rows_of("rotorpy", measured, own=144.8)
+    assert rows == [("rotorpy 3.0.0", "two vehicles", "72", "2", gym_speed.LEFT_OUT["rotorpy"])]
+
+
+def test_errors_of_the_physics_shrink_with_the_step(physics_rates: Any) -> None:
+    paths = physics_rates.random_paths(2)
+    reference = physics_rates.fly_controlled(4000, paths, 0.5)
+    coarse, fine = (
+        physics_rates.errors(physics_rates.fly_controlled(rate_hz, paths, 0.5), reference) for rate_hz in (400, 1000)
+    )
+    # The integrator is of first order: (1/400 - 1/4000) / (1/1000 - 1/4000) = 3
+    np.testing.assert_allclose(np.array(coarse) / np.array(fine), 3.0, rtol=0.2)
+    again = physics_rates.fly_open(4000, paths, reference.commands)
+    np.testing.assert_array_equal(again.position_m, reference.position_m)
+
+
 @given(st.lists(st.integers(0, 30), min_size=1, max_size=6))
 def test_numbers_are_lists_and_ranges(markdown_tables: Any, numbers: list[int]) -> None:
     assert markdown_tables.numbers(",".join(map(str, numbers))) == tuple(dict.fromkeys(numbers))
