@@ -2,6 +2,7 @@
 
 from dataclasses import replace
 
+import mujoco
 import numpy as np
 import pytest
 
@@ -10,6 +11,7 @@ from dronevio.models.quadrotor import VEHICLES, Quadrotor
 from dronevio.models.rig import euroc_rig
 from dronevio.models.rotation import exp_so3, pose_matrix
 from dronevio.sim.physics.batch_plant import BatchPlant
+from dronevio.sim.physics.collisions import COLLISION_GROUP, add_floor
 from dronevio.sim.physics.plant import QuadrotorPlant
 from dronevio.sim.physics.vehicle_states import VehicleParameters, VehicleStates
 from dronevio.sim.physics.wind import Wind, Winds
@@ -83,6 +85,50 @@ def test_a_row_equals_a_single_plant(name: str) -> None:
             np.testing.assert_allclose(reached.rotor_speed_rad_s[k], single.rotor_speeds_rad_s, atol=1e-9)
             np.testing.assert_allclose(reached.battery_charge[k], single.battery_charge, atol=1e-9)
             np.testing.assert_allclose(reached.battery_v[k], single.battery_v, atol=1e-9)
+
+
+@pytest.mark.parametrize("rate_hz", [100.0, 1000.0])
+def test_other_imu_rates_equal_a_single_plant(rate_hz: float) -> None:
+    rig = replace(RIG, imu=replace(RIG.imu, rate_hz=rate_hz))
+    states = drawn_states(VEHICLES["research"], np.random.default_rng(0))
+    single = QuadrotorPlant(rig)
+    batch = BatchPlant(3, rig, step_s=min(1e-3, 0.5 / rate_hz))
+    batch.reset(EVERY, states)
+    pose = pose_matrix(states.R_world_vehicle[0], states.position_m[0])
+    single.reset(pose, states.velocity_m_s[0], states.rate_rad_s[0], states.rotor_speed_rad_s[0])
+    single.step_until(0, np.zeros(4))
+    for _ in range(20):
+        expected = single.step_until(single.t_ns + single.interval_ns, np.full(4, 600.0))
+        sampled = batch.advance(np.full((3, 4), 600.0))
+        np.testing.assert_allclose(sampled.gyro_rad_s[0], expected.gyro_rad_s[0], atol=1e-9)
+        np.testing.assert_allclose(sampled.accel_m_s2[0], expected.accel_m_s2[0], atol=1e-9)
+
+
+def test_a_landing_equals_that_of_a_single_plant() -> None:
+    R, position = exp_so3(np.array([0.1, -0.05, 0.3])), np.array([0.0, 0.0, 0.3])
+    batch, single = BatchPlant(1, RIG), QuadrotorPlant(RIG)
+    batch.reset(np.ones(1, dtype=bool), VehicleStates.at(position[None], R))
+    single.reset(pose_matrix(R, position))
+    for _ in range(100):
+        batch.advance(np.zeros((1, 4)))
+    single.advance(100 * single.interval_ns, np.zeros(4))
+    np.testing.assert_allclose(batch.states.position_m[0], single.vehicle_state().T_world_imu[:3, 3], atol=1e-9)
+    assert not batch.touched[0] and single.collision is None
+
+
+def test_obstacles_of_a_world_are_touched() -> None:
+    world = mujoco.MjSpec()
+    add_floor(world)
+    world.worldbody.add_geom(
+        name="wall", type=mujoco.mjtGeom.mjGEOM_BOX, size=[0.1, 5.0, 5.0], pos=[1.0, 0.0, 0.0], group=COLLISION_GROUP
+    )
+    plant = BatchPlant(3, RIG, surroundings=world)
+    speeds = plant.quadrotor.hover_speed_rad_s
+    velocity = np.array([[3.0, 0.0, 0.0], [-3.0, 0.0, 0.0], [0.0, 0.0, 0.0]])
+    plant.reset(EVERY, VehicleStates.at(np.tile([0.0, 0.0, 2.0], (3, 1)), None, velocity, 0.0, speeds))
+    for _ in range(60):
+        plant.advance(np.full((3, 4), speeds))
+    np.testing.assert_array_equal(plant.touched, [True, False, False])
 
 
 def flown(plant: BatchPlant, steps: int, first: int = 0, spoilt: int | None = None) -> list[np.ndarray]:
