@@ -309,11 +309,11 @@ def test_wrappers_of_gymnasium_work(tmp_path: Path) -> None:
     assert observation.shape == (3, 38)
     assert np.isfinite(env.step(env.action_space.sample())[0]).all()
     pytest.importorskip("moviepy")
-    filmed: Any = RecordVideo(DroneEnv("hover", "rgb_array", world=QUICK_WORLD), str(tmp_path))
+    filmed: Any = RecordVideo(DroneEnv("hover", "rgb_array", world=QUICK_WORLD), str(tmp_path / "video"))
     filmed.reset(seed=0)
     filmed.step(filmed.action_space.sample())
     filmed.close()
-    assert list(tmp_path.glob("*.mp4"))
+    assert list(tmp_path.glob("video/*.mp4"))
 
 
 @pytest.mark.skipif(sys.platform != "linux", reason="reads memory and files as Linux lists them")
