@@ -23,6 +23,7 @@ from dronevio.sim.envs.options import overridden
 from dronevio.sim.envs.randomization import Draws
 from dronevio.sim.envs.settings import EnvironmentSettings
 from dronevio.sim.envs.tasks import Objective, Transition
+from dronevio.sim.envs.tasks.task import distance_m
 from dronevio.sim.inertial.batch_imu import BatchImuErrors
 from dronevio.sim.physics.batch_plant import BatchPlant
 from dronevio.sim.physics.vehicle_states import Mask, VehicleStates
@@ -180,7 +181,7 @@ class DroneCore:
         """Return the observations of n environments."""
         objective = self._objective()
         situation = Situation(
-            self._states, objective, self._imu, self._bias, self.plant.wind_m_s, self._action, self._draws
+            self._states, objective, self._imu, self._bias, lambda: self.plant.wind_m_s, self._action, self._draws
         )
         values: dict[str, npt.NDArray[Any]] = {name: one.observe(situation) for name, one in self._named.items()}
         if self._images is not None:
@@ -210,7 +211,7 @@ class DroneCore:
                 "plant": self.plant.save(),
                 "errors": self._errors.save(),
                 "mode": self._mode.state(),
-                "delayed": self._delayed.state(),
+                "delayed": self._delayed.save(),
                 "images": None if self._images is None else self._images.save(),
                 "rng": self._rng.bit_generator.state,
                 "draws": self._draws,
@@ -272,7 +273,7 @@ class DroneCore:
     def _state_info(self) -> dict[str, Any]:
         """Return values by name, arrays of n rows, that describe the current state."""
         goal = self._objective().position_m[:, 0]
-        return {"distance_m": np.linalg.norm(self._states.position_m - goal, axis=1), "t_ns": self.plant.t_ns}
+        return {"distance_m": distance_m(self._states, goal), "t_ns": self.plant.t_ns}
 
     def _reset_info(self) -> dict[str, Any]:
         """Return values by name, arrays of n rows, that describe the start of an episode."""

@@ -1,5 +1,7 @@
 """Latency: actions that take effect a number of IMU intervals after the observation."""
 
+from typing import Any
+
 import numpy as np
 import numpy.typing as npt
 
@@ -24,7 +26,8 @@ class DelayedActions:
         """
         self._samples, self._interval_s = samples, interval_s
         depth = int(np.ceil(LATENCY_MAX_S / interval_s / samples)) + 1
-        self._recent = np.zeros((count, depth, 4))
+        self._recent: Array = np.zeros((depth, count, 4))  # a ring, in which newer actions precede older ones
+        self._newest = 0
         self._delay = np.zeros(count, dtype=np.int64)
         self._environments = np.arange(count)
 
@@ -32,21 +35,24 @@ class DelayedActions:
         """Start the episodes of a mask (n,) with zero actions and latencies (n,) [s], of which masked rows are used."""
         rounded = np.rint(np.clip(latency_s, 0.0, LATENCY_MAX_S) / self._interval_s).astype(np.int64)
         self._delay = np.where(mask, rounded, self._delay)
-        self._recent = np.where(mask[:, None, None], 0.0, self._recent)
+        self._recent[:, mask] = 0.0
 
     def push(self, actions: Array) -> None:
         """Add the actions (n, 4) of a new step."""
-        self._recent = np.concatenate([actions[:, None], self._recent[:, :-1]], axis=1)
+        self._newest = (self._newest - 1) % len(self._recent)
+        self._recent[self._newest] = actions
 
     def at(self, interval: int) -> Array:
         """Return the actions (n, 4) that take effect in an IMU interval of the current step."""
         age = np.maximum(-((interval - self._delay) // self._samples), 0)
-        return np.asarray(self._recent[self._environments, age])
+        if not age.any():
+            return np.array(self._recent[self._newest])
+        return np.asarray(self._recent[(self._newest + age) % len(self._recent), self._environments])
 
-    def state(self) -> dict[str, npt.NDArray[np.generic]]:
+    def save(self) -> dict[str, Any]:
         """Return a copy of actions and delays."""
-        return {"recent": self._recent.copy(), "delay": self._delay.copy()}
+        return {"recent": self._recent.copy(), "newest": self._newest, "delay": self._delay.copy()}
 
-    def restore(self, state: dict[str, npt.NDArray[np.generic]]) -> None:
-        """Return to a state."""
-        self._recent, self._delay = np.array(state["recent"], np.float64), np.array(state["delay"], np.int64)
+    def restore(self, saved: dict[str, Any]) -> None:
+        """Return to a state of `save`."""
+        self._recent, self._newest, self._delay = saved["recent"].copy(), saved["newest"], saved["delay"].copy()

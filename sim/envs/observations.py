@@ -75,8 +75,8 @@ class Situation:
     """(n, N, 6) IMU samples since the last action."""
     imu_bias: Array
     """(n, 6) Biases of the IMUs."""
-    wind_m_s: Array
-    """(n, 3) Velocities of the air in the world frame [m/s]."""
+    wind_m_s: Callable[[], Array]
+    """Function that returns the velocities (n, 3) of the air in the world frame [m/s]."""
     last_action: Array
     """(n, 4) Actions of the last step."""
     draws: Draws
@@ -219,7 +219,7 @@ def _parameters(limits: Limits) -> Observation:
 
 
 def _wind(limits: Limits) -> Observation:
-    return Observation(_symmetric((3,), FASTEST_M_S), lambda s: s.wind_m_s)
+    return Observation(_symmetric((3,), FASTEST_M_S), lambda s: s.wind_m_s())
 
 
 def _imu_bias(limits: Limits) -> Observation:

@@ -165,19 +165,25 @@ def flight_box_m(area: FlightArea, margin_m: float) -> Array:
 
 def distance_m(states: VehicleStates, goal_m: Array) -> Array:
     """Return the distances (n,) of vehicles from goals (n, 3) [m]."""
-    return np.asarray(np.linalg.norm(states.position_m - goal_m, axis=1))
+    return _length(states.position_m - goal_m)
 
 
 def rate_rad_s(states: VehicleStates) -> Array:
     """Return the angular speeds (n,) of vehicles [rad/s]."""
-    return np.asarray(np.linalg.norm(states.rate_rad_s, axis=1))
+    return _length(states.rate_rad_s)
 
 
 def action_change(step: Transition) -> Array:
     """Return the mean squared changes (n,) of the components of the actions."""
-    return np.asarray(np.square(step.action - step.previous_action).mean(axis=1))
+    change = step.action - step.previous_action
+    return np.asarray(np.vecdot(change, change) / change.shape[1])
 
 
 def weighted(weight: float, values: npt.ArrayLike) -> Array:
     """Return values (n,), which may be counts or masks, multiplied by a weight."""
     return np.asarray(weight * np.asarray(values, dtype=np.float64))
+
+
+def _length(vectors: Array) -> Array:
+    """Return the lengths (n,) of vectors (n, 3)."""
+    return np.asarray(np.sqrt(np.vecdot(vectors, vectors)))
