@@ -22,6 +22,7 @@ from dronevio.sim.chase_camera import CHASE_CAMERAS
 from dronevio.sim.rendering.loaded_world import LOADED_WORLDS
 
 ID = "dronevio.envs:dronevio/Hover-v0"
+OBSERVATIONS = "grey", "depth", "position"
 GROWTH_MAX_MB = 8.0
 """Largest growth of memory after the first tenth [MB]; the allocator's reserves vary by less."""
 
@@ -59,7 +60,7 @@ def growth(work: Callable[[int], None], count: int) -> tuple[Resources, Resource
 
 def make_and_close(number: int) -> None:
     """Make an environment, reset and render it, and close it."""
-    env = gymnasium.make(ID, camera=True, render_mode="rgb_array")
+    env = gymnasium.make(ID, observations=OBSERVATIONS, render_mode="rgb_array")
     env.reset(seed=number)
     env.render()
     env.close()
@@ -79,7 +80,7 @@ def main() -> int:
         "--environments", type=int, default=200, help="Number of environments that are made and closed."
     )
     options = parser.parse_args()
-    env: gymnasium.Env[Any, Any] = gymnasium.make(ID, camera=True)
+    env: gymnasium.Env[Any, Any] = gymnasium.make(ID, observations=OBSERVATIONS)
 
     def reset(number: int) -> None:
         env.reset(seed=number)

@@ -7,7 +7,7 @@ from dronevio.models.errors import ConfigError
 from dronevio.sim.chase_camera import ChaseCamera, lease_chase_camera
 from dronevio.sim.envs.settings import EnvironmentSettings
 from dronevio.sim.rendering.shared import Lease
-from dronevio.sim.rendering.window import Window, require_display
+from dronevio.sim.rendering.window import Window, has_display, require_display
 
 Array = npt.NDArray[np.float64]
 Picture = npt.NDArray[np.uint8]
@@ -27,6 +27,11 @@ def check_render_mode(render_mode: str | None, modes: tuple[str, ...]) -> None:
         raise ConfigError(f"render mode {render_mode!r}; expected None or {' or '.join(map(repr, modes))}")
     if render_mode == "human":
         require_display()
+
+
+def possible_render_modes() -> list[str]:
+    """Return the render modes that work here, all of which Gymnasium's `check_env` tries: ``human`` needs a display."""
+    return [mode for mode in RENDER_MODES if mode != "human" or has_display()]
 
 
 class DronePictures:

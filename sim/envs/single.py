@@ -10,7 +10,7 @@ from dronevio.models.errors import ConfigError
 from dronevio.sim.envs.arrangement import rows_of
 from dronevio.sim.envs.core import DroneCore
 from dronevio.sim.envs.info import Info, row_of
-from dronevio.sim.envs.rendering import RENDER_MODES, DronePictures, check_render_mode
+from dronevio.sim.envs.rendering import RENDER_MODES, DronePictures, check_render_mode, possible_render_modes
 from dronevio.sim.envs.settings import settings_of
 from dronevio.sim.envs.tasks import AnyTask
 
@@ -70,7 +70,7 @@ class DroneEnv(gymnasium.Env[Any, npt.NDArray[np.floating[Any]]]):
         self._arguments = {"task": task, "render_mode": render_mode, **settings}
         self.render_mode = render_mode
         self.settings = settings_of(task, **settings)
-        self.metadata = {**self.metadata, "render_fps": round(self.settings.action_rate_hz)}
+        self.metadata = {"render_modes": possible_render_modes(), "render_fps": round(self.settings.action_rate_hz)}
         self._core = DroneCore(1, self.settings)
         self._pictures = DronePictures(self.settings)
         self._started = False
