@@ -2,7 +2,7 @@
 
 import time
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import astuple, dataclass
 
 import numpy as np
 import numpy.typing as npt
@@ -14,6 +14,9 @@ from dronevio.models.progress import Progress, silent
 from dronevio.models.quadrotor import RESEARCH
 from dronevio.models.rig import euroc_rig
 from dronevio.models.rotation import exp_so3, quat_wxyz_from_matrix
+from dronevio.sim.envs.distributions import Constant, Uniform
+from dronevio.sim.envs.randomization import Randomization
+from dronevio.sim.envs.vector import DroneVectorEnv
 from dronevio.sim.inertial.batch_imu import BatchImuErrors
 from dronevio.sim.physics.batch_plant import BatchPlant
 from dronevio.sim.physics.vehicle import physics_model
@@ -39,11 +42,11 @@ class BatchTiming:
     """Time with rotors, air, battery and resets, and IMUs with errors [s]."""
     blind_s: float
     """Time with rotors, air, battery and resets, without IMUs [s]."""
+    environment_s: float
+    """Time of the vector environment ``Hover-v0`` with IMUs, random masses and gusts [s]."""
 
 
-def batch_figures(
-    count: int, actions: int, runs: int, progress: Progress = silent
-) -> tuple[PerformanceFigure, PerformanceFigure, PerformanceFigure]:
+def batch_figures(count: int, actions: int, runs: int, progress: Progress = silent) -> list[PerformanceFigure]:
     """Measure the speed of many vehicles in one thread, relative to the bare physics and to real time.
 
     The variants run in turn. The bare physics are those of the same vehicles from the same states, airborne under a
@@ -60,12 +63,12 @@ def batch_figures(
     """
     if runs < 1:
         raise ConfigError(f"{runs} runs; expected 1 or more")
-    variants = _flying(count, imu=True), _flying(count, imu=False), _bare(count)
+    variants = _flying(count, imu=True), _flying(count, imu=False), _bare(count), _environment(count)
     timings = []
     for run in range(runs):
         progress(run, runs)
-        full_s, blind_s, bare_s = (_spent_s(step, actions) for step in variants)
-        timings.append(BatchTiming(bare_s, full_s, blind_s))
+        full_s, blind_s, bare_s, environment_s = (_spent_s(step, actions) for step in variants)
+        timings.append(BatchTiming(bare_s, full_s, blind_s, environment_s))
     progress(runs, runs)
     return figures_of(timings, count, actions)
 
@@ -83,31 +86,35 @@ def batch_speed(count: int, actions: int, runs: int, step_s: float) -> float:
     return count * actions / ACTIONS_PER_S / float(np.median([_spent_s(step, actions) for _ in range(runs)]))
 
 
-def figures_of(
-    timings: list[BatchTiming], count: int, actions: int
-) -> tuple[PerformanceFigure, PerformanceFigure, PerformanceFigure]:
+def figures_of(timings: list[BatchTiming], count: int, actions: int) -> list[PerformanceFigure]:
     """Return the figures of the timings of some runs, each with ``count`` vehicles and a number of actions."""
     simulated_s = count * actions / ACTIONS_PER_S
-    full = float(np.median([timing.bare_s / timing.full_s for timing in timings]))
-    blind = float(np.median([timing.bare_s / timing.blind_s for timing in timings]))
-    speeds = [simulated_s / np.median([getattr(timing, name) for timing in timings]) for name in _FIELDS]
+    bare, full, blind, environment = np.array([astuple(timing) for timing in timings]).T
+    by_bare = [float(np.median(bare / variant)) for variant in (full, blind, environment)]
+    speeds = [float(simulated_s / np.median(variant)) for variant in (bare, full, blind, environment)]
     method = (
-        f"{count} vehicles, physics at {1.0 / STEP_S:.0f} Hz, actions at {ACTIONS_PER_S:.0f} Hz, 200 Hz IMU, random"
-        f" masses, gusts, episodes of {_EPISODE / ACTIONS_PER_S:.0f} s; median of {len(timings)} runs"
+        f"{count} vehicles in the air, physics at {1.0 / STEP_S:.0f} Hz, actions at {ACTIONS_PER_S:.0f} Hz, 200 Hz IMU,"
+        f" random masses, gusts, episodes of {_EPISODE / ACTIONS_PER_S:.0f} s; median of {len(timings)} runs"
     )
     per_s = "simulated s per CPU s"
-    return (
+    named = "Hover-v0 with random masses, gusts and the episodes that result from constant actions"
+    return [
         PerformanceFigure(
-            "many vehicles, by bare physics", full, "", 0.6, "at least", f"{method}; bare: {speeds[0]:.0f} {per_s}"
+            "many vehicles, by bare physics",
+            by_bare[0],
+            "",
+            0.6,
+            "at least",
+            f"{method}; bare: {speeds[0]:.0f} {per_s}",
         ),
         PerformanceFigure(
-            "without IMU, by bare physics", blind, "", 0.75, "at least", f"as above; {speeds[2]:.0f} {per_s}"
+            "without IMU, by bare physics", by_bare[1], "", 0.75, "at least", f"as above; {speeds[2]:.0f} {per_s}"
         ),
-        PerformanceFigure("many vehicles", float(speeds[1]), per_s, 300.0, "at least", "as above, with IMUs"),
-    )
-
-
-_FIELDS = ("bare_s", "full_s", "blind_s")
+        PerformanceFigure("many vehicles", speeds[1], per_s, 300.0, "at least", "as above, with IMUs"),
+        PerformanceFigure(
+            "vector environment", speeds[3], per_s, 300.0, "at least", f"{named}; {by_bare[2]:.2f} of the bare physics"
+        ),
+    ]
 
 
 def _initial(count: int) -> tuple[VehicleStates, VehicleParameters]:
@@ -174,6 +181,20 @@ def _flying(count: int, imu: bool, step_s: float = STEP_S) -> Callable[[int], No
             if imu:
                 errors.add_to(np.hstack([samples.gyro_rad_s, samples.accel_m_s2]))
         assert len(plant.states) == count
+
+    return step
+
+
+def _environment(count: int) -> Callable[[int], None]:
+    """Return a function that steps the vector environment once, given the number of the action."""
+    mass = Uniform(0.8, 1.2)
+    random = Randomization(mass=mass, inertia=mass, gusts=Constant(_WIND.gusts), wind_m_s=Constant(_WIND.speed_m_s))
+    envs = DroneVectorEnv(count, "hover", flat=True, randomization=random)
+    envs.reset(seed=0)
+    actions = np.zeros((count, 4), dtype=np.float32)
+
+    def step(action: int) -> None:
+        envs.step(actions)
 
     return step
 

@@ -35,6 +35,7 @@ Array = npt.NDArray[np.float64]
 FASTEST = 1e4
 """Largest component of a velocity [m/s] or angular velocity [rad/s] that is not divergence."""
 _ALL = slice(None)
+_NONE = np.zeros(0, dtype=np.intp)
 _RECORDED = int(mujoco.mjtState.mjSTATE_QPOS | mujoco.mjtState.mjSTATE_QVEL)
 
 
@@ -240,13 +241,14 @@ class BatchPlant:
         self._pose[rows, 3:] = quat_wxyz_from_matrix(states.R_world_vehicle[rows])
         self._twist[rows, :3] = states.velocity_m_s[rows]
         self._twist[rows, 3:] = states.rate_rad_s[rows]
-        steady = self._rotors_of(rows).steady_state(states.rotor_speed_rad_s[rows], states.battery_charge[rows])
+        rotors = Rotors(self.quadrotor, self._parameters.rows(rows))
+        steady = rotors.steady_state(states.rotor_speed_rad_s[rows], states.battery_charge[rows])
         self._state = self._state.with_rows(rows, steady)
         for flags in (self._touched, self._diverged):
             flags[rows] = False
         self._elapsed[rows] = 0
         self._motion[:, rows] = self._physics_motion(rows)
-        middle = self._step_interval(rows)
+        middle = self._step_interval(rows, rotors)
         if self._imu:
             before = 2.0 * self._motion[:, rows] - middle  # extrapolated to before t = 0
             self._velocity_between[:, rows] = velocities_of(self.rig.T_vehicle_imu[:3, 3], before, self._step_s)
@@ -264,33 +266,44 @@ class BatchPlant:
         self._elapsed += 1
         self._motion = self._physics_motion(_ALL)
         self._state = self._rotors.step(self._state, commands, self.interval_s)
-        middle = self._step_interval(_ALL)
+        middle = self._step_interval(_ALL, self._rotors)
         if self._imu:
             self._samples = self._sample(_ALL, middle)
         return self._samples
-
-    def _rotors_of(self, rows: Rows) -> Rotors:
-        """Return the rotors of the selected vehicles."""
-        return self._rotors if isinstance(rows, slice) else Rotors(self.quadrotor, self._parameters.rows(rows))
 
     def _physics_motion(self, rows: Rows) -> Array:
         """Return the motion (13, k) of the physics."""
         return np.concatenate([self._pose[rows].T, self._twist[rows].T])
 
-    def _step_interval(self, rows: Rows) -> Array:
-        """Step the physics by an interval and return the motion (13, k) in its middle."""
+    def _step_interval(self, rows: Rows, rotors: Rotors) -> Array:
+        """Step the physics of k vehicles with their rotors by an interval.
+
+        Returns:
+            The motion (13, k) in the middle of the interval; that at its start in a plant without IMUs.
+        """
         ids = None if isinstance(rows, slice) else rows
         state = self._state if ids is None else self._state.rows(rows)
-        self._control[rows] = self._rotors_of(rows).wrench(state, self._airflow(rows))
+        self._control[rows] = rotors.wrench(state, self._airflow(rows))
+        middle = self._run(ids) if self._imu else self._run_unrecorded(rows)
+        self._detect_contacts(rows)
+        stopped = self._stop_diverged(rows)
+        middle[:, stopped] = self._motion[:, rows][:, stopped]
+        return middle
+
+    def _run(self, ids: npt.NDArray[np.intp] | None) -> Array:
+        """Run the physics for an interval and return the motion (13, k) in its middle."""
         record = self._record if ids is None else np.empty((len(ids), *self._record.shape[1:]))
         self._batch.rollout(self._substeps, record=[_RECORDED], ids=ids, out={_RECORDED: record})
         half = self._substeps // 2
-        middle = np.ascontiguousarray(record[:, half - 1].T)
+        middle = np.array(record[:, half - 1].T, order="C")
         if self._substeps % 2:  # the middle is between two steps
             middle = 0.5 * (middle + record[:, half].T)
-        self._detect_contacts(rows, record[:, -2, :7])
-        self._contain_divergence(rows, record[:, -1], middle)
         return middle
+
+    def _run_unrecorded(self, rows: Rows) -> Array:
+        """Run the physics for an interval and return the motion (13, k) at its start."""
+        self._batch.step(None if isinstance(rows, slice) else rows, self._substeps)
+        return self._motion[:, rows]
 
     def _airflow(self, rows: Rows) -> Airflow:
         """Return the airflow at the selected vehicles, and advance the gusts by the distance of an interval."""
@@ -300,26 +313,23 @@ class BatchPlant:
         self._air.move_through(np.sqrt((through_air * through_air).sum(axis=0)) * self.interval_s, rows)
         return Airflow(rotated_back(R, through_air).T, motion[RATE].T, R[2].T, motion[2] - self._ground_m)
 
-    def _detect_contacts(self, rows: Rows, pose: Array) -> None:
-        """Record collisions of the selected vehicles, given the poses (k, 7) before the last step."""
+    def _detect_contacts(self, rows: Rows) -> None:
+        """Record collisions of the selected vehicles."""
         candidates = np.flatnonzero((self._contacts[rows] > 0) & ~self._touched[rows])
-        candidates = candidates[np.isfinite(pose[candidates]).all(axis=1)]
         if candidates.size:
             indices = np.arange(self.count)[rows][candidates]
-            self._touched[indices] = self._detector.detect(indices, pose[candidates])
+            indices = indices[np.isfinite(self._pose[indices]).all(axis=1)]
+            self._touched[indices] = self._detector.detect(indices, self._pose[indices])
 
-    def _contain_divergence(self, rows: Rows, end: Array, middle: Array) -> None:
-        """Mark and stop diverging vehicles.
-
-        Args:
-            rows: The selected vehicles.
-            end: (k, 13) Motion at the end of the interval.
-            middle: (13, k) Motion in its middle, which is replaced for stopped vehicles.
-        """
-        valid = (np.abs(end) < FASTEST).all(axis=1) & ~self._batch.warning[rows, :, 1].any(axis=1)
-        stopped = np.flatnonzero(~valid | self._diverged[rows])
-        if stopped.size == 0:
-            return
+    def _stop_diverged(self, rows: Rows) -> npt.NDArray[np.intp]:
+        """Mark and stop diverging vehicles, and return which of the selected ones are stopped."""
+        pose, twist, warning = self._pose[rows], self._twist[rows], self._batch.warning[rows, :, 1]
+        diverged = self._diverged[rows]
+        slow = np.abs(pose).max() < FASTEST and np.abs(twist).max() < FASTEST  # false for NaN
+        if slow and not warning.any() and not diverged.any():
+            return _NONE
+        valid = (np.abs(pose) < FASTEST).all(axis=1) & (np.abs(twist) < FASTEST).all(axis=1)
+        stopped = np.flatnonzero(~valid | warning.any(axis=1) | diverged)
         indices = np.arange(self.count)[rows][stopped]
         self._diverged[indices] = True
         self._motion[VELOCITY, indices] = 0.0
@@ -327,7 +337,7 @@ class BatchPlant:
         self._batch.reset(indices, stage=mujoco.mjtStage.mjSTAGE_NONE)
         self._pose[indices] = self._motion[:7, indices].T
         self._twist[indices] = 0.0
-        middle[:, stopped] = self._motion[:, indices]
+        return stopped
 
     def _sample(self, rows: Rows, middle: Array) -> PointSamples:
         """Return the samples of k IMUs, given the motion (13, k) in the middle of the next interval."""

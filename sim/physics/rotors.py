@@ -5,6 +5,7 @@ its wrench is constant over the steps of the physics.
 """
 
 from dataclasses import dataclass
+from functools import lru_cache
 from math import exp
 
 import numpy as np
@@ -108,8 +109,7 @@ class Rotors:
             parameters: Differing parameters of n vehicles, for states with n rows; those of the type by default.
         """
         self._quadrotor = quadrotor
-        self._hubs = quadrotor.rotor_positions_m
-        self._spins = quadrotor.rotor_directions
+        self._hubs, self._hub_twists, self._spins = _geometry(quadrotor)
         self._body_drag = 0.5 * AIR_DENSITY_KG_M3 * np.array(quadrotor.drag_area_m2)
         across, along = quadrotor.drag_n_s2_per_rad_m, quadrotor.inflow_n_s2_per_rad_m
         self._rotor_drag = np.array([[across], [across], [along]])
@@ -123,10 +123,6 @@ class Rotors:
             self._thrust = parameters.thrust_scale[:, None] * self._thrust
             self._torque = parameters.thrust_scale[:, None] * self._torque
         self._coasting = self._torque / quadrotor.rotor_inertia_kg_m2
-        # the hubs move with v + Ω × r; forces f there sum up to Σ f and Σ r × f: the same matrix, transposed
-        levers = np.swapaxes(skew(self._hubs), 1, 2)
-        hub_twists = np.concatenate([np.tile(np.eye(3), (4, 1, 1)), levers], axis=2)
-        self._hub_twists = np.ascontiguousarray(hub_twists.transpose(1, 0, 2).reshape(12, 6))
 
     def steady_state(self, speeds_rad_s: Array, charge: Array | float = 1.0) -> RotorState:
         """Return the steady state of rotors at speeds (…, 4) [rad/s] with a charge (…), a full battery by default."""
@@ -194,6 +190,21 @@ class Rotors:
         torque = self._torque * speeds * speeds + drone.rotor_inertia_kg_m2 * change
         shafts = np.maximum(torque * speeds, 0.0).sum(axis=-1)
         return np.asarray(drone.avionics_w + shafts / drone.motor_efficiency)
+
+
+@lru_cache(maxsize=16)
+def _geometry(quadrotor: Quadrotor) -> tuple[Array, Array, Array]:
+    """Return the positions (4, 3) of the hubs [m], the map (12, 6) to their velocities, and the directions of rotation.
+
+    The hubs move with v + Ω × r; forces f there sum up to Σ f and Σ r × f: the same matrix, transposed.
+    """
+    hubs = quadrotor.rotor_positions_m
+    levers = np.swapaxes(skew(hubs), 1, 2)
+    hub_twists = np.concatenate([np.tile(np.eye(3), (4, 1, 1)), levers], axis=2)
+    arrays = hubs, np.ascontiguousarray(hub_twists.transpose(1, 0, 2).reshape(12, 6)), quadrotor.rotor_directions
+    for array in arrays:
+        array.flags.writeable = False  # shared between all models of the vehicle type
+    return arrays
 
 
 def _exp(x: Array | float) -> Array | float:

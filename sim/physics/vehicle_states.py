@@ -119,11 +119,9 @@ class VehicleParameters(Table):
             ConfigError: A mass, inertia, time constant or thrust is not positive, or a drag is negative.
         """
         for field in fields(self):
-            value = getattr(self, field.name)
-            if not (np.all(np.isfinite(value)) and np.all(value > 0.0 if field.name != "drag_scale" else value >= 0.0)):
-                raise ConfigError(
-                    f"{field.name} from {np.min(value):g} to {np.max(value):g}; expected positive numbers"
-                )
+            low, high = float(np.min(getattr(self, field.name))), float(np.max(getattr(self, field.name)))
+            if not ((low >= 0.0 if field.name == "drag_scale" else low > 0.0) and high < np.inf):  # false for NaN
+                raise ConfigError(f"{field.name} of {low:g} to {high:g}; expected positive numbers")
 
     @classmethod
     def of(cls, quadrotor: Quadrotor, count: int) -> Self:

@@ -251,7 +251,7 @@ class BatchAir:
         if not self._gusty:
             return self._winds.mean_m_s[rows]
         gust = self._scales[rows] * (_DIRECT * self._first[rows] + _DELAYED * self._second[rows])
-        return np.asarray(self._winds.mean_m_s[rows] + (gust[:, None, :] @ self._axes[rows])[:, 0])
+        return np.asarray(self._winds.mean_m_s[rows] + np.vecmat(gust, self._axes[rows]))
 
     def move_through(self, distance_m: Array, rows: Rows = slice(None)) -> None:
         """Advance the gusts at the selected vehicles by distances (k,) through the air [m]."""

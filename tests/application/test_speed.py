@@ -53,19 +53,20 @@ def test_many_vehicles_are_measured(capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["speed", "gym", "--quick", "--json"]) == 0
     document = json.loads(capsys.readouterr().out)
     assert (document["subject"], document["envs"], document["runs"]) == ("gym", 16, 2)
-    assert [figure["bound"] for figure in document["figures"]] == [0.6, 0.75, 300.0]
-    full, blind, speed = (figure["value"] for figure in document["figures"])
+    assert [figure["bound"] for figure in document["figures"]] == [0.6, 0.75, 300.0, 300.0]
+    full, blind, speed, environment = (figure["value"] for figure in document["figures"])
     assert 0.0 < full < 1.0 and 0.0 < blind < 1.5
-    assert speed > 5.0
+    assert speed > 5.0 and environment > 1.0
     assert main(["speed", "gym", "--runs", "0"]) == 2
     assert "0 runs; expected 1 or more" in capsys.readouterr().err
 
 
 def test_ratios_of_many_vehicles_are_medians_of_runs() -> None:
-    timings = [BatchTiming(2.0, 4.0, 2.5), BatchTiming(3.0, 3.0, 3.0), BatchTiming(2.0, 10.0, 4.0)]
-    full, blind, speed = figures_of(timings, count=100, actions=50)
-    assert (full.value, blind.value, speed.value) == (0.5, 0.8, 100.0 / 4.0)
+    timings = [BatchTiming(2.0, 4.0, 2.5, 5.0), BatchTiming(3.0, 3.0, 3.0, 1.0), BatchTiming(2.0, 10.0, 4.0, 0.2)]
+    full, blind, speed, environment = figures_of(timings, count=100, actions=50)
+    assert (full.value, blind.value, speed.value, environment.value) == (0.5, 0.8, 25.0, 100.0)
     assert not full.met and blind.met and not speed.met
+    assert "3.00 of the bare physics" in environment.method
 
 
 def test_bounds_are_upper_or_lower() -> None:
