@@ -130,10 +130,11 @@ def pictures(results: DenseResults) -> tuple[Image, Image]:
     eye = Eye.looking_at(*placed, up, VIEWER_FIELD_OF_VIEW_RAD, *_PICTURE_PX)
     seen = eye.faces(cloud.points, cloud.normals)
     points = splat(eye, cloud.points[seen], cloud.colours[seen], 1.4 * results.point_size)
-    seen = eye.faces(mesh.vertices, mesh.normals)[mesh.triangles].all(axis=1)
+    drawn = np.all(eye.faces(mesh.vertices, mesh.normals)[mesh.triangles], axis=1)
     spacing = _MESH_PX * float(np.linalg.norm(placed[1] - placed[0])) / eye.focal_px
-    rows = mesh_points(np.hstack([mesh.vertices, mesh.normals]), mesh.triangles[seen], spacing)
-    normals = rows[:, 3:] / np.linalg.norm(rows[:, 3:], axis=1, keepdims=True)
+    rows = mesh_points(np.hstack([mesh.vertices, mesh.normals]), mesh.triangles[drawn], spacing)
+    lengths = np.linalg.norm(rows[:, 3:], axis=1, keepdims=True)
+    normals = rows[:, 3:] / np.maximum(lengths, np.finfo(float).tiny)
     surface = splat(eye, rows[:, :3], shaded(normals, eye), spacing)
     return points, surface
 
