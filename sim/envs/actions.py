@@ -210,6 +210,22 @@ def action_mode(name: str, quadrotor: Quadrotor, limits: ActionLimits, count: in
     return ControlledFlight(quadrotor, limits, _LAWS[name], count, interval_s)
 
 
+def checked_actions(actions: npt.ArrayLike, count: int) -> Array:
+    """Return the actions (n, 4) of ``count`` environments, clipped to [−1, 1].
+
+    Raises:
+        ConfigError: They are not n rows of four finite numbers.
+    """
+    action = np.asarray(actions, dtype=np.float64)
+    if action.shape != (count, 4):
+        raise ConfigError(f"actions of shape {action.shape}; expected {(count, 4)}")
+    finite = np.isfinite(action).all(axis=1)
+    if not finite.all():
+        row = int(np.argmin(finite))
+        raise ConfigError(f"action {action[row].tolist()} of environment {row}; expected four finite numbers")
+    return np.clip(action, -1.0, 1.0)
+
+
 def _thrust_n(action: Array, quadrotor: Quadrotor) -> Array:
     """Return collective thrusts (n,) [N] of actions (n,)."""
     per_square = 4.0 * quadrotor.thrust_n_per_rad2_s2

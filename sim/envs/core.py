@@ -9,14 +9,12 @@ import numpy as np
 import numpy.typing as npt
 from gymnasium import spaces
 
-from dronevio.models.errors import ConfigError
 from dronevio.models.rotation import pose_matrix
-from dronevio.sim.envs.actions import action_mode
+from dronevio.sim.envs.actions import action_mode, checked_actions
 from dronevio.sim.envs.arrangement import Arrangement
 from dronevio.sim.envs.batches import with_rows
-from dronevio.sim.envs.camera_observation import ImageSettings, RenderedObservation
 from dronevio.sim.envs.endings import GROUND_M, REASONS, Bounds, failures
-from dronevio.sim.envs.held_images import HeldImages
+from dronevio.sim.envs.held_images import rendered_images
 from dronevio.sim.envs.latency import DelayedActions
 from dronevio.sim.envs.observations import Limits, Situation, observation_named
 from dronevio.sim.envs.options import overridden
@@ -83,7 +81,7 @@ class DroneCore:
         self._mode = action_mode(settings.action, self.quadrotor, settings.action_limits, count, self.plant.interval_s)
         self._delayed = DelayedActions(count, settings.samples, self.plant.interval_s)
         self._errors = BatchImuErrors(settings.rig.imu, count, np.random.default_rng(0))
-        self._images = _rendered(count, settings)
+        self._images = rendered_images(count, settings) if settings.images else None
         standing = float(self.area.pad[2]) + self.plant.standing_height_m
         self._bounds = Bounds(self.task.bounds_m(self.area), standing + GROUND_M)
         self._rng = np.random.default_rng(0)
@@ -151,7 +149,7 @@ class DroneCore:
         Raises:
             ConfigError: The actions are not n rows of four finite numbers.
         """
-        action = self._checked(actions)
+        action = checked_actions(actions, self.count)
         before, goals = self._states, self._goals
         self._delayed.push(action)
         for interval in range(self.settings.samples):
@@ -241,21 +239,6 @@ class DroneCore:
         if self._images is not None:
             self._images.close()
 
-    def _checked(self, actions: npt.NDArray[np.floating[Any]]) -> Array:
-        """Return actions within [−1, 1].
-
-        Raises:
-            ConfigError: They are not n rows of four finite numbers.
-        """
-        action = np.asarray(actions, dtype=np.float64)
-        if action.shape != (self.count, 4):
-            raise ConfigError(f"actions of shape {action.shape}; expected {(self.count, 4)}")
-        finite = np.isfinite(action).all(axis=1)
-        if not finite.all():
-            row = int(np.argmin(finite))
-            raise ConfigError(f"action {action[row].tolist()} of environment {row}; expected four finite numbers")
-        return np.clip(action, -1.0, 1.0)
-
     def _perfect(self) -> Array:
         """Return the noise-free IMU samples (n, 6) of the current time."""
         samples = self.plant.samples
@@ -291,21 +274,6 @@ class DroneCore:
             goals=objective.position_m.shape[1],
             has_gates=bool(objective.size_m.any()),
         )
-
-
-def _rendered(count: int, settings: EnvironmentSettings) -> HeldImages | None:
-    """Return the images of n environments; None without images."""
-    if not settings.images:
-        return None
-    width, height = settings.image_size
-    images = ImageSettings(settings.images, width, height)
-    mounted, world, seed = settings.rig.cameras[0], settings.world, settings.world_seed
-    return HeldImages(
-        count,
-        settings.steps_per_image,
-        lambda texture_seed: RenderedObservation(mounted, world, seed, images, texture_seed),
-        seed,
-    )
 
 
 def _scaled(perfect: Array, measured: Array, bias: Array, factor: Array) -> tuple[Array, Array]:
