@@ -36,6 +36,10 @@ class DroneEnv(gymnasium.Env[Any, npt.NDArray[np.floating[Any]]]):
     observation, reward, terminated, truncated, info = env.step(env.action_space.sample())
     ```
 
+    ## Time limits
+    Gymnasium counts the time limit of an id in steps of 20 ms. With another ``action_rate_hz``, pass
+    ``max_episode_steps`` to `gymnasium.make` or `gymnasium.make_vec`, too.
+
     ## Info
     | key | content |
     |---|---|
