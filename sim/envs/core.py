@@ -22,7 +22,7 @@ from dronevio.sim.envs.randomization import Draws
 from dronevio.sim.envs.settings import EnvironmentSettings
 from dronevio.sim.envs.tasks import Objective, Transition
 from dronevio.sim.envs.tasks.task import distance_m
-from dronevio.sim.inertial.batch_imu import BatchImuErrors
+from dronevio.sim.inertial.batch_imu import BatchImuErrors, vibration_of
 from dronevio.sim.physics.batch_plant import BatchPlant
 from dronevio.sim.physics.vehicle_states import Mask, VehicleStates
 from dronevio.sim.physics.wind import Winds
@@ -80,7 +80,12 @@ class DroneCore:
         )
         self._mode = action_mode(settings.action, self.quadrotor, settings.action_limits, count, self.plant.interval_s)
         self._delayed = DelayedActions(count, settings.samples, self.plant.interval_s)
-        self._errors = BatchImuErrors(settings.rig.imu, count, np.random.default_rng(0))
+        self._errors = BatchImuErrors(
+            settings.rig.imu,
+            count,
+            np.random.default_rng(0),
+            vibration_of(self.quadrotor, settings.rig, count),
+        )
         self._images = rendered_images(count, settings) if settings.images else None
         standing = float(self.area.pad[2]) + self.plant.standing_height_m
         self._bounds = Bounds(self.task.bounds_m(self.area), standing + GROUND_M)
@@ -136,7 +141,8 @@ class DroneCore:
         if self._images is not None:
             self._images.reset(mask)
         perfect = self._perfect()[rows]
-        first, bias = _scaled(perfect, *self._errors.first(perfect, rows), draws.imu_errors)
+        sensed = self._errors.first(perfect, rows, self.plant.rotor_speeds_rad_s[rows])
+        first, bias = _scaled(perfect, *sensed, draws.imu_errors)
         self._imu[rows], self._bias[rows] = first[:, None], bias
         return self._reset_info()
 
@@ -156,7 +162,8 @@ class DroneCore:
             self.plant.advance(self._mode.commands(self._delayed.at(interval), lambda: self.plant.states))
             if self._senses:
                 perfect = self._perfect()
-                sample, self._bias = _scaled(perfect, *self._errors.add_to(perfect), self._draws.imu_errors)
+                sensed = self._errors.add_to(perfect, self.plant.rotor_speeds_rad_s)
+                sample, self._bias = _scaled(perfect, *sensed, self._draws.imu_errors)
                 self._imu[:, interval] = sample
         if self._images is not None:
             self._images.step()

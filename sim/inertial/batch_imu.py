@@ -8,6 +8,10 @@ import numpy as np
 import numpy.typing as npt
 
 from dronevio.models.imu import ImuModel
+from dronevio.models.quadrotor import Quadrotor
+from dronevio.models.rig import Rig
+from dronevio.models.vibration import NO_VIBRATION
+from dronevio.sim.inertial.batch_vibration import BatchHarmonics, HarmonicsState
 from dronevio.sim.inertial.bias import FLICKER_FLOOR, FLICKER_SHARE, FLICKER_TIMES_S
 from dronevio.sim.inertial.imu import read_out
 
@@ -27,6 +31,8 @@ class BatchImuState:
     """(n, P, 6) States of the processes of bias instability."""
     response: Array
     """(n, 6, 6) Constant errors; see `BatchImuErrors.response`."""
+    vibration: HarmonicsState | None
+    """State of the vibration; None without vibration."""
     generators: tuple[Mapping[str, Any], Mapping[str, Any]]
     """States of the generators of samples and of resets."""
 
@@ -34,20 +40,24 @@ class BatchImuState:
 class BatchImuErrors:
     """Errors of n IMUs of one model, each from its switch-on, added to one noise-free point sample of each at a time.
 
-    The model is that of `ImuErrors` without vibration. Samples and resets draw from two generators, so that the
+    The model is that of `ImuErrors`. Samples and resets draw from two generators, so that the
     errors of a unit do not depend on the times at which others are reset. An error that is zero in the model leaves
     the samples bit-identical.
     """
 
-    def __init__(self, model: ImuModel, count: int, rng: np.random.Generator) -> None:
+    def __init__(
+        self, model: ImuModel, count: int, rng: np.random.Generator, vibration: BatchHarmonics | None = None
+    ) -> None:
         """Switch on all units.
 
         Args:
             model: Rate, noise densities and standard deviations of the constant errors.
             count: Number of units.
             rng: Generator of all errors.
+            vibration: Vibration of the airframes (see `vibration_of`); none by default.
         """
         self._model = model
+        self._vibration = vibration
         self._rng, self._reset_rng = rng.spawn(2)
         self._turn_on = np.repeat([model.gyro_turn_on_bias_rad_s, model.accel_turn_on_bias_m_s2], 3)
         self._noise = np.repeat([model.gyro_noise_density, model.accel_noise_density], 3) * np.sqrt(model.rate_hz)
@@ -80,13 +90,20 @@ class BatchImuErrors:
         self._flicker[rows] = self._spread * rng.standard_normal((k, len(self._times_s), 6))
         if self._constants.any():
             self._response[rows] = np.eye(6) + self._constants * rng.standard_normal((k, 6, 6))
+        if self._vibration is not None:
+            self._vibration.renew(rows, rng)
 
-    def add_to(self, perfect: Array) -> tuple[Array, Array]:
+    def add_to(self, perfect: Array, rotor_speeds_rad_s: Array | None = None) -> tuple[Array, Array]:
         """Return the measurements (n, 6) of all units one sample later, and their biases (n, 6).
 
         Args:
             perfect: (n, 6) Noise-free angular velocities [rad/s] and specific forces [m/s²] in the IMU frame.
+            rotor_speeds_rad_s: (n, 4) Speeds of the rotors from this sample on, for the vibration [rad/s]; standstill
+                by default.
         """
+        if self._vibration is not None:
+            speeds = np.zeros((len(perfect), 4)) if rotor_speeds_rad_s is None else rotor_speeds_rad_s
+            perfect = perfect + self._vibration.following(speeds)
         walk, white = self._rng.standard_normal((2, *perfect.shape))
         self._walked += self._walk * walk
         if len(self._times_s):
@@ -95,13 +112,17 @@ class BatchImuErrors:
         bias = self._walked + self._flicker.sum(axis=1)
         return self._read(self._responding(perfect, slice(None)) + (bias + self._noise * white)), bias
 
-    def first(self, perfect: Array, rows: Rows) -> tuple[Array, Array]:
+    def first(self, perfect: Array, rows: Rows, rotor_speeds_rad_s: Array | None = None) -> tuple[Array, Array]:
         """Return the measurements (k, 6) of some units at their reset, and their biases (k, 6).
 
         Args:
             perfect: (k, 6) Noise-free angular velocities [rad/s] and specific forces [m/s²] in the IMU frame.
             rows: (k,) Indices of the units.
+            rotor_speeds_rad_s: (k, 4) Speeds of the rotors, for the vibration [rad/s]; standstill by default.
         """
+        if self._vibration is not None:
+            speeds = np.zeros((len(perfect), 4)) if rotor_speeds_rad_s is None else rotor_speeds_rad_s
+            perfect = perfect + self._vibration.first(speeds, rows)
         bias = self._walked[rows] + self._flicker[rows].sum(axis=1)
         white = self._reset_rng.standard_normal(perfect.shape)
         return self._read(self._responding(perfect, rows) + (bias + self._noise * white)), bias
@@ -109,12 +130,15 @@ class BatchImuErrors:
     def save(self) -> BatchImuState:
         """Return the state of errors and random numbers."""
         generators = (self._rng.bit_generator.state, self._reset_rng.bit_generator.state)
-        return BatchImuState(self._walked.copy(), self._flicker.copy(), self._response.copy(), generators)
+        vibration = None if self._vibration is None else self._vibration.state
+        return BatchImuState(self._walked.copy(), self._flicker.copy(), self._response.copy(), vibration, generators)
 
     def restore(self, saved: BatchImuState) -> None:
         """Return to a state of as many units of the same model."""
         self._walked[:], self._flicker, self._response[:] = saved.walked, saved.flicker.copy(), saved.response
         self._rng.bit_generator.state, self._reset_rng.bit_generator.state = saved.generators
+        if self._vibration is not None and saved.vibration is not None:
+            self._vibration.state = saved.vibration
 
     def _responding(self, perfect: Array, rows: Rows | slice) -> Array:
         """Return samples (k, 6) with the constant errors of the selected units."""
@@ -126,6 +150,11 @@ class BatchImuErrors:
         gyro = read_out(value[:, _GYRO], model.gyro_resolution_rad_s, model.gyro_range_rad_s)
         accel = read_out(value[:, _ACCEL], model.accel_resolution_m_s2, model.accel_range_m_s2)
         return np.concatenate([gyro, accel], axis=1)
+
+
+def vibration_of(quadrotor: Quadrotor, rig: Rig, count: int) -> BatchHarmonics | None:
+    """Return the vibration at the IMUs of ``count`` vehicles; None if their rotors cause none."""
+    return None if quadrotor.vibration == NO_VIBRATION else BatchHarmonics(quadrotor, rig, count)
 
 
 def _deviations_of_response(model: ImuModel) -> Array:

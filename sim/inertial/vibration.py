@@ -37,6 +37,41 @@ class NoVibration:
         return np.zeros((len(samples), 3)), np.zeros((len(samples), 3))
 
 
+class Tones:
+    """The harmonics of four rotors as an IMU measures them, given the angles of the rotors."""
+
+    def __init__(self, quadrotor: Quadrotor, rig: Rig) -> None:
+        """Define the rotors with their vibration, and mounting and bandwidths of the IMU."""
+        vibration = quadrotor.vibration
+        self._imu = rig.imu
+        self._R_imu_vehicle = rig.T_vehicle_imu[:3, :3].T
+        orders = vibration.blades * np.arange(1, vibration.harmonics + 1)
+        fading = 1.0 / np.arange(1, vibration.harmonics + 1) ** 2
+        self._orders = np.concatenate([[1.0, 1.0], orders])  # imbalance along two axes, then the blade-pass harmonics
+        self._lags = np.concatenate([[0.0, -0.5 * np.pi], np.zeros(len(orders))])
+        self._linear = _linear_amplitudes(quadrotor, fading)
+        self._angular = _angular_amplitudes(quadrotor, fading)
+
+    def at(self, angle_rad: Array, turned_rad: Array, rotor_speeds_rad_s: Array) -> tuple[Array, Array]:
+        """Return angular velocities (N, 3) [rad/s] and specific forces (N, 3) [m/s²] in the IMU frame.
+
+        Args:
+            angle_rad: (N, 4) Angles of the rotors amid each sample [rad].
+            turned_rad: (N, 4) Rotation during each sample [rad]; 0 for points.
+            rotor_speeds_rad_s: (N, 4) Speeds of the rotors [rad/s].
+        """
+        phase = self._orders * angle_rad[..., None] + self._lags
+        tone = np.cos(phase) * np.sinc(self._orders * turned_rad[..., None] / (2.0 * np.pi))
+        frequency_hz = self._orders * rotor_speeds_rad_s[..., None] / (2.0 * np.pi)
+        gyro_tone = tone * rotor_speeds_rad_s[..., None] * _filter_gain(frequency_hz, self._imu.gyro_bandwidth_hz)
+        accel_tone = (
+            tone * rotor_speeds_rad_s[..., None] ** 2 * _filter_gain(frequency_hz, self._imu.accel_bandwidth_hz)
+        )
+        gyro = np.einsum("nrt,rta->na", gyro_tone, self._angular)
+        accel = np.einsum("nrt,rta->na", accel_tone, self._linear)
+        return gyro @ self._R_imu_vehicle.T, accel @ self._R_imu_vehicle.T
+
+
 class RotorHarmonics:
     """Harmonics of each rotor's true speed and of its blade-pass frequency; implements `Vibration`.
 
@@ -56,40 +91,23 @@ class RotorHarmonics:
             rig: Mounting, rate and bandwidths of the IMU.
             rng: Generator of the angles.
         """
-        vibration = quadrotor.vibration
-        self._imu = rig.imu
-        self._R_imu_vehicle = rig.T_vehicle_imu[:3, :3].T
+        self._interval_s = 1.0 / rig.imu.rate_hz
+        self._tones = Tones(quadrotor, rig)
         self._angle = rng.uniform(0.0, 2.0 * np.pi, 4)
         self._speed = np.zeros(4)
         self._t_ns: int | None = None
-        orders = vibration.blades * np.arange(1, vibration.harmonics + 1)
-        fading = 1.0 / np.arange(1, vibration.harmonics + 1) ** 2
-        self._orders = np.concatenate([[1.0, 1.0], orders])  # imbalance along two axes, then the blade-pass harmonics
-        self._lags = np.concatenate([[0.0, -0.5 * np.pi], np.zeros(len(orders))])
-        self._linear = _linear_amplitudes(quadrotor, fading)
-        self._angular = _angular_amplitudes(quadrotor, fading)
 
     def sensed(self, samples: ImuSamples, rotor_speeds_rad_s: Array) -> tuple[Array, Array]:
         """Return angular velocities (N, 3) [rad/s] and specific forces (N, 3) [m/s²]; see `Vibration`."""
         if len(samples) == 0:
             return np.zeros((0, 3)), np.zeros((0, 3))
         middle, turned = self._turn(samples, rotor_speeds_rad_s)
-        phase = self._orders * middle[..., None] + self._lags
-        tone = np.cos(phase) * np.sinc(self._orders * turned[..., None] / (2.0 * np.pi))
-        frequency_hz = self._orders * rotor_speeds_rad_s[..., None] / (2.0 * np.pi)
-        gyro_tone = tone * rotor_speeds_rad_s[..., None] * _filter_gain(frequency_hz, self._imu.gyro_bandwidth_hz)
-        accel_tone = (
-            tone * rotor_speeds_rad_s[..., None] ** 2 * _filter_gain(frequency_hz, self._imu.accel_bandwidth_hz)
-        )
-        gyro = np.einsum("nrt,rta->na", gyro_tone, self._angular)
-        accel = np.einsum("nrt,rta->na", accel_tone, self._linear)
-        return gyro @ self._R_imu_vehicle.T, accel @ self._R_imu_vehicle.T
+        return self._tones.at(middle, turned, rotor_speeds_rad_s)
 
     def _turn(self, samples: ImuSamples, speeds: Array) -> tuple[Array, Array]:
         """Advance the rotors; return their angles (N, 4) amid each sample and their rotation during it [rad]."""
-        interval_s = 1.0 / self._imu.rate_hz
         if samples.sampling == "increment":
-            start_ns = int(samples.t_ns[0]) - round(1e9 * interval_s) if self._t_ns is None else self._t_ns
+            start_ns = int(samples.t_ns[0]) - round(1e9 * self._interval_s) if self._t_ns is None else self._t_ns
             turned = speeds * (np.diff(samples.t_ns, prepend=start_ns) * 1e-9)[:, None]
             angles = self._angle + np.cumsum(turned, axis=0)
             middle = angles - 0.5 * turned

@@ -143,6 +143,11 @@ class BatchPlant:
         )
 
     @property
+    def rotor_speeds_rad_s(self) -> Array:
+        """(n, 4) Speeds of the rotors from the current time on [rad/s]."""
+        return self._state.speed_rad_s.copy()
+
+    @property
     def samples(self) -> PointSamples:
         """Noise-free IMU samples at the current time, of t = 0 after a reset; zeros in a plant without IMUs."""
         return self._samples

@@ -7,8 +7,12 @@ import pytest
 
 from dronevio.models.imu import EUROC_IMU, ImuModel, ImuSamples
 from dronevio.models.imu_presets import IMUS
-from dronevio.sim.inertial.batch_imu import BatchImuErrors
+from dronevio.models.quadrotor import Quadrotor
+from dronevio.models.rig import euroc_rig
+from dronevio.models.vibration import EUROC_VIBRATION
+from dronevio.sim.inertial.batch_imu import BatchImuErrors, vibration_of
 from dronevio.sim.inertial.imu import ImuErrors
+from dronevio.sim.inertial.vibration import RotorHarmonics
 
 UNITS = 1000
 PERFECT = np.tile([0.3, -0.2, 0.1, 1.0, 9.0, -2.0], (UNITS, 1))
@@ -101,3 +105,26 @@ def test_restored_errors_continue_with_the_same_bytes() -> None:
     np.testing.assert_array_equal([other.add_to(PERFECT[:3])[0] for _ in range(3)], expected)
     other.reseed(np.random.default_rng(6))
     assert not np.any(other.add_to(PERFECT[:3])[1] == errors.add_to(PERFECT[:3])[1])
+
+
+def test_vibration_of_each_unit_is_that_of_a_single_one() -> None:
+    drone, rig, count = replace(Quadrotor(), vibration=EUROC_VIBRATION), euroc_rig(), 3
+    vibration = vibration_of(drone, rig, count)
+    assert vibration is not None and vibration_of(Quadrotor(), rig, count) is None
+    errors = BatchImuErrors(IDEAL, count, np.random.default_rng(7), vibration)
+    singles = []
+    for angles in vibration.state.angle_rad:
+        single = RotorHarmonics(drone, rig, np.random.default_rng(0))
+        single._angle = angles
+        singles.append(single)
+    speeds = np.random.default_rng(8).uniform(500.0, 700.0, (20, count, 4))
+    found = [errors.first(PERFECT[:count], np.arange(count), speeds[0])[0]]
+    found += [errors.add_to(PERFECT[:count], step)[0] for step in speeds[1:]]
+    t_ns = np.arange(20, dtype=np.int64) * 5_000_000
+    for k, single in enumerate(singles):
+        gyro, accel = single.sensed(ImuSamples(t_ns, np.zeros((20, 3)), np.zeros((20, 3))), speeds[:, k])
+        np.testing.assert_allclose(np.array(found)[:, k] - PERFECT[0], np.hstack([gyro, accel]), atol=1e-9)
+    saved = errors.save()
+    expected = errors.add_to(PERFECT[:count], speeds[0])[0]
+    errors.restore(saved)
+    np.testing.assert_array_equal(errors.add_to(PERFECT[:count], speeds[0])[0], expected)
