@@ -22,6 +22,7 @@ _SKY_DIRECTIONS = 20
 _SKY_REACH_M = 0.9  # more distant occluders have little influence in a lit room
 _OFFSET_M = 0.004  # distance of the origins of rays from their face
 _SMALLEST_SHADOW_M = 0.16  # half diagonal; smaller boxes cast no shadows
+_MARGIN_M = 0.02  # for rounding errors where rays are selected
 _LAMP_SIZE_M2 = 0.3  # size of a lamp, which bounds the irradiance close to it
 _AMBIENT, _DIRECT = 0.50, 0.55  # fractions of scattered and direct light in a well-lit place
 _BRIGHTEST = 1.15
@@ -126,12 +127,29 @@ def _direct_light(p: Field, n: Field, blockers: Sequence[Box], lights: Sequence[
                 arriving *= np.maximum(-(light.normal.astype(np.float32) @ ray) / distance, 0.0)
             strength = light.power / len(light.points) * arriving / (_LAMP_SIZE_M2 + distance**2)
             lit = np.flatnonzero(strength > 1e-3)
-            start, way = p[:, lit], ray[:, lit]
+            start, way, length = p[:, lit], ray[:, lit], distance[lit]
+            backward = way / -length  # from the sample to the points
             clear = np.ones(len(lit), np.bool_)
             for box in casting:
-                clear &= _entry(start, way, box) >= 1.0
+                near = _rays_near(sample, backward, length, box)
+                clear[near] &= _entry(start[:, near], way[:, near], box) >= 1.0
             total[lit] += strength[lit] * clear
     return total
+
+
+def _rays_near(start: Field, direction: Field, length: Field, box: Box) -> npt.NDArray[np.intp]:
+    """Return the indices of rays from a point (3,) that come close to the sphere around a box.
+
+    Args:
+        start: (3,) Start of all rays [m].
+        direction: (3, N) Unit vectors.
+        length: (N,) Lengths of the rays [m].
+        box: The box.
+    """
+    offset = box.centre.astype(np.float32) - start
+    radius = np.float32(np.linalg.norm(box.half) + _MARGIN_M)
+    along = offset @ direction
+    return np.flatnonzero((along * along > offset @ offset - radius**2) & (along > -radius) & (along < length + radius))
 
 
 def _entry(origin: Field, ray: Field, box: Box) -> Field:

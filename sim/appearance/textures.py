@@ -52,8 +52,11 @@ def scaled(colour: Colour, factor: float) -> Colour:
 
 def shade(colour: Colour, tone: Field, contrast: float) -> Image:
     """Return a colour modulated by a tone field (H, W): 0 leaves it, ±1 changes it by ``contrast`` (relative)."""
-    factor = 1.0 + contrast * tone[..., None]
-    return to_image(np.asarray(colour, np.float32) * factor)
+    factor = 1.0 + contrast * tone
+    image = np.empty((*tone.shape, 3), np.uint8)
+    for channel, level in enumerate(np.asarray(colour, np.float32)):  # faster than all channels at once
+        image[..., channel] = np.clip(level * factor, 0.0, 255.0)
+    return image
 
 
 def to_image(values: npt.NDArray[np.float32]) -> Image:
