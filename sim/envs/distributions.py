@@ -88,12 +88,12 @@ class LogUniform:
 
 @dataclass(frozen=True)
 class Normal:
-    """Normal distribution, truncated where samples would be impossible; implements `Distribution`."""
+    """Normal distribution whose samples are clipped to bounds; implements `Distribution`."""
 
     mean: float
-    """Mean of the distribution before truncation."""
+    """Mean of the distribution before clipping."""
     deviation: float
-    """Standard deviation of the distribution before truncation."""
+    """Standard deviation of the distribution before clipping."""
     low: float = -np.inf
     """Smallest possible value; smaller samples are replaced by it."""
     high: float = np.inf
