@@ -45,6 +45,7 @@ from dronevio.models.reconstruction import Reconstruction
 from dronevio.models.reconstructions import read_reconstruction, write_reconstruction
 from dronevio.models.recordings.open import open_recording
 from dronevio.models.rotation import matrix_from_quat_wxyz
+from dronevio.models.surfaces import Mesh
 
 Array = npt.NDArray[np.float64]
 Floats = npt.NDArray[np.float32]
@@ -139,8 +140,8 @@ def true_cloud(flight: Path, recording: Recording, frames: Indices) -> Array:
     return merged
 
 
-def near_points(points: Array, reconstruction: Reconstruction) -> Array:
-    """Return the points (N, 3) whose depth in an image that contains them is within the limit."""
+def are_near(points: Array, reconstruction: Reconstruction) -> npt.NDArray[np.bool_]:
+    """Return of which points (N, 3) the depth in an image that contains them is within the limit."""
     is_near = np.zeros(len(points), bool)
     for camera, T in zip(reconstruction.image_camera, reconstruction.Ts_world_cam, strict=True):
         model = reconstruction.cameras[camera]
@@ -151,14 +152,21 @@ def near_points(points: Array, reconstruction: Reconstruction) -> Array:
         with np.errstate(invalid="ignore"):
             inside = np.all((pixels >= -0.5) & (pixels <= [model.width - 0.5, model.height - 0.5]), axis=1)
         is_near[rest[ahead][inside]] = True
-    return points[is_near]
+    return is_near
 
 
 def score(true: Array, points: Array, reconstruction: Reconstruction) -> tuple[CloudScore, ...]:
     """Return the scores of estimated points (N, 3) in the world frame of the truth."""
     reduced = voxel_means(points, VOXEL_M)
-    scored = near_points(reduced[::SCORED_EVERY], reconstruction)
-    return compare_clouds(true, reduced, DISTANCES_M, scored_true=true[::SCORED_EVERY], scored_estimated=scored)
+    some = reduced[::SCORED_EVERY]
+    some = some[are_near(some, reconstruction)]
+    return compare_clouds(true, reduced, DISTANCES_M, scored_true=true[::SCORED_EVERY], scored_estimated=some)
+
+
+def sample_mesh(mesh: Mesh, reconstruction: Reconstruction) -> Array:
+    """Return points (N, 3) on the triangles whose centre is within the limit, at most a voxel apart."""
+    is_near = are_near(mesh.vertices[mesh.triangles].mean(axis=1), reconstruction)
+    return mesh_points(mesh.vertices, mesh.triangles[is_near], VOXEL_M)
 
 
 def sgbm_depth(view: View, others: Iterable[View], points: Array, config: SgbmConfig, margin: float) -> PosedDepth:
@@ -312,7 +320,7 @@ def measure_world(scenario: str, command: DenseAccuracyCommand) -> Iterator[Outc
         stopwatch = Stopwatch()
         result = densify(images, reconstruction, command.dense)
         cost = stopwatch.read()
-        sampled = mesh_points(result.mesh.vertices, result.mesh.triangles, VOXEL_M)
+        sampled = sample_mesh(result.mesh, reconstruction)
         for name, points in (("points", result.cloud.points), ("mesh", sampled)):
             yield Outcome(f"dronevio, {name}", len(points), *cost, score(true, points, reconstruction))
     if "sgbm" in command.programs:
