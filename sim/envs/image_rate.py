@@ -79,16 +79,24 @@ def image_rates(
     return rates
 
 
-def image_figure(rate: ImageRate) -> PerformanceFigure:
-    """Return the figure of a rate with its bound, which is that of the room."""
-    return PerformanceFigure(
-        f"{rate.kind} images of {rate.width} × {rate.height} px, {rate.world}",
-        rate.per_cpu_s,
-        "/s",
-        REQUIRED_PER_CPU_S,
-        "at least",
-        f"images per second of processor time with the lens of {RIG}, along the route and in all directions",
-    )
+def image_figures(rates: Sequence[ImageRate]) -> list[PerformanceFigure]:
+    """Return a figure for each kind of images: the rate in the first world with its bound; the others are described."""
+    figures = []
+    for kind in dict.fromkeys(rate.kind for rate in rates):
+        first, *others = [rate for rate in rates if rate.kind == kind]
+        listed = ", ".join(f"{rate.world} {rate.per_cpu_s:.0f}" for rate in others)
+        figures.append(
+            PerformanceFigure(
+                f"{kind} images of {first.width} × {first.height} px, {first.world}",
+                first.per_cpu_s,
+                "/s",
+                REQUIRED_PER_CPU_S,
+                "at least",
+                f"images per second of processor time with the lens of {RIG}, along the route and in all directions"
+                + (f"; other worlds: {listed}" if listed else ""),
+            )
+        )
+    return figures
 
 
 def _measured(world: str, kind: ImageKind, frames: int, runs: int, seed: int) -> ImageRate:

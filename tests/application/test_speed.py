@@ -53,10 +53,11 @@ def test_many_vehicles_are_measured(capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["speed", "gym", "--quick", "--json"]) == 0
     document = json.loads(capsys.readouterr().out)
     assert (document["subject"], document["envs"], document["runs"]) == ("gym", 16, 2)
-    assert [figure["bound"] for figure in document["figures"]] == [0.6, 0.75, 300.0, 300.0]
-    full, blind, speed, environment = (figure["value"] for figure in document["figures"])
+    assert [figure["bound"] for figure in document["figures"]] == [0.6, 0.75, 300.0, 300.0, 600.0, 600.0]
+    full, blind, speed, environment, grey, depth = (figure["value"] for figure in document["figures"])
     assert 0.0 < full < 1.0 and 0.0 < blind < 1.5
     assert speed > 5.0 and environment > 1.0
+    assert grey > 10.0 and depth > 10.0
     assert main(["speed", "gym", "--runs", "0"]) == 2
     assert "0 runs; expected 1 or more" in capsys.readouterr().err
 

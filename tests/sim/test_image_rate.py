@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from dronevio.sim.envs.image_rate import REQUIRED_PER_CPU_S, image_figure, image_rates
+from dronevio.sim.envs.image_rate import ImageRate, image_figures, image_rates
 from dronevio.sim.envs.image_rate import _camera_poses as camera_poses
 
 
@@ -11,11 +11,23 @@ def test_image_rates_are_measured_by_world_and_kind() -> None:
     rates = image_rates(("low-texture",), ("grey", "depth"), 4, 1, progress=lambda *state: done.append(state))
     assert done == [(0, 2), (1, 2), (2, 2)]
     assert [(rate.world, rate.kind) for rate in rates] == [("low-texture", "grey"), ("low-texture", "depth")]
-    for rate in rates:
-        assert 10.0 < rate.per_cpu_s < 1e5
-        figure = image_figure(rate)
-        assert figure.met == (rate.per_cpu_s >= REQUIRED_PER_CPU_S)
-        assert rate.kind in figure.name and "64 × 64 px" in figure.name
+    assert all(10.0 < rate.per_cpu_s < 1e5 for rate in rates)
+
+
+def test_figures_have_the_bound_of_the_first_world() -> None:
+    rates = [
+        ImageRate(world, kind, 64, 64, per_cpu_s, 1.0)
+        for world, kind, per_cpu_s in (
+            ("room", "grey", 700.4),
+            ("hall", "grey", 500.0),
+            ("room", "depth", 599.0),
+            ("hall", "depth", 450.6),
+        )
+    ]
+    grey, depth = image_figures(rates)
+    assert (grey.value, grey.met, depth.met) == (700.4, True, False)
+    assert grey.name == "grey images of 64 × 64 px, room"
+    assert grey.method.endswith("other worlds: hall 500") and depth.method.endswith("hall 451")
 
 
 def test_poses_are_spread_over_route_and_directions() -> None:
