@@ -53,7 +53,7 @@ class BatchContacts:
             pose: (k, 7) Positions and orientations of the vehicle.
         """
         self._pose[rows] = pose
-        self._batch.forward(rows)
+        self._batch.forward(rows, stage=mujoco.mjtStage.mjSTAGE_POS)
         sensed = self._sensed[rows].reshape(len(rows), len(self._foot), _SLOTS, 4)
         level = self._foot[:, None] & (np.abs(sensed[..., 3]) > LEVEL)
         return np.asarray(np.any((sensed[..., 0] > 0.0) & ~level, axis=(1, 2)))
