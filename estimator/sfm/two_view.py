@@ -23,6 +23,12 @@ Mask = npt.NDArray[np.bool_]
 
 MAX_PINHOLE_RAD = np.radians(65.0)
 """Largest angle from the optical axis of the matches that determine the essential matrix [rad]."""
+PLANAR_SIGMAS = 4.0
+"""Largest error of a match that a homography explains, relative to the noise of the epipolar distances."""
+MIN_PLANAR_ERROR_PX = 0.3
+"""Smallest value of that error [px]."""
+MAD_TO_SIGMA = 1.4826
+"""Standard deviation of a normal distribution divided by the median absolute deviation."""
 CONFIDENCE = 0.9999
 """Probability that RANSAC draws a sample without outliers."""
 
@@ -109,7 +115,7 @@ def verify(
         return None
     matches, f0, f1 = matches[is_inlier], f0[is_inlier], f1[is_inlier]
 
-    geometry, R_rotation = _classify(f0, f1, focal_px, config)
+    geometry, R_rotation = _classify(E, f0, f1, focal_px, config)
     if geometry is Geometry.ROTATION:
         T = pose_matrix(R_rotation.T, np.zeros(3))
         angle = float(np.median(angles_between_rad(f0, f1 @ R_rotation)))
@@ -150,8 +156,12 @@ def _epipolar_angles(E: Array, f0: Array, f1: Array) -> Array:
     return np.asarray(products / np.maximum(smaller, 1e-15))
 
 
-def _classify(f0: Array, f1: Array, focal_px: float, config: VerificationConfig) -> tuple[Geometry, Array]:
-    """Return the geometry of verified matches, and the rotation (3, 3) of the first frame into the second."""
+def _classify(E: Array, f0: Array, f1: Array, focal_px: float, config: VerificationConfig) -> tuple[Geometry, Array]:
+    """Return the geometry of verified matches, and the rotation (3, 3) of the first frame into the second.
+
+    A homography has to explain the matches as precisely as the essential matrix does: with little motion, it explains
+    those of any scene to within a few pixels.
+    """
     threshold_rad = config.max_error_px / focal_px
     R = _rotation(f0, f1)
     for _ in range(5):  # least squares over the matches that the rotation explains
@@ -164,7 +174,11 @@ def _classify(f0: Array, f1: Array, focal_px: float, config: VerificationConfig)
         return Geometry.ROTATION, R
     is_central = (f0[:, 2] > np.cos(MAX_PINHOLE_RAD)) & (f1[:, 2] > np.cos(MAX_PINHOLE_RAD))
     xy0, xy1 = (focal_px * f[is_central, :2] / f[is_central, 2:] for f in (f0, f1))
-    _, inliers = cv2.findHomography(xy0, xy1, cv2.USAC_MAGSAC, config.max_error_px, maxIters=config.max_iterations)
+    error_px = focal_px * _epipolar_angles(E, f0[is_central], f1[is_central])
+    noise_px = MAD_TO_SIGMA * float(np.median(error_px)) if len(error_px) else 0.0
+    max_error_px = float(np.clip(PLANAR_SIGMAS * noise_px, MIN_PLANAR_ERROR_PX, config.max_error_px))
+    _, inliers = cv2.findHomography(xy0, xy1, cv2.USAC_MAGSAC, max_error_px, maxIters=config.max_iterations)
+    needed = config.max_homography_ratio * np.sum(error_px < max_error_px)
     is_planar = inliers is not None and inliers.sum() >= needed
     return (Geometry.PLANAR if is_planar else Geometry.GENERAL), R
 
