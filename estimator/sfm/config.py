@@ -116,8 +116,8 @@ class MapperConfig:
     registered anew."""
     max_iterations: int = 50
     """Largest number of iterations of the last adjustment."""
-    final_cauchy_px: float = 0.5
-    """Scale of the Cauchy loss of the last adjustment [px]."""
+    final_cauchy_sigmas: float = 1.0
+    """Scale of the Cauchy loss of the last adjustment, relative to the noise of the observations."""
 
 
 @dataclass(frozen=True)

@@ -89,7 +89,9 @@ def finish(scene: Scene, state: SfmState, config: MapperConfig) -> SfmState:
     """Return a reconstruction of which all observations are adjusted until the error settles, without outliers."""
     state = remove_outliers(scene, complete(scene, state, config.triangulation), config.triangulation)
     tolerance = CALIBRATED_TOLERANCE if scene.is_calibrated.all() else UNCALIBRATED_TOLERANCE
-    adjustment = BundleAdjustmentConfig(config.max_iterations, tolerance, config.final_cauchy_px)
+    adjustment = BundleAdjustmentConfig(
+        config.max_iterations, tolerance, config.final_cauchy_sigmas * state.noise_px(scene)
+    )
     return remove_outliers(scene, adjust(scene, state, state.used(scene), adjustment), config.triangulation)
 
 

@@ -13,6 +13,11 @@ Array = npt.NDArray[np.float64]
 Indices = npt.NDArray[np.int64]
 Mask = npt.NDArray[np.bool_]
 
+RAYLEIGH_MEDIAN = 1.1774
+"""Median of the length of a vector of two normally distributed coordinates of standard deviation 1."""
+MIN_NOISE_PX = 0.05
+"""Smallest noise of observations that is assumed [px]; synthetic observations may have none."""
+
 
 @dataclass(frozen=True, eq=False)
 class KnownPoses:
@@ -131,6 +136,16 @@ class SfmState:
             mask = camera == index
             errors[mask] = np.linalg.norm(self.cameras[index].project(in_camera[mask]) - pixels[mask], axis=1)
         return np.where(np.isfinite(errors), errors, np.inf)
+
+    def noise_px(self, scene: Scene) -> float:
+        """Return the standard deviation of the coordinates of the used observations [px], a robust estimate.
+
+        It is that of normally distributed coordinates whose errors have the same median.
+        """
+        used = self.used(scene)
+        if not used.any():
+            return MIN_NOISE_PX
+        return max(float(np.median(self.errors_px(scene, used))) / RAYLEIGH_MEDIAN, MIN_NOISE_PX)
 
     def focal_px(self, scene: Scene, selected: Mask | Indices) -> Array:
         """Return the focal length (S,) of the camera of the selected observations [px]."""

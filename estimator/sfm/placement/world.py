@@ -65,17 +65,16 @@ def place(
     Raises:
         ConfigError: The IMU is required and does not determine gravity and scale.
     """
+    cauchy_px = config.mapper.final_cauchy_sigmas * state.noise_px(scene)
     if poses is not None:
         known = int((poses.is_known & state.is_registered).sum())
         if poses.is_exact and (scene.is_fixed & state.is_registered).any():
             return state, WorldFrame("poses", poses.is_vertical)
         if not poses.is_exact and known >= MIN_POSES:
-            adjustment = BundleAdjustmentConfig(
-                relative_tolerance=PRIOR_TOLERANCE, cauchy_px=config.mapper.final_cauchy_px
-            )
+            adjustment = BundleAdjustmentConfig(relative_tolerance=PRIOR_TOLERANCE, cauchy_px=cauchy_px)
             state = adjust(scene, aligned(state, poses.Ts_world_cam), state.used(scene), adjustment, priors=poses)
             return state, WorldFrame("poses", poses.is_vertical)
-    state, is_metric = impose_rig(scene, state, images, config.mapper.final_cauchy_px)
+    state, is_metric = impose_rig(scene, state, images, cauchy_px)
     return _level(state, images, config.inertial, WorldFrame("rig" if is_metric else "arbitrary"))
 
 
