@@ -32,6 +32,8 @@ from dronevio.models.recordings.open import open_recording
 
 CONVERGED = 1e-12
 """Relative decrease of the cost at which both solvers stop."""
+NORM_WEIGHT = 1e4
+"""Weight of the deviation of a squared quaternion length from 1 in the problems for Ceres [px]."""
 MAX_ITERATIONS = 500
 """Largest number of iterations of both solvers."""
 
@@ -60,8 +62,8 @@ class Problem:
     """Settings of our optimizer."""
 
     def cost(self, state: SfmState) -> float:
-        """Return half the sum of the robust squared reprojection errors [px²]."""
-        squared = state.errors_px(self.scene, self.selected) ** 2
+        """Return half the sum of the robust squared reprojection errors, relative to their sigmas [px²]."""
+        squared = (state.errors_px(self.scene, self.selected) / self.scene.sigmas[self.selected]) ** 2
         scale = self.config.cauchy_px
         return float(0.5 * np.sum(squared if scale is None else scale**2 * np.log1p(squared / scale**2)))
 
@@ -114,27 +116,63 @@ def solve_by_ceres(problem: Problem) -> tuple[float, float]:
     """Return the cost of the initial values and that of the solution by Ceres [px²]."""
     import pyceres
     import pycolmap
+    from pycolmap.cost_functions import ReprojErrorCost
 
     with tempfile.TemporaryDirectory() as folder:
         write_colmap(Path(folder), selected_observations(problem))
         model = pycolmap.Reconstruction(folder)
-    chosen = pycolmap.BundleAdjustmentConfig()
-    for image in model.images:
-        chosen.add_image(image)
-    chosen.fix_gauge(pycolmap.BundleAdjustmentGauge.TWO_CAMS_FROM_WORLD)
+    scene, scale = problem.scene, problem.config.cauchy_px
+    adjustment, squared = pyceres.Problem(), pyceres.TrivialLoss()
+    loss = squared if scale is None else pyceres.CauchyLoss(scale)
+    images = [model.images[i] for i in sorted(model.images)]
+    poses = [image.frame.rig_from_world.params for image in images]
+    points = [model.points3D[i].xyz for i in sorted(model.points3D)]
+    cameras = {}
     for camera_id, index in zip(sorted(model.cameras), camera_indices(problem), strict=True):
-        if problem.scene.is_calibrated[index]:
-            chosen.set_constant_cam_intrinsics(camera_id)
-        else:  # the principal point is constant
-            camera, ours = model.cameras[camera_id], problem.start.cameras[index]
+        camera, ours = model.cameras[camera_id], problem.start.cameras[index]
+        if not scene.is_calibrated[index]:
             camera.model = pycolmap.CameraModelId.RADIAL
             camera.params = [ours.fx, ours.cx + 0.5, ours.cy + 0.5, *ours.distortion[:2]]
-    options = pycolmap.BundleAdjustmentOptions()
-    if problem.config.cauchy_px is not None:
-        options.ceres.loss_function_type = pycolmap.LossFunctionType.CAUCHY
-        options.ceres.loss_function_scale = problem.config.cauchy_px
-    adjuster = pycolmap.create_default_ceres_bundle_adjuster(options, chosen, model)
-    return _solve(pyceres, adjuster.problem)
+        cameras[camera_id] = camera.model, camera.params
+    image, track = (
+        np.unique(of[problem.selected], return_inverse=True)[1].tolist()
+        for of in (scene.tracks.image, scene.tracks.track)
+    )
+    rows = zip(image, track, scene.pixels[problem.selected], scene.sigmas[problem.selected], strict=True)
+    for i, t, pixel, sigma in rows:
+        lens, intrinsics = cameras[images[i].camera_id]
+        cost = ReprojErrorCost(lens, sigma**2 * np.eye(2), pixel + 0.5)
+        adjustment.add_residual_block(cost, loss, [points[t], poses[i], intrinsics])
+    adjustment.set_parameter_block_constant(poses[0])
+    norms = [_unit_norm(pyceres) for _ in poses[1:]]
+    for norm, pose in zip(norms, poses[1:], strict=True):
+        adjustment.add_residual_block(norm, squared, [pose])
+    for (_, intrinsics), index in zip(cameras.values(), camera_indices(problem), strict=True):
+        if scene.is_calibrated[index]:
+            adjustment.set_parameter_block_constant(intrinsics)
+        else:  # the principal point is constant
+            adjustment.set_manifold(intrinsics, pyceres.SubsetManifold(len(intrinsics), [1, 2]))
+    return _solve(pyceres, adjustment)
+
+
+def _unit_norm(pyceres: Any) -> Any:
+    """Return a cost that keeps the quaternion of a pose (7,) at length 1; Ceres's binding has no manifold of poses."""
+
+    class UnitNorm(pyceres.CostFunction):  # type: ignore[misc]
+        def __init__(self) -> None:
+            super().__init__()
+            self.set_num_residuals(1)
+            self.set_parameter_block_sizes([7])
+
+        def Evaluate(self, parameters: Any, residuals: Any, jacobians: Any) -> bool:
+            quaternion = parameters[0][:4]
+            residuals[0] = NORM_WEIGHT * (quaternion @ quaternion - 1.0)
+            if jacobians is not None and jacobians[0] is not None:
+                jacobians[0][:4] = 2.0 * NORM_WEIGHT * quaternion
+                jacobians[0][4:] = 0.0
+            return True
+
+    return UnitNorm()
 
 
 def _solve(pyceres: Any, problem: Any) -> tuple[float, float]:

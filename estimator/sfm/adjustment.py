@@ -25,7 +25,7 @@ FIXED_SIGMA = 1e-7
 RANGE_SIGMA = 1e-5
 """Standard deviation of the prior that fixes the scale, relative to the distance."""
 PIXEL_SIGMA = 1.0
-"""Standard deviation of an observation [px]."""
+"""Standard deviation of the observation of a small feature [px]."""
 FISHEYE_SIGMAS = (0.1, 0.1, 0.1, 0.1)
 """Standard deviations of the priors of the distortion coefficients of a fisheye."""
 MIN_FISHEYE_COSINE = 0.1
@@ -55,7 +55,7 @@ class BundleAdjustmentConfig:
     relative_tolerance: float = 1e-6
     """Relative decrease of the error at which the optimizer stops."""
     cauchy_px: float | None = None
-    """Scale of the Cauchy loss [px]; None for a squared loss."""
+    """Scale of the Cauchy loss [px] for small features; None for a squared loss."""
 
 
 def adjust(
@@ -85,7 +85,8 @@ def adjust(
     for t in tracks:
         values.insert(P(t), state.points[t])
     calibrations = _insert_cameras(scene, state, np.unique(scene.image_camera[images]), values, graph)
-    _add_projections(graph, scene, state, index, calibrations, _noise(config))
+    noises = {sigma: _noise(sigma, config) for sigma in np.unique(scene.sigmas[index]).tolist()}
+    _add_projections(graph, scene, state, index, calibrations, noises)
     _add_rig(graph, rig)
     if priors is None:
         _fix_gauge(graph, state, images, scene.is_fixed[images], has_scale=bool(rig))
@@ -127,8 +128,9 @@ def _projected(scene: Scene, state: SfmState, index: Indices) -> Indices:
     return np.asarray(index[counts[scene.tracks.track[index]] >= 2])
 
 
-def _noise(config: BundleAdjustmentConfig) -> gtsam.noiseModel.Base:
-    gaussian = gtsam.noiseModel.Isotropic.Sigma(2, PIXEL_SIGMA)
+def _noise(sigma: float, config: BundleAdjustmentConfig) -> gtsam.noiseModel.Base:
+    """Return the noise of an observation of a relative standard deviation."""
+    gaussian = gtsam.noiseModel.Isotropic.Sigma(2, PIXEL_SIGMA * sigma)
     if config.cauchy_px is None:
         return gaussian
     return gtsam.noiseModel.Robust.Create(gtsam.noiseModel.mEstimator.Cauchy.Create(config.cauchy_px), gaussian)
@@ -165,12 +167,14 @@ def _add_projections(
     state: SfmState,
     index: Indices,
     calibrations: dict[int, gtsam.Cal3DS2 | gtsam.Cal3Fisheye | None],
-    noise: gtsam.noiseModel.Base,
+    noises: dict[float, gtsam.noiseModel.Base],
 ) -> None:
+    """Add a factor for each observation; the noise models (by relative standard deviation) are shared."""
     image, track = scene.tracks.image[index], scene.tracks.track[index]
     camera = scene.image_camera[image]
-    rows = zip(scene.pixels[index], image.tolist(), track.tolist(), camera.tolist(), strict=True)
-    for pixel, i, t, k in rows:
+    noise_of = [noises[sigma] for sigma in scene.sigmas[index].tolist()]
+    rows = zip(scene.pixels[index], noise_of, image.tolist(), track.tolist(), camera.tolist(), strict=True)
+    for pixel, noise, i, t, k in rows:
         calibration = calibrations[k]
         if calibration is None:
             factor = (

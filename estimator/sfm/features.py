@@ -18,6 +18,9 @@ Array = npt.NDArray[np.float64]
 DESCRIPTOR_SCALE = 512.0
 """A stored descriptor is the unit vector times this number, rounded to a byte."""
 
+UNCERTAIN_SIZE_PX = 8.0
+"""Diameter at which the variance of the position of a feature is twice that of small features [px]."""
+
 
 @dataclass(frozen=True, eq=False)
 class Features:
@@ -35,6 +38,15 @@ class Features:
     def __len__(self) -> int:
         """Return the number of features."""
         return len(self.pixels)
+
+    @property
+    def sigmas(self) -> Array:
+        """(N,) Standard deviations of the positions, relative to that of small features.
+
+        A large feature is detected in an image of low resolution. The values are rounded to an eighth in the logarithm.
+        """
+        sigmas = np.hypot(1.0, self.sizes_px / UNCERTAIN_SIZE_PX)
+        return np.asarray(np.exp(np.round(8.0 * np.log(sigmas)) / 8.0))
 
 
 def detect_features(

@@ -63,6 +63,8 @@ class Scene:
     """Tracks of features."""
     pixels: Array
     """(M, 2) Pixel of each observation."""
+    sigmas: Array
+    """(M,) Standard deviation of each observation, relative to that of small features."""
     image_camera: Indices
     """(I,) Index of the camera of each image."""
     is_calibrated: Mask
@@ -138,14 +140,15 @@ class SfmState:
         return np.where(np.isfinite(errors), errors, np.inf)
 
     def noise_px(self, scene: Scene) -> float:
-        """Return the standard deviation of the coordinates of the used observations [px], a robust estimate.
+        """Return the standard deviation of the coordinates of small features [px], a robust estimate.
 
         It is that of normally distributed coordinates whose errors have the same median.
         """
         used = self.used(scene)
         if not used.any():
             return MIN_NOISE_PX
-        return max(float(np.median(self.errors_px(scene, used))) / RAYLEIGH_MEDIAN, MIN_NOISE_PX)
+        relative = self.errors_px(scene, used) / scene.sigmas[used]
+        return max(float(np.median(relative)) / RAYLEIGH_MEDIAN, MIN_NOISE_PX)
 
     def focal_px(self, scene: Scene, selected: Mask | Indices) -> Array:
         """Return the focal length (S,) of the camera of the selected observations [px]."""

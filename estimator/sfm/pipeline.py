@@ -211,9 +211,9 @@ def _match(
 def _scene(images: ImageSet, features: list[Features], pairs: Sequence[MatchedPair]) -> Scene:
     counts = np.array([len(f) for f in features], np.int64)
     tracks = connect_tracks(pairs, counts)
-    pixels = np.concatenate([f.pixels for f in features])
-    offsets = np.cumsum(counts) - counts
-    return Scene(tracks, pixels[offsets[tracks.image] + tracks.feature], images.image_camera, images.is_calibrated)
+    pixels, sigmas = np.concatenate([f.pixels for f in features]), np.concatenate([f.sigmas for f in features])
+    rows = (np.cumsum(counts) - counts)[tracks.image] + tracks.feature
+    return Scene(tracks, pixels[rows], sigmas[rows], images.image_camera, images.is_calibrated)
 
 
 def _completed(scene: Scene, state: SfmState, features: list[Features], config: SfmConfig) -> tuple[Scene, SfmState]:

@@ -142,8 +142,10 @@ def _extended(scene: Scene, state: SfmState, features: Sequence[Features], added
     order = np.lexsort([image, label])
     remaining, track = np.unique(label[order], return_inverse=True)
     image, feature = image[order], feature[order]
-    pixels = np.stack([features[i].pixels[f] for i, f in zip(image, feature, strict=True)])
+    rows = offsets[image] + feature
+    pixels = np.concatenate([f.pixels for f in features])[rows]
+    sigmas = np.concatenate([f.sigmas for f in features])[rows]
     return (
-        replace(scene, tracks=Tracks(image, feature, track.astype(np.int64)), pixels=pixels),
+        replace(scene, tracks=Tracks(image, feature, track.astype(np.int64)), pixels=pixels, sigmas=sigmas),
         replace(state, points=state.points[remaining], is_inlier=is_inlier[order]),
     )

@@ -122,6 +122,6 @@ def _merged(scene: Scene, state: SfmState, pairs: Indices, points: Array) -> tup
     new_points[pairs[:, 0]] = points
     tracks = Tracks(scene.tracks.image[kept], scene.tracks.feature[kept], track)
     return (
-        replace(scene, tracks=tracks, pixels=scene.pixels[kept]),
+        replace(scene, tracks=tracks, pixels=scene.pixels[kept], sigmas=scene.sigmas[kept]),
         replace(state, points=new_points[remaining], is_inlier=state.is_inlier[kept]),
     )

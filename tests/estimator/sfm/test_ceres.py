@@ -44,12 +44,13 @@ def perturbed(made: "SyntheticScene", is_calibrated: bool) -> tuple[Scene, SfmSt
     point = np.concatenate(made.point_of)
     pixels = np.concatenate([features.pixels for features in made.features])
     order = np.lexsort([image, point])
+    sigmas = np.random.default_rng(1).choice([1.0, 1.5, 3.0], len(order))
     tracks = Tracks(image[order], np.arange(len(order)), point[order])
     Ts_world_cam = made.Ts_world_cam.copy()
     for T in Ts_world_cam:
         T[:3, :3] @= exp_so3(rng.normal(scale=0.003, size=3))
         T[:3, 3] += rng.normal(scale=0.01, size=3)
-    scene = Scene(tracks, pixels[order], np.zeros(len(made.features), np.int64), np.array([is_calibrated]))
+    scene = Scene(tracks, pixels[order], sigmas, np.zeros(len(made.features), np.int64), np.array([is_calibrated]))
     points = made.points + rng.normal(scale=0.02, size=made.points.shape)
     selected = np.ones(len(order), np.bool_)
     return scene, SfmState((made.camera,), Ts_world_cam, points, selected), selected

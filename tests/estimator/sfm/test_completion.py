@@ -36,7 +36,9 @@ def triangulated(scene: "SyntheticScene", image: Indices, feature: Indices, labe
     image, feature = image[order], feature[order]
     _, track = np.unique(label[order], return_inverse=True)
     pixels = np.stack([scene.features[i].pixels[f] for i, f in zip(image, feature, strict=True)])
-    problem = Scene(Tracks(image, feature, track), pixels, np.zeros(IMAGES, np.int64), np.array([True]))
+    problem = Scene(
+        Tracks(image, feature, track), pixels, np.ones(len(pixels)), np.zeros(IMAGES, np.int64), np.array([True])
+    )
     state = initial_state(problem, (scene.camera,), scene.Ts_world_cam.copy())
     return problem, triangulate(problem, state, TriangulationConfig())
 

@@ -171,7 +171,7 @@ def test_an_imu_that_does_not_suffice() -> None:
         inertial=inertial,
     )
     none = np.empty(0, np.int64)
-    scene = Scene(Tracks(none, none, none), np.empty((0, 2)), images.image_camera, images.is_calibrated)
+    scene = Scene(Tracks(none, none, none), np.empty((0, 2)), np.empty(0), images.image_camera, images.is_calibrated)
     state = initial_state(scene, images.cameras, Ts)
     strict = InertialConfig(max_scale_sigma=1e-6)
     level, world = place(scene, state, images, SfmConfig(inertial=strict))

@@ -44,7 +44,7 @@ def measured(scene: "SyntheticScene", camera: CameraModel, is_calibrated: bool) 
         pairs += [pair] if pair is not None else []
     tracks = connect_tracks(pairs, np.array([len(f) for f in scene.features]))
     pixels = np.stack([scene.features[i].pixels[f] for i, f in zip(tracks.image, tracks.feature, strict=True)])
-    return Scene(tracks, pixels, np.zeros(len(views), np.int64), np.array([is_calibrated])), pairs
+    return Scene(tracks, pixels, np.ones(len(pixels)), np.zeros(len(views), np.int64), np.array([is_calibrated])), pairs
 
 
 def position_errors(scene: "SyntheticScene", state: SfmState) -> Array:
