@@ -37,6 +37,10 @@ VISIBILITY_LEVELS = 6
 """Number of levels of the grids that measure how evenly the visible points cover an image."""
 INTERMEDIATE_CAUCHY_PX = 1.0
 """Scale of the Cauchy loss of the adjustments before the last [px]."""
+INTERMEDIATE_ADJUSTMENT = BundleAdjustmentConfig(15, 1e-4, INTERMEDIATE_CAUCHY_PX)
+"""Adjustments while the reconstruction grows."""
+SUBSET_ITERATIONS, SUBSET_TOLERANCE = 100, 1e-5
+"""Largest number of iterations and relative decrease of the error of the last adjustment of a subset."""
 MAX_DISCARDS = 2
 """Number of wrong registrations after which an image is left out."""
 CALIBRATED_TOLERANCE = 1e-3
@@ -86,7 +90,13 @@ def map_scene(
 
 
 def finish(scene: Scene, state: SfmState, config: MapperConfig) -> SfmState:
-    """Return a reconstruction of which all observations are adjusted until the error settles, without outliers."""
+    """Return a reconstruction of which all observations are adjusted until the error settles, without outliers.
+
+    A subset of the observations is adjusted first until it has converged. Bends between parts that few images connect
+    converge slowly, which is cheaper with fewer observations.
+    """
+    settled = BundleAdjustmentConfig(SUBSET_ITERATIONS, SUBSET_TOLERANCE, INTERMEDIATE_CAUCHY_PX)
+    state = _Mapper(scene, config, silent).adjust_all(state, settled)
     state = remove_outliers(scene, complete(scene, state, config.triangulation), config.triangulation)
     tolerance = CALIBRATED_TOLERANCE if scene.is_calibrated.all() else UNCALIBRATED_TOLERANCE
     adjustment = BundleAdjustmentConfig(
@@ -225,12 +235,9 @@ class _Mapper:
         kept[scene.tracks.track[order[rank < self.config.intermediate_observations]]] = True
         return np.asarray(used & kept[scene.tracks.track])
 
-    def adjust_all(self, state: SfmState) -> SfmState:
+    def adjust_all(self, state: SfmState, config: BundleAdjustmentConfig = INTERMEDIATE_ADJUSTMENT) -> SfmState:
         """Adjust the whole reconstruction on a subset of its observations, with a robust loss."""
-        used = state.used(self.scene)
-        selected = self._subset(used)
-        config = BundleAdjustmentConfig(max_iterations=15, relative_tolerance=1e-4, cauchy_px=INTERMEDIATE_CAUCHY_PX)
-        adjusted = adjust(self.scene, state, selected, config)
+        adjusted = adjust(self.scene, state, self._subset(state.used(self.scene)), config)
         return repair(self.scene, adjusted, self.config.triangulation)
 
     def clean(self, state: SfmState) -> SfmState:
