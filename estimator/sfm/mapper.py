@@ -92,8 +92,8 @@ def map_scene(
 def finish(scene: Scene, state: SfmState, config: MapperConfig) -> SfmState:
     """Return a reconstruction of which all observations are adjusted until the error settles, without outliers.
 
-    A subset of the observations is adjusted first until it has converged. Bends between parts that few images connect
-    converge slowly, which is cheaper with fewer observations.
+    A subset of the observations is adjusted first until it has converged. The angle between parts that few images
+    connect converges slowly, which is cheaper with fewer observations.
     """
     settled = BundleAdjustmentConfig(SUBSET_ITERATIONS, SUBSET_TOLERANCE, INTERMEDIATE_CAUCHY_PX)
     state = _Mapper(scene, config, silent).adjust_all(state, settled)

@@ -46,6 +46,11 @@ def doubled(features: Features) -> Features:
     )
 
 
+def test_large_features_are_less_certain(scene: "SyntheticScene") -> None:
+    few = replace(scene.features[0], sizes_px=np.array([1.0, 8.0, 80.0]))
+    assert few.sigmas == pytest.approx([1.0, np.sqrt(2.0), 10.05], rel=0.07)  # rounded to an eighth in the logarithm
+
+
 def test_ambiguous_features_are_not_matched(scene: "SyntheticScene") -> None:
     first, second = scene.features[0], scene.features[1]
     assert len(match_features(first, second, MatchingConfig())) > 100
@@ -84,6 +89,21 @@ def test_outliers_are_rejected(scene: "SyntheticScene") -> None:
 
 def test_planes_are_recognized(make_scene: "MakeScene") -> None:
     assert verified(make_scene(flat=True), 0, 4).geometry is Geometry.PLANAR
+
+
+def test_scenes_with_little_parallax_are_not_planes() -> None:
+    rng = np.random.default_rng(0)
+    depth = np.where(np.arange(300) < 200, 5.0, rng.uniform(4.6, 5.4, 300))  # within 3 px of a homography
+    camera = CameraModel(640, 480, 500.0, 500.0, 320.0, 240.0)
+    points = depth[:, None] * np.column_stack([rng.uniform(-0.5, 0.5, (300, 2)), np.ones(300)])
+    for far, geometry in ((depth, Geometry.GENERAL), (np.full(300, 5.0), Geometry.PLANAR)):
+        points[:, 2] = far
+        pixels = [camera.project(points - [x, 0.0, 0.0]) + rng.normal(scale=0.1, size=(300, 2)) for x in (0.0, 0.3)]
+        views = tuple(view_of(px, camera, True) for px in pixels)
+        matches = np.column_stack([np.arange(300)] * 2)
+        pair = verify(0, 1, (views[0], views[1]), matches, VerificationConfig())
+        assert pair is not None
+        assert pair.geometry is geometry
 
 
 @pytest.mark.parametrize("is_calibrated", [True, False])
