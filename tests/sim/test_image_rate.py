@@ -16,13 +16,10 @@ def test_image_rates_are_measured_by_world_and_kind() -> None:
 
 def test_figures_have_the_bound_of_the_first_world() -> None:
     rates = [
-        ImageRate(world, kind, 64, 64, per_cpu_s, 1.0)
-        for world, kind, per_cpu_s in (
-            ("room", "grey", 700.4),
-            ("hall", "grey", 500.0),
-            ("room", "depth", 599.0),
-            ("hall", "depth", 450.6),
-        )
+        ImageRate("room", "grey", 64, 64, 700.4, 1.0),
+        ImageRate("hall", "grey", 64, 64, 500.0, 1.0),
+        ImageRate("room", "depth", 64, 64, 599.0, 1.0),
+        ImageRate("hall", "depth", 64, 64, 450.6, 1.0),
     ]
     grey, depth = image_figures(rates)
     assert (grey.value, grey.met, depth.met) == (700.4, True, False)
