@@ -228,9 +228,13 @@ for i in range(count):
             )
 
 tracks = connect_tracks(pairs, np.array([len(found) for found in features]))
-observations = zip(tracks.image, tracks.feature, strict=True)
+observations = list(zip(tracks.image, tracks.feature, strict=True))
 pixels = np.array([features[i].pixels[k] for i, k in observations])
-scene = Scene(tracks, pixels, images.image_camera, np.array([IS_CALIBRATED]))
+# The positions of large features are less certain.
+sigmas = np.array([features[i].sigmas[k] for i, k in observations])
+scene = Scene(
+    tracks, pixels, sigmas, images.image_camera, np.array([IS_CALIBRATED])
+)
 print(f"{tracks.count} tracks with {len(pixels)} observations")
 
 # %% [markdown]
