@@ -120,7 +120,7 @@ def solve_by_ceres(problem: Problem) -> tuple[float, float]:
 
     with tempfile.TemporaryDirectory() as folder:
         write_colmap(Path(folder), selected_observations(problem))
-        model = pycolmap.Reconstruction(folder)
+        model: Any = pycolmap.Reconstruction(folder)
     scene, scale = problem.scene, problem.config.cauchy_px
     adjustment, squared = pyceres.Problem(), pyceres.TrivialLoss()
     loss = squared if scale is None else pyceres.CauchyLoss(scale)

@@ -14,8 +14,9 @@ SFM = (
         "sfm-matches-not-mutual",
         "Matching: a nearest neighbour in one direction is enough.",
         "estimator/sfm/matching.py",
-        "    rows, nearest = rows[is_mutual], nearest[is_mutual]\n",
-        "",
+        "    rows = np.flatnonzero(best == similarity.max(axis=0)[nearest])\n"
+        "    rows = np.sort(rows[np.unique(nearest[rows], return_index=True)[1]])\n",
+        "    rows = np.arange(len(first))\n",
         (f"{_TWO_VIEW}::test_no_feature_is_matched_twice",),
     ),
     Mutant(
