@@ -11,6 +11,10 @@ of which the median error counts. Times are elapsed times on this machine, and t
     .venv/bin/python scripts/sfm_accuracy.py --work build/sfm --scenarios --recordings MH_01_real
 """
 
+import os
+
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # as the command line does, before NumPy is imported
+
 import shutil
 import statistics
 import time

@@ -1,6 +1,7 @@
 """Vector environments: the contract in all autoreset modes, equality with single ones, errors, and adapters."""
 
 import pickle
+from functools import partial
 from typing import Any
 
 import gymnasium
@@ -19,11 +20,6 @@ from dronevio.sim.envs.vector_checker import check_vector_env
 
 MODES = [mode.name for mode in AutoresetMode]
 STATE = ("position", "rotation", "velocity", "rate")
-
-
-def spawned() -> gymnasium.Env[Any, Any]:
-    """Return an environment in another process."""
-    return gymnasium.make("dronevio.envs:dronevio/Hover-v0")
 
 
 # --- the contract
@@ -103,8 +99,8 @@ def test_the_checker_finds_defects(defect: str, message: str) -> None:
 
 @pytest.mark.parametrize("context", ["spawn", "forkserver"])
 def test_environments_run_in_other_processes(context: str) -> None:
-    envs = AsyncVectorEnv([spawned], context=context)
-    reference = spawned()
+    make = partial(gymnasium.make, "dronevio.envs:dronevio/Hover-v0")
+    envs, reference = AsyncVectorEnv([make], context=context), make()
     first, expected = envs.reset(seed=0)[0], reference.reset(seed=0)[0]
     np.testing.assert_array_equal(first["imu"][0], expected["imu"])
     actions = np.full((1, 4), 0.1, np.float32)
