@@ -104,7 +104,7 @@ def test_waypoints_keep_their_distance() -> None:
 def test_the_reference_of_track_moves_as_documented() -> None:
     task = Track()
     one, zeros = np.ones((1, 3)), np.zeros(1)
-    goals = TrackGoals(one, 0.5 * one, 2.0 * one, 0.0 * one, zeros, zeros, np.zeros(1, np.int64))
+    goals = TrackGoals(one, 0.5 * one, 2.0 * one, 0.0 * one, zeros, np.zeros(1, np.int64))
     ahead = task.objective(AREA, goals, np.array([0.3])).position_m
     np.testing.assert_allclose(ahead[0, :, 0], 1.0 + 0.5 * np.sin(2.0 * (0.3 + 0.1 * np.arange(5))))
     made = step(np.ones(3), np.ones(3), t_s=0.1)

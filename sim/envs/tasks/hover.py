@@ -13,8 +13,8 @@ from dronevio.sim.envs.tasks.task import (
     Start,
     Transition,
     action_change,
+    closeness,
     distance_m,
-    rate_rad_s,
 )
 from dronevio.sim.paths.space import FlightArea
 from dronevio.sim.physics.vehicle_states import Table, VehicleStates
@@ -128,9 +128,8 @@ force [m/s²] in the IMU's frame, with noise and biases |
         self, area: FlightArea, before: HoverGoals, goals: HoverGoals, step: Transition
     ) -> dict[str, Array]:
         """Return closeness and smoothness."""
-        distance, rate = distance_m(step.after, goals.target_m), rate_rad_s(step.after)
         return {
-            "closeness": np.exp(-distance / self.distance_scale_m - rate / self.rate_scale_rad_s),
+            "closeness": closeness(step.after, goals.target_m, self.distance_scale_m, self.rate_scale_rad_s),
             "smoothness": -self.smoothness * action_change(step),
         }
 

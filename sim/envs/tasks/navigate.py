@@ -14,9 +14,9 @@ from dronevio.sim.envs.tasks.task import (
     Objective,
     Start,
     Transition,
-    action_change,
+    approach_m,
     distance_m,
-    rate_rad_s,
+    penalties,
     weighted,
 )
 from dronevio.sim.paths.space import FlightArea
@@ -139,8 +139,8 @@ class Navigate:
         # how far each distance is from the demanded range; 0 within
         excess = np.maximum(np.maximum(self.distance_m[0] - distance, distance - self.distance_m[1]), 0.0)
         goal = candidates[np.argmin(excess, axis=0), np.arange(count)]
-        way = goal - start
-        states = self.start.states(start, quadrotor, rng, np.arctan2(way[:, 1], way[:, 0]))
+        heading = goal - start
+        states = self.start.states(start, quadrotor, rng, np.arctan2(heading[:, 1], heading[:, 0]))
         return states, NavigateGoals(goal, np.zeros(count, dtype=np.bool_))
 
     def objective(self, area: FlightArea, goals: NavigateGoals, t_s: Array) -> Objective:
@@ -148,20 +148,17 @@ class Navigate:
         return Objective.of(goals.goal_m[:, None])
 
     def advance(self, area: FlightArea, goals: NavigateGoals, step: Transition) -> NavigateGoals:
-        """Note which goals are reached."""
+        """Mark the goals that are reached."""
         return replace(goals, reached=goals.reached | (distance_m(step.after, goals.goal_m) < self.tolerance_m))
 
     def reward_terms(
         self, area: FlightArea, before: NavigateGoals, goals: NavigateGoals, step: Transition
     ) -> dict[str, Array]:
         """Return the terms of the reward."""
-        approach = distance_m(step.before, goals.goal_m) - distance_m(step.after, goals.goal_m)
         return {
-            "progress": self.progress * approach,
+            "progress": self.progress * approach_m(step, goals.goal_m),
             "reached": weighted(self.reached, goals.reached & ~before.reached),
-            "rate": -self.rate * rate_rad_s(step.after),
-            "smoothness": -self.smoothness * action_change(step),
-            "failure": weighted(-self.failure, step.failed),
+            **penalties(step, self.rate, self.smoothness, self.failure),
         }
 
     def finished(self, goals: NavigateGoals) -> Mask:

@@ -13,8 +13,8 @@ from dronevio.sim.envs.tasks.task import (
     Objective,
     Start,
     Transition,
-    action_change,
-    rate_rad_s,
+    approach_m,
+    penalties,
     weighted,
 )
 from dronevio.sim.paths.space import FlightArea
@@ -137,8 +137,8 @@ frame [m] |
         pad = area.pad + [0.0, 0.0, _START_HEIGHT_M]
         place = np.where(on_course[:, None], middles[behind] + _BEHIND_M * ahead[behind], pad)
         first = np.where(on_course, (behind + 1) % len(middles), 0)
-        way = middles[first] - place
-        states = self.start.states(place, quadrotor, rng, np.arctan2(way[:, 1], way[:, 0]))
+        heading = middles[first] - place
+        states = self.start.states(place, quadrotor, rng, np.arctan2(heading[:, 1], heading[:, 0]))
         total = np.full(count, self.laps * len(middles), dtype=np.int64)
         return states, RaceGoals(first, np.zeros(count, dtype=np.int64), total)
 
@@ -153,8 +153,8 @@ frame [m] |
         """Count the gates that are passed."""
         objective = self.objective(area, goals, step.t_s)
         middle, ahead = objective.position_m[:, 0], objective.direction[:, 0]
-        from_before = _along(step.before.position_m - middle, ahead)
-        from_after = _along(step.after.position_m - middle, ahead)
+        from_before = np.vecdot(step.before.position_m - middle, ahead)
+        from_after = np.vecdot(step.after.position_m - middle, ahead)
         crossed = (from_before < 0.0) & (from_after >= 0.0)
         share = from_before / np.where(crossed, from_before - from_after, 1.0)
         at = step.before.position_m + share[:, None] * (step.after.position_m - step.before.position_m) - middle
@@ -166,15 +166,10 @@ frame [m] |
     def reward_terms(self, area: FlightArea, before: RaceGoals, goals: RaceGoals, step: Transition) -> dict[str, Array]:
         """Return the terms of the reward."""
         middle = self.objective(area, before, step.t_s).position_m[:, 0]
-        approach = np.linalg.norm(step.before.position_m - middle, axis=1) - np.linalg.norm(
-            step.after.position_m - middle, axis=1
-        )
         return {
-            "progress": self.progress * approach,
+            "progress": self.progress * approach_m(step, middle),
             "passed": weighted(self.passed, goals.passed - before.passed),
-            "rate": -self.rate * rate_rad_s(step.after),
-            "smoothness": -self.smoothness * action_change(step),
-            "failure": weighted(-self.failure, step.failed),
+            **penalties(step, self.rate, self.smoothness, self.failure),
         }
 
     def finished(self, goals: RaceGoals) -> Mask:
@@ -204,8 +199,3 @@ def _course(area: FlightArea) -> tuple[Array, Array, Array]:
         np.stack([gate.ahead for gate in gates]),
         np.array([gate.opening_m for gate in gates]),
     )
-
-
-def _along(vectors: Array, directions: Array) -> Array:
-    """Return the scalar products (n,) of vectors (n, 3) with directions (n, 3)."""
-    return np.asarray(np.einsum("nk,nk->n", vectors, directions))

@@ -26,7 +26,7 @@ class Objective(Table):
     position_m: Array
     """(n, K, 3) Current goal and the following ones in the world [m]."""
     direction: Array
-    """(n, K, 3) Unit vectors in which gates are to be passed; zeros without gates."""
+    """(n, K, 3) Unit normals of the gates, in the direction of flight; zeros without gates."""
     size_m: Array
     """(n, K) Width and height of the openings of gates [m]; zeros without gates."""
 
@@ -177,6 +177,32 @@ def action_change(step: Transition) -> Array:
     """Return the mean squared changes (n,) of the components of the actions."""
     change = step.action - step.previous_action
     return np.asarray(np.vecdot(change, change) / change.shape[1])
+
+
+def approach_m(step: Transition, goal_m: Array) -> Array:
+    """Return how much nearer (n,) vehicles have come to goals (n, 3) in a step [m]."""
+    return distance_m(step.before, goal_m) - distance_m(step.after, goal_m)
+
+
+def closeness(states: VehicleStates, goal_m: Array, distance_scale_m: float, rate_scale_rad_s: float) -> Array:
+    """Return a reward (n,) that is 1 for vehicles that hover at goals (n, 3), and decreases exponentially."""
+    return np.exp(-distance_m(states, goal_m) / distance_scale_m - rate_rad_s(states) / rate_scale_rad_s)
+
+
+def penalties(step: Transition, rate: float, smoothness: float, failure: float) -> dict[str, Array]:
+    """Return the negative terms of the reward (n,) by name: angular velocity, change of the action, and failure.
+
+    Args:
+        step: The step.
+        rate: Weight of the angular velocity [s/rad].
+        smoothness: Weight of the mean squared change of the action.
+        failure: Penalty of a failure.
+    """
+    return {
+        "rate": -rate * rate_rad_s(step.after),
+        "smoothness": -smoothness * action_change(step),
+        "failure": weighted(-failure, step.failed),
+    }
 
 
 def weighted(weight: float, values: npt.ArrayLike) -> Array:

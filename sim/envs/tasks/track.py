@@ -14,9 +14,9 @@ from dronevio.sim.envs.tasks.task import (
     Start,
     Transition,
     action_change,
+    closeness,
     distance_m,
     flight_box_m,
-    rate_rad_s,
 )
 from dronevio.sim.paths.space import FlightArea
 from dronevio.sim.physics.vehicle_states import Table, VehicleStates
@@ -40,8 +40,6 @@ class TrackGoals(Table):
     """(n, 3) Angular frequencies [rad/s]."""
     phase_rad: Array
     """(n, 3) Phases at the start [rad]."""
-    t_s: Array
-    """(n,) Times since the start [s]."""
     summed_m: Array
     """(n,) Sums of the distances from the reference over all steps [m]."""
     steps: npt.NDArray[np.int64]
@@ -52,10 +50,9 @@ class TrackGoals(Table):
         phase = self.frequency_rad_s[:, None] * t_s[..., None] + self.phase_rad[:, None]
         return np.asarray(self.centre_m[:, None] + self.amplitude_m[:, None] * np.sin(phase))
 
-    def velocity_m_s(self) -> Array:
-        """Return the velocities (n, 3) of the references now [m/s]."""
-        phase = self.frequency_rad_s * self.t_s[:, None] + self.phase_rad
-        return np.asarray(self.amplitude_m * self.frequency_rad_s * np.cos(phase))
+    def initial_velocity_m_s(self) -> Array:
+        """Return the velocities (n, 3) of the references at the start [m/s]."""
+        return np.asarray(self.amplitude_m * self.frequency_rad_s * np.cos(self.phase_rad))
 
 
 @dataclass(frozen=True)
@@ -147,12 +144,11 @@ frame [m] |
             amplitude_m=rng.uniform(*self.extent, (count, 3)) * 0.5 * (box[1] - box[0]),
             frequency_rad_s=2.0 * np.pi / rng.uniform(*self.period_s, (count, 3)),
             phase_rad=rng.uniform(-np.pi, np.pi, (count, 3)),
-            t_s=np.zeros(count),
             summed_m=np.zeros(count),
             steps=np.zeros(count, dtype=np.int64),
         )
         states = self.start.states(goals.position_m(np.zeros((count, 1)))[:, 0], quadrotor, rng)
-        return replace(states, velocity_m_s=states.velocity_m_s + goals.velocity_m_s()), goals
+        return replace(states, velocity_m_s=states.velocity_m_s + goals.initial_velocity_m_s()), goals
 
     def objective(self, area: FlightArea, goals: TrackGoals, t_s: Array) -> Objective:
         """Return the reference now and later."""
@@ -161,16 +157,15 @@ frame [m] |
     def advance(self, area: FlightArea, goals: TrackGoals, step: Transition) -> TrackGoals:
         """Add the distance of this step."""
         distance = distance_m(step.after, goals.position_m(step.t_s[:, None])[:, 0])
-        return replace(goals, t_s=step.t_s, summed_m=goals.summed_m + distance, steps=goals.steps + 1)
+        return replace(goals, summed_m=goals.summed_m + distance, steps=goals.steps + 1)
 
     def reward_terms(
         self, area: FlightArea, before: TrackGoals, goals: TrackGoals, step: Transition
     ) -> dict[str, Array]:
         """Return closeness and smoothness."""
-        distance = distance_m(step.after, goals.position_m(step.t_s[:, None])[:, 0])
-        rate = rate_rad_s(step.after)
+        reference = goals.position_m(step.t_s[:, None])[:, 0]
         return {
-            "closeness": np.exp(-distance / self.distance_scale_m - rate / self.rate_scale_rad_s),
+            "closeness": closeness(step.after, reference, self.distance_scale_m, self.rate_scale_rad_s),
             "smoothness": -self.smoothness * action_change(step),
         }
 

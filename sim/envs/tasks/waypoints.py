@@ -12,10 +12,10 @@ from dronevio.sim.envs.tasks.task import (
     Objective,
     Start,
     Transition,
-    action_change,
+    approach_m,
     distance_m,
     flight_box_m,
-    rate_rad_s,
+    penalties,
     weighted,
 )
 from dronevio.sim.paths.space import FlightArea
@@ -155,11 +155,9 @@ class Waypoints:
         """Return the terms of the reward."""
         current = before.ahead_m(1)[:, 0]
         return {
-            "progress": self.progress * (distance_m(step.before, current) - distance_m(step.after, current)),
+            "progress": self.progress * approach_m(step, current),
             "reached": weighted(self.reached, goals.reached - before.reached),
-            "rate": -self.rate * rate_rad_s(step.after),
-            "smoothness": -self.smoothness * action_change(step),
-            "failure": weighted(-self.failure, step.failed),
+            **penalties(step, self.rate, self.smoothness, self.failure),
         }
 
     def finished(self, goals: WaypointsGoals) -> Mask:
