@@ -16,11 +16,11 @@ from dronevio.estimator.sfm.config import (
     TriangulationConfig,
     VerificationConfig,
 )
-from dronevio.estimator.sfm.mapper import MAX_DISCARDS, _Mapper, map_scene
+from dronevio.estimator.sfm.mapper import MAX_DISCARDS, _Mapper, finish, map_scene
 from dronevio.estimator.sfm.matching import match_features
 from dronevio.estimator.sfm.model import Scene, SfmState
 from dronevio.estimator.sfm.resection import resect
-from dronevio.estimator.sfm.tracks import connect_tracks
+from dronevio.estimator.sfm.tracks import Tracks, connect_tracks
 from dronevio.estimator.sfm.triangulation import triangulate_tracks
 from dronevio.estimator.sfm.two_view import TwoView, verify, view_of
 from dronevio.eval.metrics.alignment import umeyama
@@ -64,6 +64,49 @@ def test_a_calibrated_scene_is_reconstructed(scene: "SyntheticScene") -> None:
     # The distances of two coordinates with a standard deviation of .3 px have a median of .3 * 1.18 px.
     assert 0.28 < np.median(errors) < 0.36
     assert state.cameras == (scene.camera,)
+
+
+def test_a_wrong_angle_between_two_parts_is_corrected() -> None:
+    """Few points connect two halves of a path, of which one is rotated by 1° together with its points."""
+    rng, images = np.random.default_rng(0), np.arange(24)
+    camera = CameraModel(640, 480, 500.0, 500.0, 320.0, 240.0)
+    Ts_world_cam = np.tile(np.eye(4), (24, 1, 1))
+    true = np.column_stack([0.5 * images, 0.3 * np.sin(images), 0.3 * np.cos(0.7 * images)])
+    Ts_world_cam[:, :3, 3] = true
+    points = rng.uniform([-2.0, -1.5, 3.0], [14.0, 1.5, 6.0], (1500, 3))
+    pixels = camera.project(points - true[:, None])
+    is_right, is_common = points[:, 0] >= 6.0, np.arange(1500) % 40 == 0
+    seen = np.all((pixels > 0.0) & (pixels < [639.0, 479.0]), axis=2)
+    seen &= (is_right == (images >= 12)[:, None]) | is_common
+    seen &= seen.sum(axis=0) >= 2
+    track, image = np.nonzero(seen.T)
+    observed = pixels[image, track] + rng.normal(scale=0.1, size=(len(track), 2))
+    used, track = np.unique(track, return_inverse=True)
+    tracks = Tracks(image, np.arange(len(image)), track)
+    problem = Scene(tracks, observed, np.ones(len(image)), np.zeros(24, np.int64), np.array([True]))
+    R, joint = exp_so3(np.array([0.0, np.radians(1.0), 0.0])), np.array([5.75, 0.0, 0.0])
+    Ts_world_cam[12:, :3, :3] = R
+    Ts_world_cam[12:, :3, 3] = (true[12:] - joint) @ R.T + joint
+    rotated = np.where(is_right[:, None], (points - joint) @ R.T + joint, points)[used]
+    state = finish(problem, SfmState((camera,), Ts_world_cam, rotated, np.ones(len(image), np.bool_)), MapperConfig())
+    found = umeyama(true, state.Ts_world_cam[:, :3, 3], with_scale=True)
+    aligned = found.scale * state.Ts_world_cam[:, :3, 3] @ found.R_truth_estimate.T + found.t_m
+    assert np.sqrt(np.mean(np.sum((true - aligned) ** 2, axis=1))) < 0.003  # 15 mm at the start
+
+
+def test_the_noise_is_that_of_small_features() -> None:
+    """Half of the observations err by 1 px and half, three times as uncertain, by 3 px: 1 px by 1.1774."""
+    image = np.repeat(np.arange(2), 4)
+    sigmas = np.tile([1.0, 3.0], 4)
+    points = np.column_stack([np.linspace(-0.2, 0.2, 4), np.zeros(4), np.full(4, 2.0)])
+    order = np.lexsort([image, np.tile(np.arange(4), 2)])
+    track, image = np.tile(np.arange(4), 2)[order], image[order]
+    sigmas = sigmas[order]
+    camera = CameraModel(640, 480, 500.0, 500.0, 320.0, 240.0)
+    pixels = camera.project(points[track]) + sigmas[:, None] * [0.6, 0.8]
+    problem = Scene(Tracks(image, np.arange(8), track), pixels, sigmas, np.zeros(2, np.int64), np.array([True]))
+    state = SfmState((camera,), np.tile(np.eye(4), (2, 1, 1)), points, np.ones(8, np.bool_))
+    assert state.noise_px(problem) == pytest.approx(1.0 / 1.1774)
 
 
 def test_an_unknown_focal_length_is_estimated(scene: "SyntheticScene") -> None:
