@@ -18,6 +18,7 @@ from dronevio.estimator.config import VioConfig
 from dronevio.estimator.frontend.protocol import FrontEnd
 from dronevio.estimator.frontend.rig import RigTracker
 from dronevio.estimator.health import HealthMonitor
+from dronevio.estimator.imu.forward_propagation import ImuRatePropagator
 from dronevio.estimator.imu.noise import ImuNoiseEstimator
 from dronevio.estimator.initialization.gauge import Gauge, LastPublished, WorldOrigin
 from dronevio.estimator.initialization.initializer import Initializer
@@ -81,12 +82,18 @@ class VisualInertialOdometry:
         self._zero_velocity = ZeroVelocityDetector(c.zero_velocity)
         self._keyframe_policy = KeyframePolicy(c.keyframe)
         self._publisher = Publisher(c.initialization, rig.imu.rate_hz)
+        self._imu_rate = ImuRatePropagator(rig.imu, c.preintegration)
         self._gauge: Gauge = WorldOrigin(c.initialization.gyro_bias_sigma_rad_s)
         self._state: Initializing | Tracking = self._initializing()
 
     def add_imu(self, samples: ImuSamples) -> None:
         """Add the IMU samples since the last call."""
         self._pipeline.add_imu(samples)
+        self._imu_rate.push(samples)
+
+    def state_at(self, t_ns: int) -> NavState | None:
+        """Return the newest state, propagated by the IMU to its last sample not after a time; see `Estimator`."""
+        return self._imu_rate.state_at(t_ns)
 
     def add_frame(self, frame: CameraFrame) -> Estimate:
         """Add a frame and return the estimate at its time stamp.
@@ -102,7 +109,10 @@ class VisualInertialOdometry:
                 estimate = self._initialize(self._state, packet)
             case Tracking():
                 estimate = self._track(self._state, packet)
-        return self._pipeline.at_stamp(estimate, frame, self._calibration)
+        estimate = self._pipeline.at_stamp(estimate, frame, self._calibration)
+        if estimate.state is not None:
+            self._imu_rate.correct(estimate)
+        return estimate
 
     def _initialize(self, state: Initializing, packet: FramePacket) -> Estimate:
         """Initialize the estimate if it is observable."""

@@ -51,7 +51,24 @@ class Estimator(Protocol):
         """Add the IMU samples since the last call."""
 
     def add_frame(self, frame: CameraFrame) -> Estimate:
-        """Return the estimate for a frame. The IMU samples up to the end of its exposure have to be added before."""
+        """Return the estimate for a frame.
+
+        The IMU samples up to the end of its exposure have to be added before. Later samples may have been added, too,
+        since the frames of a live system arrive with a delay.
+        """
+
+    def state_at(self, t_ns: int) -> NavState | None:
+        """Return the newest state, propagated by the IMU to its last sample not after a time.
+
+        This is the output for controllers, which cannot wait for the next frame. It goes on after a loss, as dead
+        reckoning from the last state.
+
+        Args:
+            t_ns: Time [ns], not before that of the last call.
+
+        Returns:
+            The state with its angular velocity, without covariance; None before the first state.
+        """
 
 
 class Plant(Protocol):

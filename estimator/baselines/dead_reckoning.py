@@ -9,6 +9,7 @@ import numpy.typing as npt
 
 from dronevio.estimator.imu.buffer import ImuBuffer, Increments
 from dronevio.estimator.imu.covariance import propagate_covariance
+from dronevio.estimator.imu.forward_propagation import ImuRatePropagator
 from dronevio.estimator.initialization.static import InitialSigmas, initialize_static
 from dronevio.models.imu import GRAVITY_M_S2, ImuSamples
 from dronevio.models.rig import Rig
@@ -80,13 +81,26 @@ class DeadReckoning:
         self._imu = rig.imu
         self._buffer = ImuBuffer()
         self._phase: _Initializing | _Integrating = _Initializing()
+        self._imu_rate = ImuRatePropagator(rig.imu)
 
     def add_imu(self, samples: ImuSamples) -> None:
         """Add the IMU samples since the last call."""
         self._buffer.add(samples)
+        self._imu_rate.push(samples)
+
+    def state_at(self, t_ns: int) -> NavState | None:
+        """Return the newest state, propagated by the IMU to its last sample not after a time; see `Estimator`."""
+        return self._imu_rate.state_at(t_ns)
 
     def add_frame(self, frame: CameraFrame) -> Estimate:
         """Return the estimate at the time stamp of a frame."""
+        estimate = self._at_frame(frame)
+        if estimate.state is not None:
+            self._imu_rate.correct(estimate)
+        return estimate
+
+    def _at_frame(self, frame: CameraFrame) -> Estimate:
+        """Return the estimate at the time stamp of a frame, from the one before."""
         increments = self._buffer.take_until(frame.t_ns)
         if isinstance(self._phase, _Integrating):
             state = self._propagated(self._phase.state, frame.t_ns, increments)

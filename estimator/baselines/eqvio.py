@@ -19,6 +19,7 @@ from dronevio.estimator.frontend.corners import CornerConfig
 from dronevio.estimator.frontend.protocol import FrontEnd
 from dronevio.estimator.frontend.tracker import FeatureTracker, TrackerConfig
 from dronevio.estimator.imu.buffer import ImuBuffer, Increments
+from dronevio.estimator.imu.forward_propagation import ImuRatePropagator
 from dronevio.estimator.initialization.static import initialize_static
 from dronevio.estimator.initialization.zero_velocity import ZeroVelocityConfig, ZeroVelocityDetector
 from dronevio.estimator.types import Observations
@@ -237,13 +238,26 @@ class EquivariantOdometry:
         self._zero_velocity = ZeroVelocityDetector(self._config.zero_velocity)
         self._replenished_ns: int | None = None
         self._phase: _Initializing | _Filtering | _Lost = _Initializing()
+        self._imu_rate = ImuRatePropagator(rig.imu)
 
     def add_imu(self, samples: ImuSamples) -> None:
         """Add the IMU samples since the last call."""
         self._buffer.add(samples)
+        self._imu_rate.push(samples)
+
+    def state_at(self, t_ns: int) -> NavState | None:
+        """Return the newest state, propagated by the IMU to its last sample not after a time; see `Estimator`."""
+        return self._imu_rate.state_at(t_ns)
 
     def add_frame(self, frame: CameraFrame) -> Estimate:
         """Return the estimate at a frame. If the filter fails, this and all later estimates are `Health.LOST`."""
+        estimate = self._at_frame(frame)
+        if estimate.state is not None:
+            self._imu_rate.correct(estimate)
+        return estimate
+
+    def _at_frame(self, frame: CameraFrame) -> Estimate:
+        """Return the estimate at a frame, after one step of the current phase."""
         increments = self._buffer.take_until(frame.t_ns)
         rotation = increments.rotation(self._phase.gyro_bias_rad_s)
         observations = self._observations(frame, rotation)

@@ -7,7 +7,7 @@ not revised, so that the output jumps by the correction of the frame.
 """
 
 from collections import deque
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import gtsam
 import numpy as np
@@ -33,17 +33,17 @@ class _ImuInterval:
 
 
 class _Propagation:
-    """Dead reckoning from one estimate."""
+    """Dead reckoning from one estimate, ``start``."""
 
     def __init__(self, start: NavState, params: PreintegrationParams) -> None:
-        self._start = start
+        self.start = start
         self._nav = gtsam.NavState(gtsam.Pose3(start.T_world_imu), start.velocity_m_s)
         self._bias = gtsam.imuBias.ConstantBias(start.accel_bias_m_s2, start.gyro_bias_rad_s)
         self._preintegration = Preintegration(params, self._bias)
 
     def integrate(self, interval: _ImuInterval) -> None:
         """Add an interval, or the part of it after the estimate."""
-        dt_s = (interval.end_ns - max(interval.start_ns, self._start.t_ns)) * 1e-9
+        dt_s = (interval.end_ns - max(interval.start_ns, self.start.t_ns)) * 1e-9
         if dt_s > 0.0:
             gyro, accel = interval.gyro_rad_s[None], interval.accel_m_s2[None]
             self._preintegration.integrate(Increments(np.array([dt_s]), gyro, accel))
@@ -55,14 +55,17 @@ class _Propagation:
             interval.end_ns,
             predicted.pose().matrix(),
             predicted.velocity(),
-            self._start.gyro_bias_rad_s,
-            self._start.accel_bias_m_s2,
-            angular_velocity_rad_s=interval.end_rate_rad_s - self._start.gyro_bias_rad_s,
+            self.start.gyro_bias_rad_s,
+            self.start.accel_bias_m_s2,
+            angular_velocity_rad_s=interval.end_rate_rad_s - self.start.gyro_bias_rad_s,
         )
 
 
 class ImuRatePropagator:
     """Returns a state for every IMU sample, propagated from the newest estimate.
+
+    Samples are integrated when a state is requested, so that an estimator whose states between frames are not used pays
+    for their storage only.
 
     Example:
         >>> propagator = ImuRatePropagator(rig.imu)
@@ -82,8 +85,10 @@ class ImuRatePropagator:
             config: Settings of the preintegration.
         """
         self._params = PreintegrationParams.of(imu, config or PreintegrationConfig())
-        self._intervals: deque[_ImuInterval] = deque()  # those that end after the newest estimate
-        self._last: tuple[int, Array, Array] | None = None  # time stamp, gyroscope and accelerometer of the last sample
+        self._received: deque[ImuSamples] = deque()  # samples that are not divided into intervals yet
+        self._last: tuple[int, Array, Array] | None = None  # time stamp, gyroscope and accelerometer before them
+        self._ahead: deque[_ImuInterval] = deque()  # intervals that are not integrated yet
+        self._integrated: deque[_ImuInterval] = deque()  # those since the newest estimate
         self._propagation: _Propagation | None = None
 
     def add_imu(self, samples: ImuSamples) -> list[NavState]:
@@ -95,36 +100,70 @@ class ImuRatePropagator:
         Args:
             samples: Samples later than those before.
         """
-        states = []
-        for interval in self._new_intervals(samples):
-            self._intervals.append(interval)
-            if self._propagation is not None:
-                self._propagation.integrate(interval)
-                states.append(self._propagation.state(interval))
-        return states
+        self.push(samples)
+        times = samples.t_ns.tolist()
+        states = [self.state_at(t_ns) for t_ns in times]
+        return [state for state, t_ns in zip(states, times, strict=True) if state and state.t_ns == t_ns]
+
+    def push(self, samples: ImuSamples) -> None:
+        """Add samples later than those before, without integration."""
+        if len(samples):
+            self._received.append(samples)
+
+    def state_at(self, t_ns: int) -> NavState | None:
+        """Return the state at the last sample not after a time, propagated from the newest estimate.
+
+        Args:
+            t_ns: Time [ns], not before that of the last call.
+
+        Returns:
+            The state as `add_imu` returns it; the newest estimate if no sample follows it; None without an estimate.
+        """
+        propagation = self._propagation
+        if propagation is None:
+            return None
+        self._divide()
+        while self._ahead and self._ahead[0].end_ns <= propagation.start.t_ns:
+            self._ahead.popleft()
+        while self._ahead and self._ahead[0].end_ns <= t_ns:
+            self._integrated.append(self._ahead.popleft())
+            propagation.integrate(self._integrated[-1])
+        if self._integrated:
+            return propagation.state(self._integrated[-1])
+        return self._at_estimate(propagation.start)
 
     def correct(self, estimate: Estimate) -> None:
         """Propagate from a new estimate, of any earlier time; if it has no state, stop until the next one has."""
-        while self._intervals and self._intervals[0].end_ns <= estimate.t_ns:
-            self._intervals.popleft()
-        if estimate.state is None:
-            self._propagation = None
-            return
-        self._propagation = _Propagation(estimate.state, self._params)
-        for interval in self._intervals:
-            self._propagation.integrate(interval)
+        self._drop_until(estimate.t_ns)
+        self._ahead.extendleft(reversed(self._integrated))
+        self._integrated.clear()
+        self._propagation = None if estimate.state is None else _Propagation(estimate.state, self._params)
 
-    def _new_intervals(self, samples: ImuSamples) -> list[_ImuInterval]:
-        """Return the intervals that end at some samples; `ImuSamples.increments` describes the mean of two points."""
-        intervals = []
-        for t_ns, gyro, accel in zip(samples.t_ns.tolist(), samples.gyro_rad_s, samples.accel_m_s2, strict=True):
-            if self._last is not None:
-                start_ns, last_gyro, last_accel = self._last
-                if samples.sampling == "increment":
-                    intervals.append(_ImuInterval(start_ns, t_ns, gyro, accel, gyro))
-                else:
-                    mean = 0.5 * (last_gyro + gyro)
-                    rotation = gtsam.Rot3.Expmap(mean * ((t_ns - start_ns) * 1e-9)).matrix()
-                    intervals.append(_ImuInterval(start_ns, t_ns, mean, 0.5 * (last_accel + rotation @ accel), gyro))
-            self._last = t_ns, gyro, accel
-        return intervals
+    def _at_estimate(self, start: NavState) -> NavState:
+        """Return the state of an estimate without later samples, with the angular velocity of the nearest sample."""
+        if self._last is None:
+            return start
+        gyro = self._ahead[0].gyro_rad_s if self._ahead else self._last[1]
+        return replace(start, covariance=None, angular_velocity_rad_s=gyro - start.gyro_bias_rad_s)
+
+    def _drop_until(self, t_ns: int) -> None:
+        """Discard received samples before a time, except the last of them."""
+        while len(self._received) > 1 and self._received[1].t_ns[0] <= t_ns:
+            dropped = self._received.popleft()
+            self._last = int(dropped.t_ns[-1]), dropped.gyro_rad_s[-1], dropped.accel_m_s2[-1]
+
+    def _divide(self) -> None:
+        """Divide the received samples into intervals; `ImuSamples.increments` describes the mean of two points."""
+        while self._received:
+            samples = self._received.popleft()
+            for t_ns, gyro, accel in zip(samples.t_ns.tolist(), samples.gyro_rad_s, samples.accel_m_s2, strict=True):
+                if self._last is not None:
+                    start_ns, last_gyro, last_accel = self._last
+                    if samples.sampling == "increment":
+                        self._ahead.append(_ImuInterval(start_ns, t_ns, gyro, accel, gyro))
+                    else:
+                        mean = 0.5 * (last_gyro + gyro)
+                        rotation = gtsam.Rot3.Expmap(mean * ((t_ns - start_ns) * 1e-9)).matrix()
+                        accel_start = 0.5 * (last_accel + rotation @ accel)
+                        self._ahead.append(_ImuInterval(start_ns, t_ns, mean, accel_start, gyro))
+                self._last = t_ns, gyro, accel

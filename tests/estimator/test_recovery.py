@@ -15,6 +15,7 @@ from dronevio.estimator.vio import VisualInertialOdometry
 from dronevio.eval.metrics.alignment import align
 from dronevio.models.errors import ConfigError
 from dronevio.models.imu import ImuSamples
+from dronevio.models.protocols import measurements
 from dronevio.models.rotation import exp_so3, pose_matrix
 from dronevio.models.state import Estimate, Health, NavState, Trajectory
 
@@ -58,10 +59,26 @@ def is_valid(estimates: list[Estimate]) -> bool:
     return finite and all(e.health_report and e.health_report.reason for e in estimates if e.state is None)
 
 
+def run_with_states(flight: "SyntheticFlight") -> tuple[list[Estimate], list[NavState | None]]:
+    """Return the estimate for each frame, and the state after it at the IMU rate."""
+    vio = VisualInertialOdometry(flight.rig, front_end=flight.front_end())
+    estimates, states = [], []
+    for measurement in measurements(flight):
+        if isinstance(measurement, ImuSamples):
+            vio.add_imu(measurement)
+        else:
+            estimates.append(vio.add_frame(measurement))
+            states.append(vio.state_at(measurement.t_ns))
+    return estimates, states
+
+
 def test_half_a_minute_of_darkness_is_a_loss(make_flight: MakeFlight) -> None:
     flight = make_flight(0, rest_s=1.5, dark_s=(5.0, 35.0), duration_s=42.0)
-    estimates = flight.run()
+    estimates, states = run_with_states(flight)
     assert is_valid(estimates)
+    first = next(k for k, e in enumerate(estimates) if e.state is not None)
+    assert states[:first] == [None] * first
+    assert [s.t_ns for s in states[first:] if s] == flight.frame_times_ns[first:].tolist()  # also while it is lost
     t_s = (flight.frame_times_ns - flight.frame_times_ns[0]) * 1e-9
     health = health_of(estimates)
     lost = int(np.flatnonzero(health == Health.LOST)[0])

@@ -189,3 +189,22 @@ def test_estimates_need_no_covariance_or_tracking() -> None:
     propagator.add_imu(samples[:10])
     propagator.correct(replace(estimate(int(samples.t_ns[9]), T[9], v[9]), health=Health.INERTIAL_ONLY))
     assert len(propagator.add_imu(samples[10:])) == 10
+
+
+def test_states_at_times_are_those_of_the_samples() -> None:
+    """Samples are pushed ahead of the times; states between two samples are those of the earlier one."""
+    samples, T, v, omega = samples_on_circle(40)
+    one_by_one, ahead = ImuRatePropagator(EUROC_IMU), ImuRatePropagator(EUROC_IMU)
+    for propagator in (one_by_one, ahead):
+        propagator.push(samples[:5])
+        propagator.correct(estimate(int(samples.t_ns[4]), T[4], v[4]))
+    expected = one_by_one.add_imu(samples[5:])
+    ahead.push(samples[5:])
+    start = ahead.state_at(int(samples.t_ns[4]))
+    assert start is not None and start.angular_velocity_rad_s is not None
+    np.testing.assert_array_equal(start.T_world_imu, T[4])
+    np.testing.assert_allclose(start.angular_velocity_rad_s, omega[4], atol=0.05)
+    for k in (5, 6, 20, 39):
+        state = ahead.state_at(int(samples.t_ns[k]) + STEP_NS // 2)
+        assert state is not None and state.t_ns == samples.t_ns[k]
+        np.testing.assert_array_equal(state.T_world_imu, expected[k - 5].T_world_imu)
