@@ -28,6 +28,8 @@ if TYPE_CHECKING:
     from dronevio.models.camera import CameraModel
     from dronevio.models.errors import DronevioError
     from dronevio.models.imu import ImuModel, ImuSamples
+    from dronevio.models.policies.policy import Policy
+    from dronevio.models.policies.policy_file import load_policy, save_policy
     from dronevio.models.protocols import Estimator, Recording, measurements
     from dronevio.models.recordings.open import open_recording, read_trajectory
     from dronevio.models.recordings.tum import write_tum
@@ -49,6 +51,7 @@ __all__ = [
     "ImuRatePropagator",
     "ImuSamples",
     "NavState",
+    "Policy",
     "Recording",
     "Rig",
     "RigCamera",
@@ -63,10 +66,12 @@ __all__ = [
     "estimate_recording",
     "evaluate",
     "fly",
+    "load_policy",
     "measurements",
     "open_recording",
     "read_trajectory",
     "rig_named",
+    "save_policy",
     "scenario_named",
     "sfm",
     "write_tum",
@@ -87,6 +92,8 @@ __getattr__, __dir__ = attach(
         "dronevio.models.camera": ("CameraModel",),
         "dronevio.models.errors": ("DronevioError",),
         "dronevio.models.imu": ("ImuModel", "ImuSamples"),
+        "dronevio.models.policies.policy": ("Policy",),
+        "dronevio.models.policies.policy_file": ("load_policy", "save_policy"),
         "dronevio.models.protocols": ("Estimator", "Recording", "measurements"),
         "dronevio.models.recordings.open": ("open_recording", "read_trajectory"),
         "dronevio.models.recordings.tum": ("write_tum",),

@@ -5,7 +5,8 @@ from typing import TYPE_CHECKING
 from dronevio._lazy import attach
 
 if TYPE_CHECKING:
-    from dronevio.sim.envs.actions import ActionLimits
+    from dronevio.models.actions import ActionLimits
+    from dronevio.sim.envs.conversion import policy_from_sb3, policy_from_torch, provenance_of
     from dronevio.sim.envs.distributions import Constant, LogUniform, Normal, Uniform
     from dronevio.sim.envs.randomization import MODERATE, Randomization
     from dronevio.sim.envs.settings import EnvironmentSettings
@@ -31,12 +32,16 @@ __all__ = [
     "Uniform",
     "Waypoints",
     "check_vector_env",
+    "policy_from_sb3",
+    "policy_from_torch",
+    "provenance_of",
 ]
 
 __getattr__, __dir__ = attach(
     __name__,
     {
-        "dronevio.sim.envs.actions": ("ActionLimits",),
+        "dronevio.models.actions": ("ActionLimits",),
+        "dronevio.sim.envs.conversion": ("policy_from_sb3", "policy_from_torch", "provenance_of"),
         "dronevio.sim.envs.distributions": ("Constant", "LogUniform", "Normal", "Uniform"),
         "dronevio.sim.envs.randomization": ("MODERATE", "Randomization"),
         "dronevio.sim.envs.settings": ("EnvironmentSettings",),

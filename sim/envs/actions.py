@@ -16,12 +16,13 @@ scenarios (`dronevio.sim.physics.cascade.Cascade`).
 """
 
 from collections.abc import Callable
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from typing import Any, Protocol
 
 import numpy as np
 import numpy.typing as npt
 
+from dronevio.models.actions import ACTION_MODES, ActionLimits
 from dronevio.models.errors import ConfigError
 from dronevio.models.quadrotor import Quadrotor
 from dronevio.sim.physics.cascade import Body, Cascade, CascadeState, attitude_along
@@ -29,33 +30,6 @@ from dronevio.sim.physics.gains import Gains
 from dronevio.sim.physics.vehicle_states import Mask, VehicleStates
 
 Array = npt.NDArray[np.float64]
-
-
-@dataclass(frozen=True)
-class ActionLimits:
-    """Values that actions of ±1 command."""
-
-    rate_rad_s: float = 6.0
-    """Largest angular velocity about x and y in the mode ``rates`` [rad/s]."""
-    yaw_rate_rad_s: float = 2.0
-    """Largest angular velocity about z in all modes [rad/s]."""
-    tilt_rad: float = 0.6
-    """Largest roll and pitch in the mode ``attitude`` [rad]."""
-    velocity_m_s: float = 2.0
-    """Largest velocity along each axis in the mode ``velocity`` [m/s]."""
-    acceleration_m_s2: float = 6.0
-    """Largest acceleration by the velocity error in the mode ``velocity`` [m/s²]."""
-
-    def __post_init__(self) -> None:
-        """Check the values.
-
-        Raises:
-            ConfigError: A value is not a positive, finite number.
-        """
-        for field in fields(self):
-            value = getattr(self, field.name)
-            if not 0.0 < value < np.inf:
-                raise ConfigError(f"action_limits.{field.name} = {value}; expected a positive, finite number")
 
 
 class ActionMode(Protocol):
@@ -186,8 +160,6 @@ def _velocity(actions: Array, body: Body, cascade: Cascade, state: CascadeState,
 
 
 _LAWS: dict[str, Law] = {"rates": _rates, "attitude": _attitude, "velocity": _velocity}
-ACTION_MODES = ("rotors", *_LAWS)
-"""Names of all action modes."""
 
 
 def action_mode(name: str, quadrotor: Quadrotor, limits: ActionLimits, count: int, interval_s: float) -> ActionMode:

@@ -26,6 +26,8 @@ class Arrangement:
             flat: Whether the observations are concatenated to one vector, in the order of the names.
         """
         self._policy, self._privileged, self._flat = policy, privileged, flat
+        self.shapes: dict[str, tuple[int, ...]] = {name: boxes[name].shape for name in policy}
+        """Shapes of the observations of the policy by name, in order."""
         self.space: spaces.Space[Any] = self._space(boxes, policy)
         """Space of the observations of one environment."""
         if privileged:

@@ -105,6 +105,8 @@ class DroneCore:
         """Space of the actions of one environment."""
         self.observation_space = self._arrangement.space
         """Space of the observations of one environment."""
+        self.observation_shapes = self._arrangement.shapes
+        """Shapes of the observations of the policy by name, in order."""
 
     def reseed(self, rng: np.random.Generator) -> None:
         """Take all random numbers from a generator from now on."""

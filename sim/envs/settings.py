@@ -3,10 +3,10 @@
 from dataclasses import dataclass, field, fields, replace
 from typing import Any
 
+from dronevio.models.actions import ACTION_MODES, ActionLimits
 from dronevio.models.errors import ConfigError
 from dronevio.models.quadrotor import RESEARCH, Quadrotor, vehicle_named
 from dronevio.models.rig import Rig, euroc_rig
-from dronevio.sim.envs.actions import ACTION_MODES, ActionLimits
 from dronevio.sim.envs.camera_observation import ImageKind
 from dronevio.sim.envs.observations import IMAGES
 from dronevio.sim.envs.randomization import NOTHING_RANDOM, Randomization

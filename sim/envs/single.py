@@ -80,6 +80,8 @@ class DroneEnv(gymnasium.Env[Any, npt.NDArray[np.floating[Any]]]):
         self._started = False
         self.action_space = self._core.action_space
         self.observation_space = self._core.observation_space
+        self.observation_shapes = self._core.observation_shapes
+        """Shapes of the observations of the policy by name, in order."""
 
     def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Any, Info]:
         """Start an episode.

@@ -101,6 +101,8 @@ class DroneVectorEnv(VectorEnv[Any, npt.NDArray[np.floating[Any]], Any]):
         self._started = False
         self.single_action_space = self._core.action_space
         self.single_observation_space = self._core.observation_space
+        self.observation_shapes = self._core.observation_shapes
+        """Shapes of the observations of one environment's policy by name, in order."""
         self.action_space = batch_space(self.single_action_space, num_envs)
         self.observation_space = batch_space(self.single_observation_space, num_envs)
 

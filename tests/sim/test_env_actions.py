@@ -5,9 +5,9 @@ from typing import Any
 import numpy as np
 import pytest
 
+from dronevio.models.actions import ACTION_MODES
 from dronevio.models.quadrotor import RESEARCH
 from dronevio.models.rotation import exp_so3, quat_wxyz_from_matrix, rotation_z, yaw_rad_from_matrix
-from dronevio.sim.envs.actions import ACTION_MODES
 from dronevio.sim.envs.core import DroneCore
 from dronevio.sim.envs.distributions import Constant, LogUniform, Normal, Uniform
 from dronevio.sim.envs.latency import DelayedActions

@@ -16,9 +16,9 @@ from gymnasium.utils.env_checker import check_env, data_equivalence
 from gymnasium.wrappers import FrameStackObservation, NormalizeObservation, RecordVideo
 
 import dronevio.envs  # noqa: F401 registers
+from dronevio.models.actions import ACTION_MODES, ActionLimits
 from dronevio.models.errors import ConfigError, GraphicsError
 from dronevio.sim.chase_camera import CHASE_CAMERAS
-from dronevio.sim.envs.actions import ACTION_MODES, ActionLimits
 from dronevio.sim.envs.distributions import LogUniform, Normal, Uniform
 from dronevio.sim.envs.randomization import MODERATE, Randomization
 from dronevio.sim.envs.settings import settings_of
