@@ -13,8 +13,10 @@ from typing import Any
 import numpy as np
 import pytest
 
+from dronevio.models.actions import ActionLimits
 from dronevio.models.camera import CameraModel
 from dronevio.models.imu import ImuSamples, Sampling, Times
+from dronevio.models.policies import Layer, NamedShape, Network, Policy, Provenance, Scaling
 from dronevio.models.recordings.frame_truth import FrameTruth
 from dronevio.models.rig import Rig
 from dronevio.models.rig_presets import rig_named
@@ -129,3 +131,26 @@ def assert_same_arrays(ours: object, theirs: object, names: tuple[str, ...]) -> 
         if a is not None:
             np.testing.assert_array_equal(a, b, err_msg=name)
             assert a.dtype == b.dtype
+
+
+@pytest.fixture(scope="session")
+def hovering_policy() -> Policy:
+    """A linear controller as a policy: it hovers at the goal of the task Hover by thrust and body rates."""
+    weight = np.zeros((4, 15))
+    position, tilt_x, tilt_y, velocity = 0, 3 + 2, 3 + 5, 12  # columns; the tilt is the vehicle's z axis in the world
+    weight[0, [position + 2, velocity + 2]] = -0.8, -0.6  # thrust
+    weight[2, [position, velocity, tilt_x]] = np.array([-0.25, -0.25, -1.0])  # rate about y
+    weight[1, [position + 1, velocity + 1, tilt_y]] = np.array([0.25, 0.25, 1.0])  # rate about x
+    layer = Layer(weight.astype(np.float32), np.zeros(4, np.float32))
+    return Policy(
+        environment="dronevio/Hover-v0",
+        vehicle="research",
+        inputs=(NamedShape("position", (3,)), NamedShape("rotation", (3, 3)), NamedShape("velocity", (3,))),
+        scaling=Scaling.identity(15),
+        network=Network((layer,), "tanh"),
+        action_mode="rates",
+        action_limits=ActionLimits(),
+        action_rate_hz=50.0,
+        imu_rate_hz=200.0,
+        provenance=Provenance("linear controller", 0, 0),
+    )

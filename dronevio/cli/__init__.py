@@ -26,6 +26,7 @@ COMMANDS = CommandGroup(
         "gate": Subcommand("dronevio.cli.gate", "fail if a benchmark is worse than an earlier one"),
         "sfm": Subcommand("dronevio.cli.sfm", "reconstruct cameras and points from images alone"),
         "dense": Subcommand("dronevio.cli.dense", "compute the surfaces of a scene from the result of sfm"),
+        "policy": Subcommand("dronevio.cli.policy", "evaluate, describe and export trained policies"),
         "refly": Subcommand("dronevio.cli.refly", "render images along the recorded trajectory of a real drone"),
         "convert": Subcommand("dronevio.cli.convert", "convert a recording, or export its calibration"),
         "scenarios": Subcommand("dronevio.cli.scenarios", "list the scenarios and the suites"),

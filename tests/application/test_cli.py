@@ -13,11 +13,11 @@ import pytest
 import tyro
 
 from dronevio import __version__, book
-from dronevio.cli import COMMANDS, main, speed
+from dronevio.cli import COMMANDS, main, policy, speed
 from dronevio.cli.dispatch import CommandGroup
 
 HEAVY = {"cv2", "gtsam", "gymnasium", "matplotlib", "mujoco", "numpy", "rerun", "rich", "scipy", "tyro"}
-GROUPS = {"": COMMANDS, "book": book.COMMANDS, "speed": speed.COMMANDS}
+GROUPS = {"": COMMANDS, "book": book.COMMANDS, "policy": policy.COMMANDS, "speed": speed.COMMANDS}
 PROGRAMS = [
     f"{group} {name}".strip()
     for group, commands in GROUPS.items()
@@ -128,7 +128,7 @@ def test_help_loads_neither_simulator_nor_plots(words: str) -> None:
         assert not modules & {"cv2", "gtsam", "scipy"}
 
 
-@pytest.mark.parametrize("words", [*PROGRAMS, "book", "speed"])
+@pytest.mark.parametrize("words", [*PROGRAMS, "book", "policy", "speed"])
 def test_unknown_option_is_bad_input(words: str, capsys: pytest.CaptureFixture[str]) -> None:
     try:
         status: object = main([*words.split(), "--no-such-option"])

@@ -1,0 +1,186 @@
+"""Evaluation of a trained policy over many episodes of its environment."""
+
+from collections import Counter
+from dataclasses import dataclass
+from typing import Any
+
+import gymnasium
+import numpy as np
+import numpy.typing as npt
+
+import dronevio.envs  # noqa: F401 registers the environments
+from dronevio.models.errors import ConfigError
+from dronevio.models.policies.policy import Policy
+from dronevio.models.progress import Progress, silent
+from dronevio.sim.envs.tasks import task_named
+
+Array = npt.NDArray[np.float64]
+
+MOST_AT_ONCE = 256
+"""Largest number of environments that are stepped together."""
+TIME_LIMIT = "time limit"
+"""Name of the end of an episode that is not terminated."""
+
+
+@dataclass(frozen=True, eq=False)
+class PolicyEvaluation:
+    """Results of a policy in N episodes."""
+
+    environment: str
+    """Id of the environment."""
+    seed: int
+    """Seed of the first episodes."""
+    success: npt.NDArray[np.bool_]
+    """(N,) Whether the task is accomplished at the end of the episode."""
+    distance_m: Array
+    """(N,) Distances from the current goal at the end [m]."""
+    reward: Array
+    """(N,) Sums of the rewards of all steps."""
+    duration_s: Array
+    """(N,) Durations of the episodes [s]."""
+    ends: tuple[str, ...]
+    """Reasons of the ends: ``success``, ``time limit``, or a failure such as ``collision``."""
+    laps: int | None
+    """Number of laps of a race; None for other tasks."""
+
+    @property
+    def crashed(self) -> npt.NDArray[np.bool_]:
+        """(N,) Whether the episodes end by a failure."""
+        return ~np.isin(np.array(self.ends, dtype=object), ["success", TIME_LIMIT])
+
+    def figures(self) -> dict[str, float | None]:
+        """Return means over all episodes by name, with units in the names.
+
+        ``success_duration_s`` and ``lap_s`` are means over the successful episodes; None without one, and ``lap_s`` is
+        None without laps.
+        """
+        succeeded_s = float(self.duration_s[self.success].mean()) if self.success.any() else None
+        return {
+            "success_rate": float(self.success.mean()),
+            "crash_rate": float(self.crashed.mean()),
+            "final_distance_m": float(self.distance_m.mean()),
+            "final_distance_median_m": float(np.median(self.distance_m)),
+            "final_distance_max_m": float(self.distance_m.max()),
+            "reward": float(self.reward.mean()),
+            "duration_s": float(self.duration_s.mean()),
+            "success_duration_s": succeeded_s,
+            "lap_s": None if succeeded_s is None or self.laps is None else succeeded_s / self.laps,
+        }
+
+    def counts(self) -> dict[str, int]:
+        """Return the numbers of episodes by the reason of their end, the most frequent one first."""
+        return dict(Counter(self.ends).most_common())
+
+
+def policy_envs(policy: Policy, count: int, *, environment: str = "", **settings: Any) -> Any:
+    """Return a vector of environments in which a policy can be used.
+
+    Args:
+        policy: The policy, which determines vehicle, observations, actions and rates.
+        count: Number of environments.
+        environment: Id of the environment; by default that in which the policy was trained.
+        settings: Further settings of the environments; see `dronevio.sim.envs.EnvironmentSettings`.
+
+    Raises:
+        ConfigError: There is no such environment, or it does not have the observations of the policy.
+    """
+    name = environment or policy.environment
+    if name not in gymnasium.registry:
+        known = sorted(one for one in gymnasium.registry if one.startswith("dronevio/"))
+        raise ConfigError(f"unknown environment {name!r}; expected one of {', '.join(known)}")
+    task = settings.get("task", gymnasium.spec(name).kwargs["task"])
+    episode_s = (task_named(task) if isinstance(task, str) else task).episode_s
+    arguments = {
+        "vehicle": policy.vehicle,
+        "action": policy.action_mode,
+        "action_limits": policy.action_limits,
+        "action_rate_hz": policy.action_rate_hz,
+        "imu_rate_hz": policy.imu_rate_hz,
+        "observations": policy.names,
+        "max_episode_steps": round(episode_s * policy.action_rate_hz),
+    }
+    envs = gymnasium.make_vec(name, num_envs=count, **{**arguments, **settings})
+    shapes = getattr(envs.unwrapped, "observation_shapes", {})
+    for one in policy.inputs:
+        if shapes.get(one.name) != one.shape:
+            envs.close()
+            raise ConfigError(
+                f"observation {one.name!r} of shape {shapes.get(one.name)} in {name}; expected {one.shape}, as the"
+                " policy was trained"
+            )
+    return envs
+
+
+def evaluate_policy(
+    policy: Policy,
+    episodes: int = 100,
+    seed: int = 1_000_000,
+    *,
+    environment: str = "",
+    progress: Progress = silent,
+    **settings: Any,
+) -> PolicyEvaluation:
+    """Return the results of a policy in episodes that it has not been trained on.
+
+    Args:
+        policy: The policy.
+        episodes: Number of episodes.
+        seed: Seed of the episodes. Every 256 episodes have the following one.
+        environment: Id of the environment; by default that in which the policy was trained.
+        progress: Called with the number of finished episodes.
+        settings: Further settings of the environments; see `dronevio.sim.envs.EnvironmentSettings`.
+
+    Raises:
+        ConfigError: There is no such environment, or it does not have the observations of the policy.
+    """
+    if episodes < 1:
+        raise ConfigError(f"{episodes} episodes; expected 1 or more")
+    parts: list[PolicyEvaluation] = []
+    done = 0
+    while done < episodes:
+        count = min(episodes - done, MOST_AT_ONCE)
+        envs = policy_envs(policy, count, environment=environment, **settings)
+        try:
+            parts.append(_evaluated(policy, envs, seed + len(parts)))
+        finally:
+            envs.close()
+        done += count
+        progress(done, episodes)
+    return PolicyEvaluation(
+        environment or policy.environment,
+        seed,
+        np.concatenate([part.success for part in parts]),
+        np.concatenate([part.distance_m for part in parts]),
+        np.concatenate([part.reward for part in parts]),
+        np.concatenate([part.duration_s for part in parts]),
+        tuple(end for part in parts for end in part.ends),
+        parts[0].laps,
+    )
+
+
+def _evaluated(policy: Policy, envs: Any, seed: int) -> PolicyEvaluation:
+    """Return the results of the first episode of each environment of a vector."""
+    count = envs.num_envs
+    running, success = np.ones(count, np.bool_), np.zeros(count, np.bool_)
+    distance_m, reward, steps = np.zeros((3, count))
+    ends = np.full(count, "", object)
+    observations, _ = envs.reset(seed=seed)
+    while running.any():
+        observations, rewards, terminated, truncated, infos = envs.step(policy.action(observations))
+        reward += np.where(running, rewards, 0.0)
+        steps += running
+        last = running & (terminated | truncated)
+        success[last], distance_m[last] = infos["success"][last], infos["distance_m"][last]
+        ends[last] = np.where(terminated, infos["termination"], TIME_LIMIT)[last]
+        running &= ~last
+    settings = envs.unwrapped.settings
+    return PolicyEvaluation(
+        "",
+        seed,
+        success,
+        distance_m,
+        reward,
+        steps / settings.action_rate_hz,
+        tuple(ends.tolist()),
+        getattr(settings.task, "laps", None),
+    )

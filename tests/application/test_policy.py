@@ -1,0 +1,114 @@
+"""Evaluation, description and export of policies, as functions and commands."""
+
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import dronevio as dv
+from dronevio.cli import main
+from dronevio.models.errors import ConfigError
+from dronevio.models.policies import Layer, NamedShape, Network, Policy, Scaling
+from dronevio.sim.envs import Hover
+
+
+@pytest.fixture
+def saved(hovering_policy: Policy, tmp_path: Path) -> Path:
+    path = tmp_path / "linear.safetensors"
+    dv.save_policy(path, hovering_policy)
+    return path
+
+
+def falling(policy: Policy) -> Policy:
+    """A policy that stops the rotors."""
+    layer = Layer(np.zeros((4, 15), np.float32), np.array([-5.0, 0.0, 0.0, 0.0], np.float32))
+    return replace(policy, network=Network((layer,), "tanh"))
+
+
+def test_a_controller_hovers_in_all_episodes(hovering_policy: Policy) -> None:
+    result = dv.evaluate_policy(hovering_policy, 8, seed=3, task=Hover(episode_s=5.0))
+    figures = result.figures()
+    assert figures["success_rate"] == 1.0 and figures["crash_rate"] == 0.0 and figures["lap_s"] is None
+    assert result.counts() == {"time limit": 8} and figures["duration_s"] == figures["success_duration_s"] == 5.0
+    distance = figures["final_distance_m"]
+    assert distance is not None and 0.0 < distance < 0.06
+    assert 0.6 * 250 < float(result.reward.min()) < 250  # a reward of 1 per step at perfect hover
+
+
+def test_crashes_are_counted_by_reason(hovering_policy: Policy) -> None:
+    result = dv.evaluate_policy(falling(hovering_policy), 6)
+    figures = result.figures()
+    assert (figures["success_rate"], figures["crash_rate"], figures["success_duration_s"]) == (0.0, 1.0, None)
+    assert sum(result.counts().values()) == 6 and set(result.counts()) <= {"ground", "collision", "flipped"}
+    assert 0.2 < result.duration_s.min() <= result.duration_s.max() < 1.5
+    assert (result.distance_m > 0.8).all()
+
+
+def test_episodes_depend_on_the_seed_alone(hovering_policy: Policy) -> None:
+    task = Hover(episode_s=0.5)
+    first, again, other = (dv.evaluate_policy(hovering_policy, 4, seed, task=task) for seed in (1, 1, 2))
+    np.testing.assert_array_equal(first.distance_m, again.distance_m)
+    assert not np.isin(first.distance_m, other.distance_m).any()
+
+
+def test_other_rates_keep_the_time_limit(hovering_policy: Policy) -> None:
+    fast = replace(hovering_policy, action_rate_hz=100.0)
+    result = dv.evaluate_policy(fast, 2, task=Hover(episode_s=1.0))
+    np.testing.assert_array_equal(result.duration_s, [1.0, 1.0])
+
+
+def test_environments_have_to_fit_the_policy(hovering_policy: Policy) -> None:
+    with pytest.raises(ConfigError, match="unknown environment 'dronevio/Fly-v0'; expected one of dronevio/Hover-v0"):
+        dv.evaluate_policy(hovering_policy, 2, environment="dronevio/Fly-v0")
+    with pytest.raises(ConfigError, match="0 episodes"):
+        dv.evaluate_policy(hovering_policy, 0)
+    layer = Layer(np.zeros((4, 12), np.float32), np.zeros(4, np.float32))
+    window = replace(
+        hovering_policy,
+        inputs=(NamedShape("imu", (2, 6)),),
+        scaling=Scaling.identity(12),
+        network=Network((layer,), "tanh"),
+    )
+    with pytest.raises(ConfigError, match=r"observation 'imu' of shape \(4, 6\) in .*; expected \(2, 6\)"):
+        dv.evaluate_policy(window, 2)
+
+
+def test_command_evaluates(hovering_policy: Policy, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    saved = tmp_path / "falling.safetensors"
+    dv.save_policy(saved, falling(hovering_policy))
+    assert main(["policy", "evaluate", str(saved), "--episodes", "3", "--seed", "5", "--json"]) == 0
+    document = json.loads(capsys.readouterr().out)
+    assert (document["episodes"], document["seed"], document["randomization"]) == (3, 5, "none")
+    (row,) = document["policies"]
+    assert (row["environment"], row["success_rate"], row["ends"]) == ("dronevio/Hover-v0", 0.0, {"ground": 3})
+    assert main(["policy", "evaluate", str(saved), "--episodes", "2", "--randomization", "moderate"]) == 0
+    shown = capsys.readouterr().out
+    assert "2 episodes, seed 1000000, randomization moderate" in shown and "2 ground" in shown
+
+
+def test_command_describes(saved: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["policy", "show", str(saved)]) == 0
+    shown = capsys.readouterr().out
+    assert "position (3), rotation (3 × 3), velocity (3)" in shown and "15 – 4" in shown
+    assert main(["policy", "show", str(saved), "--json"]) == 0
+    document = json.loads(capsys.readouterr().out)
+    assert document["action"]["mode"] == "rates" and document["network"]["parameters"] == 64
+
+
+def test_command_exports(saved: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    onnx = pytest.importorskip("onnx")
+    assert main(["policy", "export-onnx", str(saved)]) == 0
+    model = onnx.load(saved.with_suffix(".onnx"))
+    assert [one.name for one in model.graph.input] == ["observation"]
+    assert main(["policy", "export-onnx", str(saved)]) == 2
+    assert "exists already" in capsys.readouterr().err
+
+
+def test_commands_explain_bad_input(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    (tmp_path / "bad.safetensors").write_bytes(b"nothing")
+    assert main(["policy", "evaluate", str(tmp_path / "bad.safetensors")]) == 2
+    assert "bad.safetensors: 7 bytes; expected a policy" in capsys.readouterr().err
+    assert main(["policy", "evaluate"]) == 2
+    assert "no policy; expected" in capsys.readouterr().err
