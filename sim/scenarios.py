@@ -10,7 +10,8 @@ from dataclasses import replace
 from dronevio.models.errors import ConfigError
 from dronevio.models.quadrotor import NANO
 from dronevio.models.rig_presets import rig_named
-from dronevio.sim.cameras.imaging import AutoExposure, Imaging
+from dronevio.sim.cameras.exposure import AutoExposure
+from dronevio.sim.cameras.imaging import Imaging
 from dronevio.sim.faults import Faults
 from dronevio.sim.paths.limits import LIMITS
 from dronevio.sim.paths.plan import FlightPlan

@@ -135,14 +135,15 @@ def flight_area(name: str, seed: int) -> FlightArea:
     return FlightArea(space_of(layout), layout.free_box, layout.pad, layout.route, layout.gates)
 
 
-def movers(name: str, seed: int) -> tuple[Mover, ...]:
-    """Return the moving objects of a world, without painting its textures.
+def illumination_and_movers(name: str, seed: int) -> tuple[float, tuple[Mover, ...]]:
+    """Return the illumination and the moving objects of a world, without painting its textures.
 
     Raises:
         ConfigError: The world is unknown.
     """
     _require(name)
-    return _movers(WORLDS[name].layout(_generators(seed)[0]))
+    layout = WORLDS[name].layout(_generators(seed)[0])
+    return layout.illumination, _movers(layout)
 
 
 def collision_spec(name: str, seed: int) -> mujoco.MjSpec:

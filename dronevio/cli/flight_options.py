@@ -42,7 +42,7 @@ class ImagingOptions:
     @classmethod
     def of(cls, imaging: "Imaging") -> Self:
         """Return the options that equal the imaging of a scenario."""
-        from dronevio.sim.cameras.imaging import AutoExposure
+        from dronevio.sim.cameras.exposure import AutoExposure
 
         automatic = isinstance(imaging.control, AutoExposure)
         return cls(imaging.control.longest_s, automatic, imaging.read_sigma, imaging.shot_sigma, imaging.vignetting)
@@ -53,7 +53,7 @@ class ImagingOptions:
         Args:
             base: The imaging of the scenario, whose exposure control is kept if no option differs from it.
         """
-        from dronevio.sim.cameras.imaging import AutoExposure, FixedExposure
+        from dronevio.sim.cameras.exposure import AutoExposure, FixedExposure
 
         control = base.control
         if self != ImagingOptions.of(base):

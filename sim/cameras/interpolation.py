@@ -1,5 +1,7 @@
 """Interpolation of poses between the time stamps of a trajectory."""
 
+from collections.abc import Callable
+
 import numpy as np
 import numpy.typing as npt
 
@@ -9,6 +11,20 @@ from dronevio.models.rotation import matrix_from_quat_wxyz, pose_matrix
 from dronevio.models.state import Trajectory
 
 Array = npt.NDArray[np.float64]
+
+
+def camera_poses(trajectory: Trajectory, T_imu_cam: Array) -> Callable[[Times], Array]:
+    """Return the poses T_world_cam (M, 4, 4) of a camera at times (M,) [ns] as a function.
+
+    Args:
+        trajectory: Trajectory of the IMU.
+        T_imu_cam: (4, 4) Mounting of the camera.
+    """
+
+    def poses_at(t_ns: Times) -> Array:
+        return np.asarray(interpolated_poses(trajectory, t_ns) @ T_imu_cam)
+
+    return poses_at
 
 
 def interpolated_poses(trajectory: Trajectory, t_ns: Times) -> Array:

@@ -32,14 +32,15 @@ Poses = Callable[[Times], Array]
 RowView = Callable[[int, slice], GreyImage]
 """Function that renders some rows of `Shutter.drawn` at a true time [ns]."""
 
-LARGEST_MARGIN_PX = 32
-"""Largest margin of a key image around the image [px]."""
+LARGEST_TURN_PX = 32
+"""Largest image motion by the rotation between two key poses [px]."""
+SUPPORT_PX = 2
+"""Margin of a key image beyond that motion, for the interpolation [px]."""
 _STATIC_BLUR_PX = 0.3  # widens an edge, whose σ is ½ px, by 1.5 %
 _STATIC_SKEW_PX = 0.1  # over the whole image, that is ± 0.05 px
 _STATIC_PARALLAX_PX = 0.2  # within the readout, that is ± 0.1 px
 _KEY_SPACING_PX = 1.5  # parallax between key poses
 _SAMPLE_SPACING_PX = 0.75  # image motion between samples of the integral, below the blur of the lens
-_SUPPORT_PX = 2  # support of the interpolation
 _MOST_KEYS, _MOST_SAMPLES = 33, 64
 _GRID_PX = 16  # the curvature of the displacement is 1 / f², so bilinear interpolation errs by 1e-3 px
 
@@ -63,12 +64,13 @@ class ExposurePlan:
 class Shutter:
     """Shutter of one camera of a rig."""
 
-    def __init__(self, camera: RigCamera, margin_px: int = LARGEST_MARGIN_PX) -> None:
+    def __init__(self, camera: RigCamera, margin_px: int = LARGEST_TURN_PX + SUPPORT_PX) -> None:
         """Prepare the look-up grid.
 
         Args:
             camera: The camera.
-            margin_px: Largest image motion by the rotation between two key poses [px].
+            margin_px: Margin of the key images around the image [px]. It bounds the image motion by the rotation
+                between two key poses; of a faster rotation, more key images are rendered.
         """
         model = camera.model
         self.drawn: CameraModel = replace(
@@ -81,13 +83,11 @@ class Shutter:
         """The camera model with a margin on all sides."""
         self._model, self._margin_px, self._readout_ns = model, margin_px, camera.readout_s * 1e9
         # The grid points are the pixel centres of `cv2.resize`, one beyond each border.
-        self._columns_px, self._rows_px = (
-            (np.arange((size - 1) // _GRID_PX + 3, dtype=np.float64) - 0.5) * _GRID_PX - 0.5
-            for size in (model.width, model.height)
-        )
+        self._columns_px, self._rows_px = _grid_px(model.width), _grid_px(model.height)
         u, v = np.meshgrid(self._columns_px, self._rows_px)
         self._grid_px = np.stack([u, v], axis=-1)
         self._bearings = model.unproject(self._grid_px)
+        self._largest_turn_px = max(margin_px - SUPPORT_PX, 1)
         self._row_delays_ns = self._delays_ns(np.arange(model.height, dtype=np.float64))
 
     def plan(
@@ -111,7 +111,7 @@ class Shutter:
         within_exposure = exposure_ns / span_ns
         blur, skew = (share * (turn_px + parallax_px) for share in (within_exposure, 1.0 - within_exposure))
         rolling = (1.0 - within_exposure) * parallax_px > _STATIC_PARALLAX_PX
-        spacings = max(parallax_px / _KEY_SPACING_PX, turn_px / LARGEST_MARGIN_PX)
+        spacings = max(parallax_px / _KEY_SPACING_PX, turn_px / self._largest_turn_px)
         # The first and last rows of a rolling shutter require keys of their own; the ends of a blur do not.
         keys = min(int(np.ceil(max(spacings, 1.0))) + rolling, _MOST_KEYS)
         samples = 1 if blur <= _STATIC_BLUR_PX else max(2, int(np.ceil(blur / _SAMPLE_SPACING_PX)))
@@ -119,7 +119,7 @@ class Shutter:
             middle_ns,
             middle_ns + _spread(span_ns, keys, ends=rolling),
             _spread(exposure_ns, min(samples, _MOST_SAMPLES), ends=False),
-            reach_px=int(np.ceil(turn_px / max(keys - rolling, 1))) + _SUPPORT_PX,
+            reach_px=int(np.ceil(turn_px / max(keys - rolling, 1))) + SUPPORT_PX,
             static=blur <= _STATIC_BLUR_PX and skew <= _STATIC_SKEW_PX,
         )
 
@@ -156,7 +156,7 @@ class Shutter:
 
     def _delays_ns(self, rows_px: Array) -> Array:
         """Return the delay of the exposure of each row relative to the middle row [ns]."""
-        return np.asarray((rows_px / max(self._model.height - 1, 1) - 0.5) * self._readout_ns)
+        return _delays_ns(rows_px, self._model.height, self._readout_ns)
 
     def _looked_up(self, image: GreyImage, first: int, R_key_rows: Array, rows: slice) -> GreyImage:
         """Return rows of the frame looked up in a key image.
@@ -181,6 +181,18 @@ class Shutter:
         return np.asarray(cv2.remap(image, x, y, cv2.INTER_CUBIC, borderMode=cv2.BORDER_REPLICATE), dtype=np.uint8)
 
 
+def half_span_ns(camera: RigCamera, exposure_s: float) -> int:
+    """Return the largest time between the middle of an exposure and a pose that `Shutter.expose` requires [ns]."""
+    height = camera.model.height
+    delays_ns = np.abs(_delays_ns(_grid_px(height), height, camera.readout_s * 1e9))
+    return int(np.ceil(0.5e9 * exposure_s + delays_ns.max())) + 1
+
+
+def margin_px(turn_px: float) -> int:
+    """Return the margin of the key images for the image motion by the rotation during a frame [px]."""
+    return int(np.ceil(min(turn_px, LARGEST_TURN_PX))) + SUPPORT_PX
+
+
 def turn_in_pixels(model: CameraModel, Ts_world_a: Array, Ts_world_b: Array) -> float:
     """Return the largest image motion by the rotations between poses (…, 4, 4) of a camera [px]."""
     u, v = np.meshgrid(np.linspace(0.0, model.width - 1.0, 3), np.linspace(0.0, model.height - 1.0, 3))
@@ -188,6 +200,16 @@ def turn_in_pixels(model: CameraModel, Ts_world_a: Array, Ts_world_b: Array) -> 
     Rs_b_a = np.swapaxes(Ts_world_b[..., :3, :3], -1, -2) @ Ts_world_a[..., :3, :3]
     seen = model.project(model.unproject(pixels) @ np.swapaxes(Rs_b_a, -1, -2))
     return float(np.max(np.nan_to_num(np.linalg.norm(seen - pixels, axis=-1))))
+
+
+def _grid_px(size: int) -> Array:
+    """Return the coordinates of the look-up grid along an axis of an image with ``size`` pixels [px]."""
+    return (np.arange((size - 1) // _GRID_PX + 3, dtype=np.float64) - 0.5) * _GRID_PX - 0.5
+
+
+def _delays_ns(rows_px: Array, height: int, readout_ns: float) -> Array:
+    """Return the delay of the exposure of each row relative to the middle row [ns]."""
+    return np.asarray((rows_px / max(height - 1, 1) - 0.5) * readout_ns)
 
 
 def _spread(length_ns: float, count: int, ends: bool) -> Times:

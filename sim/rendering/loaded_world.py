@@ -8,7 +8,7 @@ import mujoco
 from dronevio.sim.cameras.atlas_renderer import RenderContext
 from dronevio.sim.rendering.shared import Lease, SharedPool
 from dronevio.sim.rendering.world_files import compiled
-from dronevio.sim.world import Mover, build_world, movers
+from dronevio.sim.world import Mover, build_world, illumination_and_movers
 
 
 @dataclass(frozen=True)
@@ -31,6 +31,8 @@ class LoadedWorld:
 
     model: mujoco.MjModel
     """The compiled world."""
+    illumination: float
+    """Illumination relative to a well-lit world."""
     movers: tuple[Mover, ...]
     """Its moving objects."""
     context: RenderContext
@@ -61,14 +63,14 @@ def lease_world(key: WorldKey) -> Lease[LoadedWorld]:
 
 def _loaded(key: WorldKey) -> LoadedWorld:
     """Load a world into graphics memory."""
-    model, movers = _compiled(key)
-    return LoadedWorld(model, movers, RenderContext(model, blend_mipmaps=key.texture_reduction == 1))
+    model, illumination, movers = _compiled(key)
+    return LoadedWorld(model, illumination, movers, RenderContext(model, blend_mipmaps=key.texture_reduction == 1))
 
 
 @lru_cache(maxsize=2)
-def _compiled(key: WorldKey) -> tuple[mujoco.MjModel, tuple[Mover, ...]]:
-    """Return the compiled model of a world and its moving objects."""
-    return compiled(repr(key), partial(_built, key)), movers(key.name, key.seed)
+def _compiled(key: WorldKey) -> tuple[mujoco.MjModel, float, tuple[Mover, ...]]:
+    """Return the compiled model of a world, its illumination and its moving objects."""
+    return compiled(repr(key), partial(_built, key)), *illumination_and_movers(key.name, key.seed)
 
 
 def _built(key: WorldKey) -> mujoco.MjModel:

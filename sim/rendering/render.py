@@ -19,7 +19,8 @@ from dronevio.models.recordings.euroc import INCOMPLETE
 from dronevio.models.recordings.files import write_text
 from dronevio.models.recordings.frame_truth import FRAME_TRUTH_FILE, FrameTruth, frame_truth_text
 from dronevio.sim.rendering.compiled_world import CompiledWorld, compiled_world
-from dronevio.sim.rendering.frame_tasks import PARTIAL_SUFFIX, MeterTask, RenderTask
+from dronevio.sim.rendering.frame_files import PARTIAL_SUFFIX
+from dronevio.sim.rendering.frame_tasks import MeterTask, RenderTask
 from dronevio.sim.rendering.render_job import RenderJob
 from dronevio.sim.rendering.truth_images import FOLDERS, names_table
 from dronevio.sim.rendering.worker_pool import default_workers, run_tasks
@@ -60,12 +61,12 @@ def render_frames(job: RenderJob, mav0: Path, progress: Progress = silent, worke
         progress(done, total)
 
     try:
-        with compiled_world(job.world, job.seed, job.trajectory.t_ns) as scene, _unfinished(job, mav0):
-            truth = _exposed(job, scene, shares)
+        with compiled_world(job.world, job.seed, job.trajectory.t_ns) as world, _unfinished(job, mav0):
+            truth = _exposed(job, world, shares)
             write_text(mav0 / FRAME_TRUTH_FILE, frame_truth_text(truth))
             if "segmentation" in job.truth_images:
-                write_text(mav0 / FOLDERS["segmentation"] / "names.csv", names_table(scene.instance_names))
-            run_tasks([RenderTask(job, scene, share, truth, mav0) for share in shares], count, report)
+                write_text(mav0 / FOLDERS["segmentation"] / "names.csv", names_table(world.instance_names))
+            run_tasks([RenderTask(job, world, share, truth, mav0) for share in shares], count, report)
     except OSError as error:
         where = f"{error.filename}: " if error.filename else ""
         raise IncompleteError(f"stopped after {finished} of {count} frames: {where}{error.strerror}") from error
@@ -95,15 +96,15 @@ def _unfinished(job: RenderJob, mav0: Path) -> Iterator[None]:
     mark.unlink()
 
 
-def _exposed(job: RenderJob, scene: CompiledWorld, shares: list[npt.NDArray[np.int64]]) -> FrameTruth:
+def _exposed(job: RenderJob, world: CompiledWorld, shares: list[npt.NDArray[np.int64]]) -> FrameTruth:
     """Return times and exposures of the frames, after metering if the exposure control requires it."""
     schedule = job.schedule
     histograms = np.zeros((len(schedule), 256))
     if job.imaging.control.needs_histograms:
-        results = [scene.model_path.with_name(f"histograms-{number}.npy") for number in range(len(shares))]
-        tasks = [MeterTask(job, scene, share, result) for share, result in zip(shares, results, strict=True)]
+        results = [world.model_path.with_name(f"histograms-{number}.npy") for number in range(len(shares))]
+        tasks = [MeterTask(job, world, share, result) for share, result in zip(shares, results, strict=True)]
         run_tasks(tasks, len(schedule))
         for share, result in zip(shares, results, strict=True):
             histograms[share] = np.load(result)
-    exposures = job.imaging.exposures(histograms, scene.illumination * schedule.lit.astype(np.float64))
+    exposures = job.imaging.exposures(histograms, world.scene.illumination * schedule.lit.astype(np.float64))
     return FrameTruth(schedule.stamps_ns, schedule.exposed_ns, exposures.time_s, exposures.gain, schedule.lit)

@@ -12,12 +12,10 @@ from dronevio.models.state import Trajectory
 from dronevio.sim.cameras.imaging import Imaging
 from dronevio.sim.cameras.interpolation import interpolated_poses
 from dronevio.sim.cameras.schedule import FrameSchedule
-from dronevio.sim.cameras.shutter import LARGEST_MARGIN_PX, Poses, turn_in_pixels
+from dronevio.sim.cameras.shutter import Poses, margin_px, turn_in_pixels
 from dronevio.sim.rendering.truth_images import TruthImage
 
 Array = npt.NDArray[np.float64]
-
-_MARGIN_AROUND_PX = 2  # support of the interpolation
 
 
 @dataclass(frozen=True, eq=False)
@@ -48,18 +46,11 @@ class RenderJob:
             ConfigError: There is no camera or no frame, the trajectory has fewer than two poses, or an exposure exceeds
                 the frame interval.
         """
-        if not self.rig.cameras:
-            raise ConfigError("rig without a camera; expected at least one")
+        require_cameras(self.rig, self.imaging)
         if not len(self.schedule):
             raise ConfigError("no frame within the motion; expected at least one")
         if len(self.trajectory) < 2:
             raise ConfigError(f"a motion of {len(self.trajectory)} poses; expected at least two")
-        for number, camera in enumerate(self.rig.cameras):
-            if self.imaging.control.longest_s > 1.0 / camera.rate_hz:
-                raise ConfigError(
-                    f"camera {number} exposed for {self.imaging.control.longest_s:g} s;"
-                    f" expected at most {1.0 / camera.rate_hz:g} s, the time between its frames"
-                )
 
     def poses(self, camera: int) -> Poses:
         """Return the poses T_simworld_cam of a camera of the rig as a function of time."""
@@ -71,8 +62,24 @@ class RenderJob:
         return poses_at
 
     def margin_px(self, camera: int) -> int:
-        """Return the margin of a camera's key images around its image [px]."""
+        """Return the margin of a camera's key images around its image, for the fastest turn of the flight [px]."""
         half_ns = round(0.5e9 * (self.imaging.control.longest_s + self.rig.cameras[camera].readout_s))
         poses, model = self.poses(camera), self.rig.cameras[camera].model
         first, last = (poses(self.schedule.exposed_ns + sign * half_ns) for sign in (-1, 1))
-        return int(np.ceil(min(turn_in_pixels(model, first, last), LARGEST_MARGIN_PX))) + _MARGIN_AROUND_PX
+        return margin_px(turn_in_pixels(model, first, last))
+
+
+def require_cameras(rig: Rig, imaging: Imaging) -> None:
+    """Check that a rig has cameras, and that their exposures fit between their frames.
+
+    Raises:
+        ConfigError: There is no camera, or an exposure exceeds the frame interval.
+    """
+    if not rig.cameras:
+        raise ConfigError("rig without a camera; expected at least one")
+    for number, camera in enumerate(rig.cameras):
+        if imaging.control.longest_s > 1.0 / camera.rate_hz:
+            raise ConfigError(
+                f"camera {number} exposed for {imaging.control.longest_s:g} s;"
+                f" expected at most {1.0 / camera.rate_hz:g} s, the time between its frames"
+            )

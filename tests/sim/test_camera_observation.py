@@ -55,7 +55,7 @@ def tiny_world(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
     ball = spec.worldbody.add_body(name="ball", mocap=True, pos=[0.0, 0.0, 2.0])
     ball.add_geom(type=mujoco.mjtGeom.mjGEOM_SPHERE, size=[0.2, 0, 0], material="blue")
     spec.stat.extent = 10.0
-    world = spec.compile(), (Mover("ball", along_x),)
+    world = spec.compile(), 1.0, (Mover("ball", along_x),)
     monkeypatch.setattr(loaded_world, "_compiled", lambda key: world)
     LOADED_WORLDS.clear()
     yield

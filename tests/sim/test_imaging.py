@@ -4,7 +4,8 @@ import numpy as np
 import pytest
 
 from dronevio.models.errors import ConfigError
-from dronevio.sim.cameras.imaging import AutoExposure, Exposures, FixedExposure, Imaging
+from dronevio.sim.cameras.exposure import AutoExposure, Exposures, FixedExposure
+from dronevio.sim.cameras.imaging import Imaging
 
 NOMINAL_S = 0.002
 
@@ -53,7 +54,7 @@ def test_same_seed_same_bytes() -> None:
 
 
 def control(auto: AutoExposure, histograms: list[np.ndarray], irradiance: np.ndarray) -> Exposures:
-    return auto.exposures(np.stack(histograms), irradiance, NOMINAL_S)
+    return Imaging(auto, NOMINAL_S).exposures(np.stack(histograms), irradiance)
 
 
 def test_a_constant_scene_has_the_target_level() -> None:

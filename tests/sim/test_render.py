@@ -19,7 +19,8 @@ from dronevio.models.recordings.frame_truth import FRAME_TRUTH_FILE, read_frame_
 from dronevio.models.rig import Rig, RigCamera
 from dronevio.models.rotation import pose_matrix, quat_wxyz_from_matrix, rotation_z
 from dronevio.models.state import Trajectory
-from dronevio.sim.cameras.imaging import AutoExposure, FixedExposure, Imaging
+from dronevio.sim.cameras.exposure import AutoExposure, FixedExposure
+from dronevio.sim.cameras.imaging import Imaging
 from dronevio.sim.cameras.schedule import FrameSchedule, nominal_stamps, schedule_frames
 from dronevio.sim.rendering.render import render_frames
 from dronevio.sim.rendering.render_job import RenderJob

@@ -165,6 +165,27 @@ def test_a_static_view_is_rendered_once() -> None:
     np.testing.assert_array_equal(light, drawn[3:-3, 3:-3])
 
 
+def test_fast_turns_are_complete_with_a_narrow_margin() -> None:
+    camera, turning = RigCamera(TINY, np.eye(4), readout_s=0.015), moving([0.0, 0.0, 0.0], [0.3, 5.0, 0.5])
+    lights, keys = [], []
+    for margin_px in (4, 34):
+        shutter = Shutter(camera, margin_px)
+        u, v = np.meshgrid(np.arange(shutter.drawn.width), np.arange(shutter.drawn.height))
+        rays = shutter.drawn.unproject(np.stack([u, v], axis=-1).astype(float))
+
+        def waves(t_ns: int, rows: slice, rays: np.ndarray = rays) -> np.ndarray:
+            """Return a distant scene with waves of about 40 px."""
+            p = rays[rows] @ turning(np.array([t_ns]))[0, :3, :3].T
+            return np.rint(128.0 + 50.0 * (np.sin(18.0 * p[..., 0]) + np.cos(17.0 * p[..., 1]))).astype(np.uint8)
+
+        plan = shutter.plan(turning, MIDDLE_NS, 0.005, np.inf)
+        assert plan.reach_px <= margin_px
+        keys.append(len(plan.keys_ns))
+        lights.append(shutter.expose(plan, turning, waves).astype(float))
+    assert keys[0] > 3 and keys[1] == 1
+    np.testing.assert_allclose(lights[0], lights[1], atol=5.0)  # 10 if the margin did not limit the turn
+
+
 def test_number_of_renderings_follows_the_motion() -> None:
     shutter = Shutter(RigCamera(SMALL, np.eye(4), readout_s=0.02))
 

@@ -59,7 +59,7 @@ pool = SharedPool()
 def rendered(lease):
     return OffscreenCamera(model, camera, context=lease.value.context).render(np.eye(4))
 def lease():
-    return pool.lease("world", lambda: LoadedWorld(model, (), RenderContext(model)))
+    return pool.lease("world", lambda: LoadedWorld(model, 1.0, (), RenderContext(model)))
 before = lease()
 image = rendered(before)
 EGL.eglMakeCurrent(mujoco.egl.EGL_DISPLAY, EGL.EGL_NO_SURFACE, EGL.EGL_NO_SURFACE, EGL.EGL_NO_CONTEXT)

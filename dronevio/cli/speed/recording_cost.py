@@ -17,7 +17,7 @@ from dronevio.models.rig_presets import rig_named
 from dronevio.recorder import record_flight
 from dronevio.sim.flight import fly
 from dronevio.sim.paths.plan import FlightPlan
-from dronevio.sim.rendering.frame_tasks import thumbnail
+from dronevio.sim.rendering.frame_renderer import thumbnail
 from dronevio.sim.scenario import Scenario
 
 _MEASURE_MEMORY = "from dronevio.cli.speed.recording_cost import print_peak_memory; print_peak_memory()"
