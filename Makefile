@@ -51,6 +51,7 @@ pictures: setup
 	rm -rf build/pictures
 	.venv/bin/python scripts/seeds.py --write --keep build/pictures
 	.venv/bin/python scripts/dense_picture.py
+	.venv/bin/python scripts/environment_pictures.py
 	.venv/bin/python scripts/pictures.py --run build/pictures/0
 
 seeds: setup

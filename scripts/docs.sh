@@ -1,6 +1,6 @@
 #!/usr/bin/env bash
 # Build the documentation site in build/site, or serve it: scripts/docs.sh build|serve [OPTIONS OF MKDOCS].
-# The reference pages are made from the commands and the packages first, and the lessons are executed, unless
+# The reference pages and those of the environments are made from the code first, and the lessons are executed, unless
 # build/lessons has them. Nothing is fetched but locked packages.
 set -euo pipefail
 cd "$(dirname "${BASH_SOURCE[0]}")/.."
@@ -10,6 +10,7 @@ export NO_MKDOCS_2_WARNING=1             # Material's advertisement of its succe
 scripts/uv sync --locked --quiet --inexact --group docs </dev/null
 .venv/bin/python scripts/cli_reference.py docs/reference/cli
 .venv/bin/python scripts/api_reference.py docs/reference/api
+.venv/bin/python scripts/environment_pages.py docs/environments
 .venv/bin/python scripts/lessons.py --pages docs/lessons
 .venv/bin/python -m mkdocs "$@"
 

@@ -16,6 +16,11 @@ from dronevio.sim.world import World, build_world
 Array = npt.NDArray[np.float64]
 
 _DISTANCE_ARMS, _AZIMUTH_DEG, _ELEVATION_DEG = 8.5, 60.0, -20.0
+_MARKERS_MAX = 16
+_MARKER_ARMS = 0.3  # radius of a marker
+_MARKER_RGB = (0.1, 0.9, 0.3)
+_FIRST_OPACITY, _OTHER_OPACITY = 0.9, 0.35  # of the first marker, and of the others
+_NO_MARKERS = np.empty((0, 3))
 
 
 class ChaseCamera:
@@ -43,16 +48,22 @@ class ChaseCamera:
         self._drawing = mujoco.MjrContext(self._model, mujoco.mjtFontScale.mjFONTSCALE_100)
         mujoco.mjr_resizeOffscreen(width, height, self._drawing)
         mujoco.mjr_setBuffer(mujoco.mjtFramebuffer.mjFB_OFFSCREEN, self._drawing)
-        self._scene = mujoco.MjvScene(self._model, maxgeom=self._model.ngeom + 10)
+        self._scene = mujoco.MjvScene(self._model, maxgeom=self._model.ngeom + _MARKERS_MAX)
         self._options = mujoco.MjvOption()
         self._view = mujoco.MjvCamera()
         self._view.distance = _DISTANCE_ARMS * quadrotor.arm_m
         self._view.azimuth, self._view.elevation = _AZIMUTH_DEG, _ELEVATION_DEG
+        self._marker_m = _MARKER_ARMS * quadrotor.arm_m
         self._rectangle = mujoco.MjrRect(0, 0, width, height)
         self._picture = np.empty((height, width, 3), np.uint8)
 
-    def render(self, T_world_vehicle: Array) -> npt.NDArray[np.uint8]:
-        """Return an RGB image (H, W, 3) of the drone at a pose T_world_vehicle (4, 4).
+    def render(self, T_world_vehicle: Array, markers_m: Array = _NO_MARKERS) -> npt.NDArray[np.uint8]:
+        """Return an RGB image (H, W, 3) of the drone.
+
+        Args:
+            T_world_vehicle: (4, 4) Pose of the drone.
+            markers_m: (K, 3) Points in the world that are shown as green balls [m], of which the first is the most
+                opaque; at most 16.
 
         Raises:
             GraphicsError: The camera has been closed.
@@ -66,9 +77,18 @@ class ChaseCamera:
         self._view.lookat = T_world_vehicle[:3, 3]
         everything = mujoco.mjtCatBit.mjCAT_ALL
         mujoco.mjv_updateScene(self._model, self._data, self._options, None, self._view, everything, self._scene)
+        for index, point in enumerate(markers_m[:_MARKERS_MAX]):
+            self._mark(point, _OTHER_OPACITY if index else _FIRST_OPACITY)
         mujoco.mjr_render(self._rectangle, self._scene, self._drawing)
         mujoco.mjr_readPixels(self._picture, None, self._rectangle, self._drawing)
         return self._picture[::-1].copy()  # the first row of OpenGL is the lowest
+
+    def _mark(self, point_m: Array, opacity: float) -> None:
+        """Add a ball at a point (3,) [m] to the scene."""
+        ball, size = mujoco.mjtGeom.mjGEOM_SPHERE, np.array([self._marker_m, 0.0, 0.0])
+        colour = np.array([*_MARKER_RGB, opacity], np.float32)
+        mujoco.mjv_initGeom(self._scene.geoms[self._scene.ngeom], ball, size, point_m, np.eye(3).ravel(), colour)
+        self._scene.ngeom += 1
 
     def usable(self) -> bool:
         """Return whether the graphics memory is neither released nor lost."""

@@ -202,6 +202,11 @@ class DroneCore:
         return pose_matrix(self._states.R_world_vehicle, self._states.position_m)
 
     @property
+    def goals_m(self) -> Array:
+        """(n, K, 3) Current goals and the following ones in the world [m]."""
+        return self._objective().position_m
+
+    @property
     def _t_s(self) -> Array:
         """(n,) Times since the start of the episodes [s]."""
         return np.asarray(self.plant.t_ns * 1e-9, dtype=np.float64)

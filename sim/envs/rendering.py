@@ -43,8 +43,8 @@ class DronePictures:
         self._camera: Lease[ChaseCamera] | None = None
         self._window: Window | None = None
 
-    def picture(self, T_world_vehicle: Array) -> Picture:
-        """Return an RGB image (480, 640, 3) of the drone at a pose T_world_vehicle (4, 4).
+    def picture(self, T_world_vehicle: Array, goals_m: Array) -> Picture:
+        """Return an RGB image (480, 640, 3) of the drone at a pose T_world_vehicle (4, 4) and of its goals (K, 3) [m].
 
         Raises:
             GraphicsError: Off-screen OpenGL is not available.
@@ -52,15 +52,15 @@ class DronePictures:
         if self._camera is None:
             chosen = self._settings
             self._camera = lease_chase_camera(chosen.world, chosen.world_seed, chosen.vehicle, chosen.rig)
-        return self._camera.value.render(T_world_vehicle)
+        return self._camera.value.render(T_world_vehicle, goals_m)
 
-    def show(self, T_world_vehicle: Array) -> None:
+    def show(self, T_world_vehicle: Array, goals_m: Array) -> None:
         """Show a picture in a window, in real time.
 
         Raises:
             GraphicsError: Off-screen OpenGL or a display is not available.
         """
-        picture = self.picture(T_world_vehicle)
+        picture = self.picture(T_world_vehicle, goals_m)
         if self._window is None:
             self._window = Window(picture.shape[1], picture.shape[0], "dronevio", self._settings.action_rate_hz)
         self._window.show(picture)

@@ -125,13 +125,15 @@ class DroneEnv(gymnasium.Env[Any, npt.NDArray[np.floating[Any]]]):
     def render(self) -> Any:
         """Return an RGB image (480, 640, 3) from the chase camera, or show it; None without a render mode.
 
+        Green balls mark the current goal and, more transparent, the following ones that are observed.
+
         With ``render_mode="human"``, `reset` and `step` show the images in a window, in real time.
 
         Raises:
             GraphicsError: Off-screen OpenGL is not available.
         """
         if self.render_mode == "rgb_array":
-            return self._pictures.picture(self._core.T_world_vehicle[0])
+            return self._pictures.picture(self._core.T_world_vehicle[0], self._core.goals_m[0])
         self._show()
         return None
 
@@ -173,7 +175,7 @@ class DroneEnv(gymnasium.Env[Any, npt.NDArray[np.floating[Any]]]):
     def _show(self) -> None:
         """Show the current picture with ``render_mode="human"``."""
         if self.render_mode == "human":
-            self._pictures.show(self._core.T_world_vehicle[0])
+            self._pictures.show(self._core.T_world_vehicle[0], self._core.goals_m[0])
 
     def _require_started(self) -> None:
         """Raise ConfigError before the first reset."""

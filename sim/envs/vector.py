@@ -171,7 +171,8 @@ class DroneVectorEnv(VectorEnv[Any, npt.NDArray[np.floating[Any]], Any]):
         """
         if self.render_mode is None:
             return None
-        return tuple(self._pictures.picture(T) for T in self._core.T_world_vehicle)
+        shown = zip(self._core.T_world_vehicle, self._core.goals_m, strict=True)
+        return tuple(self._pictures.picture(T_world_vehicle, goals_m) for T_world_vehicle, goals_m in shown)
 
     def close_extras(self, **kwargs: Any) -> None:
         """Release the resources of rendering; further calls have no effect."""

@@ -96,6 +96,20 @@ def test_images_and_pictures_show_the_world() -> None:
     env.close()
 
 
+def test_pictures_mark_the_goal() -> None:
+    """The chase camera looks to positive x and y, and shows a green ball there."""
+    env = DroneEnv("hover", "rgb_array", world=QUICK_WORLD, observations=("position",))
+
+    def green_pixels(goal_m: tuple[float, float, float]) -> int:
+        env.reset(seed=0, options={**REST, "goal_m": np.array(goal_m)})
+        red, green, blue = np.moveaxis(np.asarray(env.render(), dtype=int), -1, 0)
+        return int(np.count_nonzero((green > red + 60) & (green > blue + 60)))
+
+    assert green_pixels((0.2, 0.4, 1.4)) > 200
+    assert green_pixels((-1.0, -1.7, 1.2)) == 0
+    env.close()
+
+
 def test_images_have_a_rate_of_their_own() -> None:
     env = DroneEnv("hover", world=QUICK_WORLD, observations=("depth",), camera_rate_hz=25.0, image_size=(16, 12))
     images = [env.reset(seed=0)[0]["depth"]]
