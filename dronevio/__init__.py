@@ -18,7 +18,7 @@ from typing import TYPE_CHECKING
 from dronevio._lazy import attach
 
 if TYPE_CHECKING:
-    from dronevio.api import dense, estimate, evaluate, fly, sfm
+    from dronevio.api import dense, estimate, evaluate, fly, fly_on_estimate, sfm
     from dronevio.driver import estimate_recording
     from dronevio.estimator.config import VioConfig
     from dronevio.estimator.imu.forward_propagation import ImuRatePropagator
@@ -69,6 +69,7 @@ __all__ = [
     "evaluate",
     "evaluate_policy",
     "fly",
+    "fly_on_estimate",
     "load_policy",
     "measurements",
     "open_recording",
@@ -85,7 +86,7 @@ __version__ = "0.1.0"
 __getattr__, __dir__ = attach(
     __name__,
     {
-        "dronevio.api": ("dense", "estimate", "evaluate", "fly", "sfm"),
+        "dronevio.api": ("dense", "estimate", "evaluate", "fly", "fly_on_estimate", "sfm"),
         "dronevio.driver": ("estimate_recording",),
         "dronevio.estimator.config": ("VioConfig",),
         "dronevio.estimator.imu.forward_propagation": ("ImuRatePropagator",),

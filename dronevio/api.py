@@ -4,7 +4,7 @@ reconstruct a scene from images.
 
 from pathlib import Path
 
-from dronevio.driver import estimate_recording
+from dronevio.driver import TimedEstimator, estimate_recording
 from dronevio.estimator.array_store import ArrayStore
 from dronevio.estimator.config import VioConfig
 from dronevio.estimator.dense.config import DenseConfig
@@ -24,8 +24,9 @@ from dronevio.models.protocols import Estimator, Recording
 from dronevio.models.reconstruction import Reconstruction
 from dronevio.models.recordings.open import open_recording, read_trajectory
 from dronevio.models.state import Trajectory
-from dronevio.recorder import record_flight
+from dronevio.recorder import record_flight, record_on_estimate
 from dronevio.sfm_inputs import EarlierResult, read_earlier, read_poses
+from dronevio.sim.loop_settings import LoopSettings
 from dronevio.sim.scenario import Scenario
 from dronevio.sim.scenarios import scenario_named
 
@@ -52,6 +53,42 @@ def fly(
     flown = scenario_named(scenario, seed) if isinstance(scenario, str) else scenario
     record_flight(flown, Path(folder), workers=workers)
     return open_recording(Path(folder))
+
+
+def fly_on_estimate(
+    scenario: str | Scenario,
+    folder: str | Path,
+    estimator: Estimator | VioConfig | None = None,
+    *,
+    seed: int | None = None,
+    latency: LoopSettings | None = None,
+    progress: Progress = silent,
+) -> tuple[Recording, EstimatorRun]:
+    """Simulate a flight whose controller receives the output of an estimator, and write the recording into a folder.
+
+    Args:
+        scenario: A scenario, or the name of one, such as ``"room"``.
+        folder: Folder of the recording in the EuRoC layout; it is made if it does not exist.
+        estimator: An estimator before its first measurement, or the settings of the visual-inertial odometry; by
+            default the odometry with default settings.
+        seed: Seed of a named scenario; its own by default.
+        latency: Latencies of images and commands.
+        progress: Called with the progress of the flight.
+
+    Returns:
+        The recording, and the estimates of its frames with their cost.
+
+    Raises:
+        ConfigError: There is no such scenario, or its settings contradict each other.
+        GraphicsError: There is no off-screen OpenGL.
+        IncompleteError: An image cannot be written.
+    """
+    flown = scenario_named(scenario, seed) if isinstance(scenario, str) else scenario
+    if estimator is None or isinstance(estimator, VioConfig):
+        estimator = VisualInertialOdometry(flown.rig, estimator)
+    timed = TimedEstimator(estimator)
+    record_on_estimate(flown, Path(folder), timed, latency, progress)
+    return open_recording(Path(folder)), timed.run
 
 
 def estimate(

@@ -1,7 +1,8 @@
 """The driver: it pushes the measurements of a recording into an estimator and measures the processor time."""
 
 import time
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from typing import TYPE_CHECKING, Protocol
 
 import cv2
@@ -63,6 +64,59 @@ class ImuRateObserver:
         return Trajectory.from_states(self._states)
 
 
+class TimedEstimator:
+    """An estimator whose estimates and processor times are recorded; implements `Estimator`.
+
+    The time of a frame includes the IMU samples before it, and the states at the IMU's rate that are requested.
+    """
+
+    def __init__(self, estimator: Estimator) -> None:
+        """Take an estimator before its first measurement, and let OpenCV use one thread in this process."""
+        cv2.setNumThreads(1)  # threads would sum floating-point numbers in another order in each run
+        self._estimator = estimator
+        self._estimates: list[Estimate] = []
+        self._cost_s: list[tuple[float, float]] = []
+        self._cpu_s, self._wall_s = 0.0, 0.0
+
+    def add_imu(self, samples: ImuSamples) -> None:
+        """Add the IMU samples since the last call."""
+        with self._timed():
+            self._estimator.add_imu(samples)
+
+    def add_frame(self, frame: CameraFrame) -> Estimate:
+        """Return the estimate for a frame."""
+        with self._timed():
+            estimate = self._estimator.add_frame(frame)
+        self._estimates.append(estimate)
+        self._cost_s.append((self._cpu_s, self._wall_s))
+        self._cpu_s, self._wall_s = 0.0, 0.0
+        return estimate
+
+    def state_at(self, t_ns: int) -> NavState | None:
+        """Return the newest state, propagated by the IMU; see `Estimator`."""
+        with self._timed():
+            return self._estimator.state_at(t_ns)
+
+    @property
+    def cpu_ms(self) -> float:
+        """Processor time of the newest frame and of the IMU samples before it [ms]."""
+        return self._cost_s[-1][0] * 1e3
+
+    @property
+    def run(self) -> EstimatorRun:
+        """The estimates so far, and their cost."""
+        cost_ms = np.array(self._cost_s).reshape(-1, 2) * 1e3
+        return EstimatorRun(tuple(self._estimates), cost_ms[:, 0], cost_ms[:, 1])
+
+    @contextmanager
+    def _timed(self) -> Iterator[None]:
+        """Add the time of the context to that of the next frame."""
+        cpu_start, wall_start = time.process_time(), time.perf_counter()
+        yield
+        self._cpu_s += time.process_time() - cpu_start
+        self._wall_s += time.perf_counter() - wall_start
+
+
 def estimate_recording(
     recording: Recording, estimator: Estimator, progress: Progress = silent, observers: Sequence[RunObserver] = ()
 ) -> EstimatorRun:
@@ -80,31 +134,20 @@ def estimate_recording(
     Raises:
         InputError: An image cannot be read.
     """
-    cv2.setNumThreads(1)  # threads would sum floating-point numbers in another order in each run
-    estimates: list[Estimate] = []
-    cpu_ms: list[float] = []
-    wall_ms: list[float] = []
-    total = len(recording.frame_times_ns)
-    cpu_s, wall_s = 0.0, 0.0
+    timed = TimedEstimator(estimator)
+    frames, total = 0, len(recording.frame_times_ns)
     for measurement in measurements(recording):
-        cpu_start, wall_start = time.process_time(), time.perf_counter()
         if isinstance(measurement, ImuSamples):
-            estimator.add_imu(measurement)
-        else:
-            estimates.append(estimator.add_frame(measurement))
-        cpu_s += time.process_time() - cpu_start
-        wall_s += time.perf_counter() - wall_start
-        if isinstance(measurement, ImuSamples):
+            timed.add_imu(measurement)
             for observer in observers:
                 observer.imu(measurement)
-        else:  # a frame is complete, with the IMU samples before it
+        else:
+            estimate = timed.add_frame(measurement)
             for observer in observers:
-                observer.frame(measurement, estimates[-1], cpu_s * 1e3)
-            cpu_ms.append(cpu_s * 1e3)
-            wall_ms.append(wall_s * 1e3)
-            cpu_s, wall_s = 0.0, 0.0
-            progress(len(estimates), total)
-    return EstimatorRun(tuple(estimates), np.array(cpu_ms), np.array(wall_ms))
+                observer.frame(measurement, estimate, timed.cpu_ms)
+            frames += 1
+            progress(frames, total)
+    return timed.run
 
 
 def require_poses(run: EstimatorRun, recording: Recording) -> Trajectory:

@@ -1,18 +1,28 @@
 """The recorder: it simulates a flight, then renders its images, into a folder in the EuRoC layout."""
 
 import json
+from contextlib import closing
 from pathlib import Path
 
-from dronevio.models.errors import ConfigError
+from dronevio.models.errors import ConfigError, IncompleteError
 from dronevio.models.progress import Progress, silent
+from dronevio.models.protocols import Estimator
 from dronevio.models.recordings.euroc import write_euroc
+from dronevio.models.recordings.files import write_text
+from dronevio.models.recordings.frame_truth import FRAME_TRUTH_FILE, frame_truth_text
 from dronevio.models.rig import Rig
 from dronevio.models.rig_presets import RIGS, rig_named
 from dronevio.models.serialization import to_jsonable
+from dronevio.models.state import CameraFrame
 from dronevio.sim.cameras.imaging import Imaging
-from dronevio.sim.flight import Flight, fly
+from dronevio.sim.closed_loop import fly_on_estimate
+from dronevio.sim.flight import ControllerFactory, Flight, fly
+from dronevio.sim.loop_settings import LoopSettings
+from dronevio.sim.physics.controller import SE3Controller
 from dronevio.sim.refly import FlownPath
-from dronevio.sim.rendering.render import render_frames
+from dronevio.sim.rendering.frame_files import write_frame
+from dronevio.sim.rendering.live_cameras import LiveCameras
+from dronevio.sim.rendering.render import render_frames, unfinished
 from dronevio.sim.rendering.render_job import RenderJob
 from dronevio.sim.rendering.truth_images import TruthImage
 from dronevio.sim.scenario import Scenario
@@ -57,9 +67,60 @@ def record_flight(
         scenario.imaging,
         truth_images,
     )
-    _write_settings(folder, {"scenario": to_jsonable(scenario), "imu_constants": to_jsonable(flight.imu_constants)})
+    _write_settings(folder, {"scenario": scenario, "imu_constants": flight.imu_constants})
     write_euroc(folder, scenario.rig, flight.imu, flight.truth, flight.schedule.stamps_ns)
     render_frames(job, folder / "mav0", rendering, workers)
+    return flight
+
+
+def record_on_estimate(
+    scenario: Scenario,
+    folder: Path,
+    estimator: Estimator,
+    settings: LoopSettings | None = None,
+    progress: Progress = silent,
+    controller: ControllerFactory = SE3Controller,
+) -> Flight:
+    """Simulate a scenario flown on the output of an estimator, and write its recording into a folder.
+
+    The recording is that of `record_flight`, along the path that the vehicle takes on the estimate. Frames are rendered
+    and written as they are exposed.
+
+    Args:
+        scenario: The scenario with its seed, which together with the estimator determines all bytes of the recording.
+        folder: Folder to write to; it is made if it does not exist.
+        estimator: Estimator before its first measurement.
+        settings: Latencies of the images and of the commands.
+        progress: Called with the progress of the flight.
+        controller: Function that returns the controller, by default that of the scenarios.
+
+    Returns:
+        The flight without its images.
+
+    Raises:
+        ConfigError: The settings of the scenario contradict each other.
+        GraphicsError: There is no off-screen OpenGL.
+        IncompleteError: An image cannot be written. The finished frames are kept.
+    """
+    mav0, written = folder / "mav0", 0
+
+    def write(frame: CameraFrame) -> None:
+        nonlocal written
+        write_frame(mav0, frame)
+        written += 1
+
+    with (
+        closing(LiveCameras(scenario.true_rig, scenario.world, scenario.seed, scenario.imaging)) as cameras,
+        unfinished(mav0, [f"cam{number}" for number in range(len(scenario.rig.cameras))]),
+    ):
+        try:
+            flight = fly_on_estimate(scenario, estimator, cameras, settings, progress, write, controller)
+            _write_settings(folder, {"scenario": scenario, "imu_constants": flight.imu_constants})
+            write_euroc(folder, scenario.rig, flight.imu, flight.truth, flight.schedule.stamps_ns)
+            write_text(mav0 / FRAME_TRUTH_FILE, frame_truth_text(cameras.frames))
+        except OSError as error:
+            where = f"{error.filename}: " if error.filename else ""
+            raise IncompleteError(f"stopped after {written} frames: {where}{error.strerror}") from error
     return flight
 
 

@@ -91,9 +91,8 @@ def measurements(recording: Recording) -> Iterator[ImuSamples | CameraFrame]:
     Each frame follows the IMU samples up to the exposure of its last row, on the IMU clock, and the first sample after
     it, so that the motion up to that time can be interpolated. The delay is at most one IMU interval (5 ms at 200 Hz).
     """
-    imu, start, rig = recording.imu, 0, recording.rig
-    delay_s = max(rig.time_offset_s + 0.5 * max((camera.readout_s for camera in rig.cameras), default=0.0), 0.0)
-    for index, t_ns in enumerate(recording.frame_times_ns + round(delay_s * 1e9)):
+    imu, start = recording.imu, 0
+    for index, t_ns in enumerate(recording.frame_times_ns + exposure_delay_ns(recording.rig)):
         end = min(int(np.searchsorted(imu.t_ns, t_ns, side="left")) + 1, len(imu))
         if end > start:
             yield imu[start:end]
@@ -101,3 +100,9 @@ def measurements(recording: Recording) -> Iterator[ImuSamples | CameraFrame]:
         yield recording.frame(index)
     if start < len(imu):
         yield imu[start:]
+
+
+def exposure_delay_ns(rig: Rig) -> int:
+    """Return the time from the stamp of a frame to the end of its exposure on the clock of the IMU, 0 or more [ns]."""
+    readout_s = max((camera.readout_s for camera in rig.cameras), default=0.0)
+    return round(max(rig.time_offset_s + 0.5 * readout_s, 0.0) * 1e9)

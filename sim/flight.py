@@ -1,5 +1,6 @@
 """Simulation of a flight: physics, controller and IMU from take-off to landing. Images are rendered afterwards."""
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -7,6 +8,8 @@ import numpy.typing as npt
 
 from dronevio.models.imu import GRAVITY_M_S2, ImuConstants, ImuSamples, Times
 from dronevio.models.progress import Progress, silent
+from dronevio.models.protocols import Controller
+from dronevio.models.quadrotor import Quadrotor
 from dronevio.models.rig import Rig
 from dronevio.models.rotation import pose_matrix
 from dronevio.models.state import Trajectory
@@ -22,6 +25,10 @@ from dronevio.sim.scenario import Scenario
 from dronevio.sim.world import collision_spec, flight_area
 
 Array = npt.NDArray[np.float64]
+
+ControllerFactory = Callable[[Reference, Array, Quadrotor], Controller]
+"""Function that returns the controller of a flight, given the reference, the mounting T_vehicle_imu (4, 4) and the
+vehicle."""
 
 _REPORT_EVERY = 100  # control steps between two reports of progress
 
@@ -59,6 +66,15 @@ class Flight:
         """(M, 4, 4) True poses T_world_cam of the first camera at the true times of its frames."""
         return interpolated_poses(self.truth, self.schedule.exposed_ns) @ self.true_rig.cameras[0].T_imu_cam
 
+    @property
+    def reference_distance_m(self) -> Array:
+        """(K,) True distances of the centre of mass from the reference, at the IMU samples with turning rotors [m]."""
+        T_vehicle_imu = self.true_rig.T_vehicle_imu
+        lever = T_vehicle_imu[:3, :3].T @ T_vehicle_imu[:3, 3]
+        position = self.truth.p_world_imu - self.truth.rotations @ lever
+        rows = np.flatnonzero(self.reference.flying[: len(position) - 1])
+        return np.asarray(np.linalg.norm(position[rows] - self.reference.position_m[rows], axis=1))
+
 
 def plant_of(scenario: Scenario) -> QuadrotorPlant:
     """Return the vehicle of a scenario, at rest on the landing pad in the world and wind of the scenario."""
@@ -83,12 +99,13 @@ def reference_of(scenario: Scenario, plant: QuadrotorPlant) -> Reference:
     return plan_reference(scenario.plan, area, plant.standing_height_m, plant.interval_ns, scenario.generator("path"))
 
 
-def fly(scenario: Scenario, progress: Progress = silent) -> Flight:
+def fly(scenario: Scenario, progress: Progress = silent, controller: ControllerFactory = SE3Controller) -> Flight:
     """Simulate a scenario: the controller tracks the reference with the true state until the end or a collision.
 
     Args:
         scenario: The scenario to simulate.
         progress: Callback that receives the number of completed control steps and their total.
+        controller: Function that returns the controller, by default that of the scenarios.
 
     Returns:
         The flight; the same scenario gives the same bytes.
@@ -100,27 +117,26 @@ def fly(scenario: Scenario, progress: Progress = silent) -> Flight:
     plant = plant_of(scenario)
     reference = reference_of(scenario, plant)
     if reference.flying[0]:
-        _start_in_air(plant, reference)
-    controller = SE3Controller(reference, rig.T_vehicle_imu, scenario.quadrotor)
+        start_in_air(plant, reference)
+    control = controller(reference, rig.T_vehicle_imu, scenario.quadrotor)
     steps = len(reference) - 1
     for step in range(steps):
         if step % _REPORT_EVERY == 0:
             progress(step, steps)
-        plant.advance(plant.t_ns + plant.interval_ns, controller.command(plant.state(), plant.t_ns))
+        plant.advance(plant.t_ns + plant.interval_ns, control.command(plant.state(), plant.t_ns))
         if plant.collision is not None:
             break
     progress(steps, steps)
     motion = plant.motion()
     perfect = motion.points(rig.T_vehicle_imu, plant.interval_s)
-    rng = scenario.generator("imu")
-    errors = ImuErrors(rig.imu, rng, RotorHarmonics(scenario.quadrotor, rig, rng.spawn(1)[0]))
+    errors = imu_errors(scenario)
     imu, gyro_bias, accel_bias = errors.add_to(perfect, motion.rotor_speeds_rad_s)
     truth = replace(motion.trajectory(rig.T_vehicle_imu), gyro_bias_rad_s=gyro_bias, accel_bias_m_s2=accel_bias)
-    schedule = _schedule(scenario, rig, truth)
+    schedule = frame_schedule(scenario, int(truth.t_ns[0]), int(truth.t_ns[-1]))
     return Flight(scenario, rig, imu, truth, schedule, reference, perfect, errors.constants, plant.collision)
 
 
-def _start_in_air(plant: QuadrotorPlant, reference: Reference) -> None:
+def start_in_air(plant: QuadrotorPlant, reference: Reference) -> None:
     """Set the vehicle to the state of the first row of a reference that starts in motion."""
     force = reference.acceleration_m_s2[0] + [0.0, 0.0, GRAVITY_M_S2]
     speed = plant.quadrotor.hover_speed_rad_s * np.sqrt(np.linalg.norm(force) / GRAVITY_M_S2)  # thrust ∝ ω²
@@ -132,10 +148,16 @@ def _start_in_air(plant: QuadrotorPlant, reference: Reference) -> None:
     )
 
 
-def _schedule(scenario: Scenario, rig: Rig, truth: Trajectory) -> FrameSchedule:
-    """Return the frame times of a flight, all within the time span of the true motion."""
-    first_ns, last_ns = int(truth.t_ns[0]), int(truth.t_ns[-1])
-    faults = scenario.faults
+def imu_errors(scenario: Scenario) -> ImuErrors:
+    """Return the errors of the IMU of a scenario, from switch-on."""
+    rng = scenario.generator("imu")
+    rig = scenario.true_rig
+    return ImuErrors(rig.imu, rng, RotorHarmonics(scenario.quadrotor, rig, rng.spawn(1)[0]))
+
+
+def frame_schedule(scenario: Scenario, first_ns: int, last_ns: int) -> FrameSchedule:
+    """Return the frame times of a scenario whose exposures are between two times [ns]."""
+    rig, faults = scenario.true_rig, scenario.faults
     return schedule_frames(
         nominal_stamps(first_ns, last_ns, rig.cameras[0].rate_hz),
         scenario.generator("frames"),

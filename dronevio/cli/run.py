@@ -7,23 +7,31 @@ from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Literal
 
 from dronevio.cli.flight_options import FlightOptions, ScenarioInput, parse_flight
 from dronevio.cli.options import Output, OutputOptions
 from dronevio.cli.terminal import Bars, print_json, print_values, progress_bars
 from dronevio.estimator.config import VioConfig
+from dronevio.sim.loop_settings import LoopSettings
 
 if TYPE_CHECKING:
     from dronevio.driver import RunObserver
+    from dronevio.eval.metrics.scores import ScoredTrajectory
+    from dronevio.eval.report.model import ControlResult
     from dronevio.eval.rerun.surroundings import Surroundings
+    from dronevio.eval.run import EstimatorRun
     from dronevio.models.protocols import Recording
+    from dronevio.sim.flight import Flight
     from dronevio.sim.scenario import Scenario
 
 
 @dataclass(frozen=True)
 class RunCommand:
     """Simulate a scenario, estimate the motion from its cameras and IMU, evaluate the estimate, and write a report.
+
+    With --fly-on estimate, the estimator runs during the flight, and the controller receives its output in place of the
+    true state.
 
     The result is a folder with report.html, report.json, groundtruth.tum, estimate.tum, imu.csv, trajectory.png,
     run.rrd (for `dronevio view`) and configuration.json. The same settings and seed give the same recording and
@@ -34,6 +42,7 @@ class RunCommand:
       dronevio run --seed 3 --out runs/third
       dronevio run --scenario hover --keep-recording
       dronevio run --rig euroc-stereo
+      dronevio run --fly-on estimate
       dronevio run --estimator.smoother.max-keyframes 16
       dronevio run --live
       dronevio run --json > result.json
@@ -41,6 +50,9 @@ class RunCommand:
 
     out: Path | None = None
     """Folder to make. By default it is runs/SCENARIO-SEED, with a number appended if that exists."""
+    fly_on: Literal["truth", "estimate"] = "truth"
+    """State that the controller of the drone receives: the true state, or the output of the estimator at the IMU's
+    rate. On the estimate, the drone waits on its pad until the estimator has a state."""
     keep_recording: bool = False
     """Keep the recording with all images, as an EuRoC folder named recording."""
     live: bool = False
@@ -52,6 +64,8 @@ class RunCommand:
     """The scenario to simulate."""
     estimator: VioConfig = field(default_factory=VioConfig)
     """Settings of the estimator."""
+    loop: LoopSettings = field(default_factory=LoopSettings)
+    """Latencies of the control loop with --fly-on estimate."""
 
 
 def main(arguments: Sequence[str]) -> int:
@@ -76,6 +90,8 @@ def main(arguments: Sequence[str]) -> int:
         print_json({"run": str(target), **report})
         return 0
     print_report(f"Run {scenario.name}, seed {scenario.seed}", report)
+    if report["control"]["collision"] is not None:
+        print(f"the flight ended early: the drone {report['control']['collision']}")
     print(f"report:   {target}/report.html")
     print(f"open it:  dronevio view {target}")
     return 0
@@ -93,34 +109,19 @@ def _run(scenario: "Scenario", command: RunCommand, folder: Path, target: Path, 
         bars: Display of the progress.
     """
     from dronevio import __version__
-    from dronevio.driver import estimate_recording, require_poses
-    from dronevio.estimator.vio import VisualInertialOdometry
-    from dronevio.eval.metrics.scores import score_trajectory
     from dronevio.eval.provenance import RunInfo
     from dronevio.eval.report.run import write_report
-    from dronevio.eval.rerun.files import run_file
-    from dronevio.models.recordings.euroc import EurocRecording
     from dronevio.models.recordings.tum import write_tum
     from dronevio.models.serialization import to_jsonable
-    from dronevio.recorder import record_flight
     from dronevio.sim.world import build_world
     from dronevio.surroundings import surroundings_of
 
-    progress = {name: bars.bar(name) for name in ("simulating", "rendering", "estimating")}
-    record_flight(scenario, folder / "recording", progress["simulating"], progress["rendering"])
-    name = f"{scenario.name}, seed {scenario.seed}"
-    recording = replace(EurocRecording.open(folder / "recording"), name=name)
     surroundings = surroundings_of(build_world(scenario.world, scenario.seed))
-    estimator = VisualInertialOdometry(recording.rig, command.estimator)
-    truth = recording.ground_truth
+    estimated = (_flown_on_estimate if command.fly_on == "estimate" else _flown_on_truth)(
+        scenario, command, folder, surroundings, bars
+    )
+    trajectory, truth = estimated.run.trajectory, estimated.recording.ground_truth
     assert truth is not None
-    with run_file(folder / "run.rrd", recording, surroundings=surroundings) as file:
-        with _viewers(recording, surroundings, command.live) as viewers:
-            run = estimate_recording(recording, estimator, progress["estimating"], (file, *viewers))
-        trajectory = require_poses(run, recording)
-        scored = score_trajectory(truth, trajectory, recording.frame_times_ns)
-        file.finish(run, scored)
-
     write_tum(folder / "groundtruth.tum", truth)
     write_tum(folder / "estimate.tum", trajectory)
     shutil.copyfile(folder / "recording" / "mav0" / "imu0" / "data.csv", folder / "imu.csv")
@@ -128,6 +129,8 @@ def _run(scenario: "Scenario", command: RunCommand, folder: Path, target: Path, 
         "dronevio": __version__,
         "scenario": to_jsonable(scenario),
         "estimator": to_jsonable(command.estimator),
+        "fly_on": command.fly_on,
+        "loop": to_jsonable(command.loop),
     }
     (folder / "configuration.json").write_text(json.dumps(configuration, indent=2) + "\n", encoding="utf-8")
     info = RunInfo(
@@ -137,7 +140,106 @@ def _run(scenario: "Scenario", command: RunCommand, folder: Path, target: Path, 
         seed=scenario.seed,
         configuration=configuration,
     )
-    write_report(folder, info, recording, run, scored, outline=surroundings.outline)
+    write_report(
+        folder,
+        info,
+        estimated.recording,
+        estimated.run,
+        estimated.scored,
+        outline=surroundings.outline,
+        control=_control(command, estimated.flight),
+    )
+
+
+@dataclass(frozen=True, eq=False)
+class _Estimated:
+    """A flight with its estimate."""
+
+    flight: "Flight"
+    recording: "Recording"
+    run: "EstimatorRun"
+    scored: "ScoredTrajectory"
+
+
+def _flown_on_truth(
+    scenario: "Scenario", command: RunCommand, folder: Path, surroundings: "Surroundings", bars: Bars
+) -> _Estimated:
+    """Fly on the true state, render, and run the estimator on the recording."""
+    from dronevio.driver import estimate_recording
+    from dronevio.estimator.vio import VisualInertialOdometry
+    from dronevio.eval.rerun.files import run_file
+    from dronevio.recorder import record_flight
+
+    progress = {name: bars.bar(name) for name in ("simulating", "rendering", "estimating")}
+    flight = record_flight(scenario, folder / "recording", progress["simulating"], progress["rendering"])
+    recording = _recording(scenario, folder)
+    estimator = VisualInertialOdometry(recording.rig, command.estimator)
+    with run_file(folder / "run.rrd", recording, surroundings=surroundings) as file:
+        with _viewers(recording, surroundings, command.live) as viewers:
+            run = estimate_recording(recording, estimator, progress["estimating"], (file, *viewers))
+        scored = _scored(recording, run)
+        file.finish(run, scored)
+    return _Estimated(flight, recording, run, scored)
+
+
+def _flown_on_estimate(
+    scenario: "Scenario", command: RunCommand, folder: Path, surroundings: "Surroundings", bars: Bars
+) -> _Estimated:
+    """Fly on the output of the estimator, which runs during the flight.
+
+    Raises:
+        ConfigError: A live view is requested.
+    """
+    from dronevio.driver import TimedEstimator
+    from dronevio.estimator.vio import VisualInertialOdometry
+    from dronevio.eval.rerun.files import write_rrd
+    from dronevio.models.errors import ConfigError
+    from dronevio.recorder import record_on_estimate
+
+    if command.live:
+        raise ConfigError("--live with --fly-on estimate; expected one of them, since a live view shows a recording")
+    progress = {name: bars.bar(name) for name in ("flying", "logging")}
+    estimator = TimedEstimator(VisualInertialOdometry(scenario.rig, command.estimator))
+    flight = record_on_estimate(scenario, folder / "recording", estimator, command.loop, progress["flying"])
+    recording, run = _recording(scenario, folder), estimator.run
+    scored = _scored(recording, run)
+    write_rrd(folder / "run.rrd", recording, run, scored, surroundings=surroundings, progress=progress["logging"])
+    return _Estimated(flight, recording, run, scored)
+
+
+def _recording(scenario: "Scenario", folder: Path) -> "Recording":
+    """Return the recording of a run."""
+    from dronevio.models.recordings.euroc import EurocRecording
+
+    return replace(EurocRecording.open(folder / "recording"), name=f"{scenario.name}, seed {scenario.seed}")
+
+
+def _scored(recording: "Recording", run: "EstimatorRun") -> "ScoredTrajectory":
+    """Return the scores of a run.
+
+    Raises:
+        EvaluationError: The run has no pose.
+    """
+    from dronevio.driver import require_poses
+    from dronevio.eval.metrics.scores import score_trajectory
+
+    assert recording.ground_truth is not None
+    return score_trajectory(recording.ground_truth, require_poses(run, recording), recording.frame_times_ns)
+
+
+def _control(command: RunCommand, flight: "Flight") -> "ControlResult":
+    """Return the accuracy of the control of a flight."""
+    import numpy as np
+
+    from dronevio.eval.report.model import ControlResult
+
+    distance_m = flight.reference_distance_m
+    return ControlResult(
+        command.fly_on,
+        float(np.sqrt(np.mean(distance_m**2))) if len(distance_m) else None,
+        float(distance_m.max()) if len(distance_m) else None,
+        None if flight.collision is None else str(flight.collision),
+    )
 
 
 @contextmanager
@@ -174,7 +276,8 @@ def repeating_command(scenario: "Scenario", arguments: Sequence[str]) -> str:
 
 def print_report(title: str, report: dict[str, Any]) -> None:
     """Print the main figures of a ``report.json``; a dash stands for a value that is not known."""
-    scores, timing = report["scores"], report["timing"]
+    scores, timing, control = report["scores"], report["timing"], report["control"]
+    flown_on = f"distance from the reference, flown on the {control['flown_on']}"
     rpe_m, rpe_deg = scores["rpe_m"] or {"rmse": None}, scores["rpe_deg"] or {"rmse": None}
     shown: list[tuple[str, float | None, str, str]] = [
         ("length of the path", report["flight"]["path_m"], ".1f", "m"),
@@ -186,6 +289,7 @@ def print_report(title: str, report: dict[str, Any]) -> None:
         ("processor time per frame, mean", timing["cpu_ms_mean"], ".1f", "ms"),
         ("processor time per frame, 99th percentile", timing["cpu_ms_p99"], ".1f", "ms"),
         ("real-time factor", timing["real_time_factor"], ".1f", ""),
+        (flown_on, control["reference_rmse_m"], ".3f", "m"),
     ]
     print_values(
         title,

@@ -8,12 +8,14 @@ they are not known:
     flight         name, duration_s, frames, path_m, peak_speed_m_s, peak_angular_rate_deg_s
     scores         the fields of `Scores`, with statistics as {rmse, mean, median, max, min, std, n}; null without truth
     timing         cpu_ms_mean, cpu_ms_p99, wall_ms_mean, wall_ms_p99 per frame, real_time_factor
+    control        flown_on, reference_rmse_m, reference_max_m, collision; null for recordings
     estimator      poses, first_pose_s (after the first frame), mean_tracks, keyframes, health: {state: frames}
     configuration, versions, machine            as in `RunInfo`
 """
 
 from collections import Counter
 from dataclasses import asdict, dataclass
+from typing import Literal
 
 import numpy as np
 import numpy.typing as npt
@@ -27,6 +29,20 @@ from dronevio.models.state import Trajectory
 Array = npt.NDArray[np.float64]
 
 FORMAT = "dronevio-report/1"
+
+
+@dataclass(frozen=True)
+class ControlResult:
+    """State that a simulated vehicle was flown on, and how well it followed its reference trajectory."""
+
+    flown_on: Literal["truth", "estimate"]
+    """State that the controller received."""
+    reference_rmse_m: float | None
+    """Root mean square of the true distances of the centre of mass from the reference; None if it did not fly [m]."""
+    reference_max_m: float | None
+    """Largest distance [m]."""
+    collision: str | None
+    """Description of the collision that ended the flight; None without a collision."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -43,6 +59,8 @@ class RunResults:
     """The estimated trajectory with its errors; None without ground truth."""
     outline: Array
     """(L, 2, 3) Line segments of the surroundings in the world frame of the ground truth [m]."""
+    control: ControlResult | None = None
+    """Control of a simulated flight; None for recordings."""
 
     @property
     def estimate(self) -> Trajectory:
@@ -67,6 +85,7 @@ def report_values(results: RunResults) -> dict[str, object]:
         "flight": _flight_values(results),
         "scores": None if results.scored is None else asdict(results.scored.scores),
         "timing": _timing_values(results.run),
+        "control": None if results.control is None else asdict(results.control),
         "estimator": _estimator_values(results),
         "configuration": info.configuration,
         "versions": info.versions,

@@ -65,6 +65,11 @@ def _tiles(values: Mapping[str, object]) -> Iterator[Tile]:
     yield Tile("Path length", number(flight["path_m"], 1), "m", f"in {number(flight['duration_s'], 1)} s")
     angular_rate = f"and angular rates of up to {number(flight['peak_angular_rate_deg_s'], 0)} °/s"
     yield Tile("Peak speed", number(flight["peak_speed_m_s"], 2), "m/s", angular_rate)
+    if values["control"] is not None:
+        control = _section(values, "control")
+        end = "" if control["collision"] is None else f"; the drone {control['collision']}"
+        meaning = f"r.m.s., flown on the {control['flown_on']}; at most {number(control['reference_max_m'], 3)} m{end}"
+        yield Tile("Distance from the reference", number(control["reference_rmse_m"], 3), "m", meaning)
 
 
 def _score_tiles(scores: Mapping[str, object]) -> Iterator[Tile]:

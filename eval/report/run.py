@@ -9,7 +9,7 @@ import numpy.typing as npt
 from dronevio.eval.metrics import ScoredTrajectory
 from dronevio.eval.provenance import RunInfo
 from dronevio.eval.report.figures import figure, save_png
-from dronevio.eval.report.model import RunResults, report_values
+from dronevio.eval.report.model import ControlResult, RunResults, report_values
 from dronevio.eval.report.page import run_page
 from dronevio.eval.report.plots import SIDE_VIEW, TOP_VIEW, draw_path
 from dronevio.eval.run import EstimatorRun
@@ -26,6 +26,7 @@ def write_report(
     scored: ScoredTrajectory | None,
     *,
     outline: Array | None = None,
+    control: ControlResult | None = None,
 ) -> None:
     """Write ``report.html``, ``report.json`` and ``trajectory.png``.
 
@@ -36,13 +37,15 @@ def write_report(
         run: The estimates of all frames and their costs.
         scored: The estimated trajectory with its errors; None without ground truth.
         outline: (L, 2, 3) Line segments of the surroundings in the world frame of the ground truth [m].
+        control: Control of a simulated flight.
 
     Raises:
         EvaluationError: The run does not belong to the recording.
         InputError: An image cannot be read.
     """
     run.check_belongs_to(recording)
-    results = RunResults(info, recording, run, scored, np.zeros((0, 2, 3)) if outline is None else outline)
+    outline = np.zeros((0, 2, 3)) if outline is None else outline
+    results = RunResults(info, recording, run, scored, outline, control)
     values = report_values(results)
     text = json.dumps(values, indent=2, allow_nan=False, ensure_ascii=False)
     (folder / "report.json").write_text(text + "\n", encoding="utf-8")

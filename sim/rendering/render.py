@@ -6,7 +6,7 @@ only, not on the process that renders it. Automatic exposure depends on earlier 
 metered with images of 1/64 of the pixels.
 """
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 
@@ -60,8 +60,9 @@ def render_frames(job: RenderJob, mav0: Path, progress: Progress = silent, worke
         finished = done
         progress(done, total)
 
+    folders = [f"cam{number}" for number in range(len(job.rig.cameras))] + [FOLDERS[kind] for kind in job.truth_images]
     try:
-        with compiled_world(job.world, job.seed, job.trajectory.t_ns) as world, _unfinished(job, mav0):
+        with compiled_world(job.world, job.seed, job.trajectory.t_ns) as world, unfinished(mav0, folders):
             truth = _exposed(job, world, shares)
             write_text(mav0 / FRAME_TRUTH_FILE, frame_truth_text(truth))
             if "segmentation" in job.truth_images:
@@ -78,9 +79,13 @@ def render_frames(job: RenderJob, mav0: Path, progress: Progress = silent, worke
 
 
 @contextmanager
-def _unfinished(job: RenderJob, mav0: Path) -> Iterator[None]:
-    """Create the folders and a file that marks them as incomplete during the context."""
-    names = [f"cam{number}" for number in range(len(job.rig.cameras))] + [FOLDERS[kind] for kind in job.truth_images]
+def unfinished(mav0: Path, names: Sequence[str]) -> Iterator[None]:
+    """Create the folders of images and a file that marks them as incomplete during the context.
+
+    Args:
+        mav0: The folder ``mav0`` of a recording.
+        names: Names of the folders in it.
+    """
     folders = [mav0 / name / "data" for name in names]
     for folder in folders:
         folder.mkdir(parents=True, exist_ok=True)

@@ -114,9 +114,11 @@ def test_unknown_values_are_dashes(capsys: pytest.CaptureFixture[str]) -> None:
     timing = {"cpu_ms_mean": 4.0, "cpu_ms_p99": 9.0, "real_time_factor": None}
     flight = {"path_m": 12.3}
     scores = {**short, "coverage_percent": None, "path_m": 11.1}
-    print_report("A run too short for a relative error", {"flight": flight, "scores": scores, "timing": timing})
+    control = {"flown_on": "truth", "reference_rmse_m": None}
+    report = {"flight": flight, "scores": scores, "timing": timing, "control": control}
+    print_report("A run too short for a relative error", report)
     shown = values_of_table(capsys.readouterr().out)
-    assert list(shown.values()) == ["12.3", "0.250", "–", "–", "–", "–", "4.0", "9.0", "–"]
+    assert list(shown.values()) == ["12.3", "0.250", "–", "–", "–", "–", "4.0", "9.0", "–", "–"]
 
 
 def test_json_is_the_report(another_run: Result) -> None:
@@ -324,3 +326,28 @@ def wait_until(condition: Callable[[], bool], timeout_s: float = 60.0) -> None:
     while not condition():
         assert time.monotonic() < deadline
         time.sleep(0.05)
+
+
+def test_flight_on_the_estimate(place: Path, run_command: CommandRunner) -> None:
+    """The estimates of the flight are those of its recording, to the byte, and depend on no other information."""
+    folder = place / "on-estimate"
+    options = ["--rig", "nano", "--plan.tour-s", "1.0", "--keep-recording"]
+    result = run_command(folder, "run", *SCENARIO, *options, "--fly-on", "estimate", "--out", folder)
+    run_command(folder, "estimate", folder / "recording", "--out", folder / "again.tum")
+    assert (folder / "again.tum").read_bytes() == (folder / "estimate.tum").read_bytes()
+    assert names(folder) == {*RESULTS, "recording", "again.tum"}
+    report = json.loads((folder / "report.json").read_text(encoding="utf-8"))
+    control = report["control"]
+    assert control["flown_on"] == "estimate" and control["collision"] is None
+    assert 0.0 < control["reference_rmse_m"] < control["reference_max_m"] < 0.25
+    shown = values_of_table(result.out)
+    assert shown["distance from the reference, flown on the estimate"] == f"{control['reference_rmse_m']:.3f}"
+    assert report["configuration"]["loop"]["frame_latency_s"] == 0.03
+    assert "--fly-on" in report["command"]
+
+
+def test_live_view_of_a_flight_on_the_estimate(place: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    out = place / "no-live"
+    assert main(["run", *SCENARIO, "--fly-on", "estimate", "--live", "--out", str(out)]) == 2
+    assert "--live with --fly-on estimate" in capsys.readouterr().err
+    assert not out.exists()
