@@ -9,7 +9,7 @@ import ast
 import inspect
 import re
 from collections.abc import Iterator, Mapping
-from dataclasses import fields
+from dataclasses import fields, is_dataclass
 from functools import cache
 from pathlib import Path
 from types import ModuleType
@@ -21,7 +21,7 @@ from cli_reference import write_changed
 from environment_pictures import picture_name
 
 import dronevio.envs  # noqa: F401 registers the environments
-from dronevio.sim.envs import actions, observations, options, randomization, settings, single
+from dronevio.sim.envs import actions, estimation, observations, options, randomization, settings, single
 
 NAMESPACE = "dronevio"
 ARGUMENTS_PAGE = "arguments.md"
@@ -30,6 +30,7 @@ SECTIONS: dict[str, ModuleType] = {
     "Observations": observations,
     "Randomization": randomization,
     "Options of a reset": options,
+    "Estimators": estimation,
 }
 """Sections of the page of the arguments, and the modules that they document."""
 _LONGEST_VALUE = 80
@@ -103,6 +104,17 @@ def field_rows(cls: type, values: Any = None) -> Iterator[tuple[str, ...]]:
         cls: The dataclass.
         values: An instance with the default values; by default they are read from the source.
     """
+    explained: dict[str, tuple[str, str]] = {}
+    for base in reversed([base for base in cls.__mro__ if is_dataclass(base)]):
+        explained |= _explained(base)
+    for field in fields(cls):
+        source, text = explained[field.name]
+        value = source if values is None else repr(getattr(values, field.name))
+        yield f"`{field.name}`", f"`{value if len(value) <= _LONGEST_VALUE else source}`", text
+
+
+def _explained(cls: type) -> dict[str, tuple[str, str]]:
+    """Return the sources of the default values and the docstrings of the fields that a class itself defines."""
     body = ast.parse(inspect.getsource(cls)).body[0]
     assert isinstance(body, ast.ClassDef)
     explained: dict[str, tuple[str, str]] = {}
@@ -110,10 +122,7 @@ def field_rows(cls: type, values: Any = None) -> Iterator[tuple[str, ...]]:
         if isinstance(node, ast.AnnAssign) and isinstance(node.target, ast.Name) and isinstance(after, ast.Expr):
             text = " ".join(inspect.cleandoc(ast.literal_eval(after.value)).split())
             explained[node.target.id] = _default(node.value), text
-    for field in fields(cls):
-        source, text = explained[field.name]
-        value = source if values is None else repr(getattr(values, field.name))
-        yield f"`{field.name}`", f"`{value if len(value) <= _LONGEST_VALUE else source}`", text
+    return explained
 
 
 def randomization_rows() -> Iterator[tuple[str, ...]]:
@@ -147,6 +156,7 @@ def arguments_page() -> str:
     tables = {
         "Actions": table(("field of `ActionLimits`", "default", "content"), field_rows(actions.ActionLimits)),
         "Randomization": table(("field of `Randomization`", "default", "`MODERATE`", "content"), randomization_rows()),
+        "Estimators": table(("field of `Estimation`", "default", "content"), field_rows(estimation.Estimation)),
     }
     for title, module in SECTIONS.items():
         parts += [f"## {title}", inspect.cleandoc(module.__doc__ or "")]

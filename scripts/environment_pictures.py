@@ -74,6 +74,8 @@ SCENES = {
         action=(0.5, 0.0, 0.0, 0.0),
         steps=15,
     ),
+    "VioHover": Scene(seed=0, action=(0.0, 0.0, 0.3, 0.0), steps=75),
+    "VioNavigate": Scene(seed=2, action=(0.2, 0.0, 0.4, 0.0), steps=90),
 }
 """The pictures by the names of the environments."""
 

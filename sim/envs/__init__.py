@@ -8,10 +8,12 @@ if TYPE_CHECKING:
     from dronevio.models.actions import ActionLimits
     from dronevio.sim.envs.conversion import policy_from_sb3, policy_from_torch, provenance_of
     from dronevio.sim.envs.distributions import Constant, LogUniform, Normal, Uniform
+    from dronevio.sim.envs.estimation import Estimation
+    from dronevio.sim.envs.goal_flight import fly_to_goal
     from dronevio.sim.envs.randomization import MODERATE, Randomization
     from dronevio.sim.envs.settings import EnvironmentSettings
     from dronevio.sim.envs.single import DroneEnv
-    from dronevio.sim.envs.tasks import Hover, Navigate, Race, Track, Waypoints
+    from dronevio.sim.envs.tasks import Hover, Navigate, Race, Track, VioHover, VioNavigate, Waypoints
     from dronevio.sim.envs.vector import DroneVectorEnv
     from dronevio.sim.envs.vector_checker import check_vector_env
 
@@ -22,6 +24,7 @@ __all__ = [
     "DroneEnv",
     "DroneVectorEnv",
     "EnvironmentSettings",
+    "Estimation",
     "Hover",
     "LogUniform",
     "Navigate",
@@ -30,8 +33,11 @@ __all__ = [
     "Randomization",
     "Track",
     "Uniform",
+    "VioHover",
+    "VioNavigate",
     "Waypoints",
     "check_vector_env",
+    "fly_to_goal",
     "policy_from_sb3",
     "policy_from_torch",
     "provenance_of",
@@ -43,10 +49,20 @@ __getattr__, __dir__ = attach(
         "dronevio.models.actions": ("ActionLimits",),
         "dronevio.sim.envs.conversion": ("policy_from_sb3", "policy_from_torch", "provenance_of"),
         "dronevio.sim.envs.distributions": ("Constant", "LogUniform", "Normal", "Uniform"),
+        "dronevio.sim.envs.estimation": ("Estimation",),
+        "dronevio.sim.envs.goal_flight": ("fly_to_goal",),
         "dronevio.sim.envs.randomization": ("MODERATE", "Randomization"),
         "dronevio.sim.envs.settings": ("EnvironmentSettings",),
         "dronevio.sim.envs.single": ("DroneEnv",),
-        "dronevio.sim.envs.tasks": ("Hover", "Navigate", "Race", "Track", "Waypoints"),
+        "dronevio.sim.envs.tasks": (
+            "Hover",
+            "Navigate",
+            "Race",
+            "Track",
+            "VioHover",
+            "VioNavigate",
+            "Waypoints",
+        ),
         "dronevio.sim.envs.vector": ("DroneVectorEnv",),
         "dronevio.sim.envs.vector_checker": ("check_vector_env",),
     },

@@ -11,8 +11,8 @@ and rotor speeds are interpolated linearly from 0 (at −1) over hover (at 0) to
 | ``velocity`` | velocity forward, to the left and up in the horizontal frame of the heading, and yaw rate |
 
 The vehicle frame is x forward, y left, z up. The inner loops of all modes but ``rotors`` run at the rate of the IMU on
-the true state, with the gains, the disturbance observers and the nominal parameters of the controller that flies the
-scenarios (`dronevio.sim.physics.cascade.Cascade`).
+the true state, or on the estimate of an estimator if there is one, with the gains, the disturbance observers and the
+nominal parameters of the controller that flies the scenarios (`dronevio.sim.physics.cascade.Cascade`).
 """
 
 from collections.abc import Callable

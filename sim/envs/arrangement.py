@@ -33,14 +33,15 @@ class Arrangement:
         if privileged:
             self.space = spaces.Dict({POLICY: self.space, CRITIC: self._space(boxes, privileged)})
 
-    def arranged(self, values: Mapping[str, npt.NDArray[Any]]) -> Any:
+    def arranged(self, values: Mapping[str, npt.NDArray[Any]], privileged: Mapping[str, npt.NDArray[Any]]) -> Any:
         """Return the observations of n environments.
 
         Args:
-            values: Arrays of n rows by the names of the observations.
+            values: Arrays of n rows by the names of the observations of the policy.
+            privileged: Arrays of n rows by the names of the observations of the critic.
         """
         policy = self._composed(values, self._policy)
-        return {POLICY: policy, CRITIC: self._composed(values, self._privileged)} if self._privileged else policy
+        return {POLICY: policy, CRITIC: self._composed(privileged, self._privileged)} if self._privileged else policy
 
     def _space(self, boxes: Mapping[str, spaces.Box], names: tuple[str, ...]) -> spaces.Space[Any]:
         """Return the space of some observations."""

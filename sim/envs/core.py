@@ -2,19 +2,25 @@
 
 import copy
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 from gymnasium import spaces
 
+from dronevio.models.errors import ConfigError
+from dronevio.models.imu import Times
 from dronevio.models.rotation import pose_matrix
 from dronevio.sim.envs.actions import action_mode, checked_actions
 from dronevio.sim.envs.arrangement import Arrangement
 from dronevio.sim.envs.batches import with_rows
+from dronevio.sim.envs.camera_observation import Images
 from dronevio.sim.envs.endings import GROUND_M, REASONS, Bounds, failures
+from dronevio.sim.envs.estimation import EstimatorFactory
+from dronevio.sim.envs.estimator_loop import EstimatorLoop
 from dronevio.sim.envs.held_images import rendered_images
+from dronevio.sim.envs.imu_window import ImuWindow
 from dronevio.sim.envs.latency import DelayedActions
 from dronevio.sim.envs.observations import Limits, Situation, observation_named
 from dronevio.sim.envs.options import overridden
@@ -22,7 +28,6 @@ from dronevio.sim.envs.randomization import Draws
 from dronevio.sim.envs.settings import EnvironmentSettings
 from dronevio.sim.envs.tasks import Objective, Transition
 from dronevio.sim.envs.tasks.task import distance_m
-from dronevio.sim.inertial.batch_imu import BatchImuErrors, vibration_of
 from dronevio.sim.physics.batch_plant import BatchPlant
 from dronevio.sim.physics.vehicle_states import Mask, VehicleStates
 from dronevio.sim.physics.wind import Winds
@@ -61,12 +66,17 @@ class DroneCore:
             settings: Settings of all environments.
 
         Raises:
-            ConfigError: The settings are not possible.
+            ConfigError: The settings are not possible, or there is an estimator and more than one environment.
         """
+        if settings.estimator is not None and count != 1:
+            raise ConfigError(
+                f"estimator in {count} environments of a native vector; expected single environments, for many of them"
+                ' gymnasium.make_vec with vectorization_mode="async", which is an AsyncVectorEnv'
+            )
         self.count, self.settings = count, settings
         self.task, self.quadrotor = settings.task, settings.vehicle
         chosen = (*settings.observations, *settings.privileged)
-        self._senses = not {"imu", "imu_bias"}.isdisjoint(chosen)
+        self._senses = settings.estimator is not None or not {"imu", "imu_bias"}.isdisjoint(chosen)
         self.area = flight_area(settings.world, settings.world_seed)
         self.plant = BatchPlant(
             count,
@@ -80,20 +90,16 @@ class DroneCore:
         )
         self._mode = action_mode(settings.action, self.quadrotor, settings.action_limits, count, self.plant.interval_s)
         self._delayed = DelayedActions(count, settings.samples, self.plant.interval_s)
-        self._errors = BatchImuErrors(
-            settings.rig.imu,
-            count,
-            np.random.default_rng(0),
-            vibration_of(self.quadrotor, settings.rig, count),
-        )
+        self._imu = ImuWindow(self.plant, settings.rig, self.quadrotor, settings.samples)
         self._images = rendered_images(count, settings) if settings.images else None
-        standing = float(self.area.pad[2]) + self.plant.standing_height_m
-        self._bounds = Bounds(self.task.bounds_m(self.area), standing + GROUND_M)
+        self._standing_m = float(self.area.pad[2]) + self.plant.standing_height_m
+        ground_m = -np.inf if self.task.lands else self._standing_m + GROUND_M
+        self._bounds = Bounds(self.task.bounds_m(self.area), ground_m)
         self._rng = np.random.default_rng(0)
         self._draws = Draws.nominal(count, settings.world_seed)
-        self._states, self._goals = self.task.begin(self.area, self.quadrotor, self._rng, count)
-        self._imu = np.zeros((count, settings.samples, 6))
-        self._bias = np.zeros((count, 6))
+        self._states, self._goals = self._begin(count)
+        self._loop: EstimatorLoop | None = None
+        self._begun_ns = np.zeros(count, dtype=np.int64)
         self._action = np.zeros((count, 4))
         limits = self._limits()
         self._named = {name: observation_named(name, limits) for name in chosen if name not in settings.images}
@@ -112,7 +118,7 @@ class DroneCore:
         """Take all random numbers from a generator from now on."""
         self._rng = rng
         self.plant.reseed(rng)
-        self._errors.reseed(rng)
+        self._imu.reseed(rng)
 
     def reset(self, mask: Mask, options: Mapping[str, Any]) -> dict[str, Any]:
         """Start new episodes of the environments in a mask (n,).
@@ -129,23 +135,22 @@ class DroneCore:
         """
         rows = np.flatnonzero(mask)
         draws = self.settings.randomization.draw(self._rng, rows.size, self.settings.world_seed)
-        states, goals = self.task.begin(self.area, self.quadrotor, self._rng, rows.size)
+        states, goals = self._begin(rows.size)
         states, goals, draws = overridden(self.task, states, goals, draws, options, rows, self.count)
         self._goals = with_rows(self._goals, rows, goals)
         self._draws = with_rows(self._draws, rows, draws)
         everyone = with_rows(self._states, rows, states)
         self.plant.reset(mask, everyone, self._draws.parameters(self.quadrotor), self._winds())
         self._states = self.plant.states
-        self._mode.reset(mask, self._states)
+        self._begun_ns[rows] = 0
         self._delayed.reset(mask, self._draws.latency_s)
-        self._errors.reset(mask)
         self._action[rows] = 0.0
         if self._images is not None:
             self._images.reset(mask)
-        perfect = self._perfect()[rows]
-        sensed = self._errors.first(perfect, rows, self.plant.rotor_speeds_rad_s[rows])
-        first, bias = _scaled(perfect, *sensed, draws.imu_errors)
-        self._imu[rows], self._bias[rows] = first[:, None], bias
+        self._imu.reset(mask, self._draws.imu_errors)
+        if self.settings.estimator is not None:
+            self._wait_for_estimate(self.settings.estimator, states)
+        self._mode.reset(mask, self._perceived())
         return self._reset_info()
 
     def step(self, actions: npt.NDArray[np.floating[Any]]) -> StepResult:
@@ -160,18 +165,14 @@ class DroneCore:
         action = checked_actions(actions, self.count)
         before, goals = self._states, self._goals
         self._delayed.push(action)
+        unestimated = np.full(self.count, self._loop is not None and not self._loop.ready)
         for interval in range(self.settings.samples):
-            self.plant.advance(self._mode.commands(self._delayed.at(interval), lambda: self.plant.states))
-            if self._senses:
-                perfect = self._perfect()
-                sensed = self._errors.add_to(perfect, self.plant.rotor_speeds_rad_s)
-                sample, self._bias = _scaled(perfect, *sensed, self._draws.imu_errors)
-                self._imu[:, interval] = sample
+            self._advance(self._mode.commands(self._delayed.at(interval), self._perceived), interval)
         if self._images is not None:
             self._images.step()
         self._states = after = self.plant.states
-        reason = failures(after, self.plant.touched, self.plant.diverged, self._bounds)
-        step = Transition(before, after, action, self._action, self._t_s, reason > 0)
+        reason = failures(after, self.plant.touched, self.plant.diverged, unestimated, self._bounds)
+        step = self._transition(before, after, action, reason > 0)
         self._action = action
         self._goals = self.task.advance(self.area, goals, step)
         terms = self.task.reward_terms(self.area, goals, self._goals, step)
@@ -185,16 +186,27 @@ class DroneCore:
         return StepResult(np.sum(list(terms.values()), axis=0), reason > 0, info)
 
     def observe(self) -> Observations:
-        """Return the observations of n environments."""
-        objective = self._objective()
-        situation = Situation(
-            self._states, objective, self._imu, self._bias, lambda: self.plant.wind_m_s, self._action, self._draws
+        """Return the observations of n environments: of the policy as perceived, of the critic as they are."""
+        true = Situation(
+            self._states,
+            self._objective(),
+            self._imu.samples,
+            self._imu.bias,
+            lambda: self.plant.wind_m_s,
+            self._action,
+            self._draws,
         )
-        values: dict[str, npt.NDArray[Any]] = {name: one.observe(situation) for name, one in self._named.items()}
+        images: Images = {}
         if self._images is not None:
             T_world_imu = self.T_world_vehicle @ self.settings.rig.T_vehicle_imu
-            values.update(self._images.observe(T_world_imu, self.plant.t_ns, self._draws))
-        return self._arrangement.arranged(values)
+            images = self._images.observe(T_world_imu, self.plant.t_ns, self._draws)
+        seen = true
+        if self._loop is not None:
+            seen = replace(true, states=self._loop.states(true.states), imu_bias=self._loop.bias)
+        return self._arrangement.arranged(
+            {**self._observed(seen, self.settings.observations), **images},
+            {**self._observed(true, self.settings.privileged), **images},
+        )
 
     @property
     def T_world_vehicle(self) -> Array:
@@ -209,7 +221,12 @@ class DroneCore:
     @property
     def _t_s(self) -> Array:
         """(n,) Times since the start of the episodes [s]."""
-        return np.asarray(self.plant.t_ns * 1e-9, dtype=np.float64)
+        return np.asarray(self._t_ns * 1e-9, dtype=np.float64)
+
+    @property
+    def _t_ns(self) -> Times:
+        """(n,) Times since the start of the episodes, after the wait for an estimate [ns]."""
+        return self.plant.t_ns - self._begun_ns
 
     @property
     def states(self) -> VehicleStates:
@@ -217,46 +234,117 @@ class DroneCore:
         return self._states
 
     def save(self) -> dict[str, Any]:
-        """Return the state of episodes, physics and random numbers, with arrays of its own."""
+        """Return the state of episodes, physics and random numbers, with arrays of its own.
+
+        Raises:
+            ConfigError: There is an estimator, whose state cannot be copied.
+        """
+        self._require_copyable()
         return copy.deepcopy(
             {
                 "plant": self.plant.save(),
-                "errors": self._errors.save(),
+                "imu": self._imu.save(),
                 "mode": self._mode.state(),
                 "delayed": self._delayed.save(),
                 "images": None if self._images is None else self._images.save(),
                 "rng": self._rng.bit_generator.state,
                 "draws": self._draws,
                 "goals": self._goals,
-                "imu": self._imu,
-                "bias": self._bias,
                 "action": self._action,
             }
         )
 
     def restore(self, saved: dict[str, Any]) -> None:
-        """Return to a state of `save`, of environments with the same settings."""
+        """Return to a state of `save`, of environments with the same settings.
+
+        Raises:
+            ConfigError: There is an estimator, whose state cannot be replaced.
+        """
+        self._require_copyable()
         saved = copy.deepcopy(saved)
         self.plant.restore(saved["plant"])
-        self._errors.restore(saved["errors"])
+        self._imu.restore(saved["imu"])
         self._mode.restore(saved["mode"])
         self._delayed.restore(saved["delayed"])
         if self._images is not None:
             self._images.restore(saved["images"])
         self._rng.bit_generator.state = saved["rng"]
         self._draws, self._goals = saved["draws"], saved["goals"]
-        self._imu, self._bias, self._action = saved["imu"], saved["bias"], saved["action"]
+        self._action = saved["action"]
         self._states = self.plant.states
 
     def close(self) -> None:
         """Release the resources of rendering; further calls have no effect."""
         if self._images is not None:
             self._images.close()
+        self._close_loop()
 
-    def _perfect(self) -> Array:
-        """Return the noise-free IMU samples (n, 6) of the current time."""
-        samples = self.plant.samples
-        return np.concatenate([samples.gyro_rad_s, samples.accel_m_s2], axis=1)
+    def _begin(self, count: int) -> tuple[VehicleStates, Any]:
+        """Draw initial states, of which none is below that of a standing vehicle, and goals of the task."""
+        states, goals = self.task.begin(self.area, self.quadrotor, self._rng, count)
+        height = np.maximum(states.position_m[:, 2:], self._standing_m)
+        return replace(states, position_m=np.hstack([states.position_m[:, :2], height])), goals
+
+    def _advance(self, commands: Array, interval: int) -> None:
+        """Advance physics, IMU and estimator by one IMU interval of a step, with commands (n, 4) [rad/s]."""
+        self.plant.advance(commands)
+        if not self._senses:
+            return
+        sample = self._imu.measure(interval, self._draws.imu_errors)
+        if self._loop is not None:
+            self._loop.measure(int(self.plant.t_ns[0]), sample[0], self.plant.states)
+
+    def _perceived(self) -> VehicleStates:
+        """Return the states that the inner loops and the policy see: the estimate if there is one, else the truth."""
+        states = self.plant.states
+        return states if self._loop is None else self._loop.states(states)
+
+    def _wait_for_estimate(self, make: EstimatorFactory, planned: VehicleStates) -> None:
+        """Make an estimator, and simulate the standing vehicle until it has a state, or the longest wait is over.
+
+        Raises:
+            ConfigError: The vehicle does not stand.
+        """
+        moving = np.any(planned.velocity_m_s) or np.any(planned.rotor_speed_rad_s) or np.any(planned.rate_rad_s)
+        if moving or abs(planned.position_m[0, 2] - self._standing_m) > GROUND_M:
+            raise ConfigError(
+                f"estimator of a vehicle that starts at {planned.position_m[0].tolist()} m or moves; expected one that"
+                f" stands at a height of {self._standing_m:.3f} m with standing rotors"
+            )
+        self._close_loop()
+        T = pose_matrix(planned.R_world_vehicle[0], planned.position_m[0])
+        self._loop = EstimatorLoop(make, self.settings, T, self._draws, int(self._rng.integers(2**31)))
+        self._loop.measure(0, self._imu.samples[0, -1], self._states)
+        longest_ns = self.settings.estimation.longest_wait_s * 1e9
+        while not self._loop.ready and self.plant.t_ns[0] < longest_ns:
+            self._advance(np.zeros((1, 4)), -1)
+        self._imu.repeat_last()
+        self._states, self._begun_ns = self.plant.states, self.plant.t_ns
+        self._loop.start()
+
+    def _close_loop(self) -> None:
+        """Release the resources of the estimator's cameras."""
+        if self._loop is not None:
+            self._loop.close()
+            self._loop = None
+
+    def _transition(self, before: VehicleStates, after: VehicleStates, action: Array, failed: Mask) -> Transition:
+        """Return the step that has just been simulated."""
+        sigma = np.zeros(self.count) if self._loop is None else self._loop.position_sigma_m
+        standing = self.plant.standing_height_m
+        return Transition(before, after, action, self._action, self._t_s, failed, standing, sigma)
+
+    def _observed(self, situation: Situation, names: tuple[str, ...]) -> Images:
+        """Return some observations other than images by name."""
+        return {name: self._named[name].observe(situation) for name in names if name in self._named}
+
+    def _require_copyable(self) -> None:
+        """Raise ConfigError if there is an estimator."""
+        if self.settings.estimator is not None:
+            raise ConfigError(
+                "state of an environment with an estimator, which cannot be copied; expected to repeat the episode with"
+                " the same seed and actions, or an environment without an estimator"
+            )
 
     def _winds(self) -> Winds:
         """Return the winds at all vehicles: that of the settings, and the drawn ones."""
@@ -270,7 +358,8 @@ class DroneCore:
     def _state_info(self) -> dict[str, Any]:
         """Return values by name, arrays of n rows, that describe the current state."""
         goal = self._objective().position_m[:, 0]
-        return {"distance_m": distance_m(self._states, goal), "t_ns": self.plant.t_ns}
+        estimated = {} if self._loop is None else self._loop.info(self._states)
+        return {"distance_m": distance_m(self._states, goal), "t_ns": self._t_ns, **estimated}
 
     def _reset_info(self) -> dict[str, Any]:
         """Return values by name, arrays of n rows, that describe the start of an episode."""
@@ -288,8 +377,3 @@ class DroneCore:
             goals=objective.position_m.shape[1],
             has_gates=bool(objective.size_m.any()),
         )
-
-
-def _scaled(perfect: Array, measured: Array, bias: Array, factor: Array) -> tuple[Array, Array]:
-    """Return IMU samples (n, 6) and biases (n, 6) whose errors are multiplied by factors (n,)."""
-    return perfect + factor[:, None] * (measured - perfect), factor[:, None] * bias

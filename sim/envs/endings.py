@@ -9,7 +9,7 @@ from dronevio.sim.physics.vehicle_states import Mask, VehicleStates
 
 Array = npt.NDArray[np.float64]
 
-REASONS = ("", "success", "flipped", "out of bounds", "ground", "collision", "diverged")
+REASONS = ("", "success", "no estimate", "flipped", "out of bounds", "ground", "collision", "diverged")
 """Reasons of a termination in ``info["termination"]``; empty while an episode goes on. If several apply, the last one
 in this order is given."""
 FIRST_FAILURE = 2
@@ -28,19 +28,23 @@ class Bounds:
     """Smallest height of the centre of mass in the world [m]."""
 
 
-def failures(states: VehicleStates, touched: Mask, diverged: Mask, bounds: Bounds) -> npt.NDArray[np.int64]:
+def failures(
+    states: VehicleStates, touched: Mask, diverged: Mask, unestimated: Mask, bounds: Bounds
+) -> npt.NDArray[np.int64]:
     """Return the indices (n,) in `REASONS` of the failures of n vehicles; 0 without a failure.
 
     Args:
         states: States of the vehicles.
         touched: (n,) Whether they have touched an obstacle.
         diverged: (n,) Whether their simulation has diverged.
+        unestimated: (n,) Whether they fly without a state of their estimator.
         bounds: Limits of the flight.
     """
     position = states.position_m
     reason = np.zeros(len(position), dtype=np.int64)
     outside = (position < bounds.box_m[0]) | (position > bounds.box_m[1])
     found = {
+        "no estimate": unestimated,
         "flipped": states.R_world_vehicle[:, 2, 2] < 0.0,
         "out of bounds": outside.any(axis=1),
         "ground": position[:, 2] < bounds.ground_m,

@@ -25,8 +25,10 @@ as factors, wind (3) [m/s], gusts, latency [s], and errors of the IMU as a facto
 | ``rgb`` | (H, W, 3) uint8 | colour image of the main camera |
 | ``depth`` | (H, W, 1) float32 | depth along the optical axis of the main camera [m] |
 
-All but images are float32 and true values, except for ``imu``. The vehicle frame is x forward, y left, z up. Values
-are clipped to the bounds of their spaces. Images are those of `dronevio.sim.envs.camera_observation`.
+All but images are float32. They are true values, except for ``imu``; with an estimator, the policy sees estimated ones,
+except for ``rotors``, ``battery``, ``parameters`` and ``wind`` (`dronevio.sim.envs.estimation`). The vehicle frame is x
+forward, y left, z up. Values are clipped to the bounds of their spaces. Images are those of
+`dronevio.sim.envs.camera_observation`.
 """
 
 from collections.abc import Callable
@@ -68,7 +70,7 @@ class Situation:
     """Everything at one time that the observations of n environments are made of."""
 
     states: VehicleStates
-    """True states of the vehicles."""
+    """States of the vehicles, true or estimated."""
     objective: Objective
     """Current and following goals."""
     imu: Array

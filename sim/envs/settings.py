@@ -8,6 +8,7 @@ from dronevio.models.errors import ConfigError
 from dronevio.models.quadrotor import RESEARCH, Quadrotor, vehicle_named
 from dronevio.models.rig import Rig, euroc_rig
 from dronevio.sim.envs.camera_observation import ImageKind
+from dronevio.sim.envs.estimation import Estimation, EstimatorFactory
 from dronevio.sim.envs.observations import IMAGES
 from dronevio.sim.envs.randomization import NOTHING_RANDOM, Randomization
 from dronevio.sim.envs.tasks import AnyTask, Hover, task_named
@@ -19,7 +20,8 @@ class EnvironmentSettings:
     """Settings that all environments have; each is a keyword argument of `gymnasium.make`."""
 
     task: AnyTask = field(default_factory=Hover)
-    """Task, or its name: ``hover``, ``waypoints``, ``track``, ``race`` or ``navigate``."""
+    """Task, or its name: ``hover``, ``waypoints``, ``track``, ``race``, ``navigate``, ``vio-hover`` or
+    ``vio-navigate``."""
     world: str = ""
     """Name of the world; that of the task by default. ``dronevio worlds`` lists all."""
     world_seed: int = 0
@@ -55,6 +57,11 @@ class EnvironmentSettings:
     camera_rate_hz: float = 0.0
     """Rate of images, a fraction of that of the actions [Hz]; in between, the last image is repeated. That of the
     actions by default."""
+    estimator: EstimatorFactory | None = None
+    """Function that returns an estimator for a rig; the policy and the inner control loops then see its estimate
+    instead of the true state, see `dronevio.sim.envs.estimation`. None uses the true state."""
+    estimation: Estimation = field(default_factory=Estimation)
+    """Settings of the estimator in the loop: latency, longest wait, darkness and image sensors."""
     threads: int = 1
     """Number of threads of the physics; 0 means one for each processor. Results do not depend on it."""
 
@@ -79,6 +86,13 @@ class EnvironmentSettings:
             raise ConfigError(f"image_size = {self.image_size}; expected positive numbers of pixels")
         if images and not self.rig.cameras:
             raise ConfigError(f"observation {images[0]!r} of a rig without cameras; expected a camera")
+        if self.estimator is not None and not self.rig.cameras:
+            raise ConfigError("estimator with a rig without cameras; expected a camera")
+        if self.estimator is not None and not self.task.lands:
+            raise ConfigError(
+                f"estimator with the task {type(self.task).__name__}, which starts in the air; expected one that starts"
+                " standing, such as vio-hover or vio-navigate"
+            )
         _require_fraction("action_rate_hz", self.action_rate_hz, "imu_rate_hz", self.imu_rate_hz)
         _require_fraction("camera_rate_hz", self.camera_rate_hz, "action_rate_hz", self.action_rate_hz)
         _require_fraction("imu_rate_hz", self.imu_rate_hz, "physics_rate_hz", self.physics_rate_hz)

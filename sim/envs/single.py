@@ -20,9 +20,9 @@ _ALL = np.ones(1, dtype=np.bool_)
 class DroneEnv(gymnasium.Env[Any, npt.NDArray[np.floating[Any]]]):
     """A quadrotor with a task: the class of all environments of dronevio.
 
-    The tasks are `Hover`, `Waypoints`, `Track`, `Race` and `Navigate` in `dronevio.sim.envs.tasks`, whose docstrings
-    specify the environments. Physics, IMU and camera are those of the scenarios. A vector of environments,
-    `DroneVectorEnv`, runs the same code on many drones at once.
+    The tasks are `Hover`, `Waypoints`, `Track`, `Race`, `Navigate`, `VioHover` and `VioNavigate` in
+    `dronevio.sim.envs.tasks`, whose docstrings specify the environments. Physics, IMU and camera are those of the
+    scenarios. A vector of environments, `DroneVectorEnv`, runs the same code on many drones at once.
 
     ## Arguments
     The keyword arguments are the fields of `dronevio.sim.envs.settings.EnvironmentSettings`: task, world, vehicle, rig,
@@ -44,12 +44,14 @@ class DroneEnv(gymnasium.Env[Any, npt.NDArray[np.floating[Any]]]):
     | key | content |
     |---|---|
     | ``success`` | whether the vehicle does what the task demands; not after a reset |
-    | ``termination`` | reason of a termination, empty otherwise: ``success``, ``flipped``, ``out of bounds``, \
-``ground``, ``collision`` or ``diverged``; not after a reset |
+    | ``termination`` | reason of a termination, empty otherwise: ``success``, ``no estimate``, ``flipped``, \
+``out of bounds``, ``ground``, ``collision`` or ``diverged``; not after a reset |
     | ``reward_terms`` | terms of the reward by name; not after a reset |
     | ``distance_m`` | distance from the current goal [m] |
-    | ``t_ns`` | time since the reset [ns] |
+    | ``t_ns`` | time since the start of the episode [ns] |
     | ``randomization`` | drawn values by name, see `Draws`; only after a reset |
+
+    With an estimator, there are also the entries that `dronevio.sim.envs.estimation` describes.
 
     ## Determinism
     The same seed and the same actions give the same bytes on the same kind of processor. A reset without seed continues
@@ -146,7 +148,7 @@ class DroneEnv(gymnasium.Env[Any, npt.NDArray[np.floating[Any]]]):
         """Return the state of episode, physics and random numbers, which `restore_state` accepts.
 
         Raises:
-            ConfigError: There was no reset.
+            ConfigError: There was no reset, or there is an estimator.
         """
         self._require_started()
         return self._core.save()

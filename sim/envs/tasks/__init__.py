@@ -6,6 +6,8 @@ from dronevio.sim.envs.tasks.navigate import Navigate
 from dronevio.sim.envs.tasks.race import Race
 from dronevio.sim.envs.tasks.task import AnyTask, Objective, Start, Task, Transition
 from dronevio.sim.envs.tasks.track import Track
+from dronevio.sim.envs.tasks.vio_hover import VioHover
+from dronevio.sim.envs.tasks.vio_navigate import VioNavigate
 from dronevio.sim.envs.tasks.waypoints import Waypoints
 
 __all__ = [
@@ -19,6 +21,8 @@ __all__ = [
     "Task",
     "Track",
     "Transition",
+    "VioHover",
+    "VioNavigate",
     "Waypoints",
     "task_named",
 ]
@@ -29,6 +33,8 @@ TASKS: dict[str, AnyTask] = {
     "track": Track(),
     "race": Race(),
     "navigate": Navigate(),
+    "vio-hover": VioHover(),
+    "vio-navigate": VioNavigate(),
 }
 """The tasks by name, with default settings."""
 

@@ -85,6 +85,8 @@ force [m/s²] in the IMU's frame, with noise and biases |
     """Names of the default observations."""
     default_action: ClassVar[str] = "rotors"
     """Name of the default action mode."""
+    lands: ClassVar[bool] = False
+    """Whether standing on the ground is part of the task."""
 
     world: str = "room"
     """Name of the world."""

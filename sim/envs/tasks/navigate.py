@@ -96,6 +96,8 @@ class Navigate:
     """Names of the default observations."""
     default_action: ClassVar[str] = "velocity"
     """Name of the default action mode."""
+    lands: ClassVar[bool] = False
+    """Whether standing on the ground is part of the task."""
 
     world: str = "forest"
     """Name of the world."""
@@ -134,11 +136,7 @@ class Navigate:
         """Draw starts and goals in free space."""
         places = _free_places(area, self.height_m, self.clearance_m)
         start = places[rng.integers(0, len(places), count)]
-        candidates = places[rng.integers(0, len(places), (_TRIES, count))]
-        distance = np.linalg.norm(candidates - start, axis=2)
-        # how far each distance is from the demanded range; 0 within
-        excess = np.maximum(np.maximum(self.distance_m[0] - distance, distance - self.distance_m[1]), 0.0)
-        goal = candidates[np.argmin(excess, axis=0), np.arange(count)]
+        goal = drawn_goals(self, area, start, rng)
         heading = goal - start
         states = self.start.states(start, quadrotor, rng, np.arctan2(heading[:, 1], heading[:, 0]))
         return states, NavigateGoals(goal, np.zeros(count, dtype=np.bool_))
@@ -172,6 +170,16 @@ class Navigate:
     def with_goal(self, goals: NavigateGoals, goal_m: Array) -> NavigateGoals:
         """Return given goals (n, 3) [m]."""
         return replace(goals, goal_m=goal_m)
+
+
+def drawn_goals(task: Navigate, area: FlightArea, start: Array, rng: np.random.Generator) -> Array:
+    """Return random free places (n, 3) at suitable distances from the starts (n, 3) of a task [m]."""
+    places = _free_places(area, task.height_m, task.clearance_m)
+    candidates = places[rng.integers(0, len(places), (_TRIES, len(start)))]
+    distance = np.linalg.norm(candidates - start, axis=2)
+    # how far each distance is from the demanded range; 0 within
+    excess = np.maximum(np.maximum(task.distance_m[0] - distance, distance - task.distance_m[1]), 0.0)
+    return np.asarray(candidates[np.argmin(excess, axis=0), np.arange(len(start))])
 
 
 @lru_cache(maxsize=8)

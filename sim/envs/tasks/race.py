@@ -99,6 +99,8 @@ frame [m] |
     """Names of the default observations."""
     default_action: ClassVar[str] = "rates"
     """Name of the default action mode."""
+    lands: ClassVar[bool] = False
+    """Whether standing on the ground is part of the task."""
 
     world: str = "gates"
     """Name of the world, which must have gates."""

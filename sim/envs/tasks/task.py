@@ -3,7 +3,7 @@
 All functions are pure and operate on n episodes at once; row k of every array belongs to episode k.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any, ClassVar, Protocol, TypeVar
 
 import numpy as np
@@ -52,6 +52,11 @@ class Transition:
     """(n,) Times since the start of the episodes, at the end of the step [s]."""
     failed: Mask
     """(n,) Whether the episodes end in this step by a collision, outside the bounds, upside down or diverged."""
+    standing_m: float = 0.0
+    """Height of the centre of mass of a vehicle that stands on the ground above it [m]."""
+    position_sigma_m: Array = field(default_factory=lambda: np.zeros(1))
+    """(n,) Standard deviations of the estimated positions along their least certain axes; zeros without an estimator
+    [m]."""
 
 
 @dataclass(frozen=True)
@@ -99,6 +104,8 @@ class Task(Protocol[Goals]):
     """Names of the default observations; see `dronevio.sim.envs.observations`."""
     default_action: ClassVar[str]
     """Name of the default action mode; see `dronevio.sim.envs.actions`."""
+    lands: ClassVar[bool]
+    """Whether standing on the ground is part of the task; otherwise it is a failure."""
 
     @property
     def world(self) -> str:
@@ -118,7 +125,10 @@ class Task(Protocol[Goals]):
     def begin(
         self, area: FlightArea, quadrotor: Quadrotor, rng: np.random.Generator, count: int
     ) -> tuple[VehicleStates, Goals]:
-        """Draw the initial states and the goals of ``count`` episodes."""
+        """Draw the initial states and the goals of ``count`` episodes.
+
+        Vehicles whose height is below that of a standing vehicle start standing on the ground.
+        """
 
     def objective(self, area: FlightArea, goals: Goals, t_s: Array) -> Objective:
         """Return the current and the following goals at times (n,) since the start of the episodes [s]."""

@@ -97,6 +97,8 @@ class Waypoints:
     """Names of the default observations."""
     default_action: ClassVar[str] = "rates"
     """Name of the default action mode."""
+    lands: ClassVar[bool] = False
+    """Whether standing on the ground is part of the task."""
 
     world: str = "room"
     """Name of the world."""
