@@ -88,6 +88,8 @@ def policy_envs(policy: Policy, count: int, *, environment: str = "", **settings
     if name not in gymnasium.registry:
         known = sorted(one for one in gymnasium.registry if one.startswith("dronevio/"))
         raise ConfigError(f"unknown environment {name!r}; expected one of {', '.join(known)}")
+    if gymnasium.spec(name).vector_entry_point is None:
+        raise ConfigError(f"environment {name!r} without native vectors; expected one that is not flown on an estimate")
     task = settings.get("task", gymnasium.spec(name).kwargs["task"])
     episode_s = (task_named(task) if isinstance(task, str) else task).episode_s
     arguments = {

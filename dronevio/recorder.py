@@ -15,10 +15,9 @@ from dronevio.models.rig_presets import RIGS, rig_named
 from dronevio.models.serialization import to_jsonable
 from dronevio.models.state import CameraFrame
 from dronevio.sim.cameras.imaging import Imaging
-from dronevio.sim.closed_loop import fly_on_estimate
-from dronevio.sim.flight import ControllerFactory, Flight, fly
+from dronevio.sim.closed_loop import Pilot, fly_on_estimate
+from dronevio.sim.flight import Flight, fly
 from dronevio.sim.loop_settings import LoopSettings
-from dronevio.sim.physics.controller import SE3Controller
 from dronevio.sim.refly import FlownPath
 from dronevio.sim.rendering.frame_files import write_frame
 from dronevio.sim.rendering.live_cameras import LiveCameras
@@ -79,7 +78,8 @@ def record_on_estimate(
     estimator: Estimator,
     settings: LoopSettings | None = None,
     progress: Progress = silent,
-    controller: ControllerFactory = SE3Controller,
+    pilot: Pilot | None = None,
+    true_state: bool = False,
 ) -> Flight:
     """Simulate a scenario flown on the output of an estimator, and write its recording into a folder.
 
@@ -92,7 +92,8 @@ def record_on_estimate(
         estimator: Estimator before its first measurement.
         settings: Latencies of the images and of the commands.
         progress: Called with the progress of the flight.
-        controller: Function that returns the controller, by default that of the scenarios.
+        pilot: Pilot of the vehicle; by default the controller of the scenarios.
+        true_state: Whether the pilot receives the true state, while the estimator runs without influence.
 
     Returns:
         The flight without its images.
@@ -114,7 +115,7 @@ def record_on_estimate(
         unfinished(mav0, [f"cam{number}" for number in range(len(scenario.rig.cameras))]),
     ):
         try:
-            flight = fly_on_estimate(scenario, estimator, cameras, settings, progress, write, controller)
+            flight = fly_on_estimate(scenario, estimator, cameras, settings, progress, write, pilot, true_state)
             _write_settings(folder, {"scenario": scenario, "imu_constants": flight.imu_constants})
             write_euroc(folder, scenario.rig, flight.imu, flight.truth, flight.schedule.stamps_ns)
             write_text(mav0 / FRAME_TRUTH_FILE, frame_truth_text(cameras.frames))

@@ -15,12 +15,12 @@ import numpy.typing as npt
 
 from dronevio.models.imu import ImuSamples
 from dronevio.models.progress import Progress, silent
-from dronevio.models.protocols import Estimator, exposure_delay_ns
+from dronevio.models.protocols import Controller, Estimator, exposure_delay_ns
+from dronevio.models.quadrotor import Quadrotor
 from dronevio.models.rotation import pose_matrix, rotation_z
 from dronevio.models.state import CameraFrame, Trajectory
 from dronevio.sim.estimated_state import EstimatedState
 from dronevio.sim.flight import (
-    ControllerFactory,
     Flight,
     frame_schedule,
     imu_errors,
@@ -57,6 +57,33 @@ class FrameSource(Protocol):
         """
 
 
+class Pilot(Protocol):
+    """Flies a vehicle while a flight is simulated."""
+
+    @property
+    def finished(self) -> bool:
+        """Whether the flight ends before the plan of the scenario does."""
+
+    def controller(self, reference: Reference, T_vehicle_imu: Array, quadrotor: Quadrotor) -> Controller:
+        """Return the controller of the flight; see `ControllerFactory`."""
+
+    def add_imu(self, samples: ImuSamples) -> None:
+        """Add the IMU samples since the last call."""
+
+
+class ReferencePilot:
+    """Tracks the reference of the scenario to its end; implements `Pilot`."""
+
+    finished = False
+
+    def controller(self, reference: Reference, T_vehicle_imu: Array, quadrotor: Quadrotor) -> Controller:
+        """Return the controller of the scenarios."""
+        return SE3Controller(reference, T_vehicle_imu, quadrotor)
+
+    def add_imu(self, samples: ImuSamples) -> None:
+        """Do nothing."""
+
+
 def fly_on_estimate(
     scenario: Scenario,
     estimator: Estimator,
@@ -64,7 +91,8 @@ def fly_on_estimate(
     settings: LoopSettings | None = None,
     progress: Progress = silent,
     on_frame: Callable[[CameraFrame], None] = lambda frame: None,
-    controller: ControllerFactory = SE3Controller,
+    pilot: Pilot | None = None,
+    true_state: bool = False,
 ) -> Flight:
     """Simulate a scenario whose controller receives the estimated state, until the end or a collision.
 
@@ -79,7 +107,9 @@ def fly_on_estimate(
         settings: Latencies.
         progress: Callback that receives the number of completed control steps and their total.
         on_frame: Callback that receives every frame, after the estimator.
-        controller: Function that returns the controller, by default that of the scenarios.
+        pilot: Pilot of the vehicle; by default the controller of the scenarios, which tracks the reference.
+        true_state: Whether the pilot receives the true state instead. The estimator runs, too, without influence, so
+            that flights on both states can be compared.
 
     Returns:
         The flight, with the reference as it was flown, including the wait on the pad. The flight ends on the pad if the
@@ -96,12 +126,18 @@ def fly_on_estimate(
         start_in_air(plant, planned)
     estimated = EstimatedState(estimator, None if starts_in_air else _pose_on_pad(planned, scenario))
     sensors = _Sensors(scenario, plant, frames, settings, int(planned.t_ns[-1]))
-    control = controller(planned, scenario.rig.T_vehicle_imu, scenario.quadrotor)
+    pilot = pilot or ReferencePilot()
+    control = pilot.controller(planned, scenario.rig.T_vehicle_imu, scenario.quadrotor)
     commands = deque([np.zeros(4)] * round(settings.command_latency_s / plant.interval_s))
     longest_wait = round(settings.max_wait_s / plant.interval_s)
     step, waited, steps = 0, 0, len(planned) - 1
-    estimator.add_imu(sensors.imu())
-    while step < steps and waited <= longest_wait and plant.collision is None:
+
+    def sense(samples: ImuSamples) -> None:
+        estimator.add_imu(samples)
+        pilot.add_imu(samples)
+
+    sense(sensors.imu())
+    while step < steps and waited <= longest_wait and plant.collision is None and not pilot.finished:
         if (step + waited) % _REPORT_EVERY == 0:
             progress(step, steps)
         for frame in sensors.frames():
@@ -110,9 +146,11 @@ def fly_on_estimate(
         if starts_in_air:
             estimated.start_at(plant.state().T_world_imu)
         state = estimated.at(plant.t_ns) or (plant.state() if starts_in_air else None)
+        if true_state:
+            state = plant.state()
         waits = state is None and bool(planned.flying[step])
         commands.append(np.zeros(4) if state is None else control.command(state, int(planned.t_ns[step])))
-        estimator.add_imu(sensors.imu(commands.popleft()))
+        sense(sensors.imu(commands.popleft()))
         step, waited = step + (not waits), waited + waits
     for frame in sensors.frames(end=True):
         estimator.add_frame(frame)

@@ -21,7 +21,10 @@ if TYPE_CHECKING:
     from dronevio.eval.report.model import ControlResult
     from dronevio.eval.rerun.surroundings import Surroundings
     from dronevio.eval.run import EstimatorRun
+    from dronevio.models.policies.outcome import PolicyOutcome
+    from dronevio.models.policies.policy import Policy
     from dronevio.models.protocols import Recording
+    from dronevio.sim.envs.mission import PolicyMission
     from dronevio.sim.flight import Flight
     from dronevio.sim.scenario import Scenario
 
@@ -31,7 +34,7 @@ class RunCommand:
     """Simulate a scenario, estimate the motion from its cameras and IMU, evaluate the estimate, and write a report.
 
     With --fly-on estimate, the estimator runs during the flight, and the controller receives its output in place of the
-    true state.
+    true state. With --policy, a trained policy flies its task after the take-off.
 
     The result is a folder with report.html, report.json, groundtruth.tum, estimate.tum, imu.csv, trajectory.png,
     run.rrd (for `dronevio view`) and configuration.json. The same settings and seed give the same recording and
@@ -43,6 +46,7 @@ class RunCommand:
       dronevio run --scenario hover --keep-recording
       dronevio run --rig euroc-stereo
       dronevio run --fly-on estimate
+      dronevio run --policy hover.safetensors --fly-on estimate
       dronevio run --estimator.smoother.max-keyframes 16
       dronevio run --live
       dronevio run --json > result.json
@@ -53,6 +57,10 @@ class RunCommand:
     fly_on: Literal["truth", "estimate"] = "truth"
     """State that the controller of the drone receives: the true state, or the output of the estimator at the IMU's
     rate. On the estimate, the drone waits on its pad until the estimator has a state."""
+    policy: Path | None = None
+    """File of a trained policy, see `dronevio policy`. It flies the task of its environment once, in the world and with
+    the vehicle of its training unless others are chosen, after a take-off by the controller. The flight ends in the air
+    when the task is accomplished or its time limit is reached."""
     keep_recording: bool = False
     """Keep the recording with all images, as an EuRoC folder named recording."""
     live: bool = False
@@ -75,14 +83,16 @@ def main(arguments: Sequence[str]) -> int:
     from dronevio.cli.output_files import atomic_folder, free_name
     from dronevio.sim.cameras.gl import require_gl
 
-    scenario = command.flight.chosen()
+    chosen = command.flight.chosen()
+    flown = _policy_flight(command, chosen)
+    scenario = chosen if flown is None else flown.mission.scenario
     target = command.out or free_name(Path("runs") / f"{scenario.name}-{scenario.seed}")
     require_gl()
     with (
         atomic_folder(target, command.output.overwrite, mark="report.json") as folder,
         progress_bars(quiet=command.output.json) as bars,
     ):
-        _run(scenario, command, folder, target, repeating_command(scenario, arguments), bars)
+        _run(scenario, command, flown, folder, target, repeating_command(chosen, arguments), bars)
         if not command.keep_recording:
             shutil.rmtree(folder / "recording")
     report = json.loads((target / "report.json").read_text(encoding="utf-8"))
@@ -90,6 +100,9 @@ def main(arguments: Sequence[str]) -> int:
         print_json({"run": str(target), **report})
         return 0
     print_report(f"Run {scenario.name}, seed {scenario.seed}", report)
+    if report["policy"] is not None:
+        result = "accomplished" if report["policy"]["success"] else "not accomplished"
+        print(f"task:     {result} ({report['policy']['environment']}; end: {report['policy']['end']})")
     if report["control"]["collision"] is not None:
         print(f"the flight ended early: the drone {report['control']['collision']}")
     print(f"report:   {target}/report.html")
@@ -97,12 +110,48 @@ def main(arguments: Sequence[str]) -> int:
     return 0
 
 
-def _run(scenario: "Scenario", command: RunCommand, folder: Path, target: Path, repeat: str, bars: Bars) -> None:
+@dataclass(frozen=True, eq=False)
+class _PolicyFlight:
+    """A policy and the flight of its task."""
+
+    policy: "Policy"
+    mission: "PolicyMission"
+
+
+def _policy_flight(command: RunCommand, scenario: "Scenario") -> _PolicyFlight | None:
+    """Return the flight of the policy of a command in a scenario; None without a policy.
+
+    Raises:
+        ConfigError: The policy cannot be flown.
+        InputError: The file of the policy is damaged.
+    """
+    if command.policy is None:
+        return None
+    from dronevio.models.policies.policy_file import load_policy
+    from dronevio.sim.envs.mission import policy_mission
+    from dronevio.sim.envs.pilot import PolicyPilot
+
+    policy, options = load_policy(command.policy), command.flight
+    mission = policy_mission(policy, scenario, own_world=options.world is None, own_vehicle=options.vehicle is None)
+    PolicyPilot(policy, mission)  # reports what the policy lacks before anything is rendered
+    return _PolicyFlight(policy, mission)
+
+
+def _run(
+    scenario: "Scenario",
+    command: RunCommand,
+    flown: _PolicyFlight | None,
+    folder: Path,
+    target: Path,
+    repeat: str,
+    bars: Bars,
+) -> None:
     """Simulate, estimate and evaluate a scenario, and write all results into a folder.
 
     Args:
         scenario: The scenario.
         command: All other options.
+        flown: Policy that flies the scenario; None for the controller.
         folder: Folder to write to.
         target: Final name of the folder, for the report.
         repeat: Command that repeats the run, for the report.
@@ -111,15 +160,17 @@ def _run(scenario: "Scenario", command: RunCommand, folder: Path, target: Path, 
     from dronevio import __version__
     from dronevio.eval.provenance import RunInfo
     from dronevio.eval.report.run import write_report
+    from dronevio.models.policies.policy_file import description
     from dronevio.models.recordings.tum import write_tum
     from dronevio.models.serialization import to_jsonable
     from dronevio.sim.world import build_world
     from dronevio.surroundings import surroundings_of
 
     surroundings = surroundings_of(build_world(scenario.world, scenario.seed))
-    estimated = (_flown_on_estimate if command.fly_on == "estimate" else _flown_on_truth)(
-        scenario, command, folder, surroundings, bars
-    )
+    if command.fly_on == "estimate" or flown is not None:
+        estimated = _flown_on_estimate(scenario, command, flown, folder, surroundings, bars)
+    else:
+        estimated = _flown_on_truth(scenario, command, folder, surroundings, bars)
     trajectory, truth = estimated.run.trajectory, estimated.recording.ground_truth
     assert truth is not None
     write_tum(folder / "groundtruth.tum", truth)
@@ -131,6 +182,7 @@ def _run(scenario: "Scenario", command: RunCommand, folder: Path, target: Path, 
         "estimator": to_jsonable(command.estimator),
         "fly_on": command.fly_on,
         "loop": to_jsonable(command.loop),
+        "policy": None if flown is None else json.loads(description(flown.policy)),
     }
     (folder / "configuration.json").write_text(json.dumps(configuration, indent=2) + "\n", encoding="utf-8")
     info = RunInfo(
@@ -147,7 +199,8 @@ def _run(scenario: "Scenario", command: RunCommand, folder: Path, target: Path, 
         estimated.run,
         estimated.scored,
         outline=surroundings.outline,
-        control=_control(command, estimated.flight),
+        control=_control(command, estimated),
+        policy=estimated.outcome,
     )
 
 
@@ -159,6 +212,7 @@ class _Estimated:
     recording: "Recording"
     run: "EstimatorRun"
     scored: "ScoredTrajectory"
+    outcome: "PolicyOutcome | None" = None
 
 
 def _flown_on_truth(
@@ -183,9 +237,14 @@ def _flown_on_truth(
 
 
 def _flown_on_estimate(
-    scenario: "Scenario", command: RunCommand, folder: Path, surroundings: "Surroundings", bars: Bars
+    scenario: "Scenario",
+    command: RunCommand,
+    flown: _PolicyFlight | None,
+    folder: Path,
+    surroundings: "Surroundings",
+    bars: Bars,
 ) -> _Estimated:
-    """Fly on the output of the estimator, which runs during the flight.
+    """Fly on the output of the estimator, which runs during the flight, or a policy on either state.
 
     Raises:
         ConfigError: A live view is requested.
@@ -195,16 +254,31 @@ def _flown_on_estimate(
     from dronevio.eval.rerun.files import write_rrd
     from dronevio.models.errors import ConfigError
     from dronevio.recorder import record_on_estimate
+    from dronevio.sim.envs.mission import policy_outcome
+    from dronevio.sim.envs.pilot import PolicyPilot
 
     if command.live:
-        raise ConfigError("--live with --fly-on estimate; expected one of them, since a live view shows a recording")
+        other = "--fly-on estimate" if flown is None else "--policy"
+        raise ConfigError(f"--live with {other}; expected one of them, since a live view shows a recording")
     progress = {name: bars.bar(name) for name in ("flying", "logging")}
     estimator = TimedEstimator(VisualInertialOdometry(scenario.rig, command.estimator))
-    flight = record_on_estimate(scenario, folder / "recording", estimator, command.loop, progress["flying"])
+    pilot = None if flown is None else PolicyPilot(flown.policy, flown.mission)
+    flight = record_on_estimate(
+        scenario,
+        folder / "recording",
+        estimator,
+        command.loop,
+        progress["flying"],
+        pilot,
+        true_state=command.fly_on == "truth",
+    )
     recording, run = _recording(scenario, folder), estimator.run
     scored = _scored(recording, run)
     write_rrd(folder / "run.rrd", recording, run, scored, surroundings=surroundings, progress=progress["logging"])
-    return _Estimated(flight, recording, run, scored)
+    outcome = None
+    if flown is not None and pilot is not None:
+        outcome = policy_outcome(flown.policy, flown.mission, flight, pilot.began_ns)
+    return _Estimated(flight, recording, run, scored, outcome)
 
 
 def _recording(scenario: "Scenario", folder: Path) -> "Recording":
@@ -227,13 +301,14 @@ def _scored(recording: "Recording", run: "EstimatorRun") -> "ScoredTrajectory":
     return score_trajectory(recording.ground_truth, require_poses(run, recording), recording.frame_times_ns)
 
 
-def _control(command: RunCommand, flight: "Flight") -> "ControlResult":
+def _control(command: RunCommand, estimated: _Estimated) -> "ControlResult":
     """Return the accuracy of the control of a flight."""
     import numpy as np
 
     from dronevio.eval.report.model import ControlResult
 
-    distance_m = flight.reference_distance_m
+    flight = estimated.flight
+    distance_m = flight.reference_distance_m if estimated.outcome is None else np.zeros(0)
     return ControlResult(
         command.fly_on,
         float(np.sqrt(np.mean(distance_m**2))) if len(distance_m) else None,
@@ -276,8 +351,7 @@ def repeating_command(scenario: "Scenario", arguments: Sequence[str]) -> str:
 
 def print_report(title: str, report: dict[str, Any]) -> None:
     """Print the main figures of a ``report.json``; a dash stands for a value that is not known."""
-    scores, timing, control = report["scores"], report["timing"], report["control"]
-    flown_on = f"distance from the reference, flown on the {control['flown_on']}"
+    scores, timing = report["scores"], report["timing"]
     rpe_m, rpe_deg = scores["rpe_m"] or {"rmse": None}, scores["rpe_deg"] or {"rmse": None}
     shown: list[tuple[str, float | None, str, str]] = [
         ("length of the path", report["flight"]["path_m"], ".1f", "m"),
@@ -289,9 +363,20 @@ def print_report(title: str, report: dict[str, Any]) -> None:
         ("processor time per frame, mean", timing["cpu_ms_mean"], ".1f", "ms"),
         ("processor time per frame, 99th percentile", timing["cpu_ms_p99"], ".1f", "ms"),
         ("real-time factor", timing["real_time_factor"], ".1f", ""),
-        (flown_on, control["reference_rmse_m"], ".3f", "m"),
+        *_control_rows(report),
     ]
     print_values(
         title,
         [(label, "–" if value is None else format(value, form), unit) for label, value, form, unit in shown],
+    )
+
+
+def _control_rows(report: dict[str, Any]) -> tuple[tuple[str, float | None, str, str], ...]:
+    """Return names, values, formats and units of the figures of the control of a flight."""
+    policy, flown_on = report["policy"], f"flown on the {report['control']['flown_on']}"
+    if policy is None:
+        return ((f"distance from the reference, {flown_on}", report["control"]["reference_rmse_m"], ".3f", "m"),)
+    return (
+        ("time of the policy in command", policy["duration_s"], ".2f", "s"),
+        (f"distance from the goal at the end, {flown_on}", policy["distance_m"], ".3f", "m"),
     )

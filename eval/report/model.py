@@ -9,6 +9,7 @@ they are not known:
     scores         the fields of `Scores`, with statistics as {rmse, mean, median, max, min, std, n}; null without truth
     timing         cpu_ms_mean, cpu_ms_p99, wall_ms_mean, wall_ms_p99 per frame, real_time_factor
     control        flown_on, reference_rmse_m, reference_max_m, collision; null for recordings
+    policy         environment, success, duration_s, distance_m, end; null unless a policy flies
     estimator      poses, first_pose_s (after the first frame), mean_tracks, keyframes, health: {state: frames}
     configuration, versions, machine            as in `RunInfo`
 """
@@ -23,6 +24,7 @@ import numpy.typing as npt
 from dronevio.eval.metrics import IDENTITY, ScoredTrajectory
 from dronevio.eval.provenance import RunInfo
 from dronevio.eval.run import EstimatorRun
+from dronevio.models.policies.outcome import PolicyOutcome
 from dronevio.models.protocols import Recording
 from dronevio.models.state import Trajectory
 
@@ -38,7 +40,8 @@ class ControlResult:
     flown_on: Literal["truth", "estimate"]
     """State that the controller received."""
     reference_rmse_m: float | None
-    """Root mean square of the true distances of the centre of mass from the reference; None if it did not fly [m]."""
+    """Root mean square of the true distances of the centre of mass from the reference [m]; None if it did not fly, or
+    if a policy flew, which has no reference."""
     reference_max_m: float | None
     """Largest distance [m]."""
     collision: str | None
@@ -61,6 +64,8 @@ class RunResults:
     """(L, 2, 3) Line segments of the surroundings in the world frame of the ground truth [m]."""
     control: ControlResult | None = None
     """Control of a simulated flight; None for recordings."""
+    policy: PolicyOutcome | None = None
+    """Outcome of the flight of a policy; None for other flights."""
 
     @property
     def estimate(self) -> Trajectory:
@@ -86,6 +91,7 @@ def report_values(results: RunResults) -> dict[str, object]:
         "scores": None if results.scored is None else asdict(results.scored.scores),
         "timing": _timing_values(results.run),
         "control": None if results.control is None else asdict(results.control),
+        "policy": None if results.policy is None else asdict(results.policy),
         "estimator": _estimator_values(results),
         "configuration": info.configuration,
         "versions": info.versions,

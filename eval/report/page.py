@@ -65,11 +65,23 @@ def _tiles(values: Mapping[str, object]) -> Iterator[Tile]:
     yield Tile("Path length", number(flight["path_m"], 1), "m", f"in {number(flight['duration_s'], 1)} s")
     angular_rate = f"and angular rates of up to {number(flight['peak_angular_rate_deg_s'], 0)} °/s"
     yield Tile("Peak speed", number(flight["peak_speed_m_s"], 2), "m/s", angular_rate)
-    if values["control"] is not None:
+    if values["policy"] is not None:
+        policy, control = _section(values, "policy"), _section(values, "control")
+        result = "accomplished" if policy["success"] else "not accomplished"
+        meaning = f"{number(policy['distance_m'], 3)} m from the goal after {number(policy['duration_s'], 2)} s"
+        meaning += f", flown on the {control['flown_on']}; end: {policy['end']}"
+        yield Tile(f"Task of {policy['environment']}", result, "", meaning)
+    elif values["control"] is not None:
         control = _section(values, "control")
-        end = "" if control["collision"] is None else f"; the drone {control['collision']}"
-        meaning = f"r.m.s., flown on the {control['flown_on']}; at most {number(control['reference_max_m'], 3)} m{end}"
-        yield Tile("Distance from the reference", number(control["reference_rmse_m"], 3), "m", meaning)
+        meaning = f"r.m.s., flown on the {control['flown_on']}; at most {number(control['reference_max_m'], 3)} m"
+        yield Tile(
+            "Distance from the reference", number(control["reference_rmse_m"], 3), "m", meaning + _collision(control)
+        )
+
+
+def _collision(control: Mapping[str, object]) -> str:
+    """Return the description of a collision, empty without one."""
+    return "" if control["collision"] is None else f"; the drone {control['collision']}"
 
 
 def _score_tiles(scores: Mapping[str, object]) -> Iterator[Tile]:

@@ -13,6 +13,7 @@ from dronevio.eval.report.model import ControlResult, RunResults, report_values
 from dronevio.eval.report.page import run_page
 from dronevio.eval.report.plots import SIDE_VIEW, TOP_VIEW, draw_path
 from dronevio.eval.run import EstimatorRun
+from dronevio.models.policies.outcome import PolicyOutcome
 from dronevio.models.protocols import Recording
 
 Array = npt.NDArray[np.float64]
@@ -27,6 +28,7 @@ def write_report(
     *,
     outline: Array | None = None,
     control: ControlResult | None = None,
+    policy: PolicyOutcome | None = None,
 ) -> None:
     """Write ``report.html``, ``report.json`` and ``trajectory.png``.
 
@@ -38,6 +40,7 @@ def write_report(
         scored: The estimated trajectory with its errors; None without ground truth.
         outline: (L, 2, 3) Line segments of the surroundings in the world frame of the ground truth [m].
         control: Control of a simulated flight.
+        policy: Outcome of the flight of a policy.
 
     Raises:
         EvaluationError: The run does not belong to the recording.
@@ -45,7 +48,7 @@ def write_report(
     """
     run.check_belongs_to(recording)
     outline = np.zeros((0, 2, 3)) if outline is None else outline
-    results = RunResults(info, recording, run, scored, outline, control)
+    results = RunResults(info, recording, run, scored, outline, control, policy)
     values = report_values(results)
     text = json.dumps(values, indent=2, allow_nan=False, ensure_ascii=False)
     (folder / "report.json").write_text(text + "\n", encoding="utf-8")

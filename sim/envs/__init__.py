@@ -10,6 +10,8 @@ if TYPE_CHECKING:
     from dronevio.sim.envs.distributions import Constant, LogUniform, Normal, Uniform
     from dronevio.sim.envs.estimation import Estimation
     from dronevio.sim.envs.goal_flight import fly_to_goal
+    from dronevio.sim.envs.mission import PolicyMission, policy_mission, policy_outcome
+    from dronevio.sim.envs.pilot import PolicyPilot
     from dronevio.sim.envs.randomization import MODERATE, Randomization
     from dronevio.sim.envs.settings import EnvironmentSettings
     from dronevio.sim.envs.single import DroneEnv
@@ -29,6 +31,8 @@ __all__ = [
     "LogUniform",
     "Navigate",
     "Normal",
+    "PolicyMission",
+    "PolicyPilot",
     "Race",
     "Randomization",
     "Track",
@@ -40,6 +44,8 @@ __all__ = [
     "fly_to_goal",
     "policy_from_sb3",
     "policy_from_torch",
+    "policy_mission",
+    "policy_outcome",
     "provenance_of",
 ]
 
@@ -51,6 +57,8 @@ __getattr__, __dir__ = attach(
         "dronevio.sim.envs.distributions": ("Constant", "LogUniform", "Normal", "Uniform"),
         "dronevio.sim.envs.estimation": ("Estimation",),
         "dronevio.sim.envs.goal_flight": ("fly_to_goal",),
+        "dronevio.sim.envs.mission": ("PolicyMission", "policy_mission", "policy_outcome"),
+        "dronevio.sim.envs.pilot": ("PolicyPilot",),
         "dronevio.sim.envs.randomization": ("MODERATE", "Randomization"),
         "dronevio.sim.envs.settings": ("EnvironmentSettings",),
         "dronevio.sim.envs.single": ("DroneEnv",),

@@ -22,7 +22,7 @@ from dronevio.sim.envs.estimator_loop import EstimatorLoop
 from dronevio.sim.envs.held_images import rendered_images
 from dronevio.sim.envs.imu_window import ImuWindow
 from dronevio.sim.envs.latency import DelayedActions
-from dronevio.sim.envs.observations import Limits, Situation, observation_named
+from dronevio.sim.envs.observations import Situation, limits_of, observation_named
 from dronevio.sim.envs.options import overridden
 from dronevio.sim.envs.randomization import Draws
 from dronevio.sim.envs.settings import EnvironmentSettings
@@ -101,7 +101,7 @@ class DroneCore:
         self._loop: EstimatorLoop | None = None
         self._begun_ns = np.zeros(count, dtype=np.int64)
         self._action = np.zeros((count, 4))
-        limits = self._limits()
+        limits = limits_of(self.area, self._objective(), self.quadrotor, settings.samples)
         self._named = {name: observation_named(name, limits) for name in chosen if name not in settings.images}
         boxes: dict[str, spaces.Box] = {name: one.space for name, one in self._named.items()}
         if self._images is not None:
@@ -364,16 +364,3 @@ class DroneCore:
     def _reset_info(self) -> dict[str, Any]:
         """Return values by name, arrays of n rows, that describe the start of an episode."""
         return {**self._state_info(), "randomization": self._draws.values()}
-
-    def _limits(self) -> Limits:
-        """Return the sizes and bounds of observations."""
-        objective, space = self._objective(), self.area.space
-        return Limits(
-            reach_m=float(np.linalg.norm(space.high - space.low)),
-            height_m=float(space.high[2] - space.low[2]),
-            floor_m=float(self.area.pad[2]),
-            rotor_speed_rad_s=self.quadrotor.rotor_speed_max_rad_s,
-            samples=self.settings.samples,
-            goals=objective.position_m.shape[1],
-            has_gates=bool(objective.size_m.any()),
-        )

@@ -39,10 +39,12 @@ import numpy.typing as npt
 from gymnasium import spaces
 
 from dronevio.models.errors import ConfigError
+from dronevio.models.quadrotor import Quadrotor
 from dronevio.models.rotation import quat_wxyz_from_matrix
 from dronevio.sim.envs.camera_observation import ImageKind
 from dronevio.sim.envs.randomization import Draws
 from dronevio.sim.envs.tasks.task import Objective
+from dronevio.sim.paths.space import FlightArea
 from dronevio.sim.physics.vehicle_states import VehicleStates
 
 Array = npt.NDArray[np.float64]
@@ -103,6 +105,27 @@ class Limits:
     """Number of observed goals."""
     has_gates: bool
     """Whether the goals are gates."""
+
+
+def limits_of(area: FlightArea, objective: Objective, quadrotor: Quadrotor, samples: int) -> Limits:
+    """Return the sizes and bounds of observations.
+
+    Args:
+        area: The world.
+        objective: Goals of any number of vehicles.
+        quadrotor: The type of the vehicles.
+        samples: Number of IMU samples per action.
+    """
+    low, high = area.space.low, area.space.high
+    return Limits(
+        reach_m=float(np.linalg.norm(high - low)),
+        height_m=float(high[2] - low[2]),
+        floor_m=float(area.pad[2]),
+        rotor_speed_rad_s=quadrotor.rotor_speed_max_rad_s,
+        samples=samples,
+        goals=objective.position_m.shape[1],
+        has_gates=bool(objective.size_m.any()),
+    )
 
 
 @dataclass(frozen=True, eq=False)

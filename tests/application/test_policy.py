@@ -1,8 +1,10 @@
 """Evaluation, description and export of policies, as functions and commands."""
 
 import json
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -62,6 +64,8 @@ def test_other_rates_keep_the_time_limit(hovering_policy: Policy) -> None:
 def test_environments_have_to_fit_the_policy(hovering_policy: Policy) -> None:
     with pytest.raises(ConfigError, match="unknown environment 'dronevio/Fly-v0'; expected one of dronevio/Hover-v0"):
         dv.evaluate_policy(hovering_policy, 2, environment="dronevio/Fly-v0")
+    with pytest.raises(ConfigError, match="'dronevio/VioHover-v0' without native vectors"):
+        dv.evaluate_policy(hovering_policy, 2, environment="dronevio/VioHover-v0")
     with pytest.raises(ConfigError, match="0 episodes"):
         dv.evaluate_policy(hovering_policy, 0)
     layer = Layer(np.zeros((4, 12), np.float32), np.zeros(4, np.float32))
@@ -112,3 +116,36 @@ def test_commands_explain_bad_input(tmp_path: Path, capsys: pytest.CaptureFixtur
     assert "bad.safetensors: 7 bytes; expected a policy" in capsys.readouterr().err
     assert main(["policy", "evaluate"]) == 2
     assert "no policy; expected" in capsys.readouterr().err
+
+
+def test_run_flies_a_policy(hovering_policy: Policy, tmp_path: Path, run_command: Callable[..., Any]) -> None:
+    """The policy stops the rotors when it takes over, so that the flight is short."""
+    dv.save_policy(tmp_path / "falling.safetensors", falling(hovering_policy))
+    plan = ["--plan.initial-rest-s", "1.2", "--plan.takeoff-s", "1.2"]
+    options = ["--policy", tmp_path / "falling.safetensors", "--fly-on", "estimate", "--rig", "nano", *plan]
+    out = tmp_path / "run"
+    result = run_command(out, "run", *options, "--out", out)
+    report = json.loads((out / "report.json").read_text(encoding="utf-8"))
+    policy = report["policy"]
+    assert (policy["environment"], policy["success"]) == ("dronevio/Hover-v0", False)
+    assert policy["end"] == "ground" and 0.2 < policy["duration_s"] < 1.0 and policy["distance_m"] > 0.8
+    assert report["control"]["flown_on"] == "estimate" and report["control"]["reference_rmse_m"] is None
+    assert "task:     not accomplished (dronevio/Hover-v0; end: ground)" in result.out
+    assert "distance from the goal at the end, flown on the estimate" in result.out
+    assert report["configuration"]["policy"]["action"]["mode"] == "rates"
+    assert report["configuration"]["scenario"]["name"] == "policy-hover"
+    assert report["command"].startswith("dronevio run --scenario=room-v0 --seed=0 --policy")
+    assert "Task of dronevio/Hover-v0" in (out / "report.html").read_text(encoding="utf-8")
+
+
+def test_run_refuses_what_cannot_be_flown(
+    saved: Path, hovering_policy: Policy, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    navigate = tmp_path / "navigate.safetensors"
+    dv.save_policy(navigate, replace(hovering_policy, environment="dronevio/Navigate-v0"))
+    out = tmp_path / "run"
+    assert main(["run", "--policy", str(navigate), "--out", str(out)]) == 2
+    assert "a policy for dronevio/Navigate-v0; expected one for a task of hover" in capsys.readouterr().err
+    assert main(["run", "--policy", str(saved), "--live", "--out", str(out)]) == 2
+    assert "--live with --policy" in capsys.readouterr().err
+    assert not out.exists()

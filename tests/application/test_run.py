@@ -115,7 +115,7 @@ def test_unknown_values_are_dashes(capsys: pytest.CaptureFixture[str]) -> None:
     flight = {"path_m": 12.3}
     scores = {**short, "coverage_percent": None, "path_m": 11.1}
     control = {"flown_on": "truth", "reference_rmse_m": None}
-    report = {"flight": flight, "scores": scores, "timing": timing, "control": control}
+    report = {"flight": flight, "scores": scores, "timing": timing, "control": control, "policy": None}
     print_report("A run too short for a relative error", report)
     shown = values_of_table(capsys.readouterr().out)
     assert list(shown.values()) == ["12.3", "0.250", "–", "–", "–", "–", "4.0", "9.0", "–", "–"]

@@ -1,0 +1,207 @@
+"""Flight of a scenario by a trained policy, on the true or on an estimated state.
+
+The controller of the scenarios takes off and hovers above the landing pad, where the policy takes over. The policy
+receives the observations of its task, which are computed from the given state in place of the true one, at the rate
+at which it was trained. The action modes of the environments turn its actions into rotor commands.
+"""
+
+from collections import deque
+from dataclasses import replace
+
+import numpy as np
+import numpy.typing as npt
+
+from dronevio.models.errors import ConfigError
+from dronevio.models.imu import ImuSamples
+from dronevio.models.policies.policy import Policy
+from dronevio.models.protocols import Controller
+from dronevio.models.quadrotor import Quadrotor
+from dronevio.models.rotation import inverse_pose
+from dronevio.models.state import NavState
+from dronevio.sim.envs.actions import action_mode
+from dronevio.sim.envs.endings import failures
+from dronevio.sim.envs.mission import PolicyMission
+from dronevio.sim.envs.observations import Situation, limits_of, observation_named
+from dronevio.sim.envs.randomization import Draws
+from dronevio.sim.envs.tasks import Objective, Transition
+from dronevio.sim.paths.path import Reference
+from dronevio.sim.physics.controller import SE3Controller
+from dronevio.sim.physics.vehicle_states import VehicleStates
+
+Array = npt.NDArray[np.float64]
+
+OBSERVED_IN_FLIGHT = (
+    "position",
+    "height",
+    "orientation",
+    "rotation",
+    "velocity",
+    "body_velocity",
+    "rate",
+    "rotors",
+    "imu",
+    "imu_bias",
+    "goals",
+    "gates",
+    "last_action",
+)
+"""Observations that a drone in flight has: its state, the commands so far, the IMU, and the goals."""
+
+_ALL = np.ones(1, dtype=np.bool_)
+
+
+class PolicyPilot:
+    """Flies the task of a policy once, after a take-off; implements `dronevio.sim.closed_loop.Pilot`."""
+
+    def __init__(self, policy: Policy, mission: PolicyMission) -> None:
+        """Prepare a flight.
+
+        Args:
+            policy: The policy.
+            mission: Task, goals and scenario of the flight.
+
+        Raises:
+            ConfigError: The policy observes what a drone in flight does not have, or the rate of the IMU of the
+                scenario is no multiple of the rate of the actions.
+        """
+        rig, quadrotor = mission.scenario.rig, mission.scenario.quadrotor
+        for name in policy.names:
+            if name not in OBSERVED_IN_FLIGHT:
+                raise ConfigError(f"observation {name!r} in flight; expected some of {', '.join(OBSERVED_IN_FLIGHT)}")
+        intervals = rig.imu.rate_hz / policy.action_rate_hz
+        if abs(intervals - round(intervals)) > 1e-9 or intervals < 1.0:
+            raise ConfigError(
+                f"actions at {policy.action_rate_hz:g} Hz with an IMU at {rig.imu.rate_hz:g} Hz; expected a fraction"
+                " 1/k of it, k = 1, 2, 3"
+            )
+        self._policy, self._mission, self._goals = policy, mission, mission.goals
+        self._intervals, self._interval_s = round(intervals), 1.0 / rig.imu.rate_hz
+        self._mode = action_mode(policy.action_mode, quadrotor, policy.action_limits, 1, self._interval_s)
+        self._rotors = _RotorModel(quadrotor, self._interval_s)
+        self._T_vehicle_imu, self._T_imu_vehicle = rig.T_vehicle_imu, inverse_pose(rig.T_vehicle_imu)
+        self._imu: deque[Array] = deque([np.zeros(6)] * self._intervals, self._intervals)
+        limits = limits_of(mission.area, self._objective(0.0), quadrotor, self._intervals)
+        self._named = {name: observation_named(name, limits) for name in policy.names}
+        self._draws = Draws.nominal(1, mission.scenario.seed)
+        self._limits = replace(mission.bounds, box_m=np.array([[-np.inf] * 3, [np.inf] * 3]))
+        self._calls, self._failed = 0, False
+        self._action, self._before = np.zeros((1, 4)), VehicleStates.at(np.zeros((1, 3)))
+        self._began_ns: int | None = None
+
+    @property
+    def began_ns(self) -> int | None:
+        """Time of the first state that the policy received [ns]; None before."""
+        return self._began_ns
+
+    @property
+    def finished(self) -> bool:
+        """Whether the flight is over on the path that the policy observes.
+
+        The task is accomplished, its time limit is reached, or the vehicle is upside down or on the ground.
+        """
+        task = self._mission.task
+        return self._t_s >= task.episode_s - 1e-9 or bool(task.finished(self._goals)[0]) or self._failed
+
+    def add_imu(self, samples: ImuSamples) -> None:
+        """Add the IMU samples since the last call."""
+        for sample in np.concatenate([samples.gyro_rad_s, samples.accel_m_s2], axis=1):
+            self._imu.append(sample)
+
+    def controller(self, reference: Reference, T_vehicle_imu: Array, quadrotor: Quadrotor) -> Controller:
+        """Return the controller of a flight, which takes off along a reference before the policy takes over.
+
+        Args:
+            reference: Reference trajectory, of which the take-off is flown.
+            T_vehicle_imu: (4, 4) Mounting of the IMU.
+            quadrotor: The vehicle.
+        """
+        return _TakeOff(SE3Controller(reference, T_vehicle_imu, quadrotor), self, self._mission.begins_ns)
+
+    def command(self, state: NavState) -> Array:
+        """Return the rotor speeds (4,) [rad/s] for one interval of the IMU.
+
+        Args:
+            state: True or estimated state of the IMU in the world, with its angular velocity.
+        """
+        now = self._states(state)
+        if self._began_ns is None:
+            self._began_ns = state.t_ns
+            self._mode.reset(_ALL, now)
+        if self._calls % self._intervals == 0:
+            self._act(state, now)
+        self._calls += 1
+        return self.commanded(self._mode.commands(self._action, lambda: now)[0])
+
+    def commanded(self, command: Array) -> Array:
+        """Return rotor commands (4,) [rad/s], after they have been applied to the model of the rotors."""
+        self._rotors.command(command)
+        return command
+
+    @property
+    def _t_s(self) -> float:
+        """Time since the first state that the policy received [s]."""
+        return self._calls * self._interval_s
+
+    def _act(self, state: NavState, now: VehicleStates) -> None:
+        """Update the goals by the motion since the last action, and choose a new action."""
+        task, area, t_s = self._mission.task, self._mission.area, np.array([self._t_s])
+        previous, nothing = self._action, np.zeros(1, np.bool_)
+        self._failed = bool(failures(now, nothing, nothing, nothing, self._limits)[0])
+        if self._calls:
+            step = Transition(self._before, now, previous, previous, t_s, nothing)
+            self._goals = task.advance(area, self._goals, step)
+        bias = np.concatenate([state.gyro_bias_rad_s, state.accel_bias_m_s2])
+        situation = Situation(
+            now,
+            self._objective(self._t_s),
+            np.array(self._imu)[None],
+            bias[None],
+            lambda: np.zeros((1, 3)),
+            previous,
+            self._draws,
+        )
+        observation = {name: one.observe(situation) for name, one in self._named.items()}
+        self._action = np.asarray(self._policy.action(observation), dtype=np.float64)
+        self._before = now
+
+    def _objective(self, t_s: float) -> Objective:
+        """Return the current and the following goals at a time since the policy began [s]."""
+        return self._mission.task.objective(self._mission.area, self._goals, np.array([t_s]))
+
+    def _states(self, state: NavState) -> VehicleStates:
+        """Return the state of the vehicle, given that of the IMU.
+
+        Raises:
+            ConfigError: The state has no angular velocity.
+        """
+        if state.angular_velocity_rad_s is None:
+            raise ConfigError("state without angular velocity; expected one, since the policy observes the rates")
+        T = state.T_world_imu @ self._T_imu_vehicle
+        R, rate = T[:3, :3], self._T_vehicle_imu[:3, :3] @ state.angular_velocity_rad_s
+        velocity = state.velocity_m_s - R @ np.cross(rate, self._T_vehicle_imu[:3, 3])
+        return VehicleStates.at(T[None, :3, 3], R, velocity, rate, self._rotors.speeds_rad_s)
+
+
+class _TakeOff:
+    """Controller of the scenarios until a time, then a policy; implements `Controller`."""
+
+    def __init__(self, controller: SE3Controller, pilot: PolicyPilot, until_ns: int) -> None:
+        self._controller, self._pilot, self._until_ns = controller, pilot, until_ns
+
+    def command(self, state: NavState, t_ns: int) -> Array:
+        """Return the rotor speeds (4,) [rad/s] for the state at a time of the reference."""
+        if t_ns < self._until_ns:
+            return self._pilot.commanded(self._controller.command(state, t_ns))
+        return self._pilot.command(state)
+
+
+class _RotorModel:
+    """Speeds of rotors that follow their commands with a first-order lag."""
+
+    def __init__(self, quadrotor: Quadrotor, interval_s: float) -> None:
+        self._share = 1.0 - np.exp(-interval_s / quadrotor.rotor_time_constant_s)
+        self.speeds_rad_s = np.zeros(4)
+
+    def command(self, command: Array) -> None:
+        """Apply commands (4,) [rad/s] for one interval."""
+        self.speeds_rad_s = self.speeds_rad_s + self._share * (command - self.speeds_rad_s)
