@@ -202,7 +202,7 @@ class DroneCore:
             images = self._images.observe(T_world_imu, self.plant.t_ns, self._draws)
         seen = true
         if self._loop is not None:
-            seen = replace(true, states=self._loop.states(true.states), imu_bias=self._loop.bias)
+            seen = replace(true, states=self._loop.states(), imu_bias=self._loop.bias)
         return self._arrangement.arranged(
             {**self._observed(seen, self.settings.observations), **images},
             {**self._observed(true, self.settings.privileged), **images},
@@ -296,8 +296,7 @@ class DroneCore:
 
     def _perceived(self) -> VehicleStates:
         """Return the states that the inner loops and the policy see: the estimate if there is one, else the truth."""
-        states = self.plant.states
-        return states if self._loop is None else self._loop.states(states)
+        return self.plant.states if self._loop is None else self._loop.states()
 
     def _wait_for_estimate(self, make: EstimatorFactory, planned: VehicleStates) -> None:
         """Make an estimator, and simulate the standing vehicle until it has a state, or the longest wait is over.
@@ -313,7 +312,7 @@ class DroneCore:
             )
         self._close_loop()
         T = pose_matrix(planned.R_world_vehicle[0], planned.position_m[0])
-        self._loop = EstimatorLoop(make, self.settings, T, self._draws, int(self._rng.integers(2**31)))
+        self._loop = EstimatorLoop(make, self.settings, T, self._states, self._draws, int(self._rng.integers(2**31)))
         self._loop.measure(0, self._imu.samples[0, -1], self._states)
         longest_ns = self.settings.estimation.longest_wait_s * 1e9
         while not self._loop.ready and self.plant.t_ns[0] < longest_ns:
@@ -358,7 +357,7 @@ class DroneCore:
     def _state_info(self) -> dict[str, Any]:
         """Return values by name, arrays of n rows, that describe the current state."""
         goal = self._objective().position_m[:, 0]
-        estimated = {} if self._loop is None else self._loop.info(self._states)
+        estimated = {} if self._loop is None else self._loop.info()
         return {"distance_m": distance_m(self._states, goal), "t_ns": self._t_ns, **estimated}
 
     def _reset_info(self) -> dict[str, Any]:

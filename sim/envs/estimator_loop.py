@@ -72,6 +72,7 @@ class EstimatorLoop:
         make: EstimatorFactory,
         settings: EnvironmentSettings,
         T_world_vehicle: Array,
+        truth: VehicleStates,
         draws: Draws,
         noise_seed: int,
     ) -> None:
@@ -81,6 +82,7 @@ class EstimatorLoop:
             make: Function that returns the estimator.
             settings: Settings of the environment.
             T_world_vehicle: (4, 4) Planned pose of the standing vehicle.
+            truth: True state of the vehicle, one row.
             draws: Randomization of the episode, one row.
             noise_seed: Seed of the image noise.
         """
@@ -89,7 +91,7 @@ class EstimatorLoop:
         self._estimator = make(rig)
         self._state = EstimatedState(self._estimator, T_world_vehicle @ rig.T_vehicle_imu)
         self._frames = DelayedFrames(rig, estimation, estimation.cameras(_cameras(settings, draws, noise_seed)))
-        self._perceived = Perceived.at_rest(T_world_vehicle)
+        self._truth, self._perceived = truth, Perceived.at_rest(T_world_vehicle)
         self._ready = False
         self._t_ns = self._start_ns = 0
         self._newest: Estimate | None = None
@@ -124,7 +126,7 @@ class EstimatorLoop:
             sample: (6,) Measured angular velocity [rad/s] and specific force [m/s²].
             truth: True state of the vehicle, which the cameras see.
         """
-        self._t_ns = t_ns
+        self._t_ns, self._truth = t_ns, truth
         self._frames.add_motion(t_ns, truth)
         self._estimator.add_imu(ImuSamples(np.array([t_ns]), sample[None, :3].copy(), sample[None, 3:].copy()))
         while (frame := self._frames.next_frame(t_ns)) is not None:
@@ -135,13 +137,13 @@ class EstimatorLoop:
         if perceived is not None and perceived.is_finite:
             self._perceived, self._ready = perceived, True
 
-    def states(self, truth: VehicleStates) -> VehicleStates:
+    def states(self) -> VehicleStates:
         """Return the perceived state as one row, with the measured rotor speeds and battery of the true state."""
-        return self._perceived.states(truth)
+        return self._perceived.states(self._truth)
 
-    def info(self, truth: VehicleStates) -> dict[str, Any]:
+    def info(self) -> dict[str, Any]:
         """Return values by name, arrays of one row; see `dronevio.sim.envs.estimation`."""
-        estimate, newest = self.states(truth), self._newest
+        truth, estimate, newest = self._truth, self.states(), self._newest
         report = None if newest is None else newest.health_report
         turn = truth.R_world_vehicle.mT @ estimate.R_world_vehicle
         propagated_ns = 0 if self._published is None else self._t_ns - self._published.t_ns

@@ -22,6 +22,7 @@ Array = npt.NDArray[np.float64]
 
 _GRAVITY = np.array([0.0, 0.0, GRAVITY_M_S2])
 _ZERO = np.zeros(3)
+_AFTER, _BEFORE = np.array([1, 2, 0]), np.array([2, 0, 1])  # the axes after and before each one
 
 
 class Body(NamedTuple):
@@ -243,9 +244,9 @@ def _attitude_error(turn: Array) -> Array:
 
 
 def cross(a: Array, b: Array) -> Array:
-    """Return a × b of vectors (…, 3); for single vectors ten times as fast as `np.cross`."""
+    """Return a × b of vectors (…, 3), several times as fast as `np.cross`, with the same rounding."""
     if a.ndim == b.ndim == 1:
         ax, ay, az = a.tolist()
         bx, by, bz = b.tolist()
         return np.array([ay * bz - az * by, az * bx - ax * bz, ax * by - ay * bx])
-    return np.cross(a, b)
+    return np.asarray(a[..., _AFTER] * b[..., _BEFORE] - a[..., _BEFORE] * b[..., _AFTER])
