@@ -149,3 +149,24 @@ def test_run_refuses_what_cannot_be_flown(
     assert main(["run", "--policy", str(saved), "--live", "--out", str(out)]) == 2
     assert "--live with --policy" in capsys.readouterr().err
     assert not out.exists()
+
+
+def test_flights_are_tabulated_by_policy_and_state(script: Callable[[str], Any]) -> None:
+    flights = script("policy_flights")
+
+    def result(policy: str, state: str, seed: int, success: bool, *values: Any) -> Any:
+        end, duration_s, distance_m, ate_m = values
+        return flights.FlightResult(policy, state, seed, success, end, duration_s, distance_m, ate_m)
+
+    results = [
+        result("race", "estimate", 0, False, "no take-off", 0.0, None, None),
+        result("hover", "truth", 0, True, "time limit", 10.0, 0.01, 0.02),
+        result("hover", "truth", 1, True, "time limit", 10.0, 0.03, 0.04),
+        result("hover", "estimate", 0, True, "time limit", 10.0, 0.05, 0.02),
+        result("hover", "estimate", 1, False, "ground", 2.0, 1.05, 0.04),
+    ]
+    assert list(flights.rows_of(results)) == [
+        ("race", "estimate", "1", "0", "–", "–", "–", "1 no take-off"),
+        ("hover", "truth", "2", "2", "0.020", "10.00", "0.030", "2 time limit"),
+        ("hover", "estimate", "2", "1", "0.550", "10.00", "0.030", "1 time limit, 1 ground"),
+    ]
