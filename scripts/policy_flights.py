@@ -80,13 +80,12 @@ class FlightResult:
 
 def flown(path: Path, state: State, seed: int) -> FlightResult:
     """Fly a policy once, and return the result."""
-    policy = load_policy(path)
-    mission = policy_mission(policy, scenario_named("room", seed))
-    scenario, pilot = mission.scenario, PolicyPilot(policy, mission)
+    mission = policy_mission(load_policy(path), scenario_named("room", seed))
+    scenario, pilot = mission.scenario, PolicyPilot(mission)
     estimator = TimedEstimator(VisualInertialOdometry(scenario.rig))
     with closing(LiveCameras(scenario.true_rig, scenario.world, scenario.seed, scenario.imaging)) as cameras:
         flight = fly_on_estimate(scenario, estimator, cameras, pilot=pilot, true_state=state == "truth")
-    outcome = policy_outcome(policy, mission, flight, pilot.began_ns)
+    outcome = policy_outcome(mission, flight, pilot.began_ns)
     trajectory, ate_m = estimator.run.trajectory, None
     if len(trajectory) > 1:
         ate_m = score_trajectory(flight.truth, trajectory, flight.frame_times_ns).scores.ate_m.rmse

@@ -3,9 +3,8 @@
 import json
 import shlex
 import shutil
-from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
-from dataclasses import dataclass, field, replace
+from collections.abc import Sequence
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
@@ -16,16 +15,7 @@ from dronevio.estimator.config import VioConfig
 from dronevio.sim.loop_settings import LoopSettings
 
 if TYPE_CHECKING:
-    from dronevio.driver import RunObserver
-    from dronevio.eval.metrics.scores import ScoredTrajectory
-    from dronevio.eval.report.model import ControlResult
-    from dronevio.eval.rerun.surroundings import Surroundings
-    from dronevio.eval.run import EstimatorRun
-    from dronevio.models.policies.outcome import PolicyOutcome
-    from dronevio.models.policies.policy import Policy
-    from dronevio.models.protocols import Recording
     from dronevio.sim.envs.mission import PolicyMission
-    from dronevio.sim.flight import Flight
     from dronevio.sim.scenario import Scenario
 
 
@@ -84,15 +74,15 @@ def main(arguments: Sequence[str]) -> int:
     from dronevio.sim.cameras.gl import require_gl
 
     chosen = command.flight.chosen()
-    flown = _policy_flight(command, chosen)
-    scenario = chosen if flown is None else flown.mission.scenario
+    mission = _policy_mission(command, chosen)
+    scenario = chosen if mission is None else mission.scenario
     target = command.out or free_name(Path("runs") / f"{scenario.name}-{scenario.seed}")
     require_gl()
     with (
         atomic_folder(target, command.output.overwrite, mark="report.json") as folder,
         progress_bars(quiet=command.output.json) as bars,
     ):
-        _run(scenario, command, flown, folder, target, repeating_command(chosen, arguments), bars)
+        _run(scenario, command, mission, folder, target, repeating_command(chosen, arguments), bars)
         if not command.keep_recording:
             shutil.rmtree(folder / "recording")
     report = json.loads((target / "report.json").read_text(encoding="utf-8"))
@@ -110,15 +100,7 @@ def main(arguments: Sequence[str]) -> int:
     return 0
 
 
-@dataclass(frozen=True, eq=False)
-class _PolicyFlight:
-    """A policy and the flight of its task."""
-
-    policy: "Policy"
-    mission: "PolicyMission"
-
-
-def _policy_flight(command: RunCommand, scenario: "Scenario") -> _PolicyFlight | None:
+def _policy_mission(command: RunCommand, scenario: "Scenario") -> "PolicyMission | None":
     """Return the flight of the policy of a command in a scenario; None without a policy.
 
     Raises:
@@ -133,14 +115,14 @@ def _policy_flight(command: RunCommand, scenario: "Scenario") -> _PolicyFlight |
 
     policy, options = load_policy(command.policy), command.flight
     mission = policy_mission(policy, scenario, own_world=options.world is None, own_vehicle=options.vehicle is None)
-    PolicyPilot(policy, mission)  # reports what the policy lacks before anything is rendered
-    return _PolicyFlight(policy, mission)
+    PolicyPilot(mission)  # reports what the policy lacks before anything is rendered
+    return mission
 
 
 def _run(
     scenario: "Scenario",
     command: RunCommand,
-    flown: _PolicyFlight | None,
+    mission: "PolicyMission | None",
     folder: Path,
     target: Path,
     repeat: str,
@@ -151,13 +133,14 @@ def _run(
     Args:
         scenario: The scenario.
         command: All other options.
-        flown: Policy that flies the scenario; None for the controller.
+        mission: Flight of a policy; None if the controller flies the scenario.
         folder: Folder to write to.
         target: Final name of the folder, for the report.
         repeat: Command that repeats the run, for the report.
         bars: Display of the progress.
     """
     from dronevio import __version__
+    from dronevio.cli.run_flight import control_result, flown_and_estimated
     from dronevio.eval.provenance import RunInfo
     from dronevio.eval.report.run import write_report
     from dronevio.models.policies.policy_file import description
@@ -167,10 +150,7 @@ def _run(
     from dronevio.surroundings import surroundings_of
 
     surroundings = surroundings_of(build_world(scenario.world, scenario.seed))
-    if command.fly_on == "estimate" or flown is not None:
-        estimated = _flown_on_estimate(scenario, command, flown, folder, surroundings, bars)
-    else:
-        estimated = _flown_on_truth(scenario, command, folder, surroundings, bars)
+    estimated = flown_and_estimated(scenario, command, mission, folder, surroundings, bars)
     trajectory, truth = estimated.run.trajectory, estimated.recording.ground_truth
     assert truth is not None
     write_tum(folder / "groundtruth.tum", truth)
@@ -182,7 +162,7 @@ def _run(
         "estimator": to_jsonable(command.estimator),
         "fly_on": command.fly_on,
         "loop": to_jsonable(command.loop),
-        "policy": None if flown is None else json.loads(description(flown.policy)),
+        "policy": None if mission is None else json.loads(description(mission.policy)),
     }
     (folder / "configuration.json").write_text(json.dumps(configuration, indent=2) + "\n", encoding="utf-8")
     info = RunInfo(
@@ -199,135 +179,9 @@ def _run(
         estimated.run,
         estimated.scored,
         outline=surroundings.outline,
-        control=_control(command, estimated),
+        control=control_result(command.fly_on, estimated),
         policy=estimated.outcome,
     )
-
-
-@dataclass(frozen=True, eq=False)
-class _Estimated:
-    """A flight with its estimate."""
-
-    flight: "Flight"
-    recording: "Recording"
-    run: "EstimatorRun"
-    scored: "ScoredTrajectory"
-    outcome: "PolicyOutcome | None" = None
-
-
-def _flown_on_truth(
-    scenario: "Scenario", command: RunCommand, folder: Path, surroundings: "Surroundings", bars: Bars
-) -> _Estimated:
-    """Fly on the true state, render, and run the estimator on the recording."""
-    from dronevio.driver import estimate_recording
-    from dronevio.estimator.vio import VisualInertialOdometry
-    from dronevio.eval.rerun.files import run_file
-    from dronevio.recorder import record_flight
-
-    progress = {name: bars.bar(name) for name in ("simulating", "rendering", "estimating")}
-    flight = record_flight(scenario, folder / "recording", progress["simulating"], progress["rendering"])
-    recording = _recording(scenario, folder)
-    estimator = VisualInertialOdometry(recording.rig, command.estimator)
-    with run_file(folder / "run.rrd", recording, surroundings=surroundings) as file:
-        with _viewers(recording, surroundings, command.live) as viewers:
-            run = estimate_recording(recording, estimator, progress["estimating"], (file, *viewers))
-        scored = _scored(recording, run)
-        file.finish(run, scored)
-    return _Estimated(flight, recording, run, scored)
-
-
-def _flown_on_estimate(
-    scenario: "Scenario",
-    command: RunCommand,
-    flown: _PolicyFlight | None,
-    folder: Path,
-    surroundings: "Surroundings",
-    bars: Bars,
-) -> _Estimated:
-    """Fly on the output of the estimator, which runs during the flight, or a policy on either state.
-
-    Raises:
-        ConfigError: A live view is requested.
-    """
-    from dronevio.driver import TimedEstimator
-    from dronevio.estimator.vio import VisualInertialOdometry
-    from dronevio.eval.rerun.files import write_rrd
-    from dronevio.models.errors import ConfigError
-    from dronevio.recorder import record_on_estimate
-    from dronevio.sim.envs.mission import policy_outcome
-    from dronevio.sim.envs.pilot import PolicyPilot
-
-    if command.live:
-        other = "--fly-on estimate" if flown is None else "--policy"
-        raise ConfigError(f"--live with {other}; expected one of them, since a live view shows a recording")
-    progress = {name: bars.bar(name) for name in ("flying", "logging")}
-    estimator = TimedEstimator(VisualInertialOdometry(scenario.rig, command.estimator))
-    pilot = None if flown is None else PolicyPilot(flown.policy, flown.mission)
-    flight = record_on_estimate(
-        scenario,
-        folder / "recording",
-        estimator,
-        command.loop,
-        progress["flying"],
-        pilot,
-        true_state=command.fly_on == "truth",
-    )
-    recording, run = _recording(scenario, folder), estimator.run
-    scored = _scored(recording, run)
-    write_rrd(folder / "run.rrd", recording, run, scored, surroundings=surroundings, progress=progress["logging"])
-    outcome = None
-    if flown is not None and pilot is not None:
-        outcome = policy_outcome(flown.policy, flown.mission, flight, pilot.began_ns)
-    return _Estimated(flight, recording, run, scored, outcome)
-
-
-def _recording(scenario: "Scenario", folder: Path) -> "Recording":
-    """Return the recording of a run."""
-    from dronevio.models.recordings.euroc import EurocRecording
-
-    return replace(EurocRecording.open(folder / "recording"), name=f"{scenario.name}, seed {scenario.seed}")
-
-
-def _scored(recording: "Recording", run: "EstimatorRun") -> "ScoredTrajectory":
-    """Return the scores of a run.
-
-    Raises:
-        EvaluationError: The run has no pose.
-    """
-    from dronevio.driver import require_poses
-    from dronevio.eval.metrics.scores import score_trajectory
-
-    assert recording.ground_truth is not None
-    return score_trajectory(recording.ground_truth, require_poses(run, recording), recording.frame_times_ns)
-
-
-def _control(command: RunCommand, estimated: _Estimated) -> "ControlResult":
-    """Return the accuracy of the control of a flight."""
-    import numpy as np
-
-    from dronevio.eval.report.model import ControlResult
-
-    flight = estimated.flight
-    distance_m = flight.reference_distance_m if estimated.outcome is None else np.zeros(0)
-    return ControlResult(
-        command.fly_on,
-        float(np.sqrt(np.mean(distance_m**2))) if len(distance_m) else None,
-        float(distance_m.max()) if len(distance_m) else None,
-        None if flight.collision is None else str(flight.collision),
-    )
-
-
-@contextmanager
-def _viewers(recording: "Recording", surroundings: "Surroundings", live: bool) -> Iterator["Sequence[RunObserver]"]:
-    """Show a live viewer until the context ends, if one is asked for; yield the observers of the estimator."""
-    if not live:
-        yield ()
-        return
-    from dronevio.cli.view import viewer_process
-    from dronevio.eval.rerun.live import viewer_log
-
-    with viewer_process() as address, viewer_log(address, recording, surroundings) as viewer:
-        yield (viewer,)
 
 
 def repeating_command(scenario: "Scenario", arguments: Sequence[str]) -> str:

@@ -35,6 +35,8 @@ _HEIGHT_M = 1.2  # of the hover above the standing drone
 class PolicyMission:
     """A flight of the task of a policy in a scenario."""
 
+    policy: Policy
+    """The policy that flies."""
     scenario: Scenario
     """The scenario: take-off and hover until the time limit of the task, in its world."""
     task: AnyTask
@@ -93,18 +95,18 @@ def policy_mission(
     area = flight_area(world, base.seed)
     _, goals = task.begin(area, quadrotor, scenario.generator("path"), 1)
     standing_m = float(area.pad[2]) + plant_of(scenario).standing_height_m
-    return PolicyMission(scenario, task, area, goals, Bounds(task.bounds_m(area), standing_m + GROUND_M))
+    return PolicyMission(policy, scenario, task, area, goals, Bounds(task.bounds_m(area), standing_m + GROUND_M))
 
 
-def policy_outcome(policy: Policy, mission: PolicyMission, flight: Flight, began_ns: int | None) -> PolicyOutcome:
+def policy_outcome(mission: PolicyMission, flight: Flight, began_ns: int | None) -> PolicyOutcome:
     """Return the outcome of a flight: the task is judged by the true motion at the times of the actions.
 
     Args:
-        policy: The policy.
         mission: The flight as planned.
         flight: The flight as flown.
         began_ns: Time at which the policy took over [ns]; None if it never did.
     """
+    policy = mission.policy
     if began_ns is None:
         return PolicyOutcome(policy.environment, False, 0.0, None, "no take-off")
     truth, task, area = flight.truth, mission.task, mission.area

@@ -13,7 +13,6 @@ import numpy.typing as npt
 
 from dronevio.models.errors import ConfigError
 from dronevio.models.imu import ImuSamples
-from dronevio.models.policies.policy import Policy
 from dronevio.models.protocols import Controller
 from dronevio.models.quadrotor import Quadrotor
 from dronevio.models.rotation import inverse_pose
@@ -53,18 +52,17 @@ _ALL = np.ones(1, dtype=np.bool_)
 class PolicyPilot:
     """Flies the task of a policy once, after a take-off; implements `dronevio.sim.closed_loop.Pilot`."""
 
-    def __init__(self, policy: Policy, mission: PolicyMission) -> None:
+    def __init__(self, mission: PolicyMission) -> None:
         """Prepare a flight.
 
         Args:
-            policy: The policy.
-            mission: Task, goals and scenario of the flight.
+            mission: Policy, task, goals and scenario of the flight.
 
         Raises:
             ConfigError: The policy observes what a drone in flight does not have, or the rate of the IMU of the
                 scenario is no multiple of the rate of the actions.
         """
-        rig, quadrotor = mission.scenario.rig, mission.scenario.quadrotor
+        policy, rig, quadrotor = mission.policy, mission.scenario.rig, mission.scenario.quadrotor
         for name in policy.names:
             if name not in OBSERVED_IN_FLIGHT:
                 raise ConfigError(f"observation {name!r} in flight; expected some of {', '.join(OBSERVED_IN_FLIGHT)}")

@@ -66,9 +66,9 @@ def base() -> Scenario:
 
 
 def flown(
-    policy: Policy, mission: PolicyMission, estimator: Any = None, true_state: bool = False
+    mission: PolicyMission, estimator: Any = None, true_state: bool = False
 ) -> tuple[Flight, PolicyOutcome, PolicyPilot]:
-    pilot = PolicyPilot(policy, mission)
+    pilot = PolicyPilot(mission)
     flight = fly_on_estimate(
         mission.scenario,
         estimator or DeadReckoning(mission.scenario.rig),
@@ -76,7 +76,7 @@ def flown(
         pilot=pilot,
         true_state=true_state,
     )
-    return flight, policy_outcome(policy, mission, flight, pilot.began_ns), pilot
+    return flight, policy_outcome(mission, flight, pilot.began_ns), pilot
 
 
 def shortened(policy: Policy, base: Scenario) -> PolicyMission:
@@ -86,7 +86,7 @@ def shortened(policy: Policy, base: Scenario) -> PolicyMission:
 
 @pytest.fixture(scope="module")
 def on_truth(hovering_policy: Policy, base: Scenario) -> tuple[Flight, PolicyOutcome]:
-    return flown(hovering_policy, shortened(hovering_policy, base), true_state=True)[:2]
+    return flown(shortened(hovering_policy, base), true_state=True)[:2]
 
 
 def test_policy_takes_over_after_the_take_off(on_truth: tuple[Flight, PolicyOutcome]) -> None:
@@ -122,7 +122,7 @@ def test_flight_is_that_of_the_environment(on_truth: tuple[Flight, PolicyOutcome
 def test_exact_estimate_gives_the_flight_on_the_truth(
     on_truth: tuple[Flight, PolicyOutcome], hovering_policy: Policy, base: Scenario
 ) -> None:
-    flight, outcome, _ = flown(hovering_policy, shortened(hovering_policy, base))
+    flight, outcome, _ = flown(shortened(hovering_policy, base))
     assert outcome.success
     last = slice(-400, None)  # two seconds by the policy; before, the drone waits for the first state
     np.testing.assert_allclose(flight.truth.p_world_imu[last], on_truth[0].truth.p_world_imu[last], atol=0.01)
@@ -130,7 +130,7 @@ def test_exact_estimate_gives_the_flight_on_the_truth(
 
 def test_errors_of_the_estimate_are_errors_of_the_path(hovering_policy: Policy, base: Scenario) -> None:
     mission = shortened(hovering_policy, base)
-    _, outcome, pilot = flown(hovering_policy, mission, Displaced(base.rig))
+    _, outcome, pilot = flown(mission, Displaced(base.rig))
     assert not outcome.success and pilot.finished and outcome.end == "time limit"
     assert outcome.distance_m == pytest.approx(0.5, abs=0.1)
 
@@ -139,7 +139,7 @@ def test_reached_goals_end_the_flight(hovering_policy: Policy, base: Scenario) -
     policy = replace(hovering_policy, environment="dronevio/Waypoints-v0")
     mission = replace(policy_mission(policy, base), task=Waypoints(count=2))
     mission = replace(mission, goals=replace(mission.goals, waypoints_m=mission.goals.waypoints_m[:, :2]))
-    flight, outcome, pilot = flown(policy, mission, true_state=True)
+    flight, outcome, pilot = flown(mission, true_state=True)
     assert outcome.success and outcome.end == "success" and pilot.finished and 1.0 < outcome.duration_s < 8.0
     T = flight.truth.Ts_world_imu[-1] @ inverse_pose(flight.true_rig.T_vehicle_imu)
     np.testing.assert_allclose(T[:3, 3], mission.goals.waypoints_m[0, -1], atol=0.26)
@@ -170,7 +170,7 @@ def test_policies_observe_sensors_and_commands(hovering_policy: Policy, base: Sc
         network=Network((layer,), "tanh"),
     )
     recorder = Recording(policy)
-    pilot = PolicyPilot(recorder, policy_mission(policy, base))  # type: ignore[arg-type]
+    pilot = PolicyPilot(replace(policy_mission(policy, base), policy=recorder))  # type: ignore[arg-type]
     T = np.eye(4)
     T[:3, 3] = [0.1, 0.0, 1.2]
     bias = np.array([0.01, 0.02, 0.03])
@@ -192,12 +192,12 @@ def test_impossible_flights_are_errors(hovering_policy: Policy, base: Scenario) 
     mission = policy_mission(hovering_policy, base)
     wind = replace(hovering_policy, inputs=(NamedShape("wind", (3,)), *hovering_policy.inputs[:2]))
     with pytest.raises(ConfigError, match="observation 'wind' in flight"):
-        PolicyPilot(wind, mission)
+        PolicyPilot(replace(mission, policy=wind))
     with pytest.raises(ConfigError, match="actions at 60 Hz with an IMU at 200 Hz"):
-        PolicyPilot(replace(hovering_policy, action_rate_hz=60.0), mission)
+        PolicyPilot(replace(mission, policy=replace(hovering_policy, action_rate_hz=60.0)))
     with pytest.raises(ConfigError, match="a task of hover, waypoints, race"):
         policy_mission(replace(hovering_policy, environment="dronevio/Navigate-v0"), base)
-    pilot = PolicyPilot(hovering_policy, mission)
+    pilot = PolicyPilot(mission)
     with pytest.raises(ConfigError, match="without angular velocity"):
         pilot.command(NavState(0, np.eye(4), np.zeros(3), np.zeros(3), np.zeros(3)))
 
@@ -213,7 +213,7 @@ def test_race_starts_before_the_first_gate(hovering_policy: Policy, base: Scenar
 def test_a_flight_without_take_off_has_no_outcome(
     on_truth: tuple[Flight, PolicyOutcome], hovering_policy: Policy, base: Scenario
 ) -> None:
-    outcome = policy_outcome(hovering_policy, policy_mission(hovering_policy, base), on_truth[0], None)
+    outcome = policy_outcome(policy_mission(hovering_policy, base), on_truth[0], None)
     assert (outcome.success, outcome.distance_m, outcome.end) == (False, None, "no take-off")
 
 
@@ -222,6 +222,6 @@ def test_goals_are_judged_on_the_true_path(hovering_policy: Policy, base: Scenar
     policy = replace(hovering_policy, environment="dronevio/Waypoints-v0")
     mission = replace(policy_mission(policy, base), task=Waypoints(count=1))
     mission = replace(mission, goals=replace(mission.goals, waypoints_m=np.array([[[1.5, 0.0, 1.2]]])))
-    _, outcome, pilot = flown(policy, mission, Displaced(base.rig))
+    _, outcome, pilot = flown(mission, Displaced(base.rig))
     assert pilot.finished and not outcome.success
     assert outcome.end == "goals missed" and (outcome.distance_m or 0.0) > 0.25
