@@ -65,22 +65,18 @@ def quat_wxyz_from_matrix(R: Array) -> Array:
     """
     R = np.asarray(R, dtype=np.float64)
     m00, m11, m22 = R[..., 0, 0], R[..., 1, 1], R[..., 2, 2]
-    squares = np.stack([1 + m00 + m11 + m22, 1 + m00 - m11 - m22, 1 - m00 + m11 - m22, 1 - m00 - m11 + m22], axis=-1)
-    a, b, c = R[..., 2, 1] - R[..., 1, 2], R[..., 0, 2] - R[..., 2, 0], R[..., 1, 0] - R[..., 0, 1]
-    d, e, f = R[..., 1, 0] + R[..., 0, 1], R[..., 0, 2] + R[..., 2, 0], R[..., 2, 1] + R[..., 1, 2]
-    s0, s1, s2, s3 = (squares[..., k] for k in range(4))
-    forms = np.stack(
-        [
-            np.stack([s0, a, b, c], axis=-1),
-            np.stack([a, s1, d, e], axis=-1),
-            np.stack([b, d, s2, f], axis=-1),
-            np.stack([c, e, f, s3], axis=-1),
-        ],
-        axis=-2,
-    )
-    best = np.argmax(squares, axis=-1)[..., None, None]
-    q = np.take_along_axis(forms, best, axis=-2)[..., 0, :]
-    q = q / np.linalg.norm(q, axis=-1, keepdims=True)
+    forms = np.empty((*R.shape[:-2], 4, 4))
+    forms[..., 0, 0], forms[..., 1, 1] = 1 + m00 + m11 + m22, 1 + m00 - m11 - m22
+    forms[..., 2, 2], forms[..., 3, 3] = 1 - m00 + m11 - m22, 1 - m00 - m11 + m22
+    forms[..., 0, 1] = forms[..., 1, 0] = R[..., 2, 1] - R[..., 1, 2]
+    forms[..., 0, 2] = forms[..., 2, 0] = R[..., 0, 2] - R[..., 2, 0]
+    forms[..., 0, 3] = forms[..., 3, 0] = R[..., 1, 0] - R[..., 0, 1]
+    forms[..., 1, 2] = forms[..., 2, 1] = R[..., 1, 0] + R[..., 0, 1]
+    forms[..., 1, 3] = forms[..., 3, 1] = R[..., 0, 2] + R[..., 2, 0]
+    forms[..., 2, 3] = forms[..., 3, 2] = R[..., 2, 1] + R[..., 1, 2]
+    best = np.argmax(np.diagonal(forms, axis1=-2, axis2=-1), axis=-1).ravel()
+    q = forms.reshape(-1, 4, 4)[np.arange(best.size), best].reshape(*R.shape[:-2], 4)
+    q = q / np.sqrt(np.add.reduce(q * q, axis=-1, keepdims=True))
     return np.asarray(np.where(q[..., :1] < 0.0, -q, q))
 
 

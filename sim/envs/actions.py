@@ -191,9 +191,9 @@ def checked_actions(actions: npt.ArrayLike, count: int) -> Array:
     action = np.asarray(actions, dtype=np.float64)
     if action.shape != (count, 4):
         raise ConfigError(f"actions of shape {action.shape}; expected {(count, 4)}")
-    finite = np.isfinite(action).all(axis=1)
+    finite = np.isfinite(action)
     if not finite.all():
-        row = int(np.argmin(finite))
+        row = int(np.argmin(finite.all(axis=1)))
         raise ConfigError(f"action {action[row].tolist()} of environment {row}; expected four finite numbers")
     return np.clip(action, -1.0, 1.0)
 

@@ -5,6 +5,9 @@ holds positions [m], orientations quat_wxyz, velocities in the world [m/s] and a
 [rad/s] of MuJoCo's free joints.
 """
 
+from collections.abc import Iterable
+from typing import Any
+
 import numpy as np
 import numpy.typing as npt
 
@@ -19,13 +22,13 @@ _LEAST = 1e-300  # avoids 0 / 0 without rotation
 
 def rotations(quaternion: Array) -> Array:
     """Return rotations (3, 3, n) of quaternions quat_wxyz (4, n), which need not be of unit length."""
-    w, x, y, z = quaternion
+    w, x, y, z = _components(quaternion)
     scale = 2.0 / (w * w + x * x + y * y + z * z)
     xs, ys, zs = x * scale, y * scale, z * scale
     wx, wy, wz = w * xs, w * ys, w * zs
     xx, xy, xz = x * xs, x * ys, x * zs
     yy, yz, zz = y * ys, y * zs, z * zs
-    R = np.empty((3, 3, len(w)))
+    R = np.empty((3, 3, quaternion.shape[1]))
     R[0, 0], R[0, 1], R[0, 2] = 1.0 - (yy + zz), xy - wz, xz + wy
     R[1, 0], R[1, 1], R[1, 2] = xy + wz, 1.0 - (xx + zz), yz - wx
     R[2, 0], R[2, 1], R[2, 2] = xz - wy, yz + wx, 1.0 - (xx + yy)
@@ -39,11 +42,11 @@ def rotations_at_velocities(motion: Array, step_s: float) -> Array:
         motion: (13, n) Motion of the physics.
         step_s: Time step of the physics [s].
     """
-    half = (-0.25 * step_s) * motion[RATE]  # half the rotation vector
-    angle = np.sqrt(half[0] * half[0] + half[1] * half[1] + half[2] * half[2])
+    p, q, r = _components((-0.25 * step_s) * motion[RATE])  # half the rotation vector
+    angle = np.sqrt(p * p + q * q + r * r)
     scale = np.sin(angle) / np.maximum(angle, _LEAST)
-    w, x, y, z = motion[QUATERNION]
-    d, (a, b, c) = np.cos(angle), scale * half
+    w, x, y, z = _components(motion[QUATERNION])
+    d, a, b, c = np.cos(angle), scale * p, scale * q, scale * r
     turned = np.empty((4, motion.shape[1]))
     turned[0] = w * d - x * a - y * b - z * c
     turned[1] = w * a + x * d + y * c - z * b
@@ -70,9 +73,10 @@ def velocities_of(lever: Array, motion: Array, step_s: float) -> Array:
         motion: (13, n) Motion of the physics.
         step_s: Time step of the physics [s].
     """
-    x, y, z = motion[RATE]
+    x, y, z = _components(motion[RATE])
     a, b, c = lever.tolist()
-    relative = np.stack([y * c - z * b, z * a - x * c, x * b - y * a])
+    relative = np.empty((3, motion.shape[1]))
+    relative[0], relative[1], relative[2] = y * c - z * b, z * a - x * c, x * b - y * a
     return motion[VELOCITY] + rotated(rotations_at_velocities(motion, step_s), relative)
 
 
@@ -88,3 +92,8 @@ def specific_forces(R: Array, before: Array, after: Array, interval_s: float) ->
     force = (after - before) / interval_s
     force[2] += GRAVITY_M_S2
     return rotated_back(R, force)
+
+
+def _components(vectors: Array) -> Iterable[Any]:
+    """Return the rows (n,) of vectors (d, n), or d numbers for n = 1, with which Python computes faster than numpy."""
+    return vectors[:, 0].tolist() if vectors.shape[1] == 1 else vectors

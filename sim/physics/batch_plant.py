@@ -264,10 +264,11 @@ class BatchPlant:
 
     def advance(self, commands: Array) -> PointSamples:
         """Apply commands (n, 4) of rotor speeds [rad/s] for one IMU interval, and return the IMU samples at its end."""
-        finite = np.asarray(np.isfinite(commands).all(axis=1))
+        finite = np.isfinite(commands)
         if not finite.all():
-            self._diverged |= ~finite
-            commands = np.where(finite[:, None], commands, 0.0)
+            rows = np.asarray(finite.all(axis=1))
+            self._diverged |= ~rows
+            commands = np.where(rows[:, None], commands, 0.0)
         self._elapsed += 1
         self._motion = self._physics_motion(_ALL)
         self._state = self._rotors.step(self._state, commands, self.interval_s)

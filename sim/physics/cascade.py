@@ -22,7 +22,6 @@ Array = npt.NDArray[np.float64]
 
 _GRAVITY = np.array([0.0, 0.0, GRAVITY_M_S2])
 _ZERO = np.zeros(3)
-_AFTER, _BEFORE = np.array([1, 2, 0]), np.array([2, 0, 1])  # the axes after and before each one
 
 
 class Body(NamedTuple):
@@ -245,8 +244,12 @@ def _attitude_error(turn: Array) -> Array:
 
 def cross(a: Array, b: Array) -> Array:
     """Return a × b of vectors (…, 3), several times as fast as `np.cross`, with the same rounding."""
-    if a.ndim == b.ndim == 1:
-        ax, ay, az = a.tolist()
-        bx, by, bz = b.tolist()
-        return np.array([ay * bz - az * by, az * bx - ax * bz, ax * by - ay * bx])
-    return np.asarray(a[..., _AFTER] * b[..., _BEFORE] - a[..., _BEFORE] * b[..., _AFTER])
+    if a.size == b.size == 3:
+        ax, ay, az = a.ravel().tolist()
+        bx, by, bz = b.ravel().tolist()
+        product = np.array([ay * bz - az * by, az * bx - ax * bz, ax * by - ay * bx])
+        return product if a.ndim == b.ndim == 1 else product.reshape(np.broadcast_shapes(a.shape, b.shape))
+    product = np.empty(np.broadcast_shapes(a.shape, b.shape))
+    for k, (i, j) in enumerate(((1, 2), (2, 0), (0, 1))):
+        product[..., k] = a[..., i] * b[..., j] - a[..., j] * b[..., i]
+    return product
