@@ -28,6 +28,7 @@ from dronevio.sim.flight import (
     reference_of,
     start_in_air,
 )
+from dronevio.sim.frame_source import FrameSource
 from dronevio.sim.loop_settings import LoopSettings
 from dronevio.sim.paths.path import Reference
 from dronevio.sim.physics.controller import SE3Controller
@@ -38,23 +39,6 @@ Array = npt.NDArray[np.float64]
 
 _REPORT_EVERY = 100  # control steps between two reports of progress
 _WINDOW_NS = 100_000_000  # length of the motion before the middle of an exposure that its images depend on
-
-
-class FrameSource(Protocol):
-    """Renders the frames of a flight while it goes on."""
-
-    def ready_ns(self, exposed_ns: int) -> int:
-        """Return the time from which a frame can be rendered [ns], given the middle of its exposure [ns]."""
-
-    def frame(self, t_ns: int, exposed_ns: int, lit: bool, truth: Trajectory) -> CameraFrame:
-        """Return a frame.
-
-        Args:
-            t_ns: Time stamp [ns].
-            exposed_ns: True middle of the exposure [ns].
-            lit: Whether light reaches the cameras.
-            truth: True motion of the IMU around the exposure.
-        """
 
 
 class Pilot(Protocol):

@@ -8,7 +8,7 @@ import numpy.typing as npt
 from dronevio.models.rig import Rig
 from dronevio.models.rotation import pose_matrix, quat_wxyz_from_matrix
 from dronevio.models.state import CameraFrame, Trajectory
-from dronevio.sim.envs.estimation import Estimation, FrameSource
+from dronevio.sim.envs.estimation import EpisodeCameras, Estimation
 from dronevio.sim.physics.vehicle_states import VehicleStates
 
 Array = npt.NDArray[np.float64]
@@ -23,7 +23,7 @@ class DelayedFrames:
     out.
     """
 
-    def __init__(self, rig: Rig, estimation: Estimation, source: FrameSource) -> None:
+    def __init__(self, rig: Rig, estimation: Estimation, source: EpisodeCameras) -> None:
         """Begin before the first frame, whose time stamp is the first one at which the IMU is on.
 
         Args:

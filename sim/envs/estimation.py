@@ -43,8 +43,8 @@ import numpy as np
 from dronevio.models.errors import ConfigError
 from dronevio.models.protocols import Estimator
 from dronevio.models.rig import Rig
-from dronevio.models.state import CameraFrame, Trajectory
 from dronevio.sim.cameras.imaging import Imaging
+from dronevio.sim.frame_source import FrameSource
 from dronevio.sim.rendering.live_cameras import LiveCameras
 
 LATENCY_MAX_S = 0.5
@@ -54,21 +54,8 @@ EstimatorFactory = Callable[[Rig], Estimator]
 """Function that returns a new estimator for a calibrated rig, such as the class `VisualInertialOdometry`."""
 
 
-class FrameSource(Protocol):
+class EpisodeCameras(FrameSource, Protocol):
     """Interface of the cameras of one vehicle in one episode."""
-
-    def ready_ns(self, exposed_ns: int) -> int:
-        """Return the time from which a frame is available, given the middle of its exposure [ns]."""
-
-    def frame(self, t_ns: int, exposed_ns: int, lit: bool, truth: Trajectory) -> CameraFrame:
-        """Return a frame.
-
-        Args:
-            t_ns: Time stamp on the clock of the cameras [ns].
-            exposed_ns: Middle of the exposure on the clock of the IMU [ns].
-            lit: Whether light reaches the cameras.
-            truth: True motion of the IMU, which covers the exposure.
-        """
 
     def close(self) -> None:
         """Release the resources of rendering."""
@@ -92,11 +79,11 @@ class CameraSetup:
     """Exposure and noise of the image sensors at the light of the episode."""
 
 
-CameraFactory = Callable[[CameraSetup], FrameSource]
+CameraFactory = Callable[[CameraSetup], EpisodeCameras]
 """Function that returns the cameras of an episode."""
 
 
-def live_cameras(setup: CameraSetup) -> FrameSource:
+def live_cameras(setup: CameraSetup) -> EpisodeCameras:
     """Return cameras that see the world as in recordings: with motion blur, exposure and noise."""
     return LiveCameras(
         setup.rig,
