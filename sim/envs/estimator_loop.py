@@ -6,6 +6,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from dronevio.models.errors import ConfigError
 from dronevio.models.imu import ImuSamples
 from dronevio.models.rotation import exp_so3, inverse_pose, log_so3, pose_matrix, quat_wxyz_from_matrix
 from dronevio.models.state import Estimate, Health, NavState
@@ -40,10 +41,18 @@ class Perceived:
 
     @classmethod
     def of(cls, state: NavState, T_vehicle_imu: Array) -> "Perceived":
-        """Return the state of the vehicle that carries an IMU with a given mounting (4, 4) and state."""
+        """Return the state of the vehicle that carries an IMU with a given mounting (4, 4) and state.
+
+        Raises:
+            ConfigError: The state has no angular velocity.
+        """
         T = np.asarray(state.T_world_imu @ inverse_pose(T_vehicle_imu))
-        gyro = np.zeros(3) if state.angular_velocity_rad_s is None else state.angular_velocity_rad_s
-        rate = T_vehicle_imu[:3, :3] @ gyro
+        if state.angular_velocity_rad_s is None:
+            raise ConfigError(
+                "state_at of the estimator returns a state without angular velocity; expected one, since the inner"
+                " control loops damp it"
+            )
+        rate = T_vehicle_imu[:3, :3] @ state.angular_velocity_rad_s
         velocity = state.velocity_m_s - T[:3, :3] @ cross(rate, T_vehicle_imu[:3, 3])
         return cls(T, velocity, rate, np.concatenate([state.gyro_bias_rad_s, state.accel_bias_m_s2]))
 

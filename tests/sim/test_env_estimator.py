@@ -258,6 +258,16 @@ def test_an_estimate_that_is_not_finite_is_not_used() -> None:
     assert later in env.observation_space and not info["termination"]
 
 
+def test_an_estimate_without_angular_velocity_is_refused() -> None:
+    class Slow(Scripted):
+        def state_at(self, t_ns: int) -> NavState | None:
+            state = super().state_at(t_ns)
+            return state and replace(state, angular_velocity_rad_s=None)
+
+    with pytest.raises(ConfigError, match="without angular velocity; expected one"):
+        scripted_env(Slow)[0].reset(seed=0)
+
+
 def test_darkness_counts_from_the_start_of_the_episode() -> None:
     env, _, cameras = scripted_env(estimation={"dark_from_s": 0.1, "dark_for_s": 0.1})
     env.reset(seed=0)
