@@ -107,10 +107,10 @@ def _lit(images: npt.NDArray[Any], light: Array) -> npt.NDArray[Any]:
 
 
 def rendered_images(count: int, settings: EnvironmentSettings) -> HeldImages:
-    """Return the images of ``count`` environments by the main camera of their rig."""
+    """Return the images of ``count`` environments by a camera of their rig."""
     width, height = settings.image_size
     images = ImageSettings(settings.images, width, height)
-    mounted, world, seed = settings.rig.cameras[0], settings.world, settings.world_seed
+    mounted, world, seed = settings.rig.cameras[settings.camera], settings.world, settings.world_seed
     return HeldImages(
         count,
         settings.steps_per_image,

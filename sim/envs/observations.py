@@ -21,9 +21,9 @@ only in the task Race |
 as factors, wind (3) [m/s], gusts, latency [s], and errors of the IMU as a factor, light |
 | ``wind`` | (3,) | velocity of the air at the vehicle in the world frame [m/s] |
 | ``imu_bias`` | (6,) | biases of gyroscope [rad/s] and accelerometer [m/s²] in the IMU frame |
-| ``grey`` | (H, W, 1) uint8 | grey image of the main camera |
-| ``rgb`` | (H, W, 3) uint8 | colour image of the main camera |
-| ``depth`` | (H, W, 1) float32 | depth along the optical axis of the main camera [m] |
+| ``grey`` | (H, W, 1) uint8 | grey image of the observed camera |
+| ``rgb`` | (H, W, 3) uint8 | colour image of the observed camera |
+| ``depth`` | (H, W, 1) float32 | depth along the optical axis of the observed camera [m] |
 
 All but images are float32. They are true values, except for ``imu``; with an estimator, the policy sees estimated ones,
 except for ``rotors``, ``battery``, ``parameters`` and ``wind`` (`dronevio.sim.envs.estimation`). The vehicle frame is x

@@ -46,6 +46,8 @@ class EnvironmentSettings:
     ``Dict``."""
     randomization: Randomization = NOTHING_RANDOM
     """Distributions of the parameters that are drawn for each episode."""
+    camera: int = 0
+    """Index of the camera of the rig whose images are observed."""
     image_size: tuple[int, int] = (64, 64)
     """Width and height of images [px]."""
     physics_rate_hz: float = 1000.0
@@ -84,8 +86,11 @@ class EnvironmentSettings:
             raise ConfigError(f"flat observations with {images[0]!r}; expected no images, or flat=False")
         if any(size < 1 for size in self.image_size):
             raise ConfigError(f"image_size = {self.image_size}; expected positive numbers of pixels")
-        if images and not self.rig.cameras:
+        cameras = len(self.rig.cameras)
+        if images and not cameras:
             raise ConfigError(f"observation {images[0]!r} of a rig without cameras; expected a camera")
+        if self.camera not in range(max(cameras, 1)):
+            raise ConfigError(f"camera = {self.camera} of a rig with {cameras} cameras; expected an index from 0")
         if self.estimator is not None and not self.rig.cameras:
             raise ConfigError("estimator with a rig without cameras; expected a camera")
         if self.estimator is not None and not self.task.lands:

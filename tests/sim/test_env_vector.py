@@ -111,43 +111,43 @@ def test_environments_run_in_other_processes(context: str) -> None:
 # --- equality
 
 
-@pytest.mark.parametrize("mode", ["rotors", "velocity"])
-def test_a_row_equals_a_single_environment(mode: str) -> None:
-    """Same initial states, parameters and actions: equal in the air."""
+@pytest.mark.parametrize(("mode", "amplitude"), [("rotors", 0.02), ("velocity", 0.2)])
+def test_a_row_equals_a_single_environment(mode: str, amplitude: float) -> None:
+    """Same initial states, parameters and actions: equal over 100 steps in the air; the difference is a few 1e-15."""
     rng = np.random.default_rng(0)
     settings: dict[str, Any] = {"observations": STATE, "randomization": MODERATE, "action": mode}
-    envs = DroneVectorEnv(3, "hover", **settings)
+    envs = DroneVectorEnv(2, "hover", **settings)
     drawn: dict[str, Any] = {
-        "mass": rng.uniform(0.98, 1.02, 3),
-        "inertia": rng.uniform(0.8, 1.2, (3, 3)),
-        "rotor_time_constant": rng.uniform(0.7, 1.4, 3),
-        "thrust": rng.uniform(0.99, 1.01, 3),
-        "drag": rng.uniform(0.5, 2.0, 3),
-        "wind_m_s": rng.uniform(-0.2, 0.2, (3, 3)),
-        "gusts": np.zeros(3),
-        "latency_s": np.array([0.0, 0.01, 0.025]),
+        "mass": rng.uniform(0.98, 1.02, 2),
+        "inertia": rng.uniform(0.8, 1.2, (2, 3)),
+        "rotor_time_constant": rng.uniform(0.7, 1.4, 2),
+        "thrust": rng.uniform(0.99, 1.01, 2),
+        "drag": rng.uniform(0.5, 2.0, 2),
+        "wind_m_s": rng.uniform(-0.2, 0.2, (2, 3)),
+        "gusts": np.zeros(2),
+        "latency_s": np.array([0.0, 0.025]),
     }
     given: dict[str, Any] = {
-        "position_m": rng.uniform([-0.3, -0.3, 1.2], [0.3, 0.3, 1.6], (3, 3)),
-        "velocity_m_s": rng.uniform(-0.1, 0.1, (3, 3)),
-        "rate_rad_s": rng.uniform(-0.1, 0.1, (3, 3)),
-        "quat_wxyz": np.array([[1.0, 0.0, 0.0, 0.0]] * 3),
+        "position_m": rng.uniform([-0.3, -0.3, 1.2], [0.3, 0.3, 1.6], (2, 3)),
+        "velocity_m_s": rng.uniform(-0.1, 0.1, (2, 3)),
+        "rate_rad_s": rng.uniform(-0.1, 0.1, (2, 3)),
+        "quat_wxyz": np.array([[1.0, 0.0, 0.0, 0.0]] * 2),
     }
     envs.reset(seed=0, options={**given, "randomization": drawn})
-    singles = [DroneEnv("hover", **settings) for _ in range(3)]
+    singles = [DroneEnv("hover", **settings) for _ in range(2)]
     for k, single in enumerate(singles):
         values = {name: value[k] for name, value in given.items()}
         own = {name: value[k] for name, value in drawn.items()}
         single.reset(seed=7 + k, options={**values, "randomization": own})
-    amplitude, steps = (0.02, 100) if mode == "rotors" else (0.2, 25)
+    steps = 100
     for _ in range(steps):
-        actions = rng.uniform(-amplitude, amplitude, (3, 4))
+        actions = rng.uniform(-amplitude, amplitude, (2, 4))
         envs.step(actions.astype(np.float32))
         for k, single in enumerate(singles):
             single.step(actions[k].astype(np.float32))
             for field in ("position_m", "R_world_vehicle", "velocity_m_s", "rate_rad_s", "battery_charge"):
                 one, many = getattr(single._core.states, field)[0], getattr(envs._core.states, field)[k]
-                np.testing.assert_allclose(many, one, atol=1e-9, err_msg=field)
+                np.testing.assert_allclose(many, one, rtol=0.0, atol=1e-9, err_msg=field)
     assert not envs._ended.any() and envs._core.plant.t_ns.min() == steps * 20_000_000  # no episode has ended
 
 

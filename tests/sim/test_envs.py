@@ -6,6 +6,7 @@ import os
 import pickle
 import sys
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -18,6 +19,8 @@ from gymnasium.wrappers import FrameStackObservation, NormalizeObservation, Reco
 import dronevio.envs  # noqa: F401 registers
 from dronevio.models.actions import ACTION_MODES, ActionLimits
 from dronevio.models.errors import ConfigError, GraphicsError
+from dronevio.models.rig import Rig
+from dronevio.models.rig_presets import rig_named
 from dronevio.sim.chase_camera import CHASE_CAMERAS
 from dronevio.sim.envs.distributions import LogUniform, Normal, Uniform
 from dronevio.sim.envs.randomization import MODERATE, Randomization
@@ -100,6 +103,20 @@ def test_images_and_pictures_show_the_world() -> None:
     assert not np.array_equal(before, after)
     env.close()
     env.close()
+
+
+def test_the_argument_camera_selects_a_camera_of_the_rig() -> None:
+    rig = rig_named("euroc-stereo")
+
+    def depth(rig: Rig, camera: int) -> Any:
+        env = DroneEnv("hover", world=QUICK_WORLD, rig=rig, observations=("depth",), camera=camera)
+        image = env.reset(seed=0, options=REST)[0]["depth"]
+        env.close()
+        return image
+
+    left, right = depth(rig, 0), depth(rig, 1)
+    assert not np.array_equal(left, right)
+    np.testing.assert_array_equal(right, depth(replace(rig, cameras=rig.cameras[1:]), 0))
 
 
 def test_pictures_mark_the_goal() -> None:
@@ -261,6 +278,7 @@ def test_the_built_in_loops_keep_hover_at_its_target() -> None:
         ({"camera_rate_hz": 20.0}, "camera_rate_hz = 20 with action_rate_hz = 50"),
         ({"physics_rate_hz": 500.0}, "imu_rate_hz = 200 with physics_rate_hz = 500"),
         ({"image_size": (0, 64)}, "expected positive numbers of pixels"),
+        ({"camera": 1}, "camera = 1 of a rig with 1 cameras; expected an index from 0"),
     ],
 )
 def test_impossible_arguments_are_refused(arguments: dict[str, Any], message: str) -> None:
