@@ -90,6 +90,14 @@ def test_python_examples_run(page: str, tmp_path: Path, monkeypatch: pytest.Monk
             exec(compiled, {})
 
 
+def test_the_example_on_an_estimate_runs(capsys: pytest.CaptureFixture[str]) -> None:
+    """Without waiting for the estimator, the first step ends the episode, which takes no images."""
+    [code] = blocks("rl.md", "py")
+    assert "latency_s=0.05" in code
+    exec(compile(code.replace("latency_s=0.05", "longest_wait_s=0.0"), "rl.md", "exec"), {})
+    assert capsys.readouterr().out.startswith("False ")
+
+
 def test_an_estimator_as_documented_runs(noise_recording: Any) -> None:
     namespace: dict[str, Any] = {}
     for code in blocks("how-to/own-estimator.md", "python"):
