@@ -21,6 +21,7 @@ from cli_reference import write_changed
 from environment_pictures import picture_name
 
 import dronevio.envs  # noqa: F401 registers the environments
+from dronevio.models.actions import ActionLimits
 from dronevio.sim.envs import actions, estimation, observations, options, randomization, settings, single
 
 NAMESPACE = "dronevio"
@@ -154,7 +155,7 @@ def arguments_page() -> str:
     before, heading, after = sections.partition("## Time limits")
     parts = ["# Arguments, actions and observations", summary, before.strip(), arguments, heading + after]
     tables = {
-        "Actions": table(("field of `ActionLimits`", "default", "content"), field_rows(actions.ActionLimits)),
+        "Actions": table(("field of `ActionLimits`", "default", "content"), field_rows(ActionLimits)),
         "Randomization": table(("field of `Randomization`", "default", "`MODERATE`", "content"), randomization_rows()),
         "Estimators": table(("field of `Estimation`", "default", "content"), field_rows(estimation.Estimation)),
     }

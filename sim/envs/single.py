@@ -56,6 +56,11 @@ class DroneEnv(gymnasium.Env[Any, npt.NDArray[np.floating[Any]]]):
     ## Determinism
     The same seed and the same actions give the same bytes on the same kind of processor. A reset without seed continues
     the random numbers.
+
+    ## Saved states
+    `save_state` returns the state of episode, physics, IMU and random numbers, with which `restore_state` continues in
+    this or another environment with the same arguments. Environments can be pickled with their state. With an
+    estimator, the state cannot be saved.
     """
 
     metadata: dict[str, Any] = {"render_modes": list(RENDER_MODES), "render_fps": 50}  # noqa: RUF012 as Gymnasium has it
