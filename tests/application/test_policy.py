@@ -122,7 +122,17 @@ def test_run_flies_a_policy(hovering_policy: Policy, tmp_path: Path, run_command
     """The policy stops the rotors when it takes over, so that the flight is short."""
     dv.save_policy(tmp_path / "falling.safetensors", falling(hovering_policy))
     plan = ["--plan.initial-rest-s", "1.2", "--plan.takeoff-s", "1.2"]
-    options = ["--policy", tmp_path / "falling.safetensors", "--fly-on", "estimate", "--rig", "nano", *plan]
+    options = [
+        "--policy",
+        tmp_path / "falling.safetensors",
+        "--fly-on",
+        "estimate",
+        "--rig",
+        "nano",
+        "--world",
+        "repetitive",
+        *plan,
+    ]
     out = tmp_path / "run"
     result = run_command(out, "run", *options, "--out", out)
     report = json.loads((out / "report.json").read_text(encoding="utf-8"))
