@@ -1,0 +1,127 @@
+"""Progress of a training: the learning curve, and the results that are written at its end."""
+
+import json
+import time
+from dataclasses import asdict, dataclass, fields
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+from evaluate import Evaluation, evaluated
+from trainings import Training
+
+import dronevio as dv
+
+POLICY = "policy.safetensors"
+"""Name of the file of the policy in the folder of a training."""
+RESULT = "result.json"
+"""Name of the file with learning curve and evaluation."""
+REPORTS = 60
+"""Number of reports of a training."""
+EPISODES = 100
+"""Number of episodes of the evaluation."""
+
+
+@dataclass(frozen=True)
+class Report:
+    """Results of the episodes that ended between two reports."""
+
+    samples: int
+    """Number of steps of environments since the start."""
+    wall_s: float
+    """Time since the start [s]."""
+    cpu_s: float
+    """Processor time since the start [s]."""
+    episodes: int
+    """Number of episodes that ended."""
+    mean_return: float
+    """Mean sum of the rewards of an episode."""
+    mean_length: float
+    """Mean number of steps of an episode."""
+    success_rate: float
+    """Share of the episodes that ended with success."""
+    error_m: float
+    """Mean distance from the current goal at the end of an episode [m]."""
+
+
+class Progress:
+    """Learning curve of n environments that are stepped together."""
+
+    def __init__(self, num_envs: int, samples: int) -> None:
+        """Start the clocks.
+
+        Args:
+            num_envs: Number of environments.
+            samples: Number of samples of the training.
+        """
+        self.samples = 0
+        self.reports: list[Report] = []
+        self._every = samples // REPORTS
+        self._reported = 0
+        self._returns, self._lengths = np.zeros(num_envs), np.zeros(num_envs)
+        self._ended: list[npt.NDArray[np.float64]] = []
+        self._wall_s, self._cpu_s = time.perf_counter(), time.process_time()
+
+    def add(self, rewards: npt.NDArray[Any], ended: npt.NDArray[np.bool_], infos: dict[str, Any]) -> None:
+        """Add a step of all environments.
+
+        Args:
+            rewards: (n,) Rewards.
+            ended: (n,) Whether the episodes end.
+            infos: Infos of a vector with autoreset in the same step.
+        """
+        self.samples += len(rewards)
+        self._returns += rewards
+        self._lengths += 1
+        if ended.any():
+            final = infos["final_info"]
+            columns = (self._returns, self._lengths, final["success"], final["distance_m"])
+            self._ended.append(np.stack([column[ended] for column in columns], axis=1))
+            self._returns[ended], self._lengths[ended] = 0.0, 0.0
+
+    def report(self) -> None:
+        """Report the episodes since the last report, if there are some and enough samples have been added."""
+        if self.samples < self._reported + self._every or not self._ended:
+            return
+        rows = np.concatenate(self._ended)
+        self._ended, self._reported = [], self.samples
+        latest = Report(self.samples, *self.elapsed_s, len(rows), *map(float, rows.mean(axis=0)))
+        self.reports.append(latest)
+        print(
+            f"{latest.samples:10,} samples  {latest.wall_s:6.0f} s  return {latest.mean_return:8.2f}  "
+            f"success {latest.success_rate:4.0%}  error {latest.error_m:6.3f} m",
+            flush=True,
+        )
+
+    @property
+    def elapsed_s(self) -> tuple[float, float]:
+        """Time and processor time since the start [s]."""
+        return time.perf_counter() - self._wall_s, time.process_time() - self._cpu_s
+
+
+def finish(policy: dv.Policy, training: Training, progress: Progress, folder: Path) -> Evaluation:
+    """Write a policy, evaluate it in unseen episodes, and write learning curve and evaluation."""
+    wall_s, cpu_s = progress.elapsed_s
+    folder.mkdir(parents=True, exist_ok=True)
+    dv.save_policy(folder / POLICY, policy)
+    evaluation = evaluated(policy.action, training, EPISODES)
+    result = {
+        "environment": training.environment,
+        "samples": progress.samples,
+        "seed": policy.provenance.seed,
+        "wall_s": round(wall_s, 1),
+        "cpu_s": round(cpu_s, 1),
+        "versions": dict(policy.provenance.versions),
+        "evaluation": asdict(evaluation),
+        "curve": columns_of(progress.reports),
+    }
+    (folder / RESULT).write_text(json.dumps(result, indent=1) + "\n", encoding="utf-8")
+    print(f"{folder}: {evaluation}")
+    return evaluation
+
+
+def columns_of(reports: list[Report]) -> dict[str, str]:
+    """Return the values of reports by name, separated by spaces."""
+    rows = [asdict(report) for report in reports]
+    return {one.name: " ".join(f"{row[one.name]:.6g}" for row in rows) for one in fields(Report)}

@@ -1,0 +1,98 @@
+"""Settings of the trainings: environment, episodes and algorithm of each policy.
+
+Both trainers, `ppo.py` and `train_sb3.py`, use them.
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any
+
+import gymnasium
+
+from dronevio.sim.envs import MODERATE, Race
+
+UNSEEN = 1_000_000
+"""Seed of the environments in which policies are evaluated, which no training uses."""
+
+
+@dataclass(frozen=True)
+class Training:
+    """Training of a policy by proximal policy optimization (PPO)."""
+
+    environment: str
+    """Id of the environment."""
+    samples: int
+    """Number of steps of environments, all together."""
+    arguments: Mapping[str, Any] = field(default_factory=dict)
+    """Arguments of the environment, in training and evaluation."""
+    of_training: Mapping[str, Any] = field(default_factory=dict)
+    """Further arguments in training only."""
+    of_evaluation: Mapping[str, Any] = field(default_factory=dict)
+    """Further arguments in evaluation only."""
+    num_envs: int = 256
+    """Number of environments that are stepped together."""
+    rollout_steps: int = 32
+    """Number of steps of each environment between two updates of the policy."""
+    minibatch: int = 2048
+    """Number of samples of a step of the optimizer."""
+    epochs: int = 5
+    """Number of passes through the samples of a rollout."""
+    learning_rate: float = 1e-3
+    """Step size of Adam at the beginning, which decreases linearly to 0."""
+    gamma: float = 0.98
+    """Discount factor of a step."""
+    gae_lambda: float = 0.95
+    """Exponential weight of generalized advantage estimation."""
+    clip: float = 0.2
+    """Range of the ratio of probabilities of the new and the old policy around 1."""
+    log_std: float = -1.0
+    """Logarithm of the standard deviation of the actions at the beginning."""
+    hidden: tuple[int, ...] = (64, 64)
+    """Widths of the hidden layers of policy and value function."""
+
+
+# Lower rates of the physics and of the inner loops cost a quarter. Policies are evaluated at 1 kHz and 200 Hz.
+_FASTER = {"physics_rate_hz": 200.0, "imu_rate_hz": 100.0}
+
+TRAININGS: dict[str, Training] = {
+    "hover": Training(
+        "dronevio/Hover-v0",
+        samples=800_000,
+        arguments={"observations": ("position", "rotation", "velocity", "rate")},
+        of_training={"max_episode_steps": 150, **_FASTER},
+    ),
+    "hover-imu": Training(
+        "dronevio/Hover-v0",
+        samples=1_500_000,
+        arguments={
+            "observations": ("position", "rotation", "velocity", "imu", "last_action"),
+            "randomization": MODERATE,
+        },
+        of_training={"max_episode_steps": 150, "physics_rate_hz": 400.0},
+    ),
+    "waypoints": Training("dronevio/Waypoints-v0", samples=5_000_000, of_training=_FASTER, gamma=0.995),
+    "race": Training(
+        "dronevio/Race-v0",
+        samples=10_000_000,
+        of_training={"max_episode_steps": 500, **_FASTER},
+        of_evaluation={"task": Race(on_course=0.0)},
+        num_envs=512,
+        minibatch=4096,
+        gamma=0.99,
+    ),
+}
+"""Trainings by name."""
+
+
+def training_envs(training: Training) -> Any:
+    """Return the vector of environments of a training, which resets environments in the step that ends an episode."""
+    arguments = {**training.arguments, **training.of_training}
+    return gymnasium.make_vec(
+        f"dronevio.envs:{training.environment}", training.num_envs, autoreset_mode="SAME_STEP", flat=True, **arguments
+    )
+
+
+def evaluation_envs(training: Training, episodes: int) -> Any:
+    """Return a vector with one environment for each episode of an evaluation."""
+    arguments = {**training.arguments, **training.of_evaluation}
+    return gymnasium.make_vec(f"dronevio.envs:{training.environment}", episodes, flat=True, **arguments)

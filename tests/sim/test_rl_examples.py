@@ -1,0 +1,126 @@
+"""The trainings of examples/rl: their settings, their evaluation, the committed policies, and a few steps of PPO."""
+
+import importlib
+import json
+from collections.abc import Callable
+from pathlib import Path
+from types import ModuleType
+from typing import Any
+
+import numpy as np
+import pytest
+
+import dronevio as dv
+
+FOLDER = Path(__file__).resolve().parents[2] / "examples" / "rl"
+
+pytestmark = pytest.mark.skipif(not FOLDER.is_dir(), reason="the examples are in the repository, not in the package")
+
+
+@pytest.fixture(scope="module")
+def example() -> Callable[[str], ModuleType]:
+    """Gives a module of the examples by name; they belong to no package, and find each other by their names."""
+
+    def load(name: str) -> ModuleType:
+        with pytest.MonkeyPatch.context() as patch:
+            patch.syspath_prepend(FOLDER)
+            return importlib.import_module(name)
+
+    return load
+
+
+def hovering(observations: Any) -> Any:
+    return np.zeros((len(observations), 4), np.float32)
+
+
+def test_all_trainings_have_environments(example: Any) -> None:
+    trainings = example("trainings")
+    for training in trainings.TRAININGS.values():
+        assert training.num_envs * training.rollout_steps % training.minibatch == 0
+        for envs in (trainings.training_envs(training), trainings.evaluation_envs(training, 2)):
+            observations, _ = envs.reset(seed=0)
+            assert observations.shape == (envs.num_envs, *envs.single_observation_space.shape)
+            assert envs.spec.id == training.environment
+            envs.close()
+
+
+def test_a_policy_is_evaluated_once_per_environment(example: Any) -> None:
+    result = example("evaluate").evaluated(hovering, example("trainings").TRAININGS["waypoints"], 4)
+    assert result.episodes == sum(result.ends.values()) == 4
+    assert (result.success_rate, result.duration_s) == (0.0, None)
+    assert result.crash_rate == 1.0 - result.ends.get("time limit", 0) / 4
+
+
+class Ends:
+    """Environments of two episodes, of which the second ends with success after three steps."""
+
+    num_envs = 2
+    metadata = {"render_fps": 50}  # noqa: RUF012
+
+    def reset(self, seed: int) -> Any:
+        self.steps = 0
+        return np.zeros((2, 1), np.float32), {}
+
+    def step(self, actions: Any) -> Any:
+        self.steps += 1
+        over = np.array([self.steps == 5, self.steps == 3])
+        infos = {
+            "success": np.array([False, True]),
+            "distance_m": np.full(2, 0.1 * self.steps),
+            "termination": np.where(over, ["ground", "success"], ""),
+        }
+        return np.zeros((2, 1), np.float32), np.zeros(2), over, np.zeros(2, np.bool_), infos
+
+
+def test_results_are_those_of_the_ends_of_episodes(example: Any) -> None:
+    result = example("evaluate").evaluate(hovering, Ends())
+    assert (result.success_rate, result.crash_rate, result.ends) == (0.5, 0.5, {"ground": 1, "success": 1})
+    assert result.error_m == pytest.approx(0.4)
+    assert result.duration_s == pytest.approx(3 / 50)
+
+
+def test_the_curve_has_means_of_ended_episodes(example: Any) -> None:
+    progress = example("progress").Progress(2, 60)
+    final = {"success": np.array([True, False]), "distance_m": np.array([0.2, 9.0])}
+    progress.add(np.array([1.0, 5.0]), np.array([False, False]), {})
+    progress.report()
+    progress.add(np.array([2.0, 5.0]), np.array([True, False]), {"final_info": final})
+    progress.report()
+    progress.report()
+    (report,) = progress.reports
+    assert (report.samples, report.episodes, report.mean_return, report.mean_length) == (4, 1, 3.0, 2.0)
+    assert (report.success_rate, report.error_m) == (1.0, 0.2)
+
+
+POLICIES = {"hover": (20, 1.0), "hover-imu": (20, 1.0), "waypoints": (20, 0.9)}
+"""Number of episodes of each committed policy, and the smallest share of them that succeeds."""
+
+
+@pytest.mark.parametrize("name", POLICIES)
+def test_committed_policies_succeed(example: Any, name: str) -> None:
+    episodes, share = POLICIES[name]
+    training = example("trainings").TRAININGS[name]
+    policy = dv.load_policy(FOLDER / "policies" / f"{name}.safetensors")
+    assert policy.environment == training.environment
+    result = example("evaluate").evaluated(policy.action, training, episodes)
+    assert result.success_rate >= share
+
+
+def trained(example: Any, module: str, folder: Path) -> dict[str, Any]:
+    """Return the result of a short training, whose policy can be loaded."""
+    trainer = example(module)
+    trainer.main(trainer.TrainCommand("hover", samples=16_000, out=folder))
+    assert dv.load_policy(folder / "policy.safetensors").provenance.samples == 16_384
+    result: dict[str, Any] = json.loads((folder / "result.json").read_text(encoding="utf-8"))
+    return result
+
+
+@pytest.mark.parametrize("module", ["ppo", "train_sb3"])
+def test_a_short_training_writes_its_results(example: Any, module: str, tmp_path: Path) -> None:
+    pytest.importorskip("torch")
+    if module == "train_sb3":
+        pytest.importorskip("stable_baselines3")
+    result = trained(example, module, tmp_path)
+    assert result["samples"] == 16_384
+    assert result["curve"]["samples"] == "8192 16384"
+    assert result["evaluation"]["episodes"] == 100
