@@ -86,8 +86,10 @@ def test_waypoints_are_reached_in_order() -> None:
     after = task.advance(AREA, goals, there)
     assert after.reached[0] == 1 and not task.finished(after)[0]
     terms = task.reward_terms(AREA, goals, after, there)
-    assert terms["progress"][0] == pytest.approx(5.0 * 0.8)
+    assert terms["progress"][0] == pytest.approx(5.0 * 0.04)  # not more, since it is faster than what is rewarded
     assert terms["reached"][0] == 5.0 and terms["failure"][0] == 0.0
+    slowly = step([0.0, 0.0, 1.0], [0.03, 0.0, 1.0])
+    assert task.reward_terms(AREA, goals, goals, slowly)["progress"][0] == pytest.approx(5.0 * 0.03)
     np.testing.assert_array_equal(
         task.objective(AREA, after, np.zeros(1)).position_m[0], [[0.0, 1.0, 1.0], [0.0, 1.0, 1.0]]
     )
@@ -152,9 +154,24 @@ def test_the_race_ends_after_all_gates() -> None:
     for count, made in enumerate([*through, *through], start=1):
         before, goals = goals, task.advance(AREA, goals, made)
         assert goals.passed[0] == count
-        assert task.reward_terms(AREA, before, goals, made)["passed"][0] == 5.0
+        assert task.reward_terms(AREA, before, goals, made)["passed"][0] == 3.0
     assert task.finished(goals)[0]
-    assert task.reward_terms(AREA, goals, goals, step(np.zeros(3), np.zeros(3), failed=True))["failure"][0] == -20.0
+    assert task.reward_terms(AREA, goals, goals, step(np.zeros(3), np.zeros(3), failed=True))["failure"][0] == -5.0
+
+
+@pytest.mark.parametrize(
+    ("before", "after", "progress"),
+    [
+        ([1.0, 0.0, 2.0], [1.05, 0.0, 2.0], 0.05),
+        ([1.0, 0.0, 2.0], [2.0, 0.0, 2.0], 0.1),  # faster than what is rewarded
+        ([2.0, 0.0, 2.0], [1.0, 0.0, 2.0], -1.0),
+        ([1.0, 3.0, 2.0], [1.0, 2.95, 2.0], 34.0**0.5 - 33.405**0.5),  # across the axis: 2 · 3² + 4², 2 · 2.95² + 4²
+    ],
+)
+def test_approaches_of_gates_are_rewarded(before: Array, after: Array, progress: float) -> None:
+    goals = RaceGoals(np.zeros(1, np.int64), np.zeros(1, np.int64), np.full(1, 2, np.int64))
+    terms = Race().reward_terms(AREA, goals, goals, step(before, after))
+    assert terms["progress"][0] == pytest.approx(progress)
 
 
 def test_half_of_the_races_start_at_the_pad() -> None:

@@ -13,7 +13,6 @@ from dronevio.sim.envs.tasks.task import (
     Objective,
     Start,
     Transition,
-    approach_m,
     penalties,
     weighted,
 )
@@ -71,11 +70,13 @@ frame [m] |
     ## Rewards
     The sum of these terms per step, which are in ``info["reward_terms"]``:
 
-    - ``progress``: 1 per metre of approach to the centre of the current gate
-    - ``passed``: 5 for each gate that is passed
+    - ``progress``: 1 per metre of approach to the current gate, at most 0.1 m per step, which is 5 m/s: a faster flight
+      is not rewarded, since it fails more often. The distance from a gate is √(a² + 2 c²), a along its axis and c
+      across it, so that the shortest way ends on the axis
+    - ``passed``: 3 for each gate that is passed
     - ``rate``: −0.01 per rad/s of angular velocity
     - ``smoothness``: −0.02 · mean of the squared change of the action
-    - ``failure``: −20 if the episode ends by a failure
+    - ``failure``: −5 if the episode ends by a failure
 
     ## Starting state
     Half of the episodes start above the landing pad before the first gate, the others 2 m behind a random gate with the
@@ -114,13 +115,17 @@ frame [m] |
     """Spread of the starting states."""
     progress: float = 1.0
     """Reward of a metre of approach [1/m]."""
-    passed: float = 5.0
+    approach_m: float = 0.1
+    """Largest approach in a step that is rewarded [m]."""
+    across: float = 2.0
+    """Weight of squared distances across the axis of a gate relative to those along it."""
+    passed: float = 3.0
     """Reward of a gate that is passed."""
     rate: float = 0.01
     """Weight of the angular velocity [s/rad]."""
     smoothness: float = 0.02
     """Weight of the mean squared change of the action."""
-    failure: float = 20.0
+    failure: float = 5.0
     """Penalty of a failure."""
     obstacles: bool = True
     """Whether gates and other obstacles are part of the physics."""
@@ -167,12 +172,23 @@ frame [m] |
 
     def reward_terms(self, area: FlightArea, before: RaceGoals, goals: RaceGoals, step: Transition) -> dict[str, Array]:
         """Return the terms of the reward."""
-        middle = self.objective(area, before, step.t_s).position_m[:, 0]
+        gate = self.objective(area, before, step.t_s)
+        approach_m = self._distance_m(step.before, gate) - self._distance_m(step.after, gate)
         return {
-            "progress": self.progress * approach_m(step, middle),
+            "progress": self.progress * np.minimum(approach_m, self.approach_m),
             "passed": weighted(self.passed, goals.passed - before.passed),
             **penalties(step, self.rate, self.smoothness, self.failure),
         }
+
+    def _distance_m(self, states: VehicleStates, gate: Objective) -> Array:
+        """Return the distances (n,) of vehicles from the first gates, with a weight on those across their axes [m].
+
+        The steepest descent of this distance is a curve on which the distance across the axis is proportional to a
+        power of that along the axis, whose exponent is the weight. Above 1, the curve is tangential to the axis.
+        """
+        offset = states.position_m - gate.position_m[:, 0]
+        along = np.vecdot(offset, gate.direction[:, 0])
+        return np.asarray(np.sqrt(self.across * (np.vecdot(offset, offset) - along**2) + along**2))
 
     def finished(self, goals: RaceGoals) -> Mask:
         """Return where all laps are complete."""

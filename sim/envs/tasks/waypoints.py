@@ -71,7 +71,8 @@ class Waypoints:
     ## Rewards
     The sum of these terms per step, which are in ``info["reward_terms"]``:
 
-    - ``progress``: 5 per metre of approach to the current point
+    - ``progress``: 5 per metre of approach to the current point, at most 0.04 m per step, which is 2 m/s: a faster flight
+      is not rewarded, since it fails more often
     - ``reached``: 5 for each point that is reached
     - ``rate``: −0.02 per rad/s of angular velocity
     - ``smoothness``: −0.02 · mean of the squared change of the action
@@ -114,6 +115,8 @@ class Waypoints:
     """Spread of the starting states around the centre of the free space."""
     progress: float = 5.0
     """Reward of a metre of approach [1/m]."""
+    approach_m: float = 0.04
+    """Largest approach in a step that is rewarded [m]."""
     reached: float = 5.0
     """Reward of a point that is reached."""
     rate: float = 0.02
@@ -157,7 +160,7 @@ class Waypoints:
         """Return the terms of the reward."""
         current = before.ahead_m(1)[:, 0]
         return {
-            "progress": self.progress * approach_m(step, current),
+            "progress": self.progress * np.minimum(approach_m(step, current), self.approach_m),
             "reached": weighted(self.reached, goals.reached - before.reached),
             **penalties(step, self.rate, self.smoothness, self.failure),
         }
