@@ -71,8 +71,8 @@ class Waypoints:
     ## Rewards
     The sum of these terms per step, which are in ``info["reward_terms"]``:
 
-    - ``progress``: 5 per metre of approach to the current point, at most 0.04 m per step, which is 2 m/s: a faster flight
-      is not rewarded, since it fails more often
+    - ``progress``: 5 per metre of approach to the current point, at most 0.04 m per step, which is 2 m/s: a faster
+      flight is not rewarded, since it fails more often
     - ``reached``: 5 for each point that is reached
     - ``rate``: −0.02 per rad/s of angular velocity
     - ``smoothness``: −0.02 · mean of the squared change of the action
