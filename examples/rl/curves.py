@@ -26,8 +26,6 @@ TITLES = {
 """Title of each training, and the value of its learning curve that is drawn."""
 LABELS = {"mean_return": "return of an episode", "success_rate": "share of successful episodes"}
 """Labels of the values."""
-LAPS = 3
-"""Number of laps of an episode of the race."""
 
 
 @dataclass(frozen=True)
@@ -64,7 +62,7 @@ def draw(axes: Axes, name: str, results: list[dict[str, Any]]) -> None:
 def row(name: str, algorithm: str, result: dict[str, Any]) -> str:
     """Return a row of the table of results."""
     scores = result["evaluation"]
-    lap = f"{scores['duration_s'] / LAPS:.1f}" if name == "race" and scores["duration_s"] else ""
+    lap = "" if scores["lap_s"] is None else f"{scores['lap_s']:.1f}"
     cells = (
         f"{name}, {algorithm}",
         result["seed"],
@@ -73,7 +71,7 @@ def row(name: str, algorithm: str, result: dict[str, Any]) -> str:
         f"{result['cpu_s']:.0f}",
         f"{scores['success_rate']:.0%}",
         f"{scores['crash_rate']:.0%}",
-        f"{scores['error_m']:.3f}" if name.startswith("hover") else "",
+        f"{scores['final_distance_m']:.3f}" if name.startswith("hover") else "",
         lap,
     )
     return f"| {' | '.join(map(str, cells))} |"

@@ -2,14 +2,13 @@
 
 import json
 import time
-from dataclasses import asdict, dataclass, fields
+from dataclasses import asdict, dataclass, fields, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
-from evaluate import Evaluation, evaluated
-from trainings import Training
+from trainings import Training, evaluate
 
 import dronevio as dv
 
@@ -19,8 +18,8 @@ RESULT = "result.json"
 """Name of the file with learning curve and evaluation."""
 REPORTS = 60
 """Number of reports of a training."""
-EPISODES = 100
-"""Number of episodes of the evaluation."""
+IMU_RATE_HZ = 200.0
+"""Rate of the IMU and of the inner loops with which policies are flown [Hz]."""
 
 
 @dataclass(frozen=True)
@@ -100,25 +99,26 @@ class Progress:
         return time.perf_counter() - self._wall_s, time.process_time() - self._cpu_s
 
 
-def finish(policy: dv.Policy, training: Training, progress: Progress, folder: Path) -> Evaluation:
+def finish(policy: dv.Policy, training: Training, progress: Progress, folder: Path) -> None:
     """Write a policy, evaluate it in unseen episodes, and write learning curve and evaluation."""
     wall_s, cpu_s = progress.elapsed_s
+    policy = replace(policy, imu_rate_hz=IMU_RATE_HZ)
     folder.mkdir(parents=True, exist_ok=True)
     dv.save_policy(folder / POLICY, policy)
-    evaluation = evaluated(policy.action, training, EPISODES)
+    evaluation = evaluate(policy, training)
     result = {
         "environment": training.environment,
-        "samples": progress.samples,
+        "algorithm": policy.provenance.algorithm,
         "seed": policy.provenance.seed,
+        "samples": progress.samples,
         "wall_s": round(wall_s, 1),
         "cpu_s": round(cpu_s, 1),
         "versions": dict(policy.provenance.versions),
-        "evaluation": asdict(evaluation),
+        "evaluation": {"episodes": len(evaluation.ends), **evaluation.figures(), "ends": evaluation.counts()},
         "curve": columns_of(progress.reports),
     }
     (folder / RESULT).write_text(json.dumps(result, indent=1) + "\n", encoding="utf-8")
-    print(f"{folder}: {evaluation}")
-    return evaluation
+    print(f"{folder}: {result['evaluation']}")
 
 
 def columns_of(reports: list[Report]) -> dict[str, str]:

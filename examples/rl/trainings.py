@@ -9,10 +9,8 @@ from typing import Any
 
 import gymnasium
 
+import dronevio as dv
 from dronevio.sim.envs import MODERATE, Race
-
-UNSEEN = 1_000_000
-"""Seed of the environments in which policies are evaluated, which no training uses."""
 
 
 @dataclass(frozen=True)
@@ -93,7 +91,7 @@ def training_envs(training: Training) -> Any:
     )
 
 
-def evaluation_envs(training: Training, episodes: int) -> Any:
-    """Return a vector with one environment for each episode of an evaluation."""
-    arguments = {**training.arguments, **training.of_evaluation}
-    return gymnasium.make_vec(f"dronevio.envs:{training.environment}", episodes, flat=True, **arguments)
+def evaluate(policy: dv.Policy, training: Training, episodes: int = 100) -> dv.PolicyEvaluation:
+    """Return the results of a policy in unseen episodes of the environment of a training."""
+    arguments = {name: value for name, value in training.arguments.items() if name != "observations"}
+    return dv.evaluate_policy(policy, episodes, environment=training.environment, **arguments, **training.of_evaluation)

@@ -29,54 +29,15 @@ def example() -> Callable[[str], ModuleType]:
     return load
 
 
-def hovering(observations: Any) -> Any:
-    return np.zeros((len(observations), 4), np.float32)
-
-
 def test_all_trainings_have_environments(example: Any) -> None:
     trainings = example("trainings")
     for training in trainings.TRAININGS.values():
         assert training.num_envs * training.rollout_steps % training.minibatch == 0
-        for envs in (trainings.training_envs(training), trainings.evaluation_envs(training, 2)):
-            observations, _ = envs.reset(seed=0)
-            assert observations.shape == (envs.num_envs, *envs.single_observation_space.shape)
-            assert envs.spec.id == training.environment
-            envs.close()
-
-
-def test_a_policy_is_evaluated_once_per_environment(example: Any) -> None:
-    result = example("evaluate").evaluated(hovering, example("trainings").TRAININGS["waypoints"], 4)
-    assert result.episodes == sum(result.ends.values()) == 4
-    assert (result.success_rate, result.duration_s) == (0.0, None)
-    assert result.crash_rate == 1.0 - result.ends.get("time limit", 0) / 4
-
-
-class Ends:
-    """Environments of two episodes, of which the second ends with success after three steps."""
-
-    num_envs = 2
-    metadata = {"render_fps": 50}  # noqa: RUF012
-
-    def reset(self, seed: int) -> Any:
-        self.steps = 0
-        return np.zeros((2, 1), np.float32), {}
-
-    def step(self, actions: Any) -> Any:
-        self.steps += 1
-        over = np.array([self.steps == 5, self.steps == 3])
-        infos = {
-            "success": np.array([False, True]),
-            "distance_m": np.full(2, 0.1 * self.steps),
-            "termination": np.where(over, ["ground", "success"], ""),
-        }
-        return np.zeros((2, 1), np.float32), np.zeros(2), over, np.zeros(2, np.bool_), infos
-
-
-def test_results_are_those_of_the_ends_of_episodes(example: Any) -> None:
-    result = example("evaluate").evaluate(hovering, Ends())
-    assert (result.success_rate, result.crash_rate, result.ends) == (0.5, 0.5, {"ground": 1, "success": 1})
-    assert result.error_m == pytest.approx(0.4)
-    assert result.duration_s == pytest.approx(3 / 50)
+        envs = trainings.training_envs(training)
+        observations, _ = envs.reset(seed=0)
+        assert observations.shape == (training.num_envs, *envs.single_observation_space.shape)
+        assert envs.spec.id == training.environment
+        envs.close()
 
 
 def test_the_curve_has_means_of_ended_episodes(example: Any) -> None:
@@ -99,11 +60,11 @@ POLICIES = {"hover": (20, 1.0), "hover-imu": (20, 1.0), "waypoints": (20, 0.9)}
 @pytest.mark.parametrize("name", POLICIES)
 def test_committed_policies_succeed(example: Any, name: str) -> None:
     episodes, share = POLICIES[name]
-    training = example("trainings").TRAININGS[name]
+    trainings = example("trainings")
     policy = dv.load_policy(FOLDER / "policies" / f"{name}.safetensors")
-    assert policy.environment == training.environment
-    result = example("evaluate").evaluated(policy.action, training, episodes)
-    assert result.success_rate >= share
+    assert policy.environment == trainings.TRAININGS[name].environment
+    result = trainings.evaluate(policy, trainings.TRAININGS[name], episodes)
+    assert result.success.mean() >= share
 
 
 def trained(example: Any, module: str, folder: Path) -> dict[str, Any]:
