@@ -30,13 +30,13 @@ class AnimateCommand:
     """File to write."""
     seed: int = 1_000_000
     """Seed of the environment."""
-    duration_s: float = 10.0
+    duration_s: float = 6.0
     """Longest duration of the animation [s]."""
-    rate_hz: float = 10.0
+    rate_hz: float = 8.0
     """Number of pictures per second of the flight [Hz]."""
-    width_px: int = 320
+    width_px: int = 240
     """Width of the pictures [px]."""
-    colours: int = 64
+    colours: int = 32
     """Number of colours of a picture."""
 
 
@@ -45,12 +45,13 @@ def pictures(command: AnimateCommand) -> list[Image.Image]:
     training, policy = TRAININGS[command.training], dv.load_policy(command.policy)
     arguments = {**training.arguments, **training.of_evaluation}
     env: Any = gymnasium.make(f"dronevio.envs:{training.environment}", render_mode="rgb_array", flat=True, **arguments)
-    every = round(env.metadata["render_fps"] / command.rate_hz)
-    steps = round(command.duration_s * env.metadata["render_fps"])
+    fps = env.metadata["render_fps"]
+    count = round(command.duration_s * command.rate_hz)
+    shown = {round(k * fps / command.rate_hz) for k in range(count)}
     observation, _ = env.reset(seed=command.seed)
     frames = []
-    for step in range(steps):
-        if step % every == 0:
+    for step in range(max(shown) + 1):
+        if step in shown:
             picture = Image.fromarray(env.render())
             height = picture.height * command.width_px // picture.width
             frames.append(picture.resize((command.width_px, height), Image.Resampling.LANCZOS))

@@ -53,7 +53,7 @@ def test_the_curve_has_means_of_ended_episodes(example: Any) -> None:
     assert (report.success_rate, report.error_m) == (1.0, 0.2)
 
 
-POLICIES = {"hover": (20, 1.0), "hover-imu": (20, 1.0), "waypoints": (20, 0.9)}
+POLICIES = {"hover": (20, 1.0), "hover-imu": (20, 1.0), "waypoints": (20, 0.9), "race": (4, 0.75)}
 """Number of episodes of each committed policy, and the smallest share of them that succeeds."""
 
 
