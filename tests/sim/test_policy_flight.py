@@ -1,6 +1,7 @@
 """Flights of policies, with dead reckoning of a noise-free IMU in place of the odometry."""
 
 from dataclasses import replace
+from pathlib import Path
 from typing import Any
 
 import gymnasium
@@ -12,7 +13,7 @@ import dronevio.envs  # noqa: F401 registers
 from dronevio.estimator.baselines.dead_reckoning import DeadReckoning
 from dronevio.models.errors import ConfigError
 from dronevio.models.imu import ImuModel, ImuSamples
-from dronevio.models.policies import Layer, NamedShape, Network, Policy, Scaling
+from dronevio.models.policies import Layer, NamedShape, Network, Policy, Scaling, load_policy
 from dronevio.models.policies.outcome import PolicyOutcome
 from dronevio.models.rig import euroc_rig
 from dronevio.models.rotation import inverse_pose, quat_wxyz_from_matrix
@@ -225,3 +226,15 @@ def test_goals_are_judged_on_the_true_path(hovering_policy: Policy, base: Scenar
     _, outcome, pilot = flown(mission, Displaced(base.rig))
     assert pilot.finished and not outcome.success
     assert outcome.end == "goals missed" and (outcome.distance_m or 0.0) > 0.25
+
+
+def test_a_trained_policy_flies_on_noisy_imu_samples(base: Scenario) -> None:
+    """The policy has no angular velocity but that of the IMU."""
+    path = Path(__file__).resolve().parents[2] / "examples" / "rl" / "policies" / "hover-imu.safetensors"
+    if not path.exists():
+        pytest.skip("the trained policies are in the repository, not in the package")
+    policy = load_policy(path)
+    assert "imu" in policy.names and "rate" not in policy.names
+    noisy = replace(base, rig=euroc_rig())
+    _, outcome, _ = flown(replace(policy_mission(policy, noisy), task=Hover(episode_s=3.0)), true_state=True)
+    assert outcome.success and outcome.end == "time limit"
