@@ -6,7 +6,8 @@ The renderer supports ideal pinhole projections only. Wider and finer pinhole im
 light, so that images are equally sharp from the centre to the edge for every lens.
 """
 
-from functools import cached_property
+from dataclasses import dataclass
+from functools import cached_property, lru_cache
 from types import TracebackType
 from typing import Self
 
@@ -55,13 +56,13 @@ class OffscreenCamera:
             GraphicsError: Off-screen OpenGL is not available.
         """
         self.camera = camera
-        self.views = Views.around(camera, supersampling)
+        self._tables = _lens_tables(camera, supersampling)
+        self.views = self._tables.views
         """Pinhole views from which an image is composed."""
         self.geom_names = tuple(str(model.geom(number).name) for number in range(model.ngeom))
         """Names of the geoms of the world by the index that `render_surfaces` returns."""
         self._context, self._owns_context = context or RenderContext(model), context is None
         self._renderer = AtlasRenderer(model, self.views, self._context)
-        self._lookup = self.views.lookup(pixel_rays(camera, _ACROSS))
         self._blur_px = LENS_BLUR_PX * _ACROSS
 
     def render(self, T_world_cam: Array, mover_poses: MoverPoses = NO_MOVERS, rows: slice = slice(None)) -> GreyImage:
@@ -78,14 +79,15 @@ class OffscreenCamera:
         """
         first, last, _ = rows.indices(self.camera.height)
         top, end = max(first - _SUPPORT_PX, 0), min(last + _SUPPORT_PX, self.camera.height)
-        columns, levels = (part[_ACROSS * top : _ACROSS * end] for part in self._lookup)
-        wanted = self._atlas_rows(levels) if end - top < self.camera.height else None
+        fine_rows = slice(_ACROSS * top, _ACROSS * end)
+        columns, levels = (part[fine_rows] for part in self._tables.lookup)
+        wanted = self._tables.atlas_rows(fine_rows) if end - top < self.camera.height else None
         grey = cv2.cvtColor(self._renderer.colours(T_world_cam, mover_poses, wanted), cv2.COLOR_RGB2GRAY)
         return self._through_lens(grey, (columns, levels))[first - top : last - top]
 
     def render_rgb(self, T_world_cam: Array, mover_poses: MoverPoses = NO_MOVERS) -> GreyImage:
         """Return the RGB image (H, W, 3) at a pose T_world_cam (4, 4)."""
-        return self._through_lens(self._renderer.colours(T_world_cam, mover_poses), self._lookup)
+        return self._through_lens(self._renderer.colours(T_world_cam, mover_poses), self._tables.lookup)
 
     def render_surfaces(self, T_world_cam: Array, mover_poses: MoverPoses = NO_MOVERS) -> Surfaces:
         """Return depth and geom at the centre of each pixel (H, W) at a pose T_world_cam (4, 4)."""
@@ -132,12 +134,6 @@ class OffscreenCamera:
     ) -> None:
         self.close()
 
-    def _atlas_rows(self, looked_up: Lookup) -> tuple[int, int]:
-        """Return the first row of the atlas that is looked up, and the row after the last."""
-        inside = looked_up[looked_up >= 0.0]
-        low, high = float(inside.min(initial=np.inf)), float(inside.max(initial=0.0))
-        return max(int(min(low, high)) - 1, 0), min(int(high) + 3, self.views.height)
-
     def _through_lens(
         self, atlas: npt.NDArray[np.uint8] | cv2.typing.MatLike, lookup: tuple[Lookup, Lookup]
     ) -> GreyImage:
@@ -146,6 +142,35 @@ class OffscreenCamera:
         cv2.GaussianBlur(fine, (0, 0), self._blur_px, dst=fine)
         size = (self.camera.width, len(lookup[0]) // _ACROSS)
         return np.asarray(cv2.resize(fine, size, interpolation=cv2.INTER_AREA), dtype=np.uint8)
+
+
+@dataclass(frozen=True, eq=False)
+class _LensTables:
+    """Look-up tables of a lens."""
+
+    views: Views
+    """Pinhole views from which an image is composed."""
+    lookup: tuple[Lookup, Lookup]
+    """(2 H, 2 W) Columns and rows of the atlas of each quarter of a pixel [px]."""
+    lowest: Lookup
+    """(2 H,) Lowest row of the atlas of each row; infinite if it has none [px]."""
+    highest: Lookup
+    """(2 H,) Highest row of the atlas of each row; 0 if it has none [px]."""
+
+    def atlas_rows(self, rows: slice) -> tuple[int, int]:
+        """Return the first row of the atlas that some rows look up, and the row after the last."""
+        low, high = float(self.lowest[rows].min(initial=np.inf)), float(self.highest[rows].max(initial=0.0))
+        return max(int(min(low, high)) - 1, 0), min(int(high) + 3, self.views.height)
+
+
+@lru_cache(maxsize=4)  # one rig with two cameras, each with a small image; full tables have 12 MB and take a second
+def _lens_tables(camera: CameraModel, supersampling: float) -> _LensTables:
+    """Return the look-up tables of a lens."""
+    views = Views.around(camera, supersampling)
+    columns, levels = views.lookup(pixel_rays(camera, _ACROSS))
+    inside = levels >= 0.0
+    lowest = np.where(inside, levels, np.float32(np.inf)).min(axis=1)
+    return _LensTables(views, (columns, levels), lowest, np.where(inside, levels, np.float32(0.0)).max(axis=1))
 
 
 class _SurfaceLookup:

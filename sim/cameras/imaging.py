@@ -78,9 +78,13 @@ class Imaging:
         """
         lens = _lens(*light.shape, self.vignetting)
         signal = light * (lens * np.float32(irradiance * exposure_s / self.nominal_exposure_s))
-        sigma = np.sqrt(self.read_sigma**2 + self.shot_sigma**2 / WHITE * signal)
-        signal += sigma * rng.standard_normal(light.shape, dtype=np.float32)
-        return np.asarray(np.clip(np.rint(signal * np.float32(gain)), 0.0, WHITE), dtype=np.uint8)
+        noise = self.shot_sigma**2 / WHITE * signal
+        noise += self.read_sigma**2
+        np.sqrt(noise, out=noise)
+        noise *= rng.standard_normal(light.shape, dtype=np.float32)
+        signal += noise
+        signal *= np.float32(gain)
+        return np.asarray(np.clip(np.rint(signal, out=signal), 0.0, WHITE, out=signal), dtype=np.uint8)
 
 
 @lru_cache(maxsize=8)

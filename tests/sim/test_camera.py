@@ -17,6 +17,7 @@ from dronevio.models.rig_presets import TUM_VI_CAMERA, UZH_FPV_CAMERA, rig_named
 from dronevio.models.rotation import exp_so3, inverse_pose, pose_matrix, skew
 from dronevio.sim.appearance.scenery import add_pages, paint_pages
 from dronevio.sim.appearance.solids import Face
+from dronevio.sim.cameras import camera as camera_module
 from dronevio.sim.cameras import views
 from dronevio.sim.cameras.camera import GreyImage, OffscreenCamera
 from dronevio.sim.cameras.surfaces import Flow, points_in_camera
@@ -211,6 +212,7 @@ def test_a_cube_of_views_agrees_with_a_single_view(monkeypatch: pytest.MonkeyPat
         assert len(offscreen.views.views) == 1
         single, depth = offscreen.render(T_NOW).astype(float), offscreen.render_depth(T_NOW)
     monkeypatch.setattr(views, "_WORTH_A_CUBE", np.inf)
+    monkeypatch.setattr(camera_module, "_lens_tables", camera_module._lens_tables.__wrapped__)  # without the cache
     with OffscreenCamera(model, EUROC_CAM0) as offscreen:
         assert len(offscreen.views.views) > 1
         cube, depth_of_cube = offscreen.render(T_NOW).astype(float), offscreen.render_depth(T_NOW)
