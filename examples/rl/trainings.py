@@ -72,7 +72,7 @@ TRAININGS: dict[str, Training] = {
     "race": Training(
         "dronevio/Race-v0",
         samples=6_000_000,
-        of_training={"task": Race(on_course=0.9), "max_episode_steps": 500, **_FASTER},
+        of_training={"max_episode_steps": 500, **_FASTER},
         of_evaluation={"task": Race(on_course=0.0)},
         num_envs=512,
         epochs=6,
