@@ -24,7 +24,7 @@ from dronevio.models.protocols import Estimator, Recording
 from dronevio.models.reconstruction import Reconstruction
 from dronevio.models.recordings.open import open_recording, read_trajectory
 from dronevio.models.state import Trajectory
-from dronevio.recorder import record_flight, record_on_estimate
+from dronevio.recorder import record_closed_loop, record_flight
 from dronevio.sfm_inputs import EarlierResult, read_earlier, read_poses
 from dronevio.sim.loop_settings import LoopSettings
 from dronevio.sim.scenario import Scenario
@@ -87,7 +87,7 @@ def fly_on_estimate(
     if estimator is None or isinstance(estimator, VioConfig):
         estimator = VisualInertialOdometry(flown.rig, estimator)
     timed = TimedEstimator(estimator)
-    record_on_estimate(flown, Path(folder), timed, latency, progress)
+    record_closed_loop(flown, Path(folder), timed, latency, progress)
     return open_recording(Path(folder)), timed.run
 
 

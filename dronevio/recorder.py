@@ -15,7 +15,7 @@ from dronevio.models.rig_presets import RIGS, rig_named
 from dronevio.models.serialization import to_jsonable
 from dronevio.models.state import CameraFrame
 from dronevio.sim.cameras.imaging import Imaging
-from dronevio.sim.closed_loop import Pilot, fly_on_estimate
+from dronevio.sim.closed_loop import Pilot, fly_closed_loop
 from dronevio.sim.flight import Flight, fly
 from dronevio.sim.loop_settings import LoopSettings
 from dronevio.sim.refly import FlownPath
@@ -72,7 +72,7 @@ def record_flight(
     return flight
 
 
-def record_on_estimate(
+def record_closed_loop(
     scenario: Scenario,
     folder: Path,
     estimator: Estimator,
@@ -81,10 +81,10 @@ def record_on_estimate(
     pilot: Pilot | None = None,
     true_state: bool = False,
 ) -> Flight:
-    """Simulate a scenario flown on the output of an estimator, and write its recording into a folder.
+    """Simulate a scenario with an estimator, whose state the pilot receives, and write its recording into a folder.
 
-    The recording is that of `record_flight`, along the path that the vehicle takes on the estimate. Frames are rendered
-    and written as they are exposed.
+    The recording is that of `record_flight`, along the path that the pilot flies. Frames are rendered and written as
+    they are exposed.
 
     Args:
         scenario: The scenario with its seed, which together with the estimator determines all bytes of the recording.
@@ -115,7 +115,7 @@ def record_on_estimate(
         unfinished(mav0, [f"cam{number}" for number in range(len(scenario.rig.cameras))]),
     ):
         try:
-            flight = fly_on_estimate(scenario, estimator, cameras, settings, progress, write, pilot, true_state)
+            flight = fly_closed_loop(scenario, estimator, cameras, settings, progress, write, pilot, true_state)
             _write_settings(folder, {"scenario": scenario, "imu_constants": flight.imu_constants})
             write_euroc(folder, scenario.rig, flight.imu, flight.truth, flight.schedule.stamps_ns)
             write_text(mav0 / FRAME_TRUTH_FILE, frame_truth_text(cameras.frames))

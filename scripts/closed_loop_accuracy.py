@@ -35,7 +35,7 @@ from dronevio.eval.metrics.scores import score_trajectory
 from dronevio.models.imu import ImuSamples, Times
 from dronevio.models.rig import Rig
 from dronevio.models.state import CameraFrame, Trajectory
-from dronevio.sim.closed_loop import fly_on_estimate
+from dronevio.sim.closed_loop import fly_closed_loop
 from dronevio.sim.flight import Flight, fly
 from dronevio.sim.rendering.live_cameras import LiveCameras
 from dronevio.sim.scenario import Scenario
@@ -160,7 +160,7 @@ def _on_estimate(scenario: Scenario) -> tuple[Flight, Trajectory]:
     """Return a flight on the estimate, and that estimate."""
     estimator = TimedEstimator(VisualInertialOdometry(scenario.rig))
     with closing(_cameras(scenario)) as cameras:
-        flight = fly_on_estimate(scenario, estimator, cameras)
+        flight = fly_closed_loop(scenario, estimator, cameras)
     return flight, estimator.run.trajectory
 
 

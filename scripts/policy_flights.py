@@ -32,7 +32,7 @@ from dronevio.driver import TimedEstimator
 from dronevio.estimator.vio import VisualInertialOdometry
 from dronevio.eval.metrics.scores import score_trajectory
 from dronevio.models.policies.policy_file import load_policy
-from dronevio.sim.closed_loop import fly_on_estimate
+from dronevio.sim.closed_loop import fly_closed_loop
 from dronevio.sim.envs import PolicyPilot, policy_mission, policy_outcome
 from dronevio.sim.rendering.live_cameras import LiveCameras
 from dronevio.sim.scenarios import scenario_named
@@ -84,7 +84,7 @@ def flown(path: Path, state: State, seed: int) -> FlightResult:
     scenario, pilot = mission.scenario, PolicyPilot(mission)
     estimator = TimedEstimator(VisualInertialOdometry(scenario.rig))
     with closing(LiveCameras(scenario.true_rig, scenario.world, scenario.seed, scenario.imaging)) as cameras:
-        flight = fly_on_estimate(scenario, estimator, cameras, pilot=pilot, true_state=state == "truth")
+        flight = fly_closed_loop(scenario, estimator, cameras, pilot=pilot, true_state=state == "truth")
     outcome = policy_outcome(mission, flight, pilot.began_ns)
     trajectory, ate_m = estimator.run.trajectory, None
     if len(trajectory) > 1:

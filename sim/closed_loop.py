@@ -68,7 +68,7 @@ class ReferencePilot:
         """Do nothing."""
 
 
-def fly_on_estimate(
+def fly_closed_loop(
     scenario: Scenario,
     estimator: Estimator,
     frames: FrameSource,
@@ -78,7 +78,7 @@ def fly_on_estimate(
     pilot: Pilot | None = None,
     true_state: bool = False,
 ) -> Flight:
-    """Simulate a scenario whose controller receives the estimated state, until the end or a collision.
+    """Simulate a scenario with an estimator, whose state the pilot receives, until the end or a collision.
 
     The vehicle stands on its pad, with the rotors stopped, until the estimator has a state; the planned pose on the pad
     places the estimate in the world. A scenario that starts in motion is flown on the true state until the first
@@ -129,8 +129,8 @@ def fly_on_estimate(
             on_frame(frame)
         if starts_in_air:
             estimated.start_at(plant.state().T_world_imu)
-        state = estimated.at(plant.t_ns) or (plant.state() if starts_in_air else None)
-        if true_state:
+        state = estimated.at(plant.t_ns)
+        if true_state or (state is None and starts_in_air):
             state = plant.state()
         waits = state is None and bool(planned.flying[step])
         commands.append(np.zeros(4) if state is None else control.command(state, int(planned.t_ns[step])))

@@ -102,7 +102,7 @@ def _flown_live(
     from dronevio.estimator.vio import VisualInertialOdometry
     from dronevio.eval.rerun.files import write_rrd
     from dronevio.models.errors import ConfigError
-    from dronevio.recorder import record_on_estimate
+    from dronevio.recorder import record_closed_loop
     from dronevio.sim.envs.mission import policy_outcome
     from dronevio.sim.envs.pilot import PolicyPilot
 
@@ -112,7 +112,7 @@ def _flown_live(
     progress = {name: bars.bar(name) for name in ("flying", "logging")}
     estimator = TimedEstimator(VisualInertialOdometry(scenario.rig, command.estimator))
     pilot = None if mission is None else PolicyPilot(mission)
-    flight = record_on_estimate(
+    flight = record_closed_loop(
         scenario,
         folder / "recording",
         estimator,

@@ -50,7 +50,7 @@ def test_documented_observations_are_those_of_the_space(pages: Any, environment_
 @pytest.mark.parametrize("environment_id", IDS)
 def test_documented_rewards_are_those_of_a_step(pages: Any, environment_id: str) -> None:
     named = re.findall(r"^- ``(\w+)``:", section(pages.docstring_of(environment_id), "Rewards"), re.MULTILINE)
-    at_once = {"estimation": Estimation(longest_wait_s=0.0)}  # without images
+    at_once: dict[str, Any] = {"estimation": Estimation(longest_wait_s=0.0)}  # without images
     with gymnasium.make(environment_id, observations=("position",), **at_once) as env:
         env.reset(seed=0)
         *_, info = env.step(np.zeros(4, np.float32))

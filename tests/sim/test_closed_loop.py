@@ -13,7 +13,7 @@ from dronevio.models.imu import ImuModel, ImuSamples
 from dronevio.models.rig import Rig, euroc_rig
 from dronevio.models.rotation import exp_so3, pose_matrix, rotation_z, yaw_rad_from_matrix
 from dronevio.models.state import CameraFrame, Estimate, NavState, Trajectory
-from dronevio.sim.closed_loop import fly_on_estimate
+from dronevio.sim.closed_loop import fly_closed_loop
 from dronevio.sim.estimated_state import transformed, world_from_odometry
 from dronevio.sim.flight import Flight, fly
 from dronevio.sim.loop_settings import LoopSettings
@@ -82,7 +82,7 @@ def scenario() -> Scenario:
 
 
 def fly_with(scenario: Scenario, odometry: Odometry, settings: LoopSettings = LATENCY) -> Flight:
-    return fly_on_estimate(scenario, odometry, NoImages(), settings)
+    return fly_closed_loop(scenario, odometry, NoImages(), settings)
 
 
 @pytest.fixture(scope="module")

@@ -18,7 +18,7 @@ from dronevio.models.policies.outcome import PolicyOutcome
 from dronevio.models.rig import euroc_rig
 from dronevio.models.rotation import inverse_pose, quat_wxyz_from_matrix
 from dronevio.models.state import CameraFrame, NavState, Trajectory
-from dronevio.sim.closed_loop import fly_on_estimate
+from dronevio.sim.closed_loop import fly_closed_loop
 from dronevio.sim.envs.mission import PolicyMission, policy_mission, policy_outcome
 from dronevio.sim.envs.pilot import PolicyPilot
 from dronevio.sim.envs.tasks import Hover, Race, Waypoints
@@ -70,7 +70,7 @@ def flown(
     mission: PolicyMission, estimator: Any = None, true_state: bool = False
 ) -> tuple[Flight, PolicyOutcome, PolicyPilot]:
     pilot = PolicyPilot(mission)
-    flight = fly_on_estimate(
+    flight = fly_closed_loop(
         mission.scenario,
         estimator or DeadReckoning(mission.scenario.rig),
         NoImages(),
