@@ -303,7 +303,8 @@ def test_interrupted_run_leaves_no_folder(tmp_path: Path, stop: Callable[[int], 
     # handler: a `preexec_fn` may deadlock, since the tests have threads at the time of the fork.
     restored = "import signal; signal.signal(signal.SIGINT, signal.default_int_handler)"
     code = f"{restored}; from dronevio.cli import main; raise SystemExit(main())"
-    command = [sys.executable, "-c", code, "run", *SCENARIO, "--out", str(tmp_path / "out")]
+    flight = [*SCENARIO, "--world", "repetitive"]  # few textures, so that rendering begins soon
+    command = [sys.executable, "-c", code, "run", *flight, "--out", str(tmp_path / "out")]
     with subprocess.Popen(command, stderr=subprocess.PIPE, text=True, start_new_session=True) as process:
         try:
             wait_until(lambda: sum(1 for _ in tmp_path.rglob("*.png")) > 5 or process.poll() is not None)

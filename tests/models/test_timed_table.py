@@ -190,7 +190,7 @@ edits = st.lists(
 
 
 @pytest.mark.parametrize("form", [CSV, TUM], ids=["csv", "tum"])
-@settings(max_examples=1500, deadline=None)
+@settings(max_examples=600, deadline=None)
 @given(edits=edits, data=st.data())
 def test_broken_text_is_refused_or_read_as_expected(
     scratch: Path, form: TableFormat, edits: list[tuple[float, int, str]], data: st.DataObject
@@ -217,7 +217,7 @@ def test_a_comment_at_the_end_is_no_truncation(scratch: Path) -> None:
         read(scratch, whole.rstrip("\n"), form)
 
 
-@settings(max_examples=500, deadline=None)
+@settings(max_examples=200, deadline=None)
 @given(st.binary(max_size=200))
 def test_any_bytes_are_refused_or_read(scratch: Path, content: bytes) -> None:
     try:
