@@ -10,7 +10,7 @@ import numpy as np
 
 from dronevio.eval.run import EstimatorRun
 from dronevio.models.errors import EvaluationError
-from dronevio.models.imu import ImuModel, ImuSamples
+from dronevio.models.imu import GRAVITY_M_S2, ImuModel, ImuSamples
 from dronevio.models.progress import Progress, silent
 from dronevio.models.protocols import Estimator, Recording, measurements
 from dronevio.models.state import CameraFrame, Estimate, NavState, Trajectory
@@ -38,16 +38,19 @@ class RunObserver(Protocol):
 class ImuRateObserver:
     """Propagates the newest estimate to every IMU sample, as a system in real time does; a `RunObserver`."""
 
-    def __init__(self, imu: ImuModel, config: "PreintegrationConfig | None" = None) -> None:
+    def __init__(
+        self, imu: ImuModel, config: "PreintegrationConfig | None" = None, gravity_m_s2: float = GRAVITY_M_S2
+    ) -> None:
         """Start before the first measurement.
 
         Args:
             imu: Model of the IMU.
             config: Settings of the preintegration.
+            gravity_m_s2: Magnitude of gravity [m/s²].
         """
         from dronevio.estimator.imu.forward_propagation import ImuRatePropagator
 
-        self._propagator = ImuRatePropagator(imu, config)
+        self._propagator = ImuRatePropagator(imu, config, gravity_m_s2)
         self._states: list[NavState] = []
 
     def imu(self, samples: ImuSamples) -> None:

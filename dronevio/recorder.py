@@ -5,6 +5,7 @@ from contextlib import closing
 from pathlib import Path
 
 from dronevio.models.errors import ConfigError, IncompleteError
+from dronevio.models.imu import GRAVITY_M_S2
 from dronevio.models.progress import Progress, silent
 from dronevio.models.protocols import Estimator
 from dronevio.models.recordings.euroc import write_euroc
@@ -66,7 +67,7 @@ def record_flight(
         scenario.imaging,
         truth_images,
     )
-    _write_settings(folder, {"scenario": scenario, "imu_constants": flight.imu_constants})
+    _write_settings(folder, _settings(scenario, flight))
     write_euroc(folder, scenario.rig, flight.imu, flight.truth, flight.schedule.stamps_ns)
     render_frames(job, folder / "mav0", rendering, workers)
     return flight
@@ -116,7 +117,7 @@ def record_closed_loop(
     ):
         try:
             flight = fly_closed_loop(scenario, estimator, cameras, settings, progress, write, pilot, true_state)
-            _write_settings(folder, {"scenario": scenario, "imu_constants": flight.imu_constants})
+            _write_settings(folder, _settings(scenario, flight))
             write_euroc(folder, scenario.rig, flight.imu, flight.truth, flight.schedule.stamps_ns)
             write_text(mav0 / FRAME_TRUTH_FILE, frame_truth_text(cameras.frames))
         except OSError as error:
@@ -183,6 +184,11 @@ def rig_of(name_or_file: str) -> Rig:
     from dronevio.models.recordings.open import read_rig
 
     return read_rig(path)
+
+
+def _settings(scenario: Scenario, flight: Flight) -> dict[str, object]:
+    """Return the settings of a simulated flight, with what the simulator has drawn or taken as constant."""
+    return {"scenario": scenario, "imu_constants": flight.imu_constants, "gravity_m_s2": GRAVITY_M_S2}
 
 
 def _write_settings(folder: Path, settings: dict[str, object]) -> None:

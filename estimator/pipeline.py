@@ -13,7 +13,7 @@ from dronevio.estimator.frontend.rolling_shutter import ExposureCompensation
 from dronevio.estimator.imu.buffer import ImuBuffer, Increments
 from dronevio.estimator.types import Calibration, FramePacket, Observations
 from dronevio.models.errors import ConfigError
-from dronevio.models.imu import ImuModel, ImuSamples
+from dronevio.models.imu import GRAVITY_M_S2, ImuModel, ImuSamples
 from dronevio.models.state import CameraFrame, Estimate
 
 Array = npt.NDArray[np.float64]
@@ -22,15 +22,16 @@ Array = npt.NDArray[np.float64]
 class MeasurementPipeline:
     """Takes measurements in time order and returns frame packets."""
 
-    def __init__(self, imu: ImuModel, front_end: FrontEnd) -> None:
+    def __init__(self, imu: ImuModel, front_end: FrontEnd, gravity_m_s2: float = GRAVITY_M_S2) -> None:
         """Begin before the first measurement.
 
         Args:
             imu: The sensor model.
             front_end: Detects and tracks the features.
+            gravity_m_s2: Magnitude of gravity [m/s²].
         """
         self._front_end = front_end
-        self._buffer, self._exposure = ImuBuffer(imu), ExposureCompensation()
+        self._buffer, self._exposure = ImuBuffer(imu), ExposureCompensation(gravity_m_s2)
         self._last_frame_ns: int | None = None
 
     def add_imu(self, samples: ImuSamples) -> None:

@@ -76,13 +76,13 @@ class VisualInertialOdometry:
             front_end: Detects and tracks the features; by default in the images of all cameras.
         """
         self._config = c = config or VioConfig()
-        self._imu, self._noise = rig.imu, ImuNoiseEstimator(rig.imu, c.preintegration, c.noise)
-        self._online_calibration = OnlineCalibration(rig, c.calibration)
-        self._pipeline = MeasurementPipeline(rig.imu, front_end or RigTracker(rig, c.tracker))
-        self._zero_velocity = ZeroVelocityDetector(c.zero_velocity)
+        self._imu, self._noise = rig.imu, ImuNoiseEstimator(rig.imu, c.preintegration, c.noise, c.gravity_m_s2)
+        self._online_calibration = OnlineCalibration(rig, c.calibration, c.gravity_m_s2)
+        self._pipeline = MeasurementPipeline(rig.imu, front_end or RigTracker(rig, c.tracker), c.gravity_m_s2)
+        self._zero_velocity = ZeroVelocityDetector(c.zero_velocity, c.gravity_m_s2)
         self._keyframe_policy = KeyframePolicy(c.keyframe)
         self._publisher = Publisher(c.initialization, rig.imu.rate_hz)
-        self._imu_rate = ImuRatePropagator(rig.imu, c.preintegration)
+        self._imu_rate = ImuRatePropagator(rig.imu, c.preintegration, c.gravity_m_s2)
         self._gauge: Gauge = WorldOrigin(c.initialization.gyro_bias_sigma_rad_s)
         self._state: Initializing | Tracking = self._initializing()
 

@@ -57,7 +57,8 @@ def main(arguments: Sequence[str]) -> int:
     for place in filter(None, (command.out, command.imu_rate)):
         check_output_path(place)  # before the estimator runs
     recording = command.reading.open(command.recording)
-    imu_rate = ImuRateObserver(recording.rig.imu, command.estimator.preintegration)
+    estimator_config = command.estimator
+    imu_rate = ImuRateObserver(recording.rig.imu, estimator_config.preintegration, estimator_config.gravity_m_s2)
     observers = () if command.imu_rate is None else (imu_rate,)
     with progress_bars(quiet=command.printing.json) as bars:
         estimator = VisualInertialOdometry(recording.rig, command.estimator)

@@ -23,6 +23,7 @@ from dronevio.estimator.calibration.window import (
     window_observations,
     window_state,
 )
+from dronevio.models.imu import GRAVITY_M_S2
 from dronevio.models.rotation import exp_so3, log_so3
 
 Array = npt.NDArray[np.float64]
@@ -61,6 +62,7 @@ class CalibrationProblem:
         mean: Array,
         information: Array,
         estimated: npt.NDArray[np.bool_],
+        gravity_m_s2: float = GRAVITY_M_S2,
     ) -> None:
         """Select and triangulate the landmarks of a window.
 
@@ -73,6 +75,7 @@ class CalibrationProblem:
             information: (D, D) Prior information matrix of the corrections.
             estimated: (D,) Whether a correction is estimated. The prior of those that are not is independent of the
                 others.
+            gravity_m_s2: Magnitude of gravity of the preintegrated measurements [m/s²].
         """
         self._config, self._focal_px, self._sigma = config, focal_px, config.pixel_sigma / focal_px
         self._prior_mean, self._prior_information = mean, information
@@ -82,7 +85,7 @@ class CalibrationProblem:
         self._bias = np.concatenate([newest.gyro_bias_rad_s, newest.accel_bias_m_s2])
         self._first = self._state.R_world_imu[0].copy(), self._state.v_world_imu[0].copy(), self._bias.copy()
         self._factors = [
-            CalibrationImuFactor.from_preintegrated(keyframe.preintegrated, self._bias)
+            CalibrationImuFactor.from_preintegrated(keyframe.preintegrated, self._bias, gravity_m_s2)
             for keyframe in keyframes[1:]
             if keyframe.preintegrated
         ]

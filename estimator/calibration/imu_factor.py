@@ -14,8 +14,6 @@ from dronevio.models.rotation import exp_so3, log_so3, skew
 
 Array = npt.NDArray[np.float64]
 
-GRAVITY = np.array([0.0, 0.0, -GRAVITY_M_S2])
-"""(3,) Gravity in the world frame [m/s²]."""
 _BIAS_STEP = 1e-3
 """Step of the forward differences by the biases [rad/s and m/s²]."""
 
@@ -38,20 +36,28 @@ class CalibrationImuFactor:
     """(9, 6) Jacobian of rotation, position and velocity by the biases."""
     information: Array
     """(9, 9) Information matrix of rotation, position and velocity."""
+    gravity: Array
+    """(3,) Gravity in the world frame [m/s²]."""
 
     @classmethod
     def from_preintegrated(
-        cls, preintegrated: gtsam.PreintegratedCombinedMeasurements, bias: Array
+        cls, preintegrated: gtsam.PreintegratedCombinedMeasurements, bias: Array, gravity_m_s2: float = GRAVITY_M_S2
     ) -> "CalibrationImuFactor":
-        """Return the factor of GTSAM's preintegrated measurements, linearized at some biases (6,)."""
-        dt_s = float(preintegrated.deltaTij())
-        dR, dp_dv = _predicted(preintegrated, bias)
+        """Return the factor of GTSAM's preintegrated measurements, linearized at some biases (6,).
+
+        Args:
+            preintegrated: The preintegrated measurements.
+            bias: (6,) Biases of the gyroscope [rad/s] and the accelerometer [m/s²].
+            gravity_m_s2: Magnitude of gravity of the preintegrated measurements [m/s²].
+        """
+        dt_s, gravity = float(preintegrated.deltaTij()), np.array([0.0, 0.0, -gravity_m_s2])
+        dR, dp_dv = _predicted(preintegrated, bias, gravity)
         J = np.empty((9, 6))
         for axis, step in enumerate(_BIAS_STEP * np.eye(6)):
-            dR_step, dp_dv_step = _predicted(preintegrated, bias + step)
+            dR_step, dp_dv_step = _predicted(preintegrated, bias + step, gravity)
             J[:, axis] = np.concatenate([log_so3(dR.T @ dR_step), dp_dv_step - dp_dv]) / _BIAS_STEP
         information = np.asarray(np.linalg.inv(preintegrated.preintMeasCov()[:9, :9]), dtype=np.float64)
-        return cls(dt_s, dR, dp_dv, J, information)
+        return cls(dt_s, dR, dp_dv, J, information, gravity)
 
     def residual(self, R: Array, p: Array, v: Array, bias: Array) -> tuple[Array, Array]:
         """Return the residual (9,) between two keyframes, and its Jacobian (9, 24).
@@ -69,8 +75,8 @@ class CalibrationImuFactor:
         dt, R_start = self.dt_s, R[0].T
         dR = self.rotation @ exp_so3(self.J_bias[:3] @ bias)
         r_rotation = log_so3(dR.T @ R_start @ R[1])
-        dp = R_start @ (p[1] - p[0] - v[0] * dt - 0.5 * GRAVITY * dt**2)
-        dv = R_start @ (v[1] - v[0] - GRAVITY * dt)
+        dp = R_start @ (p[1] - p[0] - v[0] * dt - 0.5 * self.gravity * dt**2)
+        dv = R_start @ (v[1] - v[0] - self.gravity * dt)
         r = np.concatenate([r_rotation, np.concatenate([dp, dv]) - self.position_velocity - self.J_bias[3:] @ bias])
         J = np.zeros((9, 24))
         J[0:3, 0:3], J[0:3, 9:12] = -R[1].T @ R[0], np.eye(3)
@@ -80,9 +86,11 @@ class CalibrationImuFactor:
         return r, J
 
 
-def _predicted(preintegrated: gtsam.PreintegratedCombinedMeasurements, bias: Array) -> tuple[Array, Array]:
+def _predicted(
+    preintegrated: gtsam.PreintegratedCombinedMeasurements, bias: Array, gravity: Array
+) -> tuple[Array, Array]:
     """Return the preintegrated rotation (3, 3), and position and velocity (6,) without gravity, at some biases (6,)."""
     dt_s = preintegrated.deltaTij()
     end = preintegrated.predict(gtsam.NavState(), gtsam.imuBias.ConstantBias(bias[3:], bias[:3]))
-    dp_dv = np.concatenate([end.position() - 0.5 * GRAVITY * dt_s**2, end.velocity() - GRAVITY * dt_s])
+    dp_dv = np.concatenate([end.position() - 0.5 * gravity * dt_s**2, end.velocity() - gravity * dt_s])
     return end.attitude().matrix(), dp_dv

@@ -18,6 +18,7 @@ from dronevio.estimator.calibration.adjustment import CalibrationProblem
 from dronevio.estimator.calibration.corrections import Corrections
 from dronevio.estimator.calibration.window import AdjustmentConfig, WindowKeyframe
 from dronevio.estimator.types import Calibration, Observations
+from dronevio.models.imu import GRAVITY_M_S2
 from dronevio.models.rig import Rig
 from dronevio.models.rotation import exp_so3, pose_matrix
 from dronevio.models.state import NavState
@@ -78,14 +79,16 @@ class CalibrationConfig:
 class OnlineCalibration:
     """Estimates corrections of a rig's calibration from keyframes, and holds the calibration in use."""
 
-    def __init__(self, rig: Rig, config: CalibrationConfig | None = None) -> None:
+    def __init__(self, rig: Rig, config: CalibrationConfig | None = None, gravity_m_s2: float = GRAVITY_M_S2) -> None:
         """Begin with a given calibration.
 
         Args:
             rig: The given calibration.
             config: Settings.
+            gravity_m_s2: Magnitude of gravity [m/s²].
         """
-        self._config = c = config or CalibrationConfig()
+        self._config, self._gravity_m_s2 = config or CalibrationConfig(), gravity_m_s2
+        c = self._config
         self._calibration = self._given = Calibration(rig)
         per_camera = [c.rotation] * 3 + [c.translation] * 3 + [c.focal] * 2 + [c.principal] * 2
         parts = [c.time_offset, *per_camera * len(rig.cameras)]
@@ -190,6 +193,7 @@ class OnlineCalibration:
             self._mean,
             np.linalg.inv(self._covariance),
             self._estimated,
+            self._gravity_m_s2,
         )
         if len(window) >= c.min_keyframes and problem.landmark_count >= c.min_landmarks:
             self._problem = problem

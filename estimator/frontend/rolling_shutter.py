@@ -81,8 +81,9 @@ class ExposureCompensation:
     given time offset. The published estimate is the state at which the IMU's clock shows the frame's time stamp.
     """
 
-    def __init__(self) -> None:
-        """Begin before the first frame."""
+    def __init__(self, gravity_m_s2: float = GRAVITY_M_S2) -> None:
+        """Begin before the first frame, with the magnitude of gravity [m/s²]."""
+        self._gravity_m_s2 = gravity_m_s2
         self._rotation = LocalRotation.of(NO_INCREMENTS, NO_INCREMENTS, np.zeros(3))
         self._accel_m_s2 = np.zeros(3)
         self._frame_interval_s = 0.0
@@ -155,7 +156,7 @@ class ExposureCompensation:
         if state is None:
             return replace(estimate, t_ns=stamp_ns)
         R = state.T_world_imu[:3, :3]
-        accel = R @ (self._accel_m_s2 - state.accel_bias_m_s2) - [0.0, 0.0, GRAVITY_M_S2]
+        accel = R @ (self._accel_m_s2 - state.accel_bias_m_s2) - [0.0, 0.0, self._gravity_m_s2]
         p = state.T_world_imu[:3, 3] + by_s * state.velocity_m_s + 0.5 * by_s**2 * accel
         R_then = R @ exp_so3(self._rotation.at(np.array([by_s])))[0]
         state = replace(

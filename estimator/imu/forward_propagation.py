@@ -15,7 +15,7 @@ import numpy.typing as npt
 
 from dronevio.estimator.imu.buffer import Increments
 from dronevio.estimator.imu.preintegration import Preintegration, PreintegrationConfig, PreintegrationParams
-from dronevio.models.imu import ImuModel, ImuSamples
+from dronevio.models.imu import GRAVITY_M_S2, ImuModel, ImuSamples
 from dronevio.models.state import Estimate, NavState
 
 Array = npt.NDArray[np.float64]
@@ -77,14 +77,17 @@ class ImuRatePropagator:
         ...         propagator.correct(vio.add_frame(measurement))
     """
 
-    def __init__(self, imu: ImuModel, config: PreintegrationConfig | None = None) -> None:
+    def __init__(
+        self, imu: ImuModel, config: PreintegrationConfig | None = None, gravity_m_s2: float = GRAVITY_M_S2
+    ) -> None:
         """Create a propagator without an estimate.
 
         Args:
             imu: Noise of the IMU; states do not depend on it.
             config: Settings of the preintegration.
+            gravity_m_s2: Magnitude of gravity [m/s²].
         """
-        self._params = PreintegrationParams.of(imu, config or PreintegrationConfig())
+        self._params = PreintegrationParams.of(imu, config or PreintegrationConfig(), gravity_m_s2)
         self._received: deque[ImuSamples] = deque()  # samples that are not divided into intervals yet
         self._last: tuple[int, Array, Array] | None = None  # time stamp, gyroscope and accelerometer before them
         self._ahead: deque[_ImuInterval] = deque()  # intervals that are not integrated yet

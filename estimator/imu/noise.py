@@ -14,7 +14,7 @@ import numpy as np
 import numpy.typing as npt
 
 from dronevio.estimator.imu.preintegration import PreintegrationConfig, PreintegrationParams
-from dronevio.models.imu import ImuModel
+from dronevio.models.imu import GRAVITY_M_S2, ImuModel
 
 Array = npt.NDArray[np.float64]
 
@@ -115,17 +115,24 @@ class NoiseDensityEstimator:
 class ImuNoiseEstimator:
     """Estimates the white noise of gyroscope and accelerometer, and keeps the preintegration parameters current."""
 
-    def __init__(self, imu: ImuModel, inertial: PreintegrationConfig, config: NoiseEstimationConfig) -> None:
+    def __init__(
+        self,
+        imu: ImuModel,
+        inertial: PreintegrationConfig,
+        config: NoiseEstimationConfig,
+        gravity_m_s2: float = GRAVITY_M_S2,
+    ) -> None:
         """Create an estimator whose initial noise densities are those of the data sheet, inflated.
 
         Args:
             imu: Data sheet of the IMU.
             inertial: Settings of the preintegration, with the initial inflation.
             config: Settings of the estimation.
+            gravity_m_s2: Magnitude of gravity [m/s²].
         """
         self._gyro = NoiseDensityEstimator(imu.gyro_noise_density, inertial.gyro_noise_inflation, config)
         self._accel = NoiseDensityEstimator(imu.accel_noise_density, inertial.accel_noise_inflation, config)
-        self._params = PreintegrationParams.of(imu, inertial)
+        self._params = PreintegrationParams.of(imu, inertial, gravity_m_s2)
 
     @property
     def params(self) -> PreintegrationParams:

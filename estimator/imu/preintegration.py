@@ -37,7 +37,7 @@ class PreintegrationConfig:
 
 @dataclass(frozen=True)
 class PreintegrationParams:
-    """The noise of an IMU as preintegration uses it: squared densities of white noise and random walks."""
+    """The noise of an IMU as preintegration uses it, squared densities of white noise and random walks; and gravity."""
 
     gyro_variance: float
     """White noise of the gyroscope [rad²/s]."""
@@ -49,10 +49,12 @@ class PreintegrationParams:
     """Random walk of the accelerometer bias [m²/s⁵]."""
     integration_variance: float
     """Error of the integrated position [m²/s]."""
+    gravity_m_s2: float = GRAVITY_M_S2
+    """Magnitude of gravity [m/s²]."""
 
     @classmethod
-    def of(cls, imu: ImuModel, config: PreintegrationConfig) -> Self:
-        """Return the parameters of an IMU by its data sheet, inflated as configured."""
+    def of(cls, imu: ImuModel, config: PreintegrationConfig, gravity_m_s2: float = GRAVITY_M_S2) -> Self:
+        """Return the parameters of an IMU by its data sheet, inflated as configured, for a magnitude of gravity."""
         gyro_walk = max(config.walk_inflation * imu.gyro_random_walk, config.min_gyro_random_walk)
         accel_walk = max(config.walk_inflation * imu.accel_random_walk, config.min_accel_random_walk)
         return cls(
@@ -61,6 +63,7 @@ class PreintegrationParams:
             gyro_walk_variance=gyro_walk**2,
             accel_walk_variance=accel_walk**2,
             integration_variance=config.integration_sigma**2,
+            gravity_m_s2=gravity_m_s2,
         )
 
     def with_noise(self, gyro_density: float, accel_density: float) -> Self:
@@ -69,7 +72,7 @@ class PreintegrationParams:
 
     def to_gtsam(self) -> gtsam.PreintegrationCombinedParams:
         """Return a new parameter object for GTSAM, in a world whose z axis points up."""
-        params, eye = gtsam.PreintegrationCombinedParams.MakeSharedU(GRAVITY_M_S2), np.eye(3)
+        params, eye = gtsam.PreintegrationCombinedParams.MakeSharedU(self.gravity_m_s2), np.eye(3)
         params.setGyroscopeCovariance(eye * self.gyro_variance)
         params.setAccelerometerCovariance(eye * self.accel_variance)
         params.setIntegrationCovariance(eye * self.integration_variance)

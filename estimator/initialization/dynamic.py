@@ -96,7 +96,11 @@ def is_stereo(window: Sequence[FramePacket], config: DynamicInitializationConfig
 
 
 def initialize_dynamic(
-    window: Sequence[FramePacket], Ts_imu_cam: Array, focal_px: float, config: DynamicInitializationConfig
+    window: Sequence[FramePacket],
+    Ts_imu_cam: Array,
+    focal_px: float,
+    config: DynamicInitializationConfig,
+    gravity_m_s2: float = GRAVITY_M_S2,
 ) -> NavState | NotObservable:
     """Return the state at the first frame of a window, or the reason why it is not observable.
 
@@ -107,6 +111,7 @@ def initialize_dynamic(
         Ts_imu_cam: (C, 4, 4) Poses of the rig's cameras in the IMU frame.
         focal_px: Focal length [px].
         config: Settings.
+        gravity_m_s2: Magnitude of gravity [m/s²].
     """
     stereo = is_stereo(window, config)
     tracks = _collect(window, config)
@@ -119,12 +124,12 @@ def initialize_dynamic(
         return NotObservable(f"a parallax of {parallax_px:.1f} px; {config.min_parallax_px:g} px are needed")
 
     def residuals_px(gyro_bias: Array) -> Array:
-        solution = _solve(tracks, _integrate(window, gyro_bias, tracks.frame), Ts_imu_cam)
+        solution = _solve(tracks, _integrate(window, gyro_bias, tracks.frame), Ts_imu_cam, gravity_m_s2)
         return np.asarray(solution.residuals.ravel() * focal_px)
 
     found = least_squares(residuals_px, np.zeros(3), loss="soft_l1", x_scale=0.01, diff_step=1e-3, max_nfev=8)
     motion = _integrate(window, found.x, tracks.frame)
-    solution = _solve(tracks, motion, Ts_imu_cam)
+    solution = _solve(tracks, motion, Ts_imu_cam, gravity_m_s2)
     t_s = motion.t_s[:, None]
     curvature_m = _deviation_from_line(motion.dp + 0.5 * solution.gravity * t_s**2, t_s)
     curvature_of_bias_m = _deviation_from_line(0.5 * config.accel_bias_m_s2 * t_s**2, t_s)
@@ -198,7 +203,7 @@ def _parallax(tracks: _Tracks, motion: _Motion, Ts_imu_cam: Array) -> float:
     return float(np.median(np.linalg.norm(xy[last, columns] - xy[first, columns], axis=1)))
 
 
-def _solve(tracks: _Tracks, motion: _Motion, Ts_imu_cam: Array) -> _Solution:
+def _solve(tracks: _Tracks, motion: _Motion, Ts_imu_cam: Array, gravity_m_s2: float) -> _Solution:
     """Solve for the initial velocity and gravity, with the landmarks eliminated.
 
     A landmark at p that is observed at (x, y) from the frame at R, dp satisfies
@@ -222,7 +227,7 @@ def _solve(tracks: _Tracks, motion: _Motion, Ts_imu_cam: Array) -> _Solution:
     H, h = np.einsum("fri,frj->ij", PX, PX), np.einsum("fri,fr->i", PX, Pb)
     H_vv, H_vg = H[:3, :3], H[:3, 3:]
     D = H[3:, 3:] - H_vg.T @ np.linalg.solve(H_vv, H_vg)
-    g = _on_sphere(D, h[3:] - H_vg.T @ np.linalg.solve(H_vv, h[:3]), GRAVITY_M_S2)
+    g = _on_sphere(D, h[3:] - H_vg.T @ np.linalg.solve(H_vv, h[:3]), gravity_m_s2)
     v = np.linalg.solve(H_vv, h[:3] - H_vg @ g)
     x = np.concatenate([v, g])
     landmarks = np.einsum("fir,fr->fi", pseudo_inverse, b - X @ x)

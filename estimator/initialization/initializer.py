@@ -128,7 +128,7 @@ class Initializer:
             stationary_s: Time for which no motion has been detected [s].
             calibration: The calibration in use.
             gauge: Position and yaw of the initial state.
-            params: The noise of the preintegration.
+            params: The noise of the preintegration, and gravity.
         """
         c, t_ns = self._config, packet.t_ns
         self._window.append(packet)
@@ -165,7 +165,8 @@ class Initializer:
         self, window: Sequence[FramePacket], calibration: Calibration, gauge: Gauge, params: PreintegrationParams
     ) -> KeyframeSmoother | NotObservable:
         c = self._config
-        start = initialize_dynamic(window, calibration.Ts_imu_cam, float(calibration.focal_px[0]), c.dynamic)
+        focal_px = float(calibration.focal_px[0])
+        start = initialize_dynamic(window, calibration.Ts_imu_cam, focal_px, c.dynamic, params.gravity_m_s2)
         if isinstance(start, NotObservable):
             self._last_reason = start
             return start

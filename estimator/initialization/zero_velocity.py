@@ -29,13 +29,14 @@ class ZeroVelocityConfig:
 class ZeroVelocityDetector:
     """Measures the time since the last motion, relative to a reference frame that is replaced whenever one occurs."""
 
-    def __init__(self, config: ZeroVelocityConfig) -> None:
+    def __init__(self, config: ZeroVelocityConfig, gravity_m_s2: float = GRAVITY_M_S2) -> None:
         """Begin before the first frame.
 
         Args:
             config: Settings.
+            gravity_m_s2: Magnitude of gravity [m/s²].
         """
-        self._config = config
+        self._config, self._gravity_m_s2 = config, gravity_m_s2
         self._reference: Observations | None = None
         self._reference_ns = 0
         self._now_ns = 0
@@ -59,4 +60,5 @@ class ZeroVelocityDetector:
         flow_px = float(np.median(np.linalg.norm(now.pixels[j] - reference.pixels[i], axis=1)))
         gyro = float(np.linalg.norm(increments.gyro_rad_s.mean(axis=0)))
         accel = float(np.linalg.norm(increments.accel_m_s2.mean(axis=0)))
-        return flow_px > c.max_flow_px or gyro > c.max_gyro_rad_s or abs(accel - GRAVITY_M_S2) > c.max_accel_error_m_s2
+        accel_error = abs(accel - self._gravity_m_s2)
+        return flow_px > c.max_flow_px or gyro > c.max_gyro_rad_s or accel_error > c.max_accel_error_m_s2

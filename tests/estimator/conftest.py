@@ -27,7 +27,6 @@ from dronevio.models.state import CameraFrame, Estimate, NavState, Trajectory
 Array = npt.NDArray[np.float64]
 Times = npt.NDArray[np.int64]
 
-GRAVITY = np.array([0.0, 0.0, -GRAVITY_M_S2])
 START_NS = 1_403_715_273_000_000_000
 IMU_STEP_NS, FRAME_STEP_NS = 5_000_000, 50_000_000
 
@@ -214,6 +213,8 @@ class SyntheticFlight:
     """What an IMU sample measures: "point" or "increment"."""
     dark_s: tuple[float, float] = (0.0, 0.0)
     """Begin and end of the time without any visible landmark [s]."""
+    gravity_m_s2: float = GRAVITY_M_S2
+    """Magnitude of gravity [m/s²]."""
     moving_share: float = 0.0
     """Share of the landmarks that move, up to 1."""
     name: str = "synthetic"
@@ -226,13 +227,13 @@ class SyntheticFlight:
         """All samples; white noise is drawn in the vehicle frame and so is independent of the IMU's orientation."""
         n = int(self.duration_s * 1e9) // IMU_STEP_NS + 1
         t_ns = START_NS + IMU_STEP_NS * np.arange(n)
-        k = self.motion.at(seconds(t_ns))
-        gyro, accel = k.omega, np.einsum("nji,nj->ni", k.R, k.a - GRAVITY)
+        k, gravity = self.motion.at(seconds(t_ns)), np.array([0.0, 0.0, -self.gravity_m_s2])
+        gyro, accel = k.omega, np.einsum("nji,nj->ni", k.R, k.a - gravity)
         if self.sampling == "increment":
             dt = IMU_STEP_NS * 1e-9
             before = self.motion.at(seconds(t_ns) - dt)
             gyro = log_so3(np.swapaxes(before.R, 1, 2) @ k.R) / dt
-            accel = np.einsum("nji,nj->ni", before.R, (k.v - before.v) / dt - GRAVITY)
+            accel = np.einsum("nji,nj->ni", before.R, (k.v - before.v) / dt - gravity)
         rng = np.random.default_rng([self.seed, 1])
         B, model, root_rate = self.motion.R_vehicle_imu, self.rig.imu, np.sqrt(1e9 / IMU_STEP_NS)
         gyro_noise = rng.normal(size=(n, 3)) * self.imu_noise * model.gyro_noise_density * root_rate

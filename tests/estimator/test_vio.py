@@ -8,6 +8,7 @@ import numpy as np
 import numpy.typing as npt
 import pytest
 
+from dronevio.estimator.config import VioConfig
 from dronevio.estimator.vio import VisualInertialOdometry
 from dronevio.eval.metrics.alignment import align
 from dronevio.models.errors import ConfigError
@@ -330,6 +331,20 @@ def test_a_rolling_shutter_costs_little(make_flight: MakeFlight) -> None:
     camera = replace(flight.rig.cameras[0], readout_s=0.03)
     rolling = replace(flight, rig=replace(flight.rig, cameras=(camera,)))
     assert ate_m(flight, poses(rolling.run())) < 0.02
+
+
+@pytest.mark.parametrize("rest_s", [STATIONARY, IN_MOTION])
+def test_gravity_is_a_setting(make_flight: MakeFlight, rest_s: float) -> None:
+    """Where gravity is 9.7 m/s², the setting restores the accuracy; without it, a bias or the scale compensates."""
+    flight = make_flight(seed=1, rest_s=rest_s, noisy=False, gravity_m_s2=9.7)
+    errors_m = [ate_m(flight, poses(flight.run(config=config))) for config in (VioConfig(gravity_m_s2=9.7), None)]
+    assert errors_m[0] < min(0.003, errors_m[1] / 3.0)
+
+
+def test_gravity_is_positive() -> None:
+    for wrong in (0.0, -9.81, float("nan")):
+        with pytest.raises(ConfigError, match="gravity"):
+            VioConfig(gravity_m_s2=wrong)
 
 
 def test_refuses_a_frame_that_is_not_later(make_flight: MakeFlight) -> None:

@@ -6,7 +6,7 @@ import numpy.typing as npt
 import pytest
 
 from dronevio.estimator.baselines.dead_reckoning import preintegrate
-from dronevio.estimator.calibration.imu_factor import GRAVITY, CalibrationImuFactor
+from dronevio.estimator.calibration.imu_factor import CalibrationImuFactor
 from dronevio.estimator.imu.buffer import Increments
 from dronevio.estimator.imu.preintegration import Preintegration, PreintegrationConfig, PreintegrationParams
 from dronevio.models.imu import EUROC_IMU
@@ -15,6 +15,8 @@ from dronevio.models.rotation import exp_so3, log_so3
 Array = npt.NDArray[np.float64]
 
 DT_S, STEPS = 0.005, 40
+GRAVITY_M_S2 = 9.78
+GRAVITY = np.array([0.0, 0.0, -GRAVITY_M_S2])
 
 
 @pytest.fixture
@@ -34,10 +36,10 @@ def increments() -> Increments:
 
 @pytest.fixture
 def factor(increments: Increments, bias: Array) -> CalibrationImuFactor:
-    params = PreintegrationParams.of(EUROC_IMU, PreintegrationConfig())
+    params = PreintegrationParams.of(EUROC_IMU, PreintegrationConfig(), GRAVITY_M_S2)
     pim = Preintegration(params, gtsam.imuBias.ConstantBias(bias[3:], bias[:3]))
     pim.integrate(increments)
-    return CalibrationImuFactor.from_preintegrated(pim.measurements, bias)
+    return CalibrationImuFactor.from_preintegrated(pim.measurements, bias, GRAVITY_M_S2)
 
 
 def test_measurement_agrees_with_direct_integration(
