@@ -13,6 +13,13 @@ from dronevio.models.state import CameraFrame, Estimate, NavState, Trajectory
 Array = npt.NDArray[np.float64]
 
 
+MAX_WAIT_INTERVALS = 1.5
+"""Longest time for which a frame waits for the next IMU sample, in sampling intervals: the nominal interval or, if that
+is longer, the median of the last ones. Half an interval allows for the jitter of time stamps."""
+RECENT_SAMPLES = 20
+"""Number of IMU samples before a frame whose median interval is compared with the nominal one."""
+
+
 class Recording(Protocol):
     """Measurements of one flight: a simulated flight, an EuRoC folder, a ROS 2 bag or any object with these members."""
 
@@ -88,18 +95,29 @@ class Controller(Protocol):
 def measurements(recording: Recording) -> Iterator[ImuSamples | CameraFrame]:
     """Yield the measurements of a recording in the order in which a live system receives them.
 
-    Each frame follows the IMU samples up to the exposure of its last row, on the IMU clock, and the first sample after
-    it, so that the motion up to that time can be interpolated. The delay is at most one IMU interval (5 ms at 200 Hz).
+    Each frame follows the IMU samples up to the exposure of its last row, on the IMU clock, and the first sample at or
+    after that time, so that the motion up to it can be interpolated. The delay is at most one IMU interval (5 ms at
+    200 Hz). Where that sample is missing, a frame waits for `MAX_WAIT_INTERVALS` intervals in time stamps and then
+    follows the samples before it alone, as on a vehicle, which cannot wait for the end of a gap.
     """
     imu, start = recording.imu, 0
-    for index, t_ns in enumerate(recording.frame_times_ns + exposure_delay_ns(recording.rig)):
-        end = min(int(np.searchsorted(imu.t_ns, t_ns, side="left")) + 1, len(imu))
+    for index, t_ns in enumerate((recording.frame_times_ns + exposure_delay_ns(recording.rig)).tolist()):
+        end = _received_count(imu.t_ns, t_ns, recording.rig.imu.rate_hz)
         if end > start:
             yield imu[start:end]
             start = end
         yield recording.frame(index)
     if start < len(imu):
         yield imu[start:]
+
+
+def _received_count(imu_t_ns: Times, t_ns: int, rate_hz: float) -> int:
+    """Return the number of IMU samples (N,) that a frame follows whose exposure ends at a time [ns]."""
+    count = int(np.searchsorted(imu_t_ns, t_ns, side="left"))
+    recent_ns = np.diff(imu_t_ns[max(count - RECENT_SAMPLES, 0) : count])
+    interval_ns = max(1e9 / rate_hz, float(np.median(recent_ns)) if len(recent_ns) else 0.0)
+    arrives = count < len(imu_t_ns) and int(imu_t_ns[count]) - t_ns <= MAX_WAIT_INTERVALS * interval_ns
+    return count + arrives
 
 
 def exposure_delay_ns(rig: Rig) -> int:
