@@ -22,6 +22,19 @@ def skew(v: Array) -> Array:
     return np.stack([o, -z, y, z, o, -x, -y, x, o], axis=-1).reshape(*v.shape[:-1], 3, 3)
 
 
+def cross(a: Array, b: Array) -> Array:
+    """Return a × b of vectors (…, 3), several times as fast as `np.cross`, with the same rounding."""
+    if a.size == b.size == 3:
+        ax, ay, az = a.ravel().tolist()
+        bx, by, bz = b.ravel().tolist()
+        product = np.array([ay * bz - az * by, az * bx - ax * bz, ax * by - ay * bx])
+        return product if a.ndim == b.ndim == 1 else product.reshape(np.broadcast_shapes(a.shape, b.shape))
+    product = np.empty(np.broadcast_shapes(a.shape, b.shape))
+    for k, (i, j) in enumerate(((1, 2), (2, 0), (0, 1))):
+        product[..., k] = a[..., i] * b[..., j] - a[..., j] * b[..., i]
+    return product
+
+
 def exp_so3(phi_rad: Array) -> Array:
     """Return the rotation matrices (…, 3, 3) of rotation vectors (…, 3) [rad] (Rodrigues' formula)."""
     phi = np.asarray(phi_rad, dtype=np.float64)

@@ -8,14 +8,13 @@ import numpy.typing as npt
 
 from dronevio.models.errors import ConfigError
 from dronevio.models.imu import ImuSamples
-from dronevio.models.rotation import exp_so3, inverse_pose, log_so3, pose_matrix, quat_wxyz_from_matrix
+from dronevio.models.rotation import cross, exp_so3, inverse_pose, log_so3, pose_matrix, quat_wxyz_from_matrix
 from dronevio.models.state import Estimate, Health, NavState
 from dronevio.sim.envs.delayed_frames import DelayedFrames
 from dronevio.sim.envs.estimation import CameraSetup, EstimatorFactory
 from dronevio.sim.envs.randomization import Draws
 from dronevio.sim.envs.settings import EnvironmentSettings
 from dronevio.sim.estimated_state import EstimatedState
-from dronevio.sim.physics.cascade import cross
 from dronevio.sim.physics.vehicle_states import VehicleStates
 
 Array = npt.NDArray[np.float64]

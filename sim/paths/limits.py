@@ -9,6 +9,7 @@ import numpy.typing as npt
 
 from dronevio.models.errors import ConfigError
 from dronevio.models.imu import GRAVITY_M_S2
+from dronevio.models.rotation import cross
 
 Array = npt.NDArray[np.float64]
 
@@ -59,7 +60,7 @@ class Limits:
         lift = np.maximum(_norm(thrust), 1e-9)
         accel = _norm(acceleration_m_s2)
         # The direction of the thrust changes at |thrust × jerk| / thrust² (Mellinger and Kumar 2011, h_ω).
-        tilt_rate = _norm(np.cross(thrust, jerk_m_s3)) / np.maximum(lift, 0.1 * GRAVITY_M_S2) ** 2
+        tilt_rate = _norm(cross(thrust, jerk_m_s3)) / np.maximum(lift, 0.1 * GRAVITY_M_S2) ** 2
         spare = (self.thrust_to_weight - 1.0) * GRAVITY_M_S2
         heavy = np.maximum(lift - GRAVITY_M_S2, 0.0) / spare
         light = np.maximum(GRAVITY_M_S2 - lift, 0.0) / ((1.0 - _LEAST_THRUST) * GRAVITY_M_S2)

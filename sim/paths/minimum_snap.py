@@ -104,8 +104,9 @@ def _derivatives(legs: Array, points: Array, samples: int = _SAMPLES_PER_LEG) ->
     knots = np.concatenate([[0.0], np.cumsum(legs)])
     curve = minimum_snap(knots, points)
     t = np.linspace(knots[:-1], knots[1:], samples)
-    velocity, acceleration, jerk = (curve.derivative(order)(t) for order in (1, 2, 3))
-    return velocity, acceleration, jerk
+    velocity = curve.derivative()
+    acceleration = velocity.derivative()
+    return velocity(t), acceleration(t), acceleration.derivative()(t)
 
 
 def _stretched(derivatives: tuple[Array, Array, Array], scale: float) -> tuple[Array, Array, Array]:

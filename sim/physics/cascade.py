@@ -13,6 +13,7 @@ import numpy.typing as npt
 
 from dronevio.models.imu import GRAVITY_M_S2
 from dronevio.models.quadrotor import AIR_DENSITY_KG_M3, Quadrotor
+from dronevio.models.rotation import cross
 from dronevio.sim.physics.disturbance import DisturbanceObserver, ObserverState
 from dronevio.sim.physics.drive import IDLE_SHARE, DriveState, Mixer, RotorDrive
 from dronevio.sim.physics.gains import Gains
@@ -240,16 +241,3 @@ def _attitude_error(turn: Array) -> Array:
         return 0.5 * np.array([turn[2, 1] - turn[1, 2], turn[0, 2] - turn[2, 0], turn[1, 0] - turn[0, 1]])
     difference = turn - turn.mT
     return 0.5 * np.stack([difference[..., 2, 1], difference[..., 0, 2], difference[..., 1, 0]], axis=-1)
-
-
-def cross(a: Array, b: Array) -> Array:
-    """Return a × b of vectors (…, 3), several times as fast as `np.cross`, with the same rounding."""
-    if a.size == b.size == 3:
-        ax, ay, az = a.ravel().tolist()
-        bx, by, bz = b.ravel().tolist()
-        product = np.array([ay * bz - az * by, az * bx - ax * bz, ax * by - ay * bx])
-        return product if a.ndim == b.ndim == 1 else product.reshape(np.broadcast_shapes(a.shape, b.shape))
-    product = np.empty(np.broadcast_shapes(a.shape, b.shape))
-    for k, (i, j) in enumerate(((1, 2), (2, 0), (0, 1))):
-        product[..., k] = a[..., i] * b[..., j] - a[..., j] * b[..., i]
-    return product

@@ -12,10 +12,10 @@ import numpy.typing as npt
 
 from dronevio.models.errors import ConfigError
 from dronevio.models.quadrotor import RESEARCH, Quadrotor
-from dronevio.models.rotation import inverse_pose
+from dronevio.models.rotation import cross, inverse_pose
 from dronevio.models.state import NavState
 from dronevio.sim.paths.path import Reference
-from dronevio.sim.physics.cascade import Body, Cascade, Loads, attitude_along, cross
+from dronevio.sim.physics.cascade import Body, Cascade, Loads, attitude_along
 from dronevio.sim.physics.gains import Gains
 
 Array = npt.NDArray[np.float64]

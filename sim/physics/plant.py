@@ -10,7 +10,7 @@ from dronevio.models.errors import ConfigError
 from dronevio.models.imu import ImuSamples
 from dronevio.models.quadrotor import RESEARCH, Quadrotor
 from dronevio.models.rig import Rig
-from dronevio.models.rotation import quat_wxyz_from_matrix
+from dronevio.models.rotation import cross, quat_wxyz_from_matrix
 from dronevio.models.state import NavState
 from dronevio.sim.physics.collisions import Collision, CollisionDetector
 from dronevio.sim.physics.motion import Motion
@@ -204,7 +204,7 @@ class QuadrotorPlant:
         return NavState(
             t_ns=self._t_ns,
             T_world_imu=T,
-            velocity_m_s=velocity + R @ _cross(rate, T_vehicle_sensor[:3, 3]),
+            velocity_m_s=velocity + R @ cross(rate, T_vehicle_sensor[:3, 3]),
             gyro_bias_rad_s=np.zeros(3),
             accel_bias_m_s2=np.zeros(3),
             angular_velocity_rad_s=rate @ T_vehicle_sensor[:3, :3],
@@ -258,8 +258,3 @@ def _matrix(quat_wxyz: Array) -> Array:
     R = np.empty(9)
     mujoco.mju_quat2Mat(R, quat_wxyz)
     return R.reshape(3, 3)
-
-
-def _cross(a: Array, b: Array) -> Array:
-    """Return a × b of two (3,) vectors; ten times as fast as `np.cross` for single vectors."""
-    return np.array([a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]])

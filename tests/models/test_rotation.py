@@ -9,6 +9,7 @@ from scipy.linalg import expm
 from scipy.spatial.transform import Rotation
 
 from dronevio.models.rotation import (
+    cross,
     exp_so3,
     inverse_pose,
     log_so3,
@@ -123,3 +124,11 @@ def test_functions_broadcast_over_leading_axes() -> None:
         np.testing.assert_array_equal(q[i, j], quat_wxyz_from_matrix(R[i, j]))
         np.testing.assert_array_equal(log_so3(R)[i, j], log_so3(R[i, j]))
         np.testing.assert_array_equal(matrix_from_quat_wxyz(q)[i, j], matrix_from_quat_wxyz(q[i, j]))
+
+
+def test_cross_products_of_any_shape_are_exact() -> None:
+    a, b = np.random.default_rng(2).standard_normal((2, 6, 3))
+    np.testing.assert_array_equal(cross(a, b), np.cross(a, b))
+    np.testing.assert_array_equal(cross(a[0], b[0]), np.cross(a[0], b[0]))
+    np.testing.assert_array_equal(cross(a[:2, None], b), np.cross(a[:2, None], b))
+    np.testing.assert_array_equal(cross(a[:1], b[0]), np.cross(a[:1], b[0]))
