@@ -16,6 +16,7 @@ from dronevio.models.rig import euroc_rig
 from dronevio.models.rotation import exp_so3, quat_wxyz_from_matrix
 from dronevio.sim.envs.distributions import Constant, Uniform
 from dronevio.sim.envs.randomization import Randomization
+from dronevio.sim.envs.tasks.hover import Hover
 from dronevio.sim.envs.vector import DroneVectorEnv
 from dronevio.sim.inertial.batch_imu import BatchImuErrors
 from dronevio.sim.physics.batch_plant import BatchPlant
@@ -38,12 +39,14 @@ class BatchTiming:
 
     bare_s: float
     """Time of the bare physics in `mujoco.batch` [s]."""
-    full_s: float
-    """Time with rotors, air, battery and resets, and IMUs with errors [s]."""
-    blind_s: float
-    """Time with rotors, air, battery and resets, without IMUs [s]."""
+    plant_s: float
+    """Time of the plant with rotors, air, battery and resets, and of IMUs with errors [s]."""
+    plant_without_imu_s: float
+    """Time of the plant with rotors, air, battery and resets, without IMUs [s]."""
     environment_s: float
     """Time of the vector environment ``Hover-v0`` with IMUs, random masses and gusts [s]."""
+    environment_without_imu_s: float
+    """Time of the same vector environment without observations of the IMUs, which are then not simulated [s]."""
 
 
 def batch_figures(count: int, actions: int, runs: int, progress: Progress = silent) -> list[PerformanceFigure]:
@@ -63,12 +66,17 @@ def batch_figures(count: int, actions: int, runs: int, progress: Progress = sile
     """
     if runs < 1:
         raise ConfigError(f"{runs} runs; expected 1 or more")
-    variants = _flying(count, imu=True), _flying(count, imu=False), _bare(count), _environment(count)
+    variants = (
+        _bare(count),
+        _flying(count, imu=True),
+        _flying(count, imu=False),
+        _environment(count, imu=True),
+        _environment(count, imu=False),
+    )
     timings = []
     for run in range(runs):
         progress(run, runs)
-        full_s, blind_s, bare_s, environment_s = (_spent_s(step, actions) for step in variants)
-        timings.append(BatchTiming(bare_s, full_s, blind_s, environment_s))
+        timings.append(BatchTiming(*(_spent_s(step, actions) for step in variants)))
     progress(runs, runs)
     return figures_of(timings, count, actions)
 
@@ -89,32 +97,29 @@ def batch_speed(count: int, actions: int, runs: int, step_s: float) -> float:
 def figures_of(timings: list[BatchTiming], count: int, actions: int) -> list[PerformanceFigure]:
     """Return the figures of the timings of some runs, each with ``count`` vehicles and a number of actions."""
     simulated_s = count * actions / ACTIONS_PER_S
-    bare, full, blind, environment = np.array([astuple(timing) for timing in timings]).T
-    by_bare = [float(np.median(bare / variant)) for variant in (full, blind, environment)]
-    speeds = [float(simulated_s / np.median(variant)) for variant in (bare, full, blind, environment)]
+    bare, *variants = np.array([astuple(timing) for timing in timings]).T
+    plant, plant_without_imu, environment, environment_without_imu = (float(np.median(bare / v)) for v in variants)
+    speeds = [float(simulated_s / np.median(variant)) for variant in (bare, *variants)]
     method = (
         f"{count} vehicles in the air, physics at {1.0 / STEP_S:.0f} Hz, actions at {ACTIONS_PER_S:.0f} Hz, 200 Hz IMU,"
         f" random masses, gusts, episodes of {_EPISODE / ACTIONS_PER_S:.0f} s; median of {len(timings)} runs"
     )
     per_s = "simulated s per CPU s"
     named = "Hover-v0 with random masses, gusts and the episodes that result from constant actions"
-    return [
-        PerformanceFigure(
-            "many vehicles, by bare physics",
-            by_bare[0],
+    rows = [
+        ("plant with IMU, by bare physics", plant, "", 0.6, f"{method}; bare: {speeds[0]:.0f} {per_s}"),
+        ("plant without IMU, by bare physics", plant_without_imu, "", 0.75, f"as above; {speeds[2]:.0f} {per_s}"),
+        (
+            "vector environment without IMU, by bare physics",
+            environment_without_imu,
             "",
-            0.6,
-            "at least",
-            f"{method}; bare: {speeds[0]:.0f} {per_s}",
+            0.75,
+            f"{named}, without observations of the IMU; {speeds[4]:.0f} {per_s}",
         ),
-        PerformanceFigure(
-            "without IMU, by bare physics", by_bare[1], "", 0.75, "at least", f"as above; {speeds[2]:.0f} {per_s}"
-        ),
-        PerformanceFigure("many vehicles", speeds[1], per_s, 300.0, "at least", "as above, with IMUs"),
-        PerformanceFigure(
-            "vector environment", speeds[3], per_s, 300.0, "at least", f"{named}; {by_bare[2]:.2f} of the bare physics"
-        ),
+        ("plant with IMU", speeds[1], per_s, 300.0, "the plant of the first row"),
+        ("vector environment with IMU", speeds[3], per_s, 300.0, f"{named}; {environment:.2f} of the bare physics"),
     ]
+    return [PerformanceFigure(name, value, unit, bound, "at least", how) for name, value, unit, bound, how in rows]
 
 
 def _initial(count: int) -> tuple[VehicleStates, VehicleParameters]:
@@ -186,11 +191,12 @@ def _flying(count: int, imu: bool, step_s: float = STEP_S) -> Callable[[int], No
     return step
 
 
-def _environment(count: int) -> Callable[[int], None]:
+def _environment(count: int, imu: bool) -> Callable[[int], None]:
     """Return a function that steps the vector environment once, given the number of the action."""
     mass = Uniform(0.8, 1.2)
     random = Randomization(mass=mass, inertia=mass, gusts=Constant(_WIND.gusts), wind_m_s=Constant(_WIND.speed_m_s))
-    envs = DroneVectorEnv(count, "hover", flat=True, randomization=random)
+    observations = tuple(name for name in Hover.default_observations if imu or name != "imu")
+    envs = DroneVectorEnv(count, "hover", flat=True, observations=observations, randomization=random)
     envs.reset(seed=0)
     actions = np.zeros((count, 4), dtype=np.float32)
 

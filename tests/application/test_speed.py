@@ -53,9 +53,17 @@ def test_many_vehicles_are_measured(capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["speed", "gym", "--quick", "--json"]) == 0
     document = json.loads(capsys.readouterr().out)
     assert (document["subject"], document["envs"], document["runs"]) == ("gym", 16, 2)
-    assert [figure["bound"] for figure in document["figures"]] == [0.6, 0.75, 300.0, 300.0, 600.0, 600.0]
-    full, blind, speed, environment, grey, depth = (figure["value"] for figure in document["figures"])
-    assert 0.0 < full < 1.0 and 0.0 < blind < 1.5
+    figures = document["figures"]
+    assert [figure["name"] for figure in figures[:5]] == [
+        "plant with IMU, by bare physics",
+        "plant without IMU, by bare physics",
+        "vector environment without IMU, by bare physics",
+        "plant with IMU",
+        "vector environment with IMU",
+    ]
+    assert [figure["bound"] for figure in figures] == [0.6, 0.75, 0.75, 300.0, 300.0, 600.0, 600.0]
+    plant, plant_without_imu, without_imu, speed, environment, grey, depth = (figure["value"] for figure in figures)
+    assert 0.0 < plant < 1.0 and 0.0 < plant_without_imu < 1.5 and 0.0 < without_imu < 1.5
     assert speed > 5.0 and environment > 1.0
     assert grey > 10.0 and depth > 10.0
     assert main(["speed", "gym", "--runs", "0"]) == 2
@@ -63,11 +71,17 @@ def test_many_vehicles_are_measured(capsys: pytest.CaptureFixture[str]) -> None:
 
 
 def test_ratios_of_many_vehicles_are_medians_of_runs() -> None:
-    timings = [BatchTiming(2.0, 4.0, 2.5, 5.0), BatchTiming(3.0, 3.0, 3.0, 1.0), BatchTiming(2.0, 10.0, 4.0, 0.2)]
-    full, blind, speed, environment = figures_of(timings, count=100, actions=50)
-    assert (full.value, blind.value, speed.value, environment.value) == (0.5, 0.8, 25.0, 100.0)
-    assert not full.met and blind.met and not speed.met
-    assert "3.00 of the bare physics" in environment.method
+    timings = [
+        BatchTiming(2.0, 4.0, 2.5, 5.0, 2.0),
+        BatchTiming(3.0, 3.0, 3.0, 1.0, 4.0),
+        BatchTiming(2.0, 10.0, 4.0, 0.2, 4.0),
+    ]
+    figures = figures_of(timings, count=100, actions=50)
+    plant, plant_without_imu, without_imu, speed, environment = figures
+    assert [figure.value for figure in figures] == [0.5, 0.8, 0.75, 25.0, 100.0]
+    assert not plant.met and plant_without_imu.met and without_imu.met and not speed.met and not environment.met
+    assert "bare: 50 simulated s" in plant.method and "33 simulated s" in plant_without_imu.method
+    assert "25 simulated s" in without_imu.method and "3.00 of the bare physics" in environment.method
 
 
 def test_bounds_are_upper_or_lower() -> None:
