@@ -27,6 +27,22 @@ PROGRAMS = [
 """The words after ``dronevio`` of every command that is not a group."""
 
 
+HELP_TEXTS = """
+import sys
+from dronevio.cli import main
+for words in sys.argv[1:]:
+    before = set(sys.modules)
+    try:
+        main([*words.split(), '--help'])
+    except SystemExit:
+        pass
+    print(f'loaded by {words}:', *{name.partition('.')[0] for name in set(sys.modules) - before})
+"""
+"""Prints the help texts of commands, and after each the packages of which modules have been loaded for it."""
+LIGHT = [words for words in PROGRAMS if not words.startswith("book")]
+CONFIGURED = ("run", "estimate", "fly")  # their options are settings that are defined beside the algorithms
+
+
 def modules_after(code: str) -> set[str]:
     """Return the names of the packages that are loaded after some code has run in a new interpreter."""
     command = [sys.executable, "-c", f"{code}\nimport sys\nprint('loaded:', *sys.modules)"]
@@ -117,15 +133,25 @@ def test_examples_in_help_texts_are_valid(words: str, capsys: pytest.CaptureFixt
             main(arguments)
 
 
-@pytest.mark.parametrize("words", [words for words in PROGRAMS if not words.startswith("book")])
-def test_help_loads_neither_simulator_nor_plots(words: str) -> None:
-    code = (
-        f"from dronevio.cli import main\ntry:\n    main([*{words.split()!r}, '--help'])\nexcept SystemExit:\n    pass\n"
-    )
-    modules = modules_after(code)
-    assert not modules & {"gymnasium", "matplotlib", "mujoco", "rerun", "rich"}
-    if words not in ("run", "estimate", "fly"):  # their options are settings that are defined beside the algorithms
-        assert not modules & {"cv2", "gtsam", "scipy"}
+@pytest.fixture(scope="module")
+def loaded() -> dict[str, set[str]]:
+    """Packages that the help texts of commands load in one interpreter, in which each finds what earlier ones loaded.
+
+    The commands whose options need the packages of the estimator come last, so that the others load all they need.
+    """
+    words = [*(words for words in LIGHT if words not in CONFIGURED), *CONFIGURED]
+    command = [sys.executable, "-c", HELP_TEXTS, *words]
+    ended = subprocess.run(command, capture_output=True, text=True, timeout=60, check=True)
+    lines = re.findall(r"^loaded by (.+):(.*)$", ended.stdout, re.MULTILINE)
+    return {words: set(names.split()) for words, names in lines}
+
+
+@pytest.mark.parametrize("words", LIGHT)
+def test_help_loads_neither_simulator_nor_plots(words: str, loaded: dict[str, set[str]]) -> None:
+    assert set(loaded) == set(LIGHT) and "tyro" in set.union(*loaded.values())
+    assert not loaded[words] & {"gymnasium", "matplotlib", "mujoco", "rerun", "rich"}
+    if words not in CONFIGURED:
+        assert not loaded[words] & {"cv2", "gtsam", "scipy"}
 
 
 @pytest.mark.parametrize("words", [*PROGRAMS, "book", "policy", "speed"])
