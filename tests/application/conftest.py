@@ -1,10 +1,12 @@
-"""Commands called as on the command line, and one flight that all tests share."""
+"""Commands called as on the command line, and one flight that all tests and all processes of xdist share."""
 
 import contextlib
+import fcntl
 import importlib
 import io
 import json
-from collections.abc import Callable
+import os
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -32,6 +34,24 @@ class Result:
         return document
 
 
+@contextlib.contextmanager
+def one_rendering_process() -> Iterator[None]:
+    """Flights of this process are rendered by one other process: each takes seconds to load a world.
+
+    Those of commands in processes of their own, as in a benchmark, are rendered by as many as on the command line.
+    """
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("dronevio.sim.rendering.render.default_workers", lambda units, units_worth_a_worker: 1)
+        yield
+
+
+@pytest.fixture
+def single_renderer() -> Iterator[None]:
+    """Flights of the test are rendered by one process."""
+    with one_rendering_process():
+        yield
+
+
 def run_successfully(folder: Path, *arguments: str | Path) -> Result:
     """Run a command, check that it succeeds, and return its result.
 
@@ -39,7 +59,11 @@ def run_successfully(folder: Path, *arguments: str | Path) -> Result:
         folder: Folder or file to which the command writes.
         arguments: The words after ``dronevio``.
     """
-    with contextlib.redirect_stdout(io.StringIO()) as out, contextlib.redirect_stderr(io.StringIO()) as err:
+    with (
+        contextlib.redirect_stdout(io.StringIO()) as out,
+        contextlib.redirect_stderr(io.StringIO()) as err,
+        one_rendering_process() if arguments[0] in ("fly", "run", "refly") else contextlib.nullcontext(),
+    ):
         status = main([str(argument) for argument in arguments])
     assert status == 0, err.getvalue()
     return Result(folder, out.getvalue(), err.getvalue())
@@ -53,9 +77,20 @@ def run_command() -> Callable[..., Result]:
 
 @pytest.fixture(scope="session")
 def flown(tmp_path_factory: pytest.TempPathFactory) -> Result:
-    """The recording of the scenario ``short`` with seed 0, an EuRoC folder that tests must not change."""
-    folder = tmp_path_factory.mktemp("flown") / "flight"
-    return run_successfully(folder, "fly", "--scenario", "short", "--out", folder, "--json")
+    """The recording of the scenario ``short`` with seed 0, an EuRoC folder that tests must not change.
+
+    The first process of xdist that needs it makes it, and the others wait.
+    """
+    base = tmp_path_factory.getbasetemp()
+    place = (base.parent if "PYTEST_XDIST_WORKER" in os.environ else base) / "flown"
+    folder, printed = place / "flight", place.with_suffix(".json")
+    with place.with_suffix(".lock").open("w") as lock:
+        fcntl.flock(lock, fcntl.LOCK_EX)
+        if not printed.exists():
+            place.mkdir(exist_ok=True)
+            made = run_successfully(folder, "fly", "--scenario", "short", "--out", folder, "--json")
+            printed.write_text(json.dumps([made.out, made.err]), encoding="utf-8")
+    return Result(folder, *json.loads(printed.read_text(encoding="utf-8")))
 
 
 @pytest.fixture(scope="session")

@@ -3,6 +3,7 @@
 import json
 import shutil
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -11,8 +12,11 @@ import pytest
 
 from dronevio.benchmark_jobs import scenario_flights
 from dronevio.cli import main
+from dronevio.models.camera import CameraModel
 from dronevio.models.errors import ConfigError
+from dronevio.models.recordings.calibration.exports import kalibr_files
 from dronevio.models.recordings.tum import read_tum
+from dronevio.models.rig_presets import rig_named
 from dronevio.registry import ESTIMATORS, estimator_named
 from dronevio.sim.scenario import Scenario
 
@@ -20,11 +24,27 @@ Result = Any  # the class of conftest, which cannot be imported
 CommandRunner = Callable[..., Result]
 
 
+SIZE = 0.75
+"""Width and height of the images relative to EuRoC's."""
+
+
+def reduced(model: CameraModel) -> CameraModel:
+    """Return a camera with the same field of view and fewer pixels."""
+    width, height = round(SIZE * model.width), round(SIZE * model.height)
+    cx, cy = SIZE * (model.cx + 0.5) - 0.5, SIZE * (model.cy + 0.5) - 0.5
+    return replace(model, width=width, height=height, fx=SIZE * model.fx, fy=SIZE * model.fy, cx=cx, cy=cy)
+
+
 @pytest.fixture(scope="module")
 def stereo(tmp_path_factory: pytest.TempPathFactory, run_command: CommandRunner) -> Result:
-    """A run of the short flight of seed 0 with two cameras and its recording."""
-    folder = tmp_path_factory.mktemp("stereo") / "run"
-    words = ("--scenario", "short", "--rig", "euroc-stereo", "--out", folder, "--keep-recording", "--json")
+    """A run of the short flight of seed 0 with the two cameras of EuRoC and fewer pixels, and its recording."""
+    place = tmp_path_factory.mktemp("stereo")
+    rig = rig_named("euroc-stereo")
+    small = replace(rig, cameras=tuple(replace(camera, model=reduced(camera.model)) for camera in rig.cameras))
+    for name, text in kalibr_files(small, np.zeros(0, np.int64)).items():
+        (place / name).write_text(text, encoding="utf-8")
+    folder = place / "run"
+    words = ("--scenario", "short", "--rig", place, "--out", folder, "--keep-recording", "--json")
     return run_command(folder, "run", *words)
 
 

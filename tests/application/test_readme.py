@@ -80,7 +80,7 @@ def test_camera_example_has_ten_lines() -> None:
 
 
 def test_functions_do_the_single_steps(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], single_renderer: None
 ) -> None:
     """The example simulates, estimates and evaluates; the same files give the same error."""
     monkeypatch.chdir(tmp_path)

@@ -36,6 +36,7 @@ RESULTS = {
 }
 CAMERA, IMU, TRUTH = (Path("mav0") / part for part in ("cam0", "imu0", "state_groundtruth_estimate0"))
 SCENARIO = ["--scenario", "short"]
+SMALL = ["--rig", "nano", "--world", "repetitive"]  # few pixels, and a world that is soon painted
 
 Result = Any  # the class of conftest, which cannot be imported
 CommandRunner = Callable[..., Result]
@@ -59,13 +60,13 @@ def run(place: Path, run_command: CommandRunner) -> Result:
 
 @pytest.fixture(scope="module")
 def another_run(place: Path, run_command: CommandRunner) -> Result:
-    """A run of the short flight of seed 1, whose default name is taken, with JSON on standard output."""
+    """A run of the short flight of seed 1 with a small camera, whose default name is taken, with JSON as output."""
     here = place / "elsewhere"
     taken = here / "runs" / "short-v0-1"
     taken.mkdir(parents=True)
     (taken / "report.json").write_text("{}")
     with contextlib.chdir(here):
-        return run_command(here / "runs" / "short-v0-1-2", "run", *SCENARIO, "--seed", "1", "--json")
+        return run_command(here / "runs" / "short-v0-1-2", "run", *SCENARIO, "--seed", "1", *SMALL, "--json")
 
 
 def names(folder: Path) -> set[str]:
@@ -127,7 +128,7 @@ def test_json_is_the_report(another_run: Result) -> None:
     assert document.pop("run") == "runs/short-v0-1-2"
     assert document == json.loads((another_run.folder / "report.json").read_text(encoding="utf-8"))
     assert document["seed"] == 1
-    assert document["command"] == "dronevio run --scenario=short-v0 --seed=1"
+    assert document["command"] == "dronevio run --scenario=short-v0 --seed=1 --rig nano --world repetitive"
 
 
 @pytest.mark.parametrize("which", ["run", "another_run"])
@@ -240,7 +241,7 @@ def test_rerun_file_is_complete_and_small(run: Result) -> None:
 def test_configuration_has_all_settings(another_run: Result) -> None:
     configuration = json.loads((another_run.folder / "configuration.json").read_text(encoding="utf-8"))
     assert configuration["scenario"]["name"] == "short-v0" and configuration["scenario"]["seed"] == 1
-    assert configuration["scenario"]["rig"]["cameras"][0]["model"]["width"] == 752
+    assert configuration["scenario"]["rig"]["cameras"][0]["model"]["width"] == 324
     assert configuration["estimator"]["keyframe"]["interval_s"] > 0.0
     assert configuration == another_run.document["configuration"]
 
