@@ -10,6 +10,7 @@ import subprocess
 import sys
 import time
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -22,7 +23,10 @@ from dronevio.cli.run import print_report
 from dronevio.cli.view import viewer_program
 from dronevio.models.recordings.euroc import EurocRecording
 from dronevio.models.recordings.tum import read_tum
+from dronevio.models.rig_presets import rig_named
 from dronevio.sim.cameras.gl import INSTALL_COMMAND
+from dronevio.sim.flight import fly
+from dronevio.sim.scenarios import scenario_named
 
 RESULTS = {
     "configuration.json",
@@ -36,7 +40,7 @@ RESULTS = {
 }
 CAMERA, IMU, TRUTH = (Path("mav0") / part for part in ("cam0", "imu0", "state_groundtruth_estimate0"))
 SCENARIO = ["--scenario", "short"]
-SMALL = ["--rig", "nano", "--world", "repetitive"]  # few pixels, and a world that is soon painted
+SMALL = ["--rig", "nano"]  # few pixels
 
 Result = Any  # the class of conftest, which cannot be imported
 CommandRunner = Callable[..., Result]
@@ -128,7 +132,7 @@ def test_json_is_the_report(another_run: Result) -> None:
     assert document.pop("run") == "runs/short-v0-1-2"
     assert document == json.loads((another_run.folder / "report.json").read_text(encoding="utf-8"))
     assert document["seed"] == 1
-    assert document["command"] == "dronevio run --scenario=short-v0 --seed=1 --rig nano --world repetitive"
+    assert document["command"] == "dronevio run --scenario=short-v0 --seed=1 --rig nano"
 
 
 @pytest.mark.parametrize("which", ["run", "another_run"])
@@ -200,6 +204,16 @@ def test_single_steps_give_the_same_bytes(
 def test_another_seed_gives_another_flight(run: Result, another_run: Result) -> None:
     for name in ("imu.csv", "groundtruth.tum", "estimate.tum"):
         assert (run.folder / name).read_bytes() != (another_run.folder / name).read_bytes()
+    # The rigs of the two runs differ, too: the flight is that of seed 1 with its rig, and not that of seed 0.
+    gyro_rad_s = np.loadtxt(another_run.folder / "imu.csv", delimiter=",")[:, 1:4]
+    truth = read_tum(another_run.folder / "groundtruth.tum")
+    for seed in (0, 1):
+        flight = fly(replace(scenario_named("short", seed), rig=rig_named("nano")))
+        same = [
+            len(ours) == len(theirs) and np.allclose(ours, theirs, rtol=0.0, atol=1e-6)
+            for ours, theirs in ((gyro_rad_s, flight.imu.gyro_rad_s), (truth.p_world_imu, flight.truth.p_world_imu))
+        ]
+        assert same == [seed == 1, seed == 1]
 
 
 def test_estimates_depend_on_neither_truth_nor_future(
