@@ -5,6 +5,8 @@ observations are then corrected for the exposure times of the rows, the clock of
 follows the pipeline sees calibrated, instantaneous measurements.
 """
 
+from dataclasses import replace
+
 import numpy as np
 import numpy.typing as npt
 
@@ -62,12 +64,14 @@ class MeasurementPipeline:
         rotation_sigma = float(gyro_bias_sigma_rad_s * increments.dt_s.sum()) + increments.rotation_excess_sigma_rad
         R_cur_prev = _camera_rotation(calibration, increments, gyro_bias_rad_s)
         observations = self._front_end.track(frame, R_cur_prev, rotation_sigma, calibration.rig)
-        return FramePacket(t_ns, increments, self._at_frame_time(observations, calibration))
+        # Cameras that have no tracker of their own observe no features in a frame that the others lack.
+        has_image = len(observations) > 0 or all(image.size for image in frame.images)
+        return FramePacket(t_ns, increments, self._at_frame_time(observations, calibration), has_image)
 
     def replenish(self, packet: FramePacket, calibration: Calibration) -> FramePacket:
         """Return the newest packet with newly detected features and the matches in further cameras."""
         observations = self._front_end.replenish(calibration.rig)
-        return FramePacket(packet.t_ns, packet.increments, self._at_frame_time(observations, calibration))
+        return replace(packet, observations=self._at_frame_time(observations, calibration))
 
     def discard(self, ids: npt.NDArray[np.int64]) -> None:
         """Stop tracking the given features."""

@@ -96,6 +96,8 @@ class FramePacket:
     """The IMU increments since the previous frame."""
     observations: Observations
     """The observed features at that time."""
+    has_image: bool = True
+    """Whether a camera that tracks features has an image; without one, the IMU alone propagates the estimate."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -102,7 +102,8 @@ class VisualInertialOdometry:
             ConfigError: The frame is not later than the last one, or an image does not fit its camera.
         """
         packet = self._pipeline.process(frame, self._calibration, *self._gyro_bias)
-        self._zero_velocity.update(packet.t_ns, packet.observations, packet.increments)
+        features = packet.observations if packet.has_image else None
+        self._zero_velocity.update(packet.t_ns, features, packet.increments)
         self._gauge = self._gauge.propagated(packet.increments)
         match self._state:
             case Initializing():
@@ -140,7 +141,8 @@ class VisualInertialOdometry:
         report = tracking.monitor.assess(packet.observations, predicted, stationary, self._calibration)
         if report.health is Health.LOST:
             return self._lose(packet, report)
-        if not propagator.is_keyframe_due(stationary_s, packet.observations, report.innovation_px):
+        due = propagator.is_keyframe_due(stationary_s, packet.observations, report.innovation_px)
+        if not (due and packet.has_image):
             self._online_calibration.step()
             return self._publish(packet, predicted, report, events)
         packet = self._pipeline.replenish(packet, self._calibration)

@@ -15,6 +15,10 @@ from dronevio.models.rotation import matrix_from_quat_wxyz, pose_matrix, quat_wx
 Array = npt.NDArray[np.float64]
 
 
+NO_IMAGE: npt.NDArray[np.uint8] = np.zeros((0, 0), np.uint8)
+"""Image without pixels, in place of one that a camera lacks at the time of a frame."""
+
+
 @dataclass(frozen=True, eq=False)
 class CameraFrame:
     """Images of all cameras of a rig at one time."""
@@ -22,7 +26,7 @@ class CameraFrame:
     t_ns: int
     """Time stamp, the middle of the exposure of the middle row [ns]."""
     images: tuple[npt.NDArray[np.uint8], ...]
-    """Grey images (H, W), one for each camera of the rig."""
+    """Grey images (H, W), one for each camera of the rig; `NO_IMAGE` for a camera that has none at this time."""
     depth_m: npt.NDArray[np.float32] | None = None
     """(H, W) Depth along the optical axis of the main camera; only in simulation, and not given to estimators [m]."""
 

@@ -9,7 +9,7 @@ from dronevio.estimator.types import Observations
 from dronevio.models.camera import CameraModel
 from dronevio.models.errors import ConfigError
 from dronevio.models.rig import Rig
-from dronevio.models.state import CameraFrame
+from dronevio.models.state import NO_IMAGE, CameraFrame
 
 Array = npt.NDArray[np.float64]
 Image = npt.NDArray[np.uint8]
@@ -22,6 +22,8 @@ class FrontEnd(Protocol):
         self, frame: CameraFrame, R_cur_prev: Array, rotation_sigma_rad: float = 0.0, rig: Rig | None = None
     ) -> Observations:
         """Track the features into a frame.
+
+        A camera without an image in a frame observes no features there, and continues with them in its next image.
 
         Args:
             frame: The new frame.
@@ -47,13 +49,15 @@ class FrontEnd(Protocol):
         """Stop tracking the given features (N,)."""
 
 
-def image_of(frame: CameraFrame, index: int, camera: CameraModel) -> Image:
-    """Return a camera's image of a frame. OpenCV would block on an image of another type.
+def image_of(frame: CameraFrame, index: int, camera: CameraModel) -> Image | None:
+    """Return a camera's image of a frame; None if it is `NO_IMAGE`. OpenCV would block on an image of another type.
 
     Raises:
-        ConfigError: The image is missing, is not uint8, or has not the camera's size.
+        ConfigError: The frame has no entry of the camera, or its image is not uint8 or has not the camera's size.
     """
     image: object = frame.images[index] if index < len(frame.images) else None
+    if isinstance(image, np.ndarray) and image.shape == NO_IMAGE.shape:
+        return None
     shape = (camera.height, camera.width)
     if isinstance(image, np.ndarray) and image.shape == shape and image.dtype == np.uint8:
         return image

@@ -86,7 +86,7 @@ class RigTracker:
         self._depths = [nothing] * len(self._pairs)
         self._extrinsics = self._derived(rig)
         self._cameras = [camera.model for camera in cameras]
-        self._images: tuple[Image, ...] = ()  # of the last frame
+        self._images: tuple[Image | None, ...] = ()  # of the last frame
 
     def track(
         self, frame: CameraFrame, R_cur_prev: Array, rotation_sigma_rad: float = 0.0, rig: Rig | None = None
@@ -94,7 +94,7 @@ class RigTracker:
         """Track the features into a frame.
 
         Args:
-            frame: The new frame, with an image of each camera.
+            frame: The new frame. A camera without an image observes nothing.
             R_cur_prev: (3, 3) Rotation of the first camera from the previous frame to this one.
             rotation_sigma_rad: Standard deviation of that rotation [rad].
             rig: The calibration in use; by default the last one.
@@ -154,6 +154,8 @@ class RigTracker:
         pair, depths = self._pairs[index], self._depths[index]
         tracked = observations[pair.tracker]
         first, second = self._images[pair.first], self._images[pair.second]
+        if first is None or second is None:
+            return NO_MATCHES
         found = matcher.match(first, second, tracked.pixels, tracked.xy, depths.of(tracked.ids))
         ids = tracked.ids[found.rows]
         self._depths[index] = _InverseDepths(ids, found.inverse_depth)

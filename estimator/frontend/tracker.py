@@ -74,7 +74,7 @@ class _Features:
     zncc: Array
     patches: Patches
 
-    def __getitem__(self, rows: npt.NDArray[np.int64] | npt.NDArray[np.bool_]) -> Self:
+    def __getitem__(self, rows: slice | npt.NDArray[np.int64] | npt.NDArray[np.bool_]) -> Self:
         return type(self)(*(getattr(self, each.name)[rows] for each in fields(self)))
 
     def joined(self, others: Self) -> Self:
@@ -109,7 +109,8 @@ class FeatureTracker:
         self._config = config
         self._aligner = PatchAligner(config.patches)
         self._rng = np.random.default_rng(config.seed)
-        self._image: Image | None = None
+        self._image: Image | None = None  # the last image
+        self._unseen: tuple[Array, float] | None = None  # rotation and its σ since then; None if it is of this frame
         self._scale_space = self._aligner.scale_space(np.zeros((camera.height, camera.width), np.uint8))
         self._features = self._new_features(np.zeros((0, 2)))
 
@@ -119,7 +120,7 @@ class FeatureTracker:
         """Track the features into a frame.
 
         Args:
-            frame: The new frame, with an image of this camera.
+            frame: The new frame. Without an image of this camera, the features are kept for the next image.
             R_cur_prev: (3, 3) Rotation of this camera from the previous frame to this one, by the gyroscope.
             rotation_sigma_rad: Standard deviation of that rotation [rad].
             rig: Not used; the extrinsics of the camera have no influence.
@@ -130,7 +131,13 @@ class FeatureTracker:
         Raises:
             ConfigError: The image is missing, is not uint8, or has not the camera's size.
         """
-        previous, self._image = self._image, image_of(frame, self._index, self._camera)
+        if self._unseen is not None:
+            R_cur_prev, rotation_sigma_rad = R_cur_prev @ self._unseen[0], rotation_sigma_rad + self._unseen[1]
+        image = image_of(frame, self._index, self._camera)
+        self._unseen = (R_cur_prev, rotation_sigma_rad) if image is None else None
+        if image is None:
+            return self._observations()
+        previous, self._image = self._image, image
         self._scale_space = self._aligner.scale_space(self._image)
         if previous is not None and len(self._features.ids):
             previous = klt.match_brightness(previous, self._image)
@@ -140,7 +147,7 @@ class FeatureTracker:
 
     def replenish(self, rig: Rig | None = None) -> Observations:
         """Add the best new corner of each grid cell without a feature, and return all features of the frame."""
-        if self._image is not None:
+        if self._image is not None and self._unseen is None:
             c, noise, occupied = self._config, self._scale_space.noise, self._features.pixels
             corners = detect_corners(self._image, noise, occupied, c.border_px, c.corners)
             self._features = self._features.joined(self._new_features(corners))
@@ -151,7 +158,7 @@ class FeatureTracker:
         self._features = self._features[~np.isin(self._features.ids, ids)]
 
     def _observations(self) -> Observations:
-        f = self._features
+        f = self._features if self._unseen is None else self._features[:0]
         camera = np.full(len(f.ids), self._index)
         return Observations(f.ids, f.pixels, f.xy, f.ages, camera, zncc=f.zncc, scale=f.patches.scale)
 

@@ -134,6 +134,8 @@ class Initializer:
         self._window.append(packet)
         while t_ns - self._window[0].t_ns > max(c.static_window_s, c.dynamic.window_s) * 1e9 + TIME_TOLERANCE_NS:
             self._window.pop(0)
+        if not packet.has_image:
+            return self._last_reason
         if stationary_s > 0.0:
             return self._static(self._since(t_ns, stationary_s), calibration, gauge, params)
         needed_s = c.dynamic.stereo_window_s if is_stereo(self._window, c.dynamic) else c.dynamic.window_s

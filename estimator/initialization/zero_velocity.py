@@ -46,19 +46,32 @@ class ZeroVelocityDetector:
         """Time without motion up to the newest frame [s]."""
         return (self._now_ns - self._reference_ns) * 1e-9
 
-    def update(self, t_ns: int, observations: Observations, increments: Increments) -> None:
-        """Add the features of a frame and the IMU increments since the previous frame."""
+    def update(self, t_ns: int, observations: Observations | None, increments: Increments) -> None:
+        """Add the features of a frame and the IMU increments since the previous frame.
+
+        Args:
+            t_ns: Time of the frame [ns].
+            observations: The features; None if the frame has no image. The IMU alone is tested then, and the features
+                of the next image are compared with the same reference.
+            increments: The IMU increments since the previous frame.
+        """
         self._now_ns = t_ns
         if self._reference is None or self._has_moved(self._reference, observations, increments):
             self._reference, self._reference_ns = observations, t_ns
 
-    def _has_moved(self, reference: Observations, now: Observations, increments: Increments) -> bool:
+    def _has_moved(self, reference: Observations, now: Observations | None, increments: Increments) -> bool:
         c = self._config
+        if now is None:
+            return len(increments.dt_s) == 0 or self._imu_moves(increments)
         _, i, j = np.intersect1d(reference.ids, now.ids, assume_unique=True, return_indices=True)
         if len(i) < c.min_features or len(increments.dt_s) == 0:
             return True
         flow_px = float(np.median(np.linalg.norm(now.pixels[j] - reference.pixels[i], axis=1)))
+        return flow_px > c.max_flow_px or self._imu_moves(increments)
+
+    def _imu_moves(self, increments: Increments) -> bool:
+        """Return whether the mean readings over N > 0 increments are not those of a stationary IMU."""
+        c = self._config
         gyro = float(np.linalg.norm(increments.gyro_rad_s.mean(axis=0)))
         accel = float(np.linalg.norm(increments.accel_m_s2.mean(axis=0)))
-        accel_error = abs(accel - self._gravity_m_s2)
-        return flow_px > c.max_flow_px or gyro > c.max_gyro_rad_s or accel_error > c.max_accel_error_m_s2
+        return gyro > c.max_gyro_rad_s or abs(accel - self._gravity_m_s2) > c.max_accel_error_m_s2

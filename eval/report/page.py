@@ -207,6 +207,8 @@ def _sample_frames(results: RunResults) -> Iterator[SampleFrame]:
     shares = (np.arange(SAMPLE_FRAMES) + 0.5) / SAMPLE_FRAMES
     for index in sorted({candidates[int(share * len(candidates))] for share in shares}):
         frame = results.recording.frame(index)
+        if not frame.images[0].size:
+            continue  # the camera has no image at this time
         height, width = frame.images[0].shape
         seconds = (frame.t_ns - results.origin_ns) * 1e-9
         ages = tracks_of(estimates[index]).ages

@@ -116,9 +116,10 @@ class RerunLog:
         self._sink.values(entities.ACCEL, samples.t_ns, samples.accel_m_s2)
 
     def frame(self, frame: CameraFrame) -> None:
-        """Log the images of all cameras."""
+        """Log the images of the cameras that have one."""
         for images, image in zip(self._images, frame.images, strict=True):
-            images.add(frame.t_ns, image)
+            if image.size:
+                images.add(frame.t_ns, image)
 
     def estimator(self, name: str, colour: str, rule: AlignmentRule, is_single: bool = True) -> EstimateLog:
         """Return the log of an estimator; see `EstimateLog`."""

@@ -22,7 +22,7 @@ from dronevio.models.imu import GRAVITY_M_S2, ImuSamples, Sampling
 from dronevio.models.protocols import measurements
 from dronevio.models.rig import Rig, euroc_rig
 from dronevio.models.rotation import exp_so3, inverse_pose, log_so3, pose_matrix, quat_wxyz_from_matrix
-from dronevio.models.state import CameraFrame, Estimate, NavState, Trajectory
+from dronevio.models.state import NO_IMAGE, CameraFrame, Estimate, NavState, Trajectory
 
 Array = npt.NDArray[np.float64]
 Times = npt.NDArray[np.int64]
@@ -128,6 +128,7 @@ class SyntheticFrontEnd:
         self._pixels = np.zeros((n, 2))
         self._next_id = 0
         self._R_world_cam: Array | None = None
+        self._has_image = True
         self.prediction_errors_rad: list[float] = []
         """Angle of the error of each predicted rotation [rad]."""
 
@@ -143,6 +144,9 @@ class SyntheticFrontEnd:
             error = log_so3(R_cur_prev.T @ T_world_cam[:3, :3].T @ self._R_world_cam)
             self.prediction_errors_rad.append(float(np.linalg.norm(error)))
         self._R_world_cam = T_world_cam[:3, :3]
+        self._has_image = all(image.size for image in frame.images)
+        if not self._has_image:
+            return self._observations()
         p = self._at_exposure(middle_ns)
         pixels = self._model.project(p) + flight.pixel_noise * self._rng.normal(size=(len(p), 2))
         with np.errstate(divide="ignore", invalid="ignore"):
@@ -167,7 +171,7 @@ class SyntheticFrontEnd:
 
     def replenish(self, rig: Rig | None = None) -> Observations:
         """Observe further visible landmarks, up to the largest number of features."""
-        free = np.flatnonzero(self._visible & (self._ids < 0))
+        free = np.flatnonzero(self._visible & (self._ids < 0) & self._has_image)
         chosen = free[: max(self._flight.max_features - int((self._ids >= 0).sum()), 0)]
         self._ids[chosen] = self._next_id + np.arange(len(chosen))
         self._ages[chosen] = 1
@@ -179,7 +183,7 @@ class SyntheticFrontEnd:
         self._ids[np.isin(self._ids, ids)] = -1  # it may be detected again, as in an image
 
     def _observations(self) -> Observations:
-        rows = np.flatnonzero(self._ids >= 0)
+        rows = np.flatnonzero((self._ids >= 0) & self._has_image)
         rows = rows[np.argsort(self._ids[rows])]
         pixels = self._pixels[rows]
         return Observations(self._ids[rows], pixels, self._model.normalize(pixels), self._ages[rows])
@@ -215,6 +219,8 @@ class SyntheticFlight:
     """Begin and end of the time without any visible landmark [s]."""
     gravity_m_s2: float = GRAVITY_M_S2
     """Magnitude of gravity [m/s²]."""
+    missing: frozenset[int] = frozenset()
+    """Indices of the frames that have no image."""
     moving_share: float = 0.0
     """Share of the landmarks that move, up to 1."""
     name: str = "synthetic"
@@ -248,8 +254,8 @@ class SyntheticFlight:
         return START_NS + FRAME_STEP_NS * np.arange(int(self.duration_s * 1e9) // FRAME_STEP_NS + 1)
 
     def frame(self, index: int) -> CameraFrame:
-        """Return a frame, without images, by its index."""
-        return CameraFrame(int(self.frame_times_ns[index]), ())
+        """Return a frame by its index, without images, of which `NO_IMAGE` marks the missing ones."""
+        return CameraFrame(int(self.frame_times_ns[index]), (NO_IMAGE,) if index in self.missing else ())
 
     def is_dark(self, t_ns: int) -> bool:
         """Return whether no landmark is visible at a time [ns]."""

@@ -334,6 +334,20 @@ def test_a_rolling_shutter_costs_little(make_flight: MakeFlight) -> None:
 
 
 @pytest.mark.parametrize("rest_s", [STATIONARY, IN_MOTION])
+def test_frames_without_an_image_cost_little(make_flight: MakeFlight, rest_s: float) -> None:
+    """Every fifth image is missing, and ten in a row: each frame has a pose, no such frame is a keyframe."""
+    missing = frozenset({*range(3, 240, 5), *range(150, 160)})
+    flight = make_flight(1, rest_s=rest_s)
+    estimates = replace(flight, missing=missing).run()
+    first = next(k for k, estimate in enumerate(estimates) if estimate.state is not None)
+    assert all(estimate.state is not None for estimate in estimates[first:])
+    assert not any("keyframe" in estimates[k].events for k in missing)
+    clean = flight.run()
+    assert first <= 8 + next(k for k, estimate in enumerate(clean) if estimate.state is not None)
+    assert ate_m(flight, poses(estimates)) < 2.0 * ate_m(flight, poses(clean))
+
+
+@pytest.mark.parametrize("rest_s", [STATIONARY, IN_MOTION])
 def test_gravity_is_a_setting(make_flight: MakeFlight, rest_s: float) -> None:
     """Where gravity is 9.7 m/s², the setting restores the accuracy; without it, a bias or the scale compensates."""
     flight = make_flight(seed=1, rest_s=rest_s, noisy=False, gravity_m_s2=9.7)

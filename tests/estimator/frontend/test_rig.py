@@ -17,7 +17,7 @@ from dronevio.models.errors import ConfigError
 from dronevio.models.rig import Rig, RigCamera
 from dronevio.models.rig_presets import RIGS, rig_named
 from dronevio.models.rotation import exp_so3, inverse_pose, pose_matrix
-from dronevio.models.state import CameraFrame
+from dronevio.models.state import NO_IMAGE, CameraFrame
 
 Array = npt.NDArray[np.float64]
 RenderWall = Callable[[CameraModel, Array], npt.NDArray[np.uint8]]
@@ -224,6 +224,21 @@ def test_cameras_without_overlap_track_separately(render_wall: RenderWall) -> No
         assert np.sum(tracked.camera == camera) > 0.5 * np.sum(before.camera == camera) > 10
     back = RIGHT.project(np.column_stack([after.xy, np.ones(len(after))]))
     np.testing.assert_allclose(back[after.camera == 1], after.pixels[after.camera == 1], atol=1e-9)
+
+
+def test_cameras_may_lack_an_image(render_wall: RenderWall) -> None:
+    """Without the second image nothing is matched; without the first, which tracks, nothing is observed."""
+    wall, tracker, before = replenished_once(render_wall, STEREO)
+    first, second = wall.frame().images
+    one = tracker.track(CameraFrame(10**18 + 60_000_000, (first, NO_IMAGE)), np.eye(3))
+    assert len(one) > 0.9 * len(before)
+    assert len(tracker.replenish().matches) == 0
+    assert len(tracker.track(CameraFrame(10**18 + 70_000_000, (NO_IMAGE, second)), np.eye(3))) == 0
+    assert len(tracker.replenish()) == 0
+    tracker.track(wall.frame(), np.eye(3))
+    after = tracker.replenish()
+    assert len(after.matches) > 0.8 * len(before.matches)
+    assert np.isin(before.ids, after.ids).mean() > 0.9
 
 
 def test_shared_view_of_the_named_rigs() -> None:

@@ -14,7 +14,7 @@ from dronevio.estimator.types import Observations
 from dronevio.models.camera import CameraModel
 from dronevio.models.errors import ConfigError
 from dronevio.models.rotation import exp_so3, pose_matrix
-from dronevio.models.state import CameraFrame
+from dronevio.models.state import NO_IMAGE, CameraFrame
 
 Array = npt.NDArray[np.float64]
 Image = npt.NDArray[np.uint8]
@@ -235,6 +235,22 @@ def test_a_dark_frame_ends_all_tracks(wall: WallSequence) -> None:
     after = tracker.replenish()
     assert len(after) > 0.8 * len(before)
     assert set(after.ids[after.ages == 1].tolist()).isdisjoint(before.ids.tolist())
+
+
+def test_features_are_kept_over_missing_images(wall: WallSequence) -> None:
+    """The prediction accumulates the rotation over frames without an image, in which nothing is observed."""
+    tracker = FeatureTracker(CAMERA, replace(CONFIG, min_tracked_ratio=0.0))  # no search without the prediction
+    step = exp_so3(np.radians([0.0, 3.0, 2.0]))
+    tracker.track(wall.frame(np.eye(3)), np.eye(3))
+    before = tracker.replenish()
+    for k in range(3):
+        assert len(tracker.track(CameraFrame(10**18 + 1 + k, (NO_IMAGE,)), step.T)) == 0
+        assert len(tracker.replenish()) == 0
+    R = step @ step @ step @ step
+    after = tracker.track(wall.frame(R), step.T)
+    assert len(after) > 0.6 * len(before) and np.isin(after.ids, before.ids).all()
+    expected = true_pixels(before.pixels[np.isin(before.ids, after.ids)], R)
+    assert np.median(np.linalg.norm(after.pixels - expected, axis=1)) < 0.2
 
 
 def dark_image(seed: int, level: float = 6.0, sigma: float = 1.6) -> Image:

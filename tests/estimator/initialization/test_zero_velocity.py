@@ -104,3 +104,13 @@ def test_a_minority_of_moving_features_is_not_motion() -> None:
 
     stationary_s = stationary_times([(with_moving_features(k), imu_increments()) for k in range(6)])
     np.testing.assert_allclose(stationary_s, 0.05 * np.arange(6), atol=1e-12)
+
+
+def test_frames_without_an_image_are_tested_by_the_imu() -> None:
+    """The features of the next image are compared with those before; a motion of the IMU ends the interval."""
+    detector = ZeroVelocityDetector(CONFIG)
+    for k in range(6):
+        detector.update(k * FRAME_NS, None if k in (0, 3) else observed(seed=k), imu_increments())
+    assert detector.stationary_s == pytest.approx(4 * FRAME_NS * 1e-9)
+    detector.update(6 * FRAME_NS, None, imu_increments(gyro=2.0 * CONFIG.max_gyro_rad_s))
+    assert detector.stationary_s == 0.0
