@@ -100,7 +100,7 @@ def estimate(
     """Estimate the motion of a recording, frame by frame.
 
     Args:
-        recording: A recording, or the path of one.
+        recording: A recording, or the path of one, whose defects are listed in the result.
         estimator: An estimator before its first measurement, or the settings of the visual-inertial odometry; by
             default the odometry with default settings.
         progress: Called with the number of processed frames.
@@ -111,7 +111,7 @@ def estimate(
     Raises:
         InputError: The recording cannot be read.
     """
-    source = open_recording(Path(recording)) if isinstance(recording, str | Path) else recording
+    source = open_recording(Path(recording), repair=True) if isinstance(recording, str | Path) else recording
     if estimator is None or isinstance(estimator, VioConfig):
         estimator = VisualInertialOdometry(source.rig, estimator)
     return estimate_recording(source, estimator, progress)

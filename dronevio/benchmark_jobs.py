@@ -12,6 +12,7 @@ from dronevio.eval.benchmark.cache import code_hash, content_hash, recording_has
 from dronevio.eval.benchmark.jobs import RecordingSpec
 from dronevio.eval.benchmark.rows import score_columns
 from dronevio.eval.provenance import versions_here
+from dronevio.models.defects import defects_text
 from dronevio.models.errors import ConfigError, InputError
 from dronevio.models.serialization import to_jsonable
 from dronevio.registry import NamedEstimator
@@ -42,6 +43,8 @@ class Workbench:
     """The estimators of the benchmark."""
     versions: str
     """Versions of the machine that planned the benchmark; all machines must have the same."""
+    strict: bool = False
+    """Whether recordings with defects are refused."""
 
     def config_hash(self, estimator: str) -> str:
         """Return what tells an estimator's settings apart."""
@@ -62,10 +65,10 @@ class Workbench:
         from dronevio.models.recordings.open import open_recording
 
         self._check_here()
-        opened = open_recording(recording, 1)
+        opened = open_recording(recording, 1, repair=True)
         if opened.ground_truth is None:
             raise InputError(recording, "no ground truth", "a recording with the true motion")
-        estimated = self._named(estimator).run(recording)
+        estimated = self._named(estimator).run(recording, self.strict)
         frames = opened.frame_times_ns
         return {
             **score_columns(score(opened.ground_truth, estimated.trajectory, frames)),
@@ -73,6 +76,7 @@ class Workbench:
             "cpu_ms_mean": estimated.cpu_ms_mean,
             "cpu_ms_p99": estimated.cpu_ms_p99,
             "real_time_factor": estimated.real_time_factor,
+            "defects": defects_text(estimated.defects),
         }
 
     def _named(self, label: str) -> NamedEstimator:

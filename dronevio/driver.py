@@ -3,14 +3,16 @@
 import time
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
+from dataclasses import replace
 from typing import TYPE_CHECKING, Protocol
 
 import cv2
 import numpy as np
 
 from dronevio.eval.run import EstimatorRun
+from dronevio.models.defects import Defect, DefectKind, defects_of
 from dronevio.models.errors import EvaluationError
-from dronevio.models.imu import GRAVITY_M_S2, ImuModel, ImuSamples
+from dronevio.models.imu import GRAVITY_M_S2, ImuModel, ImuSamples, Times
 from dronevio.models.progress import Progress, silent
 from dronevio.models.protocols import Estimator, Recording, measurements
 from dronevio.models.state import CameraFrame, Estimate, NavState, Trajectory
@@ -126,7 +128,8 @@ def estimate_recording(
     """Push all measurements of a recording into an estimator, in the order of time, on one thread.
 
     Each estimate is taken before the next frame is read, so it is causal. The processor time contains neither the
-    reading of images nor the work of observers.
+    reading of images nor the work of observers. The defects of the recording are events of the estimates: each is an
+    event of the first frame at or after it, and those of consecutive frames one event of the first.
 
     Args:
         recording: The measurements.
@@ -137,20 +140,42 @@ def estimate_recording(
     Raises:
         InputError: An image cannot be read.
     """
-    timed = TimedEstimator(estimator)
-    frames, total = 0, len(recording.frame_times_ns)
+    timed, known = TimedEstimator(estimator), defects_of(recording)
+    kinds_at, before = _kinds_by_frame(recording.frame_times_ns, known), frozenset[DefectKind]()
+    estimates: list[Estimate] = []
+    damaged: list[Defect] = []
+    total = len(recording.frame_times_ns)
     for measurement in measurements(recording):
         if isinstance(measurement, ImuSamples):
             timed.add_imu(measurement)
             for observer in observers:
                 observer.imu(measurement)
         else:
-            estimate = timed.add_frame(measurement)
+            damaged += measurement.defects
+            kinds = kinds_at.get(len(estimates), frozenset()) | {defect.kind for defect in measurement.defects}
+            estimate = _with_events(timed.add_frame(measurement), kinds - before)
+            estimates.append(estimate)
+            before = kinds
             for observer in observers:
                 observer.frame(measurement, estimate, timed.cpu_ms)
-            frames += 1
-            progress(frames, total)
-    return timed.run
+            progress(len(estimates), total)
+    return replace(timed.run, estimates=tuple(estimates), defects=(*known, *damaged))
+
+
+def _kinds_by_frame(frame_times_ns: Times, defects: Sequence[Defect]) -> dict[int, frozenset[DefectKind]]:
+    """Return the kinds of defects by the index of the first frame (M,) at or after each, or of the last frame."""
+    rows = np.searchsorted(frame_times_ns, [defect.t_ns for defect in defects])
+    kinds: dict[int, frozenset[DefectKind]] = {}
+    for row, defect in zip(np.minimum(rows, len(frame_times_ns) - 1).tolist(), defects, strict=True):
+        kinds[row] = kinds.get(row, frozenset()) | {defect.kind}
+    return kinds
+
+
+def _with_events(estimate: Estimate, kinds: frozenset[DefectKind]) -> Estimate:
+    """Return an estimate with an event for each kind of defect."""
+    if not kinds:
+        return estimate
+    return replace(estimate, events=(*estimate.events, *(str(kind) for kind in DefectKind if kind in kinds)))
 
 
 def require_poses(run: EstimatorRun, recording: Recording) -> Trajectory:

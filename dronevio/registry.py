@@ -6,14 +6,16 @@ import shlex
 import subprocess
 import tempfile
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import IO
 
 import numpy as np
 
+from dronevio.models.defects import Defect, refuse_defects
 from dronevio.models.errors import ConfigError, EvaluationError
-from dronevio.models.protocols import Estimator, Recording
+from dronevio.models.protocols import Estimator
+from dronevio.models.recordings.euroc import EurocRecording
 from dronevio.models.rig import Rig
 from dronevio.models.serialization import to_jsonable
 from dronevio.models.state import Trajectory
@@ -101,6 +103,8 @@ class Estimated:
     """99th percentile of the processor time per frame; None for a program, whose frames are not timed [ms]."""
     real_time_factor: float | None
     """Duration of the flight divided by the processor time."""
+    defects: tuple[Defect, ...] = ()
+    """Defects of the recording."""
 
 
 @dataclass(frozen=True)
@@ -118,25 +122,29 @@ class NamedEstimator:
             return {"command": shlex.split(self.name.removeprefix(EXTERNAL))}
         return {"estimator": self.name, "config": to_jsonable(ESTIMATORS[self.name].settings())}
 
-    def run(self, path: Path) -> Estimated:
+    def run(self, path: Path, strict: bool = False) -> Estimated:
         """Estimate the trajectory of a recording.
 
         Args:
             path: An EuRoC folder or a ROS 2 bag; only the former for a program.
+            strict: Whether to refuse a recording with defects.
 
         Raises:
-            InputError: The recording, or the file that a program wrote, cannot be read.
+            InputError: The recording, or the file that a program wrote, cannot be read; or the recording has defects.
             EvaluationError: The estimate has no pose, or a program failed.
             ConfigError: The recording has too few cameras, or a program cannot be started.
             CrashError: A program was killed by a signal.
         """
         if self.name.startswith(EXTERNAL):
-            return _run_program(shlex.split(self.name.removeprefix(EXTERNAL)), path)
+            return _run_program(shlex.split(self.name.removeprefix(EXTERNAL)), path, strict)
         from dronevio.driver import estimate_recording, require_poses
         from dronevio.models.recordings.open import open_recording
 
         kind = ESTIMATORS[self.name]
-        recording = open_recording(path, kind.cameras)
+        recording = open_recording(path, kind.cameras, repair=True)
+        if strict:
+            refuse_defects(path, recording.defects)
+            recording = replace(recording, repair=False)
         if kind.cameras is None and len(recording.rig.cameras) < 2:
             raise ConfigError(f"{path}: one camera; expected two or more for {self.name}")
         run = estimate_recording(recording, kind.make(recording.rig))
@@ -145,6 +153,7 @@ class NamedEstimator:
             float(run.cpu_ms.mean()),
             float(np.percentile(run.cpu_ms, 99.0)),
             run.real_time_factor,
+            run.defects,
         )
 
 
@@ -177,13 +186,14 @@ def estimator_named(text: str) -> NamedEstimator:
     return NamedEstimator(label, name)
 
 
-def _run_program(command: list[str], path: Path) -> Estimated:
+def _run_program(command: list[str], path: Path, strict: bool) -> Estimated:
     """Run a program, without a shell, on the sensor data of a recording, and read the trajectory that it writes."""
     from dronevio.eval.benchmark.isolation import CrashError, exit_description
-    from dronevio.models.recordings.euroc import EurocRecording
     from dronevio.models.recordings.tum import read_tum
 
-    recording = EurocRecording.open(path, 1)
+    recording = EurocRecording.open(path, repair=True)
+    if strict:
+        refuse_defects(path, recording.defects)
     with tempfile.TemporaryDirectory(prefix="dronevio-") as scratch:
         view, output = Path(scratch) / path.resolve().name, Path(scratch) / "estimate.tum"
         _link_sensor_data(recording.mav0, view)
@@ -225,8 +235,9 @@ def _run_timed(words: list[str], output: IO[bytes]) -> tuple[int, float]:
     return code, after.ru_utime - before.ru_utime + after.ru_stime - before.ru_stime
 
 
-def _with_costs(trajectory: Trajectory, recording: Recording, cpu_s: float) -> Estimated:
+def _with_costs(trajectory: Trajectory, recording: EurocRecording, cpu_s: float) -> Estimated:
     """Return the estimate of a program, with its processor time divided by the number of frames."""
     frames = recording.frame_times_ns
     span_s = float(np.ptp(frames)) * 1e-9
-    return Estimated(trajectory, 1e3 * cpu_s / len(frames), None, span_s / max(cpu_s, 1e-3))
+    cost_ms, factor = 1e3 * cpu_s / len(frames), span_s / max(cpu_s, 1e-3)
+    return Estimated(trajectory, cost_ms, None, factor, recording.defects)

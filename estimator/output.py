@@ -5,9 +5,9 @@ from dataclasses import replace
 import numpy as np
 import numpy.typing as npt
 
-from dronevio.estimator.imu.buffer import IMU_GAP
 from dronevio.estimator.initialization.initializer import InitializerConfig, not_ready_reason
 from dronevio.estimator.types import FramePacket, Observations
+from dronevio.models.imu import IMU_GAP_INTERVALS
 from dronevio.models.state import Estimate, FeatureTracks, Health, HealthReport, NavState
 
 Array = npt.NDArray[np.float64]
@@ -82,7 +82,7 @@ class Publisher:
     def _gap_events(self, packet: FramePacket) -> tuple[str, ...]:
         """Return an event when a gap of the IMU begins, and one when a gap of several frames ends."""
         longest_s = packet.increments.longest_s
-        if longest_s * self._imu_rate_hz > IMU_GAP:
+        if longest_s * self._imu_rate_hz > IMU_GAP_INTERVALS:
             self._gaps_s = (*self._gaps_s, longest_s)
             return (f"no IMU for {longest_s:.2f} s",) if len(self._gaps_s) == 1 else ()
         gaps_s, self._gaps_s = self._gaps_s, ()

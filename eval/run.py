@@ -7,6 +7,7 @@ import numpy as np
 import numpy.typing as npt
 
 from dronevio.eval.metrics.scores import coverage_percent, initialization_s
+from dronevio.models.defects import Defect
 from dronevio.models.errors import EvaluationError
 from dronevio.models.imu import Times
 from dronevio.models.protocols import Recording
@@ -28,6 +29,8 @@ class EstimatorRun:
     """(M,) Processor time of all threads for each frame and the IMU samples before it [ms]."""
     wall_ms: Array
     """(M,) Elapsed time for the same [ms]."""
+    defects: tuple[Defect, ...] = ()
+    """Defects of the recording, and of the images that were read."""
 
     def __post_init__(self) -> None:
         """Check the lengths.

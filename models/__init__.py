@@ -9,6 +9,7 @@ from dronevio._lazy import attach
 
 if TYPE_CHECKING:
     from dronevio.models.camera import CameraModel
+    from dronevio.models.defects import Defect, DefectKind
     from dronevio.models.errors import (
         ConfigError,
         DronevioError,
@@ -30,13 +31,25 @@ if TYPE_CHECKING:
     from dronevio.models.reconstructions.formats import read_reconstruction, write_reconstruction
     from dronevio.models.rig import Rig, RigCamera, euroc_rig
     from dronevio.models.rig_presets import rig_named
-    from dronevio.models.state import CameraFrame, Estimate, FeatureTracks, Health, HealthReport, NavState, Trajectory
+    from dronevio.models.state import (
+        NO_IMAGE,
+        CameraFrame,
+        Estimate,
+        FeatureTracks,
+        Health,
+        HealthReport,
+        NavState,
+        Trajectory,
+    )
 
 __all__ = [
+    "NO_IMAGE",
     "CameraFrame",
     "CameraModel",
     "ConfigError",
     "Controller",
+    "Defect",
+    "DefectKind",
     "DronevioError",
     "Estimate",
     "Estimator",
@@ -75,6 +88,7 @@ __getattr__, __dir__ = attach(
     __name__,
     {
         "dronevio.models.camera": ("CameraModel",),
+        "dronevio.models.defects": ("Defect", "DefectKind"),
         "dronevio.models.errors": (
             "ConfigError",
             "DronevioError",
@@ -97,6 +111,7 @@ __getattr__, __dir__ = attach(
         "dronevio.models.rig": ("Rig", "RigCamera", "euroc_rig"),
         "dronevio.models.rig_presets": ("rig_named",),
         "dronevio.models.state": (
+            "NO_IMAGE",
             "CameraFrame",
             "Estimate",
             "FeatureTracks",

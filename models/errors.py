@@ -22,7 +22,9 @@ class InputError(DronevioError):
         self.path = Path(path)
         self.line = line
         where = f"{path}:{line}" if line is not None else f"{path}"
-        super().__init__(f"{where}: {found}; expected {expected}")
+        self.found = f"{where}: {found}"
+        """The message without what was expected."""
+        super().__init__(f"{self.found}; expected {expected}")
 
 
 class ConfigError(DronevioError):

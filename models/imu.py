@@ -16,6 +16,8 @@ Sampling = Literal["increment", "point"]
 
 GRAVITY_M_S2 = 9.81
 """Magnitude of gravity, which acts along −z in the world frame [m/s²]."""
+IMU_GAP_INTERVALS = 4.0
+"""A time without samples is a gap of the IMU if it is longer than this many sampling intervals."""
 STANDARD_GRAVITY_M_S2 = 9.80665
 """Standard gravity, the unit g of data sheets (CGPM, 1901) [m/s²]."""
 

@@ -8,6 +8,7 @@ from typing import Self
 import numpy as np
 import numpy.typing as npt
 
+from dronevio.models.defects import Defect
 from dronevio.models.errors import ConfigError
 from dronevio.models.imu import Times
 from dronevio.models.rotation import matrix_from_quat_wxyz, pose_matrix, quat_wxyz_from_matrix
@@ -29,6 +30,8 @@ class CameraFrame:
     """Grey images (H, W), one for each camera of the rig; `NO_IMAGE` for a camera that has none at this time."""
     depth_m: npt.NDArray[np.float32] | None = None
     """(H, W) Depth along the optical axis of the main camera; only in simulation, and not given to estimators [m]."""
+    defects: tuple[Defect, ...] = ()
+    """Reasons of the images that cannot be read."""
 
 
 @dataclass(frozen=True, eq=False)

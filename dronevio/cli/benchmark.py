@@ -8,8 +8,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
 from dronevio.cli.options import Printing, PrintOptions
-from dronevio.cli.terminal import parse, print_json, print_table
-from dronevio.models.errors import ConfigError
+from dronevio.cli.terminal import parse, print_defects, print_json, print_table
+from dronevio.models.errors import ConfigError, InputError
 
 if TYPE_CHECKING:
     from dronevio.eval.benchmark.engines import Engine
@@ -68,6 +68,10 @@ class BenchmarkCommand:
     """Address of a Ray cluster; auto for the cluster of this machine. Without it, Ray is started on this machine."""
     timeout_s: float = 1800.0
     """Time limit of one run, and of the simulation of one recording [s]."""
+    strict: bool = False
+    """Refuse recordings with defects: missing, damaged or unpaired images, time stamps that do not increase, gaps of
+    the IMU, IMU samples that are not finite, and frames without IMU. By default, their numbers are printed as warnings
+    and stored in the column defects."""
     retry: bool = False
     """Repeat failed runs."""
     cache: Path | None = None
@@ -155,16 +159,36 @@ def _planned(command: BenchmarkCommand) -> "BenchmarkPlan":
     if command.rig is not None and not names:
         raise ConfigError(f"--rig {command.rig} without scenarios; a recording has its own rig")
     flights = scenario_flights(names, seeds, command.rig) + recorded_flights(command.recordings)
+    for path in command.recordings:
+        _report_defects(path, command.strict)
     if not flights:
         raise ConfigError("no flights; expected --suite, --scenarios or --recordings")
     return BenchmarkPlan(
         flights,
         tuple(labels),
-        Workbench(estimators, versions()),
+        Workbench(estimators, versions(), command.strict),
         (command.cache or _default_cache()).absolute(),
         command.timeout_s,
         command.keep_recordings,
     )
+
+
+def _report_defects(path: Path, strict: bool) -> None:
+    """Print the defects of a recording as warnings.
+
+    Raises:
+        InputError: The recording has defects, and ``strict`` is set.
+    """
+    from dronevio.models.defects import refuse_defects
+    from dronevio.models.recordings.open import open_recording
+
+    try:
+        defects = open_recording(path, repair=True).defects
+    except InputError:
+        return  # the rows of the benchmark have the reason
+    if strict:
+        refuse_defects(path, defects)
+    print_defects(defects, f"{path}: ")
 
 
 def _engine(command: BenchmarkCommand) -> "Engine":

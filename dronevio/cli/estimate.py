@@ -2,14 +2,14 @@
 
 from collections import Counter
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Annotated, Any
 
 import tyro
 
 from dronevio.cli.options import Printing, PrintOptions, RecordingInput, RecordingOptions
-from dronevio.cli.terminal import parse, print_json, print_values, progress_bars
+from dronevio.cli.terminal import parse, print_defects, print_json, print_values, progress_bars
 from dronevio.estimator.config import VioConfig
 
 
@@ -22,12 +22,16 @@ class EstimateCommand:
     IMU per frame since initialization, in a world frame whose z axis points up. Each pose depends only on measurements
     up to its frame.
 
+    Defects of the recording, such as missing or damaged images and gaps of the IMU, are counted and printed as
+    warnings, and the estimation goes on without what is defective. With --strict, they are an error.
+
     Examples:
       dronevio estimate recordings/room-0
       dronevio estimate V1_01_easy --out v101.tum
       dronevio estimate V1_01_easy --cameras 1 --imu-rate v101_imu.tum
       dronevio estimate flight.mcap --calibration camchain.yaml imu.yaml --topics.images /left/image_raw
       dronevio estimate V1_01_easy --estimator.tracker.corners.cell-px 36
+      dronevio estimate flight.mcap --strict --estimator.gravity-m-s2 9.80
       dronevio evaluate V1_01_easy v101.tum
     """
 
@@ -35,6 +39,9 @@ class EstimateCommand:
     """EuRoC folder or ROS 2 bag."""
     out: Path = Path("estimate.tum")
     """TUM file to write."""
+    strict: bool = False
+    """Refuse a recording with defects: missing, damaged or unpaired images, time stamps that do not increase, gaps of
+    the IMU, IMU samples that are not finite, and frames without IMU."""
     imu_rate: Path | None = None
     """Second TUM file to write: one pose per IMU sample, propagated from the estimate of the newest frame before it."""
     reading: RecordingInput = field(default_factory=RecordingOptions)
@@ -51,18 +58,24 @@ def main(arguments: Sequence[str]) -> int:
 
     from dronevio.driver import ImuRateObserver, estimate_recording, require_poses
     from dronevio.estimator.vio import VisualInertialOdometry
+    from dronevio.models.defects import count_defects, defect_values, refuse_defects
     from dronevio.models.recordings.files import check_output_path
     from dronevio.models.recordings.tum import write_tum
 
     for place in filter(None, (command.out, command.imu_rate)):
         check_output_path(place)  # before the estimator runs
-    recording = command.reading.open(command.recording)
+    recording = command.reading.open(command.recording, repair=True)
+    if command.strict:
+        refuse_defects(command.recording, recording.defects)
+        recording = replace(recording, repair=False)  # refuses damaged images when they are read
+    print_defects(recording.defects)
     estimator_config = command.estimator
     imu_rate = ImuRateObserver(recording.rig.imu, estimator_config.preintegration, estimator_config.gravity_m_s2)
     observers = () if command.imu_rate is None else (imu_rate,)
     with progress_bars(quiet=command.printing.json) as bars:
         estimator = VisualInertialOdometry(recording.rig, command.estimator)
         run = estimate_recording(recording, estimator, bars.bar("estimating"), observers)
+    print_defects(run.defects[len(recording.defects) :])
     trajectory = require_poses(run, recording)
     write_tum(command.out, trajectory)
     if command.imu_rate is not None:
@@ -71,6 +84,7 @@ def main(arguments: Sequence[str]) -> int:
         "recording": str(command.recording),
         "estimate": str(command.out),
         "complete": recording.complete,
+        "defects": defect_values(run.defects),
         "cameras": len(recording.rig.cameras),
         "frames": len(run.estimates),
         "poses": len(trajectory),
@@ -92,6 +106,7 @@ def main(arguments: Sequence[str]) -> int:
             ("frames", f"{len(run.estimates)}", ""),
             ("poses", f"{len(trajectory)}", ""),
             *((f"frames {health}", f"{count}", "") for health, count in summary["health"].items()),
+            *((f"defects: {each.kind}", f"{each.count}", "") for each in count_defects(run.defects)),
             ("first pose after", f"{summary['first_pose_s']:.2f}", "s"),
             ("length of the path", f"{trajectory.length_m:.2f}", "m"),
             ("processor time per frame", f"{run.cpu_ms.mean():.1f}", "ms"),

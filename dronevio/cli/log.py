@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 import tyro
 
 from dronevio.cli.options import Output, OutputOptions, RecordingInput, RecordingOptions
-from dronevio.cli.terminal import parse, print_json, print_table, progress_bars
+from dronevio.cli.terminal import parse, print_defects, print_json, print_table, progress_bars
 from dronevio.models.errors import ConfigError, InputError
 
 if TYPE_CHECKING:
@@ -63,7 +63,8 @@ def main(arguments: Sequence[str]) -> int:
     from dronevio.eval.rerun.video import VideoSettings
     from dronevio.models.recordings.open import read_trajectory
 
-    recording = command.reading.open(command.recording)
+    recording = command.reading.open(command.recording, repair=True)
+    print_defects(recording.defects)
     truth = recording.ground_truth if command.truth is None else read_trajectory(command.truth)
     trajectories = [read_trajectory(path) for path in command.estimates]
     estimates = align_estimates(names, trajectories, truth, recording.frame_times_ns, command.alignment)

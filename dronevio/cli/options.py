@@ -43,8 +43,12 @@ class RecordingOptions:
     topics: BagTopics = field(default_factory=BagTopics)
     """Topics of a ROS 2 bag that has several of one type."""
 
-    def open(self, path: Path) -> "StoredRecording":
+    def open(self, path: Path, repair: bool = False) -> "StoredRecording":
         """Open a recording.
+
+        Args:
+            path: The recording.
+            repair: Whether to go on with its defects and to list them.
 
         Raises:
             InputError: It cannot be read.
@@ -54,7 +58,7 @@ class RecordingOptions:
 
         if self.cameras is not None and self.cameras < 1:
             raise ConfigError(f"--cameras {self.cameras}; expected 1 or more")
-        recording = open_recording(path, self.cameras, self.calibration, self.topics)
+        recording = open_recording(path, self.cameras, self.calibration, self.topics, repair)
         found = len(recording.rig.cameras)
         if self.cameras is not None and found < self.cameras:
             raise ConfigError(f"--cameras {self.cameras}: {path} has {found}; expected {found} or fewer")

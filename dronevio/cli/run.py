@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any, Literal
 
 from dronevio.cli.flight_options import FlightOptions, ScenarioInput, parse_flight
 from dronevio.cli.options import Output, OutputOptions
-from dronevio.cli.terminal import Bars, print_json, print_values, progress_bars
+from dronevio.cli.terminal import Bars, print_defects, print_json, print_values, progress_bars
 from dronevio.estimator.config import VioConfig
 from dronevio.sim.loop_settings import LoopSettings
 
@@ -151,6 +151,7 @@ def _run(
 
     surroundings = surroundings_of(build_world(scenario.world, scenario.seed))
     estimated = flown_and_estimated(scenario, command, mission, folder, surroundings, bars)
+    print_defects(estimated.run.defects)
     trajectory, truth = estimated.run.trajectory, estimated.recording.ground_truth
     assert truth is not None
     write_tum(folder / "groundtruth.tum", truth)

@@ -101,6 +101,7 @@ def _flown_live(
     from dronevio.driver import TimedEstimator
     from dronevio.estimator.vio import VisualInertialOdometry
     from dronevio.eval.rerun.files import write_rrd
+    from dronevio.models.defects import defects_of
     from dronevio.models.errors import ConfigError
     from dronevio.recorder import record_closed_loop
     from dronevio.sim.envs.mission import policy_outcome
@@ -121,7 +122,8 @@ def _flown_live(
         pilot,
         true_state=command.fly_on == "truth",
     )
-    recording, run = _recording(scenario, folder), estimator.run
+    recording = _recording(scenario, folder)
+    run = replace(estimator.run, defects=defects_of(recording))
     scored = _scored(recording, run)
     write_rrd(folder / "run.rrd", recording, run, scored, surroundings=surroundings, progress=progress["logging"])
     outcome = None
@@ -134,7 +136,8 @@ def _recording(scenario: "Scenario", folder: Path) -> "Recording":
     """Return the recording of a run."""
     from dronevio.models.recordings.euroc import EurocRecording
 
-    return replace(EurocRecording.open(folder / "recording"), name=f"{scenario.name}, seed {scenario.seed}")
+    opened = EurocRecording.open(folder / "recording", repair=True)
+    return replace(opened, name=f"{scenario.name}, seed {scenario.seed}")
 
 
 def _scored(recording: "Recording", run: "EstimatorRun") -> "ScoredTrajectory":

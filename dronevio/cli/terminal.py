@@ -14,6 +14,7 @@ from dronevio.cli.fields import REGISTRY
 if TYPE_CHECKING:
     from rich.progress import Progress as RichProgress
 
+    from dronevio.models.defects import Defect
     from dronevio.models.progress import Progress
 
 Command = TypeVar("Command")
@@ -79,6 +80,24 @@ class Bars:
             self._bars.update(task, completed=done, total=total)
 
         return advance
+
+
+def print_warning(text: str) -> None:
+    """Print a warning on one line of standard error."""
+    print(f"dronevio: warning: {text}", file=sys.stderr)
+
+
+def print_defects(defects: "Sequence[Defect]", origin: str = "") -> None:
+    """Print the defects of a recording as warnings, one line for each kind with its first occurrence.
+
+    Args:
+        defects: The defects.
+        origin: Text before each warning, such as the path of the recording and a colon.
+    """
+    from dronevio.models.defects import count_defects
+
+    for each in count_defects(defects):
+        print_warning(f"{origin}{each}")
 
 
 def print_json(document: Mapping[str, object]) -> None:

@@ -11,14 +11,12 @@ import numpy as np
 import numpy.typing as npt
 
 from dronevio.estimator.imu.saturation import MIN_ACCEL_RANGE_M_S2, MIN_GYRO_RANGE_RAD_S, SaturationDetector
-from dronevio.models.imu import ImuModel, ImuSamples
+from dronevio.models.imu import IMU_GAP_INTERVALS, ImuModel, ImuSamples
 from dronevio.models.rotation import integrated_rotations
 
 Array = npt.NDArray[np.float64]
 
 
-IMU_GAP = 4.0
-"""A time without samples counts as a gap from this many nominal sampling intervals on."""
 GAP_SIGMA = np.repeat([0.5, 2.0], 3)
 """Standard deviations of angular velocity [rad/s] and specific force [m/s²] within a gap, about the mean of the samples
 at its ends: those of a drone in fast flight."""
@@ -96,7 +94,7 @@ class ImuBuffer:
         Args:
             imu: The sensor model; without it, neither gaps nor saturation are detected by nominal values.
         """
-        self._longest_s = np.inf if imu is None else IMU_GAP / imu.rate_hz
+        self._longest_s = np.inf if imu is None else IMU_GAP_INTERVALS / imu.rate_hz
         self._gyro_limit = SaturationDetector(np.inf if imu is None else imu.gyro_range_rad_s, MIN_GYRO_RANGE_RAD_S)
         self._accel_limit = SaturationDetector(np.inf if imu is None else imu.accel_range_m_s2, MIN_ACCEL_RANGE_M_S2)
         self._samples: ImuSamples | None = None

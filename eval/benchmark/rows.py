@@ -22,6 +22,8 @@ Identity: TypeAlias = tuple[str, int | None, str]
 RESULTS_FILE = "results.parquet"
 """Name of the file with all rows of a benchmark, in its folder."""
 _REPORT_FILE = "report.json"
+_LATER_COLUMNS = ("defects",)
+"""Columns with texts that results of earlier versions lack."""
 
 
 @dataclass(frozen=True)
@@ -92,6 +94,8 @@ class Row:
     """Relative position error over each of these lengths, root mean square [m]."""
     sub_trajectory_rpe_deg: tuple[float, ...] = ()
     """Relative orientation error over each of these lengths, root mean square [°]."""
+    defects: str = ""
+    """Numbers of the recording's defects, such as ``3 × missing image, 1 × IMU gap``; empty without defects."""
 
     @property
     def identity(self) -> Identity:
@@ -172,6 +176,9 @@ def read_rows(path: Path) -> tuple[Row, ...]:
         raise InputError(path, "no such file", expected) from None
     except (OSError, pa.ArrowException) as error:
         raise InputError(path, f"cannot be read ({str(error).splitlines()[0]})", expected) from None
+    for name in _LATER_COLUMNS:
+        if name not in table.column_names:
+            table = table.append_column(name, pa.array([""] * len(table), pa.string()))
     missing = [name for name in schema().names if name not in table.column_names]
     if missing:
         raise InputError(path, f"no column {', '.join(missing)}", expected)

@@ -11,6 +11,7 @@ they are not known:
     control        flown_on, reference_rmse_m, reference_max_m, collision; null for recordings
     policy         environment, success, duration_s, distance_m, end; null unless a policy flies
     estimator      poses, first_pose_s (after the first frame), mean_tracks, keyframes, health: {state: frames}
+    defects        of the recording: {kind: {count, first}}; empty without defects
     configuration, versions, machine            as in `RunInfo`
 """
 
@@ -24,6 +25,7 @@ import numpy.typing as npt
 from dronevio.eval.metrics import IDENTITY, ScoredTrajectory
 from dronevio.eval.provenance import RunInfo
 from dronevio.eval.run import EstimatorRun
+from dronevio.models.defects import defect_values
 from dronevio.models.policies.outcome import PolicyOutcome
 from dronevio.models.protocols import Recording
 from dronevio.models.state import Trajectory
@@ -93,6 +95,7 @@ def report_values(results: RunResults) -> dict[str, object]:
         "control": None if results.control is None else asdict(results.control),
         "policy": None if results.policy is None else asdict(results.policy),
         "estimator": _estimator_values(results),
+        "defects": defect_values(results.run.defects),
         "configuration": info.configuration,
         "versions": info.versions,
         "machine": info.machine,

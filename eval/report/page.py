@@ -244,6 +244,7 @@ def _provenance(results: RunResults, values: Mapping[str, object]) -> Iterator[t
     for title, content in (
         ("Run", run),
         ("Estimator", values["estimator"]),
+        ("Defects of the recording", values["defects"]),
         ("Scores", values["scores"]),
         ("Configuration", info.configuration),
         ("Versions", info.versions),

@@ -5,8 +5,8 @@ radial-tangential distortion or equidistant fisheyes. Format: Burri et al., "The
 IJRR 2016.
 """
 
-from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
 from functools import reduce
 from pathlib import Path
 from typing import Self
@@ -14,24 +14,33 @@ from typing import Self
 import numpy as np
 import numpy.typing as npt
 
+from dronevio.models.defects import Defect, DefectKind
 from dronevio.models.errors import ConfigError, InputError
 from dronevio.models.imu import ImuSamples, Times
 from dronevio.models.progress import Progress, silent
 from dronevio.models.protocols import Recording
 from dronevio.models.recordings.calibration.euroc import calibration_files, count_cameras, read_euroc_rig
-from dronevio.models.recordings.files import read_text, write_text
+from dronevio.models.recordings.files import write_text
 from dronevio.models.recordings.frame_truth import FRAME_TRUTH_FILE, FrameTruth, frame_truth_text, read_frame_truth
-from dronevio.models.recordings.images import encode_png, read_grey
+from dronevio.models.recordings.image_list import ImageList
+from dronevio.models.recordings.images import DamagedImageError, encode_png, read_grey
+from dronevio.models.recordings.repair import (
+    ABSENT,
+    IMU_STAMPS,
+    finite_rows,
+    imu_defects,
+    increasing_rows,
+    paired_frames,
+    unpaired_images,
+)
 from dronevio.models.recordings.timed_table import (
-    TIME_LIMIT_NS,
     TableFormat,
-    check_increasing,
     check_unit_quaternions,
     parse_integer_ns,
     read_timed_table,
 )
 from dronevio.models.rig import Rig, check_camera_count
-from dronevio.models.state import CameraFrame, Trajectory
+from dronevio.models.state import NO_IMAGE, CameraFrame, Trajectory
 
 Array = npt.NDArray[np.float64]
 
@@ -69,67 +78,145 @@ class EurocRecording:
     imu: ImuSamples
     """IMU samples of the whole recording, point samples."""
     frame_times_ns: Times
-    """(M,) Time stamps at which every camera has an image, strictly increasing [ns]."""
-    image_files: tuple[tuple[Path, ...], ...]
-    """M image files of each camera."""
+    """(M,) Time stamps at which every camera has an image, or any camera with `repair`; strictly increasing [ns]."""
+    image_files: tuple[tuple[Path | None, ...], ...]
+    """M image files of each camera, None where it has none."""
     ground_truth: Trajectory | None
     """Ground truth of the IMU, None if the folder has none."""
     frame_truth: FrameTruth | None = None
     """Ground truth of the frames, None if the folder has none; it may include frames that the recording lost."""
     complete: bool = True
     """Whether the recording was written completely; if not, it has the frames for which every camera has an image."""
+    repair: bool = False
+    """Whether frames go without images that are missing or damaged; otherwise these raise an error."""
+    defects: tuple[Defect, ...] = field(default=(), repr=False)
+    """Defects that were found when the recording was opened with `repair`."""
 
     @classmethod
-    def open(cls, folder: Path | str, cameras: int | None = None) -> Self:
+    def open(cls, folder: Path | str, cameras: int | None = None, repair: bool = False) -> Self:
         """Read everything except the images, which `frame` reads on request.
 
         Args:
             folder: The folder ``mav0`` or its parent.
             cameras: Number of cameras to use; None for all.
+            repair: Whether to go on with images that are missing or damaged, time stamps that do not increase and IMU
+                samples that are not finite, and to list them in `defects`. Otherwise, they raise an error, and frames
+                that not every camera has are left out.
 
         Raises:
-            InputError: A file is missing, damaged or not supported.
+            InputError: A file is missing, damaged or not supported; or, with `repair`, IMU and cameras do not overlap
+                in time.
             ConfigError: The number of cameras is less than 1.
         """
         check_camera_count(cameras)
         mav0 = find_mav0(folder)
         used = count_cameras(mav0) if cameras is None else min(cameras, count_cameras(mav0))
-        lists = [_read_image_list(mav0 / f"cam{i}") for i in range(used)]
+        lists = [ImageList.read(mav0 / f"cam{i}") for i in range(used)]
         complete = not (mav0 / INCOMPLETE).exists()
-        if not complete:
-            lists = [_existing(t_ns, files) for t_ns, files in lists]
-        times = reduce(np.intersect1d, [t_ns for t_ns, _ in lists])
-        if not len(times) and not complete:
-            raise InputError(mav0, "an incomplete recording without frames", "at least one frame")
-        if not len(times):
-            raise InputError(mav0, f"{used} cameras without a time stamp in common", "synchronized cameras")
+        frames = _repaired_frames(mav0, lists, complete) if repair else _strict_frames(mav0, lists, complete)
         truth, frame_truth = mav0 / GROUND_TRUTH_FILE, mav0 / FRAME_TRUTH_FILE
+        rig, imu_path = read_euroc_rig(mav0, used), mav0 / "imu0" / "data.csv"
+        imu, defects = read_repaired_imu(imu_path) if repair else (read_imu(imu_path), ())
+        if repair:
+            defects = (*frames.defects, *defects, *imu_defects(imu, frames.t_ns, rig.time_offset_s, mav0))
         return cls(
             name=mav0.resolve().parent.name,
             mav0=mav0,
-            rig=read_euroc_rig(mav0, used),
-            imu=read_imu(mav0 / "imu0" / "data.csv"),
-            frame_times_ns=times,
-            image_files=tuple(
-                tuple(files[row] for row in np.searchsorted(t_ns, times).tolist()) for t_ns, files in lists
-            ),
+            rig=rig,
+            imu=imu,
+            frame_times_ns=frames.t_ns,
+            image_files=frames.files,
             ground_truth=read_groundtruth(truth) if truth.exists() else None,
             frame_truth=read_frame_truth(frame_truth) if frame_truth.exists() else None,
             complete=complete,
+            repair=repair,
+            defects=defects,
         )
 
     def frame(self, index: int) -> CameraFrame:
         """Return the frame with a given index, 0 ≤ index < M.
 
         Raises:
-            InputError: An image is missing, damaged, or has another size than in the calibration.
+            InputError: An image has another size than in the calibration; or it is missing or damaged, unless `repair`
+                is set.
         """
-        models = [camera.model for camera in self.rig.cameras]
-        images = tuple(
-            read_grey(files[index], model.width, model.height)
-            for files, model in zip(self.image_files, models, strict=True)
-        )
-        return CameraFrame(int(self.frame_times_ns[index]), images)
+        t_ns = int(self.frame_times_ns[index])
+        images: list[npt.NDArray[np.uint8]] = []
+        defects: list[Defect] = []
+        for files, camera in zip(self.image_files, self.rig.cameras, strict=True):
+            file, image = files[index], NO_IMAGE
+            try:
+                if file is not None:
+                    image = read_grey(file, camera.model.width, camera.model.height)
+            except DamagedImageError as error:
+                if not self.repair:
+                    raise
+                defects.append(Defect(DefectKind.DAMAGED_IMAGE, t_ns, error.found))
+            images.append(image)
+        return CameraFrame(t_ns, tuple(images), defects=tuple(defects))
+
+
+@dataclass(frozen=True, eq=False)
+class _Frames:
+    """The frames of a folder."""
+
+    t_ns: Times
+    """(M,) Time stamps [ns]."""
+    files: tuple[tuple[Path | None, ...], ...]
+    """M image files of each camera, None where it has none."""
+    defects: tuple[Defect, ...] = ()
+    """Defects of the images."""
+
+
+def _strict_frames(mav0: Path, lists: Sequence[ImageList], complete: bool) -> _Frames:
+    """Return the frames for which every camera has an image, or raise InputError if time stamps do not increase."""
+    checked = [each.check() for each in lists]
+    return _common_frames(mav0, checked if complete else [each.selected(each.existing()) for each in checked], complete)
+
+
+def _common_frames(mav0: Path, lists: Sequence[ImageList], complete: bool) -> _Frames:
+    """Return the frames at the time stamps that are in all lists, or raise InputError if there is none."""
+    times = reduce(np.intersect1d, [each.t_ns for each in lists])
+    if not len(times) and not complete:
+        raise InputError(mav0, "an incomplete recording without frames", "at least one frame")
+    if not len(times):
+        raise InputError(mav0, f"{len(lists)} cameras without a time stamp in common", "synchronized cameras")
+    return _Frames(times, tuple(each.selected(np.searchsorted(each.t_ns, times)).files for each in lists))
+
+
+def _repaired_frames(mav0: Path, lists: Sequence[ImageList], complete: bool) -> _Frames:
+    """Return the frames for which at least one camera has an image, with their defects.
+
+    The images that an interrupted recording lacks are not defects; it has the frames with an image of every camera.
+
+    Raises:
+        InputError: A camera has no image, or no frame has an image of each camera.
+    """
+    ordered = [each.ordered() for each in lists]
+    lists, defects = [each for each, _ in ordered], tuple(defect for _, found in ordered for defect in found)
+    existing = [each.existing() for each in lists]
+    if not complete:
+        kept = [each.selected(exists) for each, exists in zip(lists, existing, strict=True)]
+        return replace(_common_frames(mav0, kept, complete), defects=defects)
+    for each, exists in zip(lists, existing, strict=True):
+        if not exists.any():
+            raise InputError(each.path, f"{len(exists)} images, none of which exists", "the images in the folder data")
+    t_ns, rows = paired_frames([each.t_ns for each in lists])
+    if (rows == ABSENT).any(axis=1).all():
+        raise InputError(mav0, f"{len(lists)} cameras without a time stamp in common", "synchronized cameras")
+    has_image = np.stack([exists[of] & (of != ABSENT) for exists, of in zip(existing, rows.T, strict=True)], axis=1)
+    seen = has_image.any(axis=1)
+    files = tuple(
+        tuple(each.files[row] if present else None for row, present in zip(of.tolist(), has.tolist(), strict=True))
+        for each, of, has in zip(lists, rows[seen].T, has_image[seen].T, strict=True)
+    )
+    names = [each.path.parent.name for each in lists]
+    defects = (
+        *defects,
+        *(defect for each in lists for defect in each.missing()),
+        *unpaired_images(t_ns[seen], rows[seen], names),
+    )
+    return _Frames(t_ns[seen], files, defects)
 
 
 def find_mav0(folder: Path | str) -> Path:
@@ -173,6 +260,26 @@ def read_imu(path: Path | str) -> ImuSamples:
     return ImuSamples(table.t_ns, _columns(table.values, 0, 3), _columns(table.values, 3, 6), "point")
 
 
+def read_repaired_imu(path: Path) -> tuple[ImuSamples, tuple[Defect, ...]]:
+    """Read an IMU table as point samples in the order of time, without those that are not finite, and its defects.
+
+    Raises:
+        InputError: The file is missing, empty, truncated or in another format, or no sample is finite.
+    """
+    table = read_timed_table(path, IMU_TABLE, checked=False)
+
+    def describe(row: int) -> str:
+        return f"{path}:{table.lines[row]}: sample at {table.t_ns[row]} ns"
+
+    finite, not_finite = finite_rows(table.t_ns, table.values, describe)
+    if not len(finite):
+        raise InputError(path, f"{len(table.t_ns)} samples, none of which is finite", "finite numbers")
+    increasing, unordered = increasing_rows(table.t_ns[finite], IMU_STAMPS, lambda row: describe(int(finite[row])))
+    rows = finite[increasing]
+    samples = ImuSamples(table.t_ns[rows], _columns(table.values[rows], 0, 3), _columns(table.values[rows], 3, 6))
+    return samples, (*not_finite, *unordered)
+
+
 def read_groundtruth(path: Path | str) -> Trajectory:
     """Read a ground-truth table: poses, with velocities and biases if it has all 17 columns.
 
@@ -200,7 +307,9 @@ def read_euroc_frame_times(folder: Path | str) -> Times:
     Raises:
         InputError: The file ``cam0/data.csv`` is missing or damaged.
     """
-    return _read_image_list(find_mav0(folder) / "cam0")[0]
+    listed = ImageList.read(find_mav0(folder) / "cam0").ordered()[0]
+    exists = listed.existing()
+    return listed.t_ns[exists] if exists.any() else listed.t_ns  # a folder may be kept without its images
 
 
 def write_euroc(
@@ -278,12 +387,6 @@ def _truth_text(truth: Trajectory) -> str:
     return header + _rows(truth.t_ns, [truth.p_world_imu, truth.quat_wxyz, *(motion if has_motion else [])])
 
 
-def _existing(t_ns: Times, files: tuple[Path, ...]) -> tuple[Times, tuple[Path, ...]]:
-    """Return the time stamps and files of those images of a list that exist."""
-    exists = np.array([file.exists() for file in files])
-    return t_ns[exists], tuple(file for file, kept in zip(files, exists.tolist(), strict=True) if kept)
-
-
 def _columns(values: Array, start: int, end: int) -> Array:
     """Return the columns from ``start`` to ``end``, exclusive, as a contiguous array."""
     return np.ascontiguousarray(values[:, start:end])
@@ -293,38 +396,3 @@ def _rows(t_ns: Times, columns: Sequence[Array]) -> str:
     """Return the rows of a table, each number with as many digits as it needs."""
     rows = zip(t_ns.tolist(), np.hstack(columns).tolist(), strict=True)
     return "".join(f"{t},{','.join(map(repr, row))}\n" for t, row in rows)
-
-
-def _read_image_list(camera: Path) -> tuple[Times, tuple[Path, ...]]:
-    """Return time stamps (M,) [ns] and image files of the ``data.csv`` of a camera, or raise InputError."""
-    path = camera / "data.csv"
-    text = read_text(path, "a list of images: rows of time stamp [ns], file name")
-    rows = list(_image_rows(path, text))
-    if not rows:
-        raise InputError(path, "no rows", "rows of time stamp [ns], file name")
-    if not text.endswith("\n"):
-        raise InputError(path, "a last row without a line end", "a complete file, not a truncated one", rows[-1][0])
-    t_ns = np.array([t for _, t, _ in rows], dtype=np.int64)
-    check_increasing(path, t_ns, np.array([line for line, _, _ in rows]))
-    return t_ns, tuple(camera / "data" / name for _, _, name in rows)
-
-
-def _image_rows(path: Path, text: str) -> Iterator[tuple[int, int, str]]:
-    """Yield line, time stamp [ns] and file name of each image, or raise InputError."""
-    for line, raw in enumerate(text.split("\n"), 1):
-        row = raw.strip()
-        if not row or row[0] == "#":
-            continue
-        stamp, comma, name = (part.strip() for part in row.partition(","))
-        try:
-            t_ns = parse_integer_ns(stamp)
-        except ValueError:
-            raise InputError(path, f"time stamp {stamp[:40]!r}", "whole nanoseconds", line) from None
-        if not comma or not name or "," in name:
-            raise InputError(path, repr(row[:60]), "two columns: time stamp [ns], file name", line)
-        # A list must not refer to files outside its folder.
-        if name in (".", "..") or any(character in name for character in "/\\\0"):
-            raise InputError(path, f"file name {name[:60]!r}", "the name of a file in the folder data", line)
-        if abs(t_ns) >= TIME_LIMIT_NS:
-            raise InputError(path, f"time stamp {stamp[:40]}", "whole nanoseconds, below 2⁶² ns", line)
-        yield line, t_ns, name

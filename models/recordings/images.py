@@ -10,6 +10,11 @@ from dronevio.models.errors import InputError
 
 Image = npt.NDArray[np.uint8]
 
+
+class DamagedImageError(InputError):
+    """An image is missing or cannot be decoded, while other images of the same camera may be valid."""
+
+
 _PNG = b"\x89PNG\r\n\x1a\n"
 
 
@@ -17,14 +22,15 @@ def read_grey(path: Path, width: int, height: int) -> Image:
     """Return the grey image (height, width) in a file.
 
     Raises:
-        InputError: The file is missing, damaged, not an image, or has another size.
+        DamagedImageError: The file is missing, damaged or not an image.
+        InputError: The image has another size.
     """
     try:
         data = path.read_bytes()
     except FileNotFoundError:
-        raise InputError(path, "no such file", _expected(width, height)) from None
+        raise DamagedImageError(path, "no such file", _expected(width, height)) from None
     except OSError as error:
-        raise InputError(path, f"cannot be read ({error.strerror})", _expected(width, height)) from None
+        raise DamagedImageError(path, f"cannot be read ({error.strerror})", _expected(width, height)) from None
     return decode_grey(path, data, width, height)
 
 
@@ -39,17 +45,18 @@ def decode_grey(path: Path, data: bytes, width: int, height: int, where: str = "
         where: Place of the image in the file, for error messages, with a colon and a space at its end.
 
     Raises:
-        InputError: The data are damaged, not an image, or have another size.
+        DamagedImageError: The data are damaged or not an image.
+        InputError: The image has another size.
     """
     import cv2  # slow to import, and needed only where images are decoded
 
     expected = _expected(width, height)
     damage = _damage(data)
     if damage:
-        raise InputError(path, f"{where}{damage}", expected)
+        raise DamagedImageError(path, f"{where}{damage}", expected)
     image = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_GRAYSCALE)
     if image is None:
-        raise InputError(path, f"{where}data that cannot be decoded", expected)
+        raise DamagedImageError(path, f"{where}data that cannot be decoded", expected)
     if image.shape != (height, width):
         raise InputError(path, f"{where}an image of {image.shape[1]} × {image.shape[0]} px", expected)
     return np.asarray(image, dtype=np.uint8)

@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from dronevio.models.recordings.bag.recording import BagRecording
 
 StoredRecording: TypeAlias = "EurocRecording | BagRecording"
-"""Types that `open_recording` returns: a `Recording` with the fields ``frame_truth`` and ``complete``."""
+"""Types that `open_recording` returns: a `Recording` with the fields ``frame_truth``, ``complete`` and ``defects``."""
 
 _STORAGES = (".mcap", ".db3")
 
@@ -28,6 +28,7 @@ def open_recording(
     cameras: int | None = None,
     calibration: Sequence[Path] = (),
     topics: BagTopics | None = None,
+    repair: bool = False,
 ) -> StoredRecording:
     """Open a recording. Images are read one frame at a time, on request.
 
@@ -37,6 +38,8 @@ def open_recording(
         cameras: Number of cameras to use, in the order of the calibration; None for all.
         calibration: Calibration files of Kalibr, for a bag without a complete calibration.
         topics: Topics of a bag to read, if they cannot be found by type.
+        repair: Whether to go on with defects such as damaged images, and to list them in ``defects`` of the recording
+            and of its frames. Otherwise, they raise an error, and frames that not every camera has are left out.
 
     Raises:
         InputError: The path is none of these, damaged or not supported.
@@ -47,7 +50,7 @@ def open_recording(
     if is_bag(path):
         from dronevio.models.recordings.bag.recording import BagRecording  # takes half a second
 
-        return BagRecording.open(path, cameras, calibration, topics)
+        return BagRecording.open(path, cameras, calibration, topics, repair=repair)
     if calibration or (topics is not None and topics != BagTopics()):
         raise ConfigError(f"{path}: calibration and topics are for bags; expected an EuRoC folder without them")
     if path.suffix == ".bag":
@@ -56,7 +59,7 @@ def open_recording(
         )
     if not path.exists():
         raise InputError(path, "no such file or folder", "an EuRoC folder, an .mcap file or a ROS 2 bag")
-    return EurocRecording.open(path, cameras)
+    return EurocRecording.open(path, cameras, repair)
 
 
 def is_bag(path: Path) -> bool:

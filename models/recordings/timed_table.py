@@ -66,9 +66,9 @@ class TimedTable:
     path: Path
     """File from which the table was read."""
     t_ns: Times
-    """(N,) Time stamps, strictly increasing [ns]."""
+    """(N,) Time stamps, strictly increasing if they were checked [ns]."""
     values: Array
-    """(N, C) Values of the other columns, all finite."""
+    """(N, C) Values of the other columns, all finite if they were checked."""
     lines: npt.NDArray[np.int64]
     """(N,) Line number of each row in the file, counted from 1."""
     n_repeated: int = 0
@@ -103,22 +103,25 @@ def parse_decimal_seconds(text: str) -> int:
     return int(Decimal(text).scaleb(9, _EXACT).to_integral_value(context=_EXACT))
 
 
-def read_timed_table(path: Path, form: TableFormat, repeated: Repeated = "refuse") -> TimedTable:
+def read_timed_table(path: Path, form: TableFormat, repeated: Repeated = "refuse", checked: bool = True) -> TimedTable:
     """Read a table of numbers over time. Empty lines and lines that begin with ``#`` are ignored.
 
     Args:
         path: The file to read.
         form: Format of its rows.
         repeated: Treatment of rows that repeat the time stamp of the previous row.
+        checked: Whether numbers must be finite and time stamps must increase.
 
     Raises:
         InputError: The file is missing, empty or truncated, a row has a wrong number of columns or a value that is not
-            a finite number, or the time stamps do not increase.
+            a number; or, if they are checked, a number is not finite or the time stamps do not increase.
     """
-    return parse_timed_table(path, read_text(path, form.name), form, repeated)
+    return parse_timed_table(path, read_text(path, form.name), form, repeated, checked)
 
 
-def parse_timed_table(path: Path, text: str, form: TableFormat, repeated: Repeated = "refuse") -> TimedTable:
+def parse_timed_table(
+    path: Path, text: str, form: TableFormat, repeated: Repeated = "refuse", checked: bool = True
+) -> TimedTable:
     """Parse the text of a table that was read from ``path``; see `read_timed_table`.
 
     Raises:
@@ -135,6 +138,8 @@ def parse_timed_table(path: Path, text: str, form: TableFormat, repeated: Repeat
         _raise_first_error(path, numbered, form)
     check_not_truncated(path, text, numbered, form.delimiter)
     table = TimedTable(path, t_ns, values, lines)
+    if not checked:
+        return table
     _check_finite(table, form)
     if repeated != "refuse":
         table = _without_repetitions(table, repeated)

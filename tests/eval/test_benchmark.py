@@ -384,3 +384,10 @@ def test_peak_memory_excludes_the_parent_process() -> None:
     peak_mb = call_in_process(math.sqrt, 4.0).peak_mb
     assert peak_mb is not None
     assert peak_mb * 1e6 < len(ballast)
+
+
+def test_results_without_the_column_of_defects_are_read(tmp_path: Path) -> None:
+    path = tmp_path / "results.parquet"
+    write_rows(path, [OK])
+    parquet.write_table(parquet.read_table(path).drop_columns(["defects"]), path)
+    assert read_rows(path) == (OK,) and OK.defects == ""

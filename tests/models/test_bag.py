@@ -18,6 +18,7 @@ from rosbags.rosbag2 import CompressionFormat, CompressionMode, Reader, StorageP
 from rosbags.typesys.stores import ros2_humble as ros
 
 from dronevio.models.camera import CameraModel
+from dronevio.models.defects import DefectKind, count_defects
 from dronevio.models.errors import ConfigError, InputError
 from dronevio.models.imu import ImuSamples
 from dronevio.models.recordings.bag.file import typestore
@@ -720,3 +721,38 @@ def test_images_of_another_size_are_refused(tmp_path: Path, noise_recording: Mak
     other = replace(recording.rig.cameras[0], model=CameraModel(33, 24, 20.0, 20.0, 16.0, 12.0))
     with pytest.raises(InputError, match="32 × 24"):
         replace(recording, rig=Rig((other,))).frame(0)
+
+
+def test_defects_of_bags_are_counted_and_survived(tmp_path: Path, noise_yaml: Path) -> None:
+    """A sample twice, two in the wrong order, one not finite, an image twice, one missing, one damaged."""
+    messages = list(foreign(5))
+    imu = [k for k, message in enumerate(messages) if message[1] == "/imu/data"]
+    times, topics, contents = (list(column) for column in zip(*messages, strict=True))
+    contents[imu[20]], contents[imu[21]] = contents[imu[21]], contents[imu[20]]
+    set_nan(contents[imu[9]])
+    second = [k for k, topic in enumerate(topics) if topic == "/camera1/image"]
+    contents[second[3]].data = contents[second[3]].data[:-1]
+    topics[second[1]] = "/elsewhere"
+    messages = list(zip(times, topics, contents, strict=True))
+    messages += [(T0_NS + 9, "/imu/data", imu_message(T0_NS)), messages[second[0]]]
+    path = save(tmp_path / "bag", messages)
+    images = ("/camera0/image", "/camera1/image")
+    recording = BagRecording.open(path, calibration=[noise_yaml], topics=BagTopics(images=images), repair=True)
+    frames = [recording.frame(k) for k in range(5)]
+    defects = (*recording.defects, *(defect for frame in frames for defect in frame.defects))
+    assert {found.kind: found.count for found in count_defects(defects)} == dict.fromkeys(
+        (
+            DefectKind.DAMAGED_IMAGE,
+            DefectKind.UNPAIRED_IMAGE,
+            DefectKind.DUPLICATE_IMAGE_STAMP,
+            DefectKind.DUPLICATE_IMU_STAMP,
+            DefectKind.UNORDERED_IMU_STAMP,
+            DefectKind.NON_FINITE_IMU_SAMPLE,
+        ),
+        1,
+    )
+    assert [frame.images[1].size > 0 for frame in frames] == [True, False, True, False, True]
+    np.testing.assert_array_equal(frames[4].images[1], np.roll(IMAGE, 41))
+    assert len(recording.imu) == 49 and np.all(np.diff(recording.imu.t_ns) > 0)
+    with pytest.raises(InputError, match="two messages of"):
+        BagRecording.open(path, calibration=[noise_yaml], topics=BagTopics(images=images))

@@ -131,13 +131,22 @@ class BagFile:
         Raises:
             InputError: The messages are damaged, or two have the same time stamp.
         """
+        t_ns, messages = self.listed_messages(topic)
+        order = np.argsort(t_ns, kind="stable")
+        self.check_stamps(topic, t_ns[order])
+        return t_ns[order], [messages[i] for i in order.tolist()]
+
+    def listed_messages(self, topic: str) -> tuple[Times, list[object]]:
+        """Return the time stamps (N,) [ns] and the messages of a topic, in the order of the bag.
+
+        Raises:
+            InputError: The messages are damaged.
+        """
         raws = [raw for _, raw in self.raw_messages(topic)]
         if not raws:
             raise self._empty(topic)
         t_ns = np.array([self.stamp_ns(topic, raw) for raw in raws], dtype=np.int64)
-        order = np.argsort(t_ns, kind="stable")
-        self.check_stamps(topic, t_ns[order])
-        return t_ns[order], [self.decode(topic, raws[i]) for i in order.tolist()]
+        return t_ns, [self.decode(topic, raw) for raw in raws]
 
     def check_stamps(self, topic: str, t_ns: Times) -> None:
         """Check that the sorted time stamps (N,) [ns] of a topic are distinct.

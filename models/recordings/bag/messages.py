@@ -17,7 +17,7 @@ from dronevio.models.camera import CameraModel
 from dronevio.models.errors import ConfigError, InputError
 from dronevio.models.imu import ImuModel, ImuSamples, Times
 from dronevio.models.recordings.calibration.euroc import LENS_NAMES
-from dronevio.models.recordings.images import decode_grey, encode_png
+from dronevio.models.recordings.images import DamagedImageError, decode_grey, encode_png
 from dronevio.models.rig import Rig
 from dronevio.models.rotation import inverse_pose, log_so3, quat_wxyz_from_matrix
 from dronevio.models.state import Trajectory
@@ -241,7 +241,7 @@ def grey_image(path: Path, where: str, message: ImageMessage, width: int, height
     channels, to_grey = _ENCODINGS[message.encoding]
     if message.step < width * channels or len(message.data) != message.step * height:
         found = f"{where}: an image of {len(message.data)} bytes in rows of {message.step}"
-        raise InputError(path, found, f"{height} rows of at least {width * channels} bytes")
+        raise DamagedImageError(path, found, f"{height} rows of at least {width * channels} bytes")
     rows = message.data.reshape(height, message.step)[:, : width * channels]
     if not to_grey:
         return np.ascontiguousarray(rows)

@@ -17,7 +17,9 @@ import numpy as np
 import numpy.typing as npt
 from rosbags.typesys.stores import ros2_humble as ros
 
-from dronevio.models.imu import ImuSamples, Times
+from dronevio.models.defects import Defect, DefectKind
+from dronevio.models.errors import InputError
+from dronevio.models.imu import ImuSamples, Sampling, Times
 from dronevio.models.recordings.bag.file import BagFile
 from dronevio.models.recordings.bag.messages import ImageMessage, grey_image, imu_samples
 from dronevio.models.recordings.bag.options import BagTopics
@@ -26,13 +28,22 @@ from dronevio.models.recordings.bag.topics import IMAGE_TYPES, find_topics, imag
 from dronevio.models.recordings.bag.truth import read_bag_frame_truth, read_bag_truth
 from dronevio.models.recordings.bag.writer import TRUTH_TOPIC
 from dronevio.models.recordings.frame_truth import FrameTruth
+from dronevio.models.recordings.images import DamagedImageError
+from dronevio.models.recordings.repair import (
+    ABSENT,
+    IMAGE_STAMPS,
+    IMU_STAMPS,
+    SYNC_TOLERANCE_S,
+    finite_rows,
+    imu_defects,
+    increasing_rows,
+    paired_frames,
+    unpaired_images,
+)
 from dronevio.models.rig import Rig, check_camera_count
-from dronevio.models.state import CameraFrame, Trajectory
+from dronevio.models.state import NO_IMAGE, CameraFrame, Trajectory
 
 Array = npt.NDArray[np.float64]
-
-SYNC_TOLERANCE_S = 1e-3
-"""Largest difference of the time stamps of the images of one frame [s]."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -46,7 +57,8 @@ class BagRecording:
     imu: ImuSamples
     """IMU samples of the whole recording."""
     frame_times_ns: Times
-    """(M,) Time stamps of those images of the first camera that all other cameras match, strictly increasing [ns]."""
+    """(M,) Time stamps of the frames, strictly increasing [ns]: those of the images of the first camera that all other
+    cameras match; with `repair`, also those that not every camera has."""
     ground_truth: Trajectory | None
     """Ground truth of the IMU, None if the bag has none."""
     frame_truth: FrameTruth | None
@@ -54,11 +66,15 @@ class BagRecording:
     topics: BagTopics
     """Topics that were read."""
     image_rows: npt.NDArray[np.int64] = field(repr=False)
-    """(M, C) Index of the message of each frame and camera in the image topic."""
+    """(M, C) Index of the message of each frame and camera in the image topic, `ABSENT` where there is none."""
     images: tuple["ImageTopic", ...] = field(repr=False)
     """Image topic of each camera."""
     complete: bool = True
     """Whether the recording is complete; a truncated bag cannot be opened."""
+    repair: bool = False
+    """Whether frames go without images that are damaged; otherwise these raise an error."""
+    defects: tuple[Defect, ...] = field(default=(), repr=False)
+    """Defects that were found when the bag was opened with `repair`."""
 
     @classmethod
     def open(
@@ -68,6 +84,7 @@ class BagRecording:
         calibration: Sequence[Path] = (),
         topics: BagTopics | None = None,
         sync_tolerance_s: float = SYNC_TOLERANCE_S,
+        repair: bool = False,
     ) -> Self:
         """Read everything except the images.
 
@@ -77,54 +94,76 @@ class BagRecording:
             calibration: Calibration files of Kalibr, which replace the calibration in the bag.
             topics: Topics to read instead of those found by message type.
             sync_tolerance_s: Largest difference of the time stamps of the images of one frame [s].
+            repair: Whether to go on with damaged images, time stamps that do not increase and IMU samples that are not
+                finite, and to list them in `defects`. Otherwise, damaged images, equal time stamps and samples that are
+                not finite raise an error, and frames that not every camera has are left out.
 
         Raises:
-            InputError: A topic or a field is missing, damaged, not supported or ambiguous.
+            InputError: A topic or a field is missing, damaged, not supported or ambiguous; or, with `repair`, IMU and
+                cameras do not overlap in time.
             ConfigError: The number of cameras is less than 1.
         """
         check_camera_count(cameras)
         bag, files = BagFile(Path(path)), [Path(file) for file in calibration]
         selected = find_topics(bag, topics or BagTopics(), _calibrated_topics(bag, files), cameras)
-        images = tuple(ImageTopic(bag, topic) for topic in selected.images)
-        times, rows = synchronized(bag, images, sync_tolerance_s)
+        images = tuple(ImageTopic(bag, topic, repair) for topic in selected.images)
+        times, rows = (_all_frames if repair else synchronized)(bag, images, sync_tolerance_s)
         rig, sampling = bag_rig(bag, selected, read_calibrations(bag, files, _rate_hz(times)), _rate_hz(times))
-        t_ns, messages = bag.stamped_messages(selected.imu)
-        try:
-            gyro, accel = imu_samples(cast("list[ros.sensor_msgs__msg__Imu]", messages))
-        except ValueError as error:
-            raise bag.error(f"{selected.imu}: {error}", "both in each message") from None
-        if not (np.isfinite(gyro).all() and np.isfinite(accel).all()):
-            raise bag.error(f"{selected.imu}: a non-finite number", "finite numbers")
+        imu, imu_stamps = _read_imu(bag, selected.imu, sampling, repair)
+        defects: tuple[Defect, ...] = ()
+        if repair:
+            defects = (
+                *(defect for topic in images for defect in topic.defects),
+                *unpaired_images(times, rows, selected.images),
+                *imu_stamps,
+                *imu_defects(imu, times, rig.time_offset_s, bag.path),
+            )
         return cls(
             name=Path(path).resolve().stem,
             rig=rig,
-            imu=ImuSamples(t_ns, gyro, accel, sampling),
+            imu=imu,
             frame_times_ns=times,
             ground_truth=read_bag_truth(bag, selected.truth) if selected.truth else None,
             frame_truth=read_bag_frame_truth(bag),
             topics=selected,
             image_rows=rows,
             images=images,
+            repair=repair,
+            defects=defects,
         )
 
     def frame(self, index: int) -> CameraFrame:
         """Return the frame with a given index, 0 ≤ index < M.
 
         Raises:
-            InputError: An image is damaged, or has another size than in the calibration.
+            InputError: An image has another size than in the calibration; or it is damaged, unless `repair` is set.
         """
-        images = tuple(
-            topic.image(row, camera.model.width, camera.model.height)
-            for topic, row, camera in zip(self.images, self.image_rows[index].tolist(), self.rig.cameras, strict=True)
-        )
-        return CameraFrame(int(self.frame_times_ns[index]), images)
+        t_ns = int(self.frame_times_ns[index])
+        images: list[npt.NDArray[np.uint8]] = []
+        defects: list[Defect] = []
+        for topic, row, camera in zip(self.images, self.image_rows[index].tolist(), self.rig.cameras, strict=True):
+            image = NO_IMAGE
+            try:
+                if row != ABSENT:
+                    image = topic.image(row, camera.model.width, camera.model.height)
+            except DamagedImageError as error:
+                if not self.repair:
+                    raise
+                defects.append(Defect(DefectKind.DAMAGED_IMAGE, t_ns, error.found))
+            images.append(image)
+        return CameraFrame(t_ns, tuple(images), defects=tuple(defects))
 
 
 class ImageTopic:
     """Images of one topic, decoded one at a time; access in the order of time is fastest."""
 
-    def __init__(self, bag: BagFile, topic: str) -> None:
+    def __init__(self, bag: BagFile, topic: str, repair: bool = False) -> None:
         """Read the time stamps of the images.
+
+        Args:
+            bag: The bag.
+            topic: Name of the topic.
+            repair: Whether to use the first of several images with the same time stamp.
 
         Raises:
             InputError: The topic has no images, two have the same time stamp, or the bag is damaged.
@@ -134,11 +173,14 @@ class ImageTopic:
         if not stamps:
             raise bag.error(f"{topic}: no messages", "images")
         stamps_ns, logged_ns = np.array(stamps, dtype=np.int64).T
-        order = np.argsort(stamps_ns, kind="stable")
+        order, defects = increasing_rows(stamps_ns, IMAGE_STAMPS, lambda row: f"{topic}: image at {stamps_ns[row]} ns")
+        if not repair:
+            bag.check_stamps(topic, np.sort(stamps_ns))
+        self.defects = defects
+        """Defects of the time stamps."""
         self.t_ns: Times = stamps_ns[order]
         """(K,) Time stamps of the images, increasing [ns]."""
         self._logged_ns = logged_ns[order]
-        bag.check_stamps(topic, self.t_ns)
         self._reader: BagFile | None = None
         self._following: Iterator[tuple[int, bytes]] = iter(())
 
@@ -146,9 +188,15 @@ class ImageTopic:
         """Return the grey image (height, width) with index ``row`` in the order of time stamps.
 
         Raises:
-            InputError: The image is damaged or has another size.
+            DamagedImageError: The image is damaged.
+            InputError: The image has another size or encoding.
         """
-        message = cast(ImageMessage, self._bag.decode(self._topic, self._message(row)))
+        raw = self._message(row)
+        try:
+            message = cast(ImageMessage, self._bag.decode(self._topic, raw))
+        except InputError as error:
+            where = f"{self._topic} at {self.t_ns[row]} ns: a message that cannot be decoded"
+            raise DamagedImageError(error.path, where, "an image") from None
         return grey_image(self._bag.path, f"{self._topic} at {self.t_ns[row]} ns", message, width, height)
 
     def _message(self, row: int) -> bytes:
@@ -191,13 +239,52 @@ def read_bag_frame_times(path: Path) -> Times | None:
     bag = BagFile(path)
     if not bag.topics_of_type(*IMAGE_TYPES):
         return None
-    return ImageTopic(bag, image_topics(bag, _calibrated_topics(bag, ()))[0]).t_ns
+    return ImageTopic(bag, image_topics(bag, _calibrated_topics(bag, ()))[0], repair=True).t_ns
 
 
 def _calibrated_topics(bag: BagFile, files: Sequence[Path]) -> tuple[str, ...]:
     """Return the image topics that the calibration names, in Kalibr's files or in the bag; empty if there are none."""
     calibrations = read_calibrations(bag, files)
     return next((calibration.topics for calibration in calibrations if calibration.topics), ())
+
+
+def _read_imu(bag: BagFile, topic: str, sampling: Sampling, repair: bool) -> tuple[ImuSamples, tuple[Defect, ...]]:
+    """Return the IMU samples of a topic in the order of time, and their defects.
+
+    Raises:
+        InputError: A message is damaged; or, without `repair`, two have the same time stamp or one is not finite.
+    """
+    t_ns, messages = bag.listed_messages(topic)
+    try:
+        gyro, accel = imu_samples(cast("list[ros.sensor_msgs__msg__Imu]", messages))
+    except ValueError as error:
+        raise bag.error(f"{topic}: {error}", "both in each message") from None
+
+    def describe(row: int) -> str:
+        return f"{topic}: sample at {t_ns[row]} ns"
+
+    finite, not_finite = finite_rows(t_ns, np.hstack([gyro, accel]), describe)
+    increasing, unordered = increasing_rows(t_ns[finite], IMU_STAMPS, lambda row: describe(int(finite[row])))
+    if not repair:
+        bag.check_stamps(topic, np.sort(t_ns))
+    if not len(finite) or (len(not_finite) and not repair):
+        raise bag.error(f"{topic}: a non-finite number", "finite numbers")
+    rows = finite[increasing]
+    return ImuSamples(t_ns[rows], gyro[rows], accel[rows], sampling), (*not_finite, *unordered)
+
+
+def _all_frames(
+    bag: BagFile, images: Sequence[ImageTopic], sync_tolerance_s: float
+) -> tuple[Times, npt.NDArray[np.int64]]:
+    """Return the frames that at least one camera has, as `synchronized` does.
+
+    Raises:
+        InputError: No frame has an image of each camera.
+    """
+    times, rows = paired_frames([topic.t_ns for topic in images], sync_tolerance_s)
+    if (rows == ABSENT).any(axis=1).all():
+        return synchronized(bag, images, sync_tolerance_s)  # raises the error
+    return times, rows
 
 
 def synchronized(

@@ -1,0 +1,173 @@
+"""Detection of the defects of a recording, and what a reader makes of its time stamps in spite of them."""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import numpy.typing as npt
+
+from dronevio.models.defects import Defect, DefectKind
+from dronevio.models.errors import InputError
+from dronevio.models.imu import IMU_GAP_INTERVALS, ImuSamples, Times
+from dronevio.models.protocols import MAX_WAIT_INTERVALS
+
+Rows = npt.NDArray[np.int64]
+Describe = Callable[[int], str]
+"""Function that returns the place of a row, such as its file and line."""
+
+SYNC_TOLERANCE_S = 1e-3
+"""Largest difference of the time stamps of the images of one frame [s]."""
+ABSENT = -1
+"""Index in place of an image that a camera lacks."""
+
+
+@dataclass(frozen=True)
+class StampKinds:
+    """Kinds of defects of the time stamps in a list."""
+
+    duplicate: DefectKind
+    """Kind of a time stamp that occurs again."""
+    unordered: DefectKind
+    """Kind of a time stamp that is earlier than one before it."""
+
+
+IMAGE_STAMPS = StampKinds(DefectKind.DUPLICATE_IMAGE_STAMP, DefectKind.UNORDERED_IMAGE_STAMP)
+"""Kinds of defects of the time stamps of images."""
+IMU_STAMPS = StampKinds(DefectKind.DUPLICATE_IMU_STAMP, DefectKind.UNORDERED_IMU_STAMP)
+"""Kinds of defects of the time stamps of IMU samples."""
+
+
+def increasing_rows(t_ns: Times, kinds: StampKinds, describe: Describe) -> tuple[Rows, tuple[Defect, ...]]:
+    """Return the rows of a list in the order of time, the first of each time stamp, and the defects.
+
+    Args:
+        t_ns: (N,) Time stamps in the order of the list [ns].
+        kinds: Kinds of the defects.
+        describe: Returns the place of a row.
+
+    Returns:
+        The indices (K,) of rows with increasing time stamps, and the defects in the order of the list. Duplicates do
+        not count as unordered.
+    """
+    order = np.argsort(t_ns, kind="stable")
+    is_first = np.concatenate([[True], np.diff(t_ns[order]) > 0]) if len(t_ns) else np.zeros(0, np.bool_)
+    is_duplicate = np.zeros(len(t_ns), np.bool_)
+    is_duplicate[order[~is_first]] = True
+    is_unordered = (t_ns < np.maximum.accumulate(t_ns)) & ~is_duplicate if len(t_ns) else is_duplicate
+    defects = [
+        Defect(kinds.duplicate if is_duplicate[row] else kinds.unordered, int(t_ns[row]), describe(row))
+        for row in np.flatnonzero(is_duplicate | is_unordered).tolist()
+    ]
+    return order[is_first], tuple(defects)
+
+
+def finite_rows(t_ns: Times, values: npt.NDArray[np.float64], describe: Describe) -> tuple[Rows, tuple[Defect, ...]]:
+    """Return the rows (K,) of IMU samples (N, 6) whose values are finite, and the defects.
+
+    Args:
+        t_ns: (N,) Time stamps [ns].
+        values: (N, 6) Angular velocities and specific forces.
+        describe: Returns the place of a row.
+    """
+    is_finite = np.isfinite(values).all(axis=1)
+    defects = [
+        Defect(DefectKind.NON_FINITE_IMU_SAMPLE, int(t_ns[row]), describe(row))
+        for row in np.flatnonzero(~is_finite).tolist()
+    ]
+    return np.flatnonzero(is_finite), tuple(defects)
+
+
+def paired_frames(stamps: Sequence[Times], tolerance_s: float = SYNC_TOLERANCE_S) -> tuple[Times, Rows]:
+    """Return the frames of C cameras: one for each time at which at least one camera has an image.
+
+    Args:
+        stamps: Increasing time stamps of the images of each camera [ns].
+        tolerance_s: Largest difference of the time stamps of the images of one frame [s].
+
+    Returns:
+        Time stamps (M,) [ns], each that of the first camera with an image, and the index (M, C) of each image in the
+        list of its camera, `ABSENT` where it has none.
+    """
+    if all(np.array_equal(stamps[0], other) for other in stamps[1:]):
+        return stamps[0], np.tile(np.arange(len(stamps[0]))[:, None], (1, len(stamps)))
+    tolerance_ns = round(tolerance_s * 1e9)
+    images = sorted((int(t), camera, row) for camera, of in enumerate(stamps) for row, t in enumerate(of.tolist()))
+    frames: list[dict[int, tuple[int, int]]] = []
+    start_ns = 0
+    for t_ns, camera, row in images:
+        if not frames or t_ns - start_ns > tolerance_ns or camera in frames[-1]:
+            frames.append({})
+            start_ns = t_ns
+        frames[-1][camera] = t_ns, row
+    times = np.array([frame[min(frame)][0] for frame in frames], dtype=np.int64)
+    rows = np.full((len(frames), len(stamps)), ABSENT, dtype=np.int64)
+    for index, frame in enumerate(frames):
+        for camera, (_, row) in frame.items():
+            rows[index, camera] = row
+    increases = np.concatenate([[True], np.diff(times) > 0])  # images of one camera within the tolerance
+    return times[increases], rows[increases]
+
+
+def unpaired_images(times_ns: Times, rows: Rows, names: Sequence[str]) -> tuple[Defect, ...]:
+    """Return the defects of frames (M,) that lack the image of a camera.
+
+    Args:
+        times_ns: (M,) Time stamps of the frames [ns].
+        rows: (M, C) Index of each image, `ABSENT` where a camera has none.
+        names: Names of the C cameras.
+    """
+    lacking = np.flatnonzero((rows == ABSENT).any(axis=1))
+    return tuple(
+        Defect(DefectKind.UNPAIRED_IMAGE, int(times_ns[k]), f"no image of {absent} at {times_ns[k]} ns")
+        for k in lacking.tolist()
+        for absent in [" and ".join(name for name, row in zip(names, rows[k], strict=True) if row == ABSENT)]
+    )
+
+
+def imu_defects(imu: ImuSamples, frame_times_ns: Times, time_offset_s: float, path: Path) -> tuple[Defect, ...]:
+    """Return the gaps of an IMU, and the frames without IMU.
+
+    Args:
+        imu: The samples.
+        frame_times_ns: (M,) Time stamps of the frames, M > 0 [ns].
+        time_offset_s: Time offset of the camera clock: t_imu = t_cam + offset [s].
+        path: The recording, for the error message.
+
+    Raises:
+        InputError: The IMU and the cameras do not overlap in time.
+    """
+    intervals_ns = np.diff(imu.t_ns)
+    interval_ns = float(np.median(intervals_ns)) if len(intervals_ns) else 0.0
+    gaps = [
+        Defect(
+            DefectKind.IMU_GAP,
+            int(imu.t_ns[row]),
+            f"no IMU sample for {intervals_ns[row] * 1e-9:.3f} s after {imu.t_ns[row]} ns",
+        )
+        for row in np.flatnonzero(intervals_ns > IMU_GAP_INTERVALS * interval_ns).tolist()
+        if interval_ns > 0.0
+    ]
+    t_ns, tolerance_ns = frame_times_ns + round(time_offset_s * 1e9), round(MAX_WAIT_INTERVALS * interval_ns)
+    first_ns, last_ns = int(imu.t_ns[0]), int(imu.t_ns[-1])
+    is_outside = (t_ns < first_ns - tolerance_ns) | (t_ns > last_ns + tolerance_ns)
+    if is_outside.all():
+        found = f"IMU and camera do not overlap: IMU from {_span(imu.t_ns)}, camera from {_span(t_ns)}"
+        raise InputError(path, found, "measurements of the same time on one clock")
+    lacking = [
+        Defect(DefectKind.FRAME_WITHOUT_IMU, int(frame_times_ns[k]), _distance(int(t_ns[k]), first_ns, last_ns))
+        for k in np.flatnonzero(is_outside).tolist()
+    ]
+    return (*gaps, *lacking)
+
+
+def _span(t_ns: Times) -> str:
+    """Return the first and the last of some times as text."""
+    return f"{t_ns[0] * 1e-9:.3f} to {t_ns[-1] * 1e-9:.3f} s"
+
+
+def _distance(t_ns: int, first_ns: int, last_ns: int) -> str:
+    """Return how far a frame is outside the time of the IMU as text."""
+    if t_ns < first_ns:
+        return f"the frame at {t_ns} ns is {(first_ns - t_ns) * 1e-9:.3f} s before the first IMU sample"
+    return f"the frame at {t_ns} ns is {(t_ns - last_ns) * 1e-9:.3f} s after the last IMU sample"
