@@ -65,10 +65,10 @@ def unproject(uv: Array, coefficients: Coefficients) -> Array:
             residual = distort(xy, coefficients) - uv
             if not np.any(np.abs(residual) > _CONVERGED):
                 break
-            J = jacobian(xy, coefficients)
-            det = J[..., 0, 0] * J[..., 1, 1] - J[..., 0, 1] * J[..., 1, 0]
-            dx = (J[..., 1, 1] * residual[..., 0] - J[..., 0, 1] * residual[..., 1]) / det
-            dy = (J[..., 0, 0] * residual[..., 1] - J[..., 1, 0] * residual[..., 0]) / det
+            xx, off, yy = _derivatives(xy, coefficients)
+            det = xx * yy - off * off
+            dx = (yy * residual[..., 0] - off * residual[..., 1]) / det
+            dy = (xx * residual[..., 1] - off * residual[..., 0]) / det
             xy = _within(xy - np.stack([dx, dy], axis=-1), limit)
         unsolved = np.abs(distort(xy, coefficients) - uv).max(axis=-1, keepdims=True) > _SOLVED
         xy = np.where(unsolved, np.nan, xy)
@@ -92,6 +92,12 @@ def distort(xy: Array, coefficients: Coefficients) -> Array:
 
 def jacobian(xy: Array, coefficients: Coefficients) -> Array:
     """Return ∂d/∂x (…, 2, 2) at points x (…, 2) at depth 1."""
+    xx, off, yy = _derivatives(xy, coefficients)
+    return np.stack([np.stack([xx, off], axis=-1), np.stack([off, yy], axis=-1)], axis=-2)
+
+
+def _derivatives(xy: Array, coefficients: Coefficients) -> tuple[Array, Array, Array]:
+    """Return ∂d₁/∂x₁, ∂d₁/∂x₂ = ∂d₂/∂x₁ and ∂d₂/∂x₂ (…) at points x (…, 2) at depth 1."""
     k1, k2, p1, p2 = coefficients
     x, y = xy[..., 0], xy[..., 1]
     r2 = x * x + y * y
@@ -100,7 +106,7 @@ def jacobian(xy: Array, coefficients: Coefficients) -> Array:
     off = x * y * d_radial + 2.0 * p1 * x + 2.0 * p2 * y
     xx = radial + x * x * d_radial + 2.0 * p1 * y + 6.0 * p2 * x
     yy = radial + y * y * d_radial + 6.0 * p1 * y + 2.0 * p2 * x
-    return np.stack([np.stack([xx, off], axis=-1), np.stack([off, yy], axis=-1)], axis=-2)
+    return xx, off, yy
 
 
 def _within(xy: Array, limit: float) -> Array:
