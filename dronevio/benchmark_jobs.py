@@ -22,7 +22,9 @@ if TYPE_CHECKING:
 
 _HOUSE = Path(dronevio.__file__).parent
 _DRAWS = tuple(_HOUSE / name for name in ("sim", "models", "recorder.py"))
-_ESTIMATES = tuple(_HOUSE / name for name in ("estimator", "eval/metrics", "driver.py", "registry.py"))
+_ESTIMATES = tuple(
+    _HOUSE / name for name in ("estimator", "eval/metrics", "driver.py", "external_program.py", "registry.py")
+)
 _DRAWING_PACKAGES = ("dronevio", "mujoco", "opencv-python-headless", "numpy")
 _PACKAGES = (*_DRAWING_PACKAGES, "python", "gtsam")
 """Of all packages, those that can change a row."""

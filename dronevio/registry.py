@@ -1,29 +1,23 @@
 """The registry of estimators: ours, baselines, and any program that reads an EuRoC folder and writes a TUM file."""
 
 import re
-import resource
 import shlex
-import subprocess
-import tempfile
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import IO
 
 import numpy as np
 
+from dronevio.external_program import OUTPUT, RECORDING, ProgramRun, run_program
 from dronevio.models.defects import Defect, refuse_defects
-from dronevio.models.errors import ConfigError, EvaluationError
+from dronevio.models.errors import ConfigError
 from dronevio.models.protocols import Estimator
-from dronevio.models.recordings.euroc import EurocRecording
 from dronevio.models.rig import Rig
 from dronevio.models.serialization import to_jsonable
 from dronevio.models.state import Trajectory
 
-EXTERNAL = "external:"
-"""Prefix of an estimator that is the command line of a program."""
-_RECORDING, _OUTPUT = "{recording}", "{output}"
-_SENSOR_DATA = re.compile(r"cam\d+|imu\d+|body\.yaml")  # entries of a recording without ground truth
+EXTERNAL = re.compile(r"external(?:@([+-]?(?:\d+\.?\d*|\.\d+)))?:")
+"""Prefix of an estimator that is the command line of a program, optionally with the offset of its time stamps [s]."""
 
 
 @dataclass(frozen=True)
@@ -118,8 +112,9 @@ class NamedEstimator:
 
     def settings(self) -> object:
         """Return the settings on which the results of the estimator depend, as plain data."""
-        if self.name.startswith(EXTERNAL):
-            return {"command": shlex.split(self.name.removeprefix(EXTERNAL))}
+        if external := EXTERNAL.match(self.name):
+            command = {"command": shlex.split(self.name[external.end() :])}
+            return {**command, "pose_offset_s": float(external[1])} if external[1] else command
         return {"estimator": self.name, "config": to_jsonable(ESTIMATORS[self.name].settings())}
 
     def run(self, path: Path, strict: bool = False) -> Estimated:
@@ -131,12 +126,15 @@ class NamedEstimator:
 
         Raises:
             InputError: The recording, or the file that a program wrote, cannot be read; or the recording has defects.
-            EvaluationError: The estimate has no pose, or a program failed.
+            EvaluationError: The estimate has no pose; or a program failed, changed the measurements, or wrote poses at
+                other times than those of frames.
             ConfigError: The recording has too few cameras, or a program cannot be started.
             CrashError: A program was killed by a signal.
         """
-        if self.name.startswith(EXTERNAL):
-            return _run_program(shlex.split(self.name.removeprefix(EXTERNAL)), path, strict)
+        if external := EXTERNAL.match(self.name):
+            return _of_program(
+                run_program(shlex.split(self.name[external.end() :]), path, float(external[1] or 0.0), strict)
+            )
         from dronevio.driver import estimate_recording, require_poses
         from dronevio.models.recordings.open import open_recording
 
@@ -161,83 +159,36 @@ def estimator_named(text: str) -> NamedEstimator:
     """Return an estimator.
 
     Args:
-        text: A name of `ESTIMATORS` or ``external:COMMAND``, with or without ``LABEL=`` before it.
+        text: A name of `ESTIMATORS`, ``external:COMMAND`` or ``external@SECONDS:COMMAND``, with or without ``LABEL=``
+            before it.
 
     Raises:
         ConfigError: There is no such estimator, or the command lacks ``{recording}`` or ``{output}``.
     """
     labelled = re.fullmatch(r"([A-Za-z0-9_.+-]+)=(.*)", text, re.DOTALL)
     label, name = labelled.groups() if labelled else (text, text)
-    if not name.startswith(EXTERNAL):
+    external = EXTERNAL.match(name)
+    if external is None:
         if name not in ESTIMATORS:
             names = ", ".join(ESTIMATORS)
-            raise ConfigError(f"unknown estimator {name!r}; expected one of {names}, or {EXTERNAL}COMMAND")
+            raise ConfigError(f"unknown estimator {name!r}; expected one of {names}, or external:COMMAND")
         return NamedEstimator(label, name)
     try:
-        words = shlex.split(name.removeprefix(EXTERNAL))
+        words = shlex.split(name[external.end() :])
     except ValueError as error:
         raise ConfigError(f"estimator {text!r}: {error}; expected a command line") from None
-    missing = [place for place in (_RECORDING, _OUTPUT) if not any(place in word for word in words[1:])]
+    missing = [place for place in (RECORDING, OUTPUT) if not any(place in word for word in words[1:])]
     if missing:
         raise ConfigError(
             f"estimator {text!r} without {' and '.join(missing)}; expected a command that reads the EuRoC folder"
-            f" {_RECORDING} and writes the TUM file {_OUTPUT}"
+            f" {RECORDING} and writes the TUM file {OUTPUT}"
         )
     return NamedEstimator(label, name)
 
 
-def _run_program(command: list[str], path: Path, strict: bool) -> Estimated:
-    """Run a program, without a shell, on the sensor data of a recording, and read the trajectory that it writes."""
-    from dronevio.eval.benchmark.isolation import CrashError, exit_description
-    from dronevio.models.recordings.tum import read_tum
-
-    recording = EurocRecording.open(path, repair=True)
-    if strict:
-        refuse_defects(path, recording.defects)
-    with tempfile.TemporaryDirectory(prefix="dronevio-") as scratch:
-        view, output = Path(scratch) / path.resolve().name, Path(scratch) / "estimate.tum"
-        _link_sensor_data(recording.mav0, view)
-        words = [word.replace(_RECORDING, str(view)).replace(_OUTPUT, str(output)) for word in command]
-        with tempfile.TemporaryFile() as errors:
-            code, cpu_s = _run_timed(words, errors)
-            if code < 0:
-                raise CrashError(f"{words[0]} {exit_description(code, errors)}")
-            if code > 0:
-                raise EvaluationError(f"{words[0]} {exit_description(code, errors)}")
-        trajectory = read_tum(output)
-    return _with_costs(trajectory, recording, cpu_s)
-
-
-def _link_sensor_data(mav0: Path, view: Path) -> None:
-    """Make a folder with links to the sensor data of a recording, without its ground truth."""
-    (view / "mav0").mkdir(parents=True)
-    for entry in mav0.resolve().iterdir():
-        if _SENSOR_DATA.fullmatch(entry.name):
-            (view / "mav0" / entry.name).symlink_to(entry)
-
-
-def _run_timed(words: list[str], output: IO[bytes]) -> tuple[int, float]:
-    """Run a program and return its exit code, negative for a signal, and its processor time [s].
-
-    Args:
-        words: The command line.
-        output: File for everything that the program prints.
-
-    Raises:
-        ConfigError: The program cannot be started.
-    """
-    before = resource.getrusage(resource.RUSAGE_CHILDREN)
-    try:
-        code = subprocess.run(words, stdout=output, stderr=output, check=False).returncode
-    except OSError as error:
-        raise ConfigError(f"{words[0]}: {error.strerror}; expected a program that can be run") from None
-    after = resource.getrusage(resource.RUSAGE_CHILDREN)
-    return code, after.ru_utime - before.ru_utime + after.ru_stime - before.ru_stime
-
-
-def _with_costs(trajectory: Trajectory, recording: EurocRecording, cpu_s: float) -> Estimated:
+def _of_program(run: ProgramRun) -> Estimated:
     """Return the estimate of a program, with its processor time divided by the number of frames."""
-    frames = recording.frame_times_ns
+    frames = run.recording.frame_times_ns
     span_s = float(np.ptp(frames)) * 1e-9
-    cost_ms, factor = 1e3 * cpu_s / len(frames), span_s / max(cpu_s, 1e-3)
-    return Estimated(trajectory, cost_ms, None, factor, recording.defects)
+    cost_ms, factor = 1e3 * run.cpu_s / len(frames), span_s / max(run.cpu_s, 1e-3)
+    return Estimated(run.trajectory, cost_ms, None, factor, run.recording.defects)

@@ -331,5 +331,21 @@ EVALUATION = (
         "None",
         ("tests/eval/metrics/test_association_by_hand.py::test_associations_keep_all_fields_of_an_estimate",),
     ),
+    Mutant(
+        "program-reads-links",
+        "Benchmark: a program reads links, which lead to the ground truth.",
+        "dronevio/external_program.py",
+        "_copy(mav0 / file, target / file)",
+        "(target / file).symlink_to(mav0 / file)",
+        ("tests/application/test_external_program.py::test_no_path_leads_to_the_truth",),
+    ),
+    Mutant(
+        "damaged-images-are-not-counted",
+        "Recordings: a damaged image is left out without a defect.",
+        "models/recordings/euroc.py",
+        "defects.append(Defect(DefectKind.DAMAGED_IMAGE, t_ns, error.found))",
+        "pass",
+        ("tests/models/test_defects.py::test_a_defect_is_counted_and_survived",),
+    ),
 )
 """Faults of the evaluation."""

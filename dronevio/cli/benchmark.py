@@ -30,8 +30,9 @@ class BenchmarkCommand:
 
     An estimator is vio (one camera), vio-stereo (all cameras, at least two), eqvio (GTSAM's equivariant filter with our
     front end), dead-reckoning (no camera), or any program that reads an EuRoC folder and writes a TUM file. Such a
-    program is given as LABEL=external:COMMAND with {recording} and {output} in the command. It gets a folder without
-    ground truth.
+    program is given as LABEL=external:COMMAND with {recording} and {output} in the command. It gets a copy of the
+    recording without ground truth. Its poses must have the time stamps of frames, or differ from them by a constant
+    offset that is stated as LABEL=external@SECONDS:COMMAND.
 
     Examples:
       dronevio benchmark --suite room --estimators vio,dead-reckoning --seeds 10
@@ -150,7 +151,7 @@ def _planned(command: BenchmarkCommand) -> "BenchmarkPlan":
     if command.suite is not None and command.suite not in SUITES:
         raise ConfigError(f"unknown suite {command.suite!r}; expected one of {', '.join(SUITES)}")
     names = [*([command.suite] if command.suite else []), *command.scenarios]
-    words = [[given] if EXTERNAL in given else given.split(",") for given in command.estimators]
+    words = [[given] if EXTERNAL.search(given) else given.split(",") for given in command.estimators]
     estimators = tuple(estimator_named(word.strip()) for group in words for word in group if word.strip())
     labels = [estimator.label for estimator in estimators]
     if not labels or len(set(labels)) < len(labels):

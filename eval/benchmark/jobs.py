@@ -5,6 +5,7 @@ estimates also renders.
 """
 
 import json
+import tempfile
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import asdict, dataclass, replace
@@ -126,15 +127,20 @@ class Job:
             yield folder
 
     def estimate(self, recording: Path, estimator: str) -> Outcome:
-        """Run one estimator in a process of its own."""
-        return call_in_process(
-            self.pipeline.estimate,
-            replace(self.spec, source=None),  # the recording exists, and a scenario would import the simulator
-            recording,
-            estimator,
-            timeout_s=self.timeout_s,
-            environment=_ONE_THREAD,
-        )
+        """Run one estimator in a process of its own.
+
+        Its temporary files are removed even if it is killed. Beside a cached recording, copies of it may share blocks.
+        """
+        beside = self.cache if self.spec.path is None else None
+        with tempfile.TemporaryDirectory(prefix=".run-", dir=beside, ignore_cleanup_errors=True) as scratch:
+            return call_in_process(
+                self.pipeline.estimate,
+                replace(self.spec, source=None),  # the recording exists, and a scenario would import the simulator
+                recording,
+                estimator,
+                timeout_s=self.timeout_s,
+                environment={**_ONE_THREAD, "TMPDIR": scratch},
+            )
 
     def row(self, estimator: str, outcome: Outcome) -> Row:
         """Return the row of a run with the given outcome."""
