@@ -1,4 +1,4 @@
-"""Draw the learning curves of all trainings, and print the table of their results.
+"""Draw the learning curves of all trainings, and print the tables of their results and costs.
 
 ```console
 python curves.py --out ../../docs/images/learning-curves.svg
@@ -27,11 +27,17 @@ TITLES = {
 """Title of each training, and the value of its learning curve that is drawn."""
 LABELS = {"mean_return": "return of an episode", "success_rate": "share of successful episodes"}
 """Labels of the values."""
+TRAINERS = {"ppo": "", "sb3": ", SB3"}
+"""What the tables add to the name of a training, by the trainer: `ppo.py`, or Stable-Baselines3 (SB3)."""
+RESULTS = ("success", "crashes", "final error [m]", "lap [s]")
+"""Columns of the table of results, beside training and seed."""
+COSTS = ("samples [M]", "wall [s]", "CPU [s]")
+"""Columns of the table of costs, beside training and seed."""
 
 
 @dataclass(frozen=True)
 class CurvesCommand:
-    """Draw the learning curves, and print the table of results."""
+    """Draw the learning curves, and print the tables of results and costs."""
 
     results: Path = HERE / "results"
     """Folder with the results of the trainings."""
@@ -60,26 +66,32 @@ def draw(axes: Axes, name: str, results: list[dict[str, Any]]) -> None:
     axes.grid(alpha=0.3)
 
 
-def row(name: str, algorithm: str, result: dict[str, Any]) -> str:
+def scores_of(name: str, result: dict[str, Any]) -> tuple[str, ...]:
     """Return a row of the table of results."""
     scores = result["evaluation"]
-    lap = "" if scores["lap_s"] is None else f"{scores['lap_s']:.1f}"
-    cells = (
-        f"{name}, {algorithm}",
-        result["seed"],
-        f"{result['samples'] / 1e6:.1f}",
-        f"{result['wall_s']:.0f}",
-        f"{result['cpu_s']:.0f}",
+    return (
         f"{scores['success_rate']:.0%}",
         f"{scores['crash_rate']:.0%}",
         f"{scores['final_distance_m']:.3f}" if name.startswith("hover") else "",
-        lap,
+        "" if scores["lap_s"] is None else f"{scores['lap_s']:.1f}",
     )
-    return f"| {' | '.join(map(str, cells))} |"
+
+
+def costs_of(result: dict[str, Any]) -> tuple[str, ...]:
+    """Return a row of the table of costs."""
+    return f"{result['samples'] / 1e6:.1f}", f"{result['wall_s']:.0f}", f"{result['cpu_s']:.0f}"
+
+
+def print_table(columns: tuple[str, ...], rows: list[tuple[str, ...]]) -> None:
+    """Print a table of trainings and seeds in Markdown."""
+    header = ("training", "seed", *columns)
+    for cells in (header, ("---",) * len(header), *rows):
+        print(f"| {' | '.join(cells)} |")
+    print()
 
 
 def main(command: CurvesCommand) -> None:
-    """Draw the picture and print the table."""
+    """Draw the picture and print the tables."""
     figure = Figure(figsize=(9.0, 7.0), layout="constrained")
     for axes, name in zip(figure.subplots(2, 2).flat, TITLES, strict=True):
         results = results_of(command.results, name, "ppo")
@@ -88,12 +100,14 @@ def main(command: CurvesCommand) -> None:
     figure.axes[0].legend(loc="lower right")
     matplotlib.rcParams["svg.hashsalt"] = "dronevio"  # the same picture has the same bytes
     figure.savefig(command.out, metadata={"Date": None})
-    print("| training | seed | samples [M] | wall [s] | CPU [s] | success | crashes | final error [m] | lap [s] |")
-    print("| --- | --- | --- | --- | --- | --- | --- | --- | --- |")
-    for algorithm in ("ppo", "sb3"):
-        for name in TITLES:
-            for result in results_of(command.results, name, algorithm):
-                print(row(name, algorithm, result))
+    trained = [
+        (name, (f"`{name}`{trainer}", str(result["seed"])), result)
+        for algorithm, trainer in TRAINERS.items()
+        for name in TITLES
+        for result in results_of(command.results, name, algorithm)
+    ]
+    print_table(RESULTS, [(*first, *scores_of(name, result)) for name, first, result in trained])
+    print_table(COSTS, [(*first, *costs_of(result)) for _, first, result in trained])
 
 
 if __name__ == "__main__":

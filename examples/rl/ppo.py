@@ -177,6 +177,8 @@ def update(agent: Agent, optimizer: torch.optim.Optimizer, rollout: Rollout, tra
             (VALUE_WEIGHT * value_error - surrogate).backward()
             nn.utils.clip_grad_norm_(agent.parameters(), LARGEST_GRADIENT)
             optimizer.step()
+    with torch.no_grad():
+        agent.log_std.clamp_(min=training.least_log_std)
 
 
 @dataclass(frozen=True)

@@ -23,11 +23,18 @@ from dronevio.sim.envs.stable_baselines import StableBaselinesVecEnv
 
 
 class Curve(BaseCallback):
-    """Learning curve of a model, from the unscaled rewards of the environments."""
+    """Learning curve of a model, from the unscaled rewards of the environments.
 
-    def __init__(self, progress: Progress) -> None:
+    It also limits the standard deviation of the actions, for which Stable-Baselines3 has no setting.
+    """
+
+    def __init__(self, progress: Progress, least_log_std: float) -> None:
         super().__init__()
-        self._progress = progress
+        self._progress, self._least_log_std = progress, least_log_std
+
+    def _on_rollout_start(self) -> None:
+        with torch.no_grad():
+            self.model.policy.log_std.clamp_(min=self._least_log_std)
 
     def _on_step(self) -> bool:
         ended = self.locals["dones"]
@@ -84,7 +91,7 @@ def main(command: TrainCommand) -> None:
     samples = command.samples or training.samples
     progress = Progress(training.num_envs, samples)
     model = model_of(training, envs, command.seed)
-    model.learn(samples, callback=Curve(progress))
+    model.learn(samples, callback=Curve(progress, training.least_log_std))
     policy = policy_from_sb3(model, envs)
     finish(policy, training, progress, command.out or Path("runs") / f"{command.training}-sb3-{command.seed}")
 

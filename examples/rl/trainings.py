@@ -3,6 +3,7 @@
 Both trainers, `ppo.py` and `train_sb3.py`, use them.
 """
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any
@@ -45,6 +46,8 @@ class Training:
     """Range of the ratio of probabilities of the new and the old policy around 1."""
     log_std: float = -1.0
     """Logarithm of the standard deviation of the actions at the beginning."""
+    least_log_std: float = -math.inf
+    """Smallest logarithm of the standard deviation of the actions during training."""
     hidden: tuple[int, ...] = (64, 64)
     """Widths of the hidden layers of policy and value function."""
 
@@ -75,9 +78,8 @@ TRAININGS: dict[str, Training] = {
         of_training={"max_episode_steps": 500, **_FASTER},
         of_evaluation={"task": Race(on_course=0.0)},
         num_envs=512,
-        epochs=6,
-        learning_rate=7e-4,
         gamma=0.99,
+        least_log_std=-1.2,  # otherwise exploration ends before all gates are passed
     ),
 }
 """Trainings by name."""
