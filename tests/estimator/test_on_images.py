@@ -168,7 +168,7 @@ def test_nothing_is_written_if_an_image_is_truncated(
     truncated.unlink()
     truncated.write_bytes(images[60].read_bytes()[:1000])
     out = tmp_path / "estimate.tum"
-    message = input_error(["estimate", str(broken), "--out", str(out), "--json"], capfd)
+    message = input_error(["estimate", str(broken), "--out", str(out), "--strict", "--json"], capfd)
     assert str(truncated) in message and "truncated" in message
     assert not out.exists()
 
