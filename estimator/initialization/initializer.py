@@ -6,7 +6,7 @@ DM-VIO (von Stumberg and Cremers, RA-L 2022), and no state is published before i
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 import numpy.typing as npt
@@ -18,6 +18,7 @@ from dronevio.estimator.imu.buffer import joined
 from dronevio.estimator.imu.preintegration import Preintegration, PreintegrationParams
 from dronevio.estimator.initialization.dynamic import DynamicInitializationConfig, initialize_dynamic, is_stereo
 from dronevio.estimator.initialization.gauge import Gauge
+from dronevio.estimator.initialization.gyro_bias import GyroBias
 from dronevio.estimator.initialization.static import (
     InitialSigmas,
     NotObservable,
@@ -55,6 +56,8 @@ class InitializerConfig:
     """Largest standard deviation of the velocity, relative to the speed, of the first state that is published."""
     max_hover_velocity_sigma_m_s: float = 0.03
     """Standard deviation of the velocity that suffices at any speed [m/s]; a relative one means nothing at hover."""
+    rest_gyro_bias_sigma_rad_s: float = 0.003
+    """Standard deviation of the gyroscope bias that a stationary interval has determined [rad/s]."""
     gyro_bias_sigma_rad_s: float = 0.05
     """Standard deviation of the gyroscope bias before it is estimated [rad/s]; that of EuRoC is 0.08."""
 
@@ -167,15 +170,19 @@ class Initializer:
         self, window: Sequence[FramePacket], calibration: Calibration, gauge: Gauge, params: PreintegrationParams
     ) -> KeyframeSmoother | NotObservable:
         c = self._config
-        focal_px = float(calibration.focal_px[0])
-        start = initialize_dynamic(window, calibration.Ts_imu_cam, focal_px, c.dynamic, params.gravity_m_s2)
+        sigma_rad_s = max(self._gyro_bias_sigma_rad_s, c.rest_gyro_bias_sigma_rad_s)
+        prior, focal_px = GyroBias.isotropic(self._gyro_bias_rad_s, sigma_rad_s), float(calibration.focal_px[0])
+        start = initialize_dynamic(
+            window, calibration.Ts_imu_cam, focal_px, c.dynamic, prior, gravity_m_s2=params.gravity_m_s2
+        )
         if isinstance(start, NotObservable):
             self._last_reason = start
             return start
+        agreeing = [replace(packet, observations=packet.observations.without(start.outliers)) for packet in window]
         smoother, error_px = self._adjusted(
-            start, c.dynamic_sigmas, window, calibration, gauge, params, stationary=False
+            start.state, c.dynamic_sigmas, agreeing, calibration, gauge, params, stationary=False
         )
-        if smoother is not None and error_px <= c.dynamic.max_residual_px:
+        if smoother is not None and error_px <= c.dynamic.max_residual_sigmas * c.dynamic.pixel_sigma:
             return smoother
         self._last_reason = NotObservable(f"a median reprojection error of {error_px:.1f} px")
         return self._last_reason

@@ -1,0 +1,179 @@
+"""Velocity, gravity and accelerometer bias in closed form, for a known gyroscope bias.
+
+With the rotation known, each observation of a landmark is linear in the landmark's position, the initial velocity,
+gravity and the accelerometer bias (Dong-Si and Mourikis, "Estimator initialization in vision-aided inertial navigation
+with unknown camera-IMU calibration", IROS 2012). The landmarks are eliminated one by one, and the magnitude of gravity
+is a constraint. Outliers lose their weight by graduated non-convexity.
+"""
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+import numpy.typing as npt
+from scipy.optimize import brentq
+
+from dronevio.estimator.initialization.robust import GraduatedLoss
+from dronevio.estimator.initialization.views import Motion, WindowMeasurements
+
+Array = npt.NDArray[np.float64]
+
+MIN_DEPTH_M = 0.1
+"""Smallest mean depth of a landmark that counts as in front of the cameras [m]."""
+MAX_ITERATIONS = 20
+"""Largest number of solutions with decreasing scales of the loss."""
+_FREE, _GRAVITY = [0, 1, 2, 6, 7, 8], [3, 4, 5]  # rows of the unknowns
+
+
+@dataclass(frozen=True)
+class NoiseModel:
+    """Assumptions on the measurements."""
+
+    xy_sigma: float
+    """Standard deviation of an observation in normalized image coordinates."""
+    outlier_sigmas: float
+    """Root mean square residual at which a landmark has a quarter of its weight, in standard deviations."""
+    accel_bias_sigma_m_s2: float
+    """Standard deviation of the accelerometer bias [m/s²]."""
+    gravity_m_s2: float
+    """Magnitude of gravity [m/s²]."""
+
+
+@dataclass(frozen=True, eq=False)
+class WindowState:
+    """The state at the first frame of a window, in its IMU frame."""
+
+    velocity: Array
+    """(3,) Velocity [m/s]."""
+    gravity: Array
+    """(3,) Acceleration of gravity [m/s²]."""
+    accel_bias: Array
+    """(3,) Accelerometer bias [m/s²]."""
+    gyro_bias: Array
+    """(3,) Gyroscope bias [rad/s]."""
+
+    @cached_property
+    def y(self) -> Array:
+        """(10,) The linear unknowns: velocity, gravity, accelerometer bias and −1."""
+        return np.concatenate([self.velocity, self.gravity, self.accel_bias, [-1.0]])
+
+
+@dataclass(frozen=True, eq=False)
+class ViewGeometry:
+    """Where the cameras of the views are, as a linear function of the state."""
+
+    Q: Array
+    """(V, 3, 10) Matrices by which −Q y is the position of each camera, with y of `WindowState`."""
+    R_first_cam: Array
+    """(V, 3, 3) Rotations of the cameras."""
+
+    @classmethod
+    def of(cls, motion: Motion, Ts_imu_cam: Array) -> "ViewGeometry":
+        """Return the geometry for a motion and the poses (V, 4, 4) of the views' cameras in the IMU frame."""
+        t, eye = motion.t_s[:, None, None], np.eye(3)
+        lever = motion.dp[..., None] + motion.R @ Ts_imu_cam[:, :3, 3:]
+        Q = np.concatenate([-t * eye, -0.5 * t**2 * eye, -motion.dp_by_accel_bias, lever], axis=-1)
+        return cls(Q, motion.R @ Ts_imu_cam[:, :3, :3])
+
+    def in_cameras(self, landmarks: Array, y: Array) -> Array:
+        """Return the positions (V, F, 3) of landmarks (F, 3) in the frames of the cameras."""
+        return np.asarray((landmarks[None] + (self.Q @ y)[:, None]) @ self.R_first_cam)
+
+
+@dataclass(frozen=True, eq=False)
+class LinearSystem:
+    """The observations as linear equations, with the landmarks eliminated.
+
+    A landmark at p that is observed at (u, w) satisfies M R_first_camᵀ (p + Q y) = 0 with M = [1 0 −u; 0 1 −w]. The
+    rows are distances; divided by the landmark's depth they are distances in normalized image coordinates.
+    """
+
+    H: Array
+    """(F, 10, 10) Matrices by which yᵀ H y is the sum of the squared distances of each landmark."""
+    B: Array
+    """(F, 3, 10) Matrices by which B y is the position of the landmark that minimizes them."""
+
+    @classmethod
+    def of(cls, measured: WindowMeasurements, geometry: ViewGeometry) -> "LinearSystem":
+        """Arrange the equations."""
+        tracks, Q = measured.tracks, geometry.Q
+        M = np.zeros((*tracks.observed.shape, 2, 3))
+        M[..., 0, 0] = M[..., 1, 1] = 1.0
+        M[..., 2] = -tracks.xy
+        M = (M * tracks.observed[..., None, None]) @ np.swapaxes(geometry.R_first_cam, 1, 2)[:, None]
+        N = np.swapaxes(M, -1, -2) @ M  # (V, F, 3, 3)
+        NQ = N @ Q[:, None]
+        sum_NQ = NQ.sum(axis=0)
+        B = -np.linalg.solve(N.sum(axis=0) + 1e-9 * np.eye(3), sum_NQ)
+        return cls(np.einsum("vij,vfik->fjk", Q, NQ, optimize=True) + np.swapaxes(sum_NQ, 1, 2) @ B, B)
+
+    def squares(self, y: Array) -> Array:
+        """Return the sums of squared distances (F,)."""
+        return np.asarray(np.maximum(np.einsum("i,fij,j->f", y, self.H, y), 0.0))
+
+
+def solve_closed_form(
+    measured: WindowMeasurements, gyro_bias: Array, weights: Array, noise: NoiseModel
+) -> tuple[WindowState, GraduatedLoss]:
+    """Return the state for a given gyroscope bias.
+
+    Args:
+        measured: Measurements of a window.
+        gyro_bias: (3,) Gyroscope bias [rad/s].
+        weights: (F,) Weights of the landmarks by earlier tests, 0 to 1.
+        noise: Assumptions on the measurements.
+
+    Returns:
+        The state, and the loss at its last scale.
+    """
+    geometry = ViewGeometry.of(measured.imu.integrated(gyro_bias), measured.Ts_imu_cam)
+    system, freedom = LinearSystem.of(measured, geometry), measured.tracks.degrees_of_freedom
+    loss, reliable = GraduatedLoss(noise.outlier_sigmas), weights >= min(0.25, float(weights.max()))
+    robust, depth_m = weights, np.ones(len(weights))
+    for iteration in range(MAX_ITERATIONS):
+        information = robust / (noise.xy_sigma * depth_m) ** 2
+        y = _minimum(np.einsum("f,fij->ij", information, system.H), noise)
+        depth_m = np.maximum(np.abs(mean_depth_m(measured, geometry.in_cameras(system.B @ y, y))), MIN_DEPTH_M)
+        if iteration == 0:
+            continue  # the depths were not known, so that the solution minimizes distances
+        squares = system.squares(y) / (noise.xy_sigma * depth_m) ** 2 / freedom
+        if loss.is_final:
+            break
+        loss = loss.tightened(squares[reliable])
+        robust = weights * loss.weights(squares)
+    return WindowState(y[:3], y[3:6], y[6:9], gyro_bias), loss
+
+
+def mean_depth_m(measured: WindowMeasurements, in_cameras: Array) -> Array:
+    """Return the mean depths (F,) of landmarks at positions (V, F, 3) in the cameras that observe them [m]."""
+    observed = measured.tracks.observed
+    return np.asarray((in_cameras[..., 2] * observed).sum(axis=0) / observed.sum(axis=0))
+
+
+def _minimum(H: Array, noise: NoiseModel) -> Array:
+    """Return the unknowns y (10,) that minimize yᵀ H y and the prior, with gravity of its magnitude."""
+    P, h = H[:9, :9].copy(), H[:9, 9]
+    P[6:, 6:] += np.eye(3) / noise.accel_bias_sigma_m_s2**2
+    P_ff, P_fg = P[np.ix_(_FREE, _FREE)], P[np.ix_(_FREE, _GRAVITY)]
+    eliminated = np.linalg.solve(P_ff, np.column_stack([P_fg, h[_FREE]]))
+    D = P[np.ix_(_GRAVITY, _GRAVITY)] - P_fg.T @ eliminated[:, :3]
+    y = np.full(10, -1.0)
+    y[_GRAVITY] = on_sphere(D, h[_GRAVITY] - P_fg.T @ eliminated[:, 3], noise.gravity_m_s2)
+    y[_FREE] = eliminated[:, 3] - eliminated[:, :3] @ y[_GRAVITY]
+    return y
+
+
+def on_sphere(D: Array, d: Array, radius: float) -> Array:
+    """Return the vector x (3,) of a given norm that minimizes xᵀDx − 2dᵀx.
+
+    It is (D + λI)⁻¹ d. Its norm decreases with λ, from infinity at minus the smallest eigenvalue of D to zero.
+    """
+    eigenvalues, U = np.linalg.eigh(D)
+    c = U.T @ d
+
+    def excess(shift: float) -> float:
+        return float(np.sum((c / (eigenvalues - eigenvalues[0] + shift)) ** 2) - radius**2)
+
+    low, high = 1e-9 * float(eigenvalues[-1]), 2.0 * float(np.linalg.norm(d)) / radius + 1e-12
+    shift = brentq(excess, low, high) if excess(low) > 0.0 > excess(high) else low
+    return np.asarray(U @ (c / (eigenvalues - eigenvalues[0] + shift)))

@@ -1,0 +1,121 @@
+"""The gyroscope bias from the epipolar geometry of pairs of views.
+
+The normals of the epipolar planes of two views, n = f₁ × R f₂ of the bearings f, are all perpendicular to the
+translation between them, whatever the depths are, if the rotation R is right (Kneip and Lynen, "Direct optimization of
+frame-to-frame rotation", ICCV 2013). One bias determines the rotations of all pairs; the directions of their
+translations are eliminated (He et al., "A rotation-translation-decoupled solution for robust and efficient
+visual-inertial initialization", CVPR 2023). Neither velocity nor gravity nor scale is needed, and the solution is found
+from any plausible initial value.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from dronevio.estimator.initialization.robust import GraduatedLoss
+from dronevio.estimator.initialization.views import WindowMeasurements
+from dronevio.estimator.types import Integers
+
+Array = npt.NDArray[np.float64]
+
+PAIR_S = 0.2
+"""Time between the views of a pair [s]. It is long enough for a parallax, and landmarks remain visible for longer."""
+MAX_ITERATIONS = 20
+"""Largest number of Gauss-Newton steps."""
+CONVERGED_RAD_S = 3e-4
+"""Change of the bias below which the iteration ends [rad/s]; the refinement of the whole state continues from there."""
+OUTLIER_SIGMAS = 3.0
+"""Root mean square residual at which a landmark has a quarter of its weight, in standard deviations."""
+_DIFFERENCE_RAD_S = 1e-4  # step of the numeric derivatives
+
+
+@dataclass(frozen=True, eq=False)
+class GyroBias:
+    """A gyroscope bias and its uncertainty."""
+
+    mean_rad_s: Array
+    """(3,) Bias [rad/s]."""
+    covariance: Array
+    """(3, 3) Its covariance [rad²/s²]."""
+
+    @classmethod
+    def isotropic(cls, mean_rad_s: Array, sigma_rad_s: float) -> "GyroBias":
+        """Return a bias (3,) with the same standard deviation on all axes [rad/s]."""
+        return cls(mean_rad_s, sigma_rad_s**2 * np.eye(3))
+
+
+def epipolar_gyro_bias(measured: WindowMeasurements, prior: GyroBias, sigma_rad: float) -> tuple[Array, Array]:
+    """Return the gyroscope bias at which the epipolar planes of each pair of views intersect in one line.
+
+    Args:
+        measured: Measurements of a window.
+        prior: What is known of the bias before.
+        sigma_rad: Standard deviation of a bearing [rad].
+
+    Returns:
+        The bias (3,) [rad/s], and the weights (F,), 0 to 1, of the landmarks; those of outliers are small.
+    """
+    tracks = measured.tracks
+    bias, weights, information = prior.mean_rad_s, np.ones(len(tracks)), np.linalg.inv(prior.covariance)
+    first, second = _pairs(tracks.camera, measured.imu.integrated(bias).t_s)
+    both = tracks.observed[first] & tracks.observed[second]
+    if not both.any():
+        return bias, weights
+    count = both.sum(axis=0)
+    normals_at = _normals(measured, first, second, sigma_rad)
+    loss = GraduatedLoss(OUTLIER_SIGMAS)
+    for _ in range(MAX_ITERATIONS):
+        normals = normals_at(bias)
+        directions = _translations(normals, weights * both)
+        residuals = np.einsum("pfi,pi->pf", normals, directions[:, :, 0])
+        squares = (residuals**2 * both).sum(axis=0) / np.maximum(count, 1)
+        loss = loss.tightened(squares[count > 0])
+        weights = loss.weights(squares)
+        by_bias = [
+            np.einsum("pfi,pi->pf", normals_at(bias + step) - normals, directions[:, :, 0]) / _DIFFERENCE_RAD_S
+            for step in _DIFFERENCE_RAD_S * np.eye(3)
+        ]
+        H, h = _reduced(normals @ directions[:, :, 1:], np.stack(by_bias, axis=-1), residuals, weights * both)
+        step = -np.linalg.solve(H + information, h + information @ (bias - prior.mean_rad_s))
+        bias = bias + step
+        if loss.is_final and float(np.linalg.norm(step)) < CONVERGED_RAD_S:
+            break
+    return bias, weights
+
+
+def _pairs(camera: Integers, t_s: Array) -> tuple[Integers, Integers]:
+    """Return the first and second views of all pairs of one camera, each with the first view that is late enough."""
+    seconds = (t_s[None] - t_s[:, None] >= PAIR_S - 1e-3) & (camera[None] == camera[:, None])
+    first = np.flatnonzero(seconds.any(axis=1))
+    return first, seconds[first].argmax(axis=1)
+
+
+def _normals(
+    measured: WindowMeasurements, first: Integers, second: Integers, sigma_rad: float
+) -> Callable[[Array], Array]:
+    """Return the function of the bias that yields the normals (P, F, 3) of epipolar planes, in standard deviations."""
+    bearings = measured.bearings / np.sqrt(np.sqrt(2.0) * sigma_rad)  # both bearings of a normal have errors
+    of_first, of_second = bearings[first], bearings[second]
+
+    def normals(gyro_bias_rad_s: Array) -> Array:
+        R = measured.imu.rotations(gyro_bias_rad_s)
+        R_first_second = np.swapaxes(R[first], 1, 2) @ R[second]
+        return np.cross(of_first, of_second @ np.swapaxes(R_first_second, 1, 2))
+
+    return normals
+
+
+def _translations(normals: Array, weights: Array) -> Array:
+    """Return bases (P, 3, 3): the direction of each translation, and in the other two columns its tangents."""
+    return np.asarray(np.linalg.eigh(np.swapaxes(weights[..., None] * normals, 1, 2) @ normals)[1])
+
+
+def _reduced(J_direction: Array, J_bias: Array, residuals: Array, weights: Array) -> tuple[Array, Array]:
+    """Return matrix (3, 3) and vector (3,) of the normal equations of the bias, the directions eliminated."""
+    J = np.concatenate([J_direction, J_bias, residuals[..., None]], axis=-1)  # (P, F, 2 + 3 + 1)
+    products = np.swapaxes(weights[..., None] * J, 1, 2) @ J
+    eliminated = np.linalg.solve(products[:, :2, :2] + 1e-6 * np.eye(2), products[:, :2, 2:])
+    reduced = (products[:, 2:, 2:] - np.swapaxes(products[:, :2, 2:], 1, 2) @ eliminated).sum(axis=0)
+    return reduced[:3, :3], reduced[:3, 3]

@@ -1,0 +1,161 @@
+"""Refinement of an initial state by Gauss-Newton on reprojection errors, with the gyroscope bias and the landmarks.
+
+It is a bundle adjustment in which the motion between the views is that of the IMU. Its normal equations yield the
+covariance by which the initialization is accepted or not.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from dronevio.estimator.initialization.closed_form import (
+    MIN_DEPTH_M,
+    LinearSystem,
+    NoiseModel,
+    ViewGeometry,
+    WindowState,
+    mean_depth_m,
+)
+from dronevio.estimator.initialization.gyro_bias import GyroBias
+from dronevio.estimator.initialization.robust import GraduatedLoss
+from dronevio.estimator.initialization.views import WindowMeasurements
+
+Array = npt.NDArray[np.float64]
+
+STEPS = 4
+"""Number of Gauss-Newton steps."""
+_STATE = 11  # velocity, gravity on the sphere, accelerometer bias, gyroscope bias
+_ACCEL_BIAS, _GYRO_BIAS = slice(5, 8), slice(8, 11)
+_DIFFERENCE_RAD_S = 1e-4  # step of the numeric derivatives by the gyroscope bias
+
+
+@dataclass(frozen=True, eq=False)
+class RefinedState:
+    """A state with what is needed to judge it."""
+
+    state: WindowState
+    """State at the first frame of the window."""
+    weights: Array
+    """(F,) Weights of the landmarks, 0 to 1."""
+    squares: Array
+    """(F,) Mean squared residuals of the landmarks, in units of the variance of an observation."""
+    depth_m: Array
+    """(F,) Mean depths of the landmarks [m]."""
+    velocity_covariance: Array
+    """(3, 3) Covariance of the velocity [m²/s²]."""
+
+    @property
+    def inliers(self) -> npt.NDArray[np.bool_]:
+        """(F,) Whether a landmark agrees with the state: its weight is a quarter or more."""
+        return np.asarray(self.weights >= 0.25)
+
+
+def refine(
+    measured: WindowMeasurements, state: WindowState, loss: GraduatedLoss, prior: GyroBias, noise: NoiseModel
+) -> RefinedState:
+    """Return the state that minimizes the reprojection errors.
+
+    Args:
+        measured: Measurements of a window.
+        state: Initial value.
+        loss: Robust loss of the landmarks.
+        prior: What is known of the gyroscope bias from elsewhere.
+        noise: Assumptions on the measurements.
+    """
+    geometry = _geometry(measured, state.gyro_bias)
+    landmarks = LinearSystem.of(measured, geometry).B @ state.y
+    for _ in range(STEPS):
+        equations = _Equations.at(measured, state, landmarks, loss, noise)
+        H, h = equations.with_priors(state, prior, noise)
+        change = np.asarray(np.linalg.solve(H, -h))
+        landmarks = landmarks - equations.landmark_steps @ np.append(change, 1.0)
+        state = _changed(state, change)
+    equations = _Equations.at(measured, state, landmarks, loss, noise)
+    covariance = np.asarray(np.linalg.inv(equations.with_priors(state, prior, noise)[0]))
+    freedom = equations.weights * measured.tracks.degrees_of_freedom
+    variance_factor = max(float(equations.squares @ freedom) / float(freedom.sum()), 1.0)
+    return RefinedState(
+        state, equations.weights, equations.squares, equations.depth_m, variance_factor * covariance[:3, :3]
+    )
+
+
+@dataclass(frozen=True, eq=False)
+class _Equations:
+    """Normal equations of the state, with the landmarks eliminated."""
+
+    H: Array  # (11, 11)
+    h: Array  # (11,) the gradient
+    landmark_steps: Array  # (F, 3, 12) the landmarks change by minus this times the change of the state and 1
+    weights: Array
+    squares: Array
+    depth_m: Array
+
+    @classmethod
+    def at(
+        cls,
+        measured: WindowMeasurements,
+        state: WindowState,
+        landmarks: Array,
+        loss: GraduatedLoss,
+        noise: NoiseModel,
+    ) -> "_Equations":
+        tracks, geometry = measured.tracks, _geometry(measured, state.gyro_bias)
+        in_cameras = geometry.in_cameras(landmarks, state.y)
+        z = np.maximum(np.abs(in_cameras[..., 2:]), MIN_DEPTH_M)
+        xy = in_cameras[..., :2] / z
+        known = tracks.observed[..., None] / noise.xy_sigma
+        residuals = (xy - tracks.xy) * known
+        projection = np.zeros((*tracks.observed.shape, 2, 3))
+        projection[..., 0, 0] = projection[..., 1, 1] = 1.0
+        projection[..., 2] = -xy
+        projection *= (known / z)[..., None]
+        J_landmark = projection @ np.swapaxes(geometry.R_first_cam, 1, 2)[:, None]
+        J_linear = J_landmark @ (geometry.Q[..., :9] @ _tangents(state))[:, None]
+        by_bias = [
+            (_geometry(measured, state.gyro_bias + step).in_cameras(landmarks, state.y) - in_cameras)
+            / _DIFFERENCE_RAD_S
+            for step in _DIFFERENCE_RAD_S * np.eye(3)
+        ]
+        J_bias = projection @ np.stack(by_bias, axis=-1)
+        J = np.concatenate([J_landmark, J_linear, J_bias, residuals[..., None]], axis=-1)
+        J = np.moveaxis(J, 1, 0).reshape(len(tracks), -1, J.shape[-1])  # one block of 2V rows per landmark
+        products = np.swapaxes(J, 1, 2) @ J
+        eliminated = np.linalg.solve(products[:, :3, :3] + 1e-9 * np.eye(3), products[:, :3, 3:])
+        reduced = products[:, 3:, 3:] - np.swapaxes(products[:, :3, 3:], 1, 2) @ eliminated
+        squares = (residuals**2).sum(axis=(0, 2)) / tracks.degrees_of_freedom
+        weights = loss.weights(squares)
+        # The errors of a track are correlated in time, so that all its observations count as one.
+        total = np.einsum("f,fij->ij", weights / tracks.observed.sum(axis=0), reduced)
+        depth_m = mean_depth_m(measured, in_cameras)
+        return cls(total[:_STATE, :_STATE], total[:_STATE, _STATE], eliminated, weights, squares, depth_m)
+
+    def with_priors(self, state: WindowState, prior: GyroBias, noise: NoiseModel) -> tuple[Array, Array]:
+        """Return matrix and gradient with the priors of the biases."""
+        H, h, gyro = self.H.copy(), self.h.copy(), np.linalg.inv(prior.covariance)
+        H[_ACCEL_BIAS, _ACCEL_BIAS] += np.eye(3) / noise.accel_bias_sigma_m_s2**2
+        h[_ACCEL_BIAS] += state.accel_bias / noise.accel_bias_sigma_m_s2**2
+        H[_GYRO_BIAS, _GYRO_BIAS] += gyro
+        h[_GYRO_BIAS] += gyro @ (state.gyro_bias - prior.mean_rad_s)
+        return H, h
+
+
+def _geometry(measured: WindowMeasurements, gyro_bias: Array) -> ViewGeometry:
+    return ViewGeometry.of(measured.imu.integrated(gyro_bias), measured.Ts_imu_cam)
+
+
+def _tangents(state: WindowState) -> Array:
+    """Return the derivatives (9, 8) of velocity, gravity and accelerometer bias; gravity keeps its magnitude."""
+    E = np.zeros((9, 8))
+    E[:3, :3] = E[6:, 5:] = np.eye(3)
+    E[3:6, 3:5] = np.linalg.svd(state.gravity[None])[2][1:].T
+    return E
+
+
+def _changed(state: WindowState, change: Array) -> WindowState:
+    """Return a state after a change (11,)."""
+    linear = _tangents(state) @ change[:8]
+    gravity = state.gravity + linear[3:6]
+    gravity *= np.linalg.norm(state.gravity) / np.linalg.norm(gravity)
+    accel_bias, gyro_bias = state.accel_bias + linear[6:], state.gyro_bias + change[_GYRO_BIAS]
+    return WindowState(state.velocity + linear[:3], gravity, accel_bias, gyro_bias)

@@ -1,0 +1,168 @@
+"""The measurements of a window: image observations by view, and the motion between the views that the IMU measures.
+
+A view is one camera in one frame of the window. Positions and rotations are in the IMU frame of the first frame.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from dronevio.estimator.imu.buffer import Increments, joined
+from dronevio.estimator.types import FramePacket, Integers
+from dronevio.models.rotation import integrated_rotations
+
+Array = npt.NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False)
+class Tracks:
+    """The F landmarks of a window that are observed often enough, in V views."""
+
+    xy: Array
+    """(V, F, 2) Normalized image coordinates, 0 where not observed."""
+    observed: npt.NDArray[np.bool_]
+    """(V, F) Whether a view observes a landmark."""
+    frame: Integers
+    """(V,) Index of the frame of each view in the window."""
+    camera: Integers
+    """(V,) Index of the camera of each view in the rig."""
+    ids: Integers
+    """(F,) Feature identities."""
+
+    def __len__(self) -> int:
+        return len(self.ids)
+
+    @property
+    def degrees_of_freedom(self) -> Array:
+        """(F,) Number of coordinates of each landmark's observations beyond the three of its position, at least 1."""
+        return np.maximum(2.0 * self.observed.sum(axis=0) - 3.0, 1.0)
+
+
+@dataclass(frozen=True, eq=False)
+class Motion:
+    """The IMU integrated from the first frame of a window to each view, without gravity and initial velocity."""
+
+    t_s: Array
+    """(V,) Times since the first frame [s]."""
+    R: Array
+    """(V, 3, 3) Rotations R_first_view of the IMU."""
+    dp: Array
+    """(V, 3) Double integrals of the specific force [m]."""
+    dp_by_accel_bias: Array
+    """(V, 3, 3) Derivatives of `dp` by the accelerometer bias [s²]."""
+
+
+class ImuWindow:
+    """The IMU measurements of a window, which can be integrated with any gyroscope bias."""
+
+    def __init__(self, window: Sequence[FramePacket], frames: Integers) -> None:
+        """Arrange the measurements.
+
+        Args:
+            window: Consecutive frame packets.
+            frames: (V,) Index of the frame of each view.
+        """
+        self._increments: Increments = joined([packet.increments for packet in window[1:]])
+        ends = np.concatenate([[0], np.cumsum([len(packet.increments.dt_s) for packet in window[1:]])])
+        self._rows = ends[frames]
+
+    def rotations(self, gyro_bias_rad_s: Array) -> Array:
+        """Return the rotations R_first_view (V, 3, 3) for a gyroscope bias (3,) [rad/s]."""
+        return np.asarray(self._all_rotations(gyro_bias_rad_s)[self._rows])
+
+    def integrated(self, gyro_bias_rad_s: Array) -> Motion:
+        """Return the motion for a gyroscope bias (3,) [rad/s], and zero accelerometer bias."""
+        dt_s = self._increments.dt_s
+        R = self._all_rotations(gyro_bias_rad_s)
+        dv = np.einsum("nij,nj->ni", R[:-1], self._increments.accel_m_s2) * dt_s[:, None]
+        dv_by_bias = -R[:-1] * dt_s[:, None, None]
+        return Motion(
+            np.concatenate([[0.0], np.cumsum(dt_s)])[self._rows],
+            R[self._rows],
+            _summed_twice(dv, dt_s)[self._rows],
+            _summed_twice(dv_by_bias, dt_s)[self._rows],
+        )
+
+    def _all_rotations(self, gyro_bias_rad_s: Array) -> Array:
+        increments = self._increments
+        return integrated_rotations((increments.gyro_rad_s - gyro_bias_rad_s) * increments.dt_s[:, None])
+
+
+@dataclass(frozen=True, eq=False)
+class WindowMeasurements:
+    """All that an initialization uses of a window."""
+
+    tracks: Tracks
+    """Observations of landmarks."""
+    imu: ImuWindow
+    """IMU measurements from the first frame to each view."""
+    Ts_imu_cam: Array
+    """(V, 4, 4) Poses of the views' cameras in the IMU frame."""
+
+    @classmethod
+    def of(
+        cls, window: Sequence[FramePacket], Ts_imu_cam: Array, max_frames: int, min_observations: int
+    ) -> "WindowMeasurements":
+        """Arrange the measurements of consecutive frame packets.
+
+        Args:
+            window: Consecutive frame packets.
+            Ts_imu_cam: (C, 4, 4) Poses of the rig's cameras in the IMU frame.
+            max_frames: Largest number of frames that are used; of a longer window, every second or third frame is.
+            min_observations: Smallest number of used frames in which a landmark must be observed; half of them suffice.
+        """
+        tracks = collect_tracks(window, max_frames, min_observations)
+        return cls(tracks, ImuWindow(window, tracks.frame), Ts_imu_cam[tracks.camera])
+
+    @property
+    def bearings(self) -> Array:
+        """(V, F, 3) Directions of the observations in the IMU frames of their views, of unit length."""
+        rays = np.concatenate([self.tracks.xy, np.ones((*self.tracks.observed.shape, 1))], axis=-1)
+        rays /= np.linalg.norm(rays, axis=-1, keepdims=True)
+        return np.asarray(rays @ np.swapaxes(self.Ts_imu_cam[:, :3, :3], 1, 2))
+
+    def median_parallax_rad(self, gyro_bias_rad_s: Array) -> float:
+        """Return the median angle between the first and last views of the landmarks, compensated for rotation [rad].
+
+        Args:
+            gyro_bias_rad_s: (3,) Gyroscope bias by which the rotation is known [rad/s].
+        """
+        observed = self.tracks.observed
+        rays = self.bearings @ np.swapaxes(self.imu.rotations(gyro_bias_rad_s), 1, 2)
+        first, last = observed.argmax(axis=0), len(observed) - 1 - observed[::-1].argmax(axis=0)
+        columns = np.arange(len(self.tracks))
+        sines = np.linalg.norm(np.cross(rays[first, columns], rays[last, columns]), axis=1)
+        return float(np.median(np.arcsin(np.minimum(sines, 1.0))))
+
+
+def collect_tracks(window: Sequence[FramePacket], max_frames: int, min_observations: int) -> Tracks:
+    """Arrange the observations of all landmarks that enough of the frames observe; see `WindowMeasurements.of`."""
+    stride = -(-len(window) // max_frames)
+    used = [k for k, packet in enumerate(window) if k % stride == 0 or len(packet.observations.matches)]
+    observations = [window[k].observations for k in used]
+    ids, counts = np.unique(np.concatenate([frame.ids for frame in observations]), return_counts=True)
+    ids = ids[counts >= min(min_observations, len(used) // 2)]
+    views: list[tuple[int, int, Array, npt.NDArray[np.bool_]]] = []
+    for k, frame in zip(used, observations, strict=True):
+        by_camera = [(frame.ids, frame.camera, frame.xy), (frame.matches.ids, frame.matches.camera, frame.matches.xy)]
+        for some_ids, cameras, some_xy in by_camera:
+            for camera in np.unique(cameras).tolist():
+                mine = np.flatnonzero(cameras == camera)
+                _, column, row = np.intersect1d(ids, some_ids[mine], return_indices=True)
+                xy, visible = np.zeros((len(ids), 2)), np.zeros(len(ids), dtype=np.bool_)
+                xy[column], visible[column] = some_xy[mine[row]], True
+                views.append((k, camera, xy, visible))
+    frame_of, camera_of = (np.array([view[i] for view in views], dtype=np.int64) for i in (0, 1))
+    xy_of = np.array([view[2] for view in views]).reshape(len(views), len(ids), 2)
+    observed = np.array([view[3] for view in views], dtype=np.bool_).reshape(len(views), len(ids))
+    return Tracks(xy_of, observed, frame_of, camera_of, ids)
+
+
+def _summed_twice(steps: Array, dt_s: Array) -> Array:
+    """Return the double sums (N + 1, …) of changes (N, …) of velocity that are constant over intervals (N,) [s]."""
+    dt = dt_s.reshape(-1, *[1] * (steps.ndim - 1))
+    zero = np.zeros((1, *steps.shape[1:]))
+    velocity = np.concatenate([zero, np.cumsum(steps, axis=0)])
+    return np.concatenate([zero, np.cumsum((velocity[:-1] + 0.5 * steps) * dt, axis=0)])
