@@ -2,6 +2,7 @@
 
 from collections.abc import Callable
 from dataclasses import replace
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -66,12 +67,58 @@ class OutlierFrontEnd:
             ages: (N,) Number of frames in which each feature has been observed.
         """
         size = int(ids.max(initial=0)) + 1
-        selection, kind = np.random.default_rng([self._seed, 0]).random((size, 2))[ids].T
+        selection = np.random.default_rng([self._seed, 0]).random((size, 2))[ids, 0]
+        return np.asarray(np.where(selection[:, None] < self._share, self.errors(size, ids, ages), 0.0))
+
+    def errors(self, size: int, ids: npt.NDArray[np.int64], ages: npt.NDArray[np.int64]) -> Array:
+        """Return the errors (N, 2) of outliers in normalized image coordinates.
+
+        Args:
+            size: Number of features since the beginning.
+            ids: (N,) Identities of the features.
+            ages: (N,) Number of frames in which each feature has been observed.
+        """
+        kind = np.random.default_rng([self._seed, 0]).random((size, 2))[ids, 1]
         drift = np.random.default_rng([self._seed, 1]).normal(size=(size, 2))[ids]
         jump = np.random.default_rng([self._seed, 2, self._frames]).normal(size=(size, 2))[ids]
-        error = np.where(kind[:, None] < 0.5, _JUMP * jump, _DRIFT * drift * (ages[:, None] - 1))
-        return np.asarray(np.where(selection[:, None] < self._share, error, 0.0))
+        return np.asarray(np.where(kind[:, None] < 0.5, _JUMP * jump, _DRIFT * drift * (ages[:, None] - 1)))
 
 
-CORRUPTED_FRONT_ENDS: dict[str, Callable[[FrontEnd], FrontEnd]] = {"outliers": OutlierFrontEnd}
-"""Functions that wrap the front end of the estimator, by name."""
+class RandomTracks(OutlierFrontEnd):
+    """Outliers with independent errors in every frame."""
+
+    def errors(self, size: int, ids: npt.NDArray[np.int64], ages: npt.NDArray[np.int64]) -> Array:
+        """Return the errors (N, 2) of outliers."""
+        return np.asarray(_JUMP * np.random.default_rng([self._seed, 2, self._frames]).normal(size=(size, 2))[ids])
+
+
+class MovingObjectTracks(OutlierFrontEnd):
+    """Outliers that drift in the same direction at the same rate, as the tracks on one moving object do."""
+
+    def errors(self, size: int, ids: npt.NDArray[np.int64], ages: npt.NDArray[np.int64]) -> Array:
+        """Return the errors (N, 2) of outliers."""
+        angle_rad = np.random.default_rng([self._seed, 3]).uniform(0.0, 2.0 * np.pi)
+        return np.asarray(_DRIFT * np.array([np.cos(angle_rad), np.sin(angle_rad)]) * (ages[:, None] - 1))
+
+
+class SlidingTracks(OutlierFrontEnd):
+    """Outliers that slide along edges: each has a direction and a rate of its own."""
+
+    def errors(self, size: int, ids: npt.NDArray[np.int64], ages: npt.NDArray[np.int64]) -> Array:
+        """Return the errors (N, 2) of outliers."""
+        angle_rad = np.random.default_rng([self._seed, 4]).uniform(0.0, 2.0 * np.pi, size)[ids]
+        rate = _DRIFT * np.abs(np.random.default_rng([self._seed, 5]).normal(size=size))[ids]
+        return np.asarray(np.stack([np.cos(angle_rad), np.sin(angle_rad)], axis=1) * (rate * (ages - 1))[:, None])
+
+
+_KINDS = {"random": RandomTracks, "object": MovingObjectTracks, "sliding": SlidingTracks}
+
+CORRUPTED_FRONT_ENDS: dict[str, Callable[[FrontEnd], FrontEnd]] = {
+    "outliers": OutlierFrontEnd,
+    **{
+        f"{name}-{percent}": partial(kind, share=0.01 * percent)
+        for name, kind in _KINDS.items()
+        for percent in (10, 20, 30)
+    },
+}
+"""Functions that wrap the front end of the estimator, by name; a number is the share of outliers in percent."""

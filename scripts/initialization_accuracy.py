@@ -1,30 +1,37 @@
 """Measure the time and the accuracy of dynamic initialization: start estimators in the middle of recorded flights.
 
     python scripts/initialization_accuracy.py FOLDER... [--every-s 3] [--mode stereo]
+    python scripts/initialization_accuracy.py MH_01_easy --starts-s 0 0.5 1 1.5 2 --front-ends "" random-30 object-30
 
-The scale after T seconds is that of the causal poses in the two seconds from T on, or from the first pose on if that is
-later: the ratio of the estimated to the true displacements from their mean, after alignment of yaw. An initialization
-is *excited* if the root mean square of the true acceleration in its first two seconds is 0.5 m/s² or more; with less,
-the scale is hardly observable.
+The ground truth is that of the recording, or FOLDER/groundtruth.tum, whose positions are differentiated. The scale
+after T seconds is that of the causal poses in the two seconds from T on, or from the first pose on if that is later:
+the ratio of the estimated to the true displacements from their mean, after alignment of yaw. An initialization is
+*excited* if the root mean square of the true acceleration in its first two seconds is 0.5 m/s² or more; with less, the
+scale is hardly observable.
 """
 
 import sys
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 import numpy.typing as npt
 import tyro
+from corrupted_tracks import CORRUPTED_FRONT_ENDS
 from estimation_tasks import CAMERAS, Mode
+from scipy.signal import savgol_filter
 
 from dronevio.driver import estimate_recording
+from dronevio.estimator.config import VioConfig
+from dronevio.estimator.frontend.rig import RigTracker
 from dronevio.estimator.vio import VisualInertialOdometry
 from dronevio.eval.metrics.alignment import align
 from dronevio.eval.metrics.association import interpolate
 from dronevio.models.imu import ImuSamples
 from dronevio.models.protocols import Recording
 from dronevio.models.recordings.open import open_recording
+from dronevio.models.recordings.tum import read_tum
 from dronevio.models.rig import Rig
 from dronevio.models.state import CameraFrame, Trajectory
 
@@ -36,6 +43,8 @@ EARLY_AT_S, LATE_AT_S = 2.0, 10.0
 """Times after the first frame at which the scale is measured [s]."""
 EXCITED_M_S2 = 0.5
 """Root mean square of the acceleration from which an initialization is excited [m/s²]."""
+TIME_TOLERANCE_NS = 2_000_000
+"""Tolerance of the time of a start, because time stamps jitter [ns]."""
 
 
 @dataclass(frozen=True)
@@ -46,6 +55,11 @@ class InitializationCommand:
     """EuRoC folders with ground truth."""
     every_s: float = 3.0
     """Time between two initializations [s]."""
+    starts_s: tuple[float, ...] = ()
+    """Times of the initializations after the first frame [s], in place of equal intervals; the rest of each recording
+    is estimated, up to the given duration."""
+    front_ends: tuple[str, ...] = ("",)
+    """Names in `corrupted_tracks.CORRUPTED_FRONT_ENDS`; an empty name is the front end of the estimator."""
     duration_s: float = 12.5
     """Duration of the flight after each start that is estimated [s]."""
     mode: Mode = "mono"
@@ -66,7 +80,7 @@ class RecordingSection:
     @property
     def name(self) -> str:
         """Name of the recording with the time at which the section begins."""
-        return f"{self.whole.name} from {(self.frame_times_ns[0] - self.whole.frame_times_ns[0]) * 1e-9:.0f} s"
+        return f"{self.whole.name} from {(self.frame_times_ns[0] - self.whole.frame_times_ns[0]) * 1e-9:.1f} s"
 
     @property
     def rig(self) -> Rig:
@@ -113,30 +127,43 @@ class InitializationMetrics:
     """Error of the first velocity in the IMU frame [m/s]."""
     velocity_sigma_m_s: float
     """Largest standard deviation of the first velocity according to its covariance [m/s]."""
+    later_velocity_error_m_s: float
+    """Error of the velocity two seconds after the first pose, after alignment [m/s]."""
+    later_speed_m_s: float
+    """True speed at that time [m/s]."""
 
     def row(self) -> str:
         """Return the metrics as a line of the table."""
         return (
             f"{self.name:32s} {self.acceleration_m_s2:6.2f} {self.first_s:6.2f} {100 * self.early_scale:8.1f}"
             f" {100 * self.late_scale:8.1f} {self.error_m:8.3f} {self.velocity_error_m_s:8.3f}"
-            f" {self.velocity_sigma_m_s:8.3f}"
+            f" {self.velocity_sigma_m_s:8.3f} {self.later_velocity_error_m_s:8.3f} {self.later_speed_m_s:8.2f}"
         )
+
+    @property
+    def is_accurate(self) -> bool:
+        """Whether the velocity two seconds after the first pose is within 5 % or 0.03 m/s of the true one."""
+        return self.later_velocity_error_m_s <= max(0.05 * self.later_speed_m_s, 0.03)
 
 
 HEADER = (
     f"{'initialization':32s} {'m/s²':>6s} {'first':>6s} {'scale2 %':>8s} {'scale10%':>8s} {'ATE m':>8s} {'v err':>8s}"
-    f" {'sigma':>8s}"
+    f" {'sigma':>8s} {'v2 err':>8s} {'speed':>8s}"
 )
 
 
-def measure(section: RecordingSection, truth: Trajectory) -> InitializationMetrics:
+def measure(section: RecordingSection, truth: Trajectory, front_end: str = "") -> InitializationMetrics:
     """Estimate a section of a recording and return the metrics of its initialization.
 
     Args:
         section: The section.
         truth: Ground truth of the whole recording, with velocities.
+        front_end: Name in `CORRUPTED_FRONT_ENDS`; empty for the front end of the estimator.
     """
-    run = estimate_recording(section, VisualInertialOdometry(section.rig))
+    config = VioConfig()
+    tracker = RigTracker(section.rig, config.tracker)
+    used = CORRUPTED_FRONT_ENDS[front_end](tracker) if front_end else tracker
+    run = estimate_recording(section, VisualInertialOdometry(section.rig, config, used))
     t0 = int(section.frame_times_ns[0])
     beginning = truth[(truth.t_ns >= t0) & (truth.t_ns <= t0 + round(EARLY_AT_S * 1e9))]
     coarse = beginning[:: max(len(beginning) // 20, 1)]
@@ -146,7 +173,7 @@ def measure(section: RecordingSection, truth: Trajectory) -> InitializationMetri
     estimate = run.trajectory
     if len(estimate) < 3 or estimate.velocity_m_s is None or estimate.covariance is None:
         nan = float("nan")
-        return InitializationMetrics(section.name, acceleration, nan, nan, nan, nan, nan, nan)
+        return InitializationMetrics(section.name, acceleration, nan, nan, nan, nan, nan, nan, nan, nan)
     true, rows = interpolate(truth, estimate.t_ns)
     estimate = estimate[rows]
     assert estimate.velocity_m_s is not None and estimate.covariance is not None and true.velocity_m_s is not None
@@ -158,7 +185,12 @@ def measure(section: RecordingSection, truth: Trajectory) -> InitializationMetri
     v_error = estimate.rotations[0].T @ estimate.velocity_m_s[0] - true.rotations[0].T @ true.velocity_m_s[0]
     sigma = float(np.sqrt(np.linalg.eigvalsh(estimate.covariance[0, 6:9, 6:9])[-1]))
     v_error_m_s = float(np.linalg.norm(v_error))
-    return InitializationMetrics(section.name, acceleration, float(t_s[0]), early, late, error_m, v_error_m_s, sigma)
+    row = min(int(np.searchsorted(t_s, t_s[0] + SPAN_S)), len(t_s) - 1)
+    later = np.linalg.norm(alignment.R_truth_estimate @ estimate.velocity_m_s[row] - true.velocity_m_s[row])
+    return InitializationMetrics(
+        section.name, acceleration, float(t_s[0]), early, late, error_m, v_error_m_s, sigma,
+        float(later), float(np.linalg.norm(true.velocity_m_s[row])),
+    )  # fmt: skip
 
 
 def scale_error(true: Trajectory, estimate: Trajectory, from_s: float, t_s: Array) -> float:
@@ -179,22 +211,32 @@ def scale_error(true: Trajectory, estimate: Trajectory, from_s: float, t_s: Arra
     return float((a * b).sum() / (a * a).sum()) - 1.0
 
 
-def initializations(folder: Path, cameras: int, every_s: float, duration_s: float) -> Iterator[InitializationMetrics]:
-    """Measure initializations at equal intervals, the first one interval after the first frame.
+def sections(recording: Recording, command: InitializationCommand) -> Iterator[RecordingSection]:
+    """Return the sections of a recording at the beginning of which estimators start.
 
-    Args:
-        folder: EuRoC folder with ground truth.
-        cameras: Number of cameras of the estimator.
-        every_s: Interval [s].
-        duration_s: Duration of each section [s].
+    At equal intervals, the first is one interval after the first frame, and all have the full duration.
     """
-    recording = open_recording(folder, cameras)
-    truth = recording.ground_truth
-    assert truth is not None, f"{folder} has no ground truth"
-    rate_hz = 1e9 / float(np.median(np.diff(recording.frame_times_ns)))
-    count = round(duration_s * rate_hz)
-    for first in range(round(every_s * rate_hz), len(recording.frame_times_ns) - count, round(every_s * rate_hz)):
-        yield measure(RecordingSection(recording, first, count), truth)
+    times_ns = recording.frame_times_ns
+    rate_hz = 1e9 / float(np.median(np.diff(times_ns)))
+    count = round(command.duration_s * rate_hz)
+    if command.starts_s:
+        starts_ns = times_ns[0] + np.round(1e9 * np.array(command.starts_s)).astype(np.int64)
+        for first in np.searchsorted(times_ns, starts_ns - TIME_TOLERANCE_NS).tolist():
+            yield RecordingSection(recording, first, min(count, len(times_ns) - first))
+    else:
+        step = round(command.every_s * rate_hz)
+        for first in range(step, len(times_ns) - count, step):
+            yield RecordingSection(recording, first, count)
+
+
+def ground_truth_of(recording: Recording, folder: Path) -> Trajectory:
+    """Return the ground truth of a recording with velocities; by local parabolas where only positions are known."""
+    truth = recording.ground_truth or read_tum(folder / "groundtruth.tum")
+    if truth.velocity_m_s is not None:
+        return truth
+    step_s = float(np.median(np.diff(truth.t_s)))
+    velocity_m_s = savgol_filter(truth.p_world_imu, 11, 2, deriv=1, delta=step_s, axis=0)
+    return replace(truth, velocity_m_s=velocity_m_s)
 
 
 def summary(label: str, errors: Array, bound: float) -> str:
@@ -224,6 +266,8 @@ def print_summary(every: Sequence[InitializationMetrics], duration_s: float) -> 
     first_s = np.array([each.first_s for each in every])
     print(f"first pose after {np.nanmedian(first_s):.2f} s (median), {np.nanmax(first_s):.2f} s (latest)")
     print(f"not initialized within {duration_s:g} s: {int(np.isnan(first_s).sum())}")
+    accurate = sum(each.is_accurate for each in every)
+    print(f"velocity two seconds after the first pose within 5 % or 0.03 m/s: {accurate} of {len(every)}")
     ratio = np.array([each.velocity_error_m_s / each.velocity_sigma_m_s for each in every])
     print(
         f"error of the first velocity over its sigma: median {np.nanmedian(ratio):.2f}, largest {np.nanmax(ratio):.2f}"
@@ -231,14 +275,18 @@ def print_summary(every: Sequence[InitializationMetrics], duration_s: float) -> 
 
 
 def main(command: InitializationCommand) -> int:
-    """Measure all recordings and print a table and a summary."""
-    print(HEADER)
-    every: list[InitializationMetrics] = []
-    for folder in command.recordings:
-        for each in initializations(folder, CAMERAS[command.mode], command.every_s, command.duration_s):
-            print(each.row(), flush=True)
-            every.append(each)
-    print_summary(every, command.duration_s)
+    """Measure all recordings, and print a table and a summary for each front end."""
+    for front_end in command.front_ends:
+        print(f"front end with wrong tracks: {front_end}" if front_end else "front end of the estimator")
+        print(HEADER)
+        every: list[InitializationMetrics] = []
+        for folder in command.recordings:
+            recording = open_recording(folder, CAMERAS[command.mode])
+            truth = ground_truth_of(recording, folder)
+            for section in sections(recording, command):
+                every.append(measure(section, truth, front_end))
+                print(every[-1].row(), flush=True)
+        print_summary(every, command.duration_s)
     return 0
 
 

@@ -3,7 +3,7 @@
 With the rotation known, each observation of a landmark is linear in the landmark's position, the initial velocity,
 gravity and the accelerometer bias (Dong-Si and Mourikis, "Estimator initialization in vision-aided inertial navigation
 with unknown camera-IMU calibration", IROS 2012). The landmarks are eliminated one by one, and the magnitude of gravity
-is a constraint. Outliers lose their weight by graduated non-convexity.
+is a constraint. Outliers lose their weight by iterative reweighting.
 """
 
 from dataclasses import dataclass
@@ -13,15 +13,15 @@ import numpy as np
 import numpy.typing as npt
 from scipy.optimize import brentq
 
-from dronevio.estimator.initialization.robust import GraduatedLoss
+from dronevio.estimator.initialization.robust import INLIER_WEIGHT, robust_weights
 from dronevio.estimator.initialization.views import Motion, WindowMeasurements
 
 Array = npt.NDArray[np.float64]
 
 MIN_DEPTH_M = 0.1
 """Smallest mean depth of a landmark that counts as in front of the cameras [m]."""
-MAX_ITERATIONS = 20
-"""Largest number of solutions with decreasing scales of the loss."""
+ITERATIONS = 12
+"""Number of solutions, each with the depths and the weights of the one before."""
 _FREE, _GRAVITY = [0, 1, 2, 6, 7, 8], [3, 4, 5]  # rows of the unknowns
 
 
@@ -112,9 +112,7 @@ class LinearSystem:
         return np.asarray(np.maximum(np.einsum("i,fij,j->f", y, self.H, y), 0.0))
 
 
-def solve_closed_form(
-    measured: WindowMeasurements, gyro_bias: Array, weights: Array, noise: NoiseModel
-) -> tuple[WindowState, GraduatedLoss]:
+def solve_closed_form(measured: WindowMeasurements, gyro_bias: Array, weights: Array, noise: NoiseModel) -> WindowState:
     """Return the state for a given gyroscope bias.
 
     Args:
@@ -122,26 +120,19 @@ def solve_closed_form(
         gyro_bias: (3,) Gyroscope bias [rad/s].
         weights: (F,) Weights of the landmarks by earlier tests, 0 to 1.
         noise: Assumptions on the measurements.
-
-    Returns:
-        The state, and the loss at its last scale.
     """
     geometry = ViewGeometry.of(measured.imu.integrated(gyro_bias), measured.Ts_imu_cam)
     system, freedom = LinearSystem.of(measured, geometry), measured.tracks.degrees_of_freedom
-    loss, reliable = GraduatedLoss(noise.outlier_sigmas), weights >= min(0.25, float(weights.max()))
-    robust, depth_m = weights, np.ones(len(weights))
-    for iteration in range(MAX_ITERATIONS):
+    reliable = weights >= min(INLIER_WEIGHT, float(weights.max()))
+    robust, depth_m, y = weights, np.ones(len(weights)), np.zeros(10)
+    for iteration in range(ITERATIONS):
         information = robust / (noise.xy_sigma * depth_m) ** 2
         y = _minimum(np.einsum("f,fij->ij", information, system.H), noise)
         depth_m = np.maximum(np.abs(mean_depth_m(measured, geometry.in_cameras(system.B @ y, y))), MIN_DEPTH_M)
-        if iteration == 0:
-            continue  # the depths were not known, so that the solution minimizes distances
-        squares = system.squares(y) / (noise.xy_sigma * depth_m) ** 2 / freedom
-        if loss.is_final:
-            break
-        loss = loss.tightened(squares[reliable])
-        robust = weights * loss.weights(squares)
-    return WindowState(y[:3], y[3:6], y[6:9], gyro_bias), loss
+        if iteration > 0:  # before, the depths were not known, so that the solution minimized distances
+            squares = system.squares(y) / (noise.xy_sigma * depth_m) ** 2 / freedom
+            robust = weights * robust_weights(squares, noise.outlier_sigmas, reliable)
+    return WindowState(y[:3], y[3:6], y[6:9], gyro_bias)
 
 
 def mean_depth_m(measured: WindowMeasurements, in_cameras: Array) -> Array:

@@ -2,7 +2,7 @@
 
 The gyroscope bias comes first, from epipolar geometry, which needs neither scale nor velocity (`gyro_bias`). Velocity,
 gravity and accelerometer bias follow in closed form (`closed_form`), and Gauss-Newton steps refine all of them
-(`refinement`). Outliers have no weight in any of the three, by graduated non-convexity. The result is accepted by its
+(`refinement`). Outliers have nearly no weight in any of the three (`robust`). The result is accepted by its
 covariance and by the share of the landmarks that agree with it.
 
 A landmark that several cameras observe at the same time has a depth from the first frame on. The equations are the
@@ -55,7 +55,8 @@ class DynamicInitializationConfig:
     """Smallest median displacement of the features over the window, compensated for rotation, in standard deviations
     of an image observation."""
     max_residual_sigmas: float = 3.0
-    """Largest root mean square residual, in standard deviations of an image observation."""
+    """Largest root mean square residual of a landmark that agrees with the solution, in standard deviations of an image
+    observation."""
     min_inliers: float = 0.5
     """Smallest share of the landmarks that must agree with the solution."""
     min_in_front: float = 0.9
@@ -109,13 +110,13 @@ def initialize_dynamic(
     tracks, xy_sigma = measured.tracks, c.pixel_sigma / focal_px
     if len(tracks) < c.min_landmarks:
         return NotObservable(f"{len(tracks)} landmarks with long enough tracks; {c.min_landmarks} are needed")
-    bias, weights = epipolar_gyro_bias(measured, gyro_bias, xy_sigma)
+    bias, weights = epipolar_gyro_bias(measured, gyro_bias, xy_sigma, c.outlier_sigmas)
     parallax_px, needed_px = measured.median_parallax_rad(bias) * focal_px, c.min_parallax_sigmas * c.pixel_sigma
     if not stereo and parallax_px < needed_px:
         return NotObservable(f"a parallax of {parallax_px:.1f} px; {needed_px:g} px are needed")
     noise = NoiseModel(xy_sigma, c.outlier_sigmas, c.accel_bias_sigma_m_s2, gravity_m_s2)
-    initial, loss = solve_closed_form(measured, bias, weights, noise)
-    refined = refine(measured, initial, loss, gyro_bias, noise)
+    initial = solve_closed_form(measured, bias, weights, noise)
+    refined = refine(measured, initial, gyro_bias, noise)
     state = refined.state
     reason = _reason_against(refined, measured.imu.integrated(state.gyro_bias), stereo, c)
     if reason is not None:
@@ -131,17 +132,16 @@ def _reason_against(
     refined: RefinedState, motion: Motion, stereo: bool, config: DynamicInitializationConfig
 ) -> str | None:
     """Return the first reason why a state cannot be used, or None."""
-    c, state, inliers, t_s = config, refined.state, refined.inliers, motion.t_s[:, None]
-    if inliers.mean() < c.min_inliers:
+    c, state, t_s = config, refined.state, motion.t_s[:, None]
+    inliers = refined.squares < c.max_residual_sigmas**2
+    if inliers.mean() <= c.min_inliers:
         return f"{1.0 - inliers.mean():.0%} of the landmarks disagree"
     curvature_m = _deviation_from_line(motion.dp + 0.5 * state.gravity * t_s**2, t_s)
     curvature_of_bias_m = _deviation_from_line(0.5 * c.accel_bias_sigma_m_s2 * t_s**2, t_s)
-    residual_sigmas = float(np.sqrt(np.mean(refined.squares[inliers])))
     behind = float(np.mean(refined.depth_m[inliers] <= MIN_DEPTH_M))
     sigma_m_s = float(np.sqrt(np.linalg.eigvalsh(refined.velocity_covariance)[-1]))
     allowed_m_s = max(c.max_velocity_sigma_m_s, c.max_velocity_sigma * float(np.linalg.norm(state.velocity)))
     checks = (
-        (residual_sigmas < c.max_residual_sigmas, f"reprojection residuals of {residual_sigmas:.1f} sigma"),
         (behind < 1.0 - c.min_in_front, f"{behind:.0%} of the landmarks behind the camera"),
         (sigma_m_s < allowed_m_s, f"a velocity with a standard deviation of {sigma_m_s:.2f} m/s"),
         (np.linalg.norm(state.gyro_bias) < c.max_gyro_bias_rad_s, "an implausible gyroscope bias"),

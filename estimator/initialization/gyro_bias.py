@@ -14,20 +14,20 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from dronevio.estimator.initialization.robust import GraduatedLoss
+from dronevio.estimator.initialization.robust import robust_weights
 from dronevio.estimator.initialization.views import WindowMeasurements
 from dronevio.estimator.types import Integers
 
 Array = npt.NDArray[np.float64]
 
-PAIR_S = 0.2
-"""Time between the views of a pair [s]. It is long enough for a parallax, and landmarks remain visible for longer."""
+PAIR_S = 0.3
+"""Time between the views of a pair [s]. It is long enough for a parallax, and most tracks are longer."""
 MAX_ITERATIONS = 20
 """Largest number of Gauss-Newton steps."""
 CONVERGED_RAD_S = 3e-4
 """Change of the bias below which the iteration ends [rad/s]; the refinement of the whole state continues from there."""
-OUTLIER_SIGMAS = 3.0
-"""Root mean square residual at which a landmark has a quarter of its weight, in standard deviations."""
+CONVERGED_WEIGHT = 0.01
+"""Mean change of the weights below which the iteration ends."""
 _DIFFERENCE_RAD_S = 1e-4  # step of the numeric derivatives
 
 
@@ -46,13 +46,16 @@ class GyroBias:
         return cls(mean_rad_s, sigma_rad_s**2 * np.eye(3))
 
 
-def epipolar_gyro_bias(measured: WindowMeasurements, prior: GyroBias, sigma_rad: float) -> tuple[Array, Array]:
+def epipolar_gyro_bias(
+    measured: WindowMeasurements, prior: GyroBias, sigma_rad: float, outlier_sigmas: float
+) -> tuple[Array, Array]:
     """Return the gyroscope bias at which the epipolar planes of each pair of views intersect in one line.
 
     Args:
         measured: Measurements of a window.
         prior: What is known of the bias before.
         sigma_rad: Standard deviation of a bearing [rad].
+        outlier_sigmas: Root mean square residual from which a landmark is an outlier, in standard deviations.
 
     Returns:
         The bias (3,) [rad/s], and the weights (F,), 0 to 1, of the landmarks; those of outliers are small.
@@ -65,14 +68,12 @@ def epipolar_gyro_bias(measured: WindowMeasurements, prior: GyroBias, sigma_rad:
         return bias, weights
     count = both.sum(axis=0)
     normals_at = _normals(measured, first, second, sigma_rad)
-    loss = GraduatedLoss(OUTLIER_SIGMAS)
     for _ in range(MAX_ITERATIONS):
         normals = normals_at(bias)
         directions = _translations(normals, weights * both)
         residuals = np.einsum("pfi,pi->pf", normals, directions[:, :, 0])
         squares = (residuals**2 * both).sum(axis=0) / np.maximum(count, 1)
-        loss = loss.tightened(squares[count > 0])
-        weights = loss.weights(squares)
+        previous, weights = weights, robust_weights(squares, outlier_sigmas, count > 0)
         by_bias = [
             np.einsum("pfi,pi->pf", normals_at(bias + step) - normals, directions[:, :, 0]) / _DIFFERENCE_RAD_S
             for step in _DIFFERENCE_RAD_S * np.eye(3)
@@ -80,7 +81,10 @@ def epipolar_gyro_bias(measured: WindowMeasurements, prior: GyroBias, sigma_rad:
         H, h = _reduced(normals @ directions[:, :, 1:], np.stack(by_bias, axis=-1), residuals, weights * both)
         step = -np.linalg.solve(H + information, h + information @ (bias - prior.mean_rad_s))
         bias = bias + step
-        if loss.is_final and float(np.linalg.norm(step)) < CONVERGED_RAD_S:
+        if (
+            float(np.linalg.norm(step)) < CONVERGED_RAD_S
+            and float(np.abs(weights - previous).mean()) < CONVERGED_WEIGHT
+        ):
             break
     return bias, weights
 

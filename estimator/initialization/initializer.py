@@ -56,8 +56,9 @@ class InitializerConfig:
     """Largest standard deviation of the velocity, relative to the speed, of the first state that is published."""
     max_hover_velocity_sigma_m_s: float = 0.03
     """Standard deviation of the velocity that suffices at any speed [m/s]; a relative one means nothing at hover."""
-    rest_gyro_bias_sigma_rad_s: float = 0.003
-    """Standard deviation of the gyroscope bias that a stationary interval has determined [rad/s]."""
+    rest_gyro_bias_sigma_rad_s: float = 0.01
+    """Standard deviation of the gyroscope bias that a stationary interval has determined [rad/s]; a short interval may
+    contain a slow rotation."""
     gyro_bias_sigma_rad_s: float = 0.05
     """Standard deviation of the gyroscope bias before it is estimated [rad/s]; that of EuRoC is 0.08."""
 

@@ -18,7 +18,7 @@ from dronevio.estimator.initialization.closed_form import (
     mean_depth_m,
 )
 from dronevio.estimator.initialization.gyro_bias import GyroBias
-from dronevio.estimator.initialization.robust import GraduatedLoss
+from dronevio.estimator.initialization.robust import INLIER_WEIGHT, robust_weights
 from dronevio.estimator.initialization.views import WindowMeasurements
 
 Array = npt.NDArray[np.float64]
@@ -48,30 +48,27 @@ class RefinedState:
     @property
     def inliers(self) -> npt.NDArray[np.bool_]:
         """(F,) Whether a landmark agrees with the state: its weight is a quarter or more."""
-        return np.asarray(self.weights >= 0.25)
+        return np.asarray(self.weights >= INLIER_WEIGHT)
 
 
-def refine(
-    measured: WindowMeasurements, state: WindowState, loss: GraduatedLoss, prior: GyroBias, noise: NoiseModel
-) -> RefinedState:
+def refine(measured: WindowMeasurements, state: WindowState, prior: GyroBias, noise: NoiseModel) -> RefinedState:
     """Return the state that minimizes the reprojection errors.
 
     Args:
         measured: Measurements of a window.
         state: Initial value.
-        loss: Robust loss of the landmarks.
         prior: What is known of the gyroscope bias from elsewhere.
         noise: Assumptions on the measurements.
     """
     geometry = _geometry(measured, state.gyro_bias)
     landmarks = LinearSystem.of(measured, geometry).B @ state.y
     for _ in range(STEPS):
-        equations = _Equations.at(measured, state, landmarks, loss, noise)
+        equations = _Equations.at(measured, state, landmarks, noise)
         H, h = equations.with_priors(state, prior, noise)
         change = np.asarray(np.linalg.solve(H, -h))
         landmarks = landmarks - equations.landmark_steps @ np.append(change, 1.0)
         state = _changed(state, change)
-    equations = _Equations.at(measured, state, landmarks, loss, noise)
+    equations = _Equations.at(measured, state, landmarks, noise)
     covariance = np.asarray(np.linalg.inv(equations.with_priors(state, prior, noise)[0]))
     freedom = equations.weights * measured.tracks.degrees_of_freedom
     variance_factor = max(float(equations.squares @ freedom) / float(freedom.sum()), 1.0)
@@ -97,7 +94,6 @@ class _Equations:
         measured: WindowMeasurements,
         state: WindowState,
         landmarks: Array,
-        loss: GraduatedLoss,
         noise: NoiseModel,
     ) -> "_Equations":
         tracks, geometry = measured.tracks, _geometry(measured, state.gyro_bias)
@@ -124,7 +120,7 @@ class _Equations:
         eliminated = np.linalg.solve(products[:, :3, :3] + 1e-9 * np.eye(3), products[:, :3, 3:])
         reduced = products[:, 3:, 3:] - np.swapaxes(products[:, :3, 3:], 1, 2) @ eliminated
         squares = (residuals**2).sum(axis=(0, 2)) / tracks.degrees_of_freedom
-        weights = loss.weights(squares)
+        weights = robust_weights(squares, noise.outlier_sigmas)
         # The errors of a track are correlated in time, so that all its observations count as one.
         total = np.einsum("f,fij->ij", weights / tracks.observed.sum(axis=0), reduced)
         depth_m = mean_depth_m(measured, in_cameras)

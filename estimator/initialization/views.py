@@ -37,7 +37,7 @@ class Tracks:
     @property
     def degrees_of_freedom(self) -> Array:
         """(F,) Number of coordinates of each landmark's observations beyond the three of its position, at least 1."""
-        return np.maximum(2.0 * self.observed.sum(axis=0) - 3.0, 1.0)
+        return np.asarray(np.maximum(2.0 * self.observed.sum(axis=0) - 3.0, 1.0))
 
 
 @dataclass(frozen=True, eq=False)

@@ -368,5 +368,5 @@ def test_initializations_of_a_flight_are_measured(
     command = initialization_accuracy.InitializationCommand((flown.folder,), every_s=2.0, duration_s=2.5)
     assert initialization_accuracy.main(command) == 0
     lines = capsys.readouterr().out.splitlines()
-    assert lines[0] == initialization_accuracy.HEADER and "from 2 s" in lines[1]
+    assert lines[1] == initialization_accuracy.HEADER and "from 2.0 s" in lines[2]
     assert any(line.startswith("scale after 2 s, all: ") for line in lines)

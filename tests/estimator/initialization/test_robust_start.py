@@ -1,0 +1,212 @@
+"""Initialization in motion with outliers: gyroscope bias, closed form, refinement and their robust weights."""
+
+from collections.abc import Callable
+from dataclasses import replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+import numpy.typing as npt
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from dronevio.estimator.initialization.closed_form import NoiseModel, WindowState, on_sphere, solve_closed_form
+from dronevio.estimator.initialization.dynamic import DynamicInitializationConfig, DynamicStart, initialize_dynamic
+from dronevio.estimator.initialization.gyro_bias import GyroBias, epipolar_gyro_bias
+from dronevio.estimator.initialization.refinement import refine
+from dronevio.estimator.initialization.robust import INLIER_WEIGHT, MEDIAN_FACTOR, robust_weights
+from dronevio.estimator.initialization.views import WindowMeasurements
+from dronevio.estimator.types import FramePacket
+from dronevio.models.imu import GRAVITY_M_S2
+from tests.estimator.initialization.test_dynamic import errors, window_of
+
+if TYPE_CHECKING:
+    from tests.estimator.conftest import SyntheticFlight
+
+Array = npt.NDArray[np.float64]
+MakeFlight = Callable[..., "SyntheticFlight"]
+
+BIAS = np.array([0.03, -0.02, 0.08])
+UNKNOWN = GyroBias.isotropic(np.zeros(3), 0.05)
+SIGMA = 0.5 / 458.0
+
+
+def random_errors(k: int, ids: npt.NDArray[np.int64]) -> Array:
+    """Return independent errors of 46 px."""
+    return 0.1 * np.random.default_rng([1, k]).normal(size=(10_000, 2))[ids]
+
+
+def common_drift(k: int, ids: npt.NDArray[np.int64]) -> Array:
+    """Return the errors of tracks on an object that moves by 1.4 px per frame."""
+    return np.tile([0.0018 * k, 0.0024 * k], (len(ids), 1))
+
+
+def sliding(k: int, ids: npt.NDArray[np.int64]) -> Array:
+    """Return the errors of tracks that slide along edges, each in its own direction."""
+    angle = np.random.default_rng(2).uniform(0.0, 2.0 * np.pi, 10_000)[ids]
+    return 0.003 * k * np.stack([np.cos(angle), np.sin(angle)], axis=1)
+
+
+WRONG = {"random": random_errors, "common drift": common_drift, "sliding": sliding}
+
+
+def corrupted(
+    window: list[FramePacket], share: float, errors_of: Callable[[int, npt.NDArray[np.int64]], Array]
+) -> list[FramePacket]:
+    """Return a window in which a share of the tracks, selected by their identities, has errors."""
+    packets = []
+    for k, packet in enumerate(window):
+        ids = packet.observations.ids
+        wrong = np.random.default_rng(0).random(10_000)[ids] < share
+        xy = packet.observations.xy + np.where(wrong[:, None], errors_of(k, ids), 0.0)
+        packets.append(replace(packet, observations=replace(packet.observations, xy=xy)))
+    return packets
+
+
+def is_wrong(ids: npt.NDArray[np.int64], share: float) -> npt.NDArray[np.bool_]:
+    """Return which tracks `corrupted` changes."""
+    return np.asarray(np.random.default_rng(0).random(10_000)[ids] < share)
+
+
+def poses_of(flight: "SyntheticFlight") -> Array:
+    """Return the poses (C, 4, 4) of a flight's cameras in the IMU frame."""
+    return np.stack([camera.T_imu_cam for camera in flight.rig.cameras])
+
+
+def biases_of(flight: "SyntheticFlight") -> tuple[Array, Array]:
+    """Return the true biases (3,) of gyroscope [rad/s] and accelerometer [m/s²] at the first frame."""
+    truth = flight.truth_at(flight.frame_times_ns[:1])
+    assert truth.gyro_bias_rad_s is not None and truth.accel_bias_m_s2 is not None
+    return truth.gyro_bias_rad_s[0], truth.accel_bias_m_s2[0]
+
+
+def measured(window: list[FramePacket], flight: "SyntheticFlight") -> WindowMeasurements:
+    """Return the measurements of a window as initialization uses them."""
+    return WindowMeasurements.of(window, poses_of(flight), max_frames=16, min_observations=6)
+
+
+@pytest.mark.parametrize("kind", WRONG)
+@pytest.mark.parametrize("seed", range(3))
+def test_a_third_of_wrong_tracks_does_not_change_the_start(make_flight: MakeFlight, seed: int, kind: str) -> None:
+    flight = make_flight(seed, rest_s=-5.0, duration_s=2.0, pixel_noise=0.3, max_features=120, gyro_bias=BIAS)
+    window, config = window_of(flight), DynamicInitializationConfig()
+    focal_px = flight.rig.cameras[0].model.fx
+    clean = initialize_dynamic(window, poses_of(flight), focal_px, config, UNKNOWN)
+    start = initialize_dynamic(corrupted(window, 0.33, WRONG[kind]), poses_of(flight), focal_px, config, UNKNOWN)
+    assert isinstance(clean, DynamicStart) and isinstance(start, DynamicStart)
+    truth = flight.truth_at(flight.frame_times_ns[:1])
+    assert truth.velocity_m_s is not None
+    speed_m_s = float(np.linalg.norm(truth.velocity_m_s[0]))
+    for state in (clean.state, start.state):
+        velocity, tilt, gyro_bias = errors(state, truth)
+        assert velocity < 0.05 + 0.1 * speed_m_s and tilt < np.radians(2.0) and gyro_bias < 3e-3
+    rejected = is_wrong(start.outliers, 0.33)
+    assert rejected.mean() > 0.8 and rejected.sum() > 15
+
+
+@pytest.mark.parametrize("kind", WRONG)
+def test_epipolar_bias_needs_no_initial_value(make_flight: MakeFlight, kind: str) -> None:
+    """The bias is twice its assumed standard deviation, and a third of the tracks is wrong."""
+    flight = make_flight(2, rest_s=-5.0, duration_s=2.0, pixel_noise=0.3, noisy=False, gyro_bias=BIAS)
+    window = corrupted(window_of(flight), 0.33, WRONG[kind])
+    views = measured(window, flight)
+    bias, weights = epipolar_gyro_bias(views, UNKNOWN, SIGMA, 2.0)
+    np.testing.assert_allclose(bias, biases_of(flight)[0], atol=0.012)
+    wrong = is_wrong(views.tracks.ids, 0.33)
+    assert weights[~wrong].mean() > 0.7
+    if kind == "random":  # the epipolar geometry of the others is nearly right
+        assert weights[wrong].max() < 0.25
+
+
+def test_epipolar_bias_is_exact_without_noise(make_flight: MakeFlight) -> None:
+    flight = make_flight(1, rest_s=-5.0, duration_s=2.0, noisy=False, sampling="increment", gyro_bias=BIAS)
+    bias, weights = epipolar_gyro_bias(
+        measured(window_of(flight), flight), GyroBias.isotropic(np.zeros(3), 10.0), SIGMA, 2.0
+    )
+    np.testing.assert_allclose(bias, biases_of(flight)[0], atol=1e-6)
+    assert weights.min() > 0.9
+
+
+def test_without_pairs_of_views_the_prior_remains(make_flight: MakeFlight) -> None:
+    flight = make_flight(1, rest_s=-5.0, duration_s=2.0)
+    prior = GyroBias.isotropic(np.array([0.01, 0.02, 0.03]), 0.05)
+    bias, weights = epipolar_gyro_bias(measured(window_of(flight, 0.15), flight), prior, SIGMA, 2.0)
+    np.testing.assert_array_equal(bias, prior.mean_rad_s)
+    assert (weights == 1.0).all()
+
+
+def noise_of(accel_bias_sigma_m_s2: float) -> NoiseModel:
+    """Return a noise model with a standard deviation of the accelerometer bias."""
+    return NoiseModel(SIGMA, 2.0, accel_bias_sigma_m_s2, GRAVITY_M_S2)
+
+
+def test_accelerometer_bias_is_estimated(make_flight: MakeFlight) -> None:
+    """With a wide prior it is exact; with a narrow one it is nearly zero, and the velocity is wrong instead."""
+    vector = np.array([0.15, -0.1, 0.2])
+    flight = make_flight(
+        0, rest_s=-5.0, duration_s=2.0, noisy=False, sampling="increment", gyro_bias=BIAS, accel_bias=vector
+    )
+    gyro_bias, accel_bias = biases_of(flight)
+    views = measured(window_of(flight), flight)
+    truth = flight.truth_at(flight.frame_times_ns[:1])
+    assert truth.velocity_m_s is not None
+    true_velocity = truth.rotations[0].T @ truth.velocity_m_s[0]
+    found: list[WindowState] = []
+    for sigma in (10.0, 1e-4):
+        initial = solve_closed_form(views, gyro_bias, np.ones(len(views.tracks)), noise_of(sigma))
+        found.append(refine(views, initial, GyroBias.isotropic(gyro_bias, 0.01), noise_of(sigma)).state)
+    wide, narrow = found
+    np.testing.assert_allclose(wide.accel_bias, accel_bias, atol=0.01)
+    np.testing.assert_allclose(wide.velocity, true_velocity, atol=5e-3)
+    assert np.linalg.norm(narrow.accel_bias) < 1e-2
+    assert np.linalg.norm(narrow.velocity - true_velocity) > 3.0 * np.linalg.norm(wide.velocity - true_velocity)
+    for state in found:
+        assert np.linalg.norm(state.gravity) == pytest.approx(GRAVITY_M_S2, abs=1e-9)
+
+
+def test_refinement_finds_the_minimum(make_flight: MakeFlight) -> None:
+    """From a state and a gyroscope bias that are wrong, it returns to the same state."""
+    flight = make_flight(0, rest_s=-5.0, duration_s=2.0, pixel_noise=0.3, gyro_bias=BIAS)
+    views, noise, gyro_bias = measured(window_of(flight), flight), noise_of(0.1), biases_of(flight)[0]
+    initial = solve_closed_form(views, gyro_bias, np.ones(len(views.tracks)), noise)
+    prior = GyroBias.isotropic(gyro_bias, 0.02)
+    best = refine(views, initial, prior, noise)
+    moved = replace(initial, velocity=initial.velocity + 0.05, gyro_bias=gyro_bias + 0.002)
+    again = refine(views, moved, prior, noise)
+    np.testing.assert_allclose(again.state.velocity, best.state.velocity, atol=2e-3)
+    np.testing.assert_allclose(again.state.gyro_bias, best.state.gyro_bias, atol=1e-4)
+    np.testing.assert_allclose(again.velocity_covariance, best.velocity_covariance, rtol=0.05)
+    assert np.linalg.eigvalsh(best.velocity_covariance)[0] > 0.0
+    assert best.inliers.mean() > 0.95
+
+
+def test_weight_at_the_threshold_is_a_quarter() -> None:
+    """The threshold is that of the assumed noise, or follows the median where it is larger."""
+    np.testing.assert_allclose(robust_weights(np.array([0.0, 0.0, 9.0]), 3.0), [1.0, 1.0, INLIER_WEIGHT])
+    noisy = np.array([40.0, 40.0, 40.0 * MEDIAN_FACTOR])
+    np.testing.assert_allclose(robust_weights(noisy, 3.0), [4.0 / 9.0, 4.0 / 9.0, INLIER_WEIGHT])
+    only_first = np.array([True, False, False])
+    np.testing.assert_allclose(robust_weights(np.array([1.0, 80.0, 9.0]), 3.0, only_first)[2], INLIER_WEIGHT)
+
+
+@given(st.lists(st.floats(0.0, 1e6), min_size=1, max_size=20), st.floats(0.5, 5.0))
+def test_at_least_half_of_the_landmarks_are_inliers(squares: list[float], sigmas: float) -> None:
+    values = np.array(squares)
+    weights = robust_weights(values, sigmas)
+    assert ((weights >= 0.0) & (weights <= 1.0)).all()
+    assert (weights >= INLIER_WEIGHT).mean() >= 0.5
+    assert (np.diff(weights[np.argsort(values)]) <= 0.0).all()
+
+
+@given(st.integers(0, 2**32 - 1), st.floats(0.1, 20.0))
+def test_minimum_on_the_sphere_is_stationary(seed: int, radius: float) -> None:
+    """The gradient D x − d is parallel to x, and no random point of the sphere is better."""
+    rng = np.random.default_rng(seed)
+    A, d = rng.normal(size=(4, 3)), rng.normal(size=3)
+    D = A.T @ A
+    x = on_sphere(D, d, radius)
+    assert np.linalg.norm(x) == pytest.approx(radius, rel=1e-4)
+    points = rng.normal(size=(200, 3))
+    points *= radius / np.linalg.norm(points, axis=1, keepdims=True)
+    values = np.einsum("ni,ij,nj->n", points, D, points) - 2.0 * points @ d
+    assert x @ D @ x - 2.0 * x @ d <= values.min() + 1e-6 * abs(values.min())
