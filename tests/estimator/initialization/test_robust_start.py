@@ -135,6 +135,18 @@ def test_without_pairs_of_views_the_prior_remains(make_flight: MakeFlight) -> No
     assert (weights == 1.0).all()
 
 
+def test_a_certain_prior_determines_the_bias(make_flight: MakeFlight) -> None:
+    flight = make_flight(1, rest_s=-5.0, duration_s=2.0, gyro_bias=BIAS)
+    views, prior = measured(window_of(flight), flight), GyroBias.isotropic(np.array([0.01, 0.02, 0.03]), 1e-7)
+    bias, _ = epipolar_gyro_bias(views, prior, SIGMA, 2.0)
+    np.testing.assert_allclose(bias, prior.mean_rad_s, atol=1e-6)
+    moved = GyroBias.isotropic(prior.mean_rad_s + 1e-3, 1e-7)
+    state = refine(
+        views, solve_closed_form(views, bias, np.ones(len(views.tracks)), noise_of(0.1)), moved, noise_of(0.1)
+    )
+    np.testing.assert_allclose(state.state.gyro_bias, moved.mean_rad_s, atol=1e-5)
+
+
 def noise_of(accel_bias_sigma_m_s2: float) -> NoiseModel:
     """Return a noise model with a standard deviation of the accelerometer bias."""
     return NoiseModel(SIGMA, 2.0, accel_bias_sigma_m_s2, GRAVITY_M_S2)
