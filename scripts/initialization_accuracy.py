@@ -263,15 +263,16 @@ def print_summary(every: Sequence[InitializationMetrics], duration_s: float) -> 
     for label, some in (("all", every), ("excited", excited)):
         print(summary(f"scale after {EARLY_AT_S:g} s, {label}", np.array([each.early_scale for each in some]), 0.05))
         print(summary(f"scale after {LATE_AT_S:g} s, {label}", np.array([each.late_scale for each in some]), 0.01))
-    first_s = np.array([each.first_s for each in every])
-    print(f"first pose after {np.nanmedian(first_s):.2f} s (median), {np.nanmax(first_s):.2f} s (latest)")
-    print(f"not initialized within {duration_s:g} s: {int(np.isnan(first_s).sum())}")
+    started = [each for each in every if np.isfinite(each.first_s)]
+    print(f"not initialized within {duration_s:g} s: {len(every) - len(started)}")
+    if not started:
+        return
+    first_s = np.array([each.first_s for each in started])
+    print(f"first pose after {np.median(first_s):.2f} s (median), {first_s.max():.2f} s (latest)")
     accurate = sum(each.is_accurate for each in every)
     print(f"velocity two seconds after the first pose within 5 % or 0.03 m/s: {accurate} of {len(every)}")
-    ratio = np.array([each.velocity_error_m_s / each.velocity_sigma_m_s for each in every])
-    print(
-        f"error of the first velocity over its sigma: median {np.nanmedian(ratio):.2f}, largest {np.nanmax(ratio):.2f}"
-    )
+    ratio = np.array([each.velocity_error_m_s / each.velocity_sigma_m_s for each in started])
+    print(f"error of the first velocity over its sigma: median {np.median(ratio):.2f}, largest {ratio.max():.2f}")
 
 
 def main(command: InitializationCommand) -> int:

@@ -51,7 +51,7 @@ class DynamicInitializationConfig:
     """Root mean square residual of a track from which it is an outlier, in standard deviations."""
     accel_bias_sigma_m_s2: float = 0.1
     """Standard deviation of the accelerometer bias [m/s²]."""
-    min_parallax_sigmas: float = 50.0
+    min_parallax_sigmas: float = 30.0
     """Smallest median displacement of the features over the window, compensated for rotation, in standard deviations
     of an image observation."""
     max_residual_sigmas: float = 3.0
