@@ -44,7 +44,7 @@ class WindowState:
     """The state at the first frame of a window, in its IMU frame."""
 
     velocity: Array
-    """(3,) Velocity [m/s]."""
+    """(3,) Velocity of the IMU [m/s]."""
     gravity: Array
     """(3,) Acceleration of gravity [m/s²]."""
     accel_bias: Array

@@ -36,7 +36,7 @@ class GyroBias:
     """A gyroscope bias and its uncertainty."""
 
     mean_rad_s: Array
-    """(3,) Bias [rad/s]."""
+    """(3,) Expected value of the bias [rad/s]."""
     covariance: Array
     """(3, 3) Its covariance [rad²/s²]."""
 

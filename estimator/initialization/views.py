@@ -29,7 +29,7 @@ class Tracks:
     camera: Integers
     """(V,) Index of the camera of each view in the rig."""
     ids: Integers
-    """(F,) Feature identities."""
+    """(F,) Identities of the features."""
 
     def __len__(self) -> int:
         return len(self.ids)

@@ -153,7 +153,7 @@ def test_recording_without_any_pose_is_bad_input(
     assert not out.exists()
 
 
-def test_nothing_is_written_if_an_image_is_truncated(
+def test_truncated_image_is_refused_only_if_strict(
     rendered: RenderedFlight, tmp_path: Path, capfd: pytest.CaptureFixture[str]
 ) -> None:
     broken = tmp_path / "broken"
@@ -171,6 +171,8 @@ def test_nothing_is_written_if_an_image_is_truncated(
     message = input_error(["estimate", str(broken), "--out", str(out), "--strict", "--json"], capfd)
     assert str(truncated) in message and "truncated" in message
     assert not out.exists()
+    assert main(["estimate", str(broken), "--out", str(out)]) == 0  # by default the odometry goes on without the image
+    assert f"{truncated}: a truncated PNG" in capfd.readouterr().err and out.exists()
 
 
 def test_output_that_cannot_be_written_is_bad_input(
