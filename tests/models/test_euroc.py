@@ -331,6 +331,7 @@ def test_truncated_tables_are_refused_or_shorter(flight: Path, name: str) -> Non
 def test_missing_and_damaged_images_are_named(flight: Path) -> None:
     recording = EurocRecording.open(flight)
     image = recording.image_files[0][2]
+    assert image is not None
     image.write_bytes(image.read_bytes()[:-20])
     with pytest.raises(InputError, match="truncated") as caught:
         recording.frame(2)
