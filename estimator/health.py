@@ -8,9 +8,11 @@ Li, Kirubarajan, "Estimation with applications to tracking and navigation", 2001
 The states of health, in the order of their tests:
 
 lost           The state is not finite; or its speed or a bias is implausible; or most landmarks have contradicted it
-               for too long; or the IMU alone has propagated it until its position, by its own covariance, is useless.
-               It stays lost until the odometry is initialized again, with another monitor.
-inertial-only  Too few landmarks constrain the estimate, and the vehicle is not stationary.
+               for too long, by their distance or by its ratio to the standard deviation; or the IMU alone has
+               propagated it until its position, by its own covariance, is useless. It stays lost
+               until the odometry is initialized again, with another monitor.
+inertial-only  Too few landmarks constrain the estimate, and the vehicle is not stationary; or the innovations have
+               recently contradicted their covariance.
 tracking       Landmarks constrain the estimate, or the vehicle is stationary or has only begun to move.
 """
 
@@ -30,13 +32,17 @@ from dronevio.models.state import Health, HealthReport, NavState
 Array = npt.NDArray[np.float64]
 
 
+IMAGE_VARIANCES = 10
+"""Number of keyframes from which the variance of image observations is taken."""
+
+
 @dataclass(frozen=True)
 class HealthConfig:
     """Settings of the health monitor."""
 
     min_landmarks: int = 8
     """Smallest number of landmarks that constrain an estimate; with fewer, a single outlier dominates."""
-    settling_s: float = 0.5
+    settling_s: float = 0.35
     """Time for which tracked features suffice instead of landmarks [s], as at the end of a stationary interval. Three
     keyframes with parallax are needed to triangulate landmarks."""
     max_innovation_px: float = 12.0
@@ -45,6 +51,24 @@ class HealthConfig:
     max_contradiction_s: float = 1.0
     """Time for which landmarks may contradict the estimate before it is lost [s]. Jolts and large passing objects take
     less."""
+    consistency_window_s: float = 0.6
+    """Length of the window over which the median NIS of the innovations is taken [s]. A jolt or a passing object
+    disturbs fewer frames."""
+    max_consistent_nis: float = 15.0
+    """Largest such median, in units of its expectation, at which the estimate counts as consistent. On real flights it
+    reaches 10."""
+    max_frame_nis: float = 60.0
+    """Largest NIS of a frame at which the estimate counts as consistent."""
+    distrust_s: float = 5.0
+    """Time for which an estimate must be consistent again before its health is tracking [s]."""
+    max_nis: float = 60.0
+    """Median NIS over the window beyond which the estimate is lost."""
+    image_variance_bounds: tuple[float, float] = (0.1, 10.0)
+    """Bounds of the variance of image observations, relative to that of the smoother, in the covariance of innovations.
+    It is the median over the last keyframes."""
+    max_noise_ratio: float = 3.0
+    """Largest ratio of the IMU's noise densities, as estimated in flight, to those of the data sheet in the covariance
+    of innovations. A wrong calibration increases the estimates without bound."""
     max_inertial_sigma_m: float = 1.0
     """Largest increase of the position's standard deviation while the IMU alone propagates the estimate [m]. The IMU of
     EuRoC reaches it in some 10 s."""
@@ -62,16 +86,20 @@ class HealthConfig:
 class HealthMonitor:
     """Assesses an estimate frame by frame, from its initialization to its loss."""
 
-    def __init__(self, imu: ImuModel, config: HealthConfig, pixel_sigma: float) -> None:
+    def __init__(self, imu: ImuModel, config: HealthConfig, pixel_sigma: float, *, is_trusted: bool = True) -> None:
         """Begin at an initialization.
 
         Args:
             imu: The sensor model.
             config: Settings.
             pixel_sigma: Standard deviation of an image observation [px].
+            is_trusted: Whether the estimate counts as consistent from its beginning, not only after `distrust_s`.
         """
         self._config, self._imu = config, imu
-        self._pixel_sigma = pixel_sigma
+        self._pixel_sigma, self._image_variances = pixel_sigma, tuple[float, ...]()
+        self._noise_densities = imu.gyro_noise_density, imu.accel_noise_density
+        self._is_trusted = is_trusted
+        self._inconsistent_ns: int | None = None  # last time at which innovations contradicted their covariance
         self._bias_sigmas = np.repeat(
             [
                 max(config.gyro_bias_sigma_rad_s, imu.gyro_turn_on_bias_rad_s),
@@ -84,16 +112,35 @@ class HealthMonitor:
         self._constrained_ns: int | None = None  # last time at which more than the IMU constrained the estimate
         self._constrained_sigma_m = 0.0  # standard deviation of the position at that time
         self._consistent_ns: int | None = None  # last time at which landmarks did not contradict the estimate
+        self._recent_nis: tuple[tuple[int, float], ...] = ()  # times and NIS of the consistency window
         self._lost_reason: str | None = None
 
-    def set_reference(self, keyframe: NavState, landmarks: TriangulatedLandmarks) -> None:
+    @property
+    def is_trusted(self) -> bool:
+        """Whether the innovations have agreed with their covariance for `distrust_s`, or always."""
+        return self._is_trusted
+
+    def set_reference(
+        self,
+        keyframe: NavState,
+        landmarks: TriangulatedLandmarks,
+        image_variance: float | None,
+        noise_densities: tuple[float, float],
+    ) -> None:
         """Set what the next frames are compared with.
 
         Args:
             keyframe: The newest keyframe's state.
             landmarks: The landmarks that constrain the window.
+            image_variance: Variance of the window's image observations relative to the assumed one; None if unknown.
+            noise_densities: Estimates for gyroscope [rad/s/√Hz] and accelerometer [m/s²/√Hz].
         """
+        sheet, ratio = (self._imu.gyro_noise_density, self._imu.accel_noise_density), self._config.max_noise_ratio
+        gyro, accel = (min(max(a, b), ratio * b) for a, b in zip(noise_densities, sheet, strict=True))
+        self._noise_densities = gyro, accel
         self._keyframe, self._landmarks = keyframe, landmarks
+        if image_variance is not None:
+            self._image_variances = (*self._image_variances, image_variance)[-IMAGE_VARIANCES:]
 
     def assess(
         self, observations: Observations, predicted: NavState, stationary: bool, calibration: Calibration
@@ -118,15 +165,21 @@ class HealthMonitor:
         inertial_only_s = self._inertial_only_s(predicted.t_ns, enough or stationary, position_sigma_m)
         allowed_px = self._config.max_innovation_px + self._rotation_uncertainty_px(predicted, calibration)
         contradicted_s = self._contradicted_s(predicted.t_ns, enough and innovation_px > allowed_px)
+        typical_nis = self._typical_nis(predicted.t_ns, nis if enough else None)
+        self._update_trust(predicted.t_ns, nis if enough else 0.0, typical_nis)
         if self._lost_reason is None:
-            self._lost_reason = self._reason_of_loss(predicted, bias_sigmas, position_sigma_m, contradicted_s)
+            self._lost_reason = self._reason_of_loss(
+                predicted, bias_sigmas, position_sigma_m, contradicted_s, typical_nis
+            )
         if self._lost_reason is not None:
             state, reason = Health.LOST, self._lost_reason
+        elif not self._is_trusted:
+            state, reason = Health.INERTIAL_ONLY, "images and prediction have recently been inconsistent"
         elif enough:
             state, reason = Health.TRACKING, f"constrained by {len(rows)} landmarks"
         elif stationary:
             state, reason = Health.TRACKING, "stationary"
-        elif len(observations) >= self._config.min_landmarks and inertial_only_s <= self._config.settling_s:
+        elif len(observations) >= self._config.min_landmarks and inertial_only_s <= self._config.settling_s + 1e-6:
             state, reason = Health.TRACKING, "features are tracked and not triangulated yet"
         else:
             found = f"constrained by {len(rows)} landmarks; {self._config.min_landmarks} are needed"
@@ -170,12 +223,19 @@ class HealthMonitor:
         J_imu = (focal_px / z)[:, :, None] * (axes[:, :2] - xy[:, :, None] * axes[:, 2:])  # [px/m]
         position_covariance, rotation_variance = self._prediction_covariance(predicted)
         J_u, J_v = J_imu[:, 0] @ R.T, J_imu[:, 1] @ R.T
-        noise = self._pixel_sigma**2 + rotation_variance * focal_px[:, 0] ** 2
+        noise = self._pixel_sigma**2 * self._image_variance + rotation_variance * focal_px[:, 0] ** 2
         a, b, d = ((J @ position_covariance * K).sum(axis=1) for J, K in ((J_u, J_u), (J_u, J_v), (J_v, J_v)))
         a, d = a + noise, d + noise  # S = (a b; b d), the innovation's covariance
         u, v = residual.T
         squares = (d * u * u - 2.0 * b * u * v + a * v * v) / (a * d - b * b)
         return _median(np.hypot(u, v)), _median(squares) / MEDIAN_CHI2_2DOF
+
+    @property
+    def _image_variance(self) -> float:
+        """Variance of image observations relative to the assumed one."""
+        if not self._image_variances:
+            return 1.0
+        return float(np.clip(np.median(self._image_variances), *self._config.image_variance_bounds))
 
     def _prediction_covariance(self, predicted: NavState) -> tuple[Array, float]:
         """Return the uncertainty of the prediction since the newest keyframe.
@@ -185,13 +245,14 @@ class HealthMonitor:
         Returns:
             The covariance (3, 3) of the position [m²] and the variance of the orientation about any axis [rad²].
         """
-        start, imu = self._keyframe, self._imu
+        start = self._keyframe
         if start is None or start.covariance is None:
             return np.zeros((3, 3)), 0.0
         t, P = (predicted.t_ns - start.t_ns) * 1e-9, start.covariance
         gyro_bias, accel_bias = float(np.trace(P[9:12, 9:12])) / 3.0, float(np.trace(P[12:, 12:])) / 3.0
-        accel_variance = 0.25 * t**4 * accel_bias + imu.accel_noise_density**2 * t**3 / 3.0
-        return t * t * P[6:9, 6:9] + accel_variance * np.eye(3), t * t * gyro_bias + t * imu.gyro_noise_density**2
+        gyro_density, accel_density = self._noise_densities
+        accel_variance = 0.25 * t**4 * accel_bias + accel_density**2 * t**3 / 3.0
+        return t * t * P[6:9, 6:9] + accel_variance * np.eye(3), t * t * gyro_bias + t * gyro_density**2
 
     def _rotation_uncertainty_px(self, predicted: NavState, calibration: Calibration) -> float:
         """Return the effect of the rotation's uncertainty since the newest keyframe on the image [px]."""
@@ -213,8 +274,42 @@ class HealthMonitor:
             self._consistent_ns = t_ns
         return (t_ns - self._consistent_ns) * 1e-9
 
+    def _typical_nis(self, t_ns: int, nis: float | None) -> float:
+        """Return the median NIS over the consistency window, 0 before the window is full.
+
+        Args:
+            t_ns: Time of the frame [ns].
+            nis: NIS of the frame; None where too few landmarks are observed, which empties the window.
+        """
+        if nis is None:
+            self._recent_nis = ()
+            return 0.0
+        begin_ns = t_ns - round(self._config.consistency_window_s * 1e9)
+        is_full = bool(self._recent_nis) and self._recent_nis[0][0] <= begin_ns
+        self._recent_nis = (*(entry for entry in self._recent_nis if entry[0] > begin_ns), (t_ns, nis))
+        return _median(np.array([value for _, value in self._recent_nis])) if is_full else 0.0
+
+    def _update_trust(self, t_ns: int, nis: float, typical_nis: float) -> None:
+        """Update whether the estimate has been consistent for long enough.
+
+        Args:
+            t_ns: Time of the frame [ns].
+            nis: NIS of the frame.
+            typical_nis: Median NIS over the consistency window.
+        """
+        c, begins = self._config, self._inconsistent_ns is None and not self._is_trusted
+        if begins or nis > c.max_frame_nis or typical_nis > c.max_consistent_nis:
+            self._inconsistent_ns = t_ns
+        if self._inconsistent_ns is not None:
+            self._is_trusted = (t_ns - self._inconsistent_ns) * 1e-9 >= c.distrust_s
+
     def _reason_of_loss(
-        self, predicted: NavState, bias_sigmas: float, position_sigma_m: float, contradicted_s: float
+        self,
+        predicted: NavState,
+        bias_sigmas: float,
+        position_sigma_m: float,
+        contradicted_s: float,
+        typical_nis: float,
     ) -> str | None:
         """Return the reason why the estimate is lost, or None where it is not."""
         c, speed_m_s = self._config, float(np.linalg.norm(predicted.velocity_m_s))
@@ -224,6 +319,10 @@ class HealthMonitor:
             return f"a bias of {bias_sigmas:.0f} standard deviations"
         if contradicted_s > c.max_contradiction_s:
             return f"landmarks have contradicted the estimate for {contradicted_s:.1f} s"
+        if typical_nis > c.max_nis:
+            return (
+                f"images and prediction are inconsistent: a NIS of {typical_nis:.0f} over {c.consistency_window_s:g} s"
+            )
         grown_m = float(np.sqrt(max(position_sigma_m**2 - self._constrained_sigma_m**2, 0.0)))
         if grown_m > c.max_inertial_sigma_m:
             return f"the position has drifted by {grown_m:.1f} m (one sigma) on the IMU alone"

@@ -6,11 +6,15 @@ import numpy as np
 import numpy.typing as npt
 
 from dronevio.estimator.initialization.initializer import InitializerConfig, not_ready_reason
+from dronevio.estimator.initialization.not_observable import NotObservable
 from dronevio.estimator.types import FramePacket, Observations
 from dronevio.models.imu import IMU_GAP_INTERVALS
 from dronevio.models.state import Estimate, FeatureTracks, Health, HealthReport, NavState
 
 Array = npt.NDArray[np.float64]
+
+MIN_CAUSE_NS = 1_000_000_000
+"""Time after which a cause that prevents the initialization becomes an event [ns]. A passing object takes less."""
 
 
 class Publisher:
@@ -30,8 +34,15 @@ class Publisher:
         self._config, self._imu_rate_hz = config, imu_rate_hz
         self._waiting = Health.INITIALIZING  # the health of an estimate without a state
         self._is_publishing = False
+        self._cause: tuple[str, int] = ("", 0)  # what prevents the initialization, and its first time [ns]
+        self._stated_causes: frozenset[str] = frozenset()
         self._miscalibrated: frozenset[int] = frozenset()  # cameras whose extrinsics are contradicted
         self._gaps_s: tuple[float, ...] = ()  # the gap of the IMU in each of the last frames
+
+    @property
+    def has_stated_cause(self) -> bool:
+        """Whether an event has stated a cause that prevented an initialization."""
+        return bool(self._stated_causes)
 
     def estimate(
         self,
@@ -54,7 +65,7 @@ class Publisher:
             not_ready = not_ready_reason(state, self._config)
             if not_ready is not None:
                 return self.without_state(packet, str(not_ready), report)
-            self._is_publishing = True
+            self._is_publishing, self._cause = True, ("", 0)
             events = ("initialized" if self._waiting is Health.INITIALIZING else "recovered", *events)
         tracks = _feature_tracks(packet.observations)
         return Estimate(
@@ -71,6 +82,10 @@ class Publisher:
         events = (*events, *self._sensor_events(packet))
         return Estimate(packet.t_ns, self._waiting, None, tracks, events=events, health_report=report)
 
+    def not_initialized(self, packet: FramePacket, obstacle: NotObservable) -> Estimate:
+        """Return the estimate of a frame without a state, with what prevents the initialization."""
+        return self.without_state(packet, str(obstacle), events=self._cause_events(packet.t_ns, obstacle.cause))
+
     def lost(self, packet: FramePacket, report: HealthReport) -> Estimate:
         """Return the estimate of a frame at which the state is lost; the next one has to be certain again."""
         self._waiting, self._is_publishing = Health.LOST, False
@@ -78,6 +93,17 @@ class Publisher:
 
     def _sensor_events(self, packet: FramePacket) -> tuple[str, ...]:
         return (*self._gap_events(packet), *self._calibration_events(packet.observations))
+
+    def _cause_events(self, t_ns: int, cause: str) -> tuple[str, ...]:
+        """Return an event where the same cause has prevented the initialization for some time; one for each cause."""
+        known, since_ns = self._cause
+        if cause and cause != known:
+            self._cause = (cause, t_ns)
+            return ()
+        if not cause or cause in self._stated_causes or t_ns - since_ns < MIN_CAUSE_NS:
+            return ()
+        self._stated_causes |= {cause}
+        return (f"probable cause: {cause}",)
 
     def _gap_events(self, packet: FramePacket) -> tuple[str, ...]:
         """Return an event when a gap of the IMU begins, and one when a gap of several frames ends."""
@@ -95,8 +121,8 @@ class Publisher:
         new, settled = sorted(contradicted - self._miscalibrated), sorted(self._miscalibrated & agreeing)
         self._miscalibrated = (self._miscalibrated | contradicted) - set(settled)
         return (
-            *(f"camera {i} contradicts its extrinsic calibration: not used for depth" for i in new),
-            *(f"camera {i} agrees with its extrinsic calibration: used for depth" for i in settled),
+            *(f"camera {i} contradicts its calibration: not used for depth" for i in new),
+            *(f"camera {i} agrees with its calibration: used for depth" for i in settled),
         )
 
 

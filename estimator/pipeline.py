@@ -11,6 +11,7 @@ import numpy as np
 import numpy.typing as npt
 
 from dronevio.estimator.frontend.protocol import FrontEnd
+from dronevio.estimator.frontend.repetition import RepetitionFilter
 from dronevio.estimator.frontend.rolling_shutter import ExposureCompensation
 from dronevio.estimator.imu.buffer import ImuBuffer, Increments
 from dronevio.estimator.types import Calibration, FramePacket, Observations
@@ -34,6 +35,7 @@ class MeasurementPipeline:
         """
         self._front_end = front_end
         self._buffer, self._exposure = ImuBuffer(imu), ExposureCompensation(gravity_m_s2)
+        self._repetition = RepetitionFilter()
         self._last_frame_ns: int | None = None
 
     def add_imu(self, samples: ImuSamples) -> None:
@@ -63,10 +65,16 @@ class MeasurementPipeline:
         self._exposure.begin_frame(increments, ahead, gyro_bias_rad_s)
         rotation_sigma = float(gyro_bias_sigma_rad_s * increments.dt_s.sum()) + increments.rotation_excess_sigma_rad
         R_cur_prev = _camera_rotation(calibration, increments, gyro_bias_rad_s)
+        frame = self._repetition.filtered(frame, R_cur_prev, rotation_sigma)
         observations = self._front_end.track(frame, R_cur_prev, rotation_sigma, calibration.rig)
         # Cameras that have no tracker of their own observe no features in a frame that the others lack.
         has_image = len(observations) > 0 or all(image.size for image in frame.images)
         return FramePacket(t_ns, increments, self._at_frame_time(observations, calibration), has_image)
+
+    @property
+    def repeats_image(self) -> bool:
+        """Whether an image of the newest frame was left out because it repeats the one before."""
+        return self._repetition.repeats
 
     def replenish(self, packet: FramePacket, calibration: Calibration) -> FramePacket:
         """Return the newest packet with newly detected features and the matches in further cameras."""

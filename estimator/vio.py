@@ -6,7 +6,7 @@ is optimized by Gauss-Newton. Between keyframes the newest state is propagated b
 and is never revised.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import numpy.typing as npt
@@ -22,7 +22,7 @@ from dronevio.estimator.imu.forward_propagation import ImuRatePropagator
 from dronevio.estimator.imu.noise import ImuNoiseEstimator
 from dronevio.estimator.initialization.gauge import Gauge, LastPublished, WorldOrigin
 from dronevio.estimator.initialization.initializer import Initializer
-from dronevio.estimator.initialization.static import NotObservable
+from dronevio.estimator.initialization.not_observable import NotObservable
 from dronevio.estimator.initialization.zero_velocity import ZeroVelocityDetector
 from dronevio.estimator.output import Publisher
 from dronevio.estimator.pipeline import MeasurementPipeline
@@ -35,12 +35,18 @@ from dronevio.models.state import CameraFrame, Estimate, Health, HealthReport, N
 Array = npt.NDArray[np.float64]
 
 
+REPEATED_IMAGES = "the image does not change although the vehicle rotates: not used"
+"""Event at the first of several equal images."""
+
+
 @dataclass(frozen=True, eq=False)
 class Initializing:
     """The state of the odometry without an estimate: before the first initialization, or after a loss."""
 
     initializer: Initializer
     """Collects frames until the state is observable."""
+    is_trusted: bool = True
+    """Whether the next state counts as consistent from its beginning: unless an inconsistent one was lost before."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -101,6 +107,7 @@ class VisualInertialOdometry:
         Raises:
             ConfigError: The frame is not later than the last one, or an image does not fit its camera.
         """
+        repeated = self._pipeline.repeats_image
         packet = self._pipeline.process(frame, self._calibration, *self._gyro_bias)
         features = packet.observations if packet.has_image else None
         self._zero_velocity.update(packet.t_ns, features, packet.increments)
@@ -111,6 +118,8 @@ class VisualInertialOdometry:
             case Tracking():
                 estimate = self._track(self._state, packet)
         estimate = self._pipeline.at_stamp(estimate, frame, self._calibration)
+        if self._pipeline.repeats_image and not repeated:
+            estimate = replace(estimate, events=(*estimate.events, REPEATED_IMAGES))
         if estimate.state is not None:
             self._imu_rate.correct(estimate)
         return estimate
@@ -122,8 +131,9 @@ class VisualInertialOdometry:
             packet = self._pipeline.replenish(packet, self._calibration)
         smoother = initializer.add(packet, stationary_s, self._calibration, self._gauge, self._noise.params)
         if isinstance(smoother, NotObservable):
-            return self._publisher.without_state(packet, str(smoother))
-        monitor = HealthMonitor(self._imu, self._config.health, self._config.smoother.pixel_sigma)
+            return self._publisher.not_initialized(packet, smoother)
+        c, is_trusted = self._config, state.is_trusted and not self._publisher.has_stated_cause
+        monitor = HealthMonitor(self._imu, c.health, c.smoother.pixel_sigma, is_trusted=is_trusted)
         self._state = self._tracking(smoother, monitor, packet.observations)
         report = monitor.assess(packet.observations, smoother.state, stationary_s > 0.0, self._calibration)
         return self._publish(packet, smoother.state, report)
@@ -140,7 +150,7 @@ class VisualInertialOdometry:
         predicted = propagator.state_at(packet.t_ns)
         report = tracking.monitor.assess(packet.observations, predicted, stationary, self._calibration)
         if report.health is Health.LOST:
-            return self._lose(packet, report)
+            return self._lose(tracking, packet, report)
         due = propagator.is_keyframe_due(stationary_s, packet.observations, report.innovation_px)
         if not (due and packet.has_image):
             self._online_calibration.step()
@@ -188,9 +198,9 @@ class VisualInertialOdometry:
             tracking.smoother.state, angular_velocity, propagator.preintegrated, observations
         )
 
-    def _lose(self, packet: FramePacket, report: HealthReport) -> Estimate:
+    def _lose(self, tracking: Tracking, packet: FramePacket, report: HealthReport) -> Estimate:
         """Discard the estimate and begin another initialization, which continues from the last published pose."""
-        self._state = self._initializing()
+        self._state = self._initializing(tracking.monitor.is_trusted)
         self._online_calibration.restart()
         return self._publisher.lost(packet, report)
 
@@ -209,13 +219,17 @@ class VisualInertialOdometry:
             self._gauge = LastPublished.of(state)
         return estimate
 
-    def _initializing(self) -> Initializing:
+    def _initializing(self, is_trusted: bool = True) -> Initializing:
+        """Return the state before an initialization, of which the health is trusted from the beginning or not."""
         c = self._config
-        return Initializing(Initializer(c.initialization, c.smoother, c.landmarks, self._keyframe_policy, self._gauge))
+        initializer = Initializer(c.initialization, c.smoother, c.landmarks, self._keyframe_policy, self._gauge)
+        return Initializing(initializer, is_trusted)
 
     def _tracking(self, smoother: KeyframeSmoother, monitor: HealthMonitor, observations: Observations) -> Tracking:
         """Return the tracking state at the smoother's newest keyframe."""
-        monitor.set_reference(smoother.state, smoother.triangulated_landmarks)
+        monitor.set_reference(
+            smoother.state, smoother.triangulated_landmarks, smoother.image_variance, self._noise.densities
+        )
         propagator = Propagator(self._noise.params, self._imu, self._keyframe_policy, smoother, observations)
         return Tracking(smoother, monitor, propagator)
 

@@ -1,5 +1,6 @@
 """The run of an estimator on a recording: its estimates frame by frame, and their cost."""
 
+import re
 from dataclasses import dataclass
 from typing import Self
 
@@ -17,6 +18,8 @@ Array = npt.NDArray[np.float64]
 
 POSE_IS_VALID = frozenset({Health.TRACKING, Health.INERTIAL_ONLY})
 """Health states in which the pose of an estimate is valid."""
+_WARNING = re.compile(r"lost: |probable cause: |the image does not change|camera \d+ contradicts")
+"""Beginning of the events that tell of wrong measurements or a wrong calibration."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -65,6 +68,19 @@ class EstimatorRun:
         return real_time_factor(self.t_ns, self.cpu_ms)
 
     @property
+    def warnings(self) -> tuple[tuple[int, str], ...]:
+        """Time stamps [ns] and texts of the events that tell of wrong measurements or a wrong calibration."""
+        return tuple((e.t_ns, text) for e in self.estimates for text in e.events if is_warning(text))
+
+    @property
+    def innovations(self) -> "Innovations | None":
+        """Statistics of the innovations; None if no estimate has one."""
+        reports = [e.health_report for e in self.estimates if e.health_report is not None]
+        px = [report.innovation_px for report in reports if report.innovation_px is not None]
+        nis = [report.innovation_nis for report in reports if report.innovation_nis is not None]
+        return Innovations.of(np.array(px), np.array(nis)) if px and nis else None
+
+    @property
     def n_tracks(self) -> npt.NDArray[np.int64]:
         """(M,) Numbers of features that were tracked into each frame."""
         return np.array([len(tracks_of(estimate).ids) for estimate in self.estimates], dtype=np.int64)
@@ -80,6 +96,31 @@ class EstimatorRun:
                 f"{len(self.estimates)} estimates with other time stamps than the {len(recording.frame_times_ns)}"
                 f" frames of {recording.name}"
             )
+
+
+@dataclass(frozen=True)
+class Innovations:
+    """Statistics over all frames of the innovations: how well images agree with the predictions of the estimator."""
+
+    median_px: float
+    """Median of the frames' innovations [px]."""
+    p95_px: float
+    """95th percentile of the frames' innovations [px]."""
+    median_nis: float
+    """Median of the frames' normalized innovations squared (NIS), relative to its expectation: 1 expected."""
+    p95_nis: float
+    """95th percentile of the frames' NIS."""
+
+    @classmethod
+    def of(cls, innovation_px: Array, innovation_nis: Array) -> Self:
+        """Return the statistics of the innovations (N,) [px] and NIS (M,) of frames, N > 0 and M > 0."""
+        px, nis = (np.percentile(values, [50.0, 95.0]).tolist() for values in (innovation_px, innovation_nis))
+        return cls(*px, *nis)
+
+
+def is_warning(event: str) -> bool:
+    """Return whether an event of an estimate tells of wrong measurements or a wrong calibration."""
+    return _WARNING.match(event) is not None
 
 
 def real_time_factor(t_ns: Times, times_ms: Array) -> float | None:

@@ -8,7 +8,7 @@ import numpy as np
 import numpy.typing as npt
 
 from dronevio.eval.metrics.association import interpolate
-from dronevio.eval.metrics.consistency import anchor_first
+from dronevio.eval.metrics.consistency import anchor_first, errors_and_sigmas_m
 from dronevio.eval.metrics.errors import relative_errors, translation_errors_m
 from dronevio.eval.metrics.scores import score_trajectory
 from dronevio.eval.run import EstimatorRun
@@ -61,6 +61,9 @@ class RunMetrics:
     """NEES of position with the gauge fixed at the first pose, mean over time."""
     nees_orientation: float = FAILED
     """NEES of orientation with the gauge fixed at the first pose, mean over time."""
+    tracking_sigmas: float | None = None
+    """Largest error of position while the estimator reports that it tracks, in standard deviations along the least
+    certain axis; None without covariances."""
     nees_position_over_time: tuple[float, ...] = ()
     """NEES of position at each second since the first pose."""
     nees_orientation_over_time: tuple[float, ...] = ()
@@ -166,9 +169,29 @@ def metrics_of(
         end_m=float(np.linalg.norm(c.position_error_m[-1])),
         nees_position=float(c.position_nees.mean()),
         nees_orientation=float(c.orientation_nees.mean()),
+        tracking_sigmas=tracking_sigmas(run, truth),
         nees_position_over_time=tuple(np.round(c.position_nees[rows], 4).tolist()),
         nees_orientation_over_time=tuple(np.round(c.orientation_nees[rows], 4).tolist()),
     )
+
+
+def tracking_sigmas(run: EstimatorRun, truth: Trajectory) -> float | None:
+    """Return the largest error of position while a run reports that it tracks, in standard deviations; None if never.
+
+    Position and yaw of the first pose are taken from the ground truth. The standard deviation is that along the least
+    certain axis.
+    """
+    true, rows = interpolate(truth, run.trajectory.t_ns)
+    estimate = run.trajectory[rows]
+    error_m, sigma_m = errors_and_sigmas_m(true, estimate)
+    tracking = is_tracking(run, estimate)
+    return float(np.max(error_m[tracking] / sigma_m[tracking])) if tracking.any() else None
+
+
+def is_tracking(run: EstimatorRun, estimate: Trajectory) -> npt.NDArray[np.bool_]:
+    """Return at which poses (N,) of a run it reports that it tracks."""
+    times_ns = [each.t_ns for each in run.estimates if each.health is Health.TRACKING]
+    return np.isin(estimate.t_ns, times_ns)
 
 
 def health_shares(estimates: Sequence[Estimate]) -> dict[str, float]:

@@ -6,7 +6,8 @@ Each flight is simulated once with two cameras, and estimated with one and with 
     python scripts/stress.py --flights FOLDER --results ROWS --only dark-1s dark-5s --seeds 0-2
 
 Each run should end with a bounded error, or report a loss and recover. Values that are not finite are a failure, and so
-is a discontinuity: a step from one frame to the next with a large error while the estimator reports that it tracks.
+is a discontinuity: a step from one frame to the next with a large error while the estimator reports that it tracks. An
+error beyond five of its standard deviations while the estimator reports that it tracks is a failure, too.
 """
 
 import math
@@ -31,6 +32,8 @@ DISCONTINUITY_M = 0.25
 """Error of a step from which it is a discontinuity: 5 m/s at 20 Hz [m]."""
 BOUNDED_PERCENT = 5.0
 """Largest error of a position relative to the length of the path that is a bounded error [%]."""
+LARGEST_SIGMAS = 5.0
+"""Largest error of position in standard deviations while an estimator reports that it tracks."""
 HOVER_DRIFT_M = 0.01
 """Bound of the drift while the drone hovers for a minute [m]."""
 
@@ -117,6 +120,8 @@ def ending(row: RunMetrics) -> str:
         return "never initialized" if reported else f"**{row.status.upper()}**"
     if row.step_error_m > DISCONTINUITY_M and row.longest_gap_s < 2.0 * row.duration_s / max(row.frames - 1, 1):
         return "**DISCONTINUOUS**"
+    if row.tracking_sigmas is not None and row.tracking_sigmas > LARGEST_SIGMAS:
+        return "**OVERCONFIDENT**"
     if row.max_m <= BOUNDED_PERCENT / 100.0 * row.path_m:
         return "bounded"
     return "loss reported" if row.health.get("lost", 0.0) > 0.0 and not_tracking_percent < 100.0 else "**UNBOUNDED**"
@@ -138,6 +143,7 @@ COLUMNS: tuple[tuple[str, Callable[[RunMetrics], str]], ...] = (
     ("recovery [s]", lambda row: text(row.recovery_s, ".2f")),
     ("largest step error [m]", lambda row: text(row.step_error_m)),
     ("largest jump [m]", lambda row: text(row.step_jump_m)),
+    ("largest error while tracking [σ]", lambda row: text(row.tracking_sigmas, ".1f")),
     ("NEES p", lambda row: text(row.nees_position, ".1f")),
     ("NEES θ", lambda row: text(row.nees_orientation, ".1f")),
     ("CPU ms", lambda row: text(row.cpu_ms_mean, ".1f")),

@@ -2,14 +2,22 @@
 
 from collections import Counter
 from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import Annotated, Any
 
 import tyro
 
 from dronevio.cli.options import Printing, PrintOptions, RecordingInput, RecordingOptions
-from dronevio.cli.terminal import parse, print_defects, print_json, print_values, progress_bars
+from dronevio.cli.terminal import (
+    innovation_rows,
+    parse,
+    print_defects,
+    print_json,
+    print_run_warnings,
+    print_values,
+    progress_bars,
+)
 from dronevio.estimator.config import VioConfig
 
 
@@ -24,6 +32,11 @@ class EstimateCommand:
 
     Defects of the recording, such as missing or damaged images and gaps of the IMU, are counted and printed as
     warnings, and the estimation goes on without what is defective. With --strict, they are an error.
+
+    A wrong calibration, or images and IMU that do not belong together, are printed as warnings with their probable
+    cause, and no pose is written from then on until the estimator has initialized again. The innovation is the distance
+    of landmarks in the images from their prediction; its NIS, relative to the estimated covariance, is about 1 if
+    calibration, noise parameters and estimate agree.
 
     Examples:
       dronevio estimate recordings/room-0
@@ -76,6 +89,7 @@ def main(arguments: Sequence[str]) -> int:
         estimator = VisualInertialOdometry(recording.rig, command.estimator)
         run = estimate_recording(recording, estimator, bars.bar("estimating"), observers)
     print_defects(run.defects[len(recording.defects) :])
+    print_run_warnings(run)
     trajectory = require_poses(run, recording)
     write_tum(command.out, trajectory)
     if command.imu_rate is not None:
@@ -89,6 +103,8 @@ def main(arguments: Sequence[str]) -> int:
         "frames": len(run.estimates),
         "poses": len(trajectory),
         "health": {str(health): count for health, count in Counter(e.health for e in run.estimates).items()},
+        "innovations": None if run.innovations is None else asdict(run.innovations),
+        "warnings": [{"t_s": (t_ns - run.t_ns[0]) * 1e-9, "text": text} for t_ns, text in run.warnings],
         "first_pose_s": float((trajectory.t_ns[0] - run.t_ns[0]) * 1e-9),
         "path_m": trajectory.length_m,
         "cpu_ms_per_frame": float(run.cpu_ms.mean()),
@@ -109,6 +125,10 @@ def main(arguments: Sequence[str]) -> int:
             *((f"defects: {each.kind}", f"{each.count}", "") for each in count_defects(run.defects)),
             ("first pose after", f"{summary['first_pose_s']:.2f}", "s"),
             ("length of the path", f"{trajectory.length_m:.2f}", "m"),
+            *(
+                (label, "–" if value is None else format(value, form), unit)
+                for label, value, form, unit in innovation_rows(summary["innovations"])
+            ),
             ("processor time per frame", f"{run.cpu_ms.mean():.1f}", "ms"),
             ("real-time factor", "–" if run.real_time_factor is None else f"{run.real_time_factor:.1f}", ""),
         ),

@@ -10,7 +10,15 @@ from typing import TYPE_CHECKING, Any, Literal
 
 from dronevio.cli.flight_options import FlightOptions, ScenarioInput, parse_flight
 from dronevio.cli.options import Output, OutputOptions
-from dronevio.cli.terminal import Bars, print_defects, print_json, print_values, progress_bars
+from dronevio.cli.terminal import (
+    Bars,
+    innovation_rows,
+    print_defects,
+    print_json,
+    print_run_warnings,
+    print_values,
+    progress_bars,
+)
 from dronevio.estimator.config import VioConfig
 from dronevio.sim.loop_settings import LoopSettings
 
@@ -152,6 +160,7 @@ def _run(
     surroundings = surroundings_of(build_world(scenario.world, scenario.seed))
     estimated = flown_and_estimated(scenario, command, mission, folder, surroundings, bars)
     print_defects(estimated.run.defects)
+    print_run_warnings(estimated.run)
     trajectory, truth = estimated.run.trajectory, estimated.recording.ground_truth
     assert truth is not None
     write_tum(folder / "groundtruth.tum", truth)
@@ -215,6 +224,7 @@ def print_report(title: str, report: dict[str, Any]) -> None:
         ("RPE over 1 s, orientation", rpe_deg["rmse"], ".2f", "°"),
         ("scale error", scores["scale_error_percent"], "+.2f", "%"),
         ("coverage", scores["coverage_percent"], ".1f", "%"),
+        *innovation_rows(report["estimator"]["innovations"]),
         ("processor time per frame, mean", timing["cpu_ms_mean"], ".1f", "ms"),
         ("processor time per frame, 99th percentile", timing["cpu_ms_p99"], ".1f", "ms"),
         ("real-time factor", timing["real_time_factor"], ".1f", ""),

@@ -14,10 +14,14 @@ from dronevio.cli.fields import REGISTRY
 if TYPE_CHECKING:
     from rich.progress import Progress as RichProgress
 
+    from dronevio.eval.run import EstimatorRun
     from dronevio.models.defects import Defect
     from dronevio.models.progress import Progress
 
 Command = TypeVar("Command")
+
+MAX_RUN_WARNINGS = 5
+"""Number of warnings of an estimator that are printed."""
 
 
 def parse(command: type[Command], arguments: Sequence[str], name: str, default: Command | None = None) -> Command:
@@ -100,6 +104,16 @@ def print_defects(defects: "Sequence[Defect]", origin: str = "") -> None:
         print_warning(f"{origin}{each}")
 
 
+def print_run_warnings(run: "EstimatorRun") -> None:
+    """Print the warnings of an estimator, one line for each loss or contradiction of a calibration."""
+    begin_ns = run.estimates[0].t_ns if run.estimates else 0
+    shown = run.warnings[:MAX_RUN_WARNINGS]
+    for t_ns, text in shown:
+        print_warning(f"{(t_ns - begin_ns) * 1e-9:.2f} s after the first frame: {text}")
+    if len(run.warnings) > len(shown):
+        print_warning(f"{len(run.warnings) - len(shown)} more events of this kind")
+
+
 def print_json(document: Mapping[str, object]) -> None:
     """Print a document for other programs on standard output."""
     json.dump(document, sys.stdout, indent=2, allow_nan=False)
@@ -109,6 +123,21 @@ def print_json(document: Mapping[str, object]) -> None:
 def print_values(title: str, rows: Sequence[tuple[str, str, str]]) -> None:
     """Print a table of named values with their units on standard output."""
     print_table(title, ("", "value", "unit"), rows, left=("unit",))
+
+
+def innovation_rows(innovations: Mapping[str, float] | None) -> list[tuple[str, float | None, str, str]]:
+    """Return names, values, formats and units of the agreement of images and predictions.
+
+    Args:
+        innovations: The fields of `Innovations`; None if there are no innovations.
+    """
+    values = innovations or {}
+    return [
+        ("innovation, median over frames", values.get("median_px"), ".2f", "px"),
+        ("innovation, 95th percentile", values.get("p95_px"), ".2f", "px"),
+        ("NIS of innovations, median (1 expected)", values.get("median_nis"), ".2f", ""),
+        ("NIS of innovations, 95th percentile", values.get("p95_nis"), ".2f", ""),
+    ]
 
 
 def print_table(title: str, columns: Sequence[str], rows: Sequence[Sequence[str]], left: Sequence[str] = ()) -> None:

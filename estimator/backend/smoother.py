@@ -119,6 +119,7 @@ class KeyframeSmoother:
         self._window, self._solution = self._begin(start, covariance, observations)
         self._position_covariance = covariance[3:6, 3:6]  # of the keyframe at which the window begins
         self._last_observed = observations, observations  # by the last keyframe but one, and by the last
+        self._image_variance: float | None = None
 
     @property
     def state(self) -> NavState:
@@ -140,6 +141,11 @@ class KeyframeSmoother:
     def triangulated_landmarks(self) -> TriangulatedLandmarks:
         """The landmarks that constrain the window."""
         return self._window.landmarks.triangulated(self._window.cameras)
+
+    @property
+    def image_variance(self) -> float | None:
+        """Variance of the window's image observations relative to the assumed one; None if it is not observable."""
+        return self._image_variance
 
     def add_keyframe(
         self,
@@ -173,7 +179,9 @@ class KeyframeSmoother:
             self._solution = self._read_solution(t_ns, solver)
             marginalizes = self._is_full and self._has_moved(parallax_px)
             imu_variance = window.oldest_imu_variance(solver) if marginalizes else None
-            outliers = window.landmarks.reject_outliers(*window.residuals())
+            residual, depth_m, observed = window.residuals()
+            self._image_variance = window.image_variance(residual, observed)
+            outliers = window.landmarks.reject_outliers(residual, depth_m, observed)
             window.remove_landmarks(outliers.tolist())
             self._reduce_window(parallax_px)
         except (SingularError, np.linalg.LinAlgError) as error:
@@ -201,7 +209,9 @@ class KeyframeSmoother:
                 window.landmarks.triangulate(window.cameras, window.newest, retriangulate=True)
                 solver = self._levenberg_marquardt()
             self._solution = self._read_solution(keyframes[-1].t_ns, solver)
-            error = np.linalg.norm(window.residuals()[0], axis=1)
+            residual, _, observed = window.residuals()
+            self._image_variance = window.image_variance(residual, observed)
+            error = np.linalg.norm(residual, axis=1)
             while self._is_full:
                 self._reduce_window(np.inf)
         except (SingularError, np.linalg.LinAlgError):

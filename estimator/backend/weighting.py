@@ -21,6 +21,22 @@ def variance_factor(squared: Array) -> float:
     return max(1.0, float(np.median(squared)) / MEDIAN_CHI2_2DOF) if len(squared) > 0 else 1.0
 
 
+def image_variance(squared: Array, landmark: Integers) -> float | None:
+    """Return the variance of image observations relative to the assumed one, or None where it is not observable.
+
+    In contrast to `variance_factor` it may be below 1, and counts the redundancy of the observations: three coordinates
+    of each landmark are fitted to them.
+
+    Args:
+        squared: (N,) Squared residuals in units of the assumed variance.
+        landmark: (N,) Landmark of each observation.
+    """
+    equations, unknowns = 2 * len(squared), 3 * len(np.unique(landmark))
+    if equations <= unknowns:
+        return None
+    return float(np.median(squared)) / MEDIAN_CHI2_2DOF * equations / (equations - unknowns)
+
+
 def robust_thresholds(squared: Array, keyframe: Integers, robust_sigmas: float) -> Array:
     """Return the residuals (N,) at which Cauchy's loss halves the weight, in assumed standard deviations.
 

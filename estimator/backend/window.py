@@ -24,7 +24,7 @@ from dronevio.estimator.backend.reprojection import (
     residuals,
     visual_system,
 )
-from dronevio.estimator.backend.weighting import robust_thresholds, variance_factor
+from dronevio.estimator.backend.weighting import image_variance, robust_thresholds, variance_factor
 from dronevio.estimator.imu.noise import ImuVarianceComponents
 
 Array = npt.NDArray[np.float64]
@@ -88,12 +88,16 @@ class Window:
         residual, depth_m = residuals(observations, self._indices(observations), self._Ts_imu_cam, self._visual_state())
         return residual, depth_m, observations
 
+    def image_variance(self, residual: Array, observations: ObservationTable) -> float | None:
+        """Return the variance of observations with residuals (N, 2) relative to the assumed one; None if unknown."""
+        return image_variance(self._squared(residual, observations), observations.landmark)
+
     def cost(self) -> float:
         """Return the negative logarithm of the posterior density at the current estimates, up to a constant."""
         values = state_values(self.states)
         of_factors = sum(factor.error(values) for _, factor in self._factors)
         residual, _, observations = self.residuals()
-        squared = np.sum(residual**2, axis=1) / (self._sigma * observations.sigma_scale) ** 2
+        squared = self._squared(residual, observations)
         threshold2 = self._robust_sigmas**2 * max(1.0, float(np.median(squared)) if len(squared) else 0.0)
         of_observations = 0.5 * threshold2 * np.log1p(squared / threshold2).sum()
         return float(self._prior.cost(self.states, self._persistent_points()) + of_factors + of_observations)
@@ -229,6 +233,10 @@ class Window:
         first, points = linearization_points(self._prior, self.states), current.points.copy()
         points[self._persistent_rows()] = np.reshape(list(self._prior.points.values()), (-1, POINT_DIM))
         return visual_system(observations, indices, self._Ts_imu_cam, _visual_state(first, points), residual, weight)
+
+    def _squared(self, residual: Array, observations: ObservationTable) -> Array:
+        """Return the squares (N,) of residuals (N, 2) in units of the assumed variance."""
+        return np.asarray(np.sum(residual**2, axis=1) / (self._sigma * observations.sigma_scale) ** 2)
 
     def _indices(self, observations: ObservationTable) -> ObservationIndices:
         """Return the indices of the keyframes and landmarks of observations."""

@@ -17,9 +17,16 @@ import numpy as np
 import numpy.typing as npt
 
 from dronevio.estimator.initialization.closed_form import MIN_DEPTH_M, NoiseModel, solve_closed_form
-from dronevio.estimator.initialization.gyro_bias import GyroBias, epipolar_gyro_bias
+from dronevio.estimator.initialization.gyro_bias import EpipolarSolution, GyroBias, epipolar_gyro_bias
+from dronevio.estimator.initialization.not_observable import (
+    ACCEL_DISAGREES,
+    MOTION_DISAGREES,
+    ROTATION_DISAGREES,
+    NotObservable,
+    implausible_force,
+)
 from dronevio.estimator.initialization.refinement import RefinedState, refine
-from dronevio.estimator.initialization.static import NotObservable, level_rotation
+from dronevio.estimator.initialization.static import level_rotation
 from dronevio.estimator.initialization.views import Motion, WindowMeasurements
 from dronevio.estimator.types import FramePacket, Integers
 from dronevio.models.imu import GRAVITY_M_S2
@@ -57,6 +64,16 @@ class DynamicInitializationConfig:
     max_residual_sigmas: float = 3.0
     """Largest root mean square residual of a landmark that agrees with the solution, in standard deviations of an image
     observation."""
+    max_rotation_residual_sigmas: float = 0.75
+    """Largest median residual of the epipolar geometry at which the gyroscope agrees with the images, in standard
+    deviations of an image observation. This and the next two only determine the cause that is stated where there is no
+    solution."""
+    max_gyro_bias_sigmas: float = 6.0
+    """Largest distance of the gyroscope bias from its prior at which the gyroscope agrees with the images, in standard
+    deviations."""
+    min_rotation_rad_s: float = 0.2
+    """Smallest standard deviation of the angular velocity over the window at which that agreement is significant
+    [rad/s]. A bias explains slower rotations."""
     min_inliers: float = 0.5
     """Smallest share of the landmarks that must agree with the solution."""
     min_in_front: float = 0.9
@@ -110,17 +127,25 @@ def initialize_dynamic(
     tracks, xy_sigma = measured.tracks, c.pixel_sigma / focal_px
     if len(tracks) < c.min_landmarks:
         return NotObservable(f"{len(tracks)} landmarks with long enough tracks; {c.min_landmarks} are needed")
-    bias, weights = epipolar_gyro_bias(measured, gyro_bias, xy_sigma, c.outlier_sigmas)
-    parallax_px, needed_px = measured.median_parallax_rad(bias) * focal_px, c.min_parallax_sigmas * c.pixel_sigma
+    implausible = implausible_force(measured.imu.accel_m_s2, gravity_m_s2)
+    if implausible is not None:
+        return implausible
+    rotation = epipolar_gyro_bias(measured, gyro_bias, xy_sigma, c.outlier_sigmas)
+    parallax_px = measured.median_parallax_rad(rotation.bias_rad_s) * focal_px
+    needed_px = c.min_parallax_sigmas * c.pixel_sigma
     if not stereo and parallax_px < needed_px:
         return NotObservable(f"a parallax of {parallax_px:.1f} px; {needed_px:g} px are needed")
     noise = NoiseModel(xy_sigma, c.outlier_sigmas, c.accel_bias_sigma_m_s2, gravity_m_s2)
-    initial = solve_closed_form(measured, bias, weights, noise)
-    refined = refine(measured, initial, gyro_bias, noise)
+    cause = probable_cause(rotation, measured.imu.angular_velocity_deviation_rad_s, c)
+    try:
+        initial = solve_closed_form(measured, rotation.bias_rad_s, rotation.weights, noise)
+        refined = refine(measured, initial, gyro_bias, noise)
+    except np.linalg.LinAlgError:
+        return NotObservable("the refinement finds no solution", cause)
     state = refined.state
-    reason = _reason_against(refined, measured.imu.integrated(state.gyro_bias), stereo, c)
+    reason = _reason_against(refined, cause, measured.imu.integrated(state.gyro_bias), stereo, c)
     if reason is not None:
-        return NotObservable(reason)
+        return reason
     R_world_imu = level_rotation(-state.gravity)
     pose, velocity = pose_matrix(R_world_imu, np.zeros(3)), R_world_imu @ state.velocity
     return DynamicStart(
@@ -128,14 +153,35 @@ def initialize_dynamic(
     )
 
 
+def probable_cause(
+    rotation: EpipolarSolution, angular_velocity_rad_s: float, config: DynamicInitializationConfig
+) -> str:
+    """Return the probable cause where the landmarks disagree with the IMU.
+
+    Args:
+        rotation: The gyroscope bias by epipolar geometry.
+        angular_velocity_rad_s: Standard deviation of the angular velocity over the window [rad/s].
+        config: Settings.
+    """
+    c = config
+    if rotation.residual_sigmas > c.max_rotation_residual_sigmas or rotation.bias_sigmas > c.max_gyro_bias_sigmas:
+        return ROTATION_DISAGREES
+    rotates, agrees = angular_velocity_rad_s > c.min_rotation_rad_s, 2.0 * rotation.bias_sigmas < c.max_gyro_bias_sigmas
+    return ACCEL_DISAGREES if rotates and agrees else MOTION_DISAGREES
+
+
 def _reason_against(
-    refined: RefinedState, motion: Motion, stereo: bool, config: DynamicInitializationConfig
-) -> str | None:
+    refined: RefinedState,
+    cause: str,
+    motion: Motion,
+    stereo: bool,
+    config: DynamicInitializationConfig,
+) -> NotObservable | None:
     """Return the first reason why a state cannot be used, or None."""
     c, state, t_s = config, refined.state, motion.t_s[:, None]
     inliers = refined.squares < c.max_residual_sigmas**2
     if inliers.mean() <= c.min_inliers:
-        return f"{1.0 - inliers.mean():.0%} of the landmarks disagree"
+        return NotObservable(f"{1.0 - inliers.mean():.0%} of the landmarks disagree", cause)
     curvature_m = _deviation_from_line(motion.dp + 0.5 * state.gravity * t_s**2, t_s)
     curvature_of_bias_m = _deviation_from_line(0.5 * c.accel_bias_sigma_m_s2 * t_s**2, t_s)
     behind = float(np.mean(refined.depth_m[inliers] <= MIN_DEPTH_M))
@@ -147,7 +193,7 @@ def _reason_against(
         (np.linalg.norm(state.gyro_bias) < c.max_gyro_bias_rad_s, "an implausible gyroscope bias"),
         (stereo or curvature_m > c.min_excitation * curvature_of_bias_m, "too little acceleration for the scale"),
     )
-    return next((reason for passed, reason in checks if not passed), None)
+    return next((NotObservable(reason) for passed, reason in checks if not passed), None)
 
 
 def _deviation_from_line(positions: Array, t_s: Array) -> float:

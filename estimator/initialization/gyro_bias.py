@@ -46,9 +46,24 @@ class GyroBias:
         return cls(mean_rad_s, sigma_rad_s**2 * np.eye(3))
 
 
+@dataclass(frozen=True, eq=False)
+class EpipolarSolution:
+    """The gyroscope bias by epipolar geometry."""
+
+    bias_rad_s: Array
+    """(3,) Gyroscope bias [rad/s]."""
+    weights: Array
+    """(F,) Weights of the landmarks, 0 to 1; those of outliers are small."""
+    residual_sigmas: float
+    """Median root mean square residual of the landmarks, in standard deviations. Where it is large, the gyroscope does
+    not measure the rotation of the images."""
+    bias_sigmas: float
+    """Distance of the bias from its prior, in standard deviations of the prior."""
+
+
 def epipolar_gyro_bias(
     measured: WindowMeasurements, prior: GyroBias, sigma_rad: float, outlier_sigmas: float
-) -> tuple[Array, Array]:
+) -> EpipolarSolution:
     """Return the gyroscope bias at which the epipolar planes of each pair of views intersect in one line.
 
     Args:
@@ -56,17 +71,15 @@ def epipolar_gyro_bias(
         prior: What is known of the bias before.
         sigma_rad: Standard deviation of a bearing [rad].
         outlier_sigmas: Root mean square residual from which a landmark is an outlier, in standard deviations.
-
-    Returns:
-        The bias (3,) [rad/s], and the weights (F,), 0 to 1, of the landmarks; those of outliers are small.
     """
     tracks = measured.tracks
     bias, weights, information = prior.mean_rad_s, np.ones(len(tracks)), np.linalg.inv(prior.covariance)
     first, second = _pairs(tracks.camera, measured.imu.integrated(bias).t_s)
     both = tracks.observed[first] & tracks.observed[second]
     if not both.any():
-        return bias, weights
+        return EpipolarSolution(bias, weights, 0.0, 0.0)
     count = both.sum(axis=0)
+    squares = np.zeros(len(tracks))
     normals_at = _normals(measured, first, second, sigma_rad)
     for _ in range(MAX_ITERATIONS):
         normals = normals_at(bias)
@@ -86,7 +99,8 @@ def epipolar_gyro_bias(
             and float(np.abs(weights - previous).mean()) < CONVERGED_WEIGHT
         ):
             break
-    return bias, weights
+    residual_sigmas, shift = float(np.sqrt(np.median(squares[count > 0]))), bias - prior.mean_rad_s
+    return EpipolarSolution(bias, weights, residual_sigmas, float(np.sqrt(shift @ information @ shift)))
 
 
 def _pairs(camera: Integers, t_s: Array) -> tuple[Integers, Integers]:

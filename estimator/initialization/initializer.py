@@ -19,9 +19,9 @@ from dronevio.estimator.imu.preintegration import Preintegration, Preintegration
 from dronevio.estimator.initialization.dynamic import DynamicInitializationConfig, initialize_dynamic, is_stereo
 from dronevio.estimator.initialization.gauge import Gauge
 from dronevio.estimator.initialization.gyro_bias import GyroBias
+from dronevio.estimator.initialization.not_observable import NotObservable, implausible_force
 from dronevio.estimator.initialization.static import (
     InitialSigmas,
-    NotObservable,
     initialize_static,
     mean_angular_velocity,
 )
@@ -162,6 +162,9 @@ class Initializer:
         span_s = (window[-1].t_ns - window[0].t_ns + TIME_TOLERANCE_NS) * 1e-9
         if span_s < self._config.static_window_s:
             return NotObservable(f"stationary for {span_s:.1f} s; {self._config.static_window_s:g} s are needed")
+        implausible = implausible_force(np.concatenate([part.accel_m_s2 for part in increments]), params.gravity_m_s2)
+        if implausible is not None:
+            return implausible
         start = initialize_static(window[0].t_ns, increments)
         sigmas = self._config.static_sigmas
         smoother, _ = self._adjusted(start, sigmas, window, calibration, gauge, params, stationary=True)

@@ -15,17 +15,6 @@ Array = npt.NDArray[np.float64]
 
 
 @dataclass(frozen=True)
-class NotObservable:
-    """The result of an initialization whose state is not observable yet."""
-
-    reason: str
-    """The reason, as a text for people."""
-
-    def __str__(self) -> str:
-        return f"not observable yet: {self.reason}"
-
-
-@dataclass(frozen=True)
 class InitialSigmas:
     """Standard deviations of an initial state."""
 

@@ -85,6 +85,16 @@ class ImuWindow:
             _summed_twice(dv_by_bias, dt_s)[self._rows],
         )
 
+    @property
+    def accel_m_s2(self) -> Array:
+        """(N, 3) Specific forces [m/s²]."""
+        return self._increments.accel_m_s2
+
+    @property
+    def angular_velocity_deviation_rad_s(self) -> float:
+        """Standard deviation of the angular velocity over the window, of all axes together [rad/s]."""
+        return float(np.sqrt(np.var(self._increments.gyro_rad_s, axis=0).sum()))
+
     def _all_rotations(self, gyro_bias_rad_s: Array) -> Array:
         increments = self._increments
         return integrated_rotations((increments.gyro_rad_s - gyro_bias_rad_s) * increments.dt_s[:, None])

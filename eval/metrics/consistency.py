@@ -154,6 +154,23 @@ def consistency(truth: Trajectory, estimate: Trajectory) -> Consistency:
     )
 
 
+def errors_and_sigmas_m(truth: Trajectory, estimate: Trajectory) -> tuple[Array, Array]:
+    """Return the distances (N,) from the truth, and their standard deviations (N,) along the least certain axis [m].
+
+    Args:
+        truth: N true poses at the times of the estimate.
+        estimate: N estimated poses with covariances; position and yaw of the first are taken from the truth.
+
+    Raises:
+        EvaluationError: There are no covariances, or no pose.
+    """
+    if estimate.covariance is None or len(estimate) < 1 or len(truth) != len(estimate):
+        raise EvaluationError("an estimate without covariances or poses; expected poses with covariances")
+    moved = anchor_first(truth, estimate).positions(estimate.p_world_imu)
+    sigma_m = np.sqrt(np.linalg.eigvalsh(estimate.covariance[:, 3:6, 3:6])[:, -1])
+    return np.linalg.norm(moved - truth.p_world_imu, axis=1), sigma_m
+
+
 def nees(errors: Array, covariances: Array) -> Array:
     """Return the normalized squared errors eᵀP⁻¹e (N,) of errors (N, k) with covariances (N, k, k).
 

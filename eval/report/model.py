@@ -10,7 +10,8 @@ they are not known:
     timing         cpu_ms_mean, cpu_ms_p99, wall_ms_mean, wall_ms_p99 per frame, real_time_factor
     control        flown_on, reference_rmse_m, reference_max_m, collision; null for recordings
     policy         environment, success, duration_s, distance_m, end; null unless a policy flies
-    estimator      poses, first_pose_s (after the first frame), mean_tracks, keyframes, health: {state: frames}
+    estimator      poses, first_pose_s (after the first frame), mean_tracks, keyframes, health: {state: frames},
+                   innovations: {median_px, p95_px, median_nis, p95_nis}, warnings: [{t_s, text}]
     defects        of the recording: {kind: {count, first}}; empty without defects
     configuration, versions, machine            as in `RunInfo`
 """
@@ -138,4 +139,6 @@ def _estimator_values(results: RunResults) -> dict[str, object]:
         "mean_tracks": float(run.n_tracks.mean()) if len(run.estimates) else None,
         "keyframes": sum("keyframe" in estimate.events for estimate in run.estimates),
         "health": dict(Counter(str(estimate.health) for estimate in run.estimates)),
+        "innovations": None if run.innovations is None else asdict(run.innovations),
+        "warnings": [{"t_s": (t_ns - results.origin_ns) * 1e-9, "text": text} for t_ns, text in run.warnings],
     }

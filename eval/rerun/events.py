@@ -9,6 +9,7 @@ import rerun as rr
 
 from dronevio.eval.rerun.entities import EstimateEntities
 from dronevio.eval.rerun.sink import Sink
+from dronevio.eval.run import is_warning
 from dronevio.models.imu import Times
 from dronevio.models.state import Estimate, Health
 
@@ -44,7 +45,8 @@ class EventLog:
         keyframes: list[int] = []
         for estimate in estimates:
             keyframes += [estimate.t_ns] * (KEYFRAME in estimate.events)
-            rows += [(estimate.t_ns, text, "INFO") for text in estimate.events if text != KEYFRAME]
+            texts = [text for text in estimate.events if text != KEYFRAME]
+            rows += [(estimate.t_ns, text, "WARN" if is_warning(text) else "INFO") for text in texts]
             if estimate.health != self._last_health:
                 self._last_health = estimate.health
                 level = "INFO" if self._last_health in _NORMAL_HEALTH else "WARN"

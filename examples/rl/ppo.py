@@ -18,10 +18,11 @@ import numpy as np
 import numpy.typing as npt
 import torch
 import tyro
-from progress import Progress, finish
+from progress import Progress, Selection, finish
 from torch import nn
 from trainings import TRAININGS, Training, training_envs
 
+import dronevio as dv
 from dronevio.models.policies import Scaling
 from dronevio.sim.envs import policy_from_torch, provenance_of
 
@@ -195,13 +196,19 @@ class TrainCommand:
     """Folder for the policy, the learning curve and the evaluation; runs/TRAINING-ppo-SEED by default."""
 
 
+def policy_of(agent: Agent, sampler: Sampler, seed: int) -> dv.Policy:
+    """Return the policy of an agent without noise, and with its scaling of the observations."""
+    origin = provenance_of("PPO", sampler.progress.samples, seed)
+    return policy_from_torch(agent.actor, sampler.envs, origin, scaling=sampler.seen.scaling())
+
+
 def main(command: TrainCommand) -> None:
     """Train, write the policy, and evaluate it in unseen episodes."""
     training = TRAININGS[command.training]
     torch.set_num_threads(1)  # the networks are too small for more
     torch.manual_seed(command.seed)
     samples = command.samples or training.samples
-    progress = Progress(training.num_envs, samples)
+    progress, selection = Progress(training.num_envs, samples), Selection(training, samples)
     sampler = Sampler(training, command.seed, progress)
     agent = Agent(training, *sampler.envs.single_observation_space.shape, *sampler.envs.single_action_space.shape)
     optimizer = torch.optim.Adam(agent.parameters(), lr=training.learning_rate, eps=1e-5)
@@ -209,8 +216,9 @@ def main(command: TrainCommand) -> None:
         optimizer.param_groups[0]["lr"] = training.learning_rate * (1.0 - progress.samples / samples)
         update(agent, optimizer, sampler.rollout(agent), training)
         progress.report()
-    origin = provenance_of("PPO", progress.samples, command.seed)
-    policy = policy_from_torch(agent.actor, sampler.envs, origin, scaling=sampler.seen.scaling())
+        if selection.is_due(progress.samples):
+            selection.offer(policy_of(agent, sampler, command.seed))
+    policy = selection.result(policy_of(agent, sampler, command.seed))
     finish(policy, training, progress, command.out or Path("runs") / f"{command.training}-ppo-{command.seed}")
 
 

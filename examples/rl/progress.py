@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 import numpy.typing as npt
-from trainings import Training, evaluate
+from trainings import VALIDATION_SEED, Training, evaluate
 
 import dronevio as dv
 
@@ -99,6 +99,42 @@ class Progress:
         return time.perf_counter() - self._wall_s, time.process_time() - self._cpu_s
 
 
+class Selection:
+    """The best policy of a training, by episodes that are neither those of the training nor those of the evaluation."""
+
+    def __init__(self, training: Training, samples: int) -> None:
+        """Begin before the training.
+
+        Args:
+            training: The training.
+            samples: Number of samples of the training.
+        """
+        self._training = training
+        self._due = [round(samples * k / training.validations) for k in range(1, training.validations)]
+        self._best: tuple[tuple[float, float], dv.Policy] | None = None
+
+    def is_due(self, samples: int) -> bool:
+        """Return whether the policy after a number of samples should be offered."""
+        return bool(self._due) and samples >= self._due[0]
+
+    def offer(self, policy: dv.Policy) -> None:
+        """Validate a policy, and keep it if it succeeds more often than those before, or as often with more reward."""
+        samples = policy.provenance.samples
+        self._due = [due for due in self._due if due > samples]
+        found = evaluate(replace(policy, imu_rate_hz=IMU_RATE_HZ), self._training, seed=VALIDATION_SEED)
+        rank = float(found.success.mean()), float(found.reward.mean())
+        print(f"{samples:10,} samples  validation: success {rank[0]:4.0%}  reward {rank[1]:8.2f}", flush=True)
+        if self._best is None or rank >= self._best[0]:
+            self._best = rank, policy
+
+    def result(self, last: dv.Policy) -> dv.Policy:
+        """Return the best of the policies offered and the last one, which is the result without validations between."""
+        if self._best is None:
+            return last
+        self.offer(last)
+        return self._best[1]
+
+
 def finish(policy: dv.Policy, training: Training, progress: Progress, folder: Path) -> None:
     """Write a policy, evaluate it in unseen episodes, and write learning curve and evaluation."""
     wall_s, cpu_s = progress.elapsed_s
@@ -111,6 +147,7 @@ def finish(policy: dv.Policy, training: Training, progress: Progress, folder: Pa
         "algorithm": policy.provenance.algorithm,
         "seed": policy.provenance.seed,
         "samples": progress.samples,
+        "policy_samples": policy.provenance.samples,
         "wall_s": round(wall_s, 1),
         "cpu_s": round(cpu_s, 1),
         "versions": dict(policy.provenance.versions),

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 import torch
 import tyro
-from progress import Progress, finish
+from progress import Progress, Selection, finish
 from stable_baselines3 import PPO
 from stable_baselines3.common.callbacks import BaseCallback
 from stable_baselines3.common.vec_env import VecNormalize
@@ -23,16 +23,19 @@ from dronevio.sim.envs.stable_baselines import StableBaselinesVecEnv
 
 
 class Curve(BaseCallback):
-    """Learning curve of a model, from the unscaled rewards of the environments.
+    """Learning curve of a model, from the unscaled rewards of the environments, with the selection of its best policy.
 
     It also limits the standard deviation of the actions, for which Stable-Baselines3 has no setting.
     """
 
-    def __init__(self, progress: Progress, least_log_std: float) -> None:
+    def __init__(self, progress: Progress, selection: Selection, envs: Any, least_log_std: float) -> None:
         super().__init__()
-        self._progress, self._least_log_std = progress, least_log_std
+        self._progress, self._selection, self._envs = progress, selection, envs
+        self._least_log_std = least_log_std
 
     def _on_rollout_start(self) -> None:
+        if self._selection.is_due(self._progress.samples):
+            self._selection.offer(policy_from_sb3(self.model, self._envs))
         with torch.no_grad():
             self.model.policy.log_std.clamp_(min=self._least_log_std)
 
@@ -89,10 +92,10 @@ def main(command: TrainCommand) -> None:
     torch.set_num_threads(1)  # the networks are too small for more
     envs = training_envs(training)
     samples = command.samples or training.samples
-    progress = Progress(training.num_envs, samples)
+    progress, selection = Progress(training.num_envs, samples), Selection(training, samples)
     model = model_of(training, envs, command.seed)
-    model.learn(samples, callback=Curve(progress, training.least_log_std))
-    policy = policy_from_sb3(model, envs)
+    model.learn(samples, callback=Curve(progress, selection, envs, training.least_log_std))
+    policy = selection.result(policy_from_sb3(model, envs))
     finish(policy, training, progress, command.out or Path("runs") / f"{command.training}-sb3-{command.seed}")
 
 

@@ -107,6 +107,10 @@ def test_table_has_the_numbers_of_the_report(run: Result) -> None:
     assert shown["RPE over 1 s, orientation"] == f"{scores['rpe_deg']['rmse']:.2f}"
     assert shown["scale error"] == f"{scores['scale_error_percent']:+.2f}"
     assert shown["coverage"] == f"{scores['coverage_percent']:.1f}"
+    innovations = report["estimator"]["innovations"]
+    assert shown["innovation, median over frames"] == f"{innovations['median_px']:.2f}"
+    assert shown["NIS of innovations, 95th percentile"] == f"{innovations['p95_nis']:.2f}"
+    assert report["estimator"]["warnings"] == []
     assert shown["processor time per frame, mean"] == f"{timing['cpu_ms_mean']:.1f}"
     assert shown["real-time factor"] == f"{timing['real_time_factor']:.1f}"
     assert f"dronevio view {run.folder}" in run.out
@@ -121,9 +125,10 @@ def test_unknown_values_are_dashes(capsys: pytest.CaptureFixture[str]) -> None:
     scores = {**short, "coverage_percent": None, "path_m": 11.1}
     control = {"flown_on": "truth", "reference_rmse_m": None}
     report = {"flight": flight, "scores": scores, "timing": timing, "control": control, "policy": None}
+    report["estimator"] = {"innovations": None}
     print_report("A run too short for a relative error", report)
     shown = values_of_table(capsys.readouterr().out)
-    assert list(shown.values()) == ["12.3", "0.250", "–", "–", "–", "–", "4.0", "9.0", "–", "–"]
+    assert list(shown.values()) == ["12.3", "0.250", "–", "–", "–", "–", "–", "–", "–", "–", "4.0", "9.0", "–", "–"]
 
 
 def test_json_is_the_report(another_run: Result) -> None:

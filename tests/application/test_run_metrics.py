@@ -71,6 +71,18 @@ def test_perfect_run_has_no_errors(run_metrics: Any) -> None:
     assert len(metrics.nees_position_over_time) == 9  # 9.95 s from the first pose, which fixes the gauge
 
 
+def test_errors_beyond_covariance_count_while_tracking(run_metrics: Any) -> None:
+    truth, estimate = flight()
+    p = estimate.p_world_imu + 0.03 * (np.arange(200) >= 150)[:, None] * [0.0, 0.6, 0.8]  # σ is 0.01 m on each axis
+    wrong = replace(estimate, p_world_imu=p)
+    assert run_metrics.tracking_sigmas(run_of(wrong), truth) == pytest.approx(3.0)
+    healths = [Health.TRACKING] * 150 + [Health.INERTIAL_ONLY] * 50
+    assert run_metrics.tracking_sigmas(run_of(wrong, healths), truth) < 1e-6
+    assert run_metrics.tracking_sigmas(run_of(wrong, [Health.INERTIAL_ONLY] * 200), truth) is None
+    metrics = run_metrics.metrics_of("x", "mono", run_of(wrong), truth, truth.t_ns)
+    assert metrics.tracking_sigmas == pytest.approx(3.0)
+
+
 def test_missing_and_not_finite_estimates_are_failures(run_metrics: Any) -> None:
     truth, estimate = flight()
     healths = [Health.TRACKING] * 100 + [Health.LOST] * 100

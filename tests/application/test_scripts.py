@@ -179,6 +179,8 @@ def test_endings_of_runs_are_classified(stress: Any, run_metrics: Any) -> None:
     assert (
         stress.ending(replace(good, step_error_m=2.0, longest_gap_s=1.0)) == "bounded"
     )  # there are no poses in between
+    assert stress.ending(replace(good, tracking_sigmas=4.9)) == "bounded"
+    assert stress.ending(replace(good, tracking_sigmas=5.1)) == "**OVERCONFIDENT**"
     assert stress.ending(replace(good, max_m=3.0)) == "**UNBOUNDED**"
     lost = {"initializing": 10.0, "tracking": 60.0, "lost": 30.0}
     assert stress.ending(replace(good, max_m=3.0, health=lost)) == "loss reported"

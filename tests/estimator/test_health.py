@@ -1,6 +1,7 @@
 """The health monitor: what constrains an estimate, and when it is lost."""
 
 from dataclasses import replace
+from math import inf
 from typing import Any
 
 import numpy as np
@@ -8,7 +9,8 @@ import numpy.typing as npt
 import pytest
 
 from dronevio.estimator.backend.landmarks import TriangulatedLandmarks
-from dronevio.estimator.health import HealthConfig, HealthMonitor
+from dronevio.estimator.backend.reprojection import MEDIAN_CHI2_2DOF
+from dronevio.estimator.health import IMAGE_VARIANCES, HealthConfig, HealthMonitor
 from dronevio.estimator.types import NO_FEATURES, Calibration, Observations
 from dronevio.models.rig_presets import rig_named
 from dronevio.models.rotation import exp_so3, inverse_pose, pose_matrix
@@ -19,7 +21,9 @@ Array = npt.NDArray[np.float64]
 RIG = rig_named("euroc-stereo")
 SIGMA_PX = 0.8
 STEP_NS = 50_000_000
+ZEROS = np.zeros(40, np.int64)
 CONFIG = HealthConfig()
+DENSITIES = RIG.imu.gyro_noise_density, RIG.imu.accel_noise_density
 START = NavState(
     10**18,
     pose_matrix(exp_so3(np.array([0.1, -0.3, 0.8])), np.array([1.0, -2.0, 0.5])),
@@ -53,10 +57,12 @@ def observe(
     return Observations(triangulated.ids, xy, xy, np.ones(len(xy), np.int64), cameras)
 
 
-def monitor_of(triangulated: TriangulatedLandmarks) -> HealthMonitor:
+def monitor_of(
+    triangulated: TriangulatedLandmarks, config: HealthConfig = CONFIG, *, is_trusted: bool = True
+) -> HealthMonitor:
     """Return a health monitor whose keyframe is the start."""
-    monitor = HealthMonitor(RIG.imu, CONFIG, SIGMA_PX)
-    monitor.set_reference(START, triangulated)
+    monitor = HealthMonitor(RIG.imu, config, SIGMA_PX, is_trusted=is_trusted)
+    monitor.set_reference(START, triangulated, None, DENSITIES)
     return monitor
 
 
@@ -182,13 +188,92 @@ def test_only_a_lasting_contradiction_is_a_loss() -> None:
     triangulated, contradicting = landmarks_and_observations(40, error_px=2.0 * CONFIG.max_innovation_px)
     _, agreeing = landmarks_and_observations(40)
     frames = round(CONFIG.max_contradiction_s / 0.05)
-    monitor = monitor_of(triangulated)
+    monitor = monitor_of(triangulated, replace(CONFIG, max_nis=inf, max_consistent_nis=inf, max_frame_nis=inf))
     assess(monitor, agreeing, START)
     for k in range(1, frames):
         assert assess(monitor, contradicting, state_after(k)).health == Health.TRACKING
     assess(monitor, agreeing, state_after(frames))
     health = [assess(monitor, contradicting, state_after(frames + k)).health for k in range(1, frames + 3)]
     assert health.index(Health.LOST) == frames
+
+
+def error_of_nis(nis: float) -> float:
+    """Return the error of all observations [px] that has a NIS at the start, where only their noise counts."""
+    return SIGMA_PX * float(np.sqrt(MEDIAN_CHI2_2DOF * nis))
+
+
+def health_of(errors_px: list[float], monitor: HealthMonitor, triangulated: TriangulatedLandmarks) -> list[Health]:
+    """Return the health of keyframes at the start whose observations have these errors [px]."""
+    observed = {error: observe(triangulated, START, ZEROS, np.array([error, 0.0])) for error in set(errors_px)}
+    health = []
+    for k, error in enumerate(errors_px):
+        monitor.set_reference(state_after(k), triangulated, None, DENSITIES)
+        health.append(assess(monitor, observed[error], state_after(k)).health)
+    return health
+
+
+def test_inconsistent_innovations_are_a_loss() -> None:
+    """The innovation is small in pixels, and many times its standard deviation: lost when the window is full."""
+    triangulated, frames = landmarks(40, np.random.default_rng(1)), round(CONFIG.consistency_window_s / 0.05)
+    bad, good = error_of_nis(1.05 * CONFIG.max_nis), error_of_nis(1.0)
+    health = health_of([bad] * (frames + 1), monitor_of(triangulated), triangulated)
+    assert health == [Health.INERTIAL_ONLY] * frames + [Health.LOST]  # a frame with this NIS is not trusted, either
+    some = [bad if k % 4 == 0 else good for k in range(3 * frames)]  # less than half of the frames
+    assert set(health_of(some, monitor_of(triangulated), triangulated)) == {Health.INERTIAL_ONLY}
+    monitor, observations = monitor_of(triangulated), observe(triangulated, START, ZEROS, np.array([bad, 0.0]))
+    for k in range(3 * frames):  # frames without landmarks empty the window
+        monitor.set_reference(state_after(k), triangulated, None, DENSITIES)
+        report = assess(monitor, NO_FEATURES if k % frames == 0 else observations, state_after(k), stationary=True)
+        assert report.health != Health.LOST
+
+
+def test_recently_inconsistent_estimate_is_not_tracking() -> None:
+    triangulated, frames = landmarks(40, np.random.default_rng(1)), round(CONFIG.consistency_window_s / 0.05)
+    good, distrust = error_of_nis(1.0), round(CONFIG.distrust_s / 0.05)
+    monitor = monitor_of(triangulated)
+    health = health_of([good, error_of_nis(1.05 * CONFIG.max_frame_nis)] + [good] * 120, monitor, triangulated)
+    assert health == [Health.TRACKING] + [Health.INERTIAL_ONLY] * distrust + [Health.TRACKING] * (121 - distrust)
+    assert monitor.is_trusted
+    inconsistent = [error_of_nis(1.05 * CONFIG.max_consistent_nis)] * (frames + 1)
+    monitor = monitor_of(triangulated)
+    health = health_of(inconsistent + [good] * 20, monitor, triangulated)
+    assert health[:frames] == [Health.TRACKING] * frames and set(health[frames:]) == {Health.INERTIAL_ONLY}
+    assert not monitor.is_trusted
+    monitor = monitor_of(triangulated, is_trusted=False)
+    assert health_of([good] * 121, monitor, triangulated) == (
+        [Health.INERTIAL_ONLY] * distrust + [Health.TRACKING] * (121 - distrust)
+    )
+
+
+def test_nis_is_relative_to_the_estimated_noise() -> None:
+    triangulated = landmarks(40, np.random.default_rng(1))
+    observations = observe(triangulated, START, ZEROS, np.array([error_of_nis(8.0), 0.0]))
+    lower, upper = CONFIG.image_variance_bounds
+    for variances, expected in (
+        ([], 8.0),
+        ([None], 8.0),
+        ([2.0], 4.0),
+        ([0.5, 4.0, 2.0], 4.0),
+        ([8.0] * IMAGE_VARIANCES + [2.0] * (IMAGE_VARIANCES // 2 + 1), 4.0),
+        ([1e-6], 8.0 / lower),
+        ([1e6], 8.0 / upper),
+    ):
+        monitor = monitor_of(triangulated)
+        for variance in variances:
+            monitor.set_reference(START, triangulated, variance, DENSITIES)
+        assert assess(monitor, observations, START).innovation_nis == pytest.approx(expected)
+
+
+def test_noise_of_the_imu_in_the_nis_is_bounded() -> None:
+    triangulated = landmarks(40, np.random.default_rng(1))
+    observations = observe(triangulated, START, ZEROS, np.array([error_of_nis(8.0), 0.0]))
+
+    def nis_of(ratio: float) -> float:
+        monitor = monitor_of(triangulated)
+        monitor.set_reference(START, triangulated, None, (ratio * DENSITIES[0], ratio * DENSITIES[1]))
+        return assess(monitor, observations, state_after(10)).innovation_nis or 0.0
+
+    assert nis_of(0.1) == nis_of(1.0) > nis_of(2.0) > nis_of(CONFIG.max_noise_ratio) == nis_of(20.0)
 
 
 def test_a_fifth_of_outliers_is_no_contradiction() -> None:

@@ -6,7 +6,8 @@ import numpy as np
 
 from dronevio.estimator.imu.buffer import NO_INCREMENTS, Increments
 from dronevio.estimator.initialization.initializer import InitializerConfig
-from dronevio.estimator.output import Publisher
+from dronevio.estimator.initialization.not_observable import NotObservable
+from dronevio.estimator.output import MIN_CAUSE_NS, Publisher
 from dronevio.estimator.types import NO_FEATURES, NO_MATCHES, FramePacket, Matches
 from dronevio.models.state import Health, HealthReport, NavState
 
@@ -49,10 +50,10 @@ def test_miscalibration_and_its_end_are_reported_once() -> None:
     events = [publisher.without_state(each, "").events for each in packets]
     assert events == [
         (),
-        ("camera 1 contradicts its extrinsic calibration: not used for depth",),
+        ("camera 1 contradicts its calibration: not used for depth",),
         (),
-        ("camera 2 contradicts its extrinsic calibration: not used for depth",),
-        ("camera 1 agrees with its extrinsic calibration: used for depth",),
+        ("camera 2 contradicts its calibration: not used for depth",),
+        ("camera 1 agrees with its calibration: used for depth",),
         (),
     ]
 
@@ -69,6 +70,28 @@ def test_nothing_is_published_before_it_is_certain() -> None:
     later = [publisher.estimate(packet(), state(s), REPORT) for s in (1.0, 0.01)]
     assert later[0].state is None and later[0].health is Health.LOST
     assert later[1].events == ("recovered",)
+
+
+def test_cause_that_lasts_is_stated_once_for_each_cause() -> None:
+    publisher, second = new_publisher(), 1_000_000_000
+
+    def events_at(t_s: float, cause: str) -> tuple[str, ...]:
+        at = replace(packet(), t_ns=round(t_s * second))
+        return publisher.not_initialized(at, NotObservable("60% of the landmarks disagree", cause)).events
+
+    a, b = ("probable cause: axes",), ("probable cause: units",)
+    given = [(0.0, "axes"), (0.9, "axes"), (1.0, ""), (1.1, "axes"), (1.2, "axes"), (1.3, "units"), (2.2, "units")]
+    assert [events_at(*each) for each in given] == [(), (), (), a, (), (), ()]
+    assert (events_at(2.3, "units"), events_at(9.0, "units")) == (b, ())
+
+
+def test_cause_does_not_last_over_an_initialization() -> None:
+    publisher, obstacle = new_publisher(), NotObservable("60% of the landmarks disagree", "axes")
+    assert publisher.not_initialized(packet(), obstacle).events == ()
+    publisher.estimate(packet(), state(0.0), REPORT)
+    later = [replace(packet(), t_ns=t_ns) for t_ns in (2 * MIN_CAUSE_NS, 3 * MIN_CAUSE_NS)]
+    assert [publisher.not_initialized(each, obstacle).events for each in later] == [(), ("probable cause: axes",)]
+    assert str(obstacle) == "not observable yet: 60% of the landmarks disagree; axes"
 
 
 def test_an_imu_gap_is_reported_at_its_begin_and_end() -> None:

@@ -1,14 +1,16 @@
 """Runs of estimators: valid poses, real-time factor, and consistency with the recording."""
 
-from dataclasses import replace
+from dataclasses import astuple, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
 import pytest
 
+from dronevio.estimator.initialization.not_observable import ROTATION_DISAGREES
+from dronevio.estimator.vio import REPEATED_IMAGES
 from dronevio.eval.run import EstimatorRun, tracks_of
 from dronevio.models.errors import EvaluationError
-from dronevio.models.state import Health
+from dronevio.models.state import Health, HealthReport
 
 if TYPE_CHECKING:
     from tests.eval.conftest import SyntheticFlight
@@ -53,3 +55,30 @@ def test_a_run_must_belong_to_its_recording(flight: "SyntheticFlight") -> None:
 def test_an_estimate_without_tracks_has_empty_tracks(flight: "SyntheticFlight") -> None:
     tracks = tracks_of(replace(flight.run.estimates[0], tracks=None))
     assert (tracks.ids.shape, tracks.pixels.shape) == ((0,), (0, 2))
+
+
+def test_innovations_are_percentiles_over_frames(flight: "SyntheticFlight") -> None:
+    assert flight.run.innovations is None
+    reports = [
+        HealthReport(Health.TRACKING, "", innovation_px=0.01 * i, innovation_nis=0.1 * i) if i < 101 else None
+        for i in range(121)
+    ]
+    reports[-1] = HealthReport(Health.LOST, "no landmarks")
+    estimates = zip(flight.run.estimates, reports, strict=True)
+    run = replace(flight.run, estimates=tuple(replace(e, health_report=report) for e, report in estimates))
+    found = run.innovations
+    assert found is not None
+    assert astuple(found) == pytest.approx((0.5, 0.95, 5.0, 9.5))
+
+
+def test_losses_and_contradictions_are_warnings(flight: "SyntheticFlight") -> None:
+    first, second, *rest = flight.run.estimates
+    lost = replace(first, events=("keyframe", "lost: a speed of 90 m/s", f"probable cause: {ROTATION_DISAGREES}"))
+    repeated = replace(second, events=("recovered", REPEATED_IMAGES, "camera 1 contradicts its calibration"))
+    run = replace(flight.run, estimates=(lost, repeated, *(replace(e, events=("initialized",)) for e in rest)))
+    assert run.warnings == (
+        (first.t_ns, "lost: a speed of 90 m/s"),
+        (first.t_ns, f"probable cause: {ROTATION_DISAGREES}"),
+        (second.t_ns, REPEATED_IMAGES),
+        (second.t_ns, "camera 1 contradicts its calibration"),
+    )

@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from dronevio.estimator.backend.weighting import group_medians, robust_thresholds, variance_factor
+from dronevio.estimator.backend.weighting import group_medians, image_variance, robust_thresholds, variance_factor
 
 
 @pytest.mark.parametrize(("sigma", "expected"), [(0.5, 1.0), (1.0, 1.0), (2.0, 4.0), (3.0, 9.0)])
@@ -17,6 +17,19 @@ def test_variance_factor_is_that_of_the_noise(sigma: float, expected: float) -> 
 
 def test_variance_factor_without_observations_is_one() -> None:
     assert variance_factor(np.zeros(0)) == 1.0
+
+
+@pytest.mark.parametrize("views", [2, 3, 9])
+def test_image_variance_counts_the_fitted_landmarks(views: int) -> None:
+    """With V views, 2V − 3 of 2V equations are redundant, and the residuals are smaller than the noise."""
+    landmark = np.repeat(np.arange(10), views)
+    redundancy = (2 * views - 3) / (2 * views)
+    squared = np.full(len(landmark), 0.25 * redundancy * 2.0 * np.log(2.0))  # a standard deviation of half the assumed
+    assert image_variance(squared, landmark) == pytest.approx(0.25)
+
+
+def test_image_variance_of_single_views_is_unknown() -> None:
+    assert image_variance(np.ones(3), np.arange(3)) is None and image_variance(np.zeros(0), np.zeros(0, int)) is None
 
 
 def test_threshold_grows_with_the_median_of_the_keyframe() -> None:

@@ -10,7 +10,7 @@ import pytest
 from dronevio.estimator.imu.buffer import ImuBuffer
 from dronevio.estimator.initialization.dynamic import DynamicInitializationConfig, DynamicStart, initialize_dynamic
 from dronevio.estimator.initialization.gyro_bias import GyroBias
-from dronevio.estimator.initialization.static import NotObservable
+from dronevio.estimator.initialization.not_observable import NotObservable
 from dronevio.estimator.types import FramePacket
 from dronevio.models.state import NavState, Trajectory
 

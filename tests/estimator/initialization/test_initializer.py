@@ -1,6 +1,7 @@
 """The initializer: when a window of frame packets yields a smoother, on synthetic flights."""
 
 from collections.abc import Callable
+from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -13,8 +14,9 @@ from dronevio.estimator.imu.buffer import ImuBuffer
 from dronevio.estimator.imu.preintegration import PreintegrationConfig, PreintegrationParams
 from dronevio.estimator.initialization.gauge import Gauge, LastPublished, WorldOrigin
 from dronevio.estimator.initialization.initializer import Initializer, InitializerConfig
-from dronevio.estimator.initialization.static import NotObservable
+from dronevio.estimator.initialization.not_observable import FORCE_IS_NOT_GRAVITY, NotObservable
 from dronevio.estimator.types import Calibration, FramePacket
+from dronevio.models.imu import GRAVITY_M_S2
 
 if TYPE_CHECKING:
     from tests.estimator.conftest import SyntheticFlight
@@ -87,3 +89,19 @@ def test_static_window_yields_a_smoother(stationary_flight: "SyntheticFlight", s
     np.testing.assert_allclose(smoother.state.velocity_m_s, np.zeros(3), atol=0.01)
     np.testing.assert_allclose(smoother.state.T_world_imu[:3, 3], np.zeros(3), atol=0.01)
     np.testing.assert_allclose(smoother.state.gyro_bias_rad_s, truth.gyro_bias_rad_s, atol=2e-3)
+
+
+@pytest.mark.parametrize(("scale", "plausible"), [(1.0, True), (1.0 / GRAVITY_M_S2, False), (2.6, False), (2.4, True)])
+def test_accelerometer_in_other_units_is_refused(
+    stationary_flight: "SyntheticFlight", scale: float, plausible: bool
+) -> None:
+    gauge = WorldOrigin(gyro_bias_sigma_rad_s=0.05)
+    initializer, result = initializer_at(gauge), None
+    for index, packet in enumerate(packets_of(stationary_flight, round(CONFIG.static_window_s / FRAME_S) + 1)):
+        increments = replace(packet.increments, accel_m_s2=scale * packet.increments.accel_m_s2)
+        result = add(initializer, stationary_flight, replace(packet, increments=increments), FRAME_S * index, gauge)
+    if plausible:
+        assert not isinstance(result, NotObservable) or not result.cause
+    else:
+        assert isinstance(result, NotObservable) and result.cause == FORCE_IS_NOT_GRAVITY
+        assert "m/s², where about 9.81 is expected" in result.reason

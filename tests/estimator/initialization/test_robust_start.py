@@ -11,13 +11,26 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from dronevio.estimator.initialization.closed_form import NoiseModel, WindowState, on_sphere, solve_closed_form
-from dronevio.estimator.initialization.dynamic import DynamicInitializationConfig, DynamicStart, initialize_dynamic
-from dronevio.estimator.initialization.gyro_bias import GyroBias, epipolar_gyro_bias
+from dronevio.estimator.initialization.dynamic import (
+    DynamicInitializationConfig,
+    DynamicStart,
+    initialize_dynamic,
+    probable_cause,
+)
+from dronevio.estimator.initialization.gyro_bias import EpipolarSolution, GyroBias, epipolar_gyro_bias
+from dronevio.estimator.initialization.not_observable import (
+    ACCEL_DISAGREES,
+    FORCE_IS_NOT_GRAVITY,
+    MOTION_DISAGREES,
+    ROTATION_DISAGREES,
+    NotObservable,
+)
 from dronevio.estimator.initialization.refinement import refine
 from dronevio.estimator.initialization.robust import INLIER_WEIGHT, MEDIAN_FACTOR, robust_weights
 from dronevio.estimator.initialization.views import WindowMeasurements
 from dronevio.estimator.types import FramePacket
 from dronevio.models.imu import GRAVITY_M_S2
+from dronevio.models.rotation import exp_so3, pose_matrix
 from tests.estimator.initialization.test_dynamic import errors, window_of
 
 if TYPE_CHECKING:
@@ -110,7 +123,8 @@ def test_epipolar_bias_needs_no_initial_value(make_flight: MakeFlight, kind: str
     flight = make_flight(2, rest_s=-5.0, duration_s=2.0, pixel_noise=0.3, noisy=False, gyro_bias=BIAS)
     window = corrupted(window_of(flight), 0.33, WRONG[kind])
     views = measured(window, flight)
-    bias, weights = epipolar_gyro_bias(views, UNKNOWN, SIGMA, 2.0)
+    found = epipolar_gyro_bias(views, UNKNOWN, SIGMA, 2.0)
+    bias, weights = found.bias_rad_s, found.weights
     np.testing.assert_allclose(bias, biases_of(flight)[0], atol=0.012)
     wrong = is_wrong(views.tracks.ids, 0.33)
     assert weights[~wrong].mean() > 0.7
@@ -120,9 +134,9 @@ def test_epipolar_bias_needs_no_initial_value(make_flight: MakeFlight, kind: str
 
 def test_epipolar_bias_is_exact_without_noise(make_flight: MakeFlight) -> None:
     flight = make_flight(1, rest_s=-5.0, duration_s=2.0, noisy=False, sampling="increment", gyro_bias=BIAS)
-    bias, weights = epipolar_gyro_bias(
-        measured(window_of(flight), flight), GyroBias.isotropic(np.zeros(3), 10.0), SIGMA, 2.0
-    )
+    found = epipolar_gyro_bias(measured(window_of(flight), flight), GyroBias.isotropic(np.zeros(3), 10.0), SIGMA, 2.0)
+    bias, weights = found.bias_rad_s, found.weights
+    assert found.residual_sigmas < 1e-3
     np.testing.assert_allclose(bias, biases_of(flight)[0], atol=1e-6)
     assert weights.min() > 0.9
 
@@ -130,7 +144,8 @@ def test_epipolar_bias_is_exact_without_noise(make_flight: MakeFlight) -> None:
 def test_without_pairs_of_views_the_prior_remains(make_flight: MakeFlight) -> None:
     flight = make_flight(1, rest_s=-5.0, duration_s=2.0)
     prior = GyroBias.isotropic(np.array([0.01, 0.02, 0.03]), 0.05)
-    bias, weights = epipolar_gyro_bias(measured(window_of(flight, 0.15), flight), prior, SIGMA, 2.0)
+    found = epipolar_gyro_bias(measured(window_of(flight, 0.15), flight), prior, SIGMA, 2.0)
+    bias, weights = found.bias_rad_s, found.weights
     np.testing.assert_array_equal(bias, prior.mean_rad_s)
     assert (weights == 1.0).all()
 
@@ -138,13 +153,80 @@ def test_without_pairs_of_views_the_prior_remains(make_flight: MakeFlight) -> No
 def test_a_certain_prior_determines_the_bias(make_flight: MakeFlight) -> None:
     flight = make_flight(1, rest_s=-5.0, duration_s=2.0, gyro_bias=BIAS)
     views, prior = measured(window_of(flight), flight), GyroBias.isotropic(np.array([0.01, 0.02, 0.03]), 1e-7)
-    bias, _ = epipolar_gyro_bias(views, prior, SIGMA, 2.0)
+    bias = epipolar_gyro_bias(views, prior, SIGMA, 2.0).bias_rad_s
     np.testing.assert_allclose(bias, prior.mean_rad_s, atol=1e-6)
     moved = GyroBias.isotropic(prior.mean_rad_s + 1e-3, 1e-7)
     state = refine(
         views, solve_closed_form(views, bias, np.ones(len(views.tracks)), noise_of(0.1)), moved, noise_of(0.1)
     )
     np.testing.assert_allclose(state.state.gyro_bias, moved.mean_rad_s, atol=1e-5)
+
+
+def turned(flight: "SyntheticFlight", degrees: float) -> Array:
+    """Return the poses of a flight's cameras in the IMU frame, rotated about their optical axes."""
+    R = exp_so3(np.array([0.0, 0.0, np.radians(degrees)]))
+    return poses_of(flight) @ pose_matrix(R, np.zeros(3))
+
+
+def scaled(window: list[FramePacket], gyro: Array, accel: Array) -> list[FramePacket]:
+    """Return a window whose measurements of gyroscope and accelerometer are multiplied by matrices (3, 3)."""
+    packets = []
+    for packet in window:
+        increments = packet.increments
+        gyro_rad_s, accel_m_s2 = increments.gyro_rad_s @ gyro.T, increments.accel_m_s2 @ accel.T
+        changed = replace(increments, gyro_rad_s=gyro_rad_s, accel_m_s2=accel_m_s2)
+        packets.append(replace(packet, increments=changed))
+    return packets
+
+
+EYE, SWAPPED = np.eye(3), np.eye(3)[[1, 0, 2]]
+MISTAKES = {
+    "gyroscope in degrees": (np.degrees(1.0) * EYE, EYE, 0.0, ROTATION_DISAGREES),
+    "axes of the gyroscope": (SWAPPED, EYE, 0.0, ROTATION_DISAGREES),
+    "extrinsics": (EYE, EYE, 90.0, ROTATION_DISAGREES),
+    "axes of the accelerometer": (EYE, SWAPPED, 0.0, ACCEL_DISAGREES),
+    "accelerometer in g": (EYE, EYE / GRAVITY_M_S2, 0.0, FORCE_IS_NOT_GRAVITY),
+}
+
+
+@pytest.mark.parametrize("seed", range(2))
+@pytest.mark.parametrize("mistake", MISTAKES)
+def test_cause_of_a_failed_start_is_stated(make_flight: MakeFlight, mistake: str, seed: int) -> None:
+    gyro, accel, degrees, cause = MISTAKES[mistake]
+    flight = make_flight(seed, rest_s=-5.0, duration_s=2.0, pixel_noise=0.3, max_features=120)
+    window, focal_px = scaled(window_of(flight), gyro, accel), flight.rig.cameras[0].model.fx
+    found = initialize_dynamic(window, turned(flight, degrees), focal_px, DynamicInitializationConfig(), UNKNOWN)
+    assert isinstance(found, NotObservable) and found.cause == cause
+
+
+@pytest.mark.parametrize(
+    ("residual_sigmas", "bias_sigmas", "rotation_rad_s", "cause"),
+    [
+        (0.8, 0.0, 0.0, ROTATION_DISAGREES),
+        (0.1, 6.1, 0.0, ROTATION_DISAGREES),
+        (0.7, 2.9, 0.21, ACCEL_DISAGREES),
+        (0.7, 3.1, 0.21, MOTION_DISAGREES),
+        (0.1, 0.0, 0.19, MOTION_DISAGREES),
+    ],
+)
+def test_cause_needs_significant_rotation(
+    residual_sigmas: float, bias_sigmas: float, rotation_rad_s: float, cause: str
+) -> None:
+    solution = EpipolarSolution(np.zeros(3), np.ones(4), residual_sigmas, bias_sigmas)
+    assert probable_cause(solution, rotation_rad_s, DynamicInitializationConfig()) == cause
+
+
+def test_singular_refinement_is_no_start(make_flight: MakeFlight, monkeypatch: pytest.MonkeyPatch) -> None:
+    """With measurements that contradict each other, a landmark may come to lie in the centre of a camera."""
+
+    def singular(*_: object) -> None:
+        raise np.linalg.LinAlgError("Singular matrix")
+
+    monkeypatch.setattr("dronevio.estimator.initialization.dynamic.refine", singular)
+    flight = make_flight(0, rest_s=-5.0, duration_s=2.0)
+    focal_px, Ts = flight.rig.cameras[0].model.fx, turned(flight, 0.0)
+    found = initialize_dynamic(window_of(flight), Ts, focal_px, DynamicInitializationConfig(), UNKNOWN)
+    assert isinstance(found, NotObservable) and found.reason == "the refinement finds no solution" and found.cause
 
 
 def noise_of(accel_bias_sigma_m_s2: float) -> NoiseModel:

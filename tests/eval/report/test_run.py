@@ -122,6 +122,8 @@ def test_json_holds_the_scores_and_statistics(
         "mean_tracks": flight.run.n_tracks.mean(),
         "keyframes": sum("keyframe" in e.events for e in flight.run.estimates),
         "health": {"initializing": 10, "tracking": 111},
+        "innovations": None,
+        "warnings": [],
     }
     assert numbers["configuration"]["scenario"] == {"wind": None}
     assert numbers["seed"] == 3
