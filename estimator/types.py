@@ -102,7 +102,7 @@ class FramePacket:
 
 @dataclass(frozen=True, eq=False)
 class Calibration:
-    """The calibration in use: the given rig with the corrections that online calibration has applied.
+    """The calibration in use: the given rig with the corrections that online calibration has applied, also of gravity.
 
     It is the only source of calibration in the estimator and is immutable. A new correction makes a new object, which
     the odometry passes to its parts with each frame.
@@ -116,6 +116,8 @@ class Calibration:
     """(C, 2) Relative corrections of fx and fy of each camera; none by default."""
     principal_correction: Array | None = None
     """(C, 2) Corrections of the principal points, in units of fx and fy; none by default."""
+    gravity_correction_m_s2: float = 0.0
+    """Correction of the magnitude of gravity [m/s²], to be added to the given one."""
 
     @cached_property
     def Ts_imu_cam(self) -> Array:

@@ -181,6 +181,9 @@ class VisualInertialOdometry:
         events = result.events
         if self._calibrate(tracking, packet, result):
             smoother = smoother.recalibrated(self._calibration, self._online_calibration.covariance_inflation)
+            gravity_m_s2 = self._config.gravity_m_s2 + self._calibration.gravity_correction_m_s2
+            self._noise.set_gravity(gravity_m_s2)
+            self._imu_rate.set_gravity(gravity_m_s2)
             events = (*events, f"calibration corrected: {self._online_calibration.applied}")
         self._state = tracking = self._tracking(smoother, tracking.monitor, packet.observations)
         return tracking, events

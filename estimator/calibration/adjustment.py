@@ -13,7 +13,7 @@ import numpy as np
 import numpy.typing as npt
 from scipy.linalg import cho_factor, cho_solve
 
-from dronevio.estimator.calibration.corrections import Corrections
+from dronevio.estimator.calibration.corrections import GRAVITY, Corrections
 from dronevio.estimator.calibration.imu_factor import CalibrationImuFactor
 from dronevio.estimator.calibration.projection import project
 from dronevio.estimator.calibration.window import (
@@ -23,7 +23,6 @@ from dronevio.estimator.calibration.window import (
     window_observations,
     window_state,
 )
-from dronevio.models.imu import GRAVITY_M_S2
 from dronevio.models.rotation import exp_so3, log_so3
 
 Array = npt.NDArray[np.float64]
@@ -62,7 +61,7 @@ class CalibrationProblem:
         mean: Array,
         information: Array,
         estimated: npt.NDArray[np.bool_],
-        gravity_m_s2: float = GRAVITY_M_S2,
+        gravity_m_s2: float,
     ) -> None:
         """Select and triangulate the landmarks of a window.
 
@@ -71,13 +70,14 @@ class CalibrationProblem:
             Ts_imu_cam: (C, 4, 4) Poses of the cameras without corrections.
             focal_px: Focal length [px].
             config: Settings.
-            mean: (D,) Prior mean of the corrections, D = 1 + 10 C.
+            mean: (D,) Prior mean of the corrections, D = 2 + 10 C.
             information: (D, D) Prior information matrix of the corrections.
             estimated: (D,) Whether a correction is estimated. The prior of those that are not is independent of the
                 others.
-            gravity_m_s2: Magnitude of gravity of the preintegrated measurements [m/s²].
+            gravity_m_s2: Magnitude of gravity without correction [m/s²].
         """
-        self._config, self._focal_px, self._sigma = config, focal_px, config.pixel_sigma / focal_px
+        self._config, self._gravity_m_s2 = config, gravity_m_s2
+        self._focal_px, self._sigma = focal_px, config.pixel_sigma / focal_px
         self._prior_mean, self._prior_information = mean, information
         self._corrections, self._estimated = mean.copy(), np.flatnonzero(estimated)
         self._state = window_state(keyframes, Ts_imu_cam, Corrections.from_vector(self._corrections))
@@ -85,7 +85,7 @@ class CalibrationProblem:
         self._bias = np.concatenate([newest.gyro_bias_rad_s, newest.accel_bias_m_s2])
         self._first = self._state.R_world_imu[0].copy(), self._state.v_world_imu[0].copy(), self._bias.copy()
         self._factors = [
-            CalibrationImuFactor.from_preintegrated(keyframe.preintegrated, self._bias, gravity_m_s2)
+            CalibrationImuFactor.from_preintegrated(keyframe.preintegrated, self._bias, keyframe.gravity_m_s2)
             for keyframe in keyframes[1:]
             if keyframe.preintegrated
         ]
@@ -170,13 +170,15 @@ class CalibrationProblem:
 
     def _add_imu_factors(self, H: Array, b: Array, n: int) -> None:
         """Add the IMU factors between consecutive keyframes."""
-        s, bias_columns = self._state, np.arange(n - _BIAS_DIM, n)
+        s, of_gravity = self._state, np.flatnonzero(self._estimated == GRAVITY)
+        common = np.concatenate([np.arange(n - _BIAS_DIM, n), n + of_gravity])
+        gravity_m_s2 = self._gravity_m_s2 + s.corrections.gravity_m_s2
         for i, factor in enumerate(self._factors):
             pair = slice(i, i + 2)
-            r, J = factor.residual(
-                s.R_world_imu[pair], s.p_world_imu[pair], s.v_world_imu[pair], self._bias - self._first[2]
-            )
-            columns = np.concatenate([np.arange(_STATE_DIM * i, _STATE_DIM * (i + 2)), bias_columns])
+            bias = self._bias - self._first[2]
+            r, J = factor.residual(s.R_world_imu[pair], s.p_world_imu[pair], s.v_world_imu[pair], bias, gravity_m_s2)
+            columns = np.concatenate([np.arange(_STATE_DIM * i, _STATE_DIM * (i + 2)), common])
+            J = J[:, : len(columns)]  # without the column of gravity if it is not estimated
             weighted = J.T @ factor.information
             H[np.ix_(columns, columns)] += weighted @ J
             b[columns] -= weighted @ r

@@ -1,4 +1,4 @@
-"""Corrections of a rig's calibration, as a vector and as text."""
+"""Corrections of a rig's calibration and of gravity, as a vector and as text."""
 
 from dataclasses import dataclass
 
@@ -7,19 +7,25 @@ import numpy.typing as npt
 
 Array = npt.NDArray[np.float64]
 
+COMMON_PARAMETERS = 2
+"""Number of parameters that are not of one camera: time offset, gravity."""
+GRAVITY = 1
+"""Index of the correction of gravity in the vector of all parameters."""
 PARAMETERS_PER_CAMERA = 10
 """Number of parameters of a camera: rotation (3), translation (3), focal lengths (2), principal point (2)."""
 
 
 @dataclass(frozen=True, eq=False)
 class Corrections:
-    """Corrections of the time offset, extrinsics and intrinsics of C cameras, or their standard deviations.
+    """Corrections of time offset, gravity, extrinsics and intrinsics of C cameras, or their standard deviations.
 
-    The vector of all parameters begins with the time offset, followed by the ten parameters of each camera.
+    The vector of all parameters begins with time offset and gravity, followed by the ten parameters of each camera.
     """
 
     time_offset_s: float
     """Correction of the time offset, t_imu = t_cam + offset [s]."""
+    gravity_m_s2: float
+    """Correction of the magnitude of gravity [m/s²]."""
     rotation_rad: Array
     """(C, 3) Rotation vectors in the camera frames, applied on the right: R_imu_cam Exp(rotation) [rad]."""
     translation_m: Array
@@ -31,13 +37,14 @@ class Corrections:
 
     @classmethod
     def from_vector(cls, x: Array) -> "Corrections":
-        """Return the corrections of a vector (1 + 10 C,) of parameters."""
-        rows = x[1:].reshape(-1, PARAMETERS_PER_CAMERA)
-        return cls(float(x[0]), rows[:, 0:3], rows[:, 3:6], rows[:, 6:8], rows[:, 8:10])
+        """Return the corrections of a vector (2 + 10 C,) of parameters."""
+        rows = x[COMMON_PARAMETERS:].reshape(-1, PARAMETERS_PER_CAMERA)
+        return cls(float(x[0]), float(x[GRAVITY]), rows[:, 0:3], rows[:, 3:6], rows[:, 6:8], rows[:, 8:10])
 
     def __str__(self) -> str:
         """Return the corrections that are not zero as text, or "none"."""
         parts = [f"time offset {1e3 * self.time_offset_s:+.1f} ms"] if self.time_offset_s else []
+        parts += [f"gravity {self.gravity_m_s2:+.3f} m/s²"] if self.gravity_m_s2 else []
         for i in range(len(self.rotation_rad)):
             quantities = (
                 ("rotation", np.degrees(self.rotation_rad[i]), 2, "°"),

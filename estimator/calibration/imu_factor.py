@@ -9,7 +9,6 @@ import gtsam
 import numpy as np
 import numpy.typing as npt
 
-from dronevio.models.imu import GRAVITY_M_S2
 from dronevio.models.rotation import exp_so3, log_so3, skew
 
 Array = npt.NDArray[np.float64]
@@ -36,12 +35,10 @@ class CalibrationImuFactor:
     """(9, 6) Jacobian of rotation, position and velocity by the biases."""
     information: Array
     """(9, 9) Information matrix of rotation, position and velocity."""
-    gravity: Array
-    """(3,) Gravity in the world frame [m/s²]."""
 
     @classmethod
     def from_preintegrated(
-        cls, preintegrated: gtsam.PreintegratedCombinedMeasurements, bias: Array, gravity_m_s2: float = GRAVITY_M_S2
+        cls, preintegrated: gtsam.PreintegratedCombinedMeasurements, bias: Array, gravity_m_s2: float
     ) -> "CalibrationImuFactor":
         """Return the factor of GTSAM's preintegrated measurements, linearized at some biases (6,).
 
@@ -57,32 +54,34 @@ class CalibrationImuFactor:
             dR_step, dp_dv_step = _predicted(preintegrated, bias + step, gravity)
             J[:, axis] = np.concatenate([log_so3(dR.T @ dR_step), dp_dv_step - dp_dv]) / _BIAS_STEP
         information = np.asarray(np.linalg.inv(preintegrated.preintMeasCov()[:9, :9]), dtype=np.float64)
-        return cls(dt_s, dR, dp_dv, J, information, gravity)
+        return cls(dt_s, dR, dp_dv, J, information)
 
-    def residual(self, R: Array, p: Array, v: Array, bias: Array) -> tuple[Array, Array]:
-        """Return the residual (9,) between two keyframes, and its Jacobian (9, 24).
+    def residual(self, R: Array, p: Array, v: Array, bias: Array, gravity_m_s2: float) -> tuple[Array, Array]:
+        """Return the residual (9,) between two keyframes, and its Jacobian (9, 25).
 
         Args:
             R: (2, 3, 3) Orientations of the keyframes, `R_world_imu`.
             p: (2, 3) Positions in the world frame [m].
             v: (2, 3) Velocities in the world frame [m/s].
             bias: (6,) Correction of the biases at which the factor was linearized.
+            gravity_m_s2: Magnitude of gravity [m/s²].
 
         Returns:
             The residual of rotation, position and velocity, and its Jacobian by δθ (right), δp, δv of the first
-            keyframe, the same of the second, and the biases.
+            keyframe, the same of the second, the biases, and the magnitude of gravity.
         """
-        dt, R_start = self.dt_s, R[0].T
+        dt, R_start, gravity = self.dt_s, R[0].T, np.array([0.0, 0.0, -gravity_m_s2])
         dR = self.rotation @ exp_so3(self.J_bias[:3] @ bias)
         r_rotation = log_so3(dR.T @ R_start @ R[1])
-        dp = R_start @ (p[1] - p[0] - v[0] * dt - 0.5 * self.gravity * dt**2)
-        dv = R_start @ (v[1] - v[0] - self.gravity * dt)
+        dp = R_start @ (p[1] - p[0] - v[0] * dt - 0.5 * gravity * dt**2)
+        dv = R_start @ (v[1] - v[0] - gravity * dt)
         r = np.concatenate([r_rotation, np.concatenate([dp, dv]) - self.position_velocity - self.J_bias[3:] @ bias])
-        J = np.zeros((9, 24))
+        J = np.zeros((9, 25))
         J[0:3, 0:3], J[0:3, 9:12] = -R[1].T @ R[0], np.eye(3)
         J[3:6, 0:3], J[3:6, 3:6], J[3:6, 6:9], J[3:6, 12:15] = skew(dp), -R_start, -dt * R_start, R_start
         J[6:9, 0:3], J[6:9, 6:9], J[6:9, 15:18] = skew(dv), -R_start, R_start
-        J[:, 18:] = -self.J_bias
+        J[:, 18:24] = -self.J_bias
+        J[3:6, 24], J[6:9, 24] = 0.5 * dt**2 * R_start[:, 2], dt * R_start[:, 2]
         return r, J
 
 

@@ -1,4 +1,4 @@
-"""Online calibration: corrections of the cameras' time offset, extrinsics and intrinsics, where a flight requires them.
+"""Online calibration: corrections of time offset, gravity, extrinsics and intrinsics, where a flight requires them.
 
 A given calibration is kept until the observations of a window of keyframes contradict it. Successive windows do not
 overlap, so that each observation is used once. Each window is adjusted with the calibration among the unknowns
@@ -15,7 +15,7 @@ import numpy as np
 import numpy.typing as npt
 
 from dronevio.estimator.calibration.adjustment import CalibrationProblem
-from dronevio.estimator.calibration.corrections import Corrections
+from dronevio.estimator.calibration.corrections import GRAVITY, Corrections
 from dronevio.estimator.calibration.window import AdjustmentConfig, WindowKeyframe
 from dronevio.estimator.types import Calibration, Observations
 from dronevio.models.imu import GRAVITY_M_S2
@@ -40,6 +40,8 @@ class CalibratedPart:
     """Smallest correction that is applied."""
     walk: float
     """Random walk of the parameters, due to temperature and ageing, per √s."""
+    significance: float = 3.0
+    """Standard deviations by which an estimate must differ from the calibration in use before it is applied."""
 
 
 @dataclass(frozen=True)
@@ -48,6 +50,10 @@ class CalibrationConfig:
 
     time_offset: CalibratedPart = CalibratedPart(True, sigma=0.01, min_correction=0.0025, walk=1e-5)
     """Time offset of the cameras [s]. The smallest correction is half a sampling interval of a 200 Hz IMU."""
+    gravity: CalibratedPart = CalibratedPart(True, sigma=0.03, min_correction=0.01, walk=0.0, significance=1.5)
+    """Magnitude of gravity [m/s²], 9.780 at the equator and 9.832 at the poles. One camera observes it only where the
+    thrust varies, because scale and gravity are proportional otherwise. The significance is small, because the prior is
+    the true distribution on Earth."""
     rotation: CalibratedPart = CalibratedPart(True, sigma=0.02, min_correction=0.005, walk=1e-5)
     """Rotation of each camera, about each axis [rad]. The smallest correction is a quarter of a degree."""
     translation: CalibratedPart = CalibratedPart(False, sigma=0.02, min_correction=0.005, walk=1e-6)
@@ -56,8 +62,6 @@ class CalibrationConfig:
     """Focal lengths of each camera, relative."""
     principal: CalibratedPart = CalibratedPart(False, sigma=0.01, min_correction=0.003, walk=1e-6)
     """Principal point of each camera, in units of the focal lengths."""
-    significance: float = 3.0
-    """Standard deviations by which an estimate must differ from the calibration in use before it is applied."""
     window_s: float = 5.0
     """Length of the windows [s]."""
     max_keyframes: int = 30
@@ -72,36 +76,40 @@ class CalibrationConfig:
     """Standard deviations of the error that a wrong calibration leaves in the state when it is corrected: orientation
     [rad], position [m], velocity [m/s], gyroscope bias [rad/s] and accelerometer bias [m/s²]. They correspond to a
     rotation of one degree or a time offset of 5 ms."""
+    gravity_inflation_sigmas: tuple[float, float, float, float, float] = (0.001, 0.002, 0.01, 0.0, 0.03)
+    """Those that wrong gravity leaves. The accelerometer bias compensates most of it."""
     adjustment: AdjustmentConfig = field(default_factory=AdjustmentConfig)
     """Settings of the adjustment of the windows."""
 
 
 class OnlineCalibration:
-    """Estimates corrections of a rig's calibration from keyframes, and holds the calibration in use."""
+    """Estimates corrections of a rig's calibration and of gravity from keyframes, and holds the calibration in use."""
 
     def __init__(self, rig: Rig, config: CalibrationConfig | None = None, gravity_m_s2: float = GRAVITY_M_S2) -> None:
-        """Begin with a given calibration.
+        """Begin with a given calibration and magnitude of gravity.
 
         Args:
             rig: The given calibration.
             config: Settings.
-            gravity_m_s2: Magnitude of gravity [m/s²].
+            gravity_m_s2: Given magnitude of gravity [m/s²].
         """
         self._config, self._gravity_m_s2 = config or CalibrationConfig(), gravity_m_s2
         c = self._config
         self._calibration = self._given = Calibration(rig)
         per_camera = [c.rotation] * 3 + [c.translation] * 3 + [c.focal] * 2 + [c.principal] * 2
-        parts = [c.time_offset, *per_camera * len(rig.cameras)]
+        parts = [c.time_offset, c.gravity, *per_camera * len(rig.cameras)]
         self._estimated = np.array([part.online for part in parts])
         self._min_correction = np.array([part.min_correction for part in parts])
+        self._significance = np.array([part.significance for part in parts])
         self._walk = np.array([part.walk if part.online else 0.0 for part in parts])
-        # Parameters that are corrected together: the time offset, and each part of each camera
+        # Parameters that are corrected together: the time offset, gravity, and each part of each camera
         self._part = np.concatenate(
-            [[0], *(1 + 4 * i + np.repeat(np.arange(4), [3, 3, 2, 2]) for i in range(len(rig.cameras)))]
+            [[0, 1], *(2 + 4 * i + np.repeat(np.arange(4), [3, 3, 2, 2]) for i in range(len(rig.cameras)))]
         )
         self._mean = np.zeros(len(parts))
         self._covariance = np.diag([(part.sigma if part.online else FIXED_SIGMA) ** 2 for part in parts])
         self._applied = np.zeros(len(parts))
+        self._corrected = np.zeros(len(parts), dtype=np.bool_)  # by the last correction
         self._significant = np.zeros(int(self._part.max()) + 1, dtype=np.bool_)
         self._window: list[WindowKeyframe] = []
         self._waiting: list[WindowKeyframe] = []  # a complete window before its adjustment
@@ -131,8 +139,9 @@ class OnlineCalibration:
 
     @property
     def covariance_inflation(self) -> Array:
-        """(15, 15) Covariance of the error that a wrong calibration leaves in a state, in the order of `NavState`."""
-        return np.diag(np.repeat(self._config.inflation_sigmas, 3) ** 2)
+        """(15, 15) Covariance of the error that the last correction leaves in a state, in the order of `NavState`."""
+        c, only_gravity = self._config, not np.delete(self._corrected, GRAVITY).any()
+        return np.diag(np.repeat(c.gravity_inflation_sigmas if only_gravity else c.inflation_sigmas, 3) ** 2)
 
     def restart(self) -> None:
         """Discard the windows under way, because the states are not consistent with those that follow."""
@@ -159,8 +168,11 @@ class OnlineCalibration:
         parts = (observations, observations.matches, observations.miscalibrated)
         ids, camera, xy = (np.concatenate([getattr(p, name) for p in parts]) for name in ("ids", "camera", "xy"))
         xy = (1.0 + applied.focal[camera]) * xy + applied.principal[camera]
+        gravity_m_s2 = self._gravity_m_s2 + applied.gravity_m_s2
         self._window.append(
-            WindowKeyframe(state, angular_velocity_rad_s, applied.time_offset_s, preintegrated, ids, camera, xy)
+            WindowKeyframe(
+                state, angular_velocity_rad_s, applied.time_offset_s, gravity_m_s2, preintegrated, ids, camera, xy
+            )
         )
         if not self._has_stepped:
             self.step()
@@ -210,13 +222,12 @@ class OnlineCalibration:
         """Apply the corrections that are significant and large enough, and return whether there are any."""
         difference = np.abs(self._mean - self._applied)
         sigmas = np.sqrt(np.diag(self._covariance))
-        significant = self._estimated & (
-            difference > np.maximum(self._config.significance * sigmas, self._min_correction)
-        )
+        significant = self._estimated & (difference > np.maximum(self._significance * sigmas, self._min_correction))
         self._significant[self._part[significant]] = True
         if not significant.any():
             return False
-        self._applied = np.where(self._significant[self._part] & self._estimated, self._mean, self._applied)
+        self._corrected = self._significant[self._part] & self._estimated
+        self._applied = np.where(self._corrected, self._mean, self._applied)
         self._calibration = _corrected(self._given, self.applied)
         return True
 
@@ -233,4 +244,5 @@ def _corrected(given: Calibration, corrections: Corrections) -> Calibration:
         corrections.time_offset_s,
         corrections.focal if intrinsics else None,
         corrections.principal if intrinsics else None,
+        corrections.gravity_m_s2,
     )

@@ -11,7 +11,7 @@ import numpy as np
 import numpy.typing as npt
 
 from dronevio.estimator.backend.triangulation import MIN_DEPTH_M
-from dronevio.estimator.calibration.corrections import PARAMETERS_PER_CAMERA, Corrections
+from dronevio.estimator.calibration.corrections import COMMON_PARAMETERS, PARAMETERS_PER_CAMERA, Corrections
 from dronevio.models.rotation import exp_so3, skew
 
 Array = npt.NDArray[np.float64]
@@ -75,7 +75,7 @@ class Projection:
     J_point: Array
     """(N, 2, 3) Jacobian by the landmark in the world frame."""
     J_corrections: Array
-    """(N, 2, 1 + 10 C) Jacobian by the vector of corrections."""
+    """(N, 2, 2 + 10 C) Jacobian by the vector of corrections."""
 
 
 def camera_poses(state: CalibrationState, observations: CalibrationObservations) -> tuple[Array, Array]:
@@ -119,13 +119,13 @@ def project(state: CalibrationState, observations: CalibrationObservations, poin
     J_point = J_key @ np.swapaxes(R_world_imu, 1, 2)
     J_pose = np.concatenate([J_key @ skew(p_key), -J_point], axis=2)
 
-    J_corrections = np.zeros((len(k), 2, 1 + PARAMETERS_PER_CAMERA * len(state.Ts_imu_cam)))
+    J_corrections = np.zeros((len(k), 2, COMMON_PARAMETERS + PARAMETERS_PER_CAMERA * len(state.Ts_imu_cam)))
     dp_imu_dt = np.cross(p_imu, rate) - np.einsum("nji,nj->ni", R_world_imu, v)  # v not rotated by R_exposure_key
     J_corrections[:, :, 0] = np.einsum("nij,nj->ni", J_imu, dp_imu_dt)
     J_camera = np.zeros((len(k), 2, PARAMETERS_PER_CAMERA))
     J_camera[:, :, 0:3], J_camera[:, :, 3:6] = J_cam @ skew(p_cam), -J_imu
     J_camera[:, 0, 6], J_camera[:, 1, 7] = xy.T
     J_camera[:, 0, 8] = J_camera[:, 1, 9] = 1.0
-    columns = 1 + PARAMETERS_PER_CAMERA * camera[:, None] + np.arange(PARAMETERS_PER_CAMERA)
+    columns = COMMON_PARAMETERS + PARAMETERS_PER_CAMERA * camera[:, None] + np.arange(PARAMETERS_PER_CAMERA)
     np.put_along_axis(J_corrections, columns[:, None, :].repeat(2, axis=1), J_camera, axis=2)
     return Projection(residual, J_pose, J_point, J_corrections)

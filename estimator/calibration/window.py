@@ -31,6 +31,8 @@ class WindowKeyframe:
     """(3,) Angular velocity in the IMU frame, without bias [rad/s]."""
     time_offset_s: float
     """Correction of the time offset that the observations already contain [s]."""
+    gravity_m_s2: float
+    """Magnitude of gravity of the preintegrated IMU [m/s²]."""
     preintegrated: gtsam.PreintegratedCombinedMeasurements | None
     """Preintegrated IMU since the keyframe before; not used of the first."""
     ids: Integers

@@ -135,6 +135,10 @@ class ImuRatePropagator:
             return propagation.state(self._integrated[-1])
         return self._at_estimate(propagation.start)
 
+    def set_gravity(self, gravity_m_s2: float) -> None:
+        """Propagate from the next estimate on with another magnitude of gravity [m/s²]."""
+        self._params = replace(self._params, gravity_m_s2=gravity_m_s2)
+
     def correct(self, estimate: Estimate) -> None:
         """Propagate from a new estimate, of any earlier time; if it has no state, stop until the next one has."""
         self._drop_until(estimate.t_ns)

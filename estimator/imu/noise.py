@@ -8,7 +8,7 @@ estimation: Förstner, "Ein Verfahren zur Schätzung von Varianz- und Kovarianzk
 "Photogrammetric Computer Vision", 2016, section 4.2.4).
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import numpy.typing as npt
@@ -138,6 +138,10 @@ class ImuNoiseEstimator:
     def params(self) -> PreintegrationParams:
         """The noise with which the next interval is preintegrated."""
         return self._params
+
+    def set_gravity(self, gravity_m_s2: float) -> None:
+        """Preintegrate from the next interval on with another magnitude of gravity [m/s²]."""
+        self._params = replace(self._params, gravity_m_s2=gravity_m_s2)
 
     @property
     def densities(self) -> tuple[float, float]:

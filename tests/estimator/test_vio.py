@@ -1,5 +1,6 @@
 """The whole odometry on synthetic flights: landmarks replace images, so that a flight takes half a second."""
 
+import re
 from collections.abc import Callable
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any
@@ -27,6 +28,7 @@ EstimatedFlight = Callable[[int, float], "tuple[SyntheticFlight, list[Estimate]]
 STATIONARY, IN_MOTION = 1.5, -5.0
 """Time at which the motion begins, for a static and a dynamic initialization [s]."""
 SEEDS = range(4)
+GRAVITY_EVENT = re.compile(r"gravity (\S+) m/s²")
 
 
 def poses(estimates: list[Estimate]) -> Trajectory:
@@ -353,6 +355,18 @@ def test_gravity_is_a_setting(make_flight: MakeFlight, rest_s: float) -> None:
     flight = make_flight(seed=1, rest_s=rest_s, noisy=False, gravity_m_s2=9.7)
     errors_m = [ate_m(flight, poses(flight.run(config=config))) for config in (VioConfig(gravity_m_s2=9.7), None)]
     assert errors_m[0] < min(0.003, errors_m[1] / 3.0)
+
+
+def test_gravity_is_estimated(make_flight: MakeFlight) -> None:
+    """After the correction, the measurements contain it, so that later windows agree with it."""
+    flight = make_flight(seed=2, rest_s=IN_MOTION, duration_s=24.0, noisy=False, gravity_m_s2=9.84)
+    default = VioConfig().calibration
+    calibration = replace(default, gravity=replace(default.gravity, sigma=0.3, significance=0.2))
+    runs = [flight.run(config=VioConfig(calibration=c)) for c in (calibration, default)]
+    found = [float(text[1]) for e in runs[0] for event in e.events if (text := GRAVITY_EVENT.search(event))]
+    assert found == [pytest.approx(0.03, abs=0.005)]
+    errors_m = [ate_m(flight, poses(run[-200:])) for run in runs]
+    assert errors_m[0] < 0.3 * errors_m[1]
 
 
 def test_gravity_is_positive() -> None:

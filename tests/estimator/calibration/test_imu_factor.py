@@ -69,7 +69,7 @@ def test_measurement_agrees_with_direct_integration(
 def test_jacobian_is_the_derivative_of_the_residual(factor: CalibrationImuFactor, correction_scale: float) -> None:
     """The residual is zero where two keyframes agree with the IMU.
 
-    Its Jacobian by all 24 variables is evaluated at the biases of the preintegration, and at corrected ones.
+    Its Jacobian by all 25 variables is evaluated at the biases of the preintegration, and at corrected ones.
     """
     t, R_start = STEPS * DT_S, exp_so3(np.array([0.4, -0.7, 1.5]))
     v_start, bias = np.array([1.0, -0.5, 0.3]), correction_scale * np.array([1e-3, -2e-3, 1e-3, 0.02, 0.01, -0.02])
@@ -80,11 +80,13 @@ def test_jacobian_is_the_derivative_of_the_residual(factor: CalibrationImuFactor
 
     def residual(delta: Array) -> tuple[Array, Array]:
         rotation, position, velocity = np.swapaxes(delta[:18].reshape(2, 3, 3), 0, 1)
-        return factor.residual(R @ exp_so3(rotation), p + position, v + velocity, bias + delta[18:])
+        return factor.residual(
+            R @ exp_so3(rotation), p + position, v + velocity, bias + delta[18:24], GRAVITY_M_S2 + delta[24]
+        )
 
-    r, J = residual(np.zeros(24))
+    r, J = residual(np.zeros(25))
     if correction_scale == 0.0:
         np.testing.assert_allclose(r, 0.0, atol=1e-12)
     h = 1e-6
-    expected = np.stack([(residual(h * e)[0] - residual(-h * e)[0]) / (2.0 * h) for e in np.eye(24)], axis=1)
+    expected = np.stack([(residual(h * e)[0] - residual(-h * e)[0]) / (2.0 * h) for e in np.eye(25)], axis=1)
     np.testing.assert_allclose(J, expected, atol=1e-3)

@@ -14,6 +14,7 @@ from dronevio.estimator.imu.buffer import ImuBuffer
 from dronevio.estimator.imu.preintegration import Preintegration, PreintegrationConfig, PreintegrationParams
 from dronevio.estimator.types import Observations
 from dronevio.models.camera import CameraModel
+from dronevio.models.imu import GRAVITY_M_S2
 from dronevio.models.rig import Rig
 from dronevio.models.rotation import exp_so3, pose_matrix
 from dronevio.models.state import NavState
@@ -27,7 +28,7 @@ MakeFlight = Callable[..., "SyntheticFlight"]
 ROTATION_RAD = np.radians([0.6, -0.5, 0.7])
 TRANSLATION_M = np.array([0.01, -0.008, 0.006])
 ON, OFF = CalibratedPart(True, 0.5, 0.0, 0.0), CalibratedPart(False, 0.02, 0.0, 0.0)
-ALL_OFF = CalibrationConfig(OFF, OFF, OFF, OFF, OFF)
+ALL_OFF = CalibrationConfig(OFF, OFF, OFF, OFF, OFF, OFF)
 HOVER = {"positions_m": np.zeros((3, 2)), "angles_rad": np.zeros((3, 2))}
 NO_ROTATION = {"angles_rad": np.zeros((3, 2))}
 
@@ -66,8 +67,10 @@ class Keyframe:
     observations: Observations
 
 
-def keyframes(flight: "SyntheticFlight", errors: Errors) -> Iterator[Keyframe]:
-    """Yield the keyframes of a flight with its true rig, normalized by the assumed calibration."""
+def keyframes(
+    flight: "SyntheticFlight", errors: Errors, gravity_m_s2: Callable[[], float] = lambda: GRAVITY_M_S2
+) -> Iterator[Keyframe]:
+    """Yield the keyframes of a flight with its true rig, normalized by the assumed calibration and gravity."""
     front_end, buffer = replace(flight, rig=errors.true_rig(flight.rig)).front_end(), ImuBuffer()
     buffer.add(flight.imu)
     params, rng = PreintegrationParams.of(flight.rig.imu, PreintegrationConfig()), np.random.default_rng(0)
@@ -76,7 +79,7 @@ def keyframes(flight: "SyntheticFlight", errors: Errors) -> Iterator[Keyframe]:
         truth = flight.truth_at(np.array([t_ns]))
         assert truth.velocity_m_s is not None
         assert truth.gyro_bias_rad_s is not None and truth.accel_bias_m_s2 is not None
-        pim = Preintegration(params, gtsam.imuBias.ConstantBias())
+        pim = Preintegration(replace(params, gravity_m_s2=gravity_m_s2()), gtsam.imuBias.ConstantBias())
         pim.integrate(buffer.take_until(t_ns))
         front_end.track(flight.frame(index), np.eye(3))
         seen = front_end.replenish()
@@ -91,7 +94,7 @@ def keyframes(flight: "SyntheticFlight", errors: Errors) -> Iterator[Keyframe]:
 def calibrated(flight: "SyntheticFlight", config: CalibrationConfig, errors: Errors) -> OnlineCalibration:
     """Return the calibration after a flight."""
     calibration = OnlineCalibration(flight.rig, config)
-    for k in keyframes(flight, errors):
+    for k in keyframes(flight, errors, lambda: GRAVITY_M_S2 + calibration.applied.gravity_m_s2):
         calibration.add(k.state, k.rate_rad_s, k.preintegrated, k.observations)
     return calibration
 
@@ -141,6 +144,18 @@ def test_translation_of_the_camera_is_found(noiseless: "SyntheticFlight") -> Non
     np.testing.assert_allclose(found.estimate.translation_m[0], TRANSLATION_M, atol=1e-3)
 
 
+@pytest.mark.parametrize(("gravity_m_s2", "duration_s"), [(9.78, 7.0), (9.832, 19.0)])
+def test_gravity_is_found(make_flight: MakeFlight, gravity_m_s2: float, duration_s: float) -> None:
+    """By one window, and kept by two further ones, whose measurements contain the correction."""
+    flight = make_flight(
+        0, rest_s=-5.0, duration_s=duration_s, noisy=False, sampling="increment", gravity_m_s2=gravity_m_s2
+    )
+    found = calibrated(flight, replace(ALL_OFF, gravity=replace(ON, significance=0.0)), Errors(state_sigma=0.003))
+    assert found.estimate.gravity_m_s2 == pytest.approx(gravity_m_s2 - GRAVITY_M_S2, abs=2e-3)
+    assert found.calibration.gravity_correction_m_s2 == found.applied.gravity_m_s2 == found.estimate.gravity_m_s2
+    assert np.sqrt(found.covariance_inflation[[0, 3, 6, 12], [0, 3, 6, 12]]) == pytest.approx([1e-3, 2e-3, 0.01, 0.03])
+
+
 def test_a_hover_changes_neither_estimate_nor_covariance(make_flight: MakeFlight) -> None:
     """Without motion, neither time offset nor rotation is observable."""
     flight = make_flight(0, rest_s=-5.0, duration_s=7.0, motion=HOVER)
@@ -149,6 +164,7 @@ def test_a_hover_changes_neither_estimate_nor_covariance(make_flight: MakeFlight
     assert abs(found.estimate.time_offset_s) < 1e-3
     assert found.sigmas.time_offset_s == pytest.approx(CalibrationConfig().time_offset.sigma, rel=0.05)
     assert found.sigmas.rotation_rad.min() > 0.9 * CalibrationConfig().rotation.sigma
+    assert found.sigmas.gravity_m_s2 > 0.9 * CalibrationConfig().gravity.sigma
 
 
 def test_translation_is_unobservable_without_rotation(make_flight: MakeFlight) -> None:
@@ -164,6 +180,7 @@ def test_a_correct_calibration_is_not_changed(make_flight: MakeFlight, seed: int
     assert str(found.applied) == "none"
     estimate, sigmas = found.estimate, found.sigmas
     assert abs(estimate.time_offset_s) < 3.0 * sigmas.time_offset_s
+    assert abs(estimate.gravity_m_s2) < 1.5 * sigmas.gravity_m_s2
     assert np.all(np.abs(estimate.rotation_rad) < 3.0 * sigmas.rotation_rad)
 
 

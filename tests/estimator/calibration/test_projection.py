@@ -7,7 +7,7 @@ import numpy.typing as npt
 import pytest
 
 from dronevio.estimator.backend.triangulation import triangulate
-from dronevio.estimator.calibration.corrections import PARAMETERS_PER_CAMERA, Corrections
+from dronevio.estimator.calibration.corrections import COMMON_PARAMETERS, PARAMETERS_PER_CAMERA, Corrections
 from dronevio.estimator.calibration.projection import (
     CalibrationObservations,
     CalibrationState,
@@ -43,7 +43,7 @@ class Problem:
 @pytest.fixture
 def problem() -> Problem:
     rng = np.random.default_rng(0)
-    corrections = rng.normal(size=1 + PARAMETERS_PER_CAMERA * CAMERAS) * 0.01
+    corrections = rng.normal(size=COMMON_PARAMETERS + PARAMETERS_PER_CAMERA * CAMERAS) * 0.01
     state = CalibrationState(
         R_world_imu=exp_so3(0.1 * rng.normal(size=(K, 3))),
         p_world_imu=0.3 * rng.normal(size=(K, 3)),
@@ -90,9 +90,9 @@ def test_jacobian_by_landmarks(problem: Problem) -> None:
 
 def without_rotations(corrections: Array) -> Array:
     """Return a vector of corrections without rotations, at which corrections by addition and on the right agree."""
-    cameras = corrections[1:].reshape(CAMERAS, PARAMETERS_PER_CAMERA).copy()
+    cameras = corrections[COMMON_PARAMETERS:].reshape(CAMERAS, PARAMETERS_PER_CAMERA).copy()
     cameras[:, :3] = 0.0
-    return np.concatenate([corrections[:1], cameras.ravel()])
+    return np.concatenate([corrections[:COMMON_PARAMETERS], cameras.ravel()])
 
 
 def test_jacobian_by_extrinsics_and_intrinsics(problem: Problem) -> None:

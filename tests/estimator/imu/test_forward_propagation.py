@@ -208,3 +208,13 @@ def test_states_at_times_are_those_of_the_samples() -> None:
         state = ahead.state_at(int(samples.t_ns[k]) + STEP_NS // 2)
         assert state is not None and state.t_ns == samples.t_ns[k]
         np.testing.assert_array_equal(state.T_world_imu, expected[k - 5].T_world_imu)
+
+
+def test_gravity_can_be_corrected() -> None:
+    """From the next estimate on, a difference of 0.1 m/s² moves the velocity by 0.1 m/s per second."""
+    samples, T, v, _ = samples_on_circle(201)
+    propagator = ImuRatePropagator(EUROC_IMU)
+    propagator.set_gravity(GRAVITY_M_S2 + 0.1)
+    propagator.correct(estimate(T0_NS, T[0], v[0]))
+    velocity = propagator.add_imu(samples)[-1].velocity_m_s
+    np.testing.assert_allclose(velocity - v[-1], [0.0, 0.0, -0.1], atol=2e-4)
