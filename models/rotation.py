@@ -12,14 +12,17 @@ import numpy.typing as npt
 
 Array = npt.NDArray[np.float64]
 
+_IDENTITY = np.eye(3)
 _SMALL_ANGLE_RAD = 1e-7  # below it, the first terms of the series are exact to double precision
 
 
 def skew(v: Array) -> Array:
     """Return [v]× (…, 3, 3) of v (…, 3), so that [v]× u = v × u."""
-    x, y, z = v[..., 0], v[..., 1], v[..., 2]
-    o = np.zeros_like(x)
-    return np.stack([o, -z, y, z, o, -x, -y, x, o], axis=-1).reshape(*v.shape[:-1], 3, 3)
+    K = np.zeros((*v.shape[:-1], 3, 3))
+    for k, (i, j) in enumerate(((1, 2), (2, 0), (0, 1))):
+        K[..., j, i] = v[..., k]
+        K[..., i, j] = -v[..., k]
+    return K
 
 
 def cross(a: Array, b: Array) -> Array:
@@ -36,14 +39,17 @@ def cross(a: Array, b: Array) -> Array:
 
 
 def exp_so3(phi_rad: Array) -> Array:
-    """Return the rotation matrices (…, 3, 3) of rotation vectors (…, 3) [rad] (Rodrigues' formula)."""
+    """Return the rotation matrices (…, 3, 3) of rotation vectors (…, 3) [rad].
+
+    Rodrigues' formula I + a [φ]× + b [φ]×², in which [φ]×² = φ φᵀ − |φ|² I.
+    """
     phi = np.asarray(phi_rad, dtype=np.float64)
-    angle = np.linalg.norm(phi, axis=-1)[..., None, None]
-    safe = np.where(angle < _SMALL_ANGLE_RAD, 1.0, angle)
-    a = np.where(angle < _SMALL_ANGLE_RAD, 1.0 - angle**2 / 6.0, np.sin(safe) / safe)
-    b = np.where(angle < _SMALL_ANGLE_RAD, 0.5 - angle**2 / 24.0, (1.0 - np.cos(safe)) / safe**2)
-    K = skew(phi)
-    return np.asarray(np.eye(3) + a * K + b * (K @ K))
+    angle = np.sqrt(np.add.reduce(phi * phi, axis=-1))[..., None, None]
+    small = angle < _SMALL_ANGLE_RAD
+    safe = np.where(small, 1.0, angle)
+    a = np.where(small, 1.0 - angle**2 / 6.0, np.sin(safe) / safe)
+    b = np.where(small, 0.5 - angle**2 / 24.0, (1.0 - np.cos(safe)) / safe**2)
+    return np.asarray((1.0 - b * angle**2) * _IDENTITY + a * skew(phi) + b * phi[..., :, None] * phi[..., None, :])
 
 
 def integrated_rotations(phi_rad: Array) -> Array:

@@ -7,6 +7,7 @@ keyframes first, then the landmarks.
 
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
+from functools import cached_property
 
 import gtsam
 import numpy as np
@@ -78,13 +79,21 @@ class MarginalPrior:
         """
         if k not in self.states:
             return current
-        start = STATE_DIM * list(self.states).index(k)
-        is_constrained, first = np.diag(self.H)[start : start + STATE_DIM] > 0.0, self.states[k]
+        first, (pose, velocity, bias) = self.states[k], self._constrained[k]
         return KeyframeState(
-            first.pose if is_constrained[:6].any() else current.pose,
-            first.velocity if is_constrained[6:9].any() else current.velocity,
-            first.bias if is_constrained[9:].any() else current.bias,
+            first.pose if pose else current.pose,
+            first.velocity if velocity else current.velocity,
+            first.bias if bias else current.bias,
         )
+
+    @cached_property
+    def _constrained(self) -> Mapping[int, tuple[bool, bool, bool]]:
+        """Whether the prior has information on pose, velocity and biases of its keyframes."""
+        rows = np.diag(self.H)[: STATE_DIM * len(self.states)].reshape(-1, STATE_DIM) > 0.0
+        return {
+            k: (bool(row[:6].any()), bool(row[6:9].any()), bool(row[9:].any()))
+            for k, row in zip(self.states, rows, strict=True)
+        }
 
     def right_hand_side(self, states: Mapping[int, KeyframeState], points: Mapping[int, Array]) -> Array:
         """Return the right-hand side (n,) of H δ = b where δ is taken from current estimates.

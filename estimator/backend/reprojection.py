@@ -18,7 +18,7 @@ import numpy.typing as npt
 
 from dronevio.estimator.backend.observations import Integers, ObservationTable
 from dronevio.estimator.backend.triangulation import MIN_DEPTH_M
-from dronevio.models.rotation import skew
+from dronevio.models.rotation import cross
 
 Array = npt.NDArray[np.float64]
 
@@ -77,10 +77,11 @@ class VisualSystem:
         K = len(self.H_pose)
         H_cross = self.H_cross[eliminated].reshape(-1, 6 * K, 3)
         gain = H_cross @ _damped_inverse(self.H_point[eliminated])
-        H = -np.tensordot(gain, H_cross, axes=([0, 2], [0, 2]))
+        gain_rows, cross_rows = (np.swapaxes(A, 0, 1).reshape(6 * K, -1) for A in (gain, H_cross))
+        H = -gain_rows @ cross_rows.T
         for k in range(K):
             H[6 * k : 6 * k + 6, 6 * k : 6 * k + 6] += self.H_pose[k]
-        b = self.b_pose.ravel() - np.einsum("lpi,li->p", gain, self.b_point[eliminated])
+        b = self.b_pose.ravel() - gain_rows @ self.b_point[eliminated].ravel()
         return H, b
 
     def back_substitute(self, delta_poses: Array) -> Array:
@@ -134,13 +135,15 @@ def visual_system(
     R_cam_imu = np.swapaxes(Ts_imu_cam[:, :3, :3], 1, 2)[observations.camera]
     projected = p_cam[:, :2] * inverse_depth[:, None]
     J_imu = (R_cam_imu[:, :2] - projected[:, :, None] * R_cam_imu[:, None, 2]) * scaled[:, None, None]
-    J_point = J_imu @ np.swapaxes(R_world_imu, 1, 2)[indices.keyframe]
-    J_pose = np.concatenate([J_imu @ skew(p_imu), -J_imu], axis=2)
+    J_point = _products(J_imu, np.swapaxes(R_world_imu, 1, 2)[indices.keyframe])
+    J_pose = np.concatenate([cross(J_imu, p_imu[:, None]), -J_imu], axis=2)
     r = (residual * np.sqrt(weight)[:, None])[..., None]
 
-    H_b_pose, J_r = np.zeros((K, 6, 7)), np.concatenate([J_pose, r], axis=2)  # H and b side by side
-    for k in np.unique(indices.keyframe).tolist():
-        J_r_k = J_r[indices.keyframe == k].reshape(-1, 7)
+    order = np.argsort(indices.keyframe, kind="stable")
+    bounds = np.searchsorted(indices.keyframe[order], np.arange(K + 1)).tolist()
+    H_b_pose, J_r = np.zeros((K, 6, 7)), np.concatenate([J_pose, r], axis=2)[order]  # H and b side by side
+    for k in range(K):
+        J_r_k = J_r[bounds[k] : bounds[k + 1]].reshape(-1, 7)
         H_b_pose[k] = J_r_k[:, :6].T @ J_r_k
 
     H_cross, products = np.zeros((L, K, 6, 3)), _transposed_products(J_pose, J_point)
@@ -161,14 +164,20 @@ def _transposed_products(A: Array, B: Array) -> Array:
     return np.asarray(A[:, 0, :, None] * B[:, 0, None, :] + A[:, 1, :, None] * B[:, 1, None, :])
 
 
+def _products(A: Array, B: Array) -> Array:
+    """Return A B (N, i, 3) of matrices (N, i, 3) and (N, 3, 3); much faster than `numpy.matmul`."""
+    first, second, third = (A[..., k, None] * B[:, None, k] for k in range(3))
+    return np.asarray(first + second + third)
+
+
 def _to_imu_and_camera_frame(
     observations: ObservationTable, indices: ObservationIndices, Ts_imu_cam: Array, state: VisualState
 ) -> tuple[Array, Array]:
     """Return the positions (N, 3) of the observed landmarks in the IMU frame and in the camera frame."""
     relative = (state.points[indices.landmark] - state.p_world_imu[indices.keyframe])[:, None]
-    p_imu = (relative @ state.R_world_imu[indices.keyframe])[:, 0]
+    p_imu = _products(relative, state.R_world_imu[indices.keyframe])[:, 0]
     T = Ts_imu_cam[observations.camera]
-    p_cam = ((p_imu - T[:, :3, 3])[:, None] @ T[:, :3, :3])[:, 0]
+    p_cam = _products((p_imu - T[:, :3, 3])[:, None], T[:, :3, :3])[:, 0]
     return p_imu, p_cam
 
 

@@ -84,7 +84,9 @@ class ExposureCompensation:
     def __init__(self, gravity_m_s2: float = GRAVITY_M_S2) -> None:
         """Begin before the first frame, with the magnitude of gravity [m/s²]."""
         self._gravity_m_s2 = gravity_m_s2
-        self._rotation = LocalRotation.of(NO_INCREMENTS, NO_INCREMENTS, np.zeros(3))
+        self._increments = NO_INCREMENTS, NO_INCREMENTS  # before and after the frame
+        self._gyro_bias_rad_s = np.zeros(3)
+        self._local_rotation: LocalRotation | None = None  # computed when it is used, which is not in every frame
         self._accel_m_s2 = np.zeros(3)
         self._frame_interval_s = 0.0
         self._now = self._last = _Exposed(np.zeros(0, np.int64), np.zeros(0), np.zeros((0, 3)))
@@ -109,9 +111,16 @@ class ExposureCompensation:
             gyro_bias_rad_s: (3,) Gyroscope bias [rad/s].
         """
         self._last, self._frame_interval_s = self._now, float(before.dt_s.sum())
-        self._rotation = LocalRotation.of(before, after, gyro_bias_rad_s)
+        self._increments, self._gyro_bias_rad_s, self._local_rotation = (before, after), gyro_bias_rad_s, None
         near = np.vstack([before.accel_m_s2[-ACCEL_SAMPLES:], after.accel_m_s2[:ACCEL_SAMPLES]])
         self._accel_m_s2 = near.mean(axis=0) if len(near) else np.zeros(3)
+
+    @property
+    def _rotation(self) -> LocalRotation:
+        """The rotation shortly before and after the frame."""
+        if self._local_rotation is None:
+            self._local_rotation = LocalRotation.of(*self._increments, self._gyro_bias_rad_s)
+        return self._local_rotation
 
     @property
     def angular_velocity_rad_s(self) -> Array:

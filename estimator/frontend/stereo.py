@@ -107,7 +107,9 @@ class StereoMatcher:
         back, returned = klt.track(second, first, matched, start, c.window_px, 0)
         found &= returned & (np.linalg.norm(back - start, axis=1) < c.max_backward_error_px) & self._inside(matched)
         rows, matched = candidates[found], matched[found]
-        bearings = self._second.unproject(matched)
+        xy_second = self._second.normalize(matched)
+        bearings = np.column_stack([xy_second, np.ones(len(xy_second))])
+        bearings /= np.linalg.norm(bearings, axis=1, keepdims=True)
         bearings = bearings @ exp_so3(self._rotation_correction(xy[rows], bearings)).T
         epipolar_error, depth = self._geometry(xy[rows], bearings)
         with np.errstate(invalid="ignore"):  # pixels outside the lens model have NaN bearings and are rejected
@@ -115,7 +117,6 @@ class StereoMatcher:
             half_pixel_m = 0.5 * pixel / max(float(np.linalg.norm(self._t)), 1e-6)
             valid = np.abs(epipolar_error) < self._config.max_epipolar_error_px * pixel
             valid &= ((depth > -half_pixel_m) & (depth < 1.0 / self._config.min_depth_m)) | self.is_miscalibrated
-        xy_second = self._second.normalize(matched)
         valid &= np.isfinite(xy_second).all(axis=1)
         return StereoMatches(rows[valid], matched[valid], xy_second[valid], np.maximum(depth[valid], 0.0))
 

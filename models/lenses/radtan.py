@@ -61,8 +61,8 @@ def unproject(uv: Array, coefficients: Coefficients) -> Array:
     xy = uv.copy()
     if any(coefficients):
         limit = valid_limit(coefficients) * _INSIDE
+        residual = distort(xy, coefficients) - uv
         for _ in range(_ITERATIONS):
-            residual = distort(xy, coefficients) - uv
             if not np.any(np.abs(residual) > _CONVERGED):
                 break
             xx, off, yy = _derivatives(xy, coefficients)
@@ -70,7 +70,8 @@ def unproject(uv: Array, coefficients: Coefficients) -> Array:
             dx = (yy * residual[..., 0] - off * residual[..., 1]) / det
             dy = (xx * residual[..., 1] - off * residual[..., 0]) / det
             xy = _within(xy - np.stack([dx, dy], axis=-1), limit)
-        unsolved = np.abs(distort(xy, coefficients) - uv).max(axis=-1, keepdims=True) > _SOLVED
+            residual = distort(xy, coefficients) - uv
+        unsolved = np.abs(residual).max(axis=-1, keepdims=True) > _SOLVED
         xy = np.where(unsolved, np.nan, xy)
     return np.concatenate([xy, np.ones_like(xy[..., :1])], axis=-1)
 
