@@ -23,7 +23,8 @@ if TYPE_CHECKING:
 _HOUSE = Path(dronevio.__file__).parent
 _DRAWS = tuple(_HOUSE / name for name in ("sim", "models", "recorder.py"))
 _ESTIMATES = tuple(
-    _HOUSE / name for name in ("estimator", "eval/metrics", "driver.py", "external_program.py", "registry.py")
+    _HOUSE / name
+    for name in ("estimator", "eval/metrics", "eval/tracking.py", "driver.py", "external_program.py", "registry.py")
 )
 _DRAWING_PACKAGES = ("dronevio", "mujoco", "opencv-python-headless", "numpy")
 _PACKAGES = (*_DRAWING_PACKAGES, "python", "gtsam")
@@ -64,6 +65,7 @@ class Workbench:
     def estimate(self, spec: RecordingSpec, recording: Path, estimator: str) -> dict[str, Any]:
         """Run an estimator on a recording and score it."""
         from dronevio.eval.metrics.scores import score
+        from dronevio.eval.tracking import longest_loss_s, tracking_sigmas
         from dronevio.models.recordings.open import open_recording
 
         self._check_here()
@@ -79,6 +81,8 @@ class Workbench:
             "cpu_ms_p99": estimated.cpu_ms_p99,
             "real_time_factor": estimated.real_time_factor,
             "defects": defects_text(estimated.defects),
+            "longest_loss_s": None if estimated.run is None else longest_loss_s(estimated.run),
+            "tracking_sigmas": None if estimated.run is None else tracking_sigmas(estimated.run, opened.ground_truth),
         }
 
     def _named(self, label: str) -> NamedEstimator:

@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
+from dronevio.eval.run import EstimatorRun
 from dronevio.external_program import OUTPUT, RECORDING, ProgramRun, run_program
 from dronevio.models.defects import Defect, refuse_defects
 from dronevio.models.errors import ConfigError
@@ -99,6 +100,8 @@ class Estimated:
     """Duration of the flight divided by the processor time."""
     defects: tuple[Defect, ...] = ()
     """Defects of the recording."""
+    run: EstimatorRun | None = None
+    """The estimates of all frames; None for a program, which reports nothing but poses."""
 
 
 @dataclass(frozen=True)
@@ -152,6 +155,7 @@ class NamedEstimator:
             float(np.percentile(run.cpu_ms, 99.0)),
             run.real_time_factor,
             run.defects,
+            run,
         )
 
 

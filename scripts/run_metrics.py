@@ -8,10 +8,11 @@ import numpy as np
 import numpy.typing as npt
 
 from dronevio.eval.metrics.association import interpolate
-from dronevio.eval.metrics.consistency import anchor_first, errors_and_sigmas_m
+from dronevio.eval.metrics.consistency import anchor_first
 from dronevio.eval.metrics.errors import relative_errors, translation_errors_m
 from dronevio.eval.metrics.scores import score_trajectory
 from dronevio.eval.run import EstimatorRun
+from dronevio.eval.tracking import tracking_sigmas
 from dronevio.models.errors import EvaluationError
 from dronevio.models.state import Estimate, Health, Trajectory
 
@@ -173,25 +174,6 @@ def metrics_of(
         nees_position_over_time=tuple(np.round(c.position_nees[rows], 4).tolist()),
         nees_orientation_over_time=tuple(np.round(c.orientation_nees[rows], 4).tolist()),
     )
-
-
-def tracking_sigmas(run: EstimatorRun, truth: Trajectory) -> float | None:
-    """Return the largest error of position while a run reports that it tracks, in standard deviations; None if never.
-
-    Position and yaw of the first pose are taken from the ground truth. The standard deviation is that along the least
-    certain axis.
-    """
-    true, rows = interpolate(truth, run.trajectory.t_ns)
-    estimate = run.trajectory[rows]
-    error_m, sigma_m = errors_and_sigmas_m(true, estimate)
-    tracking = is_tracking(run, estimate)
-    return float(np.max(error_m[tracking] / sigma_m[tracking])) if tracking.any() else None
-
-
-def is_tracking(run: EstimatorRun, estimate: Trajectory) -> npt.NDArray[np.bool_]:
-    """Return at which poses (N,) of a run it reports that it tracks."""
-    times_ns = [each.t_ns for each in run.estimates if each.health is Health.TRACKING]
-    return np.isin(estimate.t_ns, times_ns)
 
 
 def health_shares(estimates: Sequence[Estimate]) -> dict[str, float]:

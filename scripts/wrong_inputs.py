@@ -18,7 +18,6 @@ import numpy as np
 import numpy.typing as npt
 import tyro
 from initialization_accuracy import ground_truth_of
-from run_metrics import is_tracking
 
 from dronevio.cli.terminal import print_table
 from dronevio.driver import estimate_recording
@@ -32,6 +31,7 @@ from dronevio.estimator.vio import REPEATED_IMAGES, VisualInertialOdometry
 from dronevio.eval.metrics.association import interpolate
 from dronevio.eval.metrics.consistency import errors_and_sigmas_m
 from dronevio.eval.run import EstimatorRun
+from dronevio.eval.tracking import is_tracking
 from dronevio.models.imu import GRAVITY_M_S2, ImuSamples
 from dronevio.models.protocols import Recording
 from dronevio.models.recordings.open import open_recording

@@ -151,14 +151,32 @@ _STRESS = tuple(
     Scenario(f"room-{name}-v0", f"the agile tour of a room, {what}", _ROOM, faults=faults)
     for name, what, faults in (
         ("dark-1s", "with dark images for 1 s", Faults(dark_from_s=12.0, dark_for_s=1.0)),
+        ("dark-2s", "with dark images for 2 s", Faults(dark_from_s=12.0, dark_for_s=2.0)),
         ("dark-5s", "with dark images for 5 s", Faults(dark_from_s=12.0, dark_for_s=5.0)),
+        ("drops-25", "with a quarter of the frames lost", Faults(dropped_frames=0.25)),
         ("drops", "with half of the frames lost", Faults(dropped_frames=0.5)),
+        ("drops-75", "with three quarters of the frames lost", Faults(dropped_frames=0.75)),
+        ("jitter-1ms", "with time stamps of frames that err by 1 ms", Faults(stamp_jitter_s=0.001)),
+        ("jitter-3ms", "with time stamps of frames that err by 3 ms", Faults(stamp_jitter_s=0.003)),
+        ("jitter-10ms", "with time stamps of frames that err by 10 ms", Faults(stamp_jitter_s=0.01)),
+        ("offset-2ms", "with an uncalibrated camera time offset of 2 ms", Faults(hidden_time_offset_s=0.002)),
         ("offset", "with an uncalibrated camera time offset of 5 ms", Faults(hidden_time_offset_s=0.005)),
+        ("offset-15ms", "with an uncalibrated camera time offset of 15 ms", Faults(hidden_time_offset_s=0.015)),
+        ("tilt-20min", "with an uncalibrated camera rotation of 20'", Faults(hidden_tilt_rad=math.radians(1.0 / 3.0))),
         ("tilt", "with an uncalibrated camera rotation of 1°", Faults(hidden_tilt_rad=math.radians(1.0))),
+        ("tilt-3deg", "with an uncalibrated camera rotation of 3°", Faults(hidden_tilt_rad=math.radians(3.0))),
         ("noise", "with twice the calibrated IMU noise", Faults(imu_noise_factor=2.0)),
+        ("noise-4x", "with four times the calibrated IMU noise", Faults(imu_noise_factor=4.0)),
+        ("noise-8x", "with eight times the calibrated IMU noise", Faults(imu_noise_factor=8.0)),
+        ("saturated-86dps", "with a gyroscope that saturates at 86 °/s", Faults(gyro_range_rad_s=1.5)),
         ("saturated", "with a gyroscope that saturates at 57 °/s", Faults(gyro_range_rad_s=1.0)),
+        ("saturated-40dps", "with a gyroscope that saturates at 40 °/s", Faults(gyro_range_rad_s=0.7)),
+        ("rotor-landing", "with a rotor that fails at touch-down", Faults(rotor_fails_at_s=27.8)),
+        ("rotor-low", "with a rotor that fails 0.6 m above the ground", Faults(rotor_fails_at_s=27.0)),
+        ("rotor-flight", "with a rotor that fails in flight", Faults(rotor_fails_at_s=20.0)),
     )
 )
+"""Every fault at three strengths, in ascending order."""
 _STRESS = (
     *_STRESS,
     Scenario("room-motion-v0", "the agile tour of a room, started in motion", replace(_ROOM, skip_s=6.0)),
@@ -176,9 +194,10 @@ SUITES: dict[str, tuple[str, ...]] = {
     "race": tuple(s.name for s in _RACES),
     "shapes": tuple(s.name for s in _SHAPES),
     "hard": tuple(s.name for s in _HARD_WORLDS),
-    "stress": tuple(s.name for s in _STRESS),
+    "stress": ("room-v0", *(s.name for s in _STRESS)),
 }
-"""Names of the scenarios of each suite: those of one world, of one level, or of one kind."""
+"""Names of the scenarios of each suite: those of one world, of one level, or of one kind. The suite of faults begins
+with the flight without them."""
 
 
 def scenario_named(name: str, seed: int | None = None) -> Scenario:

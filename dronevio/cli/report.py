@@ -45,9 +45,10 @@ def main(arguments: Sequence[str]) -> int:
     command = parse(ReportCommand, arguments, "report")
 
     from dronevio.eval.report.benchmark.model import read_benchmark
+    from dronevio.expectations import EXPECTATIONS
     from dronevio.models.recordings.files import write_text
 
-    benchmark = read_benchmark(command.results)
+    benchmark = replace(read_benchmark(command.results), expectations=EXPECTATIONS)
     if command.title is not None:
         benchmark = replace(benchmark, title=command.title)
     text = _document(benchmark, command)

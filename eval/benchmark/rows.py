@@ -22,8 +22,8 @@ Identity: TypeAlias = tuple[str, int | None, str]
 RESULTS_FILE = "results.parquet"
 """Name of the file with all rows of a benchmark, in its folder."""
 _REPORT_FILE = "report.json"
-_LATER_COLUMNS = ("defects",)
-"""Columns with texts that results of earlier versions lack."""
+_LATER_COLUMNS = ("defects", "longest_loss_s", "tracking_sigmas")
+"""Columns that results of earlier versions lack."""
 
 
 @dataclass(frozen=True)
@@ -96,6 +96,11 @@ class Row:
     """Relative orientation error over each of these lengths, root mean square [°]."""
     defects: str = ""
     """Numbers of the recording's defects, such as ``3 × missing image, 1 × IMU gap``; empty without defects."""
+    longest_loss_s: float | None = None
+    """Longest time without tracking after the first frame that is tracked [s]; None if none is, or for a program."""
+    tracking_sigmas: float | None = None
+    """Largest error of position while the estimator reports that it tracks, in standard deviations along the least
+    certain axis; None if it never does, without covariances, or for a program."""
 
     @property
     def identity(self) -> Identity:
@@ -178,7 +183,7 @@ def read_rows(path: Path) -> tuple[Row, ...]:
         raise InputError(path, f"cannot be read ({str(error).splitlines()[0]})", expected) from None
     for name in _LATER_COLUMNS:
         if name not in table.column_names:
-            table = table.append_column(name, pa.array([""] * len(table), pa.string()))
+            table = table.append_column(name, pa.nulls(len(table), schema().field(name).type))
     missing = [name for name in schema().names if name not in table.column_names]
     if missing:
         raise InputError(path, f"no column {', '.join(missing)}", expected)

@@ -5,6 +5,7 @@ import subprocess
 import sys
 import time
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
@@ -15,7 +16,7 @@ import pytest
 from dronevio.benchmark_jobs import Workbench, recorded_flights, scenario_flights, versions
 from dronevio.cli import main
 from dronevio.eval.benchmark.ray_engine import RayEngine
-from dronevio.eval.benchmark.rows import Row, read_rows
+from dronevio.eval.benchmark.rows import Row, read_rows, write_rows
 from dronevio.eval.benchmark.runner import BenchmarkPlan, run_benchmark
 from dronevio.eval.benchmark.store import ResultStore
 from dronevio.models.errors import ConfigError, EvaluationError, InputError
@@ -227,6 +228,24 @@ def test_compare_and_gate(
     capsys.readouterr()
     assert main(["compare", baseline, worse]) == 0
     assert "pairs are too few for a test of significance" in capsys.readouterr().out
+
+
+def test_gate_without_a_baseline_checks_expected_outcomes(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    clean = Row("room-v0", "room", 0, "vio", "c", "v", "ok", ate_m=0.01, longest_loss_s=0.0, tracking_sigmas=2.0)
+    drops = replace(clean, scenario="room-drops-v0", ate_m=0.039)
+    results = tmp_path / "results.parquet"
+    write_rows(results, [clean, drops])
+    assert main(["gate", str(results)]) == 0
+    assert "gate passed: 2 of 2 runs as expected" in capsys.readouterr().out
+    write_rows(results, [clean, replace(drops, ate_m=0.041)])
+    assert main(["gate", str(results), "--json"]) == 1
+    (violation,) = json.loads(capsys.readouterr().out)["violations"]
+    assert violation == "room-drops-v0, seed 0, vio: error 4.1 ×; expected: error ≤ 4 ×"
+    assert main(["report", str(results), "--format", "markdown"]) == 0
+    assert "not as expected" in capsys.readouterr().out
+    write_rows(results, [clean])
+    assert main(["gate", str(results)]) == 2
+    assert "no run with an expected outcome" in capsys.readouterr().err
 
 
 def test_gates_that_cannot_be_judged_are_bad_input(

@@ -6,12 +6,13 @@ A median that falls on a failed run is shown as "failed".
 
 import math
 from collections import Counter
-from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
 from typing import Literal
 
+from dronevio.eval.benchmark.outcomes import Expectation, Verdict, verdicts
 from dronevio.eval.benchmark.rows import Row, read_rows
 from dronevio.eval.benchmark.summary import Quartiles
 from dronevio.models.errors import ConfigError, InputError
@@ -83,6 +84,8 @@ MEASURES = (
     Measure("nees_position", "NEES of the position, 3 expected", "–", best="three"),
     Measure("nees_orientation", "NEES of the orientation, 3 expected", "–", best="three"),
     Measure("position_beyond_3_sigma_percent", "Position errors beyond 3σ, 0.27 expected", "%"),
+    Measure("longest_loss_s", "Longest time without tracking", "s"),
+    Measure("tracking_sigmas", "Largest position error while tracking", "σ"),
     Measure("cpu_ms_mean", "Mean processor time per frame", "ms", counts_failed=False),
     Measure("cpu_ms_p99", "99th percentile of the processor time per frame", "ms", counts_failed=False),
     Measure("real_time_factor", "Real-time factor", "×", best="high", counts_failed=False),
@@ -118,6 +121,8 @@ class BenchmarkResults:
     """Title of the report."""
     rows: tuple[Row, ...]
     """All runs of the benchmark."""
+    expectations: Mapping[str, Expectation] = field(default_factory=dict)
+    """Expected outcomes by name of the scenario, of those scenarios that have one."""
 
     @cached_property
     def scenarios(self) -> tuple[str, ...]:
@@ -175,6 +180,11 @@ class BenchmarkResults:
     def wins(self, measure: Measure) -> Counter[str]:
         """Return the number of scenarios in which each estimator has the best median, ties included."""
         return Counter(name for scenario in self.scenarios for name in self.best(measure, scenario))
+
+    @cached_property
+    def verdicts(self) -> tuple[Verdict, ...]:
+        """Whether the runs have their expected outcomes, of those runs that have one."""
+        return verdicts(self.rows, self.expectations)
 
     def failures(self) -> tuple[FailureGroup, ...]:
         """Return the runs that failed, grouped by estimator, scenario, status and reason."""

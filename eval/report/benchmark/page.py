@@ -5,10 +5,11 @@ from functools import partial
 
 from markupsafe import Markup
 
+from dronevio.eval.benchmark.outcomes import MAX_SIGMAS
 from dronevio.eval.metrics import nees_bounds
 from dronevio.eval.report.benchmark import plots
 from dronevio.eval.report.benchmark.model import BenchmarkResults, Measure, find_measure
-from dronevio.eval.report.benchmark.tables import NOTE, failure_table, measure_table, quartile_range
+from dronevio.eval.report.benchmark.tables import NOTE, failure_table, measure_table, outcome_table, quartile_range
 from dronevio.eval.report.figures import svg_plot
 from dronevio.eval.report.tables import DASH, Cell, Table
 from dronevio.eval.report.templating import Tile, render_page
@@ -35,6 +36,7 @@ def benchmark_page(results: BenchmarkResults) -> str:
         wins=_wins(results),
         scenario_count=_count(len(results.scenarios), "scenario"),
         note=NOTE,
+        outcomes=_outcomes(results),
         measures=_measure_tables(results),
         run_plots=[_run_plot(results, m) for m in (ATE, DRIFT) if m in results.measures],
         run_count=_count(len(results.rows), "run"),
@@ -61,6 +63,14 @@ def _summary(results: BenchmarkResults) -> str:
     endings = (("failed", "failed"), ("timeout", "timed out"), ("crashed", "crashed"))
     others = [f"{statuses[status]} {words}" for status, words in endings if statuses[status]]
     return f"{_count(len(results.rows), 'run')}, {' × '.join(factors)}: {', '.join([scored, *others])}."
+
+
+def _outcomes(results: BenchmarkResults) -> dict[str, object] | None:
+    """Return the table of expected outcomes with the number of runs that have them; None without expectations."""
+    if not results.verdicts:
+        return None
+    passed = sum(verdict.passed for verdict in results.verdicts)
+    return {"table": outcome_table(results), "passed": passed, "runs": len(results.verdicts), "sigmas": MAX_SIGMAS}
 
 
 def _wins(results: BenchmarkResults) -> list[tuple[str, int]]:

@@ -54,6 +54,27 @@ def failure_table(results: BenchmarkResults) -> Table:
     return Table("Failed runs", columns, rows, text_columns=frozenset((1, 2, 4)))
 
 
+def outcome_table(results: BenchmarkResults) -> Table:
+    """Return the runs with an expected outcome: what was expected, and whether each run has it."""
+    found = {verdict.row.identity: verdict for verdict in results.verdicts}
+    runs = dict.fromkeys((verdict.row.scenario, verdict.row.seed) for verdict in results.verdicts)
+    rows = []
+    for scenario, seed in runs:
+        cells = []
+        for estimator in results.estimators:
+            verdict = found.get((scenario, seed, estimator))
+            if verdict is None:
+                cells.append(Cell(DASH))
+            else:
+                order = math.inf if verdict.error_ratio is None else verdict.error_ratio
+                warning = "" if verdict.passed else "not as expected"
+                cells.append(Cell(_shortened(verdict.outcome), warning=warning, order=order))
+        text = results.expectations[scenario].text
+        rows.append((Cell(scenario), Cell(DASH if seed is None else str(seed)), Cell(text), *cells))
+    columns = ("scenario", "seed", "expected", *results.estimators)
+    return Table("Outcomes", columns, tuple(rows), text_columns=frozenset(range(2, len(columns))))
+
+
 def as_markdown(results: BenchmarkResults, measures: Sequence[Measure]) -> str:
     """Return the tables of some measures, and of the failed runs, as Markdown."""
     return "\n".join([f"{NOTE}\n", *(markdown_table(table) for table in _tables(results, measures))])
@@ -108,6 +129,7 @@ def _shortened(reason: str) -> str:
 
 def _tables(results: BenchmarkResults, measures: Sequence[Measure]) -> list[Table]:
     tables = [measure_table(results, measure) for measure in measures]
+    tables += [outcome_table(results)] if results.verdicts else []
     failures = failure_table(results)
     return [*tables, failures] if failures.rows else tables
 
