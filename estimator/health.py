@@ -57,6 +57,9 @@ class HealthConfig:
     max_consistent_nis: float = 15.0
     """Largest such median, in units of its expectation, at which the estimate counts as consistent. On real flights it
     reaches 10."""
+    min_innovation_px: float = 0.3
+    """Median innovation of a frame up to which it counts as consistent, whatever its NIS [px]. Motion blur and the
+    errors of landmarks exceed the assumed noise in fast flight."""
     max_frame_nis: float = 60.0
     """Largest NIS of a frame at which the estimate counts as consistent."""
     distrust_s: float = 5.0
@@ -165,8 +168,9 @@ class HealthMonitor:
         inertial_only_s = self._inertial_only_s(predicted.t_ns, enough or stationary, position_sigma_m)
         allowed_px = self._config.max_innovation_px + self._rotation_uncertainty_px(predicted, calibration)
         contradicted_s = self._contradicted_s(predicted.t_ns, enough and innovation_px > allowed_px)
-        typical_nis = self._typical_nis(predicted.t_ns, nis if enough else None)
-        self._update_trust(predicted.t_ns, nis if enough else 0.0, typical_nis)
+        significant_nis = nis if innovation_px > self._config.min_innovation_px else 0.0
+        typical_nis = self._typical_nis(predicted.t_ns, significant_nis if enough else None)
+        self._update_trust(predicted.t_ns, significant_nis if enough else 0.0, typical_nis)
         if self._lost_reason is None:
             self._lost_reason = self._reason_of_loss(
                 predicted, bias_sigmas, position_sigma_m, contradicted_s, typical_nis

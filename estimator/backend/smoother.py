@@ -44,7 +44,10 @@ class SmootherConfig:
     max_persistent: int = 20
     """Largest number of landmarks that persist as variables of the marginal prior."""
     iterations: int = 2
-    """Number of Gauss-Newton steps per keyframe."""
+    """Largest number of Gauss-Newton steps per keyframe."""
+    max_decrement: float = 20.0
+    """Squared length of a step in standard deviations (Newton decrement) below which it is the last one: the next step
+    would be shorter than one standard deviation."""
     pixel_sigma: float = 0.145
     """Standard deviation of an image observation of the best quality [px]."""
     robust_sigmas: float = 1.0
@@ -175,7 +178,10 @@ class KeyframeSmoother:
             for _ in range(self._config.iterations):
                 system = window.linearize()
                 solver = CholeskyFactor(system.H)
-                window.update(system, solver.solve(system.b))
+                delta = solver.solve(system.b)
+                window.update(system, delta)
+                if system.b @ delta < self._config.max_decrement:
+                    break
             self._solution = self._read_solution(t_ns, solver)
             marginalizes = self._is_full and self._has_moved(parallax_px)
             imu_variance = window.oldest_imu_variance(solver) if marginalizes else None

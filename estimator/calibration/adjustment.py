@@ -91,7 +91,7 @@ class CalibrationProblem:
         ]
         candidates = window_observations(keyframes)
         self._observations, self._points = select_landmarks(self._state, candidates, focal_px, config)
-        self._rms_px, self._steps = float("inf"), 0
+        self._rms_px, self._steps, self._decrement = float("inf"), 0, float("inf")
         self._is_done = False
         self._result: AdjustmentResult | None = None
 
@@ -114,7 +114,8 @@ class CalibrationProblem:
         """Take one Gauss-Newton step."""
         self._steps += 1
         information = self._gauss_newton_step()
-        self._is_done = information is None or self._steps >= self._config.iterations
+        converged = self._decrement < self._config.max_decrement
+        self._is_done = information is None or converged or self._steps >= self._config.iterations
         if self._is_done and information is not None:
             self._result = AdjustmentResult(self._corrections, information, self._rms_px)
 
@@ -136,6 +137,7 @@ class CalibrationProblem:
             covariance = cho_solve(factor, np.eye(n + E)[:, n:])[n:]
         except np.linalg.LinAlgError:
             return None
+        self._decrement = float(b @ delta)
         self._points = self._points + back_substitute(delta)
         keyframes = delta[: _STATE_DIM * K].reshape(K, _STATE_DIM)
         self._bias = self._bias + delta[n - _BIAS_DIM : n]

@@ -58,7 +58,9 @@ class AdjustmentConfig:
     max_landmarks: int = 150
     """Largest number of landmarks. Those with the most observations are used."""
     iterations: int = 3
-    """Number of Gauss-Newton steps."""
+    """Largest number of Gauss-Newton steps."""
+    max_decrement: float = 1.0
+    """Squared length of a step in standard deviations (Newton decrement) below which it is the last one."""
     orientation_sigma_rad: float = 0.1
     """Prior standard deviation of the first keyframe's orientation [rad]."""
     velocity_sigma_m_s: float = 0.5

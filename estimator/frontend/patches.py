@@ -38,7 +38,9 @@ class PatchConfig:
     """Side of a patch [px], an odd number. A larger patch has more texture, but an affine warp describes it less well
     where the surface is oblique."""
     iterations: int = 3
-    """Number of Gauss-Newton iterations per frame."""
+    """Number of Gauss-Newton iterations per keyframe."""
+    tracking_iterations: int = 1
+    """Number of them at every frame, which keeps the patch aligned from one frame to the next."""
     residual_sigma: float = 3.0
     """Standard deviation of the difference between two aligned patches [grey levels], which weights the warp prior."""
     warp_sigma: float = 0.05
@@ -63,13 +65,13 @@ class PatchConfig:
 
 
 @dataclass(frozen=True, eq=False)
-class Patches:
+class Templates:
     """N reference patches of P pixels, with the quantities that the alignment needs."""
 
-    template: Array32
+    values: Array32
     """(N, P) Grey levels with zero mean and unit norm."""
     steepest_descent: Array32
-    """(N, 6, P) Steepest-descent images: derivatives of the template with respect to the displacement (2) and to the
+    """(N, 6, P) Steepest-descent images: derivatives of the values with respect to the displacement (2) and to the
     warp (4, row by row), with the components of constant brightness and of contrast removed."""
     inverse_hessian: Array32
     """(N, 6, 6) Inverse of the Gauss-Newton approximation of the Hessian, warp prior included."""
@@ -77,11 +79,29 @@ class Patches:
     """(N,) Weight of the prior on the warp."""
     norm: Array32
     """(N,) Norm of the grey levels after subtraction of the mean [grey levels]."""
+
+    def __getitem__(self, rows: npt.NDArray[np.int64]) -> Self:
+        return type(self)(*(getattr(self, each.name)[rows] for each in fields(self)))
+
+    def joined(self, others: Self) -> Self:
+        """Return these templates followed by others."""
+        pairs = ((getattr(self, each.name), getattr(others, each.name)) for each in fields(self))
+        return type(self)(*(np.concatenate(pair) for pair in pairs))
+
+
+@dataclass(frozen=True, eq=False)
+class Patches:
+    """N patches with their current warps. A selection of them shares the large arrays of their templates."""
+
+    templates: Templates
+    """The reference patches of these and possibly of other patches."""
+    rows: npt.NDArray[np.int64]
+    """(N,) Row of the reference patch of each patch."""
     warp: Array
     """(N, 2, 2) Current affine warp: maps coordinates of the patch to coordinates of the image."""
 
     def __len__(self) -> int:
-        return len(self.template)
+        return len(self.rows)
 
     @property
     def scale(self) -> Array:
@@ -89,7 +109,7 @@ class Patches:
         return _scale(self.warp)
 
     def __getitem__(self, rows: npt.NDArray[np.int64] | npt.NDArray[np.bool_]) -> Self:
-        return type(self)(*(getattr(self, each.name)[rows] for each in fields(self)))
+        return replace(self, rows=self.rows[rows], warp=self.warp[rows])
 
     def rolled(self, R_cur_prev: Array) -> Self:
         """Return the patches with the warp predicted for a rotation of the camera about its optical axis.
@@ -101,9 +121,9 @@ class Patches:
         return replace(self, warp=rotation @ self.warp)
 
     def joined(self, others: Self) -> Self:
-        """Return these patches followed by others."""
-        pairs = ((getattr(self, each.name), getattr(others, each.name)) for each in fields(self))
-        return type(self)(*(np.concatenate(pair) for pair in pairs))
+        """Return these patches followed by others, with the templates of no other patches."""
+        templates = self.templates[self.rows].joined(others.templates[others.rows])
+        return type(self)(templates, np.arange(len(self) + len(others)), np.concatenate([self.warp, others.warp]))
 
 
 @dataclass(frozen=True, eq=False)
@@ -174,28 +194,32 @@ class PatchAligner:
             6, dtype=np.float32
         )
         warp = np.tile(np.eye(2), (n, 1, 1))
-        return Patches(template, steepest_descent, np.linalg.inv(H), prior_weight, norm, warp)
+        return Patches(Templates(template, steepest_descent, np.linalg.inv(H), prior_weight, norm), np.arange(n), warp)
 
-    def align(self, image: ScaleSpace, patches: Patches, pixels: Array) -> PatchAlignment:
+    def align(
+        self, image: ScaleSpace, patches: Patches, pixels: Array, iterations: int | None = None
+    ) -> PatchAlignment:
         """Align patches with an image.
 
         Args:
             image: The image to align with.
             patches: N patches with their predicted warps.
             pixels: (N, 2) Predicted positions [px], which may be off by one to two pixels.
+            iterations: Number of Gauss-Newton iterations, 1 or more; that of a keyframe by default.
         """
         c, warp, inverse_predicted = self._config, patches.warp, _inverse(patches.warp)
-        for _ in range(c.iterations):
+        reference = patches.templates[patches.rows]
+        for _ in range(c.iterations if iterations is None else iterations):
             current, _ = _normalized(self._sampled(image, pixels, warp))
-            gradient = (patches.steepest_descent @ (current - patches.template)[:, :, None])[..., 0]
-            gradient[:, 2:] += patches.prior_weight[:, None] * (inverse_predicted @ warp - np.eye(2)).reshape(-1, 4)
-            step = (patches.inverse_hessian @ gradient[..., None])[..., 0].astype(np.float64)
+            gradient = (reference.steepest_descent @ (current - reference.values)[:, :, None])[..., 0]
+            gradient[:, 2:] += reference.prior_weight[:, None] * (inverse_predicted @ warp - np.eye(2)).reshape(-1, 4)
+            step = (reference.inverse_hessian @ gradient[..., None])[..., 0].astype(np.float64)
             warp_step = np.clip(step[:, 2:], -MAX_WARP_STEP, MAX_WARP_STEP).reshape(-1, 2, 2)
             warp = warp @ _inverse(np.eye(2) + warp_step)
             pixels = pixels - np.einsum("nij,nj->ni", warp, step[:, :2])
-        zncc = np.sum(current * patches.template, axis=1).astype(np.float64)
+        zncc = np.sum(current * reference.values, axis=1).astype(np.float64)
         scale_squared = _determinant(warp)
-        noise_loss = (c.blurred_noise_ratio * image.noise * c.side_px / patches.norm) ** 2  # of correlation
+        noise_loss = (c.blurred_noise_ratio * image.noise * c.side_px / reference.norm) ** 2  # of correlation
         valid = (zncc > c.min_zncc - noise_loss) & (scale_squared > c.max_scale**-2) & (scale_squared < c.max_scale**2)
         return PatchAlignment(pixels, replace(patches, warp=warp), zncc, valid & np.isfinite(pixels).all(axis=1))
 

@@ -10,6 +10,8 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
+from dronevio.models.rotation import cross
+
 Array = npt.NDArray[np.float64]
 
 HYPOTHESES = 96  # a pair without outliers is drawn with a probability of 99.9 % if 70 % are outliers
@@ -36,7 +38,7 @@ def epipolar_inliers(
     if n < MIN_MATCHES:
         return np.ones(n, dtype=np.bool_)
     f0, f1 = _bearings(xy0) @ R_1_0.T, _bearings(xy1)
-    normals = np.cross(f0, f1)
+    normals = cross(f0, f1)
 
     # A match that rotation alone explains is consistent with every translation, so a hypothesis from it is noise.
     flow = np.linalg.norm(f1 - f0, axis=1)
@@ -45,7 +47,7 @@ def epipolar_inliers(
         return np.asarray(flow < 4.0 * threshold)
     first = rng.integers(0, len(moving), HYPOTHESES)
     second = (first + rng.integers(1, len(moving), HYPOTHESES)) % len(moving)  # differs from the first
-    t = np.cross(normals[moving[first]], normals[moving[second]])
+    t = cross(normals[moving[first]], normals[moving[second]])
     length = np.linalg.norm(t, axis=1, keepdims=True)
     is_defined = length > 1e-15  # parallel normals do not determine the direction of translation
     t = t / np.where(is_defined, length, 1.0)

@@ -17,7 +17,7 @@ import numpy.typing as npt
 
 from dronevio.estimator.frontend import klt
 from dronevio.models.rig import RigCamera
-from dronevio.models.rotation import exp_so3, inverse_pose
+from dronevio.models.rotation import cross, exp_so3, inverse_pose
 
 Array = npt.NDArray[np.float64]
 Image = npt.NDArray[np.uint8]
@@ -151,12 +151,12 @@ class StereoMatcher:
         """
         infinite = np.column_stack([xy, np.ones(len(xy))]) @ self._R.T
         epipolar_error = np.sum(self._normals(infinite) * bearings, axis=1)
-        across, along = np.cross(bearings, self._t), np.cross(bearings, infinite)
+        across, along = cross(bearings, self._t), cross(bearings, infinite)
         return epipolar_error, -np.sum(across * along, axis=1) / np.maximum(np.sum(across * across, axis=1), 1e-12)
 
     def _normals(self, infinite: Array) -> Array:
         """Return the unit normals (N, 3) of the epipolar planes of rays (N, 3) from the second camera to infinity."""
-        normals = np.cross(self._t, infinite)
+        normals = cross(self._t, infinite)
         return np.asarray(normals / np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-12))
 
     def _rotation_correction(self, xy: Array, bearings: Array) -> Array:
@@ -178,7 +178,7 @@ class StereoMatcher:
             self.is_miscalibrated = float(np.median(np.abs(errors))) > limit
         if not self.is_miscalibrated:
             return zero
-        jacobian, rotation = np.cross(bearings, normals), zero
+        jacobian, rotation = cross(bearings, normals), zero
         for _ in range(ITERATIONS):
             weights = 1.0 / np.maximum(np.abs(errors + jacobian @ rotation), NOISE_PX * pixel)
             prior = np.eye(3) * NOISE_PX * pixel / c.rotation_sigma_rad**2

@@ -146,8 +146,12 @@ class FeatureTracker:
         return self._observations()
 
     def replenish(self, rig: Rig | None = None) -> Observations:
-        """Add the best new corner of each grid cell without a feature, and return all features of the frame."""
+        """Add the best new corner of each grid cell without a feature, and return all features of the frame.
+
+        The features that are tracked are aligned more accurately.
+        """
         if self._image is not None and self._unseen is None:
+            self._features = self._refined(self._features)
             c, noise, occupied = self._config, self._scale_space.noise, self._features.pixels
             corners = detect_corners(self._image, noise, occupied, c.border_px, c.corners)
             self._features = self._features.joined(self._new_features(corners))
@@ -194,7 +198,19 @@ class FeatureTracker:
         """Return the features whose patches can be aligned with the current image near pixels (N, 2)."""
         found = found & self._inside(pixels)
         features, pixels = features[found], pixels[found]
-        result = self._aligner.align(self._scale_space, features.patches, pixels)
+        return self._moved(features, pixels, self._config.patches.tracking_iterations)
+
+    def _refined(self, features: _Features) -> _Features:
+        """Return the features with the remaining iterations of the alignment in the current image."""
+        c = self._config.patches
+        if c.iterations <= c.tracking_iterations:
+            return features
+        refined = self._moved(features, features.pixels, c.iterations - c.tracking_iterations)
+        return replace(refined, xy=self._camera.normalize(refined.pixels))
+
+    def _moved(self, features: _Features, pixels: Array, iterations: int) -> _Features:
+        """Return the features whose patches can be aligned near pixels (N, 2), by some iterations."""
+        result = self._aligner.align(self._scale_space, features.patches, pixels, iterations)
         correction_px = np.linalg.norm(result.pixels - pixels, axis=1)
         valid = result.valid & (correction_px < self._config.max_correction_px) & self._inside(result.pixels)
         return replace(features, pixels=result.pixels, zncc=result.zncc, patches=result.patches)[valid]

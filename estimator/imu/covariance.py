@@ -6,7 +6,6 @@ the pose (δθ, then δp in the IMU frame), the velocity (world frame), the acce
 
 import numpy as np
 import numpy.typing as npt
-from scipy.linalg import block_diag
 
 from dronevio.models.imu import ImuModel
 from dronevio.models.rotation import skew
@@ -77,6 +76,7 @@ def propagate_covariance(
     variances = [gyro * t, accel * t**3 / 3.0, accel * t, imu.gyro_random_walk**2 * t, imu.accel_random_walk**2 * t]
     Q = np.diag(np.repeat(variances, 3))
     if noise is not None:
-        S = block_diag(eye, R_world_imu, R_world_imu)
+        S = np.eye(9)
+        S[3:6, 3:6] = S[6:, 6:] = R_world_imu
         Q[:9, :9] = S @ noise @ S.T
     return np.asarray(F @ P @ F.T + Q)

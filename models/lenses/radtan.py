@@ -58,51 +58,59 @@ def unproject(uv: Array, coefficients: Coefficients) -> Array:
     The solver is Newton's method, starting at the image coordinates. The result is NaN where no ray within
     `valid_limit` has that image.
     """
-    xy = uv.copy()
+    x, y = u, v = uv[..., 0], uv[..., 1]
     if any(coefficients):
         limit = valid_limit(coefficients) * _INSIDE
-        residual = distort(xy, coefficients) - uv
         for _ in range(_ITERATIONS):
-            if not np.any(np.abs(residual) > _CONVERGED):
+            terms = _terms(x, y, coefficients)
+            du, dv = (image - target for image, target in zip(_image(x, y, terms, coefficients), (u, v), strict=True))
+            if not (np.any(np.abs(du) > _CONVERGED) or np.any(np.abs(dv) > _CONVERGED)):
                 break
-            xx, off, yy = _derivatives(xy, coefficients)
+            xx, off, yy = _derivatives(x, y, terms, coefficients)
             det = xx * yy - off * off
-            dx = (yy * residual[..., 0] - off * residual[..., 1]) / det
-            dy = (xx * residual[..., 1] - off * residual[..., 0]) / det
-            xy = _within(xy - np.stack([dx, dy], axis=-1), limit)
-            residual = distort(xy, coefficients) - uv
-        unsolved = np.abs(residual).max(axis=-1, keepdims=True) > _SOLVED
-        xy = np.where(unsolved, np.nan, xy)
-    return np.concatenate([xy, np.ones_like(xy[..., :1])], axis=-1)
+            x, y = _within(x - (yy * du - off * dv) / det, y - (xx * dv - off * du) / det, limit)
+        else:
+            image = _image(x, y, _terms(x, y, coefficients), coefficients)
+            du, dv = image[0] - u, image[1] - v
+        unsolved = np.maximum(np.abs(du), np.abs(dv)) > _SOLVED
+        x, y = np.where(unsolved, np.nan, x), np.where(unsolved, np.nan, y)
+    return np.stack([x, y, np.ones_like(x)], axis=-1)
 
 
 def distort(xy: Array, coefficients: Coefficients) -> Array:
     """Return d(x) (…, 2) of points x (…, 2) at depth 1, also outside the valid domain."""
-    k1, k2, p1, p2 = coefficients
     x, y = xy[..., 0], xy[..., 1]
-    r2 = x * x + y * y
-    radial = 1.0 + r2 * (k1 + r2 * k2)
-    return np.stack(
-        [
-            x * radial + 2.0 * p1 * x * y + p2 * (r2 + 2.0 * x * x),
-            y * radial + p1 * (r2 + 2.0 * y * y) + 2.0 * p2 * x * y,
-        ],
-        axis=-1,
-    )
+    return np.stack(_image(x, y, _terms(x, y, coefficients), coefficients), axis=-1)
 
 
 def jacobian(xy: Array, coefficients: Coefficients) -> Array:
     """Return ∂d/∂x (…, 2, 2) at points x (…, 2) at depth 1."""
-    xx, off, yy = _derivatives(xy, coefficients)
+    x, y = xy[..., 0], xy[..., 1]
+    xx, off, yy = _derivatives(x, y, _terms(x, y, coefficients), coefficients)
     return np.stack([np.stack([xx, off], axis=-1), np.stack([off, yy], axis=-1)], axis=-2)
 
 
-def _derivatives(xy: Array, coefficients: Coefficients) -> tuple[Array, Array, Array]:
-    """Return ∂d₁/∂x₁, ∂d₁/∂x₂ = ∂d₂/∂x₁ and ∂d₂/∂x₂ (…) at points x (…, 2) at depth 1."""
-    k1, k2, p1, p2 = coefficients
-    x, y = xy[..., 0], xy[..., 1]
+def _terms(x: Array, y: Array, coefficients: Coefficients) -> tuple[Array, Array]:
+    """Return r² and 1 + k₁ r² + k₂ r⁴ (…) at points (x, y) at depth 1."""
+    k1, k2, _, _ = coefficients
     r2 = x * x + y * y
-    radial = 1.0 + r2 * (k1 + r2 * k2)
+    return r2, 1.0 + r2 * (k1 + r2 * k2)
+
+
+def _image(x: Array, y: Array, terms: tuple[Array, Array], coefficients: Coefficients) -> tuple[Array, Array]:
+    """Return the two components of d (…) at points (x, y) at depth 1, given their terms."""
+    (_, _, p1, p2), (r2, radial) = coefficients, terms
+    return (
+        x * radial + 2.0 * p1 * x * y + p2 * (r2 + 2.0 * x * x),
+        y * radial + p1 * (r2 + 2.0 * y * y) + 2.0 * p2 * x * y,
+    )
+
+
+def _derivatives(
+    x: Array, y: Array, terms: tuple[Array, Array], coefficients: Coefficients
+) -> tuple[Array, Array, Array]:
+    """Return ∂d₁/∂x₁, ∂d₁/∂x₂ = ∂d₂/∂x₁ and ∂d₂/∂x₂ (…) at points (x, y) at depth 1, given their terms."""
+    (k1, k2, p1, p2), (r2, radial) = coefficients, terms
     d_radial = 2.0 * (k1 + 2.0 * k2 * r2)  # ∂radial/∂x = x · d_radial
     off = x * y * d_radial + 2.0 * p1 * x + 2.0 * p2 * y
     xx = radial + x * x * d_radial + 2.0 * p1 * y + 6.0 * p2 * x
@@ -110,9 +118,10 @@ def _derivatives(xy: Array, coefficients: Coefficients) -> tuple[Array, Array, A
     return xx, off, yy
 
 
-def _within(xy: Array, limit: float) -> Array:
-    """Return points (…, 2) with those beyond a radius projected onto the circle of that radius."""
-    if np.isinf(limit):
-        return xy
-    r = np.linalg.norm(xy, axis=-1, keepdims=True)
-    return np.asarray(xy * np.minimum(1.0, limit / np.maximum(r, np.finfo(float).tiny)))
+def _within(x: Array, y: Array, limit: float) -> tuple[Array, Array]:
+    """Return points (x, y) with those beyond a radius projected onto the circle of that radius."""
+    r2 = x * x + y * y
+    if not np.any(r2 > limit * limit):
+        return x, y
+    factor = np.minimum(1.0, limit / np.maximum(np.sqrt(r2), np.finfo(float).tiny))
+    return x * factor, y * factor

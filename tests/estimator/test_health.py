@@ -245,6 +245,20 @@ def test_recently_inconsistent_estimate_is_not_tracking() -> None:
     )
 
 
+def test_small_innovations_are_consistent_whatever_their_nis() -> None:
+    """With little noise of the images, a third of a pixel has a large NIS, which counts from `min_innovation_px` on."""
+    triangulated, frames = landmarks(40, np.random.default_rng(1)), round(CONFIG.consistency_window_s / 0.05)
+    for error_px, expected in ((0.95, Health.TRACKING), (1.05, Health.INERTIAL_ONLY)):
+        monitor = HealthMonitor(RIG.imu, CONFIG, 0.145)
+        offset = np.array([error_px * CONFIG.min_innovation_px, 0.0])
+        observations = observe(triangulated, START, ZEROS, offset)
+        for k in range(frames + 2):
+            monitor.set_reference(state_after(k), triangulated, CONFIG.image_variance_bounds[0], DENSITIES)
+            report = assess(monitor, observations, state_after(k))
+        assert report.innovation_nis is not None and report.innovation_nis > CONFIG.max_consistent_nis
+        assert report.health == expected
+
+
 def test_nis_is_relative_to_the_estimated_noise() -> None:
     triangulated = landmarks(40, np.random.default_rng(1))
     observations = observe(triangulated, START, ZEROS, np.array([error_of_nis(8.0), 0.0]))

@@ -104,7 +104,8 @@ def test_rotations_about_z_have_their_yaw() -> None:
 def test_yaw_is_that_of_the_nearest_rotation_about_z(phi: Array) -> None:
     R = exp_so3(phi)
     best = np.trace(rotation_z(yaw_rad_from_matrix(R)).T @ R)
-    assert best >= np.trace(rotation_z(np.linspace(-np.pi, np.pi, 721)).transpose(0, 2, 1) @ R, axis1=1, axis2=2).max()
+    others = np.trace(rotation_z(np.linspace(-np.pi, np.pi, 721)).transpose(0, 2, 1) @ R, axis1=1, axis2=2)
+    assert best >= others.max() - 1e-12  # the nearest of the others may be the same rotation, rounded
 
 
 def test_inverse_poses_are_inverse_matrices() -> None:

@@ -11,6 +11,7 @@ import pytest
 from dronevio.estimator.backend.linalg import SingularError
 from dronevio.estimator.backend.linear_system import LinearSystem
 from dronevio.estimator.backend.smoother import KeyframeSmoother, SmootherConfig
+from dronevio.estimator.backend.window import Window
 from dronevio.estimator.initialization.static import InitialSigmas
 from dronevio.models.rotation import exp_so3, log_so3
 from dronevio.models.state import NavState, Trajectory
@@ -88,6 +89,28 @@ def test_landmarks_are_exact_without_noise(noiseless: "KeyframeFeed") -> None:
         assert len(points) > 15
         distance_m = np.linalg.norm(points[:, None] - noiseless.flight.landmarks[None], axis=2).min(axis=1)
         assert distance_m.max() < 0.01
+
+
+@pytest.mark.parametrize(("max_decrement", "steps"), [(0.0, 2), (20.0, 1)])
+def test_a_second_step_follows_only_a_long_first_step(
+    make_flight: MakeFlight,
+    feed: Callable[..., "KeyframeFeed"],
+    monkeypatch: pytest.MonkeyPatch,
+    max_decrement: float,
+    steps: int,
+) -> None:
+    """Without noise and errors, the first step is short; an error of the first state makes it long."""
+    made = make_flight(0, rest_s=-5.0, duration_s=4.0, noisy=False, sampling="increment")
+    linearize, calls = Window.linearize, list[int]()
+    monkeypatch.setattr(Window, "linearize", lambda self: calls.append(self.newest) or linearize(self))
+    feed(made, SmootherConfig(max_decrement=max_decrement)).finish()
+    per_keyframe = np.bincount(calls)[1:]
+    assert set(per_keyframe[3:].tolist()) == {steps}
+    calls.clear()
+    error = np.zeros((4, 3))
+    error[1] = 0.3  # velocity [m/s]
+    feed(made, SmootherConfig(max_decrement=max_decrement), error).finish()
+    assert 2 in np.bincount(calls)[1:].tolist()
 
 
 def test_errors_of_the_first_state_are_corrected(make_flight: MakeFlight, feed: Callable[..., "KeyframeFeed"]) -> None:

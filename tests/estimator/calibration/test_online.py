@@ -9,6 +9,7 @@ import numpy as np
 import numpy.typing as npt
 import pytest
 
+from dronevio.estimator.calibration.adjustment import CalibrationProblem
 from dronevio.estimator.calibration.online import CalibratedPart, CalibrationConfig, OnlineCalibration
 from dronevio.estimator.imu.buffer import ImuBuffer
 from dronevio.estimator.imu.preintegration import Preintegration, PreintegrationConfig, PreintegrationParams
@@ -154,6 +155,22 @@ def test_gravity_is_found(make_flight: MakeFlight, gravity_m_s2: float, duration
     assert found.estimate.gravity_m_s2 == pytest.approx(gravity_m_s2 - GRAVITY_M_S2, abs=2e-3)
     assert found.calibration.gravity_correction_m_s2 == found.applied.gravity_m_s2 == found.estimate.gravity_m_s2
     assert np.sqrt(found.covariance_inflation[[0, 3, 6, 12], [0, 3, 6, 12]]) == pytest.approx([1e-3, 2e-3, 0.01, 0.03])
+
+
+def test_the_adjustment_ends_with_a_short_step(noiseless: "SyntheticFlight", monkeypatch: pytest.MonkeyPatch) -> None:
+    """Without errors, the first step of a window is shorter than a standard deviation; a wrong time offset needs two."""
+    ends, step = list[bool](), CalibrationProblem.step
+
+    def counted(problem: CalibrationProblem) -> None:
+        step(problem)
+        ends.append(problem.is_done)
+
+    monkeypatch.setattr(CalibrationProblem, "step", counted)
+    calibrated(noiseless, CalibrationConfig(), Errors())
+    assert ends == [True]
+    ends.clear()
+    calibrated(noiseless, CalibrationConfig(), Errors(time_offset_s=0.005))
+    assert ends == [False, True]
 
 
 def test_a_hover_changes_neither_estimate_nor_covariance(make_flight: MakeFlight) -> None:

@@ -285,6 +285,25 @@ def test_exposure_changes_are_compensated(wall: WallSequence, gain: float, offse
     assert np.median(error_px) < 0.15
 
 
+def test_replenishing_takes_the_remaining_iterations(wall: WallSequence) -> None:
+    """One iteration of the alignment keeps a track; those that remain lead to the result of all iterations at once."""
+    R, p_m = exp_so3(np.radians([1.0, -2.0, 8.0])), np.array([0.05, 0.05, 0.12])
+
+    def tracked_and_replenished(config: TrackerConfig) -> tuple[Observations, Observations]:
+        tracker = FeatureTracker(CAMERA, config)
+        tracker.track(wall.frame(np.eye(3)), np.eye(3))
+        tracker.replenish()
+        return tracker.track(wall.frame(R, p_m), R.T), tracker.replenish()
+
+    tracked, refined = tracked_and_replenished(CONFIG)
+    at_once, _ = tracked_and_replenished(replace(CONFIG, patches=replace(CONFIG.patches, tracking_iterations=3)))
+    ids = np.intersect1d(np.intersect1d(tracked.ids, refined.ids), at_once.ids)
+    begin, end, expected = (found.pixels[np.isin(found.ids, ids)] for found in (tracked, refined, at_once))
+    distance_px = [np.median(np.linalg.norm(pixels - expected, axis=1)) for pixels in (begin, end)]
+    assert len(ids) > 15 and distance_px[1] < 0.3 * distance_px[0]
+    np.testing.assert_allclose(refined.xy, CAMERA.normalize(refined.pixels), atol=1e-12)
+
+
 def test_errors_do_not_accumulate(wall: WallSequence) -> None:
     """After 20 frames with rotation and approach, the tracks are still at the projections of their landmarks."""
     tracker, R_previous = FeatureTracker(CAMERA, CONFIG), np.eye(3)
