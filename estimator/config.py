@@ -1,7 +1,7 @@
 """The settings of the visual-inertial odometry, one section per part of the pipeline."""
 
-import math
 from dataclasses import dataclass, field
+from typing import Annotated
 
 from dronevio.estimator.backend.keyframes import KeyframeConfig
 from dronevio.estimator.backend.landmarks import LandmarkConfig
@@ -13,15 +13,15 @@ from dronevio.estimator.imu.noise import NoiseEstimationConfig
 from dronevio.estimator.imu.preintegration import PreintegrationConfig
 from dronevio.estimator.initialization.initializer import InitializerConfig
 from dronevio.estimator.initialization.zero_velocity import ZeroVelocityConfig
-from dronevio.models.errors import ConfigError
 from dronevio.models.imu import GRAVITY_M_S2
+from dronevio.models.ranges import Range, Settings
 
 
 @dataclass(frozen=True)
-class VioConfig:
+class VioConfig(Settings):
     """Settings of the visual-inertial odometry. The defaults serve all flights."""
 
-    gravity_m_s2: float = GRAVITY_M_S2
+    gravity_m_s2: Annotated[float, Range(1.0, 30.0)] = GRAVITY_M_S2
     """Magnitude of gravity at the place of the flight [m/s²]: 9.780 at the equator, 9.832 at the poles, 9.81 in the
     simulator. An error of 0.03 m/s² is a scale error of 0.3 to 0.4 % of a single camera."""
     tracker: TrackerConfig = field(default_factory=TrackerConfig)
@@ -44,12 +44,3 @@ class VioConfig:
     """Settings of the online calibration."""
     health: HealthConfig = field(default_factory=HealthConfig)
     """Settings of the health monitor."""
-
-    def __post_init__(self) -> None:
-        """Check the magnitude of gravity.
-
-        Raises:
-            ConfigError: It is not a positive number.
-        """
-        if not 0.0 < self.gravity_m_s2 < math.inf:
-            raise ConfigError(f"gravity of {self.gravity_m_s2} m/s²; expected a positive number")

@@ -18,6 +18,7 @@ tracking       Landmarks constrain the estimate, or the vehicle is stationary or
 
 import math
 from dataclasses import dataclass
+from typing import Annotated
 
 import numpy as np
 import numpy.typing as npt
@@ -27,6 +28,7 @@ from dronevio.estimator.backend.reprojection import MEDIAN_CHI2_2DOF
 from dronevio.estimator.backend.triangulation import MIN_DEPTH_M
 from dronevio.estimator.types import Calibration, Integers, Observations
 from dronevio.models.imu import ImuModel
+from dronevio.models.ranges import Range, Settings
 from dronevio.models.state import Health, HealthReport, NavState
 
 Array = npt.NDArray[np.float64]
@@ -37,52 +39,52 @@ IMAGE_VARIANCES = 10
 
 
 @dataclass(frozen=True)
-class HealthConfig:
+class HealthConfig(Settings):
     """Settings of the health monitor."""
 
-    min_landmarks: int = 8
+    min_landmarks: Annotated[int, Range(1, 1000)] = 8
     """Smallest number of landmarks that constrain an estimate; with fewer, a single outlier dominates."""
-    settling_s: float = 0.35
+    settling_s: Annotated[float, Range(0.0, 60.0)] = 0.35
     """Time for which tracked features suffice instead of landmarks [s], as at the end of a stationary interval. Three
     keyframes with parallax are needed to triangulate landmarks."""
-    max_innovation_px: float = 12.0
+    max_innovation_px: Annotated[float, Range(above=0.0, infinite=True)] = 12.0
     """Median innovation beyond which the landmarks contradict the estimate [px]. A time offset of 5 ms at 300 °/s
     causes it with the lens of EuRoC."""
-    max_contradiction_s: float = 1.0
+    max_contradiction_s: Annotated[float, Range(low=0.0, infinite=True)] = 1.0
     """Time for which landmarks may contradict the estimate before it is lost [s]. Jolts and large passing objects take
     less."""
-    consistency_window_s: float = 0.6
+    consistency_window_s: Annotated[float, Range(0.05, 60.0)] = 0.6
     """Length of the window over which the median NIS of the innovations is taken [s]. A jolt or a passing object
     disturbs fewer frames."""
-    max_consistent_nis: float = 15.0
+    max_consistent_nis: Annotated[float, Range(above=0.0, infinite=True)] = 15.0
     """Largest such median, in units of its expectation, at which the estimate counts as consistent. On real flights it
     reaches 10."""
-    min_innovation_px: float = 0.3
+    min_innovation_px: Annotated[float, Range(low=0.0)] = 0.3
     """Median innovation of a frame up to which it counts as consistent, whatever its NIS [px]. Motion blur and the
     errors of landmarks exceed the assumed noise in fast flight."""
-    max_frame_nis: float = 60.0
+    max_frame_nis: Annotated[float, Range(above=0.0, infinite=True)] = 60.0
     """Largest NIS of a frame at which the estimate counts as consistent."""
-    distrust_s: float = 5.0
+    distrust_s: Annotated[float, Range(low=0.0, infinite=True)] = 5.0
     """Time for which an estimate must be consistent again before its health is tracking [s]."""
-    max_nis: float = 60.0
+    max_nis: Annotated[float, Range(above=0.0, infinite=True)] = 60.0
     """Median NIS over the window beyond which the estimate is lost."""
-    image_variance_bounds: tuple[float, float] = (0.1, 10.0)
+    image_variance_bounds: Annotated[tuple[float, float], Range(1e-6, 1e6)] = (0.1, 10.0)
     """Bounds of the variance of image observations, relative to that of the smoother, in the covariance of innovations.
     It is the median over the last keyframes."""
-    max_noise_ratio: float = 3.0
+    max_noise_ratio: Annotated[float, Range(above=0.0, infinite=True)] = 3.0
     """Largest ratio of the IMU's noise densities, as estimated in flight, to those of the data sheet in the covariance
     of innovations. A wrong calibration increases the estimates without bound."""
-    max_inertial_sigma_m: float = 1.0
+    max_inertial_sigma_m: Annotated[float, Range(above=0.0, infinite=True)] = 1.0
     """Largest increase of the position's standard deviation while the IMU alone propagates the estimate [m]. The IMU of
     EuRoC reaches it in some 10 s."""
-    max_speed_m_s: float = 60.0
+    max_speed_m_s: Annotated[float, Range(above=0.0, infinite=True)] = 60.0
     """Largest plausible speed [m/s], beyond that of racing drones."""
-    gyro_bias_sigma_rad_s: float = 0.05
+    gyro_bias_sigma_rad_s: Annotated[float, Range(1e-6, 10.0)] = 0.05
     """Lower bound of the standard deviation of the gyroscope bias [rad/s]. The bias of EuRoC is 0.08, where the data
     sheet states 0.01."""
-    accel_bias_sigma_m_s2: float = 0.2
+    accel_bias_sigma_m_s2: Annotated[float, Range(1e-6, 100.0)] = 0.2
     """Lower bound of the standard deviation of the accelerometer bias [m/s²]. The bias of EuRoC reaches 0.5."""
-    max_bias_sigmas: float = 10.0
+    max_bias_sigmas: Annotated[float, Range(above=0.0, infinite=True)] = 10.0
     """Largest plausible bias, in these standard deviations."""
 
 

@@ -1,26 +1,29 @@
 """Battery model: the voltage as a function of the state of charge and of the power drawn."""
 
 from dataclasses import dataclass
+from typing import Annotated
 
 import numpy as np
 import numpy.typing as npt
+
+from dronevio.models.ranges import Range, Settings
 
 Array = npt.NDArray[np.float64]
 
 
 @dataclass(frozen=True)
-class Battery:
+class Battery(Settings):
     """Lithium polymer cells in series, as an open-circuit voltage with a series resistance (zero-order Thévenin model).
 
     The open-circuit voltage as a function of the state of charge is that of Chen and Rincón-Mora ("Accurate electrical
     battery model capable of predicting runtime and I–V performance", IEEE Trans. Energy Conversion 21(2), 2006, eq. 2).
     """
 
-    cells: int
+    cells: Annotated[int, Range(1, 100)]
     """Number of cells in series."""
-    capacity_ah: float
+    capacity_ah: Annotated[float, Range(above=0.0, high=1e4)]
     """Charge of the full battery [A h]."""
-    resistance_ohm: float
+    resistance_ohm: Annotated[float, Range(0.0, 10.0)]
     """Total resistance of cells, leads and switches [Ω]."""
 
     def open_circuit_v(self, charge: Array) -> Array:

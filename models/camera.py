@@ -1,36 +1,38 @@
 """Camera model: projection of points in the camera frame to pixels, and its inverse."""
 
 from dataclasses import dataclass, replace
+from typing import Annotated
 
 import numpy as np
 import numpy.typing as npt
 
 from dronevio.models.errors import ConfigError
 from dronevio.models.lenses.lens import LENSES, LensName
+from dronevio.models.ranges import Range, Settings
 
 Array = npt.NDArray[np.float64]
 
 
 @dataclass(frozen=True)
-class CameraModel:
+class CameraModel(Settings):
     """Intrinsics of a camera: a lens model (`dronevio.models.lenses`) and the geometry of the image sensor.
 
     Pixel centres have integer coordinates: the image spans [−0.5, width − 0.5] × [−0.5, height − 0.5].
     """
 
-    width: int
+    width: Annotated[int, Range(1, 32_000)]
     """Number of columns [px]."""
-    height: int
+    height: Annotated[int, Range(1, 32_000)]
     """Number of rows [px]."""
-    fx: float
+    fx: Annotated[float, Range(1e-3, 1e6)]
     """Focal length along x [px]."""
-    fy: float
+    fy: Annotated[float, Range(1e-3, 1e6)]
     """Focal length along y [px]."""
-    cx: float
+    cx: Annotated[float, Range(-1e6, 1e6)]
     """Principal point along x [px]."""
-    cy: float
+    cy: Annotated[float, Range(-1e6, 1e6)]
     """Principal point along y [px]."""
-    distortion: tuple[float, float, float, float] = (0.0, 0.0, 0.0, 0.0)
+    distortion: Annotated[tuple[float, float, float, float], Range(-1e3, 1e3)] = (0.0, 0.0, 0.0, 0.0)
     """Distortion coefficients: radial k1, k2 and tangential p1, p2 of ``radtan``; k1 to k4 of ``equidistant``."""
     lens: LensName = "radtan"
     """Lens model: ``radtan``, a pinhole with radial-tangential distortion, or ``equidistant``, a fisheye."""
@@ -41,18 +43,9 @@ class CameraModel:
         Raises:
             ConfigError: A field has an invalid value; the message names both.
         """
+        super().__post_init__()
         if self.lens not in LENSES:
             raise ConfigError(f"camera lens {self.lens!r}; expected one of {', '.join(LENSES)}")
-        if min(self.width, self.height) < 1:
-            raise ConfigError(f"camera image of {self.width} × {self.height} px; expected at least 1 × 1 px")
-        for name in ("fx", "fy"):
-            if not 0.0 < getattr(self, name) < np.inf:
-                raise ConfigError(f"camera {name} = {getattr(self, name)}; expected a focal length above zero")
-        for name in ("cx", "cy"):
-            if not np.isfinite(getattr(self, name)):
-                raise ConfigError(f"camera {name} = {getattr(self, name)}; expected a finite number")
-        if len(self.distortion) != 4 or not np.all(np.isfinite(self.distortion)):
-            raise ConfigError(f"camera distortion = {self.distortion}; expected four finite numbers")
 
     def resized(self, width: int, height: int) -> "CameraModel":
         """Return a camera with the same field of view and an image of another size [px].

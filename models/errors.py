@@ -2,6 +2,13 @@
 
 from pathlib import Path
 
+DEFECT = "a defect in dronevio"
+"""How messages call a failure that is not the user's: of an exception that nothing expects, or a worker that dies."""
+
+
+class DefectError(Exception):
+    """A worker process died, or failed in a way that no input should cause; the command line exits with 70."""
+
 
 class DronevioError(Exception):
     """Base class of all errors that the user can correct; the command line prints them on one line and exits with 2."""

@@ -171,11 +171,13 @@ class ImuModel:
         for field in fields(self)[1:]:
             value = getattr(self, field.name)
             required = "positive" if field.name in _POSITIVE else "non-negative"
-            if not (value > 0.0 if field.name in _POSITIVE else value >= 0.0):
+            in_range = value > 0.0 if field.name in _POSITIVE else value >= 0.0
+            if not in_range or (field.name not in _INFINITE and math.isinf(value)):
                 raise ConfigError(f"IMU {self.name}: {field.name} {value}; expected a {required} number")
 
 
-_POSITIVE = ("rate_hz", "gyro_range_rad_s", "accel_range_m_s2", "gyro_bandwidth_hz", "accel_bandwidth_hz")
+_INFINITE = ("gyro_range_rad_s", "accel_range_m_s2", "gyro_bandwidth_hz", "accel_bandwidth_hz")
+_POSITIVE = ("rate_hz", *_INFINITE)
 
 
 @dataclass(frozen=True, eq=False)

@@ -5,6 +5,7 @@ The vehicle frame is FLU (x forward, y left, z up) with its origin at the centre
 
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Annotated
 
 import numpy as np
 import numpy.typing as npt
@@ -12,6 +13,7 @@ import numpy.typing as npt
 from dronevio.models.battery import Battery
 from dronevio.models.errors import ConfigError
 from dronevio.models.imu import GRAVITY_M_S2
+from dronevio.models.ranges import Range, Settings
 from dronevio.models.vibration import NO_VIBRATION, RotorVibration
 
 Array = npt.NDArray[np.float64]
@@ -27,23 +29,10 @@ AIR_DENSITY_KG_M3 = 1.225
 _SIDES = np.array([[1.0, -1.0], [-1.0, 1.0], [1.0, 1.0], [-1.0, -1.0]])  # signs of x (front) and y (left)
 _DIRECTIONS = np.array([1.0, 1.0, -1.0, -1.0])  # +1: anticlockwise seen from above, as in PX4
 _PACK = Battery(cells=3, capacity_ah=5.0, resistance_ohm=0.02)
-_POSITIVE = (
-    "mass_kg",
-    "inertia_kg_m2",
-    "arm_m",
-    "thrust_n_per_rad2_s2",
-    "torque_nm_per_rad2_s2",
-    "rotor_radius_m",
-    "rotor_inertia_kg_m2",
-    "rotor_time_constant_s",
-    "rotor_speed_max_rad_s",
-    "rotor_speed_per_v",
-    "motor_efficiency",
-)
 
 
 @dataclass(frozen=True)
-class Quadrotor:
+class Quadrotor(Settings):
     """Mass, geometry, rotors and battery of a quadrotor in X configuration.
 
     The defaults describe a research quadrotor of 1.5 kg that carries a camera, an IMU and a small computer. Thrust,
@@ -51,63 +40,52 @@ class Quadrotor:
     RotorS (Furrer, Burri, Achtelik, Siegwart, "RotorS – A Modular Gazebo MAV Simulator Framework", 2016).
     """
 
-    mass_kg: float = 1.5
+    mass_kg: Annotated[float, Range(1e-3, 1e3)] = 1.5
     """Total mass with battery, computer and rig [kg]."""
-    inertia_kg_m2: tuple[float, float, float] = (0.0095, 0.0095, 0.0170)
+    inertia_kg_m2: Annotated[tuple[float, float, float], Range(above=0.0, high=1e3)] = (0.0095, 0.0095, 0.0170)
     """Principal moments of inertia about x, y, z, of four motors of 80 g at the ends of the arms and a box of
     14×14×8 cm for the rest [kg m²]."""
-    arm_m: float = 0.20
+    arm_m: Annotated[float, Range(above=0.0, high=10.0)] = 0.20
     """Horizontal distance from the centre of mass to the axis of each rotor [m]."""
-    rotor_height_m: float = 0.03
+    rotor_height_m: Annotated[float, Range(-10.0, 10.0)] = 0.03
     """Height of the rotor discs above the centre of mass [m]."""
-    thrust_n_per_rad2_s2: float = 8.54858e-6
+    thrust_n_per_rad2_s2: Annotated[float, Range(above=0.0, high=1.0)] = 8.54858e-6
     """Thrust coefficient of a rotor (RotorS), k in F = k ω² [N/(rad/s)²]."""
-    torque_nm_per_rad2_s2: float = 1.36777e-7
+    torque_nm_per_rad2_s2: Annotated[float, Range(above=0.0, high=1.0)] = 1.36777e-7
     """Drag torque coefficient of a rotor (RotorS: 0.016 m times the thrust coefficient) [N m/(rad/s)²]."""
-    drag_n_s2_per_rad_m: float = 8.06428e-5
+    drag_n_s2_per_rad_m: Annotated[float, Range(0.0, 1.0)] = 8.06428e-5
     """In-plane drag of a rotor divided by its speed and the in-plane airspeed (RotorS; Martin and Salaün, "The true
     role of accelerometer feedback in quadrotor control", 2010), at hover 0.14 m/s² per m/s [N/((rad/s)(m/s))]."""
-    inflow_n_s2_per_rad_m: float = 3.3e-4
+    inflow_n_s2_per_rad_m: Annotated[float, Range(0.0, 1.0)] = 3.3e-4
     """Loss of thrust of a rotor divided by its speed and the axial inflow velocity: blade element momentum theory at
     hover for two blades with a chord of 20 mm and a lift slope of 5 (Leishman, "Principles of Helicopter Aerodynamics",
     2006, §3.3), at hover 0.58 m/s² per m/s of climb rate [N/((rad/s)(m/s))]."""
-    rotor_time_constant_s: float = 0.03
+    rotor_time_constant_s: Annotated[float, Range(above=0.0, high=10.0)] = 0.03
     """Time constant of the first-order response of the rotor speed to its command; typical of a 10-inch propeller on a
     900 kV motor [s]."""
-    rotor_speed_max_rad_s: float = 1000.0
+    rotor_speed_max_rad_s: Annotated[float, Range(above=0.0, high=1e5)] = 1000.0
     """Largest rotor speed, at which the thrust-to-weight ratio is 2.3 [rad/s]."""
-    rotor_radius_m: float = 0.127
+    rotor_radius_m: Annotated[float, Range(above=0.0, high=10.0)] = 0.127
     """Radius of a propeller of 10 inches diameter [m]."""
-    rotor_inertia_kg_m2: float = 4.0e-5
+    rotor_inertia_kg_m2: Annotated[float, Range(above=0.0, high=10.0)] = 4.0e-5
     """Moment of inertia of a propeller and the rotor of its motor: three fifths of that of a rod of 11 g and 10 inches,
     because blades taper, and a bell of 30 g at 12 mm [kg m²]."""
-    rotor_speed_per_v: float = 90.0
+    rotor_speed_per_v: Annotated[float, Range(above=0.0, high=1e5)] = 90.0
     """Rotor speed at full throttle divided by the voltage of the battery under load: that of a 920 kV motor with a
     10-inch propeller; without load it would be 96 [(rad/s)/V]."""
-    motor_efficiency: float = 0.8
+    motor_efficiency: Annotated[float, Range(above=0.0, high=1.0)] = 0.8
     """Efficiency of motor and speed controller, shaft power over electrical power; typical of this size."""
-    avionics_w: float = 10.0
+    avionics_w: Annotated[float, Range(0.0, 1e4)] = 10.0
     """Power consumption of computer, camera and radio [W]."""
     battery: Battery = _PACK
     """Battery of the drone: three cells of 5 A h with 4 mΩ each, and 8 mΩ of leads and switches."""
-    drag_area_m2: tuple[float, float, float] = (0.013, 0.013, 0.033)
+    drag_area_m2: Annotated[tuple[float, float, float], Range(0.0, 100.0)] = (0.013, 0.013, 0.033)
     """Drag coefficient times frontal area of body, arms and legs along x, y, z, with the coefficient of a cube, 1.05
     (Hoerner, "Fluid-Dynamic Drag", 1965, ch. 3) [m²]."""
     vibration: RotorVibration = NO_VIBRATION
     """Vibration that the rotors cause at the IMU."""
     mjcf_name: str = "quadrotor"
     """Name of the MJCF file with its geometry and appearance."""
-
-    def __post_init__(self) -> None:
-        """Check the parameters that have to be positive.
-
-        Raises:
-            ConfigError: One of them is not a positive, finite number.
-        """
-        for name in _POSITIVE:
-            value = np.asarray(getattr(self, name))
-            if not (np.all(np.isfinite(value)) and np.all(value > 0.0)):
-                raise ConfigError(f"quadrotor.{name} = {value.tolist()}; expected positive, finite numbers")
 
     @property
     def mjcf(self) -> Path:

@@ -1,6 +1,7 @@
 """Sensor rig: cameras and IMU of a drone with their calibration."""
 
 from dataclasses import dataclass, field
+from typing import Annotated
 
 import numpy as np
 import numpy.typing as npt
@@ -8,6 +9,7 @@ import numpy.typing as npt
 from dronevio.models.camera import CameraModel
 from dronevio.models.errors import ConfigError
 from dronevio.models.imu import EUROC_IMU, ImuModel
+from dronevio.models.ranges import Range, Settings, require
 
 Array = npt.NDArray[np.float64]
 
@@ -15,16 +17,16 @@ _ORTHONORMAL = 1e-4  # published extrinsics have as few as 5 digits
 
 
 @dataclass(frozen=True, eq=False)
-class RigCamera:
+class RigCamera(Settings):
     """A camera of a rig."""
 
     model: CameraModel
     """Intrinsics of the camera."""
     T_imu_cam: Array
     """(4, 4) Pose of the camera in the IMU frame; x right, y down, z forward."""
-    rate_hz: float = 20.0
+    rate_hz: Annotated[float, Range(above=0.0, high=1e4)] = 20.0
     """Frame rate [Hz]."""
-    readout_s: float = 0.0
+    readout_s: Annotated[float, Range(0.0, 1.0)] = 0.0
     """Time from the middle of the exposure of the first row to that of the last row, 0 for a global shutter [s]. The
     time stamp of a frame is the middle of the exposure of its middle row."""
 
@@ -34,17 +36,14 @@ class RigCamera:
         Raises:
             ConfigError: A field has an invalid value; the message names both.
         """
+        super().__post_init__()
         _require_rigid("T_imu_cam", self.T_imu_cam)
-        if not 0.0 < self.rate_hz < np.inf:
-            raise ConfigError(f"camera rate_hz = {self.rate_hz}; expected a positive rate")
-        if not 0.0 <= self.readout_s <= 1.0 / self.rate_hz:
-            raise ConfigError(
-                f"camera readout_s = {self.readout_s}; expected 0 to {1.0 / self.rate_hz:g} s, the time between frames"
-            )
+        frame_s = 1.0 / self.rate_hz
+        require(self, self.readout_s <= frame_s, "readout_s", f"0 to {frame_s:g} s, the time between frames")
 
 
 @dataclass(frozen=True, eq=False)
-class Rig:
+class Rig(Settings):
     """The sensors of a drone with their calibration."""
 
     cameras: tuple[RigCamera, ...]
@@ -53,7 +52,7 @@ class Rig:
     """Rate and error model of the IMU."""
     T_vehicle_imu: Array = field(default_factory=lambda: np.eye(4))
     """(4, 4) Pose of the IMU in the vehicle frame; x forward, y left, z up, origin at the centre of mass."""
-    time_offset_s: float = 0.0
+    time_offset_s: Annotated[float, Range(-1e3, 1e3)] = 0.0
     """Time offset of the camera clock: t_imu = t_cam + offset [s]."""
 
     def __post_init__(self) -> None:
@@ -62,9 +61,8 @@ class Rig:
         Raises:
             ConfigError: A field has an invalid value; the message names both.
         """
+        super().__post_init__()
         _require_rigid("T_vehicle_imu", self.T_vehicle_imu)
-        if not np.isfinite(self.time_offset_s):
-            raise ConfigError(f"rig time_offset_s = {self.time_offset_s}; expected a finite number")
         rates = [camera.rate_hz for camera in self.cameras]
         if len(set(rates)) > 1:
             raise ConfigError(

@@ -1,10 +1,13 @@
 """Rotor-induced vibration of the airframe, which an IMU measures in addition to the motion of the drone."""
 
 from dataclasses import dataclass
+from typing import Annotated
+
+from dronevio.models.ranges import Range, Settings
 
 
 @dataclass(frozen=True)
-class RotorVibration:
+class RotorVibration(Settings):
     """Amplitudes of the vibration of each rotor at the position of the IMU.
 
     Rotor forces are proportional to the square of the rotor speed ω. The imbalance rotates with the rotor and excites
@@ -14,17 +17,17 @@ class RotorVibration:
     by the displacement x, and one of angular velocity φ ω by the angle φ, both of which are constants.
     """
 
-    blades: int = 2
+    blades: Annotated[int, Range(1, 20)] = 2
     """Number of blades of a rotor."""
-    harmonics: int = 2
+    harmonics: Annotated[int, Range(0, 20)] = 2
     """Number of multiples of the blade-pass frequency; the k-th is k² times weaker."""
-    imbalance_m: float = 0.0
+    imbalance_m: Annotated[float, Range(0.0, 0.01)] = 0.0
     """Displacement amplitude in the plane of the disc at the rotor frequency [m]."""
-    imbalance_rad: float = 0.0
+    imbalance_rad: Annotated[float, Range(0.0, 0.1)] = 0.0
     """Angle amplitude about axes in the plane of the disc at the rotor frequency [rad]."""
-    blade_pass_m: float = 0.0
+    blade_pass_m: Annotated[float, Range(0.0, 0.01)] = 0.0
     """Amplitude of the acceleration along the rotor axis at the blade-pass frequency, divided by ω² [m]."""
-    blade_pass_rad: float = 0.0
+    blade_pass_rad: Annotated[float, Range(0.0, 0.1)] = 0.0
     """Amplitude of the angular velocity about the horizontal axis normal to the arm at the blade-pass frequency,
     divided by ω [rad]."""
 

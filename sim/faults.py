@@ -1,12 +1,13 @@
 """Faults of vehicle and sensors that a scenario introduces on purpose, to test the robustness of estimators."""
 
 from dataclasses import dataclass, replace
+from typing import Annotated
 
 import numpy as np
 import numpy.typing as npt
 
-from dronevio.models.errors import ConfigError
 from dronevio.models.imu import ImuModel
+from dronevio.models.ranges import Range, Settings
 from dronevio.models.rig import Rig
 from dronevio.models.rotation import exp_so3, pose_matrix
 from dronevio.sim.physics.rotors import MotorFailure
@@ -15,47 +16,33 @@ Array = npt.NDArray[np.float64]
 
 
 @dataclass(frozen=True)
-class Faults:
+class Faults(Settings):
     """Faults of one flight; there are none by default.
 
     Faults called *hidden* are not part of the calibration that is stored with the recording: the estimator receives a
     rig that differs from the one that flew. The true values of all faults are stored with the flight.
     """
 
-    dropped_frames: float = 0.0
+    dropped_frames: Annotated[float, Range(0.0, below=1.0)] = 0.0
     """Fraction of the frames that are lost, each drawn independently; the first frame is never lost."""
-    stamp_jitter_s: float = 0.0
+    stamp_jitter_s: Annotated[float, Range(0.0, 1.0)] = 0.0
     """Standard deviation of the error of the time stamps of the frames [s]."""
-    dark_from_s: float = 0.0
+    dark_from_s: Annotated[float, Range(low=0.0)] = 0.0
     """Time from the start of the flight at which the images become dark [s]."""
-    dark_for_s: float = 0.0
+    dark_for_s: Annotated[float, Range(low=0.0)] = 0.0
     """Duration of the darkness, during which the images contain noise only [s]."""
-    hidden_time_offset_s: float = 0.0
+    hidden_time_offset_s: Annotated[float, Range(above=-1.0, below=1.0)] = 0.0
     """Time offset of the cameras that the calibration does not contain: frames are taken later than calibrated [s]."""
-    hidden_tilt_rad: float = 0.0
+    hidden_tilt_rad: Annotated[float, Range(above=-1.0, below=1.0)] = 0.0
     """Angle of a rotation of each camera that the calibration does not contain, about a random axis [rad]."""
-    imu_noise_factor: float = 1.0
+    imu_noise_factor: Annotated[float, Range(0.0, 1e6)] = 1.0
     """Factor of the white noise and bias random walk of the IMU relative to the calibration."""
-    gyro_range_rad_s: float = float("inf")
+    gyro_range_rad_s: Annotated[float, Range(above=0.0, infinite=True)] = float("inf")
     """Measurement range of the gyroscope on each axis, if smaller than the calibrated range [rad/s]."""
-    failing_rotor: int = 0
+    failing_rotor: Annotated[int, Range(0, 3)] = 0
     """Index of the rotor that fails, 0 to 3."""
-    rotor_fails_at_s: float = float("inf")
+    rotor_fails_at_s: Annotated[float, Range(low=0.0, infinite=True)] = float("inf")
     """Time from the start of the flight at which the rotor loses its power [s]."""
-
-    def __post_init__(self) -> None:
-        """Check the ranges of the values.
-
-        Raises:
-            ConfigError: A value is outside its range.
-        """
-        _require(0.0 <= self.dropped_frames < 1.0, "dropped_frames", self.dropped_frames, "from 0 to below 1")
-        for name in ("stamp_jitter_s", "dark_from_s", "dark_for_s", "imu_noise_factor", "rotor_fails_at_s"):
-            _require(getattr(self, name) >= 0.0, name, getattr(self, name), "0 or more")
-        _require(self.gyro_range_rad_s > 0.0, "gyro_range_rad_s", self.gyro_range_rad_s, "more than 0")
-        _require(self.failing_rotor in range(4), "failing_rotor", self.failing_rotor, "0, 1, 2 or 3")
-        for name in ("hidden_time_offset_s", "hidden_tilt_rad"):
-            _require(abs(getattr(self, name)) < 1.0, name, getattr(self, name), "an absolute value below 1")
 
     @property
     def motor_failure(self) -> MotorFailure | None:
@@ -91,9 +78,3 @@ class Faults:
             accel_random_walk=factor * calibrated.accel_random_walk,
             gyro_range_rad_s=min(self.gyro_range_rad_s, calibrated.gyro_range_rad_s),
         )
-
-
-def _require(holds: bool, name: str, value: float, expected: str) -> None:
-    """Raise ConfigError unless a value is as expected."""
-    if not holds:
-        raise ConfigError(f"faults.{name} {value:g}; expected {expected}")

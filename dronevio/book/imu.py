@@ -3,17 +3,18 @@
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Literal
+from typing import Annotated, Literal
 
 from dronevio.cli.options import Printing, PrintOptions
 from dronevio.cli.terminal import parse, print_json, progress_bars
 from dronevio.models.errors import ConfigError
+from dronevio.models.ranges import Range, Settings
 
 _PLOTS = ("path.png", "graph.png", "graph.svg", "graph.dot", "drift.png", "camera.png")
 
 
 @dataclass(frozen=True)
-class ImuCommand:
+class ImuCommand(Settings):
     """Run the experiments of section 7.4.1: IMU factors, their drift, and the same factors with a camera.
 
     Experiment 1: The drone flies forward at 2 m/s and pitches up at 30 °/s, on a circle with a radius of 3.82 m. Its
@@ -35,17 +36,17 @@ class ImuCommand:
 
     out: Path = Path("runs/book-imu")
     """Folder for the plots."""
-    seed: int = 0
+    seed: Annotated[int, Range(0, 2**32 - 1)] = 0
     """Seed of the IMU errors, the initial values and the landmarks."""
     counting: Literal["book", "equal"] = "book"
     """Distribution of the 35 samples over the IMU factors of the first experiment. ``book``: as the loop in the book
     counts, six factors, of which the first has six samples; four samples remain unused. ``equal``: seven factors with
     five samples each."""
-    runs: int = 100
+    runs: Annotated[int, Range(1, 100_000)] = 100
     """Number of flights for each IMU in the drift study."""
-    camera_runs: int = 10
+    camera_runs: Annotated[int, Range(1, 10_000)] = 10
     """Number of flights with a camera."""
-    duration_s: float = 60.0
+    duration_s: Annotated[float, Range(1.0, 1e4)] = 60.0
     """Duration of the flights of the drift study and of those with a camera, 5 to 120 [s]."""
     imu: str = "euroc"
     """IMU of the flights with a camera, one of those of the drift study."""

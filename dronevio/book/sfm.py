@@ -3,18 +3,19 @@
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Annotated
 
 from dronevio.book.lesson import print_lesson, print_paragraph
 from dronevio.cli.options import Printing, PrintOptions
 from dronevio.cli.terminal import parse, print_json
+from dronevio.models.ranges import Range, Settings
 
 if TYPE_CHECKING:
     from dronevio.estimator.book.sfm import SfmExperiment
 
 
 @dataclass(frozen=True)
-class BookSfmCommand:
+class BookSfmCommand(Settings):
     """Reconstruct Villa Balbianello from five photographs by bundle adjustment.
 
     Each observation of a point in a photograph is a factor with a standard deviation of 1 px. The reconstruction that
@@ -32,9 +33,9 @@ class BookSfmCommand:
 
     out: Path = Path("runs/book-sfm")
     """Folder for the plot and the rerun file."""
-    seed: int = 0
+    seed: Annotated[int, Range(0, 2**32 - 1)] = 0
     """Seed of the perturbation."""
-    perturbation: float = 1.0
+    perturbation: Annotated[float, Range(0.0, 100.0)] = 1.0
     """Factor on the perturbation, whose standard deviations are 0.02 rad and 0.05 units for cameras, 2 % for focal
     lengths and 0.05 units for points. The villa is 1.5 units away from the cameras."""
     printing: Printing = field(default_factory=PrintOptions)

@@ -1,17 +1,25 @@
 """The ``dronevio`` command: it calls the subcommand, and turns errors into one line and an exit code.
 
-Exit codes: 0 success, 1 a check failed, 2 bad input, 130 interrupted, 141 the reader of standard output has gone.
+Exit codes: 0 success, 1 a check failed, 2 bad input, 70 a defect in dronevio, 130 interrupted, 141 the reader of
+standard output has gone.
 """
 
 import os
+import shlex
 import signal
 import sys
+import traceback
 from collections.abc import Sequence
 
 from dronevio.cli.dispatch import CommandGroup, Subcommand
-from dronevio.models.errors import DronevioError
+from dronevio.models.errors import DEFECT, DefectError, DronevioError
 
-__all__ = ["COMMANDS", "main"]
+__all__ = ["COMMANDS", "DEFECT_EXIT_CODE", "main", "report_defect"]
+
+DEBUG = "--debug"
+"""Argument of every command that shows the traceback of a defect."""
+DEFECT_EXIT_CODE = 70
+"""Exit code after a defect of dronevio itself, as in ``sysexits.h``."""
 
 COMMANDS = CommandGroup(
     "dronevio",
@@ -54,11 +62,15 @@ def main(arguments: Sequence[str] | None = None) -> int:
         for library in ("OMP", "OPENBLAS"):  # read when numpy is imported; spinning threads make small systems slower
             os.environ.setdefault(f"{library}_NUM_THREADS", "1")
     args = list(sys.argv[1:] if arguments is None else arguments)
+    debug = DEBUG in args
+    args = [word for word in args if word != DEBUG]
     try:
         status = _version() if args and args[0] in ("-V", "--version") else COMMANDS.run(args)
         sys.stdout.flush()
         return status
     except DronevioError as error:
+        if isinstance(error.__cause__, DefectError):  # an incomplete result whose reason is a dead worker
+            return report_defect(str(error), args, debug)
         print(f"dronevio: {error}", file=sys.stderr)
         return 2
     except BrokenPipeError:  # the reader has gone, as in `dronevio scenarios | head -3`
@@ -71,6 +83,33 @@ def main(arguments: Sequence[str] | None = None) -> int:
     except KeyboardInterrupt:
         print("dronevio: interrupted", file=sys.stderr)
         return 130
+    except MemoryError as error:
+        print(f"dronevio: not enough memory{f': {error}' if str(error) else ''}", file=sys.stderr)
+        return 2
+    except Exception as error:
+        if debug:
+            traceback.print_exc()
+        return report_defect(f"{type(error).__name__}: {error}", args, debug)
+
+
+def report_defect(what: str, arguments: Sequence[str], debug: bool = False) -> int:
+    """Print on one line that dronevio has a defect, and what to report; return the exit code for defects.
+
+    Args:
+        what: What happened.
+        arguments: The words after ``dronevio``.
+        debug: Whether the traceback has been printed.
+    """
+    from dronevio import __version__
+
+    hint = "the traceback above" if debug else f"the traceback, which {DEBUG} shows"
+    command = shlex.join(["dronevio", *arguments])
+    print(
+        f"dronevio: {DEFECT}: {' '.join(what.split())}; please report this line, {hint}, and the input of"
+        f" `{command}` (version {__version__})",
+        file=sys.stderr,
+    )
+    return DEFECT_EXIT_CODE
 
 
 def _version() -> int:

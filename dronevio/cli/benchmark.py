@@ -5,11 +5,13 @@ from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING, Annotated, Literal
 
+from dronevio.cli import report_defect
 from dronevio.cli.options import Printing, PrintOptions
 from dronevio.cli.terminal import parse, print_defects, print_json, print_table
-from dronevio.models.errors import ConfigError, InputError
+from dronevio.models.errors import DEFECT, ConfigError, InputError
+from dronevio.models.ranges import Range, Settings
 
 if TYPE_CHECKING:
     from dronevio.eval.benchmark.engines import Engine
@@ -20,7 +22,7 @@ _MANY = 10_000  # number of flights to which --sizing extrapolates
 
 
 @dataclass(frozen=True)
-class BenchmarkCommand:
+class BenchmarkCommand(Settings):
     """Run estimators on many flights and tabulate their errors, one row per run in results.parquet.
 
     Flights are scenarios with seeds, or recordings with ground truth. Each scenario is simulated once and its recording
@@ -55,19 +57,19 @@ class BenchmarkCommand:
     """Recordings with ground truth: EuRoC folders or ROS 2 bags."""
     estimators: tuple[str, ...] = ("vio",)
     """Estimators to run. Several names may be joined by commas."""
-    seeds: int = 10
+    seeds: Annotated[int, Range(1, 100_000)] = 10
     """Number of seeds of each scenario."""
-    first_seed: int = 0
+    first_seed: Annotated[int, Range(0, 2**32 - 1)] = 0
     """Smallest seed of each scenario."""
     out: Path | None = None
     """Folder of the results; benchmarks/SUITE by default. A benchmark that exists there is continued."""
     engine: Literal["local", "ray"] = "local"
     """Where runs are executed: in processes on this machine, or by Ray."""
-    workers: int | None = None
+    workers: Annotated[int | None, Range(1, 1024)] = None
     """Number of runs at the same time; the number of cores by default. A Ray cluster decides by itself."""
     address: str | None = None
     """Address of a Ray cluster; auto for the cluster of this machine. Without it, Ray is started on this machine."""
-    timeout_s: float = 1800.0
+    timeout_s: Annotated[float, Range(above=0.0, infinite=True)] = 1800.0
     """Time limit of one run, and of the simulation of one recording [s]."""
     strict: bool = False
     """Refuse recordings with defects: missing, damaged or unpaired images, time stamps that do not increase, gaps of
@@ -103,10 +105,11 @@ def main(arguments: Sequence[str]) -> int:
         rows = run_benchmark(benchmark, store, engine, listener, command.retry)
     if command.printing.json:
         print_json({"results": str(folder / RESULTS_FILE), "rows": [asdict(row) for row in rows]})
-        return 0
-    print_benchmark(rows)
-    print(f"results:  {folder / RESULTS_FILE}")
-    return 0
+    else:
+        print_benchmark(rows)
+        print(f"results:  {folder / RESULTS_FILE}")
+    defects = [row.reason for row in rows if row.reason.startswith(DEFECT)]
+    return report_defect(defects[0].removeprefix(f"{DEFECT}: "), ["benchmark", *arguments]) if defects else 0
 
 
 def print_benchmark(rows: Sequence["Row"]) -> None:
@@ -136,13 +139,6 @@ def _planned(command: BenchmarkCommand) -> "BenchmarkPlan":
     Raises:
         ConfigError: There is no flight, or an option has an invalid value.
     """
-    if command.seeds < 1 or command.first_seed < 0:
-        raise ConfigError(f"{command.seeds} seeds from {command.first_seed} on; expected 1 or more, from 0 or more on")
-    if command.workers is not None and command.workers < 1:
-        raise ConfigError(f"{command.workers} workers; expected 1 or more")
-    if not command.timeout_s > 0.0:
-        raise ConfigError(f"a timeout of {command.timeout_s:g} s; expected more than 0 s")
-
     from dronevio.benchmark_jobs import Workbench, recorded_flights, scenario_flights, versions
     from dronevio.eval.benchmark.runner import BenchmarkPlan
     from dronevio.registry import EXTERNAL, estimator_named

@@ -10,13 +10,14 @@ import tyro
 from dronevio.cli.options import Printing, PrintOptions
 from dronevio.cli.terminal import parse, print_json, print_table
 from dronevio.models.errors import ConfigError
+from dronevio.models.ranges import Range, Settings
 
 if TYPE_CHECKING:
     from dronevio.eval.compare import Comparison, Pair
 
 
 @dataclass(frozen=True)
-class CompareCommand:
+class CompareCommand(Settings):
     """Compare two benchmarks run by run, or two single runs.
 
     Runs are paired by scenario, seed and estimator. For each metric, the table has the median of the ratios second /
@@ -41,7 +42,7 @@ class CompareCommand:
     is compared with itself."""
     allow_missing: bool = False
     """Leave out runs that only one of the benchmarks has. By default, such runs are an error."""
-    seed: int = 0
+    seed: Annotated[int, Range(0, 2**32 - 1)] = 0
     """Seed of the bootstrap."""
     printing: Printing = field(default_factory=PrintOptions)
     """How results are printed."""

@@ -12,6 +12,7 @@ import tyro
 from dronevio.cli.options import Output, OutputOptions
 from dronevio.cli.terminal import parse, print_json, print_values, progress_bars
 from dronevio.estimator.dense.config import DenseConfig
+from dronevio.models.ranges import Range, Settings
 
 if TYPE_CHECKING:
     from dronevio.estimator.dense.pipeline import DenseResult
@@ -23,7 +24,7 @@ SOURCE = "images.json"
 
 
 @dataclass(frozen=True)
-class DenseCommand:
+class DenseCommand(Settings):
     """Compute the surfaces of a scene from images with known cameras (multi-view stereo).
 
     SCENE is a folder that `dronevio sfm photographs --out house` wrote, or a COLMAP model or Bundler file of another
@@ -44,7 +45,7 @@ class DenseCommand:
     """Folder of images, video or recording, if SCENE does not say where its images are or they were moved."""
     masks: Path | None = None
     """With --images: folder of masks, or one mask for all images; black parts have no depth."""
-    component: int = 0
+    component: Annotated[int, Range(low=0)] = 0
     """Which component of the reconstruction to use, counted from 0; the first has the most images."""
     out: Path | None = None
     """Folder to make; SCENE/dense by default."""

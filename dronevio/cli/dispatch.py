@@ -39,7 +39,9 @@ class CommandGroup:
         examples = "\n".join(f"  {line}" for line in (*self.examples, f"{self.program} COMMAND --help"))
         return (
             f"usage: {self.program} COMMAND [OPTIONS]\n\n{self.description}\n\ncommands:\n{rows}\n\n"
-            f"examples:\n{examples}\n"
+            f"examples:\n{examples}\n\n"
+            "Errors are one line, with exit code 2 for wrong input and 70 for a defect in dronevio, whose traceback\n"
+            "--debug shows.\n"
         )
 
     def run(self, arguments: Sequence[str]) -> int:

@@ -11,6 +11,7 @@ import tyro
 
 from dronevio.cli.options import Printing, PrintOptions
 from dronevio.cli.terminal import parse, print_json, print_table, print_values
+from dronevio.models.ranges import Range, Settings
 
 if TYPE_CHECKING:
     from dronevio.eval.metrics import ScoredTrajectory, Scores, Statistics
@@ -20,7 +21,7 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True)
-class EvaluateCommand:
+class EvaluateCommand(Settings):
     """Compute the errors of an estimated trajectory with respect to the ground truth.
 
     Each of the two is a TUM file (rows of t x y z qx qy qz qw, in seconds and metres), a KITTI file (rows of twelve
@@ -44,24 +45,24 @@ class EvaluateCommand:
     """Transformation of the estimate that minimizes the errors before they are computed: yaw and position (yaw, for
     visual-inertial odometry), rotation and position (se3), also the scale (sim3), the transformation that makes the
     first poses equal (first), that and the scale (scale, as in KITTI's tools), or the identity (none)."""
-    align_poses: int | None = None
+    align_poses: Annotated[int | None, Range(low=1)] = None
     """Number of poses over which the estimate is aligned, from the first on. All poses are used by default; with 1, the
     first orientations are made equal."""
     association: Literal["interpolate", "nearest", "evo"] = "interpolate"
     """How poses are associated: interpolate the ground truth at the time stamps of the estimate, take the true pose
     that is nearest in time, or associate as evo does."""
-    max_gap_s: float | None = None
+    max_gap_s: Annotated[float | None, Range(above=0.0)] = None
     """Largest gap of the ground truth that is interpolated (0.5 s by default), or largest difference between the time
     stamps of associated poses (0.01 s by default) [s]."""
     repeated: Literal["first", "last", "keep", "refuse"] = "first"
     """Which row of a TUM file counts when several have the same time stamp. With refuse, such a file is an error."""
     times: Path | None = None
     """The times.txt that belongs to KITTI files, in seconds. Without it, frames are 0.1 s apart."""
-    time_offset_s: float = 0.0
+    time_offset_s: Annotated[float, Range()] = 0.0
     """Offset that is added to the time stamps of the estimate [s]."""
     estimate_time_offset: bool = False
     """Print the time offset for which the error is smallest. It is not applied."""
-    rpe_delta: float = 1.0
+    rpe_delta: Annotated[float, Range(above=0.0)] = 1.0
     """Distance between the two poses of a relative pose error, in the unit of --rpe-unit."""
     rpe_unit: Literal["s", "m", "deg", "frames"] = "s"
     """Unit of --rpe-delta: seconds, metres along the path, degrees of rotation, or frames."""
@@ -69,10 +70,10 @@ class EvaluateCommand:
     """Pairs of poses for relative errors: overlapping ones from every pose on, or consecutive ones."""
     rpe_source: Literal["truth", "estimate"] = "truth"
     """Trajectory on which the distances between the poses of a pair are measured."""
-    rpe_tolerance: float | None = None
+    rpe_tolerance: Annotated[float | None, Range(low=0.0)] = None
     """Largest relative deviation of a pair from --rpe-delta. The default is 0.1 for metres and degrees and 0.03 for
     seconds."""
-    lengths_m: tuple[float, ...] | None = None
+    lengths_m: Annotated[tuple[float, ...] | None, Range(above=0.0)] = None
     """Lengths of the sub-trajectories for errors by length [m]. The default is 10, 20, 30, 40 and 50 % of the path."""
     kitti: bool = False
     """Also compute the metrics of the KITTI odometry benchmark, with its definitions."""

@@ -16,6 +16,8 @@ from typing import Annotated, Any, Union, get_args, get_origin, get_type_hints
 import tyro
 from tyro.constructors import ConstructorRegistry, StructConstructorSpec, StructFieldSpec, StructTypeInfo
 
+from dronevio.cli.usage import allowed
+
 REGISTRY = ConstructorRegistry()
 """The registry for `tyro.cli` with the rule of this module."""
 
@@ -58,8 +60,9 @@ def _default(field: dataclasses.Field[Any], of_command: Any) -> Any:
 
 
 def _help_text(command: type, name: str) -> str | None:
-    """Return the docstring under a field of a dataclass or of its bases, without line breaks."""
-    return next((texts[name] for base in command.__mro__ if name in (texts := _help_texts(base))), None)
+    """Return the docstring under a field of a dataclass or of its bases, on one line, and its allowed values."""
+    text = next((texts[name] for base in command.__mro__ if name in (texts := _help_texts(base))), None)
+    return " ".join(filter(None, (text, allowed(command, name)))) or None
 
 
 @cache

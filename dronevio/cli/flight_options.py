@@ -12,6 +12,8 @@ from typing import TYPE_CHECKING, Annotated, Self, TypeVar
 import tyro
 
 from dronevio.cli.terminal import parse
+from dronevio.models.errors import ConfigError
+from dronevio.models.ranges import Range, Settings
 from dronevio.sim.faults import Faults
 from dronevio.sim.paths.plan import FlightPlan
 from dronevio.sim.physics.wind import Wind
@@ -25,18 +27,18 @@ DEFAULT_SCENARIO = "room"
 
 
 @dataclass(frozen=True)
-class ImagingOptions:
+class ImagingOptions(Settings):
     """Exposure and noise of the cameras."""
 
-    exposure_s: float = 0.002
+    exposure_s: Annotated[float, Range(above=0.0, high=1.0)] = 0.002
     """Exposure time, during which moving images blur; the longest one with automatic exposure [s]."""
     auto_exposure: bool = False
     """Set exposure time and gain of each frame from the brightness of earlier frames."""
-    read_sigma: float = 1.2
+    read_sigma: Annotated[float, Range(0.0, 255.0)] = 1.2
     """Standard deviation of the noise of a black image [grey levels]."""
-    shot_sigma: float = 2.2
+    shot_sigma: Annotated[float, Range(0.0, 255.0)] = 2.2
     """Standard deviation of the photon noise of a white image [grey levels]."""
-    vignetting: float = 0.18
+    vignetting: Annotated[float, Range(0.0, 1.0)] = 0.18
     """Relative loss of light at the corner farthest from the centre."""
 
     @classmethod
@@ -68,12 +70,12 @@ class ImagingOptions:
 
 
 @dataclass(frozen=True)
-class FlightOptions:
+class FlightOptions(Settings):
     """The scenario to simulate."""
 
     scenario: str = DEFAULT_SCENARIO
     """Name of the scenario; `dronevio scenarios` lists them."""
-    seed: int = 0
+    seed: Annotated[int, Range(0, 2**32 - 1)] = 0
     """Seed of the world, the route and the errors of the sensors."""
     world: str | None = None
     """World that replaces the one of the scenario; `dronevio worlds` lists them."""
@@ -151,7 +153,10 @@ def parse_flight(command: type[Command], arguments: Sequence[str], name: str) ->
     """
     from dronevio.sim.scenarios import scenario_named
 
-    first = argparse.ArgumentParser(add_help=False, allow_abbrev=False)
+    first = argparse.ArgumentParser(add_help=False, allow_abbrev=False, exit_on_error=False)
     first.add_argument("--scenario", default=DEFAULT_SCENARIO)
-    named = first.parse_known_args(list(arguments))[0].scenario
+    try:
+        named = first.parse_known_args(list(arguments))[0].scenario
+    except argparse.ArgumentError as error:
+        raise ConfigError(f"{error.argument_name}: {error.message}") from None
     return parse(command, arguments, name, default=command(flight=FlightOptions.of(scenario_named(named))))  # type: ignore[call-arg]

@@ -11,10 +11,11 @@ from dronevio.cli.compare import document, print_comparisons, read_pairs
 from dronevio.cli.options import Printing, PrintOptions
 from dronevio.cli.terminal import parse, print_json
 from dronevio.models.errors import ConfigError
+from dronevio.models.ranges import Range, Settings
 
 
 @dataclass(frozen=True)
-class GateCommand:
+class GateCommand(Settings):
     """Fail if a benchmark is worse than an earlier one, as a check of every change.
 
     With a baseline, the exit code is 1 if, for any estimator, the median ratio of a metric to the baseline exceeds 1 +
@@ -45,7 +46,7 @@ class GateCommand:
     """Columns of errors or costs to check; ate_m and rpe_m by default."""
     allow_missing: bool = False
     """Leave out runs that only one of the benchmarks has. By default, such runs are an error."""
-    seed: int = 0
+    seed: Annotated[int, Range(0, 2**32 - 1)] = 0
     """Seed of the bootstrap."""
     printing: Printing = field(default_factory=PrintOptions)
     """How results are printed."""

@@ -10,13 +10,14 @@ import tyro
 from dronevio.cli.options import Output, OutputOptions, RecordingInput, RecordingOptions
 from dronevio.cli.terminal import parse, print_defects, print_json, print_table, progress_bars
 from dronevio.models.errors import ConfigError, InputError
+from dronevio.models.ranges import Range, Settings
 
 if TYPE_CHECKING:
     from dronevio.eval.rerun.compare import NamedEstimate
 
 
 @dataclass(frozen=True)
-class LogCommand:
+class LogCommand(Settings):
     """Write estimated trajectories and their recording to a rerun file, which `dronevio view` opens.
 
     The file shows the estimated and true paths, the errors over time, the scores, the images of all cameras and the IMU
@@ -43,7 +44,7 @@ class LogCommand:
     alignment: Literal["yaw", "se3", "sim3", "first", "none"] = "yaw"
     """Alignment of the estimates before they are shown and evaluated: yaw and position (yaw), rotation and position
     (se3), also the scale (sim3), equal first poses (first), or none."""
-    crf: int = 42
+    crf: Annotated[int, Range(0, 63)] = 42
     """Constant rate factor of the video, from 0 (best quality, largest file) to 63."""
     reading: RecordingInput = field(default_factory=RecordingOptions)
     """How the recording is read."""

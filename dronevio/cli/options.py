@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Annotated
 import tyro
 
 from dronevio.models.errors import ConfigError
+from dronevio.models.ranges import Range, Settings
 from dronevio.models.recordings.bag.options import BagTopics
 
 if TYPE_CHECKING:
@@ -33,10 +34,10 @@ class OutputOptions(PrintOptions):
 
 
 @dataclass(frozen=True)
-class RecordingOptions:
+class RecordingOptions(Settings):
     """How a command reads a recording."""
 
-    cameras: int | None = None
+    cameras: Annotated[int | None, Range(1, 16)] = None
     """Number of cameras to use, from the first on. All cameras are used by default."""
     calibration: tuple[Path, ...] = ()
     """Kalibr files, camchain.yaml, imu.yaml or both, that replace the calibration of a ROS 2 bag."""

@@ -3,13 +3,15 @@
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Annotated
 
 from dronevio.cli.options import Output, OutputOptions
 from dronevio.cli.terminal import parse, print_json, print_values, progress_bars
+from dronevio.models.ranges import Range, Settings
 
 
 @dataclass(frozen=True)
-class ReflyCommand:
+class ReflyCommand(Settings):
     """Render images along the recorded trajectory of a real drone, with its real IMU or a synthesized one.
 
     The trajectory is the ground truth of the result: a TUM file or an EuRoC ground truth, poses of the IMU in a world
@@ -33,13 +35,13 @@ class ReflyCommand:
     """World that is placed around the trajectory; `dronevio worlds` lists them."""
     rig: str = "euroc"
     """Sensors: a name such as euroc-stereo, a Kalibr camchain.yaml, or an EuRoC folder with sensor.yaml files."""
-    seed: int = 0
+    seed: Annotated[int, Range(0, 2**32 - 1)] = 0
     """Seed of the world, of the image noise and of the errors of a synthesized IMU."""
-    start_s: float = 0.0
+    start_s: Annotated[float, Range(low=0.0)] = 0.0
     """Time after the beginning of the trajectory at which the recording begins [s]."""
-    duration_s: float | None = None
+    duration_s: Annotated[float | None, Range(above=0.0)] = None
     """Duration of the recording [s]; up to the end of the trajectory by default."""
-    margin_m: float = 0.3
+    margin_m: Annotated[float, Range(0.0, 100.0)] = 0.3
     """Smallest distance of the trajectory from all surfaces of the world [m]."""
     out: Path | None = None
     """Folder to make; recordings/NAME-WORLD-SEED by default."""

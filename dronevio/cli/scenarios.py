@@ -2,13 +2,15 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
+from typing import Annotated
 
 from dronevio.cli.options import Printing, PrintOptions
 from dronevio.cli.terminal import parse, print_json, print_table
+from dronevio.models.ranges import Range, Settings
 
 
 @dataclass(frozen=True)
-class ScenariosCommand:
+class ScenariosCommand(Settings):
     """List the scenarios that can be simulated, with their planned peak speeds and rotation rates, and the suites.
 
     Examples:
@@ -18,7 +20,7 @@ class ScenariosCommand:
       dronevio run --scenario hover
     """
 
-    seed: int = 0
+    seed: Annotated[int, Range(0, 2**32 - 1)] = 0
     """Seed of the waypoints, on which duration and peaks depend."""
     printing: Printing = field(default_factory=PrintOptions)
     """How results are printed."""

@@ -13,6 +13,7 @@ import tyro
 from dronevio.cli.options import Output, OutputOptions
 from dronevio.cli.terminal import parse, print_json, print_values, progress_bars
 from dronevio.estimator.sfm.config import SfmConfig
+from dronevio.models.ranges import Range, Settings
 
 if TYPE_CHECKING:
     from dronevio.estimator.sfm.pipeline import SfmResult
@@ -24,7 +25,7 @@ Format = Literal["colmap-binary", "colmap-text", "bundler", "ply"]
 
 
 @dataclass(frozen=True)
-class SfmCommand:
+class SfmCommand(Settings):
     """Reconstruct cameras and points from images alone (structure from motion).
 
     IMAGES is a folder of photographs, a video or a recording. Without a calibration, focal length and
@@ -61,11 +62,11 @@ class SfmCommand:
     are estimated: two coefficients of a pinhole with radial distortion, four of an equidistant fisheye."""
     masks: Path | None = None
     """Folder of masks with the names of the images, or one mask for all; no features are detected where it is black."""
-    every: int | None = None
+    every: Annotated[int | None, Range(low=1)] = None
     """For videos: distance between the frames to use."""
-    cameras: tuple[int, ...] | None = None
+    cameras: Annotated[tuple[int, ...] | None, Range(0, 15)] = None
     """For recordings: cameras to use, counted from 0; the first by default."""
-    frames: int | None = None
+    frames: Annotated[int | None, Range(low=1)] = None
     """For recordings: number of frames to use, spread evenly; all by default."""
     add_to: Path | None = None
     """Result of an earlier ``dronevio sfm``, or model of COLMAP, to which the images that it lacks are added. Its world
@@ -77,9 +78,9 @@ class SfmCommand:
     determine the world frame and the scale; images without one are registered as usual."""
     poses_of: Literal["imu", "camera"] | None = None
     """Whether a trajectory of --poses is that of the IMU, the default for recordings, or of the camera."""
-    pose_sigma_m: float = 0.0
+    pose_sigma_m: Annotated[float, Range(low=0.0)] = 0.0
     """Standard deviation of the positions of --poses [m]; 0 for exact poses, which stay fixed."""
-    pose_sigma_deg: float = 0.0
+    pose_sigma_deg: Annotated[float, Range(low=0.0)] = 0.0
     """Standard deviation of the rotations of --poses [deg]; 0 for exact poses, which stay fixed."""
     output: Output = field(default_factory=OutputOptions)
     """How the result is written and printed."""

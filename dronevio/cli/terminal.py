@@ -1,15 +1,21 @@
 """What all commands share at the terminal: options from a dataclass, progress bars, tables and JSON."""
 
 import inspect
+import io
 import json
+import os
 import sys
 from collections.abc import Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, redirect_stderr
+from functools import partial
 from typing import TYPE_CHECKING, TypeVar
 
 import tyro
 
 from dronevio.cli.fields import REGISTRY
+from dronevio.cli.usage import WIDTH, range_message, usage_message
+from dronevio.models.errors import ConfigError
+from dronevio.models.ranges import RangeError
 
 if TYPE_CHECKING:
     from rich.progress import Progress as RichProgress
@@ -27,21 +33,46 @@ MAX_RUN_WARNINGS = 5
 def parse(command: type[Command], arguments: Sequence[str], name: str, default: Command | None = None) -> Command:
     """Return the dataclass ``command`` filled from the command line; its docstring is the text of ``--help``.
 
-    A wrong argument is explained on standard error and ends the process with exit code 2.
+    The ``--help`` ends the process with exit code 0.
 
     Args:
         command: The dataclass. The docstrings under its fields explain the options.
         arguments: The words after the command's name.
         name: The command's name without ``dronevio``.
         default: Source of the values that are not given; the defaults of the dataclass without it.
+
+    Raises:
+        ConfigError: An argument is wrong or missing; the message names the option.
     """
     description = inspect.cleandoc(command.__doc__ or "")  # tyro itself would drop the examples
     prog = f"dronevio {name}"
-    if default is None:
-        return tyro.cli(command, args=list(arguments), prog=prog, description=description, registry=REGISTRY)
-    return tyro.cli(
-        command, args=list(arguments), prog=prog, description=description, registry=REGISTRY, default=default
-    )
+    given = {} if default is None else {"default": default}
+    call = partial(tyro.cli, command, args=list(arguments), prog=prog, description=description, registry=REGISTRY)
+    if any(word in ("-h", "--help") for word in arguments):
+        return call(**given)
+    printed = io.StringIO()
+    try:
+        with redirect_stderr(printed), _terminal_width(WIDTH):
+            return call(**given)
+    except SystemExit as end:
+        if end.code != 2:
+            raise
+        raise ConfigError(usage_message(printed.getvalue(), prog)) from None
+    except RangeError as error:
+        raise ConfigError(range_message(error, command, arguments)) from None
+
+
+@contextmanager
+def _terminal_width(columns: int) -> Iterator[None]:
+    """Let text be formatted for a number of columns until the context ends."""
+    before = os.environ.get("COLUMNS")
+    os.environ["COLUMNS"] = str(columns)
+    try:
+        yield
+    finally:
+        del os.environ["COLUMNS"]
+        if before is not None:
+            os.environ["COLUMNS"] = before
 
 
 @contextmanager

@@ -17,6 +17,7 @@ import tyro
 
 from dronevio.cli.terminal import parse
 from dronevio.models.errors import DronevioError, InputError
+from dronevio.models.ranges import Range, Settings
 
 HOST = "127.0.0.1"  # the viewer has no access control
 RECORDING = "run.rrd"
@@ -25,7 +26,7 @@ _START_S = 30.0  # time within which a viewer accepts connections
 
 
 @dataclass(frozen=True)
-class ViewCommand:
+class ViewCommand(Settings):
     """Open the rerun file of a run: images, IMU samples, true and estimated paths and errors on one timeline.
 
     If there is a display, a window opens. Otherwise a web viewer is served to browsers on this machine. To use it from
@@ -40,7 +41,7 @@ class ViewCommand:
     """Folder that `dronevio run` wrote, or a file with the suffix .rrd."""
     web: bool = False
     """Serve the web viewer even if there is a display."""
-    port: int = 9090
+    port: Annotated[int, Range(1, 65535)] = 9090
     """Port of the web viewer. If it is in use, a free port is chosen."""
 
 

@@ -3,13 +3,15 @@
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Annotated
 
 from dronevio.cli.options import Printing, PrintOptions
 from dronevio.cli.terminal import parse, print_json, print_table, progress_bars
+from dronevio.models.ranges import Range, Settings
 
 
 @dataclass(frozen=True)
-class WorldsCommand:
+class WorldsCommand(Settings):
     """List the worlds in which scenarios take place, or draw a contact sheet of them.
 
     Examples:
@@ -23,7 +25,7 @@ class WorldsCommand:
     """Image file for a contact sheet of the worlds; its suffix selects the format."""
     world: str | None = None
     """Name of one world; all worlds by default."""
-    seed: int = 0
+    seed: Annotated[int, Range(0, 2**32 - 1)] = 0
     """Seed from which the worlds are generated."""
     printing: Printing = field(default_factory=PrintOptions)
     """How results are printed."""

@@ -1,31 +1,33 @@
 """Keyframe selection: by time, by the share of tracked features and by the innovation."""
 
 from dataclasses import dataclass
+from typing import Annotated
 
 import numpy as np
 import numpy.typing as npt
 
 from dronevio.estimator.types import Observations
+from dronevio.models.ranges import Range, Settings
 
 TIME_TOLERANCE_S = 0.001
 """Tolerance of time intervals [s], because time stamps are rounded and jitter."""
 
 
 @dataclass(frozen=True)
-class KeyframeConfig:
+class KeyframeConfig(Settings):
     """When a frame becomes a keyframe."""
 
-    interval_s: float = 0.2
+    interval_s: Annotated[float, Range(0.01, 5.0)] = 0.2
     """Longest time between keyframes in motion [s]."""
-    stationary_interval_s: float = 0.5
+    stationary_interval_s: Annotated[float, Range(0.01, 5.0)] = 0.5
     """Time between keyframes while the drone is stationary [s]."""
-    min_tracked: float = 0.6
+    min_tracked: Annotated[float, Range(0.0, 1.0)] = 0.6
     """Smallest share of the last keyframe's features that is still tracked. With fewer, the frame becomes a keyframe
     before `interval_s`."""
-    max_innovation_px: float = 2.0
+    max_innovation_px: Annotated[float, Range(above=0.0)] = 2.0
     """Largest median innovation of the landmarks [px]. Beyond it, for example after a shock, the frame becomes a
     keyframe before `interval_s`."""
-    min_interval_s: float = 0.1
+    min_interval_s: Annotated[float, Range(0.0, 5.0)] = 0.1
     """Shortest time to the last keyframe for a keyframe by innovation [s], so that the window does not become short."""
 
 

@@ -2,6 +2,7 @@
 
 from collections.abc import Collection, Mapping
 from dataclasses import dataclass
+from typing import Annotated
 
 import numpy as np
 import numpy.typing as npt
@@ -9,6 +10,7 @@ import numpy.typing as npt
 from dronevio.estimator.backend.observations import NO_OBSERVATIONS, Integers, ObservationTable, observation_table
 from dronevio.estimator.backend.triangulation import triangulate
 from dronevio.estimator.types import Observations
+from dronevio.models.ranges import Range, Settings
 
 Array = npt.NDArray[np.float64]
 CameraPoses = Mapping[int, tuple[Array, Array]]
@@ -16,24 +18,24 @@ CameraPoses = Mapping[int, tuple[Array, Array]]
 
 
 @dataclass(frozen=True)
-class LandmarkConfig:
+class LandmarkConfig(Settings):
     """When a landmark constrains the window."""
 
-    min_views: int = 3
+    min_views: Annotated[int, Range(2, 100)] = 3
     """Smallest number of observations of a landmark, by one or several cameras."""
-    min_keyframes: int = 2
+    min_keyframes: Annotated[int, Range(1, 100)] = 2
     """Smallest number of keyframes that observe a landmark. Several cameras in one keyframe determine its position, but
     constrain no motion."""
-    min_parallax_deg: float = 0.3
+    min_parallax_deg: Annotated[float, Range(0.01, 90.0)] = 0.3
     """Smallest parallax of a landmark [°]. Below it the depth is not observable."""
-    min_baseline_m: float = 0.02
+    min_baseline_m: Annotated[float, Range(low=0.0)] = 0.02
     """Smallest distance between the camera positions that observe a landmark [m]. Below it the parallax of a close
     landmark is rather drift of the tracker."""
-    max_distance_m: float = 60.0
+    max_distance_m: Annotated[float, Range(0.1, 1e4)] = 60.0
     """Largest depth of a landmark [m]."""
-    max_reprojection_px: float = 6.0
+    max_reprojection_px: Annotated[float, Range(above=0.0)] = 6.0
     """Reprojection error beyond which a landmark is an outlier [px], unless `max_over_median` allows more."""
-    max_over_median: float = 5.0
+    max_over_median: Annotated[float, Range(low=1.0)] = 5.0
     """Reprojection error beyond which a landmark is an outlier, as a multiple of the median over the landmarks of the
     same keyframe. The larger of both limits applies."""
 

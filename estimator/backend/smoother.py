@@ -14,6 +14,7 @@ All image coordinates are normalized, so a pixel is 1/fx.
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Annotated
 
 import gtsam
 import numpy as np
@@ -27,38 +28,39 @@ from dronevio.estimator.backend.window import Window
 from dronevio.estimator.imu.covariance import covariance_from_gtsam, covariance_to_gtsam
 from dronevio.estimator.imu.noise import ImuVarianceComponents
 from dronevio.estimator.types import GAUGE_SIGMA, NO_FEATURES, Calibration, Integers, Observations
+from dronevio.models.ranges import Range, Settings
 from dronevio.models.state import NavState
 
 Array = npt.NDArray[np.float64]
 
 
 @dataclass(frozen=True)
-class SmootherConfig:
+class SmootherConfig(Settings):
     """Settings of the fixed-lag smoother."""
 
-    max_keyframes: int = 9
+    max_keyframes: Annotated[int, Range(3, 40)] = 9
     """Number of keyframes in the window."""
-    min_parallax_px: float = 5.0
+    min_parallax_px: Annotated[float, Range(low=0.0)] = 5.0
     """Smallest median displacement of the features since the previous keyframe, compensated for rotation [px]. Below
     it, the second-newest keyframe is dropped instead of marginalizing the oldest."""
-    max_persistent: int = 20
+    max_persistent: Annotated[int, Range(0, 100)] = 20
     """Largest number of landmarks that persist as variables of the marginal prior."""
-    iterations: int = 2
+    iterations: Annotated[int, Range(1, 20)] = 2
     """Largest number of Gauss-Newton steps per keyframe."""
-    max_decrement: float = 20.0
+    max_decrement: Annotated[float, Range(low=0.0)] = 20.0
     """Squared length of a step in standard deviations (Newton decrement) below which it is the last one: the next step
     would be shorter than one standard deviation."""
-    pixel_sigma: float = 0.145
+    pixel_sigma: Annotated[float, Range(0.01, 100.0)] = 0.145
     """Standard deviation of an image observation of the best quality [px]."""
-    robust_sigmas: float = 1.0
+    robust_sigmas: Annotated[float, Range(0.1, 1e3)] = 1.0
     """Scale of the Cauchy loss of the observations, in standard deviations or medians, whichever is larger."""
-    initial_rounds: int = 2
+    initial_rounds: Annotated[int, Range(1, 20)] = 2
     """Number of rounds of the initial bundle adjustment; outliers are rejected before each of them."""
-    initial_iterations: int = 10
+    initial_iterations: Annotated[int, Range(1, 100)] = 10
     """Number of Levenberg-Marquardt steps per round of the initial bundle adjustment."""
-    zupt_velocity_sigma_m_s: float = 0.01
+    zupt_velocity_sigma_m_s: Annotated[float, Range(1e-5, 1e3)] = 0.01
     """Standard deviation of the velocity in a zero-velocity update [m/s]."""
-    zupt_pose_sigma: float = 0.003
+    zupt_pose_sigma: Annotated[float, Range(1e-5, 1e3)] = 0.003
     """Standard deviation of the relative pose in a zero-velocity update [rad] and [m]."""
 
 

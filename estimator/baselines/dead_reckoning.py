@@ -3,6 +3,7 @@
 from collections import deque
 from collections.abc import Sequence
 from dataclasses import dataclass, field
+from typing import Annotated
 
 import numpy as np
 import numpy.typing as npt
@@ -12,6 +13,7 @@ from dronevio.estimator.imu.covariance import propagate_covariance
 from dronevio.estimator.imu.forward_propagation import ImuRatePropagator
 from dronevio.estimator.initialization.static import InitialSigmas, initialize_static
 from dronevio.models.imu import GRAVITY_M_S2, ImuSamples
+from dronevio.models.ranges import Range, Settings
 from dronevio.models.rig import Rig
 from dronevio.models.rotation import exp_so3, nearest_rotations, pose_matrix
 from dronevio.models.state import CameraFrame, Estimate, Health, HealthReport, NavState
@@ -22,20 +24,20 @@ _GRAVITY_WORLD = np.array([0.0, 0.0, -GRAVITY_M_S2])
 
 
 @dataclass(frozen=True)
-class DeadReckoningConfig:
+class DeadReckoningConfig(Settings):
     """Settings of the dead reckoning."""
 
-    min_stationary_s: float = 0.8
+    min_stationary_s: Annotated[float, Range(0.05, 60.0)] = 0.8
     """Time for which the drone has to be stationary before the initialization [s]."""
-    max_gyro_std_rad_s: float = 0.05
+    max_gyro_std_rad_s: Annotated[float, Range(above=0.0)] = 0.05
     """Largest standard deviation of the angular velocity of a stationary drone, on any axis [rad/s]; the noise of
     EuRoC's gyroscope is 0.0024 rad/s."""
-    max_accel_std_m_s2: float = 0.5
+    max_accel_std_m_s2: Annotated[float, Range(above=0.0)] = 0.5
     """Largest standard deviation of the specific force of a stationary drone, on any axis [m/s²]; the noise of EuRoC's
     accelerometer is 0.03 m/s²."""
-    max_gyro_rad_s: float = 0.2
+    max_gyro_rad_s: Annotated[float, Range(above=0.0)] = 0.2
     """Largest mean angular velocity of a stationary drone, bias included [rad/s]."""
-    max_accel_error_m_s2: float = 1.0
+    max_accel_error_m_s2: Annotated[float, Range(above=0.0)] = 1.0
     """Largest difference between the mean specific force of a stationary drone and gravity, bias included [m/s²]."""
     sigmas: InitialSigmas = field(default_factory=InitialSigmas)
     """Standard deviations of the initial state."""

@@ -9,6 +9,7 @@ initialization. It is accurate enough to rotate the velocity into the world fram
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
+from typing import Annotated
 
 import gtsam
 import numpy as np
@@ -24,6 +25,7 @@ from dronevio.estimator.initialization.static import initialize_static
 from dronevio.estimator.initialization.zero_velocity import ZeroVelocityConfig, ZeroVelocityDetector
 from dronevio.estimator.types import Observations
 from dronevio.models.imu import ImuSamples
+from dronevio.models.ranges import Range, Settings
 from dronevio.models.rig import Rig
 from dronevio.models.rotation import exp_so3, nearest_rotations, pose_matrix
 from dronevio.models.state import CameraFrame, Estimate, FeatureTracks, Health, HealthReport, NavState
@@ -34,61 +36,61 @@ MAX_SPEED_M_S = 60.0  # above the speed of racing drones, so the filter has dive
 
 
 @dataclass(frozen=True)
-class FilterSettings:
+class FilterSettings(Settings):
     """Settings of the filter. The defaults come with GTSAM's example recording and are tuned for EuRoC."""
 
-    initial_point_depth: float = 5.0002821832024296
+    initial_point_depth: Annotated[float, Range(0.01, 1e4)] = 5.0002821832024296
     """Initial depth of a new landmark [m]."""
-    initial_point_variance: float = 129.90415638150924
+    initial_point_variance: Annotated[float, Range(above=0.0, high=1e8)] = 129.90415638150924
     """Initial variance of the position of a new landmark."""
-    outlier_threshold_abs_norm: float = 0.010594907286020272
+    outlier_threshold_abs_norm: Annotated[float, Range(above=0.0, high=10.0)] = 0.010594907286020272
     """Largest accepted innovation of a landmark, in normalized coordinates."""
-    feature_retention: float = 0.18594708334486176
+    feature_retention: Annotated[float, Range(0.0, 1.0)] = 0.18594708334486176
     """Ratio of the landmarks that are kept regardless of their innovation."""
-    process_var_bias_omega: float = 0.0
+    process_var_bias_omega: Annotated[float, Range(0.0, 1e3)] = 0.0
     """Process noise of the gyroscope bias [rad²/s³]."""
-    process_var_bias_accel: float = 0.0
+    process_var_bias_accel: Annotated[float, Range(0.0, 1e3)] = 0.0
     """Process noise of the accelerometer bias [m²/s⁵]."""
-    process_var_attitude: float = 6.0258753208114069e-05
+    process_var_attitude: Annotated[float, Range(0.0, 1e3)] = 6.0258753208114069e-05
     """Process noise of the attitude [rad²/s]."""
-    process_var_position: float = 9.9814660959284832e-06
+    process_var_position: Annotated[float, Range(0.0, 1e3)] = 9.9814660959284832e-06
     """Process noise of the position [m²/s]."""
-    process_var_velocity: float = 0.025317333863551263
+    process_var_velocity: Annotated[float, Range(0.0, 1e3)] = 0.025317333863551263
     """Process noise of the velocity [m²/s³]."""
-    process_var_cam_attitude: float = 5.0753821740452388e-06
+    process_var_cam_attitude: Annotated[float, Range(0.0, 1e3)] = 5.0753821740452388e-06
     """Process noise of the camera's orientation in the IMU frame [rad²/s]."""
-    process_var_cam_position: float = 1.2188313140115635e-05
+    process_var_cam_position: Annotated[float, Range(0.0, 1e3)] = 1.2188313140115635e-05
     """Process noise of the camera's position in the IMU frame [m²/s]."""
-    process_var_point: float = 0.00029845436136043135
+    process_var_point: Annotated[float, Range(0.0, 1e3)] = 0.00029845436136043135
     """Process noise of the landmark positions."""
-    initial_var_bias_omega: float = 97162.79515771076
+    initial_var_bias_omega: Annotated[float, Range(above=0.0, high=1e8)] = 97162.79515771076
     """Initial variance of the gyroscope bias [rad²/s²]."""
-    initial_var_bias_accel: float = 1.5813333765300104
+    initial_var_bias_accel: Annotated[float, Range(above=0.0, high=1e8)] = 1.5813333765300104
     """Initial variance of the accelerometer bias [m²/s⁴]."""
-    initial_var_attitude: float = 0.13565029126052572
+    initial_var_attitude: Annotated[float, Range(above=0.0, high=1e8)] = 0.13565029126052572
     """Initial variance of the attitude [rad²]."""
-    initial_var_position: float = 0.1
+    initial_var_position: Annotated[float, Range(above=0.0, high=1e8)] = 0.1
     """Initial variance of the position [m²]."""
-    initial_var_velocity: float = 8.9748529957309997e-08
+    initial_var_velocity: Annotated[float, Range(above=0.0, high=1e8)] = 8.9748529957309997e-08
     """Initial variance of the velocity [m²/s²]."""
-    initial_var_cam_attitude: float = 0.0010228558965517584
+    initial_var_cam_attitude: Annotated[float, Range(above=0.0, high=1e8)] = 0.0010228558965517584
     """Initial variance of the camera's orientation in the IMU frame [rad²]."""
-    initial_var_cam_position: float = 0.023501400846134893
+    initial_var_cam_position: Annotated[float, Range(above=0.0, high=1e8)] = 0.023501400846134893
     """Initial variance of the camera's position in the IMU frame [m²]."""
-    input_var_gyr: float = 5.9123660022695769e-08
+    input_var_gyr: Annotated[float, Range(above=0.0, high=1e3)] = 5.9123660022695769e-08
     """Noise of the gyroscope [rad²/s]."""
-    input_var_acc: float = 0.0001547248218532208
+    input_var_acc: Annotated[float, Range(above=0.0, high=1e3)] = 0.0001547248218532208
     """Noise of the accelerometer [m²/s³]."""
-    input_var_gyr_bias_walk: float = 1.7882919946320345e-08
+    input_var_gyr_bias_walk: Annotated[float, Range(above=0.0, high=1e3)] = 1.7882919946320345e-08
     """Random walk of the gyroscope bias [rad²/s³]."""
-    input_var_acc_bias_walk: float = 1.9912030843328381e-05
+    input_var_acc_bias_walk: Annotated[float, Range(above=0.0, high=1e3)] = 1.9912030843328381e-05
     """Random walk of the accelerometer bias [m²/s⁵]."""
-    measurement_noise_variance_norm: float = 1.7755656006412381e-05
+    measurement_noise_variance_norm: Annotated[float, Range(above=0.0, high=1.0)] = 1.7755656006412381e-05
     """Variance of an image observation in normalized coordinates; 1.9 px with EuRoC's camera."""
 
 
 @dataclass(frozen=True)
-class EquivariantConfig:
+class EquivariantConfig(Settings):
     """Settings of the EqVIO baseline."""
 
     filter: FilterSettings = field(default_factory=FilterSettings)
@@ -98,9 +100,9 @@ class EquivariantConfig:
     of the number of landmarks."""
     zero_velocity: ZeroVelocityConfig = field(default_factory=lambda: ZeroVelocityConfig(max_flow_px=0.6))
     """Settings of the zero-velocity detection."""
-    min_stationary_s: float = 0.8
+    min_stationary_s: Annotated[float, Range(0.05, 60.0)] = 0.8
     """Time for which the drone has to be stationary before the initialization [s]."""
-    replenish_interval_s: float = 0.2
+    replenish_interval_s: Annotated[float, Range(0.01, 5.0)] = 0.2
     """Interval between the detections of new features [s]."""
 
 

@@ -9,6 +9,7 @@ applied when it is statistically significant and large enough to matter; that pa
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
+from typing import Annotated, TypeAlias
 
 import gtsam
 import numpy as np
@@ -19,33 +20,35 @@ from dronevio.estimator.calibration.corrections import GRAVITY, Corrections
 from dronevio.estimator.calibration.window import AdjustmentConfig, WindowKeyframe
 from dronevio.estimator.types import Calibration, Observations
 from dronevio.models.imu import GRAVITY_M_S2
+from dronevio.models.ranges import Range, Settings
 from dronevio.models.rig import Rig
 from dronevio.models.rotation import exp_so3, pose_matrix
 from dronevio.models.state import NavState
 
 Array = npt.NDArray[np.float64]
 
+FiveSigmas: TypeAlias = tuple[float, float, float, float, float]
 FIXED_SIGMA = 1e-9  # standard deviation of parameters that are not estimated; it keeps the matrices regular
 
 
 @dataclass(frozen=True)
-class CalibratedPart:
+class CalibratedPart(Settings):
     """Settings of one part of the calibration, in the unit of its parameters."""
 
     online: bool
     """Whether this part is estimated online."""
-    sigma: float
+    sigma: Annotated[float, Range(1e-6, 10.0)]
     """Prior standard deviation of the given calibration."""
-    min_correction: float
+    min_correction: Annotated[float, Range(low=0.0)]
     """Smallest correction that is applied."""
-    walk: float
+    walk: Annotated[float, Range(0.0, 1.0)]
     """Random walk of the parameters, due to temperature and ageing, per √s."""
-    significance: float = 3.0
+    significance: Annotated[float, Range(low=0.0)] = 3.0
     """Standard deviations by which an estimate must differ from the calibration in use before it is applied."""
 
 
 @dataclass(frozen=True)
-class CalibrationConfig:
+class CalibrationConfig(Settings):
     """Settings of the online calibration."""
 
     time_offset: CalibratedPart = CalibratedPart(True, sigma=0.01, min_correction=0.0025, walk=1e-5)
@@ -62,21 +65,33 @@ class CalibrationConfig:
     """Focal lengths of each camera, relative."""
     principal: CalibratedPart = CalibratedPart(False, sigma=0.01, min_correction=0.003, walk=1e-6)
     """Principal point of each camera, in units of the focal lengths."""
-    window_s: float = 5.0
+    window_s: Annotated[float, Range(0.5, 60.0)] = 5.0
     """Length of the windows [s]."""
-    max_keyframes: int = 30
+    max_keyframes: Annotated[int, Range(3, 100)] = 30
     """Largest number of keyframes in a window; a window that reaches it ends early."""
-    min_keyframes: int = 8
+    min_keyframes: Annotated[int, Range(3, 100)] = 8
     """Smallest number of keyframes of a window that is adjusted."""
-    min_landmarks: int = 20
+    min_landmarks: Annotated[int, Range(5, 1000)] = 20
     """Smallest number of landmarks of a window that is adjusted."""
-    max_rms_px: float = 2.0
+    max_rms_px: Annotated[float, Range(above=0.0)] = 2.0
     """Largest root mean square reprojection error of a window whose result is used [px]."""
-    inflation_sigmas: tuple[float, float, float, float, float] = (0.01, 0.02, 0.1, 0.005, 0.15)
+    inflation_sigmas: Annotated[FiveSigmas, Range(0.0, 10.0)] = (
+        0.01,
+        0.02,
+        0.1,
+        0.005,
+        0.15,
+    )
     """Standard deviations of the error that a wrong calibration leaves in the state when it is corrected: orientation
     [rad], position [m], velocity [m/s], gyroscope bias [rad/s] and accelerometer bias [m/s²]. They correspond to a
     rotation of one degree or a time offset of 5 ms."""
-    gravity_inflation_sigmas: tuple[float, float, float, float, float] = (0.001, 0.002, 0.01, 0.0, 0.03)
+    gravity_inflation_sigmas: Annotated[FiveSigmas, Range(0.0, 10.0)] = (
+        0.001,
+        0.002,
+        0.01,
+        0.0,
+        0.03,
+    )
     """Those that wrong gravity leaves. The accelerometer bias compensates most of it."""
     adjustment: AdjustmentConfig = field(default_factory=AdjustmentConfig)
     """Settings of the adjustment of the windows."""

@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Annotated
 
 import gtsam
 import numpy as np
@@ -15,6 +16,7 @@ from dronevio.estimator.calibration.projection import (
     camera_poses,
     corrected_xy,
 )
+from dronevio.models.ranges import Range, Settings
 from dronevio.models.state import NavState
 
 Array = npt.NDArray[np.float64]
@@ -44,30 +46,30 @@ class WindowKeyframe:
 
 
 @dataclass(frozen=True)
-class AdjustmentConfig:
+class AdjustmentConfig(Settings):
     """Settings of the bundle adjustment."""
 
-    pixel_sigma: float = 0.8
+    pixel_sigma: Annotated[float, Range(0.01, 100.0)] = 0.8
     """Standard deviation of an image observation [px]."""
-    min_views: int = 4
+    min_views: Annotated[int, Range(2, 100)] = 4
     """Smallest number of observations of a landmark."""
-    min_parallax_deg: float = 0.5
+    min_parallax_deg: Annotated[float, Range(0.01, 90.0)] = 0.5
     """Smallest parallax of a landmark [°]."""
-    max_reprojection_px: float = 15.0
+    max_reprojection_px: Annotated[float, Range(above=0.0)] = 15.0
     """Largest root mean square reprojection error of a landmark before the adjustment [px]."""
-    max_landmarks: int = 150
+    max_landmarks: Annotated[int, Range(10, 1000)] = 150
     """Largest number of landmarks. Those with the most observations are used."""
-    iterations: int = 3
+    iterations: Annotated[int, Range(1, 50)] = 3
     """Largest number of Gauss-Newton steps."""
-    max_decrement: float = 1.0
+    max_decrement: Annotated[float, Range(low=0.0)] = 1.0
     """Squared length of a step in standard deviations (Newton decrement) below which it is the last one."""
-    orientation_sigma_rad: float = 0.1
+    orientation_sigma_rad: Annotated[float, Range(1e-5, 10.0)] = 0.1
     """Prior standard deviation of the first keyframe's orientation [rad]."""
-    velocity_sigma_m_s: float = 0.5
+    velocity_sigma_m_s: Annotated[float, Range(1e-5, 100.0)] = 0.5
     """Prior standard deviation of the first keyframe's velocity [m/s]."""
-    gyro_bias_sigma_rad_s: float = 0.01
+    gyro_bias_sigma_rad_s: Annotated[float, Range(1e-6, 10.0)] = 0.01
     """Prior standard deviation of the gyroscope bias [rad/s]. It is large, so that windows are nearly independent."""
-    accel_bias_sigma_m_s2: float = 0.2
+    accel_bias_sigma_m_s2: Annotated[float, Range(1e-6, 100.0)] = 0.2
     """Prior standard deviation of the accelerometer bias [m/s²]. It is large, so that windows are nearly
     independent."""
 

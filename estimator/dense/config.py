@@ -1,82 +1,85 @@
 """Settings of multi-view stereo; this module imports none of the libraries that it uses."""
 
 from dataclasses import dataclass, field
+from typing import Annotated
+
+from dronevio.models.ranges import Range, Settings
 
 
 @dataclass(frozen=True)
-class ViewConfig:
+class ViewConfig(Settings):
     """Undistorted images, and the neighbours of each image."""
 
-    max_side_px: int = 1000
+    max_side_px: Annotated[int, Range(16, 10_000)] = 1000
     """Largest length of the longer side of the undistorted images; larger photographs are reduced [px]."""
-    max_angle_deg: float = 60.0
+    max_angle_deg: Annotated[float, Range(above=0.0, below=90.0)] = 60.0
     """Largest angle from the optical axis that undistorted images contain; fisheye images are cut there [deg]."""
-    neighbours: int = 6
+    neighbours: Annotated[int, Range(1, 100)] = 6
     """Number of neighbouring images that an image is compared with."""
-    angle_deg: float = 6.0
+    angle_deg: Annotated[float, Range(above=0.0, high=90.0)] = 6.0
     """Preferred angle between the rays of two neighbouring images to a point [deg]."""
 
 
 @dataclass(frozen=True)
-class DepthConfig:
+class DepthConfig(Settings):
     """Depth maps by a plane sweep and semi-global matching."""
 
-    window_px: int = 7
+    window_px: Annotated[int, Range(3, 31, odd=True)] = 7
     """Side of the square window of the correlation, an odd number [px]."""
-    best_views: int = 2
+    best_views: Annotated[int, Range(1, 100)] = 2
     """Number of neighbouring images with the best correlation whose mean is the cost; the others may be occluded."""
-    max_planes: int = 128
+    max_planes: Annotated[int, Range(4, 1024)] = 128
     """Largest number of planes of a sweep."""
-    plane_step: float = 1.5
+    plane_step: Annotated[float, Range(0.1, 100.0)] = 1.5
     """Distance between the planes of a sweep, at the lowest resolution [px]."""
-    directions: int = 3
+    directions: Annotated[int, Range(0, 20)] = 3
     """Number of surface orientations of the scene along which planes are swept, besides the optical axis."""
-    range_margin: float = 0.3
+    range_margin: Annotated[float, Range(0.0, below=1.0)] = 0.3
     """Margin of the depth range around the points of the reconstruction, as a share of the nearest and farthest."""
-    levels: int = 3
+    levels: Annotated[int, Range(1, 8)] = 3
     """Number of resolutions, each half the next one; planes are swept at the lowest."""
-    refinement_steps: int = 4
+    refinement_steps: Annotated[int, Range(1, 32)] = 4
     """Number of depths on either side of the result of a lower resolution that the refinement examines."""
-    refinement_step: float = 0.5
+    refinement_step: Annotated[float, Range(0.01, 10.0)] = 0.5
     """Distance between the depths of the refinement [px]."""
-    small_penalty: float = 0.06
+    small_penalty: Annotated[float, Range(0.0, 100.0)] = 0.06
     """Penalty of semi-global matching for a change by one depth step between neighbouring pixels; costs are 0 to 1."""
-    large_penalty: float = 0.4
+    large_penalty: Annotated[float, Range(0.0, 100.0)] = 0.4
     """Penalty of semi-global matching for a larger change between neighbouring pixels, where there is no edge."""
 
 
 @dataclass(frozen=True)
-class ConsistencyConfig:
+class ConsistencyConfig(Settings):
     """Photometric and geometric consistency of depths."""
 
-    min_correlation: float = 0.3
+    min_correlation: Annotated[float, Range(-1.0, 1.0)] = 0.3
     """Smallest mean correlation (ZNCC) of a depth."""
-    min_views: int = 2
+    min_views: Annotated[int, Range(0, 100)] = 2
     """Smallest number of other depth maps that confirm a depth."""
-    max_reprojection_px: float = 1.0
+    max_reprojection_px: Annotated[float, Range(above=0.0)] = 1.0
     """Largest distance from a pixel after the projection to another depth map and back [px]."""
-    max_depth_ratio: float = 0.01
+    max_depth_ratio: Annotated[float, Range(above=0.0)] = 0.01
     """Largest relative difference between a depth and that of the other depth map."""
 
 
 @dataclass(frozen=True)
-class MeshConfig:
+class MeshConfig(Settings):
     """Surface from a truncated signed distance function."""
 
-    voxel: float = 0.0
+    voxel: Annotated[float, Range(low=0.0)] = 0.0
     """Side of a voxel in the unit of the reconstruction; 0 for `voxel_px`."""
-    voxel_px: float = 2.0
+    voxel_px: Annotated[float, Range(0.1, 1e3)] = 2.0
     """Side of a voxel in pixels of the undistorted images, at the median depth [px]."""
-    truncation_voxels: float = 4.0
+    truncation_voxels: Annotated[float, Range(1.0, 100.0)] = 4.0
     """Distance from the surface at which the function is truncated, in voxels."""
-    max_voxels: int = 20_000_000
+    max_voxels: Annotated[int, Range(1000, 1_000_000_000)] = 20_000_000
     """Largest number of voxels; larger voxels are used if the scene needs more."""
-    min_triangles: int = 100
+    min_triangles: Annotated[int, Range(0, 100_000_000)] = 100
     """Smallest number of triangles of a connected part of the mesh."""
 
 
 @dataclass(frozen=True)
-class DenseConfig:
+class DenseConfig(Settings):
     """Multi-view stereo."""
 
     views: ViewConfig = field(default_factory=ViewConfig)
@@ -87,7 +90,7 @@ class DenseConfig:
     """Consistency of depths."""
     mesh: MeshConfig = field(default_factory=MeshConfig)
     """Mesh of the surface."""
-    spacing_px: float = 1.0
+    spacing_px: Annotated[float, Range(0.01, 1e3)] = 1.0
     """Distance between neighbouring points of the cloud, in pixels of the undistorted images at the median depth."""
-    threads: int = 2
+    threads: Annotated[int, Range(1, 256)] = 2
     """Number of threads that compute depth maps."""

@@ -7,10 +7,13 @@ the corner within the pixel does not matter, because the tracker follows the pat
 """
 
 from dataclasses import dataclass
+from typing import Annotated
 
 import cv2
 import numpy as np
 import numpy.typing as npt
+
+from dronevio.models.ranges import Range, Settings
 
 Array = npt.NDArray[np.float64]
 Image = npt.NDArray[np.uint8]
@@ -21,17 +24,17 @@ REFINEMENT_RADIUS_PX = 3  # largest displacement of a corner in the refinement, 
 
 
 @dataclass(frozen=True)
-class CornerConfig:
+class CornerConfig(Settings):
     """Settings of the corner detection."""
 
-    cell_px: int = 44
+    cell_px: Annotated[int, Range(8, 500)] = 44
     """Side of the grid cells [px]. Each cell yields at most one new corner; an image of 752×480 has 187 cells."""
-    min_score: float = 4e-4
+    min_score: Annotated[float, Range(above=0.0)] = 4e-4
     """Smallest accepted eigenvalue of the gradient matrix, for grey levels scaled to [0, 1]."""
-    min_score_over_noise: float = 2.5e-5
+    min_score_over_noise: Annotated[float, Range(low=0.0)] = 2.5e-5
     """Smallest accepted ratio of the eigenvalue to the variance of the image noise [1 / grey levels²], which is twice
     the ratio that noise alone produces."""
-    spacing_px: int = 22
+    spacing_px: Annotated[int, Range(1, 500)] = 22
     """Smallest distance between a new corner and any existing feature [px]."""
 
 

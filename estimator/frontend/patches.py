@@ -9,12 +9,13 @@ previous frame; without it, patches of little texture diverge.
 """
 
 from dataclasses import dataclass, fields, replace
-from typing import Self
+from typing import Annotated, Self
 
 import cv2
 import numpy as np
 import numpy.typing as npt
 
+from dronevio.models.ranges import Range, Settings
 from dronevio.models.rotation import rotation_z, yaw_rad_from_matrix
 
 Array = npt.NDArray[np.float64]
@@ -31,36 +32,36 @@ MIN_NORM = 1e-3  # smallest norm of a patch [grey levels], so that uniform patch
 
 
 @dataclass(frozen=True)
-class PatchConfig:
+class PatchConfig(Settings):
     """Settings of the patch alignment."""
 
-    side_px: int = 13
+    side_px: Annotated[int, Range(5, 41, odd=True)] = 13
     """Side of a patch [px], an odd number. A larger patch has more texture, but an affine warp describes it less well
     where the surface is oblique."""
-    iterations: int = 3
+    iterations: Annotated[int, Range(1, 50)] = 3
     """Number of Gauss-Newton iterations per keyframe."""
-    tracking_iterations: int = 1
+    tracking_iterations: Annotated[int, Range(1, 50)] = 1
     """Number of them at every frame, which keeps the patch aligned from one frame to the next."""
-    residual_sigma: float = 3.0
+    residual_sigma: Annotated[float, Range(above=0.0, high=1e3)] = 3.0
     """Standard deviation of the difference between two aligned patches [grey levels], which weights the warp prior."""
-    warp_sigma: float = 0.05
+    warp_sigma: Annotated[float, Range(above=0.0, high=1e3)] = 0.05
     """Standard deviation of the change of each element of the affine warp from one frame to the next."""
-    blur_px: float = 0.5
+    blur_px: Annotated[float, Range(0.0, 10.0)] = 0.5
     """Standard deviation of the Gaussian blur applied before the comparison [px], which reduces interpolation errors
     and aliasing."""
-    scales: tuple[float, ...] = (1.0, 1.6)
+    scales: Annotated[tuple[float, ...], Range(0.1, 10.0)] = (1.0, 1.6)
     """Factors on the blur for features that appear larger than at first, and therefore sharper: the copy of the image
     whose factor is nearest to the scale of the warp is compared."""
-    min_zncc: float = 0.9
+    min_zncc: Annotated[float, Range(-1.0, 1.0)] = 0.9
     """Smallest ZNCC (zero-mean normalized cross-correlation) of a successful alignment, before the allowance for image
     noise; a partly occluded patch has less."""
-    blurred_noise_ratio: float = 0.65
+    blurred_noise_ratio: Annotated[float, Range(above=0.0, high=1.0)] = 0.65
     """Ratio of the standard deviation of the image noise after the blur to that before."""
-    noise_threshold: float = 6.0
+    noise_threshold: Annotated[float, Range(low=0.0, infinite=True)] = 6.0
     """Standard deviation of the image noise above which `noisy_blur_px` replaces `blur_px` [grey levels]."""
-    noisy_blur_px: float = 1.0
+    noisy_blur_px: Annotated[float, Range(0.0, 10.0)] = 1.0
     """Standard deviation of the Gaussian blur applied to noisy images [px]."""
-    max_scale: float = 2.5
+    max_scale: Annotated[float, Range(1.0, 10.0)] = 2.5
     """Largest scale of the warp, and the reciprocal of the smallest, of a successful alignment."""
 
 

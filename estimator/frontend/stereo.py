@@ -11,11 +11,13 @@ returned, for online calibration to use.
 """
 
 from dataclasses import dataclass
+from typing import Annotated
 
 import numpy as np
 import numpy.typing as npt
 
 from dronevio.estimator.frontend import klt
+from dronevio.models.ranges import Range, Settings
 from dronevio.models.rig import RigCamera
 from dronevio.models.rotation import cross, exp_so3, inverse_pose
 
@@ -29,26 +31,26 @@ NOISE_PX = 0.3
 
 
 @dataclass(frozen=True)
-class StereoConfig:
+class StereoConfig(Settings):
     """Settings of the stereo matching."""
 
-    window_px: int = 15
+    window_px: Annotated[int, Range(5, 41, odd=True)] = 15
     """Side of the patch that is compared [px]."""
-    pyramid_levels: int = 3
+    pyramid_levels: Annotated[int, Range(0, 6)] = 3
     """Number of pyramid levels above the image; the predicted position may be off by about window/2 · 2^levels [px]."""
-    max_epipolar_error_px: float = 1.0
+    max_epipolar_error_px: Annotated[float, Range(above=0.0)] = 1.0
     """Largest distance of a match from its epipolar line [px], due to tracking and to residual calibration errors."""
-    max_backward_error_px: float = 0.5
+    max_backward_error_px: Annotated[float, Range(above=0.0)] = 0.5
     """Largest distance between a feature and its match tracked back into the first image [px]."""
-    min_depth_m: float = 0.15
+    min_depth_m: Annotated[float, Range(above=0.0)] = 0.15
     """Smallest depth of a match in the first camera [m]."""
-    border_px: int = 8
+    border_px: Annotated[int, Range(1, 200)] = 8
     """Smallest distance of a match from the border of the image [px]."""
-    neighbours: int = 3
+    neighbours: Annotated[int, Range(1, 100)] = 3
     """Number of features with a known depth, nearest in the image, whose median predicts an unknown depth."""
-    rotation_sigma_rad: float = 0.02
+    rotation_sigma_rad: Annotated[float, Range(above=0.0, high=1.0)] = 0.02
     """Prior standard deviation of an error in the relative orientation of the cameras [rad]; a bad mount errs by 1°."""
-    min_matches: int = 20
+    min_matches: Annotated[int, Range(1, 10_000)] = 20
     """Number of matches from which on the calibration is checked; with fewer, the last result is kept."""
 
 

@@ -9,7 +9,7 @@ not consistent with one rigid motion.
 from collections.abc import Iterator
 from dataclasses import dataclass, field, fields, replace
 from itertools import count, islice
-from typing import Self
+from typing import Annotated, Self
 
 import numpy as np
 import numpy.typing as npt
@@ -21,6 +21,7 @@ from dronevio.estimator.frontend.protocol import image_of
 from dronevio.estimator.frontend.ransac import epipolar_inliers, essential_inliers
 from dronevio.estimator.types import Observations
 from dronevio.models.camera import CameraModel
+from dronevio.models.ranges import Range, Settings
 from dronevio.models.rig import Rig
 from dronevio.models.state import CameraFrame
 
@@ -33,33 +34,33 @@ RETRY_LEVELS = 2  # additional pyramid levels for features that the prediction d
 
 
 @dataclass(frozen=True)
-class TrackerConfig:
+class TrackerConfig(Settings):
     """Settings of the feature tracker."""
 
     corners: CornerConfig = field(default_factory=CornerConfig)
     """Settings of the corner detection."""
     patches: PatchConfig = field(default_factory=PatchConfig)
     """Settings of the patch alignment."""
-    window_px: int = 11
+    window_px: Annotated[int, Range(5, 41, odd=True)] = 11
     """Side of the Lucas-Kanade window for tracking from frame to frame [px]."""
-    pyramid_levels: int = 3
+    pyramid_levels: Annotated[int, Range(0, 6)] = 3
     """Number of pyramid levels above the image. The prediction may be off by about window / 2 · 2^levels pixels."""
-    border_px: int = 12
+    border_px: Annotated[int, Range(1, 200)] = 12
     """Distance from the image border below which features are dropped [px]."""
-    max_correction_px: float = 2.0
+    max_correction_px: Annotated[float, Range(above=0.0)] = 2.0
     """Largest distance between the result of Lucas-Kanade and the aligned patch [px]."""
-    min_tracked_ratio: float = 0.5
+    min_tracked_ratio: Annotated[float, Range(0.0, 1.0)] = 0.5
     """Smallest ratio of tracked features to those predicted inside the image. Below it, the prediction is regarded as
     wrong, and the remaining features are searched again in a larger neighbourhood of their previous positions."""
-    ransac_threshold_px: float = 0.5
+    ransac_threshold_px: Annotated[float, Range(above=0.0, high=100.0)] = 0.5
     """Largest distance of an inlier from its epipolar line [px]."""
-    min_inlier_ratio: float = 0.5
+    min_inlier_ratio: Annotated[float, Range(0.0, 1.0)] = 0.5
     """Smallest ratio of inliers with the gyroscope's rotation. Below it, that rotation is regarded as wrong if the
     essential matrix has a larger ratio of inliers than this."""
-    max_rotation_sigma_rad: float = 0.01
+    max_rotation_sigma_rad: Annotated[float, Range(above=0.0, infinite=True)] = 0.01
     """Standard deviation of the gyroscope's rotation above which the essential matrix replaces it [rad]; the tolerance
     of the two-point method grows with that deviation and would admit outliers."""
-    seed: int = 0
+    seed: Annotated[int, Range(0, 2**32 - 1)] = 0
     """Seed of the random generator of RANSAC."""
 
 

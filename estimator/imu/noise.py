@@ -9,12 +9,14 @@ estimation: Förstner, "Ein Verfahren zur Schätzung von Varianz- und Kovarianzk
 """
 
 from dataclasses import dataclass, replace
+from typing import Annotated
 
 import numpy as np
 import numpy.typing as npt
 
 from dronevio.estimator.imu.preintegration import PreintegrationConfig, PreintegrationParams
 from dronevio.models.imu import GRAVITY_M_S2, ImuModel
+from dronevio.models.ranges import Range, Settings
 
 Array = npt.NDArray[np.float64]
 
@@ -23,16 +25,16 @@ MAX_NORMALIZED_SQUARE = 9.0
 
 
 @dataclass(frozen=True)
-class NoiseEstimationConfig:
+class NoiseEstimationConfig(Settings):
     """How the noise densities of the IMU are estimated."""
 
-    memory: float = 50.0
+    memory: Annotated[float, Range(low=1.0, infinite=True)] = 50.0
     """Number of intervals between keyframes that are averaged, with exponential forgetting: about ten seconds."""
-    prior_weight: float = 1.0
+    prior_weight: Annotated[float, Range(above=0.0)] = 1.0
     """Weight of the initial noise density, as a number of intervals with full redundancy."""
-    min_factor: float = 0.5
+    min_factor: Annotated[float, Range(above=0.0, high=1.0)] = 0.5
     """Smallest ratio of a noise density to its data sheet value."""
-    max_factor: float = 30.0
+    max_factor: Annotated[float, Range(1.0, 1e4)] = 30.0
     """Largest ratio of a noise density to its data sheet value."""
 
 

@@ -5,33 +5,34 @@ combined factor, which models the biases as random walks.
 """
 
 from dataclasses import dataclass, replace
-from typing import Self
+from typing import Annotated, Self
 
 import gtsam
 import numpy as np
 
 from dronevio.estimator.imu.buffer import Increments
 from dronevio.models.imu import GRAVITY_M_S2, ImuModel
+from dronevio.models.ranges import Range, Settings
 
 
 @dataclass(frozen=True)
-class PreintegrationConfig:
+class PreintegrationConfig(Settings):
     """Settings of the IMU preintegration."""
 
-    gyro_noise_inflation: float = 2.0
+    gyro_noise_inflation: Annotated[float, Range(0.01, 1e3)] = 2.0
     """Factor on the data sheet's white noise of the gyroscope, until the noise is estimated in flight."""
-    accel_noise_inflation: float = 5.0
+    accel_noise_inflation: Annotated[float, Range(0.01, 1e3)] = 5.0
     """Factor on the data sheet's white noise of the accelerometer, until the noise is estimated in flight. It is larger
     than the gyroscope's because the accelerometer senses the vibration of the airframe."""
-    walk_inflation: float = 1.0
+    walk_inflation: Annotated[float, Range(0.0, 1e3)] = 1.0
     """Factor on the data sheet's random walks of both biases."""
-    min_gyro_random_walk: float = 1e-5
+    min_gyro_random_walk: Annotated[float, Range(0.0, 1.0)] = 1e-5
     """Smallest random walk of the gyroscope bias [rad/s²/√Hz]. It covers scale errors and misalignments, which act like
     a bias that varies with the motion, and keeps the linear system regular."""
-    min_accel_random_walk: float = 1e-3
+    min_accel_random_walk: Annotated[float, Range(0.0, 10.0)] = 1e-3
     """Smallest random walk of the accelerometer bias [m/s³/√Hz], for the same reasons. A scale error of half a percent
     is an error of 0.05 m/s² that rotates with the vehicle."""
-    integration_sigma: float = 1e-4
+    integration_sigma: Annotated[float, Range(1e-9, 1.0)] = 1e-4
     """Standard deviation of the position error of the integration itself [m/√s]."""
 
 

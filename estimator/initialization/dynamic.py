@@ -12,6 +12,7 @@ acceleration.
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Annotated
 
 import numpy as np
 import numpy.typing as npt
@@ -30,6 +31,7 @@ from dronevio.estimator.initialization.static import level_rotation
 from dronevio.estimator.initialization.views import Motion, WindowMeasurements
 from dronevio.estimator.types import FramePacket, Integers
 from dronevio.models.imu import GRAVITY_M_S2
+from dronevio.models.ranges import Range, Settings
 from dronevio.models.rotation import pose_matrix
 from dronevio.models.state import NavState
 
@@ -37,54 +39,54 @@ Array = npt.NDArray[np.float64]
 
 
 @dataclass(frozen=True)
-class DynamicInitializationConfig:
+class DynamicInitializationConfig(Settings):
     """Settings of the dynamic initialization."""
 
-    window_s: float = 1.5
+    window_s: Annotated[float, Range(0.1, 30.0)] = 1.5
     """Length of the window with a single camera [s]."""
-    attempt_interval_s: float = 0.25
+    attempt_interval_s: Annotated[float, Range(0.01, 30.0)] = 0.25
     """Time between attempts [s]."""
-    stereo_window_s: float = 0.5
+    stereo_window_s: Annotated[float, Range(0.1, 30.0)] = 0.5
     """Length of the window where several cameras observe the same landmarks, which makes the scale observable [s]."""
-    max_frames: int = 16
+    max_frames: Annotated[int, Range(3, 200)] = 16
     """Largest number of frames that are used; of a longer window, every second or third frame is used."""
-    min_observations: int = 6
+    min_observations: Annotated[int, Range(2, 200)] = 6
     """Smallest number of used frames in which a landmark must be observed."""
-    min_landmarks: int = 20
+    min_landmarks: Annotated[int, Range(5, 100_000)] = 20
     """Smallest number of such landmarks."""
-    pixel_sigma: float = 0.5
+    pixel_sigma: Annotated[float, Range(0.01, 100.0)] = 0.5
     """Standard deviation of an image observation [px]. The errors of one track are taken as fully correlated."""
-    outlier_sigmas: float = 2.0
+    outlier_sigmas: Annotated[float, Range(0.1, 1e3)] = 2.0
     """Root mean square residual of a track from which it is an outlier, in standard deviations."""
-    accel_bias_sigma_m_s2: float = 0.1
+    accel_bias_sigma_m_s2: Annotated[float, Range(1e-6, 100.0)] = 0.1
     """Standard deviation of the accelerometer bias [m/s²]."""
-    min_parallax_sigmas: float = 30.0
+    min_parallax_sigmas: Annotated[float, Range(low=0.0)] = 30.0
     """Smallest median displacement of the features over the window, compensated for rotation, in standard deviations
     of an image observation."""
-    max_residual_sigmas: float = 3.0
+    max_residual_sigmas: Annotated[float, Range(above=0.0)] = 3.0
     """Largest root mean square residual of a landmark that agrees with the solution, in standard deviations of an image
     observation."""
-    max_rotation_residual_sigmas: float = 0.75
+    max_rotation_residual_sigmas: Annotated[float, Range(above=0.0)] = 0.75
     """Largest median residual of the epipolar geometry at which the gyroscope agrees with the images, in standard
     deviations of an image observation. This and the next two only determine the cause that is stated where there is no
     solution."""
-    max_gyro_bias_sigmas: float = 6.0
+    max_gyro_bias_sigmas: Annotated[float, Range(above=0.0)] = 6.0
     """Largest distance of the gyroscope bias from its prior at which the gyroscope agrees with the images, in standard
     deviations."""
-    min_rotation_rad_s: float = 0.2
+    min_rotation_rad_s: Annotated[float, Range(low=0.0)] = 0.2
     """Smallest standard deviation of the angular velocity over the window at which that agreement is significant
     [rad/s]. A bias explains slower rotations."""
-    min_inliers: float = 0.5
+    min_inliers: Annotated[float, Range(0.0, 1.5)] = 0.5
     """Smallest share of the landmarks that must agree with the solution."""
-    min_in_front: float = 0.9
+    min_in_front: Annotated[float, Range(0.0, 1.0)] = 0.9
     """Smallest share of these landmarks that must lie in front of the camera."""
-    max_velocity_sigma: float = 0.15
+    max_velocity_sigma: Annotated[float, Range(low=0.0)] = 0.15
     """Largest standard deviation of the velocity by its covariance, relative to the speed."""
-    max_velocity_sigma_m_s: float = 0.1
+    max_velocity_sigma_m_s: Annotated[float, Range(low=0.0)] = 0.1
     """Standard deviation of the velocity that suffices at any speed [m/s]."""
-    max_gyro_bias_rad_s: float = 0.2
+    max_gyro_bias_rad_s: Annotated[float, Range(above=0.0)] = 0.2
     """Largest plausible gyroscope bias [rad/s]."""
-    min_excitation: float = 3.0
+    min_excitation: Annotated[float, Range(low=0.0)] = 3.0
     """Smallest ratio between the deviation of the path from constant velocity and that which the accelerometer bias
     causes. At constant velocity the scale of a single camera is not observable."""
 

@@ -7,6 +7,7 @@ DM-VIO (von Stumberg and Cremers, RA-L 2022), and no state is published before i
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
+from typing import Annotated
 
 import numpy as np
 import numpy.typing as npt
@@ -26,6 +27,7 @@ from dronevio.estimator.initialization.static import (
     mean_angular_velocity,
 )
 from dronevio.estimator.types import Calibration, FramePacket
+from dronevio.models.ranges import Range, Settings
 from dronevio.models.state import NavState
 
 Array = npt.NDArray[np.float64]
@@ -37,10 +39,10 @@ TIME_TOLERANCE_NS = 1_000_000
 
 
 @dataclass(frozen=True)
-class InitializerConfig:
+class InitializerConfig(Settings):
     """Settings of the initialization."""
 
-    static_window_s: float = 0.8
+    static_window_s: Annotated[float, Range(0.05, 60.0)] = 0.8
     """Time for which the vehicle must be stationary for a static initialization [s]."""
     static_sigmas: InitialSigmas = field(default_factory=InitialSigmas)
     """Standard deviations of a static initialization."""
@@ -52,14 +54,14 @@ class InitializerConfig:
         )
     )
     """Standard deviations of a dynamic initialization."""
-    max_velocity_sigma: float = 0.05
+    max_velocity_sigma: Annotated[float, Range(low=0.0)] = 0.05
     """Largest standard deviation of the velocity, relative to the speed, of the first state that is published."""
-    max_hover_velocity_sigma_m_s: float = 0.03
+    max_hover_velocity_sigma_m_s: Annotated[float, Range(low=0.0)] = 0.03
     """Standard deviation of the velocity that suffices at any speed [m/s]; a relative one means nothing at hover."""
-    rest_gyro_bias_sigma_rad_s: float = 0.01
+    rest_gyro_bias_sigma_rad_s: Annotated[float, Range(1e-6, 10.0)] = 0.01
     """Standard deviation of the gyroscope bias that a stationary interval has determined [rad/s]; a short interval may
     contain a slow rotation."""
-    gyro_bias_sigma_rad_s: float = 0.05
+    gyro_bias_sigma_rad_s: Annotated[float, Range(1e-6, 10.0)] = 0.05
     """Standard deviation of the gyroscope bias before it is estimated [rad/s]; that of EuRoC is 0.08."""
 
 

@@ -2,12 +2,14 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Annotated
 
 import numpy as np
 import numpy.typing as npt
 
 from dronevio.estimator.imu.buffer import Increments
 from dronevio.estimator.types import GAUGE_SIGMA
+from dronevio.models.ranges import Range, Settings
 from dronevio.models.rotation import pose_matrix
 from dronevio.models.state import NavState
 
@@ -15,16 +17,16 @@ Array = npt.NDArray[np.float64]
 
 
 @dataclass(frozen=True)
-class InitialSigmas:
+class InitialSigmas(Settings):
     """Standard deviations of an initial state."""
 
-    tilt_rad: float = 0.1
+    tilt_rad: Annotated[float, Range(1e-6, 10.0)] = 0.1
     """Standard deviation of roll and pitch [rad]; a static initialization attributes the accelerometer bias to them."""
-    velocity_m_s: float = 0.05
+    velocity_m_s: Annotated[float, Range(1e-6, 100.0)] = 0.05
     """Standard deviation of the velocity [m/s]."""
-    gyro_bias_rad_s: float = 0.005
+    gyro_bias_rad_s: Annotated[float, Range(1e-6, 10.0)] = 0.005
     """Standard deviation of the gyroscope bias [rad/s]."""
-    accel_bias_m_s2: float = 0.1
+    accel_bias_m_s2: Annotated[float, Range(1e-6, 100.0)] = 0.1
     """Standard deviation of the accelerometer bias [m/s²]."""
 
     def covariance(self, R_world_imu: Array) -> Array:

@@ -1,6 +1,7 @@
 """Zero-velocity detection: the vehicle is stationary while the image does not move and the IMU agrees."""
 
 from dataclasses import dataclass
+from typing import Annotated
 
 import numpy as np
 import numpy.typing as npt
@@ -8,21 +9,22 @@ import numpy.typing as npt
 from dronevio.estimator.imu.buffer import Increments
 from dronevio.estimator.types import Observations
 from dronevio.models.imu import GRAVITY_M_S2
+from dronevio.models.ranges import Range, Settings
 
 Array = npt.NDArray[np.float64]
 
 
 @dataclass(frozen=True)
-class ZeroVelocityConfig:
+class ZeroVelocityConfig(Settings):
     """Settings of the zero-velocity detection."""
 
-    max_flow_px: float = 0.6
+    max_flow_px: Annotated[float, Range(low=0.0)] = 0.6
     """Largest median displacement of the features since the start of the stationary interval [px]."""
-    min_features: int = 10
+    min_features: Annotated[int, Range(1, 10_000)] = 10
     """Smallest number of features common to both ends of the interval; a dark image does not prove zero velocity."""
-    max_gyro_rad_s: float = 0.2
+    max_gyro_rad_s: Annotated[float, Range(low=0.0)] = 0.2
     """Largest mean angular velocity between frames, including the bias [rad/s]."""
-    max_accel_error_m_s2: float = 1.0
+    max_accel_error_m_s2: Annotated[float, Range(low=0.0)] = 1.0
     """Largest difference between the mean specific force and gravity, including the bias [m/s²]."""
 
 

@@ -7,6 +7,7 @@ held or have priors; without them, a prior on one pose and on the distance to a 
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import Annotated
 
 import gtsam
 import numpy as np
@@ -15,6 +16,7 @@ from gtsam.symbol_shorthand import K, P, X
 
 from dronevio.estimator.sfm.model import KnownPoses, Scene, SfmState
 from dronevio.models.camera import CameraModel
+from dronevio.models.ranges import Range, Settings
 
 Array = npt.NDArray[np.float64]
 Indices = npt.NDArray[np.int64]
@@ -47,14 +49,14 @@ class RelativePose:
 
 
 @dataclass(frozen=True)
-class BundleAdjustmentConfig:
+class BundleAdjustmentConfig(Settings):
     """Bundle adjustment."""
 
-    max_iterations: int = 50
+    max_iterations: Annotated[int, Range(1, 1000)] = 50
     """Largest number of iterations."""
-    relative_tolerance: float = 1e-6
+    relative_tolerance: Annotated[float, Range(0.0, 1.0)] = 1e-6
     """Relative decrease of the error at which the optimizer stops."""
-    cauchy_px: float | None = None
+    cauchy_px: Annotated[float | None, Range(above=0.0)] = None
     """Scale of the Cauchy loss [px] for small features; None for a squared loss."""
 
 

@@ -1,145 +1,147 @@
 """Settings of structure from motion; this module imports none of the libraries that it uses."""
 
 from dataclasses import dataclass, field
-from typing import Literal
+from typing import Annotated, Literal
+
+from dronevio.models.ranges import Range, Settings
 
 
 @dataclass(frozen=True)
-class FeatureConfig:
+class FeatureConfig(Settings):
     """Detection of features."""
 
-    max_features: int = 2000
+    max_features: Annotated[int, Range(50, 50_000)] = 2000
     """Largest number of features of an image; those of highest contrast are kept."""
-    contrast_threshold: float = 0.02
+    contrast_threshold: Annotated[float, Range(above=0.0, high=1.0)] = 0.02
     """Smallest contrast of a keypoint, in the scale of OpenCV."""
-    edge_threshold: float = 10.0
+    edge_threshold: Annotated[float, Range(1.0, 1e3)] = 10.0
     """Largest ratio of the principal curvatures of a keypoint."""
 
 
 @dataclass(frozen=True)
-class PairConfig:
+class PairConfig(Settings):
     """Pairs of images that are matched."""
 
     method: Literal["automatic", "exhaustive", "sequential", "retrieval"] = "automatic"
     """All pairs, neighbours in the sequence and similar images, or similar images alone; ``automatic`` matches all
     pairs of at most `max_exhaustive` images, and otherwise decides by whether the images are a sequence."""
-    max_exhaustive: int = 40
+    max_exhaustive: Annotated[int, Range(0, 10_000)] = 40
     """Largest number of images of which ``automatic`` matches all pairs."""
-    overlap: int = 10
+    overlap: Annotated[int, Range(1, 1000)] = 10
     """Number of next images in a sequence to which an image is matched."""
-    similar: int = 10
+    similar: Annotated[int, Range(0, 1000)] = 10
     """Number of similar images to which an image is matched, besides its neighbours in the sequence."""
 
 
 @dataclass(frozen=True)
-class MatchingConfig:
+class MatchingConfig(Settings):
     """Matching of features."""
 
-    ratio: float = 0.8
+    ratio: Annotated[float, Range(above=0.0, high=1.0)] = 0.8
     """Largest ratio of the distance to the nearest descriptor and to the second nearest."""
-    max_angle_rad: float = 0.7
+    max_angle_rad: Annotated[float, Range(above=0.0, high=3.2)] = 0.7
     """Largest angle between the descriptors of a match [rad]."""
 
 
 @dataclass(frozen=True)
-class VerificationConfig:
+class VerificationConfig(Settings):
     """Geometric verification of matches."""
 
-    max_error_px: float = 3.0
+    max_error_px: Annotated[float, Range(above=0.0, high=100.0)] = 3.0
     """Largest distance of an inlier from its epipolar line [px]."""
-    min_inliers: int = 15
+    min_inliers: Annotated[int, Range(5, 100_000)] = 15
     """Smallest number of inliers of a verified pair."""
-    max_homography_ratio: float = 0.8
+    max_homography_ratio: Annotated[float, Range(above=0.0, high=10.0)] = 0.8
     """Smallest ratio of the inliers of a homography to those of the essential matrix at which a pair is planar."""
-    max_iterations: int = 5000
+    max_iterations: Annotated[int, Range(10, 1_000_000)] = 5000
     """Largest number of hypotheses of RANSAC."""
 
 
 @dataclass(frozen=True)
-class TriangulationConfig:
+class TriangulationConfig(Settings):
     """Triangulation of tracks."""
 
-    max_error_px: float = 4.0
+    max_error_px: Annotated[float, Range(above=0.0, high=100.0)] = 4.0
     """Largest reprojection error of an inlier [px]."""
-    min_angle_deg: float = 1.5
+    min_angle_deg: Annotated[float, Range(above=0.0, high=90.0)] = 1.5
     """Smallest angle between two rays of a point [deg]."""
 
 
 @dataclass(frozen=True)
-class ResectionConfig:
+class ResectionConfig(Settings):
     """Registration of images."""
 
-    max_error_px: float = 6.0
+    max_error_px: Annotated[float, Range(above=0.0, high=100.0)] = 6.0
     """Largest reprojection error of an inlier [px]."""
-    min_inliers: int = 15
+    min_inliers: Annotated[int, Range(4, 100_000)] = 15
     """Smallest number of inliers of a registered image."""
-    min_ratio: float = 0.25
+    min_ratio: Annotated[float, Range(0.0, 1.0)] = 0.25
     """Smallest ratio of the inliers to the points that the image observes."""
-    max_iterations: int = 5000
+    max_iterations: Annotated[int, Range(10, 1_000_000)] = 5000
     """Largest number of hypotheses of RANSAC."""
 
 
 @dataclass(frozen=True)
-class CompletionConfig:
+class CompletionConfig(Settings):
     """Longer tracks of a finished reconstruction."""
 
     merge: bool = True
     """Whether tracks of the same point are merged."""
     guided: bool = True
     """Whether features near the projections of points are added to their tracks."""
-    merge_error_px: float = 2.0
+    merge_error_px: Annotated[float, Range(above=0.0, high=100.0)] = 2.0
     """Largest reprojection error of the observations of merged tracks [px]."""
-    merge_angle_rad: float = 0.5
+    merge_angle_rad: Annotated[float, Range(above=0.0, high=3.2)] = 0.5
     """Largest angle between the mean descriptors of merged tracks [rad]."""
-    guided_error_px: float = 1.0
+    guided_error_px: Annotated[float, Range(above=0.0, high=100.0)] = 1.0
     """Largest distance between an added feature and the projection of its point [px]."""
-    guided_angle_rad: float = 0.35
+    guided_angle_rad: Annotated[float, Range(above=0.0, high=3.2)] = 0.35
     """Largest angle between the descriptor of an added feature and the mean descriptor of its track [rad]."""
-    merge_rounds: int = 3
+    merge_rounds: Annotated[int, Range(0, 100)] = 3
     """Largest number of rounds, in each of which a track is merged with one other."""
 
 
 @dataclass(frozen=True)
-class MapperConfig:
+class MapperConfig(Settings):
     """Incremental mapping."""
 
     triangulation: TriangulationConfig = field(default_factory=TriangulationConfig)
     """Triangulation of tracks."""
     resection: ResectionConfig = field(default_factory=ResectionConfig)
     """Registration of images."""
-    global_ratio: float = 1.2
+    global_ratio: Annotated[float, Range(above=1.0, high=100.0)] = 1.2
     """Growth of the number of images between two adjustments of the whole reconstruction."""
-    intermediate_observations: int = 300
+    intermediate_observations: Annotated[int, Range(20, 100_000)] = 300
     """Number of observations of an image in the adjustments before the last; tracks of many images are preferred."""
-    min_support: float = 0.6
+    min_support: Annotated[float, Range(0.0, 1.0)] = 0.6
     """Smallest ratio of the inliers of a registered image to the points that it observes; an image below it is
     registered anew."""
-    max_iterations: int = 50
+    max_iterations: Annotated[int, Range(1, 1000)] = 50
     """Largest number of iterations of the last adjustment."""
-    final_cauchy_sigmas: float = 1.0
+    final_cauchy_sigmas: Annotated[float, Range(0.01, 1e3)] = 1.0
     """Scale of the Cauchy loss of the last adjustment, relative to the noise of the observations."""
 
 
 @dataclass(frozen=True)
-class InertialConfig:
+class InertialConfig(Settings):
     """Gravity and scale from the IMU of a recording."""
 
     use: Literal["automatic", "required", "off"] = "automatic"
     """``automatic`` uses the IMU if the motion suffices, ``required`` fails if it does not, ``off`` ignores the IMU."""
-    max_scale_sigma: float = 0.03
+    max_scale_sigma: Annotated[float, Range(above=0.0)] = 0.03
     """Largest standard deviation of the scale, relative to the scale, at which the result is in metres."""
-    max_tilt_sigma_deg: float = 1.0
+    max_tilt_sigma_deg: Annotated[float, Range(above=0.0)] = 1.0
     """Largest standard deviation of the direction of gravity at which the z axis of the result points up [deg]."""
-    max_interval_s: float = 2.0
+    max_interval_s: Annotated[float, Range(0.01, 60.0)] = 2.0
     """Longest time between two images over which the IMU is integrated [s]."""
-    noise_inflation: float = 5.0
+    noise_inflation: Annotated[float, Range(0.01, 1e3)] = 5.0
     """Factor on the white noise of the accelerometer, which also senses the vibration of the airframe."""
-    accel_bias_m_s2: float = 0.1
+    accel_bias_m_s2: Annotated[float, Range(1e-6, 100.0)] = 0.1
     """Standard deviation of the accelerometer bias [m/s²]."""
 
 
 @dataclass(frozen=True)
-class SfmConfig:
+class SfmConfig(Settings):
     """Structure from motion."""
 
     features: FeatureConfig = field(default_factory=FeatureConfig)
@@ -156,5 +158,5 @@ class SfmConfig:
     """Longer tracks of a finished reconstruction."""
     inertial: InertialConfig = field(default_factory=InertialConfig)
     """Gravity and scale from the IMU of a recording."""
-    threads: int = 2
+    threads: Annotated[int, Range(1, 256)] = 2
     """Number of threads that detect and match features."""

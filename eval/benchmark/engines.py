@@ -7,6 +7,7 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import Protocol, TypeAlias
 
+from dronevio.eval.benchmark.isolation import failure_reason
 from dronevio.eval.benchmark.jobs import Job
 from dronevio.eval.benchmark.rows import Row
 
@@ -65,7 +66,7 @@ class LocalEngine:
                     if stop.is_set():
                         break
             except Exception as error:  # a full disk, for example, ends this job and not the others
-                return JobEnd(f"{type(error).__name__}: {error}")
+                return JobEnd(failure_reason(error))
             return JobEnd()
 
         # Daemon threads do not delay the end of an interrupted benchmark; their child processes end with this process.

@@ -22,7 +22,7 @@ from pathlib import Path
 from typing import IO, Any
 
 from dronevio.eval.benchmark.rows import Status
-from dronevio.models.errors import DronevioError
+from dronevio.models.errors import DEFECT, DronevioError
 
 _CHILD_CODE = "from dronevio.eval.benchmark.isolation import serve; serve()"
 _POLL_INTERVAL_S = 0.02
@@ -103,14 +103,20 @@ def serve() -> None:
         result = ("ok", "", function(*arguments))
     except CrashError as error:
         result = ("crashed", str(error), None)
-    except DronevioError as error:
-        result = ("failed", str(error), None)
     except Exception as error:
-        result = ("failed", f"{type(error).__name__}: {error}", None)
+        result = ("failed", failure_reason(error), None)
     with output:
         pickle.dump((*result, _peak_mb()), output)
     sys.stderr.flush()
     os._exit(_EXIT_WITH_RESULT)  # a library that crashes at shutdown does not change the result
+
+
+def failure_reason(error: Exception) -> str:
+    """Return the reason of a failure as text: the message of an error that the user can correct, or else a defect."""
+    if isinstance(error, DronevioError):
+        return str(error)
+    text = f"{type(error).__name__}: {error}"
+    return text if isinstance(error, (OSError, MemoryError)) else f"{DEFECT}: {text}"
 
 
 def _die_with_parent() -> None:
@@ -155,7 +161,7 @@ def _result(code: int, output: IO[bytes], errors: IO[bytes]) -> tuple[Status, st
         output.seek(0)
         status, reason, value, peak_mb = pickle.load(output)
         return status, reason, value, peak_mb
-    return "crashed", exit_description(code, errors), None, None
+    return "crashed", f"{DEFECT}: {exit_description(code, errors)}", None, None
 
 
 def _peak_mb(status: Path = Path("/proc/self/status")) -> float:

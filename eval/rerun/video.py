@@ -8,6 +8,7 @@ import os
 from collections.abc import Iterable
 from dataclasses import dataclass
 from fractions import Fraction
+from typing import Annotated
 
 import av
 import numpy as np
@@ -15,20 +16,21 @@ import numpy.typing as npt
 from av.video.reformatter import ColorRange
 
 from dronevio.eval.rerun.encoder_threads import open_encoder, wait_until_idle
+from dronevio.models.ranges import Range, Settings
 
 _NEUTRAL_CHROMA = 128  # of both colour differences
 Image = npt.NDArray[np.uint8]
 
 
 @dataclass(frozen=True)
-class VideoSettings:
+class VideoSettings(Settings):
     """Settings that trade size for quality and speed."""
 
-    crf: int = 42
+    crf: Annotated[int, Range(0, 63)] = 42
     """Constant rate factor, from 0 for the best quality to 63 for the smallest size."""
-    preset: int = 13
+    preset: Annotated[int, Range(0, 13)] = 13
     """Speed preset of SVT-AV1, from 0 for the slowest to 13 for the fastest."""
-    keyframe_interval: int = 40
+    keyframe_interval: Annotated[int, Range(1, 1000)] = 40
     """Number of frames between keyframes, which a viewer decodes when the time cursor jumps."""
 
 

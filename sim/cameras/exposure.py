@@ -2,12 +2,12 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Protocol, Self
+from typing import Annotated, Protocol, Self
 
 import numpy as np
 import numpy.typing as npt
 
-from dronevio.models.errors import ConfigError
+from dronevio.models.ranges import Range, Settings, require
 
 Array = npt.NDArray[np.float64]
 
@@ -78,22 +78,13 @@ class ExposureControl(Protocol):
 
 
 @dataclass(frozen=True)
-class FixedExposure:
+class FixedExposure(Settings):
     """Constant exposure time and gain."""
 
-    time_s: float = 0.002
+    time_s: Annotated[float, Range(above=0.0, high=1.0)] = 0.002
     """Exposure time of all frames [s]."""
-    gain: float = 1.0
+    gain: Annotated[float, Range(1.0, 1e3)] = 1.0
     """Gain of all frames, 1 or more."""
-
-    def __post_init__(self) -> None:
-        """Check the values.
-
-        Raises:
-            ConfigError: One of them is out of range.
-        """
-        require(self.time_s > 0.0, "time_s", self.time_s, "more than 0")
-        require(self.gain >= 1.0, "gain", self.gain, "1 or more")
 
     @property
     def needs_histograms(self) -> bool:
@@ -111,7 +102,7 @@ class FixedExposure:
 
 
 @dataclass(frozen=True)
-class AutoExposure:
+class AutoExposure(Settings):
     """Automatic exposure: controls the mean level of the image by the exposure time and, at its limit, by the gain.
 
     A measurement on one frame takes effect two frames later, as in sensors that apply settings during readout. The
@@ -124,30 +115,27 @@ class AutoExposure:
     applied then; the loop is stable below a speed of 1.
     """
 
-    target_level: float = 110.0
+    target_level: Annotated[float, Range(above=0.0, below=255.0)] = 110.0
     """Desired mean grey level of the image."""
-    tolerance: float = 0.05
+    tolerance: Annotated[float, Range(0.0, 10.0)] = 0.05
     """Relative error of the mean that is not corrected, which prevents oscillation."""
-    speed: float = 0.25
+    speed: Annotated[float, Range(above=0.0, below=1.0 / 3.0)] = 0.25
     """Fraction of the logarithmic error that is corrected with each frame."""
-    shortest_s: float = 2e-5
+    shortest_s: Annotated[float, Range(above=0.0, high=1.0)] = 2e-5
     """Shortest exposure time [s]."""
-    longest_s: float = 0.010
+    longest_s: Annotated[float, Range(above=0.0, high=1.0)] = 0.010
     """Longest exposure time [s]: a compromise between noise and motion blur."""
-    largest_gain: float = 16.0
+    largest_gain: Annotated[float, Range(1.0, 1e3)] = 16.0
     """Largest gain (24 dB, common for global-shutter sensors)."""
 
     def __post_init__(self) -> None:
         """Check the values.
 
         Raises:
-            ConfigError: One of them is out of range.
+            ConfigError: One of them is out of range, or the shortest exposure is longer than the longest.
         """
-        require(0.0 < self.target_level < WHITE, "target_level", self.target_level, "between 0 and 255")
-        require(self.tolerance >= 0.0, "tolerance", self.tolerance, "0 or more")
-        require(0.0 < self.speed < 1.0 / 3.0, "speed", self.speed, "between 0 and 1/3, where the loop is stable")
-        require(0.0 < self.shortest_s <= self.longest_s, "shortest_s", self.shortest_s, "within (0, longest_s]")
-        require(self.largest_gain >= 1.0, "largest_gain", self.largest_gain, "1 or more")
+        super().__post_init__()
+        require(self, self.shortest_s <= self.longest_s, "shortest_s", f"at most longest_s, {self.longest_s:g}")
 
     @property
     def needs_histograms(self) -> bool:
@@ -204,9 +192,3 @@ class _ControlledSequence:
         white = float(histogram @ (image >= WHITE))
         speed = control.speed * (1.0 + 2.0 * max(2.0 * white - 1.0, 0.0))
         return float(np.clip(x + speed * error * (abs(error) > control.tolerance), *self._limits))
-
-
-def require(holds: bool, name: str, value: float, expected: str) -> None:
-    """Raise ConfigError unless a value is in its range."""
-    if not holds:
-        raise ConfigError(f"imaging: {name} {value}; expected {expected}")

@@ -10,11 +10,13 @@ and read noise; then the gain, which amplifies both, saturation and quantization
 
 from dataclasses import dataclass, field
 from functools import lru_cache
+from typing import Annotated
 
 import numpy as np
 import numpy.typing as npt
 
-from dronevio.sim.cameras.exposure import WHITE, AutoExposure, Exposures, ExposureSequence, FixedExposure, require
+from dronevio.models.ranges import Range, Settings
+from dronevio.sim.cameras.exposure import WHITE, AutoExposure, Exposures, ExposureSequence, FixedExposure
 
 Array = npt.NDArray[np.float64]
 Light = npt.NDArray[np.uint8] | npt.NDArray[np.float32]
@@ -22,31 +24,20 @@ GreyImage = npt.NDArray[np.uint8]
 
 
 @dataclass(frozen=True)
-class Imaging:
+class Imaging(Settings):
     """Image sensor with vignetting: the linear model of EMVA 1288, in grey levels."""
 
     control: FixedExposure | AutoExposure = field(default_factory=FixedExposure)
     """Control of exposure time and gain."""
-    nominal_exposure_s: float = 0.002
+    nominal_exposure_s: Annotated[float, Range(above=0.0)] = 0.002
     """Exposure time at which a well-lit world appears as painted, at gain 1 [s]."""
-    read_sigma: float = 1.2
+    read_sigma: Annotated[float, Range(0.0, 255.0)] = 1.2
     """Standard deviation of the noise of a black image at gain 1 [grey levels]."""
-    shot_sigma: float = 2.2
+    shot_sigma: Annotated[float, Range(0.0, 255.0)] = 2.2
     """Standard deviation of the photon noise of a white image at gain 1 [grey levels]; 2.2 corresponds to a full-well
     capacity of (255 / 2.2)² = 13 000 electrons, typical of pixels of 5 µm."""
-    vignetting: float = 0.18
+    vignetting: Annotated[float, Range(0.0, 1.0)] = 0.18
     """Relative loss of light at the corner farthest from the centre."""
-
-    def __post_init__(self) -> None:
-        """Check the values.
-
-        Raises:
-            ConfigError: One of them is out of range.
-        """
-        require(self.nominal_exposure_s > 0.0, "nominal_exposure_s", self.nominal_exposure_s, "more than 0")
-        require(self.read_sigma >= 0.0, "read_sigma", self.read_sigma, "0 or more")
-        require(self.shot_sigma >= 0.0, "shot_sigma", self.shot_sigma, "0 or more")
-        require(0.0 <= self.vignetting <= 1.0, "vignetting", self.vignetting, "between 0 and 1")
 
     def exposure_sequence(self) -> ExposureSequence:
         """Return the exposures of the frames of a flight, one at a time; see `ExposureControl.sequence`."""

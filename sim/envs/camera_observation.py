@@ -1,7 +1,7 @@
 """Camera observations: the images that environments add to their observations."""
 
 from dataclasses import dataclass
-from typing import Any, Literal, Protocol
+from typing import Annotated, Any, Literal, Protocol
 
 import numpy as np
 import numpy.typing as npt
@@ -10,6 +10,7 @@ from gymnasium import spaces
 from dronevio.models.camera import CameraModel
 from dronevio.models.errors import ConfigError
 from dronevio.models.imu import Times
+from dronevio.models.ranges import Range, Settings
 from dronevio.models.rig import RigCamera
 from dronevio.sim.appearance.textures import PIXELS_PER_M
 from dronevio.sim.cameras.atlas_renderer import NO_MOVERS, MoverPoses
@@ -63,16 +64,16 @@ class NoCameraObservation:
 
 
 @dataclass(frozen=True)
-class ImageSettings:
+class ImageSettings(Settings):
     """Kinds and size of the images of an environment."""
 
     kinds: tuple[ImageKind, ...] = ("grey",)
     """Kinds of images: ``grey``, ``rgb`` or ``depth``. Each is rendered separately."""
-    width: int = 64
+    width: Annotated[int, Range(1, 4096)] = 64
     """Width of the images [px]."""
-    height: int = 64
+    height: Annotated[int, Range(1, 4096)] = 64
     """Height of the images [px]. The field of view is that of the rig's camera for any width and height."""
-    depth_max_m: float = 20.0
+    depth_max_m: Annotated[float, Range(above=0.0, high=1e4)] = 20.0
     """Largest depth: farther surfaces, and pixels without a surface, have this depth [m]."""
 
     def __post_init__(self) -> None:
@@ -81,12 +82,9 @@ class ImageSettings:
         Raises:
             ConfigError: A kind is unknown or listed twice, or a number is out of range.
         """
+        super().__post_init__()
         if not self.kinds or len(set(self.kinds)) < len(self.kinds) or not set(self.kinds) <= set(_CHANNELS):
             raise ConfigError(f"images of kinds {self.kinds}; expected some of {', '.join(_CHANNELS)}, each once")
-        if min(self.width, self.height) < 1:
-            raise ConfigError(f"images of {self.width} × {self.height} px; expected at least 1 × 1 px")
-        if not 0.0 < self.depth_max_m < np.inf:
-            raise ConfigError(f"depth_max_m = {self.depth_max_m}; expected a positive number")
 
 
 @dataclass(frozen=True, eq=False)

@@ -36,12 +36,10 @@ no copyable state. `gymnasium.make_vec` makes vectors of processes or of single 
 
 from collections.abc import Callable
 from dataclasses import dataclass, field
-from typing import Protocol
+from typing import Annotated, Protocol
 
-import numpy as np
-
-from dronevio.models.errors import ConfigError
 from dronevio.models.protocols import Estimator
+from dronevio.models.ranges import Range, Settings
 from dronevio.models.rig import Rig
 from dronevio.sim.cameras.imaging import Imaging
 from dronevio.sim.frame_source import FrameSource
@@ -96,36 +94,23 @@ def live_cameras(setup: CameraSetup) -> EpisodeCameras:
 
 
 @dataclass(frozen=True)
-class Estimation:
+class Estimation(Settings):
     """Settings of an estimator inside an environment."""
 
-    latency_s: float = 0.03
+    latency_s: Annotated[float, Range(0.0, LATENCY_MAX_S)] = 0.03
     """Time from the middle of the exposure of a frame until its estimate is available, but at least until the frame
     has been exposed and read out [s]. The latency of commands is part of the randomization."""
-    longest_wait_s: float = 5.0
+    longest_wait_s: Annotated[float, Range(0.0, 300.0)] = 5.0
     """Longest time for which a reset waits for the first state [s]. Without a state, the first step ends the
     episode."""
-    dark_from_s: float = 0.0
+    dark_from_s: Annotated[float, Range(low=0.0)] = 0.0
     """Time from the start of the episode, after the wait, at which the images become dark [s]."""
-    dark_for_s: float = 0.0
+    dark_for_s: Annotated[float, Range(low=0.0)] = 0.0
     """Duration of the darkness, during which the images contain noise only [s]."""
     imaging: Imaging = field(default_factory=Imaging)
     """Exposure and noise of the image sensors."""
     cameras: CameraFactory = live_cameras
     """Function that returns the cameras of an episode; images of the world by default."""
-
-    def __post_init__(self) -> None:
-        """Check the values.
-
-        Raises:
-            ConfigError: A time is out of range.
-        """
-        if not 0.0 <= self.latency_s <= LATENCY_MAX_S:
-            raise ConfigError(f"estimation.latency_s = {self.latency_s}; expected 0 to {LATENCY_MAX_S:g} s")
-        for name in ("longest_wait_s", "dark_from_s", "dark_for_s"):
-            value = getattr(self, name)
-            if not 0.0 <= value < np.inf:
-                raise ConfigError(f"estimation.{name} = {value}; expected 0 or a positive number of seconds")
 
     def is_lit(self, since_start_s: float) -> bool:
         """Return whether light reaches the cameras at a time since the start of an episode [s]."""

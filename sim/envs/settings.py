@@ -1,11 +1,12 @@
 """Settings of an environment: task, vehicle, world, sensors, actions, observations, randomization and rates."""
 
 from dataclasses import dataclass, field, fields, replace
-from typing import Any
+from typing import Annotated, Any
 
 from dronevio.models.actions import ACTION_MODES, ActionLimits
 from dronevio.models.errors import ConfigError
 from dronevio.models.quadrotor import RESEARCH, Quadrotor, vehicle_named
+from dronevio.models.ranges import Range, Settings
 from dronevio.models.rig import Rig, euroc_rig
 from dronevio.sim.envs.camera_observation import ImageKind
 from dronevio.sim.envs.estimation import Estimation, EstimatorFactory
@@ -16,7 +17,7 @@ from dronevio.sim.physics.wind import CALM, Wind
 
 
 @dataclass(frozen=True, eq=False)
-class EnvironmentSettings:
+class EnvironmentSettings(Settings):
     """Settings that all environments have; each is a keyword argument of `gymnasium.make`."""
 
     task: AnyTask = field(default_factory=Hover)
@@ -24,7 +25,7 @@ class EnvironmentSettings:
     ``vio-navigate``."""
     world: str = ""
     """Name of the world; that of the task by default. ``dronevio worlds`` lists all."""
-    world_seed: int = 0
+    world_seed: Annotated[int, Range(0, 2**32 - 1)] = 0
     """Seed of the layout of the world, and of its textures unless they are randomized."""
     vehicle: Quadrotor = RESEARCH
     """Vehicle, or its name: ``research`` or ``nano``."""
@@ -46,17 +47,17 @@ class EnvironmentSettings:
     ``Dict``."""
     randomization: Randomization = NOTHING_RANDOM
     """Distributions of the parameters that are drawn for each episode."""
-    camera: int = 0
+    camera: Annotated[int, Range(0, 15)] = 0
     """Index of the camera of the rig whose images are observed."""
-    image_size: tuple[int, int] = (64, 64)
+    image_size: Annotated[tuple[int, int], Range(1, 4096)] = (64, 64)
     """Width and height of images [px]."""
-    physics_rate_hz: float = 1000.0
+    physics_rate_hz: Annotated[float, Range(1.0, 20_000.0)] = 1000.0
     """Rate of the physics, 2, 3 or more times that of the IMU [Hz]."""
-    imu_rate_hz: float = 0.0
+    imu_rate_hz: Annotated[float, Range(1.0, 10_000.0)] = 0.0
     """Rate of IMU samples and of the inner control loops [Hz]; that of the rig by default."""
-    action_rate_hz: float = 50.0
+    action_rate_hz: Annotated[float, Range(0.1, 10_000.0)] = 50.0
     """Rate of the actions, a fraction of that of the IMU [Hz]."""
-    camera_rate_hz: float = 0.0
+    camera_rate_hz: Annotated[float, Range(0.1, 10_000.0)] = 0.0
     """Rate of images, a fraction of that of the actions [Hz]; in between, the last image is repeated. That of the
     actions by default."""
     estimator: EstimatorFactory | None = None
@@ -64,7 +65,7 @@ class EnvironmentSettings:
     instead of the true state, see `dronevio.sim.envs.estimation`. None uses the true state."""
     estimation: Estimation = field(default_factory=Estimation)
     """Settings of the estimator in the loop: latency, longest wait, darkness and image sensors."""
-    threads: int = 1
+    threads: Annotated[int, Range(0, 1024)] = 1
     """Number of threads of the physics; 0 means one for each processor. Results do not depend on it."""
 
     def __post_init__(self) -> None:
@@ -73,6 +74,7 @@ class EnvironmentSettings:
         Raises:
             ConfigError: A value is unknown or not possible, or two values exclude each other.
         """
+        super().__post_init__()
         if self.action not in ACTION_MODES:
             raise ConfigError(f"unknown action mode {self.action!r}; expected one of {', '.join(ACTION_MODES)}")
         groups: dict[str, Any] = {"observations": self.observations, "privileged": self.privileged}
@@ -84,8 +86,6 @@ class EnvironmentSettings:
         images = self.images
         if self.flat and images:
             raise ConfigError(f"flat observations with {images[0]!r}; expected no images, or flat=False")
-        if any(size < 1 for size in self.image_size):
-            raise ConfigError(f"image_size = {self.image_size}; expected positive numbers of pixels")
         cameras = len(self.rig.cameras)
         if images and not cameras:
             raise ConfigError(f"observation {images[0]!r} of a rig without cameras; expected a camera")

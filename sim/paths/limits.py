@@ -1,14 +1,15 @@
 """Limits of planned trajectories: speed, acceleration, thrust, tilt and angular rates."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from types import MappingProxyType
+from typing import Annotated
 
 import numpy as np
 import numpy.typing as npt
 
-from dronevio.models.errors import ConfigError
 from dronevio.models.imu import GRAVITY_M_S2
+from dronevio.models.ranges import Range, Settings
 from dronevio.models.rotation import cross
 
 Array = npt.NDArray[np.float64]
@@ -19,36 +20,21 @@ _LEAST_THRUST = 0.3  # relative to the weight: slow rotors have no control autho
 
 
 @dataclass(frozen=True)
-class Limits:
+class Limits(Settings):
     """Upper bounds on the motion of a planned trajectory; those on the rotors follow by differential flatness."""
 
-    speed_m_s: float = 2.0
+    speed_m_s: Annotated[float, Range(0.01, 100.0)] = 2.0
     """Speed of the centre of mass [m/s]."""
-    accel_m_s2: float = 3.0
+    accel_m_s2: Annotated[float, Range(0.01, 1e3)] = 3.0
     """Acceleration of the centre of mass [m/s²]."""
-    yaw_rate_rad_s: float = 1.6
+    yaw_rate_rad_s: Annotated[float, Range(0.01, 100.0)] = 1.6
     """Rate of the heading [rad/s]."""
-    tilt_rate_rad_s: float = 4.0
+    tilt_rate_rad_s: Annotated[float, Range(0.01, 1e3)] = 4.0
     """Rate of the direction of the thrust, that is roll and pitch rate combined [rad/s]."""
-    thrust_to_weight: float = 1.8
+    thrust_to_weight: Annotated[float, Range(above=1.0, high=100.0)] = 1.8
     """Ratio of thrust to weight; the research quadrotor reaches 2.3 and requires the difference for control."""
-    tilt_rad: float = 1.0
+    tilt_rad: Annotated[float, Range(0.01, _GREATEST_TILT_RAD)] = 1.0
     """Angle between the thrust and the vertical [rad]; well below π/2, where the heading becomes undefined."""
-
-    def __post_init__(self) -> None:
-        """Check the limits.
-
-        Raises:
-            ConfigError: A limit is not a positive number, or the thrust does not carry the drone.
-        """
-        for limit in fields(self):
-            value = getattr(self, limit.name)
-            if not (np.isfinite(value) and value > 0.0):
-                raise ConfigError(f"limit {limit.name} = {value:g}; expected a positive number")
-        if self.tilt_rad > _GREATEST_TILT_RAD:
-            raise ConfigError(f"limit tilt_rad = {self.tilt_rad:g}; expected {_GREATEST_TILT_RAD:g} at most")
-        if self.thrust_to_weight <= 1.0:
-            raise ConfigError(f"limit thrust_to_weight = {self.thrust_to_weight:g}; expected more than 1, to hover")
 
     def limit_ratio(self, velocity_m_s: Array, acceleration_m_s2: Array, jerk_m_s3: Array) -> Array:
         """Return the largest ratio (…) of a motion (…, 3) to the limits; above 1 a limit is exceeded.

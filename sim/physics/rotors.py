@@ -7,12 +7,13 @@ its wrench is constant over the steps of the physics.
 from dataclasses import dataclass
 from functools import lru_cache
 from math import exp
+from typing import Annotated
 
 import numpy as np
 import numpy.typing as npt
 
-from dronevio.models.errors import ConfigError
 from dronevio.models.quadrotor import AIR_DENSITY_KG_M3, Quadrotor
+from dronevio.models.ranges import Range, Settings
 from dronevio.models.rotation import skew
 from dronevio.sim.physics.vehicle_states import Rows, VehicleParameters
 
@@ -24,24 +25,13 @@ _NEAREST_GROUND = 0.5  # in rotor radii: below, the potential flow is singular a
 
 
 @dataclass(frozen=True)
-class MotorFailure:
+class MotorFailure(Settings):
     """Loss of power of a rotor, which is then decelerated by its drag only."""
 
-    rotor: int
+    rotor: Annotated[int, Range(0, 3)]
     """Index of the rotor in `ROTOR_NAMES`."""
-    t_s: float
+    t_s: Annotated[float, Range(low=0.0, infinite=True)]
     """Time of the failure since the start of the flight [s]."""
-
-    def __post_init__(self) -> None:
-        """Check the ranges of the values.
-
-        Raises:
-            ConfigError: The rotor does not exist, or the time is negative or NaN.
-        """
-        if self.rotor not in range(4):
-            raise ConfigError(f"failing rotor {self.rotor}; expected 0, 1, 2 or 3")
-        if not self.t_s >= 0.0:
-            raise ConfigError(f"rotor fails at {self.t_s:g} s; expected 0 or later")
 
 
 @dataclass(frozen=True, eq=False)

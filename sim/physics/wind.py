@@ -7,12 +7,13 @@ are functions of distance. The filters here are functions of distance, too, and 
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any, Protocol, Self
+from typing import Annotated, Any, Protocol, Self
 
 import numpy as np
 import numpy.typing as npt
 
 from dronevio.models.errors import ConfigError
+from dronevio.models.ranges import Range, Settings
 from dronevio.models.rotation import rotation_z
 from dronevio.sim.physics.vehicle_states import Rows, Table
 
@@ -27,28 +28,15 @@ _LEAST = 1e-300  # avoids 0 / 0 for a distance of 0
 
 
 @dataclass(frozen=True)
-class Wind:
+class Wind(Settings):
     """Mean wind and strength of gusts."""
 
-    mean_m_s: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    mean_m_s: Annotated[tuple[float, float, float], Range(-50.0, 50.0)] = (0.0, 0.0, 0.0)
     """Mean velocity of the air in the world frame [m/s]."""
-    gusts: float = 0.0
+    gusts: Annotated[float, Range(0.0, 10.0)] = 0.0
     """Strength of the gusts relative to the standard at this wind: 1 is typical outdoors, 0 means no gusts."""
-    height_m: float = 3.048
+    height_m: Annotated[float, Range(_LOW_FT * _FOOT_M, _HIGH_FT * _FOOT_M)] = 3.048
     """Height above the ground for which gusts are computed [m]; the standard covers 3.048 to 304.8 m."""
-
-    def __post_init__(self) -> None:
-        """Check the ranges of the values.
-
-        Raises:
-            ConfigError: A value is not finite, or the strength or height of gusts is outside its range.
-        """
-        if not np.all(np.isfinite(self.mean_m_s)):
-            raise ConfigError(f"wind of {self.mean_m_s} m/s; expected finite numbers")
-        if not 0.0 <= self.gusts < np.inf:
-            raise ConfigError(f"gusts of strength {self.gusts:g}; expected 0 or more")
-        if not _LOW_FT * _FOOT_M <= self.height_m <= _HIGH_FT * _FOOT_M:
-            raise ConfigError(f"gusts {self.height_m:g} m above the ground; expected 3.048 to 304.8 m")
 
     @property
     def speed_m_s(self) -> float:

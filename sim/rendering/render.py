@@ -13,7 +13,7 @@ from pathlib import Path
 import numpy as np
 import numpy.typing as npt
 
-from dronevio.models.errors import GraphicsError, IncompleteError
+from dronevio.models.errors import DefectError, GraphicsError, IncompleteError
 from dronevio.models.progress import Progress, silent
 from dronevio.models.recordings.euroc import INCOMPLETE
 from dronevio.models.recordings.files import write_text
@@ -71,7 +71,7 @@ def render_frames(job: RenderJob, mav0: Path, progress: Progress = silent, worke
     except OSError as error:
         where = f"{error.filename}: " if error.filename else ""
         raise IncompleteError(f"stopped after {finished} of {count} frames: {where}{error.strerror}") from error
-    except GraphicsError as error:
+    except (GraphicsError, DefectError) as error:
         if not finished:
             raise
         raise IncompleteError(f"stopped after {finished} of {count} frames: {error}") from error

@@ -16,7 +16,7 @@ from collections.abc import Iterator, Sequence
 from contextlib import contextmanager, suppress
 from typing import Protocol
 
-from dronevio.models.errors import DronevioError, GraphicsError
+from dronevio.models.errors import DefectError, DronevioError, GraphicsError
 from dronevio.models.progress import Progress, silent
 
 _WORKER = "from dronevio.sim.rendering.worker_pool import work; work()"
@@ -48,7 +48,8 @@ def run_tasks(tasks: Sequence[Task], units: int, progress: Progress = silent) ->
 
     Raises:
         OSError: A system error occurred in a worker, such as a full disk.
-        GraphicsError: A worker failed for another reason.
+        GraphicsError: OpenGL failed in a worker.
+        DefectError: A worker was killed, or failed for another reason.
     """
     progress(0, units)
     with _started(tasks) as processes:
@@ -114,10 +115,11 @@ def _check(process: "subprocess.Popen[bytes]") -> None:
         raise OSError(number, os.strerror(number), name or None)
     if code == _KNOWN_ERROR:
         raise GraphicsError(lines[-1])
-    if code < 0:
-        raise GraphicsError(f"a rendering process was killed by {signal.Signals(-code).name}")
     if code:
-        raise GraphicsError(f"a rendering process failed: {lines[-1]}")
+        how = f"was killed by {signal.Signals(-code).name}" if code < 0 else f"failed: {lines[-1]}"
+        error = DefectError(f"a rendering process {how}")
+        error.add_note("\n".join(lines))  # the traceback of the worker
+        raise error
 
 
 def work() -> None:

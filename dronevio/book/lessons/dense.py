@@ -23,12 +23,9 @@
 # %%
 from dataclasses import replace
 
+import dronevio as dv
 import matplotlib.pyplot as plt
 import numpy as np
-from scipy.ndimage import map_coordinates
-
-import dronevio as dv
-from dronevio.models.rotation import exp_so3
 
 # %% [markdown]
 # ## 1. Cameras
@@ -40,13 +37,14 @@ from dronevio.models.rotation import exp_so3
 # (`dronevio.estimator.dense.neighbours.select_neighbours`): a smaller angle
 # gives inaccurate depths, a larger one images that look too different to be
 # compared.
-
 # %%
 from dronevio.estimator.book.sfm import photograph_folder
 from dronevio.estimator.dense.config import DenseConfig, ViewConfig
 from dronevio.estimator.dense.neighbours import select_neighbours
 from dronevio.estimator.dense.views import ViewLoader
 from dronevio.models.image_sets import open_images
+from dronevio.models.rotation import exp_so3
+from scipy.ndimage import map_coordinates
 
 REFERENCE = 2
 ROTATION_ERROR_DEG = 0.0

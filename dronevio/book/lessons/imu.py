@@ -24,7 +24,6 @@
 # %%
 import matplotlib.pyplot as plt
 import numpy as np
-
 from dronevio.models.rotation import exp_so3, log_so3
 
 SEED = 0

@@ -25,10 +25,9 @@
 import tempfile
 from dataclasses import replace
 
+import dronevio as dv
 import matplotlib.pyplot as plt
 import numpy as np
-
-import dronevio as dv
 from dronevio.models.rotation import exp_so3, log_so3, pose_matrix
 
 SEED = 0

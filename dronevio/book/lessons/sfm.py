@@ -38,9 +38,6 @@ from dataclasses import replace
 
 import matplotlib.pyplot as plt
 import numpy as np
-from matplotlib.patches import Circle
-
-from dronevio.models.rotation import skew
 
 # %% [markdown]
 # ## 1. The photographs
@@ -50,10 +47,11 @@ from dronevio.models.rotation import skew
 # camera model is a guess: a lens of average angle without distortion. All five
 # are assumed to come from one camera. To use photographs of your own, change
 # the folder.
-
 # %%
 from dronevio.estimator.book.sfm import photograph_folder
 from dronevio.models.image_sets import open_images
+from dronevio.models.rotation import skew
+from matplotlib.patches import Circle
 
 images = open_images(photograph_folder())
 camera = images.cameras[0]

@@ -9,10 +9,11 @@ import tyro
 
 from dronevio.cli.options import Printing, PrintOptions
 from dronevio.cli.terminal import parse, print_json, print_table, progress_bars
+from dronevio.models.ranges import Range, Settings
 
 
 @dataclass(frozen=True)
-class EvaluateCommand:
+class EvaluateCommand(Settings):
     """Evaluate trained policies in episodes of their environments that they have not been trained on.
 
     The success rate, the distance from the goal at the end, crashes by reason, and times are averaged over all
@@ -26,15 +27,15 @@ class EvaluateCommand:
 
     policies: Annotated[tyro.conf.Positional[tuple[Path, ...]], tyro.conf.arg(metavar="FILE")]
     """One or more files of policies."""
-    episodes: int = 100
+    episodes: Annotated[int, Range(1, 1_000_000)] = 100
     """Number of episodes for each policy."""
-    seed: int = 1_000_000
+    seed: Annotated[int, Range(0, 2**32 - 1)] = 1_000_000
     """Seed of the episodes: initial states, goals, and errors of the sensors."""
     randomization: Literal["none", "moderate"] = "none"
     """Distributions of mass, inertia, rotors, drag, wind, latency and sensor errors: none, or moderate ones."""
     world: str | None = None
     """World that replaces the one of the task; `dronevio worlds` lists them."""
-    world_seed: int = 0
+    world_seed: Annotated[int, Range(0, 2**32 - 1)] = 0
     """Seed of the layout of the world, such as the course of a race."""
     printing: Printing = field(default_factory=PrintOptions)
     """How results are printed."""

@@ -3,14 +3,16 @@
 import os
 from collections.abc import Sequence
 from dataclasses import dataclass, field
+from typing import Annotated
 
 from dronevio.cli.options import Printing, PrintOptions
 from dronevio.cli.speed.printing import print_speed
 from dronevio.cli.terminal import parse, progress_bars
+from dronevio.models.ranges import Range, Settings
 
 
 @dataclass(frozen=True)
-class GymCommand:
+class GymCommand(Settings):
     """Measure the speed of the simulation of many vehicles in one thread, beside the bare physics of MuJoCo.
 
     The plant and the vector environment ``Hover-v0`` are measured with and without IMUs, images of 64 × 64 px in all
@@ -22,9 +24,9 @@ class GymCommand:
       dronevio speed gym --envs 256 --no-images --json
     """
 
-    envs: int = 1024
+    envs: Annotated[int, Range(1, 1_000_000)] = 1024
     """Number of vehicles."""
-    runs: int = 7
+    runs: Annotated[int, Range(1, 1000)] = 7
     """Number of runs, of which the medians are printed."""
     images: bool = True
     """Also measure the rate of images of 64 × 64 px in all worlds, which takes a minute."""

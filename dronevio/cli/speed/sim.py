@@ -3,11 +3,12 @@
 import os
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass, field
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Annotated
 
 from dronevio.cli.options import Printing, PrintOptions
 from dronevio.cli.speed.printing import print_speed
 from dronevio.cli.terminal import parse, progress_bars
+from dronevio.models.ranges import Range, Settings
 
 if TYPE_CHECKING:
     from dronevio.models.performance import PerformanceFigure
@@ -15,7 +16,7 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True)
-class SimCommand:
+class SimCommand(Settings):
     """Measure the speed of rendering, physics and recording on this machine, each with its bound.
 
     The machine should be idle and have two cores or more. A missed bound is shown in the table and is not an error. By
@@ -32,7 +33,7 @@ class SimCommand:
     """Name of the world; `dronevio worlds` lists them."""
     rig: str = "euroc"
     """Name of the sensors, such as euroc-stereo."""
-    seed: int = 0
+    seed: Annotated[int, Range(0, 2**32 - 1)] = 0
     """Seed of the world."""
     full: bool = False
     """Measure a recording of 60 s, and for the memory recordings of 30 and 120 s, with all frames."""

@@ -1,12 +1,13 @@
 """Task Hover: bring a disturbed quadrotor to a point and keep it there."""
 
 from dataclasses import dataclass, replace
-from typing import ClassVar
+from typing import Annotated, ClassVar
 
 import numpy as np
 import numpy.typing as npt
 
 from dronevio.models.quadrotor import Quadrotor
+from dronevio.models.ranges import Range, Settings
 from dronevio.sim.envs.tasks.task import (
     Mask,
     Objective,
@@ -33,7 +34,7 @@ class HoverGoals(Table):
 
 
 @dataclass(frozen=True)
-class Hover:
+class Hover(Settings):
     """Bring a disturbed quadrotor to a point 1.2 m above the landing pad and keep it there: ``dronevio/Hover-v0``.
 
     ## Description
@@ -90,19 +91,19 @@ force [m/s²] in the IMU's frame, with noise and biases |
 
     world: str = "room"
     """Name of the world."""
-    episode_s: float = 10.0
+    episode_s: Annotated[float, Range(0.1, 1e5)] = 10.0
     """Time limit of an episode [s]."""
-    height_m: float = 1.2
+    height_m: Annotated[float, Range(above=0.0, high=100.0)] = 1.2
     """Height of the target above the landing pad [m]."""
     start: Start = _START
     """Spread of the starting states around the target."""
-    tolerance_m: float = 0.1
+    tolerance_m: Annotated[float, Range(above=0.0, high=100.0)] = 0.1
     """Largest distance from the target at which hovering is a success [m]."""
-    distance_scale_m: float = 0.5
+    distance_scale_m: Annotated[float, Range(above=0.0, high=1e3)] = 0.5
     """Distance at which the closeness has decreased by the factor e [m]."""
-    rate_scale_rad_s: float = 5.0
+    rate_scale_rad_s: Annotated[float, Range(above=0.0, high=1e3)] = 5.0
     """Angular velocity at which the closeness has decreased by the factor e [rad/s]."""
-    smoothness: float = 0.01
+    smoothness: Annotated[float, Range(0.0, 1e3)] = 0.01
     """Weight of the mean squared change of the action."""
     obstacles: bool = False
     """Whether the obstacles of the world are part of the physics; there are none in the free space of a world."""

@@ -2,13 +2,14 @@
 
 from dataclasses import dataclass, replace
 from functools import lru_cache
-from typing import ClassVar
+from typing import Annotated, ClassVar
 
 import numpy as np
 import numpy.typing as npt
 
 from dronevio.models.errors import ConfigError
 from dronevio.models.quadrotor import Quadrotor
+from dronevio.models.ranges import Range, Settings
 from dronevio.sim.envs.tasks.task import (
     Mask,
     Objective,
@@ -42,7 +43,7 @@ class NavigateGoals(Table):
 
 
 @dataclass(frozen=True)
-class Navigate:
+class Navigate(Settings):
     """Reach a goal among the trees of a forest by a depth camera: ``dronevio/Navigate-v0``.
 
     ## Description
@@ -101,27 +102,27 @@ class Navigate:
 
     world: str = "forest"
     """Name of the world."""
-    episode_s: float = 30.0
+    episode_s: Annotated[float, Range(0.1, 1e5)] = 30.0
     """Time limit of an episode [s]."""
-    distance_m: tuple[float, float] = (5.0, 12.0)
+    distance_m: Annotated[tuple[float, float], Range(above=0.0, high=1e3)] = (5.0, 12.0)
     """Smallest and largest distance from start to goal [m]."""
-    height_m: tuple[float, float] = (1.0, 2.5)
+    height_m: Annotated[tuple[float, float], Range(above=0.0, high=100.0)] = (1.0, 2.5)
     """Smallest and largest height of start and goal above the floor [m]."""
-    clearance_m: float = 0.6
+    clearance_m: Annotated[float, Range(0.0, 10.0)] = 0.6
     """Smallest distance of start and goal from obstacles [m]."""
-    tolerance_m: float = 0.5
+    tolerance_m: Annotated[float, Range(above=0.0, high=100.0)] = 0.5
     """Distance from the goal at which it is reached [m]."""
     start: Start = _START
     """Spread of the starting states."""
-    progress: float = 1.0
+    progress: Annotated[float, Range(0.0, 1e3)] = 1.0
     """Reward of a metre of approach [1/m]."""
-    reached: float = 10.0
+    reached: Annotated[float, Range(0.0, 1e4)] = 10.0
     """Reward of reaching the goal."""
-    rate: float = 0.02
+    rate: Annotated[float, Range(0.0, 1e3)] = 0.02
     """Weight of the angular velocity [s/rad]."""
-    smoothness: float = 0.02
+    smoothness: Annotated[float, Range(0.0, 1e3)] = 0.02
     """Weight of the mean squared change of the action."""
-    failure: float = 10.0
+    failure: Annotated[float, Range(0.0, 1e4)] = 10.0
     """Penalty of a failure."""
     obstacles: bool = True
     """Whether the obstacles and walls of the world are part of the physics."""

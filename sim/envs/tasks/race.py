@@ -1,13 +1,14 @@
 """Task Race: fly laps of a course of gates."""
 
 from dataclasses import dataclass, replace
-from typing import ClassVar
+from typing import Annotated, ClassVar
 
 import numpy as np
 import numpy.typing as npt
 
 from dronevio.models.errors import ConfigError
 from dronevio.models.quadrotor import Quadrotor
+from dronevio.models.ranges import Range, Settings
 from dronevio.sim.envs.tasks.task import (
     Mask,
     Objective,
@@ -41,7 +42,7 @@ class RaceGoals(Table):
 
 
 @dataclass(frozen=True)
-class Race:
+class Race(Settings):
     """Fly three laps through the gates of a race course: ``dronevio/Race-v0``.
 
     ## Description
@@ -105,27 +106,27 @@ frame [m] |
 
     world: str = "gates"
     """Name of the world, which must have gates."""
-    episode_s: float = 90.0
+    episode_s: Annotated[float, Range(0.1, 1e5)] = 90.0
     """Time limit of an episode [s]."""
-    laps: int = 3
+    laps: Annotated[int, Range(1, 1000)] = 3
     """Number of laps."""
-    on_course: float = 0.5
+    on_course: Annotated[float, Range(0.0, 1.0)] = 0.5
     """Fraction of the episodes that start behind a random gate instead of above the landing pad."""
     start: Start = _START
     """Spread of the starting states."""
-    progress: float = 1.0
+    progress: Annotated[float, Range(0.0, 1e3)] = 1.0
     """Reward of a metre of approach [1/m]."""
-    approach_m: float = 0.1
+    approach_m: Annotated[float, Range(0.0, 10.0)] = 0.1
     """Largest approach in a step that is rewarded [m]."""
-    across: float = 2.0
+    across: Annotated[float, Range(0.0, 1e3)] = 2.0
     """Weight of squared distances across the axis of a gate relative to those along it."""
-    passed: float = 3.0
+    passed: Annotated[float, Range(0.0, 1e4)] = 3.0
     """Reward of a gate that is passed."""
-    rate: float = 0.01
+    rate: Annotated[float, Range(0.0, 1e3)] = 0.01
     """Weight of the angular velocity [s/rad]."""
-    smoothness: float = 0.02
+    smoothness: Annotated[float, Range(0.0, 1e3)] = 0.02
     """Weight of the mean squared change of the action."""
-    failure: float = 5.0
+    failure: Annotated[float, Range(0.0, 1e4)] = 5.0
     """Penalty of a failure."""
     obstacles: bool = True
     """Whether gates and other obstacles are part of the physics."""

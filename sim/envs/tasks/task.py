@@ -4,12 +4,13 @@ All functions are pure and operate on n episodes at once; row k of every array b
 """
 
 from dataclasses import dataclass, field
-from typing import Any, ClassVar, Protocol, TypeVar
+from typing import Annotated, Any, ClassVar, Protocol, TypeVar
 
 import numpy as np
 import numpy.typing as npt
 
 from dronevio.models.quadrotor import Quadrotor
+from dronevio.models.ranges import Range, Settings
 from dronevio.models.rotation import exp_so3
 from dronevio.sim.paths.space import FlightArea
 from dronevio.sim.physics.vehicle_states import Table, VehicleStates
@@ -60,16 +61,16 @@ class Transition:
 
 
 @dataclass(frozen=True)
-class Start:
+class Start(Settings):
     """Spread of the starting states; all components are uniformly distributed."""
 
-    position_m: float = 0.5
+    position_m: Annotated[float, Range(0.0, 100.0)] = 0.5
     """Largest distance from the place of the start along each axis [m]."""
-    velocity_m_s: float = 0.5
+    velocity_m_s: Annotated[float, Range(0.0, 100.0)] = 0.5
     """Largest velocity along each axis [m/s]."""
-    tilt_rad: float = 0.2
+    tilt_rad: Annotated[float, Range(0.0, np.pi)] = 0.2
     """Largest component of the rotation vector from level flight along x [rad]."""
-    rate_rad_s: float = 0.5
+    rate_rad_s: Annotated[float, Range(0.0, 100.0)] = 0.5
     """Largest angular velocity about each axis [rad/s]."""
 
     def states(

@@ -1,13 +1,14 @@
 """Task Track: follow a moving reference."""
 
 from dataclasses import dataclass, replace
-from typing import ClassVar
+from typing import Annotated, ClassVar
 
 import numpy as np
 import numpy.typing as npt
 
 from dronevio.models.errors import ConfigError
 from dronevio.models.quadrotor import Quadrotor
+from dronevio.models.ranges import Range, Settings
 from dronevio.sim.envs.tasks.task import (
     Mask,
     Objective,
@@ -56,7 +57,7 @@ class TrackGoals(Table):
 
 
 @dataclass(frozen=True)
-class Track:
+class Track(Settings):
     """Follow a reference that moves on a random Lissajous curve: ``dronevio/Track-v0``.
 
     ## Description
@@ -113,21 +114,21 @@ frame [m] |
 
     world: str = "room"
     """Name of the world."""
-    episode_s: float = 15.0
+    episode_s: Annotated[float, Range(0.1, 1e5)] = 15.0
     """Time limit of an episode [s]."""
-    period_s: tuple[float, float] = (5.0, 12.0)
+    period_s: Annotated[tuple[float, float], Range(0.1, 1e4)] = (5.0, 12.0)
     """Shortest and longest period of an axis [s]."""
-    extent: tuple[float, float] = (0.3, 0.9)
+    extent: Annotated[tuple[float, float], Range(0.0, 1.0)] = (0.3, 0.9)
     """Smallest and largest amplitude relative to that which fits into the free space."""
     start: Start = _START
     """Spread of the starting states around the reference."""
-    tolerance_m: float = 0.2
+    tolerance_m: Annotated[float, Range(above=0.0, high=100.0)] = 0.2
     """Largest mean distance from the reference for a success [m]."""
-    distance_scale_m: float = 0.3
+    distance_scale_m: Annotated[float, Range(above=0.0, high=1e3)] = 0.3
     """Distance at which the closeness has decreased by the factor e [m]."""
-    rate_scale_rad_s: float = 10.0
+    rate_scale_rad_s: Annotated[float, Range(above=0.0, high=1e3)] = 10.0
     """Angular velocity at which the closeness has decreased by the factor e [rad/s]."""
-    smoothness: float = 0.01
+    smoothness: Annotated[float, Range(0.0, 1e3)] = 0.01
     """Weight of the mean squared change of the action."""
     obstacles: bool = False
     """Whether the obstacles of the world are part of the physics; there are none in the free space of a world."""

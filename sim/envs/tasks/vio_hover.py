@@ -1,12 +1,13 @@
 """Task VioHover: take off from the pad, hover, and land on it, flown on an estimate of the state."""
 
 from dataclasses import dataclass, replace
-from typing import ClassVar
+from typing import Annotated, ClassVar
 
 import numpy as np
 import numpy.typing as npt
 
 from dronevio.models.quadrotor import Quadrotor
+from dronevio.models.ranges import Range, Settings
 from dronevio.sim.envs.tasks.task import (
     Mask,
     Objective,
@@ -41,7 +42,7 @@ class VioHoverGoals(Table):
 
 
 @dataclass(frozen=True)
-class VioHover:
+class VioHover(Settings):
     """Take off, hover for 60 s and land, flown on visual-inertial odometry: ``dronevio/VioHover-v0``.
 
     ## Description
@@ -103,31 +104,31 @@ class VioHover:
 
     world: str = "room"
     """Name of the world."""
-    episode_s: float = 80.0
+    episode_s: Annotated[float, Range(0.1, 1e5)] = 80.0
     """Time limit of an episode [s]."""
-    height_m: float = 1.2
+    height_m: Annotated[float, Range(above=0.0, high=100.0)] = 1.2
     """Height of the hover point above the landing pad [m]."""
-    hover_s: float = 60.0
+    hover_s: Annotated[float, Range(0.0, 1e5)] = 60.0
     """Duration of the hover [s]."""
-    climb_m_s: float = 0.5
+    climb_m_s: Annotated[float, Range(above=0.0, high=100.0)] = 0.5
     """Speed at which the goal rises [m/s]."""
-    descent_m_s: float = 0.3
+    descent_m_s: Annotated[float, Range(above=0.0, high=100.0)] = 0.3
     """Speed at which the goal descends [m/s]."""
-    tolerance_m: float = 0.2
+    tolerance_m: Annotated[float, Range(above=0.0, high=100.0)] = 0.2
     """Largest horizontal distance from the centre of the pad at which a landing is a success [m]."""
-    impact_m_s: float = 0.6
+    impact_m_s: Annotated[float, Range(above=0.0, high=100.0)] = 0.6
     """Largest vertical speed of a touchdown that is a success [m/s]."""
-    distance_scale_m: float = 0.5
+    distance_scale_m: Annotated[float, Range(above=0.0, high=1e3)] = 0.5
     """Distance at which the closeness has decreased by the factor e [m]."""
-    rate_scale_rad_s: float = 5.0
+    rate_scale_rad_s: Annotated[float, Range(above=0.0, high=1e3)] = 5.0
     """Angular velocity at which the closeness has decreased by the factor e [rad/s]."""
-    smoothness: float = 0.01
+    smoothness: Annotated[float, Range(0.0, 1e3)] = 0.01
     """Weight of the mean squared change of the action."""
-    uncertainty: float = 0.0
+    uncertainty: Annotated[float, Range(0.0, 1e3)] = 0.0
     """Weight of the standard deviation of the estimated position [1/m]."""
-    landed: float = 100.0
+    landed: Annotated[float, Range(0.0, 1e4)] = 100.0
     """Reward of a successful landing."""
-    failure: float = 100.0
+    failure: Annotated[float, Range(0.0, 1e4)] = 100.0
     """Penalty of a failure."""
     obstacles: bool = False
     """Whether the obstacles of the world are part of the physics; there are none in the free space of a world."""

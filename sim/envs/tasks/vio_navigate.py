@@ -1,12 +1,13 @@
 """Task VioNavigate: take off and reach a goal among obstacles, flown on an estimate of the state."""
 
 from dataclasses import dataclass
-from typing import ClassVar
+from typing import Annotated, ClassVar
 
 import numpy as np
 import numpy.typing as npt
 
 from dronevio.models.quadrotor import Quadrotor
+from dronevio.models.ranges import Range
 from dronevio.models.rotation import rotation_z
 from dronevio.sim.envs.tasks.navigate import Navigate, NavigateGoals, drawn_goals
 from dronevio.sim.envs.tasks.task import Transition
@@ -76,11 +77,11 @@ class VioNavigate(Navigate):
 
     world: str = "hall"
     """Name of the world."""
-    episode_s: float = 40.0
+    episode_s: Annotated[float, Range(0.1, 1e5)] = 40.0
     """Time limit of an episode [s]."""
-    distance_m: tuple[float, float] = (3.0, 12.0)
+    distance_m: Annotated[tuple[float, float], Range(above=0.0, high=1e3)] = (3.0, 12.0)
     """Smallest and largest distance from the pad to the goal [m]."""
-    uncertainty: float = 0.02
+    uncertainty: Annotated[float, Range(0.0, 1e3)] = 0.02
     """Weight of the standard deviation of the estimated position [1/m]."""
 
     def begin(

@@ -1,12 +1,13 @@
 """Task Waypoints: fly through random points one after another."""
 
 from dataclasses import dataclass, replace
-from typing import ClassVar
+from typing import Annotated, ClassVar
 
 import numpy as np
 import numpy.typing as npt
 
 from dronevio.models.quadrotor import Quadrotor
+from dronevio.models.ranges import Range, Settings
 from dronevio.sim.envs.tasks.task import (
     Mask,
     Objective,
@@ -45,7 +46,7 @@ class WaypointsGoals(Table):
 
 
 @dataclass(frozen=True)
-class Waypoints:
+class Waypoints(Settings):
     """Fly through five random points in a room, one after another: ``dronevio/Waypoints-v0``.
 
     ## Description
@@ -103,27 +104,27 @@ class Waypoints:
 
     world: str = "room"
     """Name of the world."""
-    episode_s: float = 15.0
+    episode_s: Annotated[float, Range(0.1, 1e5)] = 15.0
     """Time limit of an episode [s]."""
-    count: int = 5
+    count: Annotated[int, Range(1, 1000)] = 5
     """Number of points."""
-    spacing_m: float = 1.0
+    spacing_m: Annotated[float, Range(0.0, 100.0)] = 1.0
     """Smallest distance from one point to the next [m]."""
-    tolerance_m: float = 0.25
+    tolerance_m: Annotated[float, Range(above=0.0, high=100.0)] = 0.25
     """Distance from a point at which it is reached [m]."""
     start: Start = _START
     """Spread of the starting states around the centre of the free space."""
-    progress: float = 5.0
+    progress: Annotated[float, Range(0.0, 1e3)] = 5.0
     """Reward of a metre of approach [1/m]."""
-    approach_m: float = 0.04
+    approach_m: Annotated[float, Range(0.0, 10.0)] = 0.04
     """Largest approach in a step that is rewarded [m]."""
-    reached: float = 5.0
+    reached: Annotated[float, Range(0.0, 1e4)] = 5.0
     """Reward of a point that is reached."""
-    rate: float = 0.02
+    rate: Annotated[float, Range(0.0, 1e3)] = 0.02
     """Weight of the angular velocity [s/rad]."""
-    smoothness: float = 0.02
+    smoothness: Annotated[float, Range(0.0, 1e3)] = 0.02
     """Weight of the mean squared change of the action."""
-    failure: float = 10.0
+    failure: Annotated[float, Range(0.0, 1e4)] = 10.0
     """Penalty of a failure."""
     obstacles: bool = False
     """Whether the obstacles of the world are part of the physics; there are none in the free space of a world."""

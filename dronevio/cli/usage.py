@@ -1,0 +1,75 @@
+"""Wrong arguments of a command, explained on one line: tyro's messages without boxes, and settings by their options."""
+
+import dataclasses
+import re
+from collections.abc import Iterator, Sequence
+from typing import Annotated, get_args, get_origin, get_type_hints
+
+from dronevio.models.ranges import FINITE, RangeError, number_fields
+
+WIDTH = 10_000
+"""Number of columns at which tyro formats a message that `usage_message` reads, so that no name is broken."""
+
+_BOX = re.compile(r"^[╭╰].*$\n?|^│ ?|\s*│?$", re.MULTILINE)
+_RULE = re.compile(r"^─+$", re.MULTILINE)
+
+
+def usage_message(printed: str, program: str) -> str:
+    """Return tyro's explanation of wrong arguments on one line.
+
+    Args:
+        printed: What tyro printed, at a width of `WIDTH`: boxes of sections, of which the first is the explanation.
+        program: The command as it is typed, such as ``dronevio fly``.
+    """
+    sections = [section.strip("\n") for section in _RULE.split(_BOX.sub("", printed))]
+    lines = [line for line in sections[0].splitlines() if line.strip()]
+    # An indent of four marks the name of an option or argument, and a larger one its explanation.
+    names = [line.strip().split(" ")[0] for line in lines if re.match(r"    \S", line)]
+    text = " ".join([line.strip() for line in lines if not line.startswith("    ")] + [", ".join(names)]).strip()
+    text = re.sub(r"invalid literal for int\(\) with base 10: (.*)", r"\1; expected a whole number", text)
+    text = re.sub(r"could not convert string to float: (.*)", r"\1; expected a number", text)
+    text = re.sub(r"Error parsing (\S+?): ", r"\1 ", text)
+    similar = re.findall(r"^    (-\S+)", "\n".join(sections[1:]), re.MULTILINE) if "Perhaps you" in printed else []
+    meant = f"; did you mean {' or '.join(similar[:3])}?" if similar else ""
+    return f"{text.rstrip('.')}{meant} (see {program} --help)"
+
+
+def range_message(error: RangeError, command: type, arguments: Sequence[str]) -> str:
+    """Return the message of a setting outside its range, with the name of its option.
+
+    Args:
+        error: The error.
+        command: The dataclass of the command.
+        arguments: The words after the command's name; of several options for such a field, those in them count.
+    """
+    found = [name for name, owner, field in options(command) if field == error.field and owner is error.settings]
+    given = {word.partition("=")[0].replace("_", "-") for word in arguments}
+    names = [name for name in found if name in given] or found
+    return f"{' or '.join(names)} {error.problem}" if names else str(error)
+
+
+def options(command: type, prefix: str = "") -> Iterator[tuple[str, type, str]]:
+    """Yield the name of each option of a command, the dataclass that it belongs to, and the name of the field.
+
+    Args:
+        command: The dataclass of the command, or one of the dataclasses in it.
+        prefix: Names of the fields in which the dataclass is nested.
+    """
+    hints = get_type_hints(command, include_extras=True)
+    for field in dataclasses.fields(command):
+        hint = hints[field.name]
+        name, kind = f"{prefix}{field.name}".replace("_", "-"), hint
+        if get_origin(hint) is Annotated:
+            kind, *metadata = get_args(hint)
+            if any(getattr(each, "name", None) == "" for each in metadata):
+                name = prefix.rstrip(".")
+        if dataclasses.is_dataclass(kind) and isinstance(kind, type):
+            yield from options(kind, f"{name}." if name else "")
+        else:
+            yield f"--{name}", command, field.name
+
+
+def allowed(command: type, name: str) -> str | None:
+    """Return the allowed values of a field as a sentence for its help text; None if it has no range."""
+    numbers = next((number for number in number_fields(command) if number.name == name), None)
+    return None if numbers is None or numbers.range == FINITE or numbers.kind is bool else f"Allowed: {numbers.range}."
