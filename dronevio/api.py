@@ -17,7 +17,7 @@ from dronevio.estimator.vio import VisualInertialOdometry
 from dronevio.eval.metrics.alignment import AlignmentMode
 from dronevio.eval.metrics.scores import ScoredTrajectory, score_trajectory
 from dronevio.eval.run import EstimatorRun
-from dronevio.models.errors import EvaluationError, InputError
+from dronevio.models.errors import ConfigError, EvaluationError, InputError
 from dronevio.models.image_sets import ImageSet, open_images, with_earlier
 from dronevio.models.progress import Progress, silent
 from dronevio.models.protocols import Estimator, Recording
@@ -110,8 +110,13 @@ def estimate(
 
     Raises:
         InputError: The recording cannot be read.
+        ConfigError: An argument is of another type, or the recording has no camera.
     """
     source = open_recording(Path(recording), repair=True) if isinstance(recording, str | Path) else recording
+    if not hasattr(source, "rig"):
+        raise ConfigError(f"estimate() of {type(source).__name__}; expected a recording or its path")
+    if estimator is not None and not isinstance(estimator, VioConfig) and not hasattr(estimator, "add_frame"):
+        raise ConfigError(f"estimate() with {estimator!r}; expected an estimator or a VioConfig")
     if estimator is None or isinstance(estimator, VioConfig):
         estimator = VisualInertialOdometry(source.rig, estimator)
     return estimate_recording(source, estimator, progress)

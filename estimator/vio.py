@@ -29,6 +29,7 @@ from dronevio.estimator.pipeline import MeasurementPipeline
 from dronevio.estimator.propagator import Propagator
 from dronevio.estimator.types import Calibration, FramePacket, Observations
 from dronevio.models.imu import ImuSamples
+from dronevio.models.measurement_checks import check_imu
 from dronevio.models.rig import Rig
 from dronevio.models.state import CameraFrame, Estimate, Health, HealthReport, NavState
 
@@ -93,7 +94,12 @@ class VisualInertialOdometry:
         self._state: Initializing | Tracking = self._initializing()
 
     def add_imu(self, samples: ImuSamples) -> None:
-        """Add the IMU samples since the last call."""
+        """Add the IMU samples since the last call.
+
+        Raises:
+            ConfigError: A sample is not finite, or not later than the last one.
+        """
+        check_imu(samples)
         self._pipeline.add_imu(samples)
         self._imu_rate.push(samples)
 

@@ -37,19 +37,34 @@ class ImuSamples:
     interval (t[i−1], t[i]], that is Δθ = log(R₀ᵀR₁) and Δv in the frame at the start, each divided by the interval."""
 
     def __post_init__(self) -> None:
-        """Check the shapes and the time stamps.
+        """Check types, shapes and time stamps. Values that are not finite are for estimators to refuse.
 
         Raises:
-            ConfigError: The shapes do not match, or the time stamps do not increase.
+            ConfigError: A field is no array of numbers, time stamps are not whole numbers or do not increase, or the
+                shapes do not match.
         """
-        n = len(self.t_ns)
+        for name in ("t_ns", "gyro_rad_s", "accel_m_s2"):
+            if not isinstance(getattr(self, name), np.ndarray):
+                found = type(getattr(self, name)).__name__
+                raise ConfigError(f"ImuSamples.{name} of type {found}; expected an array of NumPy")
+        if self.t_ns.dtype.kind != "i":
+            raise ConfigError(f"ImuSamples.t_ns of type {self.t_ns.dtype}; expected whole nanoseconds, int64")
+        if self.gyro_rad_s.dtype.kind not in "fiu" or self.accel_m_s2.dtype.kind not in "fiu":
+            raise ConfigError(
+                f"IMU batch of types {self.gyro_rad_s.dtype} and {self.accel_m_s2.dtype}; expected numbers, float64"
+            )
+        n = self.t_ns.size
         if self.t_ns.shape != (n,) or self.gyro_rad_s.shape != (n, 3) or self.accel_m_s2.shape != (n, 3):
             raise ConfigError(
                 f"IMU batch with shapes {self.t_ns.shape}, {self.gyro_rad_s.shape}, {self.accel_m_s2.shape};"
                 " expected (N,), (N, 3), (N, 3)"
             )
         if n > 1 and not np.all(np.diff(self.t_ns) > 0):
-            raise ConfigError("IMU batch whose time stamps do not increase")
+            row = int(np.flatnonzero(np.diff(self.t_ns) <= 0)[0])
+            raise ConfigError(
+                f"IMU batch whose time stamps do not increase: {self.t_ns[row + 1]} ns after {self.t_ns[row]} ns;"
+                " expected a later one"
+            )
 
     def __len__(self) -> int:
         return len(self.t_ns)

@@ -3,6 +3,7 @@
 from collections.abc import Iterable
 from dataclasses import dataclass
 from enum import StrEnum
+from numbers import Integral
 from typing import Self
 
 import numpy as np
@@ -32,6 +33,18 @@ class CameraFrame:
     """(H, W) Depth along the optical axis of the main camera; only in simulation, and not given to estimators [m]."""
     defects: tuple[Defect, ...] = ()
     """Reasons of the images that cannot be read."""
+
+    def __post_init__(self) -> None:
+        """Check the types of time stamp and images.
+
+        Raises:
+            ConfigError: The time stamp is not a whole number, or the images are not a tuple or list.
+        """
+        if not isinstance(self.t_ns, Integral):
+            raise ConfigError(f"frame with the time stamp {self.t_ns!r}; expected whole nanoseconds, an int")
+        if not isinstance(self.images, (tuple, list)):
+            found = type(self.images).__name__
+            raise ConfigError(f"frame at {self.t_ns} ns with images of type {found}; expected a tuple of arrays")
 
 
 @dataclass(frozen=True, eq=False)

@@ -105,7 +105,7 @@ def build_world(name: str, seed: int, texture_seed: int | None = None, texture_r
     Raises:
         ConfigError: The world is unknown.
     """
-    _require(name)
+    require_world(name)
     layout, appearance = _painted(name, seed, seed if texture_seed is None else texture_seed)
     spec = assembled(layout, appearance if texture_reduction == 1 else appearance.reduced(texture_reduction))
     spec.modelname = f"{name}-{seed}"
@@ -130,7 +130,7 @@ def flight_area(name: str, seed: int) -> FlightArea:
     Raises:
         ConfigError: The world is unknown.
     """
-    _require(name)
+    require_world(name)
     layout = WORLDS[name].layout(_generators(seed)[0])
     return FlightArea(space_of(layout), layout.free_box, layout.pad, layout.route, layout.gates)
 
@@ -141,7 +141,7 @@ def illumination_and_movers(name: str, seed: int) -> tuple[float, tuple[Mover, .
     Raises:
         ConfigError: The world is unknown.
     """
-    _require(name)
+    require_world(name)
     layout = WORLDS[name].layout(_generators(seed)[0])
     return layout.illumination, _movers(layout)
 
@@ -152,7 +152,7 @@ def collision_spec(name: str, seed: int) -> mujoco.MjSpec:
     Raises:
         ConfigError: The world is unknown.
     """
-    _require(name)
+    require_world(name)
     spec = mujoco.MjSpec()
     add_collision_geoms(spec, WORLDS[name].layout(_generators(seed)[0]))
     return spec
@@ -167,7 +167,7 @@ def instance_spec(name: str, seed: int) -> mujoco.MjSpec:
     Raises:
         ConfigError: The world is unknown.
     """
-    _require(name)
+    require_world(name)
     return assembled_instances(WORLDS[name].layout(_generators(seed)[0]))
 
 
@@ -176,8 +176,12 @@ def _movers(layout: Layout) -> tuple[Mover, ...]:
     return tuple(Mover(thing.name, thing.poses) for thing in layout.moving)
 
 
-def _require(name: str) -> None:
-    """Raise ConfigError unless a world of that name exists."""
+def require_world(name: str) -> None:
+    """Check the name of a world.
+
+    Raises:
+        ConfigError: There is no world of that name.
+    """
     if name not in WORLDS:
         raise ConfigError(f"unknown world {name!r}; expected one of {', '.join(WORLDS)}")
 

@@ -118,8 +118,11 @@ class FlightOptions(Settings):
         from dronevio.models.quadrotor import vehicle_named
         from dronevio.recorder import rig_of
         from dronevio.sim.scenarios import scenario_named
+        from dronevio.sim.world import require_world
 
         base = scenario_named(self.scenario, self.seed)
+        if self.world is not None:
+            require_world(self.world)
         rig = base.rig if self.rig is None else rig_of(self.rig)
         return replace(
             base,

@@ -116,8 +116,6 @@ def _check(command: LogCommand) -> None:
     if command.out.suffix != ".rrd":
         raise InputError(command.out, f"a name that ends with {command.out.suffix!r}", "one that ends with .rrd")
     require_free(command.out, command.output.overwrite)
-    if not 0 <= command.crf <= 63:
-        raise ConfigError(f"--crf {command.crf}; expected 0 to 63")
 
 
 def _print_result(command: LogCommand, estimates: "Sequence[NamedEstimate]") -> None:

@@ -41,6 +41,9 @@ class RecordingOptions(Settings):
     """Number of cameras to use, from the first on. All cameras are used by default."""
     calibration: tuple[Path, ...] = ()
     """Kalibr files, camchain.yaml, imu.yaml or both, that replace the calibration of a ROS 2 bag."""
+    imu: str | None = None
+    """IMU whose noise parameters replace those of the recording, or supply them where they are unknown: euroc,
+    ADIS16448, BMI088, MPU-6050 or tactical."""
     topics: BagTopics = field(default_factory=BagTopics)
     """Topics of a ROS 2 bag that has several of one type."""
 
@@ -53,13 +56,16 @@ class RecordingOptions(Settings):
 
         Raises:
             InputError: It cannot be read.
-            ConfigError: It does not have as many cameras as are asked for.
+            ConfigError: It does not have as many cameras as are asked for, or there is no IMU of the given name.
         """
         from dronevio.models.recordings.open import open_recording
 
-        if self.cameras is not None and self.cameras < 1:
-            raise ConfigError(f"--cameras {self.cameras}; expected 1 or more")
-        recording = open_recording(path, self.cameras, self.calibration, self.topics, repair)
+        imu = None
+        if self.imu is not None:
+            from dronevio.models.imu_presets import imu_named
+
+            imu = imu_named(self.imu)
+        recording = open_recording(path, self.cameras, self.calibration, self.topics, repair, imu)
         found = len(recording.rig.cameras)
         if self.cameras is not None and found < self.cameras:
             raise ConfigError(f"--cameras {self.cameras}: {path} has {found}; expected {found} or fewer")

@@ -107,12 +107,12 @@ class Bars:
         self._bars = bars
 
     def bar(self, description: str) -> "Progress":
-        """Return a progress callback that draws a bar of its own."""
-        task = self._bars.add_task(description, total=None, start=False)
+        """Return a progress callback that draws a bar of its own, from its first call on."""
+        task = self._bars.add_task(description, total=None, start=False, visible=False)
 
         def advance(done: int, total: int) -> None:
             self._bars.start_task(task)  # its clock starts with the first call
-            self._bars.update(task, completed=done, total=total)
+            self._bars.update(task, completed=done, total=total, visible=True)
 
         return advance
 

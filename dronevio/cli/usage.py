@@ -10,8 +10,7 @@ from dronevio.models.ranges import FINITE, RangeError, number_fields
 WIDTH = 10_000
 """Number of columns at which tyro formats a message that `usage_message` reads, so that no name is broken."""
 
-_BOX = re.compile(r"^[╭╰].*$\n?|^│ ?|\s*│?$", re.MULTILINE)
-_RULE = re.compile(r"^─+$", re.MULTILINE)
+_RULE = re.compile(r"^(?:─+|-{10,})$", re.MULTILINE)
 
 
 def usage_message(printed: str, program: str) -> str:
@@ -21,7 +20,7 @@ def usage_message(printed: str, program: str) -> str:
         printed: What tyro printed, at a width of `WIDTH`: boxes of sections, of which the first is the explanation.
         program: The command as it is typed, such as ``dronevio fly``.
     """
-    sections = [section.strip("\n") for section in _RULE.split(_BOX.sub("", printed))]
+    sections = [section.strip("\n") for section in _RULE.split("\n".join(_content(printed)))]
     lines = [line for line in sections[0].splitlines() if line.strip()]
     # An indent of four marks the name of an option or argument, and a larger one its explanation.
     names = [line.strip().split(" ")[0] for line in lines if re.match(r"    \S", line)]
@@ -32,6 +31,14 @@ def usage_message(printed: str, program: str) -> str:
     similar = re.findall(r"^    (-\S+)", "\n".join(sections[1:]), re.MULTILINE) if "Perhaps you" in printed else []
     meant = f"; did you mean {' or '.join(similar[:3])}?" if similar else ""
     return f"{text.rstrip('.')}{meant} (see {program} --help)"
+
+
+def _content(printed: str) -> list[str]:
+    """Return the lines within tyro's box, or below its title where the encoding of the output has no boxes."""
+    lines = printed.splitlines()
+    if any(line.startswith("╭") for line in lines):
+        return [line[2:].rstrip("│ ") for line in lines if line.startswith("│")]
+    return [line[2:].rstrip() for line in lines if line.strip()][2:]
 
 
 def range_message(error: RangeError, command: type, arguments: Sequence[str]) -> str:

@@ -13,6 +13,7 @@ from dronevio.estimator.imu.covariance import propagate_covariance
 from dronevio.estimator.imu.forward_propagation import ImuRatePropagator
 from dronevio.estimator.initialization.static import InitialSigmas, initialize_static
 from dronevio.models.imu import GRAVITY_M_S2, ImuSamples
+from dronevio.models.measurement_checks import check_imu
 from dronevio.models.ranges import Range, Settings
 from dronevio.models.rig import Rig
 from dronevio.models.rotation import exp_so3, nearest_rotations, pose_matrix
@@ -86,7 +87,12 @@ class DeadReckoning:
         self._imu_rate = ImuRatePropagator(rig.imu)
 
     def add_imu(self, samples: ImuSamples) -> None:
-        """Add the IMU samples since the last call."""
+        """Add the IMU samples since the last call.
+
+        Raises:
+            ConfigError: A sample is not finite, or not later than the last one.
+        """
+        check_imu(samples)
         self._buffer.add(samples)
         self._imu_rate.push(samples)
 

@@ -25,6 +25,7 @@ from dronevio.estimator.initialization.static import initialize_static
 from dronevio.estimator.initialization.zero_velocity import ZeroVelocityConfig, ZeroVelocityDetector
 from dronevio.estimator.types import Observations
 from dronevio.models.imu import ImuSamples
+from dronevio.models.measurement_checks import check_imu
 from dronevio.models.ranges import Range, Settings
 from dronevio.models.rig import Rig
 from dronevio.models.rotation import exp_so3, nearest_rotations, pose_matrix
@@ -243,7 +244,12 @@ class EquivariantOdometry:
         self._imu_rate = ImuRatePropagator(rig.imu)
 
     def add_imu(self, samples: ImuSamples) -> None:
-        """Add the IMU samples since the last call."""
+        """Add the IMU samples since the last call.
+
+        Raises:
+            ConfigError: A sample is not finite, or not later than the last one.
+        """
+        check_imu(samples)
         self._buffer.add(samples)
         self._imu_rate.push(samples)
 

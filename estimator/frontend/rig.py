@@ -15,6 +15,7 @@ from dronevio.estimator.frontend.protocol import Image, image_of
 from dronevio.estimator.frontend.stereo import StereoConfig, StereoMatcher, shared_view
 from dronevio.estimator.frontend.tracker import FeatureTracker, TrackerConfig
 from dronevio.estimator.types import NO_MATCHES, Integers, Matches, Observations
+from dronevio.models.measurement_checks import check_image_count, check_rig
 from dronevio.models.rig import Rig
 from dronevio.models.state import CameraFrame
 
@@ -72,7 +73,11 @@ class RigTracker:
             rig: The calibration, with at least one camera.
             config: Settings of the trackers.
             stereo: Settings of the matching between cameras.
+
+        Raises:
+            ConfigError: The rig has no camera.
         """
+        check_rig(rig)
         cameras, ids, self._stereo = rig.cameras, count(), stereo or StereoConfig()
         self._tracking = _tracking_cameras(rig)
         self._trackers = [FeatureTracker(cameras[i].model, config, i, ids) for i in self._tracking]
@@ -100,9 +105,11 @@ class RigTracker:
             rig: The calibration in use; by default the last one.
 
         Raises:
-            ConfigError: An image is missing, is not uint8, or has not its camera's size.
+            ConfigError: There are fewer or more images than cameras, or an image is not uint8 or has not its camera's
+                size.
         """
         extrinsics = self._use(rig)
+        check_image_count(frame, extrinsics.rig)
         self._images = tuple(image_of(frame, i, camera) for i, camera in enumerate(self._cameras))
         return _merged(
             [

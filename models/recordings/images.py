@@ -54,7 +54,15 @@ def decode_grey(path: Path, data: bytes, width: int, height: int, where: str = "
     damage = _damage(data)
     if damage:
         raise DamagedImageError(path, f"{where}{damage}", expected)
-    image = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_GRAYSCALE)
+    if data.startswith(_PNG):
+        found = (int.from_bytes(data[16:20], "big"), int.from_bytes(data[20:24], "big"))
+        if found != (width, height):  # before memory for its pixels is allocated
+            raise InputError(path, f"{where}an image of {found[0]} × {found[1]} px", expected)
+    try:
+        image = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_GRAYSCALE)
+    except cv2.error as error:  # more pixels than OpenCV allows, for example
+        reason = str(error.err or "").strip() or "of a kind that OpenCV refuses"
+        raise DamagedImageError(path, f"{where}an image that cannot be decoded ({reason})", expected) from None
     if image is None:
         raise DamagedImageError(path, f"{where}data that cannot be decoded", expected)
     if image.shape != (height, width):

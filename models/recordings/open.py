@@ -1,11 +1,12 @@
 """Opening of recordings and trajectories of any supported format, which is detected from the path."""
 
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, TypeAlias
 
 from dronevio.models.errors import ConfigError, InputError
-from dronevio.models.imu import Times
+from dronevio.models.imu import ImuModel, Times
 from dronevio.models.recordings import tum
 from dronevio.models.recordings.bag.options import BagTopics
 from dronevio.models.recordings.calibration.euroc import count_cameras, read_euroc_rig
@@ -29,6 +30,7 @@ def open_recording(
     calibration: Sequence[Path] = (),
     topics: BagTopics | None = None,
     repair: bool = False,
+    imu: ImuModel | None = None,
 ) -> StoredRecording:
     """Open a recording. Images are read one frame at a time, on request.
 
@@ -40,6 +42,8 @@ def open_recording(
         topics: Topics of a bag to read, if they cannot be found by type.
         repair: Whether to go on with defects such as damaged images, and to list them in ``defects`` of the recording
             and of its frames. Otherwise, they raise an error, and frames that not every camera has are left out.
+        imu: Model of the IMU in place of that of the recording, for example where its noise is unknown. The rate stays
+            that of the recording.
 
     Raises:
         InputError: The path is none of these, damaged or not supported.
@@ -50,7 +54,7 @@ def open_recording(
     if is_bag(path):
         from dronevio.models.recordings.bag.recording import BagRecording  # takes half a second
 
-        return BagRecording.open(path, cameras, calibration, topics, repair=repair)
+        return BagRecording.open(path, cameras, calibration, topics, repair=repair, imu=imu)
     if calibration or (topics is not None and topics != BagTopics()):
         raise ConfigError(f"{path}: calibration and topics are for bags; expected an EuRoC folder without them")
     if path.suffix == ".bag":
@@ -59,7 +63,11 @@ def open_recording(
         )
     if not path.exists():
         raise InputError(path, "no such file or folder", "an EuRoC folder, an .mcap file or a ROS 2 bag")
-    return EurocRecording.open(path, cameras, repair)
+    recording = EurocRecording.open(path, cameras, repair)
+    if imu is None:
+        return recording
+    rig = replace(recording.rig, imu=replace(imu, rate_hz=recording.rig.imu.rate_hz))
+    return replace(recording, rig=rig)
 
 
 def is_bag(path: Path) -> bool:

@@ -34,7 +34,7 @@ class FlightPlan(Settings):
     """Waypoints (x, y, z) of the shapes ``waypoints`` and ``via``. For ``waypoints`` they are relative: in x and y, 0
     is the landing pad and ±1 the edge of the usable space; in z, 0 is the hover height and ±1 the largest and smallest
     usable height. For ``via`` they are positions in the world [m]."""
-    waypoint_jitter: Annotated[float, Range(0.0, 1.0)] = 0.0
+    waypoint_jitter: Annotated[float, Range(0.0, 10.0)] = 0.0
     """Largest random displacement of each waypoint, relative to half the free space."""
     heading_scale: Annotated[float, Range(0.0, 10.0)] = 1.0
     """Fraction of the path's heading that the shape ``waypoints`` follows: 1 looks along the path, 0 keeps the first

@@ -107,7 +107,7 @@ def test_every_command_has_help_with_examples(words: str, capsys: pytest.Capture
     assert re.search(rf"^Examples:\n  dronevio {words}", shown, re.MULTILINE)
 
 
-class ParsedError(Exception):
+class ParsedError(BaseException):
     """Raised in place of the work of a command whose options are valid."""
 
 

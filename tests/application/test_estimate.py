@@ -116,7 +116,7 @@ def test_number_of_cameras_is_checked(stereo: Result, flown: Result, capsys: Any
     for recording, cameras, found in (
         (stereo.folder / "recording", "3", "has 2"),
         (flown.folder, "2", "has 1"),
-        (flown.folder, "0", "expected 1 or more"),
+        (flown.folder, "0", "--cameras 0; expected a whole number, 1 to 16, or None"),
     ):
         assert main(["estimate", str(recording), "--cameras", cameras, "--out", str(tmp_path / "x.tum")]) == 2
         assert found in capsys.readouterr().err

@@ -270,7 +270,7 @@ def test_configuration_has_all_settings(another_run: Result) -> None:
     ("arguments", "message"),
     [
         (["--scenario", "moon"], r"unknown scenario 'moon'; expected one of room-v0, .*short-v0"),
-        ([*SCENARIO, "--seed", "-1"], r"seed -1; expected 0 or more"),
+        ([*SCENARIO, "--seed", "-1"], r"--seed -1; expected a whole number, 0 to 4294967295"),
         ([*SCENARIO, "--out", "taken"], r"taken: it exists already; expected a new name, or --overwrite"),
         ([*SCENARIO, "--out", "taken", "--overwrite"], r"taken: it holds no \S+, so it is no earlier result; expected"),
         ([*SCENARIO, "--out", "taken/thesis.tex"], r"taken/thesis.tex: it is a file; expected the name of a folder"),

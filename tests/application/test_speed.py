@@ -67,7 +67,7 @@ def test_many_vehicles_are_measured(capsys: pytest.CaptureFixture[str]) -> None:
     assert speed > 5.0 and environment > 1.0
     assert grey > 10.0 and depth > 10.0
     assert main(["speed", "gym", "--runs", "0"]) == 2
-    assert "0 runs; expected 1 or more" in capsys.readouterr().err
+    assert "--runs 0; expected a whole number, 1 to 1000" in capsys.readouterr().err
 
 
 def test_ratios_of_many_vehicles_are_medians_of_runs() -> None:

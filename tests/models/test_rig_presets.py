@@ -89,8 +89,8 @@ def test_invalid_rates_and_times_are_refused() -> None:
     for rate_hz in (0.0, np.nan):
         with pytest.raises(ConfigError, match=f"rate_hz = {rate_hz}"):
             replace(camera, rate_hz=rate_hz)
-    for readout_s in (-0.01, 0.06):
-        with pytest.raises(ConfigError, match=f"readout_s = {readout_s}; expected 0 to 0.05 s"):
+    for readout_s, expected in ((-0.01, "a number, 0 to 1"), (0.06, "0 to 0.05 s")):
+        with pytest.raises(ConfigError, match=f"readout_s = {readout_s}; expected {expected}"):
             replace(camera, readout_s=readout_s)
     with pytest.raises(ConfigError, match="time_offset_s = inf"):
         replace(euroc_rig(), time_offset_s=np.inf)

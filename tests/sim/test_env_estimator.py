@@ -310,8 +310,8 @@ def test_cameras_with_a_time_offset_are_exposed_later() -> None:
     [
         ({"task": "hover"}, "task Hover, which starts in the air; expected one that starts standing"),
         ({"rig": replace(euroc_rig(), cameras=())}, "rig without cameras"),
-        ({"estimation": {"latency_s": 0.6}}, r"estimation.latency_s = 0.6; expected 0 to 0.5 s"),
-        ({"estimation": {"dark_for_s": -1.0}}, "estimation.dark_for_s = -1"),
+        ({"estimation": {"latency_s": 0.6}}, r"Estimation.latency_s = 0.6; expected a number, 0 to 0.5"),
+        ({"estimation": {"dark_for_s": -1.0}}, "Estimation.dark_for_s = -1"),
     ],
 )
 def test_impossible_loops_are_refused(settings: dict[str, Any], message: str) -> None:

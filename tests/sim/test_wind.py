@@ -97,7 +97,11 @@ def test_steady_wind_needs_no_random_generator() -> None:
 
 @pytest.mark.parametrize(
     ("change", "message"),
-    [({"gusts": -1.0}, "-1"), ({"height_m": 1.0}, "1 m above"), ({"mean_m_s": (np.nan, 0.0, 0.0)}, "nan")],
+    [
+        ({"gusts": -1.0}, "-1"),
+        ({"height_m": 1.0}, "height_m = 1.0; expected a number, 3.048 to 304.8"),
+        ({"mean_m_s": (np.nan, 0.0, 0.0)}, "nan"),
+    ],
 )
 def test_invalid_winds_are_refused(change: dict[str, object], message: str) -> None:
     with pytest.raises(ConfigError, match=message):

@@ -9,7 +9,7 @@ Opening a bag reads the time stamp of each image; `BagRecording.frame` decodes t
 """
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Self, cast
 
@@ -19,9 +19,10 @@ from rosbags.typesys.stores import ros2_humble as ros
 
 from dronevio.models.defects import Defect, DefectKind
 from dronevio.models.errors import InputError
-from dronevio.models.imu import ImuSamples, Sampling, Times
+from dronevio.models.imu import ImuModel, ImuSamples, Sampling, Times
 from dronevio.models.recordings.bag.file import BagFile
 from dronevio.models.recordings.bag.messages import ImageMessage, grey_image, imu_samples
+from dronevio.models.recordings.bag.missing import MissingParts
 from dronevio.models.recordings.bag.options import BagTopics
 from dronevio.models.recordings.bag.rig import bag_rig, read_calibrations
 from dronevio.models.recordings.bag.topics import IMAGE_TYPES, find_topics, image_topics, truth_topic
@@ -85,6 +86,7 @@ class BagRecording:
         topics: BagTopics | None = None,
         sync_tolerance_s: float = SYNC_TOLERANCE_S,
         repair: bool = False,
+        imu: ImuModel | None = None,
     ) -> Self:
         """Read everything except the images.
 
@@ -97,6 +99,8 @@ class BagRecording:
             repair: Whether to go on with damaged images, time stamps that do not increase and IMU samples that are not
                 finite, and to list them in `defects`. Otherwise, damaged images, equal time stamps and samples that are
                 not finite raise an error, and frames that not every camera has are left out.
+            imu: Model of the IMU in place of that of the calibration, for a bag without noise densities. Its rate is
+                replaced by that of the samples.
 
         Raises:
             InputError: A topic or a field is missing, damaged, not supported or ambiguous; or, with `repair`, IMU and
@@ -105,23 +109,29 @@ class BagRecording:
         """
         check_camera_count(cameras)
         bag, files = BagFile(Path(path)), [Path(file) for file in calibration]
-        selected = find_topics(bag, topics or BagTopics(), _calibrated_topics(bag, files), cameras)
+        parts = MissingParts(bag)
+        selected = find_topics(bag, topics or BagTopics(), _calibrated_topics(bag, files), cameras, parts)
+        if not selected.images or not selected.imu:
+            bag_rig(bag, selected, read_calibrations(bag, files), 20.0, parts, imu)  # raises for all that is missing
         images = tuple(ImageTopic(bag, topic, repair) for topic in selected.images)
         times, rows = (_all_frames if repair else synchronized)(bag, images, sync_tolerance_s)
-        rig, sampling = bag_rig(bag, selected, read_calibrations(bag, files, _rate_hz(times)), _rate_hz(times))
-        imu, imu_stamps = _read_imu(bag, selected.imu, sampling, repair)
+        calibrations = read_calibrations(bag, files, _rate_hz(times))
+        rig, sampling = bag_rig(bag, selected, calibrations, _rate_hz(times), parts, imu)
+        samples, imu_stamps = _read_imu(bag, selected.imu, sampling, repair)
+        if imu is not None and len(samples) > 1:
+            rig = replace(rig, imu=replace(imu, rate_hz=_rate_hz(samples.t_ns)))
         defects: tuple[Defect, ...] = ()
         if repair:
             defects = (
                 *(defect for topic in images for defect in topic.defects),
                 *unpaired_images(times, rows, selected.images),
                 *imu_stamps,
-                *imu_defects(imu, times, rig.time_offset_s, bag.path),
+                *imu_defects(samples, times, rig.time_offset_s, bag.path),
             )
         return cls(
             name=Path(path).resolve().stem,
             rig=rig,
-            imu=imu,
+            imu=samples,
             frame_times_ns=times,
             ground_truth=read_bag_truth(bag, selected.truth) if selected.truth else None,
             frame_truth=read_bag_frame_truth(bag),
@@ -321,5 +331,5 @@ def synchronized(
 
 
 def _rate_hz(times_ns: Times) -> float:
-    """Return the frame rate [Hz] of time stamps (M,) [ns]; 20 if there is only one."""
+    """Return the rate [Hz] of time stamps (M,) [ns]; 20 if there is only one."""
     return 1e9 / float(np.median(np.diff(times_ns))) if len(times_ns) > 1 else 20.0

@@ -9,9 +9,10 @@ import numpy as np
 import numpy.typing as npt
 from rosbags.typesys.stores import ros2_humble as ros
 
-from dronevio.models.imu import Sampling
+from dronevio.models.imu import ImuModel, Sampling
 from dronevio.models.recordings.bag.file import BagFile
 from dronevio.models.recordings.bag.messages import camera_model
+from dronevio.models.recordings.bag.missing import MissingParts, missing
 from dronevio.models.recordings.bag.options import BagTopics
 from dronevio.models.recordings.bag.topics import camera_info_topic
 from dronevio.models.recordings.bag.writer import CALIBRATION_TOPIC
@@ -47,7 +48,12 @@ def read_calibrations(bag: BagFile, files: Sequence[Path], rate_hz: float = 20.0
 
 
 def bag_rig(
-    bag: BagFile, topics: BagTopics, calibrations: Sequence[KalibrCalibration], rate_hz: float
+    bag: BagFile,
+    topics: BagTopics,
+    calibrations: Sequence[KalibrCalibration],
+    rate_hz: float,
+    parts: MissingParts,
+    imu: ImuModel | None = None,
 ) -> tuple[Rig, Sampling]:
     """Return the rig of the given topics, and the sampling of its IMU.
 
@@ -56,53 +62,66 @@ def bag_rig(
         topics: Topics of images and IMU.
         calibrations: Calibrations of files or of the bag, in the order of their precedence.
         rate_hz: Frame rate [Hz].
+        parts: The parts that the bag lacks, to which those of the calibration are added.
+        imu: Model of the IMU that replaces that of the calibrations.
 
     Raises:
-        InputError: A part of the calibration is missing; the message names it.
+        InputError: The bag lacks something; the message names all of it.
     """
     imus = [calibration for calibration in calibrations if calibration.imu is not None]
-    if not imus:
-        raise bag.error(
-            "no noise densities of the IMU",
-            "Kalibr's imu.yaml (calibration): gyroscope_noise_density and others",
-        )
+    if not imus and imu is None:
+        with parts.collected():
+            raise missing(
+                bag,
+                "no noise densities of the IMU",
+                "Kalibr's imu.yaml (--calibration imu.yaml), or the name of an IMU (--imu BMI088)",
+            )
     chains = [calibration for calibration in calibrations if calibration.cameras]
-    cameras = chains[0].cameras if chains else _cameras_of_messages(bag, topics, rate_hz)
+    cameras = chains[0].cameras if chains else _cameras_of_messages(bag, topics, rate_hz, parts)
+    parts.check()
     if len(cameras) < len(topics.images):
         raise bag.error(
             f"{len(topics.images)} topics with images, but {len(cameras)} cameras in the calibration", "equal numbers"
         )
-    first = imus[0]
-    assert first.imu is not None
+    model = imu or imus[0].imu
+    assert model is not None
     with as_input_error(bag.path):
         rig = Rig(
             cameras=cameras[: len(topics.images)],
-            imu=first.imu,
-            T_vehicle_imu=first.T_vehicle_imu,
+            imu=model,
+            T_vehicle_imu=imus[0].T_vehicle_imu if imus else np.eye(4),
             time_offset_s=chains[0].time_offset_s if chains else 0.0,
         )
-    return rig, first.sampling
+    return rig, imus[0].sampling if imus else "point"
 
 
-def _cameras_of_messages(bag: BagFile, topics: BagTopics, rate_hz: float) -> tuple[RigCamera, ...]:
-    """Return the cameras according to CameraInfo and /tf_static, or raise InputError."""
+def _cameras_of_messages(bag: BagFile, topics: BagTopics, rate_hz: float, parts: MissingParts) -> tuple[RigCamera, ...]:
+    """Return the cameras according to CameraInfo and /tf_static; what is missing is added to ``parts``."""
     poses = _static_poses(bag)
-    imu_frame = _frame_of(bag, topics.imu)
+    imu_frame = _frame_of(bag, topics.imu) if topics.imu else None
     cameras = []
     for topic in topics.images:
         info_topic = camera_info_topic(topic)
-        if bag.topics.get(info_topic) != _INFO_TYPE:
-            raise bag.error(f"{topic} without {info_topic}", "that topic, or Kalibr's camchain.yaml (calibration)")
-        info = cast("ros.sensor_msgs__msg__CameraInfo", bag.first_message(info_topic))
+        has_info = bag.topics.get(info_topic) == _INFO_TYPE
+        with parts.collected():
+            if not has_info:
+                expected = "that topic, or Kalibr's camchain.yaml (--calibration camchain.yaml)"
+                raise missing(bag, f"{topic} without {info_topic}", expected)
+        if imu_frame is None:
+            continue
         frame = _frame_of(bag, topic)
         T_imu_cam = _pose_between(poses, imu_frame, frame)
-        if T_imu_cam is None:
-            raise bag.error(
-                f"no transform from {imu_frame!r} to {frame!r} in /tf_static",
-                "the pose of the camera, or Kalibr's camchain.yaml (calibration)",
-            )
-        with as_input_error(bag.path):
-            cameras.append(RigCamera(camera_model(bag.path, info_topic, info), T_imu_cam, rate_hz))
+        with parts.collected():
+            if T_imu_cam is None:
+                raise missing(
+                    bag,
+                    f"no transform from {imu_frame!r} to {frame!r} in /tf_static",
+                    "the pose of the camera, or Kalibr's camchain.yaml (--calibration camchain.yaml)",
+                )
+        if has_info and T_imu_cam is not None:
+            info = cast("ros.sensor_msgs__msg__CameraInfo", bag.first_message(info_topic))
+            with as_input_error(bag.path):
+                cameras.append(RigCamera(camera_model(bag.path, info_topic, info), T_imu_cam, rate_hz))
     return tuple(cameras)
 
 

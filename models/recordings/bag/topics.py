@@ -5,6 +5,7 @@ from typing import cast
 
 from dronevio.models.recordings.bag.file import BagFile
 from dronevio.models.recordings.bag.messages import ImageMessage, is_grey_or_colour
+from dronevio.models.recordings.bag.missing import MissingParts, missing
 from dronevio.models.recordings.bag.options import BagTopics
 from dronevio.models.recordings.bag.writer import COMPRESSED, TRUTH_TOPIC
 from dronevio.models.recordings.calibration.kalibr import IMU_TOPIC
@@ -16,24 +17,29 @@ POSE_TYPES = ("nav_msgs/msg/Odometry", "geometry_msgs/msg/PoseStamped", "geometr
 _TRUTH_NAMES = ("groundtruth", "ground_truth", "vicon", "mocap", "optitrack")
 
 
-def find_topics(bag: BagFile, requested: BagTopics, calibrated: Sequence[str], cameras: int | None) -> BagTopics:
-    """Return the topics to read; that of the ground truth is empty if there is none.
+def find_topics(
+    bag: BagFile, requested: BagTopics, calibrated: Sequence[str], cameras: int | None, parts: MissingParts
+) -> BagTopics:
+    """Return the topics to read; those that are missing are empty, and that of the ground truth if there is none.
 
     Args:
         bag: The bag.
         requested: Topics that the user selected.
         calibrated: Image topics that the calibration names, empty if it has none.
         cameras: Number of cameras to use; None for all.
+        parts: Collects missing image and IMU topics.
 
     Raises:
-        InputError: A topic is missing, has another message type, or is ambiguous.
+        InputError: A topic has another message type, or is ambiguous.
     """
-    images = tuple(_checked(bag, topic, IMAGE_TYPES) for topic in requested.images) or image_topics(bag, calibrated)
-    return BagTopics(
-        images[:cameras],
-        _checked(bag, requested.imu, IMU_TYPES) if requested.imu else _imu_topic(bag),
-        _checked(bag, requested.truth, POSE_TYPES) if requested.truth else truth_topic(bag),
-    )
+    images: tuple[str, ...] = ()
+    imu = ""
+    with parts.collected():
+        images = tuple(_checked(bag, topic, IMAGE_TYPES) for topic in requested.images) or image_topics(bag, calibrated)
+    with parts.collected():
+        imu = _checked(bag, requested.imu, IMU_TYPES) if requested.imu else _imu_topic(bag)
+    truth = _checked(bag, requested.truth, POSE_TYPES) if requested.truth else truth_topic(bag)
+    return BagTopics(images[:cameras], imu, truth)
 
 
 def camera_info_topic(image_topic: str) -> str:
@@ -44,7 +50,8 @@ def camera_info_topic(image_topic: str) -> str:
 def _checked(bag: BagFile, topic: str, types: Sequence[str]) -> str:
     """Return a topic that the user selected if it has one of the given types, or raise InputError."""
     if topic not in bag.topics:
-        raise bag.error(
+        raise missing(
+            bag,
             f"no topic {topic}",
             f"one of {', '.join(bag.topics_of_type(*types)) or 'the topics of the bag, but none has this type'}",
         )
@@ -70,13 +77,13 @@ def image_topics(bag: BagFile, calibrated: Sequence[str]) -> tuple[str, ...]:
     # Depth images are excluded.
     found = tuple(topic for topic in distinct if is_grey_or_colour(cast(ImageMessage, bag.first_message(topic))))
     if not found:
-        raise bag.error(
-            f"no camera among the topics {_listed(available or tuple(bag.topics))}", " or ".join(IMAGE_TYPES)
+        raise missing(
+            bag, f"no camera among the topics {_listed(available or tuple(bag.topics))}", " or ".join(IMAGE_TYPES)
         )
     if calibrated and len(found) != len(calibrated):
         raise bag.error(
             f"{len(found)} topics with images, {_listed(found)}, for the {len(calibrated)} cameras of the calibration",
-            "equal numbers, or a selection (topics.images)",
+            "equal numbers, or a selection (--topics.images)",
         )
     return found
 
@@ -87,9 +94,9 @@ def _imu_topic(bag: BagFile) -> str:
     if IMU_TOPIC in found:
         return IMU_TOPIC
     if not found:
-        raise bag.error(f"no IMU among the topics {_listed(tuple(bag.topics))}", IMU_TYPES[0])
+        raise missing(bag, f"no IMU among the topics {_listed(tuple(bag.topics))}", IMU_TYPES[0])
     if len(found) > 1:
-        raise bag.error(f"several IMUs, {_listed(found)}", "one, or a selection (topics.imu)")
+        raise bag.error(f"several IMUs, {_listed(found)}", "one, or a selection (--topics.imu)")
     return found[0]
 
 
