@@ -29,7 +29,7 @@ from dronevio.estimator.pipeline import MeasurementPipeline
 from dronevio.estimator.propagator import Propagator
 from dronevio.estimator.types import Calibration, FramePacket, Observations
 from dronevio.models.imu import ImuSamples
-from dronevio.models.measurement_checks import check_imu
+from dronevio.models.measurement_checks import check_imu, check_rig
 from dronevio.models.rig import Rig
 from dronevio.models.state import CameraFrame, Estimate, Health, HealthReport, NavState
 
@@ -81,7 +81,11 @@ class VisualInertialOdometry:
             rig: The calibration of the cameras and the IMU.
             config: Settings.
             front_end: Detects and tracks the features; by default in the images of all cameras.
+
+        Raises:
+            ConfigError: The rig has no camera.
         """
+        check_rig(rig)
         self._config = c = config or VioConfig()
         self._imu, self._noise = rig.imu, ImuNoiseEstimator(rig.imu, c.preintegration, c.noise, c.gravity_m_s2)
         self._online_calibration = OnlineCalibration(rig, c.calibration, c.gravity_m_s2)

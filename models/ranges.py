@@ -129,7 +129,7 @@ class NumberField:
         return f"{text}, or None" if self.optional else text
 
 
-def check_ranges(settings: object) -> None:
+def check_ranges(settings: Any) -> None:
     """Check the numbers among the fields of a dataclass.
 
     Raises:
@@ -157,9 +157,14 @@ def require(settings: object, holds: bool, field: str, expected: str) -> None:
         raise RangeError(type(settings), field, getattr(settings, field), expected)
 
 
-@cache
 def number_fields(settings: type) -> tuple[NumberField, ...]:
     """Return the fields of a dataclass that hold numbers or truth values, with their ranges."""
+    return _number_fields(settings)
+
+
+@cache
+def _number_fields(settings: Any) -> tuple[NumberField, ...]:
+    """Return the same, computed once for each class."""
     if not is_dataclass(settings):
         return ()
     hints = get_type_hints(settings, include_extras=True)
@@ -219,5 +224,5 @@ def _is_number(field: NumberField, value: object) -> bool:
 
 def _shown(value: object) -> str:
     """Return a value as text on one line."""
-    text = " ".join(repr(value).split()) if not isinstance(value, Real) or isinstance(value, bool) else f"{value}"
+    text = f"{value}" if isinstance(value, Real) else " ".join(repr(value).split())
     return text if len(text) <= 80 else f"{text[:77]}…"

@@ -40,10 +40,12 @@ class CameraFrame:
         Raises:
             ConfigError: The time stamp is not a whole number, or the images are not a tuple or list.
         """
-        if not isinstance(self.t_ns, Integral):
-            raise ConfigError(f"frame with the time stamp {self.t_ns!r}; expected whole nanoseconds, an int")
-        if not isinstance(self.images, (tuple, list)):
-            found = type(self.images).__name__
+        t_ns: object = self.t_ns
+        images: object = self.images
+        if not isinstance(t_ns, Integral):
+            raise ConfigError(f"frame with the time stamp {t_ns!r}; expected whole nanoseconds, an int")
+        if not isinstance(images, (tuple, list)):
+            found = type(images).__name__
             raise ConfigError(f"frame at {self.t_ns} ns with images of type {found}; expected a tuple of arrays")
 
 

@@ -5,10 +5,10 @@ import io
 import json
 import os
 import sys
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, redirect_stderr
 from functools import partial
-from typing import TYPE_CHECKING, TypeVar
+from typing import TYPE_CHECKING, Any, TypeVar
 
 import tyro
 
@@ -46,14 +46,15 @@ def parse(command: type[Command], arguments: Sequence[str], name: str, default: 
     """
     description = inspect.cleandoc(command.__doc__ or "")  # tyro itself would drop the examples
     prog = f"dronevio {name}"
-    given = {} if default is None else {"default": default}
-    call = partial(tyro.cli, command, args=list(arguments), prog=prog, description=description, registry=REGISTRY)
+    given: dict[str, Any] = {} if default is None else {"default": default}
+    options = {"args": list(arguments), "prog": prog, "description": description, "registry": REGISTRY, **given}
+    call: Callable[[], Command] = partial(tyro.cli, command, **options)
     if any(word in ("-h", "--help") for word in arguments):
-        return call(**given)
+        return call()
     printed = io.StringIO()
     try:
         with redirect_stderr(printed), _terminal_width(WIDTH):
-            return call(**given)
+            return call()
     except SystemExit as end:
         if end.code != 2:
             raise

@@ -62,7 +62,9 @@ def test_an_isolated_call_returns_its_value_and_resources() -> None:
 def test_exceptions_of_an_isolated_call_are_its_reason() -> None:
     outcome = call_in_process(math.sqrt, -1.0)
     assert (outcome.status, outcome.value) == ("failed", None)
-    assert outcome.reason.startswith("ValueError: ")
+    assert outcome.reason.startswith("a defect in dronevio: ValueError: ")  # no input should cause it
+    full = call_in_process(os.listdir, "nowhere")
+    assert (full.status, full.reason.split(":")[0]) == ("failed", "FileNotFoundError")
     missing = call_in_process(read_rows, Path("nowhere.parquet"))
     assert missing.status == "failed"
     assert missing.reason.startswith("nowhere.parquet: no such file; expected ")
@@ -70,9 +72,9 @@ def test_exceptions_of_an_isolated_call_are_its_reason() -> None:
 
 def test_signals_and_exit_codes_are_reported_separately() -> None:
     killed = call_in_process(os.kill, 0, signal.SIGSEGV)  # 0 is the process group, of which it is the only member
-    assert (killed.status, killed.reason.split(":")[0]) == ("crashed", "killed by SIGSEGV")
+    assert (killed.status, killed.reason.split(":")[:2]) == ("crashed", ["a defect in dronevio", " killed by SIGSEGV"])
     exited = call_in_process(os._exit, 7)
-    assert (exited.status, exited.reason) == ("crashed", "ended with code 7")
+    assert (exited.status, exited.reason) == ("crashed", "a defect in dronevio: ended with code 7")
 
 
 def test_a_timeout_kills_the_process_and_all_its_children(tmp_path: Path) -> None:

@@ -21,6 +21,7 @@ from dronevio.models.camera import CameraModel
 from dronevio.models.defects import DefectKind, count_defects
 from dronevio.models.errors import ConfigError, InputError
 from dronevio.models.imu import ImuSamples
+from dronevio.models.imu_presets import BMI088
 from dronevio.models.recordings.bag.file import typestore
 from dronevio.models.recordings.bag.messages import camera_info, header, image_message, rig_transforms
 from dronevio.models.recordings.bag.options import BagTopics
@@ -359,6 +360,27 @@ def test_kalibrs_files_complete_the_calibration(tmp_path: Path, noise_yaml: Path
         open_recording(tmp_path, calibration=[noise_yaml])
 
 
+def test_all_missing_parts_are_named_at_once(tmp_path: Path) -> None:
+    bag = save(tmp_path / "bag", without("/tf_static"))
+    with pytest.raises(InputError, match="3 parts are missing") as caught:
+        BagRecording.open(bag)
+    message = str(caught.value)
+    assert "(1) no noise densities of the IMU; expected Kalibr's imu.yaml (--calibration imu.yaml)" in message
+    assert "--imu BMI088" in message and message.count(str(bag)) == 1
+    assert "(2) no transform from 'imu_link' to 'cam0_optical'" in message and "--calibration camchain.yaml" in message
+    without_imu = [each for each in foreign(infos=False) if each[1] != "/imu/data"]
+    with pytest.raises(InputError, match=r"4 parts are missing: \(1\) no IMU among.*\(2\) no noise densities.*"):
+        BagRecording.open(save(tmp_path / "less", without_imu))
+
+
+def test_a_named_imu_supplies_unknown_noise(tmp_path: Path) -> None:
+    """The rate is that of the samples, which are 5 ms apart."""
+    recording = open_recording(save(tmp_path / "bag", foreign()), imu=BMI088)
+    assert recording.rig.imu.gyro_noise_density == BMI088.gyro_noise_density
+    assert recording.rig.imu.rate_hz == pytest.approx(1e9 / float(np.median(np.diff(recording.imu.t_ns))))
+    assert recording.rig.imu.rate_hz != BMI088.rate_hz
+
+
 def test_images_are_synchronized_within_a_tolerance(tmp_path: Path, noise_yaml: Path) -> None:
     path = save(tmp_path / "bag", foreign(4, lag_ns=300_000))
     recording = BagRecording.open(path, calibration=[noise_yaml])
@@ -506,7 +528,7 @@ def set_no_gyro(message: Any) -> None:
         (list(foreign()), BagTopics(images=("/camera0/camera_info",)), "with messages of sensor_msgs/msg/CameraInfo"),
         (changed(set_nan, "/imu/data"), None, "non-finite"),
         (changed(set_no_gyro, "/imu/data"), None, "without angular velocity"),
-        (changed(lambda m: m.k.fill(0.0), "/camera1/camera_info"), None, "/camera1/camera_info: camera fx = 0.0"),
+        (changed(lambda m: m.k.fill(0.0), "/camera1/camera_info"), None, "/camera1/camera_info: CameraModel.fx = 0.0"),
         (changed(lambda m: setattr(m, "distortion_model", "magic"), "/camera1/camera_info"), None, "'magic'"),
         (changed(lambda m: setattr(m, "d", np.ones(5)), "/camera1/camera_info"), None, "followed by zeros"),
         (changed(lambda m: setattr(m.transforms[1].transform.rotation, "w", 9.0), "/tf_static"), None, "of length 9"),

@@ -1,5 +1,6 @@
 """Grey images from files, and the refusal of damaged ones."""
 
+import zlib
 from pathlib import Path
 
 import cv2
@@ -33,6 +34,17 @@ def test_pixels_are_read_exactly(scratch: Path) -> None:
     np.testing.assert_array_equal(image, IMAGE)
     scratch.write_bytes(JPEG)
     assert read_grey(scratch, 32, 24).shape == (24, 32)
+
+
+def test_images_of_enormous_size_are_refused(scratch: Path) -> None:
+    """The header states 60000 × 60000 px; OpenCV refuses to allocate them with an exception of its own."""
+    size = (60_000).to_bytes(4, "big") * 2
+    header = b"IHDR" + size + PNG[24:29]
+    scratch.write_bytes(PNG[:12] + header + zlib.crc32(header).to_bytes(4, "big") + PNG[33:])
+    with pytest.raises(InputError, match="an image of 60000 × 60000 px; expected an image of 32 × 24 px"):
+        read_grey(scratch, 32, 24)
+    with pytest.raises(InputError, match="an image that cannot be decoded"):
+        read_grey(scratch, 60_000, 60_000)
 
 
 def test_colour_is_converted_to_grey(scratch: Path) -> None:

@@ -12,7 +12,7 @@ import psutil
 import pytest
 
 from dronevio.models.camera import CameraModel
-from dronevio.models.errors import ConfigError, GraphicsError, IncompleteError
+from dronevio.models.errors import ConfigError, DefectError, GraphicsError, IncompleteError
 from dronevio.models.imu import ImuSamples
 from dronevio.models.recordings.euroc import INCOMPLETE, EurocRecording, write_euroc
 from dronevio.models.recordings.frame_truth import FRAME_TRUTH_FILE, read_frame_truth
@@ -250,8 +250,9 @@ def test_a_worker_that_is_killed_is_reported(tmp_path: Path) -> None:
 
     stamps_ns = job().trajectory.t_ns
     many = job(schedule=FrameSchedule(stamps_ns, stamps_ns, np.ones(60, dtype=bool)))
-    with pytest.raises(IncompleteError, match=r"of 60 frames: a rendering process was killed by SIGKILL"):
+    with pytest.raises(IncompleteError, match=r"of 60 frames: a rendering process was killed by SIGKILL") as end:
         render_frames(many, tmp_path, kill, workers=1)
+    assert isinstance(end.value.__cause__, DefectError)  # exit code 70
     assert (tmp_path / INCOMPLETE).exists()
 
 
