@@ -52,7 +52,7 @@ class Rig(Settings):
     """Rate and error model of the IMU."""
     T_vehicle_imu: Array = field(default_factory=lambda: np.eye(4))
     """(4, 4) Pose of the IMU in the vehicle frame; x forward, y left, z up, origin at the centre of mass."""
-    time_offset_s: Annotated[float, Range(-1e3, 1e3)] = 0.0
+    time_offset_s: Annotated[float, Range(-1e6, 1e6)] = 0.0
     """Time offset of the camera clock: t_imu = t_cam + offset [s]."""
 
     def __post_init__(self) -> None:

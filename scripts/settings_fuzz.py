@@ -122,6 +122,7 @@ def survives(config: VioConfig, rig: Any, section: list[ImuSamples | CameraFrame
 
 def main(command: FuzzCommand) -> int:
     """Print the settings that fail, and return the exit code: 1 if there are any."""
+    threads = cv2.getNumThreads()
     cv2.setNumThreads(1)  # threads do not survive a fork
     recording = open_recording(command.recording, command.cameras)
     begin_ns = int(recording.frame_times_ns[0] + command.from_s * 1e9)
@@ -149,6 +150,7 @@ def main(command: FuzzCommand) -> int:
         if problem:
             failed += 1
             print(f"{trial.name}: {problem}", flush=True)
+    cv2.setNumThreads(threads)
     print(f"{refused} values refused, {tried} accepted, of which {failed} failed")
     print(f"slowest: {slowest[1]}, {slowest[0]:.1f} s of processor time")
     return 1 if failed else 0

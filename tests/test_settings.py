@@ -16,6 +16,7 @@ from dronevio.estimator.calibration.online import CalibratedPart
 from dronevio.estimator.config import VioConfig
 from dronevio.models.battery import Battery
 from dronevio.models.camera import CameraModel
+from dronevio.models.errors import ConfigError
 from dronevio.models.quadrotor import RESEARCH
 from dronevio.models.ranges import FINITE, NumberField, RangeError, Settings, number_fields
 from dronevio.models.rig import EUROC_CAM0, Rig, RigCamera, euroc_rig
@@ -100,7 +101,7 @@ def test_wrong_numbers_are_refused_by_name(kind: type) -> None:
                 assert error.settings is kind or number in field.range
                 assert f".{error.field} = " in str(error) and "; expected " in str(error)
                 assert error.field == field.name or number in field.range
-            except dronevio.models.errors.ConfigError:
+            except ConfigError:
                 assert number in field.range and not wrong_type  # a condition between several settings
             else:
                 assert number in field.range and not wrong_type and not math.isnan(number)

@@ -89,7 +89,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     except Exception as error:
         if debug:
             traceback.print_exc()
-        return report_defect(f"{type(error).__name__}: {error}", args, debug)
+        what = f"{error}" if isinstance(error, DefectError) else f"{type(error).__name__}: {error}"
+        return report_defect(what, args, debug)
 
 
 def report_defect(what: str, arguments: Sequence[str], debug: bool = False) -> int:

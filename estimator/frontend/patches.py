@@ -49,7 +49,7 @@ class PatchConfig(Settings):
     blur_px: Annotated[float, Range(0.0, 10.0)] = 0.5
     """Standard deviation of the Gaussian blur applied before the comparison [px], which reduces interpolation errors
     and aliasing."""
-    scales: Annotated[tuple[float, ...], Range(0.1, 10.0)] = (1.0, 1.6)
+    scales: Annotated[tuple[float, ...], Range(1.0, 10.0)] = (1.0, 1.6)
     """Factors on the blur for features that appear larger than at first, and therefore sharper: the copy of the image
     whose factor is nearest to the scale of the warp is compared."""
     min_zncc: Annotated[float, Range(-1.0, 1.0)] = 0.9
