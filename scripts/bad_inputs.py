@@ -104,9 +104,9 @@ class Answer:
     """What the command line answers to a wrong input."""
 
     case: Case
-    """The input."""
+    """The input that was given."""
     code: int
-    """Exit code."""
+    """Exit code of the command."""
     out: str
     """Text on standard output."""
     err: str
