@@ -1,4 +1,4 @@
-"""Write the command-line reference: one Markdown page per command, from what the command prints with --help.
+"""Write the command-line reference: one Markdown page per command, from what the command prints with --help-all.
 
 The commands are found by their help texts: a block of indented ``name  summary`` lines lists subcommands.
 """
@@ -20,7 +20,7 @@ COLUMNS = 99
 
 @dataclass(frozen=True)
 class Command:
-    """One command and what it prints with ``--help``."""
+    """One command and what it prints with ``--help-all``."""
 
     words: tuple[str, ...]
     """Names after the program: ``("bench", "sim")`` for `dronevio bench sim`."""
@@ -58,17 +58,17 @@ def commands(words: tuple[str, ...] = ()) -> list[Command]:
 
 
 def help_text(words: tuple[str, ...]) -> str:
-    """Return what a command prints with ``--help``."""
+    """Return what a command prints with ``--help-all``."""
     from dronevio.cli import main
 
     printed = io.BytesIO()
     terminal = {"COLUMNS": str(COLUMNS), "NO_COLOR": "1", "TERM": "dumb"}
     with patch.dict(os.environ, terminal), io.TextIOWrapper(printed, encoding="utf-8", write_through=True) as stream:
         with contextlib.redirect_stdout(stream), contextlib.suppress(SystemExit):
-            main([*words, "--help"])
+            main([*words, "--help-all"])
         text = printed.getvalue().decode()
     if not text:
-        raise RuntimeError(f"{PROGRAM} {' '.join(words)} --help printed nothing")
+        raise RuntimeError(f"{PROGRAM} {' '.join(words)} --help-all printed nothing")
     return text
 
 

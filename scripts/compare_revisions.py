@@ -189,6 +189,8 @@ class Revision:
     def dronevio(self, command: str, *arguments: str | Path) -> str:
         """Run a ``dronevio`` command of the revision, its options spelled as this revision spells them."""
         known = self.run("-m", "dronevio.cli", command, "--help")
+        if "--help-all" in known:  # earlier revisions print all options with --help
+            known = self.run("-m", "dronevio.cli", command, "--help-all")
         return self.run("-m", "dronevio.cli", command, *(spelled(str(word), known) for word in arguments))
 
 

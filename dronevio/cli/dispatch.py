@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 from dronevio.models.errors import ConfigError
 
-HELP = ("-h", "--help", "help")
+HELP = ("-h", "--help", "--help-all", "help")
 
 
 @dataclass(frozen=True)

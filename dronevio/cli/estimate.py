@@ -4,10 +4,11 @@ from collections import Counter
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import tyro
 
+from dronevio.cli.fields import ImportedSettings
 from dronevio.cli.options import Printing, PrintOptions, RecordingInput, RecordingOptions
 from dronevio.cli.terminal import (
     innovation_rows,
@@ -18,7 +19,9 @@ from dronevio.cli.terminal import (
     print_values,
     progress_bars,
 )
-from dronevio.estimator.config import VioConfig
+
+if TYPE_CHECKING:
+    from dronevio.estimator.config import VioConfig
 
 
 @dataclass(frozen=True)
@@ -61,7 +64,7 @@ class EstimateCommand:
     """How the recording is read."""
     printing: Printing = field(default_factory=PrintOptions)
     """How results are printed."""
-    estimator: VioConfig = field(default_factory=VioConfig)
+    estimator: "VioConfig" = field(default_factory=ImportedSettings("dronevio.estimator.config", "VioConfig"))
     """Settings of the estimator."""
 
 

@@ -1,7 +1,7 @@
 """The options of the commands that simulate: a scenario, and settings that replace parts of it.
 
-The defaults are the values of the scenario: ``dronevio fly --help`` shows those of the default scenario, and
-``dronevio fly --scenario forest-medium --help`` those of another.
+The defaults are the values of the scenario: ``dronevio fly --help-all`` shows those of the default scenario,
+and ``dronevio fly --scenario forest-medium --help-all`` those of another.
 """
 
 import argparse
@@ -162,4 +162,4 @@ def parse_flight(command: type[Command], arguments: Sequence[str], name: str) ->
         named = first.parse_known_args(list(arguments))[0].scenario
     except argparse.ArgumentError as error:
         raise ConfigError(f"{error.argument_name}: {error.message}") from None
-    return parse(command, arguments, name, default=command(flight=FlightOptions.of(scenario_named(named))))  # type: ignore[call-arg]
+    return parse(command, arguments, name, {"flight": FlightOptions.of(scenario_named(named))})

@@ -29,14 +29,14 @@ class FlyCommand:
       dronevio fly --faults.dark-from-s 10 --faults.dark-for-s 2 --out recordings/dark
     """
 
+    flight: ScenarioInput = field(default_factory=FlightOptions)
+    """The scenario to simulate."""
     truth_images: tuple[Literal["depth", "segmentation", "flow"], ...] = ()
     """Ground-truth images to write beside those of the first camera: depth, segmentation, optical flow."""
     out: Path | None = None
     """Folder to make; recordings/SCENARIO-SEED by default."""
     output: Output = field(default_factory=OutputOptions)
     """How the result is written and printed."""
-    flight: ScenarioInput = field(default_factory=FlightOptions)
-    """The scenario to simulate."""
 
 
 def main(arguments: Sequence[str]) -> int:

@@ -8,6 +8,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
+from dronevio.cli.fields import ImportedSettings
 from dronevio.cli.flight_options import FlightOptions, ScenarioInput, parse_flight
 from dronevio.cli.options import Output, OutputOptions
 from dronevio.cli.terminal import (
@@ -19,10 +20,10 @@ from dronevio.cli.terminal import (
     print_values,
     progress_bars,
 )
-from dronevio.estimator.config import VioConfig
 from dronevio.sim.loop_settings import LoopSettings
 
 if TYPE_CHECKING:
+    from dronevio.estimator.config import VioConfig
     from dronevio.sim.envs.mission import PolicyMission
     from dronevio.sim.scenario import Scenario
 
@@ -50,6 +51,8 @@ class RunCommand:
       dronevio run --json > result.json
     """
 
+    flight: ScenarioInput = field(default_factory=FlightOptions)
+    """The scenario to simulate."""
     out: Path | None = None
     """Folder to make. By default it is runs/SCENARIO-SEED, with a number appended if that exists."""
     fly_on: Literal["truth", "estimate"] = "truth"
@@ -66,9 +69,7 @@ class RunCommand:
     otherwise in a browser of this machine. The viewer ends with the run."""
     output: Output = field(default_factory=OutputOptions)
     """How the result is written and printed."""
-    flight: ScenarioInput = field(default_factory=FlightOptions)
-    """The scenario to simulate."""
-    estimator: VioConfig = field(default_factory=VioConfig)
+    estimator: "VioConfig" = field(default_factory=ImportedSettings("dronevio.estimator.config", "VioConfig"))
     """Settings of the estimator."""
     loop: LoopSettings = field(default_factory=LoopSettings)
     """Latencies of the control loop with --fly-on estimate."""

@@ -5,14 +5,14 @@ import io
 import json
 import os
 import sys
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager, redirect_stderr
-from functools import partial
-from typing import TYPE_CHECKING, Any, TypeVar
+from types import MappingProxyType
+from typing import TYPE_CHECKING, TypeVar
 
 import tyro
 
-from dronevio.cli.fields import REGISTRY
+from dronevio.cli.fields import registry, settings_groups
 from dronevio.cli.usage import WIDTH, range_message, usage_message
 from dronevio.models.errors import ConfigError
 from dronevio.models.ranges import RangeError
@@ -26,31 +26,52 @@ if TYPE_CHECKING:
 
 Command = TypeVar("Command")
 
+HELP_ALL = "--help-all"
+"""Option that prints the help text with all settings."""
+HELP = ("-h", "--help", HELP_ALL)
+"""Options that print a help text."""
+
 MAX_RUN_WARNINGS = 5
 """Number of warnings of an estimator that are printed."""
 
 
-def parse(command: type[Command], arguments: Sequence[str], name: str, default: Command | None = None) -> Command:
+def parse(
+    command: type[Command], arguments: Sequence[str], name: str, defaults: Mapping[str, object] = MappingProxyType({})
+) -> Command:
     """Return the dataclass ``command`` filled from the command line; its docstring is the text of ``--help``.
 
-    The ``--help`` ends the process with exit code 0.
+    ``--help`` explains the options of the command and names its groups of settings; ``--help-all`` explains these, too.
+    Both end the process with exit code 0.
 
     Args:
         command: The dataclass. The docstrings under its fields explain the options.
         arguments: The words after the command's name.
         name: The command's name without ``dronevio``.
-        default: Source of the values that are not given; the defaults of the dataclass without it.
+        defaults: Values of fields that replace the defaults of the dataclass.
 
     Raises:
         ConfigError: An argument is wrong or missing; the message names the option.
     """
-    description = inspect.cleandoc(command.__doc__ or "")  # tyro itself would drop the examples
+    asked = [word for word in arguments if word in HELP]
+    is_short = bool(asked) and HELP_ALL not in asked
     prog = f"dronevio {name}"
-    given: dict[str, Any] = {} if default is None else {"default": default}
-    options = {"args": list(arguments), "prog": prog, "description": description, "registry": REGISTRY, **given}
-    call: Callable[[], Command] = partial(tyro.cli, command, **options)
-    if any(word in ("-h", "--help") for word in arguments):
-        return call()
+
+    def call() -> Command:
+        return tyro.cli(
+            command,
+            args=["--help"] if asked else list(arguments),
+            prog=prog,
+            description=inspect.cleandoc(command.__doc__ or ""),  # tyro itself would drop the examples
+            registry=registry(command, defaults, with_settings=not is_short),
+        )
+
+    if asked:
+        try:
+            return call()
+        except SystemExit:
+            if is_short:
+                _print_groups(settings_groups(command))
+            raise
     printed = io.StringIO()
     try:
         with redirect_stderr(printed), _terminal_width(WIDTH):
@@ -61,6 +82,15 @@ def parse(command: type[Command], arguments: Sequence[str], name: str, default: 
         raise ConfigError(usage_message(printed.getvalue(), prog)) from None
     except RangeError as error:
         raise ConfigError(range_message(error, command, arguments)) from None
+
+
+def _print_groups(groups: Mapping[str, str]) -> None:
+    """Print the names of groups of settings, if there are any, below a help text."""
+    if not groups:
+        return
+    width = max(map(len, groups))
+    rows = "".join(f"  --{prefix + '.*':<{width + 2}}  {text}\n" for prefix, text in groups.items())
+    print(f"More options, which {HELP_ALL} explains:\n{rows}")
 
 
 @contextmanager

@@ -2,11 +2,13 @@
 
 import math
 from collections.abc import Callable
-from typing import Any, Literal
+from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 import numpy.typing as npt
-from scipy.interpolate import BSpline
+
+if TYPE_CHECKING:
+    from scipy.interpolate import BSpline
 
 Array = npt.NDArray[np.float64]
 HeadingProfile = Callable[[Array, Array, Array], Array]
@@ -68,8 +70,8 @@ def spinning(rate_rad_s: float, turn_s: float, lap_s: float) -> HeadingProfile:
 
 
 def heading_curve(
-    profile: HeadingProfile, path: BSpline, end_s: float, yaw_rate_rad_s: float, yaw_rad: float
-) -> BSpline:
+    profile: HeadingProfile, path: "BSpline", end_s: float, yaw_rate_rad_s: float, yaw_rad: float
+) -> "BSpline":
     """Return the heading [rad] over the time of a path, at rest at both ends.
 
     The control points follow the desired headings on the shorter way. The derivatives of a spline are bounded by the
@@ -82,6 +84,8 @@ def heading_curve(
         yaw_rate_rad_s: Largest rate of the heading [rad/s].
         yaw_rad: The heading at the start [rad].
     """
+    from scipy.interpolate import BSpline  # its import takes 0.7 s, and flight plans alone do not need it
+
     intervals = max(int(np.ceil(end_s / _SPACING_S)), 1)
     spacing = end_s / intervals
     knots = spacing * np.arange(-_DEGREE, intervals + _DEGREE + 1)

@@ -40,7 +40,6 @@ for words in sys.argv[1:]:
 """
 """Prints the help texts of commands, and after each the packages of which modules have been loaded for it."""
 LIGHT = [words for words in PROGRAMS if not words.startswith("book")]
-CONFIGURED = ("run", "estimate", "fly")  # their options are settings that are defined beside the algorithms
 
 
 def modules_after(code: str) -> set[str]:
@@ -50,10 +49,10 @@ def modules_after(code: str) -> set[str]:
     return {name.partition(".")[0] for name in ended.stdout.partition("loaded:")[2].split()}
 
 
-def help_text(words: str, capsys: pytest.CaptureFixture[str]) -> str:
-    """Return what a command prints with ``--help``."""
+def help_text(words: str, capsys: pytest.CaptureFixture[str], option: str = "--help") -> str:
+    """Return what a command prints with ``--help``, or with another option."""
     with pytest.raises(SystemExit) as ended:
-        main([*words.split(), "--help"])
+        main([*words.split(), option])
     assert ended.value.code == 0
     return capsys.readouterr().out
 
@@ -76,7 +75,7 @@ def test_package_and_help_load_no_heavy_package(code: str) -> None:
 
 
 @pytest.mark.parametrize("group", GROUPS)
-@pytest.mark.parametrize("arguments", [[], ["--help"], ["help"]])
+@pytest.mark.parametrize("arguments", [[], ["--help"], ["--help-all"], ["help"]])
 def test_groups_list_their_commands(group: str, arguments: list[str], capsys: pytest.CaptureFixture[str]) -> None:
     assert main([*group.split(), *arguments]) == 0
     printed = capsys.readouterr().out
@@ -107,6 +106,11 @@ def test_every_command_has_help_with_examples(words: str, capsys: pytest.Capture
     assert re.search(rf"^Examples:\n  dronevio {words}", shown, re.MULTILINE)
 
 
+def options_in(shown: str) -> set[str]:
+    """Return the options that a help text explains, without ``--``; the boxes have no borders outside of a terminal."""
+    return set(re.findall(r"^(?:│ |  )--(\w[\w.-]*)", shown, re.MULTILINE))
+
+
 class ParsedError(BaseException):
     """Raised in place of the work of a command whose options are valid."""
 
@@ -135,23 +139,45 @@ def test_examples_in_help_texts_are_valid(words: str, capsys: pytest.CaptureFixt
 
 @pytest.fixture(scope="module")
 def loaded() -> dict[str, set[str]]:
-    """Packages that the help texts of commands load in one interpreter, in which each finds what earlier ones loaded.
-
-    The commands whose options need the packages of the estimator come last, so that the others load all they need.
-    """
-    words = [*(words for words in LIGHT if words not in CONFIGURED), *CONFIGURED]
-    command = [sys.executable, "-c", HELP_TEXTS, *words]
+    """Packages that the help text of each command loads; later ones find what earlier ones loaded."""
+    command = [sys.executable, "-c", HELP_TEXTS, *LIGHT]
     ended = subprocess.run(command, capture_output=True, text=True, timeout=60, check=True)
     lines = re.findall(r"^loaded by (.+):(.*)$", ended.stdout, re.MULTILINE)
     return {words: set(names.split()) for words, names in lines}
 
 
 @pytest.mark.parametrize("words", LIGHT)
-def test_help_loads_neither_simulator_nor_plots(words: str, loaded: dict[str, set[str]]) -> None:
+def test_help_loads_no_heavy_package_but_numpy(words: str, loaded: dict[str, set[str]]) -> None:
     assert set(loaded) == set(LIGHT) and "tyro" in set.union(*loaded.values())
-    assert not loaded[words] & {"gymnasium", "matplotlib", "mujoco", "rerun", "rich"}
-    if words not in CONFIGURED:
-        assert not loaded[words] & {"cv2", "gtsam", "scipy"}
+    assert not loaded[words] & {"gymnasium", "matplotlib", "mujoco", "rerun", "rich", "cv2", "gtsam", "scipy"}
+
+
+@pytest.mark.parametrize("words", ["fly", "run", "estimate", "sfm"])
+def test_short_help_names_settings_and_long_help_explains_them(
+    words: str, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("COLUMNS", "99")
+    everything = help_text(words, capsys, "--help-all")
+    short, _, groups = help_text(words, capsys).partition("More options, which --help-all explains:\n")
+    named = set(re.findall(r"^  --([\w-]+)\.\* +\S", groups, re.MULTILINE))
+    explained = options_in(everything)
+    assert named == {option.partition(".")[0] for option in explained if "." in option} != set()
+    assert options_in(short) == {option for option in explained if "." not in option}
+    assert "More options" not in everything
+
+
+def test_long_help_of_commands_without_settings_is_the_short_one(capsys: pytest.CaptureFixture[str]) -> None:
+    assert help_text("benchmark", capsys, "--help-all") == help_text("benchmark", capsys)
+
+
+@pytest.mark.parametrize("option", ["--help", "--help-all"])
+def test_help_shows_the_values_of_the_scenario(
+    option: str, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("COLUMNS", "200")
+    shown = help_text("fly --scenario hall-medium --seed 7", capsys, option)
+    assert "(default: hall-medium-v0)" in shown
+    assert ("(default: 40.0)" in shown) == (option == "--help-all")  # --plan.tour-s
 
 
 @pytest.mark.parametrize("words", [*PROGRAMS, "book", "policy", "speed"])

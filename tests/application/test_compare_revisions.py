@@ -124,6 +124,6 @@ def test_options_of_the_flights_exist(script: Callable[[str], Any], subject: str
 
 @pytest.fixture(scope="module")
 def help_of_fly() -> str:
-    command = [sys.executable, "-m", "dronevio.cli", "fly", "--help"]
+    command = [sys.executable, "-m", "dronevio.cli", "fly", "--help-all"]
     environment = {**os.environ, "COLUMNS": "200"}
     return subprocess.run(command, env=environment, capture_output=True, text=True, check=True).stdout

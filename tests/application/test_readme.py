@@ -117,7 +117,7 @@ def test_commands_and_their_options_exist(line: list[str], capsys: pytest.Captur
     assert command[0] in COMMANDS.subcommands
     depth = 2 if command[0] in ("speed", "book") else 1
     with pytest.raises(SystemExit):
-        main([*command[:depth], "--help"])
+        main([*command[:depth], "--help-all"])
     help_text = capsys.readouterr().out
     for word in command[depth:]:
         if word.startswith("--"):

@@ -70,11 +70,12 @@ def test_shared_options_have_no_prefix() -> None:
     assert command.output == OutputOptions(json=True, overwrite=True)
 
 
-def test_defaults_are_those_of_the_dataclass_or_of_an_instance() -> None:
+def test_defaults_are_those_of_the_dataclass_or_are_replaced() -> None:
     assert parse(Command, [], "test") == Command()
     other = Command(2.5, (1.0, 2.0), RecordingOptions(cameras=1), OutputOptions(json=True))
-    assert parse(Command, [], "test", default=other) == other
-    assert parse(Command, ["--size", "3", "--lengths", "4"], "test", other) == replace(other, size=3.0, lengths=(4.0,))
+    assert parse(Command, [], "test", vars(other)) == other
+    assert parse(Command, ["--lengths", "4"], "test", vars(other)) == replace(other, lengths=(4.0,))
+    assert parse(Command, [], "test", {"size": 2.5}) == Command(2.5)
 
 
 def test_help_texts_have_no_line_breaks(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
