@@ -1,6 +1,7 @@
 """``dronevio benchmark``: several estimators on many flights."""
 
 import os
+import sys
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import asdict, dataclass, field
@@ -9,6 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 from dronevio.cli import report_defect
 from dronevio.cli.options import Printing, PrintOptions
+from dronevio.cli.progress import LineBars
 from dronevio.cli.terminal import parse, print_defects, print_json, print_table
 from dronevio.models.errors import DEFECT, ConfigError, InputError
 from dronevio.models.ranges import Range, Settings
@@ -208,6 +210,36 @@ def _default_cache() -> Path:
 @contextmanager
 def _run_progress(quiet: bool) -> Iterator["ProgressListener"]:
     """Show on standard error the number of finished runs, the remaining time and the failures."""
+    if quiet:
+        yield lambda done, total, row: None
+    elif not sys.stderr.isatty():
+        yield _run_lines()
+    else:
+        with _run_bars() as listener:
+            yield listener
+
+
+def _failure(row: "Row") -> str:
+    """Return the line that names a failed run."""
+    seed = "" if row.seed is None else f", seed {row.seed}"
+    return f"{row.status}: {row.scenario}{seed}, {row.estimator}: {row.reason}"
+
+
+def _run_lines() -> "ProgressListener":
+    """Return a callback that prints failures, and a line from time to time."""
+    advance = LineBars().bar("runs")
+
+    def listener(done: int, total: int, row: "Row | None") -> None:
+        if row is not None and row.status != "ok":
+            print(_failure(row), file=sys.stderr)
+        advance(done, total)
+
+    return listener
+
+
+@contextmanager
+def _run_bars() -> Iterator["ProgressListener"]:
+    """Draw a bar of the runs until the context ends, and print failures above it."""
     from rich.console import Console
     from rich.progress import BarColumn, MofNCompleteColumn, TextColumn, TimeElapsedColumn, TimeRemainingColumn
     from rich.progress import Progress as RichProgress
@@ -221,7 +253,6 @@ def _run_progress(quiet: bool) -> Iterator["ProgressListener"]:
         TextColumn("left"),
         TimeRemainingColumn(),
         console=Console(stderr=True),
-        disable=quiet,
         speed_estimate_period=float("inf"),  # runs take minutes: the average over all of them predicts the next best
     ) as bars:
         task, failed = bars.add_task("runs", total=None, failed=""), 0
@@ -230,8 +261,7 @@ def _run_progress(quiet: bool) -> Iterator["ProgressListener"]:
             nonlocal failed
             if row is not None and row.status != "ok":
                 failed += 1
-                seed = "" if row.seed is None else f", seed {row.seed}"
-                bars.console.print(f"{row.status}: {row.scenario}{seed}, {row.estimator}: {row.reason}", markup=False)
+                bars.console.print(_failure(row), markup=False)
             bars.update(task, completed=done, total=total, failed=f"{failed} failed" if failed else "")
 
         yield listener

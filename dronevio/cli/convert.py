@@ -8,7 +8,8 @@ from typing import TYPE_CHECKING, Annotated, Literal
 import tyro
 
 from dronevio.cli.options import Output, OutputOptions, RecordingInput, RecordingOptions
-from dronevio.cli.terminal import Bars, parse, print_json, print_values, progress_bars
+from dronevio.cli.progress import Bars
+from dronevio.cli.terminal import parse, print_json, print_values, progress_bars
 
 if TYPE_CHECKING:
     from dronevio.models.recordings.open import StoredRecording

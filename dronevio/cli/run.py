@@ -11,8 +11,8 @@ from typing import TYPE_CHECKING, Any, Literal
 from dronevio.cli.fields import ImportedSettings
 from dronevio.cli.flight_options import FlightOptions, ScenarioInput, parse_flight
 from dronevio.cli.options import Output, OutputOptions
+from dronevio.cli.progress import Bars
 from dronevio.cli.terminal import (
-    Bars,
     innovation_rows,
     print_defects,
     print_json,

@@ -7,8 +7,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
 if TYPE_CHECKING:
+    from dronevio.cli.progress import Bars
     from dronevio.cli.run import RunCommand
-    from dronevio.cli.terminal import Bars
     from dronevio.driver import RunObserver
     from dronevio.eval.metrics.scores import ScoredTrajectory
     from dronevio.eval.report.model import ControlResult

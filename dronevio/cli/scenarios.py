@@ -1,11 +1,11 @@
 """``dronevio scenarios``: a list of all scenarios and suites."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import asdict, dataclass, field
 from typing import Annotated
 
 from dronevio.cli.options import Printing, PrintOptions
-from dronevio.cli.terminal import parse, print_json, print_table
+from dronevio.cli.terminal import parse, print_json, print_table, progress_bars
 from dronevio.models.ranges import Range, Settings
 
 
@@ -30,46 +30,29 @@ def main(arguments: Sequence[str]) -> int:
     """Run the command and return its exit code."""
     command = parse(ScenariosCommand, arguments, "scenarios")
 
-    import math
+    from dronevio.sim.scenario_list import list_of_seed
 
-    from dronevio.sim.flight import reference_of
-    from dronevio.sim.physics.plant import QuadrotorPlant
-    from dronevio.sim.scenarios import SCENARIOS, SUITES, scenario_named
-
-    rows = []
-    for name in SCENARIOS:
-        chosen = scenario_named(name, command.seed)
-        reference = reference_of(chosen, QuadrotorPlant(chosen.rig, chosen.quadrotor))  # physics without obstacles
-        rows.append(
-            {
-                "name": name,
-                "world": chosen.world,
-                "duration_s": reference.duration_s,
-                "peak_speed_m_s": round(reference.peak_speed_m_s, 3),
-                "peak_rate_deg_s": round(math.degrees(reference.peak_rate_rad_s), 1),
-                "description": chosen.description,
-            }
-        )
+    with progress_bars(command.printing.json) as bars:
+        listed = list_of_seed(command.seed, bars.bar("planning"))
     if command.printing.json:
-        suites = {name: list(names) for name, names in SUITES.items()}
-        print_json({"seed": command.seed, "scenarios": rows, "suites": suites})
+        print_json(asdict(listed))
         return 0
     print_table(
-        f"Scenarios of seed {command.seed}: duration, peak speed, peak rotation rate",
+        f"Scenarios of seed {listed.seed}: duration, peak speed, peak rotation rate",
         ("name", "world", "s", "m/s", "°/s", "description"),
         [
             (
-                str(row["name"]),
-                str(row["world"]),
-                f"{row['duration_s']:.0f}",
-                f"{row['peak_speed_m_s']:.1f}",
-                f"{row['peak_rate_deg_s']:.0f}",
-                str(row["description"]),
+                row.name,
+                row.world,
+                f"{row.duration_s:.0f}",
+                f"{row.peak_speed_m_s:.1f}",
+                f"{row.peak_rate_deg_s:.0f}",
+                row.description,
             )
-            for row in rows
+            for row in listed.scenarios
         ],
         left=("world", "description"),
     )
-    suites_table = [(name, ", ".join(names)) for name, names in SUITES.items()]
+    suites_table = [(name, ", ".join(names)) for name, names in listed.suites.items()]
     print_table("Suites of scenarios, for a benchmark", ("name", "scenarios"), suites_table, left=("scenarios",))
     return 0

@@ -4,7 +4,9 @@ import inspect
 import io
 import json
 import os
+import shutil
 import sys
+import textwrap
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager, redirect_stderr
 from types import MappingProxyType
@@ -13,16 +15,14 @@ from typing import TYPE_CHECKING, TypeVar
 import tyro
 
 from dronevio.cli.fields import registry, settings_groups
+from dronevio.cli.progress import Bars, LineBars, NoBars, RichBars
 from dronevio.cli.usage import WIDTH, range_message, usage_message
 from dronevio.models.errors import ConfigError
 from dronevio.models.ranges import RangeError
 
 if TYPE_CHECKING:
-    from rich.progress import Progress as RichProgress
-
     from dronevio.eval.run import EstimatorRun
     from dronevio.models.defects import Defect
-    from dronevio.models.progress import Progress
 
 Command = TypeVar("Command")
 
@@ -31,6 +31,8 @@ HELP_ALL = "--help-all"
 HELP = ("-h", "--help", HELP_ALL)
 """Options that print a help text."""
 
+MIN_TEXT_WIDTH = 20
+"""Smallest width to which the last column of a table is narrowed."""
 MAX_RUN_WARNINGS = 5
 """Number of warnings of an estimator that are printed."""
 
@@ -107,50 +109,28 @@ def _terminal_width(columns: int) -> Iterator[None]:
 
 
 @contextmanager
-def progress_bars(quiet: bool = False) -> Iterator["Bars"]:
-    """Show progress bars on standard error, from the first progress until the context ends."""
+def progress_bars(quiet: bool = False) -> Iterator[Bars]:
+    """Show the progress on standard error until the context ends: as bars on a terminal, as lines of text elsewhere."""
+    if quiet:
+        yield NoBars()
+        return
+    if not sys.stderr.isatty():
+        yield LineBars()
+        return
     # Rich takes 0.1 s to import, a quarter of what `dronevio evaluate` takes.
     from rich.console import Console
     from rich.progress import BarColumn, MofNCompleteColumn, TextColumn, TimeElapsedColumn, TimeRemainingColumn
     from rich.progress import Progress as RichProgress
 
-    bars = RichProgress(
+    with RichProgress(
         TextColumn("{task.description:<12}"),
         BarColumn(),
         MofNCompleteColumn(),
         TimeElapsedColumn(),
         TimeRemainingColumn(),
         console=Console(stderr=True),
-        disable=quiet,
-    )
-    try:
-        yield Bars(bars)
-    finally:
-        if bars.live.is_started:
-            bars.stop()
-
-
-class Bars:
-    """Makes a progress bar for each task of a command."""
-
-    def __init__(self, bars: "RichProgress") -> None:
-        """Use a display of rich.
-
-        Args:
-            bars: The display, which is started with the first progress.
-        """
-        self._bars = bars
-
-    def bar(self, description: str) -> "Progress":
-        """Return a progress callback that draws a bar of its own, from its first call on."""
-        task = self._bars.add_task(description, total=None, start=False, visible=False)
-
-        def advance(done: int, total: int) -> None:
-            self._bars.start()
-            self._bars.start_task(task)  # its clock starts with the first call
-            self._bars.update(task, completed=done, total=total, visible=True)
-
-        return advance
+    ) as bars:
+        yield RichBars(bars)
 
 
 def print_warning(text: str) -> None:
@@ -210,6 +190,8 @@ def innovation_rows(innovations: Mapping[str, float] | None) -> list[tuple[str, 
 def print_table(title: str, columns: Sequence[str], rows: Sequence[Sequence[str]], left: Sequence[str] = ()) -> None:
     """Print a table as plain text on standard output, with an empty line after it.
 
+    On a terminal, a text in the last column that is too long for the line continues below, broken between words.
+
     Args:
         title: Line above the table; no line if it is empty.
         columns: Headings of the columns.
@@ -218,9 +200,19 @@ def print_table(title: str, columns: Sequence[str], rows: Sequence[Sequence[str]
     """
     widths = [max(map(len, cells)) for cells in zip(columns, *rows, strict=True)]
     align = ["<" if i == 0 or column in left else ">" for i, column in enumerate(columns)]
+    indent = sum(widths[:-1]) + 2 * len(widths[:-1])
+    room = _line_width() - indent
+    if align[-1] == "<" and MIN_TEXT_WIDTH <= room < widths[-1]:
+        widths[-1] = room
     rule = ["─" * width for width in widths]
-    lines = [
-        "  ".join(f"{cell:{a}{w}}" for cell, a, w in zip(cells, align, widths, strict=True)).rstrip()
-        for cells in (columns, rule, *rows)
-    ]
+    lines = []
+    for cells in (columns, rule, *rows):
+        *others, text = [f"{cell:{a}{w}}" for cell, a, w in zip(cells, align, widths, strict=True)]
+        first, *more = textwrap.wrap(text, widths[-1], break_long_words=False, break_on_hyphens=False) or [""]
+        lines += ["  ".join([*others, first]).rstrip(), *(" " * indent + line for line in more)]
     sys.stdout.write("\n".join([*([title] if title else []), *lines, "", ""]))
+
+
+def _line_width() -> int:
+    """Return the number of columns of the terminal; a large number if standard output is none."""
+    return shutil.get_terminal_size().columns if sys.stdout.isatty() else sys.maxsize

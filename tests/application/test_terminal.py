@@ -1,5 +1,6 @@
 """Tables and options that all commands share."""
 
+import sys
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
@@ -42,6 +43,45 @@ def test_first_and_named_columns_are_left_aligned(capsys: pytest.CaptureFixture[
 def test_table_without_title_or_rows_has_headings(capsys: pytest.CaptureFixture[str]) -> None:
     print_values("", ())
     assert capsys.readouterr().out == "  value  unit\n  ─────  ────\n\n"
+
+
+def use_narrow_terminal(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Let standard output be a terminal with 40 columns."""
+    monkeypatch.setenv("COLUMNS", "40")
+    monkeypatch.setattr(sys.stdout, "isatty", lambda: True, raising=False)
+
+
+def test_last_column_is_broken_between_words_on_a_terminal(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    use_narrow_terminal(monkeypatch)
+    row = ("easy", "room-easy-v0, corridor-easy-v0, warehouse-easy-v0")
+    print_table("", ("name", "scenarios"), [row, ("one", "hover-v0")], ("scenarios",))
+    assert capsys.readouterr().out == (
+        "name  scenarios\n"
+        "────  ──────────────────────────────────\n"
+        "easy  room-easy-v0, corridor-easy-v0,\n"
+        "      warehouse-easy-v0\n"
+        "one   hover-v0\n"
+        "\n"
+    )  # fmt: skip
+
+
+def test_numbers_and_short_columns_are_never_broken(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    use_narrow_terminal(monkeypatch)
+    print_table("", ("a", "b"), [("x" * 30, "1 2 3 4 5 6 7 8 9")])
+    print_table("", ("a", "text"), [("x" * 30, "a text of some length")], ("text",))
+    assert capsys.readouterr().out.count("\n") == 2 * 4
+
+
+def test_lines_outside_of_a_terminal_are_whole(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setenv("COLUMNS", "40")
+    print_table("", ("name", "text"), [("a", "word " * 20)], ("text",))
+    assert ("word " * 20).strip() in capsys.readouterr().out
 
 
 def test_benchmark_table_has_one_line_per_estimator(capsys: pytest.CaptureFixture[str]) -> None:

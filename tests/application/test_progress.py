@@ -1,0 +1,86 @@
+"""Progress of commands: lines of text, bars, and nothing."""
+
+import io
+import sys
+
+import pytest
+from rich.console import Console
+from rich.progress import Progress as RichProgress
+
+from dronevio.cli.progress import LineBars, PhaseLine, RichBars
+from dronevio.cli.terminal import progress_bars
+
+
+class Clock:
+    """A clock that is set by hand."""
+
+    now_s = 100.0
+
+    def __call__(self) -> float:
+        return self.now_s
+
+
+def test_lines_are_printed_from_time_to_time() -> None:
+    clock = Clock()
+    line = PhaseLine("rendering", clock)
+    printed = []
+    for second in range(41):
+        clock.now_s = 100.0 + second
+        printed.append(line.due(10 * second, 400))
+    texts = [text for text in printed if text is not None]
+    assert texts == [
+        "rendering: 50 of 400 after 5 s, about 35 s left",
+        "rendering: 150 of 400 after 15 s, about 25 s left",
+        "rendering: 250 of 400 after 25 s, about 15 s left",
+        "rendering: 350 of 400 after 35 s, about 5 s left",
+        "rendering: 400 of 400 after 40 s",
+    ]
+
+
+def test_end_of_a_long_phase_is_printed_once() -> None:
+    clock = Clock()
+    line = PhaseLine("rendering", clock)
+    assert line.due(0, 2) is None
+    clock.now_s += 6.0
+    assert line.due(2, 2) == "rendering: 2 of 2 after 6 s"
+    clock.now_s += 60.0
+    assert line.due(2, 2) is None
+    short = PhaseLine("simulating", clock)
+    assert short.due(0, 2) is None
+    clock.now_s += 4.9
+    assert short.due(2, 2) is None
+
+
+def test_time_before_a_phase_does_not_count() -> None:
+    clock, stream = Clock(), io.StringIO()
+    advance = LineBars(stream, clock).bar("estimating")
+    clock.now_s += 60.0
+    advance(0, 10)
+    clock.now_s += 6.0
+    advance(3, 10)
+    assert stream.getvalue() == "estimating: 3 of 10 after 6 s, about 14 s left\n"
+
+
+def test_bar_of_a_phase_appears_when_it_begins() -> None:
+    display = RichProgress(console=Console(file=io.StringIO()))
+    bars = RichBars(display)
+    first, second = bars.bar("simulating"), bars.bar("rendering")
+    assert display.tasks == []
+    first(1, 4)
+    assert [(task.description, task.completed, task.total) for task in display.tasks] == [("simulating", 1, 4)]
+    second(0, 7)
+    first(4, 4)
+    assert [(task.description, task.completed) for task in display.tasks] == [("simulating", 4), ("rendering", 0)]
+
+
+def test_a_terminal_has_bars_and_a_pipe_lines(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    with progress_bars() as bars:
+        assert isinstance(bars, LineBars)
+    monkeypatch.setattr(sys.stderr, "isatty", lambda: True, raising=False)
+    with progress_bars() as bars:
+        assert isinstance(bars, RichBars)
+    with progress_bars(quiet=True) as bars:
+        bars.bar("simulating")(1, 1)
+    assert "simulating" not in capsys.readouterr().err
