@@ -37,8 +37,9 @@ from dronevio.models.recordings.tum import read_tum
 from dronevio.models.rotation import inverse_pose
 from dronevio.sim.chase_camera import ChaseCamera
 from dronevio.sim.scenarios import scenario_named
-from dronevio.sim.world import build_world
-from dronevio.sim.worlds.contact_sheet import contact_sheet, sheet_of_worlds
+from dronevio.sim.world import WORLDS, build_world
+from dronevio.sim.worlds.contact_sheet import LENS, VIEWS, VIEWS_EACH, contact_sheet, sheet_of_worlds, views
+from dronevio.sim.worlds.world_pictures import pictures_of_worlds
 
 Picture = npt.NDArray[np.uint8]
 
@@ -207,10 +208,11 @@ def make_pictures(scratch: Path, shown: Path | None) -> None:
     save("recording.jpg", recording_screenshot(run / "run.rrd", scratch))
     save("report.jpg", report_screenshot(run / "report.html", scratch))
     save("take-off.jpg", take_off_picture(run))
-    sheet = contact_sheet(build_world("room", 0))
+    sheet = contact_sheet(views(build_world("room", 0), VIEWS))
     rows = sheet[: int(ROOM_SHARE * len(sheet))]
     save("room.jpg", resized(rows, ROOM_PX))
-    save("worlds.jpg", resized(sheet_of_worlds(0), WORLDS_PX))
+    names = tuple(WORLDS)
+    save("worlds.jpg", resized(sheet_of_worlds(names, pictures_of_worlds(names, 0, VIEWS_EACH, LENS)), WORLDS_PX))
     flight = scratch / "medium"
     main(["fly", "--scenario", "room-medium", "--rig", "euroc-stereo", "--out", str(flight)])
     draw_estimator(flight, scratch / "estimator.png")

@@ -133,7 +133,11 @@ def main(arguments: Sequence[str]) -> int:
                 for label, value, form, unit in innovation_rows(summary["innovations"])
             ),
             ("processor time per frame", f"{run.cpu_ms.mean():.1f}", "ms"),
-            ("real-time factor", "–" if run.real_time_factor is None else f"{run.real_time_factor:.1f}", ""),
+            (
+                "duration of the flight / processor time",
+                "–" if run.real_time_factor is None else f"{run.real_time_factor:.1f}",
+                "",
+            ),
         ),
     )
     if not recording.complete:

@@ -228,7 +228,7 @@ def print_report(title: str, report: dict[str, Any]) -> None:
         *innovation_rows(report["estimator"]["innovations"]),
         ("processor time per frame, mean", timing["cpu_ms_mean"], ".1f", "ms"),
         ("processor time per frame, 99th percentile", timing["cpu_ms_p99"], ".1f", "ms"),
-        ("real-time factor", timing["real_time_factor"], ".1f", ""),
+        ("duration of the flight / processor time", timing["real_time_factor"], ".1f", ""),
         *_control_rows(report),
     ]
     print_values(

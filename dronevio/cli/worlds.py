@@ -14,6 +14,8 @@ from dronevio.models.ranges import Range, Settings
 class WorldsCommand(Settings):
     """List the worlds in which scenarios take place, or draw a contact sheet of them.
 
+    Pictures of worlds are kept in ~/.cache/dronevio/pictures for the next contact sheet.
+
     Examples:
       dronevio worlds
       dronevio worlds --json
@@ -78,12 +80,18 @@ def _draw(path: Path, names: Sequence[str], seed: int, quiet: bool) -> None:
         OSError: The file cannot be written.
     """
     from dronevio.sim.cameras.gl import require_gl
-    from dronevio.sim.world import build_world
-    from dronevio.sim.worlds.contact_sheet import contact_sheet, sheet_of_worlds, write_picture
+    from dronevio.sim.worlds.contact_sheet import (
+        LENS,
+        VIEWS,
+        VIEWS_EACH,
+        contact_sheet,
+        sheet_of_worlds,
+        write_picture,
+    )
+    from dronevio.sim.worlds.world_pictures import pictures_of_worlds
 
     require_gl()
-    if len(names) == 1:
-        write_picture(path, contact_sheet(build_world(names[0], seed)))
-        return
+    single = len(names) == 1
     with progress_bars(quiet) as bars:
-        write_picture(path, sheet_of_worlds(seed, names, progress=bars.bar("worlds")))
+        pictures = pictures_of_worlds(names, seed, VIEWS if single else VIEWS_EACH, LENS, bars.bar("pictures"))
+    write_picture(path, contact_sheet(pictures[0]) if single else sheet_of_worlds(names, pictures))

@@ -36,14 +36,19 @@ def compiled(arguments: str, build: Callable[[], mujoco.MjModel]) -> mujoco.MjMo
         arguments: Everything that determines the world apart from code and machine.
         build: Function that builds the world.
     """
-    if os.environ.get(_SWITCH) == "0":
+    if not enabled():
         return build()
-    path = folder() / f"{_fingerprint(arguments)}.world"
+    path = folder() / f"{fingerprint(arguments)}.world"
     model = _read(path)
     if model is None:
         model = build()
         _write(path, model)
     return model
+
+
+def enabled() -> bool:
+    """Return whether files are used."""
+    return os.environ.get(_SWITCH) != "0"
 
 
 def folder() -> Path:
@@ -87,8 +92,8 @@ def _write(path: Path, model: mujoco.MjModel) -> None:
         return
 
 
-def _fingerprint(arguments: str) -> str:
-    """Return a name for a world on this machine."""
+def fingerprint(arguments: str) -> str:
+    """Return a name for what arguments, the code of the simulator, libraries and this machine determine."""
     return hashlib.sha256(f"{arguments}\n{_environment()}".encode()).hexdigest()[:32]
 
 

@@ -1,6 +1,6 @@
 """Contact sheets: pictures of worlds from several viewpoints, for inspection."""
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 
 import cv2
@@ -9,11 +9,10 @@ import numpy.typing as npt
 
 from dronevio.models.camera import CameraModel
 from dronevio.models.errors import InputError
-from dronevio.models.progress import Progress, silent
 from dronevio.models.rotation import exp_so3, rotation_z
 from dronevio.sim.appearance.textures import Image, to_image
 from dronevio.sim.cameras.camera import OffscreenCamera
-from dronevio.sim.world import WORLDS, World, build_world
+from dronevio.sim.world import WORLDS, World
 from dronevio.sim.worlds.texturedness import poses_along
 
 Array = npt.NDArray[np.float64]
@@ -22,9 +21,11 @@ LENS = CameraModel(width=480, height=300, fx=250.0, fy=250.0, cx=239.5, cy=149.5
 """Camera of the pictures: 88° wide, without distortion."""
 VIEWS = 12
 """Number of pictures on the sheet of one world."""
+VIEWS_EACH = 3
+"""Number of pictures of each world on the sheet of several worlds."""
 
 _COLUMNS = 4
-_WORLDS_A_ROW, _VIEWS_EACH = 2, 3  # on the sheet of several worlds
+_WORLDS_A_ROW = 2  # on the sheet of several worlds
 _CANDIDATES = 4  # candidate positions of each view, of which the one with the largest depth is used
 _FAR_PERCENT = 85  # percentile of the depths of a view that is compared
 _VIEW_OFFSET_RAD = 0.45  # heading of the views off the route, alternating left and right
@@ -44,50 +45,42 @@ def viewpoints(route: Array, count: int) -> Array:
     return poses
 
 
-def views(world: World, count: int, camera: CameraModel = LENS) -> list[Image]:
-    """Return pictures (H, W, 3) of a world along its route; dark worlds are shown with the gamma of a display.
+def taken_views(world: World, count: int, camera: CameraModel = LENS) -> Iterator[Image]:
+    """Yield pictures (H, W, 3) of a world along its route; dark worlds are shown with the gamma of a display.
 
     Raises:
-        GraphicsError: No off-screen OpenGL.
+        GraphicsError: There is no off-screen OpenGL.
     """
     poses = viewpoints(world.route, _CANDIDATES * count).reshape(count, _CANDIDATES, 4, 4)
-    pictures = []
     with OffscreenCamera(world.spec.compile(), camera, _SUPERSAMPLING) as eye:
         for candidates in poses:
             sees_m = [float(np.percentile(eye.render_depth(T), _FAR_PERCENT)) for T in candidates]
-            pictures.append(eye.render_rgb(candidates[int(np.argmax(sees_m))]))
-    return [to_image(picture * np.float32(world.illumination ** (1.0 / _GAMMA))) for picture in pictures]
+            picture = eye.render_rgb(candidates[int(np.argmax(sees_m))])
+            yield to_image(picture * np.float32(world.illumination ** (1.0 / _GAMMA)))
 
 
-def contact_sheet(world: World, camera: CameraModel = LENS) -> Image:
-    """Return twelve views of a world as one picture (H, W, 3), in rows of four.
+def views(world: World, count: int, camera: CameraModel = LENS) -> list[Image]:
+    """Return the pictures (H, W, 3) of `taken_views`.
 
     Raises:
-        GraphicsError: No off-screen OpenGL.
+        GraphicsError: There is no off-screen OpenGL.
     """
-    return _in_rows(views(world, VIEWS, camera), _COLUMNS)
+    return list(taken_views(world, count, camera))
 
 
-def sheet_of_worlds(
-    seed: int, names: Sequence[str] = tuple(WORLDS), camera: CameraModel = LENS, progress: Progress = silent
-) -> Image:
-    """Return a picture (H, W, 3) of several worlds, three views of each under its name.
+def contact_sheet(pictures: Sequence[Image]) -> Image:
+    """Return pictures (H, W, 3) of a world as one picture, in rows of four."""
+    return _in_rows(pictures, _COLUMNS)
+
+
+def sheet_of_worlds(names: Sequence[str], pictures: Sequence[Sequence[Image]]) -> Image:
+    """Return a picture (H, W, 3) of several worlds, the pictures of each side by side under its name.
 
     Args:
-        seed: What they are drawn from.
-        names: Which.
-        camera: What takes the pictures.
-        progress: Hears of the worlds that are done.
-
-    Raises:
-        ConfigError: There is no such world.
-        GraphicsError: No off-screen OpenGL.
+        names: Names of the worlds.
+        pictures: Pictures (H, W, 3) of each world, of equal number and size.
     """
-    blocks = []
-    for number, name in enumerate(names):
-        progress(number, len(names))
-        blocks.append(_block(name, views(build_world(name, seed), _VIEWS_EACH, camera)))
-    progress(len(names), len(names))
+    blocks = [_block(name, strip) for name, strip in zip(names, pictures, strict=True)]
     return _framed(_in_rows(blocks, min(_WORLDS_A_ROW, len(blocks))))
 
 
