@@ -18,13 +18,14 @@ from typing import TYPE_CHECKING
 from dronevio._lazy import attach
 
 if TYPE_CHECKING:
-    from dronevio.api import dense, estimate, evaluate, fly, fly_on_estimate, sfm
+    from dronevio.api import dense, estimate, fly, fly_on_estimate, sfm
     from dronevio.driver import estimate_recording
     from dronevio.estimator.config import VioConfig
     from dronevio.estimator.imu.forward_propagation import ImuRatePropagator
     from dronevio.estimator.vio import VisualInertialOdometry
     from dronevio.eval.metrics.scores import ScoredTrajectory, Scores
     from dronevio.eval.run import EstimatorRun
+    from dronevio.evaluation import ate, evaluate
     from dronevio.models.camera import CameraModel
     from dronevio.models.errors import DronevioError
     from dronevio.models.imu import ImuModel, ImuSamples
@@ -63,6 +64,7 @@ __all__ = [
     "Trajectory",
     "VioConfig",
     "VisualInertialOdometry",
+    "ate",
     "dense",
     "estimate",
     "estimate_recording",
@@ -86,13 +88,14 @@ __version__ = "0.1.0"
 __getattr__, __dir__ = attach(
     __name__,
     {
-        "dronevio.api": ("dense", "estimate", "evaluate", "fly", "fly_on_estimate", "sfm"),
+        "dronevio.api": ("dense", "estimate", "fly", "fly_on_estimate", "sfm"),
         "dronevio.driver": ("estimate_recording",),
         "dronevio.estimator.config": ("VioConfig",),
         "dronevio.estimator.imu.forward_propagation": ("ImuRatePropagator",),
         "dronevio.estimator.vio": ("VisualInertialOdometry",),
         "dronevio.eval.metrics.scores": ("ScoredTrajectory", "Scores"),
         "dronevio.eval.run": ("EstimatorRun",),
+        "dronevio.evaluation": ("ate", "evaluate"),
         "dronevio.models.camera": ("CameraModel",),
         "dronevio.models.errors": ("DronevioError",),
         "dronevio.models.imu": ("ImuModel", "ImuSamples"),

@@ -1,5 +1,6 @@
-"""The steps of the command line as functions: simulate a flight, estimate its motion, evaluate the estimate, and
-reconstruct a scene from images.
+"""The steps of the command line as functions: simulate a flight, estimate its motion, reconstruct a scene from images.
+
+`dronevio.evaluation` evaluates the estimate.
 """
 
 from pathlib import Path
@@ -14,16 +15,13 @@ from dronevio.estimator.sfm.model import KnownPoses
 from dronevio.estimator.sfm.pipeline import SfmResult, reconstruct
 from dronevio.estimator.sfm.workspace import Workspace
 from dronevio.estimator.vio import VisualInertialOdometry
-from dronevio.eval.metrics.alignment import AlignmentMode
-from dronevio.eval.metrics.scores import ScoredTrajectory, score_trajectory
 from dronevio.eval.run import EstimatorRun
-from dronevio.models.errors import ConfigError, EvaluationError, InputError
+from dronevio.models.errors import ConfigError, InputError
 from dronevio.models.image_sets import ImageSet, open_images, with_earlier
 from dronevio.models.progress import Progress, silent
 from dronevio.models.protocols import Estimator, Recording
 from dronevio.models.reconstruction import Reconstruction
-from dronevio.models.recordings.open import open_recording, read_trajectory
-from dronevio.models.state import Trajectory
+from dronevio.models.recordings.open import open_recording
 from dronevio.recorder import record_closed_loop, record_flight
 from dronevio.sfm_inputs import EarlierResult, read_earlier, read_poses
 from dronevio.sim.loop_settings import LoopSettings
@@ -120,41 +118,6 @@ def estimate(
     if estimator is None or isinstance(estimator, VioConfig):
         estimator = VisualInertialOdometry(source.rig, estimator)
     return estimate_recording(source, estimator, progress)
-
-
-def evaluate(
-    truth: Recording | Trajectory | str | Path,
-    estimated: EstimatorRun | Trajectory | str | Path,
-    alignment: AlignmentMode = "yaw",
-) -> ScoredTrajectory:
-    """Compare an estimate with the ground truth.
-
-    Args:
-        truth: The ground truth: a recording that has one, a trajectory, or the path of either.
-        estimated: The result of `estimate`, a trajectory, or the path of a trajectory.
-        alignment: Degrees of freedom that are removed before: ``"yaw"`` (yaw and position), ``"se3"``, ``"sim3"``, ...
-
-    Returns:
-        The scores and the errors over time.
-
-    Raises:
-        EvaluationError: The recording has no ground truth, or the two do not overlap in time.
-        InputError: A file cannot be read.
-    """
-    frame_times_ns = None
-    if isinstance(truth, str | Path):
-        path = Path(truth)
-        truth = open_recording(path) if path.is_dir() else read_trajectory(path)
-    if not isinstance(truth, Trajectory):
-        frame_times_ns = truth.frame_times_ns
-        if truth.ground_truth is None:
-            raise EvaluationError(f"{truth.name}: no ground truth; expected a recording with one")
-        truth = truth.ground_truth
-    if isinstance(estimated, EstimatorRun):
-        estimated = estimated.trajectory
-    elif isinstance(estimated, str | Path):
-        estimated = read_trajectory(Path(estimated))
-    return score_trajectory(truth, estimated, frame_times_ns, alignment)
 
 
 def sfm(

@@ -24,7 +24,15 @@ _HOUSE = Path(dronevio.__file__).parent
 _DRAWS = tuple(_HOUSE / name for name in ("sim", "models", "recorder.py"))
 _ESTIMATES = tuple(
     _HOUSE / name
-    for name in ("estimator", "eval/metrics", "eval/tracking.py", "driver.py", "external_program.py", "registry.py")
+    for name in (
+        "estimator",
+        "eval/metrics",
+        "eval/tracking.py",
+        "driver.py",
+        "external_program.py",
+        "python_estimator.py",
+        "registry.py",
+    )
 )
 _DRAWING_PACKAGES = ("dronevio", "mujoco", "opencv-python-headless", "numpy")
 _PACKAGES = (*_DRAWING_PACKAGES, "python", "gtsam")

@@ -1,4 +1,4 @@
-"""The registry of estimators: ours, baselines, and any program that reads an EuRoC folder and writes a TUM file."""
+"""The registry of estimators: ours, baselines, classes of the user, and programs that read an EuRoC folder."""
 
 import re
 import shlex
@@ -16,6 +16,8 @@ from dronevio.models.protocols import Estimator
 from dronevio.models.rig import Rig
 from dronevio.models.serialization import to_jsonable
 from dronevio.models.state import Trajectory
+from dronevio.python_estimator import PREFIX as PYTHON
+from dronevio.python_estimator import PythonEstimator
 
 EXTERNAL = re.compile(r"external(?:@([+-]?(?:\d+\.?\d*|\.\d+)))?:")
 """Prefix of an estimator that is the command line of a program, optionally with the offset of its time stamps [s]."""
@@ -111,13 +113,16 @@ class NamedEstimator:
     label: str
     """Name of the estimator in tables."""
     name: str
-    """Key of `ESTIMATORS`, or ``external:`` and a command with ``{recording}`` and ``{output}``."""
+    """Key of `ESTIMATORS`, ``python:`` and a class, or ``external:`` and a command with ``{recording}`` and
+    ``{output}``."""
 
     def settings(self) -> object:
         """Return the settings on which the results of the estimator depend, as plain data."""
         if external := EXTERNAL.match(self.name):
             command = {"command": shlex.split(self.name[external.end() :])}
             return {**command, "pose_offset_s": float(external[1])} if external[1] else command
+        if self.name.startswith(PYTHON):
+            return {"class": self.name, "code": PythonEstimator.parse(self.name).source_hash()}
         return {"estimator": self.name, "config": to_jsonable(ESTIMATORS[self.name].settings())}
 
     def run(self, path: Path, strict: bool = False) -> Estimated:
@@ -131,7 +136,7 @@ class NamedEstimator:
             InputError: The recording, or the file that a program wrote, cannot be read; or the recording has defects.
             EvaluationError: The estimate has no pose; or a program failed, changed the measurements, or wrote poses at
                 other times than those of frames.
-            ConfigError: The recording has too few cameras, or a program cannot be started.
+            ConfigError: The recording has too few cameras, a class cannot be imported, or a program cannot be started.
             CrashError: A program was killed by a signal.
         """
         if external := EXTERNAL.match(self.name):
@@ -141,14 +146,16 @@ class NamedEstimator:
         from dronevio.driver import estimate_recording, require_poses
         from dronevio.models.recordings.open import open_recording
 
-        kind = ESTIMATORS[self.name]
-        recording = open_recording(path, kind.cameras, repair=True)
+        own = PythonEstimator.parse(self.name) if self.name.startswith(PYTHON) else None
+        kind = None if own else ESTIMATORS[self.name]
+        recording = open_recording(path, kind.cameras if kind else None, repair=True)
         if strict:
             refuse_defects(path, recording.defects)
             recording = replace(recording, repair=False)
-        if kind.cameras is None and len(recording.rig.cameras) < 2:
+        if kind and kind.cameras is None and len(recording.rig.cameras) < 2:
             raise ConfigError(f"{path}: one camera; expected two or more for {self.name}")
-        run = estimate_recording(recording, kind.make(recording.rig))
+        make = own.make if own else ESTIMATORS[self.name].make
+        run = estimate_recording(recording, make(recording.rig))
         return Estimated(
             require_poses(run, recording),
             float(run.cpu_ms.mean()),
@@ -163,19 +170,24 @@ def estimator_named(text: str) -> NamedEstimator:
     """Return an estimator.
 
     Args:
-        text: A name of `ESTIMATORS`, ``external:COMMAND`` or ``external@SECONDS:COMMAND``, with or without ``LABEL=``
-            before it.
+        text: A name of `ESTIMATORS`, ``python:package.module:Class``, ``external:COMMAND`` or
+            ``external@SECONDS:COMMAND``, with or without ``LABEL=`` before it.
 
     Raises:
-        ConfigError: There is no such estimator, or the command lacks ``{recording}`` or ``{output}``.
+        ConfigError: There is no such estimator or class, or the command lacks ``{recording}`` or ``{output}``.
     """
     labelled = re.fullmatch(r"([A-Za-z0-9_.+-]+)=(.*)", text, re.DOTALL)
     label, name = labelled.groups() if labelled else (text, text)
+    if name.startswith(PYTHON):
+        PythonEstimator.parse(name).load()  # reports what is wrong before anything is simulated
+        return NamedEstimator(label, name)
     external = EXTERNAL.match(name)
     if external is None:
         if name not in ESTIMATORS:
             names = ", ".join(ESTIMATORS)
-            raise ConfigError(f"unknown estimator {name!r}; expected one of {names}, or external:COMMAND")
+            raise ConfigError(
+                f"unknown estimator {name!r}; expected one of {names}, python:package.module:Class, or external:COMMAND"
+            )
         return NamedEstimator(label, name)
     try:
         words = shlex.split(name[external.end() :])

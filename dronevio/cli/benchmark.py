@@ -33,9 +33,11 @@ class BenchmarkCommand(Settings):
     recording have changed.
 
     An estimator is vio (one camera), vio-stereo (all cameras, at least two), eqvio (GTSAM's equivariant filter with our
-    front end), dead-reckoning (no camera), or any program that reads an EuRoC folder and writes a TUM file. Such a
-    program is given as LABEL=external:COMMAND with {recording} and {output} in the command. It gets a copy of the
-    recording without ground truth. Its poses must have the time stamps of frames, or differ from them by a constant
+    front end), dead-reckoning (no camera), your own class, or any program that reads an EuRoC folder and writes a TUM
+    file. A class is given as LABEL=python:package.module:Class; it is made from the rig of the recording and has the
+    methods add_imu and add_frame. Its module is installed or in the current folder. A program is given as
+    LABEL=external:COMMAND with {recording} and {output} in the command. It gets a copy of the recording without ground
+    truth. Its poses must have the time stamps of frames, or differ from them by a constant
     offset that is stated as LABEL=external@SECONDS:COMMAND.
 
     Examples:
@@ -44,6 +46,7 @@ class BenchmarkCommand(Settings):
       dronevio benchmark --suite hall --rig euroc-stereo --estimators vio,vio-stereo,eqvio,dead-reckoning
       dronevio benchmark --recordings V1_01_easy V1_02_medium --out benchmarks/euroc
       dronevio benchmark --suite easy --estimators vio 'mine=external:./mine --in {recording} --out {output}'
+      dronevio benchmark --suite easy --estimators vio mine=python:my_package.odometry:Odometry
       dronevio benchmark --suite room --seeds 1000 --engine ray --address auto
       dronevio benchmark --suite room --sizing
     """

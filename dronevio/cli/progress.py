@@ -12,7 +12,7 @@ if TYPE_CHECKING:
     from rich.progress import TaskID
 
 FIRST_LINE_S = 5.0
-"""Duration of a phase after which its progress is printed as a line [s]; shorter phases print nothing."""
+"""Duration of a phase after which its progress is printed as a line [s]; of shorter phases, only the end is."""
 LINE_INTERVAL_S = 10.0
 """Time between two lines of a phase [s]."""
 
@@ -97,7 +97,7 @@ class PhaseLine:
         self._ended = False
 
     def due(self, done: int, total: int) -> str | None:
-        """Return the line that is to be printed now; None if the phase is short, or the last line is recent.
+        """Return the line that is to be printed now; None if the last line is recent.
 
         Args:
             done: Number of finished units.
@@ -107,7 +107,7 @@ class PhaseLine:
         self._begin_s = now_s if self._begin_s is None else self._begin_s
         elapsed_s = now_s - self._begin_s
         is_end = done >= total
-        if self._ended or elapsed_s < (FIRST_LINE_S if is_end else self._next_s):
+        if self._ended or (elapsed_s < self._next_s and not is_end):
             return None
         self._next_s, self._ended = elapsed_s + LINE_INTERVAL_S, is_end
         left = f", about {elapsed_s * (total - done) / done:.0f} s left" if 0 < done < total else ""

@@ -14,8 +14,9 @@ import pytest
 import yaml
 
 import dronevio
-from dronevio.driver import estimate_recording
-from dronevio.eval.benchmark.rows import write_rows
+from dronevio.cli import main
+from dronevio.eval.benchmark.rows import read_rows, write_rows
+from dronevio.registry import ESTIMATORS
 
 CHECKOUT = Path(__file__).resolve().parents[2]
 DOCS = CHECKOUT / "docs"
@@ -98,13 +99,27 @@ def test_the_example_on_an_estimate_runs(capsys: pytest.CaptureFixture[str]) -> 
     assert capsys.readouterr().out.startswith("False ")
 
 
-def test_an_estimator_as_documented_runs(noise_recording: Any) -> None:
-    namespace: dict[str, Any] = {}
-    for code in blocks("how-to/own-estimator.md", "python"):
-        exec(compile(code, "own-estimator.md", "exec"), namespace)
-    recording = noise_recording(frames=3)
-    run = estimate_recording(recording, namespace["AlwaysAtOrigin"](recording.rig))
-    assert [estimate.t_ns for estimate in run.estimates] == recording.frame_times_ns.tolist()
+def test_estimators_as_documented_take_part_in_a_benchmark(
+    flown: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    [class_] = blocks("how-to/own-estimator.md", "python")
+    script = next(code for code in blocks("how-to/own-estimator.md", "sh") if "awk" in code)
+    assert len(class_.splitlines()) <= 20
+    (tmp_path / "own_estimator.py").write_text(class_, encoding="utf-8")
+    (tmp_path / "mine.sh").write_text(script, encoding="utf-8")
+    (tmp_path / "mine.sh").chmod(0o755)
+    monkeypatch.chdir(tmp_path)
+    estimators = ["class=python:own_estimator:AlwaysAtOrigin", "script=external:./mine.sh {recording} {output}"]
+    assert main(["benchmark", "--recordings", str(flown.folder), "--estimators", *estimators, "--out", "rows"]) == 0
+    rows = {row.estimator: row for row in read_rows(tmp_path / "rows")}
+    assert [(row.status, row.coverage_percent) for row in rows.values()] == [("ok", 100.0)] * 2
+    assert rows["class"].ate_m == pytest.approx(rows["script"].ate_m, rel=1e-3)
+    assert rows["class"].ate_m > 0.05
+
+
+def test_benchmark_page_lists_all_estimators() -> None:
+    named = set(re.findall(r"`([^`]+)`", "".join(re.findall(r"^\| (`.+?) \|", text_of("benchmark.md"), re.MULTILINE))))
+    assert {*ESTIMATORS, "LABEL=python:package.module:Class", "LABEL=external:COMMAND"} <= named
 
 
 @functools.cache
