@@ -15,6 +15,7 @@ import yaml
 
 import dronevio
 from dronevio.cli import main
+from dronevio.cli.terminal import HELP_ALL
 from dronevio.eval.benchmark.rows import read_rows, write_rows
 from dronevio.registry import ESTIMATORS
 
@@ -146,7 +147,7 @@ def command_lines() -> list[tuple[str, str]]:
 def test_command_lines_in_pages_are_valid(page: str, line: str) -> None:
     _, *words = shlex.split(line, comments=True)
     depth = 2 if f"{words[0]} {words[1] if words[1:] else ''}" in helps() else 1
-    explained = helps()[" ".join(words[:depth])]
+    explained = helps()[" ".join(words[:depth])] + HELP_ALL
     assert [word for word in words[depth:] if word.startswith("--") and word not in explained] == [], page
 
 
