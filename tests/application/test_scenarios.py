@@ -7,6 +7,7 @@ import sys
 import pytest
 
 from dronevio.cli import main
+from dronevio.sim.paths.plan import FlightPlan
 from dronevio.sim.scenario_list import ScenarioRow, list_of_seed, planned_row
 from dronevio.sim.scenarios import SCENARIOS, SUITES
 
@@ -27,7 +28,25 @@ def test_list_of_seed_0_has_every_scenario_and_suite() -> None:
     assert {suite: tuple(names) for suite, names in listed.suites.items()} == SUITES, "run scripts/scenario_list.py"
 
 
-@pytest.mark.parametrize("row", list_of_seed(0).scenarios, ids=lambda row: row.name)
+def paths_without_repetition() -> list[ScenarioRow]:
+    """Return the rows of seed 0, of scenarios with the same path, which differ by their faults, only the first."""
+    rows = {row.name: row for row in list_of_seed(0).scenarios}
+    paths: dict[tuple[FlightPlan, str, float], str] = {}
+    for name, scenario in SCENARIOS.items():
+        paths.setdefault((scenario.plan, scenario.world, scenario.quadrotor.mass_kg), name)
+    return [rows[name] for name in paths.values() if name in rows]
+
+
+def test_scenarios_with_the_same_path_have_the_same_figures() -> None:
+    figures = [
+        (row.duration_s, row.peak_speed_m_s, row.peak_rate_deg_s)
+        for row in list_of_seed(0).scenarios
+        if SCENARIOS[row.name].plan == SCENARIOS["room-v0"].plan
+    ]
+    assert len(figures) > 5 and len(set(figures)) == 1
+
+
+@pytest.mark.parametrize("row", paths_without_repetition(), ids=lambda row: row.name)
 def test_listed_figures_are_those_of_the_planned_path(row: ScenarioRow) -> None:
     planned = planned_row(row.name, 0)
     listed, computed = ([r.duration_s, r.peak_speed_m_s, r.peak_rate_deg_s] for r in (row, planned))
