@@ -88,7 +88,7 @@ MEASURES = (
     Measure("tracking_sigmas", "Largest position error while tracking", "σ"),
     Measure("cpu_ms_mean", "Mean processor time per frame", "ms", counts_failed=False),
     Measure("cpu_ms_p99", "99th percentile of the processor time per frame", "ms", counts_failed=False),
-    Measure("real_time_factor", "Real-time factor", "×", best="high", counts_failed=False),
+    Measure("real_time_factor", "Flight / processor time", "×", best="high", counts_failed=False),
     Measure("peak_mb", "Peak memory", "MB", counts_failed=False),
     Measure("wall_s", "Elapsed time of the run", "s", best="none", counts_failed=False),
 )
