@@ -2,6 +2,7 @@
 
 from pathlib import Path
 
+import cv2
 import numpy as np
 import pytest
 
@@ -41,7 +42,7 @@ def take_grey(tasks: list[PictureTask], units: int, progress: object) -> None:
     for task in tasks:
         for name in task.names:
             grey = np.full((task.count * SMALL.height, SMALL.width, 3), 128, np.uint8)
-            (task.folder / f"{name}.png").write_bytes(world_pictures.cv2.imencode(".png", grey)[1].tobytes())
+            (task.folder / f"{name}.png").write_bytes(cv2.imencode(".png", grey)[1].tobytes())
 
 
 def test_only_the_most_recent_files_are_kept(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
