@@ -102,7 +102,12 @@ def test_a_second_step_follows_only_a_long_first_step(
     """Without noise and errors, the first step is short; an error of the first state makes it long."""
     made = make_flight(0, rest_s=-5.0, duration_s=4.0, noisy=False, sampling="increment")
     linearize, calls = Window.linearize, list[int]()
-    monkeypatch.setattr(Window, "linearize", lambda self: calls.append(self.newest) or linearize(self))
+
+    def counted(window: Window) -> LinearSystem:
+        calls.append(window.newest)
+        return linearize(window)
+
+    monkeypatch.setattr(Window, "linearize", counted)
     feed(made, SmootherConfig(max_decrement=max_decrement)).finish()
     per_keyframe = np.bincount(calls)[1:]
     assert set(per_keyframe[3:].tolist()) == {steps}

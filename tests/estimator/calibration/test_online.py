@@ -158,7 +158,7 @@ def test_gravity_is_found(make_flight: MakeFlight, gravity_m_s2: float, duration
 
 
 def test_the_adjustment_ends_with_a_short_step(noiseless: "SyntheticFlight", monkeypatch: pytest.MonkeyPatch) -> None:
-    """Without errors, the first step of a window is shorter than a standard deviation; a wrong time offset needs two."""
+    """Without errors, the first step is shorter than a standard deviation; a wrong time offset needs two."""
     ends, step = list[bool](), CalibrationProblem.step
 
     def counted(problem: CalibrationProblem) -> None:
