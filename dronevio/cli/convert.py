@@ -125,7 +125,7 @@ def _convert(recording: "StoredRecording", target: Format, command: ConvertComma
         progress, frame_truth = bars.bar("converting"), recording.frame_truth
         write_bag(command.dest, recording, storage, command.images, progress, frame_truth, overwrite)
     else:
-        files = CONFIGURATIONS[target](recording.rig, recording.frame_times_ns)
+        files = CONFIGURATIONS[target](recording.rig, recording.frame_times_ns, recording.imu)
         with atomic_folder(command.dest, overwrite, mark=next(iter(files))) as folder:
             for name, text in files.items():
                 write_text(folder / name, text)

@@ -56,7 +56,7 @@ def test_calibrations_are_written_for_other_programs(
     run_command(tmp_path, "convert", flight, tmp_path / program, "--to", program)
     recording = open_recording(flight)
     written = {path.name: path.read_text() for path in (tmp_path / program).iterdir()}
-    assert written == CONFIGURATIONS[program](recording.rig, recording.frame_times_ns)
+    assert written == CONFIGURATIONS[program](recording.rig, recording.frame_times_ns, recording.imu)
 
 
 def test_kalibr_files_describe_the_rig(tmp_path: Path, flight: Path, run_command: Callable[..., Any]) -> None:

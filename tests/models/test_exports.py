@@ -17,6 +17,7 @@ import pytest
 
 from dronevio.models.camera import CameraModel
 from dronevio.models.errors import ConfigError
+from dronevio.models.imu import ImuSamples
 from dronevio.models.recordings.calibration.exports import CONFIGURATIONS
 from dronevio.models.rig import Rig
 from dronevio.models.rig_presets import RIGS, rig_named
@@ -25,11 +26,12 @@ from dronevio.models.rotation import matrix_from_quat_wxyz, pose_matrix
 Array = npt.NDArray[np.float64]
 
 TIMES_NS = np.array([1403715273262142976, 1403715273312142976])
+AT_REST = ImuSamples.empty()
 P_CAM = np.array([[0.3, -0.2, 2.0], [-0.5, 0.4, 1.5], [0.0, 0.0, 3.0]])
 
 
 def files_of(program: str, rig: Rig, folder: Path) -> dict[str, Path]:
-    texts = CONFIGURATIONS[program](rig, TIMES_NS)
+    texts = CONFIGURATIONS[program](rig, TIMES_NS, AT_REST)
     for name, text in texts.items():
         (folder / name).write_text(text)
     return {name: folder / name for name in texts}
@@ -201,10 +203,10 @@ def test_time_offsets_have_the_right_sign(tmp_path: Path) -> None:
 def test_too_many_cameras_are_refused(program: str) -> None:
     two = rig_named("euroc-stereo").cameras
     with pytest.raises(ConfigError, match="one or two"):
-        CONFIGURATIONS[program](Rig((*two, *two)), TIMES_NS)
+        CONFIGURATIONS[program](Rig((*two, *two)), TIMES_NS, AT_REST)
 
 
 def test_orbslam3_refuses_different_lens_models() -> None:
     cameras = (rig_named("euroc").cameras[0], rig_named("fisheye").cameras[0])
     with pytest.raises(ConfigError, match="different lens models"):
-        CONFIGURATIONS["orbslam3"](Rig(cameras), TIMES_NS)
+        CONFIGURATIONS["orbslam3"](Rig(cameras), TIMES_NS, AT_REST)

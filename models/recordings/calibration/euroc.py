@@ -1,5 +1,7 @@
 """Calibration files of an EuRoC folder: cameras, IMU and body.
 
+As in the data set, the files have no first line ``%YAML:1.0``, which PyYAML refuses; files with it are read as well.
+
 Fields of a `Rig` that the format does not include are written under additional keys, which other readers ignore:
 ``T_vehicle_imu`` (pose of the IMU in the vehicle frame) and ``time_offset_s`` (t_imu − t_cam) in ``body.yaml``,
 ``readout_s`` in the ``sensor.yaml`` of a camera with a rolling shutter, and the keys of
@@ -51,10 +53,10 @@ def calibration_files(rig: Rig) -> dict[str, str]:
     texts = {f"cam{i}/sensor.yaml": _camera_yaml(camera) for i, camera in enumerate(rig.cameras)}
     texts["imu0/sensor.yaml"] = _imu_yaml(rig.imu)
     texts["state_groundtruth_estimate0/sensor.yaml"] = (
-        f"%YAML:1.0\nsensor_type: visual-inertial\ncomment: true motion of the body\n{pose_yaml('T_BS', np.eye(4))}"
+        f"sensor_type: visual-inertial\ncomment: true motion of the body\n{pose_yaml('T_BS', np.eye(4))}"
     )
     texts["body.yaml"] = (
-        "%YAML:1.0\ncomment: the body frame is that of the IMU\n"
+        "comment: the body frame is that of the IMU\n"
         "# pose of the IMU in the vehicle: x forward, y left, z up, at the centre of mass\n"
         f"{pose_yaml('T_vehicle_imu', rig.T_vehicle_imu)}"
         f"# t_imu = t_cam + offset\ntime_offset_s: {yaml_text(float(rig.time_offset_s))}\n"
@@ -93,7 +95,7 @@ def _camera_yaml(camera: RigCamera) -> str:
     """Return the ``sensor.yaml`` of a camera."""
     m = camera.model
     return (
-        "%YAML:1.0\nsensor_type: camera\ncomment: pixel centres are whole numbers\n\n"
+        "sensor_type: camera\ncomment: pixel centres are whole numbers\n\n"
         f"# pose of the camera (x right, y down, z forward) in the body frame\n{pose_yaml('T_BS', camera.T_imu_cam)}\n"
         f"rate_hz: {yaml_text(float(camera.rate_hz))}\n"
         f"resolution: [{m.width}, {m.height}]\n"
@@ -107,7 +109,7 @@ def _camera_yaml(camera: RigCamera) -> str:
 def _imu_yaml(imu: ImuModel) -> str:
     """Return the ``sensor.yaml`` of an IMU."""
     fields = imu_fields_yaml(imu, "comment", "rate_hz")
-    return f"%YAML:1.0\nsensor_type: imu\n{pose_yaml('T_BS', np.eye(4))}\n{fields}"
+    return f"sensor_type: imu\n{pose_yaml('T_BS', np.eye(4))}\n{fields}"
 
 
 def count_cameras(mav0: Path) -> int:

@@ -14,7 +14,7 @@ import numpy.typing as npt
 
 from dronevio.models.camera import CameraModel
 from dronevio.models.errors import ConfigError
-from dronevio.models.imu import GRAVITY_M_S2, Times
+from dronevio.models.imu import GRAVITY_M_S2, ImuSamples, Times
 from dronevio.models.recordings.calibration.euroc import calibration_files
 from dronevio.models.recordings.calibration.kalibr import (
     CAMCHAIN_FILE,
@@ -35,31 +35,39 @@ Array = npt.NDArray[np.float64]
 _OPENCV = "%YAML:1.0\n"
 
 
-def kalibr_files(rig: Rig, frame_times_ns: Times) -> dict[str, str]:
+def kalibr_files(rig: Rig, frame_times_ns: Times, imu: ImuSamples) -> dict[str, str]:
     """Return the calibration files of Kalibr: ``camchain.yaml`` and ``imu.yaml``."""
     return {CAMCHAIN_FILE: camchain_yaml(rig), IMU_FILE: imu_yaml(rig)}
 
 
-def openvins_files(rig: Rig, frame_times_ns: Times) -> dict[str, str]:
-    """Return the configuration of OpenVINS (Geneva et al., ICRA 2020), as in ``config/euroc_mav`` of its sources."""
+def openvins_files(rig: Rig, frame_times_ns: Times, imu: ImuSamples) -> dict[str, str]:
+    """Return the configuration of OpenVINS (Geneva et al., ICRA 2020), as in ``config/euroc_mav`` of its sources.
+
+    OpenVINS initializes when a second at rest is followed by a second in which the accelerations deviate from their
+    mean by more than a threshold. The value of the example, 1.5 m/s², is that of a fast take-off: in a gentle one it is
+    exceeded a second too late or never, and the second taken for rest contains the beginning of the take-off. The
+    threshold is therefore twice the deviation in the first second of the recording, between 0.2 and 1.5 m/s². Where
+    there was no rest, OpenVINS initializes in motion (``init_dyn_use``).
+    """
     eye3, eye4, zero3 = np.eye(3), np.eye(4), np.zeros((3, 3))
-    imu = rows_yaml("T_i_b", eye4) + imu_yaml(rig) + 'time_offset: 0.0\nmodel: "kalibr"\n'
+    imu_chain = rows_yaml("T_i_b", eye4) + imu_yaml(rig) + 'time_offset: 0.0\nmodel: "kalibr"\n'
     for key, matrix in {"Tw": eye3, "R_IMUtoGYRO": eye3, "Ta": eye3, "R_IMUtoACC": eye3, "Tg": zero3}.items():
-        imu += rows_yaml(key, matrix)
+        imu_chain += rows_yaml(key, matrix)
     settings = _OPENVINS_SETTINGS | {
         "use_stereo": len(rig.cameras) > 1,
         "max_cameras": len(rig.cameras),
         "gravity_mag": GRAVITY_M_S2,
         "track_frequency": rig.cameras[0].rate_hz + 1.0,
+        "init_imu_thresh": _openvins_jerk_m_s2(imu),
     }
     return {
         "estimator_config.yaml": _OPENCV + "".join(f"{key}: {json.dumps(value)}\n" for key, value in settings.items()),
-        "kalibr_imu_chain.yaml": f"{_OPENCV}\nimu0:\n{indented(imu)}",
+        "kalibr_imu_chain.yaml": f"{_OPENCV}\nimu0:\n{indented(imu_chain)}",
         "kalibr_imucam_chain.yaml": f"{_OPENCV}\n{camchain_yaml(rig)}",
     }
 
 
-def vins_files(rig: Rig, frame_times_ns: Times) -> dict[str, str]:
+def vins_files(rig: Rig, frame_times_ns: Times, imu: ImuSamples) -> dict[str, str]:
     """Return the configuration of VINS-Fusion (Qin et al., 2019), as in ``config/euroc`` of its sources.
 
     Raises:
@@ -90,7 +98,7 @@ def vins_files(rig: Rig, frame_times_ns: Times) -> dict[str, str]:
     return {f"{kind}_imu_config.yaml": text, **cameras}
 
 
-def orbslam3_files(rig: Rig, frame_times_ns: Times) -> dict[str, str]:
+def orbslam3_files(rig: Rig, frame_times_ns: Times, imu: ImuSamples) -> dict[str, str]:
     """Return the settings of ORB-SLAM3 (Campos et al., T-RO 2021) and its list of time stamps.
 
     ORB-SLAM3 has no setting for a time offset between camera and IMU.
@@ -132,7 +140,7 @@ def orbslam3_files(rig: Rig, frame_times_ns: Times) -> dict[str, str]:
     return {"settings.yaml": text, "times.txt": "".join(f"{t_ns}\n" for t_ns in frame_times_ns.tolist())}
 
 
-def basalt_files(rig: Rig, frame_times_ns: Times) -> dict[str, str]:
+def basalt_files(rig: Rig, frame_times_ns: Times, imu: ImuSamples) -> dict[str, str]:
     """Return the calibration of Basalt (Usenko et al., RA-L 2020), as in ``data/*_calib.json`` of its sources."""
     identity = _basalt_pose(np.eye(4))
     calibration = {
@@ -156,7 +164,7 @@ def basalt_files(rig: Rig, frame_times_ns: Times) -> dict[str, str]:
     return {"calib.json": json.dumps({"value0": calibration}, indent=4) + "\n"}
 
 
-def kimera_files(rig: Rig, frame_times_ns: Times) -> dict[str, str]:
+def kimera_files(rig: Rig, frame_times_ns: Times, imu: ImuSamples) -> dict[str, str]:
     """Return the calibration of Kimera-VIO (Rosinol et al., ICRA 2020), which replaces files of its ``params/Euroc``.
 
     Raises:
@@ -166,12 +174,11 @@ def kimera_files(rig: Rig, frame_times_ns: Times) -> dict[str, str]:
     texts = calibration_files(rig)
     files = {"ImuParams.yaml": _kimera_imu(texts["imu0/sensor.yaml"], rig.time_offset_s)}
     for i, side in zip(range(len(rig.cameras)), ("left", "right"), strict=False):
-        camera = texts[f"cam{i}/sensor.yaml"].replace(_OPENCV, f"{_OPENCV}camera_id: {side}_cam\n")
-        files[f"{side.title()}CameraParams.yaml"] = camera
+        files[f"{side.title()}CameraParams.yaml"] = f"{_OPENCV}camera_id: {side}_cam\n{texts[f'cam{i}/sensor.yaml']}"
     return files
 
 
-CONFIGURATIONS: Mapping[str, Callable[[Rig, Times], dict[str, str]]] = MappingProxyType(
+CONFIGURATIONS: Mapping[str, Callable[[Rig, Times, ImuSamples], dict[str, str]]] = MappingProxyType(
     {
         "kalibr": kalibr_files,
         "openvins": openvins_files,
@@ -181,15 +188,14 @@ CONFIGURATIONS: Mapping[str, Callable[[Rig, Times], dict[str, str]]] = MappingPr
         "kimera": kimera_files,
     }
 )
-"""Functions that write the configuration of each program: they receive a rig and the time stamps of the frames [ns],
-and return the texts of the files by name."""
+"""Functions that write the configuration of each program: they receive a rig, the time stamps of the frames [ns]
+and the IMU samples of a recording, and return the texts of the files by name."""
 
+_OPENVINS_JERK_M_S2 = (0.2, 1.5)  # the noise at rest is 0.05 in simulation, 0.3 to 0.4 on EuRoC's vehicle
 _OPENVINS_SETTINGS: dict[str, object] = {
     "verbosity": "INFO",
     "use_fej": True,
     "integration": "rk4",
-    "use_imuavg": True,
-    "use_rk4int": True,
     "calib_cam_extrinsics": False,
     "calib_cam_intrinsics": False,
     "calib_cam_timeoffset": False,
@@ -210,10 +216,9 @@ _OPENVINS_SETTINGS: dict[str, object] = {
     "zupt_max_disparity": 0.5,
     "zupt_only_at_beginning": False,
     "init_window_time": 2.0,
-    "init_imu_thresh": 1.5,
     "init_max_disparity": 10.0,
-    "init_max_features": 75,
-    "init_dyn_use": False,
+    "init_max_features": 50,
+    "init_dyn_use": True,
     "init_dyn_mle_opt_calib": False,
     "init_dyn_mle_max_iter": 50,
     "init_dyn_mle_max_time": 0.05,
@@ -256,6 +261,16 @@ _OPENVINS_SETTINGS: dict[str, object] = {
     "relative_config_imu": "kalibr_imu_chain.yaml",
     "relative_config_imucam": "kalibr_imucam_chain.yaml",
 }
+
+
+def _openvins_jerk_m_s2(imu: ImuSamples) -> float:
+    """Return the deviation of accelerations from their mean over a second, at which OpenVINS detects the take-off."""
+    smallest, largest = _OPENVINS_JERK_M_S2
+    first = imu.accel_m_s2[imu.t_ns < imu.t_ns[:1] + 10**9]
+    if len(first) < 2:
+        return smallest
+    rest = float(np.sqrt(np.sum(np.var(first, axis=0, ddof=1))))
+    return round(min(max(2.0 * rest, smallest), largest), 3)
 
 
 def _require_at_most_two(rig: Rig, program: str) -> None:
@@ -312,7 +327,9 @@ def _basalt_camera(m: CameraModel) -> dict[str, object]:
 def _kimera_imu(sensor_yaml: str, time_offset_s: float) -> str:
     """Return the text of the IMU parameters, which extends the ``sensor.yaml`` of an EuRoC folder."""
     return (
-        f"{sensor_yaml}imu_preintegration_type: 1\nimu_integration_sigma: 1.0e-8\n"
+        f"{_OPENCV}{sensor_yaml}imu_preintegration_type: 1\nimu_integration_sigma: 1.0e-8\nimu_bias_init_sigma: 1.0e-3\n"
+        "do_imu_rate_time_alignment: 1\ntime_alignment_window_size_s: 10.0\n"
+        "time_alignment_variance_threshold_scaling: 30.0\n"
         f"imu_time_shift: {yaml_text(float(time_offset_s))}  # t_imu = t_cam + shift\n"
         f"n_gravity: [0.0, 0.0, {-GRAVITY_M_S2}]\n"
     )

@@ -1,6 +1,6 @@
 """Strict parser of the subset of YAML in the ``sensor.yaml`` files of data sets.
 
-These files begin with ``%YAML:1.0``, which OpenCV writes and YAML parsers refuse. The subset consists of ``key: value``
+Some of these files begin with ``%YAML:1.0``, which OpenCV requires and YAML parsers refuse. The subset consists of ``key: value``
 with numbers, words and lists in brackets, possibly over several lines, and of maps by indentation, as in ``T_BS``.
 Everything else is refused with its line number.
 """
