@@ -16,6 +16,7 @@ from rosbags.typesys.stores import ros2_humble as ros
 from dronevio.models.camera import CameraModel
 from dronevio.models.errors import ConfigError, InputError
 from dronevio.models.imu import ImuModel, ImuSamples, Times
+from dronevio.models.recordings.bag.rectification import Rectification
 from dronevio.models.recordings.calibration.euroc import LENS_NAMES
 from dronevio.models.recordings.images import DamagedImageError, decode_grey, encode_png
 from dronevio.models.rig import Rig
@@ -153,8 +154,17 @@ def rig_transforms(rig: Rig, t_ns: int) -> ros.tf2_msgs__msg__TFMessage:
     )
 
 
-def camera_info(model: CameraModel, t_ns: int, frame: str) -> ros.sensor_msgs__msg__CameraInfo:
-    """Return the intrinsics of a camera as a message, which has no field for the readout time."""
+def camera_info(
+    model: CameraModel, t_ns: int, frame: str, rectification: Rectification | None = None
+) -> ros.sensor_msgs__msg__CameraInfo:
+    """Return the intrinsics of a camera as a message, which has no field for the readout time.
+
+    Args:
+        model: The camera.
+        t_ns: Time stamp [ns].
+        frame: Frame of reference.
+        rectification: Rotation and projection of the rectified camera; those of the camera itself by default.
+    """
     k = [*model.distortion, 0.0] if model.lens == "radtan" else model.distortion  # plumb_bob has k3
     return ros.sensor_msgs__msg__CameraInfo(
         header=header(t_ns, frame),
@@ -163,8 +173,8 @@ def camera_info(model: CameraModel, t_ns: int, frame: str) -> ros.sensor_msgs__m
         distortion_model=_ROS_LENSES[model.lens],
         d=np.array(k),
         k=model.K.ravel(),
-        r=np.eye(3).ravel(),
-        p=np.hstack([model.K, np.zeros((3, 1))]).ravel(),
+        r=(rectification.R if rectification else np.eye(3)).ravel(),
+        p=(rectification.P if rectification else np.hstack([model.K, np.zeros((3, 1))])).ravel(),
         binning_x=0,
         binning_y=0,
         roi=ros.sensor_msgs__msg__RegionOfInterest(0, 0, 0, 0, do_rectify=False),

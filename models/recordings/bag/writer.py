@@ -2,7 +2,7 @@
 
 =============================== ================================= =====================================================
 ``/camN/image_raw``              sensor_msgs/Image                 or ``/camN/image_raw/compressed``, CompressedImage
-``/camN/camera_info``            sensor_msgs/CameraInfo            intrinsics, one message per frame
+``/camN/camera_info``            sensor_msgs/CameraInfo            intrinsics, rectification of pairs
 ``/imu0``                        sensor_msgs/Imu                   without an orientation
 ``/groundtruth/odometry``        nav_msgs/Odometry                 pose of the IMU in the world, twist in the IMU frame
 ``/groundtruth/velocity``        geometry_msgs/Vector3Stamped      in the world; also ``gyro_bias``, ``accel_bias``
@@ -43,6 +43,7 @@ from dronevio.models.recordings.bag.messages import (
     transform_messages,
     vector_messages,
 )
+from dronevio.models.recordings.bag.rectification import rectifications
 from dronevio.models.recordings.calibration.kalibr import CAMERA_TOPIC, IMU_TOPIC, camchain_yaml, imu_yaml, indented
 from dronevio.models.recordings.frame_truth import FrameTruth, frame_truth_text
 from dronevio.models.state import Trajectory
@@ -200,7 +201,7 @@ def _with_topic(topic: str, messages: Iterator[tuple[int, object]]) -> Iterator[
 
 def _frames(recording: Recording, images: Images, progress: Progress) -> Iterator[Timed]:
     """Yield the images and the CameraInfo messages of each frame."""
-    count = len(recording.frame_times_ns)
+    count, rectified = len(recording.frame_times_ns), rectifications(recording.rig)
     progress(0, count)
     for index in range(count):
         frame = recording.frame(index)
@@ -208,5 +209,7 @@ def _frames(recording: Recording, images: Images, progress: Progress) -> Iterato
             topic, reference = CAMERA_TOPIC.format(number), CAMERA.format(number)
             message = image_message(image, frame.t_ns, reference, images == "png")
             yield frame.t_ns, topic + (COMPRESSED if images == "png" else ""), message
-            yield frame.t_ns, f"/cam{number}/camera_info", camera_info(camera.model, frame.t_ns, reference)
+            yield frame.t_ns, f"/cam{number}/camera_info", camera_info(
+                camera.model, frame.t_ns, reference, rectified[number]
+            )
         progress(index + 1, count)
