@@ -25,15 +25,17 @@ class ConvertCommand:
     """Convert a recording, or write its calibration for another program.
 
     Recordings: euroc (a folder), mcap (one file), bag (a ROS 2 folder with MCAP inside) and bag-sqlite (with SQLite,
-    for ROS 2 Humble and older). The conversion is lossless: time stamps, images, IMU samples, calibration and ground
-    truth are bit-identical when they are read back. Ground truth alone: tum.
+    for ROS 2 Humble and older). The conversion is lossless: images, IMU samples, calibration, ground truth and, with
+    --stamps recorded, the time stamps of simulated flights are bit-identical when they are read back. Ground truth alone:
+    tum. A bag for ROS 1: rosbags-convert --src ROOM --dst ROOM.bag, where ROOM is the folder of --to bag.
 
     Calibration and settings for other programs, from the true parameters: kalibr, openvins and vins (VINS-Fusion),
     which run on a bag, and orbslam3, basalt and kimera, which run on an EuRoC folder.
 
     Examples:
       dronevio convert recordings/room-0 room-0.mcap
-      dronevio convert recordings/room-0 room-0 --to bag --images png
+      dronevio convert recordings/room-0 room-0 --to bag --images raw
+      dronevio convert recordings/room-0 for-basalt/room-0 --to euroc --imu-sampling increment
       dronevio convert flight.mcap recordings/flight --to euroc --calibration camchain.yaml imu.yaml
       dronevio convert recordings/room-0 config/room-0 --to openvins
       dronevio convert recordings/room-0 truth.tum
@@ -45,8 +47,15 @@ class ConvertCommand:
     """File or folder to make."""
     to: Format | None = None
     """Format of the result; not necessary if DEST ends with .mcap or .tum."""
-    images: Literal["raw", "png"] = "raw"
-    """Encoding of the images in a bag: raw pixels, which every node reads, or PNG, which is smaller."""
+    images: Literal["png", "raw"] = "png"
+    """Encoding of the images in a bag: PNG (topics .../compressed), or raw pixels, which take twice the space and which
+    nodes read that do not subscribe to compressed images."""
+    imu_sampling: Literal["recorded", "increment"] = "recorded"
+    """IMU samples in bags and EuRoC folders: as recorded, or increment, the means over the intervals between them. Means
+    are for programs that hold a sample over the interval before its time stamp, such as Basalt."""
+    stamps: Literal["epoch", "recorded"] = "epoch"
+    """Time stamps in bags and EuRoC folders: epoch lets the stamps of a simulated flight, which count from its start,
+    begin at 1.6e9 s (13 September 2020), since zero means unset in ROS; other stamps are kept."""
     reading: RecordingInput = field(default_factory=RecordingOptions)
     """How the recording is read."""
     output: Output = field(default_factory=OutputOptions)
@@ -107,13 +116,16 @@ def _convert(recording: "StoredRecording", target: Format, command: ConvertComma
     from dronevio.models.errors import InputError
     from dronevio.models.recordings.calibration.exports import CONFIGURATIONS
     from dronevio.models.recordings.euroc import write_euroc_recording
+    from dronevio.models.recordings.exported import exported
     from dronevio.models.recordings.files import write_text
     from dronevio.models.recordings.tum import write_tum
 
     overwrite = command.output.overwrite
+    sampling: Literal["increment"] | None = "increment" if command.imu_sampling == "increment" else None
+    export = exported(recording, recording.frame_truth, sampling, from_epoch=command.stamps == "epoch")
     if target == "euroc":
         with atomic_folder(command.dest, overwrite) as folder:
-            write_euroc_recording(folder, recording, bars.bar("converting"), recording.frame_truth)
+            write_euroc_recording(folder, export, bars.bar("converting"), export.frame_truth)
     elif target == "tum":
         if recording.ground_truth is None:
             raise InputError(command.source, "no ground truth", "a recording with ground truth")
@@ -122,8 +134,8 @@ def _convert(recording: "StoredRecording", target: Format, command: ConvertComma
         from dronevio.models.recordings.bag.writer import write_bag
 
         storage: Literal["mcap", "sqlite3"] = "sqlite3" if target == "bag-sqlite" else "mcap"
-        progress, frame_truth = bars.bar("converting"), recording.frame_truth
-        write_bag(command.dest, recording, storage, command.images, progress, frame_truth, overwrite)
+        progress = bars.bar("converting")
+        write_bag(command.dest, export, storage, command.images, progress, export.frame_truth, overwrite)
     else:
         files = CONFIGURATIONS[target](recording.rig, recording.frame_times_ns, recording.imu)
         with atomic_folder(command.dest, overwrite, mark=next(iter(files))) as folder:

@@ -1,6 +1,6 @@
 """Recordings as EuRoC folders (ASL format): images, IMU samples, calibration and ground truth.
 
-The body frame is that of the IMU, IMU samples are values at their time stamps, cameras are pinholes with
+The body frame is that of the IMU, IMU samples are values at their time stamps unless stated otherwise, cameras are pinholes with
 radial-tangential distortion or equidistant fisheyes. Format: Burri et al., "The EuRoC micro aerial vehicle datasets",
 IJRR 2016.
 """
@@ -19,7 +19,13 @@ from dronevio.models.errors import ConfigError, InputError
 from dronevio.models.imu import ImuSamples, Times
 from dronevio.models.progress import Progress, silent
 from dronevio.models.protocols import Recording
-from dronevio.models.recordings.calibration.euroc import calibration_files, count_cameras, read_euroc_rig
+from dronevio.models.recordings.calibration.euroc import (
+    calibration_files,
+    count_cameras,
+    read_euroc_rig,
+    read_euroc_sampling,
+)
+from dronevio.models.recordings.exported import increments_of_means, interval_means
 from dronevio.models.recordings.files import write_text
 from dronevio.models.recordings.frame_truth import FRAME_TRUTH_FILE, FrameTruth, frame_truth_text, read_frame_truth
 from dronevio.models.recordings.image_list import ImageList
@@ -76,7 +82,7 @@ class EurocRecording:
     rig: Rig
     """Calibration of cameras and IMU."""
     imu: ImuSamples
-    """IMU samples of the whole recording, point samples."""
+    """IMU samples of the whole recording; point samples unless ``sensor.yaml`` has ``sampling: increment``."""
     frame_times_ns: Times
     """(M,) Time stamps at which every camera has an image, or any camera with `repair`; strictly increasing [ns]."""
     image_files: tuple[tuple[Path | None, ...], ...]
@@ -117,6 +123,8 @@ class EurocRecording:
         truth, frame_truth = mav0 / GROUND_TRUTH_FILE, mav0 / FRAME_TRUTH_FILE
         rig, imu_path = read_euroc_rig(mav0, used), mav0 / "imu0" / "data.csv"
         imu, defects = read_repaired_imu(imu_path) if repair else (read_imu(imu_path), ())
+        if read_euroc_sampling(mav0) == "increment":
+            imu = increments_of_means(imu)
         if repair:
             defects = (*frames.defects, *defects, *imu_defects(imu, frames.t_ns, rig.time_offset_s, mav0))
         return cls(
@@ -328,24 +336,23 @@ def write_euroc(
     Args:
         folder: Parent folder of ``mav0``.
         rig: Calibration of cameras and IMU.
-        imu: IMU samples, point samples.
+        imu: IMU samples. Increments are written as `interval_means`, with the key ``sampling`` in ``sensor.yaml``.
         truth: Ground truth of the IMU, None if it is unknown.
         frame_times_ns: (M,) Time stamps of the frames [ns].
         frame_truth: Ground truth of the frames, None if it is unknown.
 
     Raises:
-        ConfigError: The IMU samples are increments.
         InputError: A file cannot be written.
     """
-    if imu.sampling != "point":
-        raise ConfigError(f"IMU samples with sampling {imu.sampling!r}; expected 'point' for an EuRoC folder")
     mav0 = Path(folder) / "mav0"
-    for name, text in calibration_files(rig).items():
+    for name, text in calibration_files(rig, imu.sampling).items():
         write_text(mav0 / name, text)
     images = "#timestamp [ns],filename\n" + "".join(f"{t},{t}.png\n" for t in frame_times_ns.tolist())
     for i in range(len(rig.cameras)):
         (mav0 / f"cam{i}" / "data").mkdir(parents=True, exist_ok=True)
         write_text(mav0 / f"cam{i}" / "data.csv", images)
+    if imu.sampling == "increment":
+        imu = interval_means(imu)
     write_text(mav0 / "imu0" / "data.csv", _IMU_HEADER + _rows(imu.t_ns, [imu.gyro_rad_s, imu.accel_m_s2]))
     if truth is not None:
         write_text(mav0 / GROUND_TRUTH_FILE, _truth_text(truth))
@@ -365,7 +372,6 @@ def write_euroc_recording(
         frame_truth: Ground truth of the frames, None if it is unknown.
 
     Raises:
-        ConfigError: The IMU samples are increments.
         InputError: A frame cannot be read, or a file cannot be written.
     """
     times, mav0 = recording.frame_times_ns, Path(folder) / "mav0"

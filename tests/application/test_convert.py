@@ -1,6 +1,8 @@
 """``dronevio convert``: conversions are lossless, and errors are one line."""
 
 import json
+import subprocess
+import sys
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -8,10 +10,14 @@ from typing import Any
 
 import numpy as np
 import pytest
+from rosbags.highlevel import AnyReader
 
 from dronevio.cli import main
+from dronevio.models.recordings.bag.file import BagFile
+from dronevio.models.recordings.bag.topics import IMAGE_TYPES
 from dronevio.models.recordings.calibration.exports import CONFIGURATIONS
 from dronevio.models.recordings.euroc import INCOMPLETE, write_euroc_recording
+from dronevio.models.recordings.exported import EPOCH_NS
 from dronevio.models.recordings.open import open_recording, read_rig, read_trajectory
 
 
@@ -141,3 +147,51 @@ def test_bag_is_the_ground_truth_of_an_evaluation(
     run_command(tmp_path, "convert", flight, tmp_path / "truth.tum")
     result = run_command(tmp_path, "evaluate", tmp_path / "a.mcap", tmp_path / "truth.tum", "--json")
     assert json.loads(result.out)["ate_m"]["rmse"] == pytest.approx(0.0, abs=1e-9)
+
+
+def test_exports_of_simulated_flights_begin_at_the_epoch(
+    tmp_path: Path, noise_recording: Callable[..., Any], run_command: Callable[..., Any]
+) -> None:
+    """The stamps of a simulated flight count from its start; those of its exports do not, unless asked for."""
+    recording = replace(noise_recording(), ground_truth=None)
+    start_ns = recording.imu.t_ns[0]
+    imu = replace(recording.imu, t_ns=recording.imu.t_ns - start_ns)
+    write_euroc_recording(
+        tmp_path / "flight", replace(recording, imu=imu, frame_times_ns=recording.frame_times_ns - start_ns)
+    )
+    for name, options, first_ns in (
+        ("a.mcap", (), EPOCH_NS),
+        ("b.mcap", ("--stamps", "recorded"), 0),
+        ("folder", ("--to", "euroc", "--imu-sampling", "increment"), EPOCH_NS + 5_000_000),
+    ):
+        run_command(tmp_path, "convert", tmp_path / "flight", tmp_path / name, *options)
+        converted = open_recording(tmp_path / name)
+        assert converted.imu.t_ns[0] == first_ns, name
+        assert converted.imu.sampling == ("increment" if "increment" in options else "point")
+
+
+def test_images_in_bags_are_compressed_by_default(
+    tmp_path: Path, flight: Path, run_command: Callable[..., Any]
+) -> None:
+    for name, options, topic in (
+        ("png.mcap", (), "/cam1/image_raw/compressed"),
+        ("raw.mcap", ("--images", "raw"), "/cam1/image_raw"),
+    ):
+        run_command(tmp_path, "convert", flight, tmp_path / name, *options)
+        assert topic in BagFile(tmp_path / name).topics_of_type(*IMAGE_TYPES)
+
+
+def test_bags_become_bags_of_ros_1(tmp_path: Path, flight: Path, run_command: Callable[..., Any]) -> None:
+    """The line of the help text works, with the program of the package rosbags."""
+    run_command(tmp_path, "convert", flight, tmp_path / "room", "--to", "bag")
+    program = Path(sys.executable).with_name("rosbags-convert")
+    arguments = [str(program), "--src", str(tmp_path / "room"), "--dst", str(tmp_path / "room.bag")]
+    done = subprocess.run(arguments, capture_output=True, text=True, timeout=120, check=False)
+    assert done.returncode == 0, done.stdout + done.stderr
+    with AnyReader([tmp_path / "room.bag"]) as reader:
+        counts = {topic: info.msgcount for topic, info in reader.topics.items()}
+        assert counts["/imu0"] == 40 and counts["/cam1/image_raw/compressed"] == 4
+        connection = next(c for c in reader.connections if c.topic == "/imu0")
+        _, _, raw = next(reader.messages([connection]))
+        stamp = reader.deserialize(raw, connection.msgtype).header.stamp
+    assert stamp.sec * 10**9 + stamp.nanosec == open_recording(flight).imu.t_ns[0]

@@ -14,7 +14,9 @@ from dronevio.models.rig import Rig, RigCamera
 
 Array = npt.NDArray[np.float64]
 
-_MAX_ANGLE = math.radians(30.0)  # between the optical axes of a pair, and between its baseline and the rows of its images
+_MAX_ANGLE = math.radians(
+    30.0
+)  # between the optical axes of a pair, and between its baseline and the rows of its images
 
 
 @dataclass(frozen=True, eq=False)
@@ -60,9 +62,7 @@ def _of_pair(first: RigCamera, second: RigCamera) -> tuple[Rectification, Rectif
     focal_px = float(np.mean([(model.fx, model.fy) for model in models]))
     Rs = [R_rect_imu @ R for R in rotations]
     # the optical axes remain in the middle of the rectified images, in the mean of both
-    centre = np.mean(
-        [(m.cx, m.cy) - focal_px * R[:2, 2] / R[2, 2] for m, R in zip(models, Rs, strict=True)], axis=0
-    )
+    centre = np.mean([(m.cx, m.cy) - focal_px * R[:2, 2] / R[2, 2] for m, R in zip(models, Rs, strict=True)], axis=0)
     K = np.array([[focal_px, 0.0, centre[0]], [0.0, focal_px, centre[1]], [0.0, 0.0, 1.0]])
     shifts = (0.0, -focal_px * float(baseline @ x))
     Ps = [np.hstack([K, [[shift], [0.0], [0.0]]]) for shift in shifts]

@@ -209,7 +209,9 @@ def _frames(recording: Recording, images: Images, progress: Progress) -> Iterato
             topic, reference = CAMERA_TOPIC.format(number), CAMERA.format(number)
             message = image_message(image, frame.t_ns, reference, images == "png")
             yield frame.t_ns, topic + (COMPRESSED if images == "png" else ""), message
-            yield frame.t_ns, f"/cam{number}/camera_info", camera_info(
-                camera.model, frame.t_ns, reference, rectified[number]
+            yield (
+                frame.t_ns,
+                f"/cam{number}/camera_info",
+                camera_info(camera.model, frame.t_ns, reference, rectified[number]),
             )
         progress(index + 1, count)

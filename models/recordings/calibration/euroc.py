@@ -5,16 +5,17 @@ As in the data set, the files have no first line ``%YAML:1.0``, which PyYAML ref
 Fields of a `Rig` that the format does not include are written under additional keys, which other readers ignore:
 ``T_vehicle_imu`` (pose of the IMU in the vehicle frame) and ``time_offset_s`` (t_imu − t_cam) in ``body.yaml``,
 ``readout_s`` in the ``sensor.yaml`` of a camera with a rolling shutter, and the keys of
-`dronevio.models.recordings.calibration.imu_fields` in that of the IMU.
+`dronevio.models.recordings.calibration.imu_fields` in that of the IMU, with ``sampling`` if its samples are increments.
 """
 
 from pathlib import Path
+from typing import cast
 
 import numpy as np
 
 from dronevio.models.camera import CameraModel
 from dronevio.models.errors import InputError
-from dronevio.models.imu import ImuModel
+from dronevio.models.imu import ImuModel, Sampling
 from dronevio.models.lenses.lens import LensName
 from dronevio.models.recordings.calibration.imu_fields import imu_fields_yaml, read_imu_fields
 from dronevio.models.recordings.calibration.sensor_yaml import SensorYaml, pose_yaml, read_sensor_yaml, yaml_text
@@ -48,10 +49,26 @@ def read_euroc_rig(mav0: Path, cameras: int) -> Rig:
         )
 
 
-def calibration_files(rig: Rig) -> dict[str, str]:
+def read_euroc_sampling(mav0: Path) -> Sampling:
+    """Return the sampling of the IMU of the folder ``mav0``, ``point`` where its ``sensor.yaml`` has none.
+
+    Raises:
+        InputError: The file is missing or invalid.
+    """
+    yaml = read_sensor_yaml(mav0 / "imu0" / "sensor.yaml")
+    if "sampling" not in yaml:
+        return "point"
+    if yaml.values["sampling"] not in ("point", "increment"):
+        raise yaml.error("sampling", "point or increment")
+    return cast(Sampling, yaml.values["sampling"])
+
+
+def calibration_files(rig: Rig, sampling: Sampling = "point") -> dict[str, str]:
     """Return the texts of the calibration files of a rig by their paths below ``mav0``."""
     texts = {f"cam{i}/sensor.yaml": _camera_yaml(camera) for i, camera in enumerate(rig.cameras)}
     texts["imu0/sensor.yaml"] = _imu_yaml(rig.imu)
+    if sampling == "increment":
+        texts["imu0/sensor.yaml"] += "sampling: increment # means over the interval before the time stamp\n"
     texts["state_groundtruth_estimate0/sensor.yaml"] = (
         f"sensor_type: visual-inertial\ncomment: true motion of the body\n{pose_yaml('T_BS', np.eye(4))}"
     )
