@@ -26,8 +26,8 @@ class ConvertCommand:
 
     Recordings: euroc (a folder), mcap (one file), bag (a ROS 2 folder with MCAP inside) and bag-sqlite (with SQLite,
     for ROS 2 Humble and older). The conversion is lossless: images, IMU samples, calibration, ground truth and, with
-    --stamps recorded, the time stamps of simulated flights are bit-identical when they are read back. Ground truth alone:
-    tum. A bag for ROS 1: rosbags-convert --src ROOM --dst ROOM.bag, where ROOM is the folder of --to bag.
+    --stamps recorded, the time stamps of simulated flights are bit-identical when they are read back. Ground truth
+    alone: tum. A bag for ROS 1: rosbags-convert --src ROOM --dst ROOM.bag, where ROOM is the folder of --to bag.
 
     Calibration and settings for other programs, from the true parameters: kalibr, openvins and vins (VINS-Fusion),
     which run on a bag, and orbslam3, basalt and kimera, which run on an EuRoC folder.
@@ -51,8 +51,8 @@ class ConvertCommand:
     """Encoding of the images in a bag: PNG (topics .../compressed), or raw pixels, which take twice the space and which
     nodes read that do not subscribe to compressed images."""
     imu_sampling: Literal["recorded", "increment"] = "recorded"
-    """IMU samples in bags and EuRoC folders: as recorded, or increment, the means over the intervals between them. Means
-    are for programs that hold a sample over the interval before its time stamp, such as Basalt."""
+    """IMU samples in bags and EuRoC folders: as recorded, or increment, the means over the intervals between them.
+    Means are for programs that hold a sample over the interval before its time stamp, such as Basalt."""
     stamps: Literal["epoch", "recorded"] = "epoch"
     """Time stamps in bags and EuRoC folders: epoch lets the stamps of a simulated flight, which count from its start,
     begin at 1.6e9 s (13 September 2020), since zero means unset in ROS; other stamps are kept."""

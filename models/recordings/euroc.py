@@ -1,8 +1,8 @@
 """Recordings as EuRoC folders (ASL format): images, IMU samples, calibration and ground truth.
 
-The body frame is that of the IMU, IMU samples are values at their time stamps unless stated otherwise, cameras are pinholes with
-radial-tangential distortion or equidistant fisheyes. Format: Burri et al., "The EuRoC micro aerial vehicle datasets",
-IJRR 2016.
+The body frame is that of the IMU, IMU samples are values at their time stamps unless stated otherwise, cameras are
+pinholes with radial-tangential distortion or equidistant fisheyes. Format: Burri et al., "The EuRoC micro aerial
+vehicle datasets", IJRR 2016.
 """
 
 from collections.abc import Sequence
@@ -15,7 +15,7 @@ import numpy as np
 import numpy.typing as npt
 
 from dronevio.models.defects import Defect, DefectKind
-from dronevio.models.errors import ConfigError, InputError
+from dronevio.models.errors import InputError
 from dronevio.models.imu import ImuSamples, Times
 from dronevio.models.progress import Progress, silent
 from dronevio.models.protocols import Recording

@@ -1,7 +1,7 @@
 """Recordings as other programs expect them: with time stamps since 1970, and with the IMU samples that they integrate.
 
-The stamps of a simulated flight count from its start. A stamp of zero means "unset" in ROS, and some programs wait until
-the stamps exceed the length of their initialization.
+The stamps of a simulated flight count from its start. A stamp of zero means "unset" in ROS, and some programs wait
+until the stamps exceed the length of their initialization.
 """
 
 from dataclasses import dataclass, replace

@@ -1,21 +1,16 @@
 """Exports have every key that the parser of their program demands, and none that it no longer reads.
 
-The keys below were read from the sources of the programs. A parser demands a key if its absence ends the program or leaves
-a variable without a value. The table of `docs/peers.md` counts them.
+The keys below were read from the sources of the programs. A parser demands a key if its absence ends the program or
+leaves a variable without a value.
 
-============== ============================================================== =========================================
-program        version                                                        source
-============== ============================================================== =========================================
-OpenVINS       v2.7 (``VioManagerOptions.h`` of v2.7 and later; settings of    ``StateOptions.h``, ``VioManagerOptions.h``,
-               the example at commit 93adc24)                                 ``InertialInitializerOptions.h``
-Kimera-VIO     master of 2023 and later                                       ``ImuFrontendParams.cpp``,
-                                                                              ``CameraParams.cpp``
-VINS-Fusion    commit 3d6cfb6                                                 ``estimator/parameters.cpp``, camodocal's
-                                                                              ``PinholeCamera.cc``
-ORB-SLAM3      v1.0, commit 1464d8f                                           ``Settings.cc``
-Basalt         headers at commit 2ae558c                                      ``headers_serialization.h``
-Kalibr         commit 0b8b9e8                                                 ``ConfigReader.py``
-============== ============================================================== =========================================
+- OpenVINS, master after v2.7: ``StateOptions.h``, ``VioManagerOptions.h``, ``InertialInitializerOptions.h``, and the
+  example ``config/euroc_mav`` at commit 93adc24.
+- Kimera-VIO: ``CameraParams.cpp`` at commit 0657301, ``ImuFrontendParams.cpp`` at commit db6748d; the bias and the time
+  alignment are those of ``ImuParams`` in ``CrossCorrTimeAligner.cpp`` of later versions.
+- VINS-Fusion, commit 3d6cfb6: ``estimator/parameters.cpp``; ``PinholeCamera.cc`` of camodocal.
+- ORB-SLAM3, commit 1464d8f (v1.0): ``Settings.cc``.
+- Basalt, headers at commit 2ae558c: ``headers_serialization.h``.
+- Kalibr, commit 0b8b9e8: ``ConfigReader.py``.
 """
 
 import json
@@ -36,58 +31,66 @@ Keys = dict[str, frozenset[str]]
 
 OPENVINS_ESTIMATOR = """
     use_fej integration calib_cam_extrinsics calib_cam_intrinsics calib_cam_timeoffset calib_imu_intrinsics
-    calib_imu_g_sensitivity max_clones max_slam max_slam_in_update max_msckf_in_update num_aruco max_cameras feat_rep_msckf
-    feat_rep_slam feat_rep_aruco dt_slam_delay try_zupt zupt_max_velocity zupt_noise_multiplier zupt_max_disparity
-    zupt_only_at_beginning record_timing_information record_timing_filepath up_msckf_sigma_px up_msckf_chi2_multipler
-    up_slam_sigma_px up_slam_chi2_multipler up_aruco_sigma_px up_aruco_chi2_multipler zupt_chi2_multipler gravity_mag
-    use_mask use_stereo use_klt use_aruco downsize_aruco downsample_cameras num_opencv_threads num_pts fast_threshold grid_x
-    grid_y min_px_dist histogram_method knn_ratio track_frequency init_window_time init_imu_thresh init_max_disparity
+    calib_imu_g_sensitivity max_clones max_slam max_slam_in_update max_msckf_in_update num_aruco max_cameras
+    feat_rep_msckf feat_rep_slam feat_rep_aruco dt_slam_delay try_zupt zupt_max_velocity zupt_noise_multiplier
+    zupt_max_disparity zupt_only_at_beginning record_timing_information record_timing_filepath
+    up_msckf_sigma_px up_msckf_chi2_multipler up_slam_sigma_px up_slam_chi2_multipler up_aruco_sigma_px
+    up_aruco_chi2_multipler zupt_chi2_multipler gravity_mag use_mask use_stereo use_klt use_aruco
+    downsize_aruco downsample_cameras num_opencv_threads num_pts fast_threshold grid_x grid_y min_px_dist
+    histogram_method knn_ratio track_frequency init_window_time init_imu_thresh init_max_disparity
     init_max_features init_dyn_use init_dyn_mle_opt_calib init_dyn_mle_max_iter init_dyn_mle_max_threads
     init_dyn_mle_max_time init_dyn_num_pose init_dyn_min_deg init_dyn_inflation_ori init_dyn_inflation_vel
-    init_dyn_inflation_bg init_dyn_inflation_ba init_dyn_min_rec_cond init_dyn_bias_g init_dyn_bias_a relative_config_imu
-    relative_config_imucam verbosity save_total_state filepath_est filepath_std filepath_gt
+    init_dyn_inflation_bg init_dyn_inflation_ba init_dyn_min_rec_cond init_dyn_bias_g init_dyn_bias_a
+    relative_config_imu relative_config_imucam verbosity save_total_state filepath_est filepath_std
+    filepath_gt
 """
 OPENVINS_IMU = """
-    gyroscope_noise_density gyroscope_random_walk accelerometer_noise_density accelerometer_random_walk model Tw Ta R_IMUtoACC
-    R_IMUtoGYRO Tg rostopic
+    gyroscope_noise_density gyroscope_random_walk accelerometer_noise_density accelerometer_random_walk model
+    Tw Ta R_IMUtoACC R_IMUtoGYRO Tg rostopic
 """
 OPENVINS_CAMERA = "distortion_model intrinsics distortion_coeffs resolution T_imu_cam timeshift_cam_imu rostopic"
 KIMERA_CAMERA = """
-    camera_id camera_model distortion_model distortion_coefficients intrinsics resolution rate_hz T_BS.rows T_BS.cols T_BS.data
+    camera_id camera_model distortion_model distortion_coefficients intrinsics resolution rate_hz T_BS.rows
+    T_BS.cols T_BS.data
 """
 KIMERA_IMU = """
-    imu_preintegration_type T_BS.data rate_hz gyroscope_noise_density accelerometer_noise_density gyroscope_random_walk
-    accelerometer_random_walk imu_integration_sigma imu_time_shift n_gravity imu_bias_init_sigma do_imu_rate_time_alignment
-    time_alignment_window_size_s time_alignment_variance_threshold_scaling
+    imu_preintegration_type T_BS.data rate_hz gyroscope_noise_density accelerometer_noise_density
+    gyroscope_random_walk accelerometer_random_walk imu_integration_sigma imu_time_shift n_gravity
+    imu_bias_init_sigma do_imu_rate_time_alignment time_alignment_window_size_s
+    time_alignment_variance_threshold_scaling
 """
 VINS = """
-    image0_topic image1_topic max_cnt min_dist F_threshold show_track flow_back multiple_thread imu imu_topic acc_n acc_w gyr_n
-    gyr_w g_norm max_solver_time max_num_iterations keyframe_parallax output_path estimate_extrinsic body_T_cam0 num_of_cam
-    cam0_calib cam1_calib body_T_cam1 td estimate_td image_height image_width
+    image0_topic image1_topic max_cnt min_dist F_threshold show_track flow_back multiple_thread imu imu_topic
+    acc_n acc_w gyr_n gyr_w g_norm max_solver_time max_num_iterations keyframe_parallax output_path
+    estimate_extrinsic body_T_cam0 num_of_cam cam0_calib cam1_calib body_T_cam1 td estimate_td image_height
+    image_width
 """
 VINS_CAMERA = """
-    model_type camera_name image_width image_height distortion_parameters.k1 distortion_parameters.k2 distortion_parameters.p1
-    distortion_parameters.p2 projection_parameters.fx projection_parameters.fy projection_parameters.cx
-    projection_parameters.cy
+    model_type camera_name image_width image_height distortion_parameters.k1 distortion_parameters.k2
+    distortion_parameters.p1 distortion_parameters.p2 projection_parameters.fx projection_parameters.fy
+    projection_parameters.cx projection_parameters.cy
 """
 ORBSLAM3 = """
-    File.version Camera.type Camera1.fx Camera1.fy Camera1.cx Camera1.cy Camera1.k1 Camera1.k2 Camera1.p1 Camera1.p2 Camera2.fx
-    Camera2.fy Camera2.cx Camera2.cy Camera2.k1 Camera2.k2 Camera2.p1 Camera2.p2 Stereo.T_c1_c2 Stereo.ThDepth Camera.height
-    Camera.width Camera.fps Camera.RGB IMU.NoiseGyro IMU.NoiseAcc IMU.GyroWalk IMU.AccWalk IMU.Frequency IMU.T_b_c1
-    ORBextractor.nFeatures ORBextractor.scaleFactor ORBextractor.nLevels ORBextractor.iniThFAST ORBextractor.minThFAST
-    Viewer.KeyFrameSize Viewer.KeyFrameLineWidth Viewer.GraphLineWidth Viewer.PointSize Viewer.CameraSize
-    Viewer.CameraLineWidth Viewer.ViewpointX Viewer.ViewpointY Viewer.ViewpointZ Viewer.ViewpointF
+    File.version Camera.type Camera1.fx Camera1.fy Camera1.cx Camera1.cy Camera1.k1 Camera1.k2 Camera1.p1
+    Camera1.p2 Camera2.fx Camera2.fy Camera2.cx Camera2.cy Camera2.k1 Camera2.k2 Camera2.p1 Camera2.p2
+    Stereo.T_c1_c2 Stereo.ThDepth Camera.height Camera.width Camera.fps Camera.RGB IMU.NoiseGyro IMU.NoiseAcc
+    IMU.GyroWalk IMU.AccWalk IMU.Frequency IMU.T_b_c1 ORBextractor.nFeatures ORBextractor.scaleFactor
+    ORBextractor.nLevels ORBextractor.iniThFAST ORBextractor.minThFAST Viewer.KeyFrameSize
+    Viewer.KeyFrameLineWidth Viewer.GraphLineWidth Viewer.PointSize Viewer.CameraSize Viewer.CameraLineWidth
+    Viewer.ViewpointX Viewer.ViewpointY Viewer.ViewpointZ Viewer.ViewpointF
 """
 BASALT = """
-    T_imu_cam intrinsics resolution calib_accel_bias calib_gyro_bias imu_update_rate accel_noise_std gyro_noise_std
-    accel_bias_std gyro_bias_std cam_time_offset_ns vignette T_mocap_world T_imu_marker mocap_time_offset_ns
-    mocap_to_imu_offset_ns
+    T_imu_cam intrinsics resolution calib_accel_bias calib_gyro_bias imu_update_rate accel_noise_std
+    gyro_noise_std accel_bias_std gyro_bias_std cam_time_offset_ns vignette T_mocap_world T_imu_marker
+    mocap_time_offset_ns mocap_to_imu_offset_ns
 """
 KALIBR_CAMERA = """
-    rostopic camera_model intrinsics distortion_model distortion_coeffs resolution T_cam_imu timeshift_cam_imu cam_overlaps
+    rostopic camera_model intrinsics distortion_model distortion_coeffs resolution T_cam_imu timeshift_cam_imu
+    cam_overlaps
 """
 KALIBR_IMU = """
-    rostopic update_rate accelerometer_noise_density accelerometer_random_walk gyroscope_noise_density gyroscope_random_walk
+    rostopic update_rate accelerometer_noise_density accelerometer_random_walk gyroscope_noise_density
+    gyroscope_random_walk
 """
 
 

@@ -44,7 +44,7 @@ def test_rows_agree_and_disparity_is_depth(name: str) -> None:
 
 
 def test_rectification_agrees_with_opencv() -> None:
-    """OpenCV rotates both cameras by half of their rotation first, so that its axes differ by less than a milliradian."""
+    """OpenCV turns both cameras by half of their rotation first: its axes differ by less than two milliradians."""
     rig = rig_named("euroc-stereo")
     a, b = (camera.model for camera in rig.cameras)
     T = inverse_pose(rig.cameras[1].T_imu_cam) @ rig.cameras[0].T_imu_cam

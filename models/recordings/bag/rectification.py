@@ -1,7 +1,8 @@
 """Rectification of stereo pairs, for the fields R and P of CameraInfo messages.
 
-The rectified images of a pair have parallel axes, x along the baseline, and the same intrinsics, so that a point has the
-same row in both, and its depth is f B / disparity (Fusiello, Trucco and Verri, Machine Vision and Applications 2000).
+The rectified images of a pair have parallel axes, x along the baseline, and the same intrinsics, so that a point has
+the same row in both, and its depth is f B / disparity (Fusiello, Trucco and Verri, Machine Vision and Applications
+2000).
 """
 
 import math
@@ -32,9 +33,9 @@ class Rectification:
 def rectifications(rig: Rig) -> tuple[Rectification, ...]:
     """Return the rectification of each camera.
 
-    Two successive cameras, counted from the first, are a pair if their images have the same size, their optical axes are
-    within 30°, and the second camera is beside the first one. Other cameras keep their axes and intrinsics, with their
-    lens distortion removed.
+    Two successive cameras, counted from the first, are a pair if their images have the same size, their optical axes
+    are within 30°, and the second camera is beside the first one. Other cameras keep their axes and intrinsics, with
+    their lens distortion removed.
     """
     found: list[Rectification] = []
     while len(found) < len(rig.cameras):

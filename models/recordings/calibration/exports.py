@@ -327,7 +327,8 @@ def _basalt_camera(m: CameraModel) -> dict[str, object]:
 def _kimera_imu(sensor_yaml: str, time_offset_s: float) -> str:
     """Return the text of the IMU parameters, which extends the ``sensor.yaml`` of an EuRoC folder."""
     return (
-        f"{_OPENCV}{sensor_yaml}imu_preintegration_type: 1\nimu_integration_sigma: 1.0e-8\nimu_bias_init_sigma: 1.0e-3\n"
+        f"{_OPENCV}{sensor_yaml}imu_preintegration_type: 1\nimu_integration_sigma: 1.0e-8\n"
+        "imu_bias_init_sigma: 1.0e-3\n"
         "do_imu_rate_time_alignment: 1\ntime_alignment_window_size_s: 10.0\n"
         "time_alignment_variance_threshold_scaling: 30.0\n"
         f"imu_time_shift: {yaml_text(float(time_offset_s))}  # t_imu = t_cam + shift\n"

@@ -1,8 +1,8 @@
 """Strict parser of the subset of YAML in the ``sensor.yaml`` files of data sets.
 
-Some of these files begin with ``%YAML:1.0``, which OpenCV requires and YAML parsers refuse. The subset consists of ``key: value``
-with numbers, words and lists in brackets, possibly over several lines, and of maps by indentation, as in ``T_BS``.
-Everything else is refused with its line number.
+Some of these files begin with ``%YAML:1.0``, which OpenCV requires and YAML parsers refuse. The subset consists of
+``key: value`` with numbers, words and lists in brackets, possibly over several lines, and of maps by indentation, as in
+``T_BS``. Everything else is refused with its line number.
 """
 
 import json
