@@ -48,8 +48,8 @@ class ConvertCommand:
     to: Format | None = None
     """Format of the result; not necessary if DEST ends with .mcap or .tum."""
     images: Literal["png", "raw"] = "png"
-    """Encoding of the images in a bag: PNG (topics .../compressed), or raw pixels, which take twice the space and which
-    nodes read that do not subscribe to compressed images."""
+    """Encoding of the images in a bag: PNG, on topics whose names end with compressed, or raw pixels, which take twice
+    the space and which nodes read that do not subscribe to compressed images."""
     imu_sampling: Literal["recorded", "increment"] = "recorded"
     """IMU samples in bags and EuRoC folders: as recorded, or increment, the means over the intervals between them.
     Means are for programs that hold a sample over the interval before its time stamp, such as Basalt."""
