@@ -6,7 +6,7 @@ import sys
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 import pytest
@@ -193,5 +193,5 @@ def test_bags_become_bags_of_ros_1(tmp_path: Path, flight: Path, run_command: Ca
         assert counts["/imu0"] == 40 and counts["/cam1/image_raw/compressed"] == 4
         connection = next(c for c in reader.connections if c.topic == "/imu0")
         _, _, raw = next(reader.messages([connection]))
-        stamp = reader.deserialize(raw, connection.msgtype).header.stamp
+        stamp = cast(Any, reader.deserialize(raw, connection.msgtype)).header.stamp
     assert stamp.sec * 10**9 + stamp.nanosec == open_recording(flight).imu.t_ns[0]

@@ -3,7 +3,7 @@
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 import cv2
 import numpy as np
@@ -72,7 +72,7 @@ def test_bags_have_the_rectification(tmp_path: Path, noise_recording: Callable[.
     write_bag(tmp_path / "bag", recording)
     with AnyReader([tmp_path / "bag"]) as reader:
         infos = {
-            connection.topic: reader.deserialize(raw, connection.msgtype)
+            connection.topic: cast(Any, reader.deserialize(raw, connection.msgtype))
             for connection, _, raw in reader.messages()
             if connection.msgtype.endswith("CameraInfo")
         }
