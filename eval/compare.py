@@ -65,12 +65,19 @@ class Ratio:
     """Upper end of the 95 % confidence interval of the median."""
     p: float
     """Two-sided p-value of Wilcoxon's signed-rank test."""
+    differing: int
+    """Number of compared pairs whose values differ."""
+
+    @property
+    def unchanged(self) -> bool:
+        """Whether the metric is the same in every pair."""
+        return self.differing == 0
 
     @property
     def conclusion(self) -> str:
         """The conclusion as a sentence."""
         change = f"{self.metric} {_change(self.median)}"
-        if self.low == self.high == 1.0 and self.p == 1.0:
+        if self.unchanged:
             return f"{self.metric} is the same"
         if self.pairs < _MIN_PAIRS_FOR_A_TEST:
             return f"{change}, but {self.pairs} pairs are too few for a test of significance"
@@ -97,6 +104,23 @@ class Comparison:
     """Mean coverage in both benchmarks, in which a failed run counts as zero [%]; None if no run has a coverage."""
     different_recordings: int
     """Number of pairs whose recordings differ."""
+
+    @property
+    def failed_in_both(self) -> bool:
+        """Whether every run failed in both benchmarks, so that there is nothing to compare."""
+        return self.failed == (self.pairs, self.pairs)
+
+    @property
+    def other_failures(self) -> bool:
+        """Whether a run failed in only one of the benchmarks."""
+        return bool(self.newly_failed) or self.failed[0] != self.failed[1]
+
+    @property
+    def changed(self) -> bool:
+        """Whether a metric, a failure, the coverage or a recording differs between the benchmarks."""
+        before, after = self.coverage_percent
+        others = self.other_failures or self.different_recordings > 0 or before != after
+        return others or not all(ratio.unchanged for ratio in self.ratios)
 
 
 @dataclass(frozen=True)
@@ -201,7 +225,8 @@ def metric_ratio(metric: str, pairs: Sequence[Pair], seed: int = 0) -> Ratio:
     logs = np.array([_log_ratio(*(math.inf if v is None else v for v in pair)) for pair in known])
     low, high = _confidence_interval(logs, np.random.default_rng(seed))
     median = float(_median(logs[None])[0])
-    return Ratio(metric, len(known), len(pairs) - len(known), _exp(median), _exp(low), _exp(high), _wilcoxon_p(logs))
+    interval, missing = (_exp(low), _exp(high)), len(pairs) - len(known)
+    return Ratio(metric, len(known), missing, _exp(median), *interval, _wilcoxon_p(logs), np.count_nonzero(logs))
 
 
 def _comparison(name: str, pairs: Sequence[Pair], metrics: Sequence[str], seed: int) -> Comparison:

@@ -130,12 +130,14 @@ def print_benchmark(rows: Sequence["Row"]) -> None:
         ok = f"{group.ok}/{len(group.rows)}"
         cells.append((group.scenario, group.estimator, ok, *figures, "–" if cost is None else f"{cost.median:.1f}"))
     headings = ("scenario", "estimator", "ok", *(heading for heading, _ in columns), "ms/frame")
-    print_table("Median and quartiles over seeds; a failed run counts as ∞", headings, cells, left=("estimator",))
+    print_table(
+        "Median and quartiles over seeds; a failed run ranks behind all others", headings, cells, left=("estimator",)
+    )
     failed = failed_runs(rows)
     if failed:
         print(f"{len(failed)} of {len(rows)} runs failed:")
     for run, status, reason in failed:
-        print(f"  {run}: {status}, {reason}")
+        print(f"  {run}: {reason or status}" if status == "failed" else f"  {run}: {status}, {reason}")
 
 
 def _planned(command: BenchmarkCommand) -> "BenchmarkPlan":

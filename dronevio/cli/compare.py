@@ -97,7 +97,21 @@ def read_pairs(
 
 
 def print_comparisons(title: str, comparisons: "Sequence[Comparison]") -> None:
-    """Print the ratios of all metrics and estimators, and what they mean in words."""
+    """Print what changed in words, then the ratios of all metrics, estimators with changes first.
+
+    Estimators of which all runs failed in both benchmarks are left out.
+    """
+    compared = sorted((one for one in comparisons if not one.failed_in_both), key=lambda one: not one.changed)
+    print(title)
+    if not compared:
+        print("Every run failed in both.")
+        return
+    for one in compared:
+        if one.changed:
+            _print_changes(one)
+    same = [one.estimator for one in compared if not one.changed]
+    if same:
+        print(f"the same in both: {', '.join(same)}")
     cells = [
         (
             one.estimator,
@@ -106,22 +120,30 @@ def print_comparisons(title: str, comparisons: "Sequence[Comparison]") -> None:
             *map(_ratio_text, (ratio.median, ratio.low, ratio.high)),
             _p_text(ratio.p),
         )
-        for one in comparisons
+        for one in compared
         for ratio in one.ratios
     ]
     headings = ("estimator", "metric", "pairs", "ratio", "from", "to", "p")
-    print_table(title, headings, cells, left=("metric",))
-    for one in comparisons:
-        for ratio in one.ratios:
+    print()
+    print_table("", headings, cells, left=("metric",))
+
+
+def _print_changes(one: "Comparison") -> None:
+    """Print the differences of an estimator between two benchmarks as sentences."""
+    for ratio in one.ratios:
+        if not ratio.unchanged:
             print(f"{one.estimator}: {ratio.conclusion}")
-            if ratio.missing:
-                print(f"{one.estimator}: {ratio.missing} pairs have no {ratio.metric}")
-        if any(one.failed):
-            print(f"{one.estimator}: {one.failed[0]} runs failed in the first, {one.failed[1]} in the second")
-        for text in one.newly_failed:
-            print(f"  newly failed: {text}")
-        if one.different_recordings:
-            print(f"{one.estimator}: {one.different_recordings} of {one.pairs} pairs were run on different recordings")
+        if ratio.missing:
+            print(f"{one.estimator}: {ratio.missing} pairs have no {ratio.metric}")
+    if one.other_failures:
+        print(f"{one.estimator}: {one.failed[0]} runs failed in the first, {one.failed[1]} in the second")
+    for text in one.newly_failed:
+        print(f"  newly failed: {text}")
+    before, after = one.coverage_percent
+    if before != after and before is not None and after is not None:
+        print(f"{one.estimator}: mean coverage {before:.1f} % in the first, {after:.1f} % in the second")
+    if one.different_recordings:
+        print(f"{one.estimator}: {one.different_recordings} of {one.pairs} pairs were run on different recordings")
 
 
 def document(comparisons: "Sequence[Comparison]") -> dict[str, object]:

@@ -67,9 +67,9 @@ def main(arguments: Sequence[str]) -> int:
         result = {"passed": verdict.passed, "violations": list(verdict.violations)}
         print_json({**result, **document(verdict.comparisons)})
         return 0 if verdict.passed else 1
-    print_comparisons(f"{command.results} relative to {command.baseline}", verdict.comparisons)
     for text in verdict.violations:
         print(f"failed: {text}")
+    print_comparisons(f"{command.results} relative to {command.baseline}", verdict.comparisons)
     print(f"gate {'passed' if verdict.passed else 'failed'}, limit {limit:g} %")
     return 0 if verdict.passed else 1
 

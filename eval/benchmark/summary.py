@@ -33,11 +33,15 @@ class Quartiles:
         return cls(lower, median, upper, runs, failed)
 
     def text(self, with_quartiles: bool = True) -> str:
-        """Return the median for a table, followed by the quartiles in parentheses if they are requested."""
+        """Return the median for a table, followed by the quartiles in parentheses if they are requested.
+
+        A value that falls on a failed run is "failed"; quartiles that both do are left out.
+        """
         lower, median, upper = (
-            f"{value:.3g}" if math.isfinite(value) else "∞" for value in (self.lower, self.median, self.upper)
+            f"{value:.3g}" if math.isfinite(value) else "failed" for value in (self.lower, self.median, self.upper)
         )
-        return f"{median} ({lower}–{upper})" if with_quartiles else median
+        shown = with_quartiles and (math.isfinite(self.lower) or math.isfinite(self.upper))
+        return f"{median} ({lower}–{upper})" if shown else median
 
 
 def quartiles_of_errors(rows: Iterable[Row], column: str) -> Quartiles | None:

@@ -135,6 +135,17 @@ class BenchmarkResults:
         return tuple(sorted({row.estimator for row in self.rows}))
 
     @cached_property
+    def ranking(self) -> tuple[str, ...]:
+        """Labels of the estimators by their median ATE over all runs, the best first.
+
+        Of estimators whose median run failed, those with fewer failed runs come first; then those without an ATE.
+        """
+        ate = find_measure("ate_m")
+        found = {name: self.quartiles(ate, name) for name in self.estimators}
+        keys = {name: (math.inf, math.inf) if q is None else (q.median, q.failed / q.runs) for name, q in found.items()}
+        return tuple(sorted(self.estimators, key=lambda name: (found[name] is None, keys[name], name)))
+
+    @cached_property
     def measures(self) -> tuple[Measure, ...]:
         """The measures that at least one run has."""
         scored = [row for row in self.rows if row.status == "ok"] or self.rows

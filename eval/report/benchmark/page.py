@@ -1,5 +1,6 @@
 """The page of a benchmark: overview, results by scenario, all runs, consistency, cost, failures and provenance."""
 
+import math
 from collections import Counter
 from functools import partial
 
@@ -19,6 +20,7 @@ OPEN_MEASURES = ("ate_m", "drift_percent")
 """Columns of the measures whose tables are open when the page is loaded."""
 RUN_COLUMNS = ("ate_m", "rpe_m", "drift_percent", "coverage_percent", "nees_position", "cpu_ms_mean", "wall_s")
 """Columns of the list of all runs."""
+_MAX_NARROW_COLUMNS = 3  # estimators of a table that takes half of a wide page
 _MAX_LISTED_RUNS = 2000  # a page with a longer list is slow
 _PLOT_HEIGHT_IN = 2.9
 _ROW_HEIGHT_IN, _ROW_MARGIN_IN = 0.15, 1.1  # of one row of dots, and around all rows
@@ -32,12 +34,13 @@ def benchmark_page(results: BenchmarkResults) -> str:
         results.title,
         _summary(results),
         script="report.js",
-        cards=[_card(results, name) for name in results.estimators],
+        cards=[_card(results, name) for name in results.ranking],
         wins=_wins(results),
         scenario_count=_count(len(results.scenarios), "scenario"),
         note=NOTE,
         outcomes=_outcomes(results),
         measures=_measure_tables(results),
+        many_columns=len(results.estimators) > _MAX_NARROW_COLUMNS,
         run_plots=[_run_plot(results, m) for m in (ATE, DRIFT) if m in results.measures],
         run_count=_count(len(results.rows), "run"),
         run_table=_run_table(results) if listed else None,
@@ -94,7 +97,8 @@ def _card(results: BenchmarkResults, estimator: str) -> Tile:
     value = DASH if quartiles is None else ATE.text(quartiles.median)
     ate_range = "" if quartiles is None else f" {quartile_range(ATE, quartiles)}"
     colour = plots.colour_of(results, estimator)
-    return Tile(estimator, value, "m", "\n".join((f"median ATE{ate_range}", *notes)), colour)
+    unit = ATE.unit if quartiles is not None and math.isfinite(quartiles.median) else ""
+    return Tile(estimator, value, unit, "\n".join((f"median ATE{ate_range}", *notes)), colour)
 
 
 def _measure_tables(results: BenchmarkResults) -> list[tuple[str, Table, bool]]:

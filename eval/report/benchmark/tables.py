@@ -24,18 +24,18 @@ CSV_COLUMNS = (
 )
 """Columns of the CSV file, with a line for each scenario, estimator and measure; ``inf`` stands for a failed run."""
 NOTE = (
-    "Tables show medians over seeds with quartiles in parentheses; the best median of a row is highlighted. A failed"
-    " run ranks behind all others; it is left out of times and memory."
+    "Tables show medians over seeds with quartiles in parentheses, and the best estimator first; the best median of a"
+    " row is highlighted. A failed run ranks behind all others; it is left out of times and memory."
 )
 """Explanation of the tables."""
 _MAX_REASON_LENGTH = 300  # characters; the rows hold the whole reason
 
 
 def measure_table(results: BenchmarkResults, measure: Measure) -> Table:
-    """Return the quartiles of a measure for every estimator, by scenario and over all scenarios."""
+    """Return the quartiles of a measure by scenario and over all scenarios, with the best estimator's column first."""
     rows = tuple(_row(results, measure, scenario) for scenario in results.scenarios)
     total = _row(results, measure, None) if len(results.scenarios) > 1 else ()
-    return Table(measure.heading, ("scenario", *results.estimators), rows, total)
+    return Table(measure.heading, ("scenario", *results.ranking), rows, total)
 
 
 def failure_table(results: BenchmarkResults) -> Table:
@@ -136,7 +136,7 @@ def _tables(results: BenchmarkResults, measures: Sequence[Measure]) -> list[Tabl
 
 def _row(results: BenchmarkResults, measure: Measure, scenario: str | None) -> tuple[Cell, ...]:
     best = results.best(measure, scenario)
-    cells = (_cell(results, measure, name, scenario, name in best) for name in results.estimators)
+    cells = (_cell(results, measure, name, scenario, name in best) for name in results.ranking)
     return (Cell(ALL_SCENARIOS if scenario is None else scenario), *cells)
 
 
@@ -144,6 +144,7 @@ def _cell(results: BenchmarkResults, measure: Measure, estimator: str, scenario:
     quartiles = results.quartiles(measure, estimator, scenario)
     if quartiles is None:
         return Cell(DASH, order=math.inf)
-    failed = f"{quartiles.failed} of {quartiles.runs} failed" if quartiles.failed else ""
+    ending = "runs" if math.isinf(quartiles.median) else "failed"  # the value itself already says that it failed
+    failed = f"{quartiles.failed} of {quartiles.runs} {ending}" if quartiles.failed else ""
     order = quartiles.median if measure.best == "none" else measure.ranking_key(quartiles.median)
     return Cell(measure.text(quartiles.median), quartile_range(measure, quartiles), failed, best, order)

@@ -27,7 +27,7 @@ from dronevio.eval.report.benchmark.model import (
     significant,
 )
 from dronevio.eval.report.benchmark.page import benchmark_page
-from dronevio.eval.report.benchmark.tables import as_csv, as_latex, as_markdown, failure_table
+from dronevio.eval.report.benchmark.tables import as_csv, as_latex, as_markdown, failure_table, measure_table
 from dronevio.models.errors import ConfigError, InputError
 
 if TYPE_CHECKING:
@@ -75,6 +75,25 @@ def make_rows(scenarios: Sequence[str], seeds: int) -> Iterator[Row]:
                     yield scored(scenario, seed, estimator, typical_m * 10.0 ** rng.normal(0.0, 0.15))
 
 
+SUITE_ERRORS_M = {"dead-reckoning": 8.0, "eqvio": 0.3, "openvins-stereo": 0.08, "vio": 0.05, "vio-stereo": 0.03}
+"""Typical position errors of the estimators of a suite [m]."""
+
+
+def make_suite() -> Iterator[Row]:
+    """Yield two runs of five estimators on twelve scenarios; all of one fail on the difficult scenarios."""
+    rng = np.random.default_rng(3)
+    for world in ("room", "corridor", "warehouse", "machine-hall"):
+        for level in ("easy", "medium", "difficult"):
+            for estimator, typical_m in SUITE_ERRORS_M.items():
+                for seed in range(2):
+                    name = f"{world}-{level}-v0"
+                    if level == "difficult" and estimator == "openvins-stereo":
+                        yield failed(name, seed, estimator, "failed", "no pose: the estimator was not initialized")
+                    else:
+                        yield scored(name, seed, estimator, typical_m * 10.0 ** rng.normal(0.0, 0.1))
+
+
+SUITE = BenchmarkResults("suite", tuple(make_suite()))
 SMALL = BenchmarkResults("small", tuple(make_rows(("room-v0", "hall-v0"), 4)))
 
 
@@ -174,6 +193,39 @@ def test_failures_are_grouped_by_reason() -> None:
     assert [row[2].warning for row in table.rows] == ["crashed", "timeout"]
 
 
+def test_the_best_estimator_has_the_first_column() -> None:
+    assert SUITE.ranking == ("vio-stereo", "vio", "openvins-stereo", "eqvio", "dead-reckoning")
+    assert SUITE.estimators == tuple(sorted(SUITE.ranking))  # colours do not depend on the results
+    assert measure_table(SUITE, ATE).columns == ("scenario", *SUITE.ranking)
+    rows = (
+        *(failed("s", seed, "a") for seed in range(3)),
+        *(failed("s", seed, "b") for seed in range(2)),
+        scored("s", 2, "b", 0.1),
+        *(scored("s", seed, "c", 9.0) for seed in range(3)),
+        replace(scored("s", 0, "d", 0.1), ate_m=None),
+    )
+    assert BenchmarkResults("b", rows).ranking == ("c", "b", "a", "d")
+
+
+def test_a_failed_median_is_not_called_failed_twice() -> None:
+    rows = [failed("s", 0, "vio"), failed("s", 1, "vio"), *(failed("t", seed, "vio") for seed in range(3))]
+    rows += [scored("t", seed, "vio", 0.1) for seed in (3, 4)] + [failed("u", 0, "vio"), scored("u", 1, "vio", 0.1)]
+    rows += [scored("u", 2, "vio", 0.1)]
+    cells = [row[1] for row in measure_table(BenchmarkResults("b", tuple(rows)), ATE).rows]
+    assert [(cell.text, cell.detail, cell.warning) for cell in cells] == [
+        ("failed", "", "2 of 2 runs"),
+        ("failed", "(0.100–failed)", "3 of 5 runs"),
+        ("0.100", "(0.100–failed)", "1 of 3 failed"),
+    ]
+
+
+def test_the_card_of_a_failed_estimator_has_no_unit(read_page: "ReadPage") -> None:
+    rows = (failed("s", 0, "mine"), scored("s", 0, "vio", 0.1))
+    text = " ".join("".join(read_page(benchmark_page(BenchmarkResults("b", rows))).text).split())
+    assert "mine failed median ATE" in text.replace("minefailed", "mine failed")
+    assert "failed m " not in text
+
+
 def test_csv_holds_the_quartiles_of_the_runs() -> None:
     lines = list(csv.DictReader(io.StringIO(as_csv(SMALL, SMALL.measures))))
     assert {line["measure"] for line in lines} <= {m.column for m in MEASURES}
@@ -256,7 +308,7 @@ def test_names_and_reasons_are_shown_as_text(read_page: "ReadPage") -> None:
     page = read_page(html)
     text = "".join(page.text)
     assert page.tags.count("script") == 1
-    assert "onload" not in re.sub(r">[^<]*<|aria-label=\"[^\"]*\"", "", html)
+    assert "onload" not in re.sub(r">[^<]*<|(?:aria-label|data-heading)=\"[^\"]*\"", "", html)
     assert text.count(HOSTILE) > 10
 
 
@@ -322,7 +374,8 @@ def test_a_folder_without_results_is_refused(tmp_path: Path) -> None:
 def test_the_page_fits_the_width_of_the_browser_and_sorts(large_file: Path, browse: "Browse", width: int) -> None:
     first = "document.querySelector('table.sortable').tBodies[0].rows[0].cells[0].textContent"
     click = "document.querySelectorAll('table.sortable button')[1].click()"
-    keys = "[...document.querySelector('table.sortable').tBodies[0].rows].map(x => Number(x.cells[1].dataset.order))"
+    order = "x => Math.min(1e9, Number(x.cells[1].dataset.order))"  # of a failed median, it is infinite
+    keys = f"[...document.querySelector('table.sortable').tBodies[0].rows].map({order})"
     scroll, client, before, _, ascending, _, descending = browse(
         large_file, width, f"[r.scrollWidth, r.clientWidth, {first}, {click}, {keys}, {click}, {keys}]"
     )
@@ -330,3 +383,21 @@ def test_the_page_fits_the_width_of_the_browser_and_sorts(large_file: Path, brow
     assert before == "scenario-0-v0"
     assert len(ascending) == 12
     assert ascending == sorted(ascending) == descending[::-1]
+
+
+@pytest.mark.parametrize("width", [420, 1280])
+def test_five_estimators_are_shown_without_scrolling(tmp_path: Path, browse: "Browse", width: int) -> None:
+    path = tmp_path / "report.html"
+    path.write_text(benchmark_page(SUITE), encoding="utf-8")
+    tables = "[...document.querySelectorAll('details[open] .wide')]"
+    cells = "[...document.querySelector('table.sortable').rows[1].cells].map(x => x.getBoundingClientRect().right)"
+    scroll, client, overflows, right, shown = browse(
+        path,
+        width,
+        f"[r.scrollWidth, r.clientWidth, {tables}.map(x => x.scrollWidth - x.clientWidth), {cells},"
+        " document.querySelector('table.sortable').rows[1].innerText]",
+    )
+    assert scroll == client <= width
+    assert overflows == [0, 0, 0]  # of the position error, the drift and the settings
+    assert len(right) == 6 and max(right) <= width
+    assert all(text in shown for text in ("failed", "2 of 2 runs"))
