@@ -16,6 +16,7 @@ from dronevio.eval.metrics import ScoredTrajectory, nees_bounds
 from dronevio.eval.report import plots
 from dronevio.eval.report.figures import svg_plot
 from dronevio.eval.report.model import RunResults
+from dronevio.eval.report.path3d import path_scene
 from dronevio.eval.report.templating import Tile, number, render_page
 from dronevio.eval.run import tracks_of
 
@@ -40,6 +41,8 @@ def run_page(results: RunResults, values: Mapping[str, object]) -> str:
         info.title,
         _summary(values),
         tiles=list(_tiles(values)),
+        script="path3d.js",
+        path_scene=path_scene(results.estimate, results.recording.ground_truth, results.outline),
         path_plots=list(_path_plots(results)),
         time_plots=list(_time_plots(results)),
         length_plots=[] if scored is None else list(_length_plots(scored)),

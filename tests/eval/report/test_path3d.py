@@ -1,0 +1,90 @@
+"""The path of a run in three dimensions: projection, extent, and rotation in a browser."""
+
+import re
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+import pytest
+
+from dronevio.eval.provenance import RunInfo
+from dronevio.eval.report.path3d import path_scene, projected
+from dronevio.eval.report.run import write_report
+from dronevio.models.state import Trajectory
+
+if TYPE_CHECKING:
+    from tests.eval.conftest import Browse, SyntheticFlight
+
+NOTHING = np.zeros((0, 2, 3))
+
+
+def straight(*ends: tuple[float, float, float], poses: int = 2) -> Trajectory:
+    """Return a trajectory along a line between two points."""
+    p = np.linspace(*ends, poses)
+    return Trajectory(np.arange(poses) * 10**9, p, np.tile([1.0, 0.0, 0.0, 0.0], (poses, 1)))
+
+
+def numbers_of(shape: str) -> list[float]:
+    """Return the coordinates of the value of ``d`` of an SVG path."""
+    return [float(word) for word in re.findall(r"-?[\d.]+", shape)]
+
+
+def test_the_projection_by_hand() -> None:
+    # The viewer is at 60° to the right of the x axis and 30° above: x points half right, z points up by cos 30°.
+    x, y, z = projected(np.eye(3)).tolist()
+    assert x == pytest.approx([np.sqrt(0.75), 0.25])
+    assert y == pytest.approx([0.5, -0.5 * np.sqrt(0.75)])
+    assert z == pytest.approx([0.0, -np.sqrt(0.75)])
+
+
+def test_the_scene_is_centred_and_holds_everything() -> None:
+    scene = path_scene(straight((2.0, 2.0, 1.0), (6.0, 2.0, 1.0)), None, NOTHING)
+    assert scene is not None
+    estimate = scene.paths[-1]
+    assert estimate.coordinates == "-2000 0 0 2000 0 0 2000 0 0"
+    assert estimate.drawing == "M-1.732 -0.500L1.732 0.500L1.732 0.500"
+    assert scene.half_width_m == pytest.approx(1.08 * 2.0)
+    assert scene.half_height_m == pytest.approx(1.08 * 1.0)
+    assert scene.axis_m == 0.5
+    segments = np.array([[[0.0, 0.0, 0.0], [8.0, 0.0, 0.0]], [[0.0, 4.0, 2.0], [8.0, 4.0, 2.0]]])
+    walled = path_scene(straight((2.0, 2.0, 1.0), (6.0, 2.0, 1.0)), None, segments)
+    assert walled is not None
+    assert walled.paths[0].pairs and walled.paths[0].drawing.count("M") == 2
+    half = np.array([walled.half_width_m, walled.half_height_m])
+    assert all(np.all(np.abs(projected(path.points)) <= half) for path in walled.paths)
+
+
+def test_long_paths_are_thinned_and_empty_ones_omitted() -> None:
+    scene = path_scene(straight((0.0, 0.0, 0.0), (9.0, 0.0, 0.0), poses=9000), None, NOTHING)
+    assert scene is not None and 500 < len(scene.paths[-1].points) < 900
+    assert scene.paths[-1].points[-1].tolist() == [4.5, 0.0, 0.0]
+    nothing = straight((0.0, 0.0, 0.0), (1.0, 0.0, 0.0), poses=0)
+    assert path_scene(nothing, None, NOTHING) is None
+    only_truth = path_scene(nothing, straight((0.0, 0.0, 0.0), (1.0, 0.0, 0.0)), NOTHING)
+    assert only_truth is not None and [path.name for path in only_truth.paths if path.name] == ["truth"]
+
+
+def test_keys_rotate_the_picture_and_home_restores_it(
+    flight: "SyntheticFlight", tmp_path: Path, browse: "Browse"
+) -> None:
+    info = RunInfo("flight", "dronevio run", "dronevio view", 0, {})
+    write_report(tmp_path, info, flight.recording, flight.run, None, outline=flight.outline)
+    html = (tmp_path / "report.html").read_text(encoding="utf-8")
+    assert " hidden>Drag or use the arrow keys" in html  # the hint is shown by the script alone
+    shapes = "[...document.querySelectorAll('.spatial path')].map(x => x.getAttribute('d'))"
+    press = "document.querySelector('.spatial').dispatchEvent(new KeyboardEvent('keydown', {key: '%s'}))"
+    found = browse(
+        tmp_path / "report.html",
+        420,
+        f"[{shapes}, {press % 'ArrowRight'}, {shapes}, {press % 'Home'}, {shapes},"
+        " document.querySelector('figcaption [hidden]') === null, r.scrollWidth - r.clientWidth]",
+    )
+    static, _, rotated, _, restored, hint_is_shown, overflow = found
+    assert hint_is_shown and overflow == 0
+    assert all(shape in html for shape in static)
+    assert len(static) == len(rotated) == 6
+    assert all(a != b for a, b in zip(static, rotated, strict=True))
+    z_axis = numbers_of(rotated[3])
+    assert z_axis[0] == z_axis[2] and z_axis[1] > z_axis[3]  # it stays upright
+    for before, after in zip(map(numbers_of, static), map(numbers_of, restored), strict=True):
+        assert after == pytest.approx(before, abs=0.0011)  # rounding of coordinates to millimetres
