@@ -99,6 +99,7 @@ def main(arguments: Sequence[str]) -> int:
     if command.sizing:
         return _print_sizing(command, benchmark)
 
+    from dronevio.eval.benchmark.cache import RecordingCache
     from dronevio.eval.benchmark.rows import RESULTS_FILE
     from dronevio.eval.benchmark.runner import run_benchmark
     from dronevio.eval.benchmark.store import ResultStore
@@ -106,6 +107,7 @@ def main(arguments: Sequence[str]) -> int:
     folder = command.out or Path("benchmarks") / (command.suite or "results")
     engine = _engine(command)
     store = ResultStore(folder)
+    RecordingCache(benchmark.cache).remove_abandoned()
     with _run_progress(quiet=command.printing.json) as listener:
         rows = run_benchmark(benchmark, store, engine, listener, command.retry)
     if command.printing.json:

@@ -20,14 +20,14 @@ def atomic_folder(target: Path, overwrite: bool = False, mark: str = "mav0") -> 
     ``target`` with ``.incomplete`` appended.
 
     Args:
-        target: Folder to make, with its parents.
+        target: Folder to make, with its parents. Of a symbolic link, it is the target of the link.
         overwrite: Whether an existing folder is replaced.
         mark: File or folder in ``target`` that identifies it as an earlier result; no other folder is replaced.
 
     Raises:
         InputError: The target exists and must not be replaced, or it cannot be made.
     """
-    target = target.absolute()
+    target = target.resolve()  # the target of a symbolic link is written, and the link stays
     _require_replaceable(target, overwrite, mark)
     try:
         target.parent.mkdir(parents=True, exist_ok=True)
@@ -57,9 +57,10 @@ def atomic_folder(target: Path, overwrite: bool = False, mark: str = "mav0") -> 
 def atomic_file(target: Path) -> Iterator[Path]:
     """Yield a path beside ``target`` that is renamed to ``target`` if the context ends without an error.
 
-    The name of the path has ``.incomplete`` before the suffix. It is deleted after an error; if the process is killed,
+    Of a symbolic link, the target is replaced. The name of the path has ``.incomplete`` before the suffix. It is deleted after an error; if the process is killed,
     what was written so far stays there.
     """
+    target = target.resolve()  # the target of a symbolic link is written, and the link stays
     partial = target.with_name(f"{target.stem}.incomplete{target.suffix}")
     try:
         target.parent.mkdir(parents=True, exist_ok=True)

@@ -90,6 +90,14 @@ class RecordingCache:
             fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
             shutil.rmtree(self._folder / digest, ignore_errors=True)
 
+    def remove_abandoned(self) -> None:
+        """Delete the partial recordings that killed processes left; those that are being made are locked, and stay."""
+        for partial in self._folder.glob(".*.partial-*"):
+            digest = partial.name.removeprefix(".").partition(".partial-")[0]
+            with self._open_lock(digest) as lock, suppress(BlockingIOError):
+                fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+                shutil.rmtree(partial, ignore_errors=True)
+
     def _make(self, digest: str, make: Callable[[Path], None]) -> Path:
         """Make a recording under a temporary name and rename it once it is complete."""
         for abandoned in self._folder.glob(f".{digest}.partial-*"):

@@ -111,3 +111,26 @@ def test_paths_are_free_if_nothing_would_be_lost(tmp_path: Path) -> None:
         with pytest.raises(InputError, match="exists already; expected a new name, or --overwrite"):
             require_free(taken, overwrite=False)
     assert size_mb(tmp_path / "file") == pytest.approx(1e-6)
+
+
+def test_a_symbolic_link_stays_and_its_target_is_written(tmp_path: Path) -> None:
+    (tmp_path / "elsewhere").mkdir()
+    for name in ("folder", "file"):
+        (tmp_path / name).symlink_to(tmp_path / "elsewhere" / name)
+    with atomic_folder(tmp_path / "folder") as folder:
+        (folder / "mav0").mkdir()
+    with atomic_folder(tmp_path / "folder", overwrite=True) as folder:
+        (folder / "mav0").write_text("new")
+    with atomic_file(tmp_path / "file") as file:
+        file.write_text("text")
+    assert (tmp_path / "folder").is_symlink() and (tmp_path / "file").is_symlink()
+    assert (tmp_path / "elsewhere" / "folder" / "mav0").read_text() == "new"
+    assert (tmp_path / "elsewhere" / "file").read_text() == "text"
+    assert sorted(path.name for path in tmp_path.rglob("*")) == [
+        "elsewhere",
+        "file",
+        "file",
+        "folder",
+        "folder",
+        "mav0",
+    ]

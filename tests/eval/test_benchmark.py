@@ -393,3 +393,19 @@ def test_results_without_the_column_of_defects_are_read(tmp_path: Path) -> None:
     write_rows(path, [OK])
     parquet.write_table(parquet.read_table(path).drop_columns(["defects"]), path)
     assert read_rows(path) == (OK,) and OK.defects == ""
+
+
+def test_partial_recordings_of_dead_processes_are_removed(tmp_path: Path) -> None:
+    (tmp_path / ".dead.partial-x" / "mav0").mkdir(parents=True)
+    cache, being_made = RecordingCache(tmp_path), []
+
+    def make(folder: Path) -> None:
+        being_made.append(folder)
+        cache.remove_abandoned()
+        assert folder.exists()  # it is locked
+
+    with cache.acquire("alive", make) as recording:
+        cache.remove_abandoned()
+        assert recording.exists()
+    assert len(being_made) == 1
+    assert not list(tmp_path.glob(".*.partial-*"))
