@@ -57,7 +57,8 @@ def atomic_folder(target: Path, overwrite: bool = False, mark: str = "mav0") -> 
 def atomic_file(target: Path) -> Iterator[Path]:
     """Yield a path beside ``target`` that is renamed to ``target`` if the context ends without an error.
 
-    Of a symbolic link, the target is replaced. The name of the path has ``.incomplete`` before the suffix. It is deleted after an error; if the process is killed,
+    Of a symbolic link, the target is replaced. The name of the path has ``.incomplete`` before the suffix. It is
+    deleted after an error; if the process is killed,
     what was written so far stays there.
     """
     target = target.resolve()  # the target of a symbolic link is written, and the link stays
