@@ -225,8 +225,8 @@ def metric_ratio(metric: str, pairs: Sequence[Pair], seed: int = 0) -> Ratio:
     logs = np.array([_log_ratio(*(math.inf if v is None else v for v in pair)) for pair in known])
     low, high = _confidence_interval(logs, np.random.default_rng(seed))
     median = float(_median(logs[None])[0])
-    interval, missing = (_exp(low), _exp(high)), len(pairs) - len(known)
-    return Ratio(metric, len(known), missing, _exp(median), *interval, _wilcoxon_p(logs), np.count_nonzero(logs))
+    interval, missing, differing = (_exp(low), _exp(high)), len(pairs) - len(known), int(np.count_nonzero(logs))
+    return Ratio(metric, len(known), missing, _exp(median), *interval, _wilcoxon_p(logs), differing)
 
 
 def _comparison(name: str, pairs: Sequence[Pair], metrics: Sequence[str], seed: int) -> Comparison:

@@ -98,7 +98,7 @@ def path_scene(estimate: Trajectory, truth: Trajectory | None, outline: Array) -
         truth: The true trajectory; None if it is not known.
         outline: (L, 2, 3) Line segments of the surroundings in the same frame [m].
     """
-    tracks = [(t, *look) for t, *look in _tracks(estimate, truth) if len(t)]
+    tracks = [track for track in _tracks(estimate, truth) if len(track[0])]
     if not tracks:
         return None
     segments = outline[:: max(1, math.ceil(len(outline) / _MAX_SEGMENTS))].reshape(-1, 3)
@@ -136,7 +136,7 @@ def projected(points: Array) -> Array:
     right = [-math.sin(azimuth), math.cos(azimuth), 0.0]
     tilt = math.sin(elevation)
     down = [tilt * math.cos(azimuth), tilt * math.sin(azimuth), -math.cos(elevation)]
-    return points @ np.array([right, down]).T
+    return np.asarray(points @ np.array([right, down]).T, dtype=np.float64)
 
 
 def _tracks(estimate: Trajectory, truth: Trajectory | None) -> Iterable[tuple[Array, str, str]]:
