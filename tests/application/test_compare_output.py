@@ -31,7 +31,12 @@ def compared(
 
 
 def test_what_changed_is_printed_first(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    first = {"a": [0.1] * 6, "b": [0.1, None, 0.1, 0.1], "c": [0.1] * 6, "d": [0.1, 0.1]}
+    first: dict[str, Sequence[float | None]] = {
+        "a": [0.1] * 6,
+        "b": [0.1, None, 0.1, 0.1],
+        "c": [0.1] * 6,
+        "d": [0.1, 0.1],
+    }
     compared(tmp_path, first, first | {"c": [0.2] * 6, "d": [0.1, None]})
     lines = capsys.readouterr().out.splitlines()
     assert lines[1].startswith("c: ate_m 100.0 % larger, significantly worse")

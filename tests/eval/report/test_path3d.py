@@ -20,7 +20,8 @@ NOTHING = np.zeros((0, 2, 3))
 
 def straight(*ends: tuple[float, float, float], poses: int = 2) -> Trajectory:
     """Return a trajectory along a line between two points."""
-    p = np.linspace(*ends, poses)
+    start, end = ends
+    p = np.linspace(start, end, poses)
     return Trajectory(np.arange(poses) * 10**9, p, np.tile([1.0, 0.0, 0.0, 0.0], (poses, 1)))
 
 
