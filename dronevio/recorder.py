@@ -161,6 +161,7 @@ def record_refly(
         flown.T_simworld_world,
     )
     settings = {"world": flown.world, "seed": seed, "rig": flown.rig, "T_simworld_world": flown.T_simworld_world}
+    settings["imaging"] = job.imaging
     _write_settings(folder, {"refly": {**settings, "real_imu": flown.real_imu}})
     write_euroc(folder, flown.rig, flown.imu, flown.truth, flown.schedule.stamps_ns)
     render_frames(job, folder / "mav0", rendering, workers)

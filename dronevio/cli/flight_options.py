@@ -40,6 +40,13 @@ class ImagingOptions(Settings):
     """Standard deviation of the photon noise of a white image [grey levels]."""
     vignetting: Annotated[float, Range(0.0, 1.0)] = 0.18
     """Relative loss of light at the corner farthest from the centre."""
+    blur_sigma_px: Annotated[float, Range(0.0, 20.0)] = 0.0
+    """Standard deviation of the Gaussian point spread of lens and pixels, beyond the area of a pixel [px]."""
+    response_sigma: Annotated[float, Range(0.0, 1.0)] = 0.0
+    """Relative standard deviation of the response of pixels, a pattern that is fixed for each camera."""
+    contrast: Annotated[float, Range(0.1, 10.0)] = 1.0
+    """Exponent of the light of the world relative to grey level 128; above 1, shadows are darker and bright surfaces
+    saturate."""
 
     @classmethod
     def of(cls, imaging: "Imaging") -> Self:
@@ -47,18 +54,27 @@ class ImagingOptions(Settings):
         from dronevio.sim.cameras.exposure import AutoExposure
 
         automatic = isinstance(imaging.control, AutoExposure)
-        return cls(imaging.control.longest_s, automatic, imaging.read_sigma, imaging.shot_sigma, imaging.vignetting)
+        return cls(
+            imaging.control.longest_s,
+            automatic,
+            imaging.read_sigma,
+            imaging.shot_sigma,
+            imaging.vignetting,
+            imaging.blur_sigma_px,
+            imaging.response_sigma,
+            imaging.contrast,
+        )
 
     def imaging(self, base: "Imaging") -> "Imaging":
         """Return the imaging of a scenario with these options.
 
         Args:
-            base: The imaging of the scenario, whose exposure control is kept if no option differs from it.
+            base: The imaging of the scenario, whose exposure control is kept if no option of it differs.
         """
         from dronevio.sim.cameras.exposure import AutoExposure, FixedExposure
 
-        control = base.control
-        if self != ImagingOptions.of(base):
+        control, of_base = base.control, ImagingOptions.of(base)
+        if (self.exposure_s, self.auto_exposure) != (of_base.exposure_s, of_base.auto_exposure):
             control = AutoExposure(longest_s=self.exposure_s) if self.auto_exposure else FixedExposure(self.exposure_s)
         return replace(
             base,
@@ -66,6 +82,9 @@ class ImagingOptions(Settings):
             read_sigma=self.read_sigma,
             shot_sigma=self.shot_sigma,
             vignetting=self.vignetting,
+            blur_sigma_px=self.blur_sigma_px,
+            response_sigma=self.response_sigma,
+            contrast=self.contrast,
         )
 
 
@@ -86,6 +105,9 @@ class FlightOptions(Settings):
     camchain.yaml, or a recording with its calibration."""
     imu: str | None = None
     """IMU that replaces the one of the rig: euroc, ADIS16448, BMI088, MPU-6050 or tactical."""
+    image_sensor: str | None = None
+    """Image sensor whose values are the defaults of the options of imaging, instead of those of the scenario: standard,
+    with short exposures, or vi-sensor, with the exposures, noise and contrast of EuRoC's images."""
     plan: FlightPlan = field(default_factory=FlightPlan)
     """Settings of the planned trajectory."""
     imaging: ImagingOptions = field(default_factory=ImagingOptions)
@@ -96,13 +118,21 @@ class FlightOptions(Settings):
     """Settings of faults of vehicle and sensors."""
 
     @classmethod
-    def of(cls, scenario: "Scenario") -> Self:
-        """Return the options that leave a scenario unchanged."""
+    def of(cls, scenario: "Scenario", image_sensor: str | None = None) -> Self:
+        """Return the options that leave a scenario unchanged, but for its image sensor if one is given.
+
+        Raises:
+            ConfigError: There is no such image sensor.
+        """
+        from dronevio.sim.cameras.imaging import image_sensor_named
+
+        imaging = scenario.imaging if image_sensor is None else image_sensor_named(image_sensor)
         return cls(
             scenario=scenario.name,
             seed=scenario.seed,
+            image_sensor=image_sensor,
             plan=scenario.plan,
-            imaging=ImagingOptions.of(scenario.imaging),
+            imaging=ImagingOptions.of(imaging),
             wind=scenario.wind,
             faults=scenario.faults,
         )
@@ -117,6 +147,7 @@ class FlightOptions(Settings):
         from dronevio.models.imu_presets import imu_named
         from dronevio.models.quadrotor import vehicle_named
         from dronevio.recorder import rig_of
+        from dronevio.sim.cameras.imaging import image_sensor_named
         from dronevio.sim.scenarios import scenario_named
         from dronevio.sim.world import require_world
 
@@ -130,7 +161,9 @@ class FlightOptions(Settings):
             quadrotor=base.quadrotor if self.vehicle is None else vehicle_named(self.vehicle),
             rig=rig if self.imu is None else replace(rig, imu=imu_named(self.imu)),
             plan=self.plan,
-            imaging=self.imaging.imaging(base.imaging),
+            imaging=self.imaging.imaging(
+                base.imaging if self.image_sensor is None else image_sensor_named(self.image_sensor)
+            ),
             wind=self.wind,
             faults=self.faults,
         )
@@ -144,7 +177,7 @@ Command = TypeVar("Command")
 def parse_flight(command: type[Command], arguments: Sequence[str], name: str) -> Command:
     """Return a command with a field ``flight`` of `FlightOptions`, filled from the command line.
 
-    The scenario is looked up first because its values are the defaults of all other options.
+    The scenario and the image sensor are looked up first because their values are the defaults of other options.
 
     Args:
         command: The dataclass of the command.
@@ -152,14 +185,16 @@ def parse_flight(command: type[Command], arguments: Sequence[str], name: str) ->
         name: The command's name without ``dronevio``.
 
     Raises:
-        ConfigError: There is no such scenario.
+        ConfigError: There is no such scenario or image sensor.
     """
     from dronevio.sim.scenarios import scenario_named
 
     first = argparse.ArgumentParser(add_help=False, allow_abbrev=False, exit_on_error=False)
     first.add_argument("--scenario", default=DEFAULT_SCENARIO)
+    first.add_argument("--image-sensor", default=None)
     try:
-        named = first.parse_known_args(list(arguments))[0].scenario
+        named = first.parse_known_args(list(arguments))[0]
     except argparse.ArgumentError as error:
         raise ConfigError(f"{error.argument_name}: {error.message}") from None
-    return parse(command, arguments, name, {"flight": FlightOptions.of(scenario_named(named))})
+    options = FlightOptions.of(scenario_named(named.scenario), named.image_sensor)
+    return parse(command, arguments, name, {"flight": options})

@@ -23,6 +23,7 @@ class ReflyCommand(Settings):
     Examples:
       dronevio refly --trajectory gt.csv --imu imu0.csv --world room
       dronevio refly --trajectory gt.tum --world forest --rig fisheye-stereo --duration-s 20
+      dronevio refly --trajectory MH_01/mav0 --rig MH_01/mav0 --image-sensor vi-sensor
       dronevio refly --trajectory V1_02/mav0 --out recordings/V1_02 && dronevio estimate recordings/V1_02
     """
 
@@ -35,6 +36,9 @@ class ReflyCommand(Settings):
     """World that is placed around the trajectory; `dronevio worlds` lists them."""
     rig: str = "euroc"
     """Sensors: a name such as euroc-stereo, a Kalibr camchain.yaml, or an EuRoC folder with sensor.yaml files."""
+    image_sensor: str = "standard"
+    """Image sensor: standard, with short exposures, or vi-sensor, with the exposures, noise and contrast of EuRoC's
+    images."""
     seed: Annotated[int, Range(0, 2**32 - 1)] = 0
     """Seed of the world, of the image noise and of the errors of a synthesized IMU."""
     start_s: Annotated[float, Range(low=0.0)] = 0.0
@@ -60,8 +64,10 @@ def main(arguments: Sequence[str]) -> int:
     from dronevio.models.recordings.tum import read_trajectory
     from dronevio.recorder import record_refly, rig_of
     from dronevio.sim.cameras.gl import require_gl
+    from dronevio.sim.cameras.imaging import image_sensor_named
     from dronevio.sim.refly import cut, refly
 
+    imaging = image_sensor_named(command.image_sensor)
     path = cut(read_trajectory(command.trajectory), command.start_s, command.duration_s)
     imu = None if command.imu is None else read_imu(command.imu)
     flown = refly(path, imu, rig_of(command.rig), command.world, command.seed, command.margin_m)
@@ -69,7 +75,7 @@ def main(arguments: Sequence[str]) -> int:
     target = command.out or Path("recordings") / f"{name}-{command.world}-{command.seed}"
     require_gl()
     with atomic_folder(target, command.output.overwrite) as folder, progress_bars(quiet=command.output.json) as bars:
-        record_refly(flown, command.seed, folder, bars.bar("rendering"))
+        record_refly(flown, command.seed, folder, bars.bar("rendering"), imaging=imaging)
     speed = np.linalg.norm(np.diff(path.p_world_imu, axis=0), axis=1) / (np.diff(path.t_ns) * 1e-9)
     figures = {
         "duration_s": float(path.t_s[-1]),

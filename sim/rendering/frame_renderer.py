@@ -1,5 +1,6 @@
 """Rendering of single frames: exposure over the motion of a camera, noise, and the brightness of the scene."""
 
+import zlib
 from dataclasses import dataclass
 
 import mujoco
@@ -86,6 +87,7 @@ class FrameRenderer:
             margin_px: Margin of the key images around the image [px]; see `Shutter`.
         """
         self._imaging, self._readout_s = imaging, camera.readout_s
+        self._pixels = zlib.crc32(repr(camera.model).encode() + camera.T_imu_cam.tobytes())
         self._shutter = Shutter(camera, margin_px)
         self._camera = OffscreenCamera(model, self._shutter.drawn, context=context)
         self.thumbnail = Thumbnail(camera.model, model, context)
@@ -115,7 +117,7 @@ class FrameRenderer:
         plan = self._shutter.plan(poses, middle_ns, exposure.time_s, nearest_m, swept_rad)
         light = self._shutter.expose(plan, poses, view)
         irradiance = scene.illumination * float(frame.lit)
-        return self._imaging.digitize(light, irradiance, exposure.time_s, exposure.gain, rng)
+        return self._imaging.digitize(light, irradiance, exposure.time_s, exposure.gain, rng, self._pixels)
 
 
 def image_noise(seed: int, frame: int, camera: int) -> np.random.Generator:

@@ -5,7 +5,7 @@ import pytest
 
 from dronevio.models.errors import ConfigError
 from dronevio.sim.cameras.exposure import AutoExposure, Exposures, FixedExposure
-from dronevio.sim.cameras.imaging import Imaging
+from dronevio.sim.cameras.imaging import VI_SENSOR, Imaging, image_sensor_named
 
 NOMINAL_S = 0.002
 
@@ -44,6 +44,62 @@ def test_vignetting_darkens_the_corners_only() -> None:
     image = sensor.digitize(grey(200, (101, 201)), 1.0, NOMINAL_S, 1.0, np.random.default_rng(0))
     assert image[50, 100] == 200
     assert image[0, 0] == image[-1, -1] == 160
+
+
+def test_blur_has_the_stated_width() -> None:
+    sensor = Imaging(read_sigma=0.0, shot_sigma=0.0, vignetting=0.0, blur_sigma_px=1.5)
+    step = np.where(np.arange(41) < 20, 50.0, 150.0)[None].repeat(41, axis=0).astype(np.float32)
+    edge = np.diff(sensor.digitize(step, 1.0, NOMINAL_S, 1.0, np.random.default_rng(0))[20].astype(float))
+    centre = edge @ np.arange(40) / edge.sum()
+    assert np.sqrt(edge @ (np.arange(40) - centre) ** 2 / edge.sum()) == pytest.approx(1.5, abs=0.05)
+
+
+def test_contrast_widens_the_range_of_light() -> None:
+    """With an exponent of 2, half of the middle grey has a quarter of its light, and 1.25 times it 1.56 times."""
+    sensor = Imaging(read_sigma=0.0, shot_sigma=0.0, vignetting=0.0, contrast=2.0)
+    levels = [
+        int(sensor.digitize(grey(level), 1.0, NOMINAL_S, 1.0, np.random.default_rng(0))[0, 0])
+        for level in (64, 128, 160, 250)
+    ]
+    assert levels == [32, 128, 200, 255]
+
+
+def test_auto_exposure_meters_the_light_with_contrast() -> None:
+    """Levels of 64 and 160 have light of 32 and 200."""
+    scene = 0.5 * histogram(grey(64)) + 0.5 * histogram(grey(160))
+    sensor = Imaging(AutoExposure(tolerance=0.0, target_level=58.0), NOMINAL_S, contrast=2.0)
+    exposures = sensor.exposures(np.stack([scene] * 3), np.ones(3))
+    np.testing.assert_allclose(exposures.time_s / NOMINAL_S, 58.0 / 116.0, rtol=1e-3)
+
+
+def test_pattern_of_pixels_is_fixed_for_a_camera() -> None:
+    sensor = Imaging(read_sigma=0.0, shot_sigma=0.0, vignetting=0.0, response_sigma=0.05)
+    one, two, other = (
+        sensor.digitize(grey(120), 1.0, NOMINAL_S, 1.0, np.random.default_rng(frame), pixels).astype(float)
+        for frame, pixels in ((0, 7), (1, 7), (0, 8))
+    )
+    np.testing.assert_array_equal(one, two)
+    assert one.std() == pytest.approx(6.0, rel=0.02)
+    assert abs(np.corrcoef(one.ravel(), other.ravel())[0, 1]) < 0.02
+    dark = sensor.digitize(grey(12), 1.0, NOMINAL_S, 1.0, np.random.default_rng(0), 7).astype(float)
+    assert dark.std() == pytest.approx(np.hypot(0.6, np.sqrt(1.0 / 12.0)), rel=0.05)  # proportional to the light
+
+
+def test_defaults_leave_images_as_they_are() -> None:
+    """The image of a sensor without the further properties is that of the equations of EMVA 1288 alone."""
+    light = np.random.default_rng(0).integers(0, 200, (60, 80)).astype(np.uint8)
+    image = Imaging(vignetting=0.0).digitize(light, 1.0, NOMINAL_S, 1.0, np.random.default_rng(5), 3)
+    signal = light.astype(np.float32)
+    noise = np.random.default_rng(5).standard_normal(light.shape, dtype=np.float32)
+    expected = np.clip(np.rint(signal + np.sqrt(1.2**2 + 2.2**2 / 255.0 * signal) * noise), 0, 255)
+    assert np.mean(image == expected) > 0.999  # but for the rounding of single precision
+
+
+def test_image_sensors_have_names() -> None:
+    assert image_sensor_named("standard") == Imaging()
+    assert image_sensor_named("vi-sensor") == VI_SENSOR
+    with pytest.raises(ConfigError, match=r"no image sensor 'vi'; expected one of standard, vi-sensor"):
+        image_sensor_named("vi")
 
 
 def test_same_seed_same_bytes() -> None:
@@ -119,6 +175,9 @@ def test_errors_within_the_tolerance_are_ignored() -> None:
         (lambda: AutoExposure(shortest_s=0.1), "shortest_s"),
         (lambda: Imaging(vignetting=1.2), "vignetting"),
         (lambda: Imaging(read_sigma=float("nan")), "read_sigma"),
+        (lambda: Imaging(blur_sigma_px=-0.1), "blur_sigma_px"),
+        (lambda: Imaging(response_sigma=0.5), "response_sigma"),
+        (lambda: Imaging(contrast=0.0), "contrast"),
     ],
 )
 def test_invalid_settings_are_refused_by_name(make: object, name: str) -> None:
