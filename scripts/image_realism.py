@@ -174,9 +174,9 @@ class Section:
     """Frames of a recording with their true poses."""
 
     recording: Recording
-    """The recording."""
+    """The recording of the frames."""
     frames: tuple[CameraFrame, ...]
-    """The frames."""
+    """The frames in time order."""
     truth: Trajectory
     """True poses of the IMU at the frames."""
 
