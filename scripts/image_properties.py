@@ -6,6 +6,7 @@ All are computed from images alone, so that real and simulated recordings can be
 from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import pairwise
+from typing import Any
 
 import cv2
 import numpy as np
@@ -98,12 +99,11 @@ def fixed_pattern(images: Sequence[Image]) -> float:
 def _blocks(values: npt.NDArray[np.float32]) -> npt.NDArray[np.float32]:
     """Return the means over blocks of an image."""
     height, width = (size // _BLOCK_PX for size in values.shape)
-    return cv2.resize(
-        values[: height * _BLOCK_PX, : width * _BLOCK_PX], (width, height), interpolation=cv2.INTER_AREA
-    ).ravel()
+    cropped = values[: height * _BLOCK_PX, : width * _BLOCK_PX]
+    return np.asarray(cv2.resize(cropped, (width, height), interpolation=cv2.INTER_AREA).ravel(), np.float32)
 
 
-def edge_blurs(image: Image) -> tuple[Array, Array, Array]:
+def edge_blurs(image: Image) -> tuple[npt.NDArray[np.int64], Array, Array]:
     """Return pixels (N, 2), unit normals (N, 2) and variance of the blur (N,) of strong, isolated edges [px²].
 
     A step that is blurred by a Gaussian of variance b² has the largest gradient 1 / √(b² + s²) under a derivative of
@@ -128,10 +128,10 @@ def edge_blurs(image: Image) -> tuple[Array, Array, Array]:
     isolated &= ratio > 1.02
     s, big = (scale**2 + _DIFFERENCE_VARIANCE for scale in _EDGE_SCALES)
     variance = (big - ratio[isolated] * s) / (ratio[isolated] - 1.0)
-    return np.stack([columns, rows], axis=1)[isolated], normals[isolated].astype(np.float64), variance
+    return np.stack([columns, rows], axis=1).astype(np.int64)[isolated], normals[isolated].astype(np.float64), variance
 
 
-def _at(values: npt.NDArray[np.float32], x: npt.NDArray[np.float32], y: npt.NDArray[np.float32]) -> Array:
+def _at(values: npt.NDArray[np.float32], x: Array, y: Array) -> Array:
     """Return the values of an image at pixels, by linear interpolation."""
     if not len(x):
         return np.zeros(0)
@@ -150,7 +150,7 @@ def blur_and_exposure(images: Sequence[tuple[Image, Image]], interval_s: float) 
         images: Pairs of consecutive images.
         interval_s: Interval of the images of a pair [s].
     """
-    flows = cv2.DISOpticalFlow.create(cv2.DISOPTICAL_FLOW_PRESET_FAST)
+    flows: Any = cv2.DISOpticalFlow.create(cv2.DISOPTICAL_FLOW_PRESET_FAST)
     moved, variances = [], []
     for image, following in images:
         pixels, normals, variance = edge_blurs(image)
@@ -194,17 +194,18 @@ def brightness_changes(images: Sequence[Image], gap: int) -> tuple[Array, Array]
     """
     common, own = [], []
     for start in range(0, len(images) - gap, max(gap, 4)):
-        points = cv2.goodFeaturesToTrack(images[start], 200, 0.01, 15)
+        points: Any = cv2.goodFeaturesToTrack(images[start], 200, 0.01, 15)
         if points is None:
             continue
         current, alive = points, np.ones(len(points), bool)
         for k in range(start, start + gap):
             before = match_brightness(images[k], images[k + 1])
-            current, found, _ = cv2.calcOpticalFlowPyrLK(before, images[k + 1], current, None)
+            found: Any
+            current, found, _ = cv2.calcOpticalFlowPyrLK(before, images[k + 1], current, None)  # type: ignore[call-overload]
             alive &= found.ravel() > 0
         means = [cv2.blur(images[k].astype(np.float32), (11, 11)) for k in (start, start + gap)]
         first, last = (
-            cv2.remap(mean, at, None, cv2.INTER_LINEAR).ravel()
+            cv2.remap(mean, at, np.zeros(0), cv2.INTER_LINEAR).ravel()
             for mean, at in zip(means, (points, current), strict=True)
         )
         alive &= (first > 10.0) & (first < 240.0) & (last > 10.0) & (last < 240.0)

@@ -258,10 +258,10 @@ def reference_tracks(section: Section, every: int) -> Tracked:
             following += len(new)
             if len(cameras) > 1:
                 matches, found = lucas_kanade(image, frame.images[1], pixels, options)
-                left.append(cameras[0].model.unproject(pixels[found]))
-                right.append(cameras[1].model.unproject(matches[found]))
+                left.append(cameras[0].model.unproject(pixels[found].astype(np.float64)))
+                right.append(cameras[1].model.unproject(matches[found].astype(np.float64)))
                 detected += len(pixels)
-        rows.append((ids, k, cameras[0].model.unproject(pixels)))
+        rows.append((ids, k, cameras[0].model.unproject(pixels.astype(np.float64))))
         previous = image
     return Tracked(table_of(rows), stacked(left), stacked(right), detected)
 
@@ -283,7 +283,7 @@ def new_corners(image: Image, pixels: npt.NDArray[np.float32]) -> npt.NDArray[np
         cv2.circle(mask, (x, y), SPACING_PX, 0, -1)
     missing = FEATURES - len(pixels)
     found = cv2.goodFeaturesToTrack(image, missing, _QUALITY, SPACING_PX, mask=mask) if missing > 0 else None
-    return np.zeros((0, 2), np.float32) if found is None else found[:, 0]
+    return np.zeros((0, 2), np.float32) if found is None else np.asarray(found[:, 0], np.float32)
 
 
 def unit(xy: Array) -> Array:
@@ -447,7 +447,14 @@ def image_rows(every: Sequence[Figures]) -> Iterator[tuple[str, ...]]:
 
 def report(every: Sequence[Figures]) -> str:
     """Return the Markdown tables of all recordings."""
-    tracks = ("recording", "tracker", "age", "tracks", "survival [%]", "true poses: median / 95 % [px]")
+    tracks: tuple[str, ...] = (
+        "recording",
+        "tracker",
+        "age",
+        "tracks",
+        "survival [%]",
+        "true poses: median / 95 % [px]",
+    )
     tracks = (*tracks, "corrected poses [px]", "> 1 px [%]", "> 3 px [%]")
     stereo = ("recording", "tracker", "features", "matched [%]", "median / 95 % [px]", "> 1 px [%]")
     truth = ("recording", "time offset [ms]", "rotation [°]", "correction [°]", "correction [mm]", "gyroscope [°]")

@@ -133,13 +133,13 @@ def shapes(blur_px: float, motion_px: float = 0.0, noise: float = 1.5, shift: fl
     for _ in range(60):
         x, y = rng.integers(0, [4 * 752, 4 * 480]).tolist()
         cv2.circle(large, (x + round(4 * shift), y), int(rng.integers(80, 240)), int(rng.integers(40, 200)), -1)
-    light = large.astype(np.float32)
+    light: Any = large.astype(np.float32)
     if blur_px:
         light = cv2.GaussianBlur(light, (0, 0), 4.0 * blur_px)
     if motion_px:
         light = cv2.blur(light, (round(4 * motion_px) | 1, 1))
     small = cv2.resize(light, (752, 480), interpolation=cv2.INTER_AREA)
-    return np.clip(np.rint(small + rng.normal(0.0, noise, small.shape)), 0, 255).astype(np.uint8)
+    return np.asarray(np.clip(np.rint(small + rng.normal(0.0, noise, small.shape)), 0, 255), np.uint8)
 
 
 @pytest.mark.parametrize("blur_px", [0.5, 0.8, 1.2])
