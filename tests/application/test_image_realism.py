@@ -103,15 +103,14 @@ def test_corrections_do_not_hide_outliers(tracks: Any) -> None:
     assert np.mean(residual[wrong] > 1.0) > 0.9
 
 
-def test_constant_offsets_are_found(tracks: Any) -> None:
+def test_constant_rotation_is_found(tracks: Any) -> None:
     poses = poses_of(80)
     rotation = np.array([0.002, -0.003, 0.001])
     true = poses.copy()
     true[:, :3, :3] = poses[:, :3, :3] @ exp_so3(rotation)
     pairs = pairs_of(tracks, true[1:], noise_px=0.05)
-    late = poses_of(800)  # the same motion at times 0.1 frames later than stated
     offset_s, found = tracks.constant_offsets(poses[1:], pairs, FOCAL_PX, 0.05)
-    assert offset_s == pytest.approx(0.0, abs=1e-3) and len(late) == 800
+    assert offset_s == pytest.approx(0.0, abs=1e-3)
     np.testing.assert_allclose(found, rotation, atol=4e-4)
 
 
