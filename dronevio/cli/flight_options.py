@@ -40,9 +40,9 @@ class ImagingOptions(Settings):
     """Standard deviation of the photon noise of a white image [grey levels]."""
     vignetting: Annotated[float, Range(0.0, 1.0)] = 0.18
     """Relative loss of light at the corner farthest from the centre."""
-    blur_sigma_px: Annotated[float, Range(0.0, 20.0)] = 0.0
+    blur_sigma_px: Annotated[float, Range(0.0, 10.0)] = 0.0
     """Standard deviation of the Gaussian point spread of lens and pixels, beyond the area of a pixel [px]."""
-    response_sigma: Annotated[float, Range(0.0, 1.0)] = 0.0
+    response_sigma: Annotated[float, Range(0.0, 0.2)] = 0.0
     """Relative standard deviation of the response of pixels, a pattern that is fixed for each camera."""
     contrast: Annotated[float, Range(0.1, 10.0)] = 1.0
     """Exponent of the light of the world relative to grey level 128; above 1, shadows are darker and bright surfaces

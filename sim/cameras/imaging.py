@@ -52,9 +52,9 @@ class Imaging(Settings):
     capacity of (255 / 2.2)² = 13 000 electrons, typical of pixels of 5 µm."""
     vignetting: Annotated[float, Range(0.0, 1.0)] = 0.18
     """Relative loss of light at the corner farthest from the centre."""
-    blur_sigma_px: Annotated[float, Range(0.0, 20.0)] = 0.0
+    blur_sigma_px: Annotated[float, Range(0.0, 10.0)] = 0.0
     """Standard deviation of the Gaussian point spread of lens and pixels, beyond the area of a pixel [px]."""
-    response_sigma: Annotated[float, Range(0.0, 1.0)] = 0.0
+    response_sigma: Annotated[float, Range(0.0, 0.2)] = 0.0
     """Relative standard deviation of the response of pixels (PRNU of EMVA 1288), a pattern that is fixed for each
     camera."""
     contrast: Annotated[float, Range(0.1, 10.0)] = 1.0
