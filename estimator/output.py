@@ -6,7 +6,7 @@ import numpy as np
 import numpy.typing as npt
 
 from dronevio.estimator.initialization.initializer import InitializerConfig, not_ready_reason
-from dronevio.estimator.initialization.not_observable import NotObservable
+from dronevio.estimator.initialization.not_observable import ACCEL_DISAGREES, ROTATION_DISAGREES, NotObservable
 from dronevio.estimator.types import FramePacket, Observations
 from dronevio.models.imu import IMU_GAP_INTERVALS
 from dronevio.models.state import Estimate, FeatureTracks, Health, HealthReport, NavState
@@ -102,6 +102,8 @@ class Publisher:
             return ()
         if not cause or cause in self._stated_causes or t_ns - since_ns < MIN_CAUSE_NS:
             return ()
+        if cause == ACCEL_DISAGREES and ROTATION_DISAGREES in self._stated_causes:
+            return ()  # it presumes that the gyroscope agrees with the images
         self._stated_causes |= {cause}
         return (f"probable cause: {cause}",)
 

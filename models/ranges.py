@@ -167,7 +167,9 @@ def _number_fields(settings: Any) -> tuple[NumberField, ...]:
     """Return the same, computed once for each class."""
     if not is_dataclass(settings):
         return ()
-    hints = get_type_hints(settings, include_extras=True)
+    # An annotation that is the name of a class as a string is a group of settings, possibly not imported yet.
+    groups = {f.type: object for f in fields(settings) if isinstance(f.type, str) and f.type[:1].isupper()}
+    hints = get_type_hints(settings, localns=groups, include_extras=True)
     found = (_number_field(field.name, hints[field.name]) for field in fields(settings))
     return tuple(field for field in found if field is not None)
 

@@ -154,6 +154,6 @@ def test_options_outside_their_range_are_one_line(words: str, message: str, caps
 def test_help_shows_the_range(capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("COLUMNS", "99")
     with pytest.raises(SystemExit):
-        main(["estimate", "--help"])
+        main(["estimate", "--help-all"])
     shown = " ".join(capsys.readouterr().out.replace("│", " ").split())
     assert "Number of keyframes in the window. Allowed: 3 to 40. (default: 9)" in shown

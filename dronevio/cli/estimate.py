@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import tyro
 
-from dronevio.cli.fields import ImportedSettings
+from dronevio.cli.imported_settings import ImportedSettings
 from dronevio.cli.options import Printing, PrintOptions, RecordingInput, RecordingOptions
 from dronevio.cli.terminal import (
     innovation_rows,

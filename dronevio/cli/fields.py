@@ -10,41 +10,18 @@ typeguard, whose import takes 0.08 s, a fifth of the processor time of ``dronevi
 
 import ast
 import dataclasses
-import importlib
 import inspect
 import textwrap
 import types
 from collections.abc import Mapping
 from functools import cache, partial
-from typing import Annotated, Any, Union, get_args, get_origin, get_type_hints
+from typing import Annotated, Any, Union, get_args, get_origin
 
 import tyro
 from tyro.constructors import ConstructorRegistry, StructConstructorSpec, StructFieldSpec, StructTypeInfo
 
+from dronevio.cli.imported_settings import ImportedSettings, field_types
 from dronevio.cli.usage import allowed
-
-
-@dataclasses.dataclass(frozen=True)
-class ImportedSettings:
-    """Default factory of a field for a group of settings whose class is imported when it is needed.
-
-    The annotation of the field is the name of the class as a string.
-    """
-
-    module: str
-    """The module of the class."""
-    name: str
-    """Name of the class."""
-
-    def __call__(self) -> Any:
-        """Return the default settings."""
-        return self.imported()()
-
-    def imported(self) -> type:
-        """Return the class."""
-        found = getattr(importlib.import_module(self.module), self.name)
-        assert isinstance(found, type)
-        return found
 
 
 def registry(command: type, defaults: Mapping[str, object], with_settings: bool) -> ConstructorRegistry:
@@ -62,7 +39,7 @@ def registry(command: type, defaults: Mapping[str, object], with_settings: bool)
         if not dataclasses.is_dataclass(info.type):
             return None
         replaced = defaults if info.type is command else {}
-        hints = _hints(info.type, with_settings)
+        hints = field_types(info.type, with_settings)
         fields = [
             StructFieldSpec(
                 field.name,
@@ -81,7 +58,7 @@ def registry(command: type, defaults: Mapping[str, object], with_settings: bool)
 def settings_groups(command: type) -> dict[str, str]:
     """Return the groups of settings of a command: the prefix of their options, and what they are."""
     found: dict[str, str] = {}
-    hints = _hints(command, with_settings=False)
+    hints = field_types(command, with_settings=False)
     for field in dataclasses.fields(command):
         kind = _without_annotation(hints[field.name])
         if _is_group(field, hints[field.name]):
@@ -104,19 +81,6 @@ def _is_group(field: dataclasses.Field[Any], hint: Any) -> bool:
 def _without_annotation(hint: Any) -> Any:
     """Return a type without what `typing.Annotated` adds to it."""
     return get_args(hint)[0] if get_origin(hint) is Annotated else hint
-
-
-def _hints(kind: type, with_settings: bool) -> dict[str, Any]:
-    """Return the types of the fields of a dataclass.
-
-    Args:
-        kind: The dataclass.
-        with_settings: Whether the classes of `ImportedSettings` are imported; their types are `object` otherwise.
-    """
-    factories = [field.default_factory for field in dataclasses.fields(kind)]
-    late = [factory for factory in factories if isinstance(factory, ImportedSettings)]
-    classes = {factory.name: factory.imported() if with_settings else object for factory in late}
-    return get_type_hints(kind, localns=classes, include_extras=True)
 
 
 def _with_none_first(hint: Any) -> Any:

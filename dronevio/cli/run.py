@@ -8,8 +8,8 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
-from dronevio.cli.fields import ImportedSettings
 from dronevio.cli.flight_options import FlightOptions, ScenarioInput, parse_flight
+from dronevio.cli.imported_settings import ImportedSettings
 from dronevio.cli.options import Output, OutputOptions
 from dronevio.cli.progress import Bars
 from dronevio.cli.terminal import (

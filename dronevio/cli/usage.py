@@ -3,8 +3,9 @@
 import dataclasses
 import re
 from collections.abc import Iterator, Sequence
-from typing import Annotated, get_args, get_origin, get_type_hints
+from typing import Annotated, get_args, get_origin
 
+from dronevio.cli.imported_settings import field_types
 from dronevio.models.ranges import FINITE, RangeError, number_fields
 
 WIDTH = 10_000
@@ -62,7 +63,7 @@ def options(command: type, prefix: str = "") -> Iterator[tuple[str, type, str]]:
         command: The dataclass of the command, or one of the dataclasses in it.
         prefix: Names of the fields in which the dataclass is nested.
     """
-    hints = get_type_hints(command, include_extras=True)
+    hints = field_types(command, with_settings=True)
     for field in dataclasses.fields(command):
         hint = hints[field.name]
         name, kind = f"{prefix}{field.name}".replace("_", "-"), hint

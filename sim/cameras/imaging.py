@@ -14,7 +14,6 @@ from dataclasses import dataclass, field
 from functools import lru_cache
 from typing import Annotated
 
-import cv2
 import numpy as np
 import numpy.typing as npt
 
@@ -108,6 +107,8 @@ class Imaging(Settings):
         if self.contrast != 1.0:
             light = self._light_of(light.astype(np.float32))
         if self.blur_sigma_px > 0.0:
+            import cv2  # 0.05 s, for which help texts would wait
+
             light = cv2.GaussianBlur(light.astype(np.float32), (0, 0), self.blur_sigma_px)  # type: ignore[assignment]
         signal = light * (lens * np.float32(irradiance * exposure_s / self.nominal_exposure_s))
         if self.response_sigma > 0.0:

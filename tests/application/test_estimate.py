@@ -14,6 +14,7 @@ from dronevio.benchmark_jobs import scenario_flights
 from dronevio.cli import main
 from dronevio.models.camera import CameraModel
 from dronevio.models.errors import ConfigError
+from dronevio.models.imu import ImuSamples
 from dronevio.models.recordings.calibration.exports import kalibr_files
 from dronevio.models.recordings.tum import read_tum
 from dronevio.models.rig_presets import rig_named
@@ -41,7 +42,8 @@ def stereo(tmp_path_factory: pytest.TempPathFactory, run_command: CommandRunner)
     place = tmp_path_factory.mktemp("stereo")
     rig = rig_named("euroc-stereo")
     small = replace(rig, cameras=tuple(replace(camera, model=reduced(camera.model)) for camera in rig.cameras))
-    for name, text in kalibr_files(small, np.zeros(0, np.int64)).items():
+    nothing = ImuSamples(np.zeros(0, np.int64), np.zeros((0, 3)), np.zeros((0, 3)))
+    for name, text in kalibr_files(small, nothing.t_ns, nothing).items():
         (place / name).write_text(text, encoding="utf-8")
     folder = place / "run"
     words = ("--scenario", "short", "--rig", place, "--out", folder, "--keep-recording", "--json")
