@@ -116,7 +116,7 @@ def test_nothing_is_overwritten_without_the_option(
         (["flight", "somewhere"], "expected --to"),
         (["flight", "somewhere", "--to", "mcap"], "ends with .mcap for mcap only"),
         (["flight", "a.mcap", "--to", "bag"], "ends with .mcap for mcap only"),
-        (["flight", "a.mcap", "--cameras", "0"], "1 or more"),
+        (["flight", "a.mcap", "--cameras", "0"], "--cameras 0; expected a whole number"),
         (["flight", "a.mcap", "--calibration", "x.yaml"], "for bags"),
     ],
 )

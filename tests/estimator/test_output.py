@@ -6,7 +6,7 @@ import numpy as np
 
 from dronevio.estimator.imu.buffer import NO_INCREMENTS, Increments
 from dronevio.estimator.initialization.initializer import InitializerConfig
-from dronevio.estimator.initialization.not_observable import NotObservable
+from dronevio.estimator.initialization.not_observable import ACCEL_DISAGREES, ROTATION_DISAGREES, NotObservable
 from dronevio.estimator.output import MIN_CAUSE_NS, Publisher
 from dronevio.estimator.types import NO_FEATURES, NO_MATCHES, FramePacket, Matches
 from dronevio.models.state import Health, HealthReport, NavState
@@ -83,6 +83,16 @@ def test_cause_that_lasts_is_stated_once_for_each_cause() -> None:
     given = [(0.0, "axes"), (0.9, "axes"), (1.0, ""), (1.1, "axes"), (1.2, "axes"), (1.3, "units"), (2.2, "units")]
     assert [events_at(*each) for each in given] == [(), (), (), a, (), (), ()]
     assert (events_at(2.3, "units"), events_at(9.0, "units")) == (b, ())
+
+
+def test_accelerometer_is_not_stated_after_the_gyroscope() -> None:
+    """That the accelerometer disagrees presumes that the gyroscope agrees; in the other order, both are stated."""
+    for causes, count in (((ROTATION_DISAGREES, ACCEL_DISAGREES), 1), ((ACCEL_DISAGREES, ROTATION_DISAGREES), 2)):
+        publisher, events = new_publisher(), list[str]()
+        for k in range(8):
+            at = replace(packet(), t_ns=k * MIN_CAUSE_NS)
+            events += publisher.not_initialized(at, NotObservable("not yet", causes[k // 4])).events
+        assert events == [f"probable cause: {cause}" for cause in causes[:count]]
 
 
 def test_cause_does_not_last_over_an_initialization() -> None:

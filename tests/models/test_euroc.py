@@ -207,11 +207,13 @@ def test_ground_truth_is_optional(tmp_path: Path) -> None:
     assert not (tmp_path / "mav0" / "state_groundtruth_estimate0" / "data.csv").exists()
 
 
-def test_increments_are_refused(tmp_path: Path) -> None:
+def test_increments_are_written_as_means_and_read_back(tmp_path: Path) -> None:
     imu, truth = motion()
-    with pytest.raises(ConfigError, match="expected 'point' for"):
-        write_euroc(tmp_path, small_rig(), imu.increments(), truth, imu.t_ns[::10])
-    assert not any(tmp_path.iterdir())
+    write_euroc(tmp_path, small_rig(), imu.increments(), truth, imu.t_ns[::10])
+    read = EurocRecording.open(tmp_path).imu
+    assert read.sampling == "increment"
+    np.testing.assert_allclose(read.gyro_rad_s, imu.increments().gyro_rad_s, atol=1e-9)
+    np.testing.assert_allclose(read.accel_m_s2, imu.increments().accel_m_s2, atol=1e-9)
 
 
 def test_mav0_itself_is_accepted(flight: Path) -> None:

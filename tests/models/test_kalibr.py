@@ -115,9 +115,11 @@ def rigs(draw: st.DrawFn) -> Rig:
 
     def camera() -> RigCamera:
         lens = draw(st.sampled_from(LENSES_BY_NAME))
-        distortion = draw(st.tuples(finite, finite, finite, finite))
+        coefficient = st.floats(-1e3, 1e3)
+        distortion = draw(st.tuples(coefficient, coefficient, coefficient, coefficient))
         width, height = (draw(st.integers(1, 10_000)) for _ in range(2))
-        fx, fy, cx, cy = draw(st.tuples(positive, positive, finite, finite))
+        focal_px = st.floats(1e-3, 1e6)
+        fx, fy, cx, cy = draw(st.tuples(focal_px, focal_px, finite, finite))
         model = CameraModel(width, height, fx, fy, cx, cy, distortion, lens)
         return RigCamera(model, pose(), 20.0, draw(st.floats(0, 0.05)))
 

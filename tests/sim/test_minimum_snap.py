@@ -187,7 +187,7 @@ def test_two_hundred_points_can_be_planned() -> None:
     ],
 )
 def test_invalid_limits_are_refused_by_name_and_value(name: str, value: float) -> None:
-    with pytest.raises(ConfigError, match=rf"{name} = {value:g}; expected"):
+    with pytest.raises(ConfigError, match=rf"{name} = {value}; expected"):
         Limits(**{name: value})
 
 
