@@ -5,6 +5,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import yaml as independent
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -54,7 +55,8 @@ def test_the_file_of_the_data_set_is_read(scratch: Path, text: str) -> None:
     assert yaml.lines["rate_hz"] == 15
 
 
-words = st.one_of(st.from_regex(r"[A-Za-z][A-Za-z ()0-9-]{0,12}", fullmatch=True), st.text(max_size=12))
+reserved = st.sampled_from(["null", "Null", "NULL", "true", "Yes", "off", "N"])  # null or truth values in YAML 1.1
+words = st.one_of(st.from_regex(r"[A-Za-z][A-Za-z ()0-9-]{0,12}", fullmatch=True), st.text(max_size=12), reserved)
 scalars = st.one_of(st.floats(allow_nan=False, allow_infinity=False), words)
 values = st.one_of(scalars, st.lists(st.floats(allow_nan=False, allow_infinity=False), max_size=5).map(tuple))
 
@@ -64,6 +66,11 @@ values = st.one_of(scalars, st.lists(st.floats(allow_nan=False, allow_infinity=F
 def test_round_trip_is_exact(scratch: Path, content: dict[str, Value]) -> None:
     yaml = read(scratch, "".join(f"{key}: {yaml_text(value)}\n" for key, value in content.items()))
     assert yaml.values == content
+
+
+@pytest.mark.parametrize("word", ["Null", "true", "Yes", "off", "N"])
+def test_reserved_words_are_text_for_other_parsers(word: str) -> None:
+    assert independent.safe_load(f"name: {yaml_text(word)}") == {"name": word}
 
 
 @settings(max_examples=100, deadline=None)

@@ -23,7 +23,8 @@ Value: TypeAlias = "float | str | tuple[Value, ...]"
 _KEY = re.compile(r"( *)([A-Za-z_][\w.-]*) *:(?: +(.*))?", re.ASCII)
 _NUMBER = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?", re.ASCII)
 _WORD = re.compile(r"""[^]\[{}&*!|>'%@`,?:#"-].*""")
-_PLAIN = re.compile(r"[A-Za-z][\w ()./+-]*(?<! )", re.ASCII)
+_PLAIN = re.compile(r"(?!(?i:null|true|false|yes|no|on|off|y|n)$)[A-Za-z][\w ()./+-]*(?<! )", re.ASCII)
+"""Texts that YAML 1.1 reads as they are, without quotation marks; some words are null or truth values."""
 _ORTHONORMAL = 1e-4  # published extrinsics have as few as 5 digits
 _MAX_ELEMENT = 1e6  # larger elements of a pose are regarded as errors [m]
 
