@@ -41,8 +41,8 @@ class ViewCommand(Settings):
     """Folder that `dronevio run` wrote, or a file with the suffix .rrd."""
     web: bool = False
     """Serve the web viewer even if there is a display."""
-    port: Annotated[int, Range(1, 65535)] = 9090
-    """Port of the web viewer. If it is in use, a free port is chosen."""
+    port: Annotated[int, Range(0, 65535)] = 9090
+    """Port of the web viewer; 0 for any free port. If it is in use, a free port is chosen."""
 
 
 def main(arguments: Sequence[str]) -> int:

@@ -39,9 +39,9 @@ def test_tables_are_printed_on_standard_output(folder: Path, capsys: pytest.Capt
     found = [(line["estimator"], line["failed"], line["median"], line["lower_quartile"]) for line in lines]
     assert found == [("other", "0", "0.07", "0.07"), ("vio", "1", "inf", "inf")]
     assert main(["report", results, "--format", "markdown"]) == 0
-    assert "| room-v0 | **0.0700** | failed, 1 of 2 failed |" in capsys.readouterr().out
+    assert "| room-v0 | **0.0700** | failed, 1 of 2 runs |" in capsys.readouterr().out
     assert main(["report", results, "--format", "latex", "--measures", "ate_m"]) == 0
-    assert r"room-v0 & \textbf{0.0700} & failed, 1 of 2 failed \\" in capsys.readouterr().out
+    assert r"room-v0 & \textbf{0.0700} & failed, 1 of 2 runs \\" in capsys.readouterr().out
 
 
 def test_output_file_can_be_chosen(folder: Path, tmp_path: Path) -> None:

@@ -94,7 +94,7 @@ def test_tracks_of_an_image_are_not_merged(scene: "SyntheticScene") -> None:
     features = [replace(f, descriptors=np.full_like(f.descriptors, 45)) for f in scene.features]
     shared = set(problem.tracks.image[problem.tracks.track == 0]) & set(problem.tracks.image[problem.tracks.track == 1])
     assert shared
-    merged, _ = merge_tracks(problem, twin, features, CompletionConfig(merge_error_px=1e6))
+    merged, _ = merge_tracks(problem, twin, features, CompletionConfig(merge_error_px=100.0))
     assert all(
         len(np.unique(merged.tracks.image[merged.tracks.track == t])) == np.sum(merged.tracks.track == t)
         for t in range(merged.tracks.count)

@@ -108,7 +108,7 @@ def test_a_file_by_hand(tmp_path: Path) -> None:
         ("1 1 4 50.0 -20.0", "1 1 4 1e9 -20.0", r"an observation at 1e\+09 px"),
         ("0 1 0\n0 0 1", "0 1 0\n0 0 2", r"a matrix that is not a rotation"),
         ("0 1 0\n0 0 1", "0 1 0\n0 0 -1", r"a matrix that is not a rotation"),
-        ("100 0 0", "-100 0 0", r"camera fx = -100"),
+        ("100 0 0", "-100 0 0", r"fx = -100"),
         ("255 128 0", "255 128 0.5", r"the colour 255 128 0\.5"),
     ],
 )
