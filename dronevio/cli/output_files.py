@@ -7,6 +7,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
+from dronevio.cli.reservations import numbered, reserved
 from dronevio.models.errors import InputError
 from dronevio.models.recordings.euroc import INCOMPLETE
 
@@ -19,15 +20,30 @@ def atomic_folder(target: Path, overwrite: bool = False, mark: str = "mav0") -> 
     exception is an interrupted recording with at least one image: its finished frames are kept in a folder named like
     ``target`` with ``.incomplete`` appended.
 
+    The name of ``target`` is reserved meanwhile: a second process that is to make the same folder fails at once.
+
     Args:
         target: Folder to make, with its parents. Of a symbolic link, it is the target of the link.
         overwrite: Whether an existing folder is replaced.
         mark: File or folder in ``target`` that identifies it as an earlier result; no other folder is replaced.
 
     Raises:
-        InputError: The target exists and must not be replaced, or it cannot be made.
+        InputError: The target exists and must not be replaced, another process is writing it, or it cannot be made.
     """
     target = target.resolve()  # the target of a symbolic link is written, and the link stays
+    _require_replaceable(target, overwrite, mark)
+    with reserved(target), reserved_folder(target, overwrite, mark) as folder:
+        yield folder
+
+
+@contextmanager
+def reserved_folder(target: Path, overwrite: bool = False, mark: str = "mav0") -> Iterator[Path]:
+    """Do the same as `atomic_folder` for a name that this process has reserved.
+
+    Raises:
+        InputError: The target exists and must not be replaced, or it cannot be made.
+    """
+    target = target.resolve()
     _require_replaceable(target, overwrite, mark)
     try:
         target.parent.mkdir(parents=True, exist_ok=True)
@@ -79,10 +95,7 @@ def require_free(path: Path, overwrite: bool) -> None:
 
 def free_name(wanted: Path) -> Path:
     """Return a path that does not exist: the wanted one, or else the first with a number from 2 on appended."""
-    candidate, number = wanted, 2
-    while candidate.exists():
-        candidate, number = wanted.with_name(f"{wanted.name}-{number}"), number + 1
-    return candidate
+    return next(candidate for candidate in numbered(wanted) if not candidate.exists())
 
 
 def size_mb(path: Path) -> float:

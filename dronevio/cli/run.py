@@ -54,7 +54,8 @@ class RunCommand:
     flight: ScenarioInput = field(default_factory=FlightOptions)
     """The scenario to simulate."""
     out: Path | None = None
-    """Folder to make. By default it is runs/SCENARIO-SEED, with a number appended if that exists."""
+    """Folder to make. By default it is runs/SCENARIO-SEED, with a number appended if that exists or is
+    being written."""
     fly_on: Literal["truth", "estimate"] = "truth"
     """State that the controller of the drone receives: the true state, or the output of the estimator at the IMU's
     rate. On the estimate, the drone waits on its pad until the estimator has a state."""
@@ -79,16 +80,18 @@ def main(arguments: Sequence[str]) -> int:
     """Run the command and return its exit code."""
     command = parse_flight(RunCommand, arguments, "run")
 
-    from dronevio.cli.output_files import atomic_folder, free_name
+    from dronevio.cli.output_files import reserved_folder
+    from dronevio.cli.reservations import reserved, reserved_free_name
     from dronevio.sim.cameras.gl import require_gl
 
     chosen = command.flight.chosen()
     mission = _policy_mission(command, chosen)
     scenario = chosen if mission is None else mission.scenario
-    target = command.out or free_name(Path("runs") / f"{scenario.name}-{scenario.seed}")
+    wanted = Path("runs") / f"{scenario.name}-{scenario.seed}"
     require_gl()
     with (
-        atomic_folder(target, command.output.overwrite, mark="report.json") as folder,
+        reserved_free_name(wanted) if command.out is None else reserved(command.out) as target,
+        reserved_folder(target, command.output.overwrite, mark="report.json") as folder,
         progress_bars(quiet=command.output.json) as bars,
     ):
         _run(scenario, command, mission, folder, target, repeating_command(chosen, arguments), bars)
