@@ -68,6 +68,7 @@ def main(arguments: Sequence[str]) -> int:
 
     from dronevio.cli.output_files import require_free, size_mb
     from dronevio.models.errors import ConfigError
+    from dronevio.models.recordings.files import writing
 
     target = command.to or _BY_SUFFIX.get(command.dest.suffix)
     if target is None:
@@ -76,7 +77,7 @@ def main(arguments: Sequence[str]) -> int:
         raise ConfigError(f"{command.dest} as {target}; expected a name that ends with .mcap for mcap only")
     require_free(command.dest, command.output.overwrite)  # before the source is read
     recording = command.reading.open(command.source)
-    with progress_bars(quiet=command.output.json) as bars:
+    with progress_bars(quiet=command.output.json) as bars, writing(command.dest):
         _convert(recording, target, command, bars)
     truth = recording.ground_truth
     size = size_mb(command.dest)

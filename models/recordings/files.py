@@ -93,6 +93,26 @@ def write_bytes(path: Path, content: bytes) -> None:
 
 
 @contextmanager
+def writing(path: Path) -> Iterator[None]:
+    """Name a file or folder in errors of the system while it is written, for example that the disk is full.
+
+    Raises:
+        InputError: The body raised an OSError, or SQLite cannot write.
+    """
+    import sqlite3  # only bags need it
+
+    try:
+        yield
+    except OSError as error:
+        reason = error.strerror or str(error)
+    except sqlite3.OperationalError as error:
+        reason = str(error)
+    else:
+        return
+    raise InputError(path, f"cannot be written ({reason})", "a place with enough space that can be written to")
+
+
+@contextmanager
 def as_input_error(path: Path) -> Iterator[None]:
     """Convert a ConfigError about invalid values into an InputError about the file that contains them.
 

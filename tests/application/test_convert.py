@@ -195,3 +195,26 @@ def test_bags_become_bags_of_ros_1(tmp_path: Path, flight: Path, run_command: Ca
         _, _, raw = next(reader.messages([connection]))
         stamp = cast(Any, reader.deserialize(raw, connection.msgtype)).header.stamp
     assert stamp.sec * 10**9 + stamp.nanosec == open_recording(flight).imu.t_ns[0]
+
+
+LIMITED = """
+import resource, sys
+from dronevio.cli import main
+resource.setrlimit(resource.RLIMIT_FSIZE, (3000, 3000))
+sys.exit(main(sys.argv[1:]))
+"""
+
+
+@pytest.mark.parametrize(
+    "target", [["out.mcap"], ["out", "--to", "bag"], ["out", "--to", "bag-sqlite"], ["out", "--to", "euroc"], ["o.tum"]]
+)
+def test_a_full_disk_is_named_and_leaves_nothing(tmp_path: Path, flight: Path, target: list[str]) -> None:
+    """The largest size of a file stands for the size of the disk."""
+    (tmp_path / "place").mkdir()
+    arguments = [sys.executable, "-c", LIMITED, "convert", str(flight), *target]
+    done = subprocess.run(arguments, capture_output=True, text=True, timeout=120, check=False, cwd=tmp_path / "place")
+    assert done.returncode == 2, done.stderr
+    [line] = [line for line in done.stderr.splitlines() if line.startswith("dronevio:")]
+    assert target[0] in line and "cannot be written" in line
+    assert "Traceback" not in done.stderr
+    assert list((tmp_path / "place").iterdir()) == []
