@@ -25,13 +25,17 @@ def machine_here() -> dict[str, str]:
     """Return the system, the processor, and the number of cores that this process may use."""
     return {
         "system": f"{platform.system()} {platform.release()}",
-        "processor": _processor(),
+        "processor": processor_here(),
         "cores": str(len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count()),
     }
 
 
-def _processor(cpuinfo: Path = Path("/proc/cpuinfo")) -> str:
-    """Return the name of the processor if the system has it, or else the architecture."""
+def processor_here(cpuinfo: Path = Path("/proc/cpuinfo")) -> str:
+    """Return the name of the processor if the system has it, or else the architecture.
+
+    Args:
+        cpuinfo: File of Linux that describes the processors.
+    """
     try:
         names = [line.partition(":")[2] for line in cpuinfo.read_text().splitlines() if line.startswith("model name")]
     except OSError:

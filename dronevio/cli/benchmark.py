@@ -150,6 +150,7 @@ def _planned(command: BenchmarkCommand) -> "BenchmarkPlan":
     """
     from dronevio.benchmark_jobs import Workbench, recorded_flights, scenario_flights, versions
     from dronevio.eval.benchmark.runner import BenchmarkPlan
+    from dronevio.eval.provenance import processor_here
     from dronevio.registry import EXTERNAL, estimator_named
     from dronevio.sim.scenarios import SUITES
 
@@ -176,6 +177,7 @@ def _planned(command: BenchmarkCommand) -> "BenchmarkPlan":
         (command.cache or _default_cache()).absolute(),
         command.timeout_s,
         command.keep_recordings,
+        processor_here() if command.engine == "local" else None,
     )
 
 

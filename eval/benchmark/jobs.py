@@ -15,7 +15,7 @@ from typing import Any, Protocol, Self
 from dronevio.eval.benchmark.cache import RecordingCache
 from dronevio.eval.benchmark.isolation import Outcome, call_in_process
 from dronevio.eval.benchmark.rows import Row
-from dronevio.eval.provenance import machine_here
+from dronevio.eval.provenance import machine_here, processor_here
 
 USAGE_FILE = "usage.json"
 """Name of the file beside a cached recording with the `ResourceUsage` of making it."""
@@ -157,6 +157,7 @@ class Job:
             peak_mb=outcome.peak_mb,
             recording_hash=self.spec.recording_hash,
             machine="{processor}, {cores} cores, {system}".format(**machine_here()),
+            processor=processor_here(),
             **(outcome.value or {}),
         )
 

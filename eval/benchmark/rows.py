@@ -22,7 +22,7 @@ Identity: TypeAlias = tuple[str, int | None, str]
 RESULTS_FILE = "results.parquet"
 """Name of the file with all rows of a benchmark, in its folder."""
 _REPORT_FILE = "report.json"
-_LATER_COLUMNS = ("defects", "longest_loss_s", "tracking_sigmas")
+_LATER_COLUMNS = ("defects", "longest_loss_s", "tracking_sigmas", "processor")
 """Columns that results of earlier versions lack."""
 
 
@@ -101,6 +101,8 @@ class Row:
     tracking_sigmas: float | None = None
     """Largest error of position while the estimator reports that it tracks, in standard deviations along the least
     certain axis; None if it never does, without covariances, or for a program."""
+    processor: str = ""
+    """Kind of the processor, on whose linear algebra the last digits of the result depend; empty if it is not known."""
 
     @property
     def identity(self) -> Identity:

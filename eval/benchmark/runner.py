@@ -41,6 +41,9 @@ class BenchmarkPlan:
     """Largest duration of one run [s]."""
     keep_recordings: bool = True
     """Whether recordings stay in the cache."""
+    processor: str | None = None
+    """Kind of the processor of the machine that executes the runs, `Row.processor`. Rows of other kinds do not count as
+    done. None if several machines execute them: rows of all kinds count then."""
 
     @property
     def size(self) -> int:
@@ -69,6 +72,8 @@ class BenchmarkPlan:
     def _is_done(self, store: ResultStore, spec: RecordingSpec, estimator: str, retry: bool) -> bool:
         row = store.find((spec.scenario, spec.seed, estimator))
         if row is None or (retry and row.status != "ok"):
+            return False
+        if self.processor is not None and row.processor != self.processor:
             return False
         return row.dependencies == (spec.recording_hash, self.pipeline.config_hash(estimator), self.pipeline.versions)
 

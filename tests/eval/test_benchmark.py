@@ -20,7 +20,7 @@ from pyarrow import parquet
 
 from dronevio.eval.benchmark.cache import RecordingCache, code_hash, content_hash, recording_hash
 from dronevio.eval.benchmark.engines import JobEnd, JobEvent, LocalEngine
-from dronevio.eval.benchmark.isolation import call_in_process
+from dronevio.eval.benchmark.isolation import Outcome, call_in_process
 from dronevio.eval.benchmark.jobs import Job, RecordingSpec
 from dronevio.eval.benchmark.rows import RESULTS_FILE, Row, Status, read_results, read_rows, schema, write_rows
 from dronevio.eval.benchmark.runner import BenchmarkPlan, run_benchmark
@@ -331,6 +331,24 @@ def test_only_runs_whose_inputs_changed_are_repeated(tmp_path: Path) -> None:
     assert runs(pipeline=NoPipeline("2")) == 6
     assert runs(pipeline=NoPipeline("2"), recordings=(RecordingSpec("room-v0", "room", 0, "another", None),)) == 2
     assert len(read_rows(tmp_path)) == 4 * 2 + 3  # rows that are not in the plan are kept
+
+
+def test_runs_of_another_kind_of_processor_are_repeated(tmp_path: Path) -> None:
+    def runs(processor: str | None) -> int:
+        engine = FakeEngine()
+        run_benchmark(benchmark(tmp_path, seeds=1, processor=processor), ResultStore(tmp_path), engine)
+        return engine.runs
+
+    assert runs(None) == 2
+    assert runs("") == 0  # the engine's rows have no processor
+    assert runs(None) == 0  # of several machines, all kinds count
+    assert runs("Zen 4") == 2
+
+
+def test_rows_name_the_processor(tmp_path: Path) -> None:
+    [job] = benchmark(tmp_path, seeds=1).missing_jobs(ResultStore(tmp_path))
+    row = job.row("a", Outcome("ok", "", {}, 1.0, 1.0, None))
+    assert row.processor and row.machine.startswith(f"{row.processor}, ")
 
 
 def test_failed_runs_are_repeated_on_request(tmp_path: Path) -> None:
