@@ -3,6 +3,7 @@
 import fcntl
 import hashlib
 import json
+import os
 import shutil
 import tempfile
 from collections.abc import Callable, Iterator
@@ -15,6 +16,7 @@ from dronevio.models.errors import InputError
 _HASH_DIGITS = 16  # 64 bits: a collision is unlikely among a billion recordings
 _IMAGE_SUFFIXES = (".png", ".jpg", ".pgm")
 _HASHED_BYTES = 1 << 20  # of either end of a file
+_SCRATCH = ".run-"  # beginning of the names of scratch folders
 
 
 def content_hash(settings: object) -> str:
@@ -90,8 +92,33 @@ class RecordingCache:
             fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
             shutil.rmtree(self._folder / digest, ignore_errors=True)
 
+    @contextmanager
+    def scratch(self) -> Iterator[Path]:
+        """Yield an empty folder beside the recordings, which is locked while it is in use and deleted afterwards."""
+        self._folder.mkdir(parents=True, exist_ok=True)
+        while True:
+            folder = Path(tempfile.mkdtemp(prefix=_SCRATCH, dir=self._folder))
+            handle = os.open(folder, os.O_RDONLY)
+            fcntl.flock(handle, fcntl.LOCK_SH)
+            if folder.exists():  # else `remove_abandoned` of another process found it before it was locked
+                break
+            os.close(handle)
+        try:
+            yield folder
+        finally:
+            shutil.rmtree(folder, ignore_errors=True)
+            os.close(handle)
+
     def remove_abandoned(self) -> None:
-        """Delete the partial recordings that killed processes left; those that are being made are locked, and stay."""
+        """Delete the partial recordings and scratch folders that killed processes left; those in use are locked."""
+        for scratch in self._folder.glob(f"{_SCRATCH}*"):
+            with suppress(OSError):  # in use, or deleted meanwhile
+                handle = os.open(scratch, os.O_RDONLY)
+                try:
+                    fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
+                    shutil.rmtree(scratch, ignore_errors=True)
+                finally:
+                    os.close(handle)
         for partial in self._folder.glob(".*.partial-*"):
             digest = partial.name.removeprefix(".").partition(".partial-")[0]
             with self._open_lock(digest) as lock, suppress(BlockingIOError):

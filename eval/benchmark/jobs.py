@@ -131,15 +131,14 @@ class Job:
 
         Its temporary files are removed even if it is killed. Beside a cached recording, copies of it may share blocks.
         """
-        beside = self.cache if self.spec.path is None else None
-        with tempfile.TemporaryDirectory(prefix=".run-", dir=beside, ignore_cleanup_errors=True) as scratch:
+        with RecordingCache(self.cache).scratch() if self.spec.path is None else _temporary_folder() as scratch:
             return call_in_process(
                 self.pipeline.estimate,
                 replace(self.spec, source=None),  # the recording exists, and a scenario would import the simulator
                 recording,
                 estimator,
                 timeout_s=self.timeout_s,
-                environment={**_ONE_THREAD, "TMPDIR": scratch},
+                environment={**_ONE_THREAD, "TMPDIR": str(scratch)},
             )
 
     def row(self, estimator: str, outcome: Outcome) -> Row:
@@ -174,6 +173,11 @@ class Job:
         disk_mb = sum(file.stat().st_size for file in folder.rglob("*") if file.is_file()) * 1e-6
         usage = ResourceUsage(outcome.cpu_s, outcome.wall_s, disk_mb)
         (folder / USAGE_FILE).write_text(json.dumps(asdict(usage)) + "\n", encoding="utf-8")
+
+
+def _temporary_folder() -> tempfile.TemporaryDirectory[str]:
+    """Return a context of a folder for temporary files."""
+    return tempfile.TemporaryDirectory(prefix="dronevio-", ignore_cleanup_errors=True)
 
 
 def lost_rows(job: Job, estimators: Sequence[str], reason: str) -> list[Row]:

@@ -413,6 +413,16 @@ def test_results_without_the_column_of_defects_are_read(tmp_path: Path) -> None:
     assert read_rows(path) == (OK,) and OK.defects == ""
 
 
+def test_scratch_folders_of_dead_processes_are_removed(tmp_path: Path) -> None:
+    cache = RecordingCache(tmp_path)
+    (tmp_path / ".run-dead" / "mav0").mkdir(parents=True)
+    with cache.scratch() as alive:
+        (alive / "file").touch()
+        cache.remove_abandoned()
+        assert list(tmp_path.iterdir()) == [alive] and (alive / "file").exists()
+    assert list(tmp_path.iterdir()) == []
+
+
 def test_partial_recordings_of_dead_processes_are_removed(tmp_path: Path) -> None:
     (tmp_path / ".dead.partial-x" / "mav0").mkdir(parents=True)
     cache, being_made = RecordingCache(tmp_path), []
