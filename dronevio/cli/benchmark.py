@@ -1,6 +1,5 @@
 """``dronevio benchmark``: several estimators on many flights."""
 
-import os
 import sys
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
@@ -83,7 +82,9 @@ class BenchmarkCommand(Settings):
     retry: bool = False
     """Repeat failed runs."""
     cache: Path | None = None
-    """Folder of the cached recordings, on every machine; ~/.cache/dronevio/recordings by default."""
+    """Folder of the cached recordings, on every machine; ~/.cache/dronevio/recordings by default. Beyond
+    50 GB or half of the free disk, or the number of GB in the environment variable DRONEVIO_RECORDINGS_GB, the least
+    recently used ones are deleted."""
     keep_recordings: bool = True
     """Keep the recordings in the cache. Otherwise each is deleted after the runs of all estimators."""
     sizing: bool = False
@@ -107,7 +108,9 @@ def main(arguments: Sequence[str]) -> int:
     folder = command.out or Path("benchmarks") / (command.suite or "results")
     engine = _engine(command)
     store = ResultStore(folder)
-    RecordingCache(benchmark.cache).remove_abandoned()
+    cache = RecordingCache(benchmark.cache)
+    cache.remove_abandoned()
+    cache.trim()  # refuses a wrong limit before the first flight
     with _run_progress(quiet=command.printing.json) as listener:
         rows = run_benchmark(benchmark, store, engine, listener, command.retry)
     if command.printing.json:
@@ -149,6 +152,7 @@ def _planned(command: BenchmarkCommand) -> "BenchmarkPlan":
         ConfigError: There is no flight, or an option has an invalid value.
     """
     from dronevio.benchmark_jobs import Workbench, recorded_flights, scenario_flights, versions
+    from dronevio.eval.benchmark.cache_limit import default_folder
     from dronevio.eval.benchmark.runner import BenchmarkPlan
     from dronevio.eval.provenance import processor_here
     from dronevio.registry import EXTERNAL, estimator_named
@@ -174,7 +178,7 @@ def _planned(command: BenchmarkCommand) -> "BenchmarkPlan":
         flights,
         tuple(labels),
         Workbench(estimators, versions(), command.strict),
-        (command.cache or _default_cache()).absolute(),
+        (command.cache or default_folder()).absolute(),
         command.timeout_s,
         command.keep_recordings,
         processor_here() if command.engine == "local" else None,
@@ -209,11 +213,6 @@ def _engine(command: BenchmarkCommand) -> "Engine":
     from dronevio.eval.benchmark.ray_engine import RayEngine
 
     return RayEngine(command.address, command.workers or available_cores())
-
-
-def _default_cache() -> Path:
-    base = os.environ.get("XDG_CACHE_HOME")
-    return (Path(base) if base else Path.home() / ".cache") / "dronevio" / "recordings"
 
 
 @contextmanager

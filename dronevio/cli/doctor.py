@@ -7,6 +7,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 from importlib.util import find_spec
 from pathlib import Path
+from typing import Any
 
 from dronevio.cli.machine import cores, memory_gb, package_version
 from dronevio.cli.options import Printing, PrintOptions
@@ -18,7 +19,7 @@ PACKAGES = ("dronevio", "mujoco", "gtsam", "opencv-python-headless", "numpy", "g
 
 @dataclass(frozen=True)
 class DoctorCommand:
-    """Check this machine: versions of packages, off-screen rendering, video encoder, rerun viewer and display.
+    """Check this machine: versions of packages, off-screen rendering, video encoder, viewer, display and caches.
 
     One image is rendered off screen. The exit code is 0 if flights can be simulated on this machine, and 2 otherwise;
     then the command that installs the missing driver is printed.
@@ -39,6 +40,7 @@ def main(arguments: Sequence[str]) -> int:
     from dronevio.sim.cameras.gl import probe_gl
 
     gl = probe_gl()
+    caches = _caches()
     findings = {
         "python": platform.python_version(),
         "platform": platform.platform(),
@@ -55,6 +57,7 @@ def main(arguments: Sequence[str]) -> int:
         "av1_encoder": _av1_encoder(),
         "rerun_viewer": _rerun_viewer(),
         "display": _display(),
+        "caches": caches,
         "advice": "" if gl.works else gl.advice,
     }
     if command.printing.json:
@@ -72,6 +75,7 @@ def main(arguments: Sequence[str]) -> int:
             ("OpenGL", f"{gl.backend}: {gl.renderer or 'works'}" if gl.works else f"none: {gl.problem}"),
             ("AV1 encoder", _av1_encoder() or "none: run.rrd will contain single images"),
             ("rerun viewer", "present" if _rerun_viewer() else "missing"),
+            *((f"cached {name}", _cache_text(cache)) for name, cache in caches.items()),
             ("display", "yes" if _display() else "none: `dronevio view` serves a web viewer"),
         ),
         left=("found",),
@@ -81,6 +85,33 @@ def main(arguments: Sequence[str]) -> int:
         return 2
     print("Flights can be simulated on this machine.")
     return 0
+
+
+def _caches() -> dict[str, dict[str, Any]]:
+    """Return folder, size and limit of the caches, by their contents.
+
+    Raises:
+        ConfigError: The environment variable with the limit of the recordings is not a size.
+    """
+    from dronevio.eval.benchmark.cache_limit import default_folder, limit_bytes, size_bytes
+    from dronevio.sim.rendering import world_files
+    from dronevio.sim.worlds import world_pictures
+
+    recordings = default_folder()
+    used = size_bytes(recordings)
+    found: dict[str, dict[str, Any]] = {
+        "recordings": {"folder": str(recordings), "gb": used * 1e-9, "limit_gb": limit_bytes(recordings, used) * 1e-9}
+    }
+    worlds = world_files.folder()
+    for folder, files in ((worlds, world_files.FILES_MAX), (worlds.with_name("pictures"), world_pictures.FILES_MAX)):
+        found[folder.name] = {"folder": str(folder), "gb": size_bytes(folder) * 1e-9, "limit_files": files}
+    return found
+
+
+def _cache_text(cache: dict[str, Any]) -> str:
+    """Return size, limit and folder of a cache in words."""
+    limit = f"{cache['limit_gb']:.1f} GB" if "limit_gb" in cache else f"{cache['limit_files']} files"
+    return f"{cache['gb']:.2f} GB, at most {limit}: {cache['folder']}"
 
 
 def _av1_encoder() -> str:

@@ -11,6 +11,7 @@ from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import IO
 
+from dronevio.eval.benchmark.cache_limit import limit_bytes, size_bytes
 from dronevio.models.errors import InputError
 
 _HASH_DIGITS = 16  # 64 bits: a collision is unlikely among a billion recordings
@@ -80,17 +81,51 @@ class RecordingCache:
         with self._open_lock(digest) as lock:
             while True:
                 fcntl.flock(lock, fcntl.LOCK_EX)
-                folder = self.find(digest) or self._make(digest, make)
+                if self.find(digest) is None:
+                    self._make(digest, make)
+                    self.trim()
+                folder = self._folder / digest
                 fcntl.flock(lock, fcntl.LOCK_SH)  # between the two, another process may remove it
                 if folder.exists():
                     break
+            with suppress(PermissionError):
+                os.utime(folder)  # the most recently used recordings are kept
             yield folder
 
     def remove(self, digest: str) -> None:
         """Delete a recording unless it is in use."""
         with self._open_lock(digest) as lock, suppress(BlockingIOError):
             fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
-            shutil.rmtree(self._folder / digest, ignore_errors=True)
+            doomed = self._folder / f".{digest}.partial-removed"
+            shutil.rmtree(doomed, ignore_errors=True)
+            with suppress(FileNotFoundError):
+                (self._folder / digest).rename(doomed)  # so that a killed process leaves no half of a recording
+            shutil.rmtree(doomed, ignore_errors=True)
+
+    def trim(self) -> None:
+        """Delete the least recently used recordings while the cache is larger than `cache_limit.limit_bytes`.
+
+        Recordings in use stay, also if the cache is then larger.
+
+        Raises:
+            ConfigError: The environment variable with the limit is not a size.
+        """
+        sizes = {folder: size_bytes(folder) for folder in self.recordings()}
+        used = float(sum(sizes.values()))
+        limit = limit_bytes(self._folder, used)
+        for folder, size in sizes.items():
+            if used <= limit:
+                break
+            self.remove(folder.name)
+            used -= 0 if folder.exists() else size
+
+    def recordings(self) -> list[Path]:
+        """Return the folders of the recordings, the least recently used first."""
+        used = []
+        for folder in self._folder.glob("[!.]*"):
+            with suppress(FileNotFoundError):  # removed by another process
+                used.append((folder.stat().st_mtime_ns, folder))
+        return [folder for _, folder in sorted(used)]
 
     @contextmanager
     def scratch(self) -> Iterator[Path]:

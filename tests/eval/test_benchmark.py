@@ -11,6 +11,7 @@ import time
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, fields, replace
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import psutil
@@ -19,6 +20,7 @@ import pytest
 from pyarrow import parquet
 
 from dronevio.eval.benchmark.cache import RecordingCache, code_hash, content_hash, recording_hash
+from dronevio.eval.benchmark.cache_limit import limit_bytes
 from dronevio.eval.benchmark.engines import JobEnd, JobEvent, LocalEngine
 from dronevio.eval.benchmark.isolation import Outcome, call_in_process
 from dronevio.eval.benchmark.jobs import Job, RecordingSpec
@@ -26,7 +28,7 @@ from dronevio.eval.benchmark.rows import RESULTS_FILE, Row, Status, read_results
 from dronevio.eval.benchmark.runner import BenchmarkPlan, run_benchmark
 from dronevio.eval.benchmark.store import ResultStore
 from dronevio.eval.benchmark.summary import Quartiles, failed_runs, quartiles_of_errors, run_groups
-from dronevio.models.errors import InputError
+from dronevio.models.errors import ConfigError, InputError
 
 OK = Row(
     "room-v0",
@@ -238,6 +240,44 @@ def test_a_recording_in_use_is_not_removed(tmp_path: Path) -> None:
         assert cache.find("abc") is not None
     cache.remove("abc")
     assert cache.find("abc") is None
+
+
+def write_100_bytes(folder: Path) -> None:
+    (folder / "frame").write_bytes(bytes(100))
+
+
+def test_least_recently_used_recordings_are_removed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("DRONEVIO_RECORDINGS_GB", "250e-9")
+    cache = RecordingCache(tmp_path)
+
+    def use(digest: str) -> None:
+        with cache.acquire(digest, write_100_bytes):
+            time.sleep(0.01)
+
+    for digest in ("a", "b", "a", "c"):
+        use(digest)
+    assert [folder.name for folder in cache.recordings()] == ["a", "c"]
+    with cache.acquire("a", write_100_bytes), cache.acquire("c", write_100_bytes):
+        use("d")  # all others are in use
+        assert [folder.name for folder in cache.recordings()] == ["a", "c", "d"]
+    use("c")
+    cache.trim()
+    assert [folder.name for folder in cache.recordings()] == ["d", "c"]
+    assert not list(tmp_path.glob(".*.partial-*"))
+
+
+def test_limit_of_the_cache(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.delenv("DRONEVIO_RECORDINGS_GB", raising=False)
+    monkeypatch.setattr("shutil.disk_usage", lambda folder: SimpleNamespace(free=8e9))
+    assert limit_bytes(tmp_path / "missing", 2e9) == 5e9
+    monkeypatch.setattr("shutil.disk_usage", lambda folder: SimpleNamespace(free=1e12))
+    assert limit_bytes(tmp_path, 0.0) == 50e9
+    monkeypatch.setenv("DRONEVIO_RECORDINGS_GB", "7")
+    assert limit_bytes(tmp_path, 0.0) == 7e9
+    for wrong in ("much", "-1", "nan"):
+        monkeypatch.setenv("DRONEVIO_RECORDINGS_GB", wrong)
+        with pytest.raises(ConfigError, match=f"DRONEVIO_RECORDINGS_GB={wrong}; expected a size in GB"):
+            limit_bytes(tmp_path, 0.0)
 
 
 # --- running

@@ -108,6 +108,8 @@ def test_doctor_reports_what_is_missing() -> None:
     assert found["gl"]["works"] is True
     assert found["packages"]["mujoco"]
     assert found["cores"] >= 1
+    assert list(found["caches"]) == ["recordings", "worlds", "pictures"]
+    assert found["caches"]["recordings"]["limit_gb"] > 0.0
     broken = run_cli(["doctor", "--json"], MUJOCO_GL="bogus")
     assert broken.returncode == 2
     assert "unset MUJOCO_GL" in json.loads(broken.stdout)["advice"]
