@@ -1,4 +1,4 @@
-"""What a benchmark needs of the door: flights to estimate, how to make their recordings, how to run estimators."""
+"""The jobs of a benchmark: flights to estimate, how their recordings are made, and how estimators are run."""
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
@@ -20,10 +20,10 @@ from dronevio.registry import NamedEstimator
 if TYPE_CHECKING:
     from dronevio.sim.scenario import Scenario
 
-_HOUSE = Path(dronevio.__file__).parent
-_DRAWS = tuple(_HOUSE / name for name in ("sim", "models", "recorder.py"))
-_ESTIMATES = tuple(
-    _HOUSE / name
+_ROOT = Path(dronevio.__file__).parent
+_RENDERING_CODE = tuple(_ROOT / name for name in ("sim", "models", "recorder.py"))
+_ESTIMATION_CODE = tuple(
+    _ROOT / name
     for name in (
         "estimator",
         "eval/metrics",
@@ -34,21 +34,21 @@ _ESTIMATES = tuple(
         "registry.py",
     )
 )
-_DRAWING_PACKAGES = ("dronevio", "mujoco", "opencv-python-headless", "numpy")
-_PACKAGES = (*_DRAWING_PACKAGES, "python", "gtsam")
-"""Of all packages, those that can change a row."""
+_RENDERING_PACKAGES = ("dronevio", "mujoco", "opencv-python-headless", "numpy")
+_PACKAGES = (*_RENDERING_PACKAGES, "python", "gtsam")
+"""The packages on which a row depends."""
 
 
 def versions() -> str:
-    """Return what rows depend on besides settings: packages, and the house's own code, which may change in between."""
+    """Return the versions of the packages and the hash of our code, on which rows depend besides settings."""
     found = versions_here()
     packages = [f"{name} {found[name]}" for name in _PACKAGES if name in found]
-    return ", ".join([*packages, f"code {code_hash(*_DRAWS, *_ESTIMATES)}"])
+    return ", ".join([*packages, f"code {code_hash(*_RENDERING_CODE, *_ESTIMATION_CODE)}"])
 
 
 @dataclass(frozen=True)
 class Workbench:
-    """Flies and estimates; implements `BenchmarkPipeline`."""
+    """Simulates flights and runs estimators on them; implements `BenchmarkPipeline`."""
 
     estimators: tuple[NamedEstimator, ...]
     """The estimators of the benchmark."""
@@ -58,11 +58,11 @@ class Workbench:
     """Whether recordings with defects are refused."""
 
     def config_hash(self, estimator: str) -> str:
-        """Return what tells an estimator's settings apart."""
+        """Return a hash of an estimator's settings."""
         return content_hash(self._named(estimator).settings())
 
     def record(self, spec: RecordingSpec, folder: Path) -> None:
-        """Fly a scenario and write its recording."""
+        """Simulate a scenario and write its recording."""
         from dronevio.recorder import record_flight
         from dronevio.sim.scenario import Scenario
 
@@ -71,7 +71,7 @@ class Workbench:
         record_flight(spec.source, folder, workers=1)
 
     def estimate(self, spec: RecordingSpec, recording: Path, estimator: str) -> dict[str, Any]:
-        """Run an estimator on a recording and score it."""
+        """Run an estimator on a recording and score its estimate."""
         from dronevio.eval.metrics.scores import score
         from dronevio.eval.tracking import longest_loss_s, tracking_sigmas
         from dronevio.models.recordings.open import open_recording
@@ -97,13 +97,17 @@ class Workbench:
         return next(estimator for estimator in self.estimators if estimator.label == label)
 
     def _check_here(self) -> None:
-        """Check that this machine would compute the same as the one that planned the benchmark."""
+        """Check that code and packages are those of the machine that planned the benchmark.
+
+        Raises:
+            ConfigError: They differ.
+        """
         here, there = versions().split(", "), self.versions.split(", ")
         if here != there:
             differing = "; expected ".join(
                 ", ".join(p for p in a if p not in b) for a, b in ((here, there), (there, here))
             )
-            raise ConfigError(f"what runs here is {differing}, as where and when the benchmark was started")
+            raise ConfigError(f"code or packages differ: {differing}, as on the machine that started the benchmark")
 
 
 def scenario_flights(names: Iterable[str], seeds: Sequence[int], rig: str | None = None) -> tuple[RecordingSpec, ...]:
@@ -112,9 +116,9 @@ def scenario_flights(names: Iterable[str], seeds: Sequence[int], rig: str | None
     The first seed of all scenarios comes first, then the second, so that early results cover all scenarios.
 
     Args:
-        names: Of scenarios and suites.
-        seeds: Of the flights.
-        rig: Other sensors than the scenarios': a name, or a file that says it; `flying.rig_of` tells more.
+        names: Names of scenarios and suites.
+        seeds: Seeds of the flights.
+        rig: Sensors that replace those of the scenarios: a name or a file, see `recorder.rig_of`.
 
     Raises:
         ConfigError: There is no such scenario, suite or rig.
@@ -133,11 +137,11 @@ def scenario_flights(names: Iterable[str], seeds: Sequence[int], rig: str | None
 
 
 def recorded_flights(paths: Iterable[Path]) -> tuple[RecordingSpec, ...]:
-    """Return the flights of recordings from elsewhere, named as their files or folders are.
+    """Return the flights of existing recordings, with the names of their files or folders.
 
     Raises:
-        InputError: One is not there or has no ground truth.
-        ConfigError: Two have the same name.
+        InputError: A recording is missing or has no ground truth.
+        ConfigError: Two recordings have the same name.
     """
     from dronevio.models.recordings.open import read_trajectory
 
@@ -145,18 +149,18 @@ def recorded_flights(paths: Iterable[Path]) -> tuple[RecordingSpec, ...]:
     for path in paths:
         whole = path.resolve().parent if path.resolve().name == "mav0" else path.resolve()
         digest = recording_hash(whole)
-        read_trajectory(whole)  # raises where there is no truth: rather now than in every run
+        read_trajectory(whole)  # raises an error without ground truth before the first run
         name = whole.stem if whole.is_file() else whole.name
         if name in flights:
-            raise ConfigError(f"{path} and {flights[name].path}, both named {name}; expected names of their own")
+            raise ConfigError(f"{path} and {flights[name].path}, both named {name}; expected different names")
         flights[name] = RecordingSpec(name, "", None, digest, None, whole)
     return tuple(flights.values())
 
 
 def _flight(flown: "Scenario") -> RecordingSpec:
-    """Return a scenario's flight. Its recording's hash is that of all that draws it; a mere name does not."""
+    """Return the flight of a scenario, with the hash of everything that determines its recording; the name does not."""
     installed = versions_here()
     settings = to_jsonable(replace(flown, name="", description=""))
-    packages = {name: installed.get(name) for name in _DRAWING_PACKAGES}
-    digest = content_hash({"scenario": settings, "packages": packages, "code": code_hash(*_DRAWS)})
+    packages = {name: installed.get(name) for name in _RENDERING_PACKAGES}
+    digest = content_hash({"scenario": settings, "packages": packages, "code": code_hash(*_RENDERING_CODE)})
     return RecordingSpec(flown.name, flown.world, flown.seed, digest, flown)
