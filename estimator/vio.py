@@ -24,6 +24,7 @@ from dronevio.estimator.initialization.gauge import Gauge, LastPublished, WorldO
 from dronevio.estimator.initialization.initializer import Initializer
 from dronevio.estimator.initialization.not_observable import NotObservable
 from dronevio.estimator.initialization.zero_velocity import ZeroVelocityDetector
+from dronevio.estimator.keyframe_observer import KeyframeObserver, OdometryKeyframe
 from dronevio.estimator.output import Publisher
 from dronevio.estimator.pipeline import MeasurementPipeline
 from dronevio.estimator.propagator import Propagator
@@ -74,13 +75,20 @@ class VisualInertialOdometry:
         ...         estimate = vio.add_frame(measurement)
     """
 
-    def __init__(self, rig: Rig, config: VioConfig | None = None, front_end: FrontEnd | None = None) -> None:
+    def __init__(
+        self,
+        rig: Rig,
+        config: VioConfig | None = None,
+        front_end: FrontEnd | None = None,
+        observer: KeyframeObserver | None = None,
+    ) -> None:
         """Begin before the first measurement.
 
         Args:
             rig: The calibration of the cameras and the IMU.
             config: Settings.
             front_end: Detects and tracks the features; by default in the images of all cameras.
+            observer: Receives the keyframes; it does not change the estimates.
 
         Raises:
             ConfigError: The rig has no camera.
@@ -94,6 +102,7 @@ class VisualInertialOdometry:
         self._keyframe_policy = KeyframePolicy(c.keyframe)
         self._publisher = Publisher(c.initialization, rig.imu.rate_hz)
         self._imu_rate = ImuRatePropagator(rig.imu, c.preintegration, c.gravity_m_s2)
+        self._observer = observer
         self._gauge: Gauge = WorldOrigin(c.initialization.gyro_bias_sigma_rad_s)
         self._state: Initializing | Tracking = self._initializing()
 
@@ -185,11 +194,19 @@ class VisualInertialOdometry:
     ) -> tuple[Tracking, tuple[str, ...]]:
         """Add a keyframe at the end of the propagation, begin the next one there, and return events."""
         smoother, propagator = tracking.smoother, tracking.propagator
-        result = smoother.add_keyframe(packet.t_ns, propagator.preintegrated, packet.observations, stationary)
+        result = smoother.add_keyframe(
+            packet.t_ns,
+            propagator.preintegrated,
+            packet.observations,
+            stationary,
+            report_departure=self._observer is not None,
+        )
         self._noise.update(result.imu_variance)
         self._pipeline.discard(result.rejected)
         events = result.events
+        self._report_keyframe(smoother, packet, result)
         if self._calibrate(tracking, packet, result):
+            self._report_departures(smoother)
             smoother = smoother.recalibrated(self._calibration, self._online_calibration.covariance_inflation)
             gravity_m_s2 = self._config.gravity_m_s2 + self._calibration.gravity_correction_m_s2
             self._noise.set_gravity(gravity_m_s2)
@@ -197,6 +214,24 @@ class VisualInertialOdometry:
             events = (*events, f"calibration corrected: {self._online_calibration.applied}")
         self._state = tracking = self._tracking(smoother, tracking.monitor, packet.observations)
         return tracking, events
+
+    def _report_keyframe(self, smoother: KeyframeSmoother, packet: FramePacket, result: KeyframeResult) -> None:
+        """Report a new keyframe, and the one that leaves the window, to the observer."""
+        if self._observer is None:
+            return
+        if result.departure is not None:
+            self._observer.departed(result.departure)
+        observations = packet.observations.without(result.rejected)
+        landmarks, times_ns = smoother.triangulated_landmarks, smoother.keyframe_times_ns
+        self._observer.added(
+            OdometryKeyframe(packet.t_ns, smoother.state, observations, landmarks, self._calibration, times_ns)
+        )
+
+    def _report_departures(self, smoother: KeyframeSmoother) -> None:
+        """Report all keyframes but the newest to the observer, since the window ends."""
+        if self._observer is not None:
+            for departure in smoother.departures():
+                self._observer.departed(departure)
 
     def _calibrate(self, tracking: Tracking, packet: FramePacket, result: KeyframeResult) -> bool:
         """Add a keyframe to the online calibration and return whether the calibration has changed."""
@@ -215,6 +250,8 @@ class VisualInertialOdometry:
         """Discard the estimate and begin another initialization, which continues from the last published pose."""
         self._state = self._initializing(tracking.monitor.is_trusted)
         self._online_calibration.restart()
+        if self._observer is not None:
+            self._observer.lost()
         return self._publisher.lost(packet, report)
 
     def _publish(

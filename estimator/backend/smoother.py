@@ -21,6 +21,7 @@ import numpy as np
 import numpy.typing as npt
 from gtsam.symbol_shorthand import B, V, X
 
+from dronevio.estimator.backend.departure import Departure, departure_of
 from dronevio.estimator.backend.landmarks import LandmarkConfig, LandmarkDatabase, TriangulatedLandmarks
 from dronevio.estimator.backend.linalg import CholeskyFactor, SingularError
 from dronevio.estimator.backend.marginal_prior import STATE_DIM, KeyframeState
@@ -88,6 +89,8 @@ class KeyframeResult:
     """Texts for people on failures of the solver, otherwise empty."""
     imu_variance: ImuVarianceComponents | None = None
     """Variance components of the IMU, from the interval that leaves the window."""
+    departure: Departure | None = None
+    """The keyframe that leaves the window, if one is marginalized and departures are requested."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -122,6 +125,7 @@ class KeyframeSmoother:
         """
         self._calibration, self._config, self._landmark_config = calibration, config, landmarks
         self._window, self._solution = self._begin(start, covariance, observations)
+        self._times_ns = {0: start.t_ns}
         self._position_covariance = covariance[3:6, 3:6]  # of the keyframe at which the window begins
         self._last_observed = observations, observations  # by the last keyframe but one, and by the last
         self._image_variance: float | None = None
@@ -148,6 +152,11 @@ class KeyframeSmoother:
         return self._window.landmarks.triangulated(self._window.cameras)
 
     @property
+    def keyframe_times_ns(self) -> tuple[int, ...]:
+        """Times of the keyframes in the window [ns]."""
+        return tuple(self._times_ns[k] for k in self._window.states)
+
+    @property
     def image_variance(self) -> float | None:
         """Variance of the window's image observations relative to the assumed one; None if it is not observable."""
         return self._image_variance
@@ -158,6 +167,8 @@ class KeyframeSmoother:
         preintegrated: gtsam.PreintegratedCombinedMeasurements,
         observations: Observations,
         stationary: bool,
+        *,
+        report_departure: bool = False,
     ) -> KeyframeResult:
         """Add a keyframe and optimize the window.
 
@@ -168,9 +179,10 @@ class KeyframeSmoother:
             preintegrated: The preintegrated measurements since the previous keyframe.
             observations: The features of the keyframe.
             stationary: Whether the vehicle is stationary since the previous keyframe.
+            report_departure: Whether to return the final estimate of a keyframe that is marginalized.
 
         Returns:
-            The rejected features, events, and the variance components of the IMU.
+            The rejected features, events, the variance components of the IMU, and the keyframe that leaves.
         """
         window, parallax_px = self._window, self._parallax_px()
         self._append(Keyframe(t_ns, preintegrated, observations, stationary))
@@ -191,14 +203,16 @@ class KeyframeSmoother:
             self._image_variance = window.image_variance(residual, observed)
             outliers = window.landmarks.reject_outliers(residual, depth_m, observed)
             window.remove_landmarks(outliers.tolist())
+            departure = self._departure(0, solver) if marginalizes and report_departure else None
             self._reduce_window(parallax_px)
         except (SingularError, np.linalg.LinAlgError) as error:
             covariance = self._solution.covariance
             self._window, self._solution = self._begin(_nav_state(t_ns, predicted), covariance, observations)
+            self._times_ns = {0: t_ns}
             self._position_covariance = covariance[3:6, 3:6]
             self._last_observed = observations, observations
             return KeyframeResult(rejected, (f"solver restored: {error}",))
-        return KeyframeResult(np.union1d(rejected, outliers), imu_variance=imu_variance)
+        return KeyframeResult(np.union1d(rejected, outliers), imu_variance=imu_variance, departure=departure)
 
     def initial_adjustment(self, keyframes: Sequence[Keyframe]) -> float | None:
         """Add the first keyframes together and adjust them by Levenberg-Marquardt.
@@ -238,6 +252,18 @@ class KeyframeSmoother:
         state, covariance = self._solution.state, self._solution.covariance + covariance_inflation
         return KeyframeSmoother(calibration, self._config, self._landmark_config, state, covariance, NO_FEATURES)
 
+    def departures(self) -> tuple[Departure, ...]:
+        """Return the final estimates of all keyframes but the newest, for the end of the window."""
+        try:
+            solver = CholeskyFactor(self._window.linearize().H)
+        except (SingularError, np.linalg.LinAlgError):
+            return ()
+        return tuple(self._departure(index, solver) for index in range(len(self._window.states) - 1))
+
+    def _departure(self, index: int, solver: CholeskyFactor) -> Departure:
+        """Return the final estimate of a keyframe of the window."""
+        return departure_of(self._window, index, solver, self._times_ns, self._position_covariance)
+
     @property
     def _focal_px(self) -> float:
         return float(self._calibration.focal_px[0])
@@ -275,6 +301,7 @@ class KeyframeSmoother:
             factors.append(gtsam.PriorFactorVector(V(k), np.zeros(3), zero_velocity))
             factors.append(gtsam.BetweenFactorPose3(X(j), X(k), gtsam.Pose3(), zero_motion))
         window.append(KeyframeState(predicted.pose(), predicted.velocity(), bias), factors)
+        self._times_ns = {i: self._times_ns[i] for i in list(window.states)[:-1]} | {k: keyframe.t_ns}
         window.landmarks.add_observations(k, keyframe.observations)
         self._last_observed = self._last_observed[1], keyframe.observations
 

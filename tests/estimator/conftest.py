@@ -15,6 +15,7 @@ from dronevio.estimator.backend.smoother import KeyframeResult, KeyframeSmoother
 from dronevio.estimator.config import VioConfig
 from dronevio.estimator.imu.buffer import ImuBuffer
 from dronevio.estimator.imu.preintegration import Preintegration, PreintegrationConfig, PreintegrationParams
+from dronevio.estimator.keyframe_observer import KeyframeObserver
 from dronevio.estimator.types import Calibration, Observations
 from dronevio.estimator.vio import VisualInertialOdometry
 from dronevio.models.camera import CameraModel
@@ -296,9 +297,14 @@ class SyntheticFlight:
         flight.__dict__.update(imu=whole, frame_times_ns=self.frame_times_ns[:frames])
         return flight
 
-    def run(self, front_end: SyntheticFrontEnd | None = None, config: VioConfig | None = None) -> list[Estimate]:
+    def run(
+        self,
+        front_end: SyntheticFrontEnd | None = None,
+        config: VioConfig | None = None,
+        observer: KeyframeObserver | None = None,
+    ) -> list[Estimate]:
         """Return the odometry's estimate for each frame."""
-        vio = VisualInertialOdometry(self.rig, config, front_end or self.front_end())
+        vio = VisualInertialOdometry(self.rig, config, front_end or self.front_end(), observer)
         estimates = []
         for measurement in measurements(self):
             if isinstance(measurement, ImuSamples):

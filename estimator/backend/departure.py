@@ -1,0 +1,73 @@
+"""Keyframes that leave the smoother's window: their final estimates, for a map that is built around the odometry."""
+
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from dronevio.estimator.backend.linalg import CholeskyFactor
+from dronevio.estimator.backend.marginal_prior import POSE_DIM, STATE_DIM, KeyframeState
+from dronevio.estimator.backend.window import Window
+
+Array = npt.NDArray[np.float64]
+Integers = npt.NDArray[np.int64]
+
+
+@dataclass(frozen=True, eq=False)
+class Departure:
+    """The final estimate of a keyframe that leaves the window.
+
+    Covariances of poses are in GTSAM's order: δθ, then δp, both in the IMU frame (right perturbation).
+    """
+
+    t_ns: int
+    """Time of the keyframe by the IMU's clock [ns]."""
+    T_odom_imu: Array
+    """(4, 4) Pose of the IMU in the odometry frame."""
+    covariance: Array
+    """(6, 6) Covariance of that pose, where yaw and position of the first pose are known."""
+    next_t_ns: int
+    """Time of the next keyframe of the window [ns]."""
+    relative_covariance: Array
+    """(6, 6) Covariance of the next keyframe's pose in the frame of this one."""
+    landmark_ids: Integers
+    """(L,) Identities of the triangulated landmarks that the keyframe observes, in increasing order."""
+    landmarks_odom: Array
+    """(L, 3) Their positions in the odometry frame [m]."""
+
+
+def departure_of(
+    window: Window, index: int, solver: CholeskyFactor, times_ns: dict[int, int], position_covariance: Array
+) -> Departure:
+    """Return the final estimate of a keyframe of a window.
+
+    Args:
+        window: The window, which still contains the keyframe.
+        index: Index of the keyframe in the window; it must not be the last one.
+        solver: Cholesky factor of the window's linear system.
+        times_ns: Times of the keyframes by their numbers [ns].
+        position_covariance: (3, 3) Covariance of the position at which the window begins, in the odometry frame [m²].
+    """
+    (k, state), (following, next_state) = list(window.states.items())[index : index + 2]
+    pose_columns = np.arange(POSE_DIM)
+    columns = np.concatenate([STATE_DIM * index + pose_columns, STATE_DIM * (index + 1) + pose_columns])
+    P = solver.inverse_block(columns)
+    J = np.hstack([-relative_adjoint(state, next_state), np.eye(POSE_DIM)])
+    covariance, R = P[:POSE_DIM, :POSE_DIM].copy(), state.pose.rotation().matrix()
+    covariance[3:, 3:] += R.T @ position_covariance @ R
+    landmarks = window.landmarks
+    ids = np.intersect1d(landmarks.observed_in(k), landmarks.ids, assume_unique=True)
+    return Departure(
+        times_ns[k],
+        state.pose.matrix(),
+        covariance,
+        times_ns[following],
+        np.asarray(J @ P @ J.T),
+        ids,
+        landmarks.points[landmarks.rows(ids)],
+    )
+
+
+def relative_adjoint(first: KeyframeState, second: KeyframeState) -> Array:
+    """Return the adjoint (6, 6) that maps a perturbation of the first pose to one of the second in its frame."""
+    return np.asarray(second.pose.between(first.pose).AdjointMap())

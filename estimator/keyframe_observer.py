@@ -1,0 +1,41 @@
+"""The interface between the odometry and a map that is built around it: keyframes as they come, leave and are lost."""
+
+from dataclasses import dataclass
+from typing import Protocol
+
+from dronevio.estimator.backend.departure import Departure
+from dronevio.estimator.backend.landmarks import TriangulatedLandmarks
+from dronevio.estimator.types import Calibration, Observations
+from dronevio.models.state import NavState
+
+
+@dataclass(frozen=True, eq=False)
+class OdometryKeyframe:
+    """The newest keyframe of the odometry."""
+
+    t_ns: int
+    """Time of the keyframe by the IMU's clock [ns]."""
+    state: NavState
+    """Its causal estimate, with covariance."""
+    observations: Observations
+    """The features of the keyframe in all cameras."""
+    landmarks: TriangulatedLandmarks
+    """The landmarks that constrain the window, in the odometry frame."""
+    calibration: Calibration
+    """The calibration in use."""
+    window_times_ns: tuple[int, ...]
+    """Times of the keyframes in the window, this one included [ns]. A keyframe that is no longer among them and has not
+    departed was dropped."""
+
+
+class KeyframeObserver(Protocol):
+    """Receives the keyframes of the odometry, which does not depend on what the observer does with them."""
+
+    def added(self, keyframe: OdometryKeyframe, /) -> None:
+        """Receive a new keyframe, after the window has been optimized."""
+
+    def departed(self, departure: Departure, /) -> None:
+        """Receive the final estimate of a keyframe that leaves the window."""
+
+    def lost(self) -> None:
+        """Notice that the estimate is lost: later keyframes are in another odometry frame."""

@@ -1,0 +1,161 @@
+"""The mapper: keyframes of the odometry become a map, and recognized places correct the odometry.
+
+A keyframe waits with its features until it leaves the odometry's window. It then joins the map with its final pose,
+recognized places become loops of the pose graph, and the graph is optimized. The correction of the odometry is the pose
+of the odometry frame in the map frame at the newest keyframe of the map, the anchor.
+"""
+
+from dataclasses import dataclass, replace
+from typing import Protocol
+
+import numpy as np
+import numpy.typing as npt
+
+from dronevio.estimator.backend.departure import Departure
+from dronevio.estimator.slam.keyframe import KeyframeFeatures, MapKeyframe
+from dronevio.estimator.slam.odometry_factors import (
+    OdometryNode,
+    RelativePose,
+    first_node,
+    odometry_factors,
+)
+from dronevio.estimator.slam.pose_graph import OptimizedGraph, PoseGraph, marginal_covariance, optimize
+from dronevio.estimator.slam.verification import PlaceMatch
+from dronevio.models.rotation import inverse_pose
+
+Array = npt.NDArray[np.float64]
+
+
+class Recognizer(Protocol):
+    """Recognizes places of earlier keyframes."""
+
+    def add(self, keyframe: MapKeyframe, /) -> tuple[PlaceMatch, ...]:
+        """Add a keyframe, and return the confirmed matches of it and of keyframes before it with earlier ones."""
+
+
+@dataclass(frozen=True, eq=False)
+class WaitingKeyframe:
+    """A keyframe of the odometry's window that waits to join the map."""
+
+    t_ns: int
+    """Time of the keyframe by the IMU's clock [ns]."""
+    features: KeyframeFeatures
+    """The corners of its images."""
+
+
+@dataclass(frozen=True, eq=False)
+class Correction:
+    """What the map tells the odometry."""
+
+    T_map_odom: Array
+    """(4, 4) Pose of the odometry frame in the map frame at the anchor."""
+    anchor_t_ns: int
+    """Time of the anchor, the newest keyframe of the map [ns]."""
+    anchor_covariance: Array
+    """(6, 6) Covariance of the anchor's pose in the map: δθ, then δp, both in the IMU frame."""
+    odometry_covariance: Array
+    """(6, 6) Covariance of the anchor's pose by the odometry alone."""
+    loops: tuple[RelativePose, ...] = ()
+    """Loops that were closed since the last correction."""
+    rejected: int = 0
+    """Number of loops that were rejected since the last correction."""
+
+
+class Mapper:
+    """Builds a map from the keyframes of one continuous odometry."""
+
+    def __init__(self, recognizer: Recognizer, optimization_interval_s: float) -> None:
+        """Begin with an empty map.
+
+        Args:
+            recognizer: Recognizes places.
+            optimization_interval_s: Shortest time of flight between two optimizations of the pose graph [s].
+        """
+        self._recognizer = recognizer
+        self._interval_ns = round(optimization_interval_s * 1e9)
+        self._waiting: dict[int, WaitingKeyframe] = {}
+        self._keyframes: list[MapKeyframe] = []
+        self._solution: OptimizedGraph | None = None
+        self._anchor: OdometryNode | None = None
+        self._judged = 0  # number of loops that have been judged by an optimization
+        self._optimized_ns: int | None = None
+
+    @property
+    def graph(self) -> PoseGraph | None:
+        """The pose graph with all loops; None before the first keyframe."""
+        return None if self._solution is None else self._solution.graph
+
+    @property
+    def keyframes(self) -> tuple[MapKeyframe, ...]:
+        """The keyframes of the map in the order of time."""
+        return tuple(self._keyframes)
+
+    def add(self, keyframe: WaitingKeyframe, window_times_ns: tuple[int, ...]) -> None:
+        """Add a new keyframe of the odometry.
+
+        Args:
+            keyframe: The keyframe.
+            window_times_ns: Times of the keyframes that are in the window [ns]; others no longer wait.
+        """
+        self._waiting = {t: known for t, known in self._waiting.items() if t in window_times_ns}
+        self._waiting[keyframe.t_ns] = keyframe
+
+    def depart(self, departure: Departure) -> Correction | None:
+        """Let a keyframe join the map.
+
+        Returns:
+            The correction of the odometry; None if the keyframe has no image.
+        """
+        waiting = self._waiting.pop(departure.t_ns, None)
+        if waiting is None:
+            return None
+        number = len(self._keyframes)
+        T = departure.T_odom_imu
+        landmarks_imu = (departure.landmarks_odom - T[:3, 3]) @ T[:3, :3]
+        keyframe = MapKeyframe(number, departure.t_ns, T, waiting.features, departure.landmark_ids, landmarks_imu)
+        self._keyframes.append(keyframe)
+        self._anchor, graph = self._extended(number, departure)
+        matches = self._recognizer.add(keyframe)
+        graph = graph.with_loops([_loop(match) for match in matches])
+        self._solution, closed, rejected = self._optimized(graph, departure.t_ns)
+        solution = self._solution
+        T_map_odom = solution.graph.poses[number] @ inverse_pose(T)
+        is_corrected = len(solution.graph.loops) > len(solution.rejected)
+        covariance = marginal_covariance(solution.without_rejected, number) if is_corrected else self._anchor.covariance
+        return Correction(T_map_odom, departure.t_ns, covariance, departure.covariance, closed, rejected)
+
+    def _extended(self, number: int, departure: Departure) -> tuple[OdometryNode, PoseGraph]:
+        """Return the newest keyframe and the graph with its pose, as the odometry continues from the last one."""
+        if self._anchor is None or self._solution is None:
+            node = first_node(number, departure)
+            return node, PoseGraph(number, departure.covariance, {number: departure.T_odom_imu})
+        graph = self._solution.graph
+        node, relative, gravity = odometry_factors(self._anchor, number, departure)
+        poses = {**graph.poses, number: graph.poses[relative.first] @ relative.T_first_second}
+        directions = graph.gravity if gravity is None else (*graph.gravity, gravity)
+        return node, replace(graph, poses=poses, odometry=(*graph.odometry, relative), gravity=directions)
+
+    def _optimized(self, graph: PoseGraph, t_ns: int) -> tuple[OptimizedGraph, tuple[RelativePose, ...], int]:
+        """Return the optimized graph, if there are new loops and the last time is long enough ago.
+
+        Returns:
+            The graph, the loops that were closed, and the number of rejected ones.
+        """
+        before = self._solution
+        rejected = before.rejected if before else frozenset[int]()
+        is_due = self._optimized_ns is None or t_ns - self._optimized_ns >= self._interval_ns
+        if len(graph.loops) == self._judged or not is_due:
+            waiting = range(self._judged, len(graph.loops))
+            return OptimizedGraph(graph, frozenset({*rejected, *waiting})), (), 0
+        solution = optimize(graph)
+        self._optimized_ns, since, self._judged = t_ns, self._judged, len(graph.loops)
+        new = [i for i in range(since, len(graph.loops)) if i not in solution.rejected]
+        closed = tuple(graph.loops[i] for i in new)
+        return solution, closed, len(graph.loops) - since - len(new)
+
+
+def _loop(match: PlaceMatch) -> RelativePose:
+    """Return a verified match as a factor of the pose graph."""
+    S = np.eye(6)
+    S[3:, 3:] = match.T_match_query[:3, :3].T  # from the IMU frame of the old keyframe to that of the new one
+    return RelativePose(match.match, match.query, match.T_match_query, S @ match.covariance @ S.T)

@@ -1,0 +1,117 @@
+"""The pose graph: keyframes of a map, connected by the odometry, by gravity and by loops, and its optimization."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import gtsam
+import numpy as np
+import numpy.typing as npt
+from gtsam.symbol_shorthand import X
+
+from dronevio.estimator.slam.odometry_factors import GravityDirection, RelativePose
+
+Array = npt.NDArray[np.float64]
+
+INLIER_PROBABILITY = 0.99
+"""Probability of χ² up to which a loop is an inlier of graduated non-convexity."""
+JUDGED_ROTATION_SIGMA_RAD, JUDGED_POSITION_SIGMA_M = 0.005, 0.01
+"""Standard deviations that are added to those of a loop where it is judged [rad] and [m]. The graph contains the growth
+of the odometry's covariance since the start, which is less than the error between two keyframes of its middle. A place
+that is mistaken for another one is wrong by far more."""
+
+
+@dataclass(frozen=True, eq=False)
+class PoseGraph:
+    """Keyframes and the factors between them; immutable.
+
+    Attributes are tuples, so that a graph can be passed to another process.
+    """
+
+    first: int
+    """Number of the keyframe whose yaw and position are those of the map frame."""
+    first_covariance: Array
+    """(6, 6) Prior covariance of its pose: δθ, then δp, both in the IMU frame."""
+    poses: Mapping[int, Array]
+    """Poses (4, 4) of the keyframes in the map frame, `T_map_imu`, by their numbers."""
+    odometry: tuple[RelativePose, ...] = ()
+    """Relative poses by the odometry."""
+    gravity: tuple[GravityDirection, ...] = ()
+    """Directions of gravity by the odometry."""
+    loops: tuple[RelativePose, ...] = ()
+    """Relative poses by places that were recognized again."""
+
+    def with_loops(self, loops: Sequence[RelativePose]) -> "PoseGraph":
+        """Return the graph with more loops."""
+        return replace(self, loops=(*self.loops, *loops))
+
+
+@dataclass(frozen=True, eq=False)
+class OptimizedGraph:
+    """The solution of a pose graph."""
+
+    graph: PoseGraph
+    """The graph with the optimized poses."""
+    rejected: frozenset[int]
+    """Indices of the loops that contradict the others; the solution does not contain them."""
+
+    @property
+    def without_rejected(self) -> PoseGraph:
+        """The graph without the rejected loops."""
+        loops = tuple(loop for i, loop in enumerate(self.graph.loops) if i not in self.rejected)
+        return replace(self.graph, loops=loops)
+
+
+def optimize(graph: PoseGraph, *, robust: bool = True) -> OptimizedGraph:
+    """Return the most probable poses of the keyframes.
+
+    Args:
+        graph: The graph; its poses are the initial estimates.
+        robust: Whether loops may be wrong. They are then judged by graduated non-convexity with a truncated quadratic
+            loss (Yang et al., "Graduated non-convexity for robust spatial perception", RA-L 2020).
+    """
+    values = gtsam.Values()
+    for k, T in graph.poses.items():
+        values.insert(X(k), gtsam.Pose3(T))
+    rejected = _rejected_loops(graph, values) if robust and graph.loops else frozenset[int]()
+    inliers = OptimizedGraph(graph, rejected).without_rejected
+    solution = gtsam.LevenbergMarquardtOptimizer(_factor_graph(inliers), values).optimize()
+    poses = {k: solution.atPose3(X(k)).matrix() for k in graph.poses}
+    return OptimizedGraph(replace(graph, poses=poses), rejected)
+
+
+def marginal_covariance(graph: PoseGraph, keyframe: int) -> Array:
+    """Return the marginal covariance (6, 6) of a keyframe's pose at the poses of the graph: δθ, δp in the IMU frame."""
+    values = gtsam.Values()
+    for k, T in graph.poses.items():
+        values.insert(X(k), gtsam.Pose3(T))
+    return np.asarray(gtsam.Marginals(_factor_graph(graph), values).marginalCovariance(X(keyframe)))
+
+
+def _factor_graph(graph: PoseGraph) -> gtsam.NonlinearFactorGraph:
+    """Return the factors of a graph; the loops come last."""
+    factors = gtsam.NonlinearFactorGraph()
+    prior = gtsam.noiseModel.Gaussian.Covariance(graph.first_covariance)
+    factors.add(gtsam.PriorFactorPose3(X(graph.first), gtsam.Pose3(graph.poses[graph.first]), prior))
+    up = gtsam.Unit3(np.array([0.0, 0.0, 1.0]))
+    for direction in graph.gravity:
+        noise = gtsam.noiseModel.Isotropic.Sigma(2, direction.sigma_rad)
+        factors.add(gtsam.AttitudeFactorPose3(X(direction.keyframe), up, noise, gtsam.Unit3(direction.up_imu)))
+    for relative in (*graph.odometry, *graph.loops):
+        noise = gtsam.noiseModel.Gaussian.Covariance(relative.covariance)
+        T = gtsam.Pose3(relative.T_first_second)
+        factors.add(gtsam.BetweenFactorPose3(X(relative.first), X(relative.second), T, noise))
+    return factors
+
+
+def _rejected_loops(graph: PoseGraph, values: gtsam.Values) -> frozenset[int]:
+    """Return the indices of the loops that graduated non-convexity rejects."""
+    added = np.diag(np.repeat([JUDGED_ROTATION_SIGMA_RAD**2, JUDGED_POSITION_SIGMA_M**2], 3))
+    judged = replace(graph, loops=tuple(replace(loop, covariance=loop.covariance + added) for loop in graph.loops))
+    factors = _factor_graph(judged)
+    params = gtsam.GncLMParams(gtsam.LevenbergMarquardtParams())
+    params.setLossType(gtsam.GncLossType.TLS)
+    params.setKnownInliers(list(range(factors.size() - len(graph.loops))))
+    optimizer = gtsam.GncLMOptimizer(factors, values, params)
+    optimizer.setInlierCostThresholdsAtProbability(INLIER_PROBABILITY)
+    optimizer.optimize()
+    return frozenset(np.flatnonzero(optimizer.getWeights()[-len(graph.loops) :] < 0.5).tolist())

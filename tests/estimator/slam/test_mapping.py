@@ -1,0 +1,135 @@
+"""The map of the odometry's keyframes: without loops it is the odometry, and with loops it is better."""
+
+from collections.abc import Callable
+from typing import TYPE_CHECKING
+
+import numpy as np
+import numpy.typing as npt
+import pytest
+
+from dronevio.estimator.slam.keyframe import MapKeyframe
+from dronevio.estimator.slam.pose_graph import marginal_covariance, optimize
+from dronevio.estimator.slam.verification import PlaceMatch
+from dronevio.models.rotation import inverse_pose
+
+if TYPE_CHECKING:
+    from tests.estimator.conftest import SyntheticFlight
+    from tests.estimator.slam.conftest import MappedFlight, OdometryFlight
+
+Array = npt.NDArray[np.float64]
+
+
+class NoRecognizer:
+    """Recognizes no place."""
+
+    def add(self, keyframe: MapKeyframe) -> tuple[PlaceMatch, ...]:
+        """Return no match."""
+        return ()
+
+
+@pytest.fixture(scope="module")
+def without_loops(odometry_flight: "OdometryFlight") -> "MappedFlight":
+    """Return the map of a flight in which no place is recognized."""
+    return odometry_flight.mapped(NoRecognizer())
+
+
+def test_observer_leaves_the_odometry_as_it_is(
+    make_flight: Callable[..., "SyntheticFlight"], odometry_flight: "OdometryFlight"
+) -> None:
+    frames = 200
+    plain = make_flight(4, duration_s=25.0).cut_after(frames).run()
+    for a, b in zip(plain, odometry_flight.estimates[:frames], strict=True):
+        assert (a.state is None) == (b.state is None) and a.events == b.events
+        if a.state is not None and b.state is not None:
+            assert a.state.T_world_imu.tobytes() == b.state.T_world_imu.tobytes()
+            assert a.state.covariance is not None and b.state.covariance is not None
+            assert a.state.covariance.tobytes() == b.state.covariance.tobytes()
+
+
+def test_departures_are_in_order_and_close_to_the_truth(odometry_flight: "OdometryFlight") -> None:
+    departures, true_poses = odometry_flight.departures, odometry_flight.true_poses
+    times = [departure.t_ns for departure in departures]
+    assert len(times) > 80 and times == sorted(set(times))
+    first = departures[0]
+    for departure in departures:
+        T = inverse_pose(first.T_odom_imu) @ departure.T_odom_imu
+        true_T = inverse_pose(true_poses[first.t_ns]) @ true_poses[departure.t_ns]
+        assert np.linalg.norm(T[:3, 3] - true_T[:3, 3]) < 0.1
+        assert np.all(np.linalg.eigvalsh(departure.covariance) > 0.0)
+        assert np.all(np.linalg.eigvalsh(departure.relative_covariance) > 0.0)
+        assert departure.t_ns < departure.next_t_ns and len(departure.landmark_ids) == len(departure.landmarks_odom)
+
+
+def test_landmarks_of_a_departure_are_at_their_true_places(odometry_flight: "OdometryFlight") -> None:
+    departure = odometry_flight.departures[60]
+    T = odometry_flight.true_poses[departure.t_ns] @ inverse_pose(departure.T_odom_imu)
+    in_world = departure.landmarks_odom @ T[:3, :3].T + T[:3, 3]
+    distance = np.linalg.norm(in_world[:, None] - odometry_flight.flight.landmarks, axis=2).min(axis=1)
+    assert len(distance) > 20 and np.median(distance) < 0.02
+
+
+def test_without_loops_the_graph_gives_the_odometry_back(
+    odometry_flight: "OdometryFlight", without_loops: "MappedFlight"
+) -> None:
+    graph = without_loops.mapper.graph
+    assert graph is not None
+    solved = optimize(graph).graph
+    for number, departure in enumerate(odometry_flight.departures):
+        np.testing.assert_allclose(solved.poses[number], departure.T_odom_imu, atol=1e-6)
+    np.testing.assert_allclose(without_loops.corrections[-1].T_map_odom, np.eye(4), atol=1e-9)
+
+
+def test_growth_of_covariance_is_that_of_the_odometry(
+    odometry_flight: "OdometryFlight", without_loops: "MappedFlight"
+) -> None:
+    graph = without_loops.mapper.graph
+    assert graph is not None
+    ratios = []
+    for number in range(len(odometry_flight.departures) // 3, len(odometry_flight.departures), 4):
+        departure = odometry_flight.departures[number]
+        expected, found = departure.covariance, marginal_covariance(graph, number)
+        up = departure.T_odom_imu[2, :3]
+        yaw, position = up @ found[:3, :3] @ up / (up @ expected[:3, :3] @ up), np.trace(found[3:, 3:])
+        ratios.append((yaw, position / np.trace(expected[3:, 3:])))
+    # The covariance of a single camera becomes smaller where the vehicle returns to the start; that of a graph does not.
+    assert np.sqrt(np.mean(ratios, axis=0)) == pytest.approx(1.0, abs=0.25)
+
+
+def errors_m(odometry_flight: "OdometryFlight", poses: dict[int, Array]) -> Array:
+    """Return the errors (N,) of positions in the frame of the first keyframe [m]."""
+    true = list(odometry_flight.true_poses.values())
+    from_first, true_from_first = inverse_pose(poses[0]), inverse_pose(true[0])
+    errors = [(from_first @ poses[k] - true_from_first @ T)[:3, 3] for k, T in enumerate(true)]
+    return np.linalg.norm(np.array(errors), axis=1)
+
+
+def test_loops_remove_the_drift(odometry_flight: "OdometryFlight", without_loops: "MappedFlight") -> None:
+    _, mapped = odometry_flight.with_loops(every=3)
+    graph = mapped.mapper.graph
+    assert graph is not None and len(graph.loops) > 15
+    corrected = optimize(graph)
+    assert not corrected.rejected
+    without = {k: d.T_odom_imu for k, d in enumerate(odometry_flight.departures)}
+    before, after = errors_m(odometry_flight, without)[30:], errors_m(odometry_flight, dict(corrected.graph.poses))[30:]
+    assert np.sqrt(np.mean(after**2)) < 0.7 * np.sqrt(np.mean(before**2))
+    last = mapped.corrections[-1]
+    assert np.trace(last.anchor_covariance) < 0.5 * np.trace(last.odometry_covariance)
+    closed = [loop for correction in mapped.corrections for loop in correction.loops]
+    assert len(closed) > 10 and {loop.second for loop in closed} <= {loop.second for loop in graph.loops}
+
+
+def test_wrong_loops_are_rejected_and_right_ones_kept(odometry_flight: "OdometryFlight") -> None:
+    recognizer, mapped = odometry_flight.with_loops(every=3, wrong=0.4, seed=1)
+    graph = mapped.mapper.graph
+    assert graph is not None
+    solved = optimize(graph)
+    rejected = {(graph.loops[i].first, graph.loops[i].second) for i in solved.rejected}
+    assert len(recognizer.wrong_pairs) > 5 and rejected == recognizer.wrong_pairs
+    assert np.max(errors_m(odometry_flight, dict(solved.graph.poses))) < 0.05
+
+
+def test_keyframes_without_images_do_not_join_the_map(odometry_flight: "OdometryFlight") -> None:
+    mapped = odometry_flight.mapped(NoRecognizer())
+    count = len(mapped.mapper.keyframes)
+    assert mapped.mapper.depart(odometry_flight.departures[-1]) is None
+    assert len(mapped.mapper.keyframes) == count
