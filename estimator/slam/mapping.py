@@ -5,14 +5,21 @@ recognized places become loops of the pose graph, and the graph is optimized. Th
 of the odometry frame in the map frame at the newest keyframe of the map, the anchor.
 """
 
-from dataclasses import dataclass, replace
-from typing import Protocol
+from dataclasses import dataclass, field, replace
+from typing import Annotated, Protocol
 
 import numpy as np
 import numpy.typing as npt
 
 from dronevio.estimator.backend.departure import Departure
 from dronevio.estimator.slam.keyframe import KeyframeFeatures, MapKeyframe
+from dronevio.estimator.slam.localization import (
+    KeyframeImages,
+    LandmarkPatches,
+    LocalizationConfig,
+    Localizer,
+    landmark_patches,
+)
 from dronevio.estimator.slam.odometry_factors import (
     OdometryNode,
     RelativePose,
@@ -21,9 +28,13 @@ from dronevio.estimator.slam.odometry_factors import (
 )
 from dronevio.estimator.slam.pose_graph import OptimizedGraph, PoseGraph, marginal_covariance, optimize
 from dronevio.estimator.slam.verification import PlaceMatch
+from dronevio.models.ranges import Range, Settings
 from dronevio.models.rotation import inverse_pose
 
 Array = npt.NDArray[np.float64]
+
+MIN_SEPARATION = 4
+"""Number of keyframes between two in which one is localized, so that these show different landmarks."""
 
 
 class Recognizer(Protocol):
@@ -31,6 +42,26 @@ class Recognizer(Protocol):
 
     def add(self, keyframe: MapKeyframe, /) -> tuple[PlaceMatch, ...]:
         """Add a keyframe, and return the confirmed matches of it and of keyframes before it with earlier ones."""
+
+
+@dataclass(frozen=True)
+class MappingConfig(Settings):
+    """Settings of the mapper."""
+
+    localization: LocalizationConfig = field(default_factory=LocalizationConfig)
+    """Settings of the localization of keyframes in the map."""
+    optimization_interval_s: Annotated[float, Range(low=0.0)] = 1.0
+    """Shortest time of flight between two optimizations of the pose graph [s]."""
+    localization_interval_s: Annotated[float, Range(low=0.0)] = 0.5
+    """Shortest time of flight between two keyframes that are localized in the map [s]."""
+    min_age_s: Annotated[float, Range(0.0, 3600.0)] = 10.0
+    """Smallest age of a keyframe in which another one is localized [s]."""
+    max_distance_m: Annotated[float, Range(0.01, 100.0)] = 1.5
+    """Largest distance of two keyframes that are expected to show the same place [m]."""
+    max_angle_deg: Annotated[float, Range(1.0, 180.0)] = 30.0
+    """Largest angle between their orientations [°]."""
+    references: Annotated[int, Range(1, 20)] = 2
+    """Number of earlier keyframes in which one is localized."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -41,6 +72,8 @@ class WaitingKeyframe:
     """Time of the keyframe by the IMU's clock [ns]."""
     features: KeyframeFeatures
     """The corners of its images."""
+    images: KeyframeImages | None = None
+    """Its images, which are used once more when it joins the map."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -64,15 +97,17 @@ class Correction:
 class Mapper:
     """Builds a map from the keyframes of one continuous odometry."""
 
-    def __init__(self, recognizer: Recognizer, optimization_interval_s: float) -> None:
+    def __init__(self, recognizer: Recognizer, config: MappingConfig | None = None) -> None:
         """Begin with an empty map.
 
         Args:
             recognizer: Recognizes places.
-            optimization_interval_s: Shortest time of flight between two optimizations of the pose graph [s].
+            config: Settings.
         """
-        self._recognizer = recognizer
-        self._interval_ns = round(optimization_interval_s * 1e9)
+        self._recognizer, self._config = recognizer, config or MappingConfig()
+        self._localizer = Localizer(self._config.localization)
+        self._patches: dict[int, LandmarkPatches] = {}
+        self._localized_ns: int | None = None
         self._waiting: dict[int, WaitingKeyframe] = {}
         self._keyframes: list[MapKeyframe] = []
         self._solution: OptimizedGraph | None = None
@@ -115,8 +150,11 @@ class Mapper:
         keyframe = MapKeyframe(number, departure.t_ns, T, waiting.features, departure.landmark_ids, landmarks_imu)
         self._keyframes.append(keyframe)
         self._anchor, graph = self._extended(number, departure)
-        matches = self._recognizer.add(keyframe)
-        graph = graph.with_loops([_loop(match) for match in matches])
+        loops = [_loop(match) for match in self._recognizer.add(keyframe)]
+        if waiting.images is not None:
+            loops += self._localized(graph, keyframe, waiting.images)
+            self._patches[number] = landmark_patches(keyframe, waiting.images, self._config.localization)
+        graph = graph.with_loops(loops)
         self._solution, closed, rejected = self._optimized(graph, departure.t_ns)
         solution = self._solution
         T_map_odom = solution.graph.poses[number] @ inverse_pose(T)
@@ -135,6 +173,47 @@ class Mapper:
         directions = graph.gravity if gravity is None else (*graph.gravity, gravity)
         return node, replace(graph, poses=poses, odometry=(*graph.odometry, relative), gravity=directions)
 
+    def _localized(self, graph: PoseGraph, keyframe: MapKeyframe, images: KeyframeImages) -> list[RelativePose]:
+        """Return the poses of a keyframe in the frames of earlier ones that are expected to show the same place."""
+        c = self._config
+        is_due = self._localized_ns is None or keyframe.t_ns - self._localized_ns >= c.localization_interval_s * 1e9
+        if not is_due:
+            return []
+        found = []
+        T_map_imu = graph.poses[keyframe.number]
+        for number in self._references(graph, keyframe):
+            predicted = inverse_pose(graph.poses[number]) @ T_map_imu
+            match = self._keyframes[number]
+            result = self._localizer.localize(keyframe, images, match, self._patches[number], predicted)
+            if result is not None:
+                found.append(result)
+        if found:
+            self._localized_ns = keyframe.t_ns
+        return found
+
+    def _references(self, graph: PoseGraph, keyframe: MapKeyframe) -> list[int]:
+        """Return the numbers of the earlier keyframes whose views are most like that of a new one."""
+        c = self._config
+        old = [k.number for k in self._keyframes if keyframe.t_ns - k.t_ns >= c.min_age_s * 1e9]
+        if not old:
+            return []
+        Ts, T = np.stack([graph.poses[k] for k in old]), graph.poses[keyframe.number]
+        distance_m = np.linalg.norm(Ts[:, :3, 3] - T[:3, 3], axis=1)
+        cosine = (np.einsum("nij,ij->n", Ts[:, :3, :3], T[:3, :3]) - 1.0) / 2.0
+        angle_rad = np.arccos(np.clip(cosine, -1.0, 1.0))
+        largest_rad = np.radians(c.max_angle_deg)
+        cost = distance_m / c.max_distance_m + angle_rad / largest_rad
+        order = np.argsort(np.where((distance_m < c.max_distance_m) & (angle_rad < largest_rad), cost, np.inf))
+        chosen: list[int] = []
+        for index in order.tolist():
+            if not np.isfinite(cost[index]) or len(chosen) == c.references:
+                break
+            if distance_m[index] >= c.max_distance_m or angle_rad[index] >= largest_rad:
+                break
+            if all(abs(old[index] - other) > MIN_SEPARATION for other in chosen):
+                chosen.append(old[index])
+        return chosen
+
     def _optimized(self, graph: PoseGraph, t_ns: int) -> tuple[OptimizedGraph, tuple[RelativePose, ...], int]:
         """Return the optimized graph, if there are new loops and the last time is long enough ago.
 
@@ -143,7 +222,7 @@ class Mapper:
         """
         before = self._solution
         rejected = before.rejected if before else frozenset[int]()
-        is_due = self._optimized_ns is None or t_ns - self._optimized_ns >= self._interval_ns
+        is_due = self._optimized_ns is None or t_ns - self._optimized_ns >= self._config.optimization_interval_s * 1e9
         if len(graph.loops) == self._judged or not is_due:
             waiting = range(self._judged, len(graph.loops))
             return OptimizedGraph(graph, frozenset({*rejected, *waiting})), (), 0

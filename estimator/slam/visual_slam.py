@@ -16,6 +16,7 @@ from dronevio.estimator.backend.departure import Departure
 from dronevio.estimator.keyframe_observer import OdometryKeyframe
 from dronevio.estimator.slam.config import SlamConfig
 from dronevio.estimator.slam.features import PlaceFeatureExtractor
+from dronevio.estimator.slam.localization import KeyframeImages
 from dronevio.estimator.slam.mapping import Correction, Mapper, Recognizer, WaitingKeyframe
 from dronevio.estimator.slam.recognizer import PlaceRecognizer
 from dronevio.estimator.vio import VisualInertialOdometry
@@ -52,7 +53,7 @@ class VisualSlam:
         self._config = c = config or SlamConfig()
         self._odometry = VisualInertialOdometry(rig, c.odometry, observer=self)
         self._extractor = PlaceFeatureExtractor(c.places.features)
-        self._mapper = Mapper(recognizer or PlaceRecognizer(rig, c.places), c.optimization_interval_s)
+        self._mapper = Mapper(recognizer or PlaceRecognizer(rig, c.places), c.mapping)
         self._frame: CameraFrame | None = None
         self._frames = 0
         self._due: deque[tuple[int, Correction]] = deque()
@@ -95,7 +96,8 @@ class VisualSlam:
         assert frame is not None
         R_odom_imu = keyframe.state.T_world_imu[:3, :3]
         features = self._extractor.extract(frame.images, keyframe.calibration.rig, R_odom_imu, keyframe.observations)
-        self._mapper.add(WaitingKeyframe(keyframe.t_ns, features), keyframe.window_times_ns)
+        images = KeyframeImages(frame.images, keyframe.calibration.rig)
+        self._mapper.add(WaitingKeyframe(keyframe.t_ns, features, images), keyframe.window_times_ns)
 
     def departed(self, departure: Departure) -> None:
         """Receive the final estimate of a keyframe of the odometry."""

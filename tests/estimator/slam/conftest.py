@@ -125,7 +125,7 @@ class OdometryFlight:
 
     def mapped(self, recognizer: Recognizer) -> MappedFlight:
         """Return the map of the flight; keyframes have no image."""
-        mapper, corrections = Mapper(recognizer, 1.0), []
+        mapper, corrections = Mapper(recognizer), []
         for departure in self.departures:
             mapper.add(WaitingKeyframe(departure.t_ns, NO_CORNERS), (departure.t_ns,))
             correction = mapper.depart(departure)
