@@ -35,6 +35,8 @@ class EstimatorKind:
     """Function that makes the estimator for a rig."""
     cameras: int | None = 1
     """Number of cameras that the estimator uses; None for all cameras of the recording, at least two."""
+    has_map: bool = False
+    """Whether the poses in the map frame are scored instead of those in the odometry frame."""
 
 
 def _vio_settings() -> object:
@@ -47,6 +49,19 @@ def _vio(rig: Rig) -> Estimator:
     from dronevio.estimator.vio import VisualInertialOdometry
 
     return VisualInertialOdometry(rig)
+
+
+def _slam_settings() -> object:
+    from dronevio.estimator.config import VioConfig
+    from dronevio.estimator.slam.config import SlamConfig
+
+    return VioConfig(), SlamConfig()
+
+
+def _slam(rig: Rig) -> Estimator:
+    from dronevio.estimator.slam.visual_slam import VisualSlam
+
+    return VisualSlam(rig)
 
 
 def _equivariant_settings() -> object:
@@ -77,6 +92,15 @@ ESTIMATORS: dict[str, EstimatorKind] = {
     "vio": EstimatorKind("our fixed-lag smoother with one camera and the IMU", _vio_settings, _vio),
     "vio-stereo": EstimatorKind(
         "our fixed-lag smoother with all cameras and the IMU", _vio_settings, _vio, cameras=None
+    ),
+    "slam": EstimatorKind(
+        "our visual SLAM with one camera and the IMU: the odometry, corrected causally by loops",
+        _slam_settings,
+        _slam,
+        has_map=True,
+    ),
+    "slam-stereo": EstimatorKind(
+        "our visual SLAM with all cameras and the IMU", _slam_settings, _slam, cameras=None, has_map=True
     ),
     "eqvio": EstimatorKind("GTSAM's equivariant filter with our front end", _equivariant_settings, _equivariant),
     "dead-reckoning": EstimatorKind(
@@ -156,8 +180,9 @@ class NamedEstimator:
             raise ConfigError(f"{path}: one camera; expected two or more for {self.name}")
         make = own.make if own else ESTIMATORS[self.name].make
         run = estimate_recording(recording, make(recording.rig))
+        trajectory = require_poses(run, recording)
         return Estimated(
-            require_poses(run, recording),
+            run.map_trajectory if kind and kind.has_map else trajectory,
             float(run.cpu_ms.mean()),
             float(np.percentile(run.cpu_ms, 99.0)),
             run.real_time_factor,

@@ -4,7 +4,6 @@ from dataclasses import dataclass
 from typing import Protocol
 
 from dronevio.estimator.backend.departure import Departure
-from dronevio.estimator.backend.landmarks import TriangulatedLandmarks
 from dronevio.estimator.types import Calibration, Observations
 from dronevio.models.state import NavState
 
@@ -19,10 +18,10 @@ class OdometryKeyframe:
     """Its causal estimate, with covariance."""
     observations: Observations
     """The features of the keyframe in all cameras."""
-    landmarks: TriangulatedLandmarks
-    """The landmarks that constrain the window, in the odometry frame."""
     calibration: Calibration
     """The calibration in use."""
+    is_of_newest_frame: bool
+    """Whether the keyframe is the newest frame. Where a motion begins, it is an earlier one."""
     window_times_ns: tuple[int, ...]
     """Times of the keyframes in the window, this one included [ns]. A keyframe that is no longer among them and has not
     departed was dropped."""

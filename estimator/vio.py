@@ -103,6 +103,7 @@ class VisualInertialOdometry:
         self._publisher = Publisher(c.initialization, rig.imu.rate_hz)
         self._imu_rate = ImuRatePropagator(rig.imu, c.preintegration, c.gravity_m_s2)
         self._observer = observer
+        self._newest_ns = 0  # time of the newest frame by the clock of the IMU
         self._gauge: Gauge = WorldOrigin(c.initialization.gyro_bias_sigma_rad_s)
         self._state: Initializing | Tracking = self._initializing()
 
@@ -128,6 +129,7 @@ class VisualInertialOdometry:
         """
         repeated = self._pipeline.repeats_image
         packet = self._pipeline.process(frame, self._calibration, *self._gyro_bias)
+        self._newest_ns = packet.t_ns
         features = packet.observations if packet.has_image else None
         self._zero_velocity.update(packet.t_ns, features, packet.increments)
         self._gauge = self._gauge.propagated(packet.increments)
@@ -222,9 +224,15 @@ class VisualInertialOdometry:
         if result.departure is not None:
             self._observer.departed(result.departure)
         observations = packet.observations.without(result.rejected)
-        landmarks, times_ns = smoother.triangulated_landmarks, smoother.keyframe_times_ns
         self._observer.added(
-            OdometryKeyframe(packet.t_ns, smoother.state, observations, landmarks, self._calibration, times_ns)
+            OdometryKeyframe(
+                packet.t_ns,
+                smoother.state,
+                observations,
+                self._calibration,
+                packet.t_ns == self._newest_ns,
+                smoother.keyframe_times_ns,
+            )
         )
 
     def _report_departures(self, smoother: KeyframeSmoother) -> None:

@@ -1,7 +1,7 @@
 """The run of an estimator on a recording: its estimates frame by frame, and their cost."""
 
 import re
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Self
 
 import numpy as np
@@ -61,6 +61,19 @@ class EstimatorRun:
             for estimate in self.estimates
             if estimate.health in POSE_IS_VALID and estimate.state is not None
         )
+
+    @property
+    def map_trajectory(self) -> Trajectory:
+        """The valid poses in the map frame, as they were corrected when they were published; without velocities.
+
+        It is empty if the estimator has no map.
+        """
+        states = [
+            replace(estimate.state, T_world_imu=estimate.T_map_imu, covariance=None)
+            for estimate in self.estimates
+            if estimate.health in POSE_IS_VALID and estimate.state is not None and estimate.T_map_imu is not None
+        ]
+        return replace(Trajectory.from_states(states), velocity_m_s=None)
 
     @property
     def real_time_factor(self) -> float | None:

@@ -22,6 +22,8 @@ from dronevio.cli.terminal import (
 
 if TYPE_CHECKING:
     from dronevio.estimator.config import VioConfig
+    from dronevio.estimator.slam.config import SlamConfig
+    from dronevio.estimator.slam.visual_slam import VisualSlam
 
 
 @dataclass(frozen=True)
@@ -41,6 +43,10 @@ class EstimateCommand:
     of landmarks in the images from their prediction; its NIS, relative to the estimated covariance, is about 1 if
     calibration, noise parameters and estimate agree.
 
+    With --slam, the odometry builds a map, and closes loops where it sees a place again. The result is then three
+    TUM files: the odometry, the poses as the map has corrected them when they were estimated (OUT_map), and the poses
+    by the final map, which use the whole recording (OUT_map_final).
+
     Examples:
       dronevio estimate recordings/room-0
       dronevio estimate V1_01_easy --out v101.tum
@@ -48,7 +54,8 @@ class EstimateCommand:
       dronevio estimate flight.mcap --calibration camchain.yaml imu.yaml --topics.images /left/image_raw
       dronevio estimate V1_01_easy --estimator.tracker.corners.cell-px 36
       dronevio estimate flight.mcap --strict --estimator.gravity-m-s2 9.80
-      dronevio evaluate V1_01_easy v101.tum
+      dronevio estimate V1_01_easy --slam --out v101.tum
+      dronevio evaluate V1_01_easy v101.tum v101_map.tum v101_map_final.tum
     """
 
     recording: Annotated[tyro.conf.Positional[Path], tyro.conf.arg(metavar="RECORDING")]
@@ -58,6 +65,8 @@ class EstimateCommand:
     strict: bool = False
     """Refuse a recording with defects: missing, damaged or unpaired images, time stamps that do not increase, gaps of
     the IMU, IMU samples that are not finite, and frames without IMU."""
+    slam: bool = False
+    """Build a map, recognize places and correct the odometry; write the corrected trajectories, too."""
     imu_rate: Path | None = None
     """Second TUM file to write: one pose per IMU sample, propagated from the estimate of the newest frame before it."""
     reading: RecordingInput = field(default_factory=RecordingOptions)
@@ -66,6 +75,20 @@ class EstimateCommand:
     """How results are printed."""
     estimator: "VioConfig" = field(default_factory=ImportedSettings("dronevio.estimator.config", "VioConfig"))
     """Settings of the estimator."""
+    map: "SlamConfig" = field(default_factory=ImportedSettings("dronevio.estimator.slam.config", "SlamConfig"))
+    """Settings of the map, with --slam."""
+
+
+def map_rows(slam: "VisualSlam | None") -> tuple[tuple[str, str, str], ...]:
+    """Return rows of names, values and units that describe the map; none without a map."""
+    if slam is None:
+        return ()
+    summary = slam.summary
+    return (
+        ("keyframes of the map", f"{summary.keyframes}", ""),
+        ("loops", f"{summary.loops}", ""),
+        ("rejected loops", f"{summary.rejected_loops}", ""),
+    )
 
 
 def main(arguments: Sequence[str]) -> int:
@@ -73,12 +96,14 @@ def main(arguments: Sequence[str]) -> int:
     command = parse(EstimateCommand, arguments, "estimate")
 
     from dronevio.driver import ImuRateObserver, estimate_recording, require_poses
+    from dronevio.estimator.slam.visual_slam import VisualSlam
     from dronevio.estimator.vio import VisualInertialOdometry
     from dronevio.models.defects import count_defects, defect_values, refuse_defects
     from dronevio.models.recordings.files import check_output_path
     from dronevio.models.recordings.tum import write_tum
 
-    for place in filter(None, (command.out, command.imu_rate)):
+    of_map = tuple(command.out.with_stem(f"{command.out.stem}_{suffix}") for suffix in ("map", "map_final"))
+    for place in filter(None, (command.out, command.imu_rate, *(of_map if command.slam else ()))):
         check_output_path(place)  # before the estimator runs
     recording = command.reading.open(command.recording, repair=True)
     if command.strict:
@@ -89,14 +114,22 @@ def main(arguments: Sequence[str]) -> int:
     imu_rate = ImuRateObserver(recording.rig.imu, estimator_config.preintegration, estimator_config.gravity_m_s2)
     observers = () if command.imu_rate is None else (imu_rate,)
     with progress_bars(quiet=command.printing.json) as bars:
-        estimator = VisualInertialOdometry(recording.rig, command.estimator)
+        slam = VisualSlam(recording.rig, command.estimator, command.map) if command.slam else None
+        estimator = slam or VisualInertialOdometry(recording.rig, command.estimator)
         run = estimate_recording(recording, estimator, bars.bar("estimating"), observers)
     print_defects(run.defects[len(recording.defects) :])
     print_run_warnings(run)
     trajectory = require_poses(run, recording)
     write_tum(command.out, trajectory)
+    written = [command.out]
+    if slam is not None:
+        final = slam.final_correction()
+        write_tum(of_map[0], run.map_trajectory)
+        write_tum(of_map[1], trajectory if final is None else final.applied(trajectory))
+        written += of_map
     if command.imu_rate is not None:
         write_tum(command.imu_rate, imu_rate.trajectory)
+        written.append(command.imu_rate)
     summary: dict[str, Any] = {
         "recording": str(command.recording),
         "estimate": str(command.out),
@@ -113,6 +146,8 @@ def main(arguments: Sequence[str]) -> int:
         "cpu_ms_per_frame": float(run.cpu_ms.mean()),
         "real_time_factor": run.real_time_factor,
     }
+    if slam is not None:
+        summary |= {"map": asdict(slam.summary), "map_estimate": str(of_map[0]), "final_map_estimate": str(of_map[1])}
     if command.imu_rate is not None:
         summary |= {"imu_rate": str(command.imu_rate), "imu_rate_poses": len(imu_rate.trajectory)}
     if command.printing.json:
@@ -128,6 +163,7 @@ def main(arguments: Sequence[str]) -> int:
             *((f"defects: {each.kind}", f"{each.count}", "") for each in count_defects(run.defects)),
             ("first pose after", f"{summary['first_pose_s']:.2f}", "s"),
             ("length of the path", f"{trajectory.length_m:.2f}", "m"),
+            *map_rows(slam),
             *(
                 (label, "–" if value is None else format(value, form), unit)
                 for label, value, form, unit in innovation_rows(summary["innovations"])
@@ -142,7 +178,7 @@ def main(arguments: Sequence[str]) -> int:
     )
     if not recording.complete:
         print("The recording is incomplete: it was interrupted.")
-    print(f"wrote {' and '.join(str(path) for path in (command.out, command.imu_rate) if path is not None)}")
+    print(f"wrote {' and '.join(str(path) for path in written)}")
     if recording.ground_truth is not None:
         print(f"evaluate it:  dronevio evaluate {command.recording} {command.out}")
     return 0

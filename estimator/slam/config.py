@@ -1,9 +1,8 @@
-"""Settings of visual SLAM."""
+"""Settings of visual SLAM, beside those of its odometry."""
 
 from dataclasses import dataclass, field
 from typing import Annotated
 
-from dronevio.estimator.config import VioConfig
 from dronevio.estimator.slam.mapping import MappingConfig
 from dronevio.estimator.slam.recognizer import PlaceConfig
 from dronevio.models.ranges import Range, Settings
@@ -11,14 +10,12 @@ from dronevio.models.ranges import Range, Settings
 
 @dataclass(frozen=True)
 class SlamConfig(Settings):
-    """Settings of visual SLAM."""
+    """Settings of visual SLAM, beside those of its odometry."""
 
-    odometry: VioConfig = field(default_factory=VioConfig)
-    """Settings of the odometry."""
     places: PlaceConfig = field(default_factory=PlaceConfig)
     """Settings of the recognition of places."""
     mapping: MappingConfig = field(default_factory=MappingConfig)
     """Settings of the mapper."""
     correction_delay: Annotated[int, Range(1, 1000)] = 10
-    """Number of frames after which the map's answer to a keyframe corrects the estimate. It is fixed, so that results do
-    not depend on the speed of the machine."""
+    """Number of frames after which the answer of the map to a keyframe corrects the estimate. It is fixed, so that
+    results do not depend on the speed of the machine."""

@@ -12,6 +12,7 @@ import numpy as np
 import numpy.typing as npt
 
 from dronevio.estimator.backend.departure import Departure
+from dronevio.estimator.slam.correction import MapCorrection
 from dronevio.estimator.slam.keyframe import KeyframeFeatures, MapKeyframe
 from dronevio.estimator.slam.localization import (
     KeyframeImages,
@@ -94,6 +95,18 @@ class Correction:
     """Number of loops that were rejected since the last correction."""
 
 
+@dataclass(frozen=True)
+class MapSummary:
+    """Size of a map."""
+
+    keyframes: int
+    """Number of keyframes."""
+    loops: int
+    """Number of loops that are closed."""
+    rejected_loops: int
+    """Number of loops that contradict the others, or wait for the next optimization."""
+
+
 class Mapper:
     """Builds a map from the keyframes of one continuous odometry."""
 
@@ -124,6 +137,22 @@ class Mapper:
     def keyframes(self) -> tuple[MapKeyframe, ...]:
         """The keyframes of the map in the order of time."""
         return tuple(self._keyframes)
+
+    @property
+    def summary(self) -> MapSummary:
+        """Size of the map."""
+        solution = self._solution
+        loops, rejected = (0, 0) if solution is None else (len(solution.graph.loops), len(solution.rejected))
+        return MapSummary(len(self._keyframes), loops - rejected, rejected)
+
+    def final_correction(self) -> MapCorrection | None:
+        """Return the correction of the whole flight by all loops; None before the first keyframe."""
+        if self._solution is None:
+            return None
+        poses = optimize(self._solution.graph).graph.poses
+        t_ns = np.array([keyframe.t_ns for keyframe in self._keyframes], dtype=np.int64)
+        Ts = np.stack([poses[keyframe.number] @ inverse_pose(keyframe.T_odom_imu) for keyframe in self._keyframes])
+        return MapCorrection(t_ns, Ts)
 
     def add(self, keyframe: WaitingKeyframe, window_times_ns: tuple[int, ...]) -> None:
         """Add a new keyframe of the odometry.

@@ -2,8 +2,9 @@
 
 The odometry does not depend on the map: its estimates are those of `VisualInertialOdometry`, to the bit. The map
 receives the keyframes of the odometry and returns the pose of the odometry frame in the map frame, `T_map_odom`. It is
-applied a fixed number of frames after the keyframe that caused it, so that results do not depend on how fast the machine
-is. A pose in the map frame is causal, and it jumps when a loop is closed; the pose in the odometry frame is continuous.
+applied a fixed number of frames after the keyframe that caused it, so that results do not depend on the speed of the
+machine. A pose in the map frame is causal, and it jumps when a loop is closed; the pose in the odometry frame is
+continuous.
 """
 
 from collections import deque
@@ -13,11 +14,13 @@ import numpy as np
 import numpy.typing as npt
 
 from dronevio.estimator.backend.departure import Departure
+from dronevio.estimator.config import VioConfig
 from dronevio.estimator.keyframe_observer import OdometryKeyframe
 from dronevio.estimator.slam.config import SlamConfig
+from dronevio.estimator.slam.correction import MapCorrection
 from dronevio.estimator.slam.features import PlaceFeatureExtractor
 from dronevio.estimator.slam.localization import KeyframeImages
-from dronevio.estimator.slam.mapping import Correction, Mapper, Recognizer, WaitingKeyframe
+from dronevio.estimator.slam.mapping import Correction, Mapper, MapSummary, WaitingKeyframe
 from dronevio.estimator.slam.recognizer import PlaceRecognizer
 from dronevio.estimator.vio import VisualInertialOdometry
 from dronevio.models.imu import ImuSamples
@@ -39,30 +42,23 @@ class VisualSlam:
         ...         T_map_imu = slam.add_frame(measurement).T_map_imu
     """
 
-    def __init__(self, rig: Rig, config: SlamConfig | None = None, recognizer: Recognizer | None = None) -> None:
+    def __init__(self, rig: Rig, odometry: VioConfig | None = None, config: SlamConfig | None = None) -> None:
         """Begin before the first measurement, with an empty map.
 
         Args:
             rig: The calibration of the cameras and the IMU.
-            config: Settings.
-            recognizer: Recognizes places; by default by binary descriptors.
+            odometry: Settings of the odometry.
+            config: Settings of the map.
 
         Raises:
             ConfigError: The rig has no camera.
         """
         self._config = c = config or SlamConfig()
-        self._odometry = VisualInertialOdometry(rig, c.odometry, observer=self)
-        self._extractor = PlaceFeatureExtractor(c.places.features)
-        self._mapper = Mapper(recognizer or PlaceRecognizer(rig, c.places), c.mapping)
-        self._frame: CameraFrame | None = None
+        self._map = _MapOfOdometry(rig, c)
+        self._odometry = VisualInertialOdometry(rig, odometry, observer=self._map)
         self._frames = 0
         self._due: deque[tuple[int, Correction]] = deque()
-        self._correction: Correction | None = None
-
-    @property
-    def mapper(self) -> Mapper:
-        """The map of the flight so far."""
-        return self._mapper
+        self._T_map_odom = np.eye(4)
 
     def add_imu(self, samples: ImuSamples) -> None:
         """Add the IMU samples since the last call; see `VisualInertialOdometry`."""
@@ -78,32 +74,77 @@ class VisualSlam:
         Raises:
             ConfigError: The frame is not later than the last one, or an image does not fit its camera.
         """
-        self._frame = frame
+        self._map.begin_frame(frame)
         estimate = self._odometry.add_frame(frame)
         self._frames += 1
-        events: tuple[str, ...] = ()
+        events: list[str] = []
         while self._due and self._due[0][0] <= self._frames:
-            self._correction = self._due.popleft()[1]
-            events += tuple(f"loop closed with keyframe {loop.first}" for loop in self._correction.loops)
-        T_map_odom = np.eye(4) if self._correction is None else self._correction.T_map_odom
+            correction = self._due.popleft()[1]
+            self._T_map_odom = correction.T_map_odom
+            events += _events(correction)
+        self._due += [(self._frames + self._config.correction_delay, each) for each in self._map.take_corrections()]
         if estimate.state is None:
             return estimate
-        return replace(estimate, T_map_odom=T_map_odom, events=(*estimate.events, *events))
+        return replace(estimate, T_map_odom=self._T_map_odom, events=(*estimate.events, *events))
+
+    @property
+    def mapper(self) -> Mapper:
+        """The map of the flight so far."""
+        return self._map.mapper
+
+    @property
+    def summary(self) -> MapSummary:
+        """Size of the map."""
+        return self._map.mapper.summary
+
+    def final_correction(self) -> MapCorrection | None:
+        """Return the correction of the whole flight by all loops; None if no keyframe has joined the map."""
+        return self._map.mapper.final_correction()
+
+
+class _MapOfOdometry:
+    """Gives the keyframes of the odometry to the mapper; implements `KeyframeObserver`."""
+
+    def __init__(self, rig: Rig, config: SlamConfig) -> None:
+        """Begin with an empty map."""
+        self.mapper = Mapper(PlaceRecognizer(rig, config.places), config.mapping)
+        self._extractor = PlaceFeatureExtractor(config.places.features)
+        self._frame: CameraFrame | None = None
+        self._corrections: list[Correction] = []
+        self._is_lost = False
+
+    def begin_frame(self, frame: CameraFrame) -> None:
+        """Keep the images of the newest frame, which may become a keyframe."""
+        self._frame = frame
+
+    def take_corrections(self) -> list[Correction]:
+        """Return the corrections since the last call."""
+        corrections, self._corrections = self._corrections, []
+        return corrections
 
     def added(self, keyframe: OdometryKeyframe) -> None:
-        """Receive a keyframe of the odometry."""
+        """Let a keyframe of the odometry wait until it leaves the window, unless its images are those of an earlier
+        frame, or the odometry frame is no longer that of the map.
+        """
         frame = self._frame
-        assert frame is not None
-        R_odom_imu = keyframe.state.T_world_imu[:3, :3]
-        features = self._extractor.extract(frame.images, keyframe.calibration.rig, R_odom_imu, keyframe.observations)
-        images = KeyframeImages(frame.images, keyframe.calibration.rig)
-        self._mapper.add(WaitingKeyframe(keyframe.t_ns, features, images), keyframe.window_times_ns)
+        if frame is None or self._is_lost or not keyframe.is_of_newest_frame:
+            return
+        rig, R_odom_imu = keyframe.calibration.rig, keyframe.state.T_world_imu[:3, :3]
+        features = self._extractor.extract(frame.images, rig, R_odom_imu, keyframe.observations)
+        waiting = WaitingKeyframe(keyframe.t_ns, features, KeyframeImages(frame.images, rig))
+        self.mapper.add(waiting, keyframe.window_times_ns)
 
     def departed(self, departure: Departure) -> None:
-        """Receive the final estimate of a keyframe of the odometry."""
-        correction = self._mapper.depart(departure)
+        """Let a keyframe of the odometry join the map."""
+        correction = self.mapper.depart(departure)
         if correction is not None:
-            self._due.append((self._frames + 1 + self._config.correction_delay, correction))
+            self._corrections.append(correction)
 
     def lost(self) -> None:
-        """Notice that the odometry is lost."""
+        """End the map: later keyframes are in another odometry frame."""
+        self._is_lost = True
+
+
+def _events(correction: Correction) -> list[str]:
+    """Return the events of a correction, as texts for users."""
+    return [f"loop closed with keyframe {number}" for number in sorted({loop.first for loop in correction.loops})]
