@@ -89,7 +89,7 @@ def landmark_patches(keyframe: MapKeyframe, images: KeyframeImages, config: Loca
     centre = np.rint(pixels).astype(np.int64)
     size = np.array([images.images[i].shape[::-1] for i in camera.tolist()]).reshape(-1, 2)
     is_inside = np.all((centre >= reach) & (centre < size - reach), axis=1)
-    rows, landmark, pixels, camera, centre = (x[is_inside] for x in (rows, landmark, pixels, camera, centre))
+    rows, landmark, pixels, camera, centre = _select(is_inside, rows, landmark, pixels, camera, centre)
     tiles = np.zeros((len(rows), 2 * reach + 1, 2 * reach + 1), np.uint8)
     line = np.arange(-reach, reach + 1)
     for index in np.unique(camera).tolist():

@@ -94,8 +94,8 @@ def _factor_graph(graph: PoseGraph) -> gtsam.NonlinearFactorGraph:
     factors.add(gtsam.PriorFactorPose3(X(graph.first), gtsam.Pose3(graph.poses[graph.first]), prior))
     up = gtsam.Unit3(np.array([0.0, 0.0, 1.0]))
     for direction in graph.gravity:
-        noise = gtsam.noiseModel.Isotropic.Sigma(2, direction.sigma_rad)
-        factors.add(gtsam.AttitudeFactorPose3(X(direction.keyframe), up, noise, gtsam.Unit3(direction.up_imu)))
+        tilt_noise = gtsam.noiseModel.Isotropic.Sigma(2, direction.sigma_rad)
+        factors.add(gtsam.AttitudeFactorPose3(X(direction.keyframe), up, tilt_noise, gtsam.Unit3(direction.up_imu)))
     for relative in (*graph.odometry, *graph.loops):
         noise = gtsam.noiseModel.Gaussian.Covariance(relative.covariance)
         T = gtsam.Pose3(relative.T_first_second)

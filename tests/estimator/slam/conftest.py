@@ -1,146 +1,92 @@
-"""Maps of synthetic flights: the odometry's keyframes without images, and a recognizer that knows the true poses."""
+"""Synthetic places: points with random descriptors, and keyframes that see them."""
 
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
-from functools import cached_property
-from typing import TYPE_CHECKING
+from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
-import pytest
 
-from dronevio.estimator.backend.departure import Departure
-from dronevio.estimator.keyframe_observer import OdometryKeyframe
 from dronevio.estimator.slam.keyframe import KeyframeFeatures, MapKeyframe
-from dronevio.estimator.slam.mapping import Correction, Mapper, Recognizer, WaitingKeyframe
-from dronevio.estimator.slam.verification import PlaceMatch
-from dronevio.models.rotation import exp_so3, inverse_pose, pose_matrix
-from dronevio.models.state import Estimate
-
-if TYPE_CHECKING:
-    from tests.estimator.conftest import SyntheticFlight
+from dronevio.models.rig import euroc_rig
+from dronevio.models.rotation import exp_so3, inverse_pose, rotation_z
 
 Array = npt.NDArray[np.float64]
-
-NO_CORNERS = KeyframeFeatures(
-    np.zeros((0, 2)), np.zeros((0, 2)), np.zeros(0, np.int64), np.zeros((0, 32), np.uint8), np.zeros(0, np.int64)
-)
-"""The features of a keyframe without an image."""
-
-
-class TrueRecognizer:
-    """Recognizes places by the true poses of a flight, with noise; some matches are wrong."""
-
-    def __init__(
-        self,
-        true_poses: Mapping[int, Array],
-        *,
-        every: int = 5,
-        min_age: int = 25,
-        sigma: float = 1e-3,
-        wrong: float = 0.0,
-        seed: int = 0,
-    ) -> None:
-        """Begin without keyframes.
-
-        Args:
-            true_poses: True poses (4, 4) of the IMU by their times [ns].
-            every: Number of keyframes for one match.
-            min_age: Smallest number of keyframes between the two keyframes of a match.
-            sigma: Standard deviation of the matches [rad] and [m].
-            wrong: Share of the matches that are wrong, by 0.5 m and more.
-            seed: Seed of noise and wrong matches.
-        """
-        self._true_poses, self._every, self._min_age, self._sigma, self._wrong = true_poses, every, min_age, sigma, wrong
-        self._rng = np.random.default_rng(seed)
-        self._times: list[int] = []
-        self.wrong_pairs: set[tuple[int, int]] = set()
-        """Numbers of the keyframes of the wrong matches."""
-
-    def add(self, keyframe: MapKeyframe) -> tuple[PlaceMatch, ...]:
-        """Return the pose in the frame of an old keyframe, for some keyframes."""
-        self._times.append(keyframe.t_ns)
-        if keyframe.number % self._every or keyframe.number < self._min_age:
-            return ()
-        old = int(self._rng.integers(0, keyframe.number - self._min_age + 1))
-        T = inverse_pose(self._true_poses[self._times[old]]) @ self._true_poses[keyframe.t_ns]
-        noise = self._sigma * self._rng.normal(size=6)
-        T = T @ pose_matrix(exp_so3(noise[:3]), noise[3:])
-        if self._rng.random() < self._wrong:
-            T = T @ pose_matrix(exp_so3(0.3 * self._rng.normal(size=3)), 0.5 + self._rng.random(3))
-            self.wrong_pairs.add((old, keyframe.number))
-        return (PlaceMatch(keyframe.number, old, T, self._sigma**2 * np.eye(6), 0, 0),)
-
-
-class NoRecognizer:
-    """Recognizes no place."""
-
-    def add(self, keyframe: MapKeyframe) -> tuple[PlaceMatch, ...]:
-        """Return no match."""
-        return ()
-
-
-@dataclass
-class RecordingObserver:
-    """A `KeyframeObserver` that keeps what it receives."""
-
-    keyframes: list[OdometryKeyframe] = field(default_factory=list)
-    departures: list[Departure] = field(default_factory=list)
-
-    def added(self, keyframe: OdometryKeyframe) -> None:
-        """Keep the keyframe."""
-        self.keyframes.append(keyframe)
-
-    def departed(self, departure: Departure) -> None:
-        """Keep the departure."""
-        self.departures.append(departure)
-
-    def lost(self) -> None:
-        """Fail, since no synthetic flight here is lost."""
-        raise AssertionError("the odometry is lost")
+RIG = euroc_rig()
+R_LEVEL = np.array([[0.0, 0.0, 1.0], [0.0, -1.0, 0.0], [1.0, 0.0, 0.0]])
+"""Orientation of EuRoC's IMU on a level vehicle that looks along the world's x axis."""
 
 
 @dataclass(frozen=True, eq=False)
-class MappedFlight:
-    """The map of a flight."""
+class Scene:
+    """Points in the world and their descriptors."""
 
-    mapper: Mapper
-    """The mapper after the last departure."""
-    corrections: list[Correction]
-    """The correction after each departure."""
+    points: Array  # (N, 3)
+    descriptors: npt.NDArray[np.uint8]  # (N, 32)
 
 
-@dataclass(frozen=True, eq=False)
-class OdometryFlight:
-    """A synthetic flight with its estimates and the keyframes of its odometry."""
+@dataclass(frozen=True)
+class Errors:
+    """Errors of the measurements of a keyframe."""
 
-    flight: "SyntheticFlight"
-    estimates: list[Estimate]
-    departures: list[Departure]
-
-    @cached_property
-    def true_poses(self) -> dict[int, Array]:
-        """True poses (4, 4) of the IMU at the departures, by their times [ns]."""
-        return {d.t_ns: self.flight.state_at(d.t_ns).T_world_imu for d in self.departures}
-
-    def mapped(self, recognizer: Recognizer) -> MappedFlight:
-        """Return the map of the flight; keyframes have no image."""
-        mapper, corrections = Mapper(recognizer), []
-        for departure in self.departures:
-            mapper.add(WaitingKeyframe(departure.t_ns, NO_CORNERS), (departure.t_ns,))
-            correction = mapper.depart(departure)
-            assert correction is not None
-            corrections.append(correction)
-        return MappedFlight(mapper, corrections)
-
-    def with_loops(self, **settings: float) -> tuple[TrueRecognizer, MappedFlight]:
-        """Return a recognizer that knows the true poses, and the map with the places that it recognizes."""
-        recognizer = TrueRecognizer(self.true_poses, **settings)  # type: ignore[arg-type]
-        return recognizer, self.mapped(recognizer)
+    pixel: float = 0.0
+    depth: float = 0.0
+    scale: float = 0.0
+    tilt_rad: float = 0.0
+    bits: int = 0
+    wrong: float = 0.0  # share of the corners whose descriptors belong to other corners
 
 
-@pytest.fixture(scope="session")
-def odometry_flight(make_flight: "Callable[..., SyntheticFlight]") -> OdometryFlight:
-    """Return a flight of 25 s with the keyframes of its odometry."""
-    flight, observer = make_flight(4, duration_s=25.0), RecordingObserver()
-    return OdometryFlight(flight, flight.run(observer=observer), observer.departures)
+EXACT = Errors()
+
+
+def scene(rng: np.random.Generator, count: int = 160, centre: tuple[float, float, float] = (5.0, 0.0, 0.0)) -> Scene:
+    """Return random points in a box of 4 x 6 x 4 m."""
+    points = np.array(centre) + rng.uniform(-1.0, 1.0, (count, 3)) * [2.0, 3.0, 2.0]
+    return Scene(points, rng.integers(0, 256, (count, 32), dtype=np.uint8))
+
+
+def pose(position: npt.ArrayLike, yaw_rad: float = 0.0, tilt: npt.ArrayLike = (0.0, 0.0, 0.0)) -> Array:
+    """Return the pose of an IMU that looks along x, turned by a yaw and a tilt."""
+    T = np.eye(4)
+    T[:3, :3] = rotation_z(yaw_rad) @ R_LEVEL @ exp_so3(np.asarray(tilt, np.float64))
+    T[:3, 3] = position
+    return T
+
+
+def random_pose(rng: np.random.Generator, reach_m: float = 0.4) -> Array:
+    """Return a pose near the origin of the scene."""
+    return pose(rng.uniform(-reach_m, reach_m, 3), rng.uniform(-0.2, 0.2), rng.uniform(-0.1, 0.1, 3))
+
+
+def keyframe(
+    number: int,
+    T_world_imu: Array,
+    places: Scene,
+    errors: Errors = EXACT,
+    rng: np.random.Generator | None = None,
+    T_odom_imu: Array | None = None,
+    t_s: float | None = None,
+) -> MapKeyframe:
+    """Return a keyframe that sees all points in its field of view, and knows their positions."""
+    rng = rng or np.random.default_rng(number)
+    camera = RIG.cameras[0]
+    T_cam_world = inverse_pose(T_world_imu @ camera.T_imu_cam)
+    p_cam = places.points @ T_cam_world[:3, :3].T + T_cam_world[:3, 3]
+    pixels = camera.model.project(p_cam)
+    size = [camera.model.width - 1, camera.model.height - 1]
+    with np.errstate(invalid="ignore"):
+        ids = np.flatnonzero((p_cam[:, 2] > 0.2) & np.all((pixels >= 0) & (pixels <= size), axis=1))
+    xy = p_cam[ids, :2] / p_cam[ids, 2:] + errors.pixel / camera.model.fx * rng.standard_normal((len(ids), 2))
+    descriptors = places.descriptors[ids].copy()
+    flipped = rng.integers(0, 256, (len(ids), errors.bits))
+    np.bitwise_xor.at(
+        descriptors, (np.arange(len(ids))[:, None], flipped // 8), np.uint8(1) << (flipped % 8).astype(np.uint8)
+    )
+    is_wrong = rng.random(len(ids)) < errors.wrong
+    descriptors[is_wrong] = descriptors[rng.permutation(np.flatnonzero(is_wrong))]
+    factor = (1.0 + errors.scale * rng.standard_normal()) * (1.0 + errors.depth * rng.standard_normal((len(ids), 1)))
+    landmarks_imu = factor * p_cam[ids] @ camera.T_imu_cam[:3, :3].T + camera.T_imu_cam[:3, 3]
+    T_odom = np.array(T_world_imu if T_odom_imu is None else T_odom_imu)
+    T_odom[:3, :3] = exp_so3(errors.tilt_rad * rng.standard_normal(3) * [1.0, 1.0, 0.0]) @ T_odom[:3, :3]
+    features = KeyframeFeatures(pixels[ids], xy, np.zeros(len(ids), np.int64), descriptors, ids)
+    t_ns = round((number if t_s is None else t_s) * 1e9)
+    return MapKeyframe(number, t_ns, T_odom, features, ids, landmarks_imu)

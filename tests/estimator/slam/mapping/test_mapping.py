@@ -14,7 +14,7 @@ from dronevio.models.rotation import inverse_pose
 
 if TYPE_CHECKING:
     from tests.estimator.conftest import SyntheticFlight
-    from tests.estimator.slam.conftest import MappedFlight, OdometryFlight
+    from tests.estimator.slam.mapping.conftest import MappedFlight, OdometryFlight
 
 Array = npt.NDArray[np.float64]
 
@@ -91,7 +91,7 @@ def test_growth_of_covariance_is_that_of_the_odometry(
         up = departure.T_odom_imu[2, :3]
         yaw, position = up @ found[:3, :3] @ up / (up @ expected[:3, :3] @ up), np.trace(found[3:, 3:])
         ratios.append((yaw, position / np.trace(expected[3:, 3:])))
-    # The covariance of a single camera becomes smaller where the vehicle returns to the start; that of a graph does not.
+    # That of a single camera becomes smaller where the vehicle returns to the start; that of a graph does not.
     assert np.sqrt(np.mean(ratios, axis=0)) == pytest.approx(1.0, abs=0.25)
 
 
