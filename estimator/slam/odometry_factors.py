@@ -2,13 +2,14 @@
 
 The priors of consecutive windows share information. A factor that holds all of one prior would count what the next one
 repeats, so each keyframe that leaves the window adds only what is new: the growth of the covariance since the keyframe
-before it, and what the accelerometer has since told of roll and pitch. The marginal covariance of the keyframes in the
+before it, and what the accelerometer has added on roll and pitch. The marginal covariance of the keyframes in the
 graph is then that of the odometry. It is the recovery of non-linear factors from a marginal prior (Usenko et al.,
 "Visual-inertial mapping with non-linear factor recovery", RA-L 2020; Mazuran et al., IJRR 2016), matched to the
 marginals of the poses.
 
 The error of an odometry grows faster than a sum of independent errors, because the biases err for a long time in the
-same direction: the relative covariances of neighbouring keyframes alone reach half of the standard deviation after 50 s.
+same direction: the relative covariances of neighbouring keyframes alone add up to half of the standard deviation after
+50 s.
 """
 
 from dataclasses import dataclass

@@ -62,10 +62,12 @@ def rows(
 
 
 def test_every_estimator_has_a_row(rows: dict[str, dict[str, Any]]) -> None:
-    assert set(rows) == {"vio", "vio-stereo", "eqvio", "dead-reckoning"}
+    assert set(rows) == {"vio", "vio-stereo", "slam", "slam-stereo", "eqvio", "dead-reckoning"}
     assert {row["status"] for row in rows.values()} == {"ok"}, [row["reason"] for row in rows.values()]
     assert all(row["coverage_percent"] == 100.0 for row in rows.values())
-    assert len({row["config_hash"] for row in rows.values()}) == 4
+    assert len({row["config_hash"] for row in rows.values()}) == 4  # one and two cameras have the same settings
+    for cameras in ("", "-stereo"):  # without loops, the map is the odometry
+        assert rows[f"slam{cameras}"]["ate_m"] == pytest.approx(rows[f"vio{cameras}"]["ate_m"], abs=1e-6)
     assert max(rows["vio"]["ate_m"], rows["vio-stereo"]["ate_m"]) < 0.03
     assert max(rows["vio"]["ate_m"], rows["vio-stereo"]["ate_m"]) < rows["eqvio"]["ate_m"] < 0.2
 
@@ -84,6 +86,18 @@ def test_all_cameras_are_used_by_default(
         poses[estimator] = read_tum(out)
     assert not np.array_equal(poses["vio"].p_world_imu[-100:], poses["vio-stereo"].p_world_imu[-100:])
     assert (tmp_path / "vio-stereo.tum").read_bytes() == (stereo.folder / "estimate.tum").read_bytes()
+
+
+def test_map_leaves_the_odometry_as_it_is(stereo: Result, run_command: CommandRunner, tmp_path: Path) -> None:
+    out = tmp_path / "slam.tum"
+    shown = run_command(tmp_path, "estimate", stereo.folder / "recording", "--slam", "--out", out)
+    assert out.read_bytes() == (stereo.folder / "estimate.tum").read_bytes()
+    odometry = read_tum(out)
+    for suffix in ("map", "map_final"):
+        corrected = read_tum(tmp_path / f"slam_{suffix}.tum")
+        assert np.array_equal(corrected.t_ns, odometry.t_ns)
+        np.testing.assert_allclose(corrected.p_world_imu, odometry.p_world_imu, atol=1e-6)  # there is no loop
+    assert "keyframes of the map" in shown.out and "slam_map_final.tum" in shown.out
 
 
 def test_poses_at_imu_rate_are_as_accurate_as_at_frames(

@@ -1,0 +1,105 @@
+"""Localization in an earlier keyframe on rendered images of a wall."""
+
+from collections.abc import Callable
+from dataclasses import replace
+
+import numpy as np
+import numpy.typing as npt
+import pytest
+
+from dronevio.estimator.slam.keyframe import KeyframeFeatures, MapKeyframe
+from dronevio.estimator.slam.localization import (
+    KeyframeImages,
+    LocalizationConfig,
+    Localizer,
+    landmark_patches,
+)
+from dronevio.models.camera import CameraModel
+from dronevio.models.rig import Rig, euroc_rig
+from dronevio.models.rotation import exp_so3, inverse_pose, log_so3, pose_matrix
+
+Array = npt.NDArray[np.float64]
+Image = npt.NDArray[np.uint8]
+RenderWall = Callable[[CameraModel, Array], Image]
+
+WALL_M = 3.0
+"""Position of the wall along the z axis of the world [m]."""
+
+
+class Views:
+    """Two keyframes that see a wall, of which the first has landmarks on it."""
+
+    def __init__(self, render: RenderWall, T_first_second: Array) -> None:
+        """Render both views; the second keyframe has the pose (4, 4) of its IMU in the frame of the first one's."""
+        self.rig: Rig = euroc_rig()
+        camera = self.rig.cameras[0]
+        T_world_imu = inverse_pose(camera.T_imu_cam)  # the first camera is the world frame
+        Ts = T_world_imu, T_world_imu @ T_first_second
+        self.images = [KeyframeImages((render(camera.model, T @ camera.T_imu_cam),), self.rig) for T in Ts]
+        u, v = np.meshgrid(np.arange(60.0, 700.0, 64.0) + 0.3, np.arange(60.0, 430.0, 52.0) - 0.4)
+        pixels = np.column_stack([u.ravel(), v.ravel()])
+        rays = np.column_stack([camera.model.normalize(pixels), np.ones(len(pixels))])
+        in_imu = WALL_M * rays @ camera.T_imu_cam[:3, :3].T + camera.T_imu_cam[:3, 3]
+        count = len(pixels)
+        ids = np.arange(count)
+        nothing = np.zeros((count, 32), np.uint8)
+        features = KeyframeFeatures(pixels, rays[:, :2], np.zeros(count, np.int64), nothing, ids)
+        self.first = MapKeyframe(0, 0, Ts[0], features, ids, in_imu)
+        no_corners = KeyframeFeatures(pixels[:0], pixels[:0], ids[:0], nothing[:0], ids[:0])
+        self.second = MapKeyframe(1, 10**10, Ts[1], no_corners, ids[:0], in_imu[:0])
+        self.patches = landmark_patches(self.first, self.images[0], LocalizationConfig())
+
+
+MOTION = pose_matrix(exp_so3(np.array([0.05, -0.08, 0.1])), np.array([0.3, -0.2, 0.25]))
+"""Pose of the second IMU in the frame of the first one."""
+PREDICTION_ERROR = pose_matrix(exp_so3(np.array([0.002, -0.001, 0.0015])), np.array([0.01, -0.005, 0.008]))
+
+
+@pytest.fixture(scope="module")
+def views(render_wall: RenderWall) -> Views:
+    """Return two views of the wall."""
+    return Views(render_wall, MOTION)
+
+
+def test_pose_is_found_to_a_millimetre(views: Views) -> None:
+    predicted = MOTION @ PREDICTION_ERROR
+    found = Localizer().localize(views.second, views.images[1], views.first, views.patches, predicted)
+    assert found is not None and (found.first, found.second) == (0, 1)
+    difference = inverse_pose(MOTION) @ found.T_first_second
+    assert np.linalg.norm(difference[:3, 3]) < 2e-3
+    assert np.linalg.norm(log_so3(difference[:3, :3])) < 5e-4
+    error = np.concatenate([log_so3(difference[:3, :3]), difference[:3, 3]])
+    assert error @ np.linalg.solve(found.covariance, error) < 20.0
+    assert 1e-4 < np.sqrt(np.trace(found.covariance[3:, 3:])) < 0.02
+
+
+def test_change_of_light_leaves_the_pose(views: Views) -> None:
+    darker = tuple(np.clip(0.6 * image + 20.0, 0, 255).astype(np.uint8) for image in views.images[1].images)
+    found = Localizer().localize(
+        views.second, replace(views.images[1], images=darker), views.first, views.patches, MOTION @ PREDICTION_ERROR
+    )
+    assert found is not None
+    assert np.linalg.norm((inverse_pose(MOTION) @ found.T_first_second)[:3, 3]) < 3e-3
+
+
+def test_another_place_is_not_found(views: Views) -> None:
+    elsewhere = tuple(np.ascontiguousarray(image[:, ::-1]) for image in views.images[1].images)
+    images = replace(views.images[1], images=elsewhere)
+    assert Localizer().localize(views.second, images, views.first, views.patches, MOTION) is None
+
+
+def test_wrong_prediction_is_refused(views: Views) -> None:
+    far = MOTION @ pose_matrix(np.eye(3), np.array([0.3, 0.3, 0.0]))
+    assert Localizer().localize(views.second, views.images[1], views.first, views.patches, far) is None
+
+
+def test_landmarks_near_the_border_have_no_patch(views: Views) -> None:
+    features = views.first.features
+    pixels = features.pixels.copy()
+    pixels[:5] = [[2.0, 100.0], [749.0, 100.0], [100.0, 3.0], [100.0, 476.0], [8.0, 8.0]]
+    keyframe = replace(views.first, features=replace(features, pixels=pixels))
+    patches = landmark_patches(keyframe, views.images[0], LocalizationConfig())
+    assert len(patches.tiles) == len(pixels) - 5
+    middle = patches.tiles.shape[1] // 2
+    u, v = np.rint(patches.pixels).astype(int).T
+    np.testing.assert_array_equal(patches.tiles[:, middle, middle], views.images[0].images[0][v, u])
