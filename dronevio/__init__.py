@@ -22,6 +22,8 @@ if TYPE_CHECKING:
     from dronevio.driver import estimate_recording
     from dronevio.estimator.config import VioConfig
     from dronevio.estimator.imu.forward_propagation import ImuRatePropagator
+    from dronevio.estimator.slam.config import SlamConfig
+    from dronevio.estimator.slam.visual_slam import VisualSlam
     from dronevio.estimator.vio import VisualInertialOdometry
     from dronevio.eval.metrics.scores import ScoredTrajectory, Scores
     from dronevio.eval.run import EstimatorRun
@@ -61,9 +63,11 @@ __all__ = [
     "Scenario",
     "ScoredTrajectory",
     "Scores",
+    "SlamConfig",
     "Trajectory",
     "VioConfig",
     "VisualInertialOdometry",
+    "VisualSlam",
     "ate",
     "dense",
     "estimate",
@@ -92,6 +96,8 @@ __getattr__, __dir__ = attach(
         "dronevio.driver": ("estimate_recording",),
         "dronevio.estimator.config": ("VioConfig",),
         "dronevio.estimator.imu.forward_propagation": ("ImuRatePropagator",),
+        "dronevio.estimator.slam.config": ("SlamConfig",),
+        "dronevio.estimator.slam.visual_slam": ("VisualSlam",),
         "dronevio.estimator.vio": ("VisualInertialOdometry",),
         "dronevio.eval.metrics.scores": ("ScoredTrajectory", "Scores"),
         "dronevio.eval.run": ("EstimatorRun",),
