@@ -100,6 +100,16 @@ def test_map_leaves_the_odometry_as_it_is(stereo: Result, run_command: CommandRu
     assert "keyframes of the map" in shown.out and "slam_map_final.tum" in shown.out
 
 
+def test_example_of_visual_slam_runs(stereo: Result) -> None:
+    text = (Path(__file__).parents[2] / "docs" / "slam.md").read_text(encoding="utf-8")
+    _, code = text.split("```py\n")
+    code = code[: code.index("```")].replace("recordings/room", str(stereo.folder / "recording"))
+    names: dict[str, Any] = {}
+    exec(compile(code, "slam.md", "exec"), names)
+    assert names["final"].Ts_map_odom.shape[1:] == (4, 4)
+    np.testing.assert_allclose(names["estimate"].T_map_imu, names["estimate"].state.T_world_imu, atol=1e-6)
+
+
 def test_poses_at_imu_rate_are_as_accurate_as_at_frames(
     stereo: Result, run_command: CommandRunner, tmp_path: Path
 ) -> None:
