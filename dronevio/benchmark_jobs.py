@@ -8,9 +8,9 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 import dronevio
+from dronevio.benchmark_variants import AS_IS, RIG, variant_of
 from dronevio.eval.benchmark.cache import code_hash, content_hash, recording_hash
 from dronevio.eval.benchmark.jobs import RecordingSpec
-from dronevio.eval.benchmark.rows import score_columns
 from dronevio.eval.provenance import versions_here
 from dronevio.models.defects import defects_text
 from dronevio.models.errors import ConfigError, InputError
@@ -28,7 +28,9 @@ _ESTIMATION_CODE = tuple(
         "estimator",
         "eval/metrics",
         "eval/tracking.py",
+        "eval/benchmark/columns.py",
         "driver.py",
+        "excerpts.py",
         "external_program.py",
         "python_estimator.py",
         "registry.py",
@@ -72,25 +74,28 @@ class Workbench:
 
     def estimate(self, spec: RecordingSpec, recording: Path, estimator: str) -> dict[str, Any]:
         """Run an estimator on a recording and score its estimate."""
-        from dronevio.eval.metrics.scores import score
+        from dronevio.eval.benchmark.columns import scored_columns
         from dronevio.eval.tracking import longest_loss_s, tracking_sigmas
+        from dronevio.excerpts import excerpt_of
         from dronevio.models.recordings.open import open_recording
 
         self._check_here()
-        opened = open_recording(recording, 1, repair=True)
-        if opened.ground_truth is None:
+        opened = excerpt_of(open_recording(recording, 1, repair=True), spec.start_s, spec.laps)
+        truth, frames = opened.ground_truth, opened.frame_times_ns
+        if truth is None:
             raise InputError(recording, "no ground truth", "a recording with the true motion")
-        estimated = self._named(estimator).run(recording, self.strict)
-        frames = opened.frame_times_ns
+        estimated = self._named(estimator).run(recording, self.strict, spec.start_s, spec.laps)
+        run = estimated.run
         return {
-            **score_columns(score(opened.ground_truth, estimated.trajectory, frames)),
+            **scored_columns(truth, estimated.trajectory, frames),
             "duration_s": float(np.ptp(frames)) * 1e-9,
             "cpu_ms_mean": estimated.cpu_ms_mean,
             "cpu_ms_p99": estimated.cpu_ms_p99,
+            "cpu_growth": None if run is None else run.cpu_growth,
             "real_time_factor": estimated.real_time_factor,
             "defects": defects_text(estimated.defects),
-            "longest_loss_s": None if estimated.run is None else longest_loss_s(estimated.run),
-            "tracking_sigmas": None if estimated.run is None else tracking_sigmas(estimated.run, opened.ground_truth),
+            "longest_loss_s": None if run is None else longest_loss_s(run),
+            "tracking_sigmas": None if run is None else tracking_sigmas(run, truth),
         }
 
     def _named(self, label: str) -> NamedEstimator:
@@ -110,7 +115,9 @@ class Workbench:
             raise ConfigError(f"code or packages differ: {differing}, as on the machine that started the benchmark")
 
 
-def scenario_flights(names: Iterable[str], seeds: Sequence[int], rig: str | None = None) -> tuple[RecordingSpec, ...]:
+def scenario_flights(
+    names: Iterable[str], seeds: Sequence[int], rig: str | None = None, variants: Sequence[str] = ()
+) -> tuple[RecordingSpec, ...]:
     """Return the flights of scenarios, every seed of each; the name of a suite stands for its scenarios.
 
     The first seed of all scenarios comes first, then the second, so that early results cover all scenarios.
@@ -119,9 +126,10 @@ def scenario_flights(names: Iterable[str], seeds: Sequence[int], rig: str | None
         names: Names of scenarios and suites.
         seeds: Seeds of the flights.
         rig: Sensors that replace those of the scenarios: a name or a file, see `recorder.rig_of`.
+        variants: Variants of each scenario, see `benchmark_variants.variant_of`; none for the scenarios themselves.
 
     Raises:
-        ConfigError: There is no such scenario, suite or rig.
+        ConfigError: There is no such scenario, suite, rig or variant.
         InputError: The rig's file cannot be read.
     """
     from dronevio.sim.scenarios import SUITES, scenario_named
@@ -133,7 +141,10 @@ def scenario_flights(names: Iterable[str], seeds: Sequence[int], rig: str | None
 
         chosen = rig_of(rig)
         unique = {name: replace(flown, rig=chosen) for name, flown in unique.items()}
-    return tuple(_flight(replace(flown, seed=seed)) for seed in seeds for flown in unique.values())
+        if replaced := next((name for name in variants if name.startswith(RIG)), None):
+            raise ConfigError(f"--rig {rig} with the variant {replaced}, which replaces it; expected one of them")
+    flights = [variant_of(flown, variant) for flown in unique.values() for variant in variants or (AS_IS,)]
+    return tuple(_flight(replace(flown, seed=seed)) for seed in seeds for flown in flights)
 
 
 def recorded_flights(paths: Iterable[Path]) -> tuple[RecordingSpec, ...]:
@@ -155,6 +166,37 @@ def recorded_flights(paths: Iterable[Path]) -> tuple[RecordingSpec, ...]:
             raise ConfigError(f"{path} and {flights[name].path}, both named {name}; expected different names")
         flights[name] = RecordingSpec(name, "", None, digest, None, whole)
     return tuple(flights.values())
+
+
+def excerpts(
+    flights: Sequence[RecordingSpec], starts_s: Sequence[float] = (), laps: int = 1
+) -> tuple[RecordingSpec, ...]:
+    """Return flights that are estimated from several times on, and that are repeated; their names state both.
+
+    All flights come with the first start, then all with the second, so that a recording is made once.
+
+    Args:
+        flights: The flights.
+        starts_s: Times after the first frame at which estimators start [s]; none for the beginning.
+        laps: Number of times that each flight is repeated without a break.
+
+    Raises:
+        ConfigError: A start is negative or occurs twice, or starts and laps are given together.
+    """
+    if starts_s and laps > 1:
+        raise ConfigError(f"--starts-s with --laps {laps}; expected one of them")
+    if any(start_s < 0.0 for start_s in starts_s) or len(set(starts_s)) < len(starts_s):
+        raise ConfigError(
+            f"--starts-s {' '.join(f'{each:g}' for each in starts_s)}; expected different times from 0 s on"
+        )
+    if laps > 1:
+        return tuple(replace(flight, scenario=f"{flight.scenario}×{laps}", laps=laps) for flight in flights)
+    begun = (
+        replace(flight, scenario=f"{flight.scenario}@{start_s:g}s", start_s=start_s)
+        for start_s in starts_s
+        for flight in flights
+    )
+    return tuple(begun) or tuple(flights)
 
 
 def _flight(flown: "Scenario") -> RecordingSpec:

@@ -149,12 +149,14 @@ class NamedEstimator:
             return {"class": self.name, "code": PythonEstimator.parse(self.name).source_hash()}
         return {"estimator": self.name, "config": to_jsonable(ESTIMATORS[self.name].settings())}
 
-    def run(self, path: Path, strict: bool = False) -> Estimated:
+    def run(self, path: Path, strict: bool = False, start_s: float = 0.0, laps: int = 1) -> Estimated:
         """Estimate the trajectory of a recording.
 
         Args:
             path: An EuRoC folder or a ROS 2 bag; only the former for a program.
             strict: Whether to refuse a recording with defects.
+            start_s: Time after the first frame at which the estimator starts [s]; 0 for a program.
+            laps: Number of times that the recording is repeated without a break; 1 for a program.
 
         Raises:
             InputError: The recording, or the file that a program wrote, cannot be read; or the recording has defects.
@@ -164,10 +166,13 @@ class NamedEstimator:
             CrashError: A program was killed by a signal.
         """
         if external := EXTERNAL.match(self.name):
+            if start_s or laps > 1:
+                raise ConfigError(f"{self.label}: a program reads a whole recording once; expected no starts and laps")
             return _of_program(
                 run_program(shlex.split(self.name[external.end() :]), path, float(external[1] or 0.0), strict)
             )
         from dronevio.driver import estimate_recording, require_poses
+        from dronevio.excerpts import excerpt_of
         from dronevio.models.recordings.open import open_recording
 
         own = PythonEstimator.parse(self.name) if self.name.startswith(PYTHON) else None
@@ -179,8 +184,9 @@ class NamedEstimator:
         if kind and kind.cameras is None and len(recording.rig.cameras) < 2:
             raise ConfigError(f"{path}: one camera; expected two or more for {self.name}")
         make = own.make if own else ESTIMATORS[self.name].make
-        run = estimate_recording(recording, make(recording.rig))
-        trajectory = require_poses(run, recording)
+        excerpt = excerpt_of(recording, start_s, laps)
+        run = estimate_recording(excerpt, make(excerpt.rig))
+        trajectory = require_poses(run, excerpt)
         return Estimated(
             run.map_trajectory if kind and kind.has_map else trajectory,
             float(run.cpu_ms.mean()),

@@ -81,6 +81,18 @@ class EstimatorRun:
         return real_time_factor(self.t_ns, self.cpu_ms)
 
     @property
+    def cpu_growth(self) -> float | None:
+        """Mean processor time per frame in the last quarter of the frames, relative to the second quarter.
+
+        The first quarter contains the initialization. None if a quarter has no frame, or no time was measured.
+        """
+        second, last = (
+            self.cpu_ms[len(self.cpu_ms) // 4 : len(self.cpu_ms) // 2],
+            self.cpu_ms[-(len(self.cpu_ms) // 4) :],
+        )
+        return float(last.mean() / second.mean()) if len(self.cpu_ms) >= 4 and second.sum() > 0.0 else None
+
+    @property
     def warnings(self) -> tuple[tuple[int, str], ...]:
         """Time stamps [ns] and texts of the events that tell of wrong measurements or a wrong calibration."""
         return tuple((e.t_ns, text) for e in self.estimates for text in e.events if is_warning(text))

@@ -1,4 +1,11 @@
-"""Front ends whose tracks contain simulated outliers, to measure the robustness of the back end."""
+r"""Estimators whose tracks contain simulated outliers, to measure the robustness of the back end, in benchmarks.
+
+    PYTHONPATH=scripts dronevio benchmark --suite room --estimators vio a=python:corrupted_tracks:outliers
+    PYTHONPATH=scripts dronevio benchmark --recordings MH_01_easy --starts-s 0 1 2 \
+        --estimators a=python:corrupted_tracks:random_30 b=python:corrupted_tracks:object_30_stereo
+
+The names are those of `CORRUPTED_FRONT_ENDS` with underscores, for the first camera; for all cameras with ``_stereo``.
+"""
 
 from collections.abc import Callable
 from dataclasses import replace
@@ -8,10 +15,14 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from dronevio.estimator.config import VioConfig
 from dronevio.estimator.frontend.protocol import FrontEnd
+from dronevio.estimator.frontend.rig import RigTracker
 from dronevio.estimator.types import Observations
+from dronevio.estimator.vio import VisualInertialOdometry
+from dronevio.models.imu import ImuSamples
 from dronevio.models.rig import Rig
-from dronevio.models.state import CameraFrame
+from dronevio.models.state import CameraFrame, Estimate, NavState
 
 Array = npt.NDArray[np.float64]
 
@@ -122,3 +133,41 @@ CORRUPTED_FRONT_ENDS: dict[str, Callable[[FrontEnd], FrontEnd]] = {
     },
 }
 """Functions that wrap the front end of the estimator, by name; a number is the share of outliers in percent."""
+_STEREO = "_stereo"
+
+
+class CorruptedOdometry:
+    """The odometry with a corrupted front end; is an `Estimator`."""
+
+    def __init__(self, rig: Rig, corrupt: Callable[[FrontEnd], FrontEnd], cameras: int | None = 1) -> None:
+        """Make the estimator.
+
+        Args:
+            rig: Calibration of the recording.
+            corrupt: Function that wraps the front end.
+            cameras: Number of cameras to use; None for all.
+        """
+        self._cameras, config = cameras, VioConfig()
+        used = replace(rig, cameras=rig.cameras[:cameras])
+        self._inner = VisualInertialOdometry(used, config, corrupt(RigTracker(used, config.tracker)))
+
+    def add_imu(self, samples: ImuSamples) -> None:
+        """Add the IMU samples since the last call."""
+        self._inner.add_imu(samples)
+
+    def add_frame(self, frame: CameraFrame) -> Estimate:
+        """Return the estimate for a frame, from the images of the cameras that are used."""
+        return self._inner.add_frame(replace(frame, images=frame.images[: self._cameras]))
+
+    def state_at(self, t_ns: int) -> NavState | None:
+        """Return the newest state, propagated by the IMU."""
+        return self._inner.state_at(t_ns)
+
+
+def __getattr__(name: str) -> Callable[[Rig], CorruptedOdometry]:
+    """Return the function that makes an estimator from a rig, by its name in ``dronevio benchmark``."""
+    front_end = name.removesuffix(_STEREO).replace("_", "-")
+    if front_end not in CORRUPTED_FRONT_ENDS:
+        raise AttributeError(f"no estimator {name}; expected one of {', '.join(CORRUPTED_FRONT_ENDS)}")
+    cameras = None if name.endswith(_STEREO) else 1
+    return partial(CorruptedOdometry, corrupt=CORRUPTED_FRONT_ENDS[front_end], cameras=cameras)

@@ -35,7 +35,6 @@ from epipolar_tracks import (
     view_pairs,
 )
 from image_properties import LEVELS, ImageProperties, image_properties
-from initialization_accuracy import ground_truth_of
 from markdown_tables import table, text
 
 from dronevio.estimator.frontend.rig import RigTracker
@@ -195,7 +194,9 @@ def section_of(folder: Path, first: int, count: int) -> Section:
     """Return frames of a recording with their true poses."""
     recording = open_recording(folder, 2)
     times_ns = recording.frame_times_ns[first : first + count]
-    truth, rows = interpolate(ground_truth_of(recording, folder), times_ns)
+    if recording.ground_truth is None:
+        raise SystemExit(f"{folder}: no ground truth; expected a recording with the true motion")
+    truth, rows = interpolate(recording.ground_truth, times_ns)
     return Section(recording, tuple(recording.frame(first + int(row)) for row in rows), truth)
 
 

@@ -1,7 +1,6 @@
 """Numbers and Markdown tables of the scripts that measure the odometry."""
 
 import math
-import statistics
 from collections.abc import Iterable, Sequence
 
 
@@ -18,17 +17,6 @@ def numbers(text: str) -> tuple[int, ...]:
     if not found:
         raise ValueError(f"{text!r} lists no number; expected a text such as 0-4 or 0,2,5")
     return tuple(dict.fromkeys(found))
-
-
-def median(values: Iterable[float | None]) -> float:
-    """Return the median with failed runs as infinity; NaN without values, or if one of them is None."""
-    given = list(values)
-    return math.nan if not given or None in given else float(statistics.median(v for v in given if v is not None))
-
-
-def geometric_mean(values: Sequence[float]) -> float:
-    """Return the geometric mean of positive numbers; NaN without values."""
-    return math.exp(math.fsum(math.log(value) for value in values) / len(values)) if values else math.nan
 
 
 def text(value: float | None, form: str = ".3f") -> str:

@@ -1,7 +1,15 @@
-"""A sampling profiler of processor time by stages of the estimator."""
+"""Show where the odometry spends its processor time: by stage, and by function, with a thousand samples per second.
+
+    python scripts/profiler.py RECORDING --cameras 2
+
+Mean and 99th percentile of the time per frame, and memory, are columns of ``dronevio benchmark``; with ``--laps`` also
+those of a flight of many minutes.
+"""
 
 import linecache
+import os
 import signal
+import sys
 import time
 from collections import Counter
 from collections.abc import Iterator
@@ -10,6 +18,9 @@ from dataclasses import dataclass, field
 from functools import cache
 from pathlib import Path
 from types import FrameType
+
+import tyro
+from markdown_tables import table
 
 INTERVAL_S = 0.001
 """Time between two samples of the profiler [s]."""
@@ -105,3 +116,53 @@ def _source(file: str, number: int) -> tuple[str, str]:
 def _function_name(frame: FrameType) -> str:
     name, _ = _source(frame.f_code.co_filename, frame.f_code.co_firstlineno)
     return f"{name}: {frame.f_code.co_qualname}"
+
+
+@dataclass(frozen=True)
+class ProfileCommand:
+    """Estimate a recording and print processor time by stage and by function."""
+
+    recording: tyro.conf.Positional[Path]
+    """EuRoC folder or ROS 2 bag."""
+    cameras: int = 1
+    """Number of cameras of the estimator."""
+
+
+def profile_tables(profile: Profile, frames: int) -> str:
+    """Return Markdown tables of the processor time by stage and by function, without that outside the estimator.
+
+    Args:
+        profile: The samples.
+        frames: Number of frames.
+    """
+    counted = {name: s for name, s in profile.stages.items() if name != OUTSIDE}
+    total_s = sum(counted.values())
+    stages = [
+        [name, f"{100 * s / total_s:.1f}", f"{1e3 * s / frames:.2f}"]
+        for name, s in sorted(counted.items(), key=lambda item: -item[1])
+    ]
+    functions = [[name, f"{100 * s / total_s:.1f}"] for name, s in profile.functions.most_common(15)]
+    return "\n\n".join(
+        [
+            table(("stage", "share [%]", "ms per frame"), stages),
+            table(("function, with the C functions that it calls", "share [%]"), functions),
+        ]
+    )
+
+
+def main(command: ProfileCommand) -> int:
+    """Profile the odometry on a recording and print the tables."""
+    os.environ.update(OMP_NUM_THREADS="1", OPENBLAS_NUM_THREADS="1")  # before NumPy is imported
+    from dronevio.driver import estimate_recording
+    from dronevio.estimator.vio import VisualInertialOdometry
+    from dronevio.models.recordings.open import open_recording
+
+    recording, profile = open_recording(command.recording, command.cameras), Profile()
+    with profile.sampling():
+        run = estimate_recording(recording, VisualInertialOdometry(recording.rig))
+    print(profile_tables(profile, len(run.estimates)))
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main(tyro.cli(ProfileCommand, description=__doc__)))

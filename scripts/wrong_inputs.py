@@ -17,7 +17,6 @@ from pathlib import Path
 import numpy as np
 import numpy.typing as npt
 import tyro
-from initialization_accuracy import ground_truth_of
 
 from dronevio.cli.terminal import print_table
 from dronevio.driver import estimate_recording
@@ -225,7 +224,9 @@ def row_of(name: str, run: EstimatorRun, truth: Trajectory) -> tuple[str, ...]:
 def main(command: WrongInputsCommand) -> int:
     """Estimate the recording with all faults and print the table; return 1 if a fault was not noticed in time."""
     recording = open_recording(command.recording, command.cameras)
-    truth, section = ground_truth_of(recording, command.recording), section_of(recording, command.frames)
+    if recording.ground_truth is None:
+        raise SystemExit(f"{command.recording}: no ground truth; expected a recording with the true motion")
+    truth, section = recording.ground_truth, section_of(recording, command.frames)
     other = open_recording(command.crossed, command.cameras) if command.crossed else None
     rows = []
     for name in command.faults:

@@ -15,6 +15,7 @@ from dronevio.sim.cameras.imaging import Imaging
 from dronevio.sim.faults import Faults
 from dronevio.sim.paths.limits import LIMITS
 from dronevio.sim.paths.plan import FlightPlan
+from dronevio.sim.physics.wind import Wind
 from dronevio.sim.scenario import Scenario
 
 _TOUR = (
@@ -61,10 +62,15 @@ _SHORT = FlightPlan(
     heading_scale=0.2,
 )
 
+_MINUTE = replace(_HOVER, tour_s=62.0)
+"""A climb, and a minute on the spot."""
+
 _FIRST_FLIGHTS = (
     Scenario("room-v0", "an agile tour of a furnished room", _ROOM),
     Scenario("room-slow-v0", "half of the tour of room-v0 at walking pace", replace(_ROOM, waypoints=_TOUR[:8])),
     Scenario("hover-v0", "take-off, hover, landing", _HOVER),
+    Scenario("hover-minute-v0", "hover on the spot for a minute", _MINUTE),
+    Scenario("hover-gusts-v0", "hover for a minute in gusts", _MINUTE, wind=Wind((3.0, 0.0, 0.0), 1.0)),
     Scenario("short-v0", "a short hop for quick tests", _SHORT),
 )
 
@@ -191,13 +197,15 @@ SCENARIOS: dict[str, Scenario] = {
 SUITES: dict[str, tuple[str, ...]] = {
     **{world: tuple(s.name for s in _TOURS if s.world == world) for world in _PLACES},
     **{level: tuple(s.name for s in _TOURS if f"-{level}-" in s.name) for level in _LEVELS},
+    "reference": tuple(s.name for s in _TOURS if s.world in ("room", "hall", "corridor")),
+    "hovering": ("hover-minute-v0", "hover-gusts-v0"),
     "race": tuple(s.name for s in _RACES),
     "shapes": tuple(s.name for s in _SHAPES),
     "hard": tuple(s.name for s in _HARD_WORLDS),
     "stress": ("room-v0", *(s.name for s in _STRESS)),
 }
-"""Names of the scenarios of each suite: those of one world, of one level, or of one kind. The suite of faults begins
-with the flight without them."""
+"""Names of the scenarios of each suite: those of one world, of one level, or of one kind. The suite ``reference`` has
+the nine flights on which the accuracy of the odometry is stated; ``stress`` begins with the flight without a fault."""
 
 
 def scenario_named(name: str, seed: int | None = None) -> Scenario:

@@ -43,6 +43,8 @@ class BenchmarkCommand(Settings):
       dronevio benchmark --suite room --estimators vio,dead-reckoning --seeds 10
       dronevio benchmark --scenarios hover short --seeds 3 --out benchmarks/quick
       dronevio benchmark --suite hall --rig euroc-stereo --estimators vio,vio-stereo,eqvio,dead-reckoning
+      dronevio benchmark --suite reference --seeds 100 --variants as-is imu-100hz imu-400hz noise-2x
+      dronevio benchmark --recordings MH_01_easy --starts-s 0 0.5 1 1.5 2 --out benchmarks/starts
       dronevio benchmark --recordings V1_01_easy V1_02_medium --out benchmarks/euroc
       dronevio benchmark --suite easy --estimators vio 'mine=external:./mine --in {recording} --out {output}'
       dronevio benchmark --suite easy --estimators vio mine=python:my_package.odometry:Odometry
@@ -57,8 +59,18 @@ class BenchmarkCommand(Settings):
     rig: str | None = None
     """Sensors that replace those of the scenarios: a name such as euroc-stereo or fisheye, a Kalibr camchain.yaml, or a
     recording with its calibration."""
+    variants: tuple[str, ...] = ()
+    """Variants of each scenario, whose rows are named SCENARIO+VARIANT: imu-100hz or imu-400hz, an IMU of that rate;
+    noise-2x or noise-half, IMU noise that differs from the calibration; rig=NAME, other sensors; as-is, the scenario
+    itself. By default only the scenario itself."""
     recordings: tuple[Path, ...] = ()
     """Recordings with ground truth: EuRoC folders or ROS 2 bags."""
+    starts_s: tuple[Annotated[float, Range(low=0.0)], ...] = ()
+    """Times after the first frame of each flight at which estimators start [s], to measure their initialization, also
+    in motion. Each time is a row of its own, named FLIGHT@TIMEs. By default estimators start with the first frame."""
+    laps: Annotated[int, Range(1, 1000)] = 1
+    """Number of times that each flight is repeated without a break, to measure time and memory of long flights, whose
+    rows are named FLIGHT×LAPS. Flights must begin and end at rest at the same pose."""
     estimators: tuple[str, ...] = ("vio",)
     """Estimators to run. Several names may be joined by commas."""
     seeds: Annotated[int, Range(1, 100_000)] = 10
@@ -132,17 +144,33 @@ def print_benchmark(rows: Sequence["Row"]) -> None:
         errors = [quartiles_of_errors(group.rows, column) for _, column in columns]
         cost = quartiles_of_errors([row for row in group.rows if row.status == "ok"], "cpu_ms_mean")
         figures = ["–" if spread is None else spread.text(len(group.rows) > 1) for spread in errors]
-        ok = f"{group.ok}/{len(group.rows)}"
-        cells.append((group.scenario, group.estimator, ok, *figures, "–" if cost is None else f"{cost.median:.1f}"))
-    headings = ("scenario", "estimator", "ok", *(heading for heading, _ in columns), "ms/frame")
+        counts = f"{group.ok}/{len(group.rows)}", f"{group.diverged}"
+        milliseconds = "–" if cost is None else f"{cost.median:.1f}"
+        cells.append((group.scenario, group.estimator, *counts, *figures, milliseconds))
+    headings = ("scenario", "estimator", "ok", "diverged", *(heading for heading, _ in columns), "ms/frame")
     print_table(
         "Median and quartiles over seeds; a failed run ranks behind all others", headings, cells, left=("estimator",)
     )
+    if any(row.diverged for row in rows):
+        print("diverged: coverage below 99 %, or ATE above 1 % of the path")
+    _print_consistency(rows)
     failed = failed_runs(rows)
     if failed:
         print(f"{len(failed)} of {len(rows)} runs failed:")
     for run, status, reason in failed:
         print(f"  {run}: {reason or status}" if status == "failed" else f"  {run}: {status}, {reason}")
+
+
+def _print_consistency(rows: Sequence["Row"]) -> None:
+    """Print the average NEES of each scenario and estimator; nothing if no run has a NEES."""
+    from dronevio.eval.report.benchmark.model import BenchmarkResults
+    from dronevio.eval.report.benchmark.overview import consistency_table
+
+    table = consistency_table(BenchmarkResults("", tuple(rows)))
+    if table.rows:
+        print_table(
+            table.title, table.columns, [[cell.text for cell in row] for row in table.rows], left=("estimator",)
+        )
 
 
 def _planned(command: BenchmarkCommand) -> "BenchmarkPlan":
@@ -151,7 +179,7 @@ def _planned(command: BenchmarkCommand) -> "BenchmarkPlan":
     Raises:
         ConfigError: There is no flight, or an option has an invalid value.
     """
-    from dronevio.benchmark_jobs import Workbench, recorded_flights, scenario_flights, versions
+    from dronevio.benchmark_jobs import Workbench, excerpts, recorded_flights, scenario_flights, versions
     from dronevio.eval.benchmark.cache_limit import default_folder
     from dronevio.eval.benchmark.runner import BenchmarkPlan
     from dronevio.eval.provenance import processor_here
@@ -169,7 +197,13 @@ def _planned(command: BenchmarkCommand) -> "BenchmarkPlan":
     seeds = range(command.first_seed, command.first_seed + command.seeds)
     if command.rig is not None and not names:
         raise ConfigError(f"--rig {command.rig} without scenarios; a recording has its own rig")
-    flights = scenario_flights(names, seeds, command.rig) + recorded_flights(command.recordings)
+    if command.variants and not names:
+        raise ConfigError(f"--variants {command.variants[0]} without scenarios; a recording has no variants")
+    flights = scenario_flights(names, seeds, command.rig, command.variants) + recorded_flights(command.recordings)
+    flights = excerpts(flights, command.starts_s, command.laps)
+    programs = [each.label for each in estimators if EXTERNAL.match(each.name)]
+    if programs and (command.starts_s or command.laps > 1):
+        raise ConfigError(f"--starts-s or --laps with {programs[0]}: a program reads a whole recording once")
     for path in command.recordings:
         _report_defects(path, command.strict)
     if not flights:

@@ -181,6 +181,11 @@ def _other_scores(scores: "Scores", over: str) -> list[tuple[str, str, str]]:
     consistency = [
         ("NEES, position (expected: 3)", _text(scores.nees_position, 2), ""),
         ("NEES, orientation (expected: 3)", _text(scores.nees_orientation, 2), ""),
+        *(
+            []
+            if scores.nees_velocity is None
+            else [("NEES, velocity (expected: 3)", _text(scores.nees_velocity, 2), "")]
+        ),
         ("positions beyond 3 σ", _text(scores.position_beyond_3_sigma_percent, 2), "%"),
     ]
     return [

@@ -23,6 +23,7 @@ class ReportCommand:
     Examples:
       dronevio report runs/benchmark
       dronevio report results.parquet --format markdown
+      dronevio report results.parquet --format markdown --tables summary consistency
       dronevio report results.parquet --format latex --measures ate_m drift_percent --out table.tex
       dronevio report results.parquet --format csv > results.csv
     """
@@ -35,6 +36,10 @@ class ReportCommand:
     """File to write. By default, a page is report.html beside the results and tables go to standard output."""
     title: str | None = None
     """Title of the report; the name of the benchmark's folder by default."""
+    tables: tuple[Literal["summary", "measures", "consistency", "starts", "runs", "outcomes", "failures"], ...] = ()
+    """Tables in Markdown and LaTeX: a summary of each scenario and estimator, a table for each measure, the average
+    NEES of position, orientation and velocity, the initialization, all runs, expected outcomes, and failed runs. By
+    default measures, outcomes and failures. Tables without rows are left out."""
     measures: tuple[str, ...] = ()
     """Columns of the results that get a table. By default these are the main ones, and all of them for CSV. The page
     has all columns."""
@@ -70,9 +75,11 @@ def _document(benchmark: "BenchmarkResults", command: ReportCommand) -> str:
         return benchmark_page(benchmark)
 
     from dronevio.eval.report.benchmark.model import MAIN_MEASURES, find_measure
-    from dronevio.eval.report.benchmark.tables import as_csv, as_latex, as_markdown
+    from dronevio.eval.report.benchmark.tables import DEFAULT_TABLES, as_csv, as_latex, as_markdown
 
-    render = {"markdown": as_markdown, "latex": as_latex, "csv": as_csv}[command.format]
     chosen = tuple(map(find_measure, command.measures))
     default = tuple(m for m in benchmark.measures if command.format == "csv" or m.column in MAIN_MEASURES)
-    return render(benchmark, chosen or default)
+    if command.format == "csv":
+        return as_csv(benchmark, chosen or default)
+    render = {"markdown": as_markdown, "latex": as_latex}[command.format]
+    return render(benchmark, chosen or default, command.tables or DEFAULT_TABLES)

@@ -39,6 +39,10 @@ class RecordingSpec:
     """The scenario from which the pipeline makes the recording; can be pickled. None for an existing recording."""
     path: Path | None = None
     """Path of an existing recording, which must be valid on every machine; None for a scenario."""
+    start_s: float = 0.0
+    """Time after the first frame of the recording at which estimators start [s]."""
+    laps: int = 1
+    """Number of times that the recording is repeated without a break."""
 
 
 class BenchmarkPipeline(Protocol):

@@ -13,17 +13,37 @@ from dronevio.models.recordings.files import read_text
 if TYPE_CHECKING:
     import pyarrow
 
-    from dronevio.eval.metrics.scores import Scores
-
 Status: TypeAlias = Literal["ok", "failed", "timeout", "crashed"]
 """How a run ended: with scores, with an error message, at the time limit, or with the death of its process."""
 Identity: TypeAlias = tuple[str, int | None, str]
 """Scenario, seed and estimator: runs of two benchmarks with the same identity are compared with each other."""
 RESULTS_FILE = "results.parquet"
 """Name of the file with all rows of a benchmark, in its folder."""
+VARIANT_SIGN = "+"
+"""Stands between the name of a scenario and that of its variant."""
 _REPORT_FILE = "report.json"
-_LATER_COLUMNS = ("defects", "longest_loss_s", "tracking_sigmas", "processor")
+_LATER_COLUMNS = (
+    "defects",
+    "longest_loss_s",
+    "tracking_sigmas",
+    "processor",
+    "nees_velocity",
+    "max_error_m",
+    "longest_gap_s",
+    "step_error_m",
+    "cpu_growth",
+    "start_s",
+    "start_acceleration_m_s2",
+    "start_velocity_error_m_s",
+    "start_speed_m_s",
+    "start_scale_error_percent",
+)
 """Columns that results of earlier versions lack."""
+MIN_COVERAGE_PERCENT, MAX_ATE_PERCENT = 99.0, 1.0
+"""Smallest coverage, and largest ATE relative to the length of the path, of a run that has not diverged [%]."""
+START_VELOCITY_PERCENT, START_VELOCITY_M_S = 5.0, 0.03
+"""Largest error of the velocity two seconds after the first pose of an accurate initialization, relative to the true
+speed [%], and at small speeds [m/s]."""
 
 
 @dataclass(frozen=True)
@@ -103,6 +123,28 @@ class Row:
     certain axis; None if it never does, without covariances, or for a program."""
     processor: str = ""
     """Kind of the processor, on whose linear algebra the last digits of the result depend; empty if it is not known."""
+    nees_velocity: float | None = None
+    """Mean normalized estimation error squared of the velocity, 3 expected; None without covariances or velocities."""
+    max_error_m: float | None = None
+    """Largest absolute position error after alignment of yaw and position [m]."""
+    longest_gap_s: float | None = None
+    """Longest time between two successive compared poses [s]."""
+    step_error_m: float | None = None
+    """Largest error of a step from one pose to the next [m]: jumps of the estimate."""
+    cpu_growth: float | None = None
+    """Mean processor time per frame in the last quarter of the flight, relative to the second quarter; None for an
+    external program."""
+    start_s: float | None = None
+    """Time from the first frame to the first pose [s]."""
+    start_acceleration_m_s2: float | None = None
+    """Root mean square of the true acceleration in the first two seconds [m/s²]."""
+    start_velocity_error_m_s: float | None = None
+    """Error of the velocity two seconds after the first pose [m/s]; None if the estimate has no velocities."""
+    start_speed_m_s: float | None = None
+    """True speed two seconds after the first pose [m/s]."""
+    start_scale_error_percent: float | None = None
+    """Relative error of the scale in the two seconds after the first pose, positive if it is too large [%]; None at
+    rest."""
 
     @property
     def identity(self) -> Identity:
@@ -110,31 +152,33 @@ class Row:
         return self.scenario, self.seed, self.estimator
 
     @property
+    def ate_percent(self) -> float | None:
+        """Absolute position error relative to the length of the true path [%]; None in a failed run or at rest."""
+        return 100.0 * self.ate_m / self.path_m if self.ate_m is not None and self.path_m else None
+
+    @property
+    def diverged(self) -> bool:
+        """Whether the run has scores, but a coverage below 99 % or an ATE above 1 % of the path.
+
+        A flight without a path, such as one at rest, has diverged only if its coverage is too small.
+        """
+        if self.status != "ok":
+            return False
+        covered = self.coverage_percent is None or self.coverage_percent >= MIN_COVERAGE_PERCENT
+        return not covered or (self.ate_percent or 0.0) > MAX_ATE_PERCENT
+
+    @property
+    def started_accurately(self) -> bool:
+        """Whether the velocity two seconds after the first pose is within 5 % or 3 cm/s of the true one."""
+        if self.start_velocity_error_m_s is None or self.start_speed_m_s is None:
+            return False
+        bound_m_s = max(START_VELOCITY_PERCENT / 100.0 * self.start_speed_m_s, START_VELOCITY_M_S)
+        return self.start_velocity_error_m_s <= bound_m_s
+
+    @property
     def dependencies(self) -> tuple[str, str, str]:
         """Everything on which the result depends: the run need not be repeated while this is the same."""
         return self.recording_hash, self.config_hash, self.versions
-
-
-def score_columns(scores: "Scores") -> dict[str, Any]:
-    """Return the columns that are computed from the scores of an estimate."""
-    return {
-        "coverage_percent": scores.coverage_percent,
-        "first_pose_s": scores.first_pose_s,
-        "path_m": scores.path_m,
-        "ate_m": scores.ate_m.rmse,
-        "ate_deg": scores.ate_deg.rmse,
-        "rpe_m": scores.rpe_m and scores.rpe_m.rmse,
-        "rpe_deg": scores.rpe_deg and scores.rpe_deg.rmse,
-        "scale_error_percent": scores.scale_error_percent,
-        "drift_percent": scores.drift_percent,
-        "nees_position": scores.nees_position,
-        "nees_orientation": scores.nees_orientation,
-        "position_beyond_3_sigma_percent": scores.position_beyond_3_sigma_percent,
-        "velocity_m_s": scores.velocity_m_s and scores.velocity_m_s.rmse,
-        "sub_trajectory_m": tuple(errors.length_m for errors in scores.lengths),
-        "sub_trajectory_rpe_m": tuple(errors.translation_m.rmse for errors in scores.lengths),
-        "sub_trajectory_rpe_deg": tuple(errors.rotation_deg.rmse for errors in scores.lengths),
-    }
 
 
 def schema() -> "pyarrow.Schema":
@@ -241,6 +285,8 @@ def _row_of_report(path: Path) -> Row:
             status="ok",
             duration_s=report["flight"]["duration_s"],
             drift_percent=scores.get("drift_percent"),
+            max_error_m=scores["ate_m"] and scores["ate_m"].get("max"),
+            nees_velocity=scores.get("nees_velocity"),
             **errors,
             **{name: scores[name] for name in plain},
             **{name: timing[name] for name in ("cpu_ms_mean", "cpu_ms_p99", "real_time_factor")},

@@ -4,8 +4,10 @@ import math
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
-from dronevio.eval.benchmark.rows import Row, run_name
+from dronevio.eval.benchmark.rows import VARIANT_SIGN, Row, run_name
 
+ALL_SCENARIOS = "all scenarios"
+"""Name of the runs of all scenarios in tables."""
 QUARTILES = (0.25, 0.5, 0.75)
 """Probabilities of the lower quartile, the median and the upper quartile."""
 
@@ -85,6 +87,11 @@ class RunGroup:
         """Number of runs that have scores."""
         return sum(row.status == "ok" for row in self.rows)
 
+    @property
+    def diverged(self) -> int:
+        """Number of runs with scores that have diverged, see `Row.diverged`."""
+        return sum(row.diverged for row in self.rows)
+
 
 def run_groups(rows: Sequence[Row]) -> tuple[RunGroup, ...]:
     """Return the runs by scenario and estimator, in the order in which these first occur."""
@@ -92,6 +99,56 @@ def run_groups(rows: Sequence[Row]) -> tuple[RunGroup, ...]:
     for row in rows:
         found.setdefault((row.scenario, row.estimator), []).append(row)
     return tuple(RunGroup(*names, tuple(members)) for names, members in found.items())
+
+
+def all_runs(rows: Sequence[Row]) -> tuple[RunGroup, ...]:
+    """Return the runs of all scenarios by variant and estimator; none where that is a single scenario."""
+    found: dict[tuple[str, str], list[Row]] = {}
+    for row in rows:
+        variant = row.scenario.partition(VARIANT_SIGN)[2]
+        found.setdefault((f"{ALL_SCENARIOS}{variant and f', {variant}'}", row.estimator), []).append(row)
+    groups = (RunGroup(*names, tuple(members)) for names, members in found.items())
+    return tuple(group for group in groups if len({row.scenario for row in group.rows}) > 1)
+
+
+@dataclass(frozen=True)
+class AverageNees:
+    """The average NEES (ANEES) of runs: the mean over the runs with scores of the mean over time of each run."""
+
+    runs: int
+    """Number of runs with a NEES."""
+    position: float | None
+    """ANEES of the position, 3 expected; None without covariances."""
+    orientation: float | None
+    """ANEES of the orientation, 3 expected."""
+    velocity: float | None
+    """ANEES of the velocity, 3 expected; None without velocities."""
+    bounds: tuple[float, float]
+    """Two-sided 95 % bounds of the mean over so many runs at one instant, if the covariances are correct. Means over
+    time vary less, so that a mean outside the bounds is so with more than 95 % confidence."""
+
+    @classmethod
+    def of(cls, rows: Iterable[Row]) -> "AverageNees | None":
+        """Return the ANEES of runs; None if none of them has a NEES."""
+        from dronevio.eval.metrics.consistency import nees_bounds
+
+        scored = [row for row in rows if row.status == "ok"]
+        runs = sum(row.nees_position is not None for row in scored)
+        if not runs:
+            return None
+        return cls(
+            runs,
+            _mean([row.nees_position for row in scored]),
+            _mean([row.nees_orientation for row in scored]),
+            _mean([row.nees_velocity for row in scored]),
+            nees_bounds(3, runs),
+        )
+
+
+def _mean(values: Sequence[float | None]) -> float | None:
+    """Return the mean of the values that are known; None if there are none."""
+    known = [value for value in values if value is not None]
+    return math.fsum(known) / len(known) if known else None
 
 
 def failed_runs(rows: Sequence[Row]) -> tuple[tuple[str, str, str], ...]:

@@ -1,6 +1,6 @@
 """Consistency: whether errors agree with the covariances that an estimator computes.
 
-The normalized estimation error squared (NEES) has an expected value of 3 for the position and 3 for the orientation if
+The normalized estimation error squared (NEES) has an expected value of 3 each for position, orientation and velocity if
 the covariance is right; larger values mean that the estimator is overconfident. The gauge, position and yaw, which are
 unobservable for an odometry, is fixed at the first pose and not by a best fit, which would remove a part of the error.
 
@@ -39,6 +39,9 @@ class Consistency:
     """(N, 3) Estimated standard deviations of the orientation errors [rad]."""
     orientation_nees: Array
     """(N,) NEES of the orientation; 3 expected."""
+    velocity_nees: Array | None = None
+    """(N,) NEES of the velocity in the world frame, 3 expected; None if truth or estimate has no velocities, or the
+    estimate no covariances of them."""
 
     @property
     def position_exceedance(self) -> float:
@@ -151,7 +154,21 @@ def consistency(truth: Trajectory, estimate: Trajectory) -> Consistency:
         orientation,
         _sigma(P_orientation),
         orientation_nees,
+        _velocity_nees(truth, estimate, R),
     )
+
+
+def _velocity_nees(truth: Trajectory, estimate: Trajectory, R_truth_estimate: Array) -> Array | None:
+    """Return the NEES (N,) of the velocity in the world frame.
+
+    It is None if truth or estimate has no velocities, or if the estimate states no uncertainty of them: variances of 0.
+    """
+    if truth.velocity_m_s is None or estimate.velocity_m_s is None or estimate.covariance is None:
+        return None
+    R, covariance = R_truth_estimate, estimate.covariance[:, 6:9, 6:9]
+    if not covariance.any():
+        return None
+    return nees(truth.velocity_m_s - estimate.velocity_m_s @ R.T, R @ covariance @ R.T)
 
 
 def errors_and_sigmas_m(truth: Trajectory, estimate: Trajectory) -> tuple[Array, Array]:

@@ -87,6 +87,9 @@ class Scores:
     """Mean NEES of the position, 3 expected; larger values are overconfident; None without covariances."""
     nees_orientation: float | None
     """Mean NEES of the orientation, 3 expected; larger values are overconfident; None without covariances."""
+    nees_velocity: float | None
+    """Mean NEES of the velocity, 3 expected; larger values are overconfident; None without covariances or
+    velocities."""
     nees_position_inside_percent: float | None
     """Share of poses whose NEES of the position is within its two-sided 95 % bounds [%]; None without covariances."""
     nees_orientation_inside_percent: float | None
@@ -230,6 +233,9 @@ def score_trajectory(
         initialization_s=None if frame_times_ns is None else initialization_s(frame_times_ns, estimate.t_ns),
         nees_position=None if anchored is None else float(anchored.position_nees.mean()),
         nees_orientation=None if anchored is None else float(anchored.orientation_nees.mean()),
+        nees_velocity=None
+        if anchored is None or anchored.velocity_nees is None
+        else float(anchored.velocity_nees.mean()),
         nees_position_inside_percent=None if anchored is None else inside_percent(anchored.position_nees),
         nees_orientation_inside_percent=None if anchored is None else inside_percent(anchored.orientation_nees),
         position_beyond_3_sigma_percent=None if anchored is None else 100.0 * anchored.position_exceedance,

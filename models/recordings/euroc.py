@@ -54,6 +54,8 @@ IMU_TABLE = TableFormat("an EuRoC IMU table", (7,), ",", parse_integer_ns, "whol
 """Columns: time, angular velocity x y z [rad/s], specific force x y z [m/s²]."""
 GROUND_TRUTH_FILE = Path("state_groundtruth_estimate0") / "data.csv"
 """Path of the ground truth below ``mav0``."""
+TUM_GROUND_TRUTH_FILE = "groundtruth.tum"
+"""Name of a TUM file beside ``mav0`` with the ground truth of the IMU, for a recording without `GROUND_TRUTH_FILE`."""
 INCOMPLETE = "INCOMPLETE"
 """Name of a file in ``mav0`` that exists while frames are missing."""
 GROUND_TRUTH_TABLE = TableFormat("an EuRoC ground truth", (17, 8), ",", parse_integer_ns, "whole nanoseconds")
@@ -120,7 +122,7 @@ class EurocRecording:
         lists = [ImageList.read(mav0 / f"cam{i}") for i in range(used)]
         complete = not (mav0 / INCOMPLETE).exists()
         frames = _repaired_frames(mav0, lists, complete) if repair else _strict_frames(mav0, lists, complete)
-        truth, frame_truth = mav0 / GROUND_TRUTH_FILE, mav0 / FRAME_TRUTH_FILE
+        frame_truth = mav0 / FRAME_TRUTH_FILE
         rig, imu_path = read_euroc_rig(mav0, used), mav0 / "imu0" / "data.csv"
         imu, defects = read_repaired_imu(imu_path) if repair else (read_imu(imu_path), ())
         if read_euroc_sampling(mav0) == "increment":
@@ -134,7 +136,7 @@ class EurocRecording:
             imu=imu,
             frame_times_ns=frames.t_ns,
             image_files=frames.files,
-            ground_truth=read_groundtruth(truth) if truth.exists() else None,
+            ground_truth=_ground_truth_of(mav0),
             frame_truth=read_frame_truth(frame_truth) if frame_truth.exists() else None,
             complete=complete,
             repair=repair,
@@ -246,16 +248,33 @@ def find_mav0(folder: Path | str) -> Path:
     raise InputError(folder, "a folder without mav0, cam0 or imu0", expected)
 
 
-def ground_truth_file(folder: Path | str) -> Path:
-    """Return the path of the ground-truth table of a recording, given ``mav0`` or its parent.
+def read_recording_truth(folder: Path | str) -> Trajectory:
+    """Read the ground truth of a recording, given ``mav0`` or its parent.
 
     Raises:
-        InputError: The recording has none.
+        InputError: The recording has none, or it is damaged.
     """
-    path = find_mav0(folder) / GROUND_TRUTH_FILE
-    if not path.exists():
-        raise InputError(path, "no such file", GROUND_TRUTH_TABLE.name)
-    return path
+    mav0 = find_mav0(folder)
+    truth = _ground_truth_of(mav0)
+    if truth is None:
+        raise InputError(
+            mav0 / GROUND_TRUTH_FILE,
+            "no such file",
+            f"{GROUND_TRUTH_TABLE.name}, or {TUM_GROUND_TRUTH_FILE} beside mav0",
+        )
+    return truth
+
+
+def _ground_truth_of(mav0: Path) -> Trajectory | None:
+    """Return the ground truth of a recording, None if it has none."""
+    if (mav0 / GROUND_TRUTH_FILE).exists():
+        return read_groundtruth(mav0 / GROUND_TRUTH_FILE)
+    tum = mav0.resolve().parent / TUM_GROUND_TRUTH_FILE
+    if not tum.exists():
+        return None
+    from dronevio.models.recordings.tum import read_tum  # imports this module for the folders of EuRoC
+
+    return read_tum(tum)
 
 
 def read_imu(path: Path | str) -> ImuSamples:

@@ -90,9 +90,9 @@ def read_trajectory(
         raise InputError(path, "a trajectory with time stamps", f"a KITTI trajectory, to which {times} applies")
     if "," not in row:
         return read_tum(path, repeated, notice)
-    from dronevio.models.recordings.euroc import ground_truth_file, read_groundtruth
+    from dronevio.models.recordings.euroc import read_groundtruth, read_recording_truth
 
-    return read_groundtruth(ground_truth_file(path) if path.is_dir() else path)
+    return read_recording_truth(path) if path.is_dir() else read_groundtruth(path)
 
 
 def _seconds(t_ns: int) -> str:

@@ -276,6 +276,12 @@ def test_gates_that_cannot_be_judged_are_bad_input(
         (["--scenarios", "short", "--timeout-s", "nan"], "--timeout-s nan; expected"),
         (["--scenarios", "short", "--address", "auto"], "expected --engine ray"),
         (["--recordings", "nowhere"], "nowhere: no such file"),
+        (
+            ["--scenarios", "short", "--variants", "imu-1hz"],
+            "unknown variant 'imu-1hz'; expected one of as-is, imu-100",
+        ),
+        (["--scenarios", "short", "--variants", "rig=moon"], "moon"),
+        (["--recordings", "nowhere", "--variants", "noise-2x"], "a recording has no variants"),
     ],
 )
 def test_nonsense_is_refused(
@@ -320,6 +326,19 @@ def test_the_hash_depends_on_what_is_recorded_not_on_its_name(flown: Result, tmp
     link.symlink_to(flown.folder)
     with pytest.raises(ConfigError, match="both named"):
         recorded_flights([flown.folder, link])
+
+
+def test_variants_are_other_recordings_with_names_of_their_own() -> None:
+    names = ("as-is", "imu-100hz", "imu-400hz", "noise-2x", "noise-half", "rig=fisheye")
+    flights = scenario_flights(["short"], range(1), variants=names)
+    assert [flight.scenario for flight in flights] == ["short-v0", *(f"short-v0+{name}" for name in names[1:])]
+    assert flights[0] == scenario_flights(["short"], range(1))[0]
+    assert len({flight.recording_hash for flight in flights}) == len(names)
+    sources = [flight.source for flight in flights]
+    assert [each.rig.imu.rate_hz for each in sources[:3]] == [200.0, 100.0, 400.0]  # type: ignore[attr-defined]
+    assert [each.faults.imu_noise_factor for each in sources[3:5]] == [2.0, 0.5]  # type: ignore[attr-defined]
+    with pytest.raises(ConfigError, match="--rig euroc-stereo with the variant rig=fisheye"):
+        scenario_flights(["short"], range(1), "euroc-stereo", ["rig=fisheye"])
 
 
 def test_ray_gives_the_same_rows_and_listens_on_localhost_only(place: Path, flown: Result, many: Result) -> None:

@@ -8,7 +8,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from dronevio.eval.benchmark.rows import Row, read_results, score_columns
+from dronevio.eval.benchmark.columns import score_columns
+from dronevio.eval.benchmark.rows import Row, read_results
 from dronevio.eval.metrics import LengthErrors, Scores, Statistics, score
 from dronevio.models.state import Trajectory
 
@@ -47,6 +48,8 @@ def scores() -> Scores:
         initialization_s=36.0,
         nees_position=37.0,
         nees_orientation=38.0,
+        nees_velocity=43.0,
+        longest_gap_s=44.0,
         nees_position_inside_percent=39.0,
         nees_orientation_inside_percent=40.0,
         position_beyond_3_sigma_percent=41.0,
@@ -67,6 +70,10 @@ def test_columns_hold_the_scores_of_their_names(scores: Scores) -> None:
         "drift_percent": 30.0,
         "nees_position": 37.0,
         "nees_orientation": 38.0,
+        "nees_velocity": 43.0,
+        "max_error_m": 4.3,
+        "longest_gap_s": 44.0,
+        "start_s": 36.0,
         "position_beyond_3_sigma_percent": 41.0,
         "velocity_m_s": 32.0,
         "sub_trajectory_m": (10.0, 20.0),
@@ -101,7 +108,17 @@ def test_a_report_is_read_as_a_row(tmp_path: Path) -> None:
     }
     (tmp_path / "report.json").write_text(json.dumps(report), encoding="utf-8")
     [row] = read_results(tmp_path)
-    expected = {**plain, **consistency, **timing, "ate_m": 8.0, "ate_deg": 9.0, "rpe_m": 10.0, "duration_s": 15.0}
+    others = {"max_error_m": 8.7, "nees_velocity": None}
+    expected = {
+        **plain,
+        **others,
+        **consistency,
+        **timing,
+        "ate_m": 8.0,
+        "ate_deg": 9.0,
+        "rpe_m": 10.0,
+        "duration_s": 15.0,
+    }
     assert (row.identity, row.world, row.status) == (("room-v0", 3, "vio"), "room", "ok")
     assert row.versions == "dronevio 1, numpy 2"
     empty = Row("", "", None, "", "", "", "ok")
@@ -110,3 +127,27 @@ def test_a_report_is_read_as_a_row(tmp_path: Path) -> None:
     assert {name: getattr(row, name) for name in columns} == {
         name: expected.get(name, getattr(empty, name)) for name in columns
     }
+
+
+@pytest.mark.parametrize(
+    ("values", "diverged"),
+    [
+        ({"ate_m": 0.2, "path_m": 20.0, "coverage_percent": 99.0}, False),  # 1 % of the path
+        ({"ate_m": 0.21, "path_m": 20.0, "coverage_percent": 100.0}, True),
+        ({"ate_m": 0.1, "path_m": 20.0, "coverage_percent": 98.9}, True),
+        ({"ate_m": 0.01, "path_m": 0.0, "coverage_percent": 100.0}, False),  # at rest
+        ({"ate_m": 9.0, "path_m": 20.0, "status": "failed"}, False),  # counts as failed already
+    ],
+)
+def test_a_run_diverges_by_coverage_or_error(values: dict[str, Any], diverged: bool) -> None:
+    row = replace(Row("s", "", 0, "vio", "", "", "ok"), **values)
+    assert row.diverged == diverged
+
+
+def test_an_initialization_is_accurate_by_velocity() -> None:
+    row = Row("s", "", 0, "vio", "", "", "ok")
+    assert not row.started_accurately
+    fast = replace(row, start_velocity_error_m_s=0.1, start_speed_m_s=2.0)
+    assert fast.started_accurately and not replace(fast, start_velocity_error_m_s=0.101).started_accurately
+    slow = replace(row, start_velocity_error_m_s=0.03, start_speed_m_s=0.1)
+    assert slow.started_accurately and not replace(slow, start_velocity_error_m_s=0.031).started_accurately

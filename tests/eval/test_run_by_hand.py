@@ -41,3 +41,11 @@ def test_percentiles_of_latencies() -> None:
     found = Latency.of(np.random.default_rng(0).permutation(np.arange(101.0) ** 2))
     assert (found.median, found.p95, found.p99, found.max) == pytest.approx((50.0**2, 95.0**2, 99.0**2, 100.0**2))
     assert found.mean == pytest.approx(100.0 * 201.0 / 6.0)  # the sum of the squares is n (n + 1) (2 n + 1) / 6
+
+
+def test_growth_compares_the_second_quarter_with_the_last() -> None:
+    run = run_of("TTTTTTTT")
+    costs = np.array([90.0, 90.0, 10.0, 30.0, 70.0, 70.0, 20.0, 40.0])
+    assert EstimatorRun(run.estimates, costs, costs).cpu_growth == pytest.approx(30.0 / 20.0)
+    assert EstimatorRun(run.estimates, np.zeros(8), costs).cpu_growth is None
+    assert run_of("TTT").cpu_growth is None

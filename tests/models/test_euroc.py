@@ -26,6 +26,7 @@ from dronevio.models.recordings.euroc import (
     write_euroc_recording,
 )
 from dronevio.models.recordings.frame_truth import FRAME_TRUTH_FILE, FrameTruth, frame_truth_text
+from dronevio.models.recordings.tum import read_trajectory, write_tum
 from dronevio.models.rig import EUROC_T_IMU_CAM0, Rig, RigCamera, euroc_rig
 from dronevio.models.rig_presets import RIGS, rig_named
 from dronevio.models.state import Trajectory
@@ -371,3 +372,23 @@ def test_the_real_data_set_is_read(data_folder: Path) -> None:
     assert truth.length_m == pytest.approx(75.8913, abs=1e-3)
     camera = data_folder / "euroc" / "V1_01_on_the_ground"
     assert len(read_euroc_frame_times(camera)) == 95
+
+
+def test_a_tum_file_beside_the_folder_is_the_ground_truth(
+    noise_recording: Callable[..., Recording], tmp_path: Path
+) -> None:
+    recording = noise_recording()
+    truth = recording.ground_truth
+    assert truth is not None
+    folder = tmp_path / "flight"
+    write_euroc(folder, recording.rig, recording.imu, None, recording.frame_times_ns)
+    with pytest.raises(InputError, match=r"groundtruth\.tum beside mav0"):
+        read_trajectory(folder)
+    assert EurocRecording.open(folder).ground_truth is None
+    write_tum(folder / "groundtruth.tum", truth)
+    for found in (EurocRecording.open(folder).ground_truth, read_trajectory(folder), read_trajectory(folder / "mav0")):
+        assert found is not None and found.velocity_m_s is None
+        np.testing.assert_array_equal(found.t_ns, truth.t_ns)
+        np.testing.assert_array_equal(found.p_world_imu, truth.p_world_imu)
+    write_euroc(folder, recording.rig, recording.imu, truth[3:], recording.frame_times_ns)  # the table comes first
+    assert len(read_trajectory(folder)) == len(truth) - 3

@@ -10,16 +10,22 @@ from dronevio.eval.benchmark.outcomes import MAX_SIGMAS
 from dronevio.eval.metrics import nees_bounds
 from dronevio.eval.report.benchmark import plots
 from dronevio.eval.report.benchmark.model import BenchmarkResults, Measure, find_measure
-from dronevio.eval.report.benchmark.tables import NOTE, failure_table, measure_table, outcome_table, quartile_range
+from dronevio.eval.report.benchmark.overview import SUMMARY_NOTE, consistency_table, start_table, summary_table
+from dronevio.eval.report.benchmark.tables import (
+    NOTE,
+    failure_table,
+    measure_table,
+    outcome_table,
+    quartile_range,
+    run_table,
+)
 from dronevio.eval.report.figures import svg_plot
-from dronevio.eval.report.tables import DASH, Cell, Table
+from dronevio.eval.report.tables import DASH, Table
 from dronevio.eval.report.templating import Tile, render_page
 
 ATE, DRIFT, NEES = find_measure("ate_m"), find_measure("drift_percent"), find_measure("nees_position")
 OPEN_MEASURES = ("ate_m", "drift_percent")
 """Columns of the measures whose tables are open when the page is loaded."""
-RUN_COLUMNS = ("ate_m", "rpe_m", "drift_percent", "coverage_percent", "nees_position", "cpu_ms_mean", "wall_s")
-"""Columns of the list of all runs."""
 _MAX_NARROW_COLUMNS = 3  # estimators of a table that takes half of a wide page
 _MAX_LISTED_RUNS = 2000  # a page with a longer list is slow
 _PLOT_HEIGHT_IN = 2.9
@@ -39,11 +45,14 @@ def benchmark_page(results: BenchmarkResults) -> str:
         scenario_count=_count(len(results.scenarios), "scenario"),
         note=NOTE,
         outcomes=_outcomes(results),
+        summary=summary_table(results),
+        summary_note=SUMMARY_NOTE,
+        starts=start_table(results),
         measures=_measure_tables(results),
         many_columns=len(results.estimators) > _MAX_NARROW_COLUMNS,
         run_plots=[_run_plot(results, m) for m in (ATE, DRIFT) if m in results.measures],
         run_count=_count(len(results.rows), "run"),
-        run_table=_run_table(results) if listed else None,
+        run_table=run_table(results) if listed else None,
         sub_trajectory_plots=_sub_trajectory_plots(results, None),
         sub_trajectory_plots_by_scenario=_sub_trajectory_plots_by_scenario(results),
         consistency=_consistency(results),
@@ -143,7 +152,13 @@ def _consistency(results: BenchmarkResults) -> dict[str, object] | None:
         return None
     low, high = nees_bounds(3)
     measures = (measure for measure in results.measures if measure.column.startswith("nees"))
-    return {"low": low, "high": high, "plots": [_run_plot(results, measure, (low, high)) for measure in measures]}
+    table = consistency_table(results)
+    return {
+        "low": low,
+        "high": high,
+        "table": table,
+        "plots": [_run_plot(results, measure, (low, high)) for measure in measures],
+    }
 
 
 def _cost_plots(results: BenchmarkResults) -> list[Markup]:
@@ -151,23 +166,6 @@ def _cost_plots(results: BenchmarkResults) -> list[Markup]:
         return []
     draw = (plots.draw_costs, plots.draw_cost_histogram)
     return [svg_plot(_PLOT_HEIGHT_IN, partial(function, results=results)) for function in draw]
-
-
-def _run_table(results: BenchmarkResults) -> Table:
-    """Return the table of all runs."""
-    shown = [measure for measure in results.measures if measure.column in RUN_COLUMNS]
-    rows = []
-    for row in results.rows:
-        seed = Cell(DASH if row.seed is None else str(row.seed), order=-1.0 if row.seed is None else float(row.seed))
-        status = Cell("ok") if row.status == "ok" else Cell("", warning=row.status)
-        values = (measure.of(row) if row.status == "ok" else None for measure in shown)
-        cells = (
-            Cell(DASH, order=float("inf")) if value is None else Cell(measure.text(value), order=value)
-            for measure, value in zip(shown, values, strict=True)
-        )
-        rows.append((Cell(row.scenario), seed, Cell(row.estimator), status, *cells))
-    columns = ("scenario", "seed", "estimator", "status", *(measure.heading for measure in shown))
-    return Table("All runs", columns, tuple(rows), text_columns=frozenset((2, 3)))
 
 
 def _provenance(results: BenchmarkResults) -> list[tuple[str, object, bool]]:

@@ -3,14 +3,13 @@
 import csv
 import io
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 
-from dronevio.eval.benchmark.summary import Quartiles
+from dronevio.eval.benchmark.summary import ALL_SCENARIOS, Quartiles
 from dronevio.eval.report.benchmark.model import BenchmarkResults, Measure, seed_ranges
+from dronevio.eval.report.benchmark.overview import consistency_table, start_table, summary_table
 from dronevio.eval.report.tables import DASH, Cell, Table, latex_table, latex_text, markdown_table
 
-ALL_SCENARIOS = "all scenarios"
-"""Name of the last row of a table, which is over all scenarios."""
 CSV_COLUMNS = (
     "scenario",
     "estimator",
@@ -28,6 +27,12 @@ NOTE = (
     " row is highlighted. A failed run ranks behind all others; it is left out of times and memory."
 )
 """Explanation of the tables."""
+RUN_COLUMNS = ("ate_m", "rpe_m", "drift_percent", "coverage_percent", "nees_position", "cpu_ms_mean", "wall_s")
+"""Columns of the list of all runs."""
+TABLES = ("summary", "measures", "consistency", "starts", "runs", "outcomes", "failures")
+"""Names of the tables of a report."""
+DEFAULT_TABLES = ("measures", "outcomes", "failures")
+"""Names of the tables in Markdown and LaTeX by default."""
 _MAX_REASON_LENGTH = 300  # characters; the rows hold the whole reason
 
 
@@ -75,14 +80,41 @@ def outcome_table(results: BenchmarkResults) -> Table:
     return Table("Outcomes", columns, tuple(rows), text_columns=frozenset(range(2, len(columns))))
 
 
-def as_markdown(results: BenchmarkResults, measures: Sequence[Measure]) -> str:
-    """Return the tables of some measures, and of the failed runs, as Markdown."""
-    return "\n".join([f"{NOTE}\n", *(markdown_table(table) for table in _tables(results, measures))])
+def run_table(results: BenchmarkResults) -> Table:
+    """Return the table of all runs."""
+    shown = [measure for measure in results.measures if measure.column in RUN_COLUMNS]
+    rows = []
+    for row in results.rows:
+        seed = Cell(DASH if row.seed is None else str(row.seed), order=-1.0 if row.seed is None else float(row.seed))
+        status = (
+            Cell("ok", warning="diverged" if row.diverged else "")
+            if row.status == "ok"
+            else Cell("", warning=row.status)
+        )
+        values = (measure.of(row) if row.status == "ok" else None for measure in shown)
+        cells = (
+            Cell(DASH, order=float("inf")) if value is None else Cell(measure.text(value), order=value)
+            for measure, value in zip(shown, values, strict=True)
+        )
+        rows.append((Cell(row.scenario), seed, Cell(row.estimator), status, *cells))
+    columns = ("scenario", "seed", "estimator", "status", *(measure.heading for measure in shown))
+    return Table("All runs", columns, tuple(rows), text_columns=frozenset((2, 3)))
 
 
-def as_latex(results: BenchmarkResults, measures: Sequence[Measure]) -> str:
-    """Return the tables as LaTeX, for a document that uses the package booktabs."""
-    tables = (latex_table(table) for table in _tables(results, measures))
+def as_markdown(results: BenchmarkResults, measures: Sequence[Measure], names: Sequence[str] = DEFAULT_TABLES) -> str:
+    """Return tables as Markdown.
+
+    Args:
+        results: The benchmark.
+        measures: Measures with a table.
+        names: Names of `TABLES`, in the order of the report.
+    """
+    return "\n".join([f"{NOTE}\n", *(markdown_table(table) for table in _tables(results, measures, names))])
+
+
+def as_latex(results: BenchmarkResults, measures: Sequence[Measure], names: Sequence[str] = DEFAULT_TABLES) -> str:
+    """Return tables as LaTeX, for a document that uses the package booktabs; see `as_markdown`."""
+    tables = (latex_table(table) for table in _tables(results, measures, names))
     return "\n".join(["% \\usepackage{booktabs}", f"% {latex_text(NOTE)}", *tables])
 
 
@@ -127,11 +159,20 @@ def _shortened(reason: str) -> str:
     return line if len(line) <= _MAX_REASON_LENGTH else f"{line[: _MAX_REASON_LENGTH - 1]}…"
 
 
-def _tables(results: BenchmarkResults, measures: Sequence[Measure]) -> list[Table]:
-    tables = [measure_table(results, measure) for measure in measures]
-    tables += [outcome_table(results)] if results.verdicts else []
-    failures = failure_table(results)
-    return [*tables, failures] if failures.rows else tables
+def _tables(results: BenchmarkResults, measures: Sequence[Measure], names: Sequence[str]) -> list[Table]:
+    """Return the tables of some names that have rows."""
+    makers: dict[str, Callable[[BenchmarkResults], Table]] = {
+        "summary": summary_table,
+        "consistency": consistency_table,
+        "starts": start_table,
+        "runs": run_table,
+        "outcomes": outcome_table,
+        "failures": failure_table,
+    }
+    tables: list[Table] = []
+    for name in names:
+        tables += [measure_table(results, m) for m in measures] if name == "measures" else [makers[name](results)]
+    return [table for table in tables if table.rows]
 
 
 def _row(results: BenchmarkResults, measure: Measure, scenario: str | None) -> tuple[Cell, ...]:

@@ -168,6 +168,31 @@ def test_consistency_by_hand() -> None:
     assert scores.orientation_beyond_3_sigma_percent == pytest.approx(100.0 * 2 / 9)  # twice 5σ, but not 2.5σ
 
 
+def test_the_nees_of_the_velocity_by_hand() -> None:
+    """Velocity errors of 2, 1 and 3 standard deviations along one axis each, in a world frame rotated by 90°."""
+    p_truth = np.array([[0.0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 1]])
+    v_truth = np.array([[1.0, 0, 0], [0, 1, 0], [-1, 0, 0.5], [0, 0, 1]])
+    error_m_s = np.array([[0.0, 0, 0], [0.2, 0, 0], [0, -0.2, 0], [0, 0, 1.5]])
+    R = rotation_z(-np.pi / 2.0)  # from the estimate's world frame to the true one
+    sigmas = np.r_[np.ones(6), [0.2, 0.1, 0.5], np.ones(6)]  # 0.1, 0.2 and 0.5 m/s in the true world frame
+    truth = replace(trajectory(p_truth), velocity_m_s=v_truth)
+    estimate = Trajectory(
+        truth.t_ns,
+        p_truth @ R,
+        quat_wxyz_from_matrix(np.tile(R.T, (4, 1, 1))),
+        velocity_m_s=(v_truth - error_m_s) @ R,
+        covariance=np.tile(np.diag(sigmas**2), (4, 1, 1)),
+    )
+    scored = score_trajectory(truth, estimate)
+    assert scored.consistency is not None
+    assert scored.consistency.velocity_nees is not None
+    np.testing.assert_allclose(scored.consistency.velocity_nees, [4.0, 1.0, 9.0])
+    assert scored.scores.nees_velocity == pytest.approx(14.0 / 3.0)
+    unknown = np.diag(np.r_[np.ones(6), np.zeros(3), np.ones(6)])
+    assert score(truth, replace(estimate, covariance=np.tile(unknown, (4, 1, 1)))).nees_velocity is None
+    assert score(trajectory(p_truth), estimate).nees_velocity is None
+
+
 @pytest.mark.parametrize("factor", [0.1, 10.0])
 def test_a_covariance_too_large_by_a_factor_divides_the_nees(factor: float) -> None:
     """Errors of two standard deviations along one axis give a NEES of 4, divided by the factor on the covariance."""
