@@ -499,5 +499,29 @@ ESTIMATOR = (
         "0.5 * (row_px / last_row - 0.5) * calibration.readouts_s",
         ("tests/estimator/frontend/test_rolling_shutter.py",),
     ),
+    Mutant(
+        "defective-pixels-at-rest",
+        "Defective pixels: searched also while the camera does not rotate, and texture does not move.",
+        "estimator/frontend/defective_pixels.py",
+        "< MIN_ROTATION_RAD\n",
+        "< 0.0\n",
+        ("tests/estimator/frontend/test_defective_pixels.py::test_texture_of_a_camera_at_rest_is_kept",),
+    ),
+    Mutant(
+        "defective-pixels-of-other-pixels",
+        "Defective pixels: a pixel inherits the count of the next suspect.",
+        "estimator/frontend/defective_pixels.py",
+        "np.where(self._suspects[row] == found, self._counts[row], 0)",
+        "self._counts[row]",
+        ("tests/estimator/frontend/test_defective_pixels.py::test_defective_pixels_are_found_and_replaced",),
+    ),
+    Mutant(
+        "defective-pixels-not-corrected",
+        "Front end: the images of the trackers keep their defective pixels.",
+        "estimator/frontend/rig.py",
+        "frame = replace(frame, images=tuple(NO_IMAGE if image is None else image for image in self._images))",
+        "frame = replace(frame, images=frame.images)",
+        ("tests/estimator/frontend/test_defective_pixels.py::test_features_avoid_defective_pixels",),
+    ),
 )
 """Faults of the estimator and of the driver that feeds it."""
