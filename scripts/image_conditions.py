@@ -6,7 +6,7 @@ times, a rolling shutter and people need renderings of their own, which are comp
 
     dronevio fly --scenario room-medium --seed 131 --rig euroc-stereo --out flights/room-1ms
     python scripts/image_conditions.py flights/room-1ms
-    python scripts/image_conditions.py flights/room-* --conditions none
+    python scripts/image_conditions.py flights/room-1ms flights/room-15ms --conditions none
 
 The tracks are those of the front end with new features every fourth frame; their residuals are distances from the
 epipolar lines of the true poses (``scripts/epipolar_tracks.py``). The true poses must be those that the IMU measured:
@@ -56,7 +56,7 @@ HEADINGS = (
 
 def scaled(image: Image, factor: float | npt.NDArray[np.float32]) -> Image:
     """Return an image with its light multiplied by a factor, saturated."""
-    return np.clip(np.rint(image * np.float32(1.0) * factor), 0, 255).astype(np.uint8)
+    return np.asarray(np.clip(np.rint(image * np.float32(1.0) * factor), 0, 255), np.uint8)
 
 
 def exposure_steps(image: Image, index: int, camera: int) -> Image:
@@ -105,7 +105,7 @@ def smudged(image: Image, index: int, camera: int) -> Image:
     distance = np.hypot(x - 0.35 * width, y - 0.55 * height) / (0.1 * width)
     weight = np.clip(1.5 - distance, 0.0, 1.0).astype(np.float32) * (camera == 0)
     veil = 0.7 * cv2.GaussianBlur(image.astype(np.float32), (0, 0), 10.0) + 0.3 * 160.0
-    return np.clip(np.rint((1.0 - weight) * image + weight * veil), 0, 255).astype(np.uint8)
+    return np.asarray(np.clip(np.rint((1.0 - weight) * image + weight * veil), 0, 255), np.uint8)
 
 
 CONDITIONS: Mapping[str, Condition] = {

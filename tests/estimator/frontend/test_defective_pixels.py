@@ -17,7 +17,6 @@ Array = npt.NDArray[np.float64]
 Image = npt.NDArray[np.uint8]
 
 HEIGHT, WIDTH = 120, 160
-SPECKLES = np.random.default_rng(3).random((HEIGHT, 4 * WIDTH)) < 0.002
 STUCK = {(40, 50): 255, (41, 51): 255, (0, 0): 0, (90, 159): 255, (70, 20): 200}
 """Levels of the defective pixels by row and column: a pair of neighbours, a corner, an edge and a dim one."""
 TURN = exp_so3(np.array([0.0, 0.003, 0.0]))
@@ -26,7 +25,8 @@ TURN = exp_so3(np.array([0.0, 0.003, 0.0]))
 
 def seen_at(offset: int, stuck: bool = True) -> Image:
     """Return the image of a speckled wall that has moved by some columns, with defective pixels."""
-    image = np.where(SPECKLES[:, offset : offset + WIDTH], 220, 100).astype(np.uint8)
+    speckles = np.random.default_rng(3).random((HEIGHT, 4 * WIDTH)) < 0.002
+    image = np.where(speckles[:, offset : offset + WIDTH], 220, 100).astype(np.uint8)
     for (row, column), level in STUCK.items() if stuck else ():
         image[row, column] = level
     return image
