@@ -9,9 +9,9 @@ times, a rolling shutter and people need renderings of their own, which are comp
     python scripts/image_conditions.py flights/room-1ms flights/room-15ms --conditions none
 
 The tracks are those of the front end with new features every fourth frame; their residuals are distances from the
-epipolar lines of the true poses (``scripts/epipolar_tracks.py``). The true poses must be those that the IMU measured:
-along the path of a real flight that is re-flown with its recorded IMU, errors of the recorded path limit the accuracy
-of the odometry to 2 mm, whatever the images show.
+epipolar lines of the true poses (``scripts/epipolar_tracks.py``). The true poses should be those that the IMU measured:
+on the path of a real flight that is re-flown with its recorded IMU, the errors of path and IMU are 2 mm whatever the
+images show.
 """
 
 import sys
