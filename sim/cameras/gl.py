@@ -16,9 +16,13 @@ import sys
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
 from functools import cache
-from typing import Protocol
+from typing import TYPE_CHECKING, Protocol
 
 from dronevio.models.errors import GraphicsError
+
+if TYPE_CHECKING:
+    import numpy as np
+    import numpy.typing as npt
 
 INSTALL_COMMAND = "sudo apt-get install -y libegl1 libgl1-mesa-dri libopengl0"
 """Command that installs an OpenGL without display or GPU on Debian and Ubuntu."""
@@ -286,6 +290,18 @@ def blend_no_mipmaps(textures: Sequence[int]) -> None:
         GL.glBindTexture(GL.GL_TEXTURE_2D, texture)
         GL.glTexParameteri(GL.GL_TEXTURE_2D, GL.GL_TEXTURE_MIN_FILTER, GL.GL_LINEAR_MIPMAP_NEAREST)
     GL.glBindTexture(GL.GL_TEXTURE_2D, 0)
+
+
+def read_rgba(image: "npt.NDArray[np.uint8]", low: int) -> None:
+    """Read pixels of the current frame buffer from the first column on.
+
+    Args:
+        image: (H, W, 4) Contiguous image that receives red, green, blue and alpha; its first row is the lowest one.
+        low: Row of the frame buffer of its first row.
+    """
+    GL = importlib.import_module("OpenGL.GL")
+    GL.glPixelStorei(GL.GL_PACK_ALIGNMENT, 1)
+    GL.glReadPixels(0, low, image.shape[1], image.shape[0], GL.GL_RGBA, GL.GL_UNSIGNED_BYTE, image)
 
 
 def probe_gl() -> GlReport:

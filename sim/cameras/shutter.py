@@ -171,14 +171,12 @@ class Shutter:
         high = (2 * rows.stop - 1 + _GRID_PX) // (2 * _GRID_PX) + 1
         grid = slice(low, high + 1)
         seen = self.drawn.project(np.einsum("gij,gcj->gci", R_key_rows[grid], self._bearings[grid]))
-        moved = np.nan_to_num(seen - self._margin_px - self._grid_px[grid]).astype(np.float32)
-        size = (_GRID_PX * moved.shape[1], _GRID_PX * moved.shape[0])
+        seen = np.where(np.isnan(seen), self._grid_px[grid] + self._margin_px, seen) - np.array([0.0, first])
+        size = (_GRID_PX * seen.shape[1], _GRID_PX * seen.shape[0])
         top = rows.start - (low - 1) * _GRID_PX
-        fine = cv2.resize(moved, size, interpolation=cv2.INTER_LINEAR)
-        fine = fine[top : top + rows.stop - rows.start, _GRID_PX : _GRID_PX + self._model.width]
-        x = fine[..., 0] + (np.arange(self._model.width, dtype=np.float32) + self._margin_px)
-        y = fine[..., 1] + (np.arange(rows.start, rows.stop, dtype=np.float32) + (self._margin_px - first))[:, None]
-        return np.asarray(cv2.remap(image, x, y, cv2.INTER_CUBIC, borderMode=cv2.BORDER_REPLICATE), dtype=np.uint8)
+        at = cv2.resize(seen.astype(np.float32), size, interpolation=cv2.INTER_LINEAR)
+        at = at[top : top + rows.stop - rows.start, _GRID_PX : _GRID_PX + self._model.width]
+        return np.asarray(cv2.remap(image, at, None, cv2.INTER_CUBIC, borderMode=cv2.BORDER_REPLICATE), dtype=np.uint8)
 
 
 def half_span_ns(camera: RigCamera, exposure_s: float) -> int:
