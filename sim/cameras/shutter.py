@@ -25,7 +25,8 @@ from dronevio.models.rig import RigCamera
 
 Array = npt.NDArray[np.float64]
 GreyImage = npt.NDArray[np.uint8]
-Light = npt.NDArray[np.uint8] | npt.NDArray[np.float32]
+FloatImage = npt.NDArray[np.float32]
+Light = GreyImage | FloatImage
 
 Poses = Callable[[Times], Array]
 """Function from true times (M,) [ns] to camera poses T_world_cam (M, 4, 4)."""
@@ -139,13 +140,13 @@ class Shutter:
         ):
             low, high = _extent(weight.any(axis=0))
             drawn = slice(max(low + margin - plan.reach_px, 0), min(high + margin + plan.reach_px, self.drawn.height))
-            image = view(key_ns, drawn)
+            image = view(key_ns, drawn).astype(np.float32)  # which OpenCV interpolates faster than integers
             for row_weight, R_world_row in zip(weight, R_world_rows, strict=True):
                 rows = slice(*_extent(row_weight > 0.0))
                 if rows.stop > rows.start:
                     seen = self._looked_up(image, drawn.start, R_world_key.T @ R_world_row, rows)
                     light[rows] += seen * row_weight[rows, None]
-        return light
+        return np.asarray(np.clip(light, 0.0, 255.0, out=light))  # cubic interpolation overshoots
 
     def _weights(self, plan: ExposurePlan) -> npt.NDArray[np.float32]:
         """Return the weight (K, S, H) of each key image for each row at each sample time."""
@@ -158,7 +159,7 @@ class Shutter:
         """Return the delay of the exposure of each row relative to the middle row [ns]."""
         return _delays_ns(rows_px, self._model.height, self._readout_ns)
 
-    def _looked_up(self, image: GreyImage, first: int, R_key_rows: Array, rows: slice) -> GreyImage:
+    def _looked_up(self, image: FloatImage, first: int, R_key_rows: Array, rows: slice) -> FloatImage:
         """Return rows of the frame looked up in a key image.
 
         Args:
@@ -176,7 +177,7 @@ class Shutter:
         top = rows.start - (low - 1) * _GRID_PX
         at = cv2.resize(seen.astype(np.float32), size, interpolation=cv2.INTER_LINEAR)
         at = at[top : top + rows.stop - rows.start, _GRID_PX : _GRID_PX + self._model.width]
-        return np.asarray(cv2.remap(image, at, None, cv2.INTER_CUBIC, borderMode=cv2.BORDER_REPLICATE), dtype=np.uint8)
+        return np.asarray(cv2.remap(image, at, None, cv2.INTER_CUBIC, borderMode=cv2.BORDER_REPLICATE))
 
 
 def half_span_ns(camera: RigCamera, exposure_s: float) -> int:
