@@ -24,7 +24,7 @@ from dronevio.sim.cameras.views import Lookup, Views, pixel_rays
 Array = npt.NDArray[np.float64]
 GreyImage = npt.NDArray[np.uint8]
 
-SUPERSAMPLING = 1.5
+SUPERSAMPLING = 1.4
 """Rendered pixels per image pixel along each axis."""
 LENS_BLUR_PX = 0.35
 """Standard deviation of the blur of the lens [px]; together with the pixel area it is 0.45 px."""
