@@ -183,7 +183,8 @@ class Shutter:
         top = rows.start - (low - 1) * _GRID_PX
         at = cv2.resize(seen.astype(np.float32), size, interpolation=cv2.INTER_LINEAR)
         at = at[top : top + rows.stop - rows.start, _GRID_PX : _GRID_PX + self._model.width]
-        return np.asarray(cv2.remap(image, at, None, cv2.INTER_CUBIC, borderMode=cv2.BORDER_REPLICATE))
+        border = cv2.BORDER_REPLICATE
+        return np.asarray(cv2.remap(image, at, None, cv2.INTER_CUBIC, borderMode=border))  # type: ignore[call-overload]
 
 
 def half_span_ns(camera: RigCamera, exposure_s: float) -> int:
