@@ -27,6 +27,7 @@ from dronevio.estimator.initialization.zero_velocity import ZeroVelocityDetector
 from dronevio.estimator.output import Publisher
 from dronevio.estimator.pipeline import MeasurementPipeline
 from dronevio.estimator.propagator import Propagator
+from dronevio.estimator.stamp_error import StampErrorEstimator
 from dronevio.estimator.types import Calibration, FramePacket, Observations
 from dronevio.models.imu import ImuSamples
 from dronevio.models.measurement_checks import check_imu, check_rig
@@ -90,6 +91,7 @@ class VisualInertialOdometry:
         self._imu, self._noise = rig.imu, ImuNoiseEstimator(rig.imu, c.preintegration, c.noise, c.gravity_m_s2)
         self._online_calibration = OnlineCalibration(rig, c.calibration, c.gravity_m_s2)
         self._pipeline = MeasurementPipeline(rig.imu, front_end or RigTracker(rig, c.tracker), c.gravity_m_s2)
+        self._stamp_errors = StampErrorEstimator(c.stamps)
         self._zero_velocity = ZeroVelocityDetector(c.zero_velocity, c.gravity_m_s2)
         self._keyframe_policy = KeyframePolicy(c.keyframe)
         self._publisher = Publisher(c.initialization, rig.imu.rate_hz)
@@ -118,7 +120,8 @@ class VisualInertialOdometry:
             ConfigError: The frame is not later than the last one, or an image does not fit its camera.
         """
         repeated = self._pipeline.repeats_image
-        packet = self._pipeline.process(frame, self._calibration, *self._gyro_bias)
+        self._stamp_errors.add_stamp(frame.t_ns)
+        packet = self._pipeline.process(frame, self._calibration, *self._gyro_bias, self._stamp_errors.sigma_s)
         features = packet.observations if packet.has_image else None
         self._zero_velocity.update(packet.t_ns, features, packet.increments)
         self._gauge = self._gauge.propagated(packet.increments)
@@ -158,6 +161,7 @@ class VisualInertialOdometry:
         propagator = tracking.propagator
         propagator.add(packet, stationary)
         predicted = propagator.state_at(packet.t_ns)
+        packet = self._at_stamp(packet, predicted, tracking.monitor)
         report = tracking.monitor.assess(packet.observations, predicted, stationary, self._calibration)
         if report.health is Health.LOST:
             return self._lose(tracking, packet, report)
@@ -169,6 +173,14 @@ class VisualInertialOdometry:
         tracking, keyframe_events = self._add_keyframe(tracking, packet, stationary)
         smoother, events = tracking.smoother, ("keyframe", *events, *keyframe_events)
         return self._publish(packet, smoother.state, report, events, smoother.landmarks)
+
+    def _at_stamp(self, packet: FramePacket, predicted: NavState, monitor: HealthMonitor) -> FramePacket:
+        """Return the newest packet with its observations at the frame's stamp, if the stamps are not exact."""
+        if self._stamp_errors.sigma_s == 0.0:
+            return packet
+        innovation = monitor.innovation(packet.observations, predicted, self._calibration)
+        error_s = self._stamp_errors.estimate_s(innovation, predicted, self._pipeline.angular_velocity_rad_s)
+        return self._pipeline.with_stamp_error(packet, error_s, self._calibration) if error_s else packet
 
     def _end_stationary(self, tracking: Tracking) -> tuple[Tracking, tuple[str, ...]]:
         """Make the last certainly stationary frame a keyframe, if there is one since the last keyframe."""
