@@ -5,7 +5,6 @@ observations are then corrected for the exposure times of the rows, the clock of
 follows the pipeline sees calibrated, instantaneous measurements.
 """
 
-import math
 from dataclasses import replace
 
 import numpy as np
@@ -15,7 +14,7 @@ from dronevio.estimator.frontend.protocol import FrontEnd
 from dronevio.estimator.frontend.repetition import RepetitionFilter
 from dronevio.estimator.frontend.rolling_shutter import ExposureCompensation
 from dronevio.estimator.imu.buffer import ImuBuffer, Increments
-from dronevio.estimator.types import NO_FEATURES, Calibration, FramePacket, Observations
+from dronevio.estimator.types import Calibration, FramePacket, Observations
 from dronevio.models.errors import ConfigError
 from dronevio.models.imu import GRAVITY_M_S2, ImuModel, ImuSamples
 from dronevio.models.state import CameraFrame, Estimate
@@ -38,7 +37,6 @@ class MeasurementPipeline:
         self._buffer, self._exposure = ImuBuffer(imu), ExposureCompensation(gravity_m_s2)
         self._repetition = RepetitionFilter()
         self._last_frame_ns: int | None = None
-        self._tracked = NO_FEATURES  # the features of the newest frame at their exposure
 
     def add_imu(self, samples: ImuSamples) -> None:
         """Add the IMU samples since the last call."""
@@ -50,7 +48,7 @@ class MeasurementPipeline:
         calibration: Calibration,
         gyro_bias_rad_s: Array,
         gyro_bias_sigma_rad_s: float,
-        stamp_sigma_s: float = 0.0,
+        late_s: float = 0.0,
     ) -> FramePacket:
         """Track the features into a frame and return its packet.
 
@@ -59,7 +57,7 @@ class MeasurementPipeline:
             calibration: The calibration in use.
             gyro_bias_rad_s: (3,) Estimate of the gyroscope bias [rad/s].
             gyro_bias_sigma_rad_s: Its standard deviation [rad/s].
-            stamp_sigma_s: Standard deviation of the errors of frames' time stamps [s].
+            late_s: How much later than its time stamp the frame was exposed [s].
 
         Raises:
             ConfigError: The frame is not later than the last one, or an image does not fit its camera.
@@ -67,37 +65,22 @@ class MeasurementPipeline:
         if self._last_frame_ns is not None and frame.t_ns <= self._last_frame_ns:
             raise ConfigError(f"frame at {frame.t_ns} ns after one at {self._last_frame_ns} ns; expected a later one")
         self._last_frame_ns = frame.t_ns
-        t_ns = self._exposure.imu_time_ns(frame.t_ns, calibration)
+        t_ns = self._exposure.imu_time_ns(frame.t_ns, calibration) + round(late_s * 1e9)
         increments = self._buffer.take_until(t_ns)
-        ahead = self._buffer.ahead(self._exposure.lookahead_s(calibration))
+        ahead = self._buffer.ahead(max(self._exposure.lookahead_s(calibration), -late_s))
         self._exposure.begin_frame(increments, ahead, gyro_bias_rad_s)
         rotation_sigma = float(gyro_bias_sigma_rad_s * increments.dt_s.sum()) + increments.rotation_excess_sigma_rad
-        if stamp_sigma_s and len(increments.gyro_rad_s):
-            rate_rad_s = float(np.linalg.norm(increments.gyro_rad_s - gyro_bias_rad_s, axis=1).max())
-            rotation_sigma += math.sqrt(2.0) * stamp_sigma_s * rate_rad_s
         R_cur_prev = _camera_rotation(calibration, increments, gyro_bias_rad_s)
         frame = self._repetition.filtered(frame, R_cur_prev, rotation_sigma)
         observations = self._front_end.track(frame, R_cur_prev, rotation_sigma, calibration.rig)
         # Cameras that have no tracker of their own observe no features in a frame that the others lack.
         has_image = len(observations) > 0 or all(image.size for image in frame.images)
-        self._tracked = observations
         return FramePacket(t_ns, increments, self._at_frame_time(observations, calibration), has_image)
 
     @property
     def repeats_image(self) -> bool:
         """Whether an image of the newest frame was left out because it repeats the one before."""
         return self._repetition.repeats
-
-    def with_stamp_error(self, packet: FramePacket, error_s: float, calibration: Calibration) -> FramePacket:
-        """Return the newest packet with its observations as they are at the time of the stamp.
-
-        Args:
-            packet: The newest packet.
-            error_s: Time from the frame's stamp to its exposure [s].
-            calibration: The calibration in use.
-        """
-        self._exposure.set_stamp_error(error_s)
-        return replace(packet, observations=self._at_frame_time(self._tracked, calibration))
 
     def replenish(self, packet: FramePacket, calibration: Calibration) -> FramePacket:
         """Return the newest packet with newly detected features and the matches in further cameras."""
@@ -113,9 +96,9 @@ class MeasurementPipeline:
         """(3,) Angular velocity of the IMU at the newest frame, bias removed [rad/s]."""
         return self._exposure.angular_velocity_rad_s
 
-    def at_stamp(self, estimate: Estimate, frame: CameraFrame, calibration: Calibration) -> Estimate:
+    def at_stamp(self, estimate: Estimate, frame: CameraFrame) -> Estimate:
         """Return the estimate of the newest frame at the frame's time stamp, by the clock of the cameras."""
-        return self._exposure.at_stamp(estimate, frame.t_ns, calibration)
+        return self._exposure.at_stamp(estimate, frame.t_ns)
 
     def _at_frame_time(self, observations: Observations, calibration: Calibration) -> Observations:
         return self._exposure.at_frame_time(calibration.normalized(observations), calibration)

@@ -27,7 +27,7 @@ from dronevio.estimator.initialization.zero_velocity import ZeroVelocityDetector
 from dronevio.estimator.output import Publisher
 from dronevio.estimator.pipeline import MeasurementPipeline
 from dronevio.estimator.propagator import Propagator
-from dronevio.estimator.stamp_error import StampErrorEstimator
+from dronevio.estimator.stamp_error import StampCorrection
 from dronevio.estimator.types import Calibration, FramePacket, Observations
 from dronevio.models.imu import ImuSamples
 from dronevio.models.measurement_checks import check_imu, check_rig
@@ -91,7 +91,7 @@ class VisualInertialOdometry:
         self._imu, self._noise = rig.imu, ImuNoiseEstimator(rig.imu, c.preintegration, c.noise, c.gravity_m_s2)
         self._online_calibration = OnlineCalibration(rig, c.calibration, c.gravity_m_s2)
         self._pipeline = MeasurementPipeline(rig.imu, front_end or RigTracker(rig, c.tracker), c.gravity_m_s2)
-        self._stamp_errors = StampErrorEstimator(c.stamps)
+        self._stamps = StampCorrection(rig.cameras[0].rate_hz, c.stamps)
         self._zero_velocity = ZeroVelocityDetector(c.zero_velocity, c.gravity_m_s2)
         self._keyframe_policy = KeyframePolicy(c.keyframe)
         self._publisher = Publisher(c.initialization, rig.imu.rate_hz)
@@ -120,8 +120,8 @@ class VisualInertialOdometry:
             ConfigError: The frame is not later than the last one, or an image does not fit its camera.
         """
         repeated = self._pipeline.repeats_image
-        self._stamp_errors.add_stamp(frame.t_ns)
-        packet = self._pipeline.process(frame, self._calibration, *self._gyro_bias, self._stamp_errors.sigma_s)
+        late_s = self._stamps.add_stamp(frame.t_ns)
+        packet = self._pipeline.process(frame, self._calibration, *self._gyro_bias, late_s)
         features = packet.observations if packet.has_image else None
         self._zero_velocity.update(packet.t_ns, features, packet.increments)
         self._gauge = self._gauge.propagated(packet.increments)
@@ -130,7 +130,7 @@ class VisualInertialOdometry:
                 estimate = self._initialize(self._state, packet)
             case Tracking():
                 estimate = self._track(self._state, packet)
-        estimate = self._pipeline.at_stamp(estimate, frame, self._calibration)
+        estimate = self._pipeline.at_stamp(estimate, frame)
         if self._pipeline.repeats_image and not repeated:
             estimate = replace(estimate, events=(*estimate.events, REPEATED_IMAGES))
         if estimate.state is not None:
@@ -161,7 +161,9 @@ class VisualInertialOdometry:
         propagator = tracking.propagator
         propagator.add(packet, stationary)
         predicted = propagator.state_at(packet.t_ns)
-        packet = self._at_stamp(packet, predicted, tracking.monitor)
+        if self._stamps.is_irregular:
+            innovation = tracking.monitor.innovation(packet.observations, predicted, self._calibration)
+            self._stamps.compare(innovation, predicted, self._pipeline.angular_velocity_rad_s)
         report = tracking.monitor.assess(packet.observations, predicted, stationary, self._calibration)
         if report.health is Health.LOST:
             return self._lose(tracking, packet, report)
@@ -173,14 +175,6 @@ class VisualInertialOdometry:
         tracking, keyframe_events = self._add_keyframe(tracking, packet, stationary)
         smoother, events = tracking.smoother, ("keyframe", *events, *keyframe_events)
         return self._publish(packet, smoother.state, report, events, smoother.landmarks)
-
-    def _at_stamp(self, packet: FramePacket, predicted: NavState, monitor: HealthMonitor) -> FramePacket:
-        """Return the newest packet with its observations at the frame's stamp, if the stamps are not exact."""
-        if self._stamp_errors.sigma_s == 0.0:
-            return packet
-        innovation = monitor.innovation(packet.observations, predicted, self._calibration)
-        error_s = self._stamp_errors.estimate_s(innovation, predicted, self._pipeline.angular_velocity_rad_s)
-        return self._pipeline.with_stamp_error(packet, error_s, self._calibration) if error_s else packet
 
     def _end_stationary(self, tracking: Tracking) -> tuple[Tracking, tuple[str, ...]]:
         """Make the last certainly stationary frame a keyframe, if there is one since the last keyframe."""

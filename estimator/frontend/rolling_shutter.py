@@ -88,7 +88,7 @@ class ExposureCompensation:
         self._gyro_bias_rad_s = np.zeros(3)
         self._local_rotation: LocalRotation | None = None  # computed when it is used, which is not in every frame
         self._accel_m_s2 = np.zeros(3)
-        self._frame_interval_s, self._stamp_error_s = 0.0, 0.0
+        self._frame_interval_s = 0.0
         self._now = self._last = _Exposed(np.zeros(0, np.int64), np.zeros(0), np.zeros((0, 3)))
 
     @staticmethod
@@ -110,14 +110,10 @@ class ExposureCompensation:
             after: The increments after the frame, `lookahead_s` long or as far as they are available.
             gyro_bias_rad_s: (3,) Gyroscope bias [rad/s].
         """
-        self._last, self._frame_interval_s, self._stamp_error_s = self._now, float(before.dt_s.sum()), 0.0
+        self._last, self._frame_interval_s = self._now, float(before.dt_s.sum())
         self._increments, self._gyro_bias_rad_s, self._local_rotation = (before, after), gyro_bias_rad_s, None
         near = np.vstack([before.accel_m_s2[-ACCEL_SAMPLES:], after.accel_m_s2[:ACCEL_SAMPLES]])
         self._accel_m_s2 = near.mean(axis=0) if len(near) else np.zeros(3)
-
-    def set_stamp_error(self, error_s: float) -> None:
-        """Set the time from the frame's stamp to its exposure [s], which is zero at the beginning of each frame."""
-        self._stamp_error_s = error_s
 
     @property
     def _rotation(self) -> LocalRotation:
@@ -140,11 +136,11 @@ class ExposureCompensation:
 
         The method may be called again for the same frame, with new features or with matches in further cameras.
         """
-        if not calibration.readouts_s.any() and calibration.time_offset_correction_s + self._stamp_error_s == 0.0:
+        if not calibration.readouts_s.any() and calibration.time_offset_correction_s == 0.0:
             rays = np.column_stack([observations.xy, np.ones(len(observations))])
             self._now = _Exposed(observations.ids, np.zeros(len(observations)), rays)
             return observations
-        delay_s = _delays_s(calibration, observations.camera, observations.pixels[:, 1]) + self._stamp_error_s
+        delay_s = _delays_s(calibration, observations.camera, observations.pixels[:, 1])
         rays = self._rotated(calibration, observations.camera, observations.xy, delay_s)
         flow = self._flows(calibration, observations, delay_s, rays)
         self._now = _Exposed(observations.ids, delay_s, rays)
@@ -158,12 +154,13 @@ class ExposureCompensation:
         )
         return Observations(**others, xy=xy[kept], matches=matches, miscalibrated=miscalibrated)
 
-    def at_stamp(self, estimate: Estimate, stamp_ns: int, calibration: Calibration) -> Estimate:
-        """Return the estimate of a frame at the frame's time stamp, propagated over the rig's given time offset.
+    def at_stamp(self, estimate: Estimate, stamp_ns: int) -> Estimate:
+        """Return the estimate of a frame at the frame's time stamp, propagated from the time of the frame.
 
-        The rotation is exact; position and velocity are of third order in the offset.
+        The times differ by the rig's given time offset and by the error of the stamp. The rotation is exact; position and
+        velocity are of third order in the difference.
         """
-        state, by_s = estimate.state, -calibration.rig.time_offset_s
+        state, by_s = estimate.state, (stamp_ns - estimate.t_ns) * 1e-9
         if by_s == 0.0:
             return estimate
         if state is None:
@@ -215,7 +212,7 @@ class ExposureCompensation:
         for index, camera in enumerate(calibration.rig.cameras):
             mine = matches.camera == index
             row_px[mine] = camera.model.project(xy1[mine])[:, 1]
-        delay_s = _delays_s(calibration, matches.camera, row_px) + self._stamp_error_s
+        delay_s = _delays_s(calibration, matches.camera, row_px)
         here = self._rotated(calibration, matches.camera, matches.xy, delay_s)
         R_imu_cam = calibration.Ts_imu_cam[:, :3, :3]
         R_there = np.swapaxes(R_imu_cam[matches.camera], 1, 2) @ R_imu_cam[observations.camera[row]]
