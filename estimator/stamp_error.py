@@ -107,9 +107,12 @@ class StampCorrection:
         self._squares: tuple[tuple[float, float], ...] = ()  # squared differences of both between successive images
 
     def add_stamp(self, t_ns: int) -> float:
-        """Add the time stamp of the next frame [ns] and return how much later it was exposed [s]."""
+        """Add the time stamp of the next frame [ns] and return how much later it was exposed [s].
+
+        A stamp that is not later than the last one is ignored.
+        """
         c = self._config
-        if not c.correct:
+        if not c.correct or (self._stamps_ns and t_ns <= self._stamps_ns[-1]):
             return 0.0
         if self._clock is None or t_ns - self._stamps_ns[-1] > MAX_GAP_S * 1e9:
             self._stamps_ns, self._clock = (), FrameClock(self._period_s, t_ns)
