@@ -1,7 +1,7 @@
 """Innovation: the differences between the image observations of a frame and their prediction, with its uncertainty.
 
-The prediction propagates the newest keyframe's state by the IMU and projects the landmarks of the window, whose positions
-are taken as exact.
+The prediction propagates the newest keyframe's state by the IMU and projects the landmarks of the window, whose
+positions are taken as exact.
 """
 
 from dataclasses import dataclass

@@ -1,16 +1,16 @@
 """Errors of the time stamps of frames, recognized by a regular clock and by the motion in the images.
 
 Cameras without a hardware trigger stamp frames when they arrive, which errs by milliseconds from frame to frame, while
-the frames are exposed at a constant rate. A line through the stamps averages their errors (Olson, "A passive solution to
-the sensor synchronization problem", IROS 2010). Stamps that are regular are taken as exact. Irregular ones are replaced
-by those of the line, unless the images contradict it, as with a camera whose exposures are irregular and whose stamps are
-exact.
+the frames are exposed at a constant rate. A line through the stamps averages their errors (Olson, "A passive solution
+to the sensor synchronization problem", IROS 2010). Stamps that are regular are taken as exact. Irregular ones are
+replaced by those of the line, unless the images contradict it, as with a camera whose exposures are irregular and whose
+stamps are exact.
 
 What the images show: if a frame is exposed a time δ after the time that is assumed, the innovation of a landmark is its
 velocity in the image times δ, besides the errors of the prediction and of the image. δ is fitted to the innovation of a
 frame by weighted least squares, with the position and the orientation of the prediction as further unknowns and their
-covariance as prior. From differences of δ between successive frames, errors of the prediction vanish that change slowly,
-such as those of a wrong calibration: the assumption with the smaller differences is the right one.
+covariance as prior. From differences of δ between successive frames, errors of the prediction vanish that change
+slowly, such as those of a wrong calibration: the assumption with the smaller differences is the right one.
 """
 
 from dataclasses import dataclass
@@ -59,8 +59,8 @@ class StampConfig(Settings):
     min_landmarks: Annotated[int, Range(4, 1000)] = 8
     """Smallest number of landmarks of a frame that the images decide from."""
     max_sigma_s: Annotated[float, Range(above=0.0, high=1.0)] = 0.003
-    """Largest standard deviation of the time of exposure by the image of a frame that is used [s]. While a vehicle hovers,
-    the image does not show when it was exposed."""
+    """Largest standard deviation of the time of exposure by the image of a frame that is used [s]. While a vehicle
+    hovers, the image does not show when it was exposed."""
 
 
 class FrameClock:
@@ -103,7 +103,9 @@ class StampCorrection:
         self._is_irregular = False
         self._uses_clock = True  # where stamps are irregular
         self._late_s = self._applied_s = 0.0  # of the newest frame, by the clock and as applied
-        self._last: tuple[float, float] | None = None  # exposure after the stamp, and after the clock, by the last image
+        self._last: tuple[float, float] | None = (
+            None  # exposure after the stamp, and after the clock, by the last image
+        )
         self._squares: tuple[tuple[float, float], ...] = ()  # squared differences of both between successive images
 
     def add_stamp(self, t_ns: int) -> float:
@@ -119,7 +121,9 @@ class StampCorrection:
         self._stamps_ns = (*self._stamps_ns, t_ns)[-c.memory - 1 :]
         self._late_s = self._clock.add(t_ns)
         if len(self._stamps_ns) > c.min_frames:
-            self._is_irregular = is_irregular(np.diff(self._stamps_ns) * 1e-9, self._period_s, c.min_error_s)
+            self._is_irregular = is_irregular(
+                np.diff(np.array(self._stamps_ns, dtype=np.int64)) * 1e-9, self._period_s, c.min_error_s
+            )
         self._applied_s = self._late_s if self._is_irregular and self._uses_clock else 0.0
         if self._exposed_ns is not None:
             earliest_s = (self._exposed_ns - t_ns) * 1e-9 + MIN_INTERVAL_S

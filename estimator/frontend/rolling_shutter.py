@@ -157,8 +157,8 @@ class ExposureCompensation:
     def at_stamp(self, estimate: Estimate, stamp_ns: int) -> Estimate:
         """Return the estimate of a frame at the frame's time stamp, propagated from the time of the frame.
 
-        The times differ by the rig's given time offset and by the error of the stamp. The rotation is exact; position and
-        velocity are of third order in the difference.
+        The times differ by the rig's given time offset and by the error of the stamp. The rotation is exact; position
+        and velocity are of third order in the difference.
         """
         state, by_s = estimate.state, (stamp_ns - estimate.t_ns) * 1e-9
         if by_s == 0.0:

@@ -94,7 +94,7 @@ def test_a_repeated_stamp_is_ignored() -> None:
 
 
 def innovation_after(delay_s: float, rng: np.random.Generator, outliers: int = 0) -> tuple[Innovation, NavState]:
-    """Return the innovation of a frame that is exposed later than predicted, with 0.1 px of noise, and the prediction."""
+    """Return the innovation of a frame that is exposed later than predicted, with 0.1 px of noise, and the state."""
     R = exp_so3(np.array([0.2, -0.4, 1.0]))
     points = rng.uniform([-2.0, -2.0, 3.0], [2.0, 2.0, 6.0], (60, 3))  # the IMU frame is that of the camera
     then = points + delay_s * (-cross(np.broadcast_to(OMEGA, points.shape), points) - VELOCITY @ R)
@@ -110,7 +110,7 @@ def innovation_after(delay_s: float, rng: np.random.Generator, outliers: int = 0
 
 @pytest.mark.parametrize("delay_s", [-0.008, 0.0, 0.003])
 def test_exposure_error_is_that_of_the_motion(delay_s: float) -> None:
-    """The estimate has the stated standard deviation, a tenth of a millisecond, and a fifth of outliers does no harm."""
+    """The estimate has the stated standard deviation, a tenth of a millisecond; a fifth of outliers does no harm."""
     rng = np.random.default_rng(0)
     errors = []
     for _ in range(50):
@@ -136,7 +136,11 @@ def test_a_hovering_vehicle_shows_no_exposure_error() -> None:
 @pytest.mark.parametrize("stamps_are_exact", [True, False])
 def test_images_decide_between_stamps_and_clock(stamps_are_exact: bool) -> None:
     """A camera with irregular exposures and exact stamps is not corrected, after a second of motion."""
-    correction, stamps_ns, rng = StampCorrection(20.0, StampConfig()), jittered(TICKS_NS, 0.003), np.random.default_rng(2)
+    correction, stamps_ns, rng = (
+        StampCorrection(20.0, StampConfig()),
+        jittered(TICKS_NS, 0.003),
+        np.random.default_rng(2),
+    )
     applied = []
     for t_ns, tick_ns in zip(stamps_ns[:150].tolist(), TICKS_NS.tolist(), strict=False):
         late_s = correction.add_stamp(t_ns)
@@ -167,8 +171,10 @@ class DelayedFrontEnd(SyntheticFrontEnd):
         return super().track(exposed, R_cur_prev, rotation_sigma_rad, rig)
 
 
-def estimated(flight: "SyntheticFlight", sigma_s: float, exact: bool, config: VioConfig) -> tuple[float, list[Estimate]]:
-    """Return the error [m] and the estimates of a flight with irregular stamps, whose exposures are regular or exact."""
+def estimated(
+    flight: "SyntheticFlight", sigma_s: float, exact: bool, config: VioConfig
+) -> tuple[float, list[Estimate]]:
+    """Return the error [m] and the estimates of a flight with irregular stamps, which may be exact or not."""
     regular_ns = flight.frame_times_ns
     stamps_ns = jittered(regular_ns, sigma_s)
     stamps_ns[0] = max(stamps_ns[0], regular_ns[0])
