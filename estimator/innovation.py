@@ -43,7 +43,7 @@ class Innovation:
     J_imu: Array
     """(N, 2, 3) Derivatives of the image coordinates by these positions [px/m]."""
     R_world_imu: Array
-    """(3, 3) Predicted orientation."""
+    """(3, 3) Predicted orientation of the IMU."""
     focal_px: Array
     """(N,) Focal length of the observing camera [px]."""
     uncertainty: PredictionUncertainty

@@ -102,7 +102,7 @@ class StampCorrection:
         self._exposed_ns: int | None = None  # the newest frame
         self._is_irregular = False
         self._uses_clock = True  # where stamps are irregular
-        self._late_s = self._applied_s = 0.0  # of the newest frame, by the clock and as applied
+        self._clock_delay_s = self._applied_s = 0.0  # of the newest frame, by the clock and as applied
         self._last: tuple[float, float] | None = (
             None  # exposure after the stamp, and after the clock, by the last image
         )
@@ -119,12 +119,12 @@ class StampCorrection:
         if self._clock is None or t_ns - self._stamps_ns[-1] > MAX_GAP_S * 1e9:
             self._stamps_ns, self._clock = (), FrameClock(self._period_s, t_ns)
         self._stamps_ns = (*self._stamps_ns, t_ns)[-c.memory - 1 :]
-        self._late_s = self._clock.add(t_ns)
+        self._clock_delay_s = self._clock.add(t_ns)
         if len(self._stamps_ns) > c.min_frames:
             self._is_irregular = is_irregular(
                 np.diff(np.array(self._stamps_ns, dtype=np.int64)) * 1e-9, self._period_s, c.min_error_s
             )
-        self._applied_s = self._late_s if self._is_irregular and self._uses_clock else 0.0
+        self._applied_s = self._clock_delay_s if self._is_irregular and self._uses_clock else 0.0
         if self._exposed_ns is not None:
             earliest_s = (self._exposed_ns - t_ns) * 1e-9 + MIN_INTERVAL_S
             self._applied_s = max(self._applied_s, earliest_s) if self._applied_s or earliest_s > 0.0 else 0.0
@@ -146,7 +146,10 @@ class StampCorrection:
         error_s, sigma_s = exposure_error(innovation, predicted, angular_velocity_rad_s)
         if sigma_s > c.max_sigma_s:
             return
-        self._last = after_stamp, after_clock = error_s + self._applied_s, error_s + self._applied_s - self._late_s
+        self._last = after_stamp, after_clock = (
+            error_s + self._applied_s,
+            error_s + self._applied_s - self._clock_delay_s,
+        )
         if last is None:
             return
         self._squares = (*self._squares, ((after_stamp - last[0]) ** 2, (after_clock - last[1]) ** 2))[-c.memory :]

@@ -120,8 +120,8 @@ class VisualInertialOdometry:
             ConfigError: The frame is not later than the last one, or an image does not fit its camera.
         """
         repeated = self._pipeline.repeats_image
-        late_s = self._stamps.add_stamp(frame.t_ns)
-        packet = self._pipeline.process(frame, self._calibration, *self._gyro_bias, late_s)
+        delay_s = self._stamps.add_stamp(frame.t_ns)
+        packet = self._pipeline.process(frame, self._calibration, *self._gyro_bias, delay_s)
         features = packet.observations if packet.has_image else None
         self._zero_velocity.update(packet.t_ns, features, packet.increments)
         self._gauge = self._gauge.propagated(packet.increments)

@@ -143,11 +143,11 @@ def test_images_decide_between_stamps_and_clock(stamps_are_exact: bool) -> None:
     )
     applied = []
     for t_ns, tick_ns in zip(stamps_ns[:150].tolist(), TICKS_NS.tolist(), strict=False):
-        late_s = correction.add_stamp(t_ns)
+        applied_s = correction.add_stamp(t_ns)
         exposed_ns = t_ns if stamps_are_exact else tick_ns
-        innovation, state = innovation_after((exposed_ns - t_ns) * 1e-9 - late_s, rng)
+        innovation, state = innovation_after((exposed_ns - t_ns) * 1e-9 - applied_s, rng)
         correction.compare(innovation, state, OMEGA)
-        applied.append(late_s)
+        applied.append(applied_s)
     assert bool(np.any(applied[50:])) is not stamps_are_exact
 
 
