@@ -121,9 +121,9 @@ class StampCorrection:
         self._stamps_ns = (*self._stamps_ns, t_ns)[-c.memory - 1 :]
         self._clock_delay_s = self._clock.add(t_ns)
         if len(self._stamps_ns) > c.min_frames:
-            self._is_irregular = is_irregular(
-                np.diff(np.array(self._stamps_ns, dtype=np.int64)) * 1e-9, self._period_s, c.min_error_s
-            )
+            stamps_ns = np.array(self._stamps_ns, dtype=np.int64)
+            intervals_s = np.asarray((stamps_ns[1:] - stamps_ns[:-1]) * 1e-9)
+            self._is_irregular = is_irregular(intervals_s, self._period_s, c.min_error_s)
         self._applied_s = self._clock_delay_s if self._is_irregular and self._uses_clock else 0.0
         if self._exposed_ns is not None:
             earliest_s = (self._exposed_ns - t_ns) * 1e-9 + MIN_INTERVAL_S
