@@ -1,8 +1,8 @@
 """An index of the places of a map: which earlier keyframes resemble a new one.
 
 A keyframe is the histogram of its visual words. Its similarity to another one is the weight of the words that both
-contain, divided by the geometric mean of the weights of either; a word that occurs in many keyframes says little and
-has a small weight, its inverse document frequency (Sivic and Zisserman, "Video Google: A text retrieval approach to
+contain, relative to the weight of as many words as the larger of both has; a word that occurs in many keyframes says
+little and has a small weight, its inverse document frequency (Sivic and Zisserman, "Video Google: A text retrieval approach to
 object matching in videos", ICCV 2003; Gálvez-López and Tardós, T-RO 2012). The frequencies are those of the map itself:
 in a place with repetitive texture, the words of the texture lose their weight.
 
@@ -71,9 +71,9 @@ class PlaceIndex:
         weights = self.weights(distinct)
         common = np.minimum(self._counts[distinct, :stop], np.minimum(counts, MAX_COUNT).astype(np.uint8)[:, None])
         shared = weights.astype(np.float32) @ common.astype(np.float32)
-        own = weights @ counts / len(words)  # mean weight of a word of the query, taken for that of the others, too
-        sizes = np.array(self._sizes[:stop], np.float64)
-        return np.asarray(shared / (own * np.sqrt(np.maximum(sizes, 1.0) * len(words))), np.float64)
+        mean = weights @ counts / len(words)
+        sizes = np.maximum(np.array(self._sizes[:stop], np.float64), len(words))
+        return np.asarray(shared / (mean * sizes), np.float64)
 
     def query(self, words: Words, stop: int, count: int, min_similarity: float) -> Candidates:
         """Return the most similar of the keyframes that were added first.

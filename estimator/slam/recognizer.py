@@ -56,7 +56,7 @@ class PlaceConfig(Settings):
     """Largest difference of the rotations of two corrections that agree [°], to which `drift_deg_m` is added."""
     drift_ratio: Annotated[float, Range(0.0, 1.0)] = 0.02
     """Drift of the position of the odometry relative to the length of the path. Two corrections may differ by the drift
-    between the keyframes concerned, and none may exceed twice the drift since the recognized keyframe."""
+    between the keyframes concerned, and none may exceed the drift since the recognized keyframe."""
     drift_deg_m: Annotated[float, Range(0.0, 10.0)] = 0.05
     """Drift of the rotation of the odometry per metre of the path [°/m]."""
 
@@ -179,8 +179,7 @@ class PlaceRecognizer:
         query, match = verified.query, verified.match
         if query.track != match.track:
             return True
-        since_m = query.path_m - match.path_m
-        return self._are_close(verified.T_odom_query, query.keyframe.T_odom_imu, 2.0 * since_m)
+        return self._are_close(verified.T_odom_query, query.keyframe.T_odom_imu, query.path_m - match.path_m)
 
     def _agree(self, first: _Verified, second: _Verified) -> bool:
         """Return whether two matches lead to the same correction of the path, up to the drift between them."""

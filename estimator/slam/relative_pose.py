@@ -4,10 +4,12 @@ The old landmarks are projected into the new images and the new landmarks into t
 in both frames, which the odometry knows, are two more measurements. All six components are estimated, because the level
 frames are not exact.
 
-Landmarks are not exact either, mainly in their depth. Each depth has an error of its own, which is added to the
-covariance of its residual along the direction in which the projection moves with the depth; and all depths of a
-keyframe have an error in common, as that of the scale of a single camera, whose effect on the pose is added to its
-covariance.
+Landmarks are not exact either, mainly in their depth. Each depth has an error of its own, which is an unknown with a
+prior and is eliminated from each step: the residual is that at zero error, with the covariance σ² I + ρ² s sᵀ, where s
+is the derivative of the projection by the error and ρ its standard deviation. The linearization is at the estimated
+error, since at zero error the derivatives would be correlated with the residuals, and the estimate biased. In addition,
+all depths of a keyframe have an error in common, as that of the scale of a single camera, whose effect on the pose is
+added to its covariance.
 """
 
 from dataclasses import dataclass
@@ -27,6 +29,8 @@ MAX_ERROR = 1e3
 """Whitened error of a landmark behind the camera, which makes it an outlier."""
 MIN_STEP = 1e-4
 """Size of a step, [rad] and [m], after which the next one would be negligible."""
+MAX_DEPTH_SIGMAS = 3.0
+"""Largest estimated error of a depth, in standard deviations."""
 MIN_DEPTH_M = 0.05
 """Smallest depth at which a landmark is projected [m]."""
 
@@ -83,6 +87,7 @@ class _Linearized:
     J: Array  # (N, 2, 6)
     scale: Array  # (N, 2) derivative with respect to the logarithm of the common scale of the landmarks
     error: Array  # (N,)
+    depth: Array  # (N, 1) estimated relative errors of the depths
 
 
 class _Problem:
@@ -100,11 +105,18 @@ class _Problem:
         self._p_imu_cam = views.Ts_imu_cam[camera, :3, 3]
         self._sigma = (config.pixel_sigma / views.focal_px[camera])[:, None]
 
-    def linearize(self, T: Array) -> _Linearized:
-        """Return the residuals at a pose (4, 4) of the query's IMU in that of the match."""
+    def linearize(self, T: Array, depth: Array | None = None) -> _Linearized:
+        """Return the residuals at a pose (4, 4) of the query's IMU in that of the match.
+
+        Args:
+            T: The pose.
+            depth: (N, 1) Relative errors of the depths at which the projection is linearized; zero by default.
+        """
         R, p, n = T[:3, :3], T[:3, 3], self.count_old
+        depth = np.zeros((len(self._xy), 1)) if depth is None else depth
         # Old landmarks are Rᵀ(X − p) in the query's frame, and new ones R Y + p in the match's frame.
-        p_imu = np.concatenate([(self._old - p) @ R, self._new @ R.T + p])
+        new = self._new + depth[n:] * self._rays_new
+        p_imu = np.concatenate([(self._old + depth[:n] * self._rays_old - p) @ R, new @ R.T + p])
         ray = np.concatenate([self._rays_old @ R, self._rays_new @ R.T])
         p_cam = (self._R_cam_imu @ (p_imu - self._p_imu_cam)[:, :, None])[:, :, 0]
         is_behind = p_cam[:, 2] < MIN_DEPTH_M
@@ -114,23 +126,26 @@ class _Problem:
         J_p = (self._R_cam_imu[:, :2] - projected[:, :, None] * self._R_cam_imu[:, 2:]) / z[:, :, None]
         J = np.empty((len(z), 2, 6))
         J[:n, :, :3], J[:n, :, 3:] = cross(J_p[:n], p_imu[:n, None]), -J_p[:n] @ R.T
-        J[n:, :, :3], J[n:, :, 3:] = cross(self._new[:, None], J_p[n:] @ R), J_p[n:]
+        J[n:, :, :3], J[n:, :, 3:] = cross(new[:, None], J_p[n:] @ R), J_p[n:]
         scale = (J_p @ ray[:, :, None])[:, :, 0]
         # W = (σ² I + ρ² s sᵀ)^(−½) = (I − k s sᵀ) / σ.
         length2 = np.sum(scale * scale, axis=1, keepdims=True)
         gain = np.sqrt(1.0 + self._config.depth_sigma**2 * length2 / self._sigma**2)
         k = (1.0 - 1.0 / gain) / np.maximum(length2, 1e-300)
         weight = np.where(is_behind[:, None], 0.0, 1.0 / self._sigma)
-        residual = projected - self._xy
+        residual = projected - self._xy - depth * scale
+        variance = self._config.depth_sigma**2
+        depth = -variance * np.sum(scale * residual, axis=1, keepdims=True) / (self._sigma**2 + variance * length2)
         residual = weight * (residual - k * scale * np.sum(scale * residual, axis=1, keepdims=True))
         along = (scale[:, None, :] @ J)[:, 0]
         J = weight[:, :, None] * (J - (k * scale)[:, :, None] * along[:, None, :])
         error = np.where(is_behind, MAX_ERROR, np.sqrt(0.5 * np.sum(residual * residual, axis=1)))
-        return _Linearized(residual, J, weight * scale * (1.0 - k * length2), error)
+        limit = MAX_DEPTH_SIGMAS * self._config.depth_sigma  # that of outliers
+        return _Linearized(residual, J, weight * scale * (1.0 - k * length2), error, np.clip(depth, -limit, limit))
 
-    def normal_equations(self, T: Array) -> tuple[Array, Array, _Linearized, float]:
+    def normal_equations(self, T: Array, depth: Array | None = None) -> tuple[Array, Array, _Linearized, float]:
         """Return H (6, 6), g (6,), the residuals, and the deviation of gravity in standard deviations."""
-        part, views, config = self.linearize(T), self._views, self._config
+        part, views, config = self.linearize(T, depth), self._views, self._config
         weighted = part.J * self.weights(part)[:, None, None]
         H = np.tensordot(weighted, part.J, ((0, 1), (0, 1)))
         g = np.tensordot(weighted, part.residual, ((0, 1), (0, 1)))
@@ -179,8 +194,10 @@ def refine(
         config: Assumed errors.
     """
     problem, T = _Problem(old, new, views, config), np.array(T_match_query, np.float64)
+    depth: Array | None = None
     for _ in range(config.iterations):
-        H, g, _, _ = problem.normal_equations(T)
+        H, g, part, _ = problem.normal_equations(T, depth)
+        depth = part.depth
         try:
             step = np.asarray(-np.linalg.solve(H, g), np.float64)
         except np.linalg.LinAlgError:
@@ -189,7 +206,7 @@ def refine(
         T[:3, 3] += step[3:]
         if np.abs(step).max() < MIN_STEP:
             break
-    H, _, part, tilt = problem.normal_equations(T)
+    H, _, part, tilt = problem.normal_equations(T, depth)
     if not np.all(np.isfinite(H)) or np.linalg.cond(H) > 1e14:
         return None
     covariance = np.linalg.inv(H)

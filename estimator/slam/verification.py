@@ -57,7 +57,7 @@ class VerificationConfig(Settings):
     """Smallest number of matches in each direction that agree with the pose."""
     min_total_inliers: Annotated[int, Range(6, 2000)] = 22
     """Smallest number of matches in both directions together that agree with the pose."""
-    min_inlier_ratio: Annotated[float, Range(0.0, 1.0)] = 0.4
+    min_inlier_ratio: Annotated[float, Range(0.0, 1.0)] = 0.25
     """Smallest share of all matches that agree with the pose."""
     min_spread: Annotated[float, Range(0.0, 1.0)] = 0.08
     """Smallest standard deviation of the positions of the agreeing corners in each direction, along the axis in which
