@@ -118,8 +118,7 @@ def _k_majority(descriptors: Descriptors, k: int, rng: np.random.Generator) -> t
         # The inner product of signs is the number of equal bits less that of different ones.
         agreement = signs @ centres.T
         cluster = agreement.argmax(axis=1)
-        sums = np.zeros_like(centres)
-        np.add.at(sums, cluster, signs)
+        sums = (cluster == np.arange(k)[:, None]).astype(np.float32) @ signs
         centres = np.where(sums >= 0.0, np.float32(1.0), np.float32(-1.0))
         is_empty = np.bincount(cluster, minlength=k) == 0
         # An empty cluster begins again at the descriptors that fit their clusters worst.
