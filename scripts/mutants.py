@@ -27,6 +27,7 @@ from mutants_dense import DENSE
 from mutants_estimator import ESTIMATOR
 from mutants_evaluation import EVALUATION
 from mutants_sfm import SFM
+from mutants_slam import SLAM
 
 CHECKOUT = Path(__file__).resolve().parents[1]
 TIMEOUT_S = 600.0
@@ -44,7 +45,7 @@ class Verdict(StrEnum):
     """The tests could not be run with it, or took too long."""
 
 
-MUTANTS = (*ESTIMATOR, *EVALUATION, *SFM, *DENSE)
+MUTANTS = (*ESTIMATOR, *EVALUATION, *SFM, *DENSE, *SLAM)
 
 
 def copy_checkout(target: Path) -> None:

@@ -75,16 +75,16 @@ class PlaceIndex:
         sizes = np.maximum(np.array(self._sizes[:stop], np.float64), len(words))
         return np.asarray(shared / (mean * sizes), np.float64)
 
-    def query(self, words: Words, stop: int, count: int, min_similarity: float) -> Candidates:
+    def query(self, words: Words, allowed: npt.NDArray[np.bool_], count: int, min_similarity: float) -> Candidates:
         """Return the most similar of the keyframes that were added first.
 
         Args:
             words: (N,) Words of the new keyframe.
-            stop: Number of keyframes, from the first on, that may be returned.
+            allowed: (K,) Which of the first K keyframes may be returned.
             count: Largest number of keyframes to return.
             min_similarity: Smallest similarity of a keyframe that is returned.
         """
-        similarity = self.similarities(words, stop)
+        similarity = np.where(allowed, self.similarities(words, len(allowed)), -1.0)
         order = np.argsort(-similarity, kind="stable")[:count]
         order = order[similarity[order] >= min_similarity]
         return Candidates(order, similarity[order])

@@ -48,6 +48,9 @@ class PlaceConfig(Settings):
     """Difference of the positions of two keyframes in the map up to which they count as one place."""
     rival_similarity: Annotated[float, Range(0.0, 1.0)] = 0.7
     """Similarity of a rival place relative to the recognized one, from which on it is verified, too."""
+    max_view_deg: Annotated[float, Range(0.0, 180.0)] = 60.0
+    """Largest angle between the optical axes of two keyframes that are compared, by the odometry [°]. Beyond it,
+    descriptors of the same corners hardly match."""
     confirm_within_s: Annotated[float, Range(0.0, 60.0)] = 1.5
     """Time between two keyframes that confirm each other [s]."""
     agree_m: Annotated[float, Range(1e-3, 10.0)] = 0.15
@@ -151,7 +154,7 @@ class PlaceRecognizer:
         """Return the best verified match of a new keyframe, None if there is none or if places rival."""
         c = self._config
         stop = bisect_right(self._times_ns, query.keyframe.t_ns - round(c.min_age_s * 1e9))
-        candidates = self._index.query(words, stop, c.similar, c.min_similarity)
+        candidates = self._index.query(words, self._may_be_seen(query, stop), c.similar, c.min_similarity)
         best: _Verified | None = None
         best_similarity, best_row, left = 0.0, 0, c.verified
         for row, similarity in zip(candidates.rows.tolist(), candidates.similarity.tolist(), strict=True):
@@ -173,6 +176,25 @@ class PlaceRecognizer:
             if best is None:
                 best, best_similarity, best_row, left = verified, similarity, row, min(left, 1)
         return best
+
+    def _may_be_seen(self, query: _Place, stop: int) -> npt.NDArray[np.bool_]:
+        """Return which of the first keyframes (stop,) may show what a new one shows, by the odometry.
+
+        Of keyframes with another odometry frame, nothing is known.
+        """
+        c, places = self._config, self._places[:stop]
+        if not places:
+            return np.zeros(0, np.bool_)
+        T = np.stack([place.keyframe.T_odom_imu for place in places])
+        path_m = query.path_m - np.array([place.path_m for place in places])
+        is_other_track = np.array([place.track != query.track for place in places])
+        T_query = query.keyframe.T_odom_imu
+        axes = np.stack([camera.T_imu_cam[:3, 2] for camera in self._rig.cameras])
+        cosine = (axes @ np.swapaxes(T[:, :3, :3], 1, 2) @ T_query[:3, :3] @ axes.T).max(axis=(1, 2))
+        max_angle = np.radians(np.minimum(c.max_view_deg + c.drift_deg_m * path_m, 180.0))
+        distance_m = np.linalg.norm(T[:, :3, 3] - T_query[:3, 3], axis=1)
+        max_distance_m = c.verification.max_distance_m + c.agree_m + c.drift_ratio * path_m
+        return np.asarray(is_other_track | ((distance_m <= max_distance_m) & (cosine >= np.cos(max_angle))))
 
     def _is_possible(self, verified: _Verified) -> bool:
         """Return whether the odometry may have drifted as much as a match claims."""

@@ -50,13 +50,13 @@ def test_similarity_is_that_of_the_definition(documents: list[list[int]]):
 
 
 @settings(deadline=None, max_examples=30)
-@given(DOCUMENTS, st.integers(0, 8))
-def test_only_the_first_keyframes_are_returned(documents: list[list[int]], stop: int):
+@given(DOCUMENTS, st.lists(st.booleans(), max_size=8))
+def test_only_allowed_keyframes_are_returned(documents: list[list[int]], allowed: list[bool]):
     index = indexed(documents)
-    stop = min(stop, len(documents))
-    found = index.query(np.array(documents[-1]), stop, 3, 0.05)
-    assert len(found.rows) <= 3
-    assert np.all(found.rows < stop)
+    mask = np.array(allowed[: len(documents)], np.bool_)
+    found = index.query(np.array(documents[-1]), mask, 3, 0.05)
+    assert len(found.rows) <= min(3, mask.sum())
+    assert np.all(mask[found.rows])
     assert np.all(np.diff(found.similarity) <= 0.0)
     assert np.all(found.similarity >= 0.05)
 
@@ -74,7 +74,7 @@ def test_the_index_grows_beyond_its_first_size():
     index = indexed(documents)
     assert len(index) == len(documents)
     for row in (0, FIRST_COLUMNS - 1, FIRST_COLUMNS, 2 * FIRST_COLUMNS, len(documents) - 1):
-        assert index.query(np.array(documents[row]), len(documents), 1, 0.0).rows.tolist() == [row]
+        assert index.query(np.array(documents[row]), np.ones(len(documents), np.bool_), 1, 0.0).rows.tolist() == [row]
 
 
 def test_counts_beyond_a_byte_do_not_overflow():

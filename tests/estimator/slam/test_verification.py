@@ -180,3 +180,22 @@ def test_matches_are_mutual_and_distinct():
     )
     fewer = match_landmarks(owner, replace(other, features=double), CONFIG.matching)
     assert not np.any(np.all(fewer.xy == features.xy[0], axis=1))
+
+
+def test_both_directions_have_to_give_the_same_pose():
+    rng = np.random.default_rng(8)
+    places = scene(rng)
+    match, query = keyframe(0, pose([0.0, 0.0, 0.0]), places), keyframe(1, pose([0.1, 0.2, 0.1]), places)
+    permissive = replace(CONFIG, max_error_px=40.0, max_error_sigmas=30.0, max_tilt_sigmas=100.0)
+    assert isinstance(verify(query, match, RIG, permissive), PlaceMatch)
+    aside = replace(query, landmarks_imu=query.landmarks_imu + [0.0, 0.3, 0.0])
+    assert verify(aside, match, RIG, permissive) == Rejection("directions")
+
+
+def test_uncertain_and_distant_poses_are_rejected():
+    rng = np.random.default_rng(9)
+    places = scene(rng)
+    match, query = keyframe(0, pose([0.0, 0.0, 0.0]), places), keyframe(1, pose([0.1, 0.2, 0.1]), places)
+    uncertain = replace(CONFIG, pose=replace(CONFIG.pose, pixel_sigma=30.0))
+    assert verify(query, match, RIG, uncertain) == Rejection("covariance")
+    assert verify(query, match, RIG, replace(CONFIG, max_distance_m=0.2)) == Rejection("distance")
