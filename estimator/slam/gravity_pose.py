@@ -48,7 +48,7 @@ class LevelPoses:
     yaw_rad: Array
     """(H,) Rotations about the vertical [rad]."""
     t: Array
-    """(H, 3) Positions [m]."""
+    """(H, 3) Positions of the frame [m]."""
 
     def __len__(self) -> int:
         """Return the number of hypotheses."""

@@ -83,7 +83,7 @@ def test_gravity_points_down_in_a_level_image():
     assert np.allclose(angles[1:], [np.pi, -np.pi / 2, np.arctan2(0.3, 0.4)])
 
 
-def test_a_lens_bends_the_direction_of_gravity():
+def test_a_lens_distorts_the_direction_of_gravity():
     xy = np.array([[0.6, 0.35]])
     down = np.array([0.1, 0.97, 0.2])
     down /= np.linalg.norm(down)
