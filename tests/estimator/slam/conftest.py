@@ -6,7 +6,7 @@ import numpy as np
 import numpy.typing as npt
 
 from dronevio.estimator.slam.keyframe import KeyframeFeatures, MapKeyframe
-from dronevio.models.rig import euroc_rig
+from dronevio.models.rig import Rig, euroc_rig
 from dronevio.models.rotation import exp_so3, inverse_pose, rotation_z
 
 Array = npt.NDArray[np.float64]
@@ -65,28 +65,33 @@ def keyframe(
     rng: np.random.Generator | None = None,
     T_odom_imu: Array | None = None,
     t_s: float | None = None,
+    rig: Rig = RIG,
 ) -> MapKeyframe:
     """Return a keyframe that sees all points in its field of view, and knows their positions."""
     rng = rng or np.random.default_rng(number)
-    camera = RIG.cameras[0]
-    T_cam_world = inverse_pose(T_world_imu @ camera.T_imu_cam)
-    p_cam = places.points @ T_cam_world[:3, :3].T + T_cam_world[:3, 3]
-    pixels = camera.model.project(p_cam)
-    size = [camera.model.width - 1, camera.model.height - 1]
-    with np.errstate(invalid="ignore"):
-        ids = np.flatnonzero((p_cam[:, 2] > 0.2) & np.all((pixels >= 0) & (pixels <= size), axis=1))
-    xy = p_cam[ids, :2] / p_cam[ids, 2:] + errors.pixel / camera.model.fx * rng.standard_normal((len(ids), 2))
-    descriptors = places.descriptors[ids].copy()
-    flipped = rng.integers(0, 256, (len(ids), errors.bits))
-    np.bitwise_xor.at(
-        descriptors, (np.arange(len(ids))[:, None], flipped // 8), np.uint8(1) << (flipped % 8).astype(np.uint8)
-    )
-    is_wrong = rng.random(len(ids)) < errors.wrong
-    descriptors[is_wrong] = descriptors[rng.permutation(np.flatnonzero(is_wrong))]
-    factor = (1.0 + errors.scale * rng.standard_normal()) * (1.0 + errors.depth * rng.standard_normal((len(ids), 1)))
-    landmarks_imu = factor * p_cam[ids] @ camera.T_imu_cam[:3, :3].T + camera.T_imu_cam[:3, 3]
+    parts, landmarks = [], []
+    scale = 1.0 + errors.scale * rng.standard_normal()
+    for index, camera in enumerate(rig.cameras):
+        T_cam_world = inverse_pose(T_world_imu @ camera.T_imu_cam)
+        p_cam = places.points @ T_cam_world[:3, :3].T + T_cam_world[:3, 3]
+        pixels = camera.model.project(p_cam)
+        size = [camera.model.width - 1, camera.model.height - 1]
+        with np.errstate(invalid="ignore"):
+            ids = np.flatnonzero((p_cam[:, 2] > 0.2) & np.all((pixels >= 0) & (pixels <= size), axis=1))
+        xy = p_cam[ids, :2] / p_cam[ids, 2:] + errors.pixel / camera.model.fx * rng.standard_normal((len(ids), 2))
+        descriptors = places.descriptors[ids].copy()
+        flipped = rng.integers(0, 256, (len(ids), errors.bits))
+        np.bitwise_xor.at(
+            descriptors, (np.arange(len(ids))[:, None], flipped // 8), np.uint8(1) << (flipped % 8).astype(np.uint8)
+        )
+        is_wrong = rng.random(len(ids)) < errors.wrong
+        descriptors[is_wrong] = descriptors[rng.permutation(np.flatnonzero(is_wrong))]
+        factor = scale * (1.0 + errors.depth * rng.standard_normal((len(ids), 1)))
+        landmarks.append(factor * p_cam[ids] @ camera.T_imu_cam[:3, :3].T + camera.T_imu_cam[:3, 3])
+        parts.append((pixels[ids], xy, np.full(len(ids), index), descriptors, ids))
     T_odom = np.array(T_world_imu if T_odom_imu is None else T_odom_imu)
     T_odom[:3, :3] = exp_so3(errors.tilt_rad * rng.standard_normal(3) * [1.0, 1.0, 0.0]) @ T_odom[:3, :3]
-    features = KeyframeFeatures(pixels[ids], xy, np.zeros(len(ids), np.int64), descriptors, ids)
+    features = KeyframeFeatures(*(np.concatenate(each) for each in zip(*parts, strict=True)))
+    ids, first = np.unique(features.landmark, return_index=True)
     t_ns = round((number if t_s is None else t_s) * 1e9)
-    return MapKeyframe(number, t_ns, T_odom, features, ids, landmarks_imu)
+    return MapKeyframe(number, t_ns, T_odom, features, ids, np.concatenate(landmarks)[first])

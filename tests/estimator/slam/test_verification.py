@@ -9,6 +9,7 @@ from dronevio.estimator.slam.gravity_pose import LevelMatches, solve_two_points,
 from dronevio.estimator.slam.matching import described_landmarks, match_landmarks
 from dronevio.estimator.slam.relative_pose import RelativePoseConfig
 from dronevio.estimator.slam.verification import PlaceMatch, Rejection, VerificationConfig, verify
+from dronevio.models.rig import Rig, RigCamera
 from dronevio.models.rotation import exp_so3, inverse_pose, log_so3, rotation_z
 from tests.estimator.slam.conftest import EXACT, RIG, Errors, Scene, keyframe, pose, random_pose, scene
 
@@ -77,7 +78,9 @@ def test_the_covariance_is_consistent():
 def test_an_error_of_scale_is_part_of_the_covariance():
     noise, seen = Errors(scale=0.05), []
     exact = replace(CONFIG.pose, pixel_sigma=0.1, depth_sigma=0.0, scale_sigma=0.05)
-    config = replace(CONFIG, pose=exact, max_error_px=20.0, max_error_sigmas=1e2, max_position_m=1.0)
+    config = replace(
+        CONFIG, pose=exact, max_error_px=20.0, max_error_sigmas=1e2, max_position_m=5.0, max_rotation_deg=45.0
+    )
     for seed in range(60):
         result, T_true = verified(noise, noise, seed, config)
         assert isinstance(result, PlaceMatch), result
@@ -199,3 +202,21 @@ def test_uncertain_and_distant_poses_are_rejected():
     uncertain = replace(CONFIG, pose=replace(CONFIG.pose, pixel_sigma=30.0))
     assert verify(query, match, RIG, uncertain) == Rejection("covariance")
     assert verify(query, match, RIG, replace(CONFIG, max_distance_m=0.2)) == Rejection("distance")
+
+
+def test_landmarks_of_one_camera_are_found_in_another():
+    """Two cameras look forward and backward, and the second visit flies in the opposite direction."""
+    forward = RIG.cameras[0]
+    T_imu_backward = np.eye(4)
+    T_imu_backward[:3, :3] = exp_so3(np.array([np.pi, 0.0, 0.0])) @ forward.T_imu_cam[:3, :3]
+    T_imu_backward[:3, 3] = [0.05, 0.02, -0.3]
+    rig = Rig(cameras=(forward, RigCamera(forward.model, T_imu_backward)))
+    rng = np.random.default_rng(10)
+    places = scene(rng)
+    T_match, T_query = pose([0.0, 0.0, 0.0]), pose([0.2, 0.1, 0.1], np.pi)
+    match, query = keyframe(0, T_match, places, rig=rig), keyframe(1, T_query, places, rig=rig)
+    assert set(match.features.camera.tolist()) == {0}
+    assert set(query.features.camera.tolist()) == {1}
+    result = verify(query, match, rig, CONFIG)
+    assert isinstance(result, PlaceMatch), result
+    assert np.abs(error(result, inverse_pose(T_match) @ T_query)).max() < 1e-6
