@@ -116,7 +116,11 @@ class Workbench:
 
 
 def scenario_flights(
-    names: Iterable[str], seeds: Sequence[int], rig: str | None = None, variants: Sequence[str] = ()
+    names: Iterable[str],
+    seeds: Sequence[int],
+    rig: str | None = None,
+    variants: Sequence[str] = (),
+    image_sensor: str | None = None,
 ) -> tuple[RecordingSpec, ...]:
     """Return the flights of scenarios, every seed of each; the name of a suite stands for its scenarios.
 
@@ -127,9 +131,10 @@ def scenario_flights(
         seeds: Seeds of the flights.
         rig: Sensors that replace those of the scenarios: a name or a file, see `recorder.rig_of`.
         variants: Variants of each scenario, see `benchmark_variants.variant_of`; none for the scenarios themselves.
+        image_sensor: Name of the image sensor that replaces those of the scenarios.
 
     Raises:
-        ConfigError: There is no such scenario, suite, rig or variant.
+        ConfigError: There is no such scenario, suite, rig, variant or image sensor.
         InputError: The rig's file cannot be read.
     """
     from dronevio.sim.scenarios import SUITES, scenario_named
@@ -143,6 +148,11 @@ def scenario_flights(
         unique = {name: replace(flown, rig=chosen) for name, flown in unique.items()}
         if replaced := next((name for name in variants if name.startswith(RIG)), None):
             raise ConfigError(f"--rig {rig} with the variant {replaced}, which replaces it; expected one of them")
+    if image_sensor is not None:
+        from dronevio.sim.cameras.imaging import image_sensor_named
+
+        imaging = image_sensor_named(image_sensor)
+        unique = {name: replace(flown, imaging=imaging) for name, flown in unique.items()}
     flights = [variant_of(flown, variant) for flown in unique.values() for variant in variants or (AS_IS,)]
     return tuple(_flight(replace(flown, seed=seed)) for seed in seeds for flown in flights)
 

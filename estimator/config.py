@@ -13,6 +13,7 @@ from dronevio.estimator.imu.noise import NoiseEstimationConfig
 from dronevio.estimator.imu.preintegration import PreintegrationConfig
 from dronevio.estimator.initialization.initializer import InitializerConfig
 from dronevio.estimator.initialization.zero_velocity import ZeroVelocityConfig
+from dronevio.estimator.stamp_error import StampConfig
 from dronevio.models.imu import GRAVITY_M_S2
 from dronevio.models.ranges import Range, Settings
 
@@ -42,5 +43,7 @@ class VioConfig(Settings):
     """Settings of the landmarks."""
     calibration: CalibrationConfig = field(default_factory=CalibrationConfig)
     """Settings of the online calibration."""
+    stamps: StampConfig = field(default_factory=StampConfig)
+    """Settings of the correction of frames' time stamps."""
     health: HealthConfig = field(default_factory=HealthConfig)
     """Settings of the health monitor."""

@@ -24,9 +24,8 @@ import numpy as np
 import numpy.typing as npt
 
 from dronevio.estimator.backend.landmarks import TriangulatedLandmarks
-from dronevio.estimator.backend.reprojection import MEDIAN_CHI2_2DOF
-from dronevio.estimator.backend.triangulation import MIN_DEPTH_M
-from dronevio.estimator.types import Calibration, Integers, Observations
+from dronevio.estimator.innovation import Innovation, PredictionUncertainty, innovation, median
+from dronevio.estimator.types import Calibration, Observations
 from dronevio.models.imu import ImuModel
 from dronevio.models.ranges import Range, Settings
 from dronevio.models.state import Health, HealthReport, NavState
@@ -161,8 +160,8 @@ class HealthMonitor:
         if not _is_finite(predicted):
             self._lost_reason = self._lost_reason or "the state is not finite"
             return HealthReport(Health.LOST, self._lost_reason, tracks=len(observations))
-        rows, columns = _common(self._landmarks.ids, observations.ids)
-        innovation_px, nis = self._innovation(rows, observations, columns, predicted, calibration)
+        found = self.innovation(observations, predicted, calibration)
+        rows, innovation_px, nis = found.rows, found.median_px, found.nis
         position_sigma_m, velocity_sigma_m_s = _sigmas(predicted)
         bias = np.concatenate([predicted.gyro_bias_rad_s, predicted.accel_bias_m_s2])
         bias_sigmas = float((np.abs(bias) / self._bias_sigmas).max())
@@ -188,14 +187,14 @@ class HealthMonitor:
         elif len(observations) >= self._config.min_landmarks and inertial_only_s <= self._config.settling_s + 1e-6:
             state, reason = Health.TRACKING, "features are tracked and not triangulated yet"
         else:
-            found = f"constrained by {len(rows)} landmarks; {self._config.min_landmarks} are needed"
-            state, reason = Health.INERTIAL_ONLY, found
+            few = f"constrained by {len(rows)} landmarks; {self._config.min_landmarks} are needed"
+            state, reason = Health.INERTIAL_ONLY, few
         return HealthReport(
             state,
             reason,
             tracks=len(observations),
             landmarks=len(rows),
-            median_parallax_rad=_median(self._landmarks.parallax_rad[rows]) if len(rows) else None,
+            median_parallax_rad=median(self._landmarks.parallax_rad[rows]) if len(rows) else None,
             innovation_px=innovation_px if len(rows) else None,
             innovation_nis=nis if len(rows) else None,
             bias_sigmas=bias_sigmas,
@@ -204,37 +203,19 @@ class HealthMonitor:
             inertial_only_s=inertial_only_s,
         )
 
-    def _innovation(
-        self,
-        rows: Integers,
-        observations: Observations,
-        columns: Integers,
-        predicted: NavState,
-        calibration: Calibration,
-    ) -> tuple[float, float]:
-        """Return the median innovation of the landmarks [px] and its normalized square (NIS); 0 without landmarks.
+    def innovation(self, observations: Observations, predicted: NavState, calibration: Calibration) -> Innovation:
+        """Return the innovation of a frame by the newest keyframe's landmarks.
 
-        The positions of the landmarks are taken as exact.
+        Args:
+            observations: The features tracked into the frame.
+            predicted: The state that the IMU predicts for the frame from the newest keyframe.
+            calibration: The calibration in use.
         """
-        if not len(rows):
-            return 0.0, 0.0
-        camera, R, p = observations.camera[columns], predicted.T_world_imu[:3, :3], predicted.T_world_imu[:3, 3]
-        Ts_imu_cam, focal_px = calibration.Ts_imu_cam[camera], calibration.focal_px[camera][:, None]
-        in_imu = (self._landmarks.points[rows] - p) @ R
-        axes = np.swapaxes(Ts_imu_cam[:, :3, :3], 1, 2)  # rows: the camera axes in the IMU frame
-        in_cam = (axes @ (in_imu - Ts_imu_cam[:, :3, 3])[:, :, None])[:, :, 0]
-        z = np.maximum(in_cam[:, 2:], MIN_DEPTH_M)
-        xy = in_cam[:, :2] / z
-        residual = focal_px * (observations.xy[columns] - xy)
-        J_imu = (focal_px / z)[:, :, None] * (axes[:, :2] - xy[:, :, None] * axes[:, 2:])  # [px/m]
-        position_covariance, rotation_variance = self._prediction_covariance(predicted)
-        J_u, J_v = J_imu[:, 0] @ R.T, J_imu[:, 1] @ R.T
-        noise = self._pixel_sigma**2 * self._image_variance + rotation_variance * focal_px[:, 0] ** 2
-        a, b, d = ((J @ position_covariance * K).sum(axis=1) for J, K in ((J_u, J_u), (J_u, J_v), (J_v, J_v)))
-        a, d = a + noise, d + noise  # S = (a b; b d), the innovation's covariance
-        u, v = residual.T
-        squares = (d * u * u - 2.0 * b * u * v + a * v * v) / (a * d - b * b)
-        return _median(np.hypot(u, v)), _median(squares) / MEDIAN_CHI2_2DOF
+        uncertainty = PredictionUncertainty(
+            *self._prediction_covariance(predicted), self._pixel_sigma**2 * self._image_variance
+        )
+        landmarks = self._landmarks
+        return innovation(landmarks.ids, landmarks.points, observations, predicted, uncertainty, calibration)
 
     @property
     def _image_variance(self) -> float:
@@ -293,7 +274,7 @@ class HealthMonitor:
         begin_ns = t_ns - round(self._config.consistency_window_s * 1e9)
         is_full = bool(self._recent_nis) and self._recent_nis[0][0] <= begin_ns
         self._recent_nis = (*(entry for entry in self._recent_nis if entry[0] > begin_ns), (t_ns, nis))
-        return _median(np.array([value for _, value in self._recent_nis])) if is_full else 0.0
+        return median(np.array([value for _, value in self._recent_nis])) if is_full else 0.0
 
     def _update_trust(self, t_ns: int, nis: float, typical_nis: float) -> None:
         """Update whether the estimate has been consistent for long enough.
@@ -333,18 +314,6 @@ class HealthMonitor:
         if grown_m > c.max_inertial_sigma_m:
             return f"the position has drifted by {grown_m:.1f} m (one sigma) on the IMU alone"
         return None
-
-
-def _median(values: Array) -> float:
-    """Return the upper median of values (N,), N > 0, at a fifth of the cost of `numpy.median`."""
-    return float(np.partition(values, len(values) // 2)[len(values) // 2])
-
-
-def _common(ids: Integers, others: Integers) -> tuple[Integers, Integers]:
-    """Return the rows of the common identities in each of two increasing arrays."""
-    columns = np.minimum(np.searchsorted(others, ids), len(others) - 1) if len(others) else np.zeros(0, np.int64)
-    rows = np.flatnonzero(others[columns] == ids) if len(others) else columns
-    return rows, columns[rows]
 
 
 def _is_finite(state: NavState) -> bool:

@@ -43,7 +43,12 @@ class MeasurementPipeline:
         self._buffer.add(samples)
 
     def process(
-        self, frame: CameraFrame, calibration: Calibration, gyro_bias_rad_s: Array, gyro_bias_sigma_rad_s: float
+        self,
+        frame: CameraFrame,
+        calibration: Calibration,
+        gyro_bias_rad_s: Array,
+        gyro_bias_sigma_rad_s: float,
+        delay_s: float = 0.0,
     ) -> FramePacket:
         """Track the features into a frame and return its packet.
 
@@ -52,6 +57,7 @@ class MeasurementPipeline:
             calibration: The calibration in use.
             gyro_bias_rad_s: (3,) Estimate of the gyroscope bias [rad/s].
             gyro_bias_sigma_rad_s: Its standard deviation [rad/s].
+            delay_s: How much later than its time stamp the frame was exposed [s].
 
         Raises:
             ConfigError: The frame is not later than the last one, or an image does not fit its camera.
@@ -59,9 +65,9 @@ class MeasurementPipeline:
         if self._last_frame_ns is not None and frame.t_ns <= self._last_frame_ns:
             raise ConfigError(f"frame at {frame.t_ns} ns after one at {self._last_frame_ns} ns; expected a later one")
         self._last_frame_ns = frame.t_ns
-        t_ns = self._exposure.imu_time_ns(frame.t_ns, calibration)
+        t_ns = self._exposure.imu_time_ns(frame.t_ns, calibration) + round(delay_s * 1e9)
         increments = self._buffer.take_until(t_ns)
-        ahead = self._buffer.ahead(self._exposure.lookahead_s(calibration))
+        ahead = self._buffer.ahead(max(self._exposure.lookahead_s(calibration), -delay_s))
         self._exposure.begin_frame(increments, ahead, gyro_bias_rad_s)
         rotation_sigma = float(gyro_bias_sigma_rad_s * increments.dt_s.sum()) + increments.rotation_excess_sigma_rad
         R_cur_prev = _camera_rotation(calibration, increments, gyro_bias_rad_s)
@@ -90,9 +96,9 @@ class MeasurementPipeline:
         """(3,) Angular velocity of the IMU at the newest frame, bias removed [rad/s]."""
         return self._exposure.angular_velocity_rad_s
 
-    def at_stamp(self, estimate: Estimate, frame: CameraFrame, calibration: Calibration) -> Estimate:
+    def at_stamp(self, estimate: Estimate, frame: CameraFrame) -> Estimate:
         """Return the estimate of the newest frame at the frame's time stamp, by the clock of the cameras."""
-        return self._exposure.at_stamp(estimate, frame.t_ns, calibration)
+        return self._exposure.at_stamp(estimate, frame.t_ns)
 
     def _at_frame_time(self, observations: Observations, calibration: Calibration) -> Observations:
         return self._exposure.at_frame_time(calibration.normalized(observations), calibration)

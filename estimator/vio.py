@@ -28,6 +28,7 @@ from dronevio.estimator.keyframe_observer import KeyframeObserver, OdometryKeyfr
 from dronevio.estimator.output import Publisher
 from dronevio.estimator.pipeline import MeasurementPipeline
 from dronevio.estimator.propagator import Propagator
+from dronevio.estimator.stamp_error import StampCorrection
 from dronevio.estimator.types import Calibration, FramePacket, Observations
 from dronevio.models.imu import ImuSamples
 from dronevio.models.measurement_checks import check_imu, check_rig
@@ -98,6 +99,7 @@ class VisualInertialOdometry:
         self._imu, self._noise = rig.imu, ImuNoiseEstimator(rig.imu, c.preintegration, c.noise, c.gravity_m_s2)
         self._online_calibration = OnlineCalibration(rig, c.calibration, c.gravity_m_s2)
         self._pipeline = MeasurementPipeline(rig.imu, front_end or RigTracker(rig, c.tracker), c.gravity_m_s2)
+        self._stamps = StampCorrection(rig.cameras[0].rate_hz, c.stamps)
         self._zero_velocity = ZeroVelocityDetector(c.zero_velocity, c.gravity_m_s2)
         self._keyframe_policy = KeyframePolicy(c.keyframe)
         self._publisher = Publisher(c.initialization, rig.imu.rate_hz)
@@ -128,7 +130,8 @@ class VisualInertialOdometry:
             ConfigError: The frame is not later than the last one, or an image does not fit its camera.
         """
         repeated = self._pipeline.repeats_image
-        packet = self._pipeline.process(frame, self._calibration, *self._gyro_bias)
+        delay_s = self._stamps.add_stamp(frame.t_ns)
+        packet = self._pipeline.process(frame, self._calibration, *self._gyro_bias, delay_s)
         self._newest_ns = packet.t_ns
         features = packet.observations if packet.has_image else None
         self._zero_velocity.update(packet.t_ns, features, packet.increments)
@@ -138,7 +141,7 @@ class VisualInertialOdometry:
                 estimate = self._initialize(self._state, packet)
             case Tracking():
                 estimate = self._track(self._state, packet)
-        estimate = self._pipeline.at_stamp(estimate, frame, self._calibration)
+        estimate = self._pipeline.at_stamp(estimate, frame)
         if self._pipeline.repeats_image and not repeated:
             estimate = replace(estimate, events=(*estimate.events, REPEATED_IMAGES))
         if estimate.state is not None:
@@ -169,6 +172,9 @@ class VisualInertialOdometry:
         propagator = tracking.propagator
         propagator.add(packet, stationary)
         predicted = propagator.state_at(packet.t_ns)
+        if self._stamps.is_irregular:
+            innovation = tracking.monitor.innovation(packet.observations, predicted, self._calibration)
+            self._stamps.compare(innovation, predicted, self._pipeline.angular_velocity_rad_s)
         report = tracking.monitor.assess(packet.observations, predicted, stationary, self._calibration)
         if report.health is Health.LOST:
             return self._lose(tracking, packet, report)

@@ -45,6 +45,7 @@ class BenchmarkCommand(Settings):
       dronevio benchmark --suite hall --rig euroc-stereo --estimators vio,vio-stereo,eqvio,dead-reckoning
       dronevio benchmark --suite reference --seeds 100 --variants as-is imu-100hz imu-400hz noise-2x
       dronevio benchmark --recordings MH_01_easy --starts-s 0 0.5 1 1.5 2 --out benchmarks/starts
+      dronevio benchmark --suite hall --rig euroc-stereo --image-sensor vi-sensor --estimators vio,vio-stereo
       dronevio benchmark --recordings V1_01_easy V1_02_medium --out benchmarks/euroc
       dronevio benchmark --suite easy --estimators vio 'mine=external:./mine --in {recording} --out {output}'
       dronevio benchmark --suite easy --estimators vio mine=python:my_package.odometry:Odometry
@@ -63,6 +64,9 @@ class BenchmarkCommand(Settings):
     """Variants of each scenario, whose rows are named SCENARIO+VARIANT: imu-100hz or imu-400hz, an IMU of that rate;
     noise-2x or noise-half, IMU noise that differs from the calibration; rig=NAME, other sensors; as-is, the scenario
     itself. By default only the scenario itself."""
+    image_sensor: str | None = None
+    """Image sensor that replaces those of the scenarios: standard, with short exposures, or vi-sensor, with the
+    exposures, noise and contrast of EuRoC's images."""
     recordings: tuple[Path, ...] = ()
     """Recordings with ground truth: EuRoC folders or ROS 2 bags."""
     starts_s: tuple[Annotated[float, Range(low=0.0)], ...] = ()
@@ -199,8 +203,10 @@ def _planned(command: BenchmarkCommand) -> "BenchmarkPlan":
         raise ConfigError(f"--rig {command.rig} without scenarios; a recording has its own rig")
     if command.variants and not names:
         raise ConfigError(f"--variants {command.variants[0]} without scenarios; a recording has no variants")
-    flights = scenario_flights(names, seeds, command.rig, command.variants) + recorded_flights(command.recordings)
-    flights = excerpts(flights, command.starts_s, command.laps)
+    if command.image_sensor is not None and not names:
+        raise ConfigError(f"--image-sensor {command.image_sensor} without scenarios; a recording has its own images")
+    planned = scenario_flights(names, seeds, command.rig, command.variants, command.image_sensor)
+    flights = excerpts(planned + recorded_flights(command.recordings), command.starts_s, command.laps)
     programs = [each.label for each in estimators if EXTERNAL.match(each.name)]
     if programs and (command.starts_s or command.laps > 1):
         raise ConfigError(f"--starts-s or --laps with {programs[0]}: a program reads a whole recording once")

@@ -51,8 +51,8 @@ class CalibratedPart(Settings):
 class CalibrationConfig(Settings):
     """Settings of the online calibration."""
 
-    time_offset: CalibratedPart = CalibratedPart(True, sigma=0.01, min_correction=0.0025, walk=1e-5)
-    """Time offset of the cameras [s]. The smallest correction is half a sampling interval of a 200 Hz IMU."""
+    time_offset: CalibratedPart = CalibratedPart(True, sigma=0.01, min_correction=0.001, walk=1e-5)
+    """Time offset of the cameras [s]. The smallest correction is a fifth of a sampling interval of a 200 Hz IMU."""
     gravity: CalibratedPart = CalibratedPart(True, sigma=0.03, min_correction=0.01, walk=0.0, significance=1.5)
     """Magnitude of gravity [m/s²], 9.780 at the equator and 9.832 at the poles. One camera observes it only where the
     thrust varies, because scale and gravity are proportional otherwise. The significance is small, because the prior is

@@ -1,7 +1,8 @@
 """The front end of a rig of cameras: some cameras track features, in the others the same features are matched.
 
 A camera that mostly sees what an earlier one sees has no tracker of its own: on keyframes, the earlier camera's
-features are matched in it. A camera with another field of view tracks features of its own.
+features are matched in it. A camera with another field of view tracks features of its own. Defective pixels of all
+cameras are corrected before.
 """
 
 from collections.abc import Sequence
@@ -11,13 +12,14 @@ from itertools import count
 import numpy as np
 import numpy.typing as npt
 
+from dronevio.estimator.frontend.defective_pixels import DefectivePixels
 from dronevio.estimator.frontend.protocol import Image, image_of
 from dronevio.estimator.frontend.stereo import StereoConfig, StereoMatcher, shared_view
 from dronevio.estimator.frontend.tracker import FeatureTracker, TrackerConfig
 from dronevio.estimator.types import NO_MATCHES, Integers, Matches, Observations
 from dronevio.models.measurement_checks import check_image_count, check_rig
 from dronevio.models.rig import Rig
-from dronevio.models.state import CameraFrame
+from dronevio.models.state import NO_IMAGE, CameraFrame
 
 Array = npt.NDArray[np.float64]
 
@@ -91,7 +93,8 @@ class RigTracker:
         self._depths = [nothing] * len(self._pairs)
         self._extrinsics = self._derived(rig)
         self._cameras = [camera.model for camera in cameras]
-        self._images: tuple[Image | None, ...] = ()  # of the last frame
+        self._defects = tuple(DefectivePixels() for _ in cameras)
+        self._images: tuple[Image | None, ...] = ()  # of the last frame, without defective pixels
 
     def track(
         self, frame: CameraFrame, R_cur_prev: Array, rotation_sigma_rad: float = 0.0, rig: Rig | None = None
@@ -110,7 +113,11 @@ class RigTracker:
         """
         extrinsics = self._use(rig)
         check_image_count(frame, extrinsics.rig)
-        self._images = tuple(image_of(frame, i, camera) for i, camera in enumerate(self._cameras))
+        given = [image_of(frame, i, camera) for i, camera in enumerate(self._cameras)]
+        self._images = tuple(
+            defects.corrected(image, R_cur_prev) for image, defects in zip(given, self._defects, strict=True)
+        )
+        frame = replace(frame, images=tuple(NO_IMAGE if image is None else image for image in self._images))
         return _merged(
             [
                 tracker.track(frame, R_cam_first @ R_cur_prev @ R_cam_first.T, rotation_sigma_rad)
@@ -128,6 +135,9 @@ class RigTracker:
         observations = [tracker.replenish() for tracker in self._trackers]
         if not self._images:
             return _merged(observations)
+        for image, defects in zip(self._images, self._defects, strict=True):
+            if image is not None:
+                defects.examine(image)
         found = [self._match(k, extrinsics.matchers[k], observations) for k in range(len(self._pairs))]
         miscalibrated = [matcher.is_miscalibrated for matcher in extrinsics.matchers]
         return replace(

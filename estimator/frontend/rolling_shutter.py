@@ -154,12 +154,13 @@ class ExposureCompensation:
         )
         return Observations(**others, xy=xy[kept], matches=matches, miscalibrated=miscalibrated)
 
-    def at_stamp(self, estimate: Estimate, stamp_ns: int, calibration: Calibration) -> Estimate:
-        """Return the estimate of a frame at the frame's time stamp, propagated over the rig's given time offset.
+    def at_stamp(self, estimate: Estimate, stamp_ns: int) -> Estimate:
+        """Return the estimate of a frame at the frame's time stamp, propagated from the time of the frame.
 
-        The rotation is exact; position and velocity are of third order in the offset.
+        The times differ by the rig's given time offset and by the error of the stamp. The rotation is exact; position
+        and velocity are of third order in the difference.
         """
-        state, by_s = estimate.state, -calibration.rig.time_offset_s
+        state, by_s = estimate.state, (stamp_ns - estimate.t_ns) * 1e-9
         if by_s == 0.0:
             return estimate
         if state is None:

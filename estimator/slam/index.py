@@ -2,9 +2,9 @@
 
 A keyframe is the histogram of its visual words. Its similarity to another one is the weight of the words that both
 contain, relative to the weight of as many words as the larger of both has; a word that occurs in many keyframes says
-little and has a small weight, its inverse document frequency (Sivic and Zisserman, "Video Google: A text retrieval approach to
-object matching in videos", ICCV 2003; Gálvez-López and Tardós, T-RO 2012). The frequencies are those of the map itself:
-in a place with repetitive texture, the words of the texture lose their weight.
+little and has a small weight, its inverse document frequency (Sivic and Zisserman, "Video Google: A text retrieval
+approach to object matching in videos", ICCV 2003; Gálvez-López and Tardós, T-RO 2012). The frequencies are those of the
+map itself: in a place with repetitive texture, the words of the texture lose their weight.
 
 The inverted file is a matrix with a row for each word and a column for each keyframe, of one byte an element: with some
 thousand keyframes it is smaller than their descriptors, and a query reads only the rows of its own words.

@@ -42,8 +42,11 @@ class Page:
 
     @property
     def triangles(self) -> Triangles:
-        """(2 F, 3) Corners of the triangles, anticlockwise as seen from the visible side."""
-        return _triangles(len(self.vertices) // 4)
+        """(2 F, 3) Corners of the triangles, anticlockwise as seen from the visible side.
+
+        Large faces such as walls, which are first on a page, are rendered last, since others hide parts of them.
+        """
+        return _triangles(len(self.vertices) // 4)[::-1]
 
     def reduced(self, factor: int) -> "Page":
         """Return the page with a texture that is smaller by a factor along each axis."""
@@ -143,7 +146,7 @@ def _shelves(sizes: Sequence[tuple[int, int]], width_px: int) -> list[tuple[list
 
 def add_pages(spec: mujoco.MjSpec, body: mujoco.MjsBody, name: str, pages: Sequence[Page]) -> None:
     """Add pages to a body of a model as visible geoms without collision, named ``name_0``, ``name_1`` and so on."""
-    for number, page in enumerate(pages):
+    for number, page in reversed(list(enumerate(pages))):  # the first has the largest faces, which others hide
         _add_page(spec, body, f"{name}_{number}", page)
 
 

@@ -1,15 +1,25 @@
 """Rendering of a world at one time into an atlas of pinhole views in graphics memory."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from types import MappingProxyType
 
+import cv2
 import mujoco
 import numpy as np
 import numpy.typing as npt
 
 from dronevio.models.errors import ConfigError, GraphicsError
 from dronevio.models.rotation import inverse_pose, pose_matrix, quat_wxyz_from_matrix
-from dronevio.sim.cameras.gl import Context, blend_no_mipmaps, create_context, free, is_usable, make_current
+from dronevio.sim.cameras.gl import (
+    Context,
+    blend_no_mipmaps,
+    create_context,
+    free,
+    is_usable,
+    make_current,
+    read_rgba,
+    replace_texture,
+)
 from dronevio.sim.cameras.views import PinholeView, Views
 
 Array = npt.NDArray[np.float64]
@@ -25,12 +35,14 @@ NO_MOVERS: MoverPoses = MappingProxyType({})
 class RenderContext:
     """Graphics memory with the meshes and textures of a world and a frame buffer. Close it after use."""
 
-    def __init__(self, model: mujoco.MjModel, blend_mipmaps: bool = True) -> None:
+    def __init__(self, model: mujoco.MjModel, blend_mipmaps: bool = True, grey: bool = False) -> None:
         """Load a world into graphics memory.
 
         Args:
             model: The compiled world.
             blend_mipmaps: Whether the sizes of a texture are blended; without that, small images are rendered faster.
+            grey: Whether the images will be grey. Textures then have one channel, which is rendered faster; grey
+                levels differ by at most 2 from those of colours.
 
         Raises:
             GraphicsError: Off-screen OpenGL is not available.
@@ -40,6 +52,8 @@ class RenderContext:
         """MuJoCo's rendering context."""
         mujoco.mjr_setBuffer(mujoco.mjtFramebuffer.mjFB_OFFSCREEN, self.mjr_context)
         self.mjr_context.readDepthMap = mujoco.mjtDepthMap.mjDEPTH_ZEROFAR
+        if grey:
+            _make_grey(model, self.mjr_context)
         if not blend_mipmaps:
             types, numbers = self.mjr_context.textureType, self.mjr_context.texture
             flat = mujoco.mjtTexture.mjTEXTURE_2D
@@ -101,30 +115,50 @@ class AtlasRenderer:
         }
         self._moving = [geom for geom in geoms if self._mover_of(geom.objid) >= 0]
         self._colours = np.empty((views.height, views.width, 3), np.uint8)
+        self._rgba = np.empty((views.height, views.width, 4), np.uint8)
+        self._grey = np.empty((views.height, views.width), np.uint8)
         self._inverse_depth = np.empty((views.height, views.width), np.float32)
 
-    def colours(
-        self, T_world_cam: Array, mover_poses: MoverPoses = NO_MOVERS, rows: tuple[int, int] | None = None
-    ) -> Colours:
+    def colours(self, T_world_cam: Array, mover_poses: MoverPoses = NO_MOVERS) -> Colours:
         """Return the RGB atlas (H', W', 3) at a camera pose (4, 4); valid until the next rendering.
+
+        The first row is the lowest one, as in OpenGL.
+
+        Raises:
+            GraphicsError: The graphics memory has been released.
+            ConfigError: A moving object is unknown.
+        """
+        self._draw_textured(T_world_cam, mover_poses, None)
+        return self._read_colours(0, self._views.height)
+
+    def grey(
+        self, T_world_cam: Array, mover_poses: MoverPoses = NO_MOVERS, rows: Sequence[tuple[int, int]] | None = None
+    ) -> npt.NDArray[np.uint8]:
+        """Return the grey atlas (H', W') at a camera pose (4, 4); valid until the next rendering.
 
         The first row is the lowest one, as in OpenGL.
 
         Args:
             T_world_cam: (4, 4) Pose of the camera.
             mover_poses: Poses (4, 4) of moving objects by name.
-            rows: First row to render and the row after the last; other rows are undefined. None renders all rows.
+            rows: First row to render of each view and the row after the last; other rows are undefined. None renders
+                all rows.
 
         Raises:
             GraphicsError: The graphics memory has been released.
             ConfigError: A moving object is unknown.
         """
-        low, high = rows or (0, self._views.height)
-        self._scene.flags[mujoco.mjtRndFlag.mjRND_REFLECTION] = self._reflects
-        self._draw(T_world_cam, mover_poses, low, high)
-        drawn = mujoco.MjrRect(0, low, self._views.width, high - low)
-        mujoco.mjr_readPixels(self._colours[low:high], None, drawn, self._context.mjr_context)
-        return self._colours
+        drawn = [extent for extent in rows if extent[1] > extent[0]] if rows is not None else [(0, self._views.height)]
+        if not drawn:
+            return self._grey
+        self._draw_textured(T_world_cam, mover_poses, rows)
+        low, high = min(first for first, _ in drawn), max(end for _, end in drawn)
+        if self._context.mjr_context.offSamples == 0:  # four channels are copied without conversion
+            read_rgba(self._rgba[low:high], low)
+            cv2.cvtColor(self._rgba[low:high], cv2.COLOR_RGBA2GRAY, dst=self._grey[low:high])
+        else:
+            cv2.cvtColor(self._read_colours(low, high)[low:high], cv2.COLOR_RGB2GRAY, dst=self._grey[low:high])
+        return self._grey
 
     def surfaces(self, T_world_cam: Array, mover_poses: MoverPoses = NO_MOVERS) -> tuple[InverseDepth, Colours]:
         """Return inverse depth (H', W') and identifier colours (H', W', 3) of the atlas at a camera pose (4, 4).
@@ -140,7 +174,7 @@ class AtlasRenderer:
         self._scene.flags[mujoco.mjtRndFlag.mjRND_REFLECTION] = False
         for flag in id_flags:  # without textures, which is several times as fast
             self._scene.flags[flag] = True
-        self._draw(T_world_cam, mover_poses, 0, self._views.height)
+        self._draw(T_world_cam, mover_poses, None)
         drawn = mujoco.MjrRect(0, 0, self._views.width, self._views.height)
         mujoco.mjr_readPixels(self._colours, self._inverse_depth, drawn, self._context.mjr_context)
         for flag in id_flags:
@@ -157,14 +191,28 @@ class AtlasRenderer:
         body_of = {int(geom.objid): int(self._model.geom_bodyid[geom.objid]) for geom in self._moving}
         return {geom: poses[1][body] @ inverse_pose(poses[0][body]) for geom, body in body_of.items()}
 
-    def _draw(self, T_world_cam: Array, mover_poses: MoverPoses, low: int, high: int) -> None:
-        """Render rows of all views into graphics memory."""
+    def _draw_textured(
+        self, T_world_cam: Array, mover_poses: MoverPoses, rows: Sequence[tuple[int, int]] | None
+    ) -> None:
+        """Render rows of the views into graphics memory, with reflections where the world has any."""
+        self._scene.flags[mujoco.mjtRndFlag.mjRND_REFLECTION] = self._reflects
+        self._draw(T_world_cam, mover_poses, rows)
+
+    def _read_colours(self, low: int, high: int) -> Colours:
+        """Return the RGB atlas, of which rows were read from graphics memory."""
+        drawn = mujoco.MjrRect(0, low, self._views.width, high - low)
+        mujoco.mjr_readPixels(self._colours[low:high], None, drawn, self._context.mjr_context)
+        return self._colours
+
+    def _draw(self, T_world_cam: Array, mover_poses: MoverPoses, rows: Sequence[tuple[int, int]] | None) -> None:
+        """Render rows of the views into graphics memory; None renders all rows."""
+        views = self._views.views
         self._context.activate(self._views.width, self._views.height)
         self._place(mover_poses)
         for geom in self._moving:
             geom.pos, geom.mat = self._data.geom_xpos[geom.objid], self._data.geom_xmat[geom.objid].reshape(3, 3)
-        for view in self._views.views:
-            part = view.rows(low, min(high, view.height))
+        for view, (low, high) in zip(views, rows or [(0, view.height) for view in views], strict=True):
+            part = view.rows(low, high)
             if part.height > 0:
                 set_camera(self._scene, T_world_cam, part, self.near_m, self.far_m)
                 place = mujoco.MjrRect(part.column, low, part.width, part.height)
@@ -200,6 +248,18 @@ def set_camera(scene: mujoco.MjvScene, T_world_cam: Array, view: PinholeView, ne
         eye.pos, eye.forward, eye.up = T_world_cam[:3, 3], ahead, -down
         eye.frustum_near, eye.frustum_far = near_m, far_m
         eye.frustum_center, eye.frustum_width, eye.frustum_bottom, eye.frustum_top = view.frustum(near_m)
+
+
+def _make_grey(model: mujoco.MjModel, context: mujoco.MjrContext) -> None:
+    """Replace the flat RGB textures in graphics memory by grey ones, but for those of tinted materials."""
+    tinted = np.ptp(model.mat_rgba[:, :3], axis=1) > 0.0
+    coloured = set(model.mat_texid[tinted].ravel().tolist())
+    flat, linear = mujoco.mjtTexture.mjTEXTURE_2D, model.tex_colorspace != mujoco.mjtColorSpace.mjCOLORSPACE_SRGB
+    for number in np.flatnonzero((model.tex_type == flat) & (model.tex_nchannel == 3) & linear).tolist():
+        if number not in coloured:
+            start, size = model.tex_adr[number], (model.tex_height[number], model.tex_width[number], 3)
+            colours = model.tex_data[start : start + int(np.prod(size))].reshape(size)
+            replace_texture(int(context.texture[number]), np.asarray(cv2.cvtColor(colours, cv2.COLOR_RGB2GRAY)))
 
 
 def disable_lights(scene: mujoco.MjvScene) -> None:

@@ -24,7 +24,7 @@ from dronevio.sim.cameras.views import Lookup, Views, pixel_rays
 Array = npt.NDArray[np.float64]
 GreyImage = npt.NDArray[np.uint8]
 
-SUPERSAMPLING = 1.5
+SUPERSAMPLING = 1.4
 """Rendered pixels per image pixel along each axis."""
 LENS_BLUR_PX = 0.35
 """Standard deviation of the blur of the lens [px]; together with the pixel area it is 0.45 px."""
@@ -82,7 +82,7 @@ class OffscreenCamera:
         fine_rows = slice(_ACROSS * top, _ACROSS * end)
         columns, levels = (part[fine_rows] for part in self._tables.lookup)
         wanted = self._tables.atlas_rows(fine_rows) if end - top < self.camera.height else None
-        grey = cv2.cvtColor(self._renderer.colours(T_world_cam, mover_poses, wanted), cv2.COLOR_RGB2GRAY)
+        grey = self._renderer.grey(T_world_cam, mover_poses, wanted)
         return self._through_lens(grey, (columns, levels))[first - top : last - top]
 
     def render_rgb(self, T_world_cam: Array, mover_poses: MoverPoses = NO_MOVERS) -> GreyImage:
@@ -134,9 +134,7 @@ class OffscreenCamera:
     ) -> None:
         self.close()
 
-    def _through_lens(
-        self, atlas: npt.NDArray[np.uint8] | cv2.typing.MatLike, lookup: tuple[Lookup, Lookup]
-    ) -> GreyImage:
+    def _through_lens(self, atlas: npt.NDArray[np.uint8], lookup: tuple[Lookup, Lookup]) -> GreyImage:
         """Return the image from the rendered views: distorted, blurred, each pixel the mean over its area."""
         fine = cv2.remap(atlas, *lookup, cv2.INTER_LINEAR)
         cv2.GaussianBlur(fine, (0, 0), self._blur_px, dst=fine)
@@ -153,14 +151,20 @@ class _LensTables:
     lookup: tuple[Lookup, Lookup]
     """(2 H, 2 W) Columns and rows of the atlas of each quarter of a pixel [px]."""
     lowest: Lookup
-    """(2 H,) Lowest row of the atlas of each row; infinite if it has none [px]."""
+    """(V, 2 H) Lowest row of each view that each row looks up; infinite if it has none [px]."""
     highest: Lookup
-    """(2 H,) Highest row of the atlas of each row; 0 if it has none [px]."""
+    """(V, 2 H) Highest row of each view that each row looks up; −infinite if it has none [px]."""
 
-    def atlas_rows(self, rows: slice) -> tuple[int, int]:
-        """Return the first row of the atlas that some rows look up, and the row after the last."""
-        low, high = float(self.lowest[rows].min(initial=np.inf)), float(self.highest[rows].max(initial=0.0))
-        return max(int(min(low, high)) - 1, 0), min(int(high) + 3, self.views.height)
+    def atlas_rows(self, rows: slice) -> list[tuple[int, int]]:
+        """Return for each view the first row that some rows look up and the row after the last; 0, 0 without any."""
+        lows, highs = (
+            self.lowest[:, rows].min(axis=1, initial=np.inf),
+            self.highest[:, rows].max(axis=1, initial=-np.inf),
+        )
+        return [
+            (max(int(low) - 1, 0), min(int(high) + 3, view.height)) if high >= low else (0, 0)
+            for low, high, view in zip(lows.tolist(), highs.tolist(), self.views.views, strict=True)
+        ]
 
 
 @lru_cache(maxsize=4)  # one rig with two cameras, each with a small image; full tables have 12 MB and take a second
@@ -168,9 +172,10 @@ def _lens_tables(camera: CameraModel, supersampling: float) -> _LensTables:
     """Return the look-up tables of a lens."""
     views = Views.around(camera, supersampling)
     columns, levels = views.lookup(pixel_rays(camera, _ACROSS))
-    inside = levels >= 0.0
-    lowest = np.where(inside, levels, np.float32(np.inf)).min(axis=1)
-    return _LensTables(views, (columns, levels), lowest, np.where(inside, levels, np.float32(0.0)).max(axis=1))
+    through = [(columns >= view.column) & (columns < view.column + view.width) for view in views.views]
+    lowest = np.stack([np.where(seen, levels, np.float32(np.inf)).min(axis=1) for seen in through])
+    highest = np.stack([np.where(seen, levels, np.float32(-np.inf)).max(axis=1) for seen in through])
+    return _LensTables(views, (columns, levels), lowest, highest)
 
 
 class _SurfaceLookup:

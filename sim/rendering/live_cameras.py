@@ -172,7 +172,7 @@ class LiveCameras:
     def _opened(self) -> _Loaded:
         """Return the world and the renderers, which are created if there are none."""
         if self._loaded is None:
-            lease = lease_world(self._key)
+            lease = lease_world(self._key, grey=True)
             model, context = lease.value.model, lease.value.context
             renderers = tuple(
                 FrameRenderer(camera, self._imaging, model, context, margin)

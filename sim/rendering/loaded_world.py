@@ -51,20 +51,25 @@ LOADED_WORLDS: SharedPool[LoadedWorld] = SharedPool()
 """All loaded worlds of this process."""
 
 
-def lease_world(key: WorldKey) -> Lease[LoadedWorld]:
+def lease_world(key: WorldKey, grey: bool = False) -> Lease[LoadedWorld]:
     """Return a lease of a loaded world, which is built by the first lease of the process, in seconds.
+
+    Args:
+        key: The world.
+        grey: Whether its textures are grey in graphics memory; see `RenderContext`.
 
     Raises:
         ConfigError: The world is unknown.
         GraphicsError: Off-screen OpenGL is not available.
     """
-    return LOADED_WORLDS.lease(key, partial(_loaded, key))
+    return LOADED_WORLDS.lease((key, grey), partial(_loaded, key, grey))
 
 
-def _loaded(key: WorldKey) -> LoadedWorld:
+def _loaded(key: WorldKey, grey: bool) -> LoadedWorld:
     """Load a world into graphics memory."""
     model, illumination, movers = _compiled(key)
-    return LoadedWorld(model, illumination, movers, RenderContext(model, blend_mipmaps=key.texture_reduction == 1))
+    context = RenderContext(model, blend_mipmaps=key.texture_reduction == 1, grey=grey)
+    return LoadedWorld(model, illumination, movers, context)
 
 
 @lru_cache(maxsize=2)

@@ -19,6 +19,7 @@ from dronevio.models.recordings.calibration.exports import kalibr_files
 from dronevio.models.recordings.tum import read_tum
 from dronevio.models.rig_presets import rig_named
 from dronevio.registry import ESTIMATORS, estimator_named
+from dronevio.sim.cameras.imaging import VI_SENSOR
 from dronevio.sim.scenario import Scenario
 
 Result = Any  # the class of conftest, which cannot be imported
@@ -159,6 +160,16 @@ def test_benchmark_simulates_other_rigs(capsys: Any) -> None:
         scenario_flights(["short"], [0], "no-such-rig")
     assert main(["benchmark", "--recordings", "here", "--rig", "euroc-stereo"]) == 2
     assert "a recording has its own rig" in capsys.readouterr().err
+
+
+def test_benchmark_simulates_other_image_sensors(capsys: Any) -> None:
+    flights = [scenario_flights(["short"], [0], None, sensor)[0] for sensor in (None, "standard", "vi-sensor")]
+    assert flights[0].recording_hash == flights[1].recording_hash != flights[2].recording_hash
+    assert isinstance(flights[2].source, Scenario) and flights[2].source.imaging == VI_SENSOR
+    with pytest.raises(ConfigError, match="no image sensor 'no-such-sensor'"):
+        scenario_flights(["short"], [0], None, "no-such-sensor")
+    assert main(["benchmark", "--recordings", "here", "--image-sensor", "vi-sensor"]) == 2
+    assert "a recording has its own images" in capsys.readouterr().err
 
 
 def test_configuration_of_a_run_has_its_rig(stereo: Result) -> None:

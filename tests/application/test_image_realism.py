@@ -213,3 +213,22 @@ def test_tables_of_a_simulated_flight(
     assert abs(figures.truth.time_offset_ms) < 1.0
     late = replace(section, truth=section.truth[2:], frames=section.frames[:-2])  # by two frames
     assert realism.measure(late, 4).trackers[0].ages[1].true_median_px > 2.0 * young.true_median_px
+
+
+def test_conditions_change_images_as_they_say(script: Callable[[str], Any]) -> None:
+    conditions = script("image_conditions").CONDITIONS
+    image = np.tile(np.arange(50, 210, dtype=np.uint8), (480, 1))
+    changed = {name: condition(image, 20, 1) for name, condition in conditions.items()}
+    assert all(each.shape == image.shape and each.dtype == np.uint8 for each in changed.values())
+    unchanged = {name for name, each in changed.items() if np.array_equal(each, image)}
+    assert unchanged == {"none", "smudge"}  # the smudge is on the lens of the other camera
+    assert not np.array_equal(conditions["smudge"](image, 20, 0), image)
+    assert changed["exposure-steps"][0, 10] == 96  # 60 times 1.6 in the second step
+    np.testing.assert_allclose(
+        changed["vignetting"][[0, 0, -1, -1], [0, -1, 0, -1]], 0.3 * image[0, [0, -1, 0, -1]], atol=0.5
+    )
+    assert np.std(changed["noise"].astype(float) - image) == pytest.approx(8.0, rel=0.03)
+    dead = changed["dead-pixels-0.1%"] != image
+    assert np.mean(dead) == pytest.approx(1e-3, rel=0.5)
+    assert set(np.unique(changed["dead-pixels-0.1%"][dead])) == {0, 255}
+    np.testing.assert_array_equal(conditions["dead-pixels-0.1%"](image, 21, 1), changed["dead-pixels-0.1%"])

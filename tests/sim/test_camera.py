@@ -221,6 +221,32 @@ def test_a_cube_of_views_agrees_with_a_single_view(monkeypatch: pytest.MonkeyPat
     assert np.median(np.abs(depth_of_cube / depth - 1.0)) < 1e-5
 
 
+@pytest.mark.parametrize("camera", [EUROC_CAM0, UZH_FPV_CAMERA])
+def test_a_band_of_rows_equals_the_rows_of_the_image(camera: CameraModel) -> None:
+    with OffscreenCamera(textured_box(), camera) as offscreen:
+        whole = offscreen.render(T_NOW).astype(float)
+        for rows in (slice(0, 40), slice(100, 170), slice(camera.height - 30, camera.height)):
+            difference = np.abs(offscreen.render(T_NOW, rows=rows) - whole[rows])
+            assert difference.max() <= 3.0  # the projection of a part of a view is rounded differently
+            assert difference.mean() < 0.05
+
+
+@pytest.mark.parametrize("samples", [0, 4])
+def test_grey_levels_are_those_of_the_colours(samples: int) -> None:
+    model = textured_box()
+    before, model.vis.quality.offsamples = model.vis.quality.offsamples, samples
+    try:
+        with OffscreenCamera(model, EUROC_CAM0) as offscreen:
+            grey = offscreen._renderer.grey(T_NOW).copy()
+            colours = offscreen._renderer.colours(T_NOW)
+            for view in offscreen.views.views:
+                part = (slice(view.height), slice(view.column, view.column + view.width))
+                np.testing.assert_array_equal(grey[part], cv2.cvtColor(colours[part].copy(), cv2.COLOR_RGB2GRAY))
+                assert grey[part].std() > 10.0
+    finally:
+        model.vis.quality.offsamples = before
+
+
 def test_pixels_outside_the_field_of_view_are_empty() -> None:
     camera = CameraModel(320, 240, 90.0, 90.0, 159.5, 119.5, (0.02, -0.03, 0.004, -0.002), "equidistant")
     outside = np.asarray(

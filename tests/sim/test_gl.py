@@ -144,3 +144,11 @@ def test_forks_after_rendering_are_refused(before: bool, message: str) -> None:
     ran = subprocess.run(command, capture_output=True, text=True, check=False, timeout=60)
     assert ran.returncode == 0, ran.stderr
     assert message in ran.stdout
+
+
+@pytest.mark.parametrize(("chosen", "expected"), [({}, "brilinear"), ({"GALLIVM_PERF": "nopt"}, "nopt")])
+def test_blending_of_textures_is_set_before_rendering(chosen: dict[str, str], expected: str) -> None:
+    environment = {name: value for name, value in os.environ.items() if name != "GALLIVM_PERF"} | chosen
+    code = "import os, dronevio.sim; print(os.environ['GALLIVM_PERF'])"
+    ran = subprocess.run([sys.executable, "-c", code], env=environment, capture_output=True, text=True, check=True)
+    assert ran.stdout.strip() == expected

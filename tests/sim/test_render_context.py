@@ -79,3 +79,38 @@ def test_a_bigger_camera_does_not_change_a_smaller_one(model: mujoco.MjModel, co
         with OffscreenCamera(model, big, context=context) as offscreen:
             assert offscreen.render(np.eye(4)).shape == (400, 500)
             np.testing.assert_array_equal(small.render(np.eye(4)), before)
+
+
+def coloured_planes() -> mujoco.MjModel:
+    """Return two planes with the same coloured texture, of which the material of the second one is red."""
+    spec, rng = mujoco.MjSpec(), np.random.default_rng(4)
+    for number, tint in enumerate(([1.0, 1.0, 1.0, 1.0], [1.0, 0.3, 0.3, 1.0])):
+        texture = spec.add_texture(name=f"t_{number}", type=mujoco.mjtTexture.mjTEXTURE_2D, nchannel=3)
+        texture.height = texture.width = 64
+        texture.data = np.repeat(np.repeat(rng.integers(0, 256, (8, 8, 3), np.uint8), 8, axis=0), 8, axis=1).tobytes()
+        material = spec.add_material(name=f"m_{number}", emission=1.0, rgba=tint)
+        material.textures[mujoco.mjtTextureRole.mjTEXROLE_RGB] = texture.name
+        spec.worldbody.add_geom(
+            type=mujoco.mjtGeom.mjGEOM_PLANE,
+            size=[1.0, 1.0, 1.0],
+            pos=[2.0 * number - 1.0, 0.0, 2.0],
+            zaxis=[0.0, 0.0, -1.0],
+            material=material.name,
+        )
+    return spec.compile()
+
+
+def test_grey_textures_give_the_same_grey_images() -> None:
+    model = coloured_planes()
+    images, colours = [], []
+    for grey in (False, True):
+        context = RenderContext(model, grey=grey)
+        with OffscreenCamera(model, SMALL, context=context) as camera:
+            images.append(camera.render(np.eye(4)).astype(int))
+            colours.append(camera.render_rgb(np.eye(4)).astype(int))
+        context.close()
+    assert images[0].std() > 20.0
+    assert np.abs(images[1] - images[0]).max() <= 2
+    left, right = slice(0, 40), slice(56, 96)
+    assert np.ptp(colours[1][:, left], axis=-1).max() == 0
+    assert np.ptp(colours[1][:, right], axis=-1).max() > 50  # of a tinted material, the texture keeps its colours

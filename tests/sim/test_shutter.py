@@ -7,6 +7,7 @@ import pytest
 from dronevio.models.camera import CameraModel
 from dronevio.models.rig import EUROC_CAM0, RigCamera
 from dronevio.models.rotation import exp_so3, inverse_pose, pose_matrix
+from dronevio.sim.cameras import shutter as shutter_module
 from dronevio.sim.cameras.camera import OffscreenCamera
 from dronevio.sim.cameras.shutter import Poses, Shutter
 
@@ -200,3 +201,14 @@ def test_number_of_renderings_follows_the_motion() -> None:
     assert effort(moving([2.0, 0.0, 0.0], [0.0, 0.0, 0.0]), nearest_m=np.inf) == (1, 1)
     near, far = (effort(moving([2.0, 0.0, 0.0], [0.0, 0.0, 0.0]), nearest_m)[0] for nearest_m in (0.5, 4.0))
     assert 2 <= far < near <= 20
+
+
+@pytest.mark.parametrize(("blur_px", "most"), [(0.2, 1), (0.5, 2), (1.9, 2), (2.9, 3), (3.1, 5), (20.0, 27)])
+def test_samples_have_the_moments_of_the_exposure(blur_px: float, most: int) -> None:
+    instants, weights = shutter_module._quadrature(blur_px)
+    assert len(instants) <= most
+    assert weights.sum() == pytest.approx(1.0)
+    assert weights @ instants == pytest.approx(0.0, abs=1e-12)
+    variance_px2 = weights @ instants**2 * blur_px**2
+    assert variance_px2 == pytest.approx(blur_px**2 / 12.0, abs=0.05)
+    assert np.diff(instants).max(initial=0.0) * blur_px < 1.2

@@ -1,6 +1,9 @@
 """The vocabulary and the index of places."""
 
+from typing import Any
+
 import numpy as np
+import numpy.typing as npt
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
@@ -16,11 +19,13 @@ from dronevio.estimator.slam.vocabulary import (
 )
 from dronevio.models.errors import ConfigError
 
+Array = npt.NDArray[Any]
+
 WORDS = 50
 DOCUMENTS = st.lists(st.lists(st.integers(0, WORDS - 1), min_size=1, max_size=30), min_size=1, max_size=8)
 
 
-def random_descriptors(count: int, seed: int = 0) -> np.ndarray:
+def random_descriptors(count: int, seed: int = 0) -> Array:
     """Return random descriptors (count, 32)."""
     return np.random.default_rng(seed).integers(0, 256, (count, 32), dtype=np.uint8)
 
@@ -35,7 +40,7 @@ def indexed(documents: list[list[int]]) -> PlaceIndex:
 
 @settings(deadline=None, max_examples=60)
 @given(DOCUMENTS)
-def test_similarity_is_that_of_the_definition(documents: list[list[int]]):
+def test_similarity_is_that_of_the_definition(documents: list[list[int]]) -> None:
     index = indexed(documents)
     frequency = np.array([sum(w in words for words in documents) for w in range(WORDS)])
     weight = np.log(1.0 + (len(documents) + 1.0) / (frequency + 1.0))
@@ -51,7 +56,7 @@ def test_similarity_is_that_of_the_definition(documents: list[list[int]]):
 
 @settings(deadline=None, max_examples=30)
 @given(DOCUMENTS, st.lists(st.booleans(), max_size=8))
-def test_only_allowed_keyframes_are_returned(documents: list[list[int]], allowed: list[bool]):
+def test_only_allowed_keyframes_are_returned(documents: list[list[int]], allowed: list[bool]) -> None:
     index = indexed(documents)
     mask = np.array(allowed[: len(documents)], np.bool_)
     found = index.query(np.array(documents[-1]), mask, 3, 0.05)
@@ -61,14 +66,14 @@ def test_only_allowed_keyframes_are_returned(documents: list[list[int]], allowed
     assert np.all(found.similarity >= 0.05)
 
 
-def test_a_word_of_every_keyframe_says_little():
+def test_a_word_of_every_keyframe_says_little() -> None:
     index = indexed([[0, k + 1] for k in range(20)])
     similarity = index.similarities(np.array([0, 5]), 20)
     assert similarity.argmax() == 4
     assert similarity[4] > 3.0 * np.delete(similarity, 4).max()
 
 
-def test_the_index_grows_beyond_its_first_size():
+def test_the_index_grows_beyond_its_first_size() -> None:
     rng = np.random.default_rng(0)
     documents = [rng.integers(0, WORDS, 20).tolist() for _ in range(2 * FIRST_COLUMNS + 3)]
     index = indexed(documents)
@@ -77,12 +82,12 @@ def test_the_index_grows_beyond_its_first_size():
         assert index.query(np.array(documents[row]), np.ones(len(documents), np.bool_), 1, 0.0).rows.tolist() == [row]
 
 
-def test_counts_beyond_a_byte_do_not_overflow():
+def test_counts_beyond_a_byte_do_not_overflow() -> None:
     index = indexed([[7] * 300, [7]])
     assert index.similarities(np.array([7] * 300), 2) == pytest.approx([255 / 300, 1 / 300])
 
 
-def test_the_package_has_a_vocabulary():
+def test_the_package_has_a_vocabulary() -> None:
     vocabulary = default_vocabulary()
     array = vocabulary.as_array()
     assert array.nbytes == BRANCHES * (1 + LEAVES) * 32 == 133_120
@@ -97,7 +102,7 @@ def test_the_package_has_a_vocabulary():
     assert len(vocabulary.assign(descriptors[:0])) == 0
 
 
-def test_words_are_distinct_and_stable():
+def test_words_are_distinct_and_stable() -> None:
     vocabulary = default_vocabulary()
     flat = vocabulary.words.reshape(-1, 32)
     assert len(np.unique(flat, axis=0)) > 0.95 * len(flat)
@@ -107,7 +112,7 @@ def test_words_are_distinct_and_stable():
     assert np.mean(vocabulary.assign(changed) == vocabulary.assign(flat)) > 0.6
 
 
-def test_hamming_distances_count_bits():
+def test_hamming_distances_count_bits() -> None:
     zeros, ones = np.zeros((1, 32), np.uint8), np.full((1, 32), 255, np.uint8)
     one_bit = zeros.copy()
     one_bit[0, 17] = 8
@@ -117,7 +122,7 @@ def test_hamming_distances_count_bits():
     ]
 
 
-def test_clusters_are_found_again():
+def test_clusters_are_found_again() -> None:
     centres = random_descriptors(BRANCHES * LEAVES, 1)
     rng = np.random.default_rng(2)
     samples = np.repeat(centres, 10, axis=0)
@@ -133,11 +138,11 @@ def test_clusters_are_found_again():
 
 
 @pytest.mark.parametrize("array", [np.zeros((10, 32), np.uint8), np.zeros((BRANCHES * (1 + LEAVES), 32), np.int64)])
-def test_another_array_is_no_vocabulary(array: np.ndarray):
+def test_another_array_is_no_vocabulary(array: Array) -> None:
     with pytest.raises(ConfigError, match=r"expected uint8 of shape \(4160, 32\)"):
         vocabulary_from_array(array)
 
 
-def test_too_few_descriptors_are_refused():
+def test_too_few_descriptors_are_refused() -> None:
     with pytest.raises(ConfigError, match="40960 or more"):
         learn_vocabulary(random_descriptors(100))

@@ -2,8 +2,10 @@
 
 from dataclasses import replace
 from functools import cache
+from typing import Any
 
 import numpy as np
+import numpy.typing as npt
 import pytest
 
 from dronevio.estimator.slam.keyframe import NO_KEYFRAME_FEATURES, MapKeyframe
@@ -12,6 +14,8 @@ from dronevio.estimator.slam.verification import PlaceMatch
 from dronevio.models.errors import ConfigError
 from dronevio.models.rotation import inverse_pose
 from tests.estimator.slam.conftest import RIG, Errors, Scene, keyframe, pose, scene
+
+Array = npt.NDArray[Any]
 
 NOISE = Errors(pixel=0.5, depth=0.01, bits=4)
 
@@ -28,7 +32,9 @@ def world() -> Scene:
     return Scene(np.concatenate([p.points for p in places]), np.concatenate([p.descriptors for p in places]))
 
 
-def lap(first: int, start_s: float, offset_m: float, shift: tuple[float, float, float] = (0.0, 0.0, 0.0)):
+def lap(
+    first: int, start_s: float, offset_m: float, shift: tuple[float, float, float] = (0.0, 0.0, 0.0)
+) -> list[MapKeyframe]:
     """Return keyframes of a flight along the places, 0.5 s and 1 m apart, with an odometry that is shifted."""
     keyframes = []
     for k in range(25):
@@ -45,7 +51,7 @@ def found(recognizer: PlaceRecognizer, keyframes: list[MapKeyframe]) -> list[Pla
     return [match for each in keyframes for match in recognizer.add(each)]
 
 
-def test_a_second_lap_is_recognized_at_the_right_places():
+def test_a_second_lap_is_recognized_at_the_right_places() -> None:
     recognizer = PlaceRecognizer(RIG)
     first, second = lap(0, 0.0, 0.0), lap(25, 30.0, 0.3, (0.4, -0.3, 0.1))
     assert found(recognizer, first) == []
@@ -61,13 +67,13 @@ def test_a_second_lap_is_recognized_at_the_right_places():
         assert by_number[match.query].t_ns - by_number[match.match].t_ns >= 10_000_000_000
 
 
-def true_pose(number: int) -> np.ndarray:
+def true_pose(number: int) -> Array:
     """Return the true pose of a keyframe of the two laps."""
     offset_m = 0.3 if number >= 25 else 0.0
     return pose([offset_m, 1.0 * (number % 25), 0.1 * offset_m])
 
 
-def test_one_match_alone_is_not_published():
+def test_one_match_alone_is_not_published() -> None:
     recognizer = PlaceRecognizer(RIG)
     found(recognizer, lap(0, 0.0, 0.0))
     second = lap(25, 30.0, 0.3)
@@ -80,7 +86,7 @@ def test_one_match_alone_is_not_published():
     assert [match.query for match in recognizer.add(second[6])] == [second[6].number]
 
 
-def test_a_match_waits_only_for_some_time():
+def test_a_match_waits_only_for_some_time() -> None:
     recognizer = PlaceRecognizer(RIG)
     found(recognizer, lap(0, 0.0, 0.0))
     second = lap(25, 30.0, 0.3)
@@ -88,19 +94,19 @@ def test_a_match_waits_only_for_some_time():
     assert recognizer.add(second[8]) == ()  # 2.5 s later
 
 
-def test_recent_keyframes_are_not_recognized():
+def test_recent_keyframes_are_not_recognized() -> None:
     recognizer = PlaceRecognizer(RIG, PlaceConfig(min_age_s=100.0))
     found(recognizer, lap(0, 0.0, 0.0))
     assert found(recognizer, lap(25, 30.0, 0.3)) == []
 
 
-def test_more_drift_than_possible_is_refused():
+def test_more_drift_than_possible_is_refused() -> None:
     recognizer = PlaceRecognizer(RIG)
     found(recognizer, lap(0, 0.0, 0.0))
     assert found(recognizer, lap(25, 30.0, 0.3, (3.0, 0.0, 0.0))) == []
 
 
-def test_another_odometry_frame_may_be_anywhere():
+def test_another_odometry_frame_may_be_anywhere() -> None:
     recognizer = PlaceRecognizer(RIG)
     found(recognizer, lap(0, 0.0, 0.0))
     recognizer.start_track()
@@ -108,7 +114,7 @@ def test_another_odometry_frame_may_be_anywhere():
     assert len(matches) >= 20
 
 
-def test_two_equal_places_are_ambiguous():
+def test_two_equal_places_are_ambiguous() -> None:
     """A place that exists twice is recognized in neither, where the odometry does not say which one it is."""
     recognizer = PlaceRecognizer(RIG, PlaceConfig(island=3))
     original = place(0)
@@ -132,7 +138,7 @@ def test_two_equal_places_are_ambiguous():
     assert len(found(alone, visit(20, 40.0, -30.0))) >= 4
 
 
-def test_the_matches_have_the_same_bytes_twice():
+def test_the_matches_have_the_same_bytes_twice() -> None:
     keyframes = [*lap(0, 0.0, 0.0), *lap(25, 30.0, 0.3)]
     first, second = (found(PlaceRecognizer(RIG), keyframes) for _ in range(2))
     assert [match.T_match_query.tobytes() for match in first] == [match.T_match_query.tobytes() for match in second]
@@ -140,7 +146,7 @@ def test_the_matches_have_the_same_bytes_twice():
     assert len(first) >= 20
 
 
-def test_keyframes_have_to_come_in_order():
+def test_keyframes_have_to_come_in_order() -> None:
     recognizer = PlaceRecognizer(RIG)
     first = lap(0, 0.0, 0.0)
     recognizer.add(first[1])

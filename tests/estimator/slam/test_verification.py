@@ -1,8 +1,10 @@
 """Geometric verification: exact without noise, consistent with noise, and strict about other places."""
 
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
+import numpy.typing as npt
 import pytest
 
 from dronevio.estimator.slam.gravity_pose import LevelMatches, solve_two_points, squared_errors
@@ -13,10 +15,14 @@ from dronevio.models.rig import Rig, RigCamera
 from dronevio.models.rotation import exp_so3, inverse_pose, log_so3, rotation_z
 from tests.estimator.slam.conftest import EXACT, RIG, Errors, Scene, keyframe, pose, random_pose, scene
 
+Array = npt.NDArray[Any]
+
 CONFIG = VerificationConfig()
 
 
-def verified(first: Errors, second: Errors, seed: int, config: VerificationConfig = CONFIG):
+def verified(
+    first: Errors, second: Errors, seed: int, config: VerificationConfig = CONFIG
+) -> tuple[PlaceMatch | Rejection, Array]:
     """Return the result of a random case, and the true relative pose."""
     rng = np.random.default_rng(seed)
     places, T_match, T_query = scene(rng), random_pose(rng), random_pose(rng)
@@ -24,13 +30,13 @@ def verified(first: Errors, second: Errors, seed: int, config: VerificationConfi
     return verify(query, match, RIG, config), inverse_pose(T_match) @ T_query
 
 
-def error(result: PlaceMatch, T_true: np.ndarray) -> np.ndarray:
+def error(result: PlaceMatch, T_true: Array) -> Array:
     """Return the error (6,) of a relative pose in the order of its covariance."""
     T = result.T_match_query
     return np.concatenate([log_so3(T_true[:3, :3].T @ T[:3, :3]), T[:3, 3] - T_true[:3, 3]])
 
 
-def test_two_matches_determine_the_pose_exactly():
+def test_two_matches_determine_the_pose_exactly() -> None:
     rng = np.random.default_rng(0)
     n = 200
     yaw, t = rng.uniform(-3.0, 3.0, n), rng.uniform(-1.0, 1.0, (n, 3))
@@ -50,7 +56,7 @@ def test_two_matches_determine_the_pose_exactly():
         assert squared_errors(found, second).max() < 1e-12
 
 
-def test_the_pose_is_exact_without_noise():
+def test_the_pose_is_exact_without_noise() -> None:
     for seed in range(20):
         result, T_true = verified(EXACT, EXACT, seed)
         assert isinstance(result, PlaceMatch), result
@@ -58,7 +64,7 @@ def test_the_pose_is_exact_without_noise():
         assert min(result.old_landmarks, result.new_landmarks) > 30
 
 
-def test_the_covariance_is_consistent():
+def test_the_covariance_is_consistent() -> None:
     assumed = RelativePoseConfig()
     noise = Errors(assumed.pixel_sigma, assumed.depth_sigma, assumed.scale_sigma, np.radians(assumed.tilt_sigma_deg))
     every_case = replace(CONFIG, max_tilt_sigmas=100.0, max_position_m=1.0, max_rotation_deg=20.0)
@@ -75,7 +81,7 @@ def test_the_covariance_is_consistent():
     assert np.mean(np.array(nees) > 16.8) < 0.03  # 99 % quantile of χ² with six degrees of freedom
 
 
-def test_an_error_of_scale_is_part_of_the_covariance():
+def test_an_error_of_scale_is_part_of_the_covariance() -> None:
     noise, seen = Errors(scale=0.05), []
     exact = replace(CONFIG.pose, pixel_sigma=0.1, depth_sigma=0.0, scale_sigma=0.05)
     config = replace(
@@ -89,11 +95,12 @@ def test_an_error_of_scale_is_part_of_the_covariance():
     assert np.mean(seen) < 1.5
     without = replace(config, pose=replace(config.pose, scale_sigma=0.0))
     result, T_true = verified(noise, noise, 0, without)
+    assert isinstance(result, PlaceMatch), result
     e = error(result, T_true)[3:]
     assert e @ np.linalg.solve(result.covariance[3:, 3:], e) / 3.0 > 4.0
 
 
-def test_seventy_percent_of_wrong_matches_survive():
+def test_seventy_percent_of_wrong_matches_survive() -> None:
     noise = Errors(pixel=0.5, depth=0.02, bits=10)
     for seed in range(20):
         result, T_true = verified(replace(noise, wrong=0.45), replace(noise, wrong=0.45), seed)  # 0.55² are right
@@ -103,7 +110,7 @@ def test_seventy_percent_of_wrong_matches_survive():
         assert np.degrees(np.linalg.norm(e[:3])) < 1.0
 
 
-def test_different_places_never_match():
+def test_different_places_never_match() -> None:
     noise = Errors(pixel=0.5, depth=0.02)
     for seed in range(100):
         rng = np.random.default_rng(seed)
@@ -117,7 +124,7 @@ def test_different_places_never_match():
         assert isinstance(verify(query, match, RIG, CONFIG), Rejection)
 
 
-def test_two_poses_that_fit_equally_are_rejected():
+def test_two_poses_that_fit_equally_are_rejected() -> None:
     rng = np.random.default_rng(3)
     wall = scene(rng, 200)
     shifted = wall.points + np.where(np.arange(200)[:, None] % 2 == 0, [0.0, 1.2, 0.0], 0.0)
@@ -129,7 +136,7 @@ def test_two_poses_that_fit_equally_are_rejected():
     assert isinstance(result, PlaceMatch)
 
 
-def test_a_tilted_place_contradicts_gravity():
+def test_a_tilted_place_contradicts_gravity() -> None:
     rng = np.random.default_rng(4)
     places, tilt = scene(rng), exp_so3(np.array([0.0, np.radians(8.0), 0.0]))
     tilted = Scene((places.points - [5.0, 0.0, 0.0]) @ tilt.T + [5.0, 0.0, 0.0], places.descriptors)
@@ -139,7 +146,7 @@ def test_a_tilted_place_contradicts_gravity():
 
 
 @pytest.mark.parametrize("direction", ["old", "new"])
-def test_landmarks_of_both_keyframes_are_required(direction: str):
+def test_landmarks_of_both_keyframes_are_required(direction: str) -> None:
     rng = np.random.default_rng(5)
     places = scene(rng)
     match, query = keyframe(0, random_pose(rng), places), keyframe(1, random_pose(rng), places)
@@ -149,22 +156,23 @@ def test_landmarks_of_both_keyframes_are_required(direction: str):
     assert verify(*pair, RIG, CONFIG) == Rejection("matches")
 
 
-def test_corners_in_one_spot_are_not_enough():
+def test_corners_in_one_spot_are_not_enough() -> None:
     rng = np.random.default_rng(6)
     near = Scene([5.0, 0.0, 0.0] + rng.uniform(-0.3, 0.3, (60, 3)), rng.integers(0, 256, (60, 32), dtype=np.uint8))
     match, query = keyframe(0, pose([0.0, 0.0, 0.0]), near), keyframe(1, pose([0.1, 0.2, 0.1]), near)
     assert verify(query, match, RIG, CONFIG) == Rejection("spread")
 
 
-def test_the_result_has_the_same_bytes_twice():
+def test_the_result_has_the_same_bytes_twice() -> None:
     noise = Errors(pixel=0.5, depth=0.02, bits=10, wrong=0.3)
-    results = [verified(noise, noise, 1)[0] for _ in range(2)]
-    assert all(isinstance(result, PlaceMatch) for result in results)
-    assert results[0].T_match_query.tobytes() == results[1].T_match_query.tobytes()
-    assert results[0].covariance.tobytes() == results[1].covariance.tobytes()
+    first, second = (verified(noise, noise, 1)[0] for _ in range(2))
+    assert isinstance(first, PlaceMatch)
+    assert isinstance(second, PlaceMatch)
+    assert first.T_match_query.tobytes() == second.T_match_query.tobytes()
+    assert first.covariance.tobytes() == second.covariance.tobytes()
 
 
-def test_matches_are_mutual_and_distinct():
+def test_matches_are_mutual_and_distinct() -> None:
     rng = np.random.default_rng(7)
     places = scene(rng)
     owner, other = keyframe(0, random_pose(rng), places), keyframe(1, random_pose(rng), places)
@@ -185,7 +193,7 @@ def test_matches_are_mutual_and_distinct():
     assert not np.any(np.all(fewer.xy == features.xy[0], axis=1))
 
 
-def test_both_directions_have_to_give_the_same_pose():
+def test_both_directions_have_to_give_the_same_pose() -> None:
     rng = np.random.default_rng(8)
     places = scene(rng)
     match, query = keyframe(0, pose([0.0, 0.0, 0.0]), places), keyframe(1, pose([0.1, 0.2, 0.1]), places)
@@ -195,7 +203,7 @@ def test_both_directions_have_to_give_the_same_pose():
     assert verify(aside, match, RIG, permissive) == Rejection("directions")
 
 
-def test_uncertain_and_distant_poses_are_rejected():
+def test_uncertain_and_distant_poses_are_rejected() -> None:
     rng = np.random.default_rng(9)
     places = scene(rng)
     match, query = keyframe(0, pose([0.0, 0.0, 0.0]), places), keyframe(1, pose([0.1, 0.2, 0.1]), places)
@@ -204,7 +212,7 @@ def test_uncertain_and_distant_poses_are_rejected():
     assert verify(query, match, RIG, replace(CONFIG, max_distance_m=0.2)) == Rejection("distance")
 
 
-def test_landmarks_of_one_camera_are_found_in_another():
+def test_landmarks_of_one_camera_are_found_in_another() -> None:
     """Two cameras look forward and backward, and the second visit flies in the opposite direction."""
     forward = RIG.cameras[0]
     T_imu_backward = np.eye(4)

@@ -1,0 +1,120 @@
+"""Innovation: the differences between the image observations of a frame and their prediction, with its uncertainty.
+
+The prediction propagates the newest keyframe's state by the IMU and projects the landmarks of the window, whose
+positions are taken as exact.
+"""
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+import numpy.typing as npt
+
+from dronevio.estimator.backend.reprojection import MEDIAN_CHI2_2DOF
+from dronevio.estimator.backend.triangulation import MIN_DEPTH_M
+from dronevio.estimator.types import Calibration, Integers, Observations
+from dronevio.models.state import NavState
+
+Array = npt.NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False)
+class PredictionUncertainty:
+    """How far a predicted state and the noise of image observations are uncertain."""
+
+    position_covariance: Array
+    """(3, 3) Covariance of the position in the world frame since the newest keyframe [m²]."""
+    rotation_variance: float
+    """Variance of the orientation about any axis since the newest keyframe [rad²]."""
+    image_variance_px2: float
+    """Variance of the coordinates of an image observation [px²]."""
+
+
+@dataclass(frozen=True, eq=False)
+class Innovation:
+    """The innovation of the N landmarks that a frame observes."""
+
+    rows: Integers
+    """(N,) Rows of the landmarks among all that constrain the window."""
+    residual_px: Array
+    """(N, 2) Observed minus predicted image coordinates [px]."""
+    in_imu: Array
+    """(N, 3) Predicted positions of the landmarks in the IMU frame [m]."""
+    J_imu: Array
+    """(N, 2, 3) Derivatives of the image coordinates by these positions [px/m]."""
+    R_world_imu: Array
+    """(3, 3) Predicted orientation of the IMU."""
+    focal_px: Array
+    """(N,) Focal length of the observing camera [px]."""
+    uncertainty: PredictionUncertainty
+    """Uncertainty of the prediction."""
+
+    def __len__(self) -> int:
+        """Return the number of landmarks."""
+        return len(self.rows)
+
+    @cached_property
+    def noise_px2(self) -> Array:
+        """(N,) Variance due to image noise and orientation, in each coordinate [px²]."""
+        return self.uncertainty.image_variance_px2 + self.uncertainty.rotation_variance * self.focal_px**2
+
+    @property
+    def median_px(self) -> float:
+        """Median length [px]; 0 without landmarks."""
+        return median(np.hypot(*self.residual_px.T)) if len(self) else 0.0
+
+    @property
+    def nis(self) -> float:
+        """Median of the normalized squares relative to its expectation (NIS); 0 without landmarks."""
+        if not len(self):
+            return 0.0
+        J_u, J_v = self.J_imu[:, 0] @ self.R_world_imu.T, self.J_imu[:, 1] @ self.R_world_imu.T
+        P = self.uncertainty.position_covariance
+        a, b, d = ((J @ P * K).sum(axis=1) for J, K in ((J_u, J_u), (J_u, J_v), (J_v, J_v)))
+        a, d = a + self.noise_px2, d + self.noise_px2  # S = (a b; b d), the innovation's covariance
+        u, v = self.residual_px.T
+        squares = (d * u * u - 2.0 * b * u * v + a * v * v) / (a * d - b * b)
+        return median(squares) / MEDIAN_CHI2_2DOF
+
+
+def innovation(
+    ids: Integers,
+    points: Array,
+    observations: Observations,
+    predicted: NavState,
+    uncertainty: PredictionUncertainty,
+    calibration: Calibration,
+) -> Innovation:
+    """Return the innovation of a frame.
+
+    Args:
+        ids: (L,) Identities of the landmarks, in increasing order.
+        points: (L, 3) Their positions in the world frame [m].
+        observations: The features tracked into the frame.
+        predicted: The state that the IMU predicts for the frame.
+        uncertainty: Uncertainty of the prediction.
+        calibration: The calibration in use.
+    """
+    rows, columns = _common(ids, observations.ids)
+    camera, R, p = observations.camera[columns], predicted.T_world_imu[:3, :3], predicted.T_world_imu[:3, 3]
+    Ts_imu_cam, focal_px = calibration.Ts_imu_cam[camera], calibration.focal_px[camera]
+    in_imu = (points[rows] - p) @ R
+    axes = np.swapaxes(Ts_imu_cam[:, :3, :3], 1, 2)  # rows: the camera axes in the IMU frame
+    in_cam = (axes @ (in_imu - Ts_imu_cam[:, :3, 3])[:, :, None])[:, :, 0]
+    z = np.maximum(in_cam[:, 2:], MIN_DEPTH_M)
+    xy = in_cam[:, :2] / z
+    residual_px = focal_px[:, None] * (observations.xy[columns] - xy)
+    J_imu = (focal_px[:, None] / z)[:, :, None] * (axes[:, :2] - xy[:, :, None] * axes[:, 2:])
+    return Innovation(rows, residual_px, in_imu, J_imu, R, focal_px, uncertainty)
+
+
+def median(values: Array) -> float:
+    """Return the upper median of values (N,), N > 0, at a fifth of the cost of `numpy.median`."""
+    return float(np.partition(values, len(values) // 2)[len(values) // 2])
+
+
+def _common(ids: Integers, others: Integers) -> tuple[Integers, Integers]:
+    """Return the rows of the common identities in each of two increasing arrays."""
+    columns = np.minimum(np.searchsorted(others, ids), len(others) - 1) if len(others) else np.zeros(0, np.int64)
+    rows = np.flatnonzero(others[columns] == ids) if len(others) else columns
+    return rows, columns[rows]
