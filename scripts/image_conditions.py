@@ -25,7 +25,6 @@ import numpy.typing as npt
 import tyro
 from epipolar_tracks import REFINEMENT_AGES, refined_poses, view_pairs
 from image_realism import Array, Section, Tracked, by_age, front_end_tracks, reference_tracks, rotations, section_of
-from initialization_accuracy import ground_truth_of
 from markdown_tables import table, text
 from wrong_inputs import ChangedRecording
 
@@ -148,12 +147,11 @@ def changed(section: Section, condition: Condition) -> Section:
     return replace(section, frames=frames)
 
 
-def ate_mm(section: Section, folder: Path, cameras: int) -> float:
+def ate_mm(section: Section, cameras: int) -> float:
     """Return the absolute trajectory error of the odometry [mm], with yaw and position aligned; infinite if it fails.
 
     Args:
         section: The frames, of which only those of the first cameras are used.
-        folder: Folder of the recording.
         cameras: Number of cameras.
     """
     recording, t_ns = section.recording, section.truth.t_ns
@@ -162,8 +160,9 @@ def ate_mm(section: Section, folder: Path, cameras: int) -> float:
     frames = [replace(frame, images=frame.images[:cameras]) for frame in section.frames]
     images = ChangedRecording(recording.name, rig, recording.imu[first:last], t_ns, frames.__getitem__)
     run = estimate_recording(images, VisualInertialOdometry(rig))
+    assert recording.ground_truth is not None
     try:
-        return 1e3 * float(score(ground_truth_of(recording, folder), run.trajectory, t_ns).ate_m.rmse)
+        return 1e3 * float(score(recording.ground_truth, run.trajectory, t_ns).ate_m.rmse)
     except EvaluationError:
         return float("inf")
 
@@ -184,7 +183,7 @@ def true_poses(section: Section, tracked: Tracked, every: int, refine: bool) -> 
     return refined_poses(poses, pairs[0].joined(pairs[1]), focal_px)[0]
 
 
-def row_of(name: str, section: Section, tracked: Tracked, poses: Array, folder: Path) -> tuple[str, ...]:
+def row_of(name: str, section: Section, tracked: Tracked, poses: Array) -> tuple[str, ...]:
     """Return the row of a condition."""
     ages = by_age(tracked.table, poses, poses, section.recording.rig.cameras[0].model.fx, AGES)
     at, cameras = ages[1], len(section.recording.rig.cameras)
@@ -196,8 +195,8 @@ def row_of(name: str, section: Section, tracked: Tracked, poses: Array, folder: 
         f"{text(at.median_px)} / {text(at.p95_px, '.2f')}",
         text(at.over_1_percent, ".1f"),
         text(matched, ".0f"),
-        text(ate_mm(section, folder, 1), ".1f"),
-        text(ate_mm(section, folder, 2), ".1f") if cameras > 1 else "–",
+        text(ate_mm(section, 1), ".1f"),
+        text(ate_mm(section, 2), ".1f") if cameras > 1 else "–",
     )
 
 
@@ -212,7 +211,7 @@ def main(command: ConditionsCommand) -> int:
         rows = []
         for name in command.conditions:
             images = changed(section, CONDITIONS[name])
-            rows.append(row_of(name, images, front_end_tracks(images, Rs_cur_prev, command.every), poses, folder))
+            rows.append(row_of(name, images, front_end_tracks(images, Rs_cur_prev, command.every), poses))
             print(rows[-1], file=sys.stderr, flush=True)
         print(f"{section.recording.name}, {len(section.frames)} frames; residuals at an age of {AGES[1]} frames.\n")
         print(table(HEADINGS, rows), end="\n\n")

@@ -33,11 +33,12 @@ class BenchmarkCommand(Settings):
 
     An estimator is vio (one camera), vio-stereo (all cameras, at least two), slam and slam-stereo (the same odometry,
     corrected by loops), eqvio (GTSAM's equivariant filter with our front end), dead-reckoning (no camera), your own
-    class, or any program that reads an EuRoC folder and writes a TUM file. A class is given as LABEL=python:package.module:Class; it is made from the rig of the recording and has the
-    methods add_imu and add_frame. Its module is installed or in the current folder. A program is given as
-    LABEL=external:COMMAND with {recording} and {output} in the command. It gets a copy of the recording without ground
-    truth. Its poses must have the time stamps of frames, or differ from them by a constant
-    offset that is stated as LABEL=external@SECONDS:COMMAND.
+    class, or any program that reads an EuRoC folder and writes a TUM file. A class is given as
+    LABEL=python:package.module:Class; it is made from the rig of the recording and has the methods add_imu and
+    add_frame. Its module is installed or in the current folder. A program is given as LABEL=external:COMMAND with
+    {recording} and {output} in the command. It gets a copy of the recording without ground truth. Its poses must have
+    the time stamps of frames, or differ from them by a constant offset that is stated as
+    LABEL=external@SECONDS:COMMAND.
 
     Examples:
       dronevio benchmark --suite room --estimators vio,dead-reckoning --seeds 10

@@ -163,11 +163,11 @@ def test_benchmark_simulates_other_rigs(capsys: Any) -> None:
 
 
 def test_benchmark_simulates_other_image_sensors(capsys: Any) -> None:
-    flights = [scenario_flights(["short"], [0], None, sensor)[0] for sensor in (None, "standard", "vi-sensor")]
+    flights = [scenario_flights(["short"], [0], image_sensor=sensor)[0] for sensor in (None, "standard", "vi-sensor")]
     assert flights[0].recording_hash == flights[1].recording_hash != flights[2].recording_hash
     assert isinstance(flights[2].source, Scenario) and flights[2].source.imaging == VI_SENSOR
     with pytest.raises(ConfigError, match="no image sensor 'no-such-sensor'"):
-        scenario_flights(["short"], [0], None, "no-such-sensor")
+        scenario_flights(["short"], [0], image_sensor="no-such-sensor")
     assert main(["benchmark", "--recordings", "here", "--image-sensor", "vi-sensor"]) == 2
     assert "a recording has its own images" in capsys.readouterr().err
 

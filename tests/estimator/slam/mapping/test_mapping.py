@@ -100,7 +100,7 @@ def errors_m(odometry_flight: "OdometryFlight", poses: dict[int, Array]) -> Arra
     true = list(odometry_flight.true_poses.values())
     from_first, true_from_first = inverse_pose(poses[0]), inverse_pose(true[0])
     errors = [(from_first @ poses[k] - true_from_first @ T)[:3, 3] for k, T in enumerate(true)]
-    return np.linalg.norm(np.array(errors), axis=1)
+    return np.asarray(np.linalg.norm(np.array(errors), axis=1))
 
 
 def test_loops_remove_the_drift(odometry_flight: "OdometryFlight", without_loops: "MappedFlight") -> None:
