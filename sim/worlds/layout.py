@@ -95,3 +95,6 @@ class WorldBuilder:
     """Function that draws the layout from a random generator."""
     difficulty: Difficulty = "normal"
     """Whether the world has enough features for visual estimators, or is difficult by design."""
+    layout_in_daylight: Callable[[np.random.Generator, np.random.Generator], Layout] | None = None
+    """Function that draws the layout from a first random generator, and sun and weather from a second, for a world
+    under the sky; None indoors."""
