@@ -133,6 +133,9 @@ _HARD_WORLDS = (
     Scenario("moving-v0", "a tour of a concourse with moving people and carts", _MEDIUM, world="moving"),
 )
 
+_SINGLE_LAPS = ("warehouse", "hall", "forest", "gates")
+"""Worlds of which the tours fly one lap and revisit no place."""
+
 _LOOPS = tuple(
     Scenario(
         f"{name}-laps-v0",
@@ -247,6 +250,7 @@ SUITES: dict[str, tuple[str, ...]] = {
     "hard": tuple(s.name for s in _HARD_WORLDS),
     "loops": tuple(s.name for s in _LOOPS),
     "loops-deceptive": tuple(s.name for s in _DECEPTIVE_LOOPS),
+    "no-revisits": tuple(s.name for s in _TOURS if s.world in _SINGLE_LAPS),
     "stress": ("room-v0", *(s.name for s in _STRESS)),
 }
 """Names of the scenarios of each suite: those of one world, of one level, or of one kind. The suite ``reference`` has
