@@ -210,7 +210,7 @@ def _painted(name: str, seed: int, texture_seed: int, light_seed: int | None) ->
     shading = layout.shading
     if shading is None:
         shading = tuple(box for box in layout.boxes if box.glow == 0.0)
-    light = bake(surfaces, shading, layout.lights)
+    light = bake(surfaces, shading, layout.lights, layout.scattered)
     pages = paint_pages(faces, light[: len(faces)], paint)
     pages = [shared.page(paint) for shared in layout.prints] + pages  # near to far
     reflecting = [painted(face, light[-1], paint) for face in floor]

@@ -178,7 +178,7 @@ def covisible_shares(views: Views, now: Rows, then: Rows) -> Array:
     """
     bearings = views.bearings
     points = views.ranges_m.reshape(len(views), len(bearings), 1) * bearings  # (K, S, 3) in the camera frame
-    sampled: Flags = np.isfinite(points).all(axis=-1)
+    sampled = np.asarray(np.isfinite(points).all(axis=-1))
     points = np.where(sampled[..., None], points, 0.0)
     Ts_cam_world = inverse_pose(views.Ts_world_cam)
     farthest = _farthest_around(views.ranges_m)
@@ -243,7 +243,7 @@ def revisit_recall(t_ns: Times, revisiting: Flags, t_match_ns: Times, within_s: 
 
 def _are_poses(Ts: Array) -> Flags:
     """Return which matrices (M, 4, 4) are finite and have a rotation (M,)."""
-    finite: Flags = np.isfinite(Ts).all(axis=(1, 2))
+    finite = np.asarray(np.isfinite(Ts).all(axis=(1, 2)))
     R = np.where(finite[:, None, None], Ts[:, :3, :3], 0.0)
     orthogonal = np.abs(np.swapaxes(R, 1, 2) @ R - np.eye(3)).max(axis=(1, 2), initial=0.0) <= _ORTHOGONALITY
     return np.asarray(finite & orthogonal & (np.linalg.det(R) > 0.0))

@@ -73,6 +73,8 @@ class Layout:
     """Boxes that cast shadows; by default all boxes without emission. A few coarse boxes are much faster."""
     illumination: float = 1.0
     """Illumination relative to a well-lit room."""
+    scattered: float = 1.0
+    """Scattered light relative to that of a well-lit room, in addition to the light that comes straight from lamps."""
     moving: tuple[MovingObject, ...] = ()
     """Moving objects of the world."""
     lanes: tuple[Box, ...] = ()

@@ -33,6 +33,7 @@ def test_other_light_leaves_the_geometry(world: str) -> None:
     assert [light.power for light in own.lights] != [light.power for light in other.lights] or any(
         not np.array_equal(a.points, b.points) for a, b in zip(own.lights, other.lights, strict=True)
     )
+    assert any(light.power > 0.0 for light in other.lights)
     assert 0.6 * own.illumination <= other.illumination <= own.illumination
 
 
