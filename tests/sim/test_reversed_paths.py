@@ -2,6 +2,7 @@
 
 from dataclasses import replace
 
+import mujoco
 import numpy as np
 import pytest
 
@@ -12,6 +13,7 @@ from dronevio.sim.paths.plan import FlightPlan
 from dronevio.sim.paths.space import FlightArea, Space
 from dronevio.sim.scenario import Scenario
 from dronevio.sim.scenarios import scenario_named
+from dronevio.sim.world import collision_spec
 
 NOTHING = np.zeros((0, 3))
 ROUTE_M = np.array([[0.0, 0.0, 1.3], [6.0, -3.0, 2.0], [6.0, 3.0, 3.0], [-6.0, 3.0, 2.0], [-6.0, -3.0, 1.0]])
@@ -88,6 +90,18 @@ def test_world_seed_selects_the_world_and_nothing_else() -> None:
     stated, flown, moved = (fly(scenario) for scenario in (replace(base, world_seed=4), base, other))
     assert stated.imu.gyro_rad_s.tobytes() == flown.imu.gyro_rad_s.tobytes()
     np.testing.assert_array_equal(moved.imu_constants.gyro_matrix, flown.imu_constants.gyro_matrix)
+
+
+def test_obstacles_are_those_of_the_world_seed(monkeypatch: pytest.MonkeyPatch) -> None:
+    built: list[tuple[str, int]] = []
+
+    def recorded(world: str, seed: int) -> mujoco.MjSpec:
+        built.append((world, seed))
+        return collision_spec(world, seed)
+
+    monkeypatch.setattr("dronevio.sim.flight.collision_spec", recorded)
+    plant_of(replace(scenario_named("room", 4), world_seed=9))
+    assert built == [("room", 9)]
 
 
 def tour(scenario: Scenario) -> np.ndarray:

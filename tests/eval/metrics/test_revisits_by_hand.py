@@ -88,6 +88,27 @@ def test_hidden_points_are_not_covisible() -> None:
     assert covisible_shares(screened, np.array([0]), np.array([1])) == pytest.approx([1.0])
 
 
+@pytest.mark.parametrize(("factor", "share"), [(1.09, 1.0), (1.11, 0.0)])
+def test_points_a_tenth_behind_a_surface_are_hidden(factor: float, share: float) -> None:
+    views = facing_wall([[0.0, 0.0, 0.0]] * 2, [0.0, 10.0], [0.0, 5.0], np.zeros(2))
+    views.ranges_m[:] = np.array([1.0, factor])[:, None, None]  # spheres around the camera
+    assert covisible_shares(views, np.array([1]), np.array([0])).tolist() == [share]
+
+
+def test_pixels_without_a_surface_do_not_count() -> None:
+    views = facing_wall([[0.0, 0.0, 0.0], [0.0, 0.0, 0.5]], [0.0, 10.0], [0.0, 5.0], np.zeros(2))
+    views.ranges_m[1, :, :8] = np.inf
+    assert covisible_shares(views, np.array([1]), np.array([0])).tolist() == [1.0]
+
+
+def test_a_camera_rolled_about_its_axis_revisits() -> None:
+    views = pair()
+    rolled = views.Ts_world_cam.copy()
+    rolled[1, :3, :3] = exp_so3(np.array([0.0, 0.0, np.radians(60.0)]))
+    ranges = np.repeat(views.ranges_m[:1], 2, axis=0)
+    assert find_revisits(replace(views, Ts_world_cam=rolled, ranges_m=ranges)).now.tolist() == [1]
+
+
 def test_surfaces_behind_the_camera_are_not_covisible() -> None:
     views = pair(turned_deg=179.9, dx_m=0.0)
     views.ranges_m[1] = WALL_M
@@ -160,13 +181,14 @@ def test_tolerances_of_loops_are_settings() -> None:
 
 
 def test_matrices_that_are_no_poses_are_wrong_loops() -> None:
-    claimed, true = (np.repeat(T, 5, axis=0) for T in loop(0.0, 0.0))
+    claimed, true = (np.repeat(T, 6, axis=0) for T in loop(0.0, 0.0))
     claimed[0, 0, 3] = np.nan
     claimed[1, :3, :3] = 0.0
     claimed[2, :3, :3] *= 1.1
     claimed[3, :3, :3] *= -1.0
-    assert right_loops(claimed, true, np.full(5, 4.0)).tolist() == [False] * 4 + [True]
-    assert right_loops(claimed, true, np.full(5, np.nan)).tolist() == [False] * 5
+    claimed[4, :3, 2] *= -1.0  # a reflection
+    assert right_loops(claimed, true, np.full(6, 4.0)).tolist() == [False] * 5 + [True]
+    assert right_loops(claimed, true, np.full(6, np.nan)).tolist() == [False] * 6
 
 
 def test_a_loop_to_a_place_that_looks_the_same_is_wrong() -> None:
