@@ -2,6 +2,7 @@
 
 import json
 from contextlib import closing
+from dataclasses import replace
 from pathlib import Path
 
 from dronevio.models.errors import ConfigError, IncompleteError
@@ -66,6 +67,8 @@ def record_flight(
         flight.schedule,
         scenario.imaging,
         truth_images,
+        world_seed=scenario.world_seed,
+        light_seed=scenario.light_seed,
     )
     _write_settings(folder, _settings(scenario, flight))
     write_euroc(folder, scenario.rig, flight.imu, flight.truth, flight.schedule.stamps_ns)
@@ -112,7 +115,7 @@ def record_closed_loop(
         written += 1
 
     with (
-        closing(LiveCameras(scenario.true_rig, scenario.world, scenario.seed, scenario.imaging)) as cameras,
+        closing(cameras_of(scenario)) as cameras,
         unfinished(mav0, [f"cam{number}" for number in range(len(scenario.rig.cameras))]),
     ):
         try:
@@ -124,6 +127,18 @@ def record_closed_loop(
             where = f"{error.filename}: " if error.filename else ""
             raise IncompleteError(f"stopped after {written} frames: {where}{error.strerror}") from error
     return flight
+
+
+def cameras_of(scenario: Scenario) -> LiveCameras:
+    """Return the cameras of a scenario, which render its images during the flight. Close them after use."""
+    return LiveCameras(
+        scenario.true_rig,
+        scenario.world,
+        scenario.seed_of_world,
+        scenario.imaging,
+        noise_seed=scenario.seed,
+        light_seed=scenario.light_seed,
+    )
 
 
 def record_refly(
@@ -189,7 +204,8 @@ def rig_of(name_or_file: str) -> Rig:
 
 def _settings(scenario: Scenario, flight: Flight) -> dict[str, object]:
     """Return the settings of a simulated flight, with what the simulator has drawn or taken as constant."""
-    return {"scenario": scenario, "imu_constants": flight.imu_constants, "gravity_m_s2": GRAVITY_M_S2}
+    stated = replace(scenario, world_seed=scenario.seed_of_world)
+    return {"scenario": stated, "imu_constants": flight.imu_constants, "gravity_m_s2": GRAVITY_M_S2}
 
 
 def _write_settings(folder: Path, settings: dict[str, object]) -> None:

@@ -132,7 +132,7 @@ def depth_of(recording: EurocRecording) -> Iterator[DepthAt]:
     from dronevio.sim.world import build_world
 
     scenario = json.loads((recording.mav0.parent / SCENARIO_FILE).read_text(encoding="utf-8"))["scenario"]
-    model = build_world(scenario["world"], scenario["seed"]).spec.compile()
+    model = build_world(scenario["world"], scenario["world_seed"]).spec.compile()
     with OffscreenCamera(model, recording.rig.cameras[0].model) as camera:
         yield lambda T_world_cam: camera.render_surfaces(T_world_cam).depth_m
 

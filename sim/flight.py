@@ -81,8 +81,8 @@ def plant_of(scenario: Scenario) -> QuadrotorPlant:
     return QuadrotorPlant(
         scenario.true_rig,
         scenario.quadrotor,
-        surroundings=collision_spec(scenario.world, scenario.seed),
-        pad_m=flight_area(scenario.world, scenario.seed).pad,
+        surroundings=collision_spec(scenario.world, scenario.seed_of_world),
+        pad_m=flight_area(scenario.world, scenario.seed_of_world).pad,
         wind=scenario.wind,
         failure=scenario.faults.motor_failure,
         rng=scenario.generator("wind"),
@@ -95,8 +95,11 @@ def reference_of(scenario: Scenario, plant: QuadrotorPlant) -> Reference:
     Raises:
         ConfigError: The world is unknown, or the plan does not fit into it.
     """
-    area = flight_area(scenario.world, scenario.seed)
-    return plan_reference(scenario.plan, area, plant.standing_height_m, plant.interval_ns, scenario.generator("path"))
+    area = flight_area(scenario.world, scenario.seed_of_world)
+    rng = scenario.generator("path")
+    return plan_reference(
+        scenario.plan, area, plant.standing_height_m, plant.interval_ns, rng, reverse=scenario.reverse
+    )
 
 
 def fly(scenario: Scenario, progress: Progress = silent, controller: ControllerFactory = SE3Controller) -> Flight:

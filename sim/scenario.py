@@ -36,7 +36,18 @@ class Scenario:
     faults: Faults = field(default_factory=Faults)
     """Faults of vehicle and sensors."""
     seed: int = 0
-    """Seed of the world, the waypoints, the gusts and the sensor errors, each with its own random stream."""
+    """Seed of the waypoints, the gusts and the sensor errors, each with its own random stream, and of the world."""
+    world_seed: int | None = None
+    """Seed of layout, textures and moving objects of the world instead of ``seed``; None for ``seed``."""
+    light_seed: int | None = None
+    """Seed of other light in the world (`dronevio.sim.worlds.lighting`); None for the light of the world itself."""
+    reverse: bool = False
+    """Whether the tour is flown in the opposite direction, through the same waypoints."""
+
+    @property
+    def seed_of_world(self) -> int:
+        """Seed of layout, textures and moving objects of the world."""
+        return self.seed if self.world_seed is None else self.world_seed
 
     @property
     def true_rig(self) -> Rig:

@@ -133,6 +133,42 @@ _HARD_WORLDS = (
     Scenario("moving-v0", "a tour of a concourse with moving people and carts", _MEDIUM, world="moving"),
 )
 
+_SINGLE_LAPS = ("warehouse", "hall", "forest", "gates")
+"""Worlds of which the tours fly one lap and revisit no place."""
+
+_LOOPS = tuple(
+    Scenario(
+        f"{name}-laps-v0",
+        f"{laps} laps of {tour}, {level}",
+        FlightPlan(shape=shape, laps=laps, limits=LIMITS[level]),
+        world=world,
+    )
+    for name, world, tour, laps, shape, level in (
+        ("room", "room", "the tour of a furnished room", 5, "tour", "easy"),
+        ("room-square", "room", "a square in a furnished room", 5, "square", "medium"),
+        ("corridor", "corridor", "the corridor of an office floor", 3, "tour", "easy"),
+        ("hall", "hall", "the tour of a machine hall", 2, "tour", "easy"),
+        ("warehouse", "warehouse", "the tour of a warehouse", 2, "tour", "easy"),
+        ("forest", "forest", "the tour of a forest", 2, "tour", "medium"),
+    )
+)
+"""Flights that come back: 40 to 80 % of their frames revisit a place (`dronevio.eval.metrics.revisits`)."""
+
+_DECEPTIVE_LOOPS = tuple(
+    Scenario(
+        f"{world}-laps-v0",
+        f"2 laps of the tour of {place}, medium",
+        FlightPlan(shape="tour", laps=2, limits=LIMITS["medium"]),
+        world=world,
+    )
+    for world, place in (
+        ("repetitive", "a tiled station whose places look alike"),
+        ("mirror", "a hall with a reflecting floor"),
+        ("moving", "a concourse with moving people and carts"),
+    )
+)
+"""Flights that come back in worlds in which the recognition of places errs."""
+
 _SHAPES = tuple(
     Scenario(f"room-{shape}-v0", description, FlightPlan(tour_s=20.0, shape=shape, limits=LIMITS["medium"]))
     for shape, description in {
@@ -190,7 +226,17 @@ _STRESS = (
 
 SCENARIOS: dict[str, Scenario] = {
     scenario.name: scenario
-    for scenario in (*_FIRST_FLIGHTS, *_TOURS, *_RACES, *_SHAPES, _NANO, *_HARD_WORLDS, *_STRESS)
+    for scenario in (
+        *_FIRST_FLIGHTS,
+        *_TOURS,
+        *_RACES,
+        *_SHAPES,
+        _NANO,
+        *_HARD_WORLDS,
+        *_LOOPS,
+        *_DECEPTIVE_LOOPS,
+        *_STRESS,
+    )
 }
 """All scenarios by name and version, each with seed 0."""
 
@@ -202,6 +248,9 @@ SUITES: dict[str, tuple[str, ...]] = {
     "race": tuple(s.name for s in _RACES),
     "shapes": tuple(s.name for s in _SHAPES),
     "hard": tuple(s.name for s in _HARD_WORLDS),
+    "loops": tuple(s.name for s in _LOOPS),
+    "loops-deceptive": tuple(s.name for s in _DECEPTIVE_LOOPS),
+    "no-revisits": tuple(s.name for s in _TOURS if s.world in _SINGLE_LAPS),
     "stress": ("room-v0", *(s.name for s in _STRESS)),
 }
 """Names of the scenarios of each suite: those of one world, of one level, or of one kind. The suite ``reference`` has

@@ -8,12 +8,14 @@ from typing import Literal
 
 import numpy as np
 
-Stream = Literal["layout", "paint", "images", "frames", "path", "imu", "wind", "faults"]
-"""The subsystems: layout and textures of the world, image noise, frame times, path, IMU errors, gusts and faults."""
+Stream = Literal["layout", "paint", "light", "images", "frames", "path", "imu", "wind", "faults"]
+"""The subsystems: layout, textures and other light of the world, image noise, frame times, path, IMU errors, gusts
+and faults."""
 
 _KEYS: dict[Stream, int] = {
     "layout": 10,
     "paint": 11,
+    "light": 12,
     "images": 20,
     "frames": 21,
     "path": 30,

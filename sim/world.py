@@ -27,6 +27,7 @@ from dronevio.sim.worlds.forest import FOREST
 from dronevio.sim.worlds.gates import GATES
 from dronevio.sim.worlds.hall import HALL
 from dronevio.sim.worlds.layout import Layout, Poses, WorldBuilder
+from dronevio.sim.worlds.lighting import drawn_layout
 from dronevio.sim.worlds.low_texture import LOW_TEXTURE
 from dronevio.sim.worlds.mirror import MIRROR
 from dronevio.sim.worlds.moving import MOVING
@@ -91,7 +92,13 @@ class World:
     """Moving objects of the world."""
 
 
-def build_world(name: str, seed: int, texture_seed: int | None = None, texture_reduction: int = 1) -> World:
+def build_world(
+    name: str,
+    seed: int,
+    texture_seed: int | None = None,
+    texture_reduction: int = 1,
+    light_seed: int | None = None,
+) -> World:
     """Build a world from its name and seed.
 
     Args:
@@ -101,12 +108,13 @@ def build_world(name: str, seed: int, texture_seed: int | None = None, texture_r
             objects, does not depend on it.
         texture_reduction: Factor by which the textures are smaller along each axis, at most the gutter between
             textures. A reduced world takes less memory, and suits small images.
+        light_seed: Seed of other light, by default the light that belongs to the layout.
 
     Raises:
         ConfigError: The world is unknown.
     """
     require_world(name)
-    layout, appearance = _painted(name, seed, seed if texture_seed is None else texture_seed)
+    layout, appearance = _painted(name, seed, seed if texture_seed is None else texture_seed, light_seed)
     spec = assembled(layout, appearance if texture_reduction == 1 else appearance.reduced(texture_reduction))
     spec.modelname = f"{name}-{seed}"
     return World(
@@ -135,14 +143,19 @@ def flight_area(name: str, seed: int) -> FlightArea:
     return FlightArea(space_of(layout), layout.free_box, layout.pad, layout.route, layout.gates)
 
 
-def illumination_and_movers(name: str, seed: int) -> tuple[float, tuple[Mover, ...]]:
+def illumination_and_movers(name: str, seed: int, light_seed: int | None = None) -> tuple[float, tuple[Mover, ...]]:
     """Return the illumination and the moving objects of a world, without painting its textures.
+
+    Args:
+        name: A key of `WORLDS`.
+        seed: Seed of the layout.
+        light_seed: Seed of other light, by default the light that belongs to the layout.
 
     Raises:
         ConfigError: The world is unknown.
     """
     require_world(name)
-    layout = WORLDS[name].layout(_generators(seed)[0])
+    layout = drawn_layout(WORLDS[name], _generators(seed)[0], _light(light_seed))
     return layout.illumination, _movers(layout)
 
 
@@ -187,17 +200,17 @@ def require_world(name: str) -> None:
 
 
 @lru_cache(maxsize=2)
-def _painted(name: str, seed: int, texture_seed: int) -> tuple[Layout, Appearance]:
+def _painted(name: str, seed: int, texture_seed: int, light_seed: int | None) -> tuple[Layout, Appearance]:
     """Return layout and appearance of a world; cached, since painting takes seconds."""
     drawing, paint = _generators(seed)[0], _generators(texture_seed)[1]
-    layout = WORLDS[name].layout(drawing)
+    layout = drawn_layout(WORLDS[name], drawing, _light(light_seed))
     surfaces = seen_surfaces(layout)
     standing = len(surfaces) - (layout.mirror is not None)
     faces, floor = surfaces[:standing], surfaces[standing:]
     shading = layout.shading
     if shading is None:
         shading = tuple(box for box in layout.boxes if box.glow == 0.0)
-    light = bake(surfaces, shading, layout.lights)
+    light = bake(surfaces, shading, layout.lights, layout.scattered)
     pages = paint_pages(faces, light[: len(faces)], paint)
     pages = [shared.page(paint) for shared in layout.prints] + pages  # near to far
     reflecting = [painted(face, light[-1], paint) for face in floor]
@@ -211,3 +224,8 @@ def _painted(name: str, seed: int, texture_seed: int) -> tuple[Layout, Appearanc
 def _generators(seed: int) -> tuple[np.random.Generator, np.random.Generator]:
     """Return the random generators of layout and textures."""
     return generator(seed, "layout"), generator(seed, "paint")
+
+
+def _light(seed: int | None) -> np.random.Generator | None:
+    """Return the random generator of other light; None for the light that belongs to the layout."""
+    return None if seed is None else generator(seed, "light")

@@ -96,6 +96,14 @@ class FlightOptions(Settings):
     """Name of the scenario; `dronevio scenarios` lists them."""
     seed: Annotated[int, Range(0, 2**32 - 1)] = 0
     """Seed of the world, the route and the errors of the sensors."""
+    world_seed: Annotated[int | None, Range(0, 2**32 - 1)] = None
+    """Seed of layout, textures and moving objects of the world, instead of --seed. Flights with the same world seed are
+    in the same world."""
+    light_seed: Annotated[int | None, Range(0, 2**32 - 1)] = None
+    """Seed of other light in the same world: the power of lamps and windows, or sun and weather. By default, the light
+    belongs to the world."""
+    reverse: bool = False
+    """Fly the tour in the opposite direction."""
     world: str | None = None
     """World that replaces the one of the scenario; `dronevio worlds` lists them."""
     vehicle: str | None = None
@@ -130,6 +138,9 @@ class FlightOptions(Settings):
         return cls(
             scenario=scenario.name,
             seed=scenario.seed,
+            world_seed=scenario.world_seed,
+            light_seed=scenario.light_seed,
+            reverse=scenario.reverse,
             image_sensor=image_sensor,
             plan=scenario.plan,
             imaging=ImagingOptions.of(imaging),
@@ -158,6 +169,9 @@ class FlightOptions(Settings):
         return replace(
             base,
             world=self.world or base.world,
+            world_seed=self.world_seed,
+            light_seed=self.light_seed,
+            reverse=self.reverse,
             quadrotor=base.quadrotor if self.vehicle is None else vehicle_named(self.vehicle),
             rig=rig if self.imu is None else replace(rig, imu=imu_named(self.imu)),
             plan=self.plan,

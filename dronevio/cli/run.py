@@ -4,7 +4,7 @@ import json
 import shlex
 import shutil
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
@@ -161,7 +161,7 @@ def _run(
     from dronevio.sim.world import build_world
     from dronevio.surroundings import surroundings_of
 
-    surroundings = surroundings_of(build_world(scenario.world, scenario.seed))
+    surroundings = surroundings_of(build_world(scenario.world, scenario.seed_of_world, light_seed=scenario.light_seed))
     estimated = flown_and_estimated(scenario, command, mission, folder, surroundings, bars)
     print_defects(estimated.run.defects)
     print_run_warnings(estimated.run)
@@ -172,7 +172,7 @@ def _run(
     shutil.copyfile(folder / "recording" / "mav0" / "imu0" / "data.csv", folder / "imu.csv")
     configuration = {
         "dronevio": __version__,
-        "scenario": to_jsonable(scenario),
+        "scenario": to_jsonable(replace(scenario, world_seed=scenario.seed_of_world)),
         "estimator": to_jsonable(command.estimator),
         "fly_on": command.fly_on,
         "loop": to_jsonable(command.loop),

@@ -46,7 +46,9 @@ class AreaLight:
         return AreaLight(self.points @ R.T + position, self.power, normal)
 
 
-def bake(faces: Sequence[Surface], blockers: Sequence[Box], lights: Sequence[AreaLight]) -> list[Field]:
+def bake(
+    faces: Sequence[Surface], blockers: Sequence[Box], lights: Sequence[AreaLight], scattered: float = 1.0
+) -> list[Field]:
     """Return the light map (rows, columns) of each face, 1 in a well-lit place.
 
     Direct light is computed from the samples of every light with shadow rays against the boxes; scattered light is
@@ -56,6 +58,7 @@ def bake(faces: Sequence[Surface], blockers: Sequence[Box], lights: Sequence[Are
         faces: The surfaces to light.
         blockers: Boxes that cast shadows.
         lights: The area lights.
+        scattered: Scattered light, relative to a well-lit place.
     """
     shapes, points, normals = [], [], []
     for face in faces:
@@ -68,7 +71,7 @@ def bake(faces: Sequence[Surface], blockers: Sequence[Box], lights: Sequence[Are
     p, n = (np.concatenate(parts).T.astype(np.float32, order="C") for parts in (points, normals))
     direct = _direct_light(p, n, blockers, lights)
     direct *= _DIRECT / max(float(np.percentile(direct, 80)), 1e-6)
-    light = (_AMBIENT * _openness(p, n, blockers) + direct) ** 0.75  # tone curve
+    light = (scattered * _AMBIENT * _openness(p, n, blockers) + direct) ** 0.75  # tone curve
     light = np.minimum(light, _BRIGHTEST)
     cuts = np.cumsum([rows * columns for rows, columns in shapes])[:-1]
     return [

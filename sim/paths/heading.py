@@ -53,6 +53,11 @@ def toward(point: Array) -> HeadingProfile:
     return profile
 
 
+def mirrored(profile: HeadingProfile) -> HeadingProfile:
+    """Return the profile of headings that turn in the opposite direction."""
+    return lambda t, position, velocity: -profile(t, position, velocity)
+
+
 def spinning(rate_rad_s: float, turn_s: float, lap_s: float) -> HeadingProfile:
     """Return the profile of a rotation back and forth.
 

@@ -79,7 +79,13 @@ class Reference:
 
 
 def plan_reference(
-    plan: FlightPlan, area: FlightArea, standing_height_m: float, interval_ns: int, rng: np.random.Generator
+    plan: FlightPlan,
+    area: FlightArea,
+    standing_height_m: float,
+    interval_ns: int,
+    rng: np.random.Generator,
+    *,
+    reverse: bool = False,
 ) -> Reference:
     """Return the reference trajectory of a plan in a world.
 
@@ -89,6 +95,7 @@ def plan_reference(
         standing_height_m: Height of the centre of mass of the standing drone [m].
         interval_ns: Time between rows [ns].
         rng: Generator of the displacements of the waypoints.
+        reverse: Whether the tour is flown in the opposite direction, through the same waypoints.
 
     Returns:
         Rows from t = 0, at rest on the pad or in the motion after ``skip_s``, to rest on the pad.
@@ -99,7 +106,7 @@ def plan_reference(
     stand = area.pad + [0.0, 0.0, standing_height_m]
     hover = stand + [0.0, 0.0, plan.height_m]
     reach = _reach(plan, area, stand, hover)
-    tour = (timed_segment if plan.shape == TIMED_WAYPOINTS else shape_segment)(plan, area, hover, reach, rng)
+    tour = (timed_segment if plan.shape == TIMED_WAYPOINTS else shape_segment)(plan, area, hover, reach, rng, reverse)
     # Given durations of tour, climb and descent are exact.
     limits = None if plan.shape == TIMED_WAYPOINTS else plan.limits
     climb = straight(stand, hover, plan.takeoff_s, 0.0, limits)

@@ -6,7 +6,7 @@ import numpy as np
 import numpy.typing as npt
 from scipy.interpolate import BSpline
 
-from dronevio.sim.paths.heading import HeadingProfile, across, along, fixed, heading_curve, toward
+from dronevio.sim.paths.heading import HeadingProfile, across, along, fixed, heading_curve, mirrored, toward
 from dronevio.sim.paths.limits import Limits
 from dronevio.sim.paths.minimum_snap import minimum_snap, minimum_time_knots
 from dronevio.sim.paths.plan import FlightPlan
@@ -43,7 +43,7 @@ def straight(start: Array, end: Array, least_s: float, yaw_rad: float, limits: L
 
 
 def timed_segment(
-    plan: FlightPlan, area: FlightArea, hover: Array, reach: Array, rng: np.random.Generator
+    plan: FlightPlan, area: FlightArea, hover: Array, reach: Array, rng: np.random.Generator, reverse: bool = False
 ) -> PathSegment:
     """Return the tour of a plan with relative waypoints and a duration.
 
@@ -53,15 +53,17 @@ def timed_segment(
         hover: (3,) First and last point [m].
         reach: (2, 3) Usable extent relative to the hover, below and above on each axis [m].
         rng: Generator of the displacements of the waypoints.
+        reverse: Whether the waypoints are flown in reverse order.
     """
     fractions = np.array(plan.waypoints).reshape(-1, 3)
     fractions = fractions + plan.waypoint_jitter * rng.uniform(-1.0, 1.0, fractions.shape)
+    fractions = fractions[::-1] if reverse else fractions
     knots, offsets, yaw = timed_knots(fractions, plan.tour_s, reach)
     return PathSegment(minimum_snap(knots, offsets + hover), minimum_snap(knots, plan.heading_scale * yaw), plan.tour_s)
 
 
 def shape_segment(
-    plan: FlightPlan, area: FlightArea, hover: Array, reach: Array, rng: np.random.Generator
+    plan: FlightPlan, area: FlightArea, hover: Array, reach: Array, rng: np.random.Generator, reverse: bool = False
 ) -> PathSegment:
     """Return the tour of a plan with a shape, as fast as its limits allow and clear of obstacles.
 
@@ -71,6 +73,8 @@ def shape_segment(
         hover: (3,) First and last point [m].
         reach: (2, 3) Extent of the free space relative to the hover, below and above on each axis [m].
         rng: Generator of the displacements of the waypoints.
+        reverse: Whether each lap is flown in the opposite direction, from the same first waypoint. The rotations of a
+            shape on the spot are reversed.
 
     Raises:
         ConfigError: An obstacle blocks the tour.
@@ -78,10 +82,13 @@ def shape_segment(
     arena = Arena(area, hover + reach[0], hover + reach[1], plan.limits, np.array(plan.waypoints).reshape(-1, 3))
     course = SHAPES[plan.shape](arena)
     knots, points = (
-        _laps(plan, arena, hover, course, rng) if len(course.lap) else _on_the_spot(plan, area, hover, course)
+        _laps(plan, arena, hover, course, rng, reverse) if len(course.lap) else _on_the_spot(plan, area, hover, course)
     )
     path, end_s = minimum_snap(knots, points), float(knots[-1])
-    heading = heading_curve(_heading_profile(plan, area, course), path, end_s, plan.limits.yaw_rate_rad_s, 0.0)
+    profile = _heading_profile(plan, area, course)
+    if reverse and not len(course.lap):
+        profile = mirrored(profile)
+    heading = heading_curve(profile, path, end_s, plan.limits.yaw_rate_rad_s, 0.0)
     return PathSegment(path, heading, end_s)
 
 
@@ -109,7 +116,7 @@ def _on_the_spot(plan: FlightPlan, area: FlightArea, hover: Array, course: Cours
 
 
 def _laps(
-    plan: FlightPlan, arena: Arena, hover: Array, course: Course, rng: np.random.Generator
+    plan: FlightPlan, arena: Arena, hover: Array, course: Course, rng: np.random.Generator, reverse: bool
 ) -> tuple[Array, Array]:
     """Return times (K,) and points (K, 3) of all laps of a course, from the hover and back to it.
 
@@ -117,7 +124,8 @@ def _laps(
         ConfigError: There is no collision-free route.
     """
     space = arena.area.space
-    lap = _perturbed(course.lap, plan, arena, rng)
+    order = _order(len(course.lap), course.closed, reverse)
+    lap = _perturbed(course.lap, plan, arena, rng)[order]
     laps = plan.laps
     if plan.tour_s > 0.0:
         one, two = (
@@ -125,10 +133,19 @@ def _laps(
         )
         laps = max(1, round(1.0 + (plan.tour_s - one) / (two - one)))
     points, numbers = _waypoint_sequence(hover, lap, laps, course.closed)
-    names = [f"waypoint {k} of the {plan.shape}" if k >= 0 else "the hover above the pad" for k in numbers]
+    names = [f"waypoint {order[k]} of the {plan.shape}" if k >= 0 else "the hover above the pad" for k in numbers]
     return collision_free_curve(
         space, collision_free_polyline(space, points, plan.margin_m, names), plan.margin_m, plan.limits
     )
+
+
+def _order(count: int, closed: bool, reverse: bool) -> npt.NDArray[np.int64]:
+    """Return the indices (count,) of the waypoints of a lap in the order of the flight.
+
+    A closed lap begins with its first waypoint, which is close to the hover, in either direction.
+    """
+    order = np.arange(count)
+    return np.roll(order[::-1], 1 if closed else 0) if reverse else order
 
 
 def _waypoint_sequence(hover: Array, lap: Array, laps: int, closed: bool) -> tuple[Array, list[int]]:

@@ -28,18 +28,19 @@ class CompiledWorld:
 
 
 @contextmanager
-def compiled_world(world: str, seed: int, t_ns: Times) -> Iterator[CompiledWorld]:
+def compiled_world(world: str, seed: int, t_ns: Times, light_seed: int | None = None) -> Iterator[CompiledWorld]:
     """Build a world and keep it in temporary files during the context.
 
     Args:
         world: Name of the world.
         seed: Seed of the world.
         t_ns: (N,) Times of the trajectories of moving objects [ns]; the flight starts at the first.
+        light_seed: Seed of other light, by default the light that belongs to the layout.
 
     Raises:
         ConfigError: The world is unknown.
     """
-    built = build_world(world, seed)
+    built = build_world(world, seed, light_seed=light_seed)
     with TemporaryDirectory(prefix="dronevio-") as scratch:
         whole, unpainted = Path(scratch) / "world.mjb", Path(scratch) / "things.mjb"
         mujoco.mj_saveModel(built.spec.compile(), str(whole), None)

@@ -55,6 +55,7 @@ class LiveCameras:
         *,
         texture_seed: int | None = None,
         noise_seed: int | None = None,
+        light_seed: int | None = None,
         start_ns: int = 0,
         design_rate_rad_s: float = DESIGN_RATE_RAD_S,
     ) -> None:
@@ -67,6 +68,7 @@ class LiveCameras:
             imaging: Exposure control and noise of the image sensors.
             texture_seed: Seed of the textures, by default that of the world.
             noise_seed: Seed of the noise of the image sensors, by default that of the world.
+            light_seed: Seed of other light in the world, by default the light that belongs to its layout.
             start_ns: True time of the start of the flight, from which moving objects move [ns].
             design_rate_rad_s: Angular velocity of the rig that determines the margin of the key images around the
                 image [rad/s]. Frames during faster rotation are rendered from more key images and take longer.
@@ -76,7 +78,7 @@ class LiveCameras:
         """
         require_cameras(rig, imaging)
         self._rig, self._imaging = rig, imaging
-        self._key = WorldKey(world, seed, seed if texture_seed is None else texture_seed)
+        self._key = WorldKey(world, seed, seed if texture_seed is None else texture_seed, light_seed=light_seed)
         self._noise_seed, self._start_ns = seed if noise_seed is None else noise_seed, start_ns
         longest_s = imaging.control.longest_s
         self._margins_px = [_margin_px(camera, longest_s, design_rate_rad_s) for camera in rig.cameras]

@@ -23,6 +23,8 @@ class WorldKey:
     """Seed of its textures."""
     texture_reduction: int = 1
     """Factor by which its textures are smaller along each axis; if it is not 1, mipmaps are not blended."""
+    light_seed: int | None = None
+    """Seed of other light; None for the light that belongs to the layout."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -75,12 +77,12 @@ def _loaded(key: WorldKey, grey: bool) -> LoadedWorld:
 @lru_cache(maxsize=2)
 def _compiled(key: WorldKey) -> tuple[mujoco.MjModel, float, tuple[Mover, ...]]:
     """Return the compiled model of a world, its illumination and its moving objects."""
-    return compiled(repr(key), partial(_built, key)), *illumination_and_movers(key.name, key.seed)
+    return compiled(repr(key), partial(_built, key)), *illumination_and_movers(key.name, key.seed, key.light_seed)
 
 
 def _built(key: WorldKey) -> mujoco.MjModel:
     """Build and compile a world."""
-    world = build_world(key.name, key.seed, key.texture_seed, key.texture_reduction)
+    world = build_world(key.name, key.seed, key.texture_seed, key.texture_reduction, key.light_seed)
     size = world.spec.visual.global_
     size.offwidth = size.offheight = 1  # the frame buffer grows to what is rendered; a small one is faster
     return world.spec.compile()

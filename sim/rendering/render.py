@@ -7,7 +7,7 @@ metered with images of 1/64 of the pixels.
 """
 
 from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import AbstractContextManager, contextmanager
 from pathlib import Path
 
 import numpy as np
@@ -62,7 +62,7 @@ def render_frames(job: RenderJob, mav0: Path, progress: Progress = silent, worke
 
     folders = [f"cam{number}" for number in range(len(job.rig.cameras))] + [FOLDERS[kind] for kind in job.truth_images]
     try:
-        with compiled_world(job.world, job.seed, job.trajectory.t_ns) as world, unfinished(mav0, folders):
+        with _compiled(job) as world, unfinished(mav0, folders):
             truth = _exposed(job, world, shares)
             write_text(mav0 / FRAME_TRUTH_FILE, frame_truth_text(truth))
             if "segmentation" in job.truth_images:
@@ -76,6 +76,12 @@ def render_frames(job: RenderJob, mav0: Path, progress: Progress = silent, worke
             raise
         raise IncompleteError(f"stopped after {finished} of {count} frames: {error}") from error
     return truth
+
+
+def _compiled(job: RenderJob) -> AbstractContextManager[CompiledWorld]:
+    """Return the context of the compiled world of a job."""
+    seed = job.seed if job.world_seed is None else job.world_seed
+    return compiled_world(job.world, seed, job.trajectory.t_ns, job.light_seed)
 
 
 @contextmanager

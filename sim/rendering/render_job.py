@@ -25,7 +25,7 @@ class RenderJob:
     world: str
     """Name of the world, a key of `dronevio.sim.world.WORLDS`."""
     seed: int
-    """Seed of the world and of the noise of the image sensors."""
+    """Seed of the noise of the image sensors, and of the world."""
     rig: Rig
     """The true rig with its cameras."""
     trajectory: Trajectory
@@ -38,6 +38,10 @@ class RenderJob:
     """Kinds of ground-truth images of the first camera to write."""
     T_simworld_world: Array = field(default_factory=lambda: np.eye(4))
     """(4, 4) Pose of the trajectory's world frame in the simulated world."""
+    world_seed: int | None = None
+    """Seed of the world instead of ``seed``; None for ``seed``."""
+    light_seed: int | None = None
+    """Seed of other light in the world; None for the light of the world itself."""
 
     def __post_init__(self) -> None:
         """Check that the settings are consistent.

@@ -81,10 +81,17 @@ _BARKS: tuple[Colour, ...] = ((124, 100, 78), (104, 90, 76), (146, 134, 120), (1
 _STONE: Colour = (138, 134, 126)
 
 
-def layout(rng: Random) -> Layout:
-    """Draw a forest."""
+def layout(rng: Random, light: Random | None = None) -> Layout:
+    """Draw a forest.
+
+    Args:
+        rng: Generator of everything but the light.
+        light: Generator of sun and weather; the first one by default.
+    """
     season, weather = _SEASONS[int(rng.integers(len(_SEASONS)))], outdoors.WEATHERS[int(rng.integers(4))]
     toward = outdoors.sun(rng)
+    if light is not None:
+        weather, toward = outdoors.daylight(light)
     route = _ROUTE_M + np.vstack([np.zeros(3), rng.uniform(-1.0, 1.0, (len(_ROUTE_M) - 1, 3)) * _ROUTE_JITTER_M])
     plantation = _trees(rng, route, toward)
     loose, boulders = _undergrowth(rng, route, plantation, toward)
@@ -262,5 +269,5 @@ def _dabs(
         cv2.ellipse(image, (int(x), int(y)), size, 180 * tone * 7, 0, 360, ink, -1)
 
 
-FOREST = WorldBuilder("tall trees around a clearing, with boulders, bushes and logs", layout)
+FOREST = WorldBuilder("tall trees around a clearing, with boulders, bushes and logs", layout, layout_in_daylight=layout)
 """The forest."""

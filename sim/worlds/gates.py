@@ -62,9 +62,16 @@ _BARKS: tuple[Colour, ...] = ((120, 98, 76), (104, 90, 76), (140, 128, 116), (11
 _NOTHING: Paint = partial(textures.plain, colour=race.BLACK)
 
 
-def layout(rng: Random) -> Layout:
-    """Draw a race course."""
+def layout(rng: Random, light: Random | None = None) -> Layout:
+    """Draw a race course.
+
+    Args:
+        rng: Generator of everything but the light.
+        light: Generator of sun and weather; the first one by default.
+    """
     weather, toward = outdoors.WEATHERS[int(rng.integers(4))], outdoors.sun(rng)
+    if light is not None:
+        weather, toward = outdoors.daylight(light)
     gates = _course(rng)
     route = np.vstack([_START_M, *[gate.middle + step * gate.ahead for gate in gates for step in (-_RUN_M, _RUN_M)]])
     colours = [race.PAINTS[int(i)] for i in rng.permutation(len(race.PAINTS))]
@@ -265,5 +272,5 @@ def _chalk(image: Image, gate: Gate) -> None:
         cv2.line(image, (u0, v0), (u1, v1), (222, 224, 214), round(0.1 * _FIELD_PX_PER_M), cv2.LINE_AA)
 
 
-GATES = WorldBuilder("coloured gates on a field that are flown through in order", layout)
+GATES = WorldBuilder("coloured gates on a field that are flown through in order", layout, layout_in_daylight=layout)
 """The race."""

@@ -73,6 +73,8 @@ class Layout:
     """Boxes that cast shadows; by default all boxes without emission. A few coarse boxes are much faster."""
     illumination: float = 1.0
     """Illumination relative to a well-lit room."""
+    scattered: float = 1.0
+    """Scattered light relative to that of a well-lit room, in addition to the light that comes straight from lamps."""
     moving: tuple[MovingObject, ...] = ()
     """Moving objects of the world."""
     lanes: tuple[Box, ...] = ()
@@ -95,3 +97,6 @@ class WorldBuilder:
     """Function that draws the layout from a random generator."""
     difficulty: Difficulty = "normal"
     """Whether the world has enough features for visual estimators, or is difficult by design."""
+    layout_in_daylight: Callable[[np.random.Generator, np.random.Generator], Layout] | None = None
+    """Function that draws the layout from a first random generator, and sun and weather from a second, for a world
+    under the sky; None indoors."""

@@ -54,6 +54,11 @@ def sun(rng: Random) -> Array:
     return np.array([np.cos(azimuth) * np.cos(height), np.sin(azimuth) * np.cos(height), np.sin(height)])
 
 
+def daylight(rng: Random) -> tuple[Weather, Array]:
+    """Return the weather and the unit vector (3,) toward the sun at another time."""
+    return WEATHERS[int(rng.integers(len(WEATHERS)))], sun(rng)
+
+
 def sunlight(toward: Array) -> AreaLight:
     """Return the area light of a sun in a direction (3,)."""
     return AreaLight(_SUN_M * toward[None], 1.0 * _SUN_M**2)

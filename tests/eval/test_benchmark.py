@@ -391,6 +391,26 @@ def test_rows_name_the_processor(tmp_path: Path) -> None:
     assert row.processor and row.machine.startswith(f"{row.processor}, ")
 
 
+def test_a_recording_is_deleted_after_all_its_runs(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    seen: list[int] = []
+
+    def write(job: Job, folder: Path) -> None:
+        (folder / "image.png").write_bytes(b"grey")
+
+    def count(job: Job, recording: Path, estimator: str) -> Outcome:
+        seen.append(len(list(recording.iterdir())))
+        return Outcome("ok", "", {"ate_m": 0.1}, 1.0, 1.0, None)
+
+    monkeypatch.setattr(Job, "_record", write)
+    monkeypatch.setattr(Job, "estimate", count)
+    for keep, left in ((False, []), (True, ["one"])):
+        spec = RecordingSpec("room-v0", "room", 0, "one", None)
+        rows = list(Job(spec, ("a", "b"), NoPipeline(), tmp_path, 60.0, keep).run())
+        assert [row.status for row in rows] == ["ok", "ok"] and seen == [1, 1]
+        assert [folder.name for folder in RecordingCache(tmp_path).recordings()] == left
+        seen.clear()
+
+
 def test_failed_runs_are_repeated_on_request(tmp_path: Path) -> None:
     run_benchmark(benchmark(tmp_path), ResultStore(tmp_path), FakeEngine(status="failed"))
     again, retry = FakeEngine(), FakeEngine()

@@ -66,7 +66,7 @@ def small_world(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
     lamp.add_geom(type=mujoco.mjtGeom.mjGEOM_SPHERE, size=[0.05, 0.0, 0.0], material="glow_0")
     spec.stat.extent = 10.0
     world = SimpleNamespace(spec=spec, illumination=0.8, movers=(Mover("lamp", crossing),))
-    monkeypatch.setattr(compiled_world, "build_world", lambda name, seed: world)
+    monkeypatch.setattr(compiled_world, "build_world", lambda name, seed, light_seed: world)
     monkeypatch.setattr(compiled_world, "instance_spec", lambda name, seed: spec)
     monkeypatch.setattr(loaded_world, "_compiled", lambda key: (spec.compile(), world.illumination, world.movers))
     LOADED_WORLDS.clear()

@@ -76,7 +76,7 @@ def small_world(monkeypatch: pytest.MonkeyPatch) -> SimpleNamespace:
         )
     spec.stat.extent = 10.0
     world = SimpleNamespace(spec=spec, illumination=1.0, movers=())
-    monkeypatch.setattr("dronevio.sim.rendering.compiled_world.build_world", lambda name, seed: world)
+    monkeypatch.setattr("dronevio.sim.rendering.compiled_world.build_world", lambda name, seed, light_seed: world)
     monkeypatch.setattr("dronevio.sim.rendering.compiled_world.instance_spec", lambda name, seed: spec)
     return world
 
