@@ -19,6 +19,7 @@ from dronevio.eval.metrics import (
     rotation_errors_rad,
     translation_errors_m,
 )
+from dronevio.eval.rerun.drone_body import DroneBody
 from dronevio.eval.rerun.entities import EstimateEntities
 from dronevio.eval.rerun.events import EventLog
 from dronevio.eval.rerun.sink import Sink, quat_xyzw
@@ -69,7 +70,15 @@ class EstimateLog:
     """Logs the estimates of one estimator."""
 
     def __init__(
-        self, sink: Sink, name: str, colour: str, rule: AlignmentRule, *, is_single: bool = True, axis_m: float = 0.35
+        self,
+        sink: Sink,
+        name: str,
+        colour: str,
+        rule: AlignmentRule,
+        *,
+        is_single: bool = True,
+        axis_m: float = 0.35,
+        body: DroneBody | None = None,
     ) -> None:
         """Log how the estimates are drawn.
 
@@ -80,6 +89,7 @@ class EstimateLog:
             rule: Determines the alignment with the displayed world frame.
             is_single: Whether it is the only estimator of the recording, so that curves need not bear its name.
             axis_m: Length of the axes of the IMU frame [m].
+            body: Body of the drone, whose edges are drawn at the estimated pose; None to draw the axes only.
         """
         self._sink = sink
         self._entities = EstimateEntities(name)
@@ -92,6 +102,9 @@ class EstimateLog:
         self._events = EventLog(sink, self._entities)
         self._error_styles_are_logged = False
         self._log_styles(axis_m)
+        if body is not None:
+            lines = rr.LineStrips3D(body.edges, colors=colours.rgb(colour), radii=rr.Radius.ui_points(1.2))
+            sink.static(self._entities.body, lines)
 
     def _log_styles(self, axis_m: float) -> None:
         """Log colours and sizes of all entities."""
