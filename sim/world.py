@@ -24,7 +24,7 @@ from dronevio.sim.worlds.assembly import (
 )
 from dronevio.sim.worlds.corridor import CORRIDOR
 from dronevio.sim.worlds.dark import DARK
-from dronevio.sim.worlds.drawn_scenery import MAX_PIXELS, drawn_mirror, drawn_pages
+from dronevio.sim.worlds.drawn_scenery import MAX_PIXELS, cut_pages, drawn_mirror, drawn_pages
 from dronevio.sim.worlds.forest import FOREST
 from dronevio.sim.worlds.gates import GATES
 from dronevio.sim.worlds.hall import HALL
@@ -199,7 +199,9 @@ def scenery_of(name: str, seed: int, light_seed: int | None = None) -> Scenery:
     """
     require_world(name)
     layout, appearance = _painted(name, seed, seed, light_seed)
-    meshes = drawn_pages(appearance.pages)
+    foliage = len(layout.prints)
+    cut = cut_pages(appearance.pages[:foliage], layout.low, layout.high)
+    meshes = drawn_pages([*(page for page in cut if len(page.vertices)), *appearance.pages[foliage:]])
     if layout.mirror is not None and appearance.mirror is not None:
         meshes = (*meshes, drawn_mirror(layout.mirror, appearance.mirror))
     return Scenery(outline_of(layout), meshes)

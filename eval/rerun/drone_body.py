@@ -66,7 +66,9 @@ class DroneBody:
         return cls(
             in_imu(np.concatenate([triangles for triangles, _, _ in parts])),
             np.concatenate([np.full(len(triangles), lightness) for triangles, lightness, _ in parts]),
-            np.concatenate([np.resize(np.repeat(shades, 2), len(t)) if len(t) == 12 else shades for t, _, shades in parts]),
+            np.concatenate(
+                [np.resize(np.repeat(shades, 2), len(t)) if len(t) == 12 else shades for t, _, shades in parts]
+            ),
             tuple(in_imu(line) for line in (*frame, nose, *rotors)),
         )
 

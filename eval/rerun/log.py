@@ -32,7 +32,7 @@ ImageLogFactory = Callable[[Sink, str, float], ImageLog]
 
 _IMAGE_PLANE_SHARE = 0.06  # distance of an image in the 3D view from its camera, as a share of the scene's diagonal
 _IMAGE_PLANE_LIMITS_M = (0.1, 10.0)
-_BODY_SHARE = 0.03  # smallest span of the drawn drone, as a share of the scene's diagonal
+_BODY_SHARE = 0.05  # smallest span of the drawn drone, as a share of the scene's diagonal
 _AXIS_SHARE = 0.6  # length of the axes of the estimated IMU frame, as a share of that distance
 _MAX_PATH_POINTS = 1500  # of a drawn path: the truth has 200 poses per second
 

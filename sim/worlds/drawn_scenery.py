@@ -15,7 +15,27 @@ MAX_PIXELS = 320_000
 """Largest number of pixels of all textures of a world."""
 MAX_CUTOUTS = 5000
 """Number of quadrangles of a page above which only some of them are drawn, which are larger."""
+MARGIN_M = 2.0
+"""Width of the strip around a flight space in which trees are drawn [m]."""
 _MIN_REDUCTION = 4
+
+
+def cut_pages(pages: Sequence[Page], low: Array, high: Array) -> list[Page]:
+    """Return pages without the quadrangles that would hide a flight space from a viewpoint outside, such as tree tops.
+
+    Args:
+        pages: The pages.
+        low: (3,) Lower corner of the flight space [m].
+        high: (3,) Upper corner of the flight space [m]; quadrangles above are left out.
+    """
+    margin = np.array([MARGIN_M, MARGIN_M, 0.0])
+    cut = []
+    for page in pages:
+        middle = page.vertices.reshape(-1, 4, 3).mean(axis=1)
+        inside = np.all((middle[:, :2] > (low - margin)[:2]) & (middle[:, :2] < (high + margin)[:2]), axis=1)
+        rows = np.repeat(inside & (middle[:, 2] < high[2]), 4)
+        cut.append(Page(page.texture, page.vertices[rows], page.texture_coordinates[rows], page.normals[rows]))
+    return cut
 
 
 def drawn_pages(pages: Sequence[Page], max_pixels: int = MAX_PIXELS) -> tuple[TexturedMesh, ...]:

@@ -16,7 +16,7 @@ from dronevio.eval.rerun.entities import EstimateEntities
 from dronevio.eval.rerun.files import run_file, write_rrd
 from dronevio.eval.rerun.surroundings import Surroundings
 from dronevio.eval.run import EstimatorRun, tracks_of
-from dronevio.eval.scene import VIEW_ASPECT, VIEWER_FIELD_OF_VIEW_RAD, fit_eye
+from dronevio.eval.scene import VIEW_ASPECT, VIEWER_FIELD_OF_VIEW_RAD, fit_view
 from dronevio.models.errors import EvaluationError, InputError
 from dronevio.models.imu import ImuSamples, Times
 from dronevio.models.protocols import Recording
@@ -216,7 +216,7 @@ def test_rows_before_an_unreadable_image_are_in_the_file(
 @pytest.mark.parametrize("seed", range(5))
 def test_the_initial_view_contains_all_points_and_is_close(seed: int) -> None:
     points = np.random.default_rng(seed).uniform(-1.0, 1.0, (50, 3)) * [5.0, 3.0, 1.5] + [10.0, -4.0, 1.0]
-    position, target = fit_eye(points)
+    position, target = fit_view(points)
     forward = (target - position) / np.linalg.norm(target - position)
     right = np.cross(forward, [0.0, 0.0, 1.0])
     right /= np.linalg.norm(right)
