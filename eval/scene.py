@@ -1,4 +1,4 @@
-"""Geometry of drawings in three dimensions: an upright frame, robust limits, camera frusta, and a viewpoint that sees all.
+"""Geometry of drawings in three dimensions: an upright frame, robust limits, camera frusta, and a view of all.
 
 Images do not determine which direction is up. Photographs and most cameras of drones have no roll, so that the x axes
 of the camera frames are horizontal: up is the direction to which they are orthogonal.
@@ -168,7 +168,7 @@ def view_azimuth_deg(Rs_scene_cam: Array, offset_deg: float = 35.0, otherwise_de
 
 
 def reconstruction_view(reconstruction: Reconstruction, R_scene_world: Array) -> tuple[Array, Array]:
-    """Return position (3,) and target (3,) of a viewpoint in the world frame that sees the scene from behind its cameras.
+    """Return position (3,) and target (3,) of a viewpoint in the world frame behind the cameras of the scene.
 
     Args:
         reconstruction: The reconstruction, with at least one point or camera.

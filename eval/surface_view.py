@@ -53,7 +53,7 @@ def surface_view(reconstruction: Reconstruction, points: Array, aspect: float) -
 
 
 def _fitted(points: Array, target: Array, distance: float, azimuth_deg: float, aspect: float) -> Array:
-    """Return the position of a viewpoint that looks at a target, at a distance at which most points fill the picture."""
+    """Return the position of a viewpoint at a distance from its target at which most points fill the picture."""
     back, right, up = view_axes(azimuth_deg, _LOW_ELEVATION_DEG)
     tangent = np.tan(0.5 * VIEWER_FIELD_OF_VIEW_RAD)
     for _ in range(_FIT_ITERATIONS):

@@ -20,9 +20,10 @@ if TYPE_CHECKING:
 class LogCommand(Settings):
     """Write estimated trajectories and their recording to a rerun file, which `dronevio view` opens.
 
-    The file shows the estimated and true paths, the errors over time, the scores, the images of all cameras and the IMU
-    samples, and the surroundings of a simulated flight. Estimates of any program are accepted: TUM files or EuRoC CSV files with poses of the IMU whose time stamps
-    are those of the recording. Each is aligned with the ground truth; without ground truth, with the first estimate.
+    The file shows the estimated and true paths, the errors over time, the scores, the images of all cameras, the IMU
+    samples, and the surroundings of a simulated flight. Estimates of any program are accepted: TUM files or EuRoC CSV
+    files with poses of the IMU whose time stamps are those of the recording. Each is aligned with the ground truth;
+    without ground truth, with the first estimate.
 
     Examples:
       dronevio log V1_01_easy estimate.tum

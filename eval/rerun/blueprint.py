@@ -173,7 +173,7 @@ def _plot(
 
 
 def _eye_controls(points: Array) -> rrb.EyeControls3D:
-    """Return the viewpoint of the 3D view, above a corner of the scene at the smallest distance that shows all of it."""
+    """Return the viewpoint of the 3D view, above a corner of the scene at the smallest distance that shows all."""
     if len(points) == 0:
         return rrb.EyeControls3D()
     position, target = fit_view(points)

@@ -61,7 +61,8 @@ def decode_grey(path: Path, data: bytes, width: int, height: int, where: str = "
     if damage:
         raise DamagedImageError(path, f"{where}{damage}", expected)
     found = encoded_size(data)
-    if found is not None and found != (width, height):  # before memory for its pixels is allocated
+    if found is not None and found not in ((width, height), (height, width)):  # EXIF data may state a rotation
+        # before memory for the pixels is allocated
         raise InputError(path, f"{where}an image of {found[0]} × {found[1]} px", expected)
     try:
         image = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_GRAYSCALE)

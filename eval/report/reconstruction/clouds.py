@@ -112,7 +112,7 @@ def draw_perspective(ax: Axes, component: Reconstruction) -> None:
 
 
 def _projected(in_view: Array) -> Array:
-    """Return perspective projections (…, 2) of points (…, 3) in the frame of a viewpoint; ±1 is the upper and lower edge."""
+    """Return perspective projections (…, 2) of points (…, 3) in the frame of a view; ±1 is the upper and lower edge."""
     return np.asarray(in_view[..., :2] / in_view[..., 2:] / np.tan(0.5 * VIEWER_FIELD_OF_VIEW_RAD))
 
 
