@@ -1,5 +1,6 @@
 """Benchmarks: isolated processes, cached recordings, tables of results, and resumed or failed runs."""
 
+import fcntl
 import math
 import os
 import platform
@@ -248,6 +249,31 @@ def test_lock_files_go_with_their_recordings(tmp_path: Path) -> None:
     assert sorted(entry.name for entry in tmp_path.iterdir()) == [".abc.lock", "abc"]
     cache.remove("abc")
     assert not list(tmp_path.iterdir())
+
+
+def test_a_lock_file_that_was_replaced_is_locked_again(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Between the exclusive and the shared lock, another process removes the recording and makes it again."""
+    flock, replaced = fcntl.flock, 0
+    cache, other = RecordingCache(tmp_path), RecordingCache(tmp_path)
+
+    def make(folder: Path) -> None:
+        (folder / "whole").write_text("")
+
+    def interrupted(lock: Any, operation: int) -> None:
+        nonlocal replaced
+        replaced += operation == fcntl.LOCK_SH
+        if operation == fcntl.LOCK_SH and replaced == 1:
+            flock(lock, fcntl.LOCK_UN)
+            other.remove("abc")
+            with other.acquire("abc", make):
+                pass
+        flock(lock, operation)
+
+    monkeypatch.setattr(fcntl, "flock", interrupted)
+    with cache.acquire("abc", make) as folder:
+        assert replaced == 3
+        other.remove("abc")  # in use
+        assert (folder / "whole").exists()
 
 
 def test_a_deleted_lock_is_not_waited_for_in_vain(tmp_path: Path) -> None:
