@@ -246,7 +246,7 @@ def reference_s(flight: "SyntheticFlight") -> float:
     start_s = time.process_time()
     for before, image in itertools.pairwise(images):
         corners = cv2.goodFeaturesToTrack(before, 150, 0.01, 10)
-        cv2.calcOpticalFlowPyrLK(before, image, corners, None)
+        cv2.calcOpticalFlowPyrLK(before, image, corners, np.zeros_like(corners))
     return time.process_time() - start_s
 
 
