@@ -118,7 +118,9 @@ class EstimateLog:
         static(entities.event_markers, rr.Points3D.from_fields(colors=[255, 255, 255], radii=rr.Radius.ui_points(5.0)))
         static(entities.tracks, rr.Points2D.from_fields(radii=rr.Radius.ui_points(2.5)))
         for entity, brightness, radius in ((entities.landmarks, 0.75, 0.8), (entities.visible_landmarks, 1.0, 1.3)):
-            colour = [round(brightness * v) for v in colours.rgb(colours.LANDMARKS if self._is_single else self._colour)]
+            colour = [
+                round(brightness * v) for v in colours.rgb(colours.LANDMARKS if self._is_single else self._colour)
+            ]
             static(entity, rr.Points3D.from_fields(colors=colour, radii=rr.Radius.ui_points(radius)))
         names, shades = [str(health) for health in Health], [colours.rgb(_HEALTH_COLOURS[h]) for h in Health]
         static(entities.health, rr.StateConfiguration(values=names, labels=names, colors=shades))

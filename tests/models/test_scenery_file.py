@@ -76,7 +76,7 @@ def test_wrong_arrays_are_refused(tmp_path: Path, arrays: dict[str, Any], messag
         read_scenery(folder)
 
 
-def test_large_textures_and_archives_are_refused_before_they_are_decoded(tmp_path: Path) -> None:
+def test_large_textures_and_archives_are_refused(tmp_path: Path) -> None:
     jpeg = cv2.imencode(".jpg", np.zeros((8, 8, 3), np.uint8))[1].tobytes()
     at = jpeg.index(b"\xff\xc0") + 5
     large = jpeg[:at] + (60_000).to_bytes(2, "big") * 2 + jpeg[at + 4 :]

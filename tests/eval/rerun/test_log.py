@@ -169,7 +169,7 @@ def test_without_truth_the_estimate_is_not_aligned(
     assert not any(entity.startswith("error") for entity in columns)
 
 
-def test_surfaces_replace_the_outline_and_are_visible_from_their_front(
+def test_surfaces_replace_the_outline(
     flight: "SyntheticFlight", tmp_path: Path, read_rrd: "ReadRrd", verify_rrd: "VerifyRrd"
 ) -> None:
     vertices = np.array([(-3, -3, 0), (3, -3, 0), (3, 3, 0), (-3, 3, 0)], np.float32)
