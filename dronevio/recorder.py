@@ -126,7 +126,9 @@ def record_closed_loop(
             _write_settings(folder, _settings(scenario, flight))
             write_euroc(folder, scenario.rig, flight.imu, flight.truth, flight.schedule.stamps_ns)
             write_text(mav0 / FRAME_TRUTH_FILE, frame_truth_text(cameras.frames))
-            write_scenery(folder / SCENERY_FILE, scenery_of(scenario.world, scenario.seed_of_world, scenario.light_seed))
+            write_scenery(
+                folder / SCENERY_FILE, scenery_of(scenario.world, scenario.seed_of_world, scenario.light_seed)
+            )
         except OSError as error:
             where = f"{error.filename}: " if error.filename else ""
             raise IncompleteError(f"stopped after {written} frames: {where}{error.strerror}") from error

@@ -207,7 +207,9 @@ def scenery_of(name: str, seed: int, light_seed: int | None = None) -> Scenery:
     return Scenery(outline_of(layout), meshes)
 
 
-def moving_scenery(name: str, seed: int, light_seed: int | None = None) -> tuple[tuple[Mover, tuple[TexturedMesh, ...]], ...]:
+def moving_scenery(
+    name: str, seed: int, light_seed: int | None = None
+) -> tuple[tuple[Mover, tuple[TexturedMesh, ...]], ...]:
     """Return the moving objects of a world, each with its surfaces in the frame of its body.
 
     Args:
