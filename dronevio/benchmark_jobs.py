@@ -168,9 +168,11 @@ def recorded_flights(paths: Iterable[Path]) -> tuple[RecordingSpec, ...]:
 
     flights: dict[str, RecordingSpec] = {}
     for path in paths:
-        whole = path.resolve().parent if path.resolve().name == "mav0" else path.resolve()
-        digest = recording_hash(whole)
-        read_trajectory(whole)  # raises an error without ground truth before the first run
+        is_inner = path.resolve().name == "mav0"
+        given = (path.parent if path.name == "mav0" else path / "..") if is_inner else path  # for messages
+        whole = path.resolve().parent if is_inner else path.resolve()
+        digest = recording_hash(given)
+        read_trajectory(given)  # raises an error without ground truth before the first run
         name = whole.stem if whole.is_file() else whole.name
         if name in flights:
             raise ConfigError(f"{path} and {flights[name].path}, both named {name}; expected different names")

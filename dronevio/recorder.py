@@ -12,6 +12,7 @@ from dronevio.models.protocols import Estimator
 from dronevio.models.recordings.euroc import write_euroc
 from dronevio.models.recordings.files import write_text
 from dronevio.models.recordings.frame_truth import FRAME_TRUTH_FILE, frame_truth_text
+from dronevio.models.recordings.scenery_file import SCENERY_FILE, write_scenery
 from dronevio.models.rig import Rig
 from dronevio.models.rig_presets import RIGS, rig_named
 from dronevio.models.serialization import to_jsonable
@@ -27,6 +28,7 @@ from dronevio.sim.rendering.render import render_frames, unfinished
 from dronevio.sim.rendering.render_job import RenderJob
 from dronevio.sim.rendering.truth_images import TruthImage
 from dronevio.sim.scenario import Scenario
+from dronevio.sim.world import scenery_of
 
 SCENARIO_FILE = "scenario.json"
 """Name of the file beside ``mav0`` with all settings of the flight."""
@@ -73,6 +75,7 @@ def record_flight(
     _write_settings(folder, _settings(scenario, flight))
     write_euroc(folder, scenario.rig, flight.imu, flight.truth, flight.schedule.stamps_ns)
     render_frames(job, folder / "mav0", rendering, workers)
+    write_scenery(folder / SCENERY_FILE, scenery_of(scenario.world, scenario.seed_of_world, scenario.light_seed))
     return flight
 
 
@@ -123,6 +126,9 @@ def record_closed_loop(
             _write_settings(folder, _settings(scenario, flight))
             write_euroc(folder, scenario.rig, flight.imu, flight.truth, flight.schedule.stamps_ns)
             write_text(mav0 / FRAME_TRUTH_FILE, frame_truth_text(cameras.frames))
+            write_scenery(
+                folder / SCENERY_FILE, scenery_of(scenario.world, scenario.seed_of_world, scenario.light_seed)
+            )
         except OSError as error:
             where = f"{error.filename}: " if error.filename else ""
             raise IncompleteError(f"stopped after {written} frames: {where}{error.strerror}") from error

@@ -1,4 +1,4 @@
-"""Geometry of drawings in three dimensions: an upright frame, robust limits, camera frusta, and an eye that sees all.
+"""Geometry of drawings in three dimensions: an upright frame, robust limits, camera frusta, and a view of all.
 
 Images do not determine which direction is up. Photographs and most cameras of drones have no roll, so that the x axes
 of the camera frames are horizontal: up is the direction to which they are orthogonal.
@@ -34,7 +34,7 @@ _FORWARD_SHARE = 0.5  # weight of −z beside −y in the sign of the up directi
 _FRUSTUM_SHARES = (0.015, 0.04)  # limits of the depth of a drawn frustum, as shares of the scene's diagonal
 _MAX_CORNER = 1.5  # largest normalized coordinate of a drawn corner, for fisheye lenses
 _FRUSTUM_EDGES = np.array([(0, 1), (0, 2), (0, 3), (0, 4), (1, 2), (2, 3), (3, 4), (4, 1)])  # vertex 0 is the camera
-_FITTED_SIZE_M = 100.0  # to which a reconstruction of unknown scale is scaled for `fit_eye`
+_FITTED_SIZE_M = 100.0  # to which a reconstruction of unknown scale is scaled for `fit_view`
 _ELEVATION_DEG = 25.0
 _LIMIT_PERCENT = 95.0  # percentile of the reprojection errors at the end of the colour scale
 _RESIDUAL_SHARE = 0.02  # length of a drawn residual at the end of the colour scale, as a share of the image
@@ -154,7 +154,7 @@ def frusta(reconstruction: Reconstruction, depth: float) -> Array:
 
 
 def view_azimuth_deg(Rs_scene_cam: Array, offset_deg: float = 35.0, otherwise_deg: float = 40.0) -> float:
-    """Return the azimuth of a view from behind the cameras and beside them, as `fit_eye` needs it [°].
+    """Return the azimuth of a view from behind the cameras and beside them, as `fit_view` needs it [°].
 
     Args:
         Rs_scene_cam: (C, 3, 3) Orientations of the cameras in a frame with z up.
@@ -167,8 +167,8 @@ def view_azimuth_deg(Rs_scene_cam: Array, offset_deg: float = 35.0, otherwise_de
     return float(np.degrees(np.arctan2(forward[1], forward[0])) + offset_deg)
 
 
-def reconstruction_eye(reconstruction: Reconstruction, R_scene_world: Array) -> tuple[Array, Array]:
-    """Return position (3,) and target (3,) of an eye in the world frame that sees the scene from behind its cameras.
+def reconstruction_view(reconstruction: Reconstruction, R_scene_world: Array) -> tuple[Array, Array]:
+    """Return position (3,) and target (3,) of a viewpoint in the world frame behind the cameras of the scene.
 
     Args:
         reconstruction: The reconstruction, with at least one point or camera.
@@ -179,14 +179,14 @@ def reconstruction_eye(reconstruction: Reconstruction, R_scene_world: Array) -> 
     in_scene = shown @ R_scene_world.T
     scale = _FITTED_SIZE_M / max(float(np.ptp(in_scene, axis=0).max()), np.finfo(float).tiny)
     azimuth_deg = view_azimuth_deg(R_scene_world @ reconstruction.Ts_world_cam[:, :3, :3])
-    position, target = fit_eye(in_scene * scale, azimuth_deg, _ELEVATION_DEG)  # it expects metres
+    position, target = fit_view(in_scene * scale, azimuth_deg, _ELEVATION_DEG)  # it expects metres
     return position / scale @ R_scene_world, target / scale @ R_scene_world
 
 
-def fit_eye(
+def fit_view(
     points: Array, azimuth_deg: float = 40.0, elevation_deg: float = 38.0, aspect: float = VIEW_ASPECT
 ) -> tuple[Array, Array]:
-    """Return position (3,) and target (3,) of an eye such that points fill the 3D view [m].
+    """Return position (3,) and target (3,) of a viewpoint such that points fill the 3D view [m].
 
     From a distance D, a point at height h above the optical axis and depth d in front of the target is visible if
     |h| ≤ (D − d) tan(fov / 2), and likewise for the width. The distance is the smallest D for which all points are.
@@ -194,7 +194,7 @@ def fit_eye(
     Args:
         points: (N, 3) Points that the view contains, N > 0 [m].
         azimuth_deg: Direction of view in the horizontal plane, from the x axis [°].
-        elevation_deg: Elevation of the eye above the target [°].
+        elevation_deg: Elevation of the viewpoint above the target [°].
         aspect: Width of the view relative to its height.
     """
     back, right, up = view_axes(azimuth_deg, elevation_deg)
@@ -214,7 +214,7 @@ def fit_eye(
 
 
 def view_axes(azimuth_deg: float, elevation_deg: float) -> tuple[Array, Array, Array]:
-    """Return the unit vectors (3,) backward, right and up of an eye; see `fit_eye`."""
+    """Return the unit vectors (3,) backward, right and up of a viewpoint; see `fit_view`."""
     azimuth, elevation = np.radians([azimuth_deg, elevation_deg])
     back = np.array([-np.cos(elevation) * np.cos(azimuth), -np.cos(elevation) * np.sin(azimuth), np.sin(elevation)])
     right = np.array([np.sin(azimuth), -np.cos(azimuth), 0.0])

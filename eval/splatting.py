@@ -16,7 +16,7 @@ _AMBIENT = 0.2  # brightness of surfaces that are opposite to the light
 
 
 @dataclass(frozen=True, eq=False)
-class Eye:
+class ViewCamera:
     """A pinhole camera that looks at a scene."""
 
     position: Array
@@ -33,8 +33,8 @@ class Eye:
     @classmethod
     def looking_at(
         cls, position: Array, target: Array, up: Array, field_of_view_rad: float, width: int, height: int
-    ) -> "Eye":
-        """Return an eye at a position (3,) that looks at a target (3,) with an up direction (3,)."""
+    ) -> "ViewCamera":
+        """Return a camera at a position (3,) that looks at a target (3,) with an up direction (3,)."""
         forward = (target - position) / np.linalg.norm(target - position)
         right = np.cross(forward, up)
         right /= np.linalg.norm(right)
@@ -47,50 +47,50 @@ class Eye:
         return float(0.5 * self.height / np.tan(0.5 * self.field_of_view_rad))
 
     def faces(self, points: Array, normals: Array) -> npt.NDArray[np.bool_]:
-        """Return which points (N,) of surfaces with outward normals (N, 3) face the eye."""
+        """Return which points (N,) of surfaces with outward normals (N, 3) face the camera."""
         return np.asarray(np.einsum("ij,ij->i", self.position - points, normals) > 0.0)
 
 
-def splat(eye: Eye, points: Array, colours: Image, size: float) -> Image:
+def splat(camera: ViewCamera, points: Array, colours: Image, size: float) -> Image:
     """Return a picture (H, W, 3) of points.
 
     Args:
-        eye: The camera.
+        camera: The camera.
         points: (N, 3) Points in the world frame.
         colours: (N, 3) Their colours.
         size: Side of the squares in the unit of the world frame; each covers at least one pixel.
     """
-    picture = np.empty((eye.height, eye.width, 3), np.uint8)
+    picture = np.empty((camera.height, camera.width, 3), np.uint8)
     picture[:] = BACKGROUND
-    in_eye = (points - eye.position) @ eye.axes.T
-    ahead = in_eye[:, 2] > 0.0
+    in_camera = (points - camera.position) @ camera.axes.T
+    ahead = in_camera[:, 2] > 0.0
     if not ahead.any():
         return picture
-    ahead &= in_eye[:, 2] > _NEAR_SHARE * np.median(in_eye[ahead, 2])
-    in_eye, colours = in_eye[ahead], colours[ahead]
-    order = np.argsort(-in_eye[:, 2], kind="stable")  # the last one assigned to a pixel is the nearest
-    in_eye, colours = in_eye[order], colours[order]
-    side = np.clip(np.ceil(eye.focal_px * size / in_eye[:, 2]), 1, _MAX_SIDE_PX).astype(np.int64)
-    centre = eye.focal_px * in_eye[:, :2] / in_eye[:, 2:] + 0.5 * np.array([eye.width, eye.height])
+    ahead &= in_camera[:, 2] > _NEAR_SHARE * np.median(in_camera[ahead, 2])
+    in_camera, colours = in_camera[ahead], colours[ahead]
+    order = np.argsort(-in_camera[:, 2], kind="stable")  # the last one assigned to a pixel is the nearest
+    in_camera, colours = in_camera[order], colours[order]
+    side = np.clip(np.ceil(camera.focal_px * size / in_camera[:, 2]), 1, _MAX_SIDE_PX).astype(np.int64)
+    centre = camera.focal_px * in_camera[:, :2] / in_camera[:, 2:] + 0.5 * np.array([camera.width, camera.height])
     first = np.floor(centre - 0.5 * (side[:, None] - 1)).astype(np.int64)
     rows, pixels = [], []
     for dy in range(int(side.max())):
         for dx in range(int(side.max())):
             u, v = first[:, 0] + dx, first[:, 1] + dy
-            drawn = (np.maximum(dx, dy) < side) & (u >= 0) & (u < eye.width) & (v >= 0) & (v < eye.height)
+            drawn = (np.maximum(dx, dy) < side) & (u >= 0) & (u < camera.width) & (v >= 0) & (v < camera.height)
             rows.append(np.flatnonzero(drawn))
-            pixels.append((v * eye.width + u)[drawn])
+            pixels.append((v * camera.width + u)[drawn])
     row, pixel = np.concatenate(rows), np.concatenate(pixels)
-    nearest = np.full(eye.height * eye.width, -1, np.int64)
+    nearest = np.full(camera.height * camera.width, -1, np.int64)
     np.maximum.at(nearest, pixel, row)
     covered = nearest >= 0
     picture.reshape(-1, 3)[covered] = colours[nearest[covered]]
     return picture
 
 
-def shaded(normals: Array, eye: Eye) -> Image:
-    """Return grey colours (N, 3) of a surface with normals (N, 3), lit from the upper left of an eye."""
-    right, down, forward = eye.axes
+def shaded(normals: Array, camera: ViewCamera) -> Image:
+    """Return grey colours (N, 3) of a surface with normals (N, 3), lit from the upper left of a camera."""
+    right, down, forward = camera.axes
     light = -forward - 0.5 * right - 0.7 * down
     light /= np.linalg.norm(light)
     brightness = _AMBIENT + (1.0 - _AMBIENT) * (0.5 + 0.5 * normals @ light) ** 2  # not constant in the shade

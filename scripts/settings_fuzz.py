@@ -55,6 +55,8 @@ class FuzzCommand:
 class Trial:
     """One setting with an extreme value."""
 
+    setting: str
+    """Name of the setting."""
     name: str
     """Name of the setting and its value."""
     config: VioConfig | None
@@ -71,11 +73,12 @@ def trials(config: Any, path: tuple[str, ...] = ()) -> Iterator[Trial]:
         for value in dict.fromkeys((*WRONG, *(float(end) for end in ends if end is not None))):
             whole = int(value) if number.kind is int and math.isfinite(value) else value
             given = (whole,) * len(getattr(config, number.name)) if number.many else whole
-            name = f"{'.'.join((*path, number.name))} = {value:g}"
+            setting = ".".join((*path, number.name))
+            name = f"{setting} = {value:g}"
             try:
-                yield Trial(name, changed(root, path, {number.name: given}))
+                yield Trial(setting, name, changed(root, path, {number.name: given}))
             except RangeError:
-                yield Trial(name, None)
+                yield Trial(setting, name, None)
     for field in fields(config):
         if is_dataclass(getattr(config, field.name)):
             yield from trials(getattr(config, field.name), (*path, field.name))
@@ -135,10 +138,12 @@ def main(command: FuzzCommand) -> int:
         if t_ns >= begin_ns - 50_000_000:
             section.append(measurement)
     refused = tried = failed = 0
+    settings = set()
     slowest = (0.0, "")
     for trial in trials(VioConfig()):
         if command.only and not any(word in trial.name for word in command.only):
             continue
+        settings.add(trial.setting)
         if trial.config is None:
             refused += 1
             continue
@@ -151,7 +156,7 @@ def main(command: FuzzCommand) -> int:
             failed += 1
             print(f"{trial.name}: {problem}", flush=True)
     cv2.setNumThreads(threads)
-    print(f"{refused} values refused, {tried} accepted, of which {failed} failed")
+    print(f"{len(settings)} settings: {refused} values refused, {tried} accepted, of which {failed} failed")
     print(f"slowest: {slowest[1]}, {slowest[0]:.1f} s of processor time")
     return 1 if failed else 0
 

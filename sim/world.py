@@ -8,6 +8,7 @@ import numpy as np
 import numpy.typing as npt
 
 from dronevio.models.errors import ConfigError
+from dronevio.models.scenery import Scenery, TexturedMesh
 from dronevio.sim.appearance.lightmap import bake, daylight
 from dronevio.sim.appearance.scenery import paint_pages, painted
 from dronevio.sim.paths.space import FlightArea, Space
@@ -23,6 +24,7 @@ from dronevio.sim.worlds.assembly import (
 )
 from dronevio.sim.worlds.corridor import CORRIDOR
 from dronevio.sim.worlds.dark import DARK
+from dronevio.sim.worlds.drawn_scenery import MAX_PIXELS, cut_pages, drawn_mirror, drawn_pages
 from dronevio.sim.worlds.forest import FOREST
 from dronevio.sim.worlds.gates import GATES
 from dronevio.sim.worlds.hall import HALL
@@ -182,6 +184,46 @@ def instance_spec(name: str, seed: int) -> mujoco.MjSpec:
     """
     require_world(name)
     return assembled_instances(WORLDS[name].layout(_generators(seed)[0]))
+
+
+def scenery_of(name: str, seed: int, light_seed: int | None = None) -> Scenery:
+    """Return the visible surroundings of a world for drawings, with smaller textures.
+
+    Args:
+        name: A key of `WORLDS`.
+        seed: Seed of layout, textures and light.
+        light_seed: Seed of other light, by default the light that belongs to the layout.
+
+    Raises:
+        ConfigError: The world is unknown.
+    """
+    require_world(name)
+    layout, appearance = _painted(name, seed, seed, light_seed)
+    foliage = len(layout.prints)
+    cut = cut_pages(appearance.pages[:foliage], layout.low, layout.high)
+    meshes = drawn_pages([*(page for page in cut if len(page.vertices)), *appearance.pages[foliage:]])
+    if layout.mirror is not None and appearance.mirror is not None:
+        meshes = (*meshes, drawn_mirror(layout.mirror, appearance.mirror))
+    return Scenery(outline_of(layout), meshes)
+
+
+def moving_scenery(
+    name: str, seed: int, light_seed: int | None = None
+) -> tuple[tuple[Mover, tuple[TexturedMesh, ...]], ...]:
+    """Return the moving objects of a world, each with its surfaces in the frame of its body.
+
+    Args:
+        name: A key of `WORLDS`.
+        seed: Seed of layout, textures and light.
+        light_seed: Seed of other light, by default the light that belongs to the layout.
+
+    Raises:
+        ConfigError: The world is unknown.
+    """
+    require_world(name)
+    layout, appearance = _painted(name, seed, seed, light_seed)
+    surfaces = (drawn_pages(pages, MAX_PIXELS // 10) for pages in appearance.moving_pages)
+    return tuple(zip(_movers(layout), surfaces, strict=True))
 
 
 def _movers(layout: Layout) -> tuple[Mover, ...]:

@@ -20,9 +20,10 @@ if TYPE_CHECKING:
 class LogCommand(Settings):
     """Write estimated trajectories and their recording to a rerun file, which `dronevio view` opens.
 
-    The file shows the estimated and true paths, the errors over time, the scores, the images of all cameras and the IMU
-    samples. Estimates of any program are accepted: TUM files or EuRoC CSV files with poses of the IMU whose time stamps
-    are those of the recording. Each is aligned with the ground truth; without ground truth, with the first estimate.
+    The file shows the estimated and true paths, the errors over time, the scores, the images of all cameras, the IMU
+    samples, and the surroundings of a simulated flight. Estimates of any program are accepted: TUM files or EuRoC CSV
+    files with poses of the IMU whose time stamps are those of the recording. Each is aligned with the ground truth;
+    without ground truth, with the first estimate.
 
     Examples:
       dronevio log V1_01_easy estimate.tum
@@ -61,17 +62,30 @@ def main(arguments: Sequence[str]) -> int:
     from dronevio.cli.output_files import atomic_file
     from dronevio.eval.rerun.compare import align_estimates
     from dronevio.eval.rerun.files import write_estimates
+    from dronevio.eval.rerun.surroundings import NO_SURROUNDINGS
     from dronevio.eval.rerun.video import VideoSettings
     from dronevio.models.recordings.open import read_trajectory
+    from dronevio.models.recordings.scenery_file import read_scenery
+    from dronevio.surroundings import surroundings_in
 
     recording = command.reading.open(command.recording, repair=True)
     print_defects(recording.defects)
     truth = recording.ground_truth if command.truth is None else read_trajectory(command.truth)
     trajectories = [read_trajectory(path) for path in command.estimates]
     estimates = align_estimates(names, trajectories, truth, recording.frame_times_ns, command.alignment)
+    in_same_frame = truth is not None and command.truth is None  # that of the simulated world
+    surroundings = surroundings_in(read_scenery(command.recording)) if in_same_frame else NO_SURROUNDINGS
     with progress_bars(quiet=command.output.json) as bars, atomic_file(command.out) as unfinished:
         video = VideoSettings(crf=command.crf)
-        write_estimates(unfinished, recording, truth, estimates, progress=bars.bar("logging"), video=video)
+        write_estimates(
+            unfinished,
+            recording,
+            truth,
+            estimates,
+            surroundings=surroundings,
+            progress=bars.bar("logging"),
+            video=video,
+        )
     _print_result(command, estimates)
     return 0
 

@@ -158,10 +158,9 @@ def _run(
     from dronevio.models.policies.policy_file import description
     from dronevio.models.recordings.tum import write_tum
     from dronevio.models.serialization import to_jsonable
-    from dronevio.sim.world import build_world
     from dronevio.surroundings import surroundings_of
 
-    surroundings = surroundings_of(build_world(scenario.world, scenario.seed_of_world, light_seed=scenario.light_seed))
+    surroundings = surroundings_of(scenario.world, scenario.seed_of_world, scenario.light_seed)
     estimated = flown_and_estimated(scenario, command, mission, folder, surroundings, bars)
     print_defects(estimated.run.defects)
     print_run_warnings(estimated.run)

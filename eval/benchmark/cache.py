@@ -78,29 +78,33 @@ class RecordingCache:
             digest: Hash of the recording.
             make: Writes the recording into an empty folder. If it raises, the folder is removed.
         """
-        with self._open_lock(digest) as lock:
-            while True:
-                fcntl.flock(lock, fcntl.LOCK_EX)
+        while True:
+            with self._locked(digest) as lock:
                 if self.find(digest) is None:
-                    self._make(digest, make)
+                    try:
+                        self._make(digest, make)
+                    except BaseException:
+                        self._lock_file(digest).unlink(missing_ok=True)
+                        raise
                     self.trim()
                 folder = self._folder / digest
-                fcntl.flock(lock, fcntl.LOCK_SH)  # between the two, another process may remove it
-                if folder.exists():
-                    break
-            with suppress(PermissionError):
-                os.utime(folder)  # the most recently used recordings are kept
-            yield folder
+                fcntl.flock(lock, fcntl.LOCK_SH)  # between the two, another process may remove recording and lock file
+                if not folder.exists() or not self._is_current(lock, digest):
+                    continue
+                with suppress(PermissionError):
+                    os.utime(folder)  # the most recently used recordings are kept
+                yield folder
+                return
 
     def remove(self, digest: str) -> None:
         """Delete a recording unless it is in use."""
-        with self._open_lock(digest) as lock, suppress(BlockingIOError):
-            fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        with suppress(BlockingIOError), self._locked(digest, wait=False):
             doomed = self._folder / f".{digest}.partial-removed"
             shutil.rmtree(doomed, ignore_errors=True)
             with suppress(FileNotFoundError):
                 (self._folder / digest).rename(doomed)  # so that a killed process leaves no half of a recording
             shutil.rmtree(doomed, ignore_errors=True)
+            self._lock_file(digest).unlink(missing_ok=True)
 
     def trim(self) -> None:
         """Delete the least recently used recordings while the cache is larger than `cache_limit.limit_bytes`.
@@ -145,7 +149,7 @@ class RecordingCache:
             os.close(handle)
 
     def remove_abandoned(self) -> None:
-        """Delete the partial recordings and scratch folders that killed processes left; those in use are locked."""
+        """Delete partial recordings, scratch folders and lock files that processes left; those in use are locked."""
         for scratch in self._folder.glob(f"{_SCRATCH}*"):
             with suppress(OSError):  # in use, or deleted meanwhile
                 handle = os.open(scratch, os.O_RDONLY)
@@ -156,9 +160,14 @@ class RecordingCache:
                     os.close(handle)
         for partial in self._folder.glob(".*.partial-*"):
             digest = partial.name.removeprefix(".").partition(".partial-")[0]
-            with self._open_lock(digest) as lock, suppress(BlockingIOError):
-                fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            with suppress(BlockingIOError), self._locked(digest, wait=False):
                 shutil.rmtree(partial, ignore_errors=True)
+        for lock_file in self._folder.glob(".*.lock"):
+            digest = lock_file.name.removeprefix(".").removesuffix(".lock")
+            if self.find(digest) is None:
+                with suppress(BlockingIOError), self._locked(digest, wait=False):
+                    if self.find(digest) is None:
+                        lock_file.unlink(missing_ok=True)
 
     def _make(self, digest: str, make: Callable[[Path], None]) -> Path:
         """Make a recording under a temporary name and rename it once it is complete."""
@@ -172,7 +181,30 @@ class RecordingCache:
         finally:
             shutil.rmtree(partial, ignore_errors=True)
 
-    def _open_lock(self, digest: str) -> IO[str]:
-        """Open the lock file of a recording; the system releases the locks of a process that dies."""
+    @contextmanager
+    def _locked(self, digest: str, *, wait: bool = True) -> Iterator[IO[str]]:
+        """Yield the exclusively locked lock file of a recording; the system releases the locks of a process that dies.
+
+        A process deletes the file only while it holds this lock. Who waited for the lock of a deleted file opens the
+        new one.
+
+        Raises:
+            BlockingIOError: Another process holds the lock, and ``wait`` is false.
+        """
         self._folder.mkdir(parents=True, exist_ok=True)
-        return (self._folder / f".{digest}.lock").open("w")
+        while True:
+            with self._lock_file(digest).open("w") as lock:
+                fcntl.flock(lock, fcntl.LOCK_EX | (0 if wait else fcntl.LOCK_NB))
+                if self._is_current(lock, digest):
+                    yield lock
+                    return
+
+    def _is_current(self, lock: IO[str], digest: str) -> bool:
+        """Return whether an open lock file is the one in the folder, and not one that was deleted."""
+        with suppress(FileNotFoundError):
+            return os.path.samestat(os.fstat(lock.fileno()), self._lock_file(digest).stat())
+        return False
+
+    def _lock_file(self, digest: str) -> Path:
+        """Return the path of the lock file of a recording."""
+        return self._folder / f".{digest}.lock"

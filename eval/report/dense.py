@@ -25,8 +25,8 @@ from dronevio.eval.provenance import RunInfo
 from dronevio.eval.report.tables import Cell, Table
 from dronevio.eval.report.templating import Tile, number, render_page
 from dronevio.eval.scene import VIEWER_FIELD_OF_VIEW_RAD, upright_rotation
-from dronevio.eval.splatting import Eye, shaded, splat
-from dronevio.eval.surface_eye import surface_eye
+from dronevio.eval.splatting import ViewCamera, shaded, splat
+from dronevio.eval.surface_view import surface_view
 from dronevio.models.reconstruction import Reconstruction
 from dronevio.models.recordings.files import write_bytes, write_text
 from dronevio.models.surfaces import Mesh, PointCloud
@@ -122,20 +122,20 @@ def write_dense_report(folder: Path, info: RunInfo, results: DenseResults) -> No
 def pictures(results: DenseResults) -> tuple[Image, Image]:
     """Return perspective pictures of the points and of the mesh.
 
-    Only surfaces that face the eye are drawn, so that a room is seen into from outside.
+    Only surfaces that face the viewpoint are drawn, so that a room is seen into from outside.
     """
     cloud, mesh = results.cloud, results.mesh
     up = upright_rotation(results.reconstruction)[2]
-    placed = surface_eye(results.reconstruction, cloud.points, _PICTURE_PX[0] / _PICTURE_PX[1])
-    eye = Eye.looking_at(*placed, up, VIEWER_FIELD_OF_VIEW_RAD, *_PICTURE_PX)
-    seen = eye.faces(cloud.points, cloud.normals)
-    points = splat(eye, cloud.points[seen], cloud.colours[seen], 1.4 * results.point_size)
-    drawn = np.all(eye.faces(mesh.vertices, mesh.normals)[mesh.triangles], axis=1)
-    spacing = _MESH_PX * float(np.linalg.norm(placed[1] - placed[0])) / eye.focal_px
+    placed = surface_view(results.reconstruction, cloud.points, _PICTURE_PX[0] / _PICTURE_PX[1])
+    view_camera = ViewCamera.looking_at(*placed, up, VIEWER_FIELD_OF_VIEW_RAD, *_PICTURE_PX)
+    seen = view_camera.faces(cloud.points, cloud.normals)
+    points = splat(view_camera, cloud.points[seen], cloud.colours[seen], 1.4 * results.point_size)
+    drawn = np.all(view_camera.faces(mesh.vertices, mesh.normals)[mesh.triangles], axis=1)
+    spacing = _MESH_PX * float(np.linalg.norm(placed[1] - placed[0])) / view_camera.focal_px
     rows = mesh_points(np.hstack([mesh.vertices, mesh.normals]), mesh.triangles[drawn], spacing)
     lengths = np.linalg.norm(rows[:, 3:], axis=1, keepdims=True)
     normals = rows[:, 3:] / np.maximum(lengths, np.finfo(float).tiny)
-    surface = splat(eye, rows[:, :3], shaded(normals, eye), spacing)
+    surface = splat(view_camera, rows[:, :3], shaded(normals, view_camera), spacing)
     return points, surface
 
 

@@ -9,7 +9,7 @@ import rerun.blueprint as rrb
 
 from dronevio.eval.rerun import entities
 from dronevio.eval.rerun.entities import EstimateEntities
-from dronevio.eval.scene import fit_eye
+from dronevio.eval.scene import fit_view
 
 Array = npt.NDArray[np.float64]
 
@@ -173,8 +173,8 @@ def _plot(
 
 
 def _eye_controls(points: Array) -> rrb.EyeControls3D:
-    """Return the eye of the 3D view, above a corner of the scene at the smallest distance that shows all of it."""
+    """Return the viewpoint of the 3D view, above a corner of the scene at the smallest distance that shows all."""
     if len(points) == 0:
         return rrb.EyeControls3D()
-    position, target = fit_eye(points)
+    position, target = fit_view(points)
     return rrb.EyeControls3D(kind=rrb.Eye3DKind.Orbital, position=position, look_target=target, eye_up=[0.0, 0.0, 1.0])

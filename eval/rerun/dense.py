@@ -10,7 +10,7 @@ from dronevio.eval import colours
 from dronevio.eval.rerun.blueprint import BACKGROUND
 from dronevio.eval.rerun.sink import Sink
 from dronevio.eval.scene import frusta, frustum_depth, upright_rotation
-from dronevio.eval.surface_eye import surface_eye
+from dronevio.eval.surface_view import surface_view
 from dronevio.models.reconstruction import Reconstruction
 from dronevio.models.recordings.files import check_output_path
 from dronevio.models.surfaces import Mesh, PointCloud
@@ -71,7 +71,7 @@ def write_dense_rerun(
 def _blueprint(reconstruction: Reconstruction, cloud: PointCloud) -> rrb.Blueprint:
     """Return the layout: the points and the mesh side by side, such that they fill the views."""
     R_scene_world = upright_rotation(reconstruction)
-    position, target = surface_eye(reconstruction, cloud.points, _VIEW_ASPECT)
+    position, target = surface_view(reconstruction, cloud.points, _VIEW_ASPECT)
     views = [
         rrb.Spatial3DView(
             origin="/",

@@ -19,6 +19,7 @@ from dronevio.eval.metrics import (
     rotation_errors_rad,
     translation_errors_m,
 )
+from dronevio.eval.rerun.drone_body import DroneBody
 from dronevio.eval.rerun.entities import EstimateEntities
 from dronevio.eval.rerun.events import EventLog
 from dronevio.eval.rerun.sink import Sink, quat_xyzw
@@ -69,7 +70,15 @@ class EstimateLog:
     """Logs the estimates of one estimator."""
 
     def __init__(
-        self, sink: Sink, name: str, colour: str, rule: AlignmentRule, *, is_single: bool = True, axis_m: float = 0.35
+        self,
+        sink: Sink,
+        name: str,
+        colour: str,
+        rule: AlignmentRule,
+        *,
+        is_single: bool = True,
+        axis_m: float = 0.35,
+        body: DroneBody | None = None,
     ) -> None:
         """Log how the estimates are drawn.
 
@@ -80,6 +89,7 @@ class EstimateLog:
             rule: Determines the alignment with the displayed world frame.
             is_single: Whether it is the only estimator of the recording, so that curves need not bear its name.
             axis_m: Length of the axes of the IMU frame [m].
+            body: Body of the drone, whose edges are drawn at the estimated pose; None to draw the axes only.
         """
         self._sink = sink
         self._entities = EstimateEntities(name)
@@ -92,6 +102,9 @@ class EstimateLog:
         self._events = EventLog(sink, self._entities)
         self._error_styles_are_logged = False
         self._log_styles(axis_m)
+        if body is not None:
+            lines = rr.LineStrips3D(body.edges, colors=colours.rgb(colour), radii=rr.Radius.ui_points(1.2))
+            sink.static(self._entities.body, lines)
 
     def _log_styles(self, axis_m: float) -> None:
         """Log colours and sizes of all entities."""
@@ -104,9 +117,11 @@ class EstimateLog:
         static(entities.loops, rr.LineStrips3D.from_fields(colors=loop_rgb, radii=rr.Radius.ui_points(1.2)))
         static(entities.event_markers, rr.Points3D.from_fields(colors=[255, 255, 255], radii=rr.Radius.ui_points(5.0)))
         static(entities.tracks, rr.Points2D.from_fields(radii=rr.Radius.ui_points(2.5)))
-        for entity, opacity, radius in ((entities.landmarks, 80, 0.8), (entities.visible_landmarks, 255, 1.3)):
-            colour = colours.rgb(colours.LANDMARKS if self._is_single else self._colour)
-            static(entity, rr.Points3D.from_fields(colors=[*colour, opacity], radii=rr.Radius.ui_points(radius)))
+        for entity, brightness, radius in ((entities.landmarks, 0.75, 0.8), (entities.visible_landmarks, 1.0, 1.3)):
+            colour = [
+                round(brightness * v) for v in colours.rgb(colours.LANDMARKS if self._is_single else self._colour)
+            ]
+            static(entity, rr.Points3D.from_fields(colors=colour, radii=rr.Radius.ui_points(radius)))
         names, shades = [str(health) for health in Health], [colours.rgb(_HEALTH_COLOURS[h]) for h in Health]
         static(entities.health, rr.StateConfiguration(values=names, labels=names, colors=shades))
         for entity, label in (

@@ -15,6 +15,7 @@ import rerun as rr
 from dronevio.eval import colours
 from dronevio.eval.metrics import interpolate
 from dronevio.eval.rerun import entities
+from dronevio.eval.rerun.drone_body import SPAN_M, DroneBody
 from dronevio.eval.rerun.estimate import PATH_RADIUS, PATH_SO_FAR_RADIUS, AlignmentRule, EstimateLog
 from dronevio.eval.rerun.images import ImageLog
 from dronevio.eval.rerun.sink import Sink
@@ -22,6 +23,7 @@ from dronevio.eval.rerun.surroundings import Surroundings
 from dronevio.models.imu import ImuSamples, Times
 from dronevio.models.protocols import Recording
 from dronevio.models.rig import Rig
+from dronevio.models.scenery import TexturedMesh
 from dronevio.models.state import CameraFrame, Trajectory
 
 Array = npt.NDArray[np.float64]
@@ -30,6 +32,7 @@ ImageLogFactory = Callable[[Sink, str, float], ImageLog]
 
 _IMAGE_PLANE_SHARE = 0.06  # distance of an image in the 3D view from its camera, as a share of the scene's diagonal
 _IMAGE_PLANE_LIMITS_M = (0.1, 10.0)
+_BODY_SHARE = 0.05  # smallest span of the drawn drone, as a share of the scene's diagonal
 _AXIS_SHARE = 0.6  # length of the axes of the estimated IMU frame, as a share of that distance
 _MAX_PATH_POINTS = 1500  # of a drawn path: the truth has 200 poses per second
 
@@ -53,6 +56,7 @@ class RerunLog:
         sink.static("world", rr.ViewCoordinates.RIGHT_HAND_Z_UP)
         for entity, unit in ((entities.GYRO, "rad/s"), (entities.ACCEL, "m/s²")):
             sink.curve_styles(entity, [f"{axis} [{unit}]" for axis in "xyz"], colours.AXES)
+        self._body = DroneBody.of(rig, max(SPAN_M, _BODY_SHARE * diagonal_m))
         self._log_cameras(rig)
 
     def __enter__(self) -> Self:
@@ -65,16 +69,19 @@ class RerunLog:
             images.close()
 
     def surroundings(self, surroundings: Surroundings, times_ns: Times) -> None:
-        """Log the outline of the surroundings, and the poses of moving objects at times (N,) [ns]."""
-        if len(surroundings.outline):
+        """Log the surfaces of the surroundings or their outline, and moving objects at times (N,) [ns]."""
+        self._meshes(entities.SURROUNDINGS, surroundings.meshes)
+        if len(surroundings.outline) and not surroundings.meshes:
             colour = [*colours.rgb(colours.SURROUNDINGS), 150]
             strips = surroundings.outline.astype(np.float32)
             lines = rr.LineStrips3D(strips, colors=colour, radii=rr.Radius.ui_points(0.5))
             self._sink.static(entities.SURROUNDINGS, lines)
         for box in surroundings.moving_boxes:
             entity = f"{entities.MOVING_OBJECTS}/{rr.escape_entity_path_part(box.name)}"
-            rgb = colours.rgb(colours.SURROUNDINGS)
-            self._sink.static(entity, rr.Boxes3D(mins=[box.low], sizes=[box.high - box.low], colors=rgb))
+            self._meshes(entity, box.meshes)
+            if not box.meshes:
+                rgb = colours.rgb(colours.SURROUNDINGS)
+                self._sink.static(entity, rr.Boxes3D(mins=[box.low], sizes=[box.high - box.low], colors=rgb))
             self._sink.poses(entity, times_ns, box.poses(np.asarray((times_ns - times_ns[:1]) * 1e-9)))
 
     def truth(self, truth: Trajectory, frame_times_ns: Times, colour: str = colours.TRUTH) -> None:
@@ -93,6 +100,7 @@ class RerunLog:
             self._sink.static(entities.TRUE_PATH, path)
             self._sink.static(entities.TRUE_PATH_SO_FAR, style)
             self._sink.segments(entities.TRUE_PATH_SO_FAR, t_ns[1:], p[:-1], p[1:])
+        self._log_body(entities.TRUE_BODY, colour)
         self.rig_poses(interpolate(truth, frame_times_ns)[0])
         if truth.velocity_m_s is not None:
             self._sink.curve_styles(f"{entities.SPEED}/true", ["true"], [colour])
@@ -124,11 +132,29 @@ class RerunLog:
     def estimator(self, name: str, colour: str, rule: AlignmentRule, is_single: bool = True) -> EstimateLog:
         """Return the log of an estimator; see `EstimateLog`."""
         axis_m = _AXIS_SHARE * self._image_plane_m
-        return EstimateLog(self._sink, name, colour, rule, is_single=is_single, axis_m=axis_m)
+        return EstimateLog(self._sink, name, colour, rule, is_single=is_single, axis_m=axis_m, body=self._body)
 
     def summary(self, markdown: str) -> None:
         """Log a text about the whole recording."""
         self._sink.static(entities.SUMMARY, rr.TextDocument(markdown, media_type=rr.MediaType.MARKDOWN))
+
+    def _meshes(self, entity: str, meshes: Sequence[TexturedMesh]) -> None:
+        """Log textured surfaces, which are visible from their front, so that rooms are seen into from outside."""
+        for index, mesh in enumerate(meshes):
+            drawn = rr.Mesh3D(
+                vertex_positions=mesh.vertices,
+                triangle_indices=mesh.triangles,
+                vertex_texcoords=mesh.texture_coordinates,
+                albedo_texture=mesh.texture,
+                face_rendering="Front",
+            )
+            self._sink.static(f"{entity}/surface{index}", drawn)
+
+    def _log_body(self, entity: str, colour: str) -> None:
+        """Log the solid body of the drone."""
+        corners = self._body.triangles.reshape(-1, 3).astype(np.float32)
+        rgb = self._body.colours(colours.rgb(colour))
+        self._sink.static(entity, rr.Mesh3D(vertex_positions=corners, vertex_colors=rgb))
 
     def _log_cameras(self, rig: Rig) -> None:
         """Log poses and camera matrices of the cameras; the viewer does not undistort images."""

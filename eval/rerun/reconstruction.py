@@ -19,7 +19,7 @@ from dronevio.eval.rerun import entities
 from dronevio.eval.rerun.blueprint import BACKGROUND
 from dronevio.eval.rerun.entities import ComponentEntities
 from dronevio.eval.rerun.sink import Sink
-from dronevio.eval.scene import ResidualStyle, frustum_depth, reconstruction_eye, upright_rotation
+from dronevio.eval.scene import ResidualStyle, frustum_depth, reconstruction_view, upright_rotation
 from dronevio.models.camera import CameraModel
 from dronevio.models.errors import EvaluationError
 from dronevio.models.reconstruction import Reconstruction
@@ -113,7 +113,7 @@ def _world(index: int, component: Reconstruction, up: Array | None) -> rrb.Spati
     controls = rrb.EyeControls3D()
     if len(component.points) or len(component.image_names):
         R_scene_world = upright_rotation(component, up)
-        position, target = reconstruction_eye(component, R_scene_world)
+        position, target = reconstruction_view(component, R_scene_world)
         controls = rrb.EyeControls3D(
             kind=rrb.Eye3DKind.Orbital, position=position, look_target=target, eye_up=R_scene_world[2]
         )

@@ -341,6 +341,15 @@ def test_variants_are_other_recordings_with_names_of_their_own() -> None:
         scenario_flights(["short"], range(1), "euroc-stereo", ["rig=fisheye"])
 
 
+def test_a_missing_recording_is_named_as_it_was_given(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    monkeypatch.chdir(tmp_path)
+    with pytest.raises(InputError, match=r"^nowhere: no such file or folder"):
+        recorded_flights([Path("nowhere")])
+    (tmp_path / "empty" / "mav0").mkdir(parents=True)
+    with pytest.raises(InputError, match=r"^empty\b"):
+        recorded_flights([Path("empty/mav0")])
+
+
 def test_ray_gives_the_same_rows_and_listens_on_localhost_only(place: Path, flown: Result, many: Result) -> None:
     if find_spec("ray") is None:  # not importorskip: where Ray listens is settled when it is imported, by the engine
         pytest.skip("Ray is not installed")

@@ -104,4 +104,4 @@ def test_extreme_settings_survive_or_are_refused(
     fuzz = script("settings_fuzz")
     command = fuzz.FuzzCommand(flown.folder, ("smoother.max_keyframes", "tracker.pyramid_levels"), from_s=1.0)
     assert fuzz.main(command) == 0
-    assert "9 values refused, 4 accepted, of which 0 failed" in capsys.readouterr().out
+    assert "2 settings: 9 values refused, 4 accepted, of which 0 failed" in capsys.readouterr().out

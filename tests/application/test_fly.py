@@ -24,7 +24,7 @@ def test_flight_is_an_euroc_recording(flown: Any) -> None:
     assert recording.ground_truth.length_m == pytest.approx(document["path_m"], rel=1e-6)
     np.testing.assert_array_equal(np.diff(recording.frame_times_ns), 50_000_000)
     assert [entry.name for entry in flown.folder.parent.iterdir()] == ["flight"]
-    assert sorted(entry.name for entry in flown.folder.iterdir()) == ["mav0", "scenario.json"]
+    assert sorted(entry.name for entry in flown.folder.iterdir()) == ["mav0", "scenario.json", "world.npz"]
 
 
 def test_recording_is_not_overwritten_without_the_option(flown: Any, capsys: pytest.CaptureFixture[str]) -> None:

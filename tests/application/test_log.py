@@ -67,6 +67,7 @@ def test_file_is_valid_and_contains_both_estimates(logged: Result) -> None:
     for name in ("Rotated", "2\\ \\%\\ large"):
         assert f"/world/estimates/{name}/path_so_far" in found
         assert f"/error/position/{name}/aligned" in found
+    assert "/world/surroundings/surface0" in found  # from the file beside the recording
     assert [path.name for path in logged.folder.parent.iterdir()] == ["both.rrd"]
 
 

@@ -1,5 +1,6 @@
 """Benchmarks: isolated processes, cached recordings, tables of results, and resumed or failed runs."""
 
+import fcntl
 import math
 import os
 import platform
@@ -230,7 +231,73 @@ def test_partial_recordings_are_removed(tmp_path: Path) -> None:
 
     with pytest.raises(OSError, match="disk full"), cache.acquire("abc", fail):
         pass
-    assert [entry.name for entry in tmp_path.iterdir()] == [".abc.lock"]
+    assert not list(tmp_path.iterdir())
+
+
+def test_lock_files_go_with_their_recordings(tmp_path: Path) -> None:
+    cache = RecordingCache(tmp_path)
+
+    def make(folder: Path) -> None:
+        (folder / "whole").write_text("")
+
+    with cache.acquire("abc", make):
+        cache.remove("abc")  # in use
+        cache.remove_abandoned()
+        assert sorted(entry.name for entry in tmp_path.iterdir()) == [".abc.lock", "abc"]
+    (tmp_path / ".left.lock").touch()
+    cache.remove_abandoned()
+    assert sorted(entry.name for entry in tmp_path.iterdir()) == [".abc.lock", "abc"]
+    cache.remove("abc")
+    assert not list(tmp_path.iterdir())
+
+
+def test_a_lock_file_that_was_replaced_is_locked_again(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Between the exclusive and the shared lock, another process removes the recording and makes it again."""
+    flock, replaced = fcntl.flock, 0
+    cache, other = RecordingCache(tmp_path), RecordingCache(tmp_path)
+
+    def make(folder: Path) -> None:
+        (folder / "whole").write_text("")
+
+    def interrupted(lock: Any, operation: int) -> None:
+        nonlocal replaced
+        replaced += operation == fcntl.LOCK_SH
+        if operation == fcntl.LOCK_SH and replaced == 1:
+            flock(lock, fcntl.LOCK_UN)
+            other.remove("abc")
+            with other.acquire("abc", make):
+                pass
+        flock(lock, operation)
+
+    monkeypatch.setattr(fcntl, "flock", interrupted)
+    with cache.acquire("abc", make) as folder:
+        assert replaced == 3
+        other.remove("abc")  # in use
+        assert (folder / "whole").exists()
+
+
+def test_a_deleted_lock_is_not_waited_for_in_vain(tmp_path: Path) -> None:
+    """Threads that acquire and remove one recording never find it removed while they use it."""
+    seen: list[bool] = []
+
+    def make(folder: Path) -> None:
+        (folder / "whole").write_text("")
+
+    def use() -> None:
+        cache = RecordingCache(tmp_path)
+        for _ in range(100):
+            with cache.acquire("abc", make) as folder:
+                time.sleep(0.0)
+                seen.append((folder / "whole").exists())
+            cache.remove("abc")
+
+    threads = [threading.Thread(target=use) for _ in range(4)]
+    for thread in threads:
+        thread.start()
+    for thread in threads:
+        thread.join(60.0)
+    assert seen == [True] * 400
+    assert not list(tmp_path.iterdir())
 
 
 def test_a_recording_in_use_is_not_removed(tmp_path: Path) -> None:
@@ -431,7 +498,7 @@ def test_a_recording_that_cannot_be_made_fails_all_its_runs(tmp_path: Path) -> N
     rows = run_benchmark(benchmark(tmp_path, seeds=1), ResultStore(tmp_path), LocalEngine(2))
     assert len(rows) == 2
     assert all(row.status != "ok" and row.reason.startswith("the recording cannot be made: ") for row in rows)
-    assert [entry.name for entry in (tmp_path / "cache").iterdir()] == [".hash-0.lock"]
+    assert not list((tmp_path / "cache").iterdir())
 
 
 def test_the_local_engine_reports_exceptions_of_jobs_as_crashes(tmp_path: Path) -> None:

@@ -75,5 +75,8 @@ def test_the_page_shows_what_is_not_as_expected() -> None:
     other, ours = table.rows[1][3:]
     assert (ours.text, ours.warning) == ("error 1.0 ×", "")
     assert (other.text, other.warning) == ("error 50.0 ×", "not as expected")
-    assert "3 of 4 runs are as expected" in benchmark_page(results)
+    page = benchmark_page(results)
+    assert "3 of 4 runs are as expected" in page
+    section = page[page.index("<h2>Expected outcomes") :]
+    assert 'class="numbers sortable stacked"' in section[: section.index("</section>")]  # readable on narrow pages
     assert "Expected outcomes" not in benchmark_page(BenchmarkResults("b", (CLEAN, FAULTY)))

@@ -1,4 +1,4 @@
-"""Geometry of drawings: up direction, upright frame, robust limits, frusta, eyes, and the style of residuals."""
+"""Geometry of drawings: up direction, upright frame, robust limits, frusta, viewpoints, and the style of residuals."""
 
 from dataclasses import replace
 from typing import TYPE_CHECKING
@@ -13,7 +13,7 @@ from dronevio.eval.scene import (
     ResidualStyle,
     frusta,
     frustum_depth,
-    reconstruction_eye,
+    reconstruction_view,
     robust_limits,
     round_down,
     scene_points,
@@ -109,10 +109,10 @@ def test_frusta_are_small_beside_the_scene(synthetic: "SyntheticReconstruction")
 
 
 @pytest.mark.parametrize("scale", [1e-3, 1.0, 1e4])
-def test_the_eye_sees_all_at_any_scale(synthetic: "SyntheticReconstruction", scale: float) -> None:
+def test_the_viewpoint_sees_all_at_any_scale(synthetic: "SyntheticReconstruction", scale: float) -> None:
     r = synthetic.reconstruction.transformed(scale, np.eye(3), np.array([5.0, 0.0, 0.0]))
     R = upright_rotation(r)
-    position, target = reconstruction_eye(r, R)
+    position, target = reconstruction_view(r, R)
     forward = (target - position) / np.linalg.norm(target - position)
     angles = np.arccos((scene_points(r) - position) @ forward / np.linalg.norm(scene_points(r) - position, axis=1))
     assert np.degrees(angles.max()) < 45.0
@@ -120,7 +120,7 @@ def test_the_eye_sees_all_at_any_scale(synthetic: "SyntheticReconstruction", sca
     assert forward @ R[1] > 0.5  # it looks as the cameras do
 
 
-def test_eyes_of_cameras_in_all_directions_have_a_default() -> None:
+def test_viewpoints_of_cameras_in_all_directions_have_a_default() -> None:
     around = poses(LEVEL, [0.0, 90.0, 180.0, 270.0])[:, :3, :3]
     assert view_azimuth_deg(around) == 40.0
     assert view_azimuth_deg(poses(LEVEL, [0.0])[:, :3, :3]) == pytest.approx(90.0 + 35.0)

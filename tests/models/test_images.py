@@ -10,7 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from dronevio.models.errors import InputError
-from dronevio.models.recordings.images import Image, read_grey
+from dronevio.models.recordings.images import Image, encoded_size, read_grey
 
 
 def noise_image() -> Image:
@@ -45,6 +45,27 @@ def test_images_of_enormous_size_are_refused(scratch: Path) -> None:
         read_grey(scratch, 32, 24)
     with pytest.raises(InputError, match="an image that cannot be decoded"):
         read_grey(scratch, 60_000, 60_000)
+
+
+@pytest.mark.parametrize("segments", [b"", b"\xff\xe0\x00\x04ab", b"\xff\xff\xff\xe1\x00\x06abcd"])
+def test_jpegs_of_enormous_size_are_refused_by_their_header(
+    scratch: Path, segments: bytes, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    at = JPEG.index(b"\xff\xc0") + 5  # height and width in the frame header
+    content = JPEG[:2] + segments + JPEG[2:at] + (60_000).to_bytes(2, "big") * 2 + JPEG[at + 4 :]
+    scratch.write_bytes(content)
+    assert encoded_size(content) == (60_000, 60_000)
+    assert encoded_size(JPEG[:2] + segments + JPEG[2:]) == encoded_size(PNG) == (32, 24)
+    monkeypatch.setattr(cv2, "imdecode", None)  # nothing is decoded
+    with pytest.raises(InputError, match="an image of 60000 × 60000 px; expected an image of 32 × 24 px"):
+        read_grey(scratch, 32, 24)
+
+
+@given(st.binary(max_size=40))
+def test_damaged_headers_have_no_size_or_some_size(content: bytes) -> None:
+    for data in (content, b"\xff\xd8" + content, b"\xff\xd8\xff" + content):
+        size = encoded_size(data)
+        assert size is None or min(size) >= 0
 
 
 def test_colour_is_converted_to_grey(scratch: Path) -> None:

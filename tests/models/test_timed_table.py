@@ -251,8 +251,16 @@ def test_long_tables_are_read_fast(tmp_path: Path) -> None:
     n = 100_000
     values = np.random.default_rng(0).normal(size=(n, 6))
     rows = (f"{5_000_000 * i},{','.join(map(repr, row))}\n" for i, row in enumerate(values.tolist()))
-    (tmp_path / "imu.csv").write_text("".join(rows))
-    start = time.process_time()
-    table = read_timed_table(tmp_path / "imu.csv", IMU_TABLE)
-    assert time.process_time() - start < 1.5  # measured: 0.2 s; a loop over rows and fields takes 3 s
+    text = "".join(rows)
+    (tmp_path / "imu.csv").write_text(text)
+    of_tables_s, of_floats_s = [], []
+    for _ in range(3):
+        start = time.process_time()
+        table = read_timed_table(tmp_path / "imu.csv", IMU_TABLE)
+        middle = time.process_time()
+        numbers = [[float(field) for field in line.split(",")] for line in text.splitlines()]
+        of_tables_s.append(middle - start)
+        of_floats_s.append(time.process_time() - middle)
+    assert len(numbers) == n
+    assert min(of_tables_s) < 2.5 * min(of_floats_s)  # measured: 1.1; checks of rows and fields one by one take 7
     np.testing.assert_array_equal(table.values, values)

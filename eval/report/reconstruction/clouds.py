@@ -18,7 +18,7 @@ from dronevio.eval.scene import (
     VIEWER_FIELD_OF_VIEW_RAD,
     frusta,
     frustum_depth,
-    reconstruction_eye,
+    reconstruction_view,
     scene_points,
     upright_rotation,
 )
@@ -30,7 +30,7 @@ RASTER_DPI = 200
 """Resolution of points that are drawn as pixels [1/in]."""
 _BACKGROUND = "#12151a"  # that of the 3D view in the rerun viewer; light points remain visible
 _LIMIT_MARGIN = 0.06  # around the scene, as a share of its extent
-_NEAR_SHARE = 0.02  # of the distance of the eye, below which points are not drawn
+_NEAR_SHARE = 0.02  # of the distance of the viewpoint, below which points are not drawn
 
 
 @dataclass(frozen=True)
@@ -93,16 +93,16 @@ def draw_perspective(ax: Axes, component: Reconstruction) -> None:
     _draw_background(ax)
     if not len(component.points) and not len(component.image_names):
         return
-    position, target = reconstruction_eye(component, np.eye(3))
+    position, target = reconstruction_view(component, np.eye(3))
     distance = float(np.linalg.norm(target - position))
     forward = (target - position) / distance
     right = np.cross(forward, [0.0, 0.0, 1.0])
     right /= np.linalg.norm(right)
     axes = np.stack([right, np.cross(right, forward), forward])
-    in_eye = (component.points - position) @ axes.T
-    order = np.argsort(-in_eye[:, 2], kind="stable")
-    order = order[in_eye[order, 2] > _NEAR_SHARE * distance]
-    seen = in_eye[order]
+    in_view = (component.points - position) @ axes.T
+    order = np.argsort(-in_view[:, 2], kind="stable")
+    order = order[in_view[order, 2] > _NEAR_SHARE * distance]
+    seen = in_view[order]
     size = _marker_size(len(order)) * 3.0 * np.clip(distance / seen[:, 2], 0.3, 3.0) ** 2
     x, y = _projected(seen).T
     ax.scatter(x, y, s=size, c=component.colours[order] / 255.0, linewidths=0.0, rasterized=True)
@@ -111,9 +111,9 @@ def draw_perspective(ax: Axes, component: Reconstruction) -> None:
     _draw_frusta(ax, _projected(edges))
 
 
-def _projected(in_eye: Array) -> Array:
-    """Return perspective projections (…, 2) of points (…, 3) in the frame of an eye; ±1 is the upper and lower edge."""
-    return np.asarray(in_eye[..., :2] / in_eye[..., 2:] / np.tan(0.5 * VIEWER_FIELD_OF_VIEW_RAD))
+def _projected(in_view: Array) -> Array:
+    """Return perspective projections (…, 2) of points (…, 3) in the frame of a view; ±1 is the upper and lower edge."""
+    return np.asarray(in_view[..., :2] / in_view[..., 2:] / np.tan(0.5 * VIEWER_FIELD_OF_VIEW_RAD))
 
 
 def _draw_background(ax: Axes) -> None:

@@ -172,12 +172,20 @@ def test_invalid_trajectories_and_options_are_refused() -> None:
             score(truth, truth, rpe=PairRule(delta_s))
 
 
-def test_a_hundred_thousand_poses_take_less_than_a_second() -> None:
+def test_a_hundred_thousand_poses_are_scored_fast() -> None:
+    """Within four times the processor time of as many singular value decompositions (3, 3)."""
     truth = truth_at_200_hz(500.0)
     estimate = replace(noisy(truth, 0.1), t_ns=truth.t_ns + 1_000_000)[:-1]
-    start_s = time.process_time()
-    assert score(truth, estimate, truth.t_ns).n_poses == 100_000
-    assert time.process_time() - start_s < 1.0
+    matrices = np.random.default_rng(0).normal(size=(100_000, 3, 3))
+    of_scores_s, of_matrices_s = [], []
+    for _ in range(3):
+        start_s = time.process_time()
+        assert score(truth, estimate, truth.t_ns).n_poses == 100_000
+        middle_s = time.process_time()
+        np.linalg.svd(matrices)
+        of_scores_s.append(middle_s - start_s)
+        of_matrices_s.append(time.process_time() - middle_s)
+    assert min(of_scores_s) < 4.0 * min(of_matrices_s)  # measured: 1.7
 
 
 def test_the_metrics_import_only_numpy() -> None:

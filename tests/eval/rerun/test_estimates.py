@@ -26,7 +26,6 @@ from dronevio.models.protocols import Recording
 from dronevio.models.rig import EUROC_T_IMU_CAM0, Rig, RigCamera
 from dronevio.models.rotation import exp_so3
 from dronevio.models.state import CameraFrame, Health, Trajectory
-from dronevio.sim.world import build_world
 from dronevio.surroundings import surroundings_of
 
 if TYPE_CHECKING:
@@ -141,7 +140,7 @@ def test_moving_objects_are_posed_at_each_frame(columns: "EntityColumns", flight
 
 
 def test_moving_objects_of_a_world_have_bounding_boxes() -> None:
-    surroundings = surroundings_of(build_world("moving", 0))
+    surroundings = surroundings_of("moving", 0)
     assert len(surroundings.moving_boxes) > 3
     for box in surroundings.moving_boxes:
         assert np.all(box.high > box.low)

@@ -1,14 +1,17 @@
 """Logging while an estimator runs: to a file, to a viewer, by a process that is killed; and its processor time."""
 
+import itertools
 import signal
 import socket
 import subprocess
 import sys
 import time
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+import cv2
 import numpy as np
 import numpy.typing as npt
 import pyarrow as pa
@@ -27,6 +30,7 @@ from dronevio.eval.rerun.sink import Sink
 from dronevio.eval.rerun.video import VideoSettings
 from dronevio.models.imu import ImuSamples
 from dronevio.models.protocols import measurements
+from dronevio.models.state import CameraFrame
 
 if TYPE_CHECKING:
     from tests.eval.conftest import ReadRrd, SyntheticFlight, VerifyRrd
@@ -217,19 +221,53 @@ def wait_for_server(port: int) -> None:
     raise AssertionError(f"no server accepts connections at port {port}")
 
 
+REPETITIONS = 4
+"""Repetitions of each measurement of processor time, of which the smallest counts."""
+MAX_COSTS = {null_log: 0.32, jpeg_log: 0.5, video_log: 1.4}
+"""Largest processor time of logging for each log of images, in units of the reference.
+
+Measured: .17 to .20, .27 to .32 and .73 to 1.02."""
+
+
+def with_cached_images(flight: "SyntheticFlight") -> "SyntheticFlight":
+    """Return the flight with images that are computed only once, before the measurement."""
+    frames = [flight.recording.frame(i) for i in range(len(flight.run.estimates))]
+
+    class CachedRecording(type(flight.recording)):  # type: ignore[misc]
+        def frame(self, index: int) -> CameraFrame:
+            return frames[index]
+
+    return replace(flight, recording=CachedRecording(**vars(flight.recording)))
+
+
+def reference_s(flight: "SyntheticFlight") -> float:
+    """Return the processor time of corners and tracks in the images, the least that an estimator computes [s]."""
+    images = [flight.recording.frame(i).images[0] for i in range(len(flight.run.estimates))]
+    start_s = time.process_time()
+    for before, image in itertools.pairwise(images):
+        corners = cv2.goodFeaturesToTrack(before, 150, 0.01, 10)
+        cv2.calcOpticalFlowPyrLK(before, image, corners, np.zeros_like(corners))
+    return time.process_time() - start_s
+
+
+def logging_s(path: Path, flight: "SyntheticFlight", make_image_log: ImageLogFactory) -> float:
+    """Return the processor time of logging a flight [s]."""
+    start_s = time.process_time()
+    log_live(path, flight, make_image_log)
+    return time.process_time() - start_s
+
+
 def test_logging_takes_little_processor_time(
     flight: "SyntheticFlight", tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """Rendering and estimation take 60 ms or more of processor time per frame; 5 % of that are 3 ms."""
-    costs_ms = {}
-    for name, make_image_log in (("no images", null_log), ("JPEG", jpeg_log), ("video", video_log)):
-        log_live(tmp_path / "warm-up.rrd", flight, null_log)
-        start_s = time.process_time()
-        log_live(tmp_path / f"{name}.rrd", flight, make_image_log)
-        costs_ms[name] = (time.process_time() - start_s) / len(flight.run.estimates) * 1e3
+    flight = with_cached_images(flight)
+    log_live(tmp_path / "warm-up.rrd", flight, jpeg_log)
+    unit_s, costs_s = np.inf, dict.fromkeys(MAX_COSTS, np.inf)
+    for _ in range(REPETITIONS):
+        unit_s = min(unit_s, reference_s(flight))
+        costs_s = {make: min(cost_s, logging_s(tmp_path / "t.rrd", flight, make)) for make, cost_s in costs_s.items()}
     with capsys.disabled():
-        rounded = {name: round(cost_ms, 2) for name, cost_ms in costs_ms.items()}
-        print("\nprocessor time of logging per frame of 376 × 240 [ms]:", rounded)
-    assert costs_ms["no images"] < 3.0
-    assert costs_ms["JPEG"] < 6.0
-    assert costs_ms["video"] < 12.0
+        shown = {make.__name__: round(cost_s / unit_s, 2) for make, cost_s in costs_s.items()}
+        print(f"\nprocessor time of logging, in units of {unit_s / len(flight.run.estimates) * 1e3:.2f} ms:", shown)
+    for make_image_log, bound in MAX_COSTS.items():
+        assert costs_s[make_image_log] < bound * unit_s, make_image_log.__name__

@@ -8,20 +8,24 @@ import numpy as np
 import numpy.typing as npt
 import pyarrow as pa
 import pytest
+import rerun as rr
 from rerun.chunk import RrdReader
 
+from dronevio.eval import colours
 from dronevio.eval.metrics import score_trajectory
 from dronevio.eval.rerun import entities
+from dronevio.eval.rerun.drone_body import DroneBody
 from dronevio.eval.rerun.entities import EstimateEntities
 from dronevio.eval.rerun.files import run_file, write_rrd
 from dronevio.eval.rerun.surroundings import Surroundings
 from dronevio.eval.run import EstimatorRun, tracks_of
-from dronevio.eval.scene import VIEW_ASPECT, VIEWER_FIELD_OF_VIEW_RAD, fit_eye
+from dronevio.eval.scene import VIEW_ASPECT, VIEWER_FIELD_OF_VIEW_RAD, fit_view
 from dronevio.models.errors import EvaluationError, InputError
 from dronevio.models.imu import ImuSamples, Times
 from dronevio.models.protocols import Recording
 from dronevio.models.rig import Rig
 from dronevio.models.rotation import matrix_from_quat_wxyz
+from dronevio.models.scenery import TexturedMesh
 from dronevio.models.state import CameraFrame, Health, Trajectory
 
 if TYPE_CHECKING:
@@ -165,6 +169,37 @@ def test_without_truth_the_estimate_is_not_aligned(
     assert not any(entity.startswith("error") for entity in columns)
 
 
+def test_surfaces_replace_the_outline(
+    flight: "SyntheticFlight", tmp_path: Path, read_rrd: "ReadRrd", verify_rrd: "VerifyRrd"
+) -> None:
+    vertices = np.array([(-3, -3, 0), (3, -3, 0), (3, 3, 0), (-3, 3, 0)], np.float32)
+    texture = np.arange(2 * 4 * 3, dtype=np.uint8).reshape(2, 4, 3)
+    on_texture = np.array([(0, 1), (1, 1), (1, 0), (0, 0)], np.float32)
+    floor = TexturedMesh(vertices, on_texture, np.array([(0, 1, 2), (0, 2, 3)], np.uint32), texture)
+    surroundings = Surroundings(flight.outline, meshes=(floor,))
+    write_rrd(tmp_path / "run.rrd", flight.recording, flight.run, None, surroundings=surroundings)
+    verify_rrd(tmp_path / "run.rrd")
+    columns = read_rrd(tmp_path / "run.rrd")
+    assert entities.SURROUNDINGS not in columns  # no outline
+    surface = columns[f"{entities.SURROUNDINGS}/surface0"]
+    assert np.allclose(surface["vertex_positions"][0].as_py(), vertices)
+    assert np.array(surface["triangle_indices"][0].as_py()).tolist() == floor.triangles.tolist()
+    assert np.allclose(surface["vertex_texcoords"][0].as_py(), on_texture)
+    assert bytes(surface["albedo_texture_buffer"][0].as_py()[0]) == texture.tobytes()
+    assert surface["face_rendering"][0].as_py() == [int(rr.components.MeshFaceRendering.Front.value)]
+
+
+def test_true_and_estimated_body_move_with_their_poses(columns: "EntityColumns", flight: "SyntheticFlight") -> None:
+    """The bodies are static below the poses that the other tests check: a solid one, and edges in another colour."""
+    solid, edges = columns[entities.TRUE_BODY], columns[ESTIMATE.body]
+    assert entities.TRUE_BODY.startswith(f"{entities.RIG}/") and ESTIMATE.body.startswith(f"{ESTIMATE.imu}/")
+    assert "translation" in columns[entities.RIG] and "translation" in columns[ESTIMATE.imu]
+    body = DroneBody.of(flight.recording.rig)
+    assert np.allclose(solid["vertex_positions"][0].as_py(), body.triangles.reshape(-1, 3), atol=1e-6)
+    assert len(edges["strips"][0].as_py()) == len(body.edges)
+    assert edges["colors"][0].as_py() == [int.from_bytes((*colours.rgb(colours.ESTIMATE), 255), "big")]
+
+
 def test_a_run_without_poses_has_images_but_no_path(
     flight: "SyntheticFlight", tmp_path: Path, read_rrd: "ReadRrd"
 ) -> None:
@@ -216,7 +251,7 @@ def test_rows_before_an_unreadable_image_are_in_the_file(
 @pytest.mark.parametrize("seed", range(5))
 def test_the_initial_view_contains_all_points_and_is_close(seed: int) -> None:
     points = np.random.default_rng(seed).uniform(-1.0, 1.0, (50, 3)) * [5.0, 3.0, 1.5] + [10.0, -4.0, 1.0]
-    position, target = fit_eye(points)
+    position, target = fit_view(points)
     forward = (target - position) / np.linalg.norm(target - position)
     right = np.cross(forward, [0.0, 0.0, 1.0])
     right /= np.linalg.norm(right)

@@ -1,11 +1,11 @@
-"""An eye from which dense surfaces fill a picture."""
+"""A viewpoint from which dense surfaces fill a picture."""
 
 import numpy as np
 import numpy.typing as npt
 
 from dronevio.eval.scene import (
     VIEWER_FIELD_OF_VIEW_RAD,
-    fit_eye,
+    fit_view,
     upright_rotation,
     view_axes,
     view_azimuth_deg,
@@ -14,19 +14,19 @@ from dronevio.models.reconstruction import Reconstruction
 
 Array = npt.NDArray[np.float64]
 
-_MAX_FITTED = 50_000  # points from which the eye is chosen
+_MAX_FITTED = 50_000  # points from which the viewpoint is chosen
 _INNER_PERCENT = (3.0, 97.0)  # percentiles of the coordinates of the points that fill a picture
-_FITTED_SIZE_M = 100.0  # to which the points are scaled for `fit_eye`
+_FITTED_SIZE_M = 100.0  # to which the points are scaled for `fit_view`
 _MIN_COMMON = 0.6  # length of the mean optical axis in the plane, above which the cameras look in one direction
 _OFFSET_DEG = 15.0  # between the view and this direction
-_LOW_ELEVATION_DEG = 8.0  # of an eye beside the cameras
-_ELEVATION_DEG = 40.0  # of an eye outside the scene
+_LOW_ELEVATION_DEG = 8.0  # of a viewpoint beside the cameras
+_ELEVATION_DEG = 40.0  # of a viewpoint outside the scene
 _FILLED_PERCENT = 90.0  # share of the points within the picture
 _FIT_ITERATIONS = 3
 
 
-def surface_eye(reconstruction: Reconstruction, points: Array, aspect: float) -> tuple[Array, Array]:
-    """Return position (3,) and target (3,) of an eye from which the inner points of a scene fill a picture.
+def surface_view(reconstruction: Reconstruction, points: Array, aspect: float) -> tuple[Array, Array]:
+    """Return position (3,) and target (3,) of a viewpoint from which the inner points of a scene fill a picture.
 
     It is beside the cameras if they look in one direction, and otherwise outside and above the scene.
 
@@ -47,13 +47,13 @@ def surface_eye(reconstruction: Reconstruction, points: Array, aspect: float) ->
         low, high = np.percentile(points, _INNER_PERCENT, axis=0)
         inner = points[np.all((points >= low) & (points <= high), axis=1)]
         scale = _FITTED_SIZE_M / max(float(np.ptp(inner, axis=0).max()), np.finfo(float).tiny)  # it expects metres
-        fitted = fit_eye(inner * scale, view_azimuth_deg(Rs_scene_cam), _ELEVATION_DEG, aspect)
+        fitted = fit_view(inner * scale, view_azimuth_deg(Rs_scene_cam), _ELEVATION_DEG, aspect)
         position, target = (p / scale for p in fitted)
     return position @ R_scene_world, target @ R_scene_world
 
 
 def _fitted(points: Array, target: Array, distance: float, azimuth_deg: float, aspect: float) -> Array:
-    """Return the position of an eye that looks at a target, at a distance at which most points fill the picture."""
+    """Return the position of a viewpoint at a distance from its target at which most points fill the picture."""
     back, right, up = view_axes(azimuth_deg, _LOW_ELEVATION_DEG)
     tangent = np.tan(0.5 * VIEWER_FIELD_OF_VIEW_RAD)
     for _ in range(_FIT_ITERATIONS):

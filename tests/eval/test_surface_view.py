@@ -1,11 +1,11 @@
-"""The eye from which dense surfaces fill a picture."""
+"""The viewpoint from which dense surfaces fill a picture."""
 
 import numpy as np
 import pytest
 
 from dronevio.eval.scene import VIEWER_FIELD_OF_VIEW_RAD
-from dronevio.eval.splatting import Eye
-from dronevio.eval.surface_eye import surface_eye
+from dronevio.eval.splatting import ViewCamera
+from dronevio.eval.surface_view import surface_view
 from dronevio.models.camera import CameraModel
 from dronevio.models.reconstruction import Reconstruction
 from dronevio.models.rotation import exp_so3, pose_matrix
@@ -36,13 +36,13 @@ def test_surfaces_fill_the_picture(headings_deg: list[float], aspect: float) -> 
     rng = np.random.default_rng(0)
     centre = np.array([0.0, 8.0, 0.0]) if len(headings_deg) == 3 else np.zeros(3)
     points = centre + rng.uniform(-2.0, 2.0, (2000, 3))
-    position, target = surface_eye(cameras(headings_deg), points, aspect)
-    eye = Eye.looking_at(
+    position, target = surface_view(cameras(headings_deg), points, aspect)
+    view_camera = ViewCamera.looking_at(
         position, target, np.array([0.0, 0.0, 1.0]), VIEWER_FIELD_OF_VIEW_RAD, round(600 * aspect), 600
     )
-    in_eye = (points - position) @ eye.axes.T
-    assert in_eye[:, 2].min() > 0.0
-    sides = np.abs(in_eye[:, :2]) / in_eye[:, 2:] * eye.focal_px / [300.0 * aspect, 300.0]
+    in_view = (points - position) @ view_camera.axes.T
+    assert in_view[:, 2].min() > 0.0
+    sides = np.abs(in_view[:, :2]) / in_view[:, 2:] * view_camera.focal_px / [300.0 * aspect, 300.0]
     assert np.mean((sides < 1.0).all(axis=1)) > 0.8
     assert np.percentile(sides.max(axis=1), 98.0) > 0.6
     if len(headings_deg) == 3:
