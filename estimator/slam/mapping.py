@@ -230,16 +230,12 @@ class Mapper:
         distance_m = np.linalg.norm(Ts[:, :3, 3] - T[:3, 3], axis=1)
         cosine = (np.einsum("nij,ij->n", Ts[:, :3, :3], T[:3, :3]) - 1.0) / 2.0
         angle_rad = np.arccos(np.clip(cosine, -1.0, 1.0))
-        largest_rad = np.radians(c.max_angle_deg)
-        cost = distance_m / c.max_distance_m + angle_rad / largest_rad
-        order = np.argsort(np.where((distance_m < c.max_distance_m) & (angle_rad < largest_rad), cost, np.inf))
+        distance, angle = distance_m / c.max_distance_m, angle_rad / np.radians(c.max_angle_deg)
+        is_near = np.maximum(distance, angle) < 1.0
+        near = np.flatnonzero(is_near)
         chosen: list[int] = []
-        for index in order.tolist():
-            if not np.isfinite(cost[index]) or len(chosen) == c.references:
-                break
-            if distance_m[index] >= c.max_distance_m or angle_rad[index] >= largest_rad:
-                break
-            if all(abs(old[index] - other) > MIN_SEPARATION for other in chosen):
+        for index in near[np.argsort((distance + angle)[near])].tolist():
+            if len(chosen) < c.references and all(abs(old[index] - other) > MIN_SEPARATION for other in chosen):
                 chosen.append(old[index])
         return chosen
 
