@@ -242,7 +242,7 @@ def require_world(name: str) -> None:
 
 
 @lru_cache(maxsize=2)
-def _painted(name: str, seed: int, texture_seed: int, light_seed: int | None) -> tuple[Layout, Appearance]:
+def _painted(name: str, seed: int, texture_seed: int, light_seed: int | None = None) -> tuple[Layout, Appearance]:
     """Return layout and appearance of a world; cached, since painting takes seconds."""
     drawing, paint = _generators(seed)[0], _generators(texture_seed)[1]
     layout = drawn_layout(WORLDS[name], drawing, _light(light_seed))

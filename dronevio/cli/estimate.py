@@ -55,7 +55,7 @@ class EstimateCommand:
       dronevio estimate V1_01_easy --estimator.tracker.corners.cell-px 36
       dronevio estimate flight.mcap --strict --estimator.gravity-m-s2 9.80
       dronevio estimate V1_01_easy --slam --out v101.tum
-      dronevio evaluate V1_01_easy v101.tum v101_map.tum v101_map_final.tum
+      dronevio evaluate V1_01_easy v101_map.tum
     """
 
     recording: Annotated[tyro.conf.Positional[Path], tyro.conf.arg(metavar="RECORDING")]

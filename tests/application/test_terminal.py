@@ -92,7 +92,7 @@ def test_benchmark_table_has_one_line_per_estimator(capsys: pytest.CaptureFixtur
     print_benchmark(rows)
     table = capsys.readouterr().out.splitlines()[1:-1]
     assert len(table) == 3  # headings, rule, and one estimator on one scenario
-    assert table[2].split() == ["short-v0", "vio", "3/3", "0.2", "(0.15–0.25)", "0.2", "(0.2–0.2)", "9.0"]
+    assert table[2].split() == ["short-v0", "vio", "3/3", "0", "0.2", "(0.15–0.25)", "0.2", "(0.2–0.2)", "9.0"]
 
 
 def test_rows_of_other_lengths_are_refused() -> None:
