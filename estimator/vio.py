@@ -20,6 +20,7 @@ from dronevio.estimator.frontend.rig import RigTracker
 from dronevio.estimator.health import HealthMonitor
 from dronevio.estimator.imu.forward_propagation import ImuRatePropagator
 from dronevio.estimator.imu.noise import ImuNoiseEstimator
+from dronevio.estimator.imu.preintegration import PreintegrationParams
 from dronevio.estimator.initialization.gauge import Gauge, LastPublished, WorldOrigin
 from dronevio.estimator.initialization.initializer import Initializer
 from dronevio.estimator.initialization.not_observable import NotObservable
@@ -122,6 +123,11 @@ class VisualInertialOdometry:
     def state_at(self, t_ns: int) -> NavState | None:
         """Return the newest state, propagated by the IMU to its last sample not after a time; see `Estimator`."""
         return self._imu_rate.state_at(t_ns)
+
+    @property
+    def imu_noise(self) -> PreintegrationParams:
+        """The noise of the IMU as it has been estimated so far."""
+        return self._noise.params
 
     def add_frame(self, frame: CameraFrame) -> Estimate:
         """Add a frame and return the estimate at its time stamp.

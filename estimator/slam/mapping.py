@@ -5,6 +5,7 @@ recognized places become loops of the pose graph, and the graph is optimized. Th
 of the odometry frame in the map frame at the newest keyframe of the map, the anchor.
 """
 
+from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from typing import Annotated, Protocol
 
@@ -145,11 +146,12 @@ class Mapper:
         loops, rejected = (0, 0) if solution is None else (len(solution.graph.loops), len(solution.rejected))
         return MapSummary(len(self._keyframes), loops - rejected, rejected)
 
-    def final_correction(self) -> MapCorrection | None:
-        """Return the correction of the whole flight by all loops; None before the first keyframe."""
-        if self._solution is None:
-            return None
-        poses = optimize(self._solution.graph).graph.poses
+    def final_solution(self) -> OptimizedGraph | None:
+        """Return the pose graph of the whole flight, optimized with all loops; None before the first keyframe."""
+        return None if self._solution is None else optimize(self._solution.graph)
+
+    def correction_of(self, poses: Mapping[int, Array]) -> MapCorrection:
+        """Return the correction of the odometry at all keyframes, by their poses (4, 4) in the map frame."""
         t_ns = np.array([keyframe.t_ns for keyframe in self._keyframes], dtype=np.int64)
         Ts = np.stack([poses[keyframe.number] @ inverse_pose(keyframe.T_odom_imu) for keyframe in self._keyframes])
         return MapCorrection(t_ns, Ts)

@@ -8,22 +8,28 @@ continuous.
 """
 
 from collections import deque
+from contextlib import suppress
 from dataclasses import replace
+from functools import reduce
 
 import numpy as np
 import numpy.typing as npt
 
 from dronevio.estimator.backend.departure import Departure
+from dronevio.estimator.backend.observations import observation_table
 from dronevio.estimator.config import VioConfig
+from dronevio.estimator.imu.preintegration import PreintegrationParams
 from dronevio.estimator.keyframe_observer import OdometryKeyframe
+from dronevio.estimator.slam.bundle_adjustment import AdjustmentInputs, AdjustmentKeyframe, adjust
 from dronevio.estimator.slam.config import SlamConfig
 from dronevio.estimator.slam.correction import MapCorrection
 from dronevio.estimator.slam.features import PlaceFeatureExtractor
 from dronevio.estimator.slam.localization import KeyframeImages
 from dronevio.estimator.slam.mapping import Correction, Mapper, MapSummary, WaitingKeyframe
+from dronevio.estimator.slam.pose_graph import PoseGraph
 from dronevio.estimator.slam.recognizer import PlaceRecognizer
 from dronevio.estimator.vio import VisualInertialOdometry
-from dronevio.models.imu import ImuSamples
+from dronevio.models.imu import ImuModel, ImuSamples
 from dronevio.models.rig import Rig
 from dronevio.models.state import CameraFrame, Estimate, NavState
 
@@ -56,6 +62,8 @@ class VisualSlam:
         self._config = c = config or SlamConfig()
         self._map = _MapOfOdometry(rig, c)
         self._odometry = VisualInertialOdometry(rig, odometry, observer=self._map)
+        self._rig = rig
+        self._imu: list[ImuSamples] = []
         self._frames = 0
         self._due: deque[tuple[int, Correction]] = deque()
         self._T_map_odom = np.eye(4)
@@ -63,6 +71,7 @@ class VisualSlam:
     def add_imu(self, samples: ImuSamples) -> None:
         """Add the IMU samples since the last call; see `VisualInertialOdometry`."""
         self._odometry.add_imu(samples)
+        self._imu.append(samples)
 
     def state_at(self, t_ns: int) -> NavState | None:
         """Return the newest state in the odometry frame, propagated by the IMU; see `Estimator`."""
@@ -98,8 +107,22 @@ class VisualSlam:
         return self._map.mapper.summary
 
     def final_correction(self) -> MapCorrection | None:
-        """Return the correction of the whole flight by all loops; None if no keyframe has joined the map."""
-        return self._map.mapper.final_correction()
+        """Return the correction of the whole flight by all measurements; None if no keyframe has joined the map.
+
+        The pose graph gives the initial poses, and visual-inertial bundle adjustment the final ones. Without loops, the
+        odometry is not corrected.
+        """
+        mapper = self._map.mapper
+        solution = mapper.final_solution()
+        if solution is None:
+            return None
+        poses, graph = solution.graph.poses, solution.without_rejected
+        if graph.loops:
+            imu, noise = reduce(ImuSamples.extended, self._imu), self._odometry.imu_noise
+            inputs = self._map.adjustment_inputs(graph, imu, self._rig.imu, noise)
+            with suppress(RuntimeError):  # by GTSAM, if the system is singular; the poses of the graph remain
+                poses = adjust(inputs, self._config.adjustment)
+        return mapper.correction_of(poses)
 
 
 class _MapOfOdometry:
@@ -110,6 +133,8 @@ class _MapOfOdometry:
         self.mapper = Mapper(PlaceRecognizer(rig, config.places), config.mapping)
         self._extractor = PlaceFeatureExtractor(config.places.features)
         self._frame: CameraFrame | None = None
+        self._waiting: dict[int, OdometryKeyframe] = {}
+        self._members: dict[int, OdometryKeyframe] = {}  # keyframes of the map
         self._corrections: list[Correction] = []
         self._is_lost = False
 
@@ -133,12 +158,44 @@ class _MapOfOdometry:
         features = self._extractor.extract(frame.images, rig, R_odom_imu, keyframe.observations)
         waiting = WaitingKeyframe(keyframe.t_ns, features, KeyframeImages(frame.images, rig))
         self.mapper.add(waiting, keyframe.window_times_ns)
+        self._waiting = {t: known for t, known in self._waiting.items() if t in keyframe.window_times_ns}
+        self._waiting[keyframe.t_ns] = keyframe
 
     def departed(self, departure: Departure) -> None:
         """Let a keyframe of the odometry join the map."""
         correction = self.mapper.depart(departure)
         if correction is not None:
+            self._members[departure.t_ns] = self._waiting.pop(departure.t_ns)
             self._corrections.append(correction)
+
+    def adjustment_inputs(
+        self, graph: PoseGraph, imu: ImuSamples, imu_model: ImuModel, noise: PreintegrationParams
+    ) -> AdjustmentInputs:
+        """Return the measurements of all keyframes of the map.
+
+        Args:
+            graph: The optimized pose graph, without rejected loops.
+            imu: The IMU samples of the flight.
+            imu_model: The sensor model.
+            noise: The noise of the preintegration.
+        """
+        keyframes = []
+        for member in self.mapper.keyframes:
+            known, T_map_imu = self._members[member.t_ns], graph.poses[member.number]
+            R_map_odom = T_map_imu[:3, :3] @ member.T_odom_imu[:3, :3].T
+            keyframes.append(
+                AdjustmentKeyframe(
+                    member.number,
+                    member.t_ns,
+                    T_map_imu,
+                    R_map_odom @ known.state.velocity_m_s,
+                    known.state.gyro_bias_rad_s,
+                    known.state.accel_bias_m_s2,
+                    observation_table(member.number, known.observations),
+                )
+            )
+        calibration = self._members[self.mapper.keyframes[-1].t_ns].calibration
+        return AdjustmentInputs(keyframes, graph.loops, imu, imu_model, noise, calibration, graph.first_covariance)
 
     def lost(self) -> None:
         """End the map: later keyframes are in another odometry frame."""

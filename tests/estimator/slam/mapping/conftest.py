@@ -123,6 +123,7 @@ class OdometryFlight:
     flight: "SyntheticFlight"
     estimates: list[Estimate]
     departures: list[Departure]
+    keyframes: list[OdometryKeyframe]
 
     @cached_property
     def true_poses(self) -> dict[int, Array]:
@@ -149,4 +150,4 @@ class OdometryFlight:
 def odometry_flight(make_flight: "Callable[..., SyntheticFlight]") -> OdometryFlight:
     """Return a flight of 25 s with the keyframes of its odometry."""
     flight, observer = make_flight(4, duration_s=25.0), RecordingObserver()
-    return OdometryFlight(flight, flight.run(observer=observer), observer.departures)
+    return OdometryFlight(flight, flight.run(observer=observer), observer.departures, observer.keyframes)

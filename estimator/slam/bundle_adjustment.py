@@ -1,0 +1,191 @@
+"""Visual-inertial bundle adjustment of a map: all keyframes, landmarks, IMU measurements and loops together.
+
+The pose graph summarizes the odometry by relative poses. Here its measurements are used again, with all later
+knowledge: GTSAM's preintegrated IMU factors between keyframes, reprojection factors of the landmarks with a robust
+loss, and the loops as relative poses (Mur-Artal and Tardós, "Visual-inertial monocular SLAM with map reuse", RA-L 2017;
+Qin et al., T-RO 2018). It is section 7.4.3 of the book as one factor graph.
+"""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Annotated
+
+import gtsam
+import numpy as np
+import numpy.typing as npt
+from gtsam.symbol_shorthand import B, L, V, X
+
+from dronevio.estimator.backend.observations import ObservationTable
+from dronevio.estimator.backend.triangulation import triangulate
+from dronevio.estimator.imu.buffer import ImuBuffer
+from dronevio.estimator.imu.preintegration import Preintegration, PreintegrationParams
+from dronevio.estimator.slam.odometry_factors import RelativePose
+from dronevio.estimator.types import Calibration
+from dronevio.models.imu import ImuModel, ImuSamples
+from dronevio.models.ranges import Range, Settings
+
+Array = npt.NDArray[np.float64]
+Integers = npt.NDArray[np.int64]
+
+
+@dataclass(frozen=True)
+class AdjustmentConfig(Settings):
+    """Settings of the bundle adjustment of a map."""
+
+    pixel_sigma: Annotated[float, Range(0.01, 100.0)] = 0.2
+    """Standard deviation of an image observation of the best quality [px]."""
+    robust_sigmas: Annotated[float, Range(0.1, 1e3)] = 2.0
+    """Scale of the Cauchy loss of the observations, in standard deviations."""
+    min_views: Annotated[int, Range(2, 100)] = 3
+    """Smallest number of observations of a landmark."""
+    min_parallax_deg: Annotated[float, Range(0.01, 90.0)] = 0.5
+    """Smallest parallax of a landmark [°]."""
+    max_error_px: Annotated[float, Range(above=0.0)] = 6.0
+    """Largest reprojection error of a landmark by the initial poses [px]."""
+    iterations: Annotated[int, Range(1, 100)] = 15
+    """Largest number of Levenberg-Marquardt steps."""
+
+
+@dataclass(frozen=True, eq=False)
+class AdjustmentKeyframe:
+    """A keyframe with its initial state in the map frame."""
+
+    number: int
+    """Number of the keyframe."""
+    t_ns: int
+    """Time by the IMU's clock [ns]."""
+    T_map_imu: Array
+    """(4, 4) Initial pose of the IMU."""
+    velocity_m_s: Array
+    """(3,) Initial velocity in the map frame [m/s]."""
+    gyro_bias_rad_s: Array
+    """(3,) Initial gyroscope bias [rad/s]."""
+    accel_bias_m_s2: Array
+    """(3,) Initial accelerometer bias [m/s²]."""
+    observations: ObservationTable
+    """Its observations of landmarks by all cameras."""
+
+
+@dataclass(frozen=True, eq=False)
+class AdjustmentInputs:
+    """The measurements of a map."""
+
+    keyframes: Sequence[AdjustmentKeyframe]
+    """Keyframes in the order of time."""
+    loops: Sequence[RelativePose]
+    """Loops between them."""
+    imu: ImuSamples
+    """IMU samples from before the first to after the last keyframe."""
+    imu_model: ImuModel
+    """The sensor model."""
+    params: PreintegrationParams
+    """The noise of the preintegration."""
+    calibration: Calibration
+    """The calibration in use."""
+    first_covariance: Array
+    """(6, 6) Prior covariance of the first pose: δθ, then δp, both in the IMU frame."""
+
+
+def adjust(inputs: AdjustmentInputs, config: AdjustmentConfig) -> dict[int, Array]:
+    """Return the adjusted poses (4, 4) of the keyframes in the map frame, by their numbers.
+
+    Args:
+        inputs: The measurements, two keyframes or more.
+        config: Settings.
+    """
+    keyframes = inputs.keyframes
+    graph, values = gtsam.NonlinearFactorGraph(), gtsam.Values()
+    for keyframe in keyframes:
+        values.insert(X(keyframe.number), pose3=gtsam.Pose3(keyframe.T_map_imu))
+        values.insert(V(keyframe.number), vector=keyframe.velocity_m_s)
+        values.insert(B(keyframe.number), constant_bias=_bias(keyframe))
+    _add_priors(graph, inputs)
+    _add_imu_factors(graph, inputs)
+    for loop in inputs.loops:
+        noise = gtsam.noiseModel.Gaussian.Covariance(loop.covariance)
+        T = gtsam.Pose3(loop.T_first_second)
+        graph.add(gtsam.BetweenFactorPose3(X(loop.first), X(loop.second), T, noise))
+    _add_landmarks(graph, values, inputs, config)
+    params = gtsam.LevenbergMarquardtParams()
+    params.setMaxIterations(config.iterations)
+    params.setRelativeErrorTol(1e-4)
+    solution = gtsam.LevenbergMarquardtOptimizer(graph, values, params).optimize()
+    return {keyframe.number: solution.atPose3(X(keyframe.number)).matrix() for keyframe in keyframes}
+
+
+def _add_priors(graph: gtsam.NonlinearFactorGraph, inputs: AdjustmentInputs) -> None:
+    """Add what is known of the first state: the gauge, and the turn-on biases of the data sheet."""
+    first, imu = inputs.keyframes[0], inputs.imu_model
+    pose_noise = gtsam.noiseModel.Gaussian.Covariance(inputs.first_covariance)
+    graph.add(gtsam.PriorFactorPose3(X(first.number), gtsam.Pose3(first.T_map_imu), pose_noise))
+    sigmas = np.repeat([imu.accel_turn_on_bias_m_s2, imu.gyro_turn_on_bias_rad_s], 3)
+    bias_noise = gtsam.noiseModel.Diagonal.Sigmas(sigmas)
+    graph.add(gtsam.PriorFactorConstantBias(B(first.number), gtsam.imuBias.ConstantBias(), bias_noise))
+
+
+def _add_imu_factors(graph: gtsam.NonlinearFactorGraph, inputs: AdjustmentInputs) -> None:
+    """Add the preintegrated IMU measurements between consecutive keyframes."""
+    buffer = ImuBuffer(inputs.imu_model)
+    buffer.add(inputs.imu)
+    buffer.take_until(inputs.keyframes[0].t_ns)
+    for first, second in zip(inputs.keyframes[:-1], inputs.keyframes[1:], strict=True):
+        i, j = first.number, second.number
+        preintegration = Preintegration(inputs.params, _bias(first))
+        preintegration.integrate(buffer.take_until(second.t_ns))
+        graph.add(gtsam.CombinedImuFactor(X(i), V(i), X(j), V(j), B(i), B(j), preintegration.measurements))
+
+
+def _add_landmarks(
+    graph: gtsam.NonlinearFactorGraph, values: gtsam.Values, inputs: AdjustmentInputs, config: AdjustmentConfig
+) -> None:
+    """Add the landmarks with enough views and parallax, and their reprojection factors."""
+    Ts_imu_cam, focal_px = inputs.calibration.Ts_imu_cam, float(inputs.calibration.focal_px[0])
+    table, points = _triangulated(inputs, config)
+    sensors = [gtsam.Pose3(T) for T in Ts_imu_cam]
+    unit, loss = gtsam.Cal3_S2(), gtsam.noiseModel.mEstimator.Cauchy.Create(config.robust_sigmas)
+    for landmark, point in points.items():
+        values.insert(L(landmark), point3=point)
+    rows = zip(
+        table.landmark.tolist(),
+        table.keyframe.tolist(),
+        table.camera.tolist(),
+        table.xy,
+        table.sigma_scale.tolist(),
+        strict=True,
+    )
+    for landmark, keyframe, camera, xy, scale in rows:
+        noise = gtsam.noiseModel.Isotropic.Sigma(2, scale * config.pixel_sigma / focal_px)
+        robust = gtsam.noiseModel.Robust.Create(loss, noise)
+        graph.add(
+            gtsam.GenericProjectionFactorCal3_S2(
+                xy, robust, X(keyframe), L(landmark), unit, False, False, sensors[camera]
+            )
+        )
+
+
+def _triangulated(inputs: AdjustmentInputs, config: AdjustmentConfig) -> tuple[ObservationTable, Mapping[int, Array]]:
+    """Return the observations of the landmarks that are used, and the landmarks (3,) by their identities."""
+    tables = [keyframe.observations for keyframe in inputs.keyframes]
+    table = sum(tables[1:], tables[0]).by_landmark()
+    table, starts, counts = _with_views(table, config.min_views)
+    Ts = {k.number: k.T_map_imu @ inputs.calibration.Ts_imu_cam for k in inputs.keyframes}
+    T = np.stack([Ts[k][c] for k, c in zip(table.keyframe.tolist(), table.camera.tolist(), strict=True)])
+    found = triangulate(starts, T[:, :3, :3], T[:, :3, 3], table.xy)
+    limit = config.max_error_px / float(inputs.calibration.focal_px[0])
+    is_used = found.in_front & (found.parallax_rad > np.radians(config.min_parallax_deg)) & (found.rms < limit)
+    ids = table.landmark[starts]
+    points = {int(i): point for i, point in zip(ids[is_used], found.points[is_used], strict=True)}
+    return table[np.repeat(is_used, counts)], points
+
+
+def _with_views(table: ObservationTable, min_views: int) -> tuple[ObservationTable, Integers, Integers]:
+    """Return the rows of landmarks with enough observations, and where each landmark starts and its number of rows."""
+    _, counts = np.unique(table.landmark, return_counts=True)
+    table = table[np.repeat(counts >= min_views, counts)]
+    counts = counts[counts >= min_views]
+    return table, np.cumsum(counts) - counts, counts
+
+
+def _bias(keyframe: AdjustmentKeyframe) -> gtsam.imuBias.ConstantBias:
+    """Return the initial biases of a keyframe."""
+    return gtsam.imuBias.ConstantBias(keyframe.accel_bias_m_s2, keyframe.gyro_bias_rad_s)
