@@ -61,7 +61,7 @@ def copy_checkout(target: Path) -> None:
 
 def run_tests(checkout: Path, tests: Sequence[str]) -> Verdict:
     """Run some tests in a copy of the checkout, on one process, up to the first failure."""
-    options = ["-x", "-q", "-p", "no:cacheprovider", "-n", "0", "--no-header", "--tb=line"]
+    options = ["-x", "-q", "-m", "", "-p", "no:cacheprovider", "-n", "0", "--no-header", "--tb=line"]
     command = [sys.executable, "-m", "pytest", *options, *tests]
     environment = {**os.environ, "PYTHONPATH": str(checkout), "PYTHONDONTWRITEBYTECODE": "1"}
     try:

@@ -181,6 +181,7 @@ def test_killed_in_the_middle_it_goes_on_with_what_is_missing(
     assert [how for how, *_ in notes(place)[first:]] == ["1.0", "hang", "hang"]
 
 
+@pytest.mark.slow
 def test_scenarios_are_flown_once_and_kept(place: Path, flown: Result, run_command: CommandRunner) -> None:
     cache, common = place / "cache", ["--scenarios", "short", "--seeds", "1"]
     where = ["--cache", cache, "--out", place / "flown", "--json"]

@@ -67,6 +67,7 @@ def test_a_later_start_has_no_earlier_measurement(noise_recording: Callable[...,
         RecordingTail.after(whole, 0.3)
 
 
+@pytest.mark.slow
 def test_starts_and_laps_are_rows_of_their_own(flown: Result, run_command: CommandRunner, tmp_path: Path) -> None:
     common = ["--recordings", flown.folder, "--estimators", "vio", "--out", tmp_path / "rows", "--json"]
     begun = run_command(tmp_path, "benchmark", *common, "--starts-s", "0", "1.5").document["rows"]

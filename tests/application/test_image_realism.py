@@ -198,6 +198,7 @@ def test_change_of_brightness_is_found(properties: Any) -> None:
     assert np.median(own) < 0.01
 
 
+@pytest.mark.slow
 def test_tables_of_a_simulated_flight(
     realism: Any, flown: Result, capsys: pytest.CaptureFixture[str], tmp_path: Path
 ) -> None:

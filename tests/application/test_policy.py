@@ -118,6 +118,7 @@ def test_commands_explain_bad_input(tmp_path: Path, capsys: pytest.CaptureFixtur
     assert "no policy; expected" in capsys.readouterr().err
 
 
+@pytest.mark.slow
 def test_run_flies_a_policy(hovering_policy: Policy, tmp_path: Path, run_command: Callable[..., Any]) -> None:
     """The policy stops the rotors when it takes over, so that the flight is short."""
     dv.save_policy(tmp_path / "falling.safetensors", falling(hovering_policy))

@@ -317,6 +317,7 @@ def test_missing_opengl_is_one_line_and_leaves_no_folder(what: str, tmp_path: Pa
     [lambda pid: os.killpg(pid, signal.SIGINT), lambda pid: os.kill(pid, signal.SIGTERM)],
     ids=["Ctrl-C", "kill"],
 )
+@pytest.mark.slow
 def test_interrupted_run_leaves_no_folder(tmp_path: Path, stop: Callable[[int], None]) -> None:
     """While images are rendered: a terminal signals all processes of the group, ``kill`` the command alone."""
     # A shell that runs the tests in the background makes their children ignore SIGINT. The command itself restores the
@@ -349,6 +350,7 @@ def wait_until(condition: Callable[[], bool], timeout_s: float = 60.0) -> None:
         time.sleep(0.05)
 
 
+@pytest.mark.slow
 def test_flight_on_the_estimate(place: Path, run_command: CommandRunner) -> None:
     """The estimates of the flight are those of its recording, to the byte, and depend on no other information."""
     folder = place / "on-estimate"

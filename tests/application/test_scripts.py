@@ -95,6 +95,7 @@ def test_a_fifth_of_the_tracks_are_outliers(corrupted_tracks: Any) -> None:
     assert not clean.xy.any()
 
 
+@pytest.mark.slow
 def test_a_front_end_with_outliers_is_an_estimator(
     corrupted_tracks: Any, flown: Any, run_command: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

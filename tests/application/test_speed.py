@@ -19,6 +19,7 @@ from dronevio.sim.batch_throughput import BatchTiming, figures_of
 from dronevio.sim.flight import fly
 
 
+@pytest.mark.slow
 def test_simulator_is_measured(capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["speed", "sim", "--quick", "--json"]) == 0
     document = json.loads(capsys.readouterr().out)
@@ -36,6 +37,7 @@ def test_simulator_is_measured(capsys: pytest.CaptureFixture[str]) -> None:
     assert 0.8 < memory < 1.2
 
 
+@pytest.mark.slow
 def test_evaluation_is_measured(capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["speed", "eval", "--quick", "--json"]) == 0
     document = json.loads(capsys.readouterr().out)

@@ -106,6 +106,7 @@ def final_nees(flight: "SyntheticFlight", estimates: Sequence[Estimate], static:
     [(1.0, 3.5, 6, (3, 3, 3)), (-5.0, 5.5, 5, (3, 3, 2))],
     ids=["static", "dynamic"],
 )
+@pytest.mark.slow
 def test_nees_has_the_expected_distribution(
     make_flight: MakeFlight, rest_s: float, duration_s: float, runs: int, degrees: tuple[int, int, int]
 ) -> None:

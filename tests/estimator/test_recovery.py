@@ -72,6 +72,7 @@ def run_with_states(flight: "SyntheticFlight") -> tuple[list[Estimate], list[Nav
     return estimates, states
 
 
+@pytest.mark.slow
 def test_half_a_minute_of_darkness_is_a_loss(make_flight: MakeFlight) -> None:
     flight = make_flight(0, rest_s=1.5, dark_s=(5.0, 35.0), duration_s=42.0)
     estimates, states = run_with_states(flight)
@@ -102,6 +103,7 @@ def test_half_a_minute_of_darkness_is_a_loss(make_flight: MakeFlight) -> None:
     assert np.abs(speeds - true_speeds).max() < 0.15
 
 
+@pytest.mark.slow
 def test_position_covariance_after_a_loss_covers_the_error(make_flight: MakeFlight) -> None:
     flight = make_flight(1, rest_s=1.5, dark_s=(5.0, 35.0), duration_s=42.0)
     estimates = flight.run()

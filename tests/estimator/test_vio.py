@@ -328,6 +328,7 @@ def test_a_known_time_offset_costs_nothing(make_flight: MakeFlight, offset_s: fl
     assert np.linalg.norm(velocity_errors, axis=1)[-60:].max() < 0.05
 
 
+@pytest.mark.slow
 def test_a_rolling_shutter_costs_little(make_flight: MakeFlight) -> None:
     flight = make_flight(0, rest_s=STATIONARY, duration_s=8.0)
     camera = replace(flight.rig.cameras[0], readout_s=0.03)
@@ -336,6 +337,7 @@ def test_a_rolling_shutter_costs_little(make_flight: MakeFlight) -> None:
 
 
 @pytest.mark.parametrize("rest_s", [STATIONARY, IN_MOTION])
+@pytest.mark.slow
 def test_frames_without_an_image_cost_little(make_flight: MakeFlight, rest_s: float) -> None:
     """Every fifth image is missing, and ten in a row: each frame has a pose, no such frame is a keyframe."""
     missing = frozenset({*range(3, 240, 5), *range(150, 160)})
@@ -350,6 +352,7 @@ def test_frames_without_an_image_cost_little(make_flight: MakeFlight, rest_s: fl
 
 
 @pytest.mark.parametrize("rest_s", [STATIONARY, IN_MOTION])
+@pytest.mark.slow
 def test_gravity_is_a_setting(make_flight: MakeFlight, rest_s: float) -> None:
     """Where gravity is 9.7 m/s², the setting restores the accuracy; without it, a bias or the scale compensates."""
     flight = make_flight(seed=1, rest_s=rest_s, noisy=False, gravity_m_s2=9.7)
@@ -357,6 +360,7 @@ def test_gravity_is_a_setting(make_flight: MakeFlight, rest_s: float) -> None:
     assert errors_m[0] < min(0.003, errors_m[1] / 3.0)
 
 
+@pytest.mark.slow
 def test_gravity_is_estimated(make_flight: MakeFlight) -> None:
     """After the correction, the measurements contain it, so that later windows agree with it."""
     flight = make_flight(seed=2, rest_s=IN_MOTION, duration_s=24.0, noisy=False, gravity_m_s2=9.84)

@@ -247,6 +247,7 @@ def test_invalid_decimal_seconds_are_refused(text: str) -> None:
         parse_decimal_seconds(text)
 
 
+@pytest.mark.slow
 def test_long_tables_are_read_fast(tmp_path: Path) -> None:
     n = 100_000
     values = np.random.default_rng(0).normal(size=(n, 6))

@@ -161,6 +161,7 @@ def test_a_recording_may_start_in_motion() -> None:
 
 
 @pytest.mark.parametrize("name", ["corridor-difficult", "forest-medium", "gates-race", "room-aggressive", "nano"])
+@pytest.mark.slow
 def test_flights_in_other_worlds_do_not_collide(name: str) -> None:
     flight = fly(scenario_named(name, 2))
     assert flight.collision is None

@@ -61,6 +61,7 @@ def test_instances_of_a_forest_depend_on_the_seed() -> None:
 
 
 @pytest.mark.parametrize("world", ["mirror", "moving", "gates"])
+@pytest.mark.slow
 def test_instances_agree_with_the_textured_world(world: str) -> None:
     textured, instances = build_world(world, 2), instance_spec(world, 2)
     moved = {mover.body: mover.poses(np.array([7.0]))[0] for mover in textured.movers}

@@ -26,6 +26,7 @@ def _random_walk(seed: int, size_m: float) -> np.ndarray:
 
 @settings(max_examples=8, deadline=None)
 @given(seed=st.integers(0, 10_000))
+@pytest.mark.slow
 def test_a_placed_path_is_clear_of_obstacles(seed: int) -> None:
     path = _random_walk(seed, 2.5)
     T = place_path(path, ONE_PILLAR, 0.25, "one pillar")

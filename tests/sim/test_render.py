@@ -93,6 +93,7 @@ def read(mav0: Path, stamp: int, camera: int = 0) -> np.ndarray:
     return image
 
 
+@pytest.mark.slow
 def test_images_do_not_depend_on_the_workers(tmp_path: Path) -> None:
     progress: list[tuple[int, int]] = []
     stereo = Rig((RigCamera(SMALL, np.eye(4), readout_s=0.01), RigCamera(SMALL, BASELINE)))

@@ -58,6 +58,7 @@ POLICIES = {"hover": (20, 1.0), "hover-imu": (20, 1.0), "waypoints": (20, 0.9), 
 
 
 @pytest.mark.parametrize("name", POLICIES)
+@pytest.mark.slow
 def test_committed_policies_succeed(example: Any, name: str) -> None:
     episodes, share = POLICIES[name]
     trainings = example("trainings")

@@ -60,6 +60,7 @@ def test_furniture_does_not_overlap(room: Room) -> None:
         assert overlap_m(extent(a), extent(b)) <= 0.0
 
 
+@pytest.mark.slow
 def test_rooms_are_determined_by_the_seed() -> None:
     def fingerprint(name: str, seed: int) -> tuple[bytes, bytes]:
         model = build_world(name, seed).spec.compile()

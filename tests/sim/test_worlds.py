@@ -104,6 +104,7 @@ def test_flight_area_agrees_with_the_world() -> None:
 
 
 @pytest.mark.parametrize("name", [name for name, kind in WORLDS.items() if kind.difficulty == "normal"])
+@pytest.mark.slow
 def test_normal_worlds_have_many_corners(name: str) -> None:
     found = texturedness(build_world(name, 0), frames=12)
     assert found.share_good >= GOOD_SHARE

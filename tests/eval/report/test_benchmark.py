@@ -386,6 +386,7 @@ def test_the_page_fits_the_width_of_the_browser_and_sorts(large_file: Path, brow
 
 
 @pytest.mark.parametrize("width", [420, 1280])
+@pytest.mark.slow
 def test_five_estimators_are_shown_without_scrolling(tmp_path: Path, browse: "Browse", width: int) -> None:
     path = tmp_path / "report.html"
     path.write_text(benchmark_page(SUITE), encoding="utf-8")
