@@ -110,7 +110,6 @@ class ImuPropagation:
             t_ns, now.pose().matrix(), now.velocity(), start.gyro_bias_rad_s, start.accel_bias_m_s2, covariance
         )
 
-
     def predicted(self, t_ns: int, increments: Increments) -> NavState:
         """Return the predicted state after further increments, which are not added, without covariance.
 

@@ -68,8 +68,7 @@ def missing_rotation(innovation: Innovation, saturated_sigma_rad: Array) -> tupl
 
 def saturated_sigma_rad(increments: Increments) -> Array:
     """Return the standard deviation (3,) of the rotation over increments about each axis, due to saturation [rad]."""
-    excess = np.broadcast_to(increments.excess_sigma[:, :3], (len(increments.dt_s), 3))
-    return np.asarray(increments.dt_s @ excess)
+    return np.asarray(increments.dt_s @ _gyro_excess(increments))
 
 
 def with_rotation(increments: Increments, saturated: Increments, rotation_rad: Array, sigma_rad: Array) -> Increments:
@@ -82,12 +81,21 @@ def with_rotation(increments: Increments, saturated: Increments, rotation_rad: A
         sigma_rad: (3,) Its standard deviation [rad].
     """
     excess = np.broadcast_to(saturated.excess_sigma, (len(saturated.dt_s), 6))
-    is_saturated = excess[:, :3] > 0.0
+    is_saturated = _gyro_excess(saturated) > 0.0
     duration_s = increments.dt_s @ is_saturated
     per_s = np.where(duration_s > 0.0, 1.0 / np.maximum(duration_s, 1e-9), 0.0)
-    gyro_sigma = np.minimum(excess[:, :3], SIGMA_INFLATION * sigma_rad * per_s * is_saturated)
+    gyro_sigma = np.where(is_saturated, np.minimum(excess[:, :3], SIGMA_INFLATION * sigma_rad * per_s), excess[:, :3])
     return replace(
         increments,
         gyro_rad_s=increments.gyro_rad_s + is_saturated * (rotation_rad * per_s),
         excess_sigma=np.hstack([gyro_sigma, excess[:, 3:]]),
     )
+
+
+def _gyro_excess(increments: Increments) -> Array:
+    """Return the standard deviations (N, 3) due to saturation of the gyroscope alone, and zero elsewhere [rad/s].
+
+    Where the accelerometer errs as well, as in a gap, the position is not known well enough to tell the rotation.
+    """
+    excess = np.broadcast_to(increments.excess_sigma, (len(increments.dt_s), 6))
+    return np.where(excess[:, 3:].any(axis=1, keepdims=True), 0.0, excess[:, :3])
