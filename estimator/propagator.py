@@ -110,6 +110,19 @@ class ImuPropagation:
             t_ns, now.pose().matrix(), now.velocity(), start.gyro_bias_rad_s, start.accel_bias_m_s2, covariance
         )
 
+    def predicted(self, t_ns: int, increments: Increments) -> NavState:
+        """Return the predicted state after further increments, which are not added, without covariance.
+
+        Args:
+            t_ns: Time of their end [ns].
+            increments: The increments after those that are added.
+        """
+        now = self._preintegration.measurements.predict(self._nav, self._bias)
+        further = Preintegration(self._params, self._bias)
+        further.integrate(increments)
+        end, start = further.measurements.predict(now, self._bias), self._state
+        return NavState(t_ns, end.pose().matrix(), end.velocity(), start.gyro_bias_rad_s, start.accel_bias_m_s2)
+
 
 class Propagator:
     """The interval from the newest keyframe to the next: prediction, stationarity, and when it ends."""
@@ -166,6 +179,10 @@ class Propagator:
     def state_at(self, t_ns: int) -> NavState:
         """Return the predicted state at the last frame, whose time is ``t_ns``."""
         return self._propagation.state_at(t_ns, self._stationary)
+
+    def predicted(self, packet: FramePacket) -> NavState:
+        """Return the predicted state at a frame that is not added yet, without covariance."""
+        return self._propagation.predicted(packet.t_ns, packet.increments)
 
     def is_keyframe_due(self, stationary_s: float, observations: Observations, innovation_px: float | None) -> bool:
         """Return whether the last frame becomes a keyframe; see `KeyframePolicy.is_due`."""

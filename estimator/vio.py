@@ -29,6 +29,7 @@ from dronevio.estimator.keyframe_observer import KeyframeObserver, OdometryKeyfr
 from dronevio.estimator.output import Publisher
 from dronevio.estimator.pipeline import MeasurementPipeline
 from dronevio.estimator.propagator import Propagator
+from dronevio.estimator.saturated_rotation import ITERATIONS, missing_rotation, saturated_sigma_rad, with_rotation
 from dronevio.estimator.stamp_error import StampCorrection
 from dronevio.estimator.types import Calibration, FramePacket, Observations
 from dronevio.models.imu import ImuSamples
@@ -176,6 +177,7 @@ class VisualInertialOdometry:
         if not stationary:
             tracking, events = self._end_stationary(tracking)
         propagator = tracking.propagator
+        packet = self._with_missing_rotation(tracking, packet)
         propagator.add(packet, stationary)
         predicted = propagator.state_at(packet.t_ns)
         if self._stamps.is_irregular:
@@ -192,6 +194,21 @@ class VisualInertialOdometry:
         tracking, keyframe_events = self._add_keyframe(tracking, packet, stationary)
         smoother, events = tracking.smoother, ("keyframe", *events, *keyframe_events)
         return self._publish(packet, smoother.state, report, events, smoother.landmarks)
+
+    def _with_missing_rotation(self, tracking: Tracking, packet: FramePacket) -> FramePacket:
+        """Return a frame with the rotation that a saturated gyroscope has not measured, if the image shows it."""
+        measured = packet.increments
+        sigma_rad = saturated_sigma_rad(measured)
+        if not sigma_rad.any():
+            return packet
+        for _ in range(ITERATIONS):
+            predicted = tracking.propagator.predicted(packet)
+            innovation = tracking.monitor.innovation(packet.observations, predicted, self._calibration)
+            found = missing_rotation(innovation, sigma_rad)
+            if found is None:
+                break
+            packet = replace(packet, increments=with_rotation(packet.increments, measured, *found))
+        return packet
 
     def _end_stationary(self, tracking: Tracking) -> tuple[Tracking, tuple[str, ...]]:
         """Make the last certainly stationary frame a keyframe, if there is one since the last keyframe."""

@@ -508,6 +508,14 @@ ESTIMATOR = (
         ("tests/estimator/test_stamp_error.py::test_a_flight_with_irregular_stamps_is_as_accurate",),
     ),
     Mutant(
+        "saturated-rotation-not-added",
+        "Saturated readings of the gyroscope stay as they are, whatever the images show.",
+        "estimator/saturated_rotation.py",
+        "is_saturated * (rotation_rad * per_s)",
+        "is_saturated * (0.0 * rotation_rad * per_s)",
+        ("tests/estimator/test_saturated_rotation.py::test_a_rotation_is_added_to_saturated_readings",),
+    ),
+    Mutant(
         "rows-half-readout",
         "Pipeline: rows are taken to be exposed within half of the readout of a rolling shutter.",
         "estimator/frontend/rolling_shutter.py",
