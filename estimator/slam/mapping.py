@@ -27,6 +27,7 @@ from dronevio.estimator.slam.odometry_factors import (
     RelativePose,
     first_node,
     odometry_factors,
+    propagated,
 )
 from dronevio.estimator.slam.pose_graph import OptimizedGraph, PoseGraph, marginal_covariance, optimize
 from dronevio.estimator.slam.verification import PlaceMatch
@@ -126,6 +127,7 @@ class Mapper:
         self._keyframes: list[MapKeyframe] = []
         self._solution: OptimizedGraph | None = None
         self._anchor: OdometryNode | None = None
+        self._covariance: Array | None = None  # of the newest keyframe's pose in the map
         self._judged = 0  # number of loops that have been judged by an optimization
         self._optimized_ns: int | None = None
 
@@ -180,6 +182,7 @@ class Mapper:
         landmarks_imu = (departure.landmarks_odom - T[:3, 3]) @ T[:3, :3]
         keyframe = MapKeyframe(number, departure.t_ns, T, waiting.features, departure.landmark_ids, landmarks_imu)
         self._keyframes.append(keyframe)
+        before = self._solution
         self._anchor, graph = self._extended(number, departure)
         loops = [_loop(match) for match in self._recognizer.add(keyframe)]
         if waiting.images is not None:
@@ -188,9 +191,8 @@ class Mapper:
         graph = graph.with_loops(loops)
         self._solution, closed, rejected = self._optimized(graph, departure.t_ns)
         solution = self._solution
+        self._covariance = covariance = self._marginal(before, solution)
         T_map_odom = solution.graph.poses[number] @ inverse_pose(T)
-        is_corrected = len(solution.graph.loops) > len(solution.rejected)
-        covariance = marginal_covariance(solution.without_rejected, number) if is_corrected else self._anchor.covariance
         return Correction(T_map_odom, departure.t_ns, covariance, departure.covariance, closed, rejected)
 
     def _extended(self, number: int, departure: Departure) -> tuple[OdometryNode, PoseGraph]:
@@ -203,6 +205,19 @@ class Mapper:
         poses = {**graph.poses, number: graph.poses[relative.first] @ relative.T_first_second}
         directions = graph.gravity if gravity is None else (*graph.gravity, gravity)
         return node, replace(graph, poses=poses, odometry=(*graph.odometry, relative), gravity=directions)
+
+    def _marginal(self, before: OptimizedGraph | None, after: OptimizedGraph) -> Array:
+        """Return the marginal covariance (6, 6) of the newest keyframe.
+
+        That of the whole graph is computed where its loops have changed. Otherwise the keyframe only continues the graph.
+        """
+        newest = len(self._keyframes) - 1
+        if before is None or self._covariance is None:
+            return after.graph.first_covariance
+        if before.closed != after.closed:
+            return marginal_covariance(after.without_rejected, newest)
+        gravity = after.graph.gravity[-1] if len(after.graph.gravity) > len(before.graph.gravity) else None
+        return propagated(self._covariance, after.graph.odometry[-1], gravity)
 
     def _localized(self, graph: PoseGraph, keyframe: MapKeyframe, images: KeyframeImages) -> list[RelativePose]:
         """Return the poses of a keyframe in the frames of earlier ones that are expected to show the same place."""

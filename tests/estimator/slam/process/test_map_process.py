@@ -37,9 +37,7 @@ def has_ended(pid: int, within_s: float = 60.0) -> bool:
     return False
 
 
-def test_answers_equal_those_of_a_map_in_this_process(
-    worker: MapProcess, two_laps: list[DepartedKeyframe]
-) -> None:
+def test_answers_equal_those_of_a_map_in_this_process(worker: MapProcess, two_laps: list[DepartedKeyframe]) -> None:
     local = LocalMap(one_camera(), SlamConfig())
     for message in two_laps:
         local.send(message)
@@ -61,9 +59,7 @@ def test_answers_equal_those_of_a_map_in_this_process(
     assert len(final.t_ns) == 2 * PLACES
 
 
-def test_cost_contains_the_processor_time_of_the_worker(
-    worker: MapProcess, two_laps: list[DepartedKeyframe]
-) -> None:
+def test_cost_contains_the_processor_time_of_the_worker(worker: MapProcess, two_laps: list[DepartedKeyframe]) -> None:
     worker.send(two_laps[0])
     worker.receive()  # its imports take longer than this call
     worker.send(two_laps[1])
