@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from dronevio.estimator.slam.config import SlamConfig
-    from dronevio.estimator.slam.map_builder import MapMessage
+    from dronevio.estimator.slam.map_builder import MapBuilder, MapMessage
     from dronevio.estimator.slam.mapping import Mapper
     from dronevio.models.rig import Rig
 
@@ -85,7 +85,7 @@ def read(connection: Connection) -> Any:
     Raises:
         EOFError: The other process has ended.
     """
-    return pickle.loads(connection.recv_bytes())  # noqa: S301 - from the parent or the child of this process
+    return pickle.loads(connection.recv_bytes())  # from the parent or the child of this process
 
 
 def serve(requests_fd: int, answers_fd: int) -> None:
@@ -121,11 +121,14 @@ def _answer(requests: Connection, answers: Connection) -> None:
     builder = MapBuilder(begin.rig, begin.config)
     while True:
         request: Update | Question = read(requests)
-        if isinstance(request, Update):
-            value = builder.process(request.message)
-        else:
-            value = request.function(builder.mapper)
-        write(answers, Answer(value, time.process_time() - start_s))
+        write(answers, Answer(_result(builder, request), time.process_time() - start_s))
+
+
+def _result(builder: "MapBuilder", request: Update | Question) -> Any:
+    """Return the result of a request."""
+    if isinstance(request, Update):
+        return builder.process(request.message)
+    return request.function(builder.mapper)
 
 
 def main() -> None:

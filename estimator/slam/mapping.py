@@ -209,7 +209,7 @@ class Mapper:
     def _marginal(self, before: OptimizedGraph | None, after: OptimizedGraph) -> Array:
         """Return the marginal covariance (6, 6) of the newest keyframe.
 
-        That of the whole graph is computed where its loops have changed. Otherwise the keyframe only continues the graph.
+        That of the graph is computed where its loops have changed. Otherwise the keyframe only continues the graph.
         """
         newest = len(self._keyframes) - 1
         if before is None or self._covariance is None:

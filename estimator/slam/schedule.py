@@ -1,4 +1,4 @@
-"""When the answers of the map take effect: after a number of frames that does not depend on the speed of the machine."""
+"""When the answers of the map take effect: after a number of frames that does not depend on the machine's speed."""
 
 from collections import deque
 from dataclasses import dataclass
@@ -11,7 +11,7 @@ from dronevio.models.ranges import Range, Settings
 class DelayConfig(Settings):
     """Settings of the delay between a keyframe that joins the map and the correction by it.
 
-    The delay depends on numbers of keyframes and loops alone, so that results do not depend on the speed of the machine.
+    The delay depends on numbers of keyframes and loops alone, so that results do not depend on the machine.
     A worker that is slower than the delay makes frames wait.
     """
 
