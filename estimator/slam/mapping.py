@@ -55,6 +55,8 @@ class MappingConfig(Settings):
     """Settings of the localization of keyframes in the map."""
     optimization_interval_s: Annotated[float, Range(low=0.0)] = 1.0
     """Shortest time of flight between two optimizations of the pose graph [s]."""
+    interval_loops: Annotated[int, Range(1, 1_000_000)] = 300
+    """Number of loops beyond which that time grows in proportion to it, as the cost of an optimization does."""
     localization_interval_s: Annotated[float, Range(low=0.0)] = 0.5
     """Shortest time of flight between two keyframes that are localized in the map [s]."""
     min_age_s: Annotated[float, Range(0.0, 3600.0)] = 10.0
@@ -264,7 +266,9 @@ class Mapper:
         """
         before = self._solution
         rejected = before.rejected if before else frozenset[int]()
-        is_due = self._optimized_ns is None or t_ns - self._optimized_ns >= self._config.optimization_interval_s * 1e9
+        c = self._config
+        interval_s = c.optimization_interval_s * max(self._judged / c.interval_loops, 1.0)
+        is_due = self._optimized_ns is None or t_ns - self._optimized_ns >= interval_s * 1e9
         if len(graph.loops) == self._judged or not is_due:
             waiting = range(self._judged, len(graph.loops))
             return OptimizedGraph(graph, frozenset({*rejected, *waiting})), (), 0

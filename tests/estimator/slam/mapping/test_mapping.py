@@ -8,7 +8,7 @@ import numpy.typing as npt
 import pytest
 
 from dronevio.estimator.slam.keyframe import NO_KEYFRAME_FEATURES, MapKeyframe
-from dronevio.estimator.slam.mapping import Mapper, WaitingKeyframe
+from dronevio.estimator.slam.mapping import Mapper, MappingConfig, WaitingKeyframe
 from dronevio.estimator.slam.pose_graph import marginal_covariance, optimize
 from dronevio.estimator.slam.verification import PlaceMatch
 from dronevio.models.rotation import inverse_pose
@@ -134,6 +134,20 @@ def test_covariances_of_corrections_are_marginals_of_the_graph(odometry_flight: 
             np.testing.assert_allclose(correction.anchor_covariance / scale, expected / scale, atol=1e-3)
             compared += 1
     assert compared > 10
+
+
+def test_optimizations_are_rarer_with_many_loops(odometry_flight: "OdometryFlight") -> None:
+    config = MappingConfig(optimization_interval_s=0.5, interval_loops=1)
+    mapper = Mapper(TrueRecognizer(odometry_flight.true_poses, every=1), config)
+    times_s, loops = [], []
+    for departure in odometry_flight.departures:
+        mapper.add(WaitingKeyframe(departure.t_ns, NO_KEYFRAME_FEATURES), (departure.t_ns,))
+        correction, graph = mapper.depart(departure), mapper.graph
+        if correction is not None and graph is not None and correction.loops:
+            times_s.append(1e-9 * departure.t_ns)
+            loops.append(len(graph.loops))
+    waited_s, least_s = np.diff(times_s), 0.5 * np.array(loops[:-1])
+    assert len(waited_s) >= 2 and loops[0] == 1 and np.all(waited_s >= least_s) and np.all(waited_s < least_s + 1.0)
 
 
 def test_wrong_loops_are_rejected_and_right_ones_kept(odometry_flight: "OdometryFlight") -> None:
