@@ -27,7 +27,7 @@ class Begin:
     """The first request; it has no answer."""
 
     rig: "Rig"
-    """The calibration."""
+    """The calibration of cameras and IMU."""
     config: "SlamConfig"
     """Settings of the map."""
 
@@ -37,7 +37,7 @@ class Update:
     """Request to process a message of the odometry; the answer has its correction."""
 
     message: "MapMessage"
-    """The message."""
+    """The message to process."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -57,7 +57,7 @@ class Answer:
     """The result of a request."""
 
     value: Any
-    """The result."""
+    """The result, None for a message that changes no correction."""
     cpu_s: float
     """Processor time of the worker since its start was complete [s]."""
 
@@ -69,7 +69,7 @@ class Failure:
     text: str
     """The message of the exception."""
     trace: str
-    """Its traceback."""
+    """Its traceback, as text."""
     is_input: bool
     """Whether the user can correct it."""
 

@@ -50,7 +50,7 @@ class CorrectionSchedule:
         self._due.append(self._last)
 
     def take_due(self, frame: int) -> int:
-        """Return the number of answers that are due at a frame, and forget them."""
+        """Return the number of answers that are due at a frame, and remove them."""
         count = 0
         while self._due and self._due[0] <= frame:
             self._due.popleft()
