@@ -29,7 +29,7 @@ def keyframe(rig: Rig, place: int, lap: int) -> DepartedKeyframe:
     """Return a keyframe of a lap; in the second one, the odometry has drifted."""
     rng, camera = np.random.default_rng(place), rig.cameras[0]
     size = camera.model.width, camera.model.height
-    noise = cv2.GaussianBlur(rng.normal(size=size[::-1]), None, 2.0)
+    noise = np.asarray(cv2.GaussianBlur(rng.normal(size=size[::-1]), (0, 0), 2.0), np.float64)
     image = np.clip(128.0 + 60.0 * noise / noise.std(), 0.0, 255.0).astype(np.uint8)
     pixels = rng.uniform(40.0, np.array(size) - 40.0, (LANDMARKS, 2))
     xy = camera.model.normalize(pixels)
