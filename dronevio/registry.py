@@ -119,9 +119,11 @@ class Estimated:
     trajectory: Trajectory
     """Causal poses of the estimator."""
     cpu_ms_mean: float
-    """Mean processor time per frame of all threads; for a program, start-up and reading of images included [ms]."""
+    """Mean processor time per frame of all threads, and of the process that builds a map; for a program, start-up and
+    reading of images included [ms]."""
     cpu_ms_p99: float | None
-    """99th percentile of the processor time per frame; None for a program, whose frames are not timed [ms]."""
+    """99th percentile of the processor time per frame, without the process that builds a map; None for a program, whose
+    frames are not timed [ms]."""
     real_time_factor: float | None
     """Duration of the flight divided by the processor time."""
     defects: tuple[Defect, ...] = ()
@@ -185,13 +187,15 @@ class NamedEstimator:
             raise ConfigError(f"{path}: one camera; expected two or more for {self.name}")
         make = own.make if own else ESTIMATORS[self.name].make
         excerpt = excerpt_of(recording, start_s, laps)
-        run = estimate_recording(excerpt, make(excerpt.rig))
+        estimator = make(excerpt.rig)
+        run = estimate_recording(excerpt, estimator)
         trajectory = require_poses(run, excerpt)
+        cpu_ms, worker_ms = float(run.cpu_ms.mean()), _worker_ms(estimator) if kind and kind.has_map else 0.0
         return Estimated(
             run.map_trajectory if kind and kind.has_map else trajectory,
-            float(run.cpu_ms.mean()),
+            cpu_ms + worker_ms,
             float(np.percentile(run.cpu_ms, 99.0)),
-            run.real_time_factor,
+            None if run.real_time_factor is None else run.real_time_factor * cpu_ms / (cpu_ms + worker_ms),
             run.defects,
             run,
         )
@@ -231,6 +235,13 @@ def estimator_named(text: str) -> NamedEstimator:
             f" {RECORDING} and writes the TUM file {OUTPUT}"
         )
     return NamedEstimator(label, name)
+
+
+def _worker_ms(estimator: Estimator) -> float:
+    """Return the mean processor time per frame of the process that builds the map of an estimator [ms]; 0 without."""
+    from dronevio.estimator.slam.visual_slam import VisualSlam
+
+    return estimator.map_cost.worker_cpu_ms_per_frame if isinstance(estimator, VisualSlam) else 0.0
 
 
 def _of_program(run: ProgramRun) -> Estimated:

@@ -76,6 +76,38 @@ SLAM = (
         ("tests/estimator/slam/test_recognizer.py::test_one_match_alone_is_not_published",),
     ),
     Mutant(
+        "map-covariance-of-the-odometry",
+        "Mapping: the covariance of the newest keyframe does not change where loops are closed.",
+        "estimator/slam/mapping.py",
+        "if before.closed != after.closed:",
+        "if False:",
+        ("tests/estimator/slam/mapping/test_mapping.py::test_covariances_of_corrections_are_marginals_of_the_graph",),
+    ),
+    Mutant(
+        "map-delay-without-loops",
+        "Schedule: the delay of corrections does not grow with the number of loops.",
+        "estimator/slam/schedule.py",
+        " + loops // c.loops_per_frame",
+        "",
+        ("tests/estimator/slam/process/test_schedule.py::test_delay_grows_with_loops_and_keyframes",),
+    ),
+    Mutant(
+        "map-loss-unnoticed",
+        "Map: keyframes after a loss of the odometry join the map of its other frame.",
+        "estimator/slam/map_builder.py",
+        "self._is_lost = True",
+        "self._is_lost = False",
+        ("tests/estimator/slam/process/test_map_process.py::test_loss_ends_the_map",),
+    ),
+    Mutant(
+        "map-cost-of-answers-read-so-far",
+        "Map process: its cost lacks the messages that have not been answered.",
+        "estimator/slam/map_process.py",
+        "        self._read_all()\n        return MapCost(",
+        "        return MapCost(",
+        ("tests/estimator/slam/process/test_map_process.py::test_cost_contains_the_processor_time_of_the_worker",),
+    ),
+    Mutant(
         "places-equal-weights",
         "Index: frequent words weigh as much as rare ones.",
         "estimator/slam/index.py",
@@ -84,4 +116,4 @@ SLAM = (
         ("tests/estimator/slam/test_index.py::test_a_word_of_every_keyframe_says_little",),
     ),
 )
-"""Faults of the recognition of places."""
+"""Faults of the recognition of places and of the map."""

@@ -1,12 +1,12 @@
 """Settings of visual SLAM, beside those of its odometry."""
 
 from dataclasses import dataclass, field
-from typing import Annotated
 
 from dronevio.estimator.slam.bundle_adjustment import AdjustmentConfig
 from dronevio.estimator.slam.mapping import MappingConfig
 from dronevio.estimator.slam.recognizer import PlaceConfig
-from dronevio.models.ranges import Range, Settings
+from dronevio.estimator.slam.schedule import DelayConfig
+from dronevio.models.ranges import Settings
 
 
 @dataclass(frozen=True)
@@ -19,6 +19,7 @@ class SlamConfig(Settings):
     """Settings of the mapper."""
     adjustment: AdjustmentConfig = field(default_factory=AdjustmentConfig)
     """Settings of the bundle adjustment of the final map."""
-    correction_delay: Annotated[int, Range(1, 1000)] = 10
-    """Number of frames after which the answer of the map to a keyframe corrects the estimate. It is fixed, so that
-    results do not depend on the speed of the machine."""
+    correction_delay: DelayConfig = field(default_factory=DelayConfig)
+    """Delay between a keyframe that joins the map and the correction of the estimate by it."""
+    worker: bool = True
+    """Build the map in a worker process, while the odometry goes on; results do not depend on it."""

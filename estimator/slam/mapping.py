@@ -27,6 +27,7 @@ from dronevio.estimator.slam.odometry_factors import (
     RelativePose,
     first_node,
     odometry_factors,
+    propagated,
 )
 from dronevio.estimator.slam.pose_graph import OptimizedGraph, PoseGraph, marginal_covariance, optimize
 from dronevio.estimator.slam.verification import PlaceMatch
@@ -54,6 +55,8 @@ class MappingConfig(Settings):
     """Settings of the localization of keyframes in the map."""
     optimization_interval_s: Annotated[float, Range(low=0.0)] = 1.0
     """Shortest time of flight between two optimizations of the pose graph [s]."""
+    interval_loops: Annotated[int, Range(1, 1_000_000)] = 300
+    """Number of loops beyond which that time grows in proportion to it, as the cost of an optimization does."""
     localization_interval_s: Annotated[float, Range(low=0.0)] = 0.5
     """Shortest time of flight between two keyframes that are localized in the map [s]."""
     min_age_s: Annotated[float, Range(0.0, 3600.0)] = 10.0
@@ -126,6 +129,7 @@ class Mapper:
         self._keyframes: list[MapKeyframe] = []
         self._solution: OptimizedGraph | None = None
         self._anchor: OdometryNode | None = None
+        self._covariance: Array | None = None  # of the newest keyframe's pose in the map
         self._judged = 0  # number of loops that have been judged by an optimization
         self._optimized_ns: int | None = None
 
@@ -180,6 +184,7 @@ class Mapper:
         landmarks_imu = (departure.landmarks_odom - T[:3, 3]) @ T[:3, :3]
         keyframe = MapKeyframe(number, departure.t_ns, T, waiting.features, departure.landmark_ids, landmarks_imu)
         self._keyframes.append(keyframe)
+        before = self._solution
         self._anchor, graph = self._extended(number, departure)
         loops = [_loop(match) for match in self._recognizer.add(keyframe)]
         if waiting.images is not None:
@@ -188,9 +193,8 @@ class Mapper:
         graph = graph.with_loops(loops)
         self._solution, closed, rejected = self._optimized(graph, departure.t_ns)
         solution = self._solution
+        self._covariance = covariance = self._marginal(before, solution)
         T_map_odom = solution.graph.poses[number] @ inverse_pose(T)
-        is_corrected = len(solution.graph.loops) > len(solution.rejected)
-        covariance = marginal_covariance(solution.without_rejected, number) if is_corrected else self._anchor.covariance
         return Correction(T_map_odom, departure.t_ns, covariance, departure.covariance, closed, rejected)
 
     def _extended(self, number: int, departure: Departure) -> tuple[OdometryNode, PoseGraph]:
@@ -203,6 +207,19 @@ class Mapper:
         poses = {**graph.poses, number: graph.poses[relative.first] @ relative.T_first_second}
         directions = graph.gravity if gravity is None else (*graph.gravity, gravity)
         return node, replace(graph, poses=poses, odometry=(*graph.odometry, relative), gravity=directions)
+
+    def _marginal(self, before: OptimizedGraph | None, after: OptimizedGraph) -> Array:
+        """Return the marginal covariance (6, 6) of the newest keyframe.
+
+        That of the graph is computed where its loops have changed. Otherwise the keyframe only continues the graph.
+        """
+        newest = len(self._keyframes) - 1
+        if before is None or self._covariance is None:
+            return after.graph.first_covariance
+        if before.closed != after.closed:
+            return marginal_covariance(after.without_rejected, newest)
+        gravity = after.graph.gravity[-1] if len(after.graph.gravity) > len(before.graph.gravity) else None
+        return propagated(self._covariance, after.graph.odometry[-1], gravity)
 
     def _localized(self, graph: PoseGraph, keyframe: MapKeyframe, images: KeyframeImages) -> list[RelativePose]:
         """Return the poses of a keyframe in the frames of earlier ones that are expected to show the same place."""
@@ -249,7 +266,9 @@ class Mapper:
         """
         before = self._solution
         rejected = before.rejected if before else frozenset[int]()
-        is_due = self._optimized_ns is None or t_ns - self._optimized_ns >= self._config.optimization_interval_s * 1e9
+        c = self._config
+        interval_s = c.optimization_interval_s * max(self._judged / c.interval_loops, 1.0)
+        is_due = self._optimized_ns is None or t_ns - self._optimized_ns >= interval_s * 1e9
         if len(graph.loops) == self._judged or not is_due:
             waiting = range(self._judged, len(graph.loops))
             return OptimizedGraph(graph, frozenset({*rejected, *waiting})), (), 0

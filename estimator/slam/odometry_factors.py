@@ -89,16 +89,28 @@ def odometry_factors(
     relative = RelativePose(previous.number, number, T, added)
     P = transported + added
     up = departure.T_odom_imu[:3, :3].T @ _UP
-    tilt = np.linalg.svd(up[None])[2][1:]  # two axes across the direction of gravity
+    tilt = _tilt_axes(up)
     information = _information(tilt, departure.covariance) - _information(tilt, P)
     mean_information = float(np.trace(information)) / 2.0
-    if mean_information <= 0.0:
-        return OdometryNode(number, departure, P), relative, None
-    gravity = GravityDirection(number, up, mean_information**-0.5)
-    H = np.hstack([tilt, np.zeros((2, 3))])
-    gain = np.linalg.solve(H @ P @ H.T + np.eye(2) / mean_information, H @ P).T
+    gravity = None if mean_information <= 0.0 else GravityDirection(number, up, mean_information**-0.5)
+    return OdometryNode(number, departure, propagated(previous.covariance, relative, gravity)), relative, gravity
+
+
+def propagated(covariance: Array, relative: RelativePose, gravity: GravityDirection | None) -> Array:
+    """Return the marginal covariance (6, 6) of the second keyframe of a relative pose, at the end of the graph.
+
+    Args:
+        covariance: (6, 6) Marginal covariance of the first keyframe: δθ, then δp, both in its IMU frame.
+        relative: The relative pose, the only connection of the second keyframe to others.
+        gravity: The direction of gravity at the second keyframe.
+    """
+    P = _transported(covariance, relative.T_first_second) + relative.covariance
+    if gravity is None:
+        return P
+    H = np.hstack([_tilt_axes(gravity.up_imu), np.zeros((2, 3))])
+    gain = np.linalg.solve(H @ P @ H.T + gravity.sigma_rad**2 * np.eye(2), H @ P).T
     P = P - gain @ H @ P
-    return OdometryNode(number, departure, 0.5 * (P + P.T)), relative, gravity
+    return np.asarray(0.5 * (P + P.T))
 
 
 def adjoint(T: Array) -> Array:
@@ -107,6 +119,11 @@ def adjoint(T: Array) -> Array:
     A[:3, :3] = A[3:, 3:] = R
     A[3:, :3] = skew(T[:3, 3]) @ R
     return A
+
+
+def _tilt_axes(up: Array) -> Array:
+    """Return two axes (2, 3) across the direction of gravity."""
+    return np.asarray(np.linalg.svd(up[None])[2][1:])
 
 
 def _transported(covariance: Array, T_first_second: Array) -> Array:

@@ -55,6 +55,11 @@ class OptimizedGraph:
     """Indices of the loops that contradict the others; the solution does not contain them."""
 
     @property
+    def closed(self) -> frozenset[int]:
+        """Indices of the loops of the solution."""
+        return frozenset(range(len(self.graph.loops))) - self.rejected
+
+    @property
     def without_rejected(self) -> PoseGraph:
         """The graph without the rejected loops."""
         loops = tuple(loop for i, loop in enumerate(self.graph.loops) if i not in self.rejected)

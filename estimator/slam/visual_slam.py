@@ -2,12 +2,12 @@
 
 The odometry does not depend on the map: its estimates are those of `VisualInertialOdometry`, to the bit. The map
 receives the keyframes of the odometry and returns the pose of the odometry frame in the map frame, `T_map_odom`. It is
-applied a fixed number of frames after the keyframe that caused it, so that results do not depend on the speed of the
-machine. A pose in the map frame is causal, and it jumps when a loop is closed; the pose in the odometry frame is
-continuous.
+applied a number of frames after the keyframe that caused it, which depends on numbers of keyframes and loops alone, so
+that results do not depend on the speed of the machine. Meanwhile a worker process updates the map. A pose in the map
+frame is causal, and it jumps when a loop is closed; the pose in the odometry frame is continuous.
 """
 
-from collections import deque
+from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import replace
 from functools import reduce
@@ -23,11 +23,19 @@ from dronevio.estimator.keyframe_observer import OdometryKeyframe
 from dronevio.estimator.slam.bundle_adjustment import AdjustmentInputs, AdjustmentKeyframe, adjust
 from dronevio.estimator.slam.config import SlamConfig
 from dronevio.estimator.slam.correction import MapCorrection
-from dronevio.estimator.slam.features import PlaceFeatureExtractor
-from dronevio.estimator.slam.localization import KeyframeImages
-from dronevio.estimator.slam.mapping import Correction, Mapper, MapSummary, WaitingKeyframe
+from dronevio.estimator.slam.keyframe import MapKeyframe
+from dronevio.estimator.slam.map_builder import (
+    DepartedKeyframe,
+    LocalMap,
+    MapCost,
+    MapMessage,
+    OdometryMap,
+    TrackLost,
+)
+from dronevio.estimator.slam.map_process import MapProcess
+from dronevio.estimator.slam.mapping import Correction, Mapper, MapSummary
 from dronevio.estimator.slam.pose_graph import PoseGraph
-from dronevio.estimator.slam.recognizer import PlaceRecognizer
+from dronevio.estimator.slam.schedule import CorrectionSchedule
 from dronevio.estimator.vio import VisualInertialOdometry
 from dronevio.models.imu import ImuModel, ImuSamples
 from dronevio.models.rig import Rig
@@ -60,12 +68,13 @@ class VisualSlam:
             ConfigError: The rig has no camera.
         """
         self._config = c = config or SlamConfig()
-        self._map = _MapOfOdometry(rig, c)
-        self._odometry = VisualInertialOdometry(rig, odometry, observer=self._map)
         self._rig = rig
         self._imu: list[ImuSamples] = []
-        self._frames = 0
-        self._due: deque[tuple[int, Correction]] = deque()
+        self._keyframes = _DepartingKeyframes()
+        self._odometry = VisualInertialOdometry(rig, odometry, observer=self._keyframes)
+        self._map: OdometryMap = MapProcess(rig, c) if c.worker else LocalMap(rig, c)
+        self._schedule = CorrectionSchedule(c.correction_delay)
+        self._frames = self._sent = self._loops = 0
         self._T_map_odom = np.eye(4)
 
     def add_imu(self, samples: ImuSamples) -> None:
@@ -82,29 +91,40 @@ class VisualSlam:
 
         Raises:
             ConfigError: The frame is not later than the last one, or an image does not fit its camera.
+            DefectError: The worker process died, or failed in a way that no input should cause.
         """
-        self._map.begin_frame(frame)
+        self._keyframes.begin_frame(frame)
         estimate = self._odometry.add_frame(frame)
         self._frames += 1
+        for message in self._keyframes.take():
+            self._map.send(message)
+            self._sent += 1
+            self._schedule.add(self._frames, self._sent, self._loops)
         events: list[str] = []
-        while self._due and self._due[0][0] <= self._frames:
-            correction = self._due.popleft()[1]
-            self._T_map_odom = correction.T_map_odom
-            events += _events(correction)
-        self._due += [(self._frames + self._config.correction_delay, each) for each in self._map.take_corrections()]
+        for _ in range(self._schedule.take_due(self._frames)):
+            correction = self._map.receive()
+            if correction is not None:
+                self._T_map_odom = correction.T_map_odom
+                self._loops += len(correction.loops) + correction.rejected
+                events += _events(correction)
         if estimate.state is None:
             return estimate
         return replace(estimate, T_map_odom=self._T_map_odom, events=(*estimate.events, *events))
 
     @property
     def mapper(self) -> Mapper:
-        """The map of the flight so far."""
-        return self._map.mapper
+        """The map of the flight so far; a copy, if it is built by a worker process."""
+        return self._map.ask(_itself)
 
     @property
     def summary(self) -> MapSummary:
         """Size of the map."""
-        return self._map.mapper.summary
+        return self._map.ask(_summary)
+
+    @property
+    def map_cost(self) -> MapCost:
+        """Cost of the map so far, beside that of the frames: the worker's processor time, and how often it was late."""
+        return self._map.cost(self._frames)
 
     def final_correction(self) -> MapCorrection | None:
         """Return the correction of the whole flight by all measurements; None if no keyframe has joined the map.
@@ -112,75 +132,87 @@ class VisualSlam:
         The pose graph gives the initial poses, and visual-inertial bundle adjustment the final ones. Without loops, the
         odometry is not corrected.
         """
-        mapper = self._map.mapper
+        mapper = self.mapper
         solution = mapper.final_solution()
         if solution is None:
             return None
         poses, graph = solution.graph.poses, solution.without_rejected
         if graph.loops:
             imu, noise = reduce(ImuSamples.extended, self._imu), self._odometry.imu_noise
-            inputs = self._map.adjustment_inputs(graph, imu, self._rig.imu, noise)
+            inputs = self._keyframes.adjustment_inputs(mapper.keyframes, graph, imu, self._rig.imu, noise)
             with suppress(RuntimeError):  # by GTSAM, if the system is singular; the poses of the graph remain
                 poses = adjust(inputs, self._config.adjustment)
         return mapper.correction_of(poses)
 
+    def close(self) -> None:
+        """End the worker process, which otherwise ends with the last reference to this object."""
+        self._map.close()
 
-class _MapOfOdometry:
-    """Gives the keyframes of the odometry to the mapper; implements `KeyframeObserver`."""
 
-    def __init__(self, rig: Rig, config: SlamConfig) -> None:
-        """Begin with an empty map."""
-        self.mapper = Mapper(PlaceRecognizer(rig, config.places), config.mapping)
-        self._extractor = PlaceFeatureExtractor(config.places.features)
+class _DepartingKeyframes:
+    """Keeps the keyframes of the odometry until they leave the window; implements `KeyframeObserver`."""
+
+    def __init__(self) -> None:
+        """Begin without keyframes."""
         self._frame: CameraFrame | None = None
-        self._waiting: dict[int, OdometryKeyframe] = {}
-        self._members: dict[int, OdometryKeyframe] = {}  # keyframes of the map
-        self._corrections: list[Correction] = []
-        self._is_lost = False
+        self._waiting: dict[int, tuple[OdometryKeyframe, CameraFrame]] = {}
+        self._members: dict[int, OdometryKeyframe] = {}  # keyframes that have departed
+        self._messages: list[MapMessage] = []
 
     def begin_frame(self, frame: CameraFrame) -> None:
         """Keep the images of the newest frame, which may become a keyframe."""
         self._frame = frame
 
-    def take_corrections(self) -> list[Correction]:
-        """Return the corrections since the last call."""
-        corrections, self._corrections = self._corrections, []
-        return corrections
+    def take(self) -> list[MapMessage]:
+        """Return the messages since the last call."""
+        messages, self._messages = self._messages, []
+        return messages
 
     def added(self, keyframe: OdometryKeyframe) -> None:
         """Let a keyframe of the odometry wait until it leaves the window, unless its images are those of an earlier
-        frame, or the odometry frame is no longer that of the map.
+        frame.
         """
-        frame = self._frame
-        if frame is None or self._is_lost or not keyframe.is_of_newest_frame:
-            return
-        rig, R_odom_imu = keyframe.calibration.rig, keyframe.state.T_world_imu[:3, :3]
-        features = self._extractor.extract(frame.images, rig, R_odom_imu, keyframe.observations)
-        waiting = WaitingKeyframe(keyframe.t_ns, features, KeyframeImages(frame.images, rig))
-        self.mapper.add(waiting, keyframe.window_times_ns)
         self._waiting = {t: known for t, known in self._waiting.items() if t in keyframe.window_times_ns}
-        self._waiting[keyframe.t_ns] = keyframe
+        if self._frame is not None and keyframe.is_of_newest_frame:
+            self._waiting[keyframe.t_ns] = keyframe, self._frame
 
     def departed(self, departure: Departure) -> None:
-        """Let a keyframe of the odometry join the map."""
-        correction = self.mapper.depart(departure)
-        if correction is not None:
-            self._members[departure.t_ns] = self._waiting.pop(departure.t_ns)
-            self._corrections.append(correction)
+        """Let a keyframe of the odometry join the map, if its images are known."""
+        waiting = self._waiting.pop(departure.t_ns, None)
+        if waiting is None:
+            return
+        keyframe, frame = waiting
+        self._members[departure.t_ns] = keyframe
+        self._messages.append(
+            DepartedKeyframe(
+                keyframe.t_ns,
+                tuple(frame.images),
+                keyframe.calibration.rig,
+                keyframe.state.T_world_imu[:3, :3],
+                keyframe.observations,
+                departure,
+            )
+        )
 
     def adjustment_inputs(
-        self, graph: PoseGraph, imu: ImuSamples, imu_model: ImuModel, noise: PreintegrationParams
+        self,
+        keyframes_of_map: Sequence[MapKeyframe],
+        graph: PoseGraph,
+        imu: ImuSamples,
+        imu_model: ImuModel,
+        noise: PreintegrationParams,
     ) -> AdjustmentInputs:
         """Return the measurements of all keyframes of the map.
 
         Args:
+            keyframes_of_map: The keyframes of the map.
             graph: The optimized pose graph, without rejected loops.
             imu: The IMU samples of the flight.
             imu_model: The sensor model.
             noise: The noise of the preintegration.
         """
         keyframes = []
-        for member in self.mapper.keyframes:
+        for member in keyframes_of_map:
             known, T_map_imu = self._members[member.t_ns], graph.poses[member.number]
             R_map_odom = T_map_imu[:3, :3] @ member.T_odom_imu[:3, :3].T
             keyframes.append(
@@ -194,12 +226,21 @@ class _MapOfOdometry:
                     observation_table(member.number, known.observations),
                 )
             )
-        calibration = self._members[self.mapper.keyframes[-1].t_ns].calibration
+        calibration = self._members[keyframes_of_map[-1].t_ns].calibration
         return AdjustmentInputs(keyframes, graph.loops, imu, imu_model, noise, calibration, graph.first_covariance)
 
     def lost(self) -> None:
-        """End the map: later keyframes are in another odometry frame."""
-        self._is_lost = True
+        """Tell the map that later keyframes are in another odometry frame."""
+        self._waiting = {}
+        self._messages.append(TrackLost())
+
+
+def _itself(mapper: Mapper) -> Mapper:
+    return mapper
+
+
+def _summary(mapper: Mapper) -> MapSummary:
+    return mapper.summary
 
 
 def _events(correction: Correction) -> list[str]:

@@ -1,6 +1,7 @@
 """``dronevio estimate`` and the estimators of ``dronevio benchmark`` on a flight with two cameras."""
 
 import json
+import re
 import shutil
 from collections.abc import Callable
 from dataclasses import replace
@@ -100,6 +101,25 @@ def test_map_leaves_the_odometry_as_it_is(stereo: Result, run_command: CommandRu
         assert np.array_equal(corrected.t_ns, odometry.t_ns)
         np.testing.assert_allclose(corrected.p_world_imu, odometry.p_world_imu, atol=1e-6)  # there is no loop
     assert "keyframes of the map" in shown.out and "slam_map_final.tum" in shown.out
+    assert re.search(r"frames that waited for the map .*\d+ of \d+ corrections", shown.out)
+    same = tmp_path / "same.tum"
+    arguments = "--slam", "--map.no-worker", "--out", same, "--json"
+    document = run_command(tmp_path, "estimate", stereo.folder / "recording", *arguments).document
+    assert document["map_cost"]["waits"] == document["map_cpu_ms_per_frame"] == 0
+    assert document["map_cost"]["frames"] == document["frames"] and document["map_cost"]["results"] > 0
+    for suffix in ("map", "map_final"):
+        expected = (tmp_path / f"slam_{suffix}.tum").read_bytes()
+        assert (tmp_path / f"same_{suffix}.tum").read_bytes() == expected
+
+
+def test_dead_mapping_process_is_reported_as_a_defect(
+    stereo: Result, tmp_path: Path, capsys: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("dronevio.estimator.slam.map_process._WORKER", "import os; os._exit(3)")
+    out = tmp_path / "x.tum"
+    assert main(["estimate", str(stereo.folder / "recording"), "--slam", "--out", str(out)]) == 70
+    assert "the mapping process ended with code 3" in capsys.readouterr().err
+    assert not out.exists()
 
 
 @pytest.mark.skipif(not SLAM_PAGE.is_file(), reason="the documentation is not part of the wheel")

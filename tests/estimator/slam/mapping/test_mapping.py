@@ -7,10 +7,12 @@ import numpy as np
 import numpy.typing as npt
 import pytest
 
-from dronevio.estimator.slam.keyframe import MapKeyframe
+from dronevio.estimator.slam.keyframe import NO_KEYFRAME_FEATURES, MapKeyframe
+from dronevio.estimator.slam.mapping import Mapper, MappingConfig, WaitingKeyframe
 from dronevio.estimator.slam.pose_graph import marginal_covariance, optimize
 from dronevio.estimator.slam.verification import PlaceMatch
 from dronevio.models.rotation import inverse_pose
+from tests.estimator.slam.mapping.conftest import TrueRecognizer
 
 if TYPE_CHECKING:
     from tests.estimator.conftest import SyntheticFlight
@@ -116,6 +118,36 @@ def test_loops_remove_the_drift(odometry_flight: "OdometryFlight", without_loops
     assert np.trace(last.anchor_covariance) < 0.5 * np.trace(last.odometry_covariance)
     closed = [loop for correction in mapped.corrections for loop in correction.loops]
     assert len(closed) > 10 and {loop.second for loop in closed} <= {loop.second for loop in graph.loops}
+
+
+def test_covariances_of_corrections_are_marginals_of_the_graph(odometry_flight: "OdometryFlight") -> None:
+    mapper, compared = Mapper(TrueRecognizer(odometry_flight.true_poses, every=7)), 0
+    for departure in odometry_flight.departures:
+        mapper.add(WaitingKeyframe(departure.t_ns, NO_KEYFRAME_FEATURES), (departure.t_ns,))
+        correction = mapper.depart(departure)
+        assert correction is not None
+        if mapper.summary.loops and not mapper.summary.rejected_loops and not correction.loops:
+            graph = mapper.graph
+            assert graph is not None
+            expected = marginal_covariance(graph, len(mapper.keyframes) - 1)
+            scale = np.sqrt(np.outer(np.diag(expected), np.diag(expected)))
+            np.testing.assert_allclose(correction.anchor_covariance / scale, expected / scale, atol=1e-3)
+            compared += 1
+    assert compared > 10
+
+
+def test_optimizations_are_rarer_with_many_loops(odometry_flight: "OdometryFlight") -> None:
+    config = MappingConfig(optimization_interval_s=0.5, interval_loops=1)
+    mapper = Mapper(TrueRecognizer(odometry_flight.true_poses, every=1), config)
+    times_s, loops = [], []
+    for departure in odometry_flight.departures:
+        mapper.add(WaitingKeyframe(departure.t_ns, NO_KEYFRAME_FEATURES), (departure.t_ns,))
+        correction, graph = mapper.depart(departure), mapper.graph
+        if correction is not None and graph is not None and correction.loops:
+            times_s.append(1e-9 * departure.t_ns)
+            loops.append(len(graph.loops))
+    waited_s, least_s = np.diff(times_s), 0.5 * np.array(loops[:-1])
+    assert len(waited_s) >= 2 and loops[0] == 1 and np.all(waited_s >= least_s) and np.all(waited_s < least_s + 1.0)
 
 
 def test_wrong_loops_are_rejected_and_right_ones_kept(odometry_flight: "OdometryFlight") -> None:

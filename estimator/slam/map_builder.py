@@ -1,0 +1,154 @@
+"""What the odometry sends to its map, and the map that answers in the process of the odometry.
+
+`VisualSlam` sends one message for each keyframe that leaves the window, and receives one answer to each, in the same
+order. Who answers is an `OdometryMap`: `LocalMap` at once and in the same process, `MapProcess` meanwhile and in
+another one. Both let a `MapBuilder` do the work, so that their answers are equal.
+"""
+
+from collections import deque
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Protocol, TypeVar
+
+import numpy as np
+import numpy.typing as npt
+
+from dronevio.estimator.backend.departure import Departure
+from dronevio.estimator.slam.config import SlamConfig
+from dronevio.estimator.slam.features import PlaceFeatureExtractor
+from dronevio.estimator.slam.localization import KeyframeImages
+from dronevio.estimator.slam.mapping import Correction, Mapper, WaitingKeyframe
+from dronevio.estimator.slam.recognizer import PlaceRecognizer
+from dronevio.estimator.types import Observations
+from dronevio.models.rig import Rig
+
+Array = npt.NDArray[np.float64]
+Image = npt.NDArray[np.uint8]
+Result = TypeVar("Result")
+
+
+@dataclass(frozen=True, eq=False)
+class DepartedKeyframe:
+    """A keyframe that has left the odometry's window, as it was when it was added and as it is now."""
+
+    t_ns: int
+    """Time of the keyframe by the IMU's clock [ns]."""
+    images: tuple[Image, ...]
+    """Images of the cameras."""
+    rig: Rig
+    """The calibration that was in use."""
+    R_odom_imu: Array
+    """(3, 3) Causal estimate of the orientation of the IMU in the odometry frame."""
+    observations: Observations
+    """The features of the keyframe in all cameras."""
+    departure: Departure
+    """Its final estimate."""
+
+
+@dataclass(frozen=True)
+class TrackLost:
+    """The odometry is lost: later keyframes are in another odometry frame."""
+
+
+MapMessage = DepartedKeyframe | TrackLost
+"""What the odometry sends to its map."""
+
+
+@dataclass(frozen=True)
+class MapCost:
+    """What the map has cost beside the odometry."""
+
+    frames: int
+    """Number of frames of the odometry."""
+    results: int
+    """Number of answers of the map that were due."""
+    waits: int
+    """Number of answers for which a frame had to wait, since the worker process was not ready."""
+    worker_cpu_s: float
+    """Processor time of the worker process without its start [s]; 0 for a map in the process of the odometry."""
+
+    @property
+    def worker_cpu_ms_per_frame(self) -> float:
+        """Mean processor time of the worker process per frame of the odometry [ms]."""
+        return 1e3 * self.worker_cpu_s / max(self.frames, 1)
+
+
+class OdometryMap(Protocol):
+    """Builds the map of an odometry, and answers its messages in their order."""
+
+    def send(self, message: MapMessage, /) -> None:
+        """Send a message without waiting for its answer."""
+
+    def receive(self) -> Correction | None:
+        """Return the answer to the oldest message that has not been answered; None if it changes no correction."""
+
+    def ask(self, function: Callable[[Mapper], Result], /) -> Result:
+        """Return what a function returns for the mapper after all messages so far.
+
+        Args:
+            function: A function of a module or a method of `Mapper`; the result is a copy if the mapper is in another
+                process.
+        """
+
+    def cost(self, frames: int) -> MapCost:
+        """Return the cost of the map, for an odometry of so many frames."""
+
+    def close(self) -> None:
+        """Discard the map."""
+
+
+class MapBuilder:
+    """Builds a map from the messages of an odometry."""
+
+    def __init__(self, rig: Rig, config: SlamConfig) -> None:
+        """Begin with an empty map.
+
+        Args:
+            rig: The calibration.
+            config: Settings.
+        """
+        self.mapper = Mapper(PlaceRecognizer(rig, config.places), config.mapping)
+        """The map so far."""
+        self._extractor = PlaceFeatureExtractor(config.places.features)
+        self._is_lost = False
+
+    def process(self, message: MapMessage) -> Correction | None:
+        """Return the correction by the newest keyframe, or None: the map ends where the odometry is lost."""
+        if isinstance(message, TrackLost):
+            self._is_lost = True
+        if self._is_lost or not isinstance(message, DepartedKeyframe):
+            return None
+        features = self._extractor.extract(message.images, message.rig, message.R_odom_imu, message.observations)
+        waiting = WaitingKeyframe(message.t_ns, features, KeyframeImages(message.images, message.rig))
+        self.mapper.add(waiting, (message.t_ns,))
+        return self.mapper.depart(message.departure)
+
+
+class LocalMap:
+    """Builds the map in the process of the odometry, which it delays; an `OdometryMap` for tests and debugging."""
+
+    def __init__(self, rig: Rig, config: SlamConfig) -> None:
+        """Begin with an empty map; see `MapBuilder`."""
+        self._builder = MapBuilder(rig, config)
+        self._answers: deque[Correction | None] = deque()
+        self._results = 0
+
+    def send(self, message: MapMessage) -> None:
+        """Process a message, and keep the answer until it is received."""
+        self._answers.append(self._builder.process(message))
+
+    def receive(self) -> Correction | None:
+        """Return the oldest answer."""
+        self._results += 1
+        return self._answers.popleft()
+
+    def ask(self, function: Callable[[Mapper], Result]) -> Result:
+        """Return what a function returns for the mapper."""
+        return function(self._builder.mapper)
+
+    def cost(self, frames: int) -> MapCost:
+        """Return the cost of the map, which is part of the cost of the frames."""
+        return MapCost(frames, self._results, 0, 0.0)
+
+    def close(self) -> None:
+        """Do nothing: the map ends with its last reference."""
