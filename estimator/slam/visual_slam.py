@@ -22,7 +22,6 @@ from dronevio.estimator.imu.preintegration import PreintegrationParams
 from dronevio.estimator.keyframe_observer import OdometryKeyframe
 from dronevio.estimator.slam.bundle_adjustment import AdjustmentInputs, AdjustmentKeyframe, adjust
 from dronevio.estimator.slam.config import SlamConfig
-from dronevio.estimator.slam.correction import MapCorrection
 from dronevio.estimator.slam.features import PlaceFeatureExtractor
 from dronevio.estimator.slam.localization import KeyframeImages
 from dronevio.estimator.slam.mapping import Correction, Mapper, MapSummary, WaitingKeyframe
@@ -30,7 +29,9 @@ from dronevio.estimator.slam.pose_graph import PoseGraph
 from dronevio.estimator.slam.recognizer import PlaceRecognizer
 from dronevio.estimator.vio import VisualInertialOdometry
 from dronevio.models.imu import ImuModel, ImuSamples
+from dronevio.models.map_correction import MapCorrection
 from dronevio.models.rig import Rig
+from dronevio.models.slam_map import SlamMap
 from dronevio.models.state import CameraFrame, Estimate, NavState
 
 Array = npt.NDArray[np.float64]
@@ -87,14 +88,17 @@ class VisualSlam:
         estimate = self._odometry.add_frame(frame)
         self._frames += 1
         events: list[str] = []
+        closed: tuple[tuple[int, int], ...] = ()
         while self._due and self._due[0][0] <= self._frames:
             correction = self._due.popleft()[1]
             self._T_map_odom = correction.T_map_odom
             events += _events(correction)
+            closed += correction.loop_times_ns
         self._due += [(self._frames + self._config.correction_delay, each) for each in self._map.take_corrections()]
         if estimate.state is None:
             return estimate
-        return replace(estimate, T_map_odom=self._T_map_odom, events=(*estimate.events, *events))
+        events_so_far = (*estimate.events, *events)
+        return replace(estimate, T_map_odom=self._T_map_odom, events=events_so_far, closed_loops_ns=closed)
 
     @property
     def mapper(self) -> Mapper:
@@ -107,7 +111,12 @@ class VisualSlam:
         return self._map.mapper.summary
 
     def final_correction(self) -> MapCorrection | None:
-        """Return the correction of the whole flight by all measurements; None if no keyframe has joined the map.
+        """Return the correction of the whole flight by `final_map`; None if no keyframe has joined the map."""
+        final = self.final_map()
+        return None if final is None else final.correction
+
+    def final_map(self) -> SlamMap | None:
+        """Return the map of the whole flight by all measurements; None if no keyframe has joined the map.
 
         The pose graph gives the initial poses, and visual-inertial bundle adjustment the final ones. Without loops, the
         odometry is not corrected.
@@ -122,7 +131,7 @@ class VisualSlam:
             inputs = self._map.adjustment_inputs(graph, imu, self._rig.imu, noise)
             with suppress(RuntimeError):  # by GTSAM, if the system is singular; the poses of the graph remain
                 poses = adjust(inputs, self._config.adjustment)
-        return mapper.correction_of(poses)
+        return mapper.map_of(replace(solution, graph=replace(solution.graph, poses=poses)))
 
 
 class _MapOfOdometry:

@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+import dronevio as dv
 from dronevio.benchmark_jobs import scenario_flights
 from dronevio.cli import main
 from dronevio.models.camera import CameraModel
@@ -100,6 +101,14 @@ def test_map_leaves_the_odometry_as_it_is(stereo: Result, run_command: CommandRu
         assert np.array_equal(corrected.t_ns, odometry.t_ns)
         np.testing.assert_allclose(corrected.p_world_imu, odometry.p_world_imu, atol=1e-6)  # there is no loop
     assert "keyframes of the map" in shown.out and "slam_map_final.tum" in shown.out
+
+
+def test_function_estimates_with_a_map(stereo: Result) -> None:
+    run = dv.estimate(stereo.folder / "recording", slam=True)
+    odometry = read_tum(stereo.folder / "estimate.tum")
+    assert run.map is not None and len(run.map.t_ns) > 5 and len(run.map.loops) == 0
+    for path in (run.trajectory, run.map_trajectory, run.final_trajectory):
+        np.testing.assert_allclose(path.p_world_imu, odometry.p_world_imu, atol=1e-6)
 
 
 @pytest.mark.skipif(not SLAM_PAGE.is_file(), reason="the documentation is not part of the wheel")
