@@ -160,9 +160,9 @@ def test_points_of_the_map_are_where_the_last_keyframe_puts_them(odometry_flight
     np.testing.assert_allclose(final.points, np.stack([last[k] for k in sorted(last)]), atol=1e-5)
 
 
-def test_closed_loops_are_told_with_their_times(odometry_flight: "OdometryFlight") -> None:
+def test_closed_loops_are_reported_with_times(odometry_flight: "OdometryFlight") -> None:
     _, mapped = odometry_flight.with_loops(every=3)
     keyframes = mapped.mapper.keyframes
-    told = [(loop, times) for c in mapped.corrections for loop, times in zip(c.loops, c.loop_times_ns, strict=True)]
-    assert len(told) > 10
-    assert all(times == (keyframes[loop.first].t_ns, keyframes[loop.second].t_ns) for loop, times in told)
+    reported = [(loop, times) for c in mapped.corrections for loop, times in zip(c.loops, c.loop_times_ns, strict=True)]
+    assert len(reported) > 10
+    assert all(times == (keyframes[loop.first].t_ns, keyframes[loop.second].t_ns) for loop, times in reported)
