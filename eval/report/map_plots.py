@@ -11,7 +11,7 @@ from matplotlib.collections import LineCollection
 from dronevio.eval import colours
 from dronevio.eval.map_results import MapResults, OnlineCorrection
 from dronevio.eval.metrics import Alignment, ScoredTrajectory
-from dronevio.eval.report.figures import draw_line
+from dronevio.eval.report.figures import INK, draw_line
 from dronevio.eval.report.plots import TOP_VIEW
 from dronevio.models.imu import Times
 from dronevio.models.slam_map import SlamMap
@@ -60,7 +60,7 @@ def draw_map_errors(ax: Axes, odometry: ScoredTrajectory, results: MapResults, o
     """Draw the position errors of the odometry and of the corrected trajectories over time."""
     for scored, label, colour, width in (
         (odometry, "odometry", colours.ESTIMATE, 1.4),
-        (results.scored_online, "map, online", colours.SIGMA, 1.0),
+        (results.scored_online, "map, online", INK, 0.9),
         (results.scored_final, "map, final", colours.CORRECTED, 1.4),
     ):
         if scored is not None:
@@ -90,7 +90,7 @@ def draw_yaw_correction(ax: Axes, correction: OnlineCorrection, final: SlamMap, 
     points = np.stack([_seconds(final.t_ns, origin_ns), final_deg], axis=1)
     draw_line(ax, points, color=colours.CORRECTED, linewidth=1.0, label="final")
     points = np.stack([_seconds(correction.t_ns, origin_ns), correction.yaw_deg], axis=1)
-    draw_line(ax, points, color=colours.SIGMA, label="online", drawstyle="steps-post")
+    draw_line(ax, points, color=INK, label="online", drawstyle="steps-post")
     ax.set(title="Correction of the yaw", xlabel="time [s]", ylabel="T_map_odom, yaw [°]")
     ax.margins(x=0.01)
 
