@@ -137,9 +137,10 @@ def test_keyframes_without_images_do_not_join_the_map(odometry_flight: "Odometry
 
 def test_final_map_has_the_optimized_graph_as_arrays(odometry_flight: "OdometryFlight") -> None:
     _, mapped = odometry_flight.with_loops(every=3, wrong=0.4, seed=1)
-    graph, final, correction = mapped.mapper.graph, mapped.mapper.final_map(), mapped.mapper.final_correction()
-    assert graph is not None and final is not None and correction is not None
-    solved = optimize(graph)
+    graph, solved = mapped.mapper.graph, mapped.mapper.final_solution()
+    assert graph is not None and solved is not None
+    final = mapped.mapper.map_of(solved)
+    correction = final.correction
     poses = np.stack([solved.graph.poses[k.number] for k in mapped.mapper.keyframes])
     np.testing.assert_allclose(final.Ts_map_imu, poses, atol=1e-9)
     assert set(np.flatnonzero(final.rejected).tolist()) == solved.rejected and solved.rejected
@@ -152,11 +153,13 @@ def test_final_map_has_the_optimized_graph_as_arrays(odometry_flight: "OdometryF
 
 def test_points_of_the_map_are_where_the_last_keyframe_puts_them(odometry_flight: "OdometryFlight") -> None:
     mapped = odometry_flight.mapped(NoRecognizer())
-    final = mapped.mapper.final_map()
+    solved = mapped.mapper.final_solution()
+    assert solved is not None
+    final = mapped.mapper.map_of(solved)
     last: dict[int, Array] = {}
     for departure in odometry_flight.departures:  # without loops, the map is the odometry
         last |= dict(zip(departure.landmark_ids.tolist(), departure.landmarks_odom, strict=True))
-    assert final is not None and len(final.points) == len(last)
+    assert len(final.points) == len(last)
     np.testing.assert_allclose(final.points, np.stack([last[k] for k in sorted(last)]), atol=1e-5)
 
 
