@@ -3,6 +3,7 @@
 `dronevio.evaluation` evaluates the estimate.
 """
 
+from dataclasses import replace
 from pathlib import Path
 
 from dronevio.driver import TimedEstimator, estimate_recording
@@ -14,6 +15,7 @@ from dronevio.estimator.sfm.config import SfmConfig
 from dronevio.estimator.sfm.model import KnownPoses
 from dronevio.estimator.sfm.pipeline import SfmResult, reconstruct
 from dronevio.estimator.sfm.workspace import Workspace
+from dronevio.estimator.slam.visual_slam import VisualSlam
 from dronevio.estimator.vio import VisualInertialOdometry
 from dronevio.eval.run import EstimatorRun
 from dronevio.models.errors import ConfigError, InputError
@@ -22,6 +24,7 @@ from dronevio.models.progress import Progress, silent
 from dronevio.models.protocols import Estimator, Recording
 from dronevio.models.reconstruction import Reconstruction
 from dronevio.models.recordings.open import open_recording
+from dronevio.models.rig import Rig
 from dronevio.recorder import record_closed_loop, record_flight
 from dronevio.sfm_inputs import EarlierResult, read_earlier, read_poses
 from dronevio.sim.loop_settings import LoopSettings
@@ -60,6 +63,7 @@ def fly_on_estimate(
     *,
     seed: int | None = None,
     latency: LoopSettings | None = None,
+    slam: bool = False,
     progress: Progress = silent,
 ) -> tuple[Recording, EstimatorRun]:
     """Simulate a flight whose controller receives the output of an estimator, and write the recording into a folder.
@@ -71,28 +75,29 @@ def fly_on_estimate(
             default the odometry with default settings.
         seed: Seed of a named scenario; its own by default.
         latency: Latencies of images and commands.
+        slam: Whether the odometry builds a map; see `estimate`.
         progress: Called with the progress of the flight.
 
     Returns:
         The recording, and the estimates of its frames with their cost.
 
     Raises:
-        ConfigError: There is no such scenario, or its settings contradict each other.
+        ConfigError: There is no such scenario, or its settings contradict each other; or `slam` with an estimator.
         GraphicsError: There is no off-screen OpenGL.
         IncompleteError: An image cannot be written.
     """
     flown = scenario_named(scenario, seed) if isinstance(scenario, str) else scenario
-    if estimator is None or isinstance(estimator, VioConfig):
-        estimator = VisualInertialOdometry(flown.rig, estimator)
-    timed = TimedEstimator(estimator)
+    chosen = _estimator(flown.rig, estimator, slam)
+    timed = TimedEstimator(chosen)
     record_closed_loop(flown, Path(folder), timed, latency, progress)
-    return open_recording(Path(folder)), timed.run
+    return open_recording(Path(folder)), _with_map(timed.run, chosen)
 
 
 def estimate(
     recording: Recording | str | Path,
     estimator: Estimator | VioConfig | None = None,
     *,
+    slam: bool = False,
     progress: Progress = silent,
 ) -> EstimatorRun:
     """Estimate the motion of a recording, frame by frame.
@@ -101,6 +106,8 @@ def estimate(
         recording: A recording, or the path of one, whose defects are listed in the result.
         estimator: An estimator before its first measurement, or the settings of the visual-inertial odometry; by
             default the odometry with default settings.
+        slam: Whether the odometry builds a map and closes loops (`VisualSlam`). The result then has, beside the
+            trajectory of the odometry, which stays as it is, `map_trajectory`, `final_trajectory` and `map`.
         progress: Called with the number of processed frames.
 
     Returns:
@@ -108,16 +115,34 @@ def estimate(
 
     Raises:
         InputError: The recording cannot be read.
-        ConfigError: An argument is of another type, or the recording has no camera.
+        ConfigError: An argument is of another type, the recording has no camera, or `slam` with an estimator.
     """
     source = open_recording(Path(recording), repair=True) if isinstance(recording, str | Path) else recording
     if not hasattr(source, "rig"):
         raise ConfigError(f"estimate() of {type(source).__name__}; expected a recording or its path")
     if estimator is not None and not isinstance(estimator, VioConfig) and not hasattr(estimator, "add_frame"):
         raise ConfigError(f"estimate() with {estimator!r}; expected an estimator or a VioConfig")
-    if estimator is None or isinstance(estimator, VioConfig):
-        estimator = VisualInertialOdometry(source.rig, estimator)
-    return estimate_recording(source, estimator, progress)
+    chosen = _estimator(source.rig, estimator, slam)
+    return _with_map(estimate_recording(source, chosen, progress), chosen)
+
+
+def _estimator(rig: Rig, estimator: Estimator | VioConfig | None, slam: bool) -> Estimator:
+    """Return an estimator as it is, or one of a rig: the odometry, or visual SLAM around it.
+
+    Raises:
+        ConfigError: Visual SLAM is asked for, and there is an estimator already.
+    """
+    if estimator is not None and not isinstance(estimator, VioConfig):
+        if slam:
+            found = type(estimator).__name__
+            raise ConfigError(f"slam=True with an estimator of type {found}; expected a VioConfig or None beside it")
+        return estimator
+    return VisualSlam(rig, estimator) if slam else VisualInertialOdometry(rig, estimator)
+
+
+def _with_map(run: EstimatorRun, estimator: Estimator) -> EstimatorRun:
+    """Return a finished run with the final map, if its estimator has one."""
+    return replace(run, map=estimator.final_map()) if isinstance(estimator, VisualSlam) else run
 
 
 def sfm(

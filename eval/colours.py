@@ -20,6 +20,12 @@ AXES = ("#d55e00", "#009e73", "#56b4e9")
 """Colours of the axes x, y and z."""
 AXES_PALE = ("#e8a57a", "#7cc9b2", "#b0daf2")
 """Colours of the axes x, y and z of a quantity in the background."""
+CORRECTED = SECOND
+"""Colour of an estimate that a map corrects: blue."""
+LOOP = "#cc79a7"
+"""Colour of loops between keyframes: purple."""
+REJECTED_LOOP = "#e69f00"
+"""Colour of loops that contradict the others: orange."""
 LANDMARKS = "#f0e442"
 """Colour of landmarks: yellow."""
 SURROUNDINGS = "#8a8f98"

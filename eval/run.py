@@ -1,6 +1,7 @@
 """The run of an estimator on a recording: its estimates frame by frame, and their cost."""
 
 import re
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Self
 
@@ -12,6 +13,7 @@ from dronevio.models.defects import Defect
 from dronevio.models.errors import EvaluationError
 from dronevio.models.imu import Times
 from dronevio.models.protocols import Recording
+from dronevio.models.slam_map import SlamMap
 from dronevio.models.state import Estimate, FeatureTracks, Health, Trajectory
 
 Array = npt.NDArray[np.float64]
@@ -34,6 +36,8 @@ class EstimatorRun:
     """(M,) Elapsed time for the same [ms]."""
     defects: tuple[Defect, ...] = ()
     """Defects of the recording, and of the images that were read."""
+    map: SlamMap | None = None
+    """The map after the last frame; None if the estimator has none, or if it was not asked for."""
 
     def __post_init__(self) -> None:
         """Check the lengths.
@@ -68,12 +72,12 @@ class EstimatorRun:
 
         It is empty if the estimator has no map.
         """
-        states = [
-            replace(estimate.state, T_world_imu=estimate.T_map_imu, covariance=None)
-            for estimate in self.estimates
-            if estimate.health in POSE_IS_VALID and estimate.state is not None and estimate.T_map_imu is not None
-        ]
-        return replace(Trajectory.from_states(states), velocity_m_s=None)
+        return map_trajectory_of(self.estimates)
+
+    @property
+    def final_trajectory(self) -> Trajectory:
+        """The valid poses, corrected by the map after the last frame; without velocities. Empty without a map."""
+        return Trajectory.from_states(()) if self.map is None else self.map.correction.applied(self.trajectory)
 
     @property
     def real_time_factor(self) -> float | None:
@@ -141,6 +145,16 @@ class Innovations:
         """Return the statistics of the innovations (N,) [px] and NIS (M,) of frames, N > 0 and M > 0."""
         px, nis = (np.percentile(values, [50.0, 95.0]).tolist() for values in (innovation_px, innovation_nis))
         return cls(*px, *nis)
+
+
+def map_trajectory_of(estimates: Sequence[Estimate]) -> Trajectory:
+    """Return the valid poses of estimates in the map frame, without velocities."""
+    states = [
+        replace(estimate.state, T_world_imu=estimate.T_map_imu, covariance=None)
+        for estimate in estimates
+        if estimate.health in POSE_IS_VALID and estimate.state is not None and estimate.T_map_imu is not None
+    ]
+    return replace(Trajectory.from_states(states), velocity_m_s=None)
 
 
 def is_warning(event: str) -> bool:

@@ -148,6 +148,9 @@ class Estimate:
     T_map_odom: Array | None = None
     """(4, 4) Pose of the odometry frame in the map frame, corrected by loop closures; it may be discontinuous, while
     `state` is continuous. None for pure odometry."""
+    closed_loops_ns: tuple[tuple[int, int], ...] = ()
+    """Time stamps of the earlier and the later keyframe of each loop that corrects the estimate from this frame on
+    [ns]."""
 
     @property
     def T_map_imu(self) -> Array | None:

@@ -120,15 +120,15 @@ def main(arguments: Sequence[str]) -> int:
         slam = VisualSlam(recording.rig, command.estimator, command.map) if command.slam else None
         estimator = slam or VisualInertialOdometry(recording.rig, command.estimator)
         run = estimate_recording(recording, estimator, bars.bar("estimating"), observers)
+    run = run if slam is None else replace(run, map=slam.final_map())
     print_defects(run.defects[len(recording.defects) :])
     print_run_warnings(run)
     trajectory = require_poses(run, recording)
     write_tum(command.out, trajectory)
     written = [command.out]
     if slam is not None:
-        final = slam.final_correction()
         write_tum(of_map[0], run.map_trajectory)
-        write_tum(of_map[1], trajectory if final is None else final.applied(trajectory))
+        write_tum(of_map[1], trajectory if run.map is None else run.final_trajectory)
         written += of_map
     if command.imu_rate is not None:
         write_tum(command.imu_rate, imu_rate.trajectory)

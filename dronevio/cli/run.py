@@ -24,6 +24,7 @@ from dronevio.sim.loop_settings import LoopSettings
 
 if TYPE_CHECKING:
     from dronevio.estimator.config import VioConfig
+    from dronevio.estimator.slam.config import SlamConfig
     from dronevio.sim.envs.mission import PolicyMission
     from dronevio.sim.scenario import Scenario
 
@@ -34,6 +35,11 @@ class RunCommand:
 
     With --fly-on estimate, the estimator runs during the flight, and the controller receives its output in place of the
     true state. With --policy, a trained policy flies its task after the take-off.
+
+    With --slam, the estimator builds a map and closes loops where it sees a place again. The estimate stays that of the
+    odometry, on which the drone flies with --fly-on estimate. The folder then also holds estimate_map.tum, the poses as
+    the map has corrected them at their frames, and map_final.tum, the poses by the map after the flight. The three are
+    scored apart.
 
     The result is a folder with report.html, report.json, groundtruth.tum, estimate.tum, imu.csv, trajectory.png,
     run.rrd (for `dronevio view`) and configuration.json. The same settings and seed give the same recording and
@@ -46,6 +52,7 @@ class RunCommand:
       dronevio run --rig euroc-stereo
       dronevio run --fly-on estimate
       dronevio run --policy hover.safetensors --fly-on estimate
+      dronevio run --scenario room-square --slam
       dronevio run --estimator.smoother.max-keyframes 16
       dronevio run --live
       dronevio run --json > result.json
@@ -63,6 +70,8 @@ class RunCommand:
     """File of a trained policy, see `dronevio policy`. It flies the task of its environment once, in the world and with
     the vehicle of its training unless others are chosen, after a take-off by the controller. The flight ends in the air
     when the task is accomplished or its time limit is reached."""
+    slam: bool = False
+    """Build a map, recognize places and correct the odometry; write and score the corrected trajectories, too."""
     keep_recording: bool = False
     """Keep the recording with all images, as an EuRoC folder named recording."""
     live: bool = False
@@ -72,6 +81,8 @@ class RunCommand:
     """How the result is written and printed."""
     estimator: "VioConfig" = field(default_factory=ImportedSettings("dronevio.estimator.config", "VioConfig"))
     """Settings of the estimator."""
+    map: "SlamConfig" = field(default_factory=ImportedSettings("dronevio.estimator.slam.config", "SlamConfig"))
+    """Settings of the map, with --slam."""
     loop: LoopSettings = field(default_factory=LoopSettings)
     """Latencies of the control loop with --fly-on estimate."""
 
@@ -168,11 +179,15 @@ def _run(
     assert truth is not None
     write_tum(folder / "groundtruth.tum", truth)
     write_tum(folder / "estimate.tum", trajectory)
+    if estimated.of_map is not None:
+        write_tum(folder / "estimate_map.tum", estimated.of_map.online)
+        write_tum(folder / "map_final.tum", estimated.of_map.final)
     shutil.copyfile(folder / "recording" / "mav0" / "imu0" / "data.csv", folder / "imu.csv")
     configuration = {
         "dronevio": __version__,
         "scenario": to_jsonable(replace(scenario, world_seed=scenario.seed_of_world)),
         "estimator": to_jsonable(command.estimator),
+        "slam": to_jsonable(command.map) if command.slam else None,
         "fly_on": command.fly_on,
         "loop": to_jsonable(command.loop),
         "policy": None if mission is None else json.loads(description(mission.policy)),
@@ -194,6 +209,7 @@ def _run(
         outline=surroundings.outline,
         control=control_result(command.fly_on, estimated),
         policy=estimated.outcome,
+        map_results=estimated.of_map,
     )
 
 
@@ -227,6 +243,7 @@ def print_report(title: str, report: dict[str, Any]) -> None:
         ("RPE over 1 s, orientation", rpe_deg["rmse"], ".2f", "°"),
         ("scale error", scores["scale_error_percent"], "+.2f", "%"),
         ("coverage", scores["coverage_percent"], ".1f", "%"),
+        *_map_rows(report),
         *innovation_rows(report["estimator"]["innovations"]),
         ("processor time per frame, mean", timing["cpu_ms_mean"], ".1f", "ms"),
         ("processor time per frame, 99th percentile", timing["cpu_ms_p99"], ".1f", "ms"),
@@ -236,6 +253,28 @@ def print_report(title: str, report: dict[str, Any]) -> None:
     print_values(
         title,
         [(label, "–" if value is None else format(value, form), unit) for label, value, form, unit in shown],
+    )
+
+
+def _map_rows(report: dict[str, Any]) -> tuple[tuple[str, float | None, str, str], ...]:
+    """Return names, values, formats and units of the figures of the map; none without a map."""
+    if (of_map := report["map"]) is None:
+        return ()
+    size = (("loops", "loops"), ("rejected loops", "rejected_loops"), ("keyframes of the map", "keyframes"))
+    return (
+        *_corrected_rows("map, online", of_map["online"]),
+        *_corrected_rows("map, final", of_map["final"]),
+        *((label, of_map[key], "d", "") for label, key in size),
+    )
+
+
+def _corrected_rows(name: str, scores: dict[str, Any]) -> tuple[tuple[str, float | None, str, str], ...]:
+    """Return names, values, formats and units of the scores of a trajectory that the map corrects."""
+    rpe_m = scores["rpe_m"] or {"rmse": None}
+    return (
+        (f"{name}: ATE", scores["ate_m"]["rmse"], ".3f", "m"),
+        (f"{name}: RPE over 1 s, position", rpe_m["rmse"], ".3f", "m"),
+        (f"{name}: scale error", scores["scale_error_percent"], "+.2f", "%"),
     )
 
 

@@ -10,12 +10,16 @@ if TYPE_CHECKING:
     from dronevio.cli.progress import Bars
     from dronevio.cli.run import RunCommand
     from dronevio.driver import RunObserver
+    from dronevio.estimator.slam.visual_slam import VisualSlam
+    from dronevio.estimator.vio import VisualInertialOdometry
+    from dronevio.eval.map_results import MapResults
     from dronevio.eval.metrics.scores import ScoredTrajectory
     from dronevio.eval.report.model import ControlResult
     from dronevio.eval.rerun.surroundings import Surroundings
     from dronevio.eval.run import EstimatorRun
     from dronevio.models.policies.outcome import PolicyOutcome
     from dronevio.models.protocols import Recording
+    from dronevio.models.rig import Rig
     from dronevio.sim.envs.mission import PolicyMission
     from dronevio.sim.flight import Flight
     from dronevio.sim.scenario import Scenario
@@ -35,6 +39,8 @@ class EstimatedFlight:
     """The estimated trajectory with its errors."""
     outcome: "PolicyOutcome | None" = None
     """Outcome of the flight of a policy; None for other flights."""
+    of_map: "MapResults | None" = None
+    """The map with the corrected trajectories; None without --slam."""
 
 
 def flown_and_estimated(
@@ -69,20 +75,21 @@ def _flown_on_truth(
 ) -> EstimatedFlight:
     """Fly on the true state, render, and run the estimator on the recording."""
     from dronevio.driver import estimate_recording
-    from dronevio.estimator.vio import VisualInertialOdometry
+    from dronevio.eval.map_results import map_results
     from dronevio.eval.rerun.files import run_file
     from dronevio.recorder import record_flight
 
     progress = {name: bars.bar(name) for name in ("simulating", "rendering", "estimating")}
     flight = record_flight(scenario, folder / "recording", progress["simulating"], progress["rendering"])
     recording = _recording(scenario, folder)
-    estimator = VisualInertialOdometry(recording.rig, command.estimator)
-    with run_file(folder / "run.rrd", recording, surroundings=surroundings) as file:
-        with _viewers(recording, surroundings, command.live) as viewers:
+    estimator = _estimator(command, recording.rig)
+    with run_file(folder / "run.rrd", recording, surroundings=surroundings, has_map=command.slam) as file:
+        with _viewers(recording, surroundings, command) as viewers:
             run = estimate_recording(recording, estimator, progress["estimating"], (file, *viewers))
-        scored = _scored(recording, run)
-        file.finish(run, scored)
-    return EstimatedFlight(flight, recording, run, scored)
+        run = _with_map(run, estimator)
+        scored, of_map = _scored(recording, run), map_results(run, recording)
+        file.finish(run, scored, of_map)
+    return EstimatedFlight(flight, recording, run, scored, of_map=of_map)
 
 
 def _flown_live(
@@ -99,7 +106,7 @@ def _flown_live(
         ConfigError: A live view is requested.
     """
     from dronevio.driver import TimedEstimator
-    from dronevio.estimator.vio import VisualInertialOdometry
+    from dronevio.eval.map_results import map_results
     from dronevio.eval.rerun.files import write_rrd
     from dronevio.models.defects import defects_of
     from dronevio.models.errors import ConfigError
@@ -111,7 +118,8 @@ def _flown_live(
         other = "--fly-on estimate" if mission is None else "--policy"
         raise ConfigError(f"--live with {other}; expected one of them, since a live view shows a recording")
     progress = {name: bars.bar(name) for name in ("flying", "logging")}
-    estimator = TimedEstimator(VisualInertialOdometry(scenario.rig, command.estimator))
+    own = _estimator(command, scenario.rig)
+    estimator = TimedEstimator(own)
     pilot = None if mission is None else PolicyPilot(mission)
     flight = record_closed_loop(
         scenario,
@@ -123,13 +131,39 @@ def _flown_live(
         true_state=command.fly_on == "truth",
     )
     recording = _recording(scenario, folder)
-    run = replace(estimator.run, defects=defects_of(recording))
-    scored = _scored(recording, run)
-    write_rrd(folder / "run.rrd", recording, run, scored, surroundings=surroundings, progress=progress["logging"])
+    run = _with_map(replace(estimator.run, defects=defects_of(recording)), own)
+    scored, of_map = _scored(recording, run), map_results(run, recording)
+    write_rrd(
+        folder / "run.rrd",
+        recording,
+        run,
+        scored,
+        of_map=of_map,
+        surroundings=surroundings,
+        progress=progress["logging"],
+    )
     outcome = None
     if mission is not None and pilot is not None:
         outcome = policy_outcome(mission, flight, pilot.began_ns)
-    return EstimatedFlight(flight, recording, run, scored, outcome)
+    return EstimatedFlight(flight, recording, run, scored, outcome, of_map)
+
+
+def _estimator(command: "RunCommand", rig: "Rig") -> "VisualInertialOdometry | VisualSlam":
+    """Return the estimator of a command before its first measurement: the odometry, or with --slam that with a map."""
+    if command.slam:
+        from dronevio.estimator.slam.visual_slam import VisualSlam
+
+        return VisualSlam(rig, command.estimator, command.map)
+    from dronevio.estimator.vio import VisualInertialOdometry
+
+    return VisualInertialOdometry(rig, command.estimator)
+
+
+def _with_map(run: "EstimatorRun", estimator: "VisualInertialOdometry | VisualSlam") -> "EstimatorRun":
+    """Return a finished run with the final map, if its estimator has one."""
+    from dronevio.estimator.slam.visual_slam import VisualSlam
+
+    return replace(run, map=estimator.final_map()) if isinstance(estimator, VisualSlam) else run
 
 
 def _recording(scenario: "Scenario", folder: Path) -> "Recording":
@@ -175,13 +209,15 @@ def control_result(flown_on: Literal["truth", "estimate"], estimated: EstimatedF
 
 
 @contextmanager
-def _viewers(recording: "Recording", surroundings: "Surroundings", live: bool) -> Iterator["Sequence[RunObserver]"]:
+def _viewers(
+    recording: "Recording", surroundings: "Surroundings", command: "RunCommand"
+) -> Iterator["Sequence[RunObserver]"]:
     """Show a live viewer until the context ends, if one is asked for; yield the observers of the estimator."""
-    if not live:
+    if not command.live:
         yield ()
         return
     from dronevio.cli.view import viewer_process
     from dronevio.eval.rerun.live import viewer_log
 
-    with viewer_process() as address, viewer_log(address, recording, surroundings) as viewer:
+    with viewer_process() as address, viewer_log(address, recording, surroundings, has_map=command.slam) as viewer:
         yield (viewer,)

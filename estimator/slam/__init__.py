@@ -6,7 +6,6 @@ from dronevio._lazy import attach
 
 if TYPE_CHECKING:
     from dronevio.estimator.slam.config import SlamConfig
-    from dronevio.estimator.slam.correction import MapCorrection
     from dronevio.estimator.slam.features import PlaceFeatureConfig, PlaceFeatureExtractor
     from dronevio.estimator.slam.keyframe import KeyframeFeatures, MapKeyframe
     from dronevio.estimator.slam.recognizer import PlaceConfig, PlaceRecognizer
@@ -15,7 +14,6 @@ if TYPE_CHECKING:
 
 __all__ = [
     "KeyframeFeatures",
-    "MapCorrection",
     "MapKeyframe",
     "PlaceConfig",
     "PlaceFeatureConfig",
@@ -31,7 +29,6 @@ __getattr__, __dir__ = attach(
     __name__,
     {
         "dronevio.estimator.slam.config": ("SlamConfig",),
-        "dronevio.estimator.slam.correction": ("MapCorrection",),
         "dronevio.estimator.slam.features": ("PlaceFeatureConfig", "PlaceFeatureExtractor"),
         "dronevio.estimator.slam.keyframe": ("KeyframeFeatures", "MapKeyframe"),
         "dronevio.estimator.slam.recognizer": ("PlaceConfig", "PlaceRecognizer"),

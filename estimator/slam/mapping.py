@@ -5,7 +5,6 @@ recognized places become loops of the pose graph, and the graph is optimized. Th
 of the odometry frame in the map frame at the newest keyframe of the map, the anchor.
 """
 
-from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from typing import Annotated, Protocol
 
@@ -13,7 +12,6 @@ import numpy as np
 import numpy.typing as npt
 
 from dronevio.estimator.backend.departure import Departure
-from dronevio.estimator.slam.correction import MapCorrection
 from dronevio.estimator.slam.keyframe import KeyframeFeatures, MapKeyframe
 from dronevio.estimator.slam.localization import (
     KeyframeImages,
@@ -22,6 +20,7 @@ from dronevio.estimator.slam.localization import (
     Localizer,
     landmark_patches,
 )
+from dronevio.estimator.slam.map_arrays import slam_map
 from dronevio.estimator.slam.odometry_factors import (
     OdometryNode,
     RelativePose,
@@ -33,6 +32,7 @@ from dronevio.estimator.slam.pose_graph import OptimizedGraph, PoseGraph, margin
 from dronevio.estimator.slam.verification import PlaceMatch
 from dronevio.models.ranges import Range, Settings
 from dronevio.models.rotation import inverse_pose
+from dronevio.models.slam_map import SlamMap
 
 Array = npt.NDArray[np.float64]
 
@@ -97,6 +97,8 @@ class Correction:
     """Loops that were closed since the last correction."""
     rejected: int = 0
     """Number of loops that were rejected since the last correction."""
+    loop_times_ns: tuple[tuple[int, int], ...] = ()
+    """Times of the earlier and the later keyframe of each closed loop [ns]."""
 
 
 @dataclass(frozen=True)
@@ -154,11 +156,9 @@ class Mapper:
         """Return the pose graph of the whole flight, optimized with all loops; None before the first keyframe."""
         return None if self._solution is None else optimize(self._solution.graph)
 
-    def correction_of(self, poses: Mapping[int, Array]) -> MapCorrection:
-        """Return the correction of the odometry at all keyframes, by their poses (4, 4) in the map frame."""
-        t_ns = np.array([keyframe.t_ns for keyframe in self._keyframes], dtype=np.int64)
-        Ts = np.stack([poses[keyframe.number] @ inverse_pose(keyframe.T_odom_imu) for keyframe in self._keyframes])
-        return MapCorrection(t_ns, Ts)
+    def map_of(self, solution: OptimizedGraph) -> SlamMap:
+        """Return the map as arrays, with the poses of a solution."""
+        return slam_map(solution, self._keyframes)
 
     def add(self, keyframe: WaitingKeyframe, window_times_ns: tuple[int, ...]) -> None:
         """Add a new keyframe of the odometry.
@@ -195,7 +195,8 @@ class Mapper:
         solution = self._solution
         self._covariance = covariance = self._marginal(before, solution)
         T_map_odom = solution.graph.poses[number] @ inverse_pose(T)
-        return Correction(T_map_odom, departure.t_ns, covariance, departure.covariance, closed, rejected)
+        times = tuple((self._keyframes[loop.first].t_ns, self._keyframes[loop.second].t_ns) for loop in closed)
+        return Correction(T_map_odom, departure.t_ns, covariance, departure.covariance, closed, rejected, times)
 
     def _extended(self, number: int, departure: Departure) -> tuple[OdometryNode, PoseGraph]:
         """Return the newest keyframe and the graph with its pose, as the odometry continues from the last one."""

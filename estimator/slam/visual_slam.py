@@ -22,7 +22,6 @@ from dronevio.estimator.imu.preintegration import PreintegrationParams
 from dronevio.estimator.keyframe_observer import OdometryKeyframe
 from dronevio.estimator.slam.bundle_adjustment import AdjustmentInputs, AdjustmentKeyframe, adjust
 from dronevio.estimator.slam.config import SlamConfig
-from dronevio.estimator.slam.correction import MapCorrection
 from dronevio.estimator.slam.keyframe import MapKeyframe
 from dronevio.estimator.slam.map_builder import (
     DepartedKeyframe,
@@ -38,7 +37,9 @@ from dronevio.estimator.slam.pose_graph import PoseGraph
 from dronevio.estimator.slam.schedule import CorrectionSchedule
 from dronevio.estimator.vio import VisualInertialOdometry
 from dronevio.models.imu import ImuModel, ImuSamples
+from dronevio.models.map_correction import MapCorrection
 from dronevio.models.rig import Rig
+from dronevio.models.slam_map import SlamMap
 from dronevio.models.state import CameraFrame, Estimate, NavState
 
 Array = npt.NDArray[np.float64]
@@ -101,15 +102,18 @@ class VisualSlam:
             self._sent += 1
             self._schedule.add(self._frames, self._sent, self._loops)
         events: list[str] = []
+        closed: tuple[tuple[int, int], ...] = ()
         for _ in range(self._schedule.take_due(self._frames)):
             correction = self._map.receive()
             if correction is not None:
                 self._T_map_odom = correction.T_map_odom
                 self._loops += len(correction.loops) + correction.rejected
                 events += _events(correction)
+                closed += correction.loop_times_ns
         if estimate.state is None:
             return estimate
-        return replace(estimate, T_map_odom=self._T_map_odom, events=(*estimate.events, *events))
+        events_so_far = (*estimate.events, *events)
+        return replace(estimate, T_map_odom=self._T_map_odom, events=events_so_far, closed_loops_ns=closed)
 
     @property
     def mapper(self) -> Mapper:
@@ -127,7 +131,12 @@ class VisualSlam:
         return self._map.cost(self._frames)
 
     def final_correction(self) -> MapCorrection | None:
-        """Return the correction of the whole flight by all measurements; None if no keyframe has joined the map.
+        """Return the correction of the whole flight by `final_map`; None if no keyframe has joined the map."""
+        final = self.final_map()
+        return None if final is None else final.correction
+
+    def final_map(self) -> SlamMap | None:
+        """Return the map of the whole flight by all measurements; None if no keyframe has joined the map.
 
         The pose graph gives the initial poses, and visual-inertial bundle adjustment the final ones. Without loops, the
         odometry is not corrected.
@@ -142,7 +151,7 @@ class VisualSlam:
             inputs = self._keyframes.adjustment_inputs(mapper.keyframes, graph, imu, self._rig.imu, noise)
             with suppress(RuntimeError):  # by GTSAM, if the system is singular; the poses of the graph remain
                 poses = adjust(inputs, self._config.adjustment)
-        return mapper.correction_of(poses)
+        return mapper.map_of(replace(solution, graph=replace(solution.graph, poses=poses)))
 
     def close(self) -> None:
         """End the worker process, which otherwise ends with the last reference to this object."""

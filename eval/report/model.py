@@ -12,6 +12,8 @@ they are not known:
     policy         environment, success, duration_s, distance_m, end; null unless a policy flies
     estimator      poses, first_pose_s (after the first frame), mean_tracks, keyframes, health: {state: frames},
                    innovations: {median_px, p95_px, median_nis, p95_nis}, warnings: [{t_s, text}]
+    map            keyframes, points, loops, rejected_loops; online, final: the fields of `Scores` of the poses in the
+                   map frame as corrected at their frames, and by the map after the flight; null without a map
     defects        of the recording: {kind: {count, first}}; empty without defects
     configuration, versions, machine            as in `RunInfo`
 """
@@ -23,6 +25,7 @@ from typing import Literal
 import numpy as np
 import numpy.typing as npt
 
+from dronevio.eval.map_results import MapResults
 from dronevio.eval.metrics import IDENTITY, ScoredTrajectory
 from dronevio.eval.provenance import RunInfo
 from dronevio.eval.run import EstimatorRun
@@ -69,11 +72,18 @@ class RunResults:
     """Control of a simulated flight; None for recordings."""
     policy: PolicyOutcome | None = None
     """Outcome of the flight of a policy; None for other flights."""
+    map: MapResults | None = None
+    """The map with the corrected trajectories; None for an estimator without a map."""
 
     @property
     def estimate(self) -> Trajectory:
         """The estimated trajectory, in the world frame of the ground truth if that is known."""
         return (IDENTITY if self.scored is None else self.scored.alignment).apply(self.run.trajectory)
+
+    @property
+    def corrected(self) -> Trajectory | None:
+        """The trajectory corrected by the final map, in the same frame; None without a map."""
+        return None if self.map is None else self.map.final_alignment.apply(self.map.final)
 
     @property
     def origin_ns(self) -> int:
@@ -96,6 +106,7 @@ def report_values(results: RunResults) -> dict[str, object]:
         "control": None if results.control is None else asdict(results.control),
         "policy": None if results.policy is None else asdict(results.policy),
         "estimator": _estimator_values(results),
+        "map": None if results.map is None else results.map.values,
         "defects": defect_values(results.run.defects),
         "configuration": info.configuration,
         "versions": info.versions,

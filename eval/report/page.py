@@ -15,6 +15,7 @@ from dronevio.eval import colours
 from dronevio.eval.metrics import ScoredTrajectory, nees_bounds
 from dronevio.eval.report import plots
 from dronevio.eval.report.figures import svg_plot
+from dronevio.eval.report.map_section import map_section
 from dronevio.eval.report.model import RunResults
 from dronevio.eval.report.path3d import path_scene
 from dronevio.eval.report.templating import Tile, number, render_page
@@ -42,9 +43,10 @@ def run_page(results: RunResults, values: Mapping[str, object]) -> str:
         _summary(values),
         tiles=list(_tiles(values)),
         script="path3d.js",
-        path_scene=path_scene(results.estimate, results.recording.ground_truth, results.outline),
+        path_scene=path_scene(results.estimate, results.recording.ground_truth, results.outline, results.corrected),
         path_plots=list(_path_plots(results)),
         time_plots=list(_time_plots(results)),
+        of_map=map_section(results),
         length_plots=[] if scored is None else list(_length_plots(scored)),
         consistency=None if scored is None else _consistency(scored, results.origin_ns),
         cost_plots=list(_cost_plots(results)),
@@ -111,7 +113,14 @@ def _summary(values: Mapping[str, object]) -> str:
 def _path_plots(results: RunResults) -> Iterator[Markup]:
     estimate, truth = results.estimate, results.recording.ground_truth
     for view in (plots.TOP_VIEW, plots.SIDE_VIEW):
-        draw = partial(plots.draw_path, view=view, estimate=estimate, truth=truth, outline=results.outline)
+        draw = partial(
+            plots.draw_path,
+            view=view,
+            estimate=estimate,
+            truth=truth,
+            outline=results.outline,
+            corrected=results.corrected,
+        )
         yield svg_plot(_PATH_HEIGHT_IN, draw, "the estimate" if truth is None else "estimate and ground truth")
 
 

@@ -90,15 +90,18 @@ class PathScene:
     """Direction of the viewer above the horizontal plane [°]."""
 
 
-def path_scene(estimate: Trajectory, truth: Trajectory | None, outline: Array) -> PathScene | None:
+def path_scene(
+    estimate: Trajectory, truth: Trajectory | None, outline: Array, corrected: Trajectory | None = None
+) -> PathScene | None:
     """Return the picture of a path, or None if there are no poses.
 
     Args:
         estimate: The estimated trajectory, in the world frame of the ground truth.
         truth: The true trajectory; None if it is not known.
         outline: (L, 2, 3) Line segments of the surroundings in the same frame [m].
+        corrected: The trajectory corrected by a map, in the same frame; None without a map.
     """
-    tracks = [track for track in _tracks(estimate, truth) if len(track[0])]
+    tracks = [track for track in _tracks(estimate, truth, corrected) if len(track[0])]
     if not tracks:
         return None
     segments = outline[:: max(1, math.ceil(len(outline) / _MAX_SEGMENTS))].reshape(-1, 3)
@@ -139,12 +142,16 @@ def projected(points: Array) -> Array:
     return np.asarray(points @ np.array([right, down]).T, dtype=np.float64)
 
 
-def _tracks(estimate: Trajectory, truth: Trajectory | None) -> Iterable[tuple[Array, str, str]]:
-    """Yield the thinned points, the name and the style of the true and of the estimated path."""
+def _tracks(
+    estimate: Trajectory, truth: Trajectory | None, corrected: Trajectory | None
+) -> Iterable[tuple[Array, str, str]]:
+    """Yield the thinned points, the name and the style of the true, the estimated and the corrected path."""
     if truth is not None:
         style = f"stroke: {colours.TRUTH}; stroke-width: 2.6; opacity: .75"
         yield _thinned(truth.p_world_imu), "truth", style
     yield _thinned(estimate.p_world_imu), "estimate", f"stroke: {colours.ESTIMATE}; stroke-width: 1.3"
+    if corrected is not None:
+        yield _thinned(corrected.p_world_imu), "corrected by the map", "stroke: var(--blue); stroke-width: 1.3"
 
 
 def _thinned(points: Array) -> Array:

@@ -44,7 +44,14 @@ TOP_VIEW = PathView("Path from above", 0, 1)
 SIDE_VIEW = PathView("Path from the side", 0, 2)
 
 
-def draw_path(ax: Axes, view: PathView, estimate: Trajectory, truth: Trajectory | None, outline: Array) -> None:
+def draw_path(
+    ax: Axes,
+    view: PathView,
+    estimate: Trajectory,
+    truth: Trajectory | None,
+    outline: Array,
+    corrected: Trajectory | None = None,
+) -> None:
     """Draw the estimated and the true path to scale, with a ring at the start and a square at the end.
 
     Args:
@@ -53,12 +60,15 @@ def draw_path(ax: Axes, view: PathView, estimate: Trajectory, truth: Trajectory 
         estimate: The estimated trajectory, in the world frame of the ground truth.
         truth: The true trajectory; None if it is not known.
         outline: (L, 2, 3) Line segments of the surroundings in the same frame [m].
+        corrected: The trajectory corrected by a map, in the same frame; None without a map.
     """
     axes = [view.horizontal, view.vertical]
     ax.add_collection(LineCollection(list(outline[:, :, axes]), colors=colours.SURROUNDINGS, linewidths=0.8, alpha=0.6))
     if truth is not None:
         draw_line(ax, truth.p_world_imu[:, axes], color=colours.TRUTH, linewidth=2.6, alpha=0.75, label="truth")
     draw_line(ax, estimate.p_world_imu[:, axes], color=colours.ESTIMATE, linewidth=1.2, label="estimate")
+    if corrected is not None:
+        draw_line(ax, corrected.p_world_imu[:, axes], color=colours.CORRECTED, linewidth=1.0, label="map")
     marked = estimate if truth is None else truth
     if len(marked):
         for row, marker, label in ((0, "o", "start"), (-1, "s", "end")):

@@ -6,6 +6,7 @@ from pathlib import Path
 import numpy as np
 import numpy.typing as npt
 
+from dronevio.eval.map_results import MapResults
 from dronevio.eval.metrics import ScoredTrajectory
 from dronevio.eval.provenance import RunInfo
 from dronevio.eval.report.figures import figure, save_png
@@ -29,6 +30,7 @@ def write_report(
     outline: Array | None = None,
     control: ControlResult | None = None,
     policy: PolicyOutcome | None = None,
+    map_results: MapResults | None = None,
 ) -> None:
     """Write ``report.html``, ``report.json`` and ``trajectory.png``.
 
@@ -41,6 +43,7 @@ def write_report(
         outline: (L, 2, 3) Line segments of the surroundings in the world frame of the ground truth [m].
         control: Control of a simulated flight.
         policy: Outcome of the flight of a policy.
+        map_results: The map of the estimator with the corrected trajectories; None for an estimator without a map.
 
     Raises:
         EvaluationError: The run does not belong to the recording.
@@ -48,12 +51,12 @@ def write_report(
     """
     run.check_belongs_to(recording)
     outline = np.zeros((0, 2, 3)) if outline is None else outline
-    results = RunResults(info, recording, run, scored, outline, control, policy)
+    results = RunResults(info, recording, run, scored, outline, control, policy, map_results)
     values = report_values(results)
     text = json.dumps(values, indent=2, allow_nan=False, ensure_ascii=False)
     (folder / "report.json").write_text(text + "\n", encoding="utf-8")
     (folder / "report.html").write_text(run_page(results, values), encoding="utf-8")
     with figure(10.0, 4.6, columns=2) as (fig, axes):
         for ax, view in zip(axes, (TOP_VIEW, SIDE_VIEW), strict=True):
-            draw_path(ax, view, results.estimate, recording.ground_truth, results.outline)
+            draw_path(ax, view, results.estimate, recording.ground_truth, results.outline, results.corrected)
     save_png(fig, folder / "trajectory.png")

@@ -30,6 +30,8 @@ class RecordingContents:
     """Whether there are a true path and errors."""
     has_frame_estimates: bool = True
     """Whether there are estimates of all frames, with tracks, health, events and costs."""
+    has_map: bool = False
+    """Whether the estimators have a map that corrects them."""
 
     @property
     def estimates(self) -> tuple[EstimateEntities, ...]:
@@ -85,7 +87,13 @@ def _world(contents: RecordingContents, points: Array) -> rrb.Spatial3DView:
             **{
                 entity: so_far
                 for estimate in contents.estimates
-                for entity in (estimate.path_so_far, estimate.keyframes, estimate.loops, estimate.event_markers)
+                for entity in (
+                    estimate.path_so_far,
+                    estimate.keyframes,
+                    estimate.loops,
+                    estimate.event_markers,
+                    estimate.map.path_so_far,
+                )
             },
             **{estimate.landmarks: always for estimate in contents.estimates},
         },
@@ -160,8 +168,18 @@ def _details(contents: RecordingContents) -> rrb.Tabs:
         row_shares=[1.0, 2.0],
         name="Events",
     )
-    order = [imu, rrb.Vertical(*biases, name="Biases"), cost, events]
+    order = [*([_map()] if contents.has_map else []), imu, rrb.Vertical(*biases, name="Biases"), cost, events]
     return rrb.Tabs(*(order if contents.is_single else [cost, events, *order[:2]]), active_tab=0)
+
+
+def _map() -> rrb.Container:
+    """Return the plots of the map: its correction of the odometry and the number of loops."""
+    return rrb.Vertical(
+        _plot("Position of the odometry frame in the map [m]", entities.CORRECTION_POSITION),
+        _plot("Yaw of the odometry frame in the map [°]", entities.CORRECTION_YAW),
+        _plot("Closed loops", entities.LOOP_COUNT),
+        name="Map",
+    )
 
 
 def _plot(

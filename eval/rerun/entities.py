@@ -23,6 +23,9 @@ ORIENTATION_ERROR = "error/orientation"
 COST = "cost/cpu"
 TRACK_COUNT = "cost/tracks"
 SUMMARY = "summary"
+CORRECTION_POSITION = "correction/position"
+CORRECTION_YAW = "correction/yaw"
+LOOP_COUNT = "loops"
 
 
 def camera(index: int) -> str:
@@ -46,6 +49,21 @@ class ErrorEntities(NamedTuple):
     """Path of three estimated standard deviations."""
 
 
+class MapEntities:
+    """Paths of the entities of the map of one estimator."""
+
+    def __init__(self, name: str) -> None:
+        """Take the name of the estimator."""
+        part = rr.escape_entity_path_part(name)
+        self.root = f"{ESTIMATES}/{part}/map"
+        self.path, self.path_so_far = f"{self.root}/path", f"{self.root}/path_so_far"
+        self.points = f"{self.root}/points"
+        self.graph_before, self.graph_after = f"{self.root}/graph/before", f"{self.root}/graph/after"
+        self.loops, self.rejected_loops = f"{self.root}/loops/closed", f"{self.root}/loops/rejected"
+        self.position, self.yaw = f"{CORRECTION_POSITION}/{part}", f"{CORRECTION_YAW}/{part}"
+        self.loop_count = f"{LOOP_COUNT}/{part}"
+
+
 class EstimateEntities:
     """Paths of the entities of one estimator."""
 
@@ -63,6 +81,7 @@ class EstimateEntities:
         self.speed = f"{SPEED}/{self.part}"
         self.gyro_bias, self.accel_bias = f"{GYRO_BIAS}/{self.part}", f"{ACCEL_BIAS}/{self.part}"
         self.cost, self.track_count = f"{COST}/{self.part}", f"{TRACK_COUNT}/{self.part}"
+        self.map = MapEntities(name)
         self.position_error = self._errors(POSITION_ERROR)
         self.orientation_error = self._errors(ORIENTATION_ERROR)
 

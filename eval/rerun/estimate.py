@@ -10,6 +10,7 @@ import numpy.typing as npt
 import rerun as rr
 
 from dronevio.eval import colours
+from dronevio.eval.map_results import MapResults, online_correction
 from dronevio.eval.metrics import (
     IDENTITY,
     Alignment,
@@ -22,8 +23,9 @@ from dronevio.eval.metrics import (
 from dronevio.eval.rerun.drone_body import DroneBody
 from dronevio.eval.rerun.entities import EstimateEntities
 from dronevio.eval.rerun.events import EventLog
+from dronevio.eval.rerun.map import MapLog
 from dronevio.eval.rerun.sink import Sink, quat_xyzw
-from dronevio.eval.run import POSE_IS_VALID, tracks_of
+from dronevio.eval.run import POSE_IS_VALID, map_trajectory_of, tracks_of
 from dronevio.models.imu import Times
 from dronevio.models.state import Estimate, Health, Trajectory
 
@@ -79,6 +81,7 @@ class EstimateLog:
         is_single: bool = True,
         axis_m: float = 0.35,
         body: DroneBody | None = None,
+        map_alignment: Alignment | None = None,
     ) -> None:
         """Log how the estimates are drawn.
 
@@ -90,6 +93,8 @@ class EstimateLog:
             is_single: Whether it is the only estimator of the recording, so that curves need not bear its name.
             axis_m: Length of the axes of the IMU frame [m].
             body: Body of the drone, whose edges are drawn at the estimated pose; None to draw the axes only.
+            map_alignment: Alignment of the online path of the map with the displayed world frame; that of the estimate
+                if it is None.
         """
         self._sink = sink
         self._entities = EstimateEntities(name)
@@ -98,9 +103,12 @@ class EstimateLog:
         self._rule = rule
         self._is_single = is_single
         self._alignment: Alignment | None = None
+        self._map_alignment = map_alignment
+        self._map: MapLog | None = None
         self._last_p: Array = np.zeros((0, 3))
         self._events = EventLog(sink, self._entities)
         self._error_styles_are_logged = False
+        self._closed_loops = 0
         self._log_styles(axis_m)
         if body is not None:
             lines = rr.LineStrips3D(body.edges, colors=colours.rgb(colour), radii=rr.Radius.ui_points(1.2))
@@ -109,7 +117,7 @@ class EstimateLog:
     def _log_styles(self, axis_m: float) -> None:
         """Log colours and sizes of all entities."""
         static, entities, rgb = self._sink.static, self._entities, colours.rgb(self._colour)
-        loop_rgb = colours.rgb(colours.LANDMARKS)
+        loop_rgb = colours.rgb(colours.LOOP)
         static(entities.path_so_far, rr.LineStrips3D.from_fields(colors=rgb, radii=PATH_SO_FAR_RADIUS))
         static(entities.imu, rr.TransformAxes3D(axis_m))
         static(entities.covariance, rr.Ellipsoids3D.from_fields(colors=rgb, line_radii=rr.Radius.ui_points(0.6)))
@@ -183,10 +191,26 @@ class EstimateLog:
         self._log_tracks(estimates, t_ns)
         self._log_landmarks([e for e in estimates if e.landmarks_world is not None])
         self._events.log(estimates)
+        self._log_map(estimates)
         self._sink.values(self._entities.cost, t_ns, cpu_ms)
         counts = np.array([float(len(tracks_of(e).ids)) for e in estimates])
         self._sink.values(self._entities.track_count, t_ns, counts)
         return aligned
+
+    def _log_map(self, estimates: Sequence[Estimate]) -> None:
+        """Log the corrected path and the correction of estimates that have one."""
+        correction = online_correction(estimates, self._closed_loops)
+        if not len(correction.t_ns) or self._alignment is None:
+            return
+        if self._map is None:
+            self._map = MapLog(self._sink, self._entities.map)
+        self._closed_loops = int(correction.loops[-1])
+        self._map.online((self._map_alignment or self._alignment).apply(map_trajectory_of(estimates)), correction)
+
+    def final_map(self, results: MapResults) -> None:
+        """Log the map after the flight; the estimates must be logged before."""
+        if self._map is not None and self._alignment is not None:
+            self._map.final(results, self._alignment)
 
     def errors(self, scored: ScoredTrajectory) -> None:
         """Log the errors after alignment, and those anchored at the first pose with three standard deviations."""

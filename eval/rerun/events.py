@@ -1,6 +1,5 @@
 """Events of one estimator in a recording: health, keyframes, loop closures and messages, with their positions."""
 
-import re
 from collections.abc import Sequence
 
 import numpy as np
@@ -17,8 +16,6 @@ Array = npt.NDArray[np.float64]
 
 KEYFRAME = "keyframe"
 """Event of an estimate whose frame became a keyframe."""
-_LOOP = re.compile(r"loop closed(?: with (\d+))?")
-"""Event of a loop closure, with the time stamp [ns] of the earlier view of the place."""
 _NORMAL_HEALTH = (Health.INITIALIZING, Health.TRACKING)
 
 
@@ -60,7 +57,7 @@ class EventLog:
         self._sink.columns(self._entities.health, np.array([t for t, _ in health], dtype=np.int64), changes)
         self._log_markers(self._entities.keyframes, np.array(keyframes, dtype=np.int64), None)
         self._log_markers(self._entities.event_markers, *_joined_by_time(t_ns, texts))
-        self._log_loops(t_ns, texts)
+        self._log_loops(estimates)
 
     def _log_markers(self, entity: str, t_ns: Times, labels: Sequence[str] | None) -> None:
         """Log points, optionally with labels, at the positions at times (N,) [ns] from the first pose on."""
@@ -70,13 +67,15 @@ class EventLog:
             columns = rr.Points3D.columns(positions=self._positions_at(t_ns[known]), labels=texts)
             self._sink.columns(entity, t_ns[known], columns)
 
-    def _log_loops(self, t_ns: Times, texts: Sequence[str]) -> None:
-        """Log a line from each loop closure to the position of the earlier view."""
-        found = [(i, match) for i, text in enumerate(texts) if (match := _LOOP.fullmatch(text)) and match[1]]
+    def _log_loops(self, estimates: Sequence[Estimate]) -> None:
+        """Log a line between the two positions of each loop, from the frame on at which it was closed."""
+        found = [(estimate.t_ns, *pair) for estimate in estimates for pair in estimate.closed_loops_ns]
         if found and self._p:
-            now = t_ns[[i for i, _ in found]]
-            then = np.array([int(match[1]) for _, match in found], dtype=np.int64)
-            self._sink.segments(self._entities.loops, now, self._positions_at(now), self._positions_at(then))
+            closed_ns, then_ns, now_ns = np.array(found, dtype=np.int64).T
+            columns = np.stack([self._positions_at(now_ns), self._positions_at(then_ns)], axis=1).astype(np.float32)
+            distinct, counts = np.unique(closed_ns, return_counts=True)
+            strips = rr.LineStrips3D.columns(strips=columns).partition(counts)
+            self._sink.columns(self._entities.loops, distinct, strips)
 
     def _positions_at(self, t_ns: Times) -> Array:
         """Return the positions (N, 3) of the last poses up to times (N,) [ns]."""

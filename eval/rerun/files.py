@@ -12,6 +12,7 @@ import numpy as np
 import numpy.typing as npt
 
 from dronevio.eval import colours
+from dronevio.eval.map_results import MapResults
 from dronevio.eval.metrics import IDENTITY, Alignment, ScoredTrajectory, interpolate
 from dronevio.eval.rerun.blueprint import RecordingContents, flight_blueprint
 from dronevio.eval.rerun.compare import NamedEstimate, summary_table
@@ -49,13 +50,14 @@ class RunFile:
         """Log the images of a frame; `finish` logs the estimates, which cannot be aligned before."""
         self._log.frame(frame)
 
-    def finish(self, run: EstimatorRun, scored: ScoredTrajectory | None) -> None:
+    def finish(self, run: EstimatorRun, scored: ScoredTrajectory | None, of_map: MapResults | None = None) -> None:
         """Log the estimates of a run.
 
         Args:
             run: The estimates of all frames.
             scored: The estimated trajectory with its errors; None without ground truth. Path and landmarks are shown
                 with its alignment.
+            of_map: The map of the run with the corrected trajectories; None without a map.
 
         Raises:
             EvaluationError: The run does not belong to the recording.
@@ -64,8 +66,11 @@ class RunFile:
         alignment = IDENTITY if scored is None else scored.alignment
         if self._recording.ground_truth is None:
             self._log.rig_poses(run.trajectory)
-        log = self._log.estimator(ESTIMATE, colours.ESTIMATE, _fixed(alignment))
+        map_alignment = None if of_map is None else of_map.online_alignment
+        log = self._log.estimator(ESTIMATE, colours.ESTIMATE, _fixed(alignment), map_alignment=map_alignment)
         _log_estimate(log, NamedEstimate(ESTIMATE, run.trajectory, alignment, scored, run))
+        if of_map is not None:
+            log.final_map(of_map)
 
 
 @contextmanager
@@ -75,6 +80,7 @@ def run_file(
     *,
     surroundings: Surroundings = NO_SURROUNDINGS,
     video: VideoSettings | None = None,
+    has_map: bool = False,
 ) -> Iterator[RunFile]:
     """Open the file of a run, which is complete when the context is left.
 
@@ -83,9 +89,10 @@ def run_file(
         recording: The recording that is being estimated.
         surroundings: Outline of the surroundings.
         video: Size and quality of the video; None for the default.
+        has_map: Whether the estimator has a map, which the layout then shows.
     """
     truth = recording.ground_truth
-    contents = RecordingContents((ESTIMATE,), len(recording.rig.cameras), truth is not None)
+    contents = RecordingContents((ESTIMATE,), len(recording.rig.cameras), truth is not None, has_map=has_map)
     points = scene_points(surroundings, [] if truth is None else [truth])
     with _flight_file(path, recording, truth, contents, points, surroundings, video) as log:
         yield RunFile(log, recording)
@@ -97,6 +104,7 @@ def write_rrd(
     run: EstimatorRun,
     scored: ScoredTrajectory | None,
     *,
+    of_map: MapResults | None = None,
     surroundings: Surroundings = NO_SURROUNDINGS,
     progress: Progress = silent,
     video: VideoSettings | None = None,
@@ -108,6 +116,7 @@ def write_rrd(
         recording: The measurements.
         run: The estimates of all frames.
         scored: The estimated trajectory with its errors; None without ground truth.
+        of_map: The map of the run with the corrected trajectories; None without a map.
         surroundings: Outline of the surroundings.
         progress: Called with the number of encoded frames.
         video: Size and quality of the video; None for the default.
@@ -117,8 +126,8 @@ def write_rrd(
         InputError: An image cannot be read; the file contains what was written before.
     """
     run.check_belongs_to(recording)
-    with run_file(path, recording, surroundings=surroundings, video=video) as file:
-        file.finish(run, scored)
+    with run_file(path, recording, surroundings=surroundings, video=video, has_map=of_map is not None) as file:
+        file.finish(run, scored, of_map)
         for index, (estimate, cpu_ms) in enumerate(zip(run.estimates, run.cpu_ms, strict=True)):
             file.frame(recording.frame(index), estimate, float(cpu_ms))
             progress(index + 1, len(run.estimates))

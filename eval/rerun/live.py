@@ -72,7 +72,11 @@ class LiveLog:
 
 @contextmanager
 def viewer_log(
-    url: str, recording: Recording, surroundings: Surroundings = NO_SURROUNDINGS, name: str = "estimate"
+    url: str,
+    recording: Recording,
+    surroundings: Surroundings = NO_SURROUNDINGS,
+    name: str = "estimate",
+    has_map: bool = False,
 ) -> Iterator[LiveLog]:
     """Show a flight in a viewer while an estimator runs.
 
@@ -81,9 +85,10 @@ def viewer_log(
         recording: The recording that is being estimated.
         surroundings: Outline of the surroundings.
         name: Name of the estimator.
+        has_map: Whether the estimator has a map, which the layout then shows.
     """
     truth = recording.ground_truth
-    contents = RecordingContents((name,), len(recording.rig.cameras), truth is not None)
+    contents = RecordingContents((name,), len(recording.rig.cameras), truth is not None, has_map=has_map)
     points = scene_points(surroundings, [] if truth is None else [truth])
     blueprint = flight_blueprint(contents, points)
     batch = max(1, round(CHUNK_S * recording.rig.cameras[0].rate_hz))

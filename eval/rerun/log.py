@@ -13,7 +13,7 @@ import numpy.typing as npt
 import rerun as rr
 
 from dronevio.eval import colours
-from dronevio.eval.metrics import interpolate
+from dronevio.eval.metrics import Alignment, interpolate
 from dronevio.eval.rerun import entities
 from dronevio.eval.rerun.drone_body import SPAN_M, DroneBody
 from dronevio.eval.rerun.estimate import PATH_RADIUS, PATH_SO_FAR_RADIUS, AlignmentRule, EstimateLog
@@ -129,10 +129,25 @@ class RerunLog:
             if image.size:
                 images.add(frame.t_ns, image)
 
-    def estimator(self, name: str, colour: str, rule: AlignmentRule, is_single: bool = True) -> EstimateLog:
+    def estimator(
+        self,
+        name: str,
+        colour: str,
+        rule: AlignmentRule,
+        is_single: bool = True,
+        map_alignment: Alignment | None = None,
+    ) -> EstimateLog:
         """Return the log of an estimator; see `EstimateLog`."""
-        axis_m = _AXIS_SHARE * self._image_plane_m
-        return EstimateLog(self._sink, name, colour, rule, is_single=is_single, axis_m=axis_m, body=self._body)
+        return EstimateLog(
+            self._sink,
+            name,
+            colour,
+            rule,
+            is_single=is_single,
+            axis_m=_AXIS_SHARE * self._image_plane_m,
+            body=self._body,
+            map_alignment=map_alignment,
+        )
 
     def summary(self, markdown: str) -> None:
         """Log a text about the whole recording."""

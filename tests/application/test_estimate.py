@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+import dronevio as dv
 from dronevio.benchmark_jobs import scenario_flights
 from dronevio.cli import main
 from dronevio.models.camera import CameraModel
@@ -120,6 +121,14 @@ def test_dead_mapping_process_is_reported_as_a_defect(
     assert main(["estimate", str(stereo.folder / "recording"), "--slam", "--out", str(out)]) == 70
     assert "the mapping process ended with code 3" in capsys.readouterr().err
     assert not out.exists()
+
+
+def test_function_estimates_with_a_map(stereo: Result) -> None:
+    run = dv.estimate(stereo.folder / "recording", slam=True)
+    odometry = read_tum(stereo.folder / "estimate.tum")
+    assert run.map is not None and len(run.map.t_ns) > 5 and len(run.map.loops) == 0
+    for path in (run.trajectory, run.map_trajectory, run.final_trajectory):
+        np.testing.assert_allclose(path.p_world_imu, odometry.p_world_imu, atol=1e-6)
 
 
 @pytest.mark.skipif(not SLAM_PAGE.is_file(), reason="the documentation is not part of the wheel")

@@ -125,7 +125,7 @@ def test_unknown_values_are_dashes(capsys: pytest.CaptureFixture[str]) -> None:
     scores = {**short, "coverage_percent": None, "path_m": 11.1}
     control = {"flown_on": "truth", "reference_rmse_m": None}
     report = {"flight": flight, "scores": scores, "timing": timing, "control": control, "policy": None}
-    report["estimator"] = {"innovations": None}
+    report |= {"estimator": {"innovations": None}, "map": None}
     print_report("A run too short for a relative error", report)
     shown = values_of_table(capsys.readouterr().out)
     assert list(shown.values()) == ["12.3", "0.250", "–", "–", "–", "–", "–", "–", "–", "–", "4.0", "9.0", "–", "–"]
@@ -367,6 +367,28 @@ def test_flight_on_the_estimate(place: Path, run_command: CommandRunner) -> None
     assert shown["distance from the reference, flown on the estimate"] == f"{control['reference_rmse_m']:.3f}"
     assert report["configuration"]["loop"]["frame_latency_s"] == 0.03
     assert "--fly-on" in report["command"]
+
+
+def test_run_with_a_map_scores_the_corrected_paths_apart(
+    another_run: Result, place: Path, run_command: CommandRunner
+) -> None:
+    folder = place / "slam"
+    result = run_command(folder, "run", *SCENARIO, "--seed", "1", *SMALL, "--slam", "--out", folder)
+    assert names(folder) == {*RESULTS, "estimate_map.tum", "map_final.tum"}
+    assert (folder / "estimate.tum").read_bytes() == (another_run.folder / "estimate.tum").read_bytes()
+    odometry = read_tum(folder / "estimate.tum")
+    for name in ("estimate_map.tum", "map_final.tum"):
+        corrected = read_tum(folder / name)
+        assert np.array_equal(corrected.t_ns, odometry.t_ns)
+        np.testing.assert_allclose(corrected.p_world_imu, odometry.p_world_imu, atol=1e-6)  # there is no loop
+    report = json.loads((folder / "report.json").read_text(encoding="utf-8"))
+    assert report["map"]["loops"] == 0 and report["map"]["keyframes"] > 5
+    for path in ("online", "final"):
+        assert report["map"][path]["ate_m"]["rmse"] == pytest.approx(report["scores"]["ate_m"]["rmse"], abs=1e-6)
+    assert report["configuration"]["slam"]["mapping"]["min_age_s"] == 10.0 and "--slam" in report["command"]
+    shown = values_of_table(result.out)
+    assert shown["map, final: ATE"] == f"{report['map']['final']['ate_m']['rmse']:.3f}" and shown["loops"] == "0"
+    assert another_run.document["map"] is None and another_run.document["configuration"]["slam"] is None
 
 
 def test_live_view_of_a_flight_on_the_estimate(place: Path, capsys: pytest.CaptureFixture[str]) -> None:

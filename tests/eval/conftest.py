@@ -26,6 +26,7 @@ from dronevio.models.imu import ImuSamples
 from dronevio.models.reconstruction import Reconstruction
 from dronevio.models.rig import EUROC_T_IMU_CAM0, Rig, RigCamera
 from dronevio.models.rotation import exp_so3, inverse_pose, pose_matrix, quat_wxyz_from_matrix
+from dronevio.models.slam_map import SlamMap
 from dronevio.models.state import CameraFrame, Estimate, FeatureTracks, Health, NavState, Trajectory
 
 ROOM_HALF_M = np.array([3.0, 2.5])
@@ -173,6 +174,36 @@ def flight() -> SyntheticFlight:
 def flight_without_truth(flight: SyntheticFlight) -> SyntheticFlight:
     """Return the same flight as a recording without ground truth."""
     return replace(flight, recording=replace(flight.recording, ground_truth=None))
+
+
+@pytest.fixture(scope="session")
+def mapped(flight: SyntheticFlight) -> SyntheticFlight:
+    """Return the flight with a map of its true poses, which corrects the odometry at each tenth frame from the 80th on.
+
+    Two loops are closed at the 80th frame, one at the 90th, and one is rejected.
+    """
+    estimates = list(flight.run.estimates)
+    keyframes = [estimates[i] for i in range(10, len(estimates), 10)]
+    Ts_odom = np.stack([e.state.T_world_imu for e in keyframes if e.state is not None])
+    T_map_world = Ts_odom[0] @ inverse_pose(flight.truth.Ts_world_imu[100])
+    Ts_map = T_map_world @ flight.truth.Ts_world_imu[100::100]
+    for i in range(10, len(estimates)):
+        row = i // 10 - 1
+        T_map_odom = Ts_map[row] @ inverse_pose(Ts_odom[row]) if i >= 80 else np.eye(4)
+        loops = {80: ((10, 70), (20, 70)), 90: ((30, 80),)}.get(i, ())
+        times = tuple((estimates[then].t_ns, estimates[now].t_ns) for then, now in loops)
+        estimates[i] = replace(estimates[i], T_map_odom=T_map_odom, closed_loops_ns=times)
+    rows = np.array([[0, 6], [1, 6], [2, 7], [3, 8]])
+    slam_map = SlamMap(
+        np.array([e.t_ns for e in keyframes], dtype=np.int64),
+        Ts_map,
+        Ts_odom,
+        rows,
+        inverse_pose(Ts_map[rows[:, 0]]) @ Ts_map[rows[:, 1]],
+        np.array([False, False, False, True]),
+        np.random.default_rng(0).uniform(-2.0, 2.0, (300, 3)),
+    )
+    return replace(flight, run=replace(flight.run, estimates=tuple(estimates), map=slam_map))
 
 
 @dataclass(frozen=True, eq=False)

@@ -89,6 +89,8 @@ def test_arguments_of_another_type_are_named(noise_recording: Callable[..., Any]
         dv.estimate(5)  # type: ignore[arg-type]
     with pytest.raises(ConfigError, match=r"estimate\(\) with 'vio'; expected an estimator or a VioConfig"):
         dv.estimate(noise_recording(), "vio")  # type: ignore[arg-type]
+    with pytest.raises(ConfigError, match="slam=True with an estimator of type VisualInertialOdometry"):
+        dv.estimate(noise_recording(), dv.VisualInertialOdometry(noise_recording().rig), slam=True)
     without = replace(noise_recording(), rig=Rig(()))
     with pytest.raises(ConfigError, match="a rig without cameras"):
         dv.estimate(without)

@@ -24,7 +24,7 @@ from dronevio.models.errors import EvaluationError
 from dronevio.models.imu import ImuSamples, Times
 from dronevio.models.protocols import Recording
 from dronevio.models.rig import EUROC_T_IMU_CAM0, Rig, RigCamera
-from dronevio.models.rotation import exp_so3
+from dronevio.models.rotation import exp_so3, pose_matrix, rotation_z
 from dronevio.models.state import CameraFrame, Health, Trajectory
 from dronevio.surroundings import surroundings_of
 
@@ -187,8 +187,9 @@ def test_rows_logged_in_pieces_equal_those_logged_at_once(
     alignment = anchored_to(flight.truth)
     estimates = list(flight.run.estimates)
     estimates[60] = replace(estimates[60], health=Health.LOST, events=("lost",))
-    loop = f"loop closed with {estimates[20].t_ns}"
-    estimates[90] = replace(estimates[90], events=(loop, "keyframe"))
+    loop, T = (estimates[20].t_ns, estimates[80].t_ns), pose_matrix(rotation_z(0.01), np.ones(3))
+    estimates[90] = replace(estimates[90], events=("loop closed", "keyframe"), closed_loops_ns=(loop,))
+    estimates = [replace(e, T_map_odom=T if i > 90 else np.eye(4)) for i, e in enumerate(estimates)]
     run = replace(flight.run, estimates=tuple(estimates))
     whole, pieces = (read_rrd(log_pieces(tmp_path / f"{n}.rrd", run, n, alignment)) for n in (1, 7))
     del whole["__properties"], pieces["__properties"]  # which contain the time of writing
@@ -202,7 +203,8 @@ def test_rows_logged_in_pieces_equal_those_logged_at_once(
 def test_events_are_marked_at_their_positions(flight: "SyntheticFlight", tmp_path: Path, read_rrd: "ReadRrd") -> None:
     estimates = list(flight.run.estimates)
     estimates[60] = replace(estimates[60], health=Health.LOST, state=None)
-    estimates[90] = replace(estimates[90], events=(f"loop closed with {estimates[20].t_ns}",))
+    loops = tuple((estimates[i].t_ns, estimates[j].t_ns) for i, j in ((20, 80), (30, 85)))
+    estimates[90] = replace(estimates[90], events=("two loops closed",), closed_loops_ns=loops)
     run = replace(flight.run, estimates=tuple(estimates))
     columns = read_rrd(log_pieces(tmp_path / "x.rrd", run, 3, anchored_to(None)))
     logged, p = EstimateEntities("x"), flight.run.trajectory.p_world_imu
@@ -211,8 +213,9 @@ def test_events_are_marked_at_their_positions(flight: "SyntheticFlight", tmp_pat
     assert labels == ["initialized, health: tracking", "health: lost", "health: tracking", estimates[90].events[0]]
     frames = np.array([10, 59, 61, 90])  # the loss at frame 60 is marked at the last pose before it
     assert np.allclose([row[0] for row in markers["positions"].to_pylist()], p[frames - 10], atol=1e-5)
-    [loop] = columns[logged.loops]["strips"].to_pylist()[-1:]
-    assert np.allclose(loop[0], p[[80, 10]], atol=1e-5)
+    drawn = columns[logged.loops]
+    assert times_ns(drawn)[-1] == estimates[90].t_ns  # not before the loops are closed
+    assert np.allclose(drawn["strips"].to_pylist()[-1], p[[[70, 10], [75, 20]]], atol=1e-5)
     assert [row[0] for row in columns[logged.health]["state"].to_pylist()] == [
         "initializing",
         "tracking",

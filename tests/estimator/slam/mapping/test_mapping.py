@@ -165,3 +165,39 @@ def test_keyframes_without_images_do_not_join_the_map(odometry_flight: "Odometry
     count = len(mapped.mapper.keyframes)
     assert mapped.mapper.depart(odometry_flight.departures[-1]) is None
     assert len(mapped.mapper.keyframes) == count
+
+
+def test_final_map_has_the_optimized_graph_as_arrays(odometry_flight: "OdometryFlight") -> None:
+    _, mapped = odometry_flight.with_loops(every=3, wrong=0.4, seed=1)
+    graph, solved = mapped.mapper.graph, mapped.mapper.final_solution()
+    assert graph is not None and solved is not None
+    final = mapped.mapper.map_of(solved)
+    correction = final.correction
+    poses = np.stack([solved.graph.poses[k.number] for k in mapped.mapper.keyframes])
+    np.testing.assert_allclose(final.Ts_map_imu, poses, atol=1e-9)
+    assert set(np.flatnonzero(final.rejected).tolist()) == solved.rejected and solved.rejected
+    assert final.loops.tolist() == [[loop.first, loop.second] for loop in graph.loops]
+    measured = inverse_pose(final.Ts_map_imu[final.loops[:, 0]]) @ final.Ts_map_imu[final.loops[:, 1]]
+    right = ~final.rejected
+    np.testing.assert_allclose(final.Ts_then_now[right], measured[right], atol=0.02)
+    np.testing.assert_allclose(correction.Ts_map_odom @ final.Ts_odom_imu, final.Ts_map_imu, atol=1e-9)
+
+
+def test_points_of_the_map_are_where_the_last_keyframe_puts_them(odometry_flight: "OdometryFlight") -> None:
+    mapped = odometry_flight.mapped(NoRecognizer())
+    solved = mapped.mapper.final_solution()
+    assert solved is not None
+    final = mapped.mapper.map_of(solved)
+    last: dict[int, Array] = {}
+    for departure in odometry_flight.departures:  # without loops, the map is the odometry
+        last |= dict(zip(departure.landmark_ids.tolist(), departure.landmarks_odom, strict=True))
+    assert len(final.points) == len(last)
+    np.testing.assert_allclose(final.points, np.stack([last[k] for k in sorted(last)]), atol=1e-5)
+
+
+def test_closed_loops_are_reported_with_times(odometry_flight: "OdometryFlight") -> None:
+    _, mapped = odometry_flight.with_loops(every=3)
+    keyframes = mapped.mapper.keyframes
+    reported = [(loop, times) for c in mapped.corrections for loop, times in zip(c.loops, c.loop_times_ns, strict=True)]
+    assert len(reported) > 10
+    assert all(times == (keyframes[loop.first].t_ns, keyframes[loop.second].t_ns) for loop, times in reported)

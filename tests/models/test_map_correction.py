@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from dronevio.estimator.slam.correction import MapCorrection
+from dronevio.models.map_correction import MapCorrection
 from dronevio.models.rotation import exp_so3, pose_matrix, rotation_z
 from dronevio.models.state import Trajectory
 

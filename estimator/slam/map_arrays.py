@@ -1,0 +1,35 @@
+"""The map as arrays, for files, reports and viewers."""
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from dronevio.estimator.slam.keyframe import MapKeyframe
+from dronevio.estimator.slam.pose_graph import OptimizedGraph
+from dronevio.models.slam_map import SlamMap
+
+
+def slam_map(solution: OptimizedGraph, keyframes: Sequence[MapKeyframe]) -> SlamMap:
+    """Return a map as arrays; a landmark that several keyframes observe is where the last one of them puts it.
+
+    Args:
+        solution: The pose graph with optimized poses.
+        keyframes: Its keyframes in the order of time, one or more.
+    """
+    graph = solution.graph
+    row = {keyframe.number: i for i, keyframe in enumerate(keyframes)}
+    Ts_map_imu = np.stack([graph.poses[keyframe.number] for keyframe in keyframes])
+    points = [
+        keyframe.landmarks_imu @ T[:3, :3].T + T[:3, 3] for keyframe, T in zip(keyframes, Ts_map_imu, strict=True)
+    ]
+    ids = np.concatenate([keyframe.landmark_ids for keyframe in keyframes])
+    last = len(ids) - 1 - np.unique(ids[::-1], return_index=True)[1]
+    return SlamMap(
+        t_ns=np.array([keyframe.t_ns for keyframe in keyframes], dtype=np.int64),
+        Ts_map_imu=Ts_map_imu,
+        Ts_odom_imu=np.stack([keyframe.T_odom_imu for keyframe in keyframes]),
+        loops=np.array([(row[loop.first], row[loop.second]) for loop in graph.loops], dtype=np.int64).reshape(-1, 2),
+        Ts_then_now=np.array([loop.T_first_second for loop in graph.loops]).reshape(-1, 4, 4),
+        rejected=np.isin(np.arange(len(graph.loops)), list(solution.rejected)),
+        points=np.concatenate(points)[last],
+    )
