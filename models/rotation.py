@@ -167,3 +167,11 @@ def inverse_pose(T: Array) -> Array:
     """Return the inverse poses T_b_a (…, 4, 4) of poses T_a_b (…, 4, 4)."""
     R_inv = np.swapaxes(T[..., :3, :3], -1, -2)
     return pose_matrix(R_inv, -(R_inv @ T[..., :3, 3, None])[..., 0])
+
+
+def adjoint(T: Array) -> Array:
+    """Return the adjoint (6, 6) of a pose T_a_b (4, 4): it maps perturbations (δθ, δp) in frame b to those in a."""
+    R, A = T[:3, :3], np.zeros((6, 6))
+    A[:3, :3] = A[3:, 3:] = R
+    A[3:, :3] = skew(T[:3, 3]) @ R
+    return A

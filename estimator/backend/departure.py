@@ -6,8 +6,9 @@ import numpy as np
 import numpy.typing as npt
 
 from dronevio.estimator.backend.linalg import CholeskyFactor
-from dronevio.estimator.backend.marginal_prior import POSE_DIM, STATE_DIM, KeyframeState
+from dronevio.estimator.backend.marginal_prior import POSE_DIM, STATE_DIM
 from dronevio.estimator.backend.window import Window
+from dronevio.models.rotation import adjoint
 
 Array = npt.NDArray[np.float64]
 Integers = npt.NDArray[np.int64]
@@ -52,7 +53,7 @@ def departure_of(
     pose_columns = np.arange(POSE_DIM)
     columns = np.concatenate([STATE_DIM * index + pose_columns, STATE_DIM * (index + 1) + pose_columns])
     P = solver.inverse_block(columns)
-    J = np.hstack([-relative_adjoint(state, next_state), np.eye(POSE_DIM)])
+    J = np.hstack([-adjoint(next_state.pose.between(state.pose).matrix()), np.eye(POSE_DIM)])
     covariance, R = P[:POSE_DIM, :POSE_DIM].copy(), state.pose.rotation().matrix()
     covariance[3:, 3:] += R.T @ position_covariance @ R
     landmarks = window.landmarks
@@ -66,8 +67,3 @@ def departure_of(
         ids,
         landmarks.points[landmarks.rows(ids)],
     )
-
-
-def relative_adjoint(first: KeyframeState, second: KeyframeState) -> Array:
-    """Return the adjoint (6, 6) that maps a perturbation of the first pose to one of the second in its frame."""
-    return np.asarray(second.pose.between(first.pose).AdjointMap())

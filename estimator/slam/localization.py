@@ -149,9 +149,7 @@ class Localizer:
         agrees = error < c.max_error_sigmas
         if agrees.sum() < c.min_inliers or agrees.mean() < c.min_inlier_ratio:
             return None
-        S = np.eye(6)
-        S[3:, 3:] = fit.T_match_query[:3, :3].T
-        return RelativePose(match.number, query.number, fit.T_match_query, S @ fit.covariance @ S.T)
+        return RelativePose.measured(match.number, query.number, fit.T_match_query, fit.covariance)
 
     def _aligned(
         self, patches: LandmarkPatches, index: int, images: KeyframeImages, T_match_query: Array

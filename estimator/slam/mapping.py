@@ -282,6 +282,4 @@ class Mapper:
 
 def _loop(match: PlaceMatch) -> RelativePose:
     """Return a verified match as a factor of the pose graph."""
-    S = np.eye(6)
-    S[3:, 3:] = match.T_match_query[:3, :3].T  # from the IMU frame of the old keyframe to that of the new one
-    return RelativePose(match.match, match.query, match.T_match_query, S @ match.covariance @ S.T)
+    return RelativePose.measured(match.match, match.query, match.T_match_query, match.covariance)

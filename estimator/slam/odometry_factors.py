@@ -13,12 +13,13 @@ same direction: the relative covariances of neighbouring keyframes alone add up 
 """
 
 from dataclasses import dataclass
+from typing import Self
 
 import numpy as np
 import numpy.typing as npt
 
 from dronevio.estimator.backend.departure import Departure
-from dronevio.models.rotation import inverse_pose, skew
+from dronevio.models.rotation import adjoint, inverse_pose
 
 Array = npt.NDArray[np.float64]
 
@@ -37,6 +38,21 @@ class RelativePose:
     """(4, 4) Pose of the second keyframe's IMU in the frame of the first one's."""
     covariance: Array
     """(6, 6) Covariance of that pose: δθ, then δp, both in the IMU frame of the second keyframe."""
+
+    @classmethod
+    def measured(cls, first: int, second: int, T_first_second: Array, covariance: Array) -> Self:
+        """Return a relative pose whose measured position is uncertain in the frame of the first keyframe.
+
+        Args:
+            first: Number of the keyframe in whose frame the other one is measured.
+            second: Number of the other keyframe.
+            T_first_second: (4, 4) Pose of the second keyframe's IMU in the frame of the first one's.
+            covariance: (6, 6) Covariance of δθ (right perturbation, IMU frame of the second keyframe) and δp (IMU frame
+                of the first one).
+        """
+        S = np.eye(6)
+        S[3:, 3:] = T_first_second[:3, :3].T
+        return cls(first, second, T_first_second, S @ covariance @ S.T)
 
 
 @dataclass(frozen=True, eq=False)
@@ -111,14 +127,6 @@ def propagated(covariance: Array, relative: RelativePose, gravity: GravityDirect
     gain = np.linalg.solve(H @ P @ H.T + gravity.sigma_rad**2 * np.eye(2), H @ P).T
     P = P - gain @ H @ P
     return np.asarray(0.5 * (P + P.T))
-
-
-def adjoint(T: Array) -> Array:
-    """Return the adjoint (6, 6) of a pose (4, 4), for perturbations of rotation, then translation."""
-    R, A = T[:3, :3], np.zeros((6, 6))
-    A[:3, :3] = A[3:, 3:] = R
-    A[3:, :3] = skew(T[:3, 3]) @ R
-    return A
 
 
 def _tilt_axes(up: Array) -> Array:

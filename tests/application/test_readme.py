@@ -79,6 +79,7 @@ def test_camera_example_has_ten_lines() -> None:
     assert len(lines) <= 10
 
 
+@pytest.mark.slow
 def test_functions_do_the_single_steps(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], single_renderer: None
 ) -> None:

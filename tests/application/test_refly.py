@@ -11,6 +11,7 @@ from dronevio.cli import main
 from dronevio.models.recordings.euroc import EurocRecording
 
 
+@pytest.mark.slow
 def test_recorded_imu_samples_are_kept(flown: Any, run_command: Any, tmp_path: Path) -> None:
     mav0 = flown.folder / "mav0"
     options = ("--start-s", "2", "--duration-s", "0.5", "--rig", "nano", "--world", "low-texture", "--json")
@@ -28,6 +29,7 @@ def synthesized(flown: Any, run_command: Any, tmp_path_factory: pytest.TempPathF
     )  # fmt: skip
 
 
+@pytest.mark.slow
 def test_imu_samples_are_synthesized_without_recorded_ones(flown: Any, synthesized: Any) -> None:
     assert synthesized.document["imu"] == "synthesized"
     original, again = EurocRecording.open(flown.folder), EurocRecording.open(synthesized.folder)

@@ -117,6 +117,7 @@ def test_position_covariance_after_a_loss_covers_the_error(make_flight: MakeFlig
     assert error_m < 4.0 * sigma_m
 
 
+@pytest.mark.slow
 def test_imu_that_contradicts_the_camera_is_a_loss(make_flight: MakeFlight) -> None:
     """For three seconds, the angular velocity has a large constant error."""
     flight = make_flight(2, rest_s=1.5, duration_s=16.0)

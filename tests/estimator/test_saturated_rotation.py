@@ -127,6 +127,7 @@ def test_a_gap_of_the_imu_is_not_taken_for_saturation() -> None:
 
 
 @pytest.mark.parametrize("seed", [0, 1])
+@pytest.mark.slow
 def test_a_flight_with_a_saturated_gyroscope_is_as_accurate(make_flight: MakeFlight, seed: int) -> None:
     """It tracks but for the take-off, with an error within twice that of the same flight with a sufficient range."""
     flight = make_flight(seed, motion=FAST)

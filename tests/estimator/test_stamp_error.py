@@ -189,6 +189,7 @@ def estimated(
 
 
 @pytest.mark.parametrize("sigma_s", [0.001, 0.003])
+@pytest.mark.slow
 def test_a_flight_with_irregular_stamps_is_as_accurate(make_flight: MakeFlight, sigma_s: float) -> None:
     """Its estimates are those at the stamps, and it tracks throughout; without correction the error is larger."""
     flight = make_flight(0)
@@ -201,6 +202,7 @@ def test_a_flight_with_irregular_stamps_is_as_accurate(make_flight: MakeFlight, 
     assert uncorrected > 1.2 * error_m
 
 
+@pytest.mark.slow
 def test_irregular_exposures_with_exact_stamps_are_kept(make_flight: MakeFlight) -> None:
     """The images show within the first motion that the stamps are right."""
     exact, _ = estimated(make_flight(0), 0.003, True, VioConfig(stamps=StampConfig(correct=False)))

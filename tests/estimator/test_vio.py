@@ -27,7 +27,7 @@ EstimatedFlight = Callable[[int, float], "tuple[SyntheticFlight, list[Estimate]]
 
 STATIONARY, IN_MOTION = 1.5, -5.0
 """Time at which the motion begins, for a static and a dynamic initialization [s]."""
-SEEDS = range(4)
+SEEDS = (0, 1, *(pytest.param(seed, marks=pytest.mark.slow) for seed in (2, 3)))
 GRAVITY_EVENT = re.compile(r"gravity (\S+) m/s²")
 
 

@@ -9,6 +9,7 @@ from scipy.linalg import expm
 from scipy.spatial.transform import Rotation
 
 from dronevio.models.rotation import (
+    adjoint,
     cross,
     exp_so3,
     inverse_pose,
@@ -133,3 +134,12 @@ def test_cross_products_of_any_shape_are_exact() -> None:
     np.testing.assert_array_equal(cross(a[0], b[0]), np.cross(a[0], b[0]))
     np.testing.assert_array_equal(cross(a[:2, None], b), np.cross(a[:2, None], b))
     np.testing.assert_array_equal(cross(a[:1], b[0]), np.cross(a[:1], b[0]))
+
+
+def test_adjoint_maps_perturbations_between_frames() -> None:
+    rng = np.random.default_rng(5)
+    T = pose_matrix(exp_so3(rng.normal(size=3)), rng.normal(size=3))
+    delta = 1e-6 * rng.normal(size=6)
+    mapped = adjoint(T) @ delta
+    perturbed = T @ pose_matrix(exp_so3(delta[:3]), delta[3:])
+    np.testing.assert_allclose(pose_matrix(exp_so3(mapped[:3]), mapped[3:]) @ T, perturbed, atol=1e-11)

@@ -24,6 +24,7 @@ def normals(triangles: Array) -> Array:
 
 
 @pytest.mark.parametrize("name", ["room", "forest"])
+@pytest.mark.slow
 def test_size_is_limited(name: str) -> None:
     scenery = scenery_of(name, 0)
     pixels = sum(mesh.texture.shape[0] * mesh.texture.shape[1] for mesh in scenery.meshes)
@@ -53,6 +54,7 @@ def test_textures_are_upright() -> None:
     assert np.allclose(mesh.texture.mean(axis=(0, 1)), page.texture.mean(axis=(0, 1)), atol=1.0)
 
 
+@pytest.mark.slow
 def test_tree_tops_do_not_hide_the_flight_space() -> None:
     layout, appearance = _painted("forest", 0, 0)
     foliage = len(layout.prints)

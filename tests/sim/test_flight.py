@@ -150,6 +150,7 @@ def test_subsystems_have_independent_random_streams() -> None:
     assert one.generator("path").random() != replace(one, seed=1).generator("path").random()
 
 
+@pytest.mark.slow
 def test_a_recording_may_start_in_motion() -> None:
     whole = fly(scenario_named("room"))
     started_in_motion = fly(scenario_named("room-motion"))

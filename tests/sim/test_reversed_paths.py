@@ -83,6 +83,7 @@ def test_every_shape_can_be_reversed(shape: str) -> None:
     assert reference.peak_speed_m_s <= 2.4
 
 
+@pytest.mark.slow
 def test_world_seed_selects_the_world_and_nothing_else() -> None:
     base = replace(scenario_named("forest-medium", 4), plan=FlightPlan(shape="hover", initial_rest_s=0.2))
     other = replace(base, world_seed=9)

@@ -17,6 +17,7 @@ SMALL = CameraModel(width=40, height=30, fx=25.0, fy=25.0, cx=19.5, cy=14.5)
 NAMES = ("low-texture", "repetitive", "low-texture")
 
 
+@pytest.mark.slow
 def test_processes_take_the_same_pictures_once(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
     monkeypatch.delenv("DRONEVIO_WORLD_FILES")

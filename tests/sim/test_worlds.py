@@ -215,6 +215,7 @@ def _parts(boxes: tuple[Box, ...]) -> tuple[Array, Array, Array]:
     )
 
 
+@pytest.mark.slow
 def test_moving_objects_fill_a_large_part_of_the_images() -> None:
     world = build_world("moving", 0)
     removed = {mover.body: pose_matrix(np.eye(3), np.array([0.0, 0.0, -40.0])) for mover in world.movers}
@@ -277,6 +278,7 @@ def test_a_sheet_of_worlds_has_a_block_for_each() -> None:
     assert sheet[-6 - block[0] :, 6 + block[1] :].std() == pytest.approx(sheet[0].std())  # one block is empty
 
 
+@pytest.mark.slow
 def test_contact_sheets_show_dark_worlds_dark() -> None:
     dark, lit = (views(build_world(name, 0), 1, SMALL)[0].mean() for name in ("dark", "repetitive"))
     assert 3.0 < dark < 0.35 * lit
