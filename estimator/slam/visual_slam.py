@@ -22,12 +22,16 @@ from dronevio.estimator.slam.features import PlaceFeatureExtractor
 from dronevio.estimator.slam.localization import KeyframeImages
 from dronevio.estimator.slam.mapping import Correction, Mapper, MapSummary, WaitingKeyframe
 from dronevio.estimator.slam.recognizer import PlaceRecognizer
+from dronevio.estimator.types import Integers
 from dronevio.estimator.vio import VisualInertialOdometry
 from dronevio.models.imu import ImuSamples
 from dronevio.models.rig import Rig
 from dronevio.models.state import CameraFrame, Estimate, NavState
 
 Array = npt.NDArray[np.float64]
+
+MIN_FEATURES = 8
+"""Smallest number of common features that connect two keyframes; fewer may be tracked by mistake."""
 
 
 class VisualSlam:
@@ -58,7 +62,9 @@ class VisualSlam:
         self._odometry = VisualInertialOdometry(rig, odometry, observer=self._map)
         self._frames = 0
         self._due: deque[tuple[int, Correction]] = deque()
-        self._T_map_odom = np.eye(4)
+        self._T_map_odom: Array | None = np.eye(4)
+        self._track = 0
+        self._tracked = 0  # number of features that were tracked into the newest frame
 
     def add_imu(self, samples: ImuSamples) -> None:
         """Add the IMU samples since the last call; see `VisualInertialOdometry`."""
@@ -74,14 +80,18 @@ class VisualSlam:
         Raises:
             ConfigError: The frame is not later than the last one, or an image does not fit its camera.
         """
-        self._map.begin_frame(frame)
+        self._map.begin_frame(frame, self._tracked)
         estimate = self._odometry.add_frame(frame)
+        self._tracked = 0 if estimate.health_report is None else estimate.health_report.tracks
         self._frames += 1
+        if self._map.track != self._track:
+            self._track, self._T_map_odom = self._map.track, None
         events: list[str] = []
         while self._due and self._due[0][0] <= self._frames:
             correction = self._due.popleft()[1]
-            self._T_map_odom = correction.T_map_odom
-            events += _events(correction)
+            if correction.track == self._track:
+                self._T_map_odom = correction.T_map_odom
+                events += _events(correction)
         self._due += [(self._frames + self._config.correction_delay, each) for each in self._map.take_corrections()]
         if estimate.state is None:
             return estimate
@@ -111,11 +121,19 @@ class _MapOfOdometry:
         self._extractor = PlaceFeatureExtractor(config.places.features)
         self._frame: CameraFrame | None = None
         self._corrections: list[Correction] = []
-        self._is_lost = False
+        self._tracked = 0
+        self._keyframe_ids = np.zeros(0, np.int64)
+        self.track = 0
+        """Number of the odometry frame; each loss begins another one."""
 
-    def begin_frame(self, frame: CameraFrame) -> None:
-        """Keep the images of the newest frame, which may become a keyframe."""
-        self._frame = frame
+    def begin_frame(self, frame: CameraFrame, tracked: int) -> None:
+        """Keep the images of the newest frame, which may become a keyframe.
+
+        Args:
+            frame: The frame.
+            tracked: Number of features that were tracked into the frame before it.
+        """
+        self._frame, self._tracked = frame, tracked
 
     def take_corrections(self) -> list[Correction]:
         """Return the corrections since the last call."""
@@ -124,15 +142,30 @@ class _MapOfOdometry:
 
     def added(self, keyframe: OdometryKeyframe) -> None:
         """Let a keyframe of the odometry wait until it leaves the window, unless its images are those of an earlier
-        frame, or the odometry frame is no longer that of the map.
+        frame. If no image connects it with the earlier ones, another track begins.
         """
+        if keyframe.is_of_newest_frame and not self._is_connected(keyframe.observations.ids):
+            self.lost()
+        self._keyframe_ids = keyframe.observations.ids
         frame = self._frame
-        if frame is None or self._is_lost or not keyframe.is_of_newest_frame:
+        if frame is None or not keyframe.is_of_newest_frame:
             return
         rig, R_odom_imu = keyframe.calibration.rig, keyframe.state.T_world_imu[:3, :3]
         features = self._extractor.extract(frame.images, rig, R_odom_imu, keyframe.observations)
-        waiting = WaitingKeyframe(keyframe.t_ns, features, KeyframeImages(frame.images, rig))
-        self.mapper.add(waiting, keyframe.window_times_ns)
+        images, landmarks = KeyframeImages(frame.images, rig), (keyframe.landmark_ids, keyframe.landmarks_odom)
+        waiting = WaitingKeyframe(keyframe.t_ns, features, images, keyframe.state, *landmarks)
+        correction = self.mapper.add(waiting, keyframe.window_times_ns)
+        if correction is not None:
+            self._corrections.append(correction)
+
+    def _is_connected(self, ids: Integers) -> bool:
+        """Return whether images connect a keyframe with features (N,) of given identities to the last keyframe.
+
+        They do not where features were tracked into the frame before, and suddenly all are others, as when the vehicle
+        is carried away between two frames. After darkness, the IMU connects the keyframes.
+        """
+        has_changed = len(ids) >= MIN_FEATURES and self._tracked >= MIN_FEATURES
+        return not has_changed or len(np.intersect1d(ids, self._keyframe_ids)) >= MIN_FEATURES
 
     def departed(self, departure: Departure) -> None:
         """Let a keyframe of the odometry join the map."""
@@ -141,10 +174,12 @@ class _MapOfOdometry:
             self._corrections.append(correction)
 
     def lost(self) -> None:
-        """End the map: later keyframes are in another odometry frame."""
-        self._is_lost = True
+        """Begin another track: later keyframes are in another odometry frame."""
+        self.track += 1
+        self.mapper.start_track(0 if self._frame is None else self._frame.t_ns)
 
 
 def _events(correction: Correction) -> list[str]:
     """Return the events of a correction, as texts for users."""
-    return [f"loop closed with keyframe {number}" for number in sorted({loop.first for loop in correction.loops})]
+    joined = ["track joined with the map"] if correction.is_joined else []
+    return [*joined, *(f"loop closed with keyframe {k}" for k in sorted({loop.first for loop in correction.loops}))]

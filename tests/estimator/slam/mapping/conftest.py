@@ -66,8 +66,16 @@ class TrueRecognizer:
     def add(self, keyframe: MapKeyframe) -> tuple[PlaceMatch, ...]:
         """Return the pose in the frame of an old keyframe, for some keyframes."""
         self._times.append(keyframe.t_ns)
+        match = self.locate(keyframe)
+        return () if match is None else (match,)
+
+    def start_track(self) -> None:
+        """Do nothing: true poses do not depend on the odometry frame."""
+
+    def locate(self, keyframe: MapKeyframe) -> PlaceMatch | None:
+        """Return the pose in the frame of an old keyframe, for some keyframes."""
         if keyframe.number % self._every or keyframe.number < self._min_age:
-            return ()
+            return None
         old = int(self._rng.integers(0, keyframe.number - self._min_age + 1))
         T = inverse_pose(self._true_poses[self._times[old]]) @ self._true_poses[keyframe.t_ns]
         noise = self._sigma * self._rng.normal(size=6)
@@ -75,7 +83,7 @@ class TrueRecognizer:
         if self._rng.random() < self._wrong:
             T = T @ pose_matrix(exp_so3(0.3 * self._rng.normal(size=3)), 0.5 + self._rng.random(3))
             self.wrong_pairs.add((old, keyframe.number))
-        return (PlaceMatch(keyframe.number, old, T, self._sigma**2 * np.eye(6), 0, 0),)
+        return PlaceMatch(keyframe.number, old, T, self._sigma**2 * np.eye(6), 0, 0)
 
 
 class NoRecognizer:
@@ -84,6 +92,13 @@ class NoRecognizer:
     def add(self, keyframe: MapKeyframe) -> tuple[PlaceMatch, ...]:
         """Return no match."""
         return ()
+
+    def start_track(self) -> None:
+        """Do nothing."""
+
+    def locate(self, keyframe: MapKeyframe) -> PlaceMatch | None:
+        """Return no match."""
+        return None
 
 
 @dataclass

@@ -7,24 +7,15 @@ import numpy as np
 import numpy.typing as npt
 import pytest
 
-from dronevio.estimator.slam.keyframe import MapKeyframe
 from dronevio.estimator.slam.pose_graph import marginal_covariance, optimize
-from dronevio.estimator.slam.verification import PlaceMatch
 from dronevio.models.rotation import inverse_pose
+from tests.estimator.slam.mapping.conftest import NoRecognizer
 
 if TYPE_CHECKING:
     from tests.estimator.conftest import SyntheticFlight
     from tests.estimator.slam.mapping.conftest import MappedFlight, OdometryFlight
 
 Array = npt.NDArray[np.float64]
-
-
-class NoRecognizer:
-    """Recognizes no place."""
-
-    def add(self, keyframe: MapKeyframe) -> tuple[PlaceMatch, ...]:
-        """Return no match."""
-        return ()
 
 
 @pytest.fixture(scope="module")

@@ -1,0 +1,168 @@
+"""Tracks of the odometry after a loss: submaps of their own until a place of the map is recognized."""
+
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+import numpy.typing as npt
+import pytest
+
+from dronevio.estimator.backend.departure import Departure
+from dronevio.estimator.slam.keyframe import MapKeyframe
+from dronevio.estimator.slam.mapping import Correction, Mapper, WaitingKeyframe
+from dronevio.estimator.slam.pose_graph import marginal_covariance, optimize
+from dronevio.estimator.slam.verification import PlaceMatch
+from dronevio.models.rotation import exp_so3, inverse_pose, log_so3, pose_matrix, rotation_z
+from dronevio.models.state import NavState, Trajectory
+from tests.estimator.slam.mapping.conftest import NO_CORNERS, NoRecognizer, TrueRecognizer
+
+if TYPE_CHECKING:
+    from tests.estimator.slam.mapping.conftest import OdometryFlight
+
+Array = npt.NDArray[np.float64]
+
+T_SHIFTED_ODOM = pose_matrix(rotation_z(2.0), np.array([30.0, -20.0, 5.0]))
+"""Pose of the first odometry frame in that of the second track."""
+SPLIT = 50
+"""Number of keyframes of the first track."""
+
+
+class FirstMatchWrong(TrueRecognizer):
+    """Recognizes places, the first of them wrongly by 1 m and 0.5 rad of yaw."""
+
+    is_wrong = True
+
+    def locate(self, keyframe: MapKeyframe) -> PlaceMatch | None:
+        """Return a match, of which the first is wrong."""
+        match = super().locate(keyframe)
+        if match is None or not self.is_wrong:
+            return match
+        self.is_wrong = False
+        error = pose_matrix(exp_so3(0.5 * keyframe.T_odom_imu[2, :3]), np.array([1.0, 0.0, 0.0]))
+        self.wrong_pairs.add((match.match, match.query))
+        return replace(match, T_match_query=match.T_match_query @ error)
+
+
+def shifted(departure: Departure) -> Departure:
+    """Return a departure in the odometry frame of the second track."""
+    R, t = T_SHIFTED_ODOM[:3, :3], T_SHIFTED_ODOM[:3, 3]
+    landmarks = departure.landmarks_odom @ R.T + t
+    return replace(departure, T_odom_imu=T_SHIFTED_ODOM @ departure.T_odom_imu, landmarks_odom=landmarks)
+
+
+def depart(mapper: Mapper, departures: Sequence[Departure]) -> list[Correction]:
+    """Let keyframes without images join the map, and return the corrections."""
+    corrections = []
+    for departure in departures:
+        mapper.add(WaitingKeyframe(departure.t_ns, NO_CORNERS), (departure.t_ns,))
+        correction = mapper.depart(departure)
+        assert correction is not None
+        corrections.append(correction)
+    return corrections
+
+
+@pytest.fixture
+def tracks(odometry_flight: "OdometryFlight") -> tuple[list[Departure], list[Departure]]:
+    """Return the keyframes of a flight as two tracks, the second in another odometry frame."""
+    departures = odometry_flight.departures
+    return departures[:SPLIT], [shifted(departure) for departure in departures[SPLIT:]]
+
+
+def kidnapped(recognizer: TrueRecognizer, tracks: tuple[list[Departure], list[Departure]]) -> tuple[Mapper, Array]:
+    """Return a mapper after both tracks, and which corrections (N,) of the second one are known."""
+    mapper = Mapper(recognizer)
+    depart(mapper, tracks[0])
+    mapper.start_track(tracks[1][0].t_ns)
+    corrections = depart(mapper, tracks[1])
+    return mapper, np.array([correction.T_map_odom is not None for correction in corrections])
+
+
+def test_a_new_track_is_joined_where_a_place_is_recognized(
+    odometry_flight: "OdometryFlight", tracks: tuple[list[Departure], list[Departure]]
+) -> None:
+    mapper = Mapper(TrueRecognizer(odometry_flight.true_poses, every=7, min_age=SPLIT))
+    depart(mapper, tracks[0])
+    mapper.start_track(tracks[1][0].t_ns)
+    before, after = depart(mapper, tracks[1][:6]), depart(mapper, tracks[1][6:7])
+    assert all(correction.T_map_odom is None and not correction.is_joined for correction in before)
+    assert [correction.track for correction in before] == [1] * 6
+    assert after[0].is_joined and after[0].T_map_odom is not None
+    error = T_SHIFTED_ODOM @ after[0].T_map_odom
+    assert np.linalg.norm(error[:3, 3]) < 0.1 and np.linalg.norm(log_so3(error[:3, :3])) < 0.02
+    graph = mapper.graph
+    assert graph is not None and set(graph.poses) == set(range(SPLIT + 7)) and graph.joined == (SPLIT,)
+    assert mapper.summary.submaps == 0
+
+
+def test_loops_between_tracks_are_judged(
+    odometry_flight: "OdometryFlight", tracks: tuple[list[Departure], list[Departure]]
+) -> None:
+    recognizer = FirstMatchWrong(odometry_flight.true_poses, every=4, min_age=SPLIT)
+    mapper, is_known = kidnapped(recognizer, tracks)
+    assert is_known[-1] and not recognizer.is_wrong
+    final, graph = mapper.final_correction(), mapper.graph
+    assert final is not None and graph is not None
+    rejected = {(graph.loops[i].first, graph.loops[i].second) for i in optimize(graph).rejected}
+    assert rejected == recognizer.wrong_pairs and len(graph.loops) > 10
+    error = T_SHIFTED_ODOM @ final.Ts_map_odom[-1]
+    assert np.linalg.norm(error[:3, 3]) < 0.1 and np.linalg.norm(log_so3(error[:3, :3])) < 0.02
+
+
+def test_tilt_of_a_joined_track_is_known_by_gravity(
+    odometry_flight: "OdometryFlight", tracks: tuple[list[Departure], list[Departure]]
+) -> None:
+    mapper, _ = kidnapped(TrueRecognizer(odometry_flight.true_poses, every=10, min_age=SPLIT, sigma=0.02), tracks)
+    graph = mapper.graph
+    assert graph is not None
+    up = graph.poses[SPLIT][2, :3]
+    P = marginal_covariance(graph, SPLIT)[:3, :3]
+    tilt, yaw = np.linalg.eigvalsh(P - np.outer(up, up) * (up @ P @ up))[-1], up @ P @ up
+    assert 0.0 < tilt < 0.3 * yaw  # the matches know both equally well
+
+
+def test_a_track_without_recognized_places_stays_apart(
+    odometry_flight: "OdometryFlight", tracks: tuple[list[Departure], list[Departure]]
+) -> None:
+    mapper, is_known = kidnapped(TrueRecognizer(odometry_flight.true_poses, min_age=1000), tracks)
+    assert not is_known.any() and mapper.summary.submaps == 1
+    graph, final = mapper.graph, mapper.final_correction()
+    assert graph is not None and len(graph.poses) == SPLIT == len(mapper.keyframes) and final is not None
+    times = np.array([departure.t_ns for departure in (*tracks[0], *tracks[1])])
+    odometry = Trajectory(times, np.zeros((len(times), 3)), np.tile([1.0, 0.0, 0.0, 0.0], (len(times), 1)))
+    assert np.array_equal(final.applied(odometry).t_ns, times[:SPLIT])
+
+
+def test_final_correction_has_a_step_between_tracks(
+    odometry_flight: "OdometryFlight", tracks: tuple[list[Departure], list[Departure]]
+) -> None:
+    mapper, _ = kidnapped(TrueRecognizer(odometry_flight.true_poses, min_age=SPLIT), tracks)
+    final, start_ns = mapper.final_correction(), tracks[1][0].t_ns
+    assert final is not None
+    last, first = final.at(np.array([start_ns - 1, start_ns]))
+    assert np.linalg.norm(last[:3, 3]) < 0.1
+    np.testing.assert_allclose(first[:3, 3], inverse_pose(T_SHIFTED_ODOM)[:3, 3], atol=0.5)
+
+
+def test_a_keyframe_in_the_window_is_located_at_once(
+    odometry_flight: "OdometryFlight", tracks: tuple[list[Departure], list[Departure]]
+) -> None:
+    mapper = Mapper(TrueRecognizer(odometry_flight.true_poses, every=1))
+    depart(mapper, tracks[0])
+    mapper.start_track(tracks[1][0].t_ns)
+    new = tracks[1][0]
+    state = NavState(new.t_ns, new.T_odom_imu, np.zeros(3), np.zeros(3), np.zeros(3))
+    waiting = WaitingKeyframe(new.t_ns, NO_CORNERS, None, state, new.landmark_ids, new.landmarks_odom)
+    correction = mapper.add(waiting, (new.t_ns,))
+    assert correction is not None and correction.T_map_odom is not None and correction.is_joined
+    assert np.linalg.norm((T_SHIFTED_ODOM @ correction.T_map_odom)[:3, 3]) < 0.2
+    assert len(mapper.keyframes) == SPLIT  # it is not part of the map yet
+
+
+def test_too_small_a_map_is_given_up(tracks: tuple[list[Departure], list[Departure]]) -> None:
+    mapper = Mapper(NoRecognizer())
+    depart(mapper, tracks[0][:3])
+    mapper.start_track(tracks[1][0].t_ns)
+    correction = depart(mapper, tracks[1][:2])[-1]
+    assert correction.T_map_odom is not None and len(mapper.keyframes) == 2
+    np.testing.assert_allclose(correction.T_map_odom, np.eye(4), atol=1e-9)
