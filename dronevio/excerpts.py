@@ -265,7 +265,7 @@ class SplicedRecording:
     def splice_ns(self) -> int:
         """Time stamp of the first frame of the second recording [ns]."""
         times_ns = self.first.frame_times_ns
-        return int(times_ns[self.frames - 1] + np.median(np.diff(times_ns)))
+        return int(times_ns[self.frames - 1]) + int(np.median(np.diff(times_ns)))
 
     @property
     def imu(self) -> ImuSamples:
