@@ -144,7 +144,8 @@ class _MapOfOdometry:
         """Let a keyframe of the odometry wait until it leaves the window, unless its images are those of an earlier
         frame. If no image connects it with the earlier ones, another track begins.
         """
-        if keyframe.is_of_newest_frame and not self._is_connected(keyframe.observations.ids):
+        connected = are_connected(self._keyframe_ids, keyframe.observations.ids, self._tracked)
+        if keyframe.is_of_newest_frame and not connected:
             self.lost()
         self._keyframe_ids = keyframe.observations.ids
         frame = self._frame
@@ -157,15 +158,6 @@ class _MapOfOdometry:
         correction = self.mapper.add(waiting, keyframe.window_times_ns)
         if correction is not None:
             self._corrections.append(correction)
-
-    def _is_connected(self, ids: Integers) -> bool:
-        """Return whether images connect a keyframe with features (N,) of given identities to the last keyframe.
-
-        They do not where features were tracked into the frame before, and suddenly all are others, as when the vehicle
-        is carried away between two frames. After darkness, the IMU connects the keyframes.
-        """
-        has_changed = len(ids) >= MIN_FEATURES and self._tracked >= MIN_FEATURES
-        return not has_changed or len(np.intersect1d(ids, self._keyframe_ids)) >= MIN_FEATURES
 
     def departed(self, departure: Departure) -> None:
         """Let a keyframe of the odometry join the map."""
@@ -183,3 +175,18 @@ def _events(correction: Correction) -> list[str]:
     """Return the events of a correction, as texts for users."""
     joined = ["track joined with the map"] if correction.is_joined else []
     return [*joined, *(f"loop closed with keyframe {k}" for k in sorted({loop.first for loop in correction.loops}))]
+
+
+def are_connected(before: Integers, ids: Integers, tracked: int) -> bool:
+    """Return whether images connect two successive keyframes.
+
+    They do not where features were tracked into the frame before the second one, and suddenly all are others, as when
+    the vehicle is carried away between two frames. After darkness, the IMU connects the keyframes.
+
+    Args:
+        before: (N,) Identities of the features of the first keyframe.
+        ids: (M,) Identities of the features of the second keyframe.
+        tracked: Number of features that were tracked into the frame before the second keyframe.
+    """
+    has_changed = min(len(before), len(ids), tracked) >= MIN_FEATURES
+    return not has_changed or len(np.intersect1d(before, ids)) >= MIN_FEATURES

@@ -13,6 +13,7 @@ from dronevio.estimator.slam.keyframe import MapKeyframe
 from dronevio.estimator.slam.mapping import Correction, Mapper, WaitingKeyframe
 from dronevio.estimator.slam.pose_graph import marginal_covariance, optimize
 from dronevio.estimator.slam.verification import PlaceMatch
+from dronevio.estimator.slam.visual_slam import are_connected
 from dronevio.models.rotation import exp_so3, inverse_pose, log_so3, pose_matrix, rotation_z
 from dronevio.models.state import NavState, Trajectory
 from tests.estimator.slam.mapping.conftest import NO_CORNERS, NoRecognizer, TrueRecognizer
@@ -157,6 +158,22 @@ def test_a_keyframe_in_the_window_is_located_at_once(
     assert correction is not None and correction.T_map_odom is not None and correction.is_joined
     assert np.linalg.norm((T_SHIFTED_ODOM @ correction.T_map_odom)[:3, 3]) < 0.2
     assert len(mapper.keyframes) == SPLIT  # it is not part of the map yet
+
+
+@pytest.mark.parametrize(
+    ("before", "now", "tracked", "expected"),
+    [
+        (range(100), range(92, 200), 90, True),  # 8 features in common
+        (range(100), range(93, 200), 90, False),  # 7 features in common
+        (range(100), range(100, 200), 0, True),  # after darkness
+        (range(100), range(100, 105), 90, True),  # hardly anything is visible
+        (range(0), range(100, 200), 90, True),  # the first keyframe
+    ],
+)
+def test_keyframes_without_common_features_are_not_connected(
+    before: range, now: range, tracked: int, expected: bool
+) -> None:
+    assert are_connected(np.array(before, np.int64), np.array(now, np.int64), tracked) is expected
 
 
 def test_too_small_a_map_is_given_up(tracks: tuple[list[Departure], list[Departure]]) -> None:
