@@ -147,7 +147,7 @@ class Estimate:
     """Reason of the status, None if the estimator does not report it."""
     T_map_odom: Array | None = None
     """(4, 4) Pose of the odometry frame in the map frame, corrected by loop closures; it may be discontinuous, while
-    `state` is continuous. None for pure odometry."""
+    `state` is continuous. None for pure odometry, and after a loss until a place of the map is recognized."""
 
     @property
     def T_map_imu(self) -> Array | None:
