@@ -11,7 +11,8 @@ import pytest
 from dronevio.estimator.backend.departure import Departure
 from dronevio.estimator.slam.keyframe import MapKeyframe
 from dronevio.estimator.slam.mapping import Correction, Mapper, WaitingKeyframe
-from dronevio.estimator.slam.pose_graph import marginal_covariance, optimize
+from dronevio.estimator.slam.odometry_factors import RelativePose
+from dronevio.estimator.slam.pose_graph import PoseGraph, joined_graphs, marginal_covariance, optimize
 from dronevio.estimator.slam.verification import PlaceMatch
 from dronevio.estimator.slam.visual_slam import are_connected
 from dronevio.models.rotation import exp_so3, inverse_pose, log_so3, pose_matrix, rotation_z
@@ -110,16 +111,15 @@ def test_loops_between_tracks_are_judged(
     assert np.linalg.norm(error[:3, 3]) < 0.1 and np.linalg.norm(log_so3(error[:3, :3])) < 0.02
 
 
-def test_tilt_of_a_joined_track_is_known_by_gravity(
-    odometry_flight: "OdometryFlight", tracks: tuple[list[Departure], list[Departure]]
-) -> None:
-    mapper, _ = kidnapped(TrueRecognizer(odometry_flight.true_poses, every=10, min_age=SPLIT, sigma=0.02), tracks)
-    graph = mapper.graph
-    assert graph is not None
-    up = graph.poses[SPLIT][2, :3]
-    P = marginal_covariance(graph, SPLIT)[:3, :3]
-    tilt, yaw = np.linalg.eigvalsh(P - np.outer(up, up) * (up @ P @ up))[-1], up @ P @ up
-    assert 0.0 < tilt < 0.3 * yaw  # the matches know both equally well
+def test_a_joined_graph_keeps_its_tilt_and_not_its_yaw() -> None:
+    P = np.diag([1e-6, 1e-6, 1e-6, 1e-4, 1e-4, 1e-4])
+    first, second = PoseGraph(0, P, {0: np.eye(4)}), PoseGraph(1, P, {1: np.eye(4)})
+    loop = RelativePose(0, 1, np.eye(4), 0.01 * np.eye(6))
+    joined = joined_graphs(first, second, np.eye(4)).with_loops([loop])
+    variances = np.diag(marginal_covariance(joined, 1))
+    # Gravity knows roll and pitch to 1e-6, and the loop knows yaw and position to 0.01, of which the prior takes 1 %.
+    np.testing.assert_allclose(variances[:2], 1e-6, rtol=1e-3)
+    np.testing.assert_allclose(variances[2:], [0.0099, 0.0101, 0.0101, 0.0101], rtol=2e-3)
 
 
 def test_a_track_without_recognized_places_stays_apart(
