@@ -210,3 +210,112 @@ class RepeatedRecording:
         if truth is None or truth.gyro_bias_rad_s is None or truth.accel_bias_m_s2 is None:
             return np.zeros((2, 3))
         return np.array([bias[-1] - bias[0] for bias in (truth.gyro_bias_rad_s, truth.accel_bias_m_s2)])
+
+
+@dataclass(frozen=True, eq=False)
+class SplicedRecording:
+    """The beginning of one recording, continued without a break by the end of another one; is a `Recording`.
+
+    It is the test of relocalisation that is called kidnapping: the vehicle is elsewhere from one frame to the next.
+    """
+
+    first: Recording
+    """Recording whose beginning is used."""
+    second: Recording
+    """Recording that continues it, with the same rig; another one or the same."""
+    frames: int
+    """Number of frames of the first recording."""
+    start: int
+    """Index of the first frame of the second recording that is used."""
+
+    @classmethod
+    def at(cls, first: Recording, end_s: float, second: Recording, start_s: float) -> "SplicedRecording":
+        """Return a recording that goes over to another one.
+
+        Args:
+            first: Recording that comes first.
+            end_s: Time after its first frame at which it ends [s].
+            second: Recording that continues it.
+            start_s: Time after its first frame at which the second one begins [s].
+
+        Raises:
+            ConfigError: A recording is too short, or the cameras differ.
+        """
+        if [camera.model for camera in first.rig.cameras] != [camera.model for camera in second.rig.cameras]:
+            raise ConfigError(f"the cameras of {first.name} and {second.name} differ; expected the same rig")
+        for recording, time_s in (first, end_s), (second, start_s):
+            duration_s = float(np.ptp(recording.frame_times_ns)) * 1e-9
+            if not 0.0 <= time_s <= duration_s:
+                raise ConfigError(f"a splice at {time_s:g} s; {recording.name} has frames from 0 to {duration_s:g} s")
+        ends = (end_s, first), (start_s, second)
+        rows = [np.searchsorted(r.frame_times_ns, r.frame_times_ns[0] + round(1e9 * s)) for s, r in ends]
+        return cls(first, second, int(rows[0]), int(rows[1]))
+
+    @property
+    def name(self) -> str:
+        """Name of the recording with those of both parts."""
+        return f"{self.first.name} + {self.second.name}"
+
+    @property
+    def rig(self) -> Rig:
+        """Calibration of the first recording."""
+        return self.first.rig
+
+    @property
+    def splice_ns(self) -> int:
+        """Time stamp of the first frame of the second recording [ns]."""
+        times_ns = self.first.frame_times_ns
+        return int(times_ns[self.frames - 1]) + int(np.median(np.diff(times_ns)))
+
+    @property
+    def imu(self) -> ImuSamples:
+        """IMU samples of both parts; the change is half a frame interval before the splice."""
+        one, two = self.first.imu, self.second.imu
+        border_ns = (int(self.first.frame_times_ns[self.frames - 1]) + self.splice_ns) // 2
+        last = int(np.searchsorted(one.t_ns, border_ns))
+        begin = int(np.searchsorted(two.t_ns + self._shift_ns, border_ns))
+        return ImuSamples(
+            np.concatenate([one.t_ns[:last], two.t_ns[begin:] + self._shift_ns]),
+            np.concatenate([one.gyro_rad_s[:last], two.gyro_rad_s[begin:]]),
+            np.concatenate([one.accel_m_s2[:last], two.accel_m_s2[begin:]]),
+            one.sampling,
+        )
+
+    @property
+    def frame_times_ns(self) -> Times:
+        """(M,) Time stamps of the frames of both parts [ns]."""
+        times_ns = self.second.frame_times_ns[self.start :] + self._shift_ns
+        return np.concatenate([self.first.frame_times_ns[: self.frames], times_ns])
+
+    @property
+    def ground_truth(self) -> Trajectory | None:
+        """Poses of both parts; None unless both have a ground truth."""
+        one, two = self.first.ground_truth, self.second.ground_truth
+        if one is None or two is None:
+            return None
+        one, two = one[one.t_ns < self.splice_ns], replace(two, t_ns=two.t_ns + self._shift_ns)
+        two = two[two.t_ns >= self.splice_ns]
+        return Trajectory(
+            np.concatenate([one.t_ns, two.t_ns]),
+            np.concatenate([one.p_world_imu, two.p_world_imu]),
+            np.concatenate([one.quat_wxyz, two.quat_wxyz]),
+        )
+
+    @property
+    def defects(self) -> tuple[Defect, ...]:
+        """Defects of both parts."""
+        late = (replace(each, t_ns=each.t_ns + self._shift_ns) for each in defects_of(self.second))
+        begun = tuple(each for each in late if each.t_ns >= self.splice_ns)
+        return (*(each for each in defects_of(self.first) if each.t_ns < self.splice_ns), *begun)
+
+    def frame(self, index: int) -> CameraFrame:
+        """Return a frame with its time stamp in the spliced recording."""
+        if index < self.frames:
+            return self.first.frame(index)
+        frame = self.second.frame(self.start + index - self.frames)
+        return replace(frame, t_ns=frame.t_ns + self._shift_ns)
+
+    @property
+    def _shift_ns(self) -> int:
+        """What is added to the time stamps of the second recording [ns]."""
+        return self.splice_ns - int(self.second.frame_times_ns[self.start])

@@ -3,9 +3,14 @@
 from dataclasses import dataclass
 from typing import Protocol
 
+import numpy as np
+import numpy.typing as npt
+
 from dronevio.estimator.backend.departure import Departure
-from dronevio.estimator.types import Calibration, Observations
+from dronevio.estimator.types import Calibration, Integers, Observations
 from dronevio.models.state import NavState
+
+Array = npt.NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False)
@@ -25,6 +30,10 @@ class OdometryKeyframe:
     window_times_ns: tuple[int, ...]
     """Times of the keyframes in the window, this one included [ns]. A keyframe that is no longer among them and has not
     departed was dropped."""
+    landmark_ids: Integers
+    """(L,) Identities of the triangulated landmarks that the keyframe observes, in increasing order."""
+    landmarks_odom: Array
+    """(L, 3) Their positions in the odometry frame [m], as the window knows them now."""
 
 
 class KeyframeObserver(Protocol):

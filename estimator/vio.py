@@ -253,6 +253,8 @@ class VisualInertialOdometry:
         if result.departure is not None:
             self._observer.departed(result.departure)
         observations = packet.observations.without(result.rejected)
+        landmarks = smoother.triangulated_landmarks
+        ids, rows, _ = np.intersect1d(landmarks.ids, observations.ids, return_indices=True)
         self._observer.added(
             OdometryKeyframe(
                 packet.t_ns,
@@ -261,6 +263,8 @@ class VisualInertialOdometry:
                 self._calibration,
                 packet.t_ns == self._newest_ns,
                 smoother.keyframe_times_ns,
+                ids,
+                landmarks.points[rows],
             )
         )
 

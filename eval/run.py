@@ -14,7 +14,7 @@ from dronevio.models.errors import EvaluationError
 from dronevio.models.imu import Times
 from dronevio.models.protocols import Recording
 from dronevio.models.slam_map import SlamMap
-from dronevio.models.state import Estimate, FeatureTracks, Health, Trajectory
+from dronevio.models.state import Estimate, FeatureTracks, Health, NavState, Trajectory
 
 Array = npt.NDArray[np.float64]
 
@@ -68,7 +68,7 @@ class EstimatorRun:
 
     @property
     def map_trajectory(self) -> Trajectory:
-        """The valid poses in the map frame, as they were corrected when they were published; without velocities.
+        """The valid poses in the map frame, as they were corrected when they were published.
 
         It is empty if the estimator has no map.
         """
@@ -148,13 +148,27 @@ class Innovations:
 
 
 def map_trajectory_of(estimates: Sequence[Estimate]) -> Trajectory:
-    """Return the valid poses of estimates in the map frame, without velocities."""
-    states = [
-        replace(estimate.state, T_world_imu=estimate.T_map_imu, covariance=None)
-        for estimate in estimates
-        if estimate.health in POSE_IS_VALID and estimate.state is not None and estimate.T_map_imu is not None
-    ]
-    return replace(Trajectory.from_states(states), velocity_m_s=None)
+    """Return the valid poses of estimates in the map frame, with velocities and, if all are known, covariances.
+
+    The covariance of the pose in the map is that of the map; those of velocity and biases are the odometry's.
+    """
+    found = [e for e in estimates if e.health in POSE_IS_VALID and e.state is not None and e.T_map_imu is not None]
+    return Trajectory.from_states(map_state(estimate) for estimate in found)
+
+
+def map_state(estimate: Estimate) -> NavState:
+    """Return the state of an estimate that has a pose in the map frame, in that frame."""
+    state, T_map_odom, T_map_imu = estimate.state, estimate.T_map_odom, estimate.T_map_imu
+    assert state is not None and T_map_odom is not None and T_map_imu is not None
+    covariance = None
+    if estimate.map_covariance is not None and state.covariance is not None:
+        S = np.eye(9)
+        S[:3, :3] = T_map_odom[:3, :3]
+        covariance = np.zeros_like(state.covariance)
+        covariance[:6, :6] = estimate.map_covariance
+        covariance[6:, 6:] = S @ state.covariance[6:, 6:] @ S.T
+    velocity_m_s = T_map_odom[:3, :3] @ state.velocity_m_s
+    return replace(state, T_world_imu=T_map_imu, velocity_m_s=velocity_m_s, covariance=covariance)
 
 
 def is_warning(event: str) -> bool:

@@ -14,36 +14,46 @@ Times = npt.NDArray[np.int64]
 
 @dataclass(frozen=True, eq=False)
 class MapCorrection:
-    """The pose of the odometry frame in the map frame over time, known at the keyframes of the map."""
+    """The pose of the odometry frame in the map frame over time, known at the keyframes of the map.
+
+    Where the odometry was lost, another track with another odometry frame begins. Only keyframes of tracks that are
+    joined with the map are contained.
+    """
 
     t_ns: Times
     """(K,) Times of the keyframes by the clock of the trajectory, strictly increasing [ns]."""
     Ts_map_odom: Array
     """(K, 4, 4) Poses of the odometry frame in the map frame at the keyframes."""
+    track: Times | None = None
+    """(K,) Number of the track of each keyframe, not decreasing; None if there is one track."""
+    starts_ns: Times | None = None
+    """(T,) Times at which the tracks begin, strictly increasing [ns]; None if there is one track."""
 
     def at(self, t_ns: Times) -> Array:
         """Return the poses (N, 4, 4) of the odometry frame in the map frame at times (N,) [ns].
 
-        Between keyframes, position and rotation are interpolated; before the first and after the last one, the
-        correction is constant.
+        Between keyframes, position and rotation are interpolated; before the first and after the last one of a track,
+        the correction is constant. The poses of a track that is not joined with the map are not numbers.
         """
-        if len(self.t_ns) == 1:
-            return np.tile(self.Ts_map_odom, (len(t_ns), 1, 1))
-        after = np.clip(np.searchsorted(self.t_ns, t_ns), 1, len(self.t_ns) - 1)
-        before = after - 1
-        length = (self.t_ns[after] - self.t_ns[before]).astype(np.float64)
-        ratio = np.clip((t_ns - self.t_ns[before]) / length, 0.0, 1.0)[:, None]
-        T0, T1 = self.Ts_map_odom[before], self.Ts_map_odom[after]
-        turn = log_so3(np.swapaxes(T0[:, :3, :3], 1, 2) @ T1[:, :3, :3])
-        R = T0[:, :3, :3] @ exp_so3(ratio * turn)
-        return pose_matrix(R, (1.0 - ratio) * T0[:, :3, 3] + ratio * T1[:, :3, 3])
+        if self.track is None or self.starts_ns is None:
+            return _interpolated(self.t_ns, self.Ts_map_odom, t_ns)
+        Ts = np.full((len(t_ns), 4, 4), np.nan)
+        track = np.searchsorted(self.starts_ns, t_ns, side="right") - 1
+        for number in np.unique(self.track).tolist():
+            of_track, known = track == number, self.track == number
+            Ts[of_track] = _interpolated(self.t_ns[known], self.Ts_map_odom[known], t_ns[of_track])
+        return Ts
 
     def applied(self, trajectory: Trajectory) -> Trajectory:
         """Return a trajectory of the odometry in the map frame.
 
-        Velocities and covariances, which belong to the odometry frame, are left out.
+        Velocities and covariances, which belong to the odometry frame, are left out, and so are the poses of tracks
+        that are not joined with the map.
         """
-        Ts = self.at(trajectory.t_ns) @ trajectory.Ts_world_imu
+        Ts_map_odom = self.at(trajectory.t_ns)
+        is_known = ~np.isnan(Ts_map_odom[:, 0, 0])
+        trajectory = trajectory[is_known]
+        Ts = Ts_map_odom[is_known] @ trajectory.Ts_world_imu
         return replace(
             trajectory,
             p_world_imu=Ts[:, :3, 3],
@@ -51,3 +61,17 @@ class MapCorrection:
             velocity_m_s=None,
             covariance=None,
         )
+
+
+def _interpolated(known_ns: Times, Ts: Array, t_ns: Times) -> Array:
+    """Return poses (N, 4, 4) at times (N,), interpolated between those (K, 4, 4) at known times (K,)."""
+    if len(known_ns) == 1:
+        return np.tile(Ts, (len(t_ns), 1, 1))
+    after = np.clip(np.searchsorted(known_ns, t_ns), 1, len(known_ns) - 1)
+    before = after - 1
+    length = (known_ns[after] - known_ns[before]).astype(np.float64)
+    ratio = np.clip((t_ns - known_ns[before]) / length, 0.0, 1.0)[:, None]
+    T0, T1 = Ts[before], Ts[after]
+    turn = log_so3(np.swapaxes(T0[:, :3, :3], 1, 2) @ T1[:, :3, :3])
+    R = T0[:, :3, :3] @ exp_so3(ratio * turn)
+    return pose_matrix(R, (1.0 - ratio) * T0[:, :3, 3] + ratio * T1[:, :3, 3])

@@ -17,7 +17,11 @@ Rows = npt.NDArray[np.int64]
 
 @dataclass(frozen=True, eq=False)
 class SlamMap:
-    """A map of K keyframes that are connected by an odometry and by L loops, with M points."""
+    """A map of K keyframes that are connected by an odometry and by L loops, with M points.
+
+    Where the odometry was lost, another track with another odometry frame begins. Only keyframes of tracks that are
+    joined with the map are contained.
+    """
 
     t_ns: Times
     """(K,) Times of the keyframes, strictly increasing [ns]."""
@@ -33,12 +37,17 @@ class SlamMap:
     """(L,) Whether a loop contradicts the others, so that the poses do not depend on it."""
     points: Array
     """(M, 3) Positions of the landmarks in the map frame [m]."""
+    track: Rows
+    """(K,) Number of the track of each keyframe, not decreasing."""
+    starts_ns: Times
+    """(T,) Times at which the tracks begin, the first of them before all keyframes, strictly increasing [ns]."""
 
     def __post_init__(self) -> None:
         """Check the shapes, the times and the rows.
 
         Raises:
-            ConfigError: The shapes do not match, the times do not increase, or a loop has a row that is no keyframe.
+            ConfigError: The shapes do not match, times or tracks do not increase, or a loop has a row without a
+                keyframe.
         """
         keyframes, loops, points = len(self.t_ns), len(self.loops), len(self.points)
         expected = {
@@ -49,12 +58,19 @@ class SlamMap:
             "Ts_then_now": (loops, 4, 4),
             "rejected": (loops,),
             "points": (points, 3),
+            "track": (keyframes,),
+            "starts_ns": (len(self.starts_ns),),
         }
         for name, shape in expected.items():
             if (found := getattr(self, name).shape) != shape:
                 raise ConfigError(f"map whose {name} has shape {found}; expected {shape}")
         if keyframes > 1 and not np.all(np.diff(self.t_ns) > 0):
             raise ConfigError("map whose time stamps do not increase")
+        if np.any(np.diff(self.track) < 0) or np.any(np.diff(self.starts_ns) <= 0):
+            raise ConfigError("map whose tracks do not increase")
+        unknown = self.track[(self.track < 0) | (self.track >= len(self.starts_ns))]
+        if len(unknown):
+            raise ConfigError(f"keyframe of track {unknown[0]}; expected one of the {len(self.starts_ns)} tracks")
         unknown = self.loops[(self.loops < 0) | (self.loops >= keyframes)]
         if len(unknown):
             raise ConfigError(f"loop with keyframe {unknown[0]}; expected one of the {keyframes} keyframes")
@@ -67,4 +83,4 @@ class SlamMap:
     @property
     def correction(self) -> MapCorrection:
         """The correction of the odometry by the map."""
-        return MapCorrection(self.t_ns, self.Ts_map_imu @ inverse_pose(self.Ts_odom_imu))
+        return MapCorrection(self.t_ns, self.Ts_map_imu @ inverse_pose(self.Ts_odom_imu), self.track, self.starts_ns)

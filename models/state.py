@@ -147,7 +147,10 @@ class Estimate:
     """Reason of the status, None if the estimator does not report it."""
     T_map_odom: Array | None = None
     """(4, 4) Pose of the odometry frame in the map frame, corrected by loop closures; it may be discontinuous, while
-    `state` is continuous. None for pure odometry."""
+    `state` is continuous. None for pure odometry, and after a loss until a place of the map is recognized."""
+    map_covariance: Array | None = None
+    """(6, 6) Covariance of `T_map_imu`: δθ (right perturbation, IMU frame), δp (map frame), in SI units; None if it is
+    not estimated."""
     closed_loops_ns: tuple[tuple[int, int], ...] = ()
     """Time stamps of the earlier and the later keyframe of each loop that corrects the estimate from this frame on
     [ns]."""

@@ -1,6 +1,7 @@
 """Keyframes that leave the smoother's window: their final estimates, for a map that is built around the odometry."""
 
 from dataclasses import dataclass
+from typing import Self
 
 import numpy as np
 import numpy.typing as npt
@@ -9,9 +10,12 @@ from dronevio.estimator.backend.linalg import CholeskyFactor
 from dronevio.estimator.backend.marginal_prior import POSE_DIM, STATE_DIM
 from dronevio.estimator.backend.window import Window
 from dronevio.models.rotation import adjoint
+from dronevio.models.state import NavState
 
 Array = npt.NDArray[np.float64]
 Integers = npt.NDArray[np.int64]
+
+_NO_LANDMARKS = np.zeros(0, np.int64), np.zeros((0, 3))
 
 
 @dataclass(frozen=True, eq=False)
@@ -35,6 +39,22 @@ class Departure:
     """(L,) Identities of the triangulated landmarks that the keyframe observes, in increasing order."""
     landmarks_odom: Array
     """(L, 3) Their positions in the odometry frame [m]."""
+
+    @classmethod
+    def of_state(
+        cls, state: NavState, landmark_ids: Integers = _NO_LANDMARKS[0], landmarks_odom: Array = _NO_LANDMARKS[1]
+    ) -> Self:
+        """Return a state with its causal covariance as that of a keyframe; the relative covariance is zero.
+
+        Args:
+            state: The state, with its covariance.
+            landmark_ids: (L,) Identities of the triangulated landmarks that it observes, in increasing order.
+            landmarks_odom: (L, 3) Their positions in the odometry frame [m].
+        """
+        S, zero = np.eye(6), np.zeros((6, 6))
+        S[3:, 3:] = state.T_world_imu[:3, :3].T
+        covariance = zero if state.covariance is None else S @ state.covariance[:6, :6] @ S.T
+        return cls(state.t_ns, state.T_world_imu, covariance, state.t_ns, zero, landmark_ids, landmarks_odom)
 
 
 def departure_of(

@@ -64,6 +64,8 @@ class AdjustmentKeyframe:
     """(3,) Initial accelerometer bias [m/s²]."""
     observations: ObservationTable
     """Its observations of landmarks by all cameras."""
+    track: int = 0
+    """Number of the odometry frame. The IMU measurements between two tracks are not used."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -82,8 +84,10 @@ class AdjustmentInputs:
     """The noise of the preintegration."""
     calibration: Calibration
     """The calibration in use."""
+    first: int
+    """Number of the keyframe whose yaw and position are those of the map frame."""
     first_covariance: Array
-    """(6, 6) Prior covariance of the first pose: δθ, then δp, both in the IMU frame."""
+    """(6, 6) Prior covariance of its pose: δθ, then δp, both in the IMU frame."""
 
 
 def adjust(inputs: AdjustmentInputs, config: AdjustmentConfig) -> dict[int, Array]:
@@ -114,24 +118,32 @@ def adjust(inputs: AdjustmentInputs, config: AdjustmentConfig) -> dict[int, Arra
 
 
 def _add_priors(graph: gtsam.NonlinearFactorGraph, inputs: AdjustmentInputs) -> None:
-    """Add what is known of the first state: the gauge, and the turn-on biases of the data sheet."""
-    first, imu = inputs.keyframes[0], inputs.imu_model
-    pose_noise = gtsam.noiseModel.Gaussian.Covariance(inputs.first_covariance)
-    graph.add(gtsam.PriorFactorPose3(X(first.number), gtsam.Pose3(first.T_map_imu), pose_noise))
+    """Add what is known beforehand: the gauge, and the turn-on biases of the data sheet at the start of each track."""
+    imu = inputs.imu_model
     sigmas = np.repeat([imu.accel_turn_on_bias_m_s2, imu.gyro_turn_on_bias_rad_s], 3)
     bias_noise = gtsam.noiseModel.Diagonal.Sigmas(sigmas)
-    graph.add(gtsam.PriorFactorConstantBias(B(first.number), gtsam.imuBias.ConstantBias(), bias_noise))
+    pose_noise = gtsam.noiseModel.Gaussian.Covariance(inputs.first_covariance)
+    tracks: set[int] = set()
+    for keyframe in inputs.keyframes:
+        if keyframe.number == inputs.first:
+            graph.add(gtsam.PriorFactorPose3(X(keyframe.number), gtsam.Pose3(keyframe.T_map_imu), pose_noise))
+        if keyframe.track not in tracks:
+            tracks.add(keyframe.track)
+            graph.add(gtsam.PriorFactorConstantBias(B(keyframe.number), gtsam.imuBias.ConstantBias(), bias_noise))
 
 
 def _add_imu_factors(graph: gtsam.NonlinearFactorGraph, inputs: AdjustmentInputs) -> None:
-    """Add the preintegrated IMU measurements between consecutive keyframes."""
+    """Add the preintegrated IMU measurements between consecutive keyframes of the same track."""
     buffer = ImuBuffer(inputs.imu_model)
     buffer.add(inputs.imu)
     buffer.take_until(inputs.keyframes[0].t_ns)
     for first, second in zip(inputs.keyframes[:-1], inputs.keyframes[1:], strict=True):
+        measurements = buffer.take_until(second.t_ns)
+        if first.track != second.track:
+            continue
         i, j = first.number, second.number
         preintegration = Preintegration(inputs.params, _bias(first))
-        preintegration.integrate(buffer.take_until(second.t_ns))
+        preintegration.integrate(measurements)
         graph.add(gtsam.CombinedImuFactor(X(i), V(i), X(j), V(j), B(i), B(j), preintegration.measurements))
 
 

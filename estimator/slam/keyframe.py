@@ -60,3 +60,5 @@ class MapKeyframe:
     """(L,) Identities of the triangulated landmarks that it observes, in increasing order."""
     landmarks_imu: Array
     """(L, 3) Positions of these landmarks in the IMU frame of the keyframe [m]."""
+    track: int = 0
+    """Number of the odometry frame. Each loss of the odometry begins another one."""

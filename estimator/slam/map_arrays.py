@@ -8,13 +8,17 @@ from dronevio.estimator.slam.keyframe import MapKeyframe
 from dronevio.estimator.slam.pose_graph import OptimizedGraph
 from dronevio.models.slam_map import SlamMap
 
+FIRST_NS = -(2**62)
+"""Time before all others, at which the first track begins [ns]."""
 
-def slam_map(solution: OptimizedGraph, keyframes: Sequence[MapKeyframe]) -> SlamMap:
+
+def slam_map(solution: OptimizedGraph, keyframes: Sequence[MapKeyframe], starts_ns: Sequence[int]) -> SlamMap:
     """Return a map as arrays; a landmark that several keyframes observe is where the last one of them puts it.
 
     Args:
         solution: The pose graph with optimized poses.
         keyframes: Its keyframes in the order of time, one or more.
+        starts_ns: Times at which the tracks after the first one begin [ns].
     """
     graph = solution.graph
     row = {keyframe.number: i for i, keyframe in enumerate(keyframes)}
@@ -32,4 +36,6 @@ def slam_map(solution: OptimizedGraph, keyframes: Sequence[MapKeyframe]) -> Slam
         Ts_then_now=np.array([loop.T_first_second for loop in graph.loops]).reshape(-1, 4, 4),
         rejected=np.isin(np.arange(len(graph.loops)), list(solution.rejected)),
         points=np.concatenate(points)[last],
+        track=np.array([keyframe.track for keyframe in keyframes], dtype=np.int64),
+        starts_ns=np.array([FIRST_NS, *starts_ns], dtype=np.int64),
     )

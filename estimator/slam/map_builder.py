@@ -1,7 +1,7 @@
 """What the odometry sends to its map, and the map that answers in the process of the odometry.
 
-`VisualSlam` sends one message for each keyframe that leaves the window, and receives one answer to each, in the same
-order. Who answers is an `OdometryMap`: `LocalMap` at once and in the same process, `MapProcess` meanwhile and in
+`VisualSlam` sends one message for each keyframe that leaves the window, and receives one answer to each message, in the
+same order. Who answers is an `OdometryMap`: `LocalMap` at once and in the same process, `MapProcess` meanwhile and in
 another one. Both let a `MapBuilder` do the work, so that their answers are equal.
 """
 
@@ -15,9 +15,10 @@ import numpy.typing as npt
 
 from dronevio.estimator.backend.departure import Departure
 from dronevio.estimator.slam.config import SlamConfig
+from dronevio.estimator.slam.correction import Correction
 from dronevio.estimator.slam.features import PlaceFeatureExtractor
 from dronevio.estimator.slam.localization import KeyframeImages
-from dronevio.estimator.slam.mapping import Correction, Mapper, WaitingKeyframe
+from dronevio.estimator.slam.mapping import KeyframeView, Mapper
 from dronevio.estimator.slam.recognizer import PlaceRecognizer
 from dronevio.estimator.types import Observations
 from dronevio.models.rig import Rig
@@ -28,11 +29,9 @@ Result = TypeVar("Result")
 
 
 @dataclass(frozen=True, eq=False)
-class DepartedKeyframe:
-    """A keyframe that has left the odometry's window, as it was when it was added and as it is now."""
+class ImagedKeyframe:
+    """A keyframe of the odometry with its images, as it was when it was added."""
 
-    t_ns: int
-    """Time of the keyframe by the IMU's clock [ns]."""
     images: tuple[Image, ...]
     """Images of the cameras."""
     rig: Rig
@@ -41,6 +40,24 @@ class DepartedKeyframe:
     """(3, 3) Causal estimate of the orientation of the IMU in the odometry frame."""
     observations: Observations
     """The features of the keyframe in all cameras."""
+
+
+@dataclass(frozen=True, eq=False)
+class WindowKeyframe:
+    """A new keyframe of the odometry's window, sent while the track has no pose in the map."""
+
+    keyframe: ImagedKeyframe
+    """The keyframe."""
+    estimate: Departure
+    """Its causal estimate."""
+
+
+@dataclass(frozen=True, eq=False)
+class DepartedKeyframe:
+    """A keyframe that has left the odometry's window."""
+
+    keyframe: ImagedKeyframe
+    """The keyframe as it was when it was added."""
     departure: Departure
     """Its final estimate."""
 
@@ -49,8 +66,11 @@ class DepartedKeyframe:
 class TrackLost:
     """The odometry is lost: later keyframes are in another odometry frame."""
 
+    t_ns: int
+    """Time at which the next track begins [ns]."""
 
-MapMessage = DepartedKeyframe | TrackLost
+
+MapMessage = WindowKeyframe | DepartedKeyframe | TrackLost
 """What the odometry sends to its map."""
 
 
@@ -110,18 +130,23 @@ class MapBuilder:
         self.mapper = Mapper(PlaceRecognizer(rig, config.places), config.mapping)
         """The map so far."""
         self._extractor = PlaceFeatureExtractor(config.places.features)
-        self._is_lost = False
 
     def process(self, message: MapMessage) -> Correction | None:
-        """Return the correction by the newest keyframe, or None: the map ends where the odometry is lost."""
-        if isinstance(message, TrackLost):
-            self._is_lost = True
-        if self._is_lost or not isinstance(message, DepartedKeyframe):
-            return None
-        features = self._extractor.extract(message.images, message.rig, message.R_odom_imu, message.observations)
-        waiting = WaitingKeyframe(message.t_ns, features, KeyframeImages(message.images, message.rig))
-        self.mapper.add(waiting, (message.t_ns,))
-        return self.mapper.depart(message.departure)
+        """Return the correction by a message; None if it has none."""
+        match message:
+            case TrackLost(t_ns):
+                self.mapper.start_track(t_ns)
+                return None
+            case WindowKeyframe(keyframe, estimate):
+                return self.mapper.locate(estimate, self._view(keyframe))
+            case DepartedKeyframe(keyframe, departure):
+                return self.mapper.add(departure, self._view(keyframe))
+
+    def _view(self, keyframe: ImagedKeyframe) -> KeyframeView:
+        """Return what the cameras show at a keyframe."""
+        k = keyframe
+        features = self._extractor.extract(k.images, k.rig, k.R_odom_imu, k.observations)
+        return KeyframeView(features, KeyframeImages(k.images, k.rig))
 
 
 class LocalMap:

@@ -20,9 +20,10 @@ from multiprocessing.connection import Connection
 from typing import IO, TypeVar
 
 from dronevio.estimator.slam.config import SlamConfig
+from dronevio.estimator.slam.correction import Correction
 from dronevio.estimator.slam.map_builder import MapCost, MapMessage
 from dronevio.estimator.slam.map_worker import Answer, Begin, Failure, Question, Request, Update, read, write
-from dronevio.estimator.slam.mapping import Correction, Mapper
+from dronevio.estimator.slam.mapping import Mapper
 from dronevio.models.errors import DefectError, DronevioError
 from dronevio.models.rig import Rig
 

@@ -1,17 +1,25 @@
 """The mapper: keyframes of the odometry become a map, and recognized places correct the odometry.
 
-A keyframe waits with its features until it leaves the odometry's window. It then joins the map with its final pose,
-recognized places become loops of the pose graph, and the graph is optimized. The correction of the odometry is the pose
-of the odometry frame in the map frame at the newest keyframe of the map, the anchor.
+A keyframe joins the map with its final pose when it leaves the odometry's window. Recognized places become loops of the
+pose graph, and the graph is optimized. The correction of the odometry is the pose of the odometry frame in the map
+frame at the newest keyframe of the map, the anchor.
+
+After a loss, the odometry begins another track. It is a submap of its own until a place of another submap is
+recognized; the two are then joined. The submap with the first track is the map. Keyframes of another submap are also
+compared with the map while they are in the window, so that the pose in the map is known before the first of them
+leaves it.
 """
 
-from dataclasses import dataclass, field, replace
+from collections.abc import Sequence
+from dataclasses import dataclass, field
 from typing import Annotated, Protocol
 
 import numpy as np
 import numpy.typing as npt
 
 from dronevio.estimator.backend.departure import Departure
+from dronevio.estimator.slam.correction import Correction
+from dronevio.estimator.slam.covisibility import CovisibilityConfig, nearest_views
 from dronevio.estimator.slam.keyframe import KeyframeFeatures, MapKeyframe
 from dronevio.estimator.slam.localization import (
     KeyframeImages,
@@ -21,14 +29,9 @@ from dronevio.estimator.slam.localization import (
     landmark_patches,
 )
 from dronevio.estimator.slam.map_arrays import slam_map
-from dronevio.estimator.slam.odometry_factors import (
-    OdometryNode,
-    RelativePose,
-    first_node,
-    odometry_factors,
-    propagated,
-)
+from dronevio.estimator.slam.odometry_factors import OdometryNode, RelativePose, first_node, propagated
 from dronevio.estimator.slam.pose_graph import OptimizedGraph, PoseGraph, marginal_covariance, optimize
+from dronevio.estimator.slam.submap import Submap
 from dronevio.estimator.slam.verification import PlaceMatch
 from dronevio.models.ranges import Range, Settings
 from dronevio.models.rotation import inverse_pose
@@ -36,8 +39,8 @@ from dronevio.models.slam_map import SlamMap
 
 Array = npt.NDArray[np.float64]
 
-MIN_SEPARATION = 4
-"""Number of keyframes between two in which one is localized, so that these show different landmarks."""
+MIN_MAP_KEYFRAMES = 5
+"""Number of keyframes below which a map is given up when the odometry is lost: the next track begins another one."""
 
 
 class Recognizer(Protocol):
@@ -46,6 +49,12 @@ class Recognizer(Protocol):
     def add(self, keyframe: MapKeyframe, /) -> tuple[PlaceMatch, ...]:
         """Add a keyframe, and return the confirmed matches of it and of keyframes before it with earlier ones."""
 
+    def locate(self, keyframe: MapKeyframe, /) -> PlaceMatch | None:
+        """Return the confirmed match of a keyframe that is not added yet; None without one."""
+
+    def start_track(self) -> None:
+        """Declare that the following keyframes have another odometry frame."""
+
 
 @dataclass(frozen=True)
 class MappingConfig(Settings):
@@ -53,6 +62,8 @@ class MappingConfig(Settings):
 
     localization: LocalizationConfig = field(default_factory=LocalizationConfig)
     """Settings of the localization of keyframes in the map."""
+    covisibility: CovisibilityConfig = field(default_factory=CovisibilityConfig)
+    """Settings of the choice of the keyframes in which another one is localized."""
     optimization_interval_s: Annotated[float, Range(low=0.0)] = 1.0
     """Shortest time of flight between two optimizations of the pose graph [s]."""
     interval_loops: Annotated[int, Range(1, 1_000_000)] = 300
@@ -60,45 +71,17 @@ class MappingConfig(Settings):
     localization_interval_s: Annotated[float, Range(low=0.0)] = 0.5
     """Shortest time of flight between two keyframes that are localized in the map [s]."""
     min_age_s: Annotated[float, Range(0.0, 3600.0)] = 10.0
-    """Smallest age of a keyframe in which another one is localized [s]."""
-    max_distance_m: Annotated[float, Range(0.01, 100.0)] = 1.5
-    """Largest distance of two keyframes that are expected to show the same place [m]."""
-    max_angle_deg: Annotated[float, Range(1.0, 180.0)] = 30.0
-    """Largest angle between their orientations [°]."""
-    references: Annotated[int, Range(1, 20)] = 2
-    """Number of earlier keyframes in which one is localized."""
+    """Smallest age of a keyframe in which another one of the same track is localized [s]."""
 
 
 @dataclass(frozen=True, eq=False)
-class WaitingKeyframe:
-    """A keyframe of the odometry's window that waits to join the map."""
+class KeyframeView:
+    """What the cameras show at a keyframe."""
 
-    t_ns: int
-    """Time of the keyframe by the IMU's clock [ns]."""
     features: KeyframeFeatures
     """The corners of its images."""
     images: KeyframeImages | None = None
-    """Its images, which are used once more when it joins the map."""
-
-
-@dataclass(frozen=True, eq=False)
-class Correction:
-    """What the map tells the odometry."""
-
-    T_map_odom: Array
-    """(4, 4) Pose of the odometry frame in the map frame at the anchor."""
-    anchor_t_ns: int
-    """Time of the anchor, the newest keyframe of the map [ns]."""
-    anchor_covariance: Array
-    """(6, 6) Covariance of the anchor's pose in the map: δθ, then δp, both in the IMU frame."""
-    odometry_covariance: Array
-    """(6, 6) Covariance of the anchor's pose by the odometry alone."""
-    loops: tuple[RelativePose, ...] = ()
-    """Loops that were closed since the last correction."""
-    rejected: int = 0
-    """Number of loops that were rejected since the last correction."""
-    loop_times_ns: tuple[tuple[int, int], ...] = ()
-    """Times of the earlier and the later keyframe of each closed loop [ns]."""
+    """Its images, by which it is localized and others are localized in it; None without images."""
 
 
 @dataclass(frozen=True)
@@ -111,10 +94,12 @@ class MapSummary:
     """Number of loops that are closed."""
     rejected_loops: int
     """Number of loops that contradict the others, or wait for the next optimization."""
+    separate_tracks: int = 0
+    """Number of tracks of the odometry that are not joined with the map."""
 
 
 class Mapper:
-    """Builds a map from the keyframes of one continuous odometry."""
+    """Builds a map from the keyframes of an odometry, which may begin again after a loss."""
 
     def __init__(self, recognizer: Recognizer, config: MappingConfig | None = None) -> None:
         """Begin with an empty map.
@@ -127,157 +112,193 @@ class Mapper:
         self._localizer = Localizer(self._config.localization)
         self._patches: dict[int, LandmarkPatches] = {}
         self._localized_ns: int | None = None
-        self._waiting: dict[int, WaitingKeyframe] = {}
-        self._keyframes: list[MapKeyframe] = []
-        self._solution: OptimizedGraph | None = None
+        self._keyframes: list[MapKeyframe] = []  # of all submaps; the index is the number
+        self._submaps: tuple[Submap, ...] = ()
+        self._closed: set[RelativePose] = set()  # loops that corrections have contained
+        self._home = 0  # track whose submap is the map
+        self._starts_ns: list[int] = []  # times at which the tracks after the first one begin
         self._anchor: OdometryNode | None = None
-        self._covariance: Array | None = None  # of the newest keyframe's pose in the map
-        self._judged = 0  # number of loops that have been judged by an optimization
-        self._optimized_ns: int | None = None
+        self._located: Array | None = None  # T_map_odom by a place, before the track is joined
 
     @property
     def graph(self) -> PoseGraph | None:
-        """The pose graph with all loops; None before the first keyframe."""
-        return None if self._solution is None else self._solution.graph
+        """The pose graph of the map with all loops; None before the first keyframe."""
+        home = self._submap_of(self._home)
+        return None if home is None else home.graph
 
     @property
     def keyframes(self) -> tuple[MapKeyframe, ...]:
         """The keyframes of the map in the order of time."""
-        return tuple(self._keyframes)
+        graph = self.graph
+        return () if graph is None else tuple(k for k in self._keyframes if k.number in graph.poses)
 
     @property
     def summary(self) -> MapSummary:
         """Size of the map."""
-        solution = self._solution
-        loops, rejected = (0, 0) if solution is None else (len(solution.graph.loops), len(solution.rejected))
-        return MapSummary(len(self._keyframes), loops - rejected, rejected)
+        home, tracks = self._submap_of(self._home), {keyframe.track for keyframe in self._keyframes}
+        if home is None:
+            return MapSummary(0, 0, 0, len(tracks))
+        loops, rejected = len(home.graph.loops), len(home.solution.rejected)
+        return MapSummary(len(home.graph.poses), loops - rejected, rejected, len(tracks - home.tracks))
 
     def final_solution(self) -> OptimizedGraph | None:
-        """Return the pose graph of the whole flight, optimized with all loops; None before the first keyframe."""
-        return None if self._solution is None else optimize(self._solution.graph)
+        """Return the pose graph of the map, optimized with all loops; None before the first keyframe."""
+        graph = self.graph
+        return None if graph is None else optimize(graph)
 
     def map_of(self, solution: OptimizedGraph) -> SlamMap:
         """Return the map as arrays, with the poses of a solution."""
-        return slam_map(solution, self._keyframes)
+        return slam_map(solution, self.keyframes, self._starts_ns)
 
-    def add(self, keyframe: WaitingKeyframe, window_times_ns: tuple[int, ...]) -> None:
-        """Add a new keyframe of the odometry.
+    def start_track(self, t_ns: int) -> None:
+        """Declare that the odometry is lost: later keyframes are in another odometry frame.
 
         Args:
-            keyframe: The keyframe.
-            window_times_ns: Times of the keyframes that are in the window [ns]; others no longer wait.
+            t_ns: Time at which the new track begins [ns].
         """
-        self._waiting = {t: known for t, known in self._waiting.items() if t in window_times_ns}
-        self._waiting[keyframe.t_ns] = keyframe
+        self._starts_ns.append(t_ns)
+        self._recognizer.start_track()
+        self._anchor, self._located, self._localized_ns = None, None, None
+        home = self._submap_of(self._home)
+        if home is None or len(home.graph.poses) < MIN_MAP_KEYFRAMES:
+            self._home = self._track  # there is nothing yet that could be recognized
 
-    def depart(self, departure: Departure) -> Correction | None:
-        """Let a keyframe join the map.
+    def locate(self, departure: Departure, view: KeyframeView) -> Correction | None:
+        """Return the correction of a track that is not joined, by a keyframe that is still in the window.
+
+        Args:
+            departure: The estimate of the keyframe so far.
+            view: What its cameras show.
 
         Returns:
-            The correction of the odometry; None if the keyframe has no image.
+            The correction; None if the keyframe shows no place of the map, or the track has a pose in it already.
         """
-        waiting = self._waiting.pop(departure.t_ns, None)
-        if waiting is None:
+        home = self._submap_of(self._home)
+        if home is None or self._track in home.tracks or self._located is not None:
             return None
-        number = len(self._keyframes)
+        keyframe = self._keyframe(departure, view)
+        match = self._recognizer.locate(keyframe)
+        if match is None or match.match not in home.graph.poses:
+            return None
+        place = _loop(match)
+        patches = self._patches.get(match.match)
+        if view.images is not None and patches is not None:
+            old, predicted = self._keyframes[match.match], match.T_match_query
+            place = self._localizer.localize(keyframe, view.images, old, patches, predicted) or place
+        self._located = home.graph.poses[match.match] @ place.T_first_second @ inverse_pose(departure.T_odom_imu)
+        covariance = propagated(marginal_covariance(home.solution.without_rejected, match.match), place, None)
+        return Correction(self._located, departure, covariance, self._track, is_joined=True)
+
+    def add(self, departure: Departure, view: KeyframeView) -> Correction:
+        """Let a keyframe join its submap, and return the correction of the odometry.
+
+        Args:
+            departure: The final estimate of the keyframe.
+            view: What its cameras show.
+        """
+        keyframe = self._keyframe(departure, view)
+        self._keyframes.append(keyframe)
+        was_known = self._is_home or self._located is not None
+        submap = self._extended(keyframe.number, departure)
+        loops = [_loop(match) for match in self._recognizer.add(keyframe)]
+        inner = [loop for loop in loops if loop.first in submap.graph.poses]
+        if view.images is not None:
+            inner += self._localized(submap.graph, keyframe, view.images)
+            self._patches[keyframe.number] = landmark_patches(keyframe, view.images, self._config.localization)
+        submap = self._joined(submap.with_loops(inner), [loop for loop in loops if loop not in inner], departure.t_ns)
+        if self._is_due(submap, departure.t_ns):
+            submap = submap.optimized(departure.t_ns)
+        self._submaps = (*(each for each in self._submaps if not each.tracks & submap.tracks), submap)
+        closed = tuple(loop for loop in submap.closed_loops if loop not in self._closed)
+        self._closed.update(closed)
+        T_map_odom = self._located
+        if self._is_home:
+            T_map_odom = submap.graph.poses[keyframe.number] @ inverse_pose(departure.T_odom_imu)
+        return Correction(
+            T_map_odom,
+            departure,
+            submap.covariance,
+            self._track,
+            T_map_odom is not None and not was_known,
+            closed,
+            tuple((self._keyframes[loop.first].t_ns, self._keyframes[loop.second].t_ns) for loop in closed),
+            submap.judged,
+        )
+
+    @property
+    def _track(self) -> int:
+        """Number of the newest track."""
+        return len(self._starts_ns)
+
+    @property
+    def _is_home(self) -> bool:
+        """Whether the newest track is part of the map."""
+        home = self._submap_of(self._home)
+        return self._track == self._home if home is None else self._track in home.tracks
+
+    def _submap_of(self, track: int) -> Submap | None:
+        """Return the submap of a track; None before its first keyframe."""
+        return next((submap for submap in self._submaps if track in submap.tracks), None)
+
+    def _keyframe(self, departure: Departure, view: KeyframeView) -> MapKeyframe:
+        """Return the next keyframe of the newest track."""
         T = departure.T_odom_imu
         landmarks_imu = (departure.landmarks_odom - T[:3, 3]) @ T[:3, :3]
-        keyframe = MapKeyframe(number, departure.t_ns, T, waiting.features, departure.landmark_ids, landmarks_imu)
-        self._keyframes.append(keyframe)
-        before = self._solution
-        self._anchor, graph = self._extended(number, departure)
-        loops = [_loop(match) for match in self._recognizer.add(keyframe)]
-        if waiting.images is not None:
-            loops += self._localized(graph, keyframe, waiting.images)
-            self._patches[number] = landmark_patches(keyframe, waiting.images, self._config.localization)
-        graph = graph.with_loops(loops)
-        self._solution, closed, rejected = self._optimized(graph, departure.t_ns)
-        solution = self._solution
-        self._covariance = covariance = self._marginal(before, solution)
-        T_map_odom = solution.graph.poses[number] @ inverse_pose(T)
-        times = tuple((self._keyframes[loop.first].t_ns, self._keyframes[loop.second].t_ns) for loop in closed)
-        return Correction(T_map_odom, departure.t_ns, covariance, departure.covariance, closed, rejected, times)
+        number, ids = len(self._keyframes), departure.landmark_ids
+        return MapKeyframe(number, departure.t_ns, T, view.features, ids, landmarks_imu, self._track)
 
-    def _extended(self, number: int, departure: Departure) -> tuple[OdometryNode, PoseGraph]:
-        """Return the newest keyframe and the graph with its pose, as the odometry continues from the last one."""
-        if self._anchor is None or self._solution is None:
-            node = first_node(number, departure)
-            return node, PoseGraph(number, departure.covariance, {number: departure.T_odom_imu})
-        graph = self._solution.graph
-        node, relative, gravity = odometry_factors(self._anchor, number, departure)
-        poses = {**graph.poses, number: graph.poses[relative.first] @ relative.T_first_second}
-        directions = graph.gravity if gravity is None else (*graph.gravity, gravity)
-        return node, replace(graph, poses=poses, odometry=(*graph.odometry, relative), gravity=directions)
+    def _extended(self, number: int, departure: Departure) -> Submap:
+        """Return the submap of the newest track with a new keyframe, the anchor from now on."""
+        submap = self._submap_of(self._track)
+        if self._anchor is None or submap is None:
+            self._anchor = first_node(number, departure)
+            return Submap.begin(number, departure, self._track)
+        self._anchor, submap = submap.extended(self._anchor, number, departure)
+        return submap
 
-    def _marginal(self, before: OptimizedGraph | None, after: OptimizedGraph) -> Array:
-        """Return the marginal covariance (6, 6) of the newest keyframe.
+    def _joined(self, submap: Submap, loops: Sequence[RelativePose], t_ns: int) -> Submap:
+        """Return a submap, joined with the others that its loops lead to.
 
-        That of the graph is computed where its loops have changed. Otherwise the keyframe only continues the graph.
+        The map stays where it is; of two other submaps, the earlier one does.
         """
-        newest = len(self._keyframes) - 1
-        if before is None or self._covariance is None:
-            return after.graph.first_covariance
-        if before.closed != after.closed:
-            return marginal_covariance(after.without_rejected, newest)
-        gravity = after.graph.gravity[-1] if len(after.graph.gravity) > len(before.graph.gravity) else None
-        return propagated(self._covariance, after.graph.odometry[-1], gravity)
+        for other in self._submaps:
+            between = [loop for loop in loops if loop.first in other.graph.poses]
+            if between and not other.tracks & submap.tracks:
+                submap = submap.joined(other, between, t_ns, other_stays=self._home not in submap.tracks) or submap
+        return submap
+
+    def _is_due(self, submap: Submap, t_ns: int) -> bool:
+        """Return whether a submap has loops to optimize, and the last optimization is long enough ago."""
+        c = self._config
+        interval_s = c.optimization_interval_s * max(submap.judged / c.interval_loops, 1.0)
+        is_late = submap.optimized_ns is None or t_ns - submap.optimized_ns >= interval_s * 1e9
+        return submap.waiting > 0 and is_late
 
     def _localized(self, graph: PoseGraph, keyframe: MapKeyframe, images: KeyframeImages) -> list[RelativePose]:
         """Return the poses of a keyframe in the frames of earlier ones that are expected to show the same place."""
         c = self._config
-        is_due = self._localized_ns is None or keyframe.t_ns - self._localized_ns >= c.localization_interval_s * 1e9
-        if not is_due:
+        if self._localized_ns is not None and keyframe.t_ns - self._localized_ns < c.localization_interval_s * 1e9:
             return []
-        found = []
-        T_map_imu = graph.poses[keyframe.number]
-        for number in self._references(graph, keyframe):
-            predicted = inverse_pose(graph.poses[number]) @ T_map_imu
-            match = self._keyframes[number]
-            result = self._localizer.localize(keyframe, images, match, self._patches[number], predicted)
+        old = [
+            k
+            for k in self._keyframes
+            if k.number in graph.poses
+            and k.number in self._patches
+            and (k.track != keyframe.track or keyframe.t_ns - k.t_ns >= c.min_age_s * 1e9)
+        ]
+        if not old:
+            return []
+        T_map_imu, found = graph.poses[keyframe.number], []
+        for row in nearest_views(np.stack([graph.poses[k.number] for k in old]), T_map_imu, c.covisibility):
+            match = old[row]
+            predicted = inverse_pose(graph.poses[match.number]) @ T_map_imu
+            patches = self._patches[match.number]
+            result = self._localizer.localize(keyframe, images, match, patches, predicted)
             if result is not None:
                 found.append(result)
         if found:
             self._localized_ns = keyframe.t_ns
         return found
-
-    def _references(self, graph: PoseGraph, keyframe: MapKeyframe) -> list[int]:
-        """Return the numbers of the earlier keyframes whose views are most like that of a new one."""
-        c = self._config
-        old = [k.number for k in self._keyframes if keyframe.t_ns - k.t_ns >= c.min_age_s * 1e9]
-        if not old:
-            return []
-        Ts, T = np.stack([graph.poses[k] for k in old]), graph.poses[keyframe.number]
-        distance_m = np.linalg.norm(Ts[:, :3, 3] - T[:3, 3], axis=1)
-        cosine = (np.einsum("nij,ij->n", Ts[:, :3, :3], T[:3, :3]) - 1.0) / 2.0
-        angle_rad = np.arccos(np.clip(cosine, -1.0, 1.0))
-        distance, angle = distance_m / c.max_distance_m, angle_rad / np.radians(c.max_angle_deg)
-        is_near = np.maximum(distance, angle) < 1.0
-        near = np.flatnonzero(is_near)
-        chosen: list[int] = []
-        for index in near[np.argsort((distance + angle)[near])].tolist():
-            if len(chosen) < c.references and all(abs(old[index] - other) > MIN_SEPARATION for other in chosen):
-                chosen.append(old[index])
-        return chosen
-
-    def _optimized(self, graph: PoseGraph, t_ns: int) -> tuple[OptimizedGraph, tuple[RelativePose, ...], int]:
-        """Return the optimized graph, if there are new loops and the last time is long enough ago.
-
-        Returns:
-            The graph, the loops that were closed, and the number of rejected ones.
-        """
-        before = self._solution
-        rejected = before.rejected if before else frozenset[int]()
-        c = self._config
-        interval_s = c.optimization_interval_s * max(self._judged / c.interval_loops, 1.0)
-        is_due = self._optimized_ns is None or t_ns - self._optimized_ns >= interval_s * 1e9
-        if len(graph.loops) == self._judged or not is_due:
-            waiting = range(self._judged, len(graph.loops))
-            return OptimizedGraph(graph, frozenset({*rejected, *waiting})), (), 0
-        solution = optimize(graph)
-        self._optimized_ns, since, self._judged = t_ns, self._judged, len(graph.loops)
-        new = [i for i in range(since, len(graph.loops)) if i not in solution.rejected]
-        closed = tuple(graph.loops[i] for i in new)
-        return solution, closed, len(graph.loops) - since - len(new)
 
 
 def _loop(match: PlaceMatch) -> RelativePose:

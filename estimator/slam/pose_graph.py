@@ -14,6 +14,9 @@ Array = npt.NDArray[np.float64]
 
 INLIER_PROBABILITY = 0.99
 """Probability of χ² up to which a loop is an inlier of graduated non-convexity."""
+FREE_ROTATION_SIGMA_RAD, FREE_POSITION_SIGMA_M = 1.0, 100.0
+"""Standard deviations of the pose of the first keyframe of a joined track [rad] and [m]: loops alone determine its yaw
+and position, and the solution stays unique where all of them are rejected."""
 JUDGED_ROTATION_SIGMA_RAD, JUDGED_POSITION_SIGMA_M = 0.005, 0.01
 """Standard deviations that are added to those of a loop where it is judged [rad] and [m]. The graph contains the growth
 of the odometry's covariance since the start, which is less than the error between two keyframes of its middle. A place
@@ -39,6 +42,9 @@ class PoseGraph:
     """Directions of gravity by the odometry."""
     loops: tuple[RelativePose, ...] = ()
     """Relative poses by places that were recognized again."""
+    joined: tuple[int, ...] = ()
+    """Numbers of the keyframes at which other tracks of the odometry begin. Yaw and position there are free: loops
+    connect these tracks with the others."""
 
     def with_loops(self, loops: Sequence[RelativePose]) -> "PoseGraph":
         """Return the graph with more loops."""
@@ -92,11 +98,43 @@ def marginal_covariance(graph: PoseGraph, keyframe: int) -> Array:
     return np.asarray(gtsam.Marginals(_factor_graph(graph), values).marginalCovariance(X(keyframe)))
 
 
+def joined_graphs(graph: PoseGraph, other: PoseGraph, T_graph_other: Array) -> PoseGraph:
+    """Return two graphs as one, in the map frame of the first; the loops of the second come last.
+
+    The second graph keeps what it knows of the direction of gravity. Its yaw and position are free.
+
+    Args:
+        graph: The first graph.
+        other: The second graph, with other keyframes.
+        T_graph_other: (4, 4) Initial estimate of the second map frame in the first one.
+    """
+    T_first = other.poses[other.first]
+    up, sigma_rad = T_first[2, :3], float(np.sqrt(tilt_variance(T_first[2, :3], other.first_covariance)))
+    return PoseGraph(
+        graph.first,
+        graph.first_covariance,
+        {**graph.poses, **{number: T_graph_other @ T for number, T in other.poses.items()}},
+        (*graph.odometry, *other.odometry),
+        (*graph.gravity, GravityDirection(other.first, up, sigma_rad), *other.gravity),
+        (*graph.loops, *other.loops),
+        (*graph.joined, other.first, *other.joined),
+    )
+
+
+def tilt_variance(up_imu: Array, covariance: Array) -> float:
+    """Return the mean variance of the direction of gravity, by the covariance (6, 6) of a pose in the IMU frame."""
+    tilt = np.linalg.svd(up_imu[None])[2][1:]  # two axes across the direction of gravity
+    return float(np.trace(tilt @ covariance[:3, :3] @ tilt.T)) / 2.0
+
+
 def _factor_graph(graph: PoseGraph) -> gtsam.NonlinearFactorGraph:
     """Return the factors of a graph; the loops come last."""
     factors = gtsam.NonlinearFactorGraph()
     prior = gtsam.noiseModel.Gaussian.Covariance(graph.first_covariance)
     factors.add(gtsam.PriorFactorPose3(X(graph.first), gtsam.Pose3(graph.poses[graph.first]), prior))
+    free = gtsam.noiseModel.Diagonal.Sigmas(np.repeat([FREE_ROTATION_SIGMA_RAD, FREE_POSITION_SIGMA_M], 3))
+    for number in graph.joined:
+        factors.add(gtsam.PriorFactorPose3(X(number), gtsam.Pose3(graph.poses[number]), free))
     up = gtsam.Unit3(np.array([0.0, 0.0, 1.0]))
     for direction in graph.gravity:
         tilt_noise = gtsam.noiseModel.Isotropic.Sigma(2, direction.sigma_rad)

@@ -7,7 +7,6 @@ at the same offset by the next keyframe. Repetitive surroundings do repeat it: t
 are verified, too, and if two of them fit at different offsets, none is accepted.
 """
 
-from bisect import bisect_right
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import Annotated
@@ -103,9 +102,9 @@ class PlaceRecognizer:
         self._vocabulary = vocabulary or default_vocabulary()
         self._index = PlaceIndex(self._vocabulary.size)
         self._places: list[_Place] = []
-        self._times_ns: list[int] = []
         self._track = 0
-        self._recent: tuple[_Verified, ...] = ()
+        self._recent: tuple[_Verified, ...] = ()  # matches of keyframes that were added
+        self._located: tuple[_Verified, ...] = ()  # matches of keyframes before they were added
 
     def __len__(self) -> int:
         """Return the number of keyframes."""
@@ -119,26 +118,53 @@ class PlaceRecognizer:
         """Add a keyframe and return the matches that are confirmed by it: its own, and those that waited for it.
 
         Args:
-            keyframe: The new keyframe, with a later time and a larger number than the one before.
+            keyframe: The new keyframe, with a larger number than the one before, and a later time within a track.
 
         Raises:
             ConfigError: The keyframe is not later than the last one.
         """
-        if self._places and (
-            keyframe.t_ns <= self._times_ns[-1] or keyframe.number <= self._places[-1].keyframe.number
-        ):
-            last = self._places[-1].keyframe
-            raise ConfigError(
-                f"keyframe {keyframe.number} at {keyframe.t_ns} ns after keyframe {last.number} at {last.t_ns} ns;"
-                " expected a larger number and a later time"
-            )
-        place = _Place(keyframe, self._path_to(keyframe), self._track)
-        words = self._vocabulary.assign(keyframe.features.descriptors)
+        place, words = self._checked(keyframe), self._vocabulary.assign(keyframe.features.descriptors)
         found = self._recognize(place, words)
+        self._insert(place, words)
+        matches, self._recent = self._confirmed(place, found, self._recent)
+        return matches
+
+    def locate(self, keyframe: MapKeyframe) -> PlaceMatch | None:
+        """Return the match of a keyframe that is not added yet, if earlier keyframes confirm it; otherwise None.
+
+        Args:
+            keyframe: The keyframe, with the landmarks that are known so far.
+        """
+        place = self._checked(keyframe)
+        found = self._recognize(place, self._vocabulary.assign(keyframe.features.descriptors))
+        matches, self._located = self._confirmed(place, found, self._located)
+        return matches[-1] if matches else None
+
+    def insert(self, keyframe: MapKeyframe) -> None:
+        """Add a keyframe without a search for earlier ones, as those of a map that was saved.
+
+        Raises:
+            ConfigError: The keyframe is not later than the last one.
+        """
+        self._insert(self._checked(keyframe), self._vocabulary.assign(keyframe.features.descriptors))
+
+    def _checked(self, keyframe: MapKeyframe) -> _Place:
+        """Return a new keyframe as a place, or raise ConfigError."""
+        last = self._places[-1] if self._places else None
+        if last is not None and (
+            (last.track == self._track and keyframe.t_ns <= last.keyframe.t_ns)
+            or keyframe.number <= last.keyframe.number
+        ):
+            raise ConfigError(
+                f"keyframe {keyframe.number} at {keyframe.t_ns} ns after keyframe {last.keyframe.number} at"
+                f" {last.keyframe.t_ns} ns; expected a larger number and a later time"
+            )
+        return _Place(keyframe, self._path_to(keyframe), self._track)
+
+    def _insert(self, place: _Place, words: npt.NDArray[np.int64]) -> None:
+        """Let a keyframe be recognized from now on."""
         self._index.add(words)
         self._places.append(place)
-        self._times_ns.append(keyframe.t_ns)
-        return self._confirmed(place, found)
 
     def _path_to(self, keyframe: MapKeyframe) -> float:
         """Return the length of the path to a new keyframe; the step between two odometry frames is not known."""
@@ -153,8 +179,7 @@ class PlaceRecognizer:
     def _recognize(self, query: _Place, words: npt.NDArray[np.int64]) -> _Verified | None:
         """Return the best verified match of a new keyframe, None if there is none or if places rival."""
         c = self._config
-        stop = bisect_right(self._times_ns, query.keyframe.t_ns - round(c.min_age_s * 1e9))
-        candidates = self._index.query(words, self._may_be_seen(query, stop), c.similar, c.min_similarity)
+        candidates = self._index.query(words, self._may_be_seen(query), c.similar, c.min_similarity)
         best: _Verified | None = None
         best_similarity, best_row, left = 0.0, 0, c.verified
         for row, similarity in zip(candidates.rows.tolist(), candidates.similarity.tolist(), strict=True):
@@ -177,24 +202,27 @@ class PlaceRecognizer:
                 best, best_similarity, best_row, left = verified, similarity, row, min(left, 1)
         return best
 
-    def _may_be_seen(self, query: _Place, stop: int) -> npt.NDArray[np.bool_]:
-        """Return which of the first keyframes (stop,) may show what a new one shows, by the odometry.
+    def _may_be_seen(self, query: _Place) -> npt.NDArray[np.bool_]:
+        """Return which of the keyframes may show what a new one shows, by the odometry.
 
-        Of keyframes with another odometry frame, nothing is known.
+        Of keyframes with another odometry frame, nothing is known; they may also be recent.
         """
-        c, places = self._config, self._places[:stop]
+        c, places = self._config, self._places
         if not places:
             return np.zeros(0, np.bool_)
         T = np.stack([place.keyframe.T_odom_imu for place in places])
         path_m = query.path_m - np.array([place.path_m for place in places])
         is_other_track = np.array([place.track != query.track for place in places])
+        age_ns = query.keyframe.t_ns - np.array([place.keyframe.t_ns for place in places])
+        is_old = age_ns >= round(c.min_age_s * 1e9)
         T_query = query.keyframe.T_odom_imu
         axes = np.stack([camera.T_imu_cam[:3, 2] for camera in self._rig.cameras])
         cosine = (axes @ np.swapaxes(T[:, :3, :3], 1, 2) @ T_query[:3, :3] @ axes.T).max(axis=(1, 2))
         max_angle = np.radians(np.minimum(c.max_view_deg + c.drift_deg_m * path_m, 180.0))
         distance_m = np.linalg.norm(T[:, :3, 3] - T_query[:3, 3], axis=1)
         max_distance_m = c.verification.max_distance_m + c.agree_m + c.drift_ratio * path_m
-        return np.asarray(is_other_track | ((distance_m <= max_distance_m) & (cosine >= np.cos(max_angle))))
+        is_near = (distance_m <= max_distance_m) & (cosine >= np.cos(max_angle))
+        return np.asarray(is_other_track | (is_old & is_near))
 
     def _is_possible(self, verified: _Verified) -> bool:
         """Return whether the odometry may have drifted as much as a match claims."""
@@ -220,19 +248,27 @@ class PlaceRecognizer:
             and angle_deg <= c.agree_deg + c.drift_deg_m * path_m
         )
 
-    def _confirmed(self, place: _Place, found: _Verified | None) -> tuple[PlaceMatch, ...]:
-        """Return the matches that a new one confirms, with the new one, and remember it for the next keyframes."""
+    def _confirmed(
+        self, place: _Place, found: _Verified | None, recent: tuple[_Verified, ...]
+    ) -> tuple[tuple[PlaceMatch, ...], tuple[_Verified, ...]]:
+        """Return the matches that a new one confirms, with the new one, and those to remember for the next keyframes.
+
+        Args:
+            place: The keyframe of the new match.
+            found: The new match; None if there is none.
+            recent: Matches of the keyframes before.
+        """
         oldest_ns = place.keyframe.t_ns - round(self._config.confirm_within_s * 1e9)
-        self._recent = tuple(each for each in self._recent if each.query.keyframe.t_ns >= oldest_ns)
+        recent = tuple(each for each in recent if each.query.keyframe.t_ns >= oldest_ns)
         if found is None:
-            return ()
-        agreeing = [each for each in self._recent if self._agree(each, found)]
+            return (), recent
+        agreeing = [each for each in recent if self._agree(each, found)]
         waiting = _waiting(agreeing)
-        others = [each for each in self._recent if each not in waiting]
+        others = [each for each in recent if each not in waiting]
         published = [_Verified(each.result, each.query, each.match, published=True) for each in waiting]
         newest = _Verified(found.result, found.query, found.match, published=bool(agreeing))
-        self._recent = (*others, *published, newest)
-        return (*(each.result for each in waiting), newest.result) if agreeing else ()
+        recent = (*others, *published, newest)
+        return ((*(each.result for each in waiting), newest.result) if agreeing else ()), recent
 
 
 def _waiting(matches: Sequence[_Verified]) -> list[_Verified]:

@@ -4,7 +4,8 @@ The odometry does not depend on the map: its estimates are those of `VisualInert
 receives the keyframes of the odometry and returns the pose of the odometry frame in the map frame, `T_map_odom`. It is
 applied a number of frames after the keyframe that caused it, which depends on numbers of keyframes and loops alone, so
 that results do not depend on the speed of the machine. Meanwhile a worker process updates the map. A pose in the map
-frame is causal, and it jumps when a loop is closed; the pose in the odometry frame is continuous.
+frame is causal, and it jumps when a loop is closed; the pose in the odometry frame is continuous. After a loss there is
+no pose in the map frame until a place of the map is recognized.
 """
 
 from collections.abc import Sequence
@@ -22,19 +23,23 @@ from dronevio.estimator.imu.preintegration import PreintegrationParams
 from dronevio.estimator.keyframe_observer import OdometryKeyframe
 from dronevio.estimator.slam.bundle_adjustment import AdjustmentInputs, AdjustmentKeyframe, adjust
 from dronevio.estimator.slam.config import SlamConfig
+from dronevio.estimator.slam.correction import Correction
 from dronevio.estimator.slam.keyframe import MapKeyframe
 from dronevio.estimator.slam.map_builder import (
     DepartedKeyframe,
+    ImagedKeyframe,
     LocalMap,
     MapCost,
     MapMessage,
     OdometryMap,
     TrackLost,
+    WindowKeyframe,
 )
 from dronevio.estimator.slam.map_process import MapProcess
-from dronevio.estimator.slam.mapping import Correction, Mapper, MapSummary
+from dronevio.estimator.slam.mapping import Mapper, MapSummary
 from dronevio.estimator.slam.pose_graph import PoseGraph
 from dronevio.estimator.slam.schedule import CorrectionSchedule
+from dronevio.estimator.types import Integers
 from dronevio.estimator.vio import VisualInertialOdometry
 from dronevio.models.imu import ImuModel, ImuSamples
 from dronevio.models.map_correction import MapCorrection
@@ -43,6 +48,9 @@ from dronevio.models.slam_map import SlamMap
 from dronevio.models.state import CameraFrame, Estimate, NavState
 
 Array = npt.NDArray[np.float64]
+
+MIN_FEATURES = 8
+"""Smallest number of common features that connect two keyframes; fewer may be tracked by mistake."""
 
 
 class VisualSlam:
@@ -75,8 +83,9 @@ class VisualSlam:
         self._odometry = VisualInertialOdometry(rig, odometry, observer=self._keyframes)
         self._map: OdometryMap = MapProcess(rig, c) if c.worker else LocalMap(rig, c)
         self._schedule = CorrectionSchedule(c.correction_delay)
-        self._frames = self._sent = self._loops = 0
-        self._T_map_odom = np.eye(4)
+        self._frames = self._sent = self._loops = self._track = self._tracked = 0
+        self._T_map_odom: Array | None = np.eye(4)
+        self._correction: Correction | None = None
 
     def add_imu(self, samples: ImuSamples) -> None:
         """Add the IMU samples since the last call; see `VisualInertialOdometry`."""
@@ -94,10 +103,13 @@ class VisualSlam:
             ConfigError: The frame is not later than the last one, or an image does not fit its camera.
             DefectError: The worker process died, or failed in a way that no input should cause.
         """
-        self._keyframes.begin_frame(frame)
+        self._keyframes.begin_frame(frame, self._tracked, has_map_pose=self._T_map_odom is not None)
         estimate = self._odometry.add_frame(frame)
+        self._tracked = 0 if estimate.health_report is None else estimate.health_report.tracks
         self._frames += 1
         for message in self._keyframes.take():
+            if isinstance(message, TrackLost):
+                self._track, self._T_map_odom, self._correction = self._track + 1, None, None
             self._map.send(message)
             self._sent += 1
             self._schedule.add(self._frames, self._sent, self._loops)
@@ -105,15 +117,29 @@ class VisualSlam:
         closed: tuple[tuple[int, int], ...] = ()
         for _ in range(self._schedule.take_due(self._frames)):
             correction = self._map.receive()
-            if correction is not None:
-                self._T_map_odom = correction.T_map_odom
-                self._loops += len(correction.loops) + correction.rejected
+            if correction is None:
+                continue
+            self._loops = max(self._loops, correction.judged_loops)
+            if correction.track == self._track:
+                self._T_map_odom, self._correction = correction.T_map_odom, correction
                 events += _events(correction)
                 closed += correction.loop_times_ns
-        if estimate.state is None:
+        state = estimate.state
+        if state is None:
             return estimate
-        events_so_far = (*estimate.events, *events)
-        return replace(estimate, T_map_odom=self._T_map_odom, events=events_so_far, closed_loops_ns=closed)
+        return replace(
+            estimate,
+            T_map_odom=self._T_map_odom,
+            map_covariance=self._map_covariance(state),
+            events=(*estimate.events, *events),
+            closed_loops_ns=closed,
+        )
+
+    def _map_covariance(self, state: NavState) -> Array | None:
+        """Return the covariance (6, 6) of the pose in the map frame; before the first correction, the odometry's."""
+        if self._correction is not None:
+            return self._correction.covariance_at(state)
+        return None if self._T_map_odom is None or state.covariance is None else state.covariance[:6, :6]
 
     @property
     def mapper(self) -> Mapper:
@@ -164,13 +190,21 @@ class _DepartingKeyframes:
     def __init__(self) -> None:
         """Begin without keyframes."""
         self._frame: CameraFrame | None = None
-        self._waiting: dict[int, tuple[OdometryKeyframe, CameraFrame]] = {}
+        self._tracked, self._has_map_pose = 0, True
+        self._newest_ids = np.zeros(0, np.int64)
+        self._waiting: dict[int, tuple[OdometryKeyframe, ImagedKeyframe]] = {}
         self._members: dict[int, OdometryKeyframe] = {}  # keyframes that have departed
         self._messages: list[MapMessage] = []
 
-    def begin_frame(self, frame: CameraFrame) -> None:
-        """Keep the images of the newest frame, which may become a keyframe."""
-        self._frame = frame
+    def begin_frame(self, frame: CameraFrame, tracked: int, *, has_map_pose: bool) -> None:
+        """Keep the images of the newest frame, which may become a keyframe.
+
+        Args:
+            frame: The frame.
+            tracked: Number of features that were tracked into the frame before it.
+            has_map_pose: Whether the pose of the odometry frame in the map frame is known.
+        """
+        self._frame, self._tracked, self._has_map_pose = frame, tracked, has_map_pose
 
     def take(self) -> list[MapMessage]:
         """Return the messages since the last call."""
@@ -179,29 +213,28 @@ class _DepartingKeyframes:
 
     def added(self, keyframe: OdometryKeyframe) -> None:
         """Let a keyframe of the odometry wait until it leaves the window, unless its images are those of an earlier
-        frame.
+        frame. If no image connects it with the one before, another track begins.
         """
+        ids, previous_ids = keyframe.observations.ids, self._newest_ids
+        self._newest_ids = ids
         self._waiting = {t: known for t, known in self._waiting.items() if t in keyframe.window_times_ns}
-        if self._frame is not None and keyframe.is_of_newest_frame:
-            self._waiting[keyframe.t_ns] = keyframe, self._frame
+        if self._frame is None or not keyframe.is_of_newest_frame:
+            return
+        if not are_connected(previous_ids, ids, self._tracked):
+            self.lost()
+        images, R_odom_imu = tuple(self._frame.images), keyframe.state.T_world_imu[:3, :3]
+        imaged = ImagedKeyframe(images, keyframe.calibration.rig, R_odom_imu, keyframe.observations)
+        self._waiting[keyframe.t_ns] = keyframe, imaged
+        if not self._has_map_pose:
+            estimate = Departure.of_state(keyframe.state, keyframe.landmark_ids, keyframe.landmarks_odom)
+            self._messages.append(WindowKeyframe(imaged, estimate))
 
     def departed(self, departure: Departure) -> None:
         """Let a keyframe of the odometry join the map, if its images are known."""
         waiting = self._waiting.pop(departure.t_ns, None)
-        if waiting is None:
-            return
-        keyframe, frame = waiting
-        self._members[departure.t_ns] = keyframe
-        self._messages.append(
-            DepartedKeyframe(
-                keyframe.t_ns,
-                tuple(frame.images),
-                keyframe.calibration.rig,
-                keyframe.state.T_world_imu[:3, :3],
-                keyframe.observations,
-                departure,
-            )
-        )
+        if waiting is not None:
+            self._members[departure.t_ns] = waiting[0]
+            self._messages.append(DepartedKeyframe(waiting[1], departure))
 
     def adjustment_inputs(
         self,
@@ -233,15 +266,17 @@ class _DepartingKeyframes:
                     known.state.gyro_bias_rad_s,
                     known.state.accel_bias_m_s2,
                     observation_table(member.number, known.observations),
+                    member.track,
                 )
             )
         calibration = self._members[keyframes_of_map[-1].t_ns].calibration
-        return AdjustmentInputs(keyframes, graph.loops, imu, imu_model, noise, calibration, graph.first_covariance)
+        first, covariance = graph.first, graph.first_covariance
+        return AdjustmentInputs(keyframes, graph.loops, imu, imu_model, noise, calibration, first, covariance)
 
     def lost(self) -> None:
-        """Tell the map that later keyframes are in another odometry frame."""
-        self._waiting = {}
-        self._messages.append(TrackLost())
+        """Begin another track: later keyframes are in another odometry frame."""
+        self._waiting, self._has_map_pose = {}, False
+        self._messages.append(TrackLost(0 if self._frame is None else self._frame.t_ns))
 
 
 def _itself(mapper: Mapper) -> Mapper:
@@ -254,4 +289,20 @@ def _summary(mapper: Mapper) -> MapSummary:
 
 def _events(correction: Correction) -> list[str]:
     """Return the events of a correction, as texts for users."""
-    return [f"loop closed with keyframe {number}" for number in sorted({loop.first for loop in correction.loops})]
+    joined = ["track joined with the map"] if correction.is_joined else []
+    return [*joined, *(f"loop closed with keyframe {k}" for k in sorted({loop.first for loop in correction.loops}))]
+
+
+def are_connected(before: Integers, ids: Integers, tracked: int) -> bool:
+    """Return whether images connect two successive keyframes.
+
+    They do not where features were tracked into the frame before the second one, and suddenly all are others, as when
+    the vehicle is carried away between two frames. After darkness, the IMU connects the keyframes.
+
+    Args:
+        before: (N,) Identities of the features of the first keyframe.
+        ids: (M,) Identities of the features of the second keyframe.
+        tracked: Number of features that were tracked into the frame before the second keyframe.
+    """
+    has_changed = min(len(before), len(ids), tracked) >= MIN_FEATURES
+    return not has_changed or len(np.intersect1d(before, ids)) >= MIN_FEATURES

@@ -11,7 +11,7 @@ import pytest
 from dronevio.benchmark_jobs import excerpts, recorded_flights
 from dronevio.cli import main
 from dronevio.eval.benchmark.rows import read_rows
-from dronevio.excerpts import RecordingTail, RepeatedRecording, excerpt_of
+from dronevio.excerpts import RecordingTail, RepeatedRecording, SplicedRecording, excerpt_of
 from dronevio.models.errors import ConfigError
 from dronevio.models.protocols import Recording, measurements
 from dronevio.models.state import CameraFrame
@@ -95,3 +95,24 @@ def test_starts_that_cannot_be_are_refused(flown: Result, capsys: pytest.Capture
     assert "--starts-s or --laps with p: a program reads a whole recording once" in capsys.readouterr().err
     with pytest.raises(ConfigError, match="expected no starts and laps"):
         estimator_named(program).run(flown.folder, start_s=1.0)
+
+
+def test_a_spliced_recording_continues_with_another_part(noise_recording: Callable[..., Recording]) -> None:
+    first, second = noise_recording(), noise_recording()
+    spliced = SplicedRecording.at(first, 0.1, second, 0.05)
+    step_ns = int(np.diff(first.frame_times_ns)[0])
+    assert np.all(np.diff(spliced.frame_times_ns) == step_ns) and np.all(np.diff(spliced.imu.t_ns) > 0)
+    assert np.diff(spliced.imu.t_ns).max() <= step_ns
+    row = int(np.searchsorted(spliced.frame_times_ns, spliced.splice_ns))
+    begun = int(np.searchsorted(second.frame_times_ns, second.frame_times_ns[0] + 50_000_000))
+    assert np.array_equal(spliced.frame(row).images[0], second.frame(begun).images[0])
+    assert np.array_equal(spliced.frame(row - 1).images[0], first.frame(row - 1).images[0])
+    assert spliced.frame(row).t_ns == spliced.splice_ns
+    late = spliced.imu.t_ns >= spliced.splice_ns
+    later = second.imu.t_ns >= second.frame_times_ns[begun]
+    assert np.array_equal(spliced.imu.gyro_rad_s[late], second.imu.gyro_rad_s[later])
+
+
+def test_a_splice_outside_a_recording_is_refused(noise_recording: Callable[..., Recording]) -> None:
+    with pytest.raises(ConfigError, match="a splice at 500 s; noise has frames from 0 to"):
+        SplicedRecording.at(noise_recording(), 500.0, noise_recording(), 1.0)

@@ -28,7 +28,7 @@ def loop_accuracy(script: Callable[[str], Any]) -> Any:
 @pytest.fixture
 def views() -> Views:
     """Five keyframes before a wall at 5 m, 20 s and 10 m of path apart; the third and the fourth are at the first."""
-    Ts: npt.NDArray[np.float64] = np.tile(np.eye(4), (5, 1, 1))
+    Ts = np.tile(np.eye(4), (5, 1, 1)).astype(np.float64)
     Ts[:, 0, 3] = [0.0, 10.0, 0.0, 0.1, 20.0]
     t_ns = np.array([0, 20, 40, 60, 80]) * 1_000_000_000
     rays = CAMERA.unproject(np.stack(np.meshgrid(np.arange(16) * 40.0, np.arange(12) * 40.0), axis=-1))
@@ -42,7 +42,9 @@ def slam_map(views: Views) -> SlamMap:
     rows = np.array([[0, 2], [0, 3], [2, 3]])
     measured = inverse_pose(Ts_imu[rows[:, 0]]) @ Ts_imu[rows[:, 1]]
     measured[1, 1, 3] += 0.2  # more than 5 cm and 2 % of 5 m
-    return SlamMap(views.t_ns, Ts_imu, Ts_imu, rows, measured, np.array([False, False, True]), np.zeros((0, 3)))
+    rejected, starts_ns = np.array([False, False, True]), np.array([-1])
+    tracks = np.zeros(5, np.int64)
+    return SlamMap(views.t_ns, Ts_imu, Ts_imu, rows, measured, rejected, np.zeros((0, 3)), tracks, starts_ns)
 
 
 def test_wrong_loops_are_counted_by_hand(loop_accuracy: Any, views: Views, slam_map: SlamMap) -> None:

@@ -202,6 +202,8 @@ def mapped(flight: SyntheticFlight) -> SyntheticFlight:
         inverse_pose(Ts_map[rows[:, 0]]) @ Ts_map[rows[:, 1]],
         np.array([False, False, False, True]),
         np.random.default_rng(0).uniform(-2.0, 2.0, (300, 3)),
+        track=np.zeros(len(keyframes), np.int64),
+        starts_ns=np.array([-1]),
     )
     return replace(flight, run=replace(flight.run, estimates=tuple(estimates), map=slam_map))
 

@@ -19,7 +19,15 @@ def slam_map() -> SlamMap:
     Ts_map[2] = pose_matrix(rotation_z(np.pi / 2), np.array([2.0, 0.1, 0.0]))
     loops = np.array([[0, 1], [0, 2]])
     return SlamMap(
-        np.array([0, 10, 20]), Ts_map, Ts_odom, loops, Ts_odom[[1, 2]], np.array([True, False]), np.zeros((5, 3))
+        np.array([0, 10, 20]),
+        Ts_map,
+        Ts_odom,
+        loops,
+        Ts_odom[[1, 2]],
+        np.array([True, False]),
+        np.zeros((5, 3)),
+        track=np.array([0, 0, 2]),
+        starts_ns=np.array([-100, 12, 18]),
     )
 
 
@@ -40,6 +48,10 @@ def test_closed_loops_are_those_that_are_not_rejected(slam_map: SlamMap) -> None
         ({"Ts_map_imu": np.zeros((2, 4, 4))}, r"Ts_map_imu has shape \(2, 4, 4\)"),
         ({"t_ns": np.array([0, 20, 20])}, "do not increase"),
         ({"loops": np.array([[0, 1], [0, 3]])}, "keyframe 3; expected one of the 3"),
+        ({"track": np.array([0, 2, 1])}, "tracks do not increase"),
+        ({"starts_ns": np.array([-100, 12, 12])}, "tracks do not increase"),
+        ({"track": np.array([0, 0, 3])}, "track 3; expected one of the 3"),
+        ({"track": np.array([-1, 0, 0])}, "track -1; expected one of the 3"),
         ({"loops": np.array([[-1, 1], [0, 2]])}, "keyframe -1; expected one of the 3"),
     ],
 )

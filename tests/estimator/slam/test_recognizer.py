@@ -114,6 +114,28 @@ def test_another_odometry_frame_may_be_anywhere() -> None:
     assert len(matches) >= 20
 
 
+def test_a_recent_keyframe_of_another_track_is_recognized() -> None:
+    recognizer = PlaceRecognizer(RIG)
+    found(recognizer, lap(0, 0.0, 0.0))
+    recognizer.start_track()
+    matches = found(recognizer, lap(25, 13.0, 0.3, (30.0, -20.0, 5.0)))  # the last one is 1 s older
+    assert any(match.match == 24 for match in matches)
+
+
+def test_keyframes_are_located_before_they_are_added() -> None:
+    recognizer = PlaceRecognizer(RIG)
+    found(recognizer, lap(0, 0.0, 0.0))
+    recognizer.start_track()
+    second = lap(25, 30.0, 0.3, (30.0, -20.0, 5.0))
+    assert recognizer.locate(second[3]) is None  # no other keyframe confirms it
+    located = recognizer.locate(second[4])
+    assert located is not None and located.query == second[4].number
+    T_true = inverse_pose(true_pose(located.match)) @ true_pose(located.query)
+    assert np.linalg.norm(located.T_match_query[:3, 3] - T_true[:3, 3]) < 0.05
+    assert len(recognizer) == 25
+    assert recognizer.add(second[3]) == ()  # what was located does not confirm what is added
+
+
 def test_two_equal_places_are_ambiguous() -> None:
     """A place that exists twice is recognized in neither, where the odometry does not say which one it is."""
     recognizer = PlaceRecognizer(RIG, PlaceConfig(island=3))

@@ -11,8 +11,9 @@ import pytest
 
 from dronevio.estimator.backend.departure import Departure
 from dronevio.estimator.keyframe_observer import OdometryKeyframe
-from dronevio.estimator.slam.keyframe import KeyframeFeatures, MapKeyframe
-from dronevio.estimator.slam.mapping import Correction, Mapper, Recognizer, WaitingKeyframe
+from dronevio.estimator.slam.correction import Correction
+from dronevio.estimator.slam.keyframe import NO_KEYFRAME_FEATURES, MapKeyframe
+from dronevio.estimator.slam.mapping import KeyframeView, Mapper, Recognizer
 from dronevio.estimator.slam.verification import PlaceMatch
 from dronevio.models.rotation import exp_so3, inverse_pose, pose_matrix
 from dronevio.models.state import Estimate
@@ -21,11 +22,6 @@ if TYPE_CHECKING:
     from tests.estimator.conftest import SyntheticFlight
 
 Array = npt.NDArray[np.float64]
-
-NO_CORNERS = KeyframeFeatures(
-    np.zeros((0, 2)), np.zeros((0, 2)), np.zeros(0, np.int64), np.zeros((0, 32), np.uint8), np.zeros(0, np.int64)
-)
-"""The features of a keyframe without an image."""
 
 
 class TrueRecognizer:
@@ -66,8 +62,16 @@ class TrueRecognizer:
     def add(self, keyframe: MapKeyframe) -> tuple[PlaceMatch, ...]:
         """Return the pose in the frame of an old keyframe, for some keyframes."""
         self._times.append(keyframe.t_ns)
+        match = self.locate(keyframe)
+        return () if match is None else (match,)
+
+    def start_track(self) -> None:
+        """Do nothing: true poses do not depend on the odometry frame."""
+
+    def locate(self, keyframe: MapKeyframe) -> PlaceMatch | None:
+        """Return the pose in the frame of an old keyframe, for some keyframes."""
         if keyframe.number % self._every or keyframe.number < self._min_age:
-            return ()
+            return None
         old = int(self._rng.integers(0, keyframe.number - self._min_age + 1))
         T = inverse_pose(self._true_poses[self._times[old]]) @ self._true_poses[keyframe.t_ns]
         noise = self._sigma * self._rng.normal(size=6)
@@ -75,7 +79,7 @@ class TrueRecognizer:
         if self._rng.random() < self._wrong:
             T = T @ pose_matrix(exp_so3(0.3 * self._rng.normal(size=3)), 0.5 + self._rng.random(3))
             self.wrong_pairs.add((old, keyframe.number))
-        return (PlaceMatch(keyframe.number, old, T, self._sigma**2 * np.eye(6), 0, 0),)
+        return PlaceMatch(keyframe.number, old, T, self._sigma**2 * np.eye(6), 0, 0)
 
 
 class NoRecognizer:
@@ -84,6 +88,13 @@ class NoRecognizer:
     def add(self, keyframe: MapKeyframe) -> tuple[PlaceMatch, ...]:
         """Return no match."""
         return ()
+
+    def start_track(self) -> None:
+        """Do nothing."""
+
+    def locate(self, keyframe: MapKeyframe) -> PlaceMatch | None:
+        """Return no match."""
+        return None
 
 
 @dataclass
@@ -132,13 +143,9 @@ class OdometryFlight:
 
     def mapped(self, recognizer: Recognizer) -> MappedFlight:
         """Return the map of the flight; keyframes have no image."""
-        mapper, corrections = Mapper(recognizer), []
-        for departure in self.departures:
-            mapper.add(WaitingKeyframe(departure.t_ns, NO_CORNERS), (departure.t_ns,))
-            correction = mapper.depart(departure)
-            assert correction is not None
-            corrections.append(correction)
-        return MappedFlight(mapper, corrections)
+        mapper = Mapper(recognizer)
+        view = KeyframeView(NO_KEYFRAME_FEATURES)
+        return MappedFlight(mapper, [mapper.add(departure, view) for departure in self.departures])
 
     def with_loops(self, **settings: float) -> tuple[TrueRecognizer, MappedFlight]:
         """Return a recognizer that knows the true poses, and the map with the places that it recognizes."""

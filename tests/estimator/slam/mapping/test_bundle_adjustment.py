@@ -53,7 +53,7 @@ def inputs(odometry_flight: "OdometryFlight", solution: OptimizedGraph) -> Adjus
     first = keyframes[0].number
     loops = [loop for loop in solution.without_rejected.loops if loop.first >= first]
     covariance, calibration = odometry_flight.departures[first].covariance, odometry_flight.keyframes[-1].calibration
-    return AdjustmentInputs(keyframes, loops, flight.imu, flight.rig.imu, params, calibration, covariance)
+    return AdjustmentInputs(keyframes, loops, flight.imu, flight.rig.imu, params, calibration, first, covariance)
 
 
 def rmse_m(odometry_flight: "OdometryFlight", inputs: AdjustmentInputs, poses: Mapping[int, Array]) -> float:

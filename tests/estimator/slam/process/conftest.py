@@ -6,7 +6,7 @@ import numpy.typing as npt
 import pytest
 
 from dronevio.estimator.backend.departure import Departure
-from dronevio.estimator.slam.map_builder import DepartedKeyframe
+from dronevio.estimator.slam.map_builder import DepartedKeyframe, ImagedKeyframe
 from dronevio.estimator.types import Observations
 from dronevio.models.rig import Rig, euroc_rig
 from dronevio.models.rotation import rotation_z
@@ -51,7 +51,7 @@ def keyframe(rig: Rig, place: int, lap: int) -> DepartedKeyframe:
         in_cam @ T_odom_cam[:3, :3].T + T_odom_cam[:3, 3],
     )
     observations = Observations(ids, pixels, xy, np.ones(LANDMARKS, np.int64))
-    return DepartedKeyframe(t_ns, (image,), rig, T[:3, :3], observations, departure)
+    return DepartedKeyframe(ImagedKeyframe((image,), rig, T[:3, :3], observations), departure)
 
 
 @pytest.fixture(scope="session")

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from dronevio.estimator.slam.config import SlamConfig
-from dronevio.estimator.slam.map_builder import DepartedKeyframe, LocalMap, TrackLost
+from dronevio.estimator.slam.map_builder import DepartedKeyframe, LocalMap, MapMessage, TrackLost
 from dronevio.estimator.slam.map_process import MOST_UNANSWERED, MapProcess
 from dronevio.estimator.slam.mapping import Mapper
 from dronevio.models.errors import DefectError
@@ -45,18 +45,22 @@ def test_answers_equal_those_of_a_map_in_this_process(worker: MapProcess, two_la
     pairs = [(local.receive(), worker.receive()) for _ in two_laps]
     for expected, found in pairs:
         assert expected is not None and found is not None
+        assert found.T_map_odom is not None and expected.T_map_odom is not None
         assert found.T_map_odom.tobytes() == expected.T_map_odom.tobytes()
-        assert found.anchor_covariance.tobytes() == expected.anchor_covariance.tobytes()
+        assert found.covariance.tobytes() == expected.covariance.tobytes()
         assert [loop.T_first_second.tobytes() for loop in found.loops] == [
             loop.T_first_second.tobytes() for loop in expected.loops
         ]
     last = pairs[-1][1]
-    assert last is not None and sum(len(found.loops) for _, found in pairs if found) >= 2
+    assert (
+        last is not None and last.T_map_odom is not None and sum(len(found.loops) for _, found in pairs if found) >= 2
+    )
     assert last.T_map_odom[1, 3] == pytest.approx(-DRIFT_M, abs=0.3 * DRIFT_M)  # the second lap is moved back
-    final, expected_final = (each.ask(Mapper.final_correction) for each in (worker, local))
+    final, expected_final = (each.ask(Mapper.final_solution) for each in (worker, local))
     assert final is not None and expected_final is not None
-    assert final.Ts_map_odom.tobytes() == expected_final.Ts_map_odom.tobytes()
-    assert len(final.t_ns) == 2 * PLACES
+    assert len(final.graph.poses) == 2 * PLACES
+    for number, T in final.graph.poses.items():
+        assert T.tobytes() == expected_final.graph.poses[number].tobytes()
 
 
 def test_cost_contains_the_processor_time_of_the_worker(worker: MapProcess, two_laps: list[DepartedKeyframe]) -> None:
@@ -71,16 +75,25 @@ def test_cost_contains_the_processor_time_of_the_worker(worker: MapProcess, two_
     assert after.results == 2 and after.waits == 1 and after.worker_cpu_s == cost.worker_cpu_s
 
 
-def test_loss_ends_the_map(worker: MapProcess, two_laps: list[DepartedKeyframe]) -> None:
-    for message in (two_laps[0], TrackLost(), two_laps[1]):
+def test_answers_after_a_loss_belong_to_another_track(worker: MapProcess, two_laps: list[DepartedKeyframe]) -> None:
+    lost = TrackLost(two_laps[PLACES].departure.t_ns)
+    messages: list[MapMessage] = [*two_laps[:PLACES], lost, *two_laps[PLACES:]]
+    for message in messages:
         worker.send(message)
-    answers = [worker.receive() for _ in range(3)]
-    assert [answer is None for answer in answers] == [False, True, True]
+    answers = [worker.receive() for _ in range(2 * PLACES + 1)]
+    assert answers.pop(PLACES) is None
+    tracks = [answer.track for answer in answers if answer is not None]
+    assert tracks == PLACES * [0] + PLACES * [1]
+    joined = [answer for answer in answers if answer is not None and answer.is_joined]
+    assert len(joined) == 1 and joined[0].track == 1 and joined[0].T_map_odom is not None
+    assert joined[0].T_map_odom[1, 3] == pytest.approx(-DRIFT_M, abs=0.3 * DRIFT_M)
+    before = [answer for answer in answers[PLACES:] if answer is not None][: answers[PLACES:].index(joined[0])]
+    assert before and all(answer.T_map_odom is None for answer in before)
 
 
 def test_number_of_unanswered_messages_is_limited(worker: MapProcess) -> None:
     for _ in range(MOST_UNANSWERED + 5):
-        worker.send(TrackLost())
+        worker.send(TrackLost(0))
     assert worker.cost(1).results == 0 and worker.cost(1).waits >= 1  # the start takes longer than sending
     assert [worker.receive() for _ in range(MOST_UNANSWERED + 5)] == [None] * (MOST_UNANSWERED + 5)
 
@@ -94,7 +107,7 @@ def test_death_of_the_worker_is_a_defect(worker: MapProcess, two_laps: list[Depa
             worker.send(message)
             worker.receive()
     with pytest.raises(DefectError, match="SIGKILL"):
-        worker.ask(Mapper.final_correction)
+        worker.ask(Mapper.final_solution)
 
 
 def test_exception_in_the_worker_is_a_defect(worker: MapProcess) -> None:
@@ -122,7 +135,7 @@ def test_closed_map_says_so(worker: MapProcess) -> None:
     worker.close()
     assert has_ended(worker.pid)
     with pytest.raises(DefectError, match="closed"):
-        worker.ask(Mapper.final_correction)
+        worker.ask(Mapper.final_solution)
 
 
 def test_worker_ends_when_its_parent_is_killed() -> None:
@@ -144,7 +157,7 @@ def test_copy_of_the_mapper_continues(worker: MapProcess, two_laps: list[Departe
     for message in two_laps[:3]:
         worker.send(message)
     copy: Mapper = worker.ask(_itself)
-    assert [keyframe.t_ns for keyframe in copy.keyframes] == [message.t_ns for message in two_laps[:3]]
+    assert [keyframe.t_ns for keyframe in copy.keyframes] == [message.departure.t_ns for message in two_laps[:3]]
     graph = copy.graph
     assert graph is not None and np.array_equal(graph.poses[0], two_laps[0].departure.T_odom_imu)
 

@@ -1,0 +1,185 @@
+"""Tracks of the odometry after a loss: submaps of their own until a place of the map is recognized."""
+
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+import numpy.typing as npt
+import pytest
+
+from dronevio.estimator.backend.departure import Departure
+from dronevio.estimator.slam.correction import Correction
+from dronevio.estimator.slam.keyframe import NO_KEYFRAME_FEATURES, MapKeyframe
+from dronevio.estimator.slam.mapping import KeyframeView, Mapper
+from dronevio.estimator.slam.odometry_factors import RelativePose
+from dronevio.estimator.slam.pose_graph import PoseGraph, joined_graphs, marginal_covariance, optimize
+from dronevio.estimator.slam.verification import PlaceMatch
+from dronevio.estimator.slam.visual_slam import are_connected
+from dronevio.models.map_correction import MapCorrection
+from dronevio.models.rotation import exp_so3, inverse_pose, log_so3, pose_matrix, rotation_z
+from dronevio.models.state import Trajectory
+from tests.estimator.slam.mapping.conftest import NoRecognizer, TrueRecognizer
+
+if TYPE_CHECKING:
+    from tests.estimator.slam.mapping.conftest import OdometryFlight
+
+Array = npt.NDArray[np.float64]
+
+T_SHIFTED_ODOM = pose_matrix(rotation_z(2.0), np.array([30.0, -20.0, 5.0]))
+"""Pose of the first odometry frame in that of the second track."""
+SPLIT = 50
+"""Number of keyframes of the first track."""
+
+
+class FirstMatchWrong(TrueRecognizer):
+    """Recognizes places, the first of them wrongly by 1 m and 0.5 rad of yaw."""
+
+    is_wrong = True
+
+    def locate(self, keyframe: MapKeyframe) -> PlaceMatch | None:
+        """Return a match, of which the first is wrong."""
+        match = super().locate(keyframe)
+        if match is None or not self.is_wrong:
+            return match
+        self.is_wrong = False
+        error = pose_matrix(exp_so3(0.5 * keyframe.T_odom_imu[2, :3]), np.array([1.0, 0.0, 0.0]))
+        self.wrong_pairs.add((match.match, match.query))
+        return replace(match, T_match_query=match.T_match_query @ error)
+
+
+def shifted(departure: Departure) -> Departure:
+    """Return a departure in the odometry frame of the second track."""
+    R, t = T_SHIFTED_ODOM[:3, :3], T_SHIFTED_ODOM[:3, 3]
+    landmarks = departure.landmarks_odom @ R.T + t
+    return replace(departure, T_odom_imu=T_SHIFTED_ODOM @ departure.T_odom_imu, landmarks_odom=landmarks)
+
+
+def added(mapper: Mapper, departures: Sequence[Departure]) -> list[Correction]:
+    """Let keyframes without images join the map, and return the corrections."""
+    return [mapper.add(departure, KeyframeView(NO_KEYFRAME_FEATURES)) for departure in departures]
+
+
+@pytest.fixture
+def tracks(odometry_flight: "OdometryFlight") -> tuple[list[Departure], list[Departure]]:
+    """Return the keyframes of a flight as two tracks, the second in another odometry frame."""
+    departures = odometry_flight.departures
+    return departures[:SPLIT], [shifted(departure) for departure in departures[SPLIT:]]
+
+
+def kidnapped(recognizer: TrueRecognizer, tracks: tuple[list[Departure], list[Departure]]) -> tuple[Mapper, Array]:
+    """Return a mapper after both tracks, and which corrections (N,) of the second one are known."""
+    mapper = Mapper(recognizer)
+    added(mapper, tracks[0])
+    mapper.start_track(tracks[1][0].t_ns)
+    corrections = added(mapper, tracks[1])
+    return mapper, np.array([correction.T_map_odom is not None for correction in corrections])
+
+
+def final_correction(mapper: Mapper) -> MapCorrection:
+    """Return the correction by the optimized graph of the map."""
+    solution = mapper.final_solution()
+    assert solution is not None
+    return mapper.map_of(solution).correction
+
+
+def test_a_new_track_is_joined_where_a_place_is_recognized(
+    odometry_flight: "OdometryFlight", tracks: tuple[list[Departure], list[Departure]]
+) -> None:
+    mapper = Mapper(TrueRecognizer(odometry_flight.true_poses, every=7, min_age=SPLIT))
+    added(mapper, tracks[0])
+    mapper.start_track(tracks[1][0].t_ns)
+    before, after = added(mapper, tracks[1][:6]), added(mapper, tracks[1][6:7])
+    assert all(correction.T_map_odom is None and not correction.is_joined for correction in before)
+    assert [correction.track for correction in before] == [1] * 6
+    assert after[0].is_joined and after[0].T_map_odom is not None
+    error = T_SHIFTED_ODOM @ after[0].T_map_odom
+    assert np.linalg.norm(error[:3, 3]) < 0.1 and np.linalg.norm(log_so3(error[:3, :3])) < 0.02
+    graph = mapper.graph
+    assert graph is not None and set(graph.poses) == set(range(SPLIT + 7)) and graph.joined == (SPLIT,)
+    assert mapper.summary.separate_tracks == 0
+
+
+def test_loops_between_tracks_are_judged(
+    odometry_flight: "OdometryFlight", tracks: tuple[list[Departure], list[Departure]]
+) -> None:
+    recognizer = FirstMatchWrong(odometry_flight.true_poses, every=4, min_age=SPLIT)
+    mapper, is_known = kidnapped(recognizer, tracks)
+    assert is_known[-1] and not recognizer.is_wrong
+    final, graph = final_correction(mapper), mapper.graph
+    assert graph is not None
+    rejected = {(graph.loops[i].first, graph.loops[i].second) for i in optimize(graph).rejected}
+    assert rejected == recognizer.wrong_pairs and len(graph.loops) > 10
+    error = T_SHIFTED_ODOM @ final.Ts_map_odom[-1]
+    assert np.linalg.norm(error[:3, 3]) < 0.1 and np.linalg.norm(log_so3(error[:3, :3])) < 0.02
+
+
+def test_a_joined_graph_keeps_its_tilt_and_not_its_yaw() -> None:
+    P = np.diag([1e-6, 1e-6, 1e-6, 1e-4, 1e-4, 1e-4])
+    first, second = PoseGraph(0, P, {0: np.eye(4)}), PoseGraph(1, P, {1: np.eye(4)})
+    loop = RelativePose(0, 1, np.eye(4), 0.01 * np.eye(6))
+    joined = joined_graphs(first, second, np.eye(4)).with_loops([loop])
+    variances = np.diag(marginal_covariance(joined, 1))
+    # Gravity knows roll and pitch to 1e-6, and the loop knows yaw and position to 0.01, of which the prior takes 1 %.
+    np.testing.assert_allclose(variances[:2], 1e-6, rtol=1e-3)
+    np.testing.assert_allclose(variances[2:], [0.0099, 0.0101, 0.0101, 0.0101], rtol=2e-3)
+
+
+def test_a_track_without_recognized_places_stays_apart(
+    odometry_flight: "OdometryFlight", tracks: tuple[list[Departure], list[Departure]]
+) -> None:
+    mapper, is_known = kidnapped(TrueRecognizer(odometry_flight.true_poses, min_age=1000), tracks)
+    assert not is_known.any() and mapper.summary.separate_tracks == 1
+    graph, final = mapper.graph, final_correction(mapper)
+    assert graph is not None and len(graph.poses) == SPLIT == len(mapper.keyframes)
+    times = np.array([departure.t_ns for departure in (*tracks[0], *tracks[1])])
+    odometry = Trajectory(times, np.zeros((len(times), 3)), np.tile([1.0, 0.0, 0.0, 0.0], (len(times), 1)))
+    assert np.array_equal(final.applied(odometry).t_ns, times[:SPLIT])
+
+
+def test_final_correction_has_a_step_between_tracks(
+    odometry_flight: "OdometryFlight", tracks: tuple[list[Departure], list[Departure]]
+) -> None:
+    mapper, _ = kidnapped(TrueRecognizer(odometry_flight.true_poses, min_age=SPLIT), tracks)
+    final, start_ns = final_correction(mapper), tracks[1][0].t_ns
+    last, first = final.at(np.array([start_ns - 1, start_ns]))
+    assert np.linalg.norm(last[:3, 3]) < 0.1
+    np.testing.assert_allclose(first[:3, 3], inverse_pose(T_SHIFTED_ODOM)[:3, 3], atol=0.5)
+
+
+def test_a_keyframe_in_the_window_is_located_at_once(
+    odometry_flight: "OdometryFlight", tracks: tuple[list[Departure], list[Departure]]
+) -> None:
+    mapper = Mapper(TrueRecognizer(odometry_flight.true_poses, every=1))
+    added(mapper, tracks[0])
+    mapper.start_track(tracks[1][0].t_ns)
+    new = tracks[1][0]
+    correction = mapper.locate(new, KeyframeView(NO_KEYFRAME_FEATURES))
+    assert correction is not None and correction.T_map_odom is not None and correction.is_joined
+    assert np.linalg.norm((T_SHIFTED_ODOM @ correction.T_map_odom)[:3, 3]) < 0.2
+    assert len(mapper.keyframes) == SPLIT  # it is not part of the map yet
+
+
+@pytest.mark.parametrize(
+    ("before", "now", "tracked", "expected"),
+    [
+        (range(100), range(92, 200), 90, True),  # 8 features in common
+        (range(100), range(93, 200), 90, False),  # 7 features in common
+        (range(100), range(100, 200), 0, True),  # after darkness
+        (range(100), range(100, 105), 90, True),  # hardly anything is visible
+        (range(0), range(100, 200), 90, True),  # the first keyframe
+    ],
+)
+def test_keyframes_without_common_features_are_not_connected(
+    before: range, now: range, tracked: int, expected: bool
+) -> None:
+    assert are_connected(np.array(before, np.int64), np.array(now, np.int64), tracked) is expected
+
+
+def test_too_small_a_map_is_given_up(tracks: tuple[list[Departure], list[Departure]]) -> None:
+    mapper = Mapper(NoRecognizer())
+    added(mapper, tracks[0][:3])
+    mapper.start_track(tracks[1][0].t_ns)
+    correction = added(mapper, tracks[1][:2])[-1]
+    assert correction.T_map_odom is not None and len(mapper.keyframes) == 2
+    np.testing.assert_allclose(correction.T_map_odom, np.eye(4), atol=1e-9)
