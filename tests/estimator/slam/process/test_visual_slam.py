@@ -1,0 +1,137 @@
+"""Visual SLAM around an odometry whose frames, keyframes and losses are given."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+import numpy.typing as npt
+import pytest
+
+from dronevio.estimator.config import VioConfig
+from dronevio.estimator.keyframe_observer import KeyframeObserver, OdometryKeyframe
+from dronevio.estimator.slam import visual_slam
+from dronevio.estimator.slam.config import SlamConfig
+from dronevio.estimator.slam.map_builder import DepartedKeyframe
+from dronevio.estimator.slam.schedule import DelayConfig
+from dronevio.estimator.slam.visual_slam import VisualSlam
+from dronevio.estimator.types import Calibration
+from dronevio.models.imu import ImuSamples
+from dronevio.models.rig import Rig
+from dronevio.models.rotation import pose_matrix, rotation_z
+from dronevio.models.state import CameraFrame, Estimate, Health, NavState, Trajectory
+from tests.estimator.slam.process.conftest import DRIFT_M, PLACES, keyframe, one_camera
+
+Array = npt.NDArray[np.float64]
+
+T_SECOND_FIRST = pose_matrix(rotation_z(1.0), np.array([10.0, -20.0, 3.0]))
+"""Pose of the first odometry frame in that after the loss."""
+DELAY = 2
+"""Delay of corrections in frames."""
+
+
+@dataclass
+class ScriptedOdometry:
+    """An odometry that repeats given keyframes, each in a frame of its own, which departs two frames later."""
+
+    keyframes: Sequence[DepartedKeyframe | None]
+    """The keyframe of each frame; None where the odometry is lost."""
+    observer: KeyframeObserver | None = None
+    frames: int = 0
+    window: list[DepartedKeyframe] = field(default_factory=list)
+
+    def __call__(self, rig: Rig, config: VioConfig | None, observer: KeyframeObserver) -> "ScriptedOdometry":
+        """Be made like an odometry."""
+        self.observer = observer
+        return self
+
+    def add_imu(self, samples: ImuSamples) -> None:
+        """Do nothing."""
+
+    def add_frame(self, frame: CameraFrame) -> Estimate:
+        """Return the next pose."""
+        assert self.observer is not None
+        new = self.keyframes[self.frames]
+        self.frames += 1
+        if new is None:
+            self.window = []
+            self.observer.lost()
+            return Estimate(frame.t_ns, Health.LOST, None)
+        self.window.append(new)
+        if len(self.window) > DELAY:
+            self.observer.departed(self.window.pop(0).departure)
+        departure = new.departure
+        state = NavState(departure.t_ns, departure.T_odom_imu, np.zeros(3), np.zeros(3), np.zeros(3), 1e-5 * np.eye(15))
+        times = tuple(each.departure.t_ns for each in self.window)
+        calibration = Calibration(new.keyframe.rig)
+        ids, landmarks = departure.landmark_ids, departure.landmarks_odom
+        observations = new.keyframe.observations
+        self.observer.added(
+            OdometryKeyframe(departure.t_ns, state, observations, calibration, True, times, ids, landmarks)
+        )
+        return Estimate(frame.t_ns, Health.TRACKING, state)
+
+
+def in_second_frame(message: DepartedKeyframe) -> DepartedKeyframe:
+    """Return a keyframe in the odometry frame after the loss."""
+    T, landmarks = message.departure.T_odom_imu, message.departure.landmarks_odom
+    moved = landmarks @ T_SECOND_FIRST[:3, :3].T + T_SECOND_FIRST[:3, 3]
+    departure = replace(message.departure, T_odom_imu=T_SECOND_FIRST @ T, landmarks_odom=moved)
+    R_odom_imu = departure.T_odom_imu[:3, :3]
+    return DepartedKeyframe(replace(message.keyframe, R_odom_imu=R_odom_imu), departure)
+
+
+def run(
+    monkeypatch: pytest.MonkeyPatch, keyframes: Sequence[DepartedKeyframe | None]
+) -> tuple[VisualSlam, list[Estimate]]:
+    """Return visual SLAM after a flight, and its estimates."""
+    monkeypatch.setattr(visual_slam, "VisualInertialOdometry", ScriptedOdometry(keyframes))
+    config = SlamConfig(worker=False, correction_delay=DelayConfig(frames=DELAY))
+    slam, estimates, t_ns = VisualSlam(one_camera(), config=config), [], 0
+    for message in keyframes:
+        t_ns = t_ns + 50_000_000 if message is None else message.departure.t_ns
+        images = (np.zeros((8, 8), np.uint8),) if message is None else message.keyframe.images
+        estimates.append(slam.add_frame(CameraFrame(t_ns, images)))
+    return slam, estimates
+
+
+def places(second_lap: Sequence[int]) -> list[DepartedKeyframe | None]:
+    """Return a lap through the places, a loss, and keyframes at other places in another odometry frame."""
+    rig = one_camera()
+    first = [keyframe(rig, place, 0) for place in range(PLACES)]
+    return [*first, None, *(in_second_frame(keyframe(rig, place, 1)) for place in second_lap)]
+
+
+def test_after_a_loss_there_is_no_pose_in_the_map_until_a_place_is_recognized(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    slam, estimates = run(monkeypatch, places(range(PLACES)))
+    before, after = estimates[:PLACES], estimates[PLACES + 1 :]
+    assert all(estimate.T_map_odom is not None for estimate in before)
+    joined = next(i for i, estimate in enumerate(after) if estimate.T_map_odom is not None)
+    assert DELAY <= joined < PLACES - 1
+    assert after[joined].events == ("track joined with the map",)
+    for estimate in after[joined:]:
+        # The second lap of the odometry is off by its drift.
+        T = estimate.T_map_odom
+        assert T is not None
+        expected = pose_matrix(np.eye(3), np.array([0.0, -DRIFT_M, 0.0]))
+        np.testing.assert_allclose(T @ T_SECOND_FIRST, expected, atol=0.5 * DRIFT_M)
+        assert estimate.map_covariance is not None
+    for estimate in after[:joined]:
+        assert estimate.T_map_odom is None and estimate.T_map_imu is None and estimate.map_covariance is None
+    assert slam.summary.separate_tracks == 0
+
+
+def test_a_track_without_known_places_is_not_part_of_the_final_map(monkeypatch: pytest.MonkeyPatch) -> None:
+    slam, estimates = run(monkeypatch, places(range(20, 20 + PLACES)))
+    assert all(estimate.T_map_odom is None for estimate in estimates[PLACES:])
+    assert slam.summary.separate_tracks == 1
+    trajectory = Trajectory.from_states(estimate.state for estimate in estimates if estimate.state is not None)
+    final = slam.final_map()
+    assert final is not None and len(trajectory) == 2 * PLACES
+    np.testing.assert_array_equal(final.correction.applied(trajectory).t_ns, trajectory.t_ns[:PLACES])
+
+
+def test_before_the_first_correction_the_covariance_is_that_of_the_odometry(monkeypatch: pytest.MonkeyPatch) -> None:
+    _, estimates = run(monkeypatch, places([]))
+    np.testing.assert_array_equal(estimates[0].map_covariance, 1e-5 * np.eye(6))
