@@ -6,7 +6,7 @@ from typing import Protocol
 import numpy as np
 import numpy.typing as npt
 
-from dronevio.estimator.backend.departure import Departure
+from dronevio.estimator.backend.keyframe_estimate import KeyframeEstimate
 from dronevio.estimator.types import Calibration, Integers, Observations
 from dronevio.models.state import NavState
 
@@ -29,7 +29,7 @@ class OdometryKeyframe:
     """Whether the keyframe is the newest frame. Where a motion begins, it is an earlier one."""
     window_times_ns: tuple[int, ...]
     """Times of the keyframes in the window, this one included [ns]. A keyframe that is no longer among them and has not
-    departed was dropped."""
+    been marginalized was dropped."""
     landmark_ids: Integers
     """(L,) Identities of the triangulated landmarks that the keyframe observes, in increasing order."""
     landmarks_odom: Array
@@ -42,7 +42,7 @@ class KeyframeObserver(Protocol):
     def added(self, keyframe: OdometryKeyframe, /) -> None:
         """Receive a new keyframe, after the window has been optimized."""
 
-    def departed(self, departure: Departure, /) -> None:
+    def marginalized(self, estimate: KeyframeEstimate, /) -> None:
         """Receive the final estimate of a keyframe that leaves the window."""
 
     def lost(self) -> None:

@@ -230,14 +230,14 @@ class VisualInertialOdometry:
             propagator.preintegrated,
             packet.observations,
             stationary,
-            report_departure=self._observer is not None,
+            report_marginalized=self._observer is not None,
         )
         self._noise.update(result.imu_variance)
         self._pipeline.discard(result.rejected)
         events = result.events
         self._report_keyframe(smoother, packet, result)
         if self._calibrate(tracking, packet, result):
-            self._report_departures(smoother)
+            self._report_keyframe_estimates(smoother)
             smoother = smoother.recalibrated(self._calibration, self._online_calibration.covariance_inflation)
             gravity_m_s2 = self._config.gravity_m_s2 + self._calibration.gravity_correction_m_s2
             self._noise.set_gravity(gravity_m_s2)
@@ -250,8 +250,8 @@ class VisualInertialOdometry:
         """Report a new keyframe, and the one that leaves the window, to the observer."""
         if self._observer is None:
             return
-        if result.departure is not None:
-            self._observer.departed(result.departure)
+        if result.marginalized is not None:
+            self._observer.marginalized(result.marginalized)
         observations = packet.observations.without(result.rejected)
         landmarks = smoother.triangulated_landmarks
         ids, rows, _ = np.intersect1d(landmarks.ids, observations.ids, return_indices=True)
@@ -268,11 +268,11 @@ class VisualInertialOdometry:
             )
         )
 
-    def _report_departures(self, smoother: KeyframeSmoother) -> None:
+    def _report_keyframe_estimates(self, smoother: KeyframeSmoother) -> None:
         """Report all keyframes but the newest to the observer, since the window ends."""
         if self._observer is not None:
-            for departure in smoother.departures():
-                self._observer.departed(departure)
+            for estimate in smoother.keyframe_estimates():
+                self._observer.marginalized(estimate)
 
     def _calibrate(self, tracking: Tracking, packet: FramePacket, result: KeyframeResult) -> bool:
         """Add a keyframe to the online calibration and return whether the calibration has changed."""

@@ -21,7 +21,7 @@ import numpy as np
 import numpy.typing as npt
 from gtsam.symbol_shorthand import B, V, X
 
-from dronevio.estimator.backend.departure import Departure, departure_of
+from dronevio.estimator.backend.keyframe_estimate import KeyframeEstimate, keyframe_estimate
 from dronevio.estimator.backend.landmarks import LandmarkConfig, LandmarkDatabase, TriangulatedLandmarks
 from dronevio.estimator.backend.linalg import CholeskyFactor, SingularError
 from dronevio.estimator.backend.marginal_prior import STATE_DIM, KeyframeState
@@ -89,8 +89,8 @@ class KeyframeResult:
     """Texts for people on failures of the solver, otherwise empty."""
     imu_variance: ImuVarianceComponents | None = None
     """Variance components of the IMU, from the interval that leaves the window."""
-    departure: Departure | None = None
-    """The keyframe that leaves the window, if one is marginalized and departures are requested."""
+    marginalized: KeyframeEstimate | None = None
+    """The final estimate of the keyframe that is marginalized, if there is one and it is requested."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -168,7 +168,7 @@ class KeyframeSmoother:
         observations: Observations,
         stationary: bool,
         *,
-        report_departure: bool = False,
+        report_marginalized: bool = False,
     ) -> KeyframeResult:
         """Add a keyframe and optimize the window.
 
@@ -179,7 +179,7 @@ class KeyframeSmoother:
             preintegrated: The preintegrated measurements since the previous keyframe.
             observations: The features of the keyframe.
             stationary: Whether the vehicle is stationary since the previous keyframe.
-            report_departure: Whether to return the final estimate of a keyframe that is marginalized.
+            report_marginalized: Whether to return the final estimate of a keyframe that is marginalized.
 
         Returns:
             The rejected features, events, the variance components of the IMU, and the keyframe that leaves.
@@ -203,7 +203,7 @@ class KeyframeSmoother:
             self._image_variance = window.image_variance(residual, observed)
             outliers = window.landmarks.reject_outliers(residual, depth_m, observed)
             window.remove_landmarks(outliers.tolist())
-            departure = self._departure(0, solver) if marginalizes and report_departure else None
+            marginalized = self._keyframe_estimate(0, solver) if marginalizes and report_marginalized else None
             self._reduce_window(parallax_px)
         except (SingularError, np.linalg.LinAlgError) as error:
             covariance = self._solution.covariance
@@ -212,7 +212,7 @@ class KeyframeSmoother:
             self._position_covariance = covariance[3:6, 3:6]
             self._last_observed = observations, observations
             return KeyframeResult(rejected, (f"solver restored: {error}",))
-        return KeyframeResult(np.union1d(rejected, outliers), imu_variance=imu_variance, departure=departure)
+        return KeyframeResult(np.union1d(rejected, outliers), imu_variance=imu_variance, marginalized=marginalized)
 
     def initial_adjustment(self, keyframes: Sequence[Keyframe]) -> float | None:
         """Add the first keyframes together and adjust them by Levenberg-Marquardt.
@@ -252,17 +252,17 @@ class KeyframeSmoother:
         state, covariance = self._solution.state, self._solution.covariance + covariance_inflation
         return KeyframeSmoother(calibration, self._config, self._landmark_config, state, covariance, NO_FEATURES)
 
-    def departures(self) -> tuple[Departure, ...]:
+    def keyframe_estimates(self) -> tuple[KeyframeEstimate, ...]:
         """Return the final estimates of all keyframes but the newest, for the end of the window."""
         try:
             solver = CholeskyFactor(self._window.linearize().H)
         except (SingularError, np.linalg.LinAlgError):
             return ()
-        return tuple(self._departure(index, solver) for index in range(len(self._window.states) - 1))
+        return tuple(self._keyframe_estimate(index, solver) for index in range(len(self._window.states) - 1))
 
-    def _departure(self, index: int, solver: CholeskyFactor) -> Departure:
+    def _keyframe_estimate(self, index: int, solver: CholeskyFactor) -> KeyframeEstimate:
         """Return the final estimate of a keyframe of the window."""
-        return departure_of(self._window, index, solver, self._times_ns, self._position_covariance)
+        return keyframe_estimate(self._window, index, solver, self._times_ns, self._position_covariance)
 
     @property
     def _focal_px(self) -> float:

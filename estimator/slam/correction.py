@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from dronevio.estimator.backend.departure import Departure
+from dronevio.estimator.backend.keyframe_estimate import KeyframeEstimate
 from dronevio.estimator.slam.odometry_factors import OdometryNode, RelativePose, odometry_factors, propagated
 from dronevio.models.state import NavState
 
@@ -18,7 +18,7 @@ class Correction:
 
     T_map_odom: Array | None
     """(4, 4) Pose of the odometry frame in the map frame at the anchor; None where the submap is not joined."""
-    anchor: Departure
+    anchor: KeyframeEstimate
     """The anchor's estimate by the odometry: the newest keyframe of the map, or one that was located in it."""
     covariance: Array
     """(6, 6) Covariance of the anchor's pose in the map: δθ, then δp, both in the IMU frame."""
@@ -48,7 +48,7 @@ class Correction:
         if self.T_map_odom is None or state.covariance is None:
             return None
         anchor = OdometryNode(0, self.anchor, self.anchor.covariance)
-        _, relative, gravity = odometry_factors(anchor, 1, Departure.of_state(state))
+        _, relative, gravity = odometry_factors(anchor, 1, KeyframeEstimate.of_state(state))
         S = np.eye(6)
         S[3:, 3:] = self.T_map_odom[:3, :3] @ state.T_world_imu[:3, :3]
         return np.asarray(S @ propagated(self.covariance, relative, gravity) @ S.T)

@@ -13,7 +13,7 @@ from typing import Protocol, TypeVar
 import numpy as np
 import numpy.typing as npt
 
-from dronevio.estimator.backend.departure import Departure
+from dronevio.estimator.backend.keyframe_estimate import KeyframeEstimate
 from dronevio.estimator.slam.config import SlamConfig
 from dronevio.estimator.slam.correction import Correction
 from dronevio.estimator.slam.features import PlaceFeatureExtractor
@@ -47,18 +47,18 @@ class WindowKeyframe:
     """A new keyframe of the odometry's window, sent while the track has no pose in the map."""
 
     keyframe: ImagedKeyframe
-    """The keyframe."""
-    estimate: Departure
+    """The keyframe as it was added."""
+    estimate: KeyframeEstimate
     """Its causal estimate."""
 
 
 @dataclass(frozen=True, eq=False)
-class DepartedKeyframe:
+class MarginalizedKeyframe:
     """A keyframe that has left the odometry's window."""
 
     keyframe: ImagedKeyframe
-    """The keyframe as it was when it was added."""
-    departure: Departure
+    """The keyframe as it was added."""
+    estimate: KeyframeEstimate
     """Its final estimate."""
 
 
@@ -70,7 +70,7 @@ class TrackLost:
     """Time at which the next track begins [ns]."""
 
 
-MapMessage = WindowKeyframe | DepartedKeyframe | TrackLost
+MapMessage = WindowKeyframe | MarginalizedKeyframe | TrackLost
 """What the odometry sends to its map."""
 
 
@@ -139,8 +139,8 @@ class MapBuilder:
                 return None
             case WindowKeyframe(keyframe, estimate):
                 return self.mapper.locate(estimate, self._view(keyframe))
-            case DepartedKeyframe(keyframe, departure):
-                return self.mapper.add(departure, self._view(keyframe))
+            case MarginalizedKeyframe(keyframe, estimate):
+                return self.mapper.add(estimate, self._view(keyframe))
 
     def _view(self, keyframe: ImagedKeyframe) -> KeyframeView:
         """Return what the cameras show at a keyframe."""

@@ -17,7 +17,7 @@ from typing import Annotated, Protocol
 import numpy as np
 import numpy.typing as npt
 
-from dronevio.estimator.backend.departure import Departure
+from dronevio.estimator.backend.keyframe_estimate import KeyframeEstimate
 from dronevio.estimator.slam.correction import Correction
 from dronevio.estimator.slam.covisibility import CovisibilityConfig, nearest_views
 from dronevio.estimator.slam.keyframe import KeyframeFeatures, MapKeyframe
@@ -163,11 +163,11 @@ class Mapper:
         if home is None or len(home.graph.poses) < MIN_MAP_KEYFRAMES:
             self._home = self._track  # there is nothing yet that could be recognized
 
-    def locate(self, departure: Departure, view: KeyframeView) -> Correction | None:
+    def locate(self, estimate: KeyframeEstimate, view: KeyframeView) -> Correction | None:
         """Return the correction of a track that is not joined, by a keyframe that is still in the window.
 
         Args:
-            departure: The estimate of the keyframe so far.
+            estimate: The estimate of the keyframe so far.
             view: What its cameras show.
 
         Returns:
@@ -176,7 +176,7 @@ class Mapper:
         home = self._submap_of(self._home)
         if home is None or self._track in home.tracks or self._located is not None:
             return None
-        keyframe = self._keyframe(departure, view)
+        keyframe = self._keyframe(estimate, view)
         match = self._recognizer.locate(keyframe)
         if match is None or match.match not in home.graph.poses:
             return None
@@ -185,38 +185,38 @@ class Mapper:
         if view.images is not None and patches is not None:
             old, predicted = self._keyframes[match.match], match.T_match_query
             place = self._localizer.localize(keyframe, view.images, old, patches, predicted) or place
-        self._located = home.graph.poses[match.match] @ place.T_first_second @ inverse_pose(departure.T_odom_imu)
+        self._located = home.graph.poses[match.match] @ place.T_first_second @ inverse_pose(estimate.T_odom_imu)
         covariance = propagated(marginal_covariance(home.solution.without_rejected, match.match), place, None)
-        return Correction(self._located, departure, covariance, self._track, is_joined=True)
+        return Correction(self._located, estimate, covariance, self._track, is_joined=True)
 
-    def add(self, departure: Departure, view: KeyframeView) -> Correction:
+    def add(self, estimate: KeyframeEstimate, view: KeyframeView) -> Correction:
         """Let a keyframe join its submap, and return the correction of the odometry.
 
         Args:
-            departure: The final estimate of the keyframe.
+            estimate: The final estimate of the keyframe.
             view: What its cameras show.
         """
-        keyframe = self._keyframe(departure, view)
+        keyframe = self._keyframe(estimate, view)
         self._keyframes.append(keyframe)
         was_known = self._is_home or self._located is not None
-        submap = self._extended(keyframe.number, departure)
+        submap = self._extended(keyframe.number, estimate)
         loops = [_loop(match) for match in self._recognizer.add(keyframe)]
         inner = [loop for loop in loops if loop.first in submap.graph.poses]
         if view.images is not None:
             inner += self._localized(submap.graph, keyframe, view.images)
             self._patches[keyframe.number] = landmark_patches(keyframe, view.images, self._config.localization)
-        submap = self._joined(submap.with_loops(inner), [loop for loop in loops if loop not in inner], departure.t_ns)
-        if self._is_due(submap, departure.t_ns):
-            submap = submap.optimized(departure.t_ns)
+        submap = self._joined(submap.with_loops(inner), [loop for loop in loops if loop not in inner], estimate.t_ns)
+        if self._is_due(submap, estimate.t_ns):
+            submap = submap.optimized(estimate.t_ns)
         self._submaps = (*(each for each in self._submaps if not each.tracks & submap.tracks), submap)
         closed = tuple(loop for loop in submap.closed_loops if loop not in self._closed)
         self._closed.update(closed)
         T_map_odom = self._located
         if self._is_home:
-            T_map_odom = submap.graph.poses[keyframe.number] @ inverse_pose(departure.T_odom_imu)
+            T_map_odom = submap.graph.poses[keyframe.number] @ inverse_pose(estimate.T_odom_imu)
         return Correction(
             T_map_odom,
-            departure,
+            estimate,
             submap.covariance,
             self._track,
             T_map_odom is not None and not was_known,
@@ -240,20 +240,20 @@ class Mapper:
         """Return the submap of a track; None before its first keyframe."""
         return next((submap for submap in self._submaps if track in submap.tracks), None)
 
-    def _keyframe(self, departure: Departure, view: KeyframeView) -> MapKeyframe:
+    def _keyframe(self, estimate: KeyframeEstimate, view: KeyframeView) -> MapKeyframe:
         """Return the next keyframe of the newest track."""
-        T = departure.T_odom_imu
-        landmarks_imu = (departure.landmarks_odom - T[:3, 3]) @ T[:3, :3]
-        number, ids = len(self._keyframes), departure.landmark_ids
-        return MapKeyframe(number, departure.t_ns, T, view.features, ids, landmarks_imu, self._track)
+        T = estimate.T_odom_imu
+        landmarks_imu = (estimate.landmarks_odom - T[:3, 3]) @ T[:3, :3]
+        number, ids = len(self._keyframes), estimate.landmark_ids
+        return MapKeyframe(number, estimate.t_ns, T, view.features, ids, landmarks_imu, self._track)
 
-    def _extended(self, number: int, departure: Departure) -> Submap:
+    def _extended(self, number: int, estimate: KeyframeEstimate) -> Submap:
         """Return the submap of the newest track with a new keyframe, the anchor from now on."""
         submap = self._submap_of(self._track)
         if self._anchor is None or submap is None:
-            self._anchor = first_node(number, departure)
-            return Submap.begin(number, departure, self._track)
-        self._anchor, submap = submap.extended(self._anchor, number, departure)
+            self._anchor = first_node(number, estimate)
+            return Submap.begin(number, estimate, self._track)
+        self._anchor, submap = submap.extended(self._anchor, number, estimate)
         return submap
 
     def _joined(self, submap: Submap, loops: Sequence[RelativePose], t_ns: int) -> Submap:

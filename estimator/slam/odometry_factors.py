@@ -18,7 +18,7 @@ from typing import Self
 import numpy as np
 import numpy.typing as npt
 
-from dronevio.estimator.backend.departure import Departure
+from dronevio.estimator.backend.keyframe_estimate import KeyframeEstimate
 from dronevio.models.rotation import adjoint, inverse_pose
 
 Array = npt.NDArray[np.float64]
@@ -73,43 +73,43 @@ class OdometryNode:
 
     number: int
     """Number of the keyframe."""
-    departure: Departure
+    estimate: KeyframeEstimate
     """Its final estimate by the odometry."""
     covariance: Array
     """(6, 6) Marginal covariance of its pose by the factors of the odometry up to it."""
 
 
-def first_node(number: int, departure: Departure) -> OdometryNode:
+def first_node(number: int, estimate: KeyframeEstimate) -> OdometryNode:
     """Return the first keyframe of a map, whose pose has the covariance of the odometry."""
-    return OdometryNode(number, departure, departure.covariance)
+    return OdometryNode(number, estimate, estimate.covariance)
 
 
 def odometry_factors(
-    previous: OdometryNode, number: int, departure: Departure
+    previous: OdometryNode, number: int, estimate: KeyframeEstimate
 ) -> tuple[OdometryNode, RelativePose, GravityDirection | None]:
     """Return the next keyframe of the odometry and its factors.
 
     Args:
-        previous: The keyframe that departed before it.
+        previous: The keyframe that was marginalized before it.
         number: Number of the keyframe.
-        departure: Its final estimate.
+        estimate: Its final estimate.
 
     Returns:
         The keyframe, its pose in the frame of the previous one, and the direction of gravity, None where the odometry
         knows nothing new about it.
     """
-    T = inverse_pose(previous.departure.T_odom_imu) @ departure.T_odom_imu
+    T = inverse_pose(previous.estimate.T_odom_imu) @ estimate.T_odom_imu
     transported = _transported(previous.covariance, T)
-    least = _least_covariance(previous.departure, departure)
-    added = least + _missing_growth(departure, transported + least)
+    least = _least_covariance(previous.estimate, estimate)
+    added = least + _missing_growth(estimate, transported + least)
     relative = RelativePose(previous.number, number, T, added)
     P = transported + added
-    up = departure.T_odom_imu[:3, :3].T @ _UP
+    up = estimate.T_odom_imu[:3, :3].T @ _UP
     tilt = _tilt_axes(up)
-    information = _information(tilt, departure.covariance) - _information(tilt, P)
+    information = _information(tilt, estimate.covariance) - _information(tilt, P)
     mean_information = float(np.trace(information)) / 2.0
     gravity = None if mean_information <= 0.0 else GravityDirection(number, up, mean_information**-0.5)
-    return OdometryNode(number, departure, propagated(previous.covariance, relative, gravity)), relative, gravity
+    return OdometryNode(number, estimate, propagated(previous.covariance, relative, gravity)), relative, gravity
 
 
 def propagated(covariance: Array, relative: RelativePose, gravity: GravityDirection | None) -> Array:
@@ -140,20 +140,20 @@ def _transported(covariance: Array, T_first_second: Array) -> Array:
     return np.asarray(A @ covariance @ A.T)
 
 
-def _least_covariance(previous: Departure, departure: Departure) -> Array:
+def _least_covariance(previous: KeyframeEstimate, estimate: KeyframeEstimate) -> Array:
     """Return the covariance of the relative pose within the window, extended to keyframes that are further apart."""
     interval_ns = max(previous.next_t_ns - previous.t_ns, 1)
-    return np.asarray(previous.relative_covariance * max((departure.t_ns - previous.t_ns) / interval_ns, 1.0))
+    return np.asarray(previous.relative_covariance * max((estimate.t_ns - previous.t_ns) / interval_ns, 1.0))
 
 
-def _missing_growth(departure: Departure, covariance: Array) -> Array:
+def _missing_growth(estimate: KeyframeEstimate, covariance: Array) -> Array:
     """Return what a covariance (6, 6) of a pose lacks to reach that of the odometry, at least zero.
 
     Yaw, height and the horizontal position are compared apart. Of the latter it is the trace, since an ellipse that
     turns, as by an error of scale while the vehicle flies around its start, would else grow at every turn.
     """
-    S = np.kron(np.eye(2), departure.T_odom_imu[:3, :3])  # from the IMU frame to the odometry frame
-    expected, found = S @ departure.covariance @ S.T, S @ covariance @ S.T
+    S = np.kron(np.eye(2), estimate.T_odom_imu[:3, :3])  # from the IMU frame to the odometry frame
+    expected, found = S @ estimate.covariance @ S.T, S @ covariance @ S.T
     missing, horizontal = np.zeros((6, 6)), slice(3, 5)
     missing[2, 2] = max(expected[2, 2] - found[2, 2], 0.0)
     missing[5, 5] = max(expected[5, 5] - found[5, 5], 0.0)

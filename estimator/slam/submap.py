@@ -10,7 +10,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 import numpy.typing as npt
 
-from dronevio.estimator.backend.departure import Departure
+from dronevio.estimator.backend.keyframe_estimate import KeyframeEstimate
 from dronevio.estimator.slam.odometry_factors import OdometryNode, RelativePose, odometry_factors, propagated
 from dronevio.estimator.slam.pose_graph import (
     OptimizedGraph,
@@ -40,10 +40,10 @@ class Submap:
     """Time of the newest keyframe at the last optimization [ns]; None before the first one."""
 
     @classmethod
-    def begin(cls, number: int, departure: Departure, track: int) -> "Submap":
+    def begin(cls, number: int, estimate: KeyframeEstimate, track: int) -> "Submap":
         """Return the submap of the first keyframe of a track."""
-        graph = PoseGraph(number, departure.covariance, {number: departure.T_odom_imu})
-        return cls(OptimizedGraph(graph, frozenset()), frozenset({track}), departure.covariance)
+        graph = PoseGraph(number, estimate.covariance, {number: estimate.T_odom_imu})
+        return cls(OptimizedGraph(graph, frozenset()), frozenset({track}), estimate.covariance)
 
     @property
     def graph(self) -> PoseGraph:
@@ -60,16 +60,16 @@ class Submap:
         """The loops that an optimization has accepted."""
         return self.solution.without_rejected.loops
 
-    def extended(self, anchor: OdometryNode, number: int, departure: Departure) -> tuple[OdometryNode, "Submap"]:
+    def extended(self, anchor: OdometryNode, number: int, estimate: KeyframeEstimate) -> tuple[OdometryNode, "Submap"]:
         """Return a new keyframe as a node of the odometry, and the submap with it.
 
         Args:
             anchor: The newest keyframe of the same track.
             number: Number of the new keyframe.
-            departure: The final estimate of the new keyframe.
+            estimate: The final estimate of the new keyframe.
         """
         graph = self.graph
-        node, relative, gravity = odometry_factors(anchor, number, departure)
+        node, relative, gravity = odometry_factors(anchor, number, estimate)
         poses = {**graph.poses, number: graph.poses[relative.first] @ relative.T_first_second}
         directions = graph.gravity if gravity is None else (*graph.gravity, gravity)
         graph = replace(graph, poses=poses, odometry=(*graph.odometry, relative), gravity=directions)

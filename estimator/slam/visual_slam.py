@@ -16,7 +16,7 @@ from functools import reduce
 import numpy as np
 import numpy.typing as npt
 
-from dronevio.estimator.backend.departure import Departure
+from dronevio.estimator.backend.keyframe_estimate import KeyframeEstimate
 from dronevio.estimator.backend.observations import observation_table
 from dronevio.estimator.config import VioConfig
 from dronevio.estimator.imu.preintegration import PreintegrationParams
@@ -26,11 +26,11 @@ from dronevio.estimator.slam.config import SlamConfig
 from dronevio.estimator.slam.correction import Correction
 from dronevio.estimator.slam.keyframe import MapKeyframe
 from dronevio.estimator.slam.map_builder import (
-    DepartedKeyframe,
     ImagedKeyframe,
     LocalMap,
     MapCost,
     MapMessage,
+    MarginalizedKeyframe,
     OdometryMap,
     TrackLost,
     WindowKeyframe,
@@ -79,7 +79,7 @@ class VisualSlam:
         self._config = c = config or SlamConfig()
         self._rig = rig
         self._imu: list[ImuSamples] = []
-        self._keyframes = _DepartingKeyframes()
+        self._keyframes = _KeyframeMessages()
         self._odometry = VisualInertialOdometry(rig, odometry, observer=self._keyframes)
         self._map: OdometryMap = MapProcess(rig, c) if c.worker else LocalMap(rig, c)
         self._schedule = CorrectionSchedule(c.correction_delay)
@@ -184,7 +184,7 @@ class VisualSlam:
         self._map.close()
 
 
-class _DepartingKeyframes:
+class _KeyframeMessages:
     """Keeps the keyframes of the odometry until they leave the window; implements `KeyframeObserver`."""
 
     def __init__(self) -> None:
@@ -193,7 +193,7 @@ class _DepartingKeyframes:
         self._tracked, self._has_map_pose = 0, True
         self._newest_ids = np.zeros(0, np.int64)
         self._waiting: dict[int, tuple[OdometryKeyframe, ImagedKeyframe]] = {}
-        self._members: dict[int, OdometryKeyframe] = {}  # keyframes that have departed
+        self._members: dict[int, OdometryKeyframe] = {}  # keyframes that have been marginalized
         self._messages: list[MapMessage] = []
 
     def begin_frame(self, frame: CameraFrame, tracked: int, *, has_map_pose: bool) -> None:
@@ -226,15 +226,15 @@ class _DepartingKeyframes:
         imaged = ImagedKeyframe(images, keyframe.calibration.rig, R_odom_imu, keyframe.observations)
         self._waiting[keyframe.t_ns] = keyframe, imaged
         if not self._has_map_pose:
-            estimate = Departure.of_state(keyframe.state, keyframe.landmark_ids, keyframe.landmarks_odom)
+            estimate = KeyframeEstimate.of_state(keyframe.state, keyframe.landmark_ids, keyframe.landmarks_odom)
             self._messages.append(WindowKeyframe(imaged, estimate))
 
-    def departed(self, departure: Departure) -> None:
+    def marginalized(self, estimate: KeyframeEstimate) -> None:
         """Let a keyframe of the odometry join the map, if its images are known."""
-        waiting = self._waiting.pop(departure.t_ns, None)
+        waiting = self._waiting.pop(estimate.t_ns, None)
         if waiting is not None:
-            self._members[departure.t_ns] = waiting[0]
-            self._messages.append(DepartedKeyframe(waiting[1], departure))
+            self._members[estimate.t_ns] = waiting[0]
+            self._messages.append(MarginalizedKeyframe(waiting[1], estimate))
 
     def adjustment_inputs(
         self,

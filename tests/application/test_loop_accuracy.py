@@ -31,7 +31,9 @@ def views() -> Views:
     Ts[:, 0, 3] = [0.0, 10.0, 0.0, 0.1, 20.0]
     t_ns = np.array([0, 20, 40, 60, 80]) * 1_000_000_000
     rays = CAMERA.unproject(np.stack(np.meshgrid(np.arange(16) * 40.0, np.arange(12) * 40.0), axis=-1))
-    return Views(t_ns, np.linspace(0.0, 40.0, 5), Ts, CAMERA, np.asarray(np.tile(5.0 / rays[..., 2], (5, 1, 1)), np.float64))
+    return Views(
+        t_ns, np.linspace(0.0, 40.0, 5), Ts, CAMERA, np.asarray(np.tile(5.0 / rays[..., 2], (5, 1, 1)), np.float64)
+    )
 
 
 @pytest.fixture

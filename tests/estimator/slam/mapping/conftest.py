@@ -9,7 +9,7 @@ import numpy as np
 import numpy.typing as npt
 import pytest
 
-from dronevio.estimator.backend.departure import Departure
+from dronevio.estimator.backend.keyframe_estimate import KeyframeEstimate
 from dronevio.estimator.keyframe_observer import OdometryKeyframe
 from dronevio.estimator.slam.correction import Correction
 from dronevio.estimator.slam.keyframe import NO_KEYFRAME_FEATURES, MapKeyframe
@@ -102,15 +102,15 @@ class RecordingObserver:
     """A `KeyframeObserver` that keeps what it receives."""
 
     keyframes: list[OdometryKeyframe] = field(default_factory=list)
-    departures: list[Departure] = field(default_factory=list)
+    estimates: list[KeyframeEstimate] = field(default_factory=list)
 
     def added(self, keyframe: OdometryKeyframe) -> None:
         """Keep the keyframe."""
         self.keyframes.append(keyframe)
 
-    def departed(self, departure: Departure) -> None:
-        """Keep the departure."""
-        self.departures.append(departure)
+    def marginalized(self, estimate: KeyframeEstimate) -> None:
+        """Keep the estimate."""
+        self.estimates.append(estimate)
 
     def lost(self) -> None:
         """Fail, since no synthetic flight here is lost."""
@@ -122,9 +122,9 @@ class MappedFlight:
     """The map of a flight."""
 
     mapper: Mapper
-    """The mapper after the last departure."""
+    """The mapper after the last keyframe."""
     corrections: list[Correction]
-    """The correction after each departure."""
+    """The correction by each keyframe."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -133,19 +133,19 @@ class OdometryFlight:
 
     flight: "SyntheticFlight"
     estimates: list[Estimate]
-    departures: list[Departure]
+    marginalized: list[KeyframeEstimate]
     keyframes: list[OdometryKeyframe]
 
     @cached_property
     def true_poses(self) -> dict[int, Array]:
-        """True poses (4, 4) of the IMU at the departures, by their times [ns]."""
-        return {d.t_ns: self.flight.state_at(d.t_ns).T_world_imu for d in self.departures}
+        """True poses (4, 4) of the IMU at the marginalized keyframes, by their times [ns]."""
+        return {d.t_ns: self.flight.state_at(d.t_ns).T_world_imu for d in self.marginalized}
 
     def mapped(self, recognizer: Recognizer) -> MappedFlight:
         """Return the map of the flight; keyframes have no image."""
         mapper = Mapper(recognizer)
         view = KeyframeView(NO_KEYFRAME_FEATURES)
-        return MappedFlight(mapper, [mapper.add(departure, view) for departure in self.departures])
+        return MappedFlight(mapper, [mapper.add(estimate, view) for estimate in self.marginalized])
 
     def with_loops(self, **settings: float) -> tuple[TrueRecognizer, MappedFlight]:
         """Return a recognizer that knows the true poses, and the map with the places that it recognizes."""
@@ -157,4 +157,4 @@ class OdometryFlight:
 def odometry_flight(make_flight: "Callable[..., SyntheticFlight]") -> OdometryFlight:
     """Return a flight of 25 s with the keyframes of its odometry."""
     flight, observer = make_flight(4, duration_s=25.0), RecordingObserver()
-    return OdometryFlight(flight, flight.run(observer=observer), observer.departures, observer.keyframes)
+    return OdometryFlight(flight, flight.run(observer=observer), observer.estimates, observer.keyframes)

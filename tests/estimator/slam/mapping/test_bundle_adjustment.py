@@ -34,14 +34,14 @@ def inputs(odometry_flight: "OdometryFlight", solution: OptimizedGraph) -> Adjus
     """Return the measurements of the map, with the poses of the graph as initial ones."""
     of_time = {keyframe.t_ns: keyframe for keyframe in odometry_flight.keyframes}
     keyframes, flight = [], odometry_flight.flight
-    for number, departure in enumerate(odometry_flight.departures):
-        if departure.t_ns not in of_time:  # a keyframe of the initialization
+    for number, estimate in enumerate(odometry_flight.marginalized):
+        if estimate.t_ns not in of_time:  # a keyframe of the initialization
             continue
-        known = of_time[departure.t_ns]
+        known = of_time[estimate.t_ns]
         keyframes.append(
             AdjustmentKeyframe(
                 number,
-                departure.t_ns,
+                estimate.t_ns,
                 solution.graph.poses[number],
                 known.state.velocity_m_s,
                 known.state.gyro_bias_rad_s,
@@ -52,7 +52,7 @@ def inputs(odometry_flight: "OdometryFlight", solution: OptimizedGraph) -> Adjus
     params = PreintegrationParams.of(flight.rig.imu, PreintegrationConfig())
     first = keyframes[0].number
     loops = [loop for loop in solution.without_rejected.loops if loop.first >= first]
-    covariance, calibration = odometry_flight.departures[first].covariance, odometry_flight.keyframes[-1].calibration
+    covariance, calibration = odometry_flight.marginalized[first].covariance, odometry_flight.keyframes[-1].calibration
     return AdjustmentInputs(keyframes, loops, flight.imu, flight.rig.imu, params, calibration, first, covariance)
 
 
@@ -69,7 +69,7 @@ def test_adjustment_is_better_than_the_odometry(
     odometry_flight: "OdometryFlight", inputs: AdjustmentInputs, solution: OptimizedGraph
 ) -> None:
     adjusted = adjust(inputs, AdjustmentConfig())
-    odometry = {number: departure.T_odom_imu for number, departure in enumerate(odometry_flight.departures)}
+    odometry = {number: estimate.T_odom_imu for number, estimate in enumerate(odometry_flight.marginalized)}
     assert set(adjusted) == {keyframe.number for keyframe in inputs.keyframes}
     error_m, of_odometry_m, of_graph_m = (
         rmse_m(odometry_flight, inputs, poses) for poses in (adjusted, odometry, solution.graph.poses)

@@ -7,7 +7,7 @@ import numpy as np
 import numpy.typing as npt
 import pytest
 
-from dronevio.estimator.backend.departure import Departure
+from dronevio.estimator.backend.keyframe_estimate import KeyframeEstimate
 from dronevio.estimator.slam.correction import Correction
 from dronevio.models.rotation import exp_so3, pose_matrix, rotation_z
 from dronevio.models.state import NavState
@@ -39,7 +39,7 @@ def test_at_the_anchor_it_is_the_marginal_in_the_map() -> None:
     S = np.eye(6)
     S[3:, 3:] = R_ODOM_IMU.T
     marginal = S @ np.diag([1e-6, 2e-6, 3e-6, 1e-4, 4e-4, 9e-4]) @ S.T  # δp given in the odometry frame
-    correction = Correction(T_map_odom, Departure.of_state(state), marginal)
+    correction = Correction(T_map_odom, KeyframeEstimate.of_state(state), marginal)
     covariance = correction.covariance_at(state)
     # A yaw of 90° exchanges the two horizontal axes.
     assert covariance is not None
@@ -49,7 +49,7 @@ def test_at_the_anchor_it_is_the_marginal_in_the_map() -> None:
 
 def test_growth_since_the_anchor_is_that_of_the_odometry() -> None:
     before, after = (np.array([1e-6, 1e-6, 1e-6, s, s, s]) for s in (0.3, 0.5))
-    anchor = Departure.of_state(state_with(before))
+    anchor = KeyframeEstimate.of_state(state_with(before))
     correction = Correction(np.eye(4), anchor, np.diag([1e-12, 1e-12, 1e-12, 1e-4, 1e-4, 1e-4]))
     covariance = correction.covariance_at(state_with(after, 10**9))
     # 0.01² of the map, and 0.5² - 0.3² that the odometry has added
@@ -59,7 +59,7 @@ def test_growth_since_the_anchor_is_that_of_the_odometry() -> None:
 
 def test_uncertain_yaw_of_the_anchor_moves_later_positions() -> None:
     sigmas = np.full(6, 1e-6)
-    anchor = Departure.of_state(state_with(sigmas, position_m=(0.0, 0.0, 0.0)))
+    anchor = KeyframeEstimate.of_state(state_with(sigmas, position_m=(0.0, 0.0, 0.0)))
     up = R_ODOM_IMU[2]
     marginal = np.zeros((6, 6))
     marginal[:3, :3] = 0.02**2 * np.outer(up, up) + 1e-12 * np.eye(3)  # yaw alone
@@ -71,7 +71,7 @@ def test_uncertain_yaw_of_the_anchor_moves_later_positions() -> None:
 
 def test_without_a_pose_or_covariance_there_is_none() -> None:
     state = state_with(np.full(6, 0.1))
-    correction = Correction(np.eye(4), Departure.of_state(state), np.eye(6))
+    correction = Correction(np.eye(4), KeyframeEstimate.of_state(state), np.eye(6))
     assert correction.covariance_at(state) is not None
     assert correction.covariance_at(replace(state, covariance=None)) is None
     assert replace(correction, T_map_odom=None).covariance_at(state) is None

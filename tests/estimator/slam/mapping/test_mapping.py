@@ -39,24 +39,24 @@ def test_observer_leaves_the_odometry_as_it_is(
             assert a.state.covariance.tobytes() == b.state.covariance.tobytes()
 
 
-def test_departures_are_in_order_and_close_to_the_truth(odometry_flight: "OdometryFlight") -> None:
-    departures, true_poses = odometry_flight.departures, odometry_flight.true_poses
-    times = [departure.t_ns for departure in departures]
+def test_marginalized_keyframes_are_close_to_the_truth(odometry_flight: "OdometryFlight") -> None:
+    marginalized, true_poses = odometry_flight.marginalized, odometry_flight.true_poses
+    times = [estimate.t_ns for estimate in marginalized]
     assert len(times) > 80 and times == sorted(set(times))
-    first = departures[0]
-    for departure in departures:
-        T = inverse_pose(first.T_odom_imu) @ departure.T_odom_imu
-        true_T = inverse_pose(true_poses[first.t_ns]) @ true_poses[departure.t_ns]
+    first = marginalized[0]
+    for estimate in marginalized:
+        T = inverse_pose(first.T_odom_imu) @ estimate.T_odom_imu
+        true_T = inverse_pose(true_poses[first.t_ns]) @ true_poses[estimate.t_ns]
         assert np.linalg.norm(T[:3, 3] - true_T[:3, 3]) < 0.1
-        assert np.all(np.linalg.eigvalsh(departure.covariance) > 0.0)
-        assert np.all(np.linalg.eigvalsh(departure.relative_covariance) > 0.0)
-        assert departure.t_ns < departure.next_t_ns and len(departure.landmark_ids) == len(departure.landmarks_odom)
+        assert np.all(np.linalg.eigvalsh(estimate.covariance) > 0.0)
+        assert np.all(np.linalg.eigvalsh(estimate.relative_covariance) > 0.0)
+        assert estimate.t_ns < estimate.next_t_ns and len(estimate.landmark_ids) == len(estimate.landmarks_odom)
 
 
-def test_landmarks_of_a_departure_are_at_their_true_places(odometry_flight: "OdometryFlight") -> None:
-    departure = odometry_flight.departures[60]
-    T = odometry_flight.true_poses[departure.t_ns] @ inverse_pose(departure.T_odom_imu)
-    in_world = departure.landmarks_odom @ T[:3, :3].T + T[:3, 3]
+def test_landmarks_of_a_marginalized_keyframe_are_true(odometry_flight: "OdometryFlight") -> None:
+    estimate = odometry_flight.marginalized[60]
+    T = odometry_flight.true_poses[estimate.t_ns] @ inverse_pose(estimate.T_odom_imu)
+    in_world = estimate.landmarks_odom @ T[:3, :3].T + T[:3, 3]
     distance = np.linalg.norm(in_world[:, None] - odometry_flight.flight.landmarks, axis=2).min(axis=1)
     assert len(distance) > 20 and np.median(distance) < 0.02
 
@@ -67,8 +67,8 @@ def test_without_loops_the_graph_gives_the_odometry_back(
     graph = without_loops.mapper.graph
     assert graph is not None
     solved = optimize(graph).graph
-    for number, departure in enumerate(odometry_flight.departures):
-        np.testing.assert_allclose(solved.poses[number], departure.T_odom_imu, atol=1e-6)
+    for number, estimate in enumerate(odometry_flight.marginalized):
+        np.testing.assert_allclose(solved.poses[number], estimate.T_odom_imu, atol=1e-6)
     T_map_odom = without_loops.corrections[-1].T_map_odom
     assert T_map_odom is not None
     np.testing.assert_allclose(T_map_odom, np.eye(4), atol=1e-9)
@@ -80,10 +80,10 @@ def test_growth_of_covariance_is_that_of_the_odometry(
     graph = without_loops.mapper.graph
     assert graph is not None
     ratios = []
-    for number in range(len(odometry_flight.departures) // 3, len(odometry_flight.departures), 4):
-        departure = odometry_flight.departures[number]
-        expected, found = departure.covariance, marginal_covariance(graph, number)
-        up = departure.T_odom_imu[2, :3]
+    for number in range(len(odometry_flight.marginalized) // 3, len(odometry_flight.marginalized), 4):
+        estimate = odometry_flight.marginalized[number]
+        expected, found = estimate.covariance, marginal_covariance(graph, number)
+        up = estimate.T_odom_imu[2, :3]
         yaw, position = up @ found[:3, :3] @ up / (up @ expected[:3, :3] @ up), np.trace(found[3:, 3:])
         ratios.append((yaw, position / np.trace(expected[3:, 3:])))
     # That of a single camera becomes smaller where the vehicle returns to the start; that of a graph does not.
@@ -104,7 +104,7 @@ def test_loops_remove_the_drift(odometry_flight: "OdometryFlight", without_loops
     assert graph is not None and len(graph.loops) > 15
     corrected = optimize(graph)
     assert not corrected.rejected
-    without = {k: d.T_odom_imu for k, d in enumerate(odometry_flight.departures)}
+    without = {k: d.T_odom_imu for k, d in enumerate(odometry_flight.marginalized)}
     before, after = errors_m(odometry_flight, without)[30:], errors_m(odometry_flight, dict(corrected.graph.poses))[30:]
     assert np.sqrt(np.mean(after**2)) < 0.7 * np.sqrt(np.mean(before**2))
     last = mapped.corrections[-1]
@@ -115,8 +115,8 @@ def test_loops_remove_the_drift(odometry_flight: "OdometryFlight", without_loops
 
 def test_covariances_of_corrections_are_marginals_of_the_graph(odometry_flight: "OdometryFlight") -> None:
     mapper, compared = Mapper(TrueRecognizer(odometry_flight.true_poses, every=7)), 0
-    for departure in odometry_flight.departures:
-        correction = mapper.add(departure, KeyframeView(NO_KEYFRAME_FEATURES))
+    for estimate in odometry_flight.marginalized:
+        correction = mapper.add(estimate, KeyframeView(NO_KEYFRAME_FEATURES))
         if mapper.summary.loops and not mapper.summary.rejected_loops and not correction.loops:
             graph = mapper.graph
             assert graph is not None
@@ -131,10 +131,10 @@ def test_optimizations_are_rarer_with_many_loops(odometry_flight: "OdometryFligh
     config = MappingConfig(optimization_interval_s=0.5, interval_loops=1)
     mapper = Mapper(TrueRecognizer(odometry_flight.true_poses, every=1), config)
     times_s, loops = [], []
-    for departure in odometry_flight.departures:
-        correction, graph = mapper.add(departure, KeyframeView(NO_KEYFRAME_FEATURES)), mapper.graph
+    for estimate in odometry_flight.marginalized:
+        correction, graph = mapper.add(estimate, KeyframeView(NO_KEYFRAME_FEATURES)), mapper.graph
         if graph is not None and correction.loops:
-            times_s.append(1e-9 * departure.t_ns)
+            times_s.append(1e-9 * estimate.t_ns)
             loops.append(len(graph.loops))
     waited_s, least_s = np.diff(times_s), 0.5 * np.array(loops[:-1])
     assert len(waited_s) >= 2 and loops[0] == 1 and np.all(waited_s >= least_s) and np.all(waited_s < least_s + 1.0)
@@ -172,8 +172,8 @@ def test_points_of_the_map_are_where_the_last_keyframe_puts_them(odometry_flight
     assert solved is not None
     final = mapped.mapper.map_of(solved)
     last: dict[int, Array] = {}
-    for departure in odometry_flight.departures:  # without loops, the map is the odometry
-        last |= dict(zip(departure.landmark_ids.tolist(), departure.landmarks_odom, strict=True))
+    for estimate in odometry_flight.marginalized:  # without loops, the map is the odometry
+        last |= dict(zip(estimate.landmark_ids.tolist(), estimate.landmarks_odom, strict=True))
     assert len(final.points) == len(last)
     np.testing.assert_allclose(final.points, np.stack([last[k] for k in sorted(last)]), atol=1e-5)
 

@@ -8,12 +8,13 @@ import numpy as np
 import numpy.typing as npt
 import pytest
 
-from dronevio.estimator.backend.departure import Departure
+from dronevio.estimator.backend.keyframe_estimate import KeyframeEstimate
 from dronevio.estimator.slam.correction import Correction
 from dronevio.estimator.slam.keyframe import NO_KEYFRAME_FEATURES, MapKeyframe
 from dronevio.estimator.slam.mapping import KeyframeView, Mapper
-from dronevio.estimator.slam.odometry_factors import RelativePose
+from dronevio.estimator.slam.odometry_factors import RelativePose, first_node
 from dronevio.estimator.slam.pose_graph import PoseGraph, joined_graphs, marginal_covariance, optimize
+from dronevio.estimator.slam.submap import Submap
 from dronevio.estimator.slam.verification import PlaceMatch
 from dronevio.estimator.slam.visual_slam import are_connected
 from dronevio.models.map_correction import MapCorrection
@@ -32,6 +33,10 @@ SPLIT = 50
 """Number of keyframes of the first track."""
 
 
+Tracks = tuple[list[KeyframeEstimate], list[KeyframeEstimate]]
+"""Keyframes before and after a loss."""
+
+
 class FirstMatchWrong(TrueRecognizer):
     """Recognizes places, the first of them wrongly by 1 m and 0.5 rad of yaw."""
 
@@ -48,26 +53,26 @@ class FirstMatchWrong(TrueRecognizer):
         return replace(match, T_match_query=match.T_match_query @ error)
 
 
-def shifted(departure: Departure) -> Departure:
-    """Return a departure in the odometry frame of the second track."""
+def shifted(estimate: KeyframeEstimate) -> KeyframeEstimate:
+    """Return a keyframe in the odometry frame of the second track."""
     R, t = T_SHIFTED_ODOM[:3, :3], T_SHIFTED_ODOM[:3, 3]
-    landmarks = departure.landmarks_odom @ R.T + t
-    return replace(departure, T_odom_imu=T_SHIFTED_ODOM @ departure.T_odom_imu, landmarks_odom=landmarks)
+    landmarks = estimate.landmarks_odom @ R.T + t
+    return replace(estimate, T_odom_imu=T_SHIFTED_ODOM @ estimate.T_odom_imu, landmarks_odom=landmarks)
 
 
-def added(mapper: Mapper, departures: Sequence[Departure]) -> list[Correction]:
+def added(mapper: Mapper, estimates: Sequence[KeyframeEstimate]) -> list[Correction]:
     """Let keyframes without images join the map, and return the corrections."""
-    return [mapper.add(departure, KeyframeView(NO_KEYFRAME_FEATURES)) for departure in departures]
+    return [mapper.add(estimate, KeyframeView(NO_KEYFRAME_FEATURES)) for estimate in estimates]
 
 
 @pytest.fixture
-def tracks(odometry_flight: "OdometryFlight") -> tuple[list[Departure], list[Departure]]:
+def tracks(odometry_flight: "OdometryFlight") -> Tracks:
     """Return the keyframes of a flight as two tracks, the second in another odometry frame."""
-    departures = odometry_flight.departures
-    return departures[:SPLIT], [shifted(departure) for departure in departures[SPLIT:]]
+    marginalized = odometry_flight.marginalized
+    return marginalized[:SPLIT], [shifted(estimate) for estimate in marginalized[SPLIT:]]
 
 
-def kidnapped(recognizer: TrueRecognizer, tracks: tuple[list[Departure], list[Departure]]) -> tuple[Mapper, Array]:
+def kidnapped(recognizer: TrueRecognizer, tracks: Tracks) -> tuple[Mapper, Array]:
     """Return a mapper after both tracks, and which corrections (N,) of the second one are known."""
     mapper = Mapper(recognizer)
     added(mapper, tracks[0])
@@ -83,9 +88,7 @@ def final_correction(mapper: Mapper) -> MapCorrection:
     return mapper.map_of(solution).correction
 
 
-def test_a_new_track_is_joined_where_a_place_is_recognized(
-    odometry_flight: "OdometryFlight", tracks: tuple[list[Departure], list[Departure]]
-) -> None:
+def test_a_new_track_is_joined_where_a_place_is_recognized(odometry_flight: "OdometryFlight", tracks: Tracks) -> None:
     mapper = Mapper(TrueRecognizer(odometry_flight.true_poses, every=7, min_age=SPLIT))
     added(mapper, tracks[0])
     mapper.start_track(tracks[1][0].t_ns)
@@ -100,9 +103,7 @@ def test_a_new_track_is_joined_where_a_place_is_recognized(
     assert mapper.summary.separate_tracks == 0
 
 
-def test_loops_between_tracks_are_judged(
-    odometry_flight: "OdometryFlight", tracks: tuple[list[Departure], list[Departure]]
-) -> None:
+def test_loops_between_tracks_are_judged(odometry_flight: "OdometryFlight", tracks: Tracks) -> None:
     recognizer = FirstMatchWrong(odometry_flight.true_poses, every=4, min_age=SPLIT)
     mapper, is_known = kidnapped(recognizer, tracks)
     assert is_known[-1] and not recognizer.is_wrong
@@ -125,21 +126,17 @@ def test_a_joined_graph_keeps_its_tilt_and_not_its_yaw() -> None:
     np.testing.assert_allclose(variances[2:], [0.0099, 0.0101, 0.0101, 0.0101], rtol=2e-3)
 
 
-def test_a_track_without_recognized_places_stays_apart(
-    odometry_flight: "OdometryFlight", tracks: tuple[list[Departure], list[Departure]]
-) -> None:
+def test_a_track_without_recognized_places_stays_apart(odometry_flight: "OdometryFlight", tracks: Tracks) -> None:
     mapper, is_known = kidnapped(TrueRecognizer(odometry_flight.true_poses, min_age=1000), tracks)
     assert not is_known.any() and mapper.summary.separate_tracks == 1
     graph, final = mapper.graph, final_correction(mapper)
     assert graph is not None and len(graph.poses) == SPLIT == len(mapper.keyframes)
-    times = np.array([departure.t_ns for departure in (*tracks[0], *tracks[1])])
+    times = np.array([estimate.t_ns for estimate in (*tracks[0], *tracks[1])])
     odometry = Trajectory(times, np.zeros((len(times), 3)), np.tile([1.0, 0.0, 0.0, 0.0], (len(times), 1)))
     assert np.array_equal(final.applied(odometry).t_ns, times[:SPLIT])
 
 
-def test_final_correction_has_a_step_between_tracks(
-    odometry_flight: "OdometryFlight", tracks: tuple[list[Departure], list[Departure]]
-) -> None:
+def test_final_correction_has_a_step_between_tracks(odometry_flight: "OdometryFlight", tracks: Tracks) -> None:
     mapper, _ = kidnapped(TrueRecognizer(odometry_flight.true_poses, min_age=SPLIT), tracks)
     final, start_ns = final_correction(mapper), tracks[1][0].t_ns
     last, first = final.at(np.array([start_ns - 1, start_ns]))
@@ -147,9 +144,21 @@ def test_final_correction_has_a_step_between_tracks(
     np.testing.assert_allclose(first[:3, 3], inverse_pose(T_SHIFTED_ODOM)[:3, 3], atol=0.5)
 
 
-def test_a_keyframe_in_the_window_is_located_at_once(
-    odometry_flight: "OdometryFlight", tracks: tuple[list[Departure], list[Departure]]
-) -> None:
+def test_contradictory_loops_do_not_join_tracks(tracks: Tracks) -> None:
+    first, second = (Submap.begin(10 * i, track[0], i) for i, track in enumerate(tracks))
+    node = first_node(10, tracks[1][0])
+    _, second = second.extended(node, 11, tracks[1][1])
+    tight = 1e-8 * np.eye(6)
+    apart = [RelativePose(0, 10 + i, pose_matrix(np.eye(3), np.array([3.0 * i, 0.0, 0.0])), tight) for i in range(2)]
+    t_ns = tracks[1][1].t_ns
+    # The two loops differ by 3 m more than the odometry; each alone could be right.
+    assert second.joined(first, apart, t_ns, other_stays=True) is None
+    for loop in apart:
+        alone = second.joined(first, [loop], t_ns, other_stays=True)
+        assert alone is not None and alone.closed_loops == (loop,) and alone.tracks == {0, 1}
+
+
+def test_a_keyframe_in_the_window_is_located_at_once(odometry_flight: "OdometryFlight", tracks: Tracks) -> None:
     mapper = Mapper(TrueRecognizer(odometry_flight.true_poses, every=1))
     added(mapper, tracks[0])
     mapper.start_track(tracks[1][0].t_ns)
@@ -176,7 +185,7 @@ def test_keyframes_without_common_features_are_not_connected(
     assert are_connected(np.array(before, np.int64), np.array(now, np.int64), tracked) is expected
 
 
-def test_too_small_a_map_is_given_up(tracks: tuple[list[Departure], list[Departure]]) -> None:
+def test_too_small_a_map_is_given_up(tracks: Tracks) -> None:
     mapper = Mapper(NoRecognizer())
     added(mapper, tracks[0][:3])
     mapper.start_track(tracks[1][0].t_ns)

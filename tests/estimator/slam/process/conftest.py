@@ -5,8 +5,8 @@ import numpy as np
 import numpy.typing as npt
 import pytest
 
-from dronevio.estimator.backend.departure import Departure
-from dronevio.estimator.slam.map_builder import DepartedKeyframe, ImagedKeyframe
+from dronevio.estimator.backend.keyframe_estimate import KeyframeEstimate
+from dronevio.estimator.slam.map_builder import ImagedKeyframe, MarginalizedKeyframe
 from dronevio.estimator.types import Observations
 from dronevio.models.rig import Rig, euroc_rig
 from dronevio.models.rotation import rotation_z
@@ -25,7 +25,7 @@ def one_camera() -> Rig:
     return Rig(rig.cameras[:1], rig.imu, rig.T_vehicle_imu)
 
 
-def keyframe(rig: Rig, place: int, lap: int) -> DepartedKeyframe:
+def keyframe(rig: Rig, place: int, lap: int) -> MarginalizedKeyframe:
     """Return a keyframe of a lap; in the second one, the odometry has drifted."""
     rng, camera = np.random.default_rng(place), rig.cameras[0]
     size = camera.model.width, camera.model.height
@@ -41,7 +41,7 @@ def keyframe(rig: Rig, place: int, lap: int) -> DepartedKeyframe:
     number = PLACES * lap + place
     ids = np.arange(LANDMARKS) + LANDMARKS * number
     t_ns = SECOND_LAP_NS * lap + INTERVAL_NS * place
-    departure = Departure(
+    estimate = KeyframeEstimate(
         t_ns,
         T,
         1e-5 * (1.0 + number) * np.eye(6),
@@ -51,11 +51,11 @@ def keyframe(rig: Rig, place: int, lap: int) -> DepartedKeyframe:
         in_cam @ T_odom_cam[:3, :3].T + T_odom_cam[:3, 3],
     )
     observations = Observations(ids, pixels, xy, np.ones(LANDMARKS, np.int64))
-    return DepartedKeyframe(ImagedKeyframe((image,), rig, T[:3, :3], observations), departure)
+    return MarginalizedKeyframe(ImagedKeyframe((image,), rig, T[:3, :3], observations), estimate)
 
 
 @pytest.fixture(scope="session")
-def two_laps() -> list[DepartedKeyframe]:
+def two_laps() -> list[MarginalizedKeyframe]:
     """Return the keyframes of two laps through the same places."""
     rig = one_camera()
     return [keyframe(rig, place, lap) for lap in range(2) for place in range(PLACES)]

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from dronevio.estimator.slam.config import SlamConfig
-from dronevio.estimator.slam.map_builder import DepartedKeyframe, LocalMap, MapMessage, TrackLost
+from dronevio.estimator.slam.map_builder import LocalMap, MapMessage, MarginalizedKeyframe, TrackLost
 from dronevio.estimator.slam.map_process import MOST_UNANSWERED, MapProcess
 from dronevio.estimator.slam.mapping import Mapper
 from dronevio.models.errors import DefectError
@@ -37,7 +37,7 @@ def has_ended(pid: int, within_s: float = 60.0) -> bool:
     return False
 
 
-def test_answers_equal_those_of_a_map_in_this_process(worker: MapProcess, two_laps: list[DepartedKeyframe]) -> None:
+def test_answers_equal_those_of_a_map_in_this_process(worker: MapProcess, two_laps: list[MarginalizedKeyframe]) -> None:
     local = LocalMap(one_camera(), SlamConfig())
     for message in two_laps:
         local.send(message)
@@ -63,7 +63,7 @@ def test_answers_equal_those_of_a_map_in_this_process(worker: MapProcess, two_la
         assert T.tobytes() == expected_final.graph.poses[number].tobytes()
 
 
-def test_cost_contains_the_processor_time_of_the_worker(worker: MapProcess, two_laps: list[DepartedKeyframe]) -> None:
+def test_cost_contains_the_time_of_the_worker(worker: MapProcess, two_laps: list[MarginalizedKeyframe]) -> None:
     worker.send(two_laps[0])
     worker.receive()  # its imports take longer than this call
     worker.send(two_laps[1])
@@ -75,8 +75,8 @@ def test_cost_contains_the_processor_time_of_the_worker(worker: MapProcess, two_
     assert after.results == 2 and after.waits == 1 and after.worker_cpu_s == cost.worker_cpu_s
 
 
-def test_answers_after_a_loss_belong_to_another_track(worker: MapProcess, two_laps: list[DepartedKeyframe]) -> None:
-    lost = TrackLost(two_laps[PLACES].departure.t_ns)
+def test_answers_after_a_loss_belong_to_another_track(worker: MapProcess, two_laps: list[MarginalizedKeyframe]) -> None:
+    lost = TrackLost(two_laps[PLACES].estimate.t_ns)
     messages: list[MapMessage] = [*two_laps[:PLACES], lost, *two_laps[PLACES:]]
     for message in messages:
         worker.send(message)
@@ -98,7 +98,7 @@ def test_number_of_unanswered_messages_is_limited(worker: MapProcess) -> None:
     assert [worker.receive() for _ in range(MOST_UNANSWERED + 5)] == [None] * (MOST_UNANSWERED + 5)
 
 
-def test_death_of_the_worker_is_a_defect(worker: MapProcess, two_laps: list[DepartedKeyframe]) -> None:
+def test_death_of_the_worker_is_a_defect(worker: MapProcess, two_laps: list[MarginalizedKeyframe]) -> None:
     worker.send(two_laps[0])
     worker.receive()
     os.kill(worker.pid, signal.SIGKILL)
@@ -116,7 +116,7 @@ def test_exception_in_the_worker_is_a_defect(worker: MapProcess) -> None:
     assert "request.function(builder.mapper)" in caught.value.__notes__[0]
 
 
-def test_interrupt_does_not_reach_the_worker(worker: MapProcess, two_laps: list[DepartedKeyframe]) -> None:
+def test_interrupt_does_not_reach_the_worker(worker: MapProcess, two_laps: list[MarginalizedKeyframe]) -> None:
     worker.send(two_laps[0])
     worker.receive()
     os.kill(worker.pid, signal.SIGINT)
@@ -153,13 +153,13 @@ def test_worker_ends_when_its_parent_is_killed() -> None:
     assert has_ended(int(ran.stdout))
 
 
-def test_copy_of_the_mapper_continues(worker: MapProcess, two_laps: list[DepartedKeyframe]) -> None:
+def test_copy_of_the_mapper_continues(worker: MapProcess, two_laps: list[MarginalizedKeyframe]) -> None:
     for message in two_laps[:3]:
         worker.send(message)
     copy: Mapper = worker.ask(_itself)
-    assert [keyframe.t_ns for keyframe in copy.keyframes] == [message.departure.t_ns for message in two_laps[:3]]
+    assert [keyframe.t_ns for keyframe in copy.keyframes] == [message.estimate.t_ns for message in two_laps[:3]]
     graph = copy.graph
-    assert graph is not None and np.array_equal(graph.poses[0], two_laps[0].departure.T_odom_imu)
+    assert graph is not None and np.array_equal(graph.poses[0], two_laps[0].estimate.T_odom_imu)
 
 
 def _itself(mapper: Mapper) -> Mapper:

@@ -11,7 +11,7 @@ from dronevio.estimator.config import VioConfig
 from dronevio.estimator.keyframe_observer import KeyframeObserver, OdometryKeyframe
 from dronevio.estimator.slam import visual_slam
 from dronevio.estimator.slam.config import SlamConfig
-from dronevio.estimator.slam.map_builder import DepartedKeyframe
+from dronevio.estimator.slam.map_builder import MarginalizedKeyframe
 from dronevio.estimator.slam.schedule import DelayConfig
 from dronevio.estimator.slam.visual_slam import VisualSlam
 from dronevio.estimator.types import Calibration
@@ -31,13 +31,13 @@ DELAY = 2
 
 @dataclass
 class ScriptedOdometry:
-    """An odometry that repeats given keyframes, each in a frame of its own, which departs two frames later."""
+    """An odometry that repeats given keyframes, each in a frame of its own, which is marginalized two frames later."""
 
-    keyframes: Sequence[DepartedKeyframe | None]
+    keyframes: Sequence[MarginalizedKeyframe | None]
     """The keyframe of each frame; None where the odometry is lost."""
     observer: KeyframeObserver | None = None
     frames: int = 0
-    window: list[DepartedKeyframe] = field(default_factory=list)
+    window: list[MarginalizedKeyframe] = field(default_factory=list)
 
     def __call__(self, rig: Rig, config: VioConfig | None, observer: KeyframeObserver) -> "ScriptedOdometry":
         """Be made like an odometry."""
@@ -58,50 +58,50 @@ class ScriptedOdometry:
             return Estimate(frame.t_ns, Health.LOST, None)
         self.window.append(new)
         if len(self.window) > DELAY:
-            self.observer.departed(self.window.pop(0).departure)
-        departure = new.departure
-        state = NavState(departure.t_ns, departure.T_odom_imu, np.zeros(3), np.zeros(3), np.zeros(3), 1e-5 * np.eye(15))
-        times = tuple(each.departure.t_ns for each in self.window)
+            self.observer.marginalized(self.window.pop(0).estimate)
+        estimate = new.estimate
+        state = NavState(estimate.t_ns, estimate.T_odom_imu, np.zeros(3), np.zeros(3), np.zeros(3), 1e-5 * np.eye(15))
+        times = tuple(each.estimate.t_ns for each in self.window)
         calibration = Calibration(new.keyframe.rig)
-        ids, landmarks = departure.landmark_ids, departure.landmarks_odom
+        ids, landmarks = estimate.landmark_ids, estimate.landmarks_odom
         observations = new.keyframe.observations
         self.observer.added(
-            OdometryKeyframe(departure.t_ns, state, observations, calibration, True, times, ids, landmarks)
+            OdometryKeyframe(estimate.t_ns, state, observations, calibration, True, times, ids, landmarks)
         )
         return Estimate(frame.t_ns, Health.TRACKING, state)
 
 
-def in_second_frame(message: DepartedKeyframe) -> DepartedKeyframe:
+def in_second_frame(message: MarginalizedKeyframe) -> MarginalizedKeyframe:
     """Return a keyframe in the odometry frame after the loss."""
-    T, landmarks = message.departure.T_odom_imu, message.departure.landmarks_odom
+    T, landmarks = message.estimate.T_odom_imu, message.estimate.landmarks_odom
     moved = landmarks @ T_SECOND_FIRST[:3, :3].T + T_SECOND_FIRST[:3, 3]
-    departure = replace(message.departure, T_odom_imu=T_SECOND_FIRST @ T, landmarks_odom=moved)
-    R_odom_imu = departure.T_odom_imu[:3, :3]
-    return DepartedKeyframe(replace(message.keyframe, R_odom_imu=R_odom_imu), departure)
+    estimate = replace(message.estimate, T_odom_imu=T_SECOND_FIRST @ T, landmarks_odom=moved)
+    R_odom_imu = estimate.T_odom_imu[:3, :3]
+    return MarginalizedKeyframe(replace(message.keyframe, R_odom_imu=R_odom_imu), estimate)
 
 
 def run(
-    monkeypatch: pytest.MonkeyPatch, keyframes: Sequence[DepartedKeyframe | None]
+    monkeypatch: pytest.MonkeyPatch, keyframes: Sequence[MarginalizedKeyframe | None]
 ) -> tuple[VisualSlam, list[Estimate]]:
     """Return visual SLAM after a flight, and its estimates."""
     monkeypatch.setattr(visual_slam, "VisualInertialOdometry", ScriptedOdometry(keyframes))
     config = SlamConfig(worker=False, correction_delay=DelayConfig(frames=DELAY))
     slam, estimates, t_ns = VisualSlam(one_camera(), config=config), [], 0
     for message in keyframes:
-        t_ns = t_ns + 50_000_000 if message is None else message.departure.t_ns
+        t_ns = t_ns + 50_000_000 if message is None else message.estimate.t_ns
         images = (np.zeros((8, 8), np.uint8),) if message is None else message.keyframe.images
         estimates.append(slam.add_frame(CameraFrame(t_ns, images)))
     return slam, estimates
 
 
-def places(second_lap: Sequence[int]) -> list[DepartedKeyframe | None]:
+def places(second_lap: Sequence[int]) -> list[MarginalizedKeyframe | None]:
     """Return a lap through the places, a loss, and keyframes at other places in another odometry frame."""
     rig = one_camera()
     first = [keyframe(rig, place, 0) for place in range(PLACES)]
     return [*first, None, *(in_second_frame(keyframe(rig, place, 1)) for place in second_lap)]
 
 
-def test_after_a_loss_there_is_no_pose_in_the_map_until_a_place_is_recognized(
+def test_after_a_loss_a_recognized_place_gives_the_pose(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     slam, estimates = run(monkeypatch, places(range(PLACES)))
@@ -122,7 +122,7 @@ def test_after_a_loss_there_is_no_pose_in_the_map_until_a_place_is_recognized(
     assert slam.summary.separate_tracks == 0
 
 
-def test_a_track_without_known_places_is_not_part_of_the_final_map(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_track_without_known_places_is_not_in_the_map(monkeypatch: pytest.MonkeyPatch) -> None:
     slam, estimates = run(monkeypatch, places(range(20, 20 + PLACES)))
     assert all(estimate.T_map_odom is None for estimate in estimates[PLACES:])
     assert slam.summary.separate_tracks == 1
@@ -132,6 +132,6 @@ def test_a_track_without_known_places_is_not_part_of_the_final_map(monkeypatch: 
     np.testing.assert_array_equal(final.correction.applied(trajectory).t_ns, trajectory.t_ns[:PLACES])
 
 
-def test_before_the_first_correction_the_covariance_is_that_of_the_odometry(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_covariance_before_the_first_correction(monkeypatch: pytest.MonkeyPatch) -> None:
     _, estimates = run(monkeypatch, places([]))
     np.testing.assert_array_equal(estimates[0].map_covariance, 1e-5 * np.eye(6))

@@ -19,8 +19,8 @@ _NO_LANDMARKS = np.zeros(0, np.int64), np.zeros((0, 3))
 
 
 @dataclass(frozen=True, eq=False)
-class Departure:
-    """The final estimate of a keyframe that leaves the window.
+class KeyframeEstimate:
+    """The estimate of a keyframe for a map: the final one when it leaves the window, or that of the newest state.
 
     Covariances of poses are in GTSAM's order: δθ, then δp, both in the IMU frame (right perturbation).
     """
@@ -57,9 +57,9 @@ class Departure:
         return cls(state.t_ns, state.T_world_imu, covariance, state.t_ns, zero, landmark_ids, landmarks_odom)
 
 
-def departure_of(
+def keyframe_estimate(
     window: Window, index: int, solver: CholeskyFactor, times_ns: dict[int, int], position_covariance: Array
-) -> Departure:
+) -> KeyframeEstimate:
     """Return the final estimate of a keyframe of a window.
 
     Args:
@@ -78,7 +78,7 @@ def departure_of(
     covariance[3:, 3:] += R.T @ position_covariance @ R
     landmarks = window.landmarks
     ids = np.intersect1d(landmarks.observed_in(k), landmarks.ids, assume_unique=True)
-    return Departure(
+    return KeyframeEstimate(
         times_ns[k],
         state.pose.matrix(),
         covariance,
