@@ -144,16 +144,20 @@ def test_final_correction_has_a_step_between_tracks(odometry_flight: "OdometryFl
     np.testing.assert_allclose(first[:3, 3], inverse_pose(T_SHIFTED_ODOM)[:3, 3], atol=0.5)
 
 
-def test_contradictory_loops_do_not_join_tracks(tracks: Tracks) -> None:
+def test_contradictory_loops_do_not_join_tracks(odometry_flight: "OdometryFlight", tracks: Tracks) -> None:
     first, second = (Submap.begin(10 * i, track[0], i) for i, track in enumerate(tracks))
-    node = first_node(10, tracks[1][0])
-    _, second = second.extended(node, 11, tracks[1][1])
-    tight = 1e-8 * np.eye(6)
-    apart = [RelativePose(0, 10 + i, pose_matrix(np.eye(3), np.array([3.0 * i, 0.0, 0.0])), tight) for i in range(2)]
+    _, second = second.extended(first_node(10, tracks[1][0]), 11, tracks[1][1])
+    T_old, *Ts_new = (odometry_flight.true_poses[k.t_ns] for k in (tracks[0][0], *tracks[1][:2]))
+    offsets_m = np.array([[0.0, 0.0, 0.0], [3.0, 0.0, 0.0]])  # more than the odometry errs; each alone could be right
+    loops = [
+        RelativePose(
+            0, 10 + i, inverse_pose(T_old) @ pose_matrix(np.eye(3), offsets_m[i]) @ Ts_new[i], 1e-8 * np.eye(6)
+        )
+        for i in range(2)
+    ]
     t_ns = tracks[1][1].t_ns
-    # The two loops differ by 3 m more than the odometry; each alone could be right.
-    assert second.joined(first, apart, t_ns, other_stays=True) is None
-    for loop in apart:
+    assert second.joined(first, loops, t_ns, other_stays=True) is None
+    for loop in loops:
         alone = second.joined(first, [loop], t_ns, other_stays=True)
         assert alone is not None and alone.closed_loops == (loop,) and alone.tracks == {0, 1}
 
