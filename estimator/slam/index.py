@@ -63,6 +63,14 @@ class PlaceIndex:
         self._documents[distinct] += 1
         self._sizes.append(len(words))
 
+    def remove(self, row: int) -> None:
+        """Remove a keyframe; those after it move up by one row."""
+        self._documents -= self._counts[:, row] > 0
+        count = len(self._sizes)
+        self._counts[:, row : count - 1] = self._counts[:, row + 1 : count].copy()
+        self._counts[:, count - 1] = 0
+        del self._sizes[row]
+
     def similarities(self, words: Words, stop: int) -> Array:
         """Return the similarities (stop,) of words (N,) to the keyframes that were added first, 0 to 1."""
         distinct, counts = np.unique(words, return_counts=True)

@@ -62,3 +62,9 @@ class MapKeyframe:
     """(L, 3) Positions of these landmarks in the IMU frame of the keyframe [m]."""
     track: int = 0
     """Number of the odometry frame. Each loss of the odometry begins another one."""
+
+    @property
+    def without_features(self) -> "MapKeyframe":
+        """The keyframe without corners and landmarks, by which it can no longer be recognized."""
+        none = np.zeros(0, np.int64), np.zeros((0, 3))
+        return MapKeyframe(self.number, self.t_ns, self.T_odom_imu, NO_KEYFRAME_FEATURES, *none, self.track)

@@ -10,6 +10,7 @@ compared with the map while they are in the window, so that the pose in the map 
 leaves it.
 """
 
+from collections import deque
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import Annotated, Protocol
@@ -39,6 +40,10 @@ from dronevio.models.slam_map import SlamMap
 
 Array = npt.NDArray[np.float64]
 
+MAX_CONNECTED = 1000
+"""Number of the newest loops whose keyframes are known to be connected with an earlier visit."""
+CONNECTED_WITHIN_S = 1.0
+"""Time between a redundant keyframe and a loop that connects it with the earlier visit [s]."""
 MIN_MAP_KEYFRAMES = 5
 """Number of keyframes below which a map is given up when the odometry is lost: the next track begins another one."""
 
@@ -51,6 +56,9 @@ class Recognizer(Protocol):
 
     def locate(self, keyframe: MapKeyframe, /) -> PlaceMatch | None:
         """Return the confirmed match of a keyframe that is not added yet; None without one."""
+
+    def remove(self, number: int, /) -> None:
+        """Remove a keyframe, which is no longer recognized."""
 
     def start_track(self) -> None:
         """Declare that the following keyframes have another odometry frame."""
@@ -71,7 +79,10 @@ class MappingConfig(Settings):
     localization_interval_s: Annotated[float, Range(low=0.0)] = 0.5
     """Shortest time of flight between two keyframes that are localized in the map [s]."""
     min_age_s: Annotated[float, Range(0.0, 3600.0)] = 10.0
-    """Smallest age of a keyframe in which another one of the same track is localized [s]."""
+    """Smallest age of a keyframe in which another one of the same track is localized [s]. At this age it is culled if
+    it is redundant."""
+    redundant: CovisibilityConfig = field(default_factory=lambda: CovisibilityConfig(0.5, 15.0, 1))
+    """Similarity of the view of an earlier keyframe from which on a keyframe is redundant."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -113,24 +124,26 @@ class Mapper:
         self._patches: dict[int, LandmarkPatches] = {}
         self._localized_ns: int | None = None
         self._keyframes: list[MapKeyframe] = []  # of all submaps; the index is the number
+        self._nodes: dict[int, OdometryNode] = {}  # keyframes that are not culled
+        self._recent: deque[int] = deque()  # keyframes that are too young to be culled
         self._submaps: tuple[Submap, ...] = ()
         self._closed: set[RelativePose] = set()  # loops that corrections have contained
+        self._connected_ns: tuple[int, ...] = ()  # times of the later keyframes of the newest of these loops
         self._home = 0  # track whose submap is the map
         self._starts_ns: list[int] = []  # times at which the tracks after the first one begin
-        self._anchor: OdometryNode | None = None
         self._located: Array | None = None  # T_map_odom by a place, before the track is joined
 
     @property
     def graph(self) -> PoseGraph | None:
-        """The pose graph of the map with all loops; None before the first keyframe."""
+        """The pose graph of the map with all keyframes and loops; None before the first keyframe."""
         home = self._submap_of(self._home)
-        return None if home is None else home.graph
+        return None if home is None else home.whole_graph
 
     @property
     def keyframes(self) -> tuple[MapKeyframe, ...]:
-        """The keyframes of the map in the order of time."""
-        graph = self.graph
-        return () if graph is None else tuple(k for k in self._keyframes if k.number in graph.poses)
+        """The keyframes of the map in the order of time; culled ones are without features."""
+        home = self._submap_of(self._home)
+        return () if home is None else tuple(k for k in self._keyframes if k.track in home.tracks)
 
     @property
     def summary(self) -> MapSummary:
@@ -158,7 +171,8 @@ class Mapper:
         """
         self._starts_ns.append(t_ns)
         self._recognizer.start_track()
-        self._anchor, self._located, self._localized_ns = None, None, None
+        self._located, self._localized_ns = None, None
+        self._recent.clear()
         home = self._submap_of(self._home)
         if home is None or len(home.graph.poses) < MIN_MAP_KEYFRAMES:
             self._home = self._track  # there is nothing yet that could be recognized
@@ -199,18 +213,21 @@ class Mapper:
         keyframe = self._keyframe(estimate, view)
         self._keyframes.append(keyframe)
         was_known = self._is_home or self._located is not None
-        submap = self._extended(keyframe.number, estimate)
+        submap = self._without_redundant(self._extended(keyframe.number, estimate), estimate.t_ns)
         loops = [_loop(match) for match in self._recognizer.add(keyframe)]
-        inner = [loop for loop in loops if loop.first in submap.graph.poses]
+        inner = [loop for loop in loops if {loop.first, loop.second} <= submap.graph.poses.keys()]
         if view.images is not None:
             inner += self._localized(submap.graph, keyframe, view.images)
             self._patches[keyframe.number] = landmark_patches(keyframe, view.images, self._config.localization)
         submap = self._joined(submap.with_loops(inner), [loop for loop in loops if loop not in inner], estimate.t_ns)
         if self._is_due(submap, estimate.t_ns):
             submap = submap.optimized(estimate.t_ns)
-        self._submaps = (*(each for each in self._submaps if not each.tracks & submap.tracks), submap)
         closed = tuple(loop for loop in submap.closed_loops if loop not in self._closed)
+        self._submaps = (*(each for each in self._submaps if not each.tracks & submap.tracks), submap)
         self._closed.update(closed)
+        self._connected_ns = (*self._connected_ns, *(self._keyframes[loop.second].t_ns for loop in closed))[
+            -MAX_CONNECTED:
+        ]
         T_map_odom = self._located
         if self._is_home:
             T_map_odom = submap.graph.poses[keyframe.number] @ inverse_pose(estimate.T_odom_imu)
@@ -250,11 +267,48 @@ class Mapper:
     def _extended(self, number: int, estimate: KeyframeEstimate) -> Submap:
         """Return the submap of the newest track with a new keyframe, the anchor from now on."""
         submap = self._submap_of(self._track)
-        if self._anchor is None or submap is None:
-            self._anchor = first_node(number, estimate)
-            return Submap.begin(number, estimate, self._track)
-        self._anchor, submap = submap.extended(self._anchor, number, estimate)
+        if submap is None:
+            node, submap = first_node(number, estimate), Submap.begin(number, estimate, self._track)
+        else:
+            node, submap = submap.extended(self._nodes[number - 1], number, estimate)
+        self._nodes[number] = node
+        self._recent.append(number)
         return submap
+
+    def _without_redundant(self, submap: Submap, t_ns: int) -> Submap:
+        """Return a submap without the redundant ones of the keyframes that have become old enough."""
+        c = self._config
+        while len(self._recent) > 1 and t_ns - self._keyframes[self._recent[0]].t_ns >= c.min_age_s * 1e9:
+            number = self._recent.popleft()
+            if not self._is_redundant(submap, self._keyframes[number]):
+                continue
+            previous = next(each.first for each in reversed(submap.graph.odometry) if each.second == number)
+            submap = submap.without(number, self._nodes[previous], self._nodes[self._recent[0]].estimate)
+            self._closed.update(submap.closed_loops)  # those that were passed on are not new
+            self._recognizer.remove(number)
+            self._keyframes[number] = self._keyframes[number].without_features
+            self._patches.pop(number, None)
+            del self._nodes[number]
+        return submap
+
+    def _is_redundant(self, submap: Submap, keyframe: MapKeyframe) -> bool:
+        """Return whether an earlier keyframe shows what a keyframe shows, and loops connect their visits."""
+        graph, c = submap.graph, self._config
+        if keyframe.number in (graph.first, *graph.joined, *(loop.first for loop in graph.loops)):
+            return False
+        if not any(abs(t_ns - keyframe.t_ns) <= CONNECTED_WITHIN_S * 1e9 for t_ns in self._connected_ns):
+            return False
+        earlier = [k.number for k in self._references(graph, keyframe) if k.number in self._nodes]
+        if not earlier:
+            return False
+        Ts = np.stack([graph.poses[number] for number in earlier])
+        return bool(nearest_views(Ts, graph.poses[keyframe.number], c.redundant))
+
+    def _references(self, graph: PoseGraph, keyframe: MapKeyframe) -> list[MapKeyframe]:
+        """Return the keyframes of a graph that are old enough for a keyframe to be localized in them."""
+        age_ns = self._config.min_age_s * 1e9
+        known = (self._keyframes[number] for number in graph.poses)
+        return [k for k in known if k.track != keyframe.track or keyframe.t_ns - k.t_ns >= age_ns]
 
     def _joined(self, submap: Submap, loops: Sequence[RelativePose], t_ns: int) -> Submap:
         """Return a submap, joined with the others that its loops lead to.
@@ -279,13 +333,7 @@ class Mapper:
         c = self._config
         if self._localized_ns is not None and keyframe.t_ns - self._localized_ns < c.localization_interval_s * 1e9:
             return []
-        old = [
-            k
-            for k in self._keyframes
-            if k.number in graph.poses
-            and k.number in self._patches
-            and (k.track != keyframe.track or keyframe.t_ns - k.t_ns >= c.min_age_s * 1e9)
-        ]
+        old = [k for k in self._references(graph, keyframe) if k.number in self._patches]
         if not old:
             return []
         T_map_imu, found = graph.poses[keyframe.number], []

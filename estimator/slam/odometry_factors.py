@@ -129,6 +129,19 @@ def propagated(covariance: Array, relative: RelativePose, gravity: GravityDirect
     return np.asarray(0.5 * (P + P.T))
 
 
+def passed_back(loop: RelativePose, odometry: RelativePose) -> RelativePose:
+    """Return a loop as one of the keyframe before its second one, by the odometry between the two.
+
+    Args:
+        loop: The loop.
+        odometry: The pose of its second keyframe in the frame of the keyframe before.
+    """
+    T_second_before = inverse_pose(odometry.T_first_second)
+    A = adjoint(odometry.T_first_second)
+    covariance = A @ (loop.covariance + odometry.covariance) @ A.T
+    return RelativePose(loop.first, odometry.first, loop.T_first_second @ T_second_before, covariance)
+
+
 def _tilt_axes(up: Array) -> Array:
     """Return two axes (2, 3) across the direction of gravity."""
     return np.asarray(np.linalg.svd(up[None])[2][1:])

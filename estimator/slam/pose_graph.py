@@ -46,6 +46,18 @@ class PoseGraph:
     """Numbers of the keyframes at which other tracks of the odometry begin. Yaw and position there are free: loops
     connect these tracks with the others."""
 
+    def with_keyframe(self, T_map_imu: Array, relative: RelativePose, gravity: GravityDirection | None) -> "PoseGraph":
+        """Return the graph with one more keyframe, by the odometry.
+
+        Args:
+            T_map_imu: (4, 4) Its pose in the map frame.
+            relative: Its pose in the frame of the keyframe before it.
+            gravity: The direction of gravity there, if the odometry knows more than before.
+        """
+        poses = {**self.poses, relative.second: T_map_imu}
+        directions = self.gravity if gravity is None else (*self.gravity, gravity)
+        return replace(self, poses=poses, odometry=(*self.odometry, relative), gravity=directions)
+
     def with_loops(self, loops: Sequence[RelativePose]) -> "PoseGraph":
         """Return the graph with more loops."""
         return replace(self, loops=(*self.loops, *loops))

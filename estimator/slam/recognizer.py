@@ -148,6 +148,12 @@ class PlaceRecognizer:
         """
         self._insert(self._checked(keyframe), self._vocabulary.assign(keyframe.features.descriptors))
 
+    def remove(self, number: int) -> None:
+        """Remove a keyframe by its number, so that it is no longer recognized."""
+        row = next(row for row, place in enumerate(self._places) if place.keyframe.number == number)
+        self._index.remove(row)
+        del self._places[row]
+
     def _checked(self, keyframe: MapKeyframe) -> _Place:
         """Return a new keyframe as a place, or raise ConfigError."""
         last = self._places[-1] if self._places else None

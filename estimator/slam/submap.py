@@ -1,5 +1,8 @@
 """Submaps: pose graphs that grow with the odometry, are optimized when loops arrive, and are joined by common places.
 
+A keyframe at a place that is known already can be culled: the graph that is optimized during the flight then grows with
+new ground, not with time. All keyframes and factors remain in the history, for the final map.
+
 After a loss, the odometry begins another *track*: its keyframes have another odometry frame. They form a submap of
 their own until a place of another submap is recognized.
 """
@@ -11,7 +14,13 @@ import numpy as np
 import numpy.typing as npt
 
 from dronevio.estimator.backend.keyframe_estimate import KeyframeEstimate
-from dronevio.estimator.slam.odometry_factors import OdometryNode, RelativePose, odometry_factors, propagated
+from dronevio.estimator.slam.odometry_factors import (
+    OdometryNode,
+    RelativePose,
+    odometry_factors,
+    passed_back,
+    propagated,
+)
 from dronevio.estimator.slam.pose_graph import (
     OptimizedGraph,
     PoseGraph,
@@ -22,6 +31,9 @@ from dronevio.estimator.slam.pose_graph import (
 from dronevio.models.rotation import inverse_pose
 
 Array = npt.NDArray[np.float64]
+
+MAX_PASSED_LOOPS = 4
+"""Number of loops of a keyframe up to which those of culled keyframes after it are passed on to it."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -34,6 +46,8 @@ class Submap:
     """Numbers of the tracks."""
     covariance: Array
     """(6, 6) Covariance of the newest keyframe's pose in the map: δθ, then δp, both in the IMU frame."""
+    history: PoseGraph
+    """The graph with all keyframes and factors, also the culled ones, whose poses are those when they were culled."""
     waiting: int = 0
     """Number of loops, the last ones of the graph, that wait for an optimization."""
     optimized_ns: int | None = None
@@ -43,7 +57,7 @@ class Submap:
     def begin(cls, number: int, estimate: KeyframeEstimate, track: int) -> "Submap":
         """Return the submap of the first keyframe of a track."""
         graph = PoseGraph(number, estimate.covariance, {number: estimate.T_odom_imu})
-        return cls(OptimizedGraph(graph, frozenset()), frozenset({track}), estimate.covariance)
+        return cls(OptimizedGraph(graph, frozenset()), frozenset({track}), estimate.covariance, graph)
 
     @property
     def graph(self) -> PoseGraph:
@@ -54,6 +68,11 @@ class Submap:
     def judged(self) -> int:
         """Number of loops that an optimization has accepted or rejected."""
         return len(self.graph.loops) - self.waiting
+
+    @property
+    def whole_graph(self) -> PoseGraph:
+        """The graph with all keyframes and factors, at the newest poses."""
+        return replace(self.history, poses={**self.history.poses, **self.graph.poses})
 
     @property
     def closed_loops(self) -> tuple[RelativePose, ...]:
@@ -68,20 +87,20 @@ class Submap:
             number: Number of the new keyframe.
             estimate: The final estimate of the new keyframe.
         """
-        graph = self.graph
         node, relative, gravity = odometry_factors(anchor, number, estimate)
-        poses = {**graph.poses, number: graph.poses[relative.first] @ relative.T_first_second}
-        directions = graph.gravity if gravity is None else (*graph.gravity, gravity)
-        graph = replace(graph, poses=poses, odometry=(*graph.odometry, relative), gravity=directions)
+        T = self.graph.poses[relative.first] @ relative.T_first_second
+        graph, history = (each.with_keyframe(T, relative, gravity) for each in (self.graph, self.history))
         covariance = propagated(self.covariance, relative, gravity)
-        return node, replace(self, solution=replace(self.solution, graph=graph), covariance=covariance)
+        solution = replace(self.solution, graph=graph)
+        return node, replace(self, solution=solution, covariance=covariance, history=history)
 
     def with_loops(self, loops: Sequence[RelativePose]) -> "Submap":
         """Return the submap with loops that wait for the next optimization."""
         count = len(self.graph.loops)
         waiting = range(count, count + len(loops))
         solution = OptimizedGraph(self.graph.with_loops(loops), self.solution.rejected | frozenset(waiting))
-        return replace(self, solution=solution, waiting=self.waiting + len(loops))
+        history = self.history.with_loops(loops)
+        return replace(self, solution=solution, history=history, waiting=self.waiting + len(loops))
 
     def optimized(self, t_ns: int) -> "Submap":
         """Return the submap after an optimization, which judges the waiting loops.
@@ -92,7 +111,7 @@ class Submap:
         solution, covariance = optimize(self.graph), self.covariance
         if solution.closed != self.solution.closed:
             covariance = marginal_covariance(solution.without_rejected, max(self.graph.poses))
-        return Submap(solution, self.tracks, covariance, 0, t_ns)
+        return Submap(solution, self.tracks, covariance, self.history, 0, t_ns)
 
     def joined(
         self, other: "Submap", loops: Sequence[RelativePose], t_ns: int, *, other_stays: bool
@@ -108,13 +127,46 @@ class Submap:
         newest = loops[-1]
         T_self_match = self.graph.poses[newest.second] @ inverse_pose(newest.T_first_second)
         T_self_other = T_self_match @ inverse_pose(other.graph.poses[newest.first])
-        if other_stays:
-            graph = joined_graphs(other.graph, self.graph, inverse_pose(T_self_other))
-        else:
-            graph = joined_graphs(self.graph, other.graph, T_self_other)
+        one, two, T_one_two = (other, self, inverse_pose(T_self_other)) if other_stays else (self, other, T_self_other)
+        graph = joined_graphs(one.graph, two.graph, T_one_two)
         between = range(len(graph.loops), len(graph.loops) + len(loops))
         solution = optimize(graph.with_loops(loops))
         if solution.rejected.issuperset(between):
             return None
         covariance = marginal_covariance(solution.without_rejected, max(solution.graph.poses))
-        return Submap(solution, self.tracks | other.tracks, covariance, 0, t_ns)
+        history = joined_graphs(one.whole_graph, two.whole_graph, T_one_two).with_loops(loops)
+        return Submap(solution, self.tracks | other.tracks, covariance, history, 0, t_ns)
+
+    def without(self, number: int, previous: OdometryNode, following: KeyframeEstimate) -> "Submap":
+        """Return the submap without a keyframe, which stays in the history.
+
+        One odometry factor replaces the two at the keyframe, as if the window had never contained it. Its accepted
+        loops pass on to the keyframe before it, up to `MAX_PASSED_LOOPS` there.
+
+        Args:
+            number: Number of the keyframe, which is the first one of no loop, and neither the first nor the newest one
+                of its track.
+            previous: The keyframe before it in the graph.
+            following: The estimate of the keyframe after it.
+        """
+        graph, waiting = self.graph, self.graph.loops[self.judged :]
+        before = next(relative for relative in graph.odometry if relative.second == number)
+        after = next(relative for relative in graph.odometry if relative.first == number)
+        _, merged, direction = odometry_factors(previous, after.second, following)
+        odometry = tuple(merged if each is after else each for each in graph.odometry if each is not before)
+        gravity = [each for each in graph.gravity if each.keyframe not in (number, after.second)]
+        gravity += [] if direction is None else [direction]
+        closed = self.closed_loops
+        kept = [loop for loop in graph.loops[: self.judged] if loop.second != number]
+        room = MAX_PASSED_LOOPS - sum(loop.second == before.first for loop in kept)
+        own = [loop for loop in closed if loop.second == number and loop.first != before.first]
+        passed = [passed_back(loop, before) for loop in own[: max(room, 0)]]
+        kept_waiting = [loop for loop in waiting if loop.second != number]
+        loops = (*kept, *passed, *kept_waiting)
+        accepted = {*closed, *passed}
+        poses = {k: T for k, T in graph.poses.items() if k != number}
+        culled = replace(graph, poses=poses, odometry=odometry, gravity=tuple(gravity), loops=loops)
+        rejected = frozenset(i for i, loop in enumerate(loops) if loop not in accepted)
+        history = replace(self.history, poses={**self.history.poses, number: graph.poses[number]})
+        solution = OptimizedGraph(culled, rejected)
+        return replace(self, solution=solution, history=history, waiting=len(kept_waiting))

@@ -146,3 +146,17 @@ def test_another_array_is_no_vocabulary(array: Array) -> None:
 def test_too_few_descriptors_are_refused() -> None:
     with pytest.raises(ConfigError, match="40960 or more"):
         learn_vocabulary(random_descriptors(100))
+
+
+@settings(deadline=None, max_examples=30)
+@given(DOCUMENTS, st.data())
+def test_an_index_without_a_keyframe_is_as_if_it_never_had_it(documents: list[list[int]], data: st.DataObject) -> None:
+    row = data.draw(st.integers(0, len(documents) - 1))
+    index, expected = indexed(documents), indexed(documents[:row] + documents[row + 1 :])
+    index.remove(row)
+    query = np.array(documents[0])
+    assert len(index) == len(expected)
+    np.testing.assert_array_equal(index.similarities(query, len(index)), expected.similarities(query, len(index)))
+    for each in (index, expected):
+        each.add(query)
+    np.testing.assert_array_equal(index.similarities(query, len(index)), expected.similarities(query, len(index)))

@@ -174,3 +174,15 @@ def test_keyframes_have_to_come_in_order() -> None:
     recognizer.add(first[1])
     with pytest.raises(ConfigError, match="expected a larger number and a later time"):
         recognizer.add(first[0])
+
+
+def test_a_removed_keyframe_is_not_recognized() -> None:
+    recognizer = PlaceRecognizer(RIG)
+    first, second = lap(0, 0.0, 0.0), lap(25, 30.0, 0.3)
+    removed = found(recognizer, [*first, *second])[-1].match
+    again = PlaceRecognizer(RIG)
+    found(again, first)
+    again.remove(removed)
+    assert len(again) == len(first) - 1
+    matches = {match.match for match in found(again, second)}
+    assert len(matches) >= 15 and removed not in matches
