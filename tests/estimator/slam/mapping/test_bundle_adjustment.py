@@ -11,6 +11,7 @@ import pytest
 from dronevio.estimator.backend.observations import observation_table
 from dronevio.estimator.imu.preintegration import PreintegrationConfig, PreintegrationParams
 from dronevio.estimator.slam.bundle_adjustment import AdjustmentConfig, AdjustmentInputs, AdjustmentKeyframe, adjust
+from dronevio.estimator.slam.odometry_factors import RelativePose
 from dronevio.estimator.slam.pose_graph import OptimizedGraph
 from dronevio.models.rotation import exp_so3, inverse_pose, pose_matrix
 
@@ -90,6 +91,34 @@ def test_adjustment_converges_from_worse_poses(odometry_flight: "OdometryFlight"
     found = adjust(replace(inputs, keyframes=[first, *moved]), AdjustmentConfig(iterations=40))
     difference_m = [np.linalg.norm((found[k] - reference[k])[:3, 3]) for k in reference]
     assert np.sqrt(np.mean(np.square(difference_m))) < 2e-3
+
+
+def test_a_certain_loop_is_fulfilled(inputs: AdjustmentInputs) -> None:
+    first, second = inputs.keyframes[5], inputs.keyframes[60]
+    between = inverse_pose(first.T_map_imu) @ second.T_map_imu
+    moved = between @ pose_matrix(np.eye(3), np.array([0.02, 0.0, 0.0]))
+    loop = RelativePose(first.number, second.number, moved, 1e-10 * np.eye(6))
+    adjusted = adjust(replace(inputs, loops=[loop]), AdjustmentConfig())
+    found = inverse_pose(adjusted[first.number]) @ adjusted[second.number]
+    np.testing.assert_allclose(found, moved, atol=2e-3)
+
+
+def test_imu_between_two_tracks_is_not_used(inputs: AdjustmentInputs) -> None:
+    """The second half is carried away by 2 m, to where a loop has found it."""
+    half, carried = 40, pose_matrix(np.eye(3), np.array([2.0, 0.0, 0.0]))
+    later = [replace(k, T_map_imu=carried @ k.T_map_imu, track=1) for k in inputs.keyframes[half:]]
+    keyframes = [*inputs.keyframes[:half], *later]
+    first, second = keyframes[half - 5], keyframes[half + 5]
+    T = inverse_pose(first.T_map_imu) @ second.T_map_imu
+    loop = RelativePose(first.number, second.number, T, 1e-6 * np.eye(6))
+    # Landmarks of both tracks have other identities, as in a real odometry.
+    renamed = [
+        replace(k, observations=replace(k.observations, landmark=k.observations.landmark + 10**6 * k.track))
+        for k in keyframes
+    ]
+    adjusted = adjust(replace(inputs, keyframes=renamed, loops=[loop]), AdjustmentConfig())
+    for keyframe in keyframes:
+        np.testing.assert_allclose(adjusted[keyframe.number][:3, 3], keyframe.T_map_imu[:3, 3], atol=0.1)
 
 
 def test_same_measurements_give_the_same_bytes(inputs: AdjustmentInputs) -> None:
