@@ -65,6 +65,9 @@ class TrueRecognizer:
         match = self.locate(keyframe)
         return () if match is None else (match,)
 
+    def remove(self, number: int) -> None:
+        """Do nothing: true poses are known of culled keyframes, too."""
+
     def start_track(self) -> None:
         """Do nothing: true poses do not depend on the odometry frame."""
 
@@ -88,6 +91,9 @@ class NoRecognizer:
     def add(self, keyframe: MapKeyframe) -> tuple[PlaceMatch, ...]:
         """Return no match."""
         return ()
+
+    def remove(self, number: int) -> None:
+        """Do nothing."""
 
     def start_track(self) -> None:
         """Do nothing."""

@@ -7,8 +7,9 @@ import numpy.typing as npt
 import pytest
 
 from dronevio.estimator.slam.config import SlamConfig
+from dronevio.estimator.slam.keyframe import MapKeyframe
 from dronevio.estimator.slam.map_builder import LocalMap, MarginalizedKeyframe
-from dronevio.estimator.slam.mapping import Mapper, MappingConfig
+from dronevio.estimator.slam.mapping import Mapper, MappingConfig, MapSummary
 from dronevio.estimator.slam.odometry_factors import OdometryNode, RelativePose, first_node, passed_back
 from dronevio.estimator.slam.pose_graph import marginal_covariance, optimize
 from dronevio.estimator.slam.submap import MAX_PASSED_LOOPS, Submap
@@ -149,9 +150,19 @@ def mapped(messages: list[MarginalizedKeyframe]) -> LocalMap:
     return local
 
 
+def keyframes_of(mapper: Mapper) -> tuple[MapKeyframe, ...]:
+    """Return the keyframes of a map."""
+    return mapper.keyframes
+
+
+def summary_of(mapper: Mapper) -> MapSummary:
+    """Return the size of a map."""
+    return mapper.summary
+
+
 def test_laps_through_known_places_add_no_keyframes() -> None:
     local = mapped(laps(4))
-    summary, keyframes = local.ask(Mapper.summary.fget), local.ask(Mapper.keyframes.fget)  # type: ignore[arg-type]
+    summary, keyframes = local.ask(summary_of), local.ask(keyframes_of)
     assert summary.keyframes == 2 * PLACES  # those of the first lap, and the newest ones, which are too young
     assert [each.number for each in keyframes] == list(range(4 * PLACES))
     described = [each.number for each in keyframes if len(each.features)]
@@ -173,5 +184,5 @@ def test_places_of_the_map_are_recognized_after_culling() -> None:
 
 def test_new_ground_is_not_culled() -> None:
     local = mapped([*laps(1, PLACES), *(m for m in laps(2, 3 * PLACES)[3 * PLACES :])])
-    described = [k.number for k in local.ask(Mapper.keyframes.fget) if len(k.features)]  # type: ignore[arg-type]
+    described = [k.number for k in local.ask(keyframes_of) if len(k.features)]
     assert described == list(range(len(described)))
