@@ -25,6 +25,7 @@ import numpy.typing as npt
 
 from dronevio.estimator.backend.landmarks import TriangulatedLandmarks
 from dronevio.estimator.innovation import Innovation, PredictionUncertainty, innovation, median
+from dronevio.estimator.trust import Trust, TrustLimits
 from dronevio.estimator.types import Calibration, Observations
 from dronevio.models.imu import ImuModel
 from dronevio.models.ranges import Range, Settings
@@ -65,6 +66,14 @@ class HealthConfig(Settings):
     """Largest NIS of a frame at which the estimate counts as consistent."""
     distrust_s: Annotated[float, Range(low=0.0, infinite=True)] = 5.0
     """Time for which an estimate must be consistent again before its health is tracking [s]."""
+    established_s: Annotated[float, Range(low=0.0, infinite=True)] = 10.0
+    """Time of consistent motion after which an estimate is established [s]: what contradicts it later is more probably
+    a disturbance than a wrong calibration."""
+    established_nis_ratio: Annotated[float, Range(1.0, 100.0)] = 2.0
+    """Ratio by which the largest NIS of an established estimate may be larger, in a frame and in the median."""
+    disturbance_s: Annotated[float, Range(low=0.0, infinite=True)] = 0.6
+    """Longest contradiction of an established estimate that counts as a disturbance, and the time for which the
+    estimate must be consistent after it before its health is tracking [s]."""
     max_nis: Annotated[float, Range(above=0.0, infinite=True)] = 60.0
     """Median NIS over the window beyond which the estimate is lost."""
     image_variance_bounds: Annotated[tuple[float, float], Range(1e-6, 1e6)] = (0.1, 10.0)
@@ -102,8 +111,7 @@ class HealthMonitor:
         self._config, self._imu = config, imu
         self._pixel_sigma, self._image_variances = pixel_sigma, tuple[float, ...]()
         self._noise_densities = imu.gyro_noise_density, imu.accel_noise_density
-        self._is_trusted = is_trusted
-        self._inconsistent_ns: int | None = None  # last time at which innovations contradicted their covariance
+        self._trust = Trust(_limits(config), is_trusted=is_trusted)
         self._bias_sigmas = np.repeat(
             [
                 max(config.gyro_bias_sigma_rad_s, imu.gyro_turn_on_bias_rad_s),
@@ -116,13 +124,12 @@ class HealthMonitor:
         self._constrained_ns: int | None = None  # last time at which more than the IMU constrained the estimate
         self._constrained_sigma_m = 0.0  # standard deviation of the position at that time
         self._consistent_ns: int | None = None  # last time at which landmarks did not contradict the estimate
-        self._recent_nis: tuple[tuple[int, float], ...] = ()  # times and NIS of the consistency window
         self._lost_reason: str | None = None
 
     @property
     def is_trusted(self) -> bool:
-        """Whether the innovations have agreed with their covariance for `distrust_s`, or always."""
-        return self._is_trusted
+        """Whether the innovations have agreed with their covariance for long enough, or always."""
+        return self._trust.is_trusted
 
     def set_reference(
         self,
@@ -170,15 +177,12 @@ class HealthMonitor:
         allowed_px = self._config.max_innovation_px + self._rotation_uncertainty_px(predicted, calibration)
         contradicted_s = self._contradicted_s(predicted.t_ns, enough and innovation_px > allowed_px)
         significant_nis = nis if innovation_px > self._config.min_innovation_px else 0.0
-        typical_nis = self._typical_nis(predicted.t_ns, significant_nis if enough else None)
-        self._update_trust(predicted.t_ns, significant_nis if enough else 0.0, typical_nis)
+        self._trust.update(predicted.t_ns, significant_nis if enough else None, moves=not stationary)
         if self._lost_reason is None:
-            self._lost_reason = self._reason_of_loss(
-                predicted, bias_sigmas, position_sigma_m, contradicted_s, typical_nis
-            )
+            self._lost_reason = self._reason_of_loss(predicted, bias_sigmas, position_sigma_m, contradicted_s)
         if self._lost_reason is not None:
             state, reason = Health.LOST, self._lost_reason
-        elif not self._is_trusted:
+        elif not self._trust.is_trusted:
             state, reason = Health.INERTIAL_ONLY, "images and prediction have recently been inconsistent"
         elif enough:
             state, reason = Health.TRACKING, f"constrained by {len(rows)} landmarks"
@@ -261,42 +265,8 @@ class HealthMonitor:
             self._consistent_ns = t_ns
         return (t_ns - self._consistent_ns) * 1e-9
 
-    def _typical_nis(self, t_ns: int, nis: float | None) -> float:
-        """Return the median NIS over the consistency window, 0 before the window is full.
-
-        Args:
-            t_ns: Time of the frame [ns].
-            nis: NIS of the frame; None where too few landmarks are observed, which empties the window.
-        """
-        if nis is None:
-            self._recent_nis = ()
-            return 0.0
-        begin_ns = t_ns - round(self._config.consistency_window_s * 1e9)
-        is_full = bool(self._recent_nis) and self._recent_nis[0][0] <= begin_ns
-        self._recent_nis = (*(entry for entry in self._recent_nis if entry[0] > begin_ns), (t_ns, nis))
-        return median(np.array([value for _, value in self._recent_nis])) if is_full else 0.0
-
-    def _update_trust(self, t_ns: int, nis: float, typical_nis: float) -> None:
-        """Update whether the estimate has been consistent for long enough.
-
-        Args:
-            t_ns: Time of the frame [ns].
-            nis: NIS of the frame.
-            typical_nis: Median NIS over the consistency window.
-        """
-        c, begins = self._config, self._inconsistent_ns is None and not self._is_trusted
-        if begins or nis > c.max_frame_nis or typical_nis > c.max_consistent_nis:
-            self._inconsistent_ns = t_ns
-        if self._inconsistent_ns is not None:
-            self._is_trusted = (t_ns - self._inconsistent_ns) * 1e-9 >= c.distrust_s
-
     def _reason_of_loss(
-        self,
-        predicted: NavState,
-        bias_sigmas: float,
-        position_sigma_m: float,
-        contradicted_s: float,
-        typical_nis: float,
+        self, predicted: NavState, bias_sigmas: float, position_sigma_m: float, contradicted_s: float
     ) -> str | None:
         """Return the reason why the estimate is lost, or None where it is not."""
         c, speed_m_s = self._config, float(np.linalg.norm(predicted.velocity_m_s))
@@ -306,14 +276,26 @@ class HealthMonitor:
             return f"a bias of {bias_sigmas:.0f} standard deviations"
         if contradicted_s > c.max_contradiction_s:
             return f"landmarks have contradicted the estimate for {contradicted_s:.1f} s"
-        if typical_nis > c.max_nis:
-            return (
-                f"images and prediction are inconsistent: a NIS of {typical_nis:.0f} over {c.consistency_window_s:g} s"
-            )
+        nis = self._trust.median_nis
+        if nis > c.max_nis:
+            return f"images and prediction are inconsistent: a NIS of {nis:.0f} over {c.consistency_window_s:g} s"
         grown_m = float(np.sqrt(max(position_sigma_m**2 - self._constrained_sigma_m**2, 0.0)))
         if grown_m > c.max_inertial_sigma_m:
             return f"the position has drifted by {grown_m:.1f} m (one sigma) on the IMU alone"
         return None
+
+
+def _limits(config: HealthConfig) -> TrustLimits:
+    """Return the limits of a trusted estimate."""
+    return TrustLimits(
+        config.consistency_window_s,
+        config.max_consistent_nis,
+        config.max_frame_nis,
+        config.distrust_s,
+        config.established_s,
+        config.established_nis_ratio,
+        config.disturbance_s,
+    )
 
 
 def _is_finite(state: NavState) -> bool:

@@ -1,0 +1,83 @@
+"""Trust in an estimate: disturbances of an established estimate, and contradictions of one that is not established."""
+
+from dataclasses import replace
+
+import pytest
+
+from dronevio.estimator.trust import Trust, TrustLimits
+
+STEP_NS = 50_000_000
+LIMITS = TrustLimits(
+    window_s=0.6,
+    max_median_nis=15.0,
+    max_frame_nis=60.0,
+    distrust_s=5.0,
+    established_s=10.0,
+    established_ratio=2.0,
+    disturbance_s=0.5,
+)
+ESTABLISHING = [1.0] * 201
+"""NIS of the frames after which a moving estimate is established: ten seconds."""
+
+
+def trusted_frames(nis: list[float | None], limits: TrustLimits = LIMITS, *, moves: bool = True) -> list[bool]:
+    """Return for each frame whether an estimate with these values of the NIS is trusted after it."""
+    trust = Trust(limits, is_trusted=True)
+    trusted = []
+    for k, value in enumerate(nis):
+        trust.update(k * STEP_NS, value, moves=moves)
+        trusted.append(trust.is_trusted)
+    return trusted
+
+
+def test_disturbance_of_an_established_estimate_is_short() -> None:
+    """After the last of two frames that contradict it, it has to be consistent for half a second."""
+    trusted = trusted_frames([*ESTABLISHING, 130.0, 130.0, *[1.0] * 200])
+    begin = len(ESTABLISHING)
+    assert all(trusted[:begin]) and not any(trusted[begin : begin + 11]) and all(trusted[begin + 11 :])
+
+
+@pytest.mark.parametrize("earlier", [ESTABLISHING[1:], [1.0]])
+def test_contradiction_before_ten_seconds_is_distrusted(earlier: list[float]) -> None:
+    trusted = trusted_frames([*earlier, 65.0, *[1.0] * 200])
+    begin = len(earlier)
+    assert all(trusted[:begin]) and not any(trusted[begin : begin + 100]) and all(trusted[begin + 100 :])
+
+
+def test_only_consistent_motion_establishes_an_estimate() -> None:
+    """Neither standing still nor frames without landmarks show that a calibration is right."""
+    jump: list[float | None] = [65.0, 1.0]
+    assert trusted_frames([*ESTABLISHING, *jump])[-1]
+    assert not trusted_frames([*ESTABLISHING, *jump], moves=False)[-1]
+    assert not trusted_frames([1.0, *[None] * 300, *jump])[-1]
+
+
+def test_established_estimate_has_twice_the_limits() -> None:
+    """The limits of the median and of a single frame are 30 and 120 instead of 15 and 60."""
+    for nis, expected in ((29.0, True), (31.0, False)):
+        assert all(trusted_frames([*ESTABLISHING, *[nis] * 20])) is expected
+    assert all(trusted_frames([*ESTABLISHING, 119.0, 1.0])) and not all(trusted_frames([*ESTABLISHING, 121.0, 1.0]))
+
+
+def test_long_contradiction_is_no_disturbance() -> None:
+    """Half a second of large values is a disturbance, and one frame more is not."""
+    limits = replace(LIMITS, max_median_nis=float("inf"))
+    for frames, distrusted in ((11, 10), (12, 100)):
+        trusted = trusted_frames([*ESTABLISHING, *[130.0] * frames, *[1.0] * 200], limits)
+        end = len(ESTABLISHING) + frames - 1  # the last frame that contradicts the estimate
+        assert not any(trusted[len(ESTABLISHING) : end + distrusted]) and all(trusted[end + distrusted :])
+
+
+def test_second_disturbance_within_ten_seconds_is_distrusted() -> None:
+    again = [*ESTABLISHING, 130.0, *[1.0] * 100, 130.0, *[1.0] * 99]
+    trusted = trusted_frames(again)
+    begin = len(ESTABLISHING) + 101
+    assert trusted[begin - 1] and not any(trusted[begin:])
+    established_again = [*ESTABLISHING, 130.0, *[1.0] * 220, 130.0, *[1.0] * 99]
+    assert trusted_frames(established_again)[-1]
+
+
+def test_estimate_is_never_established_without_the_limit() -> None:
+    """With an infinite time, the estimate is distrusted as if no motion had confirmed it."""
+    never = replace(LIMITS, established_s=float("inf"))
+    assert not trusted_frames([*ESTABLISHING, 65.0, *[1.0] * 50], never)[-1]
