@@ -1,5 +1,6 @@
 """Trust in an estimate: disturbances of an established estimate, and contradictions of one that is not established."""
 
+from collections.abc import Sequence
 from dataclasses import replace
 
 import pytest
@@ -20,7 +21,7 @@ ESTABLISHING = [1.0] * 201
 """NIS of the frames after which a moving estimate is established: ten seconds."""
 
 
-def trusted_frames(nis: list[float | None], limits: TrustLimits = LIMITS, *, moves: bool = True) -> list[bool]:
+def trusted_frames(nis: Sequence[float | None], limits: TrustLimits = LIMITS, *, moves: bool = True) -> list[bool]:
     """Return for each frame whether an estimate with these values of the NIS is trusted after it."""
     trust = Trust(limits, is_trusted=True)
     trusted = []
