@@ -1,5 +1,6 @@
 """The jobs of a benchmark: flights to estimate, how their recordings are made, and how estimators are run."""
 
+from collections import Counter
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -11,6 +12,7 @@ import dronevio
 from dronevio.benchmark_variants import AS_IS, RIG, variant_of
 from dronevio.eval.benchmark.cache import code_hash, content_hash, recording_hash
 from dronevio.eval.benchmark.jobs import RecordingSpec
+from dronevio.eval.benchmark.rows import VARIANT_SIGN
 from dronevio.eval.provenance import versions_here
 from dronevio.models.defects import defects_text
 from dronevio.models.errors import ConfigError, InputError
@@ -134,7 +136,7 @@ def scenario_flights(
         image_sensor: Name of the image sensor that replaces those of the scenarios.
 
     Raises:
-        ConfigError: There is no such scenario, suite, rig, variant or image sensor.
+        ConfigError: There is no such scenario, suite, rig, variant or image sensor, or a variant is given twice.
         InputError: The rig's file cannot be read.
     """
     from dronevio.sim.scenarios import SUITES, scenario_named
@@ -146,7 +148,7 @@ def scenario_flights(
 
         chosen = rig_of(rig)
         unique = {name: replace(flown, rig=chosen) for name, flown in unique.items()}
-        if replaced := next((name for name in variants if name.startswith(RIG)), None):
+        if replaced := next((name for name in variants if RIG in name), None):
             raise ConfigError(f"--rig {rig} with the variant {replaced}, which replaces it; expected one of them")
     if image_sensor is not None:
         from dronevio.sim.cameras.imaging import image_sensor_named
@@ -154,6 +156,8 @@ def scenario_flights(
         imaging = image_sensor_named(image_sensor)
         unique = {name: replace(flown, imaging=imaging) for name, flown in unique.items()}
     flights = [variant_of(flown, variant) for flown in unique.values() for variant in variants or (AS_IS,)]
+    if repeated := next((name for name, count in Counter(each.name for each in flights).items() if count > 1), None):
+        raise ConfigError(f"variant {repeated.partition(VARIANT_SIGN)[2] or AS_IS} twice; expected each once")
     return tuple(_flight(replace(flown, seed=seed)) for seed in seeds for flown in flights)
 
 

@@ -45,6 +45,7 @@ class BenchmarkCommand(Settings):
       dronevio benchmark --scenarios hover short --seeds 3 --out benchmarks/quick
       dronevio benchmark --suite hall --rig euroc-stereo --estimators vio,vio-stereo,eqvio,dead-reckoning
       dronevio benchmark --suite reference --seeds 100 --variants as-is imu-100hz imu-400hz noise-2x
+      dronevio benchmark --suite loops --estimators vio,slam --variants as-is light=1 reverse light=1+reverse
       dronevio benchmark --recordings MH_01_easy --starts-s 0 0.5 1 1.5 2 --out benchmarks/starts
       dronevio benchmark --suite hall --rig euroc-stereo --image-sensor vi-sensor --estimators vio,vio-stereo
       dronevio benchmark --recordings V1_01_easy V1_02_medium --out benchmarks/euroc
@@ -63,8 +64,10 @@ class BenchmarkCommand(Settings):
     recording with its calibration."""
     variants: tuple[str, ...] = ()
     """Variants of each scenario, whose rows are named SCENARIO+VARIANT: imu-100hz or imu-400hz, an IMU of that rate;
-    noise-2x or noise-half, IMU noise that differs from the calibration; rig=NAME, other sensors; as-is, the scenario
-    itself. By default only the scenario itself."""
+    noise-2x or noise-half, IMU noise that differs from the calibration; rig=NAME, other sensors; world=SEED, the world
+    of that seed in all flights; light=SEED, other light in the same world; reverse, the tour in the opposite direction;
+    as-is, the scenario itself. Variants are combined by plus signs: world=3+light=1+reverse. By default only the
+    scenario itself."""
     image_sensor: str | None = None
     """Image sensor that replaces those of the scenarios: standard, with short exposures, or vi-sensor, with the
     exposures, noise and contrast of EuRoC's images."""

@@ -1,6 +1,7 @@
 """``dronevio benchmark``, ``compare`` and ``gate`` for real: programs that crash, hang and lie, kills and going on."""
 
 import json
+import re
 import subprocess
 import sys
 import time
@@ -20,6 +21,7 @@ from dronevio.eval.benchmark.rows import Row, read_rows, write_rows
 from dronevio.eval.benchmark.runner import BenchmarkPlan, run_benchmark
 from dronevio.eval.benchmark.store import ResultStore
 from dronevio.models.errors import ConfigError, EvaluationError, InputError
+from dronevio.models.rig_presets import rig_named
 from dronevio.registry import ESTIMATORS, estimator_named
 
 Result = Any  # the class of conftest, which cannot be imported
@@ -279,8 +281,17 @@ def test_gates_that_cannot_be_judged_are_bad_input(
         (["--recordings", "nowhere"], "nowhere: no such file"),
         (
             ["--scenarios", "short", "--variants", "imu-1hz"],
-            "unknown variant 'imu-1hz'; expected one of as-is, imu-100",
+            "unknown variant 'imu-1hz'; expected one of as-is, rig=…, imu-100",
         ),
+        (["--scenarios", "short", "--variants", "reverse=1"], "unknown variant 'reverse=1'; expected one of as-is"),
+        (["--scenarios", "short", "--variants", "as-is+reverse"], "unknown variant 'as-is'; expected one of as-is"),
+        (["--scenarios", "short", "--variants", "world=-1"], "seed '-1' in a variant; expected a whole number from 0"),
+        (["--scenarios", "short", "--variants", "light="], "seed '' in a variant; expected a whole number from 0"),
+        (["--scenarios", "short", "--variants", "world=4294967296"], "from 0 to 4294967295"),
+        (["--scenarios", "short", "--variants", "light=1+light=2"], "with light=1 and light=2; expected one of them"),
+        (["--scenarios", "short", "--variants", "noise-2x+noise-half"], "with noise-2x and noise-half; expected one"),
+        (["--scenarios", "short", "--variants", "reverse", "reverse"], "variant reverse twice; expected each once"),
+        (["--scenarios", "short", "--variants", "light=1+world=2", "world=2+light=1"], "variant world=2+light=1 twice"),
         (["--scenarios", "short", "--variants", "rig=moon"], "moon"),
         (["--recordings", "nowhere", "--variants", "noise-2x"], "a recording has no variants"),
     ],
@@ -338,8 +349,30 @@ def test_variants_are_other_recordings_with_names_of_their_own() -> None:
     sources = [flight.source for flight in flights]
     assert [each.rig.imu.rate_hz for each in sources[:3]] == [200.0, 100.0, 400.0]  # type: ignore[attr-defined]
     assert [each.faults.imu_noise_factor for each in sources[3:5]] == [2.0, 0.5]  # type: ignore[attr-defined]
-    with pytest.raises(ConfigError, match="--rig euroc-stereo with the variant rig=fisheye"):
-        scenario_flights(["short"], range(1), "euroc-stereo", ["rig=fisheye"])
+    for name in ("rig=fisheye", "reverse+rig=fisheye"):
+        with pytest.raises(ConfigError, match=rf"--rig euroc-stereo with the variant {re.escape(name)}"):
+            scenario_flights(["short"], range(1), "euroc-stereo", [name])
+
+
+def test_a_world_is_flown_again_under_other_light_and_in_reverse() -> None:
+    """The names of rows state world, light and direction, whatever the order on the command line, and so does the key
+    of the cached recording."""
+    names = ("world=3", "world=4", "world=3+light=3", "light=3", "world=3+light=4+reverse", "reverse")
+    flights = scenario_flights(["short"], (0, 1), variants=[*names[:4], "reverse+light=4+world=3", "reverse"])
+    assert [flight.scenario for flight in flights] == [f"short-v0+{name}" for name in names] * 2
+    assert len({flight.recording_hash for flight in flights}) == len(flights)
+    sources: list[Any] = [flight.source for flight in flights]
+    found = [(each.seed_of_world, each.light_seed, each.reverse) for each in sources[6:]]
+    assert found == [(3, None, False), (4, None, False), (3, 3, False), (1, 3, False), (3, 4, True), (1, None, True)]
+    assert [each.seed for each in sources] == [0] * 6 + [1] * 6
+
+
+def test_the_rate_of_the_imu_is_that_of_the_other_rig() -> None:
+    (flight,) = scenario_flights(["short"], range(1), variants=["imu-400hz+rig=fisheye"])
+    source: Any = flight.source
+    assert flight.scenario == "short-v0+rig=fisheye+imu-400hz"
+    assert source.rig.imu == replace(rig_named("fisheye").imu, rate_hz=400.0)
+    assert source.rig.cameras[0].model == rig_named("fisheye").cameras[0].model
 
 
 def test_a_missing_recording_is_named_as_it_was_given(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
