@@ -22,6 +22,8 @@ _MAX_POINTS = 800  # of one path
 _MAX_SEGMENTS = 1500  # of the surroundings
 _MARGIN = 1.08  # of the picture around the scene
 _AXIS_SHARE = 0.25  # largest length of an axis relative to the radius of the scene
+_FONT_SHARE = 0.055  # size of letters relative to half of the width of the picture
+_LABEL_LETTERS = 2.2  # mean width of "start" and "end", relative to the size of letters
 
 
 @dataclass(frozen=True, eq=False)
@@ -89,6 +91,11 @@ class PathScene:
     elevation_deg: float = ELEVATION_DEG
     """Direction of the viewer above the horizontal plane [°]."""
 
+    @property
+    def font_m(self) -> float:
+        """Size of the letters of the marks [m]."""
+        return _FONT_SHARE * self.half_width_m
+
 
 def path_scene(
     estimate: Trajectory, truth: Trajectory | None, outline: Array, corrected: Trajectory | None = None
@@ -117,17 +124,19 @@ def path_scene(
         SpatialPath("", "stroke: var(--ink); stroke-width: 2", np.stack([origin, tip]))
         for tip in origin + axis_m * np.eye(3)
     )
-    first = tracks[0][0] - centre
-    names = ("x", "y", "z", "start", "end")
-    points = (*(origin + 1.15 * axis_m * np.eye(3)), first[0], first[-1])
+    tips = origin + 1.15 * axis_m * np.eye(3)
+    half_width_m = _MARGIN * radius_m
     return PathScene(
         (
             SpatialPath("", f"stroke: {colours.SURROUNDINGS}; stroke-width: .8; opacity: .6", segments - centre, True),
             *axes,
             *(SpatialPath(name, style, points - centre) for points, name, style in tracks),
         ),
-        tuple(SpatialMark(name, point) for name, point in zip(names, points, strict=True)),
-        _MARGIN * radius_m,
+        (
+            *(SpatialMark(name, tip) for name, tip in zip("xyz", tips, strict=True)),
+            *_ends(tracks[0][0] - centre, _LABEL_LETTERS * _FONT_SHARE * half_width_m),
+        ),
+        half_width_m,
         _MARGIN * half_height_m,
         axis_m,
     )
@@ -140,6 +149,18 @@ def projected(points: Array) -> Array:
     tilt = math.sin(elevation)
     down = [tilt * math.cos(azimuth), tilt * math.sin(azimuth), -math.cos(elevation)]
     return np.asarray(points @ np.array([right, down]).T, dtype=np.float64)
+
+
+def _ends(points: Array, label_m: float) -> tuple[SpatialMark, ...]:
+    """Return the marks of the ends of a path, as one where the names of two would overlap.
+
+    Args:
+        points: (N, 3) Points of the path [m].
+        label_m: Width of a name in the picture [m].
+    """
+    if np.linalg.norm(points[-1] - points[0]) < label_m:
+        return (SpatialMark("start, end", 0.5 * (points[0] + points[-1])),)
+    return SpatialMark("start", points[0]), SpatialMark("end", points[-1])
 
 
 def _tracks(

@@ -55,6 +55,21 @@ def test_the_scene_is_centred_and_holds_everything() -> None:
     assert all(np.all(np.abs(projected(path.points)) <= half) for path in walled.paths)
 
 
+def test_the_ends_have_one_mark_where_two_would_overlap() -> None:
+    def ends(gap_m: float) -> list[tuple[str, list[float]]]:
+        """Return the marks of the ends of a round flight of radius 5 m that lands beside its start."""
+        angle = np.linspace(0.0, 2.0 * np.pi, 101)
+        p = 5.0 * np.stack([np.cos(angle), np.sin(angle), 0.0 * angle], axis=1)
+        p[-1, 2] = gap_m
+        scene = path_scene(Trajectory(np.arange(101), p, np.tile([1.0, 0.0, 0.0, 0.0], (101, 1))), None, NOTHING)
+        assert scene is not None and scene.font_m == pytest.approx(0.055 * scene.half_width_m)
+        return [(mark.text, mark.point.round(3).tolist()) for mark in scene.marks[3:]]
+
+    # A label is 2.2 times 5.5 % of half of the width of the picture, which is 1.08 times 5 m: 0.65 m.
+    assert ends(0.5) == [("start, end", [5.0, 0.0, 0.0])]
+    assert ends(0.8) == [("start", [5.0, 0.0, -0.4]), ("end", [5.0, 0.0, 0.4])]
+
+
 def test_long_paths_are_thinned_and_empty_ones_omitted() -> None:
     scene = path_scene(straight((0.0, 0.0, 0.0), (9.0, 0.0, 0.0), poses=9000), None, NOTHING)
     assert scene is not None and 500 < len(scene.paths[-1].points) < 900
