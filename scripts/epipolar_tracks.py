@@ -2,7 +2,8 @@
 
 The epipolar residual of a track is the angle between its bearing in the current frame and the epipolar plane of its
 first view, times the focal length. It contains one component of the error of the track, that across the epipolar line,
-and the errors of the poses. Bearings are free of lens distortion.
+and the errors of the poses. Bearings are free of lens distortion. With a rolling shutter, each row of the image has a
+pose of its own.
 
 Measured poses have errors as large as those of tracks: 0.02° is 0.16 px. `refined_poses` therefore estimates small
 corrections of the poses that the tracks of all features agree on. What remains cannot be explained by any camera motion
@@ -49,6 +50,15 @@ class TrackTable:
     """(N, 3) Unit bearing vectors in the camera frame."""
     frames: int
     """Number of frames."""
+    row: Integers | None = None
+    """(N,) Row of the image that observes the feature, with a rolling shutter; None with a global shutter."""
+    rows: int = 1
+    """Number of poses of a frame: its rows with a rolling shutter, 1 with a global shutter."""
+
+    @property
+    def pose(self) -> Integers:
+        """(N,) Index of the pose of each observation: that of the frame, or of the row."""
+        return self.frame if self.row is None else self.frame * self.rows + self.row
 
     @property
     def features_per_frame(self) -> float:
@@ -61,21 +71,25 @@ class ViewPairs:
     """Pairs of the first view of a feature and a later one."""
 
     first: Integers
-    """(M,) Index of the frame of the first view."""
+    """(M,) Index of the pose of the first view."""
     frame: Integers
-    """(M,) Index of the frame of the later view."""
+    """(M,) Index of the pose of the later view."""
     bearings_first: Array
     """(M, 3) Unit bearing vectors in the first view."""
     bearings: Array
     """(M, 3) Unit bearing vectors in the later view."""
+    rows: int = 1
+    """Number of poses of a frame."""
 
     @property
     def ages(self) -> Integers:
         """(M,) Number of frames between the views."""
-        return self.frame - self.first
+        return self.frame // self.rows - self.first // self.rows
 
-    def __getitem__(self, rows: npt.NDArray[np.bool_]) -> "ViewPairs":
-        return ViewPairs(self.first[rows], self.frame[rows], self.bearings_first[rows], self.bearings[rows])
+    def __getitem__(self, chosen: npt.NDArray[np.bool_]) -> "ViewPairs":
+        return ViewPairs(
+            self.first[chosen], self.frame[chosen], self.bearings_first[chosen], self.bearings[chosen], self.rows
+        )
 
     def joined(self, others: "ViewPairs") -> "ViewPairs":
         """Return these pairs followed by others."""
@@ -84,17 +98,18 @@ class ViewPairs:
             np.concatenate([self.frame, others.frame]),
             np.concatenate([self.bearings_first, others.bearings_first]),
             np.concatenate([self.bearings, others.bearings]),
+            self.rows,
         )
 
 
 def view_pairs(table: TrackTable, ages: tuple[int, ...] = AGES) -> ViewPairs:
     """Return the pairs of views of all features at given ages."""
     order = np.lexsort((table.frame, table.ids))
-    ids, frame, bearings = table.ids[order], table.frame[order], table.bearings[order]
+    ids, frame, pose, bearings = table.ids[order], table.frame[order], table.pose[order], table.bearings[order]
     _, starts, inverse = np.unique(ids, return_index=True, return_inverse=True)
     first = starts[inverse]
     chosen = np.isin(frame - frame[first], ages)
-    return ViewPairs(frame[first[chosen]], frame[chosen], bearings[first[chosen]], bearings[chosen])
+    return ViewPairs(pose[first[chosen]], pose[chosen], bearings[first[chosen]], bearings[chosen], table.rows)
 
 
 def survival(table: TrackTable, age: int) -> float:
@@ -112,7 +127,7 @@ def residuals_px(Ts_world_cam: Array, pairs: ViewPairs, focal_px: float) -> Arra
     """Return the signed epipolar residuals (M,) of pairs of views [px]; NaN for baselines below `MIN_BASELINE_M`.
 
     Args:
-        Ts_world_cam: (F, 4, 4) Poses of the camera.
+        Ts_world_cam: (F, 4, 4) Poses of the camera at the frames, or at all rows of the frames.
         pairs: M pairs of views.
         focal_px: Focal length, which converts angles to pixels [px].
     """

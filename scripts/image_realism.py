@@ -15,7 +15,7 @@ poses. See ``scripts/epipolar_tracks.py``.
 import json
 import sys
 from collections.abc import Iterator, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 
 import cv2
@@ -45,6 +45,7 @@ from dronevio.models.protocols import Recording
 from dronevio.models.recordings.open import open_recording
 from dronevio.models.rotation import log_so3
 from dronevio.models.state import CameraFrame, Trajectory
+from dronevio.sim.cameras.interpolation import interpolated_poses
 
 Array = npt.NDArray[np.float64]
 Image = npt.NDArray[np.uint8]
@@ -180,9 +181,20 @@ class Section:
     """True poses of the IMU at the frames."""
 
     @property
+    def rows(self) -> int:
+        """Number of poses of a frame: 1 with a global shutter, the rows of the image with a rolling shutter."""
+        camera = self.recording.rig.cameras[0]
+        return camera.model.height if camera.readout_s else 1
+
+    @property
     def Ts_world_cam(self) -> Array:
-        """(F, 4, 4) True poses of the first camera."""
-        return np.asarray(self.truth.Ts_world_imu @ self.recording.rig.cameras[0].T_imu_cam)
+        """(F, 4, 4) True poses of the first camera at the exposures of the frames, or of all of their rows."""
+        camera, truth = self.recording.rig.cameras[0], self.recording.ground_truth
+        if self.rows == 1:
+            return np.asarray(self.truth.Ts_world_imu @ camera.T_imu_cam)
+        assert truth is not None
+        delay_ns = np.rint(1e9 * camera.readout_s * np.linspace(-0.5, 0.5, self.rows)).astype(np.int64)
+        return np.asarray(interpolated_poses(truth, (self.truth.t_ns[:, None] + delay_ns).ravel()) @ camera.T_imu_cam)
 
     @property
     def interval_s(self) -> float:
@@ -225,7 +237,7 @@ def front_end_tracks(section: Section, Rs_cur_prev: Sequence[Array], every: int)
     """Return what the front end observes with the rotations of the IMU."""
     rig = section.recording.rig
     R_imu_cam = rig.cameras[0].T_imu_cam[:3, :3]
-    tracker, rows, left, right, detected = RigTracker(rig, TrackerConfig()), [], [], [], 0
+    tracker, rows, image_rows, left, right, detected = RigTracker(rig, TrackerConfig()), [], [], [], [], 0
     for k, (frame, R) in enumerate(zip(section.frames, Rs_cur_prev, strict=True)):
         observed = tracker.track(frame, R_imu_cam.T @ R @ R_imu_cam)
         if k % every == 0:
@@ -233,17 +245,21 @@ def front_end_tracks(section: Section, Rs_cur_prev: Sequence[Array], every: int)
         main = observed.camera == 0
         bearings = unit(observed.xy)
         rows.append((observed.ids[main], k, bearings[main]))
+        image_rows.append(np.rint(observed.pixels[main, 1]))
         second = observed.matches.camera == 1
         if k % every == 0 and len(rig.cameras) > 1:
             matched = np.searchsorted(observed.ids, observed.matches.ids[second])
             left.append(bearings[matched])
             right.append(unit(observed.matches.xy[second]))
             detected += int(main.sum())
-    return Tracked(table_of(rows), stacked(left), stacked(right), detected)
+    table = table_of(rows) if section.rows == 1 else rolling_table_of(rows, image_rows, section.rows)
+    return Tracked(table, stacked(left), stacked(right), detected)
 
 
 def reference_tracks(section: Section, every: int) -> Tracked:
     """Return what OpenCV's Lucas-Kanade tracker observes without prediction, outlier rejection or templates."""
+    if section.rows > 1:
+        raise SystemExit(f"{section.recording.name}: a rolling shutter; expected a global shutter for the reference")
     cameras = section.recording.rig.cameras
     options = {"winSize": (_WINDOW_PX, _WINDOW_PX), "maxLevel": _LEVELS}
     pixels, ids, previous, following = np.zeros((0, 2), np.float32), np.zeros(0, np.int64), None, 0
@@ -304,6 +320,21 @@ def table_of(rows: Sequence[tuple[npt.NDArray[np.int64], int, Array]]) -> TrackT
     ids, frame = np.concatenate([i for i, _, _ in rows]), np.concatenate([np.full(len(i), k) for i, k, _ in rows])
     seen = np.isfinite(bearings).all(axis=1)
     return TrackTable(ids[seen], frame[seen], bearings[seen], len(rows))
+
+
+def rolling_table_of(
+    rows: Sequence[tuple[npt.NDArray[np.int64], int, Array]], image_rows: Sequence[Array], count: int
+) -> TrackTable:
+    """Return the observations of all frames of a rolling shutter as a table.
+
+    Args:
+        rows: Identities, frame and bearings of the observations of each frame.
+        image_rows: Row of the image of each observation [px], in the same order.
+        count: Number of rows of the image.
+    """
+    seen = np.isfinite(np.concatenate([b for _, _, b in rows])).all(axis=1)
+    image_row = np.clip(np.concatenate(image_rows), 0, count - 1).astype(np.int64)
+    return replace(table_of(rows), row=image_row[seen], rows=count)
 
 
 def measure(section: Section, every: int) -> Figures:

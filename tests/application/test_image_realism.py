@@ -9,7 +9,9 @@ import cv2
 import numpy as np
 import pytest
 
+from dronevio.models.rig_presets import rig_named
 from dronevio.models.rotation import exp_so3
+from dronevio.sim.scenarios import scenario_named
 
 Result = Any  # the class of conftest, which cannot be imported
 FOCAL_PX = 458.0
@@ -75,6 +77,27 @@ def test_jacobian_equals_differences(tracks: Any) -> None:
         moved = [tracks._corrected(poses, sign * step.reshape(-1, 6)) for sign in (1.0, -1.0)]
         plus, minus = (tracks.residuals_px(Ts, pairs, FOCAL_PX) for Ts in moved)
         np.testing.assert_allclose(jacobian[:, column], (plus - minus) / 2e-6, atol=1e-3 * abs(jacobian).max())
+
+
+def test_rows_of_a_rolling_shutter_have_poses_of_their_own(tracks: Any, realism: Any) -> None:
+    """The residual of exact views is zero with the poses of their rows, and not with those of their frames."""
+    rows, frames = 3, 4
+    poses = poses_of(12)  # of three rows in each of four frames
+    points = np.random.default_rng(0).uniform([-2.0, -1.5, 2.0], [2.0, 1.5, 8.0], (20, 3))
+    image_rows = [np.random.default_rng(k).integers(0, rows, 20) for k in range(frames)]
+    observed = []
+    for k, row in enumerate(image_rows):
+        T = poses[rows * k + row]
+        seen = np.einsum("nji,nj->ni", T[:, :3, :3], points - T[:, :3, 3])
+        observed.append((np.arange(20), k, seen / np.linalg.norm(seen, axis=1, keepdims=True)))
+    observed[3][2][5] = np.nan  # outside the lens, and left out
+    table = realism.rolling_table_of(observed, [row.astype(float) for row in image_rows], rows)
+    pairs = tracks.view_pairs(table, (2, 3))
+    assert len(pairs.first) == 39 and set(pairs.ages) == {2, 3} and tracks.survival(table, 3) == 0.95
+    assert np.abs(tracks.residuals_px(poses, pairs, FOCAL_PX)).max() < 1e-9
+    assert np.array_equal(pairs[pairs.ages == 2].ages, np.full(20, 2)) and len(pairs.joined(pairs).ages) == 78
+    of_frames = tracks.view_pairs(realism.table_of(observed), (2, 3))
+    assert np.median(np.abs(tracks.residuals_px(poses[1::rows], of_frames, FOCAL_PX))) > 1.0
 
 
 def test_corrections_recover_errors_of_the_poses(tracks: Any) -> None:
@@ -233,3 +256,20 @@ def test_conditions_change_images_as_they_say(script: Callable[[str], Any]) -> N
     assert np.mean(dead) == pytest.approx(1e-3, rel=0.5)
     assert set(np.unique(changed["dead-pixels-0.1%"][dead])) == {0, 255}
     np.testing.assert_array_equal(conditions["dead-pixels-0.1%"](image, 21, 1), changed["dead-pixels-0.1%"])
+
+
+def test_rendered_conditions_keep_brightness_and_calibrate_the_shutter(script: Callable[[str], Any]) -> None:
+    conditions = script("rendered_conditions").CONDITIONS
+    scenario = replace(scenario_named("room-medium", 3), rig=rig_named("euroc-stereo"))
+    light = np.full((480, 752), 100.0, np.float32)
+    for name, condition in conditions.items():
+        changed = condition(scenario)
+        imaging = changed.imaging
+        time_s = imaging.control.longest_s
+        image = imaging.digitize(light, 1.0, time_s, 1.0, np.random.default_rng(0))
+        assert image[220:260, 356:396].mean() == pytest.approx(100.0, abs=0.5)
+        assert image[220:260, 356:396].std() == pytest.approx(np.sqrt(1.2**2 + 2.2**2 * 100.0 / 255.0), rel=0.1)
+        assert [camera.readout_s for camera in changed.rig.cameras] == [0.02 * (name == "rolling-20ms")] * 2
+        if name.startswith("exposure"):
+            assert time_s == 1e-3 * float(name.removeprefix("exposure-").removesuffix("ms"))
+        assert (changed.seed, changed.plan, changed.world) == (3, scenario.plan, scenario.world)
