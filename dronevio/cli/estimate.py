@@ -24,6 +24,9 @@ if TYPE_CHECKING:
     from dronevio.estimator.config import VioConfig
     from dronevio.estimator.slam.config import SlamConfig
     from dronevio.estimator.slam.visual_slam import VisualSlam
+    from dronevio.eval.run import EstimatorRun
+    from dronevio.models.recordings.open import StoredRecording
+    from dronevio.models.state import Trajectory
 
 
 @dataclass(frozen=True)
@@ -94,100 +97,164 @@ def map_rows(slam: "VisualSlam | None") -> tuple[tuple[str, str, str], ...]:
     )
 
 
+@dataclass(frozen=True, eq=False)
+class Estimation:
+    """What the command has estimated."""
+
+    recording: "StoredRecording"
+    """The recording that was read."""
+    run: "EstimatorRun"
+    """The run of the estimator, with the final map if there is one."""
+    trajectory: "Trajectory"
+    """The poses of the odometry."""
+    slam: "VisualSlam | None"
+    """The estimator with its map; None without a map."""
+    imu_rate: "Trajectory | None"
+    """The poses at the rate of the IMU; None if they are not asked for."""
+
+    @property
+    def trajectories(self) -> dict[str, "Trajectory"]:
+        """The trajectories to write, by the keys of their files in the summary."""
+        found = {"estimate": self.trajectory}
+        if self.slam is not None:
+            found["map_estimate"] = self.run.map_trajectory
+            found["final_map_estimate"] = self.trajectory if self.run.map is None else self.run.final_trajectory
+        if self.imu_rate is not None:
+            found["imu_rate"] = self.imu_rate
+        return found
+
+
 def main(arguments: Sequence[str]) -> int:
     """Run the command and return its exit code."""
     command = parse(EstimateCommand, arguments, "estimate")
 
-    from dronevio.driver import ImuRateObserver, estimate_recording, require_poses
-    from dronevio.estimator.slam.visual_slam import VisualSlam
-    from dronevio.estimator.vio import VisualInertialOdometry
-    from dronevio.models.defects import count_defects, defect_values, refuse_defects
     from dronevio.models.recordings.files import check_output_path
     from dronevio.models.recordings.tum import write_tum
 
-    of_map = tuple(command.out.with_stem(f"{command.out.stem}_{suffix}") for suffix in ("map", "map_final"))
-    for place in filter(None, (command.out, command.imu_rate, *(of_map if command.slam else ()))):
+    places = result_files(command)
+    for place in places.values():
         check_output_path(place)  # before the estimator runs
+    found = estimated(command, opened(command))
+    for name, trajectory in found.trajectories.items():
+        write_tum(places[name], trajectory)
+    summary = summary_of(command, found)
+    if command.printing.json:
+        print_json(summary)
+        return 0
+    print_values(f"Estimate of {found.recording.name}", summary_rows(found, summary))
+    if not found.recording.complete:
+        print("The recording is incomplete: it was interrupted.")
+    print(f"wrote {' and '.join(str(place) for place in places.values())}")
+    if found.recording.ground_truth is not None:
+        print(f"evaluate it:  dronevio evaluate {command.recording} {command.out}")
+    return 0
+
+
+def result_files(command: EstimateCommand) -> dict[str, Path]:
+    """Return the TUM files to write, by their keys in the summary."""
+    files = {"estimate": command.out}
+    if command.slam:
+        files["map_estimate"] = command.out.with_stem(f"{command.out.stem}_map")
+        files["final_map_estimate"] = command.out.with_stem(f"{command.out.stem}_map_final")
+    if command.imu_rate is not None:
+        files["imu_rate"] = command.imu_rate
+    return files
+
+
+def opened(command: EstimateCommand) -> "StoredRecording":
+    """Open the recording and print its defects.
+
+    Raises:
+        InputError: It cannot be read; or it has defects, and ``--strict`` is set.
+        ConfigError: An option does not fit it.
+    """
+    from dronevio.models.defects import refuse_defects
+
     recording = command.reading.open(command.recording, repair=True)
     if command.strict:
         refuse_defects(command.recording, recording.defects)
         recording = replace(recording, repair=False)  # refuses damaged images when they are read
     print_defects(recording.defects)
-    estimator_config = command.estimator
-    imu_rate = ImuRateObserver(recording.rig.imu, estimator_config.preintegration, estimator_config.gravity_m_s2)
+    return recording
+
+
+def estimated(command: EstimateCommand, recording: "StoredRecording") -> Estimation:
+    """Run the estimator on a recording, and print what it warns of.
+
+    Raises:
+        EvaluationError: There is no pose.
+    """
+    from dronevio.driver import ImuRateObserver, estimate_recording, require_poses
+    from dronevio.estimator.slam.visual_slam import VisualSlam
+    from dronevio.estimator.vio import VisualInertialOdometry
+
+    config = command.estimator
+    imu_rate = ImuRateObserver(recording.rig.imu, config.preintegration, config.gravity_m_s2)
     observers = () if command.imu_rate is None else (imu_rate,)
     with progress_bars(quiet=command.printing.json) as bars:
-        slam = VisualSlam(recording.rig, command.estimator, command.map) if command.slam else None
-        estimator = slam or VisualInertialOdometry(recording.rig, command.estimator)
+        slam = VisualSlam(recording.rig, config, command.map) if command.slam else None
+        estimator = slam or VisualInertialOdometry(recording.rig, config)
         run = estimate_recording(recording, estimator, bars.bar("estimating"), observers)
     run = run if slam is None else replace(run, map=slam.final_map())
     print_defects(run.defects[len(recording.defects) :])
     print_run_warnings(run)
     trajectory = require_poses(run, recording)
-    write_tum(command.out, trajectory)
-    written = [command.out]
-    if slam is not None:
-        write_tum(of_map[0], run.map_trajectory)
-        write_tum(of_map[1], trajectory if run.map is None else run.final_trajectory)
-        written += of_map
-    if command.imu_rate is not None:
-        write_tum(command.imu_rate, imu_rate.trajectory)
-        written.append(command.imu_rate)
+    return Estimation(recording, run, trajectory, slam, imu_rate.trajectory if observers else None)
+
+
+def summary_of(command: EstimateCommand, found: Estimation) -> dict[str, Any]:
+    """Return the figures of an estimation and the names of its files, for ``--json``."""
+    from dronevio.models.defects import defect_values
+
+    run, places = found.run, {name: str(place) for name, place in result_files(command).items()}
     summary: dict[str, Any] = {
         "recording": str(command.recording),
-        "estimate": str(command.out),
-        "complete": recording.complete,
+        "estimate": places.pop("estimate"),
+        "complete": found.recording.complete,
         "defects": defect_values(run.defects),
-        "cameras": len(recording.rig.cameras),
+        "cameras": len(found.recording.rig.cameras),
         "frames": len(run.estimates),
-        "poses": len(trajectory),
+        "poses": len(found.trajectory),
         "health": {str(health): count for health, count in Counter(e.health for e in run.estimates).items()},
         "innovations": None if run.innovations is None else asdict(run.innovations),
         "warnings": [{"t_s": (t_ns - run.t_ns[0]) * 1e-9, "text": text} for t_ns, text in run.warnings],
-        "first_pose_s": float((trajectory.t_ns[0] - run.t_ns[0]) * 1e-9),
-        "path_m": trajectory.length_m,
+        "first_pose_s": float((found.trajectory.t_ns[0] - run.t_ns[0]) * 1e-9),
+        "path_m": found.trajectory.length_m,
         "cpu_ms_per_frame": float(run.cpu_ms.mean()),
         "real_time_factor": run.real_time_factor,
     }
-    if slam is not None:
-        cost = slam.map_cost
-        summary |= {"map": asdict(slam.summary), "map_cost": asdict(cost)}
-        summary |= {
-            "map_cpu_ms_per_frame": cost.worker_cpu_ms_per_frame,
-            "map_estimate": str(of_map[0]),
-            "final_map_estimate": str(of_map[1]),
-        }
-    if command.imu_rate is not None:
-        summary |= {"imu_rate": str(command.imu_rate), "imu_rate_poses": len(imu_rate.trajectory)}
-    if command.printing.json:
-        print_json(summary)
-        return 0
-    print_values(
-        f"Estimate of {recording.name}",
+    if found.slam is not None:
+        cost = found.slam.map_cost
+        summary |= {"map": asdict(found.slam.summary), "map_cost": asdict(cost)}
+        summary["map_cpu_ms_per_frame"] = cost.worker_cpu_ms_per_frame
+    summary |= places
+    if found.imu_rate is not None:
+        summary["imu_rate_poses"] = len(found.imu_rate)
+    return summary
+
+
+def summary_rows(found: Estimation, summary: dict[str, Any]) -> tuple[tuple[str, str, str], ...]:
+    """Return rows of names, values and units that describe an estimation with its summary."""
+    from dronevio.models.defects import count_defects
+
+    run = found.run
+    return (
+        ("cameras", f"{summary['cameras']}", ""),
+        ("frames", f"{summary['frames']}", ""),
+        ("poses", f"{summary['poses']}", ""),
+        *((f"frames {health}", f"{count}", "") for health, count in summary["health"].items()),
+        *((f"defects: {each.kind}", f"{each.count}", "") for each in count_defects(run.defects)),
+        ("first pose after", f"{summary['first_pose_s']:.2f}", "s"),
+        ("length of the path", f"{summary['path_m']:.2f}", "m"),
+        *map_rows(found.slam),
+        *(
+            (label, "–" if value is None else format(value, form), unit)
+            for label, value, form, unit in innovation_rows(summary["innovations"])
+        ),
+        ("processor time per frame", f"{summary['cpu_ms_per_frame']:.1f}", "ms"),
         (
-            ("cameras", f"{len(recording.rig.cameras)}", ""),
-            ("frames", f"{len(run.estimates)}", ""),
-            ("poses", f"{len(trajectory)}", ""),
-            *((f"frames {health}", f"{count}", "") for health, count in summary["health"].items()),
-            *((f"defects: {each.kind}", f"{each.count}", "") for each in count_defects(run.defects)),
-            ("first pose after", f"{summary['first_pose_s']:.2f}", "s"),
-            ("length of the path", f"{trajectory.length_m:.2f}", "m"),
-            *map_rows(slam),
-            *(
-                (label, "–" if value is None else format(value, form), unit)
-                for label, value, form, unit in innovation_rows(summary["innovations"])
-            ),
-            ("processor time per frame", f"{run.cpu_ms.mean():.1f}", "ms"),
-            (
-                "duration of the flight / processor time",
-                "–" if run.real_time_factor is None else f"{run.real_time_factor:.1f}",
-                "",
-            ),
+            "duration of the flight / processor time",
+            "–" if run.real_time_factor is None else f"{run.real_time_factor:.1f}",
+            "",
         ),
     )
-    if not recording.complete:
-        print("The recording is incomplete: it was interrupted.")
-    print(f"wrote {' and '.join(str(path) for path in written)}")
-    if recording.ground_truth is not None:
-        print(f"evaluate it:  dronevio evaluate {command.recording} {command.out}")
-    return 0
