@@ -258,7 +258,7 @@ def test_conditions_change_images_as_they_say(script: Callable[[str], Any]) -> N
     np.testing.assert_array_equal(conditions["dead-pixels-0.1%"](image, 21, 1), changed["dead-pixels-0.1%"])
 
 
-def test_rendered_conditions_keep_brightness_and_calibrate_the_shutter(script: Callable[[str], Any]) -> None:
+def test_rendered_conditions_keep_brightness_and_path(script: Callable[[str], Any]) -> None:
     conditions = script("rendered_conditions").CONDITIONS
     scenario = replace(scenario_named("room-medium", 3), rig=rig_named("euroc-stereo"))
     light = np.full((480, 752), 100.0, np.float32)
