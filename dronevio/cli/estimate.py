@@ -50,8 +50,8 @@ class EstimateCommand:
     by the final map, which use the whole recording (OUT_map_final). A worker process builds the map; its processor time
     is printed apart from that of the odometry.
 
-    With --save-map, the final map is saved in a file. A later flight continues it with --map: until a place of the map is
-    recognized, it has no pose in the map frame. With --localize-only, the saved map stays as it is.
+    With --save-map, the final map is saved in a file. A later flight continues it with --map: until a place of the map
+    is recognized, it has no pose in the map frame. With --localize-only, the saved map stays as it is.
 
     Examples:
       dronevio estimate recordings/room-0

@@ -38,8 +38,8 @@ MAX_FILE_BYTES = 2**30
 MAX_DOCUMENT_BYTES = 2**20
 """Largest size of the JSON document."""
 MAX_EXPANSION = 20
-"""Largest ratio of the sizes of all members and of the file, beside `FREE_BYTES`. Descriptors can hardly be compressed, so
-that maps have a ratio below 3."""
+"""Largest ratio of the sizes of all members and of the file, beside `FREE_BYTES`. Descriptors can hardly be compressed,
+so that maps have a ratio below 3."""
 FREE_BYTES = 2**20
 """Number of bytes beyond that ratio."""
 

@@ -63,7 +63,7 @@ class SavedMap:
     first: int
     """Row of the keyframe whose yaw and position are those of the map frame."""
     t_ns: Times
-    """(K,) Times of the keyframes, strictly increasing [ns]; those of a former flight end before the next one begins."""
+    """(K,) Times of the keyframes, strictly increasing [ns]. Those of a flight end before the next one begins."""
     Ts_map_imu: Array
     """(K, 4, 4) Poses of the IMU in the map frame."""
     corner_counts: Rows
@@ -128,7 +128,7 @@ class SavedMap:
         """
         if len(rig.cameras) != len(self.cameras):
             raise ConfigError(
-                f"map of a rig with {len(self.cameras)} cameras; expected the {len(rig.cameras)} cameras of the recording"
+                f"map of a rig with {len(self.cameras)} cameras; expected {len(rig.cameras)}, as the recording has"
             )
         for i, (old, new) in enumerate(zip(self.cameras, rig.cameras, strict=True)):
             sizes = [(camera.model.width, camera.model.height) for camera in (old, new)]
