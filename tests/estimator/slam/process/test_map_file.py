@@ -298,7 +298,7 @@ def peak_of_reading(path: Path) -> int:
 def test_members_that_expand_are_refused(tmp_path: Path) -> None:
     size = 100 * 2**20
     path = rewritten(tmp_path / "room.map", tiles__npy=bytes(size))
-    with pytest.raises(InputError, match="members of 1.* bytes; expected at most"):
+    with pytest.raises(InputError, match=r"members of 1.* bytes; expected at most"):
         read_map(path)
     assert peak_of_reading(path) < 2**20
     content = path.read_bytes()
