@@ -224,7 +224,7 @@ def _whole(path: Path, values: Mapping[str, Any], name: str) -> int:
 def _number(path: Path, values: Mapping[str, Any], name: str) -> float:
     """Return a number of a document, or raise InputError."""
     value = values.get(name)
-    if type(value) not in (int, float) or not abs(value) < 1e12:
+    if isinstance(value, bool) or not isinstance(value, int | float) or not abs(value) < 1e12:
         raise InputError(path, f"{DOCUMENT}: {name} = {_short(value)}", "a number")
     return float(value)
 
@@ -264,7 +264,10 @@ def _camera(path: Path, values: Any) -> RigCamera:
         CameraModel(
             _whole(path, model, "width"),
             _whole(path, model, "height"),
-            *(_number(path, model, name) for name in ("fx", "fy", "cx", "cy")),
+            _number(path, model, "fx"),
+            _number(path, model, "fy"),
+            _number(path, model, "cx"),
+            _number(path, model, "cy"),
             distortion=(k1, k2, k3, k4),
             lens=lens,  # type: ignore[arg-type]  # checked by the model
         ),

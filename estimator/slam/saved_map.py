@@ -230,7 +230,7 @@ def saved_map(
     of_keyframes = [patches.get(keyframe.number, _no_patches(patches)) for keyframe in keyframes]
     identities = np.concatenate([np.concatenate([k.landmark_ids for k in keyframes]), *(c.landmark for c in corners)])
     known, renumbered = np.unique(identities, return_inverse=True)
-    renumbered = renumbered.astype(np.int32) - np.int32(len(known) > 0 and known[0] < 0)  # -1 stays
+    renumbered = _rows(renumbered - (len(known) > 0 and known[0] < 0))  # -1 stays
     landmark_count = sum(len(keyframe.landmark_ids) for keyframe in keyframes)
     return SavedMap(
         cameras=tuple(cameras),
@@ -278,7 +278,7 @@ def _no_patches(patches: Mapping[int, LandmarkPatches]) -> LandmarkPatches:
     return LandmarkPatches(np.zeros((0, 3)), np.zeros((0, 2)), np.zeros(0, np.int64), none)
 
 
-def _rows(values: Sequence[object]) -> Rows:
+def _rows(values: npt.ArrayLike) -> Rows:
     return np.array(values, dtype=np.int32)
 
 
@@ -295,7 +295,7 @@ def _identities(saved: Rows) -> Times:
 def _relative_poses(Ts_map_imu: Array, rows: Rows, covariances: Array) -> list[RelativePose]:
     """Return relative poses of keyframes, as measured by their poses (K, 4, 4)."""
     T = inverse_pose(Ts_map_imu[rows[:, 0]]) @ Ts_map_imu[rows[:, 1]]
-    return [RelativePose(*pair, T[i], covariances[i]) for i, pair in enumerate(rows.tolist())]
+    return [RelativePose(first, second, T[i], covariances[i]) for i, (first, second) in enumerate(rows.tolist())]
 
 
 def _calibration_difference(old: RigCamera, new: RigCamera) -> tuple[float, float]:
@@ -303,10 +303,10 @@ def _calibration_difference(old: RigCamera, new: RigCamera) -> tuple[float, floa
     u = np.linspace(0.0, old.model.width - 1.0, _GRID)
     v = np.linspace(0.0, old.model.height - 1.0, _GRID)
     pixels = np.stack(np.meshgrid(u, v), axis=-1).reshape(-1, 2)
-    views = [camera.model.unproject(pixels) @ camera.T_imu_cam[:3, :3].T for camera in (old, new)]
-    sine = np.linalg.norm(np.cross(*views), axis=1)
-    angle = np.degrees(np.arctan2(sine, np.sum(views[0] * views[1], axis=1)))
+    one, other = (camera.model.unproject(pixels) @ camera.T_imu_cam[:3, :3].T for camera in (old, new))
+    sine = np.linalg.norm(np.cross(one, other), axis=1)
+    angle = np.degrees(np.arctan2(sine, np.sum(one * other, axis=1)))
     is_seen = np.isfinite(angle)
-    is_same_field = np.array_equal(*(np.isfinite(view[:, 0]) for view in views))
+    is_same_field = np.array_equal(np.isfinite(one), np.isfinite(other))
     shift_m = float(np.linalg.norm(old.T_imu_cam[:3, 3] - new.T_imu_cam[:3, 3]))
     return shift_m, float(angle[is_seen].max()) if np.any(is_seen) and is_same_field else 180.0

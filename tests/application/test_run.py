@@ -374,11 +374,11 @@ def test_run_with_a_map_scores_the_corrected_paths_apart(
     another_run: Result, place: Path, run_command: CommandRunner
 ) -> None:
     folder = place / "slam"
-    result = run_command(
-        folder, "run", *SCENARIO, "--seed", "1", *SMALL, "--slam", "--out", folder, "--save-map", place / "short.map"
-    )
+    saved = place / "short.map"
+    words = "--seed", "1", *SMALL, "--slam", "--out", folder, "--save-map", saved
+    result = run_command(folder, "run", *SCENARIO, *words)
     assert names(folder) == {*RESULTS, "estimate_map.tum", "map_final.tum"}
-    assert "short.map" in result.out and len(read_map(place / "short.map").t_ns) > 5
+    assert "short.map" in result.out and len(read_map(saved).t_ns) > 5
     assert (folder / "estimate.tum").read_bytes() == (another_run.folder / "estimate.tum").read_bytes()
     odometry = read_tum(folder / "estimate.tum")
     for name in ("estimate_map.tum", "map_final.tum"):
