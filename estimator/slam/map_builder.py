@@ -137,7 +137,8 @@ class MapBuilder:
         """The map so far."""
         if known is not None:
             for keyframe in known.keyframes:
-                recognizer.insert(keyframe)
+                if len(keyframe.features):  # others are culled
+                    recognizer.insert(keyframe)
             self.mapper.load(known)
         self._extractor = PlaceFeatureExtractor(config.places.features)
 

@@ -48,7 +48,7 @@ class KnownMap:
     graph: PoseGraph
     """Their pose graph."""
     patches: Mapping[int, LandmarkPatches]
-    """Small images around the landmarks of the keyframes, by their numbers."""
+    """Small images around the landmarks of the keyframes, by their numbers; culled keyframes have none."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -164,9 +164,8 @@ class SavedMap:
             )
             for row in range(len(t_ns))
         )
-        return KnownMap(
-            keyframes, self._fixed_graph() if is_fixed else self.graph, dict(enumerate(map(self._patches, patches)))
-        )
+        tiles = {row: self._patches(rows) for row, rows in enumerate(patches) if rows.start < rows.stop}
+        return KnownMap(keyframes, self._fixed_graph() if is_fixed else self.graph, tiles)
 
     @property
     def graph(self) -> PoseGraph:
@@ -229,8 +228,8 @@ def saved_map(
     corners = [keyframe.features for keyframe in keyframes]
     of_keyframes = [patches.get(keyframe.number, _no_patches(patches)) for keyframe in keyframes]
     identities = np.concatenate([np.concatenate([k.landmark_ids for k in keyframes]), *(c.landmark for c in corners)])
-    known, renumbered = np.unique(identities, return_inverse=True)
-    renumbered = _rows(renumbered - (len(known) > 0 and known[0] < 0))  # -1 stays
+    known, inverse = np.unique(identities, return_inverse=True)
+    renumbered = _rows(inverse - (len(known) > 0 and known[0] < 0))  # -1 stays
     landmark_count = sum(len(keyframe.landmark_ids) for keyframe in keyframes)
     return SavedMap(
         cameras=tuple(cameras),
