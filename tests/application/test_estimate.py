@@ -117,7 +117,7 @@ def test_a_saved_map_is_continued(
     stereo: Result, run_command: CommandRunner, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     recording, saved, out = stereo.folder / "recording", tmp_path / "room.map", tmp_path / "second.tum"
-    words = "--slam", "--map.no-worker", "--json"
+    words: tuple[object, ...] = "--slam", "--map.no-worker", "--json"
     first = run_command(tmp_path, "estimate", recording, *words, "--save-map", saved, "--out", tmp_path / "first.tum")
     assert first.document["saved_map"] == str(saved) and first.document["map"]["separate_tracks"] == 0
     before = saved.read_bytes()

@@ -97,13 +97,13 @@ def file_content() -> bytes:
         return written(Path(folder) / "room.map").read_bytes()
 
 
-def rewritten(path: Path, method: int = zipfile.ZIP_DEFLATED, **changed: bytes | None) -> Path:
+def rewritten(path: Path, **changed: bytes | None) -> Path:
     """Write a file in which some members are replaced, added, or left out if they are None; dots are double bars."""
     members: dict[str, bytes | None] = {
         **content_of_members(),
         **{name.replace("__", "."): data for name, data in changed.items()},
     }
-    with zipfile.ZipFile(path, "w", method) as archive:
+    with zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED) as archive:
         for name, data in members.items():
             if data is not None:
                 archive.writestr(name, data)
