@@ -98,7 +98,7 @@ def file_content() -> bytes:
 
 
 def rewritten(path: Path, **changed: bytes | None) -> Path:
-    """Write a file in which some members are replaced, added, or left out if they are None; two underscores stand for a dot."""
+    """Write a file in which members are replaced, added, or left out if None; two underscores stand for a dot."""
     members: dict[str, bytes | None] = {
         **content_of_members(),
         **{name.replace("__", "."): data for name, data in changed.items()},
