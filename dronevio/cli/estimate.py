@@ -26,6 +26,7 @@ if TYPE_CHECKING:
     from dronevio.estimator.slam.visual_slam import VisualSlam
     from dronevio.eval.run import EstimatorRun
     from dronevio.models.recordings.open import StoredRecording
+    from dronevio.models.rig import Rig
     from dronevio.models.state import Trajectory
 
 
@@ -51,6 +52,9 @@ class EstimateCommand:
     by the final map, which use the whole recording (OUT_map_final). A worker process builds the map; its processor time
     is printed apart from that of the odometry.
 
+    With --save-map, the final map is saved in a file. A later flight continues it with --map: until a place of the map
+    is recognized, it has no pose in the map frame. With --localize-only, the saved map stays as it is.
+
     Examples:
       dronevio estimate recordings/room-0
       dronevio estimate V1_01_easy --out v101.tum
@@ -59,6 +63,9 @@ class EstimateCommand:
       dronevio estimate V1_01_easy --estimator.tracker.corners.cell-px 36
       dronevio estimate flight.mcap --strict --estimator.gravity-m-s2 9.80
       dronevio estimate V1_01_easy --slam --out v101.tum
+      dronevio estimate V1_01_easy --slam --save-map v1.map
+      dronevio estimate V1_02_medium --slam --map v1.map --save-map v1.map
+      dronevio estimate V1_03_difficult --slam --map v1.map --localize-only
       dronevio evaluate V1_01_easy v101_map.tum
     """
 
@@ -71,6 +78,12 @@ class EstimateCommand:
     the IMU, IMU samples that are not finite, and frames without IMU."""
     slam: bool = False
     """Build a map, recognize places and correct the odometry; write the corrected trajectories, too."""
+    save_map: Path | None = None
+    """File in which the final map is saved, with --slam. It may be that of --map, which is replaced at the end."""
+    saved_map: Annotated[Path | None, tyro.conf.arg(name="map")] = None
+    """File of a map that the flight continues, with --slam. The recording needs the same calibration."""
+    localize_only: bool = False
+    """Keep the map of --map as it is: its keyframes do not move, and it is not saved again."""
     imu_rate: Path | None = None
     """Second TUM file to write: one pose per IMU sample, propagated from the estimate of the newest frame before it."""
     reading: RecordingInput = field(default_factory=RecordingOptions)
@@ -95,6 +108,51 @@ def map_rows(slam: "VisualSlam | None") -> tuple[tuple[str, str, str], ...]:
         ("processor time of the map per frame", f"{cost.worker_cpu_ms_per_frame:.1f}", "ms"),
         ("frames that waited for the map", f"{cost.waits} of {cost.results} corrections", ""),
     )
+
+
+def check_map_options(command: EstimateCommand) -> None:
+    """Check that the options of saved maps agree.
+
+    Raises:
+        ConfigError: An option lacks the one that it needs, or contradicts another one.
+    """
+    from dronevio.models.errors import ConfigError
+
+    if not command.slam:
+        for name, value in (("--save-map", command.save_map), ("--map", command.saved_map)):
+            if value is not None:
+                raise ConfigError(f"{name} without --slam; expected both")
+    if command.localize_only and command.saved_map is None:
+        raise ConfigError("--localize-only without --map; expected the file of a map")
+    if command.localize_only and command.save_map is not None:
+        raise ConfigError("--localize-only with --save-map; expected one of them, since the map stays as it is")
+
+
+def slam_of(command: EstimateCommand, rig: "Rig") -> "VisualSlam":
+    """Return visual SLAM before the first measurement, with the map of a command.
+
+    Raises:
+        ConfigError: The map cannot be used with the rig.
+        InputError: The file of the map cannot be read.
+    """
+    from dronevio.estimator.slam.visual_slam import VisualSlam
+
+    c = command
+    return VisualSlam(rig, c.estimator, c.map, map=c.saved_map, localize_only=c.localize_only)
+
+
+def _first_map_pose_s(run: "EstimatorRun") -> float | None:
+    """Return the time from the first frame to the first pose in the map frame [s]; None without one."""
+    first = next((e.t_ns for e in run.estimates if e.state is not None and e.T_map_odom is not None), None)
+    return None if first is None else (first - int(run.t_ns[0])) * 1e-9
+
+
+def _joined_rows(command: EstimateCommand, summary: dict[str, Any]) -> tuple[tuple[str, str, str], ...]:
+    """Return a row that tells when a flight has a pose in a loaded map; none without one."""
+    if command.saved_map is None:
+        return ()
+    first_s = summary["first_map_pose_s"]
+    return (("first pose in the loaded map after", "never" if first_s is None else f"{first_s:.2f}", "s"),)
 
 
 @dataclass(frozen=True, eq=False)
@@ -131,17 +189,20 @@ def main(arguments: Sequence[str]) -> int:
     from dronevio.models.recordings.files import check_output_path
     from dronevio.models.recordings.tum import write_tum
 
+    check_map_options(command)
     places = result_files(command)
     for place in places.values():
         check_output_path(place)  # before the estimator runs
     found = estimated(command, opened(command))
     for name, trajectory in found.trajectories.items():
         write_tum(places[name], trajectory)
+    if found.slam is not None and command.save_map is not None:
+        found.slam.save_map(command.save_map)
     summary = summary_of(command, found)
     if command.printing.json:
         print_json(summary)
         return 0
-    print_values(f"Estimate of {found.recording.name}", summary_rows(found, summary))
+    print_values(f"Estimate of {found.recording.name}", summary_rows(command, found, summary))
     if not found.recording.complete:
         print("The recording is incomplete: it was interrupted.")
     print(f"wrote {' and '.join(str(place) for place in places.values())}")
@@ -151,11 +212,13 @@ def main(arguments: Sequence[str]) -> int:
 
 
 def result_files(command: EstimateCommand) -> dict[str, Path]:
-    """Return the TUM files to write, by their keys in the summary."""
+    """Return the files to write, by their keys in the summary."""
     files = {"estimate": command.out}
     if command.slam:
         files["map_estimate"] = command.out.with_stem(f"{command.out.stem}_map")
         files["final_map_estimate"] = command.out.with_stem(f"{command.out.stem}_map_final")
+    if command.save_map is not None:
+        files["saved_map"] = command.save_map
     if command.imu_rate is not None:
         files["imu_rate"] = command.imu_rate
     return files
@@ -185,14 +248,13 @@ def estimated(command: EstimateCommand, recording: "StoredRecording") -> Estimat
         EvaluationError: There is no pose.
     """
     from dronevio.driver import ImuRateObserver, estimate_recording, require_poses
-    from dronevio.estimator.slam.visual_slam import VisualSlam
     from dronevio.estimator.vio import VisualInertialOdometry
 
     config = command.estimator
     imu_rate = ImuRateObserver(recording.rig.imu, config.preintegration, config.gravity_m_s2)
     observers = () if command.imu_rate is None else (imu_rate,)
     with progress_bars(quiet=command.printing.json) as bars:
-        slam = VisualSlam(recording.rig, config, command.map) if command.slam else None
+        slam = slam_of(command, recording.rig) if command.slam else None
         estimator = slam or VisualInertialOdometry(recording.rig, config)
         run = estimate_recording(recording, estimator, bars.bar("estimating"), observers)
     run = run if slam is None else replace(run, map=slam.final_map())
@@ -227,13 +289,16 @@ def summary_of(command: EstimateCommand, found: Estimation) -> dict[str, Any]:
         cost = found.slam.map_cost
         summary |= {"map": asdict(found.slam.summary), "map_cost": asdict(cost)}
         summary["map_cpu_ms_per_frame"] = cost.worker_cpu_ms_per_frame
+        summary["first_map_pose_s"] = _first_map_pose_s(run)
     summary |= places
     if found.imu_rate is not None:
         summary["imu_rate_poses"] = len(found.imu_rate)
     return summary
 
 
-def summary_rows(found: Estimation, summary: dict[str, Any]) -> tuple[tuple[str, str, str], ...]:
+def summary_rows(
+    command: EstimateCommand, found: Estimation, summary: dict[str, Any]
+) -> tuple[tuple[str, str, str], ...]:
     """Return rows of names, values and units that describe an estimation with its summary."""
     from dronevio.models.defects import count_defects
 
@@ -247,6 +312,7 @@ def summary_rows(found: Estimation, summary: dict[str, Any]) -> tuple[tuple[str,
         ("first pose after", f"{summary['first_pose_s']:.2f}", "s"),
         ("length of the path", f"{summary['path_m']:.2f}", "m"),
         *map_rows(found.slam),
+        *_joined_rows(command, summary),
         *(
             (label, "–" if value is None else format(value, form), unit)
             for label, value, form, unit in innovation_rows(summary["innovations"])

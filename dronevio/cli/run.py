@@ -53,6 +53,7 @@ class RunCommand:
       dronevio run --fly-on estimate
       dronevio run --policy hover.safetensors --fly-on estimate
       dronevio run --scenario room-square --slam
+      dronevio run --scenario room-square --slam --save-map room.map
       dronevio run --estimator.smoother.max-keyframes 16
       dronevio run --live
       dronevio run --json > result.json
@@ -72,6 +73,8 @@ class RunCommand:
     when the task is accomplished or its time limit is reached."""
     slam: bool = False
     """Build a map, recognize places and correct the odometry; write and score the corrected trajectories, too."""
+    save_map: Path | None = None
+    """File in which the final map is saved, with --slam, for `dronevio estimate --slam --map`."""
     keep_recording: bool = False
     """Keep the recording with all images, as an EuRoC folder named recording."""
     live: bool = False
@@ -93,8 +96,14 @@ def main(arguments: Sequence[str]) -> int:
 
     from dronevio.cli.output_files import reserved_folder
     from dronevio.cli.reservations import reserved, reserved_free_name
+    from dronevio.models.errors import ConfigError
+    from dronevio.models.recordings.files import check_output_path
     from dronevio.sim.cameras.gl import require_gl
 
+    if command.save_map is not None:
+        if not command.slam:
+            raise ConfigError("--save-map without --slam; expected both")
+        check_output_path(command.save_map)  # before the flight
     chosen = command.flight.chosen()
     mission = _policy_mission(command, chosen)
     scenario = chosen if mission is None else mission.scenario
@@ -118,6 +127,8 @@ def main(arguments: Sequence[str]) -> int:
         print(f"task:     {result} ({report['policy']['environment']}; end: {report['policy']['end']})")
     if report["control"]["collision"] is not None:
         print(f"the flight ended early: the drone {report['control']['collision']}")
+    if command.save_map is not None:
+        print(f"map:      {command.save_map}")
     print(f"report:   {target}/report.html")
     print(f"open it:  dronevio view {target}")
     return 0
@@ -224,7 +235,7 @@ def repeating_command(scenario: "Scenario", arguments: Sequence[str]) -> str:
     rest = iter(arguments)
     for word in rest:
         name, equals, _ = word.partition("=")
-        if name in ("--scenario", "--seed", "--out"):
+        if name in ("--scenario", "--seed", "--out", "--save-map"):
             if not equals:
                 next(rest, None)
         elif name not in ("--json", "--overwrite", "--keep-recording", "--live"):

@@ -86,7 +86,7 @@ def _flown_on_truth(
     with run_file(folder / "run.rrd", recording, surroundings=surroundings, has_map=command.slam) as file:
         with _viewers(recording, surroundings, command) as viewers:
             run = estimate_recording(recording, estimator, progress["estimating"], (file, *viewers))
-        run = _with_map(run, estimator)
+        run = _with_map(run, estimator, command)
         scored, of_map = _scored(recording, run), map_results(run, recording)
         file.finish(run, scored, of_map)
     return EstimatedFlight(flight, recording, run, scored, of_map=of_map)
@@ -131,7 +131,7 @@ def _flown_live(
         true_state=command.fly_on == "truth",
     )
     recording = _recording(scenario, folder)
-    run = _with_map(replace(estimator.run, defects=defects_of(recording)), own)
+    run = _with_map(replace(estimator.run, defects=defects_of(recording)), own, command)
     scored, of_map = _scored(recording, run), map_results(run, recording)
     write_rrd(
         folder / "run.rrd",
@@ -159,11 +159,21 @@ def _estimator(command: "RunCommand", rig: "Rig") -> "VisualInertialOdometry | V
     return VisualInertialOdometry(rig, command.estimator)
 
 
-def _with_map(run: "EstimatorRun", estimator: "VisualInertialOdometry | VisualSlam") -> "EstimatorRun":
-    """Return a finished run with the final map, if its estimator has one."""
+def _with_map(
+    run: "EstimatorRun", estimator: "VisualInertialOdometry | VisualSlam", command: "RunCommand"
+) -> "EstimatorRun":
+    """Return a finished run with the final map, if its estimator has one, and save the map with --save-map.
+
+    Raises:
+        ConfigError: The map is too small to be saved.
+    """
     from dronevio.estimator.slam.visual_slam import VisualSlam
 
-    return replace(run, map=estimator.final_map()) if isinstance(estimator, VisualSlam) else run
+    if not isinstance(estimator, VisualSlam):
+        return run
+    if command.save_map is not None:
+        estimator.save_map(command.save_map)
+    return replace(run, map=estimator.final_map())
 
 
 def _recording(scenario: "Scenario", folder: Path) -> "Recording":

@@ -81,6 +81,11 @@ class KeyframeImages:
     """The calibration in use."""
 
 
+def tile_side_px(config: LocalizationConfig) -> int:
+    """Return the side of the small images around landmarks [px]."""
+    return 2 * (config.patches.side_px // 2 + BORDER_PX) + 1
+
+
 def landmark_patches(keyframe: MapKeyframe, images: KeyframeImages, config: LocalizationConfig) -> LandmarkPatches:
     """Return small images around the landmarks of a keyframe, except those near the border of the image."""
     rows, landmark = described_landmarks(keyframe)

@@ -20,6 +20,7 @@ from dronevio.estimator.slam.features import PlaceFeatureExtractor
 from dronevio.estimator.slam.localization import KeyframeImages
 from dronevio.estimator.slam.mapping import KeyframeView, Mapper
 from dronevio.estimator.slam.recognizer import PlaceRecognizer
+from dronevio.estimator.slam.saved_map import KnownMap
 from dronevio.estimator.types import Observations
 from dronevio.models.rig import Rig
 
@@ -120,15 +121,25 @@ class OdometryMap(Protocol):
 class MapBuilder:
     """Builds a map from the messages of an odometry."""
 
-    def __init__(self, rig: Rig, config: SlamConfig) -> None:
-        """Begin with an empty map.
+    def __init__(self, rig: Rig, config: SlamConfig, known: KnownMap | None = None) -> None:
+        """Begin with an empty map, or continue a saved one.
 
         Args:
             rig: The calibration.
             config: Settings.
+            known: A saved map.
+
+        Raises:
+            ConfigError: The map was saved with patches of another size.
         """
-        self.mapper = Mapper(PlaceRecognizer(rig, config.places), config.mapping)
+        recognizer = PlaceRecognizer(rig, config.places)
+        self.mapper = Mapper(recognizer, config.mapping)
         """The map so far."""
+        if known is not None:
+            for keyframe in known.keyframes:
+                if len(keyframe.features):  # others are culled
+                    recognizer.insert(keyframe)
+            self.mapper.load(known)
         self._extractor = PlaceFeatureExtractor(config.places.features)
 
     def process(self, message: MapMessage) -> Correction | None:
@@ -152,9 +163,9 @@ class MapBuilder:
 class LocalMap:
     """Builds the map in the process of the odometry, which it delays; an `OdometryMap` for tests and debugging."""
 
-    def __init__(self, rig: Rig, config: SlamConfig) -> None:
-        """Begin with an empty map; see `MapBuilder`."""
-        self._builder = MapBuilder(rig, config)
+    def __init__(self, rig: Rig, config: SlamConfig, known: KnownMap | None = None) -> None:
+        """Begin with an empty map, or continue a saved one; see `MapBuilder`."""
+        self._builder = MapBuilder(rig, config, known)
         self._answers: deque[Correction | None] = deque()
         self._results = 0
 

@@ -24,6 +24,7 @@ from dronevio.estimator.slam.correction import Correction
 from dronevio.estimator.slam.map_builder import MapCost, MapMessage
 from dronevio.estimator.slam.map_worker import Answer, Begin, Failure, Question, Request, Update, read, write
 from dronevio.estimator.slam.mapping import Mapper
+from dronevio.estimator.slam.saved_map import KnownMap
 from dronevio.models.errors import DefectError, DronevioError
 from dronevio.models.rig import Rig
 
@@ -43,12 +44,13 @@ class MapProcess:
     the user can correct.
     """
 
-    def __init__(self, rig: Rig, config: SlamConfig) -> None:
+    def __init__(self, rig: Rig, config: SlamConfig, known: KnownMap | None = None) -> None:
         """Start the worker process.
 
         Args:
             rig: The calibration.
             config: Settings.
+            known: A saved map to continue; None for an empty one.
         """
         requests_fd, requests = os.pipe()
         answers, answers_fd = os.pipe()
@@ -81,7 +83,7 @@ class MapProcess:
         self._end = weakref.finalize(
             self, _end, self._process, self._requests, self._answers, self._errors, os.getpid()
         )
-        self._requests.put(Begin(rig, config))
+        self._requests.put(Begin(rig, config, known))
 
     @property
     def pid(self) -> int:

@@ -19,6 +19,7 @@ if TYPE_CHECKING:
     from dronevio.estimator.slam.config import SlamConfig
     from dronevio.estimator.slam.map_builder import MapBuilder, MapMessage
     from dronevio.estimator.slam.mapping import Mapper
+    from dronevio.estimator.slam.saved_map import KnownMap
     from dronevio.models.rig import Rig
 
 
@@ -30,6 +31,8 @@ class Begin:
     """The calibration of cameras and IMU."""
     config: "SlamConfig"
     """Settings of the map."""
+    known: "KnownMap | None" = None
+    """A saved map to continue."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -118,7 +121,7 @@ def _answer(requests: Connection, answers: Connection) -> None:
     cv2.setNumThreads(1)
     start_s = time.process_time()
     begin: Begin = read(requests)
-    builder = MapBuilder(begin.rig, begin.config)
+    builder = MapBuilder(begin.rig, begin.config, begin.known)
     while True:
         request: Update | Question = read(requests)
         write(answers, Answer(_result(builder, request), time.process_time() - start_s))

@@ -11,7 +11,7 @@ leaves it.
 """
 
 from collections import deque
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Annotated, Protocol
 
@@ -28,12 +28,15 @@ from dronevio.estimator.slam.localization import (
     LocalizationConfig,
     Localizer,
     landmark_patches,
+    tile_side_px,
 )
 from dronevio.estimator.slam.map_arrays import slam_map
 from dronevio.estimator.slam.odometry_factors import OdometryNode, RelativePose, first_node, propagated
 from dronevio.estimator.slam.pose_graph import OptimizedGraph, PoseGraph, marginal_covariance, optimize
+from dronevio.estimator.slam.saved_map import LAST_KNOWN_NS, KnownMap
 from dronevio.estimator.slam.submap import Submap
 from dronevio.estimator.slam.verification import PlaceMatch
+from dronevio.models.errors import ConfigError
 from dronevio.models.ranges import Range, Settings
 from dronevio.models.rotation import inverse_pose
 from dronevio.models.slam_map import SlamMap
@@ -133,6 +136,36 @@ class Mapper:
         self._starts_ns: list[int] = []  # times at which the tracks after the first one begin
         self._located: Array | None = None  # T_map_odom by a place, before the track is joined
 
+    def load(self, known: KnownMap) -> None:
+        """Continue a saved map: the flight that follows is another track, which is joined as after a loss.
+
+        Args:
+            known: The map, whose keyframes the recognizer knows already.
+
+        Raises:
+            ConfigError: There are keyframes, or the map was saved with patches of another size.
+        """
+        side = tile_side_px(self._config.localization)
+        found = next((patches.tiles.shape[1] for patches in known.patches.values() if len(patches.tiles)), side)
+        if self._keyframes or found != side:
+            raise ConfigError(f"map with patches of {found} px; expected {side} px, and no keyframe before it")
+        self._keyframes, self._patches = list(known.keyframes), dict(known.patches)
+        covariance = marginal_covariance(known.graph, len(self._keyframes) - 1)
+        solution = OptimizedGraph(known.graph, frozenset())
+        self._submaps = (Submap(solution, frozenset({0}), covariance, known.graph),)
+        self._closed = set(known.graph.loops)
+        self.start_track(LAST_KNOWN_NS + 1)
+
+    @property
+    def patches(self) -> Mapping[int, LandmarkPatches]:
+        """Small images around the landmarks of keyframes, by their numbers."""
+        return self._patches
+
+    @property
+    def is_joined(self) -> bool:
+        """Whether the map has keyframes beside those that were loaded."""
+        return any(keyframe.t_ns > LAST_KNOWN_NS for keyframe in self.keyframes)
+
     @property
     def graph(self) -> PoseGraph | None:
         """The pose graph of the map with all keyframes and loops; None before the first keyframe."""
@@ -228,6 +261,7 @@ class Mapper:
         self._connected_ns = (*self._connected_ns, *(self._keyframes[loop.second].t_ns for loop in closed))[
             -MAX_CONNECTED:
         ]
+        times = ((self._keyframes[loop.first].t_ns, self._keyframes[loop.second].t_ns) for loop in closed)
         T_map_odom = self._located
         if self._is_home:
             T_map_odom = submap.graph.poses[keyframe.number] @ inverse_pose(estimate.T_odom_imu)
@@ -238,7 +272,7 @@ class Mapper:
             self._track,
             T_map_odom is not None and not was_known,
             closed,
-            tuple((self._keyframes[loop.first].t_ns, self._keyframes[loop.second].t_ns) for loop in closed),
+            tuple((a, b) for a, b in times if a > LAST_KNOWN_NS),
             submap.judged,
         )
 
@@ -298,7 +332,7 @@ class Mapper:
             return False
         if not any(abs(t_ns - keyframe.t_ns) <= CONNECTED_WITHIN_S * 1e9 for t_ns in self._connected_ns):
             return False
-        earlier = [k.number for k in self._references(graph, keyframe) if k.number in self._nodes]
+        earlier = [k.number for k in self._references(graph, keyframe) if len(k.features) or k.number in self._nodes]
         if not earlier:
             return False
         Ts = np.stack([graph.poses[number] for number in earlier])

@@ -21,6 +21,8 @@ JUDGED_ROTATION_SIGMA_RAD, JUDGED_POSITION_SIGMA_M = 0.005, 0.01
 """Standard deviations that are added to those of a loop where it is judged [rad] and [m]. The graph contains the growth
 of the odometry's covariance since the start, which is less than the error between two keyframes of its middle. A place
 that is mistaken for another one is wrong by far more."""
+FIXED_SIGMA = 1e-4
+"""Standard deviation of a pose that stays as it is [rad] and [m]; loops of some millimetres move it by micrometres."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -45,6 +47,8 @@ class PoseGraph:
     joined: tuple[int, ...] = ()
     """Numbers of the keyframes at which other tracks of the odometry begin. Yaw and position there are free: loops
     connect these tracks with the others."""
+    fixed: tuple[int, ...] = ()
+    """Numbers of the keyframes whose poses stay as they are."""
 
     def with_keyframe(self, T_map_imu: Array, relative: RelativePose, gravity: GravityDirection | None) -> "PoseGraph":
         """Return the graph with one more keyframe, by the odometry.
@@ -130,6 +134,7 @@ def joined_graphs(graph: PoseGraph, other: PoseGraph, T_graph_other: Array) -> P
         (*graph.gravity, GravityDirection(other.first, up, sigma_rad), *other.gravity),
         (*graph.loops, *other.loops),
         (*graph.joined, other.first, *other.joined),
+        (*graph.fixed, *other.fixed),
     )
 
 
@@ -147,6 +152,9 @@ def _factor_graph(graph: PoseGraph) -> gtsam.NonlinearFactorGraph:
     free = gtsam.noiseModel.Diagonal.Sigmas(np.repeat([FREE_ROTATION_SIGMA_RAD, FREE_POSITION_SIGMA_M], 3))
     for number in graph.joined:
         factors.add(gtsam.PriorFactorPose3(X(number), gtsam.Pose3(graph.poses[number]), free))
+    fixed = gtsam.noiseModel.Isotropic.Sigma(6, FIXED_SIGMA)
+    for number in graph.fixed:
+        factors.add(gtsam.PriorFactorPose3(X(number), gtsam.Pose3(graph.poses[number]), fixed))
     up = gtsam.Unit3(np.array([0.0, 0.0, 1.0]))
     for direction in graph.gravity:
         tilt_noise = gtsam.noiseModel.Isotropic.Sigma(2, direction.sigma_rad)

@@ -12,6 +12,7 @@ from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import replace
 from functools import reduce
+from pathlib import Path
 
 import numpy as np
 import numpy.typing as npt
@@ -35,14 +36,19 @@ from dronevio.estimator.slam.map_builder import (
     TrackLost,
     WindowKeyframe,
 )
+from dronevio.estimator.slam.map_file import read_map, write_map
 from dronevio.estimator.slam.map_process import MapProcess
 from dronevio.estimator.slam.mapping import Mapper, MapSummary
-from dronevio.estimator.slam.pose_graph import PoseGraph
+from dronevio.estimator.slam.pose_graph import OptimizedGraph, PoseGraph
+from dronevio.estimator.slam.saved_arrays import MIN_KEYFRAMES
+from dronevio.estimator.slam.saved_map import SavedMap, saved_map
 from dronevio.estimator.slam.schedule import CorrectionSchedule
 from dronevio.estimator.types import Integers
 from dronevio.estimator.vio import VisualInertialOdometry
+from dronevio.models.errors import ConfigError
 from dronevio.models.imu import ImuModel, ImuSamples
 from dronevio.models.map_correction import MapCorrection
+from dronevio.models.recordings.files import as_input_error
 from dronevio.models.rig import Rig
 from dronevio.models.slam_map import SlamMap
 from dronevio.models.state import CameraFrame, Estimate, NavState
@@ -65,27 +71,47 @@ class VisualSlam:
         ...         T_map_imu = slam.add_frame(measurement).T_map_imu
     """
 
-    def __init__(self, rig: Rig, odometry: VioConfig | None = None, config: SlamConfig | None = None) -> None:
-        """Begin before the first measurement, with an empty map.
+    def __init__(
+        self,
+        rig: Rig,
+        odometry: VioConfig | None = None,
+        config: SlamConfig | None = None,
+        *,
+        map: SavedMap | Path | str | None = None,
+        localize_only: bool = False,
+    ) -> None:
+        """Begin before the first measurement, with an empty map or a saved one.
+
+        With a saved map, there is no pose in the map frame until one of its places is recognized. Mapping then goes on:
+        the optimization of the pose graph moves the saved keyframes, too, and `save_map` saves all of them.
 
         Args:
             rig: The calibration of the cameras and the IMU.
             odometry: Settings of the odometry.
             config: Settings of the map.
+            map: A saved map, or its file.
+            localize_only: Whether the saved keyframes stay where they are, and the map is not saved again.
 
         Raises:
-            ConfigError: The rig has no camera.
+            ConfigError: The rig has no camera, the map is that of another calibration, or there is no map to localize
+                in.
+            InputError: The file of the map cannot be read.
         """
         self._config = c = config or SlamConfig()
         self._rig = rig
         self._imu: list[ImuSamples] = []
         self._keyframes = _KeyframeMessages()
         self._odometry = VisualInertialOdometry(rig, odometry, observer=self._keyframes)
-        self._map: OdometryMap = MapProcess(rig, c) if c.worker else LocalMap(rig, c)
+        self._known, self._localize_only = _checked_map(rig, map, localize_only), localize_only
+        known = None if self._known is None else self._known.known(is_fixed=localize_only)
+        self._map: OdometryMap = MapProcess(rig, c, known) if c.worker else LocalMap(rig, c, known)
         self._schedule = CorrectionSchedule(c.correction_delay)
         self._frames = self._sent = self._loops = self._track = self._tracked = 0
         self._T_map_odom: Array | None = np.eye(4)
         self._correction: Correction | None = None
+        self._final: tuple[int, Mapper, OptimizedGraph | None] | None = None  # after a number of frames
+        if known is not None:
+            self._sent, self._track, self._T_map_odom = len(known.keyframes), 1, None
 
     def add_imu(self, samples: ImuSamples) -> None:
         """Add the IMU samples since the last call; see `VisualInertialOdometry`."""
@@ -165,19 +191,55 @@ class VisualSlam:
         """Return the map of the whole flight by all measurements; None if no keyframe has joined the map.
 
         The pose graph gives the initial poses, and visual-inertial bundle adjustment the final ones. Without loops, the
-        odometry is not corrected.
+        odometry is not corrected. A loaded map has no measurements of its former flights: there, the pose graph gives
+        the final poses.
         """
-        mapper = self.mapper
-        solution = mapper.final_solution()
-        if solution is None:
-            return None
-        poses, graph = solution.graph.poses, solution.without_rejected
-        if graph.loops:
-            imu, noise = reduce(ImuSamples.extended, self._imu), self._odometry.imu_noise
-            inputs = self._keyframes.adjustment_inputs(mapper.keyframes, graph, imu, self._rig.imu, noise)
-            with suppress(RuntimeError):  # by GTSAM, if the system is singular; the poses of the graph remain
-                poses = adjust(inputs, self._config.adjustment)
-        return mapper.map_of(replace(solution, graph=replace(solution.graph, poses=poses)))
+        mapper, solution = self._final_solution()
+        return None if solution is None else mapper.map_of(solution)
+
+    def save_map(self, path: Path | str) -> None:
+        """Save the final map, together with the map that was loaded, for later flights.
+
+        Args:
+            path: File to write; an earlier one is replaced when the new one is complete.
+
+        Raises:
+            ConfigError: The map has too few keyframes, it may only be localized in, or the flight has not been joined
+                with the map that was loaded.
+            InputError: The file cannot be written.
+        """
+        if self._localize_only:
+            raise ConfigError("save_map() with localize_only; expected one of them, since the map stays as it is")
+        mapper, solution = self._final_solution()
+        if self._known is not None and not mapper.is_joined:
+            raise ConfigError("the flight is not joined with the loaded map; expected a recognized place to save both")
+        count = 0 if solution is None else len(solution.graph.poses)
+        if solution is None or count < MIN_KEYFRAMES:
+            raise ConfigError(f"map with {count} keyframes; expected {MIN_KEYFRAMES} or more to save it")
+        graph = solution.without_rejected
+        write_map(Path(path), saved_map(self._rig.cameras, graph, mapper.keyframes, mapper.patches))
+
+    def _final_solution(self) -> tuple[Mapper, OptimizedGraph | None]:
+        """Return the map, and its pose graph with the final poses; see `final_map`."""
+        if self._final is None or self._final[0] != self._frames:
+            mapper = self.mapper
+            solution = mapper.final_solution()
+            if solution is not None and self._known is None:
+                solution = self._adjusted(mapper, solution)
+            self._final = self._frames, mapper, solution
+        return self._final[1:]
+
+    def _adjusted(self, mapper: Mapper, solution: OptimizedGraph) -> OptimizedGraph:
+        """Return the pose graph with the poses by bundle adjustment, if it has loops."""
+        graph = solution.without_rejected
+        if not graph.loops:
+            return solution
+        imu, noise = reduce(ImuSamples.extended, self._imu), self._odometry.imu_noise
+        inputs = self._keyframes.adjustment_inputs(mapper.keyframes, graph, imu, self._rig.imu, noise)
+        with suppress(RuntimeError):  # by GTSAM, if the system is singular; the poses of the graph remain
+            poses = adjust(inputs, self._config.adjustment)
+            return replace(solution, graph=replace(solution.graph, poses=poses))
+        return solution
 
     def close(self) -> None:
         """End the worker process, which otherwise ends with the last reference to this object."""
@@ -277,6 +339,27 @@ class _KeyframeMessages:
         """Begin another track: later keyframes are in another odometry frame."""
         self._waiting, self._has_map_pose = {}, False
         self._messages.append(TrackLost(0 if self._frame is None else self._frame.t_ns))
+
+
+def _checked_map(rig: Rig, saved: SavedMap | Path | str | None, localize_only: bool) -> SavedMap | None:
+    """Return the map with which a flight begins, None without one.
+
+    Raises:
+        ConfigError: It is that of another calibration, or there is none to localize in.
+        InputError: Its file cannot be read.
+    """
+    if saved is None:
+        if localize_only:
+            raise ConfigError("localize_only without a map; expected a map that was saved")
+        return None
+    if isinstance(saved, SavedMap):
+        saved.check_rig(rig)
+        return saved
+    path = Path(saved)
+    read = read_map(path)
+    with as_input_error(path):
+        read.check_rig(rig)
+    return read
 
 
 def _itself(mapper: Mapper) -> Mapper:

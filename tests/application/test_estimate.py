@@ -113,6 +113,52 @@ def test_map_leaves_the_odometry_as_it_is(stereo: Result, run_command: CommandRu
         assert (tmp_path / f"same_{suffix}.tum").read_bytes() == expected
 
 
+def test_a_saved_map_is_continued(
+    stereo: Result, run_command: CommandRunner, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    recording, saved, out = stereo.folder / "recording", tmp_path / "room.map", tmp_path / "second.tum"
+    words: tuple[object, ...] = "--slam", "--map.no-worker", "--json"
+    first = run_command(tmp_path, "estimate", recording, *words, "--save-map", saved, "--out", tmp_path / "first.tum")
+    assert first.document["saved_map"] == str(saved) and first.document["map"]["separate_tracks"] == 0
+    before = saved.read_bytes()
+    words = (*words, "--map", saved)
+    only = run_command(tmp_path, "estimate", recording, *words, "--localize-only", "--out", out).document
+    assert only["first_pose_s"] < only["first_map_pose_s"] < 4.0
+    assert saved.read_bytes() == before and only["saved_map"] is None
+    assert only["map"]["keyframes"] == 2 * first.document["map"]["keyframes"] and only["map"]["loops"] > 0
+    # It is the same flight, so that the poses in the map are those of the first one.
+    odometry, in_map = read_tum(tmp_path / "first_map_final.tum"), read_tum(tmp_path / "second_map.tum")
+    assert len(in_map) < len(odometry)
+    expected = odometry.p_world_imu[np.isin(odometry.t_ns, in_map.t_ns)]
+    np.testing.assert_allclose(in_map.p_world_imu, expected, atol=0.01)
+
+    monkeypatch.setattr("dronevio.estimator.slam.recognizer.PlaceRecognizer.add", lambda *_: ())
+    monkeypatch.setattr("dronevio.estimator.slam.recognizer.PlaceRecognizer.locate", lambda *_: None)
+    apart = run_command(tmp_path, "estimate", recording, "--slam", "--map.no-worker", "--map", saved, "--out", out)
+    assert re.search(r"first pose in the loaded map after +never", apart.out)
+    assert len(out.read_text().splitlines()) > 50
+    assert all(line.startswith("#") for line in (tmp_path / "second_map.tum").read_text().splitlines())
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        (("--save-map", "x.map"), "--save-map without --slam"),
+        (("--map", "x.map"), "--map without --slam"),
+        (("--slam", "--localize-only"), "--localize-only without --map"),
+        (("--slam", "--map", "x.map", "--localize-only", "--save-map", "y"), "--localize-only with --save-map"),
+        (("--slam", "--map", "x.map"), "x.map: no such file; expected a map that dronevio has saved"),
+    ],
+)
+def test_wrong_options_of_maps_are_refused(
+    stereo: Result, tmp_path: Path, capsys: Any, monkeypatch: pytest.MonkeyPatch, options: Any, message: str
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    assert main(["estimate", str(stereo.folder / "recording"), *options]) == 2
+    assert message in capsys.readouterr().err
+    assert not list(tmp_path.iterdir())
+
+
 def test_dead_mapping_process_is_reported_as_a_defect(
     stereo: Result, tmp_path: Path, capsys: Any, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -21,6 +21,7 @@ import pytest
 from dronevio.cli import main
 from dronevio.cli.run import print_report
 from dronevio.cli.view import viewer_program
+from dronevio.estimator.slam.map_file import read_map
 from dronevio.models.recordings.euroc import EurocRecording
 from dronevio.models.recordings.tum import read_tum
 from dronevio.models.rig_presets import rig_named
@@ -373,8 +374,11 @@ def test_run_with_a_map_scores_the_corrected_paths_apart(
     another_run: Result, place: Path, run_command: CommandRunner
 ) -> None:
     folder = place / "slam"
-    result = run_command(folder, "run", *SCENARIO, "--seed", "1", *SMALL, "--slam", "--out", folder)
+    saved = place / "short.map"
+    words = "--seed", "1", *SMALL, "--slam", "--out", folder, "--save-map", saved
+    result = run_command(folder, "run", *SCENARIO, *words)
     assert names(folder) == {*RESULTS, "estimate_map.tum", "map_final.tum"}
+    assert "short.map" in result.out and len(read_map(saved).t_ns) > 5
     assert (folder / "estimate.tum").read_bytes() == (another_run.folder / "estimate.tum").read_bytes()
     odometry = read_tum(folder / "estimate.tum")
     for name in ("estimate_map.tum", "map_final.tum"):
@@ -386,6 +390,7 @@ def test_run_with_a_map_scores_the_corrected_paths_apart(
     for path in ("online", "final"):
         assert report["map"][path]["ate_m"]["rmse"] == pytest.approx(report["scores"]["ate_m"]["rmse"], abs=1e-6)
     assert report["configuration"]["slam"]["mapping"]["min_age_s"] == 10.0 and "--slam" in report["command"]
+    assert "--save-map" not in report["command"]
     shown = values_of_table(result.out)
     assert shown["map, final: ATE"] == f"{report['map']['final']['ate_m']['rmse']:.3f}" and shown["loops"] == "0"
     assert another_run.document["map"] is None and another_run.document["configuration"]["slam"] is None
