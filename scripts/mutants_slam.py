@@ -79,9 +79,9 @@ SLAM = (
         "map-covariance-of-the-odometry",
         "Mapping: the covariance of the newest keyframe does not change where loops are closed.",
         "estimator/slam/submap.py",
-        "if solution.closed != self.solution.closed:",
-        "if False:",
-        ("tests/estimator/slam/mapping/test_mapping.py::test_covariances_of_corrections_are_marginals_of_the_graph",),
+        "with_loops(solution.graph, self.covariances, new)",
+        "self.covariances",
+        ("tests/estimator/slam/mapping/test_mapping.py::test_covariances_of_corrections_are_those_of_the_best_path",),
     ),
     Mutant(
         "map-delay-without-loops",

@@ -32,7 +32,7 @@ from dronevio.estimator.slam.localization import (
 )
 from dronevio.estimator.slam.map_arrays import slam_map
 from dronevio.estimator.slam.odometry_factors import OdometryNode, RelativePose, first_node, propagated
-from dronevio.estimator.slam.pose_graph import OptimizedGraph, PoseGraph, marginal_covariance, optimize
+from dronevio.estimator.slam.pose_graph import OptimizedGraph, PoseGraph, optimize
 from dronevio.estimator.slam.saved_map import LAST_KNOWN_NS, KnownMap
 from dronevio.estimator.slam.submap import Submap
 from dronevio.estimator.slam.verification import PlaceMatch
@@ -150,9 +150,7 @@ class Mapper:
         if self._keyframes or found != side:
             raise ConfigError(f"map with patches of {found} px; expected {side} px, and no keyframe before it")
         self._keyframes, self._patches = list(known.keyframes), dict(known.patches)
-        covariance = marginal_covariance(known.graph, len(self._keyframes) - 1)
-        solution = OptimizedGraph(known.graph, frozenset())
-        self._submaps = (Submap(solution, frozenset({0}), covariance, known.graph),)
+        self._submaps = (Submap.of_graph(known.graph, 0),)
         self._closed = set(known.graph.loops)
         self.start_track(LAST_KNOWN_NS + 1)
 
@@ -233,7 +231,7 @@ class Mapper:
             old, predicted = self._keyframes[match.match], match.T_match_query
             place = self._localizer.localize(keyframe, view.images, old, patches, predicted) or place
         self._located = home.graph.poses[match.match] @ place.T_first_second @ inverse_pose(estimate.T_odom_imu)
-        covariance = propagated(marginal_covariance(home.solution.without_rejected, match.match), place, None)
+        covariance = propagated(home.covariances[match.match], place, None)
         return Correction(self._located, estimate, covariance, self._track, is_joined=True)
 
     def add(self, estimate: KeyframeEstimate, view: KeyframeView) -> Correction:
@@ -268,7 +266,7 @@ class Mapper:
         return Correction(
             T_map_odom,
             estimate,
-            submap.covariance,
+            submap.covariances[keyframe.number],
             self._track,
             T_map_odom is not None and not was_known,
             closed,

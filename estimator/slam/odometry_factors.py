@@ -129,17 +129,23 @@ def propagated(covariance: Array, relative: RelativePose, gravity: GravityDirect
     return np.asarray(0.5 * (P + P.T))
 
 
-def passed_back(loop: RelativePose, odometry: RelativePose) -> RelativePose:
-    """Return a loop as one of the keyframe before its second one, by the odometry between the two.
+def reversed_pose(relative: RelativePose) -> RelativePose:
+    """Return a relative pose in the other direction: that of the first keyframe in the frame of the second one."""
+    A = adjoint(relative.T_first_second)
+    T_second_first = inverse_pose(relative.T_first_second)
+    return RelativePose(relative.second, relative.first, T_second_first, A @ relative.covariance @ A.T)
+
+
+def composed(relative: RelativePose, following: RelativePose) -> RelativePose:
+    """Return two relative poses with independent errors in succession as one.
 
     Args:
-        loop: The loop.
-        odometry: The pose of its second keyframe in the frame of the keyframe before.
+        relative: The first one.
+        following: The second one, from the second keyframe of the first one.
     """
-    T_second_before = inverse_pose(odometry.T_first_second)
-    A = adjoint(odometry.T_first_second)
-    covariance = A @ (loop.covariance + odometry.covariance) @ A.T
-    return RelativePose(loop.first, odometry.first, loop.T_first_second @ T_second_before, covariance)
+    T = relative.T_first_second @ following.T_first_second
+    covariance = _transported(relative.covariance, following.T_first_second) + following.covariance
+    return RelativePose(relative.first, following.second, T, covariance)
 
 
 def _tilt_axes(up: Array) -> Array:

@@ -101,17 +101,9 @@ def optimize(graph: PoseGraph, *, robust: bool = True) -> OptimizedGraph:
         values.insert(X(k), gtsam.Pose3(T))
     rejected = _rejected_loops(graph, values) if robust and graph.loops else frozenset[int]()
     inliers = OptimizedGraph(graph, rejected).without_rejected
-    solution = gtsam.LevenbergMarquardtOptimizer(_factor_graph(inliers), values).optimize()
+    solution = gtsam.LevenbergMarquardtOptimizer(factor_graph(inliers), values).optimize()
     poses = {k: solution.atPose3(X(k)).matrix() for k in graph.poses}
     return OptimizedGraph(replace(graph, poses=poses), rejected)
-
-
-def marginal_covariance(graph: PoseGraph, keyframe: int) -> Array:
-    """Return the marginal covariance (6, 6) of a keyframe's pose at the poses of the graph: δθ, δp in the IMU frame."""
-    values = gtsam.Values()
-    for k, T in graph.poses.items():
-        values.insert(X(k), gtsam.Pose3(T))
-    return np.asarray(gtsam.Marginals(_factor_graph(graph), values).marginalCovariance(X(keyframe)))
 
 
 def joined_graphs(graph: PoseGraph, other: PoseGraph, T_graph_other: Array) -> PoseGraph:
@@ -144,8 +136,8 @@ def tilt_variance(up_imu: Array, covariance: Array) -> float:
     return float(np.trace(tilt @ covariance[:3, :3] @ tilt.T)) / 2.0
 
 
-def _factor_graph(graph: PoseGraph) -> gtsam.NonlinearFactorGraph:
-    """Return the factors of a graph; the loops come last."""
+def factor_graph(graph: PoseGraph) -> gtsam.NonlinearFactorGraph:
+    """Return the factors of a graph, with the symbols X(number); the loops come last."""
     factors = gtsam.NonlinearFactorGraph()
     prior = gtsam.noiseModel.Gaussian.Covariance(graph.first_covariance)
     factors.add(gtsam.PriorFactorPose3(X(graph.first), gtsam.Pose3(graph.poses[graph.first]), prior))
@@ -170,7 +162,7 @@ def _rejected_loops(graph: PoseGraph, values: gtsam.Values) -> frozenset[int]:
     """Return the indices of the loops that graduated non-convexity rejects."""
     added = np.diag(np.repeat([JUDGED_ROTATION_SIGMA_RAD**2, JUDGED_POSITION_SIGMA_M**2], 3))
     judged = replace(graph, loops=tuple(replace(loop, covariance=loop.covariance + added) for loop in graph.loops))
-    factors = _factor_graph(judged)
+    factors = factor_graph(judged)
     params = gtsam.GncLMParams(gtsam.LevenbergMarquardtParams())
     params.setLossType(gtsam.GncLossType.TLS)
     params.setKnownInliers(list(range(factors.size() - len(graph.loops))))

@@ -86,7 +86,7 @@ def check_arrays(arrays: Arrays, first: int, cameras: int) -> None:
         ("patch_points_imu", MAX_COORDINATE),
         ("patch_pixels", MAX_PIXEL),
     ):
-        is_number = np.all(np.abs(arrays[name].astype(np.float64)) <= largest)  # not of NaN
+        is_number = np.all(np.abs(arrays[name]) <= largest)  # not of NaN
         _require(is_number, name, "values that are not finite, or too large", f"numbers up to {largest:g}")
     for name in ("corner_camera", "patch_camera"):
         _check_rows(arrays, name, 0, cameras)

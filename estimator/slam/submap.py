@@ -2,30 +2,28 @@
 
 A keyframe at a place that is known already can be culled: the graph that is optimized during the flight then grows with
 new ground, not with time. All keyframes and factors remain in the history, for the final map.
-
-After a loss, the odometry begins another *track*: its keyframes have another odometry frame. They form a submap of
-their own until a place of another submap is recognized.
 """
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 import numpy.typing as npt
 
 from dronevio.estimator.backend.keyframe_estimate import KeyframeEstimate
+from dronevio.estimator.slam.best_path import UNKNOWN, of_graph, with_loops
 from dronevio.estimator.slam.odometry_factors import (
     OdometryNode,
     RelativePose,
+    composed,
     odometry_factors,
-    passed_back,
     propagated,
+    reversed_pose,
 )
 from dronevio.estimator.slam.pose_graph import (
     OptimizedGraph,
     PoseGraph,
     joined_graphs,
-    marginal_covariance,
     optimize,
 )
 from dronevio.models.rotation import inverse_pose
@@ -44,8 +42,9 @@ class Submap:
     """The graph with the poses of the last optimization. Loops that wait for the next one count as rejected."""
     tracks: frozenset[int]
     """Numbers of the tracks."""
-    covariance: Array
-    """(6, 6) Covariance of the newest keyframe's pose in the map: δθ, then δp, both in the IMU frame."""
+    covariances: Mapping[int, Array]
+    """Covariances (6, 6) of the keyframes' poses in the map, by the best path through odometry and loops: δθ, then δp,
+    both in the IMU frame."""
     history: PoseGraph
     """The graph with all keyframes and factors, also the culled ones, whose poses are those when they were culled."""
     waiting: int = 0
@@ -57,7 +56,12 @@ class Submap:
     def begin(cls, number: int, estimate: KeyframeEstimate, track: int) -> "Submap":
         """Return the submap of the first keyframe of a track."""
         graph = PoseGraph(number, estimate.covariance, {number: estimate.T_odom_imu})
-        return cls(OptimizedGraph(graph, frozenset()), frozenset({track}), estimate.covariance, graph)
+        return cls(OptimizedGraph(graph, frozenset()), frozenset({track}), {number: estimate.covariance}, graph)
+
+    @classmethod
+    def of_graph(cls, graph: PoseGraph, track: int) -> "Submap":
+        """Return the submap of a saved graph as one track, whose loops are all accepted."""
+        return cls(OptimizedGraph(graph, frozenset()), frozenset({track}), of_graph(graph), graph)
 
     @property
     def graph(self) -> PoseGraph:
@@ -90,9 +94,10 @@ class Submap:
         node, relative, gravity = odometry_factors(anchor, number, estimate)
         T = self.graph.poses[relative.first] @ relative.T_first_second
         graph, history = (each.with_keyframe(T, relative, gravity) for each in (self.graph, self.history))
-        covariance = propagated(self.covariance, relative, gravity)
+        covariance = propagated(self.covariances[anchor.number], relative, gravity)
         solution = replace(self.solution, graph=graph)
-        return node, replace(self, solution=solution, covariance=covariance, history=history)
+        covariances = {**self.covariances, number: covariance}
+        return node, replace(self, solution=solution, covariances=covariances, history=history)
 
     def with_loops(self, loops: Sequence[RelativePose]) -> "Submap":
         """Return the submap with loops that wait for the next optimization."""
@@ -108,10 +113,11 @@ class Submap:
         Args:
             t_ns: Time of the newest keyframe [ns].
         """
-        solution, covariance = optimize(self.graph), self.covariance
-        if solution.closed != self.solution.closed:
-            covariance = marginal_covariance(solution.without_rejected, max(self.graph.poses))
-        return Submap(solution, self.tracks, covariance, self.history, 0, t_ns)
+        solution = optimize(self.graph)
+        before = frozenset(self.closed_loops)
+        new = [loop for loop in solution.without_rejected.loops if loop not in before]
+        covariances = with_loops(solution.graph, self.covariances, new)
+        return Submap(solution, self.tracks, covariances, self.history, 0, t_ns)
 
     def joined(
         self, other: "Submap", loops: Sequence[RelativePose], t_ns: int, *, other_stays: bool
@@ -133,9 +139,10 @@ class Submap:
         solution = optimize(graph.with_loops(loops))
         if solution.rejected.issuperset(between):
             return None
-        covariance = marginal_covariance(solution.without_rejected, max(solution.graph.poses))
+        unconnected = {**one.covariances, **dict.fromkeys(two.covariances, UNKNOWN)}
+        covariances = with_loops(solution.graph, unconnected, solution.without_rejected.loops)
         history = joined_graphs(one.whole_graph, two.whole_graph, T_one_two).with_loops(loops)
-        return Submap(solution, self.tracks | other.tracks, covariance, history, 0, t_ns)
+        return Submap(solution, self.tracks | other.tracks, covariances, history, 0, t_ns)
 
     def without(self, number: int, previous: OdometryNode, following: KeyframeEstimate) -> "Submap":
         """Return the submap without a keyframe, which stays in the history.
@@ -160,7 +167,7 @@ class Submap:
         kept = [loop for loop in graph.loops[: self.judged] if loop.second != number]
         room = MAX_PASSED_LOOPS - sum(loop.second == before.first for loop in kept)
         own = [loop for loop in closed if loop.second == number and loop.first != before.first]
-        passed = [passed_back(loop, before) for loop in own[: max(room, 0)]]
+        passed = [composed(loop, reversed_pose(before)) for loop in own[: max(room, 0)]]
         kept_waiting = [loop for loop in waiting if loop.second != number]
         loops = (*kept, *passed, *kept_waiting)
         accepted = {*closed, *passed}
@@ -169,4 +176,5 @@ class Submap:
         rejected = frozenset(i for i, loop in enumerate(loops) if loop not in accepted)
         history = replace(self.history, poses={**self.history.poses, number: graph.poses[number]})
         solution = OptimizedGraph(culled, rejected)
-        return replace(self, solution=solution, history=history, waiting=len(kept_waiting))
+        covariances = {k: P for k, P in self.covariances.items() if k != number}
+        return replace(self, solution=solution, covariances=covariances, history=history, waiting=len(kept_waiting))

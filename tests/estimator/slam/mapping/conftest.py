@@ -5,15 +5,18 @@ from dataclasses import dataclass, field
 from functools import cached_property
 from typing import TYPE_CHECKING
 
+import gtsam
 import numpy as np
 import numpy.typing as npt
 import pytest
+from gtsam.symbol_shorthand import X
 
 from dronevio.estimator.backend.keyframe_estimate import KeyframeEstimate
 from dronevio.estimator.keyframe_observer import OdometryKeyframe
 from dronevio.estimator.slam.correction import Correction
 from dronevio.estimator.slam.keyframe import NO_KEYFRAME_FEATURES, MapKeyframe
 from dronevio.estimator.slam.mapping import KeyframeView, Mapper, Recognizer
+from dronevio.estimator.slam.pose_graph import PoseGraph, factor_graph
 from dronevio.estimator.slam.verification import PlaceMatch
 from dronevio.models.rotation import exp_so3, inverse_pose, pose_matrix
 from dronevio.models.state import Estimate
@@ -22,6 +25,14 @@ if TYPE_CHECKING:
     from tests.estimator.conftest import SyntheticFlight
 
 Array = npt.NDArray[np.float64]
+
+
+def marginal_covariance(graph: PoseGraph, keyframe: int) -> Array:
+    """Return the marginal covariance (6, 6) of a keyframe's pose in a graph: δθ, δp in the IMU frame."""
+    values = gtsam.Values()
+    for k, T in graph.poses.items():
+        values.insert(X(k), gtsam.Pose3(T))
+    return np.asarray(gtsam.Marginals(factor_graph(graph), values).marginalCovariance(X(keyframe)))
 
 
 class TrueRecognizer:

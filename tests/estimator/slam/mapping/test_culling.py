@@ -10,10 +10,11 @@ from dronevio.estimator.slam.config import SlamConfig
 from dronevio.estimator.slam.keyframe import MapKeyframe
 from dronevio.estimator.slam.map_builder import LocalMap, MarginalizedKeyframe
 from dronevio.estimator.slam.mapping import Mapper, MappingConfig, MapSummary
-from dronevio.estimator.slam.odometry_factors import OdometryNode, RelativePose, first_node, passed_back
-from dronevio.estimator.slam.pose_graph import marginal_covariance, optimize
+from dronevio.estimator.slam.odometry_factors import OdometryNode, RelativePose, composed, first_node, reversed_pose
+from dronevio.estimator.slam.pose_graph import optimize
 from dronevio.estimator.slam.submap import MAX_PASSED_LOOPS, Submap
 from dronevio.models.rotation import exp_so3, inverse_pose, pose_matrix
+from tests.estimator.slam.mapping.conftest import marginal_covariance
 from tests.estimator.slam.process.conftest import DRIFT_M, PLACES, keyframe, one_camera
 
 if TYPE_CHECKING:
@@ -119,7 +120,7 @@ def test_a_passed_loop_by_hand() -> None:
     step = RelativePose(
         4, 5, pose_matrix(np.eye(3), np.array([3.0, 0.0, 0.0])), np.diag([0, 0, 3e-4, 1e-2, 1e-2, 1e-2])
     )
-    passed = passed_back(loop, step)
+    passed = composed(loop, reversed_pose(step))
     assert (passed.first, passed.second) == (1, 4)
     np.testing.assert_allclose(passed.T_first_second, pose_matrix(np.eye(3), np.array([-1.0, 0.0, 0.0])), atol=1e-12)
     # An error of the yaw of 0.02 rad displaces the keyframe 3 m behind by 0.06 m to the side.
@@ -132,7 +133,7 @@ def test_a_passed_loop_keeps_the_pose_of_the_second_keyframe() -> None:
     rng = np.random.default_rng(2)
     T_loop, T_step = (pose_matrix(exp_so3(rng.normal(size=3)), rng.normal(size=3)) for _ in range(2))
     step = RelativePose(4, 5, T_step, np.eye(6))
-    passed = passed_back(RelativePose(1, 5, T_loop, np.eye(6)), step)
+    passed = composed(RelativePose(1, 5, T_loop, np.eye(6)), reversed_pose(step))
     np.testing.assert_allclose(passed.T_first_second @ T_step, T_loop, atol=1e-12)
 
 

@@ -13,14 +13,14 @@ from dronevio.estimator.slam.correction import Correction
 from dronevio.estimator.slam.keyframe import NO_KEYFRAME_FEATURES, MapKeyframe
 from dronevio.estimator.slam.mapping import KeyframeView, Mapper
 from dronevio.estimator.slam.odometry_factors import RelativePose, first_node
-from dronevio.estimator.slam.pose_graph import PoseGraph, joined_graphs, marginal_covariance, optimize
+from dronevio.estimator.slam.pose_graph import PoseGraph, joined_graphs, optimize
 from dronevio.estimator.slam.submap import Submap
 from dronevio.estimator.slam.verification import PlaceMatch
 from dronevio.estimator.slam.visual_slam import are_connected
 from dronevio.models.map_correction import MapCorrection
 from dronevio.models.rotation import exp_so3, inverse_pose, log_so3, pose_matrix, rotation_z
 from dronevio.models.state import Trajectory
-from tests.estimator.slam.mapping.conftest import NoRecognizer, TrueRecognizer
+from tests.estimator.slam.mapping.conftest import NoRecognizer, TrueRecognizer, marginal_covariance
 
 if TYPE_CHECKING:
     from tests.estimator.slam.mapping.conftest import OdometryFlight

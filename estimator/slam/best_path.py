@@ -1,0 +1,75 @@
+"""Covariances of keyframes in the map by the best path to each of them, through odometry and loops.
+
+The errors of an odometry are correlated over minutes, as by an error of scale. A pose graph takes its factors as
+independent, and lets loops remove errors that they do not: in a corridor that was flown twice, its marginal covariances
+are too small by a factor of 100. Where correlations are not known, each single path through the graph is consistent,
+which is covariance intersection with a weight of one (Julier and Uhlmann, "A non-divergent estimation algorithm in the
+presence of unknown correlations", ACC 1997). The path with the smallest variance of the position counts.
+"""
+
+from collections import defaultdict
+from collections.abc import Iterable, Mapping
+
+import numpy as np
+import numpy.typing as npt
+
+from dronevio.estimator.slam.odometry_factors import RelativePose, propagated, reversed_pose
+from dronevio.estimator.slam.pose_graph import FREE_POSITION_SIGMA_M, FREE_ROTATION_SIGMA_RAD, PoseGraph
+
+Array = npt.NDArray[np.float64]
+
+UNKNOWN = np.diag(np.repeat([FREE_ROTATION_SIGMA_RAD**2, FREE_POSITION_SIGMA_M**2], 3))
+"""(6, 6) Covariance of a pose of which nothing is known."""
+
+
+def with_loops(
+    graph: PoseGraph, covariances: Mapping[int, Array], loops: Iterable[RelativePose]
+) -> Mapping[int, Array]:
+    """Return the covariances of keyframes with paths through new loops, and through the odometry after them.
+
+    Args:
+        graph: The graph of the keyframes.
+        covariances: Covariances (6, 6) by the numbers of the keyframes without these loops, `UNKNOWN` for keyframes
+            that nothing connects with the first one: δθ, then δp, both in the IMU frame.
+        loops: Accepted loops.
+    """
+    reached: dict[int, list[RelativePose]] = defaultdict(list)
+    for loop in loops:
+        reached[loop.second].append(loop)
+        if is_unknown(covariances[loop.first]):
+            reached[loop.first].append(reversed_pose(loop))
+    if not reached:
+        return covariances
+    found, steps = dict(covariances), {relative.second: relative for relative in graph.odometry}
+    gravity = {direction.keyframe: direction for direction in graph.gravity}
+    for number in sorted(k for k in found if k >= min(reached)):
+        paths = [found[number], *(propagated(found[loop.first], loop, None) for loop in reached[number])]
+        step = steps.get(number)
+        if step is not None:
+            paths.append(propagated(found[step.first], step, gravity.get(number)))
+        found[number] = min(paths, key=position_variance)
+    # What the first loop of another track tells of the keyframes before it
+    for number in sorted(steps, reverse=True):
+        step = steps[number]
+        if is_unknown(found[step.first]):
+            found[step.first] = min(
+                found[step.first], propagated(found[number], reversed_pose(step), None), key=position_variance
+            )
+    return found
+
+
+def of_graph(graph: PoseGraph) -> Mapping[int, Array]:
+    """Return the covariances of all keyframes of a graph, of which all loops are right."""
+    first = {k: graph.first_covariance if k == graph.first else UNKNOWN for k in graph.poses}
+    steps = [relative for relative in graph.odometry if relative.second > graph.first]
+    return with_loops(graph, first, [*graph.loops, *steps[:1]])
+
+
+def is_unknown(covariance: Array) -> bool:
+    """Return whether nothing is known of a position."""
+    return position_variance(covariance) > FREE_POSITION_SIGMA_M**2
+
+
+def position_variance(covariance: Array) -> float:
+    """Return the trace of the covariance of a position [m²]."""
+    return float(np.trace(covariance[3:, 3:]))
