@@ -236,9 +236,13 @@ class VisualInertialOdometry:
         self._pipeline.discard(result.rejected)
         events = result.events
         self._report_keyframe(smoother, packet, result)
-        if self._calibrate(tracking, packet, result):
+        if self._calibrate(tracking, packet, result, stationary):
             self._report_keyframe_estimates(smoother)
-            smoother = smoother.recalibrated(self._calibration, self._online_calibration.covariance_inflation)
+            smoother = smoother.recalibrated(
+                self._calibration,
+                self._online_calibration.covariance_inflation,
+                self._online_calibration.corrected_state,
+            )
             gravity_m_s2 = self._config.gravity_m_s2 + self._calibration.gravity_correction_m_s2
             self._noise.set_gravity(gravity_m_s2)
             self._imu_rate.set_gravity(gravity_m_s2)
@@ -274,7 +278,7 @@ class VisualInertialOdometry:
             for estimate in smoother.keyframe_estimates():
                 self._observer.marginalized(estimate)
 
-    def _calibrate(self, tracking: Tracking, packet: FramePacket, result: KeyframeResult) -> bool:
+    def _calibrate(self, tracking: Tracking, packet: FramePacket, result: KeyframeResult, stationary: bool) -> bool:
         """Add a keyframe to the online calibration and return whether the calibration has changed."""
         propagator = tracking.propagator
         if result.events or propagator.is_degraded:
@@ -284,7 +288,7 @@ class VisualInertialOdometry:
         observations = packet.observations.without(result.rejected)
         angular_velocity = self._pipeline.angular_velocity_rad_s
         return self._online_calibration.add(
-            tracking.smoother.state, angular_velocity, propagator.preintegrated, observations
+            tracking.smoother.state, angular_velocity, propagator.preintegrated, observations, stationary
         )
 
     def _lose(self, tracking: Tracking, packet: FramePacket, report: HealthReport) -> Estimate:

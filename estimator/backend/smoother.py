@@ -240,7 +240,9 @@ class KeyframeSmoother:
             return None
         return float(np.median(error)) * self._focal_px if len(error) else float("inf")
 
-    def recalibrated(self, calibration: Calibration, covariance_inflation: Array) -> "KeyframeSmoother":
+    def recalibrated(
+        self, calibration: Calibration, covariance_inflation: Array, corrected: NavState | None = None
+    ) -> "KeyframeSmoother":
         """Return a smoother with another calibration that begins at the newest state.
 
         The window is not carried over, because all of its estimates depend on the previous calibration.
@@ -248,8 +250,12 @@ class KeyframeSmoother:
         Args:
             calibration: The new calibration.
             covariance_inflation: (15, 15) Covariance that is added to that of the newest state.
+            corrected: The newest state by the new calibration, with its covariance, where it is known. It replaces the
+                newest state, and nothing is added to its covariance.
         """
         state, covariance = self._solution.state, self._solution.covariance + covariance_inflation
+        if corrected is not None and corrected.covariance is not None:
+            state, covariance = corrected, corrected.covariance
         return KeyframeSmoother(calibration, self._config, self._landmark_config, state, covariance, NO_FEATURES)
 
     def keyframe_estimates(self) -> tuple[KeyframeEstimate, ...]:

@@ -23,7 +23,8 @@ from dronevio.estimator.calibration.window import (
     window_observations,
     window_state,
 )
-from dronevio.models.rotation import exp_so3, log_so3
+from dronevio.models.rotation import exp_so3, log_so3, pose_matrix
+from dronevio.models.state import NavState
 
 Array = npt.NDArray[np.float64]
 
@@ -47,6 +48,8 @@ class AdjustmentResult:
     """(D, D) Information matrix of the corrections."""
     rms_px: float
     """Root mean square reprojection error, weighted by the robust loss [px]."""
+    newest: NavState
+    """State of the newest keyframe by the corrected calibration, with its covariance relative to the first keyframe."""
 
 
 class CalibrationProblem:
@@ -62,11 +65,14 @@ class CalibrationProblem:
         information: Array,
         estimated: npt.NDArray[np.bool_],
         gravity_m_s2: float,
+        *,
+        initial: Array | None = None,
+        begins_stationary: bool = False,
     ) -> None:
         """Select and triangulate the landmarks of a window.
 
         Args:
-            keyframes: At least two keyframes in the order of time.
+            keyframes: At least one keyframe, in the order of time.
             Ts_imu_cam: (C, 4, 4) Poses of the cameras without corrections.
             focal_px: Focal length [px].
             config: Settings.
@@ -75,14 +81,19 @@ class CalibrationProblem:
             estimated: (D,) Whether a correction is estimated. The prior of those that are not is independent of the
                 others.
             gravity_m_s2: Magnitude of gravity without correction [m/s²].
+            initial: (D,) Corrections at which the adjustment begins; the prior mean by default.
+            begins_stationary: Whether the vehicle is stationary at the first keyframe. Its state then does not depend
+                on the calibration, and its covariance is the prior of that state and of the biases.
         """
         self._config, self._gravity_m_s2 = config, gravity_m_s2
         self._focal_px, self._sigma = focal_px, config.pixel_sigma / focal_px
         self._prior_mean, self._prior_information = mean, information
-        self._corrections, self._estimated = mean.copy(), np.flatnonzero(estimated)
+        self._corrections, self._estimated = (mean if initial is None else initial).copy(), np.flatnonzero(estimated)
         self._state = window_state(keyframes, Ts_imu_cam, Corrections.from_vector(self._corrections))
-        newest = keyframes[-1].state
-        self._bias = np.concatenate([newest.gyro_bias_rad_s, newest.accel_bias_m_s2])
+        self._newest_ns = keyframes[-1].state.t_ns
+        of_bias = keyframes[0 if begins_stationary else -1].state
+        self._bias = np.concatenate([of_bias.gyro_bias_rad_s, of_bias.accel_bias_m_s2])
+        self._first_information = _first_information(config, keyframes[0].state if begins_stationary else None)
         self._first = self._state.R_world_imu[0].copy(), self._state.v_world_imu[0].copy(), self._bias.copy()
         self._factors = [
             CalibrationImuFactor.from_preintegrated(keyframe.preintegrated, self._bias, keyframe.gravity_m_s2)
@@ -113,14 +124,28 @@ class CalibrationProblem:
     def step(self) -> None:
         """Take one Gauss-Newton step."""
         self._steps += 1
-        information = self._gauss_newton_step()
+        covariance = self._gauss_newton_step()
         converged = self._decrement < self._config.max_decrement
-        self._is_done = information is None or converged or self._steps >= self._config.iterations
-        if self._is_done and information is not None:
-            self._result = AdjustmentResult(self._corrections, information, self._rms_px)
+        self._is_done = covariance is None or converged or self._steps >= self._config.iterations
+        if self._is_done and covariance is not None:
+            information, n = self._prior_information.copy(), _STATE_DIM + _BIAS_DIM
+            information[np.ix_(self._estimated, self._estimated)] = np.linalg.inv(covariance[n:, n:])
+            self._result = AdjustmentResult(
+                self._corrections, information, self._rms_px, self._newest_state(covariance[:n, :n])
+            )
+
+    def _newest_state(self, covariance: Array) -> NavState:
+        """Return the state of the newest keyframe with its covariance (15, 15)."""
+        s, gyro_bias, accel_bias = self._state, self._bias[:3], self._bias[3:]
+        T = pose_matrix(s.R_world_imu[-1], s.p_world_imu[-1])
+        return NavState(self._newest_ns, T, s.v_world_imu[-1], gyro_bias, accel_bias, covariance)
 
     def _gauss_newton_step(self) -> Array | None:
-        """Apply a Gauss-Newton step; return the information (D, D) on the corrections, None if the system is singular.
+        """Apply a Gauss-Newton step.
+
+        Returns:
+            The covariance (15 + E, 15 + E) of the newest keyframe, the biases and the corrections; None if the system
+            is singular.
 
         The linear system holds K keyframes, the biases and the E estimated corrections, n = 9 K + 6 + E.
         """
@@ -134,7 +159,8 @@ class CalibrationProblem:
         try:
             factor = cho_factor(H)
             delta = cho_solve(factor, b)
-            covariance = cho_solve(factor, np.eye(n + E)[:, n:])[n:]
+            newest = n - _BIAS_DIM - _STATE_DIM
+            covariance = np.asarray(cho_solve(factor, np.eye(n + E)[:, newest:])[newest:])
         except np.linalg.LinAlgError:
             return None
         self._decrement = float(b @ delta)
@@ -149,26 +175,19 @@ class CalibrationProblem:
             v_world_imu=s.v_world_imu + keyframes[:, 6:],
             corrections=Corrections.from_vector(self._corrections),
         )
-        information = self._prior_information.copy()
-        information[np.ix_(self._estimated, self._estimated)] = np.linalg.inv(covariance)
-        return information
+        return covariance
 
     def _add_priors(self, H: Array, b: Array, n: int) -> None:
         """Add the priors of the corrections, of the first keyframe and of the biases."""
-        c, (R, v, bias) = self._config, self._first
+        R, v, bias = self._first
         information = self._prior_information[np.ix_(self._estimated, self._estimated)]
         H[n:, n:] += information
         b[n:] += information @ (self._prior_mean - self._corrections)[self._estimated]
-        sigmas = [c.orientation_sigma_rad, GAUGE_SIGMA_M, c.velocity_sigma_m_s]
-        weights = np.repeat(np.array(sigmas) ** -2.0, 3)
         s = self._state
-        error = np.concatenate([log_so3(s.R_world_imu[0].T @ R), np.zeros(3), v - s.v_world_imu[0]])
-        H[range(_STATE_DIM), range(_STATE_DIM)] += weights
-        b[:_STATE_DIM] += weights * error
-        weights = np.repeat(np.array([c.gyro_bias_sigma_rad_s, c.accel_bias_sigma_m_s2]) ** -2.0, 3)
-        columns = range(n - _BIAS_DIM, n)
-        H[columns, columns] += weights
-        b[n - _BIAS_DIM : n] += weights * (bias - self._bias)
+        error = np.concatenate([log_so3(s.R_world_imu[0].T @ R), np.zeros(3), v - s.v_world_imu[0], bias - self._bias])
+        columns = np.r_[0:_STATE_DIM, n - _BIAS_DIM : n]
+        H[np.ix_(columns, columns)] += self._first_information
+        b[columns] += self._first_information @ error
 
     def _add_imu_factors(self, H: Array, b: Array, n: int) -> None:
         """Add the IMU factors between consecutive keyframes."""
@@ -242,3 +261,21 @@ class CalibrationProblem:
             return np.asarray(np.linalg.solve(np.swapaxes(L_l, 1, 2), right[..., None])[..., 0])
 
         return back_substitute
+
+
+def _first_information(config: AdjustmentConfig, stationary: NavState | None) -> Array:
+    """Return the information (15, 15) on the first keyframe and the biases, before the window.
+
+    Args:
+        config: Settings.
+        stationary: State of the first keyframe if the vehicle is stationary there, otherwise None.
+    """
+    c = config
+    if stationary is None or stationary.covariance is None:
+        sigmas = [c.orientation_sigma_rad, GAUGE_SIGMA_M, c.velocity_sigma_m_s]
+        sigmas += [c.gyro_bias_sigma_rad_s, c.accel_bias_sigma_m_s2]
+        return np.diag(np.repeat(np.array(sigmas) ** -2.0, 3))
+    P = stationary.covariance.copy()
+    P[3:6, :] = P[:, 3:6] = 0.0
+    P[3:6, 3:6] = GAUGE_SIGMA_M**2 * np.eye(3)
+    return np.asarray(np.linalg.inv(P), dtype=np.float64)

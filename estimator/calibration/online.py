@@ -5,9 +5,13 @@ overlap, so that each observation is used once. Each window is adjusted with the
 (`dronevio.estimator.calibration.adjustment`), and its result is fused with that of the windows before it in an
 information filter. No decision about observability is needed: a hover leaves every parameter as it was. A correction is
 applied when it is statistically significant and large enough to matter; that part then follows the estimate.
+
+What happens before a correction is lost, so it comes early. The matches of the first keyframe determine the rotation
+between the cameras, also at rest. A window in motion begins with the last keyframe at rest, and its beginning is
+adjusted several times while it grows. Because the state at rest does not depend on the calibration, such a window also
+determines the newest state by the corrected calibration, with which the odometry continues.
 """
 
-from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from typing import Annotated, TypeAlias
 
@@ -16,7 +20,9 @@ import numpy as np
 import numpy.typing as npt
 
 from dronevio.estimator.calibration.adjustment import CalibrationProblem
+from dronevio.estimator.calibration.corrected_state import propagated_state
 from dronevio.estimator.calibration.corrections import GRAVITY, Corrections
+from dronevio.estimator.calibration.significance import significant_length
 from dronevio.estimator.calibration.window import AdjustmentConfig, WindowKeyframe
 from dronevio.estimator.types import Calibration, Observations
 from dronevio.models.imu import GRAVITY_M_S2
@@ -27,8 +33,22 @@ from dronevio.models.state import NavState
 
 Array = npt.NDArray[np.float64]
 
+
 FiveSigmas: TypeAlias = tuple[float, float, float, float, float]
 FIXED_SIGMA = 1e-9  # standard deviation of parameters that are not estimated; it keeps the matrices regular
+PART_GROWTH = 1.4
+"""Ratio of the lengths of successive parts of a window that are adjusted before it is complete."""
+MIN_PART_KEYFRAMES = 5
+"""Smallest number of keyframes of such a part."""
+REFINEMENT_SIGMAS = 1.0
+"""Significance of further corrections of a part of the calibration that is known to be wrong."""
+INFLATION_CORRECTION = (5e-3, np.radians(1.0))
+"""Corrections of time offset [s] and rotation [rad] to which `CalibrationConfig.inflation_sigmas` correspond."""
+MAX_RELATIVE_SIGMAS = 4.0
+"""Prior standard deviations beyond which the matches of a keyframe have another cause than the cameras' rotation."""
+MIN_INFLATION = 0.03
+"""Smallest share of these that is applied, however small a correction is."""
+_ROTATION = 2  # index of the part that holds the rotations of all cameras
 
 
 @dataclass(frozen=True)
@@ -45,19 +65,21 @@ class CalibratedPart(Settings):
     """Random walk of the parameters, due to temperature and ageing, per √s."""
     significance: Annotated[float, Range(low=0.0)] = 3.0
     """Standard deviations by which an estimate must differ from the calibration in use before it is applied."""
+    refinement: Annotated[float, Range(0.0, 1.0)] = 1.0
+    """Smallest further correction once this part has been corrected, relative to `min_correction`."""
 
 
 @dataclass(frozen=True)
 class CalibrationConfig(Settings):
     """Settings of the online calibration."""
 
-    time_offset: CalibratedPart = CalibratedPart(True, sigma=0.01, min_correction=0.001, walk=1e-5)
+    time_offset: CalibratedPart = CalibratedPart(True, sigma=0.01, min_correction=0.001, walk=1e-5, refinement=0.3)
     """Time offset of the cameras [s]. The smallest correction is a fifth of a sampling interval of a 200 Hz IMU."""
     gravity: CalibratedPart = CalibratedPart(True, sigma=0.03, min_correction=0.01, walk=0.0, significance=1.5)
     """Magnitude of gravity [m/s²], 9.780 at the equator and 9.832 at the poles. One camera observes it only where the
     thrust varies, because scale and gravity are proportional otherwise. The significance is small, because the prior is
     the true distribution on Earth."""
-    rotation: CalibratedPart = CalibratedPart(True, sigma=0.02, min_correction=0.005, walk=1e-5)
+    rotation: CalibratedPart = CalibratedPart(True, sigma=0.02, min_correction=0.005, walk=1e-5, refinement=0.1)
     """Rotation of each camera, about each axis [rad]. The smallest correction is a quarter of a degree."""
     translation: CalibratedPart = CalibratedPart(False, sigma=0.02, min_correction=0.005, walk=1e-6)
     """Translation of each camera in the IMU frame [m]."""
@@ -65,8 +87,15 @@ class CalibrationConfig(Settings):
     """Focal lengths of each camera, relative."""
     principal: CalibratedPart = CalibratedPart(False, sigma=0.01, min_correction=0.003, walk=1e-6)
     """Principal point of each camera, in units of the focal lengths."""
+    min_relative_correction: Annotated[float, Range(low=0.0)] = 0.0015
+    """Smallest correction of the rotation between cameras by the matches of the first keyframe, over all rotation
+    parameters together [rad]."""
     window_s: Annotated[float, Range(0.5, 60.0)] = 5.0
-    """Length of the windows [s]."""
+    """Length of the windows [s]. A window does not begin while the vehicle is stationary, but with the last stationary
+    keyframe."""
+    first_window_s: Annotated[float, Range(0.1, 60.0)] = 1.25
+    """Length of the part of a window that is adjusted first if the vehicle is stationary at its beginning [s]. Longer
+    parts follow until the window is complete."""
     max_keyframes: Annotated[int, Range(3, 100)] = 30
     """Largest number of keyframes in a window; a window that reaches it ends early."""
     min_keyframes: Annotated[int, Range(3, 100)] = 8
@@ -84,7 +113,7 @@ class CalibrationConfig(Settings):
     )
     """Standard deviations of the error that a wrong calibration leaves in the state when it is corrected: orientation
     [rad], position [m], velocity [m/s], gyroscope bias [rad/s] and accelerometer bias [m/s²]. They correspond to a
-    rotation of one degree or a time offset of 5 ms."""
+    rotation of one degree or a time offset of 5 ms, and are proportional to smaller corrections."""
     gravity_inflation_sigmas: Annotated[FiveSigmas, Range(0.0, 10.0)] = (
         0.001,
         0.002,
@@ -116,10 +145,12 @@ class OnlineCalibration:
         self._estimated = np.array([part.online for part in parts])
         self._min_correction = np.array([part.min_correction for part in parts])
         self._significance = np.array([part.significance for part in parts])
+        self._refinement = np.array([part.refinement for part in parts])
         self._walk = np.array([part.walk if part.online else 0.0 for part in parts])
-        # Parameters that are corrected together: the time offset, gravity, and each part of each camera
+        # Parameters that are corrected together: the time offset, gravity, the rotations of all cameras, because a
+        # window determines the rotation between two cameras better than that of each, and the other parts of a camera
         self._part = np.concatenate(
-            [[0, 1], *(2 + 4 * i + np.repeat(np.arange(4), [3, 3, 2, 2]) for i in range(len(rig.cameras)))]
+            [[0, 1], *(np.repeat([2, 3 + 3 * i, 4 + 3 * i, 5 + 3 * i], [3, 3, 2, 2]) for i in range(len(rig.cameras)))]
         )
         self._mean = np.zeros(len(parts))
         self._covariance = np.diag([(part.sigma if part.online else FIXED_SIGMA) ** 2 for part in parts])
@@ -127,8 +158,14 @@ class OnlineCalibration:
         self._corrected = np.zeros(len(parts), dtype=np.bool_)  # by the last correction
         self._significant = np.zeros(int(self._part.max()) + 1, dtype=np.bool_)
         self._window: list[WindowKeyframe] = []
-        self._waiting: list[WindowKeyframe] = []  # a complete window before its adjustment
+        self._is_stationary = self._begins_stationary = False  # throughout the window, and at its beginning
+        self._next_s = c.window_s  # length of the window at its next adjustment
+        self._waiting: _Window | None = None  # before its adjustment
         self._problem: CalibrationProblem | None = None  # the adjustment under way
+        self._adjusted: _Window | None = None  # its window
+        self._is_comparing = len(rig.cameras) > 1 and c.rotation.online  # until the cameras have been compared
+        self._corrected_state: NavState | None = None
+        self._inflation = 1.0  # share of the covariance inflation
         self._has_stepped = False  # since the last keyframe
         self._updated_ns: int | None = None
 
@@ -156,11 +193,22 @@ class OnlineCalibration:
     def covariance_inflation(self) -> Array:
         """(15, 15) Covariance of the error that the last correction leaves in a state, in the order of `NavState`."""
         c, only_gravity = self._config, not np.delete(self._corrected, GRAVITY).any()
-        return np.diag(np.repeat(c.gravity_inflation_sigmas if only_gravity else c.inflation_sigmas, 3) ** 2)
+        sigmas = np.array(c.gravity_inflation_sigmas if only_gravity else c.inflation_sigmas)
+        return np.diag(np.repeat((1.0 if only_gravity else self._inflation) * sigmas, 3) ** 2)
+
+    @property
+    def corrected_state(self) -> NavState | None:
+        """The newest state by the last correction, with its covariance; None where the window does not determine it.
+
+        A window that begins at rest determines it, because a stationary vehicle's state does not depend on the
+        calibration.
+        """
+        return self._corrected_state
 
     def restart(self) -> None:
         """Discard the windows under way, because the states are not consistent with those that follow."""
-        self._window, self._waiting, self._problem = [], [], None
+        self._window, self._waiting, self._problem, self._adjusted = [], None, None, None
+        self._is_stationary = False
 
     def add(
         self,
@@ -168,6 +216,7 @@ class OnlineCalibration:
         angular_velocity_rad_s: Array,
         preintegrated: gtsam.PreintegratedCombinedMeasurements,
         observations: Observations,
+        stationary: bool = False,
     ) -> bool:
         """Add a keyframe and return whether the calibration in use has changed.
 
@@ -176,6 +225,8 @@ class OnlineCalibration:
             angular_velocity_rad_s: (3,) Angular velocity of the IMU at the keyframe, bias removed [rad/s].
             preintegrated: The preintegrated measurements since the previous keyframe.
             observations: The features of the keyframe by the calibration in use.
+            stationary: Whether the vehicle is stationary since the previous keyframe. A window begins with the last
+                such keyframe before a motion.
         """
         if not self._estimated.any():
             return False
@@ -184,67 +235,175 @@ class OnlineCalibration:
         ids, camera, xy = (np.concatenate([getattr(p, name) for p in parts]) for name in ("ids", "camera", "xy"))
         xy = (1.0 + applied.focal[camera]) * xy + applied.principal[camera]
         gravity_m_s2 = self._gravity_m_s2 + applied.gravity_m_s2
+        if stationary and self._is_stationary:
+            self._window = []
+        if not self._window:
+            self._is_stationary = self._begins_stationary = stationary
+            self._next_s = min(c.first_window_s, c.window_s) if stationary else c.window_s
+        self._is_stationary &= stationary
         self._window.append(
             WindowKeyframe(
                 state, angular_velocity_rad_s, applied.time_offset_s, gravity_m_s2, preintegrated, ids, camera, xy
             )
         )
+        if self._is_comparing and self._compare_cameras(self._window[-1]):
+            self._corrected_state = state if stationary else None
+            return True
         if not self._has_stepped:
             self.step()
         self._has_stepped = False
         span_s = (state.t_ns - self._window[0].state.t_ns) * 1e-9
         if span_s >= c.window_s or len(self._window) >= c.max_keyframes:
-            self._waiting, self._window = self._window, []
+            self._waiting, self._window = _Window(tuple(self._window), self._begins_stationary), []
+        elif span_s >= self._next_s and not self._is_stationary:
+            self._waiting = _Window(tuple(self._window), self._begins_stationary, is_complete=False)
+            self._next_s *= PART_GROWTH
         return self._problem is not None and self._problem.is_done and self._conclude(self._problem)
 
     def step(self) -> None:
         """Perform one step of the adjustment under way, at frames between keyframes, which leave time for it."""
         self._has_stepped = True
-        if self._waiting:
-            window, self._waiting = self._waiting, []
+        if self._waiting is not None:
+            window, self._waiting = self._waiting, None
             self._begin(window)
         elif self._problem is not None and not self._problem.is_done:
             self._problem.step()
 
-    def _begin(self, window: Sequence[WindowKeyframe]) -> None:
+    def _compare_cameras(self, keyframe: WindowKeyframe) -> bool:
+        """Estimate the rotation between the cameras from one keyframe; return whether the calibration has changed.
+
+        Matches observe it in any motion and at rest, before a wrong depth can harm the estimate. The rotation common to
+        all cameras keeps its prior.
+        """
+        c = self._config
+        if len(keyframe.ids) - len(np.unique(keyframe.ids)) < c.min_landmarks:
+            return False
+        config = replace(c.adjustment, min_views=2, max_reprojection_px=100.0, iterations=10, max_decrement=0.1)
+        problem = self._problem_of(_Window((keyframe,), False, is_complete=False), config, self._covariance)
+        if problem.landmark_count < c.min_landmarks:
+            return False
+        self._is_comparing = False
+        while not problem.is_done:
+            problem.step()
+        found = problem.result
+        if found is None or not found.rms_px < c.max_rms_px:
+            return False
+        if np.abs(Corrections.from_vector(found.mean).rotation_rad).max() > MAX_RELATIVE_SIGMAS * c.rotation.sigma:
+            return False
+        return self._apply(found.mean, _inverse(found.information), c.min_relative_correction)
+
+    def _begin(self, window: "_Window") -> None:
         """Set up the adjustment of a window, if it has enough keyframes and landmarks."""
-        c, now_ns = self._config, window[-1].state.t_ns
+        c, now_ns = self._config, window.keyframes[-1].state.t_ns
         elapsed_s = 0.0 if self._updated_ns is None else (now_ns - self._updated_ns) * 1e-9
-        self._updated_ns = now_ns
-        self._covariance = self._covariance + np.diag(self._walk**2 * elapsed_s)
-        problem = CalibrationProblem(
-            window,
+        covariance = self._covariance + np.diag(self._walk**2 * elapsed_s)
+        if window.is_complete:
+            self._updated_ns, self._covariance = now_ns, covariance
+        if len(window.keyframes) < (c.min_keyframes if window.is_complete else MIN_PART_KEYFRAMES):
+            return
+        problem = self._problem_of(window, c.adjustment, covariance)
+        if problem.landmark_count >= c.min_landmarks:
+            self._problem, self._adjusted = problem, window
+
+    def _problem_of(self, window: "_Window", config: AdjustmentConfig, covariance: Array) -> CalibrationProblem:
+        """Return the adjustment of a window with a prior covariance.
+
+        A window that begins at rest does not estimate gravity, because the accelerometer bias of its prior is that for
+        the gravity in use.
+        """
+        estimated = self._estimated.copy()
+        initial = np.where(self._significant[self._part], self._applied, self._mean)
+        if window.begins_stationary:
+            estimated[GRAVITY], initial[GRAVITY] = False, self._applied[GRAVITY]
+        return CalibrationProblem(
+            window.keyframes,
             self._given.Ts_imu_cam,
             float(self._given.focal_px[0]),
-            c.adjustment,
+            config,
             self._mean,
-            np.linalg.inv(self._covariance),
-            self._estimated,
+            _inverse(covariance),
+            estimated,
             self._gravity_m_s2,
+            initial=initial,
+            begins_stationary=window.begins_stationary,
         )
-        if len(window) >= c.min_keyframes and problem.landmark_count >= c.min_landmarks:
-            self._problem = problem
 
     def _conclude(self, problem: CalibrationProblem) -> bool:
-        """Take over the result of a window, if it has one, and return whether the calibration in use has changed."""
-        self._problem, found = None, problem.result
-        if found is None or not found.rms_px < self._config.max_rms_px:
-            return False
-        self._mean, self._covariance = found.mean, np.linalg.inv(found.information)
-        return self._apply()
+        """Take over the result of a window, if it has one, and return whether the calibration in use has changed.
 
-    def _apply(self) -> bool:
-        """Apply the corrections that are significant and large enough, and return whether there are any."""
-        difference = np.abs(self._mean - self._applied)
-        sigmas = np.sqrt(np.diag(self._covariance))
-        significant = self._estimated & (difference > np.maximum(self._significance * sigmas, self._min_correction))
-        self._significant[self._part[significant]] = True
-        if not significant.any():
+        The estimate keeps the result of complete windows only, because those that follow a part contain its
+        observations, too.
+        """
+        window, found = self._adjusted, problem.result
+        self._problem, self._adjusted = None, None
+        if window is None or found is None or not found.rms_px < self._config.max_rms_px:
+            return False
+        mean, covariance = found.mean, _inverse(found.information)
+        if window.begins_stationary:
+            mean[GRAVITY] = self._mean[GRAVITY]
+        if window.is_complete:
+            self._mean, self._covariance = mean, covariance
+        if not self._apply(mean, covariance):
+            return False
+        self._corrected_state = None
+        first = window.keyframes[0].state.covariance
+        if window.begins_stationary and first is not None and np.delete(self._corrected, GRAVITY).any():
+            later = [keyframe for keyframe in self._window if keyframe.state.t_ns > found.newest.t_ns]
+            self._corrected_state = propagated_state(found.newest, later, first[3:6, 3:6], self._given.rig.imu)
+            if window.is_complete:
+                self._window = []  # its states do not continue those that follow
+        return True
+
+    def _apply(self, mean: Array, covariance: Array, min_rotation: float | None = None) -> bool:
+        """Apply the corrections that are significant and large enough, and return whether there are any.
+
+        Args:
+            mean: (D,) Estimated corrections.
+            covariance: (D, D) Their covariance.
+            min_rotation: Smallest correction of the rotations [rad]; that of the configuration by default.
+        """
+        difference, changed = mean - self._applied, False
+        for part, is_known in enumerate(self._significant.copy()):
+            rows = np.flatnonzero((self._part == part) & self._estimated)
+            if not len(rows):
+                continue
+            smallest, sigmas, refinement = (
+                float(values[rows[0]]) for values in (self._min_correction, self._significance, self._refinement)
+            )
+            if part == _ROTATION and min_rotation is not None:
+                smallest = min_rotation
+            if is_known and refinement < 1.0:
+                smallest, sigmas = refinement * smallest, min(sigmas, REFINEMENT_SIGMAS)
+            if significant_length(difference[rows], covariance[np.ix_(rows, rows)], sigmas) > smallest:
+                self._significant[part] = changed = True
+        if not changed:
             return False
         self._corrected = self._significant[self._part] & self._estimated
-        self._applied = np.where(self._corrected, self._mean, self._applied)
+        self._inflation = self._inflation_share(np.where(self._corrected, difference, 0.0))
+        self._applied = np.where(self._corrected, mean, self._applied)
         self._calibration = _corrected(self._given, self.applied)
         return True
+
+    def _inflation_share(self, step: Array) -> float:
+        """Return the share of the covariance inflation that a change (D,) of the corrections requires."""
+        if step[self._part > _ROTATION].any():
+            return 1.0
+        sizes = abs(step[0]), float(np.linalg.norm(step[self._part == _ROTATION]))
+        return float(np.clip(max(np.divide(sizes, INFLATION_CORRECTION)), MIN_INFLATION, 1.0))
+
+
+@dataclass(frozen=True, eq=False)
+class _Window:
+    """Keyframes that are adjusted together."""
+
+    keyframes: tuple[WindowKeyframe, ...]
+    begins_stationary: bool
+    is_complete: bool = True  # otherwise the beginning of a window that continues
+
+
+def _inverse(matrix: Array) -> Array:
+    """Return the inverse of a covariance or information matrix."""
+    return np.asarray(np.linalg.inv(matrix), dtype=np.float64)
 
 
 def _corrected(given: Calibration, corrections: Corrections) -> Calibration:
