@@ -9,7 +9,8 @@ from pathlib import Path
 import numpy as np
 import numpy.typing as npt
 
-from dronevio.eval.metrics.loops import FlightRevisits, nearest_frames
+from dronevio.eval.metrics.association import nearest_rows
+from dronevio.eval.metrics.loops import FlightRevisits
 from dronevio.eval.metrics.pairs import path_lengths_m
 from dronevio.eval.metrics.revisits import Views, find_revisits, grid_pixels
 from dronevio.models.errors import InputError
@@ -100,7 +101,7 @@ def recording_revisits(folder: Path, keyframe_times_ns: Times) -> FlightRevisits
     """
     frames_ns = read_frame_truth(folder / "mav0" / FRAME_TRUTH_FILE).t_ns
     step = max(1, round(INTERVAL_S * 1e9 / float(np.median(np.diff(frames_ns)))))
-    keyframes_ns = nearest_frames(keyframe_times_ns, frames_ns)
+    keyframes_ns = frames_ns[nearest_rows(frames_ns, keyframe_times_ns)]
     t_ns = np.union1d(frames_ns[::step], keyframes_ns)
     views = recording_views(folder, t_ns)
     sampled, keyframes = (views[np.searchsorted(t_ns, chosen)] for chosen in (frames_ns[::step], keyframes_ns))

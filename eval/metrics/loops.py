@@ -12,7 +12,6 @@ import numpy.typing as npt
 
 from dronevio.eval.metrics.revisits import Views, revisit_recall, right_loops, true_relative_poses
 from dronevio.eval.metrics.scores import ScoredTrajectory
-from dronevio.models.imu import Times
 from dronevio.models.rig import RigCamera
 from dronevio.models.rotation import inverse_pose
 from dronevio.models.slam_map import SlamMap
@@ -44,18 +43,6 @@ class LoopQuality:
     """Number of them whose relative pose is wrong."""
     recall: float
     """Share of the revisiting keyframes with a right loop within 1 s; NaN without revisits."""
-
-
-def nearest_frames(t_ns: Times, frame_times_ns: Times) -> Times:
-    """Return the recorded time stamps (K,) of the frames nearest to times (K,) by the clock of the IMU [ns].
-
-    Args:
-        t_ns: (K,) Times [ns].
-        frame_times_ns: (M,) Recorded time stamps of all frames, at least two [ns].
-    """
-    after = np.clip(np.searchsorted(frame_times_ns, t_ns), 1, len(frame_times_ns) - 1)
-    before = frame_times_ns[after - 1]
-    return np.where(t_ns - before < frame_times_ns[after] - t_ns, before, frame_times_ns[after])
 
 
 def loop_quality(slam_map: SlamMap, revisits: FlightRevisits, camera: RigCamera) -> LoopQuality:

@@ -11,7 +11,6 @@ from dronevio.eval.metrics.loops import (
     FlightRevisits,
     LoopQuality,
     loop_quality,
-    nearest_frames,
     rmse_after_revisit_m,
 )
 from dronevio.eval.metrics.revisits import Views, find_revisits
@@ -73,13 +72,6 @@ def test_errors_count_later_than_two_seconds() -> None:
     assert rmse_after_revisit_m(scored, 1_000_000_000) == pytest.approx(4.0)  # not the one exactly two seconds later
     assert rmse_after_revisit_m(scored, None) == pytest.approx(np.sqrt(155.0 / 4.0))
     assert rmse_after_revisit_m(scored, 3_000_000_000) is None
-
-
-def test_keyframes_are_those_of_the_nearest_frames() -> None:
-    frames = np.array([100, 200, 300])
-    found = nearest_frames(np.array([90, 149, 151, 205, 400]), frames)
-    assert found.tolist() == [100, 100, 200, 200, 300]
-    assert nearest_frames(np.zeros(0, np.int64), frames).tolist() == []
 
 
 def test_some_of_the_views_are_those_of_their_rows(views: Views) -> None:
