@@ -5,6 +5,7 @@ from dataclasses import replace
 from typing import Any
 
 import numpy as np
+import numpy.typing as npt
 import pytest
 
 from dronevio.eval.metrics.revisits import Views
@@ -23,14 +24,14 @@ def kidnappings(script: Callable[[str], Any]) -> Any:
     return script("kidnappings")
 
 
-def views_of(x_m: Sequence[float], height_m: Sequence[float]) -> Views:
+def views_of(x_m: npt.ArrayLike, height_m: Sequence[float]) -> Views:
     """Views of a wall at 5 m, two seconds and two metres of path apart, at given places."""
-    n = len(x_m)
+    n = len(height_m)
     Ts = np.tile(np.eye(4), (n, 1, 1)).astype(np.float64)
     Ts[:, 0, 3], Ts[:, 2, 3] = x_m, height_m
     rays = CAMERA.unproject(np.stack(np.meshgrid(np.arange(16) * 40.0, np.arange(12) * 40.0), axis=-1))
     ranges = np.asarray(np.tile(5.0 / rays[..., 2], (n, 1, 1)), np.float64)
-    return Views(2_000_000_000 * np.arange(n), 2.0 * np.arange(n), Ts, CAMERA, ranges)
+    return Views(2_000_000_000 * np.arange(n), np.linspace(0.0, 2.0 * (n - 1), n), Ts, CAMERA, ranges)
 
 
 def estimates_of(kinds: str, jump_m: float = 0.0) -> tuple[list[Estimate], np.ndarray[Any, Any]]:
