@@ -15,11 +15,14 @@ from dronevio.eval.benchmark.jobs import RecordingSpec
 from dronevio.eval.benchmark.rows import VARIANT_SIGN
 from dronevio.eval.provenance import versions_here
 from dronevio.models.defects import defects_text
-from dronevio.models.errors import ConfigError, InputError
+from dronevio.models.errors import ConfigError, EvaluationError, InputError
+from dronevio.models.imu import Times
 from dronevio.models.serialization import to_jsonable
 from dronevio.registry import NamedEstimator
 
 if TYPE_CHECKING:
+    from dronevio.eval.metrics.loops import FlightRevisits
+    from dronevio.models.slam_map import SlamMap
     from dronevio.sim.scenario import Scenario
 
 _ROOT = Path(dronevio.__file__).parent
@@ -29,6 +32,7 @@ _ESTIMATION_CODE = tuple(
     for name in (
         "estimator",
         "eval/metrics",
+        "eval/run.py",
         "eval/tracking.py",
         "eval/benchmark/columns.py",
         "driver.py",
@@ -36,6 +40,7 @@ _ESTIMATION_CODE = tuple(
         "external_program.py",
         "python_estimator.py",
         "registry.py",
+        "true_views.py",
     )
 )
 _RENDERING_PACKAGES = ("dronevio", "mujoco", "opencv-python-headless", "numpy")
@@ -76,7 +81,9 @@ class Workbench:
 
     def estimate(self, spec: RecordingSpec, recording: Path, estimator: str) -> dict[str, Any]:
         """Run an estimator on a recording and score its estimate."""
-        from dronevio.eval.benchmark.columns import scored_columns
+        from dronevio.eval.benchmark.columns import map_columns, revisit_columns, scored_columns
+        from dronevio.eval.benchmark.isolation import peak_memory_mb
+        from dronevio.eval.metrics.scores import score_trajectory
         from dronevio.eval.tracking import longest_loss_s, tracking_sigmas
         from dronevio.excerpts import excerpt_of
         from dronevio.models.recordings.open import open_recording
@@ -87,9 +94,15 @@ class Workbench:
         if truth is None:
             raise InputError(recording, "no ground truth", "a recording with the true motion")
         estimated = self._named(estimator).run(recording, self.strict, spec.start_s, spec.laps)
-        run = estimated.run
+        run, cost = estimated.run, estimated.map_cost
+        scored = score_trajectory(truth, estimated.trajectory, frames)
+        peak_mb = peak_memory_mb()  # before the revisits are found, which is not the work of the estimator
+        is_whole = not spec.start_s and spec.laps == 1
+        revisits = _revisits(recording, None if run is None else run.map) if is_whole else None
         return {
-            **scored_columns(truth, estimated.trajectory, frames),
+            **scored_columns(truth, scored, frames),
+            **({} if revisits is None else revisit_columns(scored, revisits, int(frames[0]))),
+            **({} if run is None else map_columns(truth, run, frames, revisits, opened.rig.cameras[0])),
             "duration_s": float(np.ptp(frames)) * 1e-9,
             "cpu_ms_mean": estimated.cpu_ms_mean,
             "cpu_ms_p99": estimated.cpu_ms_p99,
@@ -98,6 +111,10 @@ class Workbench:
             "defects": defects_text(estimated.defects),
             "longest_loss_s": None if run is None else longest_loss_s(run),
             "tracking_sigmas": None if run is None else tracking_sigmas(run, truth),
+            "peak_mb": peak_mb,
+            "worker_cpu_ms": None if cost is None else cost.worker_cpu_ms_per_frame,
+            "map_results": None if cost is None else cost.results,
+            "map_waits": None if cost is None else cost.waits,
         }
 
     def _named(self, label: str) -> NamedEstimator:
@@ -213,6 +230,32 @@ def excerpts(
         for flight in flights
     )
     return tuple(begun) or tuple(flights)
+
+
+def _revisits(recording: Path, slam_map: "SlamMap | None") -> "FlightRevisits | None":
+    """Return the revisits of a recording by the truth of the simulator; None if it is no flight of the simulator.
+
+    They are computed in a process of their own, in about four seconds: it imports the simulator.
+
+    Raises:
+        EvaluationError: The world is unknown, or the process failed.
+    """
+    from dronevio.eval.benchmark.isolation import call_in_process
+    from dronevio.models.recordings.scenario_file import has_world
+
+    if not has_world(recording):
+        return None
+    outcome = call_in_process(_find_revisits, recording, np.zeros(0, np.int64) if slam_map is None else slam_map.t_ns)
+    if outcome.status != "ok":
+        raise EvaluationError(f"{recording}: revisits cannot be found: {outcome.reason}")
+    revisits: FlightRevisits = outcome.value
+    return revisits
+
+
+def _find_revisits(recording: Path, keyframe_times_ns: Times) -> "FlightRevisits":
+    from dronevio.true_views import recording_revisits  # imports the simulator
+
+    return recording_revisits(recording, keyframe_times_ns)
 
 
 def _flight(flown: "Scenario") -> RecordingSpec:

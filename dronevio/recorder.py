@@ -12,6 +12,7 @@ from dronevio.models.protocols import Estimator
 from dronevio.models.recordings.euroc import write_euroc
 from dronevio.models.recordings.files import write_text
 from dronevio.models.recordings.frame_truth import FRAME_TRUTH_FILE, frame_truth_text
+from dronevio.models.recordings.scenario_file import SCENARIO_FILE
 from dronevio.models.recordings.scenery_file import SCENERY_FILE, write_scenery
 from dronevio.models.rig import Rig
 from dronevio.models.rig_presets import RIGS, rig_named
@@ -29,9 +30,6 @@ from dronevio.sim.rendering.render_job import RenderJob
 from dronevio.sim.rendering.truth_images import TruthImage
 from dronevio.sim.scenario import Scenario
 from dronevio.sim.world import scenery_of
-
-SCENARIO_FILE = "scenario.json"
-"""Name of the file beside ``mav0`` with all settings of the flight."""
 
 
 def record_flight(

@@ -5,6 +5,7 @@ import shlex
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -18,6 +19,10 @@ from dronevio.models.serialization import to_jsonable
 from dronevio.models.state import Trajectory
 from dronevio.python_estimator import PREFIX as PYTHON
 from dronevio.python_estimator import PythonEstimator
+
+if TYPE_CHECKING:
+    from dronevio.estimator.slam.map_builder import MapCost
+    from dronevio.models.slam_map import SlamMap
 
 EXTERNAL = re.compile(r"external(?:@([+-]?(?:\d+\.?\d*|\.\d+)))?:")
 """Prefix of an estimator that is the command line of a program, optionally with the offset of its time stamps [s]."""
@@ -129,7 +134,10 @@ class Estimated:
     defects: tuple[Defect, ...] = ()
     """Defects of the recording."""
     run: EstimatorRun | None = None
-    """The estimates of all frames; None for a program, which reports nothing but poses."""
+    """The estimates of all frames, with the final map of an estimator that has one; None for a program, which reports
+    nothing but poses."""
+    map_cost: "MapCost | None" = None
+    """Cost of the map beside the frames; None for an estimator without a map."""
 
 
 @dataclass(frozen=True)
@@ -190,7 +198,9 @@ class NamedEstimator:
         estimator = make(excerpt.rig)
         run = estimate_recording(excerpt, estimator)
         trajectory = require_poses(run, excerpt)
-        cpu_ms, worker_ms = float(run.cpu_ms.mean()), _worker_ms(estimator) if kind and kind.has_map else 0.0
+        slam_map, cost = _map_and_cost(estimator) if kind and kind.has_map else (None, None)
+        run = replace(run, map=slam_map)
+        cpu_ms, worker_ms = float(run.cpu_ms.mean()), 0.0 if cost is None else cost.worker_cpu_ms_per_frame
         return Estimated(
             run.map_trajectory if kind and kind.has_map else trajectory,
             cpu_ms + worker_ms,
@@ -198,6 +208,7 @@ class NamedEstimator:
             None if run.real_time_factor is None else run.real_time_factor * cpu_ms / (cpu_ms + worker_ms),
             run.defects,
             run,
+            cost,
         )
 
 
@@ -237,11 +248,15 @@ def estimator_named(text: str) -> NamedEstimator:
     return NamedEstimator(label, name)
 
 
-def _worker_ms(estimator: Estimator) -> float:
-    """Return the mean processor time per frame of the process that builds the map of an estimator [ms]; 0 without."""
+def _map_and_cost(estimator: Estimator) -> "tuple[SlamMap | None, MapCost]":
+    """Return the final map of visual SLAM and the cost of the map so far, and end its worker process."""
     from dronevio.estimator.slam.visual_slam import VisualSlam
 
-    return estimator.map_cost.worker_cpu_ms_per_frame if isinstance(estimator, VisualSlam) else 0.0
+    assert isinstance(estimator, VisualSlam)
+    cost = estimator.map_cost  # before the final map, which is not part of the cost of the frames
+    slam_map = estimator.final_map()
+    estimator.close()
+    return slam_map, cost
 
 
 def _of_program(run: ProgramRun) -> Estimated:

@@ -4,23 +4,23 @@ Distances are those of the geometry of the world along a grid of rays (`dronevio
 depth images: its file ``scenario.json`` names the world and its seed.
 """
 
-import json
 from pathlib import Path
 
 import numpy as np
 import numpy.typing as npt
 
+from dronevio.eval.metrics.association import nearest_rows
+from dronevio.eval.metrics.loops import FlightRevisits
 from dronevio.eval.metrics.pairs import path_lengths_m
-from dronevio.eval.metrics.revisits import Views, grid_pixels
+from dronevio.eval.metrics.revisits import Views, find_revisits, grid_pixels
 from dronevio.models.errors import InputError
 from dronevio.models.imu import GRAVITY_M_S2, Times
-from dronevio.models.recordings.files import read_text
 from dronevio.models.recordings.frame_truth import FRAME_TRUTH_FILE, read_frame_truth
 from dronevio.models.recordings.open import open_recording
+from dronevio.models.recordings.scenario_file import world_of
 from dronevio.models.rig import RigCamera
 from dronevio.models.rotation import pose_matrix, quat_wxyz_from_matrix
 from dronevio.models.state import Trajectory
-from dronevio.recorder import SCENARIO_FILE
 from dronevio.sim.cameras.interpolation import interpolated_poses
 from dronevio.sim.flight import Flight, plant_of, reference_of
 from dronevio.sim.paths.path import attitude
@@ -75,14 +75,8 @@ def recording_views(folder: Path, t_ns: Times) -> Views:
     Raises:
         InputError: The folder holds no simulated flight with ground truth, or a time stamp is none of its frames.
     """
-    settings = folder / SCENARIO_FILE
-    try:
-        document = json.loads(read_text(settings, "the settings of a simulated flight"))
-        scenario = document["scenario"]
-        world, seed = str(scenario["world"]), int(scenario["world_seed"])
-    except (ValueError, KeyError, TypeError) as error:
-        raise InputError(settings, f"no world with its seed ({error})", "the settings of a simulated flight") from None
-    recording = open_recording(folder)
+    world, seed = world_of(folder)
+    recording = open_recording(folder, 1, repair=True)
     if recording.ground_truth is None:
         raise InputError(folder, "no ground truth", "a simulated flight")
     frames = read_frame_truth(folder / "mav0" / FRAME_TRUTH_FILE)
@@ -91,6 +85,29 @@ def recording_views(folder: Path, t_ns: Times) -> Views:
     if unknown.any():
         raise InputError(folder, f"no frame at {t_ns[unknown][0]} ns", "time stamps of frames of the recording")
     return true_views(world, seed, recording.ground_truth, recording.rig.cameras[0], frames.exposed_ns[rows])
+
+
+def recording_revisits(folder: Path, keyframe_times_ns: Times) -> FlightRevisits:
+    """Return the revisits of the recording of a simulated flight, and the true views of the keyframes of an estimator.
+
+    The first revisit is that of frames `INTERVAL_S` apart, so that it does not depend on the estimator.
+
+    Args:
+        folder: The recording.
+        keyframe_times_ns: (K,) Times of the keyframes; none without a map [ns].
+
+    Raises:
+        InputError: The folder holds no simulated flight with ground truth.
+    """
+    frames_ns = read_frame_truth(folder / "mav0" / FRAME_TRUTH_FILE).t_ns
+    step = max(1, round(INTERVAL_S * 1e9 / float(np.median(np.diff(frames_ns)))))
+    keyframes_ns = frames_ns[nearest_rows(frames_ns, keyframe_times_ns)]
+    t_ns = np.union1d(frames_ns[::step], keyframes_ns)
+    views = recording_views(folder, t_ns)
+    sampled, keyframes = (views[np.searchsorted(t_ns, chosen)] for chosen in (frames_ns[::step], keyframes_ns))
+    revisits = find_revisits(sampled)
+    first_ns = int(sampled.t_ns[revisits.now[0]]) if len(revisits.now) else None
+    return FlightRevisits(first_ns, keyframes, find_revisits(keyframes).revisiting)
 
 
 def true_views(world: str, seed: int, truth: Trajectory, camera: RigCamera, exposed_ns: npt.NDArray[np.int64]) -> Views:

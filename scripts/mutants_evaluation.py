@@ -303,8 +303,8 @@ EVALUATION = (
         "jobs-wall-of-processor",
         "Jobs: the time of a run is its processor time.",
         "eval/benchmark/jobs.py",
-        "wall_s=outcome.wall_s,\n            peak",
-        "wall_s=outcome.cpu_s,\n            peak",
+        "wall_s=outcome.wall_s,\n            recording",
+        "wall_s=outcome.cpu_s,\n            recording",
         ("tests/eval/test_benchmark_by_hand.py::test_a_job_records_the_resources_of_recording_and_runs",),
     ),
     Mutant(

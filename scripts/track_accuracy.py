@@ -33,9 +33,9 @@ from dronevio.estimator.types import Observations
 from dronevio.eval.metrics.association import interpolate
 from dronevio.models.camera import CameraModel
 from dronevio.models.recordings.euroc import EurocRecording
+from dronevio.models.recordings.scenario_file import SCENARIO_FILE
 from dronevio.models.rotation import inverse_pose
 from dronevio.models.state import Trajectory
-from dronevio.recorder import SCENARIO_FILE
 
 Array = npt.NDArray[np.float64]
 Depth = npt.NDArray[np.float32]

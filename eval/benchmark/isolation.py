@@ -106,7 +106,7 @@ def serve() -> None:
     except Exception as error:
         result = ("failed", failure_reason(error), None)
     with output:
-        pickle.dump((*result, _peak_mb()), output)
+        pickle.dump((*result, peak_memory_mb()), output)
     sys.stderr.flush()
     os._exit(_EXIT_WITH_RESULT)  # a library that crashes at shutdown does not change the result
 
@@ -164,7 +164,7 @@ def _result(code: int, output: IO[bytes], errors: IO[bytes]) -> tuple[Status, st
     return "crashed", f"{DEFECT}: {exit_description(code, errors)}", None, None
 
 
-def _peak_mb(status: Path = Path("/proc/self/status")) -> float:
+def peak_memory_mb(status: Path = Path("/proc/self/status")) -> float:
     """Return the peak memory of this process, or of a child that it waited for [MB]."""
     children = resource.getrusage(resource.RUSAGE_CHILDREN).ru_maxrss
     try:  # getrusage would count the memory of the parent before exec

@@ -59,7 +59,10 @@ class BenchmarkPipeline(Protocol):
         """Simulate a scenario and write its recording into an empty folder."""
 
     def estimate(self, spec: RecordingSpec, recording: Path, estimator: str) -> dict[str, Any]:
-        """Run an estimator on a recording, score it, and return the columns of `Row` from ``coverage_percent`` on."""
+        """Run an estimator on a recording, score it, and return the columns of `Row` from ``coverage_percent`` on.
+
+        The peak memory is that of the process, unless it is among the columns.
+        """
 
 
 @dataclass(frozen=True)
@@ -157,11 +160,10 @@ class Job:
             outcome.status,
             outcome.reason,
             wall_s=outcome.wall_s,
-            peak_mb=outcome.peak_mb,
             recording_hash=self.spec.recording_hash,
             machine="{processor}, {cores} cores, {system}".format(**machine_here()),
             processor=processor_here(),
-            **(outcome.value or {}),
+            **{"peak_mb": outcome.peak_mb, **(outcome.value or {})},
         )
 
     def _record(self, folder: Path) -> None:

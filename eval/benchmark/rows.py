@@ -37,6 +37,17 @@ _LATER_COLUMNS = (
     "start_velocity_error_m_s",
     "start_speed_m_s",
     "start_scale_error_percent",
+    "first_revisit_s",
+    "rmse_after_revisit_m",
+    "odometry_after_revisit_m",
+    "final_after_revisit_m",
+    "final_ate_m",
+    "loops",
+    "wrong_loops",
+    "recall_percent",
+    "worker_cpu_ms",
+    "map_results",
+    "map_waits",
 )
 """Columns that results of earlier versions lack."""
 MIN_COVERAGE_PERCENT, MAX_ATE_PERCENT = 99.0, 1.0
@@ -145,6 +156,31 @@ class Row:
     start_scale_error_percent: float | None = None
     """Relative error of the scale in the two seconds after the first pose, positive if it is too large [%]; None at
     rest."""
+    first_revisit_s: float | None = None
+    """Time from the first frame to the first revisit of a place by the true motion [s]; None without revisits, or if
+    the simulated world is not known."""
+    rmse_after_revisit_m: float | None = None
+    """Position error over the frames later than 2 s after the first revisit, or over all frames without revisits, root
+    mean square [m], after the alignment of ``ate_m``; None if the simulated world is not known."""
+    odometry_after_revisit_m: float | None = None
+    """The same of the odometry of an estimator with a map, aligned by itself [m]; None without a map."""
+    final_after_revisit_m: float | None = None
+    """The same of the path corrected by the final map [m]; None without a map."""
+    final_ate_m: float | None = None
+    """Absolute position error of the path corrected by the final map, root mean square [m]; None without a map."""
+    loops: int | None = None
+    """Number of loops that the final map accepts; None without a map."""
+    wrong_loops: int | None = None
+    """Number of them whose relative pose is wrong by the truth; None if the simulated world is not known."""
+    recall_percent: float | None = None
+    """Share of the revisiting keyframes with a right loop within 1 s [%]; None without revisits."""
+    worker_cpu_ms: float | None = None
+    """Mean processor time per frame of the process that builds the map, a part of ``cpu_ms_mean`` [ms]; None without a
+    map."""
+    map_results: int | None = None
+    """Number of results of that process; None without a map."""
+    map_waits: int | None = None
+    """Number of results for which a frame had to wait; None without a map."""
 
     @property
     def identity(self) -> Identity:

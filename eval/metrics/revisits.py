@@ -95,6 +95,10 @@ class Views:
     def __len__(self) -> int:
         return len(self.t_ns)
 
+    def __getitem__(self, rows: slice | Rows | Flags) -> "Views":
+        """Return the views of some of the frames, in time order."""
+        return Views(self.t_ns[rows], self.path_m[rows], self.Ts_world_cam[rows], self.camera, self.ranges_m[rows])
+
     @property
     def bearings(self) -> Array:
         """(R · C, 3) Unit vectors of the sampled rays in the camera frame; NaN where the lens has none."""

@@ -72,6 +72,13 @@ def test_every_estimator_has_a_row(rows: dict[str, dict[str, Any]]) -> None:
     assert len({row["config_hash"] for row in rows.values()}) == 6
     for cameras in ("", "-stereo"):  # without loops, the map is the odometry
         assert rows[f"slam{cameras}"]["ate_m"] == pytest.approx(rows[f"vio{cameras}"]["ate_m"], abs=1e-6)
+        odometry, mapped = rows[f"vio{cameras}"], rows[f"slam{cameras}"]
+        assert odometry["rmse_after_revisit_m"] == pytest.approx(odometry["ate_m"])  # a flight without revisits
+        assert mapped["odometry_after_revisit_m"] == odometry["rmse_after_revisit_m"]
+        assert mapped["final_after_revisit_m"] == pytest.approx(mapped["final_ate_m"])
+        assert (mapped["loops"], mapped["wrong_loops"], mapped["recall_percent"]) == (0, 0, None)
+        assert mapped["worker_cpu_ms"] > 0.0 and 0 <= mapped["map_waits"] <= mapped["map_results"] > 0
+        assert odometry["first_revisit_s"] is odometry["loops"] is odometry["worker_cpu_ms"] is None
     assert max(rows["vio"]["ate_m"], rows["vio-stereo"]["ate_m"]) < 0.03
     assert max(rows["vio"]["ate_m"], rows["vio-stereo"]["ate_m"]) < rows["eqvio"]["ate_m"] < 0.2
 

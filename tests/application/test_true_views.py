@@ -12,12 +12,13 @@ import pytest
 from dronevio.cli.flight_options import FlightOptions, parse_flight
 from dronevio.cli.fly import FlyCommand
 from dronevio.cli.run import repeating_command
-from dronevio.eval.metrics.revisits import find_revisits
+from dronevio.eval.metrics.revisits import RevisitRule, find_revisits
 from dronevio.models.errors import InputError
 from dronevio.models.recordings.euroc import EurocRecording
+from dronevio.models.recordings.scenario_file import has_world
 from dronevio.sim.flight import fly
 from dronevio.sim.scenarios import SUITES, scenario_named
-from dronevio.true_views import flight_views, planned_views, recording_views
+from dronevio.true_views import flight_views, planned_views, recording_revisits, recording_views
 
 OPTIONS = ["--scenario", "room-easy", "--world-seed", "3", "--seed", "7", "--light-seed", "2", "--reverse"]
 
@@ -54,6 +55,24 @@ def test_views_of_other_folders_are_refused(flown: Any, tmp_path: Path) -> None:
         settings.write_text(text)
         with pytest.raises(InputError, match=r"scenario\.json: no world with its seed"):
             recording_views(tmp_path / "copy", np.array([17]))
+        assert has_world(flown.folder) and not has_world(tmp_path / "copy")
+    settings.unlink()
+    assert not has_world(tmp_path / "copy")
+
+
+def test_the_first_revisit_is_that_of_the_true_motion(flown: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+    frames_ns = EurocRecording.open(flown.folder).frame_times_ns
+    keyframes_ns = frames_ns[3:9:2] + 1_000_000  # by the clock of the IMU
+    none = recording_revisits(flown.folder, frames_ns[:0])
+    assert none.first_ns is None and len(none.keyframes) == 0
+    known = recording_revisits(flown.folder, keyframes_ns)
+    assert known.first_ns is None and known.revisiting.tolist() == [False, False, False]
+    np.testing.assert_array_equal(known.keyframes.t_ns, recording_views(flown.folder, frames_ns[3:9:2]).t_ns)
+    rule = RevisitRule(age_s=1.9, path_m=0.0)  # what is two seconds old is still in view
+    monkeypatch.setattr("dronevio.true_views.find_revisits", lambda views: find_revisits(views, rule))
+    assert (
+        recording_revisits(flown.folder, keyframes_ns).first_ns == recording_views(flown.folder, frames_ns[::5]).t_ns[8]
+    )
 
 
 @pytest.mark.parametrize("name", ["room-square-laps-v0", "mirror-laps-v0"])

@@ -3,6 +3,7 @@
 import math
 from collections.abc import Iterable, Sequence
 
+from dronevio.eval.benchmark.loop_summary import EQUAL_M, EQUAL_PERCENT, LARGE_ERROR_M, LoopSummary, PathSummary
 from dronevio.eval.benchmark.rows import Row
 from dronevio.eval.benchmark.summary import AverageNees, RunGroup, all_runs, quartiles_of_errors, run_groups
 from dronevio.eval.report.benchmark.model import FAILED, BenchmarkResults, significant
@@ -10,6 +11,13 @@ from dronevio.eval.report.tables import DASH, Cell, Table
 
 SUMMARY_NOTE = "A run has diverged if its coverage is below 99 % or its ATE above 1 % of the length of the path."
 """Explanation of the column ``diverged``."""
+LOOP_NOTE = (
+    "Errors are those of the position over the frames later than 2 s after the first revisit of the flight (all frames"
+    f" without revisits). The ratios to the odometry are medians over the runs in which it errs by more than"
+    f" {1e3 * LARGE_ERROR_M:.0f} mm; the difference from it is that of the worst of the other runs, where"
+    f" {1e3 * EQUAL_M:.0f} mm or {EQUAL_PERCENT:.0f} % is no difference."
+)
+"""Explanation of the table of loops."""
 _TEXT_COLUMNS = frozenset((1,))  # the estimator
 
 
@@ -63,6 +71,30 @@ def start_table(results: BenchmarkResults) -> Table:
     return Table("Initialization: medians over runs", columns, rows, text_columns=_TEXT_COLUMNS)
 
 
+def loop_table(results: BenchmarkResults) -> Table:
+    """Return what loops do to the accuracy after the first revisit, for each scenario and estimator, and for all."""
+    columns = (
+        "scenario",
+        "estimator",
+        "runs",
+        "odometry [mm]",
+        "online [mm]",
+        "final [mm]",
+        f"above {1e3 * LARGE_ERROR_M:.0f} mm",
+        "online ratio",
+        "final ratio",
+        "others: online",
+        "others: final",
+        "loops",
+        "wrong loops",
+        "recall [%]",
+        "smallest [%]",
+    )
+    found = ((group, LoopSummary.of(group.rows)) for group in _groups(results.rows))
+    rows = tuple(_loop_row(group, summary) for group, summary in found if summary is not None)
+    return Table("Loops: medians of errors after the first revisit", columns, rows, text_columns=_TEXT_COLUMNS)
+
+
 def _groups(rows: Sequence[Row]) -> tuple[RunGroup, ...]:
     """Return the runs by scenario and estimator, and then of all scenarios."""
     return (*run_groups(rows), *all_runs(rows))
@@ -110,6 +142,38 @@ def _start_row(group: RunGroup) -> tuple[Cell, ...]:
         _number(scale, 1),
         _median(rows, "ate_m"),
     )
+
+
+def _loop_row(group: RunGroup, summary: LoopSummary) -> tuple[Cell, ...]:
+    scenario, estimator, _ = _names(group)
+    paths, failed = (summary.online, summary.final), len(group.rows) - group.ok
+    return (
+        scenario,
+        estimator,
+        _count(len(group.rows), f"{failed} failed" if failed else ""),
+        _millimetres(summary.odometry_m),
+        *(_millimetres(None if path is None else path.median_m) for path in paths),
+        _count(summary.large),
+        *(_number(None if path is None else path.ratio, 2) for path in paths),
+        *(_excess(path) for path in paths),
+        _number(summary.loops, 0),
+        _count(summary.wrong_loops, "wrong") if summary.wrong_loops else _number(summary.wrong_loops, 0),
+        _number(summary.recall_percent, 0),
+        _number(summary.smallest_recall_percent, 0),
+    )
+
+
+def _millimetres(value_m: float | None) -> Cell:
+    return _number(None if value_m is None else 1e3 * value_m, 1)
+
+
+def _excess(path: PathSummary | None) -> Cell:
+    """Return the worst difference from the odometry in mm and percent, with a warning if it is beyond both limits."""
+    if path is None or path.worst is None:
+        return Cell(DASH, order=math.inf)
+    worst = path.worst
+    text = f"{1e3 * worst.difference_m:+.1f} mm, {worst.percent:+.0f} %".replace("-", "−")
+    return Cell(text, warning="worse" if worst.ratio_to_limit > 1.0 else "", order=worst.ratio_to_limit)
 
 
 def _names(group: RunGroup) -> tuple[Cell, Cell, Cell]:

@@ -10,7 +10,14 @@ from dronevio.eval.benchmark.outcomes import MAX_SIGMAS
 from dronevio.eval.metrics import nees_bounds
 from dronevio.eval.report.benchmark import plots
 from dronevio.eval.report.benchmark.model import BenchmarkResults, Measure, find_measure
-from dronevio.eval.report.benchmark.overview import SUMMARY_NOTE, consistency_table, start_table, summary_table
+from dronevio.eval.report.benchmark.overview import (
+    LOOP_NOTE,
+    SUMMARY_NOTE,
+    consistency_table,
+    loop_table,
+    start_table,
+    summary_table,
+)
 from dronevio.eval.report.benchmark.tables import (
     NOTE,
     failure_table,
@@ -48,6 +55,8 @@ def benchmark_page(results: BenchmarkResults) -> str:
         summary=summary_table(results),
         summary_note=SUMMARY_NOTE,
         starts=start_table(results),
+        loops=loop_table(results) if any(row.loops is not None for row in results.rows) else None,
+        loop_note=LOOP_NOTE,
         measures=_measure_tables(results),
         many_columns=len(results.estimators) > _MAX_NARROW_COLUMNS,
         run_plots=[_run_plot(results, m) for m in (ATE, DRIFT) if m in results.measures],

@@ -7,7 +7,7 @@ from collections.abc import Callable, Iterator, Sequence
 
 from dronevio.eval.benchmark.summary import ALL_SCENARIOS, Quartiles
 from dronevio.eval.report.benchmark.model import BenchmarkResults, Measure, seed_ranges
-from dronevio.eval.report.benchmark.overview import consistency_table, start_table, summary_table
+from dronevio.eval.report.benchmark.overview import consistency_table, loop_table, start_table, summary_table
 from dronevio.eval.report.tables import DASH, Cell, Table, latex_table, latex_text, markdown_table
 
 CSV_COLUMNS = (
@@ -29,7 +29,7 @@ NOTE = (
 """Explanation of the tables."""
 RUN_COLUMNS = ("ate_m", "rpe_m", "drift_percent", "coverage_percent", "nees_position", "cpu_ms_mean", "wall_s")
 """Columns of the list of all runs."""
-TABLES = ("summary", "measures", "consistency", "starts", "runs", "outcomes", "failures")
+TABLES = ("summary", "measures", "consistency", "starts", "loops", "runs", "outcomes", "failures")
 """Names of the tables of a report."""
 DEFAULT_TABLES = ("measures", "outcomes", "failures")
 """Names of the tables in Markdown and LaTeX by default."""
@@ -165,6 +165,7 @@ def _tables(results: BenchmarkResults, measures: Sequence[Measure], names: Seque
         "summary": summary_table,
         "consistency": consistency_table,
         "starts": start_table,
+        "loops": loop_table,
         "runs": run_table,
         "outcomes": outcome_table,
         "failures": failure_table,
