@@ -343,7 +343,7 @@ class OnlineCalibration:
             mean[GRAVITY] = self._mean[GRAVITY]
         if window.is_complete:
             self._mean, self._covariance = mean, covariance
-        if not self._apply(mean, covariance):
+        if not self._apply(mean, covariance, by_component=not window.begins_stationary):
             return False
         self._corrected_state = None
         first = window.keyframes[0].state.covariance
@@ -354,15 +354,21 @@ class OnlineCalibration:
                 self._window = []  # its states do not continue those that follow
         return True
 
-    def _apply(self, mean: Array, covariance: Array, min_rotation: float | None = None) -> bool:
+    def _apply(
+        self, mean: Array, covariance: Array, min_rotation: float | None = None, *, by_component: bool = False
+    ) -> bool:
         """Apply the corrections that are significant and large enough, and return whether there are any.
 
         Args:
             mean: (D,) Estimated corrections.
             covariance: (D, D) Their covariance.
             min_rotation: Smallest correction of the rotations [rad]; that of the configuration by default.
+            by_component: Whether each parameter is tested by itself, and not along the principal axes of the
+                covariance. These are more sensitive, also to errors of the states of a window that begins in motion.
         """
         difference, changed = mean - self._applied, False
+        if by_component:
+            covariance = np.diag(np.diag(covariance))
         for part, is_known in enumerate(self._significant.copy()):
             rows = np.flatnonzero((self._part == part) & self._estimated)
             if not len(rows):
