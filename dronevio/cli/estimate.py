@@ -64,6 +64,7 @@ class EstimateCommand:
       dronevio estimate flight.mcap --strict --estimator.gravity-m-s2 9.80
       dronevio estimate V1_01_easy --slam --out v101.tum
       dronevio estimate V1_01_easy --slam --save-map v1.map
+      dronevio estimate V1_01_easy --slam --save-g2o v1.g2o
       dronevio estimate V1_02_medium --slam --map v1.map --save-map v1.map
       dronevio estimate V1_03_difficult --slam --map v1.map --localize-only
       dronevio evaluate V1_01_easy v101_map.tum
@@ -84,6 +85,8 @@ class EstimateCommand:
     """File of a map that the flight continues, with --slam. The recording needs the same calibration."""
     localize_only: bool = False
     """Keep the map of --map as it is: its keyframes do not move, and it is not saved again."""
+    save_g2o: Path | None = None
+    """g2o file in which the final pose graph is written for other programs, with --slam."""
     imu_rate: Path | None = None
     """Second TUM file to write: one pose per IMU sample, propagated from the estimate of the newest frame before it."""
     reading: RecordingInput = field(default_factory=RecordingOptions)
@@ -119,7 +122,8 @@ def check_map_options(command: EstimateCommand) -> None:
     from dronevio.models.errors import ConfigError
 
     if not command.slam:
-        for name, value in (("--save-map", command.save_map), ("--map", command.saved_map)):
+        options = ("--save-map", command.save_map), ("--save-g2o", command.save_g2o), ("--map", command.saved_map)
+        for name, value in options:
             if value is not None:
                 raise ConfigError(f"{name} without --slam; expected both")
     if command.localize_only and command.saved_map is None:
@@ -198,6 +202,8 @@ def main(arguments: Sequence[str]) -> int:
         write_tum(places[name], trajectory)
     if found.slam is not None and command.save_map is not None:
         found.slam.save_map(command.save_map)
+    if found.slam is not None and command.save_g2o is not None:
+        found.slam.save_graph(command.save_g2o)
     summary = summary_of(command, found)
     if command.printing.json:
         print_json(summary)
@@ -219,6 +225,8 @@ def result_files(command: EstimateCommand) -> dict[str, Path]:
         files["final_map_estimate"] = command.out.with_stem(f"{command.out.stem}_map_final")
     if command.save_map is not None:
         files["saved_map"] = command.save_map
+    if command.save_g2o is not None:
+        files["g2o"] = command.save_g2o
     if command.imu_rate is not None:
         files["imu_rate"] = command.imu_rate
     return files

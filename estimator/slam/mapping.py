@@ -12,7 +12,7 @@ leaves it.
 
 from collections import deque
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Annotated, Protocol
 
 import numpy as np
@@ -38,11 +38,13 @@ from dronevio.estimator.slam.submap import Submap
 from dronevio.estimator.slam.verification import PlaceMatch
 from dronevio.models.errors import ConfigError
 from dronevio.models.ranges import Range, Settings
-from dronevio.models.rotation import inverse_pose
+from dronevio.models.rotation import inverse_pose, log_so3
 from dronevio.models.slam_map import SlamMap
 
 Array = npt.NDArray[np.float64]
 
+LOCATED_AGREE_M, LOCATED_AGREE_DEG = 0.03, 0.5
+"""Largest difference of the poses by two keyframes by which a new track is located."""
 MAX_CONNECTED = 1000
 """Number of the newest loops whose keyframes are known to be connected with an earlier visit."""
 CONNECTED_WITHIN_S = 1.0
@@ -134,7 +136,8 @@ class Mapper:
         self._connected_ns: tuple[int, ...] = ()  # times of the later keyframes of the newest of these loops
         self._home = 0  # track whose submap is the map
         self._starts_ns: list[int] = []  # times at which the tracks after the first one begin
-        self._located: Array | None = None  # T_map_odom by a place, before the track is joined
+        self._candidate: Array | None = None  # T_map_odom by the place of one keyframe
+        self._located: Correction | None = None  # by two keyframes that agree, before the track is joined
 
     def load(self, known: KnownMap) -> None:
         """Continue a saved map: the flight that follows is another track, which is joined as after a loss.
@@ -202,7 +205,7 @@ class Mapper:
         """
         self._starts_ns.append(t_ns)
         self._recognizer.start_track()
-        self._located, self._localized_ns = None, None
+        self._candidate, self._located, self._localized_ns = None, None, None
         self._recent.clear()
         home = self._submap_of(self._home)
         if home is None or len(home.graph.poses) < MIN_MAP_KEYFRAMES:
@@ -216,7 +219,8 @@ class Mapper:
             view: What its cameras show.
 
         Returns:
-            The correction; None if the keyframe shows no place of the map, or the track has a pose in it already.
+            The correction; None if the keyframe shows no place of the map, if it leads to another pose than the one
+            before, as while an odometry has a wrong velocity, or if the track has a pose in the map already.
         """
         home = self._submap_of(self._home)
         if home is None or self._track in home.tracks or self._located is not None:
@@ -230,9 +234,14 @@ class Mapper:
         if view.images is not None and patches is not None:
             old, predicted = self._keyframes[match.match], match.T_match_query
             place = self._localizer.localize(keyframe, view.images, old, patches, predicted) or place
-        self._located = home.graph.poses[match.match] @ place.T_first_second @ inverse_pose(estimate.T_odom_imu)
+        T_map_imu = home.graph.poses[match.match] @ place.T_first_second
+        T_map_odom, candidate = T_map_imu @ inverse_pose(estimate.T_odom_imu), self._candidate
+        self._candidate = T_map_odom
+        if candidate is None or not _agree(candidate @ estimate.T_odom_imu, T_map_imu):
+            return None
         covariance = propagated(home.covariances[match.match], place, None)
-        return Correction(self._located, estimate, covariance, self._track, is_joined=True)
+        self._located = Correction(T_map_odom, estimate, covariance, self._track)
+        return replace(self._located, is_joined=True)
 
     def add(self, estimate: KeyframeEstimate, view: KeyframeView) -> Correction:
         """Let a keyframe join its submap, and return the correction of the odometry.
@@ -260,18 +269,15 @@ class Mapper:
             -MAX_CONNECTED:
         ]
         times = ((self._keyframes[loop.first].t_ns, self._keyframes[loop.second].t_ns) for loop in closed)
-        T_map_odom = self._located
+        times_ns = tuple((then, now) for then, now in times if then > LAST_KNOWN_NS)
         if self._is_home:
             T_map_odom = submap.graph.poses[keyframe.number] @ inverse_pose(estimate.T_odom_imu)
-        return Correction(
-            T_map_odom,
-            estimate,
-            submap.covariances[keyframe.number],
-            self._track,
-            T_map_odom is not None and not was_known,
-            closed,
-            tuple((a, b) for a, b in times if a > LAST_KNOWN_NS),
-            submap.judged,
+            correction = Correction(T_map_odom, estimate, submap.covariances[keyframe.number], self._track)
+        else:
+            correction = self._located or Correction(None, estimate, submap.covariances[keyframe.number], self._track)
+        is_joined = correction.T_map_odom is not None and not was_known
+        return replace(
+            correction, is_joined=is_joined, loops=closed, loop_times_ns=times_ns, judged_loops=submap.judged
         )
 
     @property
@@ -379,6 +385,13 @@ class Mapper:
         if found:
             self._localized_ns = keyframe.t_ns
         return found
+
+
+def _agree(T: Array, other: Array) -> bool:
+    """Return whether two poses by two keyframes are as close as those of an odometry with the right velocity are."""
+    T_between = inverse_pose(T) @ other
+    angle_deg = np.degrees(np.linalg.norm(log_so3(T_between[:3, :3])))
+    return bool(np.linalg.norm(T_between[:3, 3]) <= LOCATED_AGREE_M and angle_deg <= LOCATED_AGREE_DEG)
 
 
 def _loop(match: PlaceMatch) -> RelativePose:

@@ -25,6 +25,7 @@ from dronevio.estimator.keyframe_observer import OdometryKeyframe
 from dronevio.estimator.slam.bundle_adjustment import AdjustmentInputs, AdjustmentKeyframe, adjust
 from dronevio.estimator.slam.config import SlamConfig
 from dronevio.estimator.slam.correction import Correction
+from dronevio.estimator.slam.g2o import write_g2o
 from dronevio.estimator.slam.keyframe import MapKeyframe
 from dronevio.estimator.slam.map_builder import (
     ImagedKeyframe,
@@ -218,6 +219,21 @@ class VisualSlam:
             raise ConfigError(f"map with {count} keyframes; expected {MIN_KEYFRAMES} or more to save it")
         graph = solution.without_rejected
         write_map(Path(path), saved_map(self._rig.cameras, graph, mapper.keyframes, mapper.patches))
+
+    def save_graph(self, path: Path | str) -> None:
+        """Write the final pose graph as a g2o file, without rejected loops.
+
+        Args:
+            path: File to write; an earlier one is replaced when the new one is complete.
+
+        Raises:
+            ConfigError: No keyframe has joined the map.
+            InputError: The file cannot be written.
+        """
+        _, solution = self._final_solution()
+        if solution is None:
+            raise ConfigError("map without keyframes; expected one or more to write its graph")
+        write_g2o(Path(path), solution.without_rejected)
 
     def _final_solution(self) -> tuple[Mapper, OptimizedGraph | None]:
         """Return the map, and its pose graph with the final poses; see `final_map`."""

@@ -126,6 +126,9 @@ def test_a_saved_map_is_continued(
     recording, saved, out = stereo.folder / "recording", tmp_path / "room.map", tmp_path / "second.tum"
     words: tuple[object, ...] = "--slam", "--map.no-worker", "--json"
     first = run_command(tmp_path, "estimate", recording, *words, "--save-map", saved, "--out", tmp_path / "first.tum")
+    graph = tmp_path / "room.g2o"
+    run_command(tmp_path, "estimate", recording, *words, "--save-g2o", graph, "--out", tmp_path / "first.tum")
+    assert graph.read_text(encoding="utf-8").count("VERTEX") == first.document["map"]["keyframes"]
     assert first.document["saved_map"] == str(saved) and first.document["map"]["separate_tracks"] == 0
     before = saved.read_bytes()
     words = (*words, "--map", saved)

@@ -162,15 +162,38 @@ def test_contradictory_loops_do_not_join_tracks(odometry_flight: "OdometryFlight
         assert alone is not None and alone.closed_loops == (loop,) and alone.tracks == {0, 1}
 
 
-def test_a_keyframe_in_the_window_is_located_at_once(odometry_flight: "OdometryFlight", tracks: Tracks) -> None:
+def located(mapper: Mapper, estimates: Sequence[KeyframeEstimate]) -> list[Correction | None]:
+    """Return the corrections by keyframes without images that are still in the window."""
+    return [mapper.locate(estimate, KeyframeView(NO_KEYFRAME_FEATURES)) for estimate in estimates]
+
+
+def test_keyframes_in_the_window_are_located(odometry_flight: "OdometryFlight", tracks: Tracks) -> None:
     mapper = Mapper(TrueRecognizer(odometry_flight.true_poses, every=1))
     added(mapper, tracks[0])
     mapper.start_track(tracks[1][0].t_ns)
-    new = tracks[1][0]
-    correction = mapper.locate(new, KeyframeView(NO_KEYFRAME_FEATURES))
+    first, correction, third = located(mapper, tracks[1][:3])
+    assert first is None and third is None  # the second keyframe confirms the first one
     assert correction is not None and correction.T_map_odom is not None and correction.is_joined
     assert np.linalg.norm((T_SHIFTED_ODOM @ correction.T_map_odom)[:3, 3]) < 0.2
-    assert len(mapper.keyframes) == SPLIT  # it is not part of the map yet
+    assert len(mapper.keyframes) == SPLIT  # they are not part of the map yet
+    # Until the track is joined, corrections are those of the located keyframe.
+    mapper._recognizer = NoRecognizer()
+    later = added(mapper, tracks[1][:2])[-1]
+    assert later.T_map_odom is correction.T_map_odom and not later.is_joined
+    assert later.anchor is tracks[1][1] and later.covariance is correction.covariance
+
+
+def test_an_odometry_with_a_wrong_velocity_is_not_located(odometry_flight: "OdometryFlight", tracks: Tracks) -> None:
+    mapper = Mapper(TrueRecognizer(odometry_flight.true_poses, every=1, sigma=1e-6))
+    added(mapper, tracks[0])
+    mapper.start_track(tracks[1][0].t_ns)
+    shifts_m = 0.05 * np.arange(4)
+    drifting = [
+        replace(k, T_odom_imu=pose_matrix(np.eye(3), np.array([shift, 0.0, 0.0])) @ k.T_odom_imu)
+        for k, shift in zip(tracks[1][:4], shifts_m, strict=True)
+    ]
+    assert located(mapper, drifting) == [None] * 4
+    assert located(mapper, tracks[1][4:6])[-1] is not None
 
 
 @pytest.mark.parametrize(
