@@ -1,7 +1,7 @@
 """Pose graphs as g2o files: read back by GTSAM, and information matrices by hand."""
 
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, cast
 
 import gtsam
 import numpy as np
@@ -26,7 +26,8 @@ def test_a_graph_is_read_back_by_gtsam(odometry_flight: "OdometryFlight", tmp_pa
     assert values.size() == len(graph.poses) and factors.size() == len(graph.odometry) + len(graph.loops)
     for number, T in graph.poses.items():
         np.testing.assert_allclose(values.atPose3(number).matrix(), T, atol=1e-9)
-    found = {tuple(factors.at(i).keys()): factors.at(i).measured().matrix() for i in range(factors.size())}
+    read = [cast(gtsam.BetweenFactorPose3, factors.at(i)) for i in range(factors.size())]
+    found = {tuple(factor.keys()): factor.measured().matrix() for factor in read}
     for relative in (*graph.odometry, *graph.loops):
         np.testing.assert_allclose(found[relative.first, relative.second], relative.T_first_second, atol=1e-9)
 
