@@ -8,7 +8,8 @@ Li, Kirubarajan, "Estimation with applications to tracking and navigation", 2001
 The states of health, in the order of their tests:
 
 lost           The state is not finite; or its speed or a bias is implausible; or most landmarks have contradicted it
-               for too long, by their distance or by its ratio to the standard deviation; or the IMU alone has
+               for too long, by their distance or by its ratio to the standard deviation, or soon after images that
+               no feature connects with the earlier ones; or the IMU alone has
                propagated it until its position, by its own covariance, is useless. It stays lost
                until the odometry is initialized again, with another monitor.
 inertial-only  Too few landmarks constrain the estimate, and the vehicle is not stationary; or the innovations have
@@ -74,6 +75,9 @@ class HealthConfig(Settings):
     disturbance_s: Annotated[float, Range(low=0.0, infinite=True)] = 0.6
     """Longest contradiction of an established estimate that counts as a disturbance, and the time for which the
     estimate must be consistent after it before its health is tracking [s]."""
+    disconnected_s: Annotated[float, Range(low=0.0, infinite=True)] = 3.0
+    """Time after a keyframe without a common feature with the one before, in which inconsistent innovations mean a loss
+    [s]: the images show another place, as when they are exchanged or the vehicle is carried away."""
     max_nis: Annotated[float, Range(above=0.0, infinite=True)] = 60.0
     """Median NIS over the window beyond which the estimate is lost."""
     image_variance_bounds: Annotated[tuple[float, float], Range(1e-6, 1e6)] = (0.1, 10.0)
@@ -124,6 +128,7 @@ class HealthMonitor:
         self._constrained_ns: int | None = None  # last time at which more than the IMU constrained the estimate
         self._constrained_sigma_m = 0.0  # standard deviation of the position at that time
         self._consistent_ns: int | None = None  # last time at which landmarks did not contradict the estimate
+        self._disconnected_ns: int | None = None  # last time at which no feature connected the images
         self._lost_reason: str | None = None
 
     @property
@@ -152,6 +157,16 @@ class HealthMonitor:
         self._keyframe, self._landmarks = keyframe, landmarks
         if image_variance is not None:
             self._image_variances = (*self._image_variances, image_variance)[-IMAGE_VARIANCES:]
+
+    def disconnect(self, t_ns: int) -> None:
+        """Note that no feature connects the images with earlier ones: they may show another place.
+
+        Args:
+            t_ns: Time of the first image of the new ones [ns].
+        """
+        if self._trust.is_trusted:
+            self._disconnected_ns = t_ns
+        self._trust.restart_motion()
 
     def assess(
         self, observations: Observations, predicted: NavState, stationary: bool, calibration: Calibration
@@ -276,6 +291,10 @@ class HealthMonitor:
             return f"a bias of {bias_sigmas:.0f} standard deviations"
         if contradicted_s > c.max_contradiction_s:
             return f"landmarks have contradicted the estimate for {contradicted_s:.1f} s"
+        if self._disconnected_ns is not None and not self._trust.is_trusted:
+            since_s = (predicted.t_ns - self._disconnected_ns) * 1e-9
+            if since_s <= c.disconnected_s:
+                return f"no feature connects the images with those of {since_s:.1f} s ago, and they contradict the IMU"
         nis = self._trust.median_nis
         if nis > c.max_nis:
             return f"images and prediction are inconsistent: a NIS of {nis:.0f} over {c.consistency_window_s:g} s"

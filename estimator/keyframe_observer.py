@@ -27,6 +27,8 @@ class OdometryKeyframe:
     """The calibration in use."""
     is_of_newest_frame: bool
     """Whether the keyframe is the newest frame. Where a motion begins, it is an earlier one."""
+    is_connected: bool
+    """Whether features connect the keyframe with the one before; see `image_connection`."""
     window_times_ns: tuple[int, ...]
     """Times of the keyframes in the window, this one included [ns]. A keyframe that is no longer among them and has not
     been marginalized was dropped."""

@@ -67,6 +67,10 @@ class Trust:
         """Whether the estimate has been consistent over a long motion."""
         return self._motion_ns * 1e-9 >= self._limits.established_s
 
+    def restart_motion(self) -> None:
+        """Let the estimate no longer be established, and the window begin anew."""
+        self._motion_ns, self._recent_nis = 0, ()
+
     def update(self, t_ns: int, nis: float | None, *, moves: bool) -> None:
         """Add a frame.
 

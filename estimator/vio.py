@@ -18,6 +18,7 @@ from dronevio.estimator.config import VioConfig
 from dronevio.estimator.frontend.protocol import FrontEnd
 from dronevio.estimator.frontend.rig import RigTracker
 from dronevio.estimator.health import HealthMonitor
+from dronevio.estimator.image_connection import ImageConnection
 from dronevio.estimator.imu.forward_propagation import ImuRatePropagator
 from dronevio.estimator.imu.noise import ImuNoiseEstimator
 from dronevio.estimator.imu.preintegration import PreintegrationParams
@@ -107,6 +108,7 @@ class VisualInertialOdometry:
         self._publisher = Publisher(c.initialization, rig.imu.rate_hz)
         self._imu_rate = ImuRatePropagator(rig.imu, c.preintegration, c.gravity_m_s2)
         self._observer = observer
+        self._connection = ImageConnection()
         self._newest_ns = 0  # time of the newest frame by the clock of the IMU
         self._gauge: Gauge = WorldOrigin(c.initialization.gyro_bias_sigma_rad_s)
         self._state: Initializing | Tracking = self._initializing()
@@ -148,6 +150,7 @@ class VisualInertialOdometry:
                 estimate = self._initialize(self._state, packet)
             case Tracking():
                 estimate = self._track(self._state, packet)
+        self._connection.end_frame(packet.observations)
         estimate = self._pipeline.at_stamp(estimate, frame)
         if self._pipeline.repeats_image and not repeated:
             estimate = replace(estimate, events=(*estimate.events, REPEATED_IMAGES))
@@ -225,6 +228,9 @@ class VisualInertialOdometry:
     ) -> tuple[Tracking, tuple[str, ...]]:
         """Add a keyframe at the end of the propagation, begin the next one there, and return events."""
         smoother, propagator = tracking.smoother, tracking.propagator
+        is_connected = packet.t_ns != self._newest_ns or self._connection.add_keyframe(packet.observations)
+        if not is_connected:
+            tracking.monitor.disconnect(packet.t_ns)
         result = smoother.add_keyframe(
             packet.t_ns,
             propagator.preintegrated,
@@ -235,7 +241,7 @@ class VisualInertialOdometry:
         self._noise.update(result.imu_variance)
         self._pipeline.discard(result.rejected)
         events = result.events
-        self._report_keyframe(smoother, packet, result)
+        self._report_keyframe(smoother, packet, result, is_connected)
         if self._calibrate(tracking, packet, result, stationary):
             self._report_keyframe_estimates(smoother)
             smoother = smoother.recalibrated(
@@ -250,7 +256,9 @@ class VisualInertialOdometry:
         self._state = tracking = self._tracking(smoother, tracking.monitor, packet.observations)
         return tracking, events
 
-    def _report_keyframe(self, smoother: KeyframeSmoother, packet: FramePacket, result: KeyframeResult) -> None:
+    def _report_keyframe(
+        self, smoother: KeyframeSmoother, packet: FramePacket, result: KeyframeResult, is_connected: bool
+    ) -> None:
         """Report a new keyframe, and the one that leaves the window, to the observer."""
         if self._observer is None:
             return
@@ -266,6 +274,7 @@ class VisualInertialOdometry:
                 observations,
                 self._calibration,
                 packet.t_ns == self._newest_ns,
+                is_connected,
                 smoother.keyframe_times_ns,
                 ids,
                 landmarks.points[rows],

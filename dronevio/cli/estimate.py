@@ -86,7 +86,7 @@ class EstimateCommand:
     localize_only: bool = False
     """Keep the map of --map as it is: its keyframes do not move, and it is not saved again."""
     save_g2o: Path | None = None
-    """g2o file in which the final pose graph is written for other programs, with --slam."""
+    """File in the format of g2o in which the final pose graph is written for other programs, with --slam."""
     imu_rate: Path | None = None
     """Second TUM file to write: one pose per IMU sample, propagated from the estimate of the newest frame before it."""
     reading: RecordingInput = field(default_factory=RecordingOptions)

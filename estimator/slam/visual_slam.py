@@ -44,7 +44,6 @@ from dronevio.estimator.slam.pose_graph import OptimizedGraph, PoseGraph
 from dronevio.estimator.slam.saved_arrays import MIN_KEYFRAMES
 from dronevio.estimator.slam.saved_map import SavedMap, saved_map
 from dronevio.estimator.slam.schedule import CorrectionSchedule
-from dronevio.estimator.types import Integers
 from dronevio.estimator.vio import VisualInertialOdometry
 from dronevio.models.errors import ConfigError
 from dronevio.models.imu import ImuModel, ImuSamples
@@ -55,9 +54,6 @@ from dronevio.models.slam_map import SlamMap
 from dronevio.models.state import CameraFrame, Estimate, NavState
 
 Array = npt.NDArray[np.float64]
-
-MIN_FEATURES = 8
-"""Smallest number of common features that connect two keyframes; fewer may be tracked by mistake."""
 
 
 class VisualSlam:
@@ -107,7 +103,7 @@ class VisualSlam:
         known = None if self._known is None else self._known.known(is_fixed=localize_only)
         self._map: OdometryMap = MapProcess(rig, c, known) if c.worker else LocalMap(rig, c, known)
         self._schedule = CorrectionSchedule(c.correction_delay)
-        self._frames = self._sent = self._loops = self._track = self._tracked = 0
+        self._frames = self._sent = self._loops = self._track = 0
         self._T_map_odom: Array | None = np.eye(4)
         self._correction: Correction | None = None
         self._final: tuple[int, Mapper, OptimizedGraph | None] | None = None  # after a number of frames
@@ -130,9 +126,8 @@ class VisualSlam:
             ConfigError: The frame is not later than the last one, or an image does not fit its camera.
             DefectError: The worker process died, or failed in a way that no input should cause.
         """
-        self._keyframes.begin_frame(frame, self._tracked, has_map_pose=self._T_map_odom is not None)
+        self._keyframes.begin_frame(frame, has_map_pose=self._T_map_odom is not None)
         estimate = self._odometry.add_frame(frame)
-        self._tracked = 0 if estimate.health_report is None else estimate.health_report.tracks
         self._frames += 1
         for message in self._keyframes.take():
             if isinstance(message, TrackLost):
@@ -268,21 +263,19 @@ class _KeyframeMessages:
     def __init__(self) -> None:
         """Begin without keyframes."""
         self._frame: CameraFrame | None = None
-        self._tracked, self._has_map_pose = 0, True
-        self._newest_ids = np.zeros(0, np.int64)
+        self._has_map_pose = True
         self._waiting: dict[int, tuple[OdometryKeyframe, ImagedKeyframe]] = {}
         self._members: dict[int, OdometryKeyframe] = {}  # keyframes that have been marginalized
         self._messages: list[MapMessage] = []
 
-    def begin_frame(self, frame: CameraFrame, tracked: int, *, has_map_pose: bool) -> None:
+    def begin_frame(self, frame: CameraFrame, *, has_map_pose: bool) -> None:
         """Keep the images of the newest frame, which may become a keyframe.
 
         Args:
             frame: The frame.
-            tracked: Number of features that were tracked into the frame before it.
             has_map_pose: Whether the pose of the odometry frame in the map frame is known.
         """
-        self._frame, self._tracked, self._has_map_pose = frame, tracked, has_map_pose
+        self._frame, self._has_map_pose = frame, has_map_pose
 
     def take(self) -> list[MapMessage]:
         """Return the messages since the last call."""
@@ -293,12 +286,10 @@ class _KeyframeMessages:
         """Let a keyframe of the odometry wait until it leaves the window, unless its images are those of an earlier
         frame. If no image connects it with the one before, another track begins.
         """
-        ids, previous_ids = keyframe.observations.ids, self._newest_ids
-        self._newest_ids = ids
         self._waiting = {t: known for t, known in self._waiting.items() if t in keyframe.window_times_ns}
         if self._frame is None or not keyframe.is_of_newest_frame:
             return
-        if not are_connected(previous_ids, ids, self._tracked):
+        if not keyframe.is_connected:
             self.lost()
         images, R_odom_imu = tuple(self._frame.images), keyframe.state.T_world_imu[:3, :3]
         imaged = ImagedKeyframe(images, keyframe.calibration.rig, R_odom_imu, keyframe.observations)
@@ -390,18 +381,3 @@ def _events(correction: Correction) -> list[str]:
     """Return the events of a correction, as texts for users."""
     joined = ["track joined with the map"] if correction.is_joined else []
     return [*joined, *(f"loop closed with keyframe {k}" for k in sorted({loop.first for loop in correction.loops}))]
-
-
-def are_connected(before: Integers, ids: Integers, tracked: int) -> bool:
-    """Return whether images connect two successive keyframes.
-
-    They do not where features were tracked into the frame before the second one, and suddenly all are others, as when
-    the vehicle is carried away between two frames. After darkness, the IMU connects the keyframes.
-
-    Args:
-        before: (N,) Identities of the features of the first keyframe.
-        ids: (M,) Identities of the features of the second keyframe.
-        tracked: Number of features that were tracked into the frame before the second keyframe.
-    """
-    has_changed = min(len(before), len(ids), tracked) >= MIN_FEATURES
-    return not has_changed or len(np.intersect1d(before, ids)) >= MIN_FEATURES

@@ -319,3 +319,27 @@ def test_implausible_states_are_lost_at_once(changes: dict[str, Any], reason: st
         assess(monitor, observations, START)
         report = assess(monitor, tracked, state_after(1, **changes))
         assert report.health == Health.LOST and reason in report.reason
+
+
+@pytest.mark.parametrize(
+    ("frames_after", "is_trusted", "expected"),
+    [
+        (10, True, Health.LOST),
+        (80, True, Health.INERTIAL_ONLY),  # later than `disconnected_s`
+        (10, False, Health.INERTIAL_ONLY),  # it was not consistent before, either
+    ],
+)
+def test_contradiction_after_exchanged_images_is_a_loss(frames_after: int, is_trusted: bool, expected: Health) -> None:
+    triangulated = landmarks(40, np.random.default_rng(1))
+    good, bad = ([error_of_nis(nis)] for nis in (1.0, 1.05 * CONFIG.max_frame_nis))
+    monitor = monitor_of(triangulated, is_trusted=is_trusted)
+    monitor.disconnect(START.t_ns)
+    health = health_of(good * frames_after + bad, monitor, triangulated)
+    assert Health.LOST not in health[:-1] and health[-1] == expected
+
+
+def test_exchanged_images_alone_are_no_loss() -> None:
+    triangulated = landmarks(40, np.random.default_rng(1))
+    monitor = monitor_of(triangulated)
+    monitor.disconnect(START.t_ns)
+    assert set(health_of([error_of_nis(1.0)] * 80, monitor, triangulated)) == {Health.TRACKING}

@@ -82,3 +82,14 @@ def test_estimate_is_never_established_without_the_limit() -> None:
     """With an infinite time, the estimate is distrusted as if no motion had confirmed it."""
     never = replace(LIMITS, established_s=float("inf"))
     assert not trusted_frames([*ESTABLISHING, 65.0, *[1.0] * 50], never)[-1]
+
+
+def test_an_established_estimate_can_be_made_to_begin_anew() -> None:
+    trust = Trust(LIMITS, is_trusted=True)
+    for k, nis in enumerate(ESTABLISHING):
+        trust.update(k * STEP_NS, nis, moves=True)
+    assert trust.is_established
+    trust.restart_motion()
+    assert not trust.is_established and trust.is_trusted
+    trust.update(len(ESTABLISHING) * STEP_NS, 65.0, moves=True)
+    assert not trust.is_trusted

@@ -16,7 +16,6 @@ from dronevio.estimator.slam.odometry_factors import RelativePose, first_node
 from dronevio.estimator.slam.pose_graph import PoseGraph, joined_graphs, optimize
 from dronevio.estimator.slam.submap import Submap
 from dronevio.estimator.slam.verification import PlaceMatch
-from dronevio.estimator.slam.visual_slam import are_connected
 from dronevio.models.map_correction import MapCorrection
 from dronevio.models.rotation import exp_so3, inverse_pose, log_so3, pose_matrix, rotation_z
 from dronevio.models.state import Trajectory
@@ -194,22 +193,6 @@ def test_an_odometry_with_a_wrong_velocity_is_not_located(odometry_flight: "Odom
     ]
     assert located(mapper, drifting) == [None] * 4
     assert located(mapper, tracks[1][4:6])[-1] is not None
-
-
-@pytest.mark.parametrize(
-    ("before", "now", "tracked", "expected"),
-    [
-        (range(100), range(92, 200), 90, True),  # 8 features in common
-        (range(100), range(93, 200), 90, False),  # 7 features in common
-        (range(100), range(100, 200), 0, True),  # after darkness
-        (range(100), range(100, 105), 90, True),  # hardly anything is visible
-        (range(0), range(100, 200), 90, True),  # the first keyframe
-    ],
-)
-def test_keyframes_without_common_features_are_not_connected(
-    before: range, now: range, tracked: int, expected: bool
-) -> None:
-    assert are_connected(np.array(before, np.int64), np.array(now, np.int64), tracked) is expected
 
 
 def test_too_small_a_map_is_given_up(tracks: Tracks) -> None:

@@ -66,7 +66,7 @@ class ScriptedOdometry:
         ids, landmarks = estimate.landmark_ids, estimate.landmarks_odom
         observations = new.keyframe.observations
         self.observer.added(
-            OdometryKeyframe(estimate.t_ns, state, observations, calibration, True, times, ids, landmarks)
+            OdometryKeyframe(estimate.t_ns, state, observations, calibration, True, True, times, ids, landmarks)
         )
         return Estimate(frame.t_ns, Health.TRACKING, state)
 

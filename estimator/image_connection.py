@@ -1,0 +1,42 @@
+"""Whether images connect the successive keyframes of an odometry.
+
+Where features were tracked up to a frame and suddenly all are others, the images were exchanged or the vehicle was
+carried away between two frames. After darkness, where nothing was tracked, the IMU connects the keyframes.
+"""
+
+import numpy as np
+
+from dronevio.estimator.types import Integers, Observations
+
+MIN_FEATURES = 8
+"""Smallest number of common features that connect two keyframes; fewer may be tracked by mistake."""
+
+
+class ImageConnection:
+    """Compares the features of each keyframe with those of the one before."""
+
+    def __init__(self) -> None:
+        """Begin without keyframes."""
+        self._keyframe_ids = np.zeros(0, np.int64)
+        self._tracked = 0  # number of features that were tracked into the frame before
+
+    def add_keyframe(self, observations: Observations) -> bool:
+        """Add a keyframe, the newest frame, and return whether features connect it with the one before."""
+        before, self._keyframe_ids = self._keyframe_ids, observations.ids
+        return are_connected(before, observations.ids, self._tracked)
+
+    def end_frame(self, tracked: Observations) -> None:
+        """Note the features that were tracked into the newest frame."""
+        self._tracked = len(tracked)
+
+
+def are_connected(before: Integers, ids: Integers, tracked: int) -> bool:
+    """Return whether images connect two successive keyframes.
+
+    Args:
+        before: (N,) Identities of the features of the first keyframe.
+        ids: (M,) Identities of the features of the second keyframe.
+        tracked: Number of features that were tracked into the frame before the second keyframe.
+    """
+    has_changed = min(len(before), len(ids), tracked) >= MIN_FEATURES
+    return not has_changed or len(np.intersect1d(before, ids)) >= MIN_FEATURES

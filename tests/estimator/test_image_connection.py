@@ -1,0 +1,40 @@
+"""Keyframes that no feature connects with the ones before."""
+
+import numpy as np
+import pytest
+
+from dronevio.estimator.image_connection import ImageConnection, are_connected
+from dronevio.estimator.types import Observations
+
+
+@pytest.mark.parametrize(
+    ("before", "now", "tracked", "expected"),
+    [
+        (range(100), range(92, 200), 90, True),  # 8 features in common
+        (range(100), range(93, 200), 90, False),  # 7 features in common
+        (range(100), range(100, 200), 0, True),  # after darkness
+        (range(100), range(100, 105), 90, True),  # hardly anything is visible
+        (range(0), range(100, 200), 90, True),  # the first keyframe
+    ],
+)
+def test_keyframes_without_common_features_are_not_connected(
+    before: range, now: range, tracked: int, expected: bool
+) -> None:
+    assert are_connected(np.array(before, np.int64), np.array(now, np.int64), tracked) is expected
+
+
+def seen(ids: range) -> Observations:
+    """Return observations of features."""
+    count = len(ids)
+    return Observations(np.array(ids, np.int64), np.zeros((count, 2)), np.zeros((count, 2)), np.ones(count, np.int64))
+
+
+def test_keyframes_are_compared_with_those_before() -> None:
+    connection = ImageConnection()
+    assert connection.add_keyframe(seen(range(50)))
+    connection.end_frame(seen(range(50)))
+    assert connection.add_keyframe(seen(range(30, 80)))
+    connection.end_frame(seen(range(30, 50)))
+    assert not connection.add_keyframe(seen(range(100, 150)))
+    connection.end_frame(seen(range(0)))  # darkness
+    assert connection.add_keyframe(seen(range(200, 250)))
