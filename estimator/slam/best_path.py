@@ -14,7 +14,12 @@ import numpy as np
 import numpy.typing as npt
 
 from dronevio.estimator.slam.odometry_factors import RelativePose, propagated, reversed_pose
-from dronevio.estimator.slam.pose_graph import FREE_POSITION_SIGMA_M, FREE_ROTATION_SIGMA_RAD, PoseGraph
+from dronevio.estimator.slam.pose_graph import (
+    FIXED_SIGMA,
+    FREE_POSITION_SIGMA_M,
+    FREE_ROTATION_SIGMA_RAD,
+    PoseGraph,
+)
 
 Array = npt.NDArray[np.float64]
 
@@ -60,9 +65,10 @@ def with_loops(
 
 def of_graph(graph: PoseGraph) -> Mapping[int, Array]:
     """Return the covariances of all keyframes of a graph, of which all loops are right."""
-    first = {k: graph.first_covariance if k == graph.first else UNKNOWN for k in graph.poses}
-    steps = [relative for relative in graph.odometry if relative.second > graph.first]
-    return with_loops(graph, first, [*graph.loops, *steps[:1]])
+    fixed = dict.fromkeys(graph.fixed, FIXED_SIGMA**2 * np.eye(6))
+    known = {**dict.fromkeys(graph.poses, UNKNOWN), **fixed, graph.first: graph.first_covariance}
+    first_step = [relative for relative in graph.odometry if relative.first == graph.first]
+    return with_loops(graph, known, [*graph.loops, *first_step])  # the first step begins the paths
 
 
 def is_unknown(covariance: Array) -> bool:

@@ -91,6 +91,13 @@ def test_an_earlier_track_is_known_by_a_loop_from_a_later_one() -> None:
     assert [position(found, k) for k in range(3)] == pytest.approx([joined + STEP, joined, joined + STEP], rel=1e-4)
 
 
+def test_fixed_keyframes_are_certain() -> None:
+    graph = PoseGraph(0, variance(FIRST), {k: pose(float(k)) for k in range(5)}, fixed=tuple(range(5)))
+    found = of_graph(graph)
+    assert all(position(dict(found), k) == pytest.approx(1e-8) for k in range(1, 5))
+    assert not any(is_unknown(found[k]) for k in range(5))
+
+
 def test_reversed_poses_are_inverse() -> None:
     rng = np.random.default_rng(0)
     A = rng.normal(size=(6, 6))

@@ -68,6 +68,7 @@ def test_a_flight_is_joined_with_a_saved_map(monkeypatch: pytest.MonkeyPatch, lo
         offset = estimate.T_map_odom @ T_SECOND_FIRST
         np.testing.assert_allclose(offset[:3, 3], [0.0, -DRIFT_M, 0.0], atol=0.5 * DRIFT_M)
         assert all(t_ns > 0 for pair in estimate.closed_loops_ns for t_ns in pair)
+        assert estimate.map_covariance is not None and np.trace(estimate.map_covariance[3:, 3:]) < 0.1**2
     assert all(estimate.T_map_odom is None for estimate in estimates[:joined])
     final = slam.final_map()
     assert final is not None and len(final.t_ns) == 2 * PLACES - DELAY
