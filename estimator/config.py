@@ -6,7 +6,7 @@ from typing import Annotated
 from dronevio.estimator.backend.keyframes import KeyframeConfig
 from dronevio.estimator.backend.landmarks import LandmarkConfig
 from dronevio.estimator.backend.smoother import SmootherConfig
-from dronevio.estimator.calibration.online import CalibrationConfig
+from dronevio.estimator.calibration.config import CalibrationConfig
 from dronevio.estimator.frontend.tracker import TrackerConfig
 from dronevio.estimator.health import HealthConfig
 from dronevio.estimator.imu.noise import NoiseEstimationConfig

@@ -12,7 +12,7 @@ import pytest
 import dronevio
 from dronevio.cli import main
 from dronevio.cli.flight_options import FlightOptions
-from dronevio.estimator.calibration.online import CalibratedPart
+from dronevio.estimator.calibration.config import CalibratedPart
 from dronevio.estimator.config import VioConfig
 from dronevio.models.battery import Battery
 from dronevio.models.camera import CameraModel

@@ -5,8 +5,9 @@ from typing import TYPE_CHECKING
 from dronevio._lazy import attach
 
 if TYPE_CHECKING:
+    from dronevio.estimator.calibration.config import CalibratedPart, CalibrationConfig
     from dronevio.estimator.calibration.corrections import Corrections
-    from dronevio.estimator.calibration.online import CalibratedPart, CalibrationConfig, OnlineCalibration
+    from dronevio.estimator.calibration.online import OnlineCalibration
 
 __all__ = [
     "CalibratedPart",
@@ -19,6 +20,7 @@ __getattr__, __dir__ = attach(
     __name__,
     {
         "dronevio.estimator.calibration.corrections": ("Corrections",),
-        "dronevio.estimator.calibration.online": ("CalibratedPart", "CalibrationConfig", "OnlineCalibration"),
+        "dronevio.estimator.calibration.config": ("CalibratedPart", "CalibrationConfig"),
+        "dronevio.estimator.calibration.online": ("OnlineCalibration",),
     },
 )

@@ -12,32 +12,28 @@ adjusted several times while it grows. Because the state at rest does not depend
 determines the newest state by the corrected calibration, with which the odometry continues.
 """
 
-from dataclasses import dataclass, field, replace
-from typing import Annotated, TypeAlias
+from dataclasses import replace
 
 import gtsam
 import numpy as np
 import numpy.typing as npt
 
 from dronevio.estimator.calibration.adjustment import CalibrationProblem
+from dronevio.estimator.calibration.config import CalibrationConfig
 from dronevio.estimator.calibration.corrected_state import propagated_state
 from dronevio.estimator.calibration.corrections import GRAVITY, Corrections
 from dronevio.estimator.calibration.significance import significant_length
 from dronevio.estimator.calibration.window import AdjustmentConfig, WindowKeyframe
+from dronevio.estimator.calibration.window_collector import CalibrationWindow, WindowCollector
 from dronevio.estimator.types import Calibration, Observations
 from dronevio.models.imu import GRAVITY_M_S2
-from dronevio.models.ranges import Range, Settings
 from dronevio.models.rig import Rig
 from dronevio.models.rotation import exp_so3, pose_matrix
 from dronevio.models.state import NavState
 
 Array = npt.NDArray[np.float64]
 
-
-FiveSigmas: TypeAlias = tuple[float, float, float, float, float]
 FIXED_SIGMA = 1e-9  # standard deviation of parameters that are not estimated; it keeps the matrices regular
-PART_GROWTH = 1.4
-"""Ratio of the lengths of successive parts of a window that are adjusted before it is complete."""
 MIN_PART_KEYFRAMES = 5
 """Smallest number of keyframes of such a part."""
 REFINEMENT_SIGMAS = 1.0
@@ -49,81 +45,6 @@ MAX_RELATIVE_SIGMAS = 4.0
 MIN_INFLATION = 0.03
 """Smallest share of these that is applied, however small a correction is."""
 _ROTATION = 2  # index of the part that holds the rotations of all cameras
-
-
-@dataclass(frozen=True)
-class CalibratedPart(Settings):
-    """Settings of one part of the calibration, in the unit of its parameters."""
-
-    online: bool
-    """Whether this part is estimated online."""
-    sigma: Annotated[float, Range(1e-6, 10.0)]
-    """Prior standard deviation of the given calibration."""
-    min_correction: Annotated[float, Range(low=0.0)]
-    """Smallest correction that is applied."""
-    walk: Annotated[float, Range(0.0, 1.0)]
-    """Random walk of the parameters, due to temperature and ageing, per √s."""
-    significance: Annotated[float, Range(low=0.0)] = 3.0
-    """Standard deviations by which an estimate must differ from the calibration in use before it is applied."""
-    refinement: Annotated[float, Range(0.0, 1.0)] = 1.0
-    """Smallest further correction once this part has been corrected, relative to `min_correction`."""
-
-
-@dataclass(frozen=True)
-class CalibrationConfig(Settings):
-    """Settings of the online calibration."""
-
-    time_offset: CalibratedPart = CalibratedPart(True, sigma=0.01, min_correction=0.001, walk=1e-5, refinement=0.3)
-    """Time offset of the cameras [s]. The smallest correction is a fifth of a sampling interval of a 200 Hz IMU."""
-    gravity: CalibratedPart = CalibratedPart(True, sigma=0.03, min_correction=0.01, walk=0.0, significance=1.5)
-    """Magnitude of gravity [m/s²], 9.780 at the equator and 9.832 at the poles. One camera observes it only where the
-    thrust varies, because scale and gravity are proportional otherwise. The significance is small, because the prior is
-    the true distribution on Earth."""
-    rotation: CalibratedPart = CalibratedPart(True, sigma=0.02, min_correction=0.005, walk=1e-5, refinement=0.1)
-    """Rotation of each camera, about each axis [rad]. The smallest correction is a quarter of a degree."""
-    translation: CalibratedPart = CalibratedPart(False, sigma=0.02, min_correction=0.005, walk=1e-6)
-    """Translation of each camera in the IMU frame [m]."""
-    focal: CalibratedPart = CalibratedPart(False, sigma=0.01, min_correction=0.003, walk=1e-6)
-    """Focal lengths of each camera, relative."""
-    principal: CalibratedPart = CalibratedPart(False, sigma=0.01, min_correction=0.003, walk=1e-6)
-    """Principal point of each camera, in units of the focal lengths."""
-    min_relative_correction: Annotated[float, Range(low=0.0)] = 0.0015
-    """Smallest correction of the rotation between cameras by the matches of the first keyframe, over all rotation
-    parameters together [rad]."""
-    window_s: Annotated[float, Range(0.5, 60.0)] = 5.0
-    """Length of the windows [s]. A window does not begin while the vehicle is stationary, but with the last stationary
-    keyframe."""
-    first_window_s: Annotated[float, Range(0.1, 60.0)] = 1.25
-    """Length of the part of a window that is adjusted first if the vehicle is stationary at its beginning [s]. Longer
-    parts follow until the window is complete."""
-    max_keyframes: Annotated[int, Range(3, 100)] = 30
-    """Largest number of keyframes in a window; a window that reaches it ends early."""
-    min_keyframes: Annotated[int, Range(3, 100)] = 8
-    """Smallest number of keyframes of a window that is adjusted."""
-    min_landmarks: Annotated[int, Range(5, 1000)] = 20
-    """Smallest number of landmarks of a window that is adjusted."""
-    max_rms_px: Annotated[float, Range(above=0.0)] = 2.0
-    """Largest root mean square reprojection error of a window whose result is used [px]."""
-    inflation_sigmas: Annotated[FiveSigmas, Range(0.0, 10.0)] = (
-        0.01,
-        0.02,
-        0.1,
-        0.005,
-        0.15,
-    )
-    """Standard deviations of the error that a wrong calibration leaves in the state when it is corrected: orientation
-    [rad], position [m], velocity [m/s], gyroscope bias [rad/s] and accelerometer bias [m/s²]. They correspond to a
-    rotation of one degree or a time offset of 5 ms, and are proportional to smaller corrections."""
-    gravity_inflation_sigmas: Annotated[FiveSigmas, Range(0.0, 10.0)] = (
-        0.001,
-        0.002,
-        0.01,
-        0.0,
-        0.03,
-    )
-    """Those that wrong gravity leaves. The accelerometer bias compensates most of it."""
-    adjustment: AdjustmentConfig = field(default_factory=AdjustmentConfig)
-    """Settings of the adjustment of the windows."""
 
 
 class OnlineCalibration:
@@ -157,12 +78,10 @@ class OnlineCalibration:
         self._applied = np.zeros(len(parts))
         self._corrected = np.zeros(len(parts), dtype=np.bool_)  # by the last correction
         self._significant = np.zeros(int(self._part.max()) + 1, dtype=np.bool_)
-        self._window: list[WindowKeyframe] = []
-        self._is_stationary = self._begins_stationary = False  # throughout the window, and at its beginning
-        self._next_s = c.window_s  # length of the window at its next adjustment
-        self._waiting: _Window | None = None  # before its adjustment
+        self._collector = WindowCollector(c)
+        self._waiting: CalibrationWindow | None = None  # before its adjustment
         self._problem: CalibrationProblem | None = None  # the adjustment under way
-        self._adjusted: _Window | None = None  # its window
+        self._adjusted: CalibrationWindow | None = None  # its window
         self._is_comparing = len(rig.cameras) > 1 and c.rotation.online  # until the cameras have been compared
         self._corrected_state: NavState | None = None
         self._inflation = 1.0  # share of the covariance inflation
@@ -207,8 +126,8 @@ class OnlineCalibration:
 
     def restart(self) -> None:
         """Discard the windows under way, because the states are not consistent with those that follow."""
-        self._window, self._waiting, self._problem, self._adjusted = [], None, None, None
-        self._is_stationary = False
+        self._collector.restart()
+        self._waiting, self._problem, self._adjusted = None, None, None
 
     def add(
         self,
@@ -230,34 +149,23 @@ class OnlineCalibration:
         """
         if not self._estimated.any():
             return False
-        c, applied = self._config, self.applied
+        applied = self.applied
         parts = (observations, observations.matches, observations.miscalibrated)
         ids, camera, xy = (np.concatenate([getattr(p, name) for p in parts]) for name in ("ids", "camera", "xy"))
         xy = (1.0 + applied.focal[camera]) * xy + applied.principal[camera]
         gravity_m_s2 = self._gravity_m_s2 + applied.gravity_m_s2
-        if stationary and self._is_stationary:
-            self._window = []
-        if not self._window:
-            self._is_stationary = self._begins_stationary = stationary
-            self._next_s = min(c.first_window_s, c.window_s) if stationary else c.window_s
-        self._is_stationary &= stationary
-        self._window.append(
-            WindowKeyframe(
-                state, angular_velocity_rad_s, applied.time_offset_s, gravity_m_s2, preintegrated, ids, camera, xy
-            )
+        keyframe = WindowKeyframe(
+            state, angular_velocity_rad_s, applied.time_offset_s, gravity_m_s2, preintegrated, ids, camera, xy
         )
-        if self._is_comparing and self._compare_cameras(self._window[-1]):
+        window = self._collector.add(keyframe, stationary)
+        if self._is_comparing and self._compare_cameras(keyframe):
+            self._waiting = window or self._waiting
             self._corrected_state = state if stationary else None
             return True
         if not self._has_stepped:
             self.step()
         self._has_stepped = False
-        span_s = (state.t_ns - self._window[0].state.t_ns) * 1e-9
-        if span_s >= c.window_s or len(self._window) >= c.max_keyframes:
-            self._waiting, self._window = _Window(tuple(self._window), self._begins_stationary), []
-        elif span_s >= self._next_s and not self._is_stationary:
-            self._waiting = _Window(tuple(self._window), self._begins_stationary, is_complete=False)
-            self._next_s *= PART_GROWTH
+        self._waiting = window or self._waiting
         return self._problem is not None and self._problem.is_done and self._conclude(self._problem)
 
     def step(self) -> None:
@@ -279,7 +187,7 @@ class OnlineCalibration:
         if len(keyframe.ids) - len(np.unique(keyframe.ids)) < c.min_landmarks:
             return False
         config = replace(c.adjustment, min_views=2, max_reprojection_px=100.0, iterations=10, max_decrement=0.1)
-        problem = self._problem_of(_Window((keyframe,), False, is_complete=False), config, self._covariance)
+        problem = self._problem_of(CalibrationWindow((keyframe,), False, is_complete=False), config, self._covariance)
         if problem.landmark_count < c.min_landmarks:
             return False
         self._is_comparing = False
@@ -292,7 +200,7 @@ class OnlineCalibration:
             return False
         return self._apply(found.mean, _inverse(found.information), c.min_relative_correction)
 
-    def _begin(self, window: "_Window") -> None:
+    def _begin(self, window: CalibrationWindow) -> None:
         """Set up the adjustment of a window, if it has enough keyframes and landmarks."""
         c, now_ns = self._config, window.keyframes[-1].state.t_ns
         elapsed_s = 0.0 if self._updated_ns is None else (now_ns - self._updated_ns) * 1e-9
@@ -305,7 +213,7 @@ class OnlineCalibration:
         if problem.landmark_count >= c.min_landmarks:
             self._problem, self._adjusted = problem, window
 
-    def _problem_of(self, window: "_Window", config: AdjustmentConfig, covariance: Array) -> CalibrationProblem:
+    def _problem_of(self, window: CalibrationWindow, config: AdjustmentConfig, covariance: Array) -> CalibrationProblem:
         """Return the adjustment of a window with a prior covariance.
 
         A window that begins at rest does not estimate gravity, because the accelerometer bias of its prior is that for
@@ -348,10 +256,10 @@ class OnlineCalibration:
         self._corrected_state = None
         first = window.keyframes[0].state.covariance
         if window.begins_stationary and first is not None and np.delete(self._corrected, GRAVITY).any():
-            later = [keyframe for keyframe in self._window if keyframe.state.t_ns > found.newest.t_ns]
+            later = self._collector.after(found.newest.t_ns)
             self._corrected_state = propagated_state(found.newest, later, first[3:6, 3:6], self._given.rig.imu)
             if window.is_complete:
-                self._window = []  # its states do not continue those that follow
+                self._collector.discard()  # its states do not continue those that follow
         return True
 
     def _apply(
@@ -396,15 +304,6 @@ class OnlineCalibration:
             return 1.0
         sizes = abs(step[0]), float(np.linalg.norm(step[self._part == _ROTATION]))
         return float(np.clip(max(np.divide(sizes, INFLATION_CORRECTION)), MIN_INFLATION, 1.0))
-
-
-@dataclass(frozen=True, eq=False)
-class _Window:
-    """Keyframes that are adjusted together."""
-
-    keyframes: tuple[WindowKeyframe, ...]
-    begins_stationary: bool
-    is_complete: bool = True  # otherwise the beginning of a window that continues
 
 
 def _inverse(matrix: Array) -> Array:

@@ -10,7 +10,8 @@ import numpy.typing as npt
 import pytest
 
 from dronevio.estimator.calibration.adjustment import CalibrationProblem
-from dronevio.estimator.calibration.online import CalibratedPart, CalibrationConfig, OnlineCalibration
+from dronevio.estimator.calibration.config import CalibratedPart, CalibrationConfig
+from dronevio.estimator.calibration.online import OnlineCalibration
 from dronevio.estimator.imu.buffer import ImuBuffer
 from dronevio.estimator.imu.preintegration import Preintegration, PreintegrationConfig, PreintegrationParams
 from dronevio.estimator.types import Observations
