@@ -164,6 +164,7 @@ def test_done_runs_are_not_done_again_and_failures_are_listed(
     assert (many.folder / "results.parquet").read_bytes() == before
 
 
+@pytest.mark.slow
 def test_killed_in_the_middle_it_goes_on_with_what_is_missing(
     place: Path, flown: Result, external: Callable[[str, str], str]
 ) -> None:

@@ -102,6 +102,7 @@ def test_an_existing_result_is_not_replaced(photographs: Path, reconstructed: Pa
     assert (copy / "report.html").read_bytes() == (reconstructed / "report.html").read_bytes()
 
 
+@pytest.mark.slow
 def test_a_photograph_is_added(photographs: Path, reconstructed: Path, tmp_path: Path) -> None:
     whole = read_reconstruction(reconstructed)
     first = whole.observation_image < 4
@@ -170,6 +171,7 @@ def test_accuracy_script_ignores_a_similarity(script: Callable[[str], Any]) -> N
     assert accuracy.align(true, turned + np.array([[0.3, 0, 0], [0, 0, 0], [0, 0, 0], [0, 0, 0]])).rmse_mm > 10.0
 
 
+@pytest.mark.slow
 def test_surfaces_of_the_villa(
     reconstructed: Path, photographs: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

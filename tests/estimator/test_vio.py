@@ -186,7 +186,7 @@ def test_imu_batches_may_have_any_size(estimated_flight: EstimatedFlight, batch:
 
 
 @pytest.mark.parametrize("rest_s", [STATIONARY, IN_MOTION])
-@pytest.mark.parametrize("seed", range(3))
+@pytest.mark.parametrize("seed", [0, *(pytest.param(seed, marks=pytest.mark.slow) for seed in (1, 2))])
 def test_imu_may_have_any_orientation(
     make_flight: MakeFlight, estimated_flight: EstimatedFlight, seed: int, rest_s: float
 ) -> None:
@@ -250,7 +250,7 @@ def test_velocity_is_restored_after_long_darkness(make_flight: MakeFlight) -> No
     assert np.abs(speeds[0] - speeds[1]).max() < 0.1
 
 
-@pytest.mark.parametrize("seed", range(2))
+@pytest.mark.parametrize("seed", [0, pytest.param(1, marks=pytest.mark.slow)])
 def test_hover_does_not_drift(make_flight: MakeFlight, seed: int) -> None:
     """The drone moves by 3 cm around its starting point, so that hardly any parallax exceeds 1°."""
     hover = {
@@ -267,7 +267,7 @@ def test_hover_does_not_drift(make_flight: MakeFlight, seed: int) -> None:
     [{"pixel_noise": 1.0}, {"moving_share": 0.1}, {"max_features": 25}, {"max_features": 150}, {"imu_noise": 10.0}],
     ids=str,
 )
-@pytest.mark.parametrize("rest_s", [STATIONARY, IN_MOTION])
+@pytest.mark.parametrize("rest_s", [STATIONARY, pytest.param(IN_MOTION, marks=pytest.mark.slow)])
 def test_difficult_conditions_reduce_accuracy_only(
     make_flight: MakeFlight, rest_s: float, settings: dict[str, Any]
 ) -> None:

@@ -125,6 +125,7 @@ def read_or_refuse(path: Path, content: bytes, check: Callable[[Path, bytes], No
     return False
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("form", FORMATS)
 def test_two_thousand_fuzzed_files(form: str, tmp_path: Path) -> None:
     make, check = FORMATS[form]

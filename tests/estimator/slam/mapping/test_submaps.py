@@ -1,6 +1,6 @@
 """Tracks of the odometry after a loss: submaps of their own until a place of the map is recognized."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
@@ -12,7 +12,7 @@ from dronevio.estimator.backend.keyframe_estimate import KeyframeEstimate
 from dronevio.estimator.slam.correction import Correction
 from dronevio.estimator.slam.keyframe import NO_KEYFRAME_FEATURES, MapKeyframe
 from dronevio.estimator.slam.mapping import KeyframeView, Mapper
-from dronevio.estimator.slam.odometry_factors import RelativePose, first_node
+from dronevio.estimator.slam.odometry_factors import RelativePose, first_node, propagated
 from dronevio.estimator.slam.pose_graph import PoseGraph, joined_graphs, optimize
 from dronevio.estimator.slam.submap import Submap
 from dronevio.estimator.slam.verification import PlaceMatch
@@ -50,6 +50,21 @@ class FirstMatchWrong(TrueRecognizer):
         error = pose_matrix(exp_so3(0.5 * keyframe.T_odom_imu[2, :3]), np.array([1.0, 0.0, 0.0]))
         self.wrong_pairs.add((match.match, match.query))
         return replace(match, T_match_query=match.T_match_query @ error)
+
+
+class KeptMatches(TrueRecognizer):
+    """Recognizes places, and keeps the matches of keyframes that are not added yet."""
+
+    def __init__(self, true_poses: Mapping[int, Array]) -> None:
+        """Begin without keyframes, with the true poses of the flight."""
+        super().__init__(true_poses, every=1)
+        self.matches: list[PlaceMatch] = []
+
+    def locate(self, keyframe: MapKeyframe) -> PlaceMatch | None:
+        """Return a match, and keep it."""
+        match = super().locate(keyframe)
+        self.matches += [] if match is None else [match]
+        return match
 
 
 def shifted(estimate: KeyframeEstimate) -> KeyframeEstimate:
@@ -167,13 +182,19 @@ def located(mapper: Mapper, estimates: Sequence[KeyframeEstimate]) -> list[Corre
 
 
 def test_keyframes_in_the_window_are_located(odometry_flight: "OdometryFlight", tracks: Tracks) -> None:
-    mapper = Mapper(TrueRecognizer(odometry_flight.true_poses, every=1))
-    added(mapper, tracks[0])
+    recognizer = KeptMatches(odometry_flight.true_poses)
+    mapper = Mapper(recognizer)
+    before = added(mapper, tracks[0])
     mapper.start_track(tracks[1][0].t_ns)
     first, correction, third = located(mapper, tracks[1][:3])
     assert first is None and third is None  # the second keyframe confirms the first one
     assert correction is not None and correction.T_map_odom is not None and correction.is_joined
     assert np.linalg.norm((T_SHIFTED_ODOM @ correction.T_map_odom)[:3, 3]) < 0.2
+    # The pose is as uncertain as that of the old keyframe and the match together.
+    match = recognizer.matches[-1]
+    place = RelativePose.measured(match.match, match.query, match.T_match_query, match.covariance)
+    expected = propagated(before[match.match].covariance, place, None)
+    np.testing.assert_allclose(correction.covariance, expected, rtol=0.2, atol=1e-7)
     assert len(mapper.keyframes) == SPLIT  # they are not part of the map yet
     # Until the track is joined, corrections are those of the located keyframe.
     mapper._recognizer = NoRecognizer()
@@ -193,6 +214,18 @@ def test_an_odometry_with_a_wrong_velocity_is_not_located(odometry_flight: "Odom
     ]
     assert located(mapper, drifting) == [None] * 4
     assert located(mapper, tracks[1][4:6])[-1] is not None
+
+
+def test_recent_keyframes_of_another_track_are_references(tracks: Tracks) -> None:
+    mapper = Mapper(NoRecognizer())
+    added(mapper, tracks[0])
+    graph, newest = mapper.graph, tracks[1][0]
+    assert graph is not None
+    last = mapper.keyframes[-1]
+    assert newest.t_ns - last.t_ns < 10_000_000_000
+    for track, expected in ((0, False), (1, True)):
+        found = mapper._references(graph, replace(last, number=SPLIT, t_ns=newest.t_ns, track=track))
+        assert (last in found) is expected and mapper.keyframes[0] in found
 
 
 def test_too_small_a_map_is_given_up(tracks: Tracks) -> None:
