@@ -75,7 +75,7 @@ class HealthConfig(Settings):
     disturbance_s: Annotated[float, Range(low=0.0, infinite=True)] = 0.6
     """Longest contradiction of an established estimate that counts as a disturbance, and the time for which the
     estimate must be consistent after it before its health is tracking [s]."""
-    disconnected_s: Annotated[float, Range(low=0.0, infinite=True)] = 3.0
+    disconnected_s: Annotated[float, Range(low=0.0, infinite=True)] = 5.0
     """Time after a keyframe without a common feature with the one before, in which inconsistent innovations mean a loss
     [s]: the images show another place, as when they are exchanged or the vehicle is carried away."""
     max_nis: Annotated[float, Range(above=0.0, infinite=True)] = 60.0
