@@ -12,6 +12,7 @@ from dronevio.estimator.slam.map_builder import LocalMap, MarginalizedKeyframe
 from dronevio.estimator.slam.mapping import Mapper, MappingConfig, MapSummary
 from dronevio.estimator.slam.odometry_factors import OdometryNode, RelativePose, composed, first_node, reversed_pose
 from dronevio.estimator.slam.pose_graph import optimize
+from dronevio.estimator.slam.recognizer import PlaceRecognizer
 from dronevio.estimator.slam.submap import MAX_PASSED_LOOPS, Submap
 from dronevio.models.rotation import exp_so3, inverse_pose, pose_matrix
 from tests.estimator.slam.mapping.conftest import marginal_covariance
@@ -156,6 +157,13 @@ def keyframes_of(mapper: Mapper) -> tuple[MapKeyframe, ...]:
     return mapper.keyframes
 
 
+def recognizable(mapper: Mapper) -> int:
+    """Return the number of keyframes that can be recognized."""
+    recognizer = mapper._recognizer
+    assert isinstance(recognizer, PlaceRecognizer)
+    return len(recognizer)
+
+
 def summary_of(mapper: Mapper) -> MapSummary:
     """Return the size of a map."""
     return mapper.summary
@@ -168,6 +176,7 @@ def test_laps_through_known_places_add_no_keyframes() -> None:
     assert [each.number for each in keyframes] == list(range(4 * PLACES))
     described = [each.number for each in keyframes if len(each.features)]
     assert described[:PLACES] == list(range(PLACES)) and len(described) == summary.keyframes
+    assert local.ask(recognizable) == summary.keyframes
     solution = local.ask(Mapper.final_solution)
     assert solution is not None and set(solution.graph.poses) == set(range(4 * PLACES))
 
@@ -179,6 +188,8 @@ def test_places_of_the_map_are_recognized_after_culling() -> None:
     last = [answer for answer in answers[3 * PLACES :] if answer is not None]
     assert sum(len(answer.loops) for answer in last) >= 2
     assert all(loop.first < PLACES for answer in last for loop in answer.loops)
+    for number, answer in enumerate(answers):  # loops that were passed on are not reported again
+        assert answer is not None and all(loop.second > number - PLACES for loop in answer.loops)
     assert last[-1].T_map_odom is not None
     assert last[-1].T_map_odom[1, 3] == pytest.approx(-3.0 * DRIFT_M, abs=0.5 * DRIFT_M)
 
