@@ -81,11 +81,22 @@ def test_a_passed_loop_still_removes_the_drift(
     assert [(each.first, each.second) for each in culled.closed_loops] == [(0, CULLED - 1)]
     assert culled.waiting == 0 and culled.history.loops == (loop,)
     after = culled.optimized(0)
+    np.testing.assert_array_equal(after.whole_graph.poses[COUNT - 1], after.graph.poses[COUNT - 1])
     for number in (CULLED - 1, CULLED + 1):
         np.testing.assert_allclose(after.graph.poses[number], looped.graph.poses[number], atol=2e-3)
     expected, found = (marginal_covariance(each.graph, CULLED - 1) for each in (looped, after))
     assert np.trace(found[3:, 3:]) < 3.0 * np.trace(expected[3:, 3:])
     assert np.trace(found[3:, 3:]) < 0.5 * np.trace(nodes[CULLED - 1].covariance[3:, 3:])
+
+
+def test_culled_keyframes_stay_in_a_joined_history(
+    odometry_flight: "OdometryFlight", chain: tuple[Submap, dict[int, OdometryNode]]
+) -> None:
+    first, later = without(*chain), odometry_flight.marginalized[COUNT]
+    second = Submap.begin(COUNT, later, 1)
+    joined = second.joined(first, [true_loop(odometry_flight, 3, COUNT)], later.t_ns, other_stays=True)
+    assert joined is not None and CULLED not in joined.graph.poses
+    assert set(joined.whole_graph.poses) == set(range(COUNT + 1))
 
 
 def test_rejected_and_waiting_loops_are_not_passed_on(
