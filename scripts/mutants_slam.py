@@ -79,7 +79,7 @@ SLAM = (
         "map-covariance-of-the-odometry",
         "Mapping: the covariance of the newest keyframe does not change where loops are closed.",
         "estimator/slam/submap.py",
-        "with_loops(solution.graph, self.covariances, new)",
+        "covariances_with_loops(solution.graph, self.covariances, new)",
         "self.covariances",
         ("tests/estimator/slam/mapping/test_mapping.py::test_covariances_of_corrections_are_those_of_the_best_path",),
     ),

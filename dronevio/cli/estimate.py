@@ -297,10 +297,9 @@ def summary_of(command: EstimateCommand, found: Estimation) -> dict[str, Any]:
         cost = found.slam.map_cost
         summary |= {"map": asdict(found.slam.summary), "map_cost": asdict(cost)}
         summary["map_cpu_ms_per_frame"] = cost.worker_cpu_ms_per_frame
+        summary["saved_map"] = None
         summary["first_map_pose_s"] = _first_map_pose_s(run)
     summary |= places
-    if found.slam is not None:
-        summary.setdefault("saved_map", None)
     if found.imu_rate is not None:
         summary["imu_rate_poses"] = len(found.imu_rate)
     return summary

@@ -173,13 +173,10 @@ def _run(
         repeat: Command that repeats the run, for the report.
         bars: Display of the progress.
     """
-    from dronevio import __version__
     from dronevio.cli.run_flight import control_result, flown_and_estimated
     from dronevio.eval.provenance import RunInfo
     from dronevio.eval.report.run import write_report
-    from dronevio.models.policies.policy_file import description
     from dronevio.models.recordings.tum import write_tum
-    from dronevio.models.serialization import to_jsonable
     from dronevio.surroundings import surroundings_of
 
     surroundings = surroundings_of(scenario.world, scenario.seed_of_world, scenario.light_seed)
@@ -194,15 +191,7 @@ def _run(
         write_tum(folder / "estimate_map.tum", estimated.of_map.online)
         write_tum(folder / "map_final.tum", estimated.of_map.final)
     shutil.copyfile(folder / "recording" / "mav0" / "imu0" / "data.csv", folder / "imu.csv")
-    configuration = {
-        "dronevio": __version__,
-        "scenario": to_jsonable(replace(scenario, world_seed=scenario.seed_of_world)),
-        "estimator": to_jsonable(command.estimator),
-        "slam": to_jsonable(command.map) if command.slam else None,
-        "fly_on": command.fly_on,
-        "loop": to_jsonable(command.loop),
-        "policy": None if mission is None else json.loads(description(mission.policy)),
-    }
+    configuration = _configuration(scenario, command, mission)
     (folder / "configuration.json").write_text(json.dumps(configuration, indent=2) + "\n", encoding="utf-8")
     info = RunInfo(
         title=f"{scenario.name}: {scenario.description}",
@@ -222,6 +211,23 @@ def _run(
         policy=estimated.outcome,
         map_results=estimated.of_map,
     )
+
+
+def _configuration(scenario: "Scenario", command: RunCommand, mission: "PolicyMission | None") -> dict[str, Any]:
+    """Return all settings of a run, for ``configuration.json`` and the report."""
+    from dronevio import __version__
+    from dronevio.models.policies.policy_file import description
+    from dronevio.models.serialization import to_jsonable
+
+    return {
+        "dronevio": __version__,
+        "scenario": to_jsonable(replace(scenario, world_seed=scenario.seed_of_world)),
+        "estimator": to_jsonable(command.estimator),
+        "slam": to_jsonable(command.map) if command.slam else None,
+        "fly_on": command.fly_on,
+        "loop": to_jsonable(command.loop),
+        "policy": None if mission is None else json.loads(description(mission.policy)),
+    }
 
 
 def repeating_command(scenario: "Scenario", arguments: Sequence[str]) -> str:

@@ -27,7 +27,7 @@ UNKNOWN = np.diag(np.repeat([FREE_ROTATION_SIGMA_RAD**2, FREE_POSITION_SIGMA_M**
 """(6, 6) Covariance of a pose of which nothing is known."""
 
 
-def with_loops(
+def covariances_with_loops(
     graph: PoseGraph, covariances: Mapping[int, Array], loops: Iterable[RelativePose]
 ) -> Mapping[int, Array]:
     """Return the covariances of keyframes with paths through new loops, and through the odometry after them.
@@ -63,12 +63,12 @@ def with_loops(
     return found
 
 
-def of_graph(graph: PoseGraph) -> Mapping[int, Array]:
+def covariances_of(graph: PoseGraph) -> Mapping[int, Array]:
     """Return the covariances of all keyframes of a graph, of which all loops are right."""
     fixed = dict.fromkeys(graph.fixed, FIXED_SIGMA**2 * np.eye(6))
     known = {**dict.fromkeys(graph.poses, UNKNOWN), **fixed, graph.first: graph.first_covariance}
     first_step = [relative for relative in graph.odometry if relative.first == graph.first]
-    return with_loops(graph, known, [*graph.loops, *first_step])  # the first step begins the paths
+    return covariances_with_loops(graph, known, [*graph.loops, *first_step])  # the first step begins the paths
 
 
 def is_unknown(covariance: Array) -> bool:

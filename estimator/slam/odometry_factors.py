@@ -105,7 +105,7 @@ def odometry_factors(
     relative = RelativePose(previous.number, number, T, added)
     P = transported + added
     up = estimate.T_odom_imu[:3, :3].T @ _UP
-    tilt = _tilt_axes(up)
+    tilt = tilt_axes(up)
     information = _information(tilt, estimate.covariance) - _information(tilt, P)
     mean_information = float(np.trace(information)) / 2.0
     gravity = None if mean_information <= 0.0 else GravityDirection(number, up, mean_information**-0.5)
@@ -123,7 +123,7 @@ def propagated(covariance: Array, relative: RelativePose, gravity: GravityDirect
     P = _transported(covariance, relative.T_first_second) + relative.covariance
     if gravity is None:
         return P
-    H = np.hstack([_tilt_axes(gravity.up_imu), np.zeros((2, 3))])
+    H = np.hstack([tilt_axes(gravity.up_imu), np.zeros((2, 3))])
     gain = np.linalg.solve(H @ P @ H.T + gravity.sigma_rad**2 * np.eye(2), H @ P).T
     P = P - gain @ H @ P
     return np.asarray(0.5 * (P + P.T))
@@ -148,7 +148,7 @@ def composed(relative: RelativePose, following: RelativePose) -> RelativePose:
     return RelativePose(relative.first, following.second, T, covariance)
 
 
-def _tilt_axes(up: Array) -> Array:
+def tilt_axes(up: Array) -> Array:
     """Return two axes (2, 3) across the direction of gravity."""
     return np.asarray(np.linalg.svd(up[None])[2][1:])
 

@@ -8,7 +8,7 @@ import numpy as np
 import numpy.typing as npt
 from gtsam.symbol_shorthand import X
 
-from dronevio.estimator.slam.odometry_factors import GravityDirection, RelativePose
+from dronevio.estimator.slam.odometry_factors import GravityDirection, RelativePose, tilt_axes
 
 Array = npt.NDArray[np.float64]
 
@@ -132,7 +132,7 @@ def joined_graphs(graph: PoseGraph, other: PoseGraph, T_graph_other: Array) -> P
 
 def tilt_variance(up_imu: Array, covariance: Array) -> float:
     """Return the mean variance of the direction of gravity, by the covariance (6, 6) of a pose in the IMU frame."""
-    tilt = np.linalg.svd(up_imu[None])[2][1:]  # two axes across the direction of gravity
+    tilt = tilt_axes(up_imu)
     return float(np.trace(tilt @ covariance[:3, :3] @ tilt.T)) / 2.0
 
 

@@ -11,7 +11,7 @@ import numpy as np
 import numpy.typing as npt
 
 from dronevio.estimator.backend.keyframe_estimate import KeyframeEstimate
-from dronevio.estimator.slam.best_path import UNKNOWN, of_graph, with_loops
+from dronevio.estimator.slam.best_path import UNKNOWN, covariances_of, covariances_with_loops
 from dronevio.estimator.slam.odometry_factors import (
     OdometryNode,
     RelativePose,
@@ -61,7 +61,7 @@ class Submap:
     @classmethod
     def of_graph(cls, graph: PoseGraph, track: int) -> "Submap":
         """Return the submap of a saved graph as one track, whose loops are all accepted."""
-        return cls(OptimizedGraph(graph, frozenset()), frozenset({track}), of_graph(graph), graph)
+        return cls(OptimizedGraph(graph, frozenset()), frozenset({track}), covariances_of(graph), graph)
 
     @property
     def graph(self) -> PoseGraph:
@@ -116,7 +116,7 @@ class Submap:
         solution = optimize(self.graph)
         before = frozenset(self.closed_loops)
         new = [loop for loop in solution.without_rejected.loops if loop not in before]
-        covariances = with_loops(solution.graph, self.covariances, new)
+        covariances = covariances_with_loops(solution.graph, self.covariances, new)
         return Submap(solution, self.tracks, covariances, self.history, 0, t_ns)
 
     def joined(
@@ -140,7 +140,7 @@ class Submap:
         if solution.rejected.issuperset(between):
             return None
         unconnected = {**one.covariances, **dict.fromkeys(two.covariances, UNKNOWN)}
-        covariances = with_loops(solution.graph, unconnected, solution.without_rejected.loops)
+        covariances = covariances_with_loops(solution.graph, unconnected, solution.without_rejected.loops)
         history = joined_graphs(one.whole_graph, two.whole_graph, T_one_two).with_loops(loops)
         return Submap(solution, self.tracks | other.tracks, covariances, history, 0, t_ns)
 

@@ -19,6 +19,8 @@ from dronevio.models.state import Trajectory
 
 Array = npt.NDArray[np.float64]
 
+MIN_SHOWN_MM, MIN_SHOWN_DEG = 0.1, 0.01
+"""Corrections up to which the axes of their plots reach at least, in position [mm] and yaw [°]."""
 _AXES = [TOP_VIEW.horizontal, TOP_VIEW.vertical]
 _MAX_DRAWN_POINTS = 1000  # of the map, so that the page stays small
 _POINT_PERCENTILES = (2.0, 98.0)  # of the coordinates of points that determine the limits of a plot
@@ -80,6 +82,7 @@ def draw_correction(ax: Axes, correction: OnlineCorrection, final: SlamMap, orig
         points = np.stack([_seconds(correction.t_ns, origin_ns), 1e3 * correction.position_m[:, axis]], axis=1)
         draw_line(ax, points, color=colour, label="xyz"[axis], drawstyle="steps-post")
     ax.set(title="Correction of the position (pale: final)", xlabel="time [s]", ylabel="T_map_odom, position [mm]")
+    _show_at_least(ax, MIN_SHOWN_MM)
     ax.margins(x=0.01)
 
 
@@ -92,7 +95,14 @@ def draw_yaw_correction(ax: Axes, correction: OnlineCorrection, final: SlamMap, 
     points = np.stack([_seconds(correction.t_ns, origin_ns), correction.yaw_deg], axis=1)
     draw_line(ax, points, color=INK, label="online", drawstyle="steps-post")
     ax.set(title="Correction of the yaw", xlabel="time [s]", ylabel="T_map_odom, yaw [°]")
+    _show_at_least(ax, MIN_SHOWN_DEG)
     ax.margins(x=0.01)
+
+
+def _show_at_least(ax: Axes, value: float) -> None:
+    """Extend the vertical axis to a value in both directions, so that rounding errors do not look like a correction."""
+    low, high = ax.get_ylim()
+    ax.set_ylim(min(low, -value), max(high, value))
 
 
 def draw_loop_count(ax: Axes, correction: OnlineCorrection, origin_ns: int) -> None:

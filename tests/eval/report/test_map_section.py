@@ -2,14 +2,18 @@
 
 import json
 import re
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+import numpy as np
 import pytest
+from matplotlib.figure import Figure
 
-from dronevio.eval.map_results import MapResults, map_results
+from dronevio.eval.map_results import MapResults, OnlineCorrection, map_results
 from dronevio.eval.metrics import ScoredTrajectory, score_trajectory
 from dronevio.eval.provenance import RunInfo
+from dronevio.eval.report.map_plots import MIN_SHOWN_DEG, MIN_SHOWN_MM, draw_correction, draw_yaw_correction
 from dronevio.eval.report.map_section import score_table
 from dronevio.eval.report.run import write_report
 
@@ -89,3 +93,13 @@ def test_without_truth_the_map_is_shown_without_scores(
     html = (tmp_path / "report.html").read_text(encoding="utf-8")
     section = html[html.index("Map and loops") :]
     assert "Pose graph after" in section and not re.search("ATE.{0,4}mm", section)
+
+
+def test_rounding_errors_do_not_look_like_corrections(results: MapResults) -> None:
+    still, count = replace(results.map, Ts_map_imu=results.map.Ts_odom_imu + 1e-12), len(results.map.t_ns)
+    rounding, no_loops = np.full(count, 1e-15), np.zeros(count, np.int64)
+    correction = OnlineCorrection(still.t_ns, np.tile(rounding[:, None], 3), rounding, no_loops)
+    for draw, least in ((draw_correction, MIN_SHOWN_MM), (draw_yaw_correction, MIN_SHOWN_DEG)):
+        ax = Figure().subplots()
+        draw(ax, correction, still, 0)
+        assert ax.get_ylim() == pytest.approx((-least, least), rel=1e-3)

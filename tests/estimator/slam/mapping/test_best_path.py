@@ -4,7 +4,7 @@ import numpy as np
 import numpy.typing as npt
 import pytest
 
-from dronevio.estimator.slam.best_path import UNKNOWN, is_unknown, of_graph, with_loops
+from dronevio.estimator.slam.best_path import UNKNOWN, covariances_of, covariances_with_loops, is_unknown
 from dronevio.estimator.slam.odometry_factors import RelativePose, composed, reversed_pose
 from dronevio.estimator.slam.pose_graph import PoseGraph
 from dronevio.models.rotation import exp_so3, pose_matrix
@@ -43,12 +43,12 @@ def position(covariances: "dict[int, Array]", number: int) -> float:
 
 
 def test_without_loops_the_steps_add_up() -> None:
-    found = dict(of_graph(chain(5)))
+    found = dict(covariances_of(chain(5)))
     assert [position(found, k) for k in range(5)] == pytest.approx([FIRST + k * STEP for k in range(5)], rel=1e-4)
 
 
 def test_a_loop_is_a_shorter_path_for_what_follows() -> None:
-    found = dict(of_graph(chain(10).with_loops([loop(1, 7)])))
+    found = dict(covariances_of(chain(10).with_loops([loop(1, 7)])))
     expected = [FIRST + k * STEP for k in range(7)]  # the keyframes before it do not become better
     expected += [FIRST + STEP + LOOP + k * STEP for k in range(3)]
     assert [position(found, k) for k in range(10)] == pytest.approx(expected, rel=1e-4)
@@ -56,25 +56,25 @@ def test_a_loop_is_a_shorter_path_for_what_follows() -> None:
 
 def test_many_loops_are_as_certain_as_the_best_one() -> None:
     loops = [loop(k, 9) for k in range(4) for _ in range(5)]
-    found = dict(of_graph(chain(10).with_loops(loops)))
+    found = dict(covariances_of(chain(10).with_loops(loops)))
     assert position(found, 9) == pytest.approx(FIRST + LOOP, rel=1e-4)
 
 
 def test_new_loops_change_the_keyframes_after_them_only() -> None:
     graph = chain(10)
-    before = of_graph(graph)
-    after = with_loops(graph.with_loops([loop(0, 6)]), before, [loop(0, 6)])
+    before = covariances_of(graph)
+    after = covariances_with_loops(graph.with_loops([loop(0, 6)]), before, [loop(0, 6)])
     for number in range(6):
         assert after[number] is before[number]
     assert all(np.trace(after[k]) < np.trace(before[k]) for k in range(6, 10))
-    assert with_loops(graph, before, []) is before
+    assert covariances_with_loops(graph, before, []) is before
 
 
 def test_another_track_is_known_by_its_loops_alone() -> None:
     one, two = chain(4), chain(4, first=4)
     graph = PoseGraph(0, one.first_covariance, {**one.poses, **two.poses}, (*one.odometry, *two.odometry), joined=(4,))
-    before = {**of_graph(one), **dict.fromkeys(two.poses, UNKNOWN)}
-    found = dict(with_loops(graph, before, [loop(2, 6)]))
+    before = {**covariances_of(one), **dict.fromkeys(two.poses, UNKNOWN)}
+    found = dict(covariances_with_loops(graph, before, [loop(2, 6)]))
     joined = FIRST + 2 * STEP + LOOP
     # The keyframes of the track before the loop are reached by the odometry in the other direction.
     expected = [joined + 2 * STEP, joined + STEP, joined, joined + STEP]
@@ -85,15 +85,15 @@ def test_another_track_is_known_by_its_loops_alone() -> None:
 def test_an_earlier_track_is_known_by_a_loop_from_a_later_one() -> None:
     one, two = chain(3), chain(3, first=3)
     graph = PoseGraph(3, one.first_covariance, {**one.poses, **two.poses}, (*one.odometry, *two.odometry), joined=(0,))
-    before = {**of_graph(two), **dict.fromkeys(one.poses, UNKNOWN)}
-    found = dict(with_loops(graph, before, [loop(1, 4)]))
+    before = {**covariances_of(two), **dict.fromkeys(one.poses, UNKNOWN)}
+    found = dict(covariances_with_loops(graph, before, [loop(1, 4)]))
     joined = FIRST + STEP + LOOP
     assert [position(found, k) for k in range(3)] == pytest.approx([joined + STEP, joined, joined + STEP], rel=1e-4)
 
 
 def test_fixed_keyframes_are_certain() -> None:
     graph = PoseGraph(0, variance(FIRST), {k: pose(float(k)) for k in range(5)}, fixed=tuple(range(5)))
-    found = of_graph(graph)
+    found = covariances_of(graph)
     assert all(position(dict(found), k) == pytest.approx(1e-8) for k in range(1, 5))
     assert not any(is_unknown(found[k]) for k in range(5))
 
