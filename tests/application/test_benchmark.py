@@ -92,6 +92,7 @@ def notes(place: Path) -> list[list[str]]:
     return [line.split() for line in written.read_text().splitlines()] if written.exists() else []
 
 
+@pytest.mark.slow
 def test_every_run_is_a_row_however_it_ended(many: Result) -> None:
     rows = by_estimator(many.folder)
     assert {name: row.status for name, row in rows.items()} == {
@@ -116,6 +117,7 @@ def test_every_run_is_a_row_however_it_ended(many: Result) -> None:
     assert many.document["rows"] == printed
 
 
+@pytest.mark.slow
 def test_the_numbers_are_those_of_the_other_commands(
     many: Result, flown: Result, place: Path, run_command: CommandRunner
 ) -> None:
@@ -130,6 +132,7 @@ def test_the_numbers_are_those_of_the_other_commands(
     assert None not in (row.nees_position, row.velocity_m_s, row.cpu_ms_p99, row.real_time_factor, row.drift_percent)
 
 
+@pytest.mark.slow
 def test_dead_reckoning_is_worse_than_vio_and_the_truth_is_exact(many: Result) -> None:
     rows = by_estimator(many.folder)
     exact = rows["1.0"].ate_m
@@ -140,16 +143,19 @@ def test_dead_reckoning_is_worse_than_vio_and_the_truth_is_exact(many: Result) -
     assert (rows["dead-reckoning"].first_pose_s or 9.0) < 1.5
 
 
+@pytest.mark.slow
 def test_programs_see_what_was_sensed_and_no_truth(many: Result, place: Path, flown: Result) -> None:
     assert (flown.folder / "mav0" / "state_groundtruth_estimate0").exists()
     for _, _, *shown in notes(place):
         assert shown == ["body.yaml", "cam0", "imu0"]
 
 
+@pytest.mark.slow
 def test_nothing_that_hung_goes_on(many: Result, place: Path) -> None:
     assert wait_until(lambda: not any(alive(pid) for how, pid, *_ in notes(place) if how == "hang"))
 
 
+@pytest.mark.slow
 def test_done_runs_are_not_done_again_and_failures_are_listed(
     many: Result, place: Path, flown: Result, external: Callable[[str, str], str], capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -206,6 +212,7 @@ def test_scenarios_are_flown_once_and_kept(place: Path, flown: Result, run_comma
     assert parts["all"]["cpu_hours"] > parts["recordings"]["cpu_hours"]
 
 
+@pytest.mark.slow
 def test_compare_and_gate(
     place: Path,
     flown: Result,
@@ -386,6 +393,7 @@ def test_a_missing_recording_is_named_as_it_was_given(monkeypatch: pytest.Monkey
         recorded_flights([Path("empty/mav0")])
 
 
+@pytest.mark.slow
 def test_ray_gives_the_same_rows_and_listens_on_localhost_only(place: Path, flown: Result, many: Result) -> None:
     if find_spec("ray") is None:  # not importorskip: where Ray listens is settled when it is imported, by the engine
         pytest.skip("Ray is not installed")

@@ -164,6 +164,7 @@ def test_clean_flights_have_no_defects(flown: Result, run_command: CommandRunner
     assert (tmp_path / "strict.tum").read_bytes() == (tmp_path / "lenient.tum").read_bytes()
 
 
+@pytest.mark.slow
 def test_benchmarks_store_and_print_defects(defective: Path, run_command: CommandRunner, tmp_path: Path) -> None:
     words = ("--recordings", defective, "--estimators", "dead-reckoning", "--out", tmp_path / "b", "--json")
     result = run_command(tmp_path, "benchmark", *words)

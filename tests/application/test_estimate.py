@@ -65,6 +65,7 @@ def rows(
     return {row["estimator"]: row for row in run_command(out, "benchmark", *words).document["rows"]}
 
 
+@pytest.mark.slow
 def test_every_estimator_has_a_row(rows: dict[str, dict[str, Any]]) -> None:
     assert set(rows) == {"vio", "vio-stereo", "slam", "slam-stereo", "eqvio", "dead-reckoning"}
     assert {row["status"] for row in rows.values()} == {"ok"}, [row["reason"] for row in rows.values()]
@@ -83,6 +84,7 @@ def test_every_estimator_has_a_row(rows: dict[str, dict[str, Any]]) -> None:
     assert max(rows["vio"]["ate_m"], rows["vio-stereo"]["ate_m"]) < rows["eqvio"]["ate_m"] < 0.2
 
 
+@pytest.mark.slow
 def test_all_cameras_are_used_by_default(
     stereo: Result, rows: dict[str, dict[str, Any]], run_command: CommandRunner, tmp_path: Path
 ) -> None:
@@ -120,6 +122,7 @@ def test_map_leaves_the_odometry_as_it_is(stereo: Result, run_command: CommandRu
         assert (tmp_path / f"same_{suffix}.tum").read_bytes() == expected
 
 
+@pytest.mark.slow
 def test_a_saved_map_is_continued(
     stereo: Result, run_command: CommandRunner, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -198,6 +201,7 @@ def test_example_of_visual_slam_runs(stereo: Result) -> None:
     np.testing.assert_allclose(names["estimate"].T_map_imu, names["estimate"].state.T_world_imu, atol=1e-6)
 
 
+@pytest.mark.slow
 def test_poses_at_imu_rate_are_as_accurate_as_at_frames(
     stereo: Result, run_command: CommandRunner, tmp_path: Path
 ) -> None:

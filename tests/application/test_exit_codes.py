@@ -97,6 +97,7 @@ def test_bad_answers_are_found(script: Callable[[str], Any], flown: Result, caps
     capsys.readouterr()
 
 
+@pytest.mark.slow
 def test_extreme_settings_survive_or_are_refused(
     script: Callable[[str], Any], flown: Result, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -128,6 +128,7 @@ def test_names_are_those_of_files_and_folders() -> None:
         names_of([Path("a.tum"), Path("a.tum")])
 
 
+@pytest.mark.slow
 @pytest.mark.filterwarnings("ignore:RRD file has no footer")
 def test_killed_command_leaves_a_readable_file(flown: Result, results: Path, tmp_path: Path) -> None:
     unfinished = tmp_path / "x.incomplete.rrd"

@@ -298,6 +298,7 @@ def test_bad_input_is_refused_before_the_simulation(
     assert files(tmp_path) == {"taken/thesis.tex": b"years of work"}
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("what", ["run", "fly"])
 def test_missing_opengl_is_one_line_and_leaves_no_folder(what: str, tmp_path: Path) -> None:
     # This is the state of a machine that has the libraries and no driver.
@@ -370,6 +371,7 @@ def test_flight_on_the_estimate(place: Path, run_command: CommandRunner) -> None
     assert "--fly-on" in report["command"]
 
 
+@pytest.mark.slow
 def test_run_with_a_map_scores_the_corrected_paths_apart(
     another_run: Result, place: Path, run_command: CommandRunner
 ) -> None:

@@ -46,6 +46,7 @@ def test_scenarios_with_the_same_path_have_the_same_figures() -> None:
     assert len(figures) > 5 and len(set(figures)) == 1
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("row", paths_without_repetition(), ids=lambda row: row.name)
 def test_listed_figures_are_those_of_the_planned_path(row: ScenarioRow) -> None:
     planned = planned_row(row.name, 0)

@@ -74,6 +74,7 @@ def test_the_function_gives_the_same(photographs: Path, reconstructed: Path) -> 
     assert result.image_names == stored.image_names
 
 
+@pytest.mark.slow
 def test_an_interrupted_reconstruction_continues(photographs: Path, tmp_path: Path) -> None:
     first = dv.sfm(photographs, workspace=tmp_path / "work")
     stored = {path.name: path.stat().st_mtime_ns for path in (tmp_path / "work").iterdir()}

@@ -27,6 +27,7 @@ def test_json_lists_every_world(capsys: pytest.CaptureFixture[str]) -> None:
     assert room["difficulty"] == "normal"
 
 
+@pytest.mark.slow
 def test_contact_sheet_is_drawn(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     path = tmp_path / "sheet.jpg"
     assert main(["worlds", "--world", "low-texture", "--sheet", str(path), "--json"]) == 0

@@ -22,6 +22,7 @@ def wrong_inputs(script: Callable[[str], Any]) -> Any:
     return script("wrong_inputs")
 
 
+@pytest.mark.slow
 def test_a_wrong_calibration_is_a_warning(flown: Result, run_command: CommandRunner, tmp_path: Path) -> None:
     """The first two rows of the rotation of the camera are exchanged, and one is negated."""
     wrong = tmp_path / "wrong"
@@ -44,6 +45,7 @@ def test_a_wrong_calibration_is_a_warning(flown: Result, run_command: CommandRun
     assert 0.0 < good.document["innovations"]["median_px"] < good.document["innovations"]["p95_px"] < 1.0
 
 
+@pytest.mark.slow
 def test_script_shows_what_is_noticed(wrong_inputs: Any, flown: Result, capsys: pytest.CaptureFixture[str]) -> None:
     faults = ("none", "crossed-flights", "accelerometer-in-g", "frozen-images")
     assert wrong_inputs.main(wrong_inputs.WrongInputsCommand(flown.folder, frames=80, faults=faults)) == 0

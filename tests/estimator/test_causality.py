@@ -55,6 +55,7 @@ def rig_with(rig: Rig, time_offset_s: float, readout_s: float) -> Rig:
     return replace(rig, cameras=cameras, time_offset_s=time_offset_s)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("time_offset_s", "readout_s", "sampling"),
     [

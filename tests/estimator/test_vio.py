@@ -162,7 +162,7 @@ def test_published_estimates_are_never_revised(make_flight: MakeFlight) -> None:
     assert all(contents(estimate) == before for estimate, before in published)
 
 
-@pytest.mark.parametrize("rest_s", [STATIONARY, IN_MOTION])
+@pytest.mark.parametrize("rest_s", [STATIONARY, pytest.param(IN_MOTION, marks=pytest.mark.slow)])
 def test_same_input_same_bytes(estimated_flight: EstimatedFlight, make_flight: MakeFlight, rest_s: float) -> None:
     _, estimates = estimated_flight(2, rest_s)
     again = make_flight(2, rest_s=rest_s).run()
@@ -221,6 +221,7 @@ def test_both_kinds_of_sampling_are_accurate(make_flight: MakeFlight, sampling: 
     assert ate_m(flight, poses(flight.run())) < 0.02
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("rest_s", [STATIONARY, IN_MOTION])
 def test_dark_second_is_bridged_by_the_imu(make_flight: MakeFlight, rest_s: float) -> None:
     flight = make_flight(0, rest_s=rest_s, dark_s=(6.0, 7.0))
@@ -238,6 +239,7 @@ def test_dark_second_is_bridged_by_the_imu(make_flight: MakeFlight, rest_s: floa
     assert sigma_m[after] > 1.5 * sigma_m[before]
 
 
+@pytest.mark.slow
 def test_velocity_is_restored_after_long_darkness(make_flight: MakeFlight) -> None:
     """Dead reckoning drifts for five seconds; landmarks then correct the velocity, and all states are finite."""
     flight = make_flight(0, rest_s=STATIONARY, dark_s=(4.0, 9.0), duration_s=15.0)
@@ -264,7 +266,14 @@ def test_hover_does_not_drift(make_flight: MakeFlight, seed: int) -> None:
 
 @pytest.mark.parametrize(
     "settings",
-    [{"pixel_noise": 1.0}, {"moving_share": 0.1}, {"max_features": 25}, {"max_features": 150}, {"imu_noise": 10.0}],
+    [
+        {"moving_share": 0.1},
+        {"imu_noise": 10.0},
+        *(
+            pytest.param(settings, marks=pytest.mark.slow)
+            for settings in ({"pixel_noise": 1.0}, {"max_features": 25}, {"max_features": 150})
+        ),
+    ],
     ids=str,
 )
 @pytest.mark.parametrize("rest_s", [STATIONARY, pytest.param(IN_MOTION, marks=pytest.mark.slow)])

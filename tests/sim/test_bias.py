@@ -95,6 +95,7 @@ def test_allan_variance_is_within_its_confidence_band(model: ImuModel) -> None:
         assert np.all((ratio > low[:, None]) & (ratio < high[:, None]))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "wrong",
     [

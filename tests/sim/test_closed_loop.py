@@ -107,6 +107,7 @@ def test_recording_is_that_of_the_path_that_was_flown(flown: tuple[Flight, Odome
     assert len(flight.reference) == len(flight.truth)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("yaw_rad", [1.0, -3.0])
 def test_frame_of_the_odometry_is_arbitrary(scenario: Scenario, flown: tuple[Flight, Odometry], yaw_rad: float) -> None:
     T = pose_matrix(rotation_z(yaw_rad), np.array([30.0, -5.0, 2.0]))

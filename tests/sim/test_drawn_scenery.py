@@ -34,6 +34,7 @@ def test_size_is_limited(name: str) -> None:
     assert size < 3e6  # in memory; files are compressed
 
 
+@pytest.mark.slow
 def test_walls_floor_and_ceiling_are_visible_from_inside_only() -> None:
     triangles = corners(scenery_of("room", 0).meshes)
     layout = _painted("room", 0, 0)[0]

@@ -94,6 +94,7 @@ def frames_of(cameras: LiveCameras) -> list[CameraFrame]:
     return frames
 
 
+@pytest.mark.slow
 def test_live_frames_equal_those_of_recordings(tmp_path: Path) -> None:
     truth = render_frames(RenderJob("small", 3, RIG, flown(), schedule(), IMAGING), tmp_path / "recorded", workers=1)
     cameras = live()

@@ -109,6 +109,7 @@ def test_curves_pass_their_points_and_rest_at_the_ends() -> None:
         np.testing.assert_allclose(curve.derivative(order)(knots[[0, -1]]), 0.0, atol=1e-6)
 
 
+@pytest.mark.slow
 @given(
     seed=st.integers(0, 10_000),
     count=st.integers(2, 15),

@@ -174,6 +174,7 @@ def test_depth_segmentation_and_flow_are_consistent(tmp_path: Path) -> None:
     assert (tmp_path / "depth0" / "data" / f"{last}.png").exists()
 
 
+@pytest.mark.slow
 def test_truth_images_are_independent_of_each_other(tmp_path: Path) -> None:
     render_frames(job(truth_images=("segmentation", "flow", "depth")), tmp_path / "all", workers=1)
     render_frames(job(truth_images=("depth", "flow")), tmp_path / "two", workers=1)
@@ -182,6 +183,7 @@ def test_truth_images_are_independent_of_each_other(tmp_path: Path) -> None:
     assert {name.split("/")[0] for name in set(both) - set(two)} == {"seg0"}
 
 
+@pytest.mark.slow
 def test_moving_bodies_are_rendered_at_the_exposure_time(tmp_path: Path, small_world: SimpleNamespace) -> None:
     glow = small_world.spec.add_material(name="lamp", emission=1.0, rgba=[1.0, 1.0, 1.0, 1.0])
     body = small_world.spec.worldbody.add_body(name="sphere", mocap=True)

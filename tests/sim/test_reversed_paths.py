@@ -109,6 +109,7 @@ def tour(scenario: Scenario) -> np.ndarray:
     return reference_of(scenario, plant_of(scenario)).position_m
 
 
+@pytest.mark.slow
 def test_flights_of_one_world_seed_share_the_route() -> None:
     # The route of the forest is drawn with the world.
     one, other = (replace(scenario_named("forest-easy"), seed=seed, world_seed=3) for seed in (0, 1))

@@ -70,6 +70,7 @@ def test_a_curve_leads_through_the_door(level: str) -> None:
     np.testing.assert_allclose(minimum_snap(knots, points)(knots[-1]), START + [0.0, 1.0, 0.5], atol=1e-9)
 
 
+@pytest.mark.slow
 @given(seed=st.integers(0, 10_000))
 @settings(max_examples=12, deadline=None)
 def test_curves_keep_clear_of_random_obstacles(seed: int) -> None:

@@ -136,6 +136,7 @@ def clutter() -> mujoco.MjModel:
     return spec.compile()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("exposure_s", "readout_s"), [(0.008, 0.0), (0.001, 0.02)], ids=["blurred", "rolling"])
 def test_images_are_the_mean_over_the_exposure_of_rows(exposure_s: float, readout_s: float) -> None:
     poses, model = moving([2.0, -1.0, 2.0], [1.0, 2.4, -1.2]), clutter()

@@ -53,6 +53,7 @@ PATTERNS: dict[str, Draw] = {
 PRINTS = [PATTERNS[name] for name in ("chequers", "bars", "lettered", "numbered", "banner", "crowd")]  # long and low
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", PATTERNS)
 def test_textures_have_contrast_at_any_size(name: str) -> None:
     draw = PATTERNS[name]

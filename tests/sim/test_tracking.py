@@ -41,6 +41,7 @@ def figure_of_eight(half_width_m: float, speed_m_s: float, standing_m: float, se
     return Reference(t_ns, p, v, a, yaw, rate, change, np.ones(n, dtype=bool))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", VEHICLES)
 @pytest.mark.parametrize("windy", [False, True], ids=["calm", "windy"])
 @pytest.mark.parametrize(

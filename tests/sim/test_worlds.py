@@ -188,6 +188,7 @@ def test_the_mirror_world_has_a_reflective_floor() -> None:
     assert model.geom_contype[model.geom("mirror").id] == 0
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", range(3))
 def test_moving_objects_stay_in_lanes_and_off_the_route(seed: int) -> None:
     layout = layout_of("moving", seed)

@@ -118,6 +118,7 @@ def test_preintegration_parameters_follow_the_estimate() -> None:
         np.testing.assert_allclose(covariance, density**2 * np.eye(3), rtol=3e-3)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("imu_noise", [1.0, 10.0])
 def test_noise_of_a_flight_is_estimated(
     make_flight: Callable[..., "SyntheticFlight"], keyframe_feed: "type[KeyframeFeed]", imu_noise: float

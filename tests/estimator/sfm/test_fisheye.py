@@ -22,6 +22,7 @@ FISHEYE = CameraModel(640, 640, 230.0, 230.0, 319.5, 319.5, (0.02, -0.01, 0.004,
 GUESS, _ = initial_camera(640, 640, lens="equidistant")
 
 
+@pytest.mark.slow
 def test_a_fisheye_is_estimated(make_scene: "MakeScene", make_images: "MakeImages", tmp_path: "Path") -> None:
     scene = make_scene(camera=FISHEYE, wide=True)
     images, workspace = make_images(scene, tmp_path)

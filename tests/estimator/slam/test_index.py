@@ -122,6 +122,7 @@ def test_hamming_distances_count_bits() -> None:
     ]
 
 
+@pytest.mark.slow
 def test_clusters_are_found_again() -> None:
     centres = random_descriptors(BRANCHES * LEAVES, 1)
     rng = np.random.default_rng(2)

@@ -64,6 +64,7 @@ def test_the_pose_is_exact_without_noise() -> None:
         assert min(result.old_landmarks, result.new_landmarks) > 30
 
 
+@pytest.mark.slow
 def test_the_covariance_is_consistent() -> None:
     assumed = RelativePoseConfig()
     noise = Errors(assumed.pixel_sigma, assumed.depth_sigma, assumed.scale_sigma, np.radians(assumed.tilt_sigma_deg))

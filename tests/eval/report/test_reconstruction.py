@@ -196,6 +196,7 @@ def test_the_same_results_give_the_same_bytes(folder: Path, results: Reconstruct
         assert (tmp_path / name).read_bytes() == (folder / name).read_bytes()
 
 
+@pytest.mark.slow
 def test_components_have_pictures_of_their_own(
     synthetic: "SyntheticReconstruction", tmp_path: Path, read_page: "ReadPage"
 ) -> None:

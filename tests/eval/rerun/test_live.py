@@ -161,6 +161,7 @@ test_live.log_live(Path(sys.argv[1]), conftest.make_flight(), test_live.video_lo
 """Program that logs 91 frames and never ends."""
 
 
+@pytest.mark.slow
 @pytest.mark.filterwarnings("ignore:RRD file has no footer")
 def test_the_file_of_a_killed_process_can_be_read(tmp_path: Path, read_rrd: "ReadRrd") -> None:
     path = tmp_path / "run.rrd"
@@ -257,6 +258,7 @@ def logging_s(path: Path, flight: "SyntheticFlight", make_image_log: ImageLogFac
     return time.process_time() - start_s
 
 
+@pytest.mark.slow
 def test_logging_takes_little_processor_time(
     flight: "SyntheticFlight", tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
