@@ -95,7 +95,6 @@ MOUNTS = pytest.mark.parametrize(
 )
 
 
-@pytest.mark.slow
 @MOUNTS
 def test_increments_integrate_aggressive_motion_exactly(aggressive: Motion, T_vehicle_imu: np.ndarray) -> None:
     truth = aggressive.trajectory(T_vehicle_imu)

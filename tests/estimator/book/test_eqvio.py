@@ -84,7 +84,6 @@ def test_rejected_features_do_not_return(recording: FeatureRecording) -> None:
     assert not set(observations.ids[:3].tolist()) & set(after.ids.tolist())
 
 
-@pytest.mark.slow
 def test_both_estimators_agree(result: Summary) -> None:
     summary, _ = result
     assert summary["frames"] == 601 and summary["poses"] > 540

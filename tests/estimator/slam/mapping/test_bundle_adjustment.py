@@ -66,7 +66,6 @@ def rmse_m(odometry_flight: "OdometryFlight", inputs: AdjustmentInputs, poses: M
     return float(np.sqrt(np.mean(np.sum(np.array(errors) ** 2, axis=1))))
 
 
-@pytest.mark.slow
 def test_adjustment_is_better_than_the_odometry(
     odometry_flight: "OdometryFlight", inputs: AdjustmentInputs, solution: OptimizedGraph
 ) -> None:
@@ -79,7 +78,6 @@ def test_adjustment_is_better_than_the_odometry(
     assert error_m < 0.8 * of_odometry_m and error_m < 1.1 * of_graph_m, (error_m, of_odometry_m, of_graph_m)
 
 
-@pytest.mark.slow
 def test_adjustment_converges_from_worse_poses(odometry_flight: "OdometryFlight", inputs: AdjustmentInputs) -> None:
     rng = np.random.default_rng(0)
     first, *later = inputs.keyframes
