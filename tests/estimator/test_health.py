@@ -325,6 +325,7 @@ def test_implausible_states_are_lost_at_once(changes: dict[str, Any], reason: st
     ("frames_after", "is_trusted", "expected"),
     [
         (10, True, Health.LOST),
+        (80, True, Health.LOST),
         (120, True, Health.INERTIAL_ONLY),  # later than `disconnected_s`
         (10, False, Health.INERTIAL_ONLY),  # it was not consistent before, either
     ],
