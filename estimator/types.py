@@ -134,17 +134,24 @@ class Calibration:
         """(C,) Readout times of the cameras [s]; zero for global shutters."""
         return np.array([camera.readout_s for camera in self.rig.cameras])
 
+    def corrected_xy(self, xy: Array, camera: Integers) -> Array:
+        """Return normalized coordinates (N, 2) by the corrected intrinsics, from those by the given intrinsics."""
+        if self.focal_correction is None or self.principal_correction is None:
+            return xy
+        return np.asarray((xy - self.principal_correction[camera]) / (1.0 + self.focal_correction[camera]))
+
+    def given_xy(self, xy: Array, camera: Integers) -> Array:
+        """Return normalized coordinates (N, 2) by the given intrinsics, the inverse of `corrected_xy`."""
+        if self.focal_correction is None or self.principal_correction is None:
+            return xy
+        return np.asarray((1.0 + self.focal_correction[camera]) * xy + self.principal_correction[camera])
+
     def normalized(self, observations: Observations) -> Observations:
         """Return observations with normalized coordinates by the corrected intrinsics."""
-        focal, principal = self.focal_correction, self.principal_correction
-        if focal is None or principal is None:
+        if self.focal_correction is None:
             return observations
-
-        def corrected(xy: Array, camera: Integers) -> Array:
-            return np.asarray((xy - principal[camera]) / (1.0 + focal[camera]))
-
         matches, miscalibrated = (
-            replace(m, xy=corrected(m.xy, m.camera)) for m in (observations.matches, observations.miscalibrated)
+            replace(m, xy=self.corrected_xy(m.xy, m.camera)) for m in (observations.matches, observations.miscalibrated)
         )
-        xy = corrected(observations.xy, observations.camera)
+        xy = self.corrected_xy(observations.xy, observations.camera)
         return replace(observations, xy=xy, matches=matches, miscalibrated=miscalibrated)

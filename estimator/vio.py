@@ -12,7 +12,7 @@ import numpy as np
 import numpy.typing as npt
 
 from dronevio.estimator.backend.keyframes import KeyframePolicy
-from dronevio.estimator.backend.smoother import KeyframeResult, KeyframeSmoother
+from dronevio.estimator.backend.smoother import Keyframe, KeyframeResult, KeyframeSmoother
 from dronevio.estimator.calibration.online import OnlineCalibration
 from dronevio.estimator.config import VioConfig
 from dronevio.estimator.frontend.protocol import FrontEnd
@@ -231,24 +231,15 @@ class VisualInertialOdometry:
         is_connected = packet.t_ns != self._newest_ns or self._connection.add_keyframe(packet.observations)
         if not is_connected:
             tracking.monitor.disconnect(packet.t_ns)
-        result = smoother.add_keyframe(
-            packet.t_ns,
-            propagator.preintegrated,
-            packet.observations,
-            stationary,
-            report_marginalized=self._observer is not None,
-        )
+        rate = packet.increments.angular_velocity(smoother.state.gyro_bias_rad_s)
+        keyframe = Keyframe(packet.t_ns, propagator.preintegrated, packet.observations, stationary, rate)
+        result = smoother.add_keyframe(keyframe, report_marginalized=self._observer is not None)
         self._noise.update(result.imu_variance)
         self._pipeline.discard(result.rejected)
         events = result.events
         self._report_keyframe(smoother, packet, result, is_connected)
         if self._calibrate(tracking, packet, result, stationary):
-            self._report_keyframe_estimates(smoother)
-            smoother = smoother.recalibrated(
-                self._calibration,
-                self._online_calibration.covariance_inflation,
-                self._online_calibration.corrected_state,
-            )
+            smoother = self._recalibrated(smoother)
             gravity_m_s2 = self._config.gravity_m_s2 + self._calibration.gravity_correction_m_s2
             self._noise.set_gravity(gravity_m_s2)
             self._imu_rate.set_gravity(gravity_m_s2)
@@ -299,6 +290,17 @@ class VisualInertialOdometry:
         return self._online_calibration.add(
             tracking.smoother.state, angular_velocity, propagator.preintegrated, observations, stationary
         )
+
+    def _recalibrated(self, smoother: KeyframeSmoother) -> KeyframeSmoother:
+        """Return the smoother with the calibration in use.
+
+        It keeps its window, unless the correction determines the newest state by itself, or the window cannot be kept.
+        """
+        inflation, state = self._online_calibration.covariance_inflation, self._online_calibration.corrected_state
+        if state is None and smoother.recalibrate(self._calibration, inflation):
+            return smoother
+        self._report_keyframe_estimates(smoother)
+        return smoother.restarted(self._calibration, inflation, state)
 
     def _lose(self, tracking: Tracking, packet: FramePacket, report: HealthReport) -> Estimate:
         """Discard the estimate and begin another initialization, which continues from the last published pose."""

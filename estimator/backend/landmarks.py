@@ -82,6 +82,16 @@ class LandmarkDatabase:
         """The observations of the triangulated landmarks."""
         return self._all[np.isin(self._all.landmark, self.ids)]
 
+    @property
+    def all_observations(self) -> ObservationTable:
+        """The observations of all landmarks, triangulated or not."""
+        return self._all
+
+    def replace_observations(self, observations: ObservationTable) -> None:
+        """Replace all observations by others of the same landmarks; those without observations are removed."""
+        self._all = observations
+        self._remove_unobserved()
+
     def rows(self, landmarks: npt.ArrayLike) -> Integers:
         """Return the rows of `points` that hold some of the triangulated landmarks."""
         return np.asarray(np.searchsorted(self.ids, np.asarray(landmarks, dtype=np.int64)))

@@ -146,6 +146,18 @@ class MarginalPrior:
         H, b = np.pad(self.H, (0, added)), np.pad(self.b, (0, added))
         return MarginalPrior(H, b, self.states, {**self.points, **points})
 
+    def with_common_error(self, J: Array) -> "MarginalPrior":
+        """Return the prior after its variables have got an error in common, about the same mean.
+
+        The covariance P becomes P + J Jᵀ. By the Woodbury identity, this needs no inverse of the information.
+
+        Args:
+            J: (n, m) Derivative of the variables by the error, whose m components have unit variance.
+        """
+        HJ = self.H @ J
+        gain = np.linalg.solve(np.eye(J.shape[1]) + J.T @ HJ, HJ.T)
+        return MarginalPrior(self.H - HJ @ gain, self.b - gain.T @ (J.T @ self.b), self.states, self.points)
+
     def without_points(self, landmarks: Iterable[int]) -> "MarginalPrior":
         """Return the prior with some landmarks marginalized; those that it lacks are ignored.
 

@@ -77,6 +77,8 @@ class Keyframe:
     """The features of the keyframe."""
     stationary: bool
     """Whether the vehicle is stationary since the previous keyframe."""
+    rate_rad_s: Array
+    """(3,) Angular velocity of the IMU at the keyframe, bias removed [rad/s]."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -116,7 +118,7 @@ class KeyframeSmoother:
         """Begin with one keyframe.
 
         Args:
-            calibration: The calibration; it stays the same for the lifetime of the smoother.
+            calibration: The calibration.
             config: Settings.
             landmarks: Settings of the landmarks.
             start: The first state.
@@ -126,6 +128,7 @@ class KeyframeSmoother:
         self._calibration, self._config, self._landmark_config = calibration, config, landmarks
         self._window, self._solution = self._begin(start, covariance, observations)
         self._times_ns = {0: start.t_ns}
+        self._rates_rad_s: dict[int, Array] = {}  # angular velocities of keyframes in the window
         self._position_covariance = covariance[3:6, 3:6]  # of the keyframe at which the window begins
         self._last_observed = observations, observations  # by the last keyframe but one, and by the last
         self._image_variance: float | None = None
@@ -161,31 +164,20 @@ class KeyframeSmoother:
         """Variance of the window's image observations relative to the assumed one; None if it is not observable."""
         return self._image_variance
 
-    def add_keyframe(
-        self,
-        t_ns: int,
-        preintegrated: gtsam.PreintegratedCombinedMeasurements,
-        observations: Observations,
-        stationary: bool,
-        *,
-        report_marginalized: bool = False,
-    ) -> KeyframeResult:
+    def add_keyframe(self, keyframe: Keyframe, *, report_marginalized: bool = False) -> KeyframeResult:
         """Add a keyframe and optimize the window.
 
         A failure of the solver does not end the estimate: the window begins again at the predicted state.
 
         Args:
-            t_ns: Time of the keyframe [ns].
-            preintegrated: The preintegrated measurements since the previous keyframe.
-            observations: The features of the keyframe.
-            stationary: Whether the vehicle is stationary since the previous keyframe.
+            keyframe: The keyframe.
             report_marginalized: Whether to return the final estimate of a keyframe that is marginalized.
 
         Returns:
             The rejected features, events, the variance components of the IMU, and the keyframe that leaves.
         """
         window, parallax_px = self._window, self._parallax_px()
-        self._append(Keyframe(t_ns, preintegrated, observations, stationary))
+        self._append(keyframe)
         rejected = window.landmarks.triangulate(window.cameras, window.newest)
         predicted = window.states[window.newest]
         try:
@@ -196,7 +188,7 @@ class KeyframeSmoother:
                 window.update(system, delta)
                 if system.b @ delta < self._config.max_decrement:
                     break
-            self._solution = self._read_solution(t_ns, solver)
+            self._solution = self._read_solution(solver)
             marginalizes = self._is_full and self._has_moved(parallax_px)
             imu_variance = window.oldest_imu_variance(solver) if marginalizes else None
             residual, depth_m, observed = window.residuals()
@@ -207,8 +199,9 @@ class KeyframeSmoother:
             self._reduce_window(parallax_px)
         except (SingularError, np.linalg.LinAlgError) as error:
             covariance = self._solution.covariance
-            self._window, self._solution = self._begin(_nav_state(t_ns, predicted), covariance, observations)
-            self._times_ns = {0: t_ns}
+            start, observations = _nav_state(keyframe.t_ns, predicted), keyframe.observations
+            self._window, self._solution = self._begin(start, covariance, observations)
+            self._times_ns, self._rates_rad_s = {0: keyframe.t_ns}, {0: keyframe.rate_rad_s}
             self._position_covariance = covariance[3:6, 3:6]
             self._last_observed = observations, observations
             return KeyframeResult(rejected, (f"solver restored: {error}",))
@@ -230,7 +223,7 @@ class KeyframeSmoother:
             for _ in range(self._config.initial_rounds):
                 window.landmarks.triangulate(window.cameras, window.newest, retriangulate=True)
                 solver = self._levenberg_marquardt()
-            self._solution = self._read_solution(keyframes[-1].t_ns, solver)
+            self._solution = self._read_solution(solver)
             residual, _, observed = window.residuals()
             self._image_variance = window.image_variance(residual, observed)
             error = np.linalg.norm(residual, axis=1)
@@ -240,12 +233,37 @@ class KeyframeSmoother:
             return None
         return float(np.median(error)) * self._focal_px if len(error) else float("inf")
 
-    def recalibrated(
+    def recalibrate(self, calibration: Calibration, covariance_inflation: Array) -> bool:
+        """Replace the calibration and adjust the window with it.
+
+        Args:
+            calibration: The new calibration.
+            covariance_inflation: (15, 15) Diagonal covariance of the error that the previous calibration has left in
+                the states, in the order of `NavState`.
+
+        Returns:
+            Whether the window could be kept. It cannot if gravity changes, which the preintegrated measurements
+            contain, or if there is no solution. The smoother must not be used then, except for `restarted`.
+        """
+        before, window = self._calibration, self._window
+        if calibration.gravity_correction_m_s2 != before.gravity_correction_m_s2:
+            return False
+        self._calibration = calibration
+        try:
+            window.recalibrate(before, calibration, self._rates_rad_s, covariance_inflation)
+            solver = self._levenberg_marquardt()
+            self._position_covariance = self._position_covariance + covariance_inflation[3:6, 3:6]
+            self._solution = self._read_solution(solver)
+            residual, _, observed = window.residuals()
+            self._image_variance = window.image_variance(residual, observed)
+        except (SingularError, np.linalg.LinAlgError):
+            return False
+        return True
+
+    def restarted(
         self, calibration: Calibration, covariance_inflation: Array, corrected: NavState | None = None
     ) -> "KeyframeSmoother":
-        """Return a smoother with another calibration that begins at the newest state.
-
-        The window is not carried over, because all of its estimates depend on the previous calibration.
+        """Return a smoother with another calibration that begins at the newest state, without the window.
 
         Args:
             calibration: The new calibration.
@@ -307,7 +325,10 @@ class KeyframeSmoother:
             factors.append(gtsam.PriorFactorVector(V(k), np.zeros(3), zero_velocity))
             factors.append(gtsam.BetweenFactorPose3(X(j), X(k), gtsam.Pose3(), zero_motion))
         window.append(KeyframeState(predicted.pose(), predicted.velocity(), bias), factors)
-        self._times_ns = {i: self._times_ns[i] for i in list(window.states)[:-1]} | {k: keyframe.t_ns}
+        earlier = list(window.states)[:-1]
+        self._times_ns = {i: self._times_ns[i] for i in earlier} | {k: keyframe.t_ns}
+        self._rates_rad_s = {i: self._rates_rad_s[i] for i in earlier if i in self._rates_rad_s}
+        self._rates_rad_s[k] = keyframe.rate_rad_s
         window.landmarks.add_observations(k, keyframe.observations)
         self._last_observed = self._last_observed[1], keyframe.observations
 
@@ -361,14 +382,14 @@ class KeyframeSmoother:
                 damping *= 10.0
         return CholeskyFactor(system.H)
 
-    def _read_solution(self, t_ns: int, solver: CholeskyFactor) -> _Solution:
+    def _read_solution(self, solver: CholeskyFactor) -> _Solution:
         """Return the newest keyframe's state and covariance."""
         window = self._window
         newest = window.states[window.newest]
         columns = STATE_DIM * (len(window.states) - 1) + np.arange(STATE_DIM)
         P = covariance_from_gtsam(solver.inverse_block(columns), newest.pose.rotation().matrix())
         P[3:6, 3:6] += self._position_covariance
-        return _Solution(_nav_state(t_ns, newest, P), P)
+        return _Solution(_nav_state(self._times_ns[window.newest], newest, P), P)
 
 
 def _nav_state(t_ns: int, state: KeyframeState, covariance: Array | None = None) -> NavState:

@@ -4,7 +4,7 @@ One dense linear system holds the states of all keyframes and the persistent lan
 eliminated by the Schur complement (`reprojection`).
 """
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 
 import gtsam
 import numpy as np
@@ -17,6 +17,7 @@ from dronevio.estimator.backend.linalg import CholeskyFactor, schur_complement
 from dronevio.estimator.backend.linear_system import LinearSystem, linear_system, linearization_points
 from dronevio.estimator.backend.marginal_prior import POINT_DIM, POSE_DIM, STATE_DIM, KeyframeState, MarginalPrior
 from dronevio.estimator.backend.observations import NO_OBSERVATIONS, Integers, ObservationTable
+from dronevio.estimator.backend.recalibration import recalibrated_observations, with_calibration_error
 from dronevio.estimator.backend.reprojection import (
     ObservationIndices,
     VisualState,
@@ -26,6 +27,7 @@ from dronevio.estimator.backend.reprojection import (
 )
 from dronevio.estimator.backend.weighting import image_variance, robust_thresholds, variance_factor
 from dronevio.estimator.imu.noise import ImuVarianceComponents
+from dronevio.estimator.types import Calibration
 
 Array = npt.NDArray[np.float64]
 
@@ -76,6 +78,28 @@ class Window:
         """Orientations (C, 3, 3) and positions (C, 3) of the rig's cameras at each keyframe."""
         Ts = {k: state.pose.matrix() @ self._Ts_imu_cam for k, state in self.states.items()}
         return {k: (T[:, :3, :3], T[:, :3, 3]) for k, T in Ts.items()}
+
+    def recalibrate(
+        self, before: Calibration, after: Calibration, rates_rad_s: Mapping[int, Array], covariance: Array
+    ) -> None:
+        """Replace the calibration.
+
+        Args:
+            before: The previous calibration.
+            after: The new calibration.
+            rates_rad_s: (3,) Angular velocities of keyframes in the IMU frame, bias removed [rad/s].
+            covariance: (15, 15) Diagonal covariance of the error that the previous calibration has left in the states,
+                in the order of `NavState`.
+
+        Raises:
+            SingularError: The information on landmarks that are not observed any more is not positive definite.
+        """
+        observations = recalibrated_observations(self.landmarks, self.states, rates_rad_s, before, after)
+        self._Ts_imu_cam = after.Ts_imu_cam
+        self.landmarks.replace_observations(observations)
+        prior = self._prior.without_points(self.persistent - set(self.landmarks.ids.tolist()))
+        delay_s = after.time_offset_correction_s - before.time_offset_correction_s
+        self._prior = with_calibration_error(prior, covariance, rates_rad_s, delay_s)
 
     def append(self, state: KeyframeState, factors: Iterable[gtsam.NoiseModelFactor]) -> None:
         """Add a keyframe, and the factors between it and others."""

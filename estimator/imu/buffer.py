@@ -70,6 +70,10 @@ class Increments:
         """Return R_start_end (3, 3) for a gyroscope bias (3,) [rad/s]."""
         return np.asarray(integrated_rotations((self.gyro_rad_s - gyro_bias_rad_s) * self.dt_s[:, None])[-1])
 
+    def angular_velocity(self, gyro_bias_rad_s: Array) -> Array:
+        """Return the last angular velocity (3,), zero without any, for a gyroscope bias (3,) [rad/s]."""
+        return self.gyro_rad_s[-1] - gyro_bias_rad_s if len(self.dt_s) else np.zeros(3)
+
 
 NO_INCREMENTS = Increments(np.zeros(0), np.zeros((0, 3)), np.zeros((0, 3)))
 """The increments of an empty interval."""

@@ -225,7 +225,10 @@ class Initializer:
         for packet in later:
             preintegration.integrate(packet.increments)
             if packet is later[-1] or self._keyframes.is_interval_over(preintegration.duration_s, stationary):
-                keyframes.append(Keyframe(packet.t_ns, preintegration.measurements, packet.observations, stationary))
+                rate = packet.increments.angular_velocity(bias.gyroscope())
+                keyframes.append(
+                    Keyframe(packet.t_ns, preintegration.measurements, packet.observations, stationary, rate)
+                )
                 preintegration = Preintegration(params, bias)
         error_px = smoother.initial_adjustment(keyframes)
         return (None, float("inf")) if error_px is None else (smoother, error_px)

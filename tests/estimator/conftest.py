@@ -11,7 +11,7 @@ import numpy.typing as npt
 import pytest
 
 from dronevio.estimator.backend.landmarks import LandmarkConfig
-from dronevio.estimator.backend.smoother import KeyframeResult, KeyframeSmoother, SmootherConfig
+from dronevio.estimator.backend.smoother import Keyframe, KeyframeResult, KeyframeSmoother, SmootherConfig
 from dronevio.estimator.config import VioConfig
 from dronevio.estimator.imu.buffer import ImuBuffer
 from dronevio.estimator.imu.preintegration import Preintegration, PreintegrationConfig, PreintegrationParams
@@ -368,6 +368,7 @@ class KeyframeFeed:
         params: Callable[[], PreintegrationParams] | None = None,
         frames_per_keyframe: int = 4,
         stationary: bool = False,
+        assumed: Rig | None = None,
     ) -> None:
         """Create a smoother of one keyframe, the first frame of the flight.
 
@@ -379,6 +380,7 @@ class KeyframeFeed:
             params: Returns the noise of the IMU for each keyframe; by default that of the data sheet, inflated.
             frames_per_keyframe: Number of frames from one keyframe to the next.
             stationary: Whether zero-velocity updates are added to all keyframes.
+            assumed: The calibration that the smoother assumes; by default that of the flight. Its lenses are the same.
         """
         self.flight = flight
         self.results: list[KeyframeResult] = []
@@ -394,7 +396,7 @@ class KeyframeFeed:
         self._buffer.add(flight.imu)
         self._buffer.take_until(start.t_ns)
         self._front_end.track(flight.frame(0), np.eye(3))
-        observations, calibration = self._front_end.replenish(), Calibration(flight.rig)
+        observations, calibration = self._front_end.replenish(), Calibration(assumed or flight.rig)
         self.smoother = KeyframeSmoother(
             calibration, config or SmootherConfig(), LandmarkConfig(), start, covariance, observations
         )
@@ -403,11 +405,14 @@ class KeyframeFeed:
         for index in range(self._step, len(self.flight.frame_times_ns), self._step):
             t_ns = int(self.flight.frame_times_ns[index])
             preintegration = Preintegration(self._params(), self.smoother.gtsam_state[1])
-            preintegration.integrate(self._buffer.take_until(t_ns))
+            increments = self._buffer.take_until(t_ns)
+            preintegration.integrate(increments)
+            rate = increments.angular_velocity(self.smoother.state.gyro_bias_rad_s)
             self._front_end.track(self.flight.frame(index), np.eye(3))
             observations = self._front_end.replenish()
             measurements = preintegration.measurements
-            self.results.append(self.smoother.add_keyframe(t_ns, measurements, observations, self._stationary))
+            keyframe = Keyframe(t_ns, measurements, observations, self._stationary, rate)
+            self.results.append(self.smoother.add_keyframe(keyframe))
             self._front_end.discard(self.results[-1].rejected)
             self.states.append(self.smoother.state)
             self.points.append(self.smoother.landmarks)

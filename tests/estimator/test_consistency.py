@@ -233,7 +233,7 @@ def test_a_new_calibration_adds_its_uncertainty() -> None:
     start = NavState(0, np.eye(4), np.zeros(3), np.zeros(3), np.zeros(3), covariance)
     calibration = Calibration(euroc_rig())
     smoother = KeyframeSmoother(calibration, SmootherConfig(), LandmarkConfig(), start, covariance, NO_FEATURES)
-    smoother = smoother.recalibrated(calibration, inflation)
+    smoother = smoother.restarted(calibration, inflation)
     assert smoother.state.covariance is not None
     np.testing.assert_allclose(smoother.state.covariance, covariance + inflation)
 
