@@ -14,6 +14,7 @@ import numpy.typing as npt
 from dronevio.estimator.backend.keyframes import KeyframePolicy
 from dronevio.estimator.backend.smoother import Keyframe, KeyframeResult, KeyframeSmoother
 from dronevio.estimator.calibration.online import OnlineCalibration
+from dronevio.estimator.calibration.unverified import unverified_covariance
 from dronevio.estimator.config import VioConfig
 from dronevio.estimator.frontend.protocol import FrontEnd
 from dronevio.estimator.frontend.rig import RigTracker
@@ -112,6 +113,7 @@ class VisualInertialOdometry:
         self._newest_ns = 0  # time of the newest frame by the clock of the IMU
         self._gauge: Gauge = WorldOrigin(c.initialization.gyro_bias_sigma_rad_s)
         self._state: Initializing | Tracking = self._initializing()
+        self._origin_m = np.zeros(3)  # position at the last initialization
 
     def add_imu(self, samples: ImuSamples) -> None:
         """Add the IMU samples since the last call.
@@ -166,6 +168,7 @@ class VisualInertialOdometry:
         smoother = initializer.add(packet, stationary_s, self._calibration, self._gauge, self._noise.params)
         if isinstance(smoother, NotObservable):
             return self._publisher.not_initialized(packet, smoother)
+        self._origin_m = smoother.state.T_world_imu[:3, 3]
         c, is_trusted = self._config, state.is_trusted and not self._publisher.has_stated_cause
         monitor = HealthMonitor(self._imu, c.health, c.smoother.pixel_sigma, is_trusted=is_trusted)
         self._state = self._tracking(smoother, monitor, packet.observations)
@@ -320,10 +323,24 @@ class VisualInertialOdometry:
     ) -> Estimate:
         """Return the estimate of a frame, and keep its pose as the gauge after a loss if landmarks agree with it."""
         estimate = self._publisher.estimate(packet, state, report, events, landmarks_world)
-        agrees = (report.innovation_px or 0.0) <= self._config.health.max_innovation_px
-        if estimate.state is not None and agrees:
-            self._gauge = LastPublished.of(state)
-        return estimate
+        if estimate.state is None:
+            return estimate
+        published = self._with_unverified_calibration(estimate.state)
+        if (report.innovation_px or 0.0) <= self._config.health.max_innovation_px:
+            self._gauge = LastPublished.of(published)
+        return replace(estimate, state=published)
+
+    def _with_unverified_calibration(self, state: NavState) -> NavState:
+        """Return a state with the uncertainty of a calibration that has not been verified."""
+        online = self._online_calibration
+        if online.is_verified or state.covariance is None:
+            return state
+        displacement_m = state.T_world_imu[:3, 3] - self._origin_m
+        rate, sigmas = self._pipeline.angular_velocity_rad_s, online.sigmas
+        added = unverified_covariance(
+            state, displacement_m, rate, sigmas.time_offset_s, float(sigmas.rotation_rad[0].max())
+        )
+        return replace(state, covariance=state.covariance + added)
 
     def _initializing(self, is_trusted: bool = True) -> Initializing:
         """Return the state before an initialization, of which the health is trusted from the beginning or not."""

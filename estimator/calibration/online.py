@@ -87,6 +87,7 @@ class OnlineCalibration:
         self._inflation = 1.0  # share of the covariance inflation
         self._has_stepped = False  # since the last keyframe
         self._updated_ns: int | None = None
+        self._is_verified = False
 
     @property
     def calibration(self) -> Calibration:
@@ -102,6 +103,11 @@ class OnlineCalibration:
     def sigmas(self) -> Corrections:
         """The standard deviations of `estimate`."""
         return Corrections.from_vector(np.sqrt(np.diag(self._covariance)))
+
+    @property
+    def is_verified(self) -> bool:
+        """Whether a window in motion has been adjusted, or has corrected the calibration."""
+        return self._is_verified
 
     @property
     def applied(self) -> Corrections:
@@ -250,10 +256,10 @@ class OnlineCalibration:
         if window.begins_stationary:
             mean[GRAVITY] = self._mean[GRAVITY]
         if window.is_complete:
-            self._mean, self._covariance = mean, covariance
+            self._mean, self._covariance, self._is_verified = mean, covariance, True
         if not self._apply(mean, covariance, by_component=not window.begins_stationary):
             return False
-        self._corrected_state = None
+        self._corrected_state, self._is_verified = None, True
         first = window.keyframes[0].state.covariance
         if window.begins_stationary and first is not None and np.delete(self._corrected, GRAVITY).any():
             later = self._collector.after(found.newest.t_ns)

@@ -1,0 +1,65 @@
+"""The uncertainty of states before the calibration has been verified."""
+
+from collections.abc import Callable
+from dataclasses import replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+import numpy.typing as npt
+
+from dronevio.estimator.calibration.config import CalibrationConfig
+from dronevio.estimator.calibration.unverified import unverified_covariance
+from dronevio.estimator.config import VioConfig
+from dronevio.models.state import Estimate, NavState
+
+if TYPE_CHECKING:
+    from tests.estimator.conftest import SyntheticFlight
+
+Array = npt.NDArray[np.float64]
+MakeFlight = Callable[..., "SyntheticFlight"]
+
+VELOCITY_M_S = np.array([2.0, 0.0, 0.0])
+AT_ORIGIN = NavState(0, np.eye(4), VELOCITY_M_S, np.zeros(3), np.zeros(3))
+
+
+def test_a_time_offset_acts_along_the_motion() -> None:
+    """5 ms at 2 m/s are 10 mm, and at 0.4 rad/s 2 mrad, both of the same cause."""
+    P = unverified_covariance(AT_ORIGIN, np.zeros(3), np.array([0.0, 0.0, 0.4]), 0.005, 0.0)
+    expected = np.zeros(15)
+    expected[2], expected[3] = 0.002, 0.01
+    np.testing.assert_allclose(P, np.outer(expected, expected), atol=1e-15)
+
+
+def test_a_rotation_acts_across_the_displacement() -> None:
+    """0.01 rad over 3 m to the north are 30 mm up and sideways, at 2 m/s to the east 20 mm/s up and sideways."""
+    P = unverified_covariance(AT_ORIGIN, np.array([0.0, 3.0, 0.0]), np.zeros(3), 0.0, 0.01)
+    np.testing.assert_allclose(np.sqrt(np.diag(P)[3:9]), [0.03, 0.0, 0.03, 0.0, 0.02, 0.02], atol=1e-15)
+    assert not P[:3].any() and not P[9:].any()
+
+
+def position_sigmas(estimates: list[Estimate]) -> Array:
+    """Return the largest standard deviation of the position in each estimate with a state [m]."""
+    P = np.stack(
+        [e.state.covariance[3:6, 3:6] for e in estimates if e.state is not None and e.state.covariance is not None]
+    )
+    return np.asarray(np.sqrt(np.linalg.eigvalsh(P)[:, -1]))
+
+
+def test_the_first_window_verifies_the_calibration(make_flight: MakeFlight) -> None:
+    """In motion before the first window is adjusted, positions are as uncertain as the calibration; poses are the same.
+
+    Without online calibration, the calibration counts as known.
+    """
+    flight = make_flight(0, duration_s=9.0)
+    c = CalibrationConfig()
+    off = {part: replace(getattr(c, part), online=False) for part in ("time_offset", "rotation", "gravity")}
+    online, known = flight.run(), flight.run(config=VioConfig(calibration=replace(c, **off)))
+    with_online, without = position_sigmas(online), position_sigmas(known)
+    assert not any("calibration corrected" in event for e in online for event in e.events)
+    ratio = with_online / without
+    assert ratio.max() > 3.0
+    np.testing.assert_allclose(ratio[-20:], 1.0, atol=1e-9)
+    for a, b in zip(online, known, strict=True):
+        assert (a.state is None) == (b.state is None)
+        if a.state is not None and b.state is not None:
+            np.testing.assert_array_equal(a.state.T_world_imu, b.state.T_world_imu)
