@@ -66,6 +66,7 @@ class LandmarkDatabase:
         self._all = NO_OBSERVATIONS  # of triangulated landmarks and of others
         self.ids: Integers = np.zeros(0, np.int64)
         """(L,) Identities of the triangulated landmarks, in increasing order."""
+        self._selected = self._all, self.ids, NO_OBSERVATIONS  # a table, landmarks, and the rows of these landmarks
         self.points: Array = np.zeros((0, 3))
         """(L, 3) Positions of the triangulated landmarks in the world frame [m]."""
 
@@ -80,7 +81,9 @@ class LandmarkDatabase:
     @property
     def observations(self) -> ObservationTable:
         """The observations of the triangulated landmarks."""
-        return self._all[np.isin(self._all.landmark, self.ids)]
+        if self._selected[0] is not self._all or self._selected[1] is not self.ids:
+            self._selected = self._all, self.ids, self._all[np.isin(self._all.landmark, self.ids)]
+        return self._selected[2]
 
     @property
     def all_observations(self) -> ObservationTable:

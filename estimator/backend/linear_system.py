@@ -64,12 +64,17 @@ def linearization_points(prior: MarginalPrior, states: States) -> dict[int, Keyf
 
 
 def _add_prior(H: Array, b: Array, prior: MarginalPrior, points: Mapping[int, Array], states: States) -> None:
-    """Add a marginal prior to a linear system."""
-    index = _index(states)
-    of_states = [STATE_DIM * index[k] + np.arange(STATE_DIM) for k in prior.states]
-    columns = np.concatenate([*of_states, np.arange(STATE_DIM * len(states), len(b))])
-    H[np.ix_(columns, columns)] += prior.H
-    b[columns] += prior.right_hand_side(states, points)
+    """Add a marginal prior to a linear system.
+
+    The keyframes that the prior lacks are the newest ones, between its other keyframes and its landmarks.
+    """
+    known, all_states = STATE_DIM * len(prior.states), STATE_DIM * len(states)
+    blocks = (slice(0, known), slice(0, known)), (slice(all_states, None), slice(known, None))
+    prior_b = prior.right_hand_side(states, points)
+    for rows, prior_rows in blocks:
+        b[rows] += prior_b[prior_rows]
+        for columns, prior_columns in blocks:
+            H[rows, columns] += prior.H[prior_rows, prior_columns]
 
 
 def _add_factors(H: Array, b: Array, factors: Sequence[KeyframeFactor], states: States, first: States) -> None:
@@ -87,17 +92,16 @@ def _add_factors(H: Array, b: Array, factors: Sequence[KeyframeFactor], states: 
 
 def _add_observations(H: Array, b: Array, visual: VisualSystem, persistent_rows: Integers) -> None:
     """Add normal equations of observations to a linear system, all but the persistent landmarks eliminated."""
-    rows, (L, K, *_) = persistent_rows, visual.H_cross.shape
-    eliminated = np.ones(L, dtype=np.bool_)
+    rows, K = persistent_rows, len(visual.H_pose)
+    eliminated = np.ones(len(visual.H_point), dtype=np.bool_)
     eliminated[rows] = False
     poses = (STATE_DIM * np.arange(K)[:, None] + np.arange(POSE_DIM)).ravel()
     H_poses, b_poses = visual.reduced_system(eliminated)
     H[np.ix_(poses, poses)] += H_poses
     b[poses] += b_poses
-    by_landmark = visual.H_cross[rows].reshape(len(rows), POSE_DIM * K, POINT_DIM)
-    H_cross = np.moveaxis(by_landmark, 0, 1).reshape(POSE_DIM * K, -1)
-    H[poses, STATE_DIM * K :] += H_cross
-    H[STATE_DIM * K :, poses] += H_cross.T
+    H_cross = visual.H_cross[rows].reshape(-1, POSE_DIM * K)
+    H[STATE_DIM * K :, poses] += H_cross
+    H[poses, STATE_DIM * K :] += H_cross.T
     points = STATE_DIM * K + np.arange(POINT_DIM * len(rows)).reshape(-1, POINT_DIM)
     H[points[:, :, None], points[:, None, :]] += visual.H_point[rows]
     b[points] += visual.b_point[rows]

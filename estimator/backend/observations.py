@@ -39,9 +39,9 @@ class ObservationTable:
 
     def __getitem__(self, rows: Integers | npt.NDArray[np.bool_] | slice) -> Self:
         """Return some of the rows."""
-        return type(self)(
-            self.landmark[rows], self.keyframe[rows], self.camera[rows], self.xy[rows], self.sigma_scale[rows]
-        )
+        indices = np.arange(len(self))[rows]
+        columns = self.landmark, self.keyframe, self.camera, self.xy, self.sigma_scale
+        return type(self)(*(column.take(indices, axis=0) for column in columns))  # much faster than a mask
 
     def __add__(self, other: Self) -> Self:
         """Return the rows of this table followed by those of another."""

@@ -12,6 +12,7 @@ Mourikis, Roumeliotis, "A first-estimates Jacobian EKF for improving SLAM consis
 
 import math
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 import numpy.typing as npt
@@ -59,7 +60,7 @@ class VisualSystem:
     b_pose: Array
     """(K, 6) Right-hand side of the poses."""
     H_cross: Array
-    """(L, K, 6, 3) Off-diagonal blocks between poses (rows) and landmarks (columns)."""
+    """(L, 3, 6K) Off-diagonal blocks between landmarks (rows) and poses (columns)."""
     H_point: Array
     """(L, 3, 3) Diagonal blocks of the landmarks."""
     b_point: Array
@@ -75,19 +76,24 @@ class VisualSystem:
             The information matrix (6K, 6K) and the right-hand side (6K,).
         """
         K = len(self.H_pose)
-        H_cross = self.H_cross[eliminated].reshape(-1, 6 * K, 3)
-        gain = H_cross @ _damped_inverse(self.H_point[eliminated])
-        gain_rows, cross_rows = (np.swapaxes(A, 0, 1).reshape(6 * K, -1) for A in (gain, H_cross))
-        H = -gain_rows @ cross_rows.T
+        gain = (self._inverse_H_point * eliminated[:, None, None]) @ self.H_cross
+        gain_rows, cross_rows = (A.reshape(-1, 6 * K) for A in (gain, self.H_cross))
+        H = -gain_rows.T @ cross_rows
         for k in range(K):
             H[6 * k : 6 * k + 6, 6 * k : 6 * k + 6] += self.H_pose[k]
-        b = self.b_pose.ravel() - gain_rows @ self.b_point[eliminated].ravel()
+        b = self.b_pose.ravel() - gain_rows.T @ self.b_point.ravel()
         return H, b
 
     def back_substitute(self, delta_poses: Array) -> Array:
         """Return the step (L, 3) of the landmarks that belongs to a step (K, 6) of the poses."""
-        b = self.b_point - np.einsum("lkpi,kp->li", self.H_cross, delta_poses)
-        return np.asarray((_damped_inverse(self.H_point) @ b[..., None])[..., 0])
+        b = self.b_point - self.H_cross @ delta_poses.ravel()
+        return np.asarray((self._inverse_H_point @ b[..., None])[..., 0])
+
+    @cached_property
+    def _inverse_H_point(self) -> Array:
+        """(L, 3, 3) Inverses of the landmarks' blocks, damped because a depth may be unconstrained."""
+        damping = RELATIVE_DAMPING * np.trace(self.H_point, axis1=1, axis2=2)[:, None, None] + 1e-12
+        return np.linalg.inv(self.H_point + damping * np.eye(3))
 
 
 def residuals(
@@ -104,9 +110,9 @@ def residuals(
     Returns:
         The observed minus the projected normalized coordinates (N, 2), and the depths (N,) [m].
     """
-    p_cam = _to_imu_and_camera_frame(observations, indices, Ts_imu_cam, state)[1]
-    depth = p_cam[:, 2]
-    return observations.xy - p_cam[:, :2] / np.maximum(depth, MIN_DEPTH_M)[:, None], depth
+    _, (x, y, depth) = _to_imu_and_camera_frame(observations, indices, Ts_imu_cam, state)
+    inverse_depth = 1.0 / np.maximum(depth, MIN_DEPTH_M)
+    return observations.xy - np.column_stack([x * inverse_depth, y * inverse_depth]), depth
 
 
 def visual_system(
@@ -129,59 +135,60 @@ def visual_system(
     """
     p_imu, p_cam = _to_imu_and_camera_frame(observations, indices, Ts_imu_cam, linearization_point)
     R_world_imu = linearization_point.R_world_imu
-    K, L = len(R_world_imu), len(linearization_point.points)
-    inverse_depth = 1.0 / np.maximum(p_cam[:, 2], MIN_DEPTH_M)
-    scaled = np.sqrt(weight) * inverse_depth
-    R_cam_imu = np.swapaxes(Ts_imu_cam[:, :3, :3], 1, 2)[observations.camera]
-    projected = p_cam[:, :2] * inverse_depth[:, None]
-    J_imu = (R_cam_imu[:, :2] - projected[:, :, None] * R_cam_imu[:, None, 2]) * scaled[:, None, None]
-    J_point = _products(J_imu, np.swapaxes(R_world_imu, 1, 2)[indices.keyframe])
-    J_pose = np.concatenate([cross(J_imu, p_imu[:, None]), -J_imu], axis=2)
-    r = (residual * np.sqrt(weight)[:, None])[..., None]
+    K, L, N = len(R_world_imu), len(linearization_point.points), len(observations)
+    root_weight = np.sqrt(weight)
+    inverse_depth = 1.0 / np.maximum(p_cam[2], MIN_DEPTH_M)
+    axes = _selected(np.swapaxes(Ts_imu_cam[:, :3, :3], 1, 2), observations.camera)  # of the camera, in the IMU frame
+    projected = p_cam[:2] * inverse_depth
+    J_imu = (axes[:2] - projected[:, None] * axes[2]) * (root_weight * inverse_depth)
+    J_point = np.einsum("rin,jin->rjn", J_imu, _selected(R_world_imu, indices.keyframe))
+    J_r = np.empty((2, 7, N))  # Jacobian by the pose, and the residual
+    J_r[:, :3] = np.cross(J_imu, p_imu[None], axis=1)
+    J_r[:, 3:6] = -J_imu
+    J_r[:, 6] = residual.T * root_weight
 
     order = np.argsort(indices.keyframe, kind="stable")
     bounds = np.searchsorted(indices.keyframe[order], np.arange(K + 1)).tolist()
-    H_b_pose, J_r = np.zeros((K, 6, 7)), np.concatenate([J_pose, r], axis=2)[order]  # H and b side by side
+    H_b_pose, by_keyframe = np.zeros((K, 6, 7)), J_r.take(order, axis=2).swapaxes(0, 1)  # H and b side by side
     for k in range(K):
-        J_r_k = J_r[bounds[k] : bounds[k + 1]].reshape(-1, 7)
-        H_b_pose[k] = J_r_k[:, :6].T @ J_r_k
+        J_r_k = by_keyframe[..., bounds[k] : bounds[k + 1]].reshape(7, -1)
+        H_b_pose[k] = J_r_k[:6] @ J_r_k.T
 
-    H_cross, products = np.zeros((L, K, 6, 3)), _transposed_products(J_pose, J_point)
-    for camera in range(len(Ts_imu_cam)):  # a camera observes a landmark once in a keyframe
-        rows = np.flatnonzero(observations.camera == camera)
-        H_cross[indices.landmark[rows], indices.keyframe[rows]] += products[rows]
-
-    H_b_point, order = np.zeros((L, 3, 4)), np.argsort(indices.landmark, kind="stable")
-    landmark = indices.landmark[order]
-    starts = np.flatnonzero(np.diff(landmark, prepend=-1))
-    products = _transposed_products(J_point, np.concatenate([J_point, r], axis=2))[order]
-    H_b_point[landmark[starts]] = np.add.reduceat(products, starts) if len(order) else 0.0
+    block = L * indices.keyframe + indices.landmark
+    H_cross = _sums(_transposed_products(J_point, J_r[:, :6]), block, K * L).reshape(3, 6, K, L)
+    H_cross = H_cross.transpose(3, 0, 2, 1).reshape(L, 3, 6 * K)
+    J_r_point = np.concatenate([J_point, J_r[:, 6:]], axis=1)
+    H_b_point = np.moveaxis(_sums(_transposed_products(J_point, J_r_point), indices.landmark, L), 2, 0)
     return VisualSystem(H_b_pose[..., :6], H_b_pose[..., 6], H_cross, H_b_point[..., :3], H_b_point[..., 3])
 
 
 def _transposed_products(A: Array, B: Array) -> Array:
-    """Return AᵀB (N, i, j) of matrices with two rows, (N, 2, i) and (N, 2, j); much faster than `numpy.matmul`."""
-    return np.asarray(A[:, 0, :, None] * B[:, 0, None, :] + A[:, 1, :, None] * B[:, 1, None, :])
+    """Return AᵀB (i, j, N) of N matrices with two rows, (2, i, N) and (2, j, N)."""
+    return np.asarray(np.einsum("rin,rjn->ijn", A, B))
 
 
-def _products(A: Array, B: Array) -> Array:
-    """Return A B (N, i, 3) of matrices (N, i, 3) and (N, 3, 3); much faster than `numpy.matmul`."""
-    first, second, third = (A[..., k, None] * B[:, None, k] for k in range(3))
-    return np.asarray(first + second + third)
+def _sums(values: Array, group: Integers, count: int) -> Array:
+    """Return the sums (..., G) of values (..., N) over those of each group (N,), of a number of groups G."""
+    sums = np.empty((*values.shape[:-1], count))
+    for index in np.ndindex(values.shape[:-1]):
+        sums[index] = np.bincount(group, values[index], count)
+    return sums
+
+
+def _selected(matrices: Array, indices: Integers) -> Array:
+    """Return some of several matrices (M, 3, 3) by their indices (N,), components first: (3, 3, N)."""
+    return matrices.reshape(-1, 9).T.take(indices, axis=1).reshape(3, 3, -1)
 
 
 def _to_imu_and_camera_frame(
     observations: ObservationTable, indices: ObservationIndices, Ts_imu_cam: Array, state: VisualState
 ) -> tuple[Array, Array]:
-    """Return the positions (N, 3) of the observed landmarks in the IMU frame and in the camera frame."""
-    relative = (state.points[indices.landmark] - state.p_world_imu[indices.keyframe])[:, None]
-    p_imu = _products(relative, state.R_world_imu[indices.keyframe])[:, 0]
-    T = Ts_imu_cam[observations.camera]
-    p_cam = _products((p_imu - T[:, :3, 3])[:, None], T[:, :3, :3])[:, 0]
-    return p_imu, p_cam
+    """Return the positions (3, N) of the observed landmarks in the IMU frame and in the camera frame.
 
-
-def _damped_inverse(information: Array) -> Array:
-    """Return the inverses (L, 3, 3) of information matrices, damped because a depth may be unconstrained."""
-    damping = RELATIVE_DAMPING * np.trace(information, axis1=1, axis2=2)[:, None, None] + 1e-12
-    return np.linalg.inv(information + damping * np.eye(3))
+    Components come first here and in `visual_system`, so that the innermost loops of numpy go over the observations.
+    """
+    keyframe, camera = indices.keyframe, observations.camera
+    relative = state.points.T.take(indices.landmark, axis=1) - state.p_world_imu.T.take(keyframe, axis=1)
+    p_imu = np.einsum("in,ijn->jn", relative, _selected(state.R_world_imu, keyframe))
+    from_camera = p_imu - Ts_imu_cam[:, :3, 3].T.take(camera, axis=1)
+    return p_imu, np.einsum("in,ijn->jn", from_camera, _selected(Ts_imu_cam[:, :3, :3], camera))

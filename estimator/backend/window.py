@@ -242,25 +242,39 @@ class Window:
         return set(ids[np.argsort(-counts, kind="stable")[: max(count, 0)]].tolist())
 
     def _linear_system(self, factors: Sequence[KeyframeFactor], observations: ObservationTable) -> LinearSystem:
-        """Return the linear system of the prior, some factors and some observations."""
-        visual, rows = self._visual_system(observations), self._persistent_rows()
+        """Return the linear system of the prior, some factors and some observations.
+
+        Its visual part contains the landmarks of these observations and the persistent ones, in the order of their
+        identities.
+        """
+        indices, persistent = self._indices(observations), self._persistent_rows()
+        is_contained = np.zeros(len(self.landmarks.ids), dtype=np.bool_)
+        is_contained[indices.landmark] = is_contained[persistent] = True
+        system_row = np.cumsum(is_contained) - 1
+        in_system = ObservationIndices(indices.keyframe, system_row[indices.landmark])
+        current, first = self._visual_state(), linearization_points(self._prior, self.states)
+        points = current.points.copy()
+        points[persistent] = np.reshape(list(self._prior.points.values()), (-1, POINT_DIM))
+        residual, weight = self._weighted_residuals(observations, indices, current)
+        linearized_at = _visual_state(first, points[is_contained])
+        visual = visual_system(observations, in_system, self._Ts_imu_cam, linearized_at, residual, weight)
+        rows = system_row[persistent]
         return linear_system(self._prior, self._persistent_points(), self.states, factors, visual, rows)
 
-    def _visual_system(self, observations: ObservationTable) -> VisualSystem:
-        """Return the normal equations of observations, with residuals at the current estimates."""
-        indices, current = self._indices(observations), self._visual_state()
+    def _weighted_residuals(
+        self, observations: ObservationTable, indices: ObservationIndices, current: VisualState
+    ) -> tuple[Array, Array]:
+        """Return the residuals (N, 2) of observations at the current estimates, and their weights (N,)."""
         residual, depth_m = residuals(observations, indices, self._Ts_imu_cam, current)
         sigma2 = (self._sigma * observations.sigma_scale) ** 2
-        squared = np.sum(residual**2, axis=1) / sigma2
+        squared = _squared_norms(residual) / sigma2
         threshold = robust_thresholds(squared, indices.keyframe, self._robust_sigmas)
         weight = (depth_m > 0.0) / (sigma2 * variance_factor(squared) * (1.0 + squared / threshold**2))
-        first, points = linearization_points(self._prior, self.states), current.points.copy()
-        points[self._persistent_rows()] = np.reshape(list(self._prior.points.values()), (-1, POINT_DIM))
-        return visual_system(observations, indices, self._Ts_imu_cam, _visual_state(first, points), residual, weight)
+        return residual, weight
 
     def _squared(self, residual: Array, observations: ObservationTable) -> Array:
         """Return the squares (N,) of residuals (N, 2) in units of the assumed variance."""
-        return np.asarray(np.sum(residual**2, axis=1) / (self._sigma * observations.sigma_scale) ** 2)
+        return np.asarray(_squared_norms(residual) / (self._sigma * observations.sigma_scale) ** 2)
 
     def _indices(self, observations: ObservationTable) -> ObservationIndices:
         """Return the indices of the keyframes and landmarks of observations."""
@@ -278,6 +292,11 @@ class Window:
     def _persistent_rows(self) -> Integers:
         """Return the rows of the persistent landmarks among all, in the order of the prior."""
         return self.landmarks.rows(np.array(list(self._prior.points), dtype=np.int64))
+
+
+def _squared_norms(vectors: Array) -> Array:
+    """Return the squared norms (N,) of vectors (N, 2); much faster than a sum along the axis of two."""
+    return np.asarray(vectors[:, 0] ** 2 + vectors[:, 1] ** 2)
 
 
 def _visual_state(states: dict[int, KeyframeState], points: Array) -> VisualState:
