@@ -114,6 +114,7 @@ class HealthMonitor:
         """
         self._config, self._imu = config, imu
         self._pixel_sigma, self._image_variances = pixel_sigma, tuple[float, ...]()
+        self._image_variance = 1.0  # of image observations relative to the assumed one
         self._noise_densities = imu.gyro_noise_density, imu.accel_noise_density
         self._trust = Trust(_limits(config), is_trusted=is_trusted)
         self._bias_sigmas = np.repeat(
@@ -157,6 +158,8 @@ class HealthMonitor:
         self._keyframe, self._landmarks = keyframe, landmarks
         if image_variance is not None:
             self._image_variances = (*self._image_variances, image_variance)[-IMAGE_VARIANCES:]
+            median_variance = float(np.median(self._image_variances))
+            self._image_variance = float(np.clip(median_variance, *self._config.image_variance_bounds))
 
     def disconnect(self, t_ns: int) -> None:
         """Note that no feature connects the images with earlier ones: they may show another place.
@@ -236,13 +239,6 @@ class HealthMonitor:
         landmarks = self._landmarks
         return innovation(landmarks.ids, landmarks.points, observations, predicted, uncertainty, calibration)
 
-    @property
-    def _image_variance(self) -> float:
-        """Variance of image observations relative to the assumed one."""
-        if not self._image_variances:
-            return 1.0
-        return float(np.clip(np.median(self._image_variances), *self._config.image_variance_bounds))
-
     def _prediction_covariance(self, predicted: NavState) -> tuple[Array, float]:
         """Return the uncertainty of the prediction since the newest keyframe.
 
@@ -265,8 +261,9 @@ class HealthMonitor:
         start = self._keyframe
         if start is None or start.covariance is None or predicted.covariance is None:
             return 0.0
-        variance = float(np.linalg.norm(predicted.covariance[:3, :3], 2) - np.linalg.norm(start.covariance[:3, :3], 2))
-        return float(calibration.focal_px[0]) * math.sqrt(max(variance, 0.0))
+        both = np.stack([start.covariance[:3, :3], predicted.covariance[:3, :3]])
+        variance_before, variance = np.linalg.eigvalsh(both)[:, -1].tolist()
+        return float(calibration.focal_px[0]) * math.sqrt(max(variance - variance_before, 0.0))
 
     def _inertial_only_s(self, t_ns: int, constrained: bool, position_sigma_m: float) -> float:
         """Return the time for which the IMU alone has propagated the estimate [s]."""

@@ -6,7 +6,7 @@ carried away between two frames. After darkness, where nothing was tracked, the 
 
 import numpy as np
 
-from dronevio.estimator.types import Integers, Observations
+from dronevio.estimator.types import Integers, Observations, common_rows
 
 MIN_FEATURES = 8
 """Smallest number of common features that connect two keyframes; fewer may be tracked by mistake."""
@@ -39,4 +39,4 @@ def are_connected(before: Integers, ids: Integers, tracked: int) -> bool:
         tracked: Number of features that were tracked into the frame before the second keyframe.
     """
     has_changed = min(len(before), len(ids), tracked) >= MIN_FEATURES
-    return not has_changed or len(np.intersect1d(before, ids)) >= MIN_FEATURES
+    return not has_changed or len(common_rows(before, ids)[0]) >= MIN_FEATURES

@@ -12,7 +12,7 @@ import numpy.typing as npt
 
 from dronevio.estimator.backend.reprojection import MEDIAN_CHI2_2DOF
 from dronevio.estimator.backend.triangulation import MIN_DEPTH_M
-from dronevio.estimator.types import Calibration, Integers, Observations
+from dronevio.estimator.types import Calibration, Integers, Observations, common_rows
 from dronevio.models.state import NavState
 
 Array = npt.NDArray[np.float64]
@@ -95,7 +95,7 @@ def innovation(
         uncertainty: Uncertainty of the prediction.
         calibration: The calibration in use.
     """
-    rows, columns = _common(ids, observations.ids)
+    rows, columns = common_rows(ids, observations.ids)
     camera, R, p = observations.camera[columns], predicted.T_world_imu[:3, :3], predicted.T_world_imu[:3, 3]
     Ts_imu_cam, focal_px = calibration.Ts_imu_cam[camera], calibration.focal_px[camera]
     in_imu = (points[rows] - p) @ R
@@ -111,10 +111,3 @@ def innovation(
 def median(values: Array) -> float:
     """Return the upper median of values (N,), N > 0, at a fifth of the cost of `numpy.median`."""
     return float(np.partition(values, len(values) // 2)[len(values) // 2])
-
-
-def _common(ids: Integers, others: Integers) -> tuple[Integers, Integers]:
-    """Return the rows of the common identities in each of two increasing arrays."""
-    columns = np.minimum(np.searchsorted(others, ids), len(others) - 1) if len(others) else np.zeros(0, np.int64)
-    rows = np.flatnonzero(others[columns] == ids) if len(others) else columns
-    return rows, columns[rows]

@@ -155,3 +155,10 @@ class Calibration:
         )
         xy = self.corrected_xy(observations.xy, observations.camera)
         return replace(observations, xy=xy, matches=matches, miscalibrated=miscalibrated)
+
+
+def common_rows(ids: Integers, others: Integers) -> tuple[Integers, Integers]:
+    """Return the rows of the common identities in each of two increasing arrays, faster than `numpy.intersect1d`."""
+    columns = np.minimum(np.searchsorted(others, ids), len(others) - 1) if len(others) else np.zeros(0, np.int64)
+    rows = np.flatnonzero(others[columns] == ids) if len(others) else columns
+    return rows, columns[rows]

@@ -9,6 +9,7 @@ import numpy.typing as npt
 
 from dronevio.estimator.backend.observations import NO_OBSERVATIONS, Integers, ObservationTable, observation_table
 from dronevio.estimator.backend.triangulation import triangulate
+from dronevio.estimator.backend.weighting import group_medians
 from dronevio.estimator.types import Observations
 from dronevio.models.ranges import Range, Settings
 
@@ -118,10 +119,11 @@ class LandmarkDatabase:
         Returns:
             The identities of the outliers, which are removed.
         """
-        c, table = self._config, self._all.by_landmark()
+        c, table = self._config, self._all
         if not retriangulate:
             candidates = np.setdiff1d(self.observed_in(newest), self.ids, assume_unique=True)
             table = table[np.isin(table.landmark, candidates)]
+        table = table.by_landmark()
         ids, starts, counts = np.unique(table.landmark, return_index=True, return_counts=True)
         is_enough = (counts >= c.min_views) & (_keyframe_counts(table, starts) >= c.min_keyframes)
         table = table[np.repeat(is_enough, counts)]
@@ -154,10 +156,8 @@ class LandmarkDatabase:
         """
         if len(observations) == 0:
             return np.zeros(0, np.int64)
-        error, median = np.linalg.norm(residual, axis=1), np.zeros(len(residual))
-        for k in np.unique(observations.keyframe).tolist():
-            of_keyframe = observations.keyframe == k
-            median[of_keyframe] = np.median(error[of_keyframe])
+        error = np.hypot(*residual.T)
+        median = group_medians(observations.keyframe, error)
         outliers = np.unique(observations.landmark[(error > self._max_error(median)) | (depth_m <= 0.0)])
         self.remove(outliers)
         return outliers
@@ -183,11 +183,11 @@ class LandmarkDatabase:
         if len(table) == 0:
             return TriangulatedLandmarks(self.ids, self.points, np.zeros(0))
         row = self.rows(table.landmark)
-        rays = _camera_poses(table, cameras)[1] - self.points[row]
-        rays /= np.linalg.norm(rays, axis=1, keepdims=True)
+        x, y, z = (_camera_poses(table, cameras)[1] - self.points[row]).T
+        rays = np.stack([x, y, z]) / np.sqrt(x * x + y * y + z * z)
         starts = np.flatnonzero(np.diff(row, prepend=-1))
         counts = np.diff(np.append(starts, len(table)))
-        cosine = np.minimum.reduceat(np.sum(rays * np.repeat(rays[starts], counts, axis=0), axis=1), starts)
+        cosine = np.minimum.reduceat(np.einsum("in,in->n", rays, np.repeat(rays[:, starts], counts, axis=1)), starts)
         return TriangulatedLandmarks(self.ids, self.points, np.arccos(np.clip(cosine, -1.0, 1.0)))
 
     def _max_error(self, median: Array | float) -> Array:

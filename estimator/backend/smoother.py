@@ -28,7 +28,7 @@ from dronevio.estimator.backend.marginal_prior import STATE_DIM, KeyframeState
 from dronevio.estimator.backend.window import Window
 from dronevio.estimator.imu.covariance import covariance_from_gtsam, covariance_to_gtsam
 from dronevio.estimator.imu.noise import ImuVarianceComponents
-from dronevio.estimator.types import GAUGE_SIGMA, NO_FEATURES, Calibration, Integers, Observations
+from dronevio.estimator.types import GAUGE_SIGMA, NO_FEATURES, Calibration, Integers, Observations, common_rows
 from dronevio.models.ranges import Range, Settings
 from dronevio.models.state import NavState
 
@@ -353,7 +353,7 @@ class KeyframeSmoother:
         """Return the median displacement of the features between the last two keyframes, rotation removed [px]."""
         before, now = self._last_observed
         states = list(self._window.states.values())
-        _, i, j = np.intersect1d(before.ids, now.ids, assume_unique=True, return_indices=True)
+        i, j = common_rows(before.ids, now.ids)
         if len(states) < 2 or len(i) == 0:
             return float("inf")
         R = self._calibration.Ts_imu_cam[now.camera[j], :3, :3]

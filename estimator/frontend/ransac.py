@@ -52,12 +52,12 @@ def epipolar_inliers(
     is_defined = length > 1e-15  # parallel normals do not determine the direction of translation
     t = t / np.where(is_defined, length, 1.0)
 
-    is_inlier = (_epipolar_angles(t, normals, f0) < threshold) & is_defined
+    is_inlier = _agree(t, normals, f0, threshold) & is_defined
     best = int(np.argmax(is_inlier.sum(axis=1)))
     # Refinement on the consensus set: the direction most nearly orthogonal to all its normals.
     consensus = normals[is_inlier[best]]
     refined_t = np.linalg.svd(consensus, full_matrices=False)[2][-1] if len(consensus) >= MIN_MATCHES else t[best]
-    refined = _epipolar_angles(refined_t[None], normals, f0)[0] < threshold
+    refined = _agree(refined_t[None], normals, f0, threshold)[0]
     return np.asarray(refined if refined.sum() >= is_inlier[best].sum() else is_inlier[best])
 
 
@@ -87,7 +87,11 @@ def _bearings(xy: Array) -> Array:
     return np.asarray(rays / np.linalg.norm(rays, axis=1, keepdims=True))
 
 
-def _epipolar_angles(t: Array, normals: Array, f0: Array) -> Array:
-    """Return the angles (H, N) [rad] between the second bearings and the epipolar planes of H translations (H, 3)."""
-    sines = np.sqrt(np.maximum(1.0 - (t @ f0.T) ** 2, 1e-12))
-    return np.asarray(np.abs(t @ normals.T) / sines)
+def _agree(t: Array, normals: Array, f0: Array, threshold: float) -> npt.NDArray[np.bool_]:
+    """Return whether second bearings lie within an angle [rad] of the epipolar planes (H, N) of translations (H, 3).
+
+    The angle is |t · n| / √(1 − (t · f₀)²) with the unit direction t of translation, the normal n of both bearings and
+    the first bearing f₀.
+    """
+    squared_sines = np.maximum(1.0 - (t @ f0.T) ** 2, 1e-12)
+    return np.asarray((t @ normals.T) ** 2 < threshold**2 * squared_sines)

@@ -46,18 +46,22 @@ class RepetitionFilter:
             rotation_sigma_rad: Standard deviation of the rotation [rad].
         """
         before, self._images = self._images, frame.images
-        least_rad = MIN_ROTATION_RAD + ROTATION_SIGMAS * rotation_sigma_rad
         self._repeats = False
-        if len(before) != len(frame.images) or float(np.linalg.norm(log_so3(R_cur_prev))) < least_rad:
+        if len(before) != len(frame.images):
             return frame
         copies = [_is_copy(image, last) for image, last in zip(frame.images, before, strict=True)]
-        self._repeats = any(copies)
+        least_rad = MIN_ROTATION_RAD + ROTATION_SIGMAS * rotation_sigma_rad
+        if not any(copies) or float(np.linalg.norm(log_so3(R_cur_prev))) < least_rad:
+            return frame
+        self._repeats = True
         images = tuple(NO_IMAGE if copy else image for image, copy in zip(frame.images, copies, strict=True))
-        return replace(frame, images=images) if self._repeats else frame
+        return replace(frame, images=images)
 
 
 def _is_copy(image: Image, last: Image) -> bool:
     """Return whether an image equals the one before; dark and missing images are no copies."""
-    if image is None or np.size(image) == 0 or not np.array_equal(image, last):
+    if image is None or np.size(image) == 0 or not np.array_equal(image[:1], last[:1]):  # one row is fast to compare
+        return False
+    if not np.array_equal(image, last):
         return False
     return int(image.max()) - int(image.min()) >= MIN_CONTRAST

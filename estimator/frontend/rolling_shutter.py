@@ -13,7 +13,7 @@ import numpy as np
 import numpy.typing as npt
 
 from dronevio.estimator.imu.buffer import NO_INCREMENTS, Increments
-from dronevio.estimator.types import Calibration, Integers, Matches, Observations
+from dronevio.estimator.types import Calibration, Integers, Matches, Observations, common_rows
 from dronevio.models.imu import GRAVITY_M_S2
 from dronevio.models.rotation import exp_so3, integrated_rotations, log_so3, pose_matrix
 from dronevio.models.state import Estimate
@@ -51,14 +51,9 @@ class LocalRotation:
         past_s, past = np.append(before.dt_s[::-1], held), np.vstack([rates_before[::-1], first])
         future_s, future = np.append(after.dt_s, held), np.vstack([rates_after, last])
         t_s = np.concatenate([-np.cumsum(past_s)[::-1], [0.0], np.cumsum(future_s)])
-        rotations = np.vstack(
-            [
-                log_so3(integrated_rotations(-past * past_s[:, None])[1:])[::-1],
-                np.zeros((1, 3)),
-                log_so3(integrated_rotations(future * future_s[:, None])[1:]),
-            ]
-        )
-        return cls(t_s, rotations)
+        Rs_past = integrated_rotations(-past * past_s[:, None])[1:]
+        Rs_frame_t = np.concatenate([Rs_past[::-1], integrated_rotations(future * future_s[:, None])])
+        return cls(t_s, log_so3(Rs_frame_t))
 
     def at(self, t_s: Array) -> Array:
         """Return the rotation vectors (N, 3) of R_frame_t [rad] at times (N,) relative to the frame's [s]."""
@@ -188,14 +183,13 @@ class ExposureCompensation:
     def _flows(self, calibration: Calibration, observations: Observations, delay_s: Array, rays: Array) -> Array:
         """Return the flows (N, 2) due to translation [1/s]; NaN for features that are observed for the first time."""
         flow, last = np.full((len(observations), 2), np.nan), self._last
-        _, i, j = np.intersect1d(observations.ids, last.ids, assume_unique=True, return_indices=True)
+        i, j = common_rows(observations.ids, last.ids)
         if not len(i):
             return flow
         # R_now_last of the cameras is the rotation vector at the time of the last frame.
-        rotation_imu = np.broadcast_to(self._rotation.at(np.array([-self._frame_interval_s])), (len(i), 3))
-        R_imu_cam = calibration.Ts_imu_cam[observations.camera[i], :3, :3]
-        rotation_cam = np.einsum("nij,ni->nj", R_imu_cam, rotation_imu)
-        before = np.einsum("nij,nj->ni", exp_so3(rotation_cam), last.rays[j])
+        rotation_imu = self._rotation.at(np.array([-self._frame_interval_s]))[0]
+        Rs_now_last = exp_so3(rotation_imu @ calibration.Ts_imu_cam[:, :3, :3])
+        before = np.einsum("nij,nj->ni", Rs_now_last[observations.camera[i]], last.rays[j])
         elapsed_s = np.maximum(self._frame_interval_s + delay_s[i] - last.delay_s[j], MIN_FLOW_INTERVAL_S)
         flow[i] = (rays[i, :2] - before[:, :2] / before[:, 2:]) / elapsed_s[:, None]
         return flow

@@ -133,8 +133,10 @@ class StereoMatcher:
             return inverse_depth
         if not known.any():
             return np.zeros(len(inverse_depth))
-        distance_px = np.linalg.norm(pixels[~known, None] - pixels[None, known], axis=2)
-        nearest = np.argsort(distance_px, axis=1, kind="stable")[:, : self._config.neighbours]
+        (x, y), (x_known, y_known) = pixels[~known].T, pixels[known].T
+        squared_px = (x[:, None] - x_known) ** 2 + (y[:, None] - y_known) ** 2
+        count = min(self._config.neighbours, len(x_known))
+        nearest = np.argpartition(squared_px, count - 1, axis=1)[:, :count]
         filled = inverse_depth.copy()
         filled[~known] = np.median(inverse_depth[known][nearest], axis=1)
         return filled

@@ -129,7 +129,7 @@ class ImuBuffer:
 
         They stay in the buffer.
         """
-        if self._samples is None or len(self._samples) == 0 or self._start_ns is None:
+        if self._samples is None or len(self._samples) == 0 or self._start_ns is None or span_s <= 0.0:
             return NO_INCREMENTS
         return self._increments(self._samples, self._start_ns + round(span_s * 1e9), held=False)
 

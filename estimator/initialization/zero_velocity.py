@@ -7,7 +7,7 @@ import numpy as np
 import numpy.typing as npt
 
 from dronevio.estimator.imu.buffer import Increments
-from dronevio.estimator.types import Observations
+from dronevio.estimator.types import Observations, common_rows
 from dronevio.models.imu import GRAVITY_M_S2
 from dronevio.models.ranges import Range, Settings
 
@@ -65,7 +65,7 @@ class ZeroVelocityDetector:
         c = self._config
         if now is None:
             return len(increments.dt_s) == 0 or self._imu_moves(increments)
-        _, i, j = np.intersect1d(reference.ids, now.ids, assume_unique=True, return_indices=True)
+        i, j = common_rows(reference.ids, now.ids)
         if len(i) < c.min_features or len(increments.dt_s) == 0:
             return True
         flow_px = float(np.median(np.linalg.norm(now.pixels[j] - reference.pixels[i], axis=1)))
