@@ -6,7 +6,7 @@ from typing import Annotated
 import numpy as np
 import numpy.typing as npt
 
-from dronevio.estimator.types import Observations
+from dronevio.estimator.types import Observations, common_rows
 from dronevio.models.ranges import Range, Settings
 
 TIME_TOLERANCE_S = 0.001
@@ -61,10 +61,10 @@ class KeyframePolicy:
         c = self._config
         if self.is_stationary(elapsed_s, stationary_s):
             return self.is_interval_over(elapsed_s, stationary=True)
-        tracked = np.isin(self._ids, observations.ids).mean() if len(self._ids) else 1.0
+        tracked = len(common_rows(self._ids, observations.ids)[0]) / len(self._ids) if len(self._ids) else 1.0
         is_implausible = (innovation_px or 0.0) > c.max_innovation_px
         is_implausible &= elapsed_s >= c.min_interval_s - TIME_TOLERANCE_S
-        return self.is_interval_over(elapsed_s, stationary=False) or bool(tracked < c.min_tracked) or is_implausible
+        return self.is_interval_over(elapsed_s, stationary=False) or tracked < c.min_tracked or is_implausible
 
     def is_interval_over(self, elapsed_s: float, stationary: bool) -> bool:
         """Return whether the longest time between keyframes has elapsed.

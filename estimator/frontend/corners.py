@@ -97,10 +97,5 @@ def _refined(image: Image, corners: npt.NDArray[np.int64]) -> Array:
 
 def _clear_around(score: npt.NDArray[np.float32], centres: Array, radius: float) -> None:
     """Set the scores within a radius of some points (M, 2) to zero, in place."""
-    reach = int(radius)
-    dx, dy = (d.ravel() for d in np.meshgrid(*[np.arange(-reach, reach + 1)] * 2))
-    is_in_disc = dx**2 + dy**2 <= radius**2
-    nearest = np.rint(centres).astype(int)
-    columns = np.clip(nearest[:, 0, None] + dx[is_in_disc], 0, score.shape[1] - 1)
-    rows = np.clip(nearest[:, 1, None] + dy[is_in_disc], 0, score.shape[0] - 1)
-    score[rows, columns] = 0.0
+    for centre in np.rint(centres).astype(int).tolist():
+        cv2.circle(score, centre, int(radius), 0.0, cv2.FILLED)

@@ -64,5 +64,5 @@ def match_brightness(source: Image, target: Image) -> Image:
 
 def _brightness(image: Image) -> tuple[float, float]:
     """Return the mean and the standard deviation of an image [grey levels]."""
-    sample = image[::STRIDE, ::STRIDE]
-    return float(sample.mean()), float(sample.std())
+    mean, deviation = cv2.meanStdDev(np.ascontiguousarray(image[::STRIDE, ::STRIDE]))
+    return float(mean[0, 0]), float(deviation[0, 0])

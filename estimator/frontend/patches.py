@@ -158,9 +158,7 @@ class PatchAligner:
 
     def __init__(self, config: PatchConfig) -> None:
         self._config = config
-        reach = config.side_px // 2
-        line = np.arange(-reach, reach + 1, dtype=np.float32)
-        self._grid = np.stack(np.meshgrid(line, line), axis=0).reshape(2, -1)  # (2, P)
+        self._grid = _grid(config.side_px)  # (2, P)
 
     def scale_space(self, image: Image) -> ScaleSpace:
         """Return an image (H, W) blurred once for each of the configured scales."""
@@ -179,10 +177,11 @@ class PatchAligner:
     def extract(self, image: ScaleSpace, pixels: Array) -> Patches:
         """Return the patches around pixels (N, 2) of an image, with identity warps."""
         c, n = self._config, len(pixels)
-        template, norm = _normalized(self._sampled(image, pixels))
-        right, down = np.eye(2)
-        gradient_x = 0.5 * (self._sampled(image, pixels + right) - self._sampled(image, pixels - right))
-        gradient_y = 0.5 * (self._sampled(image, pixels + down) - self._sampled(image, pixels - down))
+        side = c.side_px + 2  # the patch with one pixel around it, for central differences
+        surroundings = self._sampled(image, pixels, grid=_grid(side)).reshape(n, side, side)
+        template, norm = _normalized(surroundings[:, 1:-1, 1:-1].reshape(n, c.side_px**2))
+        gradient_x = 0.5 * (surroundings[:, 1:-1, 2:] - surroundings[:, 1:-1, :-2]).reshape(n, c.side_px**2)
+        gradient_y = 0.5 * (surroundings[:, 2:, 1:-1] - surroundings[:, :-2, 1:-1]).reshape(n, c.side_px**2)
         x, y = self._grid
         derivatives = [gradient_x, gradient_y, gradient_x * x, gradient_x * y, gradient_y * x, gradient_y * y]
         steepest_descent = np.stack(derivatives, axis=1)
@@ -224,17 +223,19 @@ class PatchAligner:
         valid = (zncc > c.min_zncc - noise_loss) & (scale_squared > c.max_scale**-2) & (scale_squared < c.max_scale**2)
         return PatchAlignment(pixels, replace(patches, warp=warp), zncc, valid & np.isfinite(pixels).all(axis=1))
 
-    def _sampled(self, image: ScaleSpace, pixels: Array, warp: Array | None = None) -> Array32:
-        """Return the grey levels (N, P) of an image on warped grids around pixels (N, 2)."""
-        n = len(pixels)
+    def _sampled(
+        self, image: ScaleSpace, pixels: Array, warp: Array | None = None, grid: Array32 | None = None
+    ) -> Array32:
+        """Return the grey levels (N, P) of an image on warped grids (2, P), by default patches, around pixels (N, 2)."""
+        n, grid = len(pixels), self._grid if grid is None else grid
         if not n:  # cv2.remap refuses empty maps
-            return np.zeros((0, self._grid.shape[1]), np.float32)
+            return np.zeros((0, grid.shape[1]), np.float32)
         warp = np.tile(np.eye(2), (n, 1, 1)) if warp is None else warp
         level = np.abs(_scale(warp)[:, None] - self._config.scales).argmin(axis=1)
         centre = np.clip(pixels, -MAX_COORDINATE_PX, MAX_COORDINATE_PX).astype(np.float32)
         axes = warp.astype(np.float32)
-        x = axes[:, 0] @ self._grid + centre[:, :1]
-        y = axes[:, 1] @ self._grid + centre[:, 1:]
+        x = axes[:, 0] @ grid + centre[:, :1]
+        y = axes[:, 1] @ grid + centre[:, 1:]
         np.clip(y, -MARGIN_PX, image.height - MARGIN_PX - 1, out=y)
         y += (MARGIN_PX + level * image.height).astype(np.float32)[:, None]
         return np.asarray(cv2.remap(image.stack, x, y, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE), np.float32)
@@ -249,6 +250,12 @@ def noise_sigma(image: Image) -> float:
     differences = np.bincount(np.abs(rows[:, 1:] - rows[:, :-1]).ravel(), minlength=256)
     median = float(np.searchsorted(np.cumsum(differences), 0.5 * differences.sum()))
     return float(median / (MEDIAN_OVER_SIGMA * np.sqrt(2.0)))
+
+
+def _grid(side_px: int) -> Array32:
+    """Return the coordinates (2, P) of the pixels of a square patch relative to its centre, row by row [px]."""
+    line = np.arange(side_px, dtype=np.float32) - side_px // 2
+    return np.stack(np.meshgrid(line, line), axis=0).reshape(2, -1)
 
 
 def _scale(warp: Array) -> Array:
