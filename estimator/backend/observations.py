@@ -40,8 +40,13 @@ class ObservationTable:
     def __getitem__(self, rows: Integers | npt.NDArray[np.bool_] | slice) -> Self:
         """Return some of the rows."""
         indices = np.arange(len(self))[rows]
-        columns = self.landmark, self.keyframe, self.camera, self.xy, self.sigma_scale
-        return type(self)(*(column.take(indices, axis=0) for column in columns))  # much faster than a mask
+        return type(self)(  # `take` is much faster than a mask
+            self.landmark.take(indices),
+            self.keyframe.take(indices),
+            self.camera.take(indices),
+            self.xy.take(indices, axis=0),
+            self.sigma_scale.take(indices),
+        )
 
     def __add__(self, other: Self) -> Self:
         """Return the rows of this table followed by those of another."""

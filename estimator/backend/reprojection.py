@@ -19,7 +19,6 @@ import numpy.typing as npt
 
 from dronevio.estimator.backend.observations import Integers, ObservationTable
 from dronevio.estimator.backend.triangulation import MIN_DEPTH_M
-from dronevio.models.rotation import cross
 
 Array = npt.NDArray[np.float64]
 
@@ -155,8 +154,8 @@ def visual_system(
         H_b_pose[k] = J_r_k[:6] @ J_r_k.T
 
     block = L * indices.keyframe + indices.landmark
-    H_cross = _sums(_transposed_products(J_point, J_r[:, :6]), block, K * L).reshape(3, 6, K, L)
-    H_cross = H_cross.transpose(3, 0, 2, 1).reshape(L, 3, 6 * K)
+    by_block = _sums(_transposed_products(J_point, J_r[:, :6]), block, K * L).reshape(3, 6, K, L)
+    H_cross = by_block.transpose(3, 0, 2, 1).reshape(L, 3, 6 * K)
     J_r_point = np.concatenate([J_point, J_r[:, 6:]], axis=1)
     H_b_point = np.moveaxis(_sums(_transposed_products(J_point, J_r_point), indices.landmark, L), 2, 0)
     return VisualSystem(H_b_pose[..., :6], H_b_pose[..., 6], H_cross, H_b_point[..., :3], H_b_point[..., 3])

@@ -21,7 +21,6 @@ from dronevio.estimator.backend.recalibration import recalibrated_observations, 
 from dronevio.estimator.backend.reprojection import (
     ObservationIndices,
     VisualState,
-    VisualSystem,
     residuals,
     visual_system,
 )

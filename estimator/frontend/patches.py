@@ -226,7 +226,7 @@ class PatchAligner:
     def _sampled(
         self, image: ScaleSpace, pixels: Array, warp: Array | None = None, grid: Array32 | None = None
     ) -> Array32:
-        """Return the grey levels (N, P) of an image on warped grids (2, P), by default patches, around pixels (N, 2)."""
+        """Return the grey levels (N, P) of an image on warped grids (2, P), by default of patches, at pixels (N, 2)."""
         n, grid = len(pixels), self._grid if grid is None else grid
         if not n:  # cv2.remap refuses empty maps
             return np.zeros((0, grid.shape[1]), np.float32)
