@@ -51,7 +51,7 @@ class CalibrationConfig(Settings):
     window_s: Annotated[float, Range(0.5, 60.0)] = 5.0
     """Length of the windows [s]. A window does not begin while the vehicle is stationary, but with the last stationary
     keyframe."""
-    first_window_s: Annotated[float, Range(0.1, 60.0)] = 1.25
+    first_window_s: Annotated[float, Range(0.1, 60.0)] = 0.8
     """Length of the part of a window that is adjusted first if the vehicle is stationary at its beginning [s]. Longer
     parts follow until the window is complete."""
     max_keyframes: Annotated[int, Range(3, 100)] = 30

@@ -12,6 +12,7 @@ adjusted several times while it grows. Because the state at rest does not depend
 determines the newest state by the corrected calibration, with which the odometry continues.
 """
 
+from collections.abc import Sequence
 from dataclasses import replace
 
 import gtsam
@@ -262,11 +263,16 @@ class OnlineCalibration:
         self._corrected_state, self._is_verified = None, True
         first = window.keyframes[0].state.covariance
         if window.begins_stationary and first is not None and np.delete(self._corrected, GRAVITY).any():
-            later = self._collector.after(found.newest.t_ns)
+            later = self._keyframes_after(found.newest.t_ns)
             self._corrected_state = propagated_state(found.newest, later, first[3:6, 3:6], self._given.rig.imu)
             if window.is_complete:
                 self._collector.discard()  # its states do not continue those that follow
         return True
+
+    def _keyframes_after(self, t_ns: int) -> Sequence[WindowKeyframe]:
+        """Return the keyframes since a time [ns], of the windows that wait and are under way."""
+        waiting = self._waiting.keyframes if self._waiting is not None and self._waiting.is_complete else ()
+        return *(keyframe for keyframe in waiting if keyframe.state.t_ns > t_ns), *self._collector.after(t_ns)
 
     def _apply(
         self, mean: Array, covariance: Array, min_rotation: float | None = None, *, by_component: bool = False

@@ -49,7 +49,7 @@ class WindowKeyframe:
 class AdjustmentConfig(Settings):
     """Settings of the bundle adjustment."""
 
-    pixel_sigma: Annotated[float, Range(0.01, 100.0)] = 0.8
+    pixel_sigma: Annotated[float, Range(0.01, 100.0)] = 0.4
     """Standard deviation of an image observation [px]."""
     min_views: Annotated[int, Range(2, 100)] = 4
     """Smallest number of observations of a landmark."""

@@ -9,6 +9,7 @@ import numpy as np
 import numpy.typing as npt
 import pytest
 
+from dronevio.estimator.calibration.config import CalibrationConfig
 from dronevio.estimator.calibration.corrected_state import propagated_state
 from dronevio.estimator.calibration.online import OnlineCalibration
 from dronevio.estimator.calibration.window import WindowKeyframe
@@ -108,7 +109,7 @@ def test_one_camera_has_no_other_to_compare_with(make_flight: MakeFlight) -> Non
 
 
 def corrected_flight(
-    flight: "SyntheticFlight", true: Rig, drift_m: float
+    flight: "SyntheticFlight", true: Rig, drift_m: float, config: CalibrationConfig | None = None
 ) -> tuple[float, OnlineCalibration, NavState | None]:
     """Return when after the start of the motion a flight is first corrected, by what, and the true state then.
 
@@ -119,7 +120,8 @@ def corrected_flight(
     """
     front_end, buffer = replace(flight, rig=true).front_end(), ImuBuffer()
     buffer.add(flight.imu)
-    params, calibration = PreintegrationParams.of(flight.rig.imu, PreintegrationConfig()), OnlineCalibration(flight.rig)
+    params = PreintegrationParams.of(flight.rig.imu, PreintegrationConfig())
+    calibration = OnlineCalibration(flight.rig, config)
     wrong = drift_m * np.array([1.0, 0.0, 0.0])
     for index in range(0, len(flight.frame_times_ns) - 1, 4):
         t_ns = int(flight.frame_times_ns[index])
@@ -159,6 +161,19 @@ def test_a_correction_comes_early_and_mends_the_state(
     assert np.linalg.norm(state.velocity_m_s - correct.velocity_m_s) < 0.04
     sigmas = np.sqrt(np.diag(state.covariance))
     assert np.all(np.abs(state.T_world_imu[:3, 3] - correct.T_world_imu[:3, 3]) < 4.0 * sigmas[3:6])
+
+
+@pytest.mark.parametrize("window_s", [2.8, 3.0, 3.2])
+def test_a_corrected_state_is_that_of_the_newest_keyframe(make_flight: MakeFlight, window_s: float) -> None:
+    """Also where a window is complete at the keyframe at which the adjustment of its beginning ends."""
+    flight = make_flight(0, rest_s=REST_S, duration_s=6.0)
+    true = turned(flight.rig, np.radians(2.0) * np.array([[0.6, 0.0, 0.8]]))
+    config = CalibrationConfig(window_s=window_s, first_window_s=0.8)
+    _, calibration, correct = corrected_flight(flight, true, 0.0, config)
+    state = calibration.corrected_state
+    assert state is not None and correct is not None
+    assert state.t_ns == correct.t_ns
+    assert np.linalg.norm(state.T_world_imu[:3, 3] - correct.T_world_imu[:3, 3]) < 0.04
 
 
 def test_a_window_that_begins_at_rest_leaves_gravity(make_flight: MakeFlight) -> None:
