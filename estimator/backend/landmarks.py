@@ -1,7 +1,7 @@
 """The landmarks of the smoother's window: their observations, positions, triangulation and outlier rejection."""
 
 from collections.abc import Collection, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Annotated
 
 import numpy as np
@@ -77,7 +77,8 @@ class LandmarkDatabase:
 
     def add_observations(self, k: int, observations: Observations) -> None:
         """Add the observations of keyframe k."""
-        self._all += observation_table(k, observations)
+        table = observation_table(k, observations)
+        self._all += replace(table, earlier=self._all.keyframe_counts(table.landmark))
 
     @property
     def observations(self) -> ObservationTable:

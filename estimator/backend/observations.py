@@ -1,6 +1,6 @@
 """Observations of landmarks as a table: landmark, keyframe, camera, image coordinates and uncertainty of each."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from typing import Self
 
 import numpy as np
@@ -17,6 +17,9 @@ DECORRELATION_SIGMA_SCALE = 20.0
 MATCH_SIGMA_SCALE = 2.6
 """Standard deviation of a stereo match relative to that of its track, whose error the match shares."""
 
+CORRELATED_KEYFRAMES = 8.0
+"""Number of earlier keyframes that see a landmark at which the variance of the next observation has doubled."""
+
 
 @dataclass(frozen=True, eq=False)
 class ObservationTable:
@@ -32,6 +35,8 @@ class ObservationTable:
     """(N, 2) Normalized image coordinates: at depth 1 in the camera frame."""
     sigma_scale: Array
     """(N,) Standard deviation of each relative to an observation whose ZNCC is 1 and whose scale is at most 1."""
+    earlier: Integers
+    """(N,) Number of keyframes of the window that saw the landmark before the keyframe of the observation."""
 
     def __len__(self) -> int:
         """Return the number of observations."""
@@ -46,17 +51,28 @@ class ObservationTable:
             self.camera.take(indices),
             self.xy.take(indices, axis=0),
             self.sigma_scale.take(indices),
+            self.earlier.take(indices),
         )
 
     def __add__(self, other: Self) -> Self:
         """Return the rows of this table followed by those of another."""
-        return type(self)(
-            np.concatenate([self.landmark, other.landmark]),
-            np.concatenate([self.keyframe, other.keyframe]),
-            np.concatenate([self.camera, other.camera]),
-            np.concatenate([self.xy, other.xy]),
-            np.concatenate([self.sigma_scale, other.sigma_scale]),
-        )
+        pairs = ((getattr(self, each.name), getattr(other, each.name)) for each in fields(self))
+        return type(self)(*(np.concatenate(pair) for pair in pairs))
+
+    @property
+    def variance_growth(self) -> Array:
+        """(N,) Factors on the variances by which observations are weighted, 1 for the first one of a landmark.
+
+        The errors of one track are correlated: its patch slides along edges, and its aspect changes. The error relative
+        to the first keyframe is modelled as one that grows in proportion to the number of keyframes since then.
+        """
+        return np.asarray(1.0 + (self.earlier / CORRELATED_KEYFRAMES) ** 2)
+
+    def keyframe_counts(self, landmarks: Integers) -> Integers:
+        """Return the numbers (M,) of keyframes that observe each of some landmarks (M,)."""
+        span = int(self.keyframe.max(initial=0)) + 1
+        seen = np.unique(self.landmark * span + self.keyframe) // span
+        return np.asarray(np.searchsorted(seen, landmarks, "right") - np.searchsorted(seen, landmarks, "left"))
 
     def by_landmark(self) -> Self:
         """Return the rows sorted by landmark; rows of the same landmark keep their order."""
@@ -74,7 +90,7 @@ def observation_table(k: int, observations: Observations) -> ObservationTable:
         observations: Tracks and stereo matches of the keyframe.
 
     Returns:
-        The tracks, then the stereo matches.
+        The tracks, then the stereo matches, as if no keyframe had seen them before.
     """
     o, m = observations, observations.matches
     magnification = np.maximum(o.scale, 1.0)
@@ -86,10 +102,16 @@ def observation_table(k: int, observations: Observations) -> ObservationTable:
         np.concatenate([o.camera, m.camera]),
         np.concatenate([o.xy, m.xy]),
         np.concatenate([of_tracks, of_matches]),
+        np.zeros(len(o) + len(m), np.int64),
     )
 
 
 NO_OBSERVATIONS = ObservationTable(
-    np.zeros(0, np.int64), np.zeros(0, np.int64), np.zeros(0, np.int64), np.zeros((0, 2)), np.zeros(0)
+    np.zeros(0, np.int64),
+    np.zeros(0, np.int64),
+    np.zeros(0, np.int64),
+    np.zeros((0, 2)),
+    np.zeros(0),
+    np.zeros(0, np.int64),
 )
 """A table without rows."""

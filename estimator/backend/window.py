@@ -122,7 +122,9 @@ class Window:
         residual, _, observations = self.residuals()
         squared = self._squared(residual, observations)
         threshold2 = self._robust_sigmas**2 * max(1.0, float(np.median(squared)) if len(squared) else 0.0)
-        of_observations = 0.5 * threshold2 * np.log1p(squared / threshold2).sum()
+        of_observations = (
+            0.5 * threshold2 * (np.log1p(squared / threshold2) / self._variance_growth(observations)).sum()
+        )
         return float(self._prior.cost(self.states, self._persistent_points()) + of_factors + of_observations)
 
     def linearize(self) -> LinearSystem:
@@ -268,8 +270,16 @@ class Window:
         sigma2 = (self._sigma * observations.sigma_scale) ** 2
         squared = _squared_norms(residual) / sigma2
         threshold = robust_thresholds(squared, indices.keyframe, self._robust_sigmas)
-        weight = (depth_m > 0.0) / (sigma2 * variance_factor(squared) * (1.0 + squared / threshold**2))
+        variance = sigma2 * self._variance_growth(observations) * variance_factor(squared)
+        weight = (depth_m > 0.0) / (variance * (1.0 + squared / threshold**2))
         return residual, weight
+
+    def _variance_growth(self, observations: ObservationTable) -> Array | float:
+        """Return the factors on the variances of observations due to correlated errors of tracks.
+
+        Several cameras observe the depth at every keyframe, so that growing errors do not change the scale.
+        """
+        return observations.variance_growth if len(self._Ts_imu_cam) == 1 else 1.0
 
     def _squared(self, residual: Array, observations: ObservationTable) -> Array:
         """Return the squares (N,) of residuals (N, 2) in units of the assumed variance."""

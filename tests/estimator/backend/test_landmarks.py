@@ -7,7 +7,7 @@ import numpy.typing as npt
 import pytest
 
 from dronevio.estimator.backend.landmarks import CameraPoses, LandmarkConfig, LandmarkDatabase
-from dronevio.estimator.backend.observations import Integers
+from dronevio.estimator.backend.observations import CORRELATED_KEYFRAMES, Integers
 from dronevio.estimator.types import NO_FEATURES, Matches, Observations
 from dronevio.models.rotation import exp_so3
 
@@ -59,6 +59,18 @@ def rejected(landmarks: LandmarkDatabase, cameras: CameraPoses) -> Integers:
     R, p = (np.stack([cameras[k][i][0] for k in table.keyframe.tolist()]) for i in (0, 1))
     in_camera = np.einsum("nij,ni->nj", R, points - p)
     return landmarks.reject_outliers(table.xy - in_camera[:, :2] / in_camera[:, 2:], in_camera[:, 2], table)
+
+
+def test_variance_grows_with_the_keyframes_of_a_window(flight: Flight) -> None:
+    """The n-th keyframe has 1 + ((n − 1) / c)² times the variance of the first; a removed one does not count."""
+    landmarks = flight.database(3)
+    landmarks.remove_keyframe(1)
+    landmarks.add_observations(3, flight.observations(3))  # after keyframes 0 and 2
+    landmarks.triangulate(flight.cameras(), 3)
+    table = landmarks.observations
+    assert len(table) > 0
+    earlier = np.select([table.keyframe == 0, table.keyframe == 2, table.keyframe == 3], [0, 2, 2], -1)
+    np.testing.assert_allclose(table.variance_growth, 1.0 + (earlier / CORRELATED_KEYFRAMES) ** 2)
 
 
 def test_landmarks_with_views_and_parallax_are_triangulated(flight: Flight) -> None:

@@ -27,7 +27,7 @@ class Passage:
         self.weight = rng.uniform(0.5, 2.0, len(rows))
 
         def observed(xy: Array) -> ObservationTable:
-            return ObservationTable(100 + landmark[rows], 7 + k[rows], camera[rows], xy, np.ones(len(rows)))
+            return ObservationTable(100 + landmark[rows], 7 + k[rows], camera[rows], xy, np.ones(len(rows)), 0 * rows)
 
         self.observations = observed(np.zeros((len(rows), 2)))
         self.observations = observed(-self.residual(self.state))

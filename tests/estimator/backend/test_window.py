@@ -11,6 +11,7 @@ from dronevio.estimator.backend.landmarks import LandmarkConfig, LandmarkDatabas
 from dronevio.estimator.backend.linalg import CholeskyFactor
 from dronevio.estimator.backend.linear_system import LinearSystem
 from dronevio.estimator.backend.marginal_prior import KeyframeState
+from dronevio.estimator.backend.observations import CORRELATED_KEYFRAMES
 from dronevio.estimator.backend.window import Window
 from dronevio.estimator.types import Observations
 
@@ -98,12 +99,16 @@ def test_uncertain_observations_have_less_weight() -> None:
 
 
 def test_exact_observations_have_the_information_of_their_sigma() -> None:
-    """J = [1 0 −x/z; 0 1 −y/z] / z of a landmark at (x, y, z) in a camera that is not turned; the sum of JᵀJ / σ²."""
+    """J = [1 0 −x/z; 0 1 −y/z] / z of a landmark at (x, y, z) in a camera that is not turned; the sum of JᵀJ / σ².
+
+    σ² grows from the second keyframe on, because the errors of a track are correlated.
+    """
     made = window()
     p = made.landmarks.points[:, None] - [state.pose.translation() for state in made.states.values()]
     x, y, z = np.moveaxis(p, 2, 0)
     traces = (2.0 + (x / z) ** 2 + (y / z) ** 2) / z**2 / (PIXEL_SIGMA / FOCAL_PX) ** 2
-    np.testing.assert_allclose(weights(made.linearize()), traces.sum(axis=1), rtol=1e-6)
+    growth = 1.0 + (np.arange(KEYFRAMES) / CORRELATED_KEYFRAMES) ** 2
+    np.testing.assert_allclose(weights(made.linearize()), (traces / growth).sum(axis=1), rtol=1e-6)
 
 
 @pytest.mark.parametrize(("noise_sigmas", "weight"), [(0.5, 1.0), (1.0, 1.0), (2.0, 1.0 / 4.0), (3.0, 1.0 / 9.0)])
@@ -149,3 +154,12 @@ def test_marginalization_keeps_states_and_covariances(persistent: int) -> None:
     solver = CholeskyFactor(system.H)
     np.testing.assert_allclose(solver.inverse_block(columns), before, rtol=1e-4, atol=1e-9)
     np.testing.assert_allclose(solver.solve(system.b)[columns], 0.0, atol=1e-8)
+
+
+def test_variances_do_not_grow_with_two_cameras() -> None:
+    """Two cameras observe the depth at every keyframe, and all observations of a landmark have the same weight."""
+    grown, equal = window(noise_sigmas=1.0), window(noise_sigmas=1.0)
+    equal._Ts_imu_cam = np.concatenate([equal._Ts_imu_cam, equal._Ts_imu_cam])
+    ratio = weights(equal.linearize()) / weights(grown.linearize())
+    assert ratio.min() > 1.02
+    assert equal.cost() > 1.02 * grown.cost()
