@@ -230,6 +230,7 @@ class OnlineCalibration:
         initial = np.where(self._significant[self._part], self._applied, self._mean)
         if window.begins_stationary:
             estimated[GRAVITY], initial[GRAVITY] = False, self._applied[GRAVITY]
+            config = replace(config, pixel_sigma=config.stationary_pixel_sigma)
         return CalibrationProblem(
             window.keyframes,
             self._given.Ts_imu_cam,

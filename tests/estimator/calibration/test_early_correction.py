@@ -12,7 +12,7 @@ import pytest
 from dronevio.estimator.calibration.config import CalibrationConfig
 from dronevio.estimator.calibration.corrected_state import propagated_state
 from dronevio.estimator.calibration.online import OnlineCalibration
-from dronevio.estimator.calibration.window import WindowKeyframe
+from dronevio.estimator.calibration.window import AdjustmentConfig, WindowKeyframe
 from dronevio.estimator.imu.buffer import ImuBuffer
 from dronevio.estimator.imu.preintegration import Preintegration, PreintegrationConfig, PreintegrationParams
 from dronevio.estimator.types import NO_MATCHES, Matches, Observations
@@ -134,7 +134,7 @@ def corrected_flight(
         seen = front_end.replenish()
         xy = flight.rig.cameras[0].model.normalize(seen.pixels)
         t_s = (t_ns - flight.frame_times_ns[0]) * 1e-9
-        stationary = t_s <= REST_S
+        stationary = t_s <= flight.motion.rest_s
         T, v = truth.Ts_world_imu[0].copy(), truth.velocity_m_s[0]
         biases = truth.gyro_bias_rad_s[0], truth.accel_bias_m_s2[0]
         correct = NavState(t_ns, T.copy(), v, *biases)
@@ -184,6 +184,22 @@ def test_a_window_that_begins_at_rest_leaves_gravity(make_flight: MakeFlight) ->
     assert calibration.sigmas.time_offset_s < 1e-3  # the window is complete
     assert calibration.estimate.gravity_m_s2 == 0.0
     assert calibration.sigmas.gravity_m_s2 == pytest.approx(0.03)
+
+
+@pytest.mark.parametrize("begins_stationary", [True, False])
+def test_images_have_more_weight_in_a_window_from_rest(make_flight: MakeFlight, begins_stationary: bool) -> None:
+    """The setting for windows that begin at rest determines the uncertainty after such a window, and after no other."""
+
+    def sigma_s(stationary_pixel_sigma: float) -> float:
+        adjustment = AdjustmentConfig(stationary_pixel_sigma=stationary_pixel_sigma)
+        config = CalibrationConfig(window_s=2.0, adjustment=adjustment)
+        flight = make_flight(0, rest_s=REST_S if begins_stationary else -5.0, duration_s=REST_S + 3.6)
+        _, calibration, corrected = corrected_flight(flight, flight.rig, 0.0, config)
+        assert corrected is None and calibration.is_verified
+        return calibration.sigmas.time_offset_s
+
+    assert (sigma_s(0.2) < 0.9 * sigma_s(0.8)) == begins_stationary
+    assert begins_stationary or sigma_s(0.2) == sigma_s(0.8)
 
 
 def test_propagation_follows_the_motion(make_flight: MakeFlight) -> None:
