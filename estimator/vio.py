@@ -336,7 +336,7 @@ class VisualInertialOdometry:
         if online.is_verified or state.covariance is None:
             return state
         displacement_m = state.T_world_imu[:3, 3] - self._origin_m
-        rate, sigmas = self._pipeline.angular_velocity_rad_s, online.sigmas
+        rate, sigmas = self._pipeline.angular_velocity_rad_s, online.newest_sigmas
         added = unverified_covariance(
             state, displacement_m, rate, sigmas.time_offset_s, float(sigmas.rotation_rad[0].max())
         )

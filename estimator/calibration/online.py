@@ -89,6 +89,7 @@ class OnlineCalibration:
         self._has_stepped = False  # since the last keyframe
         self._updated_ns: int | None = None
         self._is_verified = False
+        self._found_covariance = self._covariance  # by the last adjustment, also of a part of a window
 
     @property
     def calibration(self) -> Calibration:
@@ -109,6 +110,11 @@ class OnlineCalibration:
     def is_verified(self) -> bool:
         """Whether a window in motion has been adjusted, or has corrected the calibration."""
         return self._is_verified
+
+    @property
+    def newest_sigmas(self) -> Corrections:
+        """The standard deviations by the last adjustment, also of a part of a window, or by the prior."""
+        return Corrections.from_vector(np.sqrt(np.diag(self._found_covariance)))
 
     @property
     def applied(self) -> Corrections:
@@ -255,6 +261,7 @@ class OnlineCalibration:
         if window is None or found is None or not found.rms_px < self._config.max_rms_px:
             return False
         mean, covariance = found.mean, _inverse(found.information)
+        self._found_covariance = covariance
         if window.begins_stationary:
             mean[GRAVITY] = self._mean[GRAVITY]
         if window.is_complete:

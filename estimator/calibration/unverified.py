@@ -2,7 +2,8 @@
 
 The smoother takes the calibration as known. An error of the time offset moves each pose along the motion, and an error
 of the camera's rotation turns the displacement since the initialization. Both are added to the covariance of a
-published state until the first window in motion has been adjusted, of which the result is taken as known.
+published state until the first window in motion has been adjusted, of which the result is taken as known. If the window
+begins at rest, its parts reduce them before.
 """
 
 import numpy as np

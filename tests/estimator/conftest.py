@@ -324,6 +324,14 @@ def room(rng: np.random.Generator, n: int = 1200) -> Array:
 
 
 @pytest.fixture(scope="session")
+def known_calibration() -> VioConfig:
+    """Settings by which the given calibration is exact, so that states are as uncertain as the smoother states."""
+    c = VioConfig()
+    off = {part: replace(getattr(c.calibration, part), online=False) for part in ("time_offset", "rotation", "gravity")}
+    return replace(c, calibration=replace(c.calibration, **off))
+
+
+@pytest.fixture(scope="session")
 def make_flight() -> Callable[..., SyntheticFlight]:
     """Return a function that creates flights; with ``rest_s`` < 0 the drone is in motion when the recording begins."""
 

@@ -223,9 +223,11 @@ def test_both_kinds_of_sampling_are_accurate(make_flight: MakeFlight, sampling: 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("rest_s", [STATIONARY, IN_MOTION])
-def test_dark_second_is_bridged_by_the_imu(make_flight: MakeFlight, rest_s: float) -> None:
+def test_dark_second_is_bridged_by_the_imu(
+    make_flight: MakeFlight, known_calibration: VioConfig, rest_s: float
+) -> None:
     flight = make_flight(0, rest_s=rest_s, dark_s=(6.0, 7.0))
-    estimates = flight.run()
+    estimates = flight.run(config=known_calibration)
     t_s = (flight.frame_times_ns - flight.frame_times_ns[0]) * 1e-9
     health = np.array([e.health for e in estimates])
     dark = (t_s >= 6.0) & (t_s < 7.0)
