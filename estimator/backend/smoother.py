@@ -75,10 +75,11 @@ class Keyframe:
     """The preintegrated measurements since the previous keyframe."""
     observations: Observations
     """The features of the keyframe."""
-    stationary: bool
+    stationary: bool = False
     """Whether the vehicle is stationary since the previous keyframe."""
-    rate_rad_s: Array
-    """(3,) Angular velocity of the IMU at the keyframe, bias removed [rad/s]."""
+    rate_rad_s: Array | None = None
+    """(3,) Angular velocity of the IMU at the keyframe, bias removed [rad/s]; None if unknown. Without it, the
+    observations do not survive a correction of the time offset."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -201,7 +202,7 @@ class KeyframeSmoother:
             covariance = self._solution.covariance
             start, observations = _nav_state(keyframe.t_ns, predicted), keyframe.observations
             self._window, self._solution = self._begin(start, covariance, observations)
-            self._times_ns, self._rates_rad_s = {0: keyframe.t_ns}, {0: keyframe.rate_rad_s}
+            self._times_ns, self._rates_rad_s = {0: keyframe.t_ns}, {}
             self._position_covariance = covariance[3:6, 3:6]
             self._last_observed = observations, observations
             return KeyframeResult(rejected, (f"solver restored: {error}",))
@@ -328,7 +329,8 @@ class KeyframeSmoother:
         earlier = list(window.states)[:-1]
         self._times_ns = {i: self._times_ns[i] for i in earlier} | {k: keyframe.t_ns}
         self._rates_rad_s = {i: self._rates_rad_s[i] for i in earlier if i in self._rates_rad_s}
-        self._rates_rad_s[k] = keyframe.rate_rad_s
+        if keyframe.rate_rad_s is not None:
+            self._rates_rad_s[k] = keyframe.rate_rad_s
         window.landmarks.add_observations(k, keyframe.observations)
         self._last_observed = self._last_observed[1], keyframe.observations
 

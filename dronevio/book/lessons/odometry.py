@@ -175,7 +175,11 @@ start = replace(start, covariance=InitialSigmas().covariance(R))
 
 # %%
 from dronevio.estimator.backend.landmarks import LandmarkConfig
-from dronevio.estimator.backend.smoother import KeyframeSmoother, SmootherConfig
+from dronevio.estimator.backend.smoother import (
+    Keyframe,
+    KeyframeSmoother,
+    SmootherConfig,
+)
 from dronevio.estimator.imu.preintegration import (
     PreintegrationConfig,
     PreintegrationParams,
@@ -442,10 +446,7 @@ for k, part in enumerate(increments, start=1):
     propagation.add(part)
     before_mm, _ = position_error_mm(propagation.state_at(int(t_ns[k])), k)
     found = smoother.add_keyframe(
-        int(t_ns[k]),
-        propagation.preintegrated,
-        observations[k],
-        stationary=False,
+        Keyframe(int(t_ns[k]), propagation.preintegrated, observations[k])
     )
     smoothed.append(smoother.state)
     after_mm, _ = position_error_mm(smoother.state, k)
