@@ -244,7 +244,7 @@ class KeyframeSmoother:
 
         Returns:
             Whether the window could be kept. It cannot if gravity changes, which the preintegrated measurements
-            contain, or if there is no solution. The smoother must not be used then, except for `restarted`.
+            contain, or if there is no solution. Then only `keyframe_estimates` and `restarted` may be called.
         """
         before, window = self._calibration, self._window
         if calibration.gravity_correction_m_s2 != before.gravity_correction_m_s2:

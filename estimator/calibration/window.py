@@ -52,7 +52,8 @@ class AdjustmentConfig(Settings):
     pixel_sigma: Annotated[float, Range(0.01, 100.0)] = 0.8
     """Standard deviation of an image observation [px]. It is large, because the errors of a track are correlated."""
     stationary_pixel_sigma: Annotated[float, Range(0.01, 100.0)] = 0.4
-    """That in a window that begins at rest [px], where the state is better known and tracks are shorter."""
+    """Standard deviation of an image observation in a window that begins at rest [px]. It is smaller, because the
+    state at rest is better known and the tracks are shorter."""
     min_views: Annotated[int, Range(2, 100)] = 4
     """Smallest number of observations of a landmark."""
     min_parallax_deg: Annotated[float, Range(0.01, 90.0)] = 0.5
