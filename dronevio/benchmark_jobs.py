@@ -17,6 +17,7 @@ from dronevio.eval.provenance import versions_here
 from dronevio.models.defects import defects_text
 from dronevio.models.errors import ConfigError, EvaluationError, InputError
 from dronevio.models.imu import Times
+from dronevio.models.rig import euroc_rig
 from dronevio.models.serialization import to_jsonable
 from dronevio.registry import NamedEstimator
 
@@ -70,14 +71,14 @@ class Workbench:
         """Return a hash of an estimator's settings."""
         return content_hash(self._named(estimator).settings())
 
-    def record(self, spec: RecordingSpec, folder: Path) -> None:
-        """Simulate a scenario and write its recording."""
+    def record(self, spec: RecordingSpec, folder: Path, images: Path | None = None) -> None:
+        """Simulate a scenario and write its recording, with the images of another recording if there is one."""
         from dronevio.recorder import record_flight
         from dronevio.sim.scenario import Scenario
 
         self._check_here()
         assert isinstance(spec.source, Scenario)
-        record_flight(spec.source, folder, workers=1)
+        record_flight(spec.source, folder, workers=1, images_of=images)
 
     def estimate(self, spec: RecordingSpec, recording: Path, estimator: str) -> dict[str, Any]:
         """Run an estimator on a recording and score its estimate."""
@@ -144,6 +145,7 @@ def scenario_flights(
     """Return the flights of scenarios, every seed of each; the name of a suite stands for its scenarios.
 
     The first seed of all scenarios comes first, then the second, so that early results cover all scenarios.
+    Flights that differ in their IMU only share the images of the first of them.
 
     Args:
         names: Names of scenarios and suites.
@@ -175,7 +177,13 @@ def scenario_flights(
     flights = [variant_of(flown, variant) for flown in unique.values() for variant in variants or (AS_IS,)]
     if repeated := next((name for name, count in Counter(each.name for each in flights).items() if count > 1), None):
         raise ConfigError(f"variant {repeated.partition(VARIANT_SIGN)[2] or AS_IS} twice; expected each once")
-    return tuple(_flight(replace(flown, seed=seed)) for seed in seeds for flown in flights)
+    rendered: dict[str, RecordingSpec] = {}
+    specs = []
+    for seeded in (replace(flown, seed=seed) for seed in seeds for flown in flights):
+        spec = _flight(seeded)
+        first = rendered.setdefault(_images_hash(seeded), spec)
+        specs.append(spec if first is spec else replace(spec, images_of=first))
+    return tuple(specs)
 
 
 def recorded_flights(paths: Iterable[Path]) -> tuple[RecordingSpec, ...]:
@@ -259,9 +267,27 @@ def _find_revisits(recording: Path, keyframe_times_ns: Times) -> "FlightRevisits
 
 
 def _flight(flown: "Scenario") -> RecordingSpec:
-    """Return the flight of a scenario, with the hash of everything that determines its recording; the name does not."""
+    """Return the flight of a scenario, with the hash of everything that determines its recording."""
+    return RecordingSpec(flown.name, flown.world, flown.seed, _recording_hash(flown), flown)
+
+
+def _recording_hash(flown: "Scenario") -> str:
+    """Return the hash of everything that determines the recording of a scenario; its name does not."""
     installed = versions_here()
     settings = to_jsonable(replace(flown, name="", description=""))
     packages = {name: installed.get(name) for name in _RENDERING_PACKAGES}
-    digest = content_hash({"scenario": settings, "packages": packages, "code": code_hash(*_RENDERING_CODE)})
-    return RecordingSpec(flown.name, flown.world, flown.seed, digest, flown)
+    return content_hash({"scenario": settings, "packages": packages, "code": code_hash(*_RENDERING_CODE)})
+
+
+def _images_hash(flown: "Scenario") -> str:
+    """Return the hash of everything that determines the images of a scenario: all but the IMU."""
+    control_rate_hz = flown.control_rate_hz or flown.rig.imu.rate_hz
+    imu = replace(euroc_rig().imu, rate_hz=control_rate_hz)
+    return _recording_hash(
+        replace(
+            flown,
+            rig=replace(flown.rig, imu=imu),
+            faults=replace(flown.faults, imu_noise_factor=1.0),
+            control_rate_hz=None,
+        )
+    )

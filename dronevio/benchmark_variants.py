@@ -45,8 +45,15 @@ def _other_rig(flown: "Scenario", name: str) -> "Scenario":
 
 
 def _imu_rate(rate_hz: float) -> Change:
-    """Return the change of the rate of the IMU [Hz]; its noise densities stay."""
-    return lambda flown, _: replace(flown, rig=replace(flown.rig, imu=replace(flown.rig.imu, rate_hz=rate_hz)))
+    """Return the change of the rate of the IMU [Hz]; noise densities stay, and if possible the path."""
+
+    def change(flown: "Scenario", _: str) -> "Scenario":
+        control_rate_hz = flown.control_rate_hz or flown.rig.imu.rate_hz
+        keeps_path = (control_rate_hz / rate_hz).is_integer() or rate_hz == 2.0 * control_rate_hz
+        rig = replace(flown.rig, imu=replace(flown.rig.imu, rate_hz=rate_hz))
+        return replace(flown, rig=rig, control_rate_hz=control_rate_hz if keeps_path else None)
+
+    return change
 
 
 def _hidden_noise(factor: float) -> Change:

@@ -25,7 +25,7 @@ from dronevio.sim.loop_settings import LoopSettings
 from dronevio.sim.refly import FlownPath
 from dronevio.sim.rendering.frame_files import write_frame
 from dronevio.sim.rendering.live_cameras import LiveCameras
-from dronevio.sim.rendering.render import render_frames, unfinished
+from dronevio.sim.rendering.render import link_frames, render_frames, unfinished
 from dronevio.sim.rendering.render_job import RenderJob
 from dronevio.sim.rendering.truth_images import TruthImage
 from dronevio.sim.scenario import Scenario
@@ -39,6 +39,7 @@ def record_flight(
     rendering: Progress = silent,
     workers: int | None = None,
     truth_images: tuple[TruthImage, ...] = (),
+    images_of: Path | None = None,
 ) -> Flight:
     """Simulate a scenario and write its sensor data, ground truth and settings into a folder.
 
@@ -49,12 +50,14 @@ def record_flight(
         rendering: Called with the number of rendered frames.
         workers: Number of rendering processes; the number of cores by default.
         truth_images: Ground-truth images to write beside those of the first camera.
+        images_of: Recording in the same file system of a scenario that differs in the IMU only; its images are used, as
+            hard links, instead of rendered ones.
 
     Returns:
         The flight without its images.
 
     Raises:
-        ConfigError: The settings of the scenario contradict each other.
+        ConfigError: The settings of the scenario contradict each other, or ``images_of`` has other frames.
         GraphicsError: There is no off-screen OpenGL. `dronevio.sim.cameras.gl.require_gl` checks this beforehand.
         IncompleteError: An image cannot be written. The finished frames are kept.
     """
@@ -72,7 +75,10 @@ def record_flight(
     )
     _write_settings(folder, _settings(scenario, flight))
     write_euroc(folder, scenario.rig, flight.imu, flight.truth, flight.schedule.stamps_ns)
-    render_frames(job, folder / "mav0", rendering, workers)
+    if images_of is None:
+        render_frames(job, folder / "mav0", rendering, workers)
+    else:
+        link_frames(job, images_of / "mav0", folder / "mav0")
     write_scenery(folder / SCENERY_FILE, scenery_of(scenario.world, scenario.seed_of_world, scenario.light_seed))
     return flight
 

@@ -13,6 +13,7 @@ from typing import Protocol
 import numpy as np
 import numpy.typing as npt
 
+from dronevio.models.errors import ConfigError
 from dronevio.models.imu import ImuSamples
 from dronevio.models.progress import Progress, silent
 from dronevio.models.protocols import Controller, Estimator, exposure_delay_ns
@@ -103,6 +104,11 @@ def fly_closed_loop(
         ConfigError: The settings of the scenario are inconsistent.
     """
     settings = settings or LoopSettings()
+    if scenario.control_rate_hz not in (None, scenario.rig.imu.rate_hz):
+        raise ConfigError(
+            f"a controller at {scenario.control_rate_hz:g} Hz with an IMU at {scenario.rig.imu.rate_hz:g} Hz; expected "
+            "the same rate for a flight on the estimate"
+        )
     plant = plant_of(scenario)
     planned = reference_of(scenario, plant)
     starts_in_air = bool(planned.flying[0])

@@ -72,14 +72,15 @@ class Flight:
         T_vehicle_imu = self.true_rig.T_vehicle_imu
         lever = T_vehicle_imu[:3, :3].T @ T_vehicle_imu[:3, 3]
         position = self.truth.p_world_imu - self.truth.rotations @ lever
-        rows = np.flatnonzero(self.reference.flying[: len(position) - 1])
-        return np.asarray(np.linalg.norm(position[rows] - self.reference.position_m[rows], axis=1))
+        rows = np.searchsorted(self.reference.t_ns, self.truth.t_ns[:-1], side="right") - 1
+        apart_m = np.linalg.norm(position[:-1] - self.reference.position_m[rows], axis=1)
+        return np.asarray(apart_m[self.reference.flying[rows]])
 
 
 def plant_of(scenario: Scenario) -> QuadrotorPlant:
     """Return the vehicle of a scenario, at rest on the landing pad in the world and wind of the scenario."""
     return QuadrotorPlant(
-        scenario.true_rig,
+        _at_control_rate(scenario.true_rig, scenario.control_rate_hz),
         scenario.quadrotor,
         surroundings=collision_spec(scenario.world, scenario.seed_of_world),
         pad_m=flight_area(scenario.world, scenario.seed_of_world).pad,
@@ -104,6 +105,8 @@ def reference_of(scenario: Scenario, plant: QuadrotorPlant) -> Reference:
 
 def fly(scenario: Scenario, progress: Progress = silent, controller: ControllerFactory = SE3Controller) -> Flight:
     """Simulate a scenario: the controller tracks the reference with the true state until the end or a collision.
+
+    The physics do not depend on the rate of the IMU if the scenario has a rate of the controller.
 
     Args:
         scenario: The scenario to simulate.
@@ -130,13 +133,19 @@ def fly(scenario: Scenario, progress: Progress = silent, controller: ControllerF
         if plant.collision is not None:
             break
     progress(steps, steps)
-    motion = plant.motion()
-    perfect = motion.points(rig.T_vehicle_imu, plant.interval_s)
+    interval_ns = round(1e9 / rig.imu.rate_hz)
+    motion = plant.motion().at_interval(interval_ns)
+    perfect = motion.points(rig.T_vehicle_imu, interval_ns * 1e-9)
     errors = imu_errors(scenario)
     imu, gyro_bias, accel_bias = errors.add_to(perfect, motion.rotor_speeds_rad_s)
     truth = replace(motion.trajectory(rig.T_vehicle_imu), gyro_bias_rad_s=gyro_bias, accel_bias_m_s2=accel_bias)
     schedule = frame_schedule(scenario, int(truth.t_ns[0]), int(truth.t_ns[-1]))
     return Flight(scenario, rig, imu, truth, schedule, reference, perfect, errors.constants, plant.collision)
+
+
+def _at_control_rate(rig: Rig, rate_hz: float | None) -> Rig:
+    """Return a rig whose IMU has the rate of the controller [Hz]; None for its own."""
+    return rig if rate_hz is None else replace(rig, imu=replace(rig.imu, rate_hz=rate_hz))
 
 
 def start_in_air(plant: QuadrotorPlant, reference: Reference) -> None:

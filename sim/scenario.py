@@ -43,6 +43,9 @@ class Scenario:
     """Seed of other light in the world (`dronevio.sim.worlds.lighting`); None for the light of the world itself."""
     reverse: bool = False
     """Whether the tour is flown in the opposite direction, through the same waypoints."""
+    control_rate_hz: float | None = None
+    """Rate of the controller [Hz], a multiple or half of that of the IMU; None for that of the IMU. With a given rate,
+    the path is the same with IMUs of several rates (`Motion.at_interval`)."""
 
     @property
     def seed_of_world(self) -> int:

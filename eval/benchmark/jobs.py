@@ -43,6 +43,8 @@ class RecordingSpec:
     """Time after the first frame of the recording at which estimators start [s]."""
     laps: int = 1
     """Number of times that the recording is repeated without a break."""
+    images_of: Self | None = None
+    """Flight that has the same images, since it differs in the IMU only; None if there is none."""
 
 
 class BenchmarkPipeline(Protocol):
@@ -55,8 +57,14 @@ class BenchmarkPipeline(Protocol):
     def config_hash(self, estimator: str) -> str:
         """Return a hash of an estimator's settings."""
 
-    def record(self, spec: RecordingSpec, folder: Path) -> None:
-        """Simulate a scenario and write its recording into an empty folder."""
+    def record(self, spec: RecordingSpec, folder: Path, images: Path | None = None) -> None:
+        """Simulate a scenario and write its recording into an empty folder.
+
+        Args:
+            spec: The flight.
+            folder: The empty folder.
+            images: Recording of ``spec.images_of``, whose images are used; None to render them.
+        """
 
     def estimate(self, spec: RecordingSpec, recording: Path, estimator: str) -> dict[str, Any]:
         """Run an estimator on a recording, score it, and return the columns of `Row` from ``coverage_percent`` on.
@@ -141,7 +149,7 @@ class Job:
         with RecordingCache(self.cache).scratch() if self.spec.path is None else _temporary_folder() as scratch:
             return call_in_process(
                 self.pipeline.estimate,
-                replace(self.spec, source=None),  # the recording exists, and a scenario would import the simulator
+                replace(self.spec, source=None, images_of=None),  # a scenario would import the simulator
                 recording,
                 estimator,
                 timeout_s=self.timeout_s,
@@ -168,9 +176,10 @@ class Job:
 
     def _record(self, folder: Path) -> None:
         """Make the recording in a process of its own, and store its resource usage."""
-        outcome = call_in_process(
-            self.pipeline.record, self.spec, folder, timeout_s=self.timeout_s, environment=_ONE_THREAD
-        )
+        with self._images() as images:
+            outcome = call_in_process(
+                self.pipeline.record, self.spec, folder, images, timeout_s=self.timeout_s, environment=_ONE_THREAD
+            )
         if outcome.status != "ok":
             reason = f"the recording cannot be made: {outcome.reason}"
             raise RecordingFailedError(
@@ -179,6 +188,16 @@ class Job:
         disk_mb = sum(file.stat().st_size for file in folder.rglob("*") if file.is_file()) * 1e-6
         usage = ResourceUsage(outcome.cpu_s, outcome.wall_s, disk_mb)
         (folder / USAGE_FILE).write_text(json.dumps(asdict(usage)) + "\n", encoding="utf-8")
+
+    @contextmanager
+    def _images(self) -> Iterator[Path | None]:
+        """Yield the recording with the same images, made first if recordings are kept; None if there is none."""
+        first = self.spec.images_of
+        if first is None or not (self.keep_recording or RecordingCache(self.cache).find(first.recording_hash)):
+            yield None
+            return
+        with replace(self, spec=first).recording() as folder:
+            yield folder
 
 
 def _temporary_folder() -> tempfile.TemporaryDirectory[str]:

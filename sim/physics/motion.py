@@ -5,11 +5,15 @@ Here every pose is moved back by half a step, so that positions, velocities and 
 order in the step, and dead reckoning of the samples reproduces the truth. All functions operate on whole flights.
 """
 
+from collections.abc import Callable
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
+from scipy.interpolate import make_interp_spline
 
+from dronevio.models.errors import ConfigError
 from dronevio.models.imu import GRAVITY_M_S2, ImuSamples, Times
 from dronevio.models.rotation import exp_so3, log_so3, matrix_from_quat_wxyz, quat_wxyz_from_matrix
 from dronevio.models.state import Trajectory
@@ -40,6 +44,40 @@ class Motion:
     """(N + 1, 6) Twists at the times of ``pose_between``."""
     rotor_speeds_rad_s: Array
     """(N, 4) Rotor speeds from each time stamp to the next [rad/s]."""
+
+    def at_interval(self, interval_ns: int) -> "Motion":
+        """Return the motion at the time stamps of an IMU with another rate.
+
+        States between those of half an interval are interpolated linearly, since forces are constant over an interval.
+
+        Args:
+            interval_ns: Time between the stamps [ns]: a multiple of that of this motion, or half of it.
+
+        Raises:
+            ConfigError: It is neither.
+        """
+        own_ns = int(self.t_ns[1] - self.t_ns[0])
+        if interval_ns == own_ns:
+            return self
+        if interval_ns % own_ns and 2 * interval_ns != own_ns:
+            raise ConfigError(
+                f"an IMU interval of {interval_ns * 1e-6:g} ms with a control interval of {own_ns * 1e-6:g} ms; "
+                "expected a multiple of the latter, or half of it"
+            )
+        halves = 2 * interval_ns // own_ns  # times are in half intervals of this motion from here on
+        at = np.arange(0, 2 * len(self.t_ns) - 1, halves)
+        between = np.append(at, at[-1] + halves) - 0.5 * halves
+        poses = _line_through(self.pose_between, self.pose)
+        twists = _line_through(self.twist_between, self.twist)
+        return Motion(
+            self.t_ns[0] + at * (own_ns // 2),
+            self.step_s,
+            _unit(poses(at)),
+            twists(at),
+            _unit(poses(between)),
+            twists(between),
+            self.rotor_speeds_rad_s[at // 2],
+        )
 
     def trajectory(self, T_vehicle_sensor: Array) -> Trajectory:
         """Return the trajectory of a frame fixed to the vehicle, with its velocity in the world frame."""
@@ -94,6 +132,19 @@ class Motion:
         turn = log_so3(np.swapaxes(R_imu[:-1], 1, 2) @ R_imu[1:])
         force = _rotate_back(R_imu[:-1], np.diff(v, axis=0) / dt_s - _GRAVITY)
         return ImuSamples(self.t_ns[1:], turn / dt_s, force, "increment")
+
+
+def _line_through(between: Array, at: Array) -> Callable[[npt.NDArray[Any]], Array]:
+    """Return linear interpolation, over half intervals, of states at the stamps (N, K) and between (N + 1, K)."""
+    states = np.empty((len(at) + len(between), at.shape[1]))
+    states[::2], states[1::2] = between, at
+    line = make_interp_spline(np.arange(-1, len(states) - 1), states, k=1)  # extrapolates, too
+    return lambda half_intervals: np.asarray(line(half_intervals))
+
+
+def _unit(pose: Array) -> Array:
+    """Return poses (N, 7) with unit quaternions."""
+    return np.hstack([pose[:, :3], pose[:, 3:] / np.linalg.norm(pose[:, 3:], axis=1, keepdims=True)])
 
 
 def _rotations(pose: Array, twist: Array, step_s: float) -> Array:

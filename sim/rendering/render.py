@@ -13,13 +13,13 @@ from pathlib import Path
 import numpy as np
 import numpy.typing as npt
 
-from dronevio.models.errors import DefectError, GraphicsError, IncompleteError
+from dronevio.models.errors import ConfigError, DefectError, GraphicsError, IncompleteError
 from dronevio.models.progress import Progress, silent
 from dronevio.models.recordings.euroc import INCOMPLETE
 from dronevio.models.recordings.files import write_text
-from dronevio.models.recordings.frame_truth import FRAME_TRUTH_FILE, FrameTruth, frame_truth_text
+from dronevio.models.recordings.frame_truth import FRAME_TRUTH_FILE, FrameTruth, frame_truth_text, read_frame_truth
 from dronevio.sim.rendering.compiled_world import CompiledWorld, compiled_world
-from dronevio.sim.rendering.frame_files import PARTIAL_SUFFIX
+from dronevio.sim.rendering.frame_files import PARTIAL_SUFFIX, frame_file
 from dronevio.sim.rendering.frame_tasks import MeterTask, RenderTask
 from dronevio.sim.rendering.render_job import RenderJob
 from dronevio.sim.rendering.truth_images import FOLDERS, names_table
@@ -76,6 +76,33 @@ def render_frames(job: RenderJob, mav0: Path, progress: Progress = silent, worke
             raise
         raise IncompleteError(f"stopped after {finished} of {count} frames: {error}") from error
     return truth
+
+
+def link_frames(job: RenderJob, images: Path, mav0: Path) -> None:
+    """Write the frames of a job as hard links to those of another recording, which has rendered the same.
+
+    Args:
+        job: The frames.
+        images: The folder ``mav0`` of the other recording, in the same file system.
+        mav0: Output folder.
+
+    Raises:
+        ConfigError: The other recording has other frames.
+        InputError: It has no file with the times of its frames.
+    """
+    truth = read_frame_truth(images / FRAME_TRUTH_FILE)
+    for name, found, expected in (
+        ("time stamps", truth.t_ns, job.schedule.stamps_ns),
+        ("true times", truth.exposed_ns, job.schedule.exposed_ns),
+    ):
+        if not np.array_equal(found, expected):
+            raise ConfigError(f"{images} has frames at other {name}; expected those of the flight")
+    folders = [f"cam{number}" for number in range(len(job.rig.cameras))]
+    with unfinished(mav0, folders):
+        write_text(mav0 / FRAME_TRUTH_FILE, frame_truth_text(truth))
+        for folder in folders:
+            for t_ns in truth.t_ns.tolist():
+                frame_file(mav0, folder, t_ns).hardlink_to(frame_file(images, folder, t_ns))
 
 
 def _compiled(job: RenderJob) -> AbstractContextManager[CompiledWorld]:

@@ -10,10 +10,12 @@ from typing import Any
 import pytest
 
 from dronevio.benchmark_jobs import recorded_flights, scenario_flights
+from dronevio.benchmark_variants import variant_of
 from dronevio.cli import main
 from dronevio.models.errors import ConfigError, EvaluationError, InputError
 from dronevio.models.rig_presets import rig_named
 from dronevio.registry import ESTIMATORS, estimator_named
+from dronevio.sim.scenarios import scenario_named
 
 Result = Any  # the class of conftest, which cannot be imported
 
@@ -98,12 +100,22 @@ def test_variants_are_other_recordings_with_names_of_their_own() -> None:
     assert [flight.scenario for flight in flights] == ["short-v0", *(f"short-v0+{name}" for name in names[1:])]
     assert flights[0] == scenario_flights(["short"], range(1))[0]
     assert len({flight.recording_hash for flight in flights}) == len(names)
+    shared = [None if flight.images_of is None else flight.images_of.scenario for flight in flights]
+    assert shared == [None, *["short-v0"] * 4, None]  # the fisheye has other images
     sources = [flight.source for flight in flights]
     assert [each.rig.imu.rate_hz for each in sources[:3]] == [200.0, 100.0, 400.0]  # type: ignore[attr-defined]
     assert [each.faults.imu_noise_factor for each in sources[3:5]] == [2.0, 0.5]  # type: ignore[attr-defined]
     for name in ("rig=fisheye", "reverse+rig=fisheye"):
         with pytest.raises(ConfigError, match=rf"--rig euroc-stereo with the variant {re.escape(name)}"):
             scenario_flights(["short"], range(1), "euroc-stereo", [name])
+
+
+def test_an_imu_rate_that_the_path_cannot_have_is_another_flight() -> None:
+    """Of 500 Hz, 100 Hz is a divisor; 400 Hz is neither a divisor nor the double."""
+    short = scenario_named("short")
+    fast = replace(short, rig=replace(short.rig, imu=replace(short.rig.imu, rate_hz=500.0)))
+    rates_hz = [variant_of(fast, name).control_rate_hz for name in ("imu-100hz", "imu-400hz")]
+    assert rates_hz == [500.0, None]
 
 
 def test_a_world_is_flown_again_under_other_light_and_in_reverse() -> None:

@@ -360,7 +360,7 @@ class NoPipeline:
         """Return a text that differs between estimators."""
         return f"settings of {estimator}"
 
-    def record(self, spec: RecordingSpec, folder: Path) -> None:
+    def record(self, spec: RecordingSpec, folder: Path, images: Path | None = None) -> None:
         """Fail."""
         raise NotImplementedError
 

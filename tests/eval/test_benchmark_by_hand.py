@@ -27,11 +27,13 @@ class SmallPipeline:
         """Return the same text for all estimators."""
         return "settings"
 
-    def record(self, spec: RecordingSpec, folder: Path) -> None:
+    def record(self, spec: RecordingSpec, folder: Path, images: Path | None = None) -> None:
         """Write files of 1000 and 500 bytes."""
         (folder / "mav0").mkdir()
         (folder / "mav0" / "data.csv").write_bytes(bytes(1000))
         (folder / "note").write_bytes(bytes(500))
+        if images is not None:
+            (folder / "images").write_text(images.name, encoding="utf-8")
 
     def estimate(self, spec: RecordingSpec, recording: Path, estimator: str) -> dict[str, Any]:
         """Return a position error."""
@@ -89,3 +91,22 @@ def test_a_recording_is_removed_unless_it_is_to_be_kept(
     job = Job(RecordingSpec("s", "w", 0, "hash", None), ("a", "b"), SmallPipeline(), tmp_path, 60.0, keep)
     assert [row.estimator for row in job.run()] == ["a", "b"]
     assert (tmp_path / "hash").exists() == keep
+
+
+def test_a_flight_uses_the_images_of_one_with_another_imu(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The recording of the other flight is made first, also where its own job has not begun."""
+    monkeypatch.setattr("dronevio.eval.benchmark.jobs.call_in_process", call_here)
+    first = RecordingSpec("s", "w", 0, "first", None)
+    spec = RecordingSpec("s+imu-100hz", "w", 0, "second", None, images_of=first)
+    assert [row.status for row in Job(spec, ("vio",), SmallPipeline(), tmp_path, 60.0).run()] == ["ok"]
+    assert (tmp_path / "second" / "images").read_text(encoding="utf-8") == "first"
+    assert not (tmp_path / "first" / "images").exists()
+
+
+def test_images_are_rendered_again_if_recordings_are_not_kept(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("dronevio.eval.benchmark.jobs.call_in_process", call_here)
+    spec = RecordingSpec("s+imu-100hz", "w", 0, "second", None, images_of=RecordingSpec("s", "w", 0, "first", None))
+    job = Job(spec, ("vio",), SmallPipeline(), tmp_path, 60.0, keep_recording=False)
+    with job.recording() as folder:
+        assert not (folder / "images").exists()
+    assert not (tmp_path / "first").exists()

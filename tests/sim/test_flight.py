@@ -168,3 +168,23 @@ def test_flights_in_other_worlds_do_not_collide(name: str) -> None:
     assert flight.collision is None
     error = np.linalg.norm(vehicle_positions(flight) - flight.reference.position_m, axis=1)
     assert np.sqrt(np.mean(error**2)) < 0.10 and error.max() < 0.3
+
+
+@pytest.mark.parametrize("rate_hz", [100.0, 400.0])
+def test_the_path_does_not_depend_on_the_rate_of_the_imu(rate_hz: float) -> None:
+    """With a controller at 200 Hz, IMUs at 100 and 400 Hz fly the path of the one at 200 Hz."""
+    own = scenario_named("short", 4)
+    imu = replace(own.rig.imu, rate_hz=rate_hz)
+    here, there = fly(own), fly(replace(own, rig=replace(own.rig, imu=imu), control_rate_hz=200.0))
+    assert np.all(np.diff(there.imu.t_ns) == round(1e9 / rate_hz)) and there.imu.t_ns[-1] == here.imu.t_ns[-1]
+    np.testing.assert_allclose(there.Ts_world_cam, here.Ts_world_cam, atol=1e-12)
+    np.testing.assert_array_equal(there.schedule.exposed_ns, here.schedule.exposed_ns)
+    both, rows, rows_there = np.intersect1d(here.truth.t_ns, there.truth.t_ns, return_indices=True)
+    assert len(both) == min(len(here.truth.t_ns), len(there.truth.t_ns))
+    np.testing.assert_allclose(there.truth.p_world_imu[rows_there], here.truth.p_world_imu[rows], atol=1e-12)
+    assert there.reference_distance_m.max() == pytest.approx(here.reference_distance_m.max(), rel=1e-2)
+
+
+def test_a_rate_of_the_controller_must_fit_that_of_the_imu() -> None:
+    with pytest.raises(ConfigError, match="an IMU interval of 5 ms with a control interval of 2 ms"):
+        fly(replace(scenario_named("short"), control_rate_hz=500.0))

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
+from dronevio.models.errors import ConfigError
 from dronevio.models.imu import ImuSamples
 from dronevio.models.quadrotor import Quadrotor
 from dronevio.models.rig import euroc_rig
@@ -133,6 +134,46 @@ def test_points_integrate_within_the_sampling_error(aggressive: Motion, T_vehicl
     assert attitude_rad.max() < 1e-4
     assert velocity_m_s.max() < 0.5 * dt * jumps + 1e-3
     assert position_m.max() < 0.05
+
+
+def test_samples_at_half_the_rate_are_means_over_two_intervals(room_flight: Motion) -> None:
+    truth, own = room_flight.trajectory(T_VEHICLE_IMU), room_flight.points(T_VEHICLE_IMU, 5e-3)
+    slower = room_flight.at_interval(10_000_000)
+    points = slower.points(T_VEHICLE_IMU, 10e-3)
+    np.testing.assert_array_equal(points.t_ns, own.t_ns[::2])
+    np.testing.assert_allclose(points.gyro_rad_s, own.gyro_rad_s[::2], atol=1e-12)
+    np.testing.assert_allclose(slower.trajectory(T_VEHICLE_IMU).p_world_imu, truth.p_world_imu[::2], atol=1e-12)
+    v, R = truth.velocity_m_s, truth.rotations
+    assert v is not None
+    force = (v[3:-1:2] - v[1:-3:2]) / 10e-3 - GRAVITY
+    np.testing.assert_allclose(points.accel_m_s2[1:-1], np.einsum("nji,nj->ni", R[2:-2:2], force), atol=1e-8)
+
+
+def test_samples_at_the_double_rate_are_those_between_too(room_flight: Motion) -> None:
+    """Every second sample is as before; between them, the accelerometer has the mean of the interval.
+
+    It agrees up to the velocity by rotation at the lever arm, which is interpolated.
+    """
+    truth, own = room_flight.trajectory(T_VEHICLE_IMU), room_flight.points(T_VEHICLE_IMU, 5e-3)
+    faster = room_flight.at_interval(2_500_000)
+    points, R = faster.points(T_VEHICLE_IMU, 2.5e-3), faster.trajectory(T_VEHICLE_IMU).rotations
+    np.testing.assert_array_equal(points.t_ns, np.arange(len(points)) * 2_500_000)
+    np.testing.assert_array_equal(points.t_ns[::2], own.t_ns)
+    np.testing.assert_allclose(R @ np.swapaxes(R, 1, 2), np.tile(np.eye(3), (len(R), 1, 1)), atol=1e-12)
+    np.testing.assert_allclose(points.gyro_rad_s[::2], own.gyro_rad_s, atol=1e-12)
+    np.testing.assert_allclose(points.accel_m_s2[::2], own.accel_m_s2, atol=1e-5)
+    assert truth.velocity_m_s is not None
+    force = np.diff(truth.velocity_m_s, axis=0) / 5e-3 - GRAVITY
+    np.testing.assert_allclose(np.einsum("nij,nj->ni", R[1::2], points.accel_m_s2[1::2]), force, atol=2e-3)
+    gyro_rad_s = room_flight.twist_between[1:-1, 3:] @ T_VEHICLE_IMU[:3, :3]
+    np.testing.assert_allclose(points.gyro_rad_s[1::2], gyro_rad_s, atol=1e-12)
+
+
+def test_other_intervals_are_refused(room_flight: Motion) -> None:
+    assert room_flight.at_interval(5_000_000) is room_flight
+    for interval_ns in (1_000_000, 7_500_000):
+        with pytest.raises(ConfigError, match="expected a multiple of the latter, or half of it"):
+            room_flight.at_interval(interval_ns)
 
 
 def test_points_integrate_a_flight_by_the_midpoint_rule(room_flight: Motion) -> None:

@@ -22,7 +22,7 @@ from dronevio.models.state import Trajectory
 from dronevio.sim.cameras.exposure import AutoExposure, FixedExposure
 from dronevio.sim.cameras.imaging import Imaging
 from dronevio.sim.cameras.schedule import FrameSchedule, nominal_stamps, schedule_frames
-from dronevio.sim.rendering.render import render_frames
+from dronevio.sim.rendering.render import link_frames, render_frames
 from dronevio.sim.rendering.render_job import RenderJob
 
 SMALL = CameraModel(width=188, height=120, fx=115.0, fy=115.0, cx=92.0, cy=62.0, distortion=(-0.28, 0.07, 0.0, 0.0))
@@ -116,6 +116,26 @@ def test_images_do_not_depend_on_the_workers(tmp_path: Path) -> None:
     np.testing.assert_array_equal(back.exposed_ns, work.schedule.exposed_ns)
     np.testing.assert_array_equal(back.exposure_s, truth.exposure_s)
     assert len(np.unique(truth.exposure_s)) > 1
+
+
+def test_frames_are_linked_to_those_of_another_recording(tmp_path: Path) -> None:
+    twins = Rig((RigCamera(SMALL, np.eye(4)), RigCamera(SMALL, BASELINE)))
+    work = job(rig=twins, schedule=job().schedule[:2])
+    render_frames(work, tmp_path / "one", workers=1)
+    link_frames(work, tmp_path / "one", tmp_path / "two")
+    assert contents(tmp_path / "two") == contents(tmp_path / "one")
+    images = sorted((tmp_path / "two").rglob("*.png"))
+    assert len(images) == 4 and all(image.stat().st_nlink == 2 for image in images)
+
+
+@pytest.mark.parametrize("changed", ["stamps_ns", "exposed_ns"])
+def test_images_of_other_frames_are_not_linked(tmp_path: Path, changed: str) -> None:
+    schedule = job().schedule[:2]
+    render_frames(job(schedule=schedule), tmp_path / "one", workers=1)
+    other = job(schedule=replace(schedule, **{changed: getattr(schedule, changed) + 1}))
+    with pytest.raises(ConfigError, match="one has frames at other t"):
+        link_frames(other, tmp_path / "one", tmp_path / "two")
+    assert not (tmp_path / "two").exists()
 
 
 def test_noise_differs_between_frames_and_cameras(tmp_path: Path) -> None:
