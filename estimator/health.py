@@ -45,7 +45,7 @@ class HealthConfig(Settings):
 
     min_landmarks: Annotated[int, Range(1, 1000)] = 8
     """Smallest number of landmarks that constrain an estimate; with fewer, a single outlier dominates."""
-    settling_s: Annotated[float, Range(0.0, 60.0)] = 0.35
+    settling_s: Annotated[float, Range(0.0, 60.0)] = 0.45
     """Time for which tracked features suffice instead of landmarks [s], as at the end of a stationary interval. Three
     keyframes with parallax are needed to triangulate landmarks."""
     max_innovation_px: Annotated[float, Range(above=0.0, infinite=True)] = 12.0
@@ -57,13 +57,13 @@ class HealthConfig(Settings):
     consistency_window_s: Annotated[float, Range(0.05, 60.0)] = 0.6
     """Length of the window over which the median NIS of the innovations is taken [s]. A jolt or a passing object
     disturbs fewer frames."""
-    max_consistent_nis: Annotated[float, Range(above=0.0, infinite=True)] = 15.0
-    """Largest such median, in units of its expectation, at which the estimate counts as consistent. On real flights it
-    reaches 10."""
+    max_consistent_nis: Annotated[float, Range(above=0.0, infinite=True)] = 12.0
+    """Largest such median, in units of its expectation, at which the estimate counts as consistent. On rendered
+    flights it reaches 10, on real images 4."""
     min_innovation_px: Annotated[float, Range(low=0.0)] = 0.3
     """Median innovation of a frame up to which it counts as consistent, whatever its NIS [px]. Motion blur and the
     errors of landmarks exceed the assumed noise in fast flight."""
-    max_frame_nis: Annotated[float, Range(above=0.0, infinite=True)] = 60.0
+    max_frame_nis: Annotated[float, Range(above=0.0, infinite=True)] = 45.0
     """Largest NIS of a frame at which the estimate counts as consistent."""
     distrust_s: Annotated[float, Range(low=0.0, infinite=True)] = 5.0
     """Time for which an estimate must be consistent again before its health is tracking [s]."""

@@ -10,6 +10,7 @@ from functools import cached_property
 import numpy as np
 import numpy.typing as npt
 
+from dronevio.estimator.backend.observations import track_sigma_scale
 from dronevio.estimator.backend.reprojection import MEDIAN_CHI2_2DOF
 from dronevio.estimator.backend.triangulation import MIN_DEPTH_M
 from dronevio.estimator.types import Calibration, Integers, Observations, common_rows
@@ -27,7 +28,7 @@ class PredictionUncertainty:
     rotation_variance: float
     """Variance of the orientation about any axis since the newest keyframe [rad²]."""
     image_variance_px2: float
-    """Variance of the coordinates of an image observation [px²]."""
+    """Variance of the coordinates of an image observation whose patch is unchanged [px²]."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -46,6 +47,8 @@ class Innovation:
     """(3, 3) Predicted orientation of the IMU."""
     focal_px: Array
     """(N,) Focal length of the observing camera [px]."""
+    sigma_scale: Array
+    """(N,) Standard deviation of the image noise of each observation relative to that of an unchanged patch."""
     uncertainty: PredictionUncertainty
     """Uncertainty of the prediction."""
 
@@ -56,7 +59,8 @@ class Innovation:
     @cached_property
     def noise_px2(self) -> Array:
         """(N,) Variance due to image noise and orientation, in each coordinate [px²]."""
-        return self.uncertainty.image_variance_px2 + self.uncertainty.rotation_variance * self.focal_px**2
+        of_image = self.uncertainty.image_variance_px2 * self.sigma_scale**2
+        return of_image + self.uncertainty.rotation_variance * self.focal_px**2
 
     @property
     def median_px(self) -> float:
@@ -105,7 +109,8 @@ def innovation(
     xy = in_cam[:, :2] / z
     residual_px = focal_px[:, None] * (observations.xy[columns] - xy)
     J_imu = (focal_px[:, None] / z)[:, :, None] * (axes[:, :2] - xy[:, :, None] * axes[:, 2:])
-    return Innovation(rows, residual_px, in_imu, J_imu, R, focal_px, uncertainty)
+    sigma_scale = track_sigma_scale(observations)[columns]
+    return Innovation(rows, residual_px, in_imu, J_imu, R, focal_px, sigma_scale, uncertainty)
 
 
 def median(values: Array) -> float:

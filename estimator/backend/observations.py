@@ -79,6 +79,16 @@ class ObservationTable:
         return self[np.argsort(self.landmark, kind="stable")]
 
 
+def track_sigma_scale(observations: Observations) -> Array:
+    """Return standard deviations (N,) of tracks relative to a track whose ZNCC is 1 and whose scale is at most 1.
+
+    They grow with the decorrelation of the patch, and in proportion to its scale where the camera has come closer since
+    the first view.
+    """
+    decorrelation = 1.0 + DECORRELATION_SIGMA_SCALE * (1.0 - observations.zncc)
+    return np.asarray(np.maximum(observations.scale, 1.0) * decorrelation)
+
+
 def observation_table(k: int, observations: Observations) -> ObservationTable:
     """Return the observations of a keyframe in all cameras as a table.
 
@@ -93,9 +103,8 @@ def observation_table(k: int, observations: Observations) -> ObservationTable:
         The tracks, then the stereo matches, as if no keyframe had seen them before.
     """
     o, m = observations, observations.matches
-    magnification = np.maximum(o.scale, 1.0)
-    of_tracks = magnification * (1.0 + DECORRELATION_SIGMA_SCALE * (1.0 - o.zncc))
-    of_matches = magnification[np.searchsorted(o.ids, m.ids)] * MATCH_SIGMA_SCALE
+    of_tracks = track_sigma_scale(o)
+    of_matches = np.maximum(o.scale, 1.0)[np.searchsorted(o.ids, m.ids)] * MATCH_SIGMA_SCALE
     return ObservationTable(
         np.concatenate([o.ids, m.ids]),
         np.full(len(o) + len(m), k, dtype=np.int64),

@@ -278,6 +278,16 @@ def test_nis_is_relative_to_the_estimated_noise() -> None:
         assert assess(monitor, observations, START).innovation_nis == pytest.approx(expected)
 
 
+def test_nis_is_relative_to_the_noise_of_changed_patches() -> None:
+    """A ZNCC of 0.95 doubles the standard deviation of a track, and the scale 1.5 multiplies it; 0.5 does not."""
+    triangulated = landmarks(40, np.random.default_rng(1))
+    monitor = monitor_of(triangulated)
+    observations = observe(triangulated, START, ZEROS, np.array([error_of_nis(18.0), 0.0]))
+    for zncc, scale, expected in ((1.0, 1.0, 18.0), (0.95, 1.0, 4.5), (0.95, 1.5, 2.0), (1.0, 0.5, 18.0)):
+        changed = replace(observations, zncc=np.full(40, zncc), scale=np.full(40, scale))
+        assert assess(monitor, changed, START).innovation_nis == pytest.approx(expected)
+
+
 def test_noise_of_the_imu_in_the_nis_is_bounded() -> None:
     triangulated = landmarks(40, np.random.default_rng(1))
     observations = observe(triangulated, START, ZEROS, np.array([error_of_nis(8.0), 0.0]))

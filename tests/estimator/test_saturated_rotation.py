@@ -44,7 +44,7 @@ def innovation_after(rotation_rad: Array, rng: np.random.Generator, outliers: in
     J = (FOCAL_PX / points[:, 2])[:, None, None] * (axes[:, :2] - xy[:, :, None] * axes[:, 2:])
     uncertainty = PredictionUncertainty(1e-6 * np.eye(3), 1e-8, 0.01)
     R, focal_px = exp_so3(np.array([0.2, -0.4, 1.0])), np.full(count, FOCAL_PX)
-    return Innovation(np.arange(count), residual_px, points, J, R, focal_px, uncertainty)
+    return Innovation(np.arange(count), residual_px, points, J, R, focal_px, np.ones(count), uncertainty)
 
 
 def saturated_increments() -> Increments:

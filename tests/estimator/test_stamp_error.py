@@ -105,7 +105,7 @@ def innovation_after(delay_s: float, rng: np.random.Generator, outliers: int = 0
     J = (FOCAL_PX / points[:, 2])[:, None, None] * (axes[:, :2] - xy[:, :, None] * axes[:, 2:])
     uncertainty = PredictionUncertainty(1e-6 * np.eye(3), 1e-8, 0.01)
     state = NavState(0, pose_matrix(R, np.zeros(3)), VELOCITY, np.zeros(3), np.zeros(3))
-    return Innovation(np.arange(60), residual_px, points, J, R, np.full(60, FOCAL_PX), uncertainty), state
+    return Innovation(np.arange(60), residual_px, points, J, R, np.full(60, FOCAL_PX), np.ones(60), uncertainty), state
 
 
 @pytest.mark.parametrize("delay_s", [-0.008, 0.0, 0.003])
