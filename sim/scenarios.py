@@ -224,15 +224,12 @@ _STRESS = (
     Scenario("room-motion-v0", "the agile tour of a room, started in motion", replace(_ROOM, skip_s=6.0)),
 )
 
+_NORMAL = (*_FIRST_FLIGHTS, *_TOURS, *_RACES, *_SHAPES, _NANO, *_HARD_WORLDS)
+
 SCENARIOS: dict[str, Scenario] = {
     scenario.name: scenario
     for scenario in (
-        *_FIRST_FLIGHTS,
-        *_TOURS,
-        *_RACES,
-        *_SHAPES,
-        _NANO,
-        *_HARD_WORLDS,
+        *_NORMAL,
         *_LOOPS,
         *_DECEPTIVE_LOOPS,
         *_STRESS,
@@ -251,10 +248,12 @@ SUITES: dict[str, tuple[str, ...]] = {
     "loops": tuple(s.name for s in _LOOPS),
     "loops-deceptive": tuple(s.name for s in _DECEPTIVE_LOOPS),
     "no-revisits": tuple(s.name for s in _TOURS if s.world in _SINGLE_LAPS),
+    "normal": tuple(s.name for s in _NORMAL),
     "stress": ("room-v0", *(s.name for s in _STRESS)),
 }
 """Names of the scenarios of each suite: those of one world, of one level, or of one kind. The suite ``reference`` has
-the nine flights on which the accuracy of the odometry is stated; ``stress`` begins with the flight without a fault."""
+the nine flights on which the accuracy of the odometry is stated; ``normal`` has all flights without a fault, except for
+those of several laps; ``stress`` begins with the flight without a fault."""
 
 
 def scenario_named(name: str, seed: int | None = None) -> Scenario:

@@ -87,3 +87,10 @@ def test_negative_seed_is_bad_input(capsys: pytest.CaptureFixture[str]) -> None:
 def test_registration_does_not_load_the_simulator() -> None:
     code = "import sys, dronevio.envs; sys.exit('mujoco' in sys.modules or 'dronevio.sim' in sys.modules)"
     assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0
+
+
+def test_scenarios_are_normal_or_have_faults_or_laps() -> None:
+    clean, *faults = SUITES["stress"]
+    parts = (SUITES["normal"], faults, SUITES["loops"], SUITES["loops-deceptive"])
+    assert clean in SUITES["normal"]
+    assert sorted(name for part in parts for name in part) == sorted(SCENARIOS)
