@@ -48,8 +48,10 @@ def _imu_rate(rate_hz: float) -> Change:
     """Return the change of the rate of the IMU [Hz]; noise densities stay, and if possible the path."""
 
     def change(flown: "Scenario", _: str) -> "Scenario":
+        from dronevio.sim.physics.motion import can_be_resampled
+
         control_rate_hz = flown.control_rate_hz or flown.rig.imu.rate_hz
-        keeps_path = (control_rate_hz / rate_hz).is_integer() or rate_hz == 2.0 * control_rate_hz
+        keeps_path = can_be_resampled(round(1e9 / control_rate_hz), round(1e9 / rate_hz))
         rig = replace(flown.rig, imu=replace(flown.rig.imu, rate_hz=rate_hz))
         return replace(flown, rig=rig, control_rate_hz=control_rate_hz if keeps_path else None)
 

@@ -104,11 +104,7 @@ def fly_closed_loop(
         ConfigError: The settings of the scenario are inconsistent.
     """
     settings = settings or LoopSettings()
-    if scenario.control_rate_hz not in (None, scenario.rig.imu.rate_hz):
-        raise ConfigError(
-            f"a controller at {scenario.control_rate_hz:g} Hz with an IMU at {scenario.rig.imu.rate_hz:g} Hz; expected "
-            "the same rate for a flight on the estimate"
-        )
+    _check_control_rate(scenario)
     plant = plant_of(scenario)
     planned = reference_of(scenario, plant)
     starts_in_air = bool(planned.flying[0])
@@ -147,6 +143,20 @@ def fly_closed_loop(
         on_frame(frame)
     progress(steps, steps)
     return sensors.flight(_flown(planned, waited, step))
+
+
+def _check_control_rate(scenario: Scenario) -> None:
+    """Check that the controller has the rate of the IMU, since each command follows a sample.
+
+    Raises:
+        ConfigError: The rates differ.
+    """
+    rate_hz, imu_rate_hz = scenario.control_rate_hz, scenario.rig.imu.rate_hz
+    if rate_hz not in (None, imu_rate_hz):
+        raise ConfigError(
+            f"a controller at {rate_hz:g} Hz with an IMU at {imu_rate_hz:g} Hz; expected the same rate for a flight on "
+            "the estimate"
+        )
 
 
 class _Sensors:

@@ -59,7 +59,7 @@ class Motion:
         own_ns = int(self.t_ns[1] - self.t_ns[0])
         if interval_ns == own_ns:
             return self
-        if interval_ns % own_ns and 2 * interval_ns != own_ns:
+        if not can_be_resampled(own_ns, interval_ns):
             raise ConfigError(
                 f"an IMU interval of {interval_ns * 1e-6:g} ms with a control interval of {own_ns * 1e-6:g} ms; "
                 "expected a multiple of the latter, or half of it"
@@ -132,6 +132,11 @@ class Motion:
         turn = log_so3(np.swapaxes(R_imu[:-1], 1, 2) @ R_imu[1:])
         force = _rotate_back(R_imu[:-1], np.diff(v, axis=0) / dt_s - _GRAVITY)
         return ImuSamples(self.t_ns[1:], turn / dt_s, force, "increment")
+
+
+def can_be_resampled(own_ns: int, interval_ns: int) -> bool:
+    """Return whether a motion with one interval has states at those of another [ns]; see `Motion.at_interval`."""
+    return interval_ns % own_ns == 0 or 2 * interval_ns == own_ns
 
 
 def _line_through(between: Array, at: Array) -> Callable[[npt.NDArray[Any]], Array]:

@@ -173,6 +173,12 @@ def test_frames_arrive_after_their_readout(scenario: Scenario) -> None:
     assert (arrivals - stamps).min() == 20_000_000
 
 
+def test_the_controller_has_the_rate_of_the_imu(scenario: Scenario) -> None:
+    """Every command follows a sample, so that a flight on the estimate has no other rate of the controller."""
+    with pytest.raises(ConfigError, match="a controller at 100 Hz with an IMU at 200 Hz; expected the same rate"):
+        fly_with(replace(scenario, control_rate_hz=100.0), Odometry(scenario.rig), LoopSettings(0.0, max_wait_s=0.0))
+
+
 @pytest.mark.parametrize("value", [-0.1, np.nan, np.inf])
 def test_latencies_are_checked(value: float) -> None:
     with pytest.raises(ConfigError, match="frame_latency_s"):
