@@ -165,7 +165,7 @@ class VisualInertialOdometry:
         initializer, stationary_s = state.initializer, self._zero_velocity.stationary_s
         if initializer.needs_features(packet):
             packet = self._pipeline.replenish(packet, self._calibration)
-        smoother = initializer.add(packet, stationary_s, self._calibration, self._gauge, self._noise.params)
+        smoother = initializer.add(packet, stationary_s, self._calibration, self._gauge, self._noise)
         if isinstance(smoother, NotObservable):
             return self._publisher.not_initialized(packet, smoother)
         self._origin_m = smoother.state.T_world_imu[:3, 3]

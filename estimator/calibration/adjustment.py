@@ -50,6 +50,23 @@ class AdjustmentResult:
     """Root mean square reprojection error, weighted by the robust loss [px]."""
     newest: NavState
     """State of the newest keyframe by the corrected calibration, with its covariance relative to the first keyframe."""
+    newest_gain: Array
+    """(15, D) Change of that state, in the order of `NavState`, if a correction differs from its mean: P_xc P_cc⁻¹."""
+
+    def newest_given(self, corrections: Array) -> NavState:
+        """Return the state of the newest keyframe if the corrections (D,) are others than the mean.
+
+        Its expectation is conditional on the corrections. The covariance is that of `newest`, because they are not
+        known exactly.
+        """
+        x, delta = self.newest, self.newest_gain @ (corrections - self.mean)
+        return replace(
+            x,
+            T_world_imu=pose_matrix(x.T_world_imu[:3, :3] @ exp_so3(delta[:3]), x.T_world_imu[:3, 3] + delta[3:6]),
+            velocity_m_s=x.velocity_m_s + delta[6:9],
+            gyro_bias_rad_s=x.gyro_bias_rad_s + delta[9:12],
+            accel_bias_m_s2=x.accel_bias_m_s2 + delta[12:],
+        )
 
 
 class CalibrationProblem:
@@ -129,10 +146,12 @@ class CalibrationProblem:
         self._is_done = covariance is None or converged or self._steps >= self._config.iterations
         if self._is_done and covariance is not None:
             information, n = self._prior_information.copy(), _STATE_DIM + _BIAS_DIM
-            information[np.ix_(self._estimated, self._estimated)] = np.linalg.inv(covariance[n:, n:])
-            self._result = AdjustmentResult(
-                self._corrections, information, self._rms_px, self._newest_state(covariance[:n, :n])
-            )
+            of_corrections = np.linalg.inv(covariance[n:, n:])
+            information[np.ix_(self._estimated, self._estimated)] = of_corrections
+            gain = np.zeros((n, len(information)))
+            gain[:, self._estimated] = covariance[:n, n:] @ of_corrections
+            newest = self._newest_state(covariance[:n, :n])
+            self._result = AdjustmentResult(self._corrections, information, self._rms_px, newest, gain)
 
     def _newest_state(self, covariance: Array) -> NavState:
         """Return the state of the newest keyframe with its covariance (15, 15)."""

@@ -45,6 +45,11 @@ MAX_RELATIVE_SIGMAS = 4.0
 """Prior standard deviations beyond which the matches of a keyframe have another cause than the cameras' rotation."""
 MIN_INFLATION = 0.03
 """Smallest share of these that is applied, however small a correction is."""
+KEPT_INFLATION = 0.5
+"""Share of these up to which the odometry keeps its window; after larger corrections it continues from the adjustment's
+newest state, if that is determined."""
+PART_SIGMAS = 4.0
+"""Significance of a first correction by a part of a window, which systematic errors of the take-off dominate."""
 _ROTATION = 2  # index of the part that holds the rotations of all cameras
 
 
@@ -266,13 +271,15 @@ class OnlineCalibration:
             mean[GRAVITY] = self._mean[GRAVITY]
         if window.is_complete:
             self._mean, self._covariance, self._is_verified = mean, covariance, True
-        if not self._apply(mean, covariance, by_component=not window.begins_stationary):
+        min_sigmas = 0.0 if window.is_complete else PART_SIGMAS
+        if not self._apply(mean, covariance, by_component=not window.begins_stationary, min_sigmas=min_sigmas):
             return False
         self._corrected_state, self._is_verified = None, True
-        first = window.keyframes[0].state.covariance
-        if window.begins_stationary and first is not None and np.delete(self._corrected, GRAVITY).any():
+        first, is_large = window.keyframes[0].state.covariance, self._inflation > KEPT_INFLATION
+        if window.begins_stationary and is_large and first is not None and np.delete(self._corrected, GRAVITY).any():
             later = self._keyframes_after(found.newest.t_ns)
-            self._corrected_state = propagated_state(found.newest, later, first[3:6, 3:6], self._given.rig.imu)
+            newest = found.newest_given(self._applied)
+            self._corrected_state = propagated_state(newest, later, first[3:6, 3:6], self._given.rig.imu)
             if window.is_complete:
                 self._collector.discard()  # its states do not continue those that follow
         return True
@@ -283,7 +290,13 @@ class OnlineCalibration:
         return *(keyframe for keyframe in waiting if keyframe.state.t_ns > t_ns), *self._collector.after(t_ns)
 
     def _apply(
-        self, mean: Array, covariance: Array, min_rotation: float | None = None, *, by_component: bool = False
+        self,
+        mean: Array,
+        covariance: Array,
+        min_rotation: float | None = None,
+        *,
+        by_component: bool = False,
+        min_sigmas: float = 0.0,
     ) -> bool:
         """Apply the corrections that are significant and large enough, and return whether there are any.
 
@@ -293,6 +306,7 @@ class OnlineCalibration:
             min_rotation: Smallest correction of the rotations [rad]; that of the configuration by default.
             by_component: Whether each parameter is tested by itself, and not along the principal axes of the
                 covariance. These are more sensitive, also to errors of the states of a window that begins in motion.
+            min_sigmas: Smallest significance of a first correction, in standard deviations.
         """
         difference, changed = mean - self._applied, False
         if by_component:
@@ -308,6 +322,8 @@ class OnlineCalibration:
                 smallest = min_rotation
             if is_known and refinement < 1.0:
                 smallest, sigmas = refinement * smallest, min(sigmas, REFINEMENT_SIGMAS)
+            else:
+                sigmas = max(sigmas, min_sigmas)
             if significant_length(difference[rows], covariance[np.ix_(rows, rows)], sigmas) > smallest:
                 self._significant[part] = changed = True
         if not changed:

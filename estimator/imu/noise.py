@@ -6,14 +6,19 @@ leave the window are therefore compared with their expectation under the assumed
 same measurements, so that the expectation counts in proportion to the redundancy of the residual (variance component
 estimation: Förstner, "Ein Verfahren zur Schätzung von Varianz- und Kovarianzkomponenten", 1979; Förstner and Wrobel,
 "Photogrammetric Computer Vision", 2016, section 4.2.4).
+
+Before the first interval has left the window, the noise is that of the data sheet, inflated, or that of a stationary
+initialization if it is larger: the Allan variance of the means between frames.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Annotated
 
 import numpy as np
 import numpy.typing as npt
 
+from dronevio.estimator.imu.buffer import Increments
 from dronevio.estimator.imu.preintegration import PreintegrationConfig, PreintegrationParams
 from dronevio.models.imu import GRAVITY_M_S2, ImuModel
 from dronevio.models.ranges import Range, Settings
@@ -80,6 +85,30 @@ class ImuVarianceComponents:
         return cls(component(slice(0, 3)), component(slice(6, 9)))
 
 
+def stationary_densities(parts: Sequence[Increments]) -> tuple[float, float]:
+    """Return the densities of the white noise of a stationary IMU: its Allan variance at the interval of the frames.
+
+    The difference between the means of white noise of density N over two successive intervals of lengths T₁ and T₂ has
+    the variance N² (1/T₁ + 1/T₂). Constant biases and gravity cancel, and vibration above the rate of the frames has
+    little influence (IEEE Std 952-1997, annex C).
+
+    Args:
+        parts: Increments between successive frames, none of them empty.
+
+    Returns:
+        Densities of gyroscope [rad/s/√Hz] and accelerometer [m/s²/√Hz]; zero for fewer than two intervals.
+    """
+    durations_s = np.array([part.duration_s for part in parts])
+    rates = np.array([part.dt_s @ np.hstack([part.gyro_rad_s, part.accel_m_s2]) for part in parts]).reshape(-1, 6)
+    differences = np.diff(rates / durations_s[:, None], axis=0)
+    if not len(differences):
+        return 0.0, 0.0
+    inverse_s = np.sum(1.0 / durations_s[1:] + 1.0 / durations_s[:-1])
+    squares = np.sum(differences**2, axis=0).reshape(2, 3).mean(axis=1)
+    gyro, accel = np.sqrt(squares / inverse_s).tolist()
+    return gyro, accel
+
+
 class NoiseDensityEstimator:
     """Estimates the white noise density of one sensor."""
 
@@ -102,6 +131,10 @@ class NoiseDensityEstimator:
         c = self._config
         estimated = np.sqrt(self._squares / self._redundancy)
         return float(np.clip(estimated, c.min_factor * self._data_sheet, c.max_factor * self._data_sheet))
+
+    def raise_to(self, density: float) -> None:
+        """Raise the estimated noise density to another one."""
+        self._squares = max(self._squares, density**2 * self._redundancy)
 
     def update(self, component: VarianceComponent) -> None:
         """Add an interval, unless its assumed noise exceeds the range of the estimate because of excess noise."""
@@ -149,6 +182,16 @@ class ImuNoiseEstimator:
     def densities(self) -> tuple[float, float]:
         """Noise densities of gyroscope [rad/s/√Hz] and accelerometer [m/s²/√Hz]."""
         return self._gyro.density, self._accel.density
+
+    def add_stationary(self, parts: Sequence[Increments]) -> None:
+        """Raise the noise to that of a stationary interval, given its increments between successive frames.
+
+        Noise of the airframe is absent there, so that the estimate is not reduced.
+        """
+        gyro, accel = stationary_densities([part for part in parts if len(part.dt_s)])
+        self._gyro.raise_to(gyro)
+        self._accel.raise_to(accel)
+        self._params = self._params.with_noise(*self.densities)
 
     def update(self, components: ImuVarianceComponents | None) -> None:
         """Add an interval, if there is one, and update the preintegration parameters."""

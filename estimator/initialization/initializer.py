@@ -16,6 +16,7 @@ from dronevio.estimator.backend.keyframes import KeyframePolicy
 from dronevio.estimator.backend.landmarks import LandmarkConfig
 from dronevio.estimator.backend.smoother import Keyframe, KeyframeSmoother, SmootherConfig
 from dronevio.estimator.imu.buffer import joined
+from dronevio.estimator.imu.noise import ImuNoiseEstimator
 from dronevio.estimator.imu.preintegration import Preintegration, PreintegrationParams
 from dronevio.estimator.initialization.dynamic import DynamicInitializationConfig, initialize_dynamic, is_stereo
 from dronevio.estimator.initialization.gauge import Gauge
@@ -125,7 +126,7 @@ class Initializer:
         stationary_s: float,
         calibration: Calibration,
         gauge: Gauge,
-        params: PreintegrationParams,
+        noise: ImuNoiseEstimator,
     ) -> KeyframeSmoother | NotObservable:
         """Add a frame and return an initialized smoother, or the reason why there is none yet.
 
@@ -134,7 +135,7 @@ class Initializer:
             stationary_s: Time for which no motion has been detected [s].
             calibration: The calibration in use.
             gauge: Position and yaw of the initial state.
-            params: The noise of the preintegration, and gravity.
+            noise: Estimator of the noise of the IMU; a static initialization adds its stationary interval.
         """
         c, t_ns = self._config, packet.t_ns
         self._window.append(packet)
@@ -143,7 +144,7 @@ class Initializer:
         if not packet.has_image:
             return self._last_reason
         if stationary_s > 0.0:
-            return self._static(self._since(t_ns, stationary_s), calibration, gauge, params)
+            return self._static(self._since(t_ns, stationary_s), calibration, gauge, noise)
         needed_s = c.dynamic.stereo_window_s if is_stereo(self._window, c.dynamic) else c.dynamic.window_s
         window = self._since(t_ns, needed_s)
         span_s = (t_ns - window[0].t_ns + TIME_TOLERANCE_NS) * 1e-9
@@ -151,11 +152,11 @@ class Initializer:
             return NotObservable(f"{span_s:.1f} s of frames; {needed_s:g} s are needed")
         if t_ns - self._last_attempt_ns >= c.dynamic.attempt_interval_s * 1e9:
             self._last_attempt_ns = t_ns
-            return self._dynamic(window, calibration, gauge, params)
+            return self._dynamic(window, calibration, gauge, noise.params)
         return self._last_reason
 
     def _static(
-        self, window: Sequence[FramePacket], calibration: Calibration, gauge: Gauge, params: PreintegrationParams
+        self, window: Sequence[FramePacket], calibration: Calibration, gauge: Gauge, noise: ImuNoiseEstimator
     ) -> KeyframeSmoother | NotObservable:
         if len(window) < 2:
             return NotObservable("one frame since the start of the initialization")
@@ -164,12 +165,13 @@ class Initializer:
         span_s = (window[-1].t_ns - window[0].t_ns + TIME_TOLERANCE_NS) * 1e-9
         if span_s < self._config.static_window_s:
             return NotObservable(f"stationary for {span_s:.1f} s; {self._config.static_window_s:g} s are needed")
-        implausible = implausible_force(np.concatenate([part.accel_m_s2 for part in increments]), params.gravity_m_s2)
+        implausible = implausible_force(np.concatenate([part.accel_m_s2 for part in increments]), noise.params.gravity_m_s2)
         if implausible is not None:
             return implausible
+        noise.add_stationary(increments)
         start = initialize_static(window[0].t_ns, increments)
         sigmas = self._config.static_sigmas
-        smoother, _ = self._adjusted(start, sigmas, window, calibration, gauge, params, stationary=True)
+        smoother, _ = self._adjusted(start, sigmas, window, calibration, gauge, noise.params, stationary=True)
         return smoother or NotObservable("the smoother finds no solution")
 
     def _dynamic(
@@ -222,9 +224,14 @@ class Initializer:
         keyframes: list[Keyframe] = []
         bias = smoother.gtsam_state[1]
         preintegration = Preintegration(params, bias)
+        by_matches = stationary and any(len(packet.observations.matches) for packet in later)
         for packet in later:
             preintegration.integrate(packet.increments)
-            if packet is later[-1] or self._keyframes.is_interval_over(preintegration.duration_s, stationary):
+            if by_matches:
+                is_due = len(packet.observations.matches) > 0
+            else:
+                is_due = self._keyframes.is_interval_over(preintegration.duration_s, stationary)
+            if is_due or packet is later[-1]:
                 rate = packet.increments.angular_velocity(bias.gyroscope())
                 keyframes.append(
                     Keyframe(packet.t_ns, preintegration.measurements, packet.observations, stationary, rate)
