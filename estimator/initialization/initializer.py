@@ -165,7 +165,8 @@ class Initializer:
         span_s = (window[-1].t_ns - window[0].t_ns + TIME_TOLERANCE_NS) * 1e-9
         if span_s < self._config.static_window_s:
             return NotObservable(f"stationary for {span_s:.1f} s; {self._config.static_window_s:g} s are needed")
-        implausible = implausible_force(np.concatenate([part.accel_m_s2 for part in increments]), noise.params.gravity_m_s2)
+        force_m_s2 = np.concatenate([part.accel_m_s2 for part in increments])
+        implausible = implausible_force(force_m_s2, noise.params.gravity_m_s2)
         if implausible is not None:
             return implausible
         noise.add_stationary(increments)
@@ -224,10 +225,11 @@ class Initializer:
         keyframes: list[Keyframe] = []
         bias = smoother.gtsam_state[1]
         preintegration = Preintegration(params, bias)
-        by_matches = stationary and any(len(packet.observations.matches) for packet in later)
+        # At rest, matches in further cameras are the only observation of depth, and not all frames have them.
+        needs_matches = stationary and any(len(packet.observations.matches) for packet in later)
         for packet in later:
             preintegration.integrate(packet.increments)
-            if by_matches:
+            if needs_matches:
                 is_due = len(packet.observations.matches) > 0
             else:
                 is_due = self._keyframes.is_interval_over(preintegration.duration_s, stationary)

@@ -9,8 +9,11 @@ import numpy as np
 import numpy.typing as npt
 import pytest
 
+from dronevio.estimator.calibration import online
+from dronevio.estimator.calibration.adjustment import AdjustmentResult
 from dronevio.estimator.calibration.config import CalibrationConfig
 from dronevio.estimator.calibration.corrected_state import propagated_state
+from dronevio.estimator.calibration.corrections import Corrections
 from dronevio.estimator.calibration.online import OnlineCalibration
 from dronevio.estimator.calibration.window import AdjustmentConfig, WindowKeyframe
 from dronevio.estimator.imu.buffer import ImuBuffer
@@ -161,6 +164,48 @@ def test_a_correction_comes_early_and_mends_the_state(
     assert np.linalg.norm(state.velocity_m_s - correct.velocity_m_s) < 0.04
     sigmas = np.sqrt(np.diag(state.covariance))
     assert np.all(np.abs(state.T_world_imu[:3, 3] - correct.T_world_imu[:3, 3]) < 4.0 * sigmas[3:6])
+
+
+def test_the_corrected_state_is_that_for_the_applied_corrections(
+    make_flight: MakeFlight, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The rotation, whose estimate is not significant, is not applied, and the state is the one without it."""
+    given, newest_given = list[Corrections](), AdjustmentResult.newest_given
+
+    def recorded(found: AdjustmentResult, corrections: Array) -> NavState:
+        assert found.mean[2:5].any()
+        given.append(Corrections.from_vector(corrections))
+        return newest_given(found, corrections)
+
+    monkeypatch.setattr(AdjustmentResult, "newest_given", recorded)
+    flight = make_flight(0, rest_s=REST_S, duration_s=8.0)
+    _, calibration, _ = corrected_flight(flight, replace(flight.rig, time_offset_s=0.008), drift_m=0.2)
+    assert len(given) == 1
+    assert given[0].time_offset_s == calibration.applied.time_offset_s != 0.0
+    assert not given[0].rotation_rad.any()
+
+
+@pytest.mark.parametrize(("tilt_deg", "offset_s"), [(0.45, 0.0), (0.0, 0.0022)])
+def test_a_small_correction_determines_no_state(make_flight: MakeFlight, tilt_deg: float, offset_s: float) -> None:
+    """The window of the odometry is better then than the newest state of the adjustment."""
+    flight = make_flight(0, rest_s=REST_S, duration_s=8.0)
+    true = turned(flight.rig, np.radians(tilt_deg) * np.array([[0.6, 0.0, 0.8]]))
+    _, calibration, corrected = corrected_flight(flight, replace(true, time_offset_s=offset_s), drift_m=0.0)
+    assert corrected is not None and str(calibration.applied) != "none"
+    assert calibration.corrected_state is None
+
+
+@pytest.mark.parametrize(("part_sigmas", "is_early"), [(online.PART_SIGMAS, True), (1e3, False)])
+def test_parts_of_a_window_need_more_significance(
+    make_flight: MakeFlight, monkeypatch: pytest.MonkeyPatch, part_sigmas: float, is_early: bool
+) -> None:
+    """Complete windows need the significance of the settings only."""
+    monkeypatch.setattr(online, "PART_SIGMAS", part_sigmas)
+    flight = make_flight(0, rest_s=REST_S, duration_s=8.0)
+    true = turned(flight.rig, np.radians(2.0) * np.array([[0.6, 0.0, 0.8]]))
+    after_s, _, corrected = corrected_flight(flight, true, drift_m=0.0)
+    assert corrected is not None
+    assert (after_s < CalibrationConfig().window_s) == is_early
 
 
 @pytest.mark.parametrize("window_s", [2.8, 3.0, 3.2])

@@ -9,16 +9,17 @@ import numpy as np
 import numpy.typing as npt
 import pytest
 
-from dronevio.estimator.calibration.adjustment import CalibrationProblem
+from dronevio.estimator.calibration.adjustment import AdjustmentResult, CalibrationProblem
 from dronevio.estimator.calibration.config import CalibratedPart, CalibrationConfig
 from dronevio.estimator.calibration.online import OnlineCalibration
+from dronevio.estimator.calibration.window import AdjustmentConfig, WindowKeyframe
 from dronevio.estimator.imu.buffer import ImuBuffer
 from dronevio.estimator.imu.preintegration import Preintegration, PreintegrationConfig, PreintegrationParams
-from dronevio.estimator.types import Observations
+from dronevio.estimator.types import Calibration, Observations
 from dronevio.models.camera import CameraModel
 from dronevio.models.imu import GRAVITY_M_S2
 from dronevio.models.rig import Rig
-from dronevio.models.rotation import exp_so3, pose_matrix
+from dronevio.models.rotation import exp_so3, log_so3, pose_matrix
 from dronevio.models.state import NavState
 
 if TYPE_CHECKING:
@@ -172,6 +173,51 @@ def test_the_adjustment_ends_with_a_short_step(noiseless: "SyntheticFlight", mon
     ends.clear()
     calibrated(noiseless, CalibrationConfig(), Errors(time_offset_s=0.005))
     assert ends == [False, True]
+
+
+def test_the_state_given_other_corrections_is_that_of_their_adjustment(make_flight: MakeFlight) -> None:
+    """Its conditional expectation given a rotation of 0.1° is the result of an adjustment with that rotation known."""
+    flight = make_flight(0, rest_s=-5.0, duration_s=3.0)
+    window = [
+        WindowKeyframe(
+            k.state,
+            k.rate_rad_s,
+            0.0,
+            GRAVITY_M_S2,
+            k.preintegrated,
+            k.observations.ids,
+            np.zeros(len(k.observations), np.int64),
+            k.observations.xy,
+        )
+        for k in keyframes(flight, Errors())
+    ]
+    config = AdjustmentConfig(iterations=20, max_decrement=1e-10)
+    Ts, focal_px = Calibration(flight.rig).Ts_imu_cam, float(Calibration(flight.rig).focal_px[0])
+    estimated, prior = np.isin(np.arange(12), [0, 2, 3, 4]), np.diag(np.repeat([1e4, 2.5e3], [2, 10]))
+
+    def adjusted(mean: Array, information: Array) -> AdjustmentResult:
+        problem = CalibrationProblem(
+            window, Ts, focal_px, config, mean, information, estimated, GRAVITY_M_S2, initial=np.zeros(12)
+        )
+        while not problem.is_done:
+            problem.step()
+        assert problem.result is not None
+        return problem.result
+
+    free = adjusted(np.zeros(12), prior)
+    other = free.mean.copy()
+    other[2:5] += np.radians([0.0, 0.1, 0.0])
+    known = adjusted(other, prior + 1e14 * np.diag(estimated.astype(float)))
+    np.testing.assert_allclose(known.mean, other, atol=1e-7)
+    given, before, after = free.newest_given(other), free.newest, known.newest
+    for value in ("velocity_m_s", "gyro_bias_rad_s", "accel_bias_m_s2"):
+        moved = np.linalg.norm(getattr(after, value) - getattr(before, value))
+        assert np.linalg.norm(getattr(given, value) - getattr(after, value)) < 0.1 * moved
+    moved_m = np.linalg.norm(after.T_world_imu[:3, 3] - before.T_world_imu[:3, 3])
+    assert np.linalg.norm(given.T_world_imu[:3, 3] - after.T_world_imu[:3, 3]) < 0.1 * moved_m > 1e-5
+    R_before, R_given, R_after = (state.T_world_imu[:3, :3] for state in (before, given, after))
+    turned = np.linalg.norm(log_so3(R_before.T @ R_after))
+    assert np.linalg.norm(log_so3(R_given.T @ R_after)) < 0.1 * turned
 
 
 def test_a_hover_changes_neither_estimate_nor_covariance(make_flight: MakeFlight) -> None:

@@ -1,18 +1,21 @@
 """Estimation of the IMU's noise densities by variance components."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import astuple
 from typing import TYPE_CHECKING
 
 import numpy as np
+import numpy.typing as npt
 import pytest
 
+from dronevio.estimator.imu.buffer import NO_INCREMENTS, Increments
 from dronevio.estimator.imu.noise import (
     ImuNoiseEstimator,
     ImuVarianceComponents,
     NoiseDensityEstimator,
     NoiseEstimationConfig,
     VarianceComponent,
+    stationary_densities,
 )
 from dronevio.estimator.imu.preintegration import PreintegrationConfig
 from dronevio.estimator.initialization.static import InitialSigmas
@@ -20,6 +23,8 @@ from dronevio.models.imu import EUROC_IMU
 
 if TYPE_CHECKING:
     from tests.estimator.conftest import KeyframeFeed, SyntheticFlight
+
+Array = npt.NDArray[np.float64]
 
 DT_S = 0.2
 DENSITY = 2e-3
@@ -116,6 +121,42 @@ def test_preintegration_parameters_follow_the_estimate() -> None:
     covariances = params.getGyroscopeCovariance(), params.getAccelerometerCovariance()
     for covariance, density in zip(covariances, sheet, strict=True):
         np.testing.assert_allclose(covariance, density**2 * np.eye(3), rtol=3e-3)
+
+
+def frames_of(readings: Array, dt_s: float, counts: Sequence[int]) -> list[Increments]:
+    """Return readings (N, 6) of gyroscope and accelerometer as increments between frames, with a number for each."""
+    parts = np.split(readings[: sum(counts)], np.cumsum(counts)[:-1])
+    return [Increments(np.full(len(part), dt_s), part[:, :3], part[:, 3:]) for part in parts]
+
+
+@pytest.mark.parametrize("counts", [[10] * 400, [8, 12] * 200], ids=["regular", "irregular"])
+def test_noise_at_rest_is_that_of_the_samples(counts: list[int]) -> None:
+    """White noise of 0.02 rad/s/√Hz and 0.3 m/s²/√Hz, whatever the biases and gravity, and without vibration."""
+    rng, dt_s = np.random.default_rng(1), 0.005
+    n, constant = sum(counts), [0.1, -0.2, 0.3, 9.0, -2.0, 3.0]
+    readings = constant + rng.normal(size=(n, 6)) * np.repeat([0.02, 0.3], 3) / np.sqrt(dt_s)
+    assert stationary_densities(frames_of(readings, dt_s, counts)) == pytest.approx((0.02, 0.3), rel=0.05)
+    vibrating = readings + 10.0 * np.sin(2.0 * np.pi * 50.0 * dt_s * np.arange(n))[:, None]  # a quarter of the rate
+    assert stationary_densities(frames_of(vibrating, dt_s, [12] * (n // 12)))[1] == pytest.approx(0.3, rel=0.05)
+
+
+def test_noise_at_rest_of_two_intervals() -> None:
+    """Mean angular velocities of 1 and 4 rad/s over 0.2 s and 0.05 s: (4 - 1)² = N² (1 / 0.2 + 1 / 0.05)."""
+    first = Increments(np.array([0.05, 0.15]), np.repeat([[2.5], [0.5]], 3, axis=1), np.full((2, 3), 1.0))
+    second = Increments(np.array([0.05]), np.full((1, 3), 4.0), np.full((1, 3), 7.0))
+    assert stationary_densities([first, second]) == pytest.approx((0.6, 1.2))
+    assert stationary_densities([first]) == stationary_densities([]) == (0.0, 0.0)
+
+
+@pytest.mark.parametrize(("factor", "expected"), [(1.0, 2.0), (8.0, 8.0), (100.0, 30.0)])
+def test_noise_at_rest_does_not_reduce_the_estimate(factor: float, expected: float) -> None:
+    """Before the first interval the gyroscope has twice the noise of its data sheet; 30 times is the limit."""
+    noise, dt_s = ImuNoiseEstimator(EUROC_IMU, PreintegrationConfig(), NoiseEstimationConfig()), 0.005
+    sheet = EUROC_IMU.gyro_noise_density
+    readings = np.random.default_rng(2).normal(size=(4000, 6)) * factor * sheet / np.sqrt(dt_s)
+    noise.add_stationary([NO_INCREMENTS, *frames_of(readings, dt_s, [10] * 400)])
+    assert noise.densities[0] / sheet == pytest.approx(expected, rel=0.05)
+    assert noise.params.gyro_variance == pytest.approx(noise.densities[0] ** 2)
 
 
 @pytest.mark.slow

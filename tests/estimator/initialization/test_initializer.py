@@ -11,12 +11,16 @@ from dronevio.estimator.backend.keyframes import KeyframeConfig, KeyframePolicy
 from dronevio.estimator.backend.landmarks import LandmarkConfig
 from dronevio.estimator.backend.smoother import KeyframeSmoother, SmootherConfig
 from dronevio.estimator.imu.buffer import ImuBuffer
-from dronevio.estimator.imu.preintegration import PreintegrationConfig, PreintegrationParams
+from dronevio.estimator.imu.noise import ImuNoiseEstimator, NoiseEstimationConfig
+from dronevio.estimator.imu.preintegration import PreintegrationConfig
 from dronevio.estimator.initialization.gauge import Gauge, LastPublished, WorldOrigin
 from dronevio.estimator.initialization.initializer import Initializer, InitializerConfig
 from dronevio.estimator.initialization.not_observable import FORCE_IS_NOT_GRAVITY, NotObservable
-from dronevio.estimator.types import Calibration, FramePacket
+from dronevio.estimator.types import Calibration, FramePacket, Matches
 from dronevio.models.imu import GRAVITY_M_S2
+from dronevio.models.rig import Rig
+from dronevio.models.rig_presets import rig_named
+from dronevio.models.rotation import inverse_pose
 
 if TYPE_CHECKING:
     from tests.estimator.conftest import SyntheticFlight
@@ -48,12 +52,25 @@ def initializer_at(gauge: Gauge) -> Initializer:
     return Initializer(CONFIG, SmootherConfig(), LandmarkConfig(), KeyframePolicy(KeyframeConfig()), gauge)
 
 
+def noise_of(flight: "SyntheticFlight") -> ImuNoiseEstimator:
+    """Return an estimator of the noise of a flight's IMU, which begins with the data sheet."""
+    return ImuNoiseEstimator(flight.rig.imu, PreintegrationConfig(), NoiseEstimationConfig())
+
+
 def add(
     initializer: Initializer, flight: "SyntheticFlight", packet: FramePacket, stationary_s: float, gauge: Gauge
 ) -> KeyframeSmoother | NotObservable:
     """Add a packet with the calibration and the noise of a flight's rig."""
-    params = PreintegrationParams.of(flight.rig.imu, PreintegrationConfig())
-    return initializer.add(packet, stationary_s, Calibration(flight.rig), gauge, params)
+    return initializer.add(packet, stationary_s, Calibration(flight.rig), gauge, noise_of(flight))
+
+
+def matched(packet: FramePacket, flight: "SyntheticFlight", rig: Rig) -> FramePacket:
+    """Return a packet of a flight with the exact matches in the second camera of a rig."""
+    observations = packet.observations
+    T_cam_world = inverse_pose(flight.state_at(packet.t_ns).T_world_imu @ rig.cameras[1].T_imu_cam)
+    points = flight.landmarks[observations.ids] @ T_cam_world[:3, :3].T + T_cam_world[:3, 3]
+    matches = Matches(observations.ids, np.ones(len(observations), np.int64), points[:, :2] / points[:, 2:])
+    return replace(packet, observations=replace(observations, matches=matches))
 
 
 def test_first_packet_after_a_loss_at_rest_is_not_enough(stationary_flight: "SyntheticFlight") -> None:
@@ -105,3 +122,36 @@ def test_accelerometer_in_other_units_is_refused(
     else:
         assert isinstance(result, NotObservable) and result.cause == FORCE_IS_NOT_GRAVITY
         assert "m/s², where about 9.81 is expected" in result.reason
+
+
+@pytest.mark.parametrize("every", [3, 4, 5])
+def test_two_cameras_at_rest_have_landmarks_from_the_start(stationary_flight: "SyntheticFlight", every: int) -> None:
+    """The keyframes are the frames with matches, wherever these are in the window; without any, position is unknown."""
+    rig, gauge = rig_named("euroc-stereo"), WorldOrigin(gyro_bias_sigma_rad_s=0.05)
+    packets = packets_of(stationary_flight, round(CONFIG.static_window_s / FRAME_S) + 1)
+
+    def landmarks_and_sigma_m(given: list[FramePacket]) -> tuple[int, float]:
+        initializer, result = initializer_at(gauge), None
+        for index, packet in enumerate(given):
+            calibration, noise = Calibration(rig), noise_of(stationary_flight)
+            result = initializer.add(packet, FRAME_S * index, calibration, gauge, noise)
+        assert isinstance(result, KeyframeSmoother) and result.state.covariance is not None
+        sigma_m = float(np.sqrt(np.diag(result.state.covariance)[3:6].max()))
+        return len(result.triangulated_landmarks.ids), sigma_m
+
+    seen = [matched(p, stationary_flight, rig) if i % every == 1 else p for i, p in enumerate(packets)]
+    landmarks, sigma_m = landmarks_and_sigma_m(seen)
+    assert landmarks > 30 and sigma_m < 1e-3
+    assert landmarks_and_sigma_m(packets)[1] > 2e-3
+
+
+def test_noise_at_rest_is_used_from_the_start(make_flight: Callable[..., "SyntheticFlight"]) -> None:
+    """An initialization at rest raises the noise to that of its window."""
+    flight = make_flight(3, rest_s=5.0, duration_s=2.0, imu_noise=10.0)
+    gauge, noise = WorldOrigin(gyro_bias_sigma_rad_s=0.05), noise_of(flight)
+    initializer, last = initializer_at(gauge), round(CONFIG.static_window_s / FRAME_S)
+    sheet = np.array([flight.rig.imu.gyro_noise_density, flight.rig.imu.accel_noise_density])
+    for index, packet in enumerate(packets_of(flight, last + 1)):
+        assert noise.densities / sheet == pytest.approx([2.0, 5.0])
+        initializer.add(packet, FRAME_S * index, Calibration(flight.rig), gauge, noise)
+    assert noise.densities / sheet == pytest.approx([10.0, 10.0], rel=0.3)
