@@ -52,7 +52,13 @@ class SmootherConfig(Settings):
     """Squared length of a step in standard deviations (Newton decrement) below which it is the last one: the next step
     would be shorter than one standard deviation."""
     pixel_sigma: Annotated[float, Range(0.01, 100.0)] = 0.145
-    """Standard deviation of an image observation of the best quality [px]."""
+    """Standard deviation of an image observation of the best quality, with one camera [px]."""
+    stereo_pixel_sigma: Annotated[float, Range(0.01, 100.0)] = 0.1
+    """The same with several cameras. It is smaller, because the errors that tracks have in common are those of
+    `drift_rad`."""
+    drift_rad: Annotated[float, Range(0.0, 1.0)] = 1e-4
+    """Random walk of the window's orientation relative to what has left it, with several cameras [rad/√s]. With one
+    camera, the variances of observations grow instead."""
     robust_sigmas: Annotated[float, Range(0.1, 1e3)] = 1.0
     """Scale of the Cauchy loss of the observations, in standard deviations or medians, whichever is larger."""
     initial_rounds: Annotated[int, Range(1, 20)] = 2
@@ -63,6 +69,10 @@ class SmootherConfig(Settings):
     """Standard deviation of the velocity in a zero-velocity update [m/s]."""
     zupt_pose_sigma: Annotated[float, Range(1e-5, 1e3)] = 0.003
     """Standard deviation of the relative pose in a zero-velocity update [rad] and [m]."""
+
+    def image_sigma_px(self, cameras: int) -> float:
+        """Return the standard deviation of an image observation of the best quality [px] with some cameras."""
+        return self.pixel_sigma if cameras == 1 else self.stereo_pixel_sigma
 
 
 @dataclass(frozen=True, eq=False)
@@ -309,7 +319,8 @@ class KeyframeSmoother:
         landmarks = LandmarkDatabase(self._focal_px, self._landmark_config)
         landmarks.add_observations(0, observations)
         c, Ts_imu_cam = self._config, self._calibration.Ts_imu_cam
-        window = Window(first, information, landmarks, Ts_imu_cam, c.pixel_sigma / self._focal_px, c.robust_sigmas)
+        sigma = c.image_sigma_px(len(Ts_imu_cam)) / self._focal_px
+        window = Window(first, information, landmarks, Ts_imu_cam, sigma, c.robust_sigmas)
         return window, _Solution(_nav_state(start.t_ns, first, covariance), covariance)
 
     def _append(self, keyframe: Keyframe) -> None:
@@ -339,6 +350,9 @@ class KeyframeSmoother:
         window = self._window
         if self._is_full and self._has_moved(parallax_px):
             window.marginalize(min(window.states), self._config.max_persistent)
+            before_ns, newest_ns = sorted(self._times_ns.values())[-2:]
+            if len(self._calibration.Ts_imu_cam) > 1:
+                window.add_drift(self._config.drift_rad * np.sqrt((newest_ns - before_ns) * 1e-9))
         elif self._is_full:
             window.drop_keyframe(sorted(window.states)[-2])
 

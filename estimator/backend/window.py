@@ -11,6 +11,7 @@ import numpy as np
 import numpy.typing as npt
 from scipy.linalg import solve_triangular
 
+from dronevio.estimator.backend.drift import with_rotation_error
 from dronevio.estimator.backend.factors import KeyframeFactor, columns_of, state_values, whitening_matrix
 from dronevio.estimator.backend.landmarks import CameraPoses, LandmarkDatabase
 from dronevio.estimator.backend.linalg import CholeskyFactor, schur_complement
@@ -202,6 +203,15 @@ class Window:
         )
         self._marginalize_into_prior(k, observations[used], marginalized)
         landmarks.remove(np.array(sorted(marginalized), dtype=np.int64))
+
+    def add_drift(self, sigma_rad: float) -> None:
+        """Let the prior have a common error of rotation about the position of the newest keyframe.
+
+        Args:
+            sigma_rad: Standard deviation about each axis [rad].
+        """
+        pivot_m = self.states[self.newest].pose.translation()
+        self._prior = with_rotation_error(self._prior, pivot_m, sigma_rad)
 
     def drop_keyframe(self, k: int) -> None:
         """Remove a keyframe with its observations, and marginalize its factors only.
