@@ -175,7 +175,7 @@ def test_the_adjustment_ends_with_a_short_step(noiseless: "SyntheticFlight", mon
     assert ends == [False, True]
 
 
-def test_the_state_given_other_corrections_is_that_of_their_adjustment(make_flight: MakeFlight) -> None:
+def test_the_state_given_corrections_is_that_of_their_problem(make_flight: MakeFlight) -> None:
     """Its conditional expectation given a rotation of 0.1° is the result of an adjustment with that rotation known."""
     flight = make_flight(0, rest_s=-5.0, duration_s=3.0)
     window = [
