@@ -85,7 +85,7 @@ class HealthConfig(Settings):
     It is the median over the last keyframes."""
     max_noise_ratio: Annotated[float, Range(above=0.0, infinite=True)] = 3.0
     """Largest ratio of the IMU's noise densities, as estimated in flight, to those of the data sheet in the covariance
-    of innovations. A wrong calibration increases the estimates without bound."""
+    of innovations, unless they are larger at rest. A wrong calibration increases the estimates without bound."""
     max_inertial_sigma_m: Annotated[float, Range(above=0.0, infinite=True)] = 1.0
     """Largest increase of the position's standard deviation while the IMU alone propagates the estimate [m]. The IMU of
     EuRoC reaches it in some 10 s."""
@@ -103,7 +103,15 @@ class HealthConfig(Settings):
 class HealthMonitor:
     """Assesses an estimate frame by frame, from its initialization to its loss."""
 
-    def __init__(self, imu: ImuModel, config: HealthConfig, pixel_sigma: float, *, is_trusted: bool = True) -> None:
+    def __init__(
+        self,
+        imu: ImuModel,
+        config: HealthConfig,
+        pixel_sigma: float,
+        *,
+        is_trusted: bool = True,
+        noise_at_rest: tuple[float, float] = (0.0, 0.0),
+    ) -> None:
         """Begin at an initialization.
 
         Args:
@@ -111,11 +119,14 @@ class HealthMonitor:
             config: Settings.
             pixel_sigma: Standard deviation of an image observation [px].
             is_trusted: Whether the estimate counts as consistent from its beginning, not only after `distrust_s`.
+            noise_at_rest: Noise densities of gyroscope [rad/s/√Hz] and accelerometer [m/s²/√Hz] that were measured at
+                rest, where a wrong calibration does not increase them.
         """
         self._config, self._imu = config, imu
         self._pixel_sigma, self._image_variances = pixel_sigma, tuple[float, ...]()
         self._image_variance = 1.0  # of image observations relative to the assumed one
         self._noise_densities = imu.gyro_noise_density, imu.accel_noise_density
+        self._noise_at_rest = noise_at_rest
         self._trust = Trust(_limits(config), is_trusted=is_trusted)
         self._bias_sigmas = np.repeat(
             [
@@ -153,7 +164,8 @@ class HealthMonitor:
             noise_densities: Estimates for gyroscope [rad/s/√Hz] and accelerometer [m/s²/√Hz].
         """
         sheet, ratio = (self._imu.gyro_noise_density, self._imu.accel_noise_density), self._config.max_noise_ratio
-        gyro, accel = (min(max(a, b), ratio * b) for a, b in zip(noise_densities, sheet, strict=True))
+        known = zip(noise_densities, sheet, self._noise_at_rest, strict=True)
+        gyro, accel = (min(max(estimated, given), max(ratio * given, rest)) for estimated, given, rest in known)
         self._noise_densities = gyro, accel
         self._keyframe, self._landmarks = keyframe, landmarks
         if image_variance is not None:

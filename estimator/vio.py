@@ -171,7 +171,9 @@ class VisualInertialOdometry:
         self._origin_m = smoother.state.T_world_imu[:3, 3]
         c, is_trusted = self._config, state.is_trusted and not self._publisher.has_stated_cause
         pixel_sigma = c.smoother.image_sigma_px(len(self._calibration.rig.cameras))
-        monitor = HealthMonitor(self._imu, c.health, pixel_sigma, is_trusted=is_trusted)
+        monitor = HealthMonitor(
+            self._imu, c.health, pixel_sigma, is_trusted=is_trusted, noise_at_rest=self._noise.at_rest
+        )
         self._state = self._tracking(smoother, monitor, packet.observations)
         report = monitor.assess(packet.observations, smoother.state, stationary_s > 0.0, self._calibration)
         return self._publish(packet, smoother.state, report)

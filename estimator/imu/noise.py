@@ -168,6 +168,12 @@ class ImuNoiseEstimator:
         self._gyro = NoiseDensityEstimator(imu.gyro_noise_density, inertial.gyro_noise_inflation, config)
         self._accel = NoiseDensityEstimator(imu.accel_noise_density, inertial.accel_noise_inflation, config)
         self._params = PreintegrationParams.of(imu, inertial, gravity_m_s2)
+        self._at_rest = 0.0, 0.0
+
+    @property
+    def at_rest(self) -> tuple[float, float]:
+        """Noise densities at the last stationary initialization, in the units of `densities`; zero before."""
+        return self._at_rest
 
     @property
     def params(self) -> PreintegrationParams:
@@ -188,7 +194,7 @@ class ImuNoiseEstimator:
 
         Noise of the airframe is absent there, so that the estimate is not reduced.
         """
-        gyro, accel = stationary_densities([part for part in parts if len(part.dt_s)])
+        self._at_rest = gyro, accel = stationary_densities([part for part in parts if len(part.dt_s)])
         self._gyro.raise_to(gyro)
         self._accel.raise_to(accel)
         self._params = self._params.with_noise(*self.densities)

@@ -57,11 +57,9 @@ def observe(
     return Observations(triangulated.ids, xy, xy, np.ones(len(xy), np.int64), cameras)
 
 
-def monitor_of(
-    triangulated: TriangulatedLandmarks, config: HealthConfig = CONFIG, *, is_trusted: bool = True
-) -> HealthMonitor:
+def monitor_of(triangulated: TriangulatedLandmarks, config: HealthConfig = CONFIG, **settings: Any) -> HealthMonitor:
     """Return a health monitor whose keyframe is the start."""
-    monitor = HealthMonitor(RIG.imu, config, SIGMA_PX, is_trusted=is_trusted)
+    monitor = HealthMonitor(RIG.imu, config, SIGMA_PX, **settings)
     monitor.set_reference(START, triangulated, None, DENSITIES)
     return monitor
 
@@ -292,12 +290,14 @@ def test_noise_of_the_imu_in_the_nis_is_bounded() -> None:
     triangulated = landmarks(40, np.random.default_rng(1))
     observations = observe(triangulated, START, ZEROS, np.array([error_of_nis(8.0), 0.0]))
 
-    def nis_of(ratio: float) -> float:
-        monitor = monitor_of(triangulated)
+    def nis_of(ratio: float, at_rest: float = 0.0) -> float:
+        monitor = monitor_of(triangulated, noise_at_rest=(at_rest * DENSITIES[0], at_rest * DENSITIES[1]))
         monitor.set_reference(START, triangulated, None, (ratio * DENSITIES[0], ratio * DENSITIES[1]))
         return assess(monitor, observations, state_after(10)).innovation_nis or 0.0
 
-    assert nis_of(0.1) == nis_of(1.0) > nis_of(2.0) > nis_of(CONFIG.max_noise_ratio) == nis_of(20.0)
+    largest = CONFIG.max_noise_ratio
+    assert nis_of(0.1) == nis_of(1.0) > nis_of(2.0) > nis_of(largest) == nis_of(20.0)
+    assert nis_of(largest) == nis_of(20.0, at_rest=2.0) > nis_of(20.0, at_rest=8.0) == nis_of(8.0, at_rest=20.0)
 
 
 def test_a_fifth_of_outliers_is_no_contradiction() -> None:

@@ -76,8 +76,10 @@ def test_yaw_walks_with_several_cameras(
     def growth(frames_per_keyframe: int) -> float:
         def yaw_variance(drift_rad: float) -> float:
             config = SmootherConfig(drift_rad=drift_rad)
-            settings = {"config": config, "frames_per_keyframe": frames_per_keyframe, "assumed": rig}
-            state = keyframe_feed(flight, start, covariance, **settings).finish().states[-1]
+            feed = keyframe_feed(
+                flight, start, covariance, config, frames_per_keyframe=frames_per_keyframe, assumed=rig
+            )
+            state = feed.finish().states[-1]
             R, P = state.T_world_imu[:3, :3], state.covariance
             assert P is not None
             return float((R @ P[:3, :3] @ R.T)[2, 2])

@@ -156,6 +156,7 @@ def test_noise_at_rest_does_not_reduce_the_estimate(factor: float, expected: flo
     readings = np.random.default_rng(2).normal(size=(4000, 6)) * factor * sheet / np.sqrt(dt_s)
     noise.add_stationary([NO_INCREMENTS, *frames_of(readings, dt_s, [10] * 400)])
     assert noise.densities[0] / sheet == pytest.approx(expected, rel=0.05)
+    assert noise.at_rest[0] / sheet == pytest.approx(factor, rel=0.05)
     assert noise.params.gyro_variance == pytest.approx(noise.densities[0] ** 2)
 
 
