@@ -134,8 +134,10 @@ def test_killed_command_leaves_a_readable_file(flown: Result, results: Path, tmp
     unfinished = tmp_path / "x.incomplete.rrd"
     command = [sys.executable, "-m", "dronevio.cli", "log", str(flown.folder), str(results / "rotated.tum")]
     with subprocess.Popen([*command, "-o", str(tmp_path / "x.rrd"), "--json"], stdout=subprocess.DEVNULL) as writer:
-        while writer.poll() is None and not (unfinished.exists() and unfinished.stat().st_size > 100_000):
+        sizes = [0] * 8  # of the last 40 ms: a message is either written as a whole, or not yet begun
+        while writer.poll() is None and not (sizes[-1] > 100_000 and sizes[0] == sizes[-1]):
             time.sleep(0.005)
+            sizes = [*sizes[1:], unfinished.stat().st_size if unfinished.exists() else 0]
         writer.send_signal(signal.SIGKILL)
         assert writer.wait(10) == -signal.SIGKILL
     assert [path.name for path in tmp_path.iterdir()] == ["x.incomplete.rrd"]
