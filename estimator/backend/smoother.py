@@ -54,8 +54,8 @@ class SmootherConfig(Settings):
     pixel_sigma: Annotated[float, Range(0.01, 100.0)] = 0.145
     """Standard deviation of an image observation of the best quality, with one camera [px]."""
     stereo_pixel_sigma: Annotated[float, Range(0.01, 100.0)] = 0.1
-    """The same with several cameras. It is smaller, because the errors that tracks have in common are those of
-    `drift_rad`."""
+    """Standard deviation of an image observation of the best quality, with several cameras [px]. It is smaller, because
+    `drift_rad` accounts for the errors that tracks have in common."""
     drift_rad: Annotated[float, Range(0.0, 1.0)] = 1e-4
     """Random walk of the window's orientation relative to what has left it, with several cameras [rad/√s]. With one
     camera, the variances of observations grow instead."""
