@@ -18,17 +18,32 @@ _COLUMNS = {"x": np.arange(6), "v": np.arange(6, 9), "b": np.arange(9, 15)}
 
 
 class KeyframeFactor(NamedTuple):
-    """A factor, and the keyframes whose variables it constrains."""
+    """A factor of one keyframe or of two consecutive ones, and the variables that it constrains."""
 
     keyframes: frozenset[int]
     """Numbers of the keyframes."""
     factor: gtsam.NoiseModelFactor
     """GTSAM's factor of poses X(k), velocities V(k) and biases B(k)."""
+    columns: Integers
+    """(m,) Columns of its variables, in the order of its keys, among those of the states of its keyframes."""
 
     @classmethod
     def of(cls, factor: gtsam.NoiseModelFactor) -> Self:
-        """Return a factor with the keyframes of its keys."""
-        return cls(frozenset(map(gtsam.symbolIndex, factor.keys())), factor)
+        """Return a factor with the keyframes and columns of its keys."""
+        keys = list(factor.keys())
+        numbers = [gtsam.symbolIndex(key) for key in keys]
+        states = [STATE_DIM * (number - min(numbers)) for number in numbers]
+        columns = [state + _COLUMNS[chr(gtsam.symbolChr(key))] for state, key in zip(states, keys, strict=True)]
+        return cls(frozenset(numbers), factor, np.concatenate(columns))
+
+    def block(self, index: Mapping[int, int]) -> slice:
+        """Return the columns of the states of its keyframes in the linear system.
+
+        Args:
+            index: Position of each keyframe in the linear system.
+        """
+        first = STATE_DIM * index[min(self.keyframes)]
+        return slice(first, first + STATE_DIM * len(self.keyframes))
 
 
 def state_values(states: Mapping[int, KeyframeState]) -> gtsam.Values:
@@ -42,15 +57,26 @@ def state_values(states: Mapping[int, KeyframeState]) -> gtsam.Values:
     return values
 
 
-def columns_of(factor: gtsam.NoiseModelFactor, index: Mapping[int, int]) -> Integers:
-    """Return the columns of a factor's variables in the linear system, in the order of its keys.
+def replaced_values(
+    values: gtsam.Values, states: Mapping[int, KeyframeState], changed: Mapping[int, KeyframeState]
+) -> gtsam.Values:
+    """Return values with the variables that differ between two sets of states replaced.
 
     Args:
-        factor: The factor.
-        index: Position of each keyframe in the linear system.
+        values: GTSAM's values of the states.
+        states: The states of the values.
+        changed: States of the same keyframes; equal variables are the same objects.
     """
-    keys = list(factor.keys())
-    return np.concatenate([STATE_DIM * index[gtsam.symbolIndex(k)] + _COLUMNS[chr(gtsam.symbolChr(k))] for k in keys])
+    replaced = gtsam.Values(values)
+    for k, state in states.items():
+        other = changed[k]
+        if other.pose is not state.pose:
+            replaced.update(X(k), pose3=other.pose)
+        if other.velocity is not state.velocity:
+            replaced.update(V(k), vector=other.velocity)
+        if other.bias is not state.bias:
+            replaced.update(B(k), constant_bias=other.bias)
+    return replaced
 
 
 def whitening_matrix(factor: gtsam.NoiseModelFactor) -> Array:

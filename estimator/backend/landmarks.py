@@ -184,7 +184,9 @@ class LandmarkDatabase:
         if len(table) == 0:
             return TriangulatedLandmarks(self.ids, self.points, np.zeros(0))
         row = self.rows(table.landmark)
-        x, y, z = (_camera_poses(table, cameras)[1] - self.points[row]).T
+        keyframes = sorted(cameras)
+        p_world_cam = np.stack([cameras[k][1] for k in keyframes])
+        x, y, z = (p_world_cam[np.searchsorted(keyframes, table.keyframe), table.camera] - self.points[row]).T
         rays = np.stack([x, y, z]) / np.sqrt(x * x + y * y + z * z)
         starts = np.flatnonzero(np.diff(row, prepend=-1))
         counts = np.diff(np.append(starts, len(table)))

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from dronevio.estimator.backend.factors import KeyframeFactor, columns_of, state_values
+from dronevio.estimator.backend.factors import KeyframeFactor, replaced_values, state_values
 from dronevio.estimator.backend.marginal_prior import POINT_DIM, POSE_DIM, STATE_DIM, KeyframeState, MarginalPrior
 from dronevio.estimator.backend.observations import Integers
 from dronevio.estimator.backend.reprojection import VisualSystem
@@ -80,14 +80,18 @@ def _add_prior(H: Array, b: Array, prior: MarginalPrior, points: Mapping[int, Ar
 def _add_factors(H: Array, b: Array, factors: Sequence[KeyframeFactor], states: States, first: States) -> None:
     """Add factors to a linear system, with residuals at the current states and Jacobians at the first estimates."""
     index, keyframes = _index(states), frozenset[int]().union(*(factor.keyframes for factor in factors))
-    values, values_first = (state_values({k: s[k] for k in keyframes}) for s in (states, first))
-    for _, factor in factors:
-        J, columns = factor.linearize(values_first).jacobian()[0], columns_of(factor, index)
+    current = {k: states[k] for k in keyframes}
+    values = state_values(current)
+    values_first = replaced_values(values, current, first)
+    for keyframe_factor in factors:
+        factor, block = keyframe_factor.factor, keyframe_factor.block(index)
         r = factor.whitenedError(values)
+        J = np.zeros((len(r), block.stop - block.start))
+        J[:, keyframe_factor.columns] = factor.linearize(values_first).jacobian()[0]
         excess = max(float(r @ r) - len(r), 0.0)  # the expectation of rᵀr is the dimension of r
         weight = 1.0 / (1.0 + excess / IMU_ROBUST_SIGMAS**2)
-        H[np.ix_(columns, columns)] += weight * (J.T @ J)
-        b[columns] -= weight * (J.T @ r)
+        H[block, block] += weight * (J.T @ J)
+        b[block] -= weight * (J.T @ r)
 
 
 def _add_observations(H: Array, b: Array, visual: VisualSystem, persistent_rows: Integers) -> None:

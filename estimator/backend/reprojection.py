@@ -142,7 +142,8 @@ def visual_system(
     J_imu = (axes[:2] - projected[:, None] * axes[2]) * (root_weight * inverse_depth)
     J_point = np.einsum("rin,jin->rjn", J_imu, _selected(R_world_imu, indices.keyframe))
     J_r = np.empty((2, 7, N))  # Jacobian by the pose, and the residual
-    J_r[:, :3] = np.cross(J_imu, p_imu[None], axis=1)
+    for axis, (i, j) in enumerate(((1, 2), (2, 0), (0, 1))):  # the cross product of each row of J_imu with p_imu
+        J_r[:, axis] = J_imu[:, i] * p_imu[j] - J_imu[:, j] * p_imu[i]
     J_r[:, 3:6] = -J_imu
     J_r[:, 6] = residual.T * root_weight
 

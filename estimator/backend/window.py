@@ -12,7 +12,7 @@ import numpy.typing as npt
 from scipy.linalg import solve_triangular
 
 from dronevio.estimator.backend.drift import with_rotation_error
-from dronevio.estimator.backend.factors import KeyframeFactor, columns_of, state_values, whitening_matrix
+from dronevio.estimator.backend.factors import KeyframeFactor, state_values, whitening_matrix
 from dronevio.estimator.backend.landmarks import CameraPoses, LandmarkDatabase
 from dronevio.estimator.backend.linalg import CholeskyFactor, schur_complement
 from dronevio.estimator.backend.linear_system import LinearSystem, linear_system, linearization_points
@@ -119,7 +119,7 @@ class Window:
     def cost(self) -> float:
         """Return the negative logarithm of the posterior density at the current estimates, up to a constant."""
         values = state_values(self.states)
-        of_factors = sum(factor.error(values) for _, factor in self._factors)
+        of_factors = sum(each.factor.error(values) for each in self._factors)
         residual, _, observations = self.residuals()
         squared = self._squared(residual, observations)
         threshold2 = self._robust_sigmas**2 * max(1.0, float(np.median(squared)) if len(squared) else 0.0)
@@ -163,16 +163,17 @@ class Window:
             solved: Cholesky factor of the linear system at the optimum of the window.
         """
         oldest, index = min(self.states), {k: i for i, k in enumerate(self.states)}
-        for keyframes, factor in self._factors:
-            if oldest in keyframes and isinstance(factor, gtsam.CombinedImuFactor):
-                values = state_values({k: self.states[k] for k in keyframes})
+        for each in self._factors:
+            factor = each.factor
+            if oldest in each.keyframes and isinstance(factor, gtsam.CombinedImuFactor):
+                values = state_values({k: self.states[k] for k in each.keyframes})
                 whitened_J = factor.linearize(values).jacobian()[0]
                 J = solve_triangular(whitening_matrix(factor), whitened_J)[:9]  # without the random walk of the biases
-                preintegrated = factor.preintegratedMeasurements()
+                preintegrated, columns = factor.preintegratedMeasurements(), each.block(index).start + each.columns
                 return ImuVarianceComponents.from_residual(
                     factor.unwhitenedError(values)[:9],
                     preintegrated.preintMeasCov()[:9, :9],
-                    J @ solved.inverse_block(columns_of(factor, index)) @ J.T,
+                    J @ solved.inverse_block(columns) @ J.T,
                     preintegrated.deltaTij(),
                 )
         return None

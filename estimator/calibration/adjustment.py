@@ -14,7 +14,7 @@ import numpy.typing as npt
 from scipy.linalg import cho_factor, cho_solve
 
 from dronevio.estimator.calibration.corrections import GRAVITY, Corrections
-from dronevio.estimator.calibration.imu_factor import CalibrationImuFactor
+from dronevio.estimator.calibration.imu_factor import CalibrationImuFactors
 from dronevio.estimator.calibration.projection import project
 from dronevio.estimator.calibration.window import (
     AdjustmentConfig,
@@ -112,11 +112,10 @@ class CalibrationProblem:
         self._bias = np.concatenate([of_bias.gyro_bias_rad_s, of_bias.accel_bias_m_s2])
         self._first_information = _first_information(config, keyframes[0].state if begins_stationary else None)
         self._first = self._state.R_world_imu[0].copy(), self._state.v_world_imu[0].copy(), self._bias.copy()
-        self._factors = [
-            CalibrationImuFactor.from_preintegrated(keyframe.preintegrated, self._bias, keyframe.gravity_m_s2)
-            for keyframe in keyframes[1:]
-            if keyframe.preintegrated
-        ]
+        measured = [(k.preintegrated, k.gravity_m_s2) for k in keyframes[1:] if k.preintegrated is not None]
+        self._factors = CalibrationImuFactors.from_preintegrated(
+            [preintegrated for preintegrated, _ in measured], self._bias, [gravity for _, gravity in measured]
+        )
         candidates = window_observations(keyframes)
         self._observations, self._points = select_landmarks(self._state, candidates, focal_px, config)
         self._rms_px, self._steps, self._decrement = float("inf"), 0, float("inf")
@@ -212,16 +211,36 @@ class CalibrationProblem:
         """Add the IMU factors between consecutive keyframes."""
         s, of_gravity = self._state, np.flatnonzero(self._estimated == GRAVITY)
         common = np.concatenate([np.arange(n - _BIAS_DIM, n), n + of_gravity])
-        gravity_m_s2 = self._gravity_m_s2 + s.corrections.gravity_m_s2
-        for i, factor in enumerate(self._factors):
-            pair = slice(i, i + 2)
-            bias = self._bias - self._first[2]
-            r, J = factor.residual(s.R_world_imu[pair], s.p_world_imu[pair], s.v_world_imu[pair], bias, gravity_m_s2)
-            columns = np.concatenate([np.arange(_STATE_DIM * i, _STATE_DIM * (i + 2)), common])
-            J = J[:, : len(columns)]  # without the column of gravity if it is not estimated
-            weighted = J.T @ factor.information
-            H[np.ix_(columns, columns)] += weighted @ J
-            b[columns] -= weighted @ r
+        bias, gravity_m_s2 = self._bias - self._first[2], self._gravity_m_s2 + s.corrections.gravity_m_s2
+        r, J = self._factors.residuals(s.R_world_imu, s.p_world_imu, s.v_world_imu, bias, gravity_m_s2)
+        states = 2 * _STATE_DIM
+        J = J[:, :, : states + len(common)]  # without the column of gravity if it is not estimated
+        weighted = np.swapaxes(J, 1, 2) @ self._factors.information
+        H_factors, b_factors = weighted @ J, (weighted @ r[..., None])[..., 0]
+        for i in range(len(self._factors)):
+            pair = slice(_STATE_DIM * i, _STATE_DIM * i + states)
+            H[pair, pair] += H_factors[i, :states, :states]
+            H[pair, common] += H_factors[i, :states, states:]
+            H[common, pair] += H_factors[i, states:, :states]
+            b[pair] -= b_factors[i, :states]
+        H[np.ix_(common, common)] += H_factors[:, states:, states:].sum(axis=0)
+        b[common] -= b_factors[:, states:].sum(axis=0)
+
+    def _weighted_jacobians(self) -> tuple[Array, Array, Array, Array]:
+        """Return the Jacobians of the observations, and their residuals, in standard deviations of the robust loss.
+
+        They are the Jacobians by the pose of the keyframe (N, 2, 6), by the estimated corrections (N, 2, E) and by the
+        landmark (N, 2, 3), and the residuals (N, 2, 1).
+        """
+        projection = project(self._state, self._observations, self._points)
+        error = np.linalg.norm(projection.residual, axis=1)
+        robust = 1.0 / (1.0 + (error / (ROBUST_SIGMAS * self._sigma)) ** 2)
+        self._rms_px = float(np.sqrt(np.average(error**2, weights=robust))) * self._focal_px
+        root_weight = np.sqrt(robust)[:, None, None] / self._sigma
+        J_c = projection.J_corrections[:, :, self._estimated]
+        parts = projection.J_pose, J_c, projection.J_point, projection.residual[..., None]
+        J_pose, J_c, J_point, r = (part * root_weight for part in parts)
+        return J_pose, J_c, J_point, r
 
     def _add_observations(self, H: Array, b: Array, n: int) -> Callable[[Array], Array]:
         """Add the observations with the landmarks eliminated.
@@ -233,29 +252,28 @@ class CalibrationProblem:
         K = len(self._state.R_world_imu)
         if L == 0:
             return lambda delta: np.zeros((0, 3))
-        projection = project(self._state, observations, self._points)
-        r, J_pose, J_point = projection.residual, projection.J_pose, projection.J_point
-        J_c = projection.J_corrections[:, :, self._estimated]
-        error = np.linalg.norm(r, axis=1)
-        robust = 1.0 / (1.0 + (error / (ROBUST_SIGMAS * self._sigma)) ** 2)
-        self._rms_px = float(np.sqrt(np.average(error**2, weights=robust))) * self._focal_px
-        weight = robust / self._sigma**2
-        JW_pose, JW_point, JW_c = (np.swapaxes(J, 1, 2) * weight[:, None, None] for J in (J_pose, J_point, J_c))
+        J_pose, J_c, J_point, r = self._weighted_jacobians()
 
-        starts = observations.starts
-        H_ll = np.add.reduceat(JW_point @ J_point, starts)
-        b_l = np.add.reduceat((JW_point @ r[..., None])[..., 0], starts)
+        # Poses and corrections: products of all observations of a keyframe at once
         of_pose = np.zeros((K, 6, 6 + E + 1))
         order = np.argsort(observations.keyframe, kind="stable")
-        first = np.flatnonzero(np.diff(observations.keyframe[order], prepend=-1))
-        products = JW_pose @ np.concatenate([J_pose, J_c, r[..., None]], axis=2)
-        of_pose[observations.keyframe[order[first]]] = np.add.reduceat(products[order], first)
+        bounds = np.searchsorted(observations.keyframe[order], np.arange(K + 1))
+        J_r = np.concatenate([J_pose, J_c, r], axis=2)[order]
+        for k in range(K):
+            J_r_k = J_r[bounds[k] : bounds[k + 1]].reshape(-1, 6 + E + 1)
+            of_pose[k] = J_r_k[:, :6].T @ J_r_k
         H_pp, H_pc, b_p = of_pose[..., :6], of_pose[..., 6:-1], of_pose[..., -1]
+        J_c_r = J_r[..., 6:].reshape(-1, E + 1)
+        of_corrections = J_c_r[:, :-1].T @ J_c_r
+
+        # Landmarks
+        J_point_T = np.swapaxes(J_point, 1, 2)
+        of_landmark = np.add.reduceat(J_point_T @ np.concatenate([J_point, J_c, r], axis=2), observations.starts)
+        H_ll, H_lc, b_l = of_landmark[..., :3], of_landmark[..., 3:-1], of_landmark[..., -1]
         H_lp = np.zeros((L, K, 3, 6))
         for camera in range(len(self._state.Ts_imu_cam)):  # a camera observes a landmark once in a keyframe
             rows = np.flatnonzero(observations.camera == camera)
-            H_lp[observations.landmark[rows], observations.keyframe[rows]] += JW_point[rows] @ J_pose[rows]
-        H_lc = np.add.reduceat(JW_point @ J_c, starts)
+            H_lp[observations.landmark[rows], observations.keyframe[rows]] += J_point_T[rows] @ J_pose[rows]
 
         # Elimination of the landmarks by the Cholesky factors L_l of H_ll: subtract (L_l⁻¹ H_lx)ᵀ (L_l⁻¹ H_lx)
         poses = (_STATE_DIM * np.arange(K)[:, None] + np.arange(6)).ravel()
@@ -271,12 +289,12 @@ class CalibrationProblem:
             H[pose, n:] += H_pc[k]
             H[n:, pose] += H_pc[k].T
             b[pose] += b_p[k]
-        H[n:, n:] += np.tensordot(JW_c, J_c, axes=([0, 2], [0, 1]))
-        b[n:] += np.tensordot(JW_c, r, axes=([0, 2], [0, 1]))
+        H[n:, n:] += of_corrections[:, :-1]
+        b[n:] += of_corrections[:, -1]
 
         def back_substitute(delta: Array) -> Array:
-            of_landmark = half.reshape(L, 3, -1)
-            right = of_landmark[..., -1] - of_landmark[..., :-1] @ delta[columns]
+            halves = half.reshape(L, 3, -1)
+            right = halves[..., -1] - halves[..., :-1] @ delta[columns]
             return np.asarray(np.linalg.solve(np.swapaxes(L_l, 1, 2), right[..., None])[..., 0])
 
         return back_substitute

@@ -12,7 +12,7 @@ import numpy.typing as npt
 
 from dronevio.estimator.backend.triangulation import MIN_DEPTH_M
 from dronevio.estimator.calibration.corrections import COMMON_PARAMETERS, PARAMETERS_PER_CAMERA, Corrections
-from dronevio.models.rotation import exp_so3, skew
+from dronevio.models.rotation import cross, exp_so3
 
 Array = npt.NDArray[np.float64]
 Integers = npt.NDArray[np.int64]
@@ -81,12 +81,13 @@ class Projection:
 def camera_poses(state: CalibrationState, observations: CalibrationObservations) -> tuple[Array, Array]:
     """Return the orientation (N, 3, 3) and position (N, 3) [m] of the camera of each observation."""
     k, camera, c = observations.keyframe, observations.camera, state.corrections
-    delay_s = (c.time_offset_s - state.time_offsets_s)[k, None]
-    R_imu = state.R_world_imu[k] @ exp_so3(state.rates_rad_s[k] * delay_s)
-    p_imu = state.p_world_imu[k] + state.v_world_imu[k] * delay_s
-    R_imu_cam = (state.Ts_imu_cam[:, :3, :3] @ exp_so3(c.rotation_rad))[camera]
-    p_imu_cam = (state.Ts_imu_cam[:, :3, 3] + c.translation_m)[camera]
-    return R_imu @ R_imu_cam, p_imu + np.einsum("nij,nj->ni", R_imu, p_imu_cam)
+    delay_s = (c.time_offset_s - state.time_offsets_s)[:, None]
+    R_imu = (state.R_world_imu @ exp_so3(state.rates_rad_s * delay_s))[:, None]
+    p_imu = (state.p_world_imu + state.v_world_imu * delay_s)[:, None]
+    R_imu_cam = state.Ts_imu_cam[:, :3, :3] @ exp_so3(c.rotation_rad)
+    p_imu_cam = state.Ts_imu_cam[:, :3, 3] + c.translation_m
+    R, p = R_imu @ R_imu_cam, p_imu + (R_imu @ p_imu_cam[..., None])[..., 0]  # (K, C, 3, 3) and (K, C, 3)
+    return R[k, camera], p[k, camera]
 
 
 def corrected_xy(state: CalibrationState, observations: CalibrationObservations) -> Array:
@@ -98,11 +99,11 @@ def corrected_xy(state: CalibrationState, observations: CalibrationObservations)
 def project(state: CalibrationState, observations: CalibrationObservations, points: Array) -> Projection:
     """Return the residuals and Jacobians of observations of landmarks (L, 3) in the world frame [m]."""
     k, camera, c = observations.keyframe, observations.camera, state.corrections
-    delay_s = (c.time_offset_s - state.time_offsets_s)[k, None]
-    rate, R_world_imu, v = state.rates_rad_s[k], state.R_world_imu[k], state.v_world_imu[k]
+    delay_s = (c.time_offset_s - state.time_offsets_s)[:, None]
+    R_world_imu, R_exposure_key = state.R_world_imu[k], exp_so3(-state.rates_rad_s * delay_s)[k]
+    at_exposure_m = (state.p_world_imu + state.v_world_imu * delay_s)[k]
     # The landmark in the frame of the keyframe, of the IMU at the time of exposure, and of the camera
-    p_key = np.einsum("nji,nj->ni", R_world_imu, points[observations.landmark] - state.p_world_imu[k] - v * delay_s)
-    R_exposure_key = exp_so3(-rate * delay_s)
+    p_key = np.einsum("nji,nj->ni", R_world_imu, points[observations.landmark] - at_exposure_m)
     p_imu = np.einsum("nij,nj->ni", R_exposure_key, p_key)
     R_cam_imu = np.swapaxes(state.Ts_imu_cam[:, :3, :3] @ exp_so3(c.rotation_rad), 1, 2)[camera]
     p_cam = np.einsum("nij,nj->ni", R_cam_imu, p_imu - (state.Ts_imu_cam[:, :3, 3] + c.translation_m)[camera])
@@ -117,15 +118,17 @@ def project(state: CalibrationState, observations: CalibrationObservations, poin
     J_imu = J_cam @ R_cam_imu
     J_key = J_imu @ R_exposure_key
     J_point = J_key @ np.swapaxes(R_world_imu, 1, 2)
-    J_pose = np.concatenate([J_key @ skew(p_key), -J_point], axis=2)
+    J_pose = np.concatenate([cross(J_key, p_key[:, None]), -J_point], axis=2)  # aᵀ [p]× = (a × p)ᵀ
 
     J_corrections = np.zeros((len(k), 2, COMMON_PARAMETERS + PARAMETERS_PER_CAMERA * len(state.Ts_imu_cam)))
-    dp_imu_dt = np.cross(p_imu, rate) - np.einsum("nji,nj->ni", R_world_imu, v)  # v not rotated by R_exposure_key
+    v_key = np.einsum("nji,nj->ni", state.R_world_imu, state.v_world_imu)  # not rotated by R_exposure_key
+    dp_imu_dt = cross(p_imu, state.rates_rad_s[k]) - v_key[k]
     J_corrections[:, :, 0] = np.einsum("nij,nj->ni", J_imu, dp_imu_dt)
     J_camera = np.zeros((len(k), 2, PARAMETERS_PER_CAMERA))
-    J_camera[:, :, 0:3], J_camera[:, :, 3:6] = J_cam @ skew(p_cam), -J_imu
+    J_camera[:, :, 0:3], J_camera[:, :, 3:6] = cross(J_cam, p_cam[:, None]), -J_imu
     J_camera[:, 0, 6], J_camera[:, 1, 7] = xy.T
     J_camera[:, 0, 8] = J_camera[:, 1, 9] = 1.0
-    columns = COMMON_PARAMETERS + PARAMETERS_PER_CAMERA * camera[:, None] + np.arange(PARAMETERS_PER_CAMERA)
-    np.put_along_axis(J_corrections, columns[:, None, :].repeat(2, axis=1), J_camera, axis=2)
+    for index in range(len(state.Ts_imu_cam)):
+        rows, first = np.flatnonzero(camera == index), COMMON_PARAMETERS + PARAMETERS_PER_CAMERA * index
+        J_corrections[rows, :, first : first + PARAMETERS_PER_CAMERA] = J_camera[rows]
     return Projection(residual, J_pose, J_point, J_corrections)

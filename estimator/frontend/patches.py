@@ -208,18 +208,22 @@ class PatchAligner:
             iterations: Number of Gauss-Newton iterations, 1 or more; that of a keyframe by default.
         """
         c, warp, inverse_predicted = self._config, patches.warp, _inverse(patches.warp)
-        reference = patches.templates[patches.rows]
+        templates, rows = patches.templates, patches.rows
+        values, inverse_hessian = templates.values[rows], templates.inverse_hessian[rows]
+        prior_weight, norm = templates.prior_weight[rows], templates.norm[rows]
+        difference = np.zeros_like(templates.values)  # of all templates, whose largest array is not copied then
         for _ in range(c.iterations if iterations is None else iterations):
             current, _ = _normalized(self._sampled(image, pixels, warp))
-            gradient = (reference.steepest_descent @ (current - reference.values)[:, :, None])[..., 0]
-            gradient[:, 2:] += reference.prior_weight[:, None] * (inverse_predicted @ warp - np.eye(2)).reshape(-1, 4)
-            step = (reference.inverse_hessian @ gradient[..., None])[..., 0].astype(np.float64)
+            difference[rows] = current - values
+            gradient = (templates.steepest_descent @ difference[:, :, None])[rows, :, 0]
+            gradient[:, 2:] += prior_weight[:, None] * (inverse_predicted @ warp - np.eye(2)).reshape(-1, 4)
+            step = (inverse_hessian @ gradient[..., None])[..., 0].astype(np.float64)
             warp_step = np.clip(step[:, 2:], -MAX_WARP_STEP, MAX_WARP_STEP).reshape(-1, 2, 2)
             warp = warp @ _inverse(np.eye(2) + warp_step)
             pixels = pixels - np.einsum("nij,nj->ni", warp, step[:, :2])
-        zncc = np.sum(current * reference.values, axis=1).astype(np.float64)
+        zncc = np.sum(current * values, axis=1).astype(np.float64)
         scale_squared = _determinant(warp)
-        noise_loss = (c.blurred_noise_ratio * image.noise * c.side_px / reference.norm) ** 2  # of correlation
+        noise_loss = (c.blurred_noise_ratio * image.noise * c.side_px / norm) ** 2  # of correlation
         valid = (zncc > c.min_zncc - noise_loss) & (scale_squared > c.max_scale**-2) & (scale_squared < c.max_scale**2)
         return PatchAlignment(pixels, replace(patches, warp=warp), zncc, valid & np.isfinite(pixels).all(axis=1))
 

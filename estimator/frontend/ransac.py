@@ -56,7 +56,8 @@ def epipolar_inliers(
     best = int(np.argmax(is_inlier.sum(axis=1)))
     # Refinement on the consensus set: the direction most nearly orthogonal to all its normals.
     consensus = normals[is_inlier[best]]
-    refined_t = np.linalg.svd(consensus, full_matrices=False)[2][-1] if len(consensus) >= MIN_MATCHES else t[best]
+    is_refined = len(consensus) >= MIN_MATCHES
+    refined_t = np.linalg.eigh(consensus.T @ consensus)[1][:, 0] if is_refined else t[best]  # least eigenvalue
     refined = _agree(refined_t[None], normals, f0, threshold)[0]
     return np.asarray(refined if refined.sum() >= is_inlier[best].sum() else is_inlier[best])
 

@@ -8,6 +8,7 @@ not revised, so that the output jumps by the correction of the frame.
 
 from collections import deque
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import gtsam
 import numpy as np
@@ -36,10 +37,17 @@ class _Propagation:
     """Dead reckoning from one estimate, ``start``."""
 
     def __init__(self, start: NavState, params: PreintegrationParams) -> None:
-        self.start = start
-        self._nav = gtsam.NavState(gtsam.Pose3(start.T_world_imu), start.velocity_m_s)
-        self._bias = gtsam.imuBias.ConstantBias(start.accel_bias_m_s2, start.gyro_bias_rad_s)
-        self._preintegration = Preintegration(params, self._bias)
+        self.start, self._params = start, params
+
+    @cached_property
+    def _bias(self) -> gtsam.imuBias.ConstantBias:
+        """The biases of the estimate."""
+        return gtsam.imuBias.ConstantBias(self.start.accel_bias_m_s2, self.start.gyro_bias_rad_s)
+
+    @cached_property
+    def _preintegration(self) -> Preintegration:
+        """The preintegration since the estimate. It begins with the first interval, which most estimates do not get."""
+        return Preintegration(self._params, self._bias)
 
     def integrate(self, interval: _ImuInterval) -> None:
         """Add an interval, or the part of it after the estimate."""
@@ -50,7 +58,8 @@ class _Propagation:
 
     def state(self, interval: _ImuInterval) -> NavState:
         """Return the state at the end of an interval, the last that was added."""
-        predicted = self._preintegration.measurements.predict(self._nav, self._bias)
+        nav = gtsam.NavState(gtsam.Pose3(self.start.T_world_imu), self.start.velocity_m_s)
+        predicted = self._preintegration.measurements.predict(nav, self._bias)
         return NavState(
             interval.end_ns,
             predicted.pose().matrix(),

@@ -1,4 +1,4 @@
-"""The IMU factor of the calibration, against an independent integration and numerical derivatives."""
+"""The IMU factors of the calibration, against an independent integration and numerical derivatives."""
 
 import gtsam
 import numpy as np
@@ -6,7 +6,7 @@ import numpy.typing as npt
 import pytest
 
 from dronevio.estimator.baselines.dead_reckoning import preintegrate
-from dronevio.estimator.calibration.imu_factor import CalibrationImuFactor
+from dronevio.estimator.calibration.imu_factor import CalibrationImuFactors
 from dronevio.estimator.imu.buffer import Increments
 from dronevio.estimator.imu.preintegration import Preintegration, PreintegrationConfig, PreintegrationParams
 from dronevio.models.imu import EUROC_IMU
@@ -35,58 +35,86 @@ def increments() -> Increments:
 
 
 @pytest.fixture
-def factor(increments: Increments, bias: Array) -> CalibrationImuFactor:
+def factors(increments: Increments, bias: Array) -> CalibrationImuFactors:
+    """Two factors, of all increments and of their first half."""
     params = PreintegrationParams.of(EUROC_IMU, PreintegrationConfig(), GRAVITY_M_S2)
-    pim = Preintegration(params, gtsam.imuBias.ConstantBias(bias[3:], bias[:3]))
-    pim.integrate(increments)
-    return CalibrationImuFactor.from_preintegrated(pim.measurements, bias, GRAVITY_M_S2)
+    measurements = []
+    for part in (increments, half(increments)):
+        pim = Preintegration(params, gtsam.imuBias.ConstantBias(bias[3:], bias[:3]))
+        pim.integrate(part)
+        measurements.append(pim.measurements)
+    return CalibrationImuFactors.from_preintegrated(measurements, bias, [GRAVITY_M_S2, GRAVITY_M_S2])
 
 
-def test_measurement_agrees_with_direct_integration(
-    factor: CalibrationImuFactor, increments: Increments, bias: Array
+def half(increments: Increments) -> Increments:
+    """Return the first half of some increments."""
+    n = len(increments.dt_s) // 2
+    return Increments(increments.dt_s[:n], increments.gyro_rad_s[:n], increments.accel_m_s2[:n])
+
+
+def test_measurements_agree_with_direct_integration(
+    factors: CalibrationImuFactors, increments: Increments, bias: Array
 ) -> None:
     """Rotation, position and velocity, and their derivatives by the biases."""
+    for i, part in enumerate((increments, half(increments))):
 
-    def integrated(bias: Array) -> tuple[Array, Array]:
-        dR, dv, dp = preintegrate(increments, bias[:3], bias[3:])
-        return dR, np.concatenate([dp, dv])
+        def integrated(bias: Array, part: Increments = part) -> tuple[Array, Array]:
+            dR, dv, dp = preintegrate(part, bias[:3], bias[3:])
+            return dR, np.concatenate([dp, dv])
 
-    rotation, position_velocity = integrated(bias)
-    np.testing.assert_allclose(factor.rotation, rotation, atol=1e-5)  # GTSAM integrates on the tangent space
-    np.testing.assert_allclose(factor.position_velocity, position_velocity, atol=1e-3)
-    h, J = 1e-5, np.zeros((9, 6))
-    for axis, step in enumerate(h * np.eye(6)):
-        (R_ahead, pv_ahead), (R_behind, pv_behind) = integrated(bias + step), integrated(bias - step)
-        J[:, axis] = np.concatenate([log_so3(R_behind.T @ R_ahead), pv_ahead - pv_behind]) / (2.0 * h)
-    for rows in (slice(0, 3), slice(3, 6), slice(6, 9)):
-        for columns in (slice(0, 3), slice(3, 6)):
-            np.testing.assert_allclose(
-                factor.J_bias[rows, columns], J[rows, columns], atol=0.03 * np.abs(J[rows]).max()
-            )
+        rotation, position_velocity = integrated(bias)
+        assert factors.dt_s[i] == pytest.approx(part.duration_s)
+        np.testing.assert_allclose(factors.rotation[i], rotation, atol=1e-5)  # GTSAM integrates on the tangent space
+        np.testing.assert_allclose(factors.position_velocity[i], position_velocity, atol=1e-3)
+        h, J = 1e-5, np.zeros((9, 6))
+        for axis, step in enumerate(h * np.eye(6)):
+            (R_ahead, pv_ahead), (R_behind, pv_behind) = integrated(bias + step), integrated(bias - step)
+            J[:, axis] = np.concatenate([log_so3(R_behind.T @ R_ahead), pv_ahead - pv_behind]) / (2.0 * h)
+        for rows in (slice(0, 3), slice(3, 6), slice(6, 9)):
+            for columns in (slice(0, 3), slice(3, 6)):
+                np.testing.assert_allclose(
+                    factors.J_bias[i, rows, columns], J[rows, columns], atol=0.03 * np.abs(J[rows]).max()
+                )
 
 
 @pytest.mark.parametrize("correction_scale", [0.0, 1.0])
-def test_jacobian_is_the_derivative_of_the_residual(factor: CalibrationImuFactor, correction_scale: float) -> None:
-    """The residual is zero where two keyframes agree with the IMU.
+def test_jacobian_is_the_derivative_of_the_residual(factors: CalibrationImuFactors, correction_scale: float) -> None:
+    """The residuals are zero where three keyframes agree with the IMU.
 
-    Its Jacobian by all 25 variables is evaluated at the biases of the preintegration, and at corrected ones.
+    Their Jacobians by all 25 variables are evaluated at the biases of the preintegration, and at corrected ones.
     """
-    t, R_start = STEPS * DT_S, exp_so3(np.array([0.4, -0.7, 1.5]))
-    v_start, bias = np.array([1.0, -0.5, 0.3]), correction_scale * np.array([1e-3, -2e-3, 1e-3, 0.02, 0.01, -0.02])
-    dp, dv = factor.position_velocity.reshape(2, 3)
-    R = np.stack([R_start, R_start @ factor.rotation])
-    p = np.stack([np.zeros(3), v_start * t + 0.5 * GRAVITY * t**2 + R_start @ dp])
-    v = np.stack([v_start, v_start + GRAVITY * t + R_start @ dv])
+    bias = correction_scale * np.array([1e-3, -2e-3, 1e-3, 0.02, 0.01, -0.02])
+    R, p, v = [exp_so3(np.array([0.4, -0.7, 1.5]))], [np.array([0.2, 0.1, -0.3])], [np.array([1.0, -0.5, 0.3])]
+    for t, rotation, (dp, dv) in zip(
+        factors.dt_s, factors.rotation, factors.position_velocity.reshape(-1, 2, 3), strict=True
+    ):
+        p.append(p[-1] + v[-1] * t + 0.5 * GRAVITY * t**2 + R[-1] @ dp)
+        v.append(v[-1] + GRAVITY * t + R[-1] @ dv)
+        R.append(R[-1] @ rotation)
 
-    def residual(delta: Array) -> tuple[Array, Array]:
+    def residual(i: int, delta: Array) -> tuple[Array, Array]:
+        """Return residual and Jacobian of a factor after a change of its keyframes, the biases and gravity."""
+        R_changed, p_changed, v_changed = np.stack(R), np.stack(p), np.stack(v)
         rotation, position, velocity = np.swapaxes(delta[:18].reshape(2, 3, 3), 0, 1)
-        return factor.residual(
-            R @ exp_so3(rotation), p + position, v + velocity, bias + delta[18:24], GRAVITY_M_S2 + delta[24]
-        )
+        R_changed[i : i + 2] = R_changed[i : i + 2] @ exp_so3(rotation)
+        p_changed[i : i + 2] += position
+        v_changed[i : i + 2] += velocity
+        r, J = factors.residuals(R_changed, p_changed, v_changed, bias + delta[18:24], GRAVITY_M_S2 + delta[24])
+        return r[i], J[i]
 
-    r, J = residual(np.zeros(25))
-    if correction_scale == 0.0:
-        np.testing.assert_allclose(r, 0.0, atol=1e-12)
     h = 1e-6
-    expected = np.stack([(residual(h * e)[0] - residual(-h * e)[0]) / (2.0 * h) for e in np.eye(25)], axis=1)
-    np.testing.assert_allclose(J, expected, atol=1e-3)
+    for i in range(len(factors)):
+        r, J = residual(i, np.zeros(25))
+        if correction_scale == 0.0:
+            np.testing.assert_allclose(r, 0.0, atol=1e-12)
+        steps = h * np.eye(25)
+        expected = np.stack([(residual(i, e)[0] - residual(i, -e)[0]) / (2.0 * h) for e in steps], axis=1)
+        np.testing.assert_allclose(J, expected, atol=1e-3)
+
+
+def test_no_factors() -> None:
+    """A single keyframe has no factor."""
+    factors = CalibrationImuFactors.from_preintegrated([], np.zeros(6), [])
+    r, J = factors.residuals(np.eye(3)[None], np.zeros((1, 3)), np.zeros((1, 3)), np.zeros(6), GRAVITY_M_S2)
+    assert len(factors) == 0
+    assert (r.shape, J.shape) == ((0, 9), (0, 9, 25))
