@@ -48,8 +48,9 @@ MIN_INFLATION = 0.03
 KEPT_INFLATION = 0.5
 """Share of these up to which the odometry keeps its window; after larger corrections it continues from the adjustment's
 newest state, if that is determined."""
-PART_SIGMAS = 4.0
-"""Significance of a first correction by a part of a window, which systematic errors of the take-off dominate."""
+STATIONARY_SIGMAS = 4.0
+"""Significance of a first correction by a window that begins at rest, or by a part of it: systematic errors of the
+take-off dominate there."""
 _ROTATION = 2  # index of the part that holds the rotations of all cameras
 
 
@@ -271,7 +272,7 @@ class OnlineCalibration:
             mean[GRAVITY] = self._mean[GRAVITY]
         if window.is_complete:
             self._mean, self._covariance, self._is_verified = mean, covariance, True
-        min_sigmas = 0.0 if window.is_complete else PART_SIGMAS
+        min_sigmas = STATIONARY_SIGMAS if window.begins_stationary else 0.0
         if not self._apply(mean, covariance, by_component=not window.begins_stationary, min_sigmas=min_sigmas):
             return False
         self._corrected_state, self._is_verified = None, True

@@ -160,6 +160,20 @@ def test_noise_at_rest_does_not_reduce_the_estimate(factor: float, expected: flo
     assert noise.params.gyro_variance == pytest.approx(noise.densities[0] ** 2)
 
 
+@pytest.mark.parametrize(("factor", "walk_factor"), [(0.5, 1.0), (1.0, 1.0), (4.0, 4.0)])
+def test_random_walks_follow_the_noise_at_rest(factor: float, walk_factor: float) -> None:
+    """They are those of the data sheet, unless the unit is noisier at the last rest."""
+    noise = ImuNoiseEstimator(EUROC_IMU, PreintegrationConfig(), NoiseEstimationConfig())
+    initial, dt_s = noise.params, 0.005
+    densities = np.repeat([EUROC_IMU.gyro_noise_density, EUROC_IMU.accel_noise_density], 3)
+    readings = np.random.default_rng(3).normal(size=(4000, 6)) * densities / np.sqrt(dt_s)
+    for at_rest, expected in ((factor, walk_factor), (1.0, 1.0)):
+        noise.add_stationary(frames_of(at_rest * readings, dt_s, [10] * 400))
+        found = np.array([noise.params.gyro_walk_variance, noise.params.accel_walk_variance])
+        given = np.array([initial.gyro_walk_variance, initial.accel_walk_variance])
+        np.testing.assert_allclose(np.sqrt(found / given), expected, rtol=0.05 if expected > 1.0 else 1e-12)
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("imu_noise", [1.0, 10.0])
 def test_noise_of_a_flight_is_estimated(
