@@ -196,8 +196,9 @@ class ImuNoiseEstimator:
     def add_stationary(self, parts: Sequence[Increments]) -> None:
         """Raise the noise to that of a stationary interval, given its increments between successive frames.
 
-        Noise of the airframe is absent there, so that the estimate is not reduced. If the noise exceeds that of the data
-        sheet by more than `NOISY_RATIO`, the random walks of the biases are those of the data sheet times the ratio.
+        Noise of the airframe is absent there, so that the estimate is not reduced. If the noise exceeds that of the
+        data sheet by more than `NOISY_RATIO`, the random walks of the biases are those of the data sheet times the
+        ratio.
         """
         self._at_rest = gyro, accel = stationary_densities([part for part in parts if len(part.dt_s)])
         self._gyro.raise_to(gyro)
