@@ -64,7 +64,19 @@ def test_the_summary_counts_failed_and_diverged_runs() -> None:
     assert (row["ATE [% of path]"], row["largest [%]"]) == ("1.50", "failed")  # of 0.1, 1.5 and a failed run
     assert (row["smallest coverage [%]"], row["latest first pose [s]"]) == ("100.0", "2.50")
     assert (row["ms per frame"], row["p99"], row["scale [%]"]) == ("9.0", "20.0", "−0.500")
+    assert (row["longest loss [s]"], row["largest error while tracking [σ]"]) == ("–", "–")
     assert len(table.rows) == 1  # a single scenario has no row over all
+
+
+def test_the_summary_has_the_worst_loss_and_the_worst_error_while_tracking() -> None:
+    """An error of more than five standard deviations that is reported as tracking is marked."""
+    lossy = replace(RUN, longest_loss_s=1.25, tracking_sigmas=2.0)
+    wrong = replace(DRIFTED, longest_loss_s=0.5, tracking_sigmas=5.1)
+    row = cells(summary_table(BenchmarkResults("x", (lossy, wrong, LOST))))
+    assert (row["longest loss [s]"], row["largest error while tracking [σ]"]) == ("1.25", "5.1")
+    for run, warning in ((wrong, "too large"), (replace(wrong, tracking_sigmas=5.0), "")):
+        table = summary_table(BenchmarkResults("x", (lossy, run)))
+        assert table.rows[0][table.columns.index("largest error while tracking [σ]")].warning == warning
 
 
 def test_the_consistency_table_has_three_anees_and_bounds() -> None:

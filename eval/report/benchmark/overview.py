@@ -2,8 +2,10 @@
 
 import math
 from collections.abc import Iterable, Sequence
+from dataclasses import replace
 
 from dronevio.eval.benchmark.loop_summary import EQUAL_M, EQUAL_PERCENT, LARGE_ERROR_M, LoopSummary, PathSummary
+from dronevio.eval.benchmark.outcomes import MAX_SIGMAS
 from dronevio.eval.benchmark.rows import Row
 from dronevio.eval.benchmark.summary import AverageNees, RunGroup, all_runs, quartiles_of_errors, run_groups
 from dronevio.eval.report.benchmark.model import FAILED, BenchmarkResults, significant
@@ -36,6 +38,8 @@ def summary_table(results: BenchmarkResults) -> Table:
         "scale [%]",
         "smallest coverage [%]",
         "latest first pose [s]",
+        "longest loss [s]",
+        "largest error while tracking [σ]",
         "ms per frame",
         "p99",
     )
@@ -103,6 +107,7 @@ def _groups(rows: Sequence[Row]) -> tuple[RunGroup, ...]:
 def _summary_row(group: RunGroup) -> tuple[Cell, ...]:
     rows, failed, diverged = group.rows, len(group.rows) - group.ok, group.diverged
     percent = [math.inf if row.status != "ok" else row.ate_percent for row in rows]
+    sigmas = max(_known(rows, "tracking_sigmas"), default=None)
     return (
         *_names(group),
         _count(failed, "failed" if failed else ""),
@@ -114,6 +119,8 @@ def _summary_row(group: RunGroup) -> tuple[Cell, ...]:
         _median(rows, "scale_error_percent"),
         _number(min(_known(rows, "coverage_percent"), default=None), 1),
         _number(max(_known(rows, "start_s"), default=None), 2),
+        _number(max(_known(rows, "longest_loss_s"), default=None), 2),
+        replace(_number(sigmas, 1), warning="too large" if sigmas is not None and sigmas > MAX_SIGMAS else ""),
         _median([row for row in rows if row.status == "ok"], "cpu_ms_mean", 1),
         _median([row for row in rows if row.status == "ok"], "cpu_ms_p99", 1),
     )
