@@ -3,9 +3,9 @@
 from dataclasses import dataclass, field
 from typing import Annotated
 
+from dronevio.estimator.backend.config import SmootherConfig
 from dronevio.estimator.backend.keyframes import KeyframeConfig
 from dronevio.estimator.backend.landmarks import LandmarkConfig
-from dronevio.estimator.backend.smoother import SmootherConfig
 from dronevio.estimator.calibration.config import CalibrationConfig
 from dronevio.estimator.frontend.tracker import TrackerConfig
 from dronevio.estimator.health import HealthConfig

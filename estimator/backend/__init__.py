@@ -5,9 +5,10 @@ from typing import TYPE_CHECKING
 from dronevio._lazy import attach
 
 if TYPE_CHECKING:
+    from dronevio.estimator.backend.config import SmootherConfig
     from dronevio.estimator.backend.keyframes import KeyframeConfig, KeyframePolicy
     from dronevio.estimator.backend.landmarks import LandmarkConfig
-    from dronevio.estimator.backend.smoother import Keyframe, KeyframeSmoother, SmootherConfig
+    from dronevio.estimator.backend.smoother import Keyframe, KeyframeSmoother
     from dronevio.estimator.backend.triangulation import Triangulation, triangulate
 
 __all__ = [
@@ -24,9 +25,10 @@ __all__ = [
 __getattr__, __dir__ = attach(
     __name__,
     {
+        "dronevio.estimator.backend.config": ("SmootherConfig",),
         "dronevio.estimator.backend.keyframes": ("KeyframeConfig", "KeyframePolicy"),
         "dronevio.estimator.backend.landmarks": ("LandmarkConfig",),
-        "dronevio.estimator.backend.smoother": ("Keyframe", "KeyframeSmoother", "SmootherConfig"),
+        "dronevio.estimator.backend.smoother": ("Keyframe", "KeyframeSmoother"),
         "dronevio.estimator.backend.triangulation": ("Triangulation", "triangulate"),
     },
 )

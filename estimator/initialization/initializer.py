@@ -12,9 +12,10 @@ from typing import Annotated
 import numpy as np
 import numpy.typing as npt
 
+from dronevio.estimator.backend.config import SmootherConfig
 from dronevio.estimator.backend.keyframes import KeyframePolicy
 from dronevio.estimator.backend.landmarks import LandmarkConfig
-from dronevio.estimator.backend.smoother import Keyframe, KeyframeSmoother, SmootherConfig
+from dronevio.estimator.backend.smoother import Keyframe, KeyframeSmoother
 from dronevio.estimator.imu.buffer import joined
 from dronevio.estimator.imu.noise import ImuNoiseEstimator
 from dronevio.estimator.imu.preintegration import Preintegration, PreintegrationParams

@@ -10,8 +10,9 @@ import numpy as np
 import numpy.typing as npt
 import pytest
 
+from dronevio.estimator.backend.config import SmootherConfig
 from dronevio.estimator.backend.landmarks import LandmarkConfig
-from dronevio.estimator.backend.smoother import Keyframe, KeyframeResult, KeyframeSmoother, SmootherConfig
+from dronevio.estimator.backend.smoother import Keyframe, KeyframeResult, KeyframeSmoother
 from dronevio.estimator.config import VioConfig
 from dronevio.estimator.imu.buffer import ImuBuffer
 from dronevio.estimator.imu.preintegration import Preintegration, PreintegrationConfig, PreintegrationParams

@@ -16,9 +16,10 @@ import numpy.typing as npt
 import pytest
 from scipy.stats import chi2
 
+from dronevio.estimator.backend.config import SmootherConfig
 from dronevio.estimator.backend.landmarks import LandmarkConfig
 from dronevio.estimator.backend.linalg import CholeskyFactor
-from dronevio.estimator.backend.smoother import KeyframeSmoother, SmootherConfig
+from dronevio.estimator.backend.smoother import KeyframeSmoother
 from dronevio.estimator.baselines.dead_reckoning import DeadReckoning, DeadReckoningConfig
 from dronevio.estimator.config import VioConfig
 from dronevio.estimator.frontend.rolling_shutter import ExposureCompensation

@@ -4,9 +4,10 @@ import numpy as np
 import numpy.typing as npt
 import pytest
 
+from dronevio.estimator.backend.config import SmootherConfig
 from dronevio.estimator.backend.keyframes import KeyframeConfig, KeyframePolicy
 from dronevio.estimator.backend.landmarks import LandmarkConfig
-from dronevio.estimator.backend.smoother import KeyframeSmoother, SmootherConfig
+from dronevio.estimator.backend.smoother import KeyframeSmoother
 from dronevio.estimator.imu.buffer import Increments
 from dronevio.estimator.imu.preintegration import PreintegrationConfig, PreintegrationParams
 from dronevio.estimator.propagator import Propagator

@@ -174,12 +174,9 @@ start = replace(start, covariance=InitialSigmas().covariance(R))
 # predicts all frames from the first: dead reckoning.
 
 # %%
+from dronevio.estimator.backend.config import SmootherConfig
 from dronevio.estimator.backend.landmarks import LandmarkConfig
-from dronevio.estimator.backend.smoother import (
-    Keyframe,
-    KeyframeSmoother,
-    SmootherConfig,
-)
+from dronevio.estimator.backend.smoother import Keyframe, KeyframeSmoother
 from dronevio.estimator.imu.preintegration import (
     PreintegrationConfig,
     PreintegrationParams,

@@ -9,9 +9,9 @@ import numpy as np
 import numpy.typing as npt
 import pytest
 
+from dronevio.estimator.backend.config import SmootherConfig
 from dronevio.estimator.backend.drift import with_rotation_error
 from dronevio.estimator.backend.marginal_prior import STATE_DIM, KeyframeState, MarginalPrior
-from dronevio.estimator.backend.smoother import SmootherConfig
 from dronevio.estimator.initialization.static import InitialSigmas
 from dronevio.models.rig import euroc_rig
 from dronevio.models.rig_presets import rig_named

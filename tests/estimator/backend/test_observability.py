@@ -15,8 +15,8 @@ import numpy.typing as npt
 import pytest
 
 import dronevio.estimator.backend.smoother as smoother_module
+from dronevio.estimator.backend.config import SmootherConfig
 from dronevio.estimator.backend.marginal_prior import KeyframeState, MarginalPrior
-from dronevio.estimator.backend.smoother import SmootherConfig
 from dronevio.models.rotation import exp_so3
 
 if TYPE_CHECKING:

@@ -7,9 +7,10 @@ from typing import TYPE_CHECKING
 import numpy as np
 import pytest
 
+from dronevio.estimator.backend.config import SmootherConfig
 from dronevio.estimator.backend.keyframes import KeyframeConfig, KeyframePolicy
 from dronevio.estimator.backend.landmarks import LandmarkConfig
-from dronevio.estimator.backend.smoother import KeyframeSmoother, SmootherConfig
+from dronevio.estimator.backend.smoother import KeyframeSmoother
 from dronevio.estimator.imu.buffer import ImuBuffer
 from dronevio.estimator.imu.noise import ImuNoiseEstimator, NoiseEstimationConfig
 from dronevio.estimator.imu.preintegration import PreintegrationConfig
