@@ -40,6 +40,11 @@ class Increments:
     """(N, 6) or (1, 6) Standard deviations of errors of the angular velocity [rad/s] and specific force [m/s²] beyond
     the sensor's noise, due to saturation or gaps; one row holds for all intervals."""
 
+    def __getitem__(self, rows: slice) -> "Increments":
+        """Return some of the intervals."""
+        excess = self.excess_sigma if len(self.excess_sigma) == 1 else self.excess_sigma[rows]
+        return Increments(self.dt_s[rows], self.gyro_rad_s[rows], self.accel_m_s2[rows], excess)
+
     @property
     def is_degraded(self) -> bool:
         """Whether any increment has an error beyond the sensor's noise."""

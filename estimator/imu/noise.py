@@ -18,7 +18,7 @@ from typing import Annotated
 import numpy as np
 import numpy.typing as npt
 
-from dronevio.estimator.imu.buffer import Increments
+from dronevio.estimator.imu.buffer import Increments, joined
 from dronevio.estimator.imu.preintegration import PreintegrationConfig, PreintegrationParams
 from dronevio.models.imu import GRAVITY_M_S2, ImuModel
 from dronevio.models.ranges import Range, Settings
@@ -28,6 +28,11 @@ Array = npt.NDArray[np.float64]
 NOISY_RATIO = 1.3
 """Ratio of the noise at rest to the data sheet beyond which the random walks are larger, too. The noise of 0.8 s at 20
 frames per second is known to a tenth (one standard deviation)."""
+WHITE_SAMPLES = (2, 4)
+"""Numbers of samples over which noise at rest is averaged to find out whether it is white. Over single intervals, the
+density would be halved where increments are means of two readings."""
+MAX_COLOUR = 1.6
+"""Ratio between the densities of the noise at different intervals beyond which it is not white."""
 MAX_NORMALIZED_SQUARE = 9.0
 """Largest ratio of a squared residual to its expectation, so that a shock is not taken for noise."""
 
@@ -110,6 +115,22 @@ def stationary_densities(parts: Sequence[Increments]) -> tuple[float, float]:
     squares = np.sum(differences**2, axis=0).reshape(2, 3).mean(axis=1)
     gyro, accel = np.sqrt(squares / inverse_s).tolist()
     return gyro, accel
+
+
+def is_white(parts: Sequence[Increments]) -> bool:
+    """Return whether the noise of a stationary gyroscope and of its accelerometer is white.
+
+    The Allan variance of white noise has the same density at all intervals: here of `WHITE_SAMPLES` and of the frames.
+
+    Args:
+        parts: Increments between successive frames, none of them empty. Without any, the noise is not white.
+    """
+    if not parts:
+        return False
+    samples = joined(parts)
+    groups = ([samples[i : i + n] for i in range(0, len(samples.dt_s) - n + 1, n)] for n in WHITE_SAMPLES)
+    densities = np.array([stationary_densities(each) for each in (*groups, parts)])
+    return bool(np.all(densities.max(axis=0) <= MAX_COLOUR * densities.min(axis=0)))
 
 
 class NoiseDensityEstimator:
@@ -196,15 +217,16 @@ class ImuNoiseEstimator:
     def add_stationary(self, parts: Sequence[Increments]) -> None:
         """Raise the noise to that of a stationary interval, given its increments between successive frames.
 
-        Noise of the airframe is absent there, so that the estimate is not reduced. If the noise exceeds that of the
-        data sheet by more than `NOISY_RATIO`, the random walks of the biases are those of the data sheet times the
-        ratio.
+        Noise of the airframe is absent there, so that the estimate is not reduced. If the noise is white and exceeds
+        that of the data sheet by more than `NOISY_RATIO`, the random walks of the biases are those of the data sheet
+        times the ratio.
         """
-        self._at_rest = gyro, accel = stationary_densities([part for part in parts if len(part.dt_s)])
+        measured = [part for part in parts if len(part.dt_s)]
+        self._at_rest = gyro, accel = stationary_densities(measured)
         self._gyro.raise_to(gyro)
         self._accel.raise_to(accel)
-        ratios = (found / given for found, given in zip(self._at_rest, self._data_sheet, strict=True))
-        gyro_ratio, accel_ratio = (ratio if ratio > NOISY_RATIO else 1.0 for ratio in ratios)
+        white, ratios = is_white(measured), np.divide(self._at_rest, self._data_sheet).tolist()
+        gyro_ratio, accel_ratio = (ratio if white and ratio > NOISY_RATIO else 1.0 for ratio in ratios)
         noise = self._params.with_noise(*self.densities)
         self._params = noise.with_walks_of(self._initial, gyro_ratio, accel_ratio)
 

@@ -134,6 +134,17 @@ def test_increments_are_returned_once() -> None:
     assert len(buffer.take_until(t_ns).dt_s) == 0
 
 
+@pytest.mark.parametrize("rows", [1, 4])
+def test_some_of_the_increments(rows: int) -> None:
+    """A single row of standard deviations holds for all intervals."""
+    values = np.arange(12.0).reshape(4, 3)
+    part = Increments(np.arange(1.0, 5.0), values, values + 12.0, np.arange(6.0 * rows).reshape(rows, 6))[1:3]
+    np.testing.assert_array_equal(part.dt_s, [2.0, 3.0])
+    np.testing.assert_array_equal(part.gyro_rad_s, [[3.0, 4.0, 5.0], [6.0, 7.0, 8.0]])
+    np.testing.assert_array_equal(part.accel_m_s2, [[15.0, 16.0, 17.0], [18.0, 19.0, 20.0]])
+    np.testing.assert_array_equal(part.excess_sigma[:, 0], [0.0] if rows == 1 else [6.0, 12.0])
+
+
 def test_points_and_increments_do_not_mix() -> None:
     buffer = ImuBuffer()
     samples, others = stream(10, "point"), stream(10, "increment")

@@ -15,6 +15,7 @@ from dronevio.estimator.imu.noise import (
     NoiseDensityEstimator,
     NoiseEstimationConfig,
     VarianceComponent,
+    is_white,
     stationary_densities,
 )
 from dronevio.estimator.imu.preintegration import PreintegrationConfig
@@ -158,6 +159,30 @@ def test_noise_at_rest_does_not_reduce_the_estimate(factor: float, expected: flo
     assert noise.densities[0] / sheet == pytest.approx(expected, rel=0.05)
     assert noise.at_rest[0] / sheet == pytest.approx(factor, rel=0.05)
     assert noise.params.gyro_variance == pytest.approx(noise.densities[0] ** 2)
+
+
+def test_vibration_is_not_white() -> None:
+    """White noise of any size is; a vibration of a fifth of the sampling rate on the accelerometer is not."""
+    rng, dt_s, n = np.random.default_rng(4), 0.005, 160
+    readings = 0.02 * rng.normal(size=(n, 6))
+    assert is_white(frames_of(readings, dt_s, [10] * 16))
+    assert is_white(frames_of(readings, dt_s, [9, 11] * 8))
+    means_of_two = 0.5 * (readings[1:] + readings[:-1])
+    assert is_white(frames_of(means_of_two, dt_s, [10] * 15))
+    readings[:, 3:] += 0.1 * np.sin(2.0 * np.pi * 0.2 * np.arange(n))[:, None]
+    assert not is_white(frames_of(readings, dt_s, [10] * 16))
+    assert not is_white([])
+
+
+def test_vibration_at_rest_leaves_the_random_walks() -> None:
+    noise, n = ImuNoiseEstimator(EUROC_IMU, PreintegrationConfig(), NoiseEstimationConfig()), 160
+    initial = noise.params
+    vibration = np.sin(2.0 * np.pi * 0.2 * np.arange(n) + [[0.0], [1.0], [2.0], [3.0], [4.0], [5.0]]).T
+    readings = np.random.default_rng(5).normal(size=(n, 6)) * np.repeat([0.0024, 0.028], 3)  # data sheet
+    noise.add_stationary(frames_of(readings + vibration * np.repeat([0.02, 0.2], 3), 0.005, [9, 11] * 8))
+    assert noise.at_rest[0] > 1.3 * EUROC_IMU.gyro_noise_density
+    assert noise.params.gyro_walk_variance == initial.gyro_walk_variance
+    assert noise.params.accel_walk_variance == initial.accel_walk_variance
 
 
 @pytest.mark.parametrize(("factor", "walk_factor"), [(0.5, 1.0), (1.0, 1.0), (4.0, 4.0)])
