@@ -18,7 +18,8 @@ class CalibratedPart(Settings):
     sigma: Annotated[float, Range(1e-6, 10.0)]
     """Prior standard deviation of the given calibration."""
     min_correction: Annotated[float, Range(low=0.0)]
-    """Smallest correction that is applied."""
+    """Smallest correction that is applied: the length of the vector of its parameters. That of the rotations of several
+    cameras is the root mean square over the cameras."""
     walk: Annotated[float, Range(0.0, 1.0)]
     """Random walk of the parameters, due to temperature and ageing, per √s."""
     significance: Annotated[float, Range(low=0.0)] = 3.0

@@ -321,6 +321,8 @@ class OnlineCalibration:
             )
             if part == _ROTATION and min_rotation is not None:
                 smallest = min_rotation
+            elif part == _ROTATION:  # the limit is that of the root mean square over the cameras
+                smallest *= np.sqrt(len(self._given.rig.cameras))
             if is_known and refinement < 1.0:
                 smallest, sigmas = refinement * smallest, min(sigmas, REFINEMENT_SIGMAS)
             else:

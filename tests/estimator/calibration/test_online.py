@@ -11,6 +11,7 @@ import pytest
 
 from dronevio.estimator.calibration.adjustment import AdjustmentResult, CalibrationProblem
 from dronevio.estimator.calibration.config import CalibratedPart, CalibrationConfig
+from dronevio.estimator.calibration.corrections import COMMON_PARAMETERS, PARAMETERS_PER_CAMERA
 from dronevio.estimator.calibration.online import OnlineCalibration
 from dronevio.estimator.calibration.window import AdjustmentConfig, WindowKeyframe
 from dronevio.estimator.imu.buffer import ImuBuffer
@@ -19,6 +20,7 @@ from dronevio.estimator.types import Calibration, Observations
 from dronevio.models.camera import CameraModel
 from dronevio.models.imu import GRAVITY_M_S2
 from dronevio.models.rig import Rig
+from dronevio.models.rig_presets import rig_named
 from dronevio.models.rotation import exp_so3, log_so3, pose_matrix
 from dronevio.models.state import NavState
 
@@ -264,3 +266,13 @@ def test_a_wrong_time_offset_is_corrected_in_6_5_s(make_flight: MakeFlight) -> N
 def test_parts_that_are_off_are_not_estimated(noiseless: "SyntheticFlight") -> None:
     found = calibrated(noiseless, ALL_OFF, Errors(time_offset_s=0.005, rotation_rad=ROTATION_RAD))
     assert str(found.applied) == str(found.estimate) == "none"
+
+
+@pytest.mark.parametrize(("share", "applied"), [(0.95, False), (1.05, True)])
+@pytest.mark.parametrize("rig", ["euroc", "euroc-stereo"])
+def test_the_smallest_rotation_does_not_depend_on_the_number_of_cameras(rig: str, share: float, applied: bool) -> None:
+    """A rotation of the IMU in its housing turns all cameras alike."""
+    calibration = OnlineCalibration(rig_named(rig))
+    corrections = np.zeros(len(calibration._mean))
+    corrections[COMMON_PARAMETERS::PARAMETERS_PER_CAMERA] = share * CalibrationConfig().rotation.min_correction
+    assert calibration._apply(corrections, 1e-12 * np.eye(len(corrections))) == applied
