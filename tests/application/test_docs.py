@@ -159,6 +159,19 @@ def test_options_named_in_pages_exist(page: str) -> None:
     assert {name for name in named if not any(option.startswith(name) for option in known)} == set()
 
 
+def test_published_consistency_is_that_of_the_published_rows(capsys: pytest.CaptureFixture[str]) -> None:
+    """The table of the page has the rows over all flights as the command prints them."""
+    rows = str(DOCS / "measurements" / "reference.parquet")
+    assert main(["report", rows, "--format", "markdown", "--tables", "consistency"]) == 0
+    printed = [line for line in capsys.readouterr().out.splitlines() if line.startswith("| all scenarios")]
+    assert len(printed) == 8
+    page = (DOCS / "estimator.md").read_text(encoding="utf-8")
+    assert [line for line in page.splitlines() if line.startswith("| all scenarios")] == printed
+    for line in printed:
+        anees = [float(cell) for cell in line.split("|")[4:7]]
+        assert int(line.split("|")[3]) >= 30 and all(2.0 <= each <= 4.0 for each in anees)
+
+
 def test_glossary_rows_have_all_columns_and_order() -> None:
     rows = [line for line in text_of("glossary.md").splitlines() if line.startswith("|")]
     cells = [[cell.strip() for cell in row.strip("|").split("|")] for row in rows]
