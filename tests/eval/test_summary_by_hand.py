@@ -68,7 +68,7 @@ def test_the_summary_counts_failed_and_diverged_runs() -> None:
     assert len(table.rows) == 1  # a single scenario has no row over all
 
 
-def test_the_summary_has_the_worst_loss_and_the_worst_error_while_tracking() -> None:
+def test_the_summary_has_the_worst_loss_and_error_while_tracking() -> None:
     """An error of more than five standard deviations that is reported as tracking is marked."""
     lossy = replace(RUN, longest_loss_s=1.25, tracking_sigmas=2.0)
     wrong = replace(DRIFTED, longest_loss_s=0.5, tracking_sigmas=5.1)

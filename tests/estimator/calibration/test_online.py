@@ -270,7 +270,7 @@ def test_parts_that_are_off_are_not_estimated(noiseless: "SyntheticFlight") -> N
 
 @pytest.mark.parametrize(("share", "applied"), [(0.95, False), (1.05, True)])
 @pytest.mark.parametrize("rig", ["euroc", "euroc-stereo"])
-def test_the_smallest_rotation_does_not_depend_on_the_number_of_cameras(rig: str, share: float, applied: bool) -> None:
+def test_the_smallest_rotation_is_that_of_each_camera(rig: str, share: float, applied: bool) -> None:
     """A rotation of the IMU in its housing turns all cameras alike."""
     calibration = OnlineCalibration(rig_named(rig))
     corrections = np.zeros(len(calibration._mean))
