@@ -225,8 +225,10 @@ class ImuNoiseEstimator:
         self._at_rest = gyro, accel = stationary_densities(measured)
         self._gyro.raise_to(gyro)
         self._accel.raise_to(accel)
-        white, ratios = is_white(measured), np.divide(self._at_rest, self._data_sheet).tolist()
-        gyro_ratio, accel_ratio = (ratio if white and ratio > NOISY_RATIO else 1.0 for ratio in ratios)
+        white, densities = is_white(measured), zip(self._at_rest, self._data_sheet, strict=True)
+        gyro_ratio, accel_ratio = (
+            found / given if white and found > NOISY_RATIO * given > 0.0 else 1.0 for found, given in densities
+        )
         noise = self._params.with_noise(*self.densities)
         self._params = noise.with_walks_of(self._initial, gyro_ratio, accel_ratio)
 

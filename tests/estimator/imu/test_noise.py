@@ -1,7 +1,7 @@
 """Estimation of the IMU's noise densities by variance components."""
 
 from collections.abc import Callable, Sequence
-from dataclasses import astuple
+from dataclasses import astuple, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -181,6 +181,16 @@ def test_vibration_at_rest_leaves_the_random_walks() -> None:
     readings = np.random.default_rng(5).normal(size=(n, 6)) * np.repeat([0.0024, 0.028], 3)  # data sheet
     noise.add_stationary(frames_of(readings + vibration * np.repeat([0.02, 0.2], 3), 0.005, [9, 11] * 8))
     assert noise.at_rest[0] > 1.3 * EUROC_IMU.gyro_noise_density
+    assert noise.params.gyro_walk_variance == initial.gyro_walk_variance
+    assert noise.params.accel_walk_variance == initial.accel_walk_variance
+
+
+def test_an_ideal_data_sheet_has_no_ratio_to_the_noise_at_rest() -> None:
+    """Without noise in the data sheet, the random walks stay finite, and are those of the settings."""
+    ideal = replace(EUROC_IMU, gyro_noise_density=0.0, accel_noise_density=0.0)
+    noise = ImuNoiseEstimator(ideal, PreintegrationConfig(), NoiseEstimationConfig())
+    initial, readings = noise.params, np.random.default_rng(6).normal(size=(160, 6))
+    noise.add_stationary(frames_of(readings, 0.005, [10] * 16))
     assert noise.params.gyro_walk_variance == initial.gyro_walk_variance
     assert noise.params.accel_walk_variance == initial.accel_walk_variance
 
