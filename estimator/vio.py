@@ -197,6 +197,7 @@ class VisualInertialOdometry:
             return self._lose(tracking, packet, report)
         due = propagator.is_keyframe_due(stationary_s, packet.observations, report.innovation_px)
         if not (due and packet.has_image):
+            tracking.smoother.complete()
             self._online_calibration.step()
             return self._publish(packet, predicted, report, events)
         packet = self._pipeline.replenish(packet, self._calibration)

@@ -13,6 +13,7 @@ All image coordinates are normalized, so a pixel is 1/fx.
 """
 
 from collections.abc import Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 
 import gtsam
@@ -176,6 +177,14 @@ class KeyframeSmoother:
             self._last_observed = observations, observations
             return KeyframeResult(rejected, (f"solver restored: {error}",))
         return KeyframeResult(np.union1d(rejected, outliers), imu_variance=imu_variance, marginalized=marginalized)
+
+    def complete(self) -> None:
+        """Compute the marginal prior, which `add_keyframe` leaves to a later frame.
+
+        A failure is reported by the next keyframe, which needs the prior.
+        """
+        with suppress(SingularError, np.linalg.LinAlgError):
+            self._window.complete()
 
     def initial_adjustment(self, keyframes: Sequence[Keyframe]) -> float | None:
         """Add the first keyframes together and adjust them by Levenberg-Marquardt.

@@ -2,9 +2,13 @@
 
 One dense linear system holds the states of all keyframes and the persistent landmarks; all other landmarks are
 eliminated by the Schur complement (`reprojection`).
+
+The prior is computed when it is first needed. After a keyframe was marginalized, that is the next keyframe, or a frame
+before it that has more time.
 """
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from copy import copy
 
 import gtsam
 import numpy as np
@@ -59,9 +63,31 @@ class Window:
         """Current estimates of the keyframes by their numbers, in increasing order."""
         self.landmarks = landmarks
         """Observations and landmarks of the window."""
-        self._prior = MarginalPrior(prior_information, np.zeros(STATE_DIM), {0: start})
+        self._known_prior = MarginalPrior(prior_information, np.zeros(STATE_DIM), {0: start})
+        self._pending: list[Callable[[MarginalPrior], MarginalPrior]] = []  # changes of the prior to be computed
         self._factors: list[KeyframeFactor] = []
         self._Ts_imu_cam, self._sigma, self._robust_sigmas = Ts_imu_cam, sigma, robust_sigmas
+
+    @property
+    def _prior(self) -> MarginalPrior:
+        """The marginal prior with all changes."""
+        self.complete()
+        return self._known_prior
+
+    @_prior.setter
+    def _prior(self, prior: MarginalPrior) -> None:
+        self._known_prior = prior
+
+    def complete(self) -> None:
+        """Compute the marginal prior, if that has not been done since a keyframe was marginalized.
+
+        Raises:
+            SingularError: The information on marginalized variables is not positive definite. Each use of the prior
+                raises it again.
+        """
+        while self._pending:
+            self._known_prior = self._pending[0](self._known_prior)
+            del self._pending[0]
 
     @property
     def newest(self) -> int:
@@ -188,9 +214,6 @@ class Window:
         Args:
             k: Number of the keyframe.
             max_persistent: Largest number of persistent landmarks. Those with the most observations are kept.
-
-        Raises:
-            SingularError: The information on the marginalized variables is not positive definite.
         """
         landmarks, persistent = self.landmarks, self.persistent
         observations = landmarks.observations
@@ -212,14 +235,10 @@ class Window:
             sigma_rad: Standard deviation about each axis [rad].
         """
         pivot_m = self.states[self.newest].pose.translation()
-        self._prior = with_rotation_error(self._prior, pivot_m, sigma_rad)
+        self._pending.append(lambda prior: with_rotation_error(prior, pivot_m, sigma_rad))
 
     def drop_keyframe(self, k: int) -> None:
-        """Remove a keyframe with its observations, and marginalize its factors only.
-
-        Raises:
-            SingularError: The information on its state is not positive definite.
-        """
+        """Remove a keyframe with its observations, and marginalize its factors only."""
         self._marginalize_into_prior(k, NO_OBSERVATIONS, set())
 
     def remove_landmarks(self, landmarks: Iterable[int]) -> None:
@@ -235,17 +254,29 @@ class Window:
 
         The keyframe and some of the prior's landmarks are marginalized.
         """
-        of_keyframe = [factor for factor in self._factors if k in factor.keyframes]
-        system = self._linear_system(of_keyframe, observations)
+        before = self._copy()
+        self._factors = [factor for factor in self._factors if k not in factor.keyframes]
+        del self.states[k]
+        self.landmarks.remove_keyframe(k)
+        unobserved = self.persistent - set(self.landmarks.ids.tolist())
+        self._pending.append(lambda _: before._marginal_prior(k, observations, landmarks).without_points(unobserved))
+
+    def _copy(self) -> "Window":
+        """Return a window with the same variables and information, which changes of this one do not concern."""
+        self.complete()
+        copied = copy(self)
+        copied.states, copied.landmarks, copied._pending = dict(self.states), copy(self.landmarks), []
+        return copied
+
+    def _marginal_prior(self, k: int, observations: ObservationTable, landmarks: set[int]) -> MarginalPrior:
+        """Return the prior without a keyframe and some landmarks, with the keyframe's factors and some observations."""
+        system = self._linear_system([factor for factor in self._factors if k in factor.keyframes], observations)
         of_states = np.repeat([i == k for i in self.states], STATE_DIM)
         of_points = np.repeat([i in landmarks for i in self._prior.points], POINT_DIM).astype(np.bool_)
         H, b = schur_complement(system.H, system.b, np.concatenate([of_states, of_points]))
+        states = {i: state for i, state in self.states.items() if i != k}
         points = {i: point for i, point in self._persistent_points().items() if i not in landmarks}
-        self._factors = [factor for factor in self._factors if k not in factor.keyframes]
-        del self.states[k]
-        self._prior = MarginalPrior.from_current_estimates(H, b, self.states, points, self._prior)
-        self.landmarks.remove_keyframe(k)
-        self._prior = self._prior.without_points(set(points) - set(self.landmarks.ids.tolist()))
+        return MarginalPrior.from_current_estimates(H, b, states, points, self._prior)
 
     def _most_observed(self, candidates: set[int], count: int) -> set[int]:
         """Return those of some landmarks that have the most observations."""

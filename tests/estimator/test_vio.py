@@ -9,6 +9,8 @@ import numpy as np
 import numpy.typing as npt
 import pytest
 
+from dronevio.estimator.backend.marginal_prior import MarginalPrior
+from dronevio.estimator.backend.window import Window
 from dronevio.estimator.config import VioConfig
 from dronevio.estimator.vio import VisualInertialOdometry
 from dronevio.eval.metrics.alignment import align
@@ -160,6 +162,29 @@ def test_published_estimates_are_never_revised(make_flight: MakeFlight) -> None:
             estimate = vio.add_frame(measurement)
             published.append((estimate, contents(estimate)))
     assert all(contents(estimate) == before for estimate, before in published)
+
+
+def test_keyframes_leave_the_marginal_prior_to_the_next_frame(
+    make_flight: MakeFlight, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A keyframe takes most of the time already."""
+    flight, computed = make_flight(1, rest_s=IN_MOTION, duration_s=6.0), list[int]()
+    vio, estimates = VisualInertialOdometry(flight.rig, front_end=flight.front_end()), list[Estimate]()
+    marginal_prior = Window._marginal_prior
+
+    def recorded(*arguments: Any) -> MarginalPrior:
+        computed.append(len(estimates))
+        return marginal_prior(*arguments)
+
+    monkeypatch.setattr(Window, "_marginal_prior", recorded)
+    for measurement in measurements(flight):
+        if isinstance(measurement, ImuSamples):
+            vio.add_imu(measurement)
+        else:
+            estimates.append(vio.add_frame(measurement))
+    is_keyframe = ["keyframe" in e.events for e in estimates]
+    assert len(computed) > 10
+    assert all(is_keyframe[k - 1] and not is_keyframe[k] for k in computed)
 
 
 @pytest.mark.parametrize("rest_s", [STATIONARY, pytest.param(IN_MOTION, marks=pytest.mark.slow)])

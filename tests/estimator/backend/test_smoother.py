@@ -2,7 +2,7 @@
 
 from collections.abc import Callable
 from dataclasses import replace
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import numpy.typing as npt
@@ -11,6 +11,7 @@ import pytest
 from dronevio.estimator.backend.config import SmootherConfig
 from dronevio.estimator.backend.linalg import SingularError
 from dronevio.estimator.backend.linear_system import LinearSystem
+from dronevio.estimator.backend.marginal_prior import MarginalPrior
 from dronevio.estimator.backend.smoother import KeyframeSmoother
 from dronevio.estimator.backend.window import Window
 from dronevio.estimator.initialization.static import InitialSigmas
@@ -185,6 +186,49 @@ def test_smoother_restarts_after_a_failure_of_the_solver(
     assert errors(found)[1].max() < 0.1
     assert len(found.points[-1]) > 15
     assert np.isfinite([state.T_world_imu for state in found.states]).all()
+
+
+def test_the_prior_waits_for_a_later_frame(
+    make_flight: MakeFlight, feed: Callable[..., "KeyframeFeed"], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The keyframe that marginalizes another does not compute the prior, and estimates do not depend on when it is."""
+    flight, config = make_flight(0, rest_s=-5.0, duration_s=4.0), SmootherConfig(max_keyframes=6)
+    waiting, counts = feed(flight, config), [0]
+    marginal_prior = Window._marginal_prior
+
+    def counted(*arguments: Any) -> MarginalPrior:
+        counts[-1] += 1
+        return marginal_prior(*arguments)
+
+    monkeypatch.setattr(Window, "_marginal_prior", counted)
+    for _ in waiting:
+        counts.append(0)
+        waiting.smoother.complete()
+    assert counts == [0] * 6 + [1] * (len(counts) - 6) and len(counts) > 10
+    direct = feed(flight, config).finish()
+    for one, other in zip(waiting.states, direct.states, strict=True):
+        np.testing.assert_array_equal(one.T_world_imu, other.T_world_imu)
+        np.testing.assert_array_equal(covariance_of(one), covariance_of(other))
+
+
+def test_the_next_keyframe_reports_a_singular_prior(
+    make_flight: MakeFlight, feed: Callable[..., "KeyframeFeed"], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    found = feed(make_flight(2, rest_s=-5.0, duration_s=8.0), SmootherConfig(max_keyframes=6))
+
+    def fail(*_: Any) -> MarginalPrior:
+        raise SingularError("the marginalized variables are indefinite")
+
+    for _ in found:
+        if len(found.states) == 10:
+            monkeypatch.setattr(Window, "_marginal_prior", fail)
+            found.smoother.complete()  # this failure is not reported
+        elif len(found.states) == 11:
+            monkeypatch.undo()
+    events = [result.events for result in found.results]
+    assert events[10] == ("solver restored: the marginalized variables are indefinite",)
+    assert not any(events[:10]) and not any(events[11:])
+    assert errors(found)[1].max() < 0.1
 
 
 @pytest.mark.parametrize("position_sigma_m", [1.0, 10.0, 1000.0])

@@ -156,6 +156,39 @@ def test_marginalization_keeps_states_and_covariances(persistent: int) -> None:
     np.testing.assert_allclose(solver.solve(system.b)[columns], 0.0, atol=1e-8)
 
 
+def test_a_prior_computed_later_is_that_of_the_marginalization() -> None:
+    """Neither new estimates nor removed landmarks in between change it."""
+    now, later = window(noise_sigmas=1.0), window(noise_sigmas=1.0)
+    for each in (now, later):
+        each.marginalize(0, 10)
+        if each is now:
+            each.complete()
+        each.add_drift(1e-3)
+        if each is now:
+            each.complete()
+        moved = each.states[4].pose.compose(gtsam.Pose3(gtsam.Rot3(), np.array([0.1, 0.0, 0.0])))
+        each.states[4] = replace(each.states[4], pose=moved)
+        each.landmarks.set_points(1.1 * each.landmarks.points)
+        each.landmarks.remove_keyframe(3)
+    expected, found = now._prior, later._prior
+    np.testing.assert_array_equal(found.H, expected.H)
+    np.testing.assert_array_equal(found.b, expected.b)
+    assert list(found.states) == list(expected.states) == [1, 2, 3, 4]
+    assert list(found.points) == list(expected.points) and len(found.points) == 10
+
+
+def test_persistent_landmarks_without_observations_leave_the_prior() -> None:
+    """A landmark that only the dropped keyframe still observes is marginalized."""
+    made = window()
+    made.marginalize(0, 10)
+    first, *others = sorted(made.persistent)
+    table = made.landmarks.all_observations
+    made.landmarks.replace_observations(table[(table.landmark != first) | (table.keyframe == 3)])
+    made.drop_keyframe(3)
+    assert made.persistent == set(others) <= set(made.landmarks.ids.tolist())
+    assert np.isfinite(CholeskyFactor(made.linearize().H).inverse_block(np.arange(15))).all()
+
+
 def test_variances_do_not_grow_with_two_cameras() -> None:
     """Two cameras observe the depth at every keyframe, and all observations of a landmark have the same weight."""
     grown, equal = window(noise_sigmas=1.0), window(noise_sigmas=1.0)
