@@ -244,6 +244,9 @@ class KeyframeSmoother:
     ) -> "KeyframeSmoother":
         """Return a smoother with another calibration that begins at the newest state, without the window.
 
+        The observations of the newest keyframe are kept if time offset and lenses are the same, so that landmarks are
+        triangulated again after two more keyframes.
+
         Args:
             calibration: The new calibration.
             covariance_inflation: (15, 15) Covariance that is added to that of the newest state.
@@ -253,7 +256,10 @@ class KeyframeSmoother:
         state, covariance = self._solution.state, self._solution.covariance + covariance_inflation
         if corrected is not None and corrected.covariance is not None:
             state, covariance = corrected, corrected.covariance
-        return KeyframeSmoother(calibration, self._config, self._landmark_config, state, covariance, NO_FEATURES)
+        is_same_time = calibration.time_offset_correction_s == self._calibration.time_offset_correction_s
+        is_same_lens = calibration.focal_correction is self._calibration.focal_correction
+        observations = self._last_observed[1] if is_same_time and is_same_lens else NO_FEATURES
+        return KeyframeSmoother(calibration, self._config, self._landmark_config, state, covariance, observations)
 
     def keyframe_estimates(self) -> tuple[KeyframeEstimate, ...]:
         """Return the final estimates of all keyframes but the newest, for the end of the window."""

@@ -15,6 +15,7 @@ from dronevio.estimator.backend.marginal_prior import MarginalPrior
 from dronevio.estimator.backend.smoother import KeyframeSmoother
 from dronevio.estimator.backend.window import Window
 from dronevio.estimator.initialization.static import InitialSigmas
+from dronevio.estimator.types import Calibration
 from dronevio.models.rotation import exp_so3, log_so3
 from dronevio.models.state import NavState, Trajectory
 
@@ -209,6 +210,24 @@ def test_the_prior_waits_for_a_later_frame(
     for one, other in zip(waiting.states, direct.states, strict=True):
         np.testing.assert_array_equal(one.T_world_imu, other.T_world_imu)
         np.testing.assert_array_equal(covariance_of(one), covariance_of(other))
+
+
+@pytest.mark.parametrize(
+    ("correction", "is_kept"),
+    [
+        ({"gravity_correction_m_s2": 0.03}, True),
+        ({"time_offset_correction_s": 0.01}, False),
+        ({"focal_correction": np.full((1, 2), 0.01), "principal_correction": np.zeros((1, 2))}, False),
+    ],
+)
+def test_a_restart_keeps_observations_of_the_same_time_and_lens(
+    noiseless: "KeyframeFeed", correction: dict[str, Any], is_kept: bool
+) -> None:
+    calibration = Calibration(noiseless.flight.rig, **correction)
+    restarted = noiseless.smoother.restarted(calibration, np.zeros((15, 15)))
+    window, last = restarted._window, noiseless.smoother._last_observed[1]
+    assert len(window.landmarks.all_observations) == (len(last) if is_kept else 0)
+    assert len(last) > 50 and len(restarted.landmarks) == 0
 
 
 def test_the_next_keyframe_reports_a_singular_prior(
