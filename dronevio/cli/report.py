@@ -37,12 +37,12 @@ class ReportCommand:
     title: str | None = None
     """Title of the report; the name of the benchmark's folder by default."""
     tables: tuple[
-        Literal["summary", "measures", "consistency", "starts", "loops", "runs", "outcomes", "failures"], ...
+        Literal["summary", "measures", "consistency", "starts", "loops", "runs", "outcomes", "losses", "failures"], ...
     ] = ()
     """Tables in Markdown and LaTeX: a summary of each scenario and estimator, a table for each measure, the average
     NEES of position, orientation and velocity, the initialization, loops with the errors after the first revisit, all
-    runs, expected outcomes, and failed runs. By default measures, outcomes and failures. Tables without rows are left
-    out."""
+    runs, expected outcomes, the runs that failed, diverged or left tracking, and failed runs with their reasons. By
+    default measures, outcomes and failures. Tables without rows are left out."""
     measures: tuple[str, ...] = ()
     """Columns of the results that get a table. By default these are the main ones, and all of them for CSV. The page
     has all columns."""

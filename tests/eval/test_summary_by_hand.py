@@ -11,7 +11,7 @@ from dronevio.eval.metrics import nees_bounds
 from dronevio.eval.report.benchmark.model import BenchmarkResults
 from dronevio.eval.report.benchmark.overview import consistency_table, start_table, summary_table
 from dronevio.eval.report.benchmark.page import benchmark_page
-from dronevio.eval.report.benchmark.tables import as_markdown, run_table
+from dronevio.eval.report.benchmark.tables import as_markdown, loss_table, run_table
 from dronevio.eval.report.tables import Table
 
 RUN = Row(
@@ -79,6 +79,25 @@ def test_the_summary_has_the_worst_loss_and_error_while_tracking() -> None:
         assert table.rows[0][table.columns.index("largest error while tracking [σ]")].warning == warning
 
 
+def test_the_table_of_losses_has_all_runs_that_were_not_tracked_throughout() -> None:
+    tracked = replace(RUN, longest_loss_s=0.0, tracking_sigmas=5.0)
+    lossy = replace(RUN, seed=1, longest_loss_s=0.15, tracking_sigmas=2.0, coverage_percent=99.5)
+    wrong = replace(RUN, seed=2, longest_loss_s=0.0, tracking_sigmas=5.06)
+    drifted = replace(DRIFTED, seed=3)
+    table = loss_table(BenchmarkResults("x", (RUN, tracked, lossy, wrong, drifted, replace(LOST, seed=4))))
+    assert [row[1].text for row in table.rows] == ["1", "2", "3", "4"]
+    assert [row[3].warning for row in table.rows] == ["", "", "diverged", "crashed"]
+    row = cells(table)
+    assert (row["status"], row["ATE [m]"], row["ATE [% of path]"]) == ("ok", "0.0200", "0.100")
+    assert (row["coverage [%]"], row["longest loss [s]"], row["largest error while tracking [σ]"]) == (
+        "99.5",
+        "0.15",
+        "2.0",
+    )
+    assert [row[8].warning for row in table.rows] == ["", "too large", "", ""]
+    assert cells(table, 3)["ATE [m]"] == "–"
+
+
 def test_the_consistency_table_has_three_anees_and_bounds() -> None:
     results = BenchmarkResults("x", (RUN, DRIFTED, HALL))
     table = consistency_table(results)
@@ -97,11 +116,19 @@ def test_the_table_of_starts_counts_accurate_ones() -> None:
 
 def test_reports_have_the_tables_that_are_asked_for() -> None:
     results = BenchmarkResults("x", (RUN, DRIFTED, LOST))
-    text = as_markdown(results, (), ("summary", "consistency", "starts", "failures"))
-    titles = ("Summary: medians over runs", "Average NEES", "Initialization: medians over runs", "Failed runs")
+    text = as_markdown(results, (), ("summary", "consistency", "starts", "losses", "failures"))
+    titles = (
+        "Summary: medians",
+        "Average NEES",
+        "Initialization: medians",
+        "Runs with losses of tracking",
+        "Failed runs",
+    )
     places = [text.index(title) for title in titles]
     assert places == sorted(places)
     assert "Average NEES" not in as_markdown(replace(results, rows=(LOST,)), (), ("consistency", "failures"))
     page = benchmark_page(results)
     assert "A run has diverged if its coverage is below 99 %" in page and "95 % bounds" in page
+    assert "Losses of tracking" in page and "exceeded 5 standard deviations" in page
+    assert "Losses of tracking" not in benchmark_page(BenchmarkResults("x", (RUN, HALL)))
     assert run_table(results).rows[1][3].warning == "diverged"

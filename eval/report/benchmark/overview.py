@@ -99,6 +99,16 @@ def loop_table(results: BenchmarkResults) -> Table:
     return Table("Loops: medians of errors after the first revisit", columns, rows, text_columns=_TEXT_COLUMNS)
 
 
+def number_cell(value: float | None, decimals: int | None = None) -> Cell:
+    """Return the cell of a number with some decimals, by default with three significant digits; a dash for None."""
+    if value is None:
+        return Cell(DASH, order=math.inf)
+    if math.isinf(value):
+        return Cell(FAILED, order=math.inf)
+    text = significant(value) if decimals is None else f"{value:.{decimals}f}"
+    return Cell(text.replace("-", "−"), order=value)
+
+
 def _groups(rows: Sequence[Row]) -> tuple[RunGroup, ...]:
     """Return the runs by scenario and estimator, and then of all scenarios."""
     return (*run_groups(rows), *all_runs(rows))
@@ -114,13 +124,13 @@ def _summary_row(group: RunGroup) -> tuple[Cell, ...]:
         _count(diverged, "diverged" if diverged else ""),
         _median(rows, "ate_m"),
         _median(rows, "ate_percent"),
-        _number(max((value for value in percent if value is not None), default=None)),
+        number_cell(max((value for value in percent if value is not None), default=None)),
         _median(rows, "rpe_m"),
         _median(rows, "scale_error_percent"),
-        _number(min(_known(rows, "coverage_percent"), default=None), 1),
-        _number(max(_known(rows, "start_s"), default=None), 2),
-        _number(max(_known(rows, "longest_loss_s"), default=None), 2),
-        replace(_number(sigmas, 1), warning="too large" if sigmas is not None and sigmas > MAX_SIGMAS else ""),
+        number_cell(min(_known(rows, "coverage_percent"), default=None), 1),
+        number_cell(max(_known(rows, "start_s"), default=None), 2),
+        number_cell(max(_known(rows, "longest_loss_s"), default=None), 2),
+        replace(number_cell(sigmas, 1), warning="too large" if sigmas is not None and sigmas > MAX_SIGMAS else ""),
         _median([row for row in rows if row.status == "ok"], "cpu_ms_mean", 1),
         _median([row for row in rows if row.status == "ok"], "cpu_ms_p99", 1),
     )
@@ -128,7 +138,7 @@ def _summary_row(group: RunGroup) -> tuple[Cell, ...]:
 
 def _consistency_row(group: RunGroup, nees: AverageNees) -> tuple[Cell, ...]:
     low, high = nees.bounds
-    means = (_number(mean, 2) for mean in (nees.position, nees.orientation, nees.velocity))
+    means = (number_cell(mean, 2) for mean in (nees.position, nees.orientation, nees.velocity))
     scenario, estimator, _ = _names(group)
     return scenario, estimator, _count(nees.runs), *means, Cell(f"{low:.2f}–{high:.2f}", order=low)
 
@@ -140,13 +150,13 @@ def _start_row(group: RunGroup) -> tuple[Cell, ...]:
     return (
         *_names(group),
         _count(len(started), "" if len(started) == len(rows) else "not all"),
-        _number(_middle(_known(rows, "start_acceleration_m_s2")), 2),
-        _number(_middle(started), 2),
-        _number(max(started, default=None), 2),
-        _number(_middle(_known(rows, "start_velocity_error_m_s")), 3),
-        _number(_middle(_known(rows, "start_speed_m_s")), 2),
+        number_cell(_middle(_known(rows, "start_acceleration_m_s2")), 2),
+        number_cell(_middle(started), 2),
+        number_cell(max(started, default=None), 2),
+        number_cell(_middle(_known(rows, "start_velocity_error_m_s")), 3),
+        number_cell(_middle(_known(rows, "start_speed_m_s")), 2),
         _count(sum(row.started_accurately for row in rows)),
-        _number(scale, 1),
+        number_cell(scale, 1),
         _median(rows, "ate_m"),
     )
 
@@ -161,17 +171,17 @@ def _loop_row(group: RunGroup, summary: LoopSummary) -> tuple[Cell, ...]:
         _millimetres(summary.odometry_m),
         *(_millimetres(None if path is None else path.median_m) for path in paths),
         _count(summary.large),
-        *(_number(None if path is None else path.ratio, 2) for path in paths),
+        *(number_cell(None if path is None else path.ratio, 2) for path in paths),
         *(_excess(path) for path in paths),
-        _number(summary.loops, 0),
-        _count(summary.wrong_loops, "wrong") if summary.wrong_loops else _number(summary.wrong_loops, 0),
-        _number(summary.recall_percent, 0),
-        _number(summary.smallest_recall_percent, 0),
+        number_cell(summary.loops, 0),
+        _count(summary.wrong_loops, "wrong") if summary.wrong_loops else number_cell(summary.wrong_loops, 0),
+        number_cell(summary.recall_percent, 0),
+        number_cell(summary.smallest_recall_percent, 0),
     )
 
 
 def _millimetres(value_m: float | None) -> Cell:
-    return _number(None if value_m is None else 1e3 * value_m, 1)
+    return number_cell(None if value_m is None else 1e3 * value_m, 1)
 
 
 def _excess(path: PathSummary | None) -> Cell:
@@ -201,16 +211,7 @@ def _middle(values: Sequence[float]) -> float | None:
 def _median(rows: Sequence[Row], column: str, decimals: int | None = None) -> Cell:
     """Return the median of a column, in which a failed run ranks behind all others."""
     quartiles = quartiles_of_errors(rows, column)
-    return _number(None if quartiles is None else quartiles.median, decimals)
-
-
-def _number(value: float | None, decimals: int | None = None) -> Cell:
-    if value is None:
-        return Cell(DASH, order=math.inf)
-    if math.isinf(value):
-        return Cell(FAILED, order=math.inf)
-    text = significant(value) if decimals is None else f"{value:.{decimals}f}"
-    return Cell(text.replace("-", "−"), order=value)
+    return number_cell(None if quartiles is None else quartiles.median, decimals)
 
 
 def _count(count: int, warning: str = "") -> Cell:

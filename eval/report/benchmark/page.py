@@ -21,6 +21,7 @@ from dronevio.eval.report.benchmark.overview import (
 from dronevio.eval.report.benchmark.tables import (
     NOTE,
     failure_table,
+    loss_table,
     measure_table,
     outcome_table,
     quartile_range,
@@ -41,7 +42,7 @@ _ROW_HEIGHT_IN, _ROW_MARGIN_IN = 0.15, 1.1  # of one row of dots, and around all
 
 def benchmark_page(results: BenchmarkResults) -> str:
     """Return the page as HTML."""
-    listed = len(results.rows) <= _MAX_LISTED_RUNS
+    listed, losses = len(results.rows) <= _MAX_LISTED_RUNS, loss_table(results)
     return render_page(
         "benchmark.html.j2",
         results.title,
@@ -66,6 +67,8 @@ def benchmark_page(results: BenchmarkResults) -> str:
         sub_trajectory_plots_by_scenario=_sub_trajectory_plots_by_scenario(results),
         consistency=_consistency(results),
         cost_plots=_cost_plots(results),
+        losses=losses if len(losses.rows) <= _MAX_LISTED_RUNS else None,
+        max_sigmas=f"{MAX_SIGMAS:g}",
         failures=failure_table(results),
         provenance=_provenance(results),
     )

@@ -4,10 +4,19 @@ import csv
 import io
 import math
 from collections.abc import Callable, Iterator, Sequence
+from dataclasses import replace
 
+from dronevio.eval.benchmark.outcomes import MAX_SIGMAS
+from dronevio.eval.benchmark.rows import Row
 from dronevio.eval.benchmark.summary import ALL_SCENARIOS, Quartiles
 from dronevio.eval.report.benchmark.model import BenchmarkResults, Measure, seed_ranges
-from dronevio.eval.report.benchmark.overview import consistency_table, loop_table, start_table, summary_table
+from dronevio.eval.report.benchmark.overview import (
+    consistency_table,
+    loop_table,
+    number_cell,
+    start_table,
+    summary_table,
+)
 from dronevio.eval.report.tables import DASH, Cell, Table, latex_table, latex_text, markdown_table
 
 CSV_COLUMNS = (
@@ -29,7 +38,7 @@ NOTE = (
 """Explanation of the tables."""
 RUN_COLUMNS = ("ate_m", "rpe_m", "drift_percent", "coverage_percent", "nees_position", "cpu_ms_mean", "wall_s")
 """Columns of the list of all runs."""
-TABLES = ("summary", "measures", "consistency", "starts", "loops", "runs", "outcomes", "failures")
+TABLES = ("summary", "measures", "consistency", "starts", "loops", "runs", "outcomes", "losses", "failures")
 """Names of the tables of a report."""
 DEFAULT_TABLES = ("measures", "outcomes", "failures")
 """Names of the tables in Markdown and LaTeX by default."""
@@ -59,6 +68,23 @@ def failure_table(results: BenchmarkResults) -> Table:
     return Table("Failed runs", columns, rows, text_columns=frozenset((1, 2, 4)))
 
 
+def loss_table(results: BenchmarkResults) -> Table:
+    """Return the runs that failed, diverged, left tracking, or erred by too many standard deviations while tracking."""
+    columns = (
+        "scenario",
+        "seed",
+        "estimator",
+        "status",
+        "ATE [m]",
+        "ATE [% of path]",
+        "coverage [%]",
+        "longest loss [s]",
+        "largest error while tracking [σ]",
+    )
+    rows = tuple(_loss_row(row) for row in results.rows if _is_loss(row))
+    return Table("Runs with losses of tracking", columns, rows, text_columns=frozenset((2, 3)))
+
+
 def outcome_table(results: BenchmarkResults) -> Table:
     """Return the runs with an expected outcome: what was expected, and whether each run has it."""
     found = {verdict.row.identity: verdict for verdict in results.verdicts}
@@ -85,18 +111,12 @@ def run_table(results: BenchmarkResults) -> Table:
     shown = [measure for measure in results.measures if measure.column in RUN_COLUMNS]
     rows = []
     for row in results.rows:
-        seed = Cell(DASH if row.seed is None else str(row.seed), order=-1.0 if row.seed is None else float(row.seed))
-        status = (
-            Cell("ok", warning="diverged" if row.diverged else "")
-            if row.status == "ok"
-            else Cell("", warning=row.status)
-        )
         values = (measure.of(row) if row.status == "ok" else None for measure in shown)
         cells = (
             Cell(DASH, order=float("inf")) if value is None else Cell(measure.text(value), order=value)
             for measure, value in zip(shown, values, strict=True)
         )
-        rows.append((Cell(row.scenario), seed, Cell(row.estimator), status, *cells))
+        rows.append((*_run_cells(row), *cells))
     columns = ("scenario", "seed", "estimator", "status", *(measure.heading for measure in shown))
     return Table("All runs", columns, tuple(rows), text_columns=frozenset((2, 3)))
 
@@ -168,12 +188,39 @@ def _tables(results: BenchmarkResults, measures: Sequence[Measure], names: Seque
         "loops": loop_table,
         "runs": run_table,
         "outcomes": outcome_table,
+        "losses": loss_table,
         "failures": failure_table,
     }
     tables: list[Table] = []
     for name in names:
         tables += [measure_table(results, m) for m in measures] if name == "measures" else [makers[name](results)]
     return [table for table in tables if table.rows]
+
+
+def _run_cells(row: Row) -> tuple[Cell, Cell, Cell, Cell]:
+    """Return the cells of scenario, seed, estimator and status of a run."""
+    seed = Cell(DASH if row.seed is None else str(row.seed), order=-1.0 if row.seed is None else float(row.seed))
+    is_ok = row.status == "ok"
+    status = Cell("ok", warning="diverged" if row.diverged else "") if is_ok else Cell("", warning=row.status)
+    return Cell(row.scenario), seed, Cell(row.estimator), status
+
+
+def _is_loss(row: Row) -> bool:
+    """Return whether a run failed, diverged, left tracking, or erred by too many standard deviations while tracking."""
+    left_tracking = (row.longest_loss_s or 0.0) > 0.0
+    return row.status != "ok" or row.diverged or left_tracking or (row.tracking_sigmas or 0.0) > MAX_SIGMAS
+
+
+def _loss_row(row: Row) -> tuple[Cell, ...]:
+    sigmas = number_cell(row.tracking_sigmas, 1)
+    return (
+        *_run_cells(row),
+        number_cell(row.ate_m),
+        number_cell(row.ate_percent),
+        number_cell(row.coverage_percent, 1),
+        number_cell(row.longest_loss_s, 2),
+        replace(sigmas, warning="too large" if (row.tracking_sigmas or 0.0) > MAX_SIGMAS else ""),
+    )
 
 
 def _row(results: BenchmarkResults, measure: Measure, scenario: str | None) -> tuple[Cell, ...]:
