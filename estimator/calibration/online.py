@@ -71,6 +71,11 @@ class OnlineCalibration:
         per_camera = [c.rotation] * 3 + [c.translation] * 3 + [c.focal] * 2 + [c.principal] * 2
         parts = [c.time_offset, c.gravity, *per_camera * len(rig.cameras)]
         self._estimated = np.array([part.online for part in parts])
+        sigmas = np.array([part.sigma if part.online else FIXED_SIGMA for part in parts])
+        is_position = np.array([part is c.translation and not part.online for part in parts])
+        if len(rig.cameras) > 1 and c.position_sigma_m > FIXED_SIGMA:
+            sigmas[is_position] = c.position_sigma_m
+        self._unknown = sigmas > FIXED_SIGMA  # in adjustments, whether it is corrected or not
         self._min_correction = np.array([part.min_correction for part in parts])
         self._significance = np.array([part.significance for part in parts])
         self._refinement = np.array([part.refinement for part in parts])
@@ -81,7 +86,7 @@ class OnlineCalibration:
             [[0, 1], *(np.repeat([2, 3 + 3 * i, 4 + 3 * i, 5 + 3 * i], [3, 3, 2, 2]) for i in range(len(rig.cameras)))]
         )
         self._mean = np.zeros(len(parts))
-        self._covariance = np.diag([(part.sigma if part.online else FIXED_SIGMA) ** 2 for part in parts])
+        self._covariance = np.diag(sigmas**2)
         self._applied = np.zeros(len(parts))
         self._corrected = np.zeros(len(parts), dtype=np.bool_)  # by the last correction
         self._significant = np.zeros(int(self._part.max()) + 1, dtype=np.bool_)
@@ -238,10 +243,10 @@ class OnlineCalibration:
         A window that begins at rest does not estimate gravity, because the accelerometer bias of its prior is that for
         the gravity in use.
         """
-        estimated = self._estimated.copy()
+        unknown = self._unknown.copy()
         initial = np.where(self._significant[self._part], self._applied, self._mean)
         if window.begins_stationary:
-            estimated[GRAVITY], initial[GRAVITY] = False, self._applied[GRAVITY]
+            unknown[GRAVITY], initial[GRAVITY] = False, self._applied[GRAVITY]
             config = replace(config, pixel_sigma=config.stationary_pixel_sigma)
         return CalibrationProblem(
             window.keyframes,
@@ -250,7 +255,7 @@ class OnlineCalibration:
             config,
             self._mean,
             _inverse(covariance),
-            estimated,
+            unknown,
             self._gravity_m_s2,
             initial=initial,
             begins_stationary=window.begins_stationary,

@@ -16,6 +16,7 @@ from dronevio.estimator.calibration.corrected_state import propagated_state
 from dronevio.estimator.calibration.corrections import Corrections
 from dronevio.estimator.calibration.online import OnlineCalibration
 from dronevio.estimator.calibration.window import AdjustmentConfig, WindowKeyframe
+from dronevio.estimator.calibration.window_collector import CalibrationWindow
 from dronevio.estimator.imu.buffer import ImuBuffer
 from dronevio.estimator.imu.preintegration import Preintegration, PreintegrationConfig, PreintegrationParams
 from dronevio.estimator.types import NO_MATCHES, Matches, Observations
@@ -101,6 +102,43 @@ def test_a_rotation_common_to_both_cameras_is_not_seen_at_rest() -> None:
     calibration, changed = compared(np.stack([tilt, second.T @ first @ tilt]))
     assert not changed
     assert not calibration.applied.rotation_rad.any()
+
+
+@pytest.mark.parametrize(("position_sigma_m", "is_significant"), [(0.0, True), (0.0005, False)])
+def test_another_baseline_is_no_rotation_of_both_cameras(position_sigma_m: float, is_significant: bool) -> None:
+    """One camera is half a millimetre behind its given position, so that the baseline has another direction."""
+    rig, config = rig_named("euroc-stereo"), CalibrationConfig(position_sigma_m=position_sigma_m)
+    T = rig.cameras[1].T_imu_cam @ pose_matrix(np.eye(3), np.array([0.0, 0.0, 0.0005]))
+    seen = stereo_view(replace(rig, cameras=(rig.cameras[0], replace(rig.cameras[1], T_imu_cam=T))), noise_px=0.02)
+    parts = (seen, seen.matches)
+    ids, camera, xy = (np.concatenate([getattr(p, name) for p in parts]) for name in ("ids", "camera", "xy"))
+    keyframe = WindowKeyframe(at_rest(), np.zeros(3), 0.0, GRAVITY_M_S2, None, ids, camera, xy)
+    precise = replace(config.adjustment, min_views=2, min_parallax_deg=0.1, pixel_sigma=0.025, iterations=10)
+    calibration = OnlineCalibration(rig, config)
+    window = CalibrationWindow((keyframe,), begins_stationary=False, is_complete=False)
+    problem = calibration._problem_of(window, precise, calibration._covariance)
+    while not problem.is_done:
+        problem.step()
+    assert problem.result is not None and problem.landmark_count == 120
+    rotations = np.flatnonzero(calibration._part == 2)
+    covariance = np.linalg.inv(problem.result.information)[np.ix_(rotations, rotations)]
+    variances, axes = np.linalg.eigh(covariance)
+    sigmas = np.abs(axes.T @ problem.result.mean[rotations]) / np.sqrt(variances)
+    assert sigmas.max() > 4.0 if is_significant else sigmas.max() < 2.0
+    assert not calibration.applied.translation_m.any()
+
+
+def test_positions_of_the_cameras_are_not_corrected() -> None:
+    """They are unknowns only, also where an estimate is far from the given position."""
+    calibration = OnlineCalibration(rig_named("euroc-stereo"), CalibrationConfig(position_sigma_m=0.1))
+    mean = np.zeros(len(calibration._mean))
+    positions = np.flatnonzero(calibration._unknown & ~calibration._estimated)
+    mean[positions] = 0.05
+    assert len(positions) == 6
+    assert not calibration._apply(mean, 1e-8 * np.eye(len(mean)))
+    assert not calibration.applied.translation_m.any()
+    one_camera = OnlineCalibration(rig_named("euroc"))
+    np.testing.assert_array_equal(one_camera._unknown, one_camera._estimated)
 
 
 def test_one_camera_has_no_other_to_compare_with(make_flight: MakeFlight) -> None:
