@@ -63,6 +63,8 @@ class Ratio:
     """Lower end of the 95 % confidence interval of the median."""
     high: float
     """Upper end of the 95 % confidence interval of the median."""
+    geometric_mean: float
+    """Geometric mean of the ratios, 0 to ∞; 1 if it has both an infinite ratio and one of zero."""
     p: float
     """Two-sided p-value of Wilcoxon's signed-rank test."""
     differing: int
@@ -226,7 +228,8 @@ def metric_ratio(metric: str, pairs: Sequence[Pair], seed: int = 0) -> Ratio:
     low, high = _confidence_interval(logs, np.random.default_rng(seed))
     median = float(_median(logs[None])[0])
     interval, missing, differing = (_exp(low), _exp(high)), len(pairs) - len(known), int(np.count_nonzero(logs))
-    return Ratio(metric, len(known), missing, _exp(median), *interval, _wilcoxon_p(logs), differing)
+    geometric_mean = _exp(0.0 if {-math.inf, math.inf} <= set(logs.tolist()) else float(logs.mean()))
+    return Ratio(metric, len(known), missing, _exp(median), *interval, geometric_mean, _wilcoxon_p(logs), differing)
 
 
 def _comparison(name: str, pairs: Sequence[Pair], metrics: Sequence[str], seed: int) -> Comparison:

@@ -21,8 +21,8 @@ class CompareCommand(Settings):
     """Compare two benchmarks run by run, or two single runs.
 
     Runs are paired by scenario, seed and estimator. For each metric, the table has the median of the ratios second /
-    first, its 95 % confidence interval (bootstrap over the pairs) and the p-value of Wilcoxon's signed-rank test. A
-    failed run counts as an infinite error and is never left out.
+    first, its 95 % confidence interval (bootstrap over the pairs), their geometric mean, and the p-value of Wilcoxon's
+    signed-rank test. A failed run counts as an infinite error and is never left out.
 
     Examples:
       dronevio compare benchmarks/before benchmarks/after
@@ -117,13 +117,13 @@ def print_comparisons(title: str, comparisons: "Sequence[Comparison]") -> None:
             one.estimator,
             ratio.metric,
             str(ratio.pairs),
-            *map(_ratio_text, (ratio.median, ratio.low, ratio.high)),
+            *map(_ratio_text, (ratio.median, ratio.low, ratio.high, ratio.geometric_mean)),
             _p_text(ratio.p),
         )
         for one in compared
         for ratio in one.ratios
     ]
-    headings = ("estimator", "metric", "pairs", "ratio", "from", "to", "p")
+    headings = ("estimator", "metric", "pairs", "ratio", "from", "to", "geometric mean", "p")
     print()
     print_table("", headings, cells, left=("metric",))
 

@@ -74,6 +74,7 @@ def test_swapping_the_two_gives_the_reciprocal(pairs: list[tuple[float | None, f
 
     assert back.median == pytest.approx(reciprocal(there.median), rel=1e-12)
     assert (back.low, back.high) == pytest.approx((reciprocal(there.high), reciprocal(there.low)), rel=1e-12)
+    assert back.geometric_mean == pytest.approx(reciprocal(there.geometric_mean), rel=1e-12)
     assert back.p == pytest.approx(there.p, rel=1e-12)
     assert there.low <= there.median <= there.high
     assert 0.0 < there.p <= 1.0
@@ -113,6 +114,20 @@ def test_a_failed_run_is_worse_than_any_error() -> None:
     assert ratio([FAILED], [FAILED]).median == 1.0
     assert ratio([0.0], [0.0]).median == 1.0
     assert ratio([0.0], [1e-9]).median == math.inf
+
+
+@pytest.mark.parametrize(
+    ("second", "expected"),
+    [
+        ([0.2, 0.05, 0.4], 4.0 ** (1.0 / 3.0)),
+        ([0.1, FAILED, 0.1], math.inf),
+        ([0.0, 0.1, 0.1], 0.0),
+        ([0.0, FAILED, 1.0], 1.0),
+    ],
+)
+def test_the_geometric_mean_by_hand(second: list[float | None], expected: float) -> None:
+    """Ratios of 2, 1/2 and 4; an infinite one; one of zero; both."""
+    assert ratio([0.1] * 3, second).geometric_mean == pytest.approx(expected)
 
 
 def test_a_missing_value_is_the_worst_unless_both_lack_it() -> None:
