@@ -159,17 +159,37 @@ def test_options_named_in_pages_exist(page: str) -> None:
     assert {name for name in named if not any(option.startswith(name) for option in known)} == set()
 
 
-def test_published_consistency_is_that_of_the_published_rows(capsys: pytest.CaptureFixture[str]) -> None:
-    """The table of the page has the rows over all flights as the command prints them."""
-    rows = str(DOCS / "measurements" / "reference.parquet")
-    assert main(["report", rows, "--format", "markdown", "--tables", "consistency"]) == 0
-    printed = [line for line in capsys.readouterr().out.splitlines() if line.startswith("| all scenarios")]
-    assert len(printed) == 8
-    page = (DOCS / "estimator.md").read_text(encoding="utf-8")
-    assert [line for line in page.splitlines() if line.startswith("| all scenarios")] == printed
-    for line in printed:
-        anees = [float(cell) for cell in line.split("|")[4:7]]
-        assert int(line.split("|")[3]) >= 30 and all(2.0 <= each <= 4.0 for each in anees)
+def test_published_tables_are_those_of_the_published_rows(script: Callable[[str], Any]) -> None:
+    """Every table that a page takes from a command is what the command prints."""
+    tables = script("published_tables")
+    pages = {page.name: page.read_text(encoding="utf-8") for page in tables.pages()}
+    assert "estimator.md" in pages
+    assert {name for name, text in pages.items() if tables.filled(text) != text} == set()
+
+
+def test_published_covariances_are_consistent(script: Callable[[str], Any]) -> None:
+    tables = script("published_tables")
+    block = tables.BLOCK.search((DOCS / "estimator.md").read_text(encoding="utf-8"))
+    rows = [line.split("|") for line in block["table"].splitlines() if line.startswith("| all scenarios")]
+    assert len(rows) == 8
+    for cells in rows:
+        assert int(cells[3]) >= 30 and all(2.0 <= float(cell) <= 4.0 for cell in cells[4:7])
+
+
+def test_tables_of_pages_are_filled_by_their_commands(script: Callable[[str], Any]) -> None:
+    tables = script("published_tables")
+    command = "report docs/measurements/reference.parquet --format markdown --tables losses"
+    text = f'Text.\n<!-- rows "{{rows}}" of: dronevio {command} -->\nold\n<!-- end of the table -->\nMore.\n'
+    lines = tables.filled(text.format(rows="room")).splitlines()
+    assert (lines[0], lines[-1]) == ("Text.", "More.") and "old" not in lines
+    table = [line for line in lines if line.startswith("|")]
+    assert table[0].startswith("| scenario | seed |") and len(table) > 2
+    assert all(line.startswith("| room") for line in table[2:])
+    with pytest.raises(ValueError, match="no row that begins with 'nowhere'"):
+        tables.filled(text.format(rows="nowhere"))
+    rows = "docs/measurements/reference.parquet"
+    block = tables.filled(f"<!-- table of: dronevio compare {rows} {rows} -->\n<!-- end of the table -->\n")
+    assert "```text\n" in block and "the same in both: vio, vio-stereo" in block
 
 
 def test_glossary_rows_have_all_columns_and_order() -> None:
