@@ -236,6 +236,7 @@ class KeyframeSmoother:
             residual, _, observed = window.residuals()
             self._image_variance = window.image_variance(residual, observed)
         except (SingularError, np.linalg.LinAlgError):
+            self._calibration = before
             return False
         return True
 
