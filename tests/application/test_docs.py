@@ -178,7 +178,7 @@ def test_published_covariances_are_consistent(script: Callable[[str], Any]) -> N
 
 def test_tables_of_pages_are_filled_by_their_commands(script: Callable[[str], Any]) -> None:
     tables = script("published_tables")
-    command = "report docs/measurements/reference.parquet --format markdown --tables losses"
+    command = "report docs/measurements/campaign.parquet --format markdown --tables losses"
     text = f'Text.\n<!-- rows "{{rows}}" of: dronevio {command} -->\nold\n<!-- end of the table -->\nMore.\n'
     lines = tables.filled(text.format(rows="room")).splitlines()
     assert (lines[0], lines[-1]) == ("Text.", "More.") and "old" not in lines
@@ -187,7 +187,7 @@ def test_tables_of_pages_are_filled_by_their_commands(script: Callable[[str], An
     assert all(line.startswith("| room") for line in table[2:])
     with pytest.raises(ValueError, match="no row that begins with 'nowhere'"):
         tables.filled(text.format(rows="nowhere"))
-    rows = "docs/measurements/reference.parquet"
+    rows = "docs/measurements/campaign.parquet"
     block = tables.filled(f"<!-- table of: dronevio compare {rows} {rows} -->\n<!-- end of the table -->\n")
     assert "```text\n" in block and "the same in both: vio, vio-stereo" in block
 
