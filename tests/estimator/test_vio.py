@@ -400,7 +400,7 @@ def test_gravity_is_a_setting(make_flight: MakeFlight, rest_s: float) -> None:
 def test_gravity_is_estimated(make_flight: MakeFlight) -> None:
     """After the correction, the measurements contain it, so that later windows agree with it.
 
-    The window begins again with the newest observations, so that landmarks are triangulated before the health doubts.
+    The window begins again with the newest observations, so that the health stays `tracking`.
     """
     flight = make_flight(seed=2, rest_s=IN_MOTION, duration_s=24.0, noisy=False, gravity_m_s2=9.84)
     default = VioConfig().calibration

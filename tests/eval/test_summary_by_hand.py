@@ -79,7 +79,7 @@ def test_the_summary_has_the_worst_loss_and_error_while_tracking() -> None:
         assert table.rows[0][table.columns.index("largest error while tracking [σ]")].warning == warning
 
 
-def test_the_table_of_losses_has_all_runs_that_were_not_tracked_throughout() -> None:
+def test_the_table_of_losses_has_runs_that_left_tracking() -> None:
     tracked = replace(RUN, longest_loss_s=0.0, tracking_sigmas=5.0)
     lossy = replace(RUN, seed=1, longest_loss_s=0.15, tracking_sigmas=2.0, coverage_percent=99.5)
     wrong = replace(RUN, seed=2, longest_loss_s=0.0, tracking_sigmas=5.06)

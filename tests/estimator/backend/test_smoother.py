@@ -230,7 +230,7 @@ def test_a_restart_keeps_observations_of_the_same_time_and_lens(
     assert len(last) > 50 and len(restarted.landmarks) == 0
 
 
-def test_a_restart_after_a_failed_correction_of_the_time_keeps_no_observations(
+def test_a_restart_after_a_failed_correction_keeps_nothing(
     make_flight: MakeFlight, feed: Callable[..., "KeyframeFeed"], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     smoother = feed(make_flight(0, rest_s=-5.0, duration_s=3.0)).finish().smoother

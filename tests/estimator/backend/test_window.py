@@ -177,7 +177,7 @@ def test_a_prior_computed_later_is_that_of_the_marginalization() -> None:
     assert list(found.points) == list(expected.points) and len(found.points) == 10
 
 
-def test_persistent_landmarks_without_observations_leave_the_prior() -> None:
+def test_unobserved_persistent_landmarks_leave_the_prior() -> None:
     """A landmark that only the dropped keyframe still observes is marginalized."""
     made = window()
     made.marginalize(0, 10)
