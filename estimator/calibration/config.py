@@ -50,7 +50,7 @@ class CalibrationConfig(Settings):
     """Smallest correction of the rotation between cameras by the matches of the first keyframe, over all rotation
     parameters together [rad]."""
     position_sigma_m: Annotated[float, Range(0.0, 1.0)] = 0.0005
-    """Standard deviation of the positions of several cameras where `translation` is not estimated [m]. The positions are
+    """Standard deviation of the positions of several cameras where `translation` is not estimated [m]. They are
     unknowns of the adjustment that are not corrected: errors that stereo matches have in common look like another
     direction of the baseline, and with known positions like a rotation of all cameras."""
     window_s: Annotated[float, Range(0.5, 60.0)] = 5.0
