@@ -75,11 +75,10 @@ def loss_table(results: BenchmarkResults) -> Table:
         "seed",
         "estimator",
         "status",
-        "ATE [m]",
-        "ATE [% of path]",
-        "coverage [%]",
         "longest loss [s]",
         "largest error while tracking [σ]",
+        "coverage [%]",
+        "ATE [% of path]",
     )
     rows = tuple(_loss_row(row) for row in results.rows if _is_loss(row))
     return Table("Runs with losses of tracking", columns, rows, text_columns=frozenset((2, 3)))
@@ -215,11 +214,10 @@ def _loss_row(row: Row) -> tuple[Cell, ...]:
     sigmas = number_cell(row.tracking_sigmas, 1)
     return (
         *_run_cells(row),
-        number_cell(row.ate_m),
-        number_cell(row.ate_percent),
-        number_cell(row.coverage_percent, 1),
         number_cell(row.longest_loss_s, 2),
         replace(sigmas, warning="too large" if (row.tracking_sigmas or 0.0) > MAX_SIGMAS else ""),
+        number_cell(row.coverage_percent, 1),
+        number_cell(row.ate_percent),
     )
 
 
