@@ -14,7 +14,6 @@ taken. The output of commands without a table in Markdown is written as a block 
 
 import contextlib
 import io
-import os
 import re
 import shlex
 import sys
@@ -85,7 +84,6 @@ def _output(command: str) -> str:
 
 def main(command: TablesCommand) -> int:
     """Fill the tables, or compare them, and return the exit code."""
-    os.environ["COLUMNS"] = "120"
     stale = 0
     for page in pages():
         text = page.read_text(encoding="utf-8")

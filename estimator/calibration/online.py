@@ -72,8 +72,8 @@ class OnlineCalibration:
         parts = [c.time_offset, c.gravity, *per_camera * len(rig.cameras)]
         self._estimated = np.array([part.online for part in parts])
         sigmas = np.array([part.sigma if part.online else FIXED_SIGMA for part in parts])
-        is_position = np.array([part is c.translation and not part.online for part in parts])
-        if len(rig.cameras) > 1 and c.position_sigma_m > FIXED_SIGMA:
+        is_position = np.r_[[False, False], np.tile(np.repeat([False, True, False], [3, 3, 4]), len(rig.cameras))]
+        if len(rig.cameras) > 1 and not c.translation.online and c.position_sigma_m > FIXED_SIGMA:
             sigmas[is_position] = c.position_sigma_m
         self._unknown = sigmas > FIXED_SIGMA  # in adjustments, whether it is corrected or not
         self._min_correction = np.array([part.min_correction for part in parts])

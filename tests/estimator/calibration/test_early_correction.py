@@ -137,6 +137,11 @@ def test_positions_of_the_cameras_are_not_corrected() -> None:
     assert len(positions) == 6
     assert not calibration._apply(mean, 1e-8 * np.eye(len(mean)))
     assert not calibration.applied.translation_m.any()
+    equal = CalibrationConfig(focal=CalibrationConfig().translation)  # settings of one part that another has, too
+    np.testing.assert_array_equal(OnlineCalibration(rig_named("euroc-stereo"), equal)._unknown, calibration._unknown)
+    estimated = CalibrationConfig(translation=replace(CalibrationConfig().translation, online=True))
+    positions_sigma = OnlineCalibration(rig_named("euroc-stereo"), estimated).sigmas.translation_m
+    np.testing.assert_allclose(positions_sigma, estimated.translation.sigma)
     one_camera = OnlineCalibration(rig_named("euroc"))
     np.testing.assert_array_equal(one_camera._unknown, one_camera._estimated)
 
