@@ -26,8 +26,7 @@ INTERVAL_S = 0.001
 """Time between two samples of the profiler [s]."""
 STAGES: tuple[tuple[str, str, str], ...] = (
     ("stereo matching", "frontend/stereo.py", ""),
-    ("KLT", "", "calcOpticalFlowPyrLK"),
-    ("KLT", "", "buildOpticalFlowPyramid"),
+    ("KLT", "frontend/klt.py", ""),
     ("corner detection", "frontend/corners.py", ""),
     ("corner detection", "", "cornerMinEigenVal"),
     ("outlier rejection", "frontend/ransac.py", ""),
@@ -61,7 +60,7 @@ class Profile:
     stages: Counter[str] = field(default_factory=Counter)
     """Processor time of each stage [s]."""
     functions: Counter[str] = field(default_factory=Counter)
-    """Processor time of each Python function, with the C functions that it calls [s]."""
+    """Processor time of each Python function of the estimator, with the C functions that it calls [s]."""
 
     @contextmanager
     def sampling(self) -> Iterator[None]:
@@ -77,8 +76,10 @@ class Profile:
             nonlocal last_s
             now_s = time.process_time()
             if frame is not None:
-                self.stages[stage_of(frame)] += now_s - last_s  # type: ignore[assignment]
-                self.functions[_function_name(frame)] += now_s - last_s  # type: ignore[assignment]
+                stage = stage_of(frame)
+                self.stages[stage] += now_s - last_s  # type: ignore[assignment]
+                if stage != OUTSIDE:
+                    self.functions[_function_name(frame)] += now_s - last_s  # type: ignore[assignment]
             last_s = time.process_time()  # without the time of sampling
             signal.setitimer(signal.ITIMER_REAL, INTERVAL_S)  # armed last, so that slow samples do not nest
 
@@ -129,7 +130,7 @@ class ProfileCommand:
 
 
 def profile_tables(profile: Profile, frames: int) -> str:
-    """Return Markdown tables of the processor time by stage and by function, without that outside the estimator.
+    """Return Markdown tables of the estimator's processor time by stage and by function.
 
     Args:
         profile: The samples.

@@ -119,6 +119,7 @@ def test_profile_of_a_flight_has_the_stages(profiler: Any, flown: Any, capsys: p
     printed = capsys.readouterr().out
     assert "| KLT |" in printed and "| linearization of observations |" in printed
     assert profiler.OUTSIDE not in printed
+    assert "decode_grey" not in printed  # images are read outside the estimator
 
 
 def test_profiler_attributes_processor_time_to_stages(profiler: Any, tmp_path: Path) -> None:
