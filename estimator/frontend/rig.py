@@ -190,6 +190,8 @@ def _tracking_cameras(rig: Rig) -> list[int]:
 
 def _merged(observations: Sequence[Observations]) -> Observations:
     """Return the observations of several cameras as one, in increasing order of the identities."""
+    if len(observations) == 1:  # they have that order
+        return observations[0]
     ids = np.concatenate([o.ids for o in observations])
     order = np.argsort(ids)
     return Observations(

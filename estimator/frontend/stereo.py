@@ -17,6 +17,7 @@ import numpy as np
 import numpy.typing as npt
 
 from dronevio.estimator.frontend import klt
+from dronevio.estimator.frontend.protocol import is_inside
 from dronevio.models.ranges import Range, Settings
 from dronevio.models.rig import RigCamera
 from dronevio.models.rotation import cross, exp_so3, inverse_pose
@@ -100,14 +101,15 @@ class StereoMatcher:
             The accepted matches, in the order of the features.
         """
         predicted = self._second.project(self.rays_in_second(xy, self._filled(pixels, inverse_depth)))
-        candidates = np.flatnonzero(self._inside(predicted))
+        candidates = np.flatnonzero(is_inside(predicted, self._second, self._config.border_px))
         if not len(candidates):
             return StereoMatches(candidates, np.zeros((0, 2)), np.zeros((0, 2)), np.zeros(0))
         start = pixels[candidates]
         c, first = self._config, klt.match_brightness(first, second)
         matched, found = klt.track(first, second, start, predicted[candidates], c.window_px, c.pyramid_levels)
         back, returned = klt.track(second, first, matched, start, c.window_px, 0)
-        found &= returned & (np.linalg.norm(back - start, axis=1) < c.max_backward_error_px) & self._inside(matched)
+        found &= returned & (np.linalg.norm(back - start, axis=1) < c.max_backward_error_px)
+        found &= is_inside(matched, self._second, c.border_px)
         rows, matched = candidates[found], matched[found]
         xy_second = self._second.normalize(matched)
         bearings = np.column_stack([xy_second, np.ones(len(xy_second))])
@@ -140,12 +142,6 @@ class StereoMatcher:
         filled = inverse_depth.copy()
         filled[~known] = np.median(inverse_depth[known][nearest], axis=1)
         return filled
-
-    def _inside(self, pixels: Array) -> npt.NDArray[np.bool_]:
-        """Return whether positions (N, 2) [px] are within the borders of the second image."""
-        border, size = self._config.border_px, np.array([self._second.width, self._second.height])
-        with np.errstate(invalid="ignore"):
-            return np.asarray(np.all((pixels >= border) & (pixels <= size - 1 - border), axis=1))
 
     def _geometry(self, xy: Array, bearings: Array) -> tuple[Array, Array]:
         """Return signed angles (N,) of bearings (N, 3) to their epipolar planes [rad], and inverse depths (N,) [1/m].

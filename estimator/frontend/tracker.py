@@ -17,7 +17,7 @@ import numpy.typing as npt
 from dronevio.estimator.frontend import klt
 from dronevio.estimator.frontend.corners import CornerConfig, detect_corners
 from dronevio.estimator.frontend.patches import PatchAligner, PatchConfig, Patches
-from dronevio.estimator.frontend.protocol import image_of
+from dronevio.estimator.frontend.protocol import image_of, is_inside
 from dronevio.estimator.frontend.ransac import epipolar_inliers, essential_inliers
 from dronevio.estimator.types import Observations
 from dronevio.models.camera import CameraModel
@@ -183,11 +183,12 @@ class FeatureTracker:
         c, features = self._config, self._features
         bearings = np.column_stack([features.xy, np.ones(len(features.xy))]) @ R_cur_prev.T
         # A prediction behind the camera has no pixel; OpenCV needs a finite one.
-        predicted = np.nan_to_num(self._camera.project(bearings), nan=-OUTSIDE_PX).clip(-OUTSIDE_PX, OUTSIDE_PX)
+        predicted = self._camera.project(bearings)
+        predicted = np.where(np.isnan(predicted), -OUTSIDE_PX, predicted).clip(-OUTSIDE_PX, OUTSIDE_PX)
         features = replace(features, patches=features.patches.rolled(R_cur_prev))
         pixels, found = klt.track(previous, image, features.pixels, predicted, c.window_px, c.pyramid_levels)
         tracked = self._aligned(features, pixels, found)
-        if len(tracked.ids) > c.min_tracked_ratio * self._inside(predicted).sum():
+        if len(tracked.ids) > c.min_tracked_ratio * is_inside(predicted, self._camera, c.border_px).sum():
             return tracked
         lost = features[~np.isin(features.ids, tracked.ids)]
         levels = c.pyramid_levels + RETRY_LEVELS
@@ -197,7 +198,7 @@ class FeatureTracker:
 
     def _aligned(self, features: _Features, pixels: Array, found: Mask) -> _Features:
         """Return the features whose patches can be aligned with the current image near pixels (N, 2)."""
-        found = found & self._inside(pixels)
+        found = found & is_inside(pixels, self._camera, self._config.border_px)
         features, pixels = features[found], pixels[found]
         return self._moved(features, pixels, self._config.patches.tracking_iterations)
 
@@ -213,7 +214,8 @@ class FeatureTracker:
         """Return the features whose patches can be aligned near pixels (N, 2), by some iterations."""
         result = self._aligner.align(self._scale_space, features.patches, pixels, iterations)
         correction_px = np.linalg.norm(result.pixels - pixels, axis=1)
-        valid = result.valid & (correction_px < self._config.max_correction_px) & self._inside(result.pixels)
+        valid = result.valid & (correction_px < self._config.max_correction_px)
+        valid &= is_inside(result.pixels, self._camera, self._config.border_px)
         return replace(features, pixels=result.pixels, zncc=result.zncc, patches=result.patches)[valid]
 
     def _inliers(self, features: _Features, R_cur_prev: Array, rotation_sigma_rad: float) -> _Features:
@@ -236,7 +238,3 @@ class FeatureTracker:
             if without_rotation.mean() > self._config.min_inlier_ratio:
                 inliers = without_rotation
         return replace(features, xy=xy, ages=features.ages + 1)[inliers]
-
-    def _inside(self, pixels: Array) -> Mask:
-        border, size = self._config.border_px, np.array([self._camera.width, self._camera.height])
-        return np.asarray(np.all((pixels >= border) & (pixels <= size - 1 - border), axis=1))

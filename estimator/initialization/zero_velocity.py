@@ -62,14 +62,15 @@ class ZeroVelocityDetector:
             self._reference, self._reference_ns = observations, t_ns
 
     def _has_moved(self, reference: Observations, now: Observations | None, increments: Increments) -> bool:
-        c = self._config
+        if len(increments.dt_s) == 0 or self._imu_moves(increments):
+            return True
         if now is None:
-            return len(increments.dt_s) == 0 or self._imu_moves(increments)
+            return False
         i, j = common_rows(reference.ids, now.ids)
-        if len(i) < c.min_features or len(increments.dt_s) == 0:
+        if len(i) < self._config.min_features:
             return True
         flow_px = float(np.median(np.linalg.norm(now.pixels[j] - reference.pixels[i], axis=1)))
-        return flow_px > c.max_flow_px or self._imu_moves(increments)
+        return flow_px > self._config.max_flow_px
 
     def _imu_moves(self, increments: Increments) -> bool:
         """Return whether the mean readings over N > 0 increments are not those of a stationary IMU."""
