@@ -65,7 +65,7 @@ class HealthConfig(Settings):
     errors of landmarks exceed the assumed noise in fast flight."""
     max_frame_nis: Annotated[float, Range(above=0.0, infinite=True)] = 45.0
     """Largest NIS of a frame at which the estimate counts as consistent."""
-    distrust_s: Annotated[float, Range(low=0.0, infinite=True)] = 5.0
+    distrust_s: Annotated[float, Range(low=0.0, infinite=True)] = 10.0
     """Time for which an estimate must be consistent again before its health is tracking [s]."""
     established_s: Annotated[float, Range(low=0.0, infinite=True)] = 10.0
     """Time of consistent motion after which an estimate is established [s]: what contradicts it later is more probably

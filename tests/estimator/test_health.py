@@ -229,8 +229,8 @@ def test_recently_inconsistent_estimate_is_not_tracking() -> None:
     triangulated, frames = landmarks(40, np.random.default_rng(1)), round(CONFIG.consistency_window_s / 0.05)
     good, distrust = error_of_nis(1.0), round(CONFIG.distrust_s / 0.05)
     monitor = monitor_of(triangulated)
-    health = health_of([good, error_of_nis(1.05 * CONFIG.max_frame_nis)] + [good] * 120, monitor, triangulated)
-    assert health == [Health.TRACKING] + [Health.INERTIAL_ONLY] * distrust + [Health.TRACKING] * (121 - distrust)
+    health = health_of([good, error_of_nis(1.05 * CONFIG.max_frame_nis)] + [good] * (distrust + 20), monitor, triangulated)
+    assert health == [Health.TRACKING] + [Health.INERTIAL_ONLY] * distrust + [Health.TRACKING] * 21
     assert monitor.is_trusted
     inconsistent = [error_of_nis(1.05 * CONFIG.max_consistent_nis)] * (frames + 1)
     monitor = monitor_of(triangulated)
@@ -238,8 +238,8 @@ def test_recently_inconsistent_estimate_is_not_tracking() -> None:
     assert health[:frames] == [Health.TRACKING] * frames and set(health[frames:]) == {Health.INERTIAL_ONLY}
     assert not monitor.is_trusted
     monitor = monitor_of(triangulated, is_trusted=False)
-    assert health_of([good] * 121, monitor, triangulated) == (
-        [Health.INERTIAL_ONLY] * distrust + [Health.TRACKING] * (121 - distrust)
+    assert health_of([good] * (distrust + 21), monitor, triangulated) == (
+        [Health.INERTIAL_ONLY] * distrust + [Health.TRACKING] * 21
     )
 
 
