@@ -120,7 +120,7 @@ def test_position_covariance_after_a_loss_covers_the_error(make_flight: MakeFlig
 @pytest.mark.slow
 def test_imu_that_contradicts_the_camera_is_a_loss(make_flight: MakeFlight) -> None:
     """For three seconds, the angular velocity has a large constant error."""
-    flight = make_flight(2, rest_s=1.5, duration_s=16.0)
+    flight = make_flight(2, rest_s=1.5, duration_s=22.0)
     t_s = (flight.imu.t_ns - flight.imu.t_ns[0]) * 1e-9
     faulty = (t_s > 5.0) & (t_s < 8.0)
     gyro = flight.imu.gyro_rad_s + faulty[:, None] * np.array([1.5, -1.0, 2.0])
