@@ -229,7 +229,8 @@ def test_recently_inconsistent_estimate_is_not_tracking() -> None:
     triangulated, frames = landmarks(40, np.random.default_rng(1)), round(CONFIG.consistency_window_s / 0.05)
     good, distrust = error_of_nis(1.0), round(CONFIG.distrust_s / 0.05)
     monitor = monitor_of(triangulated)
-    health = health_of([good, error_of_nis(1.05 * CONFIG.max_frame_nis)] + [good] * (distrust + 20), monitor, triangulated)
+    errors = [good, error_of_nis(1.05 * CONFIG.max_frame_nis)] + [good] * (distrust + 20)
+    health = health_of(errors, monitor, triangulated)
     assert health == [Health.TRACKING] + [Health.INERTIAL_ONLY] * distrust + [Health.TRACKING] * 21
     assert monitor.is_trusted
     inconsistent = [error_of_nis(1.05 * CONFIG.max_consistent_nis)] * (frames + 1)
