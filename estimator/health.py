@@ -12,8 +12,8 @@ lost           The state is not finite; or its speed or a bias is implausible; o
                no feature connects with the earlier ones; or the IMU alone has
                propagated it until its position, by its own covariance, is useless. It stays lost
                until the odometry is initialized again, with another monitor.
-inertial-only  Too few landmarks constrain the estimate, and the vehicle is not stationary; or the innovations have
-               recently contradicted their covariance.
+inertial-only  Too few landmarks constrain the estimate, and the vehicle is not stationary; or the innovations, or the
+               change of the position by a correction of the calibration, have recently contradicted their covariance.
 tracking       Landmarks constrain the estimate, or the vehicle is stationary or has only begun to move.
 """
 
@@ -35,6 +35,8 @@ from dronevio.models.state import Health, HealthReport, NavState
 Array = npt.NDArray[np.float64]
 
 
+INCONSISTENT = "images and prediction have recently been inconsistent"
+"""Reason of the health of an estimate that is not trusted."""
 IMAGE_VARIANCES = 10
 """Number of keyframes from which the variance of image observations is taken."""
 
@@ -45,7 +47,7 @@ class HealthConfig(Settings):
 
     min_landmarks: Annotated[int, Range(1, 1000)] = 8
     """Smallest number of landmarks that constrain an estimate; with fewer, a single outlier dominates."""
-    settling_s: Annotated[float, Range(0.0, 60.0)] = 0.45
+    settling_s: Annotated[float, Range(0.0, 60.0)] = 0.42
     """Time for which tracked features suffice instead of landmarks [s], as at the end of a stationary interval. Three
     keyframes with parallax are needed to triangulate landmarks."""
     max_innovation_px: Annotated[float, Range(above=0.0, infinite=True)] = 12.0
@@ -75,6 +77,9 @@ class HealthConfig(Settings):
     disturbance_s: Annotated[float, Range(low=0.0, infinite=True)] = 0.6
     """Longest contradiction of an established estimate that counts as a disturbance, and the time for which the
     estimate must be consistent after it before its health is tracking [s]."""
+    max_change_sigmas: Annotated[float, Range(above=0.0, infinite=True)] = 5.0
+    """Largest change of the position by a correction of the calibration, in standard deviations of the published
+    position, at which the estimate counts as consistent."""
     disconnected_s: Annotated[float, Range(low=0.0, infinite=True)] = 5.0
     """Time after a keyframe without a common feature with the one before, in which inconsistent innovations mean a loss
     [s]: the images show another place, as when they are exchanged or the vehicle is carried away."""
@@ -183,6 +188,17 @@ class HealthMonitor:
             self._disconnected_ns = t_ns
         self._trust.restart_motion()
 
+    def correct(self, before: NavState, after: NavState) -> None:
+        """Note that another calibration has changed the state; a change that was improbable contradicts the estimate.
+
+        Args:
+            before: The published state by the previous calibration.
+            after: The state at the same time by the other one.
+        """
+        change_m = float(np.linalg.norm(after.T_world_imu[:3, 3] - before.T_world_imu[:3, 3]))
+        if change_m > self._config.max_change_sigmas * _sigmas(before)[0]:
+            self._trust.contradict(after.t_ns)
+
     def assess(
         self, observations: Observations, predicted: NavState, stationary: bool, calibration: Calibration
     ) -> HealthReport:
@@ -213,7 +229,7 @@ class HealthMonitor:
         if self._lost_reason is not None:
             state, reason = Health.LOST, self._lost_reason
         elif not self._trust.is_trusted:
-            state, reason = Health.INERTIAL_ONLY, "images and prediction have recently been inconsistent"
+            state, reason = Health.INERTIAL_ONLY, INCONSISTENT
         elif enough:
             state, reason = Health.TRACKING, f"constrained by {len(rows)} landmarks"
         elif stationary:

@@ -12,6 +12,9 @@ import numpy as np
 
 from dronevio.estimator.innovation import median
 
+MIN_FRAMES = 3
+"""Smallest number of frames of a window that has begun anew, as at an initialization, for its median to count."""
+
 
 @dataclass(frozen=True)
 class TrustLimits:
@@ -46,7 +49,7 @@ class Trust:
         """
         self._limits, self._is_trusted = limits, is_trusted
         self._recent_nis: tuple[tuple[int, float], ...] = ()  # times and NIS of the window
-        self._median_nis = 0.0
+        self._is_full = False  # whether these cover the window
         self._last_ns: int | None = None  # time of the last frame
         self._motion_ns = 0  # duration of the consistent motion
         self._contradicted_ns: tuple[int, int] | None = None  # first and last time of the last contradiction
@@ -60,7 +63,7 @@ class Trust:
     @property
     def median_nis(self) -> float:
         """Median NIS over the window, 0 before the window is full."""
-        return self._median_nis
+        return self._median() if self._is_full else 0.0
 
     @property
     def is_established(self) -> bool:
@@ -69,7 +72,7 @@ class Trust:
 
     def restart_motion(self) -> None:
         """Let the estimate no longer be established, and the window begin anew."""
-        self._motion_ns, self._recent_nis = 0, ()
+        self._motion_ns, self._recent_nis, self._is_full = 0, (), False
 
     def update(self, t_ns: int, nis: float | None, *, moves: bool) -> None:
         """Add a frame.
@@ -80,11 +83,12 @@ class Trust:
             moves: Whether the vehicle moves.
         """
         c, step_ns = self._limits, 0 if self._last_ns is None else t_ns - self._last_ns
-        self._last_ns, self._median_nis = t_ns, self._median_over_window(t_ns, nis)
+        self._last_ns = t_ns
+        self._add_to_window(t_ns, nis)
         ratio = c.established_ratio if self.is_established or self._is_disturbance else 1.0
-        is_large = (nis or 0.0) > ratio * c.max_frame_nis or self._median_nis > ratio * c.max_median_nis
+        is_large = (nis or 0.0) > ratio * c.max_frame_nis or self._median() > ratio * c.max_median_nis
         if is_large or (self._contradicted_ns is None and not self._is_trusted):
-            self._contradict(t_ns)
+            self.contradict(t_ns)
         elif moves and nis is not None and self._is_trusted:
             self._motion_ns += step_ns
         if self._contradicted_ns is not None and not self._is_trusted:
@@ -92,7 +96,7 @@ class Trust:
             self._is_trusted = (t_ns - self._contradicted_ns[1]) * 1e-9 >= needed_s
             self._is_disturbance &= not self._is_trusted
 
-    def _contradict(self, t_ns: int) -> None:
+    def contradict(self, t_ns: int) -> None:
         """Note a contradiction, which continues the last one as long as the estimate is not trusted again."""
         if self._contradicted_ns is None or self._is_trusted:
             self._contradicted_ns, self._is_disturbance = (t_ns, t_ns), self.is_established
@@ -101,12 +105,14 @@ class Trust:
         self._is_disturbance &= (t_ns - begin_ns) * 1e-9 <= self._limits.disturbance_s
         self._motion_ns = 0
 
-    def _median_over_window(self, t_ns: int, nis: float | None) -> float:
-        """Return the median NIS over the window with another frame, 0 before the window is full."""
-        if nis is None:
-            self._recent_nis = ()
-            return 0.0
+    def _add_to_window(self, t_ns: int, nis: float | None) -> None:
+        """Add a frame to the window, or empty the window."""
         begin_ns = t_ns - round(self._limits.window_s * 1e9)
-        is_full = bool(self._recent_nis) and self._recent_nis[0][0] <= begin_ns
-        self._recent_nis = (*(entry for entry in self._recent_nis if entry[0] > begin_ns), (t_ns, nis))
-        return median(np.array([value for _, value in self._recent_nis])) if is_full else 0.0
+        self._is_full = nis is not None and bool(self._recent_nis) and self._recent_nis[0][0] <= begin_ns
+        recent = tuple(entry for entry in self._recent_nis if entry[0] > begin_ns)
+        self._recent_nis = () if nis is None else (*recent, (t_ns, nis))
+
+    def _median(self) -> float:
+        """Return the median NIS over the window, 0 while it is not full and has fewer than `MIN_FRAMES` frames."""
+        values = np.array([value for _, value in self._recent_nis])
+        return median(values) if self._is_full or len(values) >= MIN_FRAMES else 0.0

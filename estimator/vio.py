@@ -18,7 +18,7 @@ from dronevio.estimator.calibration.unverified import unverified_covariance
 from dronevio.estimator.config import VioConfig
 from dronevio.estimator.frontend.protocol import FrontEnd
 from dronevio.estimator.frontend.rig import RigTracker
-from dronevio.estimator.health import HealthMonitor
+from dronevio.estimator.health import INCONSISTENT, HealthMonitor
 from dronevio.estimator.image_connection import ImageConnection
 from dronevio.estimator.imu.forward_propagation import ImuRatePropagator
 from dronevio.estimator.imu.noise import ImuNoiseEstimator
@@ -44,6 +44,9 @@ Array = npt.NDArray[np.float64]
 
 REPEATED_IMAGES = "the image does not change although the vehicle rotates: not used"
 """Event at the first of several equal images."""
+
+IMPLAUSIBLE_CALIBRATION = "images and calibration do not belong together: the correction is implausible"
+"""Cause that is stated after a correction beyond `CalibrationConfig.max_correction_sigmas`."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -245,12 +248,16 @@ class VisualInertialOdometry:
         self._pipeline.discard(result.rejected)
         events = result.events
         self._report_keyframe(smoother, packet, result, is_connected)
+        before, was_plausible = self._with_unverified_calibration(smoother.state), self._online_calibration.is_plausible
         if self._calibrate(tracking, packet, result, stationary):
             smoother = self._recalibrated(smoother)
+            tracking.monitor.correct(before, smoother.state)
             gravity_m_s2 = self._config.gravity_m_s2 + self._calibration.gravity_correction_m_s2
             self._noise.set_gravity(gravity_m_s2)
             self._imu_rate.set_gravity(gravity_m_s2)
             events = (*events, f"calibration corrected: {self._online_calibration.applied}")
+            if was_plausible and not self._online_calibration.is_plausible:
+                events = (*events, f"probable cause: {IMPLAUSIBLE_CALIBRATION}")
         self._state = tracking = self._tracking(smoother, tracking.monitor, packet.observations)
         return tracking, events
 
@@ -326,6 +333,7 @@ class VisualInertialOdometry:
         landmarks_world: Array | None = None,
     ) -> Estimate:
         """Return the estimate of a frame, and keep its pose as the gauge after a loss if landmarks agree with it."""
+        report = self._with_corrected_calibration(report)
         estimate = self._publisher.estimate(packet, state, report, events, landmarks_world)
         if estimate.state is None:
             return estimate
@@ -333,6 +341,16 @@ class VisualInertialOdometry:
         if (report.innovation_px or 0.0) <= self._config.health.max_innovation_px:
             self._gauge = LastPublished.of(published)
         return replace(estimate, state=published)
+
+    def _with_corrected_calibration(self, report: HealthReport) -> HealthReport:
+        """Return a health that is not tracking if a correction of the calibration has contradicted the estimate."""
+        if report.health is not Health.TRACKING:
+            return report
+        if not self._online_calibration.is_plausible:
+            return replace(report, health=Health.INERTIAL_ONLY, reason=IMPLAUSIBLE_CALIBRATION)
+        if isinstance(self._state, Tracking) and not self._state.monitor.is_trusted:
+            return replace(report, health=Health.INERTIAL_ONLY, reason=INCONSISTENT)
+        return report
 
     def _with_unverified_calibration(self, state: NavState) -> NavState:
         """Return a state with the uncertainty of a calibration that has not been verified."""

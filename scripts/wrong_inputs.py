@@ -26,7 +26,7 @@ from dronevio.estimator.initialization.not_observable import (
     MOTION_DISAGREES,
     ROTATION_DISAGREES,
 )
-from dronevio.estimator.vio import REPEATED_IMAGES, VisualInertialOdometry
+from dronevio.estimator.vio import IMPLAUSIBLE_CALIBRATION, REPEATED_IMAGES, VisualInertialOdometry
 from dronevio.eval.metrics.association import interpolate
 from dronevio.eval.metrics.consistency import errors_and_sigmas_m
 from dronevio.eval.run import EstimatorRun
@@ -43,6 +43,7 @@ Array = npt.NDArray[np.float64]
 LATE_NS = 500_000_000
 SIGMAS, LEAST_M, LARGEST_M = 5.0, 0.3, 1.0
 CAMERA_DISAGREES = "contradicts its calibration"
+CALIBRATION_DISAGREES = (CAMERA_DISAGREES, IMPLAUSIBLE_CALIBRATION)
 
 
 @dataclass(frozen=True, eq=False)
@@ -145,23 +146,23 @@ _EYE, _SWAPPED_AXES = np.eye(3), np.eye(3)[[1, 0, 2]]
 FAULTS: Mapping[str, tuple[Change, tuple[str, ...]]] = {
     "none": (lambda recording, _: recording, ()),
     "crossed-flights": (crossed, (ROTATION_DISAGREES,)),
-    "imu-late": (late, (ROTATION_DISAGREES,)),
+    "imu-late": (late, (ROTATION_DISAGREES, IMPLAUSIBLE_CALIBRATION)),
     "reversed-images": (of_order(lambda index, count: count - 1 - index), (ROTATION_DISAGREES,)),
     "mirrored-images": (
         of_images(lambda image: np.ascontiguousarray(image[:, ::-1])),
-        (ROTATION_DISAGREES, CAMERA_DISAGREES),
+        (ROTATION_DISAGREES, *CALIBRATION_DISAGREES),
     ),
     "frozen-images": (of_order(lambda index, count: min(index, count // 2)), (REPEATED_IMAGES,)),
     "wrong-lens-model": (
         of_cameras(lambda c: replace(c, model=replace(c.model, distortion=(0.0, 0.0, 0.0, 0.0)))),
-        (ROTATION_DISAGREES, ACCEL_DISAGREES, CAMERA_DISAGREES),
+        (ROTATION_DISAGREES, ACCEL_DISAGREES, *CALIBRATION_DISAGREES),
     ),
-    "extrinsics-20-degrees": (turned(20.0, (1.0, 1.0, 1.0)), (ROTATION_DISAGREES, CAMERA_DISAGREES)),
-    "extrinsics-90-degrees": (turned(90.0, (0.0, 0.0, 1.0)), (ROTATION_DISAGREES, CAMERA_DISAGREES)),
-    "swapped-cameras": (swapped, (CAMERA_DISAGREES,)),
+    "extrinsics-20-degrees": (turned(20.0, (1.0, 1.0, 1.0)), (ROTATION_DISAGREES, *CALIBRATION_DISAGREES)),
+    "extrinsics-90-degrees": (turned(90.0, (0.0, 0.0, 1.0)), (ROTATION_DISAGREES, *CALIBRATION_DISAGREES)),
+    "swapped-cameras": (swapped, CALIBRATION_DISAGREES),
     "focal-length-20-percent": (
         of_cameras(lambda c: replace(c, model=replace(c.model, fx=1.2 * c.model.fx, fy=1.2 * c.model.fy))),
-        (ROTATION_DISAGREES, CAMERA_DISAGREES),
+        (ROTATION_DISAGREES, *CALIBRATION_DISAGREES),
     ),
     "accelerometer-in-g": (of_imu(_EYE, _EYE / GRAVITY_M_S2), (FORCE_IS_NOT_GRAVITY,)),
     "gyroscope-in-degrees": (of_imu(np.degrees(1.0) * _EYE, _EYE), (ROTATION_DISAGREES,)),

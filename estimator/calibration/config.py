@@ -67,6 +67,9 @@ class CalibrationConfig(Settings):
     """Smallest number of landmarks of a window that is adjusted."""
     max_rms_px: Annotated[float, Range(above=0.0)] = 2.0
     """Largest root mean square reprojection error of a window whose result is used [px]."""
+    max_correction_sigmas: Annotated[float, Range(above=0.0, infinite=True)] = 5.0
+    """Largest plausible correction of a parameter, in standard deviations of its prior: 5.7° of a rotation. After a
+    larger one, which shows that images and calibration do not belong together, the health is not tracking again."""
     inflation_sigmas: Annotated[FiveSigmas, Range(0.0, 10.0)] = (
         0.01,
         0.02,

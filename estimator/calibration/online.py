@@ -76,6 +76,7 @@ class OnlineCalibration:
         if len(rig.cameras) > 1 and not c.translation.online and c.position_sigma_m > FIXED_SIGMA:
             sigmas[is_position] = c.position_sigma_m
         self._unknown = sigmas > FIXED_SIGMA  # in adjustments, whether it is corrected or not
+        self._sigmas, self._is_plausible = sigmas, True
         self._min_correction = np.array([part.min_correction for part in parts])
         self._significance = np.array([part.significance for part in parts])
         self._refinement = np.array([part.refinement for part in parts])
@@ -131,6 +132,11 @@ class OnlineCalibration:
     def applied(self) -> Corrections:
         """The corrections that are applied to the given calibration."""
         return Corrections.from_vector(self._applied)
+
+    @property
+    def is_plausible(self) -> bool:
+        """Whether all corrections so far have been plausible; an estimate cannot be trusted after one that was not."""
+        return self._is_plausible
 
     @property
     def covariance_inflation(self) -> Array:
@@ -339,6 +345,7 @@ class OnlineCalibration:
         self._corrected = self._significant[self._part] & self._estimated
         self._inflation = self._inflation_share(np.where(self._corrected, difference, 0.0))
         self._applied = np.where(self._corrected, mean, self._applied)
+        self._is_plausible &= bool((np.abs(self._applied) <= self._config.max_correction_sigmas * self._sigmas).all())
         self._calibration = _corrected(self._given, self.applied)
         return True
 

@@ -20,6 +20,7 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
+from dronevio.estimator.frontend.protocol import is_inside
 from dronevio.estimator.slam.keyframe import (
     DESCRIPTOR_BYTES,
     NO_KEYFRAME_FEATURES,
@@ -116,31 +117,21 @@ class PlaceFeatureExtractor:
         down_cam = down_imu @ camera.T_imu_cam[:3, :3]
         angles, is_defined = gravity_angles(camera.model, xy, down_cam, np.radians(self._config.min_vertical_deg))
         pixels, xy, landmark, angles = pixels[is_defined], xy[is_defined], landmark[is_defined], angles[is_defined]
-        rows, descriptors = self._describe(image, pixels, angles)
+        rows, descriptors = self._describe(image, camera.model, pixels, angles)
         return KeyframeFeatures(
             pixels[rows], xy[rows], np.full(len(rows), index, np.int64), descriptors, landmark[rows]
         )
 
-    def _describe(self, image: Image, pixels: Array, angles_rad: Array) -> tuple[Integers, Descriptors]:
+    def _describe(
+        self, image: Image, camera: CameraModel, pixels: Array, angles_rad: Array
+    ) -> tuple[Integers, Descriptors]:
         """Return the rows (M,) of corners away from the border, and their descriptors (M, 32)."""
-        x, y = pixels.T.tolist()
-        corners = list(
-            map(
-                cv2.KeyPoint,
-                x,
-                y,
-                repeat(PATCH_PX),
-                np.degrees(angles_rad).tolist(),
-                repeat(1.0),
-                repeat(0),
-                range(len(x)),
-            )
-        )
         margin = PATCH_PX / np.sqrt(2.0)  # the neighbourhood may be rotated by 45°
-        size = np.array(image.shape[::-1])
-        is_inside = np.all((pixels >= margin) & (pixels <= size - 1 - margin), axis=1)
-        inside = [corners[row] for row in np.flatnonzero(is_inside).tolist()]
-        kept, descriptors = self._orb.compute(image, inside)
+        rows = np.flatnonzero(is_inside(pixels, camera, margin))
+        x, y = pixels[rows].T.tolist()
+        degrees = np.degrees(angles_rad[rows]).tolist()
+        corners = list(map(cv2.KeyPoint, x, y, repeat(PATCH_PX), degrees, repeat(1.0), repeat(0), rows.tolist()))
+        kept, descriptors = self._orb.compute(image, corners)
         if not kept:
             return np.zeros(0, np.int64), np.zeros((0, DESCRIPTOR_BYTES), np.uint8)
         return np.array([corner.class_id for corner in kept], np.int64), np.asarray(descriptors, np.uint8)

@@ -236,12 +236,31 @@ def test_recently_inconsistent_estimate_is_not_tracking() -> None:
     inconsistent = [error_of_nis(1.05 * CONFIG.max_consistent_nis)] * (frames + 1)
     monitor = monitor_of(triangulated)
     health = health_of(inconsistent + [good] * 20, monitor, triangulated)
-    assert health[:frames] == [Health.TRACKING] * frames and set(health[frames:]) == {Health.INERTIAL_ONLY}
+    assert health[:2] == [Health.TRACKING] * 2 and set(health[2:]) == {Health.INERTIAL_ONLY}
     assert not monitor.is_trusted
     monitor = monitor_of(triangulated, is_trusted=False)
     assert health_of([good] * (distrust + 21), monitor, triangulated) == (
         [Health.INERTIAL_ONLY] * distrust + [Health.TRACKING] * 21
     )
+
+
+def test_contradictions_at_every_turn_are_one_distrust() -> None:
+    """A wrong lens or focal length contradicts the estimate in turns, which may be eight seconds apart."""
+    triangulated, straight = landmarks(40, np.random.default_rng(1)), [error_of_nis(1.0)] * round(8.0 / 0.05)
+    turn = [error_of_nis(1.05 * CONFIG.max_frame_nis)]
+    health = health_of([*turn, *straight, *turn, *straight, *turn], monitor_of(triangulated), triangulated)
+    assert set(health) == {Health.INERTIAL_ONLY}
+
+
+def test_improbable_change_by_a_correction_is_distrusted() -> None:
+    """Of the calibration: the position must not change by more than five of its standard deviations of 10 mm."""
+    triangulated, observations = landmarks_and_observations(40)
+    for change_m, expected in ((0.049, Health.TRACKING), (0.051, Health.INERTIAL_ONLY)):
+        monitor, T = monitor_of(triangulated), START.T_world_imu.copy()
+        T[:3, 3] += change_m * np.array([0.6, 0.0, -0.8])
+        monitor.correct(START, replace(START, T_world_imu=T))
+        assert monitor.is_trusted is (expected is Health.TRACKING)
+        assert assess(monitor, observations, state_after(1)).health is expected
 
 
 def test_small_innovations_are_consistent_whatever_their_nis() -> None:

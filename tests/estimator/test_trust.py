@@ -94,3 +94,26 @@ def test_an_established_estimate_can_be_made_to_begin_anew() -> None:
     assert established == [True, False]
     trust.update(len(ESTABLISHING) * STEP_NS, 65.0, moves=True)
     assert not trust.is_trusted
+
+
+def test_three_frames_of_a_new_window_can_contradict() -> None:
+    """A start in motion with a wrong velocity errs by decimetres before the window is full."""
+    assert trusted_frames([16.0] * 3) == [True, True, False]
+    assert trusted_frames([1.0, 16.0, 16.0]) == [True, True, False]
+    assert all(trusted_frames([1.0, 16.0, 1.0, 1.0, 16.0]))
+    assert trusted_frames([1.0, None, 16.0, 16.0, None, 16.0, 16.0, 16.0]) == [True] * 7 + [False]
+
+
+def test_a_loss_requires_a_full_window() -> None:
+    trust, medians = Trust(LIMITS, is_trusted=True), []
+    for k, nis in enumerate([70.0] * 14):
+        if k == 13:
+            trust.restart_motion()
+        trust.update(k * STEP_NS, nis, moves=True)
+        medians.append(trust.median_nis)
+    assert medians == [0.0] * 12 + [70.0, 0.0]
+
+
+def test_the_median_counts_in_a_window_of_two_frames() -> None:
+    short = replace(LIMITS, window_s=0.05)
+    assert trusted_frames([1.0, 16.0], short) == [True, False]
