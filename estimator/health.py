@@ -103,6 +103,9 @@ class HealthConfig(Settings):
     """Lower bound of the standard deviation of the accelerometer bias [m/s²]. The bias of EuRoC reaches 0.5."""
     max_bias_sigmas: Annotated[float, Range(above=0.0, infinite=True)] = 10.0
     """Largest plausible bias, in these standard deviations."""
+    max_first_bias_sigmas: Annotated[float, Range(above=0.0, infinite=True)] = 2.5
+    """Largest bias by an initialization in motion, in these standard deviations, at which its estimate counts as
+    consistent from the beginning. A bias of the gyroscope explains wrong rotations for some tenths of a second."""
 
 
 class HealthMonitor:
@@ -152,6 +155,11 @@ class HealthMonitor:
     def is_trusted(self) -> bool:
         """Whether the innovations have agreed with their covariance for long enough, or always."""
         return self._trust.is_trusted
+
+    def begin_in_motion(self, state: NavState) -> None:
+        """Note the state of an initialization in motion; a bias that was improbable contradicts the estimate."""
+        if self._bias_in_sigmas(state) > self._config.max_first_bias_sigmas:
+            self._trust.contradict(state.t_ns)
 
     def set_reference(
         self,
@@ -216,8 +224,7 @@ class HealthMonitor:
         found = self.innovation(observations, predicted, calibration)
         rows, innovation_px, nis = found.rows, found.median_px, found.nis
         position_sigma_m, velocity_sigma_m_s = _sigmas(predicted)
-        bias = np.concatenate([predicted.gyro_bias_rad_s, predicted.accel_bias_m_s2])
-        bias_sigmas = float((np.abs(bias) / self._bias_sigmas).max())
+        bias_sigmas = self._bias_in_sigmas(predicted)
         enough = len(rows) >= self._config.min_landmarks
         inertial_only_s = self._inertial_only_s(predicted.t_ns, enough or stationary, position_sigma_m)
         allowed_px = self._config.max_innovation_px + self._rotation_uncertainty_px(predicted, calibration)
@@ -266,6 +273,11 @@ class HealthMonitor:
         )
         landmarks = self._landmarks
         return innovation(landmarks.ids, landmarks.points, observations, predicted, uncertainty, calibration)
+
+    def _bias_in_sigmas(self, state: NavState) -> float:
+        """Return the largest bias in standard deviations of its prior."""
+        bias = np.concatenate([state.gyro_bias_rad_s, state.accel_bias_m_s2])
+        return float((np.abs(bias) / self._bias_sigmas).max())
 
     def _prediction_covariance(self, predicted: NavState) -> tuple[Array, float]:
         """Return the uncertainty of the prediction since the newest keyframe.

@@ -177,6 +177,8 @@ class VisualInertialOdometry:
         monitor = HealthMonitor(
             self._imu, c.health, pixel_sigma, is_trusted=is_trusted, noise_at_rest=self._noise.at_rest
         )
+        if not stationary_s:
+            monitor.begin_in_motion(smoother.state)
         self._state = self._tracking(smoother, monitor, packet.observations)
         report = monitor.assess(packet.observations, smoother.state, stationary_s > 0.0, self._calibration)
         return self._publish(packet, smoother.state, report)

@@ -263,6 +263,15 @@ def test_improbable_change_by_a_correction_is_distrusted() -> None:
         assert assess(monitor, observations, state_after(1)).health is expected
 
 
+def test_improbable_bias_by_a_start_in_motion_is_distrusted() -> None:
+    """By more than 2.5 standard deviations of 0.05 rad/s and 0.2 m/s²."""
+    for name, sigma in (("gyro_bias_rad_s", 0.05), ("accel_bias_m_s2", 0.2)):
+        for sigmas, expected in ((2.49, True), (-2.51, False)):
+            monitor = monitor_of(landmarks(40, np.random.default_rng(1)))
+            monitor.begin_in_motion(replace(START, **{name: np.array([0.0, sigmas * sigma, 0.0])}))
+            assert monitor.is_trusted is expected
+
+
 def test_small_innovations_are_consistent_whatever_their_nis() -> None:
     """With little noise of the images, a third of a pixel has a large NIS, which counts from `min_innovation_px` on."""
     triangulated, frames = landmarks(40, np.random.default_rng(1)), round(CONFIG.consistency_window_s / 0.05)
