@@ -124,6 +124,20 @@ def test_rotation_of_the_camera_is_found(noiseless: "SyntheticFlight") -> None:
     np.testing.assert_allclose(found.calibration.rig.cameras[0].T_imu_cam, expected, atol=3e-4)
 
 
+def test_a_calibration_stays_implausible(make_flight: MakeFlight) -> None:
+    """A rotation of 6.5° is 5.7 standard deviations of the prior; without it in the second half, the mean is plausible."""
+    flight = make_flight(0, rest_s=-5.0, duration_s=13.0, noisy=False, sampling="increment")
+    calibration, largest = OnlineCalibration(flight.rig, CalibrationConfig()), 0.0
+    turned, right = keyframes(flight, Errors(rotation_rad=np.radians([0.0, 0.0, 6.5]))), keyframes(flight, Errors())
+    for wrong, k in zip(turned, right, strict=True):
+        is_first = (k.state.t_ns - flight.frame_times_ns[0]) * 1e-9 < 6.0
+        calibration.add(k.state, k.rate_rad_s, k.preintegrated, (wrong if is_first else k).observations)
+        largest = max(largest, float(np.abs(calibration.applied.rotation_rad).max()))
+    limit_rad = CalibrationConfig().max_correction_sigmas * CalibrationConfig().rotation.sigma
+    assert np.abs(calibration.applied.rotation_rad).max() < limit_rad < largest
+    assert not calibration.is_plausible
+
+
 def test_time_offset_and_rotation_are_found_together(noiseless: "SyntheticFlight") -> None:
     errors = Errors(time_offset_s=0.004, rotation_rad=ROTATION_RAD, state_sigma=0.003)
     found = calibrated(noiseless, replace(ALL_OFF, time_offset=ON, rotation=ON), errors)
