@@ -31,8 +31,8 @@ ESTIMATOR = (
         "health-distrust-half",
         "Health: an estimate is trusted again half the time after a contradiction.",
         "estimator/health.py",
-        "= 10.0\n    \"\"\"Time for which an estimate must be consistent again",
-        "= 5.0\n    \"\"\"Time for which an estimate must be consistent again",
+        '= 10.0\n    """Time for which an estimate must be consistent again',
+        '= 5.0\n    """Time for which an estimate must be consistent again',
         ("tests/estimator/test_health.py::test_contradictions_at_every_turn_are_one_distrust",),
     ),
     Mutant(
