@@ -125,7 +125,7 @@ def test_rotation_of_the_camera_is_found(noiseless: "SyntheticFlight") -> None:
 
 
 def test_a_calibration_stays_implausible(make_flight: MakeFlight) -> None:
-    """A rotation of 6.5° is 5.7 standard deviations of the prior; without it in the second half, the mean is plausible."""
+    """A rotation of 6.5° is beyond five standard deviations; without it in the second half, the mean is within them."""
     flight = make_flight(0, rest_s=-5.0, duration_s=13.0, noisy=False, sampling="increment")
     calibration, largest = OnlineCalibration(flight.rig, CalibrationConfig()), 0.0
     turned, right = keyframes(flight, Errors(rotation_rad=np.radians([0.0, 0.0, 6.5]))), keyframes(flight, Errors())
