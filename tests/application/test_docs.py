@@ -180,11 +180,11 @@ def test_tables_of_pages_are_filled_by_their_commands(script: Callable[[str], An
     tables = script("published_tables")
     command = "report docs/measurements/campaign.parquet --format markdown --tables losses"
     text = f'Text.\n<!-- rows "{{rows}}" of: dronevio {command} -->\nold\n<!-- end of the table -->\nMore.\n'
-    lines = tables.filled(text.format(rows="room")).splitlines()
+    lines = tables.filled(text.format(rows="gates")).splitlines()
     assert (lines[0], lines[-1]) == ("Text.", "More.") and "old" not in lines
     table = [line for line in lines if line.startswith("|")]
     assert table[0].startswith("| scenario | seed |") and len(table) > 2
-    assert all(line.startswith("| room") for line in table[2:])
+    assert all(line.startswith("| gates") for line in table[2:])
     with pytest.raises(ValueError, match="no row that begins with 'nowhere'"):
         tables.filled(text.format(rows="nowhere"))
     rows = "docs/measurements/campaign.parquet"
