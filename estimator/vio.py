@@ -45,7 +45,10 @@ Array = npt.NDArray[np.float64]
 REPEATED_IMAGES = "the image does not change although the vehicle rotates: not used"
 """Event at the first of several equal images."""
 
-IMPLAUSIBLE_CALIBRATION = "images and calibration do not belong together: the correction is implausible"
+IMPLAUSIBLE_CALIBRATION = (
+    "images and calibration do not belong together: check the camera-IMU extrinsics, the lens model, the order of the"
+    " cameras, and the time stamps"
+)
 """Cause that is stated after a correction beyond `CalibrationConfig.max_correction_sigmas`."""
 
 

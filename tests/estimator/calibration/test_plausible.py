@@ -7,11 +7,10 @@ from typing import TYPE_CHECKING
 import numpy as np
 import pytest
 
-from dronevio.estimator.calibration.config import CalibrationConfig
-from dronevio.estimator.vio import IMPLAUSIBLE_CALIBRATION, VisualInertialOdometry
+from dronevio.estimator.config import VioConfig
+from dronevio.estimator.health import HealthConfig
+from dronevio.estimator.vio import IMPLAUSIBLE_CALIBRATION
 from dronevio.eval.run import is_warning
-from dronevio.models.imu import ImuSamples
-from dronevio.models.protocols import measurements
 from dronevio.models.rig import Rig
 from dronevio.models.rotation import exp_so3, pose_matrix
 from dronevio.models.state import Estimate, Health
@@ -28,15 +27,10 @@ def turned(rig: Rig, degrees: float) -> Rig:
     return replace(rig, cameras=(replace(rig.cameras[0], T_imu_cam=T),))
 
 
-def estimated(flight: "SyntheticFlight", degrees: float) -> list[Estimate]:
+def estimated(flight: "SyntheticFlight", degrees: float, health: HealthConfig | None = None) -> list[Estimate]:
     """Return the estimates of a flight by a calibration in which the camera is rotated."""
-    vio, estimates = VisualInertialOdometry(turned(flight.rig, degrees), front_end=flight.front_end()), []
-    for measurement in measurements(flight):
-        if isinstance(measurement, ImuSamples):
-            vio.add_imu(measurement)
-        else:
-            estimates.append(vio.add_frame(measurement))
-    return estimates
+    config = VioConfig(health=health or HealthConfig())
+    return replace(flight, rig=turned(flight.rig, degrees)).run(flight.front_end(), config)
 
 
 @pytest.mark.parametrize(("degrees", "plausible"), [(2.0, True), (9.0, False)])
@@ -53,4 +47,19 @@ def test_health_is_tracking_after_plausible_corrections(
     else:
         assert all(e.health is not Health.TRACKING for e in estimates[warned[0] :])
         assert any(is_warning(event) for event in estimates[warned[0]].events)
-        assert CalibrationConfig().max_correction_sigmas * CalibrationConfig().rotation.sigma < np.radians(9.0)
+
+
+def test_a_correction_that_moves_the_position_is_distrusted_at_once(make_flight: MakeFlight) -> None:
+    """At the frame of the correction, with a limit that any correction exceeds."""
+    flight = make_flight(0, rest_s=2.0, duration_s=8.0)
+    estimates = estimated(flight, 2.0, HealthConfig(max_change_sigmas=1e-6))
+    first = next(e for e in estimates if any(event.startswith("calibration corrected") for event in e.events))
+    assert first.health is Health.INERTIAL_ONLY
+
+
+@pytest.mark.parametrize(("rest_s", "expected"), [(2.0, Health.TRACKING), (-5.0, Health.INERTIAL_ONLY)])
+def test_only_a_start_in_motion_has_a_limit_of_the_bias(
+    make_flight: MakeFlight, rest_s: float, expected: Health
+) -> None:
+    estimates = estimated(make_flight(0, rest_s=rest_s, duration_s=5.0), 0.0, HealthConfig(max_first_bias_sigmas=1e-6))
+    assert next(e for e in estimates if e.state is not None).health is expected
