@@ -49,7 +49,7 @@ def test_health_is_tracking_after_plausible_corrections(
         assert any(is_warning(event) for event in estimates[warned[0]].events)
 
 
-def test_a_correction_that_moves_the_position_is_distrusted_at_once(make_flight: MakeFlight) -> None:
+def test_correction_that_moves_the_position_is_distrusted(make_flight: MakeFlight) -> None:
     """At the frame of the correction, with a limit that any correction exceeds."""
     flight = make_flight(0, rest_s=2.0, duration_s=8.0)
     estimates = estimated(flight, 2.0, HealthConfig(max_change_sigmas=1e-6))
@@ -58,8 +58,6 @@ def test_a_correction_that_moves_the_position_is_distrusted_at_once(make_flight:
 
 
 @pytest.mark.parametrize(("rest_s", "expected"), [(2.0, Health.TRACKING), (-5.0, Health.INERTIAL_ONLY)])
-def test_only_a_start_in_motion_has_a_limit_of_the_bias(
-    make_flight: MakeFlight, rest_s: float, expected: Health
-) -> None:
+def test_a_start_in_motion_has_a_limit_of_the_bias(make_flight: MakeFlight, rest_s: float, expected: Health) -> None:
     estimates = estimated(make_flight(0, rest_s=rest_s, duration_s=5.0), 0.0, HealthConfig(max_first_bias_sigmas=1e-6))
     assert next(e for e in estimates if e.state is not None).health is expected
