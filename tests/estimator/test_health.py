@@ -268,7 +268,8 @@ def test_improbable_bias_by_a_start_in_motion_is_distrusted() -> None:
     for name, sigma in (("gyro_bias_rad_s", 0.05), ("accel_bias_m_s2", 0.2)):
         for sigmas, expected in ((2.49, True), (-2.51, False)):
             monitor = monitor_of(landmarks(40, np.random.default_rng(1)))
-            monitor.begin_in_motion(replace(START, **{name: np.array([0.0, sigmas * sigma, 0.0])}))
+            bias: Any = {name: np.array([0.0, sigmas * sigma, 0.0])}
+            monitor.begin_in_motion(replace(START, **bias))
             assert monitor.is_trusted is expected
 
 
