@@ -32,7 +32,7 @@ Integers = npt.NDArray[np.int64]
 class AdjustmentConfig(Settings):
     """Settings of the bundle adjustment of a map."""
 
-    pixel_sigma: Annotated[float, Range(0.01, 100.0)] = 0.2
+    pixel_sigma: Annotated[float, Range(0.01, 100.0)] = 0.1
     """Standard deviation of an image observation of the best quality [px]."""
     robust_sigmas: Annotated[float, Range(0.1, 1e3)] = 2.0
     """Scale of the Cauchy loss of the observations, in standard deviations."""
