@@ -13,7 +13,13 @@ from collections.abc import Iterable, Mapping
 import numpy as np
 import numpy.typing as npt
 
-from dronevio.estimator.slam.odometry_factors import RelativePose, propagated, reversed_pose
+from dronevio.estimator.slam.odometry_factors import (
+    AbsolutePosition,
+    RelativePose,
+    position_variance,
+    propagated,
+    reversed_pose,
+)
 from dronevio.estimator.slam.pose_graph import (
     FIXED_SIGMA,
     FREE_POSITION_SIGMA_M,
@@ -47,11 +53,14 @@ def covariances_with_loops(
         return covariances
     found, steps = dict(covariances), {relative.second: relative for relative in graph.odometry}
     gravity = {direction.keyframe: direction for direction in graph.gravity}
+    positions = {position.keyframe: position for position in graph.positions}
     for number in sorted(k for k in found if k >= min(reached)):
         paths = [found[number], *(propagated(found[loop.first], loop, None) for loop in reached[number])]
         step = steps.get(number)
         if step is not None:
             paths.append(propagated(found[step.first], step, gravity.get(number)))
+        if number in positions:
+            paths.append(with_position(paths[-1], positions[number], graph.poses[number]))
         found[number] = min(paths, key=position_variance)
     # What the first loop of another track tells of the keyframes before it
     for number in sorted(steps, reverse=True):
@@ -71,11 +80,19 @@ def covariances_of(graph: PoseGraph) -> Mapping[int, Array]:
     return covariances_with_loops(graph, known, [*graph.loops, *first_step])  # the first step begins the paths
 
 
+def with_position(covariance: Array, position: AbsolutePosition, T_map_imu: Array) -> Array:
+    """Return the covariance (6, 6) of a pose by the prior on its position, and by a path for its rotation.
+
+    Args:
+        covariance: (6, 6) Covariance by the path.
+        position: The prior.
+        T_map_imu: (4, 4) The pose.
+    """
+    R, known = T_map_imu[:3, :3], covariance.copy()
+    known[:3, 3:], known[3:, :3], known[3:, 3:] = 0.0, 0.0, R.T @ position.covariance @ R
+    return known
+
+
 def is_unknown(covariance: Array) -> bool:
     """Return whether nothing is known of a position."""
     return position_variance(covariance) > FREE_POSITION_SIGMA_M**2
-
-
-def position_variance(covariance: Array) -> float:
-    """Return the trace of the covariance of a position [m²]."""
-    return float(np.trace(covariance[3:, 3:]))

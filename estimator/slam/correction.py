@@ -47,8 +47,8 @@ class Correction:
         """
         if self.T_map_odom is None or state.covariance is None:
             return None
-        anchor = OdometryNode(0, self.anchor, self.anchor.covariance)
-        _, relative, gravity = odometry_factors(anchor, 1, KeyframeEstimate.of_state(state))
+        anchor = OdometryNode(0, 0, self.anchor, self.anchor.covariance)
+        _, factors = odometry_factors(anchor, 1, KeyframeEstimate.of_state(state))
         S = np.eye(6)
         S[3:, 3:] = self.T_map_odom[:3, :3] @ state.T_world_imu[:3, :3]
-        return np.asarray(S @ propagated(self.covariance, relative, gravity) @ S.T)
+        return np.asarray(S @ propagated(self.covariance, factors.relative, factors.gravity) @ S.T)

@@ -1,4 +1,4 @@
-"""The odometry as factors of a pose graph: relative poses and directions of gravity between keyframes of the map.
+"""The odometry as factors of a pose graph: relative poses, directions of gravity, and some positions.
 
 The priors of consecutive windows share information. A factor that holds all of one prior would count what the next one
 repeats, so each keyframe that leaves the window adds only what is new: the growth of the covariance since the keyframe
@@ -10,6 +10,11 @@ marginals of the poses.
 The error of an odometry grows faster than a sum of independent errors, because the biases err for a long time in the
 same direction: the relative covariances of neighbouring keyframes alone add up to half of the standard deviation after
 50 s.
+
+The uncertainty of an odometry can also decrease, as where an error of scale becomes known on the way back to the start.
+A later keyframe is then known better than those before it, which no sum of relative poses expresses. Its position gets
+a prior. The relative pose before it gets the covariance by which the previous keyframe is known worse: where one
+estimate contains all that the other one knows, their difference has the difference of their covariances.
 """
 
 from dataclasses import dataclass
@@ -17,11 +22,16 @@ from typing import Self
 
 import numpy as np
 import numpy.typing as npt
+import scipy.linalg
 
 from dronevio.estimator.backend.keyframe_estimate import KeyframeEstimate
 from dronevio.models.rotation import adjoint, inverse_pose
 
 Array = npt.NDArray[np.float64]
+
+MAX_DECREASE = 0.5
+"""Ratio of the standard deviation of a keyframe's position to that by the factors before it, below which the position
+gets a prior. What these factors repeat of the prior then reduces the standard deviation by 6 % at most."""
 
 _UP = np.array([0.0, 0.0, 1.0])
 
@@ -68,9 +78,35 @@ class GravityDirection:
 
 
 @dataclass(frozen=True, eq=False)
+class AbsolutePosition:
+    """A measured position of a keyframe in the map frame."""
+
+    keyframe: int
+    """Number of the keyframe."""
+    p_map: Array
+    """(3,) Position of its IMU [m]."""
+    covariance: Array
+    """(3, 3) Covariance of that position in the map frame [m²]."""
+
+
+@dataclass(frozen=True, eq=False)
+class OdometryFactors:
+    """The factors by which the odometry connects a keyframe with the one before it."""
+
+    relative: RelativePose
+    """Its pose in the frame of the previous keyframe."""
+    gravity: GravityDirection | None = None
+    """The direction of gravity, where the odometry knows it better than the factors before it."""
+    position: AbsolutePosition | None = None
+    """Its position, where the odometry knows it much better than the factors before it."""
+
+
+@dataclass(frozen=True, eq=False)
 class OdometryNode:
     """A keyframe of the odometry in the pose graph."""
 
+    first: int
+    """Number of the first keyframe of its track."""
     number: int
     """Number of the keyframe."""
     estimate: KeyframeEstimate
@@ -80,28 +116,33 @@ class OdometryNode:
 
 
 def first_node(number: int, estimate: KeyframeEstimate) -> OdometryNode:
-    """Return the first keyframe of a map, whose pose has the covariance of the odometry."""
-    return OdometryNode(number, estimate, estimate.covariance)
+    """Return the first keyframe of a track, whose pose has the covariance of the odometry."""
+    return OdometryNode(number, number, estimate, estimate.covariance)
 
 
 def odometry_factors(
-    previous: OdometryNode, number: int, estimate: KeyframeEstimate
-) -> tuple[OdometryNode, RelativePose, GravityDirection | None]:
+    previous: OdometryNode, number: int, estimate: KeyframeEstimate, *, is_map_frame: bool = False
+) -> tuple[OdometryNode, OdometryFactors]:
     """Return the next keyframe of the odometry and its factors.
 
     Args:
         previous: The keyframe that was marginalized before it.
         number: Number of the keyframe.
         estimate: Its final estimate.
-
-    Returns:
-        The keyframe, its pose in the frame of the previous one, and the direction of gravity, None where the odometry
-        knows nothing new about it.
+        is_map_frame: Whether the odometry frame is the map frame. Where it is not, as after a loss, there are no
+            positions in the map.
     """
     T = inverse_pose(previous.estimate.T_odom_imu) @ estimate.T_odom_imu
     transported = _transported(previous.covariance, T)
     least = _least_covariance(previous.estimate, estimate)
-    added = least + _missing_growth(estimate, transported + least)
+    expected = transported + least
+    if is_map_frame and position_variance(estimate.covariance) < MAX_DECREASE**2 * position_variance(expected):
+        R = estimate.T_odom_imu[:3, :3]
+        P_map = R @ estimate.covariance[3:, 3:] @ R.T
+        position = AbsolutePosition(number, estimate.T_odom_imu[:3, 3], P_map)
+        added = least + _position_excess(expected, estimate.covariance)
+    else:
+        position, added = None, least + _missing_growth(estimate, expected)
     relative = RelativePose(previous.number, number, T, added)
     P = transported + added
     up = estimate.T_odom_imu[:3, :3].T @ _UP
@@ -109,7 +150,12 @@ def odometry_factors(
     information = _information(tilt, estimate.covariance) - _information(tilt, P)
     mean_information = float(np.trace(information)) / 2.0
     gravity = None if mean_information <= 0.0 else GravityDirection(number, up, mean_information**-0.5)
-    return OdometryNode(number, estimate, propagated(previous.covariance, relative, gravity)), relative, gravity
+    P = propagated(previous.covariance, relative, gravity)
+    if position is not None:
+        H = np.hstack([np.zeros((3, 3)), np.eye(3)])
+        P = _updated(P, H, estimate.covariance[3:, 3:])
+    node = OdometryNode(previous.first, number, estimate, P)
+    return node, OdometryFactors(relative, gravity, position)
 
 
 def propagated(covariance: Array, relative: RelativePose, gravity: GravityDirection | None) -> Array:
@@ -124,9 +170,7 @@ def propagated(covariance: Array, relative: RelativePose, gravity: GravityDirect
     if gravity is None:
         return P
     H = np.hstack([tilt_axes(gravity.up_imu), np.zeros((2, 3))])
-    gain = np.linalg.solve(H @ P @ H.T + gravity.sigma_rad**2 * np.eye(2), H @ P).T
-    P = P - gain @ H @ P
-    return np.asarray(0.5 * (P + P.T))
+    return _updated(P, H, gravity.sigma_rad**2 * np.eye(2))
 
 
 def reversed_pose(relative: RelativePose) -> RelativePose:
@@ -146,6 +190,11 @@ def composed(relative: RelativePose, following: RelativePose) -> RelativePose:
     T = relative.T_first_second @ following.T_first_second
     covariance = _transported(relative.covariance, following.T_first_second) + following.covariance
     return RelativePose(relative.first, following.second, T, covariance)
+
+
+def position_variance(covariance: Array) -> float:
+    """Return the trace of the covariance of a position [m²], of the covariance (6, 6) of its pose."""
+    return float(np.trace(covariance[3:, 3:]))
 
 
 def tilt_axes(up: Array) -> Array:
@@ -180,6 +229,21 @@ def _missing_growth(estimate: KeyframeEstimate, covariance: Array) -> Array:
     share = max(1.0 - float(np.trace(found[horizontal, horizontal]) / trace), 0.0)
     missing[horizontal, horizontal] = share * expected[horizontal, horizontal]
     return np.asarray(S.T @ missing @ S)
+
+
+def _position_excess(covariance: Array, smaller: Array) -> Array:
+    """Return what a covariance (6, 6) of a position has beyond a smaller one; nothing where it is the smaller one."""
+    P, excess = smaller[3:, 3:], np.zeros((6, 6))
+    ratios, V = scipy.linalg.eigh(covariance[3:, 3:], P)  # V.T @ P @ V is the identity
+    excess[3:, 3:] = (P @ V * np.maximum(ratios - 1.0, 0.0)) @ (P @ V).T
+    return excess
+
+
+def _updated(P: Array, H: Array, R: Array) -> Array:
+    """Return the covariance (6, 6) after a measurement with Jacobian H (M, 6) and covariance R (M, M)."""
+    gain = np.linalg.solve(H @ P @ H.T + R, H @ P).T
+    P = P - gain @ H @ P
+    return np.asarray(0.5 * (P + P.T))
 
 
 def _information(axes: Array, covariance: Array) -> Array:

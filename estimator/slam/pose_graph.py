@@ -8,7 +8,13 @@ import numpy as np
 import numpy.typing as npt
 from gtsam.symbol_shorthand import X
 
-from dronevio.estimator.slam.odometry_factors import GravityDirection, RelativePose, tilt_axes
+from dronevio.estimator.slam.odometry_factors import (
+    AbsolutePosition,
+    GravityDirection,
+    OdometryFactors,
+    RelativePose,
+    tilt_axes,
+)
 
 Array = npt.NDArray[np.float64]
 
@@ -42,6 +48,8 @@ class PoseGraph:
     """Relative poses by the odometry."""
     gravity: tuple[GravityDirection, ...] = ()
     """Directions of gravity by the odometry."""
+    positions: tuple[AbsolutePosition, ...] = ()
+    """Positions by the odometry of keyframes in the first track."""
     loops: tuple[RelativePose, ...] = ()
     """Relative poses by places that were recognized again."""
     joined: tuple[int, ...] = ()
@@ -50,17 +58,20 @@ class PoseGraph:
     fixed: tuple[int, ...] = ()
     """Numbers of the keyframes whose poses stay as they are."""
 
-    def with_keyframe(self, T_map_imu: Array, relative: RelativePose, gravity: GravityDirection | None) -> "PoseGraph":
+    def with_keyframe(self, T_map_imu: Array, factors: OdometryFactors) -> "PoseGraph":
         """Return the graph with one more keyframe, by the odometry.
 
         Args:
             T_map_imu: (4, 4) Its pose in the map frame.
-            relative: Its pose in the frame of the keyframe before it.
-            gravity: The direction of gravity there, if the odometry knows more than before.
+            factors: The factors by the odometry that connect it with the keyframe before it.
         """
-        poses = {**self.poses, relative.second: T_map_imu}
-        directions = self.gravity if gravity is None else (*self.gravity, gravity)
-        return replace(self, poses=poses, odometry=(*self.odometry, relative), gravity=directions)
+        return replace(
+            self,
+            poses={**self.poses, factors.relative.second: T_map_imu},
+            odometry=(*self.odometry, factors.relative),
+            gravity=self.gravity if factors.gravity is None else (*self.gravity, factors.gravity),
+            positions=self.positions if factors.position is None else (*self.positions, factors.position),
+        )
 
     def with_loops(self, loops: Sequence[RelativePose]) -> "PoseGraph":
         """Return the graph with more loops."""
@@ -109,7 +120,8 @@ def optimize(graph: PoseGraph, *, robust: bool = True) -> OptimizedGraph:
 def joined_graphs(graph: PoseGraph, other: PoseGraph, T_graph_other: Array) -> PoseGraph:
     """Return two graphs as one, in the map frame of the first; the loops of the second come last.
 
-    The second graph keeps what it knows of the direction of gravity. Its yaw and position are free.
+    The second graph keeps what it knows of the direction of gravity. Its yaw and position are free, so positions in its
+    own map frame are left out.
 
     Args:
         graph: The first graph.
@@ -124,6 +136,7 @@ def joined_graphs(graph: PoseGraph, other: PoseGraph, T_graph_other: Array) -> P
         {**graph.poses, **{number: T_graph_other @ T for number, T in other.poses.items()}},
         (*graph.odometry, *other.odometry),
         (*graph.gravity, GravityDirection(other.first, up, sigma_rad), *other.gravity),
+        graph.positions,
         (*graph.loops, *other.loops),
         (*graph.joined, other.first, *other.joined),
         (*graph.fixed, *other.fixed),
@@ -151,6 +164,9 @@ def factor_graph(graph: PoseGraph) -> gtsam.NonlinearFactorGraph:
     for direction in graph.gravity:
         tilt_noise = gtsam.noiseModel.Isotropic.Sigma(2, direction.sigma_rad)
         factors.add(gtsam.AttitudeFactorPose3(X(direction.keyframe), up, tilt_noise, gtsam.Unit3(direction.up_imu)))
+    for position in graph.positions:
+        position_noise = gtsam.noiseModel.Gaussian.Covariance(position.covariance)
+        factors.add(gtsam.PoseTranslationPrior3D(X(position.keyframe), position.p_map, position_noise))
     for relative in (*graph.odometry, *graph.loops):
         noise = gtsam.noiseModel.Gaussian.Covariance(relative.covariance)
         T = gtsam.Pose3(relative.T_first_second)

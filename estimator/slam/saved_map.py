@@ -178,8 +178,8 @@ class SavedMap:
             dict(enumerate(T)),
             tuple(_relative_poses(T, self.odometry, self.odometry_covariances)),
             tuple(GravityDirection(row, T[row, 2, :3], sigma_rad) for row, sigma_rad in directions),
-            tuple(_relative_poses(T, self.loops, self.loop_covariances)),
-            tuple(self.joined.tolist()),
+            loops=tuple(_relative_poses(T, self.loops, self.loop_covariances)),
+            joined=tuple(self.joined.tolist()),
         )
 
     def _fixed_graph(self) -> PoseGraph:

@@ -11,12 +11,13 @@ import numpy as np
 import numpy.typing as npt
 
 from dronevio.estimator.backend.keyframe_estimate import KeyframeEstimate
-from dronevio.estimator.slam.best_path import UNKNOWN, covariances_of, covariances_with_loops
+from dronevio.estimator.slam.best_path import UNKNOWN, covariances_of, covariances_with_loops, with_position
 from dronevio.estimator.slam.odometry_factors import (
     OdometryNode,
     RelativePose,
     composed,
     odometry_factors,
+    position_variance,
     propagated,
     reversed_pose,
 )
@@ -91,10 +92,12 @@ class Submap:
             number: Number of the new keyframe.
             estimate: The final estimate of the new keyframe.
         """
-        node, relative, gravity = odometry_factors(anchor, number, estimate)
-        T = self.graph.poses[relative.first] @ relative.T_first_second
-        graph, history = (each.with_keyframe(T, relative, gravity) for each in (self.graph, self.history))
-        covariance = propagated(self.covariances[anchor.number], relative, gravity)
+        node, factors = odometry_factors(anchor, number, estimate, is_map_frame=anchor.first == self.graph.first)
+        T = self.graph.poses[anchor.number] @ factors.relative.T_first_second
+        graph, history = (each.with_keyframe(T, factors) for each in (self.graph, self.history))
+        covariance = propagated(self.covariances[anchor.number], factors.relative, factors.gravity)
+        if factors.position is not None:
+            covariance = min(covariance, with_position(covariance, factors.position, T), key=position_variance)
         solution = replace(self.solution, graph=graph)
         covariances = {**self.covariances, number: covariance}
         return node, replace(self, solution=solution, covariances=covariances, history=history)
@@ -159,10 +162,13 @@ class Submap:
         graph, waiting = self.graph, self.graph.loops[self.judged :]
         before = next(relative for relative in graph.odometry if relative.second == number)
         after = next(relative for relative in graph.odometry if relative.first == number)
-        _, merged, direction = odometry_factors(previous, after.second, following)
-        odometry = tuple(merged if each is after else each for each in graph.odometry if each is not before)
+        is_map_frame = previous.first == graph.first
+        _, merged = odometry_factors(previous, after.second, following, is_map_frame=is_map_frame)
+        odometry = tuple(merged.relative if each is after else each for each in graph.odometry if each is not before)
         gravity = [each for each in graph.gravity if each.keyframe not in (number, after.second)]
-        gravity += [] if direction is None else [direction]
+        gravity += [] if merged.gravity is None else [merged.gravity]
+        positions = [each for each in graph.positions if each.keyframe not in (number, after.second)]
+        positions += [] if merged.position is None else [merged.position]
         closed = self.closed_loops
         kept = [loop for loop in graph.loops[: self.judged] if loop.second != number]
         room = MAX_PASSED_LOOPS - sum(loop.second == before.first for loop in kept)
@@ -172,7 +178,9 @@ class Submap:
         loops = (*kept, *passed, *kept_waiting)
         accepted = {*closed, *passed}
         poses = {k: T for k, T in graph.poses.items() if k != number}
-        culled = replace(graph, poses=poses, odometry=odometry, gravity=tuple(gravity), loops=loops)
+        culled = replace(
+            graph, poses=poses, odometry=odometry, gravity=tuple(gravity), positions=tuple(positions), loops=loops
+        )
         rejected = frozenset(i for i, loop in enumerate(loops) if loop not in accepted)
         history = replace(self.history, poses={**self.history.poses, number: graph.poses[number]})
         solution = OptimizedGraph(culled, rejected)

@@ -1,11 +1,13 @@
 """Covariances by the best path through odometry and loops, by hand on keyframes in a row."""
 
+from dataclasses import replace
+
 import numpy as np
 import numpy.typing as npt
 import pytest
 
 from dronevio.estimator.slam.best_path import UNKNOWN, covariances_of, covariances_with_loops, is_unknown
-from dronevio.estimator.slam.odometry_factors import RelativePose, composed, reversed_pose
+from dronevio.estimator.slam.odometry_factors import AbsolutePosition, RelativePose, composed, reversed_pose
 from dronevio.estimator.slam.pose_graph import PoseGraph
 from dronevio.models.rotation import exp_so3, pose_matrix
 
@@ -96,6 +98,20 @@ def test_fixed_keyframes_are_certain() -> None:
     found = covariances_of(graph)
     assert all(position(dict(found), k) == pytest.approx(1e-8) for k in range(1, 5))
     assert not any(is_unknown(found[k]) for k in range(5))
+
+
+def test_prior_on_a_position_is_a_path_of_its_own() -> None:
+    P_map = np.diag([STEP, 2.0 * STEP, 3.0 * STEP])
+    turned = {k: pose(float(k)) @ pose_matrix(exp_so3(np.array([0.0, 0.0, np.pi / 2.0])), np.zeros(3)) for k in (4, 9)}
+    graph = chain(10)
+    priors = tuple(AbsolutePosition(k, turned[k][:3, 3], P_map) for k in turned)
+    graph = replace(graph, poses={**graph.poses, **turned}, positions=priors).with_loops([loop(0, 8)])
+    found = dict(covariances_of(graph))
+    # The y axis of the turned keyframe is the negative x axis of the map.
+    np.testing.assert_allclose(np.diag(found[4])[3:], [2.0 * STEP, STEP, 3.0 * STEP], rtol=1e-9)
+    np.testing.assert_allclose(found[4][:3, :3], found[3][:3, :3] + 1e-12 * np.eye(3), atol=1e-14)
+    assert position(found, 5) == pytest.approx(2.0 * STEP, rel=1e-4)
+    assert position(found, 9) == pytest.approx(FIRST + LOOP + STEP, rel=1e-4)  # by the loop, which is a better path
 
 
 def test_reversed_poses_are_inverse() -> None:

@@ -1,16 +1,26 @@
 """Culling: keyframes at known places leave the graph, which stays that of the odometry and of its loops."""
 
+from collections.abc import Sequence
+from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import numpy as np
 import numpy.typing as npt
 import pytest
 
+from dronevio.estimator.backend.keyframe_estimate import KeyframeEstimate
 from dronevio.estimator.slam.config import SlamConfig
 from dronevio.estimator.slam.keyframe import MapKeyframe
 from dronevio.estimator.slam.map_builder import LocalMap, MarginalizedKeyframe
 from dronevio.estimator.slam.mapping import Mapper, MappingConfig, MapSummary
-from dronevio.estimator.slam.odometry_factors import OdometryNode, RelativePose, composed, first_node, reversed_pose
+from dronevio.estimator.slam.odometry_factors import (
+    MAX_DECREASE,
+    OdometryNode,
+    RelativePose,
+    composed,
+    first_node,
+    reversed_pose,
+)
 from dronevio.estimator.slam.pose_graph import optimize
 from dronevio.estimator.slam.recognizer import PlaceRecognizer
 from dronevio.estimator.slam.submap import MAX_PASSED_LOOPS, Submap
@@ -30,10 +40,14 @@ COUNT, CULLED = 30, 20
 @pytest.fixture
 def chain(odometry_flight: "OdometryFlight") -> tuple[Submap, dict[int, OdometryNode]]:
     """Return the submap of the first keyframes of an odometry, and its nodes."""
-    estimates = odometry_flight.marginalized
+    return chain_of(odometry_flight.marginalized[:COUNT])
+
+
+def chain_of(estimates: Sequence[KeyframeEstimate]) -> tuple[Submap, dict[int, OdometryNode]]:
+    """Return the submap of the first keyframes of an odometry, and its nodes."""
     nodes = {0: first_node(0, estimates[0])}
     submap = Submap.begin(0, estimates[0], 0)
-    for number in range(1, COUNT):
+    for number in range(1, len(estimates)):
         nodes[number], submap = submap.extended(nodes[number - 1], number, estimates[number])
     return submap, nodes
 
@@ -62,6 +76,41 @@ def test_a_culled_odometry_is_the_same_odometry(
         np.testing.assert_allclose(T, odometry_flight.marginalized[number].T_odom_imu, atol=1e-6)
     ratio = np.diag(marginal_covariance(graph, newest)) / np.diag(marginal_covariance(submap.graph, newest))
     np.testing.assert_allclose(ratio, 1.0, atol=0.05)
+
+
+def test_a_culled_prior_passes_on_to_the_next_keyframe(odometry_flight: "OdometryFlight") -> None:
+    """From the culled keyframe on, the odometry knows its position ten times as well as before."""
+    S = np.diag([1.0, 1.0, 1.0, 0.1, 0.1, 0.1])
+    estimates = [
+        replace(each, covariance=S @ each.covariance @ S if number >= CULLED else each.covariance)
+        for number, each in enumerate(odometry_flight.marginalized[:COUNT])
+    ]
+    submap, nodes = chain_of(estimates)
+    assert min(each.keyframe for each in submap.graph.positions) == CULLED
+    tight = submap.covariances[CULLED], estimates[CULLED].covariance
+    np.testing.assert_allclose(tight[0][3:, 3:], tight[1][3:, 3:], rtol=1e-9)
+    culled = without(submap, nodes)
+    assert min(each.keyframe for each in culled.graph.positions) == CULLED + 1
+    assert culled.history.positions == submap.graph.positions
+    for number, T in optimize(culled.graph).graph.poses.items():
+        np.testing.assert_allclose(T, estimates[number].T_odom_imu, atol=1e-6)
+    one, other = (np.trace(marginal_covariance(graph, COUNT - 1)[3:, 3:]) for graph in (culled.graph, submap.graph))
+    assert one == pytest.approx(other, rel=0.05)
+    assert one < np.trace(estimates[-1].covariance[3:, 3:]) / MAX_DECREASE**2
+
+
+def test_another_track_has_no_positions_in_the_map(odometry_flight: "OdometryFlight") -> None:
+    S = np.diag([1.0, 1.0, 1.0, 0.1, 0.1, 0.1])
+    first, second, third = odometry_flight.marginalized[COUNT : COUNT + 3]
+    third = replace(third, covariance=S @ third.covariance @ S)
+    map_ = chain_of(odometry_flight.marginalized[:COUNT])[0]
+    node, track = first_node(COUNT, first), Submap.begin(COUNT, first, 1)
+    joined = track.joined(map_, [true_loop(odometry_flight, 3, COUNT)], first.t_ns, other_stays=True)
+    assert joined is not None
+    node, joined = joined.extended(node, COUNT + 1, second)
+    _, joined = joined.extended(node, COUNT + 2, third)
+    assert joined.graph.positions == ()
+    assert joined.without(COUNT + 1, first_node(COUNT, first), third).graph.positions == ()
 
 
 def test_the_history_keeps_culled_keyframes(chain: tuple[Submap, dict[int, OdometryNode]]) -> None:
