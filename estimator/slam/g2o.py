@@ -2,7 +2,8 @@
 
 Lines ``VERTEX_SE3:QUAT`` hold the poses and ``EDGE_SE3:QUAT`` the relative poses of odometry and loops, each with its
 information matrix (Kümmerle et al., "g2o: A general framework for graph optimization", ICRA 2011). The format has no
-line for directions of gravity: without them, roll and pitch are those of the first pose and of the relative poses.
+line for directions of gravity or for priors on positions: roll and pitch are then those of the first pose and of the
+relative poses.
 """
 
 from pathlib import Path

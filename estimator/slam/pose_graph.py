@@ -1,4 +1,4 @@
-"""The pose graph: keyframes of a map, connected by the odometry, by gravity and by loops, and its optimization."""
+"""The pose graph of a map and its optimization: keyframes, connected by the odometry, by gravity and by loops."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
